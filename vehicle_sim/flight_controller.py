@@ -1,12 +1,13 @@
 """The flight controller: an autopilot and its protocols, between messages in and out.
 
-It connects the radio, which handles frames, and the autopilot, which flies.  A reboot creates a new
-one on the same radio.
+What becomes of a message that comes in stands in HANDLERS, at the end; before that wire/radio.py
+has found it in the bytes of a link and judged its signature and its target.  A reboot creates a new
+flight controller on the same radio.
 """
 
 import dataclasses
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, final
+from typing import Any, Final, final
 
 from vehicle_sim.autopilot.core import Autopilot
 from vehicle_sim.autopilot.values import (
@@ -27,7 +28,6 @@ from vehicle_sim.wire.missions import Missions, store
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
 from vehicle_sim.wire.proximity import DISTANCE_SENSOR, RangeSensors
 from vehicle_sim.wire.radio import Radio
-from vehicle_sim.wire.routing import MISSION
 from vehicle_sim.wire.streams import COMMANDS as STREAM_COMMANDS
 from vehicle_sim.wire.streams import Streams
 
@@ -37,6 +37,7 @@ _GROUND_STATION = 6
 _SET_MODE = 11
 _EPOCH_US = 1_795_000_000_000_000
 """UTC at the start of every run: the same seed gives the same bytes."""
+Replies = Iterable[Reply | None]
 
 
 @final
@@ -54,101 +55,96 @@ class FlightController:
         on_text: Callable[[Text], None],
         ranging: RangeSensors,
     ) -> None:
-        profile = autopilot.profile
-        self.autopilot = autopilot
-        self.parameters = autopilot.parameters
-        self.boot_us = boot_us
-        self.wants_reboot = False
-        self.setpoints_ignored = False
-        self.ranging = ranging
-        self._radio, self._on_text = radio, on_text
-        self.now_us = boot_us
-        self._firmware = profile.firmware
-        self._builders = telemetry.MESSAGES[profile.firmware]
-        self._parameter_protocol = ParameterProtocol(autopilot)
-        self._mission_protocol = Missions(autopilot)
+        self.autopilot, self.radio, self.ranging = autopilot, radio, ranging
+        self.firmware = autopilot.profile.firmware
+        self.boot_us = self.now_us = boot_us
+        self.wants_reboot = self.setpoints_ignored = False
         self.transfers = False
         """Parameters or a plan may be on their way."""
-        self._ground_stations = set[int]()
-        self._texts = 0
-        """So many have been said: the number of one that takes several messages."""
-        self._mode_told: dict[int, tuple[Any, int]] = {}
-        """Newest CURRENT_MODE of each link, and when that was."""
-        self.streams = Streams(profile, self.parameters)
-        for link in radio.links:
-            self.streams.open(link, boot_us)
+        self.parameter_protocol = ParameterProtocol(autopilot)
+        self.missions = Missions(autopilot)
+        self.streams = Streams(autopilot.profile, autopilot.parameters, radio.links, boot_us)
         self.report = Report(
             autopilot=autopilot, fix=Fix(), battery=battery, hardware_id=hardware_id
         )
+        self.ground_stations = set[int]()
+        """Links on which one was heard."""
+        self._builders = telemetry.MESSAGES[self.firmware]
+        self._mode_told: dict[int, tuple[Any, int]] = {}
+        """Newest CURRENT_MODE of each link, and when that was."""
+        self._on_text, self._texts = on_text, 0
+        """So many have been said: the number of one that takes several messages."""
 
     # --- time ---------------------------------------------------------------------------------
+
+    @property
+    def since_boot_us(self) -> int:
+        """The autopilot's own time."""
+        return self.now_us - self.boot_us
 
     def go_on(self, replies: Iterable[Reply]) -> None:
         """After a step of the autopilot: what that brings, and what the protocols have to say."""
         self.answer(replies)
         if self.transfers:
-            parameters, missions = self._parameter_protocol, self._mission_protocol
-            self.answer(parameters.step(self.now_us))
-            self.answer(missions.step(self.now_us))
-            self.transfers = parameters.busy or missions.busy
+            self.answer(self.parameter_protocol.step(self.now_us))
+            self.answer(self.missions.step(self.now_us))
+            self.transfers = self.parameter_protocol.busy or self.missions.busy
 
     def stream(self, now_us: int) -> bool:
         """Queue all telemetry that is due; returns whether that included a position on link 0."""
         self._renew_report()
         positioned, built = False, dict[int, Sequence[Any]]()
         for link, number in self.streams.due(now_us):
-            if number == _POSITION and link == 0:
-                positioned = True
+            positioned = positioned or (number == _POSITION and link == 0)
             said = built.get(number)
             if said is None:
                 said = built[number] = self._said(number)
-            if number != _CURRENT_MODE or self._is_news(said, link, now_us):
+            if number != _CURRENT_MODE or self._is_news(said, link):
                 for message in said:
-                    self._radio.send(message, link)
+                    self.radio.send(message, link)
         return positioned
+
+    def _is_news(self, mode: Any, link: int) -> bool:
+        """CURRENT_MODE is sent at 2 Hz and at once on a change, however often it is asked for."""
+        told, told_us = self._mode_told.get(link, (None, 0))
+        if told == mode and self.now_us - told_us < _CURRENT_MODE_US:
+            return False
+        self._mode_told[link] = mode, self.now_us
+        return True
+
+    def send_heartbeat(self) -> None:
+        """Send a heartbeat now: whoever hears it may ask for more."""
+        self._send(_HEARTBEAT, None)
 
     def _said(self, number: int) -> Sequence[Any]:
         """What there is to say by this number now."""
         if number in self.ranging.numbers:
-            return self.ranging.messages(number, self.now_us - self.boot_us)
+            return self.ranging.messages(number, self.since_boot_us)
         if number == DISTANCE_SENSOR and self.ranging.rangefinder_off:
             return ()
         build = self._builders.get(number)
         message = build(self.report) if build else None
         return () if message is None else (message,)
 
-    def _is_news(self, mode: Any, link: int, now_us: int) -> bool:
-        """CURRENT_MODE is sent at 2 Hz and at once on a change, however often it is asked for."""
-        told, told_us = self._mode_told.get(link, (None, 0))
-        if told == mode and now_us - told_us < _CURRENT_MODE_US:
-            return False
-        self._mode_told[link] = (mode, now_us)
-        return True
-
-    def send_heartbeat(self) -> None:
-        """Send a heartbeat now: whoever hears it may ask for more."""
-        self.streams.begin()
-        self._send(_HEARTBEAT, None)
-
     def _renew_report(self) -> None:
-        report, now_us = self.report, self.now_us
-        report.renew(now_us - self.boot_us, _EPOCH_US + now_us if report.fix.usable else 0)
-        report.range_sensors = self.ranging.bits(now_us - self.boot_us)
+        report, us = self.report, self.since_boot_us
+        report.renew(us, _EPOCH_US + self.now_us if report.fix.usable else 0)
+        report.range_sensors = self.ranging.bits(us)
 
     # --- out ----------------------------------------------------------------------------------
 
-    def answer(self, replies: Iterable[Reply | None]) -> None:
+    def answer(self, replies: Replies) -> None:
         """Carry out replies of the autopilot and the protocols."""
         for reply in replies:
             match reply:
                 case Ack():
-                    self._radio.send(messages.ack(reply), reply.to.link)
+                    self.radio.send(messages.ack(reply), reply.to.link)
                 case Text():
                     self._say(reply)
                 case SendTelemetry():
                     self._send(reply.message, reply.to)
                 case SendMessage():
-                    self._deliver((reply.message,), reply.to)
+                    self._deliver((reply.message,), reply.to and reply.to.link)
                 case Reboot():
                     self.wants_reboot = True
                 case None:
@@ -157,76 +153,117 @@ class FlightController:
     def _send(self, number: int, to: Sender | None) -> None:
         """Send the message of this number, if it has data."""
         self._renew_report()
-        self._deliver(self._said(number), to)
+        self._deliver(self._said(number), to and to.link)
 
-    def _deliver(self, said: Sequence[Any], to: Sender | None) -> None:
-        for link in self._radio.links if to is None else (to.link,):
+    def _deliver(self, said: Sequence[Any], only: int | None) -> None:
+        """To this link; None: to all."""
+        for link in self.radio.links if only is None else (only,):
             for message in said:
-                self._radio.send(message, link)
+                self.radio.send(message, link)
 
     def _say(self, text: Text) -> None:
         """PX4 says it on links with a ground station, ArduPilot where anybody was heard."""
-        self._texts, is_px4 = self._texts % 0xFFFF + 1, self._firmware == "px4"
-        for link in self._radio.links:
-            if link in self._ground_stations if is_px4 else self._radio.router.heard(link):
-                for message in messages.texts(text, self._texts):
-                    self._radio.send(message, link)
+        self._texts, is_px4 = self._texts % 0xFFFF + 1, self.firmware == "px4"
+        for link in self.radio.links:
+            if link in self.ground_stations if is_px4 else self.radio.router.heard(link):
+                self._deliver(messages.texts(text, self._texts), link)
         self._on_text(text)
 
     # --- in -----------------------------------------------------------------------------------
+
+    def receive(self, message: Any, sender: Sender, now_us: int) -> None:
+        """Handle a message that is for the autopilot; one that nobody handles is passed over."""
+        self.now_us = now_us
+        handler = HANDLERS.get(message.get_type())
+        if handler is not None:
+            self.answer(handler(self, message, sender))
 
     def add_to_fence(self, item: PlanItem) -> None:
         """As if somebody had uploaded the fence with this item added."""
         items = (*self.autopilot.plans[PlanKind.FENCE], item)
         self.answer(store(self.autopilot, PlanKind.FENCE, items))
 
-    def receive(self, message: Any, sender: Sender, now_us: int) -> None:
-        """Handle a message that is for the autopilot."""
-        self.now_us = now_us
-        self.answer(self._replies(message, sender, now_us - self.boot_us))
 
-    def _replies(self, message: Any, sender: Sender, us: int) -> Iterable[Reply | None]:
-        """What becomes of each kind of message, so many us after the boot."""
-        autopilot, firmware, signing = self.autopilot, self._firmware, self._radio.signing
-        match message.get_type():
-            case "HEARTBEAT":
-                if message.type == _GROUND_STATION:
-                    self._ground_stations.add(sender.link)
-                return autopilot.on_heartbeat(sender, message.type)
-            case "SET_POSITION_TARGET_GLOBAL_INT" | "SET_POSITION_TARGET_LOCAL_NED":
-                setpoint = messages.setpoint(message)
-                return () if self.setpoints_ignored else autopilot.on_setpoint(setpoint)
-            case "TIMESYNC" if message.tc1 == 0:
-                said = messages.time_sync(us * 1000, message.ts1, sender)
-                return (SendMessage(message=said, to=sender),)
-            case "OBSTACLE_DISTANCE":
-                self.ranging.proximity.on_obstacle_distance(message, us)
-            case "COMMAND_LONG" | "COMMAND_INT":
-                command = messages.command(message, sender)
-                if command.number in STREAM_COMMANDS:
-                    return self.streams.on_command(command, self.now_us)
-                return autopilot.on_command(command)
-            case "SET_MODE":
-                replies = autopilot.on_command(messages.mode_command(message, sender, firmware))
-                return replies if firmware == "px4" else map(_as_set_mode, replies)
-            case "REQUEST_DATA_STREAM":
-                self.streams.on_data_stream(message, sender.link, self.now_us)
-            case "PARAM_REQUEST_READ" | "PARAM_REQUEST_LIST" | "PARAM_SET":
-                self.transfers = True
-                return self._parameter_protocol.on_message(message, sender, self.now_us)
-            case name if name in MISSION:
-                self.transfers = True
-                return self._mission_protocol.on_message(message, sender, self.now_us)
-            case "SETUP_SIGNING" if signing is not None:
-                return (signing.setup(message, armed=autopilot.armed),)
-            case "FILE_TRANSFER_PROTOCOL":
-                answer = messages.no_files(message, sender)
-                return () if answer is None else (SendMessage(message=answer, to=sender),)
-            case _:
-                pass
-        return ()
+# --- what becomes of each kind of message ---------------------------------------------------------
 
 
-def _as_set_mode(reply: Reply) -> Reply:
-    """ArduPilot answers a SET_MODE with a COMMAND_ACK of the message's own number."""
-    return dataclasses.replace(reply, command=_SET_MODE) if isinstance(reply, Ack) else reply
+def _heartbeat(it: FlightController, message: Any, sender: Sender) -> Replies:
+    if message.type == _GROUND_STATION:
+        it.ground_stations.add(sender.link)
+    return it.autopilot.on_heartbeat(sender, message.type)
+
+
+def _command(it: FlightController, message: Any, sender: Sender) -> Replies:
+    command = messages.command(message, sender)
+    if command.number in STREAM_COMMANDS:
+        return it.streams.on_command(command, it.now_us)
+    return it.autopilot.on_command(command)
+
+
+def _set_mode(it: FlightController, message: Any, sender: Sender) -> Replies:
+    """ArduPilot answers with a COMMAND_ACK of the message's own number."""
+    for reply in it.autopilot.on_command(messages.mode_command(message, sender, it.firmware)):
+        if isinstance(reply, Ack) and it.firmware == "ardupilot":
+            yield dataclasses.replace(reply, command=_SET_MODE)
+        else:
+            yield reply
+
+
+def _setpoint(it: FlightController, message: Any, _: Sender) -> Replies:
+    return () if it.setpoints_ignored else it.autopilot.on_setpoint(messages.setpoint(message))
+
+
+def _parameters(it: FlightController, message: Any, sender: Sender) -> Replies:
+    it.transfers = True
+    return it.parameter_protocol.on_message(message, sender, it.now_us)
+
+
+def _missions(it: FlightController, message: Any, sender: Sender) -> Replies:
+    it.transfers = True
+    return it.missions.on_message(message, sender, it.now_us)
+
+
+def _data_stream(it: FlightController, message: Any, sender: Sender) -> Replies:
+    it.streams.on_data_stream(message, sender.link, it.now_us)
+    return ()
+
+
+def _time_sync(it: FlightController, message: Any, sender: Sender) -> Replies:
+    """A question has a tc1 of 0."""
+    if message.tc1 == 0:
+        answer = messages.time_sync(it.since_boot_us * 1000, message.ts1, sender)
+        yield SendMessage(message=answer, to=sender)
+
+
+def _setup_signing(it: FlightController, message: Any, _: Sender) -> Replies:
+    signing = it.radio.signing
+    return (signing and signing.setup(message, armed=it.autopilot.armed),)
+
+
+def _files(_: FlightController, message: Any, sender: Sender) -> Replies:
+    answer = messages.no_files(message, sender)
+    return (answer and SendMessage(message=answer, to=sender),)
+
+
+def _obstacles(it: FlightController, message: Any, _: Sender) -> Replies:
+    it.ranging.proximity.on_obstacle_distance(message, it.since_boot_us)
+    return ()
+
+
+HANDLERS: Final[dict[str, Callable[[FlightController, Any, Sender], Replies]]] = {
+    "HEARTBEAT": _heartbeat,
+    **dict.fromkeys(("COMMAND_LONG", "COMMAND_INT"), _command),
+    "SET_MODE": _set_mode,
+    "SET_POSITION_TARGET_GLOBAL_INT": _setpoint,
+    "SET_POSITION_TARGET_LOCAL_NED": _setpoint,
+    **dict.fromkeys(("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET"), _parameters),
+    **dict.fromkeys(("MISSION_COUNT", "MISSION_ITEM", "MISSION_ITEM_INT"), _missions),
+    **dict.fromkeys(("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_REQUEST_LIST"), _missions),
+    **dict.fromkeys(("MISSION_CLEAR_ALL", "MISSION_SET_CURRENT"), _missions),
+    "REQUEST_DATA_STREAM": _data_stream,
+    "TIMESYNC": _time_sync,
+    "SETUP_SIGNING": _setup_signing,
+    "FILE_TRANSFER_PROTOCOL": _files,
+    "OBSTACLE_DISTANCE": _obstacles,
+}
+"""Who handles which message; what its fields mean is in wire/messages.py."""

@@ -23,12 +23,16 @@ class Kind(enum.IntEnum):
     REAL32 = 9
 
     @property
+    def bits(self) -> int:
+        """That a value has."""
+        return {Kind.INT8: 8, Kind.INT16: 16}.get(self, 32)
+
+    @property
     def range(self) -> tuple[float, float]:
         """Least and greatest value."""
-        if self is Kind.REAL32:
-            return -_LARGEST_FLOAT, _LARGEST_FLOAT
-        most = {Kind.INT8: 2**7, Kind.INT16: 2**15, Kind.INT32: 2**31}[self]
-        return -most, most - 1
+        half = 1 << self.bits - 1
+        is_real = self is Kind.REAL32
+        return (-_LARGEST_FLOAT, _LARGEST_FLOAT) if is_real else (-half, half - 1)
 
 
 @final
@@ -65,8 +69,7 @@ class Parameters:
             kind = self._rows[name].kind
             least, most = kind.range
             if not least <= value <= most:  # nor is NaN
-                bits = 8 if kind is Kind.INT8 else 16 if kind is Kind.INT16 else 32
-                rule = f"must be a number from {least:.8g} to {most:.10g}: it has {bits} bits"
+                rule = f"must be a number from {least:.8g} to {most:.10g}: it has {kind.bits} bits"
                 raise InputError(f"parameter {name}", value, rule, "Give another one.")
             self[name] = value
 
@@ -172,9 +175,9 @@ def _row_of(name: str, default: str, kind: str = "real", *limits: str) -> Parame
 
 def table(*names: str) -> tuple[Parameter, ...]:
     """The rows of these files; a later one replaces an earlier one of its name in its place."""
-    rows = dict[str, Parameter]()
-    for name in names:
-        text = resources.files("vehicle_sim.autopilot").joinpath(f"{name}.parm").read_text("utf-8")
-        lines = [line.split() for line in text.splitlines() if not line.startswith("#")]
-        rows |= {words[0]: _row_of(*words) for words in lines}
-    return tuple(rows.values())
+    folder = resources.files("vehicle_sim.autopilot")
+    texts = [folder.joinpath(f"{name}.parm").read_text("utf-8") for name in names]
+    lines = [
+        line.split() for text in texts for line in text.splitlines() if not line.startswith("#")
+    ]
+    return tuple({words[0]: _row_of(*words) for words in lines}.values())

@@ -73,25 +73,24 @@ class Jumps:
         for _ in range(most):
             if number >= len(items):
                 return
-            yield number, items[number]
-            number = self._after(items, number)
-
-    def _after(self, items: Sequence[PlanItem], number: int) -> int:
-        target, times = items[number].parameters[:2]
-        if items[number].command != DO_JUMP or not math.isfinite(target + times):
-            return number + 1
-        taken = self._taken.get(number, 0)
-        if not self._first <= target < len(items) or 0.0 <= times <= taken:
-            return number + 1
-        self._taken[number] = taken + 1
-        return int(target)
+            item = items[number]
+            yield number, item
+            target, times = item.parameters[:2]
+            taken = self._taken.get(number, 0)
+            is_used_up = not math.isfinite(times) or 0.0 <= times <= taken
+            leads = item.command == DO_JUMP and self._first <= target < len(items)
+            if leads and not is_used_up:
+                self._taken[number] = taken + 1
+                number = int(target)
+            else:
+                number += 1
 
 
 # --- the zones that a fence list draws ------------------------------------------------------------
 
-POLYGON_IN, POLYGON_OUT, CIRCLE_IN, CIRCLE_OUT = 5001, 5002, 5003, 5004
-FENCE_COMMANDS = frozenset({5000, POLYGON_IN, POLYGON_OUT, CIRCLE_IN, CIRCLE_OUT})
-"""With that of a return point, which draws no zone."""
+RETURN_POINT, POLYGON_IN, POLYGON_OUT, CIRCLE_IN, CIRCLE_OUT = range(5000, 5005)
+FENCE_COMMANDS = frozenset(range(RETURN_POINT, CIRCLE_OUT + 1))
+"""A return point draws no zone."""
 Point = tuple[float, float]
 """In whichever plane a firmware looks at its fence."""
 
@@ -117,51 +116,38 @@ class Zone(NamedTuple):
         return inside
 
 
-def _parts(items: Sequence[PlanItem]) -> Iterator[Sequence[PlanItem]]:
-    """Zone by zone: a circle is one item, a polygon as many as its first one says."""
-    at = 0
-    while at < len(items):
-        size = items[at].parameters[0] if items[at].command in (POLYGON_IN, POLYGON_OUT) else 1.0
-        count = max(int(size), 1) if math.isfinite(size) else 1
-        yield items[at : at + count]
-        at += count
-
-
-def is_whole_fence(items: Sequence[PlanItem]) -> bool:
-    """Whether each polygon has all its corners, and each circle a radius."""
-    for part in _parts(items):
-        command, size = part[0].command, part[0].parameters[0]
-        if command in (CIRCLE_IN, CIRCLE_OUT) and not size > 0.0:
-            return False
-        if command in (POLYGON_IN, POLYGON_OUT) and (
-            not 3.0 <= size < len(part) + 1.0 or any(each.command != command for each in part)
-        ):
-            return False
-    return True
-
-
 def zones_of(
     items: Sequence[PlanItem], point: Callable[[float, float], Point] = lambda *degrees: degrees
 ) -> tuple[Zone, ...]:
-    """The zones, their corners put where `point` does (by latitude and longitude in degrees)."""
-    zones: list[Zone] = []
-    for part in _parts(items):
-        command, radius_m = part[0].command, part[0].parameters[0]
-        corners = tuple(point(item.x * 1e-7, item.y * 1e-7) for item in part)
-        if command in (POLYGON_IN, POLYGON_OUT) and len(corners) >= 3:
-            zones.append(Zone(command == POLYGON_IN, corners))
-        elif command in (CIRCLE_IN, CIRCLE_OUT) and radius_m > 0.0:
-            zones.append(Zone(command == CIRCLE_IN, corners, radius_m))
+    """The zones, their corners put where `point` does (by latitude and longitude in degrees).
+
+    A circle is one item and has a radius, a polygon has as many as its first one says, at least
+    three; what is not whole draws nothing.
+    """
+    zones, at = list[Zone](), 0
+    while at < len(items):
+        command, size = items[at].command, items[at].parameters[0]
+        is_circle = command in (CIRCLE_IN, CIRCLE_OUT) and size > 0.0
+        is_polygon = command in (POLYGON_IN, POLYGON_OUT) and 3.0 <= size < len(items) - at + 1.0
+        part = items[at : at + (int(size) if is_polygon else 1)]
+        at += 1
+        if is_circle or (is_polygon and all(each.command == command for each in part)):
+            corners = tuple(point(each.x * 1e-7, each.y * 1e-7) for each in part)
+            keeps_in = command in (POLYGON_IN, CIRCLE_IN)
+            zones.append(Zone(keeps_in, corners, size if is_circle else 0.0))
+            at += len(part) - 1
     return tuple(zones)
+
+
+def is_whole_fence(items: Sequence[PlanItem]) -> bool:
+    """Whether every item is part of a zone, but for return points."""
+    drawn = sum(len(zone.corners) for zone in zones_of(items))
+    return drawn == sum(item.command != RETURN_POINT for item in items)
 
 
 def forbidden(zones: Iterable[Zone], inside: Callable[[Zone], bool], *, union: bool) -> bool:
     """In a zone to be kept out of, or out of one to be kept in (union: out of all of them)."""
-    kept: list[bool] = []
-    for zone in zones:
-        within = inside(zone)
-        if zone.keeps_in:
-            kept.append(within)
-        elif within:
-            return True
-    return bool(kept) and not (any(kept) if union else all(kept))
+    within = [(zone.keeps_in, inside(zone)) for zone in zones]
+    kept = [is_in for keeps_in, is_in in within if keeps_in]
+    is_out = bool(kept) and not (any(kept) if union else all(kept))
+    return is_out or any(is_in for keeps_in, is_in in within if not keeps_in)

@@ -459,8 +459,6 @@ class Simulation:
     def _say(self, now_us: int, looks: bool) -> bool:
         """Queue the telemetry that is due; returns whether the tick is complete."""
         controller = self._controller
-        if controller.ranging.proximity.kind:
-            controller.ranging.proximity.step(now_us - controller.boot_us)
         complete = now_us >= controller.streams.soonest_us and controller.stream(now_us)
         if looks and not complete:  # without positions there are ticks all the same
             complete = controller.streams.interval_us(0, _POSITION) is None

@@ -90,6 +90,17 @@ def test_each_kind_of_fence_is_where_its_parameters_say(
     assert fence.outside(EARTH.place(north_m, east_m, -up_m), HOME, EARTH) == found
 
 
+@pytest.mark.parametrize(("union", "found"), [(0.0, 4), (2.0, 0)])
+def test_of_two_inclusions_it_stays_in_both_or_by_an_option_in_either(
+    union: float, found: int
+) -> None:
+    it = Flown(FENCE_ENABLE=1.0, FENCE_TYPE=4.0, FENCE_OPTIONS=union)
+    it.autopilot.plans[PlanKind.FENCE] = tuple(circle(n, 0.0, 10.0, 5003) for n in (0.0, 50.0))
+    fence = Fence(it.autopilot.parameters, it.autopilot.plans)
+    assert fence.outside(EARTH.place(50.0, 0.0, -9.0), HOME, EARTH) == found
+    assert fence.outside(EARTH.place(25.0, 0.0, -9.0), HOME, EARTH) == 4
+
+
 @pytest.mark.parametrize(("action", "mode"), [(0, "GUIDED"), (1, "RTL"), (2, "LAND")])
 def test_the_action_is_a_parameter(action: int, mode: str) -> None:
     it = fenced(FENCE_ACTION=float(action))

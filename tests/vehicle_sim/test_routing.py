@@ -23,6 +23,10 @@ def command(target: Ids, number: int = 400) -> Any:
     return mavlink.MAVLink_command_long_message(*target, number, 0, *[0.0] * 7)
 
 
+def mission(target: Ids) -> Any:
+    return mavlink.MAVLink_mission_count_message(*target, 3)
+
+
 def text(number: int = 5) -> Any:
     return mavlink.MAVLink_statustext_message(4, b"hello", number, 0)
 
@@ -34,6 +38,7 @@ def key(target: Ids) -> Any:
 BEAT = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
 ACK = mavlink.MAVLink_command_ack_message(400, 0, 0, 0, *GCS)
 RADIO = mavlink.MAVLink_radio_status_message(1, 1, 1, 1, 1, 1, 1)
+EVERYBODY = {"to_autopilot": True, "to_radar": True}
 
 
 class Vehicle:
@@ -53,29 +58,13 @@ class Vehicle:
 @pytest.mark.parametrize(
     ("firmware", "source", "target", "taken"),
     [
-        ("ardupilot", (1, 191), (1, 1), True),
-        ("ardupilot", (1, 195), (1, 1), True),
-        ("ardupilot", (255, 190), (1, 1), True),
-        ("ardupilot", (42, 7), (1, 1), True),
-        ("ardupilot", (0, 0), (1, 1), True),
-        ("ardupilot", (1, 1), (1, 1), False),
-        ("ardupilot", (1, RADAR), (1, 1), False),
-        ("ardupilot", (1, 195), (1, 0), True),
-        ("ardupilot", (1, 195), (0, 0), True),
-        ("ardupilot", (1, 195), (0, 1), True),
-        ("ardupilot", (1, 195), (1, 50), True),
-        ("ardupilot", (1, 195), (1, 191), False),
-        ("ardupilot", (1, 195), (1, RADAR), False),
-        ("ardupilot", (1, 195), (2, 1), False),
-        ("ardupilot", (1, 195), (2, 0), False),
-        ("px4", (42, 191), (1, 1), True),
-        ("px4", (1, 1), (1, 1), True),
-        ("px4", (1, 191), (0, 0), True),
-        ("px4", (1, 191), (0, 1), True),
-        ("px4", (1, 191), (1, 0), True),
-        ("px4", (1, 191), (1, 191), False),
-        ("px4", (1, 191), (1, 50), False),
-        ("px4", (1, 191), (2, 1), False),
+        *(("ardupilot", who, (1, 1), True) for who in [(1, 191), (255, 190), (42, 7), (0, 0)]),
+        *(("ardupilot", who, (1, 1), False) for who in [(1, 1), (1, RADAR)]),  # an echo
+        *(("ardupilot", (1, 195), to, True) for to in [(1, 0), (0, 0), (0, 1), (1, 50)]),
+        *(("ardupilot", (1, 195), to, False) for to in [(1, 191), (1, RADAR), (2, 1), (2, 0)]),
+        *(("px4", who, (1, 1), True) for who in [(42, 191), (1, 1)]),
+        *(("px4", (1, 191), to, True) for to in [(0, 0), (0, 1), (1, 0)]),
+        *(("px4", (1, 191), to, False) for to in [(1, 191), (1, 50), (2, 1)]),
     ],
 )
 def test_who_may_send_setpoints(
@@ -102,7 +91,7 @@ def test_enforcing_lets_only_the_own_system_and_the_ground_station_command(
     ("source", "message", "link", "route"),
     [
         (GCS, command((1, 191)), 0, Route(TO_COMPANION)),
-        (GCS, command((1, 0)), 0, Route(TO_COMPANION, to_autopilot=True, to_radar=True)),
+        (GCS, command((1, 0)), 0, Route(TO_COMPANION, **EVERYBODY)),
         (GCS, command((1, 99)), 0, Route(to_autopilot=True)),  # whom nobody knows is the vehicle
         (GCS, command((1, 1)), 0, Route(to_autopilot=True)),
         (GCS, command((1, RADAR)), 0, Route(to_radar=True)),
@@ -113,19 +102,17 @@ def test_enforcing_lets_only_the_own_system_and_the_ground_station_command(
         (GCS, command((10, 1)), 0, Route()),
         (GCS, key((2, 1)), 0, Route()),
         # STATUSTEXT.id = 0 is not HEARTBEAT: it must not be repeated as one
-        ((9, 1), text(0), 2, Route((0, 1), to_autopilot=True, to_radar=True)),
-        (COMPANION, text(), 1, Route((0, 2), to_autopilot=True, to_radar=True)),
-        (GCS, text(), 0, Route((1, 2), to_autopilot=True, to_radar=True)),
-        (GCS, BEAT, 0, Route((1, 2), to_autopilot=True, to_radar=True)),
-        (GCS, BEAT, 2, Route((1,), to_autopilot=True, to_radar=True)),  # heard on two links
+        ((9, 1), text(0), 2, Route((0, 1), **EVERYBODY)),
+        (COMPANION, text(), 1, Route((0, 2), **EVERYBODY)),
+        (GCS, BEAT, 0, Route((1, 2), **EVERYBODY)),
+        (GCS, BEAT, 2, Route((1,), **EVERYBODY)),  # heard on two links
     ],
 )
 def test_a_message_goes_where_its_target_is(
     source: Ids, message: Any, link: int, route: Route
 ) -> None:
     vehicle = Vehicle()
-    for neighbour in ((1, 192), (255, 191)):  # two on a link do not see each other
-        vehicle.get(neighbour, BEAT, ON_COMPANION_LINK if neighbour[0] == 1 else ON_GCS_LINK)
+    vehicle.get((1, 192), BEAT, ON_COMPANION_LINK)  # two on a link do not see each other
     vehicle.get((9, 1), BEAT, ELSEWHERE)
     assert vehicle.get(source, message, link) == route
 
@@ -136,7 +123,7 @@ def test_some_are_never_passed_on(message: Any) -> None:
     assert (route.links, route.to_autopilot) == ((), True)
 
 
-def test_nothing_goes_to_a_component_before_it_has_spoken_or_after_a_boot() -> None:
+def test_nothing_goes_to_a_component_before_it_has_spoken_and_routes_are_bounded() -> None:
     vehicle = Vehicle()
     vehicle.router.restart()
     for spoken in (False, True):
@@ -144,10 +131,6 @@ def test_nothing_goes_to_a_component_before_it_has_spoken_or_after_a_boot() -> N
         route = Route(TO_COMPANION) if spoken else Route(to_autopilot=True)
         assert vehicle.get(GCS, command((1, 191))) == route
         vehicle.get(COMPANION, BEAT, ON_COMPANION_LINK)
-
-
-def test_routes_are_bounded() -> None:
-    vehicle = Vehicle()
     for system in range(2, 250):
         vehicle.get((system, 1), BEAT, ELSEWHERE)
     assert vehicle.get(GCS, command((19, 1))) == Route((ELSEWHERE,))
@@ -165,9 +148,9 @@ def test_routes_are_bounded() -> None:
         (command((1, 77), 512), True, ()),
         (command((2, 1), 512), False, ()),
         (command((1, 191)), False, TO_COMPANION),
-        (mavlink.MAVLink_mission_count_message(1, 190, 3), True, ()),
-        (mavlink.MAVLink_mission_count_message(1, 191, 3), False, TO_COMPANION),
-        (mavlink.MAVLink_mission_count_message(0, 1, 3), False, TO_COMPANION),
+        (mission((1, 190)), True, ()),
+        (mission((1, 191)), False, TO_COMPANION),
+        (mission((0, 1)), False, TO_COMPANION),
         (mavlink.MAVLink_param_request_list_message(1, 0), True, TO_COMPANION),
         (mavlink.MAVLink_param_request_list_message(0, 0), False, TO_COMPANION),
         (mavlink.MAVLink_timesync_message(0, 5), True, TO_COMPANION),

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
+from pymavlink.quaternion import QuaternionBase as Quaternion
 from tracking_copter import Flown
 from tracking_px4 import Rig
 
@@ -54,17 +55,41 @@ def test_every_message_can_be_packed_and_read_again(copter: Flown, multicopter: 
     fresh.step()
     for messages, rigs in ((ARDUPILOT, (booting, copter)), (PX4, (fresh, multicopter))):
         for number, build in messages.items():
-            for rig in rigs:
-                said = build(report_of(rig))
-                if said is not None:
-                    frame = Packer(1, 1).frame(said)
-                    assert number_of(frame) == number
-                    assert number == 300 or read(said).get_msgId() == number
-    assert {*px4plane.FIRMWARE.profile.rates_hz, 49, 148, 300} <= set(PX4)
+            saids = [build(report_of(rig)) for rig in rigs]
+            for frame in map(Packer(1, 1).frame, filter(None, saids)):
+                assert number_of(frame) == number
+                assert mavlink.MAVLink(None).decode(bytearray(frame)).get_msgId() == number
+    assert {*px4plane.FIRMWARE.profile.rates_hz, 49, 148} <= set(PX4)
 
 
-def test_px4s_echo_is_what_the_controller_wants(multicopter: Rig) -> None:
-    """POSITION_TARGET_LOCAL_NED: position not given: NaN and its bits; motors idle: mask 63."""
+def test_where_it_is_is_told_alike_by_all_messages(copter: Flown, multicopter: Rig) -> None:
+    """Truth and estimate differ by what the receiver's delay makes of the speed."""
+    for messages, rig in ((ARDUPILOT, copter), (PX4, multicopter)):
+        report, vehicle = report_of(rig), report_of(rig).vehicle
+        told = {number: read(build(report)) for number, build in messages.items() if build(report)}
+        place, attitude, local_m = told[33], told[30], told[32]
+        assert place.lat * 1e-7 == pytest.approx(vehicle.latitude_deg, abs=3e-5)
+        assert place.lon * 1e-7 == pytest.approx(vehicle.longitude_deg, abs=3e-5)
+        assert place.alt * 1e-3 == pytest.approx(vehicle.altitude_amsl_m, abs=1.0)
+        assert place.relative_alt * 1e-3 == pytest.approx(-local_m.z, abs=0.2)
+        assert (place.vx, place.vy) == pytest.approx((local_m.vx * 100, local_m.vy * 100), abs=1.0)
+        assert (told[74].groundspeed, told[74].climb) == pytest.approx(
+            (math.hypot(local_m.vx, local_m.vy), -local_m.vz)
+        )
+        assert attitude.roll == pytest.approx(vehicle.roll_rad, abs=1e-6)
+        assert place.hdg == pytest.approx(math.degrees(attitude.yaw) % 360.0 * 100.0, abs=1.0)
+        wanted = Quaternion([attitude.roll, attitude.pitch, attitude.yaw]).q
+        by_itself = told[31]
+        assert [by_itself.q1, by_itself.q2, by_itself.q3, by_itself.q4] == pytest.approx(wanted)
+        if 331 in told:
+            assert told[331].q == pytest.approx(wanted)
+            assert (told[331].x, told[331].vx, told[331].yawspeed, told[331].estimator_type) == (
+                *(local_m.x, local_m.vx, attitude.yawspeed, 8),
+            )
+
+
+def test_the_echo_is_what_the_controller_wants(copter: Flown, multicopter: Rig) -> None:
+    """POSITION_TARGET_LOCAL_NED: what is not given is NaN (PX4) or 0, and has its bits."""
     echo = read(PX4[85](report_of(multicopter)))
     assert echo.type_mask == 7
     assert math.isnan(echo.x)
@@ -74,3 +99,9 @@ def test_px4s_echo_is_what_the_controller_wants(multicopter: Rig) -> None:
     idle = read(PX4[85](report_of(fresh)))
     assert (idle.type_mask, idle.afz) == (63, 100.0)
     assert math.isnan(idle.vx)
+    for kind, mask in (("position", 0xDF8), ("pos+vel", 0xC00), ("velocity", 0xC07)):
+        copter.setpoint((5.0, 0.0, -30.0), (1.0, 0.0, 0.0), kind=kind)
+        copter.step()
+        echo = read(ARDUPILOT[85](report_of(copter)))
+        assert echo.type_mask == mask
+        assert ((echo.x != 0.0), (echo.vx != 0.0)) == (mask & 7 == 0, mask & 0x38 == 0)

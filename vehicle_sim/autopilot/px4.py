@@ -78,7 +78,7 @@ def profile(*, vehicle_type: int, rates_hz: dict[int, float]) -> FirmwareProfile
         first_heartbeat_us=1_600_000,  # px4.md 3
         rates_hz=rates_hz,
         streamable=(told | _NOT_TOLD | {GPS_GLOBAL_ORIGIN, 77}) - _NOT_STREAMABLE,
-        requestable=told | {42, 46, GPS_GLOBAL_ORIGIN, 77, AUTOPILOT_VERSION, 300},
+        requestable=told | {42, 46, GPS_GLOBAL_ORIGIN, 77, AUTOPILOT_VERSION},
     )
 
 

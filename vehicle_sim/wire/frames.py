@@ -6,20 +6,20 @@ pymavlink's dialect `all` says what there is, and reads.  What the messages mean
 import math
 import re
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from operator import itemgetter
-from typing import Any, Final, NamedTuple, final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 from fastcrc.crc16 import mcrf4xx
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.wire.signing import LinkSigner
+if TYPE_CHECKING:
+    from vehicle_sim.wire.signing import Signing
 
-_MARKER_1, _MARKER_2 = 0xFE, 0xFD
-_HEADER_1, _HEADER_2 = 6, 10
-_CHECKSUM_BYTES, _SIGNATURE_BYTES = 2, 13
-_SIGNED = 0x01
+_MARKER_1, MARKER_2, SIGNED = 0xFE, 0xFD, 0x01
+"""First bytes of a frame of either version, and the flag of signed ones."""
+_HEADER_1, _HEADER_2, _CHECKSUM_BYTES, SIGNATURE_BYTES = 6, 10, 2, 13
 _HEAD = struct.Struct("<BBBxBBB")
 """Marker, length, flags, sequence, system, component; then comes the message number in 24 bits."""
 _LARGEST_FLOAT = 3.4028234663852886e38
@@ -60,12 +60,12 @@ class StreamParser:
                 break
             frame = data[at:end]
             at += 1
-            if end > size or (frame[0] == _MARKER_2 and frame[2] & ~_SIGNED):
+            if end > size or (frame[0] == MARKER_2 and frame[2] & ~SIGNED):
                 continue
             kind = mavlink.mavlink_map.get(number_of(frame))
             if kind is None:
                 # its checksum cannot be checked: believe its length only if a frame follows
-                at = end if end == size or data[end] in (_MARKER_1, _MARKER_2) else at
+                at = end if end == size or data[end] in (_MARKER_1, MARKER_2) else at
             elif (message := _read(frame, kind)) is not None:
                 found.append((frame, message))
                 at = end
@@ -74,7 +74,7 @@ class StreamParser:
 
 def number_of(frame: bytes) -> int:
     """Which message it is."""
-    return int.from_bytes(frame[7:10], "little") if frame[0] == _MARKER_2 else frame[5]
+    return int.from_bytes(frame[7:10], "little") if frame[0] == MARKER_2 else frame[5]
 
 
 def _read(frame: bytes, kind: Any) -> Any:
@@ -82,7 +82,7 @@ def _read(frame: bytes, kind: Any) -> Any:
 
     As pymavlink decodes it, and in half the time where there are no arrays.
     """
-    end = len(frame) - (_SIGNATURE_BYTES if frame[0] == _MARKER_2 and frame[2] else 0) - 2
+    end = len(frame) - (SIGNATURE_BYTES if frame[0] == MARKER_2 and frame[2] else 0) - 2
     if mcrf4xx(frame[1:end] + bytes([kind.crc_extra])) != frame[end] | frame[end + 1] << 8:
         return None
     if frame[0] == _MARKER_1 or any(kind.array_lengths):
@@ -101,7 +101,7 @@ def _end_of_frame(data: bytes, at: int) -> int:
         return len(data) + 1
     if data[at] == _MARKER_1:
         return at + _HEADER_1 + data[at + 1] + _CHECKSUM_BYTES
-    signature = _SIGNATURE_BYTES if data[at + 2] & _SIGNED else 0
+    signature = SIGNATURE_BYTES if data[at + 2] & SIGNED else 0
     return at + _HEADER_2 + data[at + 1] + _CHECKSUM_BYTES + signature
 
 
@@ -112,13 +112,10 @@ def _end_of_frame(data: bytes, at: int) -> int:
 class Layout(NamedTuple):
     """How the messages of one name are packed."""
 
-    number: int
     number_bytes: bytes
     crc_extra: bytes
-    places: dict[str, int]
-    """Of each field among all, in the order in which MAVLink defines them."""
     zeros: list[Any]
-    """What a field is that is not given, in that order."""
+    """What a field is that is not given, in MAVLink's order."""
     on_the_wire: Callable[[Sequence[Any]], Sequence[Any]]
     """The same values in the order of the payload."""
     struct: struct.Struct
@@ -136,54 +133,38 @@ _LATER: Final = {
 """Fields that MAVLink got after the dialect, at the end: who does not know them reads the rest."""
 
 
-def _layout(
-    number: int, extra: int, form: str, names: Sequence[str], wire: Sequence[str]
-) -> Layout:
-    """The layout of these fields, in MAVLink's order and in that of the payload."""
+@cache
+def layout_of(name: str) -> Layout:
+    """The layout of the messages of this name."""
+    kind: Any = getattr(mavlink, f"MAVLink_{name.lower()}_message")
+    later = {n: code for n, code in _LATER.get(name, {}).items() if n not in kind.fieldnames}
+    form = kind.unpacker.format + "".join(later.values())
+    named, sent = [*kind.fieldnames, *later], [*kind.ordered_fieldnames, *later]
     zeros = {
         field: b"" if code == "s" else [0] * int(count) if count else 0
-        for field, (count, code) in zip(wire, re.findall(r"(\d*)([a-zA-Z])", form), strict=True)
+        for field, (count, code) in zip(sent, re.findall(r"(\d*)([a-zA-Z])", form), strict=True)
     }
-    places = {name: place for place, name in enumerate(names)}
     return Layout(
-        number,
-        number.to_bytes(3, "little"),
-        bytes([extra]),
-        places,
-        [zeros[name] for name in names],
-        itemgetter(*(places[field] for field in wire)) if len(wire) > 1 else list,
+        kind.id.to_bytes(3, "little"),
+        bytes([kind.crc_extra]),
+        [zeros[field] for field in named],
+        itemgetter(*map(named.index, sent)) if len(sent) > 1 else list,
         struct.Struct(form),
         not any(isinstance(zero, list) for zero in zeros.values()),
     )
 
 
-@cache
-def layout_of(name: str) -> Layout:
-    """The layout of the messages of this name."""
-    if name == "PROTOCOL_VERSION":
-        return _PROTOCOL_VERSION
-    kind: Any = getattr(mavlink, f"MAVLink_{name.lower()}_message")
-    later = {n: code for n, code in _LATER.get(name, {}).items() if n not in kind.fieldnames}
-    form = kind.unpacker.format + "".join(later.values())
-    orders = [*kind.fieldnames, *later], [*kind.ordered_fieldnames, *later]
-    return _layout(kind.id, kind.crc_extra, form, *orders)
+def make(name: str, *fields: Any) -> Prepared:
+    """A message of this name, to be sent: its first fields in MAVLink's order, the others are zero.
 
-
-_VERSIONS = ["version", "min_version", "max_version", "spec_version_hash", "library_version_hash"]
-_PROTOCOL_VERSION: Final = _layout(300, 217, "<HHH8s8s", _VERSIONS, _VERSIONS)
-"""Of PX4's dialect `development`; checked against recorded frames."""
-
-
-def make(name: str, *first: Any, **rest: Any) -> Prepared:
-    """A message of this name, to be sent: its first fields in MAVLink's order, others by name.
-
-    Texts are bytes, fields of several values are lists.  What is not given is zero.
+    Texts are bytes, fields of several values are lists.
     """
-    layout = layout_of(name)
-    fields = [*first, *layout.zeros[len(first) :]]
-    for field, value in rest.items():
-        fields[layout.places[field]] = value
-    values = layout.on_the_wire(fields)
+    return filled(layout_of(name), fields)
+
+
+def filled(layout: Layout, fields: tuple[Any, ...]) -> Prepared:
+    """The same, by its layout."""
+    values = layout.on_the_wire((*fields, *layout.zeros[len(fields) :]))
     if not layout.is_plain:
         values = [one for v in values for one in (v if isinstance(v, list) else (v,))]
     try:
@@ -198,26 +179,19 @@ def prepared(message: Any) -> Prepared:
     return make(message.msgname, *(list(v) if isinstance(v, tuple) else v for v in fields))
 
 
-def _fitted(values: Sequence[Any], form: str) -> list[Any]:
-    """The nearest values that these fields can carry; zero for NaN in one of whole numbers.
-
-    A real autopilot casts, and sends some value.
-    """
-    codes = "".join(
-        code if code == "s" else code * int(count or 1)
-        for count, code in re.findall(r"(\d*)([a-zA-Z])", form)
-    )
-    fitted = []
+def _fitted(values: Sequence[Any], form: str) -> Iterator[Any]:
+    """The nearest values that these fields can carry, as a real autopilot casts; NaN becomes 0."""
+    codes = re.sub(r"\d+s", "s", form[1:])
+    codes = re.sub(r"(\d+)(\w)", lambda field: field[2] * int(field[1]), codes)
     for value, code in zip(values, codes, strict=True):
-        if code in "fd" and math.isfinite(value):
-            value = min(max(value, -_LARGEST_FLOAT), _LARGEST_FLOAT)
-        elif code not in "fds":
-            bits = 8 * struct.calcsize("<" + code)
-            least = 0 if code.isupper() else -(1 << bits - 1)
-            whole = int(value) if math.isfinite(value) else 0
-            value = min(max(whole, least), least + (1 << bits) - 1)
-        fitted.append(value)
-    return fitted
+        if code == "s" or (code in "fd" and not math.isfinite(value)):
+            yield value
+        elif code in "fd":
+            yield min(max(value, -_LARGEST_FLOAT), _LARGEST_FLOAT)
+        else:
+            span = 1 << 8 * struct.calcsize(code)
+            least = 0 if code.isupper() else -span // 2
+            yield 0 if math.isnan(value) else int(min(max(value, least), least + span - 1))
 
 
 # --- out ------------------------------------------------------------------------------------------
@@ -227,21 +201,22 @@ def _fitted(values: Sequence[Any], form: str) -> list[Any]:
 class Packer:
     """Messages of one component on one link into MAVLink 2 frames, numbered in sequence."""
 
-    def __init__(self, system: int, component: int, signer: LinkSigner | None = None) -> None:
+    def __init__(
+        self, system: int, component: int, signing: "Signing | None" = None, link: int = 0
+    ) -> None:
         self._system, self._component = system, component
-        self._signer = signer
+        self._signing, self._link = signing, link
         """While it has a secret, everything is signed."""
         self._sequence = 0
 
     def frame(self, message: Any) -> bytes:
         """The message, prepared or pymavlink's, as a frame with the next sequence number."""
-        sequence, signer = self._sequence, self._signer
+        sequence, signing = self._sequence, self._signing
         self._sequence = (sequence + 1) & 255
         layout, payload = message if type(message) is tuple else prepared(message)
         payload = payload.rstrip(b"\0") or b"\0"
-        signed = signer is not None and signer.secret != b""
-        flags = _SIGNED if signed else 0
-        head = _HEAD.pack(_MARKER_2, len(payload), flags, sequence, self._system, self._component)
+        flags = SIGNED if signing is not None and signing.secret else 0
+        head = _HEAD.pack(MARKER_2, len(payload), flags, sequence, self._system, self._component)
         body = head + layout.number_bytes + payload
         frame = body + mcrf4xx(body[1:] + layout.crc_extra).to_bytes(2, "little")
-        return frame + signer.signature(frame) if signer is not None and signed else frame
+        return frame + signing.signature(frame, self._link) if flags and signing else frame

@@ -33,11 +33,9 @@ class LidarDriver:
     ) -> None:
         self._lidar, self._settings, self._rng, self._radio = lidar, settings, rng, radio
         offset_deg, width_deg = settings.angle_offset_deg, settings.increment_deg
-        if offset_deg is None:
-            is_round = settings.width_deg == 360.0
+        if offset_deg is None and settings.width_deg < 360.0:
             offset_deg = settings.yaw_deg + 0.5 * (width_deg - settings.width_deg)
-            offset_deg = 0.0 if is_round else offset_deg
-        self._offset_deg = offset_deg
+        self._offset_deg = offset_deg = offset_deg or 0.0
         self._count = min(round(settings.width_deg / width_deg), _ELEMENTS)
         off_edge_deg = np.degrees(lidar.angles_rad) - offset_deg + 0.5 * width_deg
         self._element = np.floor(np.remainder(off_edge_deg + 1e-9, 360.0) / width_deg).astype(int)
@@ -73,8 +71,8 @@ class LidarDriver:
     def _message(self, measured_us: int, wrong: LidarConditions) -> Any:
         settings, rng = self._settings, self._rng
         least_cm, most_cm = round(settings.min_m * 100.0), round(settings.range_m * 100.0)
-        told_cm = self._told_cm(most_cm)
         increment_deg, offset_deg = settings.increment_deg, self._offset_deg
+        told_cm = self._told_cm(most_cm)
         if wrong.junk:
             spoilt = rng.random(len(told_cm)) < wrong.junk
             values = np.array([0, 1, most_cm + 2, _UNKNOWN - 1, _UNKNOWN])

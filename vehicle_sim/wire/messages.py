@@ -5,9 +5,8 @@ autopilots decide what to make of it.
 """
 
 import math
-import struct
 from functools import lru_cache
-from typing import Any, Final
+from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
@@ -24,9 +23,7 @@ _LOCAL_FRAMES = frozenset({1, 2, 4, 7, 8, 9, 12, 20, 21})
 _sender = lru_cache(maxsize=64)(Sender)
 """The same few speak all the time."""
 _TEXT_BYTES = 50
-
-
-# --- in -------------------------------------------------------------------------------------------
+_FILE_NOT_FOUND = 10
 
 
 def sender(message: Any, link: int) -> Sender:
@@ -44,11 +41,12 @@ def command(message: Any, origin: Sender) -> Command:
         scale = 1e4 if frame in _LOCAL_FRAMES else 1e7
         x, y = (math.nan if n == _NOWHERE else n / scale for n in (message.x, message.y))
         place = (x, y, message.z)
+    parameters = (message.param1, message.param2, message.param3, message.param4, *place)
     return Command(
         sender=origin,
         target_component=message.target_component,
         number=message.command,
-        parameters=(message.param1, message.param2, message.param3, message.param4, *place),
+        parameters=parameters,
         frame=frame,
     )
 
@@ -67,21 +65,17 @@ def mode_command(message: Any, origin: Sender, firmware: Firmware) -> Command:
 def setpoint(message: Any) -> Setpoint:
     """A SET_POSITION_TARGET_GLOBAL_INT or _LOCAL_NED."""
     is_global = message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"
+    place = (message.lat_int / 1e7, message.lon_int / 1e7, message.alt) if is_global else ()
     return Setpoint(
         is_global=is_global,
         frame=message.coordinate_frame,
         type_mask=message.type_mask,
-        position=(message.lat_int / 1e7, message.lon_int / 1e7, message.alt)
-        if is_global
-        else (message.x, message.y, message.z),
+        position=place or (message.x, message.y, message.z),
         velocity_ned_m_s=(message.vx, message.vy, message.vz),
         acceleration_ned_m_s2=(message.afx, message.afy, message.afz),
         yaw_rad=message.yaw,
         yaw_rate_rad_s=message.yaw_rate,
     )
-
-
-# --- out ------------------------------------------------------------------------------------------
 
 
 def ack(value: Ack) -> Prepared:
@@ -110,22 +104,18 @@ def component_heartbeat() -> Prepared:
     return make("HEARTBEAT", kind, none, 0, 0, mavlink.MAV_STATE_ACTIVE, 3)
 
 
-# --- files ----------------------------------------------------------------------------------------
-
-_ACK, _NAK = mavlink.MAV_FTP_OPCODE_ACK, mavlink.MAV_FTP_OPCODE_NAK
-_ENDS: Final = (0, mavlink.MAV_FTP_OPCODE_TERMINATESESSION, mavlink.MAV_FTP_OPCODE_RESETSESSION)
-
-
 def no_files(message: Any, to: Sender) -> Prepared | None:
-    """The answer to a FILE_TRANSFER_PROTOCOL: that there are no files; none to an answer.
+    """The answer to a FILE_TRANSFER_PROTOCOL: that there are none; None to an answer of theirs.
 
     So clients that look for files first (parameters, component metadata) go on at once with the
     plain protocols.  Layout of the payload: mavlink.io, services/ftp.
     """
-    sequence, session, opcode = struct.unpack_from("<HBB", bytes(message.payload))
-    if opcode in (_ACK, _NAK):
+    low, high, session, opcode, *_ = message.payload
+    ack, nak = mavlink.MAV_FTP_OPCODE_ACK, mavlink.MAV_FTP_OPCODE_NAK
+    if opcode in (ack, nak):
         return None
-    result, size, why = (_ACK, 0, 0) if opcode in _ENDS else (_NAK, 1, 10)  # file not found
-    head = struct.pack("<HBBBB", (sequence + 1) & 0xFFFF, session, result, size, opcode)
-    payload = [*head, *bytes(6), why, *bytes(238)]
+    ends = (0, mavlink.MAV_FTP_OPCODE_TERMINATESESSION, mavlink.MAV_FTP_OPCODE_RESETSESSION)
+    answer = (ack, 0) if opcode in ends else (nak, 1)
+    head = ((low + high * 256 + 1) & 0xFFFF).to_bytes(2, "little")
+    payload = [*head, session, *answer, opcode, *bytes(6), _FILE_NOT_FOUND * answer[1], *bytes(238)]
     return make("FILE_TRANSFER_PROTOCOL", 0, to.system, to.component, payload)

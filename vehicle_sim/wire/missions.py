@@ -15,14 +15,7 @@ from typing import Any, Final, NamedTuple, final
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.core import Autopilot
-from vehicle_sim.autopilot.values import (
-    Ack,
-    Command,
-    Reply,
-    Sender,
-    SendMessage,
-    SendTelemetry,
-)
+from vehicle_sim.autopilot.values import Ack, Command, Reply, Sender, SendMessage, SendTelemetry
 from vehicle_sim.plans import DO_JUMP, FENCE_COMMANDS, PlanItem, PlanKind, is_whole_fence
 from vehicle_sim.wire.frames import make
 
@@ -54,8 +47,8 @@ _OF_LISTS: Final = {
 }
 _FRAMES: Final = frozenset({0, 2, 3, 5, 6, 10, 11})
 """The global ones, and that of items without a place."""
-_MOST: Final = {PlanKind.MISSION: 724, PlanKind.FENCE: 255, PlanKind.RALLY: 100}
-"""As many as ArduPilot holds."""
+_MOST: Final = 724
+"""Items of a list: as many as a mission of ArduPilot's holds."""
 _ALL_KINDS: Final = 255
 _GUIDED: Final = 2
 """``current`` of an item that is not for the list: fly there now, as DroneKit says it."""
@@ -105,8 +98,8 @@ class Missions:
         self._autopilot, self._plans = autopilot, autopilot.plans
         self._rules = _RULES[autopilot.profile.firmware]
         self._upload: _Upload | None = None
-        self._done: _Upload | None = None
-        """The last one that ended well: its acknowledgement may have been lost."""
+        self._done: tuple[Sender, PlanKind, int] | None = None
+        """Of the newest item if a list ended well with it: the acknowledgement may get lost."""
 
     @property
     def busy(self) -> bool:
@@ -120,13 +113,13 @@ class Missions:
             done = self._do(sender, _DO_SET_MISSION_CURRENT, (float(message.seq), *(0.0,) * 6))
             told = SendTelemetry(message=_MISSION_CURRENT)  # ground stations take it for the answer
             return [*done, told]
-        number = message.mission_type
-        if name == "MISSION_CLEAR_ALL" and number == _ALL_KINDS:
+        if name == "MISSION_CLEAR_ALL" and message.mission_type == _ALL_KINDS:
             cleared = [reply for kind in PlanKind for reply in store(self._autopilot, kind, ())]
-            return [*cleared, _said(sender, "MISSION_ACK", _ACCEPTED, _ALL_KINDS)]
-        if number not in list(PlanKind):
-            return [_said(sender, "MISSION_ACK", mavlink.MAV_MISSION_UNSUPPORTED, number)]
-        kind = PlanKind(number)
+            return [*cleared, _ack(sender, _ACCEPTED, _ALL_KINDS)]
+        try:
+            kind = PlanKind(message.mission_type)
+        except ValueError:
+            return [_ack(sender, mavlink.MAV_MISSION_UNSUPPORTED, message.mission_type)]
         match name:
             case "MISSION_COUNT":
                 return self._on_count(message.count, kind, sender, now_us)
@@ -136,16 +129,14 @@ class Missions:
                 return [_said(sender, "MISSION_COUNT", len(self._plans[kind]), *self._id_of(kind))]
             case "MISSION_REQUEST" | "MISSION_REQUEST_INT":
                 return [self._on_request(message, kind, sender)]
-            case "MISSION_CLEAR_ALL":
+            case _:  # MISSION_CLEAR_ALL
                 return self._complete(kind, (), sender)
-            case _:
-                return []
 
     def step(self, now_us: int) -> list[Reply]:
         """Ask again for what did not come, and give up in the end."""
         upload = self._upload
         if upload is not None and now_us - upload.heard_us > _GIVE_UP_US:
-            return self._end(upload, mavlink.MAV_MISSION_OPERATION_CANCELLED)
+            return self._fail(upload, mavlink.MAV_MISSION_OPERATION_CANCELLED)
         if upload is not None and now_us - upload.asked_us > _ASK_AGAIN_US:
             return self._ask(upload, now_us)
         return []
@@ -154,10 +145,10 @@ class Missions:
 
     def _on_count(self, count: int, kind: PlanKind, sender: Sender, now_us: int) -> list[Reply]:
         if self._upload is not None and self._upload.sender != sender:
-            return [_said(sender, "MISSION_ACK", mavlink.MAV_MISSION_DENIED, kind)]
+            return [_ack(sender, mavlink.MAV_MISSION_DENIED, kind)]
         self._upload = self._done = None  # the same client may begin again
-        if count > _MOST[kind]:
-            return [_said(sender, "MISSION_ACK", mavlink.MAV_MISSION_NO_SPACE, kind)]
+        if count > _MOST:
+            return [_ack(sender, mavlink.MAV_MISSION_NO_SPACE, kind)]
         if count == 0:
             return self._complete(kind, (), sender)
         self._upload = _Upload(sender, kind, count, heard_us=now_us, asked_us=now_us)
@@ -168,37 +159,37 @@ class Missions:
         upload.asked_us = now_us
         return [_said(upload.sender, self._rules.asks_by, len(upload.items), upload.kind)]
 
-    def _end(self, upload: _Upload, result: int) -> list[Reply]:
-        """An upload fails, and the old list stays."""
+    def _fail(self, upload: _Upload, why: int) -> list[Reply]:
+        """The old list stays."""
         self._upload = None
-        return [_said(upload.sender, "MISSION_ACK", result, upload.kind)]
+        return [_ack(upload.sender, why, upload.kind)]
 
     def _on_item(self, message: Any, kind: PlanKind, sender: Sender, now_us: int) -> list[Reply]:
+        upload = self._upload
         if message.current == _GUIDED:
             return self._on_guided(message, kind, sender)
-        upload, last = self._upload, self._done
         if upload is None:
-            again = last and (last.sender, last.kind, last.count) == (sender, kind, message.seq + 1)
-            return [_said(sender, "MISSION_ACK", _ACCEPTED if again else _ERROR, kind)]
+            again = self._done == (sender, kind, message.seq)
+            return [_ack(sender, _ACCEPTED if again else _ERROR, kind)]
         if (sender, kind) != (upload.sender, upload.kind):
-            return [_said(sender, "MISSION_ACK", mavlink.MAV_MISSION_DENIED, kind)]
+            return [_ack(sender, mavlink.MAV_MISSION_DENIED, kind)]
         if message.seq != len(upload.items):
             return []  # the right one will be asked for again
         item = _read(message, kind)
         if not isinstance(item, PlanItem):
-            return self._end(upload, item)
+            return self._fail(upload, item)
         upload.items.append(item)
         upload.heard_us = now_us
         if len(upload.items) < upload.count:
             return self._ask(upload, now_us)
         if kind is PlanKind.FENCE and not is_whole_fence(upload.items):
-            return self._end(upload, _ERROR)
-        self._upload, self._done = None, upload
+            return self._fail(upload, _ERROR)
+        self._upload, self._done = None, (sender, kind, message.seq)
         return self._complete(kind, tuple(upload.items), sender)
 
     def _complete(self, kind: PlanKind, items: tuple[PlanItem, ...], sender: Sender) -> list[Reply]:
         stored = store(self._autopilot, kind, items)
-        return [*stored, _said(sender, "MISSION_ACK", _ACCEPTED, *self._id_of(kind))]
+        return [*stored, _ack(sender, _ACCEPTED, *self._id_of(kind))]
 
     def _id_of(self, kind: PlanKind) -> tuple[int, int]:
         """A list's kind and id."""
@@ -208,14 +199,13 @@ class Missions:
 
     def _on_request(self, message: Any, kind: PlanKind, to: Sender) -> Reply:
         """Any item at any time, in integers or degrees as it is asked for."""
-        seq, is_mission, items = message.seq, kind is PlanKind.MISSION, self._plans[kind]
-        if is_mission and self._rules.home_is_first:
-            items = (self._home(), *items[1:])
+        seq, items, is_mission = message.seq, self._plans[kind], kind is PlanKind.MISSION
+        if is_mission and self._rules.home_is_first and seq == 0:
+            items = (self._home(),)
         if seq >= len(items):
-            return _said(to, "MISSION_ACK", mavlink.MAV_MISSION_INVALID_SEQUENCE, kind)
-        item = items[seq]
+            return _ack(to, mavlink.MAV_MISSION_INVALID_SEQUENCE, kind)
+        item, whole = items[seq], message.get_type() == "MISSION_REQUEST_INT"
         current = is_mission and seq == self._autopilot.status().mission_current
-        whole = message.get_type() == "MISSION_REQUEST_INT"
         return _said(
             to,
             "MISSION_ITEM_INT" if whole else "MISSION_ITEM",
@@ -236,10 +226,9 @@ class Missions:
         """A waypoint to fly to now."""
         item = _read(message, PlanKind.MISSION)
         if not isinstance(item, PlanItem):
-            return [_said(sender, "MISSION_ACK", item, kind)]
+            return [_ack(sender, item, kind)]
         to = (-1.0, 0.0, 0.0, math.nan, item.x / 1e7, item.y / 1e7, item.z_m)
-        done = self._do(sender, _DO_REPOSITION, to, frame=item.frame)
-        return [*done, _said(sender, "MISSION_ACK", _ACCEPTED, kind)]
+        return [*self._do(sender, _DO_REPOSITION, to, item.frame), _ack(sender, _ACCEPTED, kind)]
 
     def _do(
         self, sender: Sender, number: int, parameters: Any, frame: int | None = None
@@ -254,6 +243,10 @@ class Missions:
 def _said(to: Sender, name: str, *fields: float) -> SendMessage:
     """A message of the mission protocol: what comes after its target."""
     return SendMessage(message=make(name, to.system, to.component, *fields), to=to)
+
+
+def _ack(to: Sender, result: int, kind: int, identity: int = 0) -> SendMessage:
+    return _said(to, "MISSION_ACK", result, kind, identity)
 
 
 def _read(message: Any, kind: PlanKind) -> PlanItem | int:

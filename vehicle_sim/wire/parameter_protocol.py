@@ -5,7 +5,6 @@ Sources: ardupilot.md 1, px4.md 2, the recorded flights, GCS_Param.cpp and mavli
 
 import math
 import struct
-from dataclasses import dataclass
 from typing import Any, final
 
 from vehicle_sim.autopilot.core import Autopilot
@@ -20,16 +19,6 @@ _UNASKED = 65535
 
 
 @final
-@dataclass(slots=True)
-class _Listing:
-    """A list on its way to one client."""
-
-    to: Sender
-    begun_us: int
-    sent: int = 0
-
-
-@final
 class ParameterProtocol:
     """Serves one autopilot's parameters to all links; one listing at a time on each link.
 
@@ -39,8 +28,9 @@ class ParameterProtocol:
     def __init__(self, autopilot: Autopilot) -> None:
         self._autopilot, self._parameters = autopilot, autopilot.parameters
         self._is_px4 = autopilot.profile.firmware == "px4"
-        self._listings: dict[int, _Listing] = {}
         self._names = [row.name for row in self._parameters.rows]
+        self._listings: dict[int, tuple[Sender, int, int]] = {}
+        """By link: to whom, since when, and how many have been sent."""
 
     @property
     def busy(self) -> bool:
@@ -49,62 +39,52 @@ class ParameterProtocol:
 
     def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Reply]:
         """Answer a PARAM_REQUEST_LIST, PARAM_REQUEST_READ or PARAM_SET for the autopilot."""
-        match message.get_type():
-            case "PARAM_REQUEST_LIST":
-                self._listings[sender.link] = _Listing(sender, now_us)
-                return []
-            case "PARAM_REQUEST_READ" if message.param_index >= 0:
-                index = message.param_index
-                found = [] if index >= len(self._names) else [self._value(index, index)]
-            case "PARAM_REQUEST_READ":
-                found = [self._named(message.param_id)] if self._knows(message) else []
-            case _:
-                return self._on_set(message) if self._knows(message) else []
-        return [SendMessage(message=value, to=sender) for value in found]
+        name = message.get_type()
+        if name == "PARAM_REQUEST_LIST":
+            self._listings[sender.link] = sender, now_us, 0
+        elif name == "PARAM_REQUEST_READ" and message.param_index >= 0:
+            if message.param_index < len(self._names):
+                return [SendMessage(message=self._value(message.param_index), to=sender)]
+        elif message.param_id in self._parameters:
+            if name == "PARAM_SET":
+                return self._on_set(message.param_id, message.param_value, message.param_type)
+            return [SendMessage(message=self._named(message.param_id), to=sender)]
+        return []
 
     def step(self, now_us: int) -> list[Reply]:
-        """The next values of each listing that is due; cheap if there is none."""
+        """The next values of each listing that is due."""
         answers = list[Reply]()
-        for link, listing in list(self._listings.items()):
-            due = int((now_us - listing.begun_us) * 1e-6 * VALUES_PER_S)
-            last = min(due, len(self._names))
-            values = (self._value(index, index) for index in range(listing.sent, last))
-            answers += [SendMessage(message=value, to=listing.to) for value in values]
-            listing.sent = max(listing.sent, last)
-            if listing.sent >= len(self._names):
+        for link, (to, begun_us, sent) in list(self._listings.items()):
+            due = min(int((now_us - begun_us) * 1e-6 * VALUES_PER_S), len(self._names))
+            answers += [SendMessage(message=self._value(k), to=to) for k in range(sent, due)]
+            self._listings[link] = to, begun_us, due
+            if due == len(self._names):
                 del self._listings[link]
         return answers
 
-    def _knows(self, message: Any) -> bool:
-        return message.param_id in self._parameters
-
     def _named(self, name: str) -> Prepared:
         """The PARAM_VALUE that answers a PARAM_SET or a read by name."""
-        place = self._names.index(name)
-        return self._value(place, place if self._is_px4 else _UNASKED)
+        return self._value(self._names.index(name), None if self._is_px4 else _UNASKED)
 
-    def _value(self, place: int, index: int) -> Prepared:
+    def _value(self, place: int, index: int | None = None) -> Prepared:
         """PARAM_VALUE: of whole numbers PX4 sends the bits, ArduPilot converts them."""
         name = self._names[place]
         kind, value = self._parameters.row(name).kind, self._parameters[name]
         if self._is_px4 and kind is not Kind.REAL32:
             (value,) = struct.unpack("<f", struct.pack("<i", int(value)))
-        return make("PARAM_VALUE", name.encode("ascii"), value, kind, len(self._names), index)
+        shown = place if index is None else index
+        return make("PARAM_VALUE", name.encode("ascii"), value, kind, len(self._names), shown)
 
-    def _on_set(self, message: Any) -> list[Reply]:
+    def _on_set(self, name: str, value: float, told_kind: int) -> list[Reply]:
         """To PX4 a value comes bit by bit in the type of the parameter, or it is not taken.
 
         What is not a number neither takes; PX4 tells the old value.
         """
-        name, value = message.param_id, message.param_value
         kind = self._parameters.row(name).kind
-        if self._is_px4:
-            if message.param_type != kind:
-                return []
-            if kind is not Kind.REAL32:
-                (value,) = struct.unpack("<i", struct.pack("<f", value))
-        elif not math.isfinite(value):
+        if told_kind != kind if self._is_px4 else not math.isfinite(value):
             return []
+        if kind is not Kind.REAL32 and self._is_px4:
+            (value,) = struct.unpack("<i", struct.pack("<f", value))
         elif kind is not Kind.REAL32:  # AP_Param::set_float
             value = math.trunc(value + math.copysign(0.01, value))
         self._parameters[name] = value  # the nearest of its type; NaN changes nothing

@@ -1,28 +1,27 @@
-"""ArduPilot's proximity sensor: eight sectors, with all that is wrong with them.
+"""An ArduPilot's range sensors: eight sectors of obstacles about it, and a rangefinder downwards.
 
-After AP_Proximity_RPLidarA2.cpp, AP_Proximity_MAV.cpp, AP_Proximity_Boundary_3D.cpp and
-GCS_Common.cpp as docs/reference/proximity.md 1 and 2 read and measured them: on leaving a sector
-without an echo the next one is made empty instead; a sector that became empty repeats its last
-distance until it times out; a sector is told from its first echo on, as "max" when empty, while any
-sector has one; and the stamp is that of sending.
+After AP_Proximity_RPLidarA2.cpp, AP_Proximity_Boundary_3D.cpp and GCS_Common.cpp as
+docs/reference/proximity.md 1 and 3 read and measured them: a sector says its nearest echo; left
+without one it repeats the last until that times out, and the *next* one is made empty instead; it
+is told from its first echo on, as "max" when empty, while any sector has one; and the stamp is that
+of sending.
 """
 
 import math
 from collections.abc import Callable, Iterable
 from typing import Any, Final, final
 
-import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.parameters import Parameters
-from vehicle_sim.wire.frames import make
+from vehicle_sim.wire.frames import Prepared, make
 
 DISTANCE_SENSOR, RANGEFINDER = 132, 173
 RPLIDAR, BY_MAVLINK = 5, 2
 """PRX1_TYPE, as far as there are such sensors here."""
-_SECTORS: Final = 8
 _FIRST_ID: Final = 10
 _TIMEOUT_US, _CHECK_US = 1_000_000, 750_000
+"""An echo is forgotten at the first check after its time-out."""
 _LOST_AFTER_US: Final = {RPLIDAR: 200_000, BY_MAVLINK: 500_000}
 _UNKNOWN: Final = 65535
 _DOWN, _LASER = 25, mavlink.MAV_DISTANCE_SENSOR_LASER
@@ -36,14 +35,14 @@ class Proximity:
 
     def __init__(self, kind: int, min_m: float = 0.0, max_m: float = 0.0) -> None:
         self.kind = kind
-        self._min_m, self._max_m = np.float32(min_m), np.float32(max_m)
-        self._distance_m = np.full(_SECTORS, np.nan, dtype=np.float32)
-        self._updated_us = np.zeros(_SECTORS, dtype=np.int64)
+        self._limits_cm = round(min_m * 100.0), round(max_m * 100.0)
+        self._echoes: dict[int, tuple[float, int]] = {}
+        """By sector: how far, in centimetres, and when."""
         self._told = set[int]()
         """Sectors that had an echo at some time."""
-        self._checked_us, self._input_us = 0, -_TIMEOUT_US
-        self._sector = 0
-        self._nearest_m: float | None = None
+        self._input_us, self._checked_us = -_TIMEOUT_US, 0
+        self._sector, self._nearest_m = 0, math.inf
+        """Where the lidar looks, and what it has seen there in this turn."""
 
     def healthy(self, now_us: int) -> bool:
         """Whether anything came from the sensor lately."""
@@ -56,17 +55,14 @@ class Proximity:
         if self.kind != RPLIDAR:
             return
         for angle_rad, distance_m in zip(angles_rad, distances_m, strict=True):
-            self._input_us = now_us
-            sector = _sector_of(math.degrees(angle_rad))
+            self._input_us, sector = now_us, _sector_of(math.degrees(angle_rad))
             if sector != self._sector:
-                if self._nearest_m is not None:
-                    self._set(self._sector, self._nearest_m, now_us)
+                if self._nearest_m < math.inf:
+                    self._echoes[self._sector] = self._nearest_m * 100.0, now_us
                 else:
-                    self._distance_m[sector] = np.nan  # the one before is meant
-                self._sector, self._nearest_m = sector, None
-            if math.isfinite(distance_m) and (
-                self._nearest_m is None or distance_m < self._nearest_m
-            ):
+                    self._echoes.pop(sector, None)  # the one before is meant
+                self._sector, self._nearest_m = sector, math.inf
+            if distance_m < self._nearest_m:
                 self._nearest_m = distance_m
 
     def on_obstacle_distance(self, message: Any, now_us: int) -> None:
@@ -74,48 +70,33 @@ class Proximity:
         step_deg = message.increment_f or float(message.increment)
         if self.kind != BY_MAVLINK or not math.isfinite(step_deg + message.angle_offset):
             return
-        self._input_us = now_us
-        least_cm, most_cm = message.min_distance, message.max_distance
-        self._min_m, self._max_m = (np.float32(cm) * np.float32(0.01) for cm in (least_cm, most_cm))
-        count = min(round(360.0 / abs(step_deg)) if step_deg else 0, len(message.distances))
-        before: tuple[int, float] | None = None
+        self._input_us, self._limits_cm = now_us, (message.min_distance, message.max_distance)
+        count, nearest_cm = round(360.0 / abs(step_deg)) if step_deg else 0, dict[int, float]()
         for k, cm in enumerate(message.distances[:count]):
-            if cm in (0, _UNKNOWN) or not least_cm <= cm <= most_cm:
-                continue
-            sector = _sector_of(k * step_deg + message.angle_offset)
-            if before is not None and before[0] != sector:
-                self._set(*before, now_us)  # the front comes twice, and its second part counts
-                before = None
-            before = sector, min(cm * 0.01, before[1] if before else math.inf)
-        if before is not None:
-            self._set(*before, now_us)
+            if cm not in (0, _UNKNOWN) and message.min_distance <= cm <= message.max_distance:
+                sector = _sector_of(k * step_deg + message.angle_offset)
+                nearest_cm[sector] = min(cm, nearest_cm.get(sector, cm))
+        self._echoes |= {sector: (cm, now_us) for sector, cm in nearest_cm.items()}
 
-    def _set(self, sector: int, distance_m: float, now_us: int) -> None:
-        self._distance_m[sector], self._updated_us[sector] = distance_m, now_us
-
-    def step(self, now_us: int) -> None:
-        """Forget what is old, now and then."""
+    def messages(self, now_us: int) -> list[Prepared]:
+        """DISTANCE_SENSOR of all sectors, while any of them has an echo."""
         if now_us - self._checked_us >= _CHECK_US:
             self._checked_us = now_us
-            self._distance_m[now_us - self._updated_us > _TIMEOUT_US] = np.nan
-
-    def messages(self, now_us: int) -> list[Any]:
-        """DISTANCE_SENSOR of all sectors, while any of them has an echo."""
-        valid = ~np.isnan(self._distance_m)
-        if not (valid.any() and self.healthy(now_us)):
+            new = {
+                k: (cm, us) for k, (cm, us) in self._echoes.items() if now_us - us <= _TIMEOUT_US
+            }
+            self._echoes = new
+        if not self._echoes or not self.healthy(now_us):
             return []
-        self._told.update(np.flatnonzero(valid).tolist())
-        shown_m = np.where(valid, self._distance_m, self._max_m)
-        head = (now_us // 1000, _cm(self._min_m), _cm(self._max_m))
-        return [
-            make("DISTANCE_SENSOR", *head, _cm(shown_m[sector]), _LASER, _FIRST_ID + sector, sector)
-            for sector in sorted(self._told)
-        ]
+        self._told |= self._echoes.keys()
+        head, empty = (now_us // 1000, *self._limits_cm), (self._limits_cm[1], 0)
+        told = [(k, int(self._echoes.get(k, empty)[0])) for k in sorted(self._told)]
+        return [make("DISTANCE_SENSOR", *head, cm, _LASER, _FIRST_ID + k, k) for k, cm in told]
 
 
 @final
 class RangeSensors:
-    """What an ArduPilot has of them since its boot: proximity, and a rangefinder (proximity.md 3).
+    """What an ArduPilot has of them since its boot: proximity, and a rangefinder.
 
     PX4, which has none of these parameters, has only the one that looks down, of telemetry.py.
     limits_m: of a lidar of its own.  look_down: how far it is to the ground along the body's
@@ -129,14 +110,13 @@ class RangeSensors:
         look_down: Callable[[], float],
     ) -> None:
         self._look_down, self.rangefinder_off = look_down, False
-        known = "PRX1_TYPE" in parameters
-        self.proximity = Proximity(int(parameters["PRX1_TYPE"]) if known else 0, *limits_m)
+        known = {name: parameters[name] for name in _NAMES if name in parameters}
         self.numbers = (DISTANCE_SENSOR, RANGEFINDER) if known else ()
         """The messages that come from here."""
-        if known:
-            self._limits_m = parameters["RNGFND1_MIN"], parameters["RNGFND1_MAX"]
-        looks_down = known and parameters["RNGFND1_ORIENT"] == _DOWN
-        self._has_rangefinder = looks_down and bool(parameters["RNGFND1_TYPE"])
+        kind, *limits, there, orientation = known.values() if known else (0.0,) * 5
+        self.proximity = Proximity(int(kind), *limits_m)
+        self._limits_cm = [round(limit_m * 100.0) for limit_m in limits]
+        self._has_rangefinder = bool(there) and orientation == _DOWN
 
     def bits(self, now_us: int) -> tuple[int, int]:
         """Of SYS_STATUS: what is there, and what of it is not well."""
@@ -145,24 +125,21 @@ class RangeSensors:
         lost = 0 if self.proximity.healthy(now_us) else _PROXIMITY_BIT
         return there, there & (lost | (_DOWN_BIT if self.rangefinder_off else 0))
 
-    def messages(self, number: int, now_us: int) -> list[Any]:
-        """All DISTANCE_SENSOR of now, or the RANGEFINDER."""
+    def messages(self, number: int, now_us: int) -> list[Prepared]:
+        """All DISTANCE_SENSOR of now, or the RANGEFINDER; one that is off goes on with 0."""
         has_one, is_off = self._has_rangefinder, self.rangefinder_off
         if number == RANGEFINDER:
             return [make("RANGEFINDER", 0.0 if is_off else self._look_down())] if has_one else []
         found = self.proximity.messages(now_us)
         if has_one and not is_off:
-            limits_cm = (round(limit_m * 100.0) for limit_m in self._limits_m)
-            range_cm = min(_cm(np.float32(self._look_down())), _UNKNOWN)
-            rest = (*limits_cm, range_cm, mavlink.MAV_DISTANCE_SENSOR_UNKNOWN, 0, _DOWN)
-            found.insert(0, make("DISTANCE_SENSOR", now_us // 1000, *rest))
+            range_cm = min(int(self._look_down() * 100.0), _UNKNOWN)
+            rest = (range_cm, mavlink.MAV_DISTANCE_SENSOR_UNKNOWN, 0, _DOWN)
+            found.insert(0, make("DISTANCE_SENSOR", now_us // 1000, *self._limits_cm, *rest))
         return found
 
 
+_NAMES: Final = ("PRX1_TYPE", "RNGFND1_MIN", "RNGFND1_MAX", "RNGFND1_TYPE", "RNGFND1_ORIENT")
+
+
 def _sector_of(angle_deg: float) -> int:
-    return int((angle_deg + 22.5) % 360.0 / 45.0) % _SECTORS
-
-
-def _cm(distance_m: np.float32) -> int:
-    """Cut off, in single precision: 30 cm come back as 29."""
-    return int(distance_m * np.float32(100.0))
+    return int((angle_deg + 22.5) % 360.0 / 45.0) % 8

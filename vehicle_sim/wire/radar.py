@@ -14,12 +14,7 @@ import numpy as np
 from vehicle_sim.autopilot.values import Ack, Result, Sender
 from vehicle_sim.conditions import RadarConditions
 from vehicle_sim.dynamics import Vehicle
-from vehicle_sim.sensors.terrain_radar import (
-    UNSEEN_M,
-    ScanRequest,
-    TerrainRadar,
-    Viewpoint,
-)
+from vehicle_sim.sensors.terrain_radar import UNSEEN_M, ScanRequest, TerrainRadar, Viewpoint
 from vehicle_sim.wire import messages
 from vehicle_sim.wire.frames import Prepared, make
 from vehicle_sim.wire.radio import Radio
@@ -39,9 +34,9 @@ class RadarComponent:
         self._radio, self._id = radio, component_id
         self._asked: tuple[Any, int] | None = None
         """The request, and by which link."""
-        self._answer: tuple[Sequence[Prepared], int] | None = None
-        self._answer_us = self._sweep_us = 0
-        self._beat_us = HEARTBEAT_US
+        self._answer: tuple[int, int, Sequence[Prepared]] | None = None
+        """When it is due, and by which link."""
+        self._sweep_us, self._beat_us = 0, HEARTBEAT_US
         self.due_us = HEARTBEAT_US
         """Nothing is to be done before."""
 
@@ -68,20 +63,15 @@ class RadarComponent:
                 self.send_heartbeat()
         if conditions.silent:
             self._asked = self._answer = None
-        if (
-            self._asked is not None
-            and self._answer is None
-            and self._looks(now_us, conditions, tick)
-        ):
+        if self._asked and not self._answer and self._looks(now_us, conditions, tick):
             (asked, link), self._asked = self._asked, None
-            self._answer = self._scan(asked, vehicle, conditions), link
-            self._answer_us = now_us + round(conditions.delay_s * 1e6)
-        if self._answer is not None and now_us >= self._answer_us:
-            (replies, link), self._answer = self._answer, None
+            due_us = now_us + round(conditions.delay_s * 1e6)
+            self._answer = due_us, link, self._scan(asked, vehicle, conditions)
+        if self._answer and now_us >= self._answer[0]:
+            (_, link, replies), self._answer = self._answer, None
             for reply in replies:
                 self._radio.send(reply, link, self._id)
-        idle = self._asked is None and self._answer is None
-        self.due_us = self._beat_us if idle else 0
+        self.due_us = 0 if self._asked or self._answer else self._beat_us
 
     def _looks(self, now_us: int, conditions: RadarConditions, ends_tick: bool) -> bool:
         """Whether now is the time to look: at the end of a tick, or of a sweep."""
@@ -104,11 +94,10 @@ class RadarComponent:
             latitude_deg=place[0], longitude_deg=place[1], spacing_m=spacing_m, mask=asked.mask
         )
         view = Viewpoint(vehicle.latitude_deg, vehicle.longitude_deg, height_m)
-        told, head = list[Prepared](), (asked.lat, asked.lon, spacing_m)
-        for block in radar.answer(request, view):
-            heights = self._spoilt(block.heights_amsl_m, conditions)
-            told.append(make("TERRAIN_DATA", *head, block.gridbit, heights))
-        count = len(told)
+        blocks, head = radar.answer(request, view), (asked.lat, asked.lon, spacing_m)
+        heights = [self._spoilt(block.heights_amsl_m, conditions) for block in blocks]
+        cells = zip((block.gridbit for block in blocks), heights, strict=True)
+        told, count = [make("TERRAIN_DATA", *head, *each) for each in cells], len(blocks)
         if conditions.frames_lost:
             kept = self._rng.random(count) >= conditions.frames_lost
             told = [each for each, keep in zip(told, kept, strict=True) if keep]
@@ -120,18 +109,15 @@ class RadarComponent:
         if not (conditions.blind or conditions.cells_missed or conditions.noise_m):
             return list(heights_amsl_m)
         heights = np.array(heights_amsl_m)
-        seen = heights != UNSEEN_M
-        if conditions.blind:
-            seen[:] = False
+        seen = (heights != UNSEEN_M) & (not conditions.blind)
         if conditions.cells_missed:
             seen &= self._rng.random(len(heights)) >= conditions.cells_missed
         if conditions.noise_m:
             error_m = self._rng.standard_normal(len(heights)) * conditions.noise_m
-            if conditions.noise_m > 0.0:
-                noisy = np.ceil(heights + np.abs(error_m))
-            else:
-                noisy = np.round(heights + error_m)
+            is_upwards = conditions.noise_m > 0.0
+            noisy = (
+                np.ceil(heights + np.abs(error_m)) if is_upwards else np.round(heights + error_m)
+            )
             heights = np.clip(noisy, _LOWEST_M, _HIGHEST_M).astype(np.int64)
-        heights[~seen] = UNSEEN_M
-        spoilt: list[int] = heights.tolist()
+        spoilt: list[int] = np.where(seen, heights, UNSEEN_M).tolist()
         return spoilt

@@ -49,8 +49,8 @@ class Radio:
         rng: np.random.Generator,
     ) -> None:
         self.links = range(links)
-        self.signing = None if profile.firmware == "px4" else Signing(links=links)
-        self._firmware = profile.firmware
+        self.signing = None if profile.firmware == "px4" else Signing()
+        self._firmware, self._forwards_all = profile.firmware, forwards_all
         self._radar, self._lidar = radar_component, lidar_component
         self._parsers = [StreamParser(datagrams=link not in byte_streams) for link in self.links]
         self._in = [Impairments(rng, link=link, to_vehicle=True) for link in self.links]
@@ -60,15 +60,15 @@ class Radio:
         self._outbox: list[tuple[int, bytes]] = []
         self._past: list[tuple[int, bytes]] = []
         """Questions of lockstep: they go after all else."""
-        self._question: list[tuple[int, bytes]] = []
-        self._forwards_all = forwards_all
-        self._system = self._component = 0
+        self._question: tuple[int, bytes] | None = None
+        self._packers: dict[tuple[int, int, int], Packer] = {}
+        self._ids = (0, 0)
         self.boot_as(system, component)
 
     def boot_as(self, system: int, component: int) -> None:
         """The autopilot has booted with these ids, and its radar and lidar with it."""
-        if (system, component) != (self._system, self._component):
-            self._system, self._component = system, component
+        if self._ids != (system, component):
+            self._ids = (system, component)
             self.router = Router(
                 system=system,
                 component=component,
@@ -76,16 +76,7 @@ class Radio:
                 lidar=self._lidar,
                 firmware=self._firmware,
             )
-            self._packers: dict[tuple[int, int, int], Packer] = {}
-
-    def _packer(self, link: int, system: int, component: int) -> Packer:
-        key = (link, system, component)
-        packer = self._packers.get(key)
-        if packer is None:
-            signing = self.signing if system == self._system else None
-            signer = None if signing is None else signing.signer(link)
-            packer = self._packers[key] = Packer(system, component, signer)
-        return packer
+            self.begin()
 
     def restart(self) -> None:
         """The autopilot boots: routes are forgotten; the signing key is not."""
@@ -101,7 +92,7 @@ class Radio:
         """From now on the links are this bad, in both directions."""
         self.impaired = conditions.any or self.impaired
         for each in (*self._in, *self._out):
-            each.conditions = conditions
+            each.impair(conditions)
 
     # --- in -----------------------------------------------------------------------------------
 
@@ -112,7 +103,8 @@ class Radio:
             return self._let_in(link, frames)
         received = []
         for frame, message in frames:
-            if _keeps_time(message):
+            if message.get_type() == "TIMESYNC" and message.tc1 == message.ts1 != 0:
+                # an answer to lockstep's question: if a bad link ate it, time would stand still
                 received += self._let_in(link, [(frame, message)])
             else:
                 self._in[link].push(now_us, frame)
@@ -132,7 +124,7 @@ class Radio:
             if self.signing is not None and not self.signing.accepts(frame, link):
                 continue
             links, *to = self.router.route(message, link)
-            if self._forwards_all or targets(message)[0] == self._system:
+            if self._forwards_all or targets(message)[0] == self._ids[0]:
                 self._outbox += [(other, frame) for other in links if other in self.links]
             if any(to):
                 received.append(Received(link, message, *to))
@@ -140,34 +132,45 @@ class Radio:
 
     # --- out ----------------------------------------------------------------------------------
 
+    def _packer(self, link: int, system: int, component: int) -> Packer:
+        """What numbers the frames of somebody on a link."""
+        signing = self.signing if system == self._ids[0] else None
+        packer = self._packers[link, system, component] = Packer(system, component, signing, link)
+        return packer
+
+    def _frame(self, message: Any, key: tuple[int, int, int]) -> tuple[int, bytes]:
+        """The message as the next frame on a link of a system's component."""
+        return key[0], (self._packers.get(key) or self._packer(*key)).frame(message)
+
     def send(self, message: Any, link: int, component: int | None = None) -> None:
         """Queue a message of one of the vehicle's components; None: of the autopilot."""
-        by = self._component if component is None else component
-        self._outbox.append((link, self._packer(link, self._system, by).frame(message)))
-
-    def send_back(self, received: Received) -> None:
-        """Send a client its own frame."""
-        self._outbox.append((received.link, bytes(received.message.get_msgbuf())))
-
-    def send_as(self, message: Any, system: int, component: int) -> None:
-        """Send a message in somebody else's name, on every link."""
-        for link in self.links:
-            self._outbox.append((link, self._packer(link, system, component).frame(message)))
+        system, autopilot = self._ids
+        by = autopilot if component is None else component
+        self._outbox.append(self._frame(message, (link, system, by)))
 
     def broadcast(self, message: Any, component: int | None = None) -> None:
         """The same, on every link."""
         for link in self.links:
             self.send(message, link, component)
 
+    def send_as(self, message: Any, system: int, component: int) -> None:
+        """Send a message in somebody else's name, on every link."""
+        keys = [(link, system, component) for link in self.links]
+        self._outbox += [self._frame(message, key) for key in keys]
+
+    def send_back(self, received: Received) -> None:
+        """Send a client its own frame."""
+        self._outbox.append((received.link, bytes(received.message.get_msgbuf())))
+
     def send_last(self, message: Any, link: int) -> None:
         """Queue a question of lockstep: after all else, and past what is wrong with the link."""
-        packer = self._packer(link, self._system, self._component)
-        self._question = [(link, packer.frame(message))]
-        self._past += self._question
+        self._question = self._frame(message, (link, *self._ids))
+        self.send_last_again()
 
     def send_last_again(self) -> None:
         """Send the same frame again: another client may be listening now."""
-        self._past += self._question
+        if self._question is not None:
+            self._past.append(self._question)
 
     def reopen(self, link: int) -> None:
         """Another client has connected: what the last one began to say is not continued."""
@@ -182,8 +185,3 @@ class Radio:
                 self._out[link].push(now_us, frame)
             frames = [(link, frame) for link in self.links for frame in self._out[link].pop(now_us)]
         return frames + past if past else frames
-
-
-def _keeps_time(message: Any) -> bool:
-    """The answer to a question of lockstep: if a bad link ate it, time would stand still."""
-    return message.get_type() == "TIMESYNC" and message.tc1 == message.ts1 != 0

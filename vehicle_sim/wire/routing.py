@@ -8,22 +8,10 @@ from typing import Any, Final, NamedTuple, final
 
 from vehicle_sim.parameters import Firmware
 
-Target = tuple[int | None, int | None]
-
 _NEVER_FORWARDED: Final = frozenset({"RADIO", "RADIO_STATUS", "SETUP_SIGNING"})
 """Handled by the vehicle and kept off its other links."""
-_COMMANDS: Final = frozenset({"COMMAND_LONG", "COMMAND_INT"})
-MISSION: Final = frozenset(
-    f"MISSION_{what}"
-    for what in (
-        *("COUNT", "ITEM", "ITEM_INT", "ACK", "CLEAR_ALL", "SET_CURRENT", "WRITE_PARTIAL_LIST"),
-        *("REQUEST", "REQUEST_INT", "REQUEST_LIST", "REQUEST_PARTIAL_LIST"),
-    )
-)
-"""All that clients say in the mission protocol."""
-_PARAMETERS: Final = frozenset({"PARAM_REQUEST_READ", "PARAM_REQUEST_LIST", "PARAM_SET"})
-_ADDRESSED: Final = _COMMANDS | MISSION | _PARAMETERS
-"""PX4 accepts these only with its system id, not as broadcasts."""
+_ADDRESSED: Final = ("COMMAND_", "MISSION_", "PARAM_")
+"""PX4 accepts what begins so only with its system id, not as broadcasts."""
 _FOR_EVERY_COMPONENT: Final = frozenset({512, 519})
 """Commands that PX4 accepts for any component: requests for messages and versions."""
 _MISSION_PLANNER: Final = 190
@@ -42,7 +30,7 @@ class Route(NamedTuple):
     to_radar: bool = False
 
 
-def targets(message: Any) -> Target:
+def targets(message: Any) -> tuple[int | None, int | None]:
     """Target system and component of a message; None where it has no such field."""
     return getattr(message, "target_system", None), getattr(message, "target_component", None)
 
@@ -112,11 +100,8 @@ class Router:
         self, name: str, source: tuple[int, int], system: int | None, component: int | None
     ) -> set[int]:
         """The links with a target of a message; of another system any component will do."""
-        if (
-            len(self._links) == 1
-            or name in _NEVER_FORWARDED
-            or (system, component) == (self._system, self._component)
-        ):
+        here = (system, component) == (self._system, self._component)
+        if len(self._links) == 1 or here or name in _NEVER_FORWARDED:
             return set()
         if name == "HEARTBEAT":
             return self._links - {at for *who, at in self._routes if tuple(who) == source}
@@ -130,9 +115,9 @@ class Router:
     def _px4_takes(
         self, message: Any, name: str, system: int | None, component: int | None
     ) -> bool:
-        if name in _COMMANDS and message.command in _FOR_EVERY_COMPONENT:
+        if name.startswith("COMMAND_") and message.command in _FOR_EVERY_COMPONENT:
             return system in (0, self._system)
-        if system != self._system and (system or name in _ADDRESSED):
+        if system != self._system and (system or name.startswith(_ADDRESSED)):
             return False
-        planned = name in MISSION and component == _MISSION_PLANNER
+        planned = name.startswith("MISSION_") and component == _MISSION_PLANNER
         return component in (None, 0, self._component) or planned

@@ -9,14 +9,13 @@ import hmac
 from typing import Any, Final, final
 
 from vehicle_sim.autopilot.values import Text
+from vehicle_sim.wire.frames import MARKER_2, SIGNATURE_BYTES, SIGNED, number_of
 
 AHEAD: Final = 60 * 100_000
 """The vehicle starts a minute after the time stamp of its key, and takes a new stream that is at
 most a minute behind its own time."""
 _MAX_STREAMS: Final = 16
-_TAIL, _HASH = 13, 6
-_SIGNED: Final = 0x01
-_MARKER_2: Final = 0xFD
+_HASH_BYTES: Final = 6
 _TIME_MASK: Final = (1 << 48) - 1
 _RADIO_STATUS: Final = (109, 166)
 """Taken unsigned on any link, as its older form is."""
@@ -25,35 +24,16 @@ _TRUSTED_LINK: Final = 0
 
 
 @final
-class LinkSigner:
-    """Signs what goes out on one link, while there is a key; frames.Packer asks it."""
-
-    def __init__(self, link: int) -> None:
-        self.secret = b""
-        """Empty: nothing is signed."""
-        self.timestamp = 0
-        """Of the next frame."""
-        self._link = bytes([link])
-
-    def signature(self, frame: bytes) -> bytes:
-        """Link id, time and hash: the 13 bytes after a frame."""
-        tail = self._link + self.timestamp.to_bytes(6, "little")
-        self.timestamp = (self.timestamp + 1) & _TIME_MASK
-        return tail + _hash(self.secret, frame + tail)
-
-
-@final
 class Signing:
     """The key of one vehicle, on all its links; it is kept over a reboot."""
 
-    def __init__(self, *, links: int) -> None:
-        self._signers = [LinkSigner(link) for link in range(links)]
-        self._streams: dict[tuple[int, int, int], int] = {}
-        """Newest time of each stream: link id, system and component."""
-
-    def signer(self, link: int) -> LinkSigner:
-        """Who signs for this link; it stays the same one."""
-        return self._signers[link]
+    def __init__(self) -> None:
+        self.secret = b""
+        """Empty: nothing is signed, and everything comes in."""
+        self._timestamp = 0
+        """Of the next frame."""
+        self._streams: dict[bytes, int] = {}
+        """Newest time of each stream, by link id, system and component."""
 
     def restart(self) -> None:
         """Boot: who spoke before is forgotten, and the time that was reached is not."""
@@ -67,37 +47,40 @@ class Signing:
         if armed:
             return Text(severity=6, text="ERROR: Won't setup signing when armed")
         secret, timestamp = bytes(message.secret_key), message.initial_timestamp & _TIME_MASK
-        for signer in self._signers:
-            signer.secret = secret if timestamp or any(secret) else b""
-            signer.timestamp = (timestamp + AHEAD) & _TIME_MASK
+        self.secret = secret if timestamp or any(secret) else b""
+        self._timestamp = timestamp + AHEAD
         return None
+
+    def signature(self, frame: bytes, link: int) -> bytes:
+        """Link id, time and hash: the 13 bytes after a frame."""
+        tail = bytes([link]) + (self._timestamp & _TIME_MASK).to_bytes(6, "little")
+        self._timestamp += 1
+        return tail + self._hash(frame + tail)
 
     def accepts(self, frame: bytes, link: int) -> bool:
         """Whether an intact frame may come in by this link."""
-        signer = self._signers[link]
-        if not signer.secret:
+        if not self.secret or self._is_good(frame):
             return True
-        is_2 = frame[0] == _MARKER_2
-        if is_2 and frame[2] & _SIGNED and self._is_good(frame, signer):
-            return True
-        number = int.from_bytes(frame[7:10], "little") if is_2 else frame[5]
-        return link == _TRUSTED_LINK or number in _RADIO_STATUS
+        return link == _TRUSTED_LINK or number_of(frame) in _RADIO_STATUS
 
-    def _is_good(self, frame: bytes, signer: LinkSigner) -> bool:
-        if not hmac.compare_digest(_hash(signer.secret, frame[:-_HASH]), frame[-_HASH:]):
+    def _is_good(self, frame: bytes) -> bool:
+        """Signed with the key, and newer than all that came of its stream."""
+        if frame[0] != MARKER_2 or not frame[2] & SIGNED:
             return False
-        timestamp = int.from_bytes(frame[-_TAIL + 1 : -_HASH], "little")
-        stream = (frame[-_TAIL], frame[5], frame[6])
+        if not hmac.compare_digest(self._hash(frame[:-_HASH_BYTES]), frame[-_HASH_BYTES:]):
+            return False
+        tail = frame[-SIGNATURE_BYTES:]
+        stream, timestamp = tail[:1] + frame[5:7], int.from_bytes(tail[1:-_HASH_BYTES], "little")
         newest = self._streams.get(stream)
         if newest is None:
-            if len(self._streams) >= _MAX_STREAMS or timestamp + AHEAD < signer.timestamp:
+            newest = self._timestamp - AHEAD - 1
+            if len(self._streams) >= _MAX_STREAMS:
                 return False
-        elif timestamp <= newest:
+        if timestamp <= newest:
             return False
         self._streams[stream] = timestamp
-        signer.timestamp = max(signer.timestamp, timestamp)
+        self._timestamp = max(self._timestamp, timestamp)
         return True
 
-
-def _hash(secret: bytes, signed: bytes) -> bytes:
-    return hashlib.sha256(secret + signed).digest()[:_HASH]
+    def _hash(self, signed: bytes) -> bytes:
+        return hashlib.sha256(self.secret + signed).digest()[:_HASH_BYTES]

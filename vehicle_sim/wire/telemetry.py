@@ -1,7 +1,7 @@
 """An autopilot's report as MAVLink messages: a function each, which has the name of its message.
 
-Fields that somebody reads are filled as in the recorded flights; what a function does not fill is
-zero.  None: there is nothing to say now.
+It returns the fields.  Those that somebody reads are filled as in the recorded flights, the others
+are zero.  None: there is nothing to say now.
 """
 
 import math
@@ -13,53 +13,51 @@ from pymavlink.dialects.v20 import all as mavlink
 from vehicle_sim.autopilot.values import Landed, Report
 from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, degrees_east
 from vehicle_sim.parameters import Firmware
-from vehicle_sim.wire.frames import Prepared, layout_of, make
+from vehicle_sim.wire.frames import Prepared, filled, layout_of
 
+Fields = tuple[Any, ...]
+"""Of a message in MAVLink's order; those at the end that are left out are zero."""
 Builder = Callable[[Report], Prepared | None]
 
-_INT16, _INT32, _UINT16 = 32767, 2_147_483_647, 65535
 _FIXED_WING: Final = 1
 _NAN: Final = math.nan
 _NO_VECTOR: Final = (_NAN, _NAN, _NAN)
-_NO_CELL: Final = 65535
+_HUGE: Final = 1 << 62
+"""More than any field of whole numbers carries: the packer makes the nearest of it."""
+_NO_DILUTION, _NO_CELL, _NO_TEMPERATURE = 65535, 65535, 32767
 _CENTIAMPERES_UNKNOWN: Final = -100
 """As PX4's simulated battery says it."""
 _ARDUPILOT_SENSORS, _PX4_SENSORS = 0x4241_9C0F, 0x0200_000F
 """SYS_STATUS: gyroscopes, accelerometers, compass, pressure ...: always there and well."""
 _GPS_BIT, _POSITION_BIT, _PREARM_BIT = 0x20, 0x4000, 0x1000_0000
-_IGNORE_POSITION, _IGNORE_VELOCITY, _IGNORE_ACCELERATION = 0x007, 0x038, 0x1C0
-_IGNORE_YAW_RATE, _ONLY_POSITION = 0x800, 0xFDF8
+_ONLY_POSITION: Final = 0xFDF8
+_LOCAL, _GLOBAL, _GLOBAL_INT, _DOWN = 1, 0, 5, 25
+"""Three of MAV_FRAME, and the orientation of a sensor."""
 _TAKEOFF, _MISSION, _RETURN, _LAND = 0x0204_0000, 0x0404_0000, 0x0504_0000, 0x0604_0000
 _ALTITUDE, _POSITION = 0x0002_0000, 0x0003_0000
-_STANDARD_MODES: Final = {
-    _POSITION: 1,
-    _ALTITUDE: 4,
-    _RETURN: 5,
-    _MISSION: 6,
-    _LAND: 7,
-    _TAKEOFF: 8,
-}
+_MODES: Final = (_POSITION, _ALTITUDE, _RETURN, _MISSION, _LAND, _TAKEOFF)
+_STANDARD_MODES: Final = dict(zip(_MODES, (1, 4, 5, 6, 7, 8), strict=True))
 """MAV_STANDARD_MODE by custom_mode of PX4: 7 and 8 as recorded, the others from the source."""
 
 
 # --- numbers --------------------------------------------------------------------------------------
 
 
-def bounded(value: float, most: int) -> int:
-    """The nearest whole number within +-most: what an integer field can carry."""
-    if -most <= value <= most:
+def whole(value: float) -> int:
+    """The nearest whole number; 0 for NaN."""
+    if -_HUGE < value < _HUGE:
         return round(value)
-    return (most if value > 0.0 else -most) if math.isfinite(value) else 0
+    return 0 if math.isnan(value) else int(math.copysign(_HUGE, value))
 
 
 def _e7(place: Any) -> tuple[int, int]:
     """Latitude and longitude of anything that has them, in 1e-7 degrees."""
-    return bounded(place.latitude_deg * 1e7, _INT32), bounded(place.longitude_deg * 1e7, _INT32)
+    return whole(place.latitude_deg * 1e7), whole(place.longitude_deg * 1e7)
 
 
 def _e7_mm(place: Any) -> tuple[int, int, int]:
     """Latitude, longitude and height above the sea."""
-    return *_e7(place), bounded(place.altitude_amsl_m * 1e3, _INT32)
+    return *_e7(place), whole(place.altitude_amsl_m * 1e3)
 
 
 def _is_px4(now: Report) -> bool:
@@ -79,19 +77,18 @@ def _heading_cdeg(now: Report) -> int:
     return round(math.degrees(now.vehicle.heading_rad) * 100.0) % 36000
 
 
+def _yaw_rad(now: Report) -> float:
+    """The same, from -pi to pi."""
+    return math.remainder(now.vehicle.heading_rad, math.tau)
+
+
 def _quaternion(now: Report) -> tuple[float, float, float, float]:
-    """Attitude, scalar first."""
-    vehicle = now.vehicle
-    cr, sr = math.cos(vehicle.roll_rad / 2.0), math.sin(vehicle.roll_rad / 2.0)
-    cp, sp = math.cos(vehicle.pitch_rad / 2.0), math.sin(vehicle.pitch_rad / 2.0)
-    yaw_rad = math.remainder(vehicle.heading_rad, math.tau)
-    cy, sy = math.cos(yaw_rad / 2.0), math.sin(yaw_rad / 2.0)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
+    """Attitude, scalar first: as if it yawed, then pitched, then rolled."""
+    roll, pitch, yaw = now.vehicle.roll_rad / 2.0, now.vehicle.pitch_rad / 2.0, _yaw_rad(now) / 2.0
+    turn = complex(math.cos(yaw), math.sin(yaw))
+    level = turn * complex(math.cos(roll) * math.cos(pitch), -math.sin(roll) * math.sin(pitch))
+    bent = turn * complex(math.sin(roll) * math.cos(pitch), math.cos(roll) * math.sin(pitch))
+    return level.real, bent.real, bent.imag, level.imag
 
 
 def _velocity_ned_m_s(now: Report) -> tuple[float, float, float]:
@@ -114,157 +111,123 @@ def _per_cent_left(now: Report) -> float:
 # --- what and how it is ---------------------------------------------------------------------------
 
 
-def _heartbeat(now: Report) -> Prepared:
+def _heartbeat(now: Report) -> Fields:
     profile, status = now.profile, now.status
     modes = (status.base_mode, status.mode, status.system_status)
-    return make("HEARTBEAT", profile.vehicle_type, profile.autopilot, *modes, 3)
+    return profile.vehicle_type, profile.autopilot, *modes, 3
 
 
-def _current_mode(now: Report) -> Prepared:
+def _current_mode(now: Report) -> Fields:
     status = now.status
     standard = 0 if status.failsafe else _STANDARD_MODES.get(status.mode, 0)
     intended = status.mode if status.intended_mode is None else status.intended_mode
-    return make("CURRENT_MODE", standard, status.mode, intended)
+    return standard, status.mode, intended
 
 
-def _extended_sys_state(now: Report) -> Prepared:
+def _extended_sys_state(now: Report) -> Fields:
     vtol = 0 if _is_px4(now) or _is_plane(now) else mavlink.MAV_VTOL_STATE_MC
-    return make("EXTENDED_SYS_STATE", vtol, now.status.landed_state)
+    return vtol, now.status.landed_state
 
 
-def _system_time(now: Report) -> Prepared:
-    return make("SYSTEM_TIME", now.unix_us, _boot_ms(now))
+def _system_time(now: Report) -> Fields:
+    return now.unix_us, _boot_ms(now)
 
 
-def _timesync(now: Report) -> Prepared:
+def _timesync(now: Report) -> Fields:
     """A question; the last digit tells ArduPilot's from those of others."""
-    return make("TIMESYNC", 0, now.time_us * 1000 + (0 if _is_px4(now) else 1))
+    return 0, now.time_us * 1000 + (0 if _is_px4(now) else 1)
 
 
-def _autopilot_version(now: Report) -> Prepared:
-    profile, custom = now.profile, list(now.profile.custom_version)
-    head = (profile.capabilities, profile.software_version)
+def _autopilot_version(now: Report) -> Fields:
+    version, custom = now.profile.software_version, list(now.profile.custom_version)
+    head = (now.profile.capabilities, version)
     if _is_px4(now):
-        middle = (profile.software_version, 101854463, 1, custom, custom)
-        return make("AUTOPILOT_VERSION", *head, *middle, uid=now.hardware_id)
-    uid2 = list(now.hardware_id.to_bytes(18, "little"))
-    return make("AUTOPILOT_VERSION", *head, flight_custom_version=custom, uid2=uid2)
+        return *head, version, 101854463, 1, custom, custom, [0] * 8, 0, 0, now.hardware_id
+    uid = list(now.hardware_id.to_bytes(18, "little"))
+    return *head, 0, 0, 0, custom, [0] * 8, [0] * 8, 0, 0, 0, uid
 
 
-def _protocol_version(_: Report) -> Prepared:
-    return make("PROTOCOL_VERSION", 200, 100, 200)
-
-
-def _sys_status(now: Report) -> Prepared:
-    prearm = _PREARM_BIT if now.status.prearm_ok else 0
+def _sys_status(now: Report) -> Fields:
+    prearm, battery = _PREARM_BIT if now.status.prearm_ok else 0, _gauge(now)
     if _is_px4(now):
         there = _PX4_SENSORS | (_GPS_BIT if now.status.fusing else 0)
         well = there | prearm | (_POSITION_BIT if now.estimate.position_ok else 0)
         wanted = there | _POSITION_BIT | _PREARM_BIT
-        volts = bounded(now.battery.voltage_v * 1e3, _UINT16)
-        battery = (volts, _CENTIAMPERES_UNKNOWN, math.ceil(_per_cent_left(now)))
-    else:
-        there, lost = now.range_sensors
-        there |= _ARDUPILOT_SENSORS | (_GPS_BIT if now.fix.fix_type > 0 else 0)
-        wanted, well = there | _PREARM_BIT, there & ~lost | prearm
-        battery = _gauge(now)
-    extended = {"onboard_control_sensors_health_extended": int(_is_px4(now))}
-    return make("SYS_STATUS", wanted, wanted, well, 0, *battery, **extended)
+        battery = (*battery[:2], math.ceil(_per_cent_left(now)))
+        return wanted, wanted, well, 0, *battery, *[0] * 8, 1
+    there, lost = now.range_sensors
+    there |= _ARDUPILOT_SENSORS | (_GPS_BIT if now.fix.fix_type > 0 else 0)
+    wanted, well = there | _PREARM_BIT, there & ~lost | prearm
+    return wanted, wanted, well, 0, *battery
 
 
 def _gauge(now: Report) -> tuple[int, int, int]:
-    """ArduPilot's millivolts, centiamperes and per cent."""
-    volts = bounded(now.battery.voltage_v * 1e3, _INT16)
-    amperes = bounded(now.battery.current_a * 100.0, _INT16)
-    return volts, amperes, math.floor(_per_cent_left(now) + 1e-9)
+    """Millivolts, centiamperes and per cent."""
+    battery, left = now.battery, math.floor(_per_cent_left(now) + 1e-9)
+    amperes = _CENTIAMPERES_UNKNOWN if _is_px4(now) else whole(battery.current_a * 100.0)
+    return whole(battery.voltage_v * 1e3), amperes, left
 
 
-def _battery_status(now: Report) -> Prepared:
+def _battery_status(now: Report) -> Fields:
     volts, amperes, left = _gauge(now)
-    kind, energy = (0, 0, 0), 0
-    if _is_px4(now):
-        volts, amperes = bounded(now.battery.voltage_v * 1e3, _UINT16 - 1), _CENTIAMPERES_UNKNOWN
-        left, kind, energy = math.floor(_per_cent_left(now)), (0, 1, 1), -1
-    cells, consumed = [volts, *[_NO_CELL] * 9], bounded(now.battery.consumed_mah, _INT32)
-    return make("BATTERY_STATUS", *kind, _INT16, cells, amperes, consumed, energy, left, 0, 1)
+    kind, energy = ((0, 1, 1), -1) if _is_px4(now) else ((0, 0, 0), 0)
+    cells, consumed = [volts, *[_NO_CELL] * 9], whole(now.battery.consumed_mah)
+    return *kind, _NO_TEMPERATURE, cells, amperes, consumed, energy, left, 0, 1
 
 
 # --- where it is ----------------------------------------------------------------------------------
 
 
-def _attitude(now: Report) -> Prepared:
-    vehicle = now.vehicle
-    yaw_rad = math.remainder(vehicle.heading_rad, math.tau)
-    angles_rad = (vehicle.roll_rad, vehicle.pitch_rad, yaw_rad)
-    return make("ATTITUDE", _boot_ms(now), *angles_rad, *now.autopilot.rates_rad_s)
+def _attitude(now: Report) -> Fields:
+    angles_rad = (now.vehicle.roll_rad, now.vehicle.pitch_rad, _yaw_rad(now))
+    return _boot_ms(now), *angles_rad, *now.autopilot.rates_rad_s
 
 
-def _attitude_quaternion(now: Report) -> Prepared:
-    rates_rad_s = now.autopilot.rates_rad_s
-    return make("ATTITUDE_QUATERNION", _boot_ms(now), *_quaternion(now), *rates_rad_s)
+def _attitude_quaternion(now: Report) -> Fields:
+    return _boot_ms(now), *_quaternion(now), *now.autopilot.rates_rad_s
 
 
-def _local_position_ned(now: Report) -> Prepared | None:
-    here_m, velocity = now.autopilot.local_ned_m(), _velocity_ned_m_s(now)
-    return here_m and make("LOCAL_POSITION_NED", _boot_ms(now), *here_m, *velocity)
+def _local_position_ned(now: Report) -> Fields | None:
+    here_m = now.autopilot.local_ned_m()
+    return here_m and (_boot_ms(now), *here_m, *_velocity_ned_m_s(now))
 
 
-def _odometry(now: Report) -> Prepared | None:
-    here_m, frame = now.autopilot.local_ned_m(), mavlink.MAV_FRAME_LOCAL_NED
-    return here_m and make(
-        "ODOMETRY",
-        *(now.time_us, frame, frame, *here_m, list(_quaternion(now)), *_velocity_ned_m_s(now)),
-        *(*now.autopilot.rates_rad_s, [_NAN] * 21, [_NAN] * 21),
-        estimator_type=mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT,
-    )
+def _odometry(now: Report) -> Fields | None:
+    here_m, frames = now.autopilot.local_ned_m(), (_LOCAL, _LOCAL)
+    moving = (list(_quaternion(now)), *_velocity_ned_m_s(now), *now.autopilot.rates_rad_s)
+    rest = ([_NAN] * 21, [_NAN] * 21, 0, mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT)
+    return here_m and (now.time_us, *frames, *here_m, *moving, *rest)
 
 
-def _global_position_int(now: Report) -> Prepared | None:
+def _global_position_int(now: Report) -> Fields | None:
     """Of PX4 once it has an origin."""
-    home, amsl_m = now.autopilot.home, now.estimate.altitude_amsl_m
+    home = now.autopilot.home
     if _is_px4(now) and now.status.origin is None:
         return None
-    above_home_m = 0.0 if home is None else amsl_m - home.altitude_amsl_m
-    latitude, longitude = _e7(now.estimate)
-    north, east, down = _velocity_ned_m_s(now)
-    return make(
-        "GLOBAL_POSITION_INT",
-        _boot_ms(now),
-        latitude,
-        longitude,
-        bounded(_altitude_amsl_m(now) * 1e3, _INT32),
-        bounded(above_home_m * 1e3, _INT32),
-        bounded(north * 100.0, _INT16),
-        bounded(east * 100.0, _INT16),
-        bounded(down * 100.0, _INT16),
-        _heading_cdeg(now),
-    )
+    above_home_m = 0.0 if home is None else now.estimate.altitude_amsl_m - home.altitude_amsl_m
+    mm = whole(_altitude_amsl_m(now) * 1e3), whole(above_home_m * 1e3)
+    cm_s = [whole(each * 100.0) for each in _velocity_ned_m_s(now)]
+    return _boot_ms(now), *_e7(now.estimate), *mm, *cm_s, _heading_cdeg(now)
 
 
-def _gps_raw_int(now: Report) -> Prepared | None:
+def _gps_raw_int(now: Report) -> Fields | None:
     """Before the receiver speaks ArduPilot knows nothing, and PX4 says nothing."""
     fix = now.fix
     if _is_px4(now) and not fix.time_us:
         return None
-    north, east = fix.velocity_north_m_s, fix.velocity_east_m_s
-    solution = (
-        *(fix.fix_type, *_e7_mm(fix)),
-        min(round(fix.horizontal_dilution * 100.0), _UINT16),
-        min(round(fix.vertical_dilution * 100.0), _UINT16),
-        bounded(math.hypot(north, east) * 100.0, _UINT16 - 1),
-        round(math.degrees(math.atan2(east, north)) * 100.0) % 36000,
-    )
-    all_m = (fix.altitude_amsl_m, fix.horizontal_accuracy_m, fix.vertical_accuracy_m)
-    return make(
-        "GPS_RAW_INT",
-        fix.time_us,
-        *(solution if _is_px4(now) or fix.fix_type else (0, 0, 0, 0, _UINT16, _UINT16, 0, 0)),
-        min(fix.satellites, 255),
-        *(bounded(each * 1e3, _INT32) for each in (*all_m, fix.speed_accuracy_m_s)),
-    )
+    solution: Fields = (0, 0, 0, 0, _NO_DILUTION, _NO_DILUTION, 0, 0)
+    if _is_px4(now) or fix.fix_type:
+        north, east = fix.velocity_north_m_s, fix.velocity_east_m_s
+        dilutions = (fix.horizontal_dilution, fix.vertical_dilution, math.hypot(north, east))
+        course_cdeg = round(math.degrees(math.atan2(east, north)) * 100.0) % 36000
+        hundredths = (whole(each * 100.0) for each in dilutions)
+        solution = (fix.fix_type, *_e7_mm(fix), *hundredths, course_cdeg)
+    accuracies = (fix.horizontal_accuracy_m, fix.vertical_accuracy_m, fix.speed_accuracy_m_s)
+    mm = (whole(each * 1e3) for each in (fix.altitude_amsl_m, *accuracies))
+    return fix.time_us, *solution, fix.satellites, *mm
 
 
-def _vfr_hud(now: Report) -> Prepared:
+def _vfr_hud(now: Report) -> Fields:
     """A plane says its indicated airspeed, a copter of PX4 none."""
     airspeed_m_s, altitude_m = now.vehicle.airspeed_m_s, now.estimate.altitude_amsl_m
     if _is_px4(now):
@@ -276,51 +239,44 @@ def _vfr_hud(now: Report) -> Prepared:
     north, east, down = _velocity_ned_m_s(now)
     throttle = round(min(max(now.vehicle.throttle, 0.0), 1.0) * 100.0)
     speeds_m_s = (airspeed_m_s, math.hypot(north, east))
-    return make("VFR_HUD", *speeds_m_s, _heading_cdeg(now) // 100, throttle, altitude_m, -down)
+    return *speeds_m_s, _heading_cdeg(now) // 100, throttle, altitude_m, -down
 
 
-def _altitude(now: Report) -> Prepared:
+def _altitude(now: Report) -> Fields:
     """Above the sea, the origin, home and the ground's own height; and above the ground."""
-    status, amsl_m = now.status, now.estimate.altitude_amsl_m
-    origin, home = status.origin, now.autopilot.home
-    above_m = _NAN if status.above_ground_m is None else status.above_ground_m
-    local_m = _NAN if origin is None else amsl_m - origin.altitude_amsl_m
+    amsl_m, origin, home = now.estimate.altitude_amsl_m, now.status.origin, now.autopilot.home
+    above_m = _NAN if now.status.above_ground_m is None else now.status.above_ground_m
+    known_m, local_m = (_NAN, _NAN) if origin is None else (amsl_m, amsl_m - origin.altitude_amsl_m)
     above_home_m = _NAN if home is None else amsl_m - home.altitude_amsl_m
-    truly_m, known_m = now.vehicle.altitude_amsl_m, _NAN if origin is None else amsl_m
-    heights_m = (truly_m, known_m, local_m, above_home_m, local_m - above_m, above_m)
-    return make("ALTITUDE", now.time_us, *heights_m)
+    heights_m = (now.vehicle.altitude_amsl_m, known_m, local_m, above_home_m)
+    return now.time_us, *heights_m, local_m - above_m, above_m
 
 
-def _distance_sensor(now: Report) -> Prepared | None:
+def _distance_sensor(now: Report) -> Fields | None:
     """PX4's; of ArduPilot's proximity.py says more."""
     above_m = now.status.above_ground_m
-    if above_m is None:
-        return None
-    range_cm = min(max(round(above_m * 100.0), 0), 10000)
-    return make("DISTANCE_SENSOR", _boot_ms(now), 0, 10000, range_cm, orientation=25)
+    range_cm = None if above_m is None else min(max(round(above_m * 100.0), 0), 10000)
+    return None if range_cm is None else (_boot_ms(now), 0, 10000, range_cm, 0, 0, _DOWN)
 
 
-def _ekf_status_report(now: Report) -> Prepared:
+def _ekf_status_report(now: Report) -> Fields:
     estimate = now.estimate
-    variances = (estimate.velocity_variance, estimate.horizontal_variance)
-    return make("EKF_STATUS_REPORT", estimate.flags, *variances)
+    return estimate.flags, estimate.velocity_variance, estimate.horizontal_variance
 
 
-def _estimator_status(now: Report) -> Prepared:
-    estimate, accuracy_m = now.estimate, now.estimate.horizontal_accuracy_m
-    ratios = (estimate.velocity_variance, estimate.horizontal_variance)
-    head = (now.time_us, estimate.flags, *ratios)
-    return make("ESTIMATOR_STATUS", *head, pos_horiz_accuracy=accuracy_m)
+def _estimator_status(now: Report) -> Fields:
+    accuracy_m = now.estimate.horizontal_accuracy_m
+    return now.time_us, *_ekf_status_report(now), *[0.0] * 4, accuracy_m
 
 
-def _gps_global_origin(now: Report) -> Prepared | None:
+def _gps_global_origin(now: Report) -> Fields | None:
     origin = now.status.origin
-    return origin and make("GPS_GLOBAL_ORIGIN", *_e7_mm(origin), now.time_us)
+    return origin and (*_e7_mm(origin), now.time_us)
 
 
-def _home_position(now: Report) -> Prepared | None:
+def _home_position(now: Report) -> Fields | None:
     """Seen from the origin; ArduPilot knows no attitude of the surface."""
-    home, origin, ned_m, time_us = now.autopilot.home, now.status.origin, _NO_VECTOR, now.time_us
+    home, origin, ned_m = now.autopilot.home, now.status.origin, _NO_VECTOR
     if home is None or (_is_px4(now) and origin is None):
         return None
     if origin is not None:
@@ -330,124 +286,118 @@ def _home_position(now: Report) -> Prepared | None:
         north_m, east_m = (0.0, 0.0) if _is_px4(now) else (north_m, east_m)
         ned_m = (north_m, east_m, origin.altitude_amsl_m - home.altitude_amsl_m)
     q = [1.0, 0.0, 0.0, 0.0] if _is_px4(now) else [_NAN] * 4
-    return make("HOME_POSITION", *_e7_mm(home), *ned_m, q, time_usec=time_us)
+    return *_e7_mm(home), *ned_m, q, 0.0, 0.0, 0.0, now.time_us
 
 
-def _simstate(now: Report) -> Prepared:
+def _simstate(now: Report) -> Fields:
     """The truth: SITL says it too."""
-    latitude, longitude = _e7(now.vehicle)
-    return make("SIMSTATE", lat=latitude, lng=longitude)
+    return *[0.0] * 9, *_e7(now.vehicle)
 
 
-def _wind(now: Report) -> Prepared:
+def _wind(now: Report) -> Fields:
     """The air as it is, as a direction that it comes from."""
     north, east = now.vehicle.wind_north_m_s, now.vehicle.wind_east_m_s
     direction_deg = math.degrees(math.atan2(-east, -north)) if north or east else -180.0
-    return make("WIND", direction_deg, math.hypot(north, east))
+    return direction_deg, math.hypot(north, east)
 
 
-def _wind_cov(now: Report) -> Prepared | None:
+def _wind_cov(now: Report) -> Fields | None:
     """Of a plane, once in the air."""
     if not _is_plane(now) or now.status.landed_state == Landed.ON_GROUND:
         return None
     wind = (now.vehicle.wind_north_m_s, now.vehicle.wind_east_m_s)
-    return make("WIND_COV", now.time_us, *wind, wind_alt=now.estimate.altitude_amsl_m)
+    return now.time_us, *wind, 0.0, 0.0, 0.0, now.estimate.altitude_amsl_m
 
 
 # --- where it flies to ----------------------------------------------------------------------------
 
 
-def _position_target_local_ned(now: Report) -> Prepared | None:
-    target, zero = now.autopilot.target_echo(), (0.0, 0.0, 0.0)
+def _position_target_local_ned(now: Report) -> Fields | None:
+    target = now.autopilot.target_echo()
     if target is None:
         return None
-    position, velocity, acceleration = target[:3]
-    mask = target.type_mask
-    if mask is None:
-        mask = _IGNORE_YAW_RATE | (0 if position else _IGNORE_POSITION)
-        mask |= (0 if velocity else _IGNORE_VELOCITY) | (
-            0 if acceleration else _IGNORE_ACCELERATION
-        )
-    return make(
-        "POSITION_TARGET_LOCAL_NED",
-        *(_boot_ms(now), mavlink.MAV_FRAME_LOCAL_NED, mask),
-        *(*(position or zero), *(velocity or zero), *(acceleration or zero)),
-        *(target.yaw_rad, target.yaw_rate_rad_s),
-    )
+    vectors = [value for vector in target[:3] for value in vector or (0.0, 0.0, 0.0)]
+    yaw = (target.yaw_rad, target.yaw_rate_rad_s)
+    return _boot_ms(now), _LOCAL, target.type_mask or 0, *vectors, *yaw
 
 
-def _position_target_global_int(now: Report) -> Prepared | None:
+def _position_target_global_int(now: Report) -> Fields | None:
     """The navigator's place; PX4 with the controller's velocity, acceleration, yaw and its rate."""
     waypoint, target = now.status.waypoint, now.autopilot.target_echo()
     if waypoint is None:
         return None
-    frame, mask, height_m = mavlink.MAV_FRAME_GLOBAL, _ONLY_POSITION, waypoint.place.altitude_amsl_m
-    aim: tuple[float, ...] = ()
-    if _is_px4(now):
-        frame, mask = mavlink.MAV_FRAME_GLOBAL_INT, 0
-        lands = now.status.mode == _LAND and not _is_plane(now)
-        height_m = 0.0 if lands else height_m
-        aim = (*_NO_VECTOR, *_NO_VECTOR, _NAN, _NAN)
-        if target is not None:
-            vectors = (target.velocity_ned_m_s, target.acceleration_ned_m_s2)
-            aim = tuple(value for vector in vectors for value in vector or _NO_VECTOR)
-            aim = (*aim, target.yaw_rad, target.yaw_rate_rad_s)
-    place = (*_e7(waypoint.place), height_m)
-    return make("POSITION_TARGET_GLOBAL_INT", _boot_ms(now), frame, mask, *place, *aim)
+    place, height_m = _e7(waypoint.place), waypoint.place.altitude_amsl_m
+    if not _is_px4(now):
+        return _boot_ms(now), _GLOBAL, _ONLY_POSITION, *place, height_m
+    height_m = 0.0 if now.status.mode == _LAND and not _is_plane(now) else height_m
+    aim: Fields = (_NAN,) * 8
+    if target is not None:
+        velocity, acceleration = target.velocity_ned_m_s, target.acceleration_ned_m_s2
+        yaw = (target.yaw_rad, target.yaw_rate_rad_s)
+        aim = (*(velocity or _NO_VECTOR), *(acceleration or _NO_VECTOR), *yaw)
+    return _boot_ms(now), _GLOBAL_INT, 0, *place, height_m, *aim
 
 
-def _nav_controller_output(now: Report) -> Prepared | None:
+def _nav_controller_output(now: Report) -> Fields | None:
     """A copter has a target everywhere."""
     vehicle, waypoint = now.vehicle, now.status.waypoint
     attitude_deg = (math.degrees(vehicle.roll_rad), math.degrees(vehicle.pitch_rad))
     if waypoint is None:
-        return None if _is_plane(now) else make("NAV_CONTROLLER_OUTPUT", *attitude_deg)
+        return None if _is_plane(now) else attitude_deg
     bearing_deg = round(math.degrees(math.remainder(waypoint.bearing_rad, math.tau)))
-    return make(
-        "NAV_CONTROLLER_OUTPUT",
-        *(*attitude_deg, bearing_deg, bearing_deg, bounded(waypoint.distance_m, _UINT16)),
-        *(waypoint.altitude_error_m, waypoint.airspeed_error_m_s * 100.0, waypoint.cross_track_m),
-    )
+    ways = (bearing_deg, bearing_deg, whole(waypoint.distance_m))
+    errors = (waypoint.altitude_error_m, waypoint.airspeed_error_m_s * 100.0)
+    return *attitude_deg, *ways, *errors, waypoint.cross_track_m
 
 
-def _mission_current(now: Report) -> Prepared:
+def _mission_current(now: Report) -> Fields:
     """Mode of PX4: 1 while the navigator lands, takes off or flies the mission, else 2."""
     status = now.status
     flies = status.waypoint is not None and status.mode in (_LAND, _TAKEOFF, _MISSION)
     mode = (1 if flies else 2) if _is_px4(now) else 0
-    numbers = (status.mission_current, status.mission_total, status.mission_state)
-    return make("MISSION_CURRENT", *numbers, mode)
+    return status.mission_current, status.mission_total, status.mission_state, mode
 
 
-def _fence_status(now: Report) -> Prepared | None:
+def _fence_status(now: Report) -> Fields | None:
     status = now.status
-    numbers = (int(status.fence_breached), status.fence_breaches, status.fence_breach_type)
-    present = status.fence_present
-    return make("FENCE_STATUS", *numbers, status.fence_breach_ms) if present else None
+    breach = (status.fence_breach_type, status.fence_breach_ms)
+    told = (int(status.fence_breached), status.fence_breaches, *breach)
+    return told if status.fence_present else None
 
 
 # --- who says what --------------------------------------------------------------------------------
 
 
-def _by_number(*builders: Builder) -> dict[int, Builder]:
-    return {layout_of(each.__name__.strip("_").upper()).number: each for each in builders}
+def _messages(*functions: Callable[[Report], Fields | None]) -> dict[int, Builder]:
+    """By number what makes the messages that these functions are called after."""
+    numbers = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
+    names = [each.__name__.strip("_").upper() for each in functions]
+    pairs = zip(names, functions, strict=True)
+    return {numbers[name]: _builder(name, fields) for name, fields in pairs}
 
 
-_BOTH: Final = _by_number(
+def _builder(name: str, fields: Callable[[Report], Fields | None]) -> Builder:
+    layout = layout_of(name)
+
+    def build(now: Report) -> Prepared | None:
+        said = fields(now)
+        return None if said is None else filled(layout, said)
+
+    return build
+
+
+_BOTH: Final = _messages(
     *(_heartbeat, _extended_sys_state, _system_time, _timesync, _autopilot_version, _sys_status),
     *(_battery_status, _attitude, _attitude_quaternion, _local_position_ned, _global_position_int),
     *(_gps_raw_int, _vfr_hud, _gps_global_origin, _home_position, _position_target_local_ned),
     *(_position_target_global_int, _mission_current),
 )
-_OF_ARDUPILOT: Final = _by_number(
-    *(_ekf_status_report, _simstate, _wind, _nav_controller_output, _fence_status),
-)
-_OF_PX4: Final = _by_number(
-    *(_current_mode, _protocol_version, _odometry, _altitude, _distance_sensor, _estimator_status),
-    _wind_cov,
-)
 MESSAGES: Final[dict[Firmware, dict[int, Builder]]] = {
-    "ardupilot": _BOTH | _OF_ARDUPILOT,
-    "px4": _BOTH | _OF_PX4,
+    "ardupilot": _BOTH
+    | _messages(_ekf_status_report, _simstate, _wind, _nav_controller_output, _fence_status),
+    "px4": _BOTH
+    | _messages(
+        _current_mode, _odometry, _altitude, _distance_sensor, _estimator_status, _wind_cov
+    ),
 }
 """What can be said, by message number."""
