@@ -220,7 +220,7 @@ def test_a_glitch_moves_the_position_at_once_and_back() -> None:
 
 
 def test_a_drift_goes_on_at_its_speed_and_is_forgotten() -> None:
-    drift = GpsConditions(drift_east_m_s=0.5, drift_up_m_s=0.1)
+    drift = GpsConditions(drift_m_s=(0.0, 0.5, 0.1))
     found = fixes(ARDUCOPTER, 60.0, drift)[3:]
     away = offsets_m(found)
     lasted_s = (found[-1].time_us - found[0].time_us) * 1e-6

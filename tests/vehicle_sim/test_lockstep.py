@@ -146,25 +146,21 @@ def run_late(start: Start, wait_s: float, *options: object) -> str:
     return digest
 
 
+BAD_LINKS = {
+    "lossy and late": "link_duplication 30 % link_loss 20 % link_corruption 20 % "
+    "link_reordering 30 % link_delay 50 ms",
+    "off": "link_off",
+}
+
+
 @pytest.mark.sample(2)
-@pytest.mark.parametrize(
-    "faults",
-    [
-        [
-            "SIM_LNK_DUP=30",
-            "SIM_LNK_LOSS=20",
-            "SIM_LNK_CORR=20",
-            "SIM_LNK_DELAY=50",
-            "SIM_LNK_REORD=30",
-        ],
-        ["SIM_LNK_OFF=1"],
-    ],
-    ids=["lossy and late", "off"],
-)
+@pytest.mark.parametrize("faults", BAD_LINKS)
 def test_links_that_are_bad_from_the_start_neither_stop_it_nor_depend_on_when_one_comes(
-    start: Start, faults: list[str]
+    start: Start, faults: str, tmp_path: Path
 ) -> None:
-    options = [word for fault in faults for word in ("--param", fault)]
+    file = tmp_path / "faults.txt"
+    file.write_text(BAD_LINKS[faults].replace("link_", "\nat 0 s: link_"), encoding="utf-8")
+    options = ("--faults", str(file))
     assert run_late(start, 0.0, *options) == run_late(start, 0.7, *options)
 
 

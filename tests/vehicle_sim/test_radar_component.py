@@ -236,7 +236,7 @@ def test_noise_never_lowers_a_cell_unless_its_sign_says_so() -> None:
     assert np.array_equal(up == UNSEEN_M, ~seen)
     assert error.min() >= 0
     assert error.mean() == pytest.approx(5.0 * np.sqrt(2.0 / np.pi) + 0.5, abs=0.5)
-    either = heights(answered(RadarConditions(noise_m=-5.0)))
+    either = heights(answered(RadarConditions(noise_m=5.0, either_way=True)))
     error = (either - truth)[seen]
     assert error.std() == pytest.approx(5.0, rel=0.1)
     assert error.mean() == pytest.approx(0.0, abs=0.6)

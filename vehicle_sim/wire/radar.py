@@ -127,10 +127,10 @@ class RadarComponent:
             seen &= self._rng.random(len(heights)) >= conditions.cells_missed
         if conditions.noise_m:
             error_m = self._rng.standard_normal(len(heights)) * conditions.noise_m
-            if conditions.noise_m > 0.0:
-                noisy = np.ceil(heights + np.abs(error_m))
-            else:
+            if conditions.either_way:
                 noisy = np.round(heights + error_m)
+            else:
+                noisy = np.ceil(heights + np.abs(error_m))
             heights = np.clip(noisy, _LOWEST_M, _HIGHEST_M).astype(np.int64)
         heights[~seen] = UNSEEN_M
         spoilt: list[int] = heights.tolist()
