@@ -38,7 +38,7 @@ _MAX_DATAGRAMS: Final = 1000
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Moment:
     """Where the vehicle really was: ten a second, from the truth file."""
 
@@ -189,10 +189,15 @@ class Simulator:
             ground_m = self._height_amsl_m(row["north_m"], row["east_m"])
             self.moments.append(
                 Moment(
-                    *(row[key] for key in ("t_s", "lat_deg", "lon_deg", "altitude_amsl_m")),
-                    math.hypot(row["velocity_north_m_s"], row["velocity_east_m_s"]),
-                    row["altitude_amsl_m"] - ground_m,
-                    *(row[key] for key in ("mode", "armed", "landed")),
+                    t_s=row["t_s"],
+                    latitude_deg=row["lat_deg"],
+                    longitude_deg=row["lon_deg"],
+                    altitude_amsl_m=row["altitude_amsl_m"],
+                    speed_m_s=math.hypot(row["velocity_north_m_s"], row["velocity_east_m_s"]),
+                    above_ground_m=row["altitude_amsl_m"] - ground_m,
+                    mode=row["mode"],
+                    armed=row["armed"],
+                    landed=row["landed"],
                 )
             )
         if self._strict and simulation.not_survived is not None:
