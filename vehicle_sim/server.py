@@ -254,14 +254,14 @@ class Server:
                 return
             if self._listen(_PATIENCE_S):
                 continue
-            now_s = time.monotonic()
-            if now_s - asked_s >= self._settings.silence_s:
-                silence_s, at_s = self._settings.silence_s, waiting[0].now_us * 1e-6
-                what = f"was silent for {silence_s:.0f} s at {at_s:.1f} s vehicle time"
+            now_s, silence_s = time.monotonic(), self._settings.silence_s
+            if now_s - asked_s >= silence_s:
+                at_s, why = waiting[0].now_us * 1e-6, ""
                 if waiting[0].mistaken_ns == asked[waiting[0]]:
-                    what += "; it answered TIMESYNC with a time of its own: in lockstep tc1 must "
-                    what += "echo ts1"
-                raise CompanionSilent(f"the companion {what}")
+                    why = "; it answered TIMESYNC with a time of its own: in lockstep tc1 must "
+                    why += "echo ts1"
+                what = f"was silent for {silence_s:.0f} s at {at_s:.1f} s vehicle time"
+                raise CompanionSilent(f"the companion {what}{why}")
             if now_s - again_s >= _AGAIN_S:  # it may have been lost, or its client has changed
                 again_s = now_s
                 for each in waiting:
