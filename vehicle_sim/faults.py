@@ -13,7 +13,6 @@ Times are of the simulation, which a reboot of the autopilot does not begin agai
 
 import bisect
 import functools
-import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -98,7 +97,7 @@ class Fault:
             if value is not None and not least <= value <= most:
                 rule = f"{value:g} must lie from {least:g} to {most:g}"
                 raise InputError(where, what, rule, "Correct the number.")
-        return numbers, [value for key, value in said.items() if value and key[0] != "N"]
+        return numbers, [value.lower() for key, value in said.items() if value and key[0] != "N"]
 
     def changes(self, numbers: Sequence[float | None], words: Sequence[str]) -> Changes:
         """What such a line asks for; what it leaves out is as usual."""
@@ -120,8 +119,8 @@ class Fault:
 def vector(numbers: Sequence[float | None], words: Sequence[str]) -> Vector:
     """North, east and up of "20 m north 5 m up"."""
     sizes = [size for size in numbers if size is not None]
-    said = [(size, _WAYS[word.lower()]) for size, word in zip(sizes, words, strict=True)]
-    north, east, up = (math.fsum(size * way[axis] for size, way in said) for axis in range(3))
+    said = [(size, _WAYS[word]) for size, word in zip(sizes, words, strict=True)]
+    north, east, up = (sum(size * way[axis] for size, way in said) for axis in range(3))
     return north, east, up
 
 

@@ -317,3 +317,5 @@ def test_any_text_is_a_timeline_or_an_input_error(text: str) -> None:
 def test_case_spaces_and_comments_do_not_matter() -> None:
     texts = ("AT 1 S : WIND 8m/s FROM 270deg # so", "\n# a\nat 1000ms: wind  8 m/s  from 270 deg")
     assert asked(texts[0], 1.0) == asked(texts[1], 1.0) != Conditions()
+    assert asked("at 0s: LINK_OFF To_Vehicle") == asked("at 0s: link_off to_vehicle")
+    assert asked("at 0s: Gps_Drift 2m/s WEST") == asked("at 0s: gps_drift 2 m/s west")
