@@ -87,6 +87,7 @@ def test_holes_are_an_error_unless_the_world_says_what_lies_there(tmp_path: Path
         ({"transform": Affine(STEP, 1e-5, 8.4, 0, -STEP, 46.6)}, "north up"),
         ({"transform": Affine(STEP, 0, 8.4, 0, STEP, 46.4)}, "north up"),
         ({"transform": Affine(STEP, 0, 8.49, 0, -STEP, 46.55)}, "does not cover [area]"),
+        ({"transform": Affine(STEP, 0, 8.39, 0, -STEP, 46.55)}, "does not cover [area]"),
     ],
     ids=str,
 )

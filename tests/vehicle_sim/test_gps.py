@@ -139,6 +139,8 @@ def test_fixes_come_and_go_as_px4s_did() -> None:
         assert fix.satellites == real.satellites_visible
         assert fix.horizontal_dilution == real.eph / 100.0
         assert fix.vertical_accuracy_m == pytest.approx(real.v_acc * 1e-3)
+    times_us = [fix.time_us for fix in told]
+    assert np.diff(times_us).min() > 0  # also without a fix
 
 
 def test_px4s_noise_is_that_of_the_recorded_receiver() -> None:

@@ -64,6 +64,7 @@ def test_lockstep_waits_for_the_right_answer(serve: Serve, companion: Client) ->
 def test_a_companion_that_has_ended_ends_the_run(serve: Serve, companion: Client) -> None:
     run = begun(serve, companion)
     companion.tick()
+    companion.wait_for(is_question)  # and it is not answered any more
     companion.send(companion.heartbeat(7))
     assert run.ended()
     assert run.error is None

@@ -32,7 +32,7 @@ def test_variance_and_correlation_are_as_the_docstring_says_whatever_the_step(
 ) -> None:
     wind, copter = Wind(np.random.default_rng(5)), copter_at(100.0)
     copter.airspeed_m_s = airspeed_m_s
-    conditions, rows = WindConditions(turbulence_m_s=1.0, from_rad=math.pi), []
+    conditions, rows = WindConditions(turbulence_m_s=1.0, from_rad=0.5), []
     for _ in range(100_000):
         wind.step(dt_s, copter, conditions, 0.0)
         rows.append(wind_of(copter))

@@ -111,6 +111,7 @@ WOOD: Table = {
             {"area": dict.fromkeys(("north_min_m", "north_max_m", "east_min_m", "east_max_m"), 1)},
             ["area = (1", "Swap"],
         ),
+        ({"woods": [WOOD | {"east_min_m": 95.0}]}, ["woods.0", "least must lie below"]),
         (
             {"second_lidar": {"range_m": 9.0, "output": "autopilot"}},
             ["second_lidar.output = 'autopilot'", "beside a [lidar]"],
