@@ -219,43 +219,44 @@ class Gps:
         )
 
 
+_SILENT_S: Final = (1.0, 6.0)
+_WILD_M_S, _WILD_M = 400.0, 200.0
+_CHANGE_HZ: Final = 1.1
+"""How often fix, satellites, velocity and position become others."""
+_FORGOTTEN_US: Final = 1_000_000
+"""A jamming that has paused for longer begins again."""
+
+
 @final
 class _Jamming:
     """A jammer near by, as ArduPilot's simulation has it: nothing for a while, then wild values."""
 
-    _SILENT_S = (1.0, 6.0)
-    _MIN_SATELLITES = 4
-    _WILD_M_S, _WILD_M = 400.0, 200.0
-    _CHANGE_HZ = 1.1
-    """How often fix, satellites, velocity and position become others."""
-    _FORGOTTEN_US = 1_000_000
-
     def __init__(self, rng: np.random.Generator, interval_s: float) -> None:
-        self._rng, self._share = rng, self._CHANGE_HZ * interval_s
-        self._last_us = -self._FORGOTTEN_US - 1
-        self._silent_until_us = 0
+        self._rng, self._share = rng, _CHANGE_HZ * interval_s
+        self._last_us, self._silent_until_us = -_FORGOTTEN_US - 1, 0
         self._place_deg = (0.0, 0.0)
 
     def spoil(self, now_us: int, sample: _Sample, satellites: int) -> tuple[_Sample, bool, int]:
         """The sample as the jammed receiver has it, whether it has a fix, and the satellites."""
         rng, locked = self._rng, sample.locked
-        if now_us - self._last_us > self._FORGOTTEN_US:
-            self._silent_until_us = now_us + round(1e6 * rng.uniform(*self._SILENT_S))
+        if now_us - self._last_us > _FORGOTTEN_US:
+            self._silent_until_us = now_us + round(1e6 * rng.uniform(*_SILENT_S))
             self._place_deg = (sample.latitude_deg, sample.longitude_deg)
         self._last_us = now_us
         if now_us < self._silent_until_us:
             return sample, False, 0
-        changes = (rng.random(3) < self._share).tolist()
-        if changes[0]:
+        fix, velocity, place = (rng.random(3) < self._share).tolist()
+        if fix:
             satellites = 2 + int(rng.integers(15))
-            locked = satellites >= self._MIN_SATELLITES and bool(rng.integers(2))
-        if changes[1]:
-            north, east, up = rng.uniform(-self._WILD_M_S, self._WILD_M_S, 3).tolist()
+            locked = satellites >= 4 and bool(rng.integers(2))
+        if velocity:
+            north, east, up = rng.uniform(-_WILD_M_S, _WILD_M_S, 3).tolist()
             sample = sample._replace(north_m_s=north, east_m_s=east, up_m_s=up)
-        if changes[2]:
-            step_deg = (rng.uniform(-self._WILD_M, self._WILD_M, 2) / ARDUPILOT_M_PER_DEG).tolist()
-            latitude_deg = min(max(self._place_deg[0] + step_deg[0], -90.0), 90.0)
-            self._place_deg = (latitude_deg, around(self._place_deg[1] + step_deg[1]))
+        if place:
+            north_deg, east_deg = rng.uniform(-_WILD_M, _WILD_M, 2).tolist()
+            latitude_deg = self._place_deg[0] + north_deg / ARDUPILOT_M_PER_DEG
+            longitude_deg = around(self._place_deg[1] + east_deg / ARDUPILOT_M_PER_DEG)
+            self._place_deg = (min(max(latitude_deg, -90.0), 90.0), longitude_deg)
         latitude_deg, longitude_deg = self._place_deg
-        at_place = sample._replace(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
-        return at_place, locked, satellites
+        moved = sample._replace(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+        return moved, locked, satellites
