@@ -109,8 +109,9 @@ def fly(
     _must_lie("--duration", duration, 1e-3, 1e7, "Try 600.")
     _must_lie("--seed", seed, 0, 2**63, "Give 0 or more.")
     _must_lie("--scan-range", scan_range, 1e-3, 1e6, "Try 2000.")
+    lasts_s = math.inf if duration is None else duration
     settings = Settings(
-        lockstep=lockstep, speedup=speedup or 1.0, duration_s=duration, strict=strict
+        lockstep=lockstep, speedup=speedup or 1.0, duration_s=lasts_s, strict=strict
     )
     if world is None:
         flown = _flat(autopilot or "ardupilot", vehicle or "copter", home or _HOME, scan_range)

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.errors import SimulatorError
 from vehicle_sim.links import Link
-from vehicle_sim.server import Server, Settings, Station, Stop
+from vehicle_sim.server import Server, Settings, Station
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import parse_world
 
@@ -137,7 +137,7 @@ class Running:
         self.simulations = [Simulation(parse_world(table), seed=1) for table in tables]
         self.simulation, self.truth = self.simulations[0], io.StringIO()
         self.error: Exception | None = None
-        self.stop = Stop()
+        self.stop = threading.Event()
         self.ports = [link.endpoint.port for link in links]
         of_each = links if len(links) > 1 else [*links] * len(tables)
         stations = [

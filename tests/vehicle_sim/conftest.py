@@ -116,7 +116,7 @@ def serve(world_table: dict[str, Any]) -> Iterator[Callable[..., Running]]:
                 stack.callback(link.close)
             running = Running(tables or [world_table], links, **settings)
             stack.callback(running.ended)
-            stack.callback(running.stop)
+            stack.callback(running.stop.set)
             return running
 
         yield begin
