@@ -266,12 +266,13 @@ class Simulator:
     def assert_not_crashed(self) -> None:
         """It has hit nothing: no tree, and not the ground at more than 3 m/s in any direction.
 
-        A plane on its wheels may be faster along a runway.  `simulation.crash` says what it hit,
-        where and how fast.
+        A plane on its wheels may be faster along a runway.
         """
         if crash := self.simulation.crash:
+            where = f"{round(crash.north_m)} m north, {round(crash.east_m)} m east, "
+            where += f"{crash.altitude_amsl_m:.0f} m AMSL"
             speed = f"{crash.speed_m_s:.1f} m/s"
-            raise AssertionError(f"hit {crash.into} at {speed} at {crash.t_s:.2f} s")
+            raise AssertionError(f"hit {crash.into} at {speed} at {crash.t_s:.2f} s, {where}")
 
     def assert_stream_gap(
         self, at_most_s: float, *, message: str, after_s: float = 0.0, before_s: float | None = None
