@@ -176,14 +176,11 @@ def faults_page() -> str:
 _PAGE: Final = """# Faults
 
 Made from `vehicle_sim/conditions.py` and `vehicle_sim/faults.py` by `scripts/docs`. A line of a
-timeline reads `at TIME: FAULT` or `at TIME for TIME: FAULT`, with units (`ms`, `s`, `min`, `h`).
-N is a number, WHERE is north, east, south, west, up or down, SIDE one of the first four; what
-stands in brackets may be left out.
-`estimator_reset`, `origin_move`, `pilot`, `reboot` and what a ground station does happen once and
-take no `for`.
-Of overlapping faults the latest counts.
-On PX4 `SIM_GPS_USED` takes the place of `SIM_GPS1_NUMSATS`; `battery_voltage` is ArduPilot's only.
-A parameter is not changed by a fault: while that lasts the fault counts, afterwards the parameter.
+timeline reads `at TIME: FAULT` or `at TIME for TIME: FAULT`, with units (`ms`, `s`, `min`, `h`);
+what happens once (from `estimator_reset` on) takes no `for`. N is a number, WHERE is north, east,
+south, west, up or down, SIDE one of the first four; `[...]` may be left out. Of overlapping faults
+the latest counts, and before parameters: a fault does not change them. On PX4 `SIM_GPS_USED` takes
+the place of `SIM_GPS1_NUMSATS`; `battery_voltage` is ArduPilot's only.
 
 | fault | parameters that do the same | what it does |
 |---|---|---|
