@@ -139,28 +139,17 @@ class Simulator:
 
     # --- time ---------------------------------------------------------------------------------
 
-    def advance(
-        self,
-        seconds: float,
-        *,
-        meanwhile: Callable[[], object] | None = None,
-        pace: float | None = None,
-    ) -> None:
+    def advance(self, seconds: float, *, meanwhile: Callable[[], object] | None = None) -> None:
         """Let so much vehicle time pass, in ticks of 50 ms.
 
         After each tick what was sent is on the wire and `meanwhile` is called: let your client read
-        and answer there.  `pace`: times real time, for clients that run by themselves; None: as
-        fast as it goes.
+        and answer there.
         """
-        start_s, tick_us = time.monotonic(), _TICK_STEPS * STEP_US
-        for k in range(1, math.ceil((seconds * 1e6 - 0.5) / tick_us) + 1):
+        until_us = self.simulation.now_us + seconds * 1e6 - 0.5
+        while self.simulation.now_us < until_us:
             for _ in range(_TICK_STEPS):
                 self._step()
             self._exchange(meanwhile or (lambda: None))
-            due_s = start_s + k * tick_us * 1e-6 / pace if pace else 0.0
-            while (left_s := due_s - time.monotonic()) > 0.0:
-                select.select(self._link.sockets, [], [], left_s)
-                self._send_and_receive()
 
     def advance_until(
         self,
@@ -168,16 +157,14 @@ class Simulator:
         *,
         within_s: float,
         meanwhile: Callable[[], object] | None = None,
-        pace: float | None = None,
     ) -> None:
         """The same, until this is so; an AssertionError if it is not in time."""
-        tick_s = _TICK_STEPS * STEP_US * 1e-6
-        for _ in range(math.ceil(within_s / tick_s - 1e-6)):
-            if reached():
-                return
-            self.advance(tick_s, meanwhile=meanwhile, pace=pace)
-        if not reached():
-            raise AssertionError(f"it never came to that within {within_s:g} s; {self._where()}")
+        until_us = self.simulation.now_us + within_s * 1e6 - 0.5
+        while not reached():
+            if self.simulation.now_us >= until_us:
+                why = f"it never came to that within {within_s:g} s; {self._where()}"
+                raise AssertionError(why)
+            self.advance(_TICK_STEPS * STEP_US * 1e-6, meanwhile=meanwhile)
 
     def _step(self) -> None:
         simulation = self.simulation
