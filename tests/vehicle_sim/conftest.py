@@ -11,8 +11,7 @@ from clients import Client, Process, Running, udp_client
 
 from vehicle_sim.links import open_link, parse_endpoint
 
-WORLD = """
-schema = 1
+WORLD = """schema = 1
 name = "test"
 
 [origin]
