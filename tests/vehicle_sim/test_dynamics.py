@@ -57,6 +57,11 @@ def test_no_order_exceeds_a_limit(orders: list[tuple[float, float, float]]) -> N
             assert abs(up - before[2]) <= LIMITS.acceleration_vertical_m_s2 * 0.01 + 1e-12
 
 
+def test_for_long_enough_it_is_as_fast_as_its_limits_and_no_faster() -> None:
+    it = flown(copter(), 20.0, 60.0, 80.0, -50.0)
+    assert it.velocity_neu_m_s == pytest.approx((18.0, 24.0, -5.0), abs=1e-6)
+
+
 def test_a_steady_order_is_flown_as_the_closed_form_says() -> None:
     it, t, tau = flown(copter(), 5.0, 2.0, 0.0, 1.0), 5.0, RESPONSE_S
     # v(t) = a (t - tau) and s(t) = a (t^2 / 2 - tau t + tau^2) once the lag has settled

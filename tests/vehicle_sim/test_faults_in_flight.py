@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+import json
 import math
 from collections.abc import Callable
 from typing import Any
@@ -160,6 +161,18 @@ def _tilt(heard: Heard) -> FloatArray:
     return np.array([(m.roll, m.pitch) for m in heard.of("ATTITUDE")])
 
 
+def _ahead_m(heard: Heard) -> tuple[float, float]:
+    """How far the first item of the fence lies ahead of where it was put, and aside of its way."""
+    there, row = heard.fence[0], json.loads(heard.truth[0])
+    north_m, east_m = METRES_PER_DEG
+    place_m = complex(
+        (there.x / 1e7 - row["lat_deg"]) * north_m, (there.y / 1e7 - row["lon_deg"]) * east_m
+    )
+    way = complex(row["velocity_north_m_s"], row["velocity_east_m_s"])
+    along = place_m * way.conjugate() / abs(way)
+    return along.real, along.imag
+
+
 def _origin(heard: Heard) -> float:
     return float(heard.of("GPS_GLOBAL_ORIGIN")[-1].latitude) / 1e7
 
@@ -230,7 +243,9 @@ SEES: dict[str, Sees] = {
     "ground_target 50 m north 20 m west": lambda a, b: (
         not a.of("COMMAND_INT", 190) and [m.command for m in b.of("COMMAND_INT", 190)] == [192]
     ),
-    "ground_fence 20 m 60 m ahead": lambda a, b: len(b.fence) == 1 > len(a.fence),
+    "ground_fence 20 m 60 m ahead": lambda a, b: (
+        len(b.fence) == 1 > len(a.fence) and _ahead_m(b) == pytest.approx((60.0, 0.0), abs=3.0)
+    ),
     "set SIM_GPS1_ALT_OFS 30": lambda a, b: (
         (b.gps_m() - a.gps_m())[6, 2] == pytest.approx(30.0, abs=2.0)
     ),

@@ -95,11 +95,15 @@ def test_the_assertions_say_when_and_by_how_much(sim: Simulator) -> None:
     sim.assert_clear_of_ground(10.0)  # it has not flown
 
 
-def test_faults_and_parameters_can_be_set_on_the_way(sim: Simulator) -> None:
-    sim.advance(1.0)
-    sim.fault("for 1 s: setpoints_ignored")
-    sim.advance(0.5)
-    sim.set_parameter("GUID_TIMEOUT", 1.5)
+def test_faults_and_parameters_can_be_set_on_the_way(vehicle_sim: Start) -> None:  # noqa: F811
+    sim = vehicle_sim(autopilot="px4", ready=True)
+    sim.fault("for 12 s: gps_off")
+    for seconds, armable in ((11.0, False), (10.0, True)):
+        sim.advance(seconds)
+        assert sim.simulation.armable == armable
+    sim.set_parameter("SIM_GPS_USED", 3)
+    sim.advance(11.0)
+    assert not sim.simulation.armable
     with pytest.raises(KeyError):
         sim.set_parameter("GUID_TIMEOUTS", 1.5)
 
