@@ -425,8 +425,9 @@ class Simulation:
     def _fly(self, now_us: int, looks: bool) -> None:
         """One step of the air, the receiver, the autopilot and what it drives."""
         controller, conditions, vehicle = self._controller, self._conditions, self.vehicle
-        gps, ground_amsl_m = self._gps, self._contact.ground_amsl_m
-        self._wind.step(_STEP_S, vehicle, conditions.wind, ground_amsl_m)
+        wind, gps, ground_amsl_m = self._wind, self._gps, self._contact.ground_amsl_m
+        if not wind.still or conditions.wind is not wind.conditions:
+            wind.step(_STEP_S, vehicle, conditions.wind, ground_amsl_m)
         since_boot_us = now_us - controller.boot_us
         if since_boot_us >= gps.due_us:
             gps.step(since_boot_us, vehicle, conditions.gps)

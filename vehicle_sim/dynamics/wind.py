@@ -42,21 +42,19 @@ class Wind:
         self._rng, self._noise = rng, list[float]()
         self._gusts = (0.0, 0.0, 0.0)
         """Along, across, up; of unit variance."""
-        self._conditions: WindConditions | None = None
+        self.conditions: WindConditions | None = None
         self._target_m_s = self._mean_m_s = (0.0, 0.0, 0.0)
         """North, east, up, at full height."""
         self._along = (1.0, 0.0)
-        self._still = False
-        """No wind, and the vehicle has been told: until the conditions change there is none."""
+        self.still = False
+        """No wind, and the vehicle has been told: no step is needed until the conditions change."""
 
     def step(
         self, dt_s: float, vehicle: Vehicle, conditions: WindConditions, ground_amsl_m: float
     ) -> None:
         """Blow on for dt_s over ground of this height."""
-        if conditions is not self._conditions:
+        if conditions is not self.conditions:
             self._turn_to(conditions)
-        elif self._still:
-            return
         if self._mean_m_s != self._target_m_s:
             self._settle(dt_s)
         north, east, up = self._mean_m_s
@@ -71,7 +69,7 @@ class Wind:
             east += turbulence * (sine * along + cosine * across)
             up += turbulence * VERTICAL_SHARE * rising
         else:
-            self._still = self._mean_m_s == self._target_m_s == (0.0, 0.0, 0.0)
+            self.still = self._mean_m_s == self._target_m_s == (0.0, 0.0, 0.0)
         vehicle.wind_north_m_s, vehicle.wind_east_m_s, vehicle.wind_up_m_s = north, east, up
 
     def _gust(self, passed_m: float) -> tuple[float, float, float]:
@@ -90,9 +88,9 @@ class Wind:
         cosine, sine = -math.cos(conditions.from_rad), -math.sin(conditions.from_rad)
         up = conditions.speed_m_s * math.sin(conditions.rising_rad)
         self._target_m_s, self._along = (level * cosine, level * sine, up), (cosine, sine)
-        if self._conditions is None:  # it has blown since long before the first step
+        if self.conditions is None:  # it has blown since long before the first step
             self._mean_m_s = self._target_m_s
-        self._still, self._conditions = False, conditions
+        self.still, self.conditions = False, conditions
 
     def _settle(self, dt_s: float) -> None:
         """A step closer to what is asked for; there at last when within a millimetre a second."""
