@@ -1,96 +1,52 @@
 """Every fault, and the timeline of those that are to come.
 
-A fault is a row of FAULTS: how it is written, what it does, and which SIM_ parameters it sets.  A
-timeline is text with one fault a line:
+A fault is a row of the conditions, or of ONCE.  A timeline is text with one fault a line:
 
     # comments begin with a hash
     at 120 s for 30 s: gps_off
     at 60 s: wind 8 m/s from 270 deg turbulence 2 m/s
     at 3 min: estimator_reset 20 m north
 
-Times are of the simulation, which a reboot of the autopilot does not begin again.  A fault with
-`for` gives its parameters back afterwards what they were before; where several set the same
-parameter, the one that began last counts.  One without `for` stays.
+Times are of the simulation, which a reboot of the autopilot does not begin again.  A fault lasts
+`for` so long, or stays; of those that set the same condition the one that began last counts.
 """
 
 import bisect
 import functools
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final, Self, final
+from typing import Any, Final, Self, final
 
-from vehicle_sim.conditions import SIM_PARAMETERS, SIM_PARAMETERS_PX4, value_of
+from vehicle_sim.conditions import (
+    FIELDS,
+    GROUPS,
+    ROWS,
+    SIM_PARAMETERS,
+    SIM_PARAMETERS_PX4,
+    Changes,
+    Vector,
+)
 from vehicle_sim.errors import InputError, did_you_mean
-from vehicle_sim.geodesy import metres_per_degree
-from vehicle_sim.parameters import Firmware, Parameter, Readable
+from vehicle_sim.parameters import Firmware
 
-_ROWS: Final[Mapping[Firmware, Mapping[str, Parameter]]] = {
-    "ardupilot": {row.name: row for row in SIM_PARAMETERS},
-    "px4": {row.name: row for row in SIM_PARAMETERS_PX4},
-}
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
-_LIMITS: Final = {
-    "LENGTH": (0.0, 1e5),
-    "LENGTH2": (0.0, 1e5),
-    "SPEED": (0.0, 100.0),
-    "SIGMA": (0.0, 1000.0),
-    "COUNT": (0.0, 50.0),
-    "RATE": (0.1, 100.0),
-    "FLOOD": (0.1, 1000.0),
-    "LINK": (0.0, 23.0),
-    "COMMAND": (1.0, 65_535.0),
-    "RADIUS": (0.1, 1e5),
-}
-"""Of the numbers in a form; any other has those of the parameter that it is the value of."""
-_FOUR = "north|east|south|west"
-_WORDS: Final = {
-    "SIDE": _FOUR,
-    "SIDE2": _FOUR,
-    "WHERE": f"{_FOUR}|up|down",
-    "WHERE2": f"{_FOUR}|up|down",
-    "WAY": "to_vehicle|from_vehicle",
-    "SIGN": "either_way",
-    "TO": "to_autopilot",
-    "NAME": r"\w+",
-}
-_UNIT: Final = {
+_WAYS: Final = {
     "north": (1.0, 0.0, 0.0),
-    "south": (-1.0, 0.0, 0.0),
     "east": (0.0, 1.0, 0.0),
+    "south": (-1.0, 0.0, 0.0),
     "west": (0.0, -1.0, 0.0),
     "up": (0.0, 0.0, 1.0),
     "down": (0.0, 0.0, -1.0),
 }
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Line:
-    """What a line says, and of which flight."""
-
-    numbers: Mapping[str, float]
-    words: Mapping[str, str]
-    firmware: Firmware
-    latitude_deg: float
-
-    def along(self, axis: int) -> float:
-        """North (0), east (1) or up (2) of "20 m north 5 m east", or of a speed."""
-        size, total = "SPEED" if "SPEED" in self.numbers else "LENGTH", 0.0
-        for suffix in ("", "2"):
-            word = self.words.get(f"WHERE{suffix}") or self.words.get(f"SIDE{suffix}")
-            if word is not None:
-                total += _UNIT[word.lower()][axis] * self.numbers[size + suffix]
-        return total
-
-    def degrees(self, axis: int) -> float:
-        """The same as degrees of latitude or longitude."""
-        return self.along(axis) / metres_per_degree(self.latitude_deg)[axis]
-
-
-Value = float | str | Callable[[Line], float | None]
-"""Of a parameter: itself, a placeholder's number (0 where it is left out), or made of the line
-(None: it is not to be set)."""
+_PATTERNS: Final = {
+    "N": r"[-+]?(?:\d+\.?\d*|\.\d+)",
+    "WHERE": "|".join(_WAYS),
+    "SIDE": "north|east|south|west",
+    "PARAMETER": r"\w+",
+}
+_FAR: Final = (0.0, 1e5)
+_ANY: Final = (-1e9, 1e9)
+Limits = tuple[float, float]
 
 
 @final
@@ -98,205 +54,108 @@ Value = float | str | Callable[[Line], float | None]
 class Fault:
     """One kind of fault."""
 
-    name: str
-    form: str
-    """What follows the name: CAPITALS are numbers or one of several words, [...] may be left
-    out."""
+    usage: str
+    """How it is written, as the rows of the conditions say it."""
     about: str
-    values: Mapping[str, Value]
-    """What it sets, by parameter."""
-    once: bool = False
-    """It happens at a moment and has no length."""
-    only: Firmware | None = None
+    limits: Sequence[Limits] = ()
+    """Least and most of each N."""
+    fields: Sequence[tuple[str, str]] = ()
+    """Group and field of the conditions that each N is; none: it happens once."""
 
     @property
-    def usage(self) -> str:
-        """How it is written."""
-        words = [t if t == "NAME" else _WORDS.get(t, t) for t in _tokens(self.form)]
-        return " ".join([self.name, *words]).replace("[ ", "[").replace(" ]", "]")
+    def name(self) -> str:
+        """Its first word."""
+        return self.usage.split()[0]
+
+    @property
+    def once(self) -> bool:
+        """It happens at a moment and has no length."""
+        return not self.fields and self.name != "set"
 
     @functools.cached_property
-    def pattern(self) -> re.Pattern[str]:
-        """The whole text of the fault, with a group for each placeholder."""
-        parts, space = [re.escape(self.name)], r"\s+"
-        for token in _tokens(self.form):
-            match token:
-                case "[" | "]":
-                    parts.append("(?:" if token == "[" else ")?")
-                    continue
-                case _ if _is_placeholder(token):
-                    parts.append(f"{space}(?P<{token}>{_WORDS.get(token, _NUMBER)})")
-                case _:
-                    parts.append(space + re.escape(token))
-            is_number = _is_placeholder(token) and token not in _WORDS
-            space = r"\s*" if is_number else r"\s+"  # "8m/s" is "8 m/s"
+    def _pattern(self) -> re.Pattern[str]:
+        """The whole text of the fault, with a group for each placeholder and each switch."""
+        parts, space = list[str](), ""
+        for k, token in enumerate(re.findall(r"\[|\]|[^\s\[\]]+", self.usage)):
+            if token in "[]":
+                parts.append("(?:" if token == "[" else ")?")
+                continue
+            kind = token if token in _PATTERNS else "switch" if "_" in token and k else ""
+            text = _PATTERNS.get(token, token)
+            parts.append(f"{space}(?P<{kind}{k}>{text})" if kind else space + re.escape(token))
+            space = r"\s*" if token == "N" else r"\s+"  # "8m/s" is "8 m/s"
         return re.compile("".join(parts), re.I)
 
-    def sets(self, line: Line) -> dict[str, float]:
-        """The parameters that such a line sets, in order."""
-        if "NAME" in line.words:
-            return {line.words["NAME"].upper(): line.numbers["VALUE"]}
-        made = dict[str, float]()
-        for name, value in self.values.items():
-            of_line = value(line) if callable(value) else value
-            if isinstance(of_line, str):
-                of_line = line.numbers.get(of_line, 0.0)
-            if of_line is not None:
-                made[name] = of_line
-        return made
+    def read(self, what: str, where: str) -> tuple[list[float | None], list[str]]:
+        """Numbers (None: left out) and words of a text; InputError if it does not fit."""
+        match = self._pattern.fullmatch(what)
+        if match is None:
+            raise InputError(where, what, f'reads "{self.usage}"', "Correct the line.")
+        said = match.groupdict()
+        numbers = [float(value) if value else None for key, value in said.items() if key[0] == "N"]
+        for value, (least, most) in zip(numbers, self.limits, strict=True):
+            if value is not None and not least <= value <= most:
+                rule = f"{value:g} must lie from {least:g} to {most:g}"
+                raise InputError(where, what, rule, "Correct the number.")
+        return numbers, [value.lower() for key, value in said.items() if value and key[0] != "N"]
 
-    def limits(self, number: str, row: Parameter | None) -> tuple[float, float]:
-        """Least and most of one of its numbers; `row`: the parameter that `set` names."""
-        if number not in _LIMITS and row is None:
-            name = next(name for name, value in self.values.items() if value == number)
-            row = next(rows[name] for rows in _ROWS.values() if name in rows)
-        return _LIMITS.get(number) or (row.least, row.most)  # type: ignore[union-attr]
-
-
-def _tokens(form: str) -> list[str]:
-    return re.findall(r"\[|\]|[^\s\[\]]+", form)
-
-
-def _is_placeholder(token: str) -> bool:
-    return token.isupper() and len(token) > 1  # V is a unit
-
-
-# --- the list -------------------------------------------------------------------------------------
+    def changes(self, numbers: Sequence[float | None], words: Sequence[str]) -> Changes:
+        """What such a line asks for; what it leaves out is as usual."""
+        group, first = self.fields[0]
+        usual = GROUPS[group]()
+        if " WHERE" in self.usage:
+            return {group: {first: vector(numbers, words)}}
+        changed, is_switch = dict[str, Any](), ROWS[self.fields[0]].means is bool
+        if is_switch:
+            changed[first] = not getattr(usual, first)
+        for (_, key), value in zip(self.fields[is_switch:], numbers, strict=True):
+            changed[key] = getattr(usual, key) if value is None else ROWS[group, key].means(value)
+        for switches in re.findall(r"\[(\w+_[\w|]+)\]", self.usage):
+            for each in switches.split("|"):
+                changed[each] = each in words if words else getattr(usual, each)
+        return {group: changed}
 
 
-def _along(axis: int, sign: float = 1.0) -> Callable[[Line], float]:
-    return lambda line: sign * line.along(axis)
+def vector(numbers: Sequence[float | None], words: Sequence[str]) -> Vector:
+    """North, east and up of "20 m north 5 m up"."""
+    sizes = [size for size in numbers if size is not None]
+    said = [(size, _WAYS[word]) for size, word in zip(sizes, words, strict=True)]
+    north, east, up = (sum(size * way[axis] for size, way in said) for axis in range(3))
+    return north, east, up
 
 
-def _only(firmware: Firmware, value: float | str) -> Callable[[Line], float | None]:
-    """For this firmware alone."""
-
-    def made(line: Line) -> float | None:
-        if line.firmware != firmware:
-            return None
-        return line.numbers[value] if isinstance(value, str) else value
-
-    return made
-
-
-def _link(name: str, form: str, about: str, values: Mapping[str, Value]) -> Fault:
-    """Of both ways and all links unless it says which."""
-    ways = {"": 0.0, "to_vehicle": 1.0, "from_vehicle": 2.0}
-    which: dict[str, Value] = {
-        "SIM_LNK_WAY": lambda line: ways[line.words.get("WAY", "").lower()],
-        "SIM_LNK_MASK": lambda line: (
-            float(1 << round(line.numbers["LINK"])) if "LINK" in line.numbers else 0.0
-        ),
-    }
-    return Fault(name, f"{form} [WAY] [on link LINK]".strip(), about, {**values, **which})
+def _of_rows() -> Iterator[Fault]:
+    """The faults that the conditions' rows are."""
+    for (group, key), row in ROWS.items():
+        if row.line:
+            fields = [(group, each) for each in (key, *row.also)]
+            limits = [ROWS[at][3:5] for at in fields[row.means is bool :]]
+            if " WHERE" in row.line:
+                limits *= row.line.count("WHERE")
+            yield Fault(row.line, row.about, limits, fields)
 
 
 # fmt: off
 FAULTS: Final = (
-    Fault("gps_off", "", "The receiver loses its fix.",
-        {"SIM_GPS1_ENABLE": _only("ardupilot", 0), "SIM_GPS_USED": _only("px4", 0)}),
-    Fault("gps_glitch", "LENGTH m WHERE [LENGTH2 m WHERE2]",
-        "The receiver's position is off by so much.",
-        {"SIM_GPS1_GLTCH_X": lambda line: line.degrees(0),
-         "SIM_GPS1_GLTCH_Y": lambda line: line.degrees(1), "SIM_GPS1_GLTCH_Z": _along(2)}),
-    Fault("gps_drift", "SPEED m/s WHERE",
-        "The receiver's position wanders off at this speed, and its velocity says so.",
-        {"SIM_GPS1_GLTV_X": _along(0), "SIM_GPS1_GLTV_Y": _along(1),
-         "SIM_GPS1_GLTV_Z": _along(2, -1.0)}),
-    Fault("gps_jam", "", "The fix comes and goes, with wild positions and velocities.",
-        {"SIM_GPS1_JAM": 1}),
-    Fault("gps_noise", "SIGMA m",
-        "A random error with this standard deviation on each horizontal axis, 1.5 times that in "
-        "height, correlated over seconds.",
-        {"SIM_GPS_SIGMA": "SIGMA"}),
-    Fault("gps_delay", "LAG ms", "The receiver's solutions are this old.",
-        {"SIM_GPS1_LAG_MS": "LAG"}),
-    Fault("gps_satellites", "COUNT",
-        "The receiver sees so many satellites; PX4 has no fix with fewer than 4.",
-        {"SIM_GPS1_NUMSATS": _only("ardupilot", "COUNT"), "SIM_GPS_USED": _only("px4", "COUNT")}),
-    Fault("wind", "SPEED m/s from DIRECTION deg [turbulence GUST [m/s]] [rising ANGLE deg]",
-        "Wind from this true direction, full from 60 m above the ground on, with gusts of this "
-        "standard deviation, rising by this angle.",
-        {"SIM_WIND_SPD": "SPEED", "SIM_WIND_DIR": "DIRECTION", "SIM_WIND_TURB": "GUST",
-         "SIM_WIND_DIR_Z": "ANGLE"}),
-    Fault("turbulence", "GUST m/s", "Gusts of this standard deviation.", {"SIM_WIND_TURB": "GUST"}),
-    Fault("battery", "PERCENT %", "No more than this is left in the battery.",
-        {"SIM_BATT_MOST": "PERCENT"}),
-    Fault("battery_voltage", "VOLTAGE V", "The battery's voltage at rest when full.",
-        {"SIM_BATT_VOLTAGE": "VOLTAGE"}, only="ardupilot"),
-    _link("link_off", "", "Nothing passes.", {"SIM_LNK_OFF": 1}),
-    _link("link_loss", "PERCENT %", "This share of the frames is lost.",
-        {"SIM_LNK_LOSS": "PERCENT"}),
-    _link("link_delay", "DELAY ms [jitter JITTER ms]",
-        "Every frame is late by the delay and up to the jitter more.",
-        {"SIM_LNK_DELAY": "DELAY", "SIM_LNK_JITTER": "JITTER"}),
-    _link("link_duplication", "PERCENT %", "This share of the frames arrives twice.",
-        {"SIM_LNK_DUP": "PERCENT"}),
-    _link("link_reordering", "PERCENT %",
-        "This share of the frames is overtaken by those after it.",
-        {"SIM_LNK_REORD": "PERCENT"}),
-    _link("link_corruption", "PERCENT %", "This share of the frames arrives with a few bits wrong.",
-        {"SIM_LNK_CORR": "PERCENT"}),
-    Fault("radar_off", "", "The radar falls silent: no answers, no heartbeat.", {"SIM_RDR_OFF": 1}),
-    Fault("radar_blind", "", "The radar answers and sees nothing.", {"SIM_RDR_BLIND": 1}),
-    Fault("radar_drop", "PERCENT %", "This share of the cells in sight is not seen all the same.",
-        {"SIM_RDR_MISS": "PERCENT"}),
-    Fault("radar_loss", "PERCENT %", "This share of the radar's TERRAIN_DATA is never sent.",
-        {"SIM_RDR_LOSS": "PERCENT"}),
-    Fault("radar_noise", "SIGMA m [SIGN]",
-        "Heights have an error of this size (standard deviation of the normal law it is drawn "
-        "from), never downwards unless it says either_way.",
-        {"SIM_RDR_NOISE": lambda line:
-            -line.numbers["SIGMA"] if "SIGN" in line.words else line.numbers["SIGMA"]}),
-    Fault("radar_delay", "DELAY ms", "The radar's answers are late by this.",
-        {"SIM_RDR_DELAY": "DELAY"}),
-    Fault("radar_rate", "RATE Hz", "The radar answers this many requests a second.",
-        {"SIM_RDR_HZ": "RATE"}),
-    Fault("lidar_dead", "", "No more measurements; the driver lives.", {"SIM_LDR_DEAD": 1}),
-    Fault("lidar_blind", "", "No echoes.", {"SIM_LDR_BLIND": 1}),
-    Fault("lidar_off", "", "The driver falls silent.", {"SIM_LDR_OFF": 1}),
-    Fault("lidar_loss", "PERCENT %", "Lost between driver and autopilot.",
-        {"SIM_LDR_LOSS": "PERCENT"}),
-    Fault("lidar_dust", "PERCENT %", "Near echoes of nothing.", {"SIM_LDR_DUST": "PERCENT"}),
-    Fault("lidar_stuck", "", "Old distances, new stamps.", {"SIM_LDR_STUCK": 1}),
-    Fault("lidar_turned", "TURN deg", "Mounted so, unknown to all.", {"SIM_LDR_YAW": "TURN"}),
-    Fault("lidar_clock", "AHEAD ms [jumping JITTER ms]", "Wrong stamps.",
-        {"SIM_LDR_CLOCK": "AHEAD", "SIM_LDR_JUMP": "JITTER"}),
-    Fault("lidar_rate", "FLOOD Hz", "The driver's; 200: a flood.", {"SIM_LDR_HZ": "FLOOD"}),
-    Fault("lidar_frame", "FRAME", "The driver claims this MAV_FRAME.", {"SIM_LDR_FRAME": "FRAME"}),
-    Fault("lidar_junk", "PERCENT %", "Distances of 0, 65535, beyond limits; NaN angles.",
-        {"SIM_LDR_JUNK": "PERCENT"}),
-    Fault("lidar_mirror", "",
-        "Clients' obstacle messages come back; the driver's come also as the companion's.",
-        {"SIM_LDR_MIRROR": 1}),
-    Fault("rangefinder_off", "", "RANGEFINDER says 0, DISTANCE_SENSOR nothing.",
-        {"SIM_RFND_OFF": 1}),
-    Fault("setpoints_ignored", "", "The autopilot takes no setpoint, without a word.",
-        {"SIM_SP_IGNORE": 1}),
-    Fault("estimator_reset", "LENGTH m SIDE [LENGTH2 m SIDE2]",
-        "The estimator starts afresh, and its position jumps by this much.",
-        {"SIM_EKF_RST_N": _along(0), "SIM_EKF_RST_E": _along(1)}, once=True),
-    Fault("origin_move", "LENGTH m WHERE [LENGTH2 m WHERE2]",
-        "The origin of the estimator's local frame moves by this much.",
-        {"SIM_ORG_MOV_N": _along(0), "SIM_ORG_MOV_E": _along(1),
-         "SIM_ORG_MOV_U": _along(2)}, once=True),
-    Fault("pilot", "",
-        "The pilot takes the vehicle: the mode changes to the one that pilots hold it in.",
-        {"SIM_PILOT": 1}, once=True),
-    Fault("reboot", "", "The autopilot starts again, wherever it is.",
-        {"SIM_REBOOT": 1}, once=True),
-    Fault("ground_command", "COMMAND [P1] [P2] [P3] [TO]",
+    *_of_rows(),
+    Fault("estimator_reset N m SIDE [N m SIDE]",
+        "The estimator starts afresh, and its position jumps by this much.", (_FAR, _FAR)),
+    Fault("origin_move N m WHERE [N m WHERE]",
+        "The origin of the estimator's local frame moves by this much.", (_FAR, _FAR)),
+    Fault("pilot",
+        "The pilot takes the vehicle: the mode changes to the one that pilots hold it in."),
+    Fault("reboot", "The autopilot starts again, wherever it is."),
+    Fault("ground_command N [N] [N] [N] [to_autopilot]",
         "A ground station sends this MAV_CMD with these first parameters to the companion, or to "
-        "the autopilot.",
-        {"SIM_GCS_CMD": "COMMAND", "SIM_GCS_P1": "P1", "SIM_GCS_P2": "P2", "SIM_GCS_P3": "P3",
-         "SIM_GCS_TO": lambda line: float("TO" in line.words)}, once=True),
-    Fault("ground_target", "LENGTH m SIDE [LENGTH2 m SIDE2]",
+        "the autopilot.", ((1.0, 65_535.0), _ANY, _ANY, _ANY)),
+    Fault("ground_target N m SIDE [N m SIDE]",
         "A ground station gives the companion a target so far from where the vehicle is.",
-        {"SIM_GCS_TGT_N": _along(0), "SIM_GCS_TGT_E": _along(1)}, once=True),
-    Fault("ground_fence", "RADIUS m [LENGTH m ahead]",
+        (_FAR, _FAR)),
+    Fault("ground_fence N m [N m ahead]",
         "The vehicle's fence gets one more circle to stay out of, so far ahead of where it is.",
-        {"SIM_GCS_FNC_R": "RADIUS", "SIM_GCS_FNC_A": "LENGTH"}, once=True),
-    Fault("set", "NAME VALUE", "Any other parameter whose name begins with SIM_.", {}),
+        ((0.1, 1e5), _FAR)),
+    Fault("set PARAMETER N",
+        "Any parameter whose name begins with SIM_, as if it had this value.", (_ANY,)),
 )
 # fmt: on
 """In the order of the documentation."""
@@ -308,21 +167,22 @@ def faults_page() -> str:
     rows = list[str]()
     for fault in FAULTS:
         usage = fault.usage.replace("|", r"\|")
-        names = ", ".join(f"`{name}`" for name in fault.values)
+        named = (ROWS[at].parameter for at in fault.fields)
+        names = ", ".join(f"`{row.name}`" for row in named if row)
         rows.append(f"| `{usage}` | {names} | {fault.about} |\n")
     return _PAGE + "".join(rows)
 
 
 _PAGE: Final = """# Faults
 
-Made from `vehicle_sim/faults.py` by `scripts/docs`. A line of a timeline reads
-`at TIME: FAULT` or `at TIME for TIME: FAULT`, with units (`ms`, `s`, `min`, `h`).
-`estimator_reset`, `origin_move`, `pilot`, `reboot` and what a ground station does happen once and
-take no `for`.
-Of overlapping faults the latest counts.
-`SIM_GPS_USED` is PX4's only, `SIM_BATT_VOLTAGE` and `battery_voltage` are ArduPilot's only.
+Made from `vehicle_sim/conditions.py` and `vehicle_sim/faults.py` by `scripts/docs`. A line of a
+timeline reads `at TIME: FAULT` or `at TIME for TIME: FAULT`, with units (`ms`, `s`, `min`, `h`);
+what happens once (from `estimator_reset` on) takes no `for`. N is a number, WHERE is north, east,
+south, west, up or down, SIDE one of the first four; `[...]` may be left out. Of overlapping faults
+the latest counts, and before parameters: a fault does not change them. On PX4 `SIM_GPS_USED` takes
+the place of `SIM_GPS1_NUMSATS`; `battery_voltage` is ArduPilot's only.
 
-| fault | parameters | what it does |
+| fault | parameters that do the same | what it does |
 |---|---|---|
 """
 
@@ -330,13 +190,12 @@ Of overlapping faults the latest counts.
 # --- the timeline ---------------------------------------------------------------------------------
 
 NEVER_US: Final = 2**63 - 1
-_LINE = re.compile(r"at\s+(?P<at>.+?)(?:\s+for\s+(?P<length>.+?))?\s*:\s*(?P<what>\S.*)", re.I)
-_TIME = re.compile(rf"(?P<number>{_NUMBER})\s*(?P<unit>us|ms|s|min|h)?", re.I)
-_UNIT_US = {"us": 1.0, "ms": 1e3, "s": 1e6, "min": 60e6, "h": 3600e6}
-_LONGEST_US = 10**15
-_FORM = 'reads "at TIME: FAULT" or "at TIME for TIME: FAULT"'
-_EXAMPLE = "Write for example: at 120 s for 30 s: gps_off."
-_NOTHING: tuple[tuple[str, float], ...] = ()
+_LINE: Final = re.compile(
+    r"at\s+(?P<at>.+?)(?:\s+for\s+(?P<length>.+?))?\s*:\s*(?P<what>\S.*)", re.I
+)
+_TIME: Final = re.compile(rf"({_PATTERNS['N']})\s*(us|ms|s|min|h)?", re.I)
+_UNIT_US: Final = {"us": 1.0, "ms": 1e3, "s": 1e6, "min": 60e6, "h": 3600e6}
+_LONGEST_US: Final = 10**15
 
 
 @final
@@ -345,46 +204,33 @@ class Entry:
     """One line."""
 
     at_us: int
-    until_us: int | None
-    """None: it stays, or happens once."""
-    sets: Mapping[str, float]
+    until_us: int = NEVER_US
+    name: str
+    changes: Changes
+    """Of the conditions, while it lasts; none: it happens once."""
+    values: Sequence[float] = ()
+    """Of what happens once: its numbers (0: left out), and 1 for a switch; or its vector."""
 
 
 @final
 class Timeline:
-    """Faults to come; one for each vehicle, for it remembers where it is.
+    """Faults to come; one for each vehicle, for it remembers where it is."""
 
-    The latitude is that of the flight: where metres east have to be said in degrees.
-    """
-
-    def __init__(self, firmware: Firmware = "ardupilot", latitude_deg: float = 0.0) -> None:
-        self._firmware, self._latitude_deg = firmware, latitude_deg
+    def __init__(self, firmware: Firmware = "ardupilot") -> None:
+        self._firmware = firmware
         self.entries: list[Entry] = []
-        self._edges: list[tuple[int, int, int]] = []
-        """What is still to come: time, 0 for an end and 1 for a beginning, which entry."""
-        self._layers: dict[str, list[tuple[int, float]]] = {}
-        """Of each parameter that a fault sets for a time: what it was before (-1) or what one that
-        stays has set, and then the entries that set it now, the last begun last."""
+        """Those that have not begun yet, in order of time."""
+        self._lasting: list[Entry] = []
         self.next_us = NEVER_US
         """When something is due next: nothing is before."""
 
     @classmethod
-    def parse(
-        cls,
-        text: str,
-        *,
-        name: str = "timeline",
-        firmware: Firmware = "ardupilot",
-        latitude_deg: float = 0.0,
-    ) -> Self:
+    def parse(cls, text: str, *, name: str = "timeline", firmware: Firmware = "ardupilot") -> Self:
         """The timeline of this text; InputError names file (`name`), line and what is wrong."""
-        timeline = cls(firmware, latitude_deg)
-        entries = list[Entry]()
+        timeline = cls(firmware)
         for number, raw in enumerate(text.splitlines(), start=1):
             if line := raw.partition("#")[0].strip():
-                entries.append(timeline._entry(line, f"{name}:{number}"))
-        for entry in sorted(entries, key=lambda entry: entry.at_us):
-            timeline._add(entry)
+                timeline._add(timeline._entry(line, f"{name}:{number}"))
         return timeline
 
     def add(self, line: str, now_us: int) -> None:
@@ -393,92 +239,79 @@ class Timeline:
         self._add(self._entry(f"at {now_us} us {length}{colon or ':'} {what}", "fault"))
 
     def _add(self, entry: Entry) -> None:
-        which = len(self.entries)
-        self.entries.append(entry)
-        bisect.insort(self._edges, (entry.at_us, 1, which))
-        if entry.until_us is not None:
-            bisect.insort(self._edges, (entry.until_us, 0, which))
-        self.next_us = self._edges[0][0]
+        bisect.insort(self.entries, entry, key=lambda each: each.at_us)
+        self.next_us = min(self.next_us, entry.at_us)
 
-    def step(self, now_us: int, parameters: Readable) -> Sequence[tuple[str, float]]:
-        """What to set now (time of the simulation), given what the parameters are: in order."""
-        if now_us < self.next_us:
-            return _NOTHING
-        touched = dict[str, None]()
-        due = bisect.bisect_right(self._edges, (now_us, 2, 0))
-        for _, begins, which in self._edges[:due]:
-            for name, value in self.entries[which].sets.items():
-                layers = self._layers.setdefault(name, [(-1, value_of(parameters, name))])
-                if not begins:
-                    kept = [layer for layer in layers if layer[0] != which]
-                    if len(kept) == len(layers):  # buried under one that stays
-                        continue
-                    self._layers[name] = kept
-                elif self.entries[which].until_us is None:  # nothing below can show again
-                    self._layers[name] = [(-1, value)]
-                else:
-                    layers.append((which, value))
-                touched[name] = None
-        del self._edges[:due]
-        self.next_us = self._edges[0][0] if self._edges else NEVER_US
-        changes = [(name, self._layers[name][-1][1]) for name in touched]
-        self._layers = {name: each for name, each in self._layers.items() if len(each) > 1}
-        return changes
+    def step(self, now_us: int) -> list[Entry]:
+        """Go on to this time of the simulation; returns what happens once, in order."""
+        begun = bisect.bisect_right(self.entries, now_us, key=lambda each: each.at_us)
+        new, self.entries = self.entries[:begun], self.entries[begun:]
+        lasting = [*self._lasting, *(each for each in new if each.changes)]
+        self._lasting = [each for each in lasting if each.until_us > now_us]
+        ends = [each.until_us for each in self._lasting]
+        self.next_us = min([each.at_us for each in self.entries[:1]] + ends, default=NEVER_US)
+        return [each for each in new if not each.changes]
+
+    @property
+    def changes(self) -> list[Changes]:
+        """Of the conditions, now: by each fault that lasts, the last begun last."""
+        return [each.changes for each in self._lasting]
 
     def _entry(self, line: str, where: str) -> Entry:
         match = _LINE.fullmatch(line)
         if match is None:
-            raise InputError(where, line, _FORM, _EXAMPLE)
+            rule = 'reads "at TIME: FAULT" or "at TIME for TIME: FAULT"'
+            raise InputError(where, line, rule, "Write for example: at 120 s for 30 s: gps_off.")
         at_us = _time_us(match["at"], where)
-        length_us = None if match["length"] is None else _time_us(match["length"], where)
+        length_us = NEVER_US if match["length"] is None else _time_us(match["length"], where)
         what = match["what"].strip()
-        name = what.split()[0]
-        fault = BY_NAME.get(name.lower())
-        if fault is None:
-            remedy = did_you_mean(name.lower(), BY_NAME, f"Choose from: {', '.join(BY_NAME)}.")
+        name = what.split()[0].lower()
+        if (fault := BY_NAME.get(name)) is None:
+            remedy = did_you_mean(name, BY_NAME, f"Choose from: {', '.join(BY_NAME)}.")
             raise InputError(where, name, "no such fault", remedy)
-        if length_us is not None and fault.once:
+        if match["length"] is not None and fault.once:
             raise InputError(where, line, f"{fault.name} happens once", 'Leave out "for".')
         if length_us == 0:
             raise InputError(where, line, "lasts no time", "Write a longer time.")
-        if fault.only not in (None, self._firmware):
-            rule = f"{fault.name} is for {fault.only}, and this is {self._firmware}"
+        if (name, self._firmware) == ("battery_voltage", "px4"):
+            rule = "battery_voltage is for ardupilot, and this is px4"
             raise InputError(where, line, rule, "Leave it out.")
-        until_us = None if length_us is None else at_us + length_us
-        return Entry(at_us=at_us, until_us=until_us, sets=self._sets(fault, what, where))
-
-    def _sets(self, fault: Fault, what: str, where: str) -> Mapping[str, float]:
-        match = fault.pattern.fullmatch(what)
-        if match is None:
-            raise InputError(where, what, f'reads "{fault.usage}"', "Correct the line.")
-        said = {key: value for key, value in match.groupdict().items() if value is not None}
-        words = {key: value for key, value in said.items() if key in _WORDS}
-        known, row = _ROWS[self._firmware], None
-        if "NAME" in words and (row := known.get(words["NAME"].upper())) is None:
-            remedy = did_you_mean(words["NAME"].upper(), known, "Choose one that begins with SIM_.")
-            raise InputError(where, what, f"{self._firmware} has no such parameter", remedy)
-        numbers = {key: float(value) for key, value in said.items() if key not in _WORDS}
-        for key, value in numbers.items():
-            least, most = fault.limits(key, row)
-            if not least <= value <= most:
-                rule = f"{key} must lie from {least:g} to {most:g}"
-                raise InputError(where, what, rule, "Correct the number.")
-        line = Line(
-            numbers=numbers,
-            words=words,
-            firmware=self._firmware,
-            latitude_deg=self._latitude_deg,
+        numbers, words = fault.read(what, where)
+        if fault.once:
+            is_vector = " SIDE" in fault.usage or " WHERE" in fault.usage
+            known = [value or 0.0 for value in numbers] + [1.0] * len(words)
+            values = vector(numbers, words) if is_vector else known
+            return Entry(at_us=at_us, name=name, changes={}, values=values)
+        is_set = fault.name == "set"
+        changes = (
+            self._set(words[0], numbers[0], where) if is_set else fault.changes(numbers, words)
         )
-        return fault.sets(line)
+        until_us = min(at_us + length_us, NEVER_US)
+        return Entry(at_us=at_us, until_us=until_us, name=name, changes=changes)
+
+    def _set(self, parameter: str, value: float | None, where: str) -> Changes:
+        """What a parameter asks for that has this value."""
+        table = SIM_PARAMETERS if self._firmware == "ardupilot" else SIM_PARAMETERS_PX4
+        rows = {row.name: row for row in table}
+        if (row := rows.get(name := parameter.upper())) is None:
+            remedy = did_you_mean(name, rows, "Choose one that begins with SIM_.")
+            raise InputError(where, name, f"{self._firmware} has no such parameter", remedy)
+        if not row.least <= (value or 0.0) <= row.most:
+            rule = f"must lie from {row.least:g} to {row.most:g}"
+            raise InputError(where, f"{name} {value:g}", rule, "Correct the number.")
+        group, key = FIELDS[name]
+        if (name, self._firmware) == ("SIM_GPS1_NUMSATS", "px4"):
+            return {group: {}}  # SIM_GPS_USED counts
+        return {group: {key: ROWS[group, key].means(value or 0.0)}}
 
 
 def _time_us(text: str, where: str) -> int:
     match = _TIME.fullmatch(text.strip())
     if match is None:
         raise InputError(where, text, "is not a time", "Write for example 120 s.")
-    if match["unit"] is None:
+    if match[2] is None:
         raise InputError(where, text, "a time names its unit", f"Write {text.strip()} s.")
-    time_us = round(float(match["number"]) * _UNIT_US[match["unit"].lower()])
+    time_us = round(float(match[1]) * _UNIT_US[match[2].lower()])
     if not 0 <= time_us <= _LONGEST_US:
         raise InputError(where, text, "lies outside the run", "Write a time from 0 s on.")
     return time_us

@@ -81,16 +81,10 @@ class GridTerrain:
             steps_m=(steps_m[0], steps_m[1]),
         )
 
-    def _places(self, north_m: FloatArray, east_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Where points of the local frame lie in the table.  (...) x2 -> (...) x2."""
-        return (
-            (north_m - self.low_ne_m[0]) / self.spacing_ne_m[0],
-            (east_m - self.low_ne_m[1]) / self.spacing_ne_m[1],
-        )
-
     def _rows_columns(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """Where points of the local frame lie in the grid.  (...) x2 -> (2, ...)."""
-        places = np.stack(self._places(north_m, east_m))
+        north = (north_m - self.low_ne_m[0]) / self.spacing_ne_m[0]
+        places = np.stack([north, (east_m - self.low_ne_m[1]) / self.spacing_ne_m[1]])
         return np.stack([_between(self.row_at, places), _between(self.column_at, places)])
 
     def height_amsl_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
@@ -153,9 +147,7 @@ class GridTerrain:
 
         The lowest corner, less what the steepest slope of all may take away half a cell from it.
         """
-        places = self._places(north_edges_m, east_edges_m)
-        north, east = (_hats(x, size) for x, size in zip(places, self.row_at.shape, strict=True))
-        grid = np.stack([north @ self.row_at @ east.T, north @ self.column_at @ east.T])
+        grid = self._rows_columns(*np.meshgrid(north_edges_m, east_edges_m, indexing="ij"))
         corner = _between(self.heights_m, grid)
         pairs = np.minimum(corner[1:], corner[:-1])
         steepest = float(self._steepest(grid)[0].max())
@@ -183,9 +175,3 @@ def _interpolated(values: NDArray[Any], rows: FloatArray, columns: FloatArray) -
         lower = values[below, j] * (1.0 - right) + values[below, beside] * right
         found[k] = upper * (1.0 - down) + lower * down
     return found
-
-
-def _hats(places: FloatArray, count: int) -> FloatArray:
-    """Weights of linear interpolation between 0, 1 .. count - 1.  (K,) -> (K, count)."""
-    clipped = np.clip(places, 0.0, count - 1.0)
-    return np.maximum(1.0 - np.abs(clipped[:, None] - np.arange(count)), 0.0)

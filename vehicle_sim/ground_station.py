@@ -30,7 +30,7 @@ def said(
     Or how far north and east of where the vehicle is: DO_REPOSITION.
     """
     if name == "ground_target":
-        latitude, longitude = _beside(vehicle, *values)
+        latitude, longitude = _beside(vehicle, *values[:2])
         return False, mavlink.MAVLink_command_int_message(
             system, companion, _GLOBAL_INT, _REPOSITION, 0, 0, -1.0, 0.0, 0.0, math.nan,
             latitude, longitude, vehicle.altitude_amsl_m,

@@ -7,7 +7,6 @@ of them ever blocks: what cannot be sent now is lost, as on a radio.
 
 import re
 import socket
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, final
@@ -63,31 +62,45 @@ def parse_endpoint(text: str) -> Endpoint:
     return Endpoint(kind=kind, host=host.strip("[]"), port=int(port))  # type: ignore[arg-type]
 
 
-class Link(ABC):
-    """One open endpoint.  OSError if it cannot be opened."""
+def datagrams(frames: Sequence[bytes]) -> list[bytes]:
+    """Frames in order, as many to a datagram as fit."""
+    packed = [b""]
+    for frame in frames:
+        if len(packed[-1]) + len(frame) > _DATAGRAM_BYTES:
+            packed.append(b"")
+        packed[-1] += frame
+    return [each for each in packed if each]
+
+
+class Link:
+    """An open endpoint of UDP: it hears one address only, or answers the newest senders."""
+
+    _type = socket.SOCK_DGRAM
 
     def __init__(self, endpoint: Endpoint) -> None:
         self._endpoint = endpoint
-        self._reopened = False
         self._open()
 
     def _open(self) -> None:
-        wanted, is_tcp = self._endpoint, self._endpoint.kind == "tcpin"
-        type_ = socket.SOCK_STREAM if is_tcp else socket.SOCK_DGRAM
-        family, kind, protocol, _, address = socket.getaddrinfo(
-            wanted.host, wanted.port, type=type_
-        )[0]
-        self._socket = socket.socket(family, kind, protocol)
+        wanted = self._endpoint
+        found = socket.getaddrinfo(wanted.host, wanted.port, type=self._type)[0]
+        self._socket = socket.socket(*found[:3])
         self._socket.setblocking(False)
         try:
-            self._attach(address)
+            self._attach(found[4])
         except OSError:
             self._socket.close()
             raise
 
-    @abstractmethod
     def _attach(self, address: Any) -> None:
-        """Connect the socket to this address, or bind it there."""
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BYTES)
+        self._peers: dict[Any, None] = {}
+        self._listens = self._endpoint.kind == "udpin"
+        if self._listens:
+            self._socket.bind(address)
+        else:
+            self._socket.connect(address)
+            self._peers[address] = None
 
     @property
     def sockets(self) -> Sequence[socket.socket]:
@@ -101,83 +114,24 @@ class Link(ABC):
             return self._endpoint
         return replace(self._endpoint, port=int(self._socket.getsockname()[1]))
 
-    @abstractmethod
     def send(self, frames: Sequence[bytes]) -> None:
         """Send these frames, or lose them."""
-
-    @abstractmethod
-    def receive(self) -> bytes | None:
-        """The next datagram or piece of stream, None if there is none now."""
-
-    @abstractmethod
-    def move(self) -> None:
-        """Send from another port from now on: what a rebooted ArduPilot does."""
-
-    def take_reopened(self) -> bool:
-        """Whether another client has connected."""
-        reopened, self._reopened = self._reopened, False
-        return reopened
-
-    def close(self) -> None:
-        """Close the sockets."""
-        self._socket.close()
-
-
-def open_link(endpoint: Endpoint) -> Link:
-    """InputError if the address cannot be used."""
-    try:
-        return _TcpIn(endpoint) if endpoint.kind == "tcpin" else _Udp(endpoint)
-    except (OSError, UnicodeError) as error:
-        rule = f"cannot be used ({(getattr(error, 'strerror', None) or str(error)).lower()})"
-        remedy = "Choose a free port of this machine."
-        if endpoint.kind == "udpout":
-            remedy = "Name the host and port that the companion listens on."
-        raise InputError("--connect", str(endpoint), rule, remedy) from None
-
-
-def datagrams(frames: Sequence[bytes]) -> list[bytes]:
-    """Frames in order, as many to a datagram as fit."""
-    packed = [b""]
-    for frame in frames:
-        if len(packed[-1]) + len(frame) > _DATAGRAM_BYTES:
-            packed.append(b"")
-        packed[-1] += frame
-    return [each for each in packed if each]
-
-
-@final
-class _Udp(Link):
-    """Sends to one address and hears only that, or listens and answers the newest senders."""
-
-    def _attach(self, address: Any) -> None:
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BYTES)
-        self._peers: dict[Any, None] = {}
-        self._listens = self._endpoint.kind == "udpin"
-        if self._listens:
-            self._socket.bind(address)
-        else:
-            self._socket.connect(address)
-            self._peers[address] = None
-
-    def send(self, frames: Sequence[bytes]) -> None:
         for datagram in datagrams(frames):
             for peer in self._peers:
-                self._send(datagram, peer)
-
-    def _send(self, datagram: bytes, peer: Any) -> None:
-        for _ in range(2):  # a refusal is about an earlier one, but it keeps this one back
-            try:
-                if self._listens:
-                    self._socket.sendto(datagram, peer)
-                else:
-                    self._socket.send(datagram)
-            except ConnectionRefusedError:
-                continue
-            except OSError:
-                pass  # no route or no room for the moment: as good as a lost datagram
-            return
+                for _ in range(2):  # a refusal is about an earlier one, but it keeps this one back
+                    try:
+                        if self._listens:
+                            self._socket.sendto(datagram, peer)
+                        else:
+                            self._socket.send(datagram)
+                    except ConnectionRefusedError:
+                        continue
+                    except OSError:
+                        pass  # no route or no room for the moment: as good as a lost datagram
+                    break
 
     def receive(self) -> bytes | None:
+        """The next datagram or piece of stream, None if there is none now."""
         while True:
             try:
                 datagram, peer = self._socket.recvfrom(_LARGEST_DATAGRAM_BYTES)
@@ -191,27 +145,40 @@ class _Udp(Link):
                     del self._peers[next(iter(self._peers))]
             return datagram
 
+    def take_reopened(self) -> bool:
+        """Whether another client has connected."""
+        return False
+
     def move(self) -> None:
-        """A port that others were told of stays."""
+        """Send from another port from now on: what a rebooted ArduPilot does.
+
+        A port that others were told of stays.
+        """
         if not self._listens:
             self._socket.close()
             self._open()
+
+    def close(self) -> None:
+        """Close the sockets."""
+        self._socket.close()
 
 
 @final
 class _TcpIn(Link):
     """Serves one client at a time, as ArduPilot's serial ports over TCP do."""
 
+    _type = socket.SOCK_STREAM
+
     def _attach(self, address: Any) -> None:
         self._client: socket.socket | None = None
-        self._pending = b""
+        self._pending, self._reopened = b"", False
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self._socket.bind(address)
         self._socket.listen(1)
 
     @property
     def sockets(self) -> Sequence[socket.socket]:
-        return (self._socket,) if self._client is None else (self._client,)
+        return (self._client or self._socket,)
 
     def send(self, frames: Sequence[bytes]) -> None:
         if self._client is None:
@@ -242,6 +209,10 @@ class _TcpIn(Link):
             self.move()
         return data or None
 
+    def take_reopened(self) -> bool:
+        reopened, self._reopened = self._reopened, False
+        return reopened
+
     def move(self) -> None:
         """The client sees the connection end."""
         if self._client is not None:
@@ -251,3 +222,15 @@ class _TcpIn(Link):
     def close(self) -> None:
         self.move()
         super().close()
+
+
+def open_link(endpoint: Endpoint) -> Link:
+    """InputError if the address cannot be used."""
+    try:
+        return _TcpIn(endpoint) if endpoint.kind == "tcpin" else Link(endpoint)
+    except (OSError, UnicodeError) as error:
+        rule = f"cannot be used ({(getattr(error, 'strerror', None) or str(error)).lower()})"
+        remedy = "Choose a free port of this machine."
+        if endpoint.kind == "udpout":
+            remedy = "Name the host and port that the companion listens on."
+        raise InputError("--connect", str(endpoint), rule, remedy) from None

@@ -1,6 +1,7 @@
 """The I/O half: wall clock, sockets, truth file and signals."""
 
 import itertools
+import math
 import select
 import signal
 import time
@@ -8,6 +9,7 @@ from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Event
 from typing import TextIO, final
 
 from vehicle_sim.errors import CompanionSilent, InputError, NotSurvived
@@ -36,8 +38,8 @@ class Settings:
 
     lockstep: bool = False
     speedup: float = 1.0
-    duration_s: float | None = None
-    """Simulated time after which to end; None: when told."""
+    duration_s: float = math.inf
+    """Simulated time after which to end."""
     strict: bool = False
     """End with an error when something came in that the real autopilot does not survive."""
     first_heartbeat_s: float = 60.0
@@ -46,21 +48,11 @@ class Settings:
     """Wall time without a word from a companion after which lockstep gives up."""
 
 
-class Stop:
-    """A stop request."""
-
-    requested = False
-
-    def __call__(self, *_: object) -> None:
-        """Be asked, as a signal handler is."""
-        self.requested = True
-
-
 @contextmanager
-def stopping_on_signals() -> Iterator[Stop]:
-    """Stop on SIGINT and SIGTERM, even where a shell started us with SIGINT ignored."""
-    stop = Stop()
-    before = [(s, signal.signal(s, stop)) for s in (signal.SIGINT, signal.SIGTERM)]
+def stopping_on_signals() -> Iterator[Event]:
+    """Set by SIGINT and SIGTERM, even where a shell started us with SIGINT ignored."""
+    stop, ends = Event(), (signal.SIGINT, signal.SIGTERM)
+    before = [(each, signal.signal(each, lambda *_: stop.set())) for each in ends]
     try:
         yield stop
     finally:
@@ -89,18 +81,19 @@ class Station:
         for number, frames in by_link.items():
             self.links[number].send(frames)
 
-    def write(self, *, flush: bool) -> str:
+    def write(self, *, flush: bool) -> list[str]:
         """New lines of truth; returns what is wrong with their file, which then gets no more."""
         lines, file = self.simulation.take_truth(), self.truth
+        if file is None:
+            return []
         try:
-            if file is not None and lines:
-                file.write("\n".join(lines) + "\n")
-            if file is not None and flush:
+            file.writelines(f"{line}\n" for line in lines)
+            if flush:
                 file.flush()
         except OSError as error:
             self.truth = None
-            return f"{file.name if file else ''} stopped: {error.strerror or error}"
-        return ""
+            return [f"{file.name} stopped: {error.strerror or error}"]
+        return []
 
 
 @final
@@ -111,7 +104,7 @@ class Server:
         self,
         stations: Sequence[Station],
         settings: Settings,
-        stop: Stop,
+        stop: Event,
         *,
         say: Callable[[str], None],
     ) -> None:
@@ -141,11 +134,10 @@ class Server:
             self._write()
 
     def _timed_out(self, simulation: Simulation) -> bool:
-        duration_s = self._settings.duration_s
-        return duration_s is not None and simulation.now_us >= duration_s * 1e6
+        return simulation.now_us >= self._settings.duration_s * 1e6
 
     def _over(self) -> bool:
-        return self._stop.requested or all(map(self._timed_out, self._simulations))
+        return self._stop.is_set() or all(map(self._timed_out, self._simulations))
 
     def _flying(self) -> list[Simulation]:
         """In lockstep: whose companion still flies, and whose time is not over.
@@ -163,12 +155,11 @@ class Server:
     def _write(self) -> None:
         """Truth to its files, notices to the terminal."""
         now_s = time.monotonic()
-        flush = now_s >= self._flush_s
-        if flush:
+        if flush := now_s >= self._flush_s:
             self._flush_s = now_s + _FLUSH_S
         for station in self._stations:
             simulation, wrong = station.simulation, station.write(flush=flush)
-            for notice in [*simulation.take_notices(), *filter(None, [wrong])]:
+            for notice in (*simulation.take_notices(), *wrong):
                 self._say(notice)
             if self._settings.strict and simulation.not_survived is not None:
                 raise NotSurvived(simulation.not_survived)
@@ -211,9 +202,9 @@ class Server:
         for simulation in self._simulations:
             simulation.begin()
         start_s = time.monotonic()
-        while not self._stop.requested and self._flying():
+        while not self._stop.is_set() and self._flying():
             asked: dict[Simulation, int] = {}
-            while not asked and not self._stop.requested and (flying := self._flying()):
+            while not asked and not self._stop.is_set() and (flying := self._flying()):
                 for number, simulation in enumerate(flying):
                     if simulation.step():
                         asked[simulation] = simulation.ask_for_sync(number)
@@ -224,27 +215,26 @@ class Server:
 
     def _await_companions(self) -> None:
         """Send heartbeats until one is received; vehicle time is stopped."""
-        give_up_s = time.monotonic() + self._settings.first_heartbeat_s
-        hello_s = 0.0
-        while not self._stop.requested:
+        hello_s, waits_s = 0.0, self._settings.first_heartbeat_s
+        give_up_s = time.monotonic() + waits_s
+        while not self._stop.is_set():
             alone = [each for each in self._simulations if each.companion is None]
             if not alone:
                 return
             now_s = time.monotonic()
             if now_s >= give_up_s:
-                waited_s = self._settings.first_heartbeat_s
-                raise CompanionSilent(f"no heartbeat from a companion within {waited_s:.0f} s")
+                raise CompanionSilent(f"no heartbeat from a companion within {waits_s:.0f} s")
             if now_s >= hello_s:
+                hello_s = now_s + _HELLO_S
                 for simulation in alone:
                     simulation.send_heartbeat()
                 self._send()
-                hello_s = now_s + _HELLO_S
             self._listen(_PATIENCE_S)
 
     def _await_answers(self, asked: dict[Simulation, int]) -> None:
         """Handle messages until all these TIMESYNC requests are answered."""
         asked_s = again_s = time.monotonic()
-        while not self._stop.requested:
+        while not self._stop.is_set():
             waiting = [
                 each
                 for each, question_ns in asked.items()
@@ -254,14 +244,14 @@ class Server:
                 return
             if self._listen(_PATIENCE_S):
                 continue
-            now_s = time.monotonic()
-            if now_s - asked_s >= self._settings.silence_s:
-                silence_s, at_s = self._settings.silence_s, waiting[0].now_us * 1e-6
-                what = f"was silent for {silence_s:.0f} s at {at_s:.1f} s vehicle time"
+            now_s, silence_s = time.monotonic(), self._settings.silence_s
+            if now_s - asked_s >= silence_s:
+                at_s, why = waiting[0].now_us * 1e-6, ""
                 if waiting[0].mistaken_ns == asked[waiting[0]]:
-                    what += "; it answered TIMESYNC with a time of its own: in lockstep tc1 must "
-                    what += "echo ts1"
-                raise CompanionSilent(f"the companion {what}")
+                    why = "; it answered TIMESYNC with a time of its own: in lockstep tc1 must "
+                    why += "echo ts1"
+                what = f"was silent for {silence_s:.0f} s at {at_s:.1f} s vehicle time"
+                raise CompanionSilent(f"the companion {what}{why}")
             if now_s - again_s >= _AGAIN_S:  # it may have been lost, or its client has changed
                 again_s = now_s
                 for each in waiting:

@@ -4,7 +4,7 @@ Here its parts meet: the world and its faults, the vehicle, its sensors, the fli
 terrain radar and the radio.
 """
 
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import replace
 from typing import Final, final
 
@@ -18,7 +18,7 @@ from vehicle_sim.autopilot.factory import (
     with_own_ids,
 )
 from vehicle_sim.autopilot.values import Sender, Text
-from vehicle_sim.conditions import conditions_of, take_one_shots
+from vehicle_sim.conditions import conditions_of
 from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
 from vehicle_sim.dynamics.contact import LOOK_US, Contact, Crash
 from vehicle_sim.dynamics.copter import Copter
@@ -77,8 +77,9 @@ class Simulation:
         faults: str = "",
     ) -> None:
         world = replace(world, vehicle=with_own_ids(world.vehicle))
-        vehicle, frame, terrain = world.vehicle, world.frame, world.truth()
-        self._world, self._seed = world, seed
+        table, terrain = world.vehicle, world.truth()
+        self._world, self._seed, self._personality = world, seed, personality_of(table)
+        self._firmware = self._personality.firmware.profile.firmware
         self.now_us = 0
         """Since the start; the autopilot counts from its own boot."""
         self.companion: Sender | None = None
@@ -95,57 +96,53 @@ class Simulation:
         """Told the name of each message that comes in for the autopilot."""
         self.crash: Crash | None = None
         """The first contact that nobody survives, with the ground or with a thing."""
-        self._notices = list[str]()
-        self._truth = [truth.header(world, seed)]
+        self._notices, self._truth = list[str](), [truth.header(world, seed)]
 
-        place = frame.to_geographic(vehicle.north_m, vehicle.east_m)
-        ground_amsl_m = terrain.height_at_amsl_m(vehicle.north_m, vehicle.east_m)
-        self.vehicle: Copter | Plane = make_vehicle(vehicle, *place, ground_amsl_m)
+        place = world.frame.to_geographic(table.north_m, table.east_m)
+        ground_amsl_m = terrain.height_at_amsl_m(table.north_m, table.east_m)
+        self.vehicle: Copter | Plane = make_vehicle(table, *place, ground_amsl_m)
         """The truth: where it really is, and how it moves."""
+        rolls, scene = table.kind == "plane", world.scene(terrain)
         self._contact = Contact(
-            self.vehicle,
-            terrain,
-            world.scene(terrain),
-            frame,
-            rolls=vehicle.kind == "plane",
-            on_crash=self._on_crash,
+            self.vehicle, terrain, scene, world.frame, rolls=rolls, on_crash=self._on_crash
         )
-        self._personality = personality_of(vehicle)
-        self._battery = Battery()
+        self._battery, self._wind = Battery(), Wind(generator(seed, "wind"))
         self._power = PowerModule(self._battery, self._personality.battery)
-        self._wind = Wind(generator(seed, "wind"))
         self.plans = Plans()
         """Mission, fence and rally points as the autopilot stores them."""
+        self._timeline = Timeline.parse(faults, name="faults", firmware=self._firmware)
         self._boots, self._down_until_us, self._port_change = 0, 0, False
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
-        given = self._own_lidar()
-        autopilot = self._make_autopilot(given | overrides_of(vehicle))
+        autopilot = self._make_autopilot(self._own_lidar() | overrides_of(table))
         self._ids = ids_of(self._personality, autopilot.parameters)
         self._radio = self._make_radio(autopilot, links, byte_streams, forwards_all)
         self._radar = self._scanner = None
         if scanner := world.scanner:
-            self._radar = TerrainRadar(terrain, frame, range_m=scanner.range_m)
+            self._radar = TerrainRadar(terrain, world.frame, range_m=scanner.range_m)
             rng = generator(seed, "radar")
             self._scanner = RadarComponent(self._radar, rng, self._radio, scanner.component_id)
         self._lidars = list[tuple[Lidar, LidarDriver | None]]()
-        for table, name in zip(world.lidars, ("lidar", "second lidar"), strict=False):
-            lidar, driver = Lidar(self._contact.scene, table, generator(seed, name)), None
-            if table.output != "autopilot":
-                driver = LidarDriver(lidar, table, generator(seed, f"{name} driver"), self._radio)
+        for each, name in zip(world.lidars, ("lidar", "second lidar"), strict=False):
+            lidar, driver = Lidar(scene, each, generator(seed, name)), None
+            if each.output != "autopilot":
+                driver = LidarDriver(lidar, each, generator(seed, f"{name} driver"), self._radio)
             self._lidars.append((lidar, driver))
-        self._timeline = Timeline.parse(
-            faults,
-            name="faults",
-            firmware=self._personality.firmware.profile.firmware,
-            latitude_deg=world.origin.latitude_deg,
-        )
         self._boot(autopilot)
         self._shown = (self.mode_name, False)
         self._look()
         if self.nearest_m == 0.0:
-            at = (vehicle.north_m, vehicle.east_m)
             rule = "stands inside a tree, wall, building or wire"
+            at = (table.north_m, table.east_m)
             raise InputError("vehicle.north_m, east_m", at, rule, "Move it, or clear the place.")
+
+    def _own_lidar(self) -> dict[str, float]:
+        """The parameter of an autopilot that reads a lidar itself."""
+        reads = [each for each in self._world.lidars if each.output == "autopilot"]
+        if reads and self._firmware == "px4":
+            name = "lidar" if reads[0] is self._world.lidar else "second_lidar"
+            rule = f"{self._world.vehicle.autopilot} has no driver for it"
+            raise InputError(f"{name}.output", "autopilot", rule, "Write driver.")
+        return {"PRX1_TYPE": RPLIDAR} if reads else {}
 
     def _make_radio(
         self, autopilot: Autopilot, links: int, byte_streams: Container[int], forwards_all: bool
@@ -158,7 +155,7 @@ class Simulation:
         return Radio(
             system=system,
             component=component,
-            radar_component=None if scanner is None else scanner.component_id,
+            radar_component=scanner.component_id if scanner else None,
             lidar_component=lidar.component_id if lidar and lidar.output != "autopilot" else None,
             profile=autopilot.profile,
             links=links,
@@ -166,17 +163,6 @@ class Simulation:
             forwards_all=forwards_all,
             rng=generator(self._seed, "links"),
         )
-
-    def _own_lidar(self) -> dict[str, float]:
-        """The parameter of an autopilot that reads a lidar itself."""
-        world, profile = self._world, self._personality.firmware.profile
-        for name, table in (("lidar", world.lidar), ("second_lidar", world.second_lidar)):
-            if table is not None and table.output == "autopilot":
-                if profile.firmware == "px4":
-                    rule = f"{world.vehicle.autopilot} has no driver for it"
-                    raise InputError(f"{name}.output", table.output, rule, "Write driver.")
-                return {"PRX1_TYPE": RPLIDAR}
-        return {}
 
     def _make_autopilot(self, overrides: Mapping[str, float]) -> Autopilot:
         self._boots += 1
@@ -187,7 +173,9 @@ class Simulation:
 
     def _boot(self, autopilot: Autopilot) -> None:
         """The flight controller and its receiver start, now."""
-        parameters, lidars = autopilot.parameters, self._world.lidars
+        self.parameters: Parameters = autopilot.parameters
+        """The autopilot's; a reboot makes new ones."""
+        lidars = self._world.lidars
         limits_m = (lidars[-1].min_m, lidars[-1].range_m) if lidars else (0.0, 0.0)
         self._controller = FlightController(
             autopilot,
@@ -196,12 +184,9 @@ class Simulation:
             boot_us=self.now_us,
             hardware_id=self._hardware_id,
             on_text=self._on_text,
-            ranging=RangeSensors(parameters, limits_m, self._range_down_m),
+            ranging=RangeSensors(self.parameters, limits_m, self._range_down_m),
         )
-        rng = generator(self._seed, f"gps {self._boots}")
-        self._gps = Gps(self._personality.receiver, rng)
-        self.parameters: Parameters = parameters
-        """The autopilot's; a reboot makes new ones."""
+        self._gps = Gps(self._personality.receiver, generator(self._seed, f"gps {self._boots}"))
         self._refresh()
 
     def warm_up(self) -> None:
@@ -268,11 +253,11 @@ class Simulation:
     def outcome(self) -> str:
         """Where it is and what it does, in a few words."""
         (north_m, east_m), crash = self._contact.local_m, self.crash
+        where = "on the ground" if self.landed else "in the air"
         said = (
             f"{round(north_m)} m north, {round(east_m)} m east, "
             f"{self.vehicle.altitude_amsl_m:.0f} m AMSL, {self.mode_name}, "
-            f"{'armed' if self.armed else 'disarmed'}, "
-            f"{'on the ground' if self.landed else 'in the air'}"
+            f"{'armed' if self.armed else 'disarmed'}, {where}"
         )
         if crash is None:
             return said
@@ -301,10 +286,9 @@ class Simulation:
 
     def send_heartbeat(self) -> None:
         """Send all heartbeats now: time stands still until somebody answers."""
-        self._controller.send_heartbeat()
-        for beside in (self._scanner, *(driver for _, driver in self._lidars)):
-            if beside is not None:
-                beside.send_heartbeat()
+        for each in (self._controller, self._scanner, *(driver for _, driver in self._lidars)):
+            if each is not None:
+                each.send_heartbeat()
 
     def begin(self) -> None:
         """Reset the frame counters: the number of heartbeats before depends on wall time."""
@@ -368,41 +352,40 @@ class Simulation:
             self._controller.answer(self._controller.autopilot.on_parameter(name))
 
     def _refresh(self) -> None:
-        """A parameter has changed: so may the weather have, and the links."""
+        """A parameter or a fault is another one: so may the weather be, and the links."""
         parameters, controller, router = self.parameters, self._controller, self._radio.router
-        one_shots = take_one_shots(parameters)
-        self._conditions = conditions_of(parameters)
         self._seen_version = parameters.version
-        controller.setpoints_ignored = self._conditions.setpoints_ignored
-        controller.ranging.rangefinder_off = self._conditions.rangefinder_off
-        self._radio.impair(self._conditions.link)
+        self._conditions = now = conditions_of(parameters, self._timeline.changes)
+        controller.setpoints_ignored = now.autopilot.setpoints_ignored
+        controller.ranging.rangefinder_off = now.autopilot.rangefinder_off
+        self._radio.impair(now.link)
         if "MAV_OPTIONS" in parameters:
             router.enforce = bool(int(parameters["MAV_OPTIONS"]) & 1)
             router.ground_system = int(parameters["MAV_GCS_SYSID"])
-        for name, values in one_shots:
-            match name:
-                case "estimator_reset":
-                    controller.answer(controller.autopilot.reset_estimate(*values))
-                case "origin_move":
-                    controller.answer(controller.autopilot.move_origin(*values))
-                case "pilot":
-                    controller.answer(controller.autopilot.pilot_takes())
-                case "reboot":
-                    self._go_down()
-                case "ground_fence":
-                    controller.add_to_fence(ground_station.new_fence(self.vehicle, *values))
-                case "ground_command" | "ground_target":
-                    self._ground_station_says(name, values)
 
-    def _ground_station_says(self, name: str, values: tuple[float, ...]) -> None:
-        station = ground_station.STATION
-        companion = self.companion.component if self.companion else 0
-        to = (self.system_id, companion, self.vehicle)
-        to_autopilot, message = ground_station.said(name, values, *to)
-        if to_autopilot:
-            self._controller.receive(message, station, self.now_us)
-        else:
-            self._radio.send_as(message, station.system, station.component)
+    def _happens(self, name: str, values: Sequence[float]) -> None:
+        """A fault that happens once."""
+        controller, autopilot = self._controller, self._controller.autopilot
+        match name:
+            case "estimator_reset":
+                controller.answer(autopilot.reset_estimate(*values[:2]))
+            case "origin_move":
+                controller.answer(autopilot.move_origin(*values))
+            case "pilot":
+                controller.answer(autopilot.pilot_takes())
+            case "reboot":
+                self._go_down()
+            case "ground_fence":
+                controller.add_to_fence(ground_station.new_fence(self.vehicle, *values))
+            case _:
+                companion = self.companion.component if self.companion else 0
+                to = (self.system_id, companion, self.vehicle)
+                to_autopilot, message = ground_station.said(name, values, *to)
+                if to_autopilot:
+                    controller.receive(message, ground_station.STATION, self.now_us)
+                else:
+                    station = ground_station.STATION
+                    self._radio.send_as(message, station.system, station.component)
 
     # --- time ---------------------------------------------------------------------------------
 
@@ -410,9 +393,11 @@ class Simulation:
         """Fly for one step, queue what is due, and tell whether a lockstep tick is complete."""
         self.now_us = now_us = self.now_us + STEP_US
         if now_us >= self._timeline.next_us:
-            for name, value in self._timeline.step(now_us, self.parameters):
-                self.set_parameter(name, value)
-        if self.parameters.version != self._seen_version:
+            happening = self._timeline.step(now_us)
+            self._refresh()
+            for each in happening:
+                self._happens(each.name, each.values)
+        elif self.parameters.version != self._seen_version:
             self._refresh()
         if self._radio.impaired:
             for received in self._radio.late(now_us):

@@ -17,6 +17,7 @@ import math
 import select
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -25,7 +26,7 @@ import pytest
 from vehicle_sim.geodesy import WGS84
 from vehicle_sim.links import Endpoint, open_link
 from vehicle_sim.parameters import Firmware
-from vehicle_sim.simulation import Simulation
+from vehicle_sim.simulation import STEP_US, Simulation
 from vehicle_sim.world import VehicleKind, World, flat_world
 
 _TICK_STEPS: Final = 5
@@ -48,8 +49,6 @@ class Moment:
     speed_m_s: float
     """Over ground."""
     above_ground_m: float
-    lowest_m: float
-    """Least height above the ground since the moment before, of all steps."""
     mode: str
     armed: bool
     landed: bool
@@ -98,19 +97,19 @@ class Simulator:
         )
         self.simulation = Simulation(world, seed=seed, faults=faults)
         self.simulation.on_message = self._heard
+        self.fault, self.set_parameter = self.simulation.add_fault, self.simulation.set_parameter
+        """A fault from now on, as "for 30 s: gps_off"; and a parameter, as PARAM_SET does it."""
         self._lockstep, self._strict = lockstep, strict
-        self._lowest_m = math.inf
+        self._height_amsl_m = world.truth().height_at_amsl_m
         self._link = open_link(Endpoint(kind="udpin", host="127.0.0.1", port=0))
         self.close = self._link.close
-        self._height_amsl_m = world.truth().height_at_amsl_m
         self.moments: list[Moment] = []
         """The whole flight so far."""
         self.heard_s: dict[str, list[float]] = {}
         """When each kind of message came in, in vehicle time, by its MAVLink name."""
-        if ready:
-            while not self.simulation.armable and self.now_s < _READY_S:
-                self._step()
-            assert self.simulation.armable, f"not ready after {_READY_S:.0f} s of vehicle time"
+        while ready and not self.simulation.armable:
+            assert self.now_s < _READY_S, f"not ready after {_READY_S:.0f} s of vehicle time"
+            self._step()
         self.simulation.take_frames()  # of the boot: no client yet
 
     @property
@@ -134,100 +133,62 @@ class Simulator:
         return self.moments[-1]
 
     @property
-    def mode(self) -> str:
-        """The autopilot's mode."""
-        return self.simulation.mode_name
-
-    @property
     def armed(self) -> bool:
         """Whether the motors may turn."""
         return self.simulation.armed
 
-    @property
-    def landed(self) -> bool:
-        """Whether it stands on the ground."""
-        return self.simulation.landed
-
-    def fault(self, line: str) -> None:
-        """A fault from now on: a line of the timeline without its time, as "for 30 s: gps_off"."""
-        self.simulation.add_fault(line)
-
-    def set_parameter(self, name: str, value: float) -> None:
-        """As PARAM_SET does it; KeyError if the autopilot has no such parameter."""
-        self.simulation.set_parameter(name, value)
-
     # --- time ---------------------------------------------------------------------------------
 
-    def advance(
-        self,
-        seconds: float,
-        *,
-        meanwhile: Callable[[], object] | None = None,
-        pace: float | None = None,
-    ) -> None:
+    def advance(self, seconds: float, *, meanwhile: Callable[[], object] | None = None) -> None:
         """Let so much vehicle time pass, in ticks of 50 ms.
 
         After each tick what was sent is on the wire and `meanwhile` is called: let your client read
-        and answer there.  `pace`: times real time, for clients that run by themselves; None: as
-        fast as it goes.
+        and answer there.
         """
-        self.advance_until(None, within_s=seconds, meanwhile=meanwhile, pace=pace)
-
-    def advance_until(
-        self,
-        reached: Callable[[], bool] | None,
-        *,
-        within_s: float,
-        meanwhile: Callable[[], object] | None = None,
-        pace: float | None = None,
-    ) -> None:
-        """The same, until this is so; an AssertionError if it is not in time."""
-        start_us, start_s = self.simulation.now_us, time.monotonic()
-        while self.simulation.now_us - start_us < within_s * 1e6 - 0.5:
-            if reached is not None and reached():
-                return
+        until_us = self.simulation.now_us + seconds * 1e6 - 0.5
+        while self.simulation.now_us < until_us:
             for _ in range(_TICK_STEPS):
                 self._step()
             self._exchange(meanwhile or (lambda: None))
-            if pace is not None:
-                due_s = start_s + (self.simulation.now_us - start_us) * 1e-6 / pace
-                while (left_s := due_s - time.monotonic()) > 0.0:
-                    select.select(self._link.sockets, [], [], left_s)
-                    self._send_and_receive()
-        if reached is not None and not reached():
-            raise AssertionError(f"it never came to that within {within_s:g} s; {self._where()}")
+
+    def advance_until(
+        self,
+        reached: Callable[[], bool],
+        *,
+        within_s: float,
+        meanwhile: Callable[[], object] | None = None,
+    ) -> None:
+        """The same, until this is so; an AssertionError if it is not in time."""
+        until_us = self.simulation.now_us + within_s * 1e6 - 0.5
+        while not reached():
+            if self.simulation.now_us >= until_us:
+                why = f"it never came to that within {within_s:g} s; {self._where()}"
+                raise AssertionError(why)
+            self.advance(_TICK_STEPS * STEP_US * 1e-6, meanwhile=meanwhile)
 
     def _step(self) -> None:
         simulation = self.simulation
-        was_up_m = simulation.vehicle.altitude_amsl_m - simulation.ground_amsl_m
         simulation.step()
         simulation.take_notices()
-        if was_up_m > 0.0:
-            up_m = simulation.vehicle.altitude_amsl_m - simulation.ground_amsl_m
-            self._lowest_m = min(self._lowest_m, max(up_m, 0.0))
         for row in map(json.loads, simulation.take_truth()):
-            if "t_s" in row:  # and not the header
-                self._remember(row)
+            if "t_s" not in row:
+                continue  # the header
+            ground_m = self._height_amsl_m(row["north_m"], row["east_m"])
+            self.moments.append(
+                Moment(
+                    t_s=row["t_s"],
+                    latitude_deg=row["lat_deg"],
+                    longitude_deg=row["lon_deg"],
+                    altitude_amsl_m=row["altitude_amsl_m"],
+                    speed_m_s=math.hypot(row["velocity_north_m_s"], row["velocity_east_m_s"]),
+                    above_ground_m=row["altitude_amsl_m"] - ground_m,
+                    mode=row["mode"],
+                    armed=row["armed"],
+                    landed=row["landed"],
+                )
+            )
         if self._strict and simulation.not_survived is not None:
             raise AssertionError(f"at {self.now_s:.2f} s: {simulation.not_survived}")
-
-    def _remember(self, row: dict[str, Any]) -> None:
-        above_m = row["altitude_amsl_m"] - self._height_amsl_m(row["north_m"], row["east_m"])
-        lowest_m, self._lowest_m = min(self._lowest_m, above_m), math.inf
-        self.moments.append(
-            Moment(
-                t_s=row["t_s"],
-                latitude_deg=row["lat_deg"],
-                longitude_deg=row["lon_deg"],
-                altitude_amsl_m=row["altitude_amsl_m"],
-                speed_m_s=math.hypot(row["velocity_north_m_s"], row["velocity_east_m_s"]),
-                above_ground_m=above_m,
-                lowest_m=lowest_m,
-                mode=row["mode"],
-                armed=row["armed"],
-                landed=row["landed"],
-            )
-        )
 
     def _heard(self, kind: str) -> None:
         self.heard_s.setdefault(kind, []).append(self.now_s)
@@ -277,18 +238,17 @@ class Simulator:
         """It has never been within this radius of this point (below this height)."""
         for moment in self.moments:
             away_m = moment.away_m(latitude_deg, longitude_deg)
-            if away_m < radius_m and moment.altitude_amsl_m < below_amsl_m:
-                where = f"{away_m:.1f} m from the middle, not {radius_m:g} m"
-                raise AssertionError(f"inside at {moment.t_s:.1f} s: {where}")
+            where = f"{away_m:.1f} m from the middle, not {radius_m:g} m"
+            inside = away_m < radius_m and moment.altitude_amsl_m < below_amsl_m
+            assert not inside, f"inside at {moment.t_s:.1f} s: {where}"
 
     def assert_clear_of_ground(self, metres: float, *, after_s: float = 0.0) -> None:
         """Whenever it was in the air, it was so high above the ground; a crash is not."""
         self.assert_not_crashed()
-        flying = [m for m in self.moments if m.t_s >= after_s and not m.landed]
-        lowest = min(flying, key=lambda moment: moment.lowest_m, default=None)
-        if lowest is not None and lowest.lowest_m < metres:
-            low = f"only {lowest.lowest_m:.1f} m above ground"
-            raise AssertionError(f"{low} at {lowest.t_s:.1f} s, not {metres:g} m")
+        for moment in self.moments:
+            flies = moment.t_s >= after_s and not moment.landed
+            low = f"only {moment.above_ground_m:.1f} m above ground at {moment.t_s:.1f} s"
+            assert not flies or moment.above_ground_m >= metres, f"{low}, not {metres:g} m"
 
     def assert_not_crashed(self) -> None:
         """It has hit nothing: no tree, and not the ground at more than 3 m/s in any direction.
@@ -296,8 +256,10 @@ class Simulator:
         A plane on its wheels may be faster along a runway.
         """
         if crash := self.simulation.crash:
+            where = f"{round(crash.north_m)} m north, {round(crash.east_m)} m east, "
+            where += f"{crash.altitude_amsl_m:.0f} m AMSL"
             speed = f"{crash.speed_m_s:.1f} m/s"
-            raise AssertionError(f"hit {crash.into} at {speed} at {crash.t_s:.2f} s")
+            raise AssertionError(f"hit {crash.into} at {speed} at {crash.t_s:.2f} s, {where}")
 
     def assert_stream_gap(
         self, at_most_s: float, *, message: str, after_s: float = 0.0, before_s: float | None = None
@@ -305,13 +267,10 @@ class Simulator:
         """From its first message (after after_s) on, the client never paused for longer."""
         until_s = self.now_s if before_s is None else before_s
         times = [t for t in self.heard_s.get(message, []) if after_s <= t <= until_s]
-        if not times:
-            raise AssertionError(f"no {message} came in at all")
-        gaps = zip(times, [*times[1:], until_s], strict=True)
-        start_s, end_s = max(gaps, key=lambda gap: gap[1] - gap[0])
-        if end_s - start_s > at_most_s:
+        assert times, f"no {message} came in at all"
+        for start_s, end_s in zip(times, [*times[1:], until_s], strict=True):
             gap = f"{end_s - start_s:.2f} s without {message} from {start_s:.2f} s on"
-            raise AssertionError(f"{gap}, not {at_most_s:g} s")
+            assert end_s - start_s <= at_most_s, f"{gap}, not {at_most_s:g} s"
 
     def assert_arrived(
         self, latitude_deg: float, longitude_deg: float, *, within_m: float, within_s: float
@@ -319,20 +278,18 @@ class Simulator:
         """It has been within this distance of this point by this vehicle time."""
         flown = [moment for moment in self.moments if moment.t_s <= within_s]
         nearest_m = min((m.away_m(latitude_deg, longitude_deg) for m in flown), default=math.inf)
-        if nearest_m > within_m:
-            near = f"not nearer than {nearest_m:.1f} m by {within_s:g} s, not {within_m:g} m"
-            raise AssertionError(f"{near}; {self._where()}")
+        near = f"not nearer than {nearest_m:.1f} m by {within_s:g} s, not {within_m:g} m"
+        assert nearest_m <= within_m, f"{near}; {self._where()}"
 
 
 @pytest.fixture
 def vehicle_sim() -> Iterator[Callable[..., Simulator]]:
     """Start simulators: call it with the arguments of Simulator; they end with the test."""
-    started: list[Simulator] = []
+    with ExitStack() as stack:
 
-    def start(**arguments: Any) -> Simulator:
-        started.append(Simulator(**arguments))
-        return started[-1]
+        def start(**arguments: Any) -> Simulator:
+            simulator = Simulator(**arguments)
+            stack.callback(simulator.close)
+            return simulator
 
-    yield start
-    for each in started:
-        each.close()
+        yield start

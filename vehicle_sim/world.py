@@ -11,14 +11,13 @@ import math
 import tomllib
 import types
 import typing
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeVar, dataclass_transform
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
-from pydantic_core import PydanticCustomError
 
 from vehicle_sim.elevation import VerticalDatum, read_grid
 from vehicle_sim.errors import InputError, did_you_mean
@@ -44,10 +43,14 @@ _Place = tuple[_Local, _Local]
 _Range = tuple[_Positive, _Positive]
 """Least and most."""
 _T = TypeVar("_T")
-
 _MISSING: Final = ("is missing", "Write it into the world file.")
-_LEAST_BELOW_MOST: Final = ("its least must lie below its most", "Swap or widen them.")
 _MOST_TREES: Final = 200_000
+
+
+def _must(holds: bool, key: str, value: object, rule: str, remedy: str) -> None:
+    """A rule that keys of a table make together; `key` "" is the table itself."""
+    if not holds:
+        raise ValueError(key, value, rule, remedy)
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(field,))
@@ -58,10 +61,12 @@ def _table(kind: type[_T]) -> type[_T]:
     return made
 
 
-def _refused(key: str, value: object, rule: str, remedy: str) -> PydanticCustomError:
-    """What a table says of a rule that its keys break together; `key` "" is the table itself."""
-    context = {"key": key, "value": value, "rule": rule, "remedy": remedy}
-    return PydanticCustomError("rule", "{rule}", context)
+@_table
+class _Placed:
+    """Something at a place of the local frame."""
+
+    north_m: _Local
+    east_m: _Local
 
 
 @_table
@@ -73,11 +78,9 @@ class Origin:
 
 
 @_table
-class Peak:
+class Peak(_Placed):
     """One mountain (eq. 1)."""
 
-    north_m: _Local
-    east_m: _Local
     height_amsl_m: Annotated[_Altitude, Field(gt=0)]
     spread_north_m: _Positive
     spread_east_m: _Positive
@@ -97,13 +100,14 @@ class TerrainTable:
     """What is where the file has no height."""
 
     def __post_init__(self) -> None:
-        needed = ("vertical_datum",) if self.file is not None else ("combine", "ground_amsl_m")
-        for key in needed:
-            if getattr(self, key) is None:
-                raise _refused(key, None, *_MISSING)
-        if self.file is not None and (self.combine or self.peaks or self.ground_amsl_m):
+        peaks = {"combine": self.combine, "ground_amsl_m": self.ground_amsl_m}
+        if self.file is None:
+            for key, value in peaks.items():
+                _must(value is not None, key, value, *_MISSING)
+        else:
             rule = "an elevation file leaves no room for peaks and ground"
-            raise _refused("file", self.file, rule, "Leave out one of the two.")
+            none = not self.peaks and set(peaks.values()) == {None}
+            _must(none, "file", self.file, rule, "Leave out one of the two.")
 
 
 @_table
@@ -116,17 +120,21 @@ class AreaTable:
     east_max_m: _Local
 
     def __post_init__(self) -> None:
-        if self.north_min_m >= self.north_max_m or self.east_min_m >= self.east_max_m:
-            raise _refused("", dataclasses.asdict(self), *_LEAST_BELOW_MOST)
+        south, north, west, east = self.edges_m
+        rule = "its least must lie below its most"
+        _must(south < north and west < east, "", self.edges_m, rule, "Swap or widen them.")
+
+    @property
+    def edges_m(self) -> tuple[float, float, float, float]:
+        """South, north, west, east."""
+        return self.north_min_m, self.north_max_m, self.east_min_m, self.east_max_m
 
 
 @_table
-class Threat:
+class Threat(_Placed):
     """A radar that looks for the vehicle (eq. 3): a sphere about the point."""
 
     name: _Name
-    north_m: _Local
-    east_m: _Local
     altitude_amsl_m: _Altitude
     range_m: _Positive
 
@@ -166,15 +174,10 @@ class Vehicle:
     """The autopilot's own, by their names and in their units."""
 
     def __post_init__(self) -> None:
-        own = (*LIMITS[self.kind], *(["drag_1_s"] if self.kind == "copter" else []))
-        for key in (*LIMITS["copter"], *LIMITS["plane"], "drag_1_s"):
-            if key not in own and (value := getattr(self, key)) is not None:
-                rule = f"a {self.kind} has no such limit"
-                raise _refused(key, value, rule, "Leave it out.")
-        slowest, fastest = self.airspeed_min_m_s, self.airspeed_max_m_s
-        if slowest is not None and fastest is not None and slowest >= fastest:
-            rule = "must be less than airspeed_max_m_s"
-            raise _refused("airspeed_min_m_s", slowest, rule, "Swap or widen them.")
+        copters = (*LIMITS["copter"], "drag_1_s")
+        for key in LIMITS["plane"] if self.kind == "copter" else copters:
+            value, rule = getattr(self, key), f"a {self.kind} has no such limit"
+            _must(value is None, key, value, rule, "Leave it out.")
 
 
 LIMITS: Final[dict[VehicleKind, tuple[str, ...]]] = {
@@ -199,11 +202,9 @@ class Scanner:
 
 
 @_table
-class Tree:
+class Tree(_Placed):
     """A cylinder on the ground."""
 
-    north_m: _Local
-    east_m: _Local
     radius_m: _Positive
     height_m: _Positive
     """Above the ground, as those of buildings, walls and wires."""
@@ -215,11 +216,6 @@ class Building:
 
     corners_ne_m: Annotated[tuple[_Place, ...], Field(min_length=3)]
     height_m: _Positive
-
-    def __post_init__(self) -> None:
-        if len(set(self.corners_ne_m)) < len(self.corners_ne_m):
-            rule = "names a corner twice"
-            raise _refused("corners_ne_m", self.corners_ne_m, rule, "Leave one out.")
 
 
 @_table
@@ -241,23 +237,17 @@ class Wire:
 
 
 @_table
-class Clearing:
+class Clearing(_Placed):
     """Where no tree of a wood stands."""
 
-    north_m: _Local
-    east_m: _Local
     radius_m: _Positive
 
 
 @_table
-class Wood:
+class Wood(AreaTable):
     """Trees that are drawn when the world is read: the same ones for the same seed."""
 
     seed: Annotated[int, Field(strict=True, ge=0)]
-    north_min_m: _Local
-    north_max_m: _Local
-    east_min_m: _Local
-    east_max_m: _Local
     spacing_m: _Range
     """Between two trees, from middle to middle: it varies from place to place."""
     radius_m: _Range
@@ -268,31 +258,27 @@ class Wood:
     """These are always there."""
 
     def __post_init__(self) -> None:
-        north_m, east_m = self.north_max_m - self.north_min_m, self.east_max_m - self.east_min_m
-        if north_m <= 0.0 or east_m <= 0.0:
-            raise _refused("", (north_m, east_m), *_LEAST_BELOW_MOST)
+        AreaTable.__post_init__(self)
         for key in ("spacing_m", "radius_m", "height_m"):
-            if getattr(self, key)[0] > getattr(self, key)[1]:
-                raise _refused(key, getattr(self, key), "gives the least first", "Swap them.")
-        if north_m * east_m > _MOST_TREES * self.spacing_m[0] ** 2:
-            rule = f"would have more than {_MOST_TREES} trees"
-            raise _refused("spacing_m", self.spacing_m, rule, "Widen it.")
+            least, most = getattr(self, key)
+            _must(least <= most, key, (least, most), "gives the least first", "Swap them.")
+        south, north, west, east = self.edges_m
+        few = (north - south) * (east - west) <= _MOST_TREES * self.spacing_m[0] ** 2
+        rule = f"would have more than {_MOST_TREES} trees"
+        _must(few, "spacing_m", self.spacing_m, rule, "Widen it.")
 
-    def trees(self) -> list[Tree]:
+    def trees(self) -> Iterator[Tree]:
         """As drawn."""
         rng = generator(self.seed, "wood")
-        edges_m = (self.north_min_m, self.north_max_m, self.east_min_m, self.east_max_m)
-        places = drawn_wood(rng, edges_m, self.spacing_m, self.clearing_share)
+        places = drawn_wood(rng, self.edges_m, self.spacing_m, self.clearing_share)
         (thin, thick), (low, high) = self.radius_m, self.height_m
         draws = rng.random((len(places), 2)) * [thick - thin, high - low] + [thin, low]
-        return [
-            Tree(north_m=north, east_m=east, radius_m=radius, height_m=height)
-            for (north, east), (radius, height) in zip(places.tolist(), draws.tolist(), strict=True)
+        for at, (radius_m, height_m) in zip(places.tolist(), draws.tolist(), strict=True):
             if all(
-                math.hypot(north - c.north_m, east - c.east_m) >= c.radius_m + radius
+                math.dist(at, (c.north_m, c.east_m)) >= c.radius_m + radius_m
                 for c in self.clearings
-            )
-        ]
+            ):
+                yield Tree(north_m=at[0], east_m=at[1], radius_m=radius_m, height_m=height_m)
 
 
 @_table
@@ -330,9 +316,8 @@ class LidarTable:
     """From the middle of a sweep to its message; half a sweep at least."""
 
     def __post_init__(self) -> None:
-        if self.min_m >= self.range_m:
-            rule = f"must be less than range_m, which is {self.range_m:g}"
-            raise _refused("min_m", self.min_m, rule, "Lessen it.")
+        rule = f"must be less than range_m, which is {self.range_m:g}"
+        _must(self.min_m < self.range_m, "min_m", self.min_m, rule, "Lessen it.")
 
 
 @_table
@@ -358,17 +343,16 @@ class World:
     """With `output = "autopilot"`, beside one with a driver of its own."""
 
     def __post_init__(self) -> None:
-        if self.terrain.file is not None and self.area is None:
-            raise _refused("area", None, *_MISSING)
+        _must(self.terrain.file is None or self.area is not None, "area", None, *_MISSING)
         lidar, second = self.lidar, self.second_lidar
-        beside = lidar is not None and lidar.output != "autopilot"
-        if second is not None and (second.output != "autopilot" or not beside):
+        if second is not None:
+            well = second.output == "autopilot" and lidar is not None and lidar.output == "driver"
             rule = "is an autopilot's, beside a [lidar] that is not"
             remedy = 'Write second_lidar.output = "autopilot", or leave the table out.'
-            raise _refused("second_lidar.output", second.output, rule, remedy)
-        if lidar and self.scanner and self.scanner.component_id == lidar.component_id:
-            rule = "is the terrain radar's too"
-            raise _refused("lidar.component_id", lidar.component_id, rule, "Choose another.")
+            _must(well, "second_lidar.output", second.output, rule, remedy)
+        if lidar and self.scanner:
+            own, key = lidar.component_id != self.scanner.component_id, "lidar.component_id"
+            _must(own, key, lidar.component_id, "is the terrain radar's too", "Choose another.")
 
     @property
     def lidars(self) -> tuple[LidarTable, ...]:
@@ -387,8 +371,7 @@ class World:
         table, area = self.terrain, self.area
         if table.file is not None:
             assert area is not None
-            edges = (area.north_min_m, area.north_max_m, area.east_min_m, area.east_max_m)
-            return read_grid(Path(table.file), self.frame, edges, table.nodata)
+            return read_grid(Path(table.file), self.frame, area.edges_m, table.nodata)
         assert table.combine is not None
         assert table.ground_amsl_m is not None
         rows = [
@@ -400,19 +383,17 @@ class World:
     def scene(self, terrain: Terrain | None = None) -> Scene:
         """Terrain and near things: `distance_m` of it is the true clearance of any points."""
         terrain = terrain or self.truth()
-        trees = [*self.trees, *(tree for wood in self.woods for tree in wood.trees())]
+        drawn = (tree for wood in self.woods for tree in wood.trees())
         things = [
-            _standing(terrain, [(t.north_m, t.east_m)], t.radius_m, t.height_m) for t in trees
+            _standing(terrain, [(t.north_m, t.east_m)], t.radius_m, t.height_m)
+            for t in (*self.trees, *drawn)
         ]
         for building in self.buildings:
             prism = _standing(terrain, building.corners_ne_m, 0.0, building.height_m)
             things.append(prism._replace(closed=True))
         for wall in self.walls:
-            points, half_m = wall.points_ne_m, 0.5 * wall.thickness_m
-            things += [
-                _standing(terrain, ends, half_m, wall.height_m)
-                for ends in itertools.pairwise(points)
-            ]
+            for ends in itertools.pairwise(wall.points_ne_m):
+                things.append(_standing(terrain, ends, 0.5 * wall.thickness_m, wall.height_m))
         for wire in self.wires:
             half_m = 0.5 * wire.thickness_m
             line = _standing(terrain, wire.ends_ne_m, half_m, wire.height_m + half_m)
@@ -439,17 +420,14 @@ _WORLD = TypeAdapter(World)
 
 def read_world(path: Path) -> World:
     """The world in this file; InputError says what is wrong with it."""
-    field = str(path)
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not a text file"
-        rule = f"cannot be read ({reason})"
-        raise InputError("WORLD", field, rule, "Name a world file.") from None
-    try:
-        table = tomllib.loads(text)
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
     except tomllib.TOMLDecodeError as error:
-        raise InputError("WORLD", field, f"not TOML ({error})", "Name a world.toml.") from None
+        rule = f"not TOML ({error})"
+        raise InputError("WORLD", str(path), rule, "Name a world.toml.") from None
+    except (OSError, UnicodeDecodeError) as error:
+        rule = f"cannot be read ({getattr(error, 'strerror', None) or 'not a text file'})"
+        raise InputError("WORLD", str(path), rule, "Name a world file.") from None
     return parse_world(table, path.parent)
 
 
@@ -495,35 +473,22 @@ def flat_world(
     )
 
 
-REMOVED = {
-    "traffic": "Leave it out: the companion does not read ADS-B any more.",
-    "lidar.rows_deg": "Leave it out: its beams lie in one plane.",
-    "second_lidar.rows_deg": "Leave it out: its beams lie in one plane.",
-    "lidar.output = points": 'Write output = "driver".',
-    "second_lidar.output = points": 'Write output = "driver".',
-}
-"""Keys and values ("table.key = value") of files for versions before, and what to do instead."""
-
-
 def _explained(problem: Any) -> InputError:
     """What pydantic found, in words."""
     location: tuple[str | int, ...] = problem["loc"]
-    field = ".".join(str(part) for part in location)
-    key = ".".join(part for part in location if isinstance(part, str))
-    if remedy := REMOVED.get(key) or REMOVED.get(f"{key} = {problem['input']}"):
-        return InputError(field, problem["input"], "was removed in this version", remedy)
-    if problem["type"] == "rule":
-        said = problem["ctx"]
-        field = ".".join(filter(None, (field, said["key"])))
-        return InputError(field, said["value"], said["rule"], said["remedy"])
+    field, value = ".".join(map(str, location)), problem["input"]
     if problem["type"] == "unexpected_keyword_argument":
-        return _unknown_key(field, location, problem["input"])
+        return _unknown_key(field, location, value)
     if problem["type"] == "missing":
         return InputError(field, None, *_MISSING)
+    if problem["type"] == "value_error":
+        key, value, rule, remedy = problem["ctx"]["error"].args
+        return InputError(".".join(filter(None, (field, key))), value, rule, remedy)
     rule = problem["msg"].removeprefix("Input should be ")
     known = {"terrain": "a table", "float_type": "a number", "int_type": "a whole number"}
-    rule = known.get(problem["type"], rule)
-    return InputError(field, problem["input"], f"must be {rule}", "Correct the world file.")
+    return InputError(
+        field, value, f"must be {known.get(problem['type'], rule)}", "Correct the world file."
+    )
 
 
 def _unknown_key(field: str, location: Sequence[str | int], value: object) -> InputError:

@@ -87,7 +87,7 @@ def test_every_parameter_and_setpoint_with_every_wild_number(autopilot: Any, kin
     rng, client = random.Random(5), ready(autopilot, kind)
     client.send(mavlink.MAVLink_param_request_list_message(1, 1))
     values = [each.message for each in client.run(2.0) if each.kind == "PARAM_VALUE"]
-    assert len(values) > 100
+    assert len(values) > 60
     for value in values:
         if value.param_id.startswith("SIM_"):
             continue  # those may cut the link

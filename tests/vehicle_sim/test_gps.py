@@ -139,6 +139,8 @@ def test_fixes_come_and_go_as_px4s_did() -> None:
         assert fix.satellites == real.satellites_visible
         assert fix.horizontal_dilution == real.eph / 100.0
         assert fix.vertical_accuracy_m == pytest.approx(real.v_acc * 1e-3)
+    times_us = [fix.time_us for fix in told]
+    assert np.diff(times_us).min() > 0  # also without a fix
 
 
 def test_px4s_noise_is_that_of_the_recorded_receiver() -> None:
@@ -181,14 +183,6 @@ def test_the_first_fixes_come_when_the_recorded_ones_came(
     assert [(fix.time_us, fix.fix_type) for fix in found[:4]] == beginning
 
 
-def test_arducopters_first_position_is_between_nothing_and_home() -> None:
-    """arducopter-guided-10mps.tlog at 9.84 s: -35.002, 147.64, 578.1 m, fix_type 1."""
-    first = fixes(ARDUCOPTER, 9.9)[1]
-    assert first.latitude_deg == pytest.approx(-35.0020078, abs=1e-3)
-    assert first.longitude_deg == pytest.approx(147.6414364, abs=3e-3)
-    assert first.altitude_amsl_m == pytest.approx(578.12, abs=0.02)
-
-
 @pytest.mark.parametrize("lag_s", [0.0, 0.1, 0.25, 1.0])
 def test_the_position_is_as_old_as_the_lag_says(lag_s: float) -> None:
     copter = standing()
@@ -205,22 +199,33 @@ def test_a_lag_beyond_its_memory_is_as_long_as_that() -> None:
     assert all(math.isfinite(fix.latitude_deg) for fix in found)
 
 
-def test_a_glitch_moves_the_position_at_once_and_back() -> None:
-    gps, copter = Gps(ARDUCOPTER, np.random.default_rng(1)), standing()
-    moved = GpsConditions(glitch_latitude_deg=0.00045, glitch_up_m=-7.0)
-    told = {}
+@pytest.mark.parametrize("latitude_deg", [-35.4, 0.0, 60.0])
+@pytest.mark.parametrize(
+    ("glitch", "moved_m"),
+    [
+        (GpsConditions(glitch_m=(50.0, -30.0, -7.0)), (50.0, -30.0, -7.0)),
+        (GpsConditions(glitch_latitude_deg=0.00045, glitch_up_m=9.0), (49.9, 0.0, 9.0)),
+    ],
+)
+def test_a_glitch_moves_the_position_at_once_and_back(
+    latitude_deg: float, glitch: GpsConditions, moved_m: tuple[float, float, float]
+) -> None:
+    gps, copter, told = Gps(ARDUCOPTER, np.random.default_rng(1)), standing(), {}
+    copter.latitude_deg = latitude_deg
     for now_us in range(0, 20 * S, STEP_US):
-        glitched = 12 * S <= now_us < 15 * S
-        told[now_us] = gps.step(now_us, copter, moved if glitched else FINE)
-    away = offsets_m([told[t] for t in (12 * S - STEP_US, 12_180_000, 15_180_000)])
-    assert away[0] == pytest.approx([0, 0, 0], abs=1e-6)
-    assert away[1] == pytest.approx([50.0, 0, -7.0], abs=0.1)
-    assert away[2] == pytest.approx([0, 0, 0], abs=1e-6)
-    assert told[12_180_000].fix_type == 6
+        told[now_us] = gps.step(now_us, copter, glitch if 12 * S <= now_us < 15 * S else FINE)
+    for at_us, expected_m in ((11_990_000, (0.0, 0.0, 0.0)), (12_180_000, moved_m)):
+        fix = told[at_us]
+        azimuth, _, away = WGS84.inv(HOME[1], latitude_deg, fix.longitude_deg, fix.latitude_deg)
+        angle = math.radians(azimuth)
+        found_m = (away * math.cos(angle), away * math.sin(angle), fix.altitude_amsl_m - HOME[2])
+        assert found_m == pytest.approx(expected_m, abs=0.3)
+        assert fix.fix_type == 6
+    assert told[15_180_000][2:5] == told[11_990_000][2:5]
 
 
 def test_a_drift_goes_on_at_its_speed_and_is_forgotten() -> None:
-    drift = GpsConditions(drift_east_m_s=0.5, drift_up_m_s=0.1)
+    drift = GpsConditions(drift_m_s=(0.0, 0.5, 0.1))
     found = fixes(ARDUCOPTER, 60.0, drift)[3:]
     away = offsets_m(found)
     lasted_s = (found[-1].time_us - found[0].time_us) * 1e-6

@@ -110,6 +110,18 @@ def test_udpout_sends_from_another_port_after_it_has_moved(opened: Open) -> None
         assert received(link) == b"answer"
 
 
+def test_what_is_sent_after_a_refusal_is_not_lost_with_it(opened: Open) -> None:
+    with udp_client() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = probe.getsockname()
+    link = opened(f"udpout:127.0.0.1:{address[1]}")
+    link.send([b"nobody is there"])
+    with udp_client() as client:
+        client.bind(address)
+        link.send([b"now"])
+        assert client.recv(100) == b"now"
+
+
 def test_tcpin_serves_one_client_after_the_other(opened: Open) -> None:
     link = opened("tcpin:127.0.0.1:0")
     address = ("127.0.0.1", link.endpoint.port)
@@ -140,3 +152,10 @@ def test_a_tcp_client_that_does_not_read_costs_bounded_memory_and_gets_whole_fra
         while len(got) < 1_000_000:
             got += client.recv(65536)
         assert bytes(got[:1_000_000]) == frame * 1000
+    while link.receive() is not None:
+        pass
+    with socket.create_connection(("127.0.0.1", link.endpoint.port), timeout=5.0) as client:
+        client.sendall(b"x")
+        received(link)
+        link.send([b"only this"])
+        assert client.recv(65536) == b"only this"

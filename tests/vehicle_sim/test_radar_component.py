@@ -1,6 +1,7 @@
 """The radar's component: who gets what and when, and what each fault does to it."""
 
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -190,19 +191,19 @@ def test_what_is_lost_or_missed_is_so_in_its_share_and_nothing_else_changes() ->
     assert np.array_equal(got[~missed], truth[~missed])
 
 
-def test_noise_never_lowers_a_cell_unless_its_sign_says_so() -> None:
+def test_noise_never_lowers_a_cell_unless_it_says_so() -> None:
     truth = heights(answered())
     seen = truth != UNSEEN_M
     assert seen.sum() > 500
-    for noise_m in (5.0, -5.0, 10_000.0, -10_000.0):
-        got = heights(answered(RadarConditions(noise_m=noise_m)))
+    for noise_m, either_way in product((5.0, 10_000.0), (False, True)):
+        got = heights(answered(RadarConditions(noise_m=noise_m, either_way=either_way)))
         assert np.array_equal(got == UNSEEN_M, ~seen)
         assert np.all((got >= -32768) & (got <= 32767))
         error_m = (got - truth)[seen]
-        assert noise_m < 0.0 or error_m.min() >= 0
-        if noise_m == 5.0:
+        assert either_way or error_m.min() >= 0
+        if (noise_m, either_way) == (5.0, False):
             assert error_m.mean() == pytest.approx(5.0 * np.sqrt(2.0 / np.pi) + 0.5, abs=0.5)
-        elif noise_m == -5.0:
+        elif noise_m == 5.0:
             assert error_m.std() == pytest.approx(5.0, rel=0.1)
             assert error_m.mean() == pytest.approx(0.0, abs=0.6)
 

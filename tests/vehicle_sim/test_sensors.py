@@ -130,24 +130,22 @@ def test_a_wall_of_mountains_hides_what_lies_behind_it() -> None:
 @pytest.mark.parametrize("eye_m", [3.0, 10.0, 25.0])
 def test_the_horizon_is_where_the_earth_curves_away(eye_m: float) -> None:
     """At R acos(R / (R + h)), and of a mast by as much farther as its own horizon is away."""
-    mast_m, earth_m = 12.0, 6_371_000.0
+    mast_m, earth_m, spread_m = 12.0, 6_371_000.0, 400.0
     far_m = earth_m * math.acos(earth_m / (earth_m + eye_m))
     beyond_m = far_m + earth_m * math.acos(earth_m / (earth_m + mast_m))
-    plain = TerrainRadar(PeakTerrain([], combine="maximum", ground_amsl_m=0.0), FRAME, range_m=5e4)
-    eye = viewpoint((0.0, 0.0), eye_m)
-    for north, east in ((1.0, 0.0), (-0.6, 0.8)):
-        at = {
-            share: FRAME.to_geographic(share * far_m * north, share * far_m * east)
-            for share in (0.97, 1.03)
-        }
-        assert plain.sees(*at[0.97], eye)
-        assert not plain.sees(*at[1.03], eye)
+    ways = ((1.0, 0.0), (-0.6, 0.8))
     for share, seen in ((0.97, True), (1.05, False)):
-        mast = (share * beyond_m, 0.0, mast_m, 400.0, 400.0)
-        radar = TerrainRadar(
-            PeakTerrain([mast], combine="maximum", ground_amsl_m=0.0), FRAME, range_m=5e4
-        )
-        assert radar.sees(*FRAME.to_geographic(mast[0], 0.0), eye) == seen
+        masts = [
+            (share * beyond_m * n, share * beyond_m * e, mast_m, spread_m, 400.0) for n, e in ways
+        ]
+        for peaks, away_m in (([], share * far_m), (masts, share * beyond_m)):
+            terrain = PeakTerrain(peaks, combine="maximum", ground_amsl_m=0.0)
+            radar = TerrainRadar(terrain, FRAME, range_m=5e4)
+            for north, east in ways:
+                at = FRAME.to_geographic(away_m * north, away_m * east)
+                asked = ScanRequest(latitude_deg=at[0], longitude_deg=at[1], spacing_m=1, mask=1)
+                (block,) = radar.answer(asked, viewpoint((0.0, 0.0), eye_m))
+                assert (block.heights_amsl_m[0] != UNSEEN_M) == seen
 
 
 def test_a_peak_far_out_is_where_the_message_definition_puts_it() -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from clients import Client
 from harness import Flown
 from pymavlink.dialects.v20 import all as mavlink
 
@@ -16,32 +17,23 @@ from vehicle_sim.world import parse_world
 Table = dict[str, Any]
 
 
-class Other:
+class Other(Client):
     """A companion in memory."""
 
     def __init__(self, table: Table, seed: int = 0) -> None:
         self.simulation = Simulation(parse_world(table), seed=seed)
-        self.mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=195)
-        self.parser = mavlink.MAVLink(None)
+        self.mav, self.parser = mavlink.MAVLink(None, 1, 195), mavlink.MAVLink(None)
 
-    def send(self, *messages: Any) -> None:
-        self.simulation.receive(0, b"".join(m.pack(self.mav) for m in messages))
+    def send(self, *frames: bytes) -> None:
+        self.simulation.receive(0, b"".join(frames))
 
-    def command(self, number: int, *parameters: float) -> None:
-        padded = [*parameters, *[0.0] * (7 - len(parameters))]
-        self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *padded))
+    def datagram(self) -> bytes:
+        return b"".join(frame for _, frame in self.simulation.take_frames())
 
-    def heartbeat(self, status: int = 4) -> None:
-        self.send(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, status, 3))
-
-    def tick(self) -> list[Any]:
+    def tick(self, *_: bytes) -> list[Any]:
         while not self.simulation.step():
             pass
         return self.messages()
-
-    def messages(self) -> list[Any]:
-        frames = [frame for _, frame in self.simulation.take_frames()]
-        return self.parser.parse_buffer(b"".join(frames)) or []
 
     def run(self, ticks: int) -> list[Any]:
         return [message for _ in range(ticks) for message in self.tick()]
@@ -70,7 +62,7 @@ def test_a_tick_is_one_position_period(other: Other) -> None:
     assert other.simulation.now_us == 0
     other.tick()
     assert other.simulation.now_us == 100_000
-    other.command(511, 33, 50_000)
+    other.send(other.command(511, 33, 50_000))
     got = other.tick()
     assert other.simulation.now_us == 150_000
     assert kinds(got) == ["COMMAND_ACK", "GLOBAL_POSITION_INT"]
@@ -80,17 +72,18 @@ def test_a_tick_is_one_position_period(other: Other) -> None:
 
 
 def test_the_radar_refuses_commands_by_itself(other: Other) -> None:
-    other.send(mavlink.MAVLink_command_long_message(1, 100, 511, 0, 33, 1e5, 0, 0, 0, 0, 0))
+    asked = mavlink.MAVLink_command_long_message(1, 100, 511, 0, 33, 1e5, 0, 0, 0, 0, 0)
+    other.send(other.frame(asked))
     (answer,) = other.messages()
     assert (answer.get_srcComponent(), answer.result) == (100, 3)
 
 
 def test_only_the_companion_that_was_heard_first_ends_the_run(other: Other) -> None:
-    other.heartbeat()
+    other.send(other.heartbeat())
     gcs = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
     other.simulation.receive(0, mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 7, 3).pack(gcs))
     assert not other.simulation.companion_ended
-    other.heartbeat(7)
+    other.send(other.heartbeat(7))
     assert other.simulation.companion_ended
 
 
@@ -98,7 +91,7 @@ def test_the_truth_is_a_header_and_ten_lines_a_second(world_table: Table) -> Non
     other = Other(world_table, 3)
     other.run(430)
     for command in ((176, 1, 4), (400, 1), (22, 0, 0, 0, 0, 0, 0, 30)):
-        other.command(*command)
+        other.send(other.command(*command))
     other.run(170)
     header, *rows = map(json.loads, other.simulation.take_truth())
     assert (header["world"], header["seed"], header["schema"]) == ("test", 3, 1)
@@ -185,7 +178,7 @@ def test_who_waits_for_a_heartbeat_and_then_asks_gets_what_it_asked_for(
         assert beats[-1][0] == pytest.approx(began_s + first_s, abs=0.011)
         if not began_s:  # of the radar's too none is within the 60 ms that forget
             assert beats[0][0] == pytest.approx(min(first_s, 1.0), abs=0.011)
-        it.command(511, 30, 50_000)
+        it.send(it.command(511, 30, 50_000))
         got: list[Any] = []
         for _ in range(100):
             simulation.step()

@@ -2,15 +2,16 @@
 
 import os
 import re
-import socket
 import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
+from clients import Client, is_question
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.testing import Simulator, vehicle_sim  # noqa: F401
@@ -94,84 +95,80 @@ def test_the_assertions_say_when_and_by_how_much(sim: Simulator) -> None:
     sim.assert_clear_of_ground(10.0)  # it has not flown
 
 
-def test_faults_and_parameters_can_be_set_on_the_way(sim: Simulator) -> None:
-    sim.advance(1.0)
-    sim.fault("for 1 s: setpoints_ignored")
-    sim.advance(0.5)
-    assert sim.simulation.parameters["SIM_SP_IGNORE"] == 1.0
-    sim.advance(1.0)
-    assert sim.simulation.parameters["SIM_SP_IGNORE"] == 0.0
-    sim.set_parameter("GUID_TIMEOUT", 1.5)
+def test_faults_and_parameters_can_be_set_on_the_way(vehicle_sim: Start) -> None:  # noqa: F811
+    sim = vehicle_sim(autopilot="px4", ready=True)
+    sim.fault("for 12 s: gps_off")
+    for seconds, armable in ((11.0, False), (10.0, True)):
+        sim.advance(seconds)
+        assert sim.simulation.armable == armable
+    sim.set_parameter("SIM_GPS_USED", 3)
+    sim.advance(11.0)
+    assert not sim.simulation.armable
     with pytest.raises(KeyError):
         sim.set_parameter("GUID_TIMEOUTS", 1.5)
 
 
-class Answering:
-    """A client of pymavlink's on the simulator's port that answers questions of lockstep."""
-
-    def __init__(self, sim: Simulator) -> None:
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.setblocking(False)
-        self.address = ("127.0.0.1", sim.port)
-        self.mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
-        self.parser = mavlink.MAVLink(None)
-        self.parser.robust_parsing = True
-        self.asked: list[int] = []
-        self.say(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3))
-
-    def say(self, message: Any) -> None:
-        self.socket.sendto(message.pack(self.mav), self.address)
-
-    def work(self) -> None:
+def work(client: Client, asked: list[int]) -> None:
+    """Read what is there, and answer the questions of lockstep."""
+    with suppress(BlockingIOError):
         while True:
-            try:
-                data = self.socket.recv(65535)
-            except BlockingIOError:
-                return
-            for message in self.parser.parse_buffer(data) or []:
-                if message.get_type() == "TIMESYNC" and message.tc1 == 0 and message.ts1:
-                    self.asked.append(message.ts1)
-                    self.say(mavlink.MAVLink_timesync_message(message.ts1, message.ts1))
+            for message in client.messages():
+                if is_question(message):
+                    asked.append(message.ts1)
+                    client.send(client.answer(message))
+
+
+@pytest.fixture(name="answering")
+def answering_fixture(companion: Client) -> Callable[[Simulator], Client]:
+    def begin(sim: Simulator) -> Client:
+        companion.link.setblocking(False)
+        companion.address = ("127.0.0.1", sim.port)
+        companion.send(companion.heartbeat())
+        return companion
+
+    return begin
+
+
+Answering = Callable[[Simulator], Client]
 
 
 @pytest.mark.parametrize("own_thread", [False, True], ids=["meanwhile", "thread"])
 def test_in_lockstep_every_tick_waits_for_the_clients_answer(
     vehicle_sim: Start,  # noqa: F811
+    answering: Answering,
     own_thread: bool,
 ) -> None:
-    sim = vehicle_sim(lockstep=True)
-    client = Answering(sim)
-    ended = threading.Event()
+    sim, asked, ended = vehicle_sim(lockstep=True), list[int](), threading.Event()
+    client = answering(sim)
 
     def run() -> None:
         while not ended.wait(0.001):
-            client.work()
+            work(client, asked)
 
     thread = threading.Thread(target=run)
     try:
         if own_thread:
             thread.start()
-        sim.advance(3.0, meanwhile=None if own_thread else client.work)
+        sim.advance(3.0, meanwhile=None if own_thread else lambda: work(client, asked))
     finally:
         ended.set()
         if own_thread:
             thread.join()
-        client.socket.close()
-    ticks = [asked for asked in client.asked if asked % 50_000_000 == 0]
+    ticks = [each for each in asked if each % 50_000_000 == 0]
     assert sorted(set(ticks)) == [50_000_000 * k for k in range(2, 61)]  # heard in the first
 
 
 def test_in_lockstep_a_client_that_does_not_answer_is_an_error(
     vehicle_sim: Start,  # noqa: F811
+    answering: Answering,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("vehicle_sim.testing._PATIENCE_S", 0.3)
     sim = vehicle_sim(lockstep=True)
     sim.advance(1.0)  # nobody has come yet
-    client = Answering(sim)
+    answering(sim)
     with pytest.raises(AssertionError, match=r"no answer to TIMESYNC within 0 s; at 1\.\d s"):
         sim.advance(1.0)
-    client.socket.close()
 
 
 def test_what_the_real_one_does_not_survive_fails_the_test_unless_it_is_not_to(
@@ -201,7 +198,10 @@ def test_a_crash_is_seen_however_short_it_is(vehicle_sim: Start) -> None:  # noq
     sim.assert_not_crashed()
     sim.fault("reboot")  # in the air: it falls
     sim.advance(10.0)
-    with pytest.raises(AssertionError, match=r"hit the ground at 2\d\.\d m/s"):
+    with pytest.raises(
+        AssertionError,
+        match=r"hit the ground at 2\d\.\d m/s at .* s, 0 m north, 0 m east, 488 m AMSL",
+    ):
         sim.assert_not_crashed()
     with pytest.raises(AssertionError, match="hit the ground"):
         sim.assert_clear_of_ground(1.0)

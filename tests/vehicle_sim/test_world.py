@@ -1,16 +1,13 @@
 import copy
-import functools
-import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from vehicle_sim.cli import bundled_worlds
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.errors import InputError
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import REMOVED, parse_world, read_world
+from vehicle_sim.world import parse_world, read_world
 
 Table = dict[str, Any]
 
@@ -80,7 +77,6 @@ WOOD: Table = {
     "radius_m": [0.2, 0.4],
     "height_m": [10.0, 20.0],
 }
-SQUARE = [[0.0, 0.0], [0.0, 9.0], [9.0, 9.0]]
 
 
 @pytest.mark.parametrize(
@@ -92,10 +88,6 @@ SQUARE = [[0.0, 0.0], [0.0, 9.0], [9.0, 9.0]]
             ["trees.0.radius_m = 0.0", "greater than 0"],
         ),
         ({"walls": [{"points_ne_m": [[0.0, 1.0]]}]}, ["walls.0.points_ne_m", "at least 2"]),
-        (
-            {"buildings": [{"corners_ne_m": [*SQUARE, SQUARE[0]], "height_m": 9.0}]},
-            ["buildings.0.corners_ne_m", "twice"],
-        ),
         ({"wires": [{"ends_ne_m": [[0.0, 1.0]], "height_m": 3.0}]}, ["wires.0.ends_ne_m"]),
         ({"woods": [WOOD | {"spacing_m": [8.0, 4.0]}]}, ["woods.0.spacing_m", "least first"]),
         ({"woods": [WOOD | {"north_max_m": -5.0}]}, ["woods.0", "least must lie below"]),
@@ -104,6 +96,25 @@ SQUARE = [[0.0, 0.0], [0.0, 9.0], [9.0, 9.0]]
         (
             {"woods": [WOOD | {"clearings": [{"north_m": 1.0, "east_m": 1.0}]}]},
             ["woods.0.clearings.0.radius_m", "missing"],
+        ),
+        (
+            {"terrain": {"file": "terrain.tif", "vertical_datum": "WGS84"}},
+            ["terrain.vertical_datum", "'NAVD88'"],
+        ),
+        (
+            {"terrain": {"file": "a.tif", "ground_amsl_m": 1.0}},
+            ["terrain.file = 'a.tif'", "Leave out one"],
+        ),
+        ({"terrain": {"ground_amsl_m": 1.0}}, ["terrain.combine", "missing"]),
+        ({"terrain": {"file": "a.tif"}}, ["area", "missing"]),
+        (
+            {"area": dict.fromkeys(("north_min_m", "north_max_m", "east_min_m", "east_max_m"), 1)},
+            ["area = (1", "Swap"],
+        ),
+        ({"woods": [WOOD | {"east_min_m": 95.0}]}, ["woods.0", "least must lie below"]),
+        (
+            {"second_lidar": {"range_m": 9.0, "output": "autopilot"}},
+            ["second_lidar.output = 'autopilot'", "beside a [lidar]"],
         ),
         ({"lidar": {"range_m": float("nan")}}, ["lidar.range_m", "finite"]),
         ({"lidar": {"range_m": 9.0, "min_m": 9.0}}, ["lidar.min_m = 9.0", "range_m"]),
@@ -188,17 +199,3 @@ def test_the_drag_that_a_file_gives_is_flown(
     copter = simulation.vehicle
     assert isinstance(copter, Copter)
     assert (copter.drag_1_s, copter.drag_1_m) == (drag_1_s, 0.0)
-
-
-@pytest.mark.parametrize("gone", REMOVED)
-def test_a_key_or_value_that_is_gone_says_so_and_what_to_do(gone: str) -> None:
-    table = tomllib.loads(bundled_worlds()["forest"].read_text(encoding="utf-8"))
-    table["second_lidar"] = dict(table["lidar"])
-    path, _, value = gone.partition(" = ")
-    *tables, key = path.split(".")
-    place = functools.reduce(lambda at, name: at[name], tables, table)
-    place[key] = value or [1.0]
-    with pytest.raises(InputError) as refused:
-        parse_world(table)
-    rule = "was removed in this version"
-    assert str(refused.value) == f"{path} = {place[key]!r}: {rule}. {REMOVED[gone]}"

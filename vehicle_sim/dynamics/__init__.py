@@ -1,6 +1,5 @@
 """How vehicles move: point masses in moving air, stepped by the autopilot; no clock, no chance."""
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 
 from vehicle_sim.geodesy import around, metres_per_degree
@@ -9,7 +8,7 @@ GRAVITY_M_S2 = 9.80665
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
-class Vehicle(ABC):
+class Vehicle:
     """The truth: what every kind of vehicle has.  True north, true east, up; one per run.
 
     The autopilot never reads the position from here (it has an Estimate): only sensors, the truth
@@ -47,21 +46,13 @@ class Vehicle(ABC):
         """North, east, up."""
         return self.velocity_north_m_s, self.velocity_east_m_s, self.velocity_up_m_s
 
-    @abstractmethod
     def stand(self, altitude_amsl_m: float) -> None:
-        """Come to rest at this height."""
-
-    @abstractmethod
-    def fall(self, dt_s: float) -> None:
-        """One step without motors."""
-
-    def _rest(self, altitude_amsl_m: float) -> None:
-        """Level and without motion, at this height."""
+        """Come to rest at this height, level and without motion."""
         self.altitude_amsl_m = altitude_amsl_m
         self.velocity_north_m_s = self.velocity_east_m_s = self.velocity_up_m_s = 0.0
         self.acceleration_north_m_s2 = self.acceleration_east_m_s2 = 0.0
         self.acceleration_up_m_s2 = 0.0
-        self.roll_rad = self.pitch_rad = self.throttle = 0.0
+        self.roll_rad = self.pitch_rad = self.throttle = self.airspeed_m_s = 0.0
         self.stands, self.broken = True, False
 
     def hit(self) -> None:
@@ -69,8 +60,8 @@ class Vehicle(ABC):
         self.broken = True
         self.velocity_north_m_s = self.velocity_east_m_s = 0.0
 
-    def _drop(self, dt_s: float) -> None:
-        """One step of free fall."""
+    def fall(self, dt_s: float) -> None:
+        """One step without motors: free fall."""
         up_m_s = self.velocity_up_m_s - GRAVITY_M_S2 * dt_s
         self._move(self.velocity_north_m_s, self.velocity_east_m_s, up_m_s, dt_s)
 

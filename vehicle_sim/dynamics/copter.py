@@ -50,8 +50,8 @@ class Copter(Vehicle):
 
     def stand(self, altitude_amsl_m: float) -> None:
         """Come to rest at this height."""
-        self._rest(altitude_amsl_m)
-        self._thrust_north_m_s2 = self._thrust_east_m_s2 = self.airspeed_m_s = 0.0
+        Vehicle.stand(self, altitude_amsl_m)
+        self._thrust_north_m_s2 = self._thrust_east_m_s2 = 0.0
 
     def advance(self, north_m_s2: float, east_m_s2: float, up_m_s2: float, dt_s: float) -> None:
         """One step under a commanded acceleration of the thrust, gravity made up for.
@@ -110,7 +110,3 @@ class Copter(Vehicle):
         self.acceleration_north_m_s2, self.acceleration_east_m_s2 = a_n, a_e
         self.acceleration_up_m_s2 = a_u
         self.airspeed_m_s = math.hypot(v_n - self.wind_north_m_s, v_e - self.wind_east_m_s)
-
-    def fall(self, dt_s: float) -> None:
-        """One step without motors."""
-        self._drop(dt_s)

@@ -56,7 +56,7 @@ class Plane(Vehicle):
 
     def stand(self, altitude_amsl_m: float) -> None:
         """Come to rest at this height."""
-        self._rest(altitude_amsl_m)
+        Vehicle.stand(self, altitude_amsl_m)
         self._climb_m_s = self._slip_north_m_s = self._slip_east_m_s = 0.0
         self.airspeed_m_s = self._flow_along_the_nose_m_s()
 
@@ -70,7 +70,7 @@ class Plane(Vehicle):
     def fall(self, dt_s: float) -> None:
         """One step without motor and control: it glides straight ahead, if it can."""
         if self.broken:
-            self._drop(dt_s)
+            Vehicle.fall(self, dt_s)
             return
         self.advance(0.0, -self.limits.sink_max_m_s, self.limits.airspeed_min_m_s, dt_s)
         self.throttle = 0.0

@@ -7,13 +7,16 @@ SensorGpsSim.cpp), with the times and accuracies that the recorded flights show.
 import math
 from collections import deque
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from vehicle_sim.conditions import GpsConditions
+from vehicle_sim.conditions import GpsConditions, Vector
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, around, degrees_east, metres_per_degree
+
+_ZERO: Final = (0.0, 0.0, 0.0)
 
 
 @final
@@ -59,19 +62,14 @@ class Receiver:
     fix_type_lost: int
     satellites_lost: int | None
     """What it says without a fix; None: as many as are asked for."""
-    dilutions: tuple[float, float]
-    """Horizontal, vertical."""
-    dilutions_lost: tuple[float, float]
-    accuracies: tuple[float, float, float]
-    """Horizontal and vertical in m, speed in m/s."""
-    accuracies_lost: tuple[float, float, float]
+    quality: tuple[float, float, float, float, float]
+    """Dilution, horizontal and vertical; accuracy of place and height in m, of speed in m/s."""
+    quality_lost: tuple[float, float, float, float, float]
     late_lock: bool
     """Whether there is a fix is known as late as where it is, and the clock stops without one."""
-    blank_first: bool = False
-    """The first thing that is heard has nothing in it."""
-    noise_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    noise_m: Vector = _ZERO
     """North, east, up."""
-    velocity_noise_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    velocity_noise_m_s: Vector = _ZERO
 
 
 ARDUCOPTER: Final = Receiver(
@@ -80,14 +78,12 @@ ARDUCOPTER: Final = Receiver(
     fix_type=6,
     fix_type_lost=1,
     satellites_lost=3,
-    dilutions=(1.21, 2.0),
-    dilutions_lost=(1.21, 2.0),
-    accuracies=(0.3, 0.3, 0.0),
-    accuracies_lost=(0.3, 0.3, 0.0),
+    quality=(1.21, 2.0, 0.3, 0.3, 0.0),
+    quality_lost=(1.21, 2.0, 0.3, 0.3, 0.0),
     late_lock=True,
 )
 """As in arducopter-*.tlog: fix_type 1 once, 6 from 9.973 s on."""
-ARDUPLANE: Final = replace(ARDUCOPTER, first_us=9_028_000, blank_first=True)
+ARDUPLANE: Final = replace(ARDUCOPTER, first_us=9_028_000)
 """As in arduplane-guided-reposition.tlog: 6 from 9.228 s on."""
 PX4: Final = Receiver(
     interval_us=125_000,
@@ -95,10 +91,8 @@ PX4: Final = Receiver(
     fix_type=3,
     fix_type_lost=0,
     satellites_lost=None,
-    dilutions=(0.7, 1.1),
-    dilutions_lost=(100.0, 100.0),
-    accuracies=(0.9, 1.78, 0.4),
-    accuracies_lost=(100.0, 100.0, 100.0),
+    quality=(0.7, 1.1, 0.9, 1.78, 0.4),
+    quality_lost=(100.0, 100.0, 100.0, 100.0, 100.0),
     late_lock=False,
     noise_m=(0.2, 0.2, 0.5),
     velocity_noise_m_s=(0.06, 0.077, 0.158),
@@ -110,8 +104,6 @@ _HISTORY: Final = 50
 _WANDER_S: Final = 5.0
 """Correlation time of GpsConditions.sigma_m."""
 _VERTICAL: Final = 1.5
-_MIN_COSINE: Final = 0.0175
-"""Of the latitude: longitudes of a drift stop to grow within a degree of the poles."""
 
 
 @final
@@ -129,13 +121,6 @@ class _Sample(NamedTuple):
     up_m_s: float
 
 
-def _between(old: _Sample, new: _Sample, share: float) -> _Sample:
-    """From old (0) to new (1); the fix is that of the older one."""
-    moved = [a + share * (b - a) for a, b in zip(old[2:], new[2:], strict=True)]
-    moved[1] = old.longitude_deg + share * degrees_east(old.longitude_deg, new.longitude_deg)
-    return _Sample(old.time_us, old.locked, *moved)
-
-
 @final
 class Gps:
     """One receiver from one boot to the next.  Seeded; draws only with each solution."""
@@ -146,7 +131,7 @@ class Gps:
         """Nothing new is put out before."""
         self.fix = Fix()
         """The newest one."""
-        self._history = deque([_Sample(0, False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)], maxlen=_HISTORY)
+        self._history = deque([_Sample(0, False, *_ZERO, *_ZERO)], maxlen=_HISTORY)
         self._locked_us = 0
         self._wander = rng.standard_normal(3).tolist()
         self._drift_m = [0.0, 0.0, 0.0]
@@ -154,15 +139,11 @@ class Gps:
 
     def step(self, now_us: int, vehicle: Vehicle, conditions: GpsConditions) -> Fix:
         """The newest solution at now_us (since boot); the same object until there is another."""
-        if now_us < self.due_us:
-            return self.fix
-        receiver = self._receiver
-        due_us = now_us - (now_us - self.due_us) % receiver.interval_us
-        self.due_us = due_us + receiver.interval_us
-        self._history.append(self._sample(due_us, now_us, vehicle, conditions))
-        if receiver.blank_first and len(self._history) == 2:
-            self.fix = Fix(fix_type=receiver.fix_type_lost)
-        else:
+        if now_us >= self.due_us:
+            interval_us = self._receiver.interval_us
+            due_us = now_us - (now_us - self.due_us) % interval_us
+            self.due_us = due_us + interval_us
+            self._history.append(self._sample(due_us, now_us, vehicle, conditions))
             self.fix = self._solution(due_us, conditions)
         return self.fix
 
@@ -170,20 +151,14 @@ class Gps:
         self, due_us: int, now_us: int, vehicle: Vehicle, conditions: GpsConditions
     ) -> _Sample:
         """What the antenna sees: the truth at due_us, with the errors that are made there."""
-        ago_s = (now_us - due_us) * 1e-6
-        velocity = (
-            vehicle.velocity_north_m_s,
-            vehicle.velocity_east_m_s,
-            vehicle.velocity_up_m_s,
-        )
-        error_m = self._noise(self._receiver.noise_m)
-        if conditions.sigma_m:
+        error_m, ago_s = self._noise(self._receiver.noise_m), (now_us - due_us) * 1e-6
+        if sigma_m := conditions.sigma_m:
             keep = math.exp(-self._receiver.interval_us * 1e-6 / _WANDER_S)
-            fresh = math.sqrt(1.0 - keep * keep)
-            draws = self._rng.standard_normal(3).tolist()
-            self._wander = [keep * a + fresh * b for a, b in zip(self._wander, draws, strict=True)]
-            sizes_m = (conditions.sigma_m, conditions.sigma_m, _VERTICAL * conditions.sigma_m)
+            fresh = self._noise(3 * (math.sqrt(1.0 - keep * keep),))
+            self._wander = [keep * a + b for a, b in zip(self._wander, fresh, strict=True)]
+            sizes_m = (sigma_m, sigma_m, _VERTICAL * sigma_m)
             error_m = [e + s * w for e, s, w in zip(error_m, sizes_m, self._wander, strict=True)]
+        velocity = vehicle.velocity_neu_m_s
         north_m, east_m, up_m = (e - v * ago_s for e, v in zip(error_m, velocity, strict=True))
         per_north_m, per_east_m = metres_per_degree(vehicle.latitude_deg)
         speeds = self._noise(self._receiver.velocity_noise_m_s)
@@ -196,100 +171,92 @@ class Gps:
             *(v + e for v, e in zip(velocity, speeds, strict=True)),
         )
 
-    def _noise(self, sizes: tuple[float, float, float]) -> list[float]:
+    def _noise(self, sizes: Vector) -> list[float]:
+        """Draws of the normal laws with these standard deviations; none where there is no noise."""
         if not any(sizes):
             return [0.0, 0.0, 0.0]
         return [x * s for x, s in zip(self._rng.standard_normal(3).tolist(), sizes, strict=True)]
 
-    def _late(self, due_us: int, lag_us: int) -> _Sample:
-        """The antenna lag_us ago, between two samples."""
-        history = self._history
-        for i in range(len(history) - 1, 0, -1):
-            new, old = history[i], history[i - 1]
-            if due_us - new.time_us <= lag_us <= due_us - old.time_us:
-                span_us = max(new.time_us - old.time_us, 1)
-                return _between(old, new, (due_us - old.time_us - lag_us) / span_us)
-        return history[0]
+    def _late(self, at_us: int) -> _Sample:
+        """The antenna then, between two samples; whether it has a fix is that of the older one."""
+        for new, old in pairwise(reversed(self._history)):
+            if old.time_us <= at_us <= new.time_us:
+                share = (at_us - old.time_us) / max(new.time_us - old.time_us, 1)
+                moved = [a + share * (b - a) for a, b in zip(old[2:], new[2:], strict=True)]
+                east_deg = degrees_east(old.longitude_deg, new.longitude_deg)
+                moved[1] = old.longitude_deg + share * east_deg
+                return _Sample(old.time_us, old.locked, *moved)
+        return self._history[0]
 
     def _solution(self, due_us: int, conditions: GpsConditions) -> Fix:
-        receiver = self._receiver
-        sample = self._late(due_us, round(conditions.lag_s * 1e6))
+        receiver, satellites = self._receiver, conditions.satellites
+        sample = self._late(due_us - round(conditions.lag_s * 1e6))
         locked = sample.locked if receiver.late_lock else self._history[-1].locked
-        satellites = conditions.satellites
         if conditions.jammed:
             sample, locked, satellites = self._jamming.spoil(due_us, sample, satellites)
         if locked or not receiver.late_lock:
             self._locked_us = due_us
         if not locked and receiver.satellites_lost is not None:
             satellites = receiver.satellites_lost
-        north_m, east_m, up_m = self._drifted_m(conditions)
-        north_deg = conditions.glitch_latitude_deg + north_m / ARDUPILOT_M_PER_DEG
-        cosine = max(math.cos(math.radians(sample.latitude_deg)), _MIN_COSINE)
-        east_deg = conditions.glitch_longitude_deg + east_m / ARDUPILOT_M_PER_DEG / cosine
-        heard = locked or self.fix.horizontal_accuracy_m > 0.0
-        accuracies = receiver.accuracies if locked else receiver.accuracies_lost
-        dilutions = receiver.dilutions if locked else receiver.dilutions_lost
-        fix_type = min(conditions.fix_type, receiver.fix_type)
+        drift, step_s = conditions.drift_m_s, receiver.interval_us * 1e-6
+        moved = zip(self._drift_m, drift, strict=True)
+        self._drift_m = [m + v * step_s for m, v in moved] if any(drift) else [0.0, 0.0, 0.0]
+        error_m = [a + b for a, b in zip(self._drift_m, conditions.glitch_m, strict=True)]
+        per_north_m, per_east_m = metres_per_degree(sample.latitude_deg)
+        north_deg = conditions.glitch_latitude_deg + error_m[0] / per_north_m
+        east_deg = conditions.glitch_longitude_deg + error_m[1] / per_east_m
         return Fix(
             self._locked_us,
-            fix_type if locked else receiver.fix_type_lost,
+            min(conditions.fix_type, receiver.fix_type) if locked else receiver.fix_type_lost,
             min(max(sample.latitude_deg + north_deg, -90.0), 90.0),
             around(sample.longitude_deg + east_deg),
-            sample.altitude_amsl_m + conditions.glitch_up_m + up_m,
-            sample.north_m_s + conditions.drift_north_m_s,
-            sample.east_m_s + conditions.drift_east_m_s,
-            sample.up_m_s + conditions.drift_up_m_s,
+            sample.altitude_amsl_m + conditions.glitch_up_m + error_m[2],
+            sample.north_m_s + drift[0],
+            sample.east_m_s + drift[1],
+            sample.up_m_s + drift[2],
             satellites,
-            *dilutions,
-            *(accuracies if heard else (0.0, 0.0, 0.0)),
+            *(receiver.quality if locked else receiver.quality_lost),
         )
 
-    def _drifted_m(self, conditions: GpsConditions) -> list[float]:
-        """How far a drift has come by now: north, east, up."""
-        drift = (conditions.drift_north_m_s, conditions.drift_east_m_s, conditions.drift_up_m_s)
-        step_s = self._receiver.interval_us * 1e-6 if any(drift) else 0.0
-        before_m = self._drift_m if step_s else (0.0, 0.0, 0.0)
-        self._drift_m = [m + v * step_s for m, v in zip(before_m, drift, strict=True)]
-        return self._drift_m
+
+_SILENT_S: Final = (1.0, 6.0)
+_WILD_M_S, _WILD_M = 400.0, 200.0
+_CHANGE_HZ: Final = 1.1
+"""How often fix, satellites, velocity and position become others."""
+_FORGOTTEN_US: Final = 1_000_000
+"""A jamming that has paused for longer begins again."""
 
 
 @final
 class _Jamming:
     """A jammer near by, as ArduPilot's simulation has it: nothing for a while, then wild values."""
 
-    _SILENT_S = (1.0, 6.0)
-    _MIN_SATELLITES = 4
-    _WILD_M_S, _WILD_M = 400.0, 200.0
-    _CHANGE_HZ = 1.1
-    """How often fix, satellites, velocity and position become others."""
-    _FORGOTTEN_US = 1_000_000
-
     def __init__(self, rng: np.random.Generator, interval_s: float) -> None:
-        self._rng, self._share = rng, self._CHANGE_HZ * interval_s
-        self._last_us = -self._FORGOTTEN_US - 1
-        self._silent_until_us = 0
+        self._rng, self._share = rng, _CHANGE_HZ * interval_s
+        self._last_us, self._silent_until_us = -_FORGOTTEN_US - 1, 0
         self._place_deg = (0.0, 0.0)
 
     def spoil(self, now_us: int, sample: _Sample, satellites: int) -> tuple[_Sample, bool, int]:
         """The sample as the jammed receiver has it, whether it has a fix, and the satellites."""
         rng, locked = self._rng, sample.locked
-        if now_us - self._last_us > self._FORGOTTEN_US:
-            self._silent_until_us = now_us + round(1e6 * rng.uniform(*self._SILENT_S))
+        if now_us - self._last_us > _FORGOTTEN_US:
+            self._silent_until_us = now_us + round(1e6 * rng.uniform(*_SILENT_S))
             self._place_deg = (sample.latitude_deg, sample.longitude_deg)
         self._last_us = now_us
         if now_us < self._silent_until_us:
             return sample, False, 0
-        changes = (rng.random(3) < self._share).tolist()
-        if changes[0]:
+        fix, velocity, place = (rng.random(3) < self._share).tolist()
+        if fix:
             satellites = 2 + int(rng.integers(15))
-            locked = satellites >= self._MIN_SATELLITES and bool(rng.integers(2))
-        if changes[1]:
-            north, east, up = rng.uniform(-self._WILD_M_S, self._WILD_M_S, 3).tolist()
+            locked = satellites >= 4 and bool(rng.integers(2))
+        if velocity:
+            north, east, up = rng.uniform(-_WILD_M_S, _WILD_M_S, 3).tolist()
             sample = sample._replace(north_m_s=north, east_m_s=east, up_m_s=up)
-        if changes[2]:
-            step_deg = (rng.uniform(-self._WILD_M, self._WILD_M, 2) / ARDUPILOT_M_PER_DEG).tolist()
-            latitude_deg = min(max(self._place_deg[0] + step_deg[0], -90.0), 90.0)
-            self._place_deg = (latitude_deg, around(self._place_deg[1] + step_deg[1]))
+        if place:
+            north_deg, east_deg = rng.uniform(-_WILD_M, _WILD_M, 2).tolist()
+            latitude_deg = self._place_deg[0] + north_deg / ARDUPILOT_M_PER_DEG
+            longitude_deg = around(self._place_deg[1] + east_deg / ARDUPILOT_M_PER_DEG)
+            self._place_deg = (min(max(latitude_deg, -90.0), 90.0), longitude_deg)
         latitude_deg, longitude_deg = self._place_deg
-        at_place = sample._replace(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
-        return at_place, locked, satellites
+        moved = sample._replace(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+        return moved, locked, satellites

@@ -143,17 +143,6 @@ class TerrainRadar:
         """The true height of the terrain at a point."""
         return self._terrain.height_at_amsl_m(*self._frame.to_local(latitude_deg, longitude_deg))
 
-    def sees(self, latitude_deg: float, longitude_deg: float, view: Viewpoint) -> bool:
-        """Whether a point of the ground is in range and in sight."""
-        if not abs(latitude_deg) < 90.0:
-            return False
-        frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
-        if math.hypot(*frame.to_local(view.latitude_deg, view.longitude_deg)) > self._range_m:
-            return False
-        point_ne_m = np.array([self._frame.to_local(latitude_deg, longitude_deg)])
-        north_m, east_m = self._frame.to_local(view.latitude_deg, view.longitude_deg)
-        return bool(self._in_sight((north_m, east_m, view.altitude_amsl_m), point_ne_m)[0])
-
     def _corners_ne_m(
         self, request: ScanRequest, north: NDArray[np.intp], east: NDArray[np.intp]
     ) -> FloatArray:

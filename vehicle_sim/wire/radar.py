@@ -114,10 +114,10 @@ class RadarComponent:
             seen &= self._rng.random(len(heights)) >= conditions.cells_missed
         if conditions.noise_m:
             error_m = self._rng.standard_normal(len(heights)) * conditions.noise_m
-            is_upwards = conditions.noise_m > 0.0
-            noisy = (
-                np.ceil(heights + np.abs(error_m)) if is_upwards else np.round(heights + error_m)
-            )
+            if conditions.either_way:
+                noisy = np.round(heights + error_m)
+            else:
+                noisy = np.ceil(heights + np.abs(error_m))
             heights = np.clip(noisy, _LOWEST_M, _HIGHEST_M).astype(np.int64)
         spoilt: list[int] = np.where(seen, heights, UNSEEN_M).tolist()
         return spoilt

@@ -1,0 +1,160 @@
+"""Who is at the other end of a socket: a client of pymavlink's, a process, a server in a thread."""
+
+import io
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.errors import SimulatorError
+from vehicle_sim.links import Link
+from vehicle_sim.server import Server, Settings, Station
+from vehicle_sim.simulation import Simulation
+from vehicle_sim.world import parse_world
+
+ROOT = Path(__file__).parents[2]
+
+
+class Client:
+    """The other end of a link: a few frames on a real socket, and nothing of our own code."""
+
+    def __init__(self, link: socket.socket, ids: tuple[int, int] = (1, 195)) -> None:
+        self.link, self.address = link, cast(Any, None)
+        self.link.settimeout(20.0)
+        self.mav = mavlink.MAVLink(None, *ids)
+        self.parser = mavlink.MAVLink(None)
+        self.parser.robust_parsing = True
+
+    @property
+    def port(self) -> int:
+        return int(self.link.getsockname()[1])
+
+    @property
+    def endpoint(self) -> str:
+        return f"udpout:127.0.0.1:{self.port}"
+
+    def frame(self, message: Any) -> bytes:
+        packed: bytes = message.pack(self.mav)
+        self.mav.seq = (self.mav.seq + 1) % 256
+        return packed
+
+    def command(self, number: int, *parameters: float) -> bytes:
+        padded = [*parameters, *[0.0] * (7 - len(parameters))]
+        return self.frame(mavlink.MAVLink_command_long_message(1, 1, number, 0, *padded))
+
+    def heartbeat(self, status: int = 4) -> bytes:
+        return self.frame(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, status, 3))
+
+    def answer(self, question: Any) -> bytes:
+        return self.frame(mavlink.MAVLink_timesync_message(question.ts1, question.ts1))
+
+    def send(self, *frames: bytes) -> None:
+        if self.address is None:
+            self.link.sendall(b"".join(frames))
+        else:
+            self.link.sendto(b"".join(frames), self.address)
+
+    def datagram(self) -> bytes:
+        data, address = self.link.recvfrom(65535)
+        if not data:
+            raise ConnectionError
+        self.address = address or self.address
+        return data
+
+    def messages(self) -> list[Any]:
+        return self.parser.parse_buffer(self.datagram()) or []
+
+    def tick(self, *frames: bytes) -> list[Any]:
+        """Take one tick of lockstep and answer it, after these frames."""
+        got: list[Any] = []
+        while not (got and is_question(got[-1])):
+            got += self.messages()
+        self.send(*frames, self.answer(got[-1]))
+        return got
+
+    def wait_for(self, wanted: str | Callable[[Any], bool], within_s: float = 10.0) -> Any:
+        """The first message of this kind, or for which this is so."""
+        deadline_s = time.monotonic() + within_s
+        while time.monotonic() < deadline_s:
+            for message in self.messages():
+                if message.get_type() == wanted or (callable(wanted) and wanted(message)):
+                    return message
+        pytest.fail(f"no {wanted} within {within_s} s")
+
+
+def is_question(message: Any) -> bool:
+    """Of lockstep; ArduPilot asks others that end in 1."""
+    is_sync = message.get_type() == "TIMESYNC" and message.tc1 == 0
+    return is_sync and message.ts1 > 0 and message.ts1 % 1000 == 0
+
+
+@contextmanager
+def udp_client(ids: tuple[int, int] = (1, 195), port: int = 0) -> Iterator[Client]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.bind(("127.0.0.1", port))
+        yield Client(link, ids)
+
+
+@contextmanager
+def tcp_client(port: int, ids: tuple[int, int] = (1, 195)) -> Iterator[Client]:
+    with socket.create_connection(("127.0.0.1", port), timeout=20.0) as link:
+        yield Client(link, ids)
+
+
+class Process(subprocess.Popen[str]):
+    """vehicle-sim with these arguments."""
+
+    def __init__(self, *arguments: object, **keywords: Any) -> None:
+        command = [sys.executable, "-m", "vehicle_sim.cli", *map(str, arguments)]
+        pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        super().__init__(command, text=True, cwd=ROOT, **pipes | keywords)
+
+    def port_of(self, kind: str) -> int:
+        """That it has found, as its first line says."""
+        assert self.stdout is not None
+        return int(self.stdout.readline().split(f"{kind}:127.0.0.1:")[1].split(",")[0])
+
+    def result(self) -> tuple[int, str, str]:
+        """Exit code, stdout and stderr."""
+        out, err = self.communicate(timeout=40)
+        return self.returncode, out, err
+
+
+class Running:
+    """A server in a thread of its own, and what became of it."""
+
+    def __init__(
+        self, tables: Sequence[dict[str, Any]], links: Sequence[Link], **settings: Any
+    ) -> None:
+        self.simulations = [Simulation(parse_world(table), seed=1) for table in tables]
+        self.simulation, self.truth = self.simulations[0], io.StringIO()
+        self.error: Exception | None = None
+        self.stop = threading.Event()
+        self.ports = [link.endpoint.port for link in links]
+        of_each = links if len(links) > 1 else [*links] * len(tables)
+        stations = [
+            Station(simulation=each, links=[link])
+            for each, link in zip(self.simulations, of_each, strict=True)
+        ]
+        stations[0].truth = self.truth
+        self._server = Server(stations, Settings(**settings), self.stop, say=lambda _: None)
+        self.thread = threading.Thread(target=self._run, daemon=True)
+        self.thread.start()
+
+    def _run(self) -> None:
+        try:
+            self._server.run()
+        except SimulatorError as error:
+            self.error = error
+
+    def ended(self, within_s: float = 10.0) -> bool:
+        self.thread.join(within_s)
+        return not self.thread.is_alive()
