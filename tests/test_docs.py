@@ -279,3 +279,10 @@ def test_the_pages_that_are_made_from_the_code_are_up_to_date() -> None:
     for name, text in made.items():
         page = (ROOT / f"docs/{name}.md").read_text(encoding="utf-8")
         assert page == text, f"{name}: run scripts/docs"
+
+
+def test_the_register_of_laws_names_every_file_of_tests_once() -> None:
+    tests = ROOT / "tests"
+    named = re.findall(r"[\w/]*test_\w+(?=[,\s|])", (tests / "LAWS.md").read_text("utf-8"))
+    there = (path.relative_to(tests).with_suffix("") for path in tests.rglob("test_*.py"))
+    assert sorted(named) == sorted(path.as_posix() for path in there)
