@@ -118,7 +118,7 @@ def fly(
     patched = (
         (machine, "step", lambda _state, event, *_: type(event).__name__),
         (entries, "of_event", lambda event, *_: f"journal of {type(event).__name__}"),
-        (AutopilotClient, "events", lambda *_: "fence and parameters"),
+        (AutopilotClient, "news", lambda *_: "fence and parameters"),
         (checkpoint.CheckpointPolicy, "due", lambda *_: "checkpoint"),
         (Session, "receive", lambda *_: "bytes in"),
         (Session, "run", lambda *_: _TURN),
