@@ -59,7 +59,14 @@ TRAITS = [each.traits for each in ALL]
 EACH = each_of(*TRAITS)
 COPTERS = each_of(*(each for each in TRAITS if each.hovers))
 PLANES = each_of(*(each for each in TRAITS if not each.hovers))
-MOVING = (events.Arm, events.TakeOff, events.SetMode, events.Setpoint, events.SetSpeed)
+MOVING = (
+    events.Arm,
+    events.Disarm,
+    events.TakeOff,
+    events.SetMode,
+    events.Setpoint,
+    events.SetSpeed,
+)
 OVER = (Phase.DONE, Phase.FAULTED)
 
 
