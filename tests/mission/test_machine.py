@@ -373,12 +373,6 @@ def test_how_far_off_it_is_and_what_is_allowed_are_told_so_that_they_differ() ->
     assert detail == ": 1.0 m off, 0.6 m allowed"
 
 
-def test_it_goes_on_by_a_position_that_is_vouched_for_a_minute_wherever_it_is() -> None:
-    craft = gives_in(flying()).run_for(45.0)
-    assert craft.phase is Phase.HOLDING
-    assert craft.run_for(15.0).phase is Phase.FLYING
-
-
 @COPTERS
 def test_a_vehicle_given_back_where_it_cannot_be_is_held_and_that_is_said(
     traits: VehicleTraits,
@@ -393,14 +387,6 @@ def test_a_vehicle_given_back_where_it_cannot_be_is_held_and_that_is_said(
     assert craft.mode is Mode.HOLD
     assert craft.sent(events.StatusText)[-1].text.endswith(" m allowed")
     assert shifted(craft, -50.0).run_for(10.0).phase is Phase.FLYING
-
-
-def test_a_jump_is_not_answered_by_a_setpoint() -> None:
-    """Neither on a leg nor where the place to hover is taken from the position."""
-    for craft in (flying(), Craft().fly_to(Phase.FLYING)):
-        far = (craft.here[0] + 5000.0, craft.here[1], craft.here[2])
-        commands = craft.take(position(craft.now_s + TICK_S, far))
-        assert not [command for command in commands if isinstance(command, Setpoint)]
 
 
 def test_after_a_lost_fix_it_goes_on_from_where_it_is_when_the_position_was_good_for_2_s() -> None:
@@ -441,34 +427,19 @@ def test_who_changes_the_mode_is_not_fought(phase: Phase, taken: Mode) -> None:
         assert craft.state.reason is Reason.MODE_TAKEN
 
 
-def test_when_guided_mode_is_selected_again_it_plans_from_where_the_vehicle_is() -> None:
-    craft = holding_mode_taken().run_for(5.0)
-    craft.fly_by_hand((3.0, 10.0, 0.0), 4.0).run_for(5.0)
+@pytest.mark.parametrize("made", [flying, arrived])
+def test_a_vehicle_taken_and_given_back_is_led_from_where_it_is(made: Callable[[], Craft]) -> None:
+    """And not without a plan to where it was, nor to the target that it was at."""
+    craft = made().is_taken(Mode.OTHER)
+    craft.follows = False
+    craft.run_for(2.0).fly_by_hand((-100.0, 10.0, 0.0), 60.0).run_for(5.0)
     craft.mode = Mode.GUIDED
     craft.fly_to(Phase.FLYING)
-    [setpoint] = [c for c in craft.tick() if isinstance(c, Setpoint)]
-    assert math.dist(setpoint.position_nea_m, craft.here) < 1e-6
-    assert craft.run_for(8.0).sent(Plan)[-1].request.from_rest
-
-
-def test_a_vehicle_taken_from_its_target_and_given_back_is_not_sent_there_without_a_plan() -> None:
-    craft = arrived()
-    craft.mode, craft.obeys_modes, craft.follows = Mode.OTHER, False, False
-    craft.run_for(2.0)
-    craft.fly_by_hand((-100.0, 0.0, 0.0), 60.0).run_for(5.0)
-    craft.mode = Mode.GUIDED
     setpoints = [c for c in craft.during(2.0) if isinstance(c, Setpoint)]
     assert setpoints
-    for setpoint in setpoints:
-        assert math.dist(setpoint.position_nea_m, craft.here) < 20.0
-
-
-def test_a_vehicle_that_was_landed_by_hand_is_not_flown_on_from_the_ground() -> None:
-    craft = holding_mode_taken()
-    craft.landed = Landed.ON_GROUND
-    craft.run_for(5.0)
-    craft.mode = Mode.GUIDED
-    assert moving(craft.during(10.0)) == []
+    assert max(math.dist(each.position_nea_m, craft.here) for each in setpoints) < 1e-5
+    craft.follows = True
+    assert craft.run_for(8.0).sent(Plan)[-1].request.from_rest
 
 
 def test_a_fix_lost_on_the_ground_during_take_off_does_not_begin_the_flight_on_the_ground() -> None:
@@ -629,15 +600,6 @@ def test_an_order_in_the_take_off_is_obeyed_at_once(
         assert craft.end().outcome is Outcome.STOPPED, at
         hands_over = kind is events.OrderKind.RETURN and not (traits.hovers or on_ground)
         assert not craft.armed or (hands_over and craft.mode is Mode.RETURN), at
-
-
-def test_a_vehicle_told_to_take_off_is_left_holding_though_it_still_says_it_is_on_the_ground() -> (
-    None
-):
-    craft = Craft().run_until(lambda craft: bool(craft.sent(TakeOff)))
-    assert craft.state.vehicle.landed is Landed.ON_GROUND
-    assert craft.landed is Landed.TAKING_OFF
-    assert SetMode(mode=Mode.HOLD) in craft.take(events.StopAsked(time_s=craft.now_s))
 
 
 @COPTERS
