@@ -157,40 +157,29 @@ STOPS_S = SPEED_M_S / 5.0
 UP, SLANTED = (0.0, 0.0, 1.0), (0.6 * NORTH_EAST, -0.6 * NORTH_EAST, 0.8)
 
 
+LIMITS = {
+    "out of the tube": ((ASIDE, UP, SLANTED), ERROR_M, Reason.BESIDE_PATH, None),
+    "ahead of where it was told to be": ((ALONG,), ERROR_M, None, None),
+    "a second ahead or behind": ((ALONG, BACK), ERROR_M + SPEED_M_S, None, Reason.OFF_PATH),
+    "too far off for a stop": ((ASIDE,), FAR_M, Reason.BESIDE_PATH, Reason.OFF_PATH),
+}
+"""Ways, and how far: from there on it is to stop on its path, or to hold."""
+
+
 @pytest.mark.parametrize("share", [0.98, 1.02])
-@pytest.mark.parametrize(
-    ("ways", "limit_m", "notes", "stops", "departs"),
-    [
-        ((ASIDE, UP, SLANTED), ERROR_M, True, True, False),  # it leaves the tube: on its path
-        ((ALONG,), ERROR_M, True, False, False),  # ahead of where it was told to be
-        (
-            (ALONG, BACK),
-            ERROR_M + SPEED_M_S,
-            None,
-            False,
-            True,
-        ),  # who is a second behind is waited for
-        ((ASIDE,), FAR_M, None, True, True),  # too far off for a stop
-    ],
-    ids=["out of the tube", "ahead", "far ahead or behind", "far off"],
-)
-def test_who_leaves_where_it_was_proven_to_be_is_noted_or_is_to_stop_or_to_hold(
-    ways: tuple[Way, ...],
-    limit_m: float,
-    notes: bool | None,
-    stops: bool,
-    departs: bool,
-    share: float,
+@pytest.mark.parametrize("limit", LIMITS)
+def test_who_leaves_where_it_was_proven_to_be_is_noted_and_is_to_stop_or_to_hold(
+    limit: str, share: float
 ) -> None:
+    ways, limit_m, stops, departs = LIMITS[limit]
     for way in ways:
         flight, reason = found_at(cruising(), way, share * limit_m)
-        outside = share > 1.0
-        assert reason is (Reason.OFF_PATH if departs and outside else None)
-        if notes:
-            left_m = 0.02 * limit_m if outside else 0.0
+        assert reason is (departs if share > 1.0 else None)
+        if departs is None:
+            left_m = max(share - 1.0, 0.0) * limit_m
             assert flight.left_path_m == pytest.approx(left_m, rel=0.01)
-            stop_for = None if flight.stop is None else flight.stop.reason
-            assert stop_for is (Reason.BESIDE_PATH if stops and outside else None)
+            stop = None if flight.stop is None else flight.stop.reason
+            assert stop is (stops if share > 1.0 else None)
 
 
 @pytest.mark.parametrize(
@@ -347,44 +336,38 @@ def test_who_joins_a_path_near_its_end_comes_to_rest_without_a_jump(
     assert math.hypot(*sent[-1].velocity_nea_m_s) < 0.1
 
 
-@pytest.mark.parametrize("age_s", [0.0, 0.1, 0.4])
-def test_it_goes_on_where_the_autopilots_target_has_moved_since_it_was_told(age_s: float) -> None:
+def went_on(at_m: float, told_m: float, pace: float, **echo: Any) -> Flight:
+    """Where it goes on along its leg: at that length and share of V, told to be at the other."""
     state = two_legs().state
     assert state.flight.leg is not None
-    curve, at_m = state.flight.leg.subpath, 1_000.0
-    velocity = SPEED_M_S * curve.pose(at_m).tangent_nea
-    told_m = at_m - age_s * SPEED_M_S
+    curve = state.flight.leg.subpath
+    north, east, up = (float(each) for each in pace * SPEED_M_S * curve.pose(at_m).tangent_nea)
     vehicle = replace(
         state.vehicle,
         position_nea_m=curve.pose(at_m).point_nea_m,
-        velocity_nea_m_s=(float(velocity[0]), float(velocity[1]), float(velocity[2])),
+        velocity_nea_m_s=(north, east, up),
         echo_nea_m=curve.pose(told_m).point_nea_m,
-        echo_at_s=state.now_s - age_s,
+        **echo,
     )
-    went_on = joined(replace(state, vehicle=vehicle, flight=replace(state.flight, sent=None)))
-    assert went_on is not None
-    assert went_on.reference.length_m == pytest.approx(at_m, abs=0.1)
+    flight = joined(replace(state, vehicle=vehicle, flight=replace(state.flight, sent=None)))
+    assert flight is not None
+    return flight
+
+
+@pytest.mark.parametrize("age_s", [0.0, 0.1, 0.4])
+def test_it_goes_on_where_the_autopilots_target_has_moved_since_it_was_told(age_s: float) -> None:
+    at_s = two_legs().state.now_s - age_s
+    flight = went_on(1_000.0, 1_000.0 - age_s * SPEED_M_S, 1.0, echo_at_s=at_s)
+    assert flight.reference.length_m == pytest.approx(1_000.0, abs=0.1)
 
 
 def test_it_goes_on_from_a_target_that_stands_as_slowly_as_the_target() -> None:
-    state = two_legs().state
-    assert state.flight.leg is not None
-    pose = state.flight.leg.subpath.pose(1_000.0)
-    north, east, up = (float(each) for each in 0.6 * SPEED_M_S * pose.tangent_nea)
-    vehicle = replace(
-        state.vehicle,
-        position_nea_m=state.flight.leg.subpath.pose(1_000.0 - 0.6 * SPEED_M_S).point_nea_m,
-        velocity_nea_m_s=(north, east, up),
-        echo_nea_m=pose.point_nea_m,
-        echo_nea_m_s=(0.0, 0.0, 0.0),
-        echo_at_s=state.now_s - 0.4,
-    )
-    went_on = joined(replace(state, vehicle=vehicle, flight=replace(state.flight, sent=None)))
-    assert went_on is not None
-    assert went_on.offset is not None
-    assert went_on.reference.length_m == pytest.approx(1_000.0, abs=0.01)
-    assert went_on.reference.speed_m_s == 0.0
-    assert np.linalg.norm(went_on.offset.velocity_nea_m_s) == 0.0
+    echo = {"echo_nea_m_s": (0.0, 0.0, 0.0), "echo_at_s": two_legs().state.now_s - 0.4}
+    flight = went_on(1_000.0 - 0.6 * SPEED_M_S, 1_000.0, 0.6, **echo)
+    assert flight.offset is not None
+    assert flight.reference.length_m == pytest.approx(1_000.0, abs=0.01)
+    assert flight.reference.speed_m_s == 0.0
+    assert np.linalg.norm(flight.offset.velocity_nea_m_s) == 0.0
 
 
 def test_at_its_target_it_looks_where_it_has_flown_to() -> None:
