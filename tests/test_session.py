@@ -92,15 +92,6 @@ def test_every_frame_both_ways_is_recorded_in_order_with_times_that_do_not_go_ba
     assert len(flown.record) > len(flown.frames) + 100
 
 
-def test_no_setpoint_is_sent_until_the_vehicle_says_that_it_is_in_the_air(flown: Pair) -> None:
-    in_air = False
-    for _, frame in flown.record:
-        [message] = messages([frame])
-        if message.get_type() == "EXTENDED_SYS_STATE":
-            in_air = message.landed_state == 2
-        assert in_air or message.get_type() != "SET_POSITION_TARGET_GLOBAL_INT"
-
-
 def test_every_position_in_flight_is_answered_by_one_setpoint_of_its_time(flown: Pair) -> None:
     sent = [m.time_boot_ms for m in flown.sent("SET_POSITION_TARGET_GLOBAL_INT")]
     assert len(sent) > 300
@@ -313,17 +304,6 @@ def test_hold_frames_of_a_vehicle_that_is_told_to_take_off_disarm_it_too() -> No
     assert (disarm.command, disarm.param1) == (wire.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
 
 
-@pytest.mark.parametrize("part", ["reader", "writer", "decider"])
-def test_a_part_that_dies_ends_the_flight_in_the_hold_mode_with_its_name(part: str) -> None:
-    it = flying()
-    it.session.part_died(part, "OSError: made up")
-    out = it.take(it.session.run())
-    assert out.end is not None
-    assert out.end.reason == f"{Reason.PLANNER_DIED.text}: {part}: OSError: made up"
-    assert it.run_until(lambda it: it.out.settled).vehicle.mode == BRAKE
-    assert "part died" in kinds(it)
-
-
 # --- streams, silence, stop
 
 
@@ -468,12 +448,21 @@ def test_silence_in_flight_holds_after_3_s_and_ends_a_real_flight_only_after_10_
     assert it.session.run().end is not None
 
 
-def test_stop_leaves_the_vehicle_holding_and_is_settled_when_it_says_so() -> None:
+@pytest.mark.parametrize("part", ["", "reader", "writer", "decider"])
+def test_who_stops_it_or_dies_leaves_the_vehicle_holding_and_settled_when_it_says_so(
+    part: str,
+) -> None:
     it = flying()
-    it.session.stop()
+    if part:
+        it.session.part_died(part, "OSError: made up")
+    else:
+        it.session.stop()
     out = it.take(it.session.run())
     assert out.end is not None
-    assert out.end.outcome is Outcome.STOPPED
+    assert out.end.outcome is (Outcome.FAILED if part else Outcome.STOPPED)
+    died = f"{Reason.PLANNER_DIED.text}: {part}: OSError: made up"
+    assert out.end.reason == (died if part else Reason.STOPPED.text)
+    assert ("part died" in kinds(it)) is bool(part)
     assert not out.settled
     assert it.run_until(lambda it: it.out.settled).vehicle.mode == BRAKE
 
