@@ -12,8 +12,6 @@ from companion.mission.stopped import FAILSAFE_OVER
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.planner.request import NotPlanned, Refusal
 
-WHERE = [Mode.HOLD, Mode.RETURN, Mode.LAND]
-
 
 def under_way(traits: VehicleTraits = ARDUCOPTER.traits) -> Craft:
     """A copter at speed; a plane about to set out (made-up ones only fly where they are told)."""
@@ -30,13 +28,11 @@ def taken(traits: VehicleTraits = ARDUCOPTER.traits, mode: Mode = Mode.RETURN) -
 
 
 @EACH
-@pytest.mark.parametrize("mode", WHERE)
+@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.RETURN, Mode.LAND])
 def test_a_mode_that_goes_in_a_failsafe_is_the_failsafes(traits: VehicleTraits, mode: Mode) -> None:
     craft = taken(traits, mode)
-    if (
-        traits.needs_setpoints_before_offboard and mode is Mode.HOLD
-    ):  # it may have lost setpoints: that goes first
-        assert craft.state.reason is Reason.STREAM_LOST
+    if traits.needs_setpoints_before_offboard and mode is Mode.HOLD:
+        assert craft.state.reason is Reason.STREAM_LOST  # it may have lost them: that goes first
         craft.run_for(40.0)
     assert craft.state.reason is Reason.FAILSAFE
     assert craft.state.taken
@@ -49,9 +45,7 @@ def test_a_mode_that_goes_in_a_failsafe_is_the_failsafes(traits: VehicleTraits, 
 def test_a_pilots_mode_and_one_without_a_failsafe_are_somebody_elses(
     traits: VehicleTraits, mode: Mode, failsafe: bool
 ) -> None:
-    craft = under_way(traits)
-    craft.is_taken(mode, failsafe=failsafe)
-    craft.fly_to(Phase.HOLDING)
+    craft = under_way(traits).is_taken(mode, failsafe=failsafe).fly_to(Phase.HOLDING)
     assert craft.state.reason is Reason.MODE_TAKEN
 
 

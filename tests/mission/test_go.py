@@ -4,7 +4,6 @@ from collections.abc import Callable
 
 import pytest
 from made_up import EACH, HOME_AMSL_M, Craft, mission, moving, near_target, order_of, texts
-from renewed import replace
 from wild import Wild
 
 from companion.mavlink.autopilots import ARDUCOPTER
@@ -155,11 +154,8 @@ def test_what_was_armed_before_a_restart_is_put_down_and_not_left_armed() -> Non
     it = Wild.calmly(ARDUCOPTER.traits)
     it.fly_to(Phase.ARMING).run_until(lambda it: it.armed)
     it.context = Context(mission=it.mission, seed=1, go=False)
-    values = checkpoint.values_of(it.state)
-    again = checkpoint.initial_state(it.mission, (values, it.state.flight.known))
-    it.state = replace(again, now_s=it.now_s, since_s=it.now_s)
-    it.later, it.watch.context = [], it.context
-    it.watch.restarted(it.now_s)
+    it.watch.context = it.context
+    it.resumes(checkpoint.values_of(it.state))
     it.run_until(lambda it: it.over, 30.0)
     assert it.state.reason is Reason.NOT_READY
     assert it.sent(Disarm)

@@ -137,8 +137,9 @@ def test_a_shadow_says_so_and_watches_on() -> None:
 @EACH
 def test_without_its_memory_it_takes_over_in_flight_and_arrives(traits: VehicleTraits) -> None:
     it = Wild.calmly(traits).run_until(lambda it: it.state.flight.leg is not None).run_for(8.0)
-    count = len(it.said_to)
-    forget(it)
+    count, number = len(it.said_to), it.state.flight.plan_id
+    torn = checkpoint.without_checkpoint("torn", system_id=1, time_s=it.now_s, plan_id=number)
+    it.resumes(torn)
     end = it.fly_to(Phase.DONE).said_to[-1]
     later = it.said_to[count:]
     assert isinstance(end, End)
@@ -155,12 +156,3 @@ def test_without_its_memory_it_never_arms() -> None:
     craft.run_until(lambda craft: bool(craft.sent(End)))
     assert craft.end().reason == Reason.GROUNDED.text
     assert not moving(craft.commands)
-
-
-def forget(it: Wild) -> None:
-    """Killed, and started again with files that cannot be read."""
-    number = it.state.flight.plan_id
-    values = checkpoint.without_checkpoint("torn", system_id=1, time_s=it.now_s, plan_id=number)
-    it.state = checkpoint.initial_state(it.mission, (values, None))
-    it.later = []
-    it.watch.restarted(it.now_s)

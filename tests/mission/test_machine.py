@@ -293,44 +293,44 @@ def test_a_dead_planner_ends_the_mission_in_the_hold_mode_with_the_same_event() 
 # --- reasons of the vehicle's
 
 
-def test_each_reason_not_to_believe_the_position_stops_the_stream_and_asks_for_the_hold() -> None:
-    def no_fix(craft: Craft) -> list[events.Event]:
-        return [events.GpsFix(time_s=craft.now_s, good=False)]
+def straight_on(craft: Craft, ticks: int, *, frozen: bool = False) -> list[events.Event]:
+    """Positions as it goes on, or stands still and says that it moves."""
+    velocity = (2.0, 2.0, 0.0) if frozen else craft.velocity
+    flown = 0.0 if frozen else TICK_S
+    return [
+        position(
+            craft.now_s + TICK_S * k,
+            tuple(np.add(craft.here, flown * (k - 1) * np.array(velocity)).tolist()),
+            velocity,
+        )
+        for k in range(1, ticks)
+    ]
 
-    def no_estimate(craft: Craft) -> list[events.Event]:
-        steps = [
-            (0.1 * k, np.add(craft.here, 0.1 * (k - 1) * np.array(craft.velocity)))
-            for k in range(13)
-        ]
-        flown = [position(craft.now_s + t_s, tuple(at), craft.velocity) for t_s, at in steps[1:]]
-        return [events.Estimator(time_s=craft.now_s, good=False), *flown]
 
-    def silence(craft: Craft) -> list[events.Event]:
-        return [Tick(time_s=craft.now_s + 0.6)]
+DOUBTS: dict[Reason, Callable[[Craft], list[events.Event]]] = {
+    Reason.NO_FIX: lambda craft: [events.GpsFix(time_s=craft.now_s, good=False)],
+    Reason.ESTIMATOR: lambda craft: [
+        events.Estimator(time_s=craft.now_s, good=False),
+        *straight_on(craft, 13),
+    ],
+    Reason.POSITION_STALE: lambda craft: [Tick(time_s=craft.now_s + 0.6)],
+    Reason.POSITION_JUMPED: lambda craft: [
+        position(craft.now_s + TICK_S, (*np.add(craft.here[:2], 100.0), craft.here[2]))
+    ],
+    Reason.POSITION_FROZEN: lambda craft: straight_on(craft, 13, frozen=True),
+}
 
-    def jump(craft: Craft) -> list[events.Event]:
-        return [position(craft.now_s + 0.1, (*np.add(craft.here[:2], 100.0), craft.here[2]))]
 
-    def frozen(craft: Craft) -> list[events.Event]:
-        return [
-            position(craft.now_s + 0.1 * tick, craft.here, (2.0, 2.0, 0.0)) for tick in range(1, 13)
-        ]
-
-    cases = {
-        Reason.NO_FIX: no_fix,
-        Reason.ESTIMATOR: no_estimate,
-        Reason.POSITION_STALE: silence,
-        Reason.POSITION_JUMPED: jump,
-        Reason.POSITION_FROZEN: frozen,
-    }
-    for reason, happens in cases.items():
-        craft = flying()
-        craft.take(*happens(craft))
-        commands = craft.take(Tick(time_s=craft.state.now_s + 0.01))
-        assert craft.phase is Phase.HOLDING, reason
-        assert craft.state.reason is reason
-        assert SetMode(mode=Mode.HOLD) in [*commands, *craft.sent(SetMode)]
-        assert not [c for c in craft.tick() if isinstance(c, Setpoint)]
+@pytest.mark.parametrize("reason", DOUBTS)
+def test_each_reason_not_to_believe_the_position_stops_the_stream_and_asks_for_the_hold(
+    reason: Reason,
+) -> None:
+    craft = flying()
+    commands = craft.take(*DOUBTS[reason](craft))
+    commands += craft.take(Tick(time_s=craft.state.now_s + 0.01))
+    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, reason)
+    assert SetMode(mode=Mode.HOLD) in commands
+    assert not [c for c in craft.tick() if isinstance(c, Setpoint)]
 
 
 def shifted(craft: Craft, north_m: float) -> Craft:
