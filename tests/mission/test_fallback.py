@@ -14,7 +14,6 @@ from made_up import (
     mission,
     moving,
     not_planned,
-    once,
     planned,
     straight,
     texts,
@@ -79,26 +78,8 @@ def modes(craft: Craft) -> list[Mode]:
     return [mode for mode, before in zip(told, [None, *told], strict=False) if mode is not before]
 
 
-@once
-def over(failure: Callable[[Mission], Craft]) -> Craft:
-    return failure(AWAY).fly_to(Phase.DONE)
-
-
 def test_what_a_mission_falls_back_on_by_itself_ends_on_the_ground() -> None:
     assert load_mission("environment-1").fallback is Fallback.RETURN
-
-
-@pytest.mark.parametrize("failure", [each for each in FAILURES if each is not no_position])
-def test_a_flight_that_fails_is_left_to_its_autopilots_return_where_no_way_back_is_proven(
-    failure: Callable[[Mission], Craft],
-) -> None:
-    craft = over(failure)
-    assert Phase.HANDING_OVER in craft.phases
-    assert craft.mode is Mode.RETURN
-    assert craft.end().outcome is Outcome.FAILED
-    reason = craft.state.flight.fallen_back
-    assert reason is not None
-    assert craft.end().reason == f"its autopilot returns by itself: {reason.text}{broke(failure)}"
 
 
 @pytest.mark.parametrize("failure", FAILURES)
@@ -116,20 +97,27 @@ def test_a_flight_that_fails_lands_or_hovers_where_the_mission_says_so(
 
 
 @pytest.mark.parametrize("failure", FAILURES)
-def test_what_will_be_done_and_why_is_said_before_it_is_done(
+def test_where_no_way_back_is_proven_its_autopilot_returns_and_that_is_said_before_it_is_done(
     failure: Callable[[Mission], Craft],
 ) -> None:
-    craft = over(failure)
+    """But what does not know where it is lands."""
+    craft = failure(AWAY).fly_to(Phase.DONE)
     reason = craft.state.flight.fallen_back
     assert reason is not None
-    mode, how = Mode.RETURN, "its autopilot is told to return"
+    why = f"{reason.text}{broke(failure)}"
+    mode, how, end = (
+        Mode.RETURN,
+        "its autopilot is told to return",
+        "its autopilot returns by itself",
+    )
     if failure is no_position:
-        mode, how = Mode.LAND, "landing here"
-    said = f"{reason.text}{broke(failure)}: {how}"
-    assert said in warnings(craft.commands)
-    acts = craft.commands.index(SetMode(mode=mode))
-    assert said in texts(craft.commands[:acts])
-    assert (Mode.RETURN in modes(craft), craft.armed) == (mode is Mode.RETURN, mode is Mode.RETURN)
+        mode, how, end = Mode.LAND, "landing here", "landed"
+    assert f"{why}: {how}" in texts(craft.commands[: craft.commands.index(SetMode(mode=mode))])
+    returns = mode is Mode.RETURN
+    handed = (Phase.HANDING_OVER in craft.phases, Mode.RETURN in modes(craft), craft.armed)
+    assert handed == (returns, returns, returns)
+    assert craft.mode is mode
+    assert (craft.end().outcome, craft.end().reason) == (Outcome.FAILED, f"{end}: {why}")
 
 
 @pytest.mark.parametrize("lands", [True, False])

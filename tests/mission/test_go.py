@@ -44,11 +44,6 @@ def test_a_vehicle_that_is_ready_waits_for_as_long_as_it_takes(traits: VehicleTr
     assert craft.phase is Phase.READY
     assert not moving(craft.commands)
     assert sum("waits for go" in text for text in texts(craft.commands)) == 1
-
-
-@EACH
-def test_a_go_takes_off(traits: VehicleTraits) -> None:
-    craft = ready(traits)
     assert says_go(craft) is OrderResult.ACCEPTED
     assert craft.phase is Phase.ARMING
     assert craft.fly_to(Phase.TAKING_OFF).sent(Arm)

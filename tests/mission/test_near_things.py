@@ -115,13 +115,17 @@ def test_what_stays_wrong_is_waited_for_a_while_and_then_it_flies_back(
     assert np.hypot(*craft.here[:2]) < 100.0
 
 
-def test_something_in_its_way_stops_it_at_once() -> None:
+@pytest.mark.parametrize("blind", [False, True])
+def test_something_in_its_way_stops_it_at_once(blind: bool) -> None:
+    """Also if it stops for want of sight already: it is planned anew from there."""
     craft = flying(MISSION)
+    if blind:
+        craft.take(seen(craft, Sight.DEAD))
     craft.take(seen(craft, Sight.SEES, ahead(craft, 6000.0)))
     stop = craft.state.flight.stop
     assert stop is not None
     assert stop.reason is Reason.NEW_THREAT
-    assert told(craft, Reason.SENSOR_SILENT) == 0
+    assert told(craft, Reason.SENSOR_SILENT) == blind
     craft.take(seen(craft, Sight.SEES, ahead(craft, 6000.0)))
     assert craft.state.flight.stop is stop  # it is told once
     craft.fly_to(Phase.HOLDING)
@@ -142,16 +146,6 @@ def test_something_beside_behind_or_gone_stops_nobody() -> None:
     assert craft.state.flight.stop is None
     craft.take(seen(craft, Sight.NOTHING_THERE))
     assert craft.state.flight.stop is None
-
-
-def test_what_stands_in_the_way_outweighs_a_dead_sensor() -> None:
-    """A stop for want of sight becomes one for what was seen: it is planned anew from there."""
-    craft = flying(MISSION)
-    craft.take(seen(craft, Sight.DEAD))
-    craft.take(seen(craft, Sight.SEES, ahead(craft, 3000.0)))
-    stop = craft.state.flight.stop
-    assert stop is not None
-    assert stop.reason is Reason.NEW_THREAT
 
 
 def test_a_vehicle_that_swings_through_after_its_stop_is_waited_for() -> None:
