@@ -211,21 +211,16 @@ def test_a_second_try_that_succeeds_flies_on() -> None:
     assert craft.state.flight.failures == 0
 
 
-def test_a_plan_that_never_comes_is_a_late_plan_at_the_end_of_the_leg() -> None:
-    def first(request: PlanRequest) -> PlanOutcome | None:
-        return planned(request) if request.plan_id == 1 else None
-
-    craft = flying(plan=first).run_until(lambda craft: len(craft.sent(Plan)) == 2)
-    craft.run_for(6.0)
-    assert craft.take(events.PlanLate(time_s=craft.now_s, plan_id=2)) == []
-    assert craft.phase is Phase.FLYING
-    assert craft.fly_to(Phase.HOLDING).state.reason is Reason.PLAN_LATE
-
-
-def test_news_of_an_old_late_plan_is_ignored() -> None:
-    craft = flying()
-    craft.take(events.PlanLate(time_s=craft.now_s, plan_id=99))
-    assert craft.state.flight.shortfall is Reason.NO_PLAN
+@pytest.mark.parametrize(("plan_id", "why"), [(2, Reason.PLAN_LATE), (99, Reason.NO_PLAN)])
+def test_a_plan_that_never_comes_is_a_late_plan_at_the_end_of_the_leg(
+    plan_id: int, why: Reason
+) -> None:
+    """News of an old one is ignored."""
+    craft = flying(plan=lambda request: planned(request) if request.plan_id == 1 else None)
+    craft.run_until(lambda craft: len(craft.sent(Plan)) == 2).run_for(6.0)
+    assert craft.take(events.PlanLate(time_s=craft.now_s, plan_id=plan_id)) == []
+    assert (craft.phase, craft.state.flight.shortfall) == (Phase.FLYING, why)
+    assert craft.fly_to(Phase.HOLDING).state.reason is why
 
 
 def test_a_silent_radar_is_a_hold_with_its_reason_at_the_end_of_what_is_known() -> None:
@@ -262,14 +257,12 @@ def test_from_rest_a_radar_that_left_something_out_is_asked_twice_more(
 
 
 def test_in_flight_a_radar_that_left_something_out_is_asked_once() -> None:
+    """And a scan of what is known already needs no answer."""
     craft = flying(two_legs_away())
     craft.answered, craft.asked = 1, 2
     begun = len(craft.sent(events.StartScan))
     craft.run_until(lambda craft: len(craft.sent(Plan)) == 2)
     assert len(craft.sent(events.StartScan)) == begun + 1
-
-
-def test_a_scan_of_what_is_known_already_needs_no_answer() -> None:
     craft = Craft().fly_to(Phase.FLYING)
     craft.take(position(craft.now_s + TICK_S, craft.here))
     known = replace(scan_done(craft.now_s, answered=0), asked=0)

@@ -52,21 +52,22 @@ def test_a_battery_that_runs_low_in_a_pause_ends_it_by_the_fallback(how: Fallbac
         craft.run_until(lambda craft: craft.phase in (Phase.RETURNING, Phase.DONE))
 
 
-def test_a_battery_that_lasts_leaves_a_pause_a_pause() -> None:
-    craft = paused(two_legs_away())
-    craft.battery = 0.21
-    craft.run_for(600.0)
-    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.PAUSED)
-
-
-def test_a_battery_that_will_not_reach_the_target_is_warned_of_in_a_pause() -> None:
+@pytest.mark.parametrize(
+    ("left_1_s", "warned"),
+    [(0.0, []), (0.007, [Reason.BATTERY_LOW.text])],
+    ids=["lasts", "will not"],
+)
+def test_a_battery_above_its_reserve_leaves_a_pause_a_pause_and_is_warned_of_if_it_will_not_last(
+    left_1_s: float, warned: list[str]
+) -> None:
     craft = paused(two_legs_away())
     count = len(craft.commands)
     for second in range(90):
-        craft.take(Battery(time_s=craft.now_s, remaining=0.9 - 0.007 * second))
+        left = 0.9 - left_1_s * second if left_1_s else 0.21
+        craft.take(Battery(time_s=craft.now_s, remaining=left))
         craft.run_for(1.0)
-    assert craft.state.reason is Reason.PAUSED
-    assert warnings(craft.commands[count:]) == [Reason.BATTERY_LOW.text]
+    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.PAUSED)
+    assert warnings(craft.commands[count:]) == warned
 
 
 @pytest.mark.parametrize("fallback", Fallback)
