@@ -323,7 +323,9 @@ def test_each_reason_not_to_believe_the_position_stops_the_stream_and_asks_for_t
     commands += craft.take(Tick(time_s=craft.state.now_s + 0.01))
     assert (craft.phase, craft.state.reason) == (Phase.HOLDING, reason)
     assert SetMode(mode=Mode.HOLD) in commands
-    assert not [c for c in craft.tick() if isinstance(c, Setpoint)]
+    craft.tick()
+    held = [commands for *_, after, commands in craft.steps if after.phase is Phase.HOLDING]
+    assert not [c for commands in held for c in commands if isinstance(c, Setpoint)]
 
 
 def shifted(craft: Craft, north_m: float) -> Craft:
