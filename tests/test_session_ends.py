@@ -129,34 +129,41 @@ def test_who_lands_it_in_the_moment_of_the_end_is_not_overruled(phase: Phase) ->
     assert bool(holds) == (phase is Phase.LANDING)
 
 
-def test_arrived() -> None:
-    it = pair().run_until(ended)
-    assert texts(it.frames)[-1] == "ended, arrived: target reached"
-    must_be_said(it)
-
-
 def refuses(request: PlanRequest) -> PlanOutcome:
     return NotPlanned(
         plan_id=request.plan_id, refusal=Refusal.NOTHING_SAFE, broken=("floor",), evaluations=60
     )
 
 
-def test_no_plan_at_all() -> None:
-    it = pair()
+def arrives(_: Pair) -> None:
+    """As it should."""
+
+
+def finds_no_plan(it: Pair) -> None:
     it.planner = refuses
-    it.run_until(ended)
-    assert (
-        texts(it.frames)[-1] == "ended, failed: landed: no safe subpath was found: it broke floor"
-    )
-    must_be_said(it)
 
 
-def test_a_return_that_cannot_be_flown() -> None:
-    it = pair().run_until(lambda it: it.session.state.flight.leg is not None)
+def finds_no_way_back(it: Pair) -> None:
+    it.run_until(lambda it: it.session.state.flight.leg is not None)
     it.planner = refuses
     ask(it, wire.MAV_CMD_NAV_RETURN_TO_LAUNCH)
+
+
+@pytest.mark.parametrize(
+    ("happens", "said"),
+    [
+        (arrives, "arrived: target reached"),
+        (finds_no_plan, "failed: landed: no safe subpath was found: it broke floor"),
+        (finds_no_way_back, "stopped: landed: told to return"),
+    ],
+)
+def test_an_end_is_said_with_its_outcome_and_its_reason(
+    happens: Callable[[Pair], None], said: str
+) -> None:
+    it = pair()
+    happens(it)
     it.run_until(ended)
-    assert texts(it.frames)[-1] == "ended, stopped: landed: told to return"
+    assert texts(it.frames)[-1] == f"ended, {said}"
     must_be_said(it)
 
 
@@ -170,12 +177,6 @@ def test_a_vehicle_that_the_mission_is_not_for(kind: int) -> None:
         codec.seq += 1
     assert ended(it)
     assert "ended, failed: the vehicle is none" in texts(it.out.frames)[-1]
-
-
-def test_a_companion_that_is_told_to_leave_says_so_too() -> None:
-    it = in_phase(Phase.FLYING)
-    out = it.session.farewell()
-    assert texts(out.frames) == ["ended: the companion was stopped"]
 
 
 def test_the_last_words_for_a_session_that_cannot_speak_any_more_change_nothing() -> None:

@@ -7,7 +7,6 @@ import pytest
 from pymavlink.dialects.v20 import all as wire
 from scripted_vehicle import MISSION, Pair, Vehicle, messages
 
-from companion.mavlink.link import Output
 from companion.mavlink.preflight import CheckStatus, checks_of
 from companion.mission import checkpoint
 from companion.mission.events import Outcome
@@ -73,6 +72,10 @@ def warned(it: Pair, text: str = Reason.NOT_ALONE.text) -> list[float]:
     return [entry["t_s"] for entry in says if text in entry["text"]]
 
 
+def said(it: Pair) -> str:
+    return "".join(m.text for m in messages(it.frames) if m.get_type() == "STATUSTEXT")
+
+
 def commanded(it: Pair) -> list[Any]:
     """What moves or changes the vehicle; not what only asks it."""
     said = (message for message in messages(it.frames) if message.get_type() in COMMANDS)
@@ -90,10 +93,15 @@ def test_a_link_that_sends_back_what_we_say_is_no_second_companion(reflects: int
     assert len(messages(it.frames)) > 300
 
 
-def test_the_one_that_came_second_ends_in_the_air_and_the_first_flies_on() -> None:
+@pytest.mark.parametrize("same_folder", [False, True])
+def test_the_one_that_came_second_ends_in_the_air_and_the_first_flies_on(same_folder: bool) -> None:
+    """Also one that has the path of the first, from the same run folder."""
     bus = Bus()
     first = bus.flying()
-    second = bus.joins(session())
+    bus.run(3.0)
+    values = {"system_id": 1, **checkpoint.values_of(first.session.state)}
+    resume = (values, first.session.state.flight.known) if same_folder else None
+    second = bus.joins(session(resume=resume))
     bus.run(30.0)
     end = second.out.end
     assert end is not None
@@ -101,24 +109,8 @@ def test_the_one_that_came_second_ends_in_the_air_and_the_first_flies_on() -> No
     assert commanded(second) == []
     assert len(warned(first)) == 1
     assert "another companion" in [entry["kind"] for entry in first.journal]
-    texts = [m.text for m in messages(first.frames) if m.get_type() == "STATUSTEXT"]
-    assert Reason.NOT_ALONE.text in "".join(texts)
+    assert Reason.NOT_ALONE.text in said(first)
     assert first.session.warned[1].startswith(Reason.NOT_ALONE.text)
-    assert first.session.state.phase is Phase.FLYING
-
-
-def test_the_same_flight_started_twice_is_flown_once() -> None:
-    """The second has the path of the first, from the same run folder."""
-    bus = Bus()
-    first = bus.flying()
-    bus.run(3.0)
-    values = {"system_id": 1, **checkpoint.values_of(first.session.state)}
-    resume = (values, first.session.state.flight.known)
-    second = bus.joins(session(resume=resume))
-    bus.run(15.0)
-    assert second.out.end is not None
-    assert second.out.end.reason == Reason.NOT_ALONE.text
-    assert commanded(second) == []
     assert first.session.state.phase is Phase.FLYING
 
 
@@ -127,62 +119,35 @@ def test_on_the_ground_neither_takes_off() -> None:
     pairs = [bus.joins(session()), bus.joins(session())]
     bus.run(30.0)
     assert not bus.vehicle.armed
-    for pair in pairs:
-        assert pair.out.end is not None
-        assert pair.out.end.reason == Reason.NOT_ALONE.text
+    ends = [pair.out.end for pair in pairs]
+    assert [end and end.reason for end in ends] == [Reason.NOT_ALONE.text] * 2
 
 
-def test_what_fly_refuses_preflight_refuses() -> None:
-    bus = Bus()
-    bus.flying()
+@pytest.mark.parametrize("alone", [False, True])
+def test_what_fly_refuses_preflight_refuses(alone: bool) -> None:
+    bus = Bus(reflects=1 if alone else 0)
+    if not alone:
+        bus.flying()
     looks = bus.joins(session(shadow=True))
     bus.run(6.0)
     [check] = [c for c in checks_of(looks.session) if c.name == "companion"]
-    assert check.status is CheckStatus.REFUSED
-    assert check.what == f"1/195: {Reason.NOT_ALONE.text}"
-    assert check.remedy == Reason.NOT_ALONE.remedy
-
-
-def test_alone_preflight_says_so() -> None:
-    bus = Bus(reflects=1)
-    looks = bus.joins(session(shadow=True))
-    bus.run(6.0)
-    [check] = [c for c in checks_of(looks.session) if c.name == "companion"]
-    assert (check.status, check.what) == (CheckStatus.PASSED, "nobody else is 1/195")
-
-
-def test_what_a_companion_before_this_one_has_left_in_buffers_holds_nothing_up_for_long() -> None:
-    bus = Bus()
-    first = bus.flying()
-    bus.run(3.0)
-    values = {"system_id": 1, **checkpoint.values_of(first.session.state)}
-    left, known = b"".join(first.frames[-40:]), first.session.state.flight.known
-    bus.pairs.clear()
-    again = bus.joins(session(resume=(values, known)))
-    bus.run(0.5)
-    again.feed(left)
-    bus.run(6.0)
-    assert again.out.end is None
-    assert again.session.state.phase is Phase.FLYING
-    assert warned(again) == []
+    if alone:
+        assert (check.status, check.what) == (CheckStatus.PASSED, "nobody else is 1/195")
+    else:
+        assert check.status is CheckStatus.REFUSED
+        assert check.what == f"1/195: {Reason.NOT_ALONE.text}"
+        assert check.remedy == Reason.NOT_ALONE.remedy
 
 
 def test_a_flight_without_its_memory_is_said_to_people_and_in_the_journal() -> None:
     bus = Bus()
-    first = bus.flying()
-    bus.run(3.0)
-    now_s = first.session.now_s
+    now_s = bus.flying().session.now_s
     bus.pairs.clear()
-    values = checkpoint.without_checkpoint(
-        "resume.json: torn", system_id=1, time_s=now_s, plan_id=4
-    )
-    again = bus.joins(session(resume=(values, None)))
+    lost = checkpoint.without_checkpoint("resume.json: torn", system_id=1, time_s=now_s, plan_id=4)
+    again = bus.joins(session(resume=(lost, None)))
     bus.run(20.0)
     [resumed] = [entry for entry in again.journal if entry["kind"] == "resumed"]
     assert resumed["lost"] == "resume.json: torn"
-    texts = [m.text for m in messages(again.frames) if m.get_type() == "STATUSTEXT"]
-    assert "without memory of the flight: resume.json: torn" in "".join(texts)
+    assert "without memory of the flight: resume.json: torn" in said(again)
     assert len(warned(again, "without memory")) == 1
-    assert not [m for m in commanded(again) if getattr(m, "command", 0) == 400]
-    assert isinstance(again.out, Output)
     assert again.session.state.phase is Phase.FLYING

@@ -7,7 +7,7 @@ from companion_receive import HANDLED, PERSONALITIES, Recording, Run, Target, re
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
-from random_programs import Reader, intact
+from random_programs import intact
 
 from companion.session import Session
 
@@ -82,9 +82,3 @@ def test_a_million_bytes_of_noise_leave_nothing_behind() -> None:
         session.run()
     assert len(saved(session)) < before + GROWTH
     Run(session, telemetry).tick()
-
-
-def test_a_program_is_read_to_its_end_and_no_further() -> None:
-    reader = Reader(b"\1\2\3")
-    assert [reader.byte() for _ in range(4)] == [1, 2, 3, 0]
-    assert not reader.left

@@ -179,7 +179,7 @@ RNGFND1_MAX = 12.0
 LOOKS_DOWN = ('kind = "copter"', 'kind = "copter"\nrangefinder_error_m = 1.0')
 
 
-@pytest.mark.nightly  # without a flight: `tests/mission/test_low_ground.py`
+@pytest.mark.nightly  # without a flight: `tests/mission/test_near_things.py`
 def test_ground_that_is_higher_than_stated_stops_it_until_it_is_given_up(tmp_path: Path) -> None:
     """2.2 m below its path, where the mission states 4 and its lidar looks over it."""
     mission(tmp_path, LOOKS_DOWN)

@@ -13,7 +13,7 @@ import pytest
 from renewed import replace
 
 from companion.config import load_mission
-from companion.mavlink.autopilots import ARDUCOPTER
+from companion.mavlink.autopilots import ALL, ARDUCOPTER
 from companion.mission import checkpoint, events, machine
 from companion.mission.decisions import Context
 from companion.mission.events import Command, Event, Landed, Mode, ScanDone, Vector, VehicleStatus
@@ -48,6 +48,39 @@ def mission(**changes: Any) -> Mission:
 
 
 LAND = mission(end_action=EndAction.LAND)
+
+
+def each_of(*traits: VehicleTraits) -> pytest.MarkDecorator:
+    """A test of each of these vehicles."""
+    return pytest.mark.parametrize("traits", traits, ids=lambda each: each.name)
+
+
+TRAITS = [each.traits for each in ALL]
+EACH = each_of(*TRAITS)
+COPTERS = each_of(*(each for each in TRAITS if each.hovers))
+PLANES = each_of(*(each for each in TRAITS if not each.hovers))
+MOVING = (
+    events.Arm,
+    events.Disarm,
+    events.TakeOff,
+    events.SetMode,
+    events.Setpoint,
+    events.SetSpeed,
+)
+OVER = (Phase.DONE, Phase.FAULTED)
+
+
+def moving(commands: Sequence[Command]) -> list[Command]:
+    """What moves a vehicle."""
+    return [command for command in commands if isinstance(command, MOVING)]
+
+
+def texts(commands: Sequence[Command]) -> list[str]:
+    return [each.text for each in commands if isinstance(each, events.StatusText)]
+
+
+def warnings(commands: Sequence[Command]) -> list[str]:
+    return [c.text for c in commands if isinstance(c, events.StatusText) and c.warning]
 
 
 def fresh(of: Mission = MISSION) -> State:
@@ -343,6 +376,25 @@ class Craft:
         for _ in range(round(seconds / TICK_S)):
             self.tick()
         return self
+
+    def during(self, seconds: float) -> list[Command]:
+        """What is said while it flies on for so long."""
+        count = len(self.commands)
+        return self.run_for(seconds).commands[count:]
+
+    def is_taken(self, mode: Mode, *, failsafe: bool = False) -> "Craft":
+        """From now on another has it, in that mode."""
+        self.mode, self.failsafe, self.obeys_modes = mode, failsafe, False
+        return self
+
+    @property
+    def over(self) -> bool:
+        return self.phase in OVER
+
+    @property
+    def phases(self) -> set[Phase]:
+        """All that it has come through."""
+        return {after.phase for *_, after, _ in self.steps}
 
     def fly_by_hand(self, velocity: Vector, seconds: float) -> "Craft":
         """Somebody else flies it somewhere, level."""

@@ -2,9 +2,11 @@
 
 import json
 import math
+from collections.abc import Callable
 
 import pytest
 from made_up import (
+    EACH,
     MISSION,
     Craft,
     arrived,
@@ -13,6 +15,7 @@ from made_up import (
     holding_without_fix,
     holding_without_plan,
     landing,
+    moving,
     near_target,
     order_of,
     preparing,
@@ -32,7 +35,6 @@ from companion.mission.state import Phase, Reason, Scanning, Way
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.zones import CircleZone
 
-MOVING = (events.Arm, events.TakeOff, SetMode, Setpoint, events.SetSpeed)
 AT_ONCE = {
     "preparing": preparing,
     "ready": lambda: Craft(go=False).fly_to(Phase.READY),
@@ -121,11 +123,9 @@ def test_a_pause_stops_on_the_path_and_a_word_goes_on_from_there() -> None:
 
 def test_a_start_asks_for_guided_mode_of_a_vehicle_that_somebody_had_taken() -> None:
     craft = holding_mode_taken().run_for(5.0)
-    count = len(craft.commands)
     craft.obeys_modes = True
     craft.order(OrderKind.START)
-    craft.run_for(3.0)
-    assert SetMode(mode=Mode.GUIDED) in craft.commands[count:]
+    assert SetMode(mode=Mode.GUIDED) in craft.during(3.0)
     assert craft.fly_to(Phase.DONE).end().outcome is events.Outcome.ARRIVED
 
 
@@ -177,23 +177,19 @@ def test_a_fence_that_does_not_touch_the_path_changes_the_next_plan_only() -> No
     assert "drawn" in {zone.name for zone in craft.sent(Plan)[-1].request.task.zones}
 
 
-def test_a_fence_across_the_path_stops_the_vehicle_before_it_and_plans_anew() -> None:
+@pytest.mark.parametrize(("ahead_m", "radius_m"), [(10_000.0, 500.0), (0.0, 200.0)])
+def test_a_fence_across_the_path_or_around_it_stops_the_vehicle_and_plans_anew(
+    ahead_m: float, radius_m: float
+) -> None:
     craft = flying()
-    ahead_m = 10_000.0 * math.sqrt(0.5)
-    craft.obey(craft.take(fence(craft, ahead_m, ahead_m, 500.0)))
+    north = ahead_m * math.sqrt(0.5) if ahead_m else craft.here[0]
+    craft.obey(craft.take(fence(craft, north, north, radius_m)))
     craft.fly_to(Phase.HOLDING)
     assert craft.state.reason is Reason.NEW_THREAT
-    assert math.dist(craft.here[:2], (ahead_m, ahead_m)) > 500.0 + MISSION.task.zone_clearance_m
-    craft.run_until(lambda craft: len(craft.sent(Plan)) == 2)
+    away_m = math.dist(craft.here[:2], (north, north))
+    assert ahead_m == 0.0 or away_m > radius_m + MISSION.task.zone_clearance_m
+    craft.run_until(lambda craft: len(craft.sent(Plan)) == 2)  # out of it, too
     assert craft.sent(Plan)[-1].request.from_rest
-
-
-def test_a_fence_around_the_vehicle_stops_it_and_has_a_way_out_planned() -> None:
-    craft = flying()
-    craft.obey(craft.take(fence(craft, *craft.here[:2], 200.0)))
-    craft.fly_to(Phase.HOLDING)
-    assert craft.state.reason is Reason.NEW_THREAT
-    craft.run_until(lambda craft: len(craft.sent(Plan)) == 2)
 
 
 def test_a_fence_on_the_way_back_of_a_vehicle_that_is_paused_leaves_it_led() -> None:
@@ -271,13 +267,16 @@ def test_a_reboot_prepares_again_and_keeps_what_is_known(state: str) -> None:
     assert craft.state.flight.leg is None
 
 
-def test_a_vehicle_that_reboots_in_flight_and_falls_is_never_armed_again() -> None:
-    craft = flying()
-    craft.reboot()
+@pytest.mark.parametrize("made", [lambda: flying(two_legs_away()), holding_mode_taken])
+@pytest.mark.parametrize(
+    "again", [Craft.reboot, Craft.restart, lambda craft: craft.reboot().restart()]
+)
+def test_what_falls_in_a_reboot_or_a_restart_is_never_armed_again(
+    made: Callable[[], Craft], again: Callable[[Craft], Craft]
+) -> None:
+    craft = again(made())
     craft.mode, craft.armed, craft.landed = Mode.OTHER, False, events.Landed.ON_GROUND
-    count = len(craft.commands)
-    craft.run_for(150.0)
-    assert not [c for c in craft.commands[count:] if isinstance(c, MOVING)]
+    assert not moving(craft.during(150.0))
     assert craft.phase is Phase.DONE
 
 
@@ -289,35 +288,18 @@ def test_a_vehicle_that_reboots_in_flight_and_flies_on_is_taken_over() -> None:
     assert not [c for c in craft.commands[count:] if isinstance(c, events.Arm | events.TakeOff)]
 
 
-def test_setpoints_that_the_autopilot_does_not_take_are_a_reasoned_hold() -> None:
+@pytest.mark.parametrize("echoes", [True, False])
+def test_setpoints_that_the_autopilot_does_not_take_are_a_reasoned_hold(echoes: bool) -> None:
+    """One without an echo is not suspected."""
     craft = flying()
     while craft.phase is Phase.FLYING and craft.now_s < 100.0:
         far = (craft.here[0] - 5_000.0, craft.here[1], craft.here[2])
-        echo = events.Echo(time_s=craft.now_s, position_nea_m=far)
-        craft.take(echo)
+        if echoes:
+            craft.take(events.Echo(time_s=craft.now_s, position_nea_m=far))
         craft.tick()
-    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.NOT_TAKEN)
-    assert craft.sent(SetMode)[-1].mode is Mode.HOLD
-
-
-def test_an_autopilot_without_an_echo_is_not_suspected() -> None:
-    craft = flying().run_for(30.0)
-    assert craft.state.vehicle.echo_nea_m is None
-    assert craft.phase is Phase.FLYING
-
-
-@pytest.mark.parametrize("how", Fallback, ids=lambda how: how.value)
-def test_a_battery_below_its_reserve_ends_the_mission_by_its_fallback(how: Fallback) -> None:
-    craft = flying(replace(two_legs_away(), fallback=how))
-    craft.battery = 0.1
-    craft.fly_to(Phase.HOLDING)
-    assert craft.state.reason is Reason.BATTERY_LOW
-    asked = len(craft.sent(Plan))
-    craft.run_for(40.0)
-    back = [plan for plan in craft.sent(Plan)[asked:] if plan.request.flown is not None]
-    assert bool(back) == (how is Fallback.RETURN)
-    if how is Fallback.LAND:
-        assert craft.phase in (Phase.LANDING, Phase.DONE)
+    reason = Reason.NOT_TAKEN if echoes else None
+    assert (craft.phase is Phase.HOLDING, craft.state.reason) == (echoes, reason)
+    assert (craft.sent(SetMode)[-1].mode is Mode.HOLD) is echoes
 
 
 def test_a_battery_that_does_not_reach_the_target_is_not_taken_off_with() -> None:
@@ -332,7 +314,7 @@ def test_a_battery_that_does_not_reach_the_target_is_not_taken_off_with() -> Non
 
 
 @pytest.mark.sample(5)
-@pytest.mark.parametrize("traits", [each.traits for each in ALL], ids=lambda d: d.name)
+@EACH
 @pytest.mark.parametrize("after_s", [0.3, 3.1, 8.7, 14.9, 21.3, 27.7])
 def test_a_restart_at_any_moment_of_a_flight_goes_on_without_a_jump(
     traits: VehicleTraits, after_s: float
@@ -370,31 +352,16 @@ def test_what_is_restored_is_what_was_kept() -> None:
     assert state.airborne
 
 
-@pytest.mark.parametrize("phase", [Phase.FLYING, Phase.HOLDING, Phase.PREPARING])
-def test_a_companion_that_was_restarted_after_a_flight_never_arms(phase: Phase) -> None:
-    craft = flying(two_legs_away())
-    if phase is Phase.PREPARING:
-        craft.reboot()
-    elif phase is Phase.HOLDING:
-        craft = holding_mode_taken()
-    craft.restart()
-    craft.mode, craft.armed, craft.landed = Mode.OTHER, False, events.Landed.ON_GROUND
-    count = len(craft.commands)
-    craft.run_for(150.0)
-    assert not [c for c in craft.commands[count:] if isinstance(c, MOVING)]
-
-
 # --- shadow
 
 
-@pytest.mark.parametrize("traits", [each.traits for each in ALL], ids=lambda d: d.name)
+@EACH
 def test_a_shadow_plans_and_says_and_never_commands(traits: VehicleTraits) -> None:
     wild = Wild.calmly(traits, shadow=True, end_action=EndAction.LAND).aloft(Mode.OTHER)
     wild.run_for(60.0)
     assert wild.state.phase is Phase.SHADOW
     assert wild.sent(Plan)
-    moving: list[events.Command] = [c for c in wild.said_to if isinstance(c, MOVING)]
-    assert not moving
+    assert not moving(wild.said_to)
     assert wild.state.flight.leg is not None or wild.sent(events.StatusText)
 
 
@@ -424,9 +391,4 @@ def test_a_battery_that_runs_low_while_it_is_held_does_not_leave_it_in_guided_mo
     craft.run_for(4.0)
     craft.fix = True
     craft.run_until(lambda craft: craft.mode is Mode.GUIDED)
-    craft.run_for(1.5)
-    count = len(craft.commands)
-    craft.run_for(0.5)
-    assert craft.phase is Phase.DONE or [
-        c for c in craft.commands[count:] if isinstance(c, Setpoint | SetMode)
-    ]
+    assert craft.phase is Phase.DONE or moving(craft.run_for(1.5).during(0.5))

@@ -1,25 +1,16 @@
 """The autopilot's own failsafe takes the vehicle: it is called that, and not taken back unasked."""
 
 import pytest
-from made_up import LAND, TICK_S, Craft, arrived, flying, status, two_legs_away
+from made_up import EACH, LAND, TICK_S, Craft, arrived, flying, moving, status, texts, two_legs_away
 from renewed import replace
 
-from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER
+from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER
 from companion.mission import events
-from companion.mission.events import Command, Mode, OrderKind, Outcome, SetMode, Setpoint
+from companion.mission.events import Mode, OrderKind, Outcome
 from companion.mission.state import Phase, Reason
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.planner.request import NotPlanned, Refusal
-
-EVERY_DRIVING = pytest.mark.parametrize(
-    "traits", [each.traits for each in ALL], ids=lambda traits: traits.name
-)
-WHERE = [Mode.HOLD, Mode.RETURN, Mode.LAND]
-
-
-def texts(commands: list[Command]) -> list[str]:
-    return [c.text for c in commands if isinstance(c, events.StatusText)]
 
 
 def under_way(traits: VehicleTraits = ARDUCOPTER.traits) -> Craft:
@@ -32,18 +23,16 @@ def under_way(traits: VehicleTraits = ARDUCOPTER.traits) -> Craft:
 def taken(traits: VehicleTraits = ARDUCOPTER.traits, mode: Mode = Mode.RETURN) -> Craft:
     """Its failsafe has begun, in the air, and changed the mode."""
     craft = under_way(traits)
-    craft.failsafe, craft.mode, craft.obeys_modes = True, mode, False
+    craft.is_taken(mode, failsafe=True)
     return craft.run_until(lambda craft: craft.state.reason is not None).run_for(0.5)
 
 
-@EVERY_DRIVING
-@pytest.mark.parametrize("mode", WHERE)
+@EACH
+@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.RETURN, Mode.LAND])
 def test_a_mode_that_goes_in_a_failsafe_is_the_failsafes(traits: VehicleTraits, mode: Mode) -> None:
     craft = taken(traits, mode)
-    if (
-        traits.needs_setpoints_before_offboard and mode is Mode.HOLD
-    ):  # it may have lost setpoints: that goes first
-        assert craft.state.reason is Reason.STREAM_LOST
+    if traits.needs_setpoints_before_offboard and mode is Mode.HOLD:
+        assert craft.state.reason is Reason.STREAM_LOST  # it may have lost them: that goes first
         craft.run_for(40.0)
     assert craft.state.reason is Reason.FAILSAFE
     assert craft.state.taken
@@ -51,14 +40,12 @@ def test_a_mode_that_goes_in_a_failsafe_is_the_failsafes(traits: VehicleTraits, 
     assert f"hold: {Reason.MODE_TAKEN.text}" not in texts(craft.commands)
 
 
-@EVERY_DRIVING
+@EACH
 @pytest.mark.parametrize(("mode", "failsafe"), [(Mode.OTHER, True), (Mode.RETURN, False)])
 def test_a_pilots_mode_and_one_without_a_failsafe_are_somebody_elses(
     traits: VehicleTraits, mode: Mode, failsafe: bool
 ) -> None:
-    craft = under_way(traits)
-    craft.failsafe, craft.mode, craft.obeys_modes = failsafe, mode, False
-    craft.fly_to(Phase.HOLDING)
+    craft = under_way(traits).is_taken(mode, failsafe=failsafe).fly_to(Phase.HOLDING)
     assert craft.state.reason is Reason.MODE_TAKEN
 
 
@@ -68,14 +55,12 @@ def test_a_failsafe_that_takes_a_vehicle_held_for_its_position_is_said_so_too() 
     craft.fix = False
     craft.fly_to(Phase.HOLDING).run_for(2.0)
     assert craft.state.reason is Reason.NO_FIX
-    count = len(craft.commands)
-    craft.failsafe, craft.mode, craft.obeys_modes = True, Mode.LAND, False
-    craft.run_for(2.0)
+    said = craft.is_taken(Mode.LAND, failsafe=True).during(2.0)
     assert craft.state.reason is Reason.FAILSAFE
-    assert texts(craft.commands[count:]) == [f"hold: {Reason.FAILSAFE.text}"]
+    assert texts(said) == [f"hold: {Reason.FAILSAFE.text}"]
 
 
-@EVERY_DRIVING
+@EACH
 def test_when_it_is_over_it_says_once_how_to_go_on_and_goes_on_only_then(
     traits: VehicleTraits,
 ) -> None:
@@ -91,7 +76,7 @@ def test_when_it_is_over_it_says_once_how_to_go_on_and_goes_on_only_then(
     craft.run_for(300.0)
     later = craft.commands[count:]
     assert texts(later) == [FAILSAFE_OVER]
-    assert not [c for c in later if isinstance(c, SetMode | Setpoint)]
+    assert not moving(later)
     assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.FAILSAFE)
     craft.obeys_modes = True
     craft.order(OrderKind.START)
@@ -108,28 +93,15 @@ def test_guided_mode_gives_it_back_as_well() -> None:
     assert FAILSAFE_OVER not in texts(craft.commands)
 
 
-def test_the_next_failsafe_is_told_of_again() -> None:
-    craft = taken()
-    for _ in range(2):
-        craft.failsafe, craft.mode, craft.obeys_modes = False, Mode.HOLD, True
-        craft.run_for(10.0)
-        craft.order(OrderKind.START)
-        craft.fly_to(Phase.FLYING).run_for(10.0)
-        craft.failsafe, craft.mode, craft.obeys_modes = True, Mode.RETURN, False
-        craft.run_for(5.0)
-    assert texts(craft.commands).count(FAILSAFE_OVER) == 2
-
-
 def test_it_stays_let_go_for_a_companion_that_is_started_again() -> None:
     craft = taken()
     craft.restart()
-    count = len(craft.commands)
-    craft.run_for(20.0)
+    said = craft.during(20.0)
     assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.FAILSAFE)
     craft.failsafe, craft.mode = False, Mode.HOLD
-    craft.run_for(60.0)
-    assert not [c for c in craft.commands[count:] if isinstance(c, SetMode | Setpoint)]
-    assert FAILSAFE_OVER in texts(craft.commands[count:])
+    said += craft.during(60.0)
+    assert not moving(said)
+    assert FAILSAFE_OVER in texts(said)
 
 
 def test_a_landing_that_a_failsafe_takes_is_not_begun_again_unasked() -> None:
@@ -152,8 +124,7 @@ def test_whoever_flies_it_is_warned_of_the_battery_at_this_rate_and_at_the_reser
     craft = taken()
     if reason is Reason.MODE_TAKEN:
         craft = flying(two_legs_away())
-        craft.mode, craft.obeys_modes = Mode.OTHER, False
-        craft.fly_to(Phase.HOLDING)
+        craft.is_taken(Mode.OTHER).fly_to(Phase.HOLDING)
     assert craft.state.reason is reason
     count = len(craft.commands)
     for second in range(200):
@@ -161,14 +132,13 @@ def test_whoever_flies_it_is_warned_of_the_battery_at_this_rate_and_at_the_reser
         craft.take(events.Battery(time_s=craft.now_s, remaining=left))
         craft.run_for(1.0)
     assert texts(craft.commands[count:]) == [Reason.BATTERY_LOW.text] * 2
-    assert not [c for c in craft.commands[count:] if isinstance(c, SetMode | Setpoint)]
+    assert not moving(craft.commands[count:])
     assert craft.state.reason is reason
 
 
 def test_given_back_below_the_reserve_it_does_not_fly_on() -> None:
     craft = flying(replace(two_legs_away(), fallback=LAND.fallback))
-    craft.mode, craft.obeys_modes = Mode.OTHER, False
-    craft.fly_to(Phase.HOLDING)
+    craft.is_taken(Mode.OTHER).fly_to(Phase.HOLDING)
     craft.battery = 0.1
     craft.run_for(10.0)
     craft.mode = Mode.GUIDED
@@ -193,7 +163,7 @@ def told_to_return_and_taken(mode: Mode, *, failsafe: bool) -> Craft:
     craft = flying(two_legs_away())
     craft.order(OrderKind.RETURN)
     craft.fly_to(Phase.HOLDING)
-    craft.failsafe, craft.mode, craft.obeys_modes = failsafe, mode, False
+    craft.is_taken(mode, failsafe=failsafe)
     return craft.run_for(3.0)
 
 
@@ -201,14 +171,12 @@ def test_a_word_to_go_on_counts_for_the_hold_that_it_was_given_in() -> None:
     craft = given_back(told_to_return_and_taken(Mode.HOLD, failsafe=False))
     craft.mode, craft.obeys_modes = Mode.HOLD, False
     craft.run_until(lambda craft: craft.state.reason is Reason.MODE_TAKEN)
-    count = len(craft.commands)
-    craft.run_for(60.0)
-    assert not [c for c in craft.commands[count:] if isinstance(c, SetMode | Setpoint)]
+    assert not moving(craft.during(60.0))
 
 
 def test_the_end_of_a_second_failsafe_is_said_too() -> None:
     craft = given_back(told_to_return_and_taken(Mode.RETURN, failsafe=True))
-    craft.failsafe, craft.mode, craft.obeys_modes = True, Mode.RETURN, False
+    craft.is_taken(Mode.RETURN, failsafe=True)
     craft.run_until(lambda craft: craft.state.reason is Reason.FAILSAFE)
     craft.failsafe = False
     craft.run_for(10.0)

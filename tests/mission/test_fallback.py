@@ -12,18 +12,20 @@ from made_up import (
     holding_mode_taken,
     holding_without_fix,
     mission,
+    moving,
     not_planned,
-    once,
     planned,
     straight,
+    texts,
     two_legs_away,
+    warnings,
 )
 from wild import Wild
 
 from companion.config import load_mission
 from companion.mavlink.autopilots import ALL, Autopilot
 from companion.mission import events
-from companion.mission.events import Landed, Mode, Order, OrderKind, Outcome, SetMode, StatusText
+from companion.mission.events import Landed, Mode, Order, OrderKind, Outcome, SetMode
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.mission.state import Hold, Phase, Reason
 from companion.planner.request import Backtrack, PlanOutcome, PlanRequest, Refusal
@@ -76,107 +78,75 @@ def modes(craft: Craft) -> list[Mode]:
     return [mode for mode, before in zip(told, [None, *told], strict=False) if mode is not before]
 
 
-def warnings(craft: Craft) -> list[str]:
-    return [said.text for said in craft.sent(StatusText) if said.warning]
-
-
-@once
-def over(failure: Callable[[Mission], Craft]) -> Craft:
-    return failure(AWAY).fly_to(Phase.DONE)
-
-
 def test_what_a_mission_falls_back_on_by_itself_ends_on_the_ground() -> None:
     assert load_mission("environment-1").fallback is Fallback.RETURN
 
 
-@pytest.mark.parametrize("failure", [each for each in FAILURES if each is not no_position])
-def test_a_flight_that_fails_is_left_to_its_autopilots_return_where_no_way_back_is_proven(
+@pytest.mark.parametrize("failure", FAILURES)
+@pytest.mark.parametrize("how", [Fallback.LAND, Fallback.HOLD])
+def test_a_flight_that_fails_lands_or_hovers_where_the_mission_says_so(
+    failure: Callable[[Mission], Craft], how: Fallback
+) -> None:
+    craft = failure(replace(AWAY, fallback=how)).fly_to(Phase.DONE)
+    assert Mode.RETURN not in modes(craft)
+    if how is Fallback.LAND:
+        assert not craft.armed
+        assert craft.end().reason.startswith("landed: ")
+    else:
+        assert (craft.mode, craft.armed) == (Mode.HOLD, True)
+
+
+@pytest.mark.parametrize("failure", FAILURES)
+def test_where_no_way_back_is_proven_its_autopilot_returns_and_that_is_said_before_it_is_done(
     failure: Callable[[Mission], Craft],
 ) -> None:
-    craft = over(failure)
-    assert Phase.HANDING_OVER in {after.phase for _, _, after, _ in craft.steps}
-    assert craft.mode is Mode.RETURN
-    assert craft.end().outcome is Outcome.FAILED
+    """But what does not know where it is lands."""
+    craft = failure(AWAY).fly_to(Phase.DONE)
     reason = craft.state.flight.fallen_back
     assert reason is not None
-    assert craft.end().reason == f"its autopilot returns by itself: {reason.text}{broke(failure)}"
-
-
-@pytest.mark.parametrize("failure", FAILURES)
-def test_a_flight_that_fails_lands_where_the_mission_says_so(
-    failure: Callable[[Mission], Craft],
-) -> None:
-    craft = failure(replace(AWAY, fallback=Fallback.LAND)).fly_to(Phase.DONE)
-    assert not craft.armed
-    assert craft.end().reason.startswith("landed: ")
-    assert Mode.RETURN not in modes(craft)
-
-
-@pytest.mark.parametrize("failure", FAILURES)
-def test_it_hovers_in_the_end_only_where_the_mission_says_hold(
-    failure: Callable[[Mission], Craft],
-) -> None:
-    craft = failure(replace(AWAY, fallback=Fallback.HOLD)).fly_to(Phase.DONE)
-    assert craft.mode is Mode.HOLD
-    assert craft.armed
-
-
-def test_a_vehicle_that_does_not_know_where_it_is_lands_and_is_not_sent_home() -> None:
-    craft = over(no_position)
-    assert not craft.armed
-    assert Mode.RETURN not in modes(craft)
-
-
-@pytest.mark.parametrize("failure", FAILURES)
-def test_what_will_be_done_and_why_is_said_before_it_is_done(
-    failure: Callable[[Mission], Craft],
-) -> None:
-    craft = over(failure)
-    reason = craft.state.flight.fallen_back
-    assert reason is not None
-    mode, how = Mode.RETURN, "its autopilot is told to return"
+    why = f"{reason.text}{broke(failure)}"
+    mode, how, end = (
+        Mode.RETURN,
+        "its autopilot is told to return",
+        "its autopilot returns by itself",
+    )
     if failure is no_position:
-        mode, how = Mode.LAND, "landing here"
-    said = f"{reason.text}{broke(failure)}: {how}"
-    assert said in warnings(craft)
-    order = [c for c in craft.commands if c == SetMode(mode=mode) or isinstance(c, StatusText)]
-    told = next(k for k, each in enumerate(order) if isinstance(each, SetMode))
-    assert any(isinstance(each, StatusText) and each.text == said for each in order[:told])
+        mode, how, end = Mode.LAND, "landing here", "landed"
+    assert f"{why}: {how}" in texts(craft.commands[: craft.commands.index(SetMode(mode=mode))])
+    returns = mode is Mode.RETURN
+    handed = (Phase.HANDING_OVER in craft.phases, Mode.RETURN in modes(craft), craft.armed)
+    assert handed == (returns, returns, returns)
+    assert craft.mode is mode
+    assert (craft.end().outcome, craft.end().reason) == (Outcome.FAILED, f"{end}: {why}")
 
 
-def test_what_does_not_take_the_return_lands() -> None:
+@pytest.mark.parametrize("lands", [True, False])
+def test_what_does_not_take_the_return_lands_or_is_told_to_hold_and_a_person_to_take_over(
+    lands: bool,
+) -> None:
     craft = does_not_follow(AWAY).fly_to(Phase.HANDING_OVER)
     craft.obeys_modes = False
     craft.fly_to(Phase.LANDING)
-    craft.obeys_modes = True
-    assert craft.fly_to(Phase.DONE).end().reason.startswith("landed: ")
-
-
-def test_what_takes_no_mode_at_all_is_told_to_hold_and_a_person_to_take_over() -> None:
-    craft = does_not_follow(AWAY).fly_to(Phase.HANDING_OVER)
-    craft.obeys_modes = False
+    craft.obeys_modes = lands
     craft.fly_to(Phase.DONE)
-    assert modes(craft)[-3:] == [Mode.RETURN, Mode.LAND, Mode.HOLD]
-    assert craft.end().reason == Reason.NOT_OBEYING.text
-    assert "by hand" in craft.end().remedy
+    if lands:
+        assert craft.end().reason.startswith("landed: ")
+    else:
+        assert modes(craft)[-3:] == [Mode.RETURN, Mode.LAND, Mode.HOLD]
+        assert craft.end().reason == Reason.NOT_OBEYING.text
+        assert "by hand" in craft.end().remedy
 
 
 def test_who_takes_the_vehicle_while_it_is_handed_over_has_it() -> None:
-    craft = does_not_follow(AWAY).fly_to(Phase.HANDING_OVER)
-    craft.mode, craft.obeys_modes = Mode.OTHER, False
+    craft = does_not_follow(AWAY).fly_to(Phase.HANDING_OVER).is_taken(Mode.OTHER)
     begun = len(craft.steps)
     craft.fly_to(Phase.DONE)
     later = [c for *_, commands in craft.steps[begun + 1 :] for c in commands]
     assert [c for c in later if isinstance(c, SetMode)][1:] == []
     assert craft.end().reason == Reason.MODE_TAKEN.text
-
-
-def test_a_vehicle_that_somebody_else_has_is_told_nothing() -> None:
-    craft = holding_mode_taken()
-    begun = len(craft.commands)
-    craft.run_for(700.0)
-    assert [c for c in craft.commands[begun:] if isinstance(c, SetMode)] == []
-    assert craft.phase is Phase.HOLDING
+    held = holding_mode_taken()
+    assert not moving(held.during(700.0))
+    assert held.phase is Phase.HOLDING
 
 
 # --- home is where the vehicle has it
@@ -242,7 +212,7 @@ def test_taken_over_in_flight_it_returns_home_and_not_to_where_it_was_taken_over
     why(craft)
     craft.fly_to(Phase.DONE)
     assert is_home(craft)
-    assert [text for text in warnings(craft) if text.endswith(": flying back, then home")]
+    assert [text for text in warnings(craft.commands) if text.endswith(": flying back, then home")]
 
 
 @pytest.mark.parametrize("autopilot", ALL, ids=lambda each: each.name)
@@ -272,7 +242,7 @@ def test_with_nothing_flown_yet_it_plans_home_from_where_it_is(
         why(craft)
     craft.fly_to(Phase.DONE)
     assert is_home(craft)
-    assert [text for text in warnings(craft) if text.endswith(": planning a way home")]
+    assert [text for text in warnings(craft.commands) if text.endswith(": planning a way home")]
 
 
 def test_at_the_last_target_too_and_that_is_an_arrival() -> None:
@@ -310,9 +280,7 @@ def test_where_no_way_home_can_be_asked_for_its_autopilot_returns_and_that_is_sa
     craft.fly_to(Phase.DONE)
     assert craft.mode is Mode.RETURN
     assert math.dist(craft.here[:2], OUT_NEA_M[:2]) < 1.0  # so far a way was proven
-    order = [c for c in craft.commands if isinstance(c, SetMode | StatusText)]
-    asked = order.index(SetMode(mode=Mode.RETURN))
-    said = [each.text for each in order[:asked] if isinstance(each, StatusText)]
+    said = texts(craft.commands[: craft.commands.index(SetMode(mode=Mode.RETURN))])
     assert [text for text in said if text.startswith(why)]
     assert "told to return: its autopilot is told to return" in said
     assert all(request.target_ne_m != (0.0, 0.0) for request in requests(craft))

@@ -47,25 +47,21 @@ def two_legs() -> Craft:
     return Craft().run_until(lambda craft: craft.state.flight.legs_flown == 3)
 
 
-def test_a_scan_starts_at_p_scan_and_not_before() -> None:
+def test_every_leg_is_scanned_for_once_at_p_scan_and_not_before() -> None:
     craft = two_legs()
     first, *later = craft.sent(StartScan)
+    assert len(later) == 2
     assert flown_m(craft.sent(Setpoint)[0]) == math.hypot(*first.centre_nea_m[:2]) < 2e-6
     for number, scan in enumerate(later, start=1):
         end_m = LEG_M + (number - 1) * (LEG_M - TAIL_M)
         assert 0.0 <= math.hypot(*scan.centre_nea_m[:2]) - (end_m - L_M) <= SPEED_M_S * TICK_S
 
 
-def test_every_leg_is_scanned_for_once() -> None:
-    craft = two_legs()
-    assert len(craft.sent(StartScan)) == 3
-    assert [plan.request.plan_id for plan in craft.sent(Plan)] == [1, 2, 3]
-
-
 def test_the_next_leg_is_planned_from_p_prog_with_its_tangent_and_is_due_after_t() -> None:
     craft = two_legs()
     steps = [(after, c) for _, _, after, commands in craft.steps for c in commands]
     plans = [(after.now_s, c) for after, c in steps if isinstance(c, Plan)]
+    assert [plan.request.plan_id for _, plan in plans] == [1, 2, 3]
     for number, (asked_s, plan) in enumerate(plans):
         assert plan.due_s == pytest.approx(asked_s + 5.0)
         assert plan.request.from_rest == (number == 0)
@@ -106,20 +102,15 @@ def test_a_setpoint_lies_on_the_leg_with_its_velocity_and_nose_along_it() -> Non
         assert setpoint.yaw_rad == pytest.approx(math.pi / 4)
 
 
-def test_speed_and_acceleration_keep_to_the_mission() -> None:
-    craft = Craft(two_legs_away()).fly_to(Phase.ARRIVED)
-    speeds = np.array([math.hypot(*s.velocity_nea_m_s) for s in craft.sent(Setpoint)])
+def test_speed_and_acceleration_keep_to_the_mission_and_it_ends_at_the_target_at_rest() -> None:
+    setpoints = Craft(two_legs_away()).fly_to(Phase.DONE).sent(Setpoint)
+    speeds = np.array([math.hypot(*s.velocity_nea_m_s) for s in setpoints])
     assert speeds.max() == pytest.approx(SPEED_M_S)
     changes = np.diff(speeds) / TICK_S
     assert changes.max() <= 5.0 + 1e-6
     assert changes.min() >= -2.0 * 5.0 - 1e-6  # it may brake twice as hard
-
-
-def test_the_last_setpoint_of_a_leg_to_the_target_is_at_the_target_at_rest() -> None:
-    craft = Craft(two_legs_away()).fly_to(Phase.DONE)
-    last = craft.sent(Setpoint)[-1]
-    assert last.velocity_nea_m_s == (0.0, 0.0, 0.0)
-    np.testing.assert_allclose(last.position_nea_m[:2], (20_000.0, 20_000.0), atol=1.0)
+    assert setpoints[-1].velocity_nea_m_s == (0.0, 0.0, 0.0)
+    np.testing.assert_allclose(setpoints[-1].position_nea_m[:2], (20_000.0, 20_000.0), atol=1.0)
 
 
 def test_the_reference_waits_for_a_vehicle_that_falls_behind_and_goes_on_when_it_follows() -> None:
@@ -161,30 +152,50 @@ def found_at(craft: Craft, way: Way, by_m: float, later_s: float = 0.0) -> tuple
     return left_path(state, flight, position(state.now_s, here, craft.velocity))
 
 
+FAR_M = ERROR_M + min(ERROR_M, 0.5 * SAFETY_M)
+STOPS_S = SPEED_M_S / 5.0
+UP, SLANTED = (0.0, 0.0, 1.0), (0.6 * NORTH_EAST, -0.6 * NORTH_EAST, 0.8)
+
+
+LIMITS = {
+    "out of the tube": ((ASIDE, UP, SLANTED), ERROR_M, Reason.BESIDE_PATH, None),
+    "ahead of where it was told to be": ((ALONG,), ERROR_M, None, None),
+    "a second ahead or behind": ((ALONG, BACK), ERROR_M + SPEED_M_S, None, Reason.OFF_PATH),
+    "too far off for a stop": ((ASIDE,), FAR_M, Reason.BESIDE_PATH, Reason.OFF_PATH),
+}
+"""Ways, and how far: from there on it is to stop on its path, or to hold."""
+
+
+@pytest.mark.parametrize("share", [0.98, 1.02])
+@pytest.mark.parametrize("limit", LIMITS)
+def test_who_leaves_where_it_was_proven_to_be_is_noted_and_is_to_stop_or_to_hold(
+    limit: str, share: float
+) -> None:
+    ways, limit_m, stops, departs = LIMITS[limit]
+    for way in ways:
+        flight, reason = found_at(cruising(), way, share * limit_m)
+        assert reason is (departs if share > 1.0 else None)
+        if departs is None:
+            left_m = max(share - 1.0, 0.0) * limit_m
+            assert flight.left_path_m == pytest.approx(left_m, rel=0.01)
+            stop = None if flight.stop is None else flight.stop.reason
+            assert stop is (stops if share > 1.0 else None)
+
+
 @pytest.mark.parametrize(
-    "way", [ASIDE, (0.0, 0.0, 1.0), (0.6 * NORTH_EAST, -0.6 * NORTH_EAST, 0.8)]
+    ("off", "later_s", "reason"),
+    [
+        (1.5, STOPS_S + 2.0, None),
+        (1.5, STOPS_S + 4.0, Reason.OFF_PATH),
+        (0.5, STOPS_S + 4.0, None),
+    ],
 )
-def test_who_leaves_the_tube_is_to_stop_on_its_path(way: Way) -> None:
-    flight, departs = found_at(cruising(), way, 0.98 * ERROR_M)
-    assert (flight.left_path_m, flight.stop, departs) == (0.0, None, None)
-    flight, departs = found_at(cruising(), way, 1.02 * ERROR_M)
-    assert flight.left_path_m == pytest.approx(0.02 * ERROR_M, rel=0.01)
-    assert flight.stop is not None
-    assert (flight.stop.reason, departs) == (Reason.BESIDE_PATH, None)
-
-
-def test_who_is_ahead_of_where_it_was_told_to_be_is_noted_and_far_ahead_or_behind_is_to_hold() -> (
-    None
-):
-    """The reference point waits for who is a second's way behind."""
-    flight, departs = found_at(cruising(), ALONG, 0.98 * ERROR_M)
-    assert (flight.left_path_m, flight.stop, departs) == (0.0, None, None)
-    flight, departs = found_at(cruising(), ALONG, 1.02 * ERROR_M)
-    assert flight.left_path_m == pytest.approx(0.02 * ERROR_M, rel=0.01)
-    assert (flight.stop, departs) == (None, None)  # it is on its path
-    for way in (ALONG, BACK):
-        assert found_at(cruising(), way, 0.98 * (ERROR_M + SPEED_M_S))[1] is None
-        assert found_at(cruising(), way, 1.02 * (ERROR_M + SPEED_M_S))[1] is Reason.OFF_PATH
+def test_who_does_not_come_back_is_told_to_hold(
+    off: float, later_s: float, reason: Reason | None
+) -> None:
+    flight, departs = found_at(cruising(), ASIDE, off * ERROR_M, later_s=later_s)
+    assert departs is reason
+    assert (flight.left_path_m > 0.0) is (off > 1.0)
 
 
 def test_who_is_seen_at_a_glance_to_be_on_its_path_is_not_outside_of_anything() -> None:
@@ -224,17 +235,6 @@ def test_who_overshoots_the_end_of_its_path_has_left_it() -> None:
         ahead = 0.5 * ERROR_M + beyond_m - ERROR_M  # of where it was told to be
         assert left.left_path_m == pytest.approx(max(beyond_m - ERROR_M, ahead), abs=1e-3)
         assert (left.stop, departs) == (None, None)  # it stops there anyway
-
-
-def test_who_is_too_far_off_for_a_stop_or_does_not_come_back_is_told_to_hold() -> None:
-    most_m = ERROR_M + min(ERROR_M, 0.5 * SAFETY_M)
-    assert found_at(cruising(), ASIDE, 0.98 * most_m)[1] is None
-    assert found_at(cruising(), ASIDE, 1.02 * most_m)[1] is Reason.OFF_PATH
-    stops_s = SPEED_M_S / 5.0
-    assert found_at(cruising(), ASIDE, 1.5 * ERROR_M, later_s=stops_s + 2.0)[1] is None
-    assert found_at(cruising(), ASIDE, 1.5 * ERROR_M, later_s=stops_s + 4.0)[1] is Reason.OFF_PATH
-    back, departs = found_at(cruising(), ASIDE, 0.5 * ERROR_M, later_s=stops_s + 4.0)
-    assert (back.left_path_m, departs) == (0.0, None)
 
 
 def test_who_has_left_its_path_stops_says_so_and_goes_on_from_there() -> None:
@@ -336,44 +336,38 @@ def test_who_joins_a_path_near_its_end_comes_to_rest_without_a_jump(
     assert math.hypot(*sent[-1].velocity_nea_m_s) < 0.1
 
 
-@pytest.mark.parametrize("age_s", [0.0, 0.1, 0.4])
-def test_it_goes_on_where_the_autopilots_target_has_moved_since_it_was_told(age_s: float) -> None:
+def went_on(at_m: float, told_m: float, pace: float, **echo: Any) -> Flight:
+    """Where it goes on along its leg: at that length and share of V, told to be at the other."""
     state = two_legs().state
     assert state.flight.leg is not None
-    curve, at_m = state.flight.leg.subpath, 1_000.0
-    velocity = SPEED_M_S * curve.pose(at_m).tangent_nea
-    told_m = at_m - age_s * SPEED_M_S
+    curve = state.flight.leg.subpath
+    north, east, up = (float(each) for each in pace * SPEED_M_S * curve.pose(at_m).tangent_nea)
     vehicle = replace(
         state.vehicle,
         position_nea_m=curve.pose(at_m).point_nea_m,
-        velocity_nea_m_s=(float(velocity[0]), float(velocity[1]), float(velocity[2])),
+        velocity_nea_m_s=(north, east, up),
         echo_nea_m=curve.pose(told_m).point_nea_m,
-        echo_at_s=state.now_s - age_s,
+        **echo,
     )
-    went_on = joined(replace(state, vehicle=vehicle, flight=replace(state.flight, sent=None)))
-    assert went_on is not None
-    assert went_on.reference.length_m == pytest.approx(at_m, abs=0.1)
+    flight = joined(replace(state, vehicle=vehicle, flight=replace(state.flight, sent=None)))
+    assert flight is not None
+    return flight
+
+
+@pytest.mark.parametrize("age_s", [0.0, 0.1, 0.4])
+def test_it_goes_on_where_the_autopilots_target_has_moved_since_it_was_told(age_s: float) -> None:
+    at_s = two_legs().state.now_s - age_s
+    flight = went_on(1_000.0, 1_000.0 - age_s * SPEED_M_S, 1.0, echo_at_s=at_s)
+    assert flight.reference.length_m == pytest.approx(1_000.0, abs=0.1)
 
 
 def test_it_goes_on_from_a_target_that_stands_as_slowly_as_the_target() -> None:
-    state = two_legs().state
-    assert state.flight.leg is not None
-    pose = state.flight.leg.subpath.pose(1_000.0)
-    north, east, up = (float(each) for each in 0.6 * SPEED_M_S * pose.tangent_nea)
-    vehicle = replace(
-        state.vehicle,
-        position_nea_m=state.flight.leg.subpath.pose(1_000.0 - 0.6 * SPEED_M_S).point_nea_m,
-        velocity_nea_m_s=(north, east, up),
-        echo_nea_m=pose.point_nea_m,
-        echo_nea_m_s=(0.0, 0.0, 0.0),
-        echo_at_s=state.now_s - 0.4,
-    )
-    went_on = joined(replace(state, vehicle=vehicle, flight=replace(state.flight, sent=None)))
-    assert went_on is not None
-    assert went_on.offset is not None
-    assert went_on.reference.length_m == pytest.approx(1_000.0, abs=0.01)
-    assert went_on.reference.speed_m_s == 0.0
-    assert np.linalg.norm(went_on.offset.velocity_nea_m_s) == 0.0
+    echo = {"echo_nea_m_s": (0.0, 0.0, 0.0), "echo_at_s": two_legs().state.now_s - 0.4}
+    flight = went_on(1_000.0 - 0.6 * SPEED_M_S, 1_000.0, 0.6, **echo)
+    assert flight.offset is not None
+    assert flight.reference.length_m == pytest.approx(1_000.0, abs=0.01)
+    assert flight.reference.speed_m_s == 0.0
+    assert np.linalg.norm(flight.offset.velocity_nea_m_s) == 0.0
 
 
 def test_at_its_target_it_looks_where_it_has_flown_to() -> None:

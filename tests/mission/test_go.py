@@ -3,29 +3,31 @@
 from collections.abc import Callable
 
 import pytest
-from made_up import HOME_AMSL_M, Craft, mission, near_target, order_of
-from renewed import replace
+from made_up import EACH, HOME_AMSL_M, Craft, mission, moving, near_target, order_of, texts
 from wild import Wild
 
-from companion.mavlink.autopilots import ALL, ARDUCOPTER
+from companion.mavlink.autopilots import ARDUCOPTER
 from companion.mission import changes, checkpoint, events
 from companion.mission.changes import OrderResult
 from companion.mission.decisions import Context
-from companion.mission.events import Arm, Disarm, Item, Mode, OrderKind, Prepared, Rebooted, TakeOff
+from companion.mission.events import (
+    Arm,
+    Disarm,
+    FenceChanged,
+    Item,
+    Mode,
+    OrderKind,
+    Prepared,
+    Rebooted,
+    TakeOff,
+)
 from companion.mission.state import Phase, Reason
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.zones import CircleZone
 
-UP = (events.SetMode, Arm, TakeOff)
-EACH = pytest.mark.parametrize("traits", [each.traits for each in ALL], ids=lambda d: d.name)
-
 
 def ready(traits: VehicleTraits = ARDUCOPTER.traits) -> Craft:
     return Craft(near_target(), traits=traits, go=False).fly_to(Phase.READY)
-
-
-def texts(craft: Craft) -> list[str]:
-    return [said.text for said in craft.sent(events.StatusText)]
 
 
 def says_go(craft: Craft) -> OrderResult:
@@ -40,13 +42,8 @@ def says_go(craft: Craft) -> OrderResult:
 def test_a_vehicle_that_is_ready_waits_for_as_long_as_it_takes(traits: VehicleTraits) -> None:
     craft = ready(traits).run_for(600.0)
     assert craft.phase is Phase.READY
-    assert not [command for command in craft.commands if isinstance(command, UP)]
-    assert sum("waits for go" in text for text in texts(craft)) == 1
-
-
-@EACH
-def test_a_go_takes_off(traits: VehicleTraits) -> None:
-    craft = ready(traits)
+    assert not moving(craft.commands)
+    assert sum("waits for go" in text for text in texts(craft.commands)) == 1
     assert says_go(craft) is OrderResult.ACCEPTED
     assert craft.phase is Phase.ARMING
     assert craft.fly_to(Phase.TAKING_OFF).sent(Arm)
@@ -54,7 +51,7 @@ def test_a_go_takes_off(traits: VehicleTraits) -> None:
 
 def test_a_go_that_was_said_beforehand_is_not_waited_for() -> None:
     craft = Craft(near_target(), go=True).fly_to(Phase.ARMING)
-    assert "waits for go" not in " ".join(texts(craft))
+    assert "waits for go" not in " ".join(texts(craft.commands))
     order = order_of(Craft(go=True).fly_to(Phase.PREPARING), OrderKind.START)
     assert changes.order_result(Craft().state, order, go=True) is OrderResult.ACCEPTED
 
@@ -68,67 +65,42 @@ def test_what_waits_is_told_by_a_go_alone() -> None:
     assert craft.run_for(5.0).phase is Phase.READY
 
 
-def loses_fix(craft: Craft) -> None:
-    craft.fix = False
-
-
-def falls_silent(craft: Craft) -> None:
-    craft.take(events.LinkLost(time_s=craft.now_s, silent_s=3.0))
+def taking(made: Callable[[float], events.Event]) -> Callable[[Craft], object]:
+    return lambda craft: craft.take(made(craft.now_s))
 
 
 def drains(craft: Craft) -> None:
-    craft.context = Context(mission=MISSION_WITH_BATTERY, seed=1)
+    short = mission(endurance_s=600.0, targets_ne_m=near_target().targets_ne_m)
+    craft.context = Context(mission=short, seed=1)
     craft.battery = 0.1
 
 
-def is_carried_away(craft: Craft) -> None:
-    craft.here = (1e6, 0.0, HOME_AMSL_M)
-
-
-def is_fenced_in(craft: Craft) -> None:
-    zone = CircleZone(name="z", north_m=0.0, east_m=0.0, radius_m=100.0)
-    craft.take(events.FenceChanged(time_s=craft.now_s, zones=(zone,)))
-
-
-def fails_a_check(craft: Craft) -> None:
-    craft.take(Prepared(time_s=craft.now_s, item=Item.CHECKS, refusal="signing: none", remedy="x"))
-
-
-def has_a_parameter_changed(craft: Craft) -> None:
-    craft.take(Prepared(time_s=craft.now_s, item=Item.PARAMETERS, refusal="GUID_OPTIONS = 16"))
-
-
-def loses_its_targets(craft: Craft) -> None:
-    craft.take(events.TargetsChanged(time_s=craft.now_s, targets_ne_m=()))
-
-
-MISSION_WITH_BATTERY = mission(endurance_s=600.0, targets_ne_m=near_target().targets_ne_m)
-LOSSES: dict[Callable[[Craft], None], str] = {
-    loses_fix: Reason.NO_FIX.text,
-    falls_silent: Reason.LINK_LOST.text,
-    drains: Reason.BATTERY_SHORT.text,
-    is_carried_away: Reason.POSITION_JUMPED.text,
-    is_fenced_in: Reason.OUTSIDE.text,
-    fails_a_check: "signing: none",
-    has_a_parameter_changed: "GUID_OPTIONS = 16",
-    loses_its_targets: Reason.NO_TARGETS.text,
+AROUND = CircleZone(name="z", north_m=0.0, east_m=0.0, radius_m=100.0)
+CHECK = {"item": Item.CHECKS, "refusal": "signing: none", "remedy": "x"}
+PARAMETER = {"item": Item.PARAMETERS, "refusal": "GUID_OPTIONS = 16"}
+LOSSES: dict[str, Callable[[Craft], object]] = {
+    Reason.NO_FIX.text: lambda craft: setattr(craft, "fix", False),
+    Reason.LINK_LOST.text: taking(lambda now_s: events.LinkLost(time_s=now_s, silent_s=3.0)),
+    Reason.BATTERY_SHORT.text: drains,
+    Reason.POSITION_JUMPED.text: lambda it: setattr(it, "here", (1e6, 0.0, HOME_AMSL_M)),
+    Reason.OUTSIDE.text: taking(lambda now_s: FenceChanged(time_s=now_s, zones=(AROUND,))),
+    "signing: none": taking(lambda now_s: Prepared(time_s=now_s, **CHECK)),
+    "GUID_OPTIONS = 16": taking(lambda now_s: Prepared(time_s=now_s, **PARAMETER)),
+    Reason.NO_TARGETS.text: taking(lambda s: events.TargetsChanged(time_s=s, targets_ne_m=())),
 }
 
 
-@pytest.mark.parametrize("lose", LOSSES, ids=lambda lose: lose.__name__)
-def test_a_check_that_fails_while_it_waits_is_told_and_a_go_refused_with_it(
-    lose: Callable[[Craft], None],
-) -> None:
+@pytest.mark.parametrize("why", LOSSES)
+def test_a_check_that_fails_while_it_waits_is_told_and_a_go_refused_with_it(why: str) -> None:
     craft = ready()
-    lose(craft)
+    LOSSES[why](craft)
     craft.run_until(lambda craft: craft.phase is Phase.PREPARING, 5.0)
-    assert any(text == f"not ready any more: {LOSSES[lose]}" for text in texts(craft))
+    assert f"not ready any more: {why}" in texts(craft.commands)
     assert says_go(craft) is OrderResult.NOT_NOW
-    why = changes.why_not(craft.state, order_of(craft, OrderKind.START))
-    assert LOSSES[lose] in why
+    assert why in changes.why_not(craft.state, order_of(craft, OrderKind.START))
     craft.run_for(300.0)
     assert craft.phase is Phase.PREPARING, "it has ended, and nobody can mend it"
-    assert not [command for command in craft.commands if isinstance(command, UP)]
+    assert not moving(craft.commands)
     assert len(craft.sent(events.RequestStreams)) == 1
 
 
@@ -142,7 +114,7 @@ def test_what_is_mended_is_ready_again_and_waits_again() -> None:
     craft.take(Prepared(time_s=craft.now_s, item=Item.CHECKS))
     craft.run_for(2.0)
     assert craft.phase is Phase.READY
-    assert sum("waits for go" in text for text in texts(craft)) == 2
+    assert sum("waits for go" in text for text in texts(craft.commands)) == 2
     assert says_go(craft) is OrderResult.ACCEPTED
 
 
@@ -162,7 +134,7 @@ def test_a_vehicle_that_somebody_else_arms_meanwhile_is_left_alone(is_ready: boo
     craft.run_for(3.0)
     craft.armed, craft.mode = True, Mode.GUIDED
     assert craft.fly_to(Phase.DONE).end().reason == Reason.ARMED_ALREADY.text
-    assert not [command for command in craft.commands if isinstance(command, UP)]
+    assert not moving(craft.commands)
 
 
 @EACH
@@ -177,11 +149,8 @@ def test_what_was_armed_before_a_restart_is_put_down_and_not_left_armed() -> Non
     it = Wild.calmly(ARDUCOPTER.traits)
     it.fly_to(Phase.ARMING).run_until(lambda it: it.armed)
     it.context = Context(mission=it.mission, seed=1, go=False)
-    values = checkpoint.values_of(it.state)
-    again = checkpoint.initial_state(it.mission, (values, it.state.flight.known))
-    it.state = replace(again, now_s=it.now_s, since_s=it.now_s)
-    it.later, it.watch.context = [], it.context
-    it.watch.restarted(it.now_s)
+    it.watch.context = it.context
+    it.resumes(checkpoint.values_of(it.state))
     it.run_until(lambda it: it.over, 30.0)
     assert it.state.reason is Reason.NOT_READY
     assert it.sent(Disarm)
@@ -196,4 +165,4 @@ def test_who_arms_it_after_a_reboot_on_the_ground_keeps_it() -> None:
     count = len(it.said_to)
     it.run_until(lambda it: it.over, 30.0)
     assert it.state.reason is Reason.ARMED_ALREADY
-    assert not [command for command in it.said_to[count:] if isinstance(command, UP)]
+    assert not moving(it.said_to[count:])

@@ -1,18 +1,17 @@
 """Two companions of one vehicle: the one that came second takes no command of it."""
 
+from collections.abc import Callable
+
 import pytest
-from made_up import MISSION, Craft, flying, preparing, two_legs_away
+from made_up import EACH, MISSION, Craft, flying, moving, preparing, two_legs_away, warnings
 from wild import Wild
 
 from companion.mavlink.autopilots import ALL
-from companion.mission import checkpoint, events
+from companion.mission import checkpoint
 from companion.mission.decisions import is_under_control
-from companion.mission.events import Arm, Command, DuplicateId, End, Mode, Outcome, SetMode, TakeOff
+from companion.mission.events import Arm, Command, DuplicateId, End, Mode, Outcome, TakeOff
 from companion.mission.state import Phase, Reason
 from companion.mission.vehicle_traits import VehicleTraits
-
-MOVING = (Arm, TakeOff, SetMode, events.Setpoint, events.SetSpeed)
-BOTH = pytest.mark.parametrize("traits", [each.traits for each in ALL], ids=lambda d: d.name)
 
 
 def beat(it: Craft | Wild, number: int) -> DuplicateId:
@@ -20,12 +19,12 @@ def beat(it: Craft | Wild, number: int) -> DuplicateId:
     return DuplicateId(time_s=it.now_s, certain=number >= 2, news=number == 2)
 
 
-def warnings(commands: list[Command]) -> list[str]:
-    return [c.text for c in commands if isinstance(c, events.StatusText) and c.warning]
-
-
-def moving(commands: list[Command]) -> list[Command]:
-    return [command for command in commands if isinstance(command, MOVING)]
+def hears(craft: Craft, seconds: int = 3) -> Craft:
+    """Another companion, each second."""
+    for number in range(seconds):
+        craft.take(beat(craft, number))
+        craft.run_for(1.0)
+    return craft
 
 
 def shared(it: Wild, seconds: int) -> list[Command]:
@@ -40,16 +39,22 @@ def shared(it: Wild, seconds: int) -> list[Command]:
 # --- on the ground
 
 
-def test_on_the_ground_both_refuse() -> None:
-    craft = preparing()
+def arming() -> Craft:
+    craft = Craft().fly_to(Phase.ARMING)
+    craft.arms = False
+    return craft.run_for(2.0)
+
+
+@pytest.mark.parametrize("made", [preparing, arming])
+def test_on_the_ground_both_refuse(made: Callable[[], Craft]) -> None:
+    """Before anything was said to the vehicle; and one that is to be armed is not."""
+    craft = made()
     craft.fix = True
-    for number in range(3):
-        craft.take(beat(craft, number))
-        craft.run_for(1.0)
-    end = craft.end()
+    end = hears(craft).end()
     assert end.outcome is Outcome.FAILED
     assert (end.reason, end.remedy) == (Reason.NOT_ALONE.text, Reason.NOT_ALONE.remedy)
-    assert not moving(craft.commands)
+    assert not craft.sent(TakeOff)
+    assert made is arming or not moving(craft.commands)
 
 
 def test_while_it_is_not_certain_nothing_is_begun_and_then_it_goes_on() -> None:
@@ -64,21 +69,10 @@ def test_while_it_is_not_certain_nothing_is_begun_and_then_it_goes_on() -> None:
     assert not craft.sent(End)
 
 
-def test_it_is_not_armed_with_another_companion_there() -> None:
-    craft = Craft().fly_to(Phase.ARMING)
-    craft.arms = False
-    craft.run_for(2.0)
-    for number in range(3):
-        craft.take(beat(craft, number))
-        craft.run_for(1.0)
-    assert craft.end().reason == Reason.NOT_ALONE.text
-    assert not craft.sent(TakeOff)
-
-
 # --- in the air
 
 
-@BOTH
+@EACH
 def test_the_one_that_flies_flies_on_and_says_so_once(traits: VehicleTraits) -> None:
     it = Wild.calmly(traits).run_until(lambda it: it.state.flight.leg is not None)
     said = shared(it, 20)
@@ -88,7 +82,7 @@ def test_the_one_that_flies_flies_on_and_says_so_once(traits: VehicleTraits) -> 
     assert end.outcome is Outcome.ARRIVED
 
 
-@BOTH
+@EACH
 @pytest.mark.parametrize("mode", [Mode.GUIDED, Mode.HOLD, Mode.OTHER])
 def test_the_one_that_comes_second_ends_without_a_command(
     traits: VehicleTraits, mode: Mode
@@ -103,7 +97,7 @@ def test_the_one_that_comes_second_ends_without_a_command(
     assert not is_under_control(it.state)
 
 
-@BOTH
+@EACH
 @pytest.mark.parametrize("first_heard_s", [0.5, 1.5, 2.5])
 def test_one_that_hears_of_the_first_just_after_it_took_over_yields(
     traits: VehicleTraits, first_heard_s: float
@@ -124,11 +118,7 @@ def test_one_that_hears_of_the_first_just_after_it_took_over_yields(
 
 
 def test_one_that_was_silent_with_its_vehicle_is_still_the_first() -> None:
-    craft = flying(two_legs_away()).run_for(10.0)
-    for number in range(3):
-        craft.take(beat(craft, number))
-        craft.run_for(1.0)
-    craft.run_for(0.5)
+    craft = hears(flying(two_legs_away()).run_for(10.0)).run_for(0.5)
     assert craft.phase is Phase.FLYING
     assert not craft.sent(End)
 
@@ -144,11 +134,12 @@ def test_a_shadow_says_so_and_watches_on() -> None:
 # --- a flight of which nothing can be read any more
 
 
-@BOTH
+@EACH
 def test_without_its_memory_it_takes_over_in_flight_and_arrives(traits: VehicleTraits) -> None:
     it = Wild.calmly(traits).run_until(lambda it: it.state.flight.leg is not None).run_for(8.0)
-    count = len(it.said_to)
-    forget(it)
+    count, number = len(it.said_to), it.state.flight.plan_id
+    torn = checkpoint.without_checkpoint("torn", system_id=1, time_s=it.now_s, plan_id=number)
+    it.resumes(torn)
     end = it.fly_to(Phase.DONE).said_to[-1]
     later = it.said_to[count:]
     assert isinstance(end, End)
@@ -165,12 +156,3 @@ def test_without_its_memory_it_never_arms() -> None:
     craft.run_until(lambda craft: bool(craft.sent(End)))
     assert craft.end().reason == Reason.GROUNDED.text
     assert not moving(craft.commands)
-
-
-def forget(it: Wild) -> None:
-    """Killed, and started again with files that cannot be read."""
-    number = it.state.flight.plan_id
-    values = checkpoint.without_checkpoint("torn", system_id=1, time_s=it.now_s, plan_id=number)
-    it.state = checkpoint.initial_state(it.mission, (values, None))
-    it.later = []
-    it.watch.restarted(it.now_s)

@@ -4,6 +4,8 @@ Over a short time a jump is also what the speeds that were told cannot have made
 """
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -17,7 +19,7 @@ from companion.mission.state import Reason, Vehicle
 
 LIMITS = MISSION.task.limits
 GOOD = Vehicle(fix_good=True, estimator_good=True, fix_at_s=math.inf, estimator_at_s=math.inf)
-EAST = (0.0, 100.0, 0.0)
+FLICKERS = {"estimator_good": False, "estimator_failed_at_s": 10.0}
 JUMP_M = 1.5 * math.hypot(150.0, 25.0) * 0.1 + 20.0  # in a tenth of a second, V = 150, climb 25
 
 
@@ -82,99 +84,75 @@ class Track:
         self.vehicle = seen(with_position(self.vehicle, event, LIMITS), self.time_s)
 
 
-def test_a_vehicle_that_never_gave_a_position_is_not_believed() -> None:
-    assert distrust(GOOD, 0.0, LIMITS) is Reason.POSITION_STALE
+Place = tuple[float, float, float]
+STOOD: tuple[Place, ...] = ((10.0, 0.0, 0.0),)
+JUMPED: tuple[Place, ...] = ((10.0, 0.0, 0.0), (10.1, 500.0, 0.0))
+AGREE: tuple[Place, ...] = tuple((10.1 + 0.1 * tick, 500.0, 0.0) for tick in range(1, 6))
+FROZEN: tuple[Place, ...] = tuple((10.0 + 0.1 * tick, 0.0, 50.0) for tick in range(20))
 
 
-@pytest.mark.parametrize(("age_s", "reason"), [(0.49, None), (0.51, Reason.POSITION_STALE)])
-def test_a_position_is_believed_for_half_a_second(age_s: float, reason: Reason | None) -> None:
-    assert distrust(after((10.0, 0.0, 0.0)), 10.0 + age_s, LIMITS) is reason
+def still(frozen_s: float, speed_m_s: float) -> tuple[Place, ...]:
+    ticks = range(round(frozen_s / 0.1) + 1)
+    return tuple((10.0 + 0.1 * tick, 0.0, speed_m_s) for tick in ticks)
 
 
-@pytest.mark.parametrize(("frozen_s", "reason"), [(0.9, None), (1.1, Reason.POSITION_FROZEN)])
-@pytest.mark.parametrize(("speed_m_s", "moves"), [(0.9, False), (1.1, True)])
-def test_a_position_that_stands_still_for_a_second_while_the_speed_does_not_is_frozen(
-    frozen_s: float, reason: Reason | None, speed_m_s: float, moves: bool
-) -> None:
-    times = [10.0 + 0.1 * tick for tick in range(round(frozen_s / 0.1) + 1)]
-    vehicle = after(*((time_s, 0.0, speed_m_s) for time_s in times))
-    assert distrust(vehicle, times[-1], LIMITS) is (reason if moves else None)
-
-
-def test_one_changed_coordinate_thaws_a_frozen_position() -> None:
-    ticks = [(10.0 + 0.1 * tick, 0.0, 50.0) for tick in range(20)]
-    assert distrust(after(*ticks), 11.9, LIMITS) is Reason.POSITION_FROZEN
-    assert distrust(after(*ticks, (12.0, 5.0, 50.0)), 12.0, LIMITS) is None
+def step(step_m: float, speed_m_s: float, then_m_s: float | None = None) -> tuple[Place, ...]:
+    then_m_s = speed_m_s if then_m_s is None else then_m_s
+    return ((10.0, 0.0, speed_m_s), (10.1, step_m, then_m_s))
 
 
 @pytest.mark.parametrize(
-    ("step_m", "reason"), [(JUMP_M - 0.01, None), (JUMP_M + 0.01, Reason.POSITION_JUMPED)]
+    ("positions", "at_s", "changes", "reason"),
+    [
+        ((), 0.0, {}, Reason.POSITION_STALE),
+        (STOOD, 10.49, {}, None),
+        (STOOD, 10.51, {}, Reason.POSITION_STALE),
+        # it stands still for a second while its speed does not
+        (still(0.9, 1.1), 10.9, {}, None),
+        (still(1.1, 0.9), 11.1, {}, None),
+        (still(1.1, 1.1), 11.1, {}, Reason.POSITION_FROZEN),
+        (FROZEN, 11.9, {}, Reason.POSITION_FROZEN),
+        ((*FROZEN, (12.0, 5.0, 50.0)), 12.0, {}, None),  # one changed coordinate thaws it
+        # more than can be flown, though it says that it flew there
+        (step(JUMP_M - 0.01, 0.0, 20.0 * (JUMP_M - 0.01)), 10.1, {}, None),
+        (step(JUMP_M + 0.01, 0.0, 20.0 * (JUMP_M + 0.01)), 10.1, {}, Reason.POSITION_JUMPED),
+        (((10.0, 0.0, 0.0), (14.0, 150.0 * 4.0, 150.0)), 14.0, {}, None),  # it had time for that
+        # what the speeds told cannot have made: 4 m and 35 % of the way are allowed
+        *(
+            (
+                step(0.1 * v + aside_m, v),
+                10.1,
+                {},
+                None if aside_m < 4.0 else Reason.POSITION_JUMPED,
+            )
+            for v in (0.0, 20.0)
+            for aside_m in (3.9, 8.5)
+        ),
+        *((step(0.1 * v - 8.5, v), 10.1, {}, Reason.POSITION_JUMPED) for v in (0.0, 20.0)),
+        # forgotten after half a second of positions that agree
+        ((*JUMPED, *AGREE[:-1]), 10.5, {}, Reason.POSITION_JUMPED),
+        ((*JUMPED, *AGREE), 10.61, {}, None),
+        # what vouches for it: must go on saying so, both of them; an estimator may flicker
+        (STOOD, 10.0, {"fix_at_s": 5.1}, None),
+        (STOOD, 10.0, {"fix_at_s": 4.9}, Reason.HEALTH_SILENT),
+        (STOOD, 10.0, {"estimator_at_s": 5.1}, None),
+        (STOOD, 10.0, {"estimator_at_s": 4.9}, Reason.HEALTH_SILENT),
+        (STOOD, 10.0, {"fix_good": False}, Reason.NO_FIX),
+        (STOOD, 10.0, {"estimator_good": False}, Reason.ESTIMATOR),
+        (STOOD, 10.0, {"fix_good": False, "estimator_good": False}, Reason.NO_FIX),
+        (STOOD, 10.4, FLICKERS, None),
+        (((11.9, 0.0, 0.0),), 10.99, FLICKERS, None),
+        (((11.9, 0.0, 0.0),), 11.01, FLICKERS, Reason.ESTIMATOR),
+        # what the autopilot claims to know must be what the mission allows
+        (STOOD, 10.0, {"error_m": 4.9}, None),
+        (STOOD, 10.0, {"error_m": 5.1}, Reason.INACCURATE),
+    ],
 )
-def test_a_jump_is_a_step_of_more_than_can_be_flown(step_m: float, reason: Reason | None) -> None:
-    vehicle = after((10.0, 0.0, 0.0), (10.1, step_m, 2.0 * step_m / 0.1))  # it says it flew there
-    assert distrust(vehicle, 10.1, LIMITS) is reason
-
-
-@pytest.mark.parametrize(
-    ("aside_m", "reason"),
-    [(3.9, None), (8.5, Reason.POSITION_JUMPED), (-8.5, Reason.POSITION_JUMPED)],
-)
-@pytest.mark.parametrize("speed_m_s", [0.0, 20.0])
-def test_a_jump_is_a_step_that_the_speeds_told_cannot_have_made(
-    aside_m: float, reason: Reason | None, speed_m_s: float
-) -> None:
-    """4 m and 35 % of the way are allowed: 4.7 m at 20 m/s."""
-    vehicle = after((10.0, 0.0, speed_m_s), (10.1, 0.1 * speed_m_s + aside_m, speed_m_s))
-    assert distrust(vehicle, 10.1, LIMITS) is reason
-
-
-@pytest.mark.parametrize("of", ["fix_at_s", "estimator_at_s"])
-@pytest.mark.parametrize(("silent_s", "reason"), [(4.9, None), (5.1, Reason.HEALTH_SILENT)])
-def test_what_vouches_for_the_position_must_go_on_saying_so(
-    of: str, silent_s: float, reason: Reason | None
-) -> None:
-    vehicle = replace(after((10.0, 0.0, 0.0)), **{of: 10.0 - silent_s})
-    assert distrust(vehicle, 10.0, LIMITS) is reason
-
-
-def test_an_estimator_may_flicker_for_a_second() -> None:
-    flickers = replace(after((10.0, 0.0, 0.0)), estimator_good=False, estimator_failed_at_s=10.0)
-    later = replace(flickers, position_at_s=12.0, moved_at_s=12.0)
-    assert distrust(flickers, 10.4, LIMITS) is None
-    assert distrust(later, 10.99, LIMITS) is None
-    assert distrust(later, 11.01, LIMITS) is Reason.ESTIMATOR
-
-
-@pytest.mark.parametrize(("error_m", "reason"), [(4.9, None), (5.1, Reason.INACCURATE)])
-def test_what_the_autopilot_claims_to_know_must_be_what_the_mission_allows(
-    error_m: float, reason: Reason | None
+def test_a_position_is_believed_while_it_can_be_true(
+    positions: tuple[Place, ...], at_s: float, changes: dict[str, Any], reason: Reason | None
 ) -> None:
     assert LIMITS.navigation_error_m == 5.0
-    assert distrust(replace(after((10.0, 0.0, 0.0)), error_m=error_m), 10.0, LIMITS) is reason
-
-
-def test_a_jump_is_forgotten_after_half_a_second_of_positions_that_agree() -> None:
-    jumped = [(10.0, 0.0, 0.0), (10.1, 500.0, 0.0)]
-    later = [(10.1 + 0.1 * tick, 500.0, 0.0) for tick in range(1, 6)]
-    assert distrust(after(*jumped, *later[:-1]), 10.5, LIMITS) is Reason.POSITION_JUMPED
-    assert distrust(after(*jumped, *later), 10.61, LIMITS) is None
-
-
-def test_the_step_of_a_gap_in_the_positions_may_be_longer() -> None:
-    assert distrust(after((10.0, 0.0, 0.0), (14.0, 150.0 * 4.0, 150.0)), 14.0, LIMITS) is None
-
-
-@pytest.mark.parametrize(
-    ("vehicle", "reason"),
-    [
-        (Vehicle(fix_good=False, estimator_good=True), Reason.NO_FIX),
-        (Vehicle(fix_good=True, estimator_good=False), Reason.ESTIMATOR),
-        (Vehicle(fix_good=False, estimator_good=False), Reason.NO_FIX),
-    ],
-    ids=["fix", "estimator", "both"],
-)
-def test_receiver_and_estimator_must_both_vouch(vehicle: Vehicle, reason: Reason) -> None:
-    assert distrust(with_position(vehicle, position(1.0), LIMITS), 1.0, LIMITS) is reason
+    assert distrust(replace(after(*positions), **changes), at_s, LIMITS) is reason
 
 
 @given(
@@ -209,40 +187,36 @@ def doubted(
     return track.fly(seconds - after_s)
 
 
-def test_a_position_that_estimators_give_in_to_is_not_believed_where_the_vehicle_cannot_be() -> (
+def test_what_estimators_give_in_to_is_not_believed_until_it_jumps_back_or_was_vouched_for() -> (
     None
 ):
-    track = doubted(20.0, 50.0, 10.0).vouch().fly(5.0)
+    """Where the vehicle cannot be; for a minute without a jump, then from there on."""
+    track = doubted(20.0, 50.0, 10.0).vouch().fly(10.0)
     assert track.reason is Reason.POSITION_ELSEWHERE
     assert astray_m(track.vehicle) == pytest.approx(50.0, abs=0.1)
-
-
-def test_it_is_believed_as_soon_as_it_has_jumped_back() -> None:
-    track = doubted(20.0, 50.0, 10.0).vouch().fly(10.0)
     track.vouch(estimator=False).fly(10.0)
     track.north_m = 0.0
-    track.fly(1.0).vouch().fly(0.1)
-    assert track.reason is None
-
-
-def test_it_is_believed_wherever_it_is_once_it_was_vouched_for_a_minute_without_a_jump() -> None:
+    assert track.fly(1.0).vouch().fly(0.1).reason is None
     track = doubted(20.0, 50.0, 10.0).vouch().fly(59.5)
     assert track.reason is Reason.POSITION_ELSEWHERE
     assert track.fly(1.0).reason is None
     assert track.fly(TRUST_S + 1.0).reason is None
-    assert astray_m(track.vehicle) == 0.0  # and counts from there on
+    assert astray_m(track.vehicle) == 0.0
 
 
-def test_a_jump_begins_the_minute_again() -> None:
-    track = doubted(20.0, 50.0, 10.0).vouch().fly(50.0)
-    track.north_m += 30.0
-    assert track.fly(30.0).reason is Reason.POSITION_ELSEWHERE
-
-
-def test_a_jump_that_nothing_announced_is_not_believed_either() -> None:
-    track = Track().fly(10.0)
-    track.north_m += 50.0
-    assert track.fly(5.0).reason is Reason.POSITION_ELSEWHERE
+@pytest.mark.parametrize(
+    ("track", "north_m", "then_s"),
+    [
+        (lambda: doubted(20.0, 50.0, 10.0).vouch().fly(50.0), 30.0, 30.0),  # the minute again
+        (lambda: Track().fly(10.0), 50.0, 5.0),  # that nothing announced
+        (lambda: doubted(60.0, 50.0, 10.0).vouch(), 0.0, 1.0),  # however long it was rejected
+    ],
+    ids=["again", "unannounced", "rejected"],
+)
+def test_a_jump_is_not_believed(track: Callable[[], Track], north_m: float, then_s: float) -> None:
+    jumps = track()
+    jumps.north_m += north_m
+    assert jumps.fly(then_s).reason is Reason.POSITION_ELSEWHERE
 
 
 @pytest.mark.parametrize(("lost_s", "back_m"), [(10.0, 12.0), (31.0, 31.0)])
@@ -250,10 +224,6 @@ def test_an_estimator_without_gps_may_have_drifted_so_far(lost_s: float, back_m:
     """px4.md 8: 31 m after 31 s."""
     track = doubted(lost_s, back_m, lost_s - 0.1, fix=False).vouch().fly(1.0)
     assert track.reason is None
-
-
-def test_a_drift_is_no_more_likely_for_having_been_rejected_since_the_jump() -> None:
-    assert doubted(60.0, 50.0, 10.0).vouch().fly(1.0).reason is Reason.POSITION_ELSEWHERE
 
 
 @pytest.mark.parametrize("rate_hz", [2.5, 10.0])

@@ -1,18 +1,14 @@
 """A plane without a leg: where it begins one, and a fence that is drawn about it."""
 
 import pytest
+from made_up import PLANES
 from wild import Wild
 
-from companion.mavlink.autopilots import ARDUPLANE, PX4_FIXED_WING
 from companion.mission import events
 from companion.mission.events import FenceChanged, Mode, Position, StartScan
 from companion.mission.state import Phase
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.zones import CircleZone
-
-PLANES = pytest.mark.parametrize(
-    "traits", [ARDUPLANE.traits, PX4_FIXED_WING.traits], ids=lambda d: d.name
-)
 
 
 def circling(traits: VehicleTraits) -> Wild:

@@ -2,13 +2,17 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 from made_up import (
+    COPTERS,
+    EACH,
     HOME_AMSL_M,
     LAND,
     MISSION,
+    OVER,
     TAKE_OFF_AMSL_M,
     TICK_S,
     Craft,
@@ -20,6 +24,7 @@ from made_up import (
     holding_without_plan,
     landing,
     mission,
+    moving,
     near_target,
     not_planned,
     planned,
@@ -27,26 +32,25 @@ from made_up import (
     preparing,
     scan_done,
     status,
+    texts,
     two_legs_away,
 )
 from renewed import replace
 
-from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER, Autopilot
+from companion.mavlink.autopilots import ARDUCOPTER
 from companion.mission import changes, events
 from companion.mission.decisions import parting, reason_text
 from companion.mission.events import Landed, Mode, Outcome, Plan, SetMode, Setpoint, TakeOff, Tick
 from companion.mission.health import distrust
 from companion.mission.state import Phase, Reason
+from companion.mission.vehicle_traits import VehicleTraits
 from companion.planner.request import PlanOutcome, PlanRequest
 
-OVER = (Phase.DONE, Phase.FAULTED)
 GOOD = {"moved_at_s": 5.0, "fix_good": True, "fix_at_s": 5.0, "estimator_good": True} | {
     "estimator_at_s": 5.0,
     "doubted_at_s": 0.0,
 }
 """Of a position that passes all other checks at that time."""
-IN_FLIGHT = (Phase.FLYING, Phase.HOLDING, Phase.ARRIVED)
-ORDERS = (SetMode, events.Arm, events.Disarm, TakeOff, Setpoint)  # what moves a vehicle
 
 
 # --- the way it should go, literally
@@ -63,12 +67,12 @@ def test_a_mission_step_by_step() -> None:
     commands = take(found)
     assert craft.phase is Phase.PREPARING
     assert commands[0] == events.RequestStreams()
-    assert take(events.Prepared(time_s=1.5, item=events.Item.PARAMETERS)) == []
-    assert take(events.Prepared(time_s=1.5, item=events.Item.PLANS)) == []
+    prepared = (events.Item.PARAMETERS, events.Item.PLANS)
+    assert take(*(events.Prepared(time_s=1.5, item=item) for item in prepared)) == []
     on_ground = (0.0, 0.0, HOME_AMSL_M)
     assert take(position(2.0, on_ground)) == []
     assert take(events.GpsFix(time_s=2.0, good=True), events.Estimator(time_s=2.0, good=True)) == []
-    assert take(events.Home(time_s=2.0, position_nea_m=(0.0, 0.0, HOME_AMSL_M))) == []
+    assert take(events.Home(time_s=2.0, position_nea_m=on_ground)) == []
     assert take(events.LandedState(time_s=2.0, landed=Landed.ON_GROUND)) == []
     assert craft.phase is Phase.PREPARING
     assert take(events.Prepared(time_s=2.0, item=events.Item.CHECKS)) == []
@@ -207,21 +211,16 @@ def test_a_second_try_that_succeeds_flies_on() -> None:
     assert craft.state.flight.failures == 0
 
 
-def test_a_plan_that_never_comes_is_a_late_plan_at_the_end_of_the_leg() -> None:
-    def first(request: PlanRequest) -> PlanOutcome | None:
-        return planned(request) if request.plan_id == 1 else None
-
-    craft = flying(plan=first).run_until(lambda craft: len(craft.sent(Plan)) == 2)
-    craft.run_for(6.0)
-    assert craft.take(events.PlanLate(time_s=craft.now_s, plan_id=2)) == []
-    assert craft.phase is Phase.FLYING
-    assert craft.fly_to(Phase.HOLDING).state.reason is Reason.PLAN_LATE
-
-
-def test_news_of_an_old_late_plan_is_ignored() -> None:
-    craft = flying()
-    craft.take(events.PlanLate(time_s=craft.now_s, plan_id=99))
-    assert craft.state.flight.shortfall is Reason.NO_PLAN
+@pytest.mark.parametrize(("plan_id", "why"), [(2, Reason.PLAN_LATE), (99, Reason.NO_PLAN)])
+def test_a_plan_that_never_comes_is_a_late_plan_at_the_end_of_the_leg(
+    plan_id: int, why: Reason
+) -> None:
+    """News of an old one is ignored."""
+    craft = flying(plan=lambda request: planned(request) if request.plan_id == 1 else None)
+    craft.run_until(lambda craft: len(craft.sent(Plan)) == 2).run_for(6.0)
+    assert craft.take(events.PlanLate(time_s=craft.now_s, plan_id=plan_id)) == []
+    assert (craft.phase, craft.state.flight.shortfall) == (Phase.FLYING, why)
+    assert craft.fly_to(Phase.HOLDING).state.reason is why
 
 
 def test_a_silent_radar_is_a_hold_with_its_reason_at_the_end_of_what_is_known() -> None:
@@ -240,36 +239,30 @@ def test_with_a_silent_radar_it_flies_on_from_rest_on_terrain_that_is_known_alre
     assert [plan.request.from_rest for plan in craft.sent(Plan)] == [True] * len(craft.sent(Plan))
 
 
-@pytest.mark.parametrize(("answered", "scans"), [(0, 1), (1, 3), (2, 1)])
+@pytest.mark.parametrize(
+    ("answers", "scans"), [((0,), 1), ((1,), 3), ((2,), 1), ((1, 0), 2), ((1, 1, 0), 3)]
+)
 def test_from_rest_a_radar_that_left_something_out_is_asked_twice_more(
-    answered: int, scans: int
+    answers: tuple[int, ...], scans: int
 ) -> None:
+    """What another look does not show either is planned without."""
     craft = Craft()
-    craft.answered, craft.asked = answered, 2
-    craft.fly_to(Phase.FLYING)
-    craft.run_until(lambda craft: bool(craft.sent(Plan)) or craft.phase is Phase.HOLDING)
+    craft.asked = 2
+    while not craft.sent(Plan) and craft.phase is not Phase.HOLDING:
+        asked = len(craft.sent(events.StartScan))
+        craft.answered = answers[min(max(asked, 1), len(answers)) - 1]
+        craft.tick()
     assert len(craft.sent(events.StartScan)) == scans
-    assert (answered == 0) == (craft.state.reason is Reason.RADAR_SILENT)
-
-
-def test_what_a_second_look_does_not_show_either_is_planned_without() -> None:
-    craft = Craft()
-    craft.answered, craft.asked = 1, 2
-    craft.fly_to(Phase.FLYING).run_until(lambda craft: len(craft.sent(events.StartScan)) == 2)
-    craft.answered = 0
-    craft.run_until(lambda craft: bool(craft.sent(Plan)))
-    assert len(craft.sent(events.StartScan)) == 2
+    assert (answers == (0,)) == (craft.state.reason is Reason.RADAR_SILENT)
 
 
 def test_in_flight_a_radar_that_left_something_out_is_asked_once() -> None:
+    """And a scan of what is known already needs no answer."""
     craft = flying(two_legs_away())
     craft.answered, craft.asked = 1, 2
     begun = len(craft.sent(events.StartScan))
     craft.run_until(lambda craft: len(craft.sent(Plan)) == 2)
     assert len(craft.sent(events.StartScan)) == begun + 1
-
-
-def test_a_scan_of_what_is_known_already_needs_no_answer() -> None:
     craft = Craft().fly_to(Phase.FLYING)
     craft.take(position(craft.now_s + TICK_S, craft.here))
     known = replace(scan_done(craft.now_s, answered=0), asked=0)
@@ -293,44 +286,46 @@ def test_a_dead_planner_ends_the_mission_in_the_hold_mode_with_the_same_event() 
 # --- reasons of the vehicle's
 
 
-def test_each_reason_not_to_believe_the_position_stops_the_stream_and_asks_for_the_hold() -> None:
-    def no_fix(craft: Craft) -> list[events.Event]:
-        return [events.GpsFix(time_s=craft.now_s, good=False)]
+def straight_on(craft: Craft, ticks: int, *, frozen: bool = False) -> list[events.Event]:
+    """Positions as it goes on, or stands still and says that it moves."""
+    velocity = (2.0, 2.0, 0.0) if frozen else craft.velocity
+    flown = 0.0 if frozen else TICK_S
+    return [
+        position(
+            craft.now_s + TICK_S * k,
+            tuple(np.add(craft.here, flown * (k - 1) * np.array(velocity)).tolist()),
+            velocity,
+        )
+        for k in range(1, ticks)
+    ]
 
-    def no_estimate(craft: Craft) -> list[events.Event]:
-        steps = [
-            (0.1 * k, np.add(craft.here, 0.1 * (k - 1) * np.array(craft.velocity)))
-            for k in range(13)
-        ]
-        flown = [position(craft.now_s + t_s, tuple(at), craft.velocity) for t_s, at in steps[1:]]
-        return [events.Estimator(time_s=craft.now_s, good=False), *flown]
 
-    def silence(craft: Craft) -> list[events.Event]:
-        return [Tick(time_s=craft.now_s + 0.6)]
+DOUBTS: dict[Reason, Callable[[Craft], list[events.Event]]] = {
+    Reason.NO_FIX: lambda craft: [events.GpsFix(time_s=craft.now_s, good=False)],
+    Reason.ESTIMATOR: lambda craft: [
+        events.Estimator(time_s=craft.now_s, good=False),
+        *straight_on(craft, 13),
+    ],
+    Reason.POSITION_STALE: lambda craft: [Tick(time_s=craft.now_s + 0.6)],
+    Reason.POSITION_JUMPED: lambda craft: [
+        position(craft.now_s + TICK_S, (*np.add(craft.here[:2], 100.0), craft.here[2]))
+    ],
+    Reason.POSITION_FROZEN: lambda craft: straight_on(craft, 13, frozen=True),
+}
 
-    def jump(craft: Craft) -> list[events.Event]:
-        return [position(craft.now_s + 0.1, (*np.add(craft.here[:2], 100.0), craft.here[2]))]
 
-    def frozen(craft: Craft) -> list[events.Event]:
-        return [
-            position(craft.now_s + 0.1 * tick, craft.here, (2.0, 2.0, 0.0)) for tick in range(1, 13)
-        ]
-
-    cases = {
-        Reason.NO_FIX: no_fix,
-        Reason.ESTIMATOR: no_estimate,
-        Reason.POSITION_STALE: silence,
-        Reason.POSITION_JUMPED: jump,
-        Reason.POSITION_FROZEN: frozen,
-    }
-    for reason, happens in cases.items():
-        craft = flying()
-        craft.take(*happens(craft))
-        commands = craft.take(Tick(time_s=craft.state.now_s + 0.01))
-        assert craft.phase is Phase.HOLDING, reason
-        assert craft.state.reason is reason
-        assert SetMode(mode=Mode.HOLD) in [*commands, *craft.sent(SetMode)]
-        assert not [c for c in craft.tick() if isinstance(c, Setpoint)]
+@pytest.mark.parametrize("reason", DOUBTS)
+def test_each_reason_not_to_believe_the_position_stops_the_stream_and_asks_for_the_hold(
+    reason: Reason,
+) -> None:
+    craft = flying()
+    commands = craft.take(*DOUBTS[reason](craft))
+    commands += craft.take(Tick(time_s=craft.state.now_s + 0.01))
+    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, reason)
+    assert SetMode(mode=Mode.HOLD) in commands
+    craft.tick()
+    held = [commands for *_, after, commands in craft.steps if after.phase is Phase.HOLDING]
+    assert not [c for commands in held for c in commands if isinstance(c, Setpoint)]
 
 
 def shifted(craft: Craft, north_m: float) -> Craft:
@@ -357,9 +352,7 @@ def test_it_holds_on_where_the_vehicle_cannot_be_says_how_far_off_and_goes_on_on
     off_m, allowed_m = (float(each.split(" m ")[0]) for each in said.removeprefix(why).split(", "))
     assert off_m == pytest.approx(50.0, abs=8.0)  # it stops from 150 m/s within a tick
     assert allowed_m < off_m
-    count = len(craft.commands)
-    craft.run_for(30.0)
-    assert not [c for c in craft.commands[count:] if isinstance(c, Setpoint | Plan)]
+    assert not [c for c in craft.during(30.0) if isinstance(c, Setpoint | Plan)]
     shifted(craft, -50.0).run_for(5.0)
     assert craft.phase is Phase.FLYING
 
@@ -375,17 +368,11 @@ def test_how_far_off_it_is_and_what_is_allowed_are_told_so_that_they_differ() ->
     assert detail == ": 1.0 m off, 0.6 m allowed"
 
 
-def test_it_goes_on_by_a_position_that_is_vouched_for_a_minute_wherever_it_is() -> None:
-    craft = gives_in(flying()).run_for(45.0)
-    assert craft.phase is Phase.HOLDING
-    assert craft.run_for(15.0).phase is Phase.FLYING
-
-
-@pytest.mark.parametrize("autopilot", [ARDUCOPTER, PX4_MULTICOPTER], ids=["ardupilot", "px4"])
+@COPTERS
 def test_a_vehicle_given_back_where_it_cannot_be_is_held_and_that_is_said(
-    autopilot: Autopilot,
+    traits: VehicleTraits,
 ) -> None:
-    craft = Craft(traits=autopilot.traits).fly_to(Phase.FLYING).run_for(10.0)
+    craft = Craft(traits=traits).fly_to(Phase.FLYING).run_for(10.0)
     craft.mode = Mode.OTHER
     gives_in(craft)
     assert craft.state.reason is Reason.MODE_TAKEN
@@ -395,14 +382,6 @@ def test_a_vehicle_given_back_where_it_cannot_be_is_held_and_that_is_said(
     assert craft.mode is Mode.HOLD
     assert craft.sent(events.StatusText)[-1].text.endswith(" m allowed")
     assert shifted(craft, -50.0).run_for(10.0).phase is Phase.FLYING
-
-
-def test_a_jump_is_not_answered_by_a_setpoint() -> None:
-    """Neither on a leg nor where the place to hover is taken from the position."""
-    for craft in (flying(), Craft().fly_to(Phase.FLYING)):
-        far = (craft.here[0] + 5000.0, craft.here[1], craft.here[2])
-        commands = craft.take(position(craft.now_s + TICK_S, far))
-        assert not [command for command in commands if isinstance(command, Setpoint)]
 
 
 def test_after_a_lost_fix_it_goes_on_from_where_it_is_when_the_position_was_good_for_2_s() -> None:
@@ -415,10 +394,6 @@ def test_after_a_lost_fix_it_goes_on_from_where_it_is_when_the_position_was_good
     craft.tick()
     assert craft.sent(Setpoint)[-1].position_nea_m == craft.here
     assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
-
-
-def orders_of(commands: list[events.Command]) -> list[events.Command]:
-    return [command for command in commands if isinstance(command, ORDERS)]
 
 
 def in_phase(phase: Phase) -> Craft:
@@ -442,43 +417,24 @@ def test_who_changes_the_mode_is_not_fought(phase: Phase, taken: Mode) -> None:
     craft.run_for(20.0)
     for before, event, _, commands in craft.steps[count:]:
         known = isinstance(event, events.VehicleStatus) or before.vehicle.mode is taken
-        assert not known or orders_of(commands) == []
+        assert not known or moving(commands) == []
     if craft.phase not in OVER:
         assert craft.state.reason is Reason.MODE_TAKEN
 
 
-def test_when_guided_mode_is_selected_again_it_plans_from_where_the_vehicle_is() -> None:
-    craft = holding_mode_taken().run_for(5.0)
-    craft.fly_by_hand((3.0, 10.0, 0.0), 4.0).run_for(5.0)
+@pytest.mark.parametrize("made", [flying, arrived])
+def test_a_vehicle_taken_and_given_back_is_led_from_where_it_is(made: Callable[[], Craft]) -> None:
+    """And not without a plan to where it was, nor to the target that it was at."""
+    craft = made().is_taken(Mode.OTHER)
+    craft.follows = False
+    craft.run_for(2.0).fly_by_hand((-100.0, 10.0, 0.0), 60.0).run_for(5.0)
     craft.mode = Mode.GUIDED
     craft.fly_to(Phase.FLYING)
-    [setpoint] = [c for c in craft.tick() if isinstance(c, Setpoint)]
-    assert math.dist(setpoint.position_nea_m, craft.here) < 1e-6
-    assert craft.run_for(8.0).sent(Plan)[-1].request.from_rest
-
-
-def test_a_vehicle_taken_from_its_target_and_given_back_is_not_sent_there_without_a_plan() -> None:
-    craft = arrived()
-    craft.mode, craft.obeys_modes, craft.follows = Mode.OTHER, False, False
-    craft.run_for(2.0)
-    craft.fly_by_hand((-100.0, 0.0, 0.0), 60.0).run_for(5.0)
-    count = len(craft.commands)
-    craft.mode = Mode.GUIDED
-    craft.run_for(2.0)
-    setpoints = [c for c in craft.commands[count:] if isinstance(c, Setpoint)]
+    setpoints = [c for c in craft.during(2.0) if isinstance(c, Setpoint)]
     assert setpoints
-    for setpoint in setpoints:
-        assert math.dist(setpoint.position_nea_m, craft.here) < 20.0
-
-
-def test_a_vehicle_that_was_landed_by_hand_is_not_flown_on_from_the_ground() -> None:
-    craft = holding_mode_taken()
-    craft.landed = Landed.ON_GROUND
-    craft.run_for(5.0)
-    craft.mode = Mode.GUIDED
-    count = len(craft.commands)
-    craft.run_for(10.0)
-    assert orders_of(craft.commands[count:]) == []
+    assert max(math.dist(each.position_nea_m, craft.here) for each in setpoints) < 1e-5
+    craft.follows = True
+    assert craft.run_for(8.0).sent(Plan)[-1].request.from_rest
 
 
 def test_a_fix_lost_on_the_ground_during_take_off_does_not_begin_the_flight_on_the_ground() -> None:
@@ -506,10 +462,7 @@ def test_a_vehicle_that_somebody_takes_into_the_air_during_arming_is_not_armed()
     craft.obeys_modes = False
     craft.fly_to(Phase.ARMING).run_for(2.0)
     craft.landed, craft.armed = Landed.IN_AIR, True
-    craft.run_for(1.0)
-    count = len(craft.commands)
-    craft.run_for(5.0)
-    assert orders_of(craft.commands[count:]) == []
+    assert moving(craft.run_for(1.0).during(5.0)) == []
 
 
 def test_no_take_off_to_a_height_below_home() -> None:
@@ -523,9 +476,6 @@ def test_no_take_off_to_a_height_below_home() -> None:
 
 
 # --- stop
-
-
-EVERY = pytest.mark.parametrize("autopilot", ALL, ids=lambda each: each.name)
 
 
 def by_hand(craft: Craft) -> list[events.Command]:
@@ -559,12 +509,12 @@ def is_safe(craft: Craft) -> bool:
 
 
 @pytest.mark.parametrize("goes", [by_hand, by_a_death, by_the_watchdog])
-@EVERY
+@EACH
 def test_whenever_it_goes_the_vehicle_is_left_holding_or_disarmed_on_the_ground(
-    autopilot: Autopilot, goes: Callable[[Craft], list[events.Command]]
+    traits: VehicleTraits, goes: Callable[[Craft], list[events.Command]]
 ) -> None:
     """At each tick, in flight at each second; a landing goes on by itself."""
-    craft = Craft(near_target(LAND), traits=autopilot.traits)
+    craft = Craft(near_target(LAND), traits=traits)
     craft.fly_to(Phase.ARMING)
     phases = set()
     while craft.phase not in OVER:
@@ -582,12 +532,12 @@ def test_whenever_it_goes_the_vehicle_is_left_holding_or_disarmed_on_the_ground(
 
 
 @pytest.mark.parametrize("arms_late", [False, True])
-@EVERY
+@EACH
 def test_a_vehicle_that_will_not_arm_is_left_out_of_its_take_off_mode(
-    autopilot: Autopilot, arms_late: bool
+    traits: VehicleTraits, arms_late: bool
 ) -> None:
     """Nor does it take off by an arming that comes through when it was given up."""
-    craft = Craft(traits=autopilot.traits)
+    craft = Craft(traits=traits)
     craft.arms = False
     before = craft.fly_to(Phase.ARMING).run_until(lambda craft: bool(craft.sent(events.End)), 100.0)
     assert before.end().reason == Reason.NOT_ARMED.text
@@ -601,26 +551,26 @@ def test_a_vehicle_that_was_told_nothing_yet_is_told_nothing_in_the_end(phase: P
     craft = in_phase(phase)
     commands = craft.take(events.StopAsked(time_s=craft.now_s))
     assert craft.end().outcome is Outcome.STOPPED
-    assert not orders_of(commands)
+    assert not moving(commands)
 
 
-@EVERY
-def test_a_pilot_who_takes_it_in_the_take_off_keeps_it(autopilot: Autopilot) -> None:
-    craft = Craft(traits=autopilot.traits).fly_to(Phase.TAKING_OFF).run_for(1.0)
+@EACH
+def test_a_pilot_who_takes_it_in_the_take_off_keeps_it(traits: VehicleTraits) -> None:
+    craft = Craft(traits=traits).fly_to(Phase.TAKING_OFF).run_for(1.0)
     craft.take(status(craft.now_s, Mode.OTHER))
-    assert not orders_of(by_hand(craft))
+    assert not moving(by_hand(craft))
 
 
 @pytest.mark.parametrize(
     "kind", [events.OrderKind.PAUSE, events.OrderKind.RETURN, events.OrderKind.LAND]
 )
-@EVERY
+@EACH
 def test_an_order_in_the_take_off_is_obeyed_at_once(
-    autopilot: Autopilot, kind: events.OrderKind
+    traits: VehicleTraits, kind: events.OrderKind
 ) -> None:
     """At each tick until it flies: it holds before anything else; on the ground it stays there."""
-    lands = autopilot.traits.lands
-    started = Craft(traits=autopilot.traits).fly_to(Phase.ARMING)
+    lands = traits.lands
+    started = Craft(traits=traits).fly_to(Phase.ARMING)
     while started.phase is not Phase.FLYING:
         started.run_for(2 * TICK_S)
         craft, height_m = started.copy(), started.here[2]
@@ -635,7 +585,7 @@ def test_an_order_in_the_take_off_is_obeyed_at_once(
             f"{started.phase}, {started.now_s}",
         )
         deadline_s = craft.now_s + 60.0
-        while not over(craft) and craft.now_s < deadline_s:
+        while not craft.over and craft.now_s < deadline_s:
             craft.tick()
             assert craft.here[2] <= height_m + 1.0, f"{at}: it climbs on"
         assert not [c for c in craft.sent(Setpoint) if not c.stay], at
@@ -643,48 +593,34 @@ def test_an_order_in_the_take_off_is_obeyed_at_once(
             assert craft.state.reason is Reason.PAUSED, at
             continue
         assert craft.end().outcome is Outcome.STOPPED, at
-        hands_over = kind is events.OrderKind.RETURN and not (autopilot.traits.hovers or on_ground)
+        hands_over = kind is events.OrderKind.RETURN and not (traits.hovers or on_ground)
         assert not craft.armed or (hands_over and craft.mode is Mode.RETURN), at
 
 
-def test_a_vehicle_told_to_take_off_is_left_holding_though_it_still_says_it_is_on_the_ground() -> (
-    None
-):
-    craft = Craft().run_until(lambda craft: bool(craft.sent(TakeOff)))
-    assert craft.state.vehicle.landed is Landed.ON_GROUND
-    assert craft.landed is Landed.TAKING_OFF
-    assert SetMode(mode=Mode.HOLD) in craft.take(events.StopAsked(time_s=craft.now_s))
-
-
-@pytest.mark.parametrize("autopilot", [ARDUCOPTER, PX4_MULTICOPTER], ids=["ardupilot", "px4"])
-def test_a_take_off_that_was_accepted_is_asked_for_again_only_if_it_does_not_begin(
-    autopilot: Autopilot,
+@COPTERS
+@pytest.mark.parametrize(
+    ("accepts", "asked"), [(True, {4.8: 1, 1.0: 2}), (False, {3.5: 4})], ids=["accepted", "refused"]
+)
+def test_a_take_off_is_asked_for_once_a_second_and_after_it_was_accepted_if_it_does_not_begin(
+    traits: VehicleTraits, accepts: bool, asked: dict[float, int]
 ) -> None:
-    craft = Craft(traits=autopilot.traits)
-    craft.takes_off, craft.accepts = False, True
+    craft = Craft(traits=traits)
+    craft.takes_off, craft.accepts = False, accepts
     craft.run_until(lambda craft: bool(craft.sent(TakeOff)))
-    assert len(craft.run_for(4.8).sent(TakeOff)) == 1
-    assert len(craft.run_for(1.0).sent(TakeOff)) == 2
-
-
-@pytest.mark.parametrize("autopilot", [ARDUCOPTER, PX4_MULTICOPTER], ids=["ardupilot", "px4"])
-def test_a_take_off_that_is_not_accepted_is_asked_for_once_a_second(autopilot: Autopilot) -> None:
-    craft = Craft(traits=autopilot.traits)
-    craft.takes_off = False
-    craft.run_until(lambda craft: bool(craft.sent(TakeOff)))
-    assert len(craft.run_for(3.5).sent(TakeOff)) == 4
+    for seconds, times in asked.items():
+        assert len(craft.run_for(seconds).sent(TakeOff)) == times
 
 
 # --- words
 
 
-@EVERY
-def test_an_ordinary_take_off_is_called_nothing_else(autopilot: Autopilot) -> None:
-    craft = Craft(traits=autopilot.traits).fly_to(Phase.FLYING)
-    texts = [said.text for said in craft.sent(events.StatusText)]
-    assert not [text for text in texts if "hold" in text or "taking over" in text]
-    by_itself = autopilot is not ARDUCOPTER
-    assert ("taken off" in texts) == by_itself
+@EACH
+def test_an_ordinary_take_off_is_called_nothing_else(traits: VehicleTraits) -> None:
+    craft = Craft(traits=traits).fly_to(Phase.FLYING)
+    said = texts(craft.commands)
+    assert not [text for text in said if "hold" in text or "taking over" in text]
+    by_itself = traits is not ARDUCOPTER.traits
+    assert ("taken off" in said) == by_itself
 
 
 @pytest.mark.parametrize("seen_first", [False, True])
@@ -696,8 +632,8 @@ def test_a_failsafe_that_landed_it_is_named_with_what_was_seen_before(seen_first
     if seen_first:
         craft.fly_to(Phase.HOLDING)
         assert craft.state.reason is Reason.ESTIMATOR
-    craft.mode, craft.failsafe, craft.obeys_modes = Mode.LAND, True, False
-    craft.run_until(over)
+    craft.is_taken(Mode.LAND, failsafe=True)
+    craft.run_until(lambda craft: craft.over)
     end = craft.end()
     assert end.reason == (
         f"{Reason.DISARMED.text}: {Reason.FAILSAFE.text}: {Reason.ESTIMATOR.text}"
@@ -706,14 +642,6 @@ def test_a_failsafe_that_landed_it_is_named_with_what_was_seen_before(seen_first
 
 
 # --- nothing waits for ever
-
-
-def only_ticks(craft: Craft, every_s: float) -> None:
-    start_s = craft.state.now_s
-    for tick in range(1, round(700.0 / every_s) + 1):
-        craft.take(Tick(time_s=start_s + tick * every_s))
-        if craft.phase in OVER:
-            return
 
 
 WAITS: dict[str, Callable[[], Craft]] = {
@@ -725,28 +653,28 @@ WAITS: dict[str, Callable[[], Craft]] = {
     "holding without a fix": holding_without_fix,
     "arrived": arrived,
     "landing": landing,
+    "waiting": Craft,
+    "holding for a person": holding_mode_taken,
 }
+ENDLESS = ("waiting", "holding for a person")
+"""As long as the link is there: they wait for somebody."""
 
 
-@pytest.mark.parametrize("every_s", [0.1, 1.0], ids=["10 Hz", "1 Hz"])
+@pytest.mark.parametrize("every_s", [0.1, 1.0, math.inf], ids=["10 Hz", "1 Hz", "link lost"])
 @pytest.mark.parametrize("wait", WAITS)
-def test_every_wait_ends_with_a_reason_when_only_the_clock_goes_on(
+def test_every_wait_ends_with_a_reason_when_only_the_clock_goes_on_or_the_link_is_lost(
     wait: str, every_s: float
 ) -> None:
     craft = WAITS[wait]()
-    only_ticks(craft, every_s)
-    assert craft.phase in OVER, f"still {craft.phase.value} after twelve minutes"
-    assert craft.end().outcome is not Outcome.ARRIVED
-
-
-@pytest.mark.parametrize("wait", ["waiting", *WAITS, "holding for a person"])
-def test_every_wait_ends_when_the_link_is_lost_for_good(wait: str) -> None:
-    made = {"waiting": Craft, "holding for a person": holding_mode_taken, **WAITS}
-    craft = made[wait]()
-    for silent_s in (3.0, 30.0, 600.0):
-        craft.take(events.LinkLost(time_s=craft.now_s, silent_s=silent_s))
-    assert craft.phase in OVER, f"still {craft.phase.value}"
-    assert craft.end().outcome is Outcome.FAILED
+    if every_s < math.inf:
+        ticks = range(1, round(700.0 / every_s) + 1)
+        craft.take(*(Tick(time_s=craft.state.now_s + tick * every_s) for tick in ticks))
+    else:
+        lost = (3.0, 30.0, 600.0)
+        craft.take(*(events.LinkLost(time_s=craft.now_s, silent_s=silent_s) for silent_s in lost))
+    if wait not in ENDLESS or every_s == math.inf:
+        assert craft.over, f"still {craft.phase.value} after twelve minutes"
+        assert craft.end().outcome is Outcome.FAILED
 
 
 @pytest.mark.parametrize("silent_s", [3.0, 30.0])
@@ -769,67 +697,49 @@ def test_a_link_that_comes_back_while_it_holds_without_a_fix_does_not_leave_it_t
 def within_ten_minutes(craft: Craft, done: Callable[[Craft], bool]) -> bool:
     start_s = craft.now_s
     while not done(craft) and craft.now_s < start_s + 600.0:
+        craft.here = (craft.here[0] + 0.001 * (-1) ** round(craft.now_s / TICK_S), *craft.here[1:])
         craft.tick()
     return done(craft)
 
 
-def over(craft: Craft) -> bool:
-    return craft.phase in OVER
+STANDS: dict[str, Any] = {"follows": False, "velocity": (0.0, 0.0, 0.0)}
+DRIFTS: dict[str, Any] = {"follows": False, "velocity": (0.6, 0.0, 0.0)}
 
 
-def test_a_vehicle_that_never_gets_ready_is_given_up() -> None:
-    craft = preparing()
-    assert within_ten_minutes(craft, over)
-    assert craft.end().reason == f"{Reason.NOT_READY.text}: {Reason.NO_FIX.text}"
-
-
-def test_a_vehicle_that_does_not_take_off_is_given_up() -> None:
-    craft = Craft()
-    craft.takes_off = False
-    assert within_ten_minutes(craft, over)
-    assert craft.end().reason == Reason.NO_TAKE_OFF.text
-
-
-def test_a_hover_without_any_answer_of_the_planner_is_not_for_ever() -> None:
-    craft = Craft(plan=lambda _: None).run_until(lambda craft: bool(craft.sent(Plan)))
-    assert within_ten_minutes(craft, lambda craft: craft.phase is not Phase.FLYING)
-
-
-def test_a_vehicle_that_does_not_follow_its_setpoints_is_not_waited_for_for_ever() -> None:
-    craft = flying()
-    craft.follows, craft.velocity = False, (0.0, 0.0, 0.0)
-    assert within_ten_minutes(craft, lambda craft: craft.phase is not Phase.FLYING)
-
-
-@pytest.mark.parametrize("make", [holding_without_plan, arrived], ids=["holding", "arrived"])
-def test_a_vehicle_that_never_comes_quite_to_rest_is_not_waited_for_for_ever(
-    make: Callable[[], Craft],
+@pytest.mark.parametrize(
+    ("make", "changes", "reason"),
+    [
+        (preparing, {}, f"{Reason.NOT_READY.text}: {Reason.NO_FIX.text}"),
+        (Craft, {"takes_off": False}, Reason.NO_TAKE_OFF.text),
+        (lambda: shifted(arrived(), 9.0), STANDS, "target reached"),  # within its tracking error
+        (arrived, {"obeys_modes": False}, ""),  # it does not take the hold mode
+        (landing, {"obeys_modes": False}, ""),  # it never says that it has landed
+    ],
+)
+def test_what_never_comes_is_given_up(
+    make: Callable[[], Craft], changes: dict[str, Any], reason: str
 ) -> None:
     craft = make()
-    craft.follows, craft.velocity = False, (0.6, 0.0, 0.0)
+    for name, value in changes.items():
+        setattr(craft, name, value)
+    assert within_ten_minutes(craft, lambda craft: craft.over)
+    assert reason in ("", craft.end().reason)
+
+
+def asking() -> Craft:
+    """In a hover, of a planner that never answers."""
+    return Craft(plan=lambda _: None).run_until(lambda craft: bool(craft.sent(Plan)))
+
+
+@pytest.mark.parametrize(
+    ("make", "changes"),
+    [(asking, {}), (flying, STANDS), (holding_without_plan, DRIFTS), (arrived, DRIFTS)],
+)
+def test_no_phase_waits_for_ever_for_an_answer_or_for_a_vehicle_that_does_not_follow_or_rest(
+    make: Callable[[], Craft], changes: dict[str, Any]
+) -> None:
+    craft = make()
+    for name, value in changes.items():
+        setattr(craft, name, value)
     phase = craft.phase
-
-    def moved(craft: Craft) -> bool:
-        craft.here = (craft.here[0] + 0.001 * (-1) ** round(craft.now_s / TICK_S), *craft.here[1:])
-        return craft.phase is not phase
-
-    assert within_ten_minutes(craft, moved)
-
-
-def test_a_vehicle_as_far_from_its_target_as_its_tracking_error_allows_has_arrived() -> None:
-    craft = arrived()
-    craft.follows, craft.velocity = False, (0.0, 0.0, 0.0)
-    craft.here = (craft.here[0] + 9.0, craft.here[1], craft.here[2])
-    assert within_ten_minutes(craft, over)
-
-
-def test_a_vehicle_that_does_not_take_the_hold_mode_at_the_target_is_not_asked_for_ever() -> None:
-    craft = arrived()
-    craft.obeys_modes = False
-    assert within_ten_minutes(craft, over)
-
-
-def test_a_vehicle_that_never_says_it_has_landed_is_not_waited_for_for_ever() -> None:
-    craft = landing()
-    craft.obeys_modes = False
-    assert within_ten_minutes(craft, over)
+    assert within_ten_minutes(craft, lambda craft: craft.phase is not phase)

@@ -1,12 +1,14 @@
-"""What the mission does when its sensor of near things sees something, or does not see."""
+"""What the mission does when its sensor of near things, or of the ground, sees something or not."""
+
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-from made_up import Craft, flying, home_or_on, mission, two_legs_away
+from made_up import Craft, flying, home_or_on, mission, texts, two_legs_away
 from msgspec.structs import replace
 
 from companion.mission import changes, following
-from companion.mission.events import NearSeen, Setpoint, StatusText
+from companion.mission.events import Event, GroundSeen, NearSeen, Setpoint
 from companion.mission.mission import Fallback
 from companion.mission.state import Phase, Reason
 from companion.planner.procedure import Reference
@@ -14,7 +16,7 @@ from companion.world.lattice import Lattice
 from companion.world.near_map import NearMap, NearSensor, Sight
 
 SENSOR = NearSensor(kind="obstacle_distance", component_id=196, range_m=20_000.0)
-MISSION = two_legs_away(mission(near=SENSOR, fallback=Fallback.RETURN))
+MISSION = two_legs_away(mission(near=SENSOR, rangefinder_error_m=2.0, fallback=Fallback.RETURN))
 CELL_M = 100.0
 PLACE = Lattice(cell_m=CELL_M, north_min_m=-1000.0, east_min_m=-1000.0, shape=(300, 300))
 
@@ -31,8 +33,13 @@ def seen(craft: Craft, sight: Sight = Sight.SEES, *things_ne_m: tuple[float, flo
     return NearSeen(time_s=craft.now_s, sight=sight, near=near(*things_ne_m))
 
 
+def ground(craft: Craft, above_m: float = 5.0) -> GroundSeen:
+    """So much higher than the map says."""
+    return GroundSeen(time_s=craft.now_s, above_m=above_m)
+
+
 def told(craft: Craft, reason: Reason) -> int:
-    return sum(text.text == reason.text for text in craft.sent(StatusText))
+    return sum(text.startswith(reason.text) for text in texts(craft.commands))
 
 
 def ahead(craft: Craft, by_m: float) -> tuple[float, float]:
@@ -71,27 +78,54 @@ def test_a_sensor_that_falls_silent_stops_it_on_its_path_until_it_sees_again(sig
     craft.fly_to(Phase.ARRIVED)
 
 
-def test_a_sensor_that_stays_dead_is_asked_for_a_while_and_then_it_flies_back() -> None:
+def test_ground_that_is_nearer_stops_it_on_its_path_until_the_two_agree() -> None:
+    craft = flying(MISSION)
+    craft.take(ground(craft, 0.0))
+    assert craft.state.flight.stop is None
+    for _ in range(3):
+        craft.take(ground(craft))
+    craft.fly_to(Phase.HOLDING)
+    assert craft.state.reason is Reason.GROUND_NEARER
+    assert told(craft, Reason.GROUND_NEARER) == 1
+    assert craft.run_for(20.0).phase is Phase.HOLDING
+    craft.take(ground(craft, 0.0))
+    craft.fly_to(Phase.FLYING).fly_to(Phase.ARRIVED)
+
+
+@pytest.mark.parametrize(
+    ("sees", "after_s"),
+    [(lambda craft: seen(craft, Sight.DEAD), (30.0, 300.0)), (ground, (50.0, 80.0))],
+    ids=["dead sensor", "ground"],
+)
+def test_what_stays_wrong_is_waited_for_a_while_and_then_it_flies_back(
+    sees: Callable[[Craft], Event], after_s: tuple[float, float]
+) -> None:
+    """And that stops no way back: what was flown before is flown again."""
     craft = flying(MISSION, plan=home_or_on)
-    craft.answered = 0
-    craft.take(seen(craft, Sight.DEAD))
+    craft.answered = 0 if sees is not ground else 1
+    craft.take(sees(craft))
     craft.fly_to(Phase.HOLDING)
     since_s = craft.now_s
     craft.run_until(lambda craft: craft.phase is Phase.RETURNING, limit_s=300.0)
-    assert craft.now_s - since_s > 30.0
-    craft.take(seen(craft, Sight.DEAD))  # what was flown before is flown again
-    craft.run_until(lambda craft: craft.phase in (Phase.LANDING, Phase.DONE, Phase.FAULTED))
+    assert after_s[0] < craft.now_s - since_s < after_s[1]
+    craft.take(sees(craft))
+    assert craft.state.flight.stop is None
+    craft.run_until(lambda craft: craft.phase is Phase.LANDING or craft.over)
     assert craft.phase is Phase.LANDING
     assert np.hypot(*craft.here[:2]) < 100.0
 
 
-def test_something_in_its_way_stops_it_at_once() -> None:
+@pytest.mark.parametrize("blind", [False, True])
+def test_something_in_its_way_stops_it_at_once(blind: bool) -> None:
+    """Also if it stops for want of sight already: it is planned anew from there."""
     craft = flying(MISSION)
+    if blind:
+        craft.take(seen(craft, Sight.DEAD))
     craft.take(seen(craft, Sight.SEES, ahead(craft, 6000.0)))
     stop = craft.state.flight.stop
     assert stop is not None
     assert stop.reason is Reason.NEW_THREAT
-    assert told(craft, Reason.SENSOR_SILENT) == 0
+    assert told(craft, Reason.SENSOR_SILENT) == blind
     craft.take(seen(craft, Sight.SEES, ahead(craft, 6000.0)))
     assert craft.state.flight.stop is stop  # it is told once
     craft.fly_to(Phase.HOLDING)
@@ -112,16 +146,6 @@ def test_something_beside_behind_or_gone_stops_nobody() -> None:
     assert craft.state.flight.stop is None
     craft.take(seen(craft, Sight.NOTHING_THERE))
     assert craft.state.flight.stop is None
-
-
-def test_what_stands_in_the_way_outweighs_a_dead_sensor() -> None:
-    """A stop for want of sight becomes one for what was seen: it is planned anew from there."""
-    craft = flying(MISSION)
-    craft.take(seen(craft, Sight.DEAD))
-    craft.take(seen(craft, Sight.SEES, ahead(craft, 3000.0)))
-    stop = craft.state.flight.stop
-    assert stop is not None
-    assert stop.reason is Reason.NEW_THREAT
 
 
 def test_a_vehicle_that_swings_through_after_its_stop_is_waited_for() -> None:

@@ -10,22 +10,16 @@ flight; nobody else's vehicle is told anything; nothing after the end; a pause i
 one, an order is not overruled by an older plan, and no target is flown to below the reserve.
 """
 
-import math
-
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from made_up import MISSION
 from watch import Watch
 from wild import Wild
 
-from companion.mavlink.autopilots import ALL, Autopilot
-from companion.mavlink.dialect import wire
+from companion.mavlink.autopilots import ALL
 from companion.mission.events import (
     Arm,
     End,
     Plan,
-    Position,
     RequestStreams,
     SetMode,
     Setpoint,
@@ -108,20 +102,3 @@ def test_the_same_program_is_the_same_again() -> None:
     assert first.watch.counts == again.watch.counts
     assert first.state.phase is again.state.phase
     assert first.mission.name != MISSION.name
-
-
-EDGES = st.sampled_from([0, 1, -1, 900_000_000, -900_000_000, 1_800_000_000, 2**31 - 1, -(2**31)])
-WIRE = st.one_of(EDGES, st.integers(-(2**31), 2**31 - 1))
-SPEED = st.integers(-(2**15), 2**15 - 1)
-
-
-@pytest.mark.parametrize("autopilot", ALL, ids=lambda each: each.name)
-@given(lat=WIRE, lon=WIRE, alt=WIRE, speeds=st.tuples(SPEED, SPEED, SPEED))
-def test_no_position_of_the_wire_is_ever_not_finite(
-    autopilot: Autopilot, lat: int, lon: int, alt: int, speeds: tuple[int, int, int]
-) -> None:
-    """The programs make up no such positions: none gets as far as the machine."""
-    message = wire.MAVLink_global_position_int_message(1000, lat, lon, alt, 0, *speeds, 0)
-    event = autopilot.event_of(message, 1.0, MISSION.frame)
-    if isinstance(event, Position):
-        assert all(map(math.isfinite, (*event.position_nea_m, *event.velocity_nea_m_s)))

@@ -3,23 +3,32 @@
 import math
 
 import pytest
-from made_up import Craft, flying, mission, position, status, two_legs_away
+from made_up import (
+    EACH,
+    Craft,
+    each_of,
+    flying,
+    mission,
+    moving,
+    position,
+    status,
+    texts,
+    two_legs_away,
+)
 from renewed import replace
 from wild import Wild
 
-from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_FIXED_WING, PX4_MULTICOPTER
+from companion.mavlink.autopilots import ALL, PX4_FIXED_WING, PX4_MULTICOPTER
 from companion.mission import events
 from companion.mission.decisions import takeover_reason
-from companion.mission.events import End, FenceBreach, FenceChanged, FenceReading, Mode, StatusText
+from companion.mission.events import End, FenceBreach, FenceChanged, FenceReading, Mode
 from companion.mission.state import Phase, Reason
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.path.envelope import flown_on_m
 from companion.world.zones import CircleZone
 
-PX4S = pytest.mark.parametrize(
-    "traits", [PX4_MULTICOPTER.traits, PX4_FIXED_WING.traits], ids=lambda d: d.name
-)
-ALL_FOUR = pytest.mark.parametrize("traits", [each.traits for each in ALL], ids=lambda d: d.name)
+PX4S = each_of(PX4_MULTICOPTER.traits, PX4_FIXED_WING.traits)
+RETURN, HOLD = Mode.RETURN, Mode.HOLD
 
 
 def aloft(traits: VehicleTraits) -> Craft:
@@ -30,14 +39,16 @@ def aloft(traits: VehicleTraits) -> Craft:
     return craft
 
 
-def failsafe(craft: Craft, mode: Mode = Mode.HOLD) -> events.VehicleStatus:
-    return events.VehicleStatus(time_s=craft.now_s, mode=mode, armed=True, failsafe=True)
+def fence(craft: Craft, *, around: bool, misread: bool = False) -> FenceChanged:
+    """About the vehicle, or 7 km away."""
+    north, east = craft.here[:2] if around else (5_000.0, -5_000.0)
+    zone = CircleZone(name="new", north_m=north, east_m=east, radius_m=200.0 if around else 50.0)
+    return FenceChanged(time_s=craft.now_s, zones=(zone,), misread=misread)
 
 
-def around(craft: Craft, radius_m: float = 200.0) -> FenceChanged:
-    north, east, _ = craft.here
-    zone = CircleZone(name="new", north_m=north, east_m=east, radius_m=radius_m)
-    return FenceChanged(time_s=craft.now_s, zones=(zone,))
+def knowing(craft: Craft, known: FenceChanged) -> Craft:
+    craft.state = craft.state.with_fence(craft.context.mission.task, known)
+    return craft
 
 
 def reason(craft: Craft) -> Reason | None:
@@ -45,101 +56,71 @@ def reason(craft: Craft) -> Reason | None:
     return craft.state.reason
 
 
-@ALL_FOUR
-@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.RETURN, Mode.LAND], ids=lambda m: m.value)
+@EACH
+@pytest.mark.parametrize("mode", [HOLD, RETURN, Mode.LAND], ids=lambda m: m.value)
 def test_what_the_autopilot_does_after_it_has_said_that_its_fence_is_breached(
     traits: VehicleTraits, mode: Mode
 ) -> None:
+    """It is given back by a word, as the remedy says."""
     craft = aloft(traits)
     craft.take(FenceBreach(time_s=craft.now_s))
     assert craft.state.phase is Phase.FLYING  # GF_ACTION may be a warning only
     commands = craft.take(status(craft.now_s, mode))
     assert reason(craft) is Reason.FENCE_BREACHED
     assert craft.state.taken
-    assert not [c for c in commands if isinstance(c, events.SetMode | events.Setpoint)]
-    assert [c.text for c in commands if isinstance(c, StatusText)] == [
-        f"hold: {Reason.FENCE_BREACHED.text}"
-    ]
+    assert not moving(commands)
+    assert texts(commands) == [f"hold: {Reason.FENCE_BREACHED.text}"]
+    assert "MISSION_START" in Reason.FENCE_BREACHED.remedy
+    craft.take(events.Order(time_s=craft.now_s, kind=events.OrderKind.START))
+    assert craft.state.taken_over.released_at_s == craft.now_s
 
 
 @pytest.mark.parametrize(("ago_s", "is_why"), [(2.0, True), (6.0, False), (-1.0, False)])
 def test_only_what_it_has_just_said_of_its_fence_is_why(ago_s: float, is_why: bool) -> None:
     state = aloft(ALL[0].traits).state
-    vehicle = replace(state.vehicle, mode=Mode.RETURN, fence_breached_at_s=1_000.0 - ago_s)
+    vehicle = replace(state.vehicle, mode=RETURN, fence_breached_at_s=1_000.0 - ago_s)
     found = takeover_reason(replace(state, now_s=1_000.0, vehicle=vehicle))
     assert found is (Reason.FENCE_BREACHED if is_why else Reason.MODE_TAKEN)
 
 
-@ALL_FOUR
+@EACH
 def test_it_may_say_so_after_it_has_acted(traits: VehicleTraits) -> None:
     craft = aloft(traits)
-    craft.take(status(craft.now_s, Mode.RETURN))
+    craft.take(status(craft.now_s, RETURN))
     assert reason(craft) is Reason.MODE_TAKEN
     craft.take(FenceBreach(time_s=craft.now_s))
     assert reason(craft) is Reason.FENCE_BREACHED
 
 
+@EACH
+def test_a_person_who_takes_over_is_a_person(traits: VehicleTraits) -> None:
+    """Inside a fence, and by stick and rudder after a breach."""
+    craft = aloft(traits)
+    knowing(craft, fence(craft, around=True)).take(status(craft.now_s, HOLD))
+    assert reason(craft) is Reason.MODE_TAKEN
+    craft = aloft(traits)
+    craft.take(FenceBreach(time_s=craft.now_s), status(craft.now_s, Mode.OTHER))
+    assert reason(craft) is Reason.MODE_TAKEN
+
+
 @PX4S
+@pytest.mark.parametrize("around", [True, False])
+@pytest.mark.parametrize("known", [True, False])
 def test_px4_tells_a_companion_of_no_fence_but_is_in_it_and_in_a_failsafe(
-    traits: VehicleTraits,
+    traits: VehicleTraits, known: bool, around: bool
 ) -> None:
-    """The fence is drawn, the autopilot holds, and only then has the companion read it."""
+    """The fence may be read only after the autopilot holds for it; elsewhere it lost the stream."""
     craft = aloft(traits)
-    craft.take(failsafe(craft))
-    assert reason(craft) is Reason.STREAM_LOST
-    craft.take(around(craft))
+    drawn = fence(craft, around=around)
+    if known:
+        knowing(craft, drawn)
+    craft.take(replace(status(craft.now_s, HOLD), failsafe=True))
+    assert reason(craft) is (Reason.FENCE_BREACHED if known and around else Reason.STREAM_LOST)
+    if not known:
+        craft.take(drawn)
     craft.take(position(craft.now_s + 0.1, craft.here))
-    assert reason(craft) is Reason.FENCE_BREACHED
-    assert craft.state.taken
-
-
-@PX4S
-def test_a_fence_that_it_knew_is_the_reason_from_the_beginning(traits: VehicleTraits) -> None:
-    craft = aloft(traits)
-    fence = around(craft)
-    craft.state = craft.state.with_fence(craft.context.mission.task, fence)
-    craft.take(failsafe(craft))
-    assert reason(craft) is Reason.FENCE_BREACHED
-
-
-@PX4S
-def test_a_lost_stream_away_from_any_fence_is_a_lost_stream(traits: VehicleTraits) -> None:
-    craft = aloft(traits)
-    far = CircleZone(name="far", north_m=5_000.0, east_m=-5_000.0, radius_m=50.0)
-    fence = FenceChanged(time_s=craft.now_s, zones=(far,))
-    craft.state = craft.state.with_fence(craft.context.mission.task, fence)
-    craft.take(failsafe(craft))
-    craft.take(position(craft.now_s + 0.1, craft.here))
-    assert reason(craft) is Reason.STREAM_LOST
-
-
-@ALL_FOUR
-def test_a_person_who_takes_over_inside_a_fence_is_a_person(traits: VehicleTraits) -> None:
-    craft = aloft(traits)
-    craft.state = craft.state.with_fence(craft.context.mission.task, around(craft))
-    craft.take(status(craft.now_s, Mode.HOLD))
-    assert reason(craft) is Reason.MODE_TAKEN
-    craft = aloft(traits)
-    craft.take(FenceBreach(time_s=craft.now_s))
-    craft.take(status(craft.now_s, Mode.OTHER))  # stick and rudder
-    assert reason(craft) is Reason.MODE_TAKEN
-
-
-def test_a_breach_of_long_ago_explains_nothing() -> None:
-    craft = aloft(ARDUCOPTER.traits)
-    craft.take(FenceBreach(time_s=craft.now_s))
-    craft.run_for(10.0)
-    craft.take(status(craft.now_s, Mode.RETURN))
-    assert reason(craft) is Reason.MODE_TAKEN
-
-
-def test_it_is_given_back_by_a_word_as_the_remedy_says() -> None:
-    assert "MISSION_START" in Reason.FENCE_BREACHED.remedy
-    craft = aloft(ARDUCOPTER.traits)
-    craft.take(FenceBreach(time_s=craft.now_s))
-    craft.take(status(craft.now_s, Mode.RETURN))
-    craft.take(events.Order(time_s=craft.now_s, kind=events.OrderKind.START))
-    assert craft.state.taken_over.released_at_s == craft.now_s
+    assert reason(craft) is (Reason.FENCE_BREACHED if around else Reason.STREAM_LOST)
+    assert craft.state.taken is around
 
 
 @PX4S
@@ -149,10 +130,8 @@ def test_what_px4_misreads_of_its_fence_is_the_reason_where_no_zone_is(
 ) -> None:
     """A lost stream it would have taken up again; and nobody knows where it keeps out."""
     craft = aloft(traits)
-    far = CircleZone(name="far", north_m=5_000.0, east_m=-5_000.0, radius_m=50.0)
-    fence = FenceChanged(time_s=craft.now_s, zones=(far,), misread=misread)
-    craft.state = craft.state.with_fence(craft.context.mission.task, fence)
-    craft.mode, craft.failsafe = Mode.HOLD, True
+    knowing(craft, fence(craft, around=False, misread=misread))
+    craft.mode, craft.failsafe = HOLD, True
     craft.run_for(10.0)
     assert reason(craft) is (Reason.FENCE_BREACHED if misread else Reason.STREAM_LOST)
     assert craft.state.taken is misread
@@ -162,8 +141,7 @@ def test_what_px4_misreads_of_its_fence_is_the_reason_where_no_zone_is(
 
 
 def changed(craft: Craft, items: int = 5010) -> list[str]:
-    told = craft.take(FenceReading(time_s=craft.now_s, items=items))
-    return [command.text for command in told if isinstance(command, StatusText)]
+    return texts(craft.take(FenceReading(time_s=craft.now_s, items=items)))
 
 
 def read(craft: Craft) -> None:
@@ -198,23 +176,17 @@ def test_a_fence_that_cannot_be_read_to_its_end_ends_the_mission_and_not_the_way
     assert Reason.FENCE_UNREAD.text in craft.end().reason
 
 
-def test_a_few_items_are_read_in_flight() -> None:
+def test_a_few_items_are_read_in_flight_and_who_says_so_flies_on_meanwhile() -> None:
     craft = flying(two_legs_away())
     changed(craft, 9)
-    craft.run_for(2.0)
-    read(craft)
-    craft.run_for(20.0)
-    assert craft.phase is Phase.FLYING
-
-
-def test_who_says_so_flies_on_while_it_is_read() -> None:
+    read(craft.run_for(2.0))
+    assert craft.run_for(20.0).phase is Phase.FLYING
     craft = flying(two_legs_away(mission(goes_on_while_reading=True)))
     assert changed(craft)
-    craft.run_for(20.0)
-    assert craft.phase is Phase.FLYING
+    assert craft.run_for(20.0).phase is Phase.FLYING
 
 
-@ALL_FOUR
+@EACH
 def test_copters_hold_and_planes_circle_while_it_is_read(traits: VehicleTraits) -> None:
     it = Wild.calmly(traits).run_until(lambda it: it.state.flight.leg is not None)
     it.run_for(2.0)
@@ -231,9 +203,7 @@ def test_a_return_that_waits_for_an_unread_fence_says_so_and_is_flown_in_the_end
     changed(craft)
     craft.run_until(lambda craft: craft.phase is Phase.HOLDING, 60.0)
     told = craft.take(events.Order(time_s=craft.now_s, kind=events.OrderKind.RETURN))
-    assert "it returns once the changed fence is read" in " ".join(
-        command.text for command in told if isinstance(command, StatusText)
-    )
+    assert "it returns once the changed fence is read" in " ".join(texts(told))
     craft.run_for(100.0)
     assert craft.phase is Phase.HOLDING
     craft.run_until(lambda craft: craft.phase is not Phase.HOLDING, 320.0)

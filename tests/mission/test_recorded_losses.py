@@ -253,18 +253,10 @@ TAKES_OVER: dict[str, tuple[tuple[float, float, float], ...]] = {
     PX4: ((50.0, 120.0, 400.0),),
 }
 """For each fault: when the session with the made-up path begins, how far the path goes, the end."""
-FAULTS = [
-    pytest.param(name, bad, flown, obeys, id=f"{name[:4]} {bad[0]:.0f} s{' obeys' * obeys}")
-    for name in BAD
-    for bad, flown in zip(BAD[name], TAKES_OVER[name], strict=True)
-    for obeys in (False, True)
-]
-
-
 FLOWN = [
-    pytest.param(name, times, obeys, id=f"{name[:4]} {times[0]:.0f} s{' obeys' * obeys}")
+    pytest.param(name, times, bad, obeys, id=f"{name[:4]} {bad[0]:.0f} s{' obeys' * obeys}")
     for name in BAD
-    for times in TAKES_OVER[name]
+    for times, bad in zip(TAKES_OVER[name], BAD[name], strict=True)
     for obeys in (False, True)
 ]
 
@@ -311,9 +303,9 @@ def strategy(name: str) -> Autopilot:
     return ARDUCOPTER if name == ARDUPILOT else PX4_MULTICOPTER
 
 
-@pytest.mark.parametrize(("name", "bad", "times", "obeys"), FAULTS)
-def test_it_lets_go_and_asks_for_hold_when_the_position_goes_bad(
-    name: str, bad: tuple[float, float], times: tuple[float, float, float], obeys: bool
+@pytest.mark.parametrize(("name", "times", "bad", "obeys"), FLOWN)
+def test_it_lets_go_asks_for_hold_and_begins_nothing_at_a_wrong_position_or_in_anothers_mode(
+    name: str, times: tuple[float, float, float], bad: tuple[float, float], obeys: bool
 ) -> None:
     replay, fault_s = flown(name, *times, obeys), bad[0]
     before = [at_s for at_s in replay.leads_s if at_s < fault_s]
@@ -323,29 +315,13 @@ def test_it_lets_go_and_asks_for_hold_when_the_position_goes_bad(
     asked_s, asked = next(each for each in replay.modes(strategy(name)) if each[0] > fault_s)
     assert asked is Mode.HOLD
     assert let_go_s < asked_s < let_go_s + 0.5
-
-
-@pytest.mark.parametrize(("name", "bad", "times", "obeys"), FAULTS)
-def test_nothing_begins_at_a_wrong_position(
-    name: str, bad: tuple[float, float], times: tuple[float, float, float], obeys: bool
-) -> None:
-    replay = flown(name, *times, obeys)
-    assert not [at_s for at_s in replay.leads_s if is_bad(name, at_s)]
-    assert not [at_s for at_s in replay.planned_s if is_bad(name, at_s)]
+    assert not [at_s for at_s in (*replay.leads_s, *replay.planned_s) if is_bad(name, at_s)]
     again = [at_s for at_s in replay.leads_s if at_s > bad[1]]
     assert min(again, default=math.inf) > bad[1] + TRUSTED_AGAIN_S
-
-
-@pytest.mark.parametrize(("name", "times", "obeys"), FLOWN)
-def test_it_does_not_come_back_while_the_mode_is_not_ours(
-    name: str, times: tuple[float, float, float], obeys: bool
-) -> None:
-    replay = flown(name, *times, obeys)
     taken = [(max(a, times[0]), min(b, times[2])) for a, b in not_guided(name)]
     assert any(since_s < until_s for since_s, until_s in taken)
-    for since_s, until_s in taken:
-        acted = [at_s for at_s, message in replay.sent if acts(message)]
-        assert not [at_s for at_s in acted if since_s < at_s < until_s]
+    acted = [at_s for at_s, message in replay.sent if acts(message)]
+    assert not [at_s for at_s in acted if any(a < at_s < b for a, b in taken)]
 
 
 def test_the_made_up_vehicle_that_obeys_is_flown_on_with_once_its_position_is_right() -> None:

@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import pytest
-from made_up import Craft, flying, mission, planned, two_legs_away
+from made_up import Craft, flying, mission, planned, two_legs_away, warnings
 
-from companion.mission.events import Order, OrderKind, Outcome, StatusText
+from companion.mission.events import Order, OrderKind, Outcome
 from companion.mission.mission import Fallback
 from companion.mission.state import Phase, Reason
 from companion.planner.request import NotPlanned, PlanRequest, Refusal
@@ -17,10 +17,6 @@ def refused(request: PlanRequest, refusal: Refusal = Refusal.TARGET_IN_KEEP_OUT)
     return NotPlanned(plan_id=request.plan_id, refusal=refusal)
 
 
-def warned(craft: Craft) -> list[str]:
-    return [say.text for say in craft.sent(StatusText) if say.warning]
-
-
 @pytest.mark.parametrize("refusal", Refusal)
 def test_a_hold_for_want_of_a_plan_says_why_and_the_end_what_helps(refusal: Refusal) -> None:
     craft = Craft(plan=lambda request: refused(request, refusal)).fly_to(Phase.DONE)
@@ -28,7 +24,7 @@ def test_a_hold_for_want_of_a_plan_says_why_and_the_end_what_helps(refusal: Refu
     said = Reason.NO_PLAN.text
     if refusal is not Refusal.NOTHING_SAFE:
         said = f"{said}: {why}"
-    assert f"hold: {said}" in warned(craft)
+    assert f"hold: {said}" in warnings(craft.commands)
     assert craft.end().reason == f"landed: {said}"
     assert craft.end().remedy.lower() == f"{remedy}.".lower()
     assert craft.end().remedy != Reason.NO_PLAN.remedy
@@ -37,10 +33,10 @@ def test_a_hold_for_want_of_a_plan_says_why_and_the_end_what_helps(refusal: Refu
 def test_a_target_in_a_fence_is_said_to_be_in_it_while_the_leg_before_it_is_flown() -> None:
     craft = flying(two_legs_away())
     craft.plan = refused
-    craft.run_until(lambda craft: any(IN_ZONE in text for text in warned(craft)))
+    craft.run_until(lambda craft: any(IN_ZONE in text for text in warnings(craft.commands)))
     assert craft.phase is Phase.FLYING
     craft.fly_to(Phase.HOLDING)
-    assert any(text.startswith("hold: ") and IN_ZONE in text for text in warned(craft))
+    assert any(text.startswith("hold: ") and IN_ZONE in text for text in warnings(craft.commands))
 
 
 @pytest.mark.parametrize("restarts", [False, True])
@@ -61,16 +57,12 @@ def test_what_the_planner_said_of_an_old_target_is_not_said_of_a_new_one() -> No
     craft.obey(craft.take(order))
     assert craft.state.flight.refusal is None
     craft.fly_to(Phase.FLYING)
-    count = len(warned(craft))
     craft.plan = lambda request: replace(refused(request), refusal=Refusal.NOTHING_SAFE)
-    craft.run_for(60.0)
-    assert not [text for text in warned(craft)[count:] if IN_ZONE in text]
+    assert IN_ZONE not in " ".join(warnings(craft.during(60.0)))
 
 
 def test_another_reason_to_hold_is_not_explained_by_an_old_refusal() -> None:
     craft = Craft(plan=refused).fly_to(Phase.HOLDING)
     craft.fix = False
     craft.run_until(lambda craft: craft.state.reason is Reason.NO_FIX)
-    count = len(warned(craft))
-    craft.run_for(30.0)
-    assert not [text for text in warned(craft)[count:] if IN_ZONE in text]
+    assert IN_ZONE not in " ".join(warnings(craft.during(30.0)))

@@ -8,25 +8,21 @@ from made_up import (
     Craft,
     arrived,
     flying,
+    home_or_on,
     landing,
     not_planned,
     planned,
-    straight,
     two_legs_away,
+    warnings,
 )
 from renewed import replace
 
 from companion.mission import changes, events
 from companion.mission.changes import OrderResult
-from companion.mission.events import Battery, Landed, Mode, Order, OrderKind, SetMode, StatusText
+from companion.mission.events import Battery, Landed, Mode, Order, OrderKind, SetMode
 from companion.mission.health import battery_lasts
 from companion.mission.mission import Fallback, Mission
 from companion.mission.state import Phase, Reason
-from companion.planner.request import Backtrack, PlanOutcome, PlanRequest
-
-
-def warnings(commands: list[events.Command]) -> list[str]:
-    return [c.text for c in commands if isinstance(c, StatusText) and c.warning]
 
 
 def paused(of: Mission) -> Craft:
@@ -41,11 +37,10 @@ def paused(of: Mission) -> Craft:
 @pytest.mark.parametrize("how", Fallback)
 def test_a_battery_that_runs_low_in_a_pause_ends_it_by_the_fallback(how: Fallback) -> None:
     craft = paused(replace(two_legs_away(), fallback=how))
-    count = len(craft.commands)
     craft.battery = 0.1
-    craft.run_for(4.0)
+    said = craft.during(4.0)
     assert craft.state.reason is Reason.BATTERY_LOW
-    assert warnings(craft.commands[count:]) == [f"hold: {Reason.BATTERY_LOW.text}"]
+    assert warnings(said) == [f"hold: {Reason.BATTERY_LOW.text}"]
     if how is Fallback.HOLD:
         craft.fly_to(Phase.DONE)
         assert craft.mode is Mode.HOLD
@@ -57,21 +52,22 @@ def test_a_battery_that_runs_low_in_a_pause_ends_it_by_the_fallback(how: Fallbac
         craft.run_until(lambda craft: craft.phase in (Phase.RETURNING, Phase.DONE))
 
 
-def test_a_battery_that_lasts_leaves_a_pause_a_pause() -> None:
-    craft = paused(two_legs_away())
-    craft.battery = 0.21
-    craft.run_for(600.0)
-    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.PAUSED)
-
-
-def test_a_battery_that_will_not_reach_the_target_is_warned_of_in_a_pause() -> None:
+@pytest.mark.parametrize(
+    ("left_1_s", "warned"),
+    [(0.0, []), (0.007, [Reason.BATTERY_LOW.text])],
+    ids=["lasts", "will not"],
+)
+def test_a_battery_above_its_reserve_leaves_a_pause_a_pause_and_is_warned_of_if_it_will_not_last(
+    left_1_s: float, warned: list[str]
+) -> None:
     craft = paused(two_legs_away())
     count = len(craft.commands)
     for second in range(90):
-        craft.take(Battery(time_s=craft.now_s, remaining=0.9 - 0.007 * second))
+        left = 0.9 - left_1_s * second if left_1_s else 0.21
+        craft.take(Battery(time_s=craft.now_s, remaining=left))
         craft.run_for(1.0)
-    assert craft.state.reason is Reason.PAUSED
-    assert warnings(craft.commands[count:]) == [Reason.BATTERY_LOW.text]
+    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.PAUSED)
+    assert warnings(craft.commands[count:]) == warned
 
 
 @pytest.mark.parametrize("fallback", Fallback)
@@ -87,20 +83,16 @@ def test_one_word_of_an_empty_battery_ends_nothing(fallback: Fallback) -> None:
     assert craft.state.flight.stop is None
 
 
-def test_the_last_word_of_a_battery_that_falls_silent_is_believed() -> None:
+@pytest.mark.parametrize(("goes_on", "after_s"), [(True, (3.0, 5.0)), (False, (9.5, 10.5))])
+def test_a_battery_below_its_reserve_is_believed_after_three_seconds_or_when_it_falls_silent(
+    goes_on: bool, after_s: tuple[float, float]
+) -> None:
     craft = flying(two_legs_away())
-    craft.take(Battery(time_s=craft.now_s, remaining=0.1))
-    craft.run_for(9.5)
-    assert craft.state.flight.fallen_back is None
-    craft.run_for(1.0)
-    assert craft.state.flight.fallen_back is Reason.BATTERY_LOW
-
-
-def test_a_battery_below_its_reserve_for_three_seconds_ends_the_mission() -> None:
-    craft = flying(two_legs_away())
-    since_s, craft.battery = craft.now_s, 0.19
+    since_s = craft.now_s
+    craft.take(Battery(time_s=since_s, remaining=0.19))
+    craft.battery = 0.19 if goes_on else None
     craft.run_until(lambda craft: craft.state.flight.fallen_back is Reason.BATTERY_LOW)
-    assert 3.0 <= craft.now_s - since_s <= 5.0
+    assert after_s[0] <= craft.now_s - since_s <= after_s[1]
 
 
 @pytest.mark.parametrize("after_s", [1.0, 3.0, 30.0])
@@ -116,17 +108,7 @@ def test_a_battery_that_is_short_is_short_for_a_companion_that_is_started_again(
 
 def going_back(of: Mission) -> Craft:
     """On the way back that a person has asked for."""
-
-    def plan(request: PlanRequest) -> PlanOutcome:
-        if request.flown is None:
-            return planned(request)
-        subpaths = (straight(request.scan_nea_m, (0.0, 0.0, request.scan_nea_m[2])),)
-        return Backtrack(
-            plan_id=request.plan_id, subpaths=subpaths, through=(False,), reaches_start=True
-        )
-
-    craft = flying(of, plan=plan)
-    craft.order(OrderKind.RETURN)
+    craft = flying(of, plan=home_or_on).order(OrderKind.RETURN)
     return craft.fly_to(Phase.RETURNING).run_for(10.0)
 
 
@@ -155,17 +137,18 @@ def test_what_was_flown_of_the_way_back_before_a_pause_is_not_left_to_fly() -> N
 
 
 @pytest.mark.parametrize("how", Fallback)
-def test_a_return_that_was_asked_for_goes_before_the_fallback_of_a_battery(how: Fallback) -> None:
+@pytest.mark.parametrize("pauses", [False, True])
+def test_a_return_that_was_asked_for_goes_before_the_fallback_of_a_battery(
+    how: Fallback, pauses: bool
+) -> None:
     """While it still stops for it, and out of a pause in which it waits."""
-    for pauses in (False, True):
-        craft = going_back(replace(two_legs_away(), fallback=how))
-        craft = flying(replace(two_legs_away(), fallback=how), plan=craft.plan)
-        craft.battery = 0.1
-        craft.order(OrderKind.RETURN)
-        if pauses:
-            craft.order(OrderKind.PAUSE)
-        craft.fly_to(Phase.RETURNING)
-        assert craft.fly_to(Phase.DONE).here[:2] == pytest.approx((0.0, 0.0), abs=1.0)
+    craft = flying(replace(two_legs_away(), fallback=how), plan=home_or_on)
+    craft.battery = 0.1
+    craft.order(OrderKind.RETURN)
+    if pauses:
+        craft.order(OrderKind.PAUSE)
+    craft.fly_to(Phase.RETURNING)
+    assert craft.fly_to(Phase.DONE).here[:2] == pytest.approx((0.0, 0.0), abs=1.0)
 
 
 @pytest.mark.parametrize("where", ["stopping for it", "on the way back"])
@@ -186,10 +169,8 @@ def test_a_pause_that_the_battery_would_end_at_once_is_refused(where: str) -> No
 
 def test_on_the_way_back_it_is_warned_of_the_battery_once_and_goes_on() -> None:
     craft = going_back(two_legs_away())
-    count, craft.battery = len(craft.commands), 0.1
-    craft.run_for(8.0)
-    warnings = [c for c in craft.commands[count:] if isinstance(c, StatusText) and c.warning]
-    assert [c.text for c in warnings] == [Reason.BATTERY_LOW.text]
+    craft.battery = 0.1
+    assert warnings(craft.during(8.0)) == [Reason.BATTERY_LOW.text]
     assert craft.phase is Phase.RETURNING
     assert craft.fly_to(Phase.DONE).landed is Landed.ON_GROUND
 
@@ -230,16 +211,21 @@ def sinking() -> Craft:
     return landing().run_until(lambda craft: craft.mode is Mode.LAND).run_for(3.0)
 
 
-def test_a_landing_broken_off_into_guided_mode_is_held_where_it_is_until_told() -> None:
+@pytest.mark.parametrize("by_hand", [False, True])
+def test_a_landing_broken_off_is_held_where_it_is_until_told(by_hand: bool) -> None:
+    """Into guided mode at once, or by a pilot who gives it back later."""
     craft = sinking()
-    count, here = len(craft.commands), craft.here
-    craft.mode = Mode.GUIDED
-    craft.run_for(120.0)
-    later = craft.commands[count:]
+    said = len(craft.commands)
+    if by_hand:
+        craft.mode = Mode.OTHER
+        craft.run_for(20.0)
+        assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.MODE_TAKEN)
+    craft.mode, here = Mode.GUIDED, craft.here
+    later = craft.during(120.0)
     assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.PAUSED)
-    assert not [c for c in later if isinstance(c, SetMode)]
     assert craft.mode is Mode.GUIDED
-    assert [text for text in warnings(later) if "MISSION_START" in text]
+    assert not [c for c in craft.commands[said:] if isinstance(c, SetMode)]
+    assert [text for text in warnings(craft.commands[said:]) if "MISSION_START" in text]
     held = [c.position_nea_m for c in later if isinstance(c, events.Setpoint)]
     assert len(held) > 100
     assert all(abs(there[2] - here[2]) < 5.0 for there in held)
@@ -247,18 +233,6 @@ def test_a_landing_broken_off_into_guided_mode_is_held_where_it_is_until_told() 
     craft.fly_to(Phase.DONE)
     assert craft.landed is Landed.ON_GROUND
     assert craft.end().outcome is events.Outcome.ARRIVED
-
-
-def test_a_landing_broken_off_by_hand_and_given_back_is_held_too() -> None:
-    craft = sinking()
-    craft.mode = Mode.OTHER
-    craft.run_for(20.0)
-    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.MODE_TAKEN)
-    count = len(craft.commands)
-    craft.mode = Mode.GUIDED
-    craft.run_for(60.0)
-    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.PAUSED)
-    assert not [c for c in craft.commands[count:] if isinstance(c, SetMode)]
 
 
 @pytest.mark.parametrize("meanwhile", [Mode.GUIDED, Mode.HOLD])
@@ -279,13 +253,11 @@ def test_a_landing_that_was_never_begun_is_asked_for_again(meanwhile: Mode) -> N
 def test_a_landing_broken_off_while_the_companion_was_dead(broken_off: bool) -> None:
     craft = sinking()
     craft.restart()
-    count = len(craft.commands)
     craft.mode = Mode.GUIDED if broken_off else Mode.LAND
-    craft.run_for(15.0)
-    lands = [c for c in craft.commands[count:] if c == SetMode(mode=Mode.LAND)]
-    assert lands == []
+    said = craft.during(15.0)
+    assert SetMode(mode=Mode.LAND) not in said
     if broken_off:
         assert (craft.phase, craft.state.orders.active) == (Phase.HOLDING, Reason.PAUSED)
-        assert [text for text in warnings(craft.commands[count:]) if "MISSION_START" in text]
+        assert [text for text in warnings(said) if "MISSION_START" in text]
     else:
         assert craft.fly_to(Phase.DONE).landed is Landed.ON_GROUND

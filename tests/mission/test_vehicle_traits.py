@@ -4,10 +4,11 @@ import math
 from itertools import pairwise
 
 import pytest
+from made_up import EACH, PLANES, preparing
 from renewed import replace
 from wild import HOME_AMSL_M, Wild
 
-from companion.mavlink.autopilots import ALL, PX4_FIXED_WING
+from companion.mavlink.autopilots import PX4_FIXED_WING
 from companion.mission import events, machine, stopped
 from companion.mission.events import Arm, End, Landed, Mode, Outcome, SetMode, Setpoint, TakeOff
 from companion.mission.following import outside_m
@@ -15,10 +16,6 @@ from companion.mission.mission import EndAction, Fallback
 from companion.mission.state import Phase, Reason
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 
-DRIVINGS = pytest.mark.parametrize("traits", [each.traits for each in ALL], ids=lambda d: d.name)
-PLANES = pytest.mark.parametrize(
-    "traits", [each.traits for each in ALL if not each.traits.hovers], ids=lambda d: d.name
-)
 FIRST = {
     TakeoffSequence.GUIDED_THEN_CLIMB: [SetMode, Arm, TakeOff],
     TakeoffSequence.MODE_THEN_ARM: [SetMode, Arm],
@@ -36,7 +33,7 @@ def the_end(wild: Wild) -> End:
     return end
 
 
-@DRIVINGS
+@EACH
 def test_it_is_sent_up_in_the_order_that_its_autopilot_wants(traits: VehicleTraits) -> None:
     wild = Wild.calmly(traits).run_until(up)
     told = [type(c) for c in wild.said_to if isinstance(c, SetMode | Arm | TakeOff | Setpoint)]
@@ -47,18 +44,8 @@ def test_it_is_sent_up_in_the_order_that_its_autopilot_wants(traits: VehicleTrai
     assert {command.mode for command in wild.sent(SetMode)} <= modes
 
 
-@DRIVINGS
-def test_no_setpoint_is_sent_before_it_is_in_the_air_and_ours_or_held(
-    traits: VehicleTraits,
-) -> None:
-    wild = Wild.calmly(traits).run_until(lambda wild: bool(wild.sent(Setpoint)))
-    assert wild.state.vehicle.landed is Landed.IN_AIR
-    assert wild.mode in (Mode.GUIDED, Mode.HOLD)
-    assert wild.sent(Setpoint)[0].stay
-
-
 @pytest.mark.sample(3)  # of each autopilot
-@DRIVINGS
+@EACH
 @pytest.mark.parametrize("end", list(EndAction), ids=lambda end: end.value)
 def test_a_mission_arrives_and_ends_as_it_should(traits: VehicleTraits, end: EndAction) -> None:
     wild = Wild.calmly(traits, end_action=end).fly_to(Phase.DONE)
@@ -83,7 +70,7 @@ def test_a_mission_arrives_and_ends_as_it_should(traits: VehicleTraits, end: End
 
 
 @pytest.mark.sample(3)
-@DRIVINGS
+@EACH
 @pytest.mark.parametrize("mode", [Mode.GUIDED, Mode.HOLD], ids=lambda mode: mode.value)
 def test_a_vehicle_that_flies_already_is_taken_over(traits: VehicleTraits, mode: Mode) -> None:
     wild = Wild.calmly(traits).aloft(mode).fly_to(Phase.DONE)
@@ -92,7 +79,7 @@ def test_a_vehicle_that_flies_already_is_taken_over(traits: VehicleTraits, mode:
     assert not wild.sent(TakeOff)
 
 
-@DRIVINGS
+@EACH
 def test_a_vehicle_that_somebody_else_flies_is_left_alone_until_guided_is_selected(
     traits: VehicleTraits,
 ) -> None:
@@ -104,7 +91,7 @@ def test_a_vehicle_that_somebody_else_flies_is_left_alone_until_guided_is_select
     assert the_end(wild.fly_to(Phase.DONE)).outcome is Outcome.ARRIVED
 
 
-@DRIVINGS
+@EACH
 def test_a_vehicle_below_the_band_climbs_before_anything_is_planned(traits: VehicleTraits) -> None:
     wild = Wild.calmly(traits).aloft(Mode.GUIDED, height_m=5.0)
     wild.fly_to(Phase.FLYING).run_until(lambda wild: wild.state.flight.plan_id > 0)
@@ -196,7 +183,7 @@ def test_a_plane_that_stops_circles_a_point_ahead_on_its_path(traits: VehicleTra
     assert all(c.stay for c in wild.run_for(1.5).sent(Setpoint)[-3:])
 
 
-@DRIVINGS
+@EACH
 def test_setpoints_keep_the_period_of_the_autopilot(traits: VehicleTraits) -> None:
     wild = Wild.calmly(traits).run_until(lambda wild: wild.state.flight.reference.length_m > 60.0)
     times = [c.time_s for c in wild.sent(Setpoint)][-20:]
@@ -206,7 +193,7 @@ def test_setpoints_keep_the_period_of_the_autopilot(traits: VehicleTraits) -> No
 
 
 @pytest.mark.sample(3)  # of each autopilot
-@DRIVINGS
+@EACH
 @pytest.mark.parametrize("how", list(Fallback), ids=lambda how: how.value)
 def test_without_a_way_on_the_mission_falls_back(traits: VehicleTraits, how: Fallback) -> None:
     wild = Wild.calmly(traits, fallback=how, targets_ne_m=((900.0, 300.0),))
@@ -223,14 +210,13 @@ def test_without_a_way_on_the_mission_falls_back(traits: VehicleTraits, how: Fal
         assert math.hypot(*wild.here[:2]) < 20.0 + 3.0 * wild.mission.task.limits.loiter_radius_m
 
 
-@DRIVINGS
-def test_what_the_vehicle_is_refused_for_is_said_with_its_remedy(traits: VehicleTraits) -> None:
-    wild = Wild.calmly(traits).fly_to(Phase.PREPARING)
+def test_what_the_vehicle_is_refused_for_is_said_with_its_remedy() -> None:
+    craft = preparing()
     item = events.Prepared(
-        time_s=wild.now_s, item=events.Item.PARAMETERS, refusal="GUID_TIMEOUT = 60", remedy="Set."
+        time_s=craft.now_s, item=events.Item.PARAMETERS, refusal="GUID_TIMEOUT = 60", remedy="Set."
     )
-    wild.take(item)
-    end = the_end(wild)
+    craft.take(item)
+    end = craft.end()
     assert end.reason == f"{Reason.REFUSED.text}: GUID_TIMEOUT = 60"
     assert end.remedy == "Set."
 

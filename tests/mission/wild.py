@@ -539,11 +539,14 @@ class Wild:
         if not self.calm and self.rng.random() < 0.2:  # it cannot be read
             number = self.state.flight.plan_id
             values = checkpoint.without_checkpoint("torn", time_s=self.now_s, plan_id=number)
-        lost = "lost" in values
+        self.resumes(values)
+
+    def resumes(self, values: checkpoint.Values) -> None:
+        """Another companion goes on from that."""
         self.state = checkpoint.initial_state(self.mission, (values, self.state.flight.known))
         self.state = replace(self.state, now_s=self.now_s, since_s=self.now_s)
         self.later = []
-        self.watch.restarted(self.now_s, forgotten=lost)
+        self.watch.restarted(self.now_s, forgotten="lost" in values)
 
     def _namesake(self) -> None:
         """Somebody with our ids, for certain or perhaps."""
