@@ -49,25 +49,6 @@ def test_a_vehicle_that_vanishes_ends_the_flight_with_a_reason(tmp_path: Path) -
     assert flight.outcome == "failed"
 
 
-@pytest.mark.nightly  # stopped: `tests/runtime/test_loop.py`; seeds: `tests/test_library.py`
-@pytest.mark.xdist_group("hills")
-def test_an_interrupted_companion_leaves_the_vehicle_in_its_hold_mode(
-    flown: Any, tmp_path: Path
-) -> None:
-    """And another seed flies another plan."""
-    flight = launch(tmp_path, HILLS, HILLS_MISSION, "--seed", "4")
-    flight.companion.expect("subpath  1")
-    assert flight.companion.interrupt(60.0) == 130, flight.companion.transcript
-    assert flight.simulator.wait() == 0
-    assert flight.truth[-1]["mode"] == "BRAKE"
-    assert flight.outcome == "stopped"
-    plans = [
-        next(entry for entry in each.journal if entry.get("kind") == "plan ready")
-        for each in (flown(*flown_as("hills")), flight)
-    ]
-    assert plans[0]["control_nea_m"] != plans[1]["control_nea_m"]
-
-
 def test_nothing_is_flown_on_sight_that_the_radar_does_not_have(tmp_path: Path) -> None:
     """What lies beyond the radar's own range is unknown, not sheltered."""
     short = ("range_m = 20000.0", "range_m = 8000.0")

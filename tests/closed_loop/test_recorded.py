@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 
 import geopandas
 import pytest
-from flights import HILLS, HILLS_MISSION, flown_here, launch
+from flights import HILLS, HILLS_MISSION, flown_here
 from programs import BIN
 from shown import MOST_BYTES, Shown
 from tlog import frames_of, recorded_frames
@@ -151,29 +151,6 @@ def test_mavflightmodes_mavparms_and_mavloss_understand_it(log: Path) -> None:
 
 
 # --- kill -9, and a disk that is full
-
-
-@pytest.mark.nightly  # `tests/telemetry/test_run_folder.py`, `tests/replay/test_export_command.py`
-def test_of_a_companion_that_was_killed_everything_is_readable_to_the_last_record(
-    tmp_path: Path,
-) -> None:
-    flight = launch(tmp_path / "run", HILLS, HILLS_MISSION)
-    flight.companion.expect("subpath  1")
-    flight.companion.kill()
-    flight.simulator.kill()
-    log = flight.folder / "flight.tlog"
-    torn = log.stat().st_size - whole_records(log)
-    assert 0 <= torn < 8 + 280 + 13
-    said = frames(flight.folder)
-    assert sum(m.get_type() == "SET_POSITION_TARGET_GLOBAL_INT" for _, m in said) > 10
-    journal = Journal(flight.folder / "journal.jsonl")
-    entries = list(journal.entries())
-    assert [entry.kind for entry in entries].count("plan ready") >= 1
-    newest_s = max(m.time_boot_ms for _, m in said if m.get_type() == "GLOBAL_POSITION_INT") * 1e-3
-    assert newest_s - entries[-1].t_s < 200.0  # both go on to the same end
-    for to in get_args(Format):
-        export(flight.folder, to)
-    assert recorded(flight.folder)[0].planned
 
 
 @IN_TURN

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from spoiled import refusal, replace_somewhere
+from spoiled import collection, feature, refusal, replace_somewhere
 
 from companion.config import load_mission, mission_text
 from companion.errors import InputError
@@ -16,18 +16,6 @@ from companion.sources.geojson import Threats, read_geojson
 
 RING = [[8.0, 47.0], [8.1, 47.0], [8.1, 47.2], [8.0, 47.0]]
 HOLE = [[8.04, 47.02], [8.08, 47.02], [8.08, 47.1], [8.04, 47.02]]
-
-
-def feature(shape: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
-    return {
-        "type": "Feature",
-        "properties": properties,
-        "geometry": {"type": shape, "coordinates": coordinates},
-    }
-
-
-def collection(*features: Any, **more: Any) -> dict[str, Any]:
-    return {"type": "FeatureCollection", "features": list(features), **more}
 
 
 @pytest.fixture(scope="module")
