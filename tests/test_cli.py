@@ -119,34 +119,24 @@ def kept(folder: Path, resume: str | bytes) -> Path:
     return folder
 
 
-def test_to_go_on_needs_the_folder() -> None:
-    assert "--resume" in refused("fly", "environment-1", "--resume")
-
-
-def test_to_go_on_in_what_is_no_folder(tmp_path: Path) -> None:
-    file = tmp_path / "file"
+def test_to_go_on_needs_the_folder_of_that_mission(tmp_path: Path) -> None:
+    file, other = tmp_path / "file", tmp_path / "other"
     file.write_text("", encoding="utf-8")
-    assert "--out" in refused("fly", "environment-1", "--out", file, "--resume")
-
-
-def test_to_go_on_in_a_folder_with_another_mission_toml(tmp_path: Path) -> None:
-    folder = tmp_path / "other"
-    folder.mkdir()
-    (folder / "mission.toml").write_text("[package]\nname = 'x'\n", encoding="utf-8")
-    assert "mission.toml" in refused("fly", "environment-1", "--out", folder, "--resume")
-
-
-def test_a_flight_is_not_flown_over_another(tmp_path: Path) -> None:
-    folder = kept(tmp_path / "run", "{}")
-    line = refused("fly", HILLS / "mission.toml", "--out", folder)
+    other.mkdir()
+    (other / "mission.toml").write_text("[package]\nname = 'x'\n", encoding="utf-8")
+    run = kept(tmp_path / "run", "{}")
+    out: tuple[str | Path, ...]
+    for out, words in (
+        ((), ("--resume",)),
+        (("--out", file), ("--out",)),
+        (("--out", other), ("mission.toml",)),
+        (("--out", run), ("MISSION = 'environment-1'", "of another mission, 'hills'")),
+    ):
+        line = refused("fly", "environment-1", *out, "--resume")
+        assert all(word in line for word in words), line
+    line = refused("fly", HILLS / "mission.toml", "--out", run)  # nor is it flown over
     assert "holds a flight already" in line
     assert "--resume" in line
-
-
-def test_to_go_on_with_another_mission_than_that_of_the_folder(tmp_path: Path) -> None:
-    line = refused("fly", "environment-1", "--out", kept(tmp_path / "run", "{}"), "--resume")
-    assert "MISSION = 'environment-1'" in line
-    assert "of another mission, 'hills'" in line
 
 
 @pytest.mark.usefixtures("hurried")
@@ -266,20 +256,14 @@ def test_a_vehicle_that_may_not_is_told_why(vehicles: Vehicles, tmp_path: Path) 
 
 
 @pytest.mark.usefixtures("hurried")
-def test_no_vehicle_is_said_within_ten_seconds(tmp_path: Path) -> None:
-    options = ("--out", tmp_path / "run", *connect(free_port()))
-    code, _, said = answered("fly", HILLS / "mission.toml", *options)
+@pytest.mark.parametrize("command", ["fly", "preflight"])
+def test_no_vehicle_is_said_within_ten_seconds(command: str, tmp_path: Path) -> None:
+    out = ("--out", tmp_path / "run") if command == "fly" else ()
+    code, shown, said = answered(command, HILLS / "mission.toml", *out, *connect(free_port()))
     assert code == 1
-    assert "no vehicle was heard within 10 s" in said
+    assert ("no vehicle was heard within 10 s" in said) == (command == "fly")
+    assert ("none was heard" in shown) == (command == "preflight")
     assert len(said.splitlines()) == 1
-
-
-@pytest.mark.usefixtures("hurried")
-def test_no_vehicle_may_not_fly() -> None:
-    code, shown, errors = answered("preflight", "sitl-px4", *connect(free_port()))
-    assert code == 1
-    assert "none was heard" in shown
-    assert len(errors.splitlines()) == 1
 
 
 def test_a_preflight_that_is_stopped_refuses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
