@@ -129,28 +129,21 @@ def test_mavutil_reads_it_as_a_ground_station_does(log: Path) -> None:
 
 @IN_TURN
 @pytest.mark.nightly
-def test_mavtogpx_draws_the_track(log: Path) -> None:
-    tool(BIN / "mavtogpx.py", "flight.tlog", folder=log)
+def test_mavtogpx_mavflightmodes_mavparms_and_mavloss_understand_it(log: Path) -> None:
+    def said(program: str) -> str:
+        return tool(BIN / f"{program}.py", "flight.tlog", folder=log)
+
+    said("mavtogpx")
     points = ET.parse(log / "flight.tlog.gpx").getroot().iter(f"{GPX}trkpt")
     places = [(float(point.attrib["lat"]), float(point.attrib["lon"])) for point in points]
     assert len(places) > 1000
-    target = (47.2334323, 8.31694)
-    assert places[-1] == pytest.approx(target, abs=1e-3)
+    assert places[-1] == pytest.approx((47.2334323, 8.31694), abs=1e-3)  # the target
+    assert re.search(r"^GUIDED +0:0[4-6]:", said("mavflightmodes"), re.MULTILINE)
+    assert "GUID_TIMEOUT" in said("mavparms")
+    assert re.findall(r"Total: (\d+) packets", said("mavloss")) == [str(len(frames(log)))]
 
 
-@IN_TURN
-@pytest.mark.nightly
-def test_mavflightmodes_mavparms_and_mavloss_understand_it(log: Path) -> None:
-    modes = tool(BIN / "mavflightmodes.py", "flight.tlog", folder=log)
-    assert re.search(r"^GUIDED +0:0[4-6]:", modes, re.MULTILINE)
-    assert "GUID_TIMEOUT" in tool(BIN / "mavparms.py", "flight.tlog", folder=log)
-    [total] = re.findall(
-        r"Total: (\d+) packets", tool(BIN / "mavloss.py", "flight.tlog", folder=log)
-    )
-    assert int(total) == len(frames(log))
-
-
-# --- kill -9, and a disk that is full
+# --- a disk that is full
 
 
 @IN_TURN

@@ -256,7 +256,7 @@ def test_an_edge_in_degrees_is_straight_in_degrees(folder: Path) -> None:
 
 def test_an_edge_across_the_date_line_takes_the_short_way(folder: Path) -> None:
     text = COPTER.replace("longitude_deg = 8.0", "longitude_deg = 179.999")
-    corners = [[47.02, 179.99], [47.02, -179.99], [47.021, -179.99], [47.021, 179.99]]
+    corners = [[47.02, 179.98], [47.02, -179.98], [47.021, -179.98], [47.021, 179.98]]
     text += f'[[keep_outs]]\nname = "zone"\nvertices_deg = {corners}\n'
     (found,) = load(folder, text).task.zones
     assert isinstance(found, PolygonZone)
