@@ -14,9 +14,7 @@ from flights import (
     flown_as,
     flown_here,
     folder_of,
-    launch,
 )
-from programs import HURRIED
 
 pytestmark = pytest.mark.closed_loop
 
@@ -36,17 +34,6 @@ def test_the_paper_profile_flies_too(flown: Any) -> None:
     flight = flown(HILLS, HILLS_MISSION, "--profile", "paper")
     flight.ended_well()
     assert flight.journal[0]["profile"] == "paper"
-
-
-@pytest.mark.nightly
-def test_a_vehicle_that_vanishes_ends_the_flight_with_a_reason(tmp_path: Path) -> None:
-    flight = launch(tmp_path, HILLS, HILLS_MISSION, patch=HURRIED)
-    flight.companion.expect("subpath  1")
-    flight.simulator.kill()
-    assert flight.companion.wait() == 75
-    last = flight.companion.transcript.splitlines()[-1]
-    assert last.startswith("error: the vehicle fell silent.")
-    assert flight.outcome == "failed"
 
 
 def test_nothing_is_flown_on_sight_that_the_radar_does_not_have(tmp_path: Path) -> None:
