@@ -235,21 +235,18 @@ def vehicles() -> Iterator[Vehicles]:
         process.wait()
 
 
-def test_a_vehicle_that_may_fly_is_told_so(vehicles: Vehicles) -> None:
+def test_a_vehicle_that_may_fly_is_told_so_and_one_that_may_not_is_told_why(
+    vehicles: Vehicles, tmp_path: Path
+) -> None:
     port = vehicles.start("sitl-px4", "--speedup", "10")
     code, shown, said = answered("preflight", "sitl-px4", *connect(port))
     assert (code, said) == (0, "")
     assert "PX4 multicopter, system 1" in shown
     assert "refused" not in shown
-
-
-def test_a_vehicle_that_may_not_is_told_why(vehicles: Vehicles, tmp_path: Path) -> None:
-    port = vehicles.start("sitl-px4", "--speedup", "10")
     mission = (ENVIRONMENTS / "sitl-px4" / "mission.toml").read_text(encoding="utf-8")
-    file = tmp_path / "mission.toml"
     strict = mission.replace('autopilot = "px4"', 'autopilot = "ardupilot"')
-    file.write_text(strict, encoding="utf-8")
-    code, shown, said = answered("preflight", file, *connect(port))
+    (tmp_path / "mission.toml").write_text(strict, encoding="utf-8")
+    code, shown, said = answered("preflight", tmp_path / "mission.toml", *connect(port))
     assert code == 1
     assert "none that this mission is for" in shown
     assert said == "error: 1 of 1 checks refuse the flight\n"

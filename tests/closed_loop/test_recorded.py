@@ -76,14 +76,6 @@ def test_nor_does_that_of_a_flight_with_faults(tmp_path: Path) -> None:
     assert list(table[table["what"] == "hold"]["why"]) == [moment.why for moment in holds]
 
 
-@IN_TURN
-@pytest.mark.parametrize("to", get_args(Format))
-def test_a_real_flight_is_exported(flown: Any, tmp_path: Path, to: Format) -> None:
-    folder = flown(HILLS, HILLS_MISSION, *SEED).folder
-    export(folder, to, tmp_path / "out")
-    assert (tmp_path / "out").stat().st_size > 10_000
-
-
 # --- the log, in the hands of pymavlink's own programs
 
 

@@ -336,23 +336,6 @@ def test_a_polygon_of_far_corners_counts_where_it_lies(
     assert any(0.0 < part < 1.0 for part in sides)
 
 
-@pytest.mark.parametrize("file", ["far.geojson", "far.plan"])
-def test_files_of_others_have_polygons_of_far_corners_too(tmp_path: Path, file: str) -> None:
-    """All from 8 E to 40 E: whoever flies there flies in it."""
-    corners = [(58.0, 8.0), (58.0, 40.0), (36.0, 40.0), (36.0, 8.0)]
-    plan = json.loads((Path(__file__).parent / "missions" / "fenced.plan").read_text())
-    zone = {"inclusion": False, "version": 1, "polygon": corners}
-    plan["geoFence"] |= {"circles": [], "polygons": [zone] if file == "far.plan" else []}
-    (tmp_path / "far.plan").write_text(json.dumps(plan))
-    ring = [corner[::-1] for corner in (*corners, corners[0])]
-    (tmp_path / "far.geojson").write_text(json.dumps(collection(feature("Polygon", [ring]))))
-    mission = tmp_path / "mission.toml"
-    threats = 'threats = "far.geojson"\n' if file == "far.geojson" else ""
-    mission.write_text(f'plan = "far.plan"\n{threats}')
-    with pytest.raises(InputError, match="lies inside keep-out"):
-        load_mission(str(mission))
-
-
 @pytest.mark.parametrize(
     "corners",
     [

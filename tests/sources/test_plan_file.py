@@ -88,17 +88,11 @@ def test_the_altitude_of_a_waypoint_is_known_by_its_frame(path: Path) -> None:
             waypoint(altitude=460.0, frame=0),
             waypoint(altitude=30.0, frame=10, AMSLAltAboveTerrain=470.0),
             waypoint(altitude=30.0, frame=10, AMSLAltAboveTerrain=None),
+            item(16, 0, 0, 0, None, coordinate=[47.43, 8.55, 80]),  # as old files have it
         ),
     )
-    assert found.altitudes_amsl_m == [450.0, 460.0, 470.0]
-    assert len(found.targets) == 4
-
-
-def test_places_in_a_list_of_their_own_as_old_files_have_them_are_read_too(path: Path) -> None:
-    old = item(16, 0, 0, 0, None, coordinate=[47.41, 8.55, 60])
-    found = read(path, plan(old))
-    assert found.targets[0]["latitude_deg"] == 47.41
-    assert found.altitudes_amsl_m == [460.0]
+    assert found.altitudes_amsl_m == [450.0, 460.0, 470.0, 480.0]
+    assert [target["latitude_deg"] for target in found.targets] == [47.41] * 4 + [47.43]
 
 
 def test_the_waypoints_of_a_survey_are_targets_and_its_camera_is_left_out() -> None:
