@@ -81,12 +81,9 @@ def test_a_helix_climbs_at_its_angle_up_to_chord_over_arc(climb_deg: float) -> N
     np.testing.assert_allclose(radii, radius_m, rtol=2e-3)
 
 
-def test_turns_and_slopes_are_not_judged_at_low_speed() -> None:
+def test_a_slow_vehicle_is_judged_from_half_its_speed_on() -> None:
     times, _, _ = true_track.turns_and_slopes(*a_helix(30.0, 15.0, 20.0))
     assert len(times) == 0
-
-
-def test_a_slow_vehicle_is_judged_from_half_its_speed_on() -> None:
     slow = a_mission(vehicle=a_mission()["vehicle"] | {"speed_m_s": 8.0, "turn_radius_m": 25.0})
     for radius_m, ok in ((25.0, True), (22.0, False)):
         track = true_track.judge(a_world(), slow, *a_helix(radius_m, 8.0, 0.0))

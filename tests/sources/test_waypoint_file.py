@@ -218,18 +218,11 @@ def test_pymavlink_reads_the_lines_as_we_do(path: Path) -> None:
     assert ours == [(w.lat, w.lon) for w in theirs]
 
 
-def test_a_mission_keeps_out_of_what_its_fence_list_says(tmp_path: Path) -> None:
-    mission = load_mission("valley")
-    origin = mission.frame
-    lat, lon = origin.latitude_deg, origin.longitude_deg
-    rows = [
-        f"{n}\t0\t0\t5002\t3\t0\t0\t0\t{lat + n * 0.001:.6f}\t{lon + (n % 2) * 0.002:.6f}\t0\t1"
-        for n in range(3)
-    ]
-    (tmp_path / "zones.waypoints").write_text("QGC WPL 110\n" + "\n".join(rows) + "\n")
-    text = mission_text("valley")
-    head, _, rest = text.partition("\n")
-    flown = tmp_path / "mission.toml"
-    flown.write_text(f'{head}\nthreats = "zones.waypoints"\n{rest}', encoding="utf-8")
-    zones = load_mission(str(flown)).task.zones
-    assert len(zones) == len(mission.task.zones) + 1
+def test_a_mission_keeps_out_of_what_its_fence_list_says(path: Path) -> None:
+    mission, text = load_mission("valley"), mission_text("valley")
+    lat, lon = mission.frame.latitude_deg, mission.frame.longitude_deg
+    places = [(lat + 0.001 * n, lon + 0.002 * (n % 2)) for n in range(3)]
+    saved(path, *((0, 5002, (3, 0, 0, 0), *place, 0.0) for place in places))
+    flown = path.with_name("mission.toml")
+    flown.write_text(f'threats = "{path.name}"\n{text}', encoding="utf-8")
+    assert len(load_mission(str(flown)).task.zones) == len(mission.task.zones) + 1
