@@ -260,7 +260,10 @@ def test_an_edge_across_the_date_line_takes_the_short_way(folder: Path) -> None:
     text += f'[[keep_outs]]\nname = "zone"\nvertices_deg = {corners}\n'
     (found,) = load(folder, text).task.zones
     assert isinstance(found, PolygonZone)
-    assert max(abs(east) for _, east in found.vertices_ne_m) < 2000.0
+    north_m, east_m = np.transpose(found.vertices_ne_m)  # some of them between the corners
+    assert len(north_m) > 4
+    assert (abs(east_m) < 2000.0).all()
+    assert ((north_m > 2000.0) & (north_m < 2500.0)).all()
 
 
 def test_keep_outs_away_from_the_map_are_left_out_and_counted(folder: Path) -> None:
