@@ -119,34 +119,24 @@ def kept(folder: Path, resume: str | bytes) -> Path:
     return folder
 
 
-def test_to_go_on_needs_the_folder() -> None:
-    assert "--resume" in refused("fly", "environment-1", "--resume")
-
-
-def test_to_go_on_in_what_is_no_folder(tmp_path: Path) -> None:
-    file = tmp_path / "file"
+def test_to_go_on_needs_the_folder_of_that_mission(tmp_path: Path) -> None:
+    file, other = tmp_path / "file", tmp_path / "other"
     file.write_text("", encoding="utf-8")
-    assert "--out" in refused("fly", "environment-1", "--out", file, "--resume")
-
-
-def test_to_go_on_in_a_folder_with_another_mission_toml(tmp_path: Path) -> None:
-    folder = tmp_path / "other"
-    folder.mkdir()
-    (folder / "mission.toml").write_text("[package]\nname = 'x'\n", encoding="utf-8")
-    assert "mission.toml" in refused("fly", "environment-1", "--out", folder, "--resume")
-
-
-def test_a_flight_is_not_flown_over_another(tmp_path: Path) -> None:
-    folder = kept(tmp_path / "run", "{}")
-    line = refused("fly", HILLS / "mission.toml", "--out", folder)
+    other.mkdir()
+    (other / "mission.toml").write_text("[package]\nname = 'x'\n", encoding="utf-8")
+    run = kept(tmp_path / "run", "{}")
+    out: tuple[str | Path, ...]
+    for out, words in (
+        ((), ("--resume",)),
+        (("--out", file), ("--out",)),
+        (("--out", other), ("mission.toml",)),
+        (("--out", run), ("MISSION = 'environment-1'", "of another mission, 'hills'")),
+    ):
+        line = refused("fly", "environment-1", *out, "--resume")
+        assert all(word in line for word in words), line
+    line = refused("fly", HILLS / "mission.toml", "--out", run)  # nor is it flown over
     assert "holds a flight already" in line
     assert "--resume" in line
-
-
-def test_to_go_on_with_another_mission_than_that_of_the_folder(tmp_path: Path) -> None:
-    line = refused("fly", "environment-1", "--out", kept(tmp_path / "run", "{}"), "--resume")
-    assert "MISSION = 'environment-1'" in line
-    assert "of another mission, 'hills'" in line
 
 
 @pytest.mark.usefixtures("hurried")
@@ -245,41 +235,32 @@ def vehicles() -> Iterator[Vehicles]:
         process.wait()
 
 
-def test_a_vehicle_that_may_fly_is_told_so(vehicles: Vehicles) -> None:
+def test_a_vehicle_that_may_fly_is_told_so_and_one_that_may_not_is_told_why(
+    vehicles: Vehicles, tmp_path: Path
+) -> None:
     port = vehicles.start("sitl-px4", "--speedup", "10")
     code, shown, said = answered("preflight", "sitl-px4", *connect(port))
     assert (code, said) == (0, "")
     assert "PX4 multicopter, system 1" in shown
     assert "refused" not in shown
-
-
-def test_a_vehicle_that_may_not_is_told_why(vehicles: Vehicles, tmp_path: Path) -> None:
-    port = vehicles.start("sitl-px4", "--speedup", "10")
     mission = (ENVIRONMENTS / "sitl-px4" / "mission.toml").read_text(encoding="utf-8")
-    file = tmp_path / "mission.toml"
     strict = mission.replace('autopilot = "px4"', 'autopilot = "ardupilot"')
-    file.write_text(strict, encoding="utf-8")
-    code, shown, said = answered("preflight", file, *connect(port))
+    (tmp_path / "mission.toml").write_text(strict, encoding="utf-8")
+    code, shown, said = answered("preflight", tmp_path / "mission.toml", *connect(port))
     assert code == 1
     assert "none that this mission is for" in shown
     assert said == "error: 1 of 1 checks refuse the flight\n"
 
 
 @pytest.mark.usefixtures("hurried")
-def test_no_vehicle_is_said_within_ten_seconds(tmp_path: Path) -> None:
-    options = ("--out", tmp_path / "run", *connect(free_port()))
-    code, _, said = answered("fly", HILLS / "mission.toml", *options)
+@pytest.mark.parametrize("command", ["fly", "preflight"])
+def test_no_vehicle_is_said_within_ten_seconds(command: str, tmp_path: Path) -> None:
+    out = ("--out", tmp_path / "run") if command == "fly" else ()
+    code, shown, said = answered(command, HILLS / "mission.toml", *out, *connect(free_port()))
     assert code == 1
-    assert "no vehicle was heard within 10 s" in said
+    assert ("no vehicle was heard within 10 s" in said) == (command == "fly")
+    assert ("none was heard" in shown) == (command == "preflight")
     assert len(said.splitlines()) == 1
-
-
-@pytest.mark.usefixtures("hurried")
-def test_no_vehicle_may_not_fly() -> None:
-    code, shown, errors = answered("preflight", "sitl-px4", *connect(free_port()))
-    assert code == 1
-    assert "none was heard" in shown
-    assert len(errors.splitlines()) == 1
 
 
 def test_a_preflight_that_is_stopped_refuses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,17 +8,12 @@ from types import TracebackType
 from typing import Self
 
 _POLL_S = 0.05
-_COMPANION = bytes([195])
 
 
 class Router:
-    """Passes every datagram on to all other peers, and keeps a copy of each.
+    """Passes every datagram on to all other peers, and keeps a copy of each."""
 
-    reflects: what a companion says is sent back to it, too.
-    """
-
-    def __init__(self, *, reflects: bool = False) -> None:
-        self._reflects = reflects
+    def __init__(self) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 21)
@@ -40,8 +35,7 @@ class Router:
     def _pass_on(self, data: bytes, sender: tuple[str, int]) -> None:
         self._peers.add(sender)
         self.passed.append(data)
-        back = self._reflects and data[6:7] == _COMPANION
-        for peer in self._peers if back else self._peers - {sender}:
+        for peer in self._peers - {sender}:
             self._socket.sendto(data, peer)
 
     def __enter__(self) -> Self:

@@ -14,9 +14,7 @@ from flights import (
     flown_as,
     flown_here,
     folder_of,
-    launch,
 )
-from programs import HURRIED
 
 pytestmark = pytest.mark.closed_loop
 
@@ -36,36 +34,6 @@ def test_the_paper_profile_flies_too(flown: Any) -> None:
     flight = flown(HILLS, HILLS_MISSION, "--profile", "paper")
     flight.ended_well()
     assert flight.journal[0]["profile"] == "paper"
-
-
-@pytest.mark.nightly
-def test_a_vehicle_that_vanishes_ends_the_flight_with_a_reason(tmp_path: Path) -> None:
-    flight = launch(tmp_path, HILLS, HILLS_MISSION, patch=HURRIED)
-    flight.companion.expect("subpath  1")
-    flight.simulator.kill()
-    assert flight.companion.wait() == 75
-    last = flight.companion.transcript.splitlines()[-1]
-    assert last.startswith("error: the vehicle fell silent.")
-    assert flight.outcome == "failed"
-
-
-@pytest.mark.nightly  # stopped: `tests/runtime/test_loop.py`; seeds: `tests/test_library.py`
-@pytest.mark.xdist_group("hills")
-def test_an_interrupted_companion_leaves_the_vehicle_in_its_hold_mode(
-    flown: Any, tmp_path: Path
-) -> None:
-    """And another seed flies another plan."""
-    flight = launch(tmp_path, HILLS, HILLS_MISSION, "--seed", "4")
-    flight.companion.expect("subpath  1")
-    assert flight.companion.interrupt(60.0) == 130, flight.companion.transcript
-    assert flight.simulator.wait() == 0
-    assert flight.truth[-1]["mode"] == "BRAKE"
-    assert flight.outcome == "stopped"
-    plans = [
-        next(entry for entry in each.journal if entry.get("kind") == "plan ready")
-        for each in (flown(*flown_as("hills")), flight)
-    ]
-    assert plans[0]["control_nea_m"] != plans[1]["control_nea_m"]
 
 
 def test_nothing_is_flown_on_sight_that_the_radar_does_not_have(tmp_path: Path) -> None:

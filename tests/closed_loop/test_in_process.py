@@ -16,7 +16,6 @@ from companion.runtime.compiler import load_kernel
 from companion.runtime.in_process import fly_in_process
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
-from companion.telemetry.inputs import FILE
 from companion.telemetry.run_folder import RunFolder
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import read_world
@@ -70,15 +69,6 @@ def test_it_says_and_decides_what_it_does_over_udp(flown: Any, here: Path) -> No
     assert len(ours) > 50
     assert [entry["outcome"] for entry in ours if entry["kind"] == "end"] == ["arrived"]
     assert log_of(here) == log_of(over_udp)
-
-
-@pytest.mark.nightly  # its log and journal are those of the flight over UDP
-def test_it_is_the_same_again_with_all_that_the_session_was_told(
-    here: Path, tmp_path: Path
-) -> None:
-    flown_here(tmp_path / "again")
-    for name in ("flight.tlog", "journal.jsonl", FILE):
-        assert (tmp_path / "again" / name).read_bytes() == (here / name).read_bytes(), name
 
 
 def test_it_opens_no_socket_and_starts_no_thread(monkeypatch: pytest.MonkeyPatch) -> None:

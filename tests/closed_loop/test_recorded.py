@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 
 import geopandas
 import pytest
-from flights import HILLS, HILLS_MISSION, flown_here, launch
+from flights import HILLS, HILLS_MISSION, flown_here
 from programs import BIN
 from shown import MOST_BYTES, Shown
 from tlog import frames_of, recorded_frames
@@ -76,14 +76,6 @@ def test_nor_does_that_of_a_flight_with_faults(tmp_path: Path) -> None:
     assert list(table[table["what"] == "hold"]["why"]) == [moment.why for moment in holds]
 
 
-@IN_TURN
-@pytest.mark.parametrize("to", get_args(Format))
-def test_a_real_flight_is_exported(flown: Any, tmp_path: Path, to: Format) -> None:
-    folder = flown(HILLS, HILLS_MISSION, *SEED).folder
-    export(folder, to, tmp_path / "out")
-    assert (tmp_path / "out").stat().st_size > 10_000
-
-
 # --- the log, in the hands of pymavlink's own programs
 
 
@@ -129,51 +121,21 @@ def test_mavutil_reads_it_as_a_ground_station_does(log: Path) -> None:
 
 @IN_TURN
 @pytest.mark.nightly
-def test_mavtogpx_draws_the_track(log: Path) -> None:
-    tool(BIN / "mavtogpx.py", "flight.tlog", folder=log)
+def test_mavtogpx_mavflightmodes_mavparms_and_mavloss_understand_it(log: Path) -> None:
+    def said(program: str) -> str:
+        return tool(BIN / f"{program}.py", "flight.tlog", folder=log)
+
+    said("mavtogpx")
     points = ET.parse(log / "flight.tlog.gpx").getroot().iter(f"{GPX}trkpt")
     places = [(float(point.attrib["lat"]), float(point.attrib["lon"])) for point in points]
     assert len(places) > 1000
-    target = (47.2334323, 8.31694)
-    assert places[-1] == pytest.approx(target, abs=1e-3)
+    assert places[-1] == pytest.approx((47.2334323, 8.31694), abs=1e-3)  # the target
+    assert re.search(r"^GUIDED +0:0[4-6]:", said("mavflightmodes"), re.MULTILINE)
+    assert "GUID_TIMEOUT" in said("mavparms")
+    assert re.findall(r"Total: (\d+) packets", said("mavloss")) == [str(len(frames(log)))]
 
 
-@IN_TURN
-@pytest.mark.nightly
-def test_mavflightmodes_mavparms_and_mavloss_understand_it(log: Path) -> None:
-    modes = tool(BIN / "mavflightmodes.py", "flight.tlog", folder=log)
-    assert re.search(r"^GUIDED +0:0[4-6]:", modes, re.MULTILINE)
-    assert "GUID_TIMEOUT" in tool(BIN / "mavparms.py", "flight.tlog", folder=log)
-    [total] = re.findall(
-        r"Total: (\d+) packets", tool(BIN / "mavloss.py", "flight.tlog", folder=log)
-    )
-    assert int(total) == len(frames(log))
-
-
-# --- kill -9, and a disk that is full
-
-
-@pytest.mark.nightly  # `tests/telemetry/test_run_folder.py`, `tests/replay/test_export_command.py`
-def test_of_a_companion_that_was_killed_everything_is_readable_to_the_last_record(
-    tmp_path: Path,
-) -> None:
-    flight = launch(tmp_path / "run", HILLS, HILLS_MISSION)
-    flight.companion.expect("subpath  1")
-    flight.companion.kill()
-    flight.simulator.kill()
-    log = flight.folder / "flight.tlog"
-    torn = log.stat().st_size - whole_records(log)
-    assert 0 <= torn < 8 + 280 + 13
-    said = frames(flight.folder)
-    assert sum(m.get_type() == "SET_POSITION_TARGET_GLOBAL_INT" for _, m in said) > 10
-    journal = Journal(flight.folder / "journal.jsonl")
-    entries = list(journal.entries())
-    assert [entry.kind for entry in entries].count("plan ready") >= 1
-    newest_s = max(m.time_boot_ms for _, m in said if m.get_type() == "GLOBAL_POSITION_INT") * 1e-3
-    assert newest_s - entries[-1].t_s < 200.0  # both go on to the same end
-    for to in get_args(Format):
-        export(flight.folder, to)
-    assert recorded(flight.folder)[0].planned
+# --- a disk that is full
 
 
 @IN_TURN

@@ -4,11 +4,8 @@ Real processes in lockstep.  What the autopilot was told is read from the teleme
 lives have written one after the other.
 """
 
-import contextlib
 import itertools
 import math
-import socket
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +14,6 @@ from typing import Any, final
 import pytest
 import tlog
 from flights import Flight, each, kept, launch, run, short_mission
-from programs import free_port
 from pymavlink.dialects.v20 import all as wire
 from pyproj import Geod
 
@@ -42,21 +38,15 @@ def _is_in_leg(now: Values) -> bool:
     return now["phase"] == "FLYING" and now["leg"] is not None
 
 
-PAUSED = "paused"
 PLANE_MOMENTS: tuple[Moment, ...] = (
     ("in a leg", _is_in_leg),
     ("at a join", lambda now: now["phase"] == "FLYING" and now["legs_flown"] >= 2),
 )
-_PAUSED: Moment = (
-    PAUSED,
-    lambda now: now["phase"] == "HOLDING" and now["standing"] == "PAUSED",
-)
 MOMENTS: dict[str, tuple[Moment, ...]] = {
-    "sitl-arducopter": PLANE_MOMENTS[:1],  # at any, and paused: `tests/mission/test_changes.py`
+    "sitl-arducopter": PLANE_MOMENTS[:1],  # at any: `tests/mission/test_changes.py`
     "sitl-px4": (
         ("before the first leg", _is_before_first_leg),
         *PLANE_MOMENTS,
-        _PAUSED,
         ("while landing", lambda now: now["phase"] == "LANDING"),
     ),
 }
@@ -71,56 +61,20 @@ class Killed:
     killed_at_s: list[float] = field(default_factory=list)
 
 
-@final
-class Person:
-    """Somebody at a ground station, on a link of his own."""
-
-    def __init__(self, port: int) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._address = ("127.0.0.1", port)
-        self._codec = wire.MAVLink(None, srcSystem=255, srcComponent=190)
-        self._tells_s = 0.0
-
-    def tells(self, *, goes_on: bool) -> None:
-        """The companion to pause, or to go on; now and then, until it does."""
-        if time.monotonic() < self._tells_s:
-            return
-        self._tells_s = time.monotonic() + 0.1
-        command = wire.MAV_CMD_DO_PAUSE_CONTINUE
-        message = wire.MAVLink_command_long_message(
-            1, COMPANION, command, 0, float(goes_on), 0, 0, 0, 0, 0, 0
-        )
-        self._socket.sendto(message.pack(self._codec), self._address)
-
-    def close(self) -> None:
-        self._socket.close()
-
-
 def killed(folder: Path, name: str) -> Killed:
     """Kill it at each of its moments, and start it again, as its service does."""
-    second = free_port()
-    links = "--connect", f"udpin:127.0.0.1:{second}"
     mission = short_mission(name, folder.parent)
-    flight = launch(folder, name, mission, "--resume", "--system", 1, simulator_options=links)
+    flight = launch(folder, name, mission, "--resume", "--system", 1)
     it = Killed(flight=flight)
-    with contextlib.closing(Person(second)) as person:
+    for _, is_now in MOMENTS.get(name, PLANE_MOMENTS):
 
-        def until(is_now: Callable[[Values], bool], goes_on: bool | None = None) -> Values:
-            def look() -> Values | None:
-                if goes_on is not None:
-                    person.tells(goes_on=goes_on)
-                values = kept(folder)
-                return values if values is not None and is_now(values) else None
+        def look(is_now: Callable[[Values], bool] = is_now) -> Values | None:
+            values = kept(folder)
+            return values if values is not None and is_now(values) else None
 
-            return flight.companion.until(look, every_s=LOOK_S)
-
-        for what, is_now in MOMENTS.get(name, PLANE_MOMENTS):
-            values = until(is_now, False if what is PAUSED else None)
-            flight.companion.kill()
-            it.killed_at_s.append(values["t_s"])
-            flight.companion = run(*map(str, flight.companion.process.args))  # type: ignore[union-attr]
-            if what is PAUSED:  # it goes on when it is told to, and not by itself
-                until(lambda now: now["phase"] == "FLYING", True)
+        it.killed_at_s.append(flight.companion.until(look, every_s=LOOK_S)["t_s"])
+        flight.companion.kill()
+        flight.companion = run(*map(str, flight.companion.process.args))  # type: ignore[union-attr]
     flight.wait()
     return it
 

@@ -11,62 +11,13 @@ from flights import companion, simulator
 from pymavlink.dialects.v20 import all as wire
 from router import Router
 
+from companion.config import mission_text
+from companion.sources.files import toml_table, toml_text
+
 pytestmark = [pytest.mark.closed_loop, pytest.mark.nightly]
 
 TARGETS_NE_M = {1: (90.0, 0.0), 2: (-60.0, 110.0)}
 COMPANION = 195
-WORLD = """
-schema = 1
-name = "meadow"
-[origin]
-latitude_deg = 47.397742
-longitude_deg = 8.545594
-[terrain]
-combine = "maximum"
-ground_amsl_m = 488.0
-[vehicle]
-kind = "copter"
-autopilot = "px4"
-[scanner]
-component_id = 100
-range_m = 300.0
-"""
-MISSION = """
-schema = 1
-name = "vehicle {system}"
-[origin]
-latitude_deg = 47.397742
-longitude_deg = 8.545594
-[area]
-north_min_m = -400.0
-north_max_m = 400.0
-east_min_m = -400.0
-east_max_m = 400.0
-[altitude]
-floor_amsl_m = 505.0
-ceiling_amsl_m = 560.0
-[[targets]]
-north_m = {north}
-east_m = {east}
-[vehicle]
-kind = "copter"
-system_id = {system}
-speed_m_s = 6.0
-acceleration_m_s2 = 2.0
-climb_rate_m_s = 1.5
-turn_radius_m = 20.0
-climb_angle_deg = 12.0
-dive_angle_deg = 10.0
-tracking_error_m = 4.0
-navigation_error_m = 3.0
-dead_man_s = 1.5
-[planner]
-scan_range_m = 300.0
-safety_distance_m = 8.0
-planning_time_s = 3.0
-[end]
-action = "hold"
-"""
 
 
 def spoken(datagrams: list[bytes]) -> list[Any]:
@@ -79,18 +30,17 @@ def spoken(datagrams: list[bytes]) -> list[Any]:
 def test_each_companion_flies_its_own_vehicle_and_never_commands_the_other(
     tmp_path: Path,
 ) -> None:
-    world = tmp_path / "world.toml"
-    world.write_text(WORLD, encoding="utf-8")
-    companions = []
+    companions, table = [], toml_table(mission_text("sitl-px4"), "sitl-px4")
     with Router() as router:
         port = f"udpout:127.0.0.1:{router.port}"
-        for system, (north, east) in TARGETS_NE_M.items():
+        for system, (north_m, east_m) in TARGETS_NE_M.items():
             mission = tmp_path / f"mission-{system}.toml"
-            text = MISSION.format(system=system, north=north, east=east)
-            mission.write_text(text, encoding="utf-8")
+            own = {"targets": [{"north_m": north_m, "east_m": east_m}]}
+            own |= {"vehicle": table["vehicle"] | {"system_id": system}}
+            mission.write_text(toml_text(table | own), encoding="utf-8")
             companions.append(companion(mission, tmp_path / f"run-{system}", port))
         options = "--connect", port, "--count", 2, "--speedup", 3
-        simulator(world, tmp_path / "truth", *options)
+        simulator("sitl-px4", tmp_path / "truth", *options)
         for each in companions:
             assert each.wait() == 0, each.transcript
 

@@ -1,6 +1,6 @@
 """An independent judge of a flown track: what the vehicle truly did, against the true world.
 
-    python tests/closed_loop/true_track.py WORLD_TOML MISSION_TOML TRUTH_JSONL [--json]
+    python tests/closed_loop/true_track.py WORLD_TOML MISSION_TOML TRUTH_JSONL
 
 It shares no code with the two programs that it judges. Everything happens in the local frame:
 north, east, altitude AMSL in metres (`_nea_m`); velocities are differences of positions.
@@ -26,12 +26,13 @@ import math
 import sys
 import tomllib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 import rasterio
+import shapely
 from numpy.typing import NDArray
 from pyproj import Geod
 from rich import box
@@ -83,27 +84,13 @@ class Check:
 class TrueTrack:
     """What a flown track truly was."""
 
-    clearance_m: float
-    """Least Euclidean distance to the terrain surface; negative below it."""
-    radar_s: dict[str, float]
-    """Seconds within the sphere of each radar, by its name."""
-    radar_total_s: float
-    """Sum over the radars: two at once count twice."""
-    keep_out_m: float
-    """Least horizontal distance to a keep-out zone; negative inside, infinite without any."""
-    turn_radius_m: float
-    """Smallest; infinite for a track without a turn."""
-    climb_deg: float
-    dive_deg: float
-    lowest_amsl_m: float
-    highest_amsl_m: float
-    target_distance_m: float
-    """Horizontal distance of the last point from the last target."""
-    length_m: float
-    duration_s: float
     begin_s: float
     """Vehicle time at which the judged part begins."""
     checks: tuple[Check, ...]
+
+    def __getitem__(self, name: str) -> Check:
+        """The check of that name."""
+        return next(check for check in self.checks if check.name == name)
 
     @property
     def violations(self) -> tuple[Check, ...]:
@@ -268,23 +255,14 @@ def seconds_inside(
 
 def keep_out_distances_m(points_nea_m: FloatArray, keep_out: dict[str, Any]) -> FloatArray:
     """Horizontal distance to a circle or polygon, negative inside. (P, 3) -> (P,)."""
-    north, east = points_nea_m[:, 0], points_nea_m[:, 1]
+    places = shapely.points(points_nea_m[:, :2])
     if "radius_m" in keep_out:
-        away = np.hypot(north - keep_out["north_m"], east - keep_out["east_m"])
-        distance: FloatArray = away - keep_out["radius_m"]
-        return distance
-    corners = np.array(keep_out["vertices_m"], dtype=np.float64)
-    inside = np.zeros(len(north), dtype=bool)
-    edge = np.full(len(north), np.inf)
-    for (n0, e0), (n1, e1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        if e0 != e1:  # a ray to the north crosses this edge: the even-odd rule
-            crossing = n0 + (east - e0) * (n1 - n0) / (e1 - e0)
-            inside ^= ((e0 > east) != (e1 > east)) & (north < crossing)
-        dn, de = n1 - n0, e1 - e0
-        along = ((north - n0) * dn + (east - e0) * de) / max(dn**2 + de**2, 1e-12)
-        along = np.clip(along, 0.0, 1.0)
-        edge = np.minimum(edge, np.hypot(north - n0 - along * dn, east - e0 - along * de))
-    return np.where(inside, -edge, edge)
+        centre = shapely.Point(keep_out["north_m"], keep_out["east_m"])
+        away_m: FloatArray = shapely.distance(places, centre) - keep_out["radius_m"]
+        return away_m
+    polygon = shapely.Polygon(keep_out["vertices_m"])
+    edge_m = shapely.distance(places, polygon.exterior)
+    return np.where(shapely.contains(polygon, places), -edge_m, edge_m)
 
 
 def resampled(t_s: FloatArray, track_nea_m: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -384,8 +362,8 @@ def judge(
 
     def check(
         name: str, values: FloatArray, times: FloatArray, unit: str,
-        relation: str, bound: float, limit: float,
-    ) -> float:  # fmt: skip
+        relation: str = "", bound: float = math.nan, limit: float = math.nan,
+    ) -> None:  # fmt: skip
         """Add the worst of the values; without any, the best there can be."""
         pick = np.argmin if relation == ">=" else np.argmax
         worst = int(pick(values)) if len(values) else -1
@@ -394,60 +372,39 @@ def judge(
         t = float(times[worst]) if len(values) and len(times) else math.nan
         checks.append(Check(name=name, value=value, unit=unit, relation=relation, bound=bound,
                             limit=limit, t_s=t))  # fmt: skip
-        return value
 
-    low, high = 1 - TOLERANCE, 1 + TOLERANCE
+    low, high, never = 1 - TOLERANCE, 1 + TOLERANCE, np.empty(0)
     clearances = clearances_m(points, surface_of(world, folder))
-    clearance = check("distance to terrain", clearances, point_t_s, "m", ">=", safety, low * safety)
-    radar_s: dict[str, float] = {}
+    check("distance to terrain", clearances, point_t_s, "m", ">=", safety, low * safety)
+    total_s = np.zeros(1)
     for radar in world.get("radars", []):
         centre = np.array([radar["north_m"], radar["east_m"], radar["altitude_amsl_m"]])
         spent = seconds_inside(t_s, track_nea_m, centre, radar["range_m"])
-        radar_s[radar["name"]] = float(spent.sum())
-        when = t_s[:-1][spent > 0][:1]
+        total_s += spent.sum()
         name = f"time inside {radar['name']}"
-        check(name, spent.sum(keepdims=True), when, "s", "<=", 0.0, 0.0)
-    radar_total = float(sum(radar_s.values()))
-    check("time inside radars", np.array([radar_total]), np.empty(0), "s", "<=", 0.0, 0.0)
+        check(name, spent.sum(keepdims=True), t_s[:-1][spent > 0][:1], "s", "<=", 0.0, 0.0)
+    check("time inside radars", total_s, never, "s", "<=", 0.0, 0.0)
     zones = [keep_out_distances_m(points, zone) for zone in mission.get("keep_outs", [])]
-    nearest = np.min(zones, axis=0) if zones else np.empty(0)
-    name = "distance to keep-outs"
-    keep_out = check(name, nearest, point_t_s, "m", ">=", safety, low * safety)
+    nearest = np.min(zones, axis=0) if zones else never
+    check("distance to keep-outs", nearest, point_t_s, "m", ">=", safety, low * safety)
     slowest_m_s = min(SLOWEST_M_S, 0.5 * float(vehicle.get("speed_m_s", math.inf)))
     middle_s, radii, slopes = turns_and_slopes(t_s, track_nea_m, slowest_m_s)
     turn = float(vehicle["turn_radius_m"])
-    radius = check("turn radius", radii, middle_s, "m", ">=", turn, low * turn)
-    bounds = (float(vehicle["climb_angle_deg"]), float(vehicle["dive_angle_deg"]))
-    climbs, dives = np.maximum(np.degrees(slopes), 0.0), np.maximum(-np.degrees(slopes), 0.0)
-    climb = check("climb angle", climbs, middle_s, "deg", "<=", bounds[0], high * bounds[0])
-    dive = check("dive angle", dives, middle_s, "deg", "<=", bounds[1], high * bounds[1])
+    check("turn radius", radii, middle_s, "m", ">=", turn, low * turn)
+    for what, sign in (("climb", 1.0), ("dive", -1.0)):
+        most, degrees = float(vehicle[f"{what}_angle_deg"]), sign * np.degrees(slopes)
+        degrees = np.maximum(degrees, 0.0)
+        check(f"{what} angle", degrees, middle_s, "deg", "<=", most, high * most)
     heights = track_nea_m[:, 2]
-    lowest = check("lowest altitude AMSL", heights, t_s, "m", ">=", floor, floor - slack)
-    highest = check("highest altitude AMSL", heights, t_s, "m", "<=", ceiling, ceiling + slack)
-    target = mission["targets"][-1]
-    end = track_nea_m[-1]
-    miss = np.hypot(end[0] - target["north_m"], end[1] - target["east_m"])
-    miss_m = check("end to target", np.array([miss]), t_s[-1:], "m", "<=", ARRIVED_M, ARRIVED_M)
+    check("lowest altitude AMSL", heights, t_s, "m", ">=", floor, floor - slack)
+    check("highest altitude AMSL", heights, t_s, "m", "<=", ceiling, ceiling + slack)
+    target, end = mission["targets"][-1], track_nea_m[-1]
+    miss = np.hypot(end[:1] - target["north_m"], end[1:2] - target["east_m"])
+    check("end to target", miss, t_s[-1:], "m", "<=", ARRIVED_M, ARRIVED_M)
     flown = np.linalg.norm(np.diff(track_nea_m, axis=0), axis=-1).sum(keepdims=True)
-    took = np.array([t_s[-1] - t_s[0]])
-    length = check("length flown", flown, np.empty(0), "m", "", math.nan, math.nan)
-    duration = check("duration", took, np.empty(0), "s", "", math.nan, math.nan)
-    return TrueTrack(
-        clearance_m=clearance,
-        radar_s=radar_s,
-        radar_total_s=radar_total,
-        keep_out_m=keep_out,
-        turn_radius_m=radius,
-        climb_deg=climb,
-        dive_deg=dive,
-        lowest_amsl_m=lowest,
-        highest_amsl_m=highest,
-        target_distance_m=miss_m,
-        length_m=length,
-        duration_s=duration,
-        begin_s=float(t_s[0]),
-        checks=tuple(checks),
-    )
+    check("length flown", flown, never, "m")
+    check("duration", t_s[-1:] - t_s[:1], never, "s")
+    return TrueTrack(begin_s=float(t_s[0]), checks=tuple(checks))
 
 
 def judge_files(world_toml: Path, mission_toml: Path, truth_jsonl: Path) -> TrueTrack:
@@ -456,22 +413,6 @@ def judge_files(world_toml: Path, mission_toml: Path, truth_jsonl: Path) -> True
     mission = tomllib.loads(mission_toml.read_text(encoding="utf-8"))
     track = judge(world, mission, *read_truth(truth_jsonl), world_toml.parent)
     return dataclasses.replace(track, checks=(*track.checks, crash_check(truth_jsonl)))
-
-
-def as_json(track: TrueTrack) -> str:
-    """Write the result as JSON; what is not finite becomes null."""
-    table = asdict(track) | {"ok": track.ok}
-    for check, row in zip(track.checks, table["checks"], strict=True):
-        row["ok"] = check.ok
-
-    def finite(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: finite(item) for key, item in value.items()}
-        if isinstance(value, list | tuple):
-            return [finite(item) for item in value]
-        return None if isinstance(value, float) and not math.isfinite(value) else value
-
-    return json.dumps(finite(table), indent=2, allow_nan=False)
 
 
 def as_table(track: TrueTrack) -> Table:
@@ -497,13 +438,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Judge a flown track against the true world.")
     for name in ("world_toml", "mission_toml", "truth_jsonl"):
         parser.add_argument(name, type=Path)
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     given = parser.parse_args(arguments)
     track = judge_files(given.world_toml, given.mission_toml, given.truth_jsonl)
-    if given.json:
-        sys.stdout.write(as_json(track) + "\n")
-    else:
-        Console().print(as_table(track))
+    Console().print(as_table(track))
     return 0 if track.ok else 1
 
 

@@ -15,6 +15,17 @@ OTHERS = [None, "", "x\ny", "radar", "x.plan", [], {}, [[]], [{}], [8.0, 47.0], 
 JUNK = st.sampled_from([*NUMBERS, *OTHERS])
 
 
+def feature(shape: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
+    """A feature of GeoJSON."""
+    geometry = {"type": shape, "coordinates": coordinates}
+    return {"type": "Feature", "properties": properties, "geometry": geometry}
+
+
+def collection(*features: Any, **more: Any) -> dict[str, Any]:
+    """They, as a file has them."""
+    return {"type": "FeatureCollection", "features": list(features), **more}
+
+
 def refusal(read: Callable[[Path, Any], object], path: Path, content: Any) -> str:
     """The one line that is said of a file with that content."""
     with pytest.raises(InputError) as caught:

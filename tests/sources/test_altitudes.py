@@ -58,14 +58,13 @@ def test_a_mission_is_called_by_the_file_of_its_plan(tmp_path: Path) -> None:
 
 
 def test_each_waypoint_is_flown_to_at_its_own_altitude(tmp_path: Path) -> None:
+    """One without has that of the one before, which is said; the climb ends at the lowest."""
     mission = blind(tmp_path, 40.0, 60.0, None, 45.0)
     for target, height_m in enumerate((40.0, 60.0, 60.0, 45.0)):
         assert lowest_m(mission, target) == pytest.approx(HOME[2] + height_m, abs=0.2)
+    assert mission.task.take_off_amsl_m == pytest.approx(HOME[2] + 40.0, abs=0.2)
     assert not any("flown at" in note for note in mission.notes)
-
-
-def test_the_climb_ends_at_the_lowest_of_them(tmp_path: Path) -> None:
-    assert blind(tmp_path, 40.0).task.take_off_amsl_m == pytest.approx(HOME[2] + 40.0, abs=0.2)
+    assert any("without an altitude" in note and "items[2]" in note for note in mission.notes)
 
 
 def test_with_a_radar_the_altitude_is_free_within_the_band(tmp_path: Path) -> None:
@@ -88,14 +87,10 @@ def test_the_distance_that_is_assumed_is_what_the_plan_leaves(
 
 def test_a_waypoint_that_is_too_low_is_flown_higher_and_that_is_said(tmp_path: Path) -> None:
     mission = blind(tmp_path, 12.0, 60.0)
-    least_m = HOME[2] + 10.0 + KEPT_M
-    assert lowest_m(mission, 0) == pytest.approx(least_m, abs=0.2)
+    assert lowest_m(mission, 0) == pytest.approx(HOME[2] + 10.0 + KEPT_M, abs=0.2)
     [said] = [note for note in mission.notes if "flown at" in note]
     assert "items[0] is planned at 500 m AMSL and flown at 509 m" in said
-
-
-def test_a_distance_that_is_given_is_kept(tmp_path: Path) -> None:
-    mission = blind(tmp_path, 40.0, more="[planner]\nsafety_distance_m = 50.0\n")
+    mission = blind(tmp_path, 40.0, more="[planner]\nsafety_distance_m = 50.0\n")  # it is kept
     assert lowest_m(mission, 0) == pytest.approx(HOME[2] + 50.0 + KEPT_M, abs=0.2)
     assert any("flown at 549 m" in note for note in mission.notes)
 
@@ -134,6 +129,8 @@ def test_what_the_elevation_file_says_against_an_altitude_is_said_before_take_of
     assert "at 520 is planned at 520 m AMSL and flown at 585 m" in low
     [cut] = over_the_valley(tmp_path, in_the_valley, (2000.0, -1000.0, 521.0)).notes
     assert "straight way to at 521 the ground is too high for 521 m AMSL" in cut
+    with pytest.raises(InputError, match="not known, or too high for the ceiling"):
+        over_the_valley(tmp_path, (0.0, -3500.0, 520.0))  # in a mountain
 
 
 @pytest.mark.parametrize("altitude_m", [650.0, 10_000.0])
@@ -152,11 +149,6 @@ def test_a_fence_below_a_targets_altitude_leaves_room_to_plan(tmp_path: Path) ->
     lowered = replace(mission.task.limits, ceiling_amsl_m=HOME[2] + 75.0)
     low_m, high_m = mission.task_to(1, replace(mission.task, limits=lowered)).band_amsl_m
     assert low_m < high_m <= HOME[2] + 75.0
-
-
-def test_a_target_in_a_mountain_is_refused_before_take_off(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="not known, or too high for the ceiling"):
-        over_the_valley(tmp_path, (0.0, -3500.0, 520.0))
 
 
 # --- altitudes above terrain
@@ -178,17 +170,11 @@ def above_terrain(
 
 def of_terrain(height_m: float, north_deg: float = 0.004, **more: object) -> dict[str, object]:
     """As frame 10, or as QGroundControl's AltitudeMode with the height in a key of its own."""
-    place = [0, 0, 0, None, HOME[0] + north_deg, HOME[1]]
-    if "AltitudeMode" in more:
-        frame = {3: 0, 4: 10}[int(str(more["AltitudeMode"]))]
-        sent = None if frame == 0 else height_m
-        return {
-            "command": 16,
-            "frame": frame,
-            "params": [*place, sent],
-            "Altitude": height_m,
-        } | more
-    return {"command": 16, "frame": 10, "params": [*place, height_m]} | more
+    place: list[object] = [0, 0, 0, None, HOME[0] + north_deg, HOME[1], height_m]
+    item: dict[str, object] = {"command": 16, "frame": 10, "params": place}
+    if more.get("AltitudeMode") == 3:  # sent as AMSL
+        item |= {"frame": 0, "params": [*place[:-1], None]}
+    return item | ({"Altitude": height_m} if "AltitudeMode" in more else {}) | more
 
 
 @pytest.mark.parametrize("said", [{}, {"AltitudeMode": 3}, {"AltitudeMode": 4}, {"frame": 11}])
@@ -229,10 +215,3 @@ def test_an_altitude_above_ground_that_is_not_known_is_refused_or_said(tmp_path:
     said = next(note for note in mission.notes if "above terrain" in note)
     assert "3 x altitude above terrain" in said
     assert "items[3]" in said
-
-
-def test_a_waypoint_without_an_altitude_is_said_to_have_that_of_the_one_before(
-    tmp_path: Path,
-) -> None:
-    mission = blind(tmp_path, 40.0, None)
-    assert any("without an altitude" in note and "items[1]" in note for note in mission.notes)

@@ -1,3 +1,4 @@
+import functools
 import math
 import subprocess
 import sys
@@ -102,22 +103,11 @@ def test_the_terrain_is_bilinear_between_the_middles_of_the_files_cells(
     np.testing.assert_allclose(terrain.height_m(north, east), surface(places), rtol=0, atol=1e-4)
 
 
-def test_only_the_window_of_the_area_is_read_of_a_file_of_100_million_cells(make: Make) -> None:
-    path = make(np.zeros((1, 1), dtype=np.int16))
-    with rasterio.open(
-        path,
-        "w",
-        driver="GTiff",
-        crs="EPSG:4326",
-        transform=from_origin(8.0, 47.0, 1 / 10_000, 1 / 10_000),
-        dtype="int16",
-        count=1,
-        height=10_000,
-        width=10_000,
-        tiled=True,
-        sparse_ok=True,
-    ):
-        pass
+def test_only_the_window_of_the_area_is_read_of_a_file_of_100_million_cells(tmp_path: Path) -> None:
+    path, at = tmp_path / "terrain.tif", from_origin(8.0, 47.0, 1 / 10_000, 1 / 10_000)
+    how: Any = {"driver": "GTiff", "crs": "EPSG:4326", "dtype": "int16", "count": 1}
+    size: Any = {"height": 10_000, "width": 10_000, "tiled": True, "sparse_ok": True}
+    rasterio.open(path, "w", transform=at, **how, **size).close()
     terrain = read(path)
     assert terrain.heights_m.size < 600 * 900
     assert terrain.height_m(np.zeros(1), np.zeros(1)).tolist() == [0.0]
@@ -171,14 +161,10 @@ def test_holes_are_an_error_unless_the_world_says_what_lies_there(
     assert terrain.heights_m.min() == filled
 
 
-def test_holes_outside_the_area_do_not_matter(make: Make) -> None:
-    data = heights()
+def test_holes_are_what_is_no_number_too_and_outside_of_the_area_do_not_matter(make: Make) -> None:
+    data = heights().astype(np.float32)
     data[0, 0] = -9999
     assert read(make(data, nodata=-9999)).heights_m.min() >= 300
-
-
-def test_what_is_no_number_is_a_hole(make: Make) -> None:
-    data = heights().astype(np.float32)
     data[60, 70] = np.nan
     path = make(data)
     assert "1 of its cells" in refused(path)
@@ -260,29 +246,20 @@ def test_a_world_file_that_leaves_things_open_is_refused(
 # --- the two programs
 
 
+@functools.cache
+def valleys() -> Any:
+    """The companion's and the simulator's."""
+    return load_world("valley").terrain, read_world(VALLEY / "world.toml").truth()
+
+
 @settings(max_examples=20)
 @given(seed=st.integers(0, 10**6))
 def test_both_programs_read_the_same_heights_to_a_centimetre(seed: int) -> None:
     rng = np.random.default_rng(seed)
     north, east = rng.uniform(-5_200, 5_200, 500), rng.uniform(-4_200, 3_700, 500)
-    ours = load_valley().height_m(north, east)
-    theirs = simulated_valley().height_amsl_m(north, east)
-    assert np.abs(ours - theirs).max() < 0.01
-
-
-def load_valley() -> Any:
-    if "companion" not in _CACHE:
-        _CACHE["companion"] = load_world("valley").terrain
-    return _CACHE["companion"]
-
-
-def simulated_valley() -> Any:
-    if "simulator" not in _CACHE:
-        _CACHE["simulator"] = read_world(VALLEY / "world.toml").truth()
-    return _CACHE["simulator"]
-
-
-_CACHE: dict[str, Any] = {}
+    ours, theirs = valleys()
+    off_m = ours.height_m(north, east) - theirs.height_amsl_m(north, east)
+    assert np.abs(off_m).max() < 0.01
 
 
 def test_the_bundled_elevations_are_matplotlibs_sample_the_right_way_up() -> None:

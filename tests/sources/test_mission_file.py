@@ -4,7 +4,7 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import fields
 from importlib import resources
 from pathlib import Path
@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from rasterio.transform import Affine
-from spoiled import replace_somewhere
+from spoiled import collection, feature, replace_somewhere
 
 from companion.config import bundled, load_mission, mission_text
 from companion.errors import InputError
@@ -68,15 +68,28 @@ PLANE = (
     .replace("speed_m_s = 8.0", "speed_m_s = 18.0")
     .replace("turn_radius_m = 25.0", "turn_radius_m = 80.0")
 )
+KNOWN = COPTER + '[terrain]\nfile = "dem.tif"\nvertical_datum = "EGM96"\n'
+STATED = COPTER + "[terrain]\nhighest_amsl_m = 840.0\n"
 TRIANGLE = [[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
 GEOD = pyproj.Geod(ellps="WGS84")
-Write = Callable[..., Path]
+HEIGHTS = np.random.default_rng(4).integers(300, 800, (200, 240)).astype(np.int16)
+"""Every 3 seconds over more than the map."""
+STEP_DEG = 1 / 1200
+WOOD = [[8.01, 47.01], [8.02, 47.01], [8.02, 47.015], [8.01, 47.01]]
+THREATS = collection(
+    feature("Polygon", [WOOD, WOOD], name="wood"),
+    feature("Point", [8.0, 47.02], name="sam", kind="radar", altitude_amsl_m=700.0, range_m=900.0),
+)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("mission")
+    """With the files that missions here name."""
+    path = tmp_path_factory.mktemp("mission")
+    terrain(path / "dem.tif", HEIGHTS)
+    (path / "threats.geojson").write_text(json.dumps(THREATS), encoding="utf-8")
+    return path
 
 
 def load(folder: Path, text: str) -> Mission:
@@ -91,6 +104,15 @@ def refused(folder: Path, text: str) -> str:
     message = str(caught.value)
     assert len(message.splitlines()) == 1
     return message
+
+
+def terrain(path: Path, heights: np.ndarray[Any, Any]) -> None:
+    """An elevation file about the origin."""
+    transform = Affine(STEP_DEG, 0, 8.0 - 120 * STEP_DEG, 0, -STEP_DEG, 47.0 + 100 * STEP_DEG)
+    size: Any = {"height": len(heights), "width": heights.shape[1], "count": 1}
+    how: Any = {"driver": "GTiff", "crs": "EPSG:4326", "transform": transform, "dtype": "int16"}
+    with rasterio.open(path, "w", **size, **how) as file:
+        file.write(heights, 1)
 
 
 def vehicle(text: str, base: str = COPTER) -> str:
@@ -163,31 +185,6 @@ def test_a_plane_has_a_circle_to_hold_on_and_a_copter_none(folder: Path) -> None
     assert load(folder, COPTER).task.limits.hovers
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (PLANE.replace("loiter_radius_m = 80.0", ""), ["loiter_radius_m", "missing", "circles"]),
-        (vehicle("loiter_radius_m = 80.0"), ["loiter_radius_m = 80.0", "a copter stops"]),
-        (vehicle("yaw_deg = 0.0", PLANE), ["yaw_deg = 0.0", "where it flies"]),
-        (
-            vehicle('autopilot = "ardupilot"', PLANE).replace('"hold"', '"land"'),
-            ["end.action = 'land'", "ArduPlane cannot be told to land"],
-        ),
-        (
-            vehicle('autopilot = "ardupilot"', PLANE) + '[fallback]\naction = "land"',
-            ["fallback.action = 'land'", "ArduPlane"],
-        ),
-        (PLANE.replace("speed_m_s = 18.0", "speed_m_s = 30.0"), ["degrees of bank"]),
-        (PLANE.replace("loiter_radius_m = 80.0", "loiter_radius_m = 800.0"), ["scan range"]),
-    ],
-)
-def test_what_a_kind_of_vehicle_cannot_do_is_refused(
-    folder: Path, text: str, words: list[str]
-) -> None:
-    message = refused(folder, text)
-    assert all(word in message for word in words), message
-
-
 def test_a_plane_of_px4_or_of_any_autopilot_may_be_told_to_land(folder: Path) -> None:
     for autopilot in ('autopilot = "px4"', ""):
         mission = load(folder, vehicle(autopilot, PLANE).replace('"hold"', '"land"'))
@@ -196,36 +193,18 @@ def test_a_plane_of_px4_or_of_any_autopilot_may_be_told_to_land(folder: Path) ->
 
 # --- who, and whose
 
-
-@pytest.mark.parametrize("text", ["0/0", "256/0", "255/256", "255", "255/0/0", "a/b", "-1/0"])
-def test_a_commander_is_a_system_and_a_component(folder: Path, text: str) -> None:
-    assert "link.commanders[0]" in refused(folder, f'{COPTER}[link]\ncommanders = ["{text}"]\n')
-
-
-def test_what_a_name_may_hold_is_said_in_words(folder: Path) -> None:
-    said = refused(folder, re.sub(r"name = .*", 'name = "Über den Wald"', COPTER, count=1))
-    assert "name = 'Über den Wald': it must be up to 64 of A-Z, a-z, 0-9, space" in said
-
-
-def test_nobody_may_be_the_one_who_commands(folder: Path) -> None:
-    assert load(folder, f"{COPTER}[link]\ncommanders = []\n").commanders == ()
+NO_TARGETS = COPTER.replace("[[targets]]\nnorth_m = 3000.0\neast_m = 2000.0\n", "")
+THEIRS = "[from_vehicle]\ntargets = true\n"
 
 
 def test_targets_come_from_the_mission_or_from_the_vehicle(folder: Path) -> None:
-    own = COPTER.replace("[[targets]]\nnorth_m = 3000.0\neast_m = 2000.0\n", "")
-    theirs = "[from_vehicle]\ntargets = true\n"
-    mission = load(folder, own + theirs)
+    mission = load(folder, NO_TARGETS + THEIRS)
     assert mission.targets_from_vehicle
     assert mission.targets_ne_m == ()
-    assert "the targets come from the vehicle" in refused(folder, COPTER + theirs)
-    assert "targets = None: it is missing" in refused(folder, own)
+    assert load(folder, f"{COPTER}[link]\ncommanders = []\n").commanders == ()
 
 
 # --- places
-
-
-def target(text: str) -> str:
-    return COPTER.replace("north_m = 3000.0\neast_m = 2000.0", text)
 
 
 @given(azimuth_deg=st.floats(-180.0, 180.0), distance_m=st.floats(0.0, 3900.0))
@@ -233,29 +212,16 @@ def test_a_target_in_degrees_lies_where_the_ellipsoid_has_it(
     folder: Path, azimuth_deg: float, distance_m: float
 ) -> None:
     longitude, latitude, _ = GEOD.fwd(8.0, 47.0, azimuth_deg, distance_m)
-    mission = load(folder, target(f"latitude_deg = {latitude!r}\nlongitude_deg = {longitude!r}"))
+    mission = load(folder, place(f"latitude_deg = {latitude!r}\nlongitude_deg = {longitude!r}"))
     azimuth = math.radians(azimuth_deg)
     expected = (distance_m * math.cos(azimuth), distance_m * math.sin(azimuth))
     assert mission.targets_ne_m[0] == pytest.approx(expected, abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("north_m = 1.0", "targets[0].east_m = None: it is missing"),
-        ("", "targets[0].north_m = None: it is missing"),
-        ("longitude_deg = 8.0", "targets[0].latitude_deg = None: it is missing"),
-        ("north_m = 1.0\nlatitude_deg = 47.0", "Remove one pair"),
-        ("latitude_deg = 91.0\nlongitude_deg = 8.0", "less than or equal to 90"),
-        ("latitude_deg = -47.0\nlongitude_deg = -172.0", "1,000 km from the origin"),
-        ("latitude_deg = 47.1\nlongitude_deg = 8.0", "outside the map"),
-    ],
-)
-def test_a_place_is_in_metres_or_in_degrees_and_near(folder: Path, text: str, words: str) -> None:
-    assert words in refused(folder, target(text))
-
-
 # --- zones
+
+
+AROUND = "vertices_m = [[-3e3, -3e3], [-3e3, 5e3], [5e3, 5e3], [5e3, -3e3]]"
 
 
 def zone(text: str, kind: str = "keep_outs") -> str:
@@ -272,12 +238,9 @@ def test_a_circle_in_degrees_is_the_circle_in_metres(folder: Path) -> None:
 
 
 def test_a_keep_in_is_a_zone_to_stay_inside_of(folder: Path) -> None:
-    text = zone("vertices_m = [[-3e3, -3e3], [-3e3, 5e3], [5e3, 5e3], [5e3, -3e3]]", "keep_ins")
-    (found,) = load(folder, text).task.zones
+    (found,) = load(folder, zone(AROUND, "keep_ins")).task.zones
     assert isinstance(found, PolygonZone)
     assert found.keep_in
-    outside = text.replace("north_m = 3000.0\neast_m = 2000.0", "north_m = 5500.0\neast_m = 0.0")
-    assert "targets[0] = [5500.0, 0.0]: it lies outside keep-in 'zone'" in refused(folder, outside)
 
 
 def test_an_edge_in_degrees_is_straight_in_degrees(folder: Path) -> None:
@@ -293,33 +256,14 @@ def test_an_edge_in_degrees_is_straight_in_degrees(folder: Path) -> None:
 
 def test_an_edge_across_the_date_line_takes_the_short_way(folder: Path) -> None:
     text = COPTER.replace("longitude_deg = 8.0", "longitude_deg = 179.999")
-    corners = [[47.02, 179.99], [47.02, -179.99], [47.021, -179.99], [47.021, 179.99]]
+    corners = [[47.02, 179.98], [47.02, -179.98], [47.021, -179.98], [47.021, 179.98]]
     text += f'[[keep_outs]]\nname = "zone"\nvertices_deg = {corners}\n'
     (found,) = load(folder, text).task.zones
     assert isinstance(found, PolygonZone)
-    assert max(abs(east) for _, east in found.vertices_ne_m) < 2000.0
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("vertices_deg = [[8.0, 147.0], [47.0, 8.0], [47.0, 8.1]]", "more than 1,000 km"),
-        ("vertices_deg = [[108.0, 47.0], [47.0, 8.0], [47.0, 8.1]]", "latitude comes first"),
-        ("vertices_deg = [[47.0, 8.0], [47.0, 8.1]]", "three or more"),
-        ("vertices_m = [[0.0, 0.0], [9.0, 9.0], [9.0, 0.0], [0.0, 9.0]]", "cross"),
-        ("north_m = 1.0\neast_m = 1.0", "a circle or a polygon"),
-        ("radius_m = 1.0", "a circle or a polygon"),
-        ("", "a circle or a polygon"),
-        (f"north_m = 1.0\nvertices_m = {TRIANGLE}", "a circle or a polygon"),
-        (f"radius_m = 3.0\nvertices_m = {TRIANGLE}", "a circle or a polygon"),
-        (f"vertices_deg = {TRIANGLE}\nvertices_m = []", "a circle or a polygon"),
-    ],
-)
-@pytest.mark.parametrize("kind", ["keep_outs", "keep_ins"])
-def test_a_zone_that_is_none_is_refused(folder: Path, text: str, words: str, kind: str) -> None:
-    message = refused(folder, zone(text, kind))
-    assert f"{kind}[0]" in message
-    assert words in message
+    north_m, east_m = np.transpose(found.vertices_ne_m)  # some of them between the corners
+    assert len(north_m) > 4
+    assert (abs(east_m) < 2000.0).all()
+    assert ((north_m > 2000.0) & (north_m < 2500.0)).all()
 
 
 def test_keep_outs_away_from_the_map_are_left_out_and_counted(folder: Path) -> None:
@@ -395,42 +339,6 @@ def test_a_polygon_of_far_corners_counts_where_it_lies(
     assert any(0.0 < part < 1.0 for part in sides)
 
 
-@pytest.mark.parametrize("file", ["far.geojson", "far.plan"])
-def test_files_of_others_have_polygons_of_far_corners_too(tmp_path: Path, file: str) -> None:
-    """All from 8 E to 40 E: whoever flies there flies in it."""
-    corners = [(58.0, 8.0), (58.0, 40.0), (36.0, 40.0), (36.0, 8.0)]
-    plan = json.loads((Path(__file__).parent / "missions" / "fenced.plan").read_text())
-    zone = {"inclusion": False, "version": 1, "polygon": corners}
-    plan["geoFence"] |= {"circles": [], "polygons": [zone] if file == "far.plan" else []}
-    (tmp_path / "far.plan").write_text(json.dumps(plan))
-    ring = [corner[::-1] for corner in (*corners, corners[0])]
-    feature = {"type": "Feature", "properties": {}, "geometry": None}
-    feature["geometry"] = {"type": "Polygon", "coordinates": [ring]}
-    (tmp_path / "far.geojson").write_text(
-        json.dumps({"type": "FeatureCollection", "features": [feature]})
-    )
-    mission = tmp_path / "mission.toml"
-    threats = 'threats = "far.geojson"\n' if file == "far.geojson" else ""
-    mission.write_text(f'plan = "far.plan"\n{threats}')
-    with pytest.raises(InputError, match="lies inside keep-out"):
-        load_mission(str(mission))
-
-
-@pytest.mark.parametrize(
-    ("corners", "words"),
-    [
-        ([[36.0, -180.0], [36.0, 180.0], [58.0, 180.0], [58.0, -180.0]], "either way around"),
-        ([[36.0, -100.0], [36.0, 100.0], [58.0, 100.0], [58.0, -100.0]], "either way around"),
-        ([[35.0, 0.0], [36.0, 120.0], [35.0, -120.0]], "either way around"),  # about the pole
-        ([[60.0, -20.0], [60.0, 40.0], [47.0, 40.0], [47.0, 8.01]], "some of it lies"),
-    ],
-)
-def test_a_polygon_that_may_be_meant_otherwise_is_refused(
-    folder: Path, corners: list[list[float]], words: str
-) -> None:
-    assert words in refused(folder, zone(f"vertices_deg = {corners}"))
-
-
 @pytest.mark.parametrize(
     "corners",
     [
@@ -462,29 +370,7 @@ def test_a_circle_with_a_far_centre_is_left_out_or_refused(
 # --- threats of a file
 
 
-def threats(folder: Path) -> None:
-    ring = [[8.01, 47.01], [8.02, 47.01], [8.02, 47.015], [8.01, 47.01]]
-    radar = {"name": "sam", "kind": "radar", "altitude_amsl_m": 700.0, "range_m": 900.0}
-    content = {
-        "type": "FeatureCollection",
-        "features": [
-            {
-                "type": "Feature",
-                "properties": {"name": "wood"},
-                "geometry": {"type": "Polygon", "coordinates": [ring, ring]},
-            },
-            {
-                "type": "Feature",
-                "properties": radar,
-                "geometry": {"type": "Point", "coordinates": [8.0, 47.02]},
-            },
-        ],
-    }
-    (folder / "threats.geojson").write_text(json.dumps(content), encoding="utf-8")
-
-
 def test_threats_of_a_file_count_beside_those_of_the_mission(folder: Path) -> None:
-    threats(folder)
     text = 'threats = "threats.geojson"\n' + zone("north_m = 1.0\neast_m = 1.0\nradius_m = 9.0")
     mission = load(folder, text)
     assert [found.name for found in mission.task.zones] == ["zone", "wood"]
@@ -498,8 +384,6 @@ def test_threats_of_a_file_count_beside_those_of_the_mission(folder: Path) -> No
 def test_a_run_folder_needs_neither_the_threats_nor_the_place_of_the_terrain(
     folder: Path, tmp_path: Path
 ) -> None:
-    threats(folder)
-    terrain(folder / "dem.tif")
     text = 'threats = "threats.geojson"\n' + KNOWN
     mission = load(folder, text)
     copy = tmp_path / "mission.toml"
@@ -509,39 +393,10 @@ def test_a_run_folder_needs_neither_the_threats_nor_the_place_of_the_terrain(
     np.testing.assert_array_equal(again.known.upper_m, mission.known.upper_m)
 
 
-def test_a_file_of_threats_that_is_not_there_is_told_by_its_key(folder: Path) -> None:
-    message = refused(folder, 'threats = "absent.geojson"\n' + COPTER)
-    assert "mission.toml: threats = " in message
-    assert "no such file" in message
-
-
 # --- terrain known in advance
-
-KNOWN = COPTER + '[terrain]\nfile = "dem.tif"\nvertical_datum = "EGM96"\n'
-
-
-def terrain(path: Path, *, south_rows: int = 0) -> np.ndarray[Any, Any]:
-    """Heights every 3 seconds over more than the map; some of them left out in the south."""
-    rows, columns, step = 200, 240, 1 / 1200
-    data = np.random.default_rng(4).integers(300, 800, (rows, columns)).astype(np.int16)
-    data = data[: rows - south_rows]
-    with rasterio.open(
-        path,
-        "w",
-        driver="GTiff",
-        crs="EPSG:4326",
-        transform=Affine(step, 0, 8.0 - 120 * step, 0, -step, 47.0 + 100 * step),
-        dtype="int16",
-        count=1,
-        height=len(data),
-        width=columns,
-    ) as file:
-        file.write(data, 1)
-    return data
 
 
 def test_the_ground_is_nowhere_higher_than_the_known_map_says(folder: Path) -> None:
-    data = terrain(folder / "dem.tif")
     mission = load(folder, KNOWN)
     known = mission.known
     assert np.isfinite(known.upper_m).all()
@@ -552,12 +407,11 @@ def test_the_ground_is_nowhere_higher_than_the_known_map_says(folder: Path) -> N
         row, column = int(rng.integers(60, 130)), int(rng.integers(80, 200))
         place = FRAME.to_local_m(47.0 + (100 - row - 0.5) / 1200, 8.0 + (column + 0.5 - 120) / 1200)
         at = known.cell_of(*place)
-        assert known.upper_m[at] >= data[row, column] + 5.0
+        assert known.upper_m[at] >= HEIGHTS[row, column] + 5.0
     assert known.upper_m.max() <= 800.0 + 5.0
 
 
 def test_the_datum_error_is_added_to_the_terrain_and_to_nothing_else(folder: Path) -> None:
-    terrain(folder / "dem.tif")
     mission = load(folder, KNOWN)
     exact = load(folder, KNOWN + "datum_error_m = 0.0\n")
     np.testing.assert_array_equal(mission.known.upper_m, exact.known.upper_m + 5.0)
@@ -565,7 +419,6 @@ def test_the_datum_error_is_added_to_the_terrain_and_to_nothing_else(folder: Pat
 
 
 def test_a_file_for_guidance_is_no_knowledge(folder: Path) -> None:
-    terrain(folder / "dem.tif")
     proof, guidance = (load(folder, f'{KNOWN}trust = "{t}"\n').known for t in ("proof", "guidance"))
     assert guidance.guess_m is not None
     assert np.isinf(guidance.upper_m).all()
@@ -573,44 +426,16 @@ def test_a_file_for_guidance_is_no_knowledge(folder: Path) -> None:
     np.testing.assert_array_equal(guidance.guess_m, proof.upper_m)
 
 
-def test_a_file_for_guidance_needs_a_radar_and_is_a_file(folder: Path) -> None:
-    terrain(folder / "dem.tif")
-    guidance = 'trust = "guidance"\n'
-    assert "guidance proves nothing" in refused(
-        folder, vehicle("scanner = false", KNOWN + guidance)
-    )
-    stated = COPTER + "[terrain]\nhighest_amsl_m = 100.0\n" + guidance
-    assert "mission.toml: terrain.trust = 'guidance'" in refused(folder, stated)
-    assert "terrain.trust" in refused(folder, KNOWN + 'trust = "hope"\n')
-
-
 def test_without_a_radar_the_known_terrain_is_all_there_is(folder: Path) -> None:
-    terrain(folder / "dem.tif")
     mission = load(folder, vehicle("scanner = false", KNOWN))
     assert mission.scanner_component_id is None
     assert mission.known.seen.all()
-    message = refused(folder, vehicle("scanner = false"))
-    assert "vehicle.scanner = False" in message
-    assert "nothing is known of the ground" in message
-    both = vehicle("scanner = false\nscanner_component_id = 100", KNOWN)
-    assert "there is no terrain radar" in refused(folder, both)
-    promised = vehicle("scanner = false", KNOWN) + "[scanner]\ncomplete = false\n"
-    assert "there is no terrain radar" in refused(folder, promised)
 
 
-@pytest.mark.parametrize("value", ["0", '"no"', "[]"])
-def test_what_a_radar_promises_is_true_or_false(folder: Path, value: str) -> None:
-    assert load(folder, COPTER).scanner_complete
-    message = refused(folder, f"{COPTER}[scanner]\ncomplete = {value}\n")
-    assert "scanner.complete" in message
-    assert "valid boolean" in message
-    assert "\n" not in message
-
-
-def test_beyond_the_file_nothing_is_known_even_if_holes_in_it_are_sea(folder: Path) -> None:
-    terrain(folder / "dem.tif", south_rows=100)  # ends at the origin's latitude
+def test_beyond_the_file_nothing_is_known_even_if_holes_in_it_are_sea(tmp_path: Path) -> None:
+    terrain(tmp_path / "dem.tif", HEIGHTS[:100])  # ends at the origin's latitude
     for more in ("", 'nodata = "sea"\n'):
-        known = load(folder, KNOWN + more).known
+        known = load(tmp_path, KNOWN + more).known
         row, _ = known.cell_of(0.0, 0.0)
         assert np.isinf(known.upper_m[: row - 3]).all()
         assert np.isfinite(known.upper_m[row + 8 :]).all()
@@ -618,32 +443,7 @@ def test_beyond_the_file_nothing_is_known_even_if_holes_in_it_are_sea(folder: Pa
         assert not known.seen.any()
 
 
-def test_a_file_of_another_place_is_refused(folder: Path) -> None:
-    terrain(folder / "dem.tif")
-    elsewhere = KNOWN.replace("longitude_deg = 8.0", "longitude_deg = 18.0")
-    message = refused(folder, elsewhere)
-    assert "terrain.file" in message
-    assert "no height anywhere on the map" in message
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (KNOWN.replace("dem.tif", "absent.tif"), "no such file"),
-        (KNOWN.replace('vertical_datum = "EGM96"\n', ""), "vertical_datum = None: it is missing"),
-        (KNOWN.replace("EGM96", "WGS84"), "vertical_datum = 'WGS84'"),
-        (KNOWN + "datum_error_m = -1.0\n", "greater than or equal to 0"),
-        (KNOWN + "datum_m = 1.0\n", "Did you mean datum_error_m?"),
-    ],
-)
-def test_terrain_that_leaves_things_open_is_refused(folder: Path, text: str, words: str) -> None:
-    terrain(folder / "dem.tif")
-    assert words in refused(folder, text)
-
-
 # --- ground that is stated to be nowhere higher
-
-STATED = COPTER + "[terrain]\nhighest_amsl_m = 840.0\n"
 
 
 def test_ground_that_is_stated_is_known_everywhere_without_a_radar(folder: Path) -> None:
@@ -695,22 +495,113 @@ def test_every_path_of_the_band_is_clear_of_the_stated_ground_or_the_floor_is_re
     assert mission.task.take_off_amsl_m - highest_m >= safety_m + mission.task.error_m
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (STATED + 'file = "dem.tif"\n', "dem.tif': highest_amsl_m speaks of all"),
-        (STATED + 'vertical_datum = "AMSL"\n', "terrain.vertical_datum = 'AMSL'"),
-        (STATED + 'nodata = "sea"\n', "terrain.nodata = 'sea'"),
-        (STATED + "datum_error_m = 5.0\n", "terrain.datum_error_m = 5.0"),
-        (STATED.replace("840.0", "inf"), "terrain.highest_amsl_m = inf"),
-        (STATED.replace("840.0", '"low"'), "terrain.highest_amsl_m = 'low'"),
-        (COPTER + "[terrain]\n", "terrain.file = None: it is missing. Add file, or give highest"),
-        (STATED.replace("highest_amsl_m", "highest_m"), "Did you mean highest_amsl_m?"),
-        (vehicle("scanner = false"), "an elevation file or highest_amsl_m"),
-    ],
-)
-def test_a_statement_about_the_ground_stands_alone(folder: Path, text: str, words: str) -> None:
-    assert words in refused(folder, text)
+# --- what is refused
+
+
+def place(text: str) -> str:
+    return COPTER.replace("north_m = 3000.0\neast_m = 2000.0", text)
+
+
+SHAPE = "a circle or a polygon"
+NONE = [
+    ("vertices_deg = [[8.0, 147.0], [47.0, 8.0], [47.0, 8.1]]", "more than 1,000 km"),
+    ("vertices_deg = [[108.0, 47.0], [47.0, 8.0], [47.0, 8.1]]", "latitude comes first"),
+    ("vertices_deg = [[47.0, 8.0], [47.0, 8.1]]", "three or more"),
+    ("vertices_m = [[0.0, 0.0], [9.0, 9.0], [9.0, 0.0], [0.0, 9.0]]", "cross"),
+    ("north_m = 1.0\neast_m = 1.0", SHAPE),
+    ("radius_m = 1.0", SHAPE),
+    ("", SHAPE),
+    (f"north_m = 1.0\nvertices_m = {TRIANGLE}", SHAPE),
+    (f"radius_m = 3.0\nvertices_m = {TRIANGLE}", SHAPE),
+    (f"vertices_deg = {TRIANGLE}\nvertices_m = []", SHAPE),
+]
+MEANT_OTHERWISE = [
+    ([[36.0, -180.0], [36.0, 180.0], [58.0, 180.0], [58.0, -180.0]], "either way around"),
+    ([[36.0, -100.0], [36.0, 100.0], [58.0, 100.0], [58.0, -100.0]], "either way around"),
+    ([[35.0, 0.0], [36.0, 120.0], [35.0, -120.0]], "either way around"),  # about the pole
+    ([[60.0, -20.0], [60.0, 40.0], [47.0, 40.0], [47.0, 8.01]], "some of it lies"),
+]
+ARDUPLANE = vehicle('autopilot = "ardupilot"', PLANE)
+BLIND = vehicle("scanner = false", KNOWN)
+GUIDES = 'trust = "guidance"\n'
+NAME = "name = 'Über den Wald': it must be up to 64 of A-Z, a-z, 0-9, space"
+REFUSED: list[tuple[str, str]] = [
+    (COPTER.replace('name = "test"', 'name = "Über den Wald"'), NAME),
+    *(
+        (f'{COPTER}[link]\ncommanders = ["{who}"]\n', r"link\.commanders\[0\]")
+        for who in ("0/0", "256/0", "255/256", "255", "255/0/0", "a/b", "-1/0")
+    ),
+    (COPTER + THEIRS, "the targets come from the vehicle"),
+    (NO_TARGETS, "targets = None: it is missing"),
+    # what a kind of vehicle cannot do
+    (PLANE.replace("loiter_radius_m = 80.0", ""), "loiter_radius_m .*missing.*circles"),
+    (vehicle("loiter_radius_m = 80.0"), "loiter_radius_m = 80.0.*a copter stops"),
+    (vehicle("yaw_deg = 0.0", PLANE), "yaw_deg = 0.0.*where it flies"),
+    (
+        ARDUPLANE.replace('"hold"', '"land"'),
+        "end.action = 'land'.*ArduPlane cannot be told to land",
+    ),
+    (f'{ARDUPLANE}[fallback]\naction = "land"', "fallback.action = 'land'.*ArduPlane"),
+    (PLANE.replace("speed_m_s = 18.0", "speed_m_s = 30.0"), "degrees of bank"),
+    (PLANE.replace("loiter_radius_m = 80.0", "loiter_radius_m = 800.0"), "scan range"),
+    # places
+    (place("north_m = 1.0"), r"targets\[0\].east_m = None: it is missing"),
+    (place(""), r"targets\[0\].north_m = None: it is missing"),
+    (place("longitude_deg = 8.0"), r"targets\[0\].latitude_deg = None: it is missing"),
+    (place("north_m = 1.0\nlatitude_deg = 47.0"), "Remove one pair"),
+    (place("latitude_deg = 91.0\nlongitude_deg = 8.0"), "less than or equal to 90"),
+    (place("latitude_deg = -47.0\nlongitude_deg = -172.0"), "1,000 km from the origin"),
+    (place("latitude_deg = 47.1\nlongitude_deg = 8.0"), "outside the map"),
+    # zones
+    *(
+        (zone(text, kind), rf"{kind}\[0\].*{words}")
+        for text, words in NONE
+        for kind in ("keep_outs", "keep_ins")
+    ),
+    *((zone(f"vertices_deg = {corners}"), words) for corners, words in MEANT_OTHERWISE),
+    (
+        place("north_m = 5500.0\neast_m = 0.0") + f'[[keep_ins]]\nname = "zone"\n{AROUND}\n',
+        r"targets\[0\] = \[5500.0, 0.0\]: it lies outside keep-in 'zone'",
+    ),
+    ('threats = "absent.geojson"\n' + COPTER, "mission.toml: threats = .*no such file"),
+    # a radar, or none
+    (vehicle("scanner = false"), "vehicle.scanner = False: .*nothing is known of the ground"),
+    (vehicle("scanner = false"), "an elevation file or highest_amsl_m"),
+    (vehicle("scanner_component_id = 100", BLIND), "there is no terrain radar"),
+    (f"{BLIND}[scanner]\ncomplete = false\n", "there is no terrain radar"),
+    *(
+        (f"{COPTER}[scanner]\ncomplete = {value}\n", "scanner.complete.*valid boolean")
+        for value in ("0", '"no"', "[]")
+    ),
+    # terrain
+    (BLIND + GUIDES, "guidance proves nothing"),
+    (STATED + GUIDES, "mission.toml: terrain.trust = 'guidance'"),
+    (KNOWN + 'trust = "hope"\n', "terrain.trust"),
+    (
+        KNOWN.replace("longitude_deg = 8.0", "longitude_deg = 18.0"),
+        "terrain.file.*no height anywhere on the map",
+    ),
+    (KNOWN.replace("dem.tif", "absent.tif"), "no such file"),
+    (KNOWN.replace('vertical_datum = "EGM96"\n', ""), "vertical_datum = None: it is missing"),
+    (KNOWN.replace("EGM96", "WGS84"), "vertical_datum = 'WGS84'"),
+    (KNOWN + "datum_error_m = -1.0\n", "greater than or equal to 0"),
+    (KNOWN + "datum_m = 1.0\n", "Did you mean datum_error_m?"),
+    # a statement about the ground stands alone
+    (STATED + 'file = "dem.tif"\n', "dem.tif': highest_amsl_m speaks of all"),
+    (STATED + 'vertical_datum = "AMSL"\n', "terrain.vertical_datum = 'AMSL'"),
+    (STATED + 'nodata = "sea"\n', "terrain.nodata = 'sea'"),
+    (STATED + "datum_error_m = 5.0\n", "terrain.datum_error_m = 5.0"),
+    (STATED.replace("840.0", "inf"), "terrain.highest_amsl_m = inf"),
+    (STATED.replace("840.0", '"low"'), "terrain.highest_amsl_m = 'low'"),
+    (COPTER + "[terrain]\n", "terrain.file = None: it is missing. Add file, or give highest"),
+    (STATED.replace("highest_amsl_m", "highest_m"), "Did you mean highest_amsl_m?"),
+]
+
+
+@pytest.mark.parametrize(("text", "words"), REFUSED, ids=range(len(REFUSED)))
+def test_what_breaks_a_rule_is_refused_in_one_line(folder: Path, text: str, words: str) -> None:
+    message = refused(folder, text)
+    assert re.search(words, message), message
 
 
 # --- whatever is written
@@ -747,7 +638,6 @@ range_m = 900.0
 
 @given(data=st.data())
 def test_any_value_anywhere_is_taken_or_an_input_error(folder: Path, data: st.DataObject) -> None:
-    threats(folder)
     table: Any = tomllib.loads(COPTER) | tomllib.loads(EVERYTHING)
     for _ in range(data.draw(st.integers(1, 3))):
         replace_somewhere(table, data)

@@ -2,7 +2,6 @@
 
 import math
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -75,59 +74,46 @@ def test_the_ground_is_a_guess_and_nothing_of_what_stands_on_it_is_known(tmp_pat
     assert not known.surveyed.any()
 
 
-_MISSING: tuple[str, str] = (STATED, "")
-_NO_SCANNER = ('kind = "copter"', 'kind = "copter"\nscanner = false')
+KIND = 'kind = "copter"'
+LESS = 'kind = "obstacle_distance"\nspeaks_for_m ='
+REFUSED: list[tuple[str, str, str, tuple[tuple[str, str], ...]]] = [
+    ('kind = "radar"', "scanner.kind", "terrain_radar", ()),
+    ("component = 196", "scanner.component = 196", "it is of the other kinds", ()),
+    ("blind_m = 0.3", "scanner.blind_m = 0.3", "it is of the other kinds", ()),
+    (f"{OBSTACLE}complete = true", "scanner.complete = True", "it is a radar's", ()),
+    (
+        *(OBSTACLE, "vehicle.scanner_component_id = 100", "Write scanner.component."),
+        ((KIND, f"{KIND}\nscanner_component_id = 100"),),
+    ),
+    (OBSTACLE, "scanner.kind = 'obstacle_distance'", "can stop", ((KIND, PLANE),)),
+    (f"{LESS} 3.9", "scanner.speaks_for_m = 3.9", "band is 4 m high", ()),
+    ('kind = "obstacle_distance"', "scanner.speaks_for_m", "band is 4 m high", ()),
+    (OBSTACLE, "terrain", "does not see the ground", ((STATED, ""),)),
+    (SECTORS, "scanner = ", "Remove one of them.", ((KIND, f"{KIND}\nscanner = false"),)),
+    (f"{OBSTACLE}component = 0", "scanner.component = 0", "greater than or equal to 1", ()),
+    (f"{OBSTACLE}component = 195", "scanner.component = 195", "the companion itself", ()),
+    (f"{OBSTACLE}component = 251", "scanner.component = 251", "less than or equal", ()),
+    (f"{OBSTACLE}yaw_deg = 361.0", "scanner.yaw_deg = 361.0", "less than or equal", ()),
+    (f"{OBSTACLE}bearing_error_deg = 46.0", "bearing_error_deg = 46.0", "less than", ()),
+    (f"{OBSTACLE}latency_s = -0.1", "scanner.latency_s = -0.1", "greater than", ()),
+    (f"{OBSTACLE}range_error_m = nan", "scanner.range_error_m = nan", "finite", ()),
+    (f"{OBSTACLE}blind_m = '1'", "scanner.blind_m = '1'", "number", ()),
+    (f"{OBSTACLE}reach_m = 3.0", "scanner.reach_m = 3.0", "", ()),
+    (f"{LESS} 0.0", "speaks_for_m = 0.0", "greater", ()),
+    (
+        *(OBSTACLE, "terrain.trust = 'guidance'", "a sensor of near things does"),
+        ((STATED, '[terrain]\nfile = "x"\nvertical_datum = "EGM96"\ntrust = "guidance"'),),
+    ),
+]
 
 
-@pytest.mark.parametrize(
-    ("scanner", "change", "field", "words"),
-    [
-        ('kind = "radar"', None, "scanner.kind", "terrain_radar"),
-        ("component = 196", None, "scanner.component = 196", "it is of the other kinds"),
-        ("blind_m = 0.3", None, "scanner.blind_m = 0.3", "it is of the other kinds"),
-        (f"{OBSTACLE}complete = true", None, "scanner.complete = True", "it is a radar's"),
-        (
-            OBSTACLE,
-            ('kind = "copter"', 'kind = "copter"\nscanner_component_id = 100'),
-            "vehicle.scanner_component_id = 100",
-            "Write scanner.component.",
-        ),
-        (OBSTACLE, ('kind = "copter"', PLANE), "scanner.kind = 'obstacle_distance'", "can stop"),
-        (
-            'kind = "obstacle_distance"\nspeaks_for_m = 3.9',
-            None,
-            "scanner.speaks_for_m = 3.9",
-            "band is 4 m high",
-        ),
-        ('kind = "obstacle_distance"', None, "scanner.speaks_for_m", "band is 4 m high"),
-        (OBSTACLE, _MISSING, "terrain", "does not see the ground"),
-        (SECTORS, _NO_SCANNER, "scanner = ", "Remove one of them."),
-        (f"{OBSTACLE}component = 0", None, "scanner.component = 0", "greater than or equal to 1"),
-        (f"{OBSTACLE}component = 195", None, "scanner.component = 195", "the companion itself"),
-        (f"{OBSTACLE}component = 251", None, "scanner.component = 251", "less than or equal"),
-        (f"{OBSTACLE}yaw_deg = 361.0", None, "scanner.yaw_deg = 361.0", "less than or equal"),
-        (f"{OBSTACLE}bearing_error_deg = 46.0", None, "bearing_error_deg = 46.0", "less than"),
-        (f"{OBSTACLE}latency_s = -0.1", None, "scanner.latency_s = -0.1", "greater than"),
-        (f"{OBSTACLE}range_error_m = nan", None, "scanner.range_error_m = nan", "finite"),
-        (f"{OBSTACLE}blind_m = '1'", None, "scanner.blind_m = '1'", "number"),
-        (f"{OBSTACLE}reach_m = 3.0", None, "scanner.reach_m = 3.0", ""),
-        ("kind = 'obstacle_distance'\nspeaks_for_m = 0.0", None, "speaks_for_m = 0.0", "greater"),
-    ],
-)
+@pytest.mark.parametrize(("scanner", "field", "words", "changes"), REFUSED)
 def test_what_breaks_a_rule_is_refused_in_one_line(
-    tmp_path: Path, scanner: str, change: Any, field: str, words: str
+    tmp_path: Path, scanner: str, field: str, words: str, changes: tuple[tuple[str, str], ...]
 ) -> None:
     with pytest.raises(InputError) as caught:
-        load(tmp_path, scanner, *([] if change is None else [change]))
+        load(tmp_path, scanner, *changes)
     message = str(caught.value)
     assert len(message.splitlines()) == 1
     assert field in message
     assert words in message
-
-
-def test_terrain_for_guidance_is_not_enough(tmp_path: Path) -> None:
-    file = 'file = "dem.tif"\nvertical_datum = "EGM96"\ntrust = "guidance"'
-    with pytest.raises(
-        InputError, match=r"terrain\.trust = 'guidance': a sensor of near things does"
-    ):
-        load(tmp_path, OBSTACLE, (STATED, f"[terrain]\n{file}"))

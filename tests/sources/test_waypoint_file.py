@@ -87,19 +87,15 @@ def test_a_list_is_the_plan_that_qgroundcontrol_would_save_of_the_same_mission(
     assert [t["name"] for t in found.targets] == ["item 2", "item 3"]
 
 
-def test_it_is_flown_under_any_name(path: Path) -> None:
+def test_it_is_flown_under_any_name_and_may_be_named_in_a_mission_file(path: Path) -> None:
     saved(path, HOME, waypoint(0.01), (0, RETURN, (0, 0, 0, 0), 0, 0, 0))
     mission = load_mission(str(path))
     assert mission.end_action is EndAction.RETURN
     assert mission.targets_ne_m[0][0] == pytest.approx(1111.9, abs=1.0)
     assert "# As read from survey.txt." in mission_text(str(path))
-
-
-def test_it_may_be_named_in_a_mission_file(path: Path) -> None:
-    saved(path, HOME, waypoint(0.01))
-    mission = path.with_name("mission.toml")
-    mission.write_text('plan = "survey.txt"\n[altitude]\nfloor_amsl_m=450\nceiling_amsl_m=700\n')
-    assert load_mission(str(mission)).task.limits.floor_amsl_m == 450.0
+    toml = path.with_name("mission.toml")
+    toml.write_text('plan = "survey.txt"\n[altitude]\nfloor_amsl_m=450\nceiling_amsl_m=700\n')
+    assert load_mission(str(toml)).task.limits.floor_amsl_m == 450.0
 
 
 def test_blank_lines_comments_and_the_line_ends_of_windows_do_not_matter(path: Path) -> None:
@@ -108,22 +104,13 @@ def test_blank_lines_comments_and_the_line_ends_of_windows_do_not_matter(path: P
     assert of_text(path, dressed).targets == of_text(path, text).targets
 
 
-def test_a_launch_that_is_not_known_is_asked_for(path: Path) -> None:
-    nowhere = (0, 16, (0, 0, 0, 0), 0.0, 0.0, 0.0)
-    told = refused(path, saved(path, nowhere, waypoint(0.01)).read_text())
-    assert "launch" in told
-    assert "Set home" in told
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
+        ("QGC WPL 110\n0 1 0 16 0 0 0 0 0 0 0 1\n", "Set home before you save it"),
         ("QGC WPL 120\n", "only QGC WPL 110 is known"),
         ("QGC WPL PB 110\n", "only QGC WPL 110 is known"),
-        (
-            "QGC WPL 110\n0 1 0\n",
-            "survey.txt: line 2 = '0 1 0': invalid waypoint line with 3 values",
-        ),
+        ("QGC WPL 110\n0 1 0\n", "line 2 = '0 1 0': invalid waypoint line with 3 values"),
         ("QGC WPL 110\n\n0 1 0 16 0 0 0 0 x 8 9 1\n", "line 3 = '0 1 0 16 0 0 0 0 x 8 9 1'"),
         ("QGC WPL 110\n0 1 0 16 0 0 0 0 inf 8 9 1\n", "finite numbers"),
         ("QGC WPL 110\n0 1 0 16 0 inf 0 0 47 8 9 1\n", "finite numbers"),
@@ -181,19 +168,15 @@ def test_line_0_is_launch_whatever_its_command(path: Path, command: int) -> None
     assert not read_waypoint_fence(saved(path, home), "threats").targets
 
 
-def test_a_launch_whose_altitude_is_not_said_to_be_amsl_is_pointed_out(path: Path) -> None:
+def test_a_launch_not_said_to_be_amsl_and_a_stop_at_a_line_are_pointed_out(path: Path) -> None:
     home = (3, 22, (0.0, 0.0, 0.0, 0.0), 47.4, 8.55, 40.0)
     [said] = read_waypoint_list(saved(path, home, waypoint(0.01)), "MISSION").notes
     assert "launch" in said
     assert "above mean sea level" in said
-
-
-def test_a_line_that_does_not_go_on_by_itself_is_counted(path: Path) -> None:
     text = saved(path, HOME, waypoint(0.01), waypoint(0.02)).read_text().rstrip()
     assert text.endswith("1")
-    assert of_text(path, f"{text[:-1]}0").notes == [
-        "left out: 1 x stop at a waypoint (autocontinue 0)"
-    ]
+    stop = "left out: 1 x stop at a waypoint (autocontinue 0)"
+    assert of_text(path, f"{text[:-1]}0").notes == [stop]
 
 
 # --- fences
@@ -235,18 +218,11 @@ def test_pymavlink_reads_the_lines_as_we_do(path: Path) -> None:
     assert ours == [(w.lat, w.lon) for w in theirs]
 
 
-def test_a_mission_keeps_out_of_what_its_fence_list_says(tmp_path: Path) -> None:
-    mission = load_mission("valley")
-    origin = mission.frame
-    lat, lon = origin.latitude_deg, origin.longitude_deg
-    rows = [
-        f"{n}\t0\t0\t5002\t3\t0\t0\t0\t{lat + n * 0.001:.6f}\t{lon + (n % 2) * 0.002:.6f}\t0\t1"
-        for n in range(3)
-    ]
-    (tmp_path / "zones.waypoints").write_text("QGC WPL 110\n" + "\n".join(rows) + "\n")
-    text = mission_text("valley")
-    head, _, rest = text.partition("\n")
-    flown = tmp_path / "mission.toml"
-    flown.write_text(f'{head}\nthreats = "zones.waypoints"\n{rest}', encoding="utf-8")
-    zones = load_mission(str(flown)).task.zones
-    assert len(zones) == len(mission.task.zones) + 1
+def test_a_mission_keeps_out_of_what_its_fence_list_says(path: Path) -> None:
+    mission, text = load_mission("valley"), mission_text("valley")
+    lat, lon = mission.frame.latitude_deg, mission.frame.longitude_deg
+    places = [(lat + 0.001 * n, lon + 0.002 * (n % 2)) for n in range(3)]
+    saved(path, *((0, 5002, (3, 0, 0, 0), *place, 0.0) for place in places))
+    flown = path.with_name("mission.toml")
+    flown.write_text(f'threats = "{path.name}"\n{text}', encoding="utf-8")
+    assert len(load_mission(str(flown)).task.zones) == len(mission.task.zones) + 1

@@ -26,19 +26,9 @@ def in_flight() -> checkpoint.Values:
     """What is kept of a flight that is paused on its way to the second target."""
     state = State.of(MISSION, BLANK)
     flight = replace(state.flight, target=1, plan_id=7, legs_flown=3)
-    return {
-        "system_id": 3,
-        **checkpoint.values_of(
-            replace(
-                state,
-                phase=Phase.HOLDING,
-                now_s=321.5,
-                orders=Orders(Reason.PAUSED),
-                airborne=True,
-                flight=flight,
-            )
-        ),
-    }
+    paused = {"phase": Phase.HOLDING, "orders": Orders(Reason.PAUSED)}
+    state = replace(state, now_s=321.5, airborne=True, flight=flight, **paused)
+    return {"system_id": 3, **checkpoint.values_of(state)}
 
 
 @pytest.fixture
@@ -47,14 +37,10 @@ def folder(tmp_path: Path) -> Path:
     path = tmp_path / "run"
     with RunFolder(path, mission_toml="", epoch_us=EPOCH_US) as made:
         made.header({"seed": 1})
-        made.entries(
-            [
-                {"t_s": 2.0, "kind": "vehicle found", "system_id": 3},
-                {"t_s": 9.0, "kind": "arm"},
-                {"t_s": 12.0, "kind": "phase", "phase": "flying", "was": "arming"},
-                {"t_s": 320.0, "kind": "plan asked", "plan_id": 7},
-            ]
-        )
+        made.entries([{"t_s": 2.0, "kind": "vehicle found", "system_id": 3}])
+        made.entries([{"t_s": 9.0, "kind": "arm"}])
+        made.entries([{"t_s": 12.0, "kind": "phase", "phase": "flying", "was": "arming"}])
+        made.entries([{"t_s": 320.0, "kind": "plan asked", "plan_id": 7}])
         made.known_map(replace(BLANK, upper_m=np.full_like(BLANK.upper_m, 512.0)))
         made.checkpoint(in_flight())
     return path
@@ -185,20 +171,16 @@ def test_without_a_map_that_can_be_read_the_rest_is_gone_on_with(folder: Path, d
     assert state.news == line
 
 
-def other_map(**changes: Any) -> KnownMap:
-    return replace(BLANK, **changes)
-
-
 @pytest.mark.parametrize(
     "known",
     [
-        other_map(cell_m=BLANK.cell_m * 2.0),
-        other_map(north_min_m=BLANK.north_min_m + 1.0),
-        other_map(upper_m=BLANK.upper_m[:-1], seen=BLANK.seen[:-1]),
-        other_map(seen=BLANK.seen[:-1]),
-        other_map(upper_m=np.full_like(BLANK.upper_m, np.nan)),
-        other_map(upper_m=BLANK.upper_m.astype(np.int64, casting="unsafe")),
-        other_map(registration_m=float("nan")),
+        replace(BLANK, cell_m=BLANK.cell_m * 2.0),
+        replace(BLANK, north_min_m=BLANK.north_min_m + 1.0),
+        replace(BLANK, upper_m=BLANK.upper_m[:-1], seen=BLANK.seen[:-1]),
+        replace(BLANK, seen=BLANK.seen[:-1]),
+        replace(BLANK, upper_m=np.full_like(BLANK.upper_m, np.nan)),
+        replace(BLANK, upper_m=BLANK.upper_m.astype(np.int64, casting="unsafe")),
+        replace(BLANK, registration_m=float("nan")),
     ],
     ids=["cells", "origin", "size", "seen", "not a number", "whole numbers", "registration"],
 )
@@ -247,13 +229,9 @@ def test_a_companion_that_never_got_off_the_ground_has_nothing_to_go_on_with(
     """A loop starts it until its vehicle is there, and then it must take off."""
     with RunFolder(tmp_path, mission_toml="", epoch_us=0) as folder:
         folder.header({})
-        folder.entries(
-            [
-                {"t_s": 1.0, "kind": "vehicle found", "system_id": 1},
-                {"t_s": 1.0, "kind": "phase", "phase": "preparing", "was": "waiting"},
-                {"t_s": 9.0, "kind": "say", "text": 'it says "kind":"arm"'},
-            ]
-        )
+        folder.entries([{"t_s": 1.0, "kind": "vehicle found", "system_id": 1}])
+        folder.entries([{"t_s": 1.0, "kind": "phase", "phase": "preparing", "was": "waiting"}])
+        folder.entries([{"t_s": 9.0, "kind": "say", "text": 'it says "kind":"arm"'}])
     assert load_resume_data(tmp_path, MISSION) == ResumeData()
 
 

@@ -1,6 +1,7 @@
 import json
 import math
 import random
+import shutil
 import struct
 import subprocess
 import sys
@@ -63,6 +64,13 @@ def close(folder: RunFolder) -> None:
         pass
 
 
+def journal(path: Path) -> list[Any]:
+    """What each line of a journal says, all of them whole."""
+    text = (path / "journal.jsonl").read_text(encoding="utf-8")
+    assert text[-1:] in ("", "\n")
+    return [strict(line) for line in text.splitlines()]
+
+
 def recorded(path: Path) -> list[tuple[float, bytes]]:
     """Vehicle times and frames of a log, as pymavlink reads them."""
     log = mavutil.mavlink_connection(str(path / "flight.tlog"), dialect="all")
@@ -85,53 +93,38 @@ def read_checkpoint(path: Path) -> Resume | None:
         return values, None
 
 
-def test_pymavlink_reads_every_frame_of_the_log_at_its_time(folder: RunFolder) -> None:
-    stamped = frames()
-    folder.frames(stamped[:7])
-    folder.frames([])
-    folder.frames(stamped[7:])
-    read = recorded(folder.path)
-    close(folder)
+def assert_recorded(path: Path, stamped: list[tuple[float, bytes]]) -> None:
+    read = recorded(path)
     assert [frame for _, frame in read] == [frame for _, frame in stamped]
-    for (time_s, _), (expected_s, _) in zip(read, stamped, strict=True):
-        assert time_s == pytest.approx(expected_s, abs=1e-5)
+    times_s = [time_s for time_s, _ in stamped]
+    assert [time_s for time_s, _ in read] == pytest.approx(times_s, abs=1e-5)
 
 
-def test_the_journal_is_a_header_and_a_line_for_each_entry(folder: RunFolder) -> None:
-    folder.header({"seed": 1, "mission": "environment-1"})
-    folder.entries([{"t_s": 0.1, "kind": "say", "text": 'a "quoted"\nline, é'}])
-    folder.entries([])
-    folder.entries([{"t_s": 0.2, "kind": "leg", "number": 1}, {"t_s": 0.3, "kind": "arm"}])
-    close(folder)
-    lines = (folder.path / "journal.jsonl").read_text(encoding="utf-8").splitlines()
-    head, *entries = map(strict, lines)
-    assert (head["schema"], head["version"], head["seed"]) == ("companion-journal", VERSION, 1)
-    assert [entry["t_s"] for entry in entries] == [0.1, 0.2, 0.3]
-    assert entries[0]["text"] == 'a "quoted"\nline, é'
+def test_pymavlink_reads_every_frame_of_the_log_at_its_time(folder: RunFolder) -> None:
+    """Though it is not closed: nothing is lost without that."""
+    stamped = frames()
+    for until, part in ((7, stamped[:7]), (7, []), (200, stamped[7:200]), (400, stamped[200:])):
+        folder.frames(part)
+        size = sum(8 + len(frame) for _, frame in stamped[:until])
+        assert (folder.path / "flight.tlog").stat().st_size == size
+    assert_recorded(folder.path, stamped)
 
 
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan], ids=str)
-def test_a_number_that_is_not_finite_is_written_as_json_all_the_same(
+def test_the_journal_is_a_header_and_a_line_of_json_for_each_entry(
     folder: RunFolder, value: float
 ) -> None:
-    """A certificate has an infinite distance to keep-outs where there are none."""
-    folder.entries([{"t_s": 0.1, "kind": "plan ready", "certificate": {"keep_out_m": value}}])
-    close(folder)
-    [line] = (folder.path / "journal.jsonl").read_text(encoding="utf-8").splitlines()
-    assert strict(line)["kind"] == "plan ready"
-
-
-def test_nothing_is_lost_without_a_close(folder: RunFolder) -> None:
-    folder.header({})
-    for number, stamped in enumerate(frames(), start=1):
-        folder.frames([stamped])
-        folder.entries([{"t_s": stamped[0], "kind": "x"}])
-        if number % 50 == 0:
-            size = (folder.path / "flight.tlog").stat().st_size
-            assert size == sum(8 + len(frame) for _, frame in frames()[:number])
-            text = (folder.path / "journal.jsonl").read_text(encoding="utf-8")
-            assert text.count("\n") == 1 + number
-    close(folder)
+    """Each at once.  A certificate is infinitely far from keep-outs where there are none."""
+    folder.header({"seed": 1, "mission": "environment-1"})
+    folder.entries([{"t_s": 0.1, "kind": "say", "text": 'a "quoted"\nline, é'}])
+    folder.entries([])
+    assert len(journal(folder.path)) == 2
+    proven = {"t_s": 0.2, "kind": "plan ready", "certificate": {"keep_out_m": value}}
+    folder.entries([proven, {"t_s": 0.3, "kind": "arm"}])
+    head, *entries = journal(folder.path)
+    assert (head["schema"], head["version"], head["seed"]) == ("companion-journal", VERSION, 1)
+    assert [entry["t_s"] for entry in entries] == [0.1, 0.2, 0.3]
+    assert entries[0]["text"] == 'a "quoted"\nline, é'
 
 
 def test_the_mission_is_kept_as_it_was_given_and_run_json_apart(folder: RunFolder) -> None:
@@ -141,27 +134,24 @@ def test_the_mission_is_kept_as_it_was_given_and_run_json_apart(folder: RunFolde
     assert strict((folder.path / "run.json").read_text(encoding="utf-8")) == {"plans_s": [0.5]}
 
 
-@pytest.mark.parametrize("file", ["journal.jsonl", "flight.tlog"])
-def test_a_folder_that_holds_a_flight_is_refused_and_left_as_it_is(
-    tmp_path: Path, file: str
+def test_a_folder_with_other_files_is_taken_and_one_that_holds_a_flight_refused(
+    tmp_path: Path,
 ) -> None:
-    (tmp_path / file).write_bytes(b"a flight")
-    with pytest.raises(InputError, match=r"--out = .*holds a flight already.*new folder"):
-        close(RunFolder(tmp_path, mission_toml="", epoch_us=0))
-    assert (tmp_path / file).read_bytes() == b"a flight"
-    assert not (tmp_path / "mission.toml").exists()
-
-
-def test_a_folder_with_other_files_is_taken(tmp_path: Path) -> None:
     (tmp_path / "truth.jsonl").write_text("the simulator's\n", encoding="utf-8")
     close(RunFolder(tmp_path, mission_toml="", epoch_us=0))
     assert (tmp_path / "truth.jsonl").read_text(encoding="utf-8") == "the simulator's\n"
-
-
-def test_a_place_that_cannot_be_a_folder_is_an_input_error(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("", encoding="utf-8")
+    for name in ("journal.jsonl", "flight.tlog"):
+        file = tmp_path / "run" / name
+        file.parent.mkdir()
+        file.write_bytes(b"a flight")
+        with pytest.raises(InputError, match=r"--out = .*holds a flight already.*new folder"):
+            RunFolder(file.parent, mission_toml="", epoch_us=0)
+        assert [each.name for each in file.parent.iterdir()] == [name]
+        assert file.read_bytes() == b"a flight"
+        shutil.rmtree(file.parent)
+    (tmp_path / "run").write_text("", encoding="utf-8")
     with pytest.raises(InputError, match=r"--out = .*cannot be written to.*Give a folder"):
-        RunFolder(tmp_path / "file", mission_toml="", epoch_us=0)
+        RunFolder(tmp_path / "run", mission_toml="", epoch_us=0)
 
 
 # --- a restart in flight
@@ -217,29 +207,29 @@ def test_a_restart_goes_on_after_the_last_whole_record_and_line(folder: RunFolde
         assert (folder.path / "journal.jsonl").read_bytes() == whole_journal
 
 
-@pytest.mark.parametrize("with_checkpoint", [False, True])
+@pytest.mark.parametrize("kept", ["nothing", "a checkpoint", "a torn one"])
 def test_what_a_restart_records_follows_what_was_there_at_the_same_epoch(
-    folder: RunFolder, with_checkpoint: bool
+    folder: RunFolder, kept: str
 ) -> None:
+    """Without a checkpoint the log goes on at the epoch that it began with."""
     stamped = frames()
     folder.header({"seed": 1})
     folder.frames(stamped[:100])
-    if with_checkpoint:
+    if kept != "nothing":
         folder.checkpoint({})
     folder.frames(stamped[100:200])
     close(folder)
+    if kept == "a torn one":
+        (folder.path / "resume.json").write_bytes(b'{"schema":')
     with (folder.path / "flight.tlog").open("ab") as file:
         file.write(b"\0\0\0\0\0\0\0\1\xfd\x1c\0")
-    resumed = again(folder, epoch_us=EPOCH_US + (0 if not with_checkpoint else 77))
+    resumed = again(folder, epoch_us=EPOCH_US + 600_000_000)
     resumed.header({"seed": 1})
     resumed.frames(stamped[200:])
     resumed.entries([{"t_s": 12.0, "kind": "x"}])
     close(resumed)
-    assert [frame for _, frame in recorded(folder.path)] == [frame for _, frame in stamped]
-    for (time_s, _), (expected_s, _) in zip(recorded(folder.path), stamped, strict=True):
-        assert time_s == pytest.approx(expected_s, abs=1e-5)
-    lines = (folder.path / "journal.jsonl").read_text(encoding="utf-8").splitlines()
-    heads = [strict(line) for line in lines if "schema" in line]
+    assert_recorded(folder.path, stamped)
+    heads = [line for line in journal(folder.path) if "schema" in line]
     assert [head.get("resumed") for head in heads] == [None, 1]
     assert (folder.path / "mission.toml").read_text(encoding="utf-8") == 'name = "é"\n'
 
@@ -252,8 +242,7 @@ def test_every_restart_is_counted(folder: RunFolder) -> None:
         resumed.header({})
         resumed.checkpoint({})
         close(resumed)
-        last = (folder.path / "journal.jsonl").read_text(encoding="utf-8").splitlines()[-1]
-        assert strict(last)["resumed"] == number
+        assert journal(folder.path)[-1]["resumed"] == number
 
 
 def test_a_folder_that_another_companion_writes_to_is_refused_and_left_as_it_is(
@@ -274,8 +263,8 @@ def test_to_resume_what_has_not_begun_is_to_begin_it(tmp_path: Path) -> None:
     with RunFolder(tmp_path / "new", mission_toml="m", epoch_us=5, resume=True) as folder:
         folder.header({})
         assert folder.epoch_us == 5
-    [line] = (tmp_path / "new" / "journal.jsonl").read_text(encoding="utf-8").splitlines()
-    assert "resumed" not in strict(line)
+    [head] = journal(tmp_path / "new")
+    assert "resumed" not in head
 
 
 def test_records_of_all_kinds_of_frames_are_told_apart(tmp_path: Path) -> None:
@@ -328,14 +317,8 @@ def test_frames_are_read_again_to_the_last_whole_one_whatever_comes_after_it(
     record = struct.pack(">Q", EPOCH_US) + frame
     many = 2 * 2**20 // len(record) + 1  # in more than one portion
     path = tmp_path / "log"
-    for torn in (
-        b"",
-        record[:9],
-        record[:-1],
-        b"\0" * 3 * 2**20,
-        b"garbage" * 2**19,
-        frame * 2**18,
-    ):
+    zeros, garbage = b"\0" * 3 * 2**20, b"garbage" * 2**19
+    for torn in (b"", record[:9], record[:-1], zeros, garbage, frame * 2**18):
         path.write_bytes(record * many + torn)
         assert recorded_frames(path) == [(EPOCH_US, frame)] * many
         assert whole_records(path) == len(record) * many
@@ -378,9 +361,7 @@ def test_a_kill_at_any_moment_leaves_a_whole_checkpoint_map_and_record(tmp_path:
     with RunFolder(tmp_path, mission_toml="", epoch_us=0, resume=True):
         pass
     assert (tmp_path / "flight.tlog").stat().st_size % (8 + 21) == 0
-    text = (tmp_path / "journal.jsonl").read_text(encoding="utf-8")
-    assert text.endswith("\n")
-    assert all(strict(line) for line in text.splitlines())
+    assert all(journal(tmp_path))
 
 
 def test_inputs_that_grow_while_they_are_read_are_no_torn_ones(folder: RunFolder) -> None:
@@ -435,17 +416,10 @@ def test_a_full_disk_leaves_whole_records_and_the_checkpoint_before(full: Path, 
     size = (path / "flight.tlog").stat().st_size
     assert size % (8 + 21) == 0
     assert most - size < 8 + 21
-    text = (path / "journal.jsonl").read_text(encoding="utf-8")
-    assert all(strict(line) for line in text.splitlines())
-    found = read_checkpoint(path)
-    assert found[0] == {"number": 0}
-    assert sorted(each.name for each in path.iterdir()) == [
-        "flight.tlog",
-        "inputs.msgpack",
-        "journal.jsonl",
-        "mission.toml",
-        "resume.json",
-    ]
+    assert all(journal(path))
+    assert read_checkpoint(path)[0] == {"number": 0}
+    names = ["flight.tlog", "inputs.msgpack", "journal.jsonl", "mission.toml", "resume.json"]
+    assert sorted(each.name for each in path.iterdir()) == names
 
 
 # --- what cannot be read
@@ -461,33 +435,12 @@ def test_what_cannot_be_read_is_kept_beside_what_is_written_anew(folder: RunFold
         (folder.path / "resume.json").write_bytes(torn)
         (folder.path / "known.npz").write_bytes(torn)
         aside = ("resume.json", "known.npz")
-        close(
-            RunFolder(folder.path, mission_toml="", epoch_us=1, resume=True, set_aside=aside),
-        )
+        how: Any = {"resume": True, "set_aside": aside}
+        close(RunFolder(folder.path, mission_toml="", epoch_us=1, **how))
         assert (folder.path / f"resume.lost-{number}.json").read_bytes() == torn
         assert (folder.path / f"known.lost-{number}.npz").read_bytes() == torn
     assert len(lost(folder)) == 4
     assert read_checkpoint(folder.path) is None
-
-
-def test_without_a_checkpoint_the_log_goes_on_at_the_epoch_that_it_began_with(
-    folder: RunFolder,
-) -> None:
-    stamped = frames()
-    folder.header({})
-    folder.frames(stamped[:100])
-    folder.checkpoint({})
-    close(folder)
-    (folder.path / "resume.json").write_bytes(b'{"schema":')
-    resumed = again(folder, epoch_us=EPOCH_US + 600_000_000)
-    resumed.header({})
-    resumed.frames(stamped[100:])
-    close(resumed)
-    assert [time_s for time_s, _ in recorded(folder.path)] == pytest.approx(
-        [time_s for time_s, _ in stamped], abs=1e-5
-    )
-    lines = (folder.path / "journal.jsonl").read_text(encoding="utf-8").splitlines()
-    assert [strict(line).get("resumed") for line in lines] == [None, 1]
 
 
 def test_a_log_with_a_wrong_byte_in_its_middle_is_kept_to_its_end(folder: RunFolder) -> None:
@@ -523,5 +476,4 @@ def test_a_flight_in_the_air_goes_on_though_it_can_not_be_recorded_any_more(
         resumed.entries([{"t_s": 1.0, "kind": "x"}])
         resumed.checkpoint({"number": 2})
         resumed.run_json({})
-    found = read_checkpoint(folder.path)
-    assert found[0] == {"number": 2}
+    assert read_checkpoint(folder.path)[0] == {"number": 2}

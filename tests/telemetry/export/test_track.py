@@ -1,5 +1,7 @@
 """The flown track out of frames, and what follows from vehicle times that begin again."""
 
+import csv
+import math
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,7 @@ from companion.mission.journal import Header
 from companion.path.subpath import Subpath
 from companion.telemetry.export import shapes
 from companion.telemetry.export.kml import write_kml
+from companion.telemetry.export.table import write_csv
 from companion.telemetry.flight import Flight
 
 EPOCH_US = 1_790_000_000_000_000
@@ -42,31 +45,42 @@ def at(*times_s: float) -> Flight:
     return flight(*(position(time_s) for time_s in times_s))
 
 
-@pytest.mark.parametrize("v1", [False, True])
-def test_units_signs_and_datums(v1: bool) -> None:
-    found = flight(position(12.3, v1=v1)).track
-    values = {
-        "t_s": 12.3,
-        "time_us": EPOCH_US,
-        "latitude_deg": 47.0,
-        "longitude_deg": 8.0,
-        "altitude_amsl_m": 500.0,
-        "above_home_m": 10.0,
-        "north_m_s": 1.0,
-        "east_m_s": -2.0,
-        "up_m_s": -3.0,
-        "heading_deg": 90.0,
-    }
-    assert {name: getattr(found, name)[0] for name in values} == pytest.approx(values)
+FIRST = {
+    "t_s": 12.3,
+    "time_us": EPOCH_US,
+    "latitude_deg": 47.0,
+    "longitude_deg": 8.0,
+    "altitude_amsl_m": 500.0,
+    "above_home_m": 10.0,
+    "north_m_s": 1.0,
+    "east_m_s": -2.0,
+    "up_m_s": -3.0,
+    "heading_deg": 90.0,
+}
+ZERO = {"north_m_s": "vx", "east_m_s": "vy", "up_m_s": "vz", "heading_deg": "hdg"}
+ZERO |= {"above_home_m": "relative_alt"}  # zeros that MAVLink 2 leaves out
 
 
-def test_zeros_that_the_protocol_leaves_out_are_there() -> None:
-    found = flight(position(1.0, vx=0, vy=0, vz=0, hdg=0, relative_alt=0)).track
-    assert (found.up_m_s[0], found.heading_deg[0], found.above_home_m[0]) == (0.0, 0.0, 0.0)
+@pytest.mark.parametrize(
+    ("told", "expected"),
+    [
+        ({}, {}),
+        ({"v1": True}, {}),
+        (dict.fromkeys(ZERO.values(), 0), dict.fromkeys(ZERO, 0.0)),
+        ({"hdg": 65535}, {"heading_deg": math.nan}),
+    ],
+)
+def test_units_signs_datums_and_what_is_not_told(told: Any, expected: dict[str, float]) -> None:
+    found = flight(position(12.3, **told)).track
+    values = {name: getattr(found, name)[0] for name in FIRST}
+    assert values == pytest.approx(FIRST | expected, nan_ok=True)
 
 
-def test_a_heading_that_is_not_known_is_no_number() -> None:
-    assert np.isnan(flight(position(1.0, hdg=65535)).track.heading_deg[0])
+def test_a_table_has_velocities_upwards_and_no_heading_that_is_not_known(tmp_path: Path) -> None:
+    write_csv(built(flight(position(12.3, hdg=65535)), phase(0.0, "flying")), tmp_path / "a.csv")
+    [row] = csv.DictReader((tmp_path / "a.csv").read_text(encoding="utf-8").splitlines())
+    velocity = [row[f"{axis}_m_s"] for axis in ("north", "east", "up")]
+    assert (velocity, row["heading_deg"]) == (["1.00", "-2.00", "-3.00"], "")
 
 
 def test_only_the_autopilot_of_the_vehicle_counts() -> None:
@@ -90,12 +104,6 @@ def test_a_clock_that_begins_again_is_a_reboot_and_a_single_fall_is_a_mistake() 
     assert found.track.boot.tolist()[:6] == [0, 0, 0, 0, 1, 1]
     assert found.left_out == 1
     assert at(5.0, 4.5, 5.1).track.boot.tolist() == [0, 0, 0]  # in no order: no reboot
-
-
-def test_a_log_without_positions_is_an_empty_track() -> None:
-    found = flight()
-    assert (len(found.track), found.left_out) == (0, 0)
-    assert shapes.of_track(found.track).shape == (0, 3)
 
 
 # --- entries and positions meet by the vehicle's clock
@@ -151,8 +159,9 @@ def test_what_the_companion_did_before_it_knew_the_clock_counts_from_the_first_p
 
 def test_without_positions_nothing_has_a_place() -> None:
     found = built(flight(), phase(1.0, "holding", "x"))
+    assert (len(found.track), found.left_out, found.segments()) == (0, 0, [])
+    assert shapes.of_track(found.track).shape == (0, 3)
     assert found.index_at(0, 1.0) is None
-    assert found.segments() == []
 
 
 def test_the_newest_targets_count_and_the_fence_is_there_once() -> None:
@@ -190,11 +199,8 @@ def test_corners_are_all_that_a_broken_line_needs() -> None:
     places = np.array([[0.0, 0.0, 0.0], [100.0, 0.0, 50.0], [100.0, 300.0, 0.0]])
     line = np.concatenate([np.linspace(a, b, 50) for a, b in pairwise(places)])
     np.testing.assert_array_equal(line[shapes.corners(line, 0.01)], places)
-
-
-def test_corners_of_a_point_that_does_not_move() -> None:
-    assert shapes.corners(np.zeros((5, 3)), 1.0).tolist() == [0, 4]
-    assert shapes.corners(np.zeros((1, 3)), 1.0).tolist() == [0]
+    for stands in (5, 1):
+        assert set(shapes.corners(np.zeros((stands, 3)), 1.0)) == {0, stands - 1}
 
 
 def test_a_place_beside_a_subpath_is_told_how_far_it_is_and_where_it_is_nearest() -> None:
