@@ -14,8 +14,8 @@ from companion import caches, jit
 from companion.path.proof import prove
 from companion.planner import cheapest_ways, cost_samples, field, kernels
 from companion.runtime import compiler
+from companion.world import zones
 from companion.world.clearance import dilated_m
-from companion.world.zones import near_on_lattice
 
 
 @pytest.fixture(autouse=True)
@@ -39,7 +39,8 @@ def breaks(monkeypatch: pytest.MonkeyPatch, *errors: type[Exception]) -> list[in
 
 def test_what_is_loaded_is_all_that_a_plan_calls(monkeypatch: pytest.MonkeyPatch) -> None:
     compiled, called = jit.compiled, set[Any]()
-    monkeypatch.setattr(field, "_idle", [])
+    monkeypatch.setattr(field, "_idle", [])  # what an earlier plan of this process has kept
+    zones.too_near.cache_clear()
 
     def noted(function: Any) -> Any:
         def call(*arguments: Any) -> Any:
@@ -52,7 +53,7 @@ def test_what_is_loaded_is_all_that_a_plan_calls(monkeypatch: pytest.MonkeyPatch
     compiler.load_kernel()
     ways, samples = cheapest_ways, cost_samples
     assert called == {
-        *(kernels.search, kernels.costs, prove, dilated_m, near_on_lattice),
+        *(kernels.search, kernels.costs, prove, dilated_m, zones.near_on_lattice),
         *(ways.repair, ways.way_from, ways.needed_m, ways.lines_m, ways.straightened),
         *(ways.aside_m, ways.discount, ways.smooth_edges),
         *(samples.changed, samples.raise_to, samples.fill),
