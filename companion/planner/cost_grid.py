@@ -32,7 +32,7 @@ from companion.planner import cheapest_ways, cost_samples
 from companion.planner.cheapest_ways import Grid, IndexArray
 from companion.planner.cost_samples import BLOCKED, Box, Ground, Scale
 from companion.planner.settings import Task
-from companion.world.guess import believed_m, continued
+from companion.world.guess import Blocks, believed_m
 from companion.world.known_map import KnownMap
 from companion.world.lattice import Lattice
 from companion.world.zones import too_near
@@ -88,6 +88,7 @@ class CostGrid:
         self._upper_m = np.full(known.upper_m.shape, np.inf)
         self._surveyed = np.zeros(known.upper_m.shape, dtype=bool)
         self._told_m: FloatArray | None = None
+        self._blocks = Blocks(known.shape, 2 * every)
         self._open = np.ones((rows, columns), dtype=bool)
         """The samples beside which nothing has been told: there it may be guessed."""
         self._everywhere = True
@@ -113,10 +114,8 @@ class CostGrid:
 
         here_ne_m: what was seen is continued about it where it was not; not without guesses.
         """
-        ground = self._ground
-        box = self._look_at(known)
-        is_guessed = self.belief is Belief.GUESSED
-        guess_m = self._continued_m(known, here_ne_m) if is_guessed else None
+        ground, box = self._ground, self._look_at(known)
+        guess_m = self._continued_m(known, here_ne_m) if self._is_guessed() else None
         if guess_m is not None or self._everywhere:
             ground.guess_m[:] = self._scale.floor_m if guess_m is None else guess_m
             box = 0, self.shape[0], 0, self.shape[1]
@@ -145,6 +144,8 @@ class CostGrid:
             return 0, 0, 0, 0
         window = slice(*cells[:2]), slice(*cells[2:])
         self._upper_m[window], self._surveyed[window] = known.upper_m[window], surveyed[window]
+        if self._is_guessed():
+            self._blocks.update(known, window)
         reach, box, about = len(scale.rises_m), list[int](), list[slice]()
         for part, count, cut in zip(window, self.shape, size, strict=True):
             low = max((part.start - reach) // scale.every, 0)
@@ -180,10 +181,13 @@ class CostGrid:
         self._ground.beside[changed[0] : changed[1], changed[2] : changed[3]] = _GOES_ON * beside
         return changed
 
+    def _is_guessed(self) -> bool:
+        """Whether anything is."""
+        return self.belief is Belief.GUESSED and bool(self._open.any())
+
     def _continued_m(self, known: KnownMap, here_ne_m: Place) -> FloatArray | None:
         """`Ground.guess_m`: linear between the points of the lattice.  None: nothing is guessed."""
-        scale = self._scale
-        goes_on = continued(known, 2 * scale.every, here_ne_m) if self._open.any() else None
+        scale, goes_on = self._scale, self._blocks.continued(known.cell_of(*here_ne_m))
         if goes_on is None:
             return None
         rows, columns = (4 * scale.every * np.arange(count) for count in self.lattice_shape)

@@ -74,58 +74,68 @@ class Continued:
         return result
 
 
-def continued(known: KnownMap, size: int, here_ne_m: tuple[float, float]) -> Continued | None:
-    """How the terrain goes on, seen from here; None: nothing was seen, or all.
+@final
+class Blocks:
+    """The means of what was seen over squares of cells, kept up to date."""
 
-    size: of blocks (`block_cells`).
-    """
-    reach = round(_REACH * _BLOCKS_PER_RANGE)
-    here = [at // size for at in known.cell_of(*here_ne_m)]
-    rows, columns = (
-        slice(max(at - reach, 0), min(max(at + reach, 0), -(-count // size)))
-        for at, count in zip(here, known.shape, strict=True)
-    )
-    if rows.start >= rows.stop or columns.start >= columns.stop:
-        return None  # it is too far off the map
-    mean_m, seen = _averaged(known, size, (rows, columns))
-    if not seen.any() or seen.all():
-        return None
-    plain_m = float(np.quantile(mean_m[seen], _PLAIN))
-    high = mean_m - plain_m > _HIGH * float(mean_m[seen].max() - plain_m)
-    chosen = _rim(seen, high, (here[0] - rows.start, here[1] - columns.start))
-    scale, weights = _likeliest(chosen, mean_m[*chosen.T] - plain_m)
-    return Continued(
-        plain_m=plain_m,
-        seen=size * (2 * (chosen + np.array((rows.start, columns.start))) + 1),
-        weights=weights,
-        scale=2.0 * size * scale,
-        within=(
-            (2 * size * rows.start, 2 * size * (here[0] + reach)),
-            (2 * size * columns.start, 2 * size * (here[1] + reach)),
-        ),
-    )
+    def __init__(self, shape: tuple[int, int], size: int) -> None:
+        """Of a map of which nothing was seen.  shape: of the map; size: of blocks, in cells."""
+        self.size = size
+        rows, columns = (-(-count // size) for count in shape)
+        self.mean_m, self.seen = np.zeros((rows, columns)), np.zeros((rows, columns), dtype=bool)
+        """(rows, columns): the means, and whether half of each block was seen."""
 
+    def update(self, known: KnownMap, window: Window) -> None:
+        """Take over what is known of a window of the map's cells."""
+        size = self.size
+        blocks = tuple(slice(each.start // size, -(-each.stop // size)) for each in window)
+        part = known.part(*(slice(size * each.start, size * each.stop) for each in blocks))
+        firm = part.surveyed
+        padding = [(0, -count % size) for count in firm.shape]
 
-def _averaged(known: KnownMap, size: int, blocks: Window) -> tuple[FloatArray, BoolArray]:
-    """The means of what was seen over blocks, and whether half of each was.  -> (N, M) x2."""
-    part = known.part(*(slice(size * each.start, size * each.stop) for each in blocks))
-    firm = part.surveyed
-    padding = [(0, -count % size) for count in firm.shape]
+        def sums(values: FloatArray) -> FloatArray:
+            values = np.pad(values, padding)
+            strips = values.reshape(-1, size, values.shape[1]).sum(axis=1)
+            return np.asarray(sum(strips[:, k::size] for k in range(size)))
 
-    def sums(values: FloatArray) -> FloatArray:
-        values = np.pad(values, padding)
-        strips = values.reshape(-1, size, values.shape[1]).sum(axis=1)
-        return np.asarray(sum(strips[:, k::size] for k in range(size)))
+        count, total = sums(firm.astype(np.float64)), sums(np.where(firm, part.upper_m, 0.0))
+        self.mean_m[blocks] = total / np.maximum(count, 1.0)
+        self.seen[blocks] = count >= 0.5 * size * size
 
-    count, total = sums(firm.astype(np.float64)), sums(np.where(firm, part.upper_m, 0.0))
-    return total / np.maximum(count, 1.0), count >= 0.5 * size * size
+    def continued(self, here: tuple[int, int]) -> Continued | None:
+        """How the terrain goes on, seen from a cell; None: nothing was seen, or all."""
+        size, reach = self.size, round(_REACH * _BLOCKS_PER_RANGE)
+        row, column = (at // size for at in here)
+        rows, columns = (
+            slice(max(at - reach, 0), min(max(at + reach, 0), count))
+            for at, count in zip((row, column), self.seen.shape, strict=True)
+        )
+        mean_m, seen = self.mean_m[rows, columns], self.seen[rows, columns]
+        if not seen.any() or seen.all():
+            return None  # or it is too far off the map
+        plain_m = float(np.quantile(mean_m[seen], _PLAIN))
+        high = mean_m - plain_m > _HIGH * float(mean_m[seen].max() - plain_m)
+        chosen = _rim(seen, high, (row - rows.start, column - columns.start))
+        scale, weights = _likeliest(chosen, mean_m[*chosen.T] - plain_m)
+        return Continued(
+            plain_m=plain_m,
+            seen=size * (2 * (chosen + np.array((rows.start, columns.start))) + 1),
+            weights=weights,
+            scale=2.0 * size * scale,
+            within=(
+                (2 * size * rows.start, 2 * size * (row + reach)),
+                (2 * size * columns.start, 2 * size * (column + reach)),
+            ),
+        )
 
 
 def guessed_m(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) -> FloatArray:
     """The terrain of all cells as it was seen, told or guessed, metres AMSL; -inf: not at all."""
     rows, columns = known.upper_m.shape
     believed = believed_m(known, slice(0, rows), slice(0, columns))
-    goes_on = continued(known, block_cells(known, range_m), here_ne_m)
+    blocks = Blocks(known.shape, block_cells(known, range_m))
+    blocks.update(known, (slice(0, rows), slice(0, columns)))
+    goes_on = blocks.continued(known.cell_of(*here_ne_m))
     if goes_on is not None:
         guess = goes_on.at_m(2 * np.arange(rows) + 1, 2 * np.arange(columns) + 1)
         unseen = (
