@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import tracking_copter
 import tracking_px4
-from conformance.log import Side, read_recording
+from conformance.flights import Side, read_recording
 from harness import STEP_S
 from harness import Flown as OnGround
 from recordings import recording
