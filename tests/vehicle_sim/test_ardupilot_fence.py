@@ -5,7 +5,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tracking_copter import Flown
+from tracked import ArduCopter as Flown
 
 from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.guards import Fence

@@ -2,15 +2,9 @@ import math
 from functools import cache
 
 import pytest
-from tracking_plane import (
-    CHANGE_HEADING,
-    CHANGE_SPEED,
-    REPOSITION,
-    TABLE,
-    Rig,
-    flying,
-    off_path_m,
-)
+from tracked import CHANGE_HEADING, CHANGE_SPEED, REPOSITION, flying, off_path
+from tracked import PLANE_ROWS as TABLE
+from tracked import ArduPlane as Rig
 
 from vehicle_sim.autopilot.values import Result, Sender
 from vehicle_sim.conditions import GpsConditions
@@ -95,7 +89,7 @@ def test_it_circles_where_guided_was_entered_and_tells_the_point() -> None:
 @cache
 def flown_off_path_m(row: int) -> tuple[float, float]:
     _, law, lateral_m_s2, hz, _ = TABLE[row]
-    return off_path_m(law, lateral_m_s2, hz=hz)
+    return off_path(law, lateral_m_s2, hz=hz)[:2]
 
 
 LOOK_AHEADS = (1, 2, 3, 4, 6, 8, 9)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.flights import Flight, Posts, Side
-from conformance.rows import NOTHING, Comparison, Row
+from conformance.rows import NOTHING, Comparison, Row, row
 
 _SYS_STATUS, _ATTITUDE, _DISTANCE_SENSOR, _SIMSTATE = 1, 30, 132, 164
 _PROXIMITY = 0x4000000
@@ -32,7 +32,7 @@ FloatArray = NDArray[np.float64]
 class _Sector(NamedTuple):
     """What one sector said, and what was there."""
 
-    count: int
+    said: int
     median_m: float
     near_share: float
     """Of the echoes: within _NEAR_M of the post."""
@@ -52,7 +52,7 @@ def lidar_rows(comparison: Comparison) -> Iterator[Row]:
     for sector in range(_SECTORS):
         pair = (real.get(sector), simulated.get(sector))
         name = f"sector {sector}"
-        yield _row("lidar count", name, [p and p.count for p in pair], _COUNT)
+        yield _row("lidar count", name, [p and p.said for p in pair], _COUNT)
         yield _row("lidar error", name, [p and p.median_m for p in pair], _MEDIAN_M)
         yield _row("lidar echoes", name, [p and p.near_share for p in pair], _SHARE)
     whole = [list(side.values()) or None for side in (real, simulated)]
@@ -68,9 +68,11 @@ def lidar_rows(comparison: Comparison) -> Iterator[Row]:
 
 def _row(kind: str, name: str, pair: Sequence[float | None], tolerance: float) -> Row:
     real, simulated = pair
-    there = real is not None and simulated is not None
+    difference = math.inf
+    if real is not None and simulated is not None:
+        difference = abs(real - simulated) / tolerance
     shown = (NOTHING if value is None else f"{value:.3g}" for value in pair)
-    return Row(kind, name, *shown, abs(real - simulated) / tolerance if there else math.inf)
+    return row(kind, name, shown, difference)
 
 
 def _sectors(side: Side, flight: Flight, posts: Posts) -> dict[int, _Sector]:
@@ -124,7 +126,7 @@ def _judged(time_s: FloatArray, told_m: FloatArray, true_m: FloatArray) -> _Sect
     bogus = empty & (true_m < _REACH_M - _EDGE_M)
     stale = ~empty & (true_m > _REACH_M + _EDGE_M)
     return _Sector(
-        count=len(time_s),
+        said=len(time_s),
         median_m=float(np.median(error_m)) if len(error_m) else _FAR,
         near_share=float(np.mean(error_m < _NEAR_M)) if len(error_m) else 0.0,
         longest_row=max((len(row) for row in _rows(bogus)), default=0),
