@@ -66,7 +66,7 @@ def tracking() -> Found:
     for row in tracked.EIGHTS:
         what = row.kind + (f", {row.lead_s} s ahead" if row.lead_s else "")
         what += f", carrot {row.carrot_m:.0f} m" if row.carrot_m else ""
-        flown = row.fly()
+        flown = tracked.fly_eight(row)
         if row.carrot_m:  # its target has no time: it is not told how far along it is
             flown = flown._replace(along_mean_m=math.nan, along_max_m=math.nan)
         yield {"v|.0f": row.speed_m_s, "setpoint": what, "Hz|.0f": row.rate_hz} | both(

@@ -12,6 +12,7 @@ import math
 from typing import Any
 
 import pytest
+import tracked
 from harness import NAN, ZERO, Vector
 from tracked import EIGHTS as TABLE
 from tracked import EightRow as Row
@@ -89,7 +90,7 @@ def _name(row: Row) -> str:
     return f"{row.speed_m_s:.0f} m/s {row.kind} {row.rate_hz:.0f} Hz {row.lead_s} {row.carrot_m}"
 
 
-flown = functools.cache(Row.fly)
+flown = functools.cache(tracked.fly_eight)
 
 
 def _between(row: Row) -> bool:

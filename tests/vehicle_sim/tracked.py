@@ -471,12 +471,11 @@ def jump(row: Jump) -> Jump:
 
 Kind = Literal["position", "position + velocity", "pos + vel + acc", "velocity"]
 LENGTH_M, GROUND_AMSL_M = 756.0, 488.0
-PX4_HOME_DEG: Final = (47.397742, 8.545594)
 """The route is a figure eight of least radius 50 m, with 3 m of height up and down."""
+PX4_HOME_DEG: Final = (47.397742, 8.545594)
 _HEIGHT_M, _WAVE_M = 20.0, 3.0
-_RUN_S = 42.0
-_RAMP_M_S2 = 2.0
-"""The target gathers speed like this; measuring begins 2 s after, at least after 9 s."""
+_RUN_S, _RAMP_M_S2 = 42.0, 2.0
+Vector4 = tuple[float, float, float, float]
 
 
 @final
@@ -577,74 +576,6 @@ class Tracking(NamedTuple):
     speed_m_s: float
 
 
-def fly_eight(
-    kind: Kind,
-    speed_m_s: float,
-    rate_hz: float = 20.0,
-    *,
-    lead_s: float = 0.0,
-    carrot_m: float | None = None,
-    seed: int = 1,
-    **parameters: float,
-) -> Tracking:
-    """One run of 42 s; lead_s: how far ahead of its time the target is sent.
-
-    carrot_m: position only, this far ahead of the nearest point, whatever the time is.
-    """
-    rig, curve = Px4Copter(seed, **parameters), Curve()
-    rig.take_off()
-    every = round(1.0 / rate_hz / STEP_S)
-    start_us = rig.now_us
-    ramp_s = speed_m_s / _RAMP_M_S2
-    settling_s = max(9.0, ramp_s + 2.0)
-    samples = list[tuple[float, float, float, float]]()
-    reached_m = 0.0
-    for index in range(round(_RUN_S / STEP_S)):
-        elapsed_s = (rig.now_us - start_us) * 1e-6
-        if index % every == 0:
-            target_m, moving_m_s = _moved(elapsed_s, speed_m_s)
-            target_m += moving_m_s * lead_s
-            if carrot_m is not None:
-                target_m = reached_m + carrot_m
-            _send(rig, curve, kind, target_m, moving_m_s)
-        rig.step()
-        if index % 5:
-            continue
-        north_m, east_m, down_m = rig.px4.local_m
-        reached_m, cross_m = curve.nearest((north_m, east_m), reached_m)
-        target_m, _ = _moved((rig.now_us - start_us) * 1e-6, speed_m_s)
-        wanted_down_m = curve.at(reached_m, speed_m_s)[0][2]
-        if elapsed_s >= settling_s:
-            samples.append((target_m - reached_m, cross_m, down_m - wanted_down_m, rig.speed_m_s))
-    along, cross, height, speed = np.array(samples).T
-    return Tracking(
-        along_mean_m=float(along.mean()),
-        along_max_m=float(np.abs(along).max()),
-        cross_rms_m=float(np.sqrt((cross**2).mean())),
-        cross_max_m=float(np.abs(cross).max()),
-        altitude_rms_m=float(np.sqrt((height**2).mean())),
-        speed_m_s=float(speed.mean()),
-    )
-
-
-def _moved(elapsed_s: float, speed_m_s: float) -> tuple[float, float]:
-    """Distance of the target along the curve, and its speed."""
-    ramp_s = speed_m_s / _RAMP_M_S2
-    if elapsed_s < ramp_s:
-        return 0.5 * _RAMP_M_S2 * elapsed_s * elapsed_s, _RAMP_M_S2 * elapsed_s
-    return speed_m_s * (elapsed_s - 0.5 * ramp_s), speed_m_s
-
-
-def _send(rig: Px4Copter, curve: Curve, kind: Kind, along_m: float, speed_m_s: float) -> None:
-    position, velocity, acceleration, yaw_rad = curve.at(along_m, speed_m_s)
-    rig.send(
-        None if kind == "velocity" else position,
-        None if kind == "position" else velocity,
-        acceleration if kind == "pos + vel + acc" else None,
-        yaw_rad,
-    )
-
-
 class EightRow(NamedTuple):
     """One row of px4.md 5: what was flown and what the real one did."""
 
@@ -654,18 +585,54 @@ class EightRow(NamedTuple):
     real: Tracking
     """Along is NaN where it was not measured."""
     lead_s: float = 0.0
+    """How far ahead of its time the target is sent."""
     carrot_m: float | None = None
+    """Position only, this far ahead of the nearest point, whatever the time is."""
 
-    def fly(self, seed: int = 1) -> Tracking:
-        """The same with the simulated one."""
-        return fly_eight(
-            self.kind,
-            self.speed_m_s,
-            self.rate_hz,
-            lead_s=self.lead_s,
-            carrot_m=self.carrot_m,
-            seed=seed,
-        )
+
+def fly_eight(row: EightRow) -> Tracking:
+    """One run of 42 s; measured 2 s after the target has gathered its speed, at 9 s at least."""
+    rig, curve, ramp_s = Px4Copter(), Curve(), row.speed_m_s / _RAMP_M_S2
+    rig.take_off()
+
+    def moved(elapsed_s: float) -> tuple[float, float]:
+        """Distance of the target along the curve, and its speed."""
+        if elapsed_s < ramp_s:
+            return 0.5 * _RAMP_M_S2 * elapsed_s * elapsed_s, _RAMP_M_S2 * elapsed_s
+        return row.speed_m_s * (elapsed_s - 0.5 * ramp_s), row.speed_m_s
+
+    every, samples, reached_m = round(1.0 / row.rate_hz / STEP_S), list[Vector4](), 0.0
+    for index in range(round(_RUN_S / STEP_S)):
+        elapsed_s = index * STEP_S
+        if index % every == 0:
+            target_m, moving_m_s = moved(elapsed_s)
+            target_m += moving_m_s * row.lead_s
+            if row.carrot_m is not None:
+                target_m = reached_m + row.carrot_m
+            position, velocity, acceleration, yaw_rad = curve.at(target_m, moving_m_s)
+            rig.send(
+                None if row.kind == "velocity" else position,
+                None if row.kind == "position" else velocity,
+                acceleration if row.kind == "pos + vel + acc" else None,
+                yaw_rad,
+            )
+        rig.step()
+        if index % 5 == 0:
+            north_m, east_m, down_m = rig.px4.local_m
+            reached_m, cross_m = curve.nearest((north_m, east_m), reached_m)
+            behind_m = moved(elapsed_s + STEP_S)[0] - reached_m
+            high_m = down_m - curve.at(reached_m, row.speed_m_s)[0][2]
+            if elapsed_s >= max(9.0, ramp_s + 2.0):
+                samples.append((behind_m, cross_m, high_m, rig.speed_m_s))
+    along, cross, height, speed = np.array(samples).T
+    return Tracking(
+        along_mean_m=float(along.mean()),
+        along_max_m=float(np.abs(along).max()),
+        cross_rms_m=float(np.sqrt((cross**2).mean())),
+        cross_max_m=float(np.abs(cross).max()),
+        altitude_rms_m=float(np.sqrt((height**2).mean())),
+        speed_m_s=float(speed.mean()),
+    )
 
 
 def _row(kind: Kind, speed: float, rate: float, figures: str, lead_s: float = 0.0) -> EightRow:
@@ -988,9 +955,9 @@ FIXED_WING: Final = (
 """px4.md 10, "Curve of least radius 100 m", all of it."""
 
 
-def fly_fixed(row: FixedRow, *, seed: int = 1) -> Off:
+def fly_fixed(row: FixedRow) -> Off:
     """Fly a row: the last 70 of 95 s along the curve count."""
-    rig, route = Px4Plane(seed), fixed_wing_route()
+    rig, route = Px4Plane(), fixed_wing_route()
     rig.put(*route.point(_START), _PLANE_HEIGHT_M - 2.0, float(route.heading_rad[_START]))
     sent = 0
 
