@@ -22,8 +22,9 @@ from vehicle_sim.autopilot.values import Ack, Command, Reply, Sender, Setpoint, 
 from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.dynamics.copter import Limits
 from vehicle_sim.dynamics.plane import Plane
+from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.parameters import Firmware, Parameter
-from vehicle_sim.plans import Plans
+from vehicle_sim.plans import PlanItem, Plans
 from vehicle_sim.sensors.gps import Fix, Gps
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import VehicleKind, parse_world
@@ -190,6 +191,22 @@ class Rig:
             yaw_rad=yaw_rad,
         )
         self.take(self.autopilot.on_setpoint(setpoint))
+
+
+def item(
+    home_deg: tuple[float, float],
+    command: int,
+    north_m: float = 0.0,
+    east_m: float = 0.0,
+    z_m: float = 0.0,
+    *p: float,
+    frame: int = 3,
+) -> PlanItem:
+    """Of a plan, at a place in metres from home."""
+    home = LocalFrame(latitude_deg=home_deg[0], longitude_deg=home_deg[1])
+    x, y = (round(angle * 1e7) for angle in home.to_geographic(north_m, east_m))
+    p1, p2, p3, p4 = (*p, 0.0, 0.0, 0.0, 0.0)[:4]
+    return PlanItem(frame=frame, command=command, parameters=(p1, p2, p3, p4), x=x, y=y, z_m=z_m)
 
 
 # --- by frames ------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ import copy
 import functools
 import math
 
+import harness
 import pytest
 import tracked
 from harness import (
@@ -27,8 +28,7 @@ from pyproj import Geod
 from tracked import GROUND_M, HOME_DEG
 from tracked import ArduCopter as Flown
 
-from vehicle_sim.autopilot.earth import FlatEarth
-from vehicle_sim.autopilot.values import Battery, Place, Sender
+from vehicle_sim.autopilot.values import Battery, Sender
 from vehicle_sim.dynamics.copter import Limits
 from vehicle_sim.plans import Jumps, PlanItem, PlanKind
 
@@ -499,17 +499,7 @@ def test_a_yaw_that_was_told_is_reset_by_a_setpoint_that_ignores_it() -> None:
 
 # --- AUTO -----------------------------------------------------------------------------------------
 
-HOME = Place(*HOME_DEG, GROUND_M)
-
-
-def item(
-    command: int, north_m: float = 0.0, east_m: float = 0.0, z_m: float = 0.0, *p: float
-) -> PlanItem:
-    place = FlatEarth(HOME).place(north_m, east_m, 0.0)
-    x, y = round(place.latitude_deg * 1e7), round(place.longitude_deg * 1e7)
-    first, second = (*p, 0.0, 0.0)[:2]
-    parameters = (first, second, 0.0, 0.0)
-    return PlanItem(frame=3, command=command, parameters=parameters, x=x, y=y, z_m=z_m)
+item = functools.partial(harness.item, HOME_DEG)
 
 
 def on_mission(*items: PlanItem) -> Flown:

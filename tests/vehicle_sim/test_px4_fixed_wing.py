@@ -4,12 +4,14 @@ import functools
 import itertools
 import math
 
+import harness
 import pytest
 from harness import NAN
 from tracked import (
     ALL_THREE,
     GROUND_AMSL_M,
     POSITION_VELOCITY,
+    PX4_HOME_DEG,
     VELOCITY,
     fixed_wing_route,
     fly_fixed,
@@ -21,9 +23,10 @@ from tracked import Px4Plane as Rig
 
 from vehicle_sim.autopilot.values import Landed
 from vehicle_sim.conditions import GpsConditions
-from vehicle_sim.plans import PlanItem, PlanKind
+from vehicle_sim.plans import PlanKind
 
 flown = functools.cache(fly_fixed)
+item = functools.partial(harness.item, PX4_HOME_DEG)
 WORSE = (
     "pos + vel - acc (negated)",
     "pos + vel, nearest point",
@@ -285,16 +288,11 @@ def test_mission_from_take_off_to_landing() -> None:
     rig = Rig()
     rig.run(6.0)
 
-    def item(command: int, north_m: float, east_m: float, height_m: float) -> PlanItem:
-        latitude_deg, longitude_deg, _ = rig.place(north_m, east_m, 0.0)
-        x, y = round(latitude_deg * 1e7), round(longitude_deg * 1e7)
-        return PlanItem(frame=6, command=command, x=x, y=y, z_m=height_m)
-
     corners = ((500.0, 0.0), (500.0, 400.0), (100.0, 400.0))
     rig.plans[PlanKind.MISSION] = (
-        item(22, 300.0, 0.0, 40.0),
-        *(item(16, north_m, east_m, 60.0) for north_m, east_m in corners),
-        item(21, 0.0, 0.0, 0.0),
+        item(22, 300.0, 0.0, 40.0, frame=6),
+        *(item(16, north_m, east_m, 60.0, frame=6) for north_m, east_m in corners),
+        item(21, frame=6),
     )
     rig.px4.on_plan(PlanKind.MISSION)
     assert rig.command(300) == 0

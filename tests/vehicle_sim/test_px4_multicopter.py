@@ -11,10 +11,12 @@ import functools
 import math
 from typing import Any
 
+import harness
 import pytest
 import tracked
 from harness import NAN, ZERO, Vector
 from tracked import EIGHTS as TABLE
+from tracked import PX4_HOME_DEG
 from tracked import EightRow as Row
 from tracked import Px4Copter as Rig
 
@@ -64,18 +66,6 @@ def to_mode(rig: Rig, mode: tuple[int, int]) -> int:
     return int(results[-1])
 
 
-def fly(rig: Rig, seconds: float, rate_hz: float = 20.0, **setpoint: Any) -> list[tuple[str, Any]]:
-    """The same setpoint again and again; mode and place in each tenth of a second."""
-    track = []
-    for k in range(round(seconds * 100)):
-        if setpoint and k % round(100.0 / rate_hz) == 0:
-            rig.send(**setpoint)
-        rig.step()
-        if k % 10 == 0:
-            track.append((rig.px4.mode_name, rig.px4.local_m))
-    return track
-
-
 def about(value: Any, within: float) -> Any:
     return pytest.approx(value, abs=within)
 
@@ -112,7 +102,8 @@ def _between(row: Row) -> bool:
 def test_it_tracks_a_curve_as_the_real_one_does(row: Row) -> None:
     """Tolerances: lag 0.3 m and 5 % of it (25 % at the speed limit, 2.5 m without position, and
     1.3 m where the real one's own runs differ by as much), off the path 0.3 m rms (0.7 m without
-    position), speed 3 %."""
+    position), speed 3 %.
+    """
     measured, real = flown(row), row.real
     if not math.isnan(real.along_mean_m):
         allowed_m = 0.3 + 0.05 * abs(real.along_mean_m)
@@ -297,7 +288,7 @@ def test_it_lands_slower_the_nearer_the_ground_and_can_be_flown_again() -> None:
 )
 def test_where_a_place_ends(setpoint: dict[str, Any], ends_m: Vector) -> None:
     rig = hover()
-    fly(rig, 15.0, **setpoint)
+    rig.stream(15.0, **setpoint)
     north, east, down = rig.px4.local_m
     assert (north, east, -down) == about(ends_m, 0.8)
 
@@ -319,7 +310,7 @@ def test_where_a_place_ends(setpoint: dict[str, Any], ends_m: Vector) -> None:
 def test_what_a_velocity_becomes(setpoint: dict[str, Any], flown_m_s: Vector) -> None:
     rig = hover(30.0)
     assert rig.command(178, 1.0, 2.0, -1.0) == [ACCEPTED]  # a change of speed is for AUTO modes
-    fly(rig, 7.0, **setpoint)
+    rig.stream(7.0, **setpoint)
     assert rig.copter.velocity_neu_m_s == about(flown_m_s, 0.4)
     assert rig.px4.mode_name == "Offboard"
 
@@ -348,11 +339,11 @@ def test_frames_of_global_int(frame: int, z_m: float, above_origin_m: float) -> 
 
 def test_the_nose_turns_to_the_yaw_that_is_told_and_frame_8_turns_with_it() -> None:
     rig = hover()
-    fly(rig, 6.0, position=UP, yaw_rad=math.pi / 2.0)
+    rig.stream(6.0, position=UP, yaw_rad=math.pi / 2.0)
     assert math.degrees(rig.copter.heading_rad) == about(90.0, 3.0)
-    fly(rig, 4.0, position=UP)
+    rig.stream(4.0, position=UP)
     assert math.degrees(rig.copter.heading_rad) == about(90.0, 3.0)
-    fly(rig, 4.0, velocity=(3.0, 0.0, 0.0), frame=8)
+    rig.stream(4.0, velocity=(3.0, 0.0, 0.0), frame=8)
     assert rig.copter.velocity_neu_m_s[:2] == about((0.0, 3.0), 0.3)
 
 
@@ -457,8 +448,12 @@ def test_a_return_comes_home_and_a_landing_is_slow_at_last() -> None:
     [(5.0, ["Offboard"]), (1.2, ["Offboard"]), (0.8, ["Offboard", "Hold"] * 4)],
 )
 def test_a_slow_stream_flips_between_the_modes(rate_hz: float, modes: list[str]) -> None:
-    track = fly(cruise(), 12.0, rate_hz, velocity=(5.0, 0.0, 0.0))
-    seen = [name for k, (name, _) in enumerate(track) if not k or track[k - 1][0] != name]
+    rig, seen = cruise(), list[str]()
+    for k in range(1200):
+        if k % round(100.0 / rate_hz) == 0:
+            rig.send(velocity=(5.0, 0.0, 0.0))
+        rig.step()
+        seen += [rig.px4.mode_name] if not seen or seen[-1] != rig.px4.mode_name else []
     assert seen[:8] == modes
 
 
@@ -549,16 +544,8 @@ def test_a_return_from_nearby_climbs_no_higher_than_the_cone_of_45_degrees() -> 
 # --- 3, 7: places, mission and fence --------------------------------------------------------------
 
 
-def item(command: int, north_m: float, east_m: float, height_m: float, p1: float = 0.0) -> PlanItem:
-    metres_east = 111194.9 * math.cos(math.radians(47.397742))
-    return PlanItem(
-        frame=6,
-        command=command,
-        parameters=(p1, 0.0, 0.0, NAN),
-        x=round((47.397742 + north_m / 111194.9) * 1e7),
-        y=round((8.545594 + east_m / metres_east) * 1e7),
-        z_m=height_m,
-    )
+def item(command: int, north_m: float, east_m: float, height_m: float, *p: float) -> PlanItem:
+    return harness.item(PX4_HOME_DEG, command, north_m, east_m, height_m, *p, frame=6)
 
 
 def reposition(rig: Rig, north_m: float, up_m: float) -> list[int]:
