@@ -5,5 +5,5 @@ vehicle time, and what comes back is compared with the autopilot's half, row by 
 tolerance that is stated.
 
 flights.py   the recording, what it does not say of itself, and its client flown again
-rows.py      the rows, and all of them; track.py and lidar.py those of the flight and of a lidar
+rows.py      the rows; track.py and lidar.py those of the flight and of a lidar; compare.py all
 """

@@ -1,4 +1,4 @@
-"""The rows of a comparison: what a client can tell of two flights, each with its tolerance."""
+"""What a row is, how events are paired, and the rows of what is answered, changes and streams."""
 
 import bisect
 import dataclasses
@@ -111,24 +111,6 @@ def _causes(recording: Recording, flight: Flight) -> Iterator[float]:
             stream, stream_s = kind, one.time_s
     for fault in flight.faults:
         yield from map(recording.clock.vehicle_s, (fault.begin_s, fault.end_s))
-
-
-def compare(recording: Recording, flight: Flight, simulated: Side) -> list[Row]:
-    """Every row that is compared, each disagreement with its reason if that is known."""
-    from conformance.lidar import lidar_rows
-    from conformance.track import battery_rows, track_rows
-
-    comparison = Comparison(recording, flight, simulated)
-    makers = (ack_rows, exchange_rows, once_rows, state_rows, stream_rows)
-    rows = (
-        row for make in (*makers, track_rows, battery_rows, lidar_rows) for row in make(comparison)
-    )
-
-    def explained(row: Row) -> Row:
-        reasons = (each for each in flight.reasons if each.explains(row))
-        return row if row.agrees else dataclasses.replace(row, reason=next(reasons, None))
-
-    return [explained(row) for row in rows if not comparison.is_left_out(row.at_s)]
 
 
 # --- pairing --------------------------------------------------------------------------------------

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
 from conformance.__main__ import tables
+from conformance.compare import compare
 from conformance.flights import Reason, Recording, Side, TimedFrame, decoded, flight_of
-from conformance.rows import WINDOW_S, Event, Match, Row, changes, compare, paired
+from conformance.rows import WINDOW_S, Event, Match, Row, changes, paired
 
 Recorded = Callable[[str], Recording]
 Change = Callable[[TimedFrame], Iterable[TimedFrame]]

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import pytest
 
+from conformance.compare import compare
 from conformance.flights import Recording, Side, flight_of, play
-from conformance.rows import compare
 
 Recorded = Callable[[str], Recording]
 AGREED = {
