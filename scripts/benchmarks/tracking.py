@@ -11,10 +11,7 @@ from typing import Any
 from running import Found, main
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "vehicle_sim"))
-import tracking_copter as copter
-import tracking_plane as plane
-import tracking_px4 as px4
-import tracking_px4_fixed_wing as fixed_wing
+import tracked
 
 
 def both(real: Any, sim: Any, **columns: str) -> dict[str, str]:
@@ -35,41 +32,41 @@ def tracking() -> Found:
     """Every row of the documents, flown again."""
     yield "## ArduCopter (ardupilot.md 3)\n"
     yield "Along: vehicle minus reference. Off path: rms / max. Metres.\n"
-    for row in copter.ROWS:
+    for row in tracked.WEAVES:
         settings = f"{row.speed_m_s:g}, {row.lateral_m_s2:g}, {row.lean_deg:g}"
         head = {"m/s, lateral m/s2, lean deg": settings, "setpoints": row.kind, "Hz|g": row.rate_hz}
         off = "off_rms_m/off_max_m:.2f"
-        yield head | both(row, copter.fly(row), along="along_m:.1f", off_path=off)
+        yield head | both(row, tracked.fly_weave(row), along="along_m:.1f", off_path=off)
     yield "\nA stream at 10 m/s that ends: time to a standstill, metres beyond its last setpoint.\n"
-    for stop in copter.STOPS:
+    for stop in tracked.STOPS:
         yield {"setpoints": stop.kind, "GUID_TIMEOUT": f"{stop.timeout_s:g} s"} | both(
             stop,
-            copter.end_stream(stop),
+            tracked.end_stream(stop),
             still="still_s:.1f s",
             furthest="furthest_m:.1f",
             ends_at="ends_m:.1f",
         )
     yield "\nJumps of the target: peak speed, and seconds until within 1 m for good.\n"
-    for jump in copter.JUMPS:
-        sim = copter.jump(jump)
+    for jump in tracked.JUMPS:
+        sim = tracked.jump(jump)
         told = both(jump, sim, peak="peak_m_s:.1f m/s", within="within_s:.1f s")
         yield {"jump": jump.what} | told
     yield "\n## ArduPlane (ardupilot.md 7)\n"
     yield "A weaving route at 21 m/s; off path, rms / max, metres.\n"
-    for name, law, lateral, hz, real in plane.TABLE:
+    for name, law, lateral, hz, real in tracked.PLANE_ROWS:
         yield {
             "law": name,
             "lateral m/s2|g": lateral,
             "Hz|g": hz,
             "real": "{:.1f} / {:.1f}".format(*real),
-            "sim": "{:.1f} / {:.1f}".format(*plane.off_path_m(law, lateral, hz=hz)),
+            "sim": "{:.1f} / {:.1f}".format(*tracked.off_path(law, lateral, hz=hz)[:2]),
         }
     yield "\n## PX4 multicopter (px4.md 5)\n"
     yield "A figure eight of least radius 50 m; along and across: mean or rms / max, metres.\n"
-    for row in px4.TABLE:
+    for row in tracked.EIGHTS:
         what = row.kind + (f", {row.lead_s} s ahead" if row.lead_s else "")
         what += f", carrot {row.carrot_m:.0f} m" if row.carrot_m else ""
-        flown = row.fly()
+        flown = tracked.fly_eight(row)
         if row.carrot_m:  # its target has no time: it is not told how far along it is
             flown = flown._replace(along_mean_m=math.nan, along_max_m=math.nan)
         yield {"v|.0f": row.speed_m_s, "setpoint": what, "Hz|.0f": row.rate_hz} | both(
@@ -82,8 +79,10 @@ def tracking() -> Found:
         )
     yield "\n## PX4 fixed wing (px4.md 10)\n"
     yield "A curve of least radius 100 m; off path, rms / max, metres.\n"
-    for row in fixed_wing.ROWS:
-        yield {"setpoints": row.name} | both(row, fixed_wing.fly(row), off_path="rms_m/most_m:.1f")
+    for row in tracked.FIXED_WING:
+        yield {"setpoints": row.name} | both(
+            row, tracked.fly_fixed(row), off_path="rms_m/most_m:.1f"
+        )
 
 
 if __name__ == "__main__":

@@ -14,13 +14,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Self
 
+import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
+from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.autopilot.values import Ack, Command, Reply, Sender, Setpoint, Text
 from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.dynamics.copter import Limits
 from vehicle_sim.dynamics.plane import Plane
+from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.parameters import Firmware, Parameter
+from vehicle_sim.plans import PlanItem, Plans
 from vehicle_sim.sensors.gps import Fix, Gps
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import VehicleKind, parse_world
@@ -29,9 +33,6 @@ copyreg.pickle(Parameter, lambda row: row.name)  # never changes: copies share i
 
 Ids = tuple[int, int]
 Vector = tuple[float, float, float]
-HOME_DEG, HOME_M = (-35.363262, 149.165237), 584.0
-METRES_PER_DEG_NORTH = 110_955.0
-"""Of the meridian there; ArduPilot's own flat earth has 111,318.8."""
 VEHICLE, GCS, COMPANION = (1, 1), (255, 190), (1, 191)
 ZERO: Vector = (0.0, 0.0, 0.0)
 NAN: Final = math.nan
@@ -46,11 +47,6 @@ _STEPS_PER_S = 100
 _WHERE = ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "ATTITUDE", "HEARTBEAT")
 _reader = mavlink.MAVLink(None)
 _NAMES = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
-
-
-def kind_of(number: int) -> str:
-    """The name of a message, as pymavlink gives it to those that it does not know too."""
-    return _NAMES.get(number, f"UNKNOWN_{number}")
 
 
 # --- by values ------------------------------------------------------------------------------------
@@ -73,17 +69,22 @@ STRONG = Limits(
 
 
 class Rig:
-    """What all four have in common; a vehicle's own adds how it gets into the air."""
+    """An autopilot of any kind over level ground; a vehicle's own adds how it gets into the air."""
 
     def __init__(
         self,
-        autopilot: Any,
-        ground_amsl_m: float,
+        personality: tuple[str, VehicleKind],
+        vehicle: Any,
+        parameters: Mapping[str, float],
         gps: Gps | None = None,
         conditions: GpsConditions | None = None,
+        *,
+        seed: int = 1,
     ) -> None:
-        self.autopilot = autopilot
-        self.ground_amsl_m = ground_amsl_m
+        self.ground_amsl_m, self.plans = vehicle.altitude_amsl_m, Plans()
+        boot = PERSONALITIES[personality].boot
+        rng = np.random.default_rng(seed)
+        self.autopilot: Any = boot(vehicle, parameters, self.plans, rng)
         self.gps, self.gps_conditions = gps, conditions or GpsConditions()
         self.now_us = 0
         self.fix = Fix()
@@ -192,6 +193,22 @@ class Rig:
         self.take(self.autopilot.on_setpoint(setpoint))
 
 
+def item(
+    home_deg: tuple[float, float],
+    command: int,
+    north_m: float = 0.0,
+    east_m: float = 0.0,
+    z_m: float = 0.0,
+    *p: float,
+    frame: int = 3,
+) -> PlanItem:
+    """Of a plan, at a place in metres from home."""
+    home = LocalFrame(latitude_deg=home_deg[0], longitude_deg=home_deg[1])
+    x, y = (round(angle * 1e7) for angle in home.to_geographic(north_m, east_m))
+    p1, p2, p3, p4 = (*p, 0.0, 0.0, 0.0, 0.0)[:4]
+    return PlanItem(frame=frame, command=command, parameters=(p1, p2, p3, p4), x=x, y=y, z_m=z_m)
+
+
 # --- by frames ------------------------------------------------------------------------------------
 
 
@@ -204,7 +221,8 @@ class Heard:
         self.at_s, self.link, self.frame = at_s, link, frame
         """Vehicle time since the start."""
         self.source: Ids = (frame[5], frame[6])
-        self.kind: str = kind_of(int.from_bytes(frame[7:10], "little"))
+        number = int.from_bytes(frame[7:10], "little")
+        self.kind: str = _NAMES.get(number, f"UNKNOWN_{number}")
         self._message: Any = None
 
     @property
@@ -225,38 +243,13 @@ class Key:
 
 
 def local(
-    position: Vector | None = None,
-    velocity: Vector | None = None,
-    acceleration: Vector | None = None,
-    *,
-    yaw: float | None = None,
-    yaw_rate: float | None = None,
-    mask: int | None = None,
-    frame: int = 1,
-    target: tuple[int, int] = (1, 1),
+    position: Vector | None = None, velocity: Vector | None = None, *, mask: int | None = None
 ) -> Any:
     """SET_POSITION_TARGET_LOCAL_NED; what is None is masked, unless a mask is given."""
-    wanted = (0 if position else 0x7) | (0 if velocity else 0x38) | (0 if acceleration else 0x1C0)
-    wanted |= (0x400 if yaw is None else 0) | (0x800 if yaw_rate is None else 0)
-    return mavlink.MAVLink_set_position_target_local_ned_message(
-        0,
-        *target,
-        frame,
-        wanted if mask is None else mask,
-        *(position or ZERO),
-        *(velocity or ZERO),
-        *(acceleration or ZERO),
-        yaw or 0.0,
-        yaw_rate or 0.0,
-    )
-
-
-def place_e7(north_m: float, east_m: float) -> tuple[int, int]:
-    """On ArduPilot's flat earth about home."""
-    scale = 111_318.845
-    latitude_deg = HOME_DEG[0] + north_m / scale
-    longitude_deg = HOME_DEG[1] + east_m / (scale * math.cos(math.radians(HOME_DEG[0])))
-    return round(latitude_deg * 1e7), round(longitude_deg * 1e7)
+    wanted = 0xDC0 | (0 if position else 0x7) | (0 if velocity else 0x38)
+    vectors = (*(position or ZERO), *(velocity or ZERO), *ZERO)
+    mask = wanted if mask is None else mask
+    return mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, mask, *vectors, 0, 0)
 
 
 def heartbeat(kind: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER) -> Any:
@@ -304,8 +297,6 @@ class Link:
         self.heard: list[Heard] = []
         self.aim: Callable[[float], Any] | None = None
         self.rate_hz = 20.0
-        self.aimed_s = math.nan
-        """When the newest of the stream was sent."""
         self.heartbeats: tuple[int, ...] = ()
         self._steps = 0
         self._sequence: dict[Ids, int] = {}
@@ -422,8 +413,7 @@ class Link:
         """10 ms, and before them what is due to be sent."""
         steps, self._steps = self._steps, self._steps + 1
         if self.aim is not None and steps % round(_STEPS_PER_S / self.rate_hz) == 0:
-            self.aimed_s = self.now_s
-            self.send(self.aim(self.aimed_s))
+            self.send(self.aim(self.now_s))
         if steps % _STEPS_PER_S == 0:
             for kind in self.heartbeats:
                 self.send(heartbeat(kind))
@@ -559,18 +549,10 @@ class Flown(Link):
         self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *padded))
 
     def go(
-        self,
-        north_m_s: float,
-        down_m_s: float,
-        east_m_s: float = 0.0,
-        *,
-        at_m: tuple[float, float, float] | None = None,
+        self, north_m_s: float, down_m_s: float, east_m_s: float = 0.0, at_m: Vector | None = None
     ) -> None:
         """A velocity, from where it is or through a place of the local frame."""
-        mask = 0xDC7 if at_m is None else 0xDC0
-        way = (*(at_m or (0.0, 0.0, 0.0)), north_m_s, east_m_s, down_m_s)
-        fields = [0, 1, 1, 1, mask, *way, *[0] * 5]
-        self.send(mavlink.MAVLink_set_position_target_local_ned_message(*fields))
+        self.send(local(at_m, (north_m_s, east_m_s, down_m_s)))
 
     def fly_until(self, reached: Callable[[], bool], within_s: float, *aim: float) -> None:
         """Until this is so, with a velocity sent five times a second if one is given."""

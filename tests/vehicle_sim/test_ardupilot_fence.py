@@ -3,9 +3,10 @@
 import math
 
 import pytest
+from harness import item
 from hypothesis import given
 from hypothesis import strategies as st
-from tracking_copter import Flown
+from tracked import ArduCopter as Flown
 
 from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.guards import Fence
@@ -17,28 +18,12 @@ EARTH = FlatEarth(HOME)
 
 
 def circle(north_m: float, east_m: float, radius_m: float, command: int = 5004) -> PlanItem:
-    place = EARTH.place(north_m, east_m, 0.0)
-    return PlanItem(
-        frame=0,
-        command=command,
-        parameters=(radius_m, 0.0, 0.0, 0.0),
-        x=round(place.latitude_deg * 1e7),
-        y=round(place.longitude_deg * 1e7),
-    )
+    return item(HOME[:2], command, north_m, east_m, 0.0, radius_m, frame=0)
 
 
 def polygon(command: int, *corners_m: tuple[float, float]) -> tuple[PlanItem, ...]:
-    places = [EARTH.place(*corner, 0.0) for corner in corners_m]
-    return tuple(
-        PlanItem(
-            frame=0,
-            command=command,
-            parameters=(float(len(places)), 0.0, 0.0, 0.0),
-            x=round(place.latitude_deg * 1e7),
-            y=round(place.longitude_deg * 1e7),
-        )
-        for place in places
-    )
+    n = float(len(corners_m))
+    return tuple(item(HOME[:2], command, *corner, 0.0, n, frame=0) for corner in corners_m)
 
 
 def fenced(*items: PlanItem, **parameters: float) -> Flown:

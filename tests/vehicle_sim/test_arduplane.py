@@ -1,21 +1,17 @@
 import math
-from functools import cache
+from functools import cache, partial
 
+import harness
 import pytest
-from tracking_plane import (
-    CHANGE_HEADING,
-    CHANGE_SPEED,
-    REPOSITION,
-    TABLE,
-    Rig,
-    flying,
-    off_path_m,
-)
+from tracked import CHANGE_HEADING, CHANGE_SPEED, PLANE_HOME_DEG, REPOSITION, flying, off_path
+from tracked import PLANE_ROWS as TABLE
+from tracked import ArduPlane as Rig
 
 from vehicle_sim.autopilot.values import Result, Sender
 from vehicle_sim.conditions import GpsConditions
-from vehicle_sim.plans import PlanItem, PlanKind
+from vehicle_sim.plans import PlanKind
 
+item = partial(harness.item, PLANE_HOME_DEG)
 MANUAL, FBWA, CRUISE, AUTO, RTL, LOITER, GUIDED = 0, 5, 7, 10, 11, 12, 15
 
 # --- boot, arming, take-off -----------------------------------------------------------------------
@@ -95,7 +91,7 @@ def test_it_circles_where_guided_was_entered_and_tells_the_point() -> None:
 @cache
 def flown_off_path_m(row: int) -> tuple[float, float]:
     _, law, lateral_m_s2, hz, _ = TABLE[row]
-    return off_path_m(law, lateral_m_s2, hz=hz)
+    return off_path(law, lateral_m_s2, hz=hz)[:2]
 
 
 LOOK_AHEADS = (1, 2, 3, 4, 6, 8, 9)
@@ -261,20 +257,6 @@ def test_without_a_pilot_it_holds_height_or_glides() -> None:
 @pytest.fixture
 def mission_rig() -> Rig:
     rig = Rig()
-
-    def item(
-        command: int, north_m: float = 0.0, east_m: float = 0.0, up_m: float = 0.0, *asked: float
-    ) -> PlanItem:
-        latitude_deg, longitude_deg = rig.frame.to_geographic(north_m, east_m)
-        first, second = (*asked, 0.0, 0.0)[:2]
-        return PlanItem(
-            frame=3,
-            command=command,
-            parameters=(first, second, 0.0, 0.0),
-            x=round(latitude_deg * 1e7),
-            y=round(longitude_deg * 1e7),
-            z_m=up_m,
-        )
 
     rig.plans[PlanKind.MISSION] = (
         item(16),

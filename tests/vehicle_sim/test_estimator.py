@@ -9,12 +9,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-import tracking_copter
-import tracking_px4
-from conformance.log import Side, read_recording
+from conformance.flights import Side, read_recording
 from harness import STEP_S
 from harness import Flown as OnGround
 from recordings import recording
+from tracked import PX4_GPS, ArduCopter, Curve, Px4Copter, fix_of
 
 from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.geodesy import metres_per_degree
@@ -26,7 +25,7 @@ LAND, CRITICAL, ACTIVE = 9, 5, 4
 # --- ArduPilot ------------------------------------------------------------------------------------
 
 
-class Ardu(tracking_copter.Flown):
+class Ardu(ArduCopter):
     """With a receiver that jumps or falls silent as it is told."""
 
     step_north_m = 0.0
@@ -37,7 +36,7 @@ class Ardu(tracking_copter.Flown):
             return self.fix
         if self.silent:
             return Fix(time_us=self.now_us, fix_type=1)
-        fix = tracking_copter.fix_of(self.copter, self.now_us)
+        fix = fix_of(self.copter, self.now_us)
         shift_deg = self.step_north_m / metres_per_degree(self.copter.latitude_deg)[0]
         return fix._replace(latitude_deg=fix.latitude_deg + shift_deg)
 
@@ -170,7 +169,7 @@ def test_an_outage_of_ten_seconds_leaves_it_armable_again(kind: str) -> None:
 
 _LOG = "px4-gps-loss.tlog"
 _NO_FIX = GpsConditions(fix_type=3, lag_s=0.0, enabled=False, satellites=0)
-_FIX = GpsConditions(fix_type=3, lag_s=0.0)
+_FIX = PX4_GPS
 _LOST_S = 30.0
 """80.97 to 110.97 s of the log."""
 _SPEED_M_S = 6.0
@@ -181,10 +180,10 @@ class Loss:
     """A flight along the curve that loses its GPS after 30 s for as long, the stream going on."""
 
     def __init__(self, seed: int = 1) -> None:
-        self.rig = rig = tracking_px4.Rig(seed)
+        self.rig = rig = Px4Copter(seed)
         self.samples = list[tuple[float, float, str, float]]()
         """Time since the loss, accuracy, mode, and how far the estimate is off."""
-        curve = tracking_px4.Curve()
+        curve = Curve()
         rig.take_off(20.0)
         self.lost_s = rig.now_s + 30.0
         for k in range(9000):
@@ -245,7 +244,7 @@ def test_the_estimate_drifts_and_jumps_back(loss: Loss) -> None:
 
 
 def test_a_short_loss_is_not_noticed() -> None:
-    rig = tracking_px4.Rig()
+    rig = Px4Copter()
     rig.take_off(10.0)
     for rig.gps_conditions in (_NO_FIX, _FIX):
         rig.stream(4.0, position=_HERE)
@@ -255,7 +254,7 @@ def test_a_short_loss_is_not_noticed() -> None:
 
 def test_a_glitch_is_refused_for_seven_seconds_and_then_believed() -> None:
     """Source: reset_timeout_max 7 s."""
-    rig = tracking_px4.Rig()
+    rig = Px4Copter()
     rig.take_off(10.0)
     rig.gps_conditions = GpsConditions(fix_type=3, lag_s=0.0, glitch_latitude_deg=0.00045)
     before_deg = rig.copter.latitude_deg
@@ -268,7 +267,7 @@ def test_a_glitch_is_refused_for_seven_seconds_and_then_believed() -> None:
 
 def test_hover_wanders_by_a_few_decimetres() -> None:
     """px4.md: 0.2 to 0.4 m of hover "noise"; 0.13 m standard deviation in the log."""
-    rig = tracking_px4.Rig()
+    rig = Px4Copter()
     rig.take_off(10.0)
     positions = []
     for _ in range(60):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from harness import GCS, KINDS, PLACE, QUIET, READY_S, Link, heartbeat, take_off
+from harness import GCS, KINDS, PLACE, QUIET, READY_S, Link, heartbeat, item, local, take_off
 from harness import Heard as Frame
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
@@ -27,11 +27,6 @@ STREAMS = {1: 5, 24: 10, 30: 10, 32: 10, 33: 10, 85: 10, 147: 5, 49: 1}
 UNSEEN_M = -32768
 
 
-def place_e7(north_m: float, east_m: float) -> tuple[int, int]:
-    latitude_deg = PLACE[0] + north_m / METRES_PER_DEG[0]
-    return round(latitude_deg * 1e7), round((PLACE[1] + east_m / METRES_PER_DEG[1]) * 1e7)
-
-
 class Flight(Link):
     """A ground station on link 1, and a companion on link 0 that flies out and back in a wave."""
 
@@ -46,13 +41,11 @@ class Flight(Link):
     def setpoint(self, now_s: float) -> Any:
         if self.firmware == "ardupilot" and self.kind == "plane":
             north, east, _ = route(now_s)
-            where = (*place_e7(4.0 * north, 4.0 * east), 80.0)
+            to = item(PLACE[:2], 192, 4.0 * north, 4.0 * east)
+            where = (to.x, to.y, 80.0)
             return mavlink.MAVLink_command_int_message(1, 1, 3, 192, 0, 0, -1, 0, 60, 0, *where)
         here, soon = route(now_s), route(now_s + 1.0)
-        velocity = [b - a for a, b in zip(here, soon, strict=True)]
-        return mavlink.MAVLink_set_position_target_local_ned_message(
-            0, 1, 1, 1, 0xDC0, *here, *velocity, 0, 0, 0, 0, 0
-        )
+        return local(here, (soon[0] - here[0], soon[1] - here[1], 0.0))
 
     def ask(self) -> None:
         """What is asked of the radar and of the clock, five times a second."""

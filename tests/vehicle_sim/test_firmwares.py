@@ -6,9 +6,10 @@ ardupilot.md (head, 1), px4.md (1 to 3, 10).
 from typing import Any
 
 import pytest
-from harness import GCS, KINDS, MISSION, PLACE, Key, Link, flying, heartbeat, ready
+from harness import GCS, KINDS, MISSION, PLACE, VEHICLE, Key, Link, flying, heartbeat, ready
 from pymavlink.dialects.v20 import all as mavlink
 
+from vehicle_sim.autopilot import px4
 from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.parameters import Kind
 from vehicle_sim.world import VehicleKind
@@ -137,26 +138,6 @@ def test_px4_tells_its_mode_twice_a_second_and_at_once_when_it_changes() -> None
     assert vehicle.last("CURRENT_MODE").custom_mode == MISSION
 
 
-@pytest.mark.parametrize(
-    "message",
-    [
-        mavlink.MAVLink_obstacle_distance_message(0, 0, [100] * 72, 5, 20, 3000),
-        mavlink.MAVLink_trajectory_representation_waypoints_message(
-            0, 1, *([[0.0] * 5] * 11), [0] * 5
-        ),
-    ],
-)
-def test_px4_flies_on_and_says_the_same_whatever_obstacles_or_routes_it_is_told(
-    message: Any,
-) -> None:
-    flights = [flying("px4", "copter") for _ in range(2)]
-    flights[1].send(message)
-    for flight in flights:
-        flight.run(2.0)
-    assert len({flight.simulation.vehicle.altitude_amsl_m for flight in flights}) == 1
-    assert len({tuple(heard.kind for heard in flight.heard) for flight in flights}) == 1
-
-
 def test_px4_takes_what_is_signed_and_what_is_not_and_never_signs() -> None:
     vehicle = ready("px4", "copter")
     key = Key(secret=bytes([7]) * 32, link=3, timestamp=400_000_000_000)
@@ -168,3 +149,42 @@ def test_px4_takes_what_is_signed_and_what_is_not_and_never_signs() -> None:
     assert vehicle.command(400, 0) == 0
     assert not vehicle.simulation.armed
     assert not any(heard.frame[2] & 1 for heard in vehicle.heard)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids="-".join)
+def test_every_mode_is_flown_or_refused_with_a_word(kind: Any) -> None:
+    client, is_px4 = flying(*kind), kind[0] == "px4"
+    modes = PERSONALITIES[kind].firmware.modes
+    numbers = {mode.name: mode.number for mode in modes}
+    back = numbers["Hold" if is_px4 else "GUIDED"]
+    for mode in modes:
+        since_s = client.now_s
+        result, now = client.set_mode(mode.number), client.simulation.mode_name
+        client.run(0.3)  # STABILIZE falls
+        if result == 0:
+            assert numbers[now] == mode.number
+            assert client.simulation.armed, mode.name
+        else:
+            assert is_px4 or client.texts(since_s), mode.name
+        assert client.set_mode(back) == 0
+        client.run(1.0)
+        assert client.last("HEARTBEAT").custom_mode == back
+
+
+@pytest.mark.parametrize("kind", KINDS[2:], ids="-".join)
+def test_px4_returns_in_mode_return_when_its_mission_says_so(kind: Any) -> None:
+    client, modes = ready(*kind), {mode.name: mode.number for mode in px4.MODES}
+    x, y = (round(angle * 1e7) for angle in PLACE[:2])
+    items = [
+        mavlink.MAVLink_mission_item_int_message(
+            *VEHICLE, seq, 2 if command == 20 else 3, command, *(0, 1), *[0] * 4, *place, 30.0, 0
+        )
+        for seq, (command, *place) in enumerate(
+            ((22, x, y), (16, x + 10_000, y + 10_000), (20, x, y))
+        )
+    ]
+    assert client.upload(items, 0) == 0
+    assert client.set_mode(modes["Mission"]) == 0
+    assert client.command(400, 1) == 0
+    returns = modes["Return"]
+    assert client.until(lambda: client.last("HEARTBEAT").custom_mode == returns, 180.0) < 180.0

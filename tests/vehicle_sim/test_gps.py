@@ -4,15 +4,14 @@ import bisect
 import dataclasses
 import itertools
 import math
-import struct
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
+from conformance.flights import decoded, heard, records
 from harness import GENTLE
 from numpy.typing import NDArray
-from pymavlink.dialects.v20 import all as mavlink
 from pyproj import Geod
 from recordings import recording
 
@@ -71,16 +70,12 @@ def offsets_m(found: list[Fix]) -> FloatArray:
 
 def recorded(name: str, numbers: set[int]) -> Iterator[tuple[float, Any]]:
     """Seconds of the log and message, of these numbers only."""
-    data, at, first = recording(name).read_bytes(), 0, None
-    decoder = mavlink.MAVLink(None)
-    while at < len(data):
-        (time_us,) = struct.unpack_from(">Q", data, at)
-        size = 12 + data[at + 9] + (13 if data[at + 10] & 1 else 0)
-        first = time_us if first is None else first
-        if int.from_bytes(data[at + 15 : at + 18], "little") in numbers:
-            frame = data[at + 8 : at + 8 + size]
-            yield (time_us - first) * 1e-6, decoder.decode(bytearray(frame))
-        at += 8 + size
+    begin_us = None
+    for time_us, frame in records(recording(name).read_bytes()):
+        begin_us = time_us if begin_us is None else begin_us
+        one = heard((time_us - begin_us) * 1e-6, frame)
+        if one.number in numbers:
+            yield one.time_s, decoded(one)
 
 
 def replayed(

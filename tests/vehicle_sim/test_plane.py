@@ -70,18 +70,6 @@ def test_wind_adds_to_the_air_velocity(heading_deg: float) -> None:
     assert vehicle.airspeed_m_s == pytest.approx(20.0, abs=1e-3)
 
 
-def test_circles_drift_with_the_wind() -> None:
-    vehicle = steady(30.0)
-    vehicle.wind_east_m_s = 5.0
-    vehicle.advance(math.radians(30.0), 0.0, 20.0, DT_S)
-    start_n, start_e = local_m(vehicle)
-    lap_s = math.tau * 20.0 / (GRAVITY_M_S2 * math.tan(math.radians(30.0)))
-    flown(vehicle, lap_s, 30.0)
-    north, east = local_m(vehicle)
-    assert east - start_e == pytest.approx(5.0 * lap_s, abs=0.3)
-    assert north - start_n == pytest.approx(0.0, abs=0.3)
-
-
 def test_a_climb_costs_no_airspeed_and_counts_towards_it() -> None:
     vehicle = flown(steady(), 20.0, climb_m_s=4.0)
     assert vehicle.airspeed_m_s == pytest.approx(20.0, abs=1e-3)

@@ -4,26 +4,29 @@ import functools
 import itertools
 import math
 
+import harness
 import pytest
-from tracking_px4_fixed_wing import (
+from harness import NAN
+from tracked import (
     ALL_THREE,
     GROUND_AMSL_M,
-    NAN,
-    POSITION_ONLY,
     POSITION_VELOCITY,
-    ROWS,
-    VELOCITY_ONLY,
-    Curve,
-    Rig,
-    Row,
-    fly,
+    PX4_HOME_DEG,
+    VELOCITY,
+    fixed_wing_route,
+    fly_fixed,
 )
+from tracked import FIXED_WING as ROWS
+from tracked import POSITION as POSITION_ONLY
+from tracked import FixedRow as Row
+from tracked import Px4Plane as Rig
 
 from vehicle_sim.autopilot.values import Landed
 from vehicle_sim.conditions import GpsConditions
-from vehicle_sim.plans import PlanItem, PlanKind
+from vehicle_sim.plans import PlanKind
 
-flown = functools.cache(fly)
+flown = functools.cache(fly_fixed)
+item = functools.partial(harness.item, PX4_HOME_DEG)
 WORSE = (
     "pos + vel - acc (negated)",
     "pos + vel, nearest point",
@@ -72,7 +75,7 @@ def test_curve_is_followed_as_measured(row: Row) -> None:
     got = flown(row)
     assert got.rms_m == pytest.approx(row.rms_m, abs=row.within_m)
     assert got.most_m < row.most_m + max(0.2 * row.most_m, 1.5)
-    assert got.ground_speed_m_s == pytest.approx(13.9, abs=0.25)
+    assert got.speed_m_s == pytest.approx(13.9, abs=0.25)
 
 
 @pytest.mark.nightly
@@ -85,18 +88,18 @@ def test_kinds_of_setpoints_are_as_good_and_as_bad_in_the_order_measured() -> No
 # --- OFFBOARD -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("mask", "name"), [(VELOCITY_ONLY, "velocity"), (0xC3F, "acceleration")])
+@pytest.mark.parametrize(("mask", "name"), [(VELOCITY, "velocity"), (0xC3F, "acceleration")])
 def test_without_a_position_the_last_commands_stay(mask: int, name: str) -> None:
-    rig, curve, index = Rig(), Curve(), 2186  # the last commands are those of a straight stretch
-    rig.put(float(curve.north[index]), float(curve.east[index]), 68.0, float(curve.heading[index]))
+    rig, route, index = Rig(), fixed_wing_route(), 2186  # the last are those of a straight stretch
+    rig.put(*route.point(index), 68.0, float(route.heading_rad[index]))
     streaming(rig, 0.0, 0.0)
     off_m = 0.0
     for i in range(300):
-        index, off_m = curve.nearest(*rig.px4.local_m[:2], index)
-        heading = float(curve.heading[index])
-        place = (float(curve.north[index]), float(curve.east[index]), -70.0)
+        index, off_m = route.nearest(rig.ne_m, index)
+        heading = float(route.heading_rad[index])
         along = (14.0 * math.cos(heading), 14.0 * math.sin(heading), 0.0)
-        rig.send(POSITION_VELOCITY if i < 150 else mask, place, along, (0.1, 0.1, 0.0))
+        sent = POSITION_VELOCITY if i < 150 else mask
+        rig.send(sent, (*route.point(index), -70.0), along, (0.1, 0.1, 0.0))
         if i == 150:
             assert abs(off_m) < 6.0
             bank_rad = rig.plane.roll_rad
@@ -285,16 +288,11 @@ def test_mission_from_take_off_to_landing() -> None:
     rig = Rig()
     rig.run(6.0)
 
-    def item(command: int, north_m: float, east_m: float, height_m: float) -> PlanItem:
-        latitude_deg, longitude_deg, _ = rig.place(north_m, east_m, 0.0)
-        x, y = round(latitude_deg * 1e7), round(longitude_deg * 1e7)
-        return PlanItem(frame=6, command=command, x=x, y=y, z_m=height_m)
-
     corners = ((500.0, 0.0), (500.0, 400.0), (100.0, 400.0))
     rig.plans[PlanKind.MISSION] = (
-        item(22, 300.0, 0.0, 40.0),
-        *(item(16, north_m, east_m, 60.0) for north_m, east_m in corners),
-        item(21, 0.0, 0.0, 0.0),
+        item(22, 300.0, 0.0, 40.0, frame=6),
+        *(item(16, north_m, east_m, 60.0, frame=6) for north_m, east_m in corners),
+        item(21, frame=6),
     )
     rig.px4.on_plan(PlanKind.MISSION)
     assert rig.command(300) == 0

@@ -1,10 +1,11 @@
 """How both firmwares read SET_POSITION_TARGET: the tables of ardupilot.md 3 and px4.md 4."""
 
 import math
+from itertools import product
 from typing import Any
 
 import pytest
-from harness import ALL, NAN, POSITION, POSITION_VELOCITY, VELOCITY, Vector
+from harness import ALL, NAN, POSITION, POSITION_VELOCITY, VELOCITY, ZERO, Vector
 
 from vehicle_sim.autopilot.setpoints import (
     Stop,
@@ -126,10 +127,11 @@ def test_not_a_number_in_what_is_ignored_is_harmless() -> None:
 
 @pytest.mark.parametrize("frame", [0, 3, 5, 6, 10, 11])
 def test_arducopter_takes_a_global_place_in_these_frames(frame: int) -> None:
-    for mask in (POSITION, *((ALL,) if frame < 10 else ())):
-        target = read_by_arducopter(given(mask, GLOBAL, frame=frame, is_global=True), 0.0)
+    masks = (POSITION, *((ALL,) if frame < 10 else ()))
+    for mask, place in product(masks, (GLOBAL, ZERO)):  # null island is a place, too
+        target = read_by_arducopter(given(mask, place, frame=frame, is_global=True), 0.0)
         assert isinstance(target, Target)
-        assert target.position == GLOBAL
+        assert target.position == place
         assert math.isnan(target.acceleration[0])  # GLOBAL_INT has none beside a velocity
 
 

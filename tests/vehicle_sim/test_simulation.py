@@ -71,13 +71,6 @@ def test_a_tick_is_one_position_period(other: Other) -> None:
     assert other.simulation.now_us == 200_000
 
 
-def test_the_radar_refuses_commands_by_itself(other: Other) -> None:
-    asked = mavlink.MAVLink_command_long_message(1, 100, 511, 0, 33, 1e5, 0, 0, 0, 0, 0)
-    other.send(other.frame(asked))
-    (answer,) = other.messages()
-    assert (answer.get_srcComponent(), answer.result) == (100, 3)
-
-
 def test_only_the_companion_that_was_heard_first_ends_the_run(other: Other) -> None:
     other.send(other.heartbeat())
     gcs = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)

@@ -2,14 +2,18 @@
 
 Tolerances: along the route 0.4 m and 15 %; off it 0.1 m and 20 % (rms), 0.2 m and 20 % (max): the
 document does not tell the wave length of its routes.  Rows with more are named.  The two rows at
-the limit of the tilt are printed only: there the airframe decides, which is another simulation's.
+the limit of the tilt are printed only: there the airframe decides, which is another simulation's;
+and not held are 9.2 m/s of positions alone at 10 m/s (here 9.8: on such a route 9.2 m/s would fall
+back without end) and what is off the path at 0.5 Hz (here 1.7 m rms for 4.0).
 """
 
 import functools
 
 import pytest
-import tracking_copter as tracking
-from tracking_copter import JUMPS, ROWS, STEP_S, STOPS, Jump, Row, Stop, Tracked
+import tracked
+from harness import STEP_S
+from tracked import JUMPS, STOPS, WEAVES, Jump, Stop, Tracked
+from tracked import WeaveRow as Row
 
 ONCE_A_SECOND = 1
 LOOSER = {
@@ -19,7 +23,7 @@ LOOSER = {
     ): "no position holds it along or across; behind 4.8 m for 6.8 m, 0.5 m off for 0.23 m",
     (15, "position"): "flown at 12.9 m/s there, with a WPNAV_SPEED that is not told",
 }
-fly = functools.cache(functools.partial(tracking.fly, seconds=54.0))
+fly = functools.cache(functools.partial(tracked.fly_weave, seconds=54.0))
 
 
 def name(row: Row) -> str:
@@ -28,7 +32,7 @@ def name(row: Row) -> str:
 
 def row_of(speed_m_s: float, kind: str, rate_hz: float = 10) -> Row:
     wanted = (speed_m_s, kind, rate_hz)
-    return next(row for row in ROWS if (row.speed_m_s, row.kind, row.rate_hz) == wanted)
+    return next(row for row in WEAVES if (row.speed_m_s, row.kind, row.rate_hz) == wanted)
 
 
 def _between(row: Row) -> bool:
@@ -40,7 +44,7 @@ def _between(row: Row) -> bool:
     "row",
     [
         pytest.param(row, marks=[pytest.mark.nightly] if _between(row) else [])
-        for row in ROWS
+        for row in WEAVES
         if row.speed_m_s < 10 or row.lean_deg >= 45.0
     ],
     ids=name,
@@ -62,8 +66,8 @@ def test_a_weaving_route_is_followed_as_measured(row: Row) -> None:
 @pytest.mark.parametrize("kind", ["position", "pos+vel", "pos+vel+acc"])
 def test_what_the_tilt_does_not_allow_is_not_flown_with_any_kind_of_setpoint(kind: str) -> None:
     """15 m/s with ANGLE_MAX 30 degrees: 90 to 120 m behind and growing, 21 to 44 m off."""
-    it = tracking.airborne(lean_deg=30.0, wpnav_m_s=15.0)
-    got = tracking.follow(it, tracking.weave(15.0, 1.8, 80.0), kind=kind, rate_hz=10.0)
+    it = tracked.airborne(lean_deg=30.0, wpnav_m_s=15.0)
+    got = tracked.follow(it, tracked.weave(15.0, 1.8, 80.0), kind=kind, rate_hz=10.0)
     assert got.along_m < -60.0
     assert got.speed_m_s < 11.0
 
@@ -94,29 +98,6 @@ def near(expected: float, within: float) -> object:
         (row_of(10, "pos+vel"), {}, {"nose_deg": near(3.0, 3.5)}),  # 2 to 4 degrees
         (row_of(10, "position"), {}, {"nose_deg": near(11.0, 3.5)}),
         (row_of(15, "pos+vel+acc"), {}, {"speed_m_s": near(15.0, 0.3)}),  # WPNAV_SPEED is 10
-        pytest.param(
-            row_of(10, "position"),
-            {},
-            {"speed_m_s": near(9.2, 0.5)},
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason="9.8 m/s with the measured 35 m behind and 2.2 m off: on a route of this "
-                "wave length 9.2 m/s would fall back without end",
-            ),
-        ),
-        pytest.param(
-            row_of(10, "pos+vel+acc", 20)._replace(rate_hz=0.5),
-            {},
-            {"off_rms_m": near(3.96, 1.2), "off_max_m": near(11.0, 3.0)},
-            marks=[
-                pytest.mark.nightly,
-                pytest.mark.xfail(
-                    strict=True,
-                    reason="1.7 m rms here, five times as bad as 2 Hz; how far a target runs "
-                    "astray in 2 s depends on the wave length, which is not told",
-                ),
-            ],
-        ),
     ],
     ids=lambda value: (
         ", ".join(f"{key} {said}" for key, said in value.items())
@@ -133,7 +114,7 @@ def test_what_age_wind_and_kind_of_setpoints_do_is_as_measured(
 
 def test_a_steep_ramp_without_feed_forward_is_caught_up_with_at_12_m_s() -> None:
     """3 m/s2: 5 to 12 m behind."""
-    it = tracking.airborne()
+    it = tracked.airborne()
     north_m, behind_m, fastest = 0.0, 0.0, 0.0
     for k in range(1500):
         ramp = min(k * STEP_S / 5.0, 1.0)
@@ -151,7 +132,7 @@ def test_a_steep_ramp_without_feed_forward_is_caught_up_with_at_12_m_s() -> None
 @pytest.mark.sample(3)
 @pytest.mark.parametrize("row", STOPS, ids=lambda row: f"{row.kind}, {row.timeout_s:g} s")
 def test_a_stream_that_stops_is_flown_on_and_come_back_from_as_measured(row: Stop) -> None:
-    got = tracking.end_stream(row)
+    got = tracked.end_stream(row)
     if row.brakes_s is not None:
         assert got.brakes_s == pytest.approx(row.brakes_s, abs=0.4)
     assert got.still_s == pytest.approx(row.still_s, abs=1.1)
@@ -162,7 +143,7 @@ def test_a_stream_that_stops_is_flown_on_and_come_back_from_as_measured(row: Sto
 @pytest.mark.sample(3)
 @pytest.mark.parametrize("row", JUMPS, ids=lambda row: row.what)
 def test_a_target_that_jumps_is_reached_as_measured(row: Jump) -> None:
-    got = tracking.jump(row)
+    got = tracked.jump(row)
     assert got.within_s == pytest.approx(row.within_s, rel=0.15)
     assert got.peak_m_s == pytest.approx(row.peak_m_s, abs=0.2 if row.ned_m[2] else 0.4)
     for field, within in (("lateral_m_s", 0.4), ("tilt_deg", 2.0), ("overshoot_m", 0.3)):

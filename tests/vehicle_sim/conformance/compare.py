@@ -1,19 +1,17 @@
-"""All rows of a flight."""
+"""All rows of a flight: what a client can tell of two, each with its tolerance."""
 
 import dataclasses
-import itertools
 
-from conformance import answers, lidar, states, streams, track
-from conformance.flights import Flight
-from conformance.log import Recording, Side
+from conformance import lidar, rows, track
+from conformance.flights import Flight, Recording, Side
 from conformance.rows import Comparison, Row
 
 _ALL = (
-    answers.ack_rows,
-    answers.exchange_rows,
-    answers.once_rows,
-    states.state_rows,
-    streams.stream_rows,
+    rows.ack_rows,
+    rows.exchange_rows,
+    rows.once_rows,
+    rows.state_rows,
+    rows.stream_rows,
     track.track_rows,
     track.battery_rows,
     lidar.lidar_rows,
@@ -22,16 +20,11 @@ _ALL = (
 
 def compare(recording: Recording, flight: Flight, simulated: Side) -> list[Row]:
     """Every row that is compared, each disagreement with its reason if that is known."""
-    comparison = Comparison.of(recording, flight, simulated)
-    rows = itertools.chain.from_iterable(make(comparison) for make in _ALL)
-    return [
-        row if row.agrees else dataclasses.replace(row, reason=_reason(row, flight))
-        for row in rows
-        if not comparison.is_left_out(row.at_s)
-    ]
+    comparison = Comparison(recording, flight, simulated)
 
+    def explained(row: Row) -> Row:
+        reasons = (each for each in flight.reasons if each.explains(row))
+        return row if row.agrees else dataclasses.replace(row, reason=next(reasons, None))
 
-def _reason(row: Row, flight: Flight) -> str | None:
-    """Why this row does not agree; None if unexplained."""
-    found = (reason.why for reason in flight.reasons if row.is_explained_by(reason))
-    return next(found, None)
+    made = (row for make in _ALL for row in make(comparison))
+    return [explained(row) for row in made if not comparison.is_left_out(row.at_s)]

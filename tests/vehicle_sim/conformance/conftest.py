@@ -6,7 +6,7 @@ from collections.abc import Callable
 import pytest
 from recordings import recording
 
-from conformance.log import Recording, read_recording
+from conformance.flights import Recording, read_recording
 
 FILES = (
     "arducopter-gps-loss.tlog",

@@ -1,66 +1,249 @@
-"""What the recordings do not say of themselves, and why rows differ: flights.toml, read once.
-
-A row that does not agree and has no reason fails the suite, and so does a reason that no row of a
-recording needs.
-"""
+"""A recorded flight, what it does not say of itself (flights.toml), and its client flown again."""
 
 import dataclasses
 import fnmatch
 import functools
+import lzma
 import math
 import re
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, final
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+from pymavlink.dialects.v20 import all as mavlink
 
-from conformance.log import Place, Recording, TimedFrame, decoded, heard
 from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.errors import InputError
+from vehicle_sim.parameters import Firmware
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import LidarTable, Tree, World, flat_world
+from vehicle_sim.world import LidarTable, Tree, VehicleKind, World, flat_world
 
-_FILE = Path(__file__).with_name("flights.toml")
+_HEARTBEAT, _GPS_RAW, _ATTITUDE, _GLOBAL, _ORIGIN, _HOME = 0, 24, 30, 33, 49, 242
+_STAMPED = {30, 32, 33}
+"""ATTITUDE, LOCAL_POSITION_NED and GLOBAL_POSITION_INT begin with time_boot_ms."""
+_FIRMWARES: dict[int, Firmware] = {3: "ardupilot", 12: "px4"}
+_FIXED_WING, _ARMED, _FIX_3D = 1, 0x80, 3
+_DECODER = mavlink.MAVLink(None)
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExcludedSpan:
-    """Seconds after the first record that are not compared."""
+class TimedFrame(NamedTuple):
+    """A frame, and when it was on the wire in seconds."""
+
+    time_s: float
+    number: int
+    """Of the message."""
+    system: int
+    component: int
+    frame: bytes
+
+
+def heard(time_s: float, frame: bytes) -> TimedFrame:
+    """A frame with its identity read from its head."""
+    return TimedFrame(time_s, int.from_bytes(frame[7:10], "little"), frame[5], frame[6], frame)
+
+
+def decoded(one: TimedFrame) -> Any:
+    """The message; MAVLink_unknown for an unknown one."""
+    return _DECODER.decode(bytearray(one.frame))
+
+
+class Side:
+    """Everything that one autopilot said, by message."""
+
+    def __init__(self, said: Iterable[TimedFrame]) -> None:
+        self._frames = dict[int, list[TimedFrame]]()
+        for one in said:
+            self._frames.setdefault(one.number, []).append(one)
+        self._decoded = dict[int, list[tuple[float, Any]]]()
+
+    @property
+    def numbers(self) -> set[int]:
+        """Of all messages that it said."""
+        return set(self._frames)
+
+    def heard(self, number: int) -> Sequence[TimedFrame]:
+        """Every frame of this message."""
+        return self._frames.get(number, ())
+
+    def of(self, number: int) -> Sequence[tuple[float, Any]]:
+        """Time and message of each of them."""
+        if number not in self._decoded:
+            self._decoded[number] = [(one.time_s, decoded(one)) for one in self.heard(number)]
+        return self._decoded[number]
+
+
+# --- log time and vehicle time --------------------------------------------------------------------
+
+
+class Clock:
+    """Seconds since the first record of a log <-> seconds since the autopilot's boot.
+
+    A stamp is never older than its record, but it may have waited on the way: in each second of
+    the log the one that waited least counts.  Outside of all stamps both clocks run alike.
+    """
+
+    def __init__(self, stamps: Iterable[tuple[float, float]]) -> None:
+        """Pairs of log time and the vehicle time that the record carries."""
+        best = dict[int, tuple[float, float]]()
+        for log_s, vehicle_s in stamps:
+            known = best.get(int(log_s))
+            if known is None or vehicle_s - log_s > known[1] - known[0]:
+                best[int(log_s)] = (log_s, vehicle_s)
+        self._log_s, told_s = np.array(sorted(best.values()) or [(0.0, 0.0)]).T
+        self._vehicle_s = np.maximum.accumulate(told_s)
+
+    def vehicle_s(self, log_s: float) -> float:
+        """Vehicle time at this log time."""
+        return _along(log_s, self._log_s, self._vehicle_s)
+
+    def log_s(self, vehicle_s: float) -> float:
+        """Log time at this vehicle time."""
+        return _along(vehicle_s, self._vehicle_s, self._log_s)
+
+
+def _along(x: float, knots: Any, values: Any) -> float:
+    inside = min(max(x, knots[0]), knots[-1])
+    return float(np.interp(inside, knots, values) + x - inside)
+
+
+# --- the recording --------------------------------------------------------------------------------
+
+
+class Place(msgspec.Struct, frozen=True, kw_only=True):
+    """Where the vehicle stood before the flight."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_amsl_m: float
+    heading_deg: float
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Recording:
+    """One flight.  All times are seconds since the autopilot's boot."""
+
+    name: str
+    """Of the file, without folder and .xz."""
+    firmware: Firmware
+    kind: VehicleKind
+    system: int
+    home: Place
+    sent: Sequence[TimedFrame]
+    """By the clients: everything that does not come from the autopilot."""
+    said: Sequence[TimedFrame]
+    """By the autopilot."""
+    begin_s: float
+    end_s: float
+    clock: Clock
+
+    @functools.cached_property
+    def side(self) -> Side:
+        """What the autopilot said, each message decoded once."""
+        return Side(self.said)
+
+
+def records(data: bytes, name: str = "") -> Iterator[tuple[int, bytes]]:
+    """Microseconds since 1970 and frame of each complete record of a .tlog.
+
+    Each is 8 bytes of time, big-endian, and a frame.  InputError where no MAVLink 2 frame is.
+    """
+    at = 0
+    while at + 11 <= len(data):
+        if data[at + 8] != 0xFD:
+            rule = f"byte {at + 8} does not begin a MAVLink 2 frame"
+            raise InputError("LOG", name, rule, "Name a .tlog of MAVLink 2.")
+        end = at + 20 + data[at + 9] + 13 * (data[at + 10] & 1)
+        if end <= len(data):
+            yield int.from_bytes(data[at : at + 8], "big"), data[at + 8 : end]
+        at = end
+
+
+def read_recording(path: Path) -> Recording:
+    """The flight in this file, a .tlog or .tlog.xz.  InputError if there is none."""
+    try:
+        data = path.read_bytes()
+        data = lzma.decompress(data) if path.suffix == ".xz" else data
+    except (OSError, lzma.LZMAError) as error:
+        rule = f"cannot be read ({getattr(error, 'strerror', error)})"
+        raise InputError("LOG", str(path), rule, "Name a .tlog or .tlog.xz.") from None
+    told = list(records(data, str(path)))
+    raw = [heard((time_us - told[0][0]) * 1e-6, frame) for time_us, frame in told]
+    beats = (one for one in raw if one.number == _HEARTBEAT)
+    beat = next((one for one in beats if decoded(one).autopilot in _FIRMWARES), None)
+    if beat is None:
+        rule = "no autopilot of ArduPilot or PX4 speaks in it"
+        raise InputError("LOG", str(path), rule, "Name the recording of a flight.")
+    clock = Clock(
+        # zeros at the end of a payload are left out
+        (one.time_s, int.from_bytes(one.frame[10 : 10 + min(4, one.frame[1])], "little") * 1e-3)
+        for one in raw
+        if one.number in _STAMPED and one[2:4] == beat[2:4]
+    )
+    timed = [one._replace(time_s=clock.vehicle_s(one.time_s)) for one in raw]
+    said = [one for one in timed if one[2:4] == beat[2:4]]
+    message = decoded(beat)
+    return Recording(
+        name=path.name.removesuffix(".xz"),
+        firmware=_FIRMWARES[message.autopilot],
+        kind="plane" if message.type == _FIXED_WING else "copter",
+        system=beat.system,
+        home=_home(said),
+        sent=[one for one in timed if one[2:4] != beat[2:4]],
+        said=said,
+        begin_s=timed[0].time_s,
+        end_s=timed[-1].time_s,
+        clock=clock,
+    )
+
+
+def _home(said: Iterable[TimedFrame]) -> Place:
+    """From HOME_POSITION, or else the estimator's origin, or else the first fix."""
+    found, yaw_rad = dict[int, Any](), 0.0
+    for one in said:
+        if one.number not in (_HEARTBEAT, _ATTITUDE, _HOME, _ORIGIN, _GPS_RAW):
+            continue
+        m = decoded(one)
+        if one.number == _HEARTBEAT and m.base_mode & _ARMED:
+            break  # it has stood still until now
+        if one.number == _ATTITUDE:
+            yaw_rad = m.yaw
+        elif one.number in (_HOME, _ORIGIN):
+            found.setdefault(one.number, (m.latitude, m.longitude, m.altitude))
+        elif one.number == _GPS_RAW and m.fix_type >= _FIX_3D:
+            found.setdefault(one.number, (m.lat, m.lon, m.alt))
+    places = (found[kind] for kind in (_HOME, _ORIGIN, _GPS_RAW) if kind in found)
+    latitude_e7, longitude_e7, altitude_mm = next(places, (0, 0, 0))
+    return Place(
+        latitude_deg=latitude_e7 / 1e7,
+        longitude_deg=longitude_e7 / 1e7,
+        altitude_amsl_m=altitude_mm / 1e3,
+        heading_deg=math.degrees(yaw_rad) % 360.0,
+    )
+
+
+# --- what it does not say of itself; times are seconds after the first record --------------------
+
+
+class Span(msgspec.Struct, frozen=True, kw_only=True):
+    """Something from one time to another: left out, with why, or a fault, as in a timeline file."""
 
     begin_s: float
     end_s: float
-    why: str
+    why: str = ""
+    what: str = ""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Placement:
+class Placement(msgspec.Struct, frozen=True, kw_only=True):
     """The simulated vehicle is put where the real one was, with its course and speed, once."""
 
     at_s: float
-    """Seconds after the first record."""
     why: str
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Fault:
-    """Something that was done to the simulator and not by a client's frame."""
-
-    begin_s: float
-    """Seconds after the first record, as is the end."""
-    end_s: float
-    what: str
-    """As in a timeline file (faults/timeline.py)."""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Posts:
+class Posts(msgspec.Struct, frozen=True, kw_only=True):
     """Round posts on a square grid, endlessly high."""
 
     north_m: float
@@ -80,86 +263,74 @@ class Posts:
         return [(self.north_m + north, self.east_m + east) for north in steps for east in steps]
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Reason:
-    """Why some rows of some recordings do not agree."""
+class Reason(msgspec.Struct, frozen=True, kw_only=True):
+    """Why some rows do not agree: regular expressions for the whole of what they say."""
 
     recordings: str
     """Shell pattern of the file's name."""
     kind: str
-    """Regular expression for the whole kind of the row."""
     names: str
-    """The same for its name."""
     why: str
     shown: str = ".*"
-    """The same for what the simulated one shows."""
+    """What the simulated one shows."""
     most: float = math.inf
     """It explains differences up to so many tolerances."""
 
-    def explains(self, kind: str, name: str, simulated: str, difference: float) -> bool:
+    def explains(self, row: Any) -> bool:
         """Whether such a row of its recordings is one of them."""
-        return (
-            re.fullmatch(self.kind, kind) is not None
-            and re.fullmatch(self.names, name) is not None
-            and re.fullmatch(self.shown, simulated) is not None
-            and difference <= self.most
-        )
+        told = ((self.kind, row.kind), (self.names, row.name), (self.shown, row.simulated))
+        return row.difference <= self.most and all(re.fullmatch(*each) for each in told)
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Flight:
+class Flight(msgspec.Struct, frozen=True, kw_only=True):
     """The circumstances of one recording."""
 
     home: Place
     recording: str = ""
     """Name of its file."""
-    parameters: Mapping[str, float] = field(default_factory=dict)
+    parameters: Mapping[str, float] = {}
     posts: Posts | None = None
     """What its lidar sees."""
-    lidar: Mapping[str, Any] = field(default_factory=dict)
+    lidar: Mapping[str, Any] = {}
     """As in a world file."""
-    faults: tuple[Fault, ...] = ()
-    left_out: tuple[ExcludedSpan, ...] = ()
-    placements: tuple[Placement, ...] = ()
-    reasons: tuple[Reason, ...] = ()
+    faults: Sequence[Span] = ()
+    """Done to the simulator, and not by a client's frame."""
+    left_out: Sequence[Span] = ()
+    placements: Sequence[Placement] = ()
+    reasons: Sequence[Reason] = ()
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Known:
-    """The whole file."""
-
-    flights: tuple[Flight, ...]
-    reasons: tuple[Reason, ...]
+class _Known(msgspec.Struct, frozen=True):
+    flights: Sequence[Flight]
+    reasons: Sequence[Reason]
 
 
 @functools.cache
 def _known() -> _Known:
-    return msgspec.convert(tomllib.loads(_FILE.read_text(encoding="utf-8")), _Known)
+    text = Path(__file__).with_name("flights.toml").read_text(encoding="utf-8")
+    return msgspec.convert(tomllib.loads(text), _Known)
 
 
 def flight_of(recording: Recording) -> Flight:
     """What is known of this recording; of a strange one, what it says of itself."""
-    known = _known()
-    name = recording.name
-    strange = Flight(home=recording.home, recording=name)
+    name, known = recording.name, _known()
+    strange = Flight(home=recording.home)
     flight = next((each for each in known.flights if each.recording == name), strange)
-    reasons = tuple(r for r in known.reasons if fnmatch.fnmatchcase(name, r.recordings))
-    return replace(flight, reasons=reasons)
+    reasons = [each for each in known.reasons if fnmatch.fnmatchcase(name, each.recordings)]
+    return msgspec.structs.replace(flight, reasons=reasons)
 
 
-# --- The client's half of a recorded flight into a simulation, in vehicle time.  No I/O -----------
+# --- the client's half of it into a simulation, in vehicle time -----------------------------------
 
 _LINK = 0
 _POST_M = 1000.0
-_ATTITUDE, _GLOBAL = 30, 33
 
 
 def play(recording: Recording, flight: Flight, *, seed: int = 0) -> list[TimedFrame]:
     """Everything that the simulated vehicle says while the recorded client flies it."""
-    return played(simulation_of(recording, flight, seed=seed), recording, flight)
+    faults = timeline(recording, flight)
+    simulation = Simulation(world_of(recording, flight), seed=seed, faults=faults)
+    return played(simulation, recording, flight)
 
 
 def played(flying: Simulation, recording: Recording, flight: Flight) -> list[TimedFrame]:
@@ -169,7 +340,7 @@ def played(flying: Simulation, recording: Recording, flight: Flight) -> list[Tim
     the vehicle boots alone, and what it says then was not recorded either.
     """
     begin_us, end_us = (round(t * 1e6) for t in (recording.begin_s, recording.end_s))
-    waiting = [(round(h.time_s * 1e6), h.frame) for h in reversed(recording.sent)]
+    waiting = [(round(one.time_s * 1e6), one.frame) for one in reversed(recording.sent)]
     placed_us = [round(recording.clock.vehicle_s(p.at_s) * 1e6) for p in flight.placements]
     back = list[TimedFrame]()
 
@@ -191,7 +362,7 @@ def played(flying: Simulation, recording: Recording, flight: Flight) -> list[Tim
 
 def _place(vehicle: Vehicle, recording: Recording, flight: Flight, at_s: float) -> None:
     """Put the vehicle where the real one was at this vehicle time."""
-    newest = {h.number: h for h in recording.said if h.time_s <= at_s}
+    newest = {one.number: one for one in recording.said if one.time_s <= at_s}
     position, attitude = decoded(newest[_GLOBAL]), decoded(newest[_ATTITUDE])
     vehicle.latitude_deg, vehicle.longitude_deg = position.lat / 1e7, position.lon / 1e7
     vehicle.altitude_amsl_m = flight.home.altitude_amsl_m + position.relative_alt / 1e3
@@ -202,38 +373,21 @@ def _place(vehicle: Vehicle, recording: Recording, flight: Flight, at_s: float) 
     vehicle.roll_rad = attitude.roll
 
 
-# --- The simulated vehicle that takes the place of the recorded one -------------------------------
-
-
-def simulation_of(recording: Recording, flight: Flight, *, seed: int = 0) -> Simulation:
-    """A vehicle of the recorded kind, where it stood, with its parameters and its faults."""
-    return Simulation(world_of(recording, flight), seed=seed, faults=timeline(recording, flight))
-
-
 def world_of(recording: Recording, flight: Flight) -> World:
-    """Level ground at home, with the posts around it."""
-    home = flight.home
-    world = flat_world(
-        recording.kind,
-        recording.firmware,
-        latitude_deg=home.latitude_deg,
-        longitude_deg=home.longitude_deg,
-        altitude_amsl_m=home.altitude_amsl_m,
-        heading_deg=home.heading_deg,
-        system_id=recording.system,
-    )
+    """Level ground at home with a vehicle of that kind, and with the posts around it."""
+    home, posts = msgspec.structs.asdict(flight.home), flight.posts
+    world = flat_world(recording.kind, recording.firmware, **home, system_id=recording.system)
     vehicle = dataclasses.replace(world.vehicle, parameters=dict(flight.parameters))
     world = dataclasses.replace(world, vehicle=vehicle)
-    if flight.posts is None:
+    if posts is None:
         return world
-    posts = flight.posts
-    places = np.array(posts.places_ne_m()) / (posts.metres_per_latitude, posts.metres_per_longitude)
-    north_m, east_m = world.frame.to_local_many(
-        home.latitude_deg + places[:, 0], home.longitude_deg + places[:, 1]
-    )
+    home_deg = (flight.home.latitude_deg, flight.home.longitude_deg)
+    metres = (posts.metres_per_latitude, posts.metres_per_longitude)
+    at_deg = np.array(home_deg) + np.array(posts.places_ne_m()) / metres
+    places = np.transpose(world.frame.to_local_many(*at_deg.T)).tolist()
     trees = tuple(
         Tree(north_m=north, east_m=east, radius_m=posts.radius_m, height_m=_POST_M)
-        for north, east in zip(north_m.tolist(), east_m.tolist(), strict=True)
+        for north, east in places
     )
     return dataclasses.replace(world, trees=trees, lidar=LidarTable(**flight.lidar))
 

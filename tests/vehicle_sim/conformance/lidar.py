@@ -5,15 +5,14 @@ SIMSTATE and ATTITUDE (docs/reference/proximity.md 1).
 """
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import final
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from conformance.flights import Flight, Posts
-from conformance.log import Side
+from conformance.flights import Flight, Posts, Side
 from conformance.rows import NOTHING, Comparison, Row, row
 
 _SYS_STATUS, _ATTITUDE, _DISTANCE_SENSOR, _SIMSTATE = 1, 30, 132, 164
@@ -24,17 +23,16 @@ _BEAMS = 31
 _REACH_M, _EDGE_M = 16.0, 0.5
 _NEAR_M = 0.3
 _FAR = 99.0
-_MEDIAN_M, _SHARE, _ROW, _BOGUS_SHARE, _STALE_S, _SILENT_S = 0.03, 0.04, 4.0, 0.015, 0.35, 1.1
+_COUNT, _MEDIAN_M, _SHARE, _ROW = 48.0, 0.03, 0.04, 4.0
+_BOGUS_SHARE, _STALE_S, _SILENT_S = 0.015, 0.35, 1.1
 """Tolerances."""
 FloatArray = NDArray[np.float64]
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class _Sector:
+class _Sector(NamedTuple):
     """What one sector said, and what was there."""
 
-    count: int
+    said: int
     median_m: float
     near_share: float
     """Of the echoes: within _NEAR_M of the post."""
@@ -50,31 +48,31 @@ def lidar_rows(comparison: Comparison) -> Iterator[Row]:
     posts = comparison.flight.posts
     if posts is None:
         return
-    sides = (comparison.real, comparison.simulated)
-    real, simulated = (_sectors(side, comparison.flight, posts) for side in sides)
+    real, simulated = (_sectors(side, comparison.flight, posts) for side in comparison.sides)
     for sector in range(_SECTORS):
         pair = (real.get(sector), simulated.get(sector))
         name = f"sector {sector}"
-        yield _row("lidar count", name, [p and p.count for p in pair], "", 0.02 * 2400)
-        yield _row("lidar error", name, [p and p.median_m for p in pair], " m", _MEDIAN_M)
-        yield _row("lidar echoes", name, [p and p.near_share for p in pair], "", _SHARE)
-    whole_flight = [list(side.values()) or None for side in (real, simulated)]
-    rows = [s and max(p.longest_row for p in s) for s in whole_flight]
-    yield _row("bogus empties", "longest row", rows, " messages", _ROW)
-    shares = [s and float(np.mean([p.bogus_share for p in s])) for s in whole_flight]
-    yield _row("bogus empties", "share of all", shares, "", _BOGUS_SHARE)
-    stale = [s and max(p.longest_stale_s for p in s) for s in whole_flight]
-    yield _row("stale echo", "longest", stale, " s", _STALE_S)
-    yield _row("healthy silence", "longest", [_silence_s(s) for s in sides], " s", _SILENT_S)
+        yield _row("lidar count", name, [p and p.said for p in pair], _COUNT)
+        yield _row("lidar error", name, [p and p.median_m for p in pair], _MEDIAN_M)
+        yield _row("lidar echoes", name, [p and p.near_share for p in pair], _SHARE)
+    whole = [list(side.values()) or None for side in (real, simulated)]
+    rows = [s and max(p.longest_row for p in s) for s in whole]
+    yield _row("bogus empties", "longest row", rows, _ROW)
+    shares = [s and float(np.mean([p.bogus_share for p in s])) for s in whole]
+    yield _row("bogus empties", "share of all", shares, _BOGUS_SHARE)
+    stale = [s and max(p.longest_stale_s for p in s) for s in whole]
+    yield _row("stale echo", "longest", stale, _STALE_S)
+    silences = [_silence_s(side) for side in comparison.sides]
+    yield _row("healthy silence", "longest", silences, _SILENT_S)
 
 
-def _row(kind: str, name: str, pair: Sequence[float | None], unit: str, tolerance: float) -> Row:
+def _row(kind: str, name: str, pair: Sequence[float | None], tolerance: float) -> Row:
     real, simulated = pair
-    shown = [NOTHING if value is None else f"{value:.3g}{unit}" for value in pair]
-    difference: float | bool = True
+    difference = math.inf
     if real is not None and simulated is not None:
         difference = abs(real - simulated) / tolerance
-    return row(kind, name, shown, f"{tolerance:.3g}{unit}", difference)
+    shown = (NOTHING if value is None else f"{value:.3g}" for value in pair)
+    return row(kind, name, shown, difference)
 
 
 def _sectors(side: Side, flight: Flight, posts: Posts) -> dict[int, _Sector]:
@@ -128,7 +126,7 @@ def _judged(time_s: FloatArray, told_m: FloatArray, true_m: FloatArray) -> _Sect
     bogus = empty & (true_m < _REACH_M - _EDGE_M)
     stale = ~empty & (true_m > _REACH_M + _EDGE_M)
     return _Sector(
-        count=len(time_s),
+        said=len(time_s),
         median_m=float(np.median(error_m)) if len(error_m) else _FAR,
         near_share=float(np.mean(error_m < _NEAR_M)) if len(error_m) else 0.0,
         longest_row=max((len(row) for row in _rows(bogus)), default=0),

@@ -1,14 +1,17 @@
-"""What a row of the comparison is, and how events of two flights are paired."""
+"""What a row is, how events are paired, and the rows of what is answered, changes and streams."""
 
 import bisect
+import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Hashable, Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import Any, TypeVar, final
+import re
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from typing import Any, TypeVar
 
-from conformance.flights import Flight, Reason
-from conformance.log import Recording, Side, decoded
+from pymavlink.dialects.v20 import all as mavlink
+
+from conformance.flights import Flight, Reason, Recording, Side, TimedFrame, decoded
 
 Key = TypeVar("Key", bound=Hashable)
 Event = tuple[float, Key]
@@ -16,220 +19,432 @@ Match = tuple[Event[Key] | None, Event[Key] | None]
 
 MIN_S = 1.1
 """No event has to be nearer than this: a change may be seen with the next heartbeat only."""
-FLOWN = 0.1
+FLOWN, FLOWN_MOST_S = 0.1, 5.0
 """What follows from flying may come this part of the time since its cause earlier or later."""
-FLOWN_MOST_S = 5.0
 WINDOW_S = 10.0
 """Events further apart than this are not the same event."""
 NOTHING = "-"
-_TELEMETRY_COMMANDS = {510, 511, 512}
-_COMMANDS = {75, 76, 11}
-"""COMMAND_INT, COMMAND_LONG and SET_MODE."""
-_SET_MODE = 11
-_PARAM_SET = 23
-_SETPOINTS = {84, 86}
+_MODE, _PARAM_SET, _ACK, _REQUESTS = 11, 23, 77, {510, 511, 512}
+_COMMANDS, _SETPOINTS = {75, 76}, {84, 86}
 _STREAM_GAP_S = 0.8
 
 
-@final
-@dataclass(frozen=True, slots=True)
+@dataclasses.dataclass(frozen=True, slots=True)
 class Row:
     """One thing that a client can tell, on both sides."""
 
     kind: str
     name: str
-    at_s: float | None
-    """Vehicle time of the real one; None: the whole flight."""
     real: str
     simulated: str
-    tolerance: str
     difference: float
     """In tolerances: agrees up to 1; inf where one side has nothing to compare."""
-    reason: str | None = None
+    at_s: float | None = None
+    """Vehicle time of the real one; None: the whole flight."""
+    reason: Reason | None = None
+    """Why it does not agree; None if it does, or if nobody knows."""
 
     @property
     def agrees(self) -> bool:
-        """Whether a client could not tell, within the tolerance."""
+        """Whether a client could not tell."""
         return self.difference <= 1.0
 
-    def is_explained_by(self, reason: Reason) -> bool:
-        """Whether this is why it does not agree."""
-        return reason.explains(self.kind, self.name, self.simulated, self.difference)
+
+def row(
+    kind: str, name: str, shown: Iterable[str], difference: float, at_s: float | None = None
+) -> Row:
+    """One row; shown: of the real one and of the simulated one."""
+    real, simulated = shown
+    return Row(kind, name, real, simulated, difference, at_s)
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
     """Two sides of the same flight, and when what was caused."""
 
-    recording: Recording
-    flight: Flight
-    real: Side
-    simulated: Side
-    causes: tuple[float, ...] = field(repr=False)
-    """Vehicle times of boot, commands and faults, ascending."""
+    def __init__(self, recording: Recording, flight: Flight, simulated: Side) -> None:
+        self.recording, self.flight = recording, flight
+        self.real, self.simulated = self.sides = (recording.side, simulated)
+        self._causes_s = sorted(_causes(recording, flight))
 
-    @classmethod
-    def of(cls, recording: Recording, flight: Flight, simulated: Side) -> "Comparison":
-        """The recorded flight against what a simulation said."""
-        return cls(
-            recording=recording,
-            flight=flight,
-            real=recording.side,
-            simulated=simulated,
-            causes=tuple(sorted(_causes(recording, flight))),
-        )
-
-    def patience_s(self, at_s: float, interval_s: float = 0.0) -> float:
+    def patience_s(self, at_s: float, interval_s: float) -> float:
         """How much earlier or later an event of this time may come.
 
         A tenth of the time since the last cause, up to 5 s (a landing that takes 35 s may take
         3.5 s more), and the interval of the message that it is seen in; in all 1.1 s at least.
         During boot nothing has caused anything yet.
         """
-        place = bisect.bisect_right(self.causes, at_s) - 1
-        flown_s = 0.0 if place < 0 else min(FLOWN * (at_s - self.causes[place]), FLOWN_MOST_S)
-        return max(MIN_S, flown_s + interval_s)
+        place = bisect.bisect_right(self._causes_s, at_s) - 1
+        flown_s = FLOWN * (at_s - self._causes_s[place]) if place >= 0 else 0.0
+        return max(MIN_S, min(flown_s, FLOWN_MOST_S) + interval_s)
 
     def is_left_out(self, at_s: float | None) -> bool:
         """Whether this vehicle time lies in a stretch that is not compared."""
         if at_s is None:
             return False
         log_s = self.recording.clock.log_s(at_s)
-        return any(s.begin_s <= log_s < s.end_s for s in self.flight.left_out)
+        return any(span.begin_s <= log_s < span.end_s for span in self.flight.left_out)
 
 
 def _causes(recording: Recording, flight: Flight) -> Iterator[float]:
-    """The first of each streak of equal commands, parameters, setpoints, and timeline faults."""
-    before = None
-    for h in recording.sent:
-        if h.number in _COMMANDS:
-            message = decoded(h)
-            number = -1 if h.number == _SET_MODE else message.command
-            if number not in _TELEMETRY_COMMANDS and (number != before or number == 176):
-                yield h.time_s
-                before = number
-        elif h.number == _PARAM_SET:
-            yield h.time_s
-    yield from _setpoint_causes(recording)
-    for fault in flight.faults:
-        yield recording.clock.vehicle_s(fault.begin_s)
-        yield recording.clock.vehicle_s(fault.end_s)
-
-
-def _setpoint_causes(recording: Recording) -> Iterator[float]:
-    """When a stream of setpoints begins, ends or changes its kind.
+    """Vehicle times of faults, of the first of each streak of equal commands, of parameters, and
+    when a stream of setpoints begins, ends or changes its kind.
 
     The last end counts only if a command follows it: clients stop when the vehicle has disarmed.
     """
-    before_s, before = -math.inf, None
-    for h in recording.sent:
-        if h.number in _COMMANDS and before is not None and h.time_s - before_s > _STREAM_GAP_S:
-            yield before_s
-        if h.number not in _SETPOINTS:
-            continue
-        message = decoded(h)
-        kind = (h.number, message.coordinate_frame, message.type_mask)
-        if h.time_s - before_s > _STREAM_GAP_S:
-            if before is not None:
-                yield before_s
-            yield h.time_s
-        elif kind != before:
-            yield h.time_s
-        before_s, before = h.time_s, kind
-
-
-def row(
-    kind: str,
-    name: str,
-    shown: Sequence[str],
-    tolerance: str,
-    difference: float | bool,
-    at_s: float | None = None,
-) -> Row:
-    """One row; shown: real and simulated; True: it differs altogether; None: the whole flight."""
-    if isinstance(difference, bool):
-        difference = math.inf if difference else 0.0
-    real, simulated = shown
-    return Row(kind, name, at_s, real, simulated, tolerance, difference)
+    before, stream, stream_s = None, None, -math.inf
+    for one in recording.sent:
+        pauses = one.time_s - stream_s > _STREAM_GAP_S
+        if one.number in _COMMANDS or one.number == _MODE:
+            number = -1 if one.number == _MODE else decoded(one).command
+            if number not in _REQUESTS and (number != before or number == 176):
+                yield one.time_s
+                before = number
+        elif one.number == _PARAM_SET:
+            yield one.time_s
+        if pauses and stream is not None and one.number in {*_COMMANDS, _MODE, *_SETPOINTS}:
+            yield stream_s
+        if one.number in _SETPOINTS:
+            message = decoded(one)
+            kind = (one.number, message.coordinate_frame, message.type_mask)
+            if pauses or kind != stream:
+                yield one.time_s
+            stream, stream_s = kind, one.time_s
+    for fault in flight.faults:
+        yield from map(recording.clock.vehicle_s, (fault.begin_s, fault.end_s))
 
 
 # --- pairing --------------------------------------------------------------------------------------
 
 
-def changes(messages: Sequence[tuple[float, Any]], value: Callable[[Any], Key]) -> list[Event[Key]]:
+def changes(messages: Iterable[tuple[float, Any]], value: Callable[[Any], Key]) -> list[Event[Key]]:
     """When a value appeared first, and every time that it changed."""
-    found = list[Event[Key]]()
-    for time_s, message in messages:
-        now = value(message)
-        if not found or found[-1][1] != now:
-            found.append((time_s, now))
-    return found
+    told = [(time_s, value(message)) for time_s, message in messages]
+    return [event for k, event in enumerate(told) if not k or told[k - 1][1] != event[1]]
 
 
-def paired(
-    real: Sequence[Event[Key]], simulated: Sequence[Event[Key]], window_s: float = WINDOW_S
-) -> list[Match[Key]]:
+def paired(real: Sequence[Event[Key]], simulated: Sequence[Event[Key]]) -> list[Match[Key]]:
     """Equal events of both sides, the nearest with the nearest; then what is left of each."""
-    by_key = dict[Key, tuple[list[int], list[int]]]()
-    for side, events in enumerate((real, simulated)):
-        for place, (_, key) in enumerate(events):
-            by_key.setdefault(key, ([], []))[side].append(place)
-    partner = dict[int, int]()
-    for ours, theirs in by_key.values():
-        near = sorted(
-            (abs(real[i][0] - simulated[j][0]), i, j)
-            for i in ours
-            for j in theirs
-            if abs(real[i][0] - simulated[j][0]) <= window_s
-        )
-        taken = set[int]()
-        for _, i, j in near:
-            if i not in partner and j not in taken:
-                partner[i] = j
-                taken.add(j)
-    used = set(partner.values())
+    of_key = dict[Key, list[int]]()
+    for j, (_, key) in enumerate(simulated):
+        of_key.setdefault(key, []).append(j)
+    apart_s = (
+        (abs(at_s - simulated[j][0]), i, j)
+        for i, (at_s, key) in enumerate(real)
+        for j in of_key.get(key, ())
+    )
+    near = sorted(each for each in apart_s if each[0] <= WINDOW_S)
+    partner, taken = dict[int, int](), set[int]()
+    for _, i, j in near:
+        if i not in partner and j not in taken:
+            partner[i] = j
+            taken.add(j)
     matches: list[Match[Key]] = [
         (event, simulated[partner[i]] if i in partner else None) for i, event in enumerate(real)
     ]
-    matches += [(None, event) for j, event in enumerate(simulated) if j not in used]
-    return sorted(matches, key=_time_of)
-
-
-def _time_of(match: Match[Any]) -> float:
-    event = match[0] or match[1]
-    assert event is not None
-    return float(event[0])
+    matches += [(None, event) for j, event in enumerate(simulated) if j not in taken]
+    return sorted(matches, key=lambda match: (match[0] or match[1] or (0.0,))[0])
 
 
 def timed_rows(
-    comparison: Comparison,
-    kind: str,
-    matches: Sequence[Match[Key]],
-    label: Callable[[Key], str],
-    *,
-    interval_s: float = 0.0,
+    comparison: Comparison, kind: str, matches: Iterable[Match[str]], interval_s: float = 0.0
 ) -> Iterator[Row]:
     """A row for each pair: agrees if both are there, at the same time but for the patience.
 
     interval_s: how often it can be seen at most.
     """
-    for match in matches:
-        real, simulated = match
-        event = real or simulated
-        assert event is not None
-        at_s = event[0]
-        tolerance_s = comparison.patience_s(at_s, interval_s)
+    for real, simulated in matches:
+        at_s, name = real or simulated or (0.0, "")
         difference = math.inf
-        if real is not None and simulated is not None:
-            difference = abs(simulated[0] - real[0]) / tolerance_s
-        shown = [NOTHING if each is None else f"{each[0]:.2f} s" for each in match]
-        yield row(kind, label(event[1]), shown, f"{tolerance_s:.1f} s", difference, at_s)
+        if real and simulated:
+            difference = abs(simulated[0] - at_s) / comparison.patience_s(at_s, interval_s)
+        shown = (f"{each[0]:.2f} s" if each else NOTHING for each in (real, simulated))
+        yield row(kind, name, shown, difference, at_s)
 
 
 def interval_s(times: Sequence[float]) -> float:
     """The usual time between two of these."""
-    if len(times) < 2:
-        return 0.0
-    steps = sorted(b - a for a, b in itertools.pairwise(times))
-    return steps[len(steps) // 2]
+    steps = sorted(after - before for before, after in itertools.pairwise(times))
+    return steps[len(steps) // 2] if steps else 0.0
+
+
+def message_name(number: int) -> str:
+    """What the protocol calls it."""
+    known = mavlink.mavlink_map.get(number)
+    return known.msgname if known else f"message {number}"
+
+
+def enum_name(enum: str, value: int) -> str:
+    """The short name of a value, or the number where it has none."""
+    entry = mavlink.enums[enum].get(value)
+    return entry.name.removeprefix(f"{enum}_") if entry else str(value)
+
+
+# --- commands -------------------------------------------------------------------------------------
+
+ACK_S = 0.25
+"""How much later or earlier than the real one's an answer may come."""
+STREAMED = 20
+"""Commands sent oftener than this are a stream: one row for all."""
+Answers = list[tuple[float, int]]
+
+
+def ack_rows(comparison: Comparison) -> Iterator[Row]:
+    """A row for each command: the results of its COMMAND_ACKs in order, and their times."""
+    messages = [(o.time_s, decoded(o)) for o in comparison.recording.sent if o.number in _COMMANDS]
+    sent = [(time_s, message.command) for time_s, message in messages]
+    ours, theirs = (_answers(sent, side.of(_ACK)) for side in comparison.sides)
+    often = Counter(command for _, command in sent)
+    streamed = {command for command, n in often.items() if n > STREAMED} - _REQUESTS
+    for k, (time_s, message) in enumerate(messages):
+        if message.command not in streamed:
+            about = message.command in _REQUESTS
+            of = f" of {message_name(int(message.param1))}" if about else ""
+            yield _ack_row(f"command {message.command}{of}", time_s, ours[k], theirs[k])
+    for number in sorted(streamed):
+        places = [k for k, (_, command) in enumerate(sent) if command == number]
+        all_of = ([answer for k in places for answer in side[k]] for side in (ours, theirs))
+        yield _ack_row(f"command {number}, {len(places)} times", sent[places[0]][0], *all_of)
+
+
+def _answers(sent: Sequence[tuple[float, int]], acks: Sequence[tuple[float, Any]]) -> list[Answers]:
+    """Time and result of each command's acknowledgements.
+
+    Commands about messages are answered once each, in order; any other answer belongs to the
+    newest command of its number.
+    """
+    answers: list[Answers] = [[] for _ in sent]
+    for time_s, ack in acks:
+        asked = [
+            k for k, (at_s, number) in enumerate(sent) if number == ack.command and at_s <= time_s
+        ]
+        if ack.command in _REQUESTS:
+            asked = [k for k in asked if not answers[k]][:1]
+        if asked:
+            answers[asked[-1]].append((time_s, ack.result))
+    return answers
+
+
+def _ack_row(name: str, at_s: float, real: Answers, simulated: Answers) -> Row:
+    difference = math.inf
+    if [result for _, result in real] == [result for _, result in simulated]:
+        late = (abs(a[0] - b[0]) for a, b in zip(real, simulated, strict=True))
+        difference = max(late, default=0.0) / ACK_S
+    shown = (
+        ", ".join(f"{enum_name('MAV_RESULT', r)} +{t - at_s:.2f} s" for t, r in side[:5]) or NOTHING
+        for side in (real, simulated)
+    )
+    return row("ack", name, shown, difference, at_s)
+
+
+# --- exchanges and single answers -----------------------------------------------------------------
+
+_EXCHANGES = {
+    39: ("seq", "command", "mission_type"),
+    40: ("seq", "mission_type"),
+    44: ("count", "mission_type"),
+    47: ("type", "mission_type"),
+    51: ("seq", "mission_type"),
+    73: ("seq", "command", "mission_type"),
+}
+"""Mission protocol: message number and the fields that tell what was said."""
+
+
+def exchange_rows(comparison: Comparison) -> Iterator[Row]:
+    """A row for each message of a mission or fence exchange."""
+    for number, fields in _EXCHANGES.items():
+        said = (
+            [
+                (t, f"{message_name(number)} {', '.join(f'{f} {getattr(m, f)}' for f in fields)}")
+                for t, m in side.of(number)
+            ]
+            for side in comparison.sides
+        )
+        yield from timed_rows(comparison, "exchange", paired(*said))
+
+
+_ONCE = (148, 49, 242)
+"""AUTOPILOT_VERSION, GPS_GLOBAL_ORIGIN, HOME_POSITION."""
+_METRES_E7 = 90.0
+"""1e-7 degrees of latitude in a metre."""
+_TOLERANCES = {"latitude": 3.0 * _METRES_E7, "longitude": 3.0 * _METRES_E7 / 0.67, "q": 0.05}
+_TOLERANCES |= {"altitude": 1500.0, "x": 1.0, "y": 1.0, "z": 1.0}
+"""How much a field may differ, in its own unit (of altitude mm); the others must be equal."""
+_IDENTITY = {"uid", "uid2"}
+"""Every vehicle has its own: only whether it gives one is compared."""
+
+
+def once_rows(comparison: Comparison) -> Iterator[Row]:
+    """A row for each field of what is said once; of what is repeated, the first one."""
+    for number in _ONCE:
+        real, simulated = (next((m for _, m in s.of(number)), None) for s in comparison.sides)
+        for name in real.fieldnames if real else ():
+            if name in ("time_usec", "time_boot_ms"):
+                continue
+            ours, theirs = (getattr(m, name, None) for m in (real, simulated))
+            if name in _IDENTITY and simulated:
+                ours, theirs = ("given" if any(_listed(x)) else "not given" for x in (ours, theirs))
+            apart = _apart(ours, theirs, _TOLERANCES.get(name, 0.0))
+            shown = (str(ours), NOTHING if theirs is None else str(theirs))
+            yield row("said once", f"{message_name(number)}.{name}", shown, apart)
+
+
+def _listed(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
+
+
+def _apart(ours: Any, theirs: Any, tolerance: float) -> float:
+    unlike = [
+        (a, b)
+        for a, b in zip(_listed(ours), _listed(theirs), strict=False)
+        if a != b and (a == a or b == b)  # NaN is like NaN
+    ]
+    if not unlike or not tolerance or not isinstance(unlike[0][1], int | float):
+        return math.inf if unlike else 0.0
+    return max(abs(a - b) / tolerance if a == a and b == b else math.inf for a, b in unlike)
+
+
+# --- what changes: modes, arming, landing, fixes, estimators --------------------------------------
+
+_SLOWEST_S = 2.1
+_MODES = {("ardupilot", "copter"): "COPTER_MODE", ("ardupilot", "plane"): "PLANE_MODE"}
+Told = Callable[[Any], str]
+
+
+def _fields(*names: str) -> Told:
+    def shown(value: int) -> str:
+        return hex(value) if value > 9 else str(value)
+
+    return lambda m: ", ".join(f"{name} {shown(getattr(m, name))}" for name in names)
+
+
+def _hex(name: str) -> Told:
+    return lambda m: f"{getattr(m, name):#x}"
+
+
+def _enum(enum: str, name: str) -> Told:
+    return lambda m: enum_name(enum, getattr(m, name))
+
+
+def state_rows(comparison: Comparison) -> Iterator[Row]:
+    """A row for each change of each state."""
+    modes = _MODES.get((comparison.recording.firmware, comparison.recording.kind))
+
+    def mode(name: str) -> Told:
+        return _enum(modes, name) if modes else lambda m: f"{getattr(m, name):#010x}"
+
+    echo = _fields("coordinate_frame", "type_mask")
+    states: tuple[tuple[str, int, Told], ...] = (
+        ("mode", 0, mode("custom_mode")),
+        ("armed", 0, lambda m: "armed" if m.base_mode & 0x80 else "disarmed"),
+        ("base mode", 0, lambda m: f"{m.base_mode & ~0x80:#x}"),
+        ("system status", 0, _enum("MAV_STATE", "system_status")),
+        ("vehicle", 0, _fields("type", "autopilot", "mavlink_version")),
+        ("landed", 245, _enum("MAV_LANDED_STATE", "landed_state")),
+        ("vtol", 245, _hex("vtol_state")),
+        ("fix", 24, _enum("GPS_FIX_TYPE", "fix_type")),
+        ("estimator", 193, _hex("flags")),
+        ("estimator", 230, _hex("flags")),
+        ("current mode", 436, mode("custom_mode")),
+        ("intended mode", 436, mode("intended_custom_mode")),
+        ("mission", 42, _fields("seq", "total", "mission_state", "mission_mode")),
+        ("echo", 85, echo),
+        ("echo", 87, echo),
+    )
+    for kind, number, told in states:
+        matches = paired(*(changes(side.of(number), told) for side in comparison.sides))
+        seen_s = interval_s([one.time_s for one in comparison.real.heard(number)])
+        yield from timed_rows(comparison, kind, matches, min(seen_s, _SLOWEST_S))
+
+
+# --- streams: which messages, how many, from when, how long silent, and how filled ----------------
+
+COUNT_PART, COUNT_LEAST = 0.02, 2.0
+"""Counts may differ by this part of them, or by so many."""
+COMING_AND_GOING_S = 3.0
+"""A stream that is not always there may be there this much longer or shorter."""
+FIRST_S, SILENCE_S = 1.1, 0.5
+_STREAM = 20
+"""A message said less often than this is no stream."""
+_SAMPLES, _VARYING = 400, 5
+"""Of a message at most; a field with at least so many values is one that varies."""
+_READ = {0, 1, 2, 24, 30, 31, 32, 33, 42, 46, 49, 62, 74, 77, 85, 87, 111, 132, 141, 147, 148}
+_READ |= {162, 168, 173, 193, 230, 231, 242, 245, 331, 436}
+"""Messages that a companion, an SDK or a ground station flies by."""
+_BY_OTHER_ROWS = {0, 49, 77, 148, 242}
+"""Those of them whose fields are compared by other rows."""
+_UNREAD = re.compile(
+    "load|energy_consumed|temperature|direction|speed|speed_z|wind_[xy]|var_horiz|reset_counter|"
+    "(pos_vert|compass|airspeed|terrain_alt)_variance|(pos_vert|mag|hagl|tas)_ratio|"
+    ".*_covariance|pos_vert_accuracy|onboard_control_sensors_(present|enabled|health)"
+)
+"""Fields of these messages that nobody flies by, and that are not modelled."""
+
+
+def stream_rows(comparison: Comparison) -> Iterator[Row]:
+    """Rows for every message of _READ that either side says."""
+    for number in sorted(_READ & (comparison.real.numbers | comparison.simulated.numbers)):
+        name = message_name(number)
+        real, simulated = ([o.time_s for o in s.heard(number)] for s in comparison.sides)
+        usual_s = interval_s(real)
+        is_stream = number != _ACK and len(real) >= _STREAM
+        allowed = max(COUNT_LEAST, COUNT_PART * len(real))
+        if is_stream and usual_s * len(real) < 0.95 * (real[-1] - real[0]):
+            allowed = max(allowed, COMING_AND_GOING_S / usual_s)
+        apart = abs(len(real) - len(simulated)) / allowed if real and simulated else math.inf
+        yield Row("count", name, str(len(real)), str(len(simulated)), apart)
+        if not is_stream or not simulated:
+            continue
+
+        def seconds(kind: str, ours: float, theirs: float, allowed_s: float, at_s: float) -> Row:
+            shown = (f"{each:.2f} s" for each in (ours, theirs))
+            return row(kind, name, shown, abs(ours - theirs) / allowed_s, at_s)  # noqa: B023
+
+        yield seconds("first", real[0], simulated[0], max(FIRST_S, usual_s), real[0])
+        (ours_s, at_s), (theirs_s, _) = map(_longest_gap, (real, simulated))
+        allowed_s = max(SILENCE_S, 1.1 * usual_s, 0.05 * ours_s)
+        yield seconds("longest silence", ours_s, theirs_s, allowed_s, at_s)
+        if number not in _BY_OTHER_ROWS:
+            yield _filling_row(name, *(_sample(side.heard(number)) for side in comparison.sides))
+
+
+def _longest_gap(times: Sequence[float]) -> tuple[float, float]:
+    """Its length, and when it began."""
+    gaps = ((after - before, before) for before, after in itertools.pairwise(times))
+    return max(gaps, default=(0.0, times[0]))
+
+
+def _sample(said: Sequence[TimedFrame]) -> list[Any]:
+    """At most _SAMPLES messages, evenly spread."""
+    return [decoded(one) for one in said[:: max(1, -(-len(said) // _SAMPLES))]]
+
+
+def _filling_row(name: str, real: Sequence[Any], simulated: Sequence[Any]) -> Row:
+    """A field that has one value or few must have the same, or the same most of the time; one
+    that varies must vary."""
+    wrong = []
+    for field in real[0].fieldnames:
+        ours, theirs = (_values(side, field) for side in (real, simulated))
+        varies = len(ours) >= _VARYING
+        if len(ours) == 1 and len(theirs) > 1:
+            wrong.append((field, ours[0], f"{len(theirs)} values"))
+        elif not varies and not _same(ours[0], theirs[0]):
+            wrong.append((field, ours[0], theirs[0]))
+        elif varies and len(theirs) == 1:
+            wrong.append((field, "varies", theirs[0]))
+    wrong = [each for each in wrong if not _UNREAD.fullmatch(each[0])]
+    shown = (", ".join(f"{each[0]} {each[k]}" for each in wrong) for k in (1, 2))
+    return row("filling", name, shown, math.inf if wrong else 0.0)
+
+
+def _values(messages: Sequence[Any], field: str) -> list[Any]:
+    """The distinct ones, the commonest first; NaN is one value, and a list is what it shows."""
+    values = (getattr(message, field) for message in messages)
+    plain = (str(v) if isinstance(v, list) or v != v else v for v in values)
+    return [value for value, _ in Counter(plain).most_common()]
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Constants are equal to 0.1 %."""
+    if isinstance(one, str) or isinstance(other, str):
+        return bool(one == other)
+    return math.isclose(one, other, rel_tol=1e-3, abs_tol=1e-6)

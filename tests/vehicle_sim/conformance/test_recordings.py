@@ -8,8 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from conformance.compare import compare
-from conformance.flights import flight_of, play
-from conformance.log import Recording, Side
+from conformance.flights import Recording, Side, flight_of, play
 
 Recorded = Callable[[str], Recording]
 AGREED = {
@@ -36,5 +35,5 @@ def test_the_simulated_autopilot_is_like_the_recorded_one(recorded: Recorded, na
     agreed, before = AGREED[name]
     assert len(rows) - len(disagreeing) >= agreed
     assert len(disagreeing) <= before - agreed
-    stale = [r for r in flight.reasons if not any(row.is_explained_by(r) for row in disagreeing)]
+    stale = [r for r in flight.reasons if not any(r.explains(row) for row in disagreeing)]
     assert stale == []
