@@ -64,7 +64,7 @@ def complete(given: RawTable, folder: Path, where: str) -> MissionFile:
         threats = _threats(folder / chosen.file, f"{where}: threats", chosen.leave_out)
         notes += threats.notes
         table = {key: value for key, value in table.items() if key != "threats"}
-        for key in ("keep_outs", "keep_ins", "radars"):
+        for key in ("keep_outs", "keep_ins"):
             found = getattr(threats, key)
             if found and isinstance(table.get(key, []), list):
                 table[key] = [*table.get(key, []), *found]
@@ -85,8 +85,8 @@ def _threats(path: Path, where: str, leave_out: Collection[NoZone]) -> Threats:
     else:
         refuse_other(path, where, GEOJSON, JSON)
         threats = read_geojson(path, where, leave_out)
-    if not (threats.keep_outs or threats.keep_ins or threats.radars):
-        threats.notes.append(f"{path.name}: it holds no zone and no radar")
+    if not (threats.keep_outs or threats.keep_ins):
+        threats.notes.append(f"{path.name}: it holds no zone")
     return threats
 
 
