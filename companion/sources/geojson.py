@@ -19,7 +19,6 @@ _MAX_FEATURES: Final = 100_000
 _SEVERAL: Final = ("MultiPoint", "MultiPolygon")
 _LINES: Final = ("LineString", "MultiLineString")
 _ALONE: Final = ("Point", "Polygon", *_SEVERAL, "GeometryCollection")
-_KINDS: Final = (None, "keep_out", "keep_in")
 _DEEPEST: Final = 8  # collections in collections
 
 NoZone = Literal["points", "lines", "empty"]
@@ -141,6 +140,9 @@ def _take(
     given = given if isinstance(given, dict) else {}
     name = plain(given.get("name"), f"feature {index}")
     label, polygons, is_keep_in = f"{label} ({name})", list[_Polygon](), False
+    if given.get("kind") == "radar":
+        rule, remedy = "it was removed in this version", "Write it as [[radars]] in a mission.toml."
+        raise InputError(f"{label}.properties.kind", "radar", rule, remedy)
     for geometry in _taken_apart(raw.get("geometry")):
         no_zone = _no_zone(geometry, given) if raw.get("type") == "Feature" else None
         if no_zone is not None:
@@ -194,8 +196,7 @@ def _no_zone(geometry: Any, properties: RawTable) -> NoZone | None:
         return "empty"
     if kind in _LINES:
         return "lines"
-    no_radius = kind == "Point" and properties.get("radius_m") is None
-    return "points" if no_radius and properties.get("kind") in _KINDS else None
+    return "points" if kind == "Point" and properties.get("radius_m") is None else None
 
 
 def _is_empty(coordinates: Any) -> bool:

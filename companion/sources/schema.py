@@ -169,7 +169,6 @@ class FileWorldTable(WorldTable):
 REMOVED: Final = {
     "traffic": "Leave it out: keep vehicles apart by fences or altitudes of their own.",
     "link.obstacle_distance": "Leave it out: companion view shows what the planner knows.",
-    "properties.kind = radar": "Write it as [[radars]] in the mission.toml.",
     "scanner.beam_deg": "Leave it out: sectors say how wide they are.",
     "scanner.kind = obstacle_distance_3d": (
         'Write kind = "obstacle_distance", and let the driver send OBSTACLE_DISTANCE.'

@@ -79,7 +79,6 @@ STEP_DEG = 1 / 1200
 WOOD = [[8.01, 47.01], [8.02, 47.01], [8.02, 47.015], [8.01, 47.01]]
 THREATS = collection(
     feature("Polygon", [WOOD, WOOD], name="wood"),
-    feature("Point", [8.0, 47.02], name="sam", kind="radar", altitude_amsl_m=700.0, range_m=900.0),
 )
 
 
@@ -374,11 +373,15 @@ def test_threats_of_a_file_count_beside_those_of_the_mission(folder: Path) -> No
     text = 'threats = "threats.geojson"\n' + zone("north_m = 1.0\neast_m = 1.0\nradius_m = 9.0")
     mission = load(folder, text)
     assert [found.name for found in mission.task.zones] == ["zone", "wood"]
-    (radar,) = mission.task.radars
+    assert mission.notes == ("keep-out 'wood': its holes are kept out of as well",)
+
+
+def test_a_radar_in_degrees_is_the_radar_in_metres(folder: Path) -> None:
+    sam = 'name = "sam"\nlatitude_deg = 47.02\nlongitude_deg = 8.0\naltitude_amsl_m = 700.0\n'
+    (radar,) = load(folder, f"{COPTER}[[radars]]\n{sam}range_m = 900.0\n").task.radars
     north, east = FRAME.to_local_m(47.02, 8.0)
     assert radar.centre_nea_m == (north, east, 700.0)
     assert radar.range_m == 900.0
-    assert mission.notes == ("keep-out 'wood': its holes are kept out of as well",)
 
 
 def test_a_run_folder_needs_neither_the_threats_nor_the_place_of_the_terrain(
