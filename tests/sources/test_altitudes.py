@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from geotiff import write_elevation
 
 import companion
 from companion.config import load_mission
 from companion.errors import InputError
 from companion.mission.mission import Mission
-from companion.sources.elevation import write_elevation
 
 HOME = (47.3977, 8.5456, 488.0)
 ERROR_M = 10.0  # of the copter that is assumed: tracking and navigation
@@ -193,7 +193,7 @@ def test_an_altitude_above_terrain_counts_from_the_ground_of_an_elevation_file(
     south_deg, step = HOME[0] - 0.04, 0.0002
     heights_m = HOME[2] + np.arange(rows)[::-1, None] - 0.04 / step + np.zeros((rows, rows))
     corner = HOME[0] - 0.04 + (rows - 1) * step, HOME[1] - 0.04
-    write_elevation(tmp_path / "slope.tif", heights_m, corner, (step, step))
+    write_elevation(tmp_path / "slope.tif", heights_m, corner, step)
     assert south_deg < HOME[0]
     terrain = '[terrain]\nfile = "slope.tif"\nvertical_datum = "EGM96"\n'
     mission = load_mission(str(above_terrain(tmp_path, terrain, of_terrain(120.0))))

@@ -13,13 +13,12 @@ from typing import Any, get_args
 import numpy as np
 import pyproj
 import pytest
-import rasterio
 import shapely
+from geotiff import write_elevation
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
-from rasterio.transform import Affine
 from spoiled import collection, feature, replace_somewhere
 
 from companion.config import bundled, load_mission, mission_text
@@ -107,11 +106,7 @@ def refused(folder: Path, text: str) -> str:
 
 def terrain(path: Path, heights: np.ndarray[Any, Any]) -> None:
     """An elevation file about the origin."""
-    transform = Affine(STEP_DEG, 0, 8.0 - 120 * STEP_DEG, 0, -STEP_DEG, 47.0 + 100 * STEP_DEG)
-    size: Any = {"height": len(heights), "width": heights.shape[1], "count": 1}
-    how: Any = {"driver": "GTiff", "crs": "EPSG:4326", "transform": transform, "dtype": "int16"}
-    with rasterio.open(path, "w", **size, **how) as file:
-        file.write(heights, 1)
+    write_elevation(path, heights, (47.0 + 99.5 * STEP_DEG, 8.0 - 119.5 * STEP_DEG), STEP_DEG)
 
 
 def vehicle(text: str, base: str = COPTER) -> str:

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from answers import answered
+from geotiff import write_elevation
 
 from companion.config import load_mission, load_world, mission_text
 from companion.errors import InputError
-from companion.sources.elevation import write_elevation
 
 MISSIONS = Path(__file__).parent / "missions"
 
@@ -76,7 +76,7 @@ def test_so_is_an_elevation_file_and_the_run_folder_names_it(tmp_path: Path) -> 
     folder = tmp_path / os.fsdecode(b"h\xf6he")
     folder.mkdir()
     heights_m = np.arange(200.0)[:, None] + np.zeros((200, 200))
-    write_elevation(tmp_path / "h.tif", heights_m, (47.05, 7.95), (0.0005, 0.0005))
+    write_elevation(tmp_path / "h.tif", heights_m, (47.05, 7.95), 0.0005)
     (tmp_path / "h.tif").replace(folder / "h.tif")
     lists = b"QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 100 1\n1 0 3 16 0 0 0 0 47 8.002 240 1\n"
     (folder / "x.txt").write_bytes(lists)
