@@ -61,9 +61,15 @@ def test_the_same_flight_is_told_as_in_its_tlog(name: str, flights: Callable[[st
         "GPS_RAW_INT": ("fix_type", "lat", "lon", "alt", "satellites_visible", "vel", "cog"),
         "EKF_STATUS_REPORT": ("flags",),
         "HOME_POSITION": ("latitude", "longitude", "altitude"),
+        "GPS_GLOBAL_ORIGIN": ("latitude", "longitude", "altitude"),
         "PARAM_VALUE": ("param_id", "param_value"),
     }.items():
         assert _values(ours, kind, fields) == pytest.approx(_values(theirs, kind, fields), abs=10)
+    dates_ms = [
+        {m.time_unix_usec // 1000 - m.time_boot_ms for m in of([m for _, m in each], "SYSTEM_TIME")}
+        for each in (theirs, ours)
+    ]
+    assert max(dates_ms[1]) == pytest.approx(max(dates_ms[0]), abs=100)
     percents = {m.battery_remaining for m in of([m for _, m in ours], "SYS_STATUS")}
     assert percents <= {m.battery_remaining for m in of([m for _, m in theirs], "SYS_STATUS")}
     for seen, fields in (("HEARTBEAT", ("type", "custom_mode", "armed")),):
@@ -145,6 +151,8 @@ def test_without_an_estimator_the_gps_is_told_and_said_so(tmp_path: Path) -> Non
     fixes = [m for m in of(messages, "GPS_RAW_INT") if m.fix_type >= 3]
     positions = of(messages, "GLOBAL_POSITION_INT")
     assert [(m.lat, m.lon, m.alt) for m in positions] == [(m.lat, m.lon, m.alt) for m in fixes]
+    (home, *_) = of(messages, "HOME_POSITION")
+    assert positions[-1].relative_alt == pytest.approx(positions[-1].alt - home.altitude, abs=20)
     for mine, fix in zip(positions, fixes, strict=True):
         assert math.hypot(mine.vx, mine.vy) == pytest.approx(fix.vel, abs=1.5)
     said = "\n".join(str(each) for each in log.findings)
