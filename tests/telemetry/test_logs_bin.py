@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from log_files import (
+    FORMATS,
     bin_of,
     counts,
     entry,
@@ -173,6 +174,20 @@ def test_a_position_without_a_velocity_is_not_told(tmp_path: Path) -> None:
     )
     (position,) = of(told(opened(tmp_path, content)), "GLOBAL_POSITION_INT")
     assert (position.time_boot_ms, position.vx, position.vy) == (2100, 300, 400)
+
+
+@pytest.mark.parametrize(("capacity_mah", "percents"), [(4000, [75, 50, 0]), (0, [-1, -1, -1])])
+def test_what_is_left_in_a_battery_of_4_0_is_reckoned_as_ardupilot_does(
+    capacity_mah: float, percents: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its BAT has no RemPct yet."""
+    columns = "TimeUS,Instance,Volt,VoltR,Curr,CurrTot,EnrgTot,Temp,Res"
+    monkeypatch.setitem(FORMATS, "BAT", (76, "QBfffffcf", columns))
+    content = fmt_entries() + entry("PARM", 2000, b"BATT_CAPACITY", capacity_mah, 1)
+    for k, used_mah in enumerate((1000, 2000, 5000), start=1):
+        content += entry("BAT", 1_000_000 * k, 0, 16, 16, 10, used_mah, 0, 20, 0)
+    batteries = of(told(opened(tmp_path, content)), "SYS_STATUS")
+    assert [m.battery_remaining for m in batteries] == percents
 
 
 def test_positions_are_thinned_to_fifty_a_second(tmp_path: Path) -> None:

@@ -402,7 +402,8 @@ class _Messages:
             return
         percent, full_mah = values.get("RemPct"), self._capacity_mah
         if percent is None and full_mah > 0:
-            percent = whole(100 * (1 - values.get("CurrTot", 0.0) / full_mah), 0, 100)
+            left_mah = full_mah - values.get("CurrTot", 0.0)
+            percent = whole(100 * left_mah / full_mah, 0, 100)
         elif percent is None or not 0 <= percent <= 100:
             percent = -1
         yield made.battery(values["Volt"], values.get("Curr", 0.0), percent)
