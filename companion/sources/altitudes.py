@@ -58,15 +58,10 @@ def about_altitudes(mission: Mission, targets: list[TargetTable], where: str) ->
 
 def _clear_from_m(mission: Mission, place: tuple[float, float], least_m: float) -> float | None:
     """The lowest altitude from this one on that is clear of the ground; None: none in the band."""
-    top_m = mission.task.band_amsl_m[1]
+    assert mission.known is not None
+    top_m, required_m = mission.task.band_amsl_m[1], mission.task.required_clearance_m
     for up_m in np.arange(min(least_m, top_m), top_m, _STEP_M):
-        if _is_clear(mission, (*place, float(up_m))):
+        at = np.array([*place, up_m])
+        if distance_to_terrain_m(mission.known, at, required_m) >= required_m - 1e-6:
             return float(up_m)
     return None
-
-
-def _is_clear(mission: Mission, point_nea_m: tuple[float, float, float]) -> bool:
-    assert mission.known is not None
-    required_m = mission.task.required_clearance_m
-    at = np.asarray(point_nea_m)
-    return distance_to_terrain_m(mission.known, at, required_m) >= required_m - 1e-6
