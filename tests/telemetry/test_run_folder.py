@@ -397,7 +397,7 @@ def fill(path, most):
 for most in sys.argv[2:]:
     fill(Path(sys.argv[1]) / most, int(most))
 """
-SIZES = (4096, 5000, 5001, 5013)
+SIZES = (4096, 5000, 5001, 5013, 173 * (8 + 21))
 
 
 @pytest.fixture(scope="module")
