@@ -496,7 +496,6 @@ def _flown(
                 mission_toml=mission_text(mission),
                 epoch_us=round(began.timestamp() * 1e6),
                 resume=recalled is not None,
-                set_aside=() if recalled is None else recalled.unreadable,
                 durable=not lockstep,
             ) as folder,
             Progress(console, shows.output) as progress,

@@ -16,8 +16,11 @@ from companion.mission.mission import Mission
 from companion.planner import rules
 from companion.sources.elevation import ElevationFile
 from companion.sources.files import (
+    PLAN,
+    WAYPOINTS,
     RawTable,
     answer,
+    begins_as,
     plain,
     read_text,
     toml_table,
@@ -26,7 +29,6 @@ from companion.sources.files import (
 )
 from companion.sources.mission_file import MissionFile, complete, explained, mission_of
 from companion.sources.mission_schema import MissionTable
-from companion.sources.recognised import PLAN, WAYPOINTS, kind_of, refuse_other
 from companion.sources.schema import FileWorldTable, WorldTable, removed_key, validated
 from companion.world.terrain import Peak, PeakTerrain, Terrain
 
@@ -117,7 +119,7 @@ def _whole(name_or_path: str) -> MissionFile:
     """A mission with what the files that it names hold; a plan by itself names no other."""
     path, is_bundled = Path(name_or_path), name_or_path in bundled()
     is_plan = path.suffix.lower() == ".plan" and answer(path.is_file)
-    if not is_bundled and (is_plan or kind_of(path) in (PLAN, WAYPOINTS)):
+    if not is_bundled and (is_plan or begins_as(path, PLAN, WAYPOINTS)):
         table: RawTable = {"plan": path.name}
     else:
         table = toml_table(_read(name_or_path, "mission"), name_or_path)
@@ -182,5 +184,4 @@ def _read(name_or_path: str, kind: str) -> str:
         rule = "it is a folder" if answer(path.is_dir) else "no such file, and no bundled name"
         remedy = f"Give a {kind}.toml, or one of: {names}."
         raise InputError(kind.upper(), name_or_path, rule, remedy)
-    refuse_other(path, kind.upper())
     return read_text(path, kind.upper(), f"Give a readable {kind}.toml, or one of: {names}.")

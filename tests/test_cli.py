@@ -140,7 +140,7 @@ def test_to_go_on_needs_the_folder_of_that_mission(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("hurried")
-def test_what_was_kept_and_cannot_be_read_is_said_kept_and_gone_on_without(tmp_path: Path) -> None:
+def test_what_was_kept_and_cannot_be_read_is_said_and_gone_on_without(tmp_path: Path) -> None:
     """Whatever is wrong with it: tests/telemetry/test_resume.py.
 
     The mission is the folder's own, whatever has become of the file that it was given as.
@@ -155,7 +155,6 @@ def test_what_was_kept_and_cannot_be_read_is_said_kept_and_gone_on_without(tmp_p
     assert len(errors.splitlines()) == 1
     assert "no vehicle was heard" in errors
     assert said.count("warning: taking over without memory of the flight: resume.json") == 1
-    assert (folder / "resume.lost-1.json").read_bytes() == torn
     journal = (folder / "journal.jsonl").read_text(encoding="utf-8").splitlines()
     entries = [json.loads(line) for line in journal]
     [resumed] = [entry for entry in entries if entry.get("kind") == "resumed"]

@@ -27,7 +27,6 @@ from companion.profiles import PROFILES
 from companion.ranges import Positive
 from companion.sources.files import answer, read_text, toml_table
 from companion.sources.mission_schema import Name
-from companion.sources.recognised import refuse_other
 from companion.sources.schema import Broken, Table, validated
 
 Over = Literal["process", "planner"]
@@ -227,7 +226,6 @@ def load_campaign(
     elif not answer(path.exists):
         rule = "no such file, and no bundled campaign"
         raise InputError("CAMPAIGN", name_or_path, rule, f"Give a file, or one of: {names}.")
-    refuse_other(path, "CAMPAIGN")
     text = read_text(path, "CAMPAIGN", f"Give a campaign file, or one of: {names}.")
     table = {**toml_table(text, name_or_path), **(options or {})}
     return validated(CampaignTable, table, name_or_path), text, path.absolute().parent

@@ -1,7 +1,5 @@
 """The altitudes of a mission's targets, held against the ground that is known before take-off."""
 
-import itertools
-import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -13,7 +11,6 @@ from companion.world.columns import distance_to_terrain_m
 
 _MENTIONED_M = 1.0  # a smaller difference is worth no mention
 _STEP_M = 5.0
-_MAX_SAMPLES = 2000  # of all ways together
 
 
 def carried_on(altitudes_amsl_m: list[float | None]) -> tuple[float | None, ...]:
@@ -57,39 +54,14 @@ def about_altitudes(mission: Mission, targets: list[TargetTable], where: str) ->
                 f"{table.name or f'target {number + 1}'} is planned at {wanted_m:g} m AMSL and "
                 f"flown at {flown_m:.0f} m: below that d_s and the vehicle's errors are not kept"
             )
-    yield from _ways(mission, targets)
-
-
-def _ways(mission: Mission, targets: list[TargetTable]) -> Iterator[str]:
-    """The ways from target to target that are not clear of the ground at the target's altitude."""
-    lowest_m, _ = mission.task.band_amsl_m
-    places = mission.targets_ne_m
-    total_m = sum(math.dist(a, b) for a, b in itertools.pairwise(places))
-    spacing_m = max(mission.task.cell_m, total_m / _MAX_SAMPLES)
-    altitudes = zip(mission.altitudes_amsl_m[1:], targets[1:], strict=False)
-    for (start, end), (wanted_m, table) in zip(itertools.pairwise(places), altitudes, strict=False):
-        if wanted_m is None:
-            continue
-        shares = np.linspace(0.0, 1.0, max(math.ceil(math.dist(start, end) / spacing_m), 2))
-        line = (np.asarray(start) + share * np.subtract(end, start) for share in shares)
-        if not all(_is_clear(mission, (*at, max(wanted_m, lowest_m))) for at in line):
-            yield (
-                f"on the straight way to {table.name} the ground is too high for {wanted_m:g} m "
-                "AMSL: it is flown round, or over"
-            )
 
 
 def _clear_from_m(mission: Mission, place: tuple[float, float], least_m: float) -> float | None:
     """The lowest altitude from this one on that is clear of the ground; None: none in the band."""
-    top_m = mission.task.band_amsl_m[1]
+    assert mission.known is not None
+    top_m, required_m = mission.task.band_amsl_m[1], mission.task.required_clearance_m
     for up_m in np.arange(min(least_m, top_m), top_m, _STEP_M):
-        if _is_clear(mission, (*place, float(up_m))):
+        at = np.array([*place, up_m])
+        if distance_to_terrain_m(mission.known, at, required_m) >= required_m - 1e-6:
             return float(up_m)
     return None
-
-
-def _is_clear(mission: Mission, point_nea_m: tuple[float, float, float]) -> bool:
-    assert mission.known is not None
-    required_m = mission.task.required_clearance_m
-    at = np.asarray(point_nea_m)
-    return distance_to_terrain_m(mission.known, at, required_m) >= required_m - 1e-6

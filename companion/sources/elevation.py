@@ -150,34 +150,6 @@ class ElevationFile:
             raise InputError(field, str(path), rule, _NAME_ONE) from None
 
 
-def write_elevation(
-    path: Path,
-    heights_m: FloatArray,
-    north_west_deg: tuple[float, float],
-    step_deg: tuple[float, float],
-) -> None:
-    """Write heights AMSL, (rows to the south, columns to the east), as a GeoTIFF in WGS84.
-
-    north_west_deg: latitude and longitude of the first; step_deg: of a row and of a column.
-    """
-    rasterio, (step_n, step_e) = importlib.import_module("rasterio"), step_deg
-    north, west = north_west_deg[0] + 0.5 * step_n, north_west_deg[1] - 0.5 * step_e
-    with rasterio.open(
-        path,
-        "w",
-        driver="GTiff",
-        crs="EPSG:4326",
-        dtype="float32",
-        count=1,
-        height=heights_m.shape[0],
-        width=heights_m.shape[1],
-        transform=rasterio.Affine(step_e, 0.0, west, 0.0, -step_n, north),
-        compress="deflate",
-        predictor=3,
-    ) as file:
-        file.write(heights_m.astype(np.float32), 1)
-
-
 def _refusals(source: Any, vertical_datum: str) -> Iterator[_RefusedError]:
     """The rules that it breaks: one band of metres over north-up degrees of a datum like WGS84."""
     if source.crs is None:

@@ -20,6 +20,9 @@ PICTURES = (".png", ".svg", ".pdf")
 """How files of pictures end."""
 
 MAX_BYTES = 64_000_000
+PLAN = re.compile(rb'\{.*?"fileType"\s*:\s*"Plan"', re.DOTALL)
+WAYPOINTS = re.compile(rb"QGC WPL")
+"""How the content of these files begins, behind white space."""
 
 
 def read_text(path: Path, field: str, remedy: str) -> str:
@@ -37,6 +40,18 @@ def read_text(path: Path, field: str, remedy: str) -> str:
         raise InputError(field, str(path), rule, remedy) from error
     except OSError as error:
         raise InputError(field, str(path), f"it cannot be read ({error})", remedy) from error
+
+
+def begins_as(path: Path, *kinds: re.Pattern[bytes]) -> bool:
+    """Whether a file is of one of these kinds, by its content; no, if it cannot be read."""
+
+    def begins() -> bool:
+        if not path.is_file() or path.stat().st_size > MAX_BYTES:
+            return False
+        content = path.read_bytes().removeprefix(b"\xef\xbb\xbf").lstrip()
+        return any(kind.match(content) is not None for kind in kinds)
+
+    return answer(begins)
 
 
 def told_path(path: Path) -> str:

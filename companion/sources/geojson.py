@@ -1,4 +1,4 @@
-"""Zones and radars from a GeoJSON file (RFC 7946: longitude before latitude, WGS84)."""
+"""Zones from a GeoJSON file (RFC 7946: longitude before latitude, WGS84)."""
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
@@ -38,7 +38,6 @@ class Threats:
 
     keep_outs: list[RawTable] = field(default_factory=list)
     keep_ins: list[RawTable] = field(default_factory=list)
-    radars: list[RawTable] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     """What was left out or taken otherwise than it is written, for people."""
 
@@ -78,10 +77,8 @@ class _Polygon(_Json):
 
 
 class _Properties(_Json):
-    kind: Literal["keep_out", "keep_in", "radar"] = "keep_out"
+    kind: Literal["keep_out", "keep_in"] = "keep_out"
     radius_m: float | None = None
-    altitude_amsl_m: float | None = None
-    range_m: float | None = None
 
 
 class _Feature(_Json):
@@ -93,11 +90,10 @@ class _Feature(_Json):
 
 
 def read_geojson(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> Threats:
-    """The threats of a file; leave_out: what a map may have beside zones.
+    """The zones of a file; leave_out: what a map may have beside them.
 
     Raises InputError about it, naming the feature in it, or counting those that are no zones.
-    Polygons and multipolygons are zones; a point with the property radius_m is a circle, one of
-    kind "radar" a radar with range_m and altitude_amsl_m.
+    Polygons and multipolygons are zones; a point with the property radius_m is a circle.
     """
     found = json_table(path, where, _REMEDY)
     crs = found.get("crs")  # of before RFC 7946
@@ -111,17 +107,13 @@ def read_geojson(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> 
     if found.get("type") not in ("FeatureCollection", "Feature") or not isinstance(features, list):
         raise InputError(where, str(path), "it is no GeoJSON FeatureCollection", _REMEDY)
     if len(features) > _MAX_FEATURES:
-        rule, remedy = (
-            f"it has more than {_MAX_FEATURES:,}",
-            "Keep those that are near the mission.",
-        )
+        rule, remedy = f"it has more than {_MAX_FEATURES:,}", "Keep those near the mission."
         raise InputError(f"{path.name}: features", len(features), rule, remedy)
     threats, no_zones = Threats(), Counter[NoZone]()
     for index, feature in enumerate(features):
         label = f"{path.name}: features[{index}]"
         if not isinstance(feature, dict):
-            rule = "a feature is a JSON object"
-            raise InputError(label, feature, rule, "Remove or complete it.")
+            raise InputError(label, feature, "a feature is a JSON object", "Remove or complete it.")
         _take(feature, index, label, threats, no_zones)
     if unasked := {kind: count for kind, count in no_zones.items() if kind not in leave_out}:
         rule = "a zone is a polygon, or a point with radius_m"
@@ -143,55 +135,42 @@ def _counted(kinds: Mapping[NoZone, int]) -> str:
 def _take(
     raw: RawTable, index: int, label: str, threats: Threats, no_zones: Counter[NoZone]
 ) -> None:
-    """Add the zones and radars of a feature; label: how it is called in errors."""
+    """Add the zones of a feature; label: how it is called in errors."""
     given = raw.get("properties")
-    name = plain(given.get("name") if isinstance(given, dict) else None, f"feature {index}")
-    label, polygons = f"{label} ({name})", list[_Polygon]()
-    properties = _Properties()
+    given = given if isinstance(given, dict) else {}
+    name = plain(given.get("name"), f"feature {index}")
+    label, polygons, is_keep_in = f"{label} ({name})", list[_Polygon](), False
+    if given.get("kind") == "radar":
+        rule, remedy = "it was removed in this version", "Write it as [[radars]] in a mission.toml."
+        raise InputError(f"{label}.properties.kind", "radar", rule, remedy)
     for geometry in _taken_apart(raw.get("geometry")):
         no_zone = _no_zone(geometry, given) if raw.get("type") == "Feature" else None
         if no_zone is not None:
             no_zones[no_zone] += 1
             continue
         feature = validated(_Feature, raw | {"geometry": geometry}, label)
-        properties = feature.properties or properties
+        properties = feature.properties or _Properties()
+        is_keep_in = properties.kind == "keep_in"
         if isinstance(feature.geometry, _Polygon):
             polygons.append(feature.geometry)
-        else:
-            _add_point(threats, feature.geometry, properties, name, label)
-    kind, field = properties.kind, f"{label}.geometry.type"
-    if polygons and kind == "radar":
-        raise InputError(field, "Polygon", "a radar is a point", "Make it a Point.")
-    if kind == "keep_in" and len(polygons) > 1:
+            continue
+        latitude, longitude = feature.geometry.coordinates
+        place = {"latitude_deg": latitude, "longitude_deg": longitude}
+        circle = {"name": name, **place, "radius_m": properties.radius_m}
+        (threats.keep_ins if is_keep_in else threats.keep_outs).append(circle)
+    if is_keep_in and len(polygons) > 1:
         rule = "the vehicle cannot keep inside of several polygons at once"
-        raise InputError(field, "MultiPolygon", rule, "Keep one polygon of it.")
+        raise InputError(f"{label}.geometry.type", "MultiPolygon", rule, "Keep one polygon of it.")
     for number, polygon in enumerate(polygons, start=1):
         part = name if len(polygons) == 1 else f"{name} part {number}"
         outer, *holes = polygon.coordinates
-        zones = threats.keep_ins if kind == "keep_in" else threats.keep_outs
-        zones.append({"name": part, "vertices_deg": outer})
-        if kind == "keep_in":
-            threats.keep_outs += [
-                {"name": f"{part} hole {hole}", "vertices_deg": ring}
-                for hole, ring in enumerate(holes, start=1)
-            ]
+        zone = {"name": part, "vertices_deg": outer}
+        (threats.keep_ins if is_keep_in else threats.keep_outs).append(zone)
+        if is_keep_in:
+            for hole, ring in enumerate(holes, start=1):
+                threats.keep_outs.append({"name": f"{part} hole {hole}", "vertices_deg": ring})
         elif holes:
             threats.notes.append(f"keep-out {part!r}: its holes are kept out of as well")
-
-
-def _add_point(
-    threats: Threats, point: _Point, properties: _Properties, name: str, label: str
-) -> None:
-    latitude, longitude = point.coordinates
-    table: RawTable = {"name": name, "latitude_deg": latitude, "longitude_deg": longitude}
-    kind = properties.kind
-    for key in ("altitude_amsl_m", "range_m") if kind == "radar" else ("radius_m",):
-        if (value := getattr(properties, key)) is None:
-            remedy = f"Give the point a property {key}, in metres."
-            raise InputError(f"{label}.properties.{key}", None, "it is missing", remedy)
-        table[key] = value
-    lists = {"radar": threats.radars, "keep_in": threats.keep_ins, "keep_out": threats.keep_outs}
-    lists[kind].append(table)
 
 
 def _taken_apart(geometry: Any, deepest: int = _DEEPEST) -> Iterator[Any]:
@@ -208,19 +187,16 @@ def _taken_apart(geometry: Any, deepest: int = _DEEPEST) -> Iterator[Any]:
         yield from _taken_apart(each, deepest - 1)
 
 
-def _no_zone(geometry: Any, properties: Any) -> NoZone | None:
+def _no_zone(geometry: Any, properties: RawTable) -> NoZone | None:
     """What a geometry is that can be no zone, whatever was meant by it; None: it may be one."""
     if geometry is None:
         return "empty"
-    if not isinstance(geometry, dict):
-        return None
-    kind, given = geometry.get("type"), properties if isinstance(properties, dict) else {}
+    kind = geometry.get("type") if isinstance(geometry, dict) else None
     if kind in (*_ALONE, *_LINES) and _is_empty(geometry.get("coordinates")):
         return "empty"
     if kind in _LINES:
         return "lines"
-    is_zone = given.get("kind") == "radar" or given.get("radius_m") is not None
-    return "points" if kind == "Point" and not is_zone else None
+    return "points" if kind == "Point" and properties.get("radius_m") is None else None
 
 
 def _is_empty(coordinates: Any) -> bool:

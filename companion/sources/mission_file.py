@@ -21,12 +21,11 @@ from companion.planner import rules
 from companion.planner.settings import PlannerSettings, Task
 from companion.profiles import PROFILES, Weights
 from companion.sources.altitudes import about_altitudes, carried_on
-from companion.sources.files import RawTable, path_of, plain, told_path
+from companion.sources.files import WAYPOINTS, RawTable, begins_as, path_of, plain, told_path
 from companion.sources.geojson import NoZone, Threats, read_geojson
 from companion.sources.mission_schema import KnownTerrainTable, MissionTable, ThreatsTable
 from companion.sources.plan_defaults import with_plan
 from companion.sources.plan_file import Ground, read_plan
-from companion.sources.recognised import GEOJSON, JSON, PLAN, WAYPOINTS, kind_of, refuse_other
 from companion.sources.schema import validated
 from companion.sources.waypoint_file import read_waypoint_fence, read_waypoint_list
 from companion.sources.zones import Place, place_of, radar_of, zones_of
@@ -64,7 +63,7 @@ def complete(given: RawTable, folder: Path, where: str) -> MissionFile:
         threats = _threats(folder / chosen.file, f"{where}: threats", chosen.leave_out)
         notes += threats.notes
         table = {key: value for key, value in table.items() if key != "threats"}
-        for key in ("keep_outs", "keep_ins", "radars"):
+        for key in ("keep_outs", "keep_ins"):
             found = getattr(threats, key)
             if found and isinstance(table.get(key, []), list):
                 table[key] = [*table.get(key, []), *found]
@@ -76,17 +75,16 @@ def complete(given: RawTable, folder: Path, where: str) -> MissionFile:
 
 def _threats(path: Path, where: str, leave_out: Collection[NoZone]) -> Threats:
     """What a GeoJSON file or a list of QGC WPL 110 holds; leave_out: as for `read_geojson`."""
-    if kind_of(path) is WAYPOINTS:
+    if begins_as(path, WAYPOINTS):
         plan = read_waypoint_fence(path, where)
         notes = [f"{path.name}: its {len(plan.targets)} waypoints are not flown"]
         threats = Threats(
             keep_outs=plan.keep_outs, keep_ins=plan.keep_ins, notes=notes if plan.targets else []
         )
     else:
-        refuse_other(path, where, GEOJSON, JSON)
         threats = read_geojson(path, where, leave_out)
-    if not (threats.keep_outs or threats.keep_ins or threats.radars):
-        threats.notes.append(f"{path.name}: it holds no zone and no radar")
+    if not (threats.keep_outs or threats.keep_ins):
+        threats.notes.append(f"{path.name}: it holds no zone")
     return threats
 
 
@@ -111,8 +109,7 @@ def explained(error: InputError, assumed: frozenset[str], where: str) -> InputEr
 
 def _with_plan(table: RawTable, folder: Path, where: str) -> tuple[RawTable, list[str]]:
     path, field = folder / table["plan"], f"{where}: plan"
-    refuse_other(path, field, PLAN, WAYPOINTS)
-    read = read_waypoint_list if kind_of(path) is WAYPOINTS else read_plan
+    read = read_waypoint_list if begins_as(path, WAYPOINTS) else read_plan
     plan = read(path, field, _ground(table, folder, where))
     if plan.targets and "targets" in table:
         rule = f"{plan.name} has waypoints too"

@@ -295,7 +295,7 @@ class FromVehicleTable(
 
 
 class ThreatsTable(Table):
-    """A file of zones and radars, and what of it is none."""
+    """A file of zones, and what of it is none."""
 
     file: FileName
     leave_out: list[NoZone] = Field(default_factory=list)

@@ -1,8 +1,8 @@
 """Loads the data to resume a flight from its run folder.
 
 The companion may have been restarted by a script while the vehicle is in the air, so damaged files
-never prevent a resume.  Unreadable files are reported, renamed and ignored; then the vehicle is
-never armed, as it may have flown.
+never prevent a resume.  Unreadable files are reported and ignored; then the vehicle is never armed,
+as it may have flown.
 """
 
 from contextlib import suppress
@@ -37,8 +37,6 @@ class ResumeData:
     """None: no flight was begun here."""
     said: tuple[str, ...] = ()
     """What could not be restored, as text for the operator."""
-    unreadable: tuple[str, ...] = ()
-    """Names of files that must not be overwritten."""
 
 
 def load_resume_data(folder: Path, mission: Mission) -> ResumeData:
@@ -59,7 +57,7 @@ def load_resume_data(folder: Path, mission: Mission) -> ResumeData:
     except (OSError, ValueError) as error:
         values = checkpoint.without_map(values, f"{_MAP}: {_why(error)}")
         said = tuple(checkpoint.restore_notes(values))
-        return ResumeData(resume=(values, None), said=said, unreadable=(_MAP,))
+        return ResumeData(resume=(values, None), said=said)
     return ResumeData(resume=(values, known.with_what_was_given(blank)))
 
 
@@ -108,7 +106,7 @@ def _forgotten(folder: Path, why: str) -> ResumeData:
     _, system_id, time_s, plan_id = _history(folder)
     values = checkpoint.without_checkpoint(why, system_id=system_id, time_s=time_s, plan_id=plan_id)
     said = tuple(checkpoint.restore_notes(values))
-    return ResumeData(resume=(values, None), said=said, unreadable=(_CHECKPOINT, _MAP))
+    return ResumeData(resume=(values, None), said=said)
 
 
 def _history(folder: Path) -> tuple[bool, int | None, float, int]:

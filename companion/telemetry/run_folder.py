@@ -8,7 +8,7 @@
     run.json       what differs from run to run: when, where, how long plans took
     flight.png     the picture
     resume.json    where the mission stands, and known.npz, the known map: for a restart in flight
-    *.lost-1.*     what a restart could not read: kept, never written over
+    *.damaged      a growing file with a wrong byte in its middle, as a restart found it
 
 Recorded data stays readable to the last whole record, however the flight ends: each batch is
 handed to the operating system at once.  resume.json, known.npz and run.json are
@@ -22,6 +22,7 @@ import os
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from itertools import accumulate
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, final
 
@@ -34,15 +35,15 @@ from companion.mission.journal import SCHEMA, VERSION, plain
 from companion.telemetry import inputs
 from companion.world.known_map import KnownMap, packed_map, unpacked_map
 
-_WRITTEN = ("journal.jsonl", "flight.tlog", "mission.toml", "run.json", inputs.FILE)
+_TLOG, _JOURNAL = "flight.tlog", "journal.jsonl"
+_GROWING = (_TLOG, _JOURNAL, inputs.FILE)
+_WRITTEN = (_JOURNAL, _TLOG, "mission.toml", "run.json", inputs.FILE)
 RECORDED = (*_WRITTEN, "resume.json", "known.npz", "truth.jsonl")
 """The files of a flight that cannot be made again."""
 _STAMP = struct.Struct(">Q")
 _PORTION = 2**20
 LONGEST_RECORD = 288  # bytes, of the telemetry log
 _LONGEST_TORN = 2**26  # a start with a large map
-
-
 _MOST = 2**62
 _Count = Annotated[int, Meta(ge=0, lt=_MOST)]
 
@@ -54,7 +55,6 @@ class ResumeHead(Struct, frozen=True, kw_only=True):
     schema: Literal["companion-resume"] = "companion-resume"
     version: Literal[1] = 1
     epoch_us: _Count
-    starts: _Count
     tlog_bytes: _Count
     inputs_bytes: _Count
     values: dict[str, Any]
@@ -72,12 +72,9 @@ class RunFolder:
         mission_toml: str,
         epoch_us: int,
         resume: bool = False,
-        set_aside: Sequence[str] = (),
         durable: bool = True,
     ) -> None:
         """epoch_us: microseconds since 1970 at vehicle time 0, for the log's stamps.
-
-        set_aside: unreadable files, to be kept under another name.
 
         durable: replaced files survive a power cut, not only this process.
 
@@ -85,18 +82,14 @@ class RunFolder:
         written to by another process, or holds a flight that is not to be resumed; a resumed
         flight goes on without being recorded (`failure`).
         """
-        self.path = path
+        self.path, self.epoch_us, self._durable = path, epoch_us, durable
         self.failure: str | None = None
         """Why recording has stopped; the flight goes on."""
         self.unsaved: str | None = None
         """Why the flight's state could not be saved for a restart; what grows is still recorded."""
-        self.epoch_us = epoch_us
-        self._durable = durable
         self._starts = 0
-        self._tlog: io.FileIO | None = None
-        self._journal: io.FileIO | None = None
-        self._inputs: io.FileIO | None = None
-        self._locked: io.FileIO | None = None
+        self._files: dict[str, io.FileIO] = {}
+        """Those that grow, and mission.toml, which is locked."""
         held: list[str] = []
         try:
             path.mkdir(parents=True, exist_ok=True)
@@ -108,10 +101,9 @@ class RunFolder:
                 _replace(path / "mission.toml", mission_toml.encode(), durable=durable)
             self._lock()
             if held:
-                self._go_on(set_aside)
-            self._tlog = (path / "flight.tlog").open("ab", buffering=0)
-            self._journal = (path / "journal.jsonl").open("ab", buffering=0)
-            self._inputs = (path / inputs.FILE).open("ab", buffering=0)
+                self._go_on()
+            for name in _GROWING:
+                self._files[name] = (path / name).open("ab", buffering=0)
         except OSError as error:
             if resume and held:  # the vehicle may be in the air
                 self.failure = error.strerror or str(error)
@@ -121,37 +113,32 @@ class RunFolder:
 
     def _lock(self) -> None:
         """Keep others from appending to the same files, until it is closed or this process ends."""
-        self._locked = (self.path / "mission.toml").open("rb", buffering=0)
+        file = self._files["mission.toml"] = (self.path / "mission.toml").open("rb", buffering=0)
         try:
-            fcntl.flock(self._locked, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            self._locked.close()
+            file.close()
             rule, remedy = "another companion records its flight there", "End it, or give another."
             raise InputError("--out", str(self.path), rule, remedy) from error
         except OSError:
             return  # a file system without locks
 
-    def _go_on(self, set_aside: Sequence[str]) -> None:
+    def _go_on(self) -> None:
         """Truncate the incomplete records of a killed companion."""
-        tlog, journal = self.path / "flight.tlog", self.path / "journal.jsonl"
-        head: ResumeHead | None = None
+        head = None
         with suppress(OSError, ValueError):
             head = resume_head(self.path)
-        epoch_us, tlog_bytes, inputs_bytes = (
-            (0, 0, 0) if head is None else (head.epoch_us, head.tlog_bytes, head.inputs_bytes)
-        )
-        self.epoch_us = epoch_us or _first_stamp_us(tlog) or self.epoch_us
-        self._starts = starts_of(journal) if head is None else head.starts + 1
-        for name in set_aside:
-            keep_aside(self.path / name)
+        tlog, journal, told = (self.path / name for name in _GROWING)
+        told_us = _first_stamp_us(tlog) if head is None else head.epoch_us
+        self.epoch_us = told_us or self.epoch_us
+        self._starts = _starts_of(journal)
         if tlog.exists():
-            whole = whole_records(tlog, tlog_bytes)
+            whole = whole_records(tlog, 0 if head is None else head.tlog_bytes)
             _cut(tlog, whole, longest_torn=LONGEST_RECORD)
         if journal.exists():
             _cut(journal, _whole_lines(journal))
-        told = self.path / inputs.FILE
         if told.exists():
-            _cut(told, inputs.whole_inputs(told, inputs_bytes))
+            _cut(told, inputs.whole_inputs(told, 0 if head is None else head.inputs_bytes))
 
     # --- what grows
 
@@ -160,36 +147,42 @@ class RunFolder:
         head: dict[str, Any] = {"schema": SCHEMA, "version": VERSION, **values}
         if self._starts:
             head["resumed"] = self._starts
-        self._write(self._journal, [journal_line(head)])
+        self._write(_JOURNAL, [journal_line(head)])
 
     def frames(self, stamped: Iterable[tuple[float, bytes]]) -> None:
         """Frames with their vehicle times, seconds."""
         epoch_us = self.epoch_us
-        records = [_STAMP.pack(epoch_us + round(at_s * 1e6)) + frame for at_s, frame in stamped]
-        self._write(self._tlog, records)
+        self._write(
+            _TLOG, [_STAMP.pack(epoch_us + round(at_s * 1e6)) + frame for at_s, frame in stamped]
+        )
 
     def entries(self, entries: Iterable[Mapping[str, Any]]) -> None:
         """Journal entries."""
-        self._write(self._journal, [journal_line(entry) for entry in entries])
+        self._write(_JOURNAL, [journal_line(entry) for entry in entries])
 
     def inputs(self, told: Sequence[inputs.Input]) -> None:
         """What the session was told."""
-        if told and self._inputs is not None and self._inputs.tell() == 0:
+        if told and self._size(inputs.FILE) == 0:
             told = (inputs.HEADER, *told)
-        self._write(self._inputs, inputs.packed(told))
+        self._write(inputs.FILE, inputs.packed(told))
 
-    def _write(self, file: io.FileIO | None, records: Sequence[bytes]) -> None:
+    def _size(self, name: str) -> int:
+        return self._files[name].tell() if name in self._files else 0
+
+    def _write(self, name: str, records: Sequence[bytes]) -> None:
         """Write records, unless the disk has failed before; never ends a flight."""
-        batch = b"".join(records)
-        if not batch or self.failure is not None or file is None:
+        batch, written = b"".join(records), 0
+        if not batch or self.failure is not None:
             return
-        written = 0
+        file = self._files[name]
         try:
             while written < len(batch):  # a disk that is nearly full takes a part of it
                 written += file.write(batch[written:])
         except OSError as error:
             self.failure = error.strerror or str(error)
-            _drop_torn(file, records, written)
+            whole = max(end for end in accumulate(map(len, records), initial=0) if end <= written)
+            with suppress(OSError):  # else whoever reads it stops at the last whole record
+                file.truncate(file.seek(0, os.SEEK_END) - (written - whole))
 
     # --- what is replaced
 
@@ -197,9 +190,8 @@ class RunFolder:
         """Replace the checkpoint.  A full disk leaves the previous one."""
         head = ResumeHead(
             epoch_us=self.epoch_us,
-            starts=self._starts,
-            tlog_bytes=0 if self._tlog is None else self._tlog.tell(),
-            inputs_bytes=0 if self._inputs is None else self._inputs.tell(),
+            tlog_bytes=self._size(_TLOG),
+            inputs_bytes=self._size(inputs.FILE),
             values=dict(values),
         )
         error = self._replace("resume.json", lambda: journal_line(head))
@@ -224,9 +216,8 @@ class RunFolder:
 
     def close(self) -> None:
         """Close the files."""
-        for file in (self._tlog, self._journal, self._inputs, self._locked):
-            if file is not None:
-                file.close()
+        for file in self._files.values():
+            file.close()
 
     def __enter__(self) -> Self:
         return self
@@ -246,23 +237,11 @@ def resume_head(path: Path) -> ResumeHead:
         raise ValueError(f"it is no checkpoint of a flight that can be read ({error})") from error
 
 
-def starts_of(journal: Path) -> int:
+def _starts_of(journal: Path) -> int:
     """How many headers a journal has: how often a companion was started."""
-    try:
-        with journal.open("rb") as file:
-            return sum(line.startswith(b'{"schema":') for line in file)
-    except OSError:
-        return 0
-
-
-def keep_aside(path: Path) -> None:
-    """Rename an existing file to a unique name, so that it is not overwritten."""
-    if not path.exists():
-        return
-    number = 1
-    while (aside := path.with_name(f"{path.stem}.lost-{number}{path.suffix}")).exists():
-        number += 1
-    path.rename(aside)
+    with suppress(OSError), journal.open("rb") as file:
+        return sum(line.startswith(b'{"schema":') for line in file)
+    return 0
 
 
 def whole_records(path: Path, start: int = 0) -> int:
@@ -364,28 +343,13 @@ def _replace(path: Path, content: bytes, *, durable: bool) -> None:
 def _cut(path: Path, size: int, *, longest_torn: int = _LONGEST_TORN) -> None:
     """Truncate after the last whole record: a torn one, or zeros after a power cut.
 
-    If there is more than that, a copy of the file is kept.
+    If there is more than that, it is renamed, and begun anew.
     """
-    has = path.stat().st_size
-    if has == size:
-        return
-    if has - size > longest_torn and not inputs.is_hole(path, size):
-        keep_aside(path)
-        return
-    os.truncate(path, size)
-
-
-def _drop_torn(file: io.FileIO, records: Sequence[bytes], written: int) -> None:
-    """Truncate a record that was written only in part."""
-    torn = written
-    for record in records:
-        if torn < len(record):
-            break
-        torn -= len(record)
-    try:
-        file.truncate(file.seek(0, os.SEEK_END) - torn)
-    except OSError:
-        return  # whoever reads it stops at the last whole record
+    torn = path.stat().st_size - size
+    if torn > longest_torn and not inputs.is_hole(path, size):
+        path.replace(path.with_name(f"{path.name}.damaged"))
+    elif torn:
+        os.truncate(path, size)
 
 
 def journal_line(entry: Mapping[str, Any] | ResumeHead) -> bytes:

@@ -270,12 +270,13 @@ class FlightFacts:
     @property
     def without_fix_s(self) -> float:
         """How long the GPS said that it had no fix in three dimensions, after its first one."""
-        fixes, at_s = self.health.fix_types, self.log_s(self.health.gps_us)
+        time_us, fixes, _ = self.health.gps
+        at_s = self.log_s(time_us)
         lacks = (fixes < 3) & (np.cumsum(fixes >= 3) > 0)
         return float(np.diff(at_s, append=at_s[-1:])[lacks].sum())
 
     @property
     def fewest_satellites(self) -> float:
         """That the GPS saw after its first fix; NaN: it did not say."""
-        seen = self.health.satellites[np.cumsum(self.health.fix_types >= 3) > 0]
-        return float(np.fmin.reduce(seen, initial=np.nan))
+        _, fixes, seen = self.health.gps
+        return float(np.fmin.reduce(seen[np.cumsum(fixes >= 3) > 0], initial=np.nan))

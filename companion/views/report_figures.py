@@ -93,9 +93,9 @@ def _charts(canvas: Figure, facts: FlightFacts) -> None:
     _line(speed, facts.times_s, speeds_m_s, np.maximum)
     speed.axhline(task.limits.speed_m_s, color="black", lw=1.2, ls="--")
     speed.set(ylabel="ground speed,\nm/s", ylim=(0.0, None))
-    told_s = facts.log_s(facts.health.gps_us)
-    satellites.step(told_s, facts.health.satellites, where="post", color=views.PATH, lw=1.4)
-    _shade(satellites, told_s, facts.health.fix_types < 3, fc=_NO_FIX, alpha=0.45)
+    time_us, fixes, seen = facts.health.gps
+    satellites.step(facts.log_s(time_us), seen, where="post", color=views.PATH, lw=1.4)
+    _shade(satellites, facts.log_s(time_us), fixes < 3, fc=_NO_FIX, alpha=0.45)
     satellites.set(ylabel="satellites", ylim=(0.0, None), xlabel="vehicle time, s")
     for axes in all_axes:
         for hold in facts.holds:

@@ -49,7 +49,7 @@ def test_code_beside_the_strategies_names_no_autopilot_but_in_logs_and_campaigns
             words = (getattr(node, key, None) for key in ("id", "attr", "value", "name", "module"))
             if any(isinstance(word, str) and one_of_them.search(word) for word in words):
                 found.add(path.relative_to(root).as_posix())
-    elsewhere = ("mavlink/autopilots/", "telemetry/logs/", "campaign/", "sources/recognised.py")
+    elsewhere = ("mavlink/autopilots/", "telemetry/logs/", "campaign/")
     assert {each for each in found if not each.startswith(elsewhere)} == {"mission/mission.py"}
     assert {each.name for each in FIRMWARES} == set(get_args(AutopilotName))
 

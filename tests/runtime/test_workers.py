@@ -343,7 +343,7 @@ def test_a_disk_that_blocks_does_not_delay_the_stream_and_is_told_of_once(
     reading, writing = os.pipe()
     with open(writing, "wb", buffering=0) as blocked:  # noqa: PTH123 - a descriptor
         folder.close()
-        monkeypatch.setattr(folder, "_tlog", blocked)
+        monkeypatch.setitem(folder._files, "flight.tlog", blocked)
         with rig.flying():
             rig.link.wait_until(lambda: bool(session.stopped))
             count = len(rig.link.times_of(SETPOINT))
@@ -374,7 +374,8 @@ def test_a_disk_that_is_full_or_an_entry_that_cannot_be_written_ends_the_recordi
 ) -> None:
     def breaks(session: StubSession, number: int) -> None:
         if number == 10 and what == "full":
-            monkeypatch.setattr(folder, "_tlog", as_any(FullFile(folder._tlog)))
+            full = as_any(FullFile(folder._files["flight.tlog"]))
+            monkeypatch.setitem(folder._files, "flight.tlog", full)
         elif number == 10:
             session.out.journal.append({"t_s": 1.0, "kind": "odd", "value": object()})
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from geotiff import write_elevation
 
 import companion
 from companion.config import load_mission
 from companion.errors import InputError
 from companion.mission.mission import Mission
-from companion.sources.elevation import write_elevation
 
 HOME = (47.3977, 8.5456, 488.0)
 ERROR_M = 10.0  # of the copter that is assumed: tracking and navigation
@@ -127,8 +127,6 @@ def test_what_the_elevation_file_says_against_an_altitude_is_said_before_take_of
     assert over_the_valley(tmp_path, in_the_valley).notes == ()
     [low] = over_the_valley(tmp_path, (-3850.0, -2000.0, 520.0)).notes
     assert "at 520 is planned at 520 m AMSL and flown at 585 m" in low
-    [cut] = over_the_valley(tmp_path, in_the_valley, (2000.0, -1000.0, 521.0)).notes
-    assert "straight way to at 521 the ground is too high for 521 m AMSL" in cut
     with pytest.raises(InputError, match="not known, or too high for the ceiling"):
         over_the_valley(tmp_path, (0.0, -3500.0, 520.0))  # in a mountain
 
@@ -195,7 +193,7 @@ def test_an_altitude_above_terrain_counts_from_the_ground_of_an_elevation_file(
     south_deg, step = HOME[0] - 0.04, 0.0002
     heights_m = HOME[2] + np.arange(rows)[::-1, None] - 0.04 / step + np.zeros((rows, rows))
     corner = HOME[0] - 0.04 + (rows - 1) * step, HOME[1] - 0.04
-    write_elevation(tmp_path / "slope.tif", heights_m, corner, (step, step))
+    write_elevation(tmp_path / "slope.tif", heights_m, corner, step)
     assert south_deg < HOME[0]
     terrain = '[terrain]\nfile = "slope.tif"\nvertical_datum = "EGM96"\n'
     mission = load_mission(str(above_terrain(tmp_path, terrain, of_terrain(120.0))))

@@ -1,4 +1,3 @@
-import math
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -106,8 +105,3 @@ def test_a_plain_name_is_one_printable_line_that_is_not_long(name: object) -> No
     assert 0 < len(shown) <= 60
     assert shown.isprintable()
     assert shown == shown.strip()
-
-
-def test_numbers_are_written_to_the_last_bit() -> None:
-    value = math.nextafter(47.1, 50.0)
-    assert tomllib.loads(toml_text({"x": value}))["x"] == value

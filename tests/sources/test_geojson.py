@@ -37,7 +37,7 @@ def corners(ring: list[list[float]]) -> list[list[float]]:
     return [[latitude, longitude] for longitude, latitude in ring[:-1]]
 
 
-def test_polygons_are_zones_and_points_circles_and_radars(path: Path) -> None:
+def test_polygons_are_zones_and_points_circles(path: Path) -> None:
     found = read(
         path,
         collection(
@@ -46,7 +46,6 @@ def test_polygons_are_zones_and_points_circles_and_radars(path: Path) -> None:
             feature("MultiPolygon", [[RING], [HOLE]], name="lakes"),
             feature("Point", [8.0, 47.0, 400.0], radius_m=250, name="mast"),
             feature("Point", [8.0, 47.0], radius_m=9000.0, kind="keep_in"),
-            feature("Point", [8.1, 47.1], kind="radar", altitude_amsl_m=900.5, range_m=15000),
         ),
     )
     place = {"latitude_deg": 47.0, "longitude_deg": 8.0}
@@ -59,9 +58,6 @@ def test_polygons_are_zones_and_points_circles_and_radars(path: Path) -> None:
         {"name": "mast", **place, "radius_m": 250.0},
     ]
     assert found.keep_ins == [{"name": "feature 4", **place, "radius_m": 9000.0}]
-    there = {"latitude_deg": 47.1, "longitude_deg": 8.1}
-    sees = {"altitude_amsl_m": 900.5, "range_m": 15000.0}
-    assert found.radars == [{"name": "feature 5", **there, **sees}]
     assert not found.notes
 
 
@@ -111,7 +107,7 @@ def test_what_a_map_has_beside_zones_is_counted_by_kind_with_the_way_to_leave_it
 
 
 def test_zones_are_never_left_out_with_it(path: Path) -> None:
-    """Nor is what is meant for a zone or a radar, and is broken."""
+    """Nor is what is meant for one, and is broken."""
     mixed = {"type": "GeometryCollection", "geometries": [
         LINE["geometry"],
         {"type": "Polygon", "coordinates": [RING]},
@@ -169,13 +165,13 @@ REFUSED: list[tuple[Any, str]] = [
             (("Polygon", [[[8.0], *RING]]), {}, "at least 2 items"),
             (("Polygon", [RING[:2]]), {}, "three or more corners"),
             (("Polygon", 7), {}, "must be a valid list"),
-            (("Polygon", [RING]), {"kind": "radar"}, "a radar is a point"),
-            (("Polygon", [RING]), {"kind": "fence"}, "'keep_out', 'keep_in' or 'radar'"),
+            (("Polygon", [RING]), {"kind": "radar"}, r"was removed.*\[\[radars\]\]"),
+            (("Polygon", [RING]), {"kind": "fence"}, "'keep_out' or 'keep_in'"),
             (("MultiPolygon", [[RING], [HOLE]]), {"kind": "keep_in"}, "Keep one"),
             (("Circle", [8.0, 47.0]), {}, "one of 'Point', 'Polygon'"),
             (("Point", [8.0, 47.0]), {"radius_m": "9"}, "radius_m.*a valid number"),
             (("Point", [8.0, 47.0]), {"radius_m": 10**400}, "radius_m.*a valid number"),
-            (("Point", [8.0, 47.0]), {"kind": "radar", "range_m": 9}, "altitude_amsl_m"),
+            (("Point", [8.0, 47.0]), {"kind": "radar", "range_m": 9}, r"\[\[radars\]\]"),
         )
     ),
     ({}, NO_COLLECTION),
@@ -207,7 +203,7 @@ def test_a_crs_that_says_wgs84_is_taken(path: Path) -> None:
 EVERYTHING = collection(
     feature("Polygon", [RING, HOLE], name="a", kind="keep_in"),
     feature("MultiPolygon", [[RING], [HOLE]], name="b"),
-    feature("Point", [8.1, 47.1], kind="radar", altitude_amsl_m=900.5, range_m=15000),
+    feature("Point", [8.1, 47.1], kind="keep_in", radius_m=15000),
 )
 
 

@@ -13,13 +13,12 @@ from typing import Any, get_args
 import numpy as np
 import pyproj
 import pytest
-import rasterio
 import shapely
+from geotiff import write_elevation
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
-from rasterio.transform import Affine
 from spoiled import collection, feature, replace_somewhere
 
 from companion.config import bundled, load_mission, mission_text
@@ -79,7 +78,6 @@ STEP_DEG = 1 / 1200
 WOOD = [[8.01, 47.01], [8.02, 47.01], [8.02, 47.015], [8.01, 47.01]]
 THREATS = collection(
     feature("Polygon", [WOOD, WOOD], name="wood"),
-    feature("Point", [8.0, 47.02], name="sam", kind="radar", altitude_amsl_m=700.0, range_m=900.0),
 )
 
 
@@ -108,11 +106,7 @@ def refused(folder: Path, text: str) -> str:
 
 def terrain(path: Path, heights: np.ndarray[Any, Any]) -> None:
     """An elevation file about the origin."""
-    transform = Affine(STEP_DEG, 0, 8.0 - 120 * STEP_DEG, 0, -STEP_DEG, 47.0 + 100 * STEP_DEG)
-    size: Any = {"height": len(heights), "width": heights.shape[1], "count": 1}
-    how: Any = {"driver": "GTiff", "crs": "EPSG:4326", "transform": transform, "dtype": "int16"}
-    with rasterio.open(path, "w", **size, **how) as file:
-        file.write(heights, 1)
+    write_elevation(path, heights, (47.0 + 99.5 * STEP_DEG, 8.0 - 119.5 * STEP_DEG), STEP_DEG)
 
 
 def vehicle(text: str, base: str = COPTER) -> str:
@@ -374,11 +368,15 @@ def test_threats_of_a_file_count_beside_those_of_the_mission(folder: Path) -> No
     text = 'threats = "threats.geojson"\n' + zone("north_m = 1.0\neast_m = 1.0\nradius_m = 9.0")
     mission = load(folder, text)
     assert [found.name for found in mission.task.zones] == ["zone", "wood"]
-    (radar,) = mission.task.radars
+    assert mission.notes == ("keep-out 'wood': its holes are kept out of as well",)
+
+
+def test_a_radar_in_degrees_is_the_radar_in_metres(folder: Path) -> None:
+    sam = 'name = "sam"\nlatitude_deg = 47.02\nlongitude_deg = 8.0\naltitude_amsl_m = 700.0\n'
+    (radar,) = load(folder, f"{COPTER}[[radars]]\n{sam}range_m = 900.0\n").task.radars
     north, east = FRAME.to_local_m(47.02, 8.0)
     assert radar.centre_nea_m == (north, east, 700.0)
     assert radar.range_m == 900.0
-    assert mission.notes == ("keep-out 'wood': its holes are kept out of as well",)
 
 
 def test_a_run_folder_needs_neither_the_threats_nor_the_place_of_the_terrain(

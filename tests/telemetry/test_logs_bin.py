@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from log_files import (
+    FORMATS,
     bin_of,
     counts,
     entry,
@@ -61,9 +62,15 @@ def test_the_same_flight_is_told_as_in_its_tlog(name: str, flights: Callable[[st
         "GPS_RAW_INT": ("fix_type", "lat", "lon", "alt", "satellites_visible", "vel", "cog"),
         "EKF_STATUS_REPORT": ("flags",),
         "HOME_POSITION": ("latitude", "longitude", "altitude"),
+        "GPS_GLOBAL_ORIGIN": ("latitude", "longitude", "altitude"),
         "PARAM_VALUE": ("param_id", "param_value"),
     }.items():
         assert _values(ours, kind, fields) == pytest.approx(_values(theirs, kind, fields), abs=10)
+    dates_ms = [
+        {m.time_unix_usec // 1000 - m.time_boot_ms for m in of([m for _, m in each], "SYSTEM_TIME")}
+        for each in (theirs, ours)
+    ]
+    assert max(dates_ms[1]) == pytest.approx(max(dates_ms[0]), abs=100)
     percents = {m.battery_remaining for m in of([m for _, m in ours], "SYS_STATUS")}
     assert percents <= {m.battery_remaining for m in of([m for _, m in theirs], "SYS_STATUS")}
     for seen, fields in (("HEARTBEAT", ("type", "custom_mode", "armed")),):
@@ -145,6 +152,8 @@ def test_without_an_estimator_the_gps_is_told_and_said_so(tmp_path: Path) -> Non
     fixes = [m for m in of(messages, "GPS_RAW_INT") if m.fix_type >= 3]
     positions = of(messages, "GLOBAL_POSITION_INT")
     assert [(m.lat, m.lon, m.alt) for m in positions] == [(m.lat, m.lon, m.alt) for m in fixes]
+    (home, *_) = of(messages, "HOME_POSITION")
+    assert positions[-1].relative_alt == pytest.approx(positions[-1].alt - home.altitude, abs=20)
     for mine, fix in zip(positions, fixes, strict=True):
         assert math.hypot(mine.vx, mine.vy) == pytest.approx(fix.vel, abs=1.5)
     said = "\n".join(str(each) for each in log.findings)
@@ -165,6 +174,20 @@ def test_a_position_without_a_velocity_is_not_told(tmp_path: Path) -> None:
     )
     (position,) = of(told(opened(tmp_path, content)), "GLOBAL_POSITION_INT")
     assert (position.time_boot_ms, position.vx, position.vy) == (2100, 300, 400)
+
+
+@pytest.mark.parametrize(("capacity_mah", "percents"), [(4000, [75, 50, 0]), (0, [-1, -1, -1])])
+def test_what_is_left_in_a_battery_of_4_0_is_reckoned_as_ardupilot_does(
+    capacity_mah: float, percents: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its BAT has no RemPct yet."""
+    columns = "TimeUS,Instance,Volt,VoltR,Curr,CurrTot,EnrgTot,Temp,Res"
+    monkeypatch.setitem(FORMATS, "BAT", (76, "QBfffffcf", columns))
+    content = fmt_entries() + entry("PARM", 2000, b"BATT_CAPACITY", capacity_mah, 1)
+    for k, used_mah in enumerate((1000, 2000, 5000), start=1):
+        content += entry("BAT", 1_000_000 * k, 0, 16, 16, 10, used_mah, 0, 20, 0)
+    batteries = of(told(opened(tmp_path, content)), "SYS_STATUS")
+    assert [m.battery_remaining for m in batteries] == percents
 
 
 def test_positions_are_thinned_to_fifty_a_second(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from companion.errors import InputError
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_client import decoded
 from companion.telemetry.logs import Log, Odd, open_log
-from companion.telemetry.logs.ulog import direction
+from companion.telemetry.logs.made import direction
 
 SHORT = recording("px4-offboard-short.ulg")
 HEADER = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1_000_000)
@@ -216,7 +216,7 @@ def test_a_mode_that_is_none_costs_the_heartbeat_alone(tmp_path: Path) -> None:
 
 def test_a_receiver_without_a_course_still_tells_of_its_fix() -> None:
     """As MAVLink has it: hundredths of a degree, 65535 if there is none."""
-    assert [direction(math.radians(a)) for a in (0, 90, -90, 359.996)] == [0, 9000, 27000, 0]
+    assert [direction(a) for a in (0, 90, -90, 359.996)] == [0, 9000, 27000, 0]
     assert direction(math.nan) == 65535
 
 

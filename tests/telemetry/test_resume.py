@@ -52,7 +52,7 @@ def begun(recalled: ResumeData) -> State:
 
 def test_what_can_be_read_is_gone_on_with(folder: Path) -> None:
     recalled = load_resume_data(folder, MISSION)
-    assert recalled.said == recalled.unreadable == ()
+    assert recalled.said == ()
     state = begun(recalled)
     assert (state.flight.target, state.orders.active, state.airborne) == (1, Reason.PAUSED, True)
     assert (state.flight.known.upper_m == 512.0).all()
@@ -103,7 +103,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "no version": edit(version=None),
     "epoch in words": edit(epoch_us="yesterday"),
     "epoch before time": edit(epoch_us=-5),
-    "starts": edit(starts=1e300),
+    "epoch without end": edit(epoch_us=1e300),
     "inputs": edit(inputs_bytes="many"),
     "values": edit(values=[]),
     "no values": edit(values={}),
@@ -146,7 +146,6 @@ def test_without_a_checkpoint_that_can_be_read_it_takes_over_and_never_arms(
     assert np.array_equal(state.flight.known.upper_m, BLANK.upper_m)
     assert state.flight.plan_id == 7
     assert recalled.resume[0]["system_id"] == 3  # as the journal has it
-    assert set(recalled.unreadable) == {"resume.json", "known.npz"}
 
 
 MAPS: dict[str, Callable[[Path], object]] = {
@@ -164,7 +163,6 @@ def test_without_a_map_that_can_be_read_the_rest_is_gone_on_with(folder: Path, d
     [line] = recalled.said
     assert "scanning anew" in line
     assert "known.npz" in line
-    assert recalled.unreadable == ("known.npz",)
     state = begun(recalled)
     assert (state.flight.target, state.orders.active, state.airborne) == (1, Reason.PAUSED, True)
     assert np.array_equal(state.flight.known.upper_m, BLANK.upper_m)
@@ -188,7 +186,8 @@ def test_without_a_map_that_can_be_read_the_rest_is_gone_on_with(folder: Path, d
 def test_a_map_of_something_else_is_no_map_of_this_flight(folder: Path, known: KnownMap) -> None:
     with RunFolder(folder, mission_toml="", epoch_us=1, resume=True) as again:
         again.known_map(known)
-    assert load_resume_data(folder, MISSION).unreadable == ("known.npz",)
+    [line] = load_resume_data(folder, MISSION).said
+    assert "known.npz" in line
 
 
 @pytest.mark.parametrize("name", ["resume.json", "known.npz"])
@@ -205,7 +204,6 @@ def test_whatever_byte_is_wrong_there_is_something_to_go_on_with(folder: Path, n
         recalled = load_resume_data(folder, MISSION)
         state = begun(recalled)
         lost += bool(recalled.said)
-        assert bool(recalled.said) == bool(recalled.unreadable)
         assert not np.isnan(state.flight.known.upper_m).any()
         assert 0 <= state.flight.target < len(MISSION.targets_ne_m)
     assert lost > 40

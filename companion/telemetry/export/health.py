@@ -32,14 +32,15 @@ class FlightHealth:
         """The longest time without a frame of the autopilot, microseconds."""
         self._sequence: int | None = None
         self._heard_us = 0
-        self._setpoints_us = array("q")
-        self._gps_us, self._fixes, self._satellites = array("q"), array("B"), array("B")
+        self.setpoints_us = array("q")
+        """When the companion sent setpoints, microseconds since 1970."""
+        self._gps = array("q")
 
     def look(self, record: Record) -> None:
         """The next frame of the log."""
         frame, component = record.frame, sender_of(record.frame)[1]
         if component == COMPANION_COMPONENT and number_of(frame) == _SETPOINT:
-            self._setpoints_us.append(record.time_us)
+            self.setpoints_us.append(record.time_us)
         if component != AUTOPILOT_COMPONENT:
             return
         sequence = frame[4] if frame[0] == V2 else frame[2]
@@ -51,27 +52,15 @@ class FlightHealth:
         self.heard += 1
         if number_of(frame) == _GPS.id:
             values = _UNPACK(payload_of(frame, _BYTES)[:_BYTES])
-            self._gps_us.append(record.time_us)
-            self._fixes.append(values[_AT["fix_type"]])
-            self._satellites.append(values[_AT["satellites_visible"]])
+            said = values[_AT["fix_type"]], values[_AT["satellites_visible"]]
+            self._gps.extend((record.time_us, *said))
 
     @property
-    def setpoints_us(self) -> IntArray:
-        """When the companion sent setpoints, microseconds since 1970.  -> (N,)."""
-        return np.array(self._setpoints_us, dtype=np.int64)
+    def gps(self) -> tuple[IntArray, IntArray, FloatArray]:
+        """When the GPS spoke, fix and satellites each time, three arrays of (M,).
 
-    @property
-    def gps_us(self) -> IntArray:
-        """When the GPS said something, likewise.  -> (N,)."""
-        return np.array(self._gps_us, dtype=np.int64)
-
-    @property
-    def fix_types(self) -> IntArray:
-        """GPS_FIX_TYPE then; 3 and more: a fix in three dimensions.  -> (N,)."""
-        return np.array(self._fixes, dtype=np.int64)
-
-    @property
-    def satellites(self) -> FloatArray:
-        """Satellites seen then; NaN: not known.  -> (N,)."""
-        seen = np.array(self._satellites, dtype=np.float64)
-        return np.where(seen == _UNKNOWN, np.nan, seen)
+        Microseconds since 1970; GPS_FIX_TYPE, 3 and more: a fix in three dimensions; NaN: not known
+        how many.
+        """
+        time_us, fixes, seen = np.array(self._gps, dtype=np.int64).reshape(-1, 3).T
+        return time_us, fixes, np.where(seen == _UNKNOWN, np.nan, seen)

@@ -5,8 +5,68 @@ for record in log.records(): ...   # record.time_us, record.frame
 log.findings, log.missing()        # what was odd about it, and what it lacks
 """
 
+from pathlib import Path
+from typing import Final
+
+from companion.errors import InputError
 from companion.telemetry.logs.log import Log, Odd, Record
 from companion.telemetry.logs.needed import Kind, Missing
-from companion.telemetry.logs.opening import open_log
 
 __all__ = ["Kind", "Log", "Missing", "Odd", "Record", "open_log"]
+
+_KINDS: Final = "Give a .tlog of MAVLink frames, an ArduPilot .bin or a PX4 .ulg."
+_OTHERS: Final = {
+    b"\x1f\x8b": ("it is compressed", "Unpack it with gunzip."),
+    b"PK\x03\x04": ("it is a zip archive", "Unpack it."),
+    b"FMT, ": ("it is an ArduPilot log as text", "Give the .bin that it was made from."),
+    b"ULogEnc": ("it is an encrypted PX4 log", "Decrypt it with the key of the vehicle."),
+    b"": ("nothing that can be read is in it", _KINDS),
+}
+"""First bytes of what people may take for a log."""
+
+
+def open_log(path: Path, *, system_id: int | None = None) -> Log:
+    """Open a log of any kind, by what is in it; system_id: of the vehicle, if there are several.
+
+    InputError if there is no such file, nothing in it can be read, or it is not clear whose log it
+    is.  The whole file is scanned once.
+    """
+    try:
+        log = _opened(path, system_id)
+        log.size_bytes = path.stat().st_size
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the path
+        why = getattr(error, "strerror", None) or str(error)
+        raise InputError("log", str(path), f"it cannot be read: {why}", "Look at it.") from error
+    return log
+
+
+def _opened(path: Path, system_id: int | None) -> Log:
+    if not path.exists():
+        raise InputError("log", str(path), "there is no such file", "Give the path of a log.")
+    if path.is_dir():
+        remedy = "Give a file in it, for instance its flight.tlog."
+        raise InputError("log", str(path), "it is a directory", remedy)
+    if not path.is_file():
+        raise InputError("log", str(path), "it is no ordinary file", _KINDS)
+    if path.stat().st_size == 0:
+        raise InputError("log", str(path), "it is empty", _KINDS)
+    with path.open("rb") as file:
+        head = file.read(8)
+    log = None
+    if head.startswith(b"\xa3\x95\x80"):
+        from companion.telemetry.logs import dataflash  # a second, for pymavlink's own dialects
+
+        log = dataflash.opened(path, system_id)
+    elif head.startswith(b"ULog\x01\x12\x35"):
+        from companion.telemetry.logs import ulog
+
+        log = ulog.opened(path, system_id)
+    if log is None:
+        from companion.telemetry.logs import tlog
+
+        log = tlog.opened(path, system_id)
+    if log is None:
+        raise InputError(
+            "log", str(path), *next(w for h, w in _OTHERS.items() if head.startswith(h))
+        )
+    return log

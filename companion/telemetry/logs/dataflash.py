@@ -7,7 +7,8 @@ is looked through once beforehand: whose it is, when it was, and what it has.
 import math
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterator
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Final, final
@@ -15,6 +16,7 @@ from typing import Final, final
 from pymavlink import DFReader
 
 from companion.mavlink.dialect import Message, wire
+from companion.telemetry.logs import made
 from companion.telemetry.logs.log import (
     YEAR_2000_US,
     YEAR_2100_US,
@@ -24,20 +26,15 @@ from companion.telemetry.logs.log import (
     chosen,
     earliest,
 )
-from companion.telemetry.logs.made import (
-    Pace,
-    Row,
-    Values,
-    battery,
-    boot_ms,
-    made,
-    parameter,
-    refuse_older,
-    system_time,
-    texts,
-    whole,
-)
+from companion.telemetry.logs.made import Row, Values, direction, thousandths, whole, wired
 
+ROWS: Final = frozenset(
+    (
+        *("ARM", "ATT", "BAT", "ERR", "EV", "GPA", "GPS", "MODE", "MSG"),
+        *("ORGN", "PARM", "POS", "STAT", "XKF1", "XKF4"),
+    )
+)
+"""Names of the entries that are translated."""
 _MAGIC: Final = b"\xa3\x95"
 _LONGEST: Final = 255
 """Bytes of an entry."""
@@ -69,9 +66,10 @@ _ROTORS: Final = (
 )
 """MAV_TYPE of a copter by its FRAME_CLASS."""
 _MODE_FLAGS: Final = wire.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | wire.MAV_MODE_FLAG_STABILIZE_ENABLED
-_ARMED, _DISARMED, _AUTO_ARMED, _LANDED, _NOT_LANDED = 10, 11, 15, 18, 28
-"""EV.Id."""
 _IN_AIR, _ON_GROUND = wire.MAV_LANDED_STATE_IN_AIR, wire.MAV_LANDED_STATE_ON_GROUND
+_ARMING: Final = {10: True, 11: False, 15: True}
+_LANDING: Final = {18: _ON_GROUND, 28: _IN_AIR}
+"""What EV.Id says."""
 _FAILSAFES: Final = frozenset({5, 6, 8, 17, 20, 23, 31})
 """ERR.Subsys of what makes ArduPilot say CRITICAL: radio, battery, ground station, estimator, ADSB,
 terrain, dead reckoning."""
@@ -79,7 +77,6 @@ _FRESH_US: Final = 1_000_000
 """A velocity of longer ago is not that of the position."""
 _GPS: Final = -1
 """In place of an estimator's core."""
-_NO_HEADING: Final = 65535
 _FLAGS: Final = (
     *((1 << bit, 1 << bit) for bit in range(6)),
     (1 << 6, wire.EKF_POS_VERT_AGL),
@@ -96,137 +93,97 @@ _INITIALISED: Final = 1 << 16
 # --- entries
 
 
+def _nothing(*_: object, **__: object) -> None:
+    """Do nothing."""
+
+
 @final
 class _Entries(DFReader.DFReader_binary):  # type: ignore[misc]  # it has no types
     """The entries in their order: no index, no clock, no state, which take longer than reading."""
 
-    def init_arrays(self, progress_callback: None = None) -> None:
-        """Called by the base class."""
-
-    def init_arrays_fast(self, progress_callback: None = None) -> None:
-        """Called by the base class."""
-
-    def init_clock(self) -> None:
-        """Called by the base class."""
-
-    def _add_msg(self, entry: DFReader.DFMessage) -> None:
-        """Called by the base class."""
+    init_arrays = init_arrays_fast = init_clock = _add_msg = _nothing
 
 
 def _rows(
-    path: Path, odd: Counter[Odd], wanted: Collection[str], counts: Counter[str] | None = None
+    path: Path, odd: Counter[Odd], wanted: Collection[str], counts: Counter[str]
 ) -> Iterator[Row]:
-    """The entries of the kinds that are wanted; all are counted, by kind, if asked for."""
+    """The entries of the kinds that are wanted; all are counted, by kind."""
     log = _Entries(str(path))
-    vars(DFReader)["print"] = _nothing  # it prints each byte that it passes over
-    try:
-        end, size = 0, log.data_len
-        while True:
-            try:
-                entry = log.recv_msg()
-            except RecursionError:  # it calls itself for each that does not fit its FMT
-                continue
-            if entry is None:
-                break
-            begin = log.offset - entry.fmt.len
-            odd[Odd.GARBAGE] += max(begin - end, 0)
-            end = log.offset
-            if not _MAGIC.startswith(log.data_map[end : end + 2]):
-                odd[Odd.DAMAGED] += 1
-                log.offset = end = begin + len(_MAGIC)
-                continue
-            if counts is not None:
-                counts[entry.fmt.name] += 1
-            if entry.fmt.name in wanted:
+    end, size = 0, log.data_len
+    with made.silent(DFReader):
+        try:
+            while True:
                 try:
-                    values = entry.to_dict()
-                except (TypeError, ValueError, IndexError):
-                    odd[Odd.DAMAGED] += 1
+                    entry = log.recv_msg()
+                except RecursionError:  # it calls itself for each that does not fit its FMT
                     continue
-                time_us = values.get("TimeUS")
-                yield Row(entry.fmt.name, time_us if type(time_us) is int else None, values, end)
-        odd[Odd.CUT_SHORT if size - end < _LONGEST else Odd.GARBAGE] += size - end
-    finally:
-        vars(DFReader).pop("print", None)
-        log.close()
-
-
-def _nothing(*_: object, **__: object) -> None:
-    """Print nothing."""
+                if entry is None:
+                    break
+                name, begin = entry.fmt.name, log.offset - entry.fmt.len
+                odd[Odd.GARBAGE] += max(begin - end, 0)
+                end = log.offset
+                if not _MAGIC.startswith(log.data_map[end : end + 2]):
+                    odd[Odd.DAMAGED] += 1
+                    log.offset = end = begin + len(_MAGIC)
+                    continue
+                counts[name] += 1
+                if name in wanted:
+                    try:
+                        values = entry.to_dict()
+                    except (TypeError, ValueError, IndexError):
+                        odd[Odd.DAMAGED] += 1
+                        continue
+                    time_us = values.get("TimeUS")
+                    yield Row(name, time_us if type(time_us) is int else None, values, end)
+            odd[Odd.CUT_SHORT if size - end < _LONGEST else Odd.GARBAGE] += size - end
+        finally:
+            log.close()
 
 
 # --- the first look
-
-
-def opened(path: Path, system_id: int | None) -> Log | None:
-    """A .bin; None: nothing of use is in it.  InputError: of firmware before 4.0, or not whose."""
-    look = _Look()
-    for row in _rows(path, Counter(), {"GPS", "MSG", "PARM", "VER"}, look.counts):
-        look.at_row(row)
-    refuse_older(path, "ArduPilot", look.version, _OLDEST)
-    if not any(look.counts[name] for name in ROWS):
-        return None
-    return Log(
-        kind="bin",
-        path=path,
-        systems=(look.system_id,),
-        system_id=chosen(path, (look.system_id,), system_id),
-        autopilot=int(wire.MAV_AUTOPILOT_ARDUPILOTMEGA),
-        read=partial(_records, look),
-        substitutes=tuple(look.substitutes()),
-    )
 
 
 @final
 class _Look:
     """What one pass through the file tells of the whole log."""
 
-    def __init__(self) -> None:
+    def __init__(self, path: Path) -> None:
         self.counts: Counter[str] = Counter()
         self.system_id = 1
         """ArduPilot's default, until a parameter says otherwise."""
         self.epoch_us: int | None = None
         self.version: tuple[int, int] | None = None
+        self.mav_type: int | None = None
+        """None: nothing tells."""
         self.times_us: list[int] = []
         """Of the first entries."""
-        self._vehicle: int | None = None
-        self._frame_class = 0
+        self._rotors = int(wire.MAV_TYPE_QUADROTOR)
+        for row in _rows(path, Counter(), {"GPS", "MSG", "PARM", "VER"}, self.counts):
+            if row.time_us is not None and len(self.times_us) < _SAMPLE:
+                self.times_us.append(row.time_us)
+            with suppress(KeyError, TypeError, ValueError, OverflowError):
+                self._at_row(row)  # the second pass counts what is damaged
+        if self.mav_type == wire.MAV_TYPE_QUADROTOR:
+            self.mav_type = self._rotors
 
-    @property
-    def mav_type(self) -> int | None:
-        """MAV_TYPE; None: nothing tells."""
-        if self._vehicle == wire.MAV_TYPE_QUADROTOR:
-            return int(_ROTORS[self._frame_class])
-        return self._vehicle
-
-    def at_row(self, row: Row) -> None:
-        """One more entry."""
-        if row.time_us is not None and len(self.times_us) < _SAMPLE:
-            self.times_us.append(row.time_us)
+    def _at_row(self, row: Row) -> None:
         values = row.values
-        try:
-            match row.name:
-                case "GPS" if self.epoch_us is None:
-                    self.epoch_us = _epoch_us(row)
-                case "PARM" if values["Name"] in ("MAV_SYSID", "SYSID_THISMAV"):
-                    if 1 <= values["Value"] <= 255:
-                        self.system_id = int(values["Value"])
-                case "PARM" if values["Name"] == "FRAME_CLASS":
-                    known = 0 <= values["Value"] < len(_ROTORS)
-                    self._frame_class = int(values["Value"]) if known else 0
-                case "VER":
-                    self._on_text(values.get("FWS", ""))
-                case "MSG" if self._vehicle is None:
-                    self._on_text(values["Message"])
-        except (KeyError, TypeError, ValueError, OverflowError):
-            return  # damaged: the second pass says so
-
-    def _on_text(self, text: str) -> None:
-        if self.version is None and (found := _VERSION.match(text)) is not None:
-            self.version = int(found[1]), int(found[2])
-        for word, vehicle in _VEHICLES.items():
-            if text.startswith(word):
-                self._vehicle = vehicle
+        match row.name:
+            case "GPS" if self.epoch_us is None:
+                self.epoch_us = _epoch_us(row)
+            case "PARM" if values["Name"] in ("MAV_SYSID", "SYSID_THISMAV"):
+                if 1 <= values["Value"] <= 255:
+                    self.system_id = int(values["Value"])
+            case "PARM" if values["Name"] == "FRAME_CLASS":
+                known = 0 <= values["Value"] < len(_ROTORS)
+                self._rotors = int(_ROTORS[int(values["Value"]) if known else 0])
+            case "VER" | "MSG" if self.mav_type is None:
+                text = values["FWS" if row.name == "VER" else "Message"]
+                if self.version is None and (found := _VERSION.match(text)) is not None:
+                    self.version = int(found[1]), int(found[2])
+                self.mav_type = next(
+                    (mav for word, mav in _VEHICLES.items() if text.startswith(word)), None
+                )
 
     def substitutes(self) -> Iterator[str]:
         """What of the usual it has not, and what is told instead."""
@@ -253,11 +210,28 @@ def _epoch_us(row: Row) -> int | None:
     return epoch_us if YEAR_2000_US <= epoch_us < YEAR_2100_US else None
 
 
+def opened(path: Path, system_id: int | None) -> Log | None:
+    """A .bin; None: nothing of use is in it.  InputError: of firmware before 4.0, or not whose."""
+    look = _Look(path)
+    made.refuse_older(path, "ArduPilot", look.version, _OLDEST)
+    if ROWS.isdisjoint(look.counts):
+        return None
+    return Log(
+        kind="bin",
+        path=path,
+        systems=(look.system_id,),
+        system_id=chosen(path, (look.system_id,), system_id),
+        autopilot=int(wire.MAV_AUTOPILOT_ARDUPILOTMEGA),
+        read=partial(_records, look),
+        substitutes=tuple(look.substitutes()),
+    )
+
+
 # --- what it says
 
 
 def _records(look: _Look, log: Log) -> Iterator[Record]:
-    return made(
+    return made.made(
         log,
         _told(log),
         _Messages(look).of,
@@ -268,7 +242,7 @@ def _records(look: _Look, log: Log) -> Iterator[Record]:
 
 def _told(log: Log) -> Iterator[Row]:
     """What is translated; what the logger could not write (DSF.Dp) is counted."""
-    for row in _rows(log.path, log.odd, {*ROWS, "DSF"}):
+    for row in _rows(log.path, log.odd, {*ROWS, "DSF"}, Counter()):
         lost = row.values.get("Dp")
         if row.name != "DSF":
             yield row
@@ -278,20 +252,20 @@ def _told(log: Log) -> Iterator[Row]:
 
 @final
 class _Messages:
-    """The messages of the entries of one pass, from first to last; `_on_gps` is told of GPS."""
+    """The messages of the entries of one pass, from first to last."""
 
     def __init__(self, look: _Look) -> None:
         self._mav_type, self._epoch_us = look.mav_type, look.epoch_us
         self._has_position = look.counts["POS"] > 0
-        self._has_velocity = look.counts["XKF1"] > 0
-        self._pace = Pace()
+        self._velocity_of_gps = look.counts["XKF1"] == 0
+        self._pace = made.Pace()
         self._mode: int | None = None
         self._armed, self._landed = False, wire.MAV_LANDED_STATE_UNDEFINED
         self._failsafes: set[int] = set()
         self._velocities: dict[int, tuple[int, float, float, float]] = {}
         """By estimator core: when, and north, east, down, m/s."""
         self._core = 0
-        self._yaw_deg: float | None = None
+        self._yaw_deg = math.nan
         self._home_alt_m: float | None = None
         self._accuracy: Values = {}
         self._capacity_mah = 0.0
@@ -300,14 +274,54 @@ class _Messages:
     def of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
         """Messages of one entry."""
         before = self._mode, self._armed, bool(self._failsafes), self._landed
-        yield from getattr(self, f"_on_{name.lower()}")(values, boot_us)
+        yield from self._of(name, values, boot_us)
         changed = before != (self._mode, self._armed, bool(self._failsafes), self._landed)
         if self._pace.is_due("heartbeat", boot_us) or changed:
             yield from self._state()
         if self._pace.is_due("clock", boot_us):
-            yield system_time(self._epoch_us, boot_us)
+            yield made.system_time(self._epoch_us, boot_us)
 
-    # --- its state
+    def _of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
+        match name:
+            case "MODE":
+                self._mode = int(values["ModeNum"])
+            case "ARM":
+                self._armed = bool(values["ArmState"])
+            case "EV":
+                self._armed = _ARMING.get(values["Id"], self._armed)
+                self._landed = _LANDING.get(values["Id"], self._landed)
+            case "STAT":
+                self._landed = _IN_AIR if values["isFlying"] else _ON_GROUND
+                self._armed = bool(values["Armed"])
+            case "ERR" if values["Subsys"] in _FAILSAFES:
+                change = self._failsafes.add if values["ECode"] else self._failsafes.discard
+                change(values["Subsys"])
+            case "XKF1":
+                velocity = (values["VN"], values["VE"], values["VD"])
+                self._velocities[values.get("C", 0)] = (boot_us, *velocity)
+            case "XKF4":
+                yield from self._estimator(values, boot_us)
+            case "ATT":
+                self._yaw_deg = values["Yaw"]
+            case "POS":
+                yield from self._position(values, values.get("RelHomeAlt", 0.0), boot_us)
+            case "ORGN":
+                yield from self._origin(values, boot_us)
+            case "GPA" if values.get("I", 0) == 0:
+                self._accuracy = values
+            case "GPS" if values.get("I", 0) == 0:
+                yield from self._gps(values, boot_us)
+            case "BAT" if values.get("Inst", values.get("Instance", values.get("I", 0))) == 0:
+                yield from self._battery(values, boot_us)
+            case "PARM":
+                if values["Name"] == "BATT_CAPACITY" and math.isfinite(values["Value"]):
+                    self._capacity_mah = values["Value"]
+                yield made.parameter(values["Name"], values["Value"])
+            case "MSG":
+                self._texts = self._texts % 0xFFFF + 1
+                yield from made.texts(values["Message"], wire.MAV_SEVERITY_INFO, self._texts)
+            case _:
+                return  # of another receiver, battery or subsystem
 
     def _state(self) -> Iterator[Message]:
         """HEARTBEAT and EXTENDED_SYS_STATE."""
@@ -318,160 +332,83 @@ class _Messages:
             status = wire.MAV_STATE_STANDBY
         if self._mode is not None and self._mav_type is not None:
             flags = _MODE_FLAGS | (wire.MAV_MODE_FLAG_SAFETY_ARMED if self._armed else 0)
-            autopilot = wire.MAV_AUTOPILOT_ARDUPILOTMEGA
-            yield wire.MAVLink_heartbeat_message(
-                self._mav_type, autopilot, flags, self._mode, status, 3
-            )
+            whose = self._mav_type, wire.MAV_AUTOPILOT_ARDUPILOTMEGA
+            yield wire.MAVLink_heartbeat_message(*whose, flags, self._mode, status, 3)
         if self._landed != wire.MAV_LANDED_STATE_UNDEFINED:
-            vtol = wire.MAV_VTOL_STATE_UNDEFINED
-            yield wire.MAVLink_extended_sys_state_message(vtol, self._landed)
+            yield made.ground(self._landed)
 
-    def _on_mode(self, values: Values, _: int) -> Iterable[Message]:
-        self._mode = int(values["ModeNum"])
-        return ()
-
-    def _on_arm(self, values: Values, _: int) -> Iterable[Message]:
-        self._armed = bool(values["ArmState"])
-        return ()
-
-    def _on_ev(self, values: Values, _: int) -> Iterable[Message]:
-        event = values["Id"]
-        if event in (_ARMED, _AUTO_ARMED, _DISARMED):
-            self._armed = event != _DISARMED
-        elif event in (_LANDED, _NOT_LANDED):
-            self._landed = _ON_GROUND if event == _LANDED else _IN_AIR
-        return ()
-
-    def _on_stat(self, values: Values, _: int) -> Iterable[Message]:
-        self._landed = _IN_AIR if values["isFlying"] else _ON_GROUND
-        self._armed = bool(values["Armed"])
-        return ()
-
-    def _on_err(self, values: Values, _: int) -> Iterable[Message]:
-        subsystem = values["Subsys"]
-        if subsystem in _FAILSAFES:
-            (self._failsafes.add if values["ECode"] else self._failsafes.discard)(subsystem)
-        return ()
-
-    # --- where it is
-
-    def _on_xkf1(self, values: Values, boot_us: int) -> Iterable[Message]:
-        velocity = (values["VN"], values["VE"], values["VD"])
-        self._velocities[values.get("C", 0)] = (boot_us, *velocity)
-        return ()
-
-    def _on_att(self, values: Values, _: int) -> Iterable[Message]:
-        self._yaw_deg = values["Yaw"]
-        return ()
-
-    def _on_pos(self, values: Values, boot_us: int) -> Iterator[Message]:
+    def _position(self, values: Values, above_m: float, boot_us: int) -> Iterator[Message]:
         """GLOBAL_POSITION_INT of POS, or of GPS; none without a velocity of the same moment."""
-        velocity = self._velocities.get(self._core if self._has_velocity else _GPS)
+        velocity = self._velocities.get(_GPS if self._velocity_of_gps else self._core)
         if velocity is None or boot_us - velocity[0] > _FRESH_US:
             return
-        above_m = values.get("RelHomeAlt", 0.0)
-        if not self._has_position and self._home_alt_m is not None:
-            above_m = values["Alt"] - self._home_alt_m
         if self._pace.is_due("position", boot_us):
-            heading = _NO_HEADING if self._yaw_deg is None else round(self._yaw_deg * 100) % 36000
             yield wire.MAVLink_global_position_int_message(
-                boot_ms(boot_us),
-                *_degrees_e7(values),
-                round(values["Alt"] * 1e3),
-                round(above_m * 1e3),
+                made.boot_ms(boot_us),
+                *(*wired(_place(values)), round(above_m * 1e3)),
                 *(round(each * 100) for each in velocity[1:]),
-                heading,
+                direction(self._yaw_deg),
             )
 
-    def _on_orgn(self, values: Values, boot_us: int) -> Iterator[Message]:
-        place = (*_degrees_e7(values), round(values["Alt"] * 1e3))
+    def _origin(self, values: Values, boot_us: int) -> Iterator[Message]:
+        """GPS_GLOBAL_ORIGIN, or HOME_POSITION."""
+        place = wired(_place(values))
         if values["Type"] == 0:
             yield wire.MAVLink_gps_global_origin_message(*place, boot_us)
         elif values["Type"] == 1:
             self._home_alt_m = values["Alt"]
-            q = [1.0, 0.0, 0.0, 0.0]
-            yield wire.MAVLink_home_position_message(*place, 0, 0, 0, q, 0, 0, 0, boot_us)
+            level = [1.0, 0.0, 0.0, 0.0]
+            yield wire.MAVLink_home_position_message(*place, 0, 0, 0, level, 0, 0, 0, boot_us)
 
-    # --- how well it knows
-
-    def _on_gps(self, values: Values, boot_us: int) -> Iterator[Message]:
-        if values.get("I", 0) != 0:
-            return
-        speed, course = values["Spd"], values["GCrs"]
-        accuracy = self._accuracy
+    def _gps(self, values: Values, boot_us: int) -> Iterator[Message]:
+        """GPS_RAW_INT, and without POS the position."""
+        speed_mps, course_deg, accuracy = values["Spd"], values["GCrs"], self._accuracy
+        vertical, ellipsoid_m = accuracy.get("VDop"), accuracy.get("AEl", accuracy.get("AE", 0.0))
         yield wire.MAVLink_gps_raw_int_message(
-            boot_us,
-            values["Status"],
-            *_degrees_e7(values),
-            round(values["Alt"] * 1e3),
+            *(boot_us, values["Status"], *wired(_place(values))),
             whole(values["HDop"] * 100, 0, 65535),
-            whole(accuracy["VDop"] * 100, 0, 65535) if "VDop" in accuracy else 65535,
-            whole(speed * 100, 0, 65535),
-            round(course * 100) % 36000,
-            values["NSats"],
-            alt_ellipsoid=round(accuracy.get("AEl", accuracy.get("AE", 0.0)) * 1e3),
-            h_acc=whole(accuracy.get("HAcc", 0.0) * 1e3, 0, 0xFFFFFFFF),
-            v_acc=whole(accuracy.get("VAcc", 0.0) * 1e3, 0, 0xFFFFFFFF),
-            vel_acc=whole(accuracy.get("SAcc", 0.0) * 1e3, 0, 0xFFFFFFFF),
+            65535 if vertical is None else whole(vertical * 100, 0, 65535),
+            *(whole(speed_mps * 100, 0, 65535), direction(course_deg), values["NSats"]),
+            alt_ellipsoid=round(ellipsoid_m * 1e3),
+            h_acc=thousandths(accuracy.get("HAcc", 0.0)),
+            v_acc=thousandths(accuracy.get("VAcc", 0.0)),
+            vel_acc=thousandths(accuracy.get("SAcc", 0.0)),
         )
         if values["Status"] < wire.GPS_FIX_TYPE_3D_FIX:
             return
-        angle = math.radians(course)
-        velocity = (speed * math.cos(angle), speed * math.sin(angle), values.get("VZ", 0.0))
+        angle = math.radians(course_deg)
+        velocity = (speed_mps * math.cos(angle), speed_mps * math.sin(angle), values.get("VZ", 0.0))
         self._velocities[_GPS] = (boot_us, *velocity)
         if not self._has_position:
-            yield from self._on_pos(values, boot_us)
+            above_m = 0.0 if self._home_alt_m is None else values["Alt"] - self._home_alt_m
+            yield from self._position(values, above_m, boot_us)
 
-    def _on_gpa(self, values: Values, _: int) -> Iterable[Message]:
-        if values.get("I", 0) == 0:
-            self._accuracy = values
-        return ()
-
-    def _on_xkf4(self, values: Values, boot_us: int) -> Iterator[Message]:
+    def _estimator(self, values: Values, boot_us: int) -> Iterator[Message]:
         """EKF_STATUS_REPORT of the primary core's XKF4."""
         self._core = max(values.get("PI", 0), 0)
         if values.get("C", 0) != self._core or not self._pace.is_due("estimator", boot_us):
             return
         status = values["SS"]
         flags = sum(flag for bit, flag in _FLAGS if status & bit)
-        ready = status & _INITIALISED if status >= _INITIALISED else status & wire.EKF_ATTITUDE
-        if not ready:
+        if not status & (_INITIALISED if status >= _INITIALISED else wire.EKF_ATTITUDE):
             flags |= wire.EKF_UNINITIALIZED
-        variances = (values["SV"], values["SP"], values["SH"], values["SM"])
-        yield wire.MAVLink_ekf_status_report_message(
-            flags, *variances, 0.0, airspeed_variance=values["SVT"]
-        )
+        variances = (values["SV"], values["SP"], values["SH"], values["SM"], 0.0)
+        airspeed = values["SVT"]
+        yield wire.MAVLink_ekf_status_report_message(flags, *variances, airspeed_variance=airspeed)
 
-    # --- the rest
-
-    def _on_bat(self, values: Values, boot_us: int) -> Iterator[Message]:
+    def _battery(self, values: Values, boot_us: int) -> Iterator[Message]:
         """SYS_STATUS; without RemPct, of what was used and BATT_CAPACITY, as ArduPilot reckons."""
-        instance = values.get("Inst", values.get("Instance", values.get("I", 0)))
-        if instance != 0 or not self._pace.is_due("battery", boot_us):
+        if not self._pace.is_due("battery", boot_us):
             return
         percent, full_mah = values.get("RemPct"), self._capacity_mah
-        if percent is None:
+        if percent is None and full_mah > 0:
             left_mah = full_mah - values.get("CurrTot", 0.0)
-            percent = whole(100 * left_mah / full_mah, 0, 100) if full_mah > 0 else -1
-        elif not 0 <= percent <= 100:
+            percent = whole(100 * left_mah / full_mah, 0, 100)
+        elif percent is None or not 0 <= percent <= 100:
             percent = -1
-        yield battery(values["Volt"], values.get("Curr", 0.0), percent)
-
-    def _on_parm(self, values: Values, _: int) -> Iterator[Message]:
-        name, value = values["Name"], values["Value"]
-        if name == "BATT_CAPACITY" and math.isfinite(value):
-            self._capacity_mah = value
-        yield parameter(name, value)
-
-    def _on_msg(self, values: Values, _: int) -> Iterable[Message]:
-        self._texts = self._texts % 0xFFFF + 1
-        return texts(values["Message"], wire.MAV_SEVERITY_INFO, self._texts)
+        yield made.battery(values["Volt"], values.get("Curr", 0.0), percent)
 
 
-def _degrees_e7(values: Values) -> tuple[int, int]:
-    """Latitude and longitude."""
-    return round(values["Lat"] * 1e7), round(values["Lng"] * 1e7)
-
-
-ROWS: Final = frozenset(name[4:].upper() for name in vars(_Messages) if name.startswith("_on_"))
-"""Names of the entries that are translated."""
+def _place(values: Values) -> tuple[float, float, float]:
+    """Latitude, longitude in degrees, and altitude in metres."""
+    return values["Lat"], values["Lng"], values["Alt"]

@@ -3,10 +3,13 @@
 Made is what the companion reads (docs/reference/log-messages.md), no more.
 """
 
+import math
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Final, NamedTuple, final
 
 from companion.errors import InputError
@@ -28,6 +31,7 @@ _PERIODS_US: Final = {
     "home": 490_000,
 }
 """The least between two messages of a kind, microseconds: a link has no more."""
+_NO_DIRECTION: Final = 65535
 
 Values = Mapping[str, Any]
 MessagesOf = Callable[[str, Values, int], Iterable[Message]]
@@ -60,12 +64,9 @@ def made(
     if epoch_us is None:
         log.odd[Odd.NO_DATE] = 1
     boot_us = epoch_us or 0
+    last_us, start_us = boot_us + LONGEST_US, boot_us + start_us
     clock = Clock(
-        log.odd,
-        first_us=boot_us,
-        last_us=boot_us + LONGEST_US,
-        start_us=boot_us + start_us,
-        jitter_us=_JITTER_US,
+        log.odd, first_us=boot_us, last_us=last_us, start_us=start_us, jitter_us=_JITTER_US
     )
     codec = wire.MAVLink(None, srcSystem=log.system_id, srcComponent=AUTOPILOT_COMPONENT)
     for row in rows:
@@ -83,6 +84,16 @@ def made(
         for frame in frames:
             yield Record(clock.now_us, frame)
     log.read_bytes = log.path.stat().st_size
+
+
+@contextmanager
+def silent(library: ModuleType) -> Iterator[None]:
+    """Have a library not print what it takes for damage, meanwhile."""
+    vars(library)["print"] = lambda *_, **__: None
+    try:
+        yield
+    finally:
+        vars(library).pop("print", None)
 
 
 def refuse_older(
@@ -112,11 +123,13 @@ class Pace:
         return True
 
 
+# --- messages
+
+
 def parameter(name: str, value: float, kind: int = wire.MAV_PARAM_TYPE_REAL32) -> Message:
     """PARAM_VALUE, without its place among the others."""
-    return wire.MAVLink_param_value_message(
-        name.encode("ascii", "replace")[:16], value, kind, 0, 65535
-    )
+    content = name.encode("ascii", "replace")[:16]
+    return wire.MAVLink_param_value_message(content, value, kind, 0, 65535)
 
 
 def texts(text: str, severity: int, identity: int) -> list[Message]:
@@ -125,10 +138,9 @@ def texts(text: str, severity: int, identity: int) -> list[Message]:
     content = content[: _MAX_CHUNKS * _TEXT_BYTES - 1]
     if len(content) <= _TEXT_BYTES:
         return [wire.MAVLink_statustext_message(severity, content)] if content else []
-    parts = range(0, len(content) + 1, _TEXT_BYTES)
     return [
         wire.MAVLink_statustext_message(severity, content[at : at + _TEXT_BYTES], identity, number)
-        for number, at in enumerate(parts)
+        for number, at in enumerate(range(0, len(content) + 1, _TEXT_BYTES))
     ]
 
 
@@ -136,6 +148,11 @@ def battery(volts: float, amperes: float, percent: int) -> Message:
     """SYS_STATUS, of which the sensor bits are 0; -1 A or %: not known."""
     milli_v, centi_a = whole(volts * 1e3, 0, 65534), whole(amperes * 100, -1, 32767)
     return wire.MAVLink_sys_status_message(0, 0, 0, 0, milli_v, centi_a, percent, *[0] * 6)
+
+
+def ground(landed: int) -> Message:
+    """EXTENDED_SYS_STATE; landed: MAV_LANDED_STATE."""
+    return wire.MAVLink_extended_sys_state_message(wire.MAV_VTOL_STATE_UNDEFINED, landed)
 
 
 def system_time(epoch_us: int | None, boot_us: int) -> Message:
@@ -149,6 +166,21 @@ def boot_ms(boot_us: int) -> int:
     return boot_us // 1000 & 0xFFFFFFFF
 
 
+def wired(place: tuple[float, float, float]) -> tuple[int, int, int]:
+    """Latitude, longitude (degrees) and altitude (m), as on the wire."""
+    return round(place[0] * 1e7), round(place[1] * 1e7), round(place[2] * 1e3)
+
+
+def direction(angle_deg: float) -> int:
+    """In hundredths of a degree; receivers that stand still may have none."""
+    return round(angle_deg * 100) % 36000 if math.isfinite(angle_deg) else _NO_DIRECTION
+
+
 def whole(value: float, least: int, most: int) -> int:
     """Rounded, for a field that says only so much.  ValueError if it is not finite."""
     return min(max(round(value), least), most)
+
+
+def thousandths(value: float) -> int:
+    """An accuracy, m or m/s, as GPS_RAW_INT has it."""
+    return whole(value * 1e3, 0, 0xFFFFFFFF)

@@ -4,8 +4,9 @@ import heapq
 import itertools
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -16,6 +17,7 @@ from pyulog.exceptions import ULogIncompatibleFlagException
 from companion.errors import InputError
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_client import encoded
+from companion.telemetry.logs import made
 from companion.telemetry.logs.log import (
     YEAR_2000_US,
     YEAR_2100_US,
@@ -25,28 +27,21 @@ from companion.telemetry.logs.log import (
     chosen,
     earliest,
 )
-from companion.telemetry.logs.made import (
-    LONGEST_US,
-    Pace,
-    Row,
-    Values,
-    battery,
-    boot_ms,
-    made,
-    parameter,
-    refuse_older,
-    system_time,
-    texts,
-    whole,
-)
+from companion.telemetry.logs.made import Row, Values, direction, thousandths, whole, wired
 
-_PARAMETER, _TEXT = "parameter", "text"
-"""Names of the rows that are of no topic."""
+TOPICS: Final = (
+    *("battery_status", "estimator_status", "estimator_status_flags", "home_position"),
+    *("sensor_gps", "vehicle_global_position", "vehicle_land_detected", "vehicle_local_position"),
+    "vehicle_status",
+)
+"""Names of what is translated, beside parameters and texts."""
 _OLDEST: Final = (1, 13)
 _SAMPLE: Final = 200
 """Rows that tell when the log begins."""
 _CHUNK: Final = 4096
 """Messages of a topic that are made rows at a time."""
+_SHOWN: Final = ("nav_state", "arming_state", "failsafe")
+"""Of vehicle_status, what a HEARTBEAT shows."""
 _ARMED: Final = 2
 """vehicle_status.arming_state."""
 _TERMINATION, _TAKEOFF, _LAND, _VTOL_TAKEOFF = 13, 17, 18, 22
@@ -61,7 +56,13 @@ _MODES: Final = {
     21: (3, 1),
 }
 """nav_state -> main and sub mode of custom_mode."""
-_NO_DIRECTION: Final = 65535
+_LEAVING: Final = {
+    _TAKEOFF: wire.MAV_LANDED_STATE_TAKEOFF,
+    _VTOL_TAKEOFF: wire.MAV_LANDED_STATE_TAKEOFF,
+    _LAND: wire.MAV_LANDED_STATE_LANDING,
+}
+"""nav_state -> MAV_LANDED_STATE, off the ground; else in the air."""
+_PLACE: Final = ("latitude_deg", "longitude_deg", "altitude_msl_m")
 _COLOURS: Final = re.compile(r"\x1b\[[0-9;]*m")
 
 
@@ -71,17 +72,15 @@ _COLOURS: Final = re.compile(r"\x1b\[[0-9;]*m")
 def _read(path: Path) -> ULog | None:
     """A log; None: it cannot be read.  InputError if it is of a later format."""
     with path.open("rb") as file:  # pyulog would not close it when it fails
-        vars(core)["print"] = lambda *_, **__: None  # it prints what it takes for damage
         try:
-            return ULog(file, TOPICS)
+            with made.silent(core):
+                return ULog(file, TOPICS)
         except ULogIncompatibleFlagException as error:
             rule = "its flags say that it must not be read by who does not know them"
             remedy = "Convert it to the present ULog format."
             raise InputError("log", str(path), rule, remedy) from error
         except Exception:  # noqa: BLE001 - whatever damage brings it to raise
             return None
-        finally:
-            del vars(core)["print"]
 
 
 def _topics(log: ULog) -> dict[str, ULog.Data]:
@@ -100,34 +99,30 @@ def _topics(log: ULog) -> dict[str, ULog.Data]:
 
 def _rows(log: ULog, size: int) -> Iterator[Row]:
     """Parameters, texts and data, by time; size: of the file."""
-    rows = [
-        (each.timestamp, _TEXT, {"level": each.log_level, "text": each.message})
-        for each in (*log.logged_messages, *itertools.chain(*log.logged_messages_tagged.values()))
+    texts = (*log.logged_messages, *itertools.chain(*log.logged_messages_tagged.values()))
+    rows: list[_Timed] = [
+        (each.timestamp, "text", {"level": each.log_level, "text": each.message}) for each in texts
     ]
-    for time_us, name, value in log.changed_parameters:
-        rows.append((time_us, _PARAMETER, {"key": name, "value": value}))
-    rows.sort(key=_time_us)
+    for time_us, key, value in log.changed_parameters:
+        rows.append((time_us, "parameter", {"key": key, "value": value}))
+    rows.sort(key=_TIME)
     topics = _topics(log).values()
     count = max(len(rows) + sum(len(each.data["timestamp"]) for each in topics), 1)
-    for name, value in log.initial_parameters.items():
-        yield Row(_PARAMETER, None, {"key": name, "value": value}, 0)
-    merged = heapq.merge(rows, *map(_data, topics), key=_time_us)
+    for key, value in log.initial_parameters.items():
+        yield Row("parameter", None, {"key": key, "value": value}, 0)
+    merged = heapq.merge(rows, *map(_data, topics), key=_TIME)
     for number, (time_us, name, values) in enumerate(merged):
         yield Row(name, time_us, values, size * number // count)
 
 
 _Timed = tuple[int, str, dict[str, Any]]
-
-
-def _time_us(row: _Timed) -> int:
-    return row[0]
+_TIME: Final = itemgetter(0)
 
 
 def _data(topic: ULog.Data) -> Iterator[_Timed]:
     """The messages of a topic by time."""
     order = np.argsort(topic.data["timestamp"], kind="stable")
-    for begin in range(0, len(order), _CHUNK):
-        some = order[begin : begin + _CHUNK]
+    for some in np.split(order, range(_CHUNK, len(order), _CHUNK)):
         columns = [column[some].tolist() for column in topic.data.values()]
         for row in zip(*columns, strict=True):
             values = dict(zip(topic.data, row, strict=True))
@@ -147,13 +142,13 @@ def opened(path: Path, system_id: int | None) -> Log | None:
         return None
     release = log.msg_info_dict.get("ver_sw_release")
     if isinstance(release, int) and release >= 1 << 24:  # else built from no release
-        refuse_older(path, "PX4", (release >> 24, release >> 16 & 0xFF), _OLDEST)
+        made.refuse_older(path, "PX4", (release >> 24, release >> 16 & 0xFF), _OLDEST)
     stamps = (row.time_us for row in _rows(log, 0) if row.time_us is not None)
     known_us = list(itertools.islice(stamps, _SAMPLE))
     if not known_us and not log.initial_parameters:
         return None
     start_us, begun_us = earliest(known_us) if known_us else 0, log.start_timestamp
-    if known_us and 0 <= known_us[len(known_us) // 2] - begun_us < LONGEST_US:
+    if known_us and 0 <= known_us[len(known_us) // 2] - begun_us < made.LONGEST_US:
         start_us = begun_us
     system = _parameters(log).get("MAV_SYS_ID", 1)
     systems = (int(system) if 1 <= system <= 255 else 1,)
@@ -209,7 +204,7 @@ def _records(ulog: ULog, start_us: int, log: Log) -> Iterator[Record]:
     epoch_us = _epoch_us(ulog) or zero_us or None
     rows = (_begun(row, start_us, zero_us) for row in _rows(ulog, log.size_bytes))
     messages = _Messages(epoch_us, has_estimator="estimator_status" in _topics(ulog))
-    return made(log, rows, messages.of, epoch_us=epoch_us, start_us=start_us - zero_us)
+    return made.made(log, rows, messages.of, epoch_us=epoch_us, start_us=start_us - zero_us)
 
 
 def _begun(row: Row, start_us: int, zero_us: int) -> Row:
@@ -221,11 +216,11 @@ def _begun(row: Row, start_us: int, zero_us: int) -> Row:
 
 @final
 class _Messages:
-    """The messages of the rows of one pass, from first to last; `_on_` a topic is told of it."""
+    """The messages of the rows of one pass, from first to last."""
 
     def __init__(self, epoch_us: int | None, *, has_estimator: bool) -> None:
         self._epoch_us, self._has_estimator = epoch_us, has_estimator
-        self._pace = Pace()
+        self._pace = made.Pace()
         self._status: Values = {}
         self._landed: bool | None = None
         self._local: Values = {}
@@ -236,25 +231,62 @@ class _Messages:
 
     def of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
         """Messages of one row."""
-        yield from getattr(self, f"_on_{name}")(values, boot_us)
+        yield from self._of(name, values, boot_us)
         if self._status and self._pace.is_due("heartbeat", boot_us):
             yield from self._state()
         if self._status and self._pace.is_due("clock", boot_us):
-            yield system_time(self._epoch_us, boot_us)
+            yield made.system_time(self._epoch_us, boot_us)
 
-    # --- its state
+    def _of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
+        match name:
+            case "vehicle_status":
+                before, self._status = self._status, values
+                if values["nav_state"] not in _MODES:
+                    raise ValueError("no such nav_state")
+                if any(values.get(each) != before.get(each) for each in _SHOWN):
+                    yield from self._state()
+            case "vehicle_land_detected":
+                was_landed, self._landed = self._landed, bool(values["landed"])
+                if self._status and was_landed != self._landed:
+                    yield from self._state()
+            case "vehicle_local_position":
+                self._local = values
+                yield from self._place(values, boot_us)
+                if not self._has_estimator and self._flags and self._is_due("estimator", boot_us):
+                    yield _made_estimator(values, self._flags, boot_us)
+            case "vehicle_global_position" if self._local and self._is_due("position", boot_us):
+                yield self._position(values, boot_us)
+            case "home_position" if values.get("valid_hpos", True):
+                self._home_alt_m = values["alt"] if values.get("valid_alt", True) else None
+                if self._is_due("home", boot_us):
+                    yield _home(values, boot_us)
+            case "sensor_gps":
+                yield _gps(values, boot_us)
+            case "estimator_status" if self._is_due("estimator", boot_us):
+                yield _estimator(values, boot_us)
+            case "estimator_status_flags":
+                self._flags = values
+            case "battery_status" if self._is_due("battery", boot_us):
+                left, amperes = values["remaining"], values["current_a"]
+                is_known = values.get("connected", True) and 0.0 <= left <= 1.0
+                percent = math.ceil(left * 100) if is_known else -1
+                amperes = amperes if amperes >= 0.0 else -0.01
+                yield made.battery(values["voltage_v"], amperes, percent)
+            case "parameter":
+                value, kind = values["value"], wire.MAV_PARAM_TYPE_REAL32
+                if isinstance(value, int):
+                    kind = wire.MAV_PARAM_TYPE_INT32
+                    value = encoded(value, kind, bytewise=True)
+                yield made.parameter(values["key"], value, kind)
+            case "text":
+                self._texts = self._texts % 0xFFFF + 1
+                severity = min(max(values["level"] - ord("0"), 0), wire.MAV_SEVERITY_DEBUG)
+                yield from made.texts(_COLOURS.sub("", values["text"]), severity, self._texts)
+            case _:
+                return  # not due, or of nothing that is known
 
-    def _on_vehicle_status(self, values: Values, _: int) -> Iterable[Message]:
-        seen = ("nav_state", "arming_state", "failsafe")
-        changed = any(values.get(each) != self._status.get(each) for each in seen)
-        self._status = values
-        if values["nav_state"] not in _MODES:
-            raise ValueError("no such nav_state")
-        return self._state() if changed else ()
-
-    def _on_vehicle_land_detected(self, values: Values, _: int) -> Iterable[Message]:
-        before, self._landed = self._landed, bool(values["landed"])
-        return self._state() if self._status and before != self._landed else ()
+    def _is_due(self, what: str, boot_us: int) -> bool:
+        return self._pace.is_due(what, boot_us)
 
     def _state(self) -> Iterator[Message]:
         """HEARTBEAT and EXTENDED_SYS_STATE."""
@@ -268,170 +300,97 @@ class _Messages:
                 state = wire.MAV_STATE_CRITICAL if values.get("failsafe") else wire.MAV_STATE_ACTIVE
             flags = wire.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
             flags |= wire.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
-            main, sub = _MODES[mode]
-            yield wire.MAVLink_heartbeat_message(
-                _mav_type(values), wire.MAV_AUTOPILOT_PX4, flags, main << 16 | sub << 24, state, 3
-            )
-        if self._landed is not None:
-            landed = wire.MAV_LANDED_STATE_IN_AIR
-            if self._landed:
-                landed = wire.MAV_LANDED_STATE_ON_GROUND
-            elif mode in (_TAKEOFF, _VTOL_TAKEOFF):
-                landed = wire.MAV_LANDED_STATE_TAKEOFF
-            elif mode == _LAND:
-                landed = wire.MAV_LANDED_STATE_LANDING
-            vtol = wire.MAV_VTOL_STATE_UNDEFINED
-            yield wire.MAVLink_extended_sys_state_message(vtol, landed)
+            whose, (main, sub) = (_mav_type(values), wire.MAV_AUTOPILOT_PX4), _MODES[mode]
+            yield wire.MAVLink_heartbeat_message(*whose, flags, main << 16 | sub << 24, state, 3)
+        if self._landed:
+            yield made.ground(wire.MAV_LANDED_STATE_ON_GROUND)
+        elif self._landed is not None:
+            yield made.ground(_LEAVING.get(mode, wire.MAV_LANDED_STATE_IN_AIR))
 
-    # --- where it is
-
-    def _on_vehicle_local_position(self, values: Values, boot_us: int) -> Iterator[Message]:
-        self._local = values
+    def _place(self, values: Values, boot_us: int) -> Iterator[Message]:
+        """GPS_GLOBAL_ORIGIN, whenever it is another."""
         origin = (values["ref_lat"], values["ref_lon"], values["ref_alt"])
         is_known = values["xy_global"] and values["z_global"] and all(map(math.isfinite, origin))
         if is_known and origin != self._origin:
             if abs(origin[0]) > 90.0 or abs(origin[1]) > 180.0:
                 raise ValueError("no such place")
             self._origin = origin
-            yield wire.MAVLink_gps_global_origin_message(*_wired(*origin), boot_us)
-        if not self._has_estimator:
-            yield from self._made_estimator(values, boot_us)
+            yield wire.MAVLink_gps_global_origin_message(*wired(origin), boot_us)
 
-    def _on_vehicle_global_position(self, values: Values, boot_us: int) -> Iterator[Message]:
+    def _position(self, values: Values, boot_us: int) -> Message:
         """GLOBAL_POSITION_INT, with height, velocity and heading of the local position."""
-        local = self._local
-        if not local or not self._pace.is_due("position", boot_us):
-            return
-        altitude_m = values["alt"]
+        local, altitude_m = self._local, values["alt"]
         if local["z_valid"] and local["z_global"]:
             altitude_m = local["ref_alt"] - local["z"]
         above_m = 0.0 if self._home_alt_m is None else altitude_m - self._home_alt_m
-        yield wire.MAVLink_global_position_int_message(
-            boot_ms(boot_us),
-            *_wired(values["lat"], values["lon"], altitude_m),
-            round(above_m * 1e3),
+        return wire.MAVLink_global_position_int_message(
+            made.boot_ms(boot_us),
+            *(*wired((values["lat"], values["lon"], altitude_m)), round(above_m * 1e3)),
             *(round(local[each] * 100) for each in ("vx", "vy", "vz")),
-            direction(local["heading"]),
+            direction(math.degrees(local["heading"])),
         )
 
-    def _on_home_position(self, values: Values, boot_us: int) -> Iterator[Message]:
-        if not values.get("valid_hpos", True):
-            return
-        self._home_alt_m = values["alt"] if values.get("valid_alt", True) else None
-        if self._pace.is_due("home", boot_us):
-            half = 0.5 * values.get("yaw", 0.0)
-            yield wire.MAVLink_home_position_message(
-                *_wired(values["lat"], values["lon"], values["alt"]),
-                *(values[each] for each in ("x", "y", "z")),
-                [math.cos(half), 0.0, 0.0, math.sin(half)],
-                *(0.0, 0.0, 0.0),
-                boot_us,
-            )
 
-    # --- how well it knows
-
-    def _on_sensor_gps(self, values: Values, boot_us: int) -> Iterator[Message]:
-        if "latitude_deg" in values:
-            place_deg = values["latitude_deg"], values["longitude_deg"]
-            place = _wired(*place_deg, values["altitude_msl_m"])
-            ellipsoid_mm = values["altitude_ellipsoid_m"] * 1e3
-        else:  # before 1.14
-            place = (values["lat"], values["lon"], values["alt"])
-            ellipsoid_mm = values["alt_ellipsoid"]
-        yield wire.MAVLink_gps_raw_int_message(
-            boot_us,
-            values["fix_type"],
-            *place,
-            whole(values["hdop"] * 100, 0, 65535),
-            whole(values["vdop"] * 100, 0, 65535),
-            whole(values["vel_m_s"] * 100, 0, 65535),
-            direction(values["cog_rad"]),
-            values["satellites_used"],
-            alt_ellipsoid=round(ellipsoid_mm),
-            h_acc=whole(values["eph"] * 1e3, 0, 0xFFFFFFFF),
-            v_acc=whole(values["epv"] * 1e3, 0, 0xFFFFFFFF),
-            vel_acc=whole(values["s_variance_m_s"] * 1e3, 0, 0xFFFFFFFF),
-        )
-
-    def _on_estimator_status(self, values: Values, boot_us: int) -> Iterator[Message]:
-        if not self._pace.is_due("estimator", boot_us):
-            return
-        ratios = ("vel", "pos", "hgt", "mag", "hagl", "tas")
-        yield wire.MAVLink_estimator_status_message(
-            boot_us,
-            values["solution_status_flags"],
-            *(values.get(f"{each}_test_ratio", math.nan) for each in ratios),
-            values["pos_horiz_accuracy"],
-            values["pos_vert_accuracy"],
-        )
-
-    def _on_estimator_status_flags(self, values: Values, _: int) -> Iterable[Message]:
-        self._flags = values
-        return ()
-
-    def _made_estimator(self, values: Values, boot_us: int) -> Iterator[Message]:
-        """ESTIMATOR_STATUS of what vehicle_local_position calls valid, and rejections."""
-        flags = self._flags
-        if not flags or not self._pace.is_due("estimator", boot_us):
-            return
-        horizontal, placed = bool(values["v_xy_valid"]), bool(values["xy_valid"])
-        absolute = placed and bool(values["xy_global"])
-        said = (
-            (wire.ESTIMATOR_ATTITUDE, flags["cs_tilt_align"]),
-            (wire.ESTIMATOR_VELOCITY_HORIZ, horizontal),
-            (wire.ESTIMATOR_VELOCITY_VERT, values["v_z_valid"]),
-            (wire.ESTIMATOR_POS_HORIZ_REL, placed),
-            (wire.ESTIMATOR_POS_HORIZ_ABS, absolute),
-            (wire.ESTIMATOR_POS_VERT_ABS, values["z_valid"]),
-            (wire.ESTIMATOR_POS_VERT_AGL, values["dist_bottom_valid"]),
-            (wire.ESTIMATOR_CONST_POS_MODE, not horizontal),
-            (wire.ESTIMATOR_PRED_POS_HORIZ_REL, placed),
-            (wire.ESTIMATOR_PRED_POS_HORIZ_ABS, absolute),
-            (wire.ESTIMATOR_ACCEL_ERROR, flags["fs_bad_acc_vertical"]),
-        )
-        rejected = [
-            1.0 if flags.get(f"reject_{each}") else math.nan
-            for each in ("hor_vel", "hor_pos", "ver_pos")
-        ]
-        yield wire.MAVLink_estimator_status_message(
-            boot_us,
-            sum(flag for flag, holds in said if holds),
-            *rejected,
-            *(math.nan, math.nan, math.nan),
-            values["eph"],
-            values["epv"],
-        )
-
-    # --- the rest
-
-    def _on_battery_status(self, values: Values, boot_us: int) -> Iterator[Message]:
-        if self._pace.is_due("battery", boot_us):
-            left, amperes = values["remaining"], values["current_a"]
-            is_known = values.get("connected", True) and 0.0 <= left <= 1.0
-            percent = math.ceil(left * 100) if is_known else -1
-            yield battery(values["voltage_v"], amperes if amperes >= 0.0 else -0.01, percent)
-
-    def _on_parameter(self, values: Values, _: int) -> Iterator[Message]:
-        value, kind = values["value"], wire.MAV_PARAM_TYPE_REAL32
-        if isinstance(value, int):
-            kind = wire.MAV_PARAM_TYPE_INT32
-            value = encoded(value, kind, bytewise=True)
-        yield parameter(values["key"], value, kind)
-
-    def _on_text(self, values: Values, _: int) -> Iterable[Message]:
-        self._texts = self._texts % 0xFFFF + 1
-        severity = min(max(values["level"] - ord("0"), 0), wire.MAV_SEVERITY_DEBUG)
-        return texts(_COLOURS.sub("", values["text"]), severity, self._texts)
+def _home(values: Values, boot_us: int) -> Message:
+    half = 0.5 * values.get("yaw", 0.0)
+    return wire.MAVLink_home_position_message(
+        *wired((values["lat"], values["lon"], values["alt"])),
+        *(values[each] for each in ("x", "y", "z")),
+        [math.cos(half), 0.0, 0.0, math.sin(half)],
+        *(0.0, 0.0, 0.0, boot_us),
+    )
 
 
-def _wired(latitude_deg: float, longitude_deg: float, altitude_m: float) -> tuple[int, int, int]:
-    return round(latitude_deg * 1e7), round(longitude_deg * 1e7), round(altitude_m * 1e3)
+def _gps(values: Values, boot_us: int) -> Message:
+    if "latitude_deg" in values:
+        place = wired(tuple(values[each] for each in _PLACE))
+        ellipsoid_mm = values["altitude_ellipsoid_m"] * 1e3
+    else:  # before 1.14
+        place = (values["lat"], values["lon"], values["alt"])
+        ellipsoid_mm = values["alt_ellipsoid"]
+    return wire.MAVLink_gps_raw_int_message(
+        *(boot_us, values["fix_type"], *place),
+        *(whole(values[each] * 100, 0, 65535) for each in ("hdop", "vdop", "vel_m_s")),
+        *(direction(math.degrees(values["cog_rad"])), values["satellites_used"]),
+        alt_ellipsoid=round(ellipsoid_mm),
+        h_acc=thousandths(values["eph"]),
+        v_acc=thousandths(values["epv"]),
+        vel_acc=thousandths(values["s_variance_m_s"]),
+    )
 
 
-def direction(angle_rad: float) -> int:
-    """In hundredths of a degree; receivers that stand still may have none."""
-    finite = math.isfinite(angle_rad)
-    return round(math.degrees(angle_rad) * 100) % 36000 if finite else _NO_DIRECTION
+def _estimator(values: Values, boot_us: int) -> Message:
+    ratios = (f"{each}_test_ratio" for each in ("vel", "pos", "hgt", "mag", "hagl", "tas"))
+    return wire.MAVLink_estimator_status_message(
+        *(boot_us, values["solution_status_flags"]),
+        *(values.get(each, math.nan) for each in ratios),
+        *(values["pos_horiz_accuracy"], values["pos_vert_accuracy"]),
+    )
+
+
+def _made_estimator(values: Values, flags: Values, boot_us: int) -> Message:
+    """ESTIMATOR_STATUS of what vehicle_local_position calls valid, and rejections."""
+    horizontal, placed = bool(values["v_xy_valid"]), bool(values["xy_valid"])
+    absolute = placed and bool(values["xy_global"])
+    said = {
+        wire.ESTIMATOR_ATTITUDE: flags["cs_tilt_align"],
+        wire.ESTIMATOR_VELOCITY_HORIZ: horizontal,
+        wire.ESTIMATOR_VELOCITY_VERT: values["v_z_valid"],
+        wire.ESTIMATOR_POS_HORIZ_REL: placed,
+        wire.ESTIMATOR_POS_HORIZ_ABS: absolute,
+        wire.ESTIMATOR_POS_VERT_ABS: values["z_valid"],
+        wire.ESTIMATOR_POS_VERT_AGL: values["dist_bottom_valid"],
+        wire.ESTIMATOR_CONST_POS_MODE: not horizontal,
+        wire.ESTIMATOR_PRED_POS_HORIZ_REL: placed,
+        wire.ESTIMATOR_PRED_POS_HORIZ_ABS: absolute,
+        wire.ESTIMATOR_ACCEL_ERROR: flags["fs_bad_acc_vertical"],
+    }
+    rejected = (flags.get(f"reject_{each}") for each in ("hor_vel", "hor_pos", "ver_pos"))
+    return wire.MAVLink_estimator_status_message(
+        *(boot_us, sum(flag for flag, holds in said.items() if holds)),
+        *(1.0 if each else math.nan for each in rejected),
+        *(math.nan, math.nan, math.nan, values["eph"], values["epv"]),
+    )
 
 
 def _mav_type(status: Values) -> int:
@@ -442,7 +401,3 @@ def _mav_type(status: Values) -> int:
         return int(wire.MAV_TYPE_VTOL_RESERVED5)
     is_rotary = status.get("vehicle_type") == 1
     return int(wire.MAV_TYPE_QUADROTOR if is_rotary else wire.MAV_TYPE_FIXED_WING)
-
-
-TOPICS: Final = frozenset(name[4:] for name in vars(_Messages) if name.startswith("_on_"))
-"""Names of what is translated."""
