@@ -46,12 +46,13 @@ from companion.mavlink.statustext import StatusTexts, final_text
 from companion.mavlink.terrain_download import MESSAGES as TERRAIN
 from companion.mavlink.terrain_download import ScanClient
 from companion.mission import changes, checkpoint, entries, events, machine
-from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context, parting
+from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context
 from companion.mission.events import Disarm, End, Mode, SetMode, Vector, VehicleStatus
 from companion.mission.mission import Mission
 from companion.mission.pending_plan import PendingPlan
 from companion.mission.start import Resume, Start
 from companion.mission.state import IN_AIR, Phase
+from companion.mission.tables import parting
 from companion.planner.request import PlanOutcome, values_of
 
 _HEARTBEAT: Final = wire.MAVLINK_MSG_ID_HEARTBEAT

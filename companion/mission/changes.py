@@ -16,6 +16,7 @@ from companion.mission.state import (
     OVER,
     Answered,
     Flight,
+    Held,
     Hold,
     Orders,
     Phase,
@@ -26,7 +27,8 @@ from companion.mission.state import (
     Vehicle,
     Way,
 )
-from companion.mission.stopped import fence_breached, resumed
+from companion.mission.stopped import resumed, taken
+from companion.mission.tables import is_breach_of_fence
 from companion.planner.progress import NO_PROGRESS
 from companion.planner.recheck import is_touched, meets_near_things
 from companion.planner.rules import target_refusal
@@ -158,17 +160,17 @@ def _with_near_things(state: State, event: events.NearSeen, _context: Context) -
         state = state.told(sees_m=sees_m)
         says = [warn(f"sensor sees {sees_m:g} m of R = {range_m:g} m")]
     state = state.told(sight=event.sight)
-    flight = state.flight
-    if state.phase not in ON_PATH or flight.leg is None:
+    path = state.flight.path
+    if state.phase not in ON_PATH or path is None:
         return state, says, None
-    stops_for = None if flight.stop is None else flight.stop.reason
+    stops_for = None if path.stop is None else path.stop.reason
     if event.sight.is_blind:
-        if flight.returning or stops_for is not None:
+        if state.flight.returning or stops_for is not None:
             return state, says, None  # what was flown before is flown again
         says.append(warn(Reason.SENSOR_SILENT.text))
         return preceded(says, following.stop(state, Reason.SENSOR_SILENT))
     kept_m = state.task.settings.safety_distance_m + state.task.limits.tracking_error_m
-    legs = [(flight.leg, following.vehicle_at_m(state, flight.leg)), (flight.next_leg, 0.0)]
+    legs = [(path.leg, following.vehicle_at_m(state, path)), (path.next_leg, 0.0)]
     if stops_for is not Reason.NEW_THREAT and any(
         leg and meets_near_things(leg, at_m, event.near, kept_m) for leg, at_m in legs
     ):
@@ -183,8 +185,8 @@ def _on_ground_seen(state: State, event: events.GroundSeen, _context: Context) -
     for it, too.
     """
     state = state.told(ground_above_m=event.above_m)
-    flight = state.flight
-    follows = state.phase is Phase.FLYING and flight.leg is not None and flight.stop is None
+    flight, path = state.flight, state.flight.path
+    follows = state.phase is Phase.FLYING and path is not None and path.stop is None
     if not event.above_m or not follows or flight.returning or flight.homeward:
         return state, [], None
     says = warn(f"{Reason.GROUND_NEARER.text}: by {event.above_m:.1f} m")
@@ -281,15 +283,15 @@ def _ordered(state: State, order: events.Order, context: Context) -> Step:
 
 def _go_on(state: State) -> Step:
     """End a pause: the order suspended by it is active again."""
-    stop, wanted = state.flight.stop, state.orders.suspended or Reason.CONTINUED
+    wanted = state.orders.suspended or Reason.CONTINUED
     state = replace(state, orders=state.orders.continued())
-    if state.phase in ON_PATH and stop is not None and stop.reason is Reason.PAUSED:  # it brakes
-        return state.with_flight(stop=replace(stop, reason=wanted)), [say("going on")], None
+    if state.phase in ON_PATH and _brakes_for(state, Reason.PAUSED):
+        return _braking_for(state, wanted), [say("going on")], None
     if state.hold is Hold.PAUSED:
         return preceded([say("going on")], resumed(state))
     if state.hold is Hold.TAKEN_OVER:
-        taken_over = replace(state.taken_over, released_at_s=state.now_s)
-        return replace(state, taken_over=taken_over), [], None
+        released = Held(Hold.TAKEN_OVER) if state.held is None else state.held
+        return replace(state, held=replace(released, released_at_s=state.now_s)), [], None
     return state, [], None
 
 
@@ -316,17 +318,31 @@ def _return(state: State) -> Step:
 
 def _back_again(state: State) -> Step:
     """Go on with the backtrack."""
-    stop, orders = state.flight.stop, state.orders
+    orders = state.orders
     if Reason.LAND_ASKED not in (orders.active, orders.suspended):
         return _go_on(state) if orders.active is Reason.PAUSED else (state, [], None)
     state = replace(state, orders=Orders())
-    if stop is not None and stop.reason in (Reason.PAUSED, Reason.LAND_ASKED):
-        state = state.with_flight(stop=replace(stop, reason=Reason.CONTINUED))
+    if _brakes_for(state, Reason.PAUSED, Reason.LAND_ASKED):
+        state = _braking_for(state, Reason.CONTINUED)
     elif state.hold in (Hold.PAUSED, Hold.LAND):
         state = with_hold_reason(state, Reason.CONTINUED)
     else:
         return state, [], None
     return state, [say("going on")], None
+
+
+def _brakes_for(state: State, *reasons: Reason) -> bool:
+    """Whether it is about to stop on its path for one of these."""
+    stop = state.flight.stop
+    return stop is not None and stop.reason in reasons
+
+
+def _braking_for(state: State, reason: Reason) -> State:
+    """It stops for another reason."""
+    path = state.flight.path
+    assert path is not None
+    assert path.stop is not None
+    return state.with_flight(path=replace(path, stop=replace(path.stop, reason=reason)))
 
 
 def _land(state: State) -> Step:
@@ -355,7 +371,7 @@ def _stop_for(state: State, order: Reason) -> Step:
 
 def _fence_breach(state: State, event: events.FenceBreach, _context: Context) -> Step:
     state = state.told(fence_breached_at_s=event.time_s)
-    return fence_breached(state) or (state, [], None)
+    return taken(state) if is_breach_of_fence(state) else (state, [], None)
 
 
 def _prepared(state: State, event: events.Prepared, _context: Context) -> Step | None:

@@ -16,7 +16,6 @@ from companion.mission.decisions import (
     Context,
     Step,
     ask,
-    cannot_fly,
     fault,
     give_up,
     has_had_control,
@@ -27,11 +26,11 @@ from companion.mission.decisions import (
     is_second_companion,
     is_silent,
     landing_order,
-    takeover_reason,
 )
 from companion.mission.events import Event, Item, Landed, LinkLost, Mode, Position, Vector, warn
 from companion.mission.health import battery_lasts
 from companion.mission.state import Orders, Phase, Reason, State, Trigger
+from companion.mission.tables import takeover_reason
 from companion.mission.vehicle_traits import TakeoffSequence
 from companion.world.zones import gaps_m as zone_gaps_m
 from companion.world.zones import packed
@@ -174,7 +173,7 @@ def _may_not_be_alone(state: State) -> bool:
     On the ground there is time for that while arming; a companion that resumes its own path must be
     quick, and yields if it hears another one later (`is_second_companion`).
     """
-    takes_over = _is_flying(state) and state.flight.leg is None
+    takes_over = _is_flying(state) and state.flight.path is None
     return is_duplicate_suspected(state) or (takes_over and in_phase_s(state) < _LISTEN_S)
 
 
@@ -240,24 +239,26 @@ def _refused(state: State, context: Context) -> Reason | None:
 
 def _in_flight(state: State) -> Step:
     """Take over in the air: rejoin the path of the previous companion, or stop first."""
-    if not state.flight.leg and not state.prepared.issuperset(_ASKED_FOR):
+    path = state.flight.path
+    if path is None and not state.prepared.issuperset(_ASKED_FOR):
         return state, [], None
     if not state.targets_ne_m:
         return give_up(state, Reason.NO_TARGETS)
     state = replace(state, flight=joining.along_leg(state))
-    mode = state.vehicle.mode
+    mode, ours = state.vehicle.mode, (Mode.GUIDED, Mode.HOLD)
     if state.orders.active is not None or state.taken or state.flight.returning:
-        ours = mode in (Mode.GUIDED, Mode.HOLD) and not state.taken
-        reason = Reason.TAKING_OVER if ours else takeover_reason(state)
+        reason = takeover_reason(state)
+        if mode in ours and not state.taken:
+            reason = Reason.TAKING_OVER
         flight = following.at_rest(following.requeue_backtrack(state.flight), None)
         return replace(state, reason=reason, flight=flight), [], Trigger.IN_FLIGHT
     asked = state.asks > 0  # to hold: it may do so by now
-    if mode is Mode.GUIDED and state.flight.leg is not None and not asked:
-        joined = joining.joined(state)
+    if mode is Mode.GUIDED and not asked:
+        joined = joining.joined(state, state.flight.path)
         if joined is not None:
             return replace(state, flight=joined), [], Trigger.TAKE_OVER
-    ours = mode in (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF)
-    reason = Reason.TAKING_OVER if ours else takeover_reason(state)
+    ours_or_up = mode in (*ours, Mode.TAKE_OFF)
+    reason = Reason.TAKING_OVER if ours_or_up else takeover_reason(state)
     return replace(state, reason=reason), [], Trigger.IN_FLIGHT
 
 
@@ -290,13 +291,8 @@ def taking_off(state: State, event: Event, _context: Context) -> Step:
 
     An autopilot with a take-off mode holds after it, and is then taken over.
     """
-    vehicle, traits = state.vehicle, state.vehicle.traits
-    guided = traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB
-    modes = (Mode.GUIDED,) if guided else (Mode.TAKE_OFF, Mode.HOLD, Mode.GUIDED)
-    on_ground = vehicle.landed is Landed.ON_GROUND
-    reason = cannot_fly(state, event, modes, may_be_grounded=True)
-    if reason is not None:
-        return give_up(state, reason) if on_ground else fault(state, reason)
+    guided = state.vehicle.traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB
+    on_ground = state.vehicle.landed is Landed.ON_GROUND
     if isinstance(event, Position) and not on_ground and _has_climbed(state, event, guided=guided):
         if guided:
             return state, [], Trigger.AIRBORNE
@@ -306,6 +302,12 @@ def taking_off(state: State, event: Event, _context: Context) -> Step:
     if in_phase_s(state) > _longest_climb_s(state):
         return give_up(state, Reason.NO_TAKE_OFF)
     return _ask_to_take_off(state) if on_ground and guided else (state, [], None)
+
+
+def take_off_broken_off(state: State, reason: Reason) -> Step:
+    """On the ground that is the end."""
+    down = state.vehicle.landed is Landed.ON_GROUND
+    return give_up(state, reason) if down else fault(state, reason)
 
 
 def _has_climbed(state: State, event: Position, *, guided: bool) -> bool:

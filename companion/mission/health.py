@@ -252,7 +252,9 @@ def way_left_m(state: State, detour: float = 1.0) -> float:
     if flight.way is Way.BACK:
         ahead = [leg for leg in (flight.leg, flight.next_leg, *flight.back) if leg is not None]
         flown_m = flight.reference.length_m
-        if flight.leg is None and ahead and here is not None:  # it was stopped on the first of them
+        if (
+            flight.path is None and ahead and here is not None
+        ):  # it was stopped on the first of them
             flown_m = joining.nearest(ahead[0], here)[1]
         return sum(leg.subpath.length_m for leg in ahead) - flown_m + beyond_path_m(state)
     if here is None or not state.targets_ne_m:

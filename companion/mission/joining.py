@@ -6,7 +6,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.mission.events import Vector
-from companion.mission.state import Answered, Flight, Reason, State
+from companion.mission.state import Answered, Flight, OnPath, Reason, State
 from companion.path.envelope import ending_m_s
 from companion.planner import join
 from companion.planner.procedure import Leg, Reference
@@ -20,88 +20,97 @@ _FRESH_S = 1.0
 _ON_CIRCLE = 1.5  # loiter radii: a plane may be circling there
 
 
-def joined(state: State) -> Flight | None:
-    """Rejoin the leg, or the next one, from the current setpoint.
+def joined(state: State, path: OnPath | None) -> Flight | None:
+    """The flight led along this path, or on its next leg, from the current setpoint on.
 
     None if that is farther from the path than was proven.
     """
-    vehicle, flight = state.vehicle, state.flight
-    led_so = _led(state)
-    if led_so is None or flight.leg is None:
+    vehicle, flight, led_so = state.vehicle, state.flight, _led(state)
+    if led_so is None or path is None:
         return None
     led, velocity = led_so
-    best: tuple[float, Leg, float] | None = None
-    for leg in (flight.leg, flight.next_leg):
-        if leg is not None:
-            off_m, at_m = nearest(leg, led)
-            if best is None or off_m < best[0] - 1e-6:
-                best = (off_m, leg, at_m)
-    assert best is not None
-    off_m, leg, at_m = best
-    limits = state.task.at_speed(leg.speed_m_s).limits
+    off_m, at_m = nearest(path.leg, led)
+    if path.next_leg is not None:
+        next_off_m, next_at_m = nearest(path.next_leg, led)
+        if next_off_m < off_m - 1e-6:
+            flight, path = switched_to_next_leg(flight, path, state.task)
+            off_m, at_m = next_off_m, next_at_m
+    limits = state.task.at_speed(path.leg.speed_m_s).limits
     if off_m > limits.tracking_error_m + _ON_CIRCLE * limits.loiter_radius_m:
         return None
-    if leg is flight.next_leg:
-        flight = switched_to_next_leg(flight, flight.leg, state.task)
-    pose = leg.subpath.pose(at_m)
+    pose, hovers = path.leg.subpath.pose(at_m), vehicle.traits.hovers
     speed = max(float(np.dot(velocity, pose.tangent_nea)), 0.0)
     speed = min(speed, limits.speed_m_s)
-    if vehicle.traits.hovers and flight.next_leg is None:  # what it cannot brake from is offset
-        speed = min(speed, ending_m_s(leg.motion(state.task), leg.subpath.length_m - at_m))
-    circling = not vehicle.traits.hovers and off_m > limits.tracking_error_m
-    flight = replace(
-        flight,
-        flown=flown_segments(flight, at_m),
+    if hovers and path.next_leg is None:  # what it cannot brake from is offset
+        left_m = path.leg.subpath.length_m - at_m
+        speed = min(speed, ending_m_s(path.leg.motion(state.task), left_m))
+    circling, offset = not hovers and off_m > limits.tracking_error_m, path.offset
+    if hovers:
+        offset = join.begin(np.asarray(led), np.asarray(velocity), pose, speed)
+    flown = flown_segments(replace(flight, path=path), at_m)
+    path = replace(
+        path,
         reference=Reference(length_m=at_m, speed_m_s=speed),
         circling=circling,
         joined_m=at_m,
-        progress_at_s=state.now_s,
-        hover_nea_m=pose.point_nea_m if circling else None,
-        search=None if flight.next_leg is None else Answered(),
+        offset=offset,
     )
-    if vehicle.traits.hovers:
-        offset = join.begin(np.asarray(led), np.asarray(velocity), pose, speed)
-        flight = replace(flight, offset=offset)
-    return flight
-
-
-def switched_to_next_leg(flight: Flight, leg: Leg, task: Task) -> Flight:
-    """Switch to the next leg: the reference point has reached p_prog of this one."""
-    over_at_m, reference = leg.successor_at_m(task), flight.reference
     return replace(
         flight,
-        leg=flight.next_leg,
+        path=path,
+        flown=flown,
+        progress_at_s=state.now_s,
+        hover_nea_m=pose.point_nea_m if circling else None,
+        search=None if path.next_leg is None else Answered(),
+    )
+
+
+def switched_to_next_leg(flight: Flight, path: OnPath, task: Task) -> tuple[Flight, OnPath]:
+    """On to the next leg: the reference point has reached p_prog of this one."""
+    over_at_m, reference = path.leg.successor_at_m(task), path.reference
+    assert path.next_leg is not None
+    onto = replace(
+        path,
+        leg=path.next_leg,
         next_leg=None,
         reference=Reference(
             length_m=max(reference.length_m - over_at_m, 0.0), speed_m_s=reference.speed_m_s
         ),
         joined_m=0.0,
+    )
+    flight = replace(
+        flight,
+        path=onto,
         search=None,
         troubles=0,
         shortfall=Reason.NO_PLAN,
         legs_flown=flight.legs_flown + 1,
-        flown=flown_segments(flight, over_at_m),
+        flown=flown_segments(replace(flight, path=path), over_at_m),
     )
+    return flight, onto
 
 
 def flown_segments(flight: Flight, until_m: float) -> tuple[FlownSegment, ...]:
     """The flown segments, including this leg up to a length."""
-    leg = flight.leg
-    if leg is None or flight.returning:
+    path = flight.path
+    if path is None or flight.returning:
         return flight.flown
-    control = leg.subpath.control_nea_m
     return *flight.flown, FlownSegment(
-        control_nea_m=control, from_m=flight.joined_m, until_m=until_m, speed_m_s=leg.speed_m_s
+        control_nea_m=path.leg.subpath.control_nea_m,
+        from_m=path.joined_m,
+        until_m=until_m,
+        speed_m_s=path.leg.speed_m_s,
     )
 
 
 def along_leg(state: State) -> Flight:
     """The flight with its reference where the leg is nearest to the vehicle: it has come so far."""
-    flight, here = state.flight, state.vehicle.position_nea_m
-    if flight.leg is None or here is None:
+    flight, path, here = state.flight, state.flight.path, state.vehicle.position_nea_m
+    if path is None or here is None:
         return flight
-    _, at_m = nearest(flight.leg, here)
-    return replace(flight, reference=Reference(length_m=max(at_m, flight.joined_m)))
+    _, at_m = nearest(path.leg, here)
+    reference = Reference(length_m=max(at_m, path.joined_m))
+    return replace(flight, path=replace(path, reference=reference))
 
 
 def _led(state: State) -> tuple[Vector, Vector] | None:

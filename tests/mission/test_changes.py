@@ -218,7 +218,9 @@ def on_its_way_out() -> tuple[Craft, FenceChanged]:
     state = craft.state.with_fence(craft.context.mission.task, around)
     assert state.flight.leg is not None
     leg = replace(state.flight.leg, rules=state.task)
-    craft.state = replace(state, flight=replace(state.flight, leg=leg))
+    craft.state = replace(
+        state, flight=replace(state.flight, path=replace(state.flight.path, leg=leg))
+    )
     return craft, around
 
 
@@ -376,7 +378,7 @@ def test_a_mission_that_is_stopped_while_it_takes_over_a_climb_ends_in_a_hold() 
 def test_only_what_stands_looks_again_where_the_radar_left_something_out(is_shadow: bool) -> None:
     """A shadow's vehicle flies on meanwhile, wherever somebody else takes it."""
     wild = Wild.calmly(ALL[0].traits, shadow=is_shadow).aloft(Mode.OTHER)
-    flight = replace(wild.state.flight, leg=None, next_leg=None, search=Scanning((0, 0, 3000)))
+    flight = replace(wild.state.flight, path=None, search=Scanning((0, 0, 3000)))
     scanned = replace(scan_done(wild.state.now_s), asked=9, answered=4)
     _, commands, _ = on_scan(replace(wild.state, flight=flight), scanned, wild.context)
     does = [type(command) for command in commands if not isinstance(command, events.StatusText)]

@@ -184,7 +184,9 @@ def test_a_copter_behind_its_reference_stops_as_far_from_where_it_is_itself() ->
     assert stopped.flight.stop.at_m == pytest.approx(stops_at_m, rel=1e-3)
     age_s = 1.0  # of the position: it has flown on since
     later = replace(behind, now_s=behind.now_s + age_s)
-    gained_m = following.vehicle_at_m(later, leg) - following.vehicle_at_m(behind, leg)
+    path = craft.state.flight.path
+    assert path is not None
+    gained_m = following.vehicle_at_m(later, path) - following.vehicle_at_m(behind, path)
     assert gained_m == pytest.approx(np.linalg.norm(vehicle.velocity_nea_m_s) * age_s, rel=1e-3)
 
 
@@ -198,7 +200,8 @@ def test_what_stands_between_a_copter_and_its_reference_stops_it() -> None:
     thing = seen(craft, Sight.SEES, (north, east))
     for at_m, stops in ((0.0, True), (ahead_of_it.length_m, False)):
         there = replace(vehicle, position_nea_m=leg.subpath.pose(at_m).point_nea_m)
-        state = replace(craft.state, vehicle=there, flight=replace(flight, reference=ahead_of_it))
+        path = replace(flight.path, reference=ahead_of_it)
+        state = replace(craft.state, vehicle=there, flight=replace(flight, path=path))
         step = changes.HANDLERS[type(thing)](state, thing, craft.context)
         assert step is not None
         assert (step[0].flight.stop is not None) == stops

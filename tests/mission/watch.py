@@ -270,7 +270,7 @@ class Watch:
 
     def _joining(self, state: State, order: int) -> float:
         """What a join adds to position (0) or velocity (1), and a rounding error."""
-        offset = state.flight.offset
+        offset = None if state.flight.path is None else state.flight.path.offset
         if offset is None:
             return 1e-6
         return (
