@@ -7,9 +7,9 @@ from typing import Any, Final
 from msgspec.structs import replace
 
 from companion.mission import events, following, ground
+from companion.mission.battery import battery_is_short
 from companion.mission.decisions import Context, Step, fault, give_up, preceded, with_hold_reason
 from companion.mission.events import Command, Event, Landed, say, warn
-from companion.mission.health import battery_is_short
 from companion.mission.state import (
     ON_PATH,
     ON_SETPOINTS,

@@ -23,7 +23,7 @@ GONE_IN_AIR_S = 600.0
 STOPPED_M_S = 0.5
 AT_M = 5.0
 LANDING_ABORTED = "landing broken off: MISSION_START to the companion lands it"
-_HEARTBEAT_S = 5.0  # four or five of them missed (mavlink.md 2.1)
+HEARTBEAT_S = 5.0  # four or five of them missed (mavlink.md 2.1)
 _GROUNDED_S = 1.5
 _FENCE_READ_S = 3.0  # for a changed fence; a few items are read in less, also by a slow radio
 _FENCE_GIVEN_UP_S = 300.0  # twice what 5,010 items took; who does not answer is asked for ever
@@ -131,7 +131,7 @@ def fence_is_given_up(state: State) -> bool:
 
 def is_silent(state: State) -> bool:
     """Whether there are no heartbeats: then it is unknown who controls the vehicle."""
-    return state.now_s - state.vehicle.status_at_s > _HEARTBEAT_S
+    return state.now_s - state.vehicle.status_at_s > HEARTBEAT_S
 
 
 def is_grounded(state: State) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.mission import events, following, way_back
+from companion.mission.battery import battery_runs_low, battery_warning, given_up_for_battery
 from companion.mission.decisions import (
     AT_M,
     Context,
@@ -22,7 +23,6 @@ from companion.mission.decisions import (
 )
 from companion.mission.events import Command, Event, Mode, PlanReady, Position, Vector, say, warn
 from companion.mission.following import at_rest, at_rest_at_end, hold_setpoint
-from companion.mission.health import battery_forecast, battery_is_short
 from companion.mission.state import (
     Answered,
     Flight,
@@ -52,35 +52,12 @@ _TURNS = 3.0
 _CIRCLE_SLACK_M = 0.5  # a leg may end where its circle just keeps the clearance
 _SHORT_SIGHTED = 0.8  # of R
 _MORE_SCANS = 2  # from rest, if the radar has left something out
-_TOLD_FORECAST, _TOLD_SHORT = 1, 2
 
 
 def flying(state: State, event: Event, context: Context) -> Step:
-    """Follow the leg, or wait for one."""
-    match event:
-        case Position():
-            return _on_position(state, event, context)
-        case events.ScanDone():
-            return on_scan(state, event, context)
-        case PlanReady():
-            return on_plan(state, event)
-        case events.PlanLate():
-            return on_late_plan(state, event)
-        case _:
-            return state, [], None
-
-
-def returning(state: State, event: Event, context: Context) -> Step:
-    """Follow the backtrack leg by leg."""
+    """Follow the leg, or hold while there is none."""
     if not isinstance(event, Position):
-        return state, [], None
-    state, warning = battery_warning(state, context)
-    state, trigger = _stop_for_fence(state, context)
-    return preceded(warning, (state, [], trigger) if trigger else _lead(state, event, context))
-
-
-def _on_position(state: State, event: Position, context: Context) -> Step:
-    """On the way out: hold while there is no leg, else follow it."""
+        return on_answer(state, event, context)
     if state.flight.path is None and (step := circling_near_zone(state)) is not None:
         return step
     is_short = state.vehicle.battery_short_at_s is not None  # perhaps: it has to last a while
@@ -92,10 +69,33 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
         state, trigger = _stop_for_fence(state, context)
         if trigger is not None:
             return state, [], trigger
-    state, warning = battery_warning(state, context)
+    state, warning = battery_warning(state, context.mission)
     fly = _hover if state.flight.path is None else _lead
     step = fly(state, event, context)
     return preceded(warning, step) if warning else step
+
+
+def on_answer(state: State, event: Event, context: Context) -> Step:
+    """What radar and planner have found."""
+    match event:
+        case events.ScanDone():
+            return _on_scan(state, event, context)
+        case PlanReady():
+            return _on_plan(state, event)
+        case events.PlanLate(plan_id=plan_id) if plan_id == state.flight.plan_id:
+            # the leg is flown to its end unless the plan comes before p_prog
+            return state.with_flight(shortfall=Reason.PLAN_LATE), [], None
+        case _:
+            return state, [], None
+
+
+def returning(state: State, event: Event, context: Context) -> Step:
+    """Follow the backtrack leg by leg."""
+    if not isinstance(event, Position):
+        return state, [], None
+    state, warning = battery_warning(state, context.mission)
+    state, trigger = _stop_for_fence(state, context)
+    return preceded(warning, (state, [], trigger) if trigger else _lead(state, event, context))
 
 
 def _stop_for_fence(state: State, context: Context) -> tuple[State, Trigger | None]:
@@ -125,40 +125,6 @@ def circling_near_zone(state: State) -> Step | None:
 def max_stops(context: Context) -> int:
     """Stops on the way to one target after which it is given up."""
     return _MAX_STOPS if context.mission.near is None else _MAX_STOPS_NEAR
-
-
-def battery_runs_low(state: State) -> bool:
-    """Whether the battery ends the mission, or a pause.
-
-    Not for a mission that was already given up.
-    """
-    if not battery_is_short(state):
-        return False
-    if state.reason is Reason.PAUSED:
-        return True
-    flight = state.flight
-    ordered = state.orders.active in (Reason.RETURN_ASKED, Reason.LAND_ASKED)
-    return flight.fallen_back is None and not (flight.homeward or ordered)
-
-
-def given_up_for_battery(state: State) -> State:
-    """Give up the mission for its fallback, or continue the return in progress."""
-    flight, low = state.flight, Reason.BATTERY_LOW
-    fallen_back = flight.fallen_back if flight.returning or flight.homeward else low
-    state = replace(state, orders=replace(state.orders, active=low))
-    return state.with_flight(battery_told=_TOLD_SHORT, fallen_back=fallen_back)
-
-
-def battery_warning(state: State, context: Context) -> tuple[State, list[Command]]:
-    """Warn once that the battery will not last at the current rate, and once that it does not."""
-    told, tells = state.flight.battery_told, 0
-    if state.vehicle.battery_short_at_s is not None and battery_is_short(state):
-        tells = _TOLD_SHORT
-    elif told < _TOLD_FORECAST and not battery_forecast(state, context.mission):
-        tells = _TOLD_FORECAST
-    if tells <= told:
-        return state, []
-    return state.with_flight(battery_told=tells), [warn(Reason.BATTERY_LOW.text)]
 
 
 def _lead(state: State, event: Position, context: Context) -> Step:
@@ -260,7 +226,7 @@ def on_departure(state: State, stopped: Flight, reason: Reason = Reason.OFF_PATH
 # --- scans and plans
 
 
-def on_scan(state: State, event: events.ScanDone, context: Context) -> Step:
+def _on_scan(state: State, event: events.ScanDone, context: Context) -> Step:
     """Ask for the next subpath on the map that the scan has completed."""
     flight, scanning = state.flight, state.flight.search
     if not isinstance(scanning, Scanning):
@@ -317,7 +283,7 @@ def _scan_warnings(state: State, event: events.ScanDone) -> list[Command]:
     return says
 
 
-def on_plan(state: State, event: PlanReady) -> Step:
+def _on_plan(state: State, event: PlanReady) -> Step:
     """Accept the next subpath, or note why there is none."""
     flight, outcome, planning = state.flight, event.outcome, state.flight.search
     if outcome.plan_id != flight.plan_id or not isinstance(planning, Planning):
@@ -355,13 +321,6 @@ def _closed(outcome: NotPlanned) -> list[Command]:
         return []
     north, east = (each / 1000.0 for each in outcome.place_ne_m)
     return [warn(f"no way: closed {north:.1f} km N, {east:.1f} km E of origin")]
-
-
-def on_late_plan(state: State, event: events.PlanLate) -> Step:
-    """Note a late plan: the leg is flown to its end unless the plan comes before p_prog."""
-    if event.plan_id == state.flight.plan_id:
-        state = state.with_flight(shortfall=Reason.PLAN_LATE)
-    return state, [], None
 
 
 def _hover(state: State, event: Position, context: Context) -> Step:

@@ -10,6 +10,7 @@ from msgspec.structs import replace
 
 from companion.geodesy import FloatArray
 from companion.mission import events, following, joining
+from companion.mission.battery import battery_lasts
 from companion.mission.decisions import (
     AT_M,
     LANDING_ABORTED,
@@ -28,7 +29,6 @@ from companion.mission.decisions import (
     landing_order,
 )
 from companion.mission.events import Event, Item, Landed, LinkLost, Mode, Position, Vector, warn
-from companion.mission.health import battery_lasts
 from companion.mission.state import Orders, Phase, Reason, State, Trigger
 from companion.mission.tables import takeover_reason
 from companion.mission.vehicle_traits import TakeoffSequence

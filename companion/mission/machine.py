@@ -1,8 +1,8 @@
 """The mission machine: (state, event) -> (state, commands).  The only way a mission changes.
 
-An event first updates vehicle and terrain, then the handler of the phase decides; a trigger changes
-the phase by the table in `state`, and the new phase begins with its own commands.  No clock, no
-I/O: times are those of the events.
+An event first updates vehicle and terrain.  Then comes what others want, then what is wrong
+(`tables.FAULTS`), then what the phase does; a trigger changes the phase by the table in `state`,
+and the new phase begins with its own commands.  No clock, no I/O: times are those of the events.
 """
 
 from collections.abc import Callable
@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from companion.mission import changes, events, flying, following, ground, stopped, way_back
 from companion.mission import shadow as watching
+from companion.mission.battery import with_battery
 from companion.mission.decisions import (
     Context,
     Step,
@@ -23,7 +24,7 @@ from companion.mission.decisions import (
 )
 from companion.mission.events import Command, End, Event, Landed, Mode, Outcome, SetMode, say, warn
 from companion.mission.following import held_here
-from companion.mission.health import distrust, with_battery, with_position, with_position_trust
+from companion.mission.health import distrust, with_position, with_position_trust
 from companion.mission.state import (
     IN_AIR,
     ON_GROUND,
@@ -63,23 +64,18 @@ def step(state: State, event: Event, context: Context) -> tuple[State, list[Comm
         vehicle = with_position_trust(vehicle, reason, now_s)
     airborne = state.airborne or (vehicle.armed and vehicle.landed is Landed.IN_AIR)
     state = replace(state, now_s=now_s, vehicle=vehicle, airborne=airborne)
-    after, commands, trigger = _decided(state, event, context)
+    others = _IN_ANY_PHASE.get(type(event))
+    decided = None if others is None else others(state, event, context)
+    if decided is None:
+        reason = fault_of(state, event)
+        decided = None if reason is None else _BREAK_OFF[state.phase](state, reason)
+    after, commands, trigger = decided or IN_PHASE[state.phase](state, event, context)
     if trigger is Trigger.GIVE_UP and not context.shadow:
         after, more, trigger = fall_back(after, context)
         commands = [*commands, *more]
     if trigger is None or after.phase not in trigger.origins:
         return after, commands
     return _enter(after, trigger, context, commands)
-
-
-def _decided(state: State, event: Event, context: Context) -> Step:
-    """What others want comes first, then what is wrong, then what the phase does."""
-    in_any_phase = _IN_ANY_PHASE.get(type(event))
-    if in_any_phase is not None and (step := in_any_phase(state, event, context)) is not None:
-        return step
-    if (reason := fault_of(state, event)) is not None:
-        return _BREAK_OFF[state.phase](state, reason)
-    return IN_PHASE[state.phase](state, event, context)
 
 
 def _observed(state: State, event: Event, context: Context) -> State:

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import events, flying, following, joining
+from companion.mission import flying, following, joining
 from companion.mission.decisions import Context, Step, in_words
 from companion.mission.events import Command, Event, Landed, PlanReady, Position, Vector, say, warn
 from companion.mission.health import TRUST_S
@@ -29,18 +29,10 @@ def shadow(state: State, event: Event, context: Context) -> Step:
         return _would(replace(state, reason=reason), reason)
     if reason is not None or state.vehicle.landed is Landed.ON_GROUND or not state.targets_ne_m:
         return state, [], None
-    match event:
-        case Position():
-            return _on_position(state, event)
-        case events.ScanDone():
-            return flying.on_scan(state, event, context)
-        case PlanReady():
-            after, commands, _ = flying.on_plan(state, event)
-            return after, commands, None
-        case events.PlanLate():
-            return flying.on_late_plan(state, event)
-        case _:
-            return state, [], None
+    if isinstance(event, Position):
+        return _on_position(state, event)
+    after, commands, trigger = flying.on_answer(state, event, context)
+    return after, commands, None if isinstance(event, PlanReady) else trigger
 
 
 def _would(state: State, reason: Reason | None) -> Step:

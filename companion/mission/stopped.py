@@ -20,6 +20,7 @@ import math
 from msgspec.structs import replace
 
 from companion.mission import events, flying, following, way_back
+from companion.mission.battery import battery_runs_low, battery_warning, given_up_for_battery
 from companion.mission.decisions import (
     AT_M,
     LANDING_ABORTED,
@@ -170,7 +171,7 @@ def _while_taken_over(state: State, event: Event, context: Context) -> Step:
     Also after a failsafe: the autopilot's hold cannot be told from a pilot's.
     """
     if isinstance(event, events.Battery):
-        state, warning = flying.battery_warning(state, context)
+        state, warning = battery_warning(state, context.mission)
         return state, warning, None
     known = state.held if state.held and state.hold is Hold.TAKEN_OVER else Held(Hold.GROUNDED)
     told = state.now_s - known.released_at_s < _TOLD_S
@@ -218,10 +219,10 @@ def _hold_on_setpoints(state: State, event: Event, context: Context) -> Step:
         return way_back.on_plan(state, event, context)
     if not isinstance(event, Position):
         return state, [], None
-    if flying.battery_runs_low(state):  # a pause, too, ends before the battery does
-        low = with_hold_reason(flying.given_up_for_battery(state), Reason.BATTERY_LOW)
+    if battery_runs_low(state):  # a pause, too, ends before the battery does
+        low = with_hold_reason(given_up_for_battery(state), Reason.BATTERY_LOW)
         return low, [warn(f"hold: {Reason.BATTERY_LOW.text}")], None
-    state, warning = flying.battery_warning(state, context)
+    state, warning = battery_warning(state, context.mission)
     flight, stay = following.hold_setpoint(state, event.time_s, context)
     state = replace(state, flight=flight)
     if flight.planning_backtrack is not None:

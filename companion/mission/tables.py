@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Final, NamedTuple, final
 
 from companion.mission.decisions import (
+    HEARTBEAT_S,
     Context,
     Step,
     has_had_control,
@@ -222,6 +223,17 @@ _FAULTS_IN: Final = {
 
 def fault_of(state: State, event: Event) -> Reason | None:
     """Why this phase cannot go on; None: it can."""
+    vehicle = state.vehicle
+    if (  # what is looked at first, as it mostly is so: then no row is true
+        state.held is None
+        and vehicle.mode is Mode.GUIDED
+        and vehicle.distrust is None
+        and vehicle.armed
+        and vehicle.landed is Landed.IN_AIR
+        and state.now_s - vehicle.status_at_s <= HEARTBEAT_S
+        and not isinstance(event, LinkLost)
+    ):
+        return None
     for reason, is_true, _ in _FAULTS_IN.get(state.phase, ()):
         if is_true(state, event):
             return reason if isinstance(reason, Reason) else reason(state)

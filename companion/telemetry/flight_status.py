@@ -10,9 +10,9 @@ from typing import Final, Literal, final
 import numpy as np
 from msgspec import Struct
 
+from companion.mission.battery import way_left_m
 from companion.mission.decisions import reason_text
 from companion.mission.events import Outcome, Vector
-from companion.mission.health import way_left_m
 from companion.mission.state import IN_AIR, ON_PATH, Phase, Reason, State
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.planner.procedure import off_path_m

@@ -29,7 +29,7 @@ from companion.mavlink.autopilots import ALL, PX4_MULTICOPTER
 from companion.mission import changes, checkpoint, events
 from companion.mission.changes import OrderResult
 from companion.mission.events import FenceChanged, Mode, Order, OrderKind, Plan, SetMode, Setpoint
-from companion.mission.flying import on_scan
+from companion.mission.flying import on_answer
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.state import Phase, Reason, Scanning, Way
 from companion.mission.vehicle_traits import VehicleTraits
@@ -380,7 +380,7 @@ def test_only_what_stands_looks_again_where_the_radar_left_something_out(is_shad
     wild = Wild.calmly(ALL[0].traits, shadow=is_shadow).aloft(Mode.OTHER)
     flight = replace(wild.state.flight, path=None, search=Scanning((0, 0, 3000)))
     scanned = replace(scan_done(wild.state.now_s), asked=9, answered=4)
-    _, commands, _ = on_scan(replace(wild.state, flight=flight), scanned, wild.context)
+    _, commands, _ = on_answer(replace(wild.state, flight=flight), scanned, wild.context)
     does = [type(command) for command in commands if not isinstance(command, events.StatusText)]
     assert does == [Plan if is_shadow else events.StartScan]
 

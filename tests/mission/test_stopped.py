@@ -18,9 +18,9 @@ from made_up import (
 from renewed import replace
 
 from companion.mission import changes, events
+from companion.mission.battery import battery_lasts
 from companion.mission.changes import OrderResult
 from companion.mission.events import Battery, Landed, Mode, Order, OrderKind, SetMode
-from companion.mission.health import battery_lasts
 from companion.mission.mission import Fallback, Mission
 from companion.mission.state import Phase, Reason
 
