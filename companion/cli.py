@@ -8,12 +8,12 @@ import platform
 import sys
 import time
 import traceback
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, TextIO, cast, final
+from typing import Annotated, NamedTuple, TextIO, cast, final
 
 import typer
 from rich.console import Console
@@ -423,15 +423,12 @@ def main() -> None:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Shows:
+class _Shows(NamedTuple):
     """Who is told of a flight."""
 
     console: Console
-    output: PatientOutput
-    """What the console writes to."""
-    machine: MachineLines | None
-    """None: nobody has asked for JSON."""
+    output: PatientOutput  # what the console writes to
+    machine: MachineLines | None  # None: nobody has asked for JSON
 
 
 def _chosen(

@@ -590,8 +590,7 @@ class Session:
 
     def _keep(self, *, at_once: bool = False) -> None:
         """A checkpoint when the mission has moved on, and the map when it has grown."""
-        over = self._end is not None or self.context.shadow
-        if over or not (at_once or self._keeper.may_be_due(self.state, self.clock.now_s)):
+        if self._end is not None or self.context.shadow:
             return
         kept, self._out.known = self._keeper.due(self.state, self.clock.now_s, at_once=at_once)
         if kept is not None:
@@ -670,10 +669,8 @@ class Session:
         """Send it at once, in shadow never; one that the wire has no numbers for is an error."""
         if (vehicle := self.vehicle) is None or self.context.shadow:
             return
-        circle_m = self.state.task.limits.loiter_radius_m
-        messages = vehicle.autopilot.setpoint(
-            setpoint, self.mission.frame, vehicle.system_id, circle_m
-        )
+        circle_m, frame = self.state.task.limits.loiter_radius_m, self.mission.frame
+        messages = vehicle.autopilot.setpoint(setpoint, frame, vehicle.system_id, circle_m)
         if messages is not None:
             self._outbox.send(messages, self.clock.now_s)
             return

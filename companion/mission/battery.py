@@ -5,11 +5,11 @@ import math
 
 from msgspec.structs import replace
 
-from companion.mission import joining
+from companion.mission import following
 from companion.mission.events import Battery, Command, Landed, warn
-from companion.mission.home import beyond_path_m
 from companion.mission.mission import Mission
 from companion.mission.state import Reason, State, Vehicle, Way
+from companion.mission.way_back import beyond_path_m
 
 _DRAIN_S = 60.0  # before that, what the battery has lost says nothing of what it will
 _TELLING = 0.05  # nor before it has lost so much
@@ -114,7 +114,7 @@ def way_left_m(state: State, detour: float = 1.0) -> float:
         if (
             flight.path is None and ahead and here is not None
         ):  # it was stopped on the first of them
-            flown_m = joining.nearest(ahead[0], here)[1]
+            flown_m = following.nearest(ahead[0], here)[1]
         return sum(leg.subpath.length_m for leg in ahead) - flown_m + beyond_path_m(state)
     if here is None or not state.targets_ne_m:
         return 0.0

@@ -213,10 +213,6 @@ def _inside(state: State) -> str:
 # --- targets and orders
 
 
-def _with_vehicles_targets(state: State, event: events.TargetsChanged, _context: Context) -> Step:
-    return _with_targets(state, event.targets_ne_m, _OF_VEHICLE)
-
-
 def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], why: str) -> Step:
     """New targets: stop, and plan to the first of them."""
     flight, of_vehicle = state.flight, why == _OF_VEHICLE
@@ -276,17 +272,20 @@ def _ordered(state: State, order: events.Order, context: Context) -> Step:
         case events.OrderKind.RETURN:
             waits = state.fence_unread_s is not None and not context.mission.goes_on_while_reading
             text = "it returns once the changed fence is read, or goes on being read for too long"
-            return preceded([say(text)] if waits else [], _return(state))
-        case events.OrderKind.LAND:
-            return _land(state)
+            on_its_way = state.flight.returning or state.flight.homeward
+            step = _back_again(state) if on_its_way else _stop_for(state, Reason.RETURN_ASKED)
+            return preceded([say(text)] if waits else [], step)
+        case events.OrderKind.LAND:  # once it has stopped
+            lands = state.phase is Phase.LANDING or state.orders.active is Reason.LAND_ASKED
+            return (state, [], None) if lands else _stop_for(state, Reason.LAND_ASKED)
 
 
 def _go_on(state: State) -> Step:
     """End a pause: the order suspended by it is active again."""
     wanted = state.orders.suspended or Reason.CONTINUED
     state = replace(state, orders=state.orders.continued())
-    if state.phase in ON_PATH and _brakes_for(state, Reason.PAUSED):
-        return _braking_for(state, wanted), [say("going on")], None
+    if state.phase in ON_PATH and (after := _braking_for(state, wanted, Reason.PAUSED)):
+        return after, [say("going on")], None
     if state.hold is Hold.PAUSED:
         return preceded([say("going on")], resumed(state))
     if state.hold is Hold.TAKEN_OVER:
@@ -310,46 +309,24 @@ def _pause(state: State) -> Step:
     return state, [say(Reason.PAUSED.text)], None
 
 
-def _return(state: State) -> Step:
-    if state.flight.returning or state.flight.homeward:  # or paused or told to land on its way
-        return _back_again(state)
-    return _stop_for(state, Reason.RETURN_ASKED)
-
-
 def _back_again(state: State) -> Step:
     """Go on with the backtrack."""
     orders = state.orders
     if Reason.LAND_ASKED not in (orders.active, orders.suspended):
         return _go_on(state) if orders.active is Reason.PAUSED else (state, [], None)
     state = replace(state, orders=Orders())
-    if _brakes_for(state, Reason.PAUSED, Reason.LAND_ASKED):
-        state = _braking_for(state, Reason.CONTINUED)
-    elif state.hold in (Hold.PAUSED, Hold.LAND):
-        state = with_hold_reason(state, Reason.CONTINUED)
-    else:
-        return state, [], None
-    return state, [say("going on")], None
+    after = _braking_for(state, Reason.CONTINUED, Reason.PAUSED, Reason.LAND_ASKED)
+    if after is None and state.hold in (Hold.PAUSED, Hold.LAND):
+        after = with_hold_reason(state, Reason.CONTINUED)
+    return (state, [], None) if after is None else (after, [say("going on")], None)
 
 
-def _brakes_for(state: State, *reasons: Reason) -> bool:
-    """Whether it is about to stop on its path for one of these."""
-    stop = state.flight.stop
-    return stop is not None and stop.reason in reasons
-
-
-def _braking_for(state: State, reason: Reason) -> State:
-    """It stops for another reason."""
+def _braking_for(state: State, reason: Reason, *before: Reason) -> State | None:
+    """The state if it stops on its path for another reason than one of those before."""
     path = state.flight.path
-    assert path is not None
-    assert path.stop is not None
+    if path is None or path.stop is None or path.stop.reason not in before:
+        return None
     return state.with_flight(path=replace(path, stop=replace(path.stop, reason=reason)))
-
-
-def _land(state: State) -> Step:
-    """Land where it is, once it has stopped."""
-    if state.phase is Phase.LANDING or state.orders.active is Reason.LAND_ASKED:
-        return state, [], None
-    return _stop_for(state, Reason.LAND_ASKED)
 
 
 def _stop_for(state: State, order: Reason) -> Step:
@@ -422,7 +399,7 @@ HANDLERS: Final[dict[type[Event], Callable[[State, Any, Context], Step | None]]]
     events.FenceChanged: _with_fence,
     events.FenceReading: _fence_reading,
     events.FenceBreach: _fence_breach,
-    events.TargetsChanged: _with_vehicles_targets,
+    events.TargetsChanged: lambda state, e, _: _with_targets(state, e.targets_ne_m, _OF_VEHICLE),
     events.Order: _ordered,
     events.Rebooted: _rebooted,
     events.Prepared: _prepared,

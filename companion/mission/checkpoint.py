@@ -287,11 +287,6 @@ class CheckpointPolicy:
         """The fields of the last checkpoint."""
         self.known: KnownMap | None = None
 
-    def may_be_due(self, state: State, now_s: float) -> bool:
-        """Whether `due` has to look: a while has passed, or the map has grown."""
-        passed = not 0.0 <= now_s - self.kept_at_s < PERIOD_S
-        return passed or state.flight.known is not self.known
-
     def due(
         self, state: State, now_s: float, *, at_once: bool = False
     ) -> tuple[Values | None, KnownMap | None]:

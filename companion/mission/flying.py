@@ -45,8 +45,6 @@ from companion.world.zones import nearest
 _STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow
 _ANSWER_SLACK_S = 60.0
 _DEPARTURES, _DEPARTURES_NEAR = 3, 10  # the latter where a tracking error is a few decimetres
-_MAX_STOPS = 12  # on the way to one target, for want of a successor
-_MAX_STOPS_NEAR = 100  # where sight is short
 _LEVEL_M_S = 1.0
 _TURNS = 3.0
 _CIRCLE_SLACK_M = 0.5  # a leg may end where its circle just keeps the clearance
@@ -120,11 +118,6 @@ def circling_near_zone(state: State) -> Step | None:
     near = zone is not None and gap_m < state.task.zone_clearance_m - _CIRCLE_SLACK_M
     says = [warn(f"circling too near to zone {zone.name}")] if zone is not None and near else []
     return state.with_flight(loiter_checked=(state.task, hover)), [*says], None
-
-
-def max_stops(context: Context) -> int:
-    """Stops on the way to one target after which it is given up."""
-    return _MAX_STOPS if context.mission.near is None else _MAX_STOPS_NEAR
 
 
 def _lead(state: State, event: Position, context: Context) -> Step:
@@ -327,7 +320,8 @@ def _hover(state: State, event: Position, context: Context) -> Step:
     """Hold while waiting for a leg: here, or straight above at the take-off height."""
     flight, settings = state.flight, state.task.settings
     here = flight.hover_nea_m or _waiting_place(state, event, context)
-    here = _high_enough(state, context, here)
+    if (task := task_ahead(state, context)) is not state.task:  # no lower than the next leg begins
+        here = here[0], here[1], max(here[2], task.band_amsl_m[0])
     flight = replace(flight, hover_nea_m=here)
     target = state.targets_ne_m[flight.target]
     if math.dist(here[:2], target) < AT_M and not flight.returning:
@@ -357,13 +351,6 @@ def _waiting_place(state: State, event: Position, context: Context) -> Vector:
         clear_m = distance_to_terrain_m(state.flight.known, down, required_m)
         height_m = altitude if clear_m < required_m else height_m
     return north, east, height_m
-
-
-def _high_enough(state: State, context: Context, here: Vector) -> Vector:
-    """The waiting place, raised to where the next leg may begin."""
-    task = task_ahead(state, context)
-    lowest_m = -math.inf if task is state.task else task.band_amsl_m[0]
-    return here[0], here[1], max(here[2], lowest_m)
 
 
 def task_ahead(state: State, context: Context) -> Task:

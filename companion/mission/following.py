@@ -1,4 +1,4 @@
-"""Path following: the reference point, its setpoint, and whether the vehicle follows.
+"""Path following: the reference point, its setpoint, whether the vehicle follows, leg after leg.
 
 Multicopters are sent the reference point itself, which accelerates and brakes by itself and waits
 for the vehicle.  Planes are sent a point ahead of their position on the path.
@@ -9,11 +9,10 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import joining
 from companion.mission.decisions import Context, Step
 from companion.mission.events import Command, Position, Setpoint, Vector
 from companion.mission.state import Answered, Flight, OnPath, Reason, State, Stop, Trigger
-from companion.path.envelope import slowing_m
+from companion.path.envelope import ending_m_s, slowing_m
 from companion.planner import join
 from companion.planner.loiter_search import Motion, loiter_point
 from companion.planner.procedure import (
@@ -30,6 +29,8 @@ from companion.planner.procedure import (
     paced_m_s,
     sent_pose,
 )
+from companion.planner.request import FlownSegment
+from companion.planner.settings import Task
 
 _NOT_TAKEN_S = 2.0
 _FARTHEST = 1.0  # tubes beyond the first: there it is told to hold at once, half of d_s at most
@@ -43,6 +44,12 @@ _AT_TARGET_M = 1.0  # nearer to it, the direction to it is that of an error
 _LONGEST_LEAD = 1.3  # of what the path's tail was made for
 _AT_END = 1.2  # loiter radii
 _BEYOND = 0.25  # loiter radii: if it is left there, the circle that it then flies is proven
+
+_SPACING_M = 1.0
+_MAX_SAMPLES = 1000
+_ROUNDS, _MIN_BEND = 6, 0.25
+_FRESH_S = 1.0
+_ON_CIRCLE = 1.5  # loiter radii: a plane may be circling there
 
 
 def lead_m(state: State, reference: Reference) -> float:
@@ -96,7 +103,7 @@ def advance_reference(state: State, path: OnPath, event: Position) -> Flight:
     progress_at_s = state.now_s if sets_out else flight.progress_at_s
     if path.next_leg is None or reference.length_m < leaves_at_m - _ROUNDING_M:
         return replace(flight, path=path, progress_at_s=progress_at_s)
-    return joining.switched_to_next_leg(replace(flight, progress_at_s=progress_at_s), path, task)[0]
+    return switched_to_next_leg(replace(flight, progress_at_s=progress_at_s), path, task)[0]
 
 
 def is_on_path(state: State, flight: Flight, path: OnPath, event: Position) -> bool:
@@ -300,28 +307,22 @@ def stop(state: State, reason: Reason) -> Step:
             here = state.vehicle.position_nea_m or point
             motion = Motion(here, state.vehicle.velocity_nea_m_s)
             point = loiter_point(flight.known, state.task, motion, point) or point
-        flight = at_rest(requeue_backtrack(flight), point)
+        flight = at_rest(requeue_backtrack(flight, leg, path.next_leg), point)
         return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
     brakes_m = 0.5 * reference.speed_m_s**2 / state.task.limits.acceleration_m_s2
     stop_at_m = max(vehicle_at_m(state, path) + brakes_m, reference.length_m)
     stop_at_m = min(stop_at_m, leg.subpath.length_m)
     if path.stop is not None:
         stop_at_m = min(stop_at_m, path.stop.at_m)
-    if path.next_leg is not None:
-        flight = with_backtrack_legs(flight, path.next_leg)
+    flight = requeue_backtrack(flight, path.next_leg)
     path = replace(path, stop=Stop(stop_at_m, reason), next_leg=None)
     return replace(state, flight=replace(flight, path=path, search=Answered())), [], None
 
 
-def with_backtrack_legs(flight: Flight, *legs: Leg) -> Flight:
-    """The flight with these legs put before the rest of its backtrack, if it is on one."""
-    return replace(flight, back=(*legs, *flight.back)) if flight.returning else flight
-
-
-def requeue_backtrack(flight: Flight) -> Flight:
-    """The flight with its current legs put back before the rest of its backtrack."""
-    ahead = (leg for leg in (flight.leg, flight.next_leg) if leg is not None)
-    return with_backtrack_legs(flight, *ahead)
+def requeue_backtrack(flight: Flight, *legs: Leg | None) -> Flight:
+    """The flight with these legs put back before the rest of its backtrack, if it is on one."""
+    ahead = (leg for leg in legs if leg is not None)
+    return replace(flight, back=(*ahead, *flight.back)) if flight.returning else flight
 
 
 def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:
@@ -329,7 +330,7 @@ def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:
     return replace(
         flight,
         path=None,
-        flown=joining.flown_segments(flight, flight.reference.length_m),
+        flown=flown_segments(flight, flight.reference.length_m),
         hover_nea_m=hover_nea_m,
         search=None,
         planning_backtrack=None,
@@ -390,3 +391,141 @@ def _on_the_way(state: State, here_nea_m: Vector) -> Vector:
     from_m = at[2] if sent is None or is_new else sent[2]
     most_m = state.task.limits.climb_rate_m_s * min(since_s, _SENT_LATELY_S)
     return north, east, from_m + min(max(altitude - from_m, -most_m), most_m)
+
+
+# --- from leg to leg, and back to a path: after a restart, and for the backtrack
+
+
+def joined(state: State, path: OnPath | None) -> Flight | None:
+    """The flight led along this path, or on its next leg, from the current setpoint on.
+
+    None if that is farther from the path than was proven.
+    """
+    vehicle, flight, led_so = state.vehicle, state.flight, _led(state)
+    if led_so is None or path is None:
+        return None
+    led, velocity = led_so
+    off_m, at_m = nearest(path.leg, led)
+    if path.next_leg is not None:
+        next_off_m, next_at_m = nearest(path.next_leg, led)
+        if next_off_m < off_m - 1e-6:
+            flight, path = switched_to_next_leg(flight, path, state.task)
+            off_m, at_m = next_off_m, next_at_m
+    limits = state.task.at_speed(path.leg.speed_m_s).limits
+    if off_m > limits.tracking_error_m + _ON_CIRCLE * limits.loiter_radius_m:
+        return None
+    pose, hovers = path.leg.subpath.pose(at_m), vehicle.traits.hovers
+    speed = max(float(np.dot(velocity, pose.tangent_nea)), 0.0)
+    speed = min(speed, limits.speed_m_s)
+    if hovers and path.next_leg is None:  # what it cannot brake from is offset
+        left_m = path.leg.subpath.length_m - at_m
+        speed = min(speed, ending_m_s(path.leg.motion(state.task), left_m))
+    circling, offset = not hovers and off_m > limits.tracking_error_m, path.offset
+    if hovers:
+        offset = join.begin(np.asarray(led), np.asarray(velocity), pose, speed)
+    flown = flown_segments(replace(flight, path=path), at_m)
+    path = replace(
+        path,
+        reference=Reference(length_m=at_m, speed_m_s=speed),
+        circling=circling,
+        joined_m=at_m,
+        offset=offset,
+    )
+    return replace(
+        flight,
+        path=path,
+        flown=flown,
+        progress_at_s=state.now_s,
+        hover_nea_m=pose.point_nea_m if circling else None,
+        search=None if path.next_leg is None else Answered(),
+    )
+
+
+def switched_to_next_leg(flight: Flight, path: OnPath, task: Task) -> tuple[Flight, OnPath]:
+    """On to the next leg: the reference point has reached p_prog of this one."""
+    over_at_m, reference = path.leg.successor_at_m(task), path.reference
+    assert path.next_leg is not None
+    onto = replace(
+        path,
+        leg=path.next_leg,
+        next_leg=None,
+        reference=Reference(
+            length_m=max(reference.length_m - over_at_m, 0.0), speed_m_s=reference.speed_m_s
+        ),
+        joined_m=0.0,
+    )
+    flight = replace(
+        flight,
+        path=onto,
+        search=None,
+        troubles=0,
+        shortfall=Reason.NO_PLAN,
+        legs_flown=flight.legs_flown + 1,
+        flown=flown_segments(replace(flight, path=path), over_at_m),
+    )
+    return flight, onto
+
+
+def flown_segments(flight: Flight, until_m: float) -> tuple[FlownSegment, ...]:
+    """The flown segments, including this leg up to a length."""
+    path = flight.path
+    if path is None or flight.returning:
+        return flight.flown
+    return *flight.flown, FlownSegment(
+        control_nea_m=path.leg.subpath.control_nea_m,
+        from_m=path.joined_m,
+        until_m=until_m,
+        speed_m_s=path.leg.speed_m_s,
+    )
+
+
+def along_leg(state: State) -> Flight:
+    """The flight with its reference where the leg is nearest to the vehicle: it has come so far."""
+    flight, path, here = state.flight, state.flight.path, state.vehicle.position_nea_m
+    if path is None or here is None:
+        return flight
+    _, at_m = nearest(path.leg, here)
+    reference = Reference(length_m=max(at_m, path.joined_m))
+    return replace(flight, path=replace(path, reference=reference))
+
+
+def _led(state: State) -> tuple[Vector, Vector] | None:
+    """The current setpoint of the vehicle and its velocity.  -> metres, m/s.
+
+    Our own recent setpoint; else the autopilot's reported target; else the position.  A report is
+    some tenths of a second old: the target has moved since, unless it is stationary, as
+    ArduPilot's is after a setpoint time-out.
+    """
+    vehicle, flight = state.vehicle, state.flight
+    here, velocity, echo = vehicle.position_nea_m, vehicle.velocity_nea_m_s, vehicle.echo_nea_m
+    if here is None:
+        return None
+    if not vehicle.traits.hovers:
+        return here, velocity
+    if flight.sent is not None and state.now_s - flight.sent_at_s < _FRESH_S:
+        return flight.sent.position_nea_m, velocity
+    near_m = 2.0 * state.task.limits.tracking_error_m + state.task.limits.speed_m_s * _FRESH_S
+    age_s = state.now_s - vehicle.echo_at_s
+    if echo is None or age_s > _FRESH_S or math.dist(echo, here) >= near_m:
+        return here, velocity
+    velocity = vehicle.echo_nea_m_s or velocity
+    north, east, up = (at + age_s * v for at, v in zip(echo, velocity, strict=True))
+    return (north, east, up), velocity
+
+
+def nearest(leg: Leg, point_nea_m: Vector) -> tuple[float, float]:
+    """Distance of a point from a leg, and the length along it where it is nearest, metres."""
+    length_m = leg.subpath.length_m
+    spacing_m = max(_SPACING_M, length_m / _MAX_SAMPLES)
+    points = leg.subpath.sampled(spacing_m).value
+    distance = np.linalg.norm(points - np.asarray(point_nea_m), axis=-1)
+    k = int(distance.argmin())
+    at_m, step_m = length_m * k / (len(points) - 1), length_m / (len(points) - 1)
+    low_m, high_m = max(at_m - step_m, 0.0), min(at_m + step_m, length_m)
+    for _ in range(_ROUNDS):  # of Newton's method, which no last digit leads elsewhere
+        pose = leg.subpath.pose(at_m)
+        offset = np.asarray(point_nea_m) - pose.position_nea_m
+        bend = max(1.0 - float(offset @ pose.curvature_nea_1_m), _MIN_BEND)
+        at_m = min(max(at_m + float(offset @ pose.tangent_nea) / bend, low_m), high_m)
+    there = leg.subpath.pose(at_m).position_nea_m
+    return float(np.linalg.norm(np.asarray(point_nea_m) - there)), at_m

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.geodesy import FloatArray
-from companion.mission import events, following, joining
+from companion.mission import events, following, way_back
 from companion.mission.battery import battery_lasts
 from companion.mission.decisions import (
     AT_M,
@@ -69,12 +69,13 @@ def preparing(state: State, event: Event, context: Context) -> Step:
         if _is_flying(state):
             return state, [warn(event.refusal)], None
         if state.unready:
-            return _still_unready(_without(state, event.item), event.refusal)
+            return _unready(_without(state, event.item), event.refusal)
         return give_up(state, Reason.REFUSED, f": {event.refusal}", event.remedy)
     if state.unready and vehicle.armed:
         return give_up(state, Reason.ARMED_ALREADY)  # it is not taken over in the air unasked
     if in_phase_s(state) > _PREPARE_S and not state.unready:
-        return give_up(state, Reason.NOT_READY, _missing(state))
+        missing = _missing(state)
+        return give_up(state, Reason.NOT_READY, missing and f": {missing}")
     if is_silent(state):
         return state, [], None
     if is_second_companion(state):
@@ -97,7 +98,7 @@ def preparing(state: State, event: Event, context: Context) -> Step:
         return give_up(state, Reason.GROUNDED)
     reason = _refused(state, context)
     if reason is not None and state.unready:
-        return _still_unready(state, reason.text)
+        return _unready(state, reason.text)
     if reason is not None:
         return give_up(state, reason)
     if Item.CHECKS not in state.prepared:
@@ -112,7 +113,8 @@ def preparing(state: State, event: Event, context: Context) -> Step:
 def _to_watch(state: State) -> Step:
     """Wait for a valid position of a vehicle that is only watched."""
     if in_phase_s(state) > _PREPARE_S:
-        return give_up(state, Reason.NOT_READY, _missing(state))
+        missing = _missing(state)
+        return give_up(state, Reason.NOT_READY, missing and f": {missing}")
     waits = is_silent(state) or state.vehicle.distrust is not None
     return state, [], None if waits else Trigger.WATCH
 
@@ -133,8 +135,8 @@ def why_no_go(state: State) -> str:
     """Why a go is refused, as text for who says it."""
     if state.phase is Phase.WAITING:
         return Reason.NO_VEHICLE.text
-    missing = _missing(state).removeprefix(": ")
-    return f"it is not ready: {state.unready or missing or 'its checks are not over'}"
+    why = state.unready or _missing(state) or "its checks are not over"
+    return f"it is not ready: {why}"
 
 
 def _why_unready(state: State, context: Context) -> str:
@@ -142,7 +144,7 @@ def _why_unready(state: State, context: Context) -> str:
     if is_silent(state):
         return Reason.LINK_LOST.text
     if missing := _missing(state):
-        return missing.removeprefix(": ")
+        return missing
     if state.vehicle.landed is not Landed.ON_GROUND:
         return "it says that it is not on the ground"
     reason = _refused(state, context)
@@ -150,16 +152,13 @@ def _why_unready(state: State, context: Context) -> str:
 
 
 def _unready(state: State, why: str) -> Step:
-    """Back to preparing; what was checked is checked again."""
-    says = warn(f"not ready any more: {why}", "phase")
-    return replace(_without(state, Item.CHECKS), unready=why), [says], Trigger.UNREADY
-
-
-def _still_unready(state: State, why: str) -> Step:
+    """Say so, once; it prepares on, or again: what was checked is checked again."""
+    if state.phase is Phase.READY:
+        says = warn(f"not ready any more: {why}", "phase")
+        return replace(_without(state, Item.CHECKS), unready=why), [says], Trigger.UNREADY
     if why == state.unready:
         return state, [], None
-    says = warn(f"not ready: {why}", "phase")
-    return replace(state, unready=why), [says], None
+    return replace(state, unready=why), [warn(f"not ready: {why}", "phase")], None
 
 
 def _without(state: State, item: Item) -> State:
@@ -221,7 +220,7 @@ def _missing(state: State) -> str:
     distrusted = vehicle.distrust
     if distrusted is not None:
         missing.append(distrusted.text)
-    return f": {', '.join(missing)}" if missing else ""
+    return ", ".join(missing)
 
 
 def _refused(state: State, context: Context) -> Reason | None:
@@ -244,17 +243,16 @@ def _in_flight(state: State) -> Step:
         return state, [], None
     if not state.targets_ne_m:
         return give_up(state, Reason.NO_TARGETS)
-    state = replace(state, flight=joining.along_leg(state))
+    state = replace(state, flight=following.along_leg(state))
     mode, ours = state.vehicle.mode, (Mode.GUIDED, Mode.HOLD)
     if state.orders.active is not None or state.taken or state.flight.returning:
         reason = takeover_reason(state)
         if mode in ours and not state.taken:
             reason = Reason.TAKING_OVER
-        flight = following.at_rest(following.requeue_backtrack(state.flight), None)
-        return replace(state, reason=reason, flight=flight), [], Trigger.IN_FLIGHT
+        return replace(way_back.stopped(state), reason=reason), [], Trigger.IN_FLIGHT
     asked = state.asks > 0  # to hold: it may do so by now
     if mode is Mode.GUIDED and not asked:
-        joined = joining.joined(state, state.flight.path)
+        joined = following.joined(state, state.flight.path)
         if joined is not None:
             return replace(state, flight=joined), [], Trigger.TAKE_OVER
     ours_or_up = mode in (*ours, Mode.TAKE_OFF)

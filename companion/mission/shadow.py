@@ -9,7 +9,7 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import flying, following, joining
+from companion.mission import flying, following
 from companion.mission.decisions import Context, Step, in_words
 from companion.mission.events import Command, Event, Landed, PlanReady, Position, Vector, say, warn
 from companion.mission.health import TRUST_S
@@ -55,7 +55,7 @@ def _on_position(state: State, event: Position) -> Step:
         return replace(state, flight=flight), says, None
     if (path := flight.path) is None:
         return _ask(state, here)
-    off_m, at_m = joining.nearest(path.leg, here)
+    off_m, at_m = following.nearest(path.leg, here)
     if off_m > 3.0 * state.task.limits.tracking_error_m:
         text = f"shadow: the vehicle is {off_m:.0f} m off the path"
         return following.held_here(state), [say(text)], None
@@ -80,7 +80,7 @@ def _follow(state: State, path: OnPath, at_m: float) -> Step:
     path = replace(path, reference=Reference(length_m=length_m, speed_m_s=speed))
     flight = replace(flight, path=path)
     if path.next_leg is not None and length_m >= leg.successor_at_m(task):
-        flight, _ = joining.switched_to_next_leg(flight, path, task)
+        flight, _ = following.switched_to_next_leg(flight, path, task)
     elif leg.subpath.length_m - length_m < 1.0:
         flight = following.at_rest(flight, None)
     elif flight.search is None and leg.wants_successor(length_m, task):

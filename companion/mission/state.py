@@ -351,19 +351,11 @@ class Scanning(Struct, frozen=True):
 
 @final
 class Planning(Struct, frozen=True):
-    """The newest plan was requested."""
+    """The newest plan was requested, or a backtrack as such."""
 
     rules: Task
     """The task of the request."""
-
-
-@final
-class PlanningBacktrack(Struct, frozen=True):
-    """A backtrack was requested, as the newest plan."""
-
-    rules: Task
-    """The task of the request."""
-    since_s: float
+    since_s: float = 0.0
 
 
 @final
@@ -458,7 +450,7 @@ class Flight(Struct, frozen=True, kw_only=True):
     way: Way = Way.OUT
     back: tuple[Leg, ...] = ()
     """What is left of the backtrack, beside the legs that are flown."""
-    planning_backtrack: PlanningBacktrack | None = None
+    planning_backtrack: Planning | None = None
     battery_told: int = 0
     """Battery warnings sent: 1, it will not last at this rate; 2, it does not last."""
     fallen_back: Reason | None = None

@@ -46,22 +46,18 @@ from companion.mission.decisions import (
 from companion.mission.events import Command, Event, Landed, Mode, Position, say, warn
 from companion.mission.following import held_here
 from companion.mission.health import TRUST_S
-from companion.mission.home import begins_at_home, home_ne_m, is_above_home
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.state import ON_SETPOINTS, Held, Hold, Orders, Reason, State, Trigger
-from companion.mission.tables import (
-    is_ours,
-    parting,
-    stays_down,
-    takeover_reason,
-    wanted_fallback,
-)
+from companion.mission.tables import is_ours, parting, stays_down, takeover_reason, wanted_fallback
+from companion.mission.way_back import begins_at_home, home_ne_m, is_above_home
 from companion.planner.recheck import is_touched
 
 FAILSAFE_OVER = "failsafe over: MISSION_START to the companion, or guided mode, goes on"
 
 _TOLD_S = 30.0  # that guided mode is asked for on a person's word
 _TROUBLES = 8
+_MAX_STOPS = 12  # on the way to one target, for want of a successor
+_MAX_STOPS_NEAR = 100  # where sight is short
 _PAUSE_S = 2.0  # between attempts to plan from rest
 _SENSOR_S = 15.0  # for a sensor to see again, before each of them
 _THERE_M = 1.0
@@ -258,7 +254,8 @@ def _end_of_hold(state: State, event: Position, context: Context, commands: list
         if held_s < _SENSOR_S * context.mission.attempts:
             return state, commands, None
         return _other_way(with_hold_reason(state, Reason.GROUND_NEARER), context)
-    tries = flight.failures < context.mission.attempts and flight.stops <= flying.max_stops(context)
+    stops_allowed = _MAX_STOPS if near is None else _MAX_STOPS_NEAR
+    tries = flight.failures < context.mission.attempts and flight.stops <= stops_allowed
     if not on_way_back and (hold is Hold.RETURN or not tries):
         return _other_way(state, context)
     hovers = state.vehicle.traits.hovers

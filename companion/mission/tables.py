@@ -7,7 +7,7 @@ LEAVE   when the vehicle is told to hold as the companion goes
 """
 
 from collections.abc import Callable
-from typing import Final, NamedTuple, final
+from typing import Final
 
 from companion.mission.decisions import (
     HEARTBEAT_S,
@@ -20,28 +20,11 @@ from companion.mission.decisions import (
     is_second_companion,
     is_silent,
 )
-from companion.mission.events import (
-    Disarm,
-    Event,
-    Landed,
-    LinkLost,
-    Mode,
-    Position,
-    SetMode,
-    warn,
-)
-from companion.mission.home import is_above_home
+from companion.mission.events import Disarm, Event, Landed, LinkLost, Mode, Position, SetMode, warn
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.state import (
-    IN_AIR,
-    ON_SETPOINTS,
-    Hold,
-    Phase,
-    Reason,
-    State,
-    Trigger,
-)
+from companion.mission.state import IN_AIR, ON_SETPOINTS, Hold, Phase, Reason, State, Trigger
 from companion.mission.vehicle_traits import UNKNOWN, TakeoffSequence
+from companion.mission.way_back import is_above_home
 from companion.world.zones import nearest
 
 _COMES_BACK_S = 3.0  # PX4 takes a stream up again within a second (px4.md 6)
@@ -128,23 +111,7 @@ def still_goes_up(state: State) -> bool:
     return begun and state.phase in (Phase.PREPARING, Phase.HOLDING)
 
 
-def is_own_takeoff(state: State) -> bool:
-    """Whether the autopilot's take-off mode was requested by us."""
-    goes_up = state.phase in (Phase.ARMING, Phase.TAKING_OFF) or state.hold is Hold.TAKE_OVER
-    return goes_up or still_goes_up(state)
-
-
 # --- 2. what breaks a phase off
-
-
-@final
-class Fault(NamedTuple):
-    """One row: while this is true, in these phases, it holds or ends for that reason."""
-
-    reason: Reason | Callable[[State], Reason | None]
-    """None: the phase goes on all the same."""
-    is_true: Callable[[State, Event], bool]
-    phases: tuple[Phase, ...]
 
 
 _LED = (Phase.FLYING, Phase.RETURNING, Phase.ARRIVED)
@@ -179,51 +146,35 @@ def stays_down(state: State) -> bool:
     return state.reason is Reason.BROKEN_OFF and state.vehicle.landed is Landed.ON_GROUND
 
 
-def _is_not_led_back(state: State) -> bool:
-    return state.hold is Hold.STREAM_LOST and in_phase_s(state) > _LEADS_BACK_S
+def _falls_silent(state: State) -> bool:
+    return is_silent(state) and state.hold is not Hold.SILENT
 
 
-FAULTS: Final = (
-    Fault(
-        lambda _: None,  # it does what was asked of it last
-        lambda s, _: s.vehicle.mode is Mode.HOLD and s.asked_at_s > s.since_s,
-        (Phase.ARRIVED,),
-    ),
-    Fault(
-        Reason.FENCE_BREACHED,
-        lambda s, event: isinstance(event, Position) and is_breach_of_fence(s),
-        _HELD,
-    ),
-    Fault(Reason.LINK_LOST, lambda s, event: isinstance(event, LinkLost) or is_silent(s), _UP),
-    Fault(
-        Reason.LINK_LOST,
-        lambda s, e: isinstance(e, LinkLost) or (is_silent(s) and s.hold is not Hold.SILENT),
-        _HELD,
-    ),
-    Fault(Reason.DISARMED, lambda s, _: not s.vehicle.armed, _UP),
-    Fault(Reason.DISARMED, lambda s, _: not (s.vehicle.armed or stays_down(s)), _HELD),
-    Fault(Reason.GROUNDED, lambda s, _: is_grounded(s) and not stays_down(s), _HELD),
-    Fault(
-        _lost_or_taken,
-        lambda s, _: not stays_down(s) and (not is_ours(s) or _is_not_led_back(s)),
-        (*_UP, *_HELD),
-    ),
-    Fault(Reason.GROUNDED, lambda s, _: is_grounded(s), _LED),
-    Fault(
-        lambda s: s.vehicle.distrust,  # that the vehicle does not obey comes before it
-        lambda s, _: s.held is None or s.hold in ON_SETPOINTS,
-        (*_UP, *_HELD),
-    ),
+def _is_led(state: State) -> bool:
+    lost_s = in_phase_s(state) if state.hold is Hold.STREAM_LOST else 0.0
+    return is_ours(state) and lost_s <= _LEADS_BACK_S
+
+
+_Cause = Reason | Callable[[State], Reason | None]
+_Sign = Callable[[State, Event], bool]
+
+FAULTS: Final[tuple[tuple[_Cause, tuple[Phase, ...], _Sign], ...]] = (
+    (Reason.FENCE_BREACHED, _HELD, lambda s, e: isinstance(e, Position) and is_breach_of_fence(s)),
+    (Reason.LINK_LOST, (*_UP, *_HELD), lambda s, e: isinstance(e, LinkLost) or _falls_silent(s)),
+    (Reason.DISARMED, (*_UP, *_HELD), lambda s, _: not (s.vehicle.armed or stays_down(s))),
+    (Reason.GROUNDED, _HELD, lambda s, _: is_grounded(s) and not stays_down(s)),
+    (_lost_or_taken, (*_UP, *_HELD), lambda s, _: not (stays_down(s) or _is_led(s))),
+    (Reason.GROUNDED, _LED, lambda s, _: is_grounded(s)),
+    (lambda s: s.vehicle.distrust, _UP, lambda *_: True),
+    (lambda s: s.vehicle.distrust, _HELD, lambda s, _: s.hold in ON_SETPOINTS),
 )
-"""In this order: the first that is true."""
-_FAULTS_IN: Final = {
-    phase: tuple(fault for fault in FAULTS if phase in fault.phases) for phase in (*_UP, *_HELD)
-}
+"""Why a phase is broken off, in which of them that counts, and when it is so; the first that is.
+That the vehicle does not obey comes before a position that is not to be believed."""
 
 
 def fault_of(state: State, event: Event) -> Reason | None:
     """Why this phase cannot go on; None: it can."""
-    vehicle = state.vehicle
+    vehicle, phase = state.vehicle, state.phase
     if (  # what is looked at first, as it mostly is so: then no row is true
         state.held is None
         and vehicle.mode is Mode.GUIDED
@@ -234,9 +185,11 @@ def fault_of(state: State, event: Event) -> Reason | None:
         and not isinstance(event, LinkLost)
     ):
         return None
-    for reason, is_true, _ in _FAULTS_IN.get(state.phase, ()):
-        if is_true(state, event):
-            return reason if isinstance(reason, Reason) else reason(state)
+    if phase is Phase.ARRIVED and vehicle.mode is Mode.HOLD and state.asked_at_s > state.since_s:
+        return None  # it does what was asked of it last
+    for cause, phases, is_so in FAULTS:
+        if phase in phases and is_so(state, event):
+            return cause if isinstance(cause, Reason) else cause(state)
     return None
 
 
@@ -308,8 +261,9 @@ def _is_left_to_us(state: State) -> bool:
 
 
 def _does_as_told(state: State) -> bool:
-    mode = state.vehicle.mode
-    return mode is Mode.GUIDED or (mode is Mode.TAKE_OFF and is_own_takeoff(state))
+    mode, rises = state.vehicle.mode, state.phase in (Phase.ARMING, Phase.TAKING_OFF)
+    rises = rises or state.hold is Hold.TAKE_OVER or still_goes_up(state)
+    return mode is Mode.GUIDED or (mode is Mode.TAKE_OFF and rises)
 
 
 def _is_to_take_off(state: State) -> bool:
@@ -326,18 +280,13 @@ def _takes_off(state: State) -> bool:
 
 def _flies(state: State) -> bool:
     """Its last heartbeat may be from before what we asked last."""
-    if still_goes_up(state) and is_grounded(state):
-        return _takes_off(state)
-    vehicle, waits = state.vehicle, state.vehicle.mode is Mode.HOLD and state.asks > 0
-    flies = state.airborne and vehicle.armed and not is_grounded(state)
-    return flies and (_does_as_told(state) or waits)
-
-
-def _is_held(state: State) -> bool:
-    if state.reason is not Reason.BROKEN_OFF:
-        return _flies(state)
-    holds = state.vehicle.mode is Mode.HOLD or not state.vehicle.armed
-    return holds or _does_as_told(state)
+    vehicle, holds = state.vehicle, state.vehicle.mode is Mode.HOLD
+    if state.held is not None and state.reason is Reason.BROKEN_OFF:
+        return holds or not vehicle.armed or _does_as_told(state)
+    if is_grounded(state):
+        return still_goes_up(state) and _takes_off(state)
+    told = _does_as_told(state) or (holds and state.asks > 0)
+    return state.airborne and vehicle.armed and told
 
 
 LEAVE: Final[dict[Phase, Callable[[State], bool]]] = {
@@ -345,7 +294,6 @@ LEAVE: Final[dict[Phase, Callable[[State], bool]]] = {
     Phase.PREPARING: _flies,  # after a silence, or a restart
     **dict.fromkeys(IN_AIR, _flies),
     Phase.TAKING_OFF: _takes_off,
-    Phase.HOLDING: _is_held,
 }
 """By phase, whether the vehicle does what we asked of it, or will: then it is told to hold when
 the companion goes, as it would go on else."""
@@ -353,10 +301,8 @@ the companion goes, as it would go on else."""
 
 def is_under_control(state: State) -> bool:
     """Whether the vehicle has to be told to hold if the companion goes."""
-    if state.vehicle.traits is UNKNOWN or is_second_companion(state):
-        return False
-    is_led = LEAVE.get(state.phase)
-    return is_led is not None and is_led(state)
+    known = state.vehicle.traits is not UNKNOWN and not is_second_companion(state)
+    return known and state.phase in LEAVE and LEAVE[state.phase](state)
 
 
 def parting(state: State, *, stopped: bool = False) -> list[SetMode | Disarm]:

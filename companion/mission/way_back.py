@@ -1,22 +1,14 @@
 """The way back: along the flown path, each stretch of it proven again; else home by a plan."""
 
+import math
+
 from msgspec.structs import replace
 
-from companion.mission import events, following, joining
-from companion.mission.decisions import Context, Step, give_up, preceded
+from companion.mission import events, following
+from companion.mission.decisions import AT_M, Context, Step, give_up, preceded
 from companion.mission.events import PlanReady, say, warn
 from companion.mission.following import at_rest, at_rest_at_end
-from companion.mission.home import begins_at_home, beyond_path_m, home_ne_m, is_above_home
-from companion.mission.state import (
-    Flight,
-    OnPath,
-    Orders,
-    PlanningBacktrack,
-    Reason,
-    State,
-    Trigger,
-    Way,
-)
+from companion.mission.state import Flight, OnPath, Orders, Planning, Reason, State, Trigger, Way
 from companion.planner.procedure import Leg, Reference, hover_pose
 from companion.planner.progress import NO_PROGRESS
 from companion.planner.request import Backtrack, PlanRequest, Refusal
@@ -25,6 +17,8 @@ from companion.planner.settings import Task
 
 _NO_WAY_OUT = frozenset({Refusal.START_NEAR_TERRAIN, Refusal.START_NEAR_UNKNOWN})
 """From where nothing leads away nothing leads home either: only the autopilot climbs out."""
+_CIRCLES = 1.5
+"""Loiter radii: a plane lands on a circle about where it is told to (px4.md 10)."""
 
 
 def request(state: State, context: Context) -> Step:
@@ -43,7 +37,7 @@ def request(state: State, context: Context) -> Step:
         target_ne_m=here[:2],
         flown=flight.flown,
     )
-    planning = PlanningBacktrack(state.task, since_s=state.now_s)
+    planning = Planning(state.task, since_s=state.now_s)
     state = state.with_flight(plan_id=request.plan_id, planning_backtrack=planning)
     return state, [events.Plan(request=request, due_s=state.now_s)], None
 
@@ -90,7 +84,7 @@ def begun(state: State) -> Flight | None:
         return None
     leg, *rest = flight.back
     onto = OnPath(leg=leg) if before is None else replace(before, leg=leg, next_leg=None, stop=None)
-    went_on = joining.joined(replace(state, flight=replace(flight, hover_nea_m=None)), onto)
+    went_on = following.joined(replace(state, flight=replace(flight, hover_nea_m=None)), onto)
     if went_on is None or went_on.path is None:
         return None
     at_rest = Reference(length_m=went_on.path.reference.length_m)
@@ -120,7 +114,10 @@ def stopped(state: State) -> State:
     """At rest, with the current backtrack leg still to be flown."""
     flight = state.flight
     hover = None if flight.stop is None else at_rest_at_end(flight).hover_nea_m
-    return replace(state, flight=at_rest(following.requeue_backtrack(flight), hover))
+    return replace(
+        state,
+        flight=at_rest(following.requeue_backtrack(flight, flight.leg, flight.next_leg), hover),
+    )
 
 
 def home_by_plan(state: State, text: str, reason: Reason, *, warning: bool = False) -> Step:
@@ -150,3 +147,53 @@ def home_by_plan(state: State, text: str, reason: Reason, *, warning: bool = Fal
         search=None,
     )
     return state, [say(text, "end", warning=warning)], Trigger.RESUME
+
+
+# --- home, as the vehicle has it, and whether the flown path begins there
+
+
+def home_ne_m(state: State) -> tuple[float, float] | None:
+    """Where home is, north and east; None: nobody has said.
+
+    If the vehicle has not said, it is where its own take-off began the path, never the origin.
+    """
+    if (home := state.vehicle.home_nea_m) is not None:
+        return home[:2]
+    return _path_begins_ne_m(state) if state.armed_by_us else None
+
+
+def is_above_home(state: State) -> bool:
+    """Whether a copter is above its home."""
+    home, here = state.vehicle.home_nea_m, state.vehicle.position_nea_m
+    if home is None or here is None or not state.vehicle.traits.hovers:
+        return False
+    return math.dist(home[:2], here[:2]) < max(AT_M, state.task.limits.tracking_error_m)
+
+
+def beyond_path_m(state: State) -> float:
+    """How far it is home from where the flown path begins; 0: that is at home, or home unknown.
+
+    Not where the companion took over in flight, or was started again without memory.  An autopilot
+    that has no mode to land goes home by itself from where its own take-off ended.
+    """
+    home, begins, traits = home_ne_m(state), _path_begins_ne_m(state), state.vehicle.traits
+    if home is None or begins is None or (state.armed_by_us and not traits.lands):
+        return 0.0
+    limits, off_m = state.task.limits, math.dist(home, begins)
+    near_m = max(AT_M, limits.tracking_error_m)
+    if not traits.hovers:
+        near_m = max(near_m, _CIRCLES * limits.loiter_radius_m)
+    return off_m if off_m > near_m else 0.0
+
+
+def begins_at_home(state: State) -> bool:
+    """Whether the flown path is known to begin at home."""
+    return home_ne_m(state) is not None and beyond_path_m(state) == 0.0
+
+
+def _path_begins_ne_m(state: State) -> tuple[float, float] | None:
+    """Where the flown path begins; None: nothing was flown."""
+    if not state.flight.flown:
+        return None
+    north, east, _ = state.flight.flown[0].control_nea_m[0]
+    return float(north), float(east)

@@ -216,7 +216,6 @@ def on_its_way_out() -> tuple[Craft, FenceChanged]:
     craft = flying()
     around = fence(craft, *craft.here[:2], 200.0)
     state = craft.state.with_fence(craft.context.mission.task, around)
-    assert state.flight.leg is not None
     leg = replace(state.flight.leg, rules=state.task)
     craft.state = replace(
         state, flight=replace(state.flight, path=replace(state.flight.path, leg=leg))

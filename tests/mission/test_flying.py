@@ -23,8 +23,7 @@ from renewed import replace
 from companion.mission import events
 from companion.mission.entries import of_change
 from companion.mission.events import Mode, Plan, Position, Setpoint, StartScan, StatusText
-from companion.mission.following import is_on_path, left_path, outside_m
-from companion.mission.joining import joined
+from companion.mission.following import is_on_path, joined, left_path, outside_m
 from companion.mission.state import Answered, Flight, Phase, Reason
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Reference, hover_pose
@@ -144,7 +143,6 @@ def cruising() -> Craft:
 def found_at(craft: Craft, way: Way, by_m: float, later_s: float = 0.0) -> tuple[Flight, Any]:
     """What follows if the vehicle is found so far from its reference point."""
     flight, state = craft.state.flight, craft.state
-    assert flight.leg is not None
     assert flight.path is not None
     told = flight.leg.subpath.pose(flight.reference.length_m).position_nea_m
     here = tuple(np.add(told, np.multiply(way, by_m)).tolist())
@@ -228,7 +226,6 @@ def test_who_is_seen_at_a_glance_to_be_on_its_path_is_not_outside_of_anything() 
 def test_who_overshoots_the_end_of_its_path_has_left_it() -> None:
     craft = cruising()
     leg = craft.state.flight.leg
-    assert leg is not None
     at_end = Reference(length_m=leg.subpath.length_m - 0.5 * ERROR_M, speed_m_s=5.0)
     path = replace(craft.state.flight.path, reference=at_end, next_leg=None)
     flight = replace(craft.state.flight, path=path)
@@ -313,7 +310,6 @@ def test_who_joins_a_path_near_its_end_comes_to_rest_without_a_jump(
     craft = flying()
     craft.run_until(lambda it: it.state.flight.reference.length_m > 100.0)
     flight = craft.state.flight
-    assert flight.leg is not None
     end = flight.leg.subpath.pose(flight.leg.subpath.length_m)
     along, across = end.tangent_nea, np.array([-end.tangent_nea[1], end.tangent_nea[0], 0.0])
     north, east, altitude = end.position_nea_m - left_m * along + beside_m * across
@@ -344,7 +340,6 @@ def test_who_joins_a_path_near_its_end_comes_to_rest_without_a_jump(
 def went_on(at_m: float, told_m: float, pace: float, **echo: Any) -> Flight:
     """Where it goes on along its leg: at that length and share of V, told to be at the other."""
     state = two_legs().state
-    assert state.flight.leg is not None
     curve = state.flight.leg.subpath
     north, east, up = (float(each) for each in pace * SPEED_M_S * curve.pose(at_m).tangent_nea)
     vehicle = replace(
@@ -370,7 +365,6 @@ def test_it_goes_on_where_the_autopilots_target_has_moved_since_it_was_told(age_
 def test_it_goes_on_from_a_target_that_stands_as_slowly_as_the_target() -> None:
     echo = {"echo_nea_m_s": (0.0, 0.0, 0.0), "echo_at_s": two_legs().state.now_s - 0.4}
     flight = went_on(1_000.0 - 0.6 * SPEED_M_S, 1_000.0, 0.6, **echo)
-    assert flight.path is not None
     assert flight.path.offset is not None
     assert flight.reference.length_m == pytest.approx(1_000.0, abs=0.01)
     assert flight.reference.speed_m_s == 0.0

@@ -115,7 +115,6 @@ def test_a_plane_leaves_its_circle_when_it_flies_the_way_of_its_path(traits: Veh
     assert stays == 0
     wild.run_until(lambda wild: not wild.state.flight.path.circling)
     leg = wild.state.flight.leg
-    assert leg is not None
     tangent = leg.subpath.pose(0.0).tangent_nea
     velocity = wild.velocity
     along = velocity[0] * tangent[0] + velocity[1] * tangent[1]
@@ -130,7 +129,6 @@ def test_a_plane_that_has_circled_for_long_is_not_taken_for_stuck_as_it_sets_out
     wild = Wild.calmly(traits).fly_to(Phase.FLYING)
     wild.run_until(lambda wild: wild.state.flight.path and wild.state.flight.path.circling)
     leg = wild.state.flight.leg
-    assert leg is not None
     start = leg.subpath.pose(0.0)
     flight = replace(wild.state.flight, progress_at_s=wild.now_s - 40.0)
     north, east, up = (float(x) for x in start.position_nea_m - 30.0 * start.tangent_nea)
@@ -160,7 +158,6 @@ def test_a_plane_that_sinks_or_rises_out_of_its_tube_has_left_it(
     wild = Wild.calmly(traits)
     wild.run_until(lambda wild: wild.state.flight.reference.length_m > 60.0)
     state, tube_m = wild.state, wild.mission.task.envelope.tube_m
-    assert state.flight.leg is not None
     pose = state.flight.leg.subpath.pose(state.flight.reference.length_m)
     north, east, up = pose.point_nea_m
     aside_m = 0.9 * wild.mission.task.limits.loiter_radius_m

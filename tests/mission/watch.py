@@ -159,7 +159,7 @@ class Watch:
                 self.estimator, self.error_m = good, error_m
             case events.Order(kind=OrderKind.START | OrderKind.CONTINUE):
                 self.told_by_person = True
-                self.said_go = event.kind is OrderKind.START
+                self.said_go |= event.kind is OrderKind.START
             case events.PlanReady(outcome=outcome) if outcome.plan_id == self.newest:
                 self._prove(outcome)
             case Position() if self.position is None or now > self.position.time_s:
