@@ -381,6 +381,8 @@ def _rebooted(state: State, _event: events.Rebooted, _context: Context) -> Step 
         paused = state.orders.active is Reason.PAUSED
         state = replace(state, orders=orders.paused() if paused else orders)
     waited = state.phase is Phase.READY or state.unready
+    if state.phase is Phase.LANDING:  # it goes on with that, as after a restart
+        state = replace(state, landing=True, sank=state.obeyed)
     state = replace(
         state,
         flight=blank,

@@ -191,7 +191,7 @@ def on_duplicate_id(state: State, event: events.DuplicateId, context: Context) -
 
 
 def _landing_goes_on(state: State) -> Step:
-    """Complete a landing that the previous companion began."""
+    """Complete a landing that was begun before a reboot, or by the previous companion."""
     vehicle = state.vehicle
     if vehicle.landed is Landed.ON_GROUND and not vehicle.armed:
         return state, [], Trigger.LANDED

@@ -524,7 +524,7 @@ class State(Struct, frozen=True, kw_only=True):
     armed_by_us: bool = False
     """Whether the companion requested the arming."""
     landing: bool = False
-    """Whether the previous companion was landing it."""
+    """Whether it was being landed before a reboot, or by the previous companion."""
     sank: bool = False
     """Whether it had taken the land mode then: leaving it was a pilot's decision."""
     news: str = ""

@@ -249,10 +249,10 @@ def test_a_landing_that_was_never_begun_is_asked_for_again(meanwhile: Mode) -> N
     assert craft.landed is Landed.ON_GROUND
 
 
+@pytest.mark.parametrize("reboots", [False, True])
 @pytest.mark.parametrize("broken_off", [False, True])
-def test_a_landing_broken_off_while_the_companion_was_dead(broken_off: bool) -> None:
-    craft = sinking()
-    craft.restart()
+def test_a_landing_goes_on_after_a_restart_or_a_reboot(broken_off: bool, reboots: bool) -> None:
+    craft = sinking().reboot() if reboots else sinking().restart()
     craft.mode = Mode.GUIDED if broken_off else Mode.LAND
     said = craft.during(15.0)
     assert SetMode(mode=Mode.LAND) not in said
