@@ -211,13 +211,13 @@ def sinking() -> Craft:
     return landing().run_until(lambda craft: craft.mode is Mode.LAND).run_for(3.0)
 
 
-@pytest.mark.parametrize("by_hand", [False, True])
-def test_a_landing_broken_off_is_held_where_it_is_until_told(by_hand: bool) -> None:
+@pytest.mark.parametrize("by_hand", [None, Mode.OTHER, Mode.HOLD])
+def test_a_landing_broken_off_is_held_where_it_is_until_told(by_hand: Mode | None) -> None:
     """Into guided mode at once, or by a pilot who gives it back later."""
     craft = sinking()
     said = len(craft.commands)
-    if by_hand:
-        craft.mode = Mode.OTHER
+    if by_hand is not None:
+        craft.mode = by_hand
         craft.run_for(20.0)
         assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.MODE_TAKEN)
     craft.mode, here = Mode.GUIDED, craft.here
