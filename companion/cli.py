@@ -8,12 +8,12 @@ import platform
 import sys
 import time
 import traceback
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, TextIO, cast, final
+from typing import Annotated, NamedTuple, TextIO, cast, final
 
 import typer
 from rich.console import Console
@@ -42,7 +42,7 @@ from companion.mission.events import Outcome
 from companion.mission.mission import Mission
 from companion.paper.compare.command import compare_app
 from companion.path.certificate import bounds_text
-from companion.planner.offline import OfflineFlight, fly_offline
+from companion.planner.offline import fly_offline
 from companion.planning import plan
 from companion.printable import printable
 from companion.replay.command import ProfileName, replay_command
@@ -213,11 +213,12 @@ def fly_command(
         if resume and out is not None and (out / "mission.toml").is_file():
             refuse_older(out)
             mission = _as_begun(mission, out)
-        chosen = _for_system(load_mission(mission, profile), system)
-        _say_notes(chosen, shows.console)
+        chosen = _chosen(mission, profile, system, console)
         folder_path = out or Path("runs") / f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{chosen.name}"
         key = None if signing_key is None else SigningKey(signing_key)
-        recalled = _recalled(folder_path, chosen, shows.console) if resume else None
+        recalled = load_resume_data(folder_path, chosen) if resume else None
+        for line in () if recalled is None else recalled.said:
+            console.out(f"warning: {line}", highlight=False)
         session = Session(
             chosen,
             seed=seed,
@@ -252,8 +253,7 @@ def preflight_command(
     130 stopped by Ctrl-C.
     """
     console = plain_console(soft_wrap=True)
-    chosen = _for_system(load_mission(mission, profile), system)
-    _say_notes(chosen, console)
+    chosen = _chosen(mission, profile, system, console)
     key = None if signing_key is None else SigningKey(signing_key)
     signing = None if key is None else key.signing(clock_s=_clock_s())
     session = Session(chosen, seed=1, lockstep=False, shadow=True, signing=signing)
@@ -324,7 +324,9 @@ def plan_command(
         length_m = draw_offline(flight, chosen, truth, picture)
     said = f"{len(flight.legs)} subpaths, {length_m / 1000:.1f} km, planned in {took_s:.1f} s"
     console.out(f"{said}; picture: {picture}", highlight=False)
-    _exit_as_planned(flight)
+    if (failure := flight.failure) is not None:
+        broken = f" (broken: {bounds_text(failure.broken)})" if failure.broken else ""
+        raise FlightFailed(f"{failure.refusal.value}{broken}", "")
 
 
 @app.command("report")
@@ -355,7 +357,8 @@ def check_command(mission: MissionArgument, profile: ProfileOption = None) -> No
     console = plain_console(soft_wrap=True)
     chosen = load_mission(mission, profile)
     console.print(mission_summary(chosen), highlight=False, markup=False)
-    _say_notes(chosen, console)
+    for note in chosen.notes:
+        console.out(f"note: {note}", highlight=False)
 
 
 def _print_version(wanted: bool) -> None:
@@ -420,26 +423,22 @@ def main() -> None:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Shows:
+class _Shows(NamedTuple):
     """Who is told of a flight."""
 
     console: Console
-    output: PatientOutput
-    """What the console writes to."""
-    machine: MachineLines | None
-    """None: nobody has asked for JSON."""
+    output: PatientOutput  # what the console writes to
+    machine: MachineLines | None  # None: nobody has asked for JSON
 
 
-def _for_system(mission: Mission, system: int | None) -> Mission:
-    """The mission for the vehicle that was asked for."""
-    return mission if system is None else replace(mission, system_id=system)
-
-
-def _say_notes(mission: Mission, console: Console) -> None:
-    """What was assumed or left out when the mission was read."""
-    for note in mission.notes:
+def _chosen(
+    mission: str, profile: ProfileName | None, system: int | None, console: Console
+) -> Mission:
+    """The mission, for the vehicle that was asked for; what was assumed or left out is said."""
+    chosen = load_mission(mission, profile)
+    for note in chosen.notes:
         console.out(f"note: {note}", highlight=False)
+    return chosen if system is None else replace(chosen, system_id=system)
 
 
 def _as_begun(mission: str, folder: Path) -> str:
@@ -452,14 +451,6 @@ def _as_begun(mission: str, folder: Path) -> str:
         rule = f"the flight in {folder} is of another mission, {name!r}"
         raise InputError("MISSION", mission, rule, "Give that one, or a new folder with --out.")
     return begun
-
-
-def _recalled(folder: Path, mission: Mission, console: Console) -> ResumeData:
-    """What a companion before this one has left, and what of it could not be read."""
-    recalled = load_resume_data(folder, mission)
-    for line in recalled.said:
-        console.out(f"warning: {line}", highlight=False)
-    return recalled
 
 
 def _clock_s() -> float:
@@ -538,7 +529,17 @@ def _flown(
                 planner=planner,
                 persist=partial(_keep_time, key, session.signing),
             )
-            folder.run_json(_run_facts(flown, began, connect))
+            facts: dict[str, object] = {
+                "companion": begun.companion,
+                "began": began.isoformat(),
+                "connect": connect,
+                "machine": platform.platform(),
+                "python": platform.python_version(),
+                "wall_s": flown.elapsed_s,
+                "times_real_time": flown.times_real_time,
+                "planning_s": flown.plans_s,
+            }
+            folder.run_json(facts)
         if shows.machine is not None:
             shows.machine.say(flight_status(flown))
             shows.machine.end = flown.end
@@ -593,23 +594,3 @@ def _not_heard(session: Session, connect: str) -> tuple[str, str]:
         return reason, "Start the vehicle, or give the address that it sends to."
     reason, remedy = not_heard(session)
     return reason.replace("none was", "no vehicle was"), remedy
-
-
-def _exit_as_planned(flight: OfflineFlight) -> None:
-    if flight.failure is not None:
-        failure = flight.failure
-        broken = f" (broken: {bounds_text(failure.broken)})" if failure.broken else ""
-        raise FlightFailed(f"{failure.refusal.value}{broken}", "")
-
-
-def _run_facts(flown: FlightSummary, began: datetime, connect: str) -> dict[str, object]:
-    return {
-        "companion": version("companion"),
-        "began": began.isoformat(),
-        "connect": connect,
-        "machine": platform.platform(),
-        "python": platform.python_version(),
-        "wall_s": flown.elapsed_s,
-        "times_real_time": flown.times_real_time,
-        "planning_s": flown.plans_s,
-    }

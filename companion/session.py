@@ -14,10 +14,9 @@ event at the first position at or after request + T, never earlier; in lockstep 
 that position until the plan is delivered (Output.awaits_plan), otherwise the plan is late.
 """
 
-import enum
 import math
-from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterable, Sequence
 from operator import attrgetter
 from typing import Any, Final, final
 
@@ -46,12 +45,13 @@ from companion.mavlink.statustext import StatusTexts, final_text
 from companion.mavlink.terrain_download import MESSAGES as TERRAIN
 from companion.mavlink.terrain_download import ScanClient
 from companion.mission import changes, checkpoint, entries, events, machine
-from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context, parting
+from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context
 from companion.mission.events import Disarm, End, Mode, SetMode, Vector, VehicleStatus
 from companion.mission.mission import Mission
 from companion.mission.pending_plan import PendingPlan
 from companion.mission.start import Resume, Start
 from companion.mission.state import IN_AIR, Phase
+from companion.mission.tables import parting
 from companion.planner.request import PlanOutcome, values_of
 
 _HEARTBEAT: Final = wire.MAVLINK_MSG_ID_HEARTBEAT
@@ -82,25 +82,6 @@ _ROUTINE: Final = (
     events.GroundSeen,
 )
 """Frequent events: without journal entries, and housekeeping can wait."""
-
-
-class Role(enum.Enum):
-    """Components of our vehicle."""
-
-    AUTOPILOT = "its autopilot"
-    RADAR = "its terrain radar"
-    NEAR_SENSOR = "its sensor of near things"
-    __hash__ = object.__hash__  # Enum's is slow, and asked for with every message
-
-
-def _roles_of(mission: Mission) -> dict[int | None, Role]:
-    """Of the components of our vehicle."""
-    sensor = None if mission.near is None else mission.near.component_id
-    return {
-        mission.scanner_component_id: Role.RADAR,
-        sensor: Role.NEAR_SENSOR,
-        AUTOPILOT_COMPONENT: Role.AUTOPILOT,
-    }
 
 
 @final
@@ -171,7 +152,20 @@ class Session:
         """When there is something to do in `_housekeeping`, at the latest; -inf: at once."""
         self._due_at_s = math.inf
         """The same by the clock of the outside."""
-        self._roles = _roles_of(mission)
+        self._handlers: dict[int | None, Callable[[Incoming], None]] = {
+            mission.scanner_component_id: self._on_radar,
+            None if mission.near is None else mission.near.component_id: self._on_near,
+            AUTOPILOT_COMPONENT: self._on_autopilot,
+        }
+        """Of the messages of our vehicle's components, by their ids."""
+        self._listeners: dict[int, list[Callable[[Message, float], None]]] = defaultdict(list)
+        """Sensors that read messages of the autopilot, by number."""
+        if self.near is not None:
+            for number in (*near_scanner.OF_AUTOPILOT, near_scanner.ATTITUDE):
+                self._listeners[number].append(self.near.on_message)
+        if self.rangefinder is not None:
+            for number in (near_sensing.SECTORS, near_scanner.ATTITUDE):
+                self._listeners[number].append(self.rangefinder.on_message)
         self.sensed: dict[int, set[tuple[int, int]]] = {}
         """Messages of sensors by number: system and component of who sends them."""
         self._silence_told_s = 0.0
@@ -283,21 +277,13 @@ class Session:
         if self._dropped:
             self._note("messages dropped", count=self._dropped)
             self._dropped = 0
-        waiting = self._waiting
-        while waiting:
-            heard = waiting.popleft()
+        while self._waiting:
+            heard = self._waiting.popleft()
             if not self._on_message(heard):
-                waiting.appendleft(heard)
+                self._waiting.appendleft(heard)
                 self._out.awaits_plan = True
                 break
-        state, keeper = self.state, self._keeper
-        since_s = self.clock.now_s - keeper.kept_at_s
-        if (
-            not 0.0 <= since_s < checkpoint.LONGEST_S
-            or state.flight.known is not keeper.known
-            or (since_s >= checkpoint.PERIOD_S and checkpoint.persisted(state) != keeper.kept)
-        ):
-            self._keep()
+        self._keep()
         return self.take_output()
 
     def take_output(self) -> Output:
@@ -353,16 +339,15 @@ class Session:
 
         False, without effect, for a position that has to wait for a plan.
         """
-        number, role = heard.number, None
-        is_read = heard.message is not None or number in TIME_ONLY_MESSAGES
-        if is_read:
+        number, component = heard.number, heard.component
+        handle, counts = None, heard.message is not None or number in TIME_ONLY_MESSAGES
+        if counts:
             if number == _HEARTBEAT or self.selector.system_id is None:
                 self._select(heard)
             if heard.system == self.selector.system_id:
-                role = self._roles.get(heard.component)
-            if role is not Role.AUTOPILOT:
-                pass
-            elif number == _POSITION:
+                handle = self._handlers.get(component)
+        if handle is not None and component == AUTOPILOT_COMPONENT:
+            if number == _POSITION:
                 time_s = heard.message.time_boot_ms * 1e-3
                 if (
                     time_s >= self._plan.due_s
@@ -370,25 +355,21 @@ class Session:
                     and self._must_wait_for_plan(time_s)
                 ):
                     return False
-                is_read = self._on_time(time_s, heard, ticks=False)
-            elif (clock := _CLOCKS.get(number)) is not None:
-                is_read = clock(self, heard)
+                counts = self._on_time(time_s, heard, ticks=False)
+                handle = self._on_position
+            else:
+                counts = self._on_clock(heard)
         if number in _SENSED:
-            self.sensed.setdefault(number, set()).add((heard.system, heard.component))
+            self.sensed.setdefault(number, set()).add((heard.system, component))
         self._out.record.append((self.clock.now_s, heard.frame))
-        if heard.component == COMPANION_COMPONENT:
-            self._look_for_duplicates(heard)
-        if is_read and number in COMMANDS:
+        if component == COMPANION_COMPONENT:  # another process with our ids may have sent it
+            found = self._outbox.duplicates.heard(heard.frame, self.selector.system_id, self.now_s)
+            self._handle(found)
+        if counts and number in COMMANDS:
             self._serve(heard)
-        if is_read and role is not None:
-            handler = _HANDLERS.get((role, number)) or _OTHERS[role]
-            handler(self, heard)
+        if counts and handle is not None:
+            handle(heard)
         return True
-
-    def _look_for_duplicates(self, heard: Incoming) -> None:
-        """Check whether another process with our ids has sent it."""
-        system_id = self.selector.system_id
-        self._handle(self._outbox.duplicates.heard(heard.frame, system_id, self.now_s))
 
     def _select(self, heard: Incoming) -> None:
         """Select our vehicle, as long as it is not known."""
@@ -412,24 +393,6 @@ class Session:
         if self.near is not None and heard.number in near_sensing.MESSAGES.values():
             self.near.on_message(heard.message, self.now_s)
 
-    def _look_near(self, position: events.Position | None) -> None:
-        """Tell the mission what the sensor of near things has seen."""
-        assert self.near is not None
-        if position is not None:
-            self.near.on_position(position.time_s, position.position_nea_m)
-        self._handle(self.near.seen(self.now_s))
-
-    def _look_down(self, position: events.Position) -> None:
-        """Tell the mission when the ground is nearer than its map says."""
-        assert self.rangefinder is not None
-        self.rangefinder.on_position(position.time_s, position.position_nea_m)
-        self._handle(self.rangefinder.seen(self.now_s, self.state.flight.known))
-
-    def _on_heartbeat(self, heard: Incoming) -> None:
-        if self.vehicle is None:
-            self._identify_vehicle(heard.message)
-        self._on_autopilot(heard)
-
     def _on_position(self, heard: Incoming) -> None:
         """A position, which drives the mission; a due plan takes effect before it."""
         if (vehicle := self.vehicle) is None:
@@ -439,9 +402,12 @@ class Session:
             self._handle(plan.take(now_s))
         event = vehicle.on_position(heard.message, now_s)
         if self.near is not None:
-            self._look_near(event)
+            if event is not None:
+                self.near.on_position(event.time_s, event.position_nea_m)
+            self._handle(self.near.seen(now_s))
         if event is not None and self.rangefinder is not None:
-            self._look_down(event)
+            self.rangefinder.on_position(event.time_s, event.position_nea_m)
+            self._handle(self.rangefinder.seen(now_s, self.state.flight.known))
         self._handle(event)
         if now_s >= plan.due_s and shadow:
             self._handle(plan.take(now_s))  # the position before may be a second old
@@ -455,35 +421,33 @@ class Session:
 
     def _on_autopilot(self, heard: Incoming) -> None:
         """Any other message of the autopilot."""
-        if (vehicle := self.vehicle) is None:
-            return
-        message, now_s = heard.message, self.clock.now_s
-        if self.near is not None and heard.number in near_scanner.OF_AUTOPILOT:
-            self.near.on_message(message, now_s)
-        if self.rangefinder is not None and heard.number == near_sensing.SECTORS:
-            self.rangefinder.on_message(message, now_s)
-        if replies := vehicle.on_message(message, now_s):
-            self._outbox.send(replies, now_s)
-        self._handle(vehicle.event_of(message, now_s))
-        if vehicle.is_news or vehicle.notes:
-            self._look_at_news(vehicle)
-        self._housekeeping()
-        if (noted := vehicle.journal_entry(message)) is not None:
-            self._note(**noted)
+        message, number, now_s = heard.message, heard.number, self.clock.now_s
+        if number == _HEARTBEAT and self.vehicle is None:
+            self._identify_vehicle(message)
+        if (vehicle := self.vehicle) is not None:
+            for listen in self._listeners.get(number, ()):
+                listen(message, now_s)
+            if number in TIME_ONLY_MESSAGES or number == _TIMESYNC:
+                self._after_time_only(vehicle, heard)
+            else:
+                if replies := vehicle.on_message(message, now_s):
+                    self._outbox.send(replies, now_s)
+                self._handle(vehicle.event_of(message, now_s))
+            if vehicle.is_news or vehicle.notes:
+                self._look_at_news(vehicle)
+            self._housekeeping()
+            if message is not None and (noted := vehicle.journal_entry(message)) is not None:
+                self._note(**noted)
+        if number == _TIMESYNC and message.tc1 == 0:
+            self._answer_timesync(message)
 
-    def _after_time_only(self, heard: Incoming) -> None:
+    def _after_time_only(self, vehicle: AutopilotClient, heard: Incoming) -> None:
         """What may be due after a message that tells the mission nothing but a time."""
-        if (vehicle := self.vehicle) is None:
-            return
+        if heard.number == _TIMESYNC and heard.message.tc1 != 0 and heard.at_s is not None:
+            self._handle(vehicle.on_timesync(heard.message, self.now_s, heard.at_s))
         vehicle.count(heard.number, self.now_s)
         if self.near is not None and heard.number == near_scanner.ATTITUDE:
-            self.near.on_message(heard.message, self.now_s)
-            self._look_near(None)
-        if self.rangefinder is not None and heard.number == near_scanner.ATTITUDE:
-            self.rangefinder.on_message(heard.message, self.now_s)
-        if vehicle.is_news or vehicle.notes:
-            self._look_at_news(vehicle)
-        self._housekeeping()
+            self._handle(self.near.seen(self.now_s))
 
     def _look_at_news(self, vehicle: AutopilotClient) -> None:
         """Handle new events of the autopilot client; its next requests may be due."""
@@ -491,14 +455,8 @@ class Session:
             self._handle(event)
         self._due_s = -math.inf
 
-    def _on_timesync(self, heard: Incoming) -> None:
-        """A TIMESYNC answer, or a request: a simulator in lockstep advances once it is answered."""
-        message = heard.message
-        if self.vehicle is not None and message.tc1 != 0 and heard.at_s is not None:
-            self._handle(self.vehicle.on_timesync(message, self.now_s, heard.at_s))
-        self._after_time_only(heard)
-        if message.tc1 != 0:
-            return
+    def _answer_timesync(self, message: Message) -> None:
+        """A simulator in lockstep advances once its request is answered."""
         self._time_asked += 1
         self._send_all([wire.MAVLink_timesync_message(message.ts1, message.ts1)])
         seldom = self.vehicle is not None and not self.vehicle.autopilot.firmware.asks_time_often
@@ -547,22 +505,22 @@ class Session:
 
     # --- the clock
 
-    def _on_time_only(self, heard: Incoming) -> bool:
-        """Handle a time-only message; whether it is newer, and believed."""
-        time_ms = boot_ms_of(heard.frame, heard.number)
-        assert time_ms is not None
-        return self.clock.is_newer(heard.number, time_ms) and self._on_time(time_ms * 1e-3, heard)
+    def _on_clock(self, heard: Incoming) -> bool:
+        """Take the time that another message of the autopilot tells, if any.
 
-    def _on_system_time(self, heard: Incoming) -> bool:
-        return self._on_time(heard.message.time_boot_ms * 1e-3, heard)
-
-    def _on_simulated_time(self, heard: Incoming) -> bool:
-        if self._lockstep and heard.message.tc1 == 0:
-            self._on_time(heard.message.ts1 * 1e-9, heard)
-        return True
-
-    def _on_beat(self, heard: Incoming) -> bool:
-        if not self.context.shadow and self.clock.beat(heard.message):
+        False: it is doubted, or says no more than one just before.
+        """
+        number, message = heard.number, heard.message
+        if number in TIME_ONLY_MESSAGES:
+            time_ms = boot_ms_of(heard.frame, number)
+            assert time_ms is not None
+            newer = self.clock.is_newer(number, time_ms)
+            return newer and self._on_time(time_ms * 1e-3, heard)
+        if number == wire.MAVLINK_MSG_ID_SYSTEM_TIME:
+            return self._on_time(message.time_boot_ms * 1e-3, heard)
+        if number == _TIMESYNC and self._lockstep and message.tc1 == 0:
+            self._on_time(message.ts1 * 1e-9, heard)
+        elif number == _HEARTBEAT and not self.context.shadow and self.clock.beat(message):
             self._handle(events.Tick(time_s=self.clock.going_on_s))
         return True
 
@@ -609,33 +567,26 @@ class Session:
             at_s is None or at_s < self._due_at_s - _ROUNDING_S
         ):
             return
-        if self.vehicle is not None and self.state.phase is not Phase.WAITING:
-            self._send_all(self.vehicle.on_time(now_s, at_s))
-            while self.vehicle.warnings:
-                self._send_text(self.vehicle.warnings.pop(0), warning=True)
-            while self.vehicle.notes:
-                self._send_text(self.vehicle.notes.pop(0), warning=False)
-        if self._component is not None:
-            faulted = self.state.phase is Phase.FAULTED or self._end is not None
-            self._send_all(self._component.on_time(now_s, self.state, faulted=faulted))
-        elif self._end is None and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
+        vehicle, component, is_over = self.vehicle, self._component, self._end is not None
+        if vehicle is not None and self.state.phase is not Phase.WAITING:
+            self._send_all(vehicle.on_time(now_s, at_s))
+            for texts, warning in ((vehicle.warnings, True), (vehicle.notes, False)):
+                while texts:
+                    self._send_text(texts.pop(0), warning=warning)
+        if component is not None:
+            faulted = self.state.phase is Phase.FAULTED or is_over
+            self._send_all(component.on_time(now_s, self.state, faulted=faulted))
+        elif not is_over and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
             self._mode_asked_at_s = now_s  # no vehicle is known yet: only our heartbeat
             self._send_all([heartbeat(wire.MAV_STATE_STANDBY)])
         self._send_all(self._texts.due(now_s))
-        left = self._last_asked if self._end is not None and not self._settled() else ()
-        if left and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
-            for command in left:
+        if is_over and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S and not self._settled():
+            for command in self._last_asked:
                 self._command(command)
-        self._set_timer()
-
-    def _set_timer(self) -> None:
-        """Set the time of the next housekeeping."""
-        self._due_s, self._due_at_s = -math.inf, math.inf
-        vehicle, component = self.vehicle, self._component
-        if vehicle is None or component is None or self._end is not None or self._texts.is_waiting:
-            return
-        self._due_s = min(vehicle.due_s, component.due_s)
-        self._due_at_s = vehicle.due_at_s
+        self._due_s, self._due_at_s = -math.inf, math.inf  # the next time
+        if vehicle and component and not is_over and not self._texts.is_waiting:
+            self._due_s = min(vehicle.due_s, component.due_s)
+            self._due_at_s = vehicle.due_at_s
 
     def _keep(self, *, at_once: bool = False) -> None:
         """A checkpoint when the mission has moved on, and the map when it has grown."""
@@ -683,11 +634,10 @@ class Session:
         if isinstance(event, VehicleStatus):
             self._status = event
         self.state, commands = machine.step(before, event, self.context)
+        after, noted = self.state, list[entries.Entry | None]()
         if type(event) not in _ROUTINE:
             self._due_s = -math.inf
-            if (noted := entries.of_event(event, self.state)) is not None:
-                self._note(**noted)
-        after = self.state
+            noted = [entries.of_event(event, after)]
         if (
             after.phase is not before.phase
             or after.reason is not before.reason
@@ -696,8 +646,9 @@ class Session:
             or after.airborne is not before.airborne
         ):
             self._due_s = -math.inf
-            for moved in entries.of_change(before, after):
-                self._note(**moved)
+            noted += entries.of_change(before, after)
+        for entry in filter(None, noted):
+            self._note(**entry)
         ends = End in map(type, commands)
         for command in commands:
             if type(command) is events.Setpoint:
@@ -718,9 +669,8 @@ class Session:
         """Send it at once, in shadow never; one that the wire has no numbers for is an error."""
         if (vehicle := self.vehicle) is None or self.context.shadow:
             return
-        circle_m = self.state.task.limits.loiter_radius_m
-        frame, system_id = self.mission.frame, vehicle.system_id
-        messages = vehicle.autopilot.setpoint(setpoint, frame, system_id, circle_m)
+        circle_m, frame = self.state.task.limits.loiter_radius_m, self.mission.frame
+        messages = vehicle.autopilot.setpoint(setpoint, frame, vehicle.system_id, circle_m)
         if messages is not None:
             self._outbox.send(messages, self.clock.now_s)
             return
@@ -787,25 +737,3 @@ class Session:
 
     def _note(self, kind: str, **values: Any) -> None:
         self._out.journal.append({"t_s": round(self.now_s, 6), "kind": kind, **values})
-
-
-_CLOCKS: Final[Mapping[int, Callable[[Session, Incoming], bool]]] = {
-    _HEARTBEAT: Session._on_beat,
-    _TIMESYNC: Session._on_simulated_time,
-    wire.MAVLINK_MSG_ID_SYSTEM_TIME: Session._on_system_time,
-    **dict.fromkeys(TIME_ONLY_MESSAGES, Session._on_time_only),
-}
-"""Time handlers of autopilot messages other than positions; they return whether to go on."""
-
-_HANDLERS: Final[Mapping[tuple[Role, int], Callable[[Session, Incoming], None]]] = {
-    (Role.AUTOPILOT, _POSITION): Session._on_position,
-    (Role.AUTOPILOT, _HEARTBEAT): Session._on_heartbeat,
-    (Role.AUTOPILOT, _TIMESYNC): Session._on_timesync,
-    **{(Role.AUTOPILOT, number): Session._after_time_only for number in TIME_ONLY_MESSAGES},
-}
-_OTHERS: Final[Mapping[Role, Callable[[Session, Incoming], None]]] = {
-    Role.AUTOPILOT: Session._on_autopilot,
-    Role.RADAR: Session._on_radar,
-    Role.NEAR_SENSOR: Session._on_near,
-}
-"""The dispatch table; default handlers by role."""

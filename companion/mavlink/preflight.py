@@ -21,9 +21,10 @@ from companion.mavlink.rangefinder import Rangefinder
 from companion.mavlink.signing import Signing
 from companion.mavlink.who import TO_COMPONENT_1, ids_in_words
 from companion.mission import ground, stopped
+from companion.mission.battery import battery_lasts
 from companion.mission.decisions import Context, is_duplicate_suspected
 from companion.mission.events import Item, Landed, Prepared, ScanDone, Vector
-from companion.mission.health import battery_lasts, distrust
+from companion.mission.health import distrust
 from companion.mission.mission import Mission
 from companion.mission.state import Phase, Reason, State
 from companion.world.near_map import NearSensor

@@ -7,15 +7,16 @@ from typing import Any, Final
 from msgspec.structs import replace
 
 from companion.mission import events, following, ground
+from companion.mission.battery import battery_is_short
 from companion.mission.decisions import Context, Step, fault, give_up, preceded, with_hold_reason
 from companion.mission.events import Command, Event, Landed, say, warn
-from companion.mission.health import battery_is_short
 from companion.mission.state import (
     ON_PATH,
     ON_SETPOINTS,
     OVER,
     Answered,
     Flight,
+    Held,
     Hold,
     Orders,
     Phase,
@@ -26,7 +27,8 @@ from companion.mission.state import (
     Vehicle,
     Way,
 )
-from companion.mission.stopped import fence_breached, resumed
+from companion.mission.stopped import resumed, taken
+from companion.mission.tables import is_breach_of_fence
 from companion.planner.progress import NO_PROGRESS
 from companion.planner.recheck import is_touched, meets_near_things
 from companion.planner.rules import target_refusal
@@ -158,17 +160,17 @@ def _with_near_things(state: State, event: events.NearSeen, _context: Context) -
         state = state.told(sees_m=sees_m)
         says = [warn(f"sensor sees {sees_m:g} m of R = {range_m:g} m")]
     state = state.told(sight=event.sight)
-    flight = state.flight
-    if state.phase not in ON_PATH or flight.leg is None:
+    path = state.flight.path
+    if state.phase not in ON_PATH or path is None:
         return state, says, None
-    stops_for = None if flight.stop is None else flight.stop.reason
+    stops_for = None if path.stop is None else path.stop.reason
     if event.sight.is_blind:
-        if flight.returning or stops_for is not None:
+        if state.flight.returning or stops_for is not None:
             return state, says, None  # what was flown before is flown again
         says.append(warn(Reason.SENSOR_SILENT.text))
         return preceded(says, following.stop(state, Reason.SENSOR_SILENT))
     kept_m = state.task.settings.safety_distance_m + state.task.limits.tracking_error_m
-    legs = [(flight.leg, following.vehicle_at_m(state, flight.leg)), (flight.next_leg, 0.0)]
+    legs = [(path.leg, following.vehicle_at_m(state, path)), (path.next_leg, 0.0)]
     if stops_for is not Reason.NEW_THREAT and any(
         leg and meets_near_things(leg, at_m, event.near, kept_m) for leg, at_m in legs
     ):
@@ -183,8 +185,8 @@ def _on_ground_seen(state: State, event: events.GroundSeen, _context: Context) -
     for it, too.
     """
     state = state.told(ground_above_m=event.above_m)
-    flight = state.flight
-    follows = state.phase is Phase.FLYING and flight.leg is not None and flight.stop is None
+    flight, path = state.flight, state.flight.path
+    follows = state.phase is Phase.FLYING and path is not None and path.stop is None
     if not event.above_m or not follows or flight.returning or flight.homeward:
         return state, [], None
     says = warn(f"{Reason.GROUND_NEARER.text}: by {event.above_m:.1f} m")
@@ -209,10 +211,6 @@ def _inside(state: State) -> str:
 
 
 # --- targets and orders
-
-
-def _with_vehicles_targets(state: State, event: events.TargetsChanged, _context: Context) -> Step:
-    return _with_targets(state, event.targets_ne_m, _OF_VEHICLE)
 
 
 def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], why: str) -> Step:
@@ -274,22 +272,25 @@ def _ordered(state: State, order: events.Order, context: Context) -> Step:
         case events.OrderKind.RETURN:
             waits = state.fence_unread_s is not None and not context.mission.goes_on_while_reading
             text = "it returns once the changed fence is read, or goes on being read for too long"
-            return preceded([say(text)] if waits else [], _return(state))
-        case events.OrderKind.LAND:
-            return _land(state)
+            on_its_way = state.flight.returning or state.flight.homeward
+            step = _back_again(state) if on_its_way else _stop_for(state, Reason.RETURN_ASKED)
+            return preceded([say(text)] if waits else [], step)
+        case events.OrderKind.LAND:  # once it has stopped
+            lands = state.phase is Phase.LANDING or state.orders.active is Reason.LAND_ASKED
+            return (state, [], None) if lands else _stop_for(state, Reason.LAND_ASKED)
 
 
 def _go_on(state: State) -> Step:
     """End a pause: the order suspended by it is active again."""
-    stop, wanted = state.flight.stop, state.orders.suspended or Reason.CONTINUED
+    wanted = state.orders.suspended or Reason.CONTINUED
     state = replace(state, orders=state.orders.continued())
-    if state.phase in ON_PATH and stop is not None and stop.reason is Reason.PAUSED:  # it brakes
-        return state.with_flight(stop=replace(stop, reason=wanted)), [say("going on")], None
+    if state.phase in ON_PATH and (after := _braking_for(state, wanted, Reason.PAUSED)):
+        return after, [say("going on")], None
     if state.hold is Hold.PAUSED:
         return preceded([say("going on")], resumed(state))
     if state.hold is Hold.TAKEN_OVER:
-        taken_over = replace(state.taken_over, released_at_s=state.now_s)
-        return replace(state, taken_over=taken_over), [], None
+        released = Held(Hold.TAKEN_OVER) if state.held is None else state.held
+        return replace(state, held=replace(released, released_at_s=state.now_s)), [], None
     return state, [], None
 
 
@@ -308,32 +309,24 @@ def _pause(state: State) -> Step:
     return state, [say(Reason.PAUSED.text)], None
 
 
-def _return(state: State) -> Step:
-    if state.flight.returning or state.flight.homeward:  # or paused or told to land on its way
-        return _back_again(state)
-    return _stop_for(state, Reason.RETURN_ASKED)
-
-
 def _back_again(state: State) -> Step:
     """Go on with the backtrack."""
-    stop, orders = state.flight.stop, state.orders
+    orders = state.orders
     if Reason.LAND_ASKED not in (orders.active, orders.suspended):
         return _go_on(state) if orders.active is Reason.PAUSED else (state, [], None)
     state = replace(state, orders=Orders())
-    if stop is not None and stop.reason in (Reason.PAUSED, Reason.LAND_ASKED):
-        state = state.with_flight(stop=replace(stop, reason=Reason.CONTINUED))
-    elif state.hold in (Hold.PAUSED, Hold.LAND):
-        state = with_hold_reason(state, Reason.CONTINUED)
-    else:
-        return state, [], None
-    return state, [say("going on")], None
+    after = _braking_for(state, Reason.CONTINUED, Reason.PAUSED, Reason.LAND_ASKED)
+    if after is None and state.hold in (Hold.PAUSED, Hold.LAND):
+        after = with_hold_reason(state, Reason.CONTINUED)
+    return (state, [], None) if after is None else (after, [say("going on")], None)
 
 
-def _land(state: State) -> Step:
-    """Land where it is, once it has stopped."""
-    if state.phase is Phase.LANDING or state.orders.active is Reason.LAND_ASKED:
-        return state, [], None
-    return _stop_for(state, Reason.LAND_ASKED)
+def _braking_for(state: State, reason: Reason, *before: Reason) -> State | None:
+    """The state if it stops on its path for another reason than one of those before."""
+    path = state.flight.path
+    if path is None or path.stop is None or path.stop.reason not in before:
+        return None
+    return state.with_flight(path=replace(path, stop=replace(path.stop, reason=reason)))
 
 
 def _stop_for(state: State, order: Reason) -> Step:
@@ -355,7 +348,7 @@ def _stop_for(state: State, order: Reason) -> Step:
 
 def _fence_breach(state: State, event: events.FenceBreach, _context: Context) -> Step:
     state = state.told(fence_breached_at_s=event.time_s)
-    return fence_breached(state) or (state, [], None)
+    return taken(state) if is_breach_of_fence(state) else (state, [], None)
 
 
 def _prepared(state: State, event: events.Prepared, _context: Context) -> Step | None:
@@ -388,6 +381,8 @@ def _rebooted(state: State, _event: events.Rebooted, _context: Context) -> Step 
         paused = state.orders.active is Reason.PAUSED
         state = replace(state, orders=orders.paused() if paused else orders)
     waited = state.phase is Phase.READY or state.unready
+    if state.phase is Phase.LANDING:  # it goes on with that, as after a restart
+        state = replace(state, landing=True, sank=state.obeyed)
     state = replace(
         state,
         flight=blank,
@@ -406,7 +401,7 @@ HANDLERS: Final[dict[type[Event], Callable[[State, Any, Context], Step | None]]]
     events.FenceChanged: _with_fence,
     events.FenceReading: _fence_reading,
     events.FenceBreach: _fence_breach,
-    events.TargetsChanged: _with_vehicles_targets,
+    events.TargetsChanged: lambda state, e, _: _with_targets(state, e.targets_ne_m, _OF_VEHICLE),
     events.Order: _ordered,
     events.Rebooted: _rebooted,
     events.Prepared: _prepared,

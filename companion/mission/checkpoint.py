@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from companion.mission.events import FenceChanged
 from companion.mission.mission import Mission
-from companion.mission.state import IN_AIR, Orders, Phase, Reason, State, Way
+from companion.mission.state import IN_AIR, OnPath, Orders, Phase, Reason, State, Way
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
 from companion.planner.request import FlownSegment, Refusal, control_points
@@ -49,6 +49,7 @@ def values_of(state: State) -> Values:
         "standing": _plain(state.orders.active),
         "set_aside": _plain(state.orders.suspended),
         **{name: _plain(getattr(flight, name)) for name in (*_OF_FLIGHT, *_WAY)},
+        "joined_m": 0.0 if flight.path is None else flight.path.joined_m,
     }
 
 
@@ -139,11 +140,12 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     state = State.of(mission, known).with_fence(mission.task, kept["fence"])
     rules = state.task
     back = tuple(leg for each in values["back"] if (leg := _leg(each, rules)) is not None)
+    leg, next_leg = _leg(values["leg"], rules), _leg(values["next_leg"], rules)
+    joined_m = float(values["joined_m"])
     flight = replace(
         state.flight,
         **_read(values, _OF_FLIGHT),
-        leg=_leg(values["leg"], rules),
-        next_leg=_leg(values["next_leg"], rules),
+        path=None if leg is None else OnPath(leg=leg, next_leg=next_leg, joined_m=joined_m),
         way=Way.BACK if values["returning"] else Way.HOME if values["homeward"] else Way.OUT,
         back=back if values["returning"] else (),
     )
@@ -250,7 +252,6 @@ _OF_STATE: Final[dict[str, Callable[[Any], Any]]] = {
 }
 _OF_FLIGHT: Final[dict[str, Callable[[Any], Any]]] = {
     **dict.fromkeys(("target", "plan_id", "legs_flown", "stops", "departures"), int),
-    "joined_m": float,
     "route_ne_m": _places,
     "flown": _segments,
     "refusal": lambda name: None if name is None else Refusal[name],

@@ -7,14 +7,12 @@ from typing import final
 from msgspec.structs import replace
 
 from companion.mission import events
-from companion.mission.events import Command, Event, Landed, LinkLost, Mode, Position, say
+from companion.mission.events import Command, Landed, Position, say
 from companion.mission.health import astray_m, may_differ_m
 from companion.mission.mission import Mission
-from companion.mission.state import IN_AIR, Hold, Phase, Reason, State, TakenOver, Trigger, Vehicle
-from companion.mission.vehicle_traits import UNKNOWN, TakeoffSequence
+from companion.mission.state import Held, Reason, State, Trigger
 from companion.path.certificate import bounds_text
 from companion.planner.request import Refusal
-from companion.world.zones import nearest
 
 Step = tuple[State, list[Command], Trigger | None]
 """The new state, commands, and the trigger of a phase change."""
@@ -25,12 +23,10 @@ GONE_IN_AIR_S = 600.0
 STOPPED_M_S = 0.5
 AT_M = 5.0
 LANDING_ABORTED = "landing broken off: MISSION_START to the companion lands it"
-_HEARTBEAT_S = 5.0  # four or five of them missed (mavlink.md 2.1)
+HEARTBEAT_S = 5.0  # four or five of them missed (mavlink.md 2.1)
 _GROUNDED_S = 1.5
-_COMES_BACK_S = 3.0  # PX4 takes a stream up again within a second (px4.md 6)
 _FENCE_READ_S = 3.0  # for a changed fence; a few items are read in less, also by a slow radio
 _FENCE_GIVEN_UP_S = 300.0  # twice what 5,010 items took; who does not answer is asked for ever
-_FENCE_S = 5.0  # between a breach of the fence, and what the autopilot does about it
 _SUSPECT_S = 2.5  # another companion with our ids may have died meanwhile
 _ACTS_S = 15.0  # EKF failsafes come 1 to 10 s after the first doubt (ardupilot.md 5; px4.md 8)
 _THERE_S = 5.0
@@ -112,46 +108,6 @@ def longest_silence_s(state: State, context: Context) -> float:
     return GONE_IN_AIR_S if state.airborne and not context.lockstep else GONE_S
 
 
-def takeover_reason(state: State) -> Reason:
-    """Who has changed the mode: the pilot, or the autopilot for its fence or another failsafe.
-
-    A fence breach is reported, or inferred from a failsafe outside of the fence (PX4).  A pilot who
-    selects hold, return or land during a failsafe cannot be told from the failsafe.
-    """
-    vehicle = state.vehicle
-    if vehicle.mode not in (Mode.HOLD, Mode.RETURN, Mode.LAND):
-        return Reason.MODE_TAKEN
-    said = 0.0 <= state.now_s - vehicle.fence_breached_at_s < _FENCE_S
-    acts = (
-        vehicle.traits.needs_setpoints_before_offboard
-        and vehicle.failsafe
-        and (_is_out_of_its_fence(state) or _is_held_by_what_it_misreads(state))
-    )
-    if said or acts:
-        return Reason.FENCE_BREACHED
-    return Reason.FAILSAFE if vehicle.failsafe else Reason.MODE_TAKEN
-
-
-def _is_held_by_what_it_misreads(state: State) -> bool:
-    """Whether PX4 goes on holding although setpoints come, with a fence that it misreads.
-
-    Where it keeps out then nobody else knows (px4.md 7); a lost stream it would have taken up.
-    """
-    fence, lost = state.fence, state.hold is Hold.STREAM_LOST
-    return fence is not None and fence.misread and lost and in_phase_s(state) > _COMES_BACK_S
-
-
-def _is_out_of_its_fence(state: State) -> bool:
-    """Whether the vehicle's position violates its own fence."""
-    fence, here = state.fence, state.vehicle.position_nea_m
-    if fence is None or here is None:
-        return False
-    error_m = state.task.error_m
-    if fence.ceiling_amsl_m is not None and here[2] > fence.ceiling_amsl_m - error_m:
-        return True
-    return nearest(fence.zones, here[0], here[1])[1] < error_m
-
-
 def waits_for_fence(state: State, context: Context) -> bool:
     """Whether nothing is flown on until the changed fence is known; not by a low battery.
 
@@ -175,13 +131,7 @@ def fence_is_given_up(state: State) -> bool:
 
 def is_silent(state: State) -> bool:
     """Whether there are no heartbeats: then it is unknown who controls the vehicle."""
-    return state.now_s - state.vehicle.status_at_s > _HEARTBEAT_S
-
-
-def _lost_stream(vehicle: Vehicle) -> bool:
-    """Whether it holds because setpoints were lost on the link (PX4), not on a pilot's command."""
-    needs_it = vehicle.traits.needs_setpoints_before_offboard
-    return needs_it and vehicle.failsafe and vehicle.mode is Mode.HOLD
+    return state.now_s - state.vehicle.status_at_s > HEARTBEAT_S
 
 
 def is_grounded(state: State) -> bool:
@@ -189,65 +139,6 @@ def is_grounded(state: State) -> bool:
     vehicle = state.vehicle
     on_ground = vehicle.landed is Landed.ON_GROUND
     return on_ground and state.now_s - vehicle.landed_at_s > _GROUNDED_S
-
-
-def is_own_takeoff(state: State) -> bool:
-    """Whether the autopilot's take-off mode was requested by us."""
-    return (
-        state.phase in (Phase.ARMING, Phase.TAKING_OFF)
-        or state.hold is Hold.TAKE_OVER
-        or _still_goes_up(state)
-    )
-
-
-def _still_goes_up(state: State) -> bool:
-    """Whether it may still be in the take-off that we asked for, after a fault or a silence."""
-    begun = state.armed_by_us and state.flight.plan_id == 0 and not state.taken
-    return begun and state.phase in (Phase.PREPARING, Phase.HOLDING)
-
-
-def is_under_control(state: State) -> bool:
-    """Whether the vehicle does what we asked of it, or will: if we end it must be told to hold.
-
-    Its last heartbeat may be from before what we asked last.
-    """
-    vehicle, phase, mode = state.vehicle, state.phase, state.vehicle.mode
-    if vehicle.traits is UNKNOWN or is_second_companion(state):
-        return False
-    ours = mode is Mode.GUIDED or (mode is Mode.TAKE_OFF and is_own_takeoff(state))
-    if phase is Phase.HOLDING and state.reason is Reason.BROKEN_OFF:
-        return ours or mode is Mode.HOLD or not vehicle.armed
-    if phase is Phase.ARMING:  # on the ground, before it was obeyed, no pilot has taken it
-        asked = state.asks > 0 or state.armed_by_us
-        return asked and (ours or (not state.obeyed and vehicle.landed is Landed.ON_GROUND))
-    if phase is Phase.TAKING_OFF or (_still_goes_up(state) and is_grounded(state)):
-        by_itself = vehicle.traits.take_off is not TakeoffSequence.GUIDED_THEN_CLIMB
-        return ours or (mode is Mode.HOLD and by_itself)  # which ends its take-off
-    waits = mode is Mode.HOLD and state.asks > 0
-    flies = state.airborne and phase in (*IN_AIR, Phase.PREPARING)
-    return flies and vehicle.armed and not is_grounded(state) and (ours or waits)
-
-
-def parting(state: State, *, stopped: bool = False) -> list[events.SetMode | events.Disarm]:
-    """What the vehicle is told when the companion goes: to hold; on the ground, to stay there.
-
-    stopped: a person wants it; then a landing of ours is broken off, too, which goes on otherwise.
-    """
-    vehicle = state.vehicle
-    if not is_under_control(state):
-        lands = state.phase is Phase.LANDING and vehicle.mode is Mode.LAND
-        lands = lands and vehicle.armed and not is_grounded(state)
-        return [events.SetMode(mode=Mode.HOLD)] if stopped and lands else []
-    at = state.flight.hover_nea_m if vehicle.mode is Mode.GUIDED else None
-    hold = events.SetMode(mode=Mode.HOLD, at_nea_m=at)
-    goes_up = state.phase is Phase.TAKING_OFF or _still_goes_up(state)
-    down = goes_up and is_grounded(state)
-    if state.phase is Phase.ARMING:
-        down = vehicle.landed is Landed.ON_GROUND
-    if down and state.armed_by_us:
-        # in this order: the first counts should it be in the air by now
-        return [hold, events.Disarm()]
-    return [hold]
 
 
 def is_duplicate_suspected(state: State) -> bool:
@@ -286,7 +177,7 @@ def with_hold_reason(state: State, reason: Reason) -> State:
     """Held for this reason from now on; what is known of who has it is kept as long as he has."""
     if state.hold is not reason.hold:
         why = seen_cause(state) if reason is Reason.FAILSAFE else None
-        state = replace(state, hold=reason.hold, taken_over=TakenOver(why=why))
+        state = replace(state, held=Held(reason.hold, why=why))
     return replace(state, reason=reason, since_s=state.now_s, asked_at_s=-1e9, asks=0, obeyed=False)
 
 
@@ -297,36 +188,6 @@ def held(state: State, reason: Reason) -> tuple[State, events.StatusText]:
     return with_hold_reason(state, reason), say(text, "phase", warning=reason.warns)
 
 
-def cannot_fly(
-    state: State,
-    event: Event,
-    modes: tuple[Mode, ...] = (Mode.GUIDED,),
-    *,
-    may_be_grounded: bool = False,
-) -> Reason | None:
-    """Why the flight cannot go on; None: it can.
-
-    That the vehicle does not obey takes precedence over an invalid position.
-    """
-    vehicle = state.vehicle
-    if isinstance(event, LinkLost) or state.now_s - vehicle.status_at_s > _HEARTBEAT_S:
-        return Reason.LINK_LOST
-    if not vehicle.armed:
-        return Reason.DISARMED
-    if vehicle.mode not in modes:
-        taken = takeover_reason(state)
-        lost = taken is not Reason.FENCE_BREACHED and _lost_stream(vehicle)
-        return Reason.STREAM_LOST if lost else taken
-    if not may_be_grounded and vehicle.landed is Landed.ON_GROUND and is_grounded(state):
-        return Reason.GROUNDED
-    return vehicle.distrust
-
-
-def speed_m_s(event: Position) -> float:
-    """Speed over all axes."""
-    return math.hypot(*event.velocity_nea_m_s)
-
-
 def is_at_rest(state: State, event: Position) -> bool:
     """Whether the vehicle is at rest, or loitering if it is a plane."""
-    return not state.vehicle.traits.hovers or speed_m_s(event) < STOPPED_M_S
+    return not state.vehicle.traits.hovers or math.hypot(*event.velocity_nea_m_s) < STOPPED_M_S

@@ -79,8 +79,9 @@ def of_change(before: State, after: State) -> Iterator[Entry]:
             reason=None if after.reason is None else after.reason.text,
             code=None if after.reason is None else after.reason.name,
         )
-    if after.flight.left_path_m and not before.flight.left_path_m:
-        yield _entry(journal.PathLeft, after.flight)
+    path, was_on = after.flight.path, before.flight.path
+    if path is not None and path.outside_m and not (was_on is not None and was_on.outside_m):
+        yield _entry(journal.PathLeft, left_path_m=path.outside_m)
     if after.flight.legs_flown != before.flight.legs_flown:
         yield _entry(journal.LegBegun, number=after.flight.legs_flown)
 

@@ -1,7 +1,6 @@
 """The phases on a path, flying and returning (design 6 and 7).
 
-Out: follow a leg, scan, plan, go on to the next.  Back: along the flown path, each segment of it
-proven again; from where it does not lead home, home is planned to like a target.
+Out: follow a leg, scan, plan, go on to the next.  Back: along the flown path (`way_back`).
 """
 
 import math
@@ -9,38 +8,35 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import events, following, joining
+from companion.mission import events, following, way_back
+from companion.mission.battery import battery_runs_low, battery_warning, given_up_for_battery
 from companion.mission.decisions import (
     AT_M,
     Context,
     Step,
-    cannot_fly,
     fault,
     give_up,
     in_words,
+    is_silent,
     preceded,
     waits_for_fence,
 )
-from companion.mission.events import Command, Event, PlanReady, Position, Vector, say, warn
+from companion.mission.events import Command, Event, Mode, PlanReady, Position, Vector, say, warn
 from companion.mission.following import at_rest, at_rest_at_end, hold_setpoint
-from companion.mission.health import battery_forecast, battery_is_short
-from companion.mission.home import begins_at_home, beyond_path_m, home_ne_m, is_above_home
 from companion.mission.state import (
     Answered,
     Flight,
-    Orders,
+    OnPath,
     Planning,
-    PlanningBacktrack,
     Reason,
     Scanning,
     State,
     Trigger,
     Way,
 )
-from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle
+from companion.planner.procedure import Leg, hover_pose, is_on_circle
 from companion.planner.progress import NO_PROGRESS
-from companion.planner.request import Backtrack, NotPlanned, Planned, PlanRequest, Refusal
-from companion.planner.rules import target_refusal
+from companion.planner.request import NotPlanned, Planned, PlanRequest
 from companion.planner.settings import Task
 from companion.world.columns import distance_to_terrain_m
 from companion.world.known_map import proven_range_m
@@ -49,51 +45,18 @@ from companion.world.zones import nearest
 _STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow
 _ANSWER_SLACK_S = 60.0
 _DEPARTURES, _DEPARTURES_NEAR = 3, 10  # the latter where a tracking error is a few decimetres
-_MAX_STOPS = 12  # on the way to one target, for want of a successor
-_MAX_STOPS_NEAR = 100  # where sight is short
 _LEVEL_M_S = 1.0
 _TURNS = 3.0
 _CIRCLE_SLACK_M = 0.5  # a leg may end where its circle just keeps the clearance
 _SHORT_SIGHTED = 0.8  # of R
 _MORE_SCANS = 2  # from rest, if the radar has left something out
-_TOLD_FORECAST, _TOLD_SHORT = 1, 2
-_NO_WAY_OUT = frozenset({Refusal.START_NEAR_TERRAIN, Refusal.START_NEAR_UNKNOWN})
-"""From where nothing leads away nothing leads home either: only the autopilot climbs out."""
 
 
 def flying(state: State, event: Event, context: Context) -> Step:
-    """Follow the leg, or wait for one; stop if that becomes unsafe."""
-    reason = cannot_fly(state, event)
-    if reason is not None:
-        return fault(replace(state, flight=at_rest(state.flight, None)), reason)
-    match event:
-        case Position():
-            return _on_position(state, event, context)
-        case events.ScanDone():
-            return on_scan(state, event, context)
-        case PlanReady():
-            return on_plan(state, event)
-        case events.PlanLate():
-            return on_late_plan(state, event)
-        case _:
-            return state, [], None
-
-
-def returning(state: State, event: Event, context: Context) -> Step:
-    """Follow the backtrack leg by leg; stop if that becomes unsafe."""
-    reason = cannot_fly(state, event)
-    if reason is not None:
-        return fault(_stopped(state), reason)
+    """Follow the leg, or hold while there is none."""
     if not isinstance(event, Position):
-        return state, [], None
-    state, warning = battery_warning(state, context)
-    state, trigger = _stop_for_fence(state, context)
-    return preceded(warning, (state, [], trigger) if trigger else _lead(state, event, context))
-
-
-def _on_position(state: State, event: Position, context: Context) -> Step:
-    """On the way out: hold while there is no leg, else follow it."""
-    if state.flight.leg is None and (step := circling_near_zone(state, event)) is not None:
+        return on_answer(state, event, context)
+    if state.flight.path is None and (step := circling_near_zone(state)) is not None:
         return step
     is_short = state.vehicle.battery_short_at_s is not None  # perhaps: it has to last a while
     if is_short and battery_runs_low(state):
@@ -104,28 +67,52 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
         state, trigger = _stop_for_fence(state, context)
         if trigger is not None:
             return state, [], trigger
-    state, warning = battery_warning(state, context)
-    fly = _hover if state.flight.leg is None else _lead
+    state, warning = battery_warning(state, context.mission)
+    fly = _hover if state.flight.path is None else _lead
     step = fly(state, event, context)
     return preceded(warning, step) if warning else step
 
 
+def on_answer(state: State, event: Event, context: Context) -> Step:
+    """What radar and planner have found."""
+    match event:
+        case events.ScanDone():
+            return _on_scan(state, event, context)
+        case PlanReady():
+            return _on_plan(state, event)
+        case events.PlanLate(plan_id=plan_id) if plan_id == state.flight.plan_id:
+            # the leg is flown to its end unless the plan comes before p_prog
+            return state.with_flight(shortfall=Reason.PLAN_LATE), [], None
+        case _:
+            return state, [], None
+
+
+def returning(state: State, event: Event, context: Context) -> Step:
+    """Follow the backtrack leg by leg."""
+    if not isinstance(event, Position):
+        return state, [], None
+    state, warning = battery_warning(state, context.mission)
+    state, trigger = _stop_for_fence(state, context)
+    return preceded(warning, (state, [], trigger) if trigger else _lead(state, event, context))
+
+
 def _stop_for_fence(state: State, context: Context) -> tuple[State, Trigger | None]:
     """Stop on the path if a changed fence is not known for too long."""
-    unread = state.fence_unread_s is not None and state.flight.stop is None
-    if not unread or not waits_for_fence(state, context):
+    stops = state.fence_unread_s is None or state.flight.stop is not None
+    if stops or not waits_for_fence(state, context):
         return state, None
     state, _, trigger = following.stop(state, Reason.FENCE_UNREAD)
     return state, trigger
 
 
-def circling_near_zone(state: State, event: Position) -> Step | None:
+def circling_near_zone(state: State) -> Step | None:
     """What is said of a plane's circle, once where it waits for a leg; None: left to the phase."""
-    flight, hover = state.flight, state.flight.hover_nea_m
-    if state.vehicle.traits.hovers or flight.leg is not None or hover is None:
+    flight, hover, vehicle = state.flight, state.flight.hover_nea_m, state.vehicle
+    if vehicle.traits.hovers or flight.path is not None or hover is None:
         return None
     task, place = flight.loiter_checked or (None, None)
-    if (task is state.task and place == hover) or cannot_fly(state, event) is not None:
+    led = vehicle.mode is Mode.GUIDED and vehicle.distrust is None and not is_silent(state)
+    if (task is state.task and place == hover) or not led:
         return None
     zone, gap_m = nearest(state.task.zones, hover[0], hover[1])
     near = zone is not None and gap_m < state.task.zone_clearance_m - _CIRCLE_SLACK_M
@@ -133,74 +120,41 @@ def circling_near_zone(state: State, event: Position) -> Step | None:
     return state.with_flight(loiter_checked=(state.task, hover)), [*says], None
 
 
-def max_stops(context: Context) -> int:
-    """Stops on the way to one target after which it is given up."""
-    return _MAX_STOPS if context.mission.near is None else _MAX_STOPS_NEAR
-
-
-def battery_runs_low(state: State) -> bool:
-    """Whether the battery ends the mission, or a pause.
-
-    Not for a mission that was already given up.
-    """
-    if not battery_is_short(state):
-        return False
-    if state.reason is Reason.PAUSED:
-        return True
-    flight = state.flight
-    ordered = state.orders.active in (Reason.RETURN_ASKED, Reason.LAND_ASKED)
-    return flight.fallen_back is None and not (flight.homeward or ordered)
-
-
-def given_up_for_battery(state: State) -> State:
-    """Give up the mission for its fallback, or continue the return in progress."""
-    flight, low = state.flight, Reason.BATTERY_LOW
-    fallen_back = flight.fallen_back if flight.returning or flight.homeward else low
-    state = replace(state, orders=replace(state.orders, active=low))
-    return state.with_flight(battery_told=_TOLD_SHORT, fallen_back=fallen_back)
-
-
-def battery_warning(state: State, context: Context) -> tuple[State, list[Command]]:
-    """Warn once that the battery will not last at the current rate, and once that it does not."""
-    told, tells = state.flight.battery_told, 0
-    if state.vehicle.battery_short_at_s is not None and battery_is_short(state):
-        tells = _TOLD_SHORT
-    elif told < _TOLD_FORECAST and not battery_forecast(state, context.mission):
-        tells = _TOLD_FORECAST
-    if tells <= told:
-        return state, []
-    return state.with_flight(battery_told=tells), [warn(Reason.BATTERY_LOW.text)]
-
-
 def _lead(state: State, event: Position, context: Context) -> Step:
     """Advance the reference point and send it; on the way out scan at p_scan."""
-    if state.flight.circling and following.still_loiters(state, event):
+    path = state.flight.path
+    assert path is not None
+    if path.circling and following.still_loiters(state, path, event):
         return _circle(state, event, context)
-    flight = following.advance_reference(state, event)
-    returns = flight.way is Way.BACK
-    if returns and flight.leg is not state.flight.leg:  # onto what was the next stretch
-        flight = _with_next(flight)
+    leg, returns = path.leg, state.flight.way is Way.BACK
+    flight = following.advance_reference(state, path, event)
+    path = flight.path
+    assert path is not None
+    if returns and path.leg is not leg:  # onto what was the next stretch
+        flight, path = way_back.with_next(flight, path)
     if state.now_s - flight.progress_at_s > _STUCK_S:
         return give_up(state, Reason.NOT_FOLLOWING)
     says: list[Command] = []
-    if flight.left_path_m or not following.is_on_path(state, flight, event):
+    if path.outside_m or not following.is_on_path(state, flight, path, event):
         flight, says, departs = _kept_to_path(state, flight, event)
         if departs is not None:
             if returns:
-                return _on_departure(state, _stopped(state).flight, departs)
-            return _on_departure(replace(state, flight=flight), at_rest(flight, None), departs)
-    flight, commands = following.setpoint(state, flight, event, context)
+                return on_departure(state, way_back.stopped(state).flight, departs)
+            return on_departure(replace(state, flight=flight), at_rest(flight, None), departs)
+        path = flight.path
+        assert path is not None
+    flight, commands = following.setpoint(state, flight, path, event, context)
     commands, state = [*says, *commands], replace(state, flight=flight)
-    if following.is_stopped(state, flight):
-        return preceded(commands, _end_of_way(state) if returns else _at_its_end(state))
-    leg, at_m, task = flight.leg, flight.reference.length_m, state.task
-    assert leg is not None
+    stops = path.next_leg is None or path.stop is not None
+    if stops and following.is_stopped(state, path):
+        return preceded(commands, _end_of_way(state, path) if returns else _at_its_end(state, path))
+    at_m, task = path.reference.length_m, state.task
     speed = 0.0 if state.vehicle.traits.hovers else math.hypot(*event.velocity_nea_m_s[:2])
-    looks = flight.search is None and flight.stop is None and not returns
-    if looks and leg.wants_successor(at_m, task, speed):
-        flight, scan = start_scan(flight, leg.subpath.pose(at_m).point_nea_m)
-        commands += scan
-    return replace(state, flight=flight), commands, None
+    looks = flight.search is None and path.stop is None and not returns
+    if looks and path.leg.wants_successor(at_m, task, speed):
+        flight, scan = start_scan(flight, path.leg.subpath.pose(at_m).point_nea_m)
+        return replace(state, flight=flight), [*commands, *scan], None
+    return state, commands, None
 
 
 def _kept_to_path(
@@ -210,10 +164,12 @@ def _kept_to_path(
     if following.is_not_taken(state):
         return flight, [], Reason.NOT_TAKEN
     flight, departs = following.left_path(state, flight, event)
-    if departs is not None or not flight.left_path_m or state.flight.left_path_m:
+    path, before = flight.path, state.flight.path
+    assert path is not None
+    if departs is not None or not path.outside_m or (before is not None and before.outside_m):
         return flight, [], departs
-    text = f"beside its path, {flight.left_path_m:.2g} m more than its tracking error"
-    return flight, [say(text, "path", warning=flight.stop is not None)], None
+    text = f"beside its path, {path.outside_m:.2g} m more than its tracking error"
+    return flight, [say(text, "path", warning=path.stop is not None)], None
 
 
 def _circle(state: State, event: Position, context: Context) -> Step:
@@ -226,19 +182,30 @@ def _circle(state: State, event: Position, context: Context) -> Step:
     return replace(state, flight=flight), stay, None
 
 
-def _at_its_end(state: State) -> Step:
+def _at_its_end(state: State, path: OnPath) -> Step:
     """At rest at the end of the leg, or at the stop before it."""
-    flight = state.flight
-    assert flight.leg is not None
-    if flight.stop is None and flight.leg.reaches_target:
+    flight, stop = state.flight, path.stop
+    if stop is None and path.leg.reaches_target:
         return state, [], Trigger.TARGET_REACHED
-    reason = flight.shortfall if flight.stop is None else flight.stop.reason
-    counts = flight.stop is None or reason is Reason.BESIDE_PATH
+    reason = flight.shortfall if stop is None else stop.reason
+    counts = stop is None or reason is Reason.BESIDE_PATH
     flight = replace(at_rest_at_end(flight), stops=flight.stops + counts)
     return fault(replace(state, flight=flight), reason)
 
 
-def _on_departure(state: State, stopped: Flight, reason: Reason = Reason.OFF_PATH) -> Step:
+def _end_of_way(state: State, path: OnPath) -> Step:
+    """At the end of a stretch of the way back, or at a stop before it."""
+    if path.stop is not None:
+        return fault(way_back.stopped(state), path.stop.reason)
+    if state.flight.back:
+        went_on = way_back.begun(state)
+        if went_on is None:
+            return on_departure(state, way_back.stopped(state).flight)
+        return replace(state, flight=went_on), [], None
+    return way_back.ended(replace(state, flight=at_rest_at_end(state.flight)), path.leg)
+
+
+def on_departure(state: State, stopped: Flight, reason: Reason = Reason.OFF_PATH) -> Step:
     """The vehicle is off the proven path: hold, and replan from there, a limited number of times.
 
     stopped: its flight at rest.
@@ -252,15 +219,16 @@ def _on_departure(state: State, stopped: Flight, reason: Reason = Reason.OFF_PAT
 # --- scans and plans
 
 
-def on_scan(state: State, event: events.ScanDone, context: Context) -> Step:
+def _on_scan(state: State, event: events.ScanDone, context: Context) -> Step:
     """Ask for the next subpath on the map that the scan has completed."""
     flight, scanning = state.flight, state.flight.search
     if not isinstance(scanning, Scanning):
         return state, [], None
     scanned_from = scanning.from_nea_m
     says = _scan_warnings(state, event)
-    may_be_grounded = flight.leg is None and not context.shadow
-    if may_be_grounded and event.is_partial and scanning.again < _MORE_SCANS:
+    path = flight.path
+    at_rest_here = path is None and not context.shadow
+    if at_rest_here and event.is_partial and scanning.again < _MORE_SCANS:
         flight = replace(flight, progress_at_s=state.now_s)
         flight, scan = start_scan(flight, scanned_from, scanning.again + 1)
         return replace(state, flight=flight), [*says, *scan], None
@@ -268,15 +236,14 @@ def on_scan(state: State, event: events.ScanDone, context: Context) -> Step:
     if event.asked and not event.answered and not scanning.again:
         if context.mission.near is not None:
             return _no_successor(replace(state, flight=flight), Reason.SENSOR_SILENT)
-        if flight.leg is not None or not flight.failures:
+        if path is not None or not flight.failures:
             return _no_successor(replace(state, flight=flight), Reason.RADAR_SILENT)
         flight = replace(flight, shortfall=Reason.RADAR_SILENT)  # on what is known already
     elif flight.shortfall is Reason.RADAR_SILENT:
         flight = replace(flight, shortfall=Reason.NO_PLAN)  # it answers again
-    task, leg = state.task, flight.leg
-    start = hover_pose(scanned_from)
-    if leg is not None:
-        start = leg.subpath.pose(leg.successor_at_m(task))
+    task, start, rest = state.task, hover_pose(scanned_from), None
+    if path is not None:
+        start, rest = path.leg.subpath.pose(path.leg.successor_at_m(task)), path.leg.rest(task)
     request = PlanRequest(
         plan_id=flight.plan_id + 1,
         seed=context.seed,
@@ -284,11 +251,11 @@ def on_scan(state: State, event: events.ScanDone, context: Context) -> Step:
         known=flight.known,
         scan_nea_m=scanned_from,
         start=start,
-        from_rest=leg is None,
+        from_rest=path is None,
         target_ne_m=state.targets_ne_m[flight.target],
         route_ne_m=flight.route_ne_m,
         progress=flight.progress,
-        rest=None if leg is None else leg.rest(task),
+        rest=rest,
         attempt=flight.failures,
     )
     flight = replace(flight, plan_id=request.plan_id, search=Planning(task))
@@ -309,7 +276,7 @@ def _scan_warnings(state: State, event: events.ScanDone) -> list[Command]:
     return says
 
 
-def on_plan(state: State, event: PlanReady) -> Step:
+def _on_plan(state: State, event: PlanReady) -> Step:
     """Accept the next subpath, or note why there is none."""
     flight, outcome, planning = state.flight, event.outcome, state.flight.search
     if outcome.plan_id != flight.plan_id or not isinstance(planning, Planning):
@@ -328,14 +295,14 @@ def on_plan(state: State, event: PlanReady) -> Step:
         return preceded(
             says, _no_successor(state, Reason.RADAR_SILENT if silent else Reason.NO_PLAN)
         )
-    leg, at_m = flight.leg, flight.reference.length_m
-    soonest_m = at_m + following.lead_m(state, flight.reference)
-    if leg is not None and soonest_m > leg.successor_at_m(state.task):
-        return _no_successor(state, Reason.PLAN_LATE)
-    if flight.stop is not None:
-        return state, [], None  # it was asked for a way that the vehicle no longer goes
+    if (path := flight.path) is not None:
+        soonest_m = path.reference.length_m + following.lead_m(state, path.reference)
+        if soonest_m > path.leg.successor_at_m(state.task):
+            return _no_successor(state, Reason.PLAN_LATE)
+        if path.stop is not None:
+            return state, [], None  # it was asked for a way that the vehicle no longer goes
     flight = _accepted(state, outcome)
-    number = flight.legs_flown + (flight.next_leg is not None)
+    number = flight.legs_flown + (path is not None)
     margin_m = min(outcome.certificate.clearance_m, outcome.certificate.keep_out_m)
     text = f"subpath {number}: {margin_m:.0f} m clear, cost {outcome.cost:.2f}"
     return replace(state, flight=flight), [say(text, "plan")], None
@@ -349,18 +316,12 @@ def _closed(outcome: NotPlanned) -> list[Command]:
     return [warn(f"no way: closed {north:.1f} km N, {east:.1f} km E of origin")]
 
 
-def on_late_plan(state: State, event: events.PlanLate) -> Step:
-    """Note a late plan: the leg is flown to its end unless the plan comes before p_prog."""
-    if event.plan_id == state.flight.plan_id:
-        state = state.with_flight(shortfall=Reason.PLAN_LATE)
-    return state, [], None
-
-
 def _hover(state: State, event: Position, context: Context) -> Step:
     """Hold while waiting for a leg: here, or straight above at the take-off height."""
     flight, settings = state.flight, state.task.settings
     here = flight.hover_nea_m or _waiting_place(state, event, context)
-    here = _high_enough(state, context, here)
+    if (task := task_ahead(state, context)) is not state.task:  # no lower than the next leg begins
+        here = here[0], here[1], max(here[2], task.band_amsl_m[0])
     flight = replace(flight, hover_nea_m=here)
     target = state.targets_ne_m[flight.target]
     if math.dist(here[:2], target) < AT_M and not flight.returning:
@@ -390,13 +351,6 @@ def _waiting_place(state: State, event: Position, context: Context) -> Vector:
         clear_m = distance_to_terrain_m(state.flight.known, down, required_m)
         height_m = altitude if clear_m < required_m else height_m
     return north, east, height_m
-
-
-def _high_enough(state: State, context: Context, here: Vector) -> Vector:
-    """The waiting place, raised to where the next leg may begin."""
-    task = task_ahead(state, context)
-    lowest_m = -math.inf if task is state.task else task.band_amsl_m[0]
-    return here[0], here[1], max(here[2], lowest_m)
 
 
 def task_ahead(state: State, context: Context) -> Task:
@@ -430,15 +384,12 @@ def _accepted(state: State, planned: Planned) -> Flight:
         progress=NO_PROGRESS if planned.reaches_target else planned.progress,
         refusal=flight.refusal if flight.homeward else None,  # why it goes home
     )
-    if flight.leg is not None:
-        return replace(flight, next_leg=leg)
+    if flight.path is not None:
+        return replace(flight, path=replace(flight.path, next_leg=leg))
     blind = flight.shortfall is Reason.RADAR_SILENT and not flight.homeward
     return replace(
         flight,
-        leg=leg,
-        reference=Reference(),
-        joined_m=0.0,
-        circling=not hovers and not planned.is_escape,  # out of trouble at once
+        path=OnPath(leg=leg, circling=not hovers and not planned.is_escape),  # then at once
         search=None,
         failures=flight.failures if blind else 0,  # about what is known it could fly for ever
         shortfall=Reason.NO_PLAN,
@@ -449,7 +400,7 @@ def _accepted(state: State, planned: Planned) -> Flight:
 def _no_successor(state: State, reason: Reason) -> Step:
     """Without a successor a leg is flown to its end; without a leg the vehicle holds now."""
     flight = replace(state.flight, shortfall=reason)
-    if flight.leg is not None:
+    if flight.path is not None:
         state = replace(state, flight=flight)
         return state, [warn(in_words(state, reason))], None
     flight = replace(at_rest(flight, flight.hover_nea_m), failures=flight.failures + 1)
@@ -462,139 +413,3 @@ def start_scan(
     """Start a scan around a point."""
     flight = replace(flight, search=Scanning(centre_nea_m, again))
     return flight, [events.StartScan(centre_nea_m=centre_nea_m)]
-
-
-# --- the way back
-
-
-def request_backtrack(state: State, context: Context) -> Step:
-    """Request the proof of the backtrack; it takes effect as soon as it is ready."""
-    here, flight = state.vehicle.position_nea_m, state.flight
-    if here is None:
-        return give_up(state, state.reason or Reason.POSITION_STALE)
-    request = PlanRequest(
-        plan_id=flight.plan_id + 1,
-        seed=context.seed,
-        task=state.task,
-        known=flight.known,
-        scan_nea_m=here,
-        start=hover_pose(here),
-        from_rest=True,
-        target_ne_m=here[:2],
-        flown=flight.flown,
-    )
-    planning = PlanningBacktrack(state.task, since_s=state.now_s)
-    state = state.with_flight(plan_id=request.plan_id, planning_backtrack=planning)
-    return state, [events.Plan(request=request, due_s=state.now_s)], None
-
-
-def on_backtrack_plan(state: State, event: PlanReady, context: Context) -> Step:
-    """Take the backtrack; if it failed, plan a path home, or give up."""
-    flight, asked = state.flight, state.flight.planning_backtrack
-    if asked is None or event.outcome.plan_id != flight.plan_id:
-        return state, [], None
-    if asked.rules is not state.task:  # it was proven under other rules
-        return request_backtrack(state, context)
-    back = _way_of(event.outcome, state.task) if isinstance(event.outcome, Backtrack) else ()
-    after = state.with_flight(way=Way.BACK, back=back, planning_backtrack=None)
-    if start_backtrack(after) is not None:
-        return after, [], Trigger.BACKTRACK
-    reason = state.reason or Reason.NO_PLAN
-    text = f"{reason.text}: no way back is proven, planning one home"
-    return home_by_plan(state, text, reason, warning=True)
-
-
-def _way_of(outcome: Backtrack, rules: Task) -> tuple[Leg, ...]:
-    """The legs of a backtrack."""
-    last = len(outcome.subpaths) - 1
-    speeds_m_s = outcome.speeds_m_s or (None,) * len(outcome.subpaths)
-    stretches = zip(outcome.subpaths, outcome.through, speeds_m_s, strict=True)
-    return tuple(
-        Leg(
-            number=number + 1,
-            plan_id=outcome.plan_id,
-            subpath=subpath,
-            reaches_target=number == last and outcome.reaches_start,
-            through=through,
-            rules=rules,
-            speed_m_s=speed_m_s,
-        )
-        for number, (subpath, through, speed_m_s) in enumerate(stretches)
-    )
-
-
-def start_backtrack(state: State) -> Flight | None:
-    """Begin the first remaining leg of the backtrack; None: none is left, or it is too far off."""
-    flight = state.flight
-    if not flight.back or state.vehicle.position_nea_m is None:
-        return None
-    leg, *rest = flight.back
-    flight = replace(flight, leg=leg, next_leg=None, hover_nea_m=None, stop=None)
-    joined = joining.joined(replace(state, flight=flight))
-    if joined is None:
-        return None
-    at_rest = Reference(length_m=joined.reference.length_m)
-    return _with_next(replace(joined, back=tuple(rest), reference=at_rest))
-
-
-def _with_next(flight: Flight) -> Flight:
-    """The flight with the next backtrack leg ready, if it may be entered at full speed."""
-    if flight.leg is None or not flight.leg.through or not flight.back:
-        return flight
-    following_leg, *rest = flight.back
-    return replace(flight, next_leg=following_leg, back=tuple(rest))
-
-
-def _end_of_way(state: State) -> Step:
-    """At the end of a stretch of the way back, or at a stop before it."""
-    flight = state.flight
-    if (stop := flight.stop) is not None:
-        return fault(_stopped(state), stop.reason)
-    if flight.back and flight.leg is not None:
-        went_on = start_backtrack(state)
-        if went_on is None:
-            return _on_departure(state, _stopped(state).flight)
-        return replace(state, flight=went_on), [], None
-    there = flight.leg is not None and flight.leg.reaches_target
-    state = replace(state, flight=at_rest_at_end(flight))
-    if there and begins_at_home(state):
-        return state, [], Trigger.END_LAND if state.vehicle.traits.lands else Trigger.HAND_OVER
-    left_m = beyond_path_m(state)
-    text = f"returning: planning {left_m:.0f} m on to home" if there else "returning another way"
-    return home_by_plan(state, text, flight.fallen_back or Reason.NO_PLAN)
-
-
-def _stopped(state: State) -> State:
-    """At rest, with the current backtrack leg still to be flown."""
-    flight = state.flight
-    hover = None if flight.stop is None else at_rest_at_end(flight).hover_nea_m
-    return replace(state, flight=at_rest(following.requeue_backtrack(flight), hover))
-
-
-def home_by_plan(state: State, text: str, reason: Reason, *, warning: bool = False) -> Step:
-    """Go home by a planned path; where none can be asked for, by the autopilot's own return.
-
-    text, warning: what is said before; reason: why the flight is given up in the second case.
-    """
-    if is_above_home(state) and state.vehicle.traits.lands:
-        return state, [say("returning: above home, landing", "end")], Trigger.END_LAND
-    if state.reason is Reason.NO_PLAN and state.flight.refusal in _NO_WAY_OUT:
-        return give_up(state, reason)
-    place = home_ne_m(state)
-    if place is None:
-        return preceded([warn("home is not known")], give_up(state, reason))
-    why = target_refusal(state.task, place).replace("the target:", "home:")
-    if why or state.flight.homeward:
-        return preceded([warn(why)] if why else [], give_up(state, reason))
-    state = replace(state, targets_ne_m=(place,), orders=Orders()).with_flight(
-        way=Way.HOME,
-        back=(),
-        target=0,
-        route_ne_m=(),
-        progress=NO_PROGRESS,
-        stops=0,
-        failures=0,
-        planning_backtrack=None,
-        search=None,
-    )
-    return state, [say(text, "end", warning=warning)], Trigger.RESUME

@@ -1,4 +1,4 @@
-"""Path following: the reference point, its setpoint, and whether the vehicle follows.
+"""Path following: the reference point, its setpoint, whether the vehicle follows, leg after leg.
 
 Multicopters are sent the reference point itself, which accelerates and brakes by itself and waits
 for the vehicle.  Planes are sent a point ahead of their position on the path.
@@ -9,11 +9,10 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import joining
 from companion.mission.decisions import Context, Step
 from companion.mission.events import Command, Position, Setpoint, Vector
-from companion.mission.state import Answered, Flight, Reason, State, Stop, Trigger
-from companion.path.envelope import slowing_m
+from companion.mission.state import Answered, Flight, OnPath, Reason, State, Stop, Trigger
+from companion.path.envelope import ending_m_s, slowing_m
 from companion.planner import join
 from companion.planner.loiter_search import Motion, loiter_point
 from companion.planner.procedure import (
@@ -30,6 +29,8 @@ from companion.planner.procedure import (
     paced_m_s,
     sent_pose,
 )
+from companion.planner.request import FlownSegment
+from companion.planner.settings import Task
 
 _NOT_TAKEN_S = 2.0
 _FARTHEST = 1.0  # tubes beyond the first: there it is told to hold at once, half of d_s at most
@@ -43,6 +44,12 @@ _AT_TARGET_M = 1.0  # nearer to it, the direction to it is that of an error
 _LONGEST_LEAD = 1.3  # of what the path's tail was made for
 _AT_END = 1.2  # loiter radii
 _BEYOND = 0.25  # loiter radii: if it is left there, the circle that it then flies is proven
+
+_SPACING_M = 1.0
+_MAX_SAMPLES = 1000
+_ROUNDS, _MIN_BEND = 6, 0.25
+_FRESH_S = 1.0
+_ON_CIRCLE = 1.5  # loiter radii: a plane may be circling there
 
 
 def lead_m(state: State, reference: Reference) -> float:
@@ -59,65 +66,57 @@ def lead_m(state: State, reference: Reference) -> float:
     return min(lead_m, _LONGEST_LEAD * state.task.envelope.lead_m)
 
 
-def advance_reference(state: State, event: Position) -> Flight:
+def advance_reference(state: State, path: OnPath, event: Position) -> Flight:
     """Advance the reference point by one position; at p_prog switch to the next leg."""
-    task, flight, vehicle = state.task, state.flight, state.vehicle
-    leg = flight.leg
-    assert leg is not None
+    flight, vehicle, leg, before = state.flight, state.vehicle, path.leg, path.reference
     here = np.asarray(event.position_nea_m)
-    task = task if leg.speed_m_s is None else task.at_speed(leg.speed_m_s)
+    task = state.task if leg.speed_m_s is None else state.task.at_speed(leg.speed_m_s)
     slows_to_m_s = leaves_at_m = math.inf
-    if flight.next_leg is not None:
+    if path.next_leg is not None:
         leaves_at_m = leg.successor_at_m(task)
     if leg.subpath.length_m < task.shortest_scan_distance_m and not flight.returning:
         slows_to_m_s = leg.slows_to_m_s(task)
     if vehicle.traits.hovers:
         motion = task.envelope
-        if flight.next_leg is not None:  # for its first bends, too
-            pace_m_s = paced_m_s(flight.next_leg.subpath, motion, 0.0)
-            room_m = max(leaves_at_m - flight.reference.length_m, 0.0)
+        if path.next_leg is not None:  # for its first bends, too
+            pace_m_s = paced_m_s(path.next_leg.subpath, motion, 0.0)
+            room_m = max(leaves_at_m - before.length_m, 0.0)
             pace_m_s = math.sqrt(pace_m_s**2 + 2.0 * motion.gaining_m_s2 * room_m)
             slows_to_m_s = min(slows_to_m_s, pace_m_s)
         reference = advance(
-            flight.reference,
+            before,
             leg,
             vehicle.position_step_s,
             here,
             motion,
-            goes_on=flight.next_leg is not None,
-            until_m=math.inf if flight.stop is None else flight.stop.at_m,
+            goes_on=path.next_leg is not None,
+            until_m=math.inf if path.stop is None else path.stop.at_m,
             slows_to_m_s=slows_to_m_s,
         )
     else:
-        reference = follow(flight.reference, leg, here, task.limits)
-    sets_out = reference.length_m > flight.reference.length_m or flight.circling
-    offset = flight.offset
+        reference = follow(before, leg, here, task.limits)
+    sets_out = reference.length_m > before.length_m or path.circling
+    offset = path.offset
     if offset is not None:
         offset = join.step(offset, vehicle.position_step_s, task.limits)
-    flight = replace(
-        flight,
-        reference=reference,
-        circling=False,
-        progress_at_s=state.now_s if sets_out else flight.progress_at_s,
-        offset=offset,
-    )
-    if flight.next_leg is None or reference.length_m < leaves_at_m - _ROUNDING_M:
-        return flight
-    return joining.switched_to_next_leg(flight, leg, task)
+    path = replace(path, reference=reference, circling=False, offset=offset)
+    progress_at_s = state.now_s if sets_out else flight.progress_at_s
+    if path.next_leg is None or reference.length_m < leaves_at_m - _ROUNDING_M:
+        return replace(flight, path=path, progress_at_s=progress_at_s)
+    return switched_to_next_leg(replace(flight, progress_at_s=progress_at_s), path, task)[0]
 
 
-def is_on_path(state: State, flight: Flight, event: Position) -> bool:
+def is_on_path(state: State, flight: Flight, path: OnPath, event: Position) -> bool:
     """Whether it follows, and nothing of `outside_m` can be the case: what is looked at first.
 
     The path leaves its tangent at the reference point by along^2 / 2 R at most where it bends no
     more than the turn radius R; twice that is allowed for, as it may bend up and down as well.
     """
-    vehicle, leg, now_s = state.vehicle, flight.leg, state.now_s
-    assert leg is not None
-    echoes = vehicle.echo_nea_m is None or now_s - flight.echoed_at_s <= _NOT_TAKEN_S
+    vehicle, leg = state.vehicle, path.leg
+    echoes = vehicle.echo_nea_m is None or state.now_s - flight.echoed_at_s <= _NOT_TAKEN_S
     if not (echoes and vehicle.traits.hovers):
         return False
-    pose, (north, east, up) = leg.subpath.pose(flight.reference.length_m), event.position_nea_m
+    pose, (north, east, up) = leg.subpath.pose(path.reference.length_m), event.position_nea_m
     off = np.array((north, east, up)) - pose.position_nea_m
     along_m, error_m = float(off @ pose.tangent_nea), state.task.envelope.tube_m
     across_m = math.sqrt(max(float(off @ off) - along_m**2, 0.0))
@@ -126,28 +125,27 @@ def is_on_path(state: State, flight: Flight, event: Position) -> bool:
     return -2.0 * error_m <= along_m <= error_m and across_m + bends_m <= error_m
 
 
-def outside_m(state: State, flight: Flight, event: Position) -> tuple[float, float, float]:
+def outside_m(state: State, path: OnPath, event: Position) -> tuple[float, float, float]:
     """How far the vehicle is outside of what was proven: across, ahead and far along; 0: inside.
 
     Across: of the tube about the path, a tracking error wide, that ends so far beyond the end of
     the leg; of a plane the circle about each point of the path is proven.  Ahead: of where it was
     told to be.  Far along: farther ahead, or behind, than the reference point waits for it.
     """
-    leg, here = flight.leg, np.asarray(event.position_nea_m)
-    assert leg is not None
-    if not (state.task.settings.profile.verified or flight.returning):
+    leg, reference, here = path.leg, path.reference, np.asarray(event.position_nea_m)
+    if not (state.task.settings.profile.verified or state.flight.returning):
         return 0.0, 0.0, 0.0
     motion = leg.motion(state.task)
     allowed_m = motion.tube_m
     if not state.vehicle.traits.hovers:
-        centre = leg.subpath.pose(flight.reference.length_m).point_nea_m
+        centre = leg.subpath.pose(reference.length_m).point_nea_m
         off_m = off_disc_m(centre, event.position_nea_m, motion.loiter_m)
         return max(off_m - allowed_m, 0.0), 0.0, 0.0
-    if flight.offset is not None:
-        allowed_m += float(np.linalg.norm(flight.offset.position_nea_m))
-    ahead = ahead_m(flight.reference, leg, here)
-    across_m = off_path_m(flight.reference, leg, here) - allowed_m
-    before_m = ahead - lead_m(state, flight.reference) - allowed_m
+    if path.offset is not None:
+        allowed_m += float(np.linalg.norm(path.offset.position_nea_m))
+    ahead = ahead_m(reference, leg, here)
+    across_m = off_path_m(reference, leg, here) - allowed_m
+    before_m = ahead - lead_m(state, reference) - allowed_m
     far_m = abs(ahead) - motion.lag_m - allowed_m
     return max(across_m, 0.0), max(before_m, 0.0), max(far_m, 0.0)
 
@@ -161,24 +159,26 @@ def left_path(state: State, flight: Flight, event: Position) -> tuple[Flight, Re
     to hold at once, as it is farther outside than the safety distance allows for, does not come
     back, or is a plane.
     """
-    leg, now_s = flight.leg, state.now_s
-    assert leg is not None
-    task = state.task.at_speed(leg.speed_m_s)
+    path, now_s = flight.path, state.now_s
+    assert path is not None
+    task = state.task.at_speed(path.leg.speed_m_s)
     limits, motion = task.limits, task.envelope
-    across_m, before_m, far_m = outside_m(state, flight, event)
+    across_m, before_m, far_m = outside_m(state, path, event)
     outside = max(across_m, before_m, far_m)
     if outside == 0.0:
-        return replace(flight, left_path_at_s=math.inf, left_path_m=0.0), None
-    if math.isinf(flight.left_path_at_s):
-        flight = replace(flight, left_path_at_s=now_s, left_path_m=outside)
+        path = replace(path, outside_since_s=math.inf, outside_m=0.0)
+        return replace(flight, path=path), None
+    if math.isinf(path.outside_since_s):
+        path = replace(path, outside_since_s=now_s, outside_m=outside)
+        flight = replace(flight, path=path)
     most_m = min(_FARTHEST * motion.tube_m, 0.5 * state.task.settings.safety_distance_m)
     stops_s = limits.speed_m_s / limits.acceleration_m_s2
-    is_away = across_m > 0.0 and now_s > flight.left_path_at_s + stops_s + _BACK_S
+    is_away = across_m > 0.0 and now_s > path.outside_since_s + stops_s + _BACK_S
     if not limits.hovers or across_m > most_m or far_m > 0.0 or is_away:
         return flight, Reason.OFF_PATH
-    left_m = leg.subpath.length_m - flight.reference.length_m
-    ends = flight.next_leg is None and left_m <= slowing_m(motion, motion.speed_m_s)
-    if across_m > 0.0 and flight.stop is None and not ends:
+    left_m = path.leg.subpath.length_m - path.reference.length_m
+    ends = path.next_leg is None and left_m <= slowing_m(motion, motion.speed_m_s)
+    if across_m > 0.0 and path.stop is None and not ends:
         stopped, _, _ = stop(replace(state, flight=flight), Reason.BESIDE_PATH)
         flight = stopped.flight
     return flight, None
@@ -191,12 +191,10 @@ def is_not_taken(state: State) -> bool:
     return is_fresh and now_s - state.flight.echoed_at_s > _NOT_TAKEN_S
 
 
-def still_loiters(state: State, event: Position) -> bool:
+def still_loiters(state: State, path: OnPath, event: Position) -> bool:
     """Whether a plane that is to leave its circle is not yet aligned with the path."""
-    flight = state.flight
-    assert flight.leg is not None
-    at_m, limits = flight.reference.length_m, state.task.limits
-    return not may_leave(flight.leg, at_m, event.position_nea_m, event.velocity_nea_m_s, limits)
+    at_m, limits = path.reference.length_m, state.task.limits
+    return not may_leave(path.leg, at_m, event.position_nea_m, event.velocity_nea_m_s, limits)
 
 
 def with_echo(state: State) -> Flight:
@@ -213,45 +211,41 @@ def with_echo(state: State) -> Flight:
     return flight
 
 
-def is_stopped(state: State, flight: Flight) -> bool:
+def is_stopped(state: State, path: OnPath) -> bool:
     """Whether the reference point has come to the end of its leg, or where it is to stop.
 
     For a copter that is rejoining the path only once it is on it: the setpoint would jump.
     """
-    leg, stop = flight.leg, flight.stop
-    assert leg is not None
-    if flight.next_leg is not None and stop is None:
-        return False
+    leg, stop = path.leg, path.stop
     if state.vehicle.traits.hovers:
-        joins = flight.offset is not None and not flight.offset.is_gone
+        joins = path.offset is not None and not path.offset.is_gone
         until_m = math.inf if stop is None else stop.at_m
-        return not joins and is_at_end(flight.reference, leg, until_m)
+        return not joins and is_at_end(path.reference, leg, until_m)
     if stop is not None:
         return True  # it circles where it was to stop
     if leg.reaches_target:  # it passes it, and circles it then
-        return is_at_end(flight.reference, leg)
-    left_m = leg.subpath.length_m - flight.reference.length_m
+        return is_at_end(path.reference, leg)
+    left_m = leg.subpath.length_m - path.reference.length_m
     return left_m < _AT_END * state.task.limits.loiter_radius_m
 
 
 def setpoint(
-    state: State, flight: Flight, event: Position, context: Context
+    state: State, flight: Flight, path: OnPath, event: Position, context: Context
 ) -> tuple[Flight, list[Command]]:
     """The setpoint for the reference point, if one is due."""
     if not is_due(state):
         return flight, []
-    leg, reference, next_leg = flight.leg, flight.reference, flight.next_leg
-    assert leg is not None
-    hovers, ahead_m = state.vehicle.traits.hovers, lead_m(state, reference)
-    if hovers and flight.stop is not None:
-        next_leg, end_m = None, min(leg.subpath.length_m, flight.stop.at_m)
+    leg, reference, next_leg, traits = path.leg, path.reference, path.next_leg, state.vehicle.traits
+    ahead_m = lead_m(state, reference)
+    if traits.hovers and path.stop is not None:
+        next_leg, end_m = None, min(leg.subpath.length_m, path.stop.at_m)
         ahead_m = min(ahead_m, max(end_m - reference.length_m, 0.0))
     pose = sent_pose(reference, leg, next_leg, ahead_m, state.task)
     speed = min(reference.speed_m_s, allowed_speed_m_s(pose, state.task.limits))
     beyond_m = reference.length_m + ahead_m - leg.subpath.length_m
-    stays = not hovers and next_leg is None and beyond_m >= 0.0
+    stays = not traits.hovers and next_leg is None and beyond_m >= 0.0
     north_m, east_m, altitude_m = pose.position_nea_m.tolist()
-    if (leading_s2 := state.vehicle.traits.handling.leading_s2) > 0.0:
+    if (leading_s2 := traits.handling.leading_s2) > 0.0:
         turn_n, turn_e, _ = (leading_s2 * speed**2 * pose.curvature_nea_1_m).tolist()
         north_m, east_m = north_m + turn_n, east_m + turn_e
     ahead_n, ahead_e, ahead_u = pose.tangent_nea.tolist()
@@ -262,7 +256,7 @@ def setpoint(
         north_m += beyond_m * ahead_n
         east_m += beyond_m * ahead_e
         altitude_m += beyond_m * ahead_u
-    if (offset := flight.offset) is not None:
+    if (offset := path.offset) is not None:
         aside, drift = offset.position_nea_m.tolist(), offset.velocity_nea_m_s.tolist()
         north_m, east_m, altitude_m = north_m + aside[0], east_m + aside[1], altitude_m + aside[2]
         velocity = velocity[0] + drift[0], velocity[1] + drift[1], velocity[2] + drift[2]
@@ -284,15 +278,15 @@ def is_due(state: State) -> bool:
     return state.now_s - state.flight.sent_at_s > least_s
 
 
-def vehicle_at_m(state: State, leg: Leg) -> float:
+def vehicle_at_m(state: State, path: OnPath) -> float:
     """Length along the leg where the vehicle is; not beyond the reference point.
 
     A copter that gains speed is up to a second behind that, and would stop as much later.
     """
-    at_m, vehicle = state.flight.reference.length_m, state.vehicle
+    at_m, vehicle = path.reference.length_m, state.vehicle
     if vehicle.position_nea_m is None:
         return at_m
-    pose = leg.subpath.pose(at_m)
+    pose = path.leg.subpath.pose(at_m)
     here = np.asarray(vehicle.position_nea_m)
     here = here + (state.now_s - vehicle.position_at_s) * np.asarray(vehicle.velocity_nea_m_s)
     behind_m = float((pose.position_nea_m - here) @ pose.tangent_nea)
@@ -301,71 +295,60 @@ def vehicle_at_m(state: State, leg: Leg) -> float:
 
 def stop(state: State, reason: Reason) -> Step:
     """Stop on the path as soon as the vehicle can, and hold there."""
-    flight = state.flight
-    if flight.leg is None:
+    flight, path = state.flight, state.flight.path
+    if path is None:
         flight = at_rest(flight, flight.hover_nea_m or state.vehicle.position_nea_m)
         return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
-    limits = state.task.limits
+    leg, reference = path.leg, path.reference
     if not state.vehicle.traits.hovers:
-        ahead_m = lead_m(state, flight.reference)
-        pose = sent_pose(flight.reference, flight.leg, flight.next_leg, ahead_m, state.task)
-        point = pose.point_nea_m
+        ahead_m = lead_m(state, reference)
+        point = sent_pose(reference, leg, path.next_leg, ahead_m, state.task).point_nea_m
         if reason in (Reason.NEW_THREAT, Reason.FENCE_UNREAD):
             here = state.vehicle.position_nea_m or point
             motion = Motion(here, state.vehicle.velocity_nea_m_s)
             point = loiter_point(flight.known, state.task, motion, point) or point
-        flight = at_rest(requeue_backtrack(flight), point)
+        flight = at_rest(requeue_backtrack(flight, leg, path.next_leg), point)
         return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
-    leg = flight.leg
-    assert leg is not None
-    brakes_m = 0.5 * flight.reference.speed_m_s**2 / limits.acceleration_m_s2
-    stop_at_m = max(vehicle_at_m(state, leg) + brakes_m, flight.reference.length_m)
+    brakes_m = 0.5 * reference.speed_m_s**2 / state.task.limits.acceleration_m_s2
+    stop_at_m = max(vehicle_at_m(state, path) + brakes_m, reference.length_m)
     stop_at_m = min(stop_at_m, leg.subpath.length_m)
-    if flight.stop is not None:
-        stop_at_m = min(stop_at_m, flight.stop.at_m)
-    if flight.next_leg is not None:
-        flight = with_backtrack_legs(flight, flight.next_leg)
-    stop = Stop(stop_at_m, reason)
-    flight = replace(flight, stop=stop, next_leg=None, search=Answered())
-    return replace(state, flight=flight), [], None
+    if path.stop is not None:
+        stop_at_m = min(stop_at_m, path.stop.at_m)
+    flight = requeue_backtrack(flight, path.next_leg)
+    path = replace(path, stop=Stop(stop_at_m, reason), next_leg=None)
+    return replace(state, flight=replace(flight, path=path, search=Answered())), [], None
 
 
-def with_backtrack_legs(flight: Flight, *legs: Leg) -> Flight:
-    """The flight with these legs put before the rest of its backtrack, if it is on one."""
-    return replace(flight, back=(*legs, *flight.back)) if flight.returning else flight
-
-
-def requeue_backtrack(flight: Flight) -> Flight:
-    """The flight with its current legs put back before the rest of its backtrack."""
-    ahead = (leg for leg in (flight.leg, flight.next_leg) if leg is not None)
-    return with_backtrack_legs(flight, *ahead)
+def requeue_backtrack(flight: Flight, *legs: Leg | None) -> Flight:
+    """The flight with these legs put back before the rest of its backtrack, if it is on one."""
+    ahead = (leg for leg in legs if leg is not None)
+    return replace(flight, back=(*ahead, *flight.back)) if flight.returning else flight
 
 
 def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:
     """The flight without a leg: the next one begins where the vehicle stops."""
     return replace(
         flight,
-        flown=joining.flown_segments(flight, flight.reference.length_m),
-        leg=None,
-        next_leg=None,
-        reference=Reference(),
-        offset=None,
-        stop=None,
-        left_path_at_s=math.inf,
-        left_path_m=0.0,
+        path=None,
+        flown=flown_segments(flight, flight.reference.length_m),
         hover_nea_m=hover_nea_m,
         search=None,
         planning_backtrack=None,
     )
 
 
+def held_here(state: State, hover_nea_m: Vector | None = None) -> State:
+    """The state at rest; without a place it is chosen again: it may have been held too low."""
+    return replace(state, flight=at_rest(state.flight, hover_nea_m))
+
+
 def at_rest_at_end(flight: Flight) -> Flight:
     """The flight at rest at the end of its leg, at its stop, or at its hover."""
-    leg = flight.leg
-    if leg is None:
+    path = flight.path
+    if path is None:
         return at_rest(flight, flight.hover_nea_m)
-    end_m = leg.subpath.length_m if flight.stop is None else flight.stop.at_m
-    return at_rest(flight, leg.subpath.pose(end_m).point_nea_m)
+    end_m = path.leg.subpath.length_m if path.stop is None else path.stop.at_m
+    return at_rest(flight, path.leg.subpath.pose(end_m).point_nea_m)
 
 
 def hold_setpoint(state: State, time_s: float, context: Context) -> tuple[Flight, list[Command]]:
@@ -408,3 +391,141 @@ def _on_the_way(state: State, here_nea_m: Vector) -> Vector:
     from_m = at[2] if sent is None or is_new else sent[2]
     most_m = state.task.limits.climb_rate_m_s * min(since_s, _SENT_LATELY_S)
     return north, east, from_m + min(max(altitude - from_m, -most_m), most_m)
+
+
+# --- from leg to leg, and back to a path: after a restart, and for the backtrack
+
+
+def joined(state: State, path: OnPath | None) -> Flight | None:
+    """The flight led along this path, or on its next leg, from the current setpoint on.
+
+    None if that is farther from the path than was proven.
+    """
+    vehicle, flight, led_so = state.vehicle, state.flight, _led(state)
+    if led_so is None or path is None:
+        return None
+    led, velocity = led_so
+    off_m, at_m = nearest(path.leg, led)
+    if path.next_leg is not None:
+        next_off_m, next_at_m = nearest(path.next_leg, led)
+        if next_off_m < off_m - 1e-6:
+            flight, path = switched_to_next_leg(flight, path, state.task)
+            off_m, at_m = next_off_m, next_at_m
+    limits = state.task.at_speed(path.leg.speed_m_s).limits
+    if off_m > limits.tracking_error_m + _ON_CIRCLE * limits.loiter_radius_m:
+        return None
+    pose, hovers = path.leg.subpath.pose(at_m), vehicle.traits.hovers
+    speed = max(float(np.dot(velocity, pose.tangent_nea)), 0.0)
+    speed = min(speed, limits.speed_m_s)
+    if hovers and path.next_leg is None:  # what it cannot brake from is offset
+        left_m = path.leg.subpath.length_m - at_m
+        speed = min(speed, ending_m_s(path.leg.motion(state.task), left_m))
+    circling, offset = not hovers and off_m > limits.tracking_error_m, path.offset
+    if hovers:
+        offset = join.begin(np.asarray(led), np.asarray(velocity), pose, speed)
+    flown = flown_segments(replace(flight, path=path), at_m)
+    path = replace(
+        path,
+        reference=Reference(length_m=at_m, speed_m_s=speed),
+        circling=circling,
+        joined_m=at_m,
+        offset=offset,
+    )
+    return replace(
+        flight,
+        path=path,
+        flown=flown,
+        progress_at_s=state.now_s,
+        hover_nea_m=pose.point_nea_m if circling else None,
+        search=None if path.next_leg is None else Answered(),
+    )
+
+
+def switched_to_next_leg(flight: Flight, path: OnPath, task: Task) -> tuple[Flight, OnPath]:
+    """On to the next leg: the reference point has reached p_prog of this one."""
+    over_at_m, reference = path.leg.successor_at_m(task), path.reference
+    assert path.next_leg is not None
+    onto = replace(
+        path,
+        leg=path.next_leg,
+        next_leg=None,
+        reference=Reference(
+            length_m=max(reference.length_m - over_at_m, 0.0), speed_m_s=reference.speed_m_s
+        ),
+        joined_m=0.0,
+    )
+    flight = replace(
+        flight,
+        path=onto,
+        search=None,
+        troubles=0,
+        shortfall=Reason.NO_PLAN,
+        legs_flown=flight.legs_flown + 1,
+        flown=flown_segments(replace(flight, path=path), over_at_m),
+    )
+    return flight, onto
+
+
+def flown_segments(flight: Flight, until_m: float) -> tuple[FlownSegment, ...]:
+    """The flown segments, including this leg up to a length."""
+    path = flight.path
+    if path is None or flight.returning:
+        return flight.flown
+    return *flight.flown, FlownSegment(
+        control_nea_m=path.leg.subpath.control_nea_m,
+        from_m=path.joined_m,
+        until_m=until_m,
+        speed_m_s=path.leg.speed_m_s,
+    )
+
+
+def along_leg(state: State) -> Flight:
+    """The flight with its reference where the leg is nearest to the vehicle: it has come so far."""
+    flight, path, here = state.flight, state.flight.path, state.vehicle.position_nea_m
+    if path is None or here is None:
+        return flight
+    _, at_m = nearest(path.leg, here)
+    reference = Reference(length_m=max(at_m, path.joined_m))
+    return replace(flight, path=replace(path, reference=reference))
+
+
+def _led(state: State) -> tuple[Vector, Vector] | None:
+    """The current setpoint of the vehicle and its velocity.  -> metres, m/s.
+
+    Our own recent setpoint; else the autopilot's reported target; else the position.  A report is
+    some tenths of a second old: the target has moved since, unless it is stationary, as
+    ArduPilot's is after a setpoint time-out.
+    """
+    vehicle, flight = state.vehicle, state.flight
+    here, velocity, echo = vehicle.position_nea_m, vehicle.velocity_nea_m_s, vehicle.echo_nea_m
+    if here is None:
+        return None
+    if not vehicle.traits.hovers:
+        return here, velocity
+    if flight.sent is not None and state.now_s - flight.sent_at_s < _FRESH_S:
+        return flight.sent.position_nea_m, velocity
+    near_m = 2.0 * state.task.limits.tracking_error_m + state.task.limits.speed_m_s * _FRESH_S
+    age_s = state.now_s - vehicle.echo_at_s
+    if echo is None or age_s > _FRESH_S or math.dist(echo, here) >= near_m:
+        return here, velocity
+    velocity = vehicle.echo_nea_m_s or velocity
+    north, east, up = (at + age_s * v for at, v in zip(echo, velocity, strict=True))
+    return (north, east, up), velocity
+
+
+def nearest(leg: Leg, point_nea_m: Vector) -> tuple[float, float]:
+    """Distance of a point from a leg, and the length along it where it is nearest, metres."""
+    length_m = leg.subpath.length_m
+    spacing_m = max(_SPACING_M, length_m / _MAX_SAMPLES)
+    points = leg.subpath.sampled(spacing_m).value
+    distance = np.linalg.norm(points - np.asarray(point_nea_m), axis=-1)
+    k = int(distance.argmin())
+    at_m, step_m = length_m * k / (len(points) - 1), length_m / (len(points) - 1)
+    low_m, high_m = max(at_m - step_m, 0.0), min(at_m + step_m, length_m)
+    for _ in range(_ROUNDS):  # of Newton's method, which no last digit leads elsewhere
+        pose = leg.subpath.pose(at_m)
+        offset = np.asarray(point_nea_m) - pose.position_nea_m
+        bend = max(1.0 - float(offset @ pose.curvature_nea_1_m), _MIN_BEND)
+        at_m = min(max(at_m + float(offset @ pose.tangent_nea) / bend, low_m), high_m)
+    there = leg.subpath.pose(at_m).position_nea_m
+    return float(np.linalg.norm(np.asarray(point_nea_m) - there)), at_m

@@ -9,14 +9,14 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.geodesy import FloatArray
-from companion.mission import events, following, joining
+from companion.mission import events, following, way_back
+from companion.mission.battery import battery_lasts
 from companion.mission.decisions import (
     AT_M,
     LANDING_ABORTED,
     Context,
     Step,
     ask,
-    cannot_fly,
     fault,
     give_up,
     has_had_control,
@@ -27,11 +27,10 @@ from companion.mission.decisions import (
     is_second_companion,
     is_silent,
     landing_order,
-    takeover_reason,
 )
 from companion.mission.events import Event, Item, Landed, LinkLost, Mode, Position, Vector, warn
-from companion.mission.health import battery_lasts
 from companion.mission.state import Orders, Phase, Reason, State, Trigger
+from companion.mission.tables import takeover_reason
 from companion.mission.vehicle_traits import TakeoffSequence
 from companion.world.zones import gaps_m as zone_gaps_m
 from companion.world.zones import packed
@@ -70,12 +69,13 @@ def preparing(state: State, event: Event, context: Context) -> Step:
         if _is_flying(state):
             return state, [warn(event.refusal)], None
         if state.unready:
-            return _still_unready(_without(state, event.item), event.refusal)
+            return _unready(_without(state, event.item), event.refusal)
         return give_up(state, Reason.REFUSED, f": {event.refusal}", event.remedy)
     if state.unready and vehicle.armed:
         return give_up(state, Reason.ARMED_ALREADY)  # it is not taken over in the air unasked
     if in_phase_s(state) > _PREPARE_S and not state.unready:
-        return give_up(state, Reason.NOT_READY, _missing(state))
+        missing = _missing(state)
+        return give_up(state, Reason.NOT_READY, missing and f": {missing}")
     if is_silent(state):
         return state, [], None
     if is_second_companion(state):
@@ -98,7 +98,7 @@ def preparing(state: State, event: Event, context: Context) -> Step:
         return give_up(state, Reason.GROUNDED)
     reason = _refused(state, context)
     if reason is not None and state.unready:
-        return _still_unready(state, reason.text)
+        return _unready(state, reason.text)
     if reason is not None:
         return give_up(state, reason)
     if Item.CHECKS not in state.prepared:
@@ -113,7 +113,8 @@ def preparing(state: State, event: Event, context: Context) -> Step:
 def _to_watch(state: State) -> Step:
     """Wait for a valid position of a vehicle that is only watched."""
     if in_phase_s(state) > _PREPARE_S:
-        return give_up(state, Reason.NOT_READY, _missing(state))
+        missing = _missing(state)
+        return give_up(state, Reason.NOT_READY, missing and f": {missing}")
     waits = is_silent(state) or state.vehicle.distrust is not None
     return state, [], None if waits else Trigger.WATCH
 
@@ -134,8 +135,8 @@ def why_no_go(state: State) -> str:
     """Why a go is refused, as text for who says it."""
     if state.phase is Phase.WAITING:
         return Reason.NO_VEHICLE.text
-    missing = _missing(state).removeprefix(": ")
-    return f"it is not ready: {state.unready or missing or 'its checks are not over'}"
+    why = state.unready or _missing(state) or "its checks are not over"
+    return f"it is not ready: {why}"
 
 
 def _why_unready(state: State, context: Context) -> str:
@@ -143,7 +144,7 @@ def _why_unready(state: State, context: Context) -> str:
     if is_silent(state):
         return Reason.LINK_LOST.text
     if missing := _missing(state):
-        return missing.removeprefix(": ")
+        return missing
     if state.vehicle.landed is not Landed.ON_GROUND:
         return "it says that it is not on the ground"
     reason = _refused(state, context)
@@ -151,16 +152,13 @@ def _why_unready(state: State, context: Context) -> str:
 
 
 def _unready(state: State, why: str) -> Step:
-    """Back to preparing; what was checked is checked again."""
-    says = warn(f"not ready any more: {why}", "phase")
-    return replace(_without(state, Item.CHECKS), unready=why), [says], Trigger.UNREADY
-
-
-def _still_unready(state: State, why: str) -> Step:
+    """Say so, once; it prepares on, or again: what was checked is checked again."""
+    if state.phase is Phase.READY:
+        says = warn(f"not ready any more: {why}", "phase")
+        return replace(_without(state, Item.CHECKS), unready=why), [says], Trigger.UNREADY
     if why == state.unready:
         return state, [], None
-    says = warn(f"not ready: {why}", "phase")
-    return replace(state, unready=why), [says], None
+    return replace(state, unready=why), [warn(f"not ready: {why}", "phase")], None
 
 
 def _without(state: State, item: Item) -> State:
@@ -174,7 +172,7 @@ def _may_not_be_alone(state: State) -> bool:
     On the ground there is time for that while arming; a companion that resumes its own path must be
     quick, and yields if it hears another one later (`is_second_companion`).
     """
-    takes_over = _is_flying(state) and state.flight.leg is None
+    takes_over = _is_flying(state) and state.flight.path is None
     return is_duplicate_suspected(state) or (takes_over and in_phase_s(state) < _LISTEN_S)
 
 
@@ -193,7 +191,7 @@ def on_duplicate_id(state: State, event: events.DuplicateId, context: Context) -
 
 
 def _landing_goes_on(state: State) -> Step:
-    """Complete a landing that the previous companion began."""
+    """Complete a landing that was begun before a reboot, or by the previous companion."""
     vehicle = state.vehicle
     if vehicle.landed is Landed.ON_GROUND and not vehicle.armed:
         return state, [], Trigger.LANDED
@@ -222,7 +220,7 @@ def _missing(state: State) -> str:
     distrusted = vehicle.distrust
     if distrusted is not None:
         missing.append(distrusted.text)
-    return f": {', '.join(missing)}" if missing else ""
+    return ", ".join(missing)
 
 
 def _refused(state: State, context: Context) -> Reason | None:
@@ -240,24 +238,25 @@ def _refused(state: State, context: Context) -> Reason | None:
 
 def _in_flight(state: State) -> Step:
     """Take over in the air: rejoin the path of the previous companion, or stop first."""
-    if not state.flight.leg and not state.prepared.issuperset(_ASKED_FOR):
+    path = state.flight.path
+    if path is None and not state.prepared.issuperset(_ASKED_FOR):
         return state, [], None
     if not state.targets_ne_m:
         return give_up(state, Reason.NO_TARGETS)
-    state = replace(state, flight=joining.along_leg(state))
-    mode = state.vehicle.mode
+    state = replace(state, flight=following.along_leg(state))
+    mode, ours = state.vehicle.mode, (Mode.GUIDED, Mode.HOLD)
     if state.orders.active is not None or state.taken or state.flight.returning:
-        ours = mode in (Mode.GUIDED, Mode.HOLD) and not state.taken
-        reason = Reason.TAKING_OVER if ours else takeover_reason(state)
-        flight = following.at_rest(following.requeue_backtrack(state.flight), None)
-        return replace(state, reason=reason, flight=flight), [], Trigger.IN_FLIGHT
+        reason = takeover_reason(state)
+        if mode in ours and not state.taken:
+            reason = Reason.TAKING_OVER
+        return replace(way_back.stopped(state), reason=reason), [], Trigger.IN_FLIGHT
     asked = state.asks > 0  # to hold: it may do so by now
-    if mode is Mode.GUIDED and state.flight.leg is not None and not asked:
-        joined = joining.joined(state)
+    if mode is Mode.GUIDED and not asked:
+        joined = following.joined(state, state.flight.path)
         if joined is not None:
             return replace(state, flight=joined), [], Trigger.TAKE_OVER
-    ours = mode in (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF)
-    reason = Reason.TAKING_OVER if ours else takeover_reason(state)
+    ours_or_up = mode in (*ours, Mode.TAKE_OFF)
+    reason = Reason.TAKING_OVER if ours_or_up else takeover_reason(state)
     return replace(state, reason=reason), [], Trigger.IN_FLIGHT
 
 
@@ -290,13 +289,8 @@ def taking_off(state: State, event: Event, _context: Context) -> Step:
 
     An autopilot with a take-off mode holds after it, and is then taken over.
     """
-    vehicle, traits = state.vehicle, state.vehicle.traits
-    guided = traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB
-    modes = (Mode.GUIDED,) if guided else (Mode.TAKE_OFF, Mode.HOLD, Mode.GUIDED)
-    on_ground = vehicle.landed is Landed.ON_GROUND
-    reason = cannot_fly(state, event, modes, may_be_grounded=True)
-    if reason is not None:
-        return give_up(state, reason) if on_ground else fault(state, reason)
+    guided = state.vehicle.traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB
+    on_ground = state.vehicle.landed is Landed.ON_GROUND
     if isinstance(event, Position) and not on_ground and _has_climbed(state, event, guided=guided):
         if guided:
             return state, [], Trigger.AIRBORNE
@@ -306,6 +300,12 @@ def taking_off(state: State, event: Event, _context: Context) -> Step:
     if in_phase_s(state) > _longest_climb_s(state):
         return give_up(state, Reason.NO_TAKE_OFF)
     return _ask_to_take_off(state) if on_ground and guided else (state, [], None)
+
+
+def take_off_broken_off(state: State, reason: Reason) -> Step:
+    """On the ground that is the end."""
+    down = state.vehicle.landed is Landed.ON_GROUND
+    return give_up(state, reason) if down else fault(state, reason)
 
 
 def _has_climbed(state: State, event: Position, *, guided: bool) -> bool:

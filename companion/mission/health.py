@@ -1,4 +1,4 @@
-"""Position validity and battery endurance (design section 7).
+"""Whether the position is to be believed (design section 7).
 
 After a GPS loss or glitch all checks may pass for a wrong position: estimators reset to a wrong
 receiver.  So velocities are integrated since the position was last valid, and it is valid again
@@ -6,16 +6,12 @@ only where they lead, or after it has passed all checks for so long that the old
 have been wrong.
 """
 
-import itertools
 import math
 
 from msgspec.structs import replace
 
-from companion.mission import joining
-from companion.mission.events import Battery, Landed, Position, Vector
-from companion.mission.home import beyond_path_m
-from companion.mission.mission import Mission
-from companion.mission.state import Reason, State, Vehicle, Way
+from companion.mission.events import Landed, Position, Vector
+from companion.mission.state import Reason, Vehicle
 from companion.path.limits import Limits
 
 TRUST_S = 2.0
@@ -35,12 +31,6 @@ _TOLD_SPEED_M_S = 0.1  # that speeds are off by while GPS is used
 _RECENT_S = 0.5
 _UNHEARD_S = 5.0
 _FLICKERS_S = 1.0  # estimators give in to what they do not believe 7 to 10 s later
-_DRAIN_S = 60.0  # before that, what the battery has lost says nothing of what it will
-_TELLING = 0.05  # nor before it has lost so much
-_STEP = 0.01  # it is told in hundredths
-_DETOUR = 1.1  # of the way that is known to be left
-_SHORT_S = 3.0  # one word of an empty battery may be wrong
-_LAST_WORD_S = 10.0  # ten times as long as between two
 
 
 def with_position(vehicle: Vehicle, event: Position, limits: Limits) -> Vehicle:
@@ -185,81 +175,3 @@ def distrust(vehicle: Vehicle, now_s: float, limits: Limits) -> Reason | None:
         return None
     elsewhere = astray_m(vehicle) > may_differ_m(vehicle, limits)
     return Reason.POSITION_ELSEWHERE if elsewhere else None
-
-
-def with_battery(state: State, event: Battery, mission: Mission) -> Vehicle:
-    """Update the vehicle by one battery report."""
-    vehicle, left = state.vehicle, event.remaining
-    full = vehicle.battery_full
-    in_air = vehicle.landed not in (Landed.ON_GROUND, Landed.UNKNOWN)
-    if in_air and (full is None or left > full[1]):
-        full = (event.time_s, left)
-    vehicle = replace(vehicle, battery=left, battery_at_s=event.time_s, battery_full=full)
-    since_s = event.time_s if vehicle.battery_short_at_s is None else vehicle.battery_short_at_s
-    lasts = battery_lasts(replace(state, vehicle=vehicle), mission)
-    return replace(vehicle, battery_short_at_s=None if lasts else since_s)
-
-
-def battery_is_short(state: State) -> bool:
-    """Whether all battery reports for a while say that it will not last.
-
-    A single report counts, too, if none follows.
-    """
-    vehicle, since_s = state.vehicle, state.vehicle.battery_short_at_s
-    if since_s is None:
-        return False
-    unheard_s = state.now_s - vehicle.battery_at_s
-    return vehicle.battery_at_s - since_s >= _SHORT_S or unheard_s >= _LAST_WORD_S
-
-
-def battery_lasts(state: State, mission: Mission) -> bool:
-    """Whether the battery reaches the target with the reserve, as far as known.
-
-    More than the reserve must be left, and enough for the distance if the mission gives the
-    endurance.  The consumption of this flight only causes a warning (`battery_forecast`):
-    simulators, and batteries that are not full, lose half of it in the first minute.
-    """
-    left = state.vehicle.battery
-    if left is None:
-        return True
-    if left < mission.reserve:
-        return False
-    if mission.endurance_s is None:
-        return True
-    left_s, way_m = (left - mission.reserve) * mission.endurance_s, way_left_m(state, _DETOUR)
-    return left_s >= way_m / state.task.limits.speed_m_s
-
-
-def battery_forecast(state: State, mission: Mission) -> bool:
-    """Whether it reaches the target with the reserve at the consumption of this flight."""
-    vehicle = state.vehicle
-    if vehicle.battery_full is None or vehicle.battery is None:
-        return True
-    since_s, full = vehicle.battery_full
-    elapsed_s, lost = state.now_s - since_s, full - vehicle.battery
-    if elapsed_s < _DRAIN_S or lost < _TELLING:
-        return True
-    left_s = (vehicle.battery - mission.reserve) * elapsed_s / (lost - _STEP)
-    return left_s >= way_left_m(state, _DETOUR) / state.task.limits.speed_m_s
-
-
-def way_left_m(state: State, detour: float = 1.0) -> float:
-    """Remaining distance: the backtrack, or the last plan's route and on from target to target.
-
-    detour: how many times as long as that the way to the targets may become.
-    """
-    here, flight = state.vehicle.position_nea_m, state.flight
-    if flight.way is Way.BACK:
-        ahead = [leg for leg in (flight.leg, flight.next_leg, *flight.back) if leg is not None]
-        flown_m = flight.reference.length_m
-        if flight.leg is None and ahead and here is not None:  # it was stopped on the first of them
-            flown_m = joining.nearest(ahead[0], here)[1]
-        return sum(leg.subpath.length_m for leg in ahead) - flown_m + beyond_path_m(state)
-    if here is None or not state.targets_ne_m:
-        return 0.0
-    route, from_here = flight.route_ne_m, itertools.repeat(here[:2])
-    if route:  # it begins where it was planned
-        apart_m = list(map(math.dist, route, from_here))
-        route = route[apart_m.index(min(apart_m)) :]
-    places = [here[:2], *route, *state.targets_ne_m[flight.target :]]
-    return sum(map(math.dist, places, places[1:])) * detour

@@ -1,8 +1,8 @@
 """The mission machine: (state, event) -> (state, commands).  The only way a mission changes.
 
-An event first updates vehicle and terrain, then the handler of the phase decides; a trigger changes
-the phase by the table in `state`, and the new phase begins with its own commands.  No clock, no
-I/O: times are those of the events.
+An event first updates vehicle and terrain.  Then comes what others want, then what is wrong
+(`tables.FAULTS`), then what the phase does; a trigger changes the phase by the table in `state`,
+and the new phase begins with its own commands.  No clock, no I/O: times are those of the events.
 """
 
 from collections.abc import Callable
@@ -10,19 +10,21 @@ from typing import Any, Final
 
 from msgspec.structs import replace
 
-from companion.mission import changes, events, flying, following, ground, stopped
+from companion.mission import changes, events, flying, following, ground, stopped, way_back
 from companion.mission import shadow as watching
+from companion.mission.battery import with_battery
 from companion.mission.decisions import (
     Context,
     Step,
+    fault,
     give_up,
     held,
     longest_silence_s,
-    parting,
     reason_text,
 )
 from companion.mission.events import Command, End, Event, Landed, Mode, Outcome, SetMode, say, warn
-from companion.mission.health import distrust, with_battery, with_position, with_position_trust
+from companion.mission.following import held_here
+from companion.mission.health import distrust, with_position, with_position_trust
 from companion.mission.state import (
     IN_AIR,
     ON_GROUND,
@@ -34,6 +36,7 @@ from companion.mission.state import (
     State,
     Trigger,
 )
+from companion.mission.tables import fall_back, fault_of, parting
 from companion.mission.vehicle_traits import UNKNOWN
 
 _AS_IT_SHOULD = {
@@ -48,8 +51,7 @@ def step(state: State, event: Event, context: Context) -> tuple[State, list[Comm
     """Handle one event: the new state and the commands."""
     if state.phase in OVER:
         return state, []
-    now_s = max(state.now_s, event.time_s)
-    limits = state.task.limits
+    now_s, limits = max(state.now_s, event.time_s), state.task.limits
     if not isinstance(event, events.Position):
         state = _observed(replace(state, now_s=now_s), event, context)
         vehicle = state.vehicle
@@ -62,11 +64,14 @@ def step(state: State, event: Event, context: Context) -> tuple[State, list[Comm
         vehicle = with_position_trust(vehicle, reason, now_s)
     airborne = state.airborne or (vehicle.armed and vehicle.landed is Landed.IN_AIR)
     state = replace(state, now_s=now_s, vehicle=vehicle, airborne=airborne)
-    in_any_phase = _IN_ANY_PHASE.get(type(event))
-    decided = None if in_any_phase is None else in_any_phase(state, event, context)
+    others = _IN_ANY_PHASE.get(type(event))
+    decided = None if others is None else others(state, event, context)
+    if decided is None:
+        reason = fault_of(state, event)
+        decided = None if reason is None else _BREAK_OFF[state.phase](state, reason)
     after, commands, trigger = decided or IN_PHASE[state.phase](state, event, context)
     if trigger is Trigger.GIVE_UP and not context.shadow:
-        after, more, trigger = stopped.fall_back(after, context)
+        after, more, trigger = fall_back(after, context)
         commands = [*commands, *more]
     if trigger is None or after.phase not in trigger.origins:
         return after, commands
@@ -145,6 +150,15 @@ _IN_ANY_PHASE: Final[dict[type[Event], Callable[[State, Any, Context], Step | No
 }
 """Handlers of events in any phase; None: also left to the phase."""
 
+_BREAK_OFF: Final[dict[Phase, Callable[[State, Reason], Step]]] = {
+    Phase.TAKING_OFF: ground.take_off_broken_off,
+    Phase.FLYING: lambda state, reason: fault(held_here(state), reason),
+    Phase.RETURNING: lambda state, reason: fault(way_back.stopped(state), reason),
+    Phase.ARRIVED: lambda state, reason: fault(held_here(state), reason),
+    Phase.HOLDING: stopped.broken_off,
+}
+"""What follows in each phase from a row of `tables.FAULTS`."""
+
 IN_PHASE: Final[dict[Phase, Callable[[State, Event, Context], Step]]] = {
     Phase.WAITING: ground.waiting,
     Phase.PREPARING: ground.preparing,
@@ -168,7 +182,7 @@ def _enter(
     """The next phase, and what it begins with."""
     phase, now_s = trigger.after, before.now_s
     state = replace(
-        before, phase=phase, hold=None, since_s=now_s, asked_at_s=-1e9, asks=0, obeyed=False
+        before, phase=phase, held=None, since_s=now_s, asked_at_s=-1e9, asks=0, obeyed=False
     )
     if phase in IN_AIR:
         since_s = now_s if before.phase is Phase.PREPARING else -1e9
@@ -210,7 +224,7 @@ def _set_out(state: State) -> tuple[State, list[Command]]:
     elif not state.flight.homeward:  # to a target again
         state = state.with_flight(fallen_back=None)
     if state.phase is Phase.RETURNING:
-        went_back = flying.start_backtrack(state)
+        went_back = way_back.begun(state)
         assert went_back is not None  # whoever triggers it has looked
         state, says = replace(state, flight=went_back), [say("returning", "phase")]
     if state.phase is not Phase.LANDING and state.vehicle.traits is not UNKNOWN:

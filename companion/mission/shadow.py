@@ -9,11 +9,11 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import events, flying, following, joining
+from companion.mission import flying, following
 from companion.mission.decisions import Context, Step, in_words
 from companion.mission.events import Command, Event, Landed, PlanReady, Position, Vector, say, warn
 from companion.mission.health import TRUST_S
-from companion.mission.state import Reason, State
+from companion.mission.state import OnPath, Reason, State
 from companion.planner.procedure import Reference
 
 _SAY_AGAIN_S = 10.0
@@ -29,23 +29,15 @@ def shadow(state: State, event: Event, context: Context) -> Step:
         return _would(replace(state, reason=reason), reason)
     if reason is not None or state.vehicle.landed is Landed.ON_GROUND or not state.targets_ne_m:
         return state, [], None
-    match event:
-        case Position():
-            return _on_position(state, event)
-        case events.ScanDone():
-            return flying.on_scan(state, event, context)
-        case PlanReady():
-            after, commands, _ = flying.on_plan(state, event)
-            return after, commands, None
-        case events.PlanLate():
-            return flying.on_late_plan(state, event)
-        case _:
-            return state, [], None
+    if isinstance(event, Position):
+        return _on_position(state, event)
+    after, commands, trigger = flying.on_answer(state, event, context)
+    return after, commands, None if isinstance(event, PlanReady) else trigger
 
 
 def _would(state: State, reason: Reason | None) -> Step:
     """Report that it would hold now, or continue."""
-    state = replace(state, flight=following.at_rest(state.flight, None))
+    state = following.held_here(state)
     if reason is None:
         return state, [say("shadow: would go on")], None
     return state, [warn(f"shadow: would hold: {in_words(state, reason)}")], None
@@ -61,14 +53,13 @@ def _on_position(state: State, event: Position) -> Step:
         at = flight.target if last else flight.target + 1
         flight = replace(following.at_rest(flight, None), target=at)
         return replace(state, flight=flight), says, None
-    if flight.leg is None:
+    if (path := flight.path) is None:
         return _ask(state, here)
-    off_m, at_m = joining.nearest(flight.leg, here)
+    off_m, at_m = following.nearest(path.leg, here)
     if off_m > 3.0 * state.task.limits.tracking_error_m:
         text = f"shadow: the vehicle is {off_m:.0f} m off the path"
-        flight = following.at_rest(flight, None)
-        return replace(state, flight=flight), [say(text)], None
-    return _follow(state, at_m)
+        return following.held_here(state), [say(text)], None
+    return _follow(state, path, at_m)
 
 
 def _ask(state: State, here: Vector) -> Step:
@@ -81,20 +72,18 @@ def _ask(state: State, here: Vector) -> Step:
     return replace(state, flight=flight), commands, None
 
 
-def _follow(state: State, at_m: float) -> Step:
+def _follow(state: State, path: OnPath, at_m: float) -> Step:
     """The vehicle is on the leg: scan at p_scan, go over at p_prog."""
-    flight, task = state.flight, state.task
-    leg = flight.leg
-    assert leg is not None
+    flight, task, leg = state.flight, state.task, path.leg
     speed = float(np.linalg.norm(state.vehicle.velocity_nea_m_s))
-    length_m = max(flight.reference.length_m, at_m)
-    flight = replace(flight, reference=Reference(length_m=length_m, speed_m_s=speed))
-    if flight.next_leg is not None and length_m >= leg.successor_at_m(task):
-        flight = joining.switched_to_next_leg(flight, leg, task)
-        return replace(state, flight=flight), [], None
-    if leg.subpath.length_m - length_m < 1.0:
-        return replace(state, flight=following.at_rest(flight, None)), [], None
-    if flight.search is None and leg.wants_successor(length_m, task):
+    length_m = max(path.reference.length_m, at_m)
+    path = replace(path, reference=Reference(length_m=length_m, speed_m_s=speed))
+    flight = replace(flight, path=path)
+    if path.next_leg is not None and length_m >= leg.successor_at_m(task):
+        flight, _ = following.switched_to_next_leg(flight, path, task)
+    elif leg.subpath.length_m - length_m < 1.0:
+        flight = following.at_rest(flight, None)
+    elif flight.search is None and leg.wants_successor(length_m, task):
         flight, commands = flying.start_scan(flight, leg.subpath.pose(length_m).point_nea_m)
         return replace(state, flight=flight), commands, None
     return replace(state, flight=flight), [], None

@@ -125,18 +125,6 @@ ON_SETPOINTS = (Hold.REPLAN, Hold.PAUSED, Hold.RETURN, Hold.LAND)
 """Holds with a valid position."""
 
 
-@final
-class TakenOver(Struct, frozen=True):
-    """What is known of a vehicle that somebody else has taken over."""
-
-    released_at_s: float = -1e9
-    """When the operator last ordered to continue."""
-    failsafe_over: bool = False
-    """Whether the end of the failsafe was reported."""
-    why: "Reason | None" = None
-    """What was seen to be wrong when it was taken."""
-
-
 class Reason(enum.Enum):
     """Why a mission holds or ends, and the remedy."""
 
@@ -265,6 +253,19 @@ class Reason(enum.Enum):
 
 
 @final
+class Held(Struct, frozen=True):
+    """What the phase `holding` knows."""
+
+    how: Hold
+    released_at_s: float = -1e9
+    """When the operator last ordered to continue."""
+    failsafe_over: bool = False
+    """Whether the end of the failsafe that took the vehicle was reported."""
+    why: Reason | None = None
+    """What was seen to be wrong when a failsafe took it."""
+
+
+@final
 class Vehicle(Struct, frozen=True, kw_only=True):
     """The vehicle's reports."""
 
@@ -350,19 +351,11 @@ class Scanning(Struct, frozen=True):
 
 @final
 class Planning(Struct, frozen=True):
-    """The newest plan was requested."""
+    """The newest plan was requested, or a backtrack as such."""
 
     rules: Task
     """The task of the request."""
-
-
-@final
-class PlanningBacktrack(Struct, frozen=True):
-    """A backtrack was requested, as the newest plan."""
-
-    rules: Task
-    """The task of the request."""
-    since_s: float
+    since_s: float = 0.0
 
 
 @final
@@ -392,23 +385,35 @@ class Stop(Struct, frozen=True):
 
 
 @final
-class Flight(Struct, frozen=True, kw_only=True):
-    """State of the online procedure."""
+class OnPath(Struct, frozen=True, kw_only=True):
+    """The leg that is flown, and where on it the vehicle is led."""
 
-    known: KnownMap
-    target: int = 0
-    leg: Leg | None = None
+    leg: Leg
     reference: Reference = field(default_factory=Reference)
     next_leg: Leg | None = None
     joined_m: float = 0.0
     """Length along the leg at which it was begun."""
     circling: bool = False
-    """Whether a plane still loiters at the start of its leg."""
+    """Whether a plane still loiters at its start."""
     offset: Offset | None = None
     """Between the path and where the vehicle is led: after a restart it decays."""
     stop: Stop | None = None
+    outside_since_s: float = math.inf
+    """Since when the vehicle has been outside of the tube that was proven; inf: it is inside."""
+    outside_m: float = 0.0
+    """How far outside it was then."""
+
+
+@final
+class Flight(Struct, frozen=True, kw_only=True):
+    """State of the online procedure."""
+
+    known: KnownMap
+    target: int = 0
+    path: OnPath | None = None
+    """None: there is no leg, it waits for one."""
     hover_nea_m: Vector | None = None
-    """Where to hold while there is no leg."""
+    """Where to hold meanwhile."""
     loiter_checked: tuple[Task, Vector] | None = None
     """Rules and hold position of the last look at the zones about a plane's circle."""
     search: Search | None = None
@@ -431,10 +436,6 @@ class Flight(Struct, frozen=True, kw_only=True):
     """How often the vehicle has stopped at the end of a leg that was not the last."""
     departures: int = 0
     """How often the vehicle was told to hold for having left its path, or not followed it."""
-    left_path_at_s: float = math.inf
-    """Since when it has been outside of the tube that was proven; inf: it is inside."""
-    left_path_m: float = 0.0
-    """How far outside it was then."""
     troubles: int = 0
     """Holds for its position or another fault since the last completed leg."""
     progress_at_s: float = 0.0
@@ -449,13 +450,33 @@ class Flight(Struct, frozen=True, kw_only=True):
     way: Way = Way.OUT
     back: tuple[Leg, ...] = ()
     """What is left of the backtrack, beside the legs that are flown."""
-    planning_backtrack: PlanningBacktrack | None = None
+    planning_backtrack: Planning | None = None
     battery_told: int = 0
     """Battery warnings sent: 1, it will not last at this rate; 2, it does not last."""
     fallen_back: Reason | None = None
     """Why the mission was given up for its fallback; None: it was not."""
     refused_modes: frozenset[Mode] = frozenset()
     """Modes requested to bring the vehicle down that it did not take."""
+
+    @property
+    def leg(self) -> Leg | None:
+        """The leg that is flown."""
+        return None if self.path is None else self.path.leg
+
+    @property
+    def next_leg(self) -> Leg | None:
+        """The one after it, if that is known."""
+        return None if self.path is None else self.path.next_leg
+
+    @property
+    def reference(self) -> Reference:
+        """Where on the leg the vehicle is led."""
+        return Reference() if self.path is None else self.path.reference
+
+    @property
+    def stop(self) -> Stop | None:
+        """Where on it to stop, if not at its end."""
+        return None if self.path is None else self.path.stop
 
     @property
     def returning(self) -> bool:
@@ -503,7 +524,7 @@ class State(Struct, frozen=True, kw_only=True):
     armed_by_us: bool = False
     """Whether the companion requested the arming."""
     landing: bool = False
-    """Whether the previous companion was landing it."""
+    """Whether it was being landed before a reboot, or by the previous companion."""
     sank: bool = False
     """Whether it had taken the land mode then: leaving it was a pilot's decision."""
     news: str = ""
@@ -522,10 +543,8 @@ class State(Struct, frozen=True, kw_only=True):
     orders: Orders = Orders()
     taken: bool = False
     """Whether a pilot or the autopilot has taken over, and has not handed back yet."""
-    hold: Hold | None = None
-    """How it is held, in the phase `holding`."""
-    taken_over: TakenOver = TakenOver()
-    """What is known of who has it, in the hold of that name."""
+    held: Held | None = None
+    """In the phase `holding`."""
     reason: Reason | None = None
     detail: str = ""
     """Detail of the reason."""
@@ -538,6 +557,11 @@ class State(Struct, frozen=True, kw_only=True):
     targets_ne_m: tuple[tuple[float, float], ...]
     vehicle: Vehicle = field(default_factory=Vehicle)
     flight: Flight
+
+    @property
+    def hold(self) -> Hold | None:
+        """How it is held, in the phase `holding`."""
+        return None if self.held is None else self.held.how
 
     @staticmethod
     def of(mission: Mission, known: KnownMap) -> "State":

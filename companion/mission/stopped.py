@@ -9,17 +9,18 @@ What happens to a flight that cannot go on; on the ground, unless mission or pil
 | is above where it took off, or does not know where it is | lands | lands | holds |
 | cannot be told to land (ArduPlane) | its autopilot's own return | the same | holds |
 
-The first line is `_other_way`; all others come through `fall_back`.  If the vehicle rejects one of
-the two modes the other is requested; if it rejects both, hold is requested and the operator asked
-to take over.  It is left alone if a pilot has control or it is silent, and if the operator or a
-dead part of the companion has ended the mission.
+The first line is `_other_way`; all others come through `tables.fall_back`.  If the vehicle rejects
+one of the two modes the other is requested; if it rejects both, hold is requested and the operator
+asked to take over.  It is left alone if a pilot has control or it is silent, and if the operator or
+a dead part of the companion has ended the mission.
 """
 
 import math
 
 from msgspec.structs import replace
 
-from companion.mission import events, flying, following
+from companion.mission import events, flying, following, way_back
+from companion.mission.battery import battery_runs_low, battery_warning, given_up_for_battery
 from companion.mission.decisions import (
     AT_M,
     LANDING_ABORTED,
@@ -27,41 +28,36 @@ from companion.mission.decisions import (
     Context,
     Step,
     ask,
-    cannot_fly,
     fault,
     fence_is_given_up,
     give_up,
-    has_had_control,
     held,
     in_phase_s,
     in_words,
     is_at_rest,
     is_grounded,
-    is_own_takeoff,
-    is_second_companion,
     is_silent,
     landing_order,
     longest_silence_s,
-    parting,
     preceded,
-    takeover_reason,
     waits_for_fence,
     with_hold_reason,
 )
 from companion.mission.events import Command, Event, Landed, Mode, Position, say, warn
+from companion.mission.following import held_here
 from companion.mission.health import TRUST_S
-from companion.mission.home import begins_at_home, home_ne_m, is_above_home
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.state import Hold, Orders, Phase, Reason, State, TakenOver, Trigger
-from companion.mission.vehicle_traits import UNKNOWN
+from companion.mission.state import ON_SETPOINTS, Held, Hold, Orders, Reason, State, Trigger
+from companion.mission.tables import is_ours, parting, stays_down, takeover_reason, wanted_fallback
+from companion.mission.way_back import begins_at_home, home_ne_m, is_above_home
 from companion.planner.recheck import is_touched
 
 FAILSAFE_OVER = "failsafe over: MISSION_START to the companion, or guided mode, goes on"
 
-_BREACH_S = 5.0  # from what the autopilot does to what it says
 _TOLD_S = 30.0  # that guided mode is asked for on a person's word
-_LEADS_BACK_S = 30.0  # a link that comes back later finds a vehicle that holds
 _TROUBLES = 8
+_MAX_STOPS = 12  # on the way to one target, for want of a successor
+_MAX_STOPS_NEAR = 100  # where sight is short
 _PAUSE_S = 2.0  # between attempts to plan from rest
 _SENSOR_S = 15.0  # for a sensor to see again, before each of them
 _THERE_M = 1.0
@@ -81,18 +77,10 @@ _ASKS = 5  # in vain, once a second
 
 def holding(state: State, event: Event, context: Context) -> Step:
     """Stop as the reason allows, and continue when it is gone."""
-    if isinstance(event, Position):
-        step = fence_breached(state) or flying.circling_near_zone(state, event)
-        if step is not None:
-            return step
-    if isinstance(event, events.LinkLost) or (is_silent(state) and state.hold is not Hold.SILENT):
-        return with_hold_reason(_replan_hover(state), Reason.LINK_LOST), [], None
-    if state.reason is Reason.BROKEN_OFF and state.vehicle.landed is Landed.ON_GROUND:
+    if stays_down(state):
         return _stay_down(state)
-    if not state.vehicle.armed:
-        return _over(state, Reason.DISARMED)
-    if is_grounded(state):
-        return _over(state, Reason.GROUNDED)
+    if isinstance(event, Position) and (step := flying.circling_near_zone(state)) is not None:
+        return step
     match state.hold:
         case Hold.REPLAN | Hold.PAUSED | Hold.RETURN | Hold.LAND:
             return _hold_on_setpoints(state, event, context)
@@ -106,6 +94,19 @@ def holding(state: State, event: Event, context: Context) -> Step:
             return _hold_in_its_own_mode(state, event, context)
 
 
+def broken_off(state: State, reason: Reason) -> Step:
+    """Held for another reason from now on, or at an end."""
+    if reason in (Reason.DISARMED, Reason.GROUNDED):
+        return _over(state, reason)
+    if reason is Reason.LINK_LOST or state.hold in ON_SETPOINTS:
+        state = held_here(state)
+    return (
+        taken(state)
+        if reason.hold is Hold.TAKEN_OVER
+        else (with_hold_reason(state, reason), [], None)
+    )
+
+
 def _over(state: State, how: Reason) -> Step:
     """End on the ground, with what was seen to lead to it."""
     reason, taken = state.reason, state.hold is Hold.TAKEN_OVER
@@ -114,7 +115,7 @@ def _over(state: State, how: Reason) -> Step:
     why = None
     if reason is Reason.FAILSAFE and taken:
         late = state.vehicle.bad_at_s > state.since_s
-        why = state.taken_over.why or (state.vehicle.last_distrust if late else None)
+        why = (state.held and state.held.why) or (state.vehicle.last_distrust if late else None)
     remedy = why.remedy if why else how.remedy
     detail = f": {reason.text}" + (f": {why.text}" if why else "")
     return give_up(state, how, detail, reason.remedy if reason.hold is Hold.MODE else remedy)
@@ -124,7 +125,7 @@ def _stay_down(state: State) -> Step:
     """End before the flight: out of the take-off mode, and disarmed if we have armed it."""
     vehicle, order = state.vehicle, state.orders.active or Reason.STOPPED
     if vehicle.armed and vehicle.mode not in (Mode.GUIDED, Mode.TAKE_OFF, Mode.HOLD):
-        return _taken(state)
+        return taken(state)
     out = vehicle.mode not in (Mode.TAKE_OFF, Mode.GUIDED)
     down = out and not (vehicle.armed and state.armed_by_us)
     if down and vehicle.status_at_s > state.since_s:
@@ -134,20 +135,6 @@ def _stay_down(state: State) -> Step:
     if in_phase_s(state) > _STAYS_DOWN_S:
         return give_up(state, Reason.NOT_OBEYING)
     return ask(state, *parting(state))
-
-
-def fence_breached(state: State) -> Step | None:
-    """Change the hold's reason to a breach of the vehicle's fence; None: it is not that.
-
-    On PX4 it looks like a loss of setpoints first; and the autopilot knows a fence changed in
-    flight before the companion has downloaded it.
-    """
-    held = state.hold in (Hold.TAKEN_OVER, Hold.STREAM_LOST)
-    if not held or state.reason is Reason.FENCE_BREACHED:
-        return None
-    by_itself = state.vehicle.failsafe or in_phase_s(state) < _BREACH_S
-    breached = by_itself and takeover_reason(state) is Reason.FENCE_BREACHED
-    return _taken(state) if breached else None
 
 
 def _heard_again(state: State, event: Event, context: Context) -> Step:
@@ -170,7 +157,7 @@ def _is_elsewhere(state: State) -> bool:
 
 def _elsewhere(state: State) -> Step:
     """Hold for that, with a text: the previous reason is over."""
-    state, says = held(_replan_hover(state), Reason.POSITION_ELSEWHERE)
+    state, says = held(held_here(state), Reason.POSITION_ELSEWHERE)
     return replace(state, taken=False), [says], None
 
 
@@ -180,26 +167,26 @@ def _while_taken_over(state: State, event: Event, context: Context) -> Step:
     Also after a failsafe: the autopilot's hold cannot be told from a pilot's.
     """
     if isinstance(event, events.Battery):
-        state, warning = flying.battery_warning(state, context)
+        state, warning = battery_warning(state, context.mission)
         return state, warning, None
-    known = state.taken_over if state.hold is Hold.TAKEN_OVER else TakenOver()
+    known = state.held if state.held and state.hold is Hold.TAKEN_OVER else Held(Hold.GROUNDED)
     told = state.now_s - known.released_at_s < _TOLD_S
     given_back = state.vehicle.mode is Mode.GUIDED or (told and state.vehicle.mode is Mode.HOLD)
     if given_back and _is_elsewhere(state):
         return _elsewhere(state)
     if not _is_trusted(state):
-        return _replan_hover(state), [], None
+        return held_here(state), [], None
     if state.vehicle.mode is Mode.GUIDED:
-        return resumed(_replan_hover(state))
+        return resumed(held_here(state))
     if told:
         return _ask_for_guided(state, event, context)
     if known.released_at_s > 0.0:
-        state = replace(state, taken_over=replace(known, released_at_s=-1e9))
+        state = replace(state, held=replace(known, released_at_s=-1e9))
         return state, [warn("guided mode was not taken")], None
     acts = state.reason is not Reason.FAILSAFE or state.vehicle.failsafe
     if acts or known.failsafe_over:
         return state, [], None
-    state = replace(state, taken_over=replace(known, failsafe_over=True))
+    state = replace(state, held=replace(known, failsafe_over=True))
     return state, [warn(FAILSAFE_OVER)], None
 
 
@@ -216,27 +203,22 @@ def resumed(state: State) -> Step:
     if not flight.returning:
         return state, [], Trigger.RESUME
     clear = not any(is_touched(leg, 0.0, state.task) for leg in flight.back)
-    if clear and flying.start_backtrack(state) is not None:
+    if clear and way_back.begun(state) is not None:
         return state, [], Trigger.BACKTRACK
     reason = flight.fallen_back or state.reason or Reason.NO_PLAN
-    return flying.home_by_plan(state, "returning another way", reason)
+    return way_back.home_by_plan(state, "returning another way", reason)
 
 
 def _hold_on_setpoints(state: State, event: Event, context: Context) -> Step:
     """Hold at the end of the leg; retry after a pause, a limited number of times."""
-    reason = cannot_fly(state, event)
-    if reason is not None and reason.hold is Hold.TAKEN_OVER:
-        return _taken(_replan_hover(state))
-    if reason is not None:
-        return with_hold_reason(_replan_hover(state), reason), [], None
     if isinstance(event, events.PlanReady):
-        return flying.on_backtrack_plan(state, event, context)
+        return way_back.on_plan(state, event, context)
     if not isinstance(event, Position):
         return state, [], None
-    if flying.battery_runs_low(state):  # a pause, too, ends before the battery does
-        low = with_hold_reason(flying.given_up_for_battery(state), Reason.BATTERY_LOW)
+    if battery_runs_low(state):  # a pause, too, ends before the battery does
+        low = with_hold_reason(given_up_for_battery(state), Reason.BATTERY_LOW)
         return low, [warn(f"hold: {Reason.BATTERY_LOW.text}")], None
-    state, warning = flying.battery_warning(state, context)
+    state, warning = battery_warning(state, context.mission)
     flight, stay = following.hold_setpoint(state, event.time_s, context)
     state = replace(state, flight=flight)
     if flight.planning_backtrack is not None:
@@ -272,12 +254,13 @@ def _end_of_hold(state: State, event: Position, context: Context, commands: list
         if held_s < _SENSOR_S * context.mission.attempts:
             return state, commands, None
         return _other_way(with_hold_reason(state, Reason.GROUND_NEARER), context)
-    tries = flight.failures < context.mission.attempts and flight.stops <= flying.max_stops(context)
+    stops_allowed = _MAX_STOPS if near is None else _MAX_STOPS_NEAR
+    tries = flight.failures < context.mission.attempts and flight.stops <= stops_allowed
     if not on_way_back and (hold is Hold.RETURN or not tries):
         return _other_way(state, context)
     hovers = state.vehicle.traits.hovers
     if hovers and (state.reason is Reason.NEW_THREAT or not settled):
-        state = _replan_hover(state)  # the band may be another one, or it does not come back
+        state = held_here(state)  # the band may be another one, or it does not come back
     return preceded(commands, resumed(state))
 
 
@@ -296,27 +279,22 @@ def _other_way(state: State, context: Context) -> Step:
     Not once planning a path home has failed.
     """
     reason, flight = state.reason or Reason.NO_PLAN, state.flight
-    how = _wanted_fallback(state, context)
+    how = wanted_fallback(state, context)
     at_home = not flight.flown and is_above_home(state)
     if how is not Fallback.RETURN or flight.homeward or at_home:
         return give_up(state, reason)
     why = in_words(state, reason)
     state = state.with_flight(fallen_back=reason)
     if not flight.flown:
-        return flying.home_by_plan(state, f"{why}: planning a way home", reason, warning=True)
+        return way_back.home_by_plan(state, f"{why}: planning a way home", reason, warning=True)
     how_so = "flying back and landing" if begins_at_home(state) else "flying back, then home"
-    return preceded([warn(f"{why}: {how_so}", "end")], flying.request_backtrack(state, context))
+    return preceded([warn(f"{why}: {how_so}", "end")], way_back.request(state, context))
 
 
 def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
     """The autopilot holds, until the vehicle is at rest and its position was valid for a while."""
     vehicle, mode, hovers = state.vehicle, state.vehicle.mode, state.vehicle.traits.hovers
     taking_over = state.hold is Hold.TAKE_OVER
-    climbs = mode is Mode.TAKE_OFF and (
-        taking_over or (is_own_takeoff(state) and not state.obeyed)  # it has not heard us yet
-    )
-    if mode not in (Mode.GUIDED, Mode.HOLD) and not climbs:
-        return _taken(state)
     if in_phase_s(state) > _HOLD_S or state.flight.troubles > _TROUBLES:
         return state, [], Trigger.GIVE_UP
     if mode is not Mode.TAKE_OFF and _is_elsewhere(state):
@@ -332,16 +310,16 @@ def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
     )
     doubted = vehicle.distrust is not None
     if not state.obeyed or (mode is Mode.GUIDED and (doubted or not stands)):
-        return ask(replace(_replan_hover(state), obeyed=False), events.SetMode(mode=Mode.HOLD))
+        return ask(replace(held_here(state), obeyed=False), events.SetMode(mode=Mode.HOLD))
     if stands and mode is Mode.HOLD and state.orders.active is Reason.LAND_ASKED:
         return _land_here(state)
     unled = state.reason is Reason.BROKEN_OFF and state.flight.plan_id == 0
     if unled and mode is Mode.HOLD and state.orders.active is Reason.RETURN_ASKED:
         return give_up(state, Reason.RETURN_ASKED)  # there is no way back but its own
     if not stands or not _is_trusted(state):
-        return _replan_hover(state), [], None
+        return held_here(state), [], None
     if mode is Mode.GUIDED:
-        return resumed(_replan_hover(state))
+        return resumed(held_here(state))
     return _ask_for_guided(state, event, context)
 
 
@@ -351,7 +329,7 @@ def _land_here(state: State) -> Step:
     return state.with_flight(fallen_back=Reason.LAND_ASKED), [says], Trigger.END_LAND
 
 
-def _taken(state: State) -> Step:
+def taken(state: State) -> Step:
     """A pilot or the autopilot has taken over."""
     state, says = held(state, takeover_reason(state))
     return replace(state, taken=True), [says], None
@@ -363,14 +341,12 @@ def _lead_back(state: State, event: Event, context: Context) -> Step:
     No mode is requested: if it does not return, it holds for another reason.
     """
     mode = state.vehicle.mode
-    if mode not in (Mode.GUIDED, Mode.HOLD) or in_phase_s(state) > _LEADS_BACK_S:
-        return _taken(state)
     if _is_elsewhere(state):
         return _elsewhere(state)
     if not _is_trusted(state):
-        return _replan_hover(state), [], None
+        return held_here(state), [], None
     if mode is Mode.GUIDED:
-        return resumed(_replan_hover(state))
+        return resumed(held_here(state))
     return _stream_here(state, event, math.inf, context)
 
 
@@ -384,11 +360,6 @@ def _stream_here(state: State, event: Event, near_m: float, context: Context) ->
         state = replace(state, flight=flight)
     flight, stay = following.hold_setpoint(state, event.time_s, context)
     return replace(state, flight=flight), stay, None
-
-
-def _replan_hover(state: State) -> State:
-    """Choose the waiting place again: the vehicle may have been held too low."""
-    return replace(state, flight=following.at_rest(state.flight, None))
 
 
 def _ask_for_guided(state: State, event: Event, context: Context) -> Step:
@@ -411,13 +382,10 @@ def arrived(state: State, event: Event, context: Context) -> Step:
     asked = state.asked_at_s > state.since_s
     if state.vehicle.mode is Mode.HOLD and asked:
         return state, [], Trigger.END_HOLD
-    reason = cannot_fly(state, event)
-    if reason is not None:
-        return fault(_replan_hover(state), reason)
     if in_phase_s(state) > _SETTLE_S + _OBEY_S:
         return give_up(state, Reason.NOT_OBEYING if asked else Reason.NOT_FOLLOWING)
     if isinstance(event, events.PlanReady):
-        return flying.on_backtrack_plan(state, event, context)
+        return way_back.on_plan(state, event, context)
     if not isinstance(event, Position):
         return state, [], None
     flight, stay = following.hold_setpoint(state, event.time_s, context)
@@ -438,8 +406,8 @@ def _end(state: State, context: Context) -> Step:
         if flight.planning_backtrack is not None:
             return state, [], None
         if flight.flown:
-            return flying.request_backtrack(state, context)
-        return flying.home_by_plan(state, "returning: planning a way home", Reason.NO_PLAN)
+            return way_back.request(state, context)
+        return way_back.home_by_plan(state, "returning: planning a way home", Reason.NO_PLAN)
     if traits.holds_in_guided:
         told = in_phase_s(state) > _TOLD_TO_STAY_S
         return state, [], Trigger.END_HOLD if told else None
@@ -512,7 +480,7 @@ def landing(state: State, event: Event, _context: Context) -> Step:
         return give_up(state, Reason.NOT_OBEYING)
     if vehicle.mode is Mode.LAND:
         return replace(state, obeyed=True), [], None
-    if state.obeyed or vehicle.mode not in (Mode.GUIDED, Mode.HOLD):  # PX4 holds without setpoints
+    if not is_ours(state):  # PX4 holds without setpoints
         if is_grounded(state):
             return state, [], None  # down, and not yet disarmed: the mode is the autopilot's
         return _broken_off(state)
@@ -544,64 +512,7 @@ def handing_over(state: State, _event: Event, _context: Context) -> Step:
         return state, [], Trigger.HANDED_ON
     if not vehicle.armed or is_grounded(state):
         return give_up(state, Reason.GROUNDED if vehicle.armed else Reason.DISARMED)
-    if vehicle.mode not in (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF):
+    if not is_ours(state):
         return give_up(state, takeover_reason(state))
     asked = ask(state, events.SetMode(mode=Mode.RETURN))
     return give_up(asked[0], Reason.NOT_OBEYING) if asked[0].asks > _ASKS else asked
-
-
-# --- given up
-
-
-def _wanted_fallback(state: State, context: Context) -> Fallback:
-    """The mission's fallback, or what was ordered or is in progress."""
-    flight, orders = state.flight, state.orders
-    ordered = (state.reason, orders.active, orders.suspended)
-    asked = Reason.RETURN_ASKED in (*ordered, flight.fallen_back)
-    landing = flight.fallen_back is Reason.LAND_ASKED and not asked
-    if landing or Reason.LAND_ASKED in ordered:
-        return Fallback.LAND
-    ends_there = state.phase is Phase.ARRIVED and context.mission.end_action is EndAction.RETURN
-    home = asked or ends_there or flight.returning or flight.homeward
-    return Fallback.RETURN if home else context.mission.fallback
-
-
-_LADDERS = {Fallback.RETURN: (Mode.RETURN, Mode.LAND), Fallback.LAND: (Mode.LAND, Mode.RETURN)}
-"""What a vehicle is told whose mission is given up: the first that it does not refuse."""
-_ASKED_IN = {Phase.LANDING: Mode.LAND, Phase.HANDING_OVER: Mode.RETURN}
-"""The mode that a phase requests: given up in it, it was refused."""
-
-
-def fall_back(state: State, context: Context) -> Step:
-    """Bring down a vehicle whose mission is given up, if we still control it."""
-    fallback, flight, traits = _wanted_fallback(state, context), state.flight, state.vehicle.traits
-    if fallback is Fallback.HOLD or traits is UNKNOWN or not _is_left_to_us(state):
-        return state, [], Trigger.GIVE_UP
-    refused = flight.refused_modes | {mode for at, mode in _ASKED_IN.items() if at is state.phase}
-    if state.vehicle.distrust is not None or is_above_home(state):
-        fallback = Fallback.LAND
-    able = {Mode.RETURN, Mode.LAND} if traits.lands else {Mode.RETURN}
-    way = next((mode for mode in _LADDERS[fallback] if mode in able - refused), None)
-    reason = state.reason or Reason.NO_PLAN
-    follows = reason is Reason.NOT_OBEYING or flight.homeward
-    if follows and flight.fallen_back is not None:
-        reason = flight.fallen_back  # that is why it was asked
-    state = state.with_flight(fallen_back=reason, refused_modes=refused)
-    if way is None:
-        return state, [], Trigger.GIVE_UP
-    how = "landing here" if way is Mode.LAND else "its autopilot is told to return"
-    says = warn(f"{in_words(state, reason)}: {how}", "end")
-    return state, [says], Trigger.END_LAND if way is Mode.LAND else Trigger.HAND_OVER
-
-
-def _is_left_to_us(state: State) -> bool:
-    """Whether we are responsible for the vehicle: it flies or holds on our command."""
-    vehicle = state.vehicle
-    led = has_had_control(state) or state.flight.plan_id > 0
-    if not led or state.taken or is_second_companion(state) or state.reason is Reason.LINK_LOST:
-        return False
-    if not vehicle.armed or is_grounded(state) or is_silent(state):
-        return False
-    if vehicle.mode is Mode.HOLD:
-        return state.phase is not Phase.PREPARING or state.asks > 0
-    return vehicle.mode is Mode.GUIDED or (vehicle.mode is Mode.TAKE_OFF and is_own_takeoff(state))

@@ -29,7 +29,7 @@ from companion.mavlink.autopilots import ALL, PX4_MULTICOPTER
 from companion.mission import changes, checkpoint, events
 from companion.mission.changes import OrderResult
 from companion.mission.events import FenceChanged, Mode, Order, OrderKind, Plan, SetMode, Setpoint
-from companion.mission.flying import on_scan
+from companion.mission.flying import on_answer
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.state import Phase, Reason, Scanning, Way
 from companion.mission.vehicle_traits import VehicleTraits
@@ -216,9 +216,10 @@ def on_its_way_out() -> tuple[Craft, FenceChanged]:
     craft = flying()
     around = fence(craft, *craft.here[:2], 200.0)
     state = craft.state.with_fence(craft.context.mission.task, around)
-    assert state.flight.leg is not None
     leg = replace(state.flight.leg, rules=state.task)
-    craft.state = replace(state, flight=replace(state.flight, leg=leg))
+    craft.state = replace(
+        state, flight=replace(state.flight, path=replace(state.flight.path, leg=leg))
+    )
     return craft, around
 
 
@@ -376,9 +377,9 @@ def test_a_mission_that_is_stopped_while_it_takes_over_a_climb_ends_in_a_hold() 
 def test_only_what_stands_looks_again_where_the_radar_left_something_out(is_shadow: bool) -> None:
     """A shadow's vehicle flies on meanwhile, wherever somebody else takes it."""
     wild = Wild.calmly(ALL[0].traits, shadow=is_shadow).aloft(Mode.OTHER)
-    flight = replace(wild.state.flight, leg=None, next_leg=None, search=Scanning((0, 0, 3000)))
+    flight = replace(wild.state.flight, path=None, search=Scanning((0, 0, 3000)))
     scanned = replace(scan_done(wild.state.now_s), asked=9, answered=4)
-    _, commands, _ = on_scan(replace(wild.state, flight=flight), scanned, wild.context)
+    _, commands, _ = on_answer(replace(wild.state, flight=flight), scanned, wild.context)
     does = [type(command) for command in commands if not isinstance(command, events.StatusText)]
     assert does == [Plan if is_shadow else events.StartScan]
 

@@ -23,8 +23,7 @@ from renewed import replace
 from companion.mission import events
 from companion.mission.entries import of_change
 from companion.mission.events import Mode, Plan, Position, Setpoint, StartScan, StatusText
-from companion.mission.following import is_on_path, left_path, outside_m
-from companion.mission.joining import joined
+from companion.mission.following import is_on_path, joined, left_path, outside_m
 from companion.mission.state import Answered, Flight, Phase, Reason
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Reference, hover_pose
@@ -144,11 +143,13 @@ def cruising() -> Craft:
 def found_at(craft: Craft, way: Way, by_m: float, later_s: float = 0.0) -> tuple[Flight, Any]:
     """What follows if the vehicle is found so far from its reference point."""
     flight, state = craft.state.flight, craft.state
-    assert flight.leg is not None
+    assert flight.path is not None
     told = flight.leg.subpath.pose(flight.reference.length_m).position_nea_m
     here = tuple(np.add(told, np.multiply(way, by_m)).tolist())
     if later_s:
-        flight = replace(flight, left_path_at_s=state.now_s - later_s, left_path_m=1.0)
+        since_s = state.now_s - later_s
+        path = replace(flight.path, outside_since_s=since_s, outside_m=1.0)
+        flight = replace(flight, path=path)
     return left_path(state, flight, position(state.now_s, here, craft.velocity))
 
 
@@ -177,7 +178,7 @@ def test_who_leaves_where_it_was_proven_to_be_is_noted_and_is_to_stop_or_to_hold
         assert reason is (departs if share > 1.0 else None)
         if departs is None:
             left_m = max(share - 1.0, 0.0) * limit_m
-            assert flight.left_path_m == pytest.approx(left_m, rel=0.01)
+            assert flight.path.outside_m == pytest.approx(left_m, rel=0.01)
             stop = None if flight.stop is None else flight.stop.reason
             assert stop is (stops if share > 1.0 else None)
 
@@ -195,7 +196,7 @@ def test_who_does_not_come_back_is_told_to_hold(
 ) -> None:
     flight, departs = found_at(cruising(), ASIDE, off * ERROR_M, later_s=later_s)
     assert departs is reason
-    assert (flight.left_path_m > 0.0) is (off > 1.0)
+    assert (flight.path.outside_m > 0.0) is (off > 1.0)
 
 
 def test_who_is_seen_at_a_glance_to_be_on_its_path_is_not_outside_of_anything() -> None:
@@ -210,13 +211,13 @@ def test_who_is_seen_at_a_glance_to_be_on_its_path_is_not_outside_of_anything() 
         control = np.stack([np.sin(turn_rad), 1.0 - np.cos(turn_rad), 0.0 * turn_rad], axis=-1)
         bent = Subpath(control_nea_m=bend_m * control + (0.0, 0.0, craft.here[2]))
         at = Reference(length_m=rng.uniform(0.0, bent.length_m), speed_m_s=SPEED_M_S)
-        flight = replace(state.flight, leg=replace(leg, subpath=bent), reference=at)
+        path = replace(state.flight.path, leg=replace(leg, subpath=bent), reference=at)
         told = bent.pose(at.length_m).position_nea_m
         for off_m in (np.zeros(3), *(rng.normal(size=(40, 3)) * ERROR_M * rng.uniform(0.1, 1.5))):
             here = position(state.now_s, tuple((told + off_m).tolist()), craft.velocity)
-            if is_on_path(state, flight, here):
+            if is_on_path(state, state.flight, path, here):
                 seen += 1
-                assert outside_m(state, flight, here) == (0.0, 0.0, 0.0)
+                assert outside_m(state, path, here) == (0.0, 0.0, 0.0)
             else:
                 assert off_m.any()
     assert seen > 500
@@ -225,15 +226,15 @@ def test_who_is_seen_at_a_glance_to_be_on_its_path_is_not_outside_of_anything() 
 def test_who_overshoots_the_end_of_its_path_has_left_it() -> None:
     craft = cruising()
     leg = craft.state.flight.leg
-    assert leg is not None
     at_end = Reference(length_m=leg.subpath.length_m - 0.5 * ERROR_M, speed_m_s=5.0)
-    flight = replace(craft.state.flight, reference=at_end, next_leg=None)
+    path = replace(craft.state.flight.path, reference=at_end, next_leg=None)
+    flight = replace(craft.state.flight, path=path)
     craft = copy.copy(craft)
     craft.state = replace(craft.state, flight=flight)
     for beyond_m in (0.98 * ERROR_M, 1.02 * ERROR_M):
         left, departs = found_at(craft, ALONG, 0.5 * ERROR_M + beyond_m)
         ahead = 0.5 * ERROR_M + beyond_m - ERROR_M  # of where it was told to be
-        assert left.left_path_m == pytest.approx(max(beyond_m - ERROR_M, ahead), abs=1e-3)
+        assert left.path.outside_m == pytest.approx(max(beyond_m - ERROR_M, ahead), abs=1e-3)
         assert (left.stop, departs) == (None, None)  # it stops there anyway
 
 
@@ -309,17 +310,17 @@ def test_who_joins_a_path_near_its_end_comes_to_rest_without_a_jump(
     craft = flying()
     craft.run_until(lambda it: it.state.flight.reference.length_m > 100.0)
     flight = craft.state.flight
-    assert flight.leg is not None
     end = flight.leg.subpath.pose(flight.leg.subpath.length_m)
     along, across = end.tangent_nea, np.array([-end.tangent_nea[1], end.tangent_nea[0], 0.0])
     north, east, altitude = end.position_nea_m - left_m * along + beside_m * across
     at, velocity = (float(north), float(east), float(altitude)), tuple(speed_m_s * along)
+    path = replace(flight.path, next_leg=None)
     state = replace(
         craft.state,
         vehicle=replace(craft.state.vehicle, position_nea_m=at, velocity_nea_m_s=velocity),
-        flight=replace(flight, next_leg=None, search=None, sent=None),
+        flight=replace(flight, path=path, search=None, sent=None),
     )
-    went_on = joined(state)
+    went_on = joined(state, state.flight.path)
     assert went_on is not None
     craft.state = replace(state, flight=replace(went_on, search=Answered()))
     craft.here, craft.velocity = at, velocity
@@ -339,7 +340,6 @@ def test_who_joins_a_path_near_its_end_comes_to_rest_without_a_jump(
 def went_on(at_m: float, told_m: float, pace: float, **echo: Any) -> Flight:
     """Where it goes on along its leg: at that length and share of V, told to be at the other."""
     state = two_legs().state
-    assert state.flight.leg is not None
     curve = state.flight.leg.subpath
     north, east, up = (float(each) for each in pace * SPEED_M_S * curve.pose(at_m).tangent_nea)
     vehicle = replace(
@@ -349,7 +349,8 @@ def went_on(at_m: float, told_m: float, pace: float, **echo: Any) -> Flight:
         echo_nea_m=curve.pose(told_m).point_nea_m,
         **echo,
     )
-    flight = joined(replace(state, vehicle=vehicle, flight=replace(state.flight, sent=None)))
+    told_nothing = replace(state, vehicle=vehicle, flight=replace(state.flight, sent=None))
+    flight = joined(told_nothing, state.flight.path)
     assert flight is not None
     return flight
 
@@ -364,10 +365,10 @@ def test_it_goes_on_where_the_autopilots_target_has_moved_since_it_was_told(age_
 def test_it_goes_on_from_a_target_that_stands_as_slowly_as_the_target() -> None:
     echo = {"echo_nea_m_s": (0.0, 0.0, 0.0), "echo_at_s": two_legs().state.now_s - 0.4}
     flight = went_on(1_000.0 - 0.6 * SPEED_M_S, 1_000.0, 0.6, **echo)
-    assert flight.offset is not None
+    assert flight.path.offset is not None
     assert flight.reference.length_m == pytest.approx(1_000.0, abs=0.01)
     assert flight.reference.speed_m_s == 0.0
-    assert np.linalg.norm(flight.offset.velocity_nea_m_s) == 0.0
+    assert np.linalg.norm(flight.path.offset.velocity_nea_m_s) == 0.0
 
 
 def test_at_its_target_it_looks_where_it_has_flown_to() -> None:

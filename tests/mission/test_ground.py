@@ -8,9 +8,9 @@ from wild import Wild
 
 from companion.mavlink.autopilots import ALL
 from companion.mission import checkpoint
-from companion.mission.decisions import is_under_control
 from companion.mission.events import Arm, Command, DuplicateId, End, Mode, Outcome, TakeOff
 from companion.mission.state import Phase, Reason
+from companion.mission.tables import is_under_control
 from companion.mission.vehicle_traits import VehicleTraits
 
 

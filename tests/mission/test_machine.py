@@ -39,10 +39,11 @@ from renewed import replace
 
 from companion.mavlink.autopilots import ARDUCOPTER
 from companion.mission import changes, events
-from companion.mission.decisions import parting, reason_text
+from companion.mission.decisions import reason_text
 from companion.mission.events import Landed, Mode, Outcome, Plan, SetMode, Setpoint, TakeOff, Tick
 from companion.mission.health import distrust
 from companion.mission.state import Phase, Reason
+from companion.mission.tables import parting
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.planner.request import PlanOutcome, PlanRequest
 

@@ -45,7 +45,6 @@ def told(craft: Craft, reason: Reason) -> int:
 def ahead(craft: Craft, by_m: float) -> tuple[float, float]:
     """A place on the path."""
     flight = craft.state.flight
-    assert flight.leg is not None
     north, east, _ = flight.leg.subpath.pose(flight.reference.length_m + by_m).point_nea_m
     return north, east
 
@@ -138,7 +137,6 @@ def test_something_beside_behind_or_gone_stops_nobody() -> None:
     kept_m = MISSION.task.settings.safety_distance_m + MISSION.task.limits.tracking_error_m
     aside_m = kept_m + 2.0 * CELL_M
     leg = craft.state.flight.leg
-    assert leg is not None
     behind = tuple(leg.subpath.pose(0.0).point_nea_m[:2])
     if np.hypot(*np.subtract(ahead(craft, 0.0), behind)) < aside_m:
         craft.run_for(10.0)
@@ -172,7 +170,6 @@ def test_a_copter_behind_its_reference_stops_as_far_from_where_it_is_itself() ->
     craft = flying(MISSION)
     flight, vehicle = craft.state.flight, craft.state.vehicle
     leg, at_m = flight.leg, flight.reference.length_m
-    assert leg is not None
     assert vehicle.position_nea_m is not None
     behind_m = 0.4 * at_m
     place = leg.subpath.pose(at_m - behind_m).point_nea_m
@@ -184,7 +181,9 @@ def test_a_copter_behind_its_reference_stops_as_far_from_where_it_is_itself() ->
     assert stopped.flight.stop.at_m == pytest.approx(stops_at_m, rel=1e-3)
     age_s = 1.0  # of the position: it has flown on since
     later = replace(behind, now_s=behind.now_s + age_s)
-    gained_m = following.vehicle_at_m(later, leg) - following.vehicle_at_m(behind, leg)
+    path = craft.state.flight.path
+    assert path is not None
+    gained_m = following.vehicle_at_m(later, path) - following.vehicle_at_m(behind, path)
     assert gained_m == pytest.approx(np.linalg.norm(vehicle.velocity_nea_m_s) * age_s, rel=1e-3)
 
 
@@ -192,13 +191,13 @@ def test_what_stands_between_a_copter_and_its_reference_stops_it() -> None:
     craft = flying(MISSION)
     flight, vehicle = craft.state.flight, craft.state.vehicle
     leg = flight.leg
-    assert leg is not None
     ahead_of_it = Reference(length_m=0.8 * leg.subpath.length_m)
     north, east, _ = leg.subpath.pose(0.5 * leg.subpath.length_m).point_nea_m
     thing = seen(craft, Sight.SEES, (north, east))
     for at_m, stops in ((0.0, True), (ahead_of_it.length_m, False)):
         there = replace(vehicle, position_nea_m=leg.subpath.pose(at_m).point_nea_m)
-        state = replace(craft.state, vehicle=there, flight=replace(flight, reference=ahead_of_it))
+        path = replace(flight.path, reference=ahead_of_it)
+        state = replace(craft.state, vehicle=there, flight=replace(flight, path=path))
         step = changes.HANDLERS[type(thing)](state, thing, craft.context)
         assert step is not None
         assert (step[0].flight.stop is not None) == stops

@@ -20,9 +20,9 @@ from wild import Wild
 
 from companion.mavlink.autopilots import ALL, PX4_FIXED_WING, PX4_MULTICOPTER
 from companion.mission import events
-from companion.mission.decisions import takeover_reason
 from companion.mission.events import End, FenceBreach, FenceChanged, FenceReading, Mode
 from companion.mission.state import Phase, Reason
+from companion.mission.tables import takeover_reason
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.path.envelope import flown_on_m
 from companion.world.zones import CircleZone
@@ -72,7 +72,7 @@ def test_what_the_autopilot_does_after_it_has_said_that_its_fence_is_breached(
     assert texts(commands) == [f"hold: {Reason.FENCE_BREACHED.text}"]
     assert "MISSION_START" in Reason.FENCE_BREACHED.remedy
     craft.take(events.Order(time_s=craft.now_s, kind=events.OrderKind.START))
-    assert craft.state.taken_over.released_at_s == craft.now_s
+    assert craft.state.held.released_at_s == craft.now_s
 
 
 @pytest.mark.parametrize(("ago_s", "is_why"), [(2.0, True), (6.0, False), (-1.0, False)])

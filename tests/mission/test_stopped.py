@@ -18,9 +18,9 @@ from made_up import (
 from renewed import replace
 
 from companion.mission import changes, events
+from companion.mission.battery import battery_lasts
 from companion.mission.changes import OrderResult
 from companion.mission.events import Battery, Landed, Mode, Order, OrderKind, SetMode
-from companion.mission.health import battery_lasts
 from companion.mission.mission import Fallback, Mission
 from companion.mission.state import Phase, Reason
 
@@ -211,13 +211,13 @@ def sinking() -> Craft:
     return landing().run_until(lambda craft: craft.mode is Mode.LAND).run_for(3.0)
 
 
-@pytest.mark.parametrize("by_hand", [False, True])
-def test_a_landing_broken_off_is_held_where_it_is_until_told(by_hand: bool) -> None:
+@pytest.mark.parametrize("by_hand", [None, Mode.OTHER, Mode.HOLD])
+def test_a_landing_broken_off_is_held_where_it_is_until_told(by_hand: Mode | None) -> None:
     """Into guided mode at once, or by a pilot who gives it back later."""
     craft = sinking()
     said = len(craft.commands)
-    if by_hand:
-        craft.mode = Mode.OTHER
+    if by_hand is not None:
+        craft.mode = by_hand
         craft.run_for(20.0)
         assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.MODE_TAKEN)
     craft.mode, here = Mode.GUIDED, craft.here
@@ -249,10 +249,10 @@ def test_a_landing_that_was_never_begun_is_asked_for_again(meanwhile: Mode) -> N
     assert craft.landed is Landed.ON_GROUND
 
 
+@pytest.mark.parametrize("reboots", [False, True])
 @pytest.mark.parametrize("broken_off", [False, True])
-def test_a_landing_broken_off_while_the_companion_was_dead(broken_off: bool) -> None:
-    craft = sinking()
-    craft.restart()
+def test_a_landing_goes_on_after_a_restart_or_a_reboot(broken_off: bool, reboots: bool) -> None:
+    craft = sinking().reboot() if reboots else sinking().restart()
     craft.mode = Mode.GUIDED if broken_off else Mode.LAND
     said = craft.during(15.0)
     assert SetMode(mode=Mode.LAND) not in said

@@ -110,12 +110,11 @@ def test_a_vehicle_below_the_band_climbs_before_anything_is_planned(traits: Vehi
 def test_a_plane_leaves_its_circle_when_it_flies_the_way_of_its_path(traits: VehicleTraits) -> None:
     wild = Wild.calmly(traits).fly_to(Phase.FLYING)
     wild.run_until(lambda wild: wild.state.flight.leg is not None)
-    assert wild.state.flight.circling
+    assert wild.state.flight.path.circling
     stays = len([c for c in wild.sent(Setpoint) if not c.stay])
     assert stays == 0
-    wild.run_until(lambda wild: not wild.state.flight.circling)
+    wild.run_until(lambda wild: not wild.state.flight.path.circling)
     leg = wild.state.flight.leg
-    assert leg is not None
     tangent = leg.subpath.pose(0.0).tangent_nea
     velocity = wild.velocity
     along = velocity[0] * tangent[0] + velocity[1] * tangent[1]
@@ -128,9 +127,8 @@ def test_a_plane_that_has_circled_for_long_is_not_taken_for_stuck_as_it_sets_out
 ) -> None:
     """It may have had to fly to its circle first: the wait for its way there counts from there."""
     wild = Wild.calmly(traits).fly_to(Phase.FLYING)
-    wild.run_until(lambda wild: wild.state.flight.circling)
+    wild.run_until(lambda wild: wild.state.flight.path and wild.state.flight.path.circling)
     leg = wild.state.flight.leg
-    assert leg is not None
     start = leg.subpath.pose(0.0)
     flight = replace(wild.state.flight, progress_at_s=wild.now_s - 40.0)
     north, east, up = (float(x) for x in start.position_nea_m - 30.0 * start.tangent_nea)
@@ -146,7 +144,7 @@ def test_a_plane_that_has_circled_for_long_is_not_taken_for_stuck_as_it_sets_out
     )
     before = replace(wild.state, flight=flight, vehicle=vehicle)
     state, _ = machine.step(before, event, wild.context)
-    assert not state.flight.circling
+    assert not state.flight.path.circling
     assert state.flight.reference.length_m == 0.0  # abeam of the start, or before it
     assert state.phase is Phase.FLYING
 
@@ -160,7 +158,6 @@ def test_a_plane_that_sinks_or_rises_out_of_its_tube_has_left_it(
     wild = Wild.calmly(traits)
     wild.run_until(lambda wild: wild.state.flight.reference.length_m > 60.0)
     state, tube_m = wild.state, wild.mission.task.envelope.tube_m
-    assert state.flight.leg is not None
     pose = state.flight.leg.subpath.pose(state.flight.reference.length_m)
     north, east, up = pose.point_nea_m
     aside_m = 0.9 * wild.mission.task.limits.loiter_radius_m
@@ -169,7 +166,7 @@ def test_a_plane_that_sinks_or_rises_out_of_its_tube_has_left_it(
         event = events.Position(
             time_s=wild.now_s, position_nea_m=here, velocity_nea_m_s=(9.0, 0.0, 0.0)
         )
-        assert outside_m(state, state.flight, event)[0] == pytest.approx(out_m, abs=1e-6)
+        assert outside_m(state, state.flight.path, event)[0] == pytest.approx(out_m, abs=1e-6)
 
 
 @PLANES

@@ -159,7 +159,7 @@ class Watch:
                 self.estimator, self.error_m = good, error_m
             case events.Order(kind=OrderKind.START | OrderKind.CONTINUE):
                 self.told_by_person = True
-                self.said_go = event.kind is OrderKind.START
+                self.said_go |= event.kind is OrderKind.START
             case events.PlanReady(outcome=outcome) if outcome.plan_id == self.newest:
                 self._prove(outcome)
             case Position() if self.position is None or now > self.position.time_s:
@@ -270,7 +270,7 @@ class Watch:
 
     def _joining(self, state: State, order: int) -> float:
         """What a join adds to position (0) or velocity (1), and a rounding error."""
-        offset = state.flight.offset
+        offset = None if state.flight.path is None else state.flight.path.offset
         if offset is None:
             return 1e-6
         return (

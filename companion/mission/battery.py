@@ -1,0 +1,126 @@
+"""Whether the battery lasts: to the target, with the reserve (design section 7)."""
+
+import itertools
+import math
+
+from msgspec.structs import replace
+
+from companion.mission import following
+from companion.mission.events import Battery, Command, Landed, warn
+from companion.mission.mission import Mission
+from companion.mission.state import Reason, State, Vehicle, Way
+from companion.mission.way_back import beyond_path_m
+
+_DRAIN_S = 60.0  # before that, what the battery has lost says nothing of what it will
+_TELLING = 0.05  # nor before it has lost so much
+_STEP = 0.01  # it is told in hundredths
+_DETOUR = 1.1  # of the way that is known to be left
+_SHORT_S = 3.0  # one word of an empty battery may be wrong
+_LAST_WORD_S = 10.0  # ten times as long as between two
+_TOLD_FORECAST, _TOLD_SHORT = 1, 2
+
+
+def with_battery(state: State, event: Battery, mission: Mission) -> Vehicle:
+    """Update the vehicle by one battery report."""
+    vehicle, left = state.vehicle, event.remaining
+    full = vehicle.battery_full
+    in_air = vehicle.landed not in (Landed.ON_GROUND, Landed.UNKNOWN)
+    if in_air and (full is None or left > full[1]):
+        full = (event.time_s, left)
+    vehicle = replace(vehicle, battery=left, battery_at_s=event.time_s, battery_full=full)
+    since_s = event.time_s if vehicle.battery_short_at_s is None else vehicle.battery_short_at_s
+    lasts = battery_lasts(replace(state, vehicle=vehicle), mission)
+    return replace(vehicle, battery_short_at_s=None if lasts else since_s)
+
+
+def battery_is_short(state: State) -> bool:
+    """Whether all battery reports for a while say that it will not last.
+
+    A single report counts, too, if none follows.
+    """
+    vehicle, since_s = state.vehicle, state.vehicle.battery_short_at_s
+    if since_s is None:
+        return False
+    unheard_s = state.now_s - vehicle.battery_at_s
+    return vehicle.battery_at_s - since_s >= _SHORT_S or unheard_s >= _LAST_WORD_S
+
+
+def battery_lasts(state: State, mission: Mission) -> bool:
+    """Whether the battery reaches the target with the reserve, as far as known.
+
+    More than the reserve must be left, and enough for the distance if the mission gives the
+    endurance.  The consumption of this flight only causes a warning (`battery_warning`):
+    simulators, and batteries that are not full, lose half of it in the first minute.
+    """
+    left = state.vehicle.battery
+    if left is None:
+        return True
+    if left < mission.reserve:
+        return False
+    if mission.endurance_s is None:
+        return True
+    left_s, way_m = (left - mission.reserve) * mission.endurance_s, way_left_m(state, _DETOUR)
+    return left_s >= way_m / state.task.limits.speed_m_s
+
+
+def battery_runs_low(state: State) -> bool:
+    """Whether the battery ends the mission, or a pause.
+
+    Not for a mission that was already given up.
+    """
+    if not battery_is_short(state):
+        return False
+    if state.reason is Reason.PAUSED:
+        return True
+    flight = state.flight
+    ordered = state.orders.active in (Reason.RETURN_ASKED, Reason.LAND_ASKED)
+    return flight.fallen_back is None and not (flight.homeward or ordered)
+
+
+def given_up_for_battery(state: State) -> State:
+    """Give up the mission for its fallback, or continue the return in progress."""
+    flight, low = state.flight, Reason.BATTERY_LOW
+    fallen_back = flight.fallen_back if flight.returning or flight.homeward else low
+    state = replace(state, orders=replace(state.orders, active=low))
+    return state.with_flight(battery_told=_TOLD_SHORT, fallen_back=fallen_back)
+
+
+def battery_warning(state: State, mission: Mission) -> tuple[State, list[Command]]:
+    """Warn once that the battery will not last at this flight's rate, and once that it does not."""
+    told, vehicle, tells = state.flight.battery_told, state.vehicle, 0
+    if vehicle.battery_short_at_s is not None and battery_is_short(state):
+        tells = _TOLD_SHORT
+    elif told < _TOLD_FORECAST and vehicle.battery_full and vehicle.battery is not None:
+        since_s, full = vehicle.battery_full
+        elapsed_s, lost = state.now_s - since_s, full - vehicle.battery
+        if elapsed_s >= _DRAIN_S and lost >= _TELLING:
+            left_s = (vehicle.battery - mission.reserve) * elapsed_s / (lost - _STEP)
+            lasts = left_s >= way_left_m(state, _DETOUR) / state.task.limits.speed_m_s
+            tells = 0 if lasts else _TOLD_FORECAST
+    if tells <= told:
+        return state, []
+    return state.with_flight(battery_told=tells), [warn(Reason.BATTERY_LOW.text)]
+
+
+def way_left_m(state: State, detour: float = 1.0) -> float:
+    """Remaining distance: the backtrack, or the last plan's route and on from target to target.
+
+    detour: how many times as long as that the way to the targets may become.
+    """
+    here, flight = state.vehicle.position_nea_m, state.flight
+    if flight.way is Way.BACK:
+        ahead = [leg for leg in (flight.leg, flight.next_leg, *flight.back) if leg is not None]
+        flown_m = flight.reference.length_m
+        if (
+            flight.path is None and ahead and here is not None
+        ):  # it was stopped on the first of them
+            flown_m = following.nearest(ahead[0], here)[1]
+        return sum(leg.subpath.length_m for leg in ahead) - flown_m + beyond_path_m(state)
+    if here is None or not state.targets_ne_m:
+        return 0.0
+    route, from_here = flight.route_ne_m, itertools.repeat(here[:2])
+    if route:  # it begins where it was planned
+        apart_m = list(map(math.dist, route, from_here))
+        route = route[apart_m.index(min(apart_m)) :]
+    places = [here[:2], *route, *state.targets_ne_m[flight.target :]]
+    return sum(map(math.dist, places, places[1:])) * detour

@@ -1,0 +1,326 @@
+"""The four tables of the mission machine: read this first, then `machine.step`.
+
+OURS    whose modes are ours: in any other somebody else flies, and nothing is sent
+FAULTS  what breaks a phase off: the first that is true, and why it holds or ends then
+LADDER  what the vehicle is told, in turn, once the mission is given up
+LEAVE   when the vehicle is told to hold as the companion goes
+"""
+
+from collections.abc import Callable
+from typing import Final
+
+from companion.mission.decisions import (
+    HEARTBEAT_S,
+    Context,
+    Step,
+    has_had_control,
+    in_phase_s,
+    in_words,
+    is_grounded,
+    is_second_companion,
+    is_silent,
+)
+from companion.mission.events import Disarm, Event, Landed, LinkLost, Mode, Position, SetMode, warn
+from companion.mission.mission import EndAction, Fallback
+from companion.mission.state import IN_AIR, ON_SETPOINTS, Hold, Phase, Reason, State, Trigger
+from companion.mission.vehicle_traits import UNKNOWN, TakeoffSequence
+from companion.mission.way_back import is_above_home
+from companion.world.zones import nearest
+
+_COMES_BACK_S = 3.0  # PX4 takes a stream up again within a second (px4.md 6)
+_LEADS_BACK_S = 30.0  # a link that comes back later finds a vehicle that holds
+_FENCE_S = 5.0  # between a breach of the fence, and what the autopilot does about it
+_BREACH_S = 5.0  # from what the autopilot does to what it says
+
+# --- 1. whose modes are ours
+
+OURS: Final[dict[Phase | Hold, tuple[Mode, ...]]] = {
+    Phase.TAKING_OFF: (Mode.GUIDED, Mode.TAKE_OFF, Mode.HOLD),
+    Phase.FLYING: (Mode.GUIDED,),
+    Phase.RETURNING: (Mode.GUIDED,),
+    Phase.ARRIVED: (Mode.GUIDED,),
+    Phase.LANDING: (Mode.LAND,),
+    Phase.HANDING_OVER: (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF, Mode.RETURN),
+    **dict.fromkeys(ON_SETPOINTS, (Mode.GUIDED,)),
+    Hold.MODE: (Mode.GUIDED, Mode.HOLD),
+    Hold.TAKE_OVER: (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF),
+    Hold.STREAM_LOST: (Mode.GUIDED, Mode.HOLD),
+}
+"""Modes in which the vehicle does what we ask, by phase, and by how it is held in `holding`; what
+is not named has let go of it, or has not got it yet."""
+_ANY = (*Mode, None)
+
+
+def is_ours(state: State) -> bool:
+    """Whether the vehicle's mode is one of ours."""
+    phase, mode, traits = state.phase, state.vehicle.mode, state.vehicle.traits
+    if state.held is not None:
+        early = mode is Mode.TAKE_OFF and not state.obeyed  # it has not heard us yet
+        if early and state.hold is Hold.MODE:
+            return still_goes_up(state)
+        return mode in OURS.get(state.held.how, _ANY)
+    if phase is Phase.TAKING_OFF and traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB:
+        return mode is Mode.GUIDED
+    early = phase is Phase.LANDING and not state.obeyed
+    return mode in OURS.get(phase, _ANY) or (early and mode in (Mode.GUIDED, Mode.HOLD))
+
+
+def takeover_reason(state: State) -> Reason:
+    """Who has changed the mode: the pilot, or the autopilot for its fence or another failsafe.
+
+    A fence breach is reported, or inferred from a failsafe outside of the fence (PX4).  A pilot who
+    selects hold, return or land during a failsafe cannot be told from the failsafe.
+    """
+    vehicle = state.vehicle
+    if vehicle.mode not in (Mode.HOLD, Mode.RETURN, Mode.LAND):
+        return Reason.MODE_TAKEN
+    said = 0.0 <= state.now_s - vehicle.fence_breached_at_s < _FENCE_S
+    acts = (
+        vehicle.traits.needs_setpoints_before_offboard
+        and vehicle.failsafe
+        and (_is_out_of_its_fence(state) or _is_held_by_what_it_misreads(state))
+    )
+    if said or acts:
+        return Reason.FENCE_BREACHED
+    return Reason.FAILSAFE if vehicle.failsafe else Reason.MODE_TAKEN
+
+
+def _is_held_by_what_it_misreads(state: State) -> bool:
+    """Whether PX4 goes on holding although setpoints come, with a fence that it misreads.
+
+    Where it keeps out then nobody else knows (px4.md 7); a lost stream it would have taken up.
+    """
+    fence, lost = state.fence, state.hold is Hold.STREAM_LOST
+    return fence is not None and fence.misread and lost and in_phase_s(state) > _COMES_BACK_S
+
+
+def _is_out_of_its_fence(state: State) -> bool:
+    """Whether the vehicle's position violates its own fence."""
+    fence, here = state.fence, state.vehicle.position_nea_m
+    if fence is None or here is None:
+        return False
+    error_m = state.task.error_m
+    if fence.ceiling_amsl_m is not None and here[2] > fence.ceiling_amsl_m - error_m:
+        return True
+    return nearest(fence.zones, here[0], here[1])[1] < error_m
+
+
+def still_goes_up(state: State) -> bool:
+    """Whether it may still be in the take-off that we asked for, after a fault or a silence."""
+    begun = state.armed_by_us and state.flight.plan_id == 0 and not state.taken
+    return begun and state.phase in (Phase.PREPARING, Phase.HOLDING)
+
+
+# --- 2. what breaks a phase off
+
+
+_LED = (Phase.FLYING, Phase.RETURNING, Phase.ARRIVED)
+_UP = (Phase.TAKING_OFF, *_LED)
+_HELD = (Phase.HOLDING,)
+
+
+def _lost_or_taken(state: State) -> Reason:
+    """Who has the vehicle; it may hold by itself for lack of setpoints on the link (PX4)."""
+    vehicle, taken = state.vehicle, takeover_reason(state)
+    needs_them = vehicle.traits.needs_setpoints_before_offboard
+    lost = needs_them and vehicle.failsafe and vehicle.mode is Mode.HOLD
+    lost = lost and (state.held is None or state.hold in ON_SETPOINTS)
+    return Reason.STREAM_LOST if lost and taken is not Reason.FENCE_BREACHED else taken
+
+
+def is_breach_of_fence(state: State) -> bool:
+    """Whether it was the vehicle's fence that took it.
+
+    On PX4 it looks like a loss of setpoints first; and the autopilot knows a fence changed in
+    flight before the companion has downloaded it.
+    """
+    held = state.hold in (Hold.TAKEN_OVER, Hold.STREAM_LOST)
+    if not held or state.reason is Reason.FENCE_BREACHED:
+        return False
+    by_itself = state.vehicle.failsafe or in_phase_s(state) < _BREACH_S
+    return by_itself and takeover_reason(state) is Reason.FENCE_BREACHED
+
+
+def stays_down(state: State) -> bool:
+    """Whether its take-off was broken off on the ground, where it is to stay."""
+    return state.reason is Reason.BROKEN_OFF and state.vehicle.landed is Landed.ON_GROUND
+
+
+def _falls_silent(state: State) -> bool:
+    return is_silent(state) and state.hold is not Hold.SILENT
+
+
+def _is_led(state: State) -> bool:
+    lost_s = in_phase_s(state) if state.hold is Hold.STREAM_LOST else 0.0
+    return is_ours(state) and lost_s <= _LEADS_BACK_S
+
+
+_Cause = Reason | Callable[[State], Reason | None]
+_Sign = Callable[[State, Event], bool]
+
+FAULTS: Final[tuple[tuple[_Cause, tuple[Phase, ...], _Sign], ...]] = (
+    (Reason.FENCE_BREACHED, _HELD, lambda s, e: isinstance(e, Position) and is_breach_of_fence(s)),
+    (Reason.LINK_LOST, (*_UP, *_HELD), lambda s, e: isinstance(e, LinkLost) or _falls_silent(s)),
+    (Reason.DISARMED, (*_UP, *_HELD), lambda s, _: not (s.vehicle.armed or stays_down(s))),
+    (Reason.GROUNDED, _HELD, lambda s, _: is_grounded(s) and not stays_down(s)),
+    (_lost_or_taken, (*_UP, *_HELD), lambda s, _: not (stays_down(s) or _is_led(s))),
+    (Reason.GROUNDED, _LED, lambda s, _: is_grounded(s)),
+    (lambda s: s.vehicle.distrust, _UP, lambda *_: True),
+    (lambda s: s.vehicle.distrust, _HELD, lambda s, _: s.hold in ON_SETPOINTS),
+)
+"""Why a phase is broken off, in which of them that counts, and when it is so; the first that is.
+That the vehicle does not obey comes before a position that is not to be believed."""
+
+
+def fault_of(state: State, event: Event) -> Reason | None:
+    """Why this phase cannot go on; None: it can."""
+    vehicle, phase = state.vehicle, state.phase
+    if (  # what is looked at first, as it mostly is so: then no row is true
+        state.held is None
+        and vehicle.mode is Mode.GUIDED
+        and vehicle.distrust is None
+        and vehicle.armed
+        and vehicle.landed is Landed.IN_AIR
+        and state.now_s - vehicle.status_at_s <= HEARTBEAT_S
+        and not isinstance(event, LinkLost)
+    ):
+        return None
+    if phase is Phase.ARRIVED and vehicle.mode is Mode.HOLD and state.asked_at_s > state.since_s:
+        return None  # it does what was asked of it last
+    for cause, phases, is_so in FAULTS:
+        if phase in phases and is_so(state, event):
+            return cause if isinstance(cause, Reason) else cause(state)
+    return None
+
+
+# --- 3. what is tried once the mission is given up
+
+LADDER: Final = {
+    Fallback.RETURN: (Mode.RETURN, Mode.LAND),
+    Fallback.LAND: (Mode.LAND, Mode.RETURN),
+    Fallback.HOLD: (),
+}
+"""What a vehicle is told whose mission is given up: the first that it can do and has not refused;
+if there is none it holds, and the operator is asked to take over."""
+_BRINGS_DOWN: Final = {
+    Mode.LAND: ("landing here", Trigger.END_LAND),
+    Mode.RETURN: ("its autopilot is told to return", Trigger.HAND_OVER),
+}
+_ASKED_IN: Final = {Phase.LANDING: Mode.LAND, Phase.HANDING_OVER: Mode.RETURN}
+"""The mode that a phase requests: given up in it, it was refused."""
+
+
+def wanted_fallback(state: State, context: Context) -> Fallback:
+    """The mission's fallback, or what was ordered or is in progress."""
+    flight, orders = state.flight, state.orders
+    ordered = (state.reason, orders.active, orders.suspended)
+    asked = Reason.RETURN_ASKED in (*ordered, flight.fallen_back)
+    landing = flight.fallen_back is Reason.LAND_ASKED and not asked
+    if landing or Reason.LAND_ASKED in ordered:
+        return Fallback.LAND
+    ends_there = state.phase is Phase.ARRIVED and context.mission.end_action is EndAction.RETURN
+    home = asked or ends_there or flight.returning or flight.homeward
+    return Fallback.RETURN if home else context.mission.fallback
+
+
+def fall_back(state: State, context: Context) -> Step:
+    """Bring down a vehicle whose mission is given up, if we still control it."""
+    fallback, flight, traits = wanted_fallback(state, context), state.flight, state.vehicle.traits
+    if fallback is Fallback.HOLD or traits is UNKNOWN or not _is_left_to_us(state):
+        return state, [], Trigger.GIVE_UP
+    refused = flight.refused_modes | {mode for at, mode in _ASKED_IN.items() if at is state.phase}
+    if state.vehicle.distrust is not None or is_above_home(state):
+        fallback = Fallback.LAND
+    able = {Mode.RETURN, Mode.LAND} if traits.lands else {Mode.RETURN}
+    way = next((mode for mode in LADDER[fallback] if mode in able - refused), None)
+    reason = state.reason or Reason.NO_PLAN
+    follows = reason is Reason.NOT_OBEYING or flight.homeward
+    if follows and flight.fallen_back is not None:
+        reason = flight.fallen_back  # that is why it was asked
+    state = state.with_flight(fallen_back=reason, refused_modes=refused)
+    if way is None:
+        return state, [], Trigger.GIVE_UP
+    how, trigger = _BRINGS_DOWN[way]
+    return state, [warn(f"{in_words(state, reason)}: {how}", "end")], trigger
+
+
+def _is_left_to_us(state: State) -> bool:
+    """Whether we are responsible for the vehicle: it flies or holds on our command."""
+    vehicle = state.vehicle
+    led = has_had_control(state) or state.flight.plan_id > 0
+    if not led or state.taken or is_second_companion(state) or state.reason is Reason.LINK_LOST:
+        return False
+    if not vehicle.armed or is_grounded(state) or is_silent(state):
+        return False
+    if vehicle.mode is Mode.HOLD:
+        return state.phase is not Phase.PREPARING or state.asks > 0
+    return _does_as_told(state)
+
+
+# --- 4. what the vehicle is told when the companion goes
+
+
+def _does_as_told(state: State) -> bool:
+    mode, rises = state.vehicle.mode, state.phase in (Phase.ARMING, Phase.TAKING_OFF)
+    rises = rises or state.hold is Hold.TAKE_OVER or still_goes_up(state)
+    return mode is Mode.GUIDED or (mode is Mode.TAKE_OFF and rises)
+
+
+def _is_to_take_off(state: State) -> bool:
+    """On the ground, before it was obeyed, no pilot has taken it."""
+    asked, down = state.asks > 0 or state.armed_by_us, state.vehicle.landed is Landed.ON_GROUND
+    return asked and (_does_as_told(state) or (not state.obeyed and down))
+
+
+def _takes_off(state: State) -> bool:
+    """It may hold by now, which ends a take-off of its own."""
+    by_itself = state.vehicle.traits.take_off is not TakeoffSequence.GUIDED_THEN_CLIMB
+    return _does_as_told(state) or (state.vehicle.mode is Mode.HOLD and by_itself)
+
+
+def _flies(state: State) -> bool:
+    """Its last heartbeat may be from before what we asked last."""
+    vehicle, holds = state.vehicle, state.vehicle.mode is Mode.HOLD
+    if state.held is not None and state.reason is Reason.BROKEN_OFF:
+        return holds or not vehicle.armed or _does_as_told(state)
+    if is_grounded(state):
+        return still_goes_up(state) and _takes_off(state)
+    told = _does_as_told(state) or (holds and state.asks > 0)
+    return state.airborne and vehicle.armed and told
+
+
+LEAVE: Final[dict[Phase, Callable[[State], bool]]] = {
+    Phase.ARMING: _is_to_take_off,  # left in its take-off mode it would climb once armed
+    Phase.PREPARING: _flies,  # after a silence, or a restart
+    **dict.fromkeys(IN_AIR, _flies),
+    Phase.TAKING_OFF: _takes_off,
+}
+"""By phase, whether the vehicle does what we asked of it, or will: then it is told to hold when
+the companion goes, as it would go on else."""
+
+
+def is_under_control(state: State) -> bool:
+    """Whether the vehicle has to be told to hold if the companion goes."""
+    known = state.vehicle.traits is not UNKNOWN and not is_second_companion(state)
+    return known and state.phase in LEAVE and LEAVE[state.phase](state)
+
+
+def parting(state: State, *, stopped: bool = False) -> list[SetMode | Disarm]:
+    """What the vehicle is told when the companion goes: to hold; on the ground, to stay there.
+
+    stopped: a person wants it; then a landing of ours is broken off, too, which goes on otherwise.
+    """
+    vehicle = state.vehicle
+    if not is_under_control(state):
+        lands = state.phase is Phase.LANDING and vehicle.mode is Mode.LAND
+        lands = lands and vehicle.armed and not is_grounded(state)
+        return [SetMode(mode=Mode.HOLD)] if stopped and lands else []
+    at = state.flight.hover_nea_m if vehicle.mode is Mode.GUIDED else None
+    hold = SetMode(mode=Mode.HOLD, at_nea_m=at)
+    if state.phase is Phase.ARMING:
+        down = vehicle.landed is Landed.ON_GROUND
+    else:
+        goes_up = state.phase is Phase.TAKING_OFF or still_goes_up(state)
+        down = goes_up and is_grounded(state)
+    # in this order: the first counts should it be in the air by now
+    return [hold, Disarm()] if down and state.armed_by_us else [hold]

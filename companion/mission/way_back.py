@@ -1,0 +1,199 @@
+"""The way back: along the flown path, each stretch of it proven again; else home by a plan."""
+
+import math
+
+from msgspec.structs import replace
+
+from companion.mission import events, following
+from companion.mission.decisions import AT_M, Context, Step, give_up, preceded
+from companion.mission.events import PlanReady, say, warn
+from companion.mission.following import at_rest, at_rest_at_end
+from companion.mission.state import Flight, OnPath, Orders, Planning, Reason, State, Trigger, Way
+from companion.planner.procedure import Leg, Reference, hover_pose
+from companion.planner.progress import NO_PROGRESS
+from companion.planner.request import Backtrack, PlanRequest, Refusal
+from companion.planner.rules import target_refusal
+from companion.planner.settings import Task
+
+_NO_WAY_OUT = frozenset({Refusal.START_NEAR_TERRAIN, Refusal.START_NEAR_UNKNOWN})
+"""From where nothing leads away nothing leads home either: only the autopilot climbs out."""
+_CIRCLES = 1.5
+"""Loiter radii: a plane lands on a circle about where it is told to (px4.md 10)."""
+
+
+def request(state: State, context: Context) -> Step:
+    """Request the proof of the backtrack; it takes effect as soon as it is ready."""
+    here, flight = state.vehicle.position_nea_m, state.flight
+    if here is None:
+        return give_up(state, state.reason or Reason.POSITION_STALE)
+    request = PlanRequest(
+        plan_id=flight.plan_id + 1,
+        seed=context.seed,
+        task=state.task,
+        known=flight.known,
+        scan_nea_m=here,
+        start=hover_pose(here),
+        from_rest=True,
+        target_ne_m=here[:2],
+        flown=flight.flown,
+    )
+    planning = Planning(state.task, since_s=state.now_s)
+    state = state.with_flight(plan_id=request.plan_id, planning_backtrack=planning)
+    return state, [events.Plan(request=request, due_s=state.now_s)], None
+
+
+def on_plan(state: State, event: PlanReady, context: Context) -> Step:
+    """Take the backtrack; if it failed, plan a path home, or give up."""
+    flight, asked = state.flight, state.flight.planning_backtrack
+    if asked is None or event.outcome.plan_id != flight.plan_id:
+        return state, [], None
+    if asked.rules is not state.task:  # it was proven under other rules
+        return request(state, context)
+    back = _way_of(event.outcome, state.task) if isinstance(event.outcome, Backtrack) else ()
+    after = state.with_flight(way=Way.BACK, back=back, planning_backtrack=None)
+    if begun(after) is not None:
+        return after, [], Trigger.BACKTRACK
+    reason = state.reason or Reason.NO_PLAN
+    text = f"{reason.text}: no way back is proven, planning one home"
+    return home_by_plan(state, text, reason, warning=True)
+
+
+def _way_of(outcome: Backtrack, rules: Task) -> tuple[Leg, ...]:
+    """The legs of a backtrack."""
+    last = len(outcome.subpaths) - 1
+    speeds_m_s = outcome.speeds_m_s or (None,) * len(outcome.subpaths)
+    stretches = zip(outcome.subpaths, outcome.through, speeds_m_s, strict=True)
+    return tuple(
+        Leg(
+            number=number + 1,
+            plan_id=outcome.plan_id,
+            subpath=subpath,
+            reaches_target=number == last and outcome.reaches_start,
+            through=through,
+            rules=rules,
+            speed_m_s=speed_m_s,
+        )
+        for number, (subpath, through, speed_m_s) in enumerate(stretches)
+    )
+
+
+def begun(state: State) -> Flight | None:
+    """On the first remaining leg of the backtrack; None: none is left, or it is too far off."""
+    flight, before = state.flight, state.flight.path
+    if not flight.back or state.vehicle.position_nea_m is None:
+        return None
+    leg, *rest = flight.back
+    onto = OnPath(leg=leg) if before is None else replace(before, leg=leg, next_leg=None, stop=None)
+    went_on = following.joined(replace(state, flight=replace(flight, hover_nea_m=None)), onto)
+    if went_on is None or went_on.path is None:
+        return None
+    at_rest = Reference(length_m=went_on.path.reference.length_m)
+    path = replace(went_on.path, reference=at_rest)
+    return with_next(replace(went_on, back=tuple(rest)), path)[0]
+
+
+def with_next(flight: Flight, path: OnPath) -> tuple[Flight, OnPath]:
+    """On this path, with the next backtrack leg ready if it may be entered at full speed."""
+    if path.leg.through and flight.back:
+        next_leg, *rest = flight.back
+        path, flight = replace(path, next_leg=next_leg), replace(flight, back=tuple(rest))
+    return replace(flight, path=path), path
+
+
+def ended(state: State, last: Leg) -> Step:
+    """At rest at the end of the backtrack: land there, or plan the rest of the way home."""
+    there = last.reaches_target
+    if there and begins_at_home(state):
+        return state, [], Trigger.END_LAND if state.vehicle.traits.lands else Trigger.HAND_OVER
+    left_m = beyond_path_m(state)
+    text = f"returning: planning {left_m:.0f} m on to home" if there else "returning another way"
+    return home_by_plan(state, text, state.flight.fallen_back or Reason.NO_PLAN)
+
+
+def stopped(state: State) -> State:
+    """At rest, with the current backtrack leg still to be flown."""
+    flight = state.flight
+    hover = None if flight.stop is None else at_rest_at_end(flight).hover_nea_m
+    return replace(
+        state,
+        flight=at_rest(following.requeue_backtrack(flight, flight.leg, flight.next_leg), hover),
+    )
+
+
+def home_by_plan(state: State, text: str, reason: Reason, *, warning: bool = False) -> Step:
+    """Go home by a planned path; where none can be asked for, by the autopilot's own return.
+
+    text, warning: what is said before; reason: why the flight is given up in the second case.
+    """
+    if is_above_home(state) and state.vehicle.traits.lands:
+        return state, [say("returning: above home, landing", "end")], Trigger.END_LAND
+    if state.reason is Reason.NO_PLAN and state.flight.refusal in _NO_WAY_OUT:
+        return give_up(state, reason)
+    place = home_ne_m(state)
+    if place is None:
+        return preceded([warn("home is not known")], give_up(state, reason))
+    why = target_refusal(state.task, place).replace("the target:", "home:")
+    if why or state.flight.homeward:
+        return preceded([warn(why)] if why else [], give_up(state, reason))
+    state = replace(state, targets_ne_m=(place,), orders=Orders()).with_flight(
+        way=Way.HOME,
+        back=(),
+        target=0,
+        route_ne_m=(),
+        progress=NO_PROGRESS,
+        stops=0,
+        failures=0,
+        planning_backtrack=None,
+        search=None,
+    )
+    return state, [say(text, "end", warning=warning)], Trigger.RESUME
+
+
+# --- home, as the vehicle has it, and whether the flown path begins there
+
+
+def home_ne_m(state: State) -> tuple[float, float] | None:
+    """Where home is, north and east; None: nobody has said.
+
+    If the vehicle has not said, it is where its own take-off began the path, never the origin.
+    """
+    if (home := state.vehicle.home_nea_m) is not None:
+        return home[:2]
+    return _path_begins_ne_m(state) if state.armed_by_us else None
+
+
+def is_above_home(state: State) -> bool:
+    """Whether a copter is above its home."""
+    home, here = state.vehicle.home_nea_m, state.vehicle.position_nea_m
+    if home is None or here is None or not state.vehicle.traits.hovers:
+        return False
+    return math.dist(home[:2], here[:2]) < max(AT_M, state.task.limits.tracking_error_m)
+
+
+def beyond_path_m(state: State) -> float:
+    """How far it is home from where the flown path begins; 0: that is at home, or home unknown.
+
+    Not where the companion took over in flight, or was started again without memory.  An autopilot
+    that has no mode to land goes home by itself from where its own take-off ended.
+    """
+    home, begins, traits = home_ne_m(state), _path_begins_ne_m(state), state.vehicle.traits
+    if home is None or begins is None or (state.armed_by_us and not traits.lands):
+        return 0.0
+    limits, off_m = state.task.limits, math.dist(home, begins)
+    near_m = max(AT_M, limits.tracking_error_m)
+    if not traits.hovers:
+        near_m = max(near_m, _CIRCLES * limits.loiter_radius_m)
+    return off_m if off_m > near_m else 0.0
+
+
+def begins_at_home(state: State) -> bool:
+    """Whether the flown path is known to begin at home."""
+    return home_ne_m(state) is not None and beyond_path_m(state) == 0.0
+
+
+def _path_begins_ne_m(state: State) -> tuple[float, float] | None:
+    """Where the flown path begins; None: nothing was flown."""
+    if not state.flight.flown:
+        return None
+    north, east, _ = state.flight.flown[0].control_nea_m[0]
+    return float(north), float(east)
