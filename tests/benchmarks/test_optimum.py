@@ -94,12 +94,27 @@ def test_the_way_round_one_radar_is_tangent_arc_tangent() -> None:
     assert wanted_m <= cost / unit <= 1.001 * wanted_m
 
 
-def test_the_cheapest_way_over_an_open_grid_is_as_long_as_the_line_to_half_a_per_cent() -> None:
-    grid = optimum.Grid(replace(small(), targets_ne_m=((40e3, 13e3),)))
-    rate = grid.rate(over=False, radar_free=True)
-    ((cost_m, route),) = grid.ways(rate, 1, ((0.0, 0.0), (40e3, 13e3)))
-    assert math.hypot(40e3, 13e3) <= cost_m + 1e-6 <= 1.005 * math.hypot(40e3, 13e3)
-    np.testing.assert_allclose(route[[0, -1]], [[0.0, 0.0], [40e3, 13e3]])
+@pytest.mark.parametrize("end", [(40e3, 13e3), (25e3, 18e3), (25e3, -18e3)])
+def test_the_cheapest_way_over_an_open_grid_is_as_long_as_the_line_to_half_a_per_cent(
+    end: tuple[float, float],
+) -> None:
+    grid = optimum.Grid(replace(small(), targets_ne_m=(end,)))
+    ((cost_m, route),) = grid.ways(grid.rate(over=False, radar_free=True), 1, ((0.0, 0.0), end))
+    assert math.hypot(*end) <= cost_m + 1e-6 <= 1.005 * math.hypot(*end)
+    np.testing.assert_allclose(route[[0, -1]], [[0.0, 0.0], end])
+
+
+def test_turns_and_slopes_are_those_that_the_judge_of_curves_measures() -> None:
+    descent = optimum.Descent(optimum.Grid(small()), 12, (), optimum.Margins(turn=0.0, climb=0.0))
+    control = np.random.default_rng(7).normal(size=(9, 3)) * (9e3, 9e3, 900.0)
+    curve, limits = truth.sampled(control, 300.0), descent.world.task.limits
+    state = np.concatenate([curve.points_nea_m.T, curve.first.T, curve.second.T[:2]])
+    bounds = descent.told(state[:, None].astype(complex), 40e3)[1].real[:, 0]
+    slope = np.tan(curve.climb_rad)
+    turn = limits.turn_radius_m * np.abs(curve.curvature_1_m) - 1.0
+    np.testing.assert_allclose(bounds[-3], turn, rtol=1e-6)
+    np.testing.assert_allclose(bounds[-2], slope - math.tan(limits.climb_angle_rad), rtol=1e-6)
+    np.testing.assert_allclose(bounds[-1], -slope - math.tan(limits.dive_angle_rad), rtol=1e-6)
 
 
 def test_a_finer_curve_is_the_same_curve() -> None:

@@ -24,6 +24,7 @@ def measured(
         yield {"flight": f"{world}-{number}", "m|.1f": 0.25 * number, "why": None}
     yield [rates, only, idle]
     yield most("metres", 0.25 * (flights - 1), 0.5)
+    yield least("flights", flights, 1)
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> object:
@@ -45,7 +46,7 @@ def test_parameters_are_options_and_what_is_yielded_is_printed_and_written(
     assert [row["flight"] for row in found["rows"]] == ["street-0", "street-1", "street-2"]
     assert [row["m"] for row in found["rows"]] == [0.0, 0.25, 0.5]
     assert found["found"] == [[[5.0], ["b"], True]]
-    assert found["bars"] == [["metres", "0.5", "0.5", True]]
+    assert found["bars"] == [["metres", "0.5", "0.5", True], ["flights", "1 or more", "3", True]]
     lines = [line.replace(" ", "") for line in capsys.readouterr().out.splitlines()]
     assert {"atitle", "|flight|m|why|", "|street-2|0.5||", "|metres|0.5|0.5|met|"} <= set(lines)
 
