@@ -1,7 +1,5 @@
 """Mutants are found again however a file is changed around them; see baseline/README.md."""
 
-import csv
-import lzma
 from pathlib import Path
 
 import mutants
@@ -68,9 +66,7 @@ def test_every_mutant_compiles_and_is_a_change_of_one_line_with_a_name_of_its_ow
         changed = [a for a, b in zip(before, after.splitlines(), strict=True) if a != b]
         assert [line.strip() for line in changed] == [each.line]
 
-
-def test_neither_what_is_said_nor_what_is_declared_is_changed() -> None:
-    for each in drawn(SOURCE):
+        # neither what is said nor what is declared
         assert not any(word in each.line for word in ('"""', "import", "raise", "cached"))
         assert "Literal" not in each.line or each.new == "False"
 
@@ -94,13 +90,9 @@ def test_it_is_found_again_where_it_was_moved_to(
     mutants.of_file.cache_clear()
 
 
-def test_the_baseline_can_be_read() -> None:
+def test_every_row_of_the_baseline_was_killed_by_tests_of_this_repository() -> None:
     entries = mutants.recorded()
     assert {entry["part"] for entry in entries} == set(mutants.PARTS)
-    assert len(entries) > 200
     for entry in entries:
         assert {*mutants.Mutant._fields[:5]} < entry.keys()
-        assert entry["tests"] > 0
         assert all(test.startswith("tests/") for test in entry["killers"])
-    with lzma.open(mutants.BASELINE.with_name("times.csv.xz"), "rt", encoding="utf-8") as file:
-        assert all(float(row["seconds"]) >= 0.0 for row in csv.DictReader(file))

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 from flights import one_target
-from notices import needed
+from pages import needed
 from programs import ROOT, Program, free_port
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -175,4 +175,4 @@ def test_every_package_that_is_needed_is_in_the_notices() -> None:
     page = (ROOT / "THIRD-PARTY.md").read_text(encoding="utf-8")
     named = set(re.findall(r"^\| ([\w-]+) \| (?!not stated)\S", page, re.MULTILINE))
     extras = [each for every in PROJECT["optional-dependencies"].values() for each in every]
-    assert set(needed(PROJECT["dependencies"] + extras)) <= named, "run scripts/notices"
+    assert set(needed(PROJECT["dependencies"] + extras)) <= named, "run scripts/docs"

@@ -15,13 +15,12 @@ import tempfile
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple, final
+from typing import Literal, NamedTuple, final
 
 import numpy as np
-import tapped
 from pymavlink.dialects.v20 import all as wire
-from running import Found, OneOf, main, most
-from tapped import TO_COMPANION, Tapped, messages
+from running import Found, main, most
+from tapped import TO_COMPANION, Tapped, end, messages
 
 from companion.campaign import families
 from companion.campaign.drawn_files import FRAME
@@ -129,9 +128,9 @@ def fly(autopilot: AutopilotName, kills: int, seed: int, folder: Path) -> tuple[
     dies_s = began_s + 60.0 if autopilot == "ardupilot" else began_s + 20.0
     with Tapped(drawn_for(kills), autopilot, folder, watcher.seen) as pair:
         while pair.companion.poll() is None and time.monotonic() - began_s < _PATIENCE_S:
-            pair.tap.pump(0.05)
+            pair.pump(0.05)
             if lives <= kills and time.monotonic() > dies_s:
-                tapped.end(pair.companion)
+                end(pair.companion)
                 watcher.life = lives
                 pair.start("--resume")
                 lives += 1
@@ -143,7 +142,9 @@ def fly(autopilot: AutopilotName, kills: int, seed: int, folder: Path) -> tuple[
     return watcher, said
 
 
-def killed(kills: int = 50, autopilot: str = OneOf("ardupilot", "px4"), seed: int = 1) -> Found:
+def killed(
+    kills: int = 50, autopilot: Literal["ardupilot", "px4"] = "ardupilot", seed: int = 1
+) -> Found:
     """Fly it, and hold the jumps of its setpoints."""
     with tempfile.TemporaryDirectory() as folder:
         watcher, said = fly(autopilot, kills, seed, Path(folder))

@@ -3,7 +3,7 @@
 A dict is a row of a table: of each heading (with the format of its numbers after `|`) the value.
 Rows of the same headings that follow each other make one table.  A `Bar` is held, a text is printed
 at once, and whatever else is yielded goes to the file of --json alone, as rows and bars do too.
-The parameters of the function are the options of its command.
+The parameters of the function are the options of its command; a Literal names the choices.
 """
 
 import inspect
@@ -17,7 +17,7 @@ from concurrent.futures import ProcessPoolExecutor
 from itertools import groupby
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from rich import box
@@ -27,26 +27,9 @@ from rich.table import Table
 
 Found = Iterator[Any]
 """What a benchmark yields."""
-_WIDTH = None if sys.stdout.isatty() else 150
-CONSOLE = Console(highlight=False, markup=False, emoji=False, width=_WIDTH)
-
-
-class OneOf(str):
-    """The default of an option that is one of some words."""
-
-    __slots__ = ("among",)
-
-    def __new__(cls, default: str, *others: str) -> "OneOf":
-        """The first word is the default."""
-        it = super().__new__(cls, default)
-        it.among = (default, *others)
-        return it
-
-
-class Some(tuple[Any, ...]):
-    """The default of an option that is several values: all of the words that it may be."""
-
-    __slots__ = ()
+CONSOLE = Console(
+    highlight=False, markup=False, emoji=False, width=None if sys.stdout.isatty() else 150
+)
 
 
 class Bar(NamedTuple):
@@ -62,7 +45,8 @@ def most(what: str, measured: Sequence[float] | float, bars: Sequence[float] | f
     """No value may be above its bar; without values the bar is missed."""
     values, limits = (each if isinstance(each, Sequence) else [each] for each in (measured, bars))
     kept = len(values) == len(limits) and all(map(operator.le, values, limits))
-    return Bar(what, _listed(limits), _listed(values), kept)
+    told = (", ".join(f"{value:.4g}" for value in each) for each in (limits, values))
+    return Bar(what, *told, kept)
 
 
 def least(what: str, measured: float, bar: float) -> Bar:
@@ -70,17 +54,20 @@ def least(what: str, measured: float, bar: float) -> Bar:
     return Bar(what, f"{bar:g} or more", f"{measured:.4g}", measured >= bar)
 
 
-def _listed(values: Sequence[float]) -> str:
-    return ", ".join(f"{value:.4g}" for value in values)
-
-
 def main(measure: Callable[..., Found]) -> None:
     """Run a benchmark as a command; it ends with 1 if a bar is missed."""
     about = sys.modules[measure.__module__].__doc__
     parser = ArgumentParser(description=about, formatter_class=RawDescriptionHelpFormatter)
     for name, parameter in inspect.signature(measure).parameters.items():
-        option = f"--{name.rstrip('_').replace('_', '-')}"
-        parser.add_argument(option, dest=name, **_declared(parameter))
+        default, (inner, *_) = parameter.default, (*get_args(parameter.annotation), None)
+        several = isinstance(default, tuple)
+        among = get_args(inner if several else parameter.annotation)
+        parser.add_argument(
+            f"--{name.replace('_', '-')}", default=default,
+            **{"action": "store_true"} if isinstance(default, bool) else
+            {"type": type(default[0] if several else default), "nargs": "+" if several else None,
+             "choices": among if str in map(type, among) else None},
+        )  # fmt: skip
     parser.add_argument("--json", type=Path, help="where the numbers are written")
     options = vars(parser.parse_args())
     path = options.pop("json")
@@ -98,21 +85,6 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else str(value)
 
 
-def _declared(parameter: inspect.Parameter) -> dict[str, Any]:
-    """What argparse is told of an option."""
-    default, kind = parameter.default, parameter.annotation
-    if default is parameter.empty:
-        return {"type": kind, "required": True}
-    if isinstance(default, bool):
-        return {"action": "store_true"}
-    if isinstance(default, OneOf):
-        return {"choices": default.among, "default": str(default)}
-    if isinstance(default, tuple):
-        among = default if isinstance(default, Some) else None
-        return {"type": type(default[0]), "nargs": "+", "choices": among, "default": default}
-    return {"type": type(default), "default": default}
-
-
 def shown(results: Iterable[Any]) -> dict[str, list[Any]]:
     """Print what a benchmark yields.  -> its rows, its bars and its other figures"""
     kept: dict[str, list[Any]] = {"bars": [], "rows": [], "found": []}
@@ -120,7 +92,7 @@ def shown(results: Iterable[Any]) -> dict[str, list[Any]]:
         if headings:
             rows = list(some)
             _print(rows)
-            kept["rows"] += [{_parts(name)[0]: row[name] for name in row} for row in rows]
+            kept["rows"] += [{name.partition("|")[0]: row[name] for name in row} for row in rows]
             continue
         for each in some:
             if isinstance(each, str):
@@ -132,20 +104,14 @@ def shown(results: Iterable[Any]) -> dict[str, list[Any]]:
 
 def _print(rows: Sequence[dict[str, Any]]) -> None:
     """A table, as Markdown: all columns but the first to the right."""
-    table = Table(box=box.MARKDOWN)
-    for heading in rows[0]:
-        first = not table.columns
-        table.add_column(_parts(heading)[0], justify="left" if first else "right", no_wrap=first)
+    table, forms = Table(box=box.MARKDOWN), [heading.partition("|")[2] for heading in rows[0]]
+    for number, heading in enumerate(rows[0]):
+        justify: Any = "right" if number else "left"
+        table.add_column(heading.partition("|")[0], justify=justify, no_wrap=not number)
     for row in rows:
-        cells = ((value, _parts(heading)[1]) for heading, value in row.items())
+        cells = zip(row.values(), forms, strict=True)
         table.add_row(*("" if value is None else format(value, form) for value, form in cells))
     CONSOLE.print(table)
-
-
-def _parts(heading: str) -> tuple[str, str]:
-    """A heading, and the format of the numbers below it."""
-    name, _, form = heading.partition("|")
-    return name, form
 
 
 def in_processes(
@@ -156,10 +122,5 @@ def in_processes(
         os.environ.setdefault(name, "1")
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         futures = [pool.submit(task, *each) for each in todo]
-        for future in progress(futures):
+        for future in track(futures, "measuring", console=CONSOLE, transient=True):
             yield future.result()
-
-
-def progress(todo: Sequence[Any]) -> Iterable[Any]:
-    """The same, with a bar that shows how far it is."""
-    return track(todo, "measuring", console=CONSOLE, transient=True)

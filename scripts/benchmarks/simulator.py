@@ -1,156 +1,192 @@
-"""How fast the simulator is, beside a bare pair of sockets in the same run, and its memory.
+"""How fast simulated flights are, and what the simulator takes.
 
-scripts/bench simulator [--seconds 300] [--hours 10] [--json FILE]
+    scripts/bench simulator [--seconds 300] [--hours 2] [--repeats 3] [--json FILE]
+
+Times real time, the fastest of some: `vehicle-sim` alone, in lockstep with a client that only
+answers it; with `companion fly` over UDP; both in one process (processor time); and the replay of
+what was flown.  Then of the simulator its start-up, its memory, and what is called in a step.
 """
 
+import json
 import multiprocessing
-import resource
+import re
 import socket
 import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 from running import Found, least, main
-from tapped import messages
+from stepped import Called, Flight
+from tapped import BIN, end, messages, start_companion, start_vehicle, udp_socket
 
+from companion.config import folder_of, load_mission, mission_text
+from companion.planner.plan import plan
+from companion.runtime.compiler import load_kernel
+from companion.runtime.in_process import fly_in_process
+from companion.session import Session
+from companion.telemetry.run_folder import RunFolder
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import flat_world
+from vehicle_sim.world import read_world
 
-TICK_HZ = 20
-HOME = {"latitude_deg": 47.397742, "longitude_deg": 8.545594, "altitude_amsl_m": 488.0}
-COMMANDS = {900: (176, 1, 4, 0), 902: (400, 1, 0, 0), 904: (22, 0, 0, 30)}
+MISSIONS = ("environment-1", "sitl-px4")
+_TICK_HZ = 20
+_COMMANDS = {900: (176, 1, 4, 0), 902: (400, 1, 0, 0), 904: (22, 0, 0, 30)}
 """By ticks: guided mode, arm, take off to 30 m."""
+_SAID = re.compile(rb"\((\d+\.\d) x real time\)")
+_PATIENCE_S = 600.0
 
 
-def frame(mav: Any, message: Any) -> bytes:
-    packed: bytes = message.pack(mav)
-    mav.seq = (mav.seq + 1) % 256
-    return packed
+def world_of(name: str) -> Path:
+    """The file of a bundled world."""
+    return folder_of(name) / "world.toml"
 
 
-def time_syncs(datagram: bytes) -> int | None:
-    """ts1 of a TIMESYNC question in this datagram."""
-    asked = [*messages(datagram, mavlink.MAVLink_timesync_message)]
-    return next((each.ts1 for each in reversed(asked) if each.tc1 == 0), None)
-
-
-def trivial_client(link: socket.socket, takeoff: bool) -> None:
+def client(link: socket.socket) -> None:
     """Answers every TIMESYNC, and says what makes a copter take off: nothing more."""
-    mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=195)
-    ticks = 0
+    mav, ticks = mavlink.MAVLink(None, srcSystem=1, srcComponent=195), 0
     while True:
         datagram, address = link.recvfrom(65535)
-        asked = time_syncs(datagram)
-        if asked is None:
-            if ticks == 0:
-                link.sendto(frame(mav, mav.heartbeat_encode(18, 8, 0, 0, 4, 3)), address)
-            continue
-        out = []
-        if ticks == 0:
-            out.append(mav.command_long_encode(1, 1, 511, 0, 33, 1e6 / TICK_HZ, 0, 0, 0, 0, 0))
-        if ticks % TICK_HZ == 0:  # a heartbeat a second
-            out.append(mav.heartbeat_encode(18, 8, 0, 0, 4, 3))
-        if takeoff and ticks in COMMANDS:
-            number, p1, p2, p7 = COMMANDS[ticks]
+        heartbeat = mav.heartbeat_encode(18, 8, 0, 0, 4, 3)
+        asked = [
+            it.ts1 for it in messages(datagram, mavlink.MAVLink_timesync_message) if not it.tc1
+        ]
+        out = [heartbeat] if (ticks == 0 or (asked and ticks % _TICK_HZ == 0)) else []
+        if asked and ticks == 0:
+            out.append(mav.command_long_encode(1, 1, 511, 0, 33, 1e6 / _TICK_HZ, 0, 0, 0, 0, 0))
+        if asked and ticks in _COMMANDS:
+            number, p1, p2, p7 = _COMMANDS[ticks]
             out.append(mav.command_long_encode(1, 1, number, 0, p1, p2, 0, 0, 0, 0, p7))
-        out.append(mav.timesync_encode(asked, asked))
-        link.sendto(b"".join(frame(mav, each) for each in out), address)
-        ticks += 1
+        out += [mav.timesync_encode(asked[-1], asked[-1])] if asked else []
+        for message in out:
+            link.sendto(message.pack(mav), address)
+        ticks += len(asked) > 0
 
 
-def bare_server(port: int, seconds: float) -> float:
-    """The same without a vehicle: a position and a TIMESYNC each tick.  -> x real time."""
-    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    link.connect(("127.0.0.1", port))
-    mav, parser = mavlink.MAVLink(None, srcSystem=1, srcComponent=1), mavlink.MAVLink(None)
-    start_s = time.perf_counter()
-    for tick in range(1, round(seconds * TICK_HZ) + 1):
-        asked = tick * 50_000_000
-        position = mav.global_position_int_encode(tick, 1, 2, 3, 4, 5, 6, 7, 8)
-        link.send(frame(mav, position) + frame(mav, mav.timesync_encode(0, asked)))
-        answered = False
-        while not answered:
-            for message in parser.parse_buffer(link.recv(65535)) or []:
-                answered = answered or (message.get_type() == "TIMESYNC" and message.ts1 == asked)
-    return seconds / (time.perf_counter() - start_s)
+def alone(seconds: float) -> tuple[float, float]:
+    """vehicle-sim with that client.  -> times real time, as it says; memory at its end, MB"""
+    with udp_socket() as link:
+        answering = multiprocessing.Process(target=client, args=(link,), daemon=True)
+        answering.start()
+        command = [BIN / "vehicle-sim", "--lockstep", "--duration", str(seconds)]
+        command += ["--connect", f"udpout:127.0.0.1:{link.getsockname()[1]}"]
+        size_mb = 0.0
+        with subprocess.Popen(command, stdout=subprocess.PIPE) as vehicle:
+            status = Path(f"/proc/{vehicle.pid}/status")
+            while vehicle.poll() is None:
+                if resident := re.search(r"VmRSS:\s+(\d+)", status.read_text(encoding="ascii")):
+                    size_mb = int(resident[1]) / 1024
+                time.sleep(0.1)
+            said = vehicle.communicate()[0]
+        answering.kill()
+    return float(_SAID.findall(said)[-1]), size_mb
 
 
-def with_client(run: Callable[[int], float], *, takeoff: bool) -> float:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
-        link.bind(("127.0.0.1", 0))  # bound before the client runs: nothing can come too early
-        client = multiprocessing.Process(target=trivial_client, args=(link, takeoff), daemon=True)
-        client.start()
-        try:
-            return run(link.getsockname()[1])
-        finally:
-            client.kill()
-            client.join()
+def over_udp(name: str, folder: Path) -> float:
+    """Both programs in lockstep, recorded in `folder`.  -> times real time, as the vehicle says"""
+    with udp_socket() as free:
+        port = int(free.getsockname()[1])
+    folder.mkdir()
+    vehicle = start_vehicle(world_of(name), port, "--lockstep", log=folder / "vehicle.log")
+    mission = folder_of(name) / "mission.toml"
+    companion = start_companion(mission, port, folder / "run", "--lockstep")
+    try:
+        if (code := companion.wait(_PATIENCE_S)) != 0:
+            raise SystemExit(f"{name}: the companion ended with {code}")
+        vehicle.wait(_PATIENCE_S)
+    finally:
+        end(companion)
+        end(vehicle)
+    return float(_SAID.findall((folder / "vehicle.log").read_bytes())[-1])
 
 
-def lockstep(port: int, seconds: float) -> float:
-    """vehicle-sim itself, as a process.  -> x real time, as it says"""
-    command = [sys.executable, "-m", "vehicle_sim", "--lockstep", "--duration", str(seconds)]
-    command += ["--connect", f"udpout:127.0.0.1:{port}"]
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    return float(said.split("(")[-1].split(" x real time")[0])
+def replayed(folder: Path, *options: str) -> float:
+    """The decisions of a flight once more, which must be the same.  -> times real time"""
+    report = folder / "replay.json"
+    command = [BIN / "companion", "replay", folder / "run", "--json", report, *options]
+    subprocess.run(list(map(str, command)), check=True, stdout=subprocess.DEVNULL)
+    found: dict[str, Any] = json.loads(report.read_text(encoding="utf-8"))
+    return float(found["flown_s"] / found["took_s"])
 
 
-def many(count: int, seconds: float, autopilot: str) -> float:
-    """So many vehicles in this process, streaming what they stream unasked.  -> x real time"""
-    vehicles = [
-        Simulation(
-            flat_world("copter", autopilot, heading_deg=0.0, system_id=k + 1, **HOME), seed=k
-        )  # type: ignore[arg-type]
-        for k in range(count)
-    ]
-    start_s = time.perf_counter()
-    for _ in range(round(seconds * 100)):
-        for vehicle in vehicles:
-            vehicle.step()
-            vehicle.take_frames()
-    for vehicle in vehicles:
-        vehicle.take_truth()
-    return seconds / (time.perf_counter() - start_s)
+def in_one_process(name: str) -> float:
+    """Both programs in this process, recorded.  -> times real time, by processor time"""
+    vehicle = Simulation(read_world(world_of(name)))
+    session, began_s = Session(load_mission(name), seed=1, lockstep=True), time.process_time()
+    with (
+        TemporaryDirectory() as folder,
+        RunFolder(
+            Path(folder) / "run", mission_toml=mission_text(name), epoch_us=1, durable=False
+        ) as run,
+    ):
+        fly_in_process(session, vehicle, planner=plan, folder=run)
+    return vehicle.now_us * 1e-6 / (time.process_time() - began_s)
 
 
-def resident_mb(hours: float) -> Iterator[tuple[float, float]]:
-    """Memory of one vehicle that flies and streams, by simulated hours."""
-    vehicle = Simulation(flat_world("copter", "px4", heading_deg=0.0, **HOME))
-    mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=195)
-    for tenth in range(11):
-        yield hours * tenth / 10, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        for _ in range(round(hours * 360)):
-            vehicle.receive(0, frame(mav, mav.heartbeat_encode(18, 8, 0, 0, 4, 3)))
-            vehicle.receive(0, frame(mav, mav.param_request_read_encode(1, 1, b"X", 0)))
-            for _ in range(100):
-                vehicle.step()
-            vehicle.take_frames()
-            vehicle.take_truth()
-            vehicle.take_notices()
+def start_up_s() -> float:
+    """vehicle-sim, from the start of its process to the first datagram that it sends."""
+    with udp_socket() as link:
+        began_s = time.perf_counter()
+        vehicle = start_vehicle(world_of(MISSIONS[0]), int(link.getsockname()[1]))
+        link.recv(2048)
+        took_s = time.perf_counter() - began_s
+        end(vehicle)
+    return took_s
 
 
-def simulator(seconds: float = 300.0, hours: float = 10.0) -> Found:
-    """seconds: of vehicle time for each speed; hours: for the memory."""
-    flying = with_client(lambda port: lockstep(port, seconds), takeoff=True)
-    fleets = {name: many(50, 60.0, name) for name in ("ardupilot", "px4")}
-    for what, times in {
-        "bare pair of position and TIMESYNC, 20 Hz": with_client(
-            lambda port: bare_server(port, seconds), takeoff=False
-        ),
-        "vehicle-sim in lockstep, on the ground": with_client(
-            lambda port: lockstep(port, seconds), takeoff=False
-        ),
-        "vehicle-sim in lockstep, flying after 45 s": flying,
-        **{f"50 vehicles in one process, {name}": times for name, times in fleets.items()},
+def called(name: str, seconds: float = 60.0) -> list[tuple[int, int]]:
+    """Calls of the simulator's own functions in each step of a flight, and modules."""
+    it, found = Flight(load_mission(name), read_world(world_of(name)), seed=1), []
+    while it.now_s < seconds:
+        with Called("/vehicle_sim/") as mine:
+            it.simulation.step()
+            frames = it.simulation.take_frames()
+        found.append((mine.calls, len(mine.files)))
+        for answer in (answer for _, frame in frames for answer in it.answers(frame)):
+            it.simulation.receive(0, answer)
+    return found
+
+
+def simulator(seconds: float = 300.0, hours: float = 2.0, repeats: int = 3) -> Found:
+    """seconds: of vehicle time alone; hours: for the memory; repeats: the fastest counts."""
+    load_kernel()
+    runs = [alone(seconds) for _ in range(repeats)]
+    times = {"vehicle-sim alone in lockstep": max(runs)[0]}
+    for name in MISSIONS:
+        with TemporaryDirectory() as scratch:
+            folders = [Path(scratch) / str(k) for k in range(repeats)]
+            times[f"{name}: over UDP in lockstep"] = max(over_udp(name, each) for each in folders)
+            times[f"{name}: replay, plans too"] = replayed(folders[0])
+            again = max(replayed(each, "--no-plans") for each in folders)
+            times[f"{name}: replay without planning"] = again
+        one = max(in_one_process(name) for _ in range(repeats))
+        times[f"{name}: in one process, by processor time"] = one
+    for what, value in times.items():
+        yield {"": what, "times real time|.0f": value}
+    counts = np.array(called(MISSIONS[0]))
+    start_s = min(start_up_s() for _ in range(repeats))
+    for what, figure in {
+        "start to the first datagram, s": start_s,
+        f"resident after {seconds:g} simulated seconds, MB": runs[0][1],
+        f"resident after {hours:g} simulated hours, MB": alone(3600.0 * hours)[1],
+        "calls of its own functions in a step, median": np.median(counts[:, 0]),
+        "the same, most": counts[:, 0].max(),
+        "modules of these, median": np.median(counts[:, 1]),
     }.items():
-        yield {"": what, "times real time|.1f": times}
-    for at_hours, size in resident_mb(hours):
-        yield {"after simulated hours": f"{at_hours:.1f}", "resident, MB|.1f": size}
-    yield least("flying in lockstep: times real time", flying, 150.0)
-    yield least("50 vehicles in one process", min(fleets.values()), 1.0)
+        yield {"the simulator": what, "|.4g": figure}
+    yield least(
+        "over UDP in lockstep: times real time",
+        times[f"{MISSIONS[0]}: over UDP in lockstep"],
+        180.0,
+    )
+    one = times[f"{MISSIONS[0]}: in one process, by processor time"]
+    yield least("in one process: times real time", one, 400.0)
+    for name, bar in zip(MISSIONS, (600.0, 300.0), strict=True):
+        again = times[f"{name}: replay without planning"]
+        yield least(f"{name}: replay without planning, times real time", again, bar)
 
 
 if __name__ == "__main__":

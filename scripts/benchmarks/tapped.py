@@ -1,5 +1,6 @@
 """Companion and vehicle as processes of their own, over UDP, with a tap on the wire."""
 
+import contextlib
 import os
 import select
 import socket
@@ -33,103 +34,11 @@ def messages(datagram: bytes, *kinds: Any) -> Iterator[Message]:
         at = end
 
 
-@final
-class Tap:
-    """Passes datagrams on between a vehicle (udpout to us) and a companion (udpin)."""
-
-    def __init__(self, seen: Seen) -> None:
-        self._seen = seen
-        self._vehicle, self._companion = udp_socket(), udp_socket()
-        self._peer: tuple[str, int] | None = None
-        self.companion_port = free_port()
-        self._vehicle.setblocking(False)
-        self._companion.setblocking(False)
-
-    @property
-    def vehicle_port(self) -> int:
-        """Where the vehicle sends to."""
-        return int(self._vehicle.getsockname()[1])
-
-    def pump(self, seconds: float) -> None:
-        """Pass on what comes within so long."""
-        until_s = time.monotonic() + seconds
-        while (left_s := until_s - time.monotonic()) > 0.0:
-            ready, _, _ = select.select([self._vehicle, self._companion], [], [], left_s)
-            for each in ready:
-                self._pass_on(each)
-
-    def _pass_on(self, source: socket.socket) -> None:
-        try:
-            data, sender = source.recvfrom(65535)
-        except (BlockingIOError, ConnectionRefusedError):
-            return
-        at_s = time.monotonic()
-        try:
-            if source is self._vehicle:
-                self._peer = sender
-                self._companion.sendto(data, ("127.0.0.1", self.companion_port))
-            elif self._peer is not None:
-                self._vehicle.sendto(data, self._peer)
-        except OSError:  # nobody there at the moment
-            pass
-        self._seen(TO_COMPANION if source is self._vehicle else TO_VEHICLE, at_s, data)
-
-    def close(self) -> None:
-        self._vehicle.close()
-        self._companion.close()
-
-
-@final
-class Tapped:
-    """A drawn world flown by both programs with a tap between them; all end with the `with`."""
-
-    def __init__(
-        self,
-        drawn: DrawnWorld,
-        autopilot: AutopilotName,
-        folder: Path,
-        seen: Seen,
-        *,
-        rate_hz: float = 10.0,
-    ) -> None:
-        """rate_hz: of positions."""
-        rate = {"position_rate_hz": rate_hz}
-        world, self.mission = drawn_files.write(drawn, folder, autopilot, rate)
-        self.run, self.log = folder / "run", folder / "companion.log"
-        self.tap = Tap(seen)
-        self.vehicle = start_vehicle(world, self.tap.vehicle_port)
-        self.start()
-
-    def start(self, *options: str) -> None:
-        """The companion, for the first time or once more."""
-        self.companion = start_companion(
-            self.mission, self.tap.companion_port, self.run, *options, log=self.log
-        )
-
-    def said(self) -> str:
-        """The last of what the companion printed."""
-        return self.log.read_text(encoding="utf-8")[-3000:]
-
-    def __enter__(self) -> "Tapped":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        end(self.companion)
-        end(self.vehicle)
-        self.tap.close()
-
-
 def udp_socket() -> socket.socket:
     """Bound to a port of this machine that nobody uses."""
     link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     link.bind(("127.0.0.1", 0))
     return link
-
-
-def free_port() -> int:
-    """A UDP port of this machine that nobody uses now."""
-    with udp_socket() as probe:
-        return int(probe.getsockname()[1])
 
 
 def start_vehicle(
@@ -151,12 +60,16 @@ def start_companion(
 def _start(command: list[Any], log: Path | None = None) -> subprocess.Popen[bytes]:
     with Path(log or os.devnull).open("ab") as where:
         return subprocess.Popen(
-            [str(part) for part in command],
-            stdout=where,
-            stderr=subprocess.STDOUT,
-            stdin=subprocess.DEVNULL,
-            cwd=ROOT,
-        )
+            list(map(str, command)), cwd=ROOT,
+            stdin=subprocess.DEVNULL, stdout=where, stderr=subprocess.STDOUT,
+        )  # fmt: skip
+
+
+def end(process: subprocess.Popen[bytes]) -> None:
+    """Make an end of it, if there has been none."""
+    if process.poll() is None:
+        process.kill()
+    process.wait()
 
 
 def fly_campaign(folder: Path, text: str, *options: str) -> Path:
@@ -168,8 +81,56 @@ def fly_campaign(folder: Path, text: str, *options: str) -> Path:
     return out
 
 
-def end(process: subprocess.Popen[bytes]) -> None:
-    """Make an end of it, if there has been none."""
-    if process.poll() is None:
-        process.kill()
-    process.wait()
+@final
+class Tapped:
+    """A drawn world flown by both programs; all end with the `with`."""
+
+    def __init__(
+        self, drawn: DrawnWorld, autopilot: AutopilotName, folder: Path, seen: Seen,
+        *, rate_hz: float = 10.0,
+    ) -> None:  # fmt: skip
+        """seen: is told of every datagram.  rate_hz: of positions."""
+        self._seen, self._peer = seen, ("127.0.0.1", 0)
+        self._vehicle, self._companion = udp_socket(), udp_socket()
+        with udp_socket() as free:
+            self.port = int(free.getsockname()[1])
+        rate = {"position_rate_hz": rate_hz}
+        world, self.mission = drawn_files.write(drawn, folder, autopilot, rate)
+        self.run, self.log = folder / "run", folder / "companion.log"
+        self.vehicle = start_vehicle(world, int(self._vehicle.getsockname()[1]))
+        self.start()
+
+    def start(self, *options: str) -> None:
+        """The companion, for the first time or once more."""
+        self.companion = start_companion(self.mission, self.port, self.run, *options, log=self.log)
+
+    def pump(self, seconds: float) -> None:
+        """Pass on what comes within so long."""
+        until_s = time.monotonic() + seconds
+        while (left_s := until_s - time.monotonic()) > 0.0:
+            for source in select.select([self._vehicle, self._companion], [], [], left_s)[0]:
+                try:
+                    data, sender = source.recvfrom(65535)
+                except OSError:  # what was sent before has come to nobody
+                    continue
+                at_s, is_vehicle = time.monotonic(), source is self._vehicle
+                self._peer = sender if is_vehicle else self._peer
+                with contextlib.suppress(OSError):  # nobody there at the moment
+                    if is_vehicle:
+                        self._companion.sendto(data, ("127.0.0.1", self.port))
+                    else:
+                        self._vehicle.sendto(data, self._peer)
+                self._seen(TO_COMPANION if is_vehicle else TO_VEHICLE, at_s, data)
+
+    def said(self) -> str:
+        """The last of what the companion printed."""
+        return self.log.read_text(encoding="utf-8")[-3000:]
+
+    def __enter__(self) -> "Tapped":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        end(self.companion)
+        end(self.vehicle)
+        self._vehicle.close()
+        self._companion.close()

@@ -5,9 +5,6 @@ import numpy as np
 import optimum
 import pytest
 from campaign_rows import row
-from descent import Margins, Problem
-from lattice import Lattice
-from subpaths import world_of
 
 from companion.campaign import drawn_world, truth
 from companion.campaign.route_cost import Rates, cost_rate, curve_cost
@@ -57,32 +54,27 @@ def test_height_and_radars_cost_what_the_objective_charges_for_a_range_of_flight
 def test_gradients_are_those_of_finite_differences() -> None:
     soft = Radar(name="s", centre_nea_m=(10e3, -3e3, 0.0), range_m=6_000.0)
     hard = Radar(name="h", centre_nea_m=(30e3, 6e3, 0.0), range_m=8_000.0)
-    solver = optimum.Solver(small(radars=(soft, hard), peaks=(PEAK,)))
-    problem = Problem(solver.world, solver.surface, 12, (soft,), Margins())
+    grid = optimum.Grid(small(radars=(soft, hard), peaks=(PEAK,)))
+    descent = optimum.Descent(grid, 12, (soft,), optimum.Margins())
     rng = np.random.default_rng(5)
-    control = solver.curve(np.array([[0.0, 0.0], [40e3, 0.0]]), 12)
-    control += rng.normal(scale=(500.0, 900.0, 60.0), size=control.shape)
-
-    def parts(points: np.ndarray) -> list[float]:
-        r, v, a = problem.b0 @ points, problem.b1 @ points, problem.b2 @ points
-        values = [problem.cost(r, v, 40e3)[0]]
-        return values + [float(ramp @ value) for value, _ in problem.bounds(r, v, a)]
-
-    r, v, a = problem.b0 @ control, problem.b1 @ control, problem.b2 @ control
-    ramp = np.linspace(1.0, 2.0, len(r))
-    pulled = [(*problem.cost(r, v, 40e3)[1:], 0.0)]
-    pulled += [pull(ramp) for _, pull in problem.bounds(r, v, a)]
-    for control_point, axis in ((2, 0), (5, 1), (6, 2), (9, 1)):
-        step = np.zeros_like(control)
-        step[control_point, axis] = 0.01
-        above, below = parts(control + step), parts(control - step)
-        for number, (by_r, by_v, by_a) in enumerate(pulled):
-            slope = sum(
-                float(basis[:, control_point] @ (np.zeros_like(r) + by)[:, axis])
-                for basis, by in ((problem.b0, by_r), (problem.b1, by_v), (problem.b2, by_a))
-            )
-            wanted = (above[number] - below[number]) / 0.02
-            assert slope == pytest.approx(wanted, rel=2e-4, abs=1e-8), number
+    state = rng.normal(size=(8, 200)) * np.array(
+        [[9e3], [9e3], [900.0], *[[2e4]] * 3, *[[1e4]] * 2]
+    )
+    state[0] += 20e3
+    state[3] += 40e3
+    for which, size in ((0, 1.0), (1, 1.0), (2, 1.0), (3, 1.0), (4, 1.0), (5, 1.0), (7, 1.0)):
+        step = np.zeros((8, 1))
+        step[which] = size
+        cost, bounds = descent.told((state + 1e-20j * step)[:, None], 40e3)
+        ends = [
+            descent.told((state + side * step)[:, None].astype(complex), 40e3) for side in (1, -1)
+        ]
+        for slope, above, below in (
+            (cost, *(end[0] for end in ends)),
+            (bounds, *(end[1] for end in ends)),
+        ):
+            wanted = (above - below).real / (2.0 * size)
+            np.testing.assert_allclose(slope.imag / 1e-20, wanted, rtol=2e-3, atol=1e-7)
 
 
 def test_the_way_round_one_radar_is_tangent_arc_tangent() -> None:
@@ -102,13 +94,27 @@ def test_the_way_round_one_radar_is_tangent_arc_tangent() -> None:
     assert wanted_m <= cost / unit <= 1.001 * wanted_m
 
 
-def test_the_cheapest_way_over_an_open_grid_is_as_long_as_the_line_to_half_a_per_cent() -> None:
-    world = replace(small(), targets_ne_m=((40e3, 13e3),))
-    lattice = Lattice(world)
-    rate = lattice.rate(over=False, radar_free=True)
-    ((cost_m, route),) = lattice.ways(rate, 1, ((0.0, 0.0), (40e3, 13e3)))
-    assert math.hypot(40e3, 13e3) <= cost_m + 1e-6 <= 1.005 * math.hypot(40e3, 13e3)
-    np.testing.assert_allclose(route[[0, -1]], [[0.0, 0.0], [40e3, 13e3]])
+@pytest.mark.parametrize("end", [(40e3, 13e3), (25e3, 18e3), (25e3, -18e3)])
+def test_the_cheapest_way_over_an_open_grid_is_as_long_as_the_line_to_half_a_per_cent(
+    end: tuple[float, float],
+) -> None:
+    grid = optimum.Grid(replace(small(), targets_ne_m=(end,)))
+    ((cost_m, route),) = grid.ways(grid.rate(over=False, radar_free=True), 1, ((0.0, 0.0), end))
+    assert math.hypot(*end) <= cost_m + 1e-6 <= 1.005 * math.hypot(*end)
+    np.testing.assert_allclose(route[[0, -1]], [[0.0, 0.0], end])
+
+
+def test_turns_and_slopes_are_those_that_the_judge_of_curves_measures() -> None:
+    descent = optimum.Descent(optimum.Grid(small()), 12, (), optimum.Margins(turn=0.0, climb=0.0))
+    control = np.random.default_rng(7).normal(size=(9, 3)) * (9e3, 9e3, 900.0)
+    curve, limits = truth.sampled(control, 300.0), descent.world.task.limits
+    state = np.concatenate([curve.points_nea_m.T, curve.first.T, curve.second.T[:2]])
+    bounds = descent.told(state[:, None].astype(complex), 40e3)[1].real[:, 0]
+    slope = np.tan(curve.climb_rad)
+    turn = limits.turn_radius_m * np.abs(curve.curvature_1_m) - 1.0
+    np.testing.assert_allclose(bounds[-3], turn, rtol=1e-6)
+    np.testing.assert_allclose(bounds[-2], slope - math.tan(limits.climb_angle_rad), rtol=1e-6)
+    np.testing.assert_allclose(bounds[-1], -slope - math.tan(limits.dive_angle_rad), rtol=1e-6)
 
 
 def test_a_finer_curve_is_the_same_curve() -> None:
@@ -118,26 +124,22 @@ def test_a_finer_curve_is_the_same_curve() -> None:
     np.testing.assert_allclose(truth.spline(finer)(u), truth.spline(control)(u), atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["environment-1", "environment-2", "dense-0", "dense-8"])
-def test_stored_optima_are_feasible_and_cost_what_is_said(name: str) -> None:
-    world = world_of(name)
-    known = optimum.load()
-    assert world.fingerprint in known, "the world has changed: its row is stale"
-    found = known[world.fingerprint]
-    curve = truth.sampled(np.array(found.control_nea_m), 10.0)
-    solver = optimum.Solver(world)
-    assert solver.violations(solver.measured(curve)) == ()
+def test_an_optimum_is_feasible_costs_what_is_said_and_what_a_flight_cannot_beat() -> None:
+    world = drawn_world.bundled("environment-1")
+    found = optimum.optimum(world)
+    curve = truth.sampled(found.control_nea_m, 10.0)
+    assert truth.measure(curve, world.terrain, world.task).violations(world.task) == ()
     assert curve_cost(curve, world) == pytest.approx(found.cost, rel=1e-4)
+    assert found.cost == pytest.approx(29.73376, rel=1e-4)  # by gradients that were written by hand
     np.testing.assert_allclose(found.control_nea_m[0], world.start_nea_m)
     np.testing.assert_allclose(found.control_nea_m[-1][:2], world.targets_ne_m[0])
 
 
 def test_costs_are_set_beside_the_optimum_of_their_own_world() -> None:
     dear, cheap, lost = row(0, cost=33.0), row(1, cost=60.0, world="b"), row(2, arrived=False)
-    base = optimum.load()[world_of("dense-0").fingerprint]
     known = {
-        optimum.place_of(dear): replace(base, cost=30.0),
-        optimum.place_of(cheap): replace(base, cost=60.0),
+        optimum.place_of(each): optimum.Optimum(cost=cost, control_nea_m=np.zeros((4, 3)))
+        for each, cost in ((dear, 30.0), (cheap, 60.0))
     }
     assert optimum.ratios([dear, cheap, lost], known) == pytest.approx([1.1, 1.0])
     assert len(optimum.ratios([dear], {optimum.place_of(dear): None})) == 0

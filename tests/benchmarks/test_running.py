@@ -1,27 +1,30 @@
 """The frame of the benchmarks: parameters are options, rows are Markdown, bars are held."""
 
 import json
+import subprocess
 import sys
 from pathlib import Path
+from typing import Literal
 
 import pytest
 import running
-from running import Found, OneOf, Some, least, main, most
+from running import Found, least, main, most
 
 
 def measured(
     flights: int = 2,
-    world: str = OneOf("forest", "street"),
+    world: Literal["forest", "street"] = "forest",
     rates: tuple[float, ...] = (20.0, 200.0),
-    only: tuple[str, ...] = Some(("a", "b")),
-    all_: bool = False,
+    only: tuple[Literal["a", "b"], ...] = ("a", "b"),
+    idle: bool = False,
 ) -> Found:
     """A benchmark."""
     yield "a title"
     for number in range(flights):
         yield {"flight": f"{world}-{number}", "m|.1f": 0.25 * number, "why": None}
-    yield [rates, only, all_]
+    yield [rates, only, idle]
     yield most("metres", 0.25 * (flights - 1), 0.5)
+    yield least("flights", flights, 1)
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> object:
@@ -37,13 +40,13 @@ def test_parameters_are_options_and_what_is_yielded_is_printed_and_written(
 ) -> None:
     monkeypatch.setattr(running, "CONSOLE", running.Console(file=sys.stdout, width=100))
     path = tmp_path / "found.json"
-    words = ["--world", "street", "--rates", "5", "--only", "b", "--all", "--flights", "3"]
+    words = ["--world", "street", "--rates", "5", "--only", "b", "--idle", "--flights", "3"]
     assert not run(monkeypatch, *words, "--json", str(path))
     found = json.loads(path.read_text(encoding="utf-8"))
     assert [row["flight"] for row in found["rows"]] == ["street-0", "street-1", "street-2"]
     assert [row["m"] for row in found["rows"]] == [0.0, 0.25, 0.5]
     assert found["found"] == [[[5.0], ["b"], True]]
-    assert found["bars"] == [["metres", "0.5", "0.5", True]]
+    assert found["bars"] == [["metres", "0.5", "0.5", True], ["flights", "1 or more", "3", True]]
     lines = [line.replace(" ", "") for line in capsys.readouterr().out.splitlines()]
     assert {"atitle", "|flight|m|why|", "|street-2|0.5||", "|metres|0.5|0.5|met|"} <= set(lines)
 
@@ -63,3 +66,17 @@ def test_a_bar_without_values_is_missed() -> None:
     assert not most("two", [1.0, 2.1], (1.0, 2.0)).kept
     assert least("as much", 3.0, 3.0).kept
     assert not least("no number", float("nan"), 3.0).kept
+
+
+IMPORT = """
+import runpy, sys
+from pathlib import Path
+sys.path[0] = "scripts/benchmarks"
+for file in sorted(Path(sys.path[0]).glob("*.py")):
+    runpy.run_path(str(file), run_name="imported")
+"""
+
+
+def test_every_benchmark_finds_what_it_imports_where_the_paths_of_pytest_are_not_set() -> None:
+    root = Path(__file__).parents[2]
+    subprocess.run([sys.executable, "-c", IMPORT], cwd=root, check=True, timeout=300)

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from planning import ARDUCOPTER
 from planning import spline as curve
 from scipy.optimize import minimize, minimize_scalar
-from scipy.spatial import cKDTree
 
 from companion.path.certificate import Certificate, certify
 from companion.path.envelope import Envelope
@@ -270,26 +269,6 @@ def surface_distance_m(
     return float(min(best.fun, far.min()))
 
 
-def surface_truth_m(case: Case, where_nea_m: FloatArray) -> float:
-    """Least distance of points, of a plane of its discs about them, from the true surface of peaks.
-
-    (S, 3) -> metres.  A tree of the surface's points finds where, scipy how near.
-    """
-    assert case.peaks is not None
-    size = case.task.limits.north_m[1]
-    steps = np.linspace(-0.2 * size, 1.2 * size, 200)
-    n, e = (grid.ravel() for grid in np.meshgrid(steps, steps, indexing="ij"))
-    tree = cKDTree(np.stack([n, e, case.peaks.height_m(n, e)], axis=-1))
-    discs = circles_nea_m(case, where_nea_m)
-    if (discs[..., 2] <= case.peaks.height_m(discs[..., 0], discs[..., 1])).any():
-        return 0.0
-    far = tree.query(discs)[0].min(axis=1)
-    nearest = where_nea_m[np.argsort(far)[:3]]
-    near_m = 2.0 * float(far.min()) + 2.0 * (steps[1] - steps[0])
-    around_m = case.task.limits.loiter_radius_m
-    return min(surface_distance_m(case.peaks, point, near_m, around_m) for point in nearest)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Truth:
     """What a curve comes to: minima and maxima that were met, so never beyond the real ones."""
@@ -449,15 +428,6 @@ def stretch_points_nea_m(
     size = np.linalg.norm(velocity, axis=-1)
     tangent = velocity / np.maximum(size, 1e-9)[..., None]
     return spline(u) + (share * reach)[..., None] * tangent
-
-
-def stretches_nea_m(case: Case, along: int = 80, ahead: int = 20) -> FloatArray:
-    """Points of the curve and of all its stretches, dense.  -> (along * ahead, 3)."""
-    spline, fine = curve(case.control_nea_m), np.linspace(0.0, 1.0, 3_001)
-    chords = np.linalg.norm(np.diff(spline(fine), axis=0), axis=-1)
-    lengths = np.concatenate([[0.0], np.cumsum(chords)])
-    u, share = np.meshgrid(np.linspace(0, 1, along), np.linspace(0, 1, ahead))
-    return stretch_points_nea_m(case, spline, fine, lengths, u.ravel(), share.ravel())
 
 
 def _dead_man(
