@@ -25,16 +25,14 @@ from companion.mavlink.frames import Receiver, sender_of
 from companion.mavlink.link import Output
 from companion.mission.mission import Mission
 from companion.mission.state import Phase
-from companion.replay.shadow import watch
+from companion.replay.shadow import LISTENED, watch
 from companion.replay.shadow_report import (
     Hold,
-    OffPath,
     ShadowReport,
     TrackDeviation,
     VehicleReport,
     renderables,
 )
-from companion.replay.shadow_watch import LISTENED
 from companion.session import Session
 from companion.telemetry.logs import Record
 
@@ -150,7 +148,8 @@ def mission(name: str, *, evaluations: int = 100) -> Mission:
 def watched(name: str) -> tuple[ShadowReport, Sent]:
     """With its mission, and without plans."""
     sent = Sent()
-    return watch(recording(name), mission(name), plans=False, on_output=sent), sent
+    chosen = replace(mission(name), targets_ne_m=())
+    return watch(recording(name), chosen, on_output=sent), sent
 
 
 def report_of(name: str) -> ShadowReport:
@@ -405,9 +404,10 @@ def track_of(name: str) -> list[tuple[float, float, float, float]]:
 
 
 def test_a_deviation_is_the_worst_and_the_root_mean_square_of_all_positions() -> None:
-    samples = [OffPath(float(k), off_m, 10.0 * k) for k, off_m in enumerate((3.0, 5.0, 4.0))]
-    off = TrackDeviation.of(samples)
-    assert off is not None
+    samples = [
+        TrackDeviation.of(float(k), off_m, 10.0 * k) for k, off_m in enumerate((3.0, 5.0, 4.0))
+    ]
+    off = samples[0] + samples[1] + samples[2]
     assert (off.positions, off.max_m, off.max_at_s) == (3, 5.0, 1.0)
     assert off.rms_m == pytest.approx((50.0 / 3.0) ** 0.5)
     assert (off.from_s, off.until_s, off.from_m, off.until_m) == (0.0, 2.0, 0.0, 20.0)
@@ -486,7 +486,7 @@ def test_who_is_not_the_vehicle_is_not_listened_to(tmp_path: Path) -> None:
     records = recorded(PX4, from_s=60.0, until_s=110.0)
     alone = (each for each in records if sender_of(each.frame) == VEHICLE)
     reports = [
-        watch(written(tmp_path / f"{name}.tlog", records), None, plans=False).as_json()
+        watch(written(tmp_path / f"{name}.tlog", records), None).as_json()
         for name, records in {"crowded": crowded(), "alone": alone}.items()
     ]
     assert len(reports[0]["holds"]) == 1
@@ -504,7 +504,7 @@ def test_an_autopilot_of_another_component_is_told_and_what_to_do(
     records = [Record(10**15 + 10**6 * k, bytes(beat.pack(sender))) for k in range(30)]
     path = written(tmp_path / "fifty.tlog", records)
     with pytest.raises(InputError, match=r"component 50 of system 1.*MAV_COMP_ID"):
-        watch(path, None, plans=False, system_id=system_id)
+        watch(path, None, system_id=system_id)
 
 
 def test_the_page_shows_the_report_as_it_is_printed() -> None:

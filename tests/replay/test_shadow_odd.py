@@ -156,7 +156,7 @@ def test_after_a_silence_that_nobody_waits_for_it_begins_again(
     assert from_s + by_s < lost.went_on_s < from_s + by_s + 5.0
     assert fix.why[0].code == "NO_FIX"
     assert fix.let_go_s == pytest.approx(76.36 + by_s, abs=0.02)
-    assert any("gave up watching 1 time" in note for note in report.notes)
+    assert any("gave up watching at" in note for note in report.notes)
 
 
 @pytest.mark.parametrize("blind_s", [0.0, 3.0])
@@ -287,7 +287,7 @@ def test_positions_that_stand_still_are_told(tmp_path: Path) -> None:
 
 def test_a_mission_somewhere_else_is_refused_in_one_line() -> None:
     with pytest.raises(InputError, match="outside its \\[area\\]") as caught:
-        watch(recording(PX4), mission("copter-canberra"), plans=False)
+        watch(recording(PX4), mission("copter-canberra"))
     text = str(caught.value)
     assert "47.397" in text
     assert "km north" in text
@@ -305,7 +305,7 @@ def test_a_mission_somewhere_else_is_refused_in_one_line() -> None:
 )
 def test_a_mission_for_another_vehicle_is_refused(name: str, chosen: Mission) -> None:
     with pytest.raises(InputError, match=r"it is for .*; the log is of PX4"):
-        watch(recording(name), chosen, plans=False)
+        watch(recording(name), chosen)
 
 
 def test_with_nothing_known_of_the_ground_it_says_so_and_tells_the_rest(tmp_path: Path) -> None:
@@ -319,7 +319,7 @@ def test_with_nothing_known_of_the_ground_it_says_so_and_tells_the_rest(tmp_path
     assert not [asked for asked in report.plans if asked.outcome == "ready"]
     refused = [asked for asked in report.plans if asked.outcome == "refused"]
     assert {asked.reason for asked in refused} <= {"NOTHING_SEEN", "START_NEAR_UNKNOWN"}
-    assert times(report.holds) == times(watch(path, known, plans=False).holds)
+    assert times(report.holds) == times(alone(path).holds)
 
 
 def test_what_is_known_of_the_ground_stands_in_for_a_radar(tmp_path: Path) -> None:
@@ -344,7 +344,7 @@ def test_a_planner_that_breaks_ends_the_watch_and_not_the_program(
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("by nothing")
 
-    monkeypatch.setattr("companion.replay.shadow_watch.plan", broken)
+    monkeypatch.setattr("companion.replay.shadow.plan", broken)
     path = written(tmp_path / "part.tlog", recorded(PX4, from_s=60.0, until_s=90.0))
     report = watch(path, mission("copter-zurich"))
     assert "PLANNER_DIED" in {why.code for hold in report.holds for why in hold.why}
@@ -357,7 +357,7 @@ def test_a_planner_that_breaks_ends_the_watch_and_not_the_program(
 def test_progress_only_rises_and_comes_to_the_end(tmp_path: Path) -> None:
     shown = list[tuple[int, int]]()
     path = written(tmp_path / "part.tlog", recorded(PX4, until_s=40.0))
-    watch(path, None, plans=False, on_progress=lambda read, size: shown.append((read, size)))
+    watch(path, None, on_progress=lambda read, size: shown.append((read, size)))
     size = path.stat().st_size
     assert shown == sorted(shown)
     assert shown[-1] == (size, size)
