@@ -130,14 +130,15 @@ class Replay:
                     given.leave_out(number for number in numbers if number in there)
                 case ("raised", str(call), str(error)):
                     ended = RecordedError(call=call, error=error)
+                case _:
+                    pass
         if given is not None:
             found.difference = recording.first_difference(given.record, given.journal)
             found.frames, found.entries = recording.frames, recording.entries
             found.unrecorded = recording.unrecorded
-        for remark in remarks:
-            match remark:
-                case ("held", int(frames)):
-                    recording.pass_over(frames)
+        for name, *told in remarks:
+            if name == "held" and told and type(told[0]) is int:
+                recording.pass_over(told[0])
         if raised and ended and (raised.call, raised.error) == (ended.call, ended.error):
             found.ended_by = raised
             return
