@@ -284,6 +284,7 @@ def test_it_plans_where_the_vehicle_is_and_only_where_that_is_to_be_believed(
     assert report.plans[0].why == "it begins to watch"
     assert all("off its path" in asked.why for asked in report.plans[1:])
     assert {asked.outcome for asked in report.plans[:-1]} == {"ready"}
+    assert report.plans[-1].outcome == "given up"  # it was to be answered when it had let go
     track = track_of(PX4)
     for asked in report.plans:
         at = min(track, key=lambda each, at_s=asked.at_s + 40.0: abs(each[0] - at_s))
