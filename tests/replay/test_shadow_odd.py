@@ -467,3 +467,16 @@ def test_progress_only_rises_and_comes_to_the_end(tmp_path: Path) -> None:
     assert shown == sorted(shown)
     assert shown[-1] == (size, size)
     assert len(shown) > 1
+
+
+def test_of_several_vehicles_the_missions_is_watched(tmp_path: Path) -> None:
+    beat = packed(wire.MAVLink_heartbeat_message(wire.MAV_TYPE_QUADROTOR, 12, 81, 0, 4, 3), (2, 1))
+    flown = list(recorded(PX4, until_s=10.0))
+    others = (Record(each.time_us, beat) for each in flown[::100])
+    path = written(tmp_path / "two.tlog", sorted([*flown, *others], key=lambda each: each.time_us))
+    with pytest.raises(InputError, match="Choose one with --system"):
+        alone(path)
+    chosen = replace(mission("copter-zurich"), system_id=1, targets_ne_m=())
+    for report in (watch(path, chosen), alone(path, system_id=1)):
+        assert report.system_id == 1
+        assert report.watched_from_s is not None
