@@ -212,7 +212,7 @@ def test_while_the_ground_is_read_browsers_are_not_sent_each_state_of_it(
         page = Page(server, recording)
         while not now_s or "read until" in page.status:
             page.step(now_s, 0.1)
-            now_s += 0.1
+            now_s += 0.01
         assert page.replica is not None
         _, newest = page.replica.ground_at(recording.flight, math.inf)
     server.stop()
