@@ -171,6 +171,17 @@ def test_all_of_a_flight_is_in_the_scene(shown: tuple[viser.ViserServer, Page]) 
     assert {"target", 'keep-out tower <&> "mast"', "keep-out village", "keep-in county"} <= labels
 
 
+def test_the_scene_follows_the_time(shown: tuple[viser.ViserServer, Page]) -> None:
+    """Before the first plan there is none in it."""
+    server, page = shown
+    for now_s, there in ((90.0, False), (91.0, True)):
+        page.jump("newest") if there else page.go_to(0.0)
+        page.step(now_s, 0.1)
+        names = set(server.scene._handle_from_node_name)
+        assert ({"/plan/leg", "/plan/guide", "/scan/reach/ring"} <= names) is there
+        assert ("/plan/control" in names) is there
+
+
 def test_the_panel_follows_the_time(shown: tuple[viser.ViserServer, Page]) -> None:
     server, page = shown
     page.go_to(0.0)
