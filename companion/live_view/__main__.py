@@ -22,30 +22,25 @@ def main() -> None:
     os.nice(_NICE)
     asked = msgspec.json.decode(sys.stdin.readline(), type=Asked)
     over = threading.Event()
+    said: list[object] = []
 
     def watch() -> None:
         sys.stdin.read()
         over.set()
 
+    def say(line: object) -> None:
+        said.append(line)
+        sys.stdout.write(json.dumps(line) + "\n")
+        sys.stdout.flush()
+
     threading.Thread(target=watch, daemon=True).start()
-    said: list[str] = []
-
-    def on_ready(address: str) -> None:
-        said.append(address)
-        _say({"address": address})
-
     try:
-        serve(asked, on_ready, over.is_set)
+        serve(asked, lambda address: say({"address": address}), over.is_set)
     except InputError as error:
         if said:  # nobody reads a second line
             sys.stderr.write(f"warning: no view any more: {error}\n")
         else:
-            _say({"error": [error.field, error.value, error.rule, error.remedy]})
-
-
-def _say(line: dict[str, object]) -> None:
-    sys.stdout.write(json.dumps(line) + "\n")
-    sys.stdout.flush()
+            say({"error": [error.field, error.value, error.rule, error.remedy]})
 
 
 if __name__ == "__main__":

@@ -8,36 +8,33 @@ import math
 import pickle
 import time
 import zlib
+from bisect import bisect_right
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Final, TypeVar, final
+from typing import Final, NamedTuple, TypeVar, final
 
 import numpy as np
 import scipy.ndimage
 from numpy.typing import NDArray
 
 from companion.errors import InputError
-from companion.geodesy import BoolArray
 from companion.mission.events import Vector
 from companion.mission.mission import Mission
 from companion.replay.actions import flown_mission
 from companion.replay.feed import RUNTIME_RECORDS, DamagedInputError, Feeder
 from companion.sources.files import answer
+from companion.telemetry.flight import Flight
 from companion.telemetry.inputs import FILE, Input, InputsFile
-from companion.telemetry.run_folder import known_map
 from companion.world.columns import distance_to_terrain_m
 from companion.world.guess import guessed_m
 from companion.world.known_map import KnownMap
 
 UNKNOWN, GUESSED, PROVEN = range(3)
 _Number = TypeVar("_Number", bound=np.generic)
-_ORIGIN: Final = (0.0, 0.0)
 _BEGUN_AGAIN_S: Final = 2.0
-_CONTINUED: Final = (
-    0.25  # of R beyond what was seen: farther away, a guess is a plain (decision 0021)
-)
+_CONTINUED: Final = 0.25
+"""Of R beyond what was seen: farther away, a guess is a plain (decision 0021)."""
 _MOST_CELLS: Final = 240
 """Along a side, of what is drawn; 480 are one frame a second without a graphics processor."""
 _MOST_APART: Final = 20  # cells: farther away from terrain a clearance is not told
@@ -45,9 +42,7 @@ _SAMPLE_S: Final = 0.5
 _STEPS: Final = 50  # inputs between two looks at the clock
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Ground:
+class Ground(NamedTuple):
     """The terrain, as it is known or guessed.  Rows to the north, columns to the east."""
 
     cell_m: float
@@ -71,14 +66,13 @@ def ground_of(known: KnownMap, here_ne_m: tuple[float, float], mission: Mission)
     else:
         height_m = guessed_m(known, here_ne_m, range_m)
     if known.guess_m is None:
-        near = _is_near(firm, _CONTINUED * range_m / known.cell_m)
-        height_m[~(near | np.isfinite(known.upper_m))] = -np.inf
+        away = scipy.ndimage.distance_transform_edt(~firm) if firm.any() else np.inf
+        is_far = away > _CONTINUED * range_m / known.cell_m
+        height_m[is_far & ~np.isfinite(known.upper_m)] = -np.inf
     kind = np.where(np.isfinite(height_m), np.uint8(GUESSED), np.uint8(UNKNOWN))
     kind[firm] = PROVEN
     step = -(-max(kind.shape) // _MOST_CELLS)
-    if (
-        step > 1
-    ):  # of each block the least sure cell, so that no more is proven than is; the highest
+    if step > 1:  # of each block the highest, and the least sure: no more is proven than is
         height_m, kind = _highest(height_m, step), PROVEN - _highest(PROVEN - kind, step)
     return Ground(
         cell_m=known.cell_m * step,
@@ -92,29 +86,9 @@ def ground_of(known: KnownMap, here_ne_m: tuple[float, float], mission: Mission)
 def _highest(values: NDArray[_Number], step: int) -> NDArray[_Number]:
     """The highest value of each block of step x step cells."""
     rows, columns = (np.arange(0, count, step) for count in values.shape)
-    highest: NDArray[_Number] = np.maximum.reduceat(
-        np.maximum.reduceat(values, rows, 0), columns, 1
-    )
+    of_rows = np.maximum.reduceat(values, rows, 0)
+    highest: NDArray[_Number] = np.maximum.reduceat(of_rows, columns, 1)
     return highest
-
-
-def _is_near(cells: BoolArray, most: float) -> BoolArray:
-    """Which cells have one of these within so many cells."""
-    if not cells.any():
-        return cells
-    near: BoolArray = scipy.ndimage.distance_transform_edt(~cells) <= most
-    return near
-
-
-def last_ground(folder: Path, mission: Mission) -> Ground | None:
-    """What was known in the end, if a run folder has it: at once, before anything is replayed."""
-    try:
-        known = known_map(folder)
-    except (OSError, ValueError):
-        return None
-    if mission.known is not None:
-        known = known.with_what_was_given(mission.known)
-    return ground_of(known, (mission.targets_ne_m or (_ORIGIN,))[0], mission)
 
 
 @final
@@ -126,80 +100,66 @@ class Replica:
         self._folder = folder
         self._inputs: InputsFile | None = None
         self._known: KnownMap | None = None
-        self._boot = 0
-        self._asked_at_s: tuple[int, float] | None = None
         self.ended: str | None = None
         """Why nothing follows from more inputs."""
         self.now: tuple[int, float] = (0, 0.0)
         """Boot and vehicle time that it has come to."""
-        self.grounds: list[tuple[int, float, bytes]] = []
+        self._grounds: list[tuple[int, float, bytes]] = []
         """Boot, vehicle time, and what was known from then on, packed: an hour has thousands."""
+        self._unpacked: tuple[int, Ground | None] = (-1, None)
         self.samples: list[tuple[int, float, float, float]] = []
         """Boot, vehicle time, clearance to what was known of the terrain then, and its altitude
         under the vehicle; NaN: not known, or farther than it is looked for."""
-        self.planning_s: dict[int, float] = {}
-        """How long it took to answer, as far as the times at which messages came tell."""
-        self._at_s: float | None = None
-        self._sampled_s = -math.inf
 
     def advance(self, seconds: float, clock: Callable[[], float] = time.thread_time) -> bool:
         """Go on for so long, of processor time; whether there is more to read at once."""
-        until_s = clock() + seconds
-        while self.ended is None and clock() < until_s:
-            if not self._some():
-                return False
-        return self.ended is None
-
-    def _some(self) -> bool:
-        """A few inputs; whether there were any."""
+        until_s, more = clock() + seconds, True
         try:
-            if self._inputs is None:
-                if not answer(lambda: (self._folder / FILE).stat().st_size > 0):
-                    return False  # not begun yet
-                self._feeder = Feeder(flown_mission(self._folder))
-                self._inputs = InputsFile(self._folder / FILE)
-            told = list(islice(self._inputs, _STEPS))
-            for each in told:
-                self._take(each)
+            while more and self.ended is None and clock() < until_s:
+                more = self._read_some()
         except (DamagedInputError, InputError) as error:
             self.ended = str(error)
         except Exception as error:  # noqa: BLE001 - the session's own, as in the flight
             self.ended = f"{type(error).__name__}: {error}"
-        else:
-            return bool(told)
-        return False
+        return more and self.ended is None
+
+    def ground_at(self, flight: Flight, time_s: float) -> tuple[int, Ground | None]:
+        """The newest ground at a time of the flight, and its number; -1 and None: none yet."""
+        times_s = [flight.time_of(boot, t_s) for boot, t_s, _ in self._grounds]
+        number = bisect_right(times_s, time_s) - 1
+        if number != self._unpacked[0]:
+            packed = b"" if number < 0 else self._grounds[number][2]
+            self._unpacked = number, pickle.loads(zlib.decompress(packed)) if packed else None
+        return self._unpacked
+
+    def _read_some(self) -> bool:
+        """Take a few inputs; whether there were any."""
+        if self._inputs is None:
+            if not answer(lambda: (self._folder / FILE).stat().st_size > 0):
+                return False  # not begun yet
+            self._feeder = Feeder(flown_mission(self._folder))
+            self._inputs = InputsFile(self._folder / FILE)
+        told = list(islice(self._inputs, _STEPS))
+        for each in told:
+            self._take(each)
+        return bool(told)
 
     def _take(self, told: Input) -> None:
-        match told:
-            case ("start", *_):
-                self._known = None
-            case ("receive", _, float(at_s), *_):
-                self._at_s = at_s
-            case ("deliver", {"plan_id": int(plan_id)}) if self._asked_at_s is not None:
-                if self._at_s is not None and plan_id == self._asked_at_s[0]:
-                    self.planning_s[plan_id] = self._at_s - self._asked_at_s[1]
-        output = self._feeder.take(told)
-        session = self._feeder.session
+        self._feeder.take(told)
+        session, (boot, before_s) = self._feeder.session, self.now
+        if told[0] == "start":
+            self._known = None
         if told[0] == "start" or told[0] in RUNTIME_RECORDS:
             return
-        if session.now_s < self.now[1] - _BEGUN_AGAIN_S:
-            self._boot, self._sampled_s = self._boot + 1, -math.inf
-        self.now = self._boot, session.now_s
-        if output is not None and output.plan is not None:
-            self._asked_at_s = None if self._at_s is None else (output.plan.plan_id, self._at_s)
+        self.now = boot + (session.now_s < before_s - _BEGUN_AGAIN_S), session.now_s
         known, here = session.state.flight.known, session.state.vehicle.position_nea_m
         if known is not self._known:
             self._known = known
-            ground = ground_of(known, (here or (*_ORIGIN, 0.0))[:2], session.mission)
-            self.grounds.append((*self.now, zlib.compress(pickle.dumps(ground), 1)))
-        if here is not None and self.now >= (self._boot, self._sampled_s + _SAMPLE_S):
-            self._sampled_s = session.now_s
+            ground = ground_of(known, (0.0, 0.0) if here is None else here[:2], session.mission)
+            self._grounds.append((*self.now, zlib.compress(pickle.dumps(ground), 1)))
+        sampled = self.samples[-1][:2] if self.samples else (-1, 0.0)
+        if here is not None and self.now >= (sampled[0], sampled[1] + _SAMPLE_S):
             self.samples.append((*self.now, *_nearness_m(known, here)))
-
-    def ground(self, number: int) -> Ground:
-        """One of `grounds`."""
-        ground: Ground = pickle.loads(zlib.decompress(self.grounds[number][2]))  # packed here
-        return ground
 
 
 def _nearness_m(known: KnownMap, here_nea_m: Vector) -> tuple[float, float]:

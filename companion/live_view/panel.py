@@ -77,8 +77,7 @@ def status_html(
     drawn = "" if stretch == 1.0 else f"; heights drawn {stretch:g} times"
     head = f"<div class=n>{html.escape(recording.name)}{drawn}</div>"
     phase = "" if not flight.has_mission else f"<div class=p>{html.escape(decided.phase)}</div>"
-    took_s = planning_of(recording, replica)
-    plan = _plan_html(decided, took_s.get(decided.ready.plan_id) if decided.ready else None)
+    plan = _plan_html(decided, recording.planning_s)
     return f"{_STYLE}<div class=fl>{head}{phase}{reason}{_table(rows)}{plan}{warned}{late}</div>"
 
 
@@ -88,7 +87,7 @@ def waiting_html(recording: Recording) -> str:
     return f"{_STYLE}<div class=fl>{html.escape(recording.name)}{waits}</div>"
 
 
-def _plan_html(decided: Decided, planning_s: float | None) -> str:
+def _plan_html(decided: Decided, took_s: Mapping[int, float]) -> str:
     plan = decided.ready
     if plan is None:
         return ""
@@ -97,6 +96,7 @@ def _plan_html(decided: Decided, planning_s: float | None) -> str:
     if certificate.broken:
         broken = html.escape(", ".join(certificate.broken))
         proven = f'<span style="color:{_ALARM}">not proven: {broken}</span>'
+    planning_s = took_s.get(plan.plan_id)
     rows = {
         "flying subpath": f"{decided.leg_number}",
         "length": metres(plan.length_m),
@@ -171,11 +171,6 @@ def charts_of(recording: Recording, replica: Replica | None) -> tuple[tuple[Floa
         (times_s, flight.places_nea_m[rows, 2], under_m),
         (times_s, _aside_m(flight, rows)),
     )
-
-
-def planning_of(recording: Recording, replica: Replica | None) -> dict[int, float]:
-    """How long each plan took, by its number."""
-    return recording.planning_s() or ({} if replica is None else replica.planning_s)
 
 
 def near_ground(

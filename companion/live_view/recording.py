@@ -5,10 +5,8 @@ Nothing here asks the companion: whoever watches a flight cannot slow it down.
 
 import json
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import Final, Self, final
+from typing import Final, NamedTuple, Self, final
 
 import numpy as np
 
@@ -30,13 +28,10 @@ _TEXT: Final = wire.MAVLINK_MSG_ID_STATUSTEXT
 _RATE_OVER_S: Final = 5.0
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Event:
-    """Something worth a line in the list of events."""
+class Event(NamedTuple):
+    """Something worth a line in the list of events; seconds since the first position."""
 
     time_s: float
-    """Since the first position."""
     kind: str
     """plan, hold, or empty: neither."""
     text: str
@@ -50,6 +45,8 @@ class Recording:
         """path: a run folder, or a log of any kind.  InputError if it is neither."""
         self.path = path
         self.events: list[Event] = []
+        self.planning_s: dict[int, float] = {}
+        """How long each answer took, by the plan's number: noted once the flight is over."""
         self._journal: Journal | None = None
         self._tlog: Records | None = None
         kept = (BATTERY, SECTORS, _TEXT)
@@ -66,8 +63,7 @@ class Recording:
         if not len(self.flight.track):
             rule, remedy = "there is no position in it", "Give the log of a flight."
             raise InputError("RUN_DIR|LOG", str(path), rule, remedy)
-        said = self.flight.kept(_TEXT)
-        self.events = [Event(time_s=at_s, kind="", text=m.text) for at_s, m in said]
+        self.events = [Event(at_s, "", m.text) for at_s, m in self.flight.kept(_TEXT)]
 
     def __enter__(self) -> Self:
         return self
@@ -76,10 +72,10 @@ class Recording:
         if self._tlog is not None:
             self._tlog.close()
 
-    def read(self) -> bool:
-        """Read what has been recorded since; whether anything was."""
+    def read(self) -> None:
+        """Read what has been recorded since."""
         if self._journal is None:
-            return False
+            return
         flight, more = self.flight, False
         for line in self._journal.new_lines() if answer(self._journal.path.is_file) else ():
             flight.take(line)
@@ -93,13 +89,15 @@ class Recording:
             flight.settle()
             timed = ((flight.time_of(boot, t), entry) for boot, t, entry in flight.entries)
             self.events = [
-                Event(time_s=time_s, kind=_kind(entry), text=words[0])
+                Event(time_s, _kind(entry), words[0])
                 for time_s, entry in timed
                 if (words := entry_words(entry)) is not None
             ]
-        return more
-
-    # --- what is asked of it
+        if not self.planning_s:
+            asked = [e.plan_id for _, _, e in flight.entries if isinstance(e, noted.PlanAsked)]
+            with suppress(OSError, ValueError, AttributeError, TypeError):
+                took_s = json.loads((self.path / "run.json").read_bytes()).get("planning_s")
+                self.planning_s = dict(zip(asked, map(float, took_s), strict=True))
 
     @property
     def name(self) -> str:
@@ -117,22 +115,6 @@ class Recording:
         times_s = [time_s - _RATE_OVER_S, time_s]
         after, until = np.searchsorted(self.flight.times_s, times_s, "right")
         return float(until - after) / _RATE_OVER_S
-
-    def planning_s(self) -> dict[int, float]:
-        """How long each answer took, by the plan's number, if the flight has noted it."""
-        if not self._noted_s:
-            return {}
-        entries = (entry for _, _, entry in self.flight.entries)
-        asked = [entry.plan_id for entry in entries if isinstance(entry, noted.PlanAsked)]
-        is_of_all = len(asked) == len(self._noted_s)
-        return dict(zip(asked, self._noted_s, strict=True)) if is_of_all else {}
-
-    @cached_property
-    def _noted_s(self) -> list[float]:
-        with suppress(OSError, ValueError, AttributeError):
-            noted_s = json.loads((self.path / "run.json").read_bytes()).get("planning_s")
-            return [float(each) for each in noted_s or ()]
-        return []
 
 
 def _kind(entry: Entry) -> str:

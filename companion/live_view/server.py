@@ -12,7 +12,8 @@ import viser
 
 from companion.errors import InputError
 from companion.live_view.command import Asked
-from companion.live_view.page import Page, Shown
+from companion.live_view.page import Page
+from companion.live_view.recording import Recording
 from companion.sources.files import answer
 
 _HOST: Final = "127.0.0.1"
@@ -23,24 +24,24 @@ def serve(asked: Asked, on_ready: Callable[[str], None], stopped: Callable[[], b
     """Serve until stopped.  on_ready: told the address.  InputError if it cannot be served."""
     path = Path(asked.path)
     with ExitStack() as stack:
-        shown = None if asked.live else _read(path, asked.system_id, stack)
+
+        def read() -> Recording:
+            recording = stack.enter_context(Recording(path, asked.system_id))
+            recording.read()
+            return recording
+
+        recording = None if asked.live else read()
         server = _server(asked.port)
         stack.callback(server.stop)
         on_ready(f"http://{_HOST}:{server.get_port()}/")
-        while shown is None:
+        while recording is None:
             if all(answer((path / name).is_file) for name in ("mission.toml", "flight.tlog")):
-                shown = _read(path, None, stack)
+                recording = read()
             elif stopped():
                 return
             else:
                 time.sleep(_POLL_S)
-        Page(server, shown).run(stopped)
-
-
-def _read(path: Path, system_id: int | None, stack: ExitStack) -> Shown:
-    shown = Shown.of(path, system_id)
-    stack.enter_context(shown.recording)
-    return shown
+        Page(server, recording).run(stopped)
 
 
 def _server(port: int) -> viser.ViserServer:

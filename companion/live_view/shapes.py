@@ -5,8 +5,7 @@ The scene is as wide whatever the flight: a forest of 300 m or a map of 110 km.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import scipy.ndimage
@@ -15,17 +14,13 @@ from numpy.typing import NDArray
 
 from companion.geodesy import FloatArray
 from companion.live_view.ground import GUESSED, PROVEN, Ground
-from companion.telemetry.export.shapes import ball_nea_m, walls_nea_m
 from companion.telemetry.flight import Flight
-from companion.world.radars import Radar
-from companion.world.zones import Zone
 
 WIDTH: Final = 100.0  # of the scene
 _HEIGHT: Final = 0.11  # of the range of altitudes that matters, in widths: mountains are seen
 _NEAR_M: Final = 1000.0  # wide: a map of near things
 _STRETCHES: Final = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 8.0)
 _TILE_CELLS: Final = 60
-_CIRCLE_POINTS: Final = 64
 _BELOW: Final = 0.25  # of the ground: there lies what is not known
 _LIGHT: Final = np.array([-0.55, 0.45, 0.70])  # from the north-west, as on maps
 _TINTS: Final = np.array(
@@ -43,9 +38,7 @@ class Mesh(NamedTuple):
     colours: NDArray[np.uint8] | None = None  # (V, 3)
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Area:
+class Area(NamedTuple):
     """What the scene shows: ranges of north, east and altitude AMSL."""
 
     north_m: tuple[float, float]
@@ -60,16 +53,11 @@ class Area:
         if flight.has_mission:
             limits = flight.mission.task.limits
             low_m = min(float(places[0, 2]), limits.floor_amsl_m)
-            return Area(
-                north_m=limits.north_m,
-                east_m=limits.east_m,
-                low_m=low_m,
-                high_m=limits.ceiling_amsl_m,
-            )
+            return Area(limits.north_m, limits.east_m, low_m, limits.ceiling_amsl_m)
         low, high = places.min(axis=0), places.max(axis=0)
         middle, half = (low + high) / 2.0, 0.6 * max(float((high - low)[:2].max()), 50.0)
         north_m, east_m = ((float(at) - half, float(at) + half) for at in middle[:2])
-        return Area(north_m=north_m, east_m=east_m, low_m=float(low[2]), high_m=float(high[2]))
+        return Area(north_m, east_m, float(low[2]), float(high[2]))
 
     @property
     def width_m(self) -> float:
@@ -77,9 +65,7 @@ class Area:
         return max(self.north_m[1] - self.north_m[0], self.east_m[1] - self.east_m[0])
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Scale:
+class Scale(NamedTuple):
     """How the local frame lies in the scene."""
 
     centre_ne_m: tuple[float, float]
@@ -92,9 +78,8 @@ class Scale:
     @staticmethod
     def of(area: Area) -> "Scale":
         """With heights stretched as far as mountains need to be seen from above; trees do not."""
-        wanted = _HEIGHT * area.width_m / max(area.high_m - area.low_m, 1.0)
-        if area.width_m < _NEAR_M:
-            wanted = 1.0
+        is_near = area.width_m < _NEAR_M
+        wanted = 1.0 if is_near else _HEIGHT * area.width_m / max(area.high_m - area.low_m, 1.0)
         return Scale(
             centre_ne_m=(sum(area.north_m) / 2.0, sum(area.east_m) / 2.0),
             base_amsl_m=area.low_m,
@@ -119,28 +104,31 @@ class Scale:
 
 
 def proven_tiles(
-    ground: Ground, scale: Scale, top_m: float
+    ground: Ground, scale: Scale, area: Area
 ) -> Iterator[tuple[tuple[int, int], bytes, Mesh]]:
     """The proven ground in square pieces: where each is, what tells it from others, and itself.
 
-    top_m: the altitude of the darkest colour.
+    Colours are by altitude, darkest a little above the area, lit from the north-west.
     """
     proven = ground.kind == PROVEN
     corners_m = _corner_heights_m(ground, proven)
-    colours = _shaded(ground, corners_m, scale, top_m)
-    rows, columns = proven.shape
-    for row in range(0, rows, _TILE_CELLS):
-        for column in range(0, columns, _TILE_CELLS):
+    top_m = area.high_m + 0.1 * (area.high_m - area.low_m)
+    share = (corners_m - area.low_m) / max(top_m - area.low_m, 1.0)
+    tints = [np.interp(share, np.linspace(0.0, 1.0, len(_TINTS)), tint) for tint in _TINTS.T]
+    smooth = scipy.ndimage.uniform_filter(corners_m, 3)
+    north, east = np.gradient(smooth * scale.stretch, ground.cell_m)
+    normal = np.stack([-east, -north, np.ones_like(east)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    light = 0.62 + 0.48 * np.clip(normal @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
+    colours = np.clip(np.stack(tints, axis=-1) * light[..., None], 0, 255).astype(np.uint8)
+    for row in range(0, proven.shape[0], _TILE_CELLS):
+        for column in range(0, proven.shape[1], _TILE_CELLS):
             cells = slice(row, row + _TILE_CELLS), slice(column, column + _TILE_CELLS)
-            here = proven[cells]
+            here = np.zeros_like(proven)
+            here[cells] = proven[cells]
             if here.any():
-                seen_m = np.where(here, ground.height_m[cells], 0.0)
-                key = here.tobytes() + seen_m.astype(np.float32).tobytes()
-                yield (
-                    (row, column),
-                    key,
-                    _cells_mesh(ground, scale, here, corners_m, colours, (row, column)),
-                )
+                key = here.tobytes() + np.where(here, ground.height_m, 0.0)[cells].tobytes()
+                yield (row, column), key, _cells_mesh(ground, scale, here, corners_m, colours)
 
 
 def guessed_mesh(ground: Ground, scale: Scale) -> Mesh | None:
@@ -148,7 +136,7 @@ def guessed_mesh(ground: Ground, scale: Scale) -> Mesh | None:
     guessed = ground.kind == GUESSED
     if not guessed.any():
         return None
-    return _cells_mesh(ground, scale, guessed, _corner_heights_m(ground, guessed), None, (0, 0))
+    return _cells_mesh(ground, scale, guessed, _corner_heights_m(ground, guessed))
 
 
 def _corner_heights_m(ground: Ground, drawn: NDArray[np.bool_]) -> FloatArray:
@@ -161,56 +149,32 @@ def _corner_heights_m(ground: Ground, drawn: NDArray[np.bool_]) -> FloatArray:
     return total / np.maximum(number, 1.0)
 
 
-def _shaded(ground: Ground, corners_m: FloatArray, scale: Scale, top_m: float) -> NDArray[np.uint8]:
-    """Colours of the corners: by altitude, lit from the north-west.  (rows+1, columns+1, 3)."""
-    smooth = scipy.ndimage.uniform_filter(corners_m, 3)
-    north, east = np.gradient(smooth * scale.stretch, ground.cell_m)
-    normal = np.stack([-east, -north, np.ones_like(east)], axis=-1)
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    light = 0.62 + 0.48 * np.clip(normal @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
-    share = np.clip((corners_m - scale.base_amsl_m) / max(top_m - scale.base_amsl_m, 1.0), 0.0, 1.0)
-    at = share * (len(_TINTS) - 1)
-    tint = np.stack([np.interp(at, range(len(_TINTS)), _TINTS[:, k]) for k in range(3)], axis=-1)
-    return np.clip(tint * light[..., None], 0, 255).astype(np.uint8)
-
-
 def _cells_mesh(
     ground: Ground,
     scale: Scale,
     drawn: NDArray[np.bool_],
     corners_m: FloatArray,
-    colours: NDArray[np.uint8] | None,
-    origin: tuple[int, int],
+    colours: NDArray[np.uint8] | None = None,
 ) -> Mesh:
-    """A quad for each drawn cell; vertices are shared.  origin: row and column of the first."""
-    rows, columns = drawn.shape
-    corners = np.arange((rows + 1) * (columns + 1)).reshape(rows + 1, columns + 1)
+    """A quad for each drawn cell; vertices are shared."""
+    corners = np.arange(corners_m.size).reshape(corners_m.shape)
     sw, se = corners[:-1, :-1][drawn], corners[:-1, 1:][drawn]
     nw, ne = corners[1:, :-1][drawn], corners[1:, 1:][drawn]
     faces = np.concatenate([np.stack([sw, se, ne], -1), np.stack([sw, ne, nw], -1)])
     used, faces = np.unique(faces, return_inverse=True)
-    row, column = np.divmod(used, columns + 1)
-    row, column = row + origin[0], column + origin[1]
-    places = np.stack(
-        [
-            ground.north_min_m + row * ground.cell_m,
-            ground.east_min_m + column * ground.cell_m,
-            corners_m[row, column],
-        ],
-        axis=-1,
-    )
-    return Mesh(
-        scale.scene(places),
-        faces.reshape(-1, 3).astype(np.uint32),
-        None if colours is None else colours[row, column],
-    )
+    row, column = np.unravel_index(used, corners_m.shape)
+    north_m = ground.north_min_m + row * ground.cell_m
+    east_m = ground.east_min_m + column * ground.cell_m
+    places = np.stack([north_m, east_m, corners_m[row, column]], axis=-1)
+    painted = None if colours is None else colours[row, column]
+    return Mesh(scale.scene(places), faces.reshape(-1, 3).astype(np.uint32), painted)
 
 
 def plate(scale: Scale, area: Area) -> Mesh:
     """What nothing is known of: the whole map, flat."""
     north, east = np.meshgrid(area.north_m, area.east_m, indexing="ij")
     corners = np.stack([north, east, np.full((2, 2), scale.base_amsl_m)], axis=-1)
-    return _grid_mesh(scale.scene(corners) - [0.0, 0.0, _BELOW])
+    return grid_mesh(scale.scene(corners) - [0.0, 0.0, _BELOW])
 
 
 def grid_lines(scale: Scale, area: Area, step_m: float) -> FloatArray:
@@ -246,20 +210,7 @@ def painted_glb(mesh: Mesh) -> bytes:
     return glb
 
 
-# --- threats
-
-
-def radar_mesh(radar: Radar, scale: Scale, band_m: tuple[float, float]) -> Mesh:
-    """The sphere of a radar between two altitudes, closed above."""
-    return _grid_mesh(scale.scene(ball_nea_m(radar, band_m, _CIRCLE_POINTS)))
-
-
-def zone_mesh(zone: Zone, scale: Scale, band_m: tuple[float, float]) -> Mesh:
-    """The walls of a zone."""
-    return _grid_mesh(scale.scene(walls_nea_m(zone, band_m)))
-
-
-def _grid_mesh(points: FloatArray) -> Mesh:
+def grid_mesh(points: FloatArray) -> Mesh:
     """(M, N, 3) -> a mesh of (M - 1) (N - 1) quads."""
     rows, columns, _ = points.shape
     index = np.arange(rows * columns).reshape(rows, columns)
@@ -277,7 +228,7 @@ def segments(points: FloatArray) -> FloatArray:
 
 
 def dart() -> Mesh:
-    """The vehicle: an arrowhead of unit length that points to +x."""
-    vertices = [[0.6, 0, 0], [-0.4, 0.4, 0], [-0.2, 0, 0], [-0.4, -0.4, 0], [-0.2, 0, 0.22]]
+    """The vehicle: an arrowhead 1.8 units long that points to +x."""
+    vertices = [[1.08, 0, 0], [-0.72, 0.72, 0], [-0.36, 0, 0], [-0.72, -0.72, 0], [-0.36, 0, 0.4]]
     faces = [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4], [1, 0, 2], [3, 2, 0]]
     return Mesh(np.array(vertices), np.array(faces, dtype=np.uint32))

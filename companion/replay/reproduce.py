@@ -12,7 +12,7 @@ as in lockstep.  So only flights in lockstep are reproduced from it, which nobod
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import chain, count, islice
 from pathlib import Path
@@ -71,51 +71,30 @@ class Replay:
         self.inputs = InputsFile(folder / FILE)
         self._recording, self._feeder = Recording(folder), Feeder(mission_of)
         self._plans, self._asked = plans, dict[int, PlanRequest]()
-        self._raised: RecordedError | None = None
-        """What the session has just raised, until it is known whether it did so in flight."""
-        self._given: Output | None = None
-        """Of the last run, until it is known what of it was sent."""
 
     def steps(self) -> Iterator[None]:
         """Replay, input by input, until the first difference or the end."""
         began_s, found = time.perf_counter(), self.found
         try:
-            for told in self.inputs:
-                if told[0] not in RUNTIME_RECORDS:
-                    self._compare()
+            for told, remarks in _with_remarks(self.inputs):
+                found.inputs += 1 + len(remarks)
+                self._compare(*self._feed(told), remarks)
+                found.took_s = time.perf_counter() - began_s
                 if found.difference is not None:
                     break
-                self._take(told)
-                found.took_s = time.perf_counter() - began_s
                 yield
         except DamagedInputError as error:
             found.damaged = str(error)
         finally:
-            self._compare()
             self._recording.close()
         if self.inputs.is_damaged:
             found.damaged = f"{self.inputs.torn_bytes:,} bytes that are no inputs"
         elif self.inputs.torn_bytes and found.difference is None and not found.damaged:
             found.torn = f"{self.inputs.torn_bytes} bytes of a record that is not whole"
-        found.took_s = time.perf_counter() - began_s
 
-    def _take(self, told: Input) -> None:
-        self.found.inputs += 1
-        match told:
-            case ("unsent", list(numbers)) if all(type(each) is int for each in numbers):
-                if self._given is not None:
-                    there = range(len(self._given.frames))  # else it has sent fewer: that differs
-                    self._given.leave_out(number for number in numbers if number in there)
-            case ("raised", str(call), str(error)):
-                self._compare(RecordedError(call=call, error=error))
-            case ("held", int(frames)):
-                self._compare()
-                self._recording.pass_over(frames)
-            case _:
-                self._feed(told)
-
-    def _feed(self, told: Input) -> None:
-        found, feeder = self.found, self._feeder
+    def _feed(self, told: Input) -> tuple[Output | None, RecordedError | None]:
+        """Feed one input; what the session gave and what it raised."""
+        found, feeder, raised = self.found, self._feeder, None
         if told[0] == "deliver":
             self._plan_again(answer_of(told), feeder.session.now_s)
         try:
@@ -123,32 +102,43 @@ class Replay:
         except (DamagedInputError, InputError):
             raise
         except Exception as error:  # noqa: BLE001 - the session's own: the flight's end, perhaps
-            self._raised = RecordedError.of(told[0], error)
+            raised = RecordedError.of(told[0], error)
             if told[0] == "start":
-                return
+                return None, raised
             output = feeder.session.take_output()
         if told[0] == "start":
             self._asked.clear()
             self._recording.begin_again()
             found.starts += 1
-        elif output is not None:
-            self._given = output
-            if output.plan is not None:
-                self._asked[output.plan.plan_id] = output.plan
+        elif output is not None and output.plan is not None:
+            self._asked[output.plan.plan_id] = output.plan
         found.go_on_to(feeder.session.now_s)
+        return output, raised
 
-    def _compare(self, ended: RecordedError | None = None) -> None:
-        """Compare what came of the last input with the recording.
+    def _compare(
+        self, given: Output | None, raised: RecordedError | None, remarks: list[Input]
+    ) -> None:
+        """Compare what came of an input with the recording, and with the runtime's remarks.
 
-        ended: the error that the flight ended with here; then the replay must, too.
+        If the flight ended with an error here, the replay must, too.
         """
-        found, raised, given = self.found, self._raised, self._given
-        self._raised = self._given = None
+        found, recording, ended = self.found, self._recording, None
+        for remark in remarks:
+            match remark:
+                case ("unsent", list(numbers)) if given and all(type(n) is int for n in numbers):
+                    there = range(len(given.frames))  # else it has sent fewer: that differs
+                    given.leave_out(number for number in numbers if number in there)
+                case ("raised", str(call), str(error)):
+                    ended = RecordedError(call=call, error=error)
+                case _:
+                    pass
         if given is not None:
-            recording = self._recording
             found.difference = recording.first_difference(given.record, given.journal)
             found.frames, found.entries = recording.frames, recording.entries
             found.unrecorded = recording.unrecorded
+        for name, *told in remarks:
+            if name == "held" and told and type(told[0]) is int:
+                recording.pass_over(told[0])
         if raised and ended and (raised.call, raised.error) == (ended.call, ended.error):
             found.ended_by = raised
             return
@@ -169,30 +159,45 @@ class Replay:
         if request is None or not self._plans:
             return
         self.found.plans_computed += 1
-        values, stopped_after = values_of(answer), getattr(answer, "stopped_after", None)
-        name = kernels.signature()
-        by = str(values.get("kernel", name)), name
+        values, name = values_of(answer), kernels.signature()
+        kernel = str(values.get("kernel", name))
         where: tuple[str, Any, Any] | None
         try:
-            again = values_of(computed_again(request, stopped_after))
+            again = values_of(computed_again(request, getattr(answer, "stopped_after", None)))
         except Exception as error:  # noqa: BLE001 - the planner's own: in flight it had an answer
-            where, by = ("error", NOTHING, f"{type(error).__name__}: {error}"), (name, name)
+            where, kernel = ("error", NOTHING, f"{type(error).__name__}: {error}"), name
             words = "it cannot be computed"
         else:
             where = values_differ({**values, "kernel": None}, {**again, "kernel": None})
             words = "" if where is None else _apart(values, again)
-        if where is not None:
-            self.found.plans_differ.append(
-                PlanDiffers(
-                    plan_id=answer.plan_id,
-                    t_s=now_s,
-                    field=where[0],
-                    recorded=where[1],
-                    computed=where[2],
-                    words=words,
-                    kernels=by,
-                )
+        if where is None:
+            return
+        self.found.plans_differ.append(
+            PlanDiffers(
+                plan_id=answer.plan_id,
+                t_s=now_s,
+                field=where[0],
+                recorded=where[1],
+                computed=where[2],
+                words=words,
+                kernels=(kernel, name),
             )
+        )
+
+
+def _with_remarks(inputs: Iterable[Input]) -> Iterator[tuple[Input, list[Input]]]:
+    """Each input of a session with what the runtime then remarked about it."""
+    told: Input | None = None
+    remarks: list[Input] = []
+    for each in inputs:
+        if told is not None and each[0] in RUNTIME_RECORDS:
+            remarks.append(each)
+            continue
+        if told is not None:
+            yield told, remarks
+        told, remarks = each, []
+    if told is not None:
+        yield told, remarks
 
 
 def computed_again(request: PlanRequest, stopped_after: int | None) -> PlanOutcome:

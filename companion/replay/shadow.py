@@ -2,61 +2,97 @@
 
     report = watch(path, mission)
 
-The log is read once, in bounded memory, after a scan for its vehicle and first position.
+The log is read once, in bounded memory, after a scan for its vehicle and first position.  Only
+frames of the vehicle's autopilot and its terrain radar are used, not those of a companion or a
+ground station on the same link.  Time is the vehicle's; silences are the log's.
 """
 
 import math
 import time
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, final
-
-from msgspec import Struct
+from statistics import median
+from typing import Final, NamedTuple, final
 
 from companion.errors import InputError
 from companion.geodesy import LocalFrame, deg
-from companion.mavlink.autopilots import NAMES, Autopilot, autopilot_of, described
+from companion.mavlink.autopilots import FIRMWARES, NAMES, Autopilot, autopilot_of, described
 from companion.mavlink.autopilots.messages import is_nowhere
-from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
-from companion.mavlink.frames import Receiver, number_of, sender_of
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, KINDS, Message, wire
+from companion.mavlink.frames import boot_ms_of, decoded, number_of, payload_of, sender_of
+from companion.mavlink.link import ClockReading, Output, VehicleClock
+from companion.mavlink.signing import strip_signature
 from companion.mavlink.who import TO_COMPONENT_1, ids_in_words
 from companion.mission.mission import EndAction, Mission
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
+from companion.planning import plan
 from companion.replay.shadow_notes import Notes
 from companion.replay.shadow_report import Limitation, ShadowReport
-from companion.replay.shadow_watch import GPS, HEARTBEAT, POSITION, SLOW_S, OnOutput, Watch
-from companion.telemetry.logs import Log, Missing, Odd, open_log
+from companion.session import Session
+from companion.telemetry.logs import Log, Odd, Record, open_log
+from companion.views.words import metres
 
-_SHOWN_BYTES: Final = 65_536
+HEARTBEAT: Final = wire.MAVLINK_MSG_ID_HEARTBEAT
+POSITION: Final = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+GPS: Final = wire.MAVLINK_MSG_ID_GPS_RAW_INT
+STATUSTEXT: Final = wire.MAVLINK_MSG_ID_STATUSTEXT
+_CLOCKS: Final = frozenset(
+    {
+        wire.MAVLINK_MSG_ID_ATTITUDE,
+        wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        wire.MAVLINK_MSG_ID_SYSTEM_TIME,
+    }
+)
+"""They only tell the time: needed where there is no position to tell it."""
+LISTENED: Final = frozenset(
+    {
+        HEARTBEAT,
+        POSITION,
+        GPS,
+        STATUSTEXT,
+        wire.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+        wire.MAVLINK_MSG_ID_HOME_POSITION,
+        wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
+        wire.MAVLINK_MSG_ID_PARAM_VALUE,
+        wire.MAVLINK_MSG_ID_FENCE_STATUS,
+        *(each.all_is_well().get_msgId() for each in FIRMWARES),
+    }
+)
+"""Of the autopilot, besides the clocks.  Shadow mode needs neither battery nor setpoint echoes."""
+_RADAR: Final = frozenset({wire.MAVLINK_MSG_ID_TERRAIN_DATA, wire.MAVLINK_MSG_ID_TERRAIN_REPORT})
+_SHOWN_BYTES: Final = 65_536  # between two words of the progress
 _PATIENCE_US: Final = 30_000_000  # for a word of the GPS, once there are positions
-_FAR_M: Final = 50_000.0
-_RANGE_M: Final = 20_000.0
-_LOSSES: Final = (Odd.GARBAGE, Odd.CHECKSUM, Odd.DAMAGED, Odd.WRONG_STAMP)
-"""What may be why a message is not in a log."""
-_TERRAIN: Final = wire.MAVLINK_MSG_ID_TERRAIN_DATA
+_QUIET_S: Final = 0.2  # less is no silence
+_LOOKS_S: Final = (3.0, 10.0, 30.0, 600.0)  # when a silence means something to the session
+_TICK_S: Final = 0.1
+_OVERDUE: Final = 3.0  # usual periods without a position, before the clock goes on without one
+_PERIODS: Final = 21
+_FEW: Final = 5
+_FIRST_PERIOD_S: Final = 1.0  # until so many are known
+_LONGEST_PERIOD_S: Final = 5.0
+_SLOW_S: Final = 0.17  # between positions: from here on some are taken for late that are not
+_STAND_IN_AFTER_S: Final = 10.0
+_STAND_IN_S: Final = 1.0
+_TYPE_AT: Final = 4  # in the payload of HEARTBEAT
 
 
 def watch(
     path: Path,
     mission: Mission | None,
     *,
-    plans: bool = True,
     system_id: int | None = None,
     on_progress: Callable[[int, int], None] = lambda _read, _size: None,
-    on_output: OnOutput = lambda _at_s, _out: None,
+    on_output: Callable[[float, Output], None] = lambda _at_s, _out: None,
 ) -> ShadowReport:
-    """Run the companion in shadow on a log.
+    """Run the companion in shadow on a log: a .tlog, an ArduPilot .bin or a PX4 .ulg.
 
-    Parameters
-    ----------
-    path: of a .tlog, an ArduPilot .bin or a PX4 .ulg.
     mission: what to plan; None: only the vehicle's health is looked at.
-    plans: False: nothing is planned.
     system_id: of the vehicle, if there are several in the log; the mission's if it names one.
     on_progress: told the bytes read and their sum, now and then.
-    on_output: called with each output of the session.
+    on_output: told the seconds of the log, and what the session gave.
 
     Raises InputError if log, vehicle and mission do not fit together.
     """
@@ -66,118 +102,90 @@ def watch(
     look = _look(log)
     if mission is not None:
         _check_fits(mission, look)
-    chosen = replace(mission or _health_alone(look), system_id=look.heartbeat.get_srcSystem())
-    plans = plans and mission is not None
-    if not plans:
-        chosen = replace(chosen, targets_ne_m=(), targets_from_vehicle=False)
-    charted = chosen.known is not None and bool(chosen.known.surveyed.any())
-    blind = charted and chosen.scanner_component_id is not None
-    if blind:  # what a radar answered then, it did not answer to these questions
-        chosen = replace(chosen, scanner_component_id=None)
+    chosen = replace(mission or _health_alone(look), system_id=log.system_id)
     report = ShadowReport(
         file=log.path.name,
         kind=log.kind,
         system_id=look.heartbeat.get_srcSystem(),
         vehicle=described(look.heartbeat),
         mission=None if mission is None else mission.name,
-        planned=plans,
+        notes=[] if mission is None else [*mission.notes],
     )
+    charted = chosen.known is not None and bool(chosen.known.surveyed.any())
+    if charted and chosen.scanner_component_id is not None:
+        # what a radar answered then, it did not answer to these questions
+        chosen = replace(chosen, scanner_component_id=None)
+        report.notes.append("planned on the terrain of the mission alone, without its radar")
     notes = Notes(report, chosen.frame, checks_area=mission is not None)
-    watching = Watch(
-        chosen,
-        look.heartbeat,
-        look.autopilot,
-        notes,
-        aboard=log.kind != "tlog",
-        on_output=on_output,
-    )
-    first_us, now_us, shown = None, 0, 0
+    watching = Watch(chosen, log, look, notes, on_output)
+    shown = 0
     for record in log.records():
-        now_us = record.time_us
-        first_us = now_us if first_us is None else first_us
-        report.records += 1
-        watching.on_record(record, (now_us - first_us) * 1e-6)
+        watching.on_record(record)
         if log.read_bytes - shown >= _SHOWN_BYTES:
             shown = log.read_bytes
             on_progress(shown, log.size_bytes)
-    report.began_us = first_us or 0
-    report.length_s = 0.0 if first_us is None else (now_us - first_us) * 1e-6
-    watching.finish(report.length_s)
+    watching.finish()
     on_progress(log.size_bytes, log.size_bytes)
-    for seen in (report.health, report.outside):
-        seen.sort(key=lambda each: each.from_s)
     report.missing, report.log_findings = log.missing(), log.findings
     report.could_not = list(_could_not(chosen, watching, notes))
-    report.notes = [
-        *(() if mission is None else mission.notes),
-        *(["planned on the terrain of the mission alone, without its radar"] * (blind and plans)),
-        *notes.judged,
-        *(
-            f"gave up watching {count} time{'s' if count > 1 else ''}: {why}"
-            for why, count in notes.ends.items()
-        ),
-    ]
     report.took_s = time.perf_counter() - began_s
     return report
 
 
-# --- the first look
+# --- log, vehicle and mission
 
 
-@final
-class _LogOverview(Struct, frozen=True, kw_only=True):
-    """Vehicle and first position of a log."""
+class _Look(NamedTuple):
+    """The vehicle of a log, and the first position that it can be believed to have."""
 
     heartbeat: Message
     autopilot: Autopilot
-    place: tuple[float, float, float]
-    """Latitude, longitude and altitude AMSL: of the first position with a GPS fix, if any has."""
+    latitude_deg: float
+    longitude_deg: float
 
 
-def _look(log: Log) -> _LogOverview:
-    """Read the log up to the first position that may be one.  InputError if nothing can be done."""
+def _look(log: Log) -> _Look:
+    """Read the log up to the first position with a GPS fix; if none has one, the first of all.
+
+    InputError if nothing can be done with it.
+    """
     heartbeat: Message | None = None
-    first: tuple[float, float, float] | None = None
-    place: tuple[float, float, float] | None = None
-    first_us, fix = 0, False
-    receiver = Receiver()
+    autopilot: Autopilot | None = None
+    first: tuple[int, float, float] | None = None
+    place: tuple[int, float, float] | None = None
+    fix = False
     for record in log.records():
         number, sender = number_of(record.frame), sender_of(record.frame)
-        if number not in (HEARTBEAT, POSITION, GPS) or sender[1] != AUTOPILOT_COMPONENT:
+        if number not in (HEARTBEAT, POSITION, GPS):
             continue
-        if log.system_id != sender[0]:
+        if sender != (log.system_id, AUTOPILOT_COMPONENT):
             continue
-        for message in receiver.feed(record.frame):
-            if number == HEARTBEAT:
-                if heartbeat is None or autopilot_of(heartbeat) is None:
-                    heartbeat = message  # the first may be of no kind: it boots
-            elif number == GPS:
-                fix = message.fix_type >= wire.GPS_FIX_TYPE_3D_FIX
-            elif (here := _place_of(message)) is not None:
-                if first is None:
-                    first, first_us = here, record.time_us
-                if fix or record.time_us - first_us > _PATIENCE_US:
-                    place = here if fix else first
-        if heartbeat is not None and autopilot_of(heartbeat) is not None and place is not None:
+        message = decoded(strip_signature(record.frame), KINDS[number])
+        if number == HEARTBEAT and autopilot is None:
+            heartbeat, autopilot = message, autopilot_of(message)  # while it boots it is of no kind
+        elif number == GPS:
+            fix = message.fix_type >= wire.GPS_FIX_TYPE_3D_FIX
+        elif number == POSITION and _is_a_place(deg(message.lat), deg(message.lon)):
+            here = record.time_us, deg(message.lat), deg(message.lon)
+            first = first or here
+            if fix or record.time_us - first[0] > _PATIENCE_US:
+                place = here if fix else first
+        if autopilot is not None and place is not None:
             break
     place = place or first
     if heartbeat is None:
         raise _of_no_use(log, "HEARTBEAT")
-    autopilot = autopilot_of(heartbeat)
     if autopilot is None:  # whatever else it lacks
         rule = f"it is of {described(heartbeat)}, which the companion does not fly"
         raise InputError("LOG", str(log.path), rule, f"It flies: {', '.join(NAMES)}.")
     if place is None:
         raise _of_no_use(log, "GLOBAL_POSITION_INT")
-    return _LogOverview(heartbeat=heartbeat, autopilot=autopilot, place=place)
+    return _Look(heartbeat, autopilot, *place[1:])
 
 
-def _place_of(message: Message) -> tuple[float, float, float] | None:
-    """Of GLOBAL_POSITION_INT; None if it is none."""
-    latitude, longitude = deg(message.lat), deg(message.lon)
-    if is_nowhere(latitude, longitude) or abs(latitude) > 90.0 or abs(longitude) > 180.0:
-        return None
-    return latitude, longitude, message.alt * 1e-3
+def _is_a_place(latitude_deg: float, longitude_deg: float) -> bool:
+    is_on_earth = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0
+    return is_on_earth and not is_nowhere(latitude_deg, longitude_deg)
 
 
 def _of_no_use(log: Log, name: str) -> InputError:
@@ -186,21 +194,18 @@ def _of_no_use(log: Log, name: str) -> InputError:
         ids = ids_in_words(sorted(log.elsewhere))
         rule = f"it has no HEARTBEAT of component 1, as autopilots are; it has that of {ids}"
         return InputError("LOG", str(log.path), rule, f"{TO_COMPONENT_1} Then record again.")
-    missing: Missing | None = next((each for each in log.missing() if name in each.message), None)
-    if missing is not None:
-        rule = f"it has no {missing.message}: {missing.without}"
-        lost = [each.said(count) for each in _LOSSES if (count := log.odd[each]) > 0]
-        lost += [each for each in log.substitutes if name in each]
-        rule = "; ".join([rule, *lost])
-        return InputError("LOG", str(log.path), rule, f"{missing.remedy}.")
+    for missing in log.missing():
+        if name in missing.message:
+            losses = (Odd.GARBAGE, Odd.CHECKSUM, Odd.DAMAGED, Odd.WRONG_STAMP)  # may be why
+            lost = [each.said(count) for each in losses if (count := log.odd[each]) > 0]
+            lost += [each for each in log.substitutes if name in each]
+            rule = "; ".join([f"it has no {missing.message}: {missing.without}", *lost])
+            return InputError("LOG", str(log.path), rule, f"{missing.remedy}.")
     rule = "its vehicle never knew where it was: each position is 0, 0"
     return InputError("LOG", str(log.path), rule, "Give a log of a flight with a position.")
 
 
-# --- the mission
-
-
-def _check_fits(mission: Mission, look: _LogOverview) -> None:
+def _check_fits(mission: Mission, look: _Look) -> None:
     """Raise InputError if the mission is none for this vehicle at this place."""
     remedy = "Give the mission of this flight, or leave --mission out for its health alone."
     kind, family = look.autopilot.traits.kind, look.autopilot.firmware.name
@@ -208,24 +213,21 @@ def _check_fits(mission: Mission, look: _LogOverview) -> None:
         wanted = f"{mission.autopilot or 'any autopilot'}, {mission.kind}"
         rule = f"it is for {wanted}; the log is of {described(look.heartbeat)}"
         raise InputError("--mission", mission.name, rule, remedy)
-    latitude, longitude, _ = look.place
-    north_m, east_m = mission.frame.to_local_m(latitude, longitude)
-    limits = mission.task.limits
-    inside = limits.north_m[0] <= north_m <= limits.north_m[1]
-    if not (inside and limits.east_m[0] <= east_m <= limits.east_m[1]):
+    north_m, east_m = mission.frame.to_local_m(look.latitude_deg, look.longitude_deg)
+    (south, north), (west, east) = mission.task.limits.north_m, mission.task.limits.east_m
+    if not (south <= north_m <= north and west <= east_m <= east):
         rule = (
-            f"the flight begins at {latitude:.6f}, {longitude:.6f}, {_m(north_m)} north and "
-            f"{_m(east_m)} east of the mission's origin, outside its [area] "
-            f"(north {_m(limits.north_m[0])} to {_m(limits.north_m[1])}, "
-            f"east {_m(limits.east_m[0])} to {_m(limits.east_m[1])})"
+            f"the flight begins at {look.latitude_deg:.6f}, {look.longitude_deg:.6f}, "
+            f"{metres(north_m)} north and {metres(east_m)} east of the mission's origin, outside "
+            f"its [area] (north {metres(south)} to {metres(north)}, "
+            f"east {metres(west)} to {metres(east)})"
         )
         raise InputError("--mission", mission.name, rule, remedy)
 
 
-def _health_alone(look: _LogOverview) -> Mission:
+def _health_alone(look: _Look) -> Mission:
     """A mission about the first position that goes nowhere."""
-    hovers = look.autopilot.traits.hovers
-    latitude, longitude, _ = look.place
+    hovers, far_m = look.autopilot.traits.hovers, (-50_000.0, 50_000.0)
     limits = Limits(
         speed_m_s=15.0 if hovers else 30.0,
         acceleration_m_s2=2.0,
@@ -235,14 +237,14 @@ def _health_alone(look: _LogOverview) -> Mission:
         dive_angle_rad=math.radians(10.0),
         floor_amsl_m=-500.0,
         ceiling_amsl_m=20_000.0,
-        north_m=(-_FAR_M, _FAR_M),
-        east_m=(-_FAR_M, _FAR_M),
+        north_m=far_m,
+        east_m=far_m,
         loiter_radius_m=0.0 if hovers else 150.0,
     )
-    settings = PlannerSettings(scan_range_m=_RANGE_M, safety_distance_m=30.0, planning_time_s=3.0)
+    settings = PlannerSettings(scan_range_m=20_000.0, safety_distance_m=30.0, planning_time_s=3.0)
     return Mission(
         name="health alone",
-        frame=LocalFrame(latitude_deg=latitude, longitude_deg=longitude),
+        frame=LocalFrame(latitude_deg=look.latitude_deg, longitude_deg=look.longitude_deg),
         targets_ne_m=(),
         task=Task(limits=limits, settings=settings),
         end_action=EndAction.HOLD,
@@ -251,33 +253,222 @@ def _health_alone(look: _LogOverview) -> Mission:
     )
 
 
-def _m(value_m: float) -> str:
-    return f"{value_m / 1000.0:,.1f} km" if abs(value_m) >= 10_000.0 else f"{value_m:,.0f} m"
+# --- the log, frame by frame
 
 
-# --- what there is to say besides
+@final
+class Watch:
+    """Shadow mode for one vehicle of a log, with a new session after each reboot or silence."""
+
+    def __init__(
+        self,
+        mission: Mission,
+        log: Log,
+        look: _Look,
+        notes: Notes,
+        on_output: Callable[[float, Output], None],
+    ) -> None:
+        """mission: with the vehicle's system id."""
+        self._mission, self._log, self._notes, self._on_output = mission, log, notes, on_output
+        self._modes = look.autopilot.modes
+        self._vehicle = look.heartbeat.get_srcSystem(), AUTOPILOT_COMPONENT
+        self._radar = self._vehicle[0], mission.scanner_component_id
+        self._session: Session | None = None
+        self._clock = VehicleClock(0.0)
+        self._now_us = self._at_s = 0.0
+        """Of the newest record: since 1970, and since the first one."""
+        self._heard_s: float | None = None
+        self._clock_s = 0.0
+        self._mode, self._armed = -1, False
+        self._first_position_s: float | None = None
+        self._position_s: float | None = None
+        self._periods: deque[float] = deque(maxlen=_PERIODS)
+        self._positions = 0
+        self._positions_s = 0.0  # between all positions, without the gaps
+        self.slow_s = 0.0
+        """For how long positions came too seldom to tell in time that one is missing."""
+        self.slowest_s = 0.0
+        self.stood_in_s: dict[str, float] = {}
+        """Messages that were taken to be good because there are none, and since when."""
+        self._stand_ins = _all_is_well(self._vehicle[0], look.autopilot)
+        self._stand_in_s = -math.inf
+        self.radar_is_heard = False
+
+    def on_record(self, record: Record) -> None:
+        """The next frame of the log, of any sender."""
+        frame, report = record.frame, self._notes.report
+        if not report.records:
+            report.began_us = record.time_us
+        report.records += 1
+        self._now_us, self._at_s = record.time_us, (record.time_us - report.began_us) * 1e-6
+        sender, number = sender_of(frame), number_of(frame)
+        if sender == self._radar and number in _RADAR:
+            self.radar_is_heard |= number == wire.MAVLINK_MSG_ID_TERRAIN_DATA
+            self._feed(frame)
+        if sender != self._vehicle:
+            return
+        self._hear_again()
+        if number == HEARTBEAT and payload_of(frame, 9)[_TYPE_AT] == wire.MAV_TYPE_GENERIC:
+            return  # while it boots, it does not say of which kind it is
+        boot_ms = boot_ms_of(frame, number)  # looked at also while no session could tell
+        read = None if boot_ms is None else self._clock.read(boot_ms * 1e-3, self._at_s)
+        if read is ClockReading.REBOOTED:
+            self._notes.rebooted(self._at_s)
+        if number in LISTENED or (number in _CLOCKS and self._tells_time()):
+            self._look_at(frame, number)
+            if number == POSITION:
+                self._on_position()
+            self._feed(frame)
+
+    def finish(self) -> None:
+        """The log has ended; the vehicle may have fallen silent long before."""
+        report = self._notes.report
+        report.length_s = self._at_s
+        if self._heard_s is not None and self._log.kind == "tlog":
+            self._be_silent(self._heard_s)
+        if self._session is not None:
+            self._run(self._session, self._at_s)
+        if self._positions_s > 0.0:
+            report.position_rate_hz = self._positions / self._positions_s
+        self._notes.finish()
+
+    # --- time
+
+    def _tells_time(self) -> bool:
+        """Whether a message that only tells the time is needed: positions tell it as well."""
+        overdue_s = _OVERDUE * self._period_s()
+        if self._position_s is not None and self._at_s - self._position_s < overdue_s:
+            return False
+        if self._at_s - self._clock_s < _TICK_S:
+            return False
+        self._clock_s = self._at_s
+        return True
+
+    def _period_s(self) -> float:
+        """Usual time between two positions of late."""
+        return median(self._periods) if len(self._periods) >= _FEW else _FIRST_PERIOD_S
+
+    def _on_position(self) -> None:
+        at_s, before_s = self._at_s, self._position_s
+        self._position_s = self._clock_s = at_s
+        self._positions += 1
+        if self._first_position_s is None:
+            self._first_position_s = at_s
+        if before_s is not None and at_s - before_s < _LONGEST_PERIOD_S:
+            self._periods.append(at_s - before_s)
+            self._positions_s += at_s - before_s
+            period_s = self._period_s()
+            if period_s > _SLOW_S and len(self._periods) == _PERIODS:
+                self.slow_s += at_s - before_s
+                self.slowest_s = max(self.slowest_s, period_s)
+        since_s = at_s - self._first_position_s
+        if since_s >= _STAND_IN_AFTER_S and at_s - self._stand_in_s >= _STAND_IN_S:
+            self._stand_in_s = at_s
+            for number, frame in self._stand_ins.items():
+                if number not in self._log.heard:
+                    self.stood_in_s.setdefault(KINDS[number].msgname, at_s)
+                    self._feed(frame)
+
+    def _hear_again(self) -> None:
+        """The autopilot is heard, after whatever time."""
+        at_s, before_s = self._at_s, self._heard_s
+        self._heard_s = at_s
+        if before_s is None or at_s - before_s < _QUIET_S:
+            return
+        is_long = at_s - before_s >= _LOOKS_S[0]
+        if self._log.kind == "tlog":
+            self._be_silent(before_s)
+            if is_long:
+                self._notes.heard_again(at_s)
+        elif is_long:  # written aboard: it was not writing
+            self._notes.not_recorded(before_s, at_s)
+            self._session = None
+
+    def _be_silent(self, since_s: float) -> None:
+        """Nothing has been heard of the autopilot since then."""
+        silent_s = self._at_s - since_s
+        looks_s = [each for each in _LOOKS_S if each < silent_s]
+        for look_s in looks_s:
+            if self._session is not None:
+                self._session.silence(look_s)
+                self._run(self._session, since_s + look_s)
+        if self._session is not None and not looks_s:
+            self._session.silence(silent_s)
+
+    # --- the session
+
+    def _feed(self, frame: bytes) -> None:
+        if (session := self._session) is None:
+            session = Session(self._mission, seed=1, lockstep=False, shadow=True)
+            self._session = session
+            self._notes.begin_again()
+        self._notes.report.heard += 1
+        session.receive(frame, self._now_us * 1e-6)
+        self._run(session, self._at_s)
+
+    def _run(self, session: Session, at_s: float) -> None:
+        """Note what the session makes of what it was told, and of the plans that it asks for."""
+        while True:
+            out = session.run()
+            self._on_output(at_s, out)
+            self._notes.on_output(at_s, session, out.journal)
+            if out.plan is None:
+                break
+            try:
+                outcome = plan(out.plan)
+            except Exception as error:  # noqa: BLE001 - as in flight: it ends the watch, not the program
+                session.part_died("planner", f"{type(error).__name__}: {error}")
+            else:
+                session.deliver(outcome)
+        if out.end is not None:
+            self._session = None
+
+    def _look_at(self, frame: bytes, number: int) -> None:
+        """What the vehicle does and says by itself."""
+        if number == HEARTBEAT:
+            beat = decoded(strip_signature(frame), wire.MAVLink_heartbeat_message)
+            if beat.custom_mode != self._mode:
+                self._mode = beat.custom_mode
+                self._notes.say(self._at_s, "mode", self._modes.name_of(self._mode))
+            armed = bool(beat.base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED)
+            if armed is not self._armed:
+                self._notes.say(self._at_s, "armed" if armed else "disarmed")
+                self._armed = armed
+        elif number == STATUSTEXT:
+            text = decoded(strip_signature(frame), wire.MAVLink_statustext_message)
+            if text.severity <= wire.MAV_SEVERITY_WARNING:
+                self._notes.say(self._at_s, "says", text.text)
+
+
+def _all_is_well(system_id: int, autopilot: Autopilot) -> dict[int, bytes]:
+    """Frames by message number that report a good GPS and estimator, for logs without them."""
+    codec = wire.MAVLink(None, srcSystem=system_id, srcComponent=AUTOPILOT_COMPONENT)
+    fix = wire.MAVLink_gps_raw_int_message(
+        0, wire.GPS_FIX_TYPE_3D_FIX, 0, 0, 0, 65535, 65535, 65535, 65535, 255
+    )
+    sure = autopilot.firmware.all_is_well()
+    return {each.get_msgId(): bytes(each.pack(codec)) for each in (fix, sure)}
 
 
 def _could_not(mission: Mission, watching: Watch, notes: Notes) -> Iterator[Limitation]:
     """Limitations other than those of missing messages."""
-    report, rate_hz = notes.report, mission.position_rate_hz
-    remedies = {name: each.remedy for each in report.missing for name in each.message.split(" or ")}
-    for name, since_s in watching.stood_in.items():
-        what = "the GPS" if name == "GPS_RAW_INT" else "its estimator"
+    report = notes.report
+    if names := " and ".join(watching.stood_in_s):
         yield Limitation(
-            what=f"tell whether {what} is to be believed",
-            because=f"{name} is missing: from {since_s:.0f} s on it was taken to be good "
-            "(in flight the companion would not have begun)",
-            remedy=remedies.get(name, "It came later in the log"),
-            message=name,
+            what="tell whether the position is to be believed",
+            because=f"{names} missing: taken to be good from "
+            f"{min(watching.stood_in_s.values()):.0f} s on (in flight the companion would not "
+            "have begun)",
+            remedy="What to record, and how: docs/logs.md",
+            message=names,
         )
     if watching.slow_s > 0.0:
         yield Limitation(
             what="tell in time that a position is missing",
-            because=f"GLOBAL_POSITION_INT comes at less than {1.0 / SLOW_S:.1f} Hz for "
+            because=f"GLOBAL_POSITION_INT comes at less than {1.0 / _SLOW_S:.1f} Hz for "
             f"{math.ceil(watching.slow_s):,} s in all (at the slowest at "
             f"{1.0 / watching.slowest_s:.1f} Hz): in flight the companion asks for "
-            f"{rate_hz:g} Hz, and takes 0.5 s without one for a fault",
+            f"{mission.position_rate_hz:g} Hz, and takes 0.5 s without one for a fault",
             remedy="Record it at 6 Hz or more",
             message="GLOBAL_POSITION_INT",
         )
@@ -287,23 +478,22 @@ def _could_not(mission: Mission, watching: Watch, notes: Notes) -> Iterator[Limi
             because="the position was never one to be believed",
             remedy="See what is missing, and the vehicle's health",
         )
-    if report.planned and mission.targets_from_vehicle:
+    if mission.targets_from_vehicle:
         yield Limitation(
             what="plan to the targets of the vehicle's own mission",
             because="a log does not answer questions: MISSION_ITEM_INT is not heard",
             remedy="Give a mission with [[targets]]",
             message="MISSION_ITEM_INT",
         )
-    if report.planned and notes.unanswered_scans and mission.scanner_component_id is not None:
-        if watching.heard_of[_TERRAIN]:
-            because = "TERRAIN_DATA of the log answers other questions than the shadow has"
-        else:
-            because = "TERRAIN_DATA is missing: nothing is known of the ground"
-        refused = notes.refusals["NOTHING_SEEN"] + notes.refusals["START_NEAR_UNKNOWN"]
+    if notes.unanswered_scans and mission.scanner_component_id is not None:
+        reasons = Counter(asked.reason for asked in report.plans)
+        refused = reasons["NOTHING_SEEN"] + reasons["START_NEAR_UNKNOWN"]
         yield Limitation(
             what=f"plan as it would ({notes.unanswered_scans} scans unanswered, "
             f"{refused} plans refused for it)",
-            because=because,
+            because="TERRAIN_DATA of the log answers other questions than the shadow has"
+            if watching.radar_is_heard
+            else "TERRAIN_DATA is missing: nothing is known of the ground",
             remedy="Give the mission [terrain]: an elevation file, or highest_amsl_m",
             message="TERRAIN_DATA",
         )

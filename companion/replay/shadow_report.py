@@ -2,13 +2,12 @@
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, final
 
 import msgspec
 from msgspec import Struct
-from msgspec.structs import asdict, replace
 from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -18,10 +17,10 @@ from companion.telemetry.logs import Missing
 SCHEMA: Final = 1
 """Of `ShadowReport.as_json`."""
 _MAX_ROWS: Final = 30
-_NEAR_S: Final = 60.0
 _MAX_SAID: Final = 8
-_MOMENT_S: Final = 1.0
-_SHORT_REASONS: Final = 3
+_MAX_REASONS: Final = 3
+_MOMENT_S: Final = 1.0  # before it let go: what the vehicle said then may be why
+_NEAR_S: Final = 60.0  # after it let go for good: what the vehicle said so long belongs to it
 
 
 @final
@@ -38,11 +37,10 @@ class Place(Struct, frozen=True, kw_only=True):
 
 @final
 class HoldReason(Struct, frozen=True, kw_only=True):
-    """One reason to hold, and when it became the reason."""
+    """One reason to hold, by its name and in words, and when it became the reason."""
 
     at_s: float
     code: str
-    """Its name: POSITION_JUMPED."""
     text: str
     remedy: str
 
@@ -66,10 +64,9 @@ class Hold(Struct, kw_only=True):
 
 @final
 class Observed(Struct, kw_only=True):
-    """An observation about the vehicle's health or position, over a time span."""
+    """Something about the vehicle's health or position that lasted from here to there."""
 
     kind: str
-    """What: "GPS fix lost", "jump", "below the floor"."""
     from_s: float
     until_s: float | None = None
     """None: to the end."""
@@ -77,6 +74,52 @@ class Observed(Struct, kw_only=True):
     worst_m: float | None = None
     """How far, where there is a distance to it."""
     place: Place | None = None
+
+
+@final
+class TrackDeviation(Struct, frozen=True, kw_only=True):
+    """How far the flown track was from a planned subpath, over one position or more."""
+
+    from_s: float
+    until_s: float
+    positions: int
+    max_m: float
+    max_at_s: float
+    rms_m: float
+    """Root mean square over the positions."""
+    from_m: float
+    """The part of the subpath that the track was nearest to, as lengths along it."""
+    until_m: float
+
+    @staticmethod
+    def of(at_s: float, off_m: float, along_m: float) -> "TrackDeviation":
+        """Of one position, which is so far off, and nearest to the subpath there along it."""
+        return TrackDeviation(
+            from_s=at_s,
+            until_s=at_s,
+            positions=1,
+            max_m=off_m,
+            max_at_s=at_s,
+            rms_m=off_m,
+            from_m=along_m,
+            until_m=along_m,
+        )
+
+    def __add__(self, later: "TrackDeviation") -> "TrackDeviation":
+        """Of the positions of both."""
+        farther = self if self.max_m >= later.max_m else later
+        positions = self.positions + later.positions
+        squares = (each.positions * each.rms_m**2 for each in (self, later))
+        return TrackDeviation(
+            from_s=self.from_s,
+            until_s=later.until_s,
+            positions=positions,
+            max_m=farther.max_m,
+            max_at_s=farther.max_at_s,
+            rms_m=math.sqrt(sum(squares) / positions),
+            from_m=min(self.from_m, later.from_m),
+            until_m=max(self.until_m, later.until_m),
+        )
 
 
 @final
@@ -100,77 +143,32 @@ class PlanAttempt(Struct, kw_only=True):
     length_m: float | None = None
     clearance_m: float | None = None
     reaches_target: bool = False
-    samples: list["OffPath"] = []
-
-    @property
-    def off(self) -> "TrackDeviation | None":
-        """How far the flown track was from it."""
-        return TrackDeviation.of(self.samples)
-
-
-class OffPath(NamedTuple):
-    """How far a position is from a planned subpath."""
-
-    at_s: float
-    off_m: float
-    along_m: float
-    """Where the subpath is nearest to it, length along it."""
-
-
-@final
-class TrackDeviation(Struct, frozen=True, kw_only=True):
-    """How far the flown track was from a planned subpath, over one position or more."""
-
-    from_s: float
-    until_s: float
-    positions: int
-    max_m: float
-    max_at_s: float
-    rms_m: float
-    """Root mean square over the positions."""
-    from_m: float
-    """Part of the subpath that it was nearest to, lengths along it."""
-    until_m: float
-
-    @staticmethod
-    def of(samples: Sequence["OffPath"]) -> "TrackDeviation | None":
-        """Of positions in their order; None: there are none."""
-        if not samples:
-            return None
-        farthest = max(samples, key=lambda each: each.off_m)
-        along_m = [each.along_m for each in samples]
-        return TrackDeviation(
-            from_s=samples[0].at_s,
-            until_s=samples[-1].at_s,
-            positions=len(samples),
-            max_m=farthest.off_m,
-            max_at_s=farthest.at_s,
-            rms_m=math.sqrt(math.fsum(each.off_m**2 for each in samples) / len(samples)),
-            from_m=min(along_m),
-            until_m=max(along_m),
-        )
+    off: TrackDeviation | None = None
+    """How far the flown track was from it."""
 
 
 @final
 class VehicleReport(Struct, frozen=True, kw_only=True):
-    """A report of the vehicle: a warning, a mode change."""
+    """What the vehicle did, or said, by itself."""
 
     at_s: float
     what: str
     """"mode", "armed", "disarmed", "in the air", "on the ground" or "says"."""
     text: str = ""
 
+    def __str__(self) -> str:
+        did = f"“{self.text}”" if self.what == "says" else f"{self.what} {self.text}".rstrip()
+        return f"{self.at_s:,.1f} s {did}"
+
 
 @final
 class Limitation(Struct, frozen=True, kw_only=True):
-    """A limitation of shadow mode on this log."""
+    """What shadow mode could not do on this log, and most often which message it lacks."""
 
     what: str
     because: str
-    """Most often: which message is missing."""
     remedy: str
     message: str | None = None
-    """Its name."""
 
     def __str__(self) -> str:
         return f"{self.what}: {self.because}. {self.remedy}"
@@ -188,8 +186,6 @@ class ShadowReport(Struct, kw_only=True):
     """The autopilot and kind, in words."""
     mission: str | None
     """Its name; None: health alone."""
-    planned: bool
-    """Whether plans were computed."""
     began_us: int = 0
     """Time of the first record, microseconds since 1970."""
     length_s: float = 0.0
@@ -205,6 +201,8 @@ class ShadowReport(Struct, kw_only=True):
     outside: list[Observed] = []
     """Positions outside the mission's limits."""
     plans: list[PlanAttempt] = []
+    own_path: TrackDeviation | None = None
+    """How far the flown track was from all planned subpaths together."""
     said: list[VehicleReport] = []
     could_not: list[Limitation] = []
     missing: tuple[Missing, ...] = ()
@@ -212,26 +210,10 @@ class ShadowReport(Struct, kw_only=True):
     notes: list[str] = []
     took_s: float = 0.0
 
-    @property
-    def own_path(self) -> TrackDeviation | None:
-        """How far the flown track was from all planned subpaths together; None: there were none."""
-        parts = [off for each in self.plans if (off := each.off) is not None]
-        whole = TrackDeviation.of([each for plan in self.plans for each in plan.samples])
-        flown_m = sum(part.until_m - part.from_m for part in parts)
-        return None if whole is None else replace(whole, from_m=0.0, until_m=flown_m)
-
-    @property
-    def times_real_time(self) -> float:
-        """How much faster than the flight it was replayed."""
-        return self.length_s / self.took_s if self.took_s > 0.0 else math.inf
-
     def as_json(self) -> dict[str, Any]:
         """For `--json`: plain values, units in the names."""
-        plans = [{**asdict(each), "off": each.off} for each in self.plans]
-        for each in plans:
-            del each["samples"]
-        values = {**asdict(self), "plans": plans, "own_path": self.own_path}
-        return msgspec.to_builtins({"schema": SCHEMA, **values})
+        values: dict[str, Any] = msgspec.to_builtins(self)
+        return {"schema": SCHEMA, **values}
 
 
 # --- for people
@@ -240,93 +222,75 @@ class ShadowReport(Struct, kw_only=True):
 def renderables(report: ShadowReport) -> list[RenderableType]:
     """The report, part by part, in the order in which a person wants to know."""
     observed = ("from", "to", "what", "where")
-    tables = [
-        _table(
-            "where it would have held",
+    tables = {
+        "where it would have held": (
             ("let go", "why", "position good", "goes on", "the vehicle itself"),
             [_hold_row(hold, report) for hold in report.holds],
         ),
-        _table("health", observed, [_observed_row(each) for each in report.health]),
-        _table(
-            "where the mission does not allow it to be",
+        "health": (observed, [_observed_row(each) for each in report.health]),
+        "where the mission does not allow it to be": (
             observed,
             [_observed_row(each) for each in report.outside],
         ),
-        _table(
-            "where it would have planned",
+        "where it would have planned": (
             ("at", "where", "why", "answer", "flown track off it, max / rms"),
             [_plan_row(asked) for asked in report.plans],
         ),
-    ]
-    shown = [table for table in tables if table.row_count]
+    }
+    shown = [_table(title, *of) for title, of in tables.items() if of[1]]
     return [*map(Text, _head(report)), *shown, *map(Text, _tail(report))]
 
 
 def _table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    """The first rows as a table."""
     table = Table(*headings, title=title, title_justify="left")
     for row in rows[:_MAX_ROWS]:
         table.add_row(*map(Text, row))
-    if (more := len(rows) - _MAX_ROWS) > 0:
-        table.caption = f"{more} more: --json has them"
+    if len(rows) > _MAX_ROWS:
+        table.caption = f"{len(rows) - _MAX_ROWS} more: --json has them"
     return table
 
 
-def _head(report: ShadowReport) -> list[str]:
+def _head(report: ShadowReport) -> Iterator[str]:
     air = f", {report.in_air_s:,.0f} s of it in the air" if report.in_air_s else ""
-    mission = f"mission {report.mission}" + ("" if report.planned else ": nothing was planned")
-    ready = "the companion would never have been ready"
-    if report.watched_from_s is not None:
-        ready = f"ready, with a position to be believed, at {report.watched_from_s:,.1f} s"
-        if not report.holds:
-            ready += "; it would never have let go: the position could always be believed"
-    return [
-        f"{report.file}: {report.vehicle}, system {report.system_id}; {_began(report)}"
-        f"{report.length_s:,.1f} s{air}",
-        "times: seconds after the log's first record; places: latitude, longitude, altitude AMSL",
-        mission
-        if report.mission is not None
-        else "no mission was given: only the vehicle's health was looked at",
-        ready,
-    ]
-
-
-def _began(report: ShadowReport) -> str:
-    try:
-        when = datetime.fromtimestamp(report.began_us * 1e-6, UTC)
-    except (OverflowError, OSError, ValueError):
-        return ""
-    return f"{when:%Y-%m-%d %H:%M:%S}Z, " if when.year > 1970 else ""
+    began = datetime.fromtimestamp(report.began_us * 1e-6, UTC)
+    date = f"{began:%Y-%m-%d %H:%M:%S}Z, " if began.year > 1970 else ""
+    yield (
+        f"{report.file}: {report.vehicle}, system {report.system_id}; {date}"
+        f"{report.length_s:,.1f} s{air}"
+    )
+    yield "times: seconds after the log's first record; places: latitude, longitude, altitude AMSL"
+    if report.mission is None:
+        yield "no mission was given: only the vehicle's health was looked at"
+    else:
+        yield f"mission {report.mission}"
+    if report.watched_from_s is None:
+        yield "the companion would never have been ready"
+    else:
+        always = "; it would never have let go: the position could always be believed"
+        yield (
+            f"ready, with a position to be believed, at {report.watched_from_s:,.1f} s"
+            f"{'' if report.holds else always}"
+        )
 
 
 def _hold_row(hold: Hold, report: ShadowReport) -> list[str]:
     """When it would have held and why, and what the vehicle did and said by itself meanwhile."""
     first, *later = hold.why
-    begins = {why.text: why.at_s for why in reversed(later) if why.text != first.text}
-    reasons = sorted((at_s, text) for text, at_s in begins.items())[:_SHORT_REASONS]
+    begins = {first.text: ""}
+    for why in later:
+        begins.setdefault(why.text, f"{why.at_s:,.1f} s: {why.text}")
+    reasons = [text for text in begins.values() if text][:_MAX_REASONS]
     until_s = hold.let_go_s + _NEAR_S if hold.went_on_s is None else hold.went_on_s
-    said = [
-        f"{each.at_s:,.1f} s {f'“{each.text}”' if each.what == 'says' else _did(each)}"
-        for each in report.said
-        if hold.let_go_s - _MOMENT_S <= each.at_s <= until_s
-    ]
-    more = [f"{len(said) - _MAX_SAID} more"] if len(said) > _MAX_SAID else []
-    return [
-        f"{hold.let_go_s:,.2f} s" + ("" if hold.in_air else "\n(on the ground)"),
-        "\n".join([first.text, *(f"{at_s:,.1f} s: {text}" for at_s, text in reasons),
-                   f"-> {first.remedy}"]),
-        _or_never(hold.trusted_s),
-        _or_never(hold.went_on_s),
-        "\n".join([*said[:_MAX_SAID], *more]) or "nothing",
-    ]  # fmt: skip
-
-
-def _did(said: VehicleReport) -> str:
-    return f"{said.what} {said.text}".rstrip()
-
-
-def _or_never(at_s: float | None) -> str:
-    return "never" if at_s is None else f"{at_s:,.1f} s"
+    from_s = hold.let_go_s - _MOMENT_S
+    said = [str(each) for each in report.said if from_s <= each.at_s <= until_s] or ["nothing"]
+    if len(said) > _MAX_SAID:
+        said[_MAX_SAID:] = [f"{len(said) - _MAX_SAID} more"]
+    good, on = (
+        "never" if at_s is None else f"{at_s:,.1f} s" for at_s in (hold.trusted_s, hold.went_on_s)
+    )
+    ground = "" if hold.in_air else "\n(on the ground)"
+    why_text = "\n".join([first.text, *reasons, f"-> {first.remedy}"])
+    return [f"{hold.let_go_s:,.2f} s{ground}", why_text, good, on, "\n".join(said)]
 
 
 def _observed_row(seen: Observed) -> list[str]:
@@ -337,43 +301,42 @@ def _observed_row(seen: Observed) -> list[str]:
 
 
 def _plan_row(asked: PlanAttempt) -> list[str]:
-    answer = asked.outcome
+    answer, off = asked.outcome, asked.off
     if asked.reason:
-        answer += f": {asked.reason.lower().replace('_', ' ')}"
+        answer += f": {_words(asked.reason)}"
     if asked.length_m is not None:
         answer = f"{asked.length_m:,.0f} m" + (", to the target" if asked.reaches_target else "")
     if asked.clearance_m is not None:
         answer += f", clear by {math.floor(asked.clearance_m + 1e-6):,} m"
-    off = asked.off
     away = "" if off is None else f"{off.max_m:,.1f} / {off.rms_m:,.1f} m to {off.until_s:,.1f} s"
     return [f"{asked.at_s:,.1f} s", _where(asked.place), asked.why, answer, away]
 
 
-def _tail(report: ShadowReport) -> list[str]:
-    lines = []
+def _tail(report: ShadowReport) -> Iterator[str]:
     if report.plans:
-        answers = Counter(asked.outcome for asked in report.plans)
-        counted = ", ".join(f"{count} {name}" for name, count in answers.most_common())
-        lines.append(f"{len(report.plans)} subpaths asked for: {counted}")
+        answers = Counter(asked.outcome for asked in report.plans).most_common()
+        counted = ", ".join(f"{count} {name}" for name, count in answers)
+        yield f"{len(report.plans)} subpaths asked for: {counted}"
         refused = {asked.reason: asked.remedy for asked in report.plans if asked.reason}
-        lines += [f"  {reason.lower().replace('_', ' ')}: {why}" for reason, why in refused.items()]
+        yield from (f"  {_words(reason)}: {remedy}" for reason, remedy in refused.items())
     if (own := report.own_path) is not None:
-        lines.append(
+        yield (
             f"flown track off its own paths: {own.max_m:,.1f} m at most (at {own.max_at_s:,.1f} "
             f"s), {own.rms_m:,.1f} m rms, over {own.positions:,} positions and "
             f"{own.until_m:,.0f} m of path"
         )
-    told = {each.message for each in report.could_not}
+    told = " ".join(each.message or "" for each in report.could_not)
     missing = sorted(report.missing, key=lambda each: not each.vital)
-    return [
-        *lines,
-        *(f"could not {each}" for each in report.could_not),
-        *(f"{each}" for each in missing if each.message not in told),
-        *(f"note: {note}" for note in report.notes),
-        *(f"log: {finding}" for finding in report.log_findings),
-        f"{report.heard:,} of {report.records:,} messages were of use; "
-        f"{report.times_real_time:,.0f}x real time",
-    ]
+    yield from (f"could not {each}" for each in report.could_not)
+    yield from (str(each) for each in missing if each.message not in told)
+    yield from (f"note: {note}" for note in report.notes)
+    yield from (f"log: {finding}" for finding in report.log_findings)
+    speed = report.length_s / report.took_s if report.took_s > 0.0 else math.inf
+    yield f"{report.heard:,} of {report.records:,} messages were of use; {speed:,.0f}x real time"
+
+
+def _words(name: str) -> str:
+    return name.lower().replace("_", " ")
 
 
 def _where(place: Place | None) -> str:

@@ -134,37 +134,33 @@ def what_if_table(found: Sequence[WhatIf]) -> RenderableType:
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("terms that differ")
     for each in found:
-        flown, now = each.flown, each.now
-        table.add_row(
-            f"{each.plan_id}",
-            f"{each.t_s:,.0f} s",
-            _both(flown.cost, now.cost, "{:.2f}", flown.refusal, now.refusal),
-            _both(flown.clearance_m, now.clearance_m, "{:,.0f} m"),
-            _both(_km(flown.length_m), _km(now.length_m), "{:,.2f} km"),
-            _both(flown.time_s, now.time_s, "{:,.0f} s"),
-            _terms(flown.terms, now.terms),
-        )
-    both = [each for each in found if each.flown.cost is not None and each.now.cost is not None]
-    flown_sum, now_sum = _sums([each.flown for each in both]), _sums([each.now for each in both])
-    lost = sum(1 for each in found if each.flown.cost is not None and each.now.cost is None)
-    gained = sum(1 for each in found if each.flown.cost is None and each.now.cost is not None)
-    lines = [f"{len(both)} subpaths as flown: {flown_sum}", f"now: {now_sum}"]
+        both = zip(_cells(each.flown), _cells(each.now), strict=True)
+        cells = (was if was == now else f"{was} -> {now}" for was, now in both)
+        terms = _terms(each.flown.terms, each.now.terms)
+        table.add_row(f"{each.plan_id}", f"{each.t_s:,.0f} s", *cells, terms)
+    there = [(each.flown.cost is not None, each.now.cost is not None) for each in found]
+    both_there = [each for each, both in zip(found, there, strict=True) if all(both)]
+    lines = [
+        f"{len(both_there)} subpaths as flown: {_sums([each.flown for each in both_there])}",
+        f"now: {_sums([each.now for each in both_there])}",
+    ]
+    lost, gained = there.count((True, False)), there.count((False, True))
     if lost or gained:
         lines.append(f"{lost} that were flown would not be found; {gained} the other way round")
-    return Group(table, *(Text(line) for line in lines))
+    return Group(table, *map(Text, lines))
 
 
-def _both(was: float | None, now: float | None, form: str, *why: str) -> str:
-    """Both values, or one if they are shown alike."""
-    texts = ["-" if value is None else form.format(value) for value in (was, now)]
-    for place, refusal in enumerate(why):
-        if refusal:
-            texts[place] = refusal.lower().replace("_", " ")
-    return texts[0] if texts[0] == texts[1] else " -> ".join(texts)
-
-
-def _km(length_m: float | None) -> float | None:
-    return None if length_m is None else length_m / 1000.0
+def _cells(figures: Figures) -> list[str]:
+    """Cost or why there is none, clearance, length and time of an answer."""
+    length_km = None if figures.length_m is None else figures.length_m / 1000.0
+    cells = {
+        "{:.2f}": figures.cost,
+        "{:,.0f} m": figures.clearance_m,
+        "{:,.2f} km": length_km,
+        "{:,.0f} s": figures.time_s,
+    }
+    told = ["-" if value is None else form.format(value) for form, value in cells.items()]
+    return [figures.refusal.lower().replace("_", " ") or told[0], *told[1:]]
 
 
 def _terms(was: dict[str, float], now: dict[str, float]) -> str:

@@ -159,8 +159,9 @@ def compose(figure: FlightFigure) -> Figure:
     """The three views of a flight: axes labelled "oblique", "plan" and "profile"."""
     canvas = Figure(figsize=SIZE_IN)
     FigureCanvasAgg(canvas)
-    canvas.text(0.03, 0.957, figure.title, fontsize=17, weight="bold", parse_math=False)
-    canvas.text(0.03, 0.931, figure.caption, fontsize=11, color="#444444", parse_math=False)
+    if figure.title:
+        canvas.text(0.03, 0.957, figure.title, fontsize=17, weight="bold", parse_math=False)
+        canvas.text(0.03, 0.931, figure.caption, fontsize=11, color="#444444", parse_math=False)
     box = (0.012, 0.37, 0.5, 0.55)
     draw_oblique(canvas.add_axes(box, projection="3d", label="oblique"), figure)
     plan = canvas.add_axes((0.572, 0.41, 0.36, 0.51), label="plan")

@@ -18,7 +18,7 @@ from companion.errors import CompanionError
 from companion.mission.events import End, Outcome
 from companion.telemetry.flight_status import FlightBegun, FlightEnded, FlightStatus
 from companion.views.output import PatientOutput
-from companion.views.words import clock_text, rounded_down
+from companion.views.words import clock_text, metres, metres_at_least, rounded_down
 
 _SHOWN_S = 0.25  # between two pictures of a flight in which nothing happens
 _LOSS_S = 10.0  # of which the share of lost frames is told
@@ -163,7 +163,7 @@ def progress_line(status: FlightStatus) -> str:
     """The same with how the flight stands: for a log."""
     parts = [f"t {status.t_s:7.1f} s", f"{status.phase:<10}"]
     if status.to_go_m is not None:
-        parts.append(f"to go {_length(status.to_go_m):>8}")
+        parts.append(f"to go {metres(status.to_go_m):>8}")
     if status.altitude_amsl_m is not None:
         parts.append(f"altitude {status.altitude_amsl_m:5.0f} m")
     if status.plan_cost is not None:
@@ -208,26 +208,65 @@ _Value = tuple[str, str, str]
 
 def _values(status: FlightStatus, lost: float) -> Iterator[_Value]:
     """The most important first."""
-    yield "to go", _to_go(status), ""
-    yield "altitude", _altitude(status), ""
-    yield "speed", _speed(status), ""
-    yield _clearance(status)
+    to_go = "-" if status.to_go_m is None else metres(status.to_go_m)
+    if status.to_go_m is not None and status.time_left_s is not None:
+        to_go += f", in {clock_text(round(status.time_left_s))}"
+    yield "to go", to_go, ""
+    altitude = "-" if status.altitude_amsl_m is None else f"{status.altitude_amsl_m:.0f} m AMSL"
+    if status.altitude_amsl_m is not None and status.above_ground_m is not None:
+        altitude += f", {status.above_ground_m:.0f} m AGL"
+    yield "altitude", altitude, ""
+    course = ""
+    if status.course_rad is not None:
+        course = f" to {round(math.degrees(status.course_rad)) % 360:03d}"
+    speed = f"{status.speed_m_s:.{0 if status.speed_m_s > 99.0 else 1}f} m/s"
+    yield "speed", f"{speed}{course}, climb {status.climb_m_s:+.1f}", ""
+    clear_m, least_m = status.clearance_m, status.safety_distance_m
+    if clear_m is None:
+        yield "clearance", "-", ""
+    else:
+        more = "> " if clear_m >= status.looked_m else ""
+        text = f"{more}{metres_at_least(clear_m)} (d_s {metres(least_m)})"
+        near = clear_m < least_m and status.subpaths_flown > 0
+        yield "clearance", *_marked(text, _SEVERE if near else "")
     off_m = status.off_path_m
-    off = off_m is not None and off_m > status.tracking_error_m
-    yield "off path", "-" if off_m is None else f"{off_m:.1f} m", _NOTABLE if off else ""
-    yield _battery(status)
+    is_off = off_m is not None and off_m > status.tracking_error_m
+    yield "off path", "-" if off_m is None else f"{off_m:.1f} m", _NOTABLE if is_off else ""
+    left, reserve = status.battery_left, status.battery_reserve
+    if left is None:
+        yield "battery", "not told", ""
+    else:
+        style = _SEVERE if left <= reserve else _NOTABLE if left <= reserve + _LOW else ""
+        text = f"{rounded_down(100.0 * left):.0f}% (reserve {100.0 * reserve:g}%)"
+        yield "battery", *_marked(text, style)
     yield _link(status, lost)
-    yield "mode", _mode(status), _SEVERE if status.failsafe else ""
+    mode = f"{status.mode or '-'}, {'armed' if status.armed else 'disarmed'}"
+    yield "mode", *((f"{mode}, FAILSAFE", _SEVERE) if status.failsafe else (mode, ""))
     plan = "-" if status.plan_took_s is None else f"took {status.plan_took_s * 1e3:.0f} ms"
     if status.plan_cost is not None:
         plan = f"cost {status.plan_cost:.2f}, {plan}"
     yield "last plan", plan, ""
     if status.plans_failed:
-        yield "proof", f"! failed {status.plans_failed} times", _NOTABLE
+        yield "proof", *_marked(f"failed {status.plans_failed} times", _NOTABLE)
     elif status.plan_cost is not None:
         yield "proof", f"{_proof(status)} to terrain", _SEVERE if status.plan_broken else ""
     pace = status.times_real_time
     yield "time", f"{status.t_s:.0f} s{'' if pace is None else f', {pace:.0f}x real time'}", ""
+
+
+def _link(status: FlightStatus, lost: float) -> _Value:
+    age_s, trip_s = status.link_age_s, status.link_round_trip_s
+    if age_s is None:
+        return "link", "nothing heard", _NOTABLE
+    trip = "" if trip_s is None or age_s > _SLOW_S else f", {trip_s * 1e3:.0f} ms"
+    style = _SEVERE if age_s > _SILENT_S else _NOTABLE if age_s > _SLOW_S or lost > _LOSSY else ""
+    text = f"{age_s:.1f} s old, {math.ceil(100.0 * lost - 1e-6)}% lost{trip}"
+    return "link", *_marked(text, style)
+
+
+def _marked(text: str, style: str) -> tuple[str, str]:
+    """What is wrong can be told without colours."""
+    return (f"! {text}" if style else text), style
 
 
 def _notes(status: FlightStatus) -> Iterator[Text]:
@@ -244,86 +283,7 @@ def _notes(status: FlightStatus) -> Iterator[Text]:
         yield Text(f"! position and speed are {age_s:.0f} s old", _SEVERE)
 
 
-def _to_go(status: FlightStatus) -> str:
-    if status.to_go_m is None:
-        return "-"
-    if status.time_left_s is None:
-        return _length(status.to_go_m)
-    return f"{_length(status.to_go_m)}, in {clock_text(round(status.time_left_s))}"
-
-
-def _altitude(status: FlightStatus) -> str:
-    if status.altitude_amsl_m is None:
-        return "-"
-    above = status.above_ground_m
-    text = f"{status.altitude_amsl_m:.0f} m AMSL"
-    return text if above is None else f"{text}, {above:.0f} m AGL"
-
-
-def _speed(status: FlightStatus) -> str:
-    course = "" if status.course_rad is None else f" to {_bearing(status.course_rad)}"
-    speed = f"{status.speed_m_s:.{0 if status.speed_m_s > 99.0 else 1}f}"
-    return f"{speed} m/s{course}, climb {status.climb_m_s:+.1f}"
-
-
-def _clearance(status: FlightStatus) -> _Value:
-    clear_m, least_m = status.clearance_m, status.safety_distance_m
-    if clear_m is None:
-        return "clearance", "-", ""
-    more = "> " if clear_m >= status.looked_m else ""
-    too_near = clear_m < least_m and status.subpaths_flown > 0
-    text = f"{more}{_at_least(clear_m)} (d_s {_length(least_m)})"
-    return "clearance", f"! {text}" if too_near else text, _SEVERE if too_near else ""
-
-
-def _battery(status: FlightStatus) -> _Value:
-    left, reserve = status.battery_left, status.battery_reserve
-    if left is None:
-        return "battery", "not told", ""
-    style = _SEVERE if left <= reserve else _NOTABLE if left <= reserve + _LOW else ""
-    return (
-        "battery",
-        f"{'! ' if style else ''}{rounded_down(100.0 * left):.0f}% (reserve {100.0 * reserve:g}%)",
-        style,
-    )
-
-
-def _link(status: FlightStatus, lost: float) -> _Value:
-    age_s = status.link_age_s
-    if age_s is None:
-        return "link", "nothing heard", _NOTABLE
-    trip_s = status.link_round_trip_s
-    trip = "" if trip_s is None or age_s > _SLOW_S else f", {trip_s * 1e3:.0f} ms"
-    style = _SEVERE if age_s > _SILENT_S else _NOTABLE if age_s > _SLOW_S or lost > _LOSSY else ""
-    return (
-        "link",
-        f"{'! ' if style else ''}{age_s:.1f} s old, {math.ceil(100.0 * lost - 1e-6)}% lost{trip}",
-        style,
-    )
-
-
-def _mode(status: FlightStatus) -> str:
-    armed = "armed" if status.armed else "disarmed"
-    return f"{status.mode or '-'}, {armed}{', FAILSAFE' if status.failsafe else ''}"
-
-
 def _proof(status: FlightStatus) -> str:
     """The clearance that is proven for the newest plan."""
     clear_m = status.plan_clearance_m
-    return "not proven" if status.plan_broken or clear_m is None else _at_least(clear_m)
-
-
-def _at_least(value_m: float) -> str:
-    """Rounded down: no clearance looks larger than it is."""
-    return _length(rounded_down(value_m, 1 if value_m < 10.0 else 0 if value_m < 9_950.0 else -2))
-
-
-def _length(value_m: float) -> str:
-    if value_m < 10.0:
-        return f"{value_m:.1f} m"
-    return f"{value_m:.0f} m" if value_m < 9_950.0 else f"{value_m / 1000:.1f} km"
-
-
-def _bearing(angle_rad: float) -> str:
-    """As people say it: three digits."""
-    return f"{round(math.degrees(angle_rad)) % 360:03d}"
+    return "not proven" if status.plan_broken or clear_m is None else metres_at_least(clear_m)

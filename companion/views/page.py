@@ -7,11 +7,9 @@ that stands in it, on white as on paper.
 import io
 import math
 import re
-from collections.abc import Callable
 from typing import Any, Final
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from companion.views.figure import DPI
@@ -20,7 +18,7 @@ from companion.views.words import metres, metres_at_least, rounded_down
 STYLE: Final[Any] = {
     "svg.fonttype": "none",  # text stays text: it can be searched, and is small
     "svg.hashsalt": "companion",
-    "font.size": 10.0,
+    "font.size": 12.0,
 }
 _NO_METADATA: Final = dict.fromkeys(("Date", "Creator", "Format", "Type"))
 
@@ -60,11 +58,9 @@ def _degrees(angle_rad: float) -> str:
     return f"{number(math.degrees(angle_rad), 1)}°"
 
 
-def svg(name: str, size_in: tuple[float, float], draw: Callable[[Figure], None]) -> str:
-    """A figure as an element of a page: no prologue, and ids of its own."""
-    canvas, file = Figure(figsize=size_in), io.StringIO()
-    FigureCanvasAgg(canvas)
-    draw(canvas)
-    canvas.savefig(file, format="svg", dpi=DPI, metadata=_NO_METADATA)
+def svg(name: str, canvas: Figure) -> str:
+    """A figure as an element of a page: no prologue, ids of its own, nothing about its edges."""
+    file = io.StringIO()
+    canvas.savefig(file, format="svg", dpi=DPI, metadata=_NO_METADATA, bbox_inches="tight")
     text = file.getvalue()
     return re.sub(r'(\bid="|href="#|url\(#)', rf"\1{name}-", text[text.index("<svg") :])

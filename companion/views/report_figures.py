@@ -21,31 +21,14 @@ _NO_FIX: Final = "#d55e00"
 
 
 def svg_figures(facts: FlightFacts) -> dict[str, str]:
-    """The figures by name: oblique, plan, profile, legend, charts; without a track, fewer."""
+    """The figures by name: flight and charts; without a track or a subpath, none."""
     shown = flight_figure(facts)
     if shown is None:
         return {}
-    plan_axes: list[Axes] = []
-
-    def oblique(canvas: Figure) -> None:
-        axes = canvas.add_axes((0.0, 0.06, 0.97, 0.94), projection="3d", label="oblique")
-        views.draw_oblique(axes, shown)
-
-    def plan(canvas: Figure) -> None:
-        plan_axes.append(canvas.add_axes((0.11, 0.1, 0.73, 0.84), label="plan"))
-        views.draw_plan(plan_axes[0], shown)
-
-    def profile(canvas: Figure) -> None:
-        axes = canvas.add_axes((0.07, 0.32, 0.915, 0.6), label="profile")
-        views.draw_profile(axes, shown)
-        views.add_legend(canvas, (*plan_axes, axes), columns=6)
-
     with rc_context(STYLE):
         return {
-            "oblique": svg("oblique", (5.6, 4.6), oblique),
-            "plan": svg("plan", (5.6, 4.6), plan),
-            "profile": svg("profile", (11.0, 3.6), profile),
-            "charts": svg("charts", (11.0, 5.6), lambda c: _charts(c, facts)),
+            "flight": svg("flight", views.compose(shown)),
+            "charts": svg("charts", _charts(facts)),
         }
 
 
@@ -80,11 +63,11 @@ def _thinned(line_nea_m: FloatArray, total: int) -> FloatArray:
     return line_nea_m[np.union1d(chosen, [len(line_nea_m) - 1])]
 
 
-def _charts(canvas: Figure, facts: FlightFacts) -> None:
+def _charts(facts: FlightFacts) -> Figure:
     """Over time: clearance, speed, satellites; holds are hatched."""
+    canvas = Figure(figsize=(14.0, 7.0), layout="constrained")
+    clearance, speed, satellites = canvas.subplots(3, 1, sharex=True)
     task, way = facts.flight.mission.task, facts.on_the_way
-    all_axes: list[Axes] = np.atleast_1d(canvas.subplots(3, 1, sharex=True)).tolist()
-    clearance, speed, satellites = all_axes
     _line(clearance, facts.times_s[way], facts.clearances_m, np.minimum)
     required_m = task.settings.safety_distance_m
     clearance.axhline(required_m, color="black", lw=1.2, ls="--", label="$d_s$")
@@ -97,7 +80,7 @@ def _charts(canvas: Figure, facts: FlightFacts) -> None:
     satellites.step(facts.log_s(time_us), seen, where="post", color=views.PATH, lw=1.4)
     _shade(satellites, facts.log_s(time_us), fixes < 3, fc=_NO_FIX, alpha=0.45)
     satellites.set(ylabel="satellites", ylim=(0.0, None), xlabel="vehicle time, s")
-    for axes in all_axes:
+    for axes in (clearance, speed, satellites):
         for hold in facts.holds:
             begin_s = facts.time_s(hold)
             end_s = facts.times_s[-1] if hold.until_s is None else begin_s + hold.until_s - hold.t_s
@@ -105,7 +88,7 @@ def _charts(canvas: Figure, facts: FlightFacts) -> None:
         axes.grid(color="#888888", alpha=0.3, lw=0.6)
         axes.margins(x=0.0)
     canvas.align_ylabels()
-    canvas.subplots_adjust(left=0.075, right=0.985, top=0.985, bottom=0.09, hspace=0.12)
+    return canvas
 
 
 def _line(axes: Axes, times_s: FloatArray, values: FloatArray, worst: np.ufunc) -> None:

@@ -1,5 +1,6 @@
 """What the page shows of a flight that was recorded, without a browser."""
 
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -16,7 +17,7 @@ from companion.config import load_mission
 from companion.errors import InputError
 from companion.live_view.command import Asked
 from companion.live_view.ground import PROVEN, UNKNOWN, Ground, Replica, ground_of
-from companion.live_view.page import Page, Shown
+from companion.live_view.page import Page
 from companion.live_view.panel import charts_of, near_ground
 from companion.live_view.recording import Recording
 from companion.live_view.server import serve
@@ -66,7 +67,12 @@ def test_a_flight_that_grows_is_read_like_one_that_is_over(
         pass
     assert replica.ended is None
     assert np.array_equal(replica.samples, at_once.samples, equal_nan=True)
-    assert len(replica.grounds) == len(at_once.grounds)
+    for time_s in whole.flight.times_s[:: len(whole.flight.times_s) // 50]:
+        (number, ground), (other, same) = (
+            each.ground_at(whole.flight, float(time_s)) for each in (replica, at_once)
+        )
+        assert number == other
+        assert (ground and ground.height_m.tobytes()) == (same and same.height_m.tobytes())
 
 
 def test_the_ground_is_what_the_flight_knew(run_dir: tuple[Path, Session]) -> None:
@@ -74,7 +80,12 @@ def test_the_ground_is_what_the_flight_knew(run_dir: tuple[Path, Session]) -> No
     replica = Replica(folder)
     while replica.advance(_PATIENCE_S):
         pass
-    known, first, last = session.state.flight.known, replica.ground(0), replica.ground(-1)
+    with Recording(folder) as recording:
+        recording.read()
+    known, flight = session.state.flight.known, recording.flight
+    (_, first), (_, last) = (replica.ground_at(flight, at_s) for at_s in (0.0, math.inf))
+    assert first is not None
+    assert last is not None
     assert (first.kind == UNKNOWN).all()
     aside = replace(known, upper_m=np.roll(known.upper_m, 1, 0), seen=np.roll(known.seen, 1, 0))
     drawn_aside = ground_of(aside, (0.0, 0.0), session.mission)
@@ -105,14 +116,14 @@ def test_charts_tell_the_known_ground_and_the_way_off_the_path(
     run_dir: tuple[Path, Session],
 ) -> None:
     folder, _ = run_dir
-    flight = Shown.of(folder)
-    assert flight.replica is not None
-    while flight.replica.advance(_PATIENCE_S):
+    replica = Replica(folder)
+    while replica.advance(_PATIENCE_S):
         pass
-    with flight.recording:
-        height, aside = charts_of(flight.recording, flight.replica)
-        phases = [flight.recording.flight.decided_at(float(t)).phase for t in aside[0]]
-        clear_m, under_m = near_ground(flight.recording, flight.replica, height[0])
+    with Recording(folder) as recording:
+        recording.read()
+        height, aside = charts_of(recording, replica)
+        phases = [recording.flight.decided_at(float(t)).phase for t in aside[0]]
+        clear_m, under_m = near_ground(recording, replica, height[0])
     down = np.array([phase in ("landing", "done") for phase in phases])
     assert down.any()
     assert np.isnan(aside[1][down]).all()
@@ -120,7 +131,7 @@ def test_charts_tell_the_known_ground_and_the_way_off_the_path(
     assert told.any()
     assert np.array_equal(height[2], under_m, equal_nan=True)
     assert (clear_m[told] <= (height[1] - height[2])[told] + 1e-6).all()  # straight down is one way
-    assert np.nanmax(aside[1]) < flight.recording.flight.mission.task.limits.tracking_error_m
+    assert np.nanmax(aside[1]) < recording.flight.mission.task.limits.tracking_error_m
 
 
 # --- the page
@@ -130,11 +141,11 @@ def test_charts_tell_the_known_ground_and_the_way_off_the_path(
 def shown(run_dir: tuple[Path, Session]) -> Iterator[tuple[viser.ViserServer, Page]]:
     rich.get_console().quiet = True
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    flight = Shown.of(run_dir[0])
-    page = Page(server, flight)
-    for second in range(40):  # of its clock: until all is read
-        page.step(float(second), 1.0)
-    with flight.recording:
+    with Recording(run_dir[0]) as recording:
+        recording.read()
+        page = Page(server, recording)
+        for second in range(40):  # of its clock: until all is read
+            page.step(float(second), 1.0)
         yield server, page
     server.stop()
 
@@ -142,9 +153,15 @@ def shown(run_dir: tuple[Path, Session]) -> Iterator[tuple[viser.ViserServer, Pa
 def test_all_of_a_flight_is_in_the_scene(shown: tuple[viser.ViserServer, Page]) -> None:
     server, _ = shown
     names = set(server.scene._handle_from_node_name)
-    for name in ("/vehicle", "/track", "/unknown", "/guessed", "/targets/1", "/plan/p_scan"):
+    for name in ("/vehicle", "/track", "/unknown", "/guessed/ground", "/targets/1", "/plan/p_scan"):
         assert name in names
-    assert {"/plan/p_prog", "/plan/leg", "/plan/control", "/plan/guide", "/scan/reach"} <= names
+    assert {
+        "/plan/p_prog",
+        "/plan/leg",
+        "/plan/control",
+        "/plan/guide",
+        "/scan/reach/ring",
+    } <= names
     assert [name for name in names if re.fullmatch(r"/proven/\d+_\d+", name)]
     labels = {
         handle.text  # type: ignore[attr-defined]
@@ -152,6 +169,17 @@ def test_all_of_a_flight_is_in_the_scene(shown: tuple[viser.ViserServer, Page]) 
         if name.endswith("/label")
     }
     assert {"target", 'keep-out tower <&> "mast"', "keep-out village", "keep-in county"} <= labels
+
+
+def test_the_scene_follows_the_time(shown: tuple[viser.ViserServer, Page]) -> None:
+    """Before the first plan there is none in it."""
+    server, page = shown
+    for now_s, there in ((90.0, False), (91.0, True)):
+        page.jump("newest") if there else page.go_to(0.0)
+        page.step(now_s, 0.1)
+        names = set(server.scene._handle_from_node_name)
+        assert ({"/plan/leg", "/plan/guide", "/scan/reach/ring"} <= names) is there
+        assert ("/plan/control" in names) is there
 
 
 def test_the_panel_follows_the_time(shown: tuple[viser.ViserServer, Page]) -> None:
@@ -188,20 +216,20 @@ def test_while_the_ground_is_read_browsers_are_not_sent_each_state_of_it(
     sent = list[Ground]()
     show = "companion.live_view.scene.Scene.show_ground"
     monkeypatch.setattr(show, lambda _, ground: sent.append(ground))
-    monkeypatch.setattr("companion.live_view.page._REPLAY_S", 0.0)
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    flight, now_s = Shown.of(run_dir[0]), 0.0
-    assert flight.replica is not None
-    page = Page(server, flight)
-    with flight.recording:
-        while flight.replica._some():
+    monkeypatch.setattr("companion.live_view.page._REPLAY_S", 1e-6)  # a few inputs in a period
+    server, now_s = viser.ViserServer(host="127.0.0.1", port=0, verbose=False), 0.0
+    with Recording(run_dir[0]) as recording:
+        recording.read()
+        page = Page(server, recording)
+        while not now_s or "read until" in page.status:
             page.step(now_s, 0.1)
-            now_s += 0.1
-        page.step(now_s, 0.1)
+            now_s += 0.01
+        assert page.replica is not None
+        _, newest = page.replica.ground_at(recording.flight, math.inf)
     server.stop()
+    assert newest is not None
     assert 2 <= len(sent) <= now_s / 2.0 + 2.0
-    assert np.array_equal(sent[-1].kind, flight.replica.ground(-1).kind)
-    assert "read until" not in page.status
+    assert np.array_equal(sent[-1].kind, newest.kind)
 
 
 def test_a_folder_without_a_flight_is_told(tmp_path: Path) -> None:

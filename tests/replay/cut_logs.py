@@ -24,7 +24,7 @@ STATION = (255, 190)
 
 def alone(path: Path, system_id: int | None = None) -> ShadowReport:
     """The health of a log."""
-    return watch(path, None, plans=False, system_id=system_id)
+    return watch(path, None, system_id=system_id)
 
 
 @functools.cache

@@ -141,3 +141,28 @@ def test_an_error_from_outside_of_the_decisions_is_no_difference(tmp_path: Path)
     assert found.difference is None
     assert str(found.ended_by) == "OSError: the driver is gone"
     assert found.ended_by.call == ""
+
+
+def test_what_the_watchdog_sent_meanwhile_is_passed_over(tmp_path: Path) -> None:
+    """Two frames and the entry about them, in the midst of a flight."""
+    run = tmp_path / "run"
+    fly_short(run, until_s=30.0)
+    told = list(InputsFile(run / FILE))
+    at = [number for number, each in enumerate(told) if each == ("run",)][200] + 1
+    whole, head = replayed(run, plans=False), tmp_path / "head"
+    shutil.copytree(run, head)
+    rewritten(head, lambda inputs: inputs.__setitem__(slice(at, None), []))
+    until = replayed(head, plans=False)
+    rewritten(run, lambda inputs: inputs.insert(at, ("held", 2)))
+    log, records, end = (run / "flight.tlog").read_bytes(), list[bytes](), 0
+    while end < len(log):
+        begin, end = end, end + 8 + 12 + log[end + 9]
+        records.append(log[begin:end])
+    records[until.frames : until.frames] = records[:2]
+    (run / "flight.tlog").write_bytes(b"".join(records))
+    lines = (run / "journal.jsonl").read_bytes().splitlines(keepends=True)
+    lines.insert(1 + until.entries, b'{"t_s":1.0,"kind":"held"}\n')
+    (run / "journal.jsonl").write_bytes(b"".join(lines))
+    found = replayed(run, plans=False)
+    assert 0 < until.frames < found.frames == whole.frames
+    assert found.is_identical

@@ -83,7 +83,7 @@ def test_a_bin_of_newer_firmware_is_read(tmp_path: Path, greeting: bytes) -> Non
 def test_who_nobody_knows_is_refused_with_what_was_looked_for(tmp_path: Path) -> None:
     log = opened(tmp_path, copter(b"HomeBrew 1.0"))
     with pytest.raises(InputError, match=r"no HEARTBEAT: .*; no entry \(VER, MSG\) tells"):
-        watch(log.path, None, plans=False)
+        watch(log.path, None)
 
 
 @pytest.mark.parametrize(
@@ -129,4 +129,4 @@ def test_what_was_thrown_away_is_told_with_what_is_missing(tmp_path: Path) -> No
     content = px4(1_000_000, 1_000_000).replace(struct.pack("<d", 8.0), struct.pack("<d", math.nan))
     log = opened(tmp_path, content)
     with pytest.raises(InputError, match=r"no GLOBAL_POSITION_INT: .*; [\d,]+ entries that cannot"):
-        watch(log.path, None, plans=False)
+        watch(log.path, None)
