@@ -340,6 +340,12 @@ def test_it_beats_once_a_second_also_when_the_clock_begins_again_and_not_while_f
     assert component.due_s < 0.0
     assert len(component.on_time(10.4, READY, faulted=False)) == 1
     assert component.due_s == 11.4
+    answered(component, command_long(REQUEST, 0.0))  # or once the fault is over
+    for tenth in range(5, 8):
+        assert component.on_time(10.0 + 0.1 * tenth, READY, faulted=True) == []
+        assert component.due_s < 0.0
+    told = [component.on_time(at_s, READY, faulted=False) for at_s in (10.8, 10.9)]
+    assert [[message.get_type() for message in each] for each in told] == [["HEARTBEAT"], []]
 
 
 @pytest.mark.parametrize("sender", [PERSON, STRANGER])
