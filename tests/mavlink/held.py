@@ -177,9 +177,3 @@ def recorded(name: str, ignored: frozenset[int] = IGNORED_MESSAGES) -> Iterator[
         for message in receiver.feed(frame):
             if message is not None:
                 yield (stamp_us - frames[0][0]) * 1e-6, message
-
-
-def from_wire(message: Any, source: tuple[int, int] = (1, 1)) -> Any:
-    """As it comes out of the parser."""
-    sender = wire.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
-    return wire.MAVLink(None).decode(bytearray(message.pack(sender)))

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
-from geodesics import CORNER, FRAME, GEOD, SYSTEM, angle_between, geodetic, over_the_wire
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as wire
+from wires import CORNER, FRAME, GEOD, SYSTEM, angle_between, geodetic, over_the_wire
 
 import companion
 from companion.mavlink.autopilots import (

@@ -1,18 +1,16 @@
-"""Commands as a ground station packs them, byte by byte; places against pyproj's geodesics."""
+"""Commands as a ground station sends them, and what it is answered; places by geodesics."""
 
 import math
 from collections import Counter
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-import pyproj
 import pytest
-from by_hand import OURS, PERSON, Ack, ack, command_int, command_long
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import structs
-from pymavlink.dialects.v20 import all as wire
+from wires import FRAME, OURS, PERSON, command_int, command_long, geodetic_e7, over_the_wire, wire
 
 from companion.config import load_mission
 from companion.geodesy import LocalFrame
@@ -26,17 +24,33 @@ from companion.mission.state import Phase
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, IN_PROGRESS, WRONG_FRAME = 0, 1, 2, 3, 5, 9
 START, PAUSE, REPOSITION, RETURN, LAND = 300, 193, 192, 20, 21
 REQUEST, CAPABILITIES = 512, 520
-GEOD = pyproj.Geod(ellps="WGS84")
 MISSION = load_mission("valley")  # 10 km x 7.5 km, 8 m/s
 STRANGER = (42, 1)
 READY = structs.replace(initial_state(MISSION, None), phase=Phase.READY)
 NAN = math.nan
 
 
-def made(*, origin_deg: tuple[float, float] = (47.0, 8.0)) -> Component:
-    frame = LocalFrame(latitude_deg=origin_deg[0], longitude_deg=origin_deg[1])
+class Ack(NamedTuple):
+    """COMMAND_ACK."""
+
+    command: int
+    result: int
+    target: tuple[int, int]
+
+
+def made(frame: LocalFrame = FRAME) -> Component:
     mission = replace(MISSION, frame=frame, commanders=((255, 0), (1, 191)))
     return Component(mission, OURS[0], "1.2.3")
+
+
+def ack(message: Any) -> Ack:
+    """As it leaves the companion."""
+    read = wire.MAVLink(None).decode(bytearray(message.pack(codec(OURS[0]))))
+    assert (read.get_type(), read.get_srcSystem(), read.get_srcComponent()) == (
+        "COMMAND_ACK",
+        *OURS,
+    )
+    return Ack(read.command, read.result, (read.target_system, read.target_component))
 
 
 def answered(
@@ -51,14 +65,7 @@ def answered(
     if answer.order is not None:
         replies += server.order_done(answer.order, verdict)
         assert server.order_done(answer.order, verdict) == ()  # once
-    return answer, [ack(reply) for reply in replies if reply.get_type() == "COMMAND_ACK"]
-
-
-def place_e7(north_m: float, east_m: float) -> tuple[int, int]:
-    """The point at a distance and azimuth of the origin, by the geodesic."""
-    azimuth = math.degrees(math.atan2(east_m, north_m))
-    longitude, latitude, _ = GEOD.fwd(8.0, 47.0, azimuth, math.hypot(north_m, east_m))
-    return round(latitude * 1e7), round(longitude * 1e7)
+    return answer, [ack(reply) for reply in replies]
 
 
 @pytest.mark.parametrize(
@@ -136,7 +143,7 @@ def test_what_needs_no_place_takes_none_and_any_frame() -> None:
 def test_a_new_target_lies_where_the_geodesic_says(
     north_m: float, east_m: float, frame_id: int
 ) -> None:
-    x, y = place_e7(north_m, east_m)
+    x, y = geodetic_e7(north_m, east_m)
     message = command_int(REPOSITION, -1.0, x=x, y=y, z=NAN, frame_id=frame_id)
     in_floats = command_long(REPOSITION, -1.0, 0.0, 0.0, NAN, x * 1e-7, y * 1e-7, 50.0)
     for each, off_m in ((message, 0.02), (in_floats, 0.5)):
@@ -148,7 +155,7 @@ def test_a_new_target_lies_where_the_geodesic_says(
 
 
 def test_0_0_is_no_place_even_if_it_lies_on_the_map() -> None:
-    server = made(origin_deg=(0.001, 0.001))
+    server = made(LocalFrame(latitude_deg=0.001, longitude_deg=0.001))
     for message, result in (
         (command_int(REPOSITION, x=1, y=1, frame_id=5), ACCEPTED),
         (command_int(REPOSITION, frame_id=5), DENIED),
@@ -216,7 +223,7 @@ def orders(*given: tuple[Any, float]) -> list[bool]:
     return [answered(server, message, at_s)[0].order is not None for message, at_s in given]
 
 
-_X, _Y = place_e7(50.0, 60.0)
+_X, _Y = geodetic_e7(50.0, 60.0)
 _THERE = command_int(REPOSITION, -1.0, x=_X, y=_Y, frame_id=5)
 _BESIDE = command_int(REPOSITION, -1.0, x=_X + 1, y=_Y, frame_id=5)
 
@@ -308,12 +315,6 @@ def test_one_ack_answers_each_command_for_us_and_none_any_other(given_: list[Any
 # --- its own messages
 
 
-def over_the_wire(message: Any) -> Any:
-    """As pymavlink's own parser reads it."""
-    [parsed] = wire.MAVLink(None).parse_buffer(message.pack(codec(7)))
-    return parsed
-
-
 def counted(component: Component, begin_s: float) -> Counter[str]:
     """What is sent in 10 s, asked at 20 Hz."""
     times = begin_s + np.arange(0.0, 10.0, 0.05)
@@ -322,8 +323,7 @@ def counted(component: Component, begin_s: float) -> Counter[str]:
 
 
 def test_the_heartbeat_is_that_of_an_onboard_controller() -> None:
-    beat = over_the_wire(heartbeat(wire.MAV_STATE_CRITICAL))
-    assert (beat.get_srcSystem(), beat.get_srcComponent()) == (7, 195)
+    beat = over_the_wire(heartbeat(wire.MAV_STATE_CRITICAL), OURS)
     assert beat.type == 18  # MAV_TYPE_ONBOARD_CONTROLLER
     assert beat.autopilot == 8  # MAV_AUTOPILOT_INVALID
     assert (beat.base_mode, beat.custom_mode) == (0, 0)

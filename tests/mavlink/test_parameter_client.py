@@ -5,9 +5,10 @@ import struct
 from typing import Any
 
 import pytest
-from held import FOUR, Firmware, Held, Kind, from_wire, recorded
+from held import FOUR, Firmware, Held, Kind, recorded
 from hypothesis import given
 from hypothesis import strategies as st
+from wires import over_the_wire
 
 from companion.mavlink.autopilots import ALL
 from companion.mavlink.dialect import wire
@@ -29,7 +30,7 @@ WHOLE = {1: (0, 255), 2: (-128, 127), 3: (0, 65535), 4: (-(2**15), 2**15 - 1)} |
 
 def told(name: str, value: float, kind: int = 9, source: tuple[int, int] = (1, 1)) -> Any:
     message = wire.MAVLink_param_value_message(name.encode(), value, kind, 1, 0)
-    return from_wire(message, source)
+    return over_the_wire(message, source)
 
 
 def names_of_requests(messages: list[Any]) -> list[str]:
@@ -202,14 +203,14 @@ def test_a_parameter_error_says_at_once_that_there_is_none() -> None:
     client.on_time(0.0)
     error = wire.MAVLink_param_error_message(1, 195, b"A", -1, 1)
     assert error.error == wire.MAV_PARAM_ERROR_DOES_NOT_EXIST
-    client.on_message(from_wire(error), 0.1)
+    client.on_message(over_the_wire(error), 0.1)
     assert client.waiting == ("B",)
     client.on_message(told("B", 2.0), 0.2)
     assert client.is_done
     client.set("B", 3.0)
     client.on_time(0.3)
     refused = wire.MAVLink_param_error_message(1, 195, b"B", -1, wire.MAV_PARAM_ERROR_READ_ONLY)
-    client.on_message(from_wire(refused), 0.4)
+    client.on_message(over_the_wire(refused), 0.4)
     assert client.failed_sets == {"B": "it can only be read"}
     assert client.is_done
 
@@ -241,7 +242,7 @@ def test_the_version_tells_how_whole_numbers_travel() -> None:
     version = wire.MAVLink_autopilot_version_message(
         0xE8FF, 0, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0
     )
-    (again,) = client.on_message(from_wire(version), 0.2)
+    (again,) = client.on_message(over_the_wire(version), 0.2)
     assert again.get_type() == "PARAM_REQUEST_READ"
     client.on_message(told("COM_OBL_RC_ACT", bits, 6), 0.3)
     assert client.values == {"COM_OBL_RC_ACT": 5.0}

@@ -1,17 +1,31 @@
 """Texts as a ground station puts them together again."""
 
+import struct
+from typing import NamedTuple
+
 import pytest
-from by_hand import Text, statustext
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.mavlink.dialect import codec
 from companion.mavlink.statustext import StatusTexts, shortened, to_ascii
 
 WARNING = 4
 
 
+class Text(NamedTuple):
+    """STATUSTEXT, one chunk."""
+
+    severity: int
+    text: bytes
+    number: int
+    chunk: int
+
+
 def sent(texts: StatusTexts, now_s: float) -> list[Text]:
-    return [statustext(message) for message in texts.due(now_s)]
+    """From the bytes: a decoded text does not show which zeros it had."""
+    payloads = [message.pack(codec(7))[10:-2].ljust(54, b"\0") for message in texts.due(now_s)]
+    return [Text(*struct.unpack("<B50sHB", payload)) for payload in payloads]
 
 
 def put_together(chunks: list[Text]) -> str:
