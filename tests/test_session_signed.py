@@ -8,24 +8,21 @@ from copy import deepcopy
 from typing import Any, final
 
 import pytest
-from companion_receive import mission, straight_plan
+from companion_receive import mission
+from held import Faced
 from pymavlink.dialects.v20 import all as mavlink
 
 from companion.mavlink.frames import Receiver
-from companion.mavlink.link import Output
 from companion.mavlink.signing import Signing, key_of, timestamp_of
 from companion.mission.events import Outcome
 from companion.mission.state import Phase
 from companion.runtime.link import Link
 from companion.runtime.watchdog import Gate
-from companion.session import Session
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import flat_world
 
-LINK = 1
 KEY, WRONG_KEY = key_of("correct horse battery staple"), bytes(32)
 NOW = timestamp_of(1_790_000_000.0)
-TICK_STEPS, TICK_S = 10, 0.1
 
 
 def vehicle_with_key() -> Simulation:
@@ -49,53 +46,17 @@ def signing(timestamp: int = NOW, key: bytes = KEY) -> Signing:
     return Signing(key=key, timestamp=timestamp, link_id=2)
 
 
-@final
-class Flight:
-    """A session and its vehicle, a tenth of a second at a time."""
+class Flight(Faced):
+    """A session and its vehicle."""
 
     def __init__(self, vehicle: Simulation, signing: Signing | None, resume: Any = None) -> None:
-        self.vehicle = vehicle
-        self.session = Session(
-            mission("ardupilot", "copter"),
-            seed=1,
-            lockstep=False,
-            signing=signing,
-            resume=resume,
-            go=True,
-        )
-        self.out = Output()
-        self.heard: list[bytes] = []
-        self.sent: list[bytes] = []
-        self.recorded: list[bytes] = []
-        self.kept: dict[str, Any] | None = None
-        self.known: Any = None
-
-    def tick(self) -> None:
-        for _ in range(TICK_STEPS):
-            self.vehicle.step()
-        frames = [frame for link, frame in self.vehicle.take_frames() if link == LINK]
-        self.heard += frames
-        at_s = self.vehicle.now_us * 1e-6
-        if not self.session.receive(b"".join(frames), at_s):
-            self.session.silence(TICK_S)
-        self.carry_out(self.session.run())
-
-    def carry_out(self, out: Output) -> None:
-        self.out = out
-        for frame in out.frames:
-            self.vehicle.receive(LINK, frame)
-        self.sent += out.frames
-        self.recorded += [frame for _, frame in out.record]
-        self.kept, self.known = out.checkpoint or self.kept, out.known or self.known
-        if out.plan is not None:
-            self.session.deliver(straight_plan(out.plan))
+        of = mission("ardupilot", "copter")
+        super().__init__(of, vehicle, link=1, signing=signing, resume=resume)
 
     def run_until(self, condition: Callable[["Flight"], bool], within_s: float = 250.0) -> "Flight":
-        for _ in range(round(within_s / TICK_S)):
-            self.tick()
-            if condition(self):
-                return self
-        raise AssertionError(f"not within {within_s} s: {self.session.state.phase}")
+        self.run(within_s, lambda: condition(self))
+        assert condition(self), f"not within {within_s} s: {self.session.state.phase}"
+        return self
 
     def copy(self) -> "Flight":
         """Another one that has come as far; only the hash of the key, which stays, is the same."""
@@ -151,8 +112,7 @@ def test_in_flight_only_signed_and_new_orders_are_obeyed(on_its_way: Flight) -> 
 
     def obeyed(frame: bytes) -> bool:
         before = len(flight.sent)
-        flight.session.receive(frame, flight.vehicle.now_us * 1e-6)
-        flight.tick()
+        flight.hear(frame)
         messages = Receiver().feed(b"".join(flight.sent[before:]))
         return any(m.get_type() == "COMMAND_ACK" and m.command == 193 for m in messages)
 
@@ -172,8 +132,7 @@ def test_a_hold_that_was_kept_in_reserve_is_obeyed_whenever_and_however_often_it
     """The stream went on meanwhile, and each copy would be a replay of the one before."""
     flight = on_its_way.copy()
     reserve = flight.session.hold_frames()
-    for _ in range(50):
-        flight.tick()
+    flight.run(5.0)
 
     sent: list[bytes] = []
 
@@ -191,9 +150,8 @@ def test_a_hold_that_was_kept_in_reserve_is_obeyed_whenever_and_however_often_it
     for number in range(3):  # any one of them does it
         again = flight.copy()
         assert again.vehicle.mode_name == "GUIDED"
-        again.vehicle.receive(LINK, sent[number])
-        for _ in range(TICK_STEPS):
-            again.vehicle.step()
+        again.vehicle.receive(again.link, sent[number])
+        again.vehicle.step()
         assert again.vehicle.mode_name == "BRAKE"
 
 
@@ -209,12 +167,11 @@ def test_a_companion_that_is_started_again_in_flight_is_believed_at_once(
     on_its_way: Flight,
 ) -> None:
     flight = on_its_way.copy()
-    for _ in range(50):
-        flight.tick()
+    flight.run(5.0)
     ours = flight.session.signing
     assert ours is not None
-    assert flight.kept is not None
-    again = Flight(flight.vehicle, signing(ours.timestamp + 1), resume=(flight.kept, flight.known))
+    assert flight.kept[0] is not None
+    again = Flight(flight.vehicle, signing(ours.timestamp + 1), resume=flight.kept)
     again.run_until(lambda it: it.out.end is not None)
     end = again.out.end
     assert end is not None
