@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from scripted_vehicle import BRAKE, MISSION, Vehicle, straight_plan
+from scripted_vehicle import MISSION, Vehicle, straight_plan
 from stub_session import HEARTBEAT, HOLD, SETPOINT, QueueLink, StubSession, as_any, packed
 
 from companion.mavlink.autopilots import ALL
@@ -100,29 +100,6 @@ def test_the_folder_holds_all_that_was_said_and_decided(folder: RunFolder) -> No
     log = (folder.path / "flight.tlog").read_bytes()
     for message in link.vehicle.heard:
         assert bytes(message.get_msgbuf()) in log
-
-
-def test_a_planner_that_raises_puts_the_vehicle_on_hold_and_is_an_end_not_an_exception(
-    folder: RunFolder,
-) -> None:
-    def broken(_: PlanRequest, _stop: object) -> PlanOutcome:
-        raise ZeroDivisionError("made up")
-
-    link = ScriptedLink(Vehicle())
-    flown = fly(link, folder, planner=broken)
-    assert flown.end is not None
-    assert flown.end.reason.startswith(Reason.PLANNER_DIED.text)
-    assert "ZeroDivisionError: made up" in flown.end.reason
-    assert link.vehicle.mode == BRAKE
-    assert "ZeroDivisionError: made up" in (folder.path / "journal.jsonl").read_text("utf-8")
-
-
-def test_a_stop_ends_the_flight_with_the_vehicle_on_hold(folder: RunFolder) -> None:
-    link = ScriptedLink(Vehicle())
-    flown = fly(link, folder, stop_asked=lambda: link.vehicle.north_m > 100.0)
-    assert flown.end is not None
-    assert flown.end.outcome is Outcome.STOPPED
-    assert link.vehicle.mode == BRAKE
 
 
 class SlowLink(ScriptedLink):
