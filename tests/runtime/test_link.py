@@ -136,35 +136,6 @@ def test_a_port_in_use_is_an_input_error_with_its_remedy(other: socket.socket) -
     assert "\n" not in message
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        *("", "udpin", "udpin:127.0.0.1", "udpin::14540", "udpin:127.0.0.1:", "udpin:127.0.0.1:x"),
-        *("udpin:127.0.0.1:-1", "udpin:127.0.0.1:65536", "udpin:127.0.0.1:14540:1"),
-        *("udpin:127.0.0.1: 14540", "udpin:127.0.0.1:1e4", "udpin:127.0.0.1:0"),
-        *("tcpin:127.0.0.1:5760", "udpout:127.0.0.1:0", "tcp:127.0.0.1", "tcp:127.0.0.1:0"),
-        *("tcp:127.0.0.1:5760:1", "udp:127.0.0.1", "udpbcast:192.168.0.255:14550"),
-        *("/dev/ttyACM0,", "/dev/ttyACM0,fast", "/dev/ttyACM0,0", "/dev/ttyACM0,57600,1"),
-        *("/dev/ttyACM0,99999999", "ttyACM0,57600", "serial:", "serial:,57600", "COM", "COM3,"),
-        *("COM3,-1", "com3;57600", "mission.tlog", "UDPIN:127.0.0.1:14540", "127.0.0.1:14540"),
-        *("udpin:::1:14540", "udpin:[::1]", "udpin:a..b:14540"),
-        f"udpin:{'a' * 64}.example:14540",
-        "udpin:127.0.0.1:" + "9" * 5000,
-        # as MAVSDK, MAVROS, mavp2p and MAVProxy have it: some of them listen where others call
-        *("serial:///dev/ttyACM0?baud=57600", "serial-hwfc:/dev/ttyACM0:921600", "udpin://:14540"),
-        *("udpin:14540", ":14540", "udp://0.0.0.0:14540", "udp://:14540@127.0.0.1:14557"),
-        *("udps:0.0.0.0:14550", "tcpout://127.0.0.1:5760"),
-    ],
-)
-def test_a_bad_connection_string_is_an_input_error_of_one_line_with_a_remedy(text: str) -> None:
-    with pytest.raises(InputError) as caught:
-        open_link(text)
-    message = str(caught.value)
-    assert message.startswith(f"--connect = {text!r}: "[:200])
-    assert "\n" not in message
-    assert "Write udpin:127.0.0.1:14540 (" in message
-
-
 def has_ipv6() -> bool:
     try:
         with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as end:
@@ -199,13 +170,6 @@ def test_a_link_gives_its_port_back() -> None:
     for _ in range(2):
         with open_link(f"udpin:127.0.0.1:{port}"):
             pass
-
-
-def test_udp_without_more_waits_for_the_vehicle_as_pymavlink_has_it(other: socket.socket) -> None:
-    port = free_port()
-    with open_link(f"udp:127.0.0.1:{port}") as link:
-        other.sendto(b"hello", ("127.0.0.1", port))
-        assert link.receive(PATIENCE_S) == b"hello"
 
 
 def test_an_ipv4_address_or_a_name_is_understood(other: socket.socket) -> None:
