@@ -172,13 +172,10 @@ def take_off(autopilot: Autopilot, heading_rad: float, command: TakeOff = CLIMB)
     return over_the_wire(messages[0]) if messages else None
 
 
-def test_arducopter_climbs_to_a_height_above_home() -> None:
+def test_ardupilots_take_off_to_a_height_above_home_or_by_their_mode() -> None:
     sent = take_off(ARDUCOPTER, 0.3)
     assert (sent.get_type(), sent.command, sent.param7) == ("COMMAND_LONG", 22, 60.0)
     assert [getattr(sent, f"param{n}") for n in range(1, 7)] == [0.0] * 6
-
-
-def test_arduplane_takes_off_by_its_mode() -> None:
     sent = take_off(ARDUPLANE, 0.3)
     assert (sent.command, sent.param2) == (176, wire.PLANE_MODE_TAKEOFF)
 
@@ -199,15 +196,11 @@ def test_px4_climbs_to_an_altitude_amsl(autopilot: Autopilot, bearing_deg: int) 
         assert angle_between(math.radians(azimuth), math.radians(bearing_deg)) < 2e-4
 
 
-@pytest.mark.parametrize("autopilot", [ARDUCOPTER, *PX4], ids=lambda a: a.name)
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e9, -1e9])
-def test_a_take_off_to_nowhere_is_refused(autopilot: Autopilot, bad: float) -> None:
-    assert take_off(autopilot, 0.0, TakeOff(above_home_m=bad, altitude_amsl_m=bad)) is None
-
-
-@pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_a_take_off_along_no_direction_is_refused(bad: float) -> None:
-    assert take_off(PX4_FIXED_WING, bad) is None
+def test_a_take_off_to_nowhere_or_along_no_direction_is_refused(bad: float) -> None:
+    nowhere = TakeOff(above_home_m=bad, altitude_amsl_m=bad)
+    assert [take_off(autopilot, 0.0, nowhere) for autopilot in (ARDUCOPTER, *PX4)] == [None] * 3
+    assert math.isfinite(bad) or take_off(PX4_FIXED_WING, bad) is None
 
 
 # --- speed, and whether setpoints are taken

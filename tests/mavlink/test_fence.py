@@ -398,6 +398,7 @@ def test_targets_are_the_places_between_take_off_and_the_end() -> None:
         "items 8 to 8 come after the end: left out",
         "left out: 1 x waiting at a waypoint, 1 x spline at a waypoint, 1 x loiter at a waypoint",
     )
+    assert targets_of((), FRAME, home_first=True).targets_ne_m == ()
     assert targets_of(items, FRAME, home_first=False).targets_ne_m[0] == pytest.approx(
         (0, 0), abs=0.02
     )
@@ -410,11 +411,6 @@ def test_targets_are_the_places_between_take_off_and_the_end() -> None:
 def test_the_last_item_is_the_end(command: int, action: EndAction | None, places: int) -> None:
     found = targets_of([item(16, 50, 0, 0), item(command, 90, 0, 0)], FRAME, home_first=False)
     assert (found.end_action, len(found.targets_ne_m)) == (action, places)
-
-
-def test_an_empty_mission_has_no_targets() -> None:
-    assert targets_of((), FRAME, home_first=True).targets_ne_m == ()
-    assert zones_of((), FRAME, {}) == zones_of((), FRAME, ON)
 
 
 # --- what PX4 makes of it

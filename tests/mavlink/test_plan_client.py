@@ -262,6 +262,10 @@ def test_a_kind_that_is_not_supported_is_done_and_empty() -> None:
         client.on_message(count(0, kind), 0.2)
     assert client.is_done
     assert not client.waiting
+    client.refresh()  # after a reboot
+    (asked,) = client.on_time(0.3)
+    assert asked.mission_type in (RALLY, MISSION, FENCE)
+    assert client.plans[FENCE].supported
 
 
 def test_somebody_elses_upload_is_waited_for() -> None:
@@ -318,15 +322,6 @@ def test_a_list_that_was_read_with_gaps_counts_when_it_is_read_twice_the_same() 
         client.on_message(count(0, kind), 13.1)
     read(13.2, 70.0, 80.0)
     assert radii() == [70.0, 80.0]
-
-
-def test_after_a_reboot_all_is_read_again() -> None:
-    client = begun()
-    client.on_message(ack(wire.MAV_MISSION_UNSUPPORTED), 0.1)
-    client.refresh()
-    (asked,) = client.on_time(0.2)
-    assert asked.mission_type in (RALLY, MISSION, FENCE)
-    assert client.plans[FENCE].supported
 
 
 def test_a_fence_that_is_empty_right_after_a_reboot_counts_when_it_is_still_empty_later() -> None:

@@ -3,7 +3,7 @@
 import json
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -149,6 +149,20 @@ def test_no_vehicle_at_all_ends_after_ten_seconds(folder: RunFolder) -> None:
     assert not flown.heard
 
 
+def stream(
+    session: StubSession, link: QueueLink, folder: RunFolder, until: Callable[[], bool]
+) -> FlightSummary:
+    return loop.fly(
+        as_any(session),
+        link,
+        folder,
+        lockstep=False,
+        planner=straight_plan,
+        on_progress=lambda _: None,
+        stop_asked=until,
+    )
+
+
 def test_a_silence_is_told_as_it_grows_and_ends_with_the_next_word(folder: RunFolder) -> None:
     session = StubSession()
     rig = QueueLink(time.monotonic)
@@ -160,15 +174,7 @@ def test_a_silence_is_told_as_it_grows_and_ends_with_the_next_word(folder: RunFo
             rig.incoming.put(b"another word")
         return len(session.received) == 2 and len(told_s) > 0 and told_s[-1] < 0.4
 
-    flown = loop.fly(
-        as_any(session),
-        rig,
-        folder,
-        lockstep=False,
-        planner=straight_plan,
-        on_progress=lambda _: None,
-        stop_asked=over,
-    )
+    flown = stream(session, rig, folder, over)
     assert flown.end is not None
     first_s, *told_s = session.silences_s
     [turn] = [n for n in range(1, len(told_s)) if told_s[n] < told_s[n - 1]]
@@ -181,15 +187,7 @@ def test_who_spoke_for_the_vehicle_is_answered(folder: RunFolder) -> None:
     session, link = StubSession(), QueueLink(time.monotonic)
     link.sender = ("10.0.0.7", 14551)
     link.incoming.put(b"a word")
-    loop.fly(
-        as_any(session),
-        link,
-        folder,
-        lockstep=False,
-        planner=straight_plan,
-        on_progress=lambda _: None,
-        stop_asked=lambda: bool(link.answers),
-    )
+    stream(session, link, folder, lambda: bool(link.answers))
     assert link.answers == [("10.0.0.7", 14551)]
 
 
@@ -209,15 +207,7 @@ def test_a_word_from_the_past_is_not_taken_for_news(folder: RunFolder) -> None:
 
     session, link = StubSession(held_up), QueueLink(time.monotonic)
     link.incoming.put(b"first")
-    loop.fly(
-        as_any(session),
-        link,
-        folder,
-        lockstep=False,
-        planner=straight_plan,
-        on_progress=lambda _: None,
-        stop_asked=over,
-    )
+    stream(session, link, folder, over)
     assert session.received == [b"first", b"new"]
 
 
