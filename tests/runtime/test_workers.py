@@ -77,13 +77,18 @@ class Rig:
         self._flight.start()
         self._vehicle.start()
         try:
-            self.link.wait_until(lambda: len(self.link.times_of(SETPOINT)) > 5)
+            self.streams_on(5)
             yield
         finally:
             self._over.set()
             self._flight.join(PATIENCE_S)
             self._vehicle.join()
         assert not self._flight.is_alive()
+
+    def streams_on(self, count: int = 20) -> None:
+        """For so many setpoints more."""
+        before = len(self.link.times_of(SETPOINT))
+        self.link.wait_until(lambda: len(self.link.times_of(SETPOINT)) > before + count)
 
     def wait_for_the_end(self) -> End:
         self._flight.join(PATIENCE_S)
@@ -324,9 +329,7 @@ def test_nothing_is_streamed_while_nobody_is_heard_and_a_slow_start_is_no_death(
     rig = Rig(folder, StubSession(slow_start))
     with rig.flying():
         pass
-    assert rig.flown is not None
-    assert rig.flown.end is not None
-    assert rig.flown.end.outcome is Outcome.STOPPED
+    assert rig.wait_for_the_end().outcome is Outcome.STOPPED
 
 
 # --- the disk: a flight goes on without it
@@ -346,8 +349,7 @@ def test_a_disk_that_blocks_does_not_delay_the_stream_and_is_told_of_once(
         monkeypatch.setattr(folder, "_tlog", blocked)
         with rig.flying():
             rig.link.wait_until(lambda: bool(session.stopped))
-            count = len(rig.link.times_of(SETPOINT))
-            rig.link.wait_until(lambda: len(rig.link.times_of(SETPOINT)) > count + 20)
+            rig.streams_on()
         assert folder.failure == "the disk does not answer"
         os.close(reading)  # the writer's call returns
         for writer in [each for each in threading.enumerate() if each.name == "writer"]:
@@ -382,14 +384,11 @@ def test_a_disk_that_is_full_or_an_entry_that_cannot_be_written_ends_the_recordi
     rig = Rig(folder, session)
     with rig.flying():
         rig.link.wait_until(lambda: bool(session.stopped))
-        count = len(rig.link.times_of(SETPOINT))
-        rig.link.wait_until(lambda: len(rig.link.times_of(SETPOINT)) > count + 20)
+        rig.streams_on()
     [told] = session.stopped
     assert told.startswith("No space left on device" if what == "full" else "TypeError")
     assert rig.link.times_of(HOLD) == []
-    assert rig.flown is not None
-    assert rig.flown.end is not None
-    assert rig.flown.end.outcome is Outcome.STOPPED
+    assert rig.wait_for_the_end().outcome is Outcome.STOPPED
 
 
 def test_a_folder_that_is_moved_away_is_told_of_once_and_what_grows_is_recorded_there(
@@ -406,8 +405,7 @@ def test_a_folder_that_is_moved_away_is_told_of_once_and_what_grows_is_recorded_
     with rig.flying():
         rig.link.wait_until(lambda: bool(session.complaints))
         size = (tmp_path / "moved" / "journal.jsonl").stat().st_size
-        count = len(rig.link.times_of(SETPOINT))
-        rig.link.wait_until(lambda: len(rig.link.times_of(SETPOINT)) > count + 20)
+        rig.streams_on()
     assert session.complaints == ["state for --resume is lost: No such file or directory"]
     assert session.stopped == rig.link.times_of(HOLD) == []
     assert (tmp_path / "moved" / "journal.jsonl").stat().st_size > size
@@ -461,6 +459,4 @@ def test_in_lockstep_nobody_is_dead_for_being_slow(folder: RunFolder) -> None:
     with rig.flying():
         rig.link.wait_until(lambda: len(session.received) > 25)
     assert rig.link.times_of(HOLD) == []
-    assert rig.flown is not None
-    assert rig.flown.end is not None
-    assert rig.flown.end.outcome is Outcome.STOPPED
+    assert rig.wait_for_the_end().outcome is Outcome.STOPPED
