@@ -262,15 +262,6 @@ def test_hold_frames_and_a_farewell_put_a_vehicle_that_flies_for_us_on_hold() ->
     assert it.session.hold_frames() == []
 
 
-def test_hold_frames_of_a_vehicle_that_is_told_to_take_off_disarm_it_too() -> None:
-    it = pair().run_until(lambda it: it.session.state.phase is Phase.PREPARING)
-    assert it.session.hold_frames() == []  # it was told nothing yet
-    it.run_until(lambda it: it.session.state.armed_by_us)
-    hold, disarm = messages(it.session.hold_frames())
-    assert (hold.command, hold.param2) == (176, BRAKE)
-    assert (disarm.command, disarm.param1) == (wire.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
-
-
 # --- streams, silence, stop
 
 

@@ -137,8 +137,6 @@ class Faced:
         self.heard: list[bytes] = []
         self.sent: list[bytes] = []
         self.recorded: list[bytes] = []
-        self.kept: tuple[Any, Any] = None, None
-        """The newest checkpoint, and the newest map."""
         self.loses: tuple[int, ...] = ()
         """Messages that are lost on the way."""
 
@@ -164,7 +162,6 @@ class Faced:
         self.end = self.end or out.end
         self.sent += out.frames
         self.recorded += [frame for _, frame in out.record]
-        self.kept = out.checkpoint or self.kept[0], out.known or self.kept[1]
         for frame in out.frames:
             self.vehicle.receive(self.link, frame)
         if out.plan is not None:
