@@ -20,6 +20,7 @@ from companion.mission.state import Reason
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.runtime import loop
 from companion.runtime.control_loop import newest_setpoint
+from companion.runtime.link import Link
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.run_folder import RunFolder
@@ -27,32 +28,17 @@ from companion.telemetry.run_folder import RunFolder
 _MOST = 5000  # datagrams of one flight, or the test has failed
 
 
-class ScriptedLink:
+class ScriptedLink(Link):
     """Stands in for the socket: one tick of the vehicle for each receive."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.vehicle, self.count = vehicle, 0
-        self.silent = self.is_stream = False
 
     def receive(self, timeout_s: float) -> bytes | None:
         del timeout_s
         self.count += 1
         assert self.count < _MOST, "the flight does not end"
-        return None if self.silent else self.vehicle.tick() or None
-
-    sender = None
-
-    def answer_to(self, sender: object) -> None:
-        """There is nobody else."""
-
-    def close(self) -> None:
-        """There is nothing to let go of."""
-
-    def __enter__(self) -> "ScriptedLink":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        return self.vehicle.tick() or None
 
     def send(self, frames: list[bytes]) -> None:
         for frame in frames:
