@@ -27,7 +27,6 @@ class Seeing(Vehicle):
         self.is_dead = False
         self.reach_cm = REACH_CM
         self.post_ne_m: tuple[float, float] | None = None
-        self.sent_sweeps = 0
 
     def tick(self) -> bytes:
         said = super().tick()

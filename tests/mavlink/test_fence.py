@@ -11,6 +11,7 @@ import pytest
 from held import HOME_DEG, HOME_M
 from hypothesis import given
 from hypothesis import strategies as st
+from planning import limits
 
 from companion.geodesy import LocalFrame, deg_e7
 from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER
@@ -23,7 +24,6 @@ from companion.mavlink.fence import (
 )
 from companion.mavlink.plan_client import PlanItem
 from companion.mission.mission import EndAction
-from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.zones import CircleZone, PolygonZone
 from vehicle_sim.autopilot.earth import FlatEarth, Projection
@@ -343,22 +343,11 @@ def test_px4s_cylinder() -> None:
 # --- against the mission --------------------------------------------------------------------------
 
 
-def task(ceiling_amsl_m: float = 660.0) -> Task:
-    limits = Limits(
-        speed_m_s=8.0,
-        acceleration_m_s2=2.0,
-        climb_rate_m_s=2.5,
-        turn_radius_m=25.0,
-        climb_angle_rad=0.3,
-        dive_angle_rad=0.3,
-        floor_amsl_m=500.0,
-        ceiling_amsl_m=ceiling_amsl_m,
-        north_m=(-5000.0, 5000.0),
-        east_m=(-5000.0, 5000.0),
-        tracking_error_m=5.0,
-    )
-    settings_ = PlannerSettings(scan_range_m=1500.0, safety_distance_m=40.0, planning_time_s=3.0)
-    return Task(limits=limits, settings=settings_)
+def task() -> Task:
+    wide_m = (-5000.0, 5000.0)
+    band = limits(floor_amsl_m=500.0, ceiling_amsl_m=660.0, north_m=wide_m, east_m=wide_m)
+    settings = PlannerSettings(scan_range_m=1500.0, safety_distance_m=40.0, planning_time_s=3.0)
+    return Task(limits=band, settings=settings)
 
 
 def test_a_mission_that_leaves_the_fence_is_refused_with_words() -> None:
