@@ -8,7 +8,7 @@ from typing import final
 
 import pytest
 from companion_receive import mission
-from held import Faced
+from held import Faced, level
 from pymavlink.dialects.v20 import all as mavlink
 
 from companion.mavlink.frames import Receiver
@@ -17,7 +17,6 @@ from companion.mission.events import Outcome
 from companion.runtime.link import Link
 from companion.runtime.watchdog import Gate
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import flat_world
 
 KEY = key_of("correct horse battery staple")
 NOW = timestamp_of(1_790_000_000.0)
@@ -30,15 +29,7 @@ def signing() -> Signing:
 @pytest.fixture(scope="module")
 def on_its_way() -> Faced:
     """On its first leg; the vehicle has its key by SETUP_SIGNING on the link that is trusted."""
-    world = flat_world(
-        "copter",
-        "ardupilot",
-        latitude_deg=47.4,
-        longitude_deg=8.5,
-        altitude_amsl_m=488.0,
-        heading_deg=0.0,
-        scan_range_m=1_000.0,
-    )
+    world = level("ardupilot", "copter", (47.4, 8.5, 488.0), scan_range_m=1_000.0)
     vehicle = Simulation(world, links=2)
     flight = Faced(mission("ardupilot", "copter"), vehicle, link=1, signing=signing())
     flight.station(mavlink.MAVLink_setup_signing_message(1, 1, list(KEY), NOW), link=0)

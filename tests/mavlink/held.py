@@ -14,7 +14,7 @@ from companion.mission.mission import Mission
 from companion.session import Session
 from vehicle_sim.plans import PlanItem as Stored
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import flat_world
+from vehicle_sim.world import World, flat_world
 
 Firmware = Literal["ardupilot", "px4"]
 Kind = Literal["copter", "plane"]
@@ -28,6 +28,25 @@ HOME_DEG, HOME_M = (47.397742, 8.545594), 488.0
 OURS = (1, 195)
 
 
+def level(
+    firmware: Firmware,
+    kind: Kind = "copter",
+    home: tuple[float, float, float] = (*HOME_DEG, HOME_M),
+    scan_range_m: float | None = None,
+) -> World:
+    """Level ground about a home; degrees and metres AMSL."""
+    latitude, longitude, altitude_m = home
+    return flat_world(
+        kind,
+        firmware,
+        latitude_deg=latitude,
+        longitude_deg=longitude,
+        altitude_amsl_m=altitude_m,
+        heading_deg=0.0,
+        scan_range_m=scan_range_m,
+    )
+
+
 class Client(Protocol):
     def on_message(self, message: Any, now_s: float) -> list[Any]: ...
 
@@ -38,15 +57,7 @@ class Held:
     """The vehicle, and what was sent to it."""
 
     def __init__(self, firmware: Firmware, kind: Kind = "copter", faults: str = "") -> None:
-        world = flat_world(
-            kind,
-            firmware,
-            latitude_deg=HOME_DEG[0],
-            longitude_deg=HOME_DEG[1],
-            altitude_amsl_m=HOME_M,
-            heading_deg=0.0,
-        )
-        self.simulation = Simulation(world, seed=1, links=2, faults=faults)
+        self.simulation = Simulation(level(firmware, kind), seed=1, links=2, faults=faults)
         self.sent: list[tuple[float, Any]] = []
         self.others: list[bytes] = []
         """What link 1 has heard."""

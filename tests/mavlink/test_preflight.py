@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from held import FOUR, Faced
+from held import FOUR, Faced, level
 from random_programs import message_numbers
 from renewed import replace
 
@@ -21,7 +21,6 @@ from companion.session import Session
 from companion.world.known_map import empty_map
 from companion.world.near_map import NearSensor
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import flat_world
 
 NAMES = dict(
     zip(FOUR, ("sitl-arducopter", "sitl-arduplane", "sitl-px4", "sitl-px4-plane"), strict=True)
@@ -44,14 +43,9 @@ class Pair(Faced):
     ) -> None:
         mission = load_mission(name)
         firmware, kind = next(key for key, value in NAMES.items() if value == name)
-        world = flat_world(
-            kind,
-            firmware,
-            latitude_deg=mission.frame.latitude_deg,
-            longitude_deg=mission.frame.longitude_deg,
-            altitude_amsl_m=584.0 if firmware == "ardupilot" else 488.0,
-            heading_deg=0.0,
-        )
+        where = mission.frame.latitude_deg, mission.frame.longitude_deg
+        home = (*where, 584.0 if firmware == "ardupilot" else 488.0)
+        world = level(firmware, kind, home)
         vehicle = replace(world.vehicle, parameters=parameters or {})
         simulated = Simulation(replace(world, vehicle=vehicle), seed=1, links=2, faults=faults)
         super().__init__(replace(mission, **changes), simulated, shadow=shadow, signing=signing)
