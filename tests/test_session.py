@@ -46,15 +46,6 @@ def test_a_flight_ends_at_its_target_in_the_hold_mode(flown: Pair) -> None:
     assert flown.out.settled
 
 
-def test_the_commands_come_in_the_order_of_a_flight(flown: Pair) -> None:
-    commands = flown.sent("COMMAND_LONG")
-    assert list(dict.fromkeys(m.command for m in commands)) == [511, 176, 400, 22]
-    modes = [m.param2 for m in commands if m.command == 176]
-    assert list(dict.fromkeys(modes)) == [GUIDED, BRAKE]
-    [interval_us, *_] = [m.param2 for m in commands if (m.command, m.param1) == (511, 33)]
-    assert interval_us == 1e6 / MISSION.position_rate_hz
-
-
 def test_every_frame_is_the_companions_of_the_vehicles_system_and_counts_on(flown: Pair) -> None:
     sent = messages(flown.frames)
     assert {(m.get_srcSystem(), m.get_srcComponent()) for m in sent} == {(1, 195)}
@@ -377,17 +368,6 @@ def test_a_moment_with_a_wrong_time_stamp_changes_nothing_of_a_flight(
     told = "SET_POSITION_TARGET_GLOBAL_INT"
     assert [m.to_dict() for m in it.sent(told)] == [m.to_dict() for m in undisturbed.sent(told)]
     assert it.session.state.phase is Phase.FLYING
-
-
-def test_silence_before_any_vehicle_ends_after_10_s() -> None:
-    session = Session(MISSION, seed=1, lockstep=False)
-    for tenth in range(1, 99):
-        session.silence(tenth / 10)
-    assert session.run().end is None
-    session.silence(10.0)
-    end = session.run().end
-    assert end is not None
-    assert end.reason == Reason.NO_VEHICLE.text
 
 
 @pytest.mark.parametrize(("lockstep", "longest_s"), [(True, 30.0), (False, 600.0)])

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.mavlink.dialect import codec
-from companion.mavlink.statustext import StatusTexts, shortened, to_ascii
+from companion.mavlink.statustext import StatusTexts, to_ascii
 
 WARNING = 4
 
@@ -80,13 +80,6 @@ def test_whatever_is_said_is_sent_in_ascii_on_one_line(text: str, warning: bool)
     assert all(32 <= ord(letter) < 127 for letter in whole)
     kept = whole.removesuffix("..")
     assert to_ascii(text).startswith(kept) or to_ascii(text) == whole
-
-
-@given(st.text(st.sampled_from("ab .,"), max_size=80), st.integers(10, 60))
-def test_a_shortened_text_fits_and_begins_like_the_whole(text: str, longest: int) -> None:
-    short = shortened(text, longest)
-    assert len(short) <= longest
-    assert text.startswith(short.removesuffix(".."))
 
 
 def test_signs_are_written_out() -> None:

@@ -305,18 +305,6 @@ def test_a_hold_that_does_not_get_out_is_tried_again(folder: RunFolder) -> None:
     assert len(rig.link.times_of(HOLD)) == 2
 
 
-def test_a_vehicle_that_does_not_fly_for_us_is_told_nothing(folder: RunFolder) -> None:
-    class OnGround(StubSession):
-        def hold_frames(self) -> list[bytes]:
-            return []
-
-    rig = Rig(folder, OnGround())
-    with rig.flying():
-        rig.link.incoming.put(OSError("made up"))
-        assert rig.wait_for_the_end().outcome is Outcome.FAILED
-    assert rig.link.times_of(HOLD) == []
-
-
 def test_nothing_is_streamed_while_nobody_is_heard_and_a_slow_start_is_no_death(
     folder: RunFolder,
 ) -> None:
