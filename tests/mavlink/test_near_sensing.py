@@ -10,9 +10,8 @@ import lidars
 import numpy as np
 import pytest
 from lidars import attitude, beam, health
-from wires import wire
+from wires import FRAME, wire
 
-from companion.geodesy import LocalFrame
 from companion.mavlink.near_sensing import NearSensing, Sight
 from companion.mavlink.poses import Poses
 from companion.world.near_map import NearSensor, Sweep
@@ -22,7 +21,6 @@ BEHIND_AUTOPILOT = NearSensor(
     kind="distance_sensor", component_id=1, range_m=16.0, latency_s=0.04, blind_m=0.2
 )
 NOW_S = 10.0
-FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
 UNKNOWN = 65_535
 obstacle_distance = partial(lidars.obstacle_distance, NOW_S)
 

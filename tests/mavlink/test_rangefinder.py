@@ -8,14 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from lidars import attitude, beam
+from wires import FRAME
 
-from companion.geodesy import LocalFrame
 from companion.mavlink.rangefinder import Rangefinder
 from companion.mission.events import GroundSeen
 from companion.world.known_map import KnownMap
 
 MAP_M, ERROR_M, ALTITUDE_M = 400.0, 1.0, 408.0
-FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
 
 
 def known(upper_m: Any = MAP_M) -> KnownMap:
