@@ -134,24 +134,14 @@ def asks_at(session: StubSession, number: int, wanted: int) -> None:
         session.ask(request_of(1))
 
 
-def raises(rig: Rig, error: Exception) -> Any:
-    """Something that breaks now."""
-    rig.breaks_now()
-    raise error
-
-
-@pytest.mark.parametrize("lockstep", [False, True])
-def test_a_session_that_raises_in_lockstep_too(folder: RunFolder, lockstep: bool) -> None:
-    at_20 = lambda _, number: number == 20 and raises(rig, KeyError("made up"))  # noqa: E731
-    rig = Rig(folder, session := StubSession(at_20), lockstep=lockstep)
-    with rig.flying():
-        assert_held(rig, "decider", "KeyError: 'made up'")
-    assert session.died == []
-
-
 def test_a_planner_that_raises(folder: RunFolder) -> None:
     session = StubSession(lambda session, number: asks_at(session, number, 10))
-    rig = Rig(folder, session, planner=lambda *_: raises(rig, ZeroDivisionError("made up")))
+
+    def broken(*_: object) -> Any:
+        rig.breaks_now()
+        raise ZeroDivisionError("made up")
+
+    rig = Rig(folder, session, planner=broken)
     with rig.flying():
         assert_held(rig, "planner", "ZeroDivisionError: made up")
     assert [part for part, _ in session.died] == ["planner"]
@@ -206,32 +196,36 @@ def test_of_two_plans_that_are_asked_for_only_the_newer_counts(folder: RunFolder
     assert session.delivered == [2]
 
 
-def test_a_link_that_raises(folder: RunFolder) -> None:
-    rig = Rig(folder, StubSession())
-    with rig.flying():
-        rig.breaks_now()
-        rig.link.incoming.put(OSError("the driver is gone"))
-        assert_held(rig, "decider", "OSError: the driver is gone")
+@pytest.mark.parametrize(
+    ("what", "raises", "lockstep"),
+    [
+        *(("session", True, lockstep) for lockstep in (False, True)),
+        *(("link", raises, False) for raises in (True, False)),
+        ("session", False, False),
+    ],
+)
+def test_a_link_or_a_session_that_raises_or_never_comes_back(
+    folder: RunFolder, what: str, raises: bool, lockstep: bool
+) -> None:
+    error, released = OSError("made up"), threading.Event()
 
-
-@pytest.mark.parametrize("what", ["link", "session"])
-def test_a_link_or_a_session_that_never_comes_back(folder: RunFolder, what: str) -> None:
-    released = threading.Event()
-
-    def hangs(_session: StubSession, number: int) -> None:
+    def breaks(_session: StubSession, number: int) -> None:
         if what == "session" and number == 20:
             rig.breaks_now()
+            if raises:
+                raise error
             released.wait()
 
-    rig = Rig(folder, StubSession(hangs))
+    rig = Rig(folder, session := StubSession(breaks), lockstep=lockstep)
     with rig.flying():
         if what == "link":
             rig.breaks_now()
-            rig.link.incoming.put(released)
-        assert_held(rig, "decider", "stood still")
+            rig.link.incoming.put(error if raises else released)
+        assert_held(rig, "decider", "OSError: made up" if raises else "stood still")
         sent = len(rig.link.sent)
         released.set()  # what it says now leaves no more
     assert len(rig.link.sent) == sent
+    assert not (what == "session" and raises and session.died)
 
 
 def test_a_setpoint_that_took_too_long_is_not_sent(folder: RunFolder) -> None:
