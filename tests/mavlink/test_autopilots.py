@@ -238,69 +238,59 @@ def test_streams_have_rates_and_what_may_be_silent_is_one_of_them(autopilot: Aut
 # --- estimators
 
 
-@pytest.mark.parametrize("autopilot", [ARDUCOPTER, ARDUPLANE], ids=lambda a: a.name)
-@pytest.mark.parametrize(
-    ("flags", "variances", "good"),
-    [
-        (0x33F, (0.03, 0.05), True),  # flying
-        (0x33F, (13.33, 0.01), False),  # half a second after a step of 50 m, before any flag
-        (0x33F, (0.03, 1.0), False),
-        (0x33F, (math.nan, 0.0), False),
-        (0x833F, (0.02, 0.01), False),  # glitch: after the estimate has given in
-        (0x8027, (10.5, 0.0), False),
-        (0x25, (0.0, 0.0), False),  # GPS lost
-        (0xA7, (0.0, 0.0), False),  # before the first fix, or aiding has stopped
-        (0x400, (0.0, 0.0), False),
-        (0x33F & ~0x20, (0.0, 0.0), False),  # no height
-    ],
-)
-def test_ardupilots_estimator_is_good_while_it_takes_its_measurements(
-    autopilot: Autopilot, flags: int, variances: tuple[float, float], good: bool
-) -> None:
-    """Flags and figures of arducopter-gps-loss.tlog."""
-    position, velocity = variances
-    message = wire.MAVLink_ekf_status_report_message(flags, velocity, position, 0.0, 0.0, 0.0)
-    read = autopilot.event_of(over_the_wire(message), 1.5, FRAME)
-    assert read == Estimator(time_s=1.5, good=good)
+def ekf_status(flags: int, position: float, velocity: float) -> Any:
+    return wire.MAVLink_ekf_status_report_message(flags, velocity, position, 0.0, 0.0, 0.0)
 
 
-def estimator_status(
-    flags: int, accuracy_m: float, position: float = 0.05, velocity: float = 0.05
-) -> Any:
+def estimator_status(flags: int, position: float, velocity: float, accuracy_m: float = 0.25) -> Any:
     ratios = (velocity, position, 0.0, 0.1, 0.0, 0.0)
     return wire.MAVLink_estimator_status_message(0, flags, *ratios, accuracy_m, 0.3)
 
 
-@each_px4
-@pytest.mark.parametrize(
-    ("flags", "ratios", "good"),
-    [
-        (0x37F, (0.2, 0.36), True),  # flying
-        (0x33F, (0.05, 0.05), True),
-        (0x3FF, (0.05, 0.05), True),  # on the ground
-        (0x365, (0.05, 0.05), False),  # 5 s after the loss of GPS
-        (0x65, (0.05, 0.05), False),
-        (0xE5, (0.05, 0.05), False),  # booting
-        (0x37F | 0x400, (0.05, 0.05), False),  # glitch
-        (0x37F | 0x800, (0.05, 0.05), False),  # accelerometers
-        (0x37F & ~0x20, (0.05, 0.05), False),
-        (0x37F, (1.0, 0.1), False),  # it throws measurements away
-        (0x37F, (0.1, 7.0), False),
-        (0x37F, (0.1, math.nan), True),
-    ],
-)
-def test_px4s_estimator_is_good_while_it_says_so_and_takes_its_measurements(
-    autopilot: Autopilot, flags: int, ratios: tuple[float, float], good: bool
+ARDUPILOTS_SAY = [  # flags and figures of arducopter-gps-loss.tlog
+    (0x33F, 0.03, 0.05, True),  # flying
+    (0x33F, 13.33, 0.01, False),  # half a second after a step of 50 m, before any flag
+    (0x33F, 0.03, 1.0, False),
+    (0x33F, math.nan, 0.0, False),
+    (0x833F, 0.02, 0.01, False),  # glitch: after the estimate has given in
+    (0x8027, 10.5, 0.0, False),
+    (0x25, 0.0, 0.0, False),  # GPS lost
+    (0xA7, 0.0, 0.0, False),  # before the first fix, or aiding has stopped
+    (0x400, 0.0, 0.0, False),
+    (0x33F & ~0x20, 0.0, 0.0, False),  # no height
+]
+PX4_SAYS = [
+    (0x37F, 0.2, 0.36, True),  # flying
+    (0x33F, 0.05, 0.05, True),
+    (0x3FF, 0.05, 0.05, True),  # on the ground
+    (0x365, 0.05, 0.05, False),  # 5 s after the loss of GPS
+    (0x65, 0.05, 0.05, False),
+    (0xE5, 0.05, 0.05, False),  # booting
+    (0x37F | 0x400, 0.05, 0.05, False),  # glitch
+    (0x37F | 0x800, 0.05, 0.05, False),  # accelerometers
+    (0x37F & ~0x20, 0.05, 0.05, False),
+    (0x37F, 1.0, 0.1, False),  # it throws measurements away
+    (0x37F, 0.1, 7.0, False),
+    (0x37F, 0.1, math.nan, True),
+]
+
+
+@each
+def test_an_estimator_is_good_while_it_says_so_and_takes_its_measurements(
+    autopilot: Autopilot,
 ) -> None:
-    message = over_the_wire(estimator_status(flags, 0.25, *ratios))
-    read = autopilot.event_of(message, 1.5, FRAME)
-    assert read == Estimator(time_s=1.5, good=good, error_m=0.25)
+    is_px4 = autopilot in PX4
+    error_m = 0.25 if is_px4 else None  # ArduPilot tells of none
+    for flags, position, velocity, good in PX4_SAYS if is_px4 else ARDUPILOTS_SAY:
+        message = (estimator_status if is_px4 else ekf_status)(flags, position, velocity)
+        read = autopilot.event_of(over_the_wire(message), 1.5, FRAME)
+        assert read == Estimator(time_s=1.5, good=good, error_m=error_m), (hex(flags), position)
 
 
 @each_px4
 @given(accuracy=st.floats(width=32))
 def test_an_accuracy_is_a_length_or_unknown(autopilot: Autopilot, accuracy: float) -> None:
-    read = autopilot.event_of(estimator_status(0x37F, accuracy), 1.5, FRAME)
+    read = autopilot.event_of(estimator_status(0x37F, 0.05, 0.05, accuracy), 1.5, FRAME)
     assert isinstance(read, Estimator)
     known = math.isfinite(accuracy) and accuracy > 0.0
     assert read.error_m == (accuracy if known else None)
