@@ -43,12 +43,6 @@ def texts(frames: list[bytes]) -> list[str]:
     return shown
 
 
-def ask(it: Pair, number: int, *values: float) -> None:
-    codec = wire.MAVLink(None, srcSystem=255, srcComponent=190)
-    padded = [*values, *[0.0] * (7 - len(values))]
-    it.feed(wire.MAVLink_command_long_message(1, 195, number, 0, *padded).pack(codec))
-
-
 def in_phase(phase: Phase) -> Pair:
     return deepcopy(flown_to(phase))
 
@@ -59,7 +53,7 @@ def flown_to(phase: Phase) -> Pair:
     it = Pair(Session(of, seed=1, lockstep=True), Vehicle(lockstep=True))
     if phase is Phase.HOLDING:
         it.run_until(lambda it: it.session.state.flight.leg is not None)
-        ask(it, wire.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)
+        it.ask(wire.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)
     if phase is Phase.WAITING:
         return it
     return it.run_until(lambda it: it.session.state.phase is phase)
@@ -115,7 +109,7 @@ def test_who_lands_it_in_the_moment_of_the_end_is_not_overruled(phase: Phase) ->
     """But a landing of ours, which a person has broken off, is told to stop until it does."""
     it = in_phase(Phase.FLYING)
     if phase is Phase.LANDING:
-        ask(it, wire.MAV_CMD_NAV_LAND)
+        it.ask(wire.MAV_CMD_NAV_LAND)
         it.run_until(lambda it: it.session.state.phase is phase)
     it.vehicle.deaf_to = {wire.MAV_CMD_DO_SET_MODE}
     stopped(it)
@@ -146,7 +140,7 @@ def finds_no_plan(it: Pair) -> None:
 def finds_no_way_back(it: Pair) -> None:
     it.run_until(lambda it: it.session.state.flight.leg is not None)
     it.planner = refuses
-    ask(it, wire.MAV_CMD_NAV_RETURN_TO_LAUNCH)
+    it.ask(wire.MAV_CMD_NAV_RETURN_TO_LAUNCH)
 
 
 @pytest.mark.parametrize(

@@ -29,9 +29,8 @@ def waiting(phase: Phase = Phase.READY) -> Pair:
 
 def mission_start(it: Pair) -> int:
     """What a ground station is answered."""
-    station, count = wire.MAVLink(None, srcSystem=255, srcComponent=190), len(it.frames)
-    start = wire.MAVLink_command_long_message(1, 195, wire.MAV_CMD_MISSION_START, 0, *[0.0] * 7)
-    it.feed(start.pack(station))
+    count = len(it.frames)
+    it.ask(wire.MAV_CMD_MISSION_START)
     [ack] = [m for m in messages(it.frames[count:]) if m.get_type() == "COMMAND_ACK"]
     return int(ack.result)
 

@@ -4,6 +4,7 @@ import math
 
 import pytest
 import scripted_vehicle
+from lidars import obstacle_distance
 from pymavlink.dialects.v20 import all as wire
 from scripted_vehicle import Pair, Vehicle
 
@@ -26,7 +27,6 @@ class Seeing(Vehicle):
         self.is_dead = False
         self.reach_cm = REACH_CM
         self.post_ne_m: tuple[float, float] | None = None
-        self.sent_sweeps = 0
 
     def tick(self) -> bytes:
         said = super().tick()
@@ -41,9 +41,7 @@ class Seeing(Vehicle):
                 off = math.remainder(math.radians(5.0 * k) - bearing, math.tau)
                 if abs(off) < half + math.radians(2.5) and away_m < 16.0:
                     told[k] = round(100.0 * away_m)
-        sweep = wire.MAVLink_obstacle_distance_message(
-            self.time_ms * 1000, 0, told, 5, 20, self.reach_cm, 5.0, 0.0, wire.MAV_FRAME_BODY_FRD
-        )
+        sweep = obstacle_distance(self.time_ms * 1e-3, told, reach_cm=self.reach_cm)
         return self.pack(sweep, self.driver) + said
 
 

@@ -3,127 +3,55 @@
 Link 0 of an ArduPilot believes everybody (ardupilot.md 5), so the companion speaks on link 1.
 """
 
-from collections.abc import Callable
 from copy import deepcopy
-from typing import Any, final
+from typing import final
 
 import pytest
-from companion_receive import mission, straight_plan
+from companion_receive import mission
+from held import Faced, level
 from pymavlink.dialects.v20 import all as mavlink
 
 from companion.mavlink.frames import Receiver
-from companion.mavlink.link import Output
 from companion.mavlink.signing import Signing, key_of, timestamp_of
 from companion.mission.events import Outcome
-from companion.mission.state import Phase
 from companion.runtime.link import Link
 from companion.runtime.watchdog import Gate
-from companion.session import Session
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import flat_world
 
-LINK = 1
-KEY, WRONG_KEY = key_of("correct horse battery staple"), bytes(32)
+KEY = key_of("correct horse battery staple")
 NOW = timestamp_of(1_790_000_000.0)
-TICK_STEPS, TICK_S = 10, 0.1
 
 
-def vehicle_with_key() -> Simulation:
-    """Given its key as a ground station gives it: SETUP_SIGNING, by the link that is trusted."""
-    world = flat_world(
-        "copter",
-        "ardupilot",
-        latitude_deg=47.4,
-        longitude_deg=8.5,
-        altitude_amsl_m=488.0,
-        heading_deg=0.0,
-        scan_range_m=1_000.0,
-    )
-    vehicle = Simulation(world, links=2)
-    station = mavlink.MAVLink(None, srcSystem=255, srcComponent=191)
-    vehicle.receive(0, mavlink.MAVLink_setup_signing_message(1, 1, list(KEY), NOW).pack(station))
-    return vehicle
-
-
-def signing(timestamp: int = NOW, key: bytes = KEY) -> Signing:
-    return Signing(key=key, timestamp=timestamp, link_id=2)
-
-
-@final
-class Flight:
-    """A session and its vehicle, a tenth of a second at a time."""
-
-    def __init__(self, vehicle: Simulation, signing: Signing | None, resume: Any = None) -> None:
-        self.vehicle = vehicle
-        self.session = Session(
-            mission("ardupilot", "copter"),
-            seed=1,
-            lockstep=False,
-            signing=signing,
-            resume=resume,
-            go=True,
-        )
-        self.out = Output()
-        self.heard: list[bytes] = []
-        self.sent: list[bytes] = []
-        self.recorded: list[bytes] = []
-        self.kept: dict[str, Any] | None = None
-        self.known: Any = None
-
-    def tick(self) -> None:
-        for _ in range(TICK_STEPS):
-            self.vehicle.step()
-        frames = [frame for link, frame in self.vehicle.take_frames() if link == LINK]
-        self.heard += frames
-        at_s = self.vehicle.now_us * 1e-6
-        if not self.session.receive(b"".join(frames), at_s):
-            self.session.silence(TICK_S)
-        self.carry_out(self.session.run())
-
-    def carry_out(self, out: Output) -> None:
-        self.out = out
-        for frame in out.frames:
-            self.vehicle.receive(LINK, frame)
-        self.sent += out.frames
-        self.recorded += [frame for _, frame in out.record]
-        self.kept, self.known = out.checkpoint or self.kept, out.known or self.known
-        if out.plan is not None:
-            self.session.deliver(straight_plan(out.plan))
-
-    def run_until(self, condition: Callable[["Flight"], bool], within_s: float = 250.0) -> "Flight":
-        for _ in range(round(within_s / TICK_S)):
-            self.tick()
-            if condition(self):
-                return self
-        raise AssertionError(f"not within {within_s} s: {self.session.state.phase}")
-
-    def copy(self) -> "Flight":
-        """Another one that has come as far; only the hash of the key, which stays, is the same."""
-        assert self.session.signing is not None
-        key = self.session.signing._hash
-        return deepcopy(self, {id(key): key})
-
-
-def flying(flight: Flight) -> bool:
-    return flight.session.state.flight.leg is not None
+def signing() -> Signing:
+    return Signing(key=KEY, timestamp=NOW, link_id=2)
 
 
 @pytest.fixture(scope="module")
-def on_its_way() -> Flight:
-    """Over a signed link, on its first leg; flown once, flown on as a copy."""
-    return Flight(vehicle_with_key(), signing()).run_until(flying)
+def on_its_way() -> Faced:
+    """On its first leg; the vehicle has its key by SETUP_SIGNING on the link that is trusted."""
+    world = level("ardupilot", "copter", (47.4, 8.5, 488.0), scan_range_m=1_000.0)
+    vehicle = Simulation(world, links=2)
+    flight = Faced(mission("ardupilot", "copter"), vehicle, link=1, signing=signing())
+    flight.station(mavlink.MAVLink_setup_signing_message(1, 1, list(KEY), NOW), link=0)
+    flight.run(250.0, until=lambda: flight.session.state.flight.leg is not None)
+    return flight
+
+
+def copy(flight: Faced) -> Faced:
+    """Another one that has come as far; only the hash of the key, which stays, is the same."""
+    assert flight.session.signing is not None
+    key = flight.session.signing._hash
+    return deepcopy(flight, {id(key): key})
 
 
 def test_a_mission_over_a_signed_link_arrives_and_its_log_holds_no_signature(
-    on_its_way: Flight,
+    on_its_way: Faced,
 ) -> None:
-    flight = on_its_way.copy()
-    flight.run_until(lambda it: it.out.end is not None)
-    end, ours = flight.out.end, flight.session.signing
-    assert end is not None
-    assert end.outcome is Outcome.ARRIVED
-    assert ours is not None
-    assert not ours.refused
+    flight = copy(on_its_way)
+    flight.run(250.0, until=lambda: flight.end is not None)
+    assert flight.end.outcome is Outcome.ARRIVED
+    assert flight.session.signing is not None
+    assert not flight.session.signing.refused
     assert all(frame[2] & 1 for frame in flight.sent + flight.heard)
     assert len(flight.recorded) == len(flight.sent) + len(flight.heard)
     log = Receiver()
@@ -131,50 +59,13 @@ def test_a_mission_over_a_signed_link_arrives_and_its_log_holds_no_signature(
     assert (log.signed, log.passed.total()) == (0, 0)
 
 
-@pytest.mark.parametrize("ours", [None, signing(key=WRONG_KEY)], ids=["none", "wrong"])
-def test_without_the_right_key_it_never_arms(ours: Signing | None) -> None:
-    vehicle = vehicle_with_key()
-    flight = Flight(vehicle, ours)
-    with pytest.raises(AssertionError, match="not within"):
-        flight.run_until(lambda _: vehicle.armed, within_s=90.0)
-    if ours is None:
-        assert flight.session.receiver.signed > 0  # so preflight can say what is missing
-    else:
-        assert ours.refused > 0
-        assert flight.session.state.phase is Phase.WAITING
-
-
-def test_in_flight_only_signed_and_new_orders_are_obeyed(on_its_way: Flight) -> None:
-    flight = on_its_way.copy()
-    pause = mavlink.MAVLink_command_long_message(1, 195, 193, 0, 0, 0, 0, 0, 0, 0, 0)
-    station = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
-
-    def obeyed(frame: bytes) -> bool:
-        before = len(flight.sent)
-        flight.session.receive(frame, flight.vehicle.now_us * 1e-6)
-        flight.tick()
-        messages = Receiver().feed(b"".join(flight.sent[before:]))
-        return any(m.get_type() == "COMMAND_ACK" and m.command == 193 for m in messages)
-
-    assert not obeyed(pause.pack(station))
-    assert not obeyed(signing(key=WRONG_KEY).sign(pause.pack(station)))
-    order = signing(NOW + 10_000_000).sign(pause.pack(station))
-    assert obeyed(order)
-    assert not obeyed(order)  # replayed
-    ours = flight.session.signing
-    assert ours is not None
-    assert ours.refused == 3
-
-
 def test_a_hold_that_was_kept_in_reserve_is_obeyed_whenever_and_however_often_it_is_sent(
-    on_its_way: Flight,
+    on_its_way: Faced,
 ) -> None:
     """The stream went on meanwhile, and each copy would be a replay of the one before."""
-    flight = on_its_way.copy()
+    flight = copy(on_its_way)
     reserve = flight.session.hold_frames()
-    for _ in range(50):
-        flight.tick()
-
+    flight.run(5.0)
     sent: list[bytes] = []
 
     @final
@@ -189,34 +80,8 @@ def test_a_hold_that_was_kept_in_reserve_is_obeyed_whenever_and_however_often_it
     vehicle = signing()
     assert all(map(vehicle.accepts, flight.sent + sent))
     for number in range(3):  # any one of them does it
-        again = flight.copy()
+        again = copy(flight)
         assert again.vehicle.mode_name == "GUIDED"
-        again.vehicle.receive(LINK, sent[number])
-        for _ in range(TICK_STEPS):
-            again.vehicle.step()
+        again.vehicle.receive(again.link, sent[number])
+        again.vehicle.step()
         assert again.vehicle.mode_name == "BRAKE"
-
-
-def test_a_recording_of_the_vehicle_played_back_moves_nothing(on_its_way: Flight) -> None:
-    flight = on_its_way.copy()
-    state = flight.session.state
-    assert not flight.session.receive(b"".join(flight.heard), 1e6)
-    flight.session.run()
-    assert flight.session.state is state
-
-
-def test_a_companion_that_is_started_again_in_flight_is_believed_at_once(
-    on_its_way: Flight,
-) -> None:
-    flight = on_its_way.copy()
-    for _ in range(50):
-        flight.tick()
-    ours = flight.session.signing
-    assert ours is not None
-    assert flight.kept is not None
-    again = Flight(flight.vehicle, signing(ours.timestamp + 1), resume=(flight.kept, flight.known))
-    again.run_until(lambda it: it.out.end is not None)
-    end = again.out.end
-    assert end is not None
-    assert end.outcome is Outcome.ARRIVED
-    assert all(frame[2] & 1 for frame in again.sent)

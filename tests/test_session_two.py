@@ -114,15 +114,6 @@ def test_the_one_that_came_second_ends_in_the_air_and_the_first_flies_on(same_fo
     assert first.session.state.phase is Phase.FLYING
 
 
-def test_on_the_ground_neither_takes_off() -> None:
-    bus = Bus()
-    pairs = [bus.joins(session()), bus.joins(session())]
-    bus.run(30.0)
-    assert not bus.vehicle.armed
-    ends = [pair.out.end for pair in pairs]
-    assert [end and end.reason for end in ends] == [Reason.NOT_ALONE.text] * 2
-
-
 @pytest.mark.parametrize("alone", [False, True])
 def test_what_fly_refuses_preflight_refuses(alone: bool) -> None:
     bus = Bus(reflects=1 if alone else 0)

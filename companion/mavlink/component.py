@@ -208,7 +208,7 @@ class Component:
             number, none = version_number(self._version), [0] * 8  # no firmware, no board
             values = (_CAPABILITIES, number, 0, 0, 0, none, none, none, 0, 0, 0)
             messages.append(wire.MAVLink_autopilot_version_message(*values))
-        self._asked = set()
+        self._asked = asked & {_HEARTBEAT} if faulted else set()
         return messages
 
 

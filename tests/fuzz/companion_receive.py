@@ -14,10 +14,10 @@ import math
 import pickle
 import struct
 import time
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
+import scripted_vehicle
 from pymavlink.dialects.v20 import all as mavlink
 from random_programs import COMMANDS, MESSAGES, VALUES, Reader, command, intact, message_numbers
 
@@ -28,13 +28,10 @@ from companion.mavlink.frames import Receiver
 from companion.mavlink.link import Output
 from companion.mission.decisions import Context
 from companion.mission.mission import EndAction, Mission
-from companion.path.certificate import Certificate
 from companion.path.limits import Limits
-from companion.path.subpath import Subpath
 from companion.planner.request import (
     Backtrack,
     NotPlanned,
-    Planned,
     PlanOutcome,
     PlanRequest,
     Refusal,
@@ -136,24 +133,7 @@ def straight_plan(request: PlanRequest) -> PlanOutcome:
     """A straight and level subpath to the target; no way back."""
     if request.flown is not None:
         return Backtrack(plan_id=request.plan_id, subpaths=(), through=(), reaches_start=False)
-    start = np.asarray(request.start.position_nea_m, dtype=np.float64)
-    target = np.array([*request.target_ne_m, start[2]])
-    far = {"keep_out_m": math.inf, "turn_radius_m": math.inf, "pieces": 1, "broken": ()}
-    return Planned(
-        plan_id=request.plan_id,
-        kernel="none",
-        subpath=Subpath(control_nea_m=np.linspace(start, target, 4)),
-        reaches_target=True,
-        cost=1.0,
-        to_go=0.0,
-        terms={},
-        certificate=Certificate(**{f.name: far.get(f.name, 0.0) for f in fields(Certificate)}),
-        guide_rad=0.0,
-        route_ne_m=(),
-        evaluations=1,
-        rank=0,
-        tries=1,
-    )
+    return scripted_vehicle.straight_plan(request)
 
 
 _outside: list[Context | Autopilot | Firmware] = []

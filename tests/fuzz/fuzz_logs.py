@@ -1,6 +1,6 @@
 """Damaged logs: any exception but a one-line InputError, time that falls, and hangs are findings.
 
-python tests/fuzz/fuzz_logs.py [COUNT] [--seed N] [--keep FOLDER]    (10,000, 0)
+python tests/fuzz/fuzz_logs.py [COUNT] [--seed N]    (10,000, 0)
 
 Without coverage guidance: every case is a recorded log with one to six kinds of damage, drawn from
 the seed, so a finding can be repeated by its number.
@@ -96,7 +96,6 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("count", nargs="?", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep", type=Path, help="where the logs of findings are kept")
     wanted = parser.parse_args()
     logs, outcomes, findings = bases(), Counter[str](), 0
     began_s = time.monotonic()
@@ -109,11 +108,6 @@ def main() -> int:
                 findings += 1
                 print(f"finding in case {number} of seed {wanted.seed}: {error!r}", flush=True)
                 traceback.print_exc()
-                if wanted.keep is not None:
-                    wanted.keep.mkdir(parents=True, exist_ok=True)
-                    suffix = list(logs)[number % len(logs)]
-                    kept = (folder / f"case{suffix}").read_bytes()
-                    (wanted.keep / f"{wanted.seed}-{number}{suffix}").write_bytes(kept)
             if (number + 1) % _SAY_EVERY == 0:
                 took_s = time.monotonic() - began_s
                 print(f"{number + 1} logs in {took_s:.0f} s: {findings} findings", flush=True)

@@ -6,6 +6,7 @@ The first argument is the program; what follows is the fuzzer's own.
 import importlib
 import sys
 import time
+from pathlib import Path
 
 import atheris
 
@@ -17,6 +18,7 @@ _SAY_EVERY = 10_000
 
 
 def main() -> None:
+    sys.path.insert(0, str(Path(__file__).parents[1] / "runtime"))
     package, module = _TARGETS[sys.argv.pop(1)]
     with atheris.instrument_imports(include=[package]):
         target = importlib.import_module(module).Target()

@@ -1,16 +1,20 @@
-"""A simulated vehicle that nobody flies: a client of the companion on link 0, others on link 1."""
+"""A simulated vehicle with a client of the companion on one link, or with all of it: `Faced`."""
 
 from collections.abc import Callable, Iterator
 from typing import Any, Literal, Protocol
 
 from recordings import recording
+from scripted_vehicle import straight_plan
 from tlog import recorded_frames
 
 from companion.mavlink.dialect import codec, wire
 from companion.mavlink.frames import IGNORED_MESSAGES, Receiver, number_of
+from companion.mavlink.link import Output
+from companion.mission.mission import Mission
+from companion.session import Session
 from vehicle_sim.plans import PlanItem as Stored
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import flat_world
+from vehicle_sim.world import World, flat_world
 
 Firmware = Literal["ardupilot", "px4"]
 Kind = Literal["copter", "plane"]
@@ -24,6 +28,25 @@ HOME_DEG, HOME_M = (47.397742, 8.545594), 488.0
 OURS = (1, 195)
 
 
+def level(
+    firmware: Firmware,
+    kind: Kind = "copter",
+    home: tuple[float, float, float] = (*HOME_DEG, HOME_M),
+    scan_range_m: float | None = None,
+) -> World:
+    """Level ground about a home; degrees and metres AMSL."""
+    latitude, longitude, altitude_m = home
+    return flat_world(
+        kind,
+        firmware,
+        latitude_deg=latitude,
+        longitude_deg=longitude,
+        altitude_amsl_m=altitude_m,
+        heading_deg=0.0,
+        scan_range_m=scan_range_m,
+    )
+
+
 class Client(Protocol):
     def on_message(self, message: Any, now_s: float) -> list[Any]: ...
 
@@ -34,15 +57,7 @@ class Held:
     """The vehicle, and what was sent to it."""
 
     def __init__(self, firmware: Firmware, kind: Kind = "copter", faults: str = "") -> None:
-        world = flat_world(
-            kind,
-            firmware,
-            latitude_deg=HOME_DEG[0],
-            longitude_deg=HOME_DEG[1],
-            altitude_amsl_m=HOME_M,
-            heading_deg=0.0,
-        )
-        self.simulation = Simulation(world, seed=1, links=2, faults=faults)
+        self.simulation = Simulation(level(firmware, kind), seed=1, links=2, faults=faults)
         self.sent: list[tuple[float, Any]] = []
         self.others: list[bytes] = []
         """What link 1 has heard."""
@@ -120,6 +135,61 @@ class Held:
         return False
 
 
+class Faced:
+    """A whole session and a simulated vehicle at the two ends of a link; both ways are frames."""
+
+    def __init__(
+        self, mission: Mission, vehicle: Simulation, *, link: int = 0, **keywords: Any
+    ) -> None:
+        self.mission, self.vehicle, self.link = mission, vehicle, link
+        self.session = Session(mission, seed=1, lockstep=False, go=True, **keywords)
+        self.out = Output()
+        self.end: Any = None
+        self.heard: list[bytes] = []
+        self.sent: list[bytes] = []
+        self.recorded: list[bytes] = []
+        self.loses: tuple[int, ...] = ()
+        """Messages that are lost on the way."""
+
+    @property
+    def now_s(self) -> float:
+        return self.vehicle.now_us * 1e-6
+
+    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> Any:
+        end_s = self.now_s + seconds
+        while self.now_s < end_s and not until():
+            self.vehicle.step()
+            while frames := self.vehicle.take_frames():
+                for link, frame in frames:
+                    if link == self.link and number_of(frame) not in self.loses:
+                        self.heard.append(frame)
+                        self.session.receive(frame, self.now_s)
+                self.answer()
+        return self
+
+    def answer(self) -> None:
+        """What the session has to say is said; a plan is there as soon as it is asked for."""
+        out = self.out = self.session.run()
+        self.end = self.end or out.end
+        self.sent += out.frames
+        self.recorded += [frame for _, frame in out.record]
+        for frame in out.frames:
+            self.vehicle.receive(self.link, frame)
+        if out.plan is not None:
+            self.session.deliver(straight_plan(out.plan))
+
+    def hear(self, frame: bytes) -> None:
+        """The companion hears something that the vehicle has not said."""
+        self.session.receive(frame, self.now_s)
+        self.answer()
+
+    def station(self, message: Any, link: int = 1) -> None:
+        """A ground station (255/190) says this to the vehicle."""
+        self.vehicle.receive(
+            link, message.pack(wire.MAVLink(None, srcSystem=255, srcComponent=190))
+        )
+
+
 _OF_UPLOADS = (
     wire.MAVLINK_MSG_ID_MISSION_REQUEST,
     wire.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
@@ -177,9 +247,3 @@ def recorded(name: str, ignored: frozenset[int] = IGNORED_MESSAGES) -> Iterator[
         for message in receiver.feed(frame):
             if message is not None:
                 yield (stamp_us - frames[0][0]) * 1e-6, message
-
-
-def from_wire(message: Any, source: tuple[int, int] = (1, 1)) -> Any:
-    """As it comes out of the parser."""
-    sender = wire.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
-    return wire.MAVLink(None).decode(bytearray(message.pack(sender)))

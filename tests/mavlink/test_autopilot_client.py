@@ -7,7 +7,8 @@ from functools import partial
 from typing import Any
 
 import pytest
-from held import Held, circle, from_wire, polygon, waypoints
+from held import Held, circle, polygon, waypoints
+from wires import over_the_wire
 
 from companion.config import load_mission
 from companion.mavlink import fence
@@ -352,7 +353,7 @@ def plane_told_its_speed() -> tuple[AutopilotClient, list[Any]]:
 
 def heartbeat(mode: int = wire.PLANE_MODE_GUIDED) -> Any:
     beat = wire.MAVLink_heartbeat_message(1, wire.MAV_AUTOPILOT_ARDUPILOTMEGA, 129, mode, 4, 3)
-    return from_wire(beat)
+    return over_the_wire(beat)
 
 
 def times_told(side: AutopilotClient, from_s: float) -> int:
@@ -366,15 +367,15 @@ def test_a_plane_is_told_its_speed_until_it_answers_or_somebody_else_flies_it() 
     assert told.command == wire.MAV_CMD_GUIDED_CHANGE_SPEED
     assert 9 <= times_told(side, 0.0) <= 10
     other = wire.MAVLink_command_ack_message(wire.MAV_CMD_DO_REPOSITION, 0)
-    answers = (from_wire(other), heartbeat(wire.PLANE_MODE_GUIDED), heartbeat())
+    answers = (over_the_wire(other), heartbeat(wire.PLANE_MODE_GUIDED), heartbeat())
     for number, message in enumerate(answers):
         side.event_of(message, 10.0 + 10.0 * number)
         assert times_told(side, 10.0 + 10.0 * number) == 10
     for ends, notes in (
         (heartbeat(wire.PLANE_MODE_LOITER), []),
-        (from_wire(wire.MAVLink_command_ack_message(told.command, 0)), []),
+        (over_the_wire(wire.MAVLink_command_ack_message(told.command, 0)), []),
         (
-            from_wire(wire.MAVLink_command_ack_message(told.command, 2)),
+            over_the_wire(wire.MAVLink_command_ack_message(told.command, 2)),
             ["the autopilot does not take the mission's speed"],
         ),
     ):
@@ -394,7 +395,7 @@ def test_a_plane_is_told_its_speed_until_it_answers_or_somebody_else_flies_it() 
     ],
 )
 def test_a_take_off_is_taken_once_it_is_accepted(command: int, result: int, taken: bool) -> None:
-    message = from_wire(wire.MAVLink_command_ack_message(command, result))
+    message = over_the_wire(wire.MAVLink_command_ack_message(command, result))
     event = plane_told_its_speed()[0].event_of(message, 3.0)
     assert event == (TakeOffTaken(time_s=3.0) if taken else None)
 

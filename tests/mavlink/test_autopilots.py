@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
-from geodesics import CORNER, FRAME, GEOD, SYSTEM, angle_between, geodetic, over_the_wire
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as wire
+from wires import CORNER, FRAME, GEOD, SYSTEM, angle_between, geodetic, over_the_wire
 
 import companion
 from companion.mavlink.autopilots import (
@@ -172,13 +172,10 @@ def take_off(autopilot: Autopilot, heading_rad: float, command: TakeOff = CLIMB)
     return over_the_wire(messages[0]) if messages else None
 
 
-def test_arducopter_climbs_to_a_height_above_home() -> None:
+def test_ardupilots_take_off_to_a_height_above_home_or_by_their_mode() -> None:
     sent = take_off(ARDUCOPTER, 0.3)
     assert (sent.get_type(), sent.command, sent.param7) == ("COMMAND_LONG", 22, 60.0)
     assert [getattr(sent, f"param{n}") for n in range(1, 7)] == [0.0] * 6
-
-
-def test_arduplane_takes_off_by_its_mode() -> None:
     sent = take_off(ARDUPLANE, 0.3)
     assert (sent.command, sent.param2) == (176, wire.PLANE_MODE_TAKEOFF)
 
@@ -199,15 +196,11 @@ def test_px4_climbs_to_an_altitude_amsl(autopilot: Autopilot, bearing_deg: int) 
         assert angle_between(math.radians(azimuth), math.radians(bearing_deg)) < 2e-4
 
 
-@pytest.mark.parametrize("autopilot", [ARDUCOPTER, *PX4], ids=lambda a: a.name)
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e9, -1e9])
-def test_a_take_off_to_nowhere_is_refused(autopilot: Autopilot, bad: float) -> None:
-    assert take_off(autopilot, 0.0, TakeOff(above_home_m=bad, altitude_amsl_m=bad)) is None
-
-
-@pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_a_take_off_along_no_direction_is_refused(bad: float) -> None:
-    assert take_off(PX4_FIXED_WING, bad) is None
+def test_a_take_off_to_nowhere_or_along_no_direction_is_refused(bad: float) -> None:
+    nowhere = TakeOff(above_home_m=bad, altitude_amsl_m=bad)
+    assert [take_off(autopilot, 0.0, nowhere) for autopilot in (ARDUCOPTER, *PX4)] == [None] * 3
+    assert math.isfinite(bad) or take_off(PX4_FIXED_WING, bad) is None
 
 
 # --- speed, and whether setpoints are taken
@@ -245,69 +238,59 @@ def test_streams_have_rates_and_what_may_be_silent_is_one_of_them(autopilot: Aut
 # --- estimators
 
 
-@pytest.mark.parametrize("autopilot", [ARDUCOPTER, ARDUPLANE], ids=lambda a: a.name)
-@pytest.mark.parametrize(
-    ("flags", "variances", "good"),
-    [
-        (0x33F, (0.03, 0.05), True),  # flying
-        (0x33F, (13.33, 0.01), False),  # half a second after a step of 50 m, before any flag
-        (0x33F, (0.03, 1.0), False),
-        (0x33F, (math.nan, 0.0), False),
-        (0x833F, (0.02, 0.01), False),  # glitch: after the estimate has given in
-        (0x8027, (10.5, 0.0), False),
-        (0x25, (0.0, 0.0), False),  # GPS lost
-        (0xA7, (0.0, 0.0), False),  # before the first fix, or aiding has stopped
-        (0x400, (0.0, 0.0), False),
-        (0x33F & ~0x20, (0.0, 0.0), False),  # no height
-    ],
-)
-def test_ardupilots_estimator_is_good_while_it_takes_its_measurements(
-    autopilot: Autopilot, flags: int, variances: tuple[float, float], good: bool
-) -> None:
-    """Flags and figures of arducopter-gps-loss.tlog."""
-    position, velocity = variances
-    message = wire.MAVLink_ekf_status_report_message(flags, velocity, position, 0.0, 0.0, 0.0)
-    read = autopilot.event_of(over_the_wire(message), 1.5, FRAME)
-    assert read == Estimator(time_s=1.5, good=good)
+def ekf_status(flags: int, position: float, velocity: float) -> Any:
+    return wire.MAVLink_ekf_status_report_message(flags, velocity, position, 0.0, 0.0, 0.0)
 
 
-def estimator_status(
-    flags: int, accuracy_m: float, position: float = 0.05, velocity: float = 0.05
-) -> Any:
+def estimator_status(flags: int, position: float, velocity: float, accuracy_m: float = 0.25) -> Any:
     ratios = (velocity, position, 0.0, 0.1, 0.0, 0.0)
     return wire.MAVLink_estimator_status_message(0, flags, *ratios, accuracy_m, 0.3)
 
 
-@each_px4
-@pytest.mark.parametrize(
-    ("flags", "ratios", "good"),
-    [
-        (0x37F, (0.2, 0.36), True),  # flying
-        (0x33F, (0.05, 0.05), True),
-        (0x3FF, (0.05, 0.05), True),  # on the ground
-        (0x365, (0.05, 0.05), False),  # 5 s after the loss of GPS
-        (0x65, (0.05, 0.05), False),
-        (0xE5, (0.05, 0.05), False),  # booting
-        (0x37F | 0x400, (0.05, 0.05), False),  # glitch
-        (0x37F | 0x800, (0.05, 0.05), False),  # accelerometers
-        (0x37F & ~0x20, (0.05, 0.05), False),
-        (0x37F, (1.0, 0.1), False),  # it throws measurements away
-        (0x37F, (0.1, 7.0), False),
-        (0x37F, (0.1, math.nan), True),
-    ],
-)
-def test_px4s_estimator_is_good_while_it_says_so_and_takes_its_measurements(
-    autopilot: Autopilot, flags: int, ratios: tuple[float, float], good: bool
+ARDUPILOTS_SAY = [  # flags and figures of arducopter-gps-loss.tlog
+    (0x33F, 0.03, 0.05, True),  # flying
+    (0x33F, 13.33, 0.01, False),  # half a second after a step of 50 m, before any flag
+    (0x33F, 0.03, 1.0, False),
+    (0x33F, math.nan, 0.0, False),
+    (0x833F, 0.02, 0.01, False),  # glitch: after the estimate has given in
+    (0x8027, 10.5, 0.0, False),
+    (0x25, 0.0, 0.0, False),  # GPS lost
+    (0xA7, 0.0, 0.0, False),  # before the first fix, or aiding has stopped
+    (0x400, 0.0, 0.0, False),
+    (0x33F & ~0x20, 0.0, 0.0, False),  # no height
+]
+PX4_SAYS = [
+    (0x37F, 0.2, 0.36, True),  # flying
+    (0x33F, 0.05, 0.05, True),
+    (0x3FF, 0.05, 0.05, True),  # on the ground
+    (0x365, 0.05, 0.05, False),  # 5 s after the loss of GPS
+    (0x65, 0.05, 0.05, False),
+    (0xE5, 0.05, 0.05, False),  # booting
+    (0x37F | 0x400, 0.05, 0.05, False),  # glitch
+    (0x37F | 0x800, 0.05, 0.05, False),  # accelerometers
+    (0x37F & ~0x20, 0.05, 0.05, False),
+    (0x37F, 1.0, 0.1, False),  # it throws measurements away
+    (0x37F, 0.1, 7.0, False),
+    (0x37F, 0.1, math.nan, True),
+]
+
+
+@each
+def test_an_estimator_is_good_while_it_says_so_and_takes_its_measurements(
+    autopilot: Autopilot,
 ) -> None:
-    message = over_the_wire(estimator_status(flags, 0.25, *ratios))
-    read = autopilot.event_of(message, 1.5, FRAME)
-    assert read == Estimator(time_s=1.5, good=good, error_m=0.25)
+    is_px4 = autopilot in PX4
+    error_m = 0.25 if is_px4 else None  # ArduPilot tells of none
+    for flags, position, velocity, good in PX4_SAYS if is_px4 else ARDUPILOTS_SAY:
+        message = (estimator_status if is_px4 else ekf_status)(flags, position, velocity)
+        read = autopilot.event_of(over_the_wire(message), 1.5, FRAME)
+        assert read == Estimator(time_s=1.5, good=good, error_m=error_m), (hex(flags), position)
 
 
 @each_px4
 @given(accuracy=st.floats(width=32))
 def test_an_accuracy_is_a_length_or_unknown(autopilot: Autopilot, accuracy: float) -> None:
-    read = autopilot.event_of(estimator_status(0x37F, accuracy), 1.5, FRAME)
+    read = autopilot.event_of(estimator_status(0x37F, 0.05, 0.05, accuracy), 1.5, FRAME)
     assert isinstance(read, Estimator)
     known = math.isfinite(accuracy) and accuracy > 0.0
     assert read.error_m == (accuracy if known else None)

@@ -1,18 +1,16 @@
-"""Commands as a ground station packs them, byte by byte; places against pyproj's geodesics."""
+"""Commands as a ground station sends them, and what it is answered; places by geodesics."""
 
 import math
 from collections import Counter
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-import pyproj
 import pytest
-from by_hand import OURS, PERSON, Ack, ack, command_int, command_long
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import structs
-from pymavlink.dialects.v20 import all as wire
+from wires import FRAME, OURS, PERSON, command_int, command_long, geodetic_e7, over_the_wire, wire
 
 from companion.config import load_mission
 from companion.geodesy import LocalFrame
@@ -26,17 +24,33 @@ from companion.mission.state import Phase
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, IN_PROGRESS, WRONG_FRAME = 0, 1, 2, 3, 5, 9
 START, PAUSE, REPOSITION, RETURN, LAND = 300, 193, 192, 20, 21
 REQUEST, CAPABILITIES = 512, 520
-GEOD = pyproj.Geod(ellps="WGS84")
 MISSION = load_mission("valley")  # 10 km x 7.5 km, 8 m/s
 STRANGER = (42, 1)
 READY = structs.replace(initial_state(MISSION, None), phase=Phase.READY)
 NAN = math.nan
 
 
-def made(*, origin_deg: tuple[float, float] = (47.0, 8.0)) -> Component:
-    frame = LocalFrame(latitude_deg=origin_deg[0], longitude_deg=origin_deg[1])
+class Ack(NamedTuple):
+    """COMMAND_ACK."""
+
+    command: int
+    result: int
+    target: tuple[int, int]
+
+
+def made(frame: LocalFrame = FRAME) -> Component:
     mission = replace(MISSION, frame=frame, commanders=((255, 0), (1, 191)))
     return Component(mission, OURS[0], "1.2.3")
+
+
+def ack(message: Any) -> Ack:
+    """As it leaves the companion."""
+    read = wire.MAVLink(None).decode(bytearray(message.pack(codec(OURS[0]))))
+    assert (read.get_type(), read.get_srcSystem(), read.get_srcComponent()) == (
+        "COMMAND_ACK",
+        *OURS,
+    )
+    return Ack(read.command, read.result, (read.target_system, read.target_component))
 
 
 def answered(
@@ -51,14 +65,7 @@ def answered(
     if answer.order is not None:
         replies += server.order_done(answer.order, verdict)
         assert server.order_done(answer.order, verdict) == ()  # once
-    return answer, [ack(reply) for reply in replies if reply.get_type() == "COMMAND_ACK"]
-
-
-def place_e7(north_m: float, east_m: float) -> tuple[int, int]:
-    """The point at a distance and azimuth of the origin, by the geodesic."""
-    azimuth = math.degrees(math.atan2(east_m, north_m))
-    longitude, latitude, _ = GEOD.fwd(8.0, 47.0, azimuth, math.hypot(north_m, east_m))
-    return round(latitude * 1e7), round(longitude * 1e7)
+    return answer, [ack(reply) for reply in replies]
 
 
 @pytest.mark.parametrize(
@@ -89,38 +96,52 @@ def test_an_order_is_passed_on_and_acknowledged_by_what_the_machine_makes_of_it(
 
 
 _NOWHERE = 0x7FFFFFFF
+IMPOSSIBLE = [
+    *(command_long(START, value) for value in (3.0, math.inf)),
+    *(command_long(PAUSE, value) for value in (2.0, NAN)),
+    *(
+        command_long(REPOSITION, -1.0, 0.0, 0.0, NAN, latitude, longitude, 100.0)
+        for latitude, longitude in (
+            (NAN, 8.0), (47.0, NAN), (math.inf, 8.0), (0.0, 0.0), (95.0, 8.0), (48.0, 8.0),
+            (-47.0, -172.0),
+        )
+    ),
+    command_int(REPOSITION, x=_NOWHERE, y=80_000_000, frame_id=5),
+    command_int(REPOSITION, x=470_000_000, y=_NOWHERE, frame_id=5),
+    command_int(REPOSITION, frame_id=5),
+    command_long(LAND, 0.0, 0.0, 0.0, NAN, 47.0, 8.0, 0.0),
+    command_int(LAND, x=1, y=1),
+]  # fmt: skip
+OTHER_FRAMES = [
+    command_int(REPOSITION, x=470_000_000, y=80_000_000, frame_id=frame)
+    for frame in (1, 2, 4, 7, 8, 10, 11, 12, 20, 255)
+]
+NOT_OURS = [command_long(REQUEST, k) for k in (30.0, 330.0, 148.5, -1.0, NAN, math.inf, 1e30)]
+UNKNOWN = [
+    command_long(command, sender=sender)
+    for command in (22, 176, 178, 400, 246, 510, 511, 2000, 5004, 0, 65_535)
+    for sender in (PERSON, STRANGER)
+]
 
 
 @pytest.mark.parametrize(
-    ("message", "result"),
+    ("message", "result", "is_explained"),
     [
-        (command_long(START, 3.0), DENIED),
-        (command_long(START, math.inf), DENIED),
-        (command_long(PAUSE, 2.0), DENIED),
-        (command_long(PAUSE, NAN), DENIED),
-        *(
-            (command_long(REPOSITION, -1.0, 0.0, 0.0, NAN, latitude, longitude, 100.0), DENIED)
-            for latitude, longitude in (
-                (NAN, 8.0), (47.0, NAN), (math.inf, 8.0), (0.0, 0.0), (95.0, 8.0), (48.0, 8.0),
-                (-47.0, -172.0),
-            )
-        ),
-        (command_int(REPOSITION, x=_NOWHERE, y=80_000_000, frame_id=5), DENIED),
-        (command_int(REPOSITION, x=470_000_000, y=_NOWHERE, frame_id=5), DENIED),
-        (command_int(REPOSITION, frame_id=5), DENIED),
-        *(
-            (command_int(REPOSITION, x=470_000_000, y=80_000_000, frame_id=frame), WRONG_FRAME)
-            for frame in (1, 2, 4, 7, 8, 10, 11, 12, 20, 255)
-        ),
-        (command_long(LAND, 0.0, 0.0, 0.0, NAN, 47.0, 8.0, 0.0), DENIED),
-        (command_int(LAND, x=1, y=1), DENIED),
+        *((message, DENIED, True) for message in IMPOSSIBLE),
+        *((message, WRONG_FRAME, True) for message in OTHER_FRAMES),
+        *((message, DENIED, False) for message in NOT_OURS),
+        *((message, UNSUPPORTED, False) for message in UNKNOWN),
     ],
-)  # fmt: skip
-def test_values_that_cannot_be_are_denied_with_words(message: Any, result: int) -> None:
+)
+def test_what_cannot_be_done_is_refused_to_who_asked_for_it(
+    message: Any, result: int, is_explained: bool
+) -> None:
     answer, acks = answered(made(), message)
-    assert acks == [Ack(message.command, result, PERSON)]
+    sender = message.get_srcSystem(), message.get_srcComponent()
+    assert acks == [Ack(message.command, result, sender)]
     assert answer.order is None
-    assert 0 < len(answer.text) <= 60
+    assert bool(answer.text) is is_explained
+    assert len(answer.text) <= 60
 
 
 def test_what_needs_no_place_takes_none_and_any_frame() -> None:
@@ -136,7 +157,7 @@ def test_what_needs_no_place_takes_none_and_any_frame() -> None:
 def test_a_new_target_lies_where_the_geodesic_says(
     north_m: float, east_m: float, frame_id: int
 ) -> None:
-    x, y = place_e7(north_m, east_m)
+    x, y = geodetic_e7(north_m, east_m)
     message = command_int(REPOSITION, -1.0, x=x, y=y, z=NAN, frame_id=frame_id)
     in_floats = command_long(REPOSITION, -1.0, 0.0, 0.0, NAN, x * 1e-7, y * 1e-7, 50.0)
     for each, off_m in ((message, 0.02), (in_floats, 0.5)):
@@ -148,7 +169,7 @@ def test_a_new_target_lies_where_the_geodesic_says(
 
 
 def test_0_0_is_no_place_even_if_it_lies_on_the_map() -> None:
-    server = made(origin_deg=(0.001, 0.001))
+    server = made(LocalFrame(latitude_deg=0.001, longitude_deg=0.001))
     for message, result in (
         (command_int(REPOSITION, x=1, y=1, frame_id=5), ACCEPTED),
         (command_int(REPOSITION, frame_id=5), DENIED),
@@ -200,13 +221,6 @@ def test_of_a_broadcast_only_our_questions_are_answered(target: tuple[int, int])
         assert answered(made(), command_long(REQUEST, number, target=target))[1] == acks
 
 
-@pytest.mark.parametrize("command", [22, 176, 178, 400, 246, 510, 511, 2000, 5004, 0, 65_535])
-def test_what_we_cannot_do_is_unsupported(command: int) -> None:
-    for sender in (PERSON, STRANGER):
-        _, acks = answered(made(), command_long(command, sender=sender))
-        assert acks == [Ack(command, UNSUPPORTED, sender)]
-
-
 # --- the same again
 
 
@@ -216,7 +230,7 @@ def orders(*given: tuple[Any, float]) -> list[bool]:
     return [answered(server, message, at_s)[0].order is not None for message, at_s in given]
 
 
-_X, _Y = place_e7(50.0, 60.0)
+_X, _Y = geodetic_e7(50.0, 60.0)
 _THERE = command_int(REPOSITION, -1.0, x=_X, y=_Y, frame_id=5)
 _BESIDE = command_int(REPOSITION, -1.0, x=_X + 1, y=_Y, frame_id=5)
 
@@ -308,12 +322,6 @@ def test_one_ack_answers_each_command_for_us_and_none_any_other(given_: list[Any
 # --- its own messages
 
 
-def over_the_wire(message: Any) -> Any:
-    """As pymavlink's own parser reads it."""
-    [parsed] = wire.MAVLink(None).parse_buffer(message.pack(codec(7)))
-    return parsed
-
-
 def counted(component: Component, begin_s: float) -> Counter[str]:
     """What is sent in 10 s, asked at 20 Hz."""
     times = begin_s + np.arange(0.0, 10.0, 0.05)
@@ -322,8 +330,7 @@ def counted(component: Component, begin_s: float) -> Counter[str]:
 
 
 def test_the_heartbeat_is_that_of_an_onboard_controller() -> None:
-    beat = over_the_wire(heartbeat(wire.MAV_STATE_CRITICAL))
-    assert (beat.get_srcSystem(), beat.get_srcComponent()) == (7, 195)
+    beat = over_the_wire(heartbeat(wire.MAV_STATE_CRITICAL), OURS)
     assert beat.type == 18  # MAV_TYPE_ONBOARD_CONTROLLER
     assert beat.autopilot == 8  # MAV_AUTOPILOT_INVALID
     assert (beat.base_mode, beat.custom_mode) == (0, 0)
@@ -340,6 +347,12 @@ def test_it_beats_once_a_second_also_when_the_clock_begins_again_and_not_while_f
     assert component.due_s < 0.0
     assert len(component.on_time(10.4, READY, faulted=False)) == 1
     assert component.due_s == 11.4
+    answered(component, command_long(REQUEST, 0.0))  # or once the fault is over
+    for tenth in range(5, 8):
+        assert component.on_time(10.0 + 0.1 * tenth, READY, faulted=True) == []
+        assert component.due_s < 0.0
+    told = [component.on_time(at_s, READY, faulted=False) for at_s in (10.8, 10.9)]
+    assert [[message.get_type() for message in each] for each in told] == [["HEARTBEAT"], []]
 
 
 @pytest.mark.parametrize("sender", [PERSON, STRANGER])
@@ -358,12 +371,6 @@ def test_the_version_is_told_to_everybody_who_asks_for_it(sender: tuple[int, int
             wire.MAV_PROTOCOL_CAPABILITY_MAVLINK2 | wire.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
         )
         assert counted(server, 1.0) == {"HEARTBEAT": 10}
-
-
-@pytest.mark.parametrize("number", [30.0, 330.0, 148.5, -1.0, NAN, math.inf, 1e30])
-def test_messages_that_are_not_ours_are_denied(number: float) -> None:
-    _, acks = answered(made(), command_long(REQUEST, number))
-    assert acks == [Ack(REQUEST, DENIED, PERSON)]
 
 
 @pytest.mark.parametrize(

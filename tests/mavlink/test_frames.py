@@ -124,16 +124,6 @@ def test_a_broken_frame_takes_no_other_with_it(
     assert all(frame in left for frame in whole)
 
 
-def test_a_torn_datagram_holds_nothing_up() -> None:
-    receiver, speaker = Receiver(), codec(1)
-    good = [position(k).pack(speaker) for k in range(3)]
-    long = wire.MAVLink_file_transfer_protocol_message(0, 1, 1, [7] * 251).pack(speaker)
-    for missing in (9, 200):  # less than what comes next, and more
-        assert receiver.feed(long[:-missing]) == []
-        for frame in good:
-            assert [bytes(m.get_msgbuf()) for m in receiver.feed(frame)] == [frame]
-
-
 def test_a_frame_with_incompatible_flags_is_passed_over() -> None:
     frame = bytearray(position().pack(codec(1)))
     frame[2] = 2
@@ -294,10 +284,6 @@ def test_with_a_key_only_what_is_signed_comes_out() -> None:
     got = receiver.feed(first + stranger + first + second)
     assert [m.time_boot_ms for m in got] == [1, 2]
     assert all(m.get_signed() for m in got)
-
-
-def test_with_a_key_no_secret_and_nothing_unknown_comes_out_either() -> None:
+    setup = wire.MAVLink_setup_signing_message(1, 1, list(range(32)), 1).pack(signer(200))
     # pymavlink 2.4.50 hands out what it does not know without a look at the signature
-    receiver = Receiver(Signing(key=bytes(32), timestamp=0))
-    setup = wire.MAVLink_setup_signing_message(1, 1, list(range(32)), 1).pack(signer())
     assert receiver.feed(setup + unknown()) == []

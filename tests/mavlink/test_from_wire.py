@@ -4,7 +4,10 @@ import math
 from typing import Any
 
 import pytest
-from geodesics import (
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import all as wire
+from wires import (
     CORNER,
     FRAME,
     GEOD,
@@ -15,9 +18,6 @@ from geodesics import (
     over_the_wire,
     true_course_rad,
 )
-from hypothesis import given
-from hypothesis import strategies as st
-from pymavlink.dialects.v20 import all as wire
 
 from companion.mavlink.autopilots import (
     ALL,
@@ -209,28 +209,19 @@ def local_target(x: float, y: float, z: float, type_mask: int = 0, **velocity: f
 
 @pytest.mark.parametrize("origin", ORIGINS)
 @pytest.mark.parametrize("ne_m", [(0.0, 0.0), (300.0, -200.0), (9000.0, 4000.0), (-4e4, 3e4)])
-def test_an_echo_of_arducopter_is_read_on_its_flat_earth(
-    origin: Vector, ne_m: tuple[float, float]
+@pytest.mark.parametrize(
+    ("autopilot", "earth"),
+    [(ARDUCOPTER, FlatEarth), (PX4_MULTICOPTER, Projection)],
+    ids=["flat", "sphere"],
+)
+def test_a_local_echo_is_read_on_the_autopilots_own_earth(
+    autopilot: Autopilot, earth: Any, origin: Vector, ne_m: tuple[float, float]
 ) -> None:
-    latitude, longitude = geodetic(*origin[:2])
-    here = Place(latitude_deg=latitude, longitude_deg=longitude, altitude_amsl_m=origin[2])
-    there = FlatEarth(here).place(*ne_m, 0.0)
-    read = event(local_target(*ne_m, -60.0, vx=3.0, vz=-1.0), ARDUCOPTER, origin)
+    there = earth(Place(*geodetic(*origin[:2]), origin[2])).place(*ne_m, 0.0)
+    read = event(local_target(*ne_m, -60.0, vx=3.0, vz=-1.0), autopilot, origin)
     assert isinstance(read, Echo)
-    _, _, off_m = GEOD.inv(
-        *reversed(geodetic(*read.position_nea_m[:2])), there.longitude_deg, there.latitude_deg
-    )
-    assert off_m < 0.05
-    assert read.position_nea_m[2] == pytest.approx(548.0)
-
-
-@pytest.mark.parametrize("origin", ORIGINS)
-@pytest.mark.parametrize("ne_m", [(0.0, 0.0), (300.0, -200.0), (9000.0, 4000.0), (-4e4, 3e4)])
-def test_an_echo_of_px4_is_read_on_its_sphere(origin: Vector, ne_m: tuple[float, float]) -> None:
-    there = Projection(Place(*geodetic(*origin[:2]), 0.0)).place(*ne_m, 0.0)[:2]
-    read = event(local_target(*ne_m, -60.0, vx=3.0), PX4_MULTICOPTER, origin)
-    assert isinstance(read, Echo)
-    _, _, off_m = GEOD.inv(*reversed(geodetic(*read.position_nea_m[:2])), *reversed(there))
+    latitude, longitude = geodetic(*read.position_nea_m[:2])
+    _, _, off_m = GEOD.inv(longitude, latitude, there[1], there[0])
     assert off_m < 0.05
     assert read.position_nea_m[2] == pytest.approx(548.0)
 

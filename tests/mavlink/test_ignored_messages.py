@@ -122,12 +122,7 @@ def test_the_time_is_read_of_at_most_twenty_attitudes_a_second(rate_hz: int, rea
     needed = [at_ms for at_ms in times_ms if clock.is_newer(wire.MAVLINK_MSG_ID_ATTITUDE, at_ms)]
     assert len(needed) == pytest.approx(10 * read, abs=4)
     assert min((b - a for a, b in pairwise(needed)), default=1000) >= 50
-
-
-def test_a_clock_that_has_begun_again_is_read_at_once() -> None:
-    clock = VehicleClock(0.0)
-    for at_ms in (5000, 10, 70):
-        assert clock.is_newer(wire.MAVLINK_MSG_ID_ATTITUDE, at_ms)
+    assert clock.is_newer(wire.MAVLINK_MSG_ID_ATTITUDE, 10)  # it has begun again
 
 
 READ = ClockReading

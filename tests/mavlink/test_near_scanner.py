@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from lidars import attitude, health, obstacle_distance
 from msgspec.structs import replace as changed
-from pymavlink.dialects.v20 import all as wire
+from wires import wire
 
 from companion.config import load_mission
 from companion.mavlink.near_scanner import NearScanner
@@ -33,26 +34,12 @@ def fresh(of: Mission) -> State:
     return State.of(of, of.known)
 
 
-def distances(
-    time_s: float, *, thing: bool = True, component: int = 196, system: int = 1, **fields: Any
-) -> Any:
+def distances(time_s: float, *, thing: bool = True, component: int = 196, **fields: Any) -> Any:
     told = [1601] * 72
     if thing:
         told[71] = told[0] = told[1] = round(100.0 * THING_M)
-    values = {
-        "time_usec": round(time_s * 1e6),
-        "sensor_type": 0,
-        "distances": told,
-        "increment": 5,
-        "min_distance": 20,
-        "max_distance": 1600,
-        "increment_f": 5.0,
-        "angle_offset": 0.0,
-        "frame": wire.MAV_FRAME_BODY_FRD,
-    }
-    message = wire.MAVLink_obstacle_distance_message(**{**values, **fields})
-    message.pack(wire.MAVLink(None, srcSystem=system, srcComponent=component))
-    return message
+    values = {"distances": told, "increment_f": 5.0, **fields}
+    return obstacle_distance(time_s, reach_cm=1600, source=(1, component), **values)
 
 
 class Standing:
@@ -72,8 +59,7 @@ class Standing:
 
     def move_on(self, by_s: float = PERIOD_S) -> Any:
         self.now_s += by_s
-        attitude = wire.MAVLink_attitude_message(round(self.now_s * 1e3), 0, 0, 0, 0, 0, 0)
-        self.scanner.on_message(attitude, self.now_s)
+        self.scanner.on_message(attitude(self.now_s), self.now_s)
         self.scanner.on_position(self.now_s, HERE_NEA_M)
         return self.scanner.seen(self.now_s)
 
@@ -172,9 +158,8 @@ def test_a_healthy_sensor_of_the_autopilot_that_sees_nothing_has_answered() -> N
     assert near is not None
     of = replace(mission(), near=replace(near, kind="distance_sensor", component_id=1))
     scanner, bit = NearScanner(of), wire.MAV_SYS_STATUS_SENSOR_PROXIMITY
-    for now_s, health, answered in ((100.0, bit, 1), (105.0, 0, 0)):
-        status = wire.MAVLink_sys_status_message(bit, bit, health, *([0] * 10))
-        scanner.on_message(status, now_s)
+    for now_s, answered in ((100.0, 1), (105.0, 0)):
+        scanner.on_message(health(bit, well=bool(answered)), now_s)
         seen = scanner.seen(now_s)
         assert seen is not None
         assert seen.sight is (Sight.NOTHING_THERE if answered else Sight.NEVER_HEARD)

@@ -3,51 +3,35 @@
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
+import lidars
 import numpy as np
 import pytest
-from pymavlink.dialects.v20 import all as wire
+from lidars import attitude, beam, health
+from wires import FRAME, wire
 
-from companion.geodesy import LocalFrame
 from companion.mavlink.near_sensing import NearSensing, Sight
 from companion.mavlink.poses import Poses
 from companion.world.near_map import NearSensor, Sweep
 
 LIDAR = NearSensor(kind="obstacle_distance", component_id=196, range_m=40.0, latency_s=0.0)
+BEHIND_AUTOPILOT = NearSensor(
+    kind="distance_sensor", component_id=1, range_m=16.0, latency_s=0.04, blind_m=0.2
+)
 NOW_S = 10.0
-FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
 UNKNOWN = 65_535
+obstacle_distance = partial(lidars.obstacle_distance, NOW_S)
 
 
-def attitude(time_s: float, roll_rad: float, pitch_rad: float, yaw_rad: float) -> Any:
-    at_ms = round(1e3 * time_s)
-    return wire.MAVLink_attitude_message(at_ms, roll_rad, pitch_rad, yaw_rad, 0, 0, 0)
-
-
-def standing(yaw_rad: float = 0.0, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> Poses:
+def standing(yaw_rad: float = 0.0, pitch_rad: float = 0.0) -> Poses:
     """A vehicle at 3, 4 and 5 m."""
     poses = Poses(FRAME)
     for time_s in (NOW_S - 0.2, NOW_S, NOW_S + 0.2):
         poses.on_position(time_s, (3.0, 4.0, 5.0))
-        poses.on_attitude(attitude(time_s, roll_rad, pitch_rad, yaw_rad))
+        poses.on_attitude(attitude(time_s, 0.0, pitch_rad, yaw_rad))
     return poses
-
-
-def obstacle_distance(distances: list[int] | None = None, **fields: Any) -> Any:
-    """As a driver sends it: 72 sectors of 5 degrees, from the nose, nothing there."""
-    values = {
-        "time_usec": round(NOW_S * 1e6),
-        "sensor_type": 0,
-        "distances": (distances or []) + [2001] * (72 - len(distances or [])),
-        "increment": 5,
-        "min_distance": 20,
-        "max_distance": 2000,
-        "increment_f": 0.0,
-        "angle_offset": 0.0,
-        "frame": wire.MAV_FRAME_BODY_FRD,
-    }
-    return wire.MAVLink_obstacle_distance_message(**{**values, **fields})
 
 
 def read(message: Any, poses: Poses | None = None, sensor: NearSensor = LIDAR) -> Sweep:
@@ -123,9 +107,7 @@ def test_a_tilted_beam_says_nothing_of_what_lies_beyond_its_slab() -> None:
 )
 def test_what_a_distance_means(told: int, clear_m: float) -> None:
     """What is as far as the sensor sees may be nothing, or a wrong "nothing": it says nothing."""
-    sensing = NearSensing(LIDAR, standing())
-    sensing.on_obstacle_distance(obstacle_distance([told]), NOW_S)
-    (sweep,) = sensing.sweeps()
+    sweep = read(obstacle_distance([told]))
     assert sweep.clear_m[0] == pytest.approx(clear_m)
     assert math.isinf(sweep.echo_m[0]) == (told not in (20, 1999))
 
@@ -216,21 +198,13 @@ def test_a_sensor_that_knows_nothing_in_any_direction_does_not_see() -> None:
     assert sensing.sight(NOW_S) is Sight.SEES
 
 
-BEHIND_AUTOPILOT = NearSensor(
-    kind="distance_sensor", component_id=1, range_m=16.0, latency_s=0.04, blind_m=0.2
-)
-
-
 def test_a_lidar_that_dies_is_told_from_one_that_sees_nothing() -> None:
     sensing = NearSensing(BEHIND_AUTOPILOT, standing())
     assert sensing.sight(NOW_S) is Sight.NEVER_HEARD
-    beam = wire.MAVLink_distance_sensor_message(9900, 20, 1600, 700, 0, 10, 0, 0)
-    sensing.on_distance_sensor(beam, NOW_S)
+    sensing.on_distance_sensor(beam(NOW_S - 0.1), NOW_S)
     assert sensing.sight(NOW_S + 0.3) is Sight.SEES
-    bit = wire.MAV_SYS_STATUS_SENSOR_PROXIMITY
-    for health, sight in ((bit, Sight.NOTHING_THERE), (0, Sight.DEAD)):
-        status = wire.MAVLink_sys_status_message(bit, bit, health, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
-        sensing.on_health(status, NOW_S + 1.0)
+    for well, sight in ((True, Sight.NOTHING_THERE), (False, Sight.DEAD)):
+        sensing.on_health(health(wire.MAV_SYS_STATUS_SENSOR_PROXIMITY, well=well), NOW_S + 1.0)
         assert sensing.sight(NOW_S + 1.5) is sight
 
 
@@ -249,11 +223,7 @@ def test_one_beam_does_not_speak_for_a_sector(
     component: int, fields: dict[str, Any], is_taken: bool
 ) -> None:
     sensing = NearSensing(BEHIND_AUTOPILOT, standing())
-    values = {"time_boot_ms": 9950, "min_distance": 20, "max_distance": 1600, "type": 0}
-    values |= {"current_distance": 700, "orientation": 0, "covariance": 0}
-    message = wire.MAVLink_distance_sensor_message(**{**values, **fields})
-    message.pack(wire.MAVLink(None, srcSystem=1, srcComponent=component))
-    sensing.on_distance_sensor(message, NOW_S)
+    sensing.on_distance_sensor(beam(NOW_S - 0.05, source=(1, component), **fields), NOW_S)
     assert (sensing.sight(NOW_S) is Sight.SEES) == is_taken
 
 
@@ -270,28 +240,34 @@ def test_sectors_of_one_stamp_go_on_to_be_taken(
 ) -> None:
     sensing = NearSensing(BEHIND_AUTOPILOT, standing())
     for after_s, cm in beams:
-        beam = wire.MAVLink_distance_sensor_message(9950, 20, 1600, cm, 0, 10, 0, 0)
-        sensing.on_distance_sensor(beam, NOW_S + after_s)
+        sensing.on_distance_sensor(beam(NOW_S - 0.05, cm), NOW_S + after_s)
     assert [sweep.echo_m[0] for sweep in sensing.sweeps()] == pytest.approx(echoes_m)
+
+
+def flown(
+    sensor: NearSensor, seconds: float, told: Callable[[int], Iterable[Any]], every_s: float = 0.05
+) -> tuple[NearSensing, list[Sweep]]:
+    """What is made of messages, told k-th of them, that come as time goes on; it flies level."""
+    poses, sweeps = Poses(FRAME), list[Sweep]()
+    sensing = NearSensing(sensor, poses)
+    for k in range(round(seconds / every_s)):
+        now_s = NOW_S + every_s * k
+        poses.on_position(now_s, (0.0, 0.0, 5.0))
+        poses.on_attitude(attitude(now_s))
+        for message in told(k):
+            message.time_boot_ms = round(1e3 * now_s)
+            sensing.on_message(message, now_s)
+        sweeps += sensing.sweeps()
+    return sensing, sweeps
 
 
 def sectors_over(
     seconds: float, told: Callable[[int], Iterable[int]], component: int = 1
 ) -> list[float]:
     """What is clear in the end, metres, if set k at 20 Hz tells of a thing in these sectors."""
-    poses = Poses(FRAME)
-    sensing = NearSensing(replace(BEHIND_AUTOPILOT, component_id=component), poses)
-    for k in range(round(20.0 * seconds)):
-        now_s = NOW_S + 0.05 * k
-        poses.on_position(now_s, (0.0, 0.0, 5.0))
-        poses.on_attitude(attitude(now_s, 0.0, 0.0, 0.0))
-        for sector in told(k):
-            at_ms = round(1e3 * now_s)
-            beam = wire.MAVLink_distance_sensor_message(at_ms, 20, 1600, 700, 0, 10, sector, 0)
-            sensing.on_distance_sensor(beam, now_s)
-        if sweeps := sensing.sweeps():
-            clear_m = sweeps[-1].clear_m
-    return [float(each) for each in clear_m]
+    sensor = replace(BEHIND_AUTOPILOT, component_id=component)
+    beams = lambda k: [beam(0.0, orientation=sector) for sector in told(k)]  # noqa: E731
+    return [float(each) for each in flown(sensor, seconds, beams)[1][-1].clear_m]
 
 
 def test_a_sector_before_the_last_one_that_was_never_told_is_empty() -> None:
@@ -350,39 +326,18 @@ def test_how_far_it_sees_is_the_least_that_its_newest_messages_say() -> None:
 
 
 def test_sectors_of_unlike_limits_are_clear_as_far_as_each_one_sees() -> None:
-    poses, sensing = Poses(FRAME), None
-    sensing = NearSensing(BEHIND_AUTOPILOT, poses)
-    for k in range(40):
-        now_s = NOW_S + 0.05 * k
-        poses.on_position(now_s, (0.0, 0.0, 5.0))
-        poses.on_attitude(attitude(now_s, 0.0, 0.0, 0.0))
-        for sector, least_cm, most_cm in ((0, 20, 900), (1, 50, 800), (2, 20, 4000)):
-            sensing.on_distance_sensor(
-                wire.MAVLink_distance_sensor_message(
-                    round(1e3 * now_s), least_cm, most_cm, most_cm, 0, 10, sector, 0
-                ),
-                now_s,
-            )
-        sweeps = sensing.sweeps()
+    beams = [
+        beam(0.0, most_cm, orientation=sector, min_distance=least_cm, max_distance=most_cm)
+        for sector, least_cm, most_cm in ((0, 20, 900), (1, 50, 800), (2, 20, 4000))
+    ]
+    sensing, sweeps = flown(BEHIND_AUTOPILOT, 2.0, lambda _: beams)
     assert sweeps[-1].clear_m[:3] == pytest.approx([9.0, 8.0, BEHIND_AUTOPILOT.range_m])
     assert sensing.limits_m == pytest.approx((0.5, 8.0))
 
 
 def test_one_that_has_told_how_far_it_sees_shows_no_more_by_its_silence() -> None:
     """R may be more than what it sees: 16 m of 40."""
-    poses = Poses(FRAME)
-    sensing = NearSensing(replace(BEHIND_AUTOPILOT, range_m=40.0), poses)
-    bit = wire.MAV_SYS_STATUS_SENSOR_PROXIMITY
-    well = wire.MAVLink_sys_status_message(bit, bit, bit, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
-    beam = wire.MAVLink_distance_sensor_message(10_000, 20, 1600, 700, 0, 10, 0, 0)
-    sensing.on_distance_sensor(beam, NOW_S)
-    late = wire.MAVLink_distance_sensor_message(10_050, 20, 1600, 700, 0, 10, 0, 0)
-    sensing.on_distance_sensor(late, NOW_S + 0.05)
-    for k in range(50):
-        now_s = NOW_S + 0.1 * k
-        poses.on_position(now_s, (0.0, 0.0, 5.0))
-        poses.on_attitude(attitude(now_s, 0.0, 0.0, 0.0))
-        if k % 10 == 0 and k:
-            sensing.on_health(well, now_s)
-    clear_m = [sweep.clear_m.max() for sweep in sensing.sweeps()]
-    assert clear_m[-1] == pytest.approx(16.0)
+    well = health(wire.MAV_SYS_STATUS_SENSOR_PROXIMITY, well=True)
+    told = lambda k: [beam(0.0)] if k < 2 else [well] * (k % 20 == 0)  # noqa: E731
+    _, sweeps = flown(replace(BEHIND_AUTOPILOT, range_m=40.0), 5.0, told)
+    assert sweeps[-1].clear_m.max() == pytest.approx(16.0)

@@ -11,6 +11,7 @@ import pytest
 from held import FOUR, HOME_DEG, Firmware, Held, Kind
 from hypothesis import given
 from hypothesis import strategies as st
+from planning import limits
 
 from companion.config import bundled, load_mission
 from companion.geodesy import LocalFrame
@@ -19,7 +20,6 @@ from companion.mavlink.parameter_client import ParameterClient
 from companion.mavlink.rules import Finding, Rule, findings_of, names_of
 from companion.mission.mission import EndAction, Mission
 from companion.path.envelope import flown_on_m
-from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.near_map import NearSensor
 from vehicle_sim.autopilot.factory import personality_of
@@ -33,27 +33,23 @@ REFUSE, SET = "refused", "set"
 Way = tuple[Firmware, Kind]
 
 
-def mission(kind: Kind = "copter", *, sets: bool = True, **limits: float) -> Mission:
+VALUES = {"acceleration_m_s2": 2.0, "climb_rate_m_s": 1.5, "tracking_error_m": 10.0}
+VALUES |= {"climb_angle_rad": 0.12, "dive_angle_rad": 0.12}
+VALUES |= {"floor_amsl_m": 500.0, "ceiling_amsl_m": 660.0}
+KINDS = {
+    "copter": {"speed_m_s": 8.0, "turn_radius_m": 50.0},
+    "plane": {"speed_m_s": 15.0, "turn_radius_m": 120.0, "loiter_radius_m": 110.0},
+}
+
+
+def mission(kind: Kind = "copter", *, sets: bool = True, **changes: float) -> Mission:
     """For a usual vehicle with the defaults of its autopilot."""
-    usual: dict[str, Any] = {
-        "speed_m_s": 8.0 if kind == "copter" else 15.0,
-        "acceleration_m_s2": 2.0,
-        "climb_rate_m_s": 1.5,
-        "turn_radius_m": 50.0 if kind == "copter" else 120.0,
-        "climb_angle_rad": 0.12,
-        "dive_angle_rad": 0.12,
-        "floor_amsl_m": 500.0,
-        "ceiling_amsl_m": 660.0,
-        "north_m": (-5000.0, 5000.0),
-        "east_m": (-5000.0, 5000.0),
-        "loiter_radius_m": 0.0 if kind == "copter" else 110.0,
-    }
     settings = PlannerSettings(scan_range_m=1500.0, safety_distance_m=40.0, planning_time_s=3.0)
     return Mission(
         name="test",
         frame=LocalFrame(latitude_deg=HOME_DEG[0], longitude_deg=HOME_DEG[1]),
         targets_ne_m=((1000.0, 0.0),),
-        task=Task(limits=Limits(**(usual | limits)), settings=settings),
+        task=Task(limits=limits(**(VALUES | KINDS[kind] | changes)), settings=settings),
         end_action=EndAction.HOLD,
         sets_parameters=sets,
     )
@@ -338,10 +334,10 @@ def test_newer_and_older_names_have_other_units_and_mean_the_same() -> None:
     newer = dict(ARDUCOPTER)
     for old, (new, scale) in renamed.items():
         newer[new] = newer.pop(old) * scale
-    for limits in ({}, {"acceleration_m_s2": 4.0, "speed_m_s": 14.0}, {"dead_man_s": 2.0}):
+    for changes in ({}, {"acceleration_m_s2": 4.0, "speed_m_s": 14.0}, {"dead_man_s": 2.0}):
         said = [
             [(severity_of(each), each.rule) for each in findings_of(ARDUCOPTER_RULES, values, m)]
-            for m in (mission(**limits),)
+            for m in (mission(**changes),)
             for values in (ARDUCOPTER, newer)
         ]
         assert said[0] == said[1]

@@ -1,7 +1,4 @@
-"""Each check before a flight made to pass, to note and to refuse, on a simulated vehicle.
-
-The companion's whole session meets the simulator in one process; both ways are frames.
-"""
+"""Each check before a flight made to pass, to note and to refuse, on a simulated vehicle."""
 
 import math
 from collections.abc import Callable
@@ -10,34 +7,29 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from held import FOUR, Faced, level
 from random_programs import message_numbers
 from renewed import replace
 
 from companion.config import load_mission
 from companion.mavlink.dialect import codec, wire
-from companion.mavlink.frames import number_of
 from companion.mavlink.preflight import Check, CheckStatus, checks_of, waiting_for
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
-from companion.mission.mission import Mission
 from companion.mission.state import Phase
 from companion.session import Session
 from companion.world.known_map import empty_map
 from companion.world.near_map import NearSensor
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import flat_world
 
-NAMES = {
-    ("ardupilot", "copter"): "sitl-arducopter",
-    ("ardupilot", "plane"): "sitl-arduplane",
-    ("px4", "copter"): "sitl-px4",
-    ("px4", "plane"): "sitl-px4-plane",
-}
+NAMES = dict(
+    zip(FOUR, ("sitl-arducopter", "sitl-arduplane", "sitl-px4", "sitl-px4-plane"), strict=True)
+)
 Change = Callable[["Pair"], None]
 
 
-class Pair:
-    """A session and a vehicle at the two ends of a link."""
+class Pair(Faced):
+    """A session and a vehicle, and what the checks say."""
 
     def __init__(
         self,
@@ -49,85 +41,35 @@ class Pair:
         signing: Signing | None = None,
         **changes: Any,
     ) -> None:
-        mission: Mission = load_mission(name)
+        mission = load_mission(name)
         firmware, kind = next(key for key, value in NAMES.items() if value == name)
-        self.mission = replace(mission, **changes)
-        world = flat_world(
-            kind,
-            firmware,  # type: ignore[arg-type]
-            latitude_deg=mission.frame.latitude_deg,
-            longitude_deg=mission.frame.longitude_deg,
-            altitude_amsl_m=584.0 if firmware == "ardupilot" else 488.0,
-            heading_deg=0.0,
-        )
+        where = mission.frame.latitude_deg, mission.frame.longitude_deg
+        home = (*where, 584.0 if firmware == "ardupilot" else 488.0)
+        world = level(firmware, kind, home)
         vehicle = replace(world.vehicle, parameters=parameters or {})
-        world = replace(world, vehicle=vehicle)
-        self.vehicle = Simulation(world, seed=1, links=2, faults=faults)
-        self.session = Session(
-            self.mission, seed=1, lockstep=False, shadow=shadow, signing=signing, go=True
-        )
-        self.sent: list[Any] = []
-        self.journal: list[dict[str, Any]] = []
-        self.end: Any = None
-        self.delay: list[bytes] = []
-        self.loses: tuple[int, ...] = ()
-        """Messages that are lost on the way."""
-        self._reader = codec(1)
-        self._station = wire.MAVLink(None, srcSystem=255, srcComponent=190)
-
-    @property
-    def now_s(self) -> float:
-        return self.vehicle.now_us * 1e-6
-
-    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> "Pair":
-        end_s = self.now_s + seconds
-        while self.now_s < end_s and not until():
-            self.vehicle.step()
-            while frames := self.vehicle.take_frames():
-                for link, frame in frames:
-                    if link == 0 and number_of(frame) not in self.loses:
-                        self.session.receive(frame, self.now_s)
-                self._answer()
-        return self
-
-    def _answer(self) -> None:
-        out = self.session.run()
-        self.journal += out.journal
-        self.end = self.end or out.end
-        for frame in out.frames:
-            self.sent.append(self._reader.decode(bytearray(frame)))
-            self.vehicle.receive(0, frame)
-
-    def station(self, message: Any) -> None:
-        """A ground station says this, on a link of its own."""
-        self.vehicle.receive(1, message.pack(self._station))
-
-    def hear(self, frame: bytes) -> None:
-        """The companion hears something that the vehicle has not said."""
-        self.session.receive(frame, self.now_s)
-        self._answer()
+        simulated = Simulation(replace(world, vehicle=vehicle), seed=1, links=2, faults=faults)
+        super().__init__(replace(mission, **changes), simulated, shadow=shadow, signing=signing)
 
     def looked_at(self, seconds: float = 60.0) -> "Pair":
         """As `companion preflight` does it, without its waits."""
         self.run(seconds, until=lambda: waiting_for(self.session) == "")
-        return self.run(3.0)
+        self.run(3.0)
+        return self
 
     @property
     def checks(self) -> list[Check]:
         return checks_of(self.session)
 
+    def named(self, name: str) -> list[Check]:
+        return [check for check in self.checks if check.name.split(" = ")[0] == name]
+
     def status(self, name: str) -> str:
         """Of the check of this name, the worst if there are several; "" without one."""
-        found = [check.status for check in self.checks if check.name.split(" = ")[0] == name]
-        worst = sorted(found, key=list(CheckStatus).index)
+        worst = sorted((check.status for check in self.named(name)), key=list(CheckStatus).index)
         return worst[-1].value if worst else ""
 
     def words(self, name: str) -> str:
-        return " ".join(
-            f"{check.what}. {check.remedy}"
-            for check in self.checks
-            if check.name.split(" = ")[0] == name
-        )
+        return " ".join(f"{check.what}. {check.remedy}" for check in self.named(name))
 
     @property
     def refused(self) -> list[str]:
@@ -188,17 +130,12 @@ _ASKS = {
 }
 
 
-def only_asks(messages: list[Any]) -> bool:
-    return all(
-        m.get_type() in _ASKS or (m.get_type() == "COMMAND_LONG" and m.command in _REQUESTS)
-        for m in messages
-    )
-
-
 def test_it_only_asks(good: Pair) -> None:
-    assert len(good.sent) > 50
-    assert only_asks(good.sent)
-    assert "PARAM_REQUEST_READ" in {m.get_type() for m in good.sent}
+    sent = codec(1).parse_buffer(b"".join(good.sent))
+    assert len(sent) > 50
+    assert {m.get_type() for m in sent} - {"COMMAND_LONG"} <= _ASKS
+    assert {m.command for m in sent if m.get_type() == "COMMAND_LONG"} <= _REQUESTS
+    assert "PARAM_REQUEST_READ" in {m.get_type() for m in sent}
     assert good.session.state.vehicle.armed is False
 
 

@@ -7,15 +7,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pymavlink.dialects.v20 import all as wire
+from lidars import attitude, beam
+from wires import FRAME
 
-from companion.geodesy import LocalFrame
 from companion.mavlink.rangefinder import Rangefinder
 from companion.mission.events import GroundSeen
 from companion.world.known_map import KnownMap
 
 MAP_M, ERROR_M, ALTITUDE_M = 400.0, 1.0, 408.0
-FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
 
 
 def known(upper_m: Any = MAP_M) -> KnownMap:
@@ -41,21 +40,10 @@ class Hovering:
         """What it makes of these, one after the other, and a position after each."""
         found = []
         for distance_m in distances_m:
-            values = {
-                "time_boot_ms": round(1e3 * self.now_s),
-                "min_distance": 20,
-                "max_distance": 4000,
-                "current_distance": round(100.0 * distance_m),
-                "type": 0,
-                "id": 0,
-                "orientation": 25,
-                "covariance": 0,
-            }
-            at_ms = round(1e3 * self.now_s)
-            attitude = wire.MAVLink_attitude_message(at_ms, *self.lean, 0, 0, 0)
-            self.finder.on_message(attitude, self.now_s)
-            message = wire.MAVLink_distance_sensor_message(**{**values, **fields})
-            self.finder.on_message(message, self.now_s)
+            self.finder.on_message(attitude(self.now_s, *self.lean), self.now_s)
+            values = {"orientation": 25, "max_distance": 4000, "id": 0, **fields}
+            read = beam(self.now_s, round(100.0 * distance_m), **values)
+            self.finder.on_message(read, self.now_s)
             self.finder.on_position(self.now_s, (0.0, 0.0, ALTITUDE_M))
             if (seen := self.finder.seen(self.now_s, self.known)) is not None:
                 found.append(seen)

@@ -10,17 +10,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import pyproj
 import pytest
 from nudge import nudged
-from pymavlink.dialects.v20 import all as wire
+from wires import FRAME, GEOD, wire
 
-from companion.geodesy import LocalFrame
 from companion.mavlink.terrain_download import TerrainDownload, areas
 from companion.world.known_map import NOT_SEEN, KnownMap, Scan, empty_map
 
-FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
-GEOD = pyproj.Geod(ellps="WGS84")
 CELL_M = 250.0
 RANGE_M = 6000.0
 CORNER = (100_000.0, 100_000.0)

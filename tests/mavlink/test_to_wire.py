@@ -4,7 +4,10 @@ import math
 from typing import Any
 
 import pytest
-from geodesics import (
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import all as wire
+from wires import (
     CORNER,
     FRAME,
     GEOD,
@@ -15,9 +18,6 @@ from geodesics import (
     over_the_wire,
     true_course_rad,
 )
-from hypothesis import given
-from hypothesis import strategies as st
-from pymavlink.dialects.v20 import all as wire
 
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots import (

@@ -284,6 +284,12 @@ class Pair:
     def tick(self) -> None:
         self.feed(self.vehicle.tick())
 
+    def ask(self, number: int, *values: float) -> None:
+        """A ground station gives the companion a command; parameters left out are 0."""
+        station = wire.MAVLink(None, srcSystem=255, srcComponent=190)
+        seven = [*values, *[0.0] * (7 - len(values))]
+        self.feed(wire.MAVLink_command_long_message(1, 195, number, 0, *seven).pack(station))
+
     def run_until(self, done: Callable[["Pair"], bool], limit_s: float = 300.0) -> "Pair":
         for _ in range(round(limit_s * 10)):
             if done(self):

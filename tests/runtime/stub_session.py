@@ -14,6 +14,7 @@ from companion.mavlink.link import Output
 from companion.mission.events import End, Outcome
 from companion.planner.procedure import hover_pose
 from companion.planner.request import PlanRequest
+from companion.runtime.link import Link
 from companion.world.known_map import empty_map
 
 PATIENCE_S = 20.0
@@ -130,7 +131,7 @@ class StubSession:
         self.stopped.append(why)
 
 
-class QueueLink:
+class QueueLink(Link):
     """A link whose vehicle is the test: `say` puts in, `sent` collects with times."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
@@ -142,7 +143,6 @@ class QueueLink:
             queue.SimpleQueue()
         )
         self.sender: object = "vehicle"
-        self.is_stream = False
 
     def receive(self, timeout_s: float) -> bytes | None:
         try:
@@ -169,15 +169,6 @@ class QueueLink:
         """Until it is so, as seen whenever something was sent."""
         with self._more_sent:
             assert self._more_sent.wait_for(done, PATIENCE_S)
-
-    def close(self) -> None:
-        """Nothing to let go of."""
-
-    def __enter__(self) -> "QueueLink":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def times_of(self, frame: bytes) -> list[float]:
         return [time_s for time_s, each in self.sent if each == frame]

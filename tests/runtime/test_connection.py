@@ -1,49 +1,29 @@
-"""What connection strings mean; `test_link` has those that mean nothing."""
-
-from dataclasses import replace
+"""What connection strings mean, and those that mean nothing."""
 
 import pytest
 
 from companion.errors import InputError
 from companion.runtime.connection import Address, Device, parsed
+from companion.runtime.link import open_link
+
+BY_PATH = "/dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0"
 
 
 @pytest.mark.parametrize(
-    ("text", "kind"),
+    ("text", "kind", "host", "port"),
     [
-        ("udpin:0.0.0.0:14540", "udpin"),
-        ("udp:0.0.0.0:14540", "udpin"),
-        ("udpout:192.168.1.10:14550", "udpout"),
-        ("tcp:vehicle.local:5760", "tcp"),
+        ("udpin:0.0.0.0:14540", "udpin", "0.0.0.0", 14540),
+        ("udpin://0.0.0.0:14540", "udpin", "0.0.0.0", 14540),
+        ("udp:0.0.0.0:14540", "udpin", "0.0.0.0", 14540),  # as pymavlink has it
+        ("udpout:192.168.1.10:14550", "udpout", "192.168.1.10", 14550),
+        ("udpout://192.168.1.10:14550", "udpout", "192.168.1.10", 14550),
+        ("tcp:vehicle.local:5760", "tcp", "vehicle.local", 5760),
+        ("tcp://vehicle.local:5760", "tcp", "vehicle.local", 5760),
+        *((f"{kind}:[fe80::1]:14540", kind, "fe80::1", 14540) for kind in ("udpin", "tcp")),
     ],
 )
-def test_networks(text: str, kind: str) -> None:
-    place = parsed(text)
-    assert isinstance(place, Address)
-    assert place.kind == kind
-    assert text.endswith(f"{place.host}:{place.port}")
-    if not text.startswith("udp:"):  # which others use for either way
-        assert replace(place, text="") == replace(parsed(text.replace(":", "://", 1)), text="")
-
-
-@pytest.mark.parametrize("kind", ["udpin", "udpout", "tcp"])
-def test_an_ipv6_address_stands_in_brackets(kind: str) -> None:
-    place = parsed(f"{kind}:[fe80::1]:14540")
-    assert isinstance(place, Address)
-    assert (place.kind, place.host, place.port) == (kind, "fe80::1", 14540)
-    with pytest.raises(InputError, match="stands in brackets"):
-        parsed(f"{kind}:fe80::1:14540")
-
-
-@pytest.mark.parametrize("text", ["/dev/ttyACM0:57600", "/dev/ttyACM0 115200"])
-def test_a_baud_rate_comes_after_a_comma(text: str) -> None:
-    here = text.replace(":", ",").replace(" ", ",")
-    with pytest.raises(InputError, match="comes after a comma"):
-        parsed(text)
-    assert isinstance(parsed(here), Device)
-
-
-BY_PATH = "/dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0"
+def test_networks(text: str, kind: str, host: str, port: int) -> None:
+    assert parsed(text) == Address(text=text, kind=kind, host=host, port=port)
 
 
 @pytest.mark.parametrize(
@@ -63,3 +43,40 @@ BY_PATH = "/dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0"
 )
 def test_serial_ports(text: str, name: str, baud: int) -> None:
     assert parsed(text) == Device(text=text, name=name, baud=baud)
+
+
+NONSENSE = (
+    *("", "udpin", "udpin:127.0.0.1", "udpin::14540", "udpin:[::1]", "udpin:::1:14540"),
+    *(f"udpin:127.0.0.1:{port}" for port in ("", "x", "-1", "65536", "14540:1", " 1", "1e4", "0")),
+    *("udpin:127.0.0.1:" + "9" * 5000, "udpout:127.0.0.1:0", "tcp:127.0.0.1:0", "tcp:127.0.0.1"),
+    *("tcp:127.0.0.1:5760:1", "tcpin:127.0.0.1:5760", "udp:127.0.0.1", "UDPIN:127.0.0.1:14540"),
+    *("udpbcast:192.168.0.255:14550", "127.0.0.1:14540", "mission.tlog", "ttyACM0,57600"),
+    *(f"/dev/ttyACM0,{baud}" for baud in ("", "fast", "0", "57600,1", "99999999")),
+    *("serial:", "serial:,57600", "COM", "COM3,", "COM3,-1", "com3;57600"),
+    *("udpin:a..b:14540", f"udpin:{'a' * 64}.example:14540"),  # there can be no such host
+    # as MAVSDK, MAVROS, mavp2p and MAVProxy have it: some of them listen where others call
+    *("serial:///dev/ttyACM0?baud=57600", "serial-hwfc:/dev/ttyACM0:921600", "udpin://:14540"),
+    *("udpin:14540", ":14540", "udp://0.0.0.0:14540", "udp://:14540@127.0.0.1:14557"),
+    *("udps:0.0.0.0:14550", "tcpout://127.0.0.1:5760"),
+)
+IN_BRACKETS = tuple(f"{kind}:fe80::1:14540" for kind in ("udpin", "udpout", "tcp"))
+AFTER_A_COMMA = ("/dev/ttyACM0:57600", "/dev/ttyACM0 115200")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        *((text, "Write udpin:127.0.0.1:14540 (") for text in NONSENSE),
+        *((text, "stands in brackets") for text in IN_BRACKETS),
+        *((text, "comes after a comma") for text in AFTER_A_COMMA),
+    ],
+)
+def test_what_means_nothing_is_an_input_error_of_one_line_with_a_remedy(
+    text: str, words: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        open_link(text)
+    message = str(caught.value)
+    assert message.startswith(f"--connect = {text!r}: "[:200])
+    assert "\n" not in message
+    assert words in message

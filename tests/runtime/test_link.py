@@ -44,12 +44,6 @@ def test_datagrams_arrive_whole_and_in_order_both_ways(other: socket.socket) -> 
         assert [other.recv(2000) for _ in range(100)] == [b"from %d" % n for n in range(100)]
 
 
-def test_nothing_heard_is_none_and_not_an_error() -> None:
-    with open_link(f"udpin:127.0.0.1:{free_port()}") as link:
-        assert link.receive(0.01) is None
-        assert link.receive(0.0) is None
-
-
 def test_what_is_sent_before_anybody_was_heard_is_dropped(other: socket.socket) -> None:
     port = free_port()
     with open_link(f"udpin:127.0.0.1:{port}") as link:
@@ -89,6 +83,7 @@ def test_frames_are_batched_in_order_and_whole_into_datagrams_of_1400_bytes(
 ) -> None:
     frames = [bytes([number % 256]) * size for number, size in enumerate(sizes)]
     with calling(other) as link:
+        link.send([])  # nothing to send sends nothing
         link.send(frames)
         datagrams: list[bytes] = []
         while sum(map(len, datagrams)) < sum(sizes):
@@ -102,13 +97,6 @@ def test_frames_are_batched_in_order_and_whole_into_datagrams_of_1400_bytes(
         assert at in ends  # no frame is cut in two
         first_of_following = sizes[sum(end <= at for end in ends)] if at < sum(sizes) else 1401
         assert len(datagram) + first_of_following > 1400 or following == b""
-
-
-def test_nothing_to_send_sends_nothing(other: socket.socket) -> None:
-    with calling(other) as link:
-        link.send([])
-        link.send([b"marker"])
-        assert other.recv(2000) == b"marker"
 
 
 def test_a_vehicle_that_is_not_there_yet_is_no_error() -> None:
@@ -134,35 +122,8 @@ def test_a_port_in_use_is_an_input_error_with_its_remedy(other: socket.socket) -
     assert "in use" in message
     assert "choose another port" in message
     assert "\n" not in message
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        *("", "udpin", "udpin:127.0.0.1", "udpin::14540", "udpin:127.0.0.1:", "udpin:127.0.0.1:x"),
-        *("udpin:127.0.0.1:-1", "udpin:127.0.0.1:65536", "udpin:127.0.0.1:14540:1"),
-        *("udpin:127.0.0.1: 14540", "udpin:127.0.0.1:1e4", "udpin:127.0.0.1:0"),
-        *("tcpin:127.0.0.1:5760", "udpout:127.0.0.1:0", "tcp:127.0.0.1", "tcp:127.0.0.1:0"),
-        *("tcp:127.0.0.1:5760:1", "udp:127.0.0.1", "udpbcast:192.168.0.255:14550"),
-        *("/dev/ttyACM0,", "/dev/ttyACM0,fast", "/dev/ttyACM0,0", "/dev/ttyACM0,57600,1"),
-        *("/dev/ttyACM0,99999999", "ttyACM0,57600", "serial:", "serial:,57600", "COM", "COM3,"),
-        *("COM3,-1", "com3;57600", "mission.tlog", "UDPIN:127.0.0.1:14540", "127.0.0.1:14540"),
-        *("udpin:::1:14540", "udpin:[::1]", "udpin:a..b:14540"),
-        f"udpin:{'a' * 64}.example:14540",
-        "udpin:127.0.0.1:" + "9" * 5000,
-        # as MAVSDK, MAVROS, mavp2p and MAVProxy have it: some of them listen where others call
-        *("serial:///dev/ttyACM0?baud=57600", "serial-hwfc:/dev/ttyACM0:921600", "udpin://:14540"),
-        *("udpin:14540", ":14540", "udp://0.0.0.0:14540", "udp://:14540@127.0.0.1:14557"),
-        *("udps:0.0.0.0:14550", "tcpout://127.0.0.1:5760"),
-    ],
-)
-def test_a_bad_connection_string_is_an_input_error_of_one_line_with_a_remedy(text: str) -> None:
-    with pytest.raises(InputError) as caught:
-        open_link(text)
-    message = str(caught.value)
-    assert message.startswith(f"--connect = {text!r}: "[:200])
-    assert "\n" not in message
-    assert "Write udpin:127.0.0.1:14540 (" in message
+    with pytest.raises(InputError, match="cannot be opened"):
+        open_link("udpin:192.0.2.1:14540")  # of another machine
 
 
 def has_ipv6() -> bool:
@@ -189,23 +150,12 @@ def test_ipv6_is_a_network_like_any_other() -> None:
             hears.answer_to(hears.sender)
 
 
-def test_an_address_of_another_machine_cannot_be_listened_on() -> None:
-    with pytest.raises(InputError, match="cannot be opened"):
-        open_link("udpin:192.0.2.1:14540")
-
-
 def test_a_link_gives_its_port_back() -> None:
     port = free_port()
     for _ in range(2):
-        with open_link(f"udpin:127.0.0.1:{port}"):
-            pass
-
-
-def test_udp_without_more_waits_for_the_vehicle_as_pymavlink_has_it(other: socket.socket) -> None:
-    port = free_port()
-    with open_link(f"udp:127.0.0.1:{port}") as link:
-        other.sendto(b"hello", ("127.0.0.1", port))
-        assert link.receive(PATIENCE_S) == b"hello"
+        with open_link(f"udpin:127.0.0.1:{port}") as link:
+            assert link.receive(0.01) is None  # nothing heard is no error
+            assert link.receive(0.0) is None
 
 
 def test_an_ipv4_address_or_a_name_is_understood(other: socket.socket) -> None:

@@ -77,13 +77,18 @@ class Rig:
         self._flight.start()
         self._vehicle.start()
         try:
-            self.link.wait_until(lambda: len(self.link.times_of(SETPOINT)) > 5)
+            self.streams_on(5)
             yield
         finally:
             self._over.set()
             self._flight.join(PATIENCE_S)
             self._vehicle.join()
         assert not self._flight.is_alive()
+
+    def streams_on(self, count: int = 20) -> None:
+        """For so many setpoints more."""
+        before = len(self.link.times_of(SETPOINT))
+        self.link.wait_until(lambda: len(self.link.times_of(SETPOINT)) > before + count)
 
     def wait_for_the_end(self) -> End:
         self._flight.join(PATIENCE_S)
@@ -129,24 +134,14 @@ def asks_at(session: StubSession, number: int, wanted: int) -> None:
         session.ask(request_of(1))
 
 
-def raises(rig: Rig, error: Exception) -> Any:
-    """Something that breaks now."""
-    rig.breaks_now()
-    raise error
-
-
-@pytest.mark.parametrize("lockstep", [False, True])
-def test_a_session_that_raises_in_lockstep_too(folder: RunFolder, lockstep: bool) -> None:
-    at_20 = lambda _, number: number == 20 and raises(rig, KeyError("made up"))  # noqa: E731
-    rig = Rig(folder, session := StubSession(at_20), lockstep=lockstep)
-    with rig.flying():
-        assert_held(rig, "decider", "KeyError: 'made up'")
-    assert session.died == []
-
-
 def test_a_planner_that_raises(folder: RunFolder) -> None:
     session = StubSession(lambda session, number: asks_at(session, number, 10))
-    rig = Rig(folder, session, planner=lambda *_: raises(rig, ZeroDivisionError("made up")))
+
+    def broken(*_: object) -> Any:
+        rig.breaks_now()
+        raise ZeroDivisionError("made up")
+
+    rig = Rig(folder, session, planner=broken)
     with rig.flying():
         assert_held(rig, "planner", "ZeroDivisionError: made up")
     assert [part for part, _ in session.died] == ["planner"]
@@ -201,32 +196,36 @@ def test_of_two_plans_that_are_asked_for_only_the_newer_counts(folder: RunFolder
     assert session.delivered == [2]
 
 
-def test_a_link_that_raises(folder: RunFolder) -> None:
-    rig = Rig(folder, StubSession())
-    with rig.flying():
-        rig.breaks_now()
-        rig.link.incoming.put(OSError("the driver is gone"))
-        assert_held(rig, "decider", "OSError: the driver is gone")
+@pytest.mark.parametrize(
+    ("what", "raises", "lockstep"),
+    [
+        *(("session", True, lockstep) for lockstep in (False, True)),
+        *(("link", raises, False) for raises in (True, False)),
+        ("session", False, False),
+    ],
+)
+def test_a_link_or_a_session_that_raises_or_never_comes_back(
+    folder: RunFolder, what: str, raises: bool, lockstep: bool
+) -> None:
+    error, released = OSError("made up"), threading.Event()
 
-
-@pytest.mark.parametrize("what", ["link", "session"])
-def test_a_link_or_a_session_that_never_comes_back(folder: RunFolder, what: str) -> None:
-    released = threading.Event()
-
-    def hangs(_session: StubSession, number: int) -> None:
+    def breaks(_session: StubSession, number: int) -> None:
         if what == "session" and number == 20:
             rig.breaks_now()
+            if raises:
+                raise error
             released.wait()
 
-    rig = Rig(folder, StubSession(hangs))
+    rig = Rig(folder, session := StubSession(breaks), lockstep=lockstep)
     with rig.flying():
         if what == "link":
             rig.breaks_now()
-            rig.link.incoming.put(released)
-        assert_held(rig, "decider", "stood still")
+            rig.link.incoming.put(error if raises else released)
+        assert_held(rig, "decider", "OSError: made up" if raises else "stood still")
         sent = len(rig.link.sent)
         released.set()  # what it says now leaves no more
     assert len(rig.link.sent) == sent
+    assert not (what == "session" and raises and session.died)
 
 
 def test_a_setpoint_that_took_too_long_is_not_sent(folder: RunFolder) -> None:
@@ -300,18 +299,6 @@ def test_a_hold_that_does_not_get_out_is_tried_again(folder: RunFolder) -> None:
     assert len(rig.link.times_of(HOLD)) == 2
 
 
-def test_a_vehicle_that_does_not_fly_for_us_is_told_nothing(folder: RunFolder) -> None:
-    class OnGround(StubSession):
-        def hold_frames(self) -> list[bytes]:
-            return []
-
-    rig = Rig(folder, OnGround())
-    with rig.flying():
-        rig.link.incoming.put(OSError("made up"))
-        assert rig.wait_for_the_end().outcome is Outcome.FAILED
-    assert rig.link.times_of(HOLD) == []
-
-
 def test_nothing_is_streamed_while_nobody_is_heard_and_a_slow_start_is_no_death(
     folder: RunFolder,
 ) -> None:
@@ -324,9 +311,7 @@ def test_nothing_is_streamed_while_nobody_is_heard_and_a_slow_start_is_no_death(
     rig = Rig(folder, StubSession(slow_start))
     with rig.flying():
         pass
-    assert rig.flown is not None
-    assert rig.flown.end is not None
-    assert rig.flown.end.outcome is Outcome.STOPPED
+    assert rig.wait_for_the_end().outcome is Outcome.STOPPED
 
 
 # --- the disk: a flight goes on without it
@@ -346,8 +331,7 @@ def test_a_disk_that_blocks_does_not_delay_the_stream_and_is_told_of_once(
         monkeypatch.setitem(folder._files, "flight.tlog", blocked)
         with rig.flying():
             rig.link.wait_until(lambda: bool(session.stopped))
-            count = len(rig.link.times_of(SETPOINT))
-            rig.link.wait_until(lambda: len(rig.link.times_of(SETPOINT)) > count + 20)
+            rig.streams_on()
         assert folder.failure == "the disk does not answer"
         os.close(reading)  # the writer's call returns
         for writer in [each for each in threading.enumerate() if each.name == "writer"]:
@@ -383,14 +367,11 @@ def test_a_disk_that_is_full_or_an_entry_that_cannot_be_written_ends_the_recordi
     rig = Rig(folder, session)
     with rig.flying():
         rig.link.wait_until(lambda: bool(session.stopped))
-        count = len(rig.link.times_of(SETPOINT))
-        rig.link.wait_until(lambda: len(rig.link.times_of(SETPOINT)) > count + 20)
+        rig.streams_on()
     [told] = session.stopped
     assert told.startswith("No space left on device" if what == "full" else "TypeError")
     assert rig.link.times_of(HOLD) == []
-    assert rig.flown is not None
-    assert rig.flown.end is not None
-    assert rig.flown.end.outcome is Outcome.STOPPED
+    assert rig.wait_for_the_end().outcome is Outcome.STOPPED
 
 
 def test_a_folder_that_is_moved_away_is_told_of_once_and_what_grows_is_recorded_there(
@@ -407,8 +388,7 @@ def test_a_folder_that_is_moved_away_is_told_of_once_and_what_grows_is_recorded_
     with rig.flying():
         rig.link.wait_until(lambda: bool(session.complaints))
         size = (tmp_path / "moved" / "journal.jsonl").stat().st_size
-        count = len(rig.link.times_of(SETPOINT))
-        rig.link.wait_until(lambda: len(rig.link.times_of(SETPOINT)) > count + 20)
+        rig.streams_on()
     assert session.complaints == ["state for --resume is lost: No such file or directory"]
     assert session.stopped == rig.link.times_of(HOLD) == []
     assert (tmp_path / "moved" / "journal.jsonl").stat().st_size > size
@@ -462,6 +442,4 @@ def test_in_lockstep_nobody_is_dead_for_being_slow(folder: RunFolder) -> None:
     with rig.flying():
         rig.link.wait_until(lambda: len(session.received) > 25)
     assert rig.link.times_of(HOLD) == []
-    assert rig.flown is not None
-    assert rig.flown.end is not None
-    assert rig.flown.end.outcome is Outcome.STOPPED
+    assert rig.wait_for_the_end().outcome is Outcome.STOPPED

@@ -1,4 +1,4 @@
-"""Places and courses by pyproj's geodesics, and messages as the other side reads them.
+"""What goes over the wire as pymavlink packs and parses it; places and courses by geodesics.
 
 Independent of `companion.geodesy`, which projects.
 """
@@ -17,14 +17,43 @@ GEOD = pyproj.Geod(ellps="WGS84")
 CORNER = (100_000.0, 100_000.0, 3500.0)
 PLACES = (CORNER, (0.0, 0.0, 3500.0), (-5000.0, 105_000.0, 4000.0))
 SYSTEM = 7
+OURS, PERSON = (SYSTEM, 195), (255, 190)
 
 
-def over_the_wire(message: Any) -> Any:
+def over_the_wire(message: Any, source: tuple[int, int] = (1, 1)) -> Any:
     """What the other side reads: packed to bytes by one codec, parsed by another."""
-    frame = message.pack(wire.MAVLink(None, srcSystem=SYSTEM, srcComponent=195))
-    assert frame[0] == 0xFD  # MAVLink 2
-    [parsed] = wire.MAVLink(None).parse_buffer(frame)
+    sender = wire.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
+    [parsed] = wire.MAVLink(None).parse_buffer(message.pack(sender))
     return parsed
+
+
+def command_long(
+    command: int,
+    *parameters: float,
+    target: tuple[int, int] = OURS,
+    sender: tuple[int, int] = PERSON,
+    confirmation: int = 0,
+) -> Any:
+    """COMMAND_LONG as it is read; parameters left out are 0."""
+    seven = (*parameters, *[0.0] * (7 - len(parameters)))
+    message = wire.MAVLink_command_long_message(*target, command, confirmation, *seven)
+    return over_the_wire(message, sender)
+
+
+def command_int(
+    command: int,
+    *parameters: float,
+    x: int = 0,
+    y: int = 0,
+    z: float = 0.0,
+    frame_id: int = 0,
+    target: tuple[int, int] = OURS,
+    sender: tuple[int, int] = PERSON,
+) -> Any:
+    """COMMAND_INT as it is read; parameters 1 to 4 that are left out are 0."""
+    four = (*parameters, *[0.0] * (4 - len(parameters)))
+    message = wire.MAVLink_command_int_message(*target, frame_id, command, 0, 0, *four, x, y, z)
+    return over_the_wire(message, sender)
 
 
 def geodetic(north_m: float, east_m: float) -> tuple[float, float]:
@@ -34,6 +63,12 @@ def geodetic(north_m: float, east_m: float) -> tuple[float, float]:
         LONGITUDE_DEG, LATITUDE_DEG, azimuth, math.hypot(north_m, east_m)
     )
     return latitude, longitude
+
+
+def geodetic_e7(north_m: float, east_m: float) -> tuple[int, int]:
+    """The same in the units of the wire."""
+    latitude, longitude = geodetic(north_m, east_m)
+    return round(latitude * 1e7), round(longitude * 1e7)
 
 
 def true_course_rad(north_m: float, east_m: float, bearing_rad: float) -> float:
