@@ -48,6 +48,11 @@ _TYPES: Final = {
     "object": "object: see below",
 }
 
+_PLACES: Final = {
+    ("number",) * 2: "[north, east]",
+    ("number",) * 3: "[north, east, altitude]",
+}
+
 
 def section(title: str, kind: type, schema: Schema | None = None, left_out: str = "") -> str:
     """A class of the journal, of `fly --json` or of a world file, with its fields as a table."""
@@ -106,7 +111,8 @@ def _one(value: Schema) -> str:
     if words := value.get("enum", [value["const"]] if "const" in value else []):
         return ", ".join(f"`{_shown(each)}`" for each in words)
     if value.get("type") == "array" and "prefixItems" in value:
-        return f"({', '.join(map(_one, value['prefixItems']))})"
+        each = tuple(map(_one, value["prefixItems"]))
+        return _PLACES.get(each) or f"({', '.join(each)})"
     if value.get("type") == "array":
         return f"list of {_said(value['items'])}"
     if inner := value.get("additionalProperties"):

@@ -266,9 +266,9 @@ _OF_LEG: Final[dict[str, Callable[[Any], Any]]] = {
 _WAY: Final = ("returning", "homeward", "leg", "next_leg", "back")
 persisted: Final = attrgetter(
     *(*_OF_STATE, "orders", "phase", "obeyed"),
-    *(f"flight.{name}" for name in (*_OF_FLIGHT, "way", "back", "leg", "next_leg")),
+    *(f"flight.{name}" for name in (*_OF_FLIGHT, "way", "back")),
 )
-"""All fields of a state in a checkpoint, except the time."""
+"""All fields of a state in a checkpoint, except the time and the legs."""
 
 
 @final
@@ -297,7 +297,8 @@ class CheckpointPolicy:
         since_s, must = now_s - self.kept_at_s, grown or at_once
         if 0.0 <= since_s < PERIOD_S and not must:
             return None, None
-        kept = persisted(state)
+        path = state.flight.path
+        kept = *persisted(state), path and (path.leg, path.next_leg)
         if kept == self.kept and 0.0 <= since_s < LONGEST_S and not must:
             return None, None
         self.kept_at_s, self.known, self.kept = now_s, state.flight.known, kept

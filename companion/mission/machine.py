@@ -14,6 +14,7 @@ from companion.mission import changes, events, flying, following, ground, stoppe
 from companion.mission import shadow as watching
 from companion.mission.battery import with_battery
 from companion.mission.decisions import (
+    HEARTBEAT_S,
     Context,
     Step,
     fault,
@@ -66,7 +67,16 @@ def step(state: State, event: Event, context: Context) -> tuple[State, list[Comm
     state = replace(state, now_s=now_s, vehicle=vehicle, airborne=airborne)
     others = _IN_ANY_PHASE.get(type(event))
     decided = None if others is None else others(state, event, context)
-    if decided is None:
+    is_well = (  # as it mostly is: then no row of the table is true
+        vehicle.mode is Mode.GUIDED
+        and vehicle.armed
+        and vehicle.landed is Landed.IN_AIR
+        and vehicle.distrust is None
+        and now_s - vehicle.status_at_s <= HEARTBEAT_S
+        and state.held is None
+        and others is None
+    )
+    if decided is None and not is_well:
         reason = fault_of(state, event)
         decided = None if reason is None else _BREAK_OFF[state.phase](state, reason)
     after, commands, trigger = decided or IN_PHASE[state.phase](state, event, context)

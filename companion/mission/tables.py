@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import Final
 
 from companion.mission.decisions import (
-    HEARTBEAT_S,
     Context,
     Step,
     has_had_control,
@@ -175,16 +174,6 @@ That the vehicle does not obey comes before a position that is not to be believe
 def fault_of(state: State, event: Event) -> Reason | None:
     """Why this phase cannot go on; None: it can."""
     vehicle, phase = state.vehicle, state.phase
-    if (  # what is looked at first, as it mostly is so: then no row is true
-        state.held is None
-        and vehicle.mode is Mode.GUIDED
-        and vehicle.distrust is None
-        and vehicle.armed
-        and vehicle.landed is Landed.IN_AIR
-        and state.now_s - vehicle.status_at_s <= HEARTBEAT_S
-        and not isinstance(event, LinkLost)
-    ):
-        return None
     if phase is Phase.ARRIVED and vehicle.mode is Mode.HOLD and state.asked_at_s > state.since_s:
         return None  # it does what was asked of it last
     for cause, phases, is_so in FAULTS:

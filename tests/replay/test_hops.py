@@ -19,7 +19,7 @@ from companion.telemetry import inputs
 from companion.telemetry.inputs import InputsFile
 
 OURS = str(Path(companion.__file__).parent)
-MOST_CALLS, MOST_FILES = 60, 15
+MOST_CALLS, MOST_FILES = 57, 15
 ENOUGH = 300  # positions on a leg
 
 
@@ -41,7 +41,7 @@ def files_passed(session: Session, frame: bytes) -> list[str] | None:
     return calls if follows and len(output.frames) == 1 else None
 
 
-def test_a_position_passes_at_most_sixty_functions_in_fifteen_files() -> None:
+def test_a_position_passes_few_functions_in_few_files() -> None:
     folder, passed = GOLDENS / "copter-loses-gps", []
     start, *rest = InputsFile(folder / inputs.FILE)
     feeder = Feeder(lambda of: load_mission(str(folder / "mission.toml"), of.profile))
