@@ -124,7 +124,8 @@ def _over(state: State, how: Reason) -> Step:
 def _stay_down(state: State) -> Step:
     """End before the flight: out of the take-off mode, and disarmed if we have armed it."""
     vehicle, order = state.vehicle, state.orders.active or Reason.STOPPED
-    if vehicle.armed and vehicle.mode not in (Mode.GUIDED, Mode.TAKE_OFF, Mode.HOLD):
+    elsewhere = vehicle.mode not in (Mode.GUIDED, Mode.TAKE_OFF, Mode.HOLD)
+    if vehicle.armed and elsewhere:
         return taken(state)
     out = vehicle.mode not in (Mode.TAKE_OFF, Mode.GUIDED)
     down = out and not (vehicle.armed and state.armed_by_us)
@@ -134,7 +135,7 @@ def _stay_down(state: State) -> Step:
         return state, [], Trigger.STOP
     if in_phase_s(state) > _STAYS_DOWN_S:
         return give_up(state, Reason.NOT_OBEYING)
-    return ask(state, *parting(state))
+    return (state, [], None) if elsewhere else ask(state, *parting(state))
 
 
 def _heard_again(state: State, event: Event, context: Context) -> Step:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import pytest
-from made_up import EACH, HOME_AMSL_M, Craft, mission, moving, near_target, order_of, texts
+from made_up import EACH, HOME_AMSL_M, Craft, mission, moving, near_target, order_of, status, texts
 from wild import Wild
 
 from companion.mavlink.autopilots import ARDUCOPTER
@@ -166,3 +166,13 @@ def test_who_arms_it_after_a_reboot_on_the_ground_keeps_it() -> None:
     it.run_until(lambda it: it.over, 30.0)
     assert it.state.reason is Reason.ARMED_ALREADY
     assert not moving(it.said_to[count:])
+
+
+def test_a_mode_of_somebody_else_is_left_alone_when_a_take_off_is_broken_off() -> None:
+    """Random programs found it: told before the next heartbeat, it was asked to hold again."""
+    craft = Craft(near_target(), go=True).fly_to(Phase.ARMING)
+    craft.take(order_of(craft, OrderKind.LAND))
+    assert craft.state.reason is Reason.BROKEN_OFF
+    craft.take(status(craft.now_s, Mode.OTHER, armed=False))
+    ticks = [events.Tick(time_s=craft.now_s + seconds) for seconds in (1.0, 2.0, 3.0)]
+    assert not moving(craft.take(*ticks))
