@@ -26,6 +26,7 @@ from companion.replay.feed import RUNTIME_RECORDS, DamagedInputError, Feeder
 from companion.sources.files import answer
 from companion.telemetry.flight import Flight
 from companion.telemetry.inputs import FILE, Input, InputsFile
+from companion.telemetry.run_folder import known_map
 from companion.world.columns import distance_to_terrain_m
 from companion.world.guess import guessed_m
 from companion.world.known_map import KnownMap
@@ -81,6 +82,17 @@ def ground_of(known: KnownMap, here_ne_m: tuple[float, float], mission: Mission)
         height_m=np.where(kind == UNKNOWN, 0.0, height_m).astype(np.float32),
         kind=kind,
     )
+
+
+def last_ground(folder: Path, mission: Mission) -> Ground | None:
+    """What was known when it was saved last, if a run folder has it: before all is replayed."""
+    try:
+        known = known_map(folder)
+    except (OSError, ValueError):
+        return None
+    if mission.known is not None:
+        known = known.with_what_was_given(mission.known)
+    return ground_of(known, (mission.targets_ne_m or ((0.0, 0.0),))[0], mission)
 
 
 def _highest(values: NDArray[_Number], step: int) -> NDArray[_Number]:

@@ -16,7 +16,7 @@ from viser import uplot
 
 from companion.geodesy import FloatArray
 from companion.live_view import panel
-from companion.live_view.ground import Replica
+from companion.live_view.ground import Ground, Replica, last_ground
 from companion.live_view.panel import CHARTS, charts_of
 from companion.live_view.recording import Recording
 from companion.live_view.scene import Scene
@@ -39,8 +39,12 @@ class Page:
     def __init__(self, server: viser.ViserServer, recording: Recording) -> None:
         """recording: read as far as there is something."""
         self._server, self._recording = server, recording
-        self.replica = Replica(recording.path) if recording.flight.has_mission else None
+        self.replica: Replica | None = None
         """What was known of the ground; of a log alone nothing."""
+        self._last: Ground | None = None
+        if recording.flight.has_mission:
+            self.replica = Replica(recording.path)
+            self._last = last_ground(recording.path, recording.flight.mission)
         self._jobs: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
         self._scene: Scene | None = None
         self._time_s, self._speed, self._plays = 0.0, 1.0, False
@@ -219,13 +223,16 @@ class Page:
         reached_s = flight.time_of(*replica.now)
         is_behind = reached_s + 1.0 < self._time_s and replica.ended is None
         number, ground = replica.ground_at(flight, self._time_s)
+        if is_behind and self._last is not None:
+            number, ground = -2, self._last
         is_due = not is_behind or now_s - self._ground_at_s >= _BEHIND_S
         if ground is not None and number != self._ground_shown and is_due:
             self._ground_at_s, self._ground_shown = now_s, number
             scene.show_ground(ground)
         if replica.ended is not None:
             return f"ground: {replica.ended}"
-        return f"the ground is read until {clock_text(reached_s)}" if is_behind else ""
+        behind = f"the ground is read until {clock_text(reached_s)}" if is_behind else ""
+        return f"{behind}; shown as at the end" if number == -2 else behind
 
     def _show(self, scene: Scene, behind: str) -> None:
         recording, moved = self._recording, -self._here

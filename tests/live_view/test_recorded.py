@@ -2,6 +2,7 @@
 
 import math
 import re
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,13 +17,21 @@ from recorded import flown, mission_file, record
 from companion.config import load_mission
 from companion.errors import InputError
 from companion.live_view.command import Asked
-from companion.live_view.ground import PROVEN, UNKNOWN, Ground, Replica, ground_of
+from companion.live_view.ground import (
+    PROVEN,
+    UNKNOWN,
+    Ground,
+    Replica,
+    ground_of,
+    last_ground,
+)
 from companion.live_view.page import Page
 from companion.live_view.panel import charts_of, near_ground
 from companion.live_view.recording import Recording
 from companion.live_view.server import serve
 from companion.session import Session
 from companion.telemetry.inputs import HEADER, packed
+from companion.world.known_map import packed_map
 
 _PIECES = 5
 _PATIENCE_S = 60.0
@@ -97,6 +106,29 @@ def test_the_ground_is_what_the_flight_knew(run_dir: tuple[Path, Session]) -> No
         highest_m = each.upper_m.reshape(rows, 2, columns, 2).max((1, 3))
         assert drawn.height_m[proven] == pytest.approx(highest_m[proven])
     assert (drawn_aside.kind == PROVEN).sum() < (last.kind == PROVEN).sum()
+
+
+def test_what_was_known_in_the_end_is_there_before_the_flight_is_replayed(
+    run_dir: tuple[Path, Session], tmp_path: Path
+) -> None:
+    folder, session = run_dir
+    assert last_ground(tmp_path, session.mission) is None
+    shutil.copytree(folder, tmp_path / "run")
+    (tmp_path / "run" / "known.npz").write_bytes(packed_map(session.state.flight.known))
+    shown = list[Ground]()
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    try:
+        with Recording(tmp_path / "run") as recording:
+            recording.read()
+            page = Page(server, recording)
+            page._time_s = recording.ends_s
+            said = page._show_ground(SimpleNamespace(show_ground=shown.append), 0.0)  # type: ignore[arg-type]
+    finally:
+        server.stop()
+    assert said.endswith("shown as at the end")
+    [ground] = shown
+    whole = ground_of(session.state.flight.known, (0.0, 0.0), session.mission)
+    assert np.array_equal(ground.kind == PROVEN, whole.kind == PROVEN)
 
 
 def test_trees_hide_no_vehicle_that_flies_between_them() -> None:
