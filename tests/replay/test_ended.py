@@ -143,6 +143,42 @@ def test_an_error_from_outside_of_the_decisions_is_no_difference(tmp_path: Path)
     assert found.ended_by.call == ""
 
 
+def records_of(run: Path) -> list[bytes]:
+    """The frames of a log, each with its stamp."""
+    log, records, end = (run / "flight.tlog").read_bytes(), list[bytes](), 0
+    while end < len(log):
+        begin, end = end, end + 8 + 12 + log[end + 9]
+        records.append(log[begin:end])
+    return records
+
+
+@pytest.mark.parametrize("is_said", [True, False])
+def test_a_frame_that_was_not_sent_is_left_out_if_it_is_said_so(
+    tmp_path: Path, is_said: bool
+) -> None:
+    run = tmp_path / "run"
+    fly_short(run, until_s=30.0)
+    runs = [number for number, each in enumerate(InputsFile(run / FILE)) if each == ("run",)]
+    frames = list[int]()
+    for at in range(runs[200], runs[200] + 40):
+        head = tmp_path / f"head-{at}"
+        shutil.copytree(run, head)
+        rewritten(head, lambda inputs, at=at: inputs.__setitem__(slice(at, None), []))
+        frames.append(replayed(head, plans=False).frames)
+        if frames[-1] > frames[0]:
+            break
+    assert frames[-1] > frames[-2]  # by the input before this one
+    if is_said:
+        rewritten(run, lambda inputs: inputs.insert(at, ("unsent", [0])))
+    records = records_of(run)
+    ours = 8 + 6  # where MAVLink 2 has the component, behind the stamp: the autopilot's is 1
+    sent = [at for at in range(*frames[-2:]) if records[at][ours] != 1]
+    del records[sent[0]]
+    (run / "flight.tlog").write_bytes(b"".join(records))
+    found = replayed(run, plans=False)
+    assert (found.difference is None) == is_said
+
+
 def test_what_the_watchdog_sent_meanwhile_is_passed_over(tmp_path: Path) -> None:
     """Two frames and the entry about them, in the midst of a flight."""
     run = tmp_path / "run"
@@ -154,10 +190,7 @@ def test_what_the_watchdog_sent_meanwhile_is_passed_over(tmp_path: Path) -> None
     rewritten(head, lambda inputs: inputs.__setitem__(slice(at, None), []))
     until = replayed(head, plans=False)
     rewritten(run, lambda inputs: inputs.insert(at, ("held", 2)))
-    log, records, end = (run / "flight.tlog").read_bytes(), list[bytes](), 0
-    while end < len(log):
-        begin, end = end, end + 8 + 12 + log[end + 9]
-        records.append(log[begin:end])
+    records = records_of(run)
     records[until.frames : until.frames] = records[:2]
     (run / "flight.tlog").write_bytes(b"".join(records))
     lines = (run / "journal.jsonl").read_bytes().splitlines(keepends=True)
