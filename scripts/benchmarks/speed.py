@@ -22,12 +22,10 @@ from running import Found, main, most
 from tapped import BIN, udp_socket
 from woods import scene_of
 
-from companion.campaign import families
-from companion.campaign.families import unseen
+from companion.campaign import alone, families
 from companion.library import fly
 from companion.planner import plan as planning
 from companion.planner.plan import plan
-from companion.planner.request import PlanOutcome, PlanRequest
 from companion.runtime.compiler import load_kernel
 
 Environment = Literal[
@@ -59,19 +57,14 @@ def timed(times_ms: list[float], function: Callable[..., Any]) -> Callable[..., 
     return call
 
 
-def flown(environment: str, seed: int, planner: Callable[[PlanRequest], PlanOutcome]) -> None:
-    """One mission: of a bundled environment, among near things, or of a drawn world."""
+def flown(environment: str, seed: int) -> list[float]:
+    """How long each plan of a mission took: bundled, among near things, or of a drawn world."""
     if environment in families.FAMILIES:
-        world = families.world(environment, seed, 0)
-        blank = unseen(world)
-        fly(
-            world.terrain, world.task, start_nea_m=world.start_nea_m, known=blank,
-            targets_ne_m=world.targets_ne_m, planner=planner, seed=seed,
-        )  # fmt: skip
-    elif environment in ("street", "forest"):
-        fly(environment, environment, scene=scene_of(environment, seed), planner=planner, seed=seed)
-    else:
-        fly(environment, environment, planner=planner, seed=seed)
+        return [1e3 * each for each in alone.fly(families.world(environment, seed, 0)).plan_s]
+    times_ms = list[float]()
+    scene = scene_of(environment, seed) if environment in ("street", "forest") else None
+    fly(environment, environment, scene=scene, planner=timed(times_ms, plan), seed=seed)
+    return times_ms
 
 
 def speed(
@@ -95,9 +88,8 @@ def speed(
         firsts_ms, times_ms, guidance_ms = list[float](), list[float](), list[float]()
         measured = timed(guidance_ms, planning.cost_to_go)
         for seed in range(first, first + missions):
-            mine_ms = list[float]()
             with patch.object(planning, "cost_to_go", measured):
-                flown(name, seed, timed(mine_ms, plan))
+                mine_ms = flown(name, seed)
             firsts_ms.append(mine_ms[0])
             times_ms += mine_ms
         median, slowest = np.quantile(times_ms, _SHARES).tolist()
