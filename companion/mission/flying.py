@@ -253,7 +253,6 @@ def _on_scan(state: State, event: events.ScanDone, context: Context) -> Step:
         start=start,
         from_rest=path is None,
         target_ne_m=state.targets_ne_m[flight.target],
-        route_ne_m=flight.route_ne_m,
         progress=flight.progress,
         rest=rest,
         attempt=flight.failures,
@@ -380,7 +379,7 @@ def _accepted(state: State, planned: Planned) -> Flight:
     leg = Leg.of(planned, flight.legs_flown + 1, state.task)
     flight = replace(
         flight,
-        route_ne_m=() if planned.reaches_target else planned.route_ne_m,
+        route_ne_m=() if planned.reaches_target else planned.route_ne_m or flight.route_ne_m,
         progress=NO_PROGRESS if planned.reaches_target else planned.progress,
         refusal=flight.refusal if flight.homeward else None,  # why it goes home
     )

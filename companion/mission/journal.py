@@ -181,8 +181,6 @@ class PlanAsked(Entry, frozen=True, tag="plan asked", kw_only=True):
     """How it bends there: derivative of the tangent by the length flown, 1/m."""
     target_ne_m: NorthEast
     """Where to."""
-    route_ne_m: tuple[NorthEast, ...]
-    """The route to the target of the last plan."""
 
 
 @final

@@ -24,7 +24,7 @@ IndexArray = NDArray[np.int64]
 
 _FARTHEST = 4  # lattice points north or east that an edge leads at most
 _SHORT = 2  # the most that one of the 16 leads that serve on steep ground
-_ROUNDED = 1.0 - 1e-9  # a mean of costs may be lower than the least of them by so much
+_ROUNDED = 1.0 - 1e-9  # a mean of costs, 1 or more, may be lower than that by so much
 _ROUNDED_UP = 1.0 + 1e-9  # and a line along a way may cost more than its parts by so much
 _LOOKS = 32  # between two looks how far it has come: each takes as long as one of them
 _PARTS = 8  # of an edge, at whose ends its ground is looked at: one for each sample of the longest
@@ -93,8 +93,6 @@ class Grid(NamedTuple):
     """From a lattice point to the samples beside its edges, (24, 9, 2)."""
     jump: IndexArray
     """From a lattice point to its 48 neighbours."""
-    least: float = 1.0
-    """No cost is below: edges that cannot be cheaper than what is known are not looked at."""
 
     @staticmethod
     def empty(rows: int, columns: int, step_m: float) -> "Grid":
@@ -131,11 +129,6 @@ class Costs(NamedTuple):
         """Of points about which nothing is known but the seeds."""
         count = len(seed)
         return Costs(seed, np.full(count, np.inf), np.full(count, np.inf), np.full(count, -1))
-
-    def copied(self) -> "Costs":
-        """The same, to be changed."""
-        seed, cost, ahead = self.seed.copy(), self.cost.copy(), self.ahead.copy()
-        return Costs(seed, cost, ahead, self.via.copy())
 
 
 def edge_m(grid: Grid, row: int, column: int, k: int) -> float:
@@ -189,7 +182,7 @@ def repair(
     """
     rows, columns = grid.rows, grid.columns
     cost, ahead, via = costs.cost, costs.ahead, costs.via
-    step_m = _ROUNDED * grid.least * 2.0 * grid.step_m
+    step_m = _ROUNDED * 2.0 * grid.step_m
     least_m = step_m * _LENGTHS
     heap, looked = [(math.inf, -1)], 0
     for row in range(rows):
@@ -436,61 +429,6 @@ def _between(samples: FloatArray, at: int, columns: int, u: float, v: float) -> 
     at += columns
     north = samples[at] + v * (samples[at + 1] - samples[at])
     return float(south + u * (north - south))
-
-
-def aside_m(route: FloatArray, other: FloatArray) -> float:
-    """How far points are from a broken line at most.  (K, 2), (J, 2)."""
-    farthest = 0.0
-    for k in range(len(route)):
-        nearest = math.inf
-        for j in range(len(other) - 1):
-            nearest = min(nearest, _off2(route[k, 0], route[k, 1], other[j], other[j + 1]))
-        farthest = max(farthest, nearest)
-    return math.sqrt(farthest)
-
-
-def _off2(north: float, east: float, a: FloatArray, b: FloatArray) -> float:
-    """The square of the distance of a point from the line between two."""
-    n, e, to_n, to_e = north - a[0], east - a[1], b[0] - a[0], b[1] - a[1]
-    share = (n * to_n + e * to_e) / max(to_n * to_n + to_e * to_e, 1e-12)
-    share = min(max(share, 0.0), 1.0)
-    return float((n - share * to_n) ** 2 + (e - share * to_e) ** 2)
-
-
-def discount(
-    grid: Grid,
-    cheaper: Grid,
-    line: FloatArray,
-    width: float,
-    share: float,
-    within: tuple[int, int, int, int],
-    touched: BoolArray,
-) -> None:
-    """Make costs in the corridor of a broken line cheaper by a share; mark whose edges change.
-
-    line: rows and columns among the samples, (K, 2); width: of the corridor to either side, in
-    samples; within: the rows and columns from and to where it counts.
-    """
-    across = 2 * grid.columns - 1
-    changed = np.zeros((2 * grid.rows - 1, across), dtype=np.bool_)
-    for k in range(len(line) - 1):
-        a, b = line[k], line[k + 1]
-        south, west = (
-            max(min(a[0], b[0]) - width, within[0]),
-            max(min(a[1], b[1]) - width, within[2]),
-        )
-        north, east = (
-            min(max(a[0], b[0]) + width, within[1]),
-            min(max(a[1], b[1]) + width, within[3]),
-        )
-        for i in range(math.ceil(south), math.ceil(north)):
-            for j in range(math.ceil(west), math.ceil(east)):
-                at = i * across + j
-                if cheaper.cost[at] == grid.cost[at] and _off2(i, j, a, b) < width * width:
-                    changed[i, j] = True
-                    cheaper.cost[at] -= share * grid.cost[at]
-                    cheaper.barring[at] -= share * grid.cost[at]
-    touch(changed, (0, 2 * grid.rows - 1, 0, across), touched)
 
 
 def smooth_edges(value: FloatArray, costly: BoolArray, one_side: float) -> None:

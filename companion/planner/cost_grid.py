@@ -133,8 +133,9 @@ class CostGrid:
         cells = jit.compiled(cost_samples.changed)(
             self._upper_m, self._surveyed, known.upper_m, surveyed
         )
-        if known.guess_m is not None and not _same(known.guess_m, self._told_m):
-            cells, self._told_m = (0, size[0], 0, size[1]), known.guess_m
+        told_m, self._told_m = self._told_m, known.guess_m  # the same one again is told by identity
+        if known.guess_m is not None and not _same(known.guess_m, told_m):
+            cells = 0, size[0], 0, size[1]
             row, column = (
                 np.minimum(scale.every * np.arange(count), cut - 1)
                 for count, cut in zip(self.shape, size, strict=True)

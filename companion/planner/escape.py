@@ -48,7 +48,7 @@ def escape(request: PlanRequest) -> Planned | NotPlanned | None:
     if now_m >= least_m and not zones:
         return None
     if request.from_rest and (found := _shortest(request, zones, now_m)) is not None:
-        return straight_plan(request, *found, request.route_ne_m)
+        return straight_plan(request, *found)
     refusal = Refusal.START_NEAR_TERRAIN
     if zones:
         refusal = Refusal.START_IN_KEEP_OUT

@@ -5,7 +5,7 @@ repaired by `cheapest_ways`.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import final
 
@@ -15,8 +15,8 @@ import scipy
 from companion import jit
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner import cheapest_ways
-from companion.planner.cheapest_ways import Costs, Grid
-from companion.planner.cost_grid import Belief, CostGrid, Place, sampled
+from companion.planner.cheapest_ways import Costs
+from companion.planner.cost_grid import Belief, CostGrid, Place
 from companion.planner.cost_samples import BLOCKED
 from companion.planner.settings import Task
 from companion.world.clearance import Surface
@@ -28,11 +28,6 @@ R / 2 at most."""
 _BEYOND_RANGES = 6.0
 """Of R: costs are told apart up to so much above that of here.  Legs end within R and look ahead by
 R / 2: at the ceiling that costs as much as 6.9 R with the paper's weights."""
-_CORRIDOR = 0.2  # of R on either side of the previous route
-_CORRIDOR_RANGES = 4.0  # of R about here, in which it counts
-_DISCOUNT = 0.03
-"""On costs in the corridor, when another way looks cheaper.  Without it missions in `valley` take
-9 % longer and cost 10 % more (decision 0009)."""
 _ONE_SIDE_CELLS = 4.0
 """Free neighbours of a point differ by less than so many cells of way if they lie on one side of
 it: they are two cells apart at most, and not on ground that costs more than twice the least."""
@@ -57,8 +52,6 @@ class CostToGo:
     """The lowest altitude from which the way on can be climbed, AMSL, likewise."""
     route_ne_m: tuple[Place, ...]
     """The cheapest way from here to the target."""
-    undisputed: Surface
-    """`value` without the discount of the corridor: by this one is told whether one gets on."""
     is_barred: bool
     """Whether even that leads through what may not be flown."""
 
@@ -85,7 +78,6 @@ def cost_to_go(
     task: Task,
     here_ne_m: Place,
     target_ne_m: Place,
-    previous_route_ne_m: tuple[Place, ...] = (),
     memory: "Memory | None" = None,
     *,
     belief: Belief = Belief.GUESSED,
@@ -98,11 +90,6 @@ def cost_to_go(
         The map and the threats, limits and weights.
     here_ne_m, target_ne_m
         North, east; both may be anywhere, also off the map or inside a threat.
-    previous_route_ne_m
-        The route of the previous scan.  When the cheapest way now leaves its corridor (0.2 R to
-        either side), costs in the corridor count 3 % less, so that a small gain does not make
-        the vehicle change sides.  The discount is left out as long as nobody disputes the
-        route: values are then exact, and ends of subpaths are not drawn to the corridor.
     memory
         Of the plans before: it makes this one faster.  None: what the last plan has left.
     belief
@@ -110,20 +97,13 @@ def cost_to_go(
     """
     mine = memory or (_idle.pop() if _idle else Memory())
     field = mine.solve(known, task, here_ne_m, target_ne_m, belief)
-    route = field.route_ne_m()
-    undisputed = None
-    if _disputed(route, previous_route_ne_m, task.settings.scan_range_m):
-        undisputed, _ = field.surfaces()
-        field = field.discounted(previous_route_ne_m)
-        route = field.route_ne_m()
-    value, needed = field.surfaces()
+    route, (value, needed) = field.route_ne_m(), field.surfaces()
     if memory is None and not _idle:
         _idle.append(mine)
     return CostToGo(
         value=value,
         needed=needed,
         route_ne_m=route,
-        undisputed=value if undisputed is None else undisputed,
         is_barred=field.grid.bars(np.array(route)),
     )
 
@@ -156,7 +136,7 @@ class Memory:
             costs.seed[:] = seed
         self._kept[belief] = grid, costs
         ends_ne_m = here_ne_m, target_ne_m
-        field = _Field(grid=grid, samples=grid.samples, costs=costs, task=task, ends_ne_m=ends_ne_m)
+        field = _Field(grid=grid, costs=costs, task=task, ends_ne_m=ends_ne_m)
         field.repair(dirty)
         return field
 
@@ -168,11 +148,9 @@ _idle: list[Memory] = []
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Field:
-    """The costs of lattice points by some samples."""
+    """The costs of lattice points."""
 
     grid: CostGrid
-    samples: Grid
-    """Those of the grid, or cheaper ones."""
     costs: Costs
     task: Task
     ends_ne_m: tuple[Place, Place]
@@ -187,7 +165,7 @@ class _Field:
         here, (rows, columns) = self.grid.around(self.ends_ne_m[0]), self._box()
         window = rows.start, rows.stop, columns.start, columns.stop
         jit.compiled(cheapest_ways.repair)(
-            self.samples, self.costs, dirty, here, _BEYOND_RANGES * self._range_m, window
+            self.grid.samples, self.costs, dirty, here, _BEYOND_RANGES * self._range_m, window
         )
 
     def _box(self) -> tuple[slice, slice]:
@@ -201,42 +179,18 @@ class _Field:
         near = self.costs.cost[self.grid.around(self.ends_ne_m[0])]
         return float(near.min()) + _BEYOND_RANGES * self._range_m
 
-    def discounted(self, route_ne_m: tuple[Place, ...]) -> "_Field":
-        """Where the costs of some samples count less: a copy."""
-        grid, samples = self.grid, self.samples
-        cheaper = samples._replace(
-            cost=samples.cost.copy(),
-            barring=samples.barring.copy(),
-            least=(1.0 - _DISCOUNT) * samples.least,
-        )
-        touched = np.zeros(grid.lattice_shape, dtype=bool)
-        reach = _CORRIDOR_RANGES * self._range_m / grid.step_m
-        row, column = grid.sample_of(np.array(self.ends_ne_m[0])).tolist()
-        rows, columns = grid.shape
-        within = (
-            max(row - reach, 0.0), min(row + reach, float(rows)),
-            max(column - reach, 0.0), min(column + reach, float(columns)),
-        )  # fmt: skip
-        jit.compiled(cheapest_ways.discount)(
-            samples, cheaper, grid.sample_of(np.array(route_ne_m)),
-            _CORRIDOR * self._range_m / grid.step_m, _DISCOUNT, within, touched,
-        )  # fmt: skip
-        field = replace(self, samples=cheaper, costs=self.costs.copied())
-        field.repair(touched)
-        return field
-
     def route_ne_m(self) -> tuple[Place, ...]:
         """The cheapest way from here to the target, straightened."""
         (here, target), grid, cost = self.ends_ne_m, self.grid, self.costs.cost
         near = grid.around(here)
         near = near[cost[near] <= self.most_m]
         start = near[np.argmin(grid.lines_m(here, grid.points_m(near)) + cost[near])]
-        way = jit.compiled(cheapest_ways.way_from)(self.samples, self.costs, int(start))
+        way = jit.compiled(cheapest_ways.way_from)(self.grid.samples, self.costs, int(start))
         points = np.concatenate([[here], grid.points_m(way), [target]])
         first_m, last_m = grid.lines_m(here, points[1:2]), grid.lines_m(target, points[-2:-1])
         along_m = np.concatenate([[0.0], first_m, -np.diff(cost[way]), last_m]).cumsum()
         keep = jit.compiled(cheapest_ways.straightened)(
-            self.samples, grid.sample_of(points), along_m
+            self.grid.samples, grid.sample_of(points), along_m
         )
         return tuple((float(north), float(east)) for north, east in points[keep])
 
@@ -252,12 +206,14 @@ class _Field:
         row, column = grid.sample_of(np.array(target)).tolist()
         asked_m = -np.inf
         if 0.0 <= row <= grid.shape[0] - 1.0 and 0.0 <= column <= grid.shape[1] - 1.0:
-            asked_m = float(self.samples.lowest_m.reshape(grid.shape)[round(row), round(column)])
+            asked_m = float(
+                self.grid.samples.lowest_m.reshape(grid.shape)[round(row), round(column)]
+            )
         needed_m = jit.compiled(cheapest_ways.needed_m)(
-            self.samples, self.costs, (rows.start, rows.stop, columns.start, columns.stop),
+            self.grid.samples, self.costs, (rows.start, rows.stop, columns.start, columns.stop),
             most_m, math.tan(limits.climb_angle_rad), (row, column, asked_m),
         )  # fmt: skip
-        blocked = self.samples.cost.reshape(grid.shape)[inside] >= BLOCKED
+        blocked = self.grid.samples.cost.reshape(grid.shape)[inside] >= BLOCKED
         free_m = np.where(blocked, limits.ceiling_amsl_m, needed_m)
         about_m = scipy.ndimage.minimum_filter(free_m, 3, mode="nearest")
         value = np.minimum(self.costs.cost.reshape(grid.lattice_shape)[box], most_m)
@@ -272,16 +228,6 @@ class _Field:
             vertex_m=value, north_min_m=north_min_m, east_min_m=east_min_m, cell_m=cell_m
         )
         return value_m, value_m._replace(vertex_m=np.where(blocked, about_m, needed_m))
-
-
-def _disputed(route: tuple[Place, ...], previous: tuple[Place, ...], range_m: float) -> bool:
-    """Whether a route leaves the corridor of the previous one to the same target."""
-    corridor_m = _CORRIDOR * range_m
-    if len(previous) < 2 or math.dist(route[-1], previous[-1]) > corridor_m:
-        return False
-    points = sampled(np.array(route), 0.25 * corridor_m)
-    aside_m: float = jit.compiled(cheapest_ways.aside_m)(points, np.array(previous))
-    return aside_m > corridor_m
 
 
 def _leaves(a: Place, b: Place, centre: Place, radius_m: float) -> Place | None:

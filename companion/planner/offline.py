@@ -114,7 +114,7 @@ def fly_offline(
             outcome = NotPlanned(plan_id=ask.plan_id, refusal=Refusal.TOO_MANY_LEGS)
         flight.failure = None
         if isinstance(outcome, Planned):  # to p_prog of the leg under way, then to the next p_scan
-            ask = replace(ask, attempt=0, route_ne_m=outcome.route_ne_m, progress=outcome.progress)
+            ask = replace(ask, attempt=0, progress=outcome.progress)
             if ask.from_rest or flies(flight.legs[-1].successor_at_m(task), goes_on=True):
                 leg = Leg.of(outcome, len(flight.legs) + 1)
                 flight.plans.append(outcome)
@@ -142,7 +142,7 @@ def fly_offline(
         if leg.reaches_target and end_m == leg.subpath.length_m:
             left_ne_m.pop(0)
             if left_ne_m:
-                ask = replace(ask, target_ne_m=left_ne_m[0], route_ne_m=(), progress=NO_PROGRESS)
+                ask = replace(ask, target_ne_m=left_ne_m[0], progress=NO_PROGRESS)
         else:
             flight.holds += 1
     return flight

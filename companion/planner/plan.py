@@ -126,11 +126,11 @@ class _Plan:
     def _left_m(self, belief: Belief) -> float:
         """Of the way to the target, by guidance."""
         request, scan_ne_m = self._request, self._request.scan_nea_m[:2]
-        ends_ne_m = scan_ne_m, request.target_ne_m
-        around, task, before_ne_m = request.around, request.task, request.route_ne_m
-        field = cost_to_go(around, task, *ends_ne_m, before_ne_m, belief=belief)
-        self._prices = Prices(task, field)
-        return self._prices.left_m(request.start.point_nea_m)
+        field = cost_to_go(
+            request.around, request.task, scan_ne_m, request.target_ne_m, belief=belief
+        )
+        self._prices = Prices(request.task, field)
+        return self._prices.promised_m(request.start.point_nea_m)
 
     def _at(self, before: Progress, left_m: float) -> Progress:
         """Whether the mission gets on, from where so much is left."""
@@ -164,7 +164,7 @@ class _Plan:
             dearer_m = price_m - self._prices.promised_m(here_nea_m)
             believes = not is_near and self._progress.believed_below_m == math.inf
             if dearer_m > self._allowed_m and believes and not searches.is_cut:
-                left_m = self._prices.left_m(here_nea_m)  # guesses promise what cannot be flown
+                left_m = self._prices.promised_m(here_nea_m)  # guesses promise what cannot be flown
                 self._guide(self._progress.disbelieving(left_m, request.known.cell_m))
                 return self.outcome()
         if best is None:
@@ -191,7 +191,7 @@ class _Plan:
         if not planned.is_escape:
             return self._progress.owing(self._prices.excess_m(planned), self._range_m)
         here_nea_m, end_nea_m = planned.subpath.control_nea_m[[0, -1]].tolist()
-        more_m = self._prices.left_m(end_nea_m) - self._prices.left_m(here_nea_m)
+        more_m = self._prices.promised_m(end_nea_m) - self._prices.promised_m(here_nea_m)
         stop_m = self._request.task.stop_m if more_m > 0.0 else 0.0
         return self._progress.owed_m + max(more_m, 0.0) + stop_m
 

@@ -16,7 +16,6 @@ from companion.planner.field import CostToGo
 from companion.planner.procedure import Leg
 from companion.planner.request import Planned
 from companion.planner.settings import Task
-from companion.world.clearance import Surface
 from companion.world.radars import detection_probability
 
 _LEAST = 1e-9  # of the cost of R: where length has no weight, the cost alone decides
@@ -34,16 +33,16 @@ class Prices:
         cost_of_r = max(settings.weights.length * PER_LENGTH, _LEAST)
         self._per_cost_m = settings.scan_range_m / cost_of_r
 
-    def promised_m(self, place_nea_m: Sequence[float], value: Surface | None = None) -> float:
+    def promised_m(self, place_nea_m: Sequence[float]) -> float:
         """The predicted least from a place to the target."""
-        return float(self.to_go_m(np.array(place_nea_m), value))
+        return float(self.to_go_m(np.array(place_nea_m)))
 
-    def to_go_m(self, places_nea_m: FloatArray, value: Surface | None = None) -> FloatArray:
+    def to_go_m(self, places_nea_m: FloatArray) -> FloatArray:
         """The same from many: the way, coming down and climbing included.  (..., 3) -> (...)."""
         north, east, altitude = np.moveaxis(places_nea_m, -1, 0)
         task, needed_m = self._task, self.field.needed.altitude_m(north, east)
         down_m = np.maximum(descent_m(altitude, task) - descent_m(needed_m, task), 0.0)
-        level_m = (value or self.field.value).altitude_m(north, east)
+        level_m = self.field.value.altitude_m(north, east)
         return np.asarray(level_m + down_m + self.climb_m(places_nea_m))
 
     def climb_m(self, places_nea_m: FloatArray) -> FloatArray:
@@ -52,16 +51,12 @@ class Prices:
         short_m = self.field.needed.altitude_m(north, east) - altitude
         return np.maximum(short_m, 0.0) / math.tan(self._task.limits.climb_angle_rad)
 
-    def left_m(self, place_nea_m: Sequence[float]) -> float:
-        """The same, whichever way was preferred before: what tells whether a mission gets on."""
-        return self.promised_m(place_nea_m, self.field.undisputed)
-
     def after_m(self, planned: Planned) -> float:
         """What is predicted from where the next subpath starts: p_prog, or the end."""
         leg = Leg.of(planned, number=1)
         can_be_left = leg.can_be_left(self._task)
         at_m = leg.successor_at_m(self._task) if can_be_left else leg.subpath.length_m
-        return self.left_m(leg.subpath.pose(at_m).point_nea_m)
+        return self.promised_m(leg.subpath.pose(at_m).point_nea_m)
 
     def cost_m(self, planned: Planned) -> float:
         """A subpath and what follows; where none does, the mean of its radar term stands for R."""

@@ -2,9 +2,7 @@
 
 Guidance promises what is left to fly from a place; a leg that takes a turn, or a way that cannot be
 proven, costs more.  Such excess is owed.  A place from which less is left than from any before is a
-record: there nothing is owed any more.  What is left is told without the discount that the way
-of the last plan has (`CostToGo.undisputed`), else a way that is disputed and then is not would
-make records of one place, again and again.  When more is owed than may be (`planner.plan`), the
+record: there nothing is owed any more.  When more is owed than may be (`planner.plan`), the
 vehicle stops; standing it goes on by a straight piece along the way (`planner.way_out`), unless a
 leg costs less than that by more than what is owed already.
 

@@ -55,8 +55,6 @@ class PlanRequest:
     from_rest: bool
     """Whether the vehicle hovers at the start, so that the path may leave in any direction."""
     target_ne_m: tuple[float, float]
-    route_ne_m: tuple[tuple[float, float], ...] = ()
-    """The route to the target of the last plan: not left for a small gain."""
     progress: Progress = NO_PROGRESS  # as of the last plan on the way to the target
     rest: Rest | None = None  # of the current leg; None: the vehicle is at rest, or there is no leg
     flown: tuple[FlownSegment, ...] | None = None
@@ -97,6 +95,7 @@ class Planned:
     certificate: Certificate
     guide_rad: float = 0.0
     route_ne_m: tuple[tuple[float, float], ...] = ()
+    """The way to the target, by guidance; an escape has asked for none."""
     progress: Progress = NO_PROGRESS
     evaluations: int = 0  # of all searches of the plan, as `tries`
     rank: int = 0

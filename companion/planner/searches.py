@@ -191,7 +191,7 @@ def straight_plan(
     request: PlanRequest,
     subpath: Subpath,
     certificate: Certificate,
-    route_ne_m: tuple[tuple[float, float], ...],
+    route_ne_m: tuple[tuple[float, float], ...] = (),
 ) -> Planned:
     """A plan that no search has made: it has no cost."""
     tangent, end = subpath.pose(0.0).tangent_nea, subpath.control_nea_m[-1]

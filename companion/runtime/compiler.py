@@ -89,5 +89,4 @@ def _question() -> PlanRequest:
         start=start,
         from_rest=True,
         target_ne_m=(1_500.0, 0.0),
-        route_ne_m=((0.0, 0.0), (0.0, 1_500.0), (1_500.0, 0.0)),  # disputed: guidance looks twice
     )

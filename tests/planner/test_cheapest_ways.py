@@ -178,32 +178,6 @@ def test_where_nothing_has_changed_nothing_is_looked_at_and_far_changes_are_not_
 
 
 @given(seed=st.integers(0, 10**6))
-def test_the_corridor_of_a_line_is_cheaper_and_nothing_else(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    grid = a_grid(rng, 20, 25)
-    cheaper = grid._replace(cost=grid.cost.copy(), barring=grid.barring.copy())
-    line, width = rng.uniform(-5.0, 50.0, (int(rng.integers(2, 5)), 2)), float(rng.uniform(0, 6))
-    within, touched = (0.0, 39.0, 4.0, 30.0), np.zeros((20, 25), dtype=bool)
-    compiled(cheapest_ways.discount)(grid, cheaper, line, width, 0.03, within, touched)
-    i, j = np.indices((39, 49))
-    away = np.full((39, 49), np.inf)
-    for a, b in itertools.pairwise(line):
-        for n, e in np.linspace(a, b, 401):
-            away = np.minimum(away, np.hypot(i - n, j - e))
-    counts = (j >= 4) & (j < 30)
-    less = (grid.cost - cheaper.cost).reshape(39, 49)
-    assert (less > 0.0)[counts & (away < width)].all()
-    assert (less == 0.0)[~counts | (away > width + 0.1)].all()  # 401 points lie that close
-    some = less > 0.0
-    np.testing.assert_allclose(less[some], 0.03 * grid.cost.reshape(39, 49)[some])
-    np.testing.assert_allclose(grid.barring - cheaper.barring, less.ravel(), atol=1e-9)
-    assert (touched >= touched_by(grid, some)).all()
-    anew, costs = solved(cheaper._replace(least=0.97), {0: 0.0}), solved(grid, {0: 0.0})
-    repair(cheaper._replace(least=0.97), costs, touched)
-    assert costs.cost.tobytes() == anew.cost.tobytes()
-
-
-@given(seed=st.integers(0, 10**6))
 def test_what_is_needed_is_the_most_that_the_way_asks_for_less_what_can_be_climbed(
     seed: int,
 ) -> None:

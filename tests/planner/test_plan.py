@@ -408,7 +408,6 @@ def subpaths_until_it_arrives(task: Task, known: KnownMap, start: Pose, most: in
             start=leg.subpath.pose(leg.successor_at_m(task)),
             scan_nea_m=leg.subpath.pose(leg.scan_at_m(task)).point_nea_m,
             from_rest=False,
-            route_ne_m=outcome.route_ne_m,
             rest=leg.rest(task),
         )
     return most + 1

@@ -55,7 +55,7 @@ def test_what_is_loaded_is_all_that_a_plan_calls(monkeypatch: pytest.MonkeyPatch
     assert called == {
         *(kernels.search, kernels.costs, prove, dilated_m, zones.near_on_lattice),
         *(ways.repair, ways.way_from, ways.needed_m, ways.lines_m, ways.straightened),
-        *(ways.aside_m, ways.discount, ways.smooth_edges),
+        ways.smooth_edges,
         *(samples.changed, samples.raise_to, samples.fill),
     }
 
