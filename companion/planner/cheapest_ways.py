@@ -23,7 +23,6 @@ from companion.geodesy import BoolArray, FloatArray
 IndexArray = NDArray[np.int64]
 
 _FARTHEST = 4  # lattice points north or east that an edge leads at most
-_SHORT = 2  # the most that one of the 16 leads that serve on steep ground
 _ROUNDED = 1.0 - 1e-9  # a mean of costs, 1 or more, may be lower than that by so much
 _ROUNDED_UP = 1.0 + 1e-9  # and a line along a way may cost more than its parts by so much
 _LOOKS = 32  # between two looks how far it has come: each takes as long as one of them
@@ -81,12 +80,6 @@ class Grid(NamedTuple):
     """Between samples."""
     cost: FloatArray
     """Per metre of way."""
-    barring: FloatArray
-    """The same for long edges: where ground is steep, so much that they are not used."""
-    height: FloatArray
-    """The part of `cost` that is due to height."""
-    ramp_m: FloatArray
-    """What the height of the steepest climb from the floor to here costs."""
     lowest_m: FloatArray
     """The altitude that the terrain asks for, within the limits, AMSL."""
     beside: IndexArray
@@ -97,16 +90,12 @@ class Grid(NamedTuple):
     @staticmethod
     def empty(rows: int, columns: int, step_m: float) -> "Grid":
         """Of so many samples, whose costs are not known yet."""
-        cost, barring, height, ramp_m = np.zeros((4, rows * columns))
         beside = _SAMPLES[:, :, 0::2] * columns + _SAMPLES[:, :, 1::2]
         return Grid(
             rows=(rows + 1) // 2,
             columns=(columns + 1) // 2,
             step_m=step_m,
-            cost=cost,
-            barring=barring,
-            height=height,
-            ramp_m=ramp_m,
+            cost=np.zeros(rows * columns),
             lowest_m=np.full(rows * columns, -np.inf),
             beside=np.ascontiguousarray(beside),
             jump=DIRECTIONS[:, 0] * ((columns + 1) // 2) + DIRECTIONS[:, 1],
@@ -135,32 +124,18 @@ def edge_m(grid: Grid, row: int, column: int, k: int) -> float:
     """Cost of the edge in direction k, to a point of the lattice.
 
     By the trapezoidal rule, one point for each row or column of samples, linear between two.
-    A rise steeper than the vehicle climbs takes a ramp that begins before it: on short edges the
-    height of the ramp is paid as well, long ones do not cross such ground (they would have to be
-    looked at in more pieces, or would jump over a ridge).
     """
     if k >= _HALF:  # computed from the same end in both directions
         row += DIRECTIONS[k, 0]
         column += DIRECTIONS[k, 1]
         k -= _HALF
     pieces, at = _PIECES[k], 2 * row * (2 * grid.columns - 1) + 2 * column
-    piece_m = 2.0 * grid.step_m * _LENGTHS[k] / pieces
-    is_short, total = pieces <= 2 * _SHORT, 0.0
-    cost = grid.cost if is_short else grid.barring
+    cost, total = grid.cost, 0.0
     for p in range(pieces + 1):
         one, other = cost[at + grid.beside[k, p, 0]], cost[at + grid.beside[k, p, 1]]
         total += one + _SHARES[k, p] * (other - one)
     total -= 0.5 * (cost[at] + cost[at + grid.beside[k, pieces, 0]])
-    if is_short:
-        ramp, height, per_metre = grid.ramp_m[at], grid.height[at], 1.0 / piece_m
-        for p in range(1, pieces + 1):
-            i, j, share = at + grid.beside[k, p, 0], at + grid.beside[k, p, 1], _SHARES[k, p]
-            ramp2 = grid.ramp_m[i] + share * (grid.ramp_m[j] - grid.ramp_m[i])
-            height2 = grid.height[i] + share * (grid.height[j] - grid.height[i])
-            steeper = abs(ramp2 - ramp) * per_metre - 0.5 * (height + height2)
-            total += max(steeper, 0.0)
-            ramp, height = ramp2, height2
-    return float(total * piece_m)
+    return float(2.0 * grid.step_m * _LENGTHS[k] / pieces * total)
 
 
 def repair(
@@ -384,21 +359,18 @@ def _line_m(grid: Grid, begin: FloatArray, end: FloatArray, most_m: float) -> fl
     far = math.sqrt(north * north + east * east)
     pieces = min(max(math.ceil(far), 1), _MAX_PIECES)
     piece_m = far * grid.step_m / pieces
-    total = before = ramp = height = 0.0
+    total = before = 0.0
     for p in range(pieces + 1):
         u = min(max(begin[0] + p / pieces * north, 0.0), rows - 1.0)
         v = min(max(begin[1] + p / pieces * east, 0.0), columns - 1.0)
         i, j = min(int(u), rows - 2), min(int(v), columns - 2)
         u, v, at = u - i, v - j, i * columns + j
         here = _between(grid.cost, at, columns, u, v)
-        ramp2 = _between(grid.ramp_m, at, columns, u, v)
-        height2 = _between(grid.height, at, columns, u, v)
         if p > 0:
             total += 0.5 * (before + here) * piece_m
-            total += max(abs(ramp2 - ramp) - 0.5 * (height + height2) * piece_m, 0.0)
         if total > most_m:
             return math.inf
-        before, ramp, height = here, ramp2, height2
+        before = here
     return total
 
 

@@ -4,8 +4,7 @@ Costs are those of the objective (`companion.objective`) in metres of level flig
 floor of the band, so that they add to the cost of a subpath.  Per metre of way:
 
 - 1 for the length (f1: a_1 100 / 2.4 R);
-- the height that the known terrain asks for (f2: a_2 100 / R from floor to ceiling), and where
-  it rises faster than the vehicle climbs, the height of the ramp before and behind it;
+- the height that the known terrain asks for (f2: a_2 100 / R from floor to ceiling);
 - radars (f5: a_5 300 / R per unit of eq. 3, at that height);
 - 300 where a zone forbids to be or where terrain reaches above the ceiling: finite, so that there
   is always a way out, and it is the short one; 30 where that terrain is only guessed.
@@ -265,7 +264,6 @@ def _scale(task: Task, known: KnownMap, every: int) -> Scale:
     limits, weights, clearance_m = task.limits, task.settings.weights, task.search_clearance_m
     per_length = max(weights.length, 1e-3) / _TERMS
     per_height = weights.height / per_length
-    band_m = limits.ceiling_amsl_m - limits.floor_amsl_m
     reach = math.ceil((clearance_m + known.registration_m) / known.cell_m) + 1
     apart_m = np.arange(reach) * known.cell_m
     away_m = np.hypot(apart_m[:, None], apart_m[None, :]) - known.registration_m
@@ -277,7 +275,6 @@ def _scale(task: Task, known: KnownMap, every: int) -> Scale:
         highest_m=limits.ceiling_amsl_m - (clearance_m - task.settings.safety_distance_m),
         per_height=per_height,
         per_radar=_RADAR * weights.radar / per_length,
-        per_ramp_m=0.5 * per_height * band_m / math.tan(limits.climb_angle_rad),
         radars=np.array(
             [(*radar.centre_nea_m, radar.range_m) for radar in task.radars], dtype=np.float64
         ).reshape(-1, 4),

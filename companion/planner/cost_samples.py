@@ -14,7 +14,6 @@ from companion.planner.cheapest_ways import Grid, touch
 BLOCKED = 300.0
 """Cost per metre where nothing may fly: a detour of 300 times as much is shorter on any map."""
 _GUESSED_BLOCKED = 30.0  # where that is only guessed: if all is blocked, it is looked at first
-_BARRING = 1e4  # cost per metre where an edge is not to be used: far above BLOCKED
 
 Box = tuple[int, int, int, int]
 """First row, the row behind the last; first column, the column behind the last."""
@@ -34,8 +33,6 @@ class Scale(NamedTuple):
     """Cost per metre of way at the ceiling."""
     per_radar: float
     """The same for detection for sure."""
-    per_ramp_m: float
-    """Cost of the height of a climb from the floor to the ceiling."""
     radars: FloatArray
     """(N, 4): north, east, altitude, range."""
     rises_m: FloatArray
@@ -176,7 +173,6 @@ def fill(
                 if squared <= reach_m * reach_m:
                     ratio = squared / (radars[k, 3] * radars[k, 3])
                     seen += 1.0 / (1.0 + ratio * ratio)
-            fraction = (altitude_m - scale.floor_m) / band_m
             cost = 1.0 + scale.per_height * (flown_m - scale.floor_m) / band_m
             cost += scale.per_radar * seen + extra
             above = max(low_m - scale.highest_m, 0.0) / band_m
@@ -184,36 +180,8 @@ def fill(
             if is_blocked:
                 blocked = BLOCKED if is_sure or ground.shut[i, j] else _GUESSED_BLOCKED
                 cost += blocked * (1.0 + above)
-            height, ramp_m = scale.per_height * fraction, scale.per_ramp_m * fraction * fraction
             grid.lowest_m[at], ground.costly[i, j] = altitude_m, is_blocked or seen > 0.0
             ground.extra[i, j] = extra
-            if cost != grid.cost[at] or height != grid.height[at] or ramp_m != grid.ramp_m[at]:
-                grid.cost[at], grid.height[at], grid.ramp_m[at] = cost, height, ramp_m
-                ground.changed[i, j] = True
-    _bar(grid, box, ground.changed)
+            if cost != grid.cost[at]:
+                grid.cost[at], ground.changed[i, j] = cost, True
     touch(ground.changed, box, touched)
-
-
-def _bar(grid: Grid, box: Box, changed: BoolArray) -> None:
-    """Keep long edges off samples where the ground is steep."""
-    rows, across = changed.shape
-    for i in range(max(box[0] - 1, 0), min(box[1] + 1, rows)):
-        for j in range(max(box[2] - 1, 0), min(box[3] + 1, across)):
-            at = i * across + j
-            barring = grid.cost[at] + (_BARRING if _is_steep(grid, i, j) else 0.0)
-            if barring != grid.barring[at]:
-                grid.barring[at] = barring
-                changed[i, j] = True
-
-
-def _is_steep(grid: Grid, i: int, j: int) -> bool:
-    """Whether beside a sample the height for a ramp costs more than the height of the ground."""
-    across = 2 * grid.columns - 1
-    one = i * across + j
-    for a, b in ((i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1)):
-        if 0 <= a < 2 * grid.rows - 1 and 0 <= b < across:
-            other = a * across + b
-            level_m = 0.5 * grid.step_m * (grid.height[one] + grid.height[other])
-            if abs(grid.ramp_m[one] - grid.ramp_m[other]) > level_m:
-                return True
-    return False

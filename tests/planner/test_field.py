@@ -147,18 +147,6 @@ def test_unseen_ground_that_has_to_be_flown_over_costs_the_altitude_of_its_bound
     assert value(field, here) == pytest.approx(expected, rel=0.01)
 
 
-@pytest.mark.parametrize("rise_m", [400.0, 900.0, 1_500.0])
-def test_a_cliff_costs_the_ramp_that_leads_up_to_it(rise_m: float) -> None:
-    task = a_task()
-    north, _ = middles(task)
-    terrain = np.where(north > 30e3, FLOOR + rise_m - task.search_clearance_m, 0.0)
-    here, target = (5e3, 30e3), (55e3, 30e3)
-    field = cost_to_go(seen(task, terrain), task, here, target)
-    level = 50e3 + HEIGHT * rise_m / 2e3 * 25e3
-    ramp = HEIGHT / 2e3 * rise_m**2 / (2.0 * math.tan(CLIMB))
-    assert value(field, here) == pytest.approx(level + ramp, rel=0.03)
-
-
 def test_before_a_plateau_the_altitude_needed_falls_with_the_steepest_climb() -> None:
     task = a_task()
     north, _ = middles(task)
