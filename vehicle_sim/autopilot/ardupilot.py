@@ -5,18 +5,12 @@ Sources: ardupilot.md 1, 2, 4, 5 and the recorded flights (4.7).
 
 import abc
 import math
-from collections.abc import Sequence
-from typing import ClassVar, Final
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Final
 
-from vehicle_sim.autopilot.core import (
-    AUTOPILOT_VERSION,
-    GPS_GLOBAL_ORIGIN,
-    HEARTBEAT,
-    HOME_POSITION,
-    Autopilot,
-    Boot,
-)
-from vehicle_sim.autopilot.earth import Vector
+from vehicle_sim.autopilot import core
+from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HOME_POSITION, Autopilot, Boot
+from vehicle_sim.autopilot.earth import FlatEarth, Vector
 from vehicle_sim.autopilot.estimator import State as Estimates
 from vehicle_sim.autopilot.estimator import Timing
 from vehicle_sim.autopilot.guards import Fence, named
@@ -27,11 +21,12 @@ from vehicle_sim.autopilot.values import (
     Place,
     Reply,
     Result,
-    Sender,
     State,
     Status,
     height_amsl_m,
 )
+from vehicle_sim.conditions import SIM_PARAMETERS
+from vehicle_sim.parameters import table
 from vehicle_sim.plans import PlanKind
 
 TOLD: Final = frozenset(
@@ -53,9 +48,11 @@ _DATA_STREAMS: Final = {
 """MAV_DATA_STREAM: EXTENDED_STATUS, POSITION, EXTRA1, EXTRA2, EXTRA3."""
 
 
-def profile(*, vehicle_type: int, capabilities: int, rates_hz: dict[int, float]) -> FirmwareProfile:
-    """MAVLink as ArduPilot 4.7 speaks it: ardupilot.md 1 and the recorded flights."""
-    return FirmwareProfile(
+def firmware(
+    name: str, *, vehicle_type: int, capabilities: int, rates_hz: Mapping[int, float], **own: Any
+) -> core.Firmware:
+    """ArduPilot 4.7 for one kind of vehicle: ardupilot.md 1 and the recorded flights."""
+    profile = FirmwareProfile(
         firmware="ardupilot",
         vehicle_type=vehicle_type,
         autopilot=3,
@@ -67,6 +64,16 @@ def profile(*, vehicle_type: int, capabilities: int, rates_hz: dict[int, float])
         streamable=STREAMABLE,
         requestable=TOLD,
         data_streams=_DATA_STREAMS,
+    )
+    return core.Firmware(
+        profile=profile,
+        table=(*table("ardupilot", name), *SIM_PARAMETERS),
+        missions="AUTO",
+        first_item=1,
+        frame=FlatEarth,
+        refused=Result.FAILED,
+        cannot_arm="Arm: {}",
+        **own,
     )
 
 
@@ -106,7 +113,7 @@ _GCS_EARLY_S: Final = 0.1
 class ArduPilot(Autopilot):
     """One vehicle's autopilot."""
 
-    GCS_FAILSAFE: ClassVar[tuple[str, str]]
+    gcs_failsafe: ClassVar[tuple[str, str]]
     """The parameters that say whether a lost ground station matters, and after how long."""
 
     def __init__(self, boot: Boot) -> None:
@@ -118,14 +125,12 @@ class ArduPilot(Autopilot):
         self.battery_acted = 0
         """1: of a low battery, 2: of a critical one."""
         self._was_aiding = False
-        self._gcs_s: float | None = None
         self._battery_low_s: float | None = None
         self._fence_left_alone_s = 0.0
         self.handlers |= {
-            17: self.to_mode(self.firmware.holds),
-            176: self._do_set_mode,
-            179: self._do_set_home,
-            207: self._do_fence_enable,
+            176: self._set_mode_number,
+            179: self._set_home,
+            207: self._fence_enable,
             401: self._run_prearm_checks,
             410: self._get_home,
             520: self._capabilities,
@@ -138,18 +143,18 @@ class ArduPilot(Autopilot):
     def lands(self) -> bool:
         """Whether it comes down to land: the fence has no floor then."""
 
+    @property
     @abc.abstractmethod
-    def cannot_fly_in(self, name: str) -> str | None:
-        """Why it cannot fly in this mode now."""
+    def climbs_out(self) -> bool:
+        """Whether a take-off goes on."""
 
     @abc.abstractmethod
     def on_failsafe(self, cause: str, action: int) -> None:
         """Of "GCS", "Battery" or "Fence", what its parameter asks for."""
 
-    @property
-    @abc.abstractmethod
-    def climbs_out(self) -> bool:
-        """Whether a take-off goes on."""
+    def cannot_fly_in(self, name: str) -> str | None:
+        """Why it cannot fly in this mode now: plane can in all that may be chosen."""
+        return "cannot be chosen" if name == "INITIALISING" else None
 
     def base_mode(self) -> int:
         """Of the heartbeat, but for the bit that says whether it is armed."""
@@ -161,9 +166,9 @@ class ArduPilot(Autopilot):
 
     # --- each step ----------------------------------------------------------------------------
 
-    def on_origin(self, origin: Place) -> None:
+    def on_origin(self) -> None:
         """The estimator's origin is set, and home with it."""
-        self.home = origin
+        self.home = self.estimator.origin
         self.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
 
     def check(self) -> None:
@@ -172,22 +177,15 @@ class ArduPilot(Autopilot):
             self._was_aiding = self.estimator.aiding
             self.say(6, f"EKF3 IMU0 {'is using GPS' if self._was_aiding else 'stopped aiding'}")
         self._check_fence()
-        enabled, timeout_s = (self.parameters[name] for name in self.GCS_FAILSAFE)
-        if enabled and self.armed and self._gcs_s is not None and not self.gcs_lost:
-            self.gcs_lost = self.now_s - self._gcs_s >= timeout_s - _GCS_EARLY_S
-            if self.gcs_lost:
-                self.on_failsafe("GCS", int(enabled))
+        enabled, timeout_s = (self.parameters[name] for name in self.gcs_failsafe)
+        lost = timeout_s - _GCS_EARLY_S <= self.now_s - self.station_s < math.inf
+        if self.gcs_lost and not lost:
+            self.gcs_lost = False
+            self.say(4, "GCS Failsafe Cleared")
+        elif enabled and self.armed and lost and not self.gcs_lost:
+            self.gcs_lost = True
+            self.on_failsafe("GCS", int(enabled))
         self._check_battery()
-
-    def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
-        """Only those of MAV_GCS_SYSID count."""
-        del vehicle_type
-        if sender.system == self.parameters["MAV_GCS_SYSID"]:
-            self._gcs_s = self.now_s
-            if self.gcs_lost:
-                self.gcs_lost = False
-                self.say(4, "GCS Failsafe Cleared")
-        return self.taken()
 
     def _check_battery(self) -> None:
         battery, p = self.battery, self.parameters
@@ -237,19 +235,18 @@ class ArduPilot(Autopilot):
 
     def set_mode(self, name: str) -> bool:
         """Fly in this mode from now on, if it can be."""
-        mode, before = self.modes[name], self.mode
-        if mode is before:
+        if name == self.mode.name:
             return True
         refusal = self.cannot_fly_in(name)
         if refusal is not None:
             self.say(4, f"Mode change to {name} failed: {refusal}")
             return False
-        self.mode = mode
-        self.begin(before)
-        self.send(HEARTBEAT)
+        self.mode = self.modes[name]
+        self.begin()
+        self.send(core.HEARTBEAT)
         return True
 
-    def _do_set_mode(self, command: Command) -> Result:
+    def _set_mode_number(self, command: Command) -> Result:
         flags, number = command.parameters[:2]
         if not (math.isfinite(flags) and int(flags) & 1):
             return Result.DENIED
@@ -300,39 +297,37 @@ class ArduPilot(Autopilot):
             return Result.UNSUPPORTED_FRAME
         return Place(latitude_deg, longitude_deg, height_m)
 
-    def _do_set_home(self, command: Command) -> Result:
+    def _set_home(self, command: Command) -> Result:
         if self.estimator.origin is None:
             return Result.FAILED
         p = command.parameters
         place: Place | Result = self.estimate.place if self.estimator.ok else Result.FAILED
-        if not (p[0] == 1.0 or (p[4] == 0.0 and p[5] == 0.0 and p[6] == 0.0)):
+        if p[0] != 1.0 and p[4:] != (0.0, 0.0, 0.0):
             place = self.place_of(command)
         if isinstance(place, Result):
             return Result.FAILED if place is Result.DENIED else place
         return self.set_home(place)
 
-    def _do_fence_enable(self, command: Command) -> Result:
+    def _fence_enable(self, command: Command) -> Result:
         if command.parameters[0] not in (0.0, 1.0):
             return Result.FAILED
         self.fence.enabled = command.parameters[0] == 1.0
         return Result.ACCEPTED
 
     def _get_home(self, _: Command) -> Result:
-        if self.home is None:
-            return Result.FAILED
-        self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
-        return Result.ACCEPTED
+        if self.home is not None:
+            self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
+        return self.done(self.home is not None)
 
     def _capabilities(self, command: Command) -> Result:
         if command.parameters[0] == 1.0:
-            self.answer(AUTOPILOT_VERSION)(command)
+            self.answer(core.AUTOPILOT_VERSION)(command)
         return Result.ACCEPTED
 
     def _run_prearm_checks(self, _: Command) -> Result:
         if self.armed:
             return Result.TEMPORARILY_REJECTED
-        refusal = self.refusal()
-        if refusal is not None:
+        if (refusal := self.refusal()) is not None:
             self.say(2, f"PreArm: {refusal}")
         return Result.ACCEPTED
 

@@ -96,8 +96,9 @@ def off_deg(from_: complex, to: complex) -> complex:
 class Horizontal:
     """Desired place, velocity and acceleration, and the PID behind them.  Mutable."""
 
-    def __init__(self, tuning: Tuning) -> None:
-        self.tuning = tuning
+    tuning: Tuning
+
+    def __init__(self) -> None:
         self.scale = (1.0, 1.0)
         """Metres of a degree, of latitude and longitude, where it flies."""
         self._lean = self._asked = 0j
@@ -217,8 +218,9 @@ class Horizontal:
 class Vertical:
     """The same upwards; heights above the sea.  Mutable."""
 
-    def __init__(self, tuning: Tuning) -> None:
-        self.tuning = tuning
+    tuning: Tuning
+
+    def __init__(self) -> None:
         self.start(0.0, 0.0)
 
     def start(self, altitude_amsl_m: float, climb_m_s: float) -> None:

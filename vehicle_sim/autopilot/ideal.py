@@ -67,7 +67,7 @@ class Ideal(ArduCopter):
                 self._slope, self._interval_s = (slope, slope_up), gap_s
         return True
 
-    def fly_target(self, dt_s: float) -> Order:
+    def fly_target(self) -> Order:
         """GUIDED."""
         if self.estimator.aiding:
             if self.kind is Kind.PATH and self._age_s <= self._timeout_s:
@@ -76,7 +76,7 @@ class Ideal(ArduCopter):
                 self._tracks = False
                 self._start_vertical()
                 self._go_on()
-        return super().fly_target(dt_s)
+        return super().fly_target()
 
     def _track(self) -> Order:
         """Acceleration by the errors of position and velocity."""

@@ -10,15 +10,8 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from vehicle_sim.autopilot.core import (
-    AUTOPILOT_VERSION,
-    GPS_GLOBAL_ORIGIN,
-    HOME_POSITION,
-    Autopilot,
-    Boot,
-    Firmware,
-    Mode,
-)
+from vehicle_sim.autopilot import core
+from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HOME_POSITION, Mode
 from vehicle_sim.autopilot.earth import Projection, Vector
 from vehicle_sim.autopilot.estimator import State as Estimates
 from vehicle_sim.autopilot.estimator import Timing
@@ -32,16 +25,14 @@ from vehicle_sim.autopilot.values import (
     Place,
     Reply,
     Result,
-    Sender,
     Setpoint,
     State,
     Status,
     height_amsl_m,
 )
 from vehicle_sim.conditions import SIM_PARAMETERS_PX4
-from vehicle_sim.parameters import Parameter, table
+from vehicle_sim.parameters import table
 from vehicle_sim.plans import PlanKind
-from vehicle_sim.sensors.gps import Fix
 
 _NAN: Final = math.nan
 
@@ -65,50 +56,25 @@ _NOT_STREAMABLE: Final = frozenset({0, 42})
 """Sent by other parts of PX4: SET_MESSAGE_INTERVAL fails, as for unknown messages."""
 
 
-def profile(*, vehicle_type: int, rates_hz: dict[int, float]) -> FirmwareProfile:
-    """PX4 on its onboard link (px4.md 2), for a vehicle of this MAV_TYPE."""
-    told = frozenset(rates_hz) | {231}
-    return FirmwareProfile(
-        firmware="px4",
-        vehicle_type=vehicle_type,
-        autopilot=12,
-        capabilities=0xE8FF,
-        software_version=0x01110040,
-        custom_version=bytes((0, 0, 0, 178, 57, 165, 123, 187)),
-        first_heartbeat_us=1_600_000,  # px4.md 3
-        rates_hz=rates_hz,
-        streamable=(told | _NOT_TOLD | {GPS_GLOBAL_ORIGIN, 77}) - _NOT_STREAMABLE,
-        requestable=told | {42, 46, GPS_GLOBAL_ORIGIN, 77, AUTOPILOT_VERSION},
-    )
-
-
-def parameter_rows(*names: str) -> tuple[Parameter, ...]:
-    """Those of these tables in the alphabetic order that PX4 numbers them in, then the faults'."""
-    return (*sorted(table(*names), key=lambda row: row.name), *SIM_PARAMETERS_PX4)
-
-
-def _mode(
-    name: str, main: int, sub: int, flies: str, base: int, *, needs_position: bool = True
-) -> Mode:
-    number = main << 16 | sub << 24
-    return Mode(name, number, flies, needs_position=needs_position, base=base)
+def _mode(name: str, main: int, sub: int, flies: str, base: int, *, needs: bool = True) -> Mode:
+    return Mode(name, main << 16 | sub << 24, flies, needs_position=needs, base=base)
 
 
 _BY_HAND, _BY_ITSELF, _BY_COMMAND = 0x51, 0x1D, 0x11
 """base_mode as recorded: 29 in AUTO, 17 in OFFBOARD."""
 MODES: Final = (
     _mode("Hold", 4, 3, "hold", _BY_ITSELF),
-    _mode("Manual", 1, 0, "sink", _BY_HAND, needs_position=False),
-    _mode("Altitude", 2, 0, "sink", _BY_HAND, needs_position=False),
+    _mode("Manual", 1, 0, "sink", _BY_HAND, needs=False),
+    _mode("Altitude", 2, 0, "sink", _BY_HAND, needs=False),
     _mode("Position", 3, 0, "sink", _BY_HAND),
-    _mode("Acro", 5, 0, "sink", _BY_HAND, needs_position=False),
-    _mode("Stabilized", 7, 0, "sink", _BY_HAND, needs_position=False),
-    _mode("Offboard", 6, 0, "fly_target", _BY_COMMAND, needs_position=False),
+    _mode("Acro", 5, 0, "sink", _BY_HAND, needs=False),
+    _mode("Stabilized", 7, 0, "sink", _BY_HAND, needs=False),
+    _mode("Offboard", 6, 0, "fly_target", _BY_COMMAND, needs=False),
     _mode("Takeoff", 4, 2, "climb", _BY_ITSELF),
     _mode("Mission", 4, 4, "fly_mission", _BY_ITSELF),
     _mode("Return", 4, 5, "fly_back", _BY_ITSELF),
     _mode("Land", 4, 6, "land", _BY_ITSELF),
-    _mode("Descend", 4, 6, "descend", _BY_ITSELF, needs_position=False),
+    _mode("Descend", 4, 6, "descend", _BY_ITSELF, needs=False),
 )
 """Descend is a failsafe only, told as AUTO:LAND."""
 MODE_NAMES: Final = {mode.number: mode.name for mode in reversed(MODES)}
@@ -148,17 +114,28 @@ _TIMING: Final = Timing(
 )
 
 
-def firmware(
-    *, vehicle_type: int, rates_hz: dict[int, float], parameters: str, pilot: str = "Position"
-) -> Firmware:
-    """PX4 for one kind of vehicle, with these parameters besides the common ones."""
-    return Firmware(
-        profile=profile(vehicle_type=vehicle_type, rates_hz=rates_hz),
-        table=parameter_rows("px4", parameters),
+def firmware(parameters: str, *, vehicle_type: int, rates_hz: dict[int, float]) -> core.Firmware:
+    """PX4 on its onboard link (px4.md 2), for one kind of vehicle."""
+    told, rows = frozenset(rates_hz) | {231}, table("px4", parameters)
+    profile = FirmwareProfile(
+        firmware="px4",
+        vehicle_type=vehicle_type,
+        autopilot=12,
+        capabilities=0xE8FF,
+        software_version=0x01110040,
+        custom_version=bytes((0, 0, 0, 178, 57, 165, 123, 187)),
+        first_heartbeat_us=1_600_000,  # px4.md 3
+        rates_hz=rates_hz,
+        streamable=(told | _NOT_TOLD | {GPS_GLOBAL_ORIGIN, 77}) - _NOT_STREAMABLE,
+        requestable=told | {42, 46, GPS_GLOBAL_ORIGIN, 77, core.AUTOPILOT_VERSION},
+    )
+    return core.Firmware(
+        profile=profile,
+        # in the alphabetic order that PX4 numbers them in, then the faults'
+        table=(*sorted(rows, key=lambda row: row.name), *SIM_PARAMETERS_PX4),
         modes=MODES,
-        holds="Hold",
-        returns="Return",
-        pilot=pilot,
+        orders={20: "Return"},
+        pilot="Position",
         missions="Mission",
         first_item=0,
         timing=_TIMING,
@@ -198,17 +175,16 @@ _STILL_S: Final = 2.0
 _LOW_M: Final = 1.2
 """Below this, in the air, there is no height above ground: flags 0x33f in the logs."""
 _STILL_FLAG, _HEIGHT_FLAG = 0x080, 0x040
-_GROUND_STATION: Final = 6
 _HIGHEST_M: Final = 1e5
 """Altitudes beyond count as not given: they do not fit into any answer."""
 Asked = tuple[float, float, float, float]
 """Latitude, longitude, altitude AMSL and yaw in radians of a command; NaN: not given."""
 
 
-class Px4(Autopilot):
+class Px4(core.Autopilot):
     """One vehicle's autopilot."""
 
-    def __init__(self, boot: Boot) -> None:
+    def __init__(self, boot: core.Boot) -> None:
         super().__init__(boot)
         self.intended = self.mode
         """The mode that is wanted; `mode` is flown."""
@@ -227,8 +203,8 @@ class Px4(Autopilot):
         """A setpoint was seen within COM_OF_LOSS_T, as of the last check."""
         self.fence_breached, self.fence_breaches = False, 0
         self.zones = Zones(self.plans)
-        self._signal_s = self._station_s = -math.inf
-        """When a setpoint and a ground station were heard."""
+        self._signal_s = -math.inf
+        """When a setpoint was heard."""
         self._ill: dict[str, Action] = {}
         """What fence, ground station and battery ask for now."""
         self._incidents: dict[str, Action] = {}
@@ -237,29 +213,28 @@ class Px4(Autopilot):
         self._after_disarming = self.mode
         self._disarmed_s = -_STILL_S
         self.handlers |= {
-            21: self._do_land,
-            22: self._do_take_off,
-            176: self._do_set_mode,
-            178: self._do_change_speed,
-            179: self._do_set_home,
-            192: self._do_reposition,
-            300: self._do_start_mission,
+            21: self._land,
+            22: self._take_off,
+            176: self._set_mode_number,
+            178: self._change_speed,
+            179: self._set_home,
+            192: self._reposition,
+            300: self._start_mission,
             401: lambda _: Result.ACCEPTED,
             410: self.answer(HOME_POSITION),
             519: self.answer(300),
-            520: self.answer(AUTOPILOT_VERSION),
+            520: self.answer(core.AUTOPILOT_VERSION),
         }
 
     # --- each step ----------------------------------------------------------------------------
 
-    def on_origin(self, origin: Place) -> None:
+    def on_origin(self) -> None:
         """With the first GPS that is fused: origin and home; the origin is told once."""
-        self.home = origin
+        self.home = self.estimator.origin
         self.send(GPS_GLOBAL_ORIGIN)
 
-    def look(self, fix: Fix) -> None:
+    def look(self) -> None:
         """In every step, before the checks."""
-        del fix
         if self.estimator.origin is not None:
             self.local_m = self.frame.ned_m(self.estimate.place)
 
@@ -284,7 +259,7 @@ class Px4(Autopilot):
         self._check_estimate()
         self.offboard_signal = now_s - self._signal_s <= p["COM_OF_LOSS_T"]
         if self.armed:
-            lost = p["COM_DL_LOSS_T"] < now_s - self._station_s < math.inf
+            lost = p["COM_DL_LOSS_T"] < now_s - self.station_s < math.inf
             self._note("ground station", self._choice("NAV_DLL_ACT") if lost else Action.NONE)
             self._check_fence()
             if self._note("battery", self._battery_action()):
@@ -390,14 +365,14 @@ class Px4(Autopilot):
 
     def _change(self, mode: Mode) -> None:
         """Fly this from now on."""
-        before, self.mode = self.mode, mode
+        if self.mode.name == "Mission":
+            self.route.stop()
+        self.mode = mode
         if mode.name == "Offboard":
             self.target = None
-        if before.name == "Mission":
-            self.route.stop()
-        if mode.name == "Mission":
+        elif mode.name == "Mission":
             self.seek(0 if self.route.complete else self.route.current)
-        self.begin(before)
+        self.begin()
 
     def intend(self, name: str) -> None:
         """Want this mode from now on; if nothing forbids it, it is flown at once."""
@@ -406,7 +381,7 @@ class Px4(Autopilot):
         if name not in ("Land", "Return", "Takeoff"):
             self._after_disarming = mode
         if mode is self.mode:
-            self.begin(mode)
+            self.begin()
         self._select()
 
     def command_mode(self, name: str, asked: Asked | None = None) -> Result:
@@ -424,7 +399,7 @@ class Px4(Autopilot):
         """Fly in this mode from now on, if it can be."""
         return self.command_mode(name) is Result.ACCEPTED
 
-    def _do_set_mode(self, command: Command) -> Result:
+    def _set_mode_number(self, command: Command) -> Result:
         """p1 bit 0 says that p2 and p3 are PX4's own numbers; of other modes than AUTO p3 is 0."""
         flags, main, sub = command.parameters[:3]
         if not all(map(math.isfinite, (flags, main, sub))) or not int(flags) & 1:
@@ -449,7 +424,7 @@ class Px4(Autopilot):
 
     def on_armed(self) -> None:
         """The mode begins."""
-        self.begin(self.mode)
+        self.begin()
 
     def on_disarmed(self) -> None:
         """The mode returns to the one last commanded for flight."""
@@ -487,11 +462,11 @@ class Px4(Autopilot):
             altitude_m = altitude_m if height_m is None else height_m
         return latitude_deg, longitude_deg, altitude_m, yaw_rad
 
-    def _do_land(self, command: Command) -> Result:
+    def _land(self, command: Command) -> Result:
         asked = self._asked_by(command)
         return self.command_mode("Land", asked if asked[0] == asked[0] else None)
 
-    def _do_take_off(self, command: Command) -> Result:
+    def _take_off(self, command: Command) -> Result:
         """NAV_TAKEOFF: a mode."""
         return self.command_mode("Takeoff", self._asked_by(command))
 
@@ -502,7 +477,7 @@ class Px4(Autopilot):
             return max(self.asked[2], self.estimate.altitude_amsl_m)
         return self.base.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
 
-    def _do_reposition(self, command: Command) -> Result:
+    def _reposition(self, command: Command) -> Result:
         """p2 bit 0 changes to Hold; a place outside of the fence is refused."""
         _, flags, _, yaw_rad = command.parameters[:4]
         asked = self._asked_by(command, yaw_rad)
@@ -512,14 +487,14 @@ class Px4(Autopilot):
             return Result.UNSUPPORTED
         return self.command_mode("Hold", asked)
 
-    def _do_change_speed(self, command: Command) -> Result:
+    def _change_speed(self, command: Command) -> Result:
         """Accepted always, of effect in AUTO modes only (px4.md 3)."""
         speed_m_s = command.parameters[1]
         if math.isfinite(speed_m_s):
             self.speed_m_s = speed_m_s if speed_m_s > 0.0 else None
         return Result.ACCEPTED
 
-    def _do_set_home(self, command: Command) -> Result:
+    def _set_home(self, command: Command) -> Result:
         if command.parameters[0] == 1.0:
             ok = self.estimator.ok
             return self.set_home(self.estimate.place) if ok else Result.TEMPORARILY_REJECTED
@@ -547,7 +522,7 @@ class Px4(Autopilot):
         if self.route.has_waited(self.now_s, leg.hold_s) and leg.does is not Does.LAND:
             self.seek(self.route.current + 1)
 
-    def _do_start_mission(self, command: Command) -> Result:
+    def _start_mission(self, command: Command) -> Result:
         """MISSION_START: AUTO:MISSION, and arm if need be."""
         first = command.parameters[0]
         if not self.plans[PlanKind.MISSION]:
@@ -591,13 +566,6 @@ class Px4(Autopilot):
         )
         north_m, east_m, _ = self.frame.ned_m(Place(latitude_deg, longitude_deg, 0.0))
         return target._replace(position=(north_m, east_m, -up_m))
-
-    def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
-        """Of ground stations."""
-        del sender
-        if vehicle_type == _GROUND_STATION:
-            self._station_s = self.now_s
-        return ()
 
     def status(self) -> Status:
         """The status for telemetry."""

@@ -4,7 +4,7 @@ import math
 from typing import Final, final
 
 from vehicle_sim.autopilot.copter_control import bounded
-from vehicle_sim.autopilot.core import Boot, Mode
+from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.legs import Does
 from vehicle_sim.autopilot.px4 import MANUAL, MODES, NAVIGATED, RATES_HZ, Px4, firmware
 from vehicle_sim.autopilot.px4_control import NONE, Control, Point, State, given
@@ -12,7 +12,7 @@ from vehicle_sim.autopilot.setpoints import NOTHING, Target, is_flyable
 from vehicle_sim.autopilot.values import Place, TargetEcho, Waypoint
 from vehicle_sim.dynamics.copter import Copter
 
-FIRMWARE: Final = firmware(vehicle_type=2, rates_hz=RATES_HZ, parameters="px4copter")
+FIRMWARE: Final = firmware("px4copter", vehicle_type=2, rates_hz=RATES_HZ)
 
 _NAN: Final = math.nan
 _STOPS: Final = State(velocity=0j, sink=0.0)
@@ -57,7 +57,7 @@ class Px4Copter(Px4):
         self._ways = {mode.name: getattr(self, mode.flies) for mode in MODES}
         self._goal, self._goal_down = NONE, _NAN
         """Of the AUTO modes, in the local frame; NaN: still braking."""
-        self._began, self._began_down = 0j, 0.0
+        self._began_in, self._began, self._began_down = "", 0j, 0.0
         """Where the mode began, or where its braking ends."""
         self._ramp_s: float | None = None
         """When the take-off ramp began; None: on the ground or done with it."""
@@ -105,12 +105,13 @@ class Px4Copter(Px4):
 
     # --- modes --------------------------------------------------------------------------------
 
-    def begin(self, before: Mode) -> None:
+    def begin(self) -> None:
         """Start the smooth motion of the AUTO modes from what the vehicle does."""
         p, name, flown = self.parameters, self.mode.name, self._flown
         self.read_parameters()
-        if before is not self.mode or not self._flying:
+        if name != self._began_in or not self._flying:
             self._point.start(flown)
+        self._began_in = name
         self._goal, self._goal_down, self._stage = NONE, _NAN, 0
         self._began, self._began_down = flown.place, flown.down
         self._yaw_rad, self._aim_yaw_rad = self.copter.heading_rad, _NAN
@@ -179,9 +180,8 @@ class Px4Copter(Px4):
         """Whether nothing wants up."""
         return self._ramp_s is None
 
-    def stand(self, dt_s: float) -> None:
+    def stand(self) -> None:
         """It stands, even if the motors turn."""
-        del dt_s
         self.touch_down()
 
     def touch_down(self) -> None:
@@ -221,22 +221,21 @@ class Px4Copter(Px4):
 
     # --- one step -----------------------------------------------------------------------------
 
-    def steer(self, dt_s: float) -> None:
+    def steer(self) -> None:
         """The mode says what it wants, the position controller what that takes."""
-        self._wanted = self._ways[self.mode.name](dt_s)
+        self._wanted = self._ways[self.mode.name]()
         if not self.armed or not (self._flying or self._starts()):
             return
-        self._order = self._control.run(self._wanted, self._flown, self._most_up_m_s(), dt_s)
-        self._turn(dt_s)
+        self._order = self._control.run(self._wanted, self._flown, self._most_up_m_s(), self.step_s)
+        self._turn()
 
-    def move(self, dt_s: float) -> None:
+    def move(self) -> None:
         """Thrust."""
         level, down = self._order
-        self.copter.advance(level.real, level.imag, -down, dt_s)
+        self.copter.advance(level.real, level.imag, -down, self.step_s)
 
-    def fly_target(self, dt_s: float) -> State:
+    def fly_target(self) -> State:
         """OFFBOARD: the setpoint goes straight to the controller; what it cannot fly stops it."""
-        del dt_s
         target = self.target
         if target is None:
             return _STOPS
@@ -249,16 +248,15 @@ class Px4Copter(Px4):
                 )
         return self._offboard
 
-    def descend(self, dt_s: float) -> State:
+    def descend(self) -> State:
         """Without a position or a pilot: level, and down."""
-        del dt_s
         return State(sink=self.parameters["MPC_LAND_SPEED"])
 
-    def sink(self, dt_s: float) -> State:
+    def sink(self) -> State:
         """By hand: a pilot's sticks are centred; without one it comes down."""
         if not self.pilot_present:
-            return self.descend(dt_s)
-        self._point.towards_velocity(0j, 0.0, dt_s)
+            return self.descend()
+        self._point.towards_velocity(0j, 0.0, self.step_s)
         return self._point.at
 
     # --- AUTO modes: they move the point that the controller follows --------------------------
@@ -275,7 +273,7 @@ class Px4Copter(Px4):
         p = self.parameters
         return min(self.speed_m_s or p["MPC_XY_CRUISE"], p["MPC_XY_VEL_MAX"])
 
-    def hold(self, dt_s: float) -> State:
+    def hold(self) -> State:
         """To the goal; without one, brake, and stay where that ends."""
         p, point = self.parameters, self._point
         if self._waits():
@@ -284,12 +282,12 @@ class Px4Copter(Px4):
             self._goal, self._goal_down = self._began, self._began_down
         climbs = p["MPC_TKO_SPEED" if self.mode.name == "Takeoff" else "MPC_Z_V_AUTO_UP"]
         speeds = (self._cruise_m_s, climbs, p["MPC_Z_V_AUTO_DN"])
-        point.towards_place(self._goal, self._goal_down, speeds, dt_s)
+        point.towards_place(self._goal, self._goal_down, speeds, self.step_s)
         return point.at
 
-    def climb(self, dt_s: float) -> State:
+    def climb(self) -> State:
         """Takeoff; then Hold (COM_TAKEOFF_ACT 0), once it has stood at its height for a moment."""
-        at = self.hold(dt_s)
+        at = self.hold()
         is_up = self.local_m[2] - self._goal_down < self.parameters["NAV_MC_ALT_RAD"]
         if self.landed or not is_up or abs(at.sink) >= _SLOW_M_S:
             self._up_s = None
@@ -300,7 +298,7 @@ class Px4Copter(Px4):
             self.intend("Hold")
         return at
 
-    def land(self, dt_s: float) -> State:
+    def land(self) -> State:
         """Down to the ground, slower the nearer it is."""
         p, point = self.parameters, self._point
         if self._waits():
@@ -313,35 +311,35 @@ class Px4Copter(Px4):
         sink_m_s = slow + (p["MPC_Z_V_AUTO_DN"] - slow) * share
         if height_m < p["MPC_LAND_ALT3"]:
             sink_m_s = min(slow, p["MPC_LAND_CRWL"])
-        point.towards_place(self._goal, _NAN, (self._cruise_m_s, 0.0, 0.0), dt_s, sink_m_s)
+        point.towards_place(self._goal, _NAN, (self._cruise_m_s, 0.0, 0.0), self.step_s, sink_m_s)
         return point.at
 
-    def fly_back(self, dt_s: float) -> State:
+    def fly_back(self) -> State:
         """Return: up, home, and land from there."""
         if self._stage == 0 and abs(self._goal_down - self.local_m[2]) < _ARRIVED_M:
             self._stage, self._goal = 1, self._level(self.base)
         elif self._stage == 1 and abs(self._goal - self._here) < _ARRIVED_M:
             self._stage = 2
-        return self.land(dt_s) if self._stage == 2 else self.hold(dt_s)
+        return self.land() if self._stage == 2 else self.hold()
 
-    def fly_mission(self, dt_s: float) -> State:
+    def fly_mission(self) -> State:
         """Leg by leg."""
         leg, p = self.route.leg, self.parameters
         if leg is None:
-            return self.hold(dt_s)
+            return self.hold()
         away_m = abs(self._goal - self._here)
         if leg.does is Does.LAND:
             if away_m < _ARRIVED_M and self.route.arrived_s is None:
                 self.arrived(leg)
-            return self.hold(dt_s) if self.route.arrived_s is None else self.land(dt_s)
-        at = self.hold(dt_s)
+            return self.hold() if self.route.arrived_s is None else self.land()
+        at = self.hold()
         near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else p["NAV_ACC_RAD"]
         off_m = abs(self._goal_down - self.local_m[2])
         if away_m < near_m and off_m < p["NAV_MC_ALT_RAD"]:
             self.arrived(leg)
         return at
 
-    def _turn(self, dt_s: float) -> None:
+    def _turn(self) -> None:
         """Turn the nose: to the setpoint's yaw, or along the way."""
         p, copter, name, target = self.parameters, self.copter, self.mode.name, self.target
         fastest_deg_s, gain_1_s = p["MPC_YAWRAUTO_MAX"], p["MC_YAW_P"]
@@ -360,7 +358,9 @@ class Px4Copter(Px4):
         most = math.radians(fastest_deg_s)
         off_rad = math.remainder(self._yaw_rad - copter.heading_rad, math.tau)
         self._turn_rad_s = bounded(gain_1_s * off_rad, -most, most)
-        copter.heading_rad = math.remainder(copter.heading_rad + self._turn_rad_s * dt_s, math.tau)
+        copter.heading_rad = math.remainder(
+            copter.heading_rad + self._turn_rad_s * self.step_s, math.tau
+        )
 
     # --- to tell ------------------------------------------------------------------------------
 
