@@ -414,21 +414,17 @@ class ArduCopter(ArduPilot):
     @property
     def _auto_climbs(self) -> bool:
         """AUTO's item is a take-off."""
-        leg = self.route.leg
-        return self.mode.name == "AUTO" and leg is not None and leg.does is Does.CLIMB
+        return self.mode.name == "AUTO" and self.is_at(Does.CLIMB)
 
     @property
     def climbs_out(self) -> bool:
         """Whether a take-off goes on."""
         return self._takeoff_s is not None or self._auto_climbs
 
-    def takes_off(self) -> bool:
+    @property
+    def wants_up(self) -> bool:
         """Until it has come to the height that it was told."""
         return self._takeoff_s is not None and self._reached_s is None
-
-    def stand(self) -> None:
-        """It stands."""
-        self.copter.altitude_amsl_m = self.ground_m
 
     def touch_down(self) -> None:
         """Come to rest on the terrain, or in it."""

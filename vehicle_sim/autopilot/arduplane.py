@@ -217,10 +217,6 @@ class ArduPlane(Wheels, ArduPilot):
         near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else near_m
         return abs(self.control.off_m(self._place)) <= near_m or self._along() >= 1.0
 
-    def is_at(self, does: Does) -> bool:
-        """Whether the mission is at an item of this kind."""
-        return self.route.leg is not None and self.route.leg.does is does
-
     @property
     def lands(self) -> bool:
         """Where AUTO does."""

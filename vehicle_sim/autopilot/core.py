@@ -8,7 +8,7 @@ import abc
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from vehicle_sim.autopilot import values
 from vehicle_sim.autopilot.earth import Frame, Vector
 from vehicle_sim.autopilot.estimator import Estimator, Timing
-from vehicle_sim.autopilot.legs import Route, leg_of
+from vehicle_sim.autopilot.legs import Does, Route, leg_of
 from vehicle_sim.autopilot.values import Command, Place, Reply, Result, Sender
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
@@ -167,21 +167,21 @@ class Autopilot(abc.ABC):
     def move(self) -> None:
         """In the air, armed: move the vehicle."""
 
-    @abc.abstractmethod
     def stand(self) -> None:
         """On the ground; a plane may roll."""
+        self.vehicle.stand(self.ground_m)
 
     @abc.abstractmethod
     def touch_down(self) -> None:
         """It comes to the ground with this step."""
 
-    def takes_off(self) -> bool:
-        """Whether it wants up from the ground: a gust that presses it down ends no take-off."""
-        return False
+    @property
+    @abc.abstractmethod
+    def wants_up(self) -> bool:
+        """Whether it takes off: what presses it to the ground ends nothing then."""
 
-    def lies(self) -> bool:
-        """Whether what touches the ground may be taken to have landed."""
-        return True
+    lies_below_m_s = math.inf
+    """Speed on the ground at which it may be taken to have landed."""
 
     @abc.abstractmethod
     def disarms_after_s(self) -> float | None:
@@ -296,7 +296,7 @@ class Autopilot(abc.ABC):
         else:
             vehicle.fall(self.step_s)
         if vehicle.altitude_amsl_m <= self.ground_m:
-            if self.armed and self.takes_off():  # the ground carries it until it rises
+            if self.armed and self.wants_up:  # the ground carries it until it rises
                 vehicle.altitude_amsl_m = self.ground_m
                 vehicle.velocity_up_m_s = max(vehicle.velocity_up_m_s, 0.0)
                 return
@@ -309,18 +309,22 @@ class Autopilot(abc.ABC):
 
     def _wait_on_ground(self) -> None:
         """Believe the landing after a while, and disarm."""
-        if not self.landed:
-            if not self.lies():
-                self.touched_s = None
-            else:
-                self.touched_s = self.now_s if self.touched_s is None else self.touched_s
-                waited_s = self.now_s - self.touched_s
-                if not self.armed or waited_s >= self.firmware.believes_landing_s:
-                    self.landed, self.landed_s = True, self.now_s
+        if self.armed and (self.wants_up or self.rolling_m_s > self.lies_below_m_s):
+            self.touched_s = None
+        elif not self.landed:
+            self.touched_s = self.now_s if self.touched_s is None else self.touched_s
+            waited_s = self.now_s - self.touched_s
+            if not self.armed or waited_s >= self.firmware.believes_landing_s:
+                self.landed, self.landed_s = True, self.now_s
         if self.armed and self.landed and (wait_s := self.disarms_after_s()) is not None:
             since_s = self.armed_s if self.landed_s is None else self.landed_s
             if self.now_s - since_s >= wait_s:
                 self.disarm("auto preflight disarming" if self.landed_s is None else "landing")
+
+    @property
+    def rolling_m_s(self) -> float:
+        """Speed over the ground, by its wheels."""
+        return math.hypot(self.vehicle.velocity_north_m_s, self.vehicle.velocity_east_m_s)
 
     @property
     def rates_rad_s(self) -> tuple[float, ...]:
@@ -404,6 +408,10 @@ class Autopilot(abc.ABC):
         )
         self.begin_leg(self.route.seek(items, number, leg_at, self.now_s))
 
+    def is_at(self, does: Does) -> bool:
+        """Whether it flies a leg of this kind."""
+        return self.route.leg is not None and self.route.leg.does is does
+
     def jump(self, number: int) -> bool:
         """Make this the current item, in a mission fly it; tells whether there is such an item."""
         if not 0 <= number < max(len(self.plans[PlanKind.MISSION]), 1):
@@ -452,7 +460,7 @@ class Autopilot(abc.ABC):
         if command.number != _DO_SET_MODE or not self.is_px4:
             return [ack, *self.taken()]
         self._said.insert(0, ack)
-        return [replace(ack, result=Result.ACCEPTED)]
+        return [ack._replace(result=Result.ACCEPTED)]
 
     def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
         """A ground station's counts: to ArduPilot the one of its parameter, to PX4 any."""

@@ -273,23 +273,14 @@ class Wheels(Autopilot):
         assert isinstance(boot.vehicle, Plane)
         self.plane = boot.vehicle
         self.control = PlaneControl(self.plane, self.estimate)
+        self.lies_below_m_s = self.runway.landed_m_s
         self._waited_s = 0.0
         """When it was not yet to take off."""
 
     @property
     @abc.abstractmethod
-    def wants_up(self) -> bool:
-        """Whether it is to take off: by mode or by the mission's item, and armed."""
-
-    @property
-    @abc.abstractmethod
     def lift_off_m_s(self) -> float:
         """True airspeed at which it leaves the ground."""
-
-    @property
-    def rolling_m_s(self) -> float:
-        """Over the ground, by its wheels."""
-        return math.hypot(self.plane.velocity_north_m_s, self.plane.velocity_east_m_s)
 
     def lifts_off(self) -> bool:
         """Fast enough on the runway."""
@@ -314,10 +305,6 @@ class Wheels(Autopilot):
         """Wheels or nose on the ground."""
         self.plane.touch_down(self.ground_m)
         self._waited_s = self.now_s
-
-    def lies(self) -> bool:
-        """Slow on the runway, or disarmed."""
-        return not self.armed or (self.rolling_m_s < self.runway.landed_m_s and not self.wants_up)
 
     def move(self) -> None:
         """In the air, as it was steered."""

@@ -8,9 +8,9 @@ import abc
 import enum
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple, final
 
-from vehicle_sim.autopilot import core
+from vehicle_sim.autopilot import core, values
 from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HOME_POSITION, Mode
 from vehicle_sim.autopilot.earth import Projection, Vector
 from vehicle_sim.autopilot.estimator import State as Estimates
@@ -18,18 +18,7 @@ from vehicle_sim.autopilot.estimator import Timing
 from vehicle_sim.autopilot.guards import Zones
 from vehicle_sim.autopilot.legs import Does, Leg
 from vehicle_sim.autopilot.setpoints import Target, given, read_by_px4
-from vehicle_sim.autopilot.values import (
-    Command,
-    FirmwareProfile,
-    Landed,
-    Place,
-    Reply,
-    Result,
-    Setpoint,
-    State,
-    Status,
-    height_amsl_m,
-)
+from vehicle_sim.autopilot.values import Command, Landed, Place, Reply, Result, State
 from vehicle_sim.conditions import SIM_PARAMETERS_PX4
 from vehicle_sim.parameters import table
 from vehicle_sim.plans import PlanKind
@@ -77,8 +66,7 @@ MODES: Final = (
     _mode("Descend", 4, 6, "descend", _BY_ITSELF, needs=False),
 )
 """Descend is a failsafe only, told as AUTO:LAND."""
-MODE_NAMES: Final = {mode.number: mode.name for mode in reversed(MODES)}
-MANUAL: Final = frozenset(mode.name for mode in MODES if mode.base == _BY_HAND)
+_NAMES: Final = {mode.number: mode.name for mode in reversed(MODES)}
 NAVIGATED: Final = frozenset({"Takeoff", "Hold", "Mission", "Return", "Land"})
 """Modes in which the navigator has a place to go to."""
 
@@ -117,7 +105,7 @@ _TIMING: Final = Timing(
 def firmware(parameters: str, *, vehicle_type: int, rates_hz: dict[int, float]) -> core.Firmware:
     """PX4 on its onboard link (px4.md 2), for one kind of vehicle."""
     told, rows = frozenset(rates_hz) | {231}, table("px4", parameters)
-    profile = FirmwareProfile(
+    profile = values.FirmwareProfile(
         firmware="px4",
         vehicle_type=vehicle_type,
         autopilot=12,
@@ -153,21 +141,16 @@ def firmware(parameters: str, *, vehicle_type: int, rates_hz: dict[int, float]) 
 
 # --- failsafes: which mode is flown instead of the wanted one (px4.md 6 to 8) ---------------------
 
-
-class Action(enum.IntEnum):
-    """failsafe_action_t: the worse, the greater."""
-
-    NONE, WARN, POSITION, ALTITUDE, STABILIZED, HOLD = range(6)
-    RETURN, LAND, DESCEND, DISARM, TERMINATE = range(6, 11)
-
-
+Action = enum.IntEnum(
+    "Action",
+    "NONE WARN POSITION ALTITUDE STABILIZED HOLD RETURN LAND DESCEND DISARM TERMINATE",
+    start=0,
+)
+"""failsafe_action_t: the worse, the greater."""
 _CHOICES: Final = {
-    name: [Action[action.upper()] for action in actions.split()]
-    for name, actions in {
-        "COM_OBL_RC_ACT": "position altitude stabilized return land hold terminate disarm",
-        "GF_ACTION": "none warn hold return terminate land",
-        "NAV_DLL_ACT": "none hold return land none terminate disarm",
-    }.items()
+    "COM_OBL_RC_ACT": "POSITION ALTITUDE STABILIZED RETURN LAND HOLD TERMINATE DISARM",
+    "GF_ACTION": "NONE WARN HOLD RETURN TERMINATE LAND",
+    "NAV_DLL_ACT": "NONE HOLD RETURN LAND NONE TERMINATE DISARM",
 }
 """What the values of these parameters ask for; another one asks for the first."""
 _STILL_S: Final = 2.0
@@ -177,8 +160,21 @@ _LOW_M: Final = 1.2
 _STILL_FLAG, _HEIGHT_FLAG = 0x080, 0x040
 _HIGHEST_M: Final = 1e5
 """Altitudes beyond count as not given: they do not fit into any answer."""
-Asked = tuple[float, float, float, float]
-"""Latitude, longitude, altitude AMSL and yaw in radians of a command; NaN: not given."""
+
+
+@final
+class Asked(NamedTuple):
+    """Where NAV_TAKEOFF, DO_REPOSITION or NAV_LAND wants it; NaN: not given."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_amsl_m: float
+    yaw_rad: float
+
+    @property
+    def has_place(self) -> bool:
+        """Whether there is more than a height."""
+        return self.latitude_deg == self.latitude_deg
 
 
 class Px4(core.Autopilot):
@@ -194,17 +190,14 @@ class Px4(core.Autopilot):
         self.target: Target | None = None
         """The newest one that OFFBOARD flies, in the local frame; None: none since it began."""
         self.asked: Asked | None = None
-        """Where NAV_TAKEOFF, DO_REPOSITION or NAV_LAND, which brought about the mode, wants it."""
+        """By the command that brought about the mode."""
         self.speed_m_s: float | None = None
         """DO_CHANGE_SPEED, in AUTO modes."""
-        self.pilot_present = False
-        """Holds the sticks centred: without one the manual modes sink."""
         self.offboard_signal = False
-        """A setpoint was seen within COM_OF_LOSS_T, as of the last check."""
+        self._signal_s = -math.inf
+        """A setpoint was seen within COM_OF_LOSS_T, as of the last check; and when it was."""
         self.fence_breached, self.fence_breaches = False, 0
         self.zones = Zones(self.plans)
-        self._signal_s = -math.inf
-        """When a setpoint was heard."""
         self._ill: dict[str, Action] = {}
         """What fence, ground station and battery ask for now."""
         self._incidents: dict[str, Action] = {}
@@ -316,8 +309,8 @@ class Px4(core.Autopilot):
 
     def _choice(self, name: str) -> Action:
         """What the value of this parameter asks for."""
-        choices, value = _CHOICES[name], int(self.parameters[name])
-        return choices[value if 0 <= value < len(choices) else 0]
+        choices, value = _CHOICES[name].split(), int(self.parameters[name])
+        return Action[choices[value if 0 <= value < len(choices) else 0]]
 
     def _note(self, cause: str, action: Action) -> bool:
         """What a cause asks for now (NONE: it is well); tells whether it has begun or got worse."""
@@ -336,8 +329,7 @@ class Px4(core.Autopilot):
             if not self.offboard_signal or not precise:
                 action = max(action, self._choice("COM_OBL_RC_ACT"))
         elif intended.needs_position and not ok:
-            manual = intended.name in MANUAL
-            action = max(action, Action.ALTITUDE if manual else Action.DESCEND)
+            action = max(action, Action.ALTITUDE if intended.base == _BY_HAND else Action.DESCEND)
         if intended.name in ("Land", "Return") and action is Action.RETURN and ok:
             return Action.NONE
         # landing needs less of a position than others: the real one landed for 0.2 s on its way
@@ -351,23 +343,23 @@ class Px4(core.Autopilot):
     def _select(self) -> None:
         """Which mode is flown now."""
         before, self.action = self.action, self._failsafe() if self.armed else Action.NONE
-        if self.action > before and self.action > Action.WARN:
+        if self.action > max(before, Action.WARN):
             self.say(2, "Failsafe activated\t")
         if self.action >= Action.DISARM:
             self.disarm("external command")
             return
-        instead = self.action.name.title()
-        mode = self.modes[instead if self.action > Action.WARN else self.intended.name]
-        if mode is not self.mode:
-            self._change(mode)
+        instead = self.action > Action.WARN
+        self._change(self.modes[self.action.name.title()] if instead else self.intended)
 
     # --- modes and arming ---------------------------------------------------------------------
 
     def _change(self, mode: Mode) -> None:
-        """Fly this from now on."""
-        if self.mode.name == "Mission":
+        """Fly this from now on, if it is not flown already."""
+        before, self.mode = self.mode, mode
+        if mode is before:
+            return
+        if before.name == "Mission":
             self.route.stop()
-        self.mode = mode
         if mode.name == "Offboard":
             self.target = None
         elif mode.name == "Mission":
@@ -404,23 +396,17 @@ class Px4(core.Autopilot):
         flags, main, sub = command.parameters[:3]
         if not all(map(math.isfinite, (flags, main, sub))) or not int(flags) & 1:
             return Result.TEMPORARILY_REJECTED
-        number = int(main) << 16 | (int(sub) << 24 if int(main) == 4 else 0)
-        name = MODE_NAMES.get(number)
+        name = _NAMES.get(int(main) << 16 | (int(sub) << 24 if int(main) == 4 else 0))
         return Result.TEMPORARILY_REJECTED if name is None else self.command_mode(name)
 
-    @property
-    def armable(self) -> bool:
-        """Whether it could be armed now, in the mode that is flown."""
-        name, ok = self.mode.name, self.estimator.ok
-        if self.now_s < ARMABLE_S or (name == "Mission" and not self.plans[PlanKind.MISSION]):
-            return False
-        if name in MANUAL:
-            return self.pilot_present
-        return ok and self.offboard_signal if name == "Offboard" else ok
-
     def refusal(self) -> str | None:
-        """Why it may not be armed now."""
-        return None if self.armable else "Resolve system health failures first"
+        """Why it may not be armed now, in the mode that is flown; by hand it has no pilot."""
+        mode, able = self.mode, self.estimator.ok and self.now_s >= ARMABLE_S
+        if mode.name == "Offboard":
+            able = able and self.offboard_signal
+        elif mode.name == "Mission":
+            able = able and bool(self.plans[PlanKind.MISSION])
+        return None if able and mode.base != _BY_HAND else "Resolve system health failures first"
 
     def on_armed(self) -> None:
         """The mode begins."""
@@ -433,19 +419,13 @@ class Px4(core.Autopilot):
         self._incidents.clear()
         self._ill.clear()
         self.intended, self.action = self._after_disarming, Action.NONE
-        if self.intended is not self.mode:
-            self._change(self.intended)
+        self._change(self.intended)
 
     def disarms_after_s(self) -> float | None:
         """COM_DISARM_LAND after landing, COM_DISARM_PRFLT after arming without take-off."""
         name = "COM_DISARM_PRFLT" if self.landed_s is None else "COM_DISARM_LAND"
         wait_s = self.parameters[name]
         return wait_s if wait_s > 0.0 else None
-
-    def pilot_takes(self) -> Sequence[Reply]:
-        """Fault: the pilot changes to Position mode and holds the sticks centred."""
-        self.pilot_present = True
-        return super().pilot_takes()
 
     # --- commands -----------------------------------------------------------------------------
 
@@ -458,30 +438,38 @@ class Px4(core.Autopilot):
         altitude_m = altitude_m if abs(altitude_m) <= _HIGHEST_M else _NAN
         if self.home is not None and altitude_m == altitude_m:
             home_m, frame = self.home.altitude_amsl_m, command.frame or 0
-            height_m = height_amsl_m(frame, altitude_m, home_m, self.ground_m)
+            height_m = values.height_amsl_m(frame, altitude_m, home_m, self.ground_m)
             altitude_m = altitude_m if height_m is None else height_m
-        return latitude_deg, longitude_deg, altitude_m, yaw_rad
+        return Asked(latitude_deg, longitude_deg, altitude_m, yaw_rad)
+
+    def asked_or(self, here: Place) -> Place:
+        """What of a place was asked for, and here what was not."""
+        asked = self.asked
+        if asked is None:
+            return here
+        height_m = asked.altitude_amsl_m
+        height_m = here.altitude_amsl_m if height_m != height_m else height_m
+        return Place(*asked[:2], height_m) if asked.has_place else here.at(height_m)
 
     def _land(self, command: Command) -> Result:
         asked = self._asked_by(command)
-        return self.command_mode("Land", asked if asked[0] == asked[0] else None)
+        return self.command_mode("Land", asked if asked.has_place else None)
 
     def _take_off(self, command: Command) -> Result:
-        """NAV_TAKEOFF: a mode."""
         return self.command_mode("Takeoff", self._asked_by(command))
 
     @property
     def takeoff_altitude_m(self) -> float:
         """AMSL: NAV_TAKEOFF's, but never down, or MIS_TAKEOFF_ALT above home."""
-        if self.asked is not None and math.isfinite(self.asked[2]):
-            return max(self.asked[2], self.estimate.altitude_amsl_m)
+        if self.asked is not None and math.isfinite(self.asked.altitude_amsl_m):
+            return max(self.asked.altitude_amsl_m, self.estimate.altitude_amsl_m)
         return self.base.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
 
     def _reposition(self, command: Command) -> Result:
         """p2 bit 0 changes to Hold; a place outside of the fence is refused."""
         _, flags, _, yaw_rad = command.parameters[:4]
         asked = self._asked_by(command, yaw_rad)
-        if asked[0] == asked[0] and self.forbidden(Place(asked[0], asked[1], 0.0)):
+        if asked.has_place and self.forbidden(Place(*asked[:2], 0.0)):
             return Result.DENIED
         if self.mode.name != "Hold" and not (math.isfinite(flags) and int(flags) & 1):
             return Result.UNSUPPORTED
@@ -498,8 +486,8 @@ class Px4(core.Autopilot):
         if command.parameters[0] == 1.0:
             ok = self.estimator.ok
             return self.set_home(self.estimate.place) if ok else Result.TEMPORARILY_REJECTED
-        *place, _ = self._asked_by(command)
-        return self.set_home(Place(*place)) if all(map(math.isfinite, place)) else Result.DENIED
+        place = Place(*self._asked_by(command)[:3])
+        return self.set_home(place) if all(map(math.isfinite, place)) else Result.DENIED
 
     # --- missions -----------------------------------------------------------------------------
 
@@ -510,7 +498,7 @@ class Px4(core.Autopilot):
     def begin_leg(self, speed_m_s: float | None) -> None:
         """Another leg of the mission, or none any more; the speed that was asked for before it."""
         self.speed_m_s = speed_m_s or self.speed_m_s
-        if self.route.leg is not None and self.route.leg.does is Does.RETURN:
+        if self.is_at(Does.RETURN):
             self.intend("Return")
         else:
             self.fly_leg()
@@ -543,7 +531,7 @@ class Px4(core.Autopilot):
 
     # --- the rest of the protocol -------------------------------------------------------------
 
-    def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
+    def on_setpoint(self, setpoint: values.Setpoint) -> Sequence[Reply]:
         """Take a setpoint as a sign of life, and in OFFBOARD as what to fly."""
         if self.estimator.origin is None and setpoint.is_global:
             return ()
@@ -567,19 +555,20 @@ class Px4(core.Autopilot):
         north_m, east_m, _ = self.frame.ned_m(Place(latitude_deg, longitude_deg, 0.0))
         return target._replace(position=(north_m, east_m, -up_m))
 
-    def status(self) -> Status:
+    def status(self) -> values.Status:
         """The status for telemetry."""
         armed, mode, fails = self.armed, self.mode, self.armed and self.action > Action.WARN
         in_air = {"Takeoff": Landed.TAKEOFF, "Land": Landed.LANDING}.get(mode.name, Landed.IN_AIR)
-        state = State.STANDBY if self.armable else State.UNINIT
+        armable = self.refusal() is None
+        state = State.STANDBY if armable else State.UNINIT
         if armed:
             state = State.CRITICAL if fails else State.ACTIVE
-        return Status(
+        return values.Status(
             mode=mode.number,
             base_mode=mode.base | (0x80 if armed else 0),
             system_status=state,
             landed_state=Landed.ON_GROUND if self.landed else in_air,
-            prearm_ok=self.armable,
+            prearm_ok=armable,
             origin=self.estimator.origin,
             waypoint=self.waypoint() if armed and mode.name in NAVIGATED else None,
             intended_mode=self.intended.number,

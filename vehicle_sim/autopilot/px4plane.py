@@ -168,14 +168,6 @@ class Px4Plane(Wheels, Px4):
         self.control.airspeed_m_s = self._true(slow_m_s) + _LANDS_FASTER_M_S
         self._sink_m_s = slow_m_s * _SLOPE_FLOWN * math.sin(math.radians(slope_deg))
 
-    def _asked_or(self, here: Place) -> Place:
-        """What of a place was asked for, and here what was not."""
-        latitude_deg, longitude_deg, altitude_m, _ = self.asked or (math.nan,) * 4
-        altitude_m = here.altitude_amsl_m if altitude_m != altitude_m else altitude_m
-        if latitude_deg != latitude_deg:
-            return here.at(altitude_m)
-        return Place(latitude_deg, longitude_deg, altitude_m)
-
     def begin(self) -> None:
         """What the mode makes it fly; in the air, and for a take-off on the ground."""
         here, control = self.estimate.place, self.control
@@ -186,9 +178,9 @@ class Px4Plane(Wheels, Px4):
         match self.mode.flies:
             case "climb":
                 self._ahead(self.takeoff_altitude_m)
-                self._goal = self._asked_or(here.at(self.takeoff_altitude_m))
+                self._goal = self.asked_or(here.at(self.takeoff_altitude_m))
             case "hold":
-                self._circle(self._asked_or(here))
+                self._circle(self.asked_or(here))
             case "fly_back":
                 height_m = self.base.altitude_amsl_m + self.parameters["RTL_RETURN_ALT"]
                 self._circle(self.base.at(max(height_m, here.altitude_amsl_m)))
@@ -293,7 +285,7 @@ class Px4Plane(Wheels, Px4):
         if here.altitude_amsl_m >= goal_m:
             goal = self._goal or here
             self._goal, control.climb_m_s = goal.at(goal_m + _CLEARED_M), None
-            if self.asked is not None and self.asked[0] == self.asked[0]:
+            if self.asked is not None and self.asked.has_place:
                 self.intend("Hold")
 
     def _return(self) -> None:
@@ -331,9 +323,7 @@ class Px4Plane(Wheels, Px4):
     @property
     def wants_up(self) -> bool:
         """Take-off, by mode or by a mission that begins with one."""
-        leg = self.route.leg
-        climbs = leg is not None and leg.does is Does.CLIMB
-        return self.armed and (self.mode.flies == "climb" or climbs)
+        return self.armed and (self.mode.flies == "climb" or self.is_at(Does.CLIMB))
 
     @property
     def lift_off_m_s(self) -> float:
@@ -360,21 +350,12 @@ class Px4Plane(Wheels, Px4):
             of, off_m = self._nearest
             nearest = FlatEarth(of).place(off_m.real, off_m.imag, 0.0)
             place = self.frame.ned_m(nearest.at(waypoint.place.altitude_amsl_m))
-        return TargetEcho(
-            position_ned_m=place,
-            velocity_ned_m_s=NOTHING,
-            acceleration_ned_m_s2=NOTHING,
-            yaw_rad=math.nan,
-            yaw_rate_rad_s=math.nan,
-            type_mask=_ECHO_MASK,
-        )
+        return TargetEcho(place, NOTHING, NOTHING, math.nan, math.nan, type_mask=_ECHO_MASK)
 
     def waypoint(self) -> Waypoint | None:
         """The place flown to, or the middle of a circle; of height 0 in a landing (recorded)."""
-        goal = self._goal
-        if goal is None:
-            return None
-        return Waypoint(place=goal if self._sink_m_s is None else goal.at(0.0))
+        goal, lands = self._goal, self._sink_m_s is not None
+        return goal and Waypoint(place=goal.at(0.0) if lands else goal)
 
 
 def _bend(target: Target) -> float:
