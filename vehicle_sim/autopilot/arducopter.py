@@ -12,7 +12,7 @@ from vehicle_sim.autopilot.ardupilot import EKF3, ArduPilot, firmware
 from vehicle_sim.autopilot.copter_control import Horizontal, Tuning, Vertical, bounded, rate_for
 from vehicle_sim.autopilot.core import Boot, Mode
 from vehicle_sim.autopilot.earth import FlatEarth, way_m
-from vehicle_sim.autopilot.legs import RETURN, Does, back
+from vehicle_sim.autopilot.legs import RETURN, TAKEOFF, Does, Leg, back
 from vehicle_sim.autopilot.setpoints import Stop, Target, given, read_by_arducopter
 from vehicle_sim.autopilot.values import (
     Command,
@@ -60,44 +60,27 @@ FIRMWARE: Final = firmware(
     crashes="Crash: Disarming: AngErr=90>30, Accel=0.5<3.0",
 )
 
-_EKF_CHECKS: Final = 10
-"""In a row, ten a second, before the failsafe acts."""
+_EKF_CHECKS: Final = 10  # in a row, ten a second, before the failsafe acts
 _LIFTS_AFTER_ARMING_S, _LIFTS_AFTER_COMMAND_S = 3.43, 1.45
 """Spooling up: from arming and from the take-off's command to leaving the ground."""
-_REACHED_M, _REACHED_S = 0.3, 0.7
-"""The take-off is over so long after coming so near to its height."""
-_DISARMS_S: Final = 0.505
-"""From believing that it has landed to disarming."""
-_FAILSAFE_PAUSE_S: Final = 4.0
-"""LAND_WITH_DELAY_MS: a failsafe's landing waits before it goes down."""
+_REACHED_M, _REACHED_S = 0.3, 0.7  # the take-off is over so long after coming so near to its height
+_DISARMS_S: Final = 0.505  # from believing that it has landed to disarming
+_FAILSAFE_PAUSE_S: Final = 4.0  # LAND_WITH_DELAY_MS: a failsafe's landing waits before it goes down
 _RETURN_STAGE_S: Final = 1.55
 """The least that each of climbing and going home takes (stream-faults, 286.2 to 294.7 s)."""
 _CLIMBED_M, _OVER_LANDING_M = 2.0, 1.0
 """From its height, and from over the place, a return goes home and a mission lands."""
 _BRAKE_M_S2: Final = 7.5
-_SLEW_RAD_S: Final = math.radians(60.0)
-"""ATC_SLEW_YAW."""
-_TURN_1_S: Final = 4.5
-"""ATC_ANG_YAW_P."""
-_MOVING_SHARE: Final = 0.05
-"""Of WPNAV_SPEED: slower, the way has no direction."""
+_SLEW_RAD_S: Final = math.radians(60.0)  # ATC_SLEW_YAW
+_TURN_1_S: Final = 4.5  # ATC_ANG_YAW_P
+_MOVING_SHARE: Final = 0.05  # of WPNAV_SPEED: slower, the way has no direction
 _MIN_TIMEOUT_S: Final = 0.1
 _TAKE_OFF_FRAME: Final = 3
 
 
-class Kind(enum.Enum):
-    """What GUIDED steers for: its submodes."""
-
-    TAKEOFF = enum.auto()
-    POSITION = enum.auto()
-    PATH = enum.auto()
-    """A position that moves."""
-    VELOCITY = enum.auto()
-    """Also standing still: what every setpoint that is not liked leads to."""
-    PUSH = enum.auto()
-    """An acceleration alone."""
-
-
+Kind = enum.Enum("Kind", "TAKEOFF POSITION PATH VELOCITY PUSH")
+"""What GUIDED steers for, its submodes: a path is a position that moves, a push an acceleration
+alone; zero velocity is what every setpoint that is not liked leads to."""
 _ECHO_MASKS: Final = dict(zip(Kind, (0xDF8, 0xDF8, 0xC00, 0xC07, 0xC3F), strict=True))
 """type_mask of POSITION_TARGET_LOCAL_NED."""
 Order = tuple[complex, float]
@@ -193,15 +176,15 @@ class ArduCopter(ArduPilot):
         self._restart(Kind.VELOCITY)
 
     def _end_takeoff(self) -> None:
-        self._takeoff_s: float | None = None
-        """When the take-off that is going on was commanded, and when it came to its height."""
-        self._reached_s: float | None = None
+        """In GUIDED; the mission's is a leg of it."""
+        if self.mode.name == "GUIDED":
+            self.route.stop()
 
     def _restart(self, kind: Kind) -> None:
         """Another submode: from what the vehicle does now, with the parameters' speeds."""
-        self.kind, self.speed_m_s = kind, self.tuning.speed_m_s
+        tuning, self.kind = self.tuning, kind
         self._moves, self._feed = _STILL, _STILL
-        self._speeds_up_down = (self.tuning.speed_up_m_s, self.tuning.speed_down_m_s)
+        self._speeds_m_s = [tuning.speed_m_s, tuning.speed_up_m_s, tuning.speed_down_m_s]
         self.level.start(self._here_deg, self._flown)
         self._start_vertical()
 
@@ -276,14 +259,15 @@ class ArduCopter(ArduPilot):
         if command.frame not in (None, _TAKE_OFF_FRAME):
             return Result.DENIED
         ready = self.armed and self.landed and self.mode.name == "GUIDED" and self.estimator.ok
-        if not ready or self.home is None or self._takeoff_s is not None:
+        if not ready or self.home is None or self.climbs_out:
             return Result.FAILED
         altitude_m = self.home.altitude_amsl_m + command.parameters[6]
         if not self.estimate.altitude_amsl_m < altitude_m < math.inf:
             return Result.FAILED
         self._restart(Kind.TAKEOFF)
         self._place_deg, self._altitude_m = self._here_deg, altitude_m
-        self._takeoff_s, self._reached_s = self.now_s, None
+        place = self.estimate.place.at(altitude_m)
+        self.route.fly([Leg(Does.CLIMB, place, _REACHED_S, TAKEOFF)], self.now_s)
         return Result.ACCEPTED
 
     def _turn(self, command: Command) -> Result:
@@ -302,13 +286,7 @@ class ArduCopter(ArduPilot):
         kind, speed_m_s = command.parameters[:2]
         if not 0.0 < speed_m_s < math.inf:
             return Result.FAILED
-        up_m_s, down_m_s = self._speeds_up_down
-        if kind > 2.9:
-            self._speeds_up_down = (up_m_s, speed_m_s)
-        elif kind > 1.9:
-            self._speeds_up_down = (speed_m_s, down_m_s)
-        else:
-            self.speed_m_s = speed_m_s
+        self._speeds_m_s[2 if kind > 2.9 else 1 if kind > 1.9 else 0] = speed_m_s
         return Result.ACCEPTED
 
     def _reposition(self, command: Command) -> Result:
@@ -397,34 +375,28 @@ class ArduCopter(ArduPilot):
 
     # --- on the ground ------------------------------------------------------------------------
 
+    @property
+    def climbs_out(self) -> bool:
+        """Whether a take-off goes on."""
+        leg = self.route.leg
+        return leg is not None and leg.does is Does.CLIMB and leg.command != RETURN
+
+    @property
+    def wants_up(self) -> bool:
+        """Until it has come to the height that it was told."""
+        return self.climbs_out and self.route.arrived_s is None
+
     def lifts_off(self) -> bool:
         """When a take-off has spooled up."""
-        if self._takeoff_s is None and self._auto_climbs:
-            self._takeoff_s = self.now_s
-        if self._takeoff_s is None or self.now_s - self.armed_s < _LIFTS_AFTER_ARMING_S:
+        if not self.climbs_out or self.now_s - self.armed_s < _LIFTS_AFTER_ARMING_S:
             return False
-        if self.now_s - self._takeoff_s < _LIFTS_AFTER_COMMAND_S:
+        if self.now_s - self.route.began_s < _LIFTS_AFTER_COMMAND_S:
             return False
         self.take_to_the_air()
         self.level.rest()
         self.level.start(self._here_deg, self._flown)
         self._start_vertical()
         return True
-
-    @property
-    def _auto_climbs(self) -> bool:
-        """AUTO's item is a take-off."""
-        return self.mode.name == "AUTO" and self.is_at(Does.CLIMB)
-
-    @property
-    def climbs_out(self) -> bool:
-        """Whether a take-off goes on."""
-        return self._takeoff_s is not None or self._auto_climbs
-
-    @property
-    def wants_up(self) -> bool:
-        """Until it has come to the height that it was told."""
-        return self._takeoff_s is not None and self._reached_s is None
 
     def touch_down(self) -> None:
         """Come to rest on the terrain, or in it."""
@@ -480,8 +452,8 @@ class ArduCopter(ArduPilot):
         self._move_desired()
         away_m = abs(self.level.metres(self.level.place_deg, place_deg))
         rise_m = altitude_m - self.up.altitude_amsl_m
-        up_m_s, down_m_s = self._speeds_up_down
-        speed_m_s, most_up = self.speed_m_s, up_m_s if rise_m >= 0.0 else down_m_s
+        speed_m_s, up_m_s, down_m_s = self._speeds_m_s
+        most_up = up_m_s if rise_m >= 0.0 else down_m_s
         rise_m = abs(rise_m)
         # the slower of the two sets the pace, as kinematic_limit does
         if away_m * most_up < rise_m * speed_m_s:
@@ -495,8 +467,8 @@ class ArduCopter(ArduPilot):
 
     def fly_target(self) -> Order:
         """GUIDED."""
-        if self._takeoff_s is not None:
-            self._watch_takeoff()
+        if self.climbs_out:
+            return self.fly_legs()
         if not self.estimator.aiding:
             return self._hold(0.0, level=True)
         if self.kind in (Kind.TAKEOFF, Kind.POSITION):
@@ -510,19 +482,10 @@ class ArduCopter(ArduPilot):
             self.level.towards_velocity(velocity, feed, dt_s)
             self.up.towards_climb(climb_m_s, feed_up, dt_s)
         else:
-            self.level.towards_place(self._place_deg, velocity, feed, self.speed_m_s, dt_s)
-            speeds = self._speeds_up_down
-            self.up.towards_altitude(self._altitude_m, climb_m_s, feed_up, speeds, dt_s)
+            speed_m_s, *up_down = self._speeds_m_s
+            self.level.towards_place(self._place_deg, velocity, feed, speed_m_s, dt_s)
+            self.up.towards_altitude(self._altitude_m, climb_m_s, feed_up, up_down, dt_s)
         return self._follow()
-
-    def _watch_takeoff(self) -> None:
-        """The take-off is over some time after the height was nearly reached."""
-        if self._reached_s is None:
-            if self.estimate.altitude_amsl_m > self._altitude_m - _REACHED_M:
-                self._reached_s = self.now_s
-        elif self.now_s - self._reached_s >= _REACHED_S:
-            self._end_takeoff()
-            self.took_off()
 
     def brake(self) -> Order:
         """BRAKE."""
@@ -567,7 +530,7 @@ class ArduCopter(ArduPilot):
     def begin_leg(self, speed_m_s: float | None) -> None:
         """Another item of the mission, or none any more."""
         route, here = self.route, self.estimate.place
-        leg, self.speed_m_s = route.leg, speed_m_s or self.speed_m_s
+        leg, self._speeds_m_s[0] = route.leg, speed_m_s or self._speeds_m_s[0]
         self._start_vertical()
         self._lands_with_position = True
         match leg and leg.does:
@@ -580,7 +543,6 @@ class ArduCopter(ArduPilot):
             case Does.CLIMB:
                 height_m = max(leg.place.altitude_amsl_m, here.altitude_amsl_m)
                 route.leg = leg._replace(place=here.at(height_m), hold_s=_REACHED_S)
-                self._takeoff_s = self.now_s
 
     def fly_legs(self) -> Order:
         """AUTO, RTL: a place after the other."""
@@ -602,13 +564,12 @@ class ArduCopter(ArduPilot):
             there = there and now_s - route.began_s >= _RETURN_STAGE_S
         if not (there or route.arrived_s is not None) or not route.has_waited(now_s, leg.hold_s):
             return order
-        if returns:
+        if leg.does is Does.CLIMB and not returns:
+            self.took_off()
+        if returns or route.number is None:
             route.go_on(now_s)
-        elif route.number is not None and not lands:
+        elif not lands:
             self.reached(route.number)
-            if leg.does is Does.CLIMB:
-                self._end_takeoff()
-                self.took_off()
             self.seek(route.number + 1)
         return order
 
@@ -673,8 +634,8 @@ class ArduCopter(ArduPilot):
         leg, here, place = self.route.leg, self.estimate.place, None
         if self.mode.name == "GUIDED" and self.kind is Kind.POSITION:
             place = self._target_place
-        elif leg is not None and (leg.does is not Does.LAND or leg.command != RETURN):
-            place = leg.place
+        elif leg is not None and self.mode.name != "GUIDED":
+            place = None if (leg.does, leg.command) == (Does.LAND, RETURN) else leg.place
         if place is None:
             return None
         way = way_m(here, place)

@@ -106,8 +106,7 @@ _FOR_THE_FLIGHT, _FROM_TAKE_OFF, _ONLY_WHEN_ARMED = 1.0, 2.0, 3.0
 """FENCE_AUTOENABLE: from an automatic take-off to the landing, from it on, or while armed."""
 _RECOVERY_S: Final = 10.0
 """How long a breached fence is left alone after a mode was chosen inside the breach."""
-_GCS_EARLY_S: Final = 0.1
-"""The failsafe comes after 4.9 s where 5 is set (measured)."""
+_GCS_EARLY_S: Final = 0.1  # the failsafe comes after 4.9 s where 5 is set (measured)
 
 
 class ArduPilot(Autopilot):

@@ -71,29 +71,24 @@ FIRMWARE: Final = firmware(
     crashes="Crash detected",
 )
 
-_LIFT_OFF_SHARE: Final = 0.86
-"""Of the cruising airspeed."""
-_AIMED_M_S: Final = 5.0
-"""Ground speed at which TAKEOFF settles where it goes."""
-_CLIMB_AIRSPEED: Final = 1.225
-"""At full throttle and nose up, over cruising airspeed."""
+_LIFT_OFF_SHARE: Final = 0.86  # of the cruising airspeed
+_AIMED_M_S: Final = 5.0  # ground speed at which TAKEOFF settles where it goes
+_CLIMB_AIRSPEED: Final = 1.225  # at full throttle and nose up, over cruising airspeed
 _CLIMB_M_S: Final = 9.9
 _LEVEL_RAD, _LEVEL_M, _FREE_M = math.radians(5.0), 10.0, 30.0
 """Bank below this height, at most (LEVEL_ROLL_LIMIT, TKOFF_LVL_ALT); above the other it is free."""
-_REACHED_M: Final = 2.0
-"""A take-off is over so much below its height."""
+_REACHED_M: Final = 2.0  # a take-off is over so much below its height
 _TURN_EFFICIENCY: Final = 0.745
 """Lateral acceleration over g tan(bank) of the recorded airframe, which slips in turns (measured:
 0.745 +- 0.01 over 240 s); that is why its circles are wider than asked."""
-_SLOWING_M_S2: Final = 2.2
-"""How fast it loses speed with the throttle slewing down."""
+_SLOWING_M_S2: Final = 2.2  # how fast it loses speed with the throttle slewing down
 _GLIDE_M_S: Final = 2.5
 _LANDING_SINK_M_S: Final = 1.5
 """Wings level from the place of a landing on: no approach and no flare."""
 _HEADING_GAIN: Final = math.radians(50.0)
 """Bank for each radian of course error: GUIDED_P 5000 hundredths of a degree."""
-_RUNWAY_AHEAD_M: Final = 1000.0
-"""A mission's take-off climbs straight on at a point so far ahead."""
+_RUNWAY_AHEAD_M: Final = 1000.0  # a mission's take-off climbs straight on at a point so far ahead
+_DO_CHANGE_SPEED, _GUIDED_CHANGE_SPEED = 178, 43000
 _NO_HEIGHT = "SIM: NaN height in {} stops the real autopilot"
 
 
@@ -119,28 +114,21 @@ class ArduPlane(Wheels, ArduPilot):
         super().__init__(boot)
         self.plane.turn_efficiency = _TURN_EFFICIENCY
         self.control.slowing_m_s2 = _SLOWING_M_S2
-        self._start = self._place = self.estimate.place
-        """Where it goes, and where from."""
-        self._straight = False
-        """Along the way between the two, and not to circle at once."""
-        self._radius_m, self._left = 0.0, False
-        """Asked for, 0: WP_LOITER_RAD; counter-clockwise."""
+        self._start = self._place = self.estimate.place  # where it goes, and where from
+        self._straight = False  # along the way between the two, and not to circle at once
+        self._radius_m, self._left = 0.0, False  # asked for, 0: WP_LOITER_RAD; counter-clockwise
         self._arrived = False
         self._course: tuple[float, float] | None = None
         """GUIDED_CHANGE_HEADING, instead of the point: course and most bank, in radians."""
-        self._cruise_m_s: float | None = None
-        """Of DO_CHANGE_SPEED; the next, of GUIDED_CHANGE_SPEED, counts more."""
-        self._guided_m_s: float | None = None
-        self._demand_m_s = 22.0
-        """Airspeed as a pitot tube measures it."""
-        self._climbing = False
-        """After lifting off, at full throttle."""
+        self._speeds_m_s: dict[int, float] = {}  # by the command that asked for them
+        self._demand_m_s = 22.0  # airspeed as a pitot tube measures it
+        self._climbing = False  # after lifting off, at full throttle
         self.handlers |= {
             22: lambda _: Result.FAILED,  # there is the mode TAKEOFF for that
-            178: self._change_speed,
+            _DO_CHANGE_SPEED: self._change_speed,
             192: self._reposition,
             300: self._start_mission,
-            43000: self._change_guided_speed,
+            _GUIDED_CHANGE_SPEED: self._change_speed,
             43002: self._change_heading,
         }
 
@@ -149,7 +137,7 @@ class ArduPlane(Wheels, ArduPilot):
     def begin(self) -> None:
         """What was told before is forgotten; without anything new it circles here."""
         here = self.estimate.place
-        self._cruise_m_s = self._guided_m_s = self._course = None
+        self._speeds_m_s, self._course = {}, None
         self.route.stop()
         if self._climbing:
             self._end_climb()
@@ -183,7 +171,8 @@ class ArduPlane(Wheels, ArduPilot):
     def begin_leg(self, speed_m_s: float | None) -> None:
         """Another item."""
         leg, here_m = self.route.leg, self.estimate.altitude_amsl_m
-        self._cruise_m_s = speed_m_s or self._cruise_m_s
+        if speed_m_s:
+            self._speeds_m_s[_DO_CHANGE_SPEED] = speed_m_s
         match leg and leg.does:
             case None:
                 pass
@@ -264,26 +253,16 @@ class ArduPlane(Wheels, ArduPilot):
         return Result.DENIED if asks_for_items else self.to_mode("AUTO")(command)
 
     def _change_speed(self, command: Command) -> Result:
-        """DO_CHANGE_SPEED; of speeds over the ground it takes no notice."""
-        kind, speed_m_s = command.parameters[:2]
-        known = kind == 1.0 or self._may_fly(kind, speed_m_s)
-        if self.mode.name not in ("GUIDED", "AUTO") or not known:
+        """DO_CHANGE_SPEED, which takes speeds over the ground without effect; and the other."""
+        p, (kind, speed_m_s) = self.parameters, command.parameters[:2]
+        is_other, mode = command.number == _GUIDED_CHANGE_SPEED, self.mode.name
+        if mode != "GUIDED" and (is_other or mode != "AUTO"):
             return Result.FAILED
-        self._cruise_m_s = speed_m_s if kind == 0.0 else self._cruise_m_s
+        if kind == 0.0 and p["AIRSPEED_MIN"] <= speed_m_s <= p["AIRSPEED_MAX"]:
+            self._speeds_m_s[command.number] = speed_m_s
+        elif is_other or kind != 1.0:
+            return Result.DENIED if is_other else Result.FAILED
         return Result.ACCEPTED
-
-    def _change_guided_speed(self, command: Command) -> Result:
-        if self.mode.name != "GUIDED":
-            return Result.FAILED
-        if not self._may_fly(*command.parameters[:2]):
-            return Result.DENIED
-        self._guided_m_s = command.parameters[1]
-        return Result.ACCEPTED
-
-    def _may_fly(self, kind: float, speed_m_s: float) -> bool:
-        """Whether it is an airspeed, and within the limits."""
-        p = self.parameters
-        return kind == 0.0 and p["AIRSPEED_MIN"] <= speed_m_s <= p["AIRSPEED_MAX"]
 
     def _change_heading(self, command: Command) -> Result:
         """GUIDED_CHANGE_HEADING: a course over the ground, until there is a new point."""
@@ -348,7 +327,8 @@ class ArduPlane(Wheels, ArduPilot):
         """Airspeed, and the climb where that is no matter of height."""
         p, control, flies = self.parameters, self.control, self.mode.flies
         usual_m_s = p["AIRSPEED_MIN" if flies in ("glides", "cruises") else "AIRSPEED_CRUISE"]
-        asked_m_s = self._guided_m_s or self._cruise_m_s or usual_m_s
+        cruise_m_s = self._speeds_m_s.get(_DO_CHANGE_SPEED, usual_m_s)
+        asked_m_s = self._speeds_m_s.get(_GUIDED_CHANGE_SPEED, cruise_m_s)
         self._demand_m_s = bounded(asked_m_s, p["AIRSPEED_MIN"], p["AIRSPEED_MAX"])
         altitude_m = self.estimate.altitude_amsl_m
         control.airspeed_m_s = true_airspeed_m_s(self._demand_m_s, altitude_m)

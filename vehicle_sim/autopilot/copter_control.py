@@ -12,6 +12,7 @@ Source: AP_Math/control.cpp and AC_PosControl.cpp of 4.7.0-dev, in metres.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -243,7 +244,7 @@ class Vertical:
         altitude_amsl_m: float,
         climb_m_s: float,
         feed_m_s2: float,
-        speeds_m_s: tuple[float, float],
+        speeds_m_s: Sequence[float],
         dt_s: float,
     ) -> None:
         """Shape towards a height that changes like this, no faster up and down than this."""

@@ -29,12 +29,10 @@ HEARTBEAT, GPS_GLOBAL_ORIGIN, AUTOPILOT_VERSION, HOME_POSITION = 0, 49, 148, 242
 _DO_SET_MODE: Final = 176
 _FORCE, _FORCE_ARM = 21196.0, 2989.0
 """Second parameter of COMPONENT_ARM_DISARM: without asking; and of arming alone."""
-_CHECK_US: Final = 100_000
-"""What need not be looked at in every step is looked at so often."""
+_CHECK_US: Final = 100_000  # what need not be looked at in every step is looked at so often
 _MAX_RAD_S: Final = 10.0
 """Beyond what a gyroscope is told to feel: a heading that is set anew jumps."""
-_GROUND_STATION: Final = 6
-"""MAV_TYPE."""
+_GROUND_STATION: Final = 6  # MAV_TYPE
 Handler = Callable[[Command], Result]
 
 

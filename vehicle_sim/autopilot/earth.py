@@ -55,8 +55,7 @@ def way_m(one: Place, other: Place) -> complex:
     return complex(*FlatEarth(one).ned_m(other)[:2])
 
 
-_RADIUS_M: Final = 6_371_000.0
-"""Of PX4's sphere (CONSTANTS_RADIUS_OF_EARTH)."""
+_RADIUS_M: Final = 6_371_000.0  # of PX4's sphere (CONSTANTS_RADIUS_OF_EARTH)
 _NEAR_RAD: Final = 1e-9
 
 

@@ -23,16 +23,14 @@ from vehicle_sim.sensors.gps import Fix
 _OUTAGE_S: Final = 1.0
 """After a gap of this length the first fix is believed, wherever it is (both firmwares have wide
 gates by then)."""
-_DRIFTS_S: Final = 0.5
-"""Fixes come every 0.125 or 0.2 s: so long after the last one, they do not."""
+_DRIFTS_S: Final = 0.5  # fixes come every 0.125 or 0.2 s: so long after the last one, they do not
 _GIVES_UP_S: Final = 0.69
 """EKF3's flags drop the position for so long before it yields to GPS (arducopter-gps-loss.tlog)."""
 _KEEPS, _KEEPS_UP = math.exp(-0.125 / 0.8), math.exp(-0.125 / 1.5)
 """Of the velocity's error, from one fix of PX4 to the next: it wanders within 0.8 s, upwards 1.5 s
 (hover of px4-offboard-8mps.tlog)."""
 _NOISE_ON_GROUND: Final = 0.15
-_BLOCK: Final = 256
-"""Random numbers are drawn so many at a time."""
+_BLOCK: Final = 256  # random numbers are drawn so many at a time
 
 
 State = enum.Enum("State", "START GOOD GLITCH YIELDS LOST STOPPED")
@@ -122,8 +120,7 @@ class Estimator:
         """Of the position; what the output has still to make of a jump; by how much GPS counts as
         off; of the velocity."""
         self._up_m = self._climb_m_s = 0.0
-        self._drift: complex | None = None
-        """Without GPS: which way, and 1 or a little more or less."""
+        self._drift: complex | None = None  # without GPS: which way, and 1 or a little more or less
         self._noise: list[float] = []
         self._scale = metres_per_degree(vehicle.latitude_deg)
 

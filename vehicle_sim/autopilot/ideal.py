@@ -34,8 +34,7 @@ class Ideal(ArduCopter):
     _slope: Order = (0j, 0.0)
     """How the streamed velocity changes, and the interval that it was seen over; 0: not known."""
     _interval_s = 0.0
-    _tracks = False
-    """It has flown the last step by this law."""
+    _tracks = False  # it has flown the last step by this law
 
     def _restart(self, kind: Kind) -> None:
         """Another submode: level, with the acceleration that there is."""

@@ -13,8 +13,7 @@ from vehicle_sim.plans import Jumps, PlanItem
 
 WAYPOINT, LOITER_UNLIM, _, LOITER_TIME, RETURN, LAND, TAKEOFF = range(16, 23)
 _CHANGE_SPEED: Final = 178
-_WALKS_MOST: Final = 1000
-"""Items at once, so that a mission of jumps alone ends."""
+_WALKS_MOST: Final = 1000  # items at once, so that a mission of jumps alone ends
 _HIGHEST_M: Final = 1e5
 _E7_MOST: Final = 900_000_000
 

@@ -51,10 +51,8 @@ def indicated_airspeed_m_s(true_m_s: float, altitude_amsl_m: float) -> float:
 # --- where to: lateral accelerations --------------------------------------------------------------
 
 _UNDECIDED_RAD: Final = 0.9 * math.pi
-_STEEPEST: Final = math.sin(math.radians(45.0))
-"""A line is approached at 45 degrees at most."""
-_PAST_S: Final = 3.0
-"""Beyond the end of a leg by so much flight: back to its end."""
+_STEEPEST: Final = math.sin(math.radians(45.0))  # a line is approached at 45 degrees at most
+_PAST_S: Final = 3.0  # beyond the end of a leg by so much flight: back to its end
 
 
 @final
@@ -135,8 +133,7 @@ class L1:
 # Constants are fitted to arduplane-guided-reposition.tlog: two steps of 10 m are followed to 0.2 m
 # rms, the climb while points are streamed to 1.3 m.
 
-_DEMAND_S = 3.5
-"""Time constant of the demanded height."""
+_DEMAND_S = 3.5  # time constant of the demanded height
 _ERROR_S = 5.0
 
 
@@ -274,8 +271,7 @@ class Wheels(Autopilot):
         self.plane = boot.vehicle
         self.control = PlaneControl(self.plane, self.estimate)
         self.lies_below_m_s = self.runway.landed_m_s
-        self._waited_s = 0.0
-        """When it was not yet to take off."""
+        self._waited_s = 0.0  # when it was not yet to take off
 
     @property
     @abc.abstractmethod

@@ -153,13 +153,11 @@ _CHOICES: Final = {
     "NAV_DLL_ACT": "NONE HOLD RETURN LAND NONE TERMINATE DISARM",
 }
 """What the values of these parameters ask for; another one asks for the first."""
-_STILL_S: Final = 2.0
-"""Disarmed to the estimator's constant-position mode."""
+_STILL_S: Final = 2.0  # disarmed to the estimator's constant-position mode
 _LOW_M: Final = 1.2
 """Below this, in the air, there is no height above ground: flags 0x33f in the logs."""
 _STILL_FLAG, _HEIGHT_FLAG = 0x080, 0x040
-_HIGHEST_M: Final = 1e5
-"""Altitudes beyond count as not given: they do not fit into any answer."""
+_HIGHEST_M: Final = 1e5  # altitudes beyond count as not given: they do not fit into any answer
 
 
 @final
@@ -198,8 +196,7 @@ class Px4(core.Autopilot):
         """A setpoint was seen within COM_OF_LOSS_T, as of the last check; and when it was."""
         self.fence_breached, self.fence_breaches = False, 0
         self.zones = Zones(self.plans)
-        self._ill: dict[str, Action] = {}
-        """What fence, ground station and battery ask for now."""
+        self._ill: dict[str, Action] = {}  # what fence, ground station and battery ask for now
         self._incidents: dict[str, Action] = {}
         """What they have brought about: it stays when they are well again, until another mode is
         commanded."""

@@ -13,8 +13,7 @@ from vehicle_sim.parameters import Parameters
 
 _NAN: Final = math.nan
 NONE: Final = complex(_NAN, _NAN)
-_ATTITUDE_S: Final = 0.15
-"""Wanted to actual tilt (1 / MC_ROLL_P), on top of Copter's own response."""
+_ATTITUDE_S: Final = 0.15  # wanted to actual tilt (1 / MC_ROLL_P), on top of Copter's own response
 STANDS_M_S: Final = 0.05
 
 

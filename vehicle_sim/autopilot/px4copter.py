@@ -20,15 +20,11 @@ _RAMP_FROM_M_S: Final = 2.47
 """Downward speed limit that the take-off ramp begins with: z of POSITION_TARGET in the log."""
 _DETECTED_S: Final = 0.85
 """Spool-up to "takeoff detected": 1.8 to 2.0 s after arming in the logs, COM_SPOOLUP_TIME 1 s."""
-_HEAVY_M_S2: Final = 1.5
-"""What the integral pushes down with when the ramp begins."""
-_LIES_S: Final = 1.1
-"""Contact to idling: 54.6 to 55.75 s of px4-offboard-short.tlog."""
+_HEAVY_M_S2: Final = 1.5  # what the integral pushes down with when the ramp begins
+_LIES_S: Final = 1.1  # contact to idling: 54.6 to 55.75 s of px4-offboard-short.tlog
 _ARRIVED_M: Final = 0.5
-_WANTS_UP: Final = 0.1
-"""Metres, m/s or m/s2 of a demand that count as one to climb."""
-_NEAR_M: Final = 2.0
-"""Of its goal: nearer, the nose does not turn to it."""
+_WANTS_UP: Final = 0.1  # metres, m/s or m/s2 of a demand that count as one to climb
+_NEAR_M: Final = 2.0  # of its goal: nearer, the nose does not turn to it
 _RESPONSE_S: Final = 0.1
 """Of the attitude: 12 m/s and then "position here" overshoots by 10 m (px4.md 4)."""
 _TAKEN_OFF_S, _SLOW_M_S = 2.2, 0.3
@@ -54,14 +50,11 @@ class Px4Copter(Px4):
         """The mode, and where it began, or where its braking ends."""
         self._ramp_s: float | None = None
         """When the take-off ramp began; None: on the ground or done with it."""
-        self._flying = False
-        """The position controller runs."""
+        self._flying = False  # the position controller runs
         self._wanted = State()
         self._order = (0j, 0.0)
-        self._stage = 0
-        """Of a return: 0 climbs, 1 flies home, 2 descends and lands."""
-        self._up_s: float | None = None
-        """When a take-off has come to its height."""
+        self._stage = 0  # of a return: 0 climbs, 1 flies home, 2 descends and lands
+        self._up_s: float | None = None  # when a take-off has come to its height
         self._yaw_rad, self._aim_yaw_rad = self.copter.heading_rad, _NAN
         self._turn_rad_s = 0.0
         self._judged: Target | None = None

@@ -41,20 +41,17 @@ SIH_AIRPLANE: Final = PlaneLimits(
 # Times and speeds are those of px4-fixedwing-offboard.tlog: armed at 8.08 s, 2.9 m/s a second
 # later, 9.2 m/s and off the ground after two, 50 m high after 22; in the landing contact at 436.0,
 # 0.9 m/s and "landing detected" at 438.7 s after boot.  A landing ends without a flare.
-_CLIMB_OUT_M_S: Final = 2.63
-"""Climb rate at FW_TKO_PITCH_MIN 10 degrees and full throttle."""
+_CLIMB_OUT_M_S: Final = 2.63  # climb rate at FW_TKO_PITCH_MIN 10 degrees and full throttle
 _LIFTS_OFF_AT: Final = 1.1
 """Share of the take-off airspeed at which it leaves the ground: 11.3 m/s (RunwayTakeoff.cpp)."""
-_LANDS_FASTER_M_S: Final = 0.5
-"""Flown 10.8 m/s through the air where FW_AIRSPD_MIN is 10.3."""
+_LANDS_FASTER_M_S: Final = 0.5  # flown 10.8 m/s through the air where FW_AIRSPD_MIN is 10.3
 _SLOPE_FLOWN: Final = 0.98
 """Share of the sink of FW_LND_ANG that is flown: 0.85 m/s in the mean of the recorded landing."""
 _SINKS_FASTER_1_S: Final = 0.15
 """Sink for each m/s of airspeed too much: 1.3 m/s at first, 0.87 when it is slow."""
 _STEER_EVERY: Final = 4
 """Steps: the guidance runs at 25 Hz (the real one at 50, which nothing measured tells apart)."""
-_GLIDE_M_S: Final = 1.6
-"""Sink without throttle."""
+_GLIDE_M_S: Final = 1.6  # sink without throttle
 _DESCEND_M_S: Final = 0.5
 """Failsafe without a position (FixedWingModeManager::control_auto_descend)."""
 _CLEARED_M: Final = 10.0
@@ -96,18 +93,12 @@ class Px4Plane(Wheels, Px4):
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
         self.control.l1.upright = True
-        self._aim: Circle | Way | Line | None = None
-        """None: the bank stays."""
-        self._goal: Place | None = None
-        """The place flown to; the middle of a circle."""
-        self._nearest = self.estimate.place, 0j
-        """Of circle or line: a place and how far from it."""
-        self._sink_m_s: float | None = None
-        """It lands: on a slope."""
-        self._seen: Target | None = None
-        """The setpoint that it flies by."""
-        self._began_s = 0.0
-        """When the mode did."""
+        self._aim: Circle | Way | Line | None = None  # none: the bank stays
+        self._goal: Place | None = None  # the place flown to; the middle of a circle
+        self._nearest = self.estimate.place, 0j  # of circle or line: a place and how far from it
+        self._sink_m_s: float | None = None  # it lands: on a slope
+        self._seen: Target | None = None  # the setpoint that it flies by
+        self._began_s = 0.0  # when the mode did
         self._steps = 0
 
     def read_parameters(self) -> None:
