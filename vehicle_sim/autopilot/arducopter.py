@@ -8,22 +8,14 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
+from vehicle_sim.autopilot import values
 from vehicle_sim.autopilot.ardupilot import EKF3, ArduPilot, firmware
 from vehicle_sim.autopilot.copter_control import Horizontal, Tuning, Vertical, bounded, rate_for
 from vehicle_sim.autopilot.core import Boot, Mode
 from vehicle_sim.autopilot.earth import FlatEarth, way_m
 from vehicle_sim.autopilot.legs import RETURN, TAKEOFF, Does, Leg, back
 from vehicle_sim.autopilot.setpoints import Stop, Target, given, read_by_arducopter
-from vehicle_sim.autopilot.values import (
-    Command,
-    Place,
-    Reply,
-    Result,
-    Setpoint,
-    TargetEcho,
-    Waypoint,
-    height_amsl_m,
-)
+from vehicle_sim.autopilot.values import Command, Place, Reply, Result
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.geodesy import around, metres_per_degree
@@ -304,7 +296,7 @@ class ArduCopter(ArduPilot):
 
     # --- setpoints ----------------------------------------------------------------------------
 
-    def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
+    def on_setpoint(self, setpoint: values.Setpoint) -> Sequence[Reply]:
         """Steer for this from now on; outside GUIDED it is not even read."""
         if self.mode.name != "GUIDED" or self.home is None:
             return ()
@@ -318,7 +310,7 @@ class ArduCopter(ArduPilot):
         x, y, z = target.position
         place: Place | None = None
         if target.is_global and given(target.position):
-            height_m = height_amsl_m(target.frame, z, self.home.altitude_amsl_m)
+            height_m = values.height_amsl_m(target.frame, z, self.home.altitude_amsl_m)
             assert height_m is not None
             place = Place(x, y, height_m)
         elif given(target.position):
@@ -533,16 +525,15 @@ class ArduCopter(ArduPilot):
         leg, self._speeds_m_s[0] = route.leg, speed_m_s or self._speeds_m_s[0]
         self._start_vertical()
         self._lands_with_position = True
-        match leg and leg.does:
-            case None:
-                self._restart(Kind.VELOCITY)
-            case Does.RETURN:
-                self._begin_return()
-            case Does.LAND:
-                route.leg = leg._replace(place=leg.place.at(here.altitude_amsl_m))
-            case Does.CLIMB:
-                height_m = max(leg.place.altitude_amsl_m, here.altitude_amsl_m)
-                route.leg = leg._replace(place=here.at(height_m), hold_s=_REACHED_S)
+        if leg is None:
+            self._restart(Kind.VELOCITY)
+        elif leg.does is Does.RETURN:
+            self._begin_return()
+        elif leg.does is Does.LAND:
+            route.leg = leg._replace(place=leg.place.at(here.altitude_amsl_m))
+        elif leg.does is Does.CLIMB:
+            height_m = max(leg.place.altitude_amsl_m, here.altitude_amsl_m)
+            route.leg = leg._replace(place=here.at(height_m), hold_s=_REACHED_S)
 
     def fly_legs(self) -> Order:
         """AUTO, RTL: a place after the other."""
@@ -611,7 +602,7 @@ class ArduCopter(ArduPilot):
     def _target_place(self) -> Place:
         return Place(self._place_deg.real, around(self._place_deg.imag), self._altitude_m)
 
-    def target_echo(self) -> TargetEcho | None:
+    def target_echo(self) -> values.TargetEcho | None:
         """What GUIDED steers for; in other modes nothing is sent."""
         if self.mode.name != "GUIDED" or self.estimator.origin is None:
             return None
@@ -621,7 +612,7 @@ class ArduCopter(ArduPilot):
         elif self.kind in (Kind.POSITION, Kind.PATH):
             position = self.frame.ned_m(self._target_place)
         (velocity, climb_m_s), (feed, feed_up) = self._moves, self._feed
-        return TargetEcho(
+        return values.TargetEcho(
             position_ned_m=position,
             velocity_ned_m_s=(velocity.real, velocity.imag, -climb_m_s),
             acceleration_ned_m_s2=(feed.real, feed.imag, -feed_up),
@@ -629,7 +620,7 @@ class ArduCopter(ArduPilot):
             type_mask=_ECHO_MASKS[self.kind],
         )
 
-    def waypoint(self) -> Waypoint | None:
+    def waypoint(self) -> values.Waypoint | None:
         """While it flies to a place that does not move."""
         leg, here, place = self.route.leg, self.estimate.place, None
         if self.mode.name == "GUIDED" and self.kind is Kind.POSITION:
@@ -639,7 +630,7 @@ class ArduCopter(ArduPilot):
         if place is None:
             return None
         way = way_m(here, place)
-        return Waypoint(
+        return values.Waypoint(
             place=place,
             distance_m=abs(way),
             bearing_rad=math.atan2(way.imag, way.real) % math.tau,

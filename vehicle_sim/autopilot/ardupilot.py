@@ -8,23 +8,13 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Final
 
-from vehicle_sim.autopilot import core
+from vehicle_sim.autopilot import core, values
 from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HOME_POSITION, Autopilot, Boot
-from vehicle_sim.autopilot.earth import FlatEarth, Vector
+from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.estimator import State as Estimates
 from vehicle_sim.autopilot.estimator import Timing
 from vehicle_sim.autopilot.guards import Fence, named
-from vehicle_sim.autopilot.values import (
-    Command,
-    FirmwareProfile,
-    Landed,
-    Place,
-    Reply,
-    Result,
-    State,
-    Status,
-    height_amsl_m,
-)
+from vehicle_sim.autopilot.values import Command, Landed, Place, Reply, Result, State
 from vehicle_sim.conditions import SIM_PARAMETERS
 from vehicle_sim.parameters import table
 from vehicle_sim.plans import PlanKind
@@ -52,7 +42,7 @@ def firmware(
     name: str, *, vehicle_type: int, capabilities: int, rates_hz: Mapping[int, float], **own: Any
 ) -> core.Firmware:
     """ArduPilot 4.7 for one kind of vehicle: ardupilot.md 1 and the recorded flights."""
-    profile = FirmwareProfile(
+    profile = values.FirmwareProfile(
         firmware="ardupilot",
         vehicle_type=vehicle_type,
         autopilot=3,
@@ -291,7 +281,7 @@ class ArduPilot(Autopilot):
         if not known or not math.isfinite(altitude_m):
             return Result.DENIED
         home_m = None if self.home is None else self.home.altitude_amsl_m
-        height_m = height_amsl_m(command.frame or 0, altitude_m, home_m)
+        height_m = values.height_amsl_m(command.frame or 0, altitude_m, home_m)
         if height_m is None:
             return Result.UNSUPPORTED_FRAME
         return Place(latitude_deg, longitude_deg, height_m)
@@ -346,13 +336,13 @@ class ArduPilot(Autopilot):
         self.parameters[names.get(kind, "RALLY_TOTAL")] = len(self.plans[kind])
         return ()
 
-    def local_ned_m(self) -> Vector | None:
+    def local_ned_m(self) -> values.Vector | None:
         """Position in the estimator's frame, while it has one."""
         if self.estimator.origin is None or not self.estimator.aiding:
             return None
         return super().local_ned_m()
 
-    def status(self) -> Status:
+    def status(self) -> values.Status:
         """The status for telemetry."""
         fence, landed, state = self.fence, Landed.IN_AIR, State.ACTIVE
         if self.landed:
@@ -366,7 +356,7 @@ class ArduPilot(Autopilot):
             state = State.CRITICAL
         if self.now_s < self.firmware.ready_s:
             state = State.CALIBRATING if is_plane else State.BOOT
-        return Status(
+        return values.Status(
             mode=self.mode.number,
             base_mode=self.base_mode() | (0x80 if self.armed else 0),
             system_status=state,

@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, final
 
+from vehicle_sim.autopilot import values
 from vehicle_sim.autopilot.ardupilot import EKF3, ArduPilot, firmware
 from vehicle_sim.autopilot.copter_control import bounded
 from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HEARTBEAT, HOME_POSITION, Boot, Mode
-from vehicle_sim.autopilot.earth import FlatEarth, Vector, way_m
+from vehicle_sim.autopilot.earth import FlatEarth, way_m
 from vehicle_sim.autopilot.estimator import State as Estimates
 from vehicle_sim.autopilot.legs import WAYPOINT, Does, Leg
 from vehicle_sim.autopilot.plane_control import (
@@ -24,15 +25,7 @@ from vehicle_sim.autopilot.plane_control import (
     indicated_airspeed_m_s,
     true_airspeed_m_s,
 )
-from vehicle_sim.autopilot.values import (
-    Command,
-    Place,
-    Reply,
-    Result,
-    Setpoint,
-    Waypoint,
-    height_amsl_m,
-)
+from vehicle_sim.autopilot.values import Command, Place, Reply, Result, Waypoint
 from vehicle_sim.dynamics import GRAVITY_M_S2
 
 _BY_HAND, _BY_ITSELF = 0x51, 0x59
@@ -173,9 +166,9 @@ class ArduPlane(Wheels, ArduPilot):
         leg, here_m = self.route.leg, self.estimate.altitude_amsl_m
         if speed_m_s:
             self._speeds_m_s[_DO_CHANGE_SPEED] = speed_m_s
-        match leg and leg.does:
-            case None:
-                pass
+        if leg is None:
+            return
+        match leg.does:
             case Does.RETURN:
                 self._return()
             case Does.CLIMB:
@@ -274,13 +267,13 @@ class ArduPlane(Wheels, ArduPilot):
         self._course = math.radians(course_deg), math.atan(lateral_m_s2 / GRAVITY_M_S2)
         return Result.ACCEPTED
 
-    def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
+    def on_setpoint(self, setpoint: values.Setpoint) -> Sequence[Reply]:
         """Only heights are taken, and only in GUIDED."""
         z_m, height_m, home = setpoint.position[2], None, self.home
         if self.mode.name != "GUIDED" or home is None:
             return ()
         if setpoint.is_global and not setpoint.type_mask & 4:  # it has no terrain data either
-            height_m = height_amsl_m(
+            height_m = values.height_amsl_m(
                 setpoint.frame, z_m, home.altitude_amsl_m, home.altitude_amsl_m
             )
         elif not setpoint.is_global and setpoint.frame == 7:
@@ -452,7 +445,7 @@ class ArduPlane(Wheels, ArduPilot):
         """What the pitot tube measures: less than the true airspeed, as it is calibrated."""
         return indicated_airspeed_m_s(self.plane.airspeed_m_s, self.estimate.altitude_amsl_m)
 
-    def local_ned_m(self) -> Vector | None:
+    def local_ned_m(self) -> values.Vector | None:
         """About home, by another estimator, until this one flies for the first time."""
         if self.estimator.state is Estimates.START and self.home is not None:
             return 0.0, 0.0, self.home.altitude_amsl_m - self.estimate.altitude_amsl_m

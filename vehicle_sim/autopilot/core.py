@@ -15,7 +15,7 @@ import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot import values
-from vehicle_sim.autopilot.earth import Frame, Vector
+from vehicle_sim.autopilot.earth import Frame
 from vehicle_sim.autopilot.estimator import Estimator, Timing
 from vehicle_sim.autopilot.legs import Does, Route, leg_of
 from vehicle_sim.autopilot.values import Command, Place, Reply, Result, Sender
@@ -333,7 +333,7 @@ class Autopilot(abc.ABC):
         )
         return tuple(min(max(t / self.step_s, -_MAX_RAD_S), _MAX_RAD_S) for t in turned)
 
-    def local_ned_m(self) -> Vector | None:
+    def local_ned_m(self) -> values.Vector | None:
         """Position in the estimator's frame."""
         return self.frame.ned_m(self.estimate.place)
 

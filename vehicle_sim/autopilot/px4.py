@@ -12,7 +12,7 @@ from typing import Final, NamedTuple, final
 
 from vehicle_sim.autopilot import core, values
 from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HOME_POSITION, Mode
-from vehicle_sim.autopilot.earth import Projection, Vector
+from vehicle_sim.autopilot.earth import Projection
 from vehicle_sim.autopilot.estimator import State as Estimates
 from vehicle_sim.autopilot.estimator import Timing
 from vehicle_sim.autopilot.guards import Zones
@@ -183,7 +183,7 @@ class Px4(core.Autopilot):
         self.intended = self.mode
         """The mode that is wanted; `mode` is flown."""
         self.action = Action.NONE
-        self.local_m: Vector = (0.0, 0.0, 0.0)
+        self.local_m: values.Vector = (0.0, 0.0, 0.0)
         """The estimate in the local frame: north, east, down."""
         self.target: Target | None = None
         """The newest one that OFFBOARD flies, in the local frame; None: none since it began."""
