@@ -192,7 +192,6 @@ class ArduCopter(ArduPilot):
         """Velocity over the ground."""
         return complex(self.estimate.velocity_north_m_s, self.estimate.velocity_east_m_s)
 
-    @property
     def lands(self) -> bool:
         """In LAND, at the end of RTL, and where AUTO lands."""
         leg = self.route.leg
@@ -251,7 +250,7 @@ class ArduCopter(ArduPilot):
         if command.frame not in (None, _TAKE_OFF_FRAME):
             return Result.DENIED
         ready = self.armed and self.landed and self.mode.name == "GUIDED" and self.estimator.ok
-        if not ready or self.home is None or self.climbs_out:
+        if not ready or self.home is None or self.climbs_out():
             return Result.FAILED
         altitude_m = self.home.altitude_amsl_m + command.parameters[6]
         if not self.estimate.altitude_amsl_m < altitude_m < math.inf:
@@ -367,20 +366,18 @@ class ArduCopter(ArduPilot):
 
     # --- on the ground ------------------------------------------------------------------------
 
-    @property
     def climbs_out(self) -> bool:
         """Whether a take-off goes on."""
         leg = self.route.leg
         return leg is not None and leg.does is Does.CLIMB and leg.command != RETURN
 
-    @property
     def wants_up(self) -> bool:
         """Until it has come to the height that it was told."""
-        return self.climbs_out and self.route.arrived_s is None
+        return self.climbs_out() and self.route.arrived_s is None
 
     def lifts_off(self) -> bool:
         """When a take-off has spooled up."""
-        if not self.climbs_out or self.now_s - self.armed_s < _LIFTS_AFTER_ARMING_S:
+        if not self.climbs_out() or self.now_s - self.armed_s < _LIFTS_AFTER_ARMING_S:
             return False
         if self.now_s - self.route.began_s < _LIFTS_AFTER_COMMAND_S:
             return False
@@ -400,7 +397,7 @@ class ArduCopter(ArduPilot):
 
     def disarms_after_s(self) -> float | None:
         """Soon after a landing, or after DISARM_DELAY."""
-        if self.lands and self.landed_s is not None:
+        if self.lands() and self.landed_s is not None:
             return _DISARMS_S
         return self.parameters["DISARM_DELAY"] or None
 
@@ -459,7 +456,7 @@ class ArduCopter(ArduPilot):
 
     def fly_target(self) -> Order:
         """GUIDED."""
-        if self.climbs_out:
+        if self.climbs_out():
             return self.fly_legs()
         if not self.estimator.aiding:
             return self._hold(0.0, level=True)

@@ -3,9 +3,8 @@
 Sources: ardupilot.md 1, 2, 4, 5 and the recorded flights (4.7).
 """
 
-import abc
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Final
 
 from vehicle_sim.autopilot import core, values
@@ -104,6 +103,9 @@ class ArduPilot(Autopilot):
 
     gcs_failsafe: ClassVar[tuple[str, str]]
     """The parameters that say whether a lost ground station matters, and after how long."""
+    lands: Callable[[], bool]  # it comes down to land: the fence has no floor then
+    climbs_out: Callable[[], bool]  # a take-off goes on
+    on_failsafe: Callable[[str, int], None]  # of "GCS", "Battery" or "Fence", its parameter's value
 
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
@@ -126,20 +128,6 @@ class ArduPilot(Autopilot):
         }
 
     # --- where the two kinds differ -----------------------------------------------------------
-
-    @property
-    @abc.abstractmethod
-    def lands(self) -> bool:
-        """Whether it comes down to land: the fence has no floor then."""
-
-    @property
-    @abc.abstractmethod
-    def climbs_out(self) -> bool:
-        """Whether a take-off goes on."""
-
-    @abc.abstractmethod
-    def on_failsafe(self, cause: str, action: int) -> None:
-        """Of "GCS", "Battery" or "Fence", what its parameter asks for."""
 
     def cannot_fly_in(self, name: str) -> str | None:
         """Why it cannot fly in this mode now: plane can in all that may be chosen."""
@@ -201,7 +189,7 @@ class ArduPilot(Autopilot):
             self.fence.enabled = self.fence.has_floor = True  # whatever its height
 
     def _check_fence(self) -> None:
-        fence, home, lands = self.fence, self.home, self.lands
+        fence, home, lands = self.fence, self.home, self.lands()
         down = not self.armed or self.landed
         if self.parameters["FENCE_AUTOENABLE"] == _FOR_THE_FLIGHT and (down or lands):
             fence.enabled = False
@@ -347,9 +335,9 @@ class ArduPilot(Autopilot):
         fence, landed, state = self.fence, Landed.IN_AIR, State.ACTIVE
         if self.landed:
             landed, state = Landed.ON_GROUND, State.STANDBY
-        elif self.lands:
+        elif self.lands():
             landed = Landed.LANDING
-        elif self.climbs_out:
+        elif self.climbs_out():
             landed = Landed.TAKEOFF
         is_plane = self.profile.vehicle_type == 1
         if self.failsafe or (is_plane and (self.gcs_lost or self.battery_acted)):

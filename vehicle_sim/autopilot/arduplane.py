@@ -199,7 +199,6 @@ class ArduPlane(Wheels, ArduPilot):
         near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else near_m
         return abs(self.control.off_m(self._place)) <= near_m or self._along() >= 1.0
 
-    @property
     def lands(self) -> bool:
         """Where AUTO does."""
         return self.is_at(Does.LAND)
@@ -211,7 +210,7 @@ class ArduPlane(Wheels, ArduPilot):
             goes_on = self.parameters["FS_LONG_ACTN"] == 0.0 and self.mode.name == "AUTO"
             returns = not (self.landed or goes_on)
         elif cause == "Battery":
-            returns = action in (1, 2) and not self.lands
+            returns = action in (1, 2) and not self.lands()
         if returns:
             self.set_mode("RTL")
         if cause == "GCS":
@@ -287,7 +286,7 @@ class ArduPlane(Wheels, ArduPilot):
     def disarms_after_s(self) -> float | None:
         """After a landing of a mission."""
         wait_s: float = self.parameters["LAND_DISARMDELAY"]
-        return wait_s if self.lands and wait_s > 0.0 else None
+        return wait_s if self.lands() and wait_s > 0.0 else None
 
     # --- ten times a second -------------------------------------------------------------------
 
@@ -331,7 +330,7 @@ class ArduPlane(Wheels, ArduPilot):
         elif self._climbing:
             control.airspeed_m_s *= _CLIMB_AIRSPEED
             control.climb_m_s = _CLIMB_M_S
-        elif self.lands and self._along() >= 1.0:
+        elif self.lands() and self._along() >= 1.0:
             control.climb_m_s = -_LANDING_SINK_M_S
 
     def _navigate(self) -> None:
@@ -379,17 +378,14 @@ class ArduPlane(Wheels, ArduPilot):
         """By mode or by the mission's item."""
         return self.mode.flies == "takes off" or self.is_at(Does.CLIMB)
 
-    @property
     def wants_up(self) -> bool:
         """Whether it is to take off now."""
         return self._takes_off and self.armed and self.estimator.ok
 
-    @property
     def lift_off_m_s(self) -> float:
         """Less than it cruises with."""
         return _LIFT_OFF_SHARE * self.control.airspeed_m_s
 
-    @property
     def climbs_out(self) -> bool:
         """Whether a take-off goes on."""
         return self._climbing or (self.plane.stands and self.plane.throttle > 0.0)

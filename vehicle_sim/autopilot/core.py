@@ -4,7 +4,6 @@ A `Firmware` is a value: all that differs as data.  Two families answer and deci
 px4.py); a kind of vehicle is a class of one of them that says how it is flown.
 """
 
-import abc
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -97,12 +96,36 @@ class Boot(NamedTuple):
     rng: np.random.Generator
 
 
-class Autopilot(abc.ABC):
+class Autopilot:
     """One vehicle's autopilot.
 
     It steers the vehicle by its estimate, and reads the true position only through the GPS fix;
     only the ground is true.
     """
+
+    # How it is flown, by a kind of vehicle (arducopter.py, px4plane.py and the like): in each step
+    # `steer` while armed, then `stand` or `move`.
+    begin: Callable[[], None]  # fly the mode from now on; again, if it was commanded again
+    begin_leg: Callable[[float | None], None]  # of the mission, at this new speed; or none any more
+    read_parameters: Callable[[], None]  # some parameter has changed; and before the first step
+    wants_up: Callable[[], bool]  # it takes off: what presses it to the ground ends nothing then
+    lifts_off: Callable[[], bool]  # whether it leaves the ground with this step
+    move: Callable[[], None]  # in the air, armed
+    touch_down: Callable[[], None]  # it comes to the ground with this step
+    disarms_after_s: Callable[[], float | None]  # since it landed or was armed; None: never
+    waypoint: Callable[[], values.Waypoint | None]  # the place that it goes to
+    lies_below_m_s = math.inf  # speed on the ground at which it may be taken to have landed
+
+    # How it decides, by a family (ardupilot.py, px4.py).
+    on_origin: Callable[[], None]  # the estimator's origin is set
+    check: Callable[[], None]  # ten times a second: whatever may end the flight
+    set_mode: Callable[[str], bool]  # fly in this mode from now on, if it can be
+    refusal: Callable[[], str | None]  # why it may not be armed now
+    on_armed: Callable[[], None]  # the motors turn
+    on_disarmed: Callable[[], None]  # they have stopped
+    on_setpoint: Callable[[values.Setpoint], Sequence[Reply]]
+    on_plan: Callable[[PlanKind], Sequence[Reply]]  # a list was replaced by a client
+    status: Callable[[], values.Status]  # what else there is to tell
 
     def __init__(self, boot: Boot) -> None:
         self.firmware = firmware = boot.firmware
@@ -140,103 +163,25 @@ class Autopilot(abc.ABC):
         """What answers which MAV_CMD; families and kinds add theirs."""
         self.handlers |= {number: self.to_mode(name) for number, name in firmware.orders.items()}
 
-    # --- how it is flown: in each step `steer` while armed, then `stand` or `move` ------------
+    # --- what not every one does --------------------------------------------------------------
 
-    @abc.abstractmethod
-    def begin(self) -> None:
-        """Fly the mode from now on; the same one again if it was commanded again."""
+    def look(self) -> None:
+        """In every step, before the checks."""
 
-    @abc.abstractmethod
-    def begin_leg(self, speed_m_s: float | None) -> None:
-        """Another leg of the mission, or none any more; the speed that was asked for before it."""
-
-    @abc.abstractmethod
-    def read_parameters(self) -> None:
-        """Some parameter has changed; also called before the first step."""
-
-    def steer(self) -> None:  # noqa: B027 - ArduPlane does it ten times a second
+    def steer(self) -> None:
         """Look where to go, on the ground too."""
-
-    @abc.abstractmethod
-    def lifts_off(self) -> bool:
-        """Whether it leaves the ground with this step."""
-
-    @abc.abstractmethod
-    def move(self) -> None:
-        """In the air, armed: move the vehicle."""
 
     def stand(self) -> None:
         """On the ground; a plane may roll."""
         self.vehicle.stand(self.ground_m)
 
-    @abc.abstractmethod
-    def touch_down(self) -> None:
-        """It comes to the ground with this step."""
-
-    @property
-    @abc.abstractmethod
-    def wants_up(self) -> bool:
-        """Whether it takes off: what presses it to the ground ends nothing then."""
-
-    lies_below_m_s = math.inf
-    """Speed on the ground at which it may be taken to have landed."""
-
-    @abc.abstractmethod
-    def disarms_after_s(self) -> float | None:
-        """On the ground, armed: seconds since it landed or was armed; None: never."""
-
-    @abc.abstractmethod
-    def waypoint(self) -> values.Waypoint | None:
-        """The place that it goes to."""
-
     def target_echo(self) -> values.TargetEcho | None:
         """Its target, if that is told."""
         return None
 
-    # --- how it decides -----------------------------------------------------------------------
-
-    @abc.abstractmethod
-    def on_origin(self) -> None:
-        """The estimator's origin is set."""
-
-    def look(self) -> None:  # noqa: B027 - ArduCopter need not
-        """In every step, before the checks."""
-
-    @abc.abstractmethod
-    def check(self) -> None:
-        """Ten times a second: whatever may end the flight."""
-
-    @abc.abstractmethod
-    def set_mode(self, name: str) -> bool:
-        """Fly in this mode from now on, if it can be."""
-
-    @abc.abstractmethod
-    def refusal(self) -> str | None:
-        """Why it may not be armed now."""
-
-    @abc.abstractmethod
-    def on_armed(self) -> None:
-        """The motors turn."""
-
-    @abc.abstractmethod
-    def on_disarmed(self) -> None:
-        """The motors have stopped."""
-
-    @abc.abstractmethod
-    def on_setpoint(self, setpoint: values.Setpoint) -> Sequence[Reply]:
-        """Take a setpoint."""
-
-    @abc.abstractmethod
-    def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
-        """A mission, fence or rally list was replaced by a client."""
-
     def on_parameter(self, name: str) -> Sequence[Reply]:  # noqa: ARG002 - they are read live
         """A parameter was set by a client."""
         return ()
-
-    @abc.abstractmethod
-    def status(self) -> values.Status:
-        """What else there is to tell."""
 
     # --- saying -------------------------------------------------------------------------------
 
@@ -294,7 +239,7 @@ class Autopilot(abc.ABC):
         else:
             vehicle.fall(self.step_s)
         if vehicle.altitude_amsl_m <= self.ground_m:
-            if self.armed and self.wants_up:  # the ground carries it until it rises
+            if self.armed and self.wants_up():  # the ground carries it until it rises
                 vehicle.altitude_amsl_m = self.ground_m
                 vehicle.velocity_up_m_s = max(vehicle.velocity_up_m_s, 0.0)
                 return
@@ -307,7 +252,7 @@ class Autopilot(abc.ABC):
 
     def _wait_on_ground(self) -> None:
         """Believe the landing after a while, and disarm."""
-        if self.armed and (self.wants_up or self.rolling_m_s > self.lies_below_m_s):
+        if self.armed and (self.wants_up() or self.rolling_m_s > self.lies_below_m_s):
             self.touched_s = None
         elif not self.landed:
             self.touched_s = self.now_s if self.touched_s is None else self.touched_s

@@ -7,9 +7,9 @@ straight line it is a damped oscillator of that period and damping in the distan
 is PX4's own law (NPFG), which is not imitated further.
 """
 
-import abc
 import cmath
 import math
+from collections.abc import Callable
 from typing import ClassVar, Final, NamedTuple, final
 
 import numpy as np
@@ -264,6 +264,7 @@ class Wheels(Autopilot):
     """A plane: on its wheels until it is fast enough, then by its control."""
 
     runway: ClassVar[Runway]
+    lift_off_m_s: Callable[[], float]  # true airspeed at which it leaves the ground
 
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
@@ -273,18 +274,13 @@ class Wheels(Autopilot):
         self.lies_below_m_s = self.runway.landed_m_s
         self._waited_s = 0.0  # when it was not yet to take off
 
-    @property
-    @abc.abstractmethod
-    def lift_off_m_s(self) -> float:
-        """True airspeed at which it leaves the ground."""
-
     def lifts_off(self) -> bool:
         """Fast enough on the runway."""
-        return self.wants_up and self.plane.airspeed_m_s >= self.lift_off_m_s
+        return self.wants_up() and self.plane.airspeed_m_s >= self.lift_off_m_s()
 
     def stand(self) -> None:
         """On the runway: up to speed, or to a halt."""
-        plane, runway, wants_up = self.plane, self.runway, self.wants_up
+        plane, runway, wants_up = self.plane, self.runway, self.wants_up()
         plane.altitude_amsl_m = self.ground_m
         self._waited_s = self._waited_s if wants_up else self.now_s
         open_s = self.now_s - self._waited_s - runway.waits_s

@@ -4,10 +4,9 @@ Source: px4.md 1 to 3 and 6 to 8, and the recorded flights (1.17).  Results of c
 not measured are those of the source: a mode that cannot run is TEMPORARILY_REJECTED.
 """
 
-import abc
 import enum
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple, final
 
 from vehicle_sim.autopilot import core, values
@@ -177,6 +176,8 @@ class Asked(NamedTuple):
 
 class Px4(core.Autopilot):
     """One vehicle's autopilot."""
+
+    fly_leg: Callable[[], None]  # of the mission and no return; or none any more
 
     def __init__(self, boot: core.Boot) -> None:
         super().__init__(boot)
@@ -487,10 +488,6 @@ class Px4(core.Autopilot):
         return self.set_home(place) if all(map(math.isfinite, place)) else Result.DENIED
 
     # --- missions -----------------------------------------------------------------------------
-
-    @abc.abstractmethod
-    def fly_leg(self) -> None:
-        """Another leg of the mission that is no return, or none any more."""
 
     def begin_leg(self, speed_m_s: float | None) -> None:
         """Another leg of the mission, or none any more; the speed that was asked for before it."""

@@ -150,7 +150,6 @@ class Px4Copter(Px4):
         """Whether the thrust carries it, once the take-off ramp has begun."""
         return self._flying and self._order[1] < 0.0
 
-    @property
     def wants_up(self) -> bool:
         """In the take-off ramp."""
         return self._ramp_s is not None

@@ -311,12 +311,10 @@ class Px4Plane(Wheels, Px4):
 
     # --- on its wheels ------------------------------------------------------------------------
 
-    @property
     def wants_up(self) -> bool:
         """Take-off, by mode or by a mission that begins with one."""
         return self.armed and (self.mode.flies == "climb" or self.is_at(Does.CLIMB))
 
-    @property
     def lift_off_m_s(self) -> float:
         """By FW_TKO_AIRSPD."""
         return _LIFTS_OFF_AT * self._true(self._slow_m_s("FW_TKO_AIRSPD"))
