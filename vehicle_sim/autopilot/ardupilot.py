@@ -10,8 +10,7 @@ from typing import Any, ClassVar, Final
 from vehicle_sim.autopilot import core, values
 from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HOME_POSITION, Autopilot, Boot
 from vehicle_sim.autopilot.earth import FlatEarth
-from vehicle_sim.autopilot.estimator import State as Estimates
-from vehicle_sim.autopilot.estimator import Timing
+from vehicle_sim.autopilot.estimator import Timing, told
 from vehicle_sim.autopilot.guards import Fence, named
 from vehicle_sim.autopilot.values import Command, Landed, Place, Reply, Result, State
 from vehicle_sim.conditions import SIM_PARAMETERS
@@ -69,13 +68,7 @@ def firmware(
 EKF3: Final = Timing(
     # of ArduCopter (arducopter-gps-loss.tlog, ardupilot.md 5): another vehicle boots otherwise
     stages=((0.0, 0x400), (4.46, 0x000), (5.9, 0x0A7)),
-    flags={
-        Estimates.GOOD: 0x33F,
-        Estimates.GLITCH: 0x833F,
-        Estimates.YIELDS: 0x8027,
-        Estimates.LOST: 0x025,
-        Estimates.STOPPED: 0x0A7,
-    },
+    flags=told(good=0x33F, glitch=0x833F, yields=0x8027, lost=0x025, stopped=0x0A7),
     origin_s=10.0,
     good_s=31.62,
     gate_m=3.75,  # a variance ratio of 13.33 for 50 m at once, 10.53 after 9.5 s

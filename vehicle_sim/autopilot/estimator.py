@@ -42,6 +42,11 @@ position; and for so long that it has none."""
 _FLYING: Final = frozenset({State.GOOD, State.GLITCH, State.YIELDS})
 
 
+def told(good: int, glitch: int, yields: int, lost: int, stopped: int) -> Mapping[State, int]:
+    """Flags of these states."""
+    return dict(zip(list(State)[1:], (good, glitch, yields, lost, stopped), strict=True))
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Timing:
@@ -50,6 +55,7 @@ class Timing:
     stages: tuple[tuple[float, int], ...]
     """Flags from these times since boot on, until there is a position."""
     flags: Mapping[State, int]
+    """From then on, by `told`."""
     origin_s: float
     good_s: float
     """From the first fix to the origin, and to a position."""

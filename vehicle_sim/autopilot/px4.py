@@ -12,8 +12,7 @@ from typing import Final, NamedTuple, final
 from vehicle_sim.autopilot import core, values
 from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HOME_POSITION, Mode
 from vehicle_sim.autopilot.earth import Projection
-from vehicle_sim.autopilot.estimator import State as Estimates
-from vehicle_sim.autopilot.estimator import Timing
+from vehicle_sim.autopilot.estimator import Timing, told
 from vehicle_sim.autopilot.guards import Zones
 from vehicle_sim.autopilot.legs import Does, Leg
 from vehicle_sim.autopilot.setpoints import Target, given, read_by_px4
@@ -71,16 +70,11 @@ NAVIGATED: Final = frozenset({"Takeoff", "Hold", "Mission", "Return", "Land"})
 
 ARMABLE_S: Final = 3.5
 """Boot to the first time that it can be armed: heartbeat 0 at 2.6 s, 3 at 3.6 s of the log."""
+_GOOD: Final = 0x37F
 _TIMING: Final = Timing(
     # px4-gps-loss.tlog and px4.md 8
     stages=((0.0, 0x0E5),),
-    flags={
-        Estimates.GOOD: 0x37F,
-        Estimates.GLITCH: 0x37F,
-        Estimates.YIELDS: 0x37F,
-        Estimates.LOST: 0x365,
-        Estimates.STOPPED: 0x065,
-    },
+    flags=told(good=_GOOD, glitch=_GOOD, yields=_GOOD, lost=0x365, stopped=0x065),
     origin_s=2.0,  # between 1.65 and 2.65 s of px4-offboard-short.tlog
     good_s=2.0,
     gate_m=5.375,  # about EKF2_GPS_P_GATE (5) standard deviations of what is recorded
@@ -263,7 +257,7 @@ class Px4(core.Autopilot):
         estimator.lag_s = self.parameters["EKF2_GPS_DELAY"] * 1e-3
         estimator.still = not self.armed and now_s - self._disarmed_s >= _STILL_S
         flags = _TIMING.flags.get(estimator.state, _TIMING.stages[0][1])
-        if flags == _TIMING.flags[Estimates.GOOD]:
+        if flags == _GOOD:
             low = self.height_m < _LOW_M and not self.landed and self.mode.name != "Takeoff"
             flags |= _STILL_FLAG if estimator.still else 0
             flags &= ~_HEIGHT_FLAG if low else -1
