@@ -117,7 +117,7 @@ class ArduPilot(Autopilot):
             207: self._fence_enable,
             401: self._run_prearm_checks,
             410: self._get_home,
-            520: self._capabilities,
+            520: self.answer(core.AUTOPILOT_VERSION),
         }
 
     # --- where the two kinds differ -----------------------------------------------------------
@@ -288,11 +288,6 @@ class ArduPilot(Autopilot):
         if self.home is not None:
             self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
         return self.done(self.home is not None)
-
-    def _capabilities(self, command: Command) -> Result:
-        if command.parameters[0] == 1.0:
-            self.answer(core.AUTOPILOT_VERSION)(command)
-        return Result.ACCEPTED
 
     def _run_prearm_checks(self, _: Command) -> Result:
         if self.armed:

@@ -180,11 +180,11 @@ class ArduPlane(Wheels, ArduPilot):
 
     def _follow_mission(self) -> None:
         """On to the next item when this one is done; home after the last."""
-        leg = self.route.leg
-        if leg is not None and self._is_done(leg):
-            self.reached(self.route.current)
-            self.seek(self.route.current + 1)
-        if self.route.leg is None and not self.plane.stands:
+        route = self.route
+        if route.leg is not None and self._is_done(route.leg):
+            self.reached(route.current)
+            self.seek(route.current + 1)
+        if route.leg is None and not self.plane.stands:
             self.set_mode("RTL")
 
     def _is_done(self, leg: Leg) -> bool:
@@ -341,7 +341,11 @@ class ArduPlane(Wheels, ArduPilot):
                 self._aim_ahead(p["TKOFF_DIST"], p["TKOFF_ALT"])
         elif self.mode.flies == "flies a mission":
             self._follow_mission()
-        circle = Circle(self._place, self._circle_m())
+        usual_m = p["WP_LOITER_RAD"]
+        radius_m = self._radius_m if self._radius_m > 1.0 else max(abs(usual_m), 1.0)
+        radius_m *= eas_to_tas(self.estimate.altitude_amsl_m) ** 2  # wider where the air is thin
+        left = self._left or usual_m < 0.0
+        circle = Circle(self._place, -radius_m if left else radius_m)
         control.steer(Way(self._start, self._place) if self._straight else circle)
         there = control.l1.circling or self._along() > 1.0
         if there and not self._arrived and not self._straight:
@@ -363,13 +367,6 @@ class ArduPlane(Wheels, ArduPilot):
         leg_m, off_m = way_m(self._place, self._start), self.control.off_m(self._start)
         square = abs(leg_m) ** 2
         return 1.0 if square < 1e-3 else -(off_m.conjugate() * leg_m).real / square
-
-    def _circle_m(self) -> float:
-        """Radius to fly, left negative: wider where the air is thin."""
-        usual_m = self.parameters["WP_LOITER_RAD"]
-        asked_m = self._radius_m if self._radius_m > 1.0 else max(abs(usual_m), 1.0)
-        radius_m = asked_m * eas_to_tas(self.estimate.altitude_amsl_m) ** 2
-        return -radius_m if self._left or usual_m < 0.0 else radius_m
 
     # --- take-off -----------------------------------------------------------------------------
 
