@@ -533,33 +533,28 @@ class ArduCopter(ArduPilot):
             route.leg = leg._replace(place=here.at(height_m), hold_s=_REACHED_S)
 
     def fly_legs(self) -> Order:
-        """AUTO, RTL: a place after the other."""
-        route, leg, now_s = self.route, self.route.leg, self.now_s
+        """AUTO, RTL, a take-off: a place after the other."""
+        route, leg = self.route, self.route.leg
         if leg is None or not self.estimator.aiding:
             return self._hold(0.0, level=leg is not None)
-        returns, lands = leg.command == RETURN, leg.does is Does.LAND
-        if lands and (returns or route.arrived_s is not None):
+        if leg.does is Does.LAND and (leg.command == RETURN or route.arrived_s is not None):
             return self.land()
-        here, place = self.estimate.place, leg.place
+        place = leg.place
         order = self._go(complex(place.latitude_deg, place.longitude_deg), place.altitude_amsl_m)
+        self.follow_route()
+        return order
+
+    def is_there(self, leg: Leg) -> bool:
+        """Near enough, and not too soon."""
+        here, place, returns = self.estimate.place, leg.place, leg.command == RETURN
         rise_m, away_m = place.altitude_amsl_m - here.altitude_amsl_m, abs(way_m(here, place))
+        if leg.does is Does.LAND:
+            return away_m < _OVER_LANDING_M
         there = math.hypot(away_m, rise_m) < self.parameters["WPNAV_RADIUS"] / 100.0
         if leg.does is Does.CLIMB:
             there = abs(rise_m) < _CLIMBED_M if returns else rise_m < _REACHED_M
-        elif lands:
-            there = away_m < _OVER_LANDING_M
-        if returns and not leg.hold_s:
-            there = there and now_s - route.began_s >= _RETURN_STAGE_S
-        if not (there or route.arrived_s is not None) or not route.has_waited(now_s, leg.hold_s):
-            return order
-        if leg.does is Does.CLIMB and not returns:
-            self.took_off()
-        if returns or route.number is None:
-            route.go_on(now_s)
-        elif not lands:
-            self.reached(route.number)
-            self.seek(route.number + 1)
-        return order
+        soon = returns and not leg.hold_s and self.now_s - self.route.began_s < _RETURN_STAGE_S
+        return there and not soon
 
     # --- the nose -----------------------------------------------------------------------------
 

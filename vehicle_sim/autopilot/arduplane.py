@@ -176,25 +176,19 @@ class ArduPlane(Wheels, ArduPilot):
             case Does.LAND:
                 self._go(leg.place.at(here_m), straight=True)
             case Does.GO:
-                self._go(leg.place, straight=leg.command == WAYPOINT)
+                straight = leg.command == WAYPOINT
+                self.route.leg = leg._replace(hold_s=0.0 if straight else leg.hold_s)
+                self._go(leg.place, straight=straight)
 
-    def _follow_mission(self) -> None:
-        """On to the next item when this one is done; home after the last."""
-        route = self.route
-        if route.leg is not None and self._is_done(route.leg):
-            self.reached(route.current)
-            self.seek(route.current + 1)
-        if route.leg is None and not self.plane.stands:
-            self.set_mode("RTL")
-
-    def _is_done(self, leg: Leg) -> bool:
+    def is_there(self, leg: Leg) -> bool:
+        """At its height, on its circle, or near enough; a landing ends on the ground."""
         if leg.does is Does.CLIMB:
             return self.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m
         if leg.does is not Does.GO:
             return False
         l1, velocity = self.control.l1, self.control.velocity
         if not self._straight:
-            return self._arrived and l1.circling and self.route.has_waited(self.now_s, leg.hold_s)
+            return self._arrived and l1.circling
         near_m = min(self.parameters["WP_RADIUS"], l1.length_m(abs(velocity)))
         near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else near_m
         return abs(self.control.off_m(self._place)) <= near_m or self._along() >= 1.0
@@ -340,7 +334,9 @@ class ArduPlane(Wheels, ArduPilot):
             if abs(control.velocity) < _AIMED_M_S:
                 self._aim_ahead(p["TKOFF_DIST"], p["TKOFF_ALT"])
         elif self.mode.flies == "flies a mission":
-            self._follow_mission()
+            self.follow_route()
+            if self.route.leg is None and not self.plane.stands:
+                self.set_mode("RTL")
         usual_m = p["WP_LOITER_RAD"]
         radius_m = self._radius_m if self._radius_m > 1.0 else max(abs(usual_m), 1.0)
         radius_m *= eas_to_tas(self.estimate.altitude_amsl_m) ** 2  # wider where the air is thin

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from vehicle_sim.autopilot import values
 from vehicle_sim.autopilot.earth import Frame
 from vehicle_sim.autopilot.estimator import Estimator, Timing
-from vehicle_sim.autopilot.legs import Does, Route, leg_of
+from vehicle_sim.autopilot.legs import RETURN, TAKEOFF, Does, Leg, Route, leg_of
 from vehicle_sim.autopilot.values import Command, Place, Reply, Result, Sender
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
@@ -114,6 +114,7 @@ class Autopilot:
     touch_down: Callable[[], None]  # it comes to the ground with this step
     disarms_after_s: Callable[[], float | None]  # since it landed or was armed; None: never
     waypoint: Callable[[], values.Waypoint | None]  # the place that it goes to
+    is_there: Callable[[Leg], bool]  # whether it has come to where a leg ends
     lies_below_m_s = math.inf  # speed on the ground at which it may be taken to have landed
 
     # How it decides, by a family (ardupilot.py, px4.py).
@@ -167,6 +168,9 @@ class Autopilot:
 
     def look(self) -> None:
         """In every step, before the checks."""
+
+    def took_off(self) -> None:
+        """An automatic take-off is over."""
 
     def steer(self) -> None:
         """Look where to go, on the ground too."""
@@ -354,6 +358,25 @@ class Autopilot:
     def is_at(self, does: Does) -> bool:
         """Whether it flies a leg of this kind."""
         return self.route.leg is not None and self.route.leg.does is does
+
+    def follow_route(self) -> None:
+        """Wait where the leg ends, then fly the next: of the mission, or of whatever it flies.
+
+        PX4 tells of an item that it has come to, ArduPilot when it goes on.
+        """
+        route, leg, arrives = self.route, self.route.leg, self.route.arrived_s is None
+        if leg is None or (arrives and not self.is_there(leg)):
+            return
+        leaves = route.has_waited(self.now_s, leg.hold_s) and leg.does is not Does.LAND
+        is_item = route.number is not None and leg.command != RETURN
+        if is_item and (arrives if self.is_px4 else leaves):
+            self.reached(route.current)
+        if leaves and leg.command == TAKEOFF:
+            self.took_off()
+        if leaves and is_item:
+            self.seek(route.current + 1)
+        elif leaves:
+            route.go_on(self.now_s)
 
     def jump(self, number: int) -> bool:
         """Make this the current item, in a mission fly it; tells whether there is such an item."""

@@ -14,7 +14,7 @@ from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HOME_POSITION, Mode
 from vehicle_sim.autopilot.earth import Projection
 from vehicle_sim.autopilot.estimator import Timing, told
 from vehicle_sim.autopilot.guards import Zones
-from vehicle_sim.autopilot.legs import Does, Leg
+from vehicle_sim.autopilot.legs import Does
 from vehicle_sim.autopilot.setpoints import Target, given, read_by_px4
 from vehicle_sim.autopilot.values import Command, Landed, Place, Reply, Result, State
 from vehicle_sim.conditions import SIM_PARAMETERS_PX4
@@ -490,13 +490,6 @@ class Px4(core.Autopilot):
             self.intend("Return")
         else:
             self.fly_leg()
-
-    def arrived(self, leg: Leg) -> None:
-        """The vehicle is at the leg's place (call it in every step there): wait, then go on."""
-        if self.route.arrived_s is None:
-            self.reached(self.route.current)
-        if self.route.has_waited(self.now_s, leg.hold_s) and leg.does is not Does.LAND:
-            self.seek(self.route.current + 1)
 
     def _start_mission(self, command: Command) -> Result:
         """MISSION_START: AUTO:MISSION, and arm if need be."""

@@ -5,7 +5,7 @@ from typing import Final, final
 
 from vehicle_sim.autopilot.copter_control import bounded
 from vehicle_sim.autopilot.core import Boot
-from vehicle_sim.autopilot.legs import Does
+from vehicle_sim.autopilot.legs import Does, Leg
 from vehicle_sim.autopilot.px4 import MODES, NAVIGATED, RATES_HZ, Px4, firmware
 from vehicle_sim.autopilot.px4_control import NONE, STANDS_M_S, Control, Point, State, given
 from vehicle_sim.autopilot.setpoints import NOTHING, Target, is_flyable
@@ -287,20 +287,24 @@ class Px4Copter(Px4):
 
     def fly_mission(self) -> State:
         """Leg by leg."""
-        leg, p = self.route.leg, self.parameters
-        if leg is None:
-            return self.hold()
-        away_m = abs(self._goal - self._here)
-        if leg.does is Does.LAND:
-            if away_m < _ARRIVED_M and self.route.arrived_s is None:
-                self.arrived(leg)
-            return self.hold() if self.route.arrived_s is None else self.land()
+        lands = self.is_at(Does.LAND)
+        if lands and self.route.arrived_s is None:
+            self.follow_route()
+        if lands and self.route.arrived_s is not None:
+            return self.land()
         at = self.hold()
+        if not lands:
+            self.follow_route()
+        return at
+
+    def is_there(self, leg: Leg) -> bool:
+        """Near enough: over the place of a landing, else at its height too."""
+        p, away_m = self.parameters, abs(self._goal - self._here)
+        if leg.does is Does.LAND:
+            return away_m < _ARRIVED_M
         near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else p["NAV_ACC_RAD"]
         off_m = abs(self._goal_down - self.local_m[2])
-        if away_m < near_m and off_m < p["NAV_MC_ALT_RAD"]:
-            self.arrived(leg)
-        return at
+        return away_m < near_m and off_m < p["NAV_MC_ALT_RAD"]
 
     def _turn(self) -> None:
         """Turn the nose: to the setpoint's yaw, or along the way."""

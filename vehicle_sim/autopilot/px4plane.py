@@ -17,7 +17,7 @@ from typing import Final, NamedTuple, final
 from vehicle_sim.autopilot.copter_control import bounded
 from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.earth import FlatEarth
-from vehicle_sim.autopilot.legs import Does
+from vehicle_sim.autopilot.legs import Does, Leg
 from vehicle_sim.autopilot.plane_control import Circle, Runway, Way, Wheels, eas_to_tas
 from vehicle_sim.autopilot.px4 import RATES_HZ, Px4, firmware
 from vehicle_sim.autopilot.setpoints import NOTHING, Target
@@ -214,7 +214,7 @@ class Px4Plane(Wheels, Px4):
             case "climb":
                 self._climb_out()
             case "fly_mission":
-                self._follow_mission()
+                self.follow_route()
             case "fly_back":
                 self._return()
             case "descend":
@@ -292,22 +292,17 @@ class Px4Plane(Wheels, Px4):
         if waited and high_m < p["NAV_FW_ALT_RAD"]:
             self._descend_about(self.base)
 
-    def _follow_mission(self) -> None:
-        """Fly on along the leg, which ends where PX4 switches to the next: 31 m at 13.9 m/s."""
-        leg, control = self.route.leg, self.control
-        if leg is None or leg.does is Does.LAND:
-            return
-        near_m = control.l1.length_m(abs(control.velocity))
-        near_m = leg.acceptance_m if leg.acceptance_m > near_m else near_m
-        away_m = abs(control.off_m(leg.place))
+    def is_there(self, leg: Leg) -> bool:
+        """Where PX4 switches to the next one: 31 m before its end at 13.9 m/s."""
+        control, aim, away_m = self.control, self._aim, abs(self.control.off_m(leg.place))
+        if leg.does is Does.LAND:
+            return False
         if leg.does is Does.CLIMB:
-            there = self.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m
-        elif isinstance(self._aim, Circle):
-            there = abs(away_m - abs(self._aim.radius_m)) < _ON_CIRCLE_M
-        else:
-            there = away_m < near_m
-        if there:
-            self.arrived(leg)
+            return self.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m
+        if isinstance(aim, Circle):
+            return abs(away_m - abs(aim.radius_m)) < _ON_CIRCLE_M
+        near_m = control.l1.length_m(abs(control.velocity))
+        return away_m < (leg.acceptance_m if leg.acceptance_m > near_m else near_m)
 
     # --- on its wheels ------------------------------------------------------------------------
 
