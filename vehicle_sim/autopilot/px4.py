@@ -7,7 +7,7 @@ not measured are those of the source: a mode that cannot run is TEMPORARILY_REJE
 import enum
 import math
 from collections.abc import Callable, Sequence
-from typing import Final, NamedTuple, final
+from typing import Final
 
 from vehicle_sim.autopilot import core, values
 from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HOME_POSITION, Mode
@@ -150,22 +150,12 @@ _STILL_S: Final = 2.0  # disarmed to the estimator's constant-position mode
 _LOW_M: Final = 1.2
 """Below this, in the air, there is no height above ground: flags 0x33f in the logs."""
 _STILL_FLAG, _HEIGHT_FLAG = 0x080, 0x040
+_TEXTS: Final = {
+    "fence": (4, "Geofence: approaching or outside geofence\t"),
+    "battery": (2, "Critical battery level, land now\t"),
+}
+"""What is said when one of these begins or gets worse."""
 _HIGHEST_M: Final = 1e5  # altitudes beyond count as not given: they do not fit into any answer
-
-
-@final
-class Asked(NamedTuple):
-    """Where NAV_TAKEOFF, DO_REPOSITION or NAV_LAND wants it; NaN: not given."""
-
-    latitude_deg: float
-    longitude_deg: float
-    altitude_amsl_m: float
-    yaw_rad: float
-
-    @property
-    def has_place(self) -> bool:
-        """Whether there is more than a height."""
-        return self.latitude_deg == self.latitude_deg
 
 
 class Px4(core.Autopilot):
@@ -182,8 +172,9 @@ class Px4(core.Autopilot):
         """The estimate in the local frame: north, east, down."""
         self.target: Target | None = None
         """The newest one that OFFBOARD flies, in the local frame; None: none since it began."""
-        self.asked: Asked | None = None
-        """By the command that brought about the mode."""
+        self.asked: Place | None = None
+        self.asked_yaw_rad = _NAN
+        """Where the command that brought about the mode wants it; NaN: not given."""
         self.speed_m_s: float | None = None
         """DO_CHANGE_SPEED, in AUTO modes."""
         self.offboard_signal = False
@@ -245,10 +236,17 @@ class Px4(core.Autopilot):
         self.offboard_signal = now_s - self._signal_s <= p["COM_OF_LOSS_T"]
         if self.armed:
             lost = p["COM_DL_LOSS_T"] < now_s - self.station_s < math.inf
-            self._note("ground station", self._choice("NAV_DLL_ACT") if lost else Action.NONE)
-            self._check_fence()
-            if self._note("battery", self._battery_action()):
-                self.say(2, "Critical battery level, land now\t")
+            ill = {
+                "ground station": self._choice("NAV_DLL_ACT") if lost else Action.NONE,
+                "fence": self._choice("GF_ACTION") if self._breaches() else Action.NONE,
+                "battery": self._battery_action(),
+            }
+            for cause, action in ill.items():
+                if action > self._ill.get(cause, Action.NONE):
+                    self._incidents[cause] = action
+                    if cause in _TEXTS:
+                        self.say(*_TEXTS[cause])
+            self._ill = ill
         self._select()
 
     def _check_estimate(self) -> None:
@@ -270,21 +268,17 @@ class Px4(core.Autopilot):
         if not estimator.aiding:
             estimate.velocity_variance = estimate.horizontal_variance = _NAN
 
-    def _check_fence(self) -> None:
-        home, p = self.home, self.parameters
-        if home is None or not self.estimator.ok:
-            return
-        here, most_m, highest_m = self.estimate.place, p["GF_MAX_HOR_DIST"], p["GF_MAX_VER_DIST"]
-        away_m = math.dist(self.local_m[:2], self.frame.ned_m(home)[:2])
-        breached = (
-            0.0 < most_m < away_m
-            or 0.0 < highest_m < here.altitude_amsl_m - home.altitude_amsl_m
-            or self.forbidden(here)
-        )
-        self.fence_breaches += breached and not self.fence_breached
-        self.fence_breached = breached
-        if self._note("fence", self._choice("GF_ACTION") if breached else Action.NONE):
-            self.say(4, "Geofence: approaching or outside geofence\t")
+    def _breaches(self) -> bool:
+        """Whether it is outside of the fence, as far as it knows where it is."""
+        home, p, here = self.home, self.parameters, self.estimate.place
+        if home is not None and self.estimator.ok:
+            away_m = math.dist(self.local_m[:2], self.frame.ned_m(home)[:2])
+            above_m = here.altitude_amsl_m - home.altitude_amsl_m
+            breached = 0.0 < p["GF_MAX_HOR_DIST"] < away_m or self.forbidden(here)
+            breached = breached or 0.0 < p["GF_MAX_VER_DIST"] < above_m
+            self.fence_breaches += breached and not self.fence_breached
+            self.fence_breached = breached
+        return self.fence_breached
 
     def forbidden(self, place: Place) -> bool:
         """Whether the fence forbids it; setpoints are never checked, but DO_REPOSITION's place."""
@@ -303,14 +297,6 @@ class Px4(core.Autopilot):
         """What the value of this parameter asks for."""
         choices, value = _CHOICES[name].split(), int(self.parameters[name])
         return Action[choices[value if 0 <= value < len(choices) else 0]]
-
-    def _note(self, cause: str, action: Action) -> bool:
-        """What a cause asks for now (NONE: it is well); tells whether it has begun or got worse."""
-        is_worse = action > self._ill.get(cause, Action.NONE)
-        self._ill[cause] = action
-        if is_worse:
-            self._incidents[cause] = action
-        return is_worse
 
     def _failsafe(self) -> Action:
         """What is to be done instead of the wanted mode; NONE while that can be flown."""
@@ -368,14 +354,14 @@ class Px4(core.Autopilot):
             self.begin()
         self._select()
 
-    def command_mode(self, name: str, asked: Asked | None = None) -> Result:
+    def command_mode(self, name: str, asked: Place | None = None, yaw_rad: float = _NAN) -> Result:
         """Request a mode.  On the ground, disarmed, every mode is accepted."""
         able = self.estimator.precise or not self.modes[name].needs_position
         if name == "Offboard":
             able = self.offboard_signal and self.estimator.precise
         if self.armed and not able:
             return Result.TEMPORARILY_REJECTED
-        self.asked = asked
+        self.asked, self.asked_yaw_rad = asked, yaw_rad
         self.intend(name)
         return Result.ACCEPTED
 
@@ -421,7 +407,7 @@ class Px4(core.Autopilot):
 
     # --- commands -----------------------------------------------------------------------------
 
-    def _asked_by(self, command: Command, yaw_rad: float = _NAN) -> Asked:
+    def _asked_by(self, command: Command) -> Place:
         """Where p5 to p7 are; a latitude and longitude of 0 are not given."""
         latitude_deg, longitude_deg, altitude_m = command.parameters[4:]
         known = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0  # NaN is not
@@ -432,20 +418,18 @@ class Px4(core.Autopilot):
             home_m, frame = self.home.altitude_amsl_m, command.frame or 0
             height_m = values.height_amsl_m(frame, altitude_m, home_m, self.ground_m)
             altitude_m = altitude_m if height_m is None else height_m
-        return Asked(latitude_deg, longitude_deg, altitude_m, yaw_rad)
+        return Place(latitude_deg, longitude_deg, altitude_m)
 
     def asked_or(self, here: Place) -> Place:
         """What of a place was asked for, and here what was not."""
-        asked = self.asked
-        if asked is None:
-            return here
+        asked = self.asked or here
         height_m = asked.altitude_amsl_m
-        height_m = here.altitude_amsl_m if height_m != height_m else height_m
-        return Place(*asked[:2], height_m) if asked.has_place else here.at(height_m)
+        place = asked if given(asked) else here
+        return place.at(here.altitude_amsl_m if height_m != height_m else height_m)
 
     def _land(self, command: Command) -> Result:
         asked = self._asked_by(command)
-        return self.command_mode("Land", asked if asked.has_place else None)
+        return self.command_mode("Land", asked if given(asked) else None)
 
     def _take_off(self, command: Command) -> Result:
         return self.command_mode("Takeoff", self._asked_by(command))
@@ -460,12 +444,12 @@ class Px4(core.Autopilot):
     def _reposition(self, command: Command) -> Result:
         """p2 bit 0 changes to Hold; a place outside of the fence is refused."""
         _, flags, _, yaw_rad = command.parameters[:4]
-        asked = self._asked_by(command, yaw_rad)
-        if asked.has_place and self.forbidden(Place(*asked[:2], 0.0)):
+        asked = self._asked_by(command)
+        if given(asked) and self.forbidden(asked.at(0.0)):
             return Result.DENIED
         if self.mode.name != "Hold" and not (math.isfinite(flags) and int(flags) & 1):
             return Result.UNSUPPORTED
-        return self.command_mode("Hold", asked)
+        return self.command_mode("Hold", asked, yaw_rad)
 
     def _change_speed(self, command: Command) -> Result:
         """Accepted always, of effect in AUTO modes only (px4.md 3)."""
@@ -478,7 +462,7 @@ class Px4(core.Autopilot):
         if command.parameters[0] == 1.0:
             ok = self.estimator.ok
             return self.set_home(self.estimate.place) if ok else Result.TEMPORARILY_REJECTED
-        place = Place(*self._asked_by(command)[:3])
+        place = self._asked_by(command)
         return self.set_home(place) if all(map(math.isfinite, place)) else Result.DENIED
 
     # --- missions -----------------------------------------------------------------------------

@@ -104,7 +104,7 @@ class Px4Copter(Px4):
             self._began = self._goal = flown.place + self._point.stopping_m()
             self._goal_down = flown.down
         elif name == "Hold" and asked is not None:
-            self._aim_yaw_rad = asked.yaw_rad
+            self._aim_yaw_rad = self.asked_yaw_rad
             self._goal, self._goal_down = self._local(self.asked_or(here))
         elif name == "Land" and asked is not None:
             self._goal, _ = self._local(self.asked_or(here))

@@ -20,7 +20,7 @@ from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.legs import Does, Leg
 from vehicle_sim.autopilot.plane_control import Circle, Runway, Way, Wheels, eas_to_tas
 from vehicle_sim.autopilot.px4 import RATES_HZ, Px4, firmware
-from vehicle_sim.autopilot.setpoints import NOTHING, Target
+from vehicle_sim.autopilot.setpoints import NOTHING, Target, given
 from vehicle_sim.autopilot.values import Place, TargetEcho, Waypoint
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import PlaneLimits
@@ -276,7 +276,7 @@ class Px4Plane(Wheels, Px4):
         if here.altitude_amsl_m >= goal_m:
             goal = self._goal or here
             self._goal, control.climb_m_s = goal.at(goal_m + _CLEARED_M), None
-            if self.asked is not None and self.asked.has_place:
+            if self.asked is not None and given(self.asked):
                 self.intend("Hold")
 
     def _return(self) -> None:
