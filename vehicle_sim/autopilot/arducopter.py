@@ -194,10 +194,7 @@ class ArduCopter(ArduPilot):
 
     def lands(self) -> bool:
         """In LAND, at the end of RTL, and where AUTO lands."""
-        leg = self.route.leg
-        if leg is None or leg.does is not Does.LAND:
-            return self.mode.name == "LAND"
-        return leg.command == RETURN or self.route.arrived_s is not None
+        return self.mode.name == "LAND" or self.route.lands
 
     # --- failsafes ----------------------------------------------------------------------------
 
@@ -534,10 +531,10 @@ class ArduCopter(ArduPilot):
 
     def fly_legs(self) -> Order:
         """AUTO, RTL, a take-off: a place after the other."""
-        route, leg = self.route, self.route.leg
+        leg = self.route.leg
         if leg is None or not self.estimator.aiding:
             return self._hold(0.0, level=leg is not None)
-        if leg.does is Does.LAND and (leg.command == RETURN or route.arrived_s is not None):
+        if self.route.lands:
             return self.land()
         place = leg.place
         order = self._go(complex(place.latitude_deg, place.longitude_deg), place.altitude_amsl_m)

@@ -98,6 +98,14 @@ class Route:
         """Nothing any more."""
         self.leg, self.number, self._next = None, None, []
 
+    @property
+    def lands(self) -> bool:
+        """It comes down: at the end of a return, and where a mission has come to a landing."""
+        leg = self.leg
+        if leg is None or leg.does is not Does.LAND:
+            return False
+        return leg.command == RETURN or self.arrived_s is not None
+
     def go_on(self, now_s: float) -> None:
         """The next leg of those begins."""
         self.leg = self._next.pop(0) if self._next else None

@@ -144,9 +144,8 @@ class Point:
         """From what the vehicle does."""
         self.at = flown._replace(push=0j, push_down=0.0)
 
-    def stopping_m(self) -> complex:
+    def stopping_m(self, velocity: complex) -> complex:
         """How far on it stops, as the navigator reckons it (preproject_stop_point)."""
-        velocity = self.at.velocity
         return velocity * (abs(velocity) / (2.0 * self._most) + self._most / self._jerk)
 
     @property

@@ -5,7 +5,7 @@ from typing import Final, final
 
 from vehicle_sim.autopilot.copter_control import bounded
 from vehicle_sim.autopilot.core import Boot
-from vehicle_sim.autopilot.legs import Does, Leg
+from vehicle_sim.autopilot.legs import RETURN, Does, Leg, back
 from vehicle_sim.autopilot.px4 import MODES, NAVIGATED, RATES_HZ, Px4, firmware
 from vehicle_sim.autopilot.px4_control import NONE, STANDS_M_S, Control, Point, State, given
 from vehicle_sim.autopilot.setpoints import NOTHING, Target, is_flyable
@@ -53,7 +53,7 @@ class Px4Copter(Px4):
         self._flying = False  # the position controller runs
         self._wanted = State()
         self._order = (0j, 0.0)
-        self._stage = 0  # of a return: 0 climbs, 1 flies home, 2 descends and lands
+        self._leg: Leg | None = None  # of which the goal is
         self._up_s: float | None = None  # when a take-off has come to its height
         self._yaw_rad, self._aim_yaw_rad = self.copter.heading_rad, _NAN
         self._turn_rad_s = 0.0
@@ -95,13 +95,13 @@ class Px4Copter(Px4):
         if name != self._began_in or not self._flying:
             self._point.start(flown)
         self._began_in, self._began, self._began_down = name, flown.place, flown.down
-        self._goal, self._goal_down, self._stage = NONE, _NAN, 0
+        self._goal, self._goal_down = NONE, _NAN
         self._yaw_rad, self._aim_yaw_rad = self.copter.heading_rad, _NAN
         here, asked = self.estimate.place, self.asked
         if name == "Takeoff":
             self._goal, self._goal_down = self._local(here.at(self.takeoff_altitude_m))
         elif name == "Hold" and asked is None:
-            self._began = self._goal = flown.place + self._point.stopping_m()
+            self._began = self._goal = flown.place + self._point.stopping_m(flown.velocity)
             self._goal_down = flown.down
         elif name == "Hold" and asked is not None:
             self._aim_yaw_rad = self.asked_yaw_rad
@@ -110,8 +110,9 @@ class Px4Copter(Px4):
             self._goal, _ = self._local(self.asked_or(here))
         elif name == "Return":
             height_m = self.base.altitude_amsl_m + self._return_height_m()
-            self._goal, down = self._local(here.at(height_m))
-            self._goal_down = min(flown.down, down)
+            height_m = max(height_m, here.altitude_amsl_m)
+            self.route.fly(back(here, self.base, height_m, 0.0), self.now_s)
+            self.fly_leg()
         elif name == "Mission":
             self.fly_leg()
 
@@ -128,7 +129,7 @@ class Px4Copter(Px4):
 
     def fly_leg(self) -> None:
         """Another leg of the mission, or none any more."""
-        leg = self.route.leg
+        leg = self._leg = self.route.leg
         self._goal, self._goal_down = NONE, _NAN
         if leg is None:
             return
@@ -277,33 +278,27 @@ class Px4Copter(Px4):
             sink_m_s = min(slow, p["MPC_LAND_CRWL"])
         return self._move_point(sink_m_s)
 
-    def fly_back(self) -> State:
-        """Return: up, home, and land from there."""
-        if self._stage == 0 and abs(self._goal_down - self.local_m[2]) < _ARRIVED_M:
-            self._stage, self._goal = 1, self._local(self.base)[0]
-        elif self._stage == 1 and abs(self._goal - self._here) < _ARRIVED_M:
-            self._stage = 2
-        return self.land() if self._stage == 2 else self.hold()
-
     def fly_mission(self) -> State:
-        """Leg by leg."""
-        lands = self.is_at(Does.LAND)
-        if lands and self.route.arrived_s is None:
-            self.follow_route()
-        if lands and self.route.arrived_s is not None:
+        """Leg by leg; of a return too."""
+        if self.route.leg is not self._leg:
+            self.fly_leg()
+        if self.route.lands:
             return self.land()
         at = self.hold()
-        if not lands:
-            self.follow_route()
+        self.follow_route()
         return at
+
+    fly_back = fly_mission
 
     def is_there(self, leg: Leg) -> bool:
         """Near enough: over the place of a landing, else at its height too."""
         p, away_m = self.parameters, abs(self._goal - self._here)
-        if leg.does is Does.LAND:
-            return away_m < _ARRIVED_M
-        near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else p["NAV_ACC_RAD"]
         off_m = abs(self._goal_down - self.local_m[2])
+        if leg.does is Does.LAND or (leg.command == RETURN and leg.does is Does.GO):
+            return away_m < _ARRIVED_M
+        if leg.command == RETURN:
+            return off_m < _ARRIVED_M
+        near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else p["NAV_ACC_RAD"]
         return away_m < near_m and off_m < p["NAV_MC_ALT_RAD"]
 
     def _turn(self) -> None:
