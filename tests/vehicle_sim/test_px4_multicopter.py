@@ -476,19 +476,6 @@ def test_a_commanded_mode_is_not_undone_by_the_stream(mode: tuple[int, int], nam
     assert rig.px4.mode_name == name
 
 
-def test_a_pilot_holds_it_in_position_mode() -> None:
-    rig = hover(COM_OBL_RC_ACT=0.0)
-    rig.px4.pilot_takes()
-    to_mode(rig, OFFBOARD)
-    rig.stream(8.0, velocity=(5.0, 0.0, 0.0))
-    rig.run_until(lambda: rig.px4.mode_name == "Position", 3.0)
-    north_m, _, down_m = rig.px4.local_m
-    rig.run(8.0)
-    assert rig.px4.local_m[0] - north_m == about(4.0, 1.5)
-    assert rig.px4.local_m[2] == about(down_m, 0.7)
-    assert rig.speed_m_s < 0.7
-
-
 def test_the_battery_brings_it_home() -> None:
     """COM_LOW_BAT_ACT 3: return when critical, land in an emergency."""
     rig = hover()

@@ -90,7 +90,7 @@ class ArduCopter(ArduPilot):
         assert isinstance(boot.vehicle, Copter)
         self.copter = boot.vehicle
         self._flown_in = {mode.name: getattr(self, mode.flies) for mode in self.firmware.modes}
-        self.level, self.up = Horizontal(), Vertical()
+        self.level, self.up = Horizontal(self.estimate), Vertical(self.estimate)
         self._place_deg, self._altitude_m = 0j, 0.0
         self._heard_s = 0.0
         """Place of the newest setpoint, as it has run on since; velocity and acceleration are in
@@ -177,20 +177,8 @@ class ArduCopter(ArduPilot):
         tuning, self.kind = self.tuning, kind
         self._moves, self._feed = _STILL, _STILL
         self._speeds_m_s = [tuning.speed_m_s, tuning.speed_up_m_s, tuning.speed_down_m_s]
-        self.level.start(self._here_deg, self._flown)
-        self._start_vertical()
-
-    def _start_vertical(self) -> None:
-        self.up.start(self.estimate.altitude_amsl_m, self.estimate.velocity_up_m_s)
-
-    @property
-    def _here_deg(self) -> complex:
-        return complex(self.estimate.latitude_deg, self.estimate.longitude_deg)
-
-    @property
-    def _flown(self) -> complex:
-        """Velocity over the ground."""
-        return complex(self.estimate.velocity_north_m_s, self.estimate.velocity_east_m_s)
+        self.level.start()
+        self.up.start()
 
     def lands(self) -> bool:
         """In LAND, at the end of RTL, and where AUTO lands."""
@@ -253,7 +241,7 @@ class ArduCopter(ArduPilot):
         if not self.estimate.altitude_amsl_m < altitude_m < math.inf:
             return Result.FAILED
         self._restart(Kind.TAKEOFF)
-        self._place_deg, self._altitude_m = self._here_deg, altitude_m
+        self._place_deg, self._altitude_m = self.level.here_deg, altitude_m
         place = self.estimate.place.at(altitude_m)
         self.route.fly([Leg(Does.CLIMB, place, _REACHED_S, TAKEOFF)], self.now_s)
         return Result.ACCEPTED
@@ -380,8 +368,8 @@ class ArduCopter(ArduPilot):
             return False
         self.take_to_the_air()
         self.level.rest()
-        self.level.start(self._here_deg, self._flown)
-        self._start_vertical()
+        self.level.start()
+        self.up.start()
         return True
 
     def touch_down(self) -> None:
@@ -413,29 +401,21 @@ class ArduCopter(ArduPilot):
 
     def _follow(self) -> Order:
         """The second half of the controller."""
-        return self.level.lean(self._here_deg, self._flown, self.step_s), self._lift()
-
-    def _lift(self) -> float:
-        return self.up.lift(self.estimate.altitude_amsl_m, self.estimate.velocity_up_m_s)
-
-    def _move_desired(self) -> None:
-        here_deg = self._here_deg
-        self.level.scale = metres_per_degree(here_deg.real)
-        self.level.move(here_deg, self.step_s)
+        return self.level.lean(self.step_s), self.up.lift()
 
     def _hold(self, climb_m_s: float, *, level: bool = False) -> Order:
         """To a standstill, climbing at this rate; without a position only the lean goes."""
         if level:
             self.up.towards_climb(climb_m_s, 0.0, self.step_s)
-            return self.level.levelled(self.step_s), self._lift()
-        self._move_desired()
+            return self.level.levelled(self.step_s), self.up.lift()
+        self.level.move(self.step_s)
         self.level.towards_velocity(0j, 0j, self.step_s)
         self.up.towards_climb(climb_m_s, 0.0, self.step_s)
         return self._follow()
 
     def _go(self, place_deg: complex, altitude_m: float) -> Order:
         """To a place that does not move: the climb and the way there in proportion."""
-        self._move_desired()
+        self.level.move(self.step_s)
         away_m = abs(self.level.metres(self.level.place_deg, place_deg))
         rise_m = altitude_m - self.up.altitude_amsl_m
         speed_m_s, up_m_s, down_m_s = self._speeds_m_s
@@ -453,13 +433,13 @@ class ArduCopter(ArduPilot):
 
     def fly_target(self) -> Order:
         """GUIDED."""
-        if self.climbs_out():
-            return self.fly_legs()
+        if self.route.leg is not None:
+            return self.fly_legs()  # a take-off
         if not self.estimator.aiding:
             return self._hold(0.0, level=True)
         if self.kind in (Kind.TAKEOFF, Kind.POSITION):
             return self._go(self._place_deg, self._altitude_m)
-        self._move_desired()
+        self.level.move(self.step_s)
         (velocity, climb_m_s), (feed, feed_up), dt_s = self._moves, self._feed, self.step_s
         if self.kind is Kind.PUSH:
             self.level.push(feed, dt_s)
@@ -475,14 +455,14 @@ class ArduCopter(ArduPilot):
 
     def brake(self) -> Order:
         """BRAKE."""
-        speed = abs(self._flown)
+        speed = abs(self.level.flown)
         if speed < 0.5:
             return self._hold(0.0)
         most = min(_BRAKE_M_S2, self.copter.limits.acceleration_m_s2, 4.0 * speed)
-        asked = self._flown * (self.copter.drag_1_s - most / speed)
+        asked = self.level.flown * (self.copter.drag_1_s - most / speed)
         self.up.towards_climb(0.0, 0.0, self.step_s)
-        self.level.follow(self._here_deg, self._flown, asked)
-        return asked, self._lift()
+        self.level.follow(asked)
+        return asked, self.up.lift()
 
     def sink(self) -> Order:
         """The modes that a pilot holds it in: the stick is at its lower end."""
@@ -517,7 +497,7 @@ class ArduCopter(ArduPilot):
         """Another item of the mission, or none any more."""
         route, here = self.route, self.estimate.place
         leg, self._speeds_m_s[0] = route.leg, speed_m_s or self._speeds_m_s[0]
-        self._start_vertical()
+        self.up.start()
         self._lands_with_position = True
         if leg is None:
             self._restart(Kind.VELOCITY)
