@@ -336,8 +336,7 @@ class Px4(core.Autopilot):
         before, self.mode = self.mode, mode
         if mode is before:
             return
-        if before.name in ("Mission", "Return"):
-            self.route.stop()
+        self.route.stop()
         if mode.name == "Offboard":
             self.target = None
         elif mode.name == "Mission":
