@@ -335,8 +335,7 @@ def test_the_lost_ground_station_sends_it_home() -> None:
     assert took_s == pytest.approx(4.9, abs=0.2)
     rig.take(rig.autopilot.on_heartbeat(Sender(system=255, component=190), 6))
     rig.run(0.1)
-    assert rig.texts[-1] == "GCS Failsafe Cleared"
-    assert rig.autopilot.mode_name == "RTL"
+    assert (rig.texts[-1], rig.autopilot.mode_name) == ("GCS Failsafe Cleared", "RTL")
 
 
 def test_without_gps_it_levels_its_wings_and_stays_in_its_mode() -> None:

@@ -22,7 +22,7 @@ from tracked import Px4Copter as Rig
 
 from vehicle_sim.autopilot.values import Ack, Landed, Reboot, Result, Sender, SendMessage
 from vehicle_sim.conditions import GpsConditions
-from vehicle_sim.plans import PlanItem, PlanKind
+from vehicle_sim.plans import PlanKind
 
 ACCEPTED, REJECTED, DENIED = Result.ACCEPTED, Result.TEMPORARILY_REJECTED, Result.DENIED
 OFFBOARD, POSITION, ALTITUDE = (6, 0), (3, 0), (2, 0)
@@ -531,8 +531,7 @@ def test_a_return_from_nearby_climbs_no_higher_than_the_cone_of_45_degrees() -> 
 # --- 3, 7: places, mission and fence --------------------------------------------------------------
 
 
-def item(command: int, north_m: float, east_m: float, height_m: float, *p: float) -> PlanItem:
-    return harness.item(PX4_HOME_DEG, command, north_m, east_m, height_m, *p, frame=6)
+item = functools.partial(harness.item, PX4_HOME_DEG, frame=6)
 
 
 def reposition(rig: Rig, north_m: float, up_m: float) -> list[int]:
@@ -553,6 +552,9 @@ def test_a_reposition_switches_to_hold_and_one_into_the_fence_is_refused() -> No
     reposition(rig, -60.0, 20.0)
     rig.run(6.0)
     assert rig.speed_m_s == about(2.0, 0.3)
+    rig.command(192, -1.0, 1.0, 0.0, NAN, NAN, NAN, 503.0, frame=5)  # a height alone
+    rig.run(8.0)
+    assert (rig.speed_m_s, rig.height_m) == (about(0.0, 0.5), about(15.0, 0.7))
 
 
 def test_it_flies_a_mission() -> None:
