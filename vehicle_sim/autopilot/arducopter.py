@@ -91,10 +91,9 @@ class ArduCopter(ArduPilot):
         self.copter = boot.vehicle
         self._flown_in = {mode.name: getattr(self, mode.flies) for mode in self.firmware.modes}
         self.level, self.up = Horizontal(self.estimate), Vertical(self.estimate)
-        self._place_deg, self._altitude_m = 0j, 0.0
-        self._heard_s = 0.0
-        """Place of the newest setpoint, as it has run on since; velocity and acceleration are in
-        `_moves` and `_feed`."""
+        self._place_deg, self._altitude_m, self._heard_s = 0j, 0.0, 0.0
+        """Of the newest setpoint its place, as it has run on since, and when it came; its velocity
+        and acceleration are in `_moves` and `_feed`."""
         self._refused_text = ""
         self._lands_with_position = True
         self._pauses_until_s = 0.0
