@@ -5,7 +5,6 @@ has found it in the bytes of a link and judged its signature and its target.  A 
 flight controller on the same radio.
 """
 
-import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, final
 
@@ -204,7 +203,7 @@ def _set_mode(it: FlightController, message: Any, sender: Sender) -> Replies:
     """ArduPilot answers with a COMMAND_ACK of the message's own number."""
     for reply in it.autopilot.on_command(messages.mode_command(message, sender, it.firmware)):
         if isinstance(reply, Ack) and it.firmware == "ardupilot":
-            yield dataclasses.replace(reply, command=_SET_MODE)
+            yield reply._replace(command=_SET_MODE)
         else:
             yield reply
 

@@ -28,7 +28,7 @@ from pyproj import Geod
 from tracked import GROUND_M, HOME_DEG
 from tracked import ArduCopter as Flown
 
-from vehicle_sim.autopilot.values import Battery, Sender
+from vehicle_sim.autopilot.values import Battery, Sender, SendMessage
 from vehicle_sim.dynamics.copter import Limits
 from vehicle_sim.plans import Jumps, PlanItem, PlanKind
 
@@ -263,6 +263,13 @@ def test_rtl_climbs_to_15_m_comes_home_waits_and_lands() -> None:
     assert abs(it.local_m()[0]) < 2.0
     it.run_until(lambda: not it.autopilot.armed, within_s=60)
     assert abs(it.local_m()[0]) < 0.5
+
+
+def test_over_home_each_stage_of_a_return_takes_1_55_s_and_the_wait_5_s() -> None:
+    it = hovering()
+    assert it.command(176, 1, RTL) == ACCEPTED
+    took_s = it.run_until(lambda: landed_state(it) == LANDING, within_s=20)
+    assert took_s == pytest.approx(2 * 1.55 + 5.0, abs=0.1)
 
 
 @pytest.mark.parametrize(("behaviour", "looks_home"), [(1.0, True), (2.0, False), (0.0, False)])
@@ -529,6 +536,9 @@ def test_a_mission_is_flown_from_take_off_to_landing() -> None:
         if current in (3, 4):
             fastest = max(fastest, it.speed_m_s)
     assert seen == [1, 3, 4, 3, 4, 6]
+    told = [(at, reply.message.seq) for at, reply in it.said if isinstance(reply, SendMessage)]
+    assert [seq for _, seq in told] == [1, 3, 4, 3, 4]  # when it leaves: after 3 s at item 4
+    assert told[2][0] - told[1][0] > 10.0 + 3.0  # 40 m at 4 m/s, and the wait
     assert fastest == pytest.approx(4.0, abs=0.2)
     assert math.hypot(*it.local_m()[:2]) < 1.0
 

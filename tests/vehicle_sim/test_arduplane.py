@@ -263,7 +263,7 @@ def mission_rig() -> Rig:
         item(22, 0.0, 0.0, 50.0, 15.0),
         item(178, 0.0, 0.0, 0.0, 0.0, 20.0),
         item(16, 600.0, 0.0, 80.0),
-        item(16, 600.0, 600.0, 100.0),
+        item(16, 600.0, 600.0, 100.0, 300.0),  # a wait that plane takes no notice of
         item(19, 0.0, 600.0, 80.0, 20.0),
         item(16, -800.0, 0.0, 60.0),
         item(16, -500.0, 0.0, 40.0),
@@ -334,8 +334,8 @@ def test_the_lost_ground_station_sends_it_home() -> None:
     took_s = rig.run_until(lambda: rig.autopilot.mode_name == "RTL")
     assert took_s == pytest.approx(4.9, abs=0.2)
     rig.take(rig.autopilot.on_heartbeat(Sender(system=255, component=190), 6))
-    assert rig.texts[-1] == "GCS Failsafe Cleared"
-    assert rig.autopilot.mode_name == "RTL"
+    rig.run(0.1)
+    assert (rig.texts[-1], rig.autopilot.mode_name) == ("GCS Failsafe Cleared", "RTL")
 
 
 def test_without_gps_it_levels_its_wings_and_stays_in_its_mode() -> None:

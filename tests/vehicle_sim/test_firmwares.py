@@ -9,12 +9,11 @@ import pytest
 from harness import GCS, KINDS, MISSION, PLACE, VEHICLE, Key, Link, flying, heartbeat, ready
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot import px4
+from vehicle_sim.autopilot import core, px4
 from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.parameters import Kind
 from vehicle_sim.world import VehicleKind
 
-COMPANION, STATION = 18, 6
 DEFAULTS = {
     ("ardupilot", "copter"): """ANGLE_MAX 3000 WPNAV_SPEED 1000 WPNAV_ACCEL 250 PSC_JERK_XY 5
         GUID_TIMEOUT 3 FS_GCS_ENABLE 0 WP_YAW_BEHAVIOR 2 DISARM_DELAY 10 FENCE_ENABLE 0
@@ -36,7 +35,8 @@ VERSIONS = {"ardupilot": 0x04070000, "px4": 17891392}
 def test_defaults_and_capabilities_are_those_of_the_documents(
     kind: tuple[str, VehicleKind],
 ) -> None:
-    firmware = PERSONALITIES[kind].firmware
+    firmware, make = PERSONALITIES[kind].firmware, PERSONALITIES[kind].make
+    assert all(hasattr(make, hook) for hook in core.Autopilot.__annotations__)
     words = DEFAULTS[kind].split()
     rows = {row.name: row for row in firmware.table}
     assert {name: rows[name].default for name in words[::2]} == {
@@ -121,8 +121,8 @@ def test_ardupilot_tells_texts_where_anybody_was_heard() -> None:
 def test_px4_tells_texts_to_ground_stations_only() -> None:
     vehicle = Link("copter", "px4", PLACE, links=2)
     vehicle.run(7.0)
-    vehicle.send(heartbeat(COMPANION))
-    vehicle.send(heartbeat(STATION), link=1, source=GCS)
+    vehicle.send(heartbeat())
+    vehicle.send(heartbeat(mavlink.MAV_TYPE_GCS), link=1, source=GCS)
     assert vehicle.command(400, 1) == 0
     vehicle.run(1.0)
     assert (texts(vehicle, 0), texts(vehicle, 1)) == (False, True)

@@ -20,9 +20,9 @@ from tracked import PX4_HOME_DEG
 from tracked import EightRow as Row
 from tracked import Px4Copter as Rig
 
-from vehicle_sim.autopilot.values import Ack, Landed, Reboot, Result, Sender
+from vehicle_sim.autopilot.values import Ack, Landed, Reboot, Result, Sender, SendMessage
 from vehicle_sim.conditions import GpsConditions
-from vehicle_sim.plans import PlanItem, PlanKind
+from vehicle_sim.plans import PlanKind
 
 ACCEPTED, REJECTED, DENIED = Result.ACCEPTED, Result.TEMPORARILY_REJECTED, Result.DENIED
 OFFBOARD, POSITION, ALTITUDE = (6, 0), (3, 0), (2, 0)
@@ -476,19 +476,6 @@ def test_a_commanded_mode_is_not_undone_by_the_stream(mode: tuple[int, int], nam
     assert rig.px4.mode_name == name
 
 
-def test_a_pilot_holds_it_in_position_mode() -> None:
-    rig = hover(COM_OBL_RC_ACT=0.0)
-    rig.px4.pilot_takes()
-    to_mode(rig, OFFBOARD)
-    rig.stream(8.0, velocity=(5.0, 0.0, 0.0))
-    rig.run_until(lambda: rig.px4.mode_name == "Position", 3.0)
-    north_m, _, down_m = rig.px4.local_m
-    rig.run(8.0)
-    assert rig.px4.local_m[0] - north_m == about(4.0, 1.5)
-    assert rig.px4.local_m[2] == about(down_m, 0.7)
-    assert rig.speed_m_s < 0.7
-
-
 def test_the_battery_brings_it_home() -> None:
     """COM_LOW_BAT_ACT 3: return when critical, land in an emergency."""
     rig = hover()
@@ -544,8 +531,7 @@ def test_a_return_from_nearby_climbs_no_higher_than_the_cone_of_45_degrees() -> 
 # --- 3, 7: places, mission and fence --------------------------------------------------------------
 
 
-def item(command: int, north_m: float, east_m: float, height_m: float, *p: float) -> PlanItem:
-    return harness.item(PX4_HOME_DEG, command, north_m, east_m, height_m, *p, frame=6)
+item = functools.partial(harness.item, PX4_HOME_DEG, frame=6)
 
 
 def reposition(rig: Rig, north_m: float, up_m: float) -> list[int]:
@@ -566,6 +552,9 @@ def test_a_reposition_switches_to_hold_and_one_into_the_fence_is_refused() -> No
     reposition(rig, -60.0, 20.0)
     rig.run(6.0)
     assert rig.speed_m_s == about(2.0, 0.3)
+    rig.command(192, -1.0, 1.0, 0.0, NAN, NAN, NAN, 503.0, frame=5)  # a height alone
+    rig.run(8.0)
+    assert (rig.speed_m_s, rig.height_m) == (about(0.0, 0.5), about(15.0, 0.7))
 
 
 def test_it_flies_a_mission() -> None:
@@ -580,15 +569,16 @@ def test_it_flies_a_mission() -> None:
     rig.px4.on_plan(PlanKind.MISSION)
     assert rig.px4.status().mission_state == 2
     assert rig.command(300, 0.0, 0.0) == [ACCEPTED]
-    seen, nearest_m = list[int](), [math.inf, math.inf]
+    began_s, nearest_m = dict[int, float](), [math.inf, math.inf]
     while rig.px4.armed and rig.now_s < 200.0:
         rig.step()
-        if not seen or seen[-1] != rig.px4.route.current:
-            seen.append(rig.px4.route.current)
+        began_s.setdefault(rig.px4.route.current, rig.now_s)
         for index, place in enumerate(corners):
             away_m = math.dist(rig.px4.local_m[:2], place)
             nearest_m[index] = min(nearest_m[index], away_m)
-    assert seen == [0, 1, 2, 3]
+    assert list(began_s) == [0, 1, 2, 3]
+    told_s = {r.message.seq: at for at, r in rig.said if isinstance(r, SendMessage)}
+    assert began_s[2] - told_s[1] == about(1.0, 0.05)  # when it comes there: then it waits
     assert max(nearest_m) < 10.5  # NAV_ACC_RAD
     assert rig.px4.landed
     assert math.hypot(*rig.px4.local_m[:2]) < 2.0

@@ -177,7 +177,7 @@ def test_a_parameter_that_the_autopilot_does_not_have_is_named(world_table: Tabl
 def test_limits_that_a_file_gives_become_the_autopilots(world_table: Table) -> None:
     parameters = Simulation(parse_world(world_table)).parameters
     assert parameters["WPNAV_SPEED_UP"] == parameters["WPNAV_SPEED_DN"] == 2500.0
-    assert parameters["ANGLE_MAX"] == 8000.0
+    assert (parameters["ANGLE_MAX"], parameters["WPNAV_ACCEL_Z"]) == (8000.0, 500.0)
     world_table["vehicle"]["parameters"] = {"WPNAV_SPEED_UP": 300.0}
     assert Simulation(parse_world(world_table)).parameters["WPNAV_SPEED_UP"] == 300.0
 

@@ -8,106 +8,71 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from vehicle_sim.autopilot.ardupilot import EKF3, ArduPilot, profile
+from vehicle_sim.autopilot import values
+from vehicle_sim.autopilot.ardupilot import EKF3, ArduPilot, firmware
 from vehicle_sim.autopilot.copter_control import Horizontal, Tuning, Vertical, bounded, rate_for
-from vehicle_sim.autopilot.core import Boot, Firmware, Mode
+from vehicle_sim.autopilot.core import Boot, Mode
 from vehicle_sim.autopilot.earth import FlatEarth, way_m
-from vehicle_sim.autopilot.legs import RETURN, Does, back
+from vehicle_sim.autopilot.legs import RETURN, TAKEOFF, Does, Leg, back
 from vehicle_sim.autopilot.setpoints import Stop, Target, given, read_by_arducopter
-from vehicle_sim.autopilot.values import (
-    Command,
-    Place,
-    Reply,
-    Result,
-    Setpoint,
-    TargetEcho,
-    Waypoint,
-    height_amsl_m,
-)
-from vehicle_sim.conditions import SIM_PARAMETERS
+from vehicle_sim.autopilot.values import Command, Place, Reply, Result
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.geodesy import around, metres_per_degree
-from vehicle_sim.parameters import table
 from vehicle_sim.plans import PlanKind
 
-_HOLDS: Final = 0x59
-"""Custom mode and manual input enabled, stabilised, and "guided" while it holds a position."""
-_BY_HAND: Final = 0x51
-MODES: Final = (
-    Mode("STABILIZE", 0, "sink", needs_position=False, base=_BY_HAND),
-    Mode("ACRO", 1, "sink", needs_position=False, base=_BY_HAND),
-    Mode("ALT_HOLD", 2, "sink", needs_position=False, base=_BY_HAND),
-    Mode("AUTO", 3, "fly_legs", armable=False, base=_HOLDS),
-    Mode("GUIDED", 4, "fly_target", base=_HOLDS),
-    Mode("LOITER", 5, "sink", base=_HOLDS),
-    Mode("RTL", 6, "fly_legs", armable=False, base=_BY_HAND),
-    Mode("CIRCLE", 7, "sink", armable=False, base=_HOLDS),
-    Mode("LAND", 9, "land", needs_position=False, armable=False, base=_BY_HAND),
-    Mode("POSHOLD", 16, "sink", base=_HOLDS),
-    Mode("BRAKE", 17, "brake", armable=False, base=_HOLDS),
-)
-
-FIRMWARE: Final = Firmware(
-    profile=profile(vehicle_type=2, capabilities=64495, rates_hz={0: 1.0, 111: 0.1}),
-    table=(*table("ardupilot", "arducopter"), *SIM_PARAMETERS),
-    modes=MODES,
-    holds="LOITER",
-    returns="RTL",
+_HOLDS, _BY_HAND = 0x59, 0x51
+"""base_mode: custom mode, manual input, stabilised; and "guided" while it holds a position."""
+FIRMWARE: Final = firmware(
+    "arducopter",
+    vehicle_type=2,
+    capabilities=64495,
+    rates_hz={0: 1.0, 111: 0.1},
+    modes=(
+        Mode("STABILIZE", 0, "sink", needs_position=False, base=_BY_HAND),
+        Mode("ACRO", 1, "sink", needs_position=False, base=_BY_HAND),
+        Mode("ALT_HOLD", 2, "sink", needs_position=False, base=_BY_HAND),
+        Mode("AUTO", 3, "fly_legs", armable=False, base=_HOLDS),
+        Mode("GUIDED", 4, "fly_target", base=_HOLDS),
+        Mode("LOITER", 5, "sink", base=_HOLDS),
+        Mode("RTL", 6, "fly_legs", armable=False, base=_BY_HAND),
+        Mode("CIRCLE", 7, "sink", armable=False, base=_HOLDS),
+        Mode("LAND", 9, "land", needs_position=False, armable=False, base=_BY_HAND),
+        Mode("POSHOLD", 16, "sink", base=_HOLDS),
+        Mode("BRAKE", 17, "brake", armable=False, base=_HOLDS),
+    ),
+    orders={17: "LOITER", 20: "RTL", 21: "LAND"},
     pilot="LOITER",
-    missions="AUTO",
-    first_item=1,
     timing=EKF3,
-    frame=FlatEarth,
     ready_s=2.45,
     prearm_s=23.3,
     believes_landing_s=1.57,
-    refused=Result.FAILED,
     arms="Arming motors",
     disarms="Disarming motors",
-    cannot_arm="Arm: {}",
     crashes="Crash: Disarming: AngErr=90>30, Accel=0.5<3.0",
 )
 
-_EKF_CHECKS: Final = 10
-"""In a row, ten a second, before the failsafe acts."""
-_LIFTS_AFTER_ARMING_S: Final = 3.43
-_LIFTS_AFTER_COMMAND_S: Final = 1.45
+_EKF_CHECKS: Final = 10  # in a row, ten a second, before the failsafe acts
+_LIFTS_AFTER_ARMING_S, _LIFTS_AFTER_COMMAND_S = 3.43, 1.45
 """Spooling up: from arming and from the take-off's command to leaving the ground."""
-_REACHED_M, _REACHED_S = 0.3, 0.7
-"""The take-off is over so long after coming so near to its height."""
-_DISARMS_S: Final = 0.505
-"""From believing that it has landed to disarming."""
-_FAILSAFE_PAUSE_S: Final = 4.0
-"""LAND_WITH_DELAY_MS: a failsafe's landing waits before it goes down."""
+_REACHED_M, _REACHED_S = 0.3, 0.7  # the take-off is over so long after coming so near to its height
+_DISARMS_S: Final = 0.505  # from believing that it has landed to disarming
+_FAILSAFE_PAUSE_S: Final = 4.0  # LAND_WITH_DELAY_MS: a failsafe's landing waits before it goes down
 _RETURN_STAGE_S: Final = 1.55
 """The least that each of climbing and going home takes (stream-faults, 286.2 to 294.7 s)."""
-_CLIMBED_M: Final = 2.0
-_OVER_LANDING_M: Final = 1.0
+_CLIMBED_M, _OVER_LANDING_M = 2.0, 1.0
+"""From its height, and from over the place, a return goes home and a mission lands."""
 _BRAKE_M_S2: Final = 7.5
-_SLEW_RAD_S: Final = math.radians(60.0)
-"""ATC_SLEW_YAW."""
-_TURN_1_S: Final = 4.5
-"""ATC_ANG_YAW_P."""
-_MOVING_SHARE: Final = 0.05
-"""Of WPNAV_SPEED: slower, the way has no direction."""
+_SLEW_RAD_S: Final = math.radians(60.0)  # ATC_SLEW_YAW
+_TURN_1_S: Final = 4.5  # ATC_ANG_YAW_P
+_MOVING_SHARE: Final = 0.05  # of WPNAV_SPEED: slower, the way has no direction
 _MIN_TIMEOUT_S: Final = 0.1
 _TAKE_OFF_FRAME: Final = 3
 
 
-class Kind(enum.Enum):
-    """What GUIDED steers for: its submodes."""
-
-    TAKEOFF = enum.auto()
-    POSITION = enum.auto()
-    PATH = enum.auto()
-    """A position that moves."""
-    VELOCITY = enum.auto()
-    """Also standing still: what every setpoint that is not liked leads to."""
-    PUSH = enum.auto()
-    """An acceleration alone."""
-
-
+Kind = enum.Enum("Kind", "TAKEOFF POSITION PATH VELOCITY PUSH")
+"""What GUIDED steers for, its submodes: a path is a position that moves, a push an acceleration
+alone; zero velocity is what every setpoint that is not liked leads to."""
 _ECHO_MASKS: Final = dict(zip(Kind, (0xDF8, 0xDF8, 0xC00, 0xC07, 0xC3F), strict=True))
 """type_mask of POSITION_TARGET_LOCAL_NED."""
 Order = tuple[complex, float]
@@ -115,63 +80,44 @@ Order = tuple[complex, float]
 _STILL: Final[Order] = (0j, 0.0)
 
 
-def _degrees(place: Place) -> complex:
-    return complex(place.latitude_deg, place.longitude_deg)
-
-
 class ArduCopter(ArduPilot):
     """Its modes, on the position controller."""
 
-    GCS_FAILSAFE = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
+    gcs_failsafe = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
 
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
         assert isinstance(boot.vehicle, Copter)
         self.copter = boot.vehicle
         self._flown_in = {mode.name: getattr(self, mode.flies) for mode in self.firmware.modes}
-        self.kind = Kind.VELOCITY
-        self._place_deg, self._altitude_m = 0j, 0.0
-        self._moves, self._feed = _STILL, _STILL
-        """Place, velocity and acceleration that GUIDED was told, as they have run on since."""
-        self._heard_s = 0.0
-        self._takeoff_s: float | None = None
-        """When the take-off that is going on was commanded."""
-        self._reached_s: float | None = None
-        self._yaw_rad: float | None = None
-        """Where the nose is told to point to, or how fast to turn; None: along the way."""
-        self._yaw_rate_rad_s: float | None = None
+        self.level, self.up = Horizontal(self.estimate), Vertical(self.estimate)
+        self._place_deg, self._altitude_m, self._heard_s = 0j, 0.0, 0.0
+        """Of the newest setpoint its place, as it has run on since, and when it came; its velocity
+        and acceleration are in `_moves` and `_feed`."""
         self._refused_text = ""
         self._lands_with_position = True
         self._pauses_until_s = 0.0
         self._ekf_failures = 0
         self._was_glitching = False
-        self.tuning = self._tuned()
-        self.level, self.up = Horizontal(self.tuning), Vertical(self.tuning)
         self.read_parameters()
-        self._restart(Kind.VELOCITY)
+        self._stop_target()
         self.handlers |= {
-            21: self.to_mode("LAND"),
-            22: self._do_take_off,
+            22: self._take_off,
             115: self._turn,
-            178: self._do_change_speed,
-            192: self._do_reposition,
-            300: self._do_start_mission,
+            178: self._change_speed,
+            192: self._reposition,
+            300: self._start_mission,
         }
 
     def read_parameters(self) -> None:
         """They are read live; the speeds of a submode when it begins."""
-        self.tuning = self.level.tuning = self.up.tuning = self._tuned()
-        self._timeout_s = max(self.parameters["GUID_TIMEOUT"], _MIN_TIMEOUT_S)
-        self._set_looks_ahead()
-
-    def _tuned(self) -> Tuning:
         p, limits = self.parameters, self.copter.limits
         lean_rad = math.radians(bounded(p["ANGLE_MAX"] / 100.0, 10.0, 85.0))
 
         def metres(name: str, most: float = math.inf) -> float:
             return min(max(p[name], 10.0) / 100.0, most)
 
-        return Tuning(
+        self.tuning = self.level.tuning = self.up.tuning = Tuning(
             speed_m_s=metres("WPNAV_SPEED"),
             acceleration_m_s2=metres("WPNAV_ACCEL", limits.acceleration_m_s2),
             jerk_m_s3=max(p["PSC_JERK_XY"], 1.0),
@@ -181,6 +127,8 @@ class ArduCopter(ArduPilot):
             jerk_up_m_s3=max(p["PSC_JERK_Z"], 1.0),
             lean_m_s2=min(GRAVITY_M_S2 * math.tan(lean_rad), limits.acceleration_m_s2),
         )
+        self._timeout_s = max(p["GUID_TIMEOUT"], _MIN_TIMEOUT_S)
+        self._look_ahead()
 
     # --- modes --------------------------------------------------------------------------------
 
@@ -194,11 +142,10 @@ class ArduCopter(ArduPilot):
         nowhere = name == "RTL" and self.home is None
         return "init failed" if no_mission or nowhere else None
 
-    def begin(self, before: Mode) -> None:
+    def begin(self) -> None:
         """Fly the mode from now on."""
-        del before
         route, name = self.route, self.mode.name
-        self._set_looks_ahead()
+        self._look_ahead()
         self._stop_target()
         route.stop()
         if name == "LAND":
@@ -213,47 +160,28 @@ class ArduCopter(ArduPilot):
 
     def _stop_target(self) -> None:
         """No take-off, no yaw, zero velocity: mode_guided.init."""
-        self._takeoff_s = self._reached_s = self._yaw_rad = self._yaw_rate_rad_s = None
+        self._end_takeoff()
+        self._yaw_rad: float | None = None
+        """Where the nose is told to point to, or how fast to turn; None: along the way."""
+        self._yaw_rate_rad_s: float | None = None
         self._restart(Kind.VELOCITY)
+
+    def _end_takeoff(self) -> None:
+        """In GUIDED; the mission's is a leg of it."""
+        if self.mode.name == "GUIDED":
+            self.route.stop()
 
     def _restart(self, kind: Kind) -> None:
         """Another submode: from what the vehicle does now, with the parameters' speeds."""
-        self.kind, self.speed_m_s = kind, self.tuning.speed_m_s
+        tuning, self.kind = self.tuning, kind
         self._moves, self._feed = _STILL, _STILL
-        self._speeds_up_down = (self.tuning.speed_up_m_s, self.tuning.speed_down_m_s)
-        self.level.start(self._here_deg, self._flown)
-        self._start_vertical()
+        self._speeds_m_s = [tuning.speed_m_s, tuning.speed_up_m_s, tuning.speed_down_m_s]
+        self.level.start()
+        self.up.start()
 
-    def _start_vertical(self) -> None:
-        self.up.start(self.estimate.altitude_amsl_m, self.estimate.velocity_up_m_s)
-
-    @property
-    def _here_deg(self) -> complex:
-        return complex(self.estimate.latitude_deg, self.estimate.longitude_deg)
-
-    @property
-    def _flown(self) -> complex:
-        """Velocity over the ground."""
-        return complex(self.estimate.velocity_north_m_s, self.estimate.velocity_east_m_s)
-
-    @property
     def lands(self) -> bool:
         """In LAND, at the end of RTL, and where AUTO lands."""
-        leg = self.route.leg
-        if leg is None or leg.does is not Does.LAND:
-            return self.mode.name == "LAND"
-        return leg.command == RETURN or self.route.arrived_s is not None
-
-    def on_disarmed(self) -> None:
-        """A take-off that was going on is over."""
-        super().on_disarmed()
-        self._takeoff_s = self._reached_s = None
-
-    def disarms_after_s(self) -> float | None:
-        """Soon after a landing, or after DISARM_DELAY."""
-        if self.lands and self.landed_s is not None:
-            return _DISARMS_S
-        return self.parameters["DISARM_DELAY"] or None
+        return self.mode.name == "LAND" or self.route.lands
 
     # --- failsafes ----------------------------------------------------------------------------
 
@@ -263,7 +191,7 @@ class ArduCopter(ArduPilot):
         estimator = self.estimator
         if estimator.glitching is not self._was_glitching:
             self._was_glitching = estimator.glitching
-            glitches = estimator.glitching
+            glitches = self._was_glitching
             self.say(2, "GPS Glitch or Compass error" if glitches else "Glitch cleared")
         is_bad = self.armed and estimator.origin is not None and not estimator.ok
         before = self._ekf_failures
@@ -301,19 +229,20 @@ class ArduCopter(ArduPilot):
 
     # --- commands -----------------------------------------------------------------------------
 
-    def _do_take_off(self, command: Command) -> Result:
+    def _take_off(self, command: Command) -> Result:
         """Straight up, in GUIDED."""
         if command.frame not in (None, _TAKE_OFF_FRAME):
             return Result.DENIED
         ready = self.armed and self.landed and self.mode.name == "GUIDED" and self.estimator.ok
-        if not ready or self.home is None or self._takeoff_s is not None:
+        if not ready or self.home is None or self.climbs_out():
             return Result.FAILED
         altitude_m = self.home.altitude_amsl_m + command.parameters[6]
         if not self.estimate.altitude_amsl_m < altitude_m < math.inf:
             return Result.FAILED
         self._restart(Kind.TAKEOFF)
-        self._place_deg, self._altitude_m = self._here_deg, altitude_m
-        self._takeoff_s, self._reached_s = self.now_s, None
+        self._place_deg, self._altitude_m = self.level.here_deg, altitude_m
+        place = self.estimate.place.at(altitude_m)
+        self.route.fly([Leg(Does.CLIMB, place, _REACHED_S, TAKEOFF)], self.now_s)
         return Result.ACCEPTED
 
     def _turn(self, command: Command) -> Result:
@@ -327,39 +256,30 @@ class ArduCopter(ArduPilot):
         self._yaw_rad, self._yaw_rate_rad_s = angle_rad, None
         return Result.ACCEPTED
 
-    def _do_change_speed(self, command: Command) -> Result:
+    def _change_speed(self, command: Command) -> Result:
         """Of the present submode only: beginning another one reads the parameters again."""
         kind, speed_m_s = command.parameters[:2]
         if not 0.0 < speed_m_s < math.inf:
             return Result.FAILED
-        up_m_s, down_m_s = self._speeds_up_down
-        if kind > 2.9:
-            self._speeds_up_down = (up_m_s, speed_m_s)
-        elif kind > 1.9:
-            self._speeds_up_down = (speed_m_s, down_m_s)
-        else:
-            self.speed_m_s = speed_m_s
+        self._speeds_m_s[2 if kind > 2.9 else 1 if kind > 1.9 else 0] = speed_m_s
         return Result.ACCEPTED
 
-    def _do_reposition(self, command: Command) -> Result:
+    def _reposition(self, command: Command) -> Result:
         """COMMAND_INT only; p2 bit 0 changes to GUIDED first."""
         if command.frame is None:
             return Result.UNSUPPORTED
-        flags = command.parameters[1]
+        flags, place = command.parameters[1], self.place_of(command)
         changes = math.isfinite(flags) and bool(int(flags) & 1)
-        place = self.place_of(command)
         if (self.mode.name != "GUIDED" and not changes) or isinstance(place, Result):
             return Result.DENIED
-        if not self.set_mode("GUIDED"):
-            return Result.FAILED
-        return Result.ACCEPTED if self.take(Target(), place) else Result.FAILED
+        return self.done(self.set_mode("GUIDED") and self.take(Target(), place))
 
-    def _do_start_mission(self, command: Command) -> Result:
+    def _start_mission(self, command: Command) -> Result:
         return self.to_mode("AUTO")(command) if self.armed else Result.FAILED
 
     # --- setpoints ----------------------------------------------------------------------------
 
-    def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
+    def on_setpoint(self, setpoint: values.Setpoint) -> Sequence[Reply]:
         """Steer for this from now on; outside GUIDED it is not even read."""
         if self.mode.name != "GUIDED" or self.home is None:
             return ()
@@ -370,17 +290,15 @@ class ArduCopter(ArduPilot):
                 self.say(2, target.text)
             self._refused_text = target.text
             return self.taken()
+        x, y, z = target.position
         place: Place | None = None
-        if given(target.position):
-            x, y, z = target.position
-            if target.is_global:
-                height_m = height_amsl_m(target.frame, z, self.home.altitude_amsl_m)
-                assert height_m is not None
-                place = Place(x, y, height_m)
-            elif target.is_offset:
-                place = FlatEarth(self.estimate.place).place(x, y, z)
-            else:
-                place = self.frame.place(x, y, z)
+        if target.is_global and given(target.position):
+            height_m = values.height_amsl_m(target.frame, z, self.home.altitude_amsl_m)
+            assert height_m is not None
+            place = Place(x, y, height_m)
+        elif given(target.position):
+            about = FlatEarth(self.estimate.place) if target.is_offset else self.frame
+            place = about.place(x, y, z)
         if self.take(target, place):
             self._refused_text = ""
         return ()
@@ -389,18 +307,17 @@ class ArduCopter(ArduPilot):
         """Steer for it, unless it lies where the fence forbids: that is dropped in silence."""
         if place is not None and self.outside_fence(place):
             return False
-        self._takeoff_s = self._reached_s = None
+        self._end_takeoff()
         moves = given(target.velocity)
         if place is None:
             kind = Kind.VELOCITY if moves else Kind.PUSH
         else:
             kind = Kind.PATH if moves else Kind.POSITION
-            self._place_deg, self._altitude_m = _degrees(place), place.altitude_amsl_m
+            self._place_deg = complex(place.latitude_deg, place.longitude_deg)
+            self._altitude_m = place.altitude_amsl_m
         if kind is not self.kind:
             self._restart(kind)
-        north, east, down = target.velocity if moves else (0.0, 0.0, 0.0)
-        a_n, a_e, a_d = target.acceleration if given(target.acceleration) else (0.0, 0.0, 0.0)
-        self._moves, self._feed = (complex(north, east), -down), (complex(a_n, a_e), -a_d)
+        self._moves, self._feed = _order(target.velocity), _order(target.acceleration)
         self._heard_s = self.now_s
         yaw_rad, rate_rad_s = target.yaw_rad, target.yaw_rate_rad_s
         self._yaw_rad = None if yaw_rad != yaw_rad else yaw_rad
@@ -413,7 +330,7 @@ class ArduCopter(ArduPilot):
         """Since the last setpoint."""
         return self.now_s - self._heard_s
 
-    def steer(self, dt_s: float) -> None:
+    def steer(self) -> None:
         """The target of GUIDED goes on with its velocity, until GUID_TIMEOUT; on the ground too."""
         if self.mode.name != "GUIDED" or self.kind in (Kind.TAKEOFF, Kind.POSITION):
             return
@@ -421,7 +338,7 @@ class ArduCopter(ArduPilot):
             self._moves, self._feed = _STILL, _STILL
             self.kind = Kind.VELOCITY if self.kind is Kind.PUSH else self.kind
             return
-        (velocity, climb_m_s), (feed, feed_up) = self._moves, self._feed
+        (velocity, climb_m_s), (feed, feed_up), dt_s = self._moves, self._feed, self.step_s
         if self.kind is Kind.PATH:
             half = 0.5 * dt_s * dt_s
             step = velocity * dt_s + feed * half
@@ -433,106 +350,96 @@ class ArduCopter(ArduPilot):
 
     # --- on the ground ------------------------------------------------------------------------
 
+    def climbs_out(self) -> bool:
+        """Whether a take-off goes on."""
+        leg = self.route.leg
+        return leg is not None and leg.does is Does.CLIMB and leg.command != RETURN
+
+    def wants_up(self) -> bool:
+        """Until it has come to the height that it was told."""
+        return self.climbs_out() and self.route.arrived_s is None
+
     def lifts_off(self) -> bool:
         """When a take-off has spooled up."""
-        if self._takeoff_s is None and self._auto_climbs:
-            self._takeoff_s = self.now_s
-        if self._takeoff_s is None or self.now_s - self.armed_s < _LIFTS_AFTER_ARMING_S:
+        if not self.climbs_out() or self.now_s - self.armed_s < _LIFTS_AFTER_ARMING_S:
             return False
-        if self.now_s - self._takeoff_s < _LIFTS_AFTER_COMMAND_S:
+        if self.now_s - self.route.began_s < _LIFTS_AFTER_COMMAND_S:
             return False
         self.take_to_the_air()
         self.level.rest()
-        self.level.start(self._here_deg, self._flown)
-        self._start_vertical()
+        self.level.start()
+        self.up.start()
         return True
-
-    @property
-    def _auto_climbs(self) -> bool:
-        """AUTO's item is a take-off."""
-        leg = self.route.leg
-        return self.mode.name == "AUTO" and leg is not None and leg.does is Does.CLIMB
-
-    @property
-    def climbs_out(self) -> bool:
-        """Whether a take-off goes on."""
-        return self._takeoff_s is not None or self._auto_climbs
-
-    def takes_off(self) -> bool:
-        """Until it has come to the height that it was told."""
-        return self._takeoff_s is not None and self._reached_s is None
-
-    def stand(self, dt_s: float) -> None:
-        """It stands."""
-        del dt_s
-        self.copter.altitude_amsl_m = self.ground_m
 
     def touch_down(self) -> None:
         """Come to rest on the terrain, or in it."""
         self.copter.stand(self.ground_m)
-        self._takeoff_s = self._reached_s = None
+        self._end_takeoff()
         self.level.rest()
         self.estimator.follow()
         self._restart(Kind.VELOCITY)
 
+    def disarms_after_s(self) -> float | None:
+        """Soon after a landing, or after DISARM_DELAY."""
+        if self.lands() and self.landed_s is not None:
+            return _DISARMS_S
+        return self.parameters["DISARM_DELAY"] or None
+
+    def on_disarmed(self) -> None:
+        """A take-off that was going on is over."""
+        super().on_disarmed()
+        self._end_takeoff()
+
     # --- flying -------------------------------------------------------------------------------
 
-    def move(self, dt_s: float) -> None:
+    def move(self) -> None:
         """Thrust, and turn the nose."""
-        level, up = self._flown_in[self.mode.name](dt_s)
-        self.copter.advance(level.real, level.imag, up, dt_s)
-        self.copter.heading_rad = self._heading_rad(dt_s)
+        level, up = self._flown_in[self.mode.name]()
+        self.copter.advance(level.real, level.imag, up, self.step_s)
+        self.copter.heading_rad = self._heading_rad()
 
-    def _follow(self, dt_s: float) -> Order:
+    def _follow(self) -> Order:
         """The second half of the controller."""
-        return self.level.lean(self._here_deg, self._flown, dt_s), self._lift()
+        return self.level.lean(self.step_s), self.up.lift()
 
-    def _lift(self) -> float:
-        return self.up.lift(self.estimate.altitude_amsl_m, self.estimate.velocity_up_m_s)
-
-    def _move_desired(self, dt_s: float) -> None:
-        here_deg = self._here_deg
-        self.level.scale = metres_per_degree(here_deg.real)
-        self.level.move(here_deg, dt_s)
-
-    def _hold(self, climb_m_s: float, dt_s: float, *, level: bool = False) -> Order:
+    def _hold(self, climb_m_s: float, *, level: bool = False) -> Order:
         """To a standstill, climbing at this rate; without a position only the lean goes."""
         if level:
-            self.up.towards_climb(climb_m_s, 0.0, dt_s)
-            return self.level.levelled(dt_s), self._lift()
-        self._move_desired(dt_s)
-        self.level.towards_velocity(0j, 0j, dt_s)
-        self.up.towards_climb(climb_m_s, 0.0, dt_s)
-        return self._follow(dt_s)
+            self.up.towards_climb(climb_m_s, 0.0, self.step_s)
+            return self.level.levelled(self.step_s), self.up.lift()
+        self.level.move(self.step_s)
+        self.level.towards_velocity(0j, 0j, self.step_s)
+        self.up.towards_climb(climb_m_s, 0.0, self.step_s)
+        return self._follow()
 
-    def _go(self, place_deg: complex, altitude_m: float, dt_s: float) -> Order:
+    def _go(self, place_deg: complex, altitude_m: float) -> Order:
         """To a place that does not move: the climb and the way there in proportion."""
-        self._move_desired(dt_s)
+        self.level.move(self.step_s)
         away_m = abs(self.level.metres(self.level.place_deg, place_deg))
         rise_m = altitude_m - self.up.altitude_amsl_m
-        up_m_s, down_m_s = self._speeds_up_down
-        speed_m_s, most_up = self.speed_m_s, up_m_s if rise_m >= 0.0 else down_m_s
+        speed_m_s, up_m_s, down_m_s = self._speeds_m_s
+        most_up = up_m_s if rise_m >= 0.0 else down_m_s
         rise_m = abs(rise_m)
         # the slower of the two sets the pace, as kinematic_limit does
         if away_m * most_up < rise_m * speed_m_s:
             speed_m_s = away_m * most_up / rise_m
         elif away_m > 1e-6:
             most_up = max(rise_m * speed_m_s / away_m, 1e-3)
-        self.level.towards_place(place_deg, 0j, 0j, speed_m_s, dt_s)
+        self.level.towards_place(place_deg, 0j, 0j, speed_m_s, self.step_s)
         speeds = (min(up_m_s, most_up), min(down_m_s, most_up))
-        self.up.towards_altitude(altitude_m, 0.0, 0.0, speeds, dt_s)
-        return self._follow(dt_s)
+        self.up.towards_altitude(altitude_m, 0.0, 0.0, speeds, self.step_s)
+        return self._follow()
 
-    def fly_target(self, dt_s: float) -> Order:
+    def fly_target(self) -> Order:
         """GUIDED."""
-        if self._takeoff_s is not None:
-            self._watch_takeoff()
+        if self.route.leg is not None:
+            return self.fly_legs()  # a take-off
         if not self.estimator.aiding:
-            return self._hold(0.0, dt_s, level=True)
+            return self._hold(0.0, level=True)
         if self.kind in (Kind.TAKEOFF, Kind.POSITION):
-            return self._go(self._place_deg, self._altitude_m, dt_s)
-        self._move_desired(dt_s)
-        (velocity, climb_m_s), (feed, feed_up) = self._moves, self._feed
+            return self._go(self._place_deg, self._altitude_m)
+        self.level.move(self.step_s)
+        (velocity, climb_m_s), (feed, feed_up), dt_s = self._moves, self._feed, self.step_s
         if self.kind is Kind.PUSH:
             self.level.push(feed, dt_s)
             self.up.towards_climb(self.up.climb_m_s, feed_up, dt_s)
@@ -540,49 +447,40 @@ class ArduCopter(ArduPilot):
             self.level.towards_velocity(velocity, feed, dt_s)
             self.up.towards_climb(climb_m_s, feed_up, dt_s)
         else:
-            self.level.towards_place(self._place_deg, velocity, feed, self.speed_m_s, dt_s)
-            speeds = self._speeds_up_down
-            self.up.towards_altitude(self._altitude_m, climb_m_s, feed_up, speeds, dt_s)
-        return self._follow(dt_s)
+            speed_m_s, *up_down = self._speeds_m_s
+            self.level.towards_place(self._place_deg, velocity, feed, speed_m_s, dt_s)
+            self.up.towards_altitude(self._altitude_m, climb_m_s, feed_up, up_down, dt_s)
+        return self._follow()
 
-    def _watch_takeoff(self) -> None:
-        """The take-off is over some time after the height was nearly reached."""
-        if self._reached_s is None:
-            if self.estimate.altitude_amsl_m > self._altitude_m - _REACHED_M:
-                self._reached_s = self.now_s
-        elif self.now_s - self._reached_s >= _REACHED_S:
-            self._takeoff_s = self._reached_s = None
-            self.took_off()
-
-    def brake(self, dt_s: float) -> Order:
+    def brake(self) -> Order:
         """BRAKE."""
-        speed = abs(self._flown)
+        speed = abs(self.level.flown)
         if speed < 0.5:
-            return self._hold(0.0, dt_s)
+            return self._hold(0.0)
         most = min(_BRAKE_M_S2, self.copter.limits.acceleration_m_s2, 4.0 * speed)
-        asked = self._flown * (self.copter.drag_1_s - most / speed)
-        self.up.towards_climb(0.0, 0.0, dt_s)
-        self.level.follow(self._here_deg, self._flown, asked)
-        return asked, self._lift()
+        asked = self.level.flown * (self.copter.drag_1_s - most / speed)
+        self.up.towards_climb(0.0, 0.0, self.step_s)
+        self.level.follow(asked)
+        return asked, self.up.lift()
 
-    def sink(self, dt_s: float) -> Order:
+    def sink(self) -> Order:
         """The modes that a pilot holds it in: the stick is at its lower end."""
         p = self.parameters
         climb_m_s = -(p["PILOT_SPEED_DN"] or p["PILOT_SPEED_UP"]) / 100.0
-        return self._hold(climb_m_s, dt_s, level=not self.mode.needs_position)
+        return self._hold(climb_m_s, level=not self.mode.needs_position)
 
-    def land(self, dt_s: float) -> Order:
+    def land(self) -> Order:
         """Down at WPNAV_SPEED_DN, the last LAND_ALT_LOW at LAND_SPEED."""
         p, tuning = self.parameters, self.tuning
         height_m = self.copter.altitude_amsl_m - self.ground_m  # by a rangefinder
         slow = max(p["LAND_SPEED"], 20.0) / 100.0
         low_m = max(p["LAND_ALT_LOW"], 100.0) / 100.0
-        rate = rate_for(low_m - height_m, 1.0, tuning.acceleration_up_m_s2, dt_s)
+        rate = rate_for(low_m - height_m, 1.0, tuning.acceleration_up_m_s2, self.step_s)
         rate = bounded(rate, -max(tuning.speed_down_m_s, slow), -slow)
         if self.now_s < self._pauses_until_s:
             rate = 0.0
         self._lands_with_position &= self.estimator.aiding
-        return self._hold(rate, dt_s, level=not self._lands_with_position)
+        return self._hold(rate, level=not self._lands_with_position)
 
     # --- legs ---------------------------------------------------------------------------------
 
@@ -597,8 +495,8 @@ class ArduCopter(ArduPilot):
     def begin_leg(self, speed_m_s: float | None) -> None:
         """Another item of the mission, or none any more."""
         route, here = self.route, self.estimate.place
-        leg, self.speed_m_s = route.leg, speed_m_s or self.speed_m_s
-        self._start_vertical()
+        leg, self._speeds_m_s[0] = route.leg, speed_m_s or self._speeds_m_s[0]
+        self.up.start()
         self._lands_with_position = True
         if leg is None:
             self._restart(Kind.VELOCITY)
@@ -609,41 +507,34 @@ class ArduCopter(ArduPilot):
         elif leg.does is Does.CLIMB:
             height_m = max(leg.place.altitude_amsl_m, here.altitude_amsl_m)
             route.leg = leg._replace(place=here.at(height_m), hold_s=_REACHED_S)
-            self._takeoff_s = self.now_s
 
-    def fly_legs(self, dt_s: float) -> Order:
-        """AUTO, RTL: a place after the other."""
-        route, leg, now_s = self.route, self.route.leg, self.now_s
+    def fly_legs(self) -> Order:
+        """AUTO, RTL, a take-off: a place after the other."""
+        leg = self.route.leg
         if leg is None or not self.estimator.aiding:
-            return self._hold(0.0, dt_s, level=leg is not None)
-        returns, lands = leg.command == RETURN, leg.does is Does.LAND
-        if lands and (returns or route.arrived_s is not None):
-            return self.land(dt_s)
-        here, place = self.estimate.place, leg.place
-        order = self._go(_degrees(place), place.altitude_amsl_m, dt_s)
+            return self._hold(0.0, level=leg is not None)
+        if self.route.lands:
+            return self.land()
+        place = leg.place
+        order = self._go(complex(place.latitude_deg, place.longitude_deg), place.altitude_amsl_m)
+        self.follow_route()
+        return order
+
+    def is_there(self, leg: Leg) -> bool:
+        """Near enough, and not too soon."""
+        here, place, returns = self.estimate.place, leg.place, leg.command == RETURN
         rise_m, away_m = place.altitude_amsl_m - here.altitude_amsl_m, abs(way_m(here, place))
+        if leg.does is Does.LAND:
+            return away_m < _OVER_LANDING_M
         there = math.hypot(away_m, rise_m) < self.parameters["WPNAV_RADIUS"] / 100.0
         if leg.does is Does.CLIMB:
             there = abs(rise_m) < _CLIMBED_M if returns else rise_m < _REACHED_M
-        elif lands:
-            there = away_m < _OVER_LANDING_M
-        if returns and not leg.hold_s:
-            there = there and now_s - route.began_s >= _RETURN_STAGE_S
-        if not (there or route.arrived_s is not None) or not route.has_waited(now_s, leg.hold_s):
-            return order
-        if returns:
-            route.go_on(now_s)
-        elif route.number is not None and not lands:
-            self.reached(route.number)
-            if leg.does is Does.CLIMB:
-                self._takeoff_s = self._reached_s = None
-                self.took_off()
-            self.seek(route.number + 1)
-        return order
+        soon = returns and not leg.hold_s and self.now_s - self.route.began_s < _RETURN_STAGE_S
+        return there and not soon
 
     # --- the nose -----------------------------------------------------------------------------
 
-    def _set_looks_ahead(self) -> None:
+    def _look_ahead(self) -> None:
         """WP_YAW_BEHAVIOR 2: ahead except in RTL."""
         behaviour, name = int(self.parameters["WP_YAW_BEHAVIOR"]), self.mode.name
         ahead = behaviour in (1, 3) if name == "RTL" else behaviour != 0
@@ -654,33 +545,32 @@ class ArduCopter(ArduPilot):
         """The velocity that the nose looks along."""
         return self.level.velocity
 
-    def _heading_rad(self, dt_s: float) -> float:
+    def _heading_rad(self) -> float:
         """One step on, from 0 to 2 pi."""
         now_rad, wanted_rad = self.copter.heading_rad, self._yaw_rad
         if wanted_rad is None and self._yaw_rate_rad_s is not None:
-            return (now_rad + self._yaw_rate_rad_s * dt_s) % math.tau
+            return (now_rad + self._yaw_rate_rad_s * self.step_s) % math.tau
         if wanted_rad is None:
             way = self.looks_along
             if not self._looks_ahead or abs(way) < _MOVING_SHARE * self.tuning.speed_m_s:
                 return now_rad
             wanted_rad = math.atan2(way.imag, way.real)
         rate = _TURN_1_S * math.remainder(wanted_rad - now_rad, math.tau)
-        return (now_rad + bounded(rate, -_SLEW_RAD_S, _SLEW_RAD_S) * dt_s) % math.tau
+        return (now_rad + bounded(rate, -_SLEW_RAD_S, _SLEW_RAD_S) * self.step_s) % math.tau
 
     # --- telling ------------------------------------------------------------------------------
 
     def base_mode(self) -> int:
         """Whether it holds a position depends on more than the mode."""
-        holds = self.now_s < self.firmware.ready_s
-        holds = holds or (self.mode.name == "LAND" and self._lands_with_position)
-        holds = holds or (self.mode.name == "RTL" and self.armed)
-        return self.mode.base | (_HOLDS if holds else 0)
+        name = self.mode.name
+        holds = (name == "LAND" and self._lands_with_position) or (name == "RTL" and self.armed)
+        return _HOLDS if holds or self.now_s < self.firmware.ready_s else self.mode.base
 
     @property
     def _target_place(self) -> Place:
         return Place(self._place_deg.real, around(self._place_deg.imag), self._altitude_m)
 
-    def target_echo(self) -> TargetEcho | None:
+    def target_echo(self) -> values.TargetEcho | None:
         """What GUIDED steers for; in other modes nothing is sent."""
         if self.mode.name != "GUIDED" or self.estimator.origin is None:
             return None
@@ -690,7 +580,7 @@ class ArduCopter(ArduPilot):
         elif self.kind in (Kind.POSITION, Kind.PATH):
             position = self.frame.ned_m(self._target_place)
         (velocity, climb_m_s), (feed, feed_up) = self._moves, self._feed
-        return TargetEcho(
+        return values.TargetEcho(
             position_ned_m=position,
             velocity_ned_m_s=(velocity.real, velocity.imag, -climb_m_s),
             acceleration_ned_m_s2=(feed.real, feed.imag, -feed_up),
@@ -698,19 +588,25 @@ class ArduCopter(ArduPilot):
             type_mask=_ECHO_MASKS[self.kind],
         )
 
-    def waypoint(self) -> Waypoint | None:
+    def waypoint(self) -> values.Waypoint | None:
         """While it flies to a place that does not move."""
         leg, here, place = self.route.leg, self.estimate.place, None
         if self.mode.name == "GUIDED" and self.kind is Kind.POSITION:
             place = self._target_place
-        elif leg is not None and (leg.does is not Does.LAND or leg.command != RETURN):
-            place = leg.place
+        elif leg is not None and self.mode.name != "GUIDED":
+            place = None if (leg.does, leg.command) == (Does.LAND, RETURN) else leg.place
         if place is None:
             return None
         way = way_m(here, place)
-        return Waypoint(
+        return values.Waypoint(
             place=place,
             distance_m=abs(way),
             bearing_rad=math.atan2(way.imag, way.real) % math.tau,
             altitude_error_m=place.altitude_amsl_m - here.altitude_amsl_m,
         )
+
+
+def _order(vector: tuple[float, float, float]) -> Order:
+    """Of a setpoint's velocity or acceleration; none, where it is not given."""
+    north, east, down = vector if given(vector) else (0.0, 0.0, 0.0)
+    return complex(north, east), -down

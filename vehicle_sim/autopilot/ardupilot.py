@@ -3,35 +3,18 @@
 Sources: ardupilot.md 1, 2, 4, 5 and the recorded flights (4.7).
 """
 
-import abc
 import math
-from collections.abc import Sequence
-from typing import ClassVar, Final
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar, Final
 
-from vehicle_sim.autopilot.core import (
-    AUTOPILOT_VERSION,
-    GPS_GLOBAL_ORIGIN,
-    HEARTBEAT,
-    HOME_POSITION,
-    Autopilot,
-    Boot,
-)
-from vehicle_sim.autopilot.earth import Vector
-from vehicle_sim.autopilot.estimator import State as Estimates
-from vehicle_sim.autopilot.estimator import Timing
+from vehicle_sim.autopilot import core, values
+from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HOME_POSITION, Autopilot, Boot
+from vehicle_sim.autopilot.earth import FlatEarth
+from vehicle_sim.autopilot.estimator import Timing, told
 from vehicle_sim.autopilot.guards import Fence, named
-from vehicle_sim.autopilot.values import (
-    Command,
-    FirmwareProfile,
-    Landed,
-    Place,
-    Reply,
-    Result,
-    Sender,
-    State,
-    Status,
-    height_amsl_m,
-)
+from vehicle_sim.autopilot.values import Command, Landed, Place, Reply, Result, State
+from vehicle_sim.conditions import SIM_PARAMETERS
+from vehicle_sim.parameters import table
 from vehicle_sim.plans import PlanKind
 
 TOLD: Final = frozenset(
@@ -53,9 +36,11 @@ _DATA_STREAMS: Final = {
 """MAV_DATA_STREAM: EXTENDED_STATUS, POSITION, EXTRA1, EXTRA2, EXTRA3."""
 
 
-def profile(*, vehicle_type: int, capabilities: int, rates_hz: dict[int, float]) -> FirmwareProfile:
-    """MAVLink as ArduPilot 4.7 speaks it: ardupilot.md 1 and the recorded flights."""
-    return FirmwareProfile(
+def firmware(
+    name: str, *, vehicle_type: int, capabilities: int, rates_hz: Mapping[int, float], **own: Any
+) -> core.Firmware:
+    """ArduPilot 4.7 for one kind of vehicle: ardupilot.md 1 and the recorded flights."""
+    profile = values.FirmwareProfile(
         firmware="ardupilot",
         vehicle_type=vehicle_type,
         autopilot=3,
@@ -68,18 +53,22 @@ def profile(*, vehicle_type: int, capabilities: int, rates_hz: dict[int, float])
         requestable=TOLD,
         data_streams=_DATA_STREAMS,
     )
+    return core.Firmware(
+        profile=profile,
+        table=(*table("ardupilot", name), *SIM_PARAMETERS),
+        missions="AUTO",
+        first_item=1,
+        frame=FlatEarth,
+        refused=Result.FAILED,
+        cannot_arm="Arm: {}",
+        **own,
+    )
 
 
 EKF3: Final = Timing(
     # of ArduCopter (arducopter-gps-loss.tlog, ardupilot.md 5): another vehicle boots otherwise
     stages=((0.0, 0x400), (4.46, 0x000), (5.9, 0x0A7)),
-    flags={
-        Estimates.GOOD: 0x33F,
-        Estimates.GLITCH: 0x833F,
-        Estimates.YIELDS: 0x8027,
-        Estimates.LOST: 0x025,
-        Estimates.STOPPED: 0x0A7,
-    },
+    flags=told(good=0x33F, glitch=0x833F, yields=0x8027, lost=0x025, stopped=0x0A7),
     origin_s=10.0,
     good_s=31.62,
     gate_m=3.75,  # a variance ratio of 13.33 for 50 m at once, 10.53 after 9.5 s
@@ -99,15 +88,17 @@ _FOR_THE_FLIGHT, _FROM_TAKE_OFF, _ONLY_WHEN_ARMED = 1.0, 2.0, 3.0
 """FENCE_AUTOENABLE: from an automatic take-off to the landing, from it on, or while armed."""
 _RECOVERY_S: Final = 10.0
 """How long a breached fence is left alone after a mode was chosen inside the breach."""
-_GCS_EARLY_S: Final = 0.1
-"""The failsafe comes after 4.9 s where 5 is set (measured)."""
+_GCS_EARLY_S: Final = 0.1  # the failsafe comes after 4.9 s where 5 is set (measured)
 
 
 class ArduPilot(Autopilot):
     """One vehicle's autopilot."""
 
-    GCS_FAILSAFE: ClassVar[tuple[str, str]]
+    gcs_failsafe: ClassVar[tuple[str, str]]
     """The parameters that say whether a lost ground station matters, and after how long."""
+    lands: Callable[[], bool]  # it comes down to land: the fence has no floor then
+    climbs_out: Callable[[], bool]  # a take-off goes on
+    on_failsafe: Callable[[str, int], None]  # of "GCS", "Battery" or "Fence", its parameter's value
 
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
@@ -118,38 +109,22 @@ class ArduPilot(Autopilot):
         self.battery_acted = 0
         """1: of a low battery, 2: of a critical one."""
         self._was_aiding = False
-        self._gcs_s: float | None = None
         self._battery_low_s: float | None = None
         self._fence_left_alone_s = 0.0
         self.handlers |= {
-            17: self.to_mode(self.firmware.holds),
-            176: self._do_set_mode,
-            179: self._do_set_home,
-            207: self._do_fence_enable,
+            176: self._set_mode_number,
+            179: self._set_home,
+            207: self._fence_enable,
             401: self._run_prearm_checks,
             410: self._get_home,
-            520: self._capabilities,
+            520: self.answer(core.AUTOPILOT_VERSION),
         }
 
     # --- where the two kinds differ -----------------------------------------------------------
 
-    @property
-    @abc.abstractmethod
-    def lands(self) -> bool:
-        """Whether it comes down to land: the fence has no floor then."""
-
-    @abc.abstractmethod
     def cannot_fly_in(self, name: str) -> str | None:
-        """Why it cannot fly in this mode now."""
-
-    @abc.abstractmethod
-    def on_failsafe(self, cause: str, action: int) -> None:
-        """Of "GCS", "Battery" or "Fence", what its parameter asks for."""
-
-    @property
-    @abc.abstractmethod
-    def climbs_out(self) -> bool:
-        """Whether a take-off goes on."""
+        """Why it cannot fly in this mode now: plane can in all that may be chosen."""
+        return "cannot be chosen" if name == "INITIALISING" else None
 
     def base_mode(self) -> int:
         """Of the heartbeat, but for the bit that says whether it is armed."""
@@ -161,9 +136,9 @@ class ArduPilot(Autopilot):
 
     # --- each step ----------------------------------------------------------------------------
 
-    def on_origin(self, origin: Place) -> None:
+    def on_origin(self) -> None:
         """The estimator's origin is set, and home with it."""
-        self.home = origin
+        self.home = self.estimator.origin
         self.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
 
     def check(self) -> None:
@@ -172,22 +147,15 @@ class ArduPilot(Autopilot):
             self._was_aiding = self.estimator.aiding
             self.say(6, f"EKF3 IMU0 {'is using GPS' if self._was_aiding else 'stopped aiding'}")
         self._check_fence()
-        enabled, timeout_s = (self.parameters[name] for name in self.GCS_FAILSAFE)
-        if enabled and self.armed and self._gcs_s is not None and not self.gcs_lost:
-            self.gcs_lost = self.now_s - self._gcs_s >= timeout_s - _GCS_EARLY_S
-            if self.gcs_lost:
-                self.on_failsafe("GCS", int(enabled))
+        enabled, timeout_s = (self.parameters[name] for name in self.gcs_failsafe)
+        lost = timeout_s - _GCS_EARLY_S <= self.now_s - self.station_s < math.inf
+        if self.gcs_lost and not lost:
+            self.gcs_lost = False
+            self.say(4, "GCS Failsafe Cleared")
+        elif enabled and self.armed and lost and not self.gcs_lost:
+            self.gcs_lost = True
+            self.on_failsafe("GCS", int(enabled))
         self._check_battery()
-
-    def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
-        """Only those of MAV_GCS_SYSID count."""
-        del vehicle_type
-        if sender.system == self.parameters["MAV_GCS_SYSID"]:
-            self._gcs_s = self.now_s
-            if self.gcs_lost:
-                self.gcs_lost = False
-                self.say(4, "GCS Failsafe Cleared")
-        return self.taken()
 
     def _check_battery(self) -> None:
         battery, p = self.battery, self.parameters
@@ -214,7 +182,7 @@ class ArduPilot(Autopilot):
             self.fence.enabled = self.fence.has_floor = True  # whatever its height
 
     def _check_fence(self) -> None:
-        fence, home, lands = self.fence, self.home, self.lands
+        fence, home, lands = self.fence, self.home, self.lands()
         down = not self.armed or self.landed
         if self.parameters["FENCE_AUTOENABLE"] == _FOR_THE_FLIGHT and (down or lands):
             fence.enabled = False
@@ -237,19 +205,18 @@ class ArduPilot(Autopilot):
 
     def set_mode(self, name: str) -> bool:
         """Fly in this mode from now on, if it can be."""
-        mode, before = self.modes[name], self.mode
-        if mode is before:
+        if name == self.mode.name:
             return True
         refusal = self.cannot_fly_in(name)
         if refusal is not None:
             self.say(4, f"Mode change to {name} failed: {refusal}")
             return False
-        self.mode = mode
-        self.begin(before)
-        self.send(HEARTBEAT)
+        self.mode = self.modes[name]
+        self.begin()
+        self.send(core.HEARTBEAT)
         return True
 
-    def _do_set_mode(self, command: Command) -> Result:
+    def _set_mode_number(self, command: Command) -> Result:
         flags, number = command.parameters[:2]
         if not (math.isfinite(flags) and int(flags) & 1):
             return Result.DENIED
@@ -295,44 +262,37 @@ class ArduPilot(Autopilot):
         if not known or not math.isfinite(altitude_m):
             return Result.DENIED
         home_m = None if self.home is None else self.home.altitude_amsl_m
-        height_m = height_amsl_m(command.frame or 0, altitude_m, home_m)
+        height_m = values.height_amsl_m(command.frame or 0, altitude_m, home_m)
         if height_m is None:
             return Result.UNSUPPORTED_FRAME
         return Place(latitude_deg, longitude_deg, height_m)
 
-    def _do_set_home(self, command: Command) -> Result:
+    def _set_home(self, command: Command) -> Result:
         if self.estimator.origin is None:
             return Result.FAILED
         p = command.parameters
         place: Place | Result = self.estimate.place if self.estimator.ok else Result.FAILED
-        if not (p[0] == 1.0 or (p[4] == 0.0 and p[5] == 0.0 and p[6] == 0.0)):
+        if p[0] != 1.0 and p[4:] != (0.0, 0.0, 0.0):
             place = self.place_of(command)
         if isinstance(place, Result):
             return Result.FAILED if place is Result.DENIED else place
         return self.set_home(place)
 
-    def _do_fence_enable(self, command: Command) -> Result:
+    def _fence_enable(self, command: Command) -> Result:
         if command.parameters[0] not in (0.0, 1.0):
             return Result.FAILED
         self.fence.enabled = command.parameters[0] == 1.0
         return Result.ACCEPTED
 
     def _get_home(self, _: Command) -> Result:
-        if self.home is None:
-            return Result.FAILED
-        self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
-        return Result.ACCEPTED
-
-    def _capabilities(self, command: Command) -> Result:
-        if command.parameters[0] == 1.0:
-            self.answer(AUTOPILOT_VERSION)(command)
-        return Result.ACCEPTED
+        if self.home is not None:
+            self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
+        return self.done(self.home is not None)
 
     def _run_prearm_checks(self, _: Command) -> Result:
         if self.armed:
             return Result.TEMPORARILY_REJECTED
-        refusal = self.refusal()
-        if refusal is not None:
+        if (refusal := self.refusal()) is not None:
             self.say(2, f"PreArm: {refusal}")
         return Result.ACCEPTED
 
@@ -352,27 +312,27 @@ class ArduPilot(Autopilot):
         self.parameters[names.get(kind, "RALLY_TOTAL")] = len(self.plans[kind])
         return ()
 
-    def local_ned_m(self) -> Vector | None:
+    def local_ned_m(self) -> values.Vector | None:
         """Position in the estimator's frame, while it has one."""
         if self.estimator.origin is None or not self.estimator.aiding:
             return None
         return super().local_ned_m()
 
-    def status(self) -> Status:
+    def status(self) -> values.Status:
         """The status for telemetry."""
         fence, landed, state = self.fence, Landed.IN_AIR, State.ACTIVE
         if self.landed:
             landed, state = Landed.ON_GROUND, State.STANDBY
-        elif self.lands:
+        elif self.lands():
             landed = Landed.LANDING
-        elif self.climbs_out:
+        elif self.climbs_out():
             landed = Landed.TAKEOFF
         is_plane = self.profile.vehicle_type == 1
         if self.failsafe or (is_plane and (self.gcs_lost or self.battery_acted)):
             state = State.CRITICAL
         if self.now_s < self.firmware.ready_s:
             state = State.CALIBRATING if is_plane else State.BOOT
-        return Status(
+        return values.Status(
             mode=self.mode.number,
             base_mode=self.base_mode() | (0x80 if self.armed else 0),
             system_status=state,

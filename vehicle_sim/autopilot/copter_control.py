@@ -12,10 +12,12 @@ Source: AP_Math/control.cpp and AC_PosControl.cpp of 4.7.0-dev, in metres.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
-from vehicle_sim.geodesy import degrees_east
+from vehicle_sim.autopilot.values import Estimate
+from vehicle_sim.geodesy import degrees_east, metres_per_degree
 
 POSITION_P, VELOCITY_P, VELOCITY_I, VELOCITY_D = 1.0, 2.0, 1.0, 0.25
 """PSC_POSXY_P, PSC_VELXY_P, _I, _D."""
@@ -96,22 +98,34 @@ def off_deg(from_: complex, to: complex) -> complex:
 class Horizontal:
     """Desired place, velocity and acceleration, and the PID behind them.  Mutable."""
 
-    def __init__(self, tuning: Tuning) -> None:
-        self.tuning = tuning
+    tuning: Tuning
+
+    def __init__(self, estimate: Estimate) -> None:
+        self._estimate = estimate
         self.scale = (1.0, 1.0)
         """Metres of a degree, of latitude and longitude, where it flies."""
         self._lean = self._asked = 0j
-        self.start(0j, 0j)
+        self.start()
 
-    def start(self, place_deg: complex, velocity: complex) -> None:
+    @property
+    def here_deg(self) -> complex:
+        """Where it believes to be."""
+        return complex(self._estimate.latitude_deg, self._estimate.longitude_deg)
+
+    @property
+    def flown(self) -> complex:
+        """Velocity over the ground."""
+        return complex(self._estimate.velocity_north_m_s, self._estimate.velocity_east_m_s)
+
+    def start(self) -> None:
         """From what the vehicle does now: the integrator takes over all of the present lean."""
-        self.place_deg, self.velocity, self.acceleration = place_deg, velocity, 0j
+        self.place_deg, self.velocity, self.acceleration = self.here_deg, self.flown, 0j
         self._integral, self._derivative, self._limited = self._asked, 0j, 0j
         self._error: complex | None = None
 
-    def follow(self, place_deg: complex, velocity: complex, acceleration: complex) -> None:
+    def follow(self, acceleration: complex) -> None:
         """Go on from an acceleration that something else has commanded, with nothing to unlearn."""
-        self.start(place_deg, velocity)
+        self.start()
         self.acceleration = self._lean = acceleration
         self._integral = 0j
 
@@ -126,8 +140,10 @@ class Horizontal:
 
     # --- what is asked for --------------------------------------------------------------------
 
-    def move(self, here_deg: complex, dt_s: float) -> None:
+    def move(self, dt_s: float) -> None:
         """The desired state one step on; where the lean is at its limit it waits."""
+        here_deg = self.here_deg
+        self.scale = metres_per_degree(here_deg.real)
         pushed, limited = self.acceleration, self._limited
         step = self.velocity * dt_s + pushed * (0.5 * dt_s * dt_s)
         if limited:
@@ -175,13 +191,13 @@ class Horizontal:
 
     # --- following ----------------------------------------------------------------------------
 
-    def lean(self, here_deg: complex, flown: complex, dt_s: float) -> complex:
+    def lean(self, dt_s: float) -> complex:
         """The acceleration that the lean gives, one step on."""
-        off = self.metres(here_deg, self.place_deg)
+        off = self.metres(self.here_deg, self.place_deg)
         away = abs(off)
         if away > 1e-9:
             off *= rate_for(away, POSITION_P, self.tuning.acceleration_m_s2, dt_s) / away
-        error = off + self.velocity - flown
+        error = off + self.velocity - self.flown
         if self._error is not None:
             blend = dt_s / (FILTER_S + dt_s)
             step = blend * (error - self._error)
@@ -217,14 +233,16 @@ class Horizontal:
 class Vertical:
     """The same upwards; heights above the sea.  Mutable."""
 
-    def __init__(self, tuning: Tuning) -> None:
-        self.tuning = tuning
-        self.start(0.0, 0.0)
+    tuning: Tuning
 
-    def start(self, altitude_amsl_m: float, climb_m_s: float) -> None:
+    def __init__(self, estimate: Estimate) -> None:
+        self._estimate = estimate
+        self.start()
+
+    def start(self) -> None:
         """From what the vehicle does now."""
-        self.altitude_amsl_m, self.climb_m_s = altitude_amsl_m, climb_m_s
-        self.acceleration_m_s2 = 0.0
+        self.altitude_amsl_m = self._estimate.altitude_amsl_m
+        self.climb_m_s, self.acceleration_m_s2 = self._estimate.velocity_up_m_s, 0.0
 
     def towards_climb(self, climb_m_s: float, feed_m_s2: float, dt_s: float) -> None:
         """Shape towards a vertical velocity, and move the desired height."""
@@ -241,7 +259,7 @@ class Vertical:
         altitude_amsl_m: float,
         climb_m_s: float,
         feed_m_s2: float,
-        speeds_m_s: tuple[float, float],
+        speeds_m_s: Sequence[float],
         dt_s: float,
     ) -> None:
         """Shape towards a height that changes like this, no faster up and down than this."""
@@ -251,7 +269,8 @@ class Vertical:
         rate = bounded(rate, -speeds_m_s[1], speeds_m_s[0])
         self.towards_climb(rate + climb_m_s, feed_m_s2, dt_s)
 
-    def lift(self, altitude_amsl_m: float, climb_m_s: float) -> float:
+    def lift(self) -> float:
         """The vertical acceleration."""
-        error_m_s = self.altitude_amsl_m - altitude_amsl_m + self.climb_m_s - climb_m_s
-        return VELOCITY_UP_P * error_m_s + self.acceleration_m_s2
+        off_m = self.altitude_amsl_m - self._estimate.altitude_amsl_m
+        off_m_s = off_m + self.climb_m_s - self._estimate.velocity_up_m_s
+        return VELOCITY_UP_P * off_m_s + self.acceleration_m_s2

@@ -4,7 +4,6 @@ A `Firmware` is a value: all that differs as data.  Two families answer and deci
 px4.py); a kind of vehicle is a class of one of them that says how it is flown.
 """
 
-import abc
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -14,27 +13,11 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot.earth import Frame, Vector
+from vehicle_sim.autopilot import values
+from vehicle_sim.autopilot.earth import Frame
 from vehicle_sim.autopilot.estimator import Estimator, Timing
-from vehicle_sim.autopilot.legs import Route, leg_of
-from vehicle_sim.autopilot.values import (
-    HIGHEST_HOME_M,
-    Ack,
-    Command,
-    FirmwareProfile,
-    Place,
-    Reboot,
-    Reply,
-    Result,
-    Sender,
-    SendMessage,
-    SendTelemetry,
-    Setpoint,
-    Status,
-    TargetEcho,
-    Text,
-    Waypoint,
-)
+from vehicle_sim.autopilot.legs import RETURN, TAKEOFF, Does, Leg, Route, leg_of
+from vehicle_sim.autopilot.values import Command, Place, Reply, Result, Sender
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.parameters import Parameter, Parameters
@@ -45,10 +28,10 @@ HEARTBEAT, GPS_GLOBAL_ORIGIN, AUTOPILOT_VERSION, HOME_POSITION = 0, 49, 148, 242
 _DO_SET_MODE: Final = 176
 _FORCE, _FORCE_ARM = 21196.0, 2989.0
 """Second parameter of COMPONENT_ARM_DISARM: without asking; and of arming alone."""
-_CHECK_US: Final = 100_000
-"""What need not be looked at in every step is looked at so often."""
+_CHECK_US: Final = 100_000  # what need not be looked at in every step is looked at so often
 _MAX_RAD_S: Final = 10.0
 """Beyond what a gyroscope is told to feel: a heading that is set anew jumps."""
+_GROUND_STATION: Final = 6  # MAV_TYPE
 Handler = Callable[[Command], Result]
 
 
@@ -73,15 +56,15 @@ class Mode:
 class Firmware:
     """All that differs between autopilots as data; times in seconds since boot."""
 
-    profile: FirmwareProfile
+    profile: values.FirmwareProfile
     table: tuple[Parameter, ...]
     modes: tuple[Mode, ...]
     """The first one of them is that which it boots in."""
-    holds: str
-    returns: str
+    orders: Mapping[int, str]
+    """The modes that commands ask for, by MAV_CMD."""
     pilot: str
     missions: str
-    """Modes that LOITER_UNLIM, RETURN_TO_LAUNCH, the pilot and a mission ask for."""
+    """Modes of the pilot and of a mission."""
     first_item: int
     """Of a mission: ArduPilot keeps home as item 0."""
     timing: Timing
@@ -113,19 +96,45 @@ class Boot(NamedTuple):
     rng: np.random.Generator
 
 
-class Autopilot(abc.ABC):
+class Autopilot:
     """One vehicle's autopilot.
 
     It steers the vehicle by its estimate, and reads the true position only through the GPS fix;
     only the ground is true.
     """
 
+    # How it is flown, by a kind of vehicle (arducopter.py, px4plane.py and the like): in each step
+    # `steer` while armed, then `stand` or `move`.
+    begin: Callable[[], None]  # fly the mode from now on; again, if it was commanded again
+    begin_leg: Callable[[float | None], None]  # of the mission, at this new speed; or none any more
+    read_parameters: Callable[[], None]  # some parameter has changed; and before the first step
+    wants_up: Callable[[], bool]  # it takes off: what presses it to the ground ends nothing then
+    lifts_off: Callable[[], bool]  # whether it leaves the ground with this step
+    move: Callable[[], None]  # in the air, armed
+    touch_down: Callable[[], None]  # it comes to the ground with this step
+    disarms_after_s: Callable[[], float | None]  # since it landed or was armed; None: never
+    waypoint: Callable[[], values.Waypoint | None]  # the place that it goes to
+    is_there: Callable[[Leg], bool]  # whether it has come to where a leg ends
+    lies_below_m_s = math.inf  # speed on the ground at which it may be taken to have landed
+
+    # How it decides, by a family (ardupilot.py, px4.py).
+    on_origin: Callable[[], None]  # the estimator's origin is set
+    check: Callable[[], None]  # ten times a second: whatever may end the flight
+    set_mode: Callable[[str], bool]  # fly in this mode from now on, if it can be
+    refusal: Callable[[], str | None]  # why it may not be armed now
+    on_armed: Callable[[], None]  # the motors turn
+    on_disarmed: Callable[[], None]  # they have stopped
+    on_setpoint: Callable[[values.Setpoint], Sequence[Reply]]
+    on_plan: Callable[[PlanKind], Sequence[Reply]]  # a list was replaced by a client
+    status: Callable[[], values.Status]  # what else there is to tell
+
     def __init__(self, boot: Boot) -> None:
         self.firmware = firmware = boot.firmware
         self.profile, self.vehicle, self.plans = firmware.profile, boot.vehicle, boot.plans
+        self.is_px4 = firmware.profile.firmware == "px4"
         self.parameters = Parameters(firmware.table, boot.parameters)
-        self.battery = Battery()
-        """The power module's measurements; the simulation puts its own here."""
+        self.battery, self.fix = Battery(), Fix()
+        """What the power module and the receiver say; the simulation puts its own here."""
         self.estimator = Estimator(boot.vehicle, firmware.timing, boot.rng)
         self.estimate = self.estimator.estimate
         self.frame = firmware.frame(self.estimate.place)
@@ -134,11 +143,12 @@ class Autopilot(abc.ABC):
         self.mode = firmware.modes[0]
         self.route = Route(firmware.first_item)
         self.home: Place | None = None
-        self.now_s, self.ground_m = 0.0, boot.vehicle.altitude_amsl_m
+        self.now_s, self.step_s, self.ground_m = 0.0, 0.01, boot.vehicle.altitude_amsl_m
         self.armed = False
         self.landed = True
         """It believes to be on the ground."""
-        self.armed_s = 0.0
+        self.armed_s, self.station_s = 0.0, -math.inf
+        """When it was armed, and when a ground station was heard."""
         self.touched_s: float | None = None
         self.landed_s: float | None = None
         self._said: list[Reply] = []
@@ -146,128 +156,46 @@ class Autopilot(abc.ABC):
         self._check_us = round(firmware.first_check_s * 1e6)
         self._attitudes_rad = ((0.0, 0.0, boot.vehicle.heading_rad),) * 2
         """Before the last step and after it."""
-        self._step_s = 0.01
         self.handlers: dict[int, Handler] = {
-            20: self.to_mode(firmware.returns),
-            224: self._do_set_mission_current,
+            224: self._set_mission_current,
             246: self._reboot,
             400: self._arm_or_disarm,
         }
         """What answers which MAV_CMD; families and kinds add theirs."""
+        self.handlers |= {number: self.to_mode(name) for number, name in firmware.orders.items()}
 
-    # --- how it is flown ----------------------------------------------------------------------
+    # --- what not every one does --------------------------------------------------------------
 
-    @abc.abstractmethod
-    def begin(self, before: Mode) -> None:
-        """Fly the mode from now on; the same one again if it was commanded again."""
+    def look(self) -> None:
+        """In every step, before the checks."""
 
-    @abc.abstractmethod
-    def begin_leg(self, speed_m_s: float | None) -> None:
-        """Another leg of the mission, or none any more; the speed that was asked for before it."""
+    def took_off(self) -> None:
+        """An automatic take-off is over."""
 
-    @abc.abstractmethod
-    def read_parameters(self) -> None:
-        """Some parameter has changed; also called before the first step."""
+    def steer(self) -> None:
+        """Look where to go, on the ground too."""
 
-    def steer(self, dt_s: float) -> None:
-        """While armed, in each step, on the ground too: look where to go."""
-        del dt_s
+    def stand(self) -> None:
+        """On the ground; a plane may roll."""
+        self.vehicle.stand(self.ground_m)
 
-    @abc.abstractmethod
-    def lifts_off(self) -> bool:
-        """On the ground, armed, after `steer`: whether it leaves the ground with this step."""
-
-    @abc.abstractmethod
-    def move(self, dt_s: float) -> None:
-        """In the air, armed, after `steer`: move the vehicle."""
-
-    @abc.abstractmethod
-    def stand(self, dt_s: float) -> None:
-        """One step on the ground; a plane may roll."""
-
-    @abc.abstractmethod
-    def touch_down(self) -> None:
-        """It comes to the ground with this step."""
-
-    def takes_off(self) -> bool:
-        """Whether it wants up from the ground: a gust that presses it down ends no take-off."""
-        return False
-
-    def lies(self) -> bool:
-        """Whether what touches the ground may be taken to have landed."""
-        return True
-
-    @abc.abstractmethod
-    def disarms_after_s(self) -> float | None:
-        """On the ground, armed: seconds since it landed or was armed; None: never."""
-
-    @abc.abstractmethod
-    def waypoint(self) -> Waypoint | None:
-        """The place that it goes to."""
-
-    def target_echo(self) -> TargetEcho | None:
+    def target_echo(self) -> values.TargetEcho | None:
         """Its target, if that is told."""
         return None
-
-    # --- how it decides -----------------------------------------------------------------------
-
-    @abc.abstractmethod
-    def on_origin(self, origin: Place) -> None:
-        """The estimator's origin is set."""
-
-    def look(self, fix: Fix) -> None:
-        """In every step, before the checks."""
-        del fix
-
-    @abc.abstractmethod
-    def check(self) -> None:
-        """Ten times a second: whatever may end the flight."""
-
-    @abc.abstractmethod
-    def set_mode(self, name: str) -> bool:
-        """Fly in this mode from now on, if it can be."""
-
-    @abc.abstractmethod
-    def refusal(self) -> str | None:
-        """Why it may not be armed now."""
-
-    @abc.abstractmethod
-    def on_armed(self) -> None:
-        """The motors turn."""
-
-    @abc.abstractmethod
-    def on_disarmed(self) -> None:
-        """The motors have stopped."""
-
-    @abc.abstractmethod
-    def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
-        """Take a setpoint."""
-
-    @abc.abstractmethod
-    def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
-        """A heartbeat of another component."""
-
-    @abc.abstractmethod
-    def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
-        """A mission, fence or rally list was replaced by a client."""
 
     def on_parameter(self, name: str) -> Sequence[Reply]:  # noqa: ARG002 - they are read live
         """A parameter was set by a client."""
         return ()
 
-    @abc.abstractmethod
-    def status(self) -> Status:
-        """What else there is to tell."""
-
     # --- saying -------------------------------------------------------------------------------
 
     def say(self, severity: int, text: str) -> None:
         """A STATUSTEXT."""
-        self._said.append(Text(severity=severity, text=text))
+        self._said.append(values.Text(severity=severity, text=text))
 
     def send(self, *messages: int) -> None:
         """Send these telemetry messages once, to all links."""
-        self._said.extend(SendTelemetry(message=message) for message in messages)
+        self._said.extend(values.SendTelemetry(message=message) for message in messages)
 
     def taken(self) -> Sequence[Reply]:
         """What there is to say, once."""
@@ -278,43 +206,44 @@ class Autopilot(abc.ABC):
 
     def step(self, now_us: int, dt_s: float, ground_amsl_m: float, fix: Fix) -> Sequence[Reply]:
         """Fly on to now_us, over ground of this height, with the newest GPS fix."""
-        self.now_s, self.ground_m = now_us * 1e-6, ground_amsl_m
+        self.now_s, self.step_s = now_us * 1e-6, dt_s
+        self.ground_m, self.fix = ground_amsl_m, fix
         estimator, vehicle = self.estimator, self.vehicle
-        origin = estimator.origin
+        had_origin = estimator.origin is not None
         estimator.step(self.now_s, dt_s, fix)
-        if estimator.origin is not None and estimator.origin is not origin:
+        if estimator.origin is not None and not had_origin:
             self.frame = self.firmware.frame(estimator.origin)
-            self.on_origin(estimator.origin)
+            self.on_origin()
         if self.parameters.version != self._version:
             self._version = self.parameters.version
             self.read_parameters()
-        self.look(fix)
+        self.look()
         if now_us >= self._check_us:
             self._check_us = now_us + _CHECK_US
             self.check()
-        self._advance(dt_s)
+        self._advance()
         estimator.follow()
         attitude_rad = (vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad)
-        self._attitudes_rad, self._step_s = (self._attitudes_rad[1], attitude_rad), dt_s
+        self._attitudes_rad = (self._attitudes_rad[1], attitude_rad)
         return self.taken() if self._said else ()
 
-    def _advance(self, dt_s: float) -> None:
+    def _advance(self) -> None:
         """Steer and move the vehicle, or let it stand; the simulation judges its contacts."""
         vehicle = self.vehicle
         if self.armed:
-            self.steer(dt_s)
+            self.steer()
         if vehicle.stands and self.armed and self.lifts_off():
             vehicle.stands, self.touched_s = False, None
         if vehicle.stands:
-            self.stand(dt_s)
+            self.stand()
             self._wait_on_ground()
             return
         if self.armed:
-            self.move(dt_s)
+            self.move()
         else:
-            vehicle.fall(dt_s)
+            vehicle.fall(self.step_s)
         if vehicle.altitude_amsl_m <= self.ground_m:
-            if self.armed and self.takes_off():  # the ground carries it until it rises
+            if self.armed and self.wants_up():  # the ground carries it until it rises
                 vehicle.altitude_amsl_m = self.ground_m
                 vehicle.velocity_up_m_s = max(vehicle.velocity_up_m_s, 0.0)
                 return
@@ -327,18 +256,22 @@ class Autopilot(abc.ABC):
 
     def _wait_on_ground(self) -> None:
         """Believe the landing after a while, and disarm."""
-        if not self.landed:
-            if not self.lies():
-                self.touched_s = None
-            else:
-                self.touched_s = self.now_s if self.touched_s is None else self.touched_s
-                waited_s = self.now_s - self.touched_s
-                if not self.armed or waited_s >= self.firmware.believes_landing_s:
-                    self.landed, self.landed_s = True, self.now_s
+        if self.armed and (self.wants_up() or self.rolling_m_s > self.lies_below_m_s):
+            self.touched_s = None
+        elif not self.landed:
+            self.touched_s = self.now_s if self.touched_s is None else self.touched_s
+            waited_s = self.now_s - self.touched_s
+            if not self.armed or waited_s >= self.firmware.believes_landing_s:
+                self.landed, self.landed_s = True, self.now_s
         if self.armed and self.landed and (wait_s := self.disarms_after_s()) is not None:
             since_s = self.armed_s if self.landed_s is None else self.landed_s
             if self.now_s - since_s >= wait_s:
                 self.disarm("auto preflight disarming" if self.landed_s is None else "landing")
+
+    @property
+    def rolling_m_s(self) -> float:
+        """Speed over the ground, by its wheels."""
+        return math.hypot(self.vehicle.velocity_north_m_s, self.vehicle.velocity_east_m_s)
 
     @property
     def rates_rad_s(self) -> tuple[float, ...]:
@@ -347,9 +280,9 @@ class Autopilot(abc.ABC):
             math.remainder(now - was, math.tau)
             for was, now in zip(*self._attitudes_rad, strict=True)
         )
-        return tuple(min(max(t / self._step_s, -_MAX_RAD_S), _MAX_RAD_S) for t in turned)
+        return tuple(min(max(t / self.step_s, -_MAX_RAD_S), _MAX_RAD_S) for t in turned)
 
-    def local_ned_m(self) -> Vector | None:
+    def local_ned_m(self) -> values.Vector | None:
         """Position in the estimator's frame."""
         return self.frame.ned_m(self.estimate.place)
 
@@ -365,7 +298,11 @@ class Autopilot(abc.ABC):
         return functools.partial(self._enter, name)
 
     def _enter(self, name: str, _: Command) -> Result:
-        return Result.ACCEPTED if self.set_mode(name) else self.firmware.refused
+        return self.done(self.set_mode(name))
+
+    def done(self, it_is: object) -> Result:
+        """The answer to what either is done now or cannot be."""
+        return Result.ACCEPTED if it_is else self.firmware.refused
 
     def arm(self, *, forced: bool = False) -> Result:
         """Start the motors, or say why not; home is here then."""
@@ -418,6 +355,29 @@ class Autopilot(abc.ABC):
         )
         self.begin_leg(self.route.seek(items, number, leg_at, self.now_s))
 
+    def is_at(self, does: Does) -> bool:
+        """Whether it flies a leg of this kind."""
+        return self.route.leg is not None and self.route.leg.does is does
+
+    def follow_route(self) -> None:
+        """Wait where the leg ends, then fly the next: of the mission, or of whatever it flies.
+
+        PX4 tells of an item that it has come to, ArduPilot when it goes on.
+        """
+        route, leg, arrives = self.route, self.route.leg, self.route.arrived_s is None
+        if leg is None or (arrives and not self.is_there(leg)):
+            return
+        leaves = route.has_waited(self.now_s, leg.hold_s) and leg.does is not Does.LAND
+        is_item = route.number is not None and leg.command != RETURN
+        if is_item and (arrives if self.is_px4 else leaves):
+            self.reached(route.current)
+        if leaves and leg.command == TAKEOFF:
+            self.took_off()
+        if leaves and is_item:
+            self.seek(route.current + 1)
+        elif leaves:
+            route.go_on(self.now_s)
+
     def jump(self, number: int) -> bool:
         """Make this the current item, in a mission fly it; tells whether there is such an item."""
         if not 0 <= number < max(len(self.plans[PlanKind.MISSION]), 1):
@@ -428,17 +388,17 @@ class Autopilot(abc.ABC):
             self.seek(max(number, self.firmware.first_item))
         return True
 
-    def _do_set_mission_current(self, command: Command) -> Result:
+    def _set_mission_current(self, command: Command) -> Result:
         """MISSION_SET_CURRENT comes here too."""
         number = command.parameters[0]
         if not math.isfinite(number):
             return Result.DENIED
-        return Result.ACCEPTED if self.jump(int(number)) else self.firmware.refused
+        return self.done(self.jump(int(number)))
 
     def reached(self, number: int) -> None:
         """Send MISSION_ITEM_REACHED to all links."""
         message = mavlink.MAVLink_mission_item_reached_message(seq=number)
-        self._said.append(SendMessage(message=message))
+        self._said.append(values.SendMessage(message=message))
 
     def mission_state(self) -> int:
         """MISSION_STATE: 1 no mission, 2 not started, 3 active, 4 paused, 5 complete."""
@@ -459,19 +419,26 @@ class Autopilot(abc.ABC):
         PX4 answers for whatever component it is; it accepts DO_SET_MODE whatever that asks for,
         and lets the real result follow (px4.md 1, item 1).
         """
-        number, sender, result = command.number, command.sender, Result.UNSUPPORTED
-        handler, is_px4 = self.handlers.get(number), self.profile.firmware == "px4"
-        if handler is not None and (is_px4 or command.target_component in (0, 1)):
+        handler, result = self.handlers.get(command.number), Result.UNSUPPORTED
+        if handler is not None and (self.is_px4 or command.target_component in (0, 1)):
             result = handler(command)
-        said = [Ack(to=sender, command=number, result=result), *self.taken()]
-        if number == _DO_SET_MODE and is_px4:
-            self._said = said
-            return [Ack(to=sender, command=number, result=Result.ACCEPTED)]
-        return said
+        ack = values.Ack(to=command.sender, command=command.number, result=result)
+        if command.number != _DO_SET_MODE or not self.is_px4:
+            return [ack, *self.taken()]
+        self._said.insert(0, ack)
+        return [ack._replace(result=Result.ACCEPTED)]
+
+    def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
+        """A ground station's counts: to ArduPilot the one of its parameter, to PX4 any."""
+        is_station = vehicle_type == _GROUND_STATION
+        if not self.is_px4:
+            is_station = sender.system == self.parameters["MAV_GCS_SYSID"]
+        self.station_s = self.now_s if is_station else self.station_s
+        return ()
 
     def set_home(self, place: Place) -> Result:
         """DO_SET_HOME, once it is known where to."""
-        if not abs(place.altitude_amsl_m) <= HIGHEST_HOME_M:
+        if not abs(place.altitude_amsl_m) <= values.HIGHEST_HOME_M:
             return self.firmware.refused
         self.home = place
         self.send(HOME_POSITION)
@@ -482,7 +449,7 @@ class Autopilot(abc.ABC):
         return functools.partial(self._answer, message)
 
     def _answer(self, message: int, command: Command) -> Result:
-        self._said.append(SendTelemetry(message=message, to=command.sender))
+        self._said.append(values.SendTelemetry(message=message, to=command.sender))
         return Result.ACCEPTED
 
     def _reboot(self, command: Command) -> Result:
@@ -491,7 +458,7 @@ class Autopilot(abc.ABC):
             return self.firmware.refused
         if command.parameters[0] not in (1.0, 3.0):
             return Result.UNSUPPORTED
-        self._said.append(Reboot())
+        self._said.append(values.Reboot())
         return Result.ACCEPTED
 
     # --- faults -------------------------------------------------------------------------------

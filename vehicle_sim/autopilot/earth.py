@@ -1,22 +1,10 @@
 """The plane that an autopilot flies in: each firmware has its own, about its estimator's origin."""
 
 import math
-from typing import Final, Protocol, final
+from typing import Final, final
 
-from vehicle_sim.autopilot.values import Place
+from vehicle_sim.autopilot.values import Place, Vector
 from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, around, degrees_east
-
-Vector = tuple[float, float, float]
-
-
-class Frame(Protocol):
-    """North, east and down of a place."""
-
-    def ned_m(self, place: Place) -> Vector:
-        """Where it is, in metres."""
-
-    def place(self, north_m: float, east_m: float, down_m: float) -> Place:
-        """The inverse."""
 
 
 @final
@@ -55,8 +43,7 @@ def way_m(one: Place, other: Place) -> complex:
     return complex(*FlatEarth(one).ned_m(other)[:2])
 
 
-_RADIUS_M: Final = 6_371_000.0
-"""Of PX4's sphere (CONSTANTS_RADIUS_OF_EARTH)."""
+_RADIUS_M: Final = 6_371_000.0  # of PX4's sphere (CONSTANTS_RADIUS_OF_EARTH)
 _NEAR_RAD: Final = 1e-9
 
 
@@ -97,3 +84,7 @@ class Projection:
         longitude_rad = math.remainder(self._longitude_rad + east_rad, math.tau)
         latitude_rad = math.asin(min(max(vertical, -1.0), 1.0))
         return Place(math.degrees(latitude_rad), math.degrees(longitude_rad), altitude_m)
+
+
+Frame = FlatEarth | Projection
+"""North, east and down of a place, in metres; and the place of those."""

@@ -23,35 +23,28 @@ from vehicle_sim.sensors.gps import Fix
 _OUTAGE_S: Final = 1.0
 """After a gap of this length the first fix is believed, wherever it is (both firmwares have wide
 gates by then)."""
-_DRIFTS_S: Final = 0.5
-"""Fixes come every 0.125 or 0.2 s: so long after the last one, they do not."""
+_DRIFTS_S: Final = 0.5  # fixes come every 0.125 or 0.2 s: so long after the last one, they do not
 _GIVES_UP_S: Final = 0.69
 """EKF3's flags drop the position for so long before it yields to GPS (arducopter-gps-loss.tlog)."""
 _KEEPS, _KEEPS_UP = math.exp(-0.125 / 0.8), math.exp(-0.125 / 1.5)
 """Of the velocity's error, from one fix of PX4 to the next: it wanders within 0.8 s, upwards 1.5 s
 (hover of px4-offboard-8mps.tlog)."""
 _NOISE_ON_GROUND: Final = 0.15
-_BLOCK: Final = 256
-"""Random numbers are drawn so many at a time."""
+_BLOCK: Final = 256  # random numbers are drawn so many at a time
 
 
-class State(enum.Enum):
-    """What the estimator is up to."""
-
-    START = enum.auto()
-    """It has not had a position yet."""
-    GOOD = enum.auto()
-    GLITCH = enum.auto()
-    """GPS is refused, or was until a moment ago."""
-    YIELDS = enum.auto()
-    """It is about to believe GPS that it has refused."""
-    LOST = enum.auto()
-    """Without GPS for too long to fly by its position."""
-    STOPPED = enum.auto()
-    """For so long that it has none."""
+State = enum.Enum("State", "START GOOD GLITCH YIELDS LOST STOPPED")
+"""What the estimator is up to: it has not had a position yet; has one; refuses GPS, or did until a
+moment ago; is about to believe GPS that it has refused; is without GPS for too long to fly by its
+position; and for so long that it has none."""
 
 
 _FLYING: Final = frozenset({State.GOOD, State.GLITCH, State.YIELDS})
+
+
+def told(good: int, glitch: int, yields: int, lost: int, stopped: int) -> Mapping[State, int]:
+    """Flags of these states."""
+    return dict(zip(list(State)[1:], (good, glitch, yields, lost, stopped), strict=True))
 
 
 @final
@@ -62,6 +55,7 @@ class Timing:
     stages: tuple[tuple[float, int], ...]
     """Flags from these times since boot on, until there is a position."""
     flags: Mapping[State, int]
+    """From then on, by `told`."""
     origin_s: float
     good_s: float
     """From the first fix to the origin, and to a position."""
@@ -69,11 +63,9 @@ class Timing:
     gate_growth_m_s: float = 0.0
     """A fix that is farther off is refused; the gate grows meanwhile."""
     glitch_s: float = math.inf
-    """Refused for so long, a glitch is told."""
     yields_s: float
-    """Refused for so long, GPS is believed."""
     calm_s: float = 0.0
-    """Believed for so long, the glitch is over."""
+    """Refused for so long, a glitch is told, and GPS is believed; for so long, it is over."""
     lost_s: float
     stopped_s: float
     """Without GPS for so long."""
@@ -88,9 +80,9 @@ class Timing:
     """Share of a fix's error that is taken over."""
     drift_m_s: float = 0.0
     drift_m_s2: float = 0.0
-    """Without GPS the horizontal error begins with this velocity and acceleration."""
     sink_m_s: float = 0.0
-    """The same of the height: upwards."""
+    """Without GPS the horizontal error begins with this velocity and acceleration, and that of the
+    height with this one upwards."""
     jump_s: float = 0.0
     """Time constant with which the output follows a jump of the state."""
     noise_m_s: float = 0.0
@@ -114,10 +106,9 @@ class Estimator:
         """It uses GPS, or did so not long ago."""
         self.still = False
         """Disarmed for a while: hardly any noise."""
-        self.returned_s: float | None = None
-        """When GPS was used again after it had been lost."""
         self.used_s = 0.0
-        """When it was used last."""
+        self.returned_s: float | None = None
+        """When GPS was used last, and when again after it had been lost."""
         self._vehicle, self._rng = vehicle, rng
         knows = 0.0 if timing.freezes else 1.0
         self.estimate = Estimate(
@@ -127,17 +118,15 @@ class Estimator:
             flags=timing.stages[0][1],
         )
         self._fix: Fix | None = None
-        self._now_s = self._trusted_s = self._precise_s = 0.0
+        self._now_s = self._trusted_s = self._precise_s = self._calm_s = 0.0
         self._seen_s: float | None = None
-        """Since when there are fixes that are not used yet."""
+        """Since when there are fixes that are not used yet, and since when they are refused."""
         self._refused_s: float | None = None
-        self._calm_s = 0.0
         self._error, self._held, self._bias, self._rate = 0j, 0j, 0j, 0j
         """Of the position; what the output has still to make of a jump; by how much GPS counts as
         off; of the velocity."""
         self._up_m = self._climb_m_s = 0.0
-        self._drift, self._drifts = 0j, False
-        """Without GPS: which way, and 1 or a little more or less."""
+        self._drift: complex | None = None  # without GPS: which way, and 1 or a little more or less
         self._noise: list[float] = []
         self._scale = metres_per_degree(vehicle.latitude_deg)
 
@@ -169,7 +158,9 @@ class Estimator:
                 self._seen_s = None
         silent_s = now_s - self.used_s
         if silent_s > _DRIFTS_S or self.state is not State.GOOD or self._refused_s is not None:
-            self._watch(silent_s, fix, dt_s)
+            self._watch(silent_s, fix)
+            if now_s - self.used_s > _DRIFTS_S and self.state is not State.START:
+                self._drift_away(silent_s, dt_s)
         if self._rate or self._climb_m_s:
             self._error += self._rate * dt_s
             self._up_m += self._climb_m_s * dt_s
@@ -197,12 +188,7 @@ class Estimator:
 
     def _take(self, fix: Fix) -> None:
         """A new fix with a position."""
-        timing, estimate, now_s, refused_s = (
-            self.timing,
-            self.estimate,
-            self._now_s,
-            self._refused_s,
-        )
+        timing, estimate, now_s = self.timing, self.estimate, self._now_s
         self._scale = metres_per_degree(self._vehicle.latitude_deg)
         if self.state not in _FLYING:
             self._seen_s = now_s if self._seen_s is None else self._seen_s
@@ -211,14 +197,15 @@ class Estimator:
             return
         gap_s, self.used_s = now_s - self.used_s, now_s
         off, gate_m = self._innovation(fix), timing.gate_m
-        gate_m += 0.0 if refused_s is None else timing.gate_growth_m_s * (now_s - refused_s)
+        if self._refused_s is not None:
+            gate_m += timing.gate_growth_m_s * (now_s - self._refused_s)
         self._tell(abs(off) / gate_m)
-        if self._drifts:
-            self._drifts, self._rate, self._climb_m_s = False, 0j, 0.0
+        if self._drift is not None:
+            self._drift, self._rate, self._climb_m_s = None, 0j, 0.0
         if gap_s > _OUTAGE_S:
             self._jump(off)
         elif abs(off) > gate_m:
-            self._refused_s = now_s if refused_s is None else refused_s
+            self._refused_s = now_s if self._refused_s is None else self._refused_s
         else:
             self._accept(timing.follows * off)
             if timing.noise_m_s:
@@ -272,14 +259,14 @@ class Estimator:
 
     # --- what time brings ---------------------------------------------------------------------
 
-    def _watch(self, silent_s: float, fix: Fix, dt_s: float) -> None:
+    def _watch(self, silent_s: float, fix: Fix) -> None:
         """Starting, refusing GPS, or without it."""
         timing, state, now_s, e = self.timing, self.state, self._now_s, self.estimate
         if state is State.START:
             e.flags = next(flags for at_s, flags in reversed(timing.stages) if now_s >= at_s)
         if state not in _FLYING:
             if self._seen_s is not None:
-                self._wait(now_s - self._seen_s, fix)
+                self._come_back(now_s - self._seen_s, fix)
             elif state is State.LOST and silent_s >= timing.stopped_s:
                 self._be(State.STOPPED)
                 self.aiding = False
@@ -291,18 +278,28 @@ class Estimator:
             self._refused_s = self.returned_s = None
             e.position_ok = False
         elif self._refused_s is not None:
-            self._judge(now_s - self._refused_s, fix)
+            refused_s = now_s - self._refused_s
+            if refused_s >= timing.yields_s:
+                self._jump(self._innovation(fix))
+                self._be(State.GLITCH if timing.calm_s else State.GOOD)
+                self._tell(0.0)
+            elif refused_s >= timing.yields_s - _GIVES_UP_S and timing.calm_s:
+                self._be(State.YIELDS)
+            elif refused_s >= timing.glitch_s and state is State.GOOD:
+                self._be(State.GLITCH)
         elif state is State.GLITCH and now_s >= self._calm_s:
             self._be(State.GOOD)
-        if now_s - self.used_s > _DRIFTS_S and self.state is not State.START:
-            if not self._drifts:
-                angle_rad, size = self._rng.uniform(0.0, math.tau), self._rng.uniform(0.85, 1.15)
-                self._drift = cmath.rect(size, angle_rad)
-                self._drifts, self._climb_m_s = True, timing.sink_m_s
-                self._rate = self._drift * (timing.drift_m_s + timing.drift_m_s2 * silent_s)
-            self._rate += self._drift * timing.drift_m_s2 * dt_s
 
-    def _wait(self, since_s: float, fix: Fix) -> None:
+    def _drift_away(self, silent_s: float, dt_s: float) -> None:
+        """Without GPS, some way that is drawn when it begins."""
+        timing = self.timing
+        if self._drift is None:
+            angle_rad, size = self._rng.uniform(0.0, math.tau), self._rng.uniform(0.85, 1.15)
+            self._drift, self._climb_m_s = cmath.rect(size, angle_rad), timing.sink_m_s
+            self._rate = self._drift * (timing.drift_m_s + timing.drift_m_s2 * silent_s)
+        self._rate += self._drift * timing.drift_m_s2 * dt_s
+
+    def _come_back(self, since_s: float, fix: Fix) -> None:
         """There are fixes again, for so long: some are wanted before one is believed."""
         timing, now_s, first = self.timing, self._now_s, self.state is State.START
         if self.origin is None and since_s >= timing.origin_s:
@@ -315,33 +312,18 @@ class Estimator:
         else:
             self._jump(self._innovation(fix))
             self.returned_s = now_s
-            self._trusted_s = now_s + timing.trusted_s
-            self._precise_s = now_s + timing.precise_s
-        self.aiding, self._drifts, self.used_s, self._seen_s = True, False, now_s, None
+            self._trusted_s, self._precise_s = now_s + timing.trusted_s, now_s + timing.precise_s
+        self.aiding, self._drift, self.used_s, self._seen_s = True, None, now_s, None
         self._be(State.GOOD)
         self._tell(0.0)
-
-    def _judge(self, refused_s: float, fix: Fix) -> None:
-        """GPS has been refused for so long."""
-        timing = self.timing
-        if refused_s >= timing.yields_s:
-            self._jump(self._innovation(fix))
-            self._be(State.GLITCH if timing.calm_s else State.GOOD)
-            self._tell(0.0)
-        elif refused_s >= timing.yields_s - _GIVES_UP_S and timing.calm_s:
-            self._be(State.YIELDS)
-        elif refused_s >= timing.glitch_s and self.state is State.GOOD:
-            self._be(State.GLITCH)
 
     def _be(self, state: State) -> None:
         self.state = state
         self.estimate.flags = self.timing.flags[state]
         self.estimate.frozen_altitude_amsl_m = None
 
-    # --- faults -------------------------------------------------------------------------------
-
     def shift(self, north_m: float, east_m: float) -> None:
-        """The position jumps by this much at once."""
+        """A fault: the position jumps by this much at once."""
         self._error += complex(north_m, east_m)
         if self.timing.freezes:
             self._bias += complex(north_m, east_m)

@@ -61,19 +61,15 @@ class Personality:
         return self.make(Boot(self.firmware, vehicle, parameters, plans, rng))
 
     @property
-    def is_px4(self) -> bool:
-        """Or ArduPilot."""
-        return self.firmware.profile.firmware == "px4"
-
-    @property
     def id_parameters(self) -> tuple[str, ...]:
         """Which hold the system, and of PX4 the component, which otherwise is 1."""
-        return ("MAV_SYS_ID", "MAV_COMP_ID") if self.is_px4 else ("MAV_SYSID",)
+        is_px4 = self.firmware.profile.firmware == "px4"
+        return ("MAV_SYS_ID", "MAV_COMP_ID") if is_px4 else ("MAV_SYSID",)
 
     @property
     def highest_id(self) -> int:
         """Of both; the least is 1.  Of PX4 as Mavlink::set_system_id has it."""
-        return 254 if self.is_px4 else 255
+        return 254 if self.firmware.profile.firmware == "px4" else 255
 
 
 _ARDUCOPTER: Final = Personality(
@@ -148,19 +144,19 @@ def make_vehicle(
     own = {
         key: value for key in LIMITS[vehicle.kind] if (value := getattr(vehicle, key)) is not None
     }
-    if vehicle.kind == "copter":
+    if isinstance(usual.limits, Limits):
+        drags = usual.drag if (drag_1_s := _own_drag_1_s(vehicle)) is None else (drag_1_s, 0.0)
         named = {key.replace("_max", ""): value for key, value in own.items()}
-        drag_1_s, drag_1_m = usual.drag if (drag := _own_drag_1_s(vehicle)) is None else (drag, 0.0)
-        limits: Any = replace(usual.limits, **named)
-        return Copter(**here, limits=limits, drag_1_s=drag_1_s, drag_1_m=drag_1_m)
+        limits = replace(usual.limits, **named)
+        return Copter(**here, limits=limits, drag_1_s=drags[0], drag_1_m=drags[1])
     if (bank_deg := own.pop("bank_max_deg", None)) is not None:
         own["bank_max_rad"] = math.radians(bank_deg)
-    limits = replace(usual.limits, **own)
-    if limits.airspeed_min_m_s >= limits.airspeed_max_m_s:
-        value, most = limits.airspeed_min_m_s, limits.airspeed_max_m_s
+    able = replace(usual.limits, **own)
+    if able.airspeed_min_m_s >= able.airspeed_max_m_s:
+        value, most = able.airspeed_min_m_s, able.airspeed_max_m_s
         rule = f"must be less than airspeed_max_m_s, which is {most:g}"
         raise InputError("vehicle.airspeed_min_m_s", value, rule, "Give both.")
-    return Plane(**here, limits=limits)
+    return Plane(**here, limits=able)
 
 
 def _own_drag_1_s(vehicle: VehicleTable) -> float | None:
@@ -170,14 +166,6 @@ def _own_drag_1_s(vehicle: VehicleTable) -> float | None:
     return vehicle.drag_1_s
 
 
-_FOLLOWING: Final = {
-    "WPNAV_SPEED_UP": "speed_vertical_max_m_s",
-    "WPNAV_SPEED_DN": "speed_vertical_max_m_s",
-    "WPNAV_ACCEL_Z": "acceleration_vertical_max_m_s2",
-}
-"""Parameters in cm/s and cm/s2, and the limits of a copter that they follow."""
-
-
 def overrides_of(vehicle: VehicleTable) -> dict[str, float]:
     """The parameters of the world file, and those that follow from the limits that it gives.
 
@@ -185,14 +173,14 @@ def overrides_of(vehicle: VehicleTable) -> dict[str, float]:
     vehicle for 3 km of height would otherwise climb for twenty minutes.  PX4 has the drag of its
     simulated quadcopter as a parameter.
     """
-    personality = personality_of(vehicle)
-    overrides: dict[str, float] = {personality.id_parameters[0]: vehicle.system_id}
-    if vehicle.kind == "copter" and not personality.is_px4:
-        for name, key in _FOLLOWING.items():
-            if (limit := getattr(vehicle, key)) is not None:
-                overrides[name] = limit * 100.0
-        if vehicle.acceleration_max_m_s2 is not None:
-            overrides["ANGLE_MAX"] = _STEEPEST_CDEG
-    elif vehicle.kind == "copter" and (drag_1_s := _own_drag_1_s(vehicle)) is not None:
-        overrides["SIH_KDV"] = drag_1_s
-    return overrides | vehicle.parameters
+    follow: dict[str, float | None] = {}
+    speed_m_s, most_m_s2 = vehicle.speed_vertical_max_m_s, vehicle.acceleration_vertical_max_m_s2
+    if vehicle.kind == "copter" and vehicle.autopilot == "px4":
+        follow["SIH_KDV"] = _own_drag_1_s(vehicle)
+    elif vehicle.kind == "copter":  # in cm/s and cm/s2
+        follow["WPNAV_SPEED_UP"] = follow["WPNAV_SPEED_DN"] = speed_m_s and speed_m_s * 100.0
+        follow["WPNAV_ACCEL_Z"] = most_m_s2 and most_m_s2 * 100.0
+        follow["ANGLE_MAX"] = vehicle.acceleration_max_m_s2 and _STEEPEST_CDEG
+    known = {name: value for name, value in follow.items() if value is not None}
+    own_id = personality_of(vehicle).id_parameters[0]
+    return {own_id: float(vehicle.system_id)} | known | vehicle.parameters

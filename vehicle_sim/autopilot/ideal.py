@@ -34,8 +34,7 @@ class Ideal(ArduCopter):
     _slope: Order = (0j, 0.0)
     """How the streamed velocity changes, and the interval that it was seen over; 0: not known."""
     _interval_s = 0.0
-    _tracks = False
-    """It has flown the last step by this law."""
+    _tracks = False  # it has flown the last step by this law
 
     def _restart(self, kind: Kind) -> None:
         """Another submode: level, with the acceleration that there is."""
@@ -46,7 +45,7 @@ class Ideal(ArduCopter):
     def _go_on(self) -> None:
         copter = self.copter
         felt = complex(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2)
-        self.level.follow(self._here_deg, self._flown, felt)
+        self.level.follow(felt)
 
     def take(self, target: Target, place: Place | None) -> bool:
         """Steer for it, and see how the velocity has changed since the one before."""
@@ -67,26 +66,31 @@ class Ideal(ArduCopter):
                 self._slope, self._interval_s = (slope, slope_up), gap_s
         return True
 
-    def fly_target(self, dt_s: float) -> Order:
+    def fly_target(self) -> Order:
         """GUIDED."""
         if self.estimator.aiding:
             if self.kind is Kind.PATH and self._age_s <= self._timeout_s:
                 return self._track()
             if self._tracks:
                 self._tracks = False
-                self._start_vertical()
+                self.up.start()
                 self._go_on()
-        return super().fly_target(dt_s)
+        return super().fly_target()
 
     def _track(self) -> Order:
         """Acceleration by the errors of position and velocity."""
-        estimate, here_deg, tuning, age_s = self.estimate, self._here_deg, self.tuning, self._age_s
+        estimate, here_deg, tuning, age_s = (
+            self.estimate,
+            self.level.here_deg,
+            self.tuning,
+            self._age_s,
+        )
         self._tracks, self.level.scale = True, metres_per_degree(here_deg.real)
         ahead_s = age_s if age_s <= 2.0 * self._interval_s else 0.0
         off_m = self.level.metres(here_deg, self._place_deg)
         rise_m = self._altitude_m - estimate.altitude_amsl_m
         (velocity, climb_m_s), (feed, feed_up) = self._moves, self._feed
-        late, late_up = velocity - self._flown, climb_m_s - estimate.velocity_up_m_s
+        late, late_up = velocity - self.level.flown, climb_m_s - estimate.velocity_up_m_s
         level = clipped(off_m * KP_1_S2, KV_1_S * tuning.speed_m_s)
         most_up = KV_1_S * tuning.speed_up_m_s
         up = bounded(rise_m * KP_1_S2, -most_up, most_up)

@@ -13,8 +13,7 @@ from vehicle_sim.plans import Jumps, PlanItem
 
 WAYPOINT, LOITER_UNLIM, _, LOITER_TIME, RETURN, LAND, TAKEOFF = range(16, 23)
 _CHANGE_SPEED: Final = 178
-_WALKS_MOST: Final = 1000
-"""Items at once, so that a mission of jumps alone ends."""
+_WALKS_MOST: Final = 1000  # items at once, so that a mission of jumps alone ends
 _HIGHEST_M: Final = 1e5
 _E7_MOST: Final = 900_000_000
 
@@ -98,6 +97,14 @@ class Route:
     def stop(self) -> None:
         """Nothing any more."""
         self.leg, self.number, self._next = None, None, []
+
+    @property
+    def lands(self) -> bool:
+        """It comes down: at the end of a return, and where a mission has come to a landing."""
+        leg = self.leg
+        if leg is None or leg.does is not Does.LAND:
+            return False
+        return leg.command == RETURN or self.arrived_s is not None
 
     def go_on(self, now_s: float) -> None:
         """The next leg of those begins."""

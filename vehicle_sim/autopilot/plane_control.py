@@ -9,11 +9,13 @@ is PX4's own law (NPFG), which is not imitated further.
 
 import cmath
 import math
-from typing import Final, NamedTuple, final
+from collections.abc import Callable
+from typing import ClassVar, Final, NamedTuple, final
 
 import numpy as np
 
 from vehicle_sim.autopilot.copter_control import bounded
+from vehicle_sim.autopilot.core import Autopilot, Boot
 from vehicle_sim.autopilot.earth import way_m
 from vehicle_sim.autopilot.values import Estimate, Place
 from vehicle_sim.dynamics import GRAVITY_M_S2
@@ -49,10 +51,8 @@ def indicated_airspeed_m_s(true_m_s: float, altitude_amsl_m: float) -> float:
 # --- where to: lateral accelerations --------------------------------------------------------------
 
 _UNDECIDED_RAD: Final = 0.9 * math.pi
-_STEEPEST: Final = math.sin(math.radians(45.0))
-"""A line is approached at 45 degrees at most."""
-_PAST_S: Final = 3.0
-"""Beyond the end of a leg by so much flight: back to its end."""
+_STEEPEST: Final = math.sin(math.radians(45.0))  # a line is approached at 45 degrees at most
+_PAST_S: Final = 3.0  # beyond the end of a leg by so much flight: back to its end
 
 
 @final
@@ -133,8 +133,7 @@ class L1:
 # Constants are fitted to arduplane-guided-reposition.tlog: two steps of 10 m are followed to 0.2 m
 # rms, the climb while points are streamed to 1.3 m.
 
-_DEMAND_S = 3.5
-"""Time constant of the demanded height."""
+_DEMAND_S = 3.5  # time constant of the demanded height
 _ERROR_S = 5.0
 
 
@@ -159,7 +158,7 @@ class HeightControl:
         return rate_m_s + (self._smooth_m - height_m) / _ERROR_S
 
 
-# --- all of it ------------------------------------------------------------------------------------
+# --- in the air -----------------------------------------------------------------------------------
 
 
 @final
@@ -235,3 +234,70 @@ class PlaneControl:
         plane.advance(bank_rad, climb, self._speed_m_s, dt_s)
         if self.climb_m_s is not None:
             plane.throttle = 1.0 if self.climb_m_s > 0.0 else 0.0
+
+
+# --- on its wheels --------------------------------------------------------------------------------
+
+
+@final
+class Runway(NamedTuple):
+    """How a plane rolls; speeds over the ground."""
+
+    full_m_s2: float
+    """Acceleration at full throttle, standing."""
+    power: float
+    """Of the throttle, in that."""
+    drag_1_s: float
+    """Of it, what each metre a second of airspeed takes away."""
+    waits_s: float
+    opens_s: float
+    """From the take-off's beginning until the throttle opens, and how long that takes."""
+    flying_m_s: float
+    landed_m_s: float
+    """Taken to fly from the one on, and to have landed below the other."""
+    brakes_m_s2: float
+    rolls_out_s: float
+    """Without throttle it loses this, or its speed with this time constant if that is more."""
+
+
+class Wheels(Autopilot):
+    """A plane: on its wheels until it is fast enough, then by its control."""
+
+    runway: ClassVar[Runway]
+    lift_off_m_s: Callable[[], float]  # true airspeed at which it leaves the ground
+
+    def __init__(self, boot: Boot) -> None:
+        super().__init__(boot)
+        assert isinstance(boot.vehicle, Plane)
+        self.plane = boot.vehicle
+        self.control = PlaneControl(self.plane, self.estimate)
+        self.lies_below_m_s = self.runway.landed_m_s
+        self._waited_s = 0.0  # when it was not yet to take off
+
+    def lifts_off(self) -> bool:
+        """Fast enough on the runway."""
+        return self.wants_up() and self.plane.airspeed_m_s >= self.lift_off_m_s()
+
+    def stand(self) -> None:
+        """On the runway: up to speed, or to a halt."""
+        plane, runway, wants_up = self.plane, self.runway, self.wants_up()
+        plane.altitude_amsl_m = self.ground_m
+        self._waited_s = self._waited_s if wants_up else self.now_s
+        open_s = self.now_s - self._waited_s - runway.waits_s
+        plane.throttle = bounded(open_s / runway.opens_s, 0.0, 1.0)
+        push_m_s2 = -max(self.rolling_m_s / runway.rolls_out_s, runway.brakes_m_s2)
+        if plane.throttle > 0.0:
+            push_m_s2 = runway.full_m_s2 * plane.throttle**runway.power
+            push_m_s2 -= runway.drag_1_s * plane.airspeed_m_s
+            if self.rolling_m_s >= runway.flying_m_s:
+                self.take_to_the_air()
+        plane.roll_on_ground(push_m_s2, self.step_s)
+
+    def touch_down(self) -> None:
+        """Wheels or nose on the ground."""
+        self.plane.touch_down(self.ground_m)
+        self._waited_s = self.now_s
+
+    def move(self) -> None:
+        """In the air, as it was steered."""
+        self.control.advance(self.step_s)

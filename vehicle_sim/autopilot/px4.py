@@ -4,44 +4,22 @@ Source: px4.md 1 to 3 and 6 to 8, and the recorded flights (1.17).  Results of c
 not measured are those of the source: a mode that cannot run is TEMPORARILY_REJECTED.
 """
 
-import abc
 import enum
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
-from vehicle_sim.autopilot.core import (
-    AUTOPILOT_VERSION,
-    GPS_GLOBAL_ORIGIN,
-    HOME_POSITION,
-    Autopilot,
-    Boot,
-    Firmware,
-    Mode,
-)
-from vehicle_sim.autopilot.earth import Projection, Vector
-from vehicle_sim.autopilot.estimator import State as Estimates
-from vehicle_sim.autopilot.estimator import Timing
+from vehicle_sim.autopilot import core, values
+from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HOME_POSITION, Mode
+from vehicle_sim.autopilot.earth import Projection
+from vehicle_sim.autopilot.estimator import Timing, told
 from vehicle_sim.autopilot.guards import Zones
-from vehicle_sim.autopilot.legs import Does, Leg
+from vehicle_sim.autopilot.legs import Does
 from vehicle_sim.autopilot.setpoints import Target, given, read_by_px4
-from vehicle_sim.autopilot.values import (
-    Command,
-    FirmwareProfile,
-    Landed,
-    Place,
-    Reply,
-    Result,
-    Sender,
-    Setpoint,
-    State,
-    Status,
-    height_amsl_m,
-)
+from vehicle_sim.autopilot.values import Command, Landed, Place, Reply, Result, State
 from vehicle_sim.conditions import SIM_PARAMETERS_PX4
-from vehicle_sim.parameters import Parameter, table
+from vehicle_sim.parameters import table
 from vehicle_sim.plans import PlanKind
-from vehicle_sim.sensors.gps import Fix
 
 _NAN: Final = math.nan
 
@@ -65,69 +43,38 @@ _NOT_STREAMABLE: Final = frozenset({0, 42})
 """Sent by other parts of PX4: SET_MESSAGE_INTERVAL fails, as for unknown messages."""
 
 
-def profile(*, vehicle_type: int, rates_hz: dict[int, float]) -> FirmwareProfile:
-    """PX4 on its onboard link (px4.md 2), for a vehicle of this MAV_TYPE."""
-    told = frozenset(rates_hz) | {231}
-    return FirmwareProfile(
-        firmware="px4",
-        vehicle_type=vehicle_type,
-        autopilot=12,
-        capabilities=0xE8FF,
-        software_version=0x01110040,
-        custom_version=bytes((0, 0, 0, 178, 57, 165, 123, 187)),
-        first_heartbeat_us=1_600_000,  # px4.md 3
-        rates_hz=rates_hz,
-        streamable=(told | _NOT_TOLD | {GPS_GLOBAL_ORIGIN, 77}) - _NOT_STREAMABLE,
-        requestable=told | {42, 46, GPS_GLOBAL_ORIGIN, 77, AUTOPILOT_VERSION},
-    )
-
-
-def parameter_rows(*names: str) -> tuple[Parameter, ...]:
-    """Those of these tables in the alphabetic order that PX4 numbers them in, then the faults'."""
-    return (*sorted(table(*names), key=lambda row: row.name), *SIM_PARAMETERS_PX4)
-
-
-def _mode(
-    name: str, main: int, sub: int, flies: str, base: int, *, needs_position: bool = True
-) -> Mode:
-    number = main << 16 | sub << 24
-    return Mode(name, number, flies, needs_position=needs_position, base=base)
+def _mode(name: str, main: int, sub: int, flies: str, base: int, *, needs: bool = True) -> Mode:
+    return Mode(name, main << 16 | sub << 24, flies, needs_position=needs, base=base)
 
 
 _BY_HAND, _BY_ITSELF, _BY_COMMAND = 0x51, 0x1D, 0x11
 """base_mode as recorded: 29 in AUTO, 17 in OFFBOARD."""
 MODES: Final = (
     _mode("Hold", 4, 3, "hold", _BY_ITSELF),
-    _mode("Manual", 1, 0, "sink", _BY_HAND, needs_position=False),
-    _mode("Altitude", 2, 0, "sink", _BY_HAND, needs_position=False),
+    _mode("Manual", 1, 0, "sink", _BY_HAND, needs=False),
+    _mode("Altitude", 2, 0, "sink", _BY_HAND, needs=False),
     _mode("Position", 3, 0, "sink", _BY_HAND),
-    _mode("Acro", 5, 0, "sink", _BY_HAND, needs_position=False),
-    _mode("Stabilized", 7, 0, "sink", _BY_HAND, needs_position=False),
-    _mode("Offboard", 6, 0, "fly_target", _BY_COMMAND, needs_position=False),
+    _mode("Acro", 5, 0, "sink", _BY_HAND, needs=False),
+    _mode("Stabilized", 7, 0, "sink", _BY_HAND, needs=False),
+    _mode("Offboard", 6, 0, "fly_target", _BY_COMMAND, needs=False),
     _mode("Takeoff", 4, 2, "climb", _BY_ITSELF),
     _mode("Mission", 4, 4, "fly_mission", _BY_ITSELF),
     _mode("Return", 4, 5, "fly_back", _BY_ITSELF),
     _mode("Land", 4, 6, "land", _BY_ITSELF),
-    _mode("Descend", 4, 6, "descend", _BY_ITSELF, needs_position=False),
+    _mode("Descend", 4, 6, "descend", _BY_ITSELF, needs=False),
 )
 """Descend is a failsafe only, told as AUTO:LAND."""
-MODE_NAMES: Final = {mode.number: mode.name for mode in reversed(MODES)}
-MANUAL: Final = frozenset(mode.name for mode in MODES if mode.base == _BY_HAND)
+_NAMES: Final = {mode.number: mode.name for mode in reversed(MODES)}
 NAVIGATED: Final = frozenset({"Takeoff", "Hold", "Mission", "Return", "Land"})
 """Modes in which the navigator has a place to go to."""
 
 ARMABLE_S: Final = 3.5
 """Boot to the first time that it can be armed: heartbeat 0 at 2.6 s, 3 at 3.6 s of the log."""
+_GOOD: Final = 0x37F
 _TIMING: Final = Timing(
     # px4-gps-loss.tlog and px4.md 8
     stages=((0.0, 0x0E5),),
-    flags={
-        Estimates.GOOD: 0x37F,
-        Estimates.GLITCH: 0x37F,
-        Estimates.YIELDS: 0x37F,
-        Estimates.LOST: 0x365,
-        Estimates.STOPPED: 0x065,
-    },
+    flags=told(good=_GOOD, glitch=_GOOD, yields=_GOOD, lost=0x365, stopped=0x065),
     origin_s=2.0,  # between 1.65 and 2.65 s of px4-offboard-short.tlog
     good_s=2.0,
     gate_m=5.375,  # about EKF2_GPS_P_GATE (5) standard deviations of what is recorded
@@ -148,17 +95,28 @@ _TIMING: Final = Timing(
 )
 
 
-def firmware(
-    *, vehicle_type: int, rates_hz: dict[int, float], parameters: str, pilot: str = "Position"
-) -> Firmware:
-    """PX4 for one kind of vehicle, with these parameters besides the common ones."""
-    return Firmware(
-        profile=profile(vehicle_type=vehicle_type, rates_hz=rates_hz),
-        table=parameter_rows("px4", parameters),
+def firmware(parameters: str, *, vehicle_type: int, rates_hz: dict[int, float]) -> core.Firmware:
+    """PX4 on its onboard link (px4.md 2), for one kind of vehicle."""
+    told, rows = frozenset(rates_hz) | {231}, table("px4", parameters)
+    profile = values.FirmwareProfile(
+        firmware="px4",
+        vehicle_type=vehicle_type,
+        autopilot=12,
+        capabilities=0xE8FF,
+        software_version=0x01110040,
+        custom_version=bytes((0, 0, 0, 178, 57, 165, 123, 187)),
+        first_heartbeat_us=1_600_000,  # px4.md 3
+        rates_hz=rates_hz,
+        streamable=(told | _NOT_TOLD | {GPS_GLOBAL_ORIGIN, 77}) - _NOT_STREAMABLE,
+        requestable=told | {42, 46, GPS_GLOBAL_ORIGIN, 77, core.AUTOPILOT_VERSION},
+    )
+    return core.Firmware(
+        profile=profile,
+        # in the alphabetic order that PX4 numbers them in, then the faults'
+        table=(*sorted(rows, key=lambda row: row.name), *SIM_PARAMETERS_PX4),
         modes=MODES,
-        holds="Hold",
-        returns="Return",
-        pilot=pilot,
+        orders={20: "Return"},
+        pilot="Position",
         missions="Mission",
         first_item=0,
         timing=_TIMING,
@@ -176,90 +134,83 @@ def firmware(
 
 # --- failsafes: which mode is flown instead of the wanted one (px4.md 6 to 8) ---------------------
 
-
-class Action(enum.IntEnum):
-    """failsafe_action_t: the worse, the greater."""
-
-    NONE, WARN, POSITION, ALTITUDE, STABILIZED, HOLD = range(6)
-    RETURN, LAND, DESCEND, DISARM, TERMINATE = range(6, 11)
-
-
+Action = enum.IntEnum(
+    "Action",
+    "NONE WARN POSITION ALTITUDE STABILIZED HOLD RETURN LAND DESCEND DISARM TERMINATE",
+    start=0,
+)
+"""failsafe_action_t: the worse, the greater."""
 _CHOICES: Final = {
-    name: [Action[action.upper()] for action in actions.split()]
-    for name, actions in {
-        "COM_OBL_RC_ACT": "position altitude stabilized return land hold terminate disarm",
-        "GF_ACTION": "none warn hold return terminate land",
-        "NAV_DLL_ACT": "none hold return land none terminate disarm",
-    }.items()
+    "COM_OBL_RC_ACT": "POSITION ALTITUDE STABILIZED RETURN LAND HOLD TERMINATE DISARM",
+    "GF_ACTION": "NONE WARN HOLD RETURN TERMINATE LAND",
+    "NAV_DLL_ACT": "NONE HOLD RETURN LAND NONE TERMINATE DISARM",
 }
 """What the values of these parameters ask for; another one asks for the first."""
-_STILL_S: Final = 2.0
-"""Disarmed to the estimator's constant-position mode."""
+_STILL_S: Final = 2.0  # disarmed to the estimator's constant-position mode
 _LOW_M: Final = 1.2
 """Below this, in the air, there is no height above ground: flags 0x33f in the logs."""
 _STILL_FLAG, _HEIGHT_FLAG = 0x080, 0x040
-_GROUND_STATION: Final = 6
-_HIGHEST_M: Final = 1e5
-"""Altitudes beyond count as not given: they do not fit into any answer."""
-Asked = tuple[float, float, float, float]
-"""Latitude, longitude, altitude AMSL and yaw in radians of a command; NaN: not given."""
+_TEXTS: Final = {
+    "fence": (4, "Geofence: approaching or outside geofence\t"),
+    "battery": (2, "Critical battery level, land now\t"),
+}
+"""What is said when one of these begins or gets worse."""
+_HIGHEST_M: Final = 1e5  # altitudes beyond count as not given: they do not fit into any answer
 
 
-class Px4(Autopilot):
+class Px4(core.Autopilot):
     """One vehicle's autopilot."""
 
-    def __init__(self, boot: Boot) -> None:
+    fly_leg: Callable[[], None]  # of the mission and no return; or none any more
+
+    def __init__(self, boot: core.Boot) -> None:
         super().__init__(boot)
         self.intended = self.mode
         """The mode that is wanted; `mode` is flown."""
         self.action = Action.NONE
-        self.local_m: Vector = (0.0, 0.0, 0.0)
+        self.local_m: values.Vector = (0.0, 0.0, 0.0)
         """The estimate in the local frame: north, east, down."""
         self.target: Target | None = None
         """The newest one that OFFBOARD flies, in the local frame; None: none since it began."""
-        self.asked: Asked | None = None
-        """Where NAV_TAKEOFF, DO_REPOSITION or NAV_LAND, which brought about the mode, wants it."""
+        self.asked: Place | None = None
+        self.asked_yaw_rad = _NAN
+        """Where the command that brought about the mode wants it; NaN: not given."""
         self.speed_m_s: float | None = None
         """DO_CHANGE_SPEED, in AUTO modes."""
-        self.pilot_present = False
-        """Holds the sticks centred: without one the manual modes sink."""
         self.offboard_signal = False
-        """A setpoint was seen within COM_OF_LOSS_T, as of the last check."""
+        self._signal_s = -math.inf
+        """A setpoint was seen within COM_OF_LOSS_T, as of the last check; and when it was."""
         self.fence_breached, self.fence_breaches = False, 0
         self.zones = Zones(self.plans)
-        self._signal_s = self._station_s = -math.inf
-        """When a setpoint and a ground station were heard."""
-        self._ill: dict[str, Action] = {}
-        """What fence, ground station and battery ask for now."""
+        self._ill: dict[str, Action] = {}  # what fence, ground station and battery ask for now
         self._incidents: dict[str, Action] = {}
         """What they have brought about: it stays when they are well again, until another mode is
         commanded."""
         self._after_disarming = self.mode
         self._disarmed_s = -_STILL_S
         self.handlers |= {
-            21: self._do_land,
-            22: self._do_take_off,
-            176: self._do_set_mode,
-            178: self._do_change_speed,
-            179: self._do_set_home,
-            192: self._do_reposition,
-            300: self._do_start_mission,
+            21: self._land,
+            22: self._take_off,
+            176: self._set_mode_number,
+            178: self._change_speed,
+            179: self._set_home,
+            192: self._reposition,
+            300: self._start_mission,
             401: lambda _: Result.ACCEPTED,
             410: self.answer(HOME_POSITION),
             519: self.answer(300),
-            520: self.answer(AUTOPILOT_VERSION),
+            520: self.answer(core.AUTOPILOT_VERSION),
         }
 
     # --- each step ----------------------------------------------------------------------------
 
-    def on_origin(self, origin: Place) -> None:
+    def on_origin(self) -> None:
         """With the first GPS that is fused: origin and home; the origin is told once."""
-        self.home = origin
+        self.home = self.estimator.origin
         self.send(GPS_GLOBAL_ORIGIN)
 
-    def look(self, fix: Fix) -> None:
+    def look(self) -> None:
         """In every step, before the checks."""
-        del fix
         if self.estimator.origin is not None:
             self.local_m = self.frame.ned_m(self.estimate.place)
 
@@ -284,11 +235,18 @@ class Px4(Autopilot):
         self._check_estimate()
         self.offboard_signal = now_s - self._signal_s <= p["COM_OF_LOSS_T"]
         if self.armed:
-            lost = p["COM_DL_LOSS_T"] < now_s - self._station_s < math.inf
-            self._note("ground station", self._choice("NAV_DLL_ACT") if lost else Action.NONE)
-            self._check_fence()
-            if self._note("battery", self._battery_action()):
-                self.say(2, "Critical battery level, land now\t")
+            lost = p["COM_DL_LOSS_T"] < now_s - self.station_s < math.inf
+            ill = {
+                "ground station": self._choice("NAV_DLL_ACT") if lost else Action.NONE,
+                "fence": self._choice("GF_ACTION") if self._breaches() else Action.NONE,
+                "battery": self._battery_action(),
+            }
+            for cause, action in ill.items():
+                if action > self._ill.get(cause, Action.NONE):
+                    self._incidents[cause] = action
+                    if cause in _TEXTS:
+                        self.say(*_TEXTS[cause])
+            self._ill = ill
         self._select()
 
     def _check_estimate(self) -> None:
@@ -297,7 +255,7 @@ class Px4(Autopilot):
         estimator.lag_s = self.parameters["EKF2_GPS_DELAY"] * 1e-3
         estimator.still = not self.armed and now_s - self._disarmed_s >= _STILL_S
         flags = _TIMING.flags.get(estimator.state, _TIMING.stages[0][1])
-        if flags == _TIMING.flags[Estimates.GOOD]:
+        if flags == _GOOD:
             low = self.height_m < _LOW_M and not self.landed and self.mode.name != "Takeoff"
             flags |= _STILL_FLAG if estimator.still else 0
             flags &= ~_HEIGHT_FLAG if low else -1
@@ -310,21 +268,17 @@ class Px4(Autopilot):
         if not estimator.aiding:
             estimate.velocity_variance = estimate.horizontal_variance = _NAN
 
-    def _check_fence(self) -> None:
-        home, p = self.home, self.parameters
-        if home is None or not self.estimator.ok:
-            return
-        here, most_m, highest_m = self.estimate.place, p["GF_MAX_HOR_DIST"], p["GF_MAX_VER_DIST"]
-        away_m = math.dist(self.local_m[:2], self.frame.ned_m(home)[:2])
-        breached = (
-            0.0 < most_m < away_m
-            or 0.0 < highest_m < here.altitude_amsl_m - home.altitude_amsl_m
-            or self.forbidden(here)
-        )
-        self.fence_breaches += breached and not self.fence_breached
-        self.fence_breached = breached
-        if self._note("fence", self._choice("GF_ACTION") if breached else Action.NONE):
-            self.say(4, "Geofence: approaching or outside geofence\t")
+    def _breaches(self) -> bool:
+        """Whether it is outside of the fence, as far as it knows where it is."""
+        home, p, here = self.home, self.parameters, self.estimate.place
+        if home is not None and self.estimator.ok:
+            away_m = math.dist(self.local_m[:2], self.frame.ned_m(home)[:2])
+            above_m = here.altitude_amsl_m - home.altitude_amsl_m
+            breached = 0.0 < p["GF_MAX_HOR_DIST"] < away_m or self.forbidden(here)
+            breached = breached or 0.0 < p["GF_MAX_VER_DIST"] < above_m
+            self.fence_breaches += breached and not self.fence_breached
+            self.fence_breached = breached
+        return self.fence_breached
 
     def forbidden(self, place: Place) -> bool:
         """Whether the fence forbids it; setpoints are never checked, but DO_REPOSITION's place."""
@@ -341,16 +295,8 @@ class Px4(Autopilot):
 
     def _choice(self, name: str) -> Action:
         """What the value of this parameter asks for."""
-        choices, value = _CHOICES[name], int(self.parameters[name])
-        return choices[value if 0 <= value < len(choices) else 0]
-
-    def _note(self, cause: str, action: Action) -> bool:
-        """What a cause asks for now (NONE: it is well); tells whether it has begun or got worse."""
-        is_worse = action > self._ill.get(cause, Action.NONE)
-        self._ill[cause] = action
-        if is_worse:
-            self._incidents[cause] = action
-        return is_worse
+        choices, value = _CHOICES[name].split(), int(self.parameters[name])
+        return Action[choices[value if 0 <= value < len(choices) else 0]]
 
     def _failsafe(self) -> Action:
         """What is to be done instead of the wanted mode; NONE while that can be flown."""
@@ -361,8 +307,7 @@ class Px4(Autopilot):
             if not self.offboard_signal or not precise:
                 action = max(action, self._choice("COM_OBL_RC_ACT"))
         elif intended.needs_position and not ok:
-            manual = intended.name in MANUAL
-            action = max(action, Action.ALTITUDE if manual else Action.DESCEND)
+            action = max(action, Action.ALTITUDE if intended.base == _BY_HAND else Action.DESCEND)
         if intended.name in ("Land", "Return") and action is Action.RETURN and ok:
             return Action.NONE
         # landing needs less of a position than others: the real one landed for 0.2 s on its way
@@ -376,28 +321,27 @@ class Px4(Autopilot):
     def _select(self) -> None:
         """Which mode is flown now."""
         before, self.action = self.action, self._failsafe() if self.armed else Action.NONE
-        if self.action > before and self.action > Action.WARN:
+        if self.action > max(before, Action.WARN):
             self.say(2, "Failsafe activated\t")
         if self.action >= Action.DISARM:
             self.disarm("external command")
             return
-        instead = self.action.name.title()
-        mode = self.modes[instead if self.action > Action.WARN else self.intended.name]
-        if mode is not self.mode:
-            self._change(mode)
+        instead = self.action > Action.WARN
+        self._change(self.modes[self.action.name.title()] if instead else self.intended)
 
     # --- modes and arming ---------------------------------------------------------------------
 
     def _change(self, mode: Mode) -> None:
-        """Fly this from now on."""
+        """Fly this from now on, if it is not flown already."""
         before, self.mode = self.mode, mode
+        if mode is before:
+            return
+        self.route.stop()
         if mode.name == "Offboard":
             self.target = None
-        if before.name == "Mission":
-            self.route.stop()
-        if mode.name == "Mission":
+        elif mode.name == "Mission":
             self.seek(0 if self.route.complete else self.route.current)
-        self.begin(before)
+        self.begin()
 
     def intend(self, name: str) -> None:
         """Want this mode from now on; if nothing forbids it, it is flown at once."""
@@ -406,17 +350,17 @@ class Px4(Autopilot):
         if name not in ("Land", "Return", "Takeoff"):
             self._after_disarming = mode
         if mode is self.mode:
-            self.begin(mode)
+            self.begin()
         self._select()
 
-    def command_mode(self, name: str, asked: Asked | None = None) -> Result:
+    def command_mode(self, name: str, asked: Place | None = None, yaw_rad: float = _NAN) -> Result:
         """Request a mode.  On the ground, disarmed, every mode is accepted."""
         able = self.estimator.precise or not self.modes[name].needs_position
         if name == "Offboard":
             able = self.offboard_signal and self.estimator.precise
         if self.armed and not able:
             return Result.TEMPORARILY_REJECTED
-        self.asked = asked
+        self.asked, self.asked_yaw_rad = asked, yaw_rad
         self.intend(name)
         return Result.ACCEPTED
 
@@ -424,32 +368,26 @@ class Px4(Autopilot):
         """Fly in this mode from now on, if it can be."""
         return self.command_mode(name) is Result.ACCEPTED
 
-    def _do_set_mode(self, command: Command) -> Result:
+    def _set_mode_number(self, command: Command) -> Result:
         """p1 bit 0 says that p2 and p3 are PX4's own numbers; of other modes than AUTO p3 is 0."""
         flags, main, sub = command.parameters[:3]
         if not all(map(math.isfinite, (flags, main, sub))) or not int(flags) & 1:
             return Result.TEMPORARILY_REJECTED
-        number = int(main) << 16 | (int(sub) << 24 if int(main) == 4 else 0)
-        name = MODE_NAMES.get(number)
+        name = _NAMES.get(int(main) << 16 | (int(sub) << 24 if int(main) == 4 else 0))
         return Result.TEMPORARILY_REJECTED if name is None else self.command_mode(name)
 
-    @property
-    def armable(self) -> bool:
-        """Whether it could be armed now, in the mode that is flown."""
-        name, ok = self.mode.name, self.estimator.ok
-        if self.now_s < ARMABLE_S or (name == "Mission" and not self.plans[PlanKind.MISSION]):
-            return False
-        if name in MANUAL:
-            return self.pilot_present
-        return ok and self.offboard_signal if name == "Offboard" else ok
-
     def refusal(self) -> str | None:
-        """Why it may not be armed now."""
-        return None if self.armable else "Resolve system health failures first"
+        """Why it may not be armed now, in the mode that is flown; by hand it has no pilot."""
+        mode, able = self.mode, self.estimator.ok and self.now_s >= ARMABLE_S
+        if mode.name == "Offboard":
+            able = able and self.offboard_signal
+        elif mode.name == "Mission":
+            able = able and bool(self.plans[PlanKind.MISSION])
+        return None if able and mode.base != _BY_HAND else "Resolve system health failures first"
 
     def on_armed(self) -> None:
         """The mode begins."""
-        self.begin(self.mode)
+        self.begin()
 
     def on_disarmed(self) -> None:
         """The mode returns to the one last commanded for flight."""
@@ -458,8 +396,7 @@ class Px4(Autopilot):
         self._incidents.clear()
         self._ill.clear()
         self.intended, self.action = self._after_disarming, Action.NONE
-        if self.intended is not self.mode:
-            self._change(self.intended)
+        self._change(self.intended)
 
     def disarms_after_s(self) -> float | None:
         """COM_DISARM_LAND after landing, COM_DISARM_PRFLT after arming without take-off."""
@@ -467,14 +404,9 @@ class Px4(Autopilot):
         wait_s = self.parameters[name]
         return wait_s if wait_s > 0.0 else None
 
-    def pilot_takes(self) -> Sequence[Reply]:
-        """Fault: the pilot changes to Position mode and holds the sticks centred."""
-        self.pilot_present = True
-        return super().pilot_takes()
-
     # --- commands -----------------------------------------------------------------------------
 
-    def _asked_by(self, command: Command, yaw_rad: float = _NAN) -> Asked:
+    def _asked_by(self, command: Command) -> Place:
         """Where p5 to p7 are; a latitude and longitude of 0 are not given."""
         latitude_deg, longitude_deg, altitude_m = command.parameters[4:]
         known = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0  # NaN is not
@@ -483,71 +415,66 @@ class Px4(Autopilot):
         altitude_m = altitude_m if abs(altitude_m) <= _HIGHEST_M else _NAN
         if self.home is not None and altitude_m == altitude_m:
             home_m, frame = self.home.altitude_amsl_m, command.frame or 0
-            height_m = height_amsl_m(frame, altitude_m, home_m, self.ground_m)
+            height_m = values.height_amsl_m(frame, altitude_m, home_m, self.ground_m)
             altitude_m = altitude_m if height_m is None else height_m
-        return latitude_deg, longitude_deg, altitude_m, yaw_rad
+        return Place(latitude_deg, longitude_deg, altitude_m)
 
-    def _do_land(self, command: Command) -> Result:
+    def asked_or(self, here: Place) -> Place:
+        """What of a place was asked for, and here what was not."""
+        asked = self.asked or here
+        height_m = asked.altitude_amsl_m
+        place = asked if given(asked) else here
+        return place.at(here.altitude_amsl_m if height_m != height_m else height_m)
+
+    def _land(self, command: Command) -> Result:
         asked = self._asked_by(command)
-        return self.command_mode("Land", asked if asked[0] == asked[0] else None)
+        return self.command_mode("Land", asked if given(asked) else None)
 
-    def _do_take_off(self, command: Command) -> Result:
-        """NAV_TAKEOFF: a mode."""
+    def _take_off(self, command: Command) -> Result:
         return self.command_mode("Takeoff", self._asked_by(command))
 
     @property
     def takeoff_altitude_m(self) -> float:
         """AMSL: NAV_TAKEOFF's, but never down, or MIS_TAKEOFF_ALT above home."""
-        if self.asked is not None and math.isfinite(self.asked[2]):
-            return max(self.asked[2], self.estimate.altitude_amsl_m)
+        if self.asked is not None and math.isfinite(self.asked.altitude_amsl_m):
+            return max(self.asked.altitude_amsl_m, self.estimate.altitude_amsl_m)
         return self.base.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
 
-    def _do_reposition(self, command: Command) -> Result:
+    def _reposition(self, command: Command) -> Result:
         """p2 bit 0 changes to Hold; a place outside of the fence is refused."""
         _, flags, _, yaw_rad = command.parameters[:4]
-        asked = self._asked_by(command, yaw_rad)
-        if asked[0] == asked[0] and self.forbidden(Place(asked[0], asked[1], 0.0)):
+        asked = self._asked_by(command)
+        if given(asked) and self.forbidden(asked.at(0.0)):
             return Result.DENIED
         if self.mode.name != "Hold" and not (math.isfinite(flags) and int(flags) & 1):
             return Result.UNSUPPORTED
-        return self.command_mode("Hold", asked)
+        return self.command_mode("Hold", asked, yaw_rad)
 
-    def _do_change_speed(self, command: Command) -> Result:
+    def _change_speed(self, command: Command) -> Result:
         """Accepted always, of effect in AUTO modes only (px4.md 3)."""
         speed_m_s = command.parameters[1]
         if math.isfinite(speed_m_s):
             self.speed_m_s = speed_m_s if speed_m_s > 0.0 else None
         return Result.ACCEPTED
 
-    def _do_set_home(self, command: Command) -> Result:
+    def _set_home(self, command: Command) -> Result:
         if command.parameters[0] == 1.0:
             ok = self.estimator.ok
             return self.set_home(self.estimate.place) if ok else Result.TEMPORARILY_REJECTED
-        *place, _ = self._asked_by(command)
-        return self.set_home(Place(*place)) if all(map(math.isfinite, place)) else Result.DENIED
+        place = self._asked_by(command)
+        return self.set_home(place) if all(map(math.isfinite, place)) else Result.DENIED
 
     # --- missions -----------------------------------------------------------------------------
-
-    @abc.abstractmethod
-    def fly_leg(self) -> None:
-        """Another leg of the mission that is no return, or none any more."""
 
     def begin_leg(self, speed_m_s: float | None) -> None:
         """Another leg of the mission, or none any more; the speed that was asked for before it."""
         self.speed_m_s = speed_m_s or self.speed_m_s
-        if self.route.leg is not None and self.route.leg.does is Does.RETURN:
+        if self.is_at(Does.RETURN):
             self.intend("Return")
         else:
             self.fly_leg()
 
-    def arrived(self, leg: Leg) -> None:
-        """The vehicle is at the leg's place (call it in every step there): wait, then go on."""
-        if self.route.arrived_s is None:
-            self.reached(self.route.current)
-        if self.route.has_waited(self.now_s, leg.hold_s) and leg.does is not Does.LAND:
-            self.seek(self.route.current + 1)
-
-    def _do_start_mission(self, command: Command) -> Result:
+    def _start_mission(self, command: Command) -> Result:
         """MISSION_START: AUTO:MISSION, and arm if need be."""
         first = command.parameters[0]
         if not self.plans[PlanKind.MISSION]:
@@ -568,7 +495,7 @@ class Px4(Autopilot):
 
     # --- the rest of the protocol -------------------------------------------------------------
 
-    def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
+    def on_setpoint(self, setpoint: values.Setpoint) -> Sequence[Reply]:
         """Take a setpoint as a sign of life, and in OFFBOARD as what to fly."""
         if self.estimator.origin is None and setpoint.is_global:
             return ()
@@ -592,26 +519,20 @@ class Px4(Autopilot):
         north_m, east_m, _ = self.frame.ned_m(Place(latitude_deg, longitude_deg, 0.0))
         return target._replace(position=(north_m, east_m, -up_m))
 
-    def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
-        """Of ground stations."""
-        del sender
-        if vehicle_type == _GROUND_STATION:
-            self._station_s = self.now_s
-        return ()
-
-    def status(self) -> Status:
+    def status(self) -> values.Status:
         """The status for telemetry."""
         armed, mode, fails = self.armed, self.mode, self.armed and self.action > Action.WARN
         in_air = {"Takeoff": Landed.TAKEOFF, "Land": Landed.LANDING}.get(mode.name, Landed.IN_AIR)
-        state = State.STANDBY if self.armable else State.UNINIT
+        armable = self.refusal() is None
+        state = State.STANDBY if armable else State.UNINIT
         if armed:
             state = State.CRITICAL if fails else State.ACTIVE
-        return Status(
+        return values.Status(
             mode=mode.number,
             base_mode=mode.base | (0x80 if armed else 0),
             system_status=state,
             landed_state=Landed.ON_GROUND if self.landed else in_air,
-            prearm_ok=self.armable,
+            prearm_ok=armable,
             origin=self.estimator.origin,
             waypoint=self.waypoint() if armed and mode.name in NAVIGATED else None,
             intended_mode=self.intended.number,

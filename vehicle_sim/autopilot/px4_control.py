@@ -13,9 +13,8 @@ from vehicle_sim.parameters import Parameters
 
 _NAN: Final = math.nan
 NONE: Final = complex(_NAN, _NAN)
-_ATTITUDE_S: Final = 0.15
-"""Wanted to actual tilt (1 / MC_ROLL_P), on top of Copter's own response."""
-_STANDS_M_S: Final = 0.05
+_ATTITUDE_S: Final = 0.15  # wanted to actual tilt (1 / MC_ROLL_P), on top of Copter's own response
+STANDS_M_S: Final = 0.05
 
 
 @final
@@ -49,10 +48,8 @@ class Control:
         """Take the gains and limits as they stand."""
         p = parameters
         self._p, self._p_down = p["MPC_XY_P"], p["MPC_Z_P"]
-        self._gain, self._gain_down = (
-            max(p["MPC_XY_VEL_P_ACC"], 0.1),
-            max(p["MPC_Z_VEL_P_ACC"], 0.1),
-        )
+        self._gain = max(p["MPC_XY_VEL_P_ACC"], 0.1)
+        self._gain_down = max(p["MPC_Z_VEL_P_ACC"], 0.1)
         self._integrates, self._integrates_down = p["MPC_XY_VEL_I_ACC"], p["MPC_Z_VEL_I_ACC"]
         self._damping = p["MPC_XY_VEL_D_ACC"]
         self._fastest, self._fastest_down = p["MPC_XY_VEL_MAX"], p["MPC_Z_VEL_MAX_DN"]
@@ -65,11 +62,7 @@ class Control:
 
     def reset(self, down_m_s2: float = 0.0) -> None:
         """Start afresh, with this much of a downward push left over."""
-        self._lean, self._integral, self._integral_down = 0j, 0j, down_m_s2
-
-    def forget_wind(self) -> None:
-        """Forget what held against the air: on the ground."""
-        self._integral = 0j
+        self._lean, self.integral, self._integral_down = 0j, 0j, down_m_s2
 
     def run(
         self, wanted: State, flown: State, most_up_m_s: float, dt_s: float
@@ -85,15 +78,15 @@ class Control:
 
         asked, error = 0j, velocity - flown.velocity
         if given(error):
-            asked = self._gain * error + self._integral - self._damping * flown.push
+            asked = self._gain * error + self.integral - self._damping * flown.push
         else:  # no horizontal control: upright, and what held against the air is forgotten
-            error = self._integral = 0j
+            error = self.integral = 0j
         asked += wanted.push if given(wanted.push) else 0j
         if abs(asked) > self._tilt_m_s2:
             # anti-windup: the error less what the tilt limit does not let through
             over = asked - clipped(asked, self._tilt_m_s2)
             error, asked = error - 2.0 / self._gain * over, asked - over
-        self._integral += self._integrates * dt_s * error
+        self.integral += self._integrates * dt_s * error
 
         drop = wanted.push_down if wanted.push_down == wanted.push_down else 0.0
         off = sink - flown.sink
@@ -140,22 +133,25 @@ class Point:
 
     def __init__(self) -> None:
         self.at = State()
-        self._most, self._most_up, self._jerk = 3.0, 4.0, 4.0
 
-    def limit(self, parameters: Parameters, *, manual: bool) -> None:
-        """Take the limits of the AUTO modes, or of the manual ones."""
-        self._most = max(parameters["MPC_ACC_HOR_MAX" if manual else "MPC_ACC_HOR"], 0.5)
+    def read(self, parameters: Parameters) -> None:
+        """Take the limits as they stand."""
+        self._most = max(parameters["MPC_ACC_HOR"], 0.5)
         self._most_up = max(parameters["MPC_ACC_UP_MAX"], 0.5)
-        self._jerk = max(parameters["MPC_JERK_MAX" if manual else "MPC_JERK_AUTO"], 0.5)
+        self._jerk = max(parameters["MPC_JERK_AUTO"], 0.5)
 
     def start(self, flown: State) -> None:
         """From what the vehicle does."""
         self.at = flown._replace(push=0j, push_down=0.0)
 
+    def stopping_m(self, velocity: complex) -> complex:
+        """How far on it stops, as the navigator reckons it (preproject_stop_point)."""
+        return velocity * (abs(velocity) / (2.0 * self._most) + self._most / self._jerk)
+
     @property
     def stands(self) -> bool:
         """It has come to rest horizontally."""
-        return abs(self.at.velocity) < _STANDS_M_S
+        return abs(self.at.velocity) < STANDS_M_S
 
     def towards_velocity(self, velocity: complex, sink_m_s: float, dt_s: float) -> None:
         """One step towards this velocity."""

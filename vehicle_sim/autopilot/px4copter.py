@@ -4,15 +4,15 @@ import math
 from typing import Final, final
 
 from vehicle_sim.autopilot.copter_control import bounded
-from vehicle_sim.autopilot.core import Boot, Mode
-from vehicle_sim.autopilot.legs import Does
-from vehicle_sim.autopilot.px4 import MANUAL, MODES, NAVIGATED, RATES_HZ, Px4, firmware
-from vehicle_sim.autopilot.px4_control import NONE, Control, Point, State, given
+from vehicle_sim.autopilot.core import Boot
+from vehicle_sim.autopilot.legs import RETURN, Does, Leg, back
+from vehicle_sim.autopilot.px4 import MODES, NAVIGATED, RATES_HZ, Px4, firmware
+from vehicle_sim.autopilot.px4_control import NONE, STANDS_M_S, Control, Point, State, given
 from vehicle_sim.autopilot.setpoints import NOTHING, Target, is_flyable
 from vehicle_sim.autopilot.values import Place, TargetEcho, Waypoint
 from vehicle_sim.dynamics.copter import Copter
 
-FIRMWARE: Final = firmware(vehicle_type=2, rates_hz=RATES_HZ, parameters="px4copter")
+FIRMWARE: Final = firmware("px4copter", vehicle_type=2, rates_hz=RATES_HZ)
 
 _NAN: Final = math.nan
 _STOPS: Final = State(velocity=0j, sink=0.0)
@@ -20,28 +20,17 @@ _RAMP_FROM_M_S: Final = 2.47
 """Downward speed limit that the take-off ramp begins with: z of POSITION_TARGET in the log."""
 _DETECTED_S: Final = 0.85
 """Spool-up to "takeoff detected": 1.8 to 2.0 s after arming in the logs, COM_SPOOLUP_TIME 1 s."""
-_HEAVY_M_S2: Final = 1.5
-"""What the integral pushes down with when the ramp begins."""
-_LIES_S: Final = 1.1
-"""Contact to idling: 54.6 to 55.75 s of px4-offboard-short.tlog."""
+_HEAVY_M_S2: Final = 1.5  # what the integral pushes down with when the ramp begins
+_LIES_S: Final = 1.1  # contact to idling: 54.6 to 55.75 s of px4-offboard-short.tlog
 _ARRIVED_M: Final = 0.5
-_WANTS_UP: Final = 0.1
-"""Metres, m/s or m/s2 of a demand that count as one to climb."""
-_NEAR_M: Final = 2.0
-"""Of its goal: nearer, the nose does not turn to it."""
+_WANTS_UP: Final = 0.1  # metres, m/s or m/s2 of a demand that count as one to climb
+_NEAR_M: Final = 2.0  # of its goal: nearer, the nose does not turn to it
 _RESPONSE_S: Final = 0.1
 """Of the attitude: 12 m/s and then "position here" overshoots by 10 m (px4.md 4)."""
-_TAKEN_OFF_S: Final = 2.2
-"""At its height, until a take-off is over: 7.8 s after arming at the default height (px4.md 3)."""
-_SLOW_M_S: Final = 0.3
-_STANDS_M_S: Final = 0.05
-_IDLE: Final = TargetEcho(
-    position_ned_m=NOTHING,
-    velocity_ned_m_s=NOTHING,
-    acceleration_ned_m_s2=(0.0, 0.0, 100.0),
-    yaw_rad=0.0,
-    type_mask=63,
-)
+_TAKEN_OFF_S, _SLOW_M_S = 2.2, 0.3
+"""At its height, slower than this, until a take-off is over: 7.8 s after arming at the default
+height (px4.md 3)."""
+_IDLE: Final = TargetEcho(NOTHING, NOTHING, (0.0, 0.0, 100.0), yaw_rad=0.0, type_mask=63)
 """POSITION_TARGET_LOCAL_NED while the motors idle, as recorded."""
 
 
@@ -57,18 +46,15 @@ class Px4Copter(Px4):
         self._ways = {mode.name: getattr(self, mode.flies) for mode in MODES}
         self._goal, self._goal_down = NONE, _NAN
         """Of the AUTO modes, in the local frame; NaN: still braking."""
-        self._began, self._began_down = 0j, 0.0
-        """Where the mode began, or where its braking ends."""
+        self._began_in, self._began, self._began_down = "", 0j, 0.0
+        """The mode, and where it began, or where its braking ends."""
         self._ramp_s: float | None = None
         """When the take-off ramp began; None: on the ground or done with it."""
-        self._flying = False
-        """The position controller runs."""
+        self._flying = False  # the position controller runs
         self._wanted = State()
         self._order = (0j, 0.0)
-        self._stage = 0
-        """Of a return: 0 climbs, 1 flies home, 2 descends and lands."""
-        self._up_s: float | None = None
-        """When a take-off has come to its height."""
+        self._leg: Leg | None = None  # of which the goal is
+        self._up_s: float | None = None  # when a take-off has come to its height
         self._yaw_rad, self._aim_yaw_rad = self.copter.heading_rad, _NAN
         self._turn_rad_s = 0.0
         self._judged: Target | None = None
@@ -78,7 +64,7 @@ class Px4Copter(Px4):
         """They are read live."""
         p, copter = self.parameters, self.copter
         self._control.read(p)
-        self._point.limit(p, manual=self.mode.name in MANUAL)
+        self._point.read(p)
         copter.drag_1_m, copter.response_s = 0.0, _RESPONSE_S
         copter.drag_1_s = p["SIH_KDV"] / max(p["SIH_MASS"], 0.1)
         copter.hover_throttle = p["MPC_THR_HOVER"]
@@ -95,54 +81,44 @@ class Px4Copter(Px4):
     def _here(self) -> complex:
         return complex(*self.local_m[:2])
 
-    def _level(self, place: Place) -> complex:
-        """A place in the local frame."""
-        return complex(*self.frame.ned_m(place)[:2])
-
-    def _down(self, altitude_amsl_m: float) -> float:
-        """A height in the local frame."""
-        return self.reference.altitude_amsl_m - altitude_amsl_m
+    def _local(self, place: Place) -> tuple[complex, float]:
+        """A place in the local frame, and its height: down."""
+        north_m, east_m, _ = self.frame.ned_m(place)
+        return complex(north_m, east_m), self.reference.altitude_amsl_m - place.altitude_amsl_m
 
     # --- modes --------------------------------------------------------------------------------
 
-    def begin(self, before: Mode) -> None:
+    def begin(self) -> None:
         """Start the smooth motion of the AUTO modes from what the vehicle does."""
-        p, name, flown = self.parameters, self.mode.name, self._flown
+        name, flown = self.mode.name, self._flown
         self.read_parameters()
-        if before is not self.mode or not self._flying:
+        if name != self._began_in or not self._flying:
             self._point.start(flown)
-        self._goal, self._goal_down, self._stage = NONE, _NAN, 0
-        self._began, self._began_down = flown.place, flown.down
+        self._began_in, self._began, self._began_down = name, flown.place, flown.down
+        self._goal, self._goal_down = NONE, _NAN
         self._yaw_rad, self._aim_yaw_rad = self.copter.heading_rad, _NAN
+        here, asked = self.estimate.place, self.asked
         if name == "Takeoff":
-            self._goal, self._goal_down = flown.place, self._down(self.takeoff_altitude_m)
-        elif name == "Hold":
-            # where braking will end: the navigator holds there (preproject_stop_point)
-            braking, jerk = max(p["MPC_ACC_HOR"], 0.5), max(p["MPC_JERK_AUTO"], 0.5)
-            seconds = abs(flown.velocity) / (2.0 * braking) + braking / jerk
-            self._began = self._goal = flown.place + flown.velocity * seconds
+            self._goal, self._goal_down = self._local(here.at(self.takeoff_altitude_m))
+        elif name == "Hold" and asked is None:
+            self._began = self._goal = flown.place + self._point.stopping_m(flown.velocity)
             self._goal_down = flown.down
-            if self.asked is not None:
-                altitude_m, self._aim_yaw_rad = self.asked[2:]
-                self._goal = self._asked_place if given(self._asked_place) else flown.place
-                self._goal_down = flown.down if altitude_m != altitude_m else self._down(altitude_m)
-        elif name == "Land" and self.asked is not None:
-            self._goal = self._asked_place
+        elif name == "Hold" and asked is not None:
+            self._aim_yaw_rad = self.asked_yaw_rad
+            self._goal, self._goal_down = self._local(self.asked_or(here))
+        elif name == "Land" and asked is not None:
+            self._goal, _ = self._local(self.asked_or(here))
         elif name == "Return":
             height_m = self.base.altitude_amsl_m + self._return_height_m()
-            self._goal, self._goal_down = flown.place, min(flown.down, self._down(height_m))
+            height_m = max(height_m, here.altitude_amsl_m)
+            self.route.fly(back(here, self.base, height_m, 0.0), self.now_s)
+            self.fly_leg()
         elif name == "Mission":
             self.fly_leg()
 
-    @property
-    def _asked_place(self) -> complex:
-        """NaN: none was asked for."""
-        assert self.asked is not None
-        return self._level(Place(*self.asked[:2], 0.0))
-
     def _return_height_m(self) -> float:
         """Above home: RTL_RETURN_ALT, less within the cone about it."""
-        p, away_m = self.parameters, abs(self._here - self._level(self.base))
+        p, away_m = self.parameters, abs(self._here - self._local(self.base)[0])
         height_m = p["RTL_RETURN_ALT"]
         if away_m < p["RTL_MIN_DIST"]:
             return min(height_m, p["RTL_DESCEND_ALT"])
@@ -153,11 +129,11 @@ class Px4Copter(Px4):
 
     def fly_leg(self) -> None:
         """Another leg of the mission, or none any more."""
-        leg = self.route.leg
+        leg = self._leg = self.route.leg
         self._goal, self._goal_down = NONE, _NAN
         if leg is None:
             return
-        self._goal, self._goal_down = self._level(leg.place), self._down(leg.place.altitude_amsl_m)
+        self._goal, self._goal_down = self._local(leg.place)
         if leg.does is Does.LAND:
             self._goal_down = self._point.at.down
         elif leg.does is Does.CLIMB and self.landed:
@@ -175,20 +151,19 @@ class Px4Copter(Px4):
         """Whether the thrust carries it, once the take-off ramp has begun."""
         return self._flying and self._order[1] < 0.0
 
-    def lies(self) -> bool:
-        """Whether nothing wants up."""
-        return self._ramp_s is None
+    def wants_up(self) -> bool:
+        """In the take-off ramp."""
+        return self._ramp_s is not None
 
-    def stand(self, dt_s: float) -> None:
+    def stand(self) -> None:
         """It stands, even if the motors turn."""
-        del dt_s
         self.touch_down()
 
     def touch_down(self) -> None:
-        """It comes to rest."""
+        """It comes to rest, and forgets what held against the air."""
         self.copter.stand(self.ground_m)
         if self._ramp_s is None:
-            self._control.forget_wind()
+            self._control.integral = 0j
             self._flying = self._flying and not self.landed
 
     def _starts(self) -> bool:
@@ -221,22 +196,22 @@ class Px4Copter(Px4):
 
     # --- one step -----------------------------------------------------------------------------
 
-    def steer(self, dt_s: float) -> None:
+    def steer(self) -> None:
         """The mode says what it wants, the position controller what that takes."""
-        self._wanted = self._ways[self.mode.name](dt_s)
+        self._wanted = self._ways[self.mode.name]()
         if not self.armed or not (self._flying or self._starts()):
             return
-        self._order = self._control.run(self._wanted, self._flown, self._most_up_m_s(), dt_s)
-        self._turn(dt_s)
+        most_up_m_s = self._most_up_m_s()
+        self._order = self._control.run(self._wanted, self._flown, most_up_m_s, self.step_s)
+        self._turn()
 
-    def move(self, dt_s: float) -> None:
+    def move(self) -> None:
         """Thrust."""
         level, down = self._order
-        self.copter.advance(level.real, level.imag, -down, dt_s)
+        self.copter.advance(level.real, level.imag, -down, self.step_s)
 
-    def fly_target(self, dt_s: float) -> State:
+    def fly_target(self) -> State:
         """OFFBOARD: the setpoint goes straight to the controller; what it cannot fly stops it."""
-        del dt_s
         target = self.target
         if target is None:
             return _STOPS
@@ -244,52 +219,43 @@ class Px4Copter(Px4):
             self._judged, self._offboard = target, _STOPS
             if is_flyable(target):
                 (n, e, d), (v_n, v_e, v_d), (a_n, a_e, a_d) = target[:3]
-                self._offboard = State(
-                    complex(n, e), d, complex(v_n, v_e), v_d, complex(a_n, a_e), a_d
-                )
+                velocity, push = complex(v_n, v_e), complex(a_n, a_e)
+                self._offboard = State(complex(n, e), d, velocity, v_d, push, a_d)
         return self._offboard
 
-    def descend(self, dt_s: float) -> State:
-        """Without a position or a pilot: level, and down."""
-        del dt_s
+    def descend(self) -> State:
+        """Without a position, or by hand but without a pilot: level, and down."""
         return State(sink=self.parameters["MPC_LAND_SPEED"])
 
-    def sink(self, dt_s: float) -> State:
-        """By hand: a pilot's sticks are centred; without one it comes down."""
-        if not self.pilot_present:
-            return self.descend(dt_s)
-        self._point.towards_velocity(0j, 0.0, dt_s)
-        return self._point.at
+    sink = descend
 
     # --- AUTO modes: they move the point that the controller follows --------------------------
 
-    def _waits(self) -> bool:
-        """At the beginning of the take-off ramp the point stays where the vehicle is."""
-        if self._ramp_s is None or self._most_up_m_s() > 0.0:
-            return False
-        self._point.start(self._flown._replace(velocity=0j, sink=0.0))
-        return True
+    def _move_point(self, sink_m_s: float = _NAN) -> State:
+        """To the goal; at the beginning of the take-off ramp it stays where the vehicle is.
 
-    @property
-    def _cruise_m_s(self) -> float:
-        p = self.parameters
-        return min(self.speed_m_s or p["MPC_XY_CRUISE"], p["MPC_XY_VEL_MAX"])
-
-    def hold(self, dt_s: float) -> State:
-        """To the goal; without one, brake, and stay where that ends."""
+        sink_m_s: descend at this speed, regardless of the goal's height.
+        """
         p, point = self.parameters, self._point
-        if self._waits():
+        if self._ramp_s is not None and self._most_up_m_s() <= 0.0:
+            point.start(self._flown._replace(velocity=0j, sink=0.0))
             return point.at
-        if not given(self._goal) and point.stands and abs(point.at.sink) < _STANDS_M_S:
-            self._goal, self._goal_down = self._began, self._began_down
+        cruise_m_s = min(self.speed_m_s or p["MPC_XY_CRUISE"], p["MPC_XY_VEL_MAX"])
         climbs = p["MPC_TKO_SPEED" if self.mode.name == "Takeoff" else "MPC_Z_V_AUTO_UP"]
-        speeds = (self._cruise_m_s, climbs, p["MPC_Z_V_AUTO_DN"])
-        point.towards_place(self._goal, self._goal_down, speeds, dt_s)
+        speeds = (cruise_m_s, climbs, p["MPC_Z_V_AUTO_DN"])
+        point.towards_place(self._goal, self._goal_down, speeds, self.step_s, sink_m_s)
         return point.at
 
-    def climb(self, dt_s: float) -> State:
+    def hold(self) -> State:
+        """To the goal; without one, brake, and stay where that ends."""
+        point = self._point
+        if not given(self._goal) and point.stands and abs(point.at.sink) < STANDS_M_S:
+            self._goal, self._goal_down = self._began, self._began_down
+        return self._move_point()
+
+    def climb(self) -> State:
         """Takeoff; then Hold (COM_TAKEOFF_ACT 0), once it has stood at its height for a moment."""
-        at = self.hold(dt_s)
+        at = self.hold()
         is_up = self.local_m[2] - self._goal_down < self.parameters["NAV_MC_ALT_RAD"]
         if self.landed or not is_up or abs(at.sink) >= _SLOW_M_S:
             self._up_s = None
@@ -300,48 +266,42 @@ class Px4Copter(Px4):
             self.intend("Hold")
         return at
 
-    def land(self, dt_s: float) -> State:
+    def land(self) -> State:
         """Down to the ground, slower the nearer it is."""
-        p, point = self.parameters, self._point
-        if self._waits():
-            return point.at
-        if not given(self._goal) and point.stands:
-            self._goal = point.at.place
-        height_m, slow = self.height_m, p["MPC_LAND_SPEED"]
+        p, height_m, slow = self.parameters, self.height_m, self.parameters["MPC_LAND_SPEED"]
+        if not given(self._goal) and self._point.stands:
+            self._goal = self._point.at.place
         upper_m, lower_m = p["MPC_LAND_ALT1"], p["MPC_LAND_ALT2"]
         share = bounded((height_m - lower_m) / max(upper_m - lower_m, 0.1), 0.0, 1.0)
         sink_m_s = slow + (p["MPC_Z_V_AUTO_DN"] - slow) * share
         if height_m < p["MPC_LAND_ALT3"]:
             sink_m_s = min(slow, p["MPC_LAND_CRWL"])
-        point.towards_place(self._goal, _NAN, (self._cruise_m_s, 0.0, 0.0), dt_s, sink_m_s)
-        return point.at
+        return self._move_point(sink_m_s)
 
-    def fly_back(self, dt_s: float) -> State:
-        """Return: up, home, and land from there."""
-        if self._stage == 0 and abs(self._goal_down - self.local_m[2]) < _ARRIVED_M:
-            self._stage, self._goal = 1, self._level(self.base)
-        elif self._stage == 1 and abs(self._goal - self._here) < _ARRIVED_M:
-            self._stage = 2
-        return self.land(dt_s) if self._stage == 2 else self.hold(dt_s)
-
-    def fly_mission(self, dt_s: float) -> State:
-        """Leg by leg."""
-        leg, p = self.route.leg, self.parameters
-        if leg is None:
-            return self.hold(dt_s)
-        away_m = abs(self._goal - self._here)
-        if leg.does is Does.LAND:
-            if away_m < _ARRIVED_M and self.route.arrived_s is None:
-                self.arrived(leg)
-            return self.hold(dt_s) if self.route.arrived_s is None else self.land(dt_s)
-        at = self.hold(dt_s)
-        near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else p["NAV_ACC_RAD"]
-        off_m = abs(self._goal_down - self.local_m[2])
-        if away_m < near_m and off_m < p["NAV_MC_ALT_RAD"]:
-            self.arrived(leg)
+    def fly_mission(self) -> State:
+        """Leg by leg; of a return too."""
+        if self.route.leg is not self._leg:
+            self.fly_leg()
+        if self.route.lands:
+            return self.land()
+        at = self.hold()
+        self.follow_route()
         return at
 
-    def _turn(self, dt_s: float) -> None:
+    fly_back = fly_mission
+
+    def is_there(self, leg: Leg) -> bool:
+        """Near enough: over the place of a landing, else at its height too."""
+        p, away_m = self.parameters, abs(self._goal - self._here)
+        off_m = abs(self._goal_down - self.local_m[2])
+        if leg.does is Does.LAND or (leg.command == RETURN and leg.does is Does.GO):
+            return away_m < _ARRIVED_M
+        if leg.command == RETURN:
+            return off_m < _ARRIVED_M
+        near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else p["NAV_ACC_RAD"]
+        return away_m < near_m and off_m < p["NAV_MC_ALT_RAD"]
+
+    def _turn(self) -> None:
         """Turn the nose: to the setpoint's yaw, or along the way."""
         p, copter, name, target = self.parameters, self.copter, self.mode.name, self.target
         fastest_deg_s, gain_1_s = p["MPC_YAWRAUTO_MAX"], p["MC_YAW_P"]
@@ -357,10 +317,10 @@ class Px4Copter(Px4):
                 self._yaw_rad = self._aim_yaw_rad
             elif abs(way) > _NEAR_M:
                 self._yaw_rad = math.atan2(way.imag, way.real)
-        most = math.radians(fastest_deg_s)
-        off_rad = math.remainder(self._yaw_rad - copter.heading_rad, math.tau)
-        self._turn_rad_s = bounded(gain_1_s * off_rad, -most, most)
-        copter.heading_rad = math.remainder(copter.heading_rad + self._turn_rad_s * dt_s, math.tau)
+        most, off_rad = math.radians(fastest_deg_s), self._yaw_rad - copter.heading_rad
+        self._turn_rad_s = bounded(gain_1_s * math.remainder(off_rad, math.tau), -most, most)
+        turned_rad = copter.heading_rad + self._turn_rad_s * self.step_s
+        copter.heading_rad = math.remainder(turned_rad, math.tau)
 
     # --- to tell ------------------------------------------------------------------------------
 
@@ -372,14 +332,13 @@ class Px4Copter(Px4):
             return _IDLE._replace(yaw_rad=self.copter.heading_rad)
         position = (wanted.place.real, wanted.place.imag, wanted.down)
         velocity = (control.velocity.real, control.velocity.imag, control.sink)
-        mask = sum(1 << bit for bit, v in enumerate((*position, *velocity)) if v != v)
         return TargetEcho(
             position_ned_m=position,
             velocity_ned_m_s=velocity,
             acceleration_ned_m_s2=(control.asked.real, control.asked.imag, control.asked_down),
             yaw_rad=self._yaw_rad,
             yaw_rate_rad_s=0.0 if self.mode.name == "Offboard" else self._turn_rad_s,
-            type_mask=mask,
+            type_mask=sum(1 << bit for bit, v in enumerate((*position, *velocity)) if v != v),
         )
 
     @property

@@ -15,17 +15,17 @@ import math
 from typing import Final, NamedTuple, final
 
 from vehicle_sim.autopilot.copter_control import bounded
-from vehicle_sim.autopilot.core import Boot, Mode
+from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.earth import FlatEarth
-from vehicle_sim.autopilot.legs import Does
-from vehicle_sim.autopilot.plane_control import Circle, PlaneControl, Way, eas_to_tas
+from vehicle_sim.autopilot.legs import Does, Leg
+from vehicle_sim.autopilot.plane_control import Circle, Runway, Way, Wheels, eas_to_tas
 from vehicle_sim.autopilot.px4 import RATES_HZ, Px4, firmware
-from vehicle_sim.autopilot.setpoints import NOTHING, Target
+from vehicle_sim.autopilot.setpoints import NOTHING, Target, given
 from vehicle_sim.autopilot.values import Place, TargetEcho, Waypoint
 from vehicle_sim.dynamics import GRAVITY_M_S2
-from vehicle_sim.dynamics.plane import Plane, PlaneLimits
+from vehicle_sim.dynamics.plane import PlaneLimits
 
-FIRMWARE: Final = firmware(vehicle_type=1, rates_hz=RATES_HZ | {231: 10.0}, parameters="px4plane")
+FIRMWARE: Final = firmware("px4plane", vehicle_type=1, rates_hz=RATES_HZ | {231: 10.0})
 """WIND_COV as well."""
 SIH_AIRPLANE: Final = PlaneLimits(
     airspeed_min_m_s=5.0,
@@ -41,29 +41,17 @@ SIH_AIRPLANE: Final = PlaneLimits(
 # Times and speeds are those of px4-fixedwing-offboard.tlog: armed at 8.08 s, 2.9 m/s a second
 # later, 9.2 m/s and off the ground after two, 50 m high after 22; in the landing contact at 436.0,
 # 0.9 m/s and "landing detected" at 438.7 s after boot.  A landing ends without a flare.
-_TAKEOFF_SEEN_M_S: Final = 6.6
-"""The land detector believes in a take-off from here on, still on the wheels."""
-_CLIMB_OUT_M_S: Final = 2.63
-"""Climb rate at FW_TKO_PITCH_MIN 10 degrees and full throttle."""
+_CLIMB_OUT_M_S: Final = 2.63  # climb rate at FW_TKO_PITCH_MIN 10 degrees and full throttle
 _LIFTS_OFF_AT: Final = 1.1
 """Share of the take-off airspeed at which it leaves the ground: 11.3 m/s (RunwayTakeoff.cpp)."""
-_LANDING_SEEN_M_S: Final = 3.2
-"""From here on the landing detector counts its 1.8 s: 0.9 m/s when it is done."""
-_LANDS_FASTER_M_S: Final = 0.5
-"""Flown 10.8 m/s through the air where FW_AIRSPD_MIN is 10.3."""
+_LANDS_FASTER_M_S: Final = 0.5  # flown 10.8 m/s through the air where FW_AIRSPD_MIN is 10.3
 _SLOPE_FLOWN: Final = 0.98
 """Share of the sink of FW_LND_ANG that is flown: 0.85 m/s in the mean of the recorded landing."""
 _SINKS_FASTER_1_S: Final = 0.15
 """Sink for each m/s of airspeed too much: 1.3 m/s at first, 0.87 when it is slow."""
-_ROLL_OUT_S: Final = 0.8
-"""Time constant of the speed on the wheels without throttle, so that it stands when and where the
-recorded one does, whose flare brakes it from 10.8 to 6.8 m/s before contact (then 1.33 s)."""
-_FULL_M_S2, _RAMP_M_S3 = 6.4, 5.7
-"""Acceleration on the runway, and how it grows while RWTO_RAMP_TIME opens the throttle."""
 _STEER_EVERY: Final = 4
 """Steps: the guidance runs at 25 Hz (the real one at 50, which nothing measured tells apart)."""
-_GLIDE_M_S: Final = 1.6
-"""Sink without throttle."""
+_GLIDE_M_S: Final = 1.6  # sink without throttle
 _DESCEND_M_S: Final = 0.5
 """Failsafe without a position (FixedWingModeManager::control_auto_descend)."""
 _CLEARED_M: Final = 10.0
@@ -85,32 +73,37 @@ class Line(NamedTuple):
 
 
 @final
-class Px4Plane(Px4):
+class Px4Plane(Wheels, Px4):
     """The aeroplane of PX4's SIH simulator, or one with other limits."""
+
+    runway = Runway(
+        full_m_s2=6.4,
+        power=1.0,
+        drag_1_s=0.0,
+        waits_s=0.0,
+        opens_s=1.12,  # RWTO_RAMP_TIME
+        flying_m_s=6.6,  # the land detector believes in a take-off, still on the wheels
+        landed_m_s=3.2,  # from here on it counts its 1.8 s: 0.9 m/s when it is done
+        brakes_m_s2=0.05,
+        # so that it stands when and where the recorded one does, whose flare brakes it from 10.8
+        # to 6.8 m/s before contact (then 1.33 s)
+        rolls_out_s=0.8,
+    )
 
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
-        assert isinstance(boot.vehicle, Plane)
-        self._plane = boot.vehicle
-        self._control = PlaneControl(self._plane, self.estimate)
-        self._control.l1.upright = True
-        self._aim: Circle | Way | Line | None = None
-        """None: the bank stays."""
-        self._goal: Place | None = None
-        """The place flown to; the middle of a circle."""
-        self._nearest = self.estimate.place, 0j
-        """Of circle or line: a place and how far from it."""
-        self._sink_m_s: float | None = None
-        """It lands: on a slope."""
-        self._seen: Target | None = None
-        """The setpoint that it flies by."""
-        self._began_s = 0.0
-        """When the mode did."""
+        self.control.l1.upright = True
+        self._aim: Circle | Way | Line | None = None  # none: the bank stays
+        self._goal: Place | None = None  # the place flown to; the middle of a circle
+        self._nearest = self.estimate.place, 0j  # of circle or line: a place and how far from it
+        self._sink_m_s: float | None = None  # it lands: on a slope
+        self._seen: Target | None = None  # the setpoint that it flies by
+        self._began_s = 0.0  # when the mode did
         self._steps = 0
 
     def read_parameters(self) -> None:
         """Some parameter has changed."""
-        p, control = self.parameters, self._control
+        p, control = self.parameters, self.control
         control.l1.period_s, control.l1.damping = p["NPFG_PERIOD"], p["NPFG_DAMPING"]
         control.bank_most_rad = math.radians(p["FW_R_LIM"])
         control.heights.climb_most_m_s = min(p["FW_T_CLMB_R_SP"], p["FW_T_CLMB_MAX"])
@@ -148,7 +141,7 @@ class Px4Plane(Px4):
     def _fly(self, aim: Circle | Way | Line, goal: Place) -> None:
         """Along this, at the goal's height."""
         self._aim, self._goal = aim, goal
-        self._control.climb_m_s = self._sink_m_s = None
+        self.control.climb_m_s = self._sink_m_s = None
 
     def _circle(self, place: Place) -> None:
         """About a place, at its height."""
@@ -157,29 +150,18 @@ class Px4Plane(Px4):
     def _ahead(self, altitude_amsl_m: float) -> None:
         """Straight on where the nose points."""
         here = self.estimate.place.at(altitude_amsl_m)
-        self._fly(Line(here, cmath.rect(1.0, self._plane.heading_rad)), here)
+        self._fly(Line(here, cmath.rect(1.0, self.plane.heading_rad)), here)
 
-    def _land(self, place: Place) -> None:
+    def _descend_about(self, place: Place) -> None:
         """Down in a circle.  NAV_LAND's own place is ignored, as recorded."""
-        slow_m_s = self._slow_m_s("FW_LND_AIRSPD")
+        slow_m_s, slope_deg = self._slow_m_s("FW_LND_AIRSPD"), self.parameters["FW_LND_ANG"]
         self._circle(place)
-        self._control.airspeed_m_s = self._true(slow_m_s) + _LANDS_FASTER_M_S
-        self._sink_m_s = (
-            slow_m_s * _SLOPE_FLOWN * math.sin(math.radians(self.parameters["FW_LND_ANG"]))
-        )
+        self.control.airspeed_m_s = self._true(slow_m_s) + _LANDS_FASTER_M_S
+        self._sink_m_s = slow_m_s * _SLOPE_FLOWN * math.sin(math.radians(slope_deg))
 
-    def _asked_or(self, here: Place) -> Place:
-        """What of a place was asked for, and here what was not."""
-        latitude_deg, longitude_deg, altitude_m, _ = self.asked or (math.nan,) * 4
-        altitude_m = here.altitude_amsl_m if altitude_m != altitude_m else altitude_m
-        if latitude_deg != latitude_deg:
-            return here.at(altitude_m)
-        return Place(latitude_deg, longitude_deg, altitude_m)
-
-    def begin(self, before: Mode) -> None:
+    def begin(self) -> None:
         """What the mode makes it fly; in the air, and for a take-off on the ground."""
-        del before
-        here, control = self.estimate.place, self._control
+        here, control = self.estimate.place, self.control
         self._began_s, self._seen = self.now_s, None
         if self.mode.flies == "fly_target":
             return  # the last commands stay until a setpoint comes
@@ -187,14 +169,14 @@ class Px4Plane(Px4):
         match self.mode.flies:
             case "climb":
                 self._ahead(self.takeoff_altitude_m)
-                self._goal = self._asked_or(here.at(self.takeoff_altitude_m))
+                self._goal = self.asked_or(here.at(self.takeoff_altitude_m))
             case "hold":
-                self._circle(self._asked_or(here))
+                self._circle(self.asked_or(here))
             case "fly_back":
                 height_m = self.base.altitude_amsl_m + self.parameters["RTL_RETURN_ALT"]
                 self._circle(self.base.at(max(height_m, here.altitude_amsl_m)))
             case "land":
-                self._land(here)
+                self._descend_about(here)
             case "fly_mission":
                 self.fly_leg()
             case "descend":
@@ -210,9 +192,9 @@ class Px4Plane(Px4):
             self._circle(here)
         elif leg.does is Does.CLIMB:
             self._ahead(leg.place.altitude_amsl_m)
-            self._control.climb_m_s = _CLIMB_OUT_M_S
+            self.control.climb_m_s = _CLIMB_OUT_M_S
         elif leg.does is Does.LAND:
-            self._land(leg.place)
+            self._descend_about(leg.place)
         elif leg.hold_s:
             self._circle(leg.place)
         else:
@@ -220,20 +202,19 @@ class Px4Plane(Px4):
 
     # --- in the air ---------------------------------------------------------------------------
 
-    def steer(self, dt_s: float) -> None:
+    def steer(self) -> None:
         """Where to and how high, in every fourth step."""
-        del dt_s
         self._steps += 1
-        if self._steps % _STEER_EVERY or self._plane.stands:
+        if self._steps % _STEER_EVERY or self.plane.stands:
             return
-        control, plane = self._control, self._plane
+        control, plane = self.control, self.plane
         match self.mode.flies:
             case "fly_target" if self.target is not self._seen:
                 self._take(self.target)
             case "climb":
                 self._climb_out()
             case "fly_mission":
-                self._follow_mission()
+                self.follow_route()
             case "fly_back":
                 self._return()
             case "descend":
@@ -248,7 +229,11 @@ class Px4Plane(Px4):
             energy = plane.airspeed_m_s**2 - control.airspeed_m_s**2
             more_m = bounded(energy / (2.0 * GRAVITY_M_S2), -_TRADED_M, _TRADED_M)
             control.height_amsl_m = self._goal.altitude_amsl_m + more_m
-        aim = self._aim
+        self._bank()
+
+    def _bank(self) -> None:
+        """For what it aims at."""
+        aim, control = self._aim, self.control
         if isinstance(aim, Line):
             off_m = control.off_m(aim.place)
             self._nearest = aim.place, (off_m.conjugate() * aim.way).real * aim.way
@@ -280,102 +265,61 @@ class Px4Plane(Px4):
         if speed_m_s > 1e-6:  # not NaN
             aim = Line(place, complex(v_n, v_e) / speed_m_s, _bend(target))
         self._fly(aim, place)
-        self._control.airspeed_m_s = self._cruise_m_s
+        self.control.airspeed_m_s = self._cruise_m_s
         if down_m != down_m:
-            self._control.climb_m_s = 0.0 if v_d == v_d else -_GLIDE_M_S
+            self.control.climb_m_s = 0.0 if v_d == v_d else -_GLIDE_M_S
 
     def _climb_out(self) -> None:
         """Up to the take-off's height, then Hold; for good if it was not told where to."""
-        control, goal_m, here = self._control, self.takeoff_altitude_m, self.estimate.place
+        control, goal_m, here = self.control, self.takeoff_altitude_m, self.estimate.place
         control.climb_m_s, control.airspeed_m_s = _CLIMB_OUT_M_S, self._cruise_m_s
         if here.altitude_amsl_m >= goal_m:
             goal = self._goal or here
             self._goal, control.climb_m_s = goal.at(goal_m + _CLEARED_M), None
-            if self.asked is not None and self.asked[0] == self.asked[0]:
+            if self.asked is not None and given(self.asked):
                 self.intend("Hold")
 
     def _return(self) -> None:
         """Circling at home: down to RTL_DESCEND_ALT, and land after RTL_LAND_DELAY if not < 0."""
-        p, control, aim = self.parameters, self._control, self._aim
+        p, aim = self.parameters, self._aim
         assert isinstance(aim, Circle)
-        off_m = abs(control.off_m(aim.centre)) - abs(aim.radius_m)
+        off_m = abs(self.control.off_m(aim.centre)) - abs(aim.radius_m)
         if self._sink_m_s is not None or abs(off_m) > _ON_CIRCLE_M:
             return
-        self._goal = self.base.at(self.base.altitude_amsl_m + p["RTL_DESCEND_ALT"])
+        self._goal = goal = self.base.at(self.base.altitude_amsl_m + p["RTL_DESCEND_ALT"])
+        high_m = abs(self.estimate.altitude_amsl_m - goal.altitude_amsl_m)
         waited = 0.0 <= p["RTL_LAND_DELAY"] < self.now_s - self._began_s
-        if waited and self._is_level(self._goal):
-            self._land(self.base)
+        if waited and high_m < p["NAV_FW_ALT_RAD"]:
+            self._descend_about(self.base)
 
-    def _is_level(self, place: Place) -> bool:
-        off_m = abs(self.estimate.altitude_amsl_m - place.altitude_amsl_m)
-        return off_m < self.parameters["NAV_FW_ALT_RAD"]
-
-    def _follow_mission(self) -> None:
-        """Fly on along the leg, which ends where PX4 switches to the next: 31 m at 13.9 m/s."""
-        leg, control = self.route.leg, self._control
-        if leg is None or leg.does is Does.LAND:
-            return
-        near_m = control.l1.length_m(abs(control.velocity))
-        near_m = leg.acceptance_m if leg.acceptance_m > near_m else near_m
-        away_m = abs(control.off_m(leg.place))
+    def is_there(self, leg: Leg) -> bool:
+        """Where PX4 switches to the next one: 31 m before its end at 13.9 m/s."""
+        control, aim, away_m = self.control, self._aim, abs(self.control.off_m(leg.place))
+        if leg.does is Does.LAND:
+            return False
         if leg.does is Does.CLIMB:
-            there = self.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m
-        elif isinstance(self._aim, Circle):
-            there = abs(away_m - abs(self._aim.radius_m)) < _ON_CIRCLE_M
-        else:
-            there = away_m < near_m
-        if there:
-            self.arrived(leg)
+            return self.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m
+        if isinstance(aim, Circle):
+            return abs(away_m - abs(aim.radius_m)) < _ON_CIRCLE_M
+        near_m = control.l1.length_m(abs(control.velocity))
+        return away_m < (leg.acceptance_m if leg.acceptance_m > near_m else near_m)
 
-    def move(self, dt_s: float) -> None:
-        """With what it was steered to."""
-        self._control.advance(dt_s)
+    # --- on its wheels ------------------------------------------------------------------------
 
-    # --- on the wheels ------------------------------------------------------------------------
-
-    @property
-    def _wants_up(self) -> bool:
+    def wants_up(self) -> bool:
         """Take-off, by mode or by a mission that begins with one."""
-        leg = self.route.leg
-        climbs = leg is not None and leg.does is Does.CLIMB
-        return self.armed and (self.mode.flies == "climb" or climbs)
+        return self.armed and (self.mode.flies == "climb" or self.is_at(Does.CLIMB))
+
+    def lift_off_m_s(self) -> float:
+        """By FW_TKO_AIRSPD."""
+        return _LIFTS_OFF_AT * self._true(self._slow_m_s("FW_TKO_AIRSPD"))
 
     def lifts_off(self) -> bool:
-        """Fast enough on the runway."""
-        takeoff_m_s = self._true(self._slow_m_s("FW_TKO_AIRSPD"))
-        if not self._wants_up or self._plane.airspeed_m_s < _LIFTS_OFF_AT * takeoff_m_s:
-            return False
-        self._control.bank_rad, self._control.climb_m_s = 0.0, _CLIMB_OUT_M_S
-        return True
-
-    def stand(self, dt_s: float) -> None:
-        """On the runway: up to speed, or to a halt."""
-        plane, speed_m_s = self._plane, self._speed_m_s
-        plane.altitude_amsl_m = self.ground_m
-        if self._wants_up:
-            since_s = self.now_s - max(self.armed_s, self._began_s)
-            push_m_s2 = min(_RAMP_M_S3 * since_s, _FULL_M_S2)
-            plane.roll_on_ground(push_m_s2, dt_s)
-            plane.throttle = push_m_s2 / _FULL_M_S2
-            if plane.airspeed_m_s >= _TAKEOFF_SEEN_M_S:
-                self.take_to_the_air()
-            return
-        plane.throttle = 0.0
-        if speed_m_s > 0.0:
-            plane.roll_on_ground(-max(speed_m_s / _ROLL_OUT_S, 0.05), dt_s)
-
-    @property
-    def _speed_m_s(self) -> float:
-        """Over the ground, by its wheels."""
-        return math.hypot(self._plane.velocity_north_m_s, self._plane.velocity_east_m_s)
-
-    def touch_down(self) -> None:
-        """It rolls out."""
-        self._plane.touch_down(self.ground_m)
-
-    def lies(self) -> bool:
-        """Slow on the runway."""
-        return self._speed_m_s < _LANDING_SEEN_M_S and not self._wants_up
+        """Fast enough on the runway: straight up from here on."""
+        fast = super().lifts_off()
+        if fast:
+            self.control.bank_rad, self.control.climb_m_s = 0.0, _CLIMB_OUT_M_S
+        return fast
 
     # --- to tell ------------------------------------------------------------------------------
 
@@ -390,21 +334,12 @@ class Px4Plane(Px4):
             of, off_m = self._nearest
             nearest = FlatEarth(of).place(off_m.real, off_m.imag, 0.0)
             place = self.frame.ned_m(nearest.at(waypoint.place.altitude_amsl_m))
-        return TargetEcho(
-            position_ned_m=place,
-            velocity_ned_m_s=NOTHING,
-            acceleration_ned_m_s2=NOTHING,
-            yaw_rad=math.nan,
-            yaw_rate_rad_s=math.nan,
-            type_mask=_ECHO_MASK,
-        )
+        return TargetEcho(place, NOTHING, NOTHING, math.nan, math.nan, type_mask=_ECHO_MASK)
 
     def waypoint(self) -> Waypoint | None:
         """The place flown to, or the middle of a circle; of height 0 in a landing (recorded)."""
-        goal = self._goal
-        if goal is None:
-            return None
-        return Waypoint(place=goal if self._sink_m_s is None else goal.at(0.0))
+        goal, lands = self._goal, self._sink_m_s is not None
+        return goal and Waypoint(place=goal.at(0.0) if lands else goal)
 
 
 def _bend(target: Target) -> float:

@@ -8,8 +8,7 @@ axis by itself, and what it does not like counts as no setpoint at all.
 import math
 from typing import Final, NamedTuple, final
 
-from vehicle_sim.autopilot.earth import Vector
-from vehicle_sim.autopilot.values import FRAMES_ABOVE_TERRAIN, Setpoint, height_amsl_m
+from vehicle_sim.autopilot.values import FRAMES_ABOVE_TERRAIN, Setpoint, Vector, height_amsl_m
 
 IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_ACCELERATION = 0x007, 0x038, 0x1C0
 IGNORE_YAW, IGNORE_YAW_RATE = 0x400, 0x800

@@ -1,7 +1,6 @@
 """Inputs and outputs of the simulated autopilots: values in SI units, no bytes, no clock.
 
-wire/ converts frames to these and back.
-Parameters are data: *.parm.
+wire/ converts frames to these and back.  Parameters are data: *.parm.
 """
 
 import enum
@@ -18,8 +17,7 @@ if TYPE_CHECKING:
 
 HIGHEST_HOME_M = 1e5
 """Limit of home's altitude, up and down: HOME_POSITION could not encode more."""
-
-
+Vector = tuple[float, float, float]
 Result = enum.IntEnum(
     "Result",
     "ACCEPTED TEMPORARILY_REJECTED DENIED UNSUPPORTED FAILED IN_PROGRESS CANCELLED"
@@ -29,18 +27,14 @@ Result = enum.IntEnum(
 """MAV_RESULT."""
 Landed = enum.IntEnum("Landed", "UNDEFINED ON_GROUND IN_AIR TAKEOFF LANDING", start=0)
 """MAV_LANDED_STATE."""
-State = enum.IntEnum(
-    "State", "UNINIT BOOT CALIBRATING STANDBY ACTIVE CRITICAL EMERGENCY POWEROFF", start=0
-)
+State = enum.IntEnum("State", "UNINIT BOOT CALIBRATING STANDBY ACTIVE CRITICAL", start=0)
 """MAV_STATE: system_status of the heartbeat."""
-
 
 # --- in -------------------------------------------------------------------------------------------
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sender:
+class Sender(NamedTuple):
     """Who sent a message, and the link that it came by."""
 
     system: int
@@ -49,8 +43,7 @@ class Sender:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Command:
+class Command(NamedTuple):
     """A COMMAND_LONG or COMMAND_INT that is for the autopilot.
 
     Message intervals and message requests (511, 512) never come here: wire/streams.py.
@@ -75,10 +68,10 @@ class Setpoint(NamedTuple):
     is_global: bool
     frame: int
     type_mask: int
-    position: tuple[float, float, float]
+    position: Vector
     """Latitude and longitude in degrees and altitude in metres, or north, east, down in metres."""
-    velocity_ned_m_s: tuple[float, float, float]
-    acceleration_ned_m_s2: tuple[float, float, float]
+    velocity_ned_m_s: Vector
+    acceleration_ned_m_s2: Vector
     yaw_rad: float
     yaw_rate_rad_s: float = 0.0
 
@@ -87,29 +80,24 @@ class Setpoint(NamedTuple):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Ack:
+class Ack(NamedTuple):
     """COMMAND_ACK to the sender of a command, on the link it came by."""
 
     to: Sender
     command: int
     result: int
-    progress: int = 0
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Text:
-    """A STATUSTEXT, to every link that gets texts."""
+class Text(NamedTuple):
+    """A STATUSTEXT of this MAV_SEVERITY, to every link that gets texts."""
 
     severity: int
-    """MAV_SEVERITY."""
     text: str
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SendTelemetry:
+class SendTelemetry(NamedTuple):
     """Send the telemetry message of this number once; to all links if no receiver is given."""
 
     message: int
@@ -117,8 +105,7 @@ class SendTelemetry:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SendMessage:
+class SendMessage(NamedTuple):
     """Send this message (wire/frames.py): to one client, or to every link."""
 
     message: Any
@@ -126,8 +113,7 @@ class SendMessage:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Reboot:
+class Reboot(NamedTuple):
     """Reboot: intervals are reset, the UDP source port changes, time_boot_ms begins at 0."""
 
 
@@ -183,10 +169,9 @@ class Estimate:
     position_ok: bool = False
     """Whether there is a horizontal position."""
     flags: int = 0
-    """EKF_STATUS_REPORT.flags or ESTIMATOR_STATUS.flags, whichever the autopilot sends."""
     velocity_variance: float = 0.0
-    """These two are the ratios of the two status messages."""
     horizontal_variance: float = 0.0
+    """Of EKF_STATUS_REPORT or ESTIMATOR_STATUS, whichever the autopilot sends: test ratios."""
     frozen_altitude_amsl_m: float | None = None
     """Reported altitude AMSL while the position is lost; None: the estimate."""
     horizontal_accuracy_m: float = 0.0
@@ -201,18 +186,17 @@ class Estimate:
 class TargetEcho(NamedTuple):
     """The autopilot's target in the estimator's local frame: POSITION_TARGET_LOCAL_NED."""
 
-    position_ned_m: tuple[float, float, float] | None
-    velocity_ned_m_s: tuple[float, float, float] | None
-    acceleration_ned_m_s2: tuple[float, float, float] | None
+    position_ned_m: Vector | None
+    velocity_ned_m_s: Vector | None
+    acceleration_ned_m_s2: Vector | None
     yaw_rad: float
     yaw_rate_rad_s: float = 0.0
-    type_mask: int | None = None
-    """As recorded; None: derived from the fields that are set."""
+    type_mask: int = 0
+    """As recorded."""
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Waypoint:
+class Waypoint(NamedTuple):
     """The current waypoint: POSITION_TARGET_GLOBAL_INT and NAV_CONTROLLER_OUTPUT."""
 
     place: Place
@@ -229,9 +213,9 @@ class Status(NamedTuple):
     """An autopilot's status at one time.  A tuple: they are created often."""
 
     mode: int
-    """custom_mode of the heartbeat."""
     base_mode: int
     system_status: int
+    """Of the heartbeat; the first is its custom_mode."""
     landed_state: int
     prearm_ok: bool
     """The PREARM_CHECK bit of SYS_STATUS."""
@@ -253,8 +237,8 @@ class Status(NamedTuple):
     fence_present: bool = False
     """There is something that FENCE_STATUS could tell of."""
     fence_breach_type: int = 0
-    """FENCE_BREACH of the last one, and when it was, in milliseconds since boot."""
     fence_breach_ms: int = 0
+    """FENCE_BREACH of the last one, and when it was, in milliseconds since boot."""
     failsafe: bool = False
     airspeed_m_s: float | None = None
     """Indicated, as a pitot tube measures it; None: there is none."""
@@ -269,9 +253,8 @@ class Report:
     fix: Fix
     battery: Battery
     time_us: int = 0
-    """Since boot."""
     unix_us: int = 0
-    """GPS time; 0 while there is none."""
+    """Since boot; and GPS time, 0 while there is none."""
     hardware_id: int = 1
     range_sensors: tuple[int, int] = (0, 0)
     """Bits of SYS_STATUS: proximity and rangefinder, and those of them that are not well."""
@@ -297,19 +280,15 @@ class Report:
         return self._status
 
 
-# --- how it speaks --------------------------------------------------------------------------------
-
-
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FirmwareProfile:
-    """Profile of a firmware's MAVLink behaviour, for wire/.  Constant per autopilot."""
+    """A firmware's MAVLink behaviour, for wire/.  Constant per autopilot."""
 
     firmware: Literal["ardupilot", "px4"]
     vehicle_type: int
-    """MAV_TYPE."""
     autopilot: int
-    """MAV_AUTOPILOT."""
+    """MAV_TYPE and MAV_AUTOPILOT."""
     capabilities: int
     software_version: int
     custom_version: bytes = bytes(8)
@@ -318,8 +297,7 @@ class FirmwareProfile:
     first_heartbeat_us: int = 1_000_000
     """Since boot; then at its rate."""
     streamable: frozenset[int]
-    """What SET_MESSAGE_INTERVAL accepts."""
     requestable: frozenset[int]
-    """What REQUEST_MESSAGE accepts."""
+    """What SET_MESSAGE_INTERVAL and REQUEST_MESSAGE accept."""
     data_streams: Mapping[int, Sequence[int]] = field(default_factory=dict)
     """REQUEST_DATA_STREAM: group -> message numbers."""

@@ -81,7 +81,7 @@ def setpoint(message: Any) -> Setpoint:
 def ack(value: Ack) -> Prepared:
     """COMMAND_ACK, addressed to the asker."""
     to = (value.to.system, value.to.component)
-    return make("COMMAND_ACK", value.command, value.result, value.progress, 0, *to)
+    return make("COMMAND_ACK", value.command, value.result, 0, 0, *to)
 
 
 def texts(value: Text, number: int) -> list[Prepared]:

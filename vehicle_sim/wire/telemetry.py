@@ -318,7 +318,7 @@ def _position_target_local_ned(now: Report) -> Fields | None:
         return None
     vectors = [value for vector in target[:3] for value in vector or (0.0, 0.0, 0.0)]
     yaw = (target.yaw_rad, target.yaw_rate_rad_s)
-    return _boot_ms(now), _LOCAL, target.type_mask or 0, *vectors, *yaw
+    return _boot_ms(now), _LOCAL, target.type_mask, *vectors, *yaw
 
 
 def _position_target_global_int(now: Report) -> Fields | None:
