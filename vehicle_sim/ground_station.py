@@ -35,7 +35,7 @@ def said(
             system, companion, _GLOBAL_INT, _REPOSITION, 0, 0, -1.0, 0.0, 0.0, math.nan,
             latitude, longitude, vehicle.altitude_amsl_m,
         )  # fmt: skip
-    number, *parameters, to_autopilot = values
+    (number, *parameters), to_autopilot = values[:4], values[4:]
     to = (system, _AUTOPILOT if to_autopilot else companion)
     message = mavlink.MAVLink_command_long_message(*to, round(number), 0, *parameters, *[0.0] * 4)
     return bool(to_autopilot), message
