@@ -24,7 +24,7 @@ from typing import Any, Final, final
 import pytest
 
 from vehicle_sim.geodesy import WGS84
-from vehicle_sim.links import Endpoint, open_link
+from vehicle_sim.links import Endpoint, Link
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.simulation import STEP_US, Simulation
 from vehicle_sim.world import VehicleKind, World, flat_world
@@ -101,7 +101,7 @@ class Simulator:
         """A fault from now on, as "for 30 s: gps_off"; and a parameter, as PARAM_SET does it."""
         self._lockstep, self._strict = lockstep, strict
         self._height_amsl_m = world.truth().height_at_amsl_m
-        self._link = open_link(Endpoint(kind="udpin", host="127.0.0.1", port=0))
+        self._link = Link(Endpoint(kind="udpin", host="127.0.0.1", port=0))
         self.close = self._link.close
         self.moments: list[Moment] = []
         """The whole flight so far."""
@@ -205,7 +205,7 @@ class Simulator:
             self._send_and_receive()
             if not waits or simulation.answered_ns == question_ns:
                 return
-            select.select(self._link.sockets, [], [], _POLL_S)
+            select.select([self._link.socket], [], [], _POLL_S)
             now_s = time.monotonic()
             if now_s - start_s > _PATIENCE_S:
                 within = f"within {_PATIENCE_S:.0f} s; {self._where()}"
