@@ -2,11 +2,10 @@
 
 import enum
 import math
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib import resources
-from typing import Final, Literal, final
+from typing import Literal, final
 
 from vehicle_sim.errors import InputError, did_you_mean
 
@@ -65,21 +64,14 @@ class Parameters:
         for name, value in overrides.items():
             if name not in self._rows:
                 rule = "this autopilot has no such one"
-                raise InputError(f"parameter {name}", value, rule, self._remedy(name))
+                remedy = did_you_mean(name, self._rows, "Leave it out.")
+                raise InputError(f"parameter {name}", value, rule, remedy)
             kind = self._rows[name].kind
             least, most = kind.range
             if not least <= value <= most:  # nor is NaN
                 rule = f"must be a number from {least:.8g} to {most:.10g}: it has {kind.bits} bits"
                 raise InputError(f"parameter {name}", value, rule, "Give another one.")
             self[name] = value
-
-    def _remedy(self, name: str) -> str:
-        """What a name may stand for that is not in the table."""
-        for was, now, note in RENAMED:
-            known = re.sub(was, now, name) if re.fullmatch(was, name) else ""
-            if known in self._rows:
-                return f"It is called {known} here{note and ', '}{note}."
-        return did_you_mean(name, self._rows, "Leave it out.")
 
     def __getitem__(self, name: str) -> float:
         return self._values[name]
@@ -126,41 +118,6 @@ class Parameters:
 
 
 Readable = Mapping[str, float] | Parameters
-
-RENAMED: Final = (
-    ("SYSID_THISMAV", "MAV_SYSID", ""),
-    ("SYSID_THISMAV", "MAV_SYS_ID", ""),
-    ("MAV_SYS_ID", "MAV_SYSID", ""),
-    ("MAV_SYSID", "MAV_SYS_ID", ""),
-    ("SYSID_MYGCS", "MAV_GCS_SYSID", ""),
-    ("SYSID_ENFORCE", "MAV_OPTIONS", ""),
-    (r"SR0_(\w+)", r"MAV1_\1", ""),
-    (r"SR1_(\w+)", r"MAV2_\1", ""),
-    (r"SR[2-9]_(\w+)", r"MAV2_\1", "for the second link; the others have none"),
-    ("ARSPD_FBW_MIN", "AIRSPEED_MIN", ""),
-    ("ARSPD_FBW_MAX", "AIRSPEED_MAX", ""),
-    ("TRIM_ARSPD_CM", "AIRSPEED_CRUISE", "in m/s"),
-    ("LIM_ROLL_CD", "ROLL_LIMIT_DEG", "in deg"),
-    ("ALT_HOLD_RTL", "RTL_ALTITUDE", "in m"),
-    ("FS_GCS_ENABLE", "FS_GCS_ENABL", ""),
-    ("FS_GCS_ENABL", "FS_GCS_ENABLE", ""),
-    ("ATC_ANGLE_MAX", "ANGLE_MAX", "in cdeg"),
-    ("WP_SPD", "WPNAV_SPEED", "in cm/s"),
-    ("WP_SPD_(UP|DN)", r"WPNAV_SPEED_\1", "in cm/s"),
-    ("WP_ACC", "WPNAV_ACCEL", "in cm/s2"),
-    ("WP_ACC_Z", "WPNAV_ACCEL_Z", "in cm/s2"),
-    ("WP_RADIUS_M", "WPNAV_RADIUS", "in cm"),
-    ("LAND_SPD_MS", "LAND_SPEED", "in cm/s"),
-    ("PSC_JERK_NE", "PSC_JERK_XY", ""),
-    ("PRX_TYPE", "PRX1_TYPE", ""),
-    (r"RNGFND_(\w+)", r"RNGFND1_\1", ""),
-    (r"SIM_GPS_(\w+)", r"SIM_GPS1_\1", ""),
-    ("SIM_GPS_DISABLE", "SIM_GPS1_ENABLE", ""),
-    ("COM_OBL_ACT", "COM_OBL_RC_ACT", ""),
-)
-"""Names that releases of the firmwares have or had, as patterns; the name that the simulated one
-has; a word about it.  The first that it has counts."""
-
 
 # --- the tables: *.parm, a row a line in the wire's order -----------------------------------------
 

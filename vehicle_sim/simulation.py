@@ -35,9 +35,8 @@ from vehicle_sim.sensors.lidar import Lidar, body_axes_neu
 from vehicle_sim.sensors.terrain_radar import ScanRequest, TerrainRadar, Viewpoint
 from vehicle_sim.terrain import FloatArray
 from vehicle_sim.wire import messages
-from vehicle_sim.wire.lidar import LidarDriver
+from vehicle_sim.wire.components import LidarDriver, RadarComponent
 from vehicle_sim.wire.proximity import RPLIDAR, RangeSensors
-from vehicle_sim.wire.radar import RadarComponent
 from vehicle_sim.wire.radio import Radio, Received
 from vehicle_sim.world import World
 
@@ -189,7 +188,7 @@ class Simulation:
         self._range_down_m()
         if self._radar is not None:
             place = self.vehicle.latitude_deg, self.vehicle.longitude_deg
-            asked = ScanRequest(latitude_deg=place[0], longitude_deg=place[1], spacing_m=1, mask=1)
+            asked = ScanRequest(*place, 1, 1)
             self._radar.answer(asked, Viewpoint(*place, self.vehicle.altitude_amsl_m))
 
     # --- to look at ---------------------------------------------------------------------------

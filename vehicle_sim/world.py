@@ -299,15 +299,6 @@ class LidarTable:
     """Sweeps a second."""
     step_deg: Annotated[_Real, Field(ge=0.2, le=45)] = 3.6
     """Between two beams."""
-    width_deg: Annotated[_Real, Field(ge=5, le=360)] = 360.0
-    """Of the field of view, half to each side of the sensor's nose."""
-    increment_deg: Annotated[_Real, Field(ge=5, le=90)] = 5.0
-    """Of the driver's sectors: the nearest echo in each is told."""
-    angle_offset_deg: _Turn | None = None
-    """Of the middle of the driver's first sector from the vehicle's nose; without it 0, or the
-    left edge of a field of view of less than a turn."""
-    yaw_deg: _Turn = 0.0
-    """How it is mounted, clockwise from the vehicle's nose; the driver corrects for it."""
     noise_m: Annotated[_Real, Field(ge=0)] = 0.0
     """Standard deviation of a distance."""
     lost_share: _Share = 0.0

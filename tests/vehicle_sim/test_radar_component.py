@@ -15,8 +15,8 @@ from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.sensors.terrain_radar import UNSEEN_M, ScanRequest, TerrainRadar, Viewpoint
 from vehicle_sim.terrain import PeakTerrain
+from vehicle_sim.wire.components import RadarComponent
 from vehicle_sim.wire.frames import Packer, frames_of
-from vehicle_sim.wire.radar import RadarComponent
 
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
 TICK_US, STEP_US, S = 50_000, 10_000, 1_000_000

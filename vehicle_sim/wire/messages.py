@@ -98,12 +98,6 @@ def time_sync(tc1_ns: int, ts1_ns: int, to: Sender | None = None) -> Prepared:
     return make("TIMESYNC", tc1_ns, ts1_ns, *((to.system, to.component) if to else ()))
 
 
-def component_heartbeat() -> Prepared:
-    """HEARTBEAT of the terrain radar and of the lidar's driver: active, no autopilot."""
-    kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
-    return make("HEARTBEAT", kind, none, 0, 0, mavlink.MAV_STATE_ACTIVE, 3)
-
-
 def no_files(message: Any, to: Sender) -> Prepared | None:
     """The answer to a FILE_TRANSFER_PROTOCOL: that there are none; None to an answer of theirs.
 
