@@ -18,12 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot.values import Ack, Result, Sender
+from vehicle_sim.autopilot.values import Result, Sender
 from vehicle_sim.conditions import LidarConditions, RadarConditions
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.sensors.lidar import Lidar
 from vehicle_sim.sensors.terrain_radar import UNSEEN_M, ScanRequest, TerrainRadar, Viewpoint
-from vehicle_sim.wire import messages
 from vehicle_sim.wire.frames import Prepared, make
 from vehicle_sim.wire.radio import Radio
 from vehicle_sim.world import LidarTable
@@ -67,8 +66,9 @@ class RadarComponent:
         if kind == "TERRAIN_REQUEST":
             self._asked, self.due_us = (message, sender.link), 0
         elif kind in ("COMMAND_LONG", "COMMAND_INT") and message.target_component == self._id:
-            refusal = Ack(to=sender, command=message.command, result=Result.UNSUPPORTED)
-            self._radio.send(messages.ack(refusal), sender.link, self._id)
+            to = (0, 0, sender.system, sender.component)
+            refusal = make("COMMAND_ACK", message.command, Result.UNSUPPORTED, *to)
+            self._radio.send(refusal, sender.link, self._id)
 
     def step(
         self, now_us: int, vehicle: Vehicle, conditions: RadarConditions, *, tick: bool
