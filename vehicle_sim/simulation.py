@@ -18,14 +18,13 @@ from vehicle_sim.autopilot.factory import (
     with_own_ids,
 )
 from vehicle_sim.autopilot.values import Sender, Text
-from vehicle_sim.conditions import conditions_of
 from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
 from vehicle_sim.dynamics.contact import LOOK_US, Contact, Crash
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.dynamics.wind import Wind
 from vehicle_sim.errors import InputError
-from vehicle_sim.faults import Timeline
+from vehicle_sim.faults import Timeline, conditions_of
 from vehicle_sim.flight_controller import FlightController
 from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import Plans
@@ -375,7 +374,7 @@ class Simulation:
             case "ground_command":
                 message = ground_station.command(values, self.system_id, companion)
                 radio.send_as(message, station.system, station.component)
-            case "ground_target":
+            case _:  # ground_target
                 to = (self.system_id, companion)
                 message = ground_station.target(values, self.vehicle, *to)
                 radio.send_as(message, station.system, station.component)

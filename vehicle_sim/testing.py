@@ -30,6 +30,7 @@ from vehicle_sim.simulation import STEP_US, Simulation
 from vehicle_sim.world import VehicleKind, World, flat_world
 
 _TICK_STEPS: Final = 5
+_TICK_S: Final = _TICK_STEPS * STEP_US * 1e-6
 _POLL_S, _AGAIN_S = 0.01, 1.0
 _PATIENCE_S = 30.0
 """Wall time that a lockstep tick waits for its answer."""
@@ -161,34 +162,31 @@ class Simulator:
         """The same, until this is so; an AssertionError if it is not in time."""
         until_us = self.simulation.now_us + within_s * 1e6 - 0.5
         while not reached():
-            if self.simulation.now_us >= until_us:
-                why = f"it never came to that within {within_s:g} s; {self._where()}"
-                raise AssertionError(why)
-            self.advance(_TICK_STEPS * STEP_US * 1e-6, meanwhile=meanwhile)
+            late = self.simulation.now_us >= until_us
+            assert not late, f"it never came to that within {within_s:g} s; {self._where()}"
+            self.advance(_TICK_S, meanwhile=meanwhile)
 
     def _step(self) -> None:
         simulation = self.simulation
         simulation.step()
         simulation.take_notices()
-        for row in map(json.loads, simulation.take_truth()):
-            if "t_s" not in row:
-                continue  # the header
-            ground_m = self._height_amsl_m(row["north_m"], row["east_m"])
-            self.moments.append(
-                Moment(
-                    t_s=row["t_s"],
-                    latitude_deg=row["lat_deg"],
-                    longitude_deg=row["lon_deg"],
-                    altitude_amsl_m=row["altitude_amsl_m"],
-                    speed_m_s=math.hypot(row["velocity_north_m_s"], row["velocity_east_m_s"]),
-                    above_ground_m=row["altitude_amsl_m"] - ground_m,
-                    mode=row["mode"],
-                    armed=row["armed"],
-                    landed=row["landed"],
-                )
-            )
+        rows = map(json.loads, simulation.take_truth())
+        self.moments += [self._moment(row) for row in rows if "t_s" in row]  # not the header
         if self._strict and simulation.not_survived is not None:
             raise AssertionError(f"at {self.now_s:.2f} s: {simulation.not_survived}")
+
+    def _moment(self, row: dict[str, Any]) -> Moment:
+        """Of a line of the truth."""
+        ground_m = self._height_amsl_m(row["north_m"], row["east_m"])
+        return Moment(
+            t_s=row["t_s"],
+            latitude_deg=row["lat_deg"],
+            longitude_deg=row["lon_deg"],
+            altitude_amsl_m=row["altitude_amsl_m"],
+            speed_m_s=math.hypot(row["velocity_north_m_s"], row["velocity_east_m_s"]),
+            above_ground_m=row["altitude_amsl_m"] - ground_m,
+            **{key: row[key] for key in ("mode", "armed", "landed")},
+        )
 
     def _heard(self, kind: str) -> None:
         self.heard_s.setdefault(kind, []).append(self.now_s)
@@ -207,9 +205,8 @@ class Simulator:
                 return
             select.select([self._link.socket], [], [], _POLL_S)
             now_s = time.monotonic()
-            if now_s - start_s > _PATIENCE_S:
-                within = f"within {_PATIENCE_S:.0f} s; {self._where()}"
-                raise AssertionError(f"no answer to TIMESYNC {within}")
+            within = f"within {_PATIENCE_S:.0f} s; {self._where()}"
+            assert now_s - start_s <= _PATIENCE_S, f"no answer to TIMESYNC {within}"
             if now_s - again_s > _AGAIN_S:
                 again_s = now_s
                 simulation.ask_again()

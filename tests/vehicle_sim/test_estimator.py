@@ -15,7 +15,7 @@ from harness import Flown as OnGround
 from recordings import recording
 from tracked import PX4_GPS, ArduCopter, Curve, Px4Copter, fix_of
 
-from vehicle_sim.conditions import GpsConditions
+from vehicle_sim.faults import GpsConditions
 from vehicle_sim.geodesy import metres_per_degree
 from vehicle_sim.sensors.gps import Fix
 

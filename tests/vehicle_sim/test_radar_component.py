@@ -10,8 +10,8 @@ from harness import GENTLE
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.values import Sender
-from vehicle_sim.conditions import RadarConditions
 from vehicle_sim.dynamics.copter import Copter
+from vehicle_sim.faults import RadarConditions
 from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.sensors.terrain_radar import UNSEEN_M, ScanRequest, TerrainRadar, Viewpoint
 from vehicle_sim.terrain import PeakTerrain

@@ -16,9 +16,9 @@ from harness import NAN, STEP_S, STRONG, ZERO, Rig, Vector
 
 from vehicle_sim.autopilot.px4plane import SIH_AIRPLANE
 from vehicle_sim.autopilot.values import Result, SendMessage
-from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.dynamics.plane import Plane
+from vehicle_sim.faults import GpsConditions
 from vehicle_sim.geodesy import FloatArray, LocalFrame, metres_per_degree
 from vehicle_sim.sensors.gps import ARDUPLANE, PX4, Fix, Gps
 

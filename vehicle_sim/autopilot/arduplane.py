@@ -39,9 +39,9 @@ from vehicle_sim.autopilot.values import (
     Waypoint,
     height_amsl_m,
 )
-from vehicle_sim.conditions import SIM_PARAMETERS
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane
+from vehicle_sim.faults import SIM_PARAMETERS
 from vehicle_sim.parameters import table
 from vehicle_sim.sensors.gps import Fix
 

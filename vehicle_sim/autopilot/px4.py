@@ -38,7 +38,7 @@ from vehicle_sim.autopilot.values import (
     Status,
     height_amsl_m,
 )
-from vehicle_sim.conditions import SIM_PARAMETERS_PX4
+from vehicle_sim.faults import SIM_PARAMETERS_PX4
 from vehicle_sim.parameters import Parameter, table
 from vehicle_sim.plans import PlanKind
 from vehicle_sim.sensors.gps import Fix

@@ -12,8 +12,8 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from vehicle_sim.conditions import GpsConditions, Vector
 from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.faults import GpsConditions, Vector
 from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, around, degrees_east, metres_per_degree
 
 _ZERO: Final = (0.0, 0.0, 0.0)

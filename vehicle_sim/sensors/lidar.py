@@ -11,8 +11,8 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from vehicle_sim.conditions import LidarConditions
 from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.faults import LidarConditions
 from vehicle_sim.scene import Scene
 from vehicle_sim.terrain import FloatArray
 from vehicle_sim.world import LidarTable

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.values import Result, Sender
-from vehicle_sim.conditions import LidarConditions, RadarConditions
 from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.faults import LidarConditions, RadarConditions
 from vehicle_sim.sensors.lidar import Lidar
 from vehicle_sim.sensors.terrain_radar import UNSEEN_M, ScanRequest, TerrainRadar, Viewpoint
 from vehicle_sim.wire.frames import Prepared, make

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from vehicle_sim.autopilot.values import Sender
-from vehicle_sim.conditions import LinkConditions
+from vehicle_sim.faults import LinkConditions
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.wire.frames import Packer, frames_of
 from vehicle_sim.wire.impairments import Impairments
