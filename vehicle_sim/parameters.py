@@ -2,6 +2,7 @@
 
 import enum
 import math
+from collections import UserDict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib import resources
@@ -47,7 +48,7 @@ class Parameter:
 
 
 @final
-class Parameters:
+class Parameters(UserDict[str, float]):
     """The table as it stands; the order of the rows is the order of the wire's indices.
 
     InputError for an override that is not in the table, with the nearest known name, and for one
@@ -55,26 +56,23 @@ class Parameters:
     """
 
     def __init__(self, table: Iterable[Parameter], overrides: Mapping[str, float]) -> None:
-        self._rows = {row.name: row for row in table}
-        self._values = {name: row.default for name, row in self._rows.items()}
+        self.rows = {row.name: row for row in table}
+        self.data = {name: row.default for name, row in self.rows.items()}
         self._saved: dict[str, float] = {}
         """Of those that have another value until the next boot."""
         self.version = 0
         """Increases with every change, to invalidate derived values."""
         for name, value in overrides.items():
-            if name not in self._rows:
+            if name not in self.rows:
                 rule = "this autopilot has no such one"
-                remedy = did_you_mean(name, self._rows, "Leave it out.")
+                remedy = did_you_mean(name, self.rows, "Leave it out.")
                 raise InputError(f"parameter {name}", value, rule, remedy)
-            kind = self._rows[name].kind
+            kind = self.rows[name].kind
             least, most = kind.range
             if not least <= value <= most:  # nor is NaN
                 rule = f"must be a number from {least:.8g} to {most:.10g}: it has {kind.bits} bits"
                 raise InputError(f"parameter {name}", value, rule, "Give another one.")
             self[name] = value
-
-    def __getitem__(self, name: str) -> float:
-        return self._values[name]
 
     def __setitem__(self, name: str, value: float) -> None:
         """Set within the limits of the row and its type, rounded to that.
@@ -82,42 +80,27 @@ class Parameters:
         KeyError for a name not in it.  Neither firmware takes what is not a finite number: nothing
         changes.
         """
-        row = self._rows[name]
+        row = self.rows[name]
         if not math.isfinite(value):
             return
         self._saved.pop(name, None)
         least, most = row.kind.range
         value = min(max(value, row.least, least), row.most, most)
-        self._values[name] = value if row.kind is Kind.REAL32 else float(round(value))
+        self.data[name] = value if row.kind is Kind.REAL32 else float(round(value))
         self.version += 1
 
     def set_until_reboot(self, name: str, value: float) -> None:
         """The same, of a change that is not saved."""
-        saved = self._saved.get(name, self._values[name])
+        saved = self._saved.get(name, self[name])
         self[name] = value
         self._saved[name] = saved
 
-    def __contains__(self, name: object) -> bool:
-        return name in self._rows
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    @property
-    def rows(self) -> tuple[Parameter, ...]:
-        """All rows, in order."""
-        return tuple(self._rows.values())
-
-    def row(self, name: str) -> Parameter:
-        """The row of this name; KeyError if there is none."""
-        return self._rows[name]
-
-    def values(self) -> dict[str, float]:
-        """A copy, by name: what a reboot keeps."""
-        return self._values | self._saved
+    def kept(self) -> dict[str, float]:
+        """What a reboot keeps, by name."""
+        return self.data | self._saved
 
 
-Readable = Mapping[str, float] | Parameters
+Readable = Mapping[str, float]
 
 # --- the tables: *.parm, a row a line in the wire's order -----------------------------------------
 

@@ -470,7 +470,7 @@ class Simulation:
         if vehicle.altitude_amsl_m <= contact.ground_amsl_m:
             vehicle.stand(contact.ground_amsl_m)
         if self.now_us + STEP_US >= self._down_until_us:
-            autopilot = self._make_autopilot(self.parameters.values())
+            autopilot = self._make_autopilot(self.parameters.kept())
             self._ids = ids_of(self._personality, autopilot.parameters)
             self._radio.boot_as(*self._ids)
             self._boot(autopilot)

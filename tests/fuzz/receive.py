@@ -87,7 +87,7 @@ class Target:
                         reader.byte() % LINKS, command(reader, COMMANDS, _STATION, (1, 1))
                     )
                 case 4:
-                    names = [row.name for row in vehicle.parameters.rows]
+                    names = list(vehicle.parameters)
                     name = names[(reader.byte() << 8 | reader.byte()) % len(names)]
                     vehicle.receive(0, _parameter(name, reader.value()))
                 case _:

@@ -60,7 +60,7 @@ def test_a_list_has_all_in_order_at_the_rate_of_the_real_one(firmware: Firmware)
     values(vehicle, LIST, 1.0)
     for link in (0, 1):
         got = vehicle.all("PARAM_VALUE", link=link, since_s=since_s + 0.005)
-        assert [h.message.param_id for h in got] == [row.name for row in table.rows]
+        assert [h.message.param_id for h in got] == list(table)
         assert [h.message.param_index for h in got] == list(range(len(table)))
         assert {h.message.param_count for h in got} == {len(table)}
         assert got[-1].at_s - since_s == pytest.approx(len(table) * 1.5 / 1348, abs=0.03)
@@ -71,7 +71,7 @@ def test_a_list_has_all_in_order_at_the_rate_of_the_real_one(firmware: Firmware)
 def test_reading_by_index_and_by_name_and_what_there_is_not(firmware: Firmware) -> None:
     vehicle = fresh(firmware)
     table, name = vehicle.simulation.parameters, FLOAT[firmware]
-    place = [row.name for row in table.rows].index(name)
+    place = list(table).index(name)
     (by_index,), (by_name,) = read(vehicle, index=place), read(vehicle, name)
     assert by_index.param_id == by_name.param_id == name
     assert by_index.param_value == by_name.param_value == table[name]
@@ -114,7 +114,7 @@ def test_ardupilot_converts_to_the_type_whatever_type_is_named(
         (told,) = put(vehicle, name, asked, kind)
         assert told.param_value == pytest.approx(kept, rel=1e-6)
         assert vehicle.simulation.parameters[name] == pytest.approx(kept, rel=1e-6)
-    assert told.param_type == vehicle.simulation.parameters.row(name).kind
+    assert told.param_type == vehicle.simulation.parameters.rows[name].kind
 
 
 @given(value=st.integers(-(2**31), 2**31 - 1).filter(lambda v: v & 0x7FC00000 != 0x7F800000))
