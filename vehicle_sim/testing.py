@@ -12,14 +12,12 @@ docs/simulator.md has the whole example.  The simulator runs in the test's own p
 while the test advances it: between two calls vehicle time stands still.
 """
 
-import json
 import math
 import select
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import pytest
 
@@ -39,9 +37,8 @@ _MAX_DATAGRAMS: Final = 1000
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Moment:
-    """Where the vehicle really was: ten a second, from the truth file."""
+class Moment(NamedTuple):
+    """Where the vehicle really was: ten a second."""
 
     t_s: float
     latitude_deg: float
@@ -101,10 +98,9 @@ class Simulator:
         self.fault, self.set_parameter = self.simulation.add_fault, self.simulation.set_parameter
         """A fault from now on, as "for 30 s: gps_off"; and a parameter, as PARAM_SET does it."""
         self._lockstep, self._strict = lockstep, strict
-        self._height_amsl_m = world.truth().height_at_amsl_m
         self._link = Link(Endpoint(kind="udpin", host="127.0.0.1", port=0))
         self.close = self._link.close
-        self.moments: list[Moment] = []
+        self.moments = [self._moment()]
         """The whole flight so far."""
         self.heard_s: dict[str, list[float]] = {}
         """When each kind of message came in, in vehicle time, by its MAVLink name."""
@@ -170,22 +166,23 @@ class Simulator:
         simulation = self.simulation
         simulation.step()
         simulation.take_notices()
-        rows = map(json.loads, simulation.take_truth())
-        self.moments += [self._moment(row) for row in rows if "t_s" in row]  # not the header
+        if simulation.take_truth():
+            self.moments.append(self._moment())
         if self._strict and simulation.not_survived is not None:
             raise AssertionError(f"at {self.now_s:.2f} s: {simulation.not_survived}")
 
-    def _moment(self, row: dict[str, Any]) -> Moment:
-        """Of a line of the truth."""
-        ground_m = self._height_amsl_m(row["north_m"], row["east_m"])
+    def _moment(self) -> Moment:
+        simulation, vehicle = self.simulation, self.simulation.vehicle
         return Moment(
-            t_s=row["t_s"],
-            latitude_deg=row["lat_deg"],
-            longitude_deg=row["lon_deg"],
-            altitude_amsl_m=row["altitude_amsl_m"],
-            speed_m_s=math.hypot(row["velocity_north_m_s"], row["velocity_east_m_s"]),
-            above_ground_m=row["altitude_amsl_m"] - ground_m,
-            **{key: row[key] for key in ("mode", "armed", "landed")},
+            self.now_s,
+            vehicle.latitude_deg,
+            vehicle.longitude_deg,
+            vehicle.altitude_amsl_m,
+            math.hypot(vehicle.velocity_north_m_s, vehicle.velocity_east_m_s),
+            vehicle.altitude_amsl_m - simulation.ground_amsl_m,
+            simulation.mode_name,
+            simulation.armed,
+            simulation.landed,
         )
 
     def _heard(self, kind: str) -> None:
