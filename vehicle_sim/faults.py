@@ -45,8 +45,6 @@ class GpsConditions(NamedTuple):
     sigma_m: float = 0.0
     lag_s: float = 0.1
     satellites: int = 10
-    fix_type: int = 6
-    """The best that it reaches."""
 
 
 class WindConditions(NamedTuple):

@@ -26,7 +26,7 @@ POSITION, POSITION_VELOCITY, ALL_THREE, VELOCITY = 0xDF8, 0xDC0, 0xC00, 0xDC7
 """Masks of setpoints."""
 SWING_RAD: Final = 2.404825557695773
 """First zero of J0: a route that swings so far to both sides closes."""
-PX4_GPS: Final = GpsConditions(fix_type=3, lag_s=0.0)
+PX4_GPS: Final = GpsConditions(lag_s=0.0)
 
 
 @final
