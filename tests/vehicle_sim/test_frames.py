@@ -112,7 +112,9 @@ def flagged(flags: int, crc_is_off_by: int = 0) -> bytes:
     return body + struct.pack("<H", crc)
 
 
-@pytest.mark.parametrize("datagram", [b"abc", flagged(0, 1), flagged(0)[:-1], flagged(2)])
+@pytest.mark.parametrize(
+    "datagram", [b"abc", flagged(0, 1), flagged(0)[:-1], flagged(2), flagged(3) + bytes(13)]
+)
 def test_what_is_no_frame_of_mavlink_is_passed_over(datagram: bytes) -> None:
     assert frames_of(datagram) == []
     assert len(frames_of(flagged(0))) == 1

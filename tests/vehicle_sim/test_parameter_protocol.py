@@ -210,6 +210,19 @@ def test_the_rates_of_streams_are_parameters_that_count_from_the_boot(
     assert rates_hz() == [10.0, 4.0, 5.0 if kind == "plane" else 0.0]
 
 
+def test_a_value_is_kept_within_the_limits_of_its_row_and_until_a_reboot_or_for_good() -> None:
+    row = Parameter(name="RATE", default=4.0, kind=Kind.INT16, least=0.0, most=50.0)
+    table = Parameters([row], {})
+    for value, nearest in ((60.0, 50.0), (-3.0, 0.0), (math.nan, 0.0), (7.4, 7.0)):
+        table["RATE"] = value
+        assert table["RATE"] == table.kept()["RATE"] == nearest
+    table.set_until_reboot("RATE", 9.0)
+    table.set_until_reboot("RATE", 10.0)
+    assert (table["RATE"], table.kept()["RATE"]) == (10.0, 7.0)
+    table["RATE"] = 11.0
+    assert (table["RATE"], table.kept()["RATE"]) == (11.0, 11.0)
+
+
 TABLES = {
     "copter": arducopter.FIRMWARE.table,
     "plane": arduplane.FIRMWARE.table,
