@@ -178,27 +178,32 @@ class Asking(NamedTuple):
         return {self.group: {self.key: _meant(self.group, self.key, value, self.unit)}}
 
 
-def _sim(name: str, at: str, usual: float, least: float, most: float, how: str = "") -> Asking:
-    """How: its unit, or its type if that is not a float."""
-    kind = Kind[how] if how.startswith("INT") else Kind.REAL32
-    row = Parameter(name=f"SIM_{name}", default=usual, kind=kind, least=least, most=most)
+def _sim(
+    name: str, at: str, usual: float, least: float, most: float, unit: str = "", kind: str = ""
+) -> Asking:
+    """At: group and field.  Kind: a float, if it is left out."""
+    row = Parameter(
+        name=f"SIM_{name}",
+        default=usual,
+        kind=Kind[kind or "REAL32"],
+        least=least,
+        most=most,
+    )
     group, _, key = at.partition(".")
-    if name == "GPS1_LAG_MS":
-        how, row = "ms", replace(row, kind=Kind.INT16)
-    return Asking(row, group, key, how if kind is Kind.REAL32 else "")
+    return Asking(row, group, key, unit)
 
 
 _FAR_M: Final = 1e5
 ASKING: Final = (
-    _sim("GPS_USED", "gps.satellites", 10, 0, 50, "INT32"),
-    _sim("GPS1_ENABLE", "gps.enabled", 1, 0, 1, "INT8"),
+    _sim("GPS_USED", "gps.satellites", 10, 0, 50, kind="INT32"),
+    _sim("GPS1_ENABLE", "gps.enabled", 1, 0, 1, kind="INT8"),
     _sim("GPS1_GLTCH_X", "gps.glitch_latitude_deg", 0, -90, 90),
     _sim("GPS1_GLTCH_Y", "gps.glitch_longitude_deg", 0, -180, 180),
     _sim("GPS1_GLTCH_Z", "gps.glitch_up_m", 0, -_FAR_M, _FAR_M),
-    _sim("GPS1_ALT_OFS", "gps.offset_up_m", 0, -32_768, 32_767, "INT16"),
-    _sim("GPS1_JAM", "gps.jammed", 0, 0, 1, "INT8"),
-    _sim("GPS1_LAG_MS", "gps.lag_s", 100, 0, 5000),
-    _sim("GPS1_NUMSATS", "gps.satellites", 10, 0, 50, "INT8"),
+    _sim("GPS1_ALT_OFS", "gps.offset_up_m", 0, -32_768, 32_767, kind="INT16"),
+    _sim("GPS1_JAM", "gps.jammed", 0, 0, 1, kind="INT8"),
+    _sim("GPS1_LAG_MS", "gps.lag_s", 100, 0, 5000, "ms", "INT16"),
+    _sim("GPS1_NUMSATS", "gps.satellites", 10, 0, 50, kind="INT8"),
     _sim("WIND_SPD", "wind.speed_m_s", 0, 0, 100),
     _sim("WIND_DIR", "wind.from_rad", 180, -360, 360, "deg"),
     _sim("WIND_TURB", "wind.turbulence_m_s", 0, 0, 50),
