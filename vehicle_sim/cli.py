@@ -1,5 +1,6 @@
-"""vehicle-sim: the command line."""
+"""vehicle-sim: the command line.  What goes wrong is one line on stderr and an exit code."""
 
+import errno
 import importlib.metadata
 import importlib.util
 import math
@@ -13,19 +14,18 @@ from typing import Annotated, Any, Final
 import typer
 
 from vehicle_sim.autopilot.factory import personality_of, with_own_ids
-from vehicle_sim.errors import InputError
+from vehicle_sim.errors import InputError, SimulatorError
 from vehicle_sim.faults import Timeline
-from vehicle_sim.links import Link, open_link, parse_endpoint
+from vehicle_sim.links import Link, parse_endpoint
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.server import Server, Settings, Station, stopping_on_signals, truth_files
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.terminal import run
 from vehicle_sim.world import VehicleKind, World, flat_world, read_world
 
 HELP = """A simulated drone to test a companion computer with.
 
 Flies a point-mass copter or plane with an autopilot like ArduPilot's or PX4's, GPS and a terrain
-radar, and speaks MAVLink 2 over UDP or TCP.  WORLD is the name of a bundled world, or the path of a
+radar, and speaks MAVLink 2 over UDP.  WORLD is the name of a bundled world, or the path of a
 world.toml; without it there is level ground at --home.
 
 Start it in one terminal and the companion in another:
@@ -39,7 +39,7 @@ in real time (or --speedup times that) whatever the companion does.  Ctrl-C ends
 
 \b
     vehicle-sim --autopilot px4 --vehicle plane --faults faults.txt
-    vehicle-sim --connect tcpin:127.0.0.1:5760 --connect udpout:127.0.0.1:14550
+    vehicle-sim --connect udpin:127.0.0.1:14551 --connect udpout:127.0.0.1:14550
     vehicle-sim --count 5 --port-step 10
 
 Faults are one line each, such as "at 120 s for 30 s: gps_off": see docs/simulator.md.
@@ -64,8 +64,19 @@ def _option(about: str, metavar: str | None = None, default: str | bool = True) 
     return typer.Option(help=about, metavar=metavar, show_default=default)
 
 
-_Endpoints = "udpout:HOST:PORT, udpin:HOST:PORT or tcpin:HOST:PORT; once for each link."
-_Versions = typer.Option("--version", help="Say which version this is.", callback=_version)
+def _flag(name: str, about: str, callback: Any = None) -> Any:
+    return typer.Option(name, help=about, callback=callback)
+
+
+_Endpoints = "udpout:HOST:PORT or udpin:HOST:PORT; once for each link."
+_Place = _option("Without WORLD.", "LAT,LON,ALT,HEADING", _HOME)
+_Range = _option("Without WORLD: a terrain radar that sees so far.", "METRES")
+_Params = _option("A parameter of the autopilot, or a SIM_ one.", "NAME=VALUE")
+_Faults = _option("A timeline of faults, one a line.", "FILE")
+_Lockstep = _flag("--lockstep", "Advance only when the companion has answered.")
+_Step = _option("Between the vehicles' ports; 0: all on the same.", "K")
+_Strict = _flag("--strict", "End with 1 at what the real one does not survive.")
+_Out = _option("Write DIR/truth.jsonl: where it really was.", "DIR")
 
 
 @app.command(help=HELP)
@@ -74,31 +85,19 @@ def fly(
     connect: Annotated[list[str] | None, _option(_Endpoints, default=_CONNECT)] = None,
     autopilot: Annotated[Firmware | None, _option("Without WORLD.", default="ardupilot")] = None,
     vehicle: Annotated[VehicleKind | None, _option("Without WORLD.", default="copter")] = None,
-    home: Annotated[
-        str | None, _option("Without WORLD.", "LAT,LON,ALT,HEADING", default=_HOME)
-    ] = None,
-    scan_range: Annotated[
-        float | None, _option("Without WORLD: a terrain radar that sees so far.", "METRES")
-    ] = None,
-    param: Annotated[
-        list[str] | None, _option("A parameter of the autopilot, or a SIM_ one.", "NAME=VALUE")
-    ] = None,
-    faults: Annotated[Path | None, _option("A timeline of faults, one a line.", "FILE")] = None,
+    home: Annotated[str | None, _Place] = None,
+    scan_range: Annotated[float | None, _Range] = None,
+    param: Annotated[list[str] | None, _Params] = None,
+    faults: Annotated[Path | None, _Faults] = None,
     speedup: Annotated[float | None, _option("Times real time.", "N", default="1")] = None,
-    lockstep: Annotated[
-        bool, typer.Option("--lockstep", help="Advance only when the companion has answered.")
-    ] = False,
+    lockstep: Annotated[bool, _Lockstep] = False,
     count: Annotated[int, _option("So many vehicles, with rising system ids.", "N")] = 1,
-    port_step: Annotated[int, _option("Between the vehicles' ports; 0: all on the same.", "K")] = 0,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="End with 1 at what the real one does not survive.")
-    ] = False,
+    port_step: Annotated[int, _Step] = 0,
+    strict: Annotated[bool, _Strict] = False,
     seed: Annotated[int, _option("Of all that is random.", "S")] = 0,
-    out: Annotated[
-        Path | None, _option("Write DIR/truth.jsonl: where it really was.", "DIR")
-    ] = None,
+    out: Annotated[Path | None, _Out] = None,
     duration: Annotated[float | None, _option("End after S seconds of vehicle time.", "S")] = None,
-    version: Annotated[bool, _Versions] = False,  # noqa: ARG001
+    version: Annotated[bool, _flag("--version", "Say which version this is.", _version)] = False,  # noqa: ARG001
 ) -> None:
     """Parse, then fly."""
     endpoints = [parse_endpoint(each) for each in connect or [_CONNECT]]
@@ -109,10 +108,6 @@ def fly(
     _must_lie("--duration", duration, 1e-3, 1e7, "Try 600.")
     _must_lie("--seed", seed, 0, 2**63, "Give 0 or more.")
     _must_lie("--scan-range", scan_range, 1e-3, 1e6, "Try 2000.")
-    lasts_s = math.inf if duration is None else duration
-    settings = Settings(
-        lockstep=lockstep, speedup=speedup or 1.0, duration_s=lasts_s, strict=strict
-    )
     if world is None:
         flown = _flat(autopilot or "ardupilot", vehicle or "copter", home or _HOME, scan_range)
     else:
@@ -122,31 +117,32 @@ def fly(
                 rule = "the world file says that itself"
                 raise InputError(f"--{option}", value, rule, "Leave out one of the two.")
         flown = read_world(_world_path(world))
-    flown = _with_parameters(flown, param or [], settings.speedup)
-    worlds = _row(flown, count, port_step)
-    timeline = "" if faults is None else _timeline(faults, flown)
+    settings = Settings(
+        lockstep=lockstep, speedup=speedup or 1.0, duration_s=duration or math.inf, strict=strict
+    )
+    worlds = _row(_with_parameters(flown, param or [], settings.speedup), count, port_step)
+    timeline = "" if faults is None else _timeline(faults, worlds[0])
     simulations = [
         Simulation(
             each,
             seed=seed + k,
             links=len(endpoints),
-            byte_streams={n for n, each in enumerate(endpoints) if each.kind == "tcpin"},
             forwards_all=k == 0 or port_step > 0,
             faults=timeline,
         )
         for k, each in enumerate(worlds)
     ]
     simulations[0].warm_up()  # who is silent for seconds, because it compiles, is taken to be lost
-    names = ["truth.jsonl" if k == 0 else f"truth-{k + 1}.jsonl" for k in range(count)]
+    names = ["truth.jsonl", *(f"truth-{k}.jsonl" for k in range(2, count + 1))]
     with ExitStack() as stack:
         stop = stack.enter_context(stopping_on_signals())
         truths = stack.enter_context(truth_files(out, names))
         opened = list[list[Link]]()
         for k in range(count if port_step else 1):
-            opened.append([open_link(each.shifted(k * port_step)) for each in endpoints])
+            opened.append([Link(each.shifted(k * port_step)) for each in endpoints])
             for link in opened[-1]:
                 stack.callback(link.close)
-        _say(_opening(worlds, [str(link.endpoint) for link in opened[0]], settings))
+        _say(_opening(worlds, opened[0], settings))
         stations = [
             Station(simulation=each, links=opened[k if port_step else 0], truth=truths[k])
             for k, each in enumerate(simulations)
@@ -169,12 +165,15 @@ def _say(line: str) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _opening(worlds: list[World], endpoints: list[str], settings: Settings) -> str:
+def _opening(worlds: list[World], links: list[Link], settings: Settings) -> str:
     vehicle, last = worlds[0].vehicle, worlds[-1].vehicle.system_id
     pace = "lockstep" if settings.lockstep else f"{settings.speedup:g} x real time"
     systems = f"system {vehicle.system_id}" + (f" to {last}" if len(worlds) > 1 else "")
-    on = ", ".join(endpoints)
+    on = ", ".join(str(link.endpoint) for link in links)
     return f"{worlds[0].name}: {vehicle.kind} with {vehicle.autopilot} as {systems}, {on}, {pace}"
+
+
+# --- what the options say -------------------------------------------------------------------------
 
 
 def _must_lie(
@@ -186,16 +185,15 @@ def _must_lie(
 
 def _flat(firmware: Firmware, kind: VehicleKind, home: str, scan_range_m: float | None) -> World:
     """Level ground at the height of --home."""
-    remedy = f"Try {_HOME}."
+    rule = "must be LAT,LON,ALT,HEADING within 85 deg, 180 deg, -1000 to 20000 m, 360 deg"
+    wrong = InputError("--home", home, rule, f"Try {_HOME}.")
     try:
         latitude_deg, longitude_deg, altitude_m, heading_deg = map(float, home.split(","))
     except ValueError:
-        rule = "must be LAT,LON,ALT,HEADING in deg, m, deg"
-        raise InputError("--home", home, rule, remedy) from None
+        raise wrong from None
     in_range = abs(latitude_deg) <= 85.0 and abs(longitude_deg) <= 180.0
     if not (in_range and -1000.0 <= altitude_m <= 20000.0 and abs(heading_deg) <= 360.0):
-        rule = "must be within 85 deg, 180 deg, -1000 to 20000 m, 360 deg"
-        raise InputError("--home", home, rule, remedy)
+        raise wrong
     return flat_world(
         kind,
         firmware,
@@ -212,15 +210,13 @@ def _with_parameters(world: World, assignments: list[str], speedup: float) -> Wo
     vehicle, added = world.vehicle, dict[str, float]()
     for text in assignments:
         name, _, value = text.partition("=")
-        try:
+        with suppress(ValueError):
             added[name] = float(value)
-        except ValueError:
-            added[name] = math.nan
-        if not math.isfinite(added[name]):
+        if not math.isfinite(added.get(name, math.nan)):
             rule = "must be NAME=VALUE with a finite number"
             raise InputError("--param", text, rule, "Try GUID_TIMEOUT=1.")
     longer = dict[str, float]()
-    if speedup != 1.0 and personality_of(vehicle).firmware.profile.firmware == "px4":
+    if speedup != 1.0 and personality_of(vehicle).is_px4:
         # as PX4's start script does it: a client's wall time counts
         longer = {name: speedup * seconds for name, seconds in _PX4_TIME_OUTS_S.items()}
     parameters = longer | vehicle.parameters | added
@@ -229,8 +225,7 @@ def _with_parameters(world: World, assignments: list[str], speedup: float) -> Wo
 
 def _row(world: World, count: int, port_step: int) -> list[World]:
     """The same world for each of so many vehicles, standing side by side."""
-    vehicle = world.vehicle
-    highest = personality_of(vehicle).highest_id
+    vehicle, highest = world.vehicle, personality_of(world.vehicle).highest_id
     most = min(_MAX_VEHICLES, highest - vehicle.system_id + 1)
     why = f": there are system ids from {vehicle.system_id} to {highest}"
     _must_lie("--count", count, 1, most, f"Try {min(most, 5)}.", why)
@@ -272,6 +267,36 @@ def _world_path(name: str) -> Path:
     known = ", ".join(bundled) or "(none is installed)"
     remedy = f"Choose from: {known}; or give the path of a world.toml."
     raise InputError("WORLD", name, "neither a bundled world nor a file", remedy)
+
+
+# --- how it ends ----------------------------------------------------------------------------------
+
+
+_WRONG_OPTIONS: Final[tuple[Any, ...]] = typer.BadParameter.__bases__
+"""Typer raises the parent class of its BadParameter, and has no name for it."""
+
+
+def run(app: typer.Typer, program: str) -> None:
+    """Run a command line and exit; `program` is how its help page is asked for."""
+    code: object = 0
+    try:
+        code = app(standalone_mode=False)
+    except SimulatorError as error:
+        typer.echo(f"error: {error}", err=True)
+        code = error.exit_code
+    except typer.Abort:
+        pass
+    except OSError as error:
+        if error.filename is not None or error.errno not in (errno.ENOSPC, errno.EPIPE, errno.EIO):
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for what is not yet written
+        sys.stderr.write(f"error: the output cannot be written ({error.strerror})\n")
+        code = InputError.exit_code
+    except _WRONG_OPTIONS as error:
+        wrong = str(getattr(error, "format_message", error.__str__)()).rstrip(".")
+        typer.echo(f"error: {wrong}. See {program} --help.", err=True)
+        code = InputError.exit_code
+    sys.exit(code if isinstance(code, int) else 0)
 
 
 def main() -> None:

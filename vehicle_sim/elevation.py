@@ -1,24 +1,187 @@
-"""Elevation files of the world: GeoTIFF and SRTM .hgt, opened by rasterio only if one is named.
+"""The true terrain of an elevation file: GeoTIFF or SRTM .hgt, bilinear between its points.
 
-The companion, which plans by the same file, makes the finer checks of it.
+rasterio is loaded only if a file is named.  The companion, which plans by the same file, makes the
+finer checks of it.  Positions come in the local frame: geodesics are exact and slow, so the way
+from there to the grid is tabulated once, at places so close that it is straight between them.
 """
 
 import importlib
 import math
 import warnings
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal, NamedTuple, Self, final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
+from vehicle_sim.compiled import compiled
 from vehicle_sim.errors import InputError
-from vehicle_sim.geodesy import LocalFrame
-from vehicle_sim.grid import Area, GridTerrain
+from vehicle_sim.geodesy import FloatArray, LocalFrame, metres_per_degree
 
+Area = tuple[float, float, float, float]
+"""North least and most, east least and most, in metres."""
 VerticalDatum = Literal["AMSL", "EGM84", "EGM96", "EGM2008", "NAVD88", "NGVD29", "EVRF"]
-_SPARE = 0.02
+_SPARE: Final = 0.02
 """Of a cell: the border of the area bends between the places of it that are looked at."""
+_TABLE_M: Final = 250.0
+_TABLE_PLACES: Final = 400
+"""A side at most: 1 km apart for an area of 400 km, where it bends by 2 cm between them."""
+_STRETCH: Final = 1.01
+"""A metre of the local frame is this many true metres at most."""
+_SAMPLES: Final = (9, 25)
+_SAMPLE_M: Final = 5.0
+
+
+@final
+class GridTerrain(NamedTuple):
+    """Heights of points in rows from north to south; as at its edge beyond it."""
+
+    heights_m: NDArray[Any]
+    """(rows, columns) AMSL, of the file's own type."""
+    low_ne_m: tuple[float, float]
+    spacing_ne_m: tuple[float, float]
+    """Of the places in the tables."""
+    row_at: FloatArray
+    """(N, E): which row of the grid each place lies in; and which column."""
+    column_at: FloatArray
+    steps_m: tuple[float, float]
+    """From row to row, and the least from column to column."""
+
+    @classmethod
+    def of(
+        cls,
+        heights_m: NDArray[Any],
+        *,
+        north_deg: float,
+        west_deg: float,
+        step_deg: tuple[float, float],
+        frame: LocalFrame,
+        area_m: Area,
+    ) -> Self:
+        """The terrain of an area.  north_deg, west_deg: of the first point.  Steps: positive."""
+        sizes = [max(high - low, 1.0) for low, high in (area_m[:2], area_m[2:])]
+        counts = [min(math.ceil(size / _TABLE_M), _TABLE_PLACES) + 1 for size in sizes]
+        north, east = np.meshgrid(
+            area_m[0] + np.linspace(0.0, sizes[0], counts[0]),
+            area_m[2] + np.linspace(0.0, sizes[1], counts[1]),
+            indexing="ij",
+        )
+        latitude, longitude = frame.to_geographic_many(north.ravel(), east.ravel())
+        half = 0.5 * step_deg[1] * (heights_m.shape[1] - 1)
+        off_middle = (longitude - west_deg - half + 180.0) % 360.0 - 180.0
+        steps_m = [
+            step * length
+            for step, length in zip(step_deg, metres_per_degree(north_deg), strict=True)
+        ]
+        southmost = north_deg - step_deg[0] * heights_m.shape[0]
+        steps_m[1] = min(steps_m[1], step_deg[1] * metres_per_degree(southmost)[1])
+        return cls(
+            heights_m=heights_m,
+            low_ne_m=(area_m[0], area_m[2]),
+            spacing_ne_m=(sizes[0] / (counts[0] - 1), sizes[1] / (counts[1] - 1)),
+            row_at=((north_deg - latitude) / step_deg[0]).reshape(north.shape),
+            column_at=((off_middle + half) / step_deg[1]).reshape(north.shape),
+            steps_m=(steps_m[0], steps_m[1]),
+        )
+
+    def _rows_columns(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
+        """Where points of the local frame lie in the grid.  (...) x2 -> (2, ...)."""
+        north = (north_m - self.low_ne_m[0]) / self.spacing_ne_m[0]
+        places = np.stack([north, (east_m - self.low_ne_m[1]) / self.spacing_ne_m[1]])
+        return np.stack([_between(self.row_at, places), _between(self.column_at, places)])
+
+    def height_amsl_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
+        """Height of the terrain.  (...), (...) -> (...)."""
+        north, east = np.broadcast_arrays(north_m, east_m)
+        return _between(self.heights_m, self._rows_columns(north, east))
+
+    def height_at_amsl_m(self, north_m: float, east_m: float) -> float:
+        """Height of the terrain at one point."""
+        return float(self.height_amsl_m(np.array([north_m]), np.array([east_m]))[0])
+
+    def _steepest(self, grid: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+        """Bound of the gradient less than two rows and columns from each point of a part.
+
+        (2, ...) rows and columns in the part -> (R, C), and row and column of its first point.
+        """
+        last = np.array(self.heights_m.shape) - 1
+        low = np.clip(np.floor(grid.reshape(2, -1).min(axis=1)).astype(np.intp) - 3, 0, last)
+        high = np.clip(np.ceil(grid.reshape(2, -1).max(axis=1)).astype(np.intp) + 3, 0, last)
+        part = self.heights_m[low[0] : high[0] + 1, low[1] : high[1] + 1].astype(np.float64)
+        part = np.pad(part, ((0, 1), (0, 1)), mode="edge")
+        along_north = (
+            scipy.ndimage.maximum_filter(np.abs(np.diff(part, axis=0))[:, :-1], 5) / self.steps_m[0]
+        )
+        along_east = (
+            scipy.ndimage.maximum_filter(np.abs(np.diff(part, axis=1))[:-1], 5) / self.steps_m[1]
+        )
+        return np.asarray(_STRETCH * np.hypot(along_north, along_east)), low
+
+    def highest_in_quads_amsl_m(self, corners_ne_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Highest terrain over convex quadrilaterals, and where.  (C, 4, 2) -> (C,), (C, 2).
+
+        The height is an upper bound: that of the highest of a lattice of samples, and what the
+        steepest slope nearby may add between them (about a metre for cells of 20 m).
+        """
+        sides = np.roll(corners_ne_m, -1, axis=1) - corners_ne_m
+        longest_m = float(np.max(np.hypot(sides[..., 0], sides[..., 1]), initial=0.0))
+        count = int(np.clip(math.ceil(longest_m / _SAMPLE_M) + 1, *_SAMPLES))
+        u, v = (x.ravel() for x in np.meshgrid(*2 * [np.linspace(0.0, 1.0, count)]))
+        shares = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v])  # (4, count^2)
+        corners = self._rows_columns(corners_ne_m[..., 0], corners_ne_m[..., 1])  # (2, C, 4)
+        grid = corners @ shares  # (2, C, count^2): cells of 1 km bend by 1 cm
+        heights = _between(self.heights_m, grid)
+        best = heights.argmax(axis=1)
+        cell = np.arange(len(best))
+        slope, start = self._steepest(grid)
+        middle = np.rint(grid.mean(axis=2)).astype(np.intp) - start[:, None]
+        steepest = slope[tuple(np.clip(middle, 0, np.array(slope.shape)[:, None] - 1))]
+        if np.any(np.ptp(grid, axis=2) > 2.0):
+            steepest = np.full_like(steepest, slope.max())
+        between_m = longest_m / (count - 1) / math.sqrt(2.0)
+        return heights[cell, best] + steepest * between_m, np.einsum(
+            "kc,ckx->cx", shares[:, best], corners_ne_m
+        )
+
+    def lowest_in_grid_amsl_m(
+        self, north_edges_m: FloatArray, east_edges_m: FloatArray
+    ) -> FloatArray:
+        """Lower bound of the terrain in every cell of a grid.  (N + 1,), (E + 1,) -> (N, E).
+
+        The lowest corner, less what the steepest slope of all may take away half a cell from it.
+        """
+        grid = self._rows_columns(*np.meshgrid(north_edges_m, east_edges_m, indexing="ij"))
+        corner = _between(self.heights_m, grid)
+        pairs = np.minimum(corner[1:], corner[:-1])
+        steepest = float(self._steepest(grid)[0].max())
+        half_m = 0.5 * math.hypot(np.diff(north_edges_m).max(), np.diff(east_edges_m).max())
+        return np.minimum(pairs[:, 1:], pairs[:, :-1]) - steepest * half_m
+
+
+def _between(values: NDArray[Any], at: FloatArray) -> FloatArray:
+    """Bilinear interpolation, as at the edge beyond it.  (R, C), (2, ...) -> (...)."""
+    found = _interpolated(values, at[0].ravel(), at[1].ravel())
+    return found.reshape(at.shape[1:])
+
+
+@compiled()
+def _interpolated(values: NDArray[Any], rows: FloatArray, columns: FloatArray) -> FloatArray:
+    """The same of flat arrays.  (R, C), (K,), (K,) -> (K,)."""
+    found = np.empty(len(rows))
+    last_row, last_column = values.shape[0] - 1, values.shape[1] - 1
+    for k in range(len(rows)):
+        row, column = min(max(rows[k], 0.0), last_row), min(max(columns[k], 0.0), last_column)
+        i, j = min(int(row), max(last_row - 1, 0)), min(int(column), max(last_column - 1, 0))
+        down, right = row - i, column - j
+        below, beside = min(i + 1, last_row), min(j + 1, last_column)
+        upper = values[i, j] * (1.0 - right) + values[i, beside] * right
+        lower = values[below, j] * (1.0 - right) + values[below, beside] * right
+        found[k] = upper * (1.0 - down) + lower * down
+    return found
+
+
+# --- files ----------------------------------------------------------------------------------------
 
 
 def read_grid(

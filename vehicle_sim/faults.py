@@ -1,6 +1,7 @@
-"""Every fault, and the timeline of those that are to come.
+"""What may be wrong with a vehicle and its surroundings, and when.
 
-A fault is a row of the conditions, or of ONCE.  A timeline is text with one fault a line:
+`Conditions` say what is wrong now.  Parameters of the autopilot ask for them, and over these the
+faults of a timeline, which is text with one fault (a row of FAULTS) a line:
 
     # comments begin with a hash
     at 120 s for 30 s: gps_off
@@ -13,22 +14,251 @@ Times are of the simulation, which a reboot of the autopilot does not begin agai
 
 import bisect
 import functools
+import math
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, Final, Self, final
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final, NamedTuple, Self, final
 
-from vehicle_sim.conditions import (
-    FIELDS,
-    GROUPS,
-    ROWS,
-    SIM_PARAMETERS,
-    SIM_PARAMETERS_PX4,
-    Changes,
-    Vector,
-)
 from vehicle_sim.errors import InputError, did_you_mean
-from vehicle_sim.parameters import Firmware
+from vehicle_sim.parameters import Firmware, Kind, Parameter, Readable
+
+Vector = tuple[float, float, float]
+"""North, east, up; true."""
+_ZERO: Final = (0.0, 0.0, 0.0)
+
+
+# --- conditions: what is wrong now, by who minds it.  FAULTS says what each means -----------------
+
+
+class GpsConditions(NamedTuple):
+    """What is wrong with the receiver or the sky."""
+
+    enabled: bool = True
+    glitch_m: Vector = _ZERO
+    glitch_latitude_deg: float = 0.0
+    glitch_longitude_deg: float = 0.0
+    glitch_up_m: float = 0.0
+    offset_up_m: float = 0.0
+    drift_m_s: Vector = _ZERO
+    jammed: bool = False
+    sigma_m: float = 0.0
+    lag_s: float = 0.1
+    satellites: int = 10
+
+
+class WindConditions(NamedTuple):
+    """The wind that is asked for, in ArduPilot's terms."""
+
+    speed_m_s: float = 0.0
+    from_rad: float = math.pi
+    turbulence_m_s: float = 0.0
+    rising_rad: float = 0.0
+
+
+class BatteryConditions(NamedTuple):
+    """What is asked of the battery."""
+
+    most: float = 1.0
+    voltage_v: float = 12.6
+    capacity_ah: float = 0.0
+    """Of which the voltage knows (ArduPilot); 0: it never falls by use."""
+    drain_s: float = 60.0
+    """From full to empty, armed (PX4)."""
+    least: float = 0.5
+    """Where that ends (PX4)."""
+    gauge_mah: float = 3300.0
+    """Which an ArduPilot believes it has: its own parameter BATT_CAPACITY."""
+
+
+class LinkConditions(NamedTuple):
+    """What is wrong with the links; shares are of the frames."""
+
+    off: bool = False
+    lost: float = 0.0
+    delay_us: int = 0
+    jitter_us: int = 0
+    duplicated: float = 0.0
+    reordered: float = 0.0
+    corrupted: float = 0.0
+    to_vehicle: bool = True
+    """Whether frames to the vehicle are concerned, and those from it."""
+    from_vehicle: bool = True
+    only: int = -1
+    """The link that is concerned; -1: all are."""
+
+    @property
+    def any(self) -> bool:
+        """Something is wrong."""
+        return any(self[:7])
+
+
+class RadarConditions(NamedTuple):
+    """What is wrong with the terrain radar."""
+
+    silent: bool = False
+    blind: bool = False
+    cells_missed: float = 0.0
+    frames_lost: float = 0.0
+    noise_m: float = 0.0
+    either_way: bool = False
+    delay_s: float = 0.0
+    rate_hz: float = 0.0
+
+
+class LidarConditions(NamedTuple):
+    """What is wrong with the lidar and its driver."""
+
+    dead: bool = False
+    blind: bool = False
+    silent: bool = False
+    frames_lost: float = 0.0
+    dust: float = 0.0
+    stuck: bool = False
+    turned_rad: float = 0.0
+    clock_us: int = 0
+    clock_jump_us: int = 0
+    rate_hz: float = 0.0
+    frame: int = 12
+    junk: float = 0.0
+    mirrored: bool = False
+
+
+class AutopilotConditions(NamedTuple):
+    """What is wrong with the autopilot."""
+
+    rangefinder_off: bool = False
+    setpoints_ignored: bool = False
+
+
+class Conditions(NamedTuple):
+    """All that is asked for."""
+
+    gps: GpsConditions = GpsConditions()
+    wind: WindConditions = WindConditions()
+    battery: BatteryConditions = BatteryConditions()
+    link: LinkConditions = LinkConditions()
+    radar: RadarConditions = RadarConditions()
+    lidar: LidarConditions = LidarConditions()
+    autopilot: AutopilotConditions = AutopilotConditions()
+
+
+_USUAL: Final = Conditions()
+Changes = Mapping[str, Mapping[str, Any]]
+"""New values of fields, by group of the conditions and name."""
+
+
+def _meant(group: str, key: str, value: float, unit: str) -> Any:
+    """A number of a line or a parameter, in this unit, as the field has it."""
+    if unit == "deg":
+        return math.radians(value)
+    if unit == "%":
+        return value * 0.01
+    if unit == "ms" and key.endswith("_s"):
+        return value * 1e-3
+    kind = type(getattr(getattr(_USUAL, group), key))
+    value = value * 1e3 if unit == "ms" else value
+    return round(value) if kind is int else kind(value)
+
+
+# --- parameters that ask for them: those of ArduPilot's (libraries/SITL) and PX4's simulations ----
+
+
+@final
+class Asking(NamedTuple):
+    """A parameter, and the field that it is the value of."""
+
+    row: Parameter
+    group: str
+    key: str
+    unit: str
+
+    def changes(self, value: float) -> Changes:
+        """What it asks for with this value."""
+        return {self.group: {self.key: _meant(self.group, self.key, value, self.unit)}}
+
+
+def _sim(
+    name: str, at: str, usual: float, least: float, most: float, unit: str = "", kind: str = ""
+) -> Asking:
+    """At: group and field.  Kind: a float, if it is left out."""
+    row = Parameter(
+        name=f"SIM_{name}",
+        default=usual,
+        kind=Kind[kind or "REAL32"],
+        least=least,
+        most=most,
+    )
+    group, _, key = at.partition(".")
+    return Asking(row, group, key, unit)
+
+
+_FAR_M: Final = 1e5
+ASKING: Final = (
+    _sim("GPS_USED", "gps.satellites", 10, 0, 50, kind="INT32"),
+    _sim("GPS1_ENABLE", "gps.enabled", 1, 0, 1, kind="INT8"),
+    _sim("GPS1_GLTCH_X", "gps.glitch_latitude_deg", 0, -90, 90),
+    _sim("GPS1_GLTCH_Y", "gps.glitch_longitude_deg", 0, -180, 180),
+    _sim("GPS1_GLTCH_Z", "gps.glitch_up_m", 0, -_FAR_M, _FAR_M),
+    _sim("GPS1_ALT_OFS", "gps.offset_up_m", 0, -32_768, 32_767, kind="INT16"),
+    _sim("GPS1_JAM", "gps.jammed", 0, 0, 1, kind="INT8"),
+    _sim("GPS1_LAG_MS", "gps.lag_s", 100, 0, 5000, "ms", "INT16"),
+    _sim("GPS1_NUMSATS", "gps.satellites", 10, 0, 50, kind="INT8"),
+    _sim("WIND_SPD", "wind.speed_m_s", 0, 0, 100),
+    _sim("WIND_DIR", "wind.from_rad", 180, -360, 360, "deg"),
+    _sim("WIND_TURB", "wind.turbulence_m_s", 0, 0, 50),
+    _sim("WIND_DIR_Z", "wind.rising_rad", 0, -90, 90, "deg"),
+    _sim("BATT_VOLTAGE", "battery.voltage_v", 12.6, 0, 60),
+    _sim("BATT_CAP_AH", "battery.capacity_ah", 0, 0, 1000),
+    _sim("BAT_DRAIN", "battery.drain_s", 60, 1, 86_400),
+    _sim("BAT_MIN_PCT", "battery.least", 50, 0, 100, "%"),
+)
+"""SIM_BATT_ are ArduPilot's, SIM_BAT_ and SIM_GPS_USED are PX4's, the others are of both."""
+_OF_PX4: Final = ("SIM_GPS_USED", "SIM_BAT_DRAIN", "SIM_BAT_MIN_PCT")
+_PX4_MIN_SATELLITES: Final = 4
+"""With fewer PX4's simulated receiver has no fix (px4.md 8)."""
+
+
+def _as_px4(row: Parameter) -> Parameter:
+    """PX4 knows INT32 and FLOAT only, and its simulated receiver is never late."""
+    default = 0.0 if row.name == "SIM_GPS1_LAG_MS" else row.default
+    return replace(row, kind=row.kind if row.kind is Kind.REAL32 else Kind.INT32, default=default)
+
+
+SIM_PARAMETERS: Final = tuple(each.row for each in ASKING if each.row.name not in _OF_PX4)
+"""What both ArduPilots' tables end with."""
+SIM_PARAMETERS_PX4: Final = tuple(
+    _as_px4(each.row) for each in ASKING if not each.row.name.startswith("SIM_BATT_")
+)
+"""What both PX4s' tables end with."""
+
+
+def conditions_of(parameters: Readable, faults: Iterable[Changes] = ()) -> Conditions:
+    """What the parameters ask for, and over them each of these faults; the last one counts.
+
+    A parameter that the table lacks, or that is not a number, has its usual value.  On PX4
+    SIM_GPS_USED counts, and not SIM_GPS1_NUMSATS.
+    """
+    asked, is_px4 = list[Changes](), "SIM_GPS_USED" in parameters
+    for each in (*ASKING[1:], ASKING[0]):
+        if each.row.name in parameters and math.isfinite(value := parameters[each.row.name]):
+            asked.append(each.changes(value))
+    if "BATT_CAPACITY" in parameters:
+        asked.append({"battery": {"gauge_mah": parameters["BATT_CAPACITY"]}})
+    values: dict[str, dict[str, Any]] = {}
+    for changes in (*asked, *faults):
+        for group, changed in changes.items():
+            values.setdefault(group, {}).update(changed)
+    groups = {group: getattr(_USUAL, group)._replace(**new) for group, new in values.items()}
+    made = _USUAL._replace(**groups)
+    if not is_px4:
+        return made
+    seen = made.gps.satellites if made.gps.enabled else 0
+    gps = made.gps._replace(satellites=seen, enabled=seen >= _PX4_MIN_SATELLITES)
+    return made._replace(gps=gps)
+
+
+# --- faults ---------------------------------------------------------------------------------------
 
 _WAYS: Final = {
     "north": (1.0, 0.0, 0.0),
@@ -44,33 +274,44 @@ _PATTERNS: Final = {
     "SIDE": "north|east|south|west",
     "PARAMETER": r"\w+",
 }
-_FAR: Final = (0.0, 1e5)
-_ANY: Final = (-1e9, 1e9)
-Limits = tuple[float, float]
+_NUMBER: Final = re.compile(r"\{(\w*):?([^:}]*):?([^:}]*)\}(?: (ms|deg|%))?")
 
 
 @final
-@dataclass(frozen=True)
+class _Number(NamedTuple):
+    """A number of a line."""
+
+    key: str
+    """The field that it is; none: of what happens once."""
+    least: float
+    most: float
+    unit: str
+
+
+@final
 class Fault:
-    """One kind of fault."""
+    """One kind of fault.
 
-    usage: str
-    """How it is written, as the rows of the conditions say it."""
-    about: str
-    limits: Sequence[Limits] = ()
-    """Least and most of each N."""
-    fields: Sequence[tuple[str, str]] = ()
-    """Group and field of the conditions that each N is; none: it happens once."""
+    The line is how it is written.  A number is {FIELD:LEAST:MOST}, where LEAST may be left out (0),
+    and MOST too (100); what happens once has no fields.  WHERE is north, east, south, west, up or
+    down, SIDE one of the first four; [...] may be left out, and its fields are then as usual.  A
+    word with an underscore is a switch: a field of this name.  `sets` is the field that the line
+    gives the other value than usual, or the vector that the line is.
+    """
 
-    @property
-    def name(self) -> str:
-        """Its first word."""
-        return self.usage.split()[0]
-
-    @property
-    def once(self) -> bool:
+    def __init__(self, group: str, line: str, about: str, sets: str = "") -> None:
+        self.group, self.about, self._sets = group, about, sets
+        self.usage = re.sub(r"\{.*?\}", "N", line)
+        """The line for people."""
+        self.name = line.split()[0]
+        self.once = not group and self.name != "set"
         """It happens at a moment and has no length."""
-        return not self.fields and self.name != "set"
+        self._numbers = [
+            _Number(key, float(first) if last else 0.0, float(last or first or 100.0), unit)
+            for key, first, last, unit in _NUMBER.findall(line)
+        ]
+        self.fields = [each for each in (sets, *(n.key for n in self._numbers)) if each]
+        """Those that it sets, but for its switches."""
 
     @functools.cached_property
     def _pattern(self) -> re.Pattern[str]:
@@ -86,76 +327,131 @@ class Fault:
             space = r"\s*" if token == "N" else r"\s+"  # "8m/s" is "8 m/s"
         return re.compile("".join(parts), re.I)
 
-    def read(self, what: str, where: str) -> tuple[list[float | None], list[str]]:
-        """Numbers (None: left out) and words of a text; InputError if it does not fit."""
+    def read(self, what: str, where: str) -> tuple[Changes, Sequence[float]]:
+        """The conditions that a text asks for; of what happens once its values.
+
+        These are its vector, or its numbers (0: left out) and 1 for a switch.  InputError if the
+        text does not fit.
+        """
         match = self._pattern.fullmatch(what)
         if match is None:
             raise InputError(where, what, f'reads "{self.usage}"', "Correct the line.")
         said = match.groupdict()
         numbers = [float(value) if value else None for key, value in said.items() if key[0] == "N"]
-        for value, (least, most) in zip(numbers, self.limits, strict=True):
-            if value is not None and not least <= value <= most:
-                rule = f"{value:g} must lie from {least:g} to {most:g}"
+        words = [value.lower() for key, value in said.items() if value and key[0] != "N"]
+        for value, number in zip(numbers, self._numbers, strict=True):
+            if value is not None and not number.least <= value <= number.most:
+                rule = f"{value:g} must lie from {number.least:g} to {number.most:g}"
                 raise InputError(where, what, rule, "Correct the number.")
-        return numbers, [value.lower() for key, value in said.items() if value and key[0] != "N"]
-
-    def changes(self, numbers: Sequence[float | None], words: Sequence[str]) -> Changes:
-        """What such a line asks for; what it leaves out is as usual."""
-        group, first = self.fields[0]
-        usual = GROUPS[group]()
-        if " WHERE" in self.usage:
-            return {group: {first: vector(numbers, words)}}
-        changed, is_switch = dict[str, Any](), ROWS[self.fields[0]].means is bool
-        if is_switch:
-            changed[first] = not getattr(usual, first)
-        for (_, key), value in zip(self.fields[is_switch:], numbers, strict=True):
-            changed[key] = getattr(usual, key) if value is None else ROWS[group, key].means(value)
+        if " WHERE" in self.usage or " SIDE" in self.usage:
+            sizes = [size for size in numbers if size is not None]
+            ways = [(size, _WAYS[word]) for size, word in zip(sizes, words, strict=True)]
+            vector = tuple(sum(size * way[axis] for size, way in ways) for axis in range(3))
+            return {self.group: {self._sets: vector}} if self.group else {}, vector
+        if not self.group:
+            return {}, [value or 0.0 for value in numbers] + [1.0] * len(words)
+        usual = getattr(_USUAL, self.group)
+        changed = {self._sets: not getattr(usual, self._sets)} if self._sets else {}
+        for value, (key, _, _, unit) in zip(numbers, self._numbers, strict=True):
+            is_usual = value is None
+            changed[key] = (
+                getattr(usual, key) if is_usual else _meant(self.group, key, value or 0.0, unit)
+            )
         for switches in re.findall(r"\[(\w+_[\w|]+)\]", self.usage):
             for each in switches.split("|"):
                 changed[each] = each in words if words else getattr(usual, each)
-        return {group: changed}
+        return {self.group: changed}, ()
 
 
-def vector(numbers: Sequence[float | None], words: Sequence[str]) -> Vector:
-    """North, east and up of "20 m north 5 m up"."""
-    sizes = [size for size in numbers if size is not None]
-    said = [(size, _WAYS[word]) for size, word in zip(sizes, words, strict=True)]
-    north, east, up = (sum(size * way[axis] for size, way in said) for axis in range(3))
-    return north, east, up
-
-
-def _of_rows() -> Iterator[Fault]:
-    """The faults that the conditions' rows are."""
-    for (group, key), row in ROWS.items():
-        if row.line:
-            fields = [(group, each) for each in (key, *row.also)]
-            limits = [ROWS[at][3:5] for at in fields[row.means is bool :]]
-            if " WHERE" in row.line:
-                limits *= row.line.count("WHERE")
-            yield Fault(row.line, row.about, limits, fields)
+def _link(line: str, about: str, sets: str = "") -> Fault:
+    """Of both ways and all links unless it says which."""
+    return Fault("link", f"{line} [to_vehicle|from_vehicle] [on link {{only:23}}]", about, sets)
 
 
 # fmt: off
 FAULTS: Final = (
-    *_of_rows(),
-    Fault("estimator_reset N m SIDE [N m SIDE]",
-        "The estimator starts afresh, and its position jumps by this much.", (_FAR, _FAR)),
-    Fault("origin_move N m WHERE [N m WHERE]",
-        "The origin of the estimator's local frame moves by this much.", (_FAR, _FAR)),
-    Fault("pilot",
+    Fault("gps", "gps_off", "The receiver loses its fix.", "enabled"),
+    Fault("gps", "gps_glitch {:1e5} m WHERE [{:1e5} m WHERE]",
+        "The receiver's position is off by so much.", "glitch_m"),
+    Fault("gps", "gps_drift {} m/s WHERE", "The receiver's position wanders off at this speed, "
+        "and its velocity says so.", "drift_m_s"),
+    Fault("gps", "gps_jam", "The fix comes and goes, with wild positions and velocities.",
+        "jammed"),
+    Fault("gps", "gps_noise {sigma_m:1000} m", "A random error with this standard deviation on "
+        "each horizontal axis, 1.5 times that in height, correlated over seconds."),
+    Fault("gps", "gps_delay {lag_s:5000} ms", "The receiver's solutions are this old."),
+    Fault("gps", "gps_satellites {satellites:50}",
+        "The receiver sees so many satellites; PX4 has no fix with fewer than 4."),
+    Fault("wind", "wind {speed_m_s} m/s from {from_rad:-360:360} deg "
+        "[turbulence {turbulence_m_s:50} [m/s]] [rising {rising_rad:-90:90} deg]",
+        "Wind from this true direction, full from 60 m above the ground on, with gusts of this "
+        "standard deviation, rising by this angle."),
+    Fault("wind", "turbulence {turbulence_m_s:50} m/s", "Gusts of this standard deviation."),
+    Fault("battery", "battery {most} %", "No more than this is left in the battery."),
+    Fault("battery", "battery_voltage {voltage_v:60} V",
+        "The battery's voltage at rest when full (ArduPilot)."),
+    _link("link_off", "Nothing passes.", "off"),
+    _link("link_loss {lost} %", "This share of the frames is lost."),
+    _link("link_delay {delay_us:60000} ms [jitter {jitter_us:60000} ms]", "Every frame is late by "
+        "the delay and up to the jitter more; a frame may overtake another so."),
+    _link("link_duplication {duplicated} %", "This share of the frames arrives twice."),
+    _link("link_reordering {reordered} %",
+        "This share of the frames is overtaken by those after it."),
+    _link("link_corruption {corrupted} %",
+        "This share of the frames arrives with a few bits wrong."),
+    Fault("radar", "radar_off", "The radar falls silent: no answers, no heartbeat.", "silent"),
+    Fault("radar", "radar_blind", "The radar answers and sees nothing.", "blind"),
+    Fault("radar", "radar_drop {cells_missed} %",
+        "This share of the cells in sight is not seen all the same."),
+    Fault("radar", "radar_loss {frames_lost} %",
+        "This share of the radar's TERRAIN_DATA is never sent."),
+    Fault("radar", "radar_noise {noise_m:10000} m [either_way]",
+        "Heights have an error drawn from the normal law of this "
+        "standard deviation.  Its size is added and the sum rounded up, so that no cell is told "
+        "lower than it is, and on average 0.8 of this too high: what a radar reports whose maker "
+        "counts errors against it.  With `either_way` a cell may be told lower."),
+    Fault("radar", "radar_delay {delay_s:60000} ms", "The radar's answers are late by this."),
+    Fault("radar", "radar_rate {rate_hz} Hz", "The radar answers this many requests a second, at "
+        "the beats of its own sweep; else each at the end of its tick."),
+    Fault("lidar", "lidar_dead", "It measures nothing any more; its driver is well.", "dead"),
+    Fault("lidar", "lidar_blind", "It measures, and no echo comes back.", "blind"),
+    Fault("lidar", "lidar_off", "The driver says nothing: no heartbeat either.", "silent"),
+    Fault("lidar", "lidar_loss {frames_lost} %", "Lost between the driver and the autopilot."),
+    Fault("lidar", "lidar_dust {dust} %",
+        "Share of the beams with a near echo of nothing: dust, rain, sun."),
+    Fault("lidar", "lidar_stuck", "The same distances for ever, with new stamps.", "stuck"),
+    Fault("lidar", "lidar_turned {turned_rad:-360:360} deg",
+        "It is mounted turned by this, and nobody knows."),
+    Fault("lidar", "lidar_clock {clock_us:-1e9:1e9} ms [jumping {clock_jump_us:60000} ms]",
+        "The driver's clock is ahead by this, and each stamp wrong by up to so much more, either "
+        "way."),
+    Fault("lidar", "lidar_rate {rate_hz:1000} Hz",
+        "Of the driver's messages; else as in the world.  200: a flood."),
+    Fault("lidar", "lidar_frame {frame:255}", "The driver claims this MAV_FRAME."),
+    Fault("lidar", "lidar_junk {junk} %", "Share of the distances that are 0, 65535 or beyond the "
+        "limits, and of messages whose increment or offset is NaN."),
+    Fault("lidar", "lidar_mirror", "What a client says of obstacles comes back to it, and all that "
+        "the driver says is said in the companion's name too.", "mirrored"),
+    Fault("autopilot", "rangefinder_off", "RANGEFINDER says 0, DISTANCE_SENSOR nothing.",
+        "rangefinder_off"),
+    Fault("autopilot", "setpoints_ignored", "The autopilot takes no setpoint, without a word.",
+        "setpoints_ignored"),
+    Fault("", "estimator_reset {:1e5} m SIDE [{:1e5} m SIDE]",
+        "The estimator starts afresh, and its position jumps by this much."),
+    Fault("", "origin_move {:1e5} m WHERE [{:1e5} m WHERE]",
+        "The origin of the estimator's local frame moves by this much."),
+    Fault("", "pilot",
         "The pilot takes the vehicle: the mode changes to the one that pilots hold it in."),
-    Fault("reboot", "The autopilot starts again, wherever it is."),
-    Fault("ground_command N [N] [N] [N] [to_autopilot]",
-        "A ground station sends this MAV_CMD with these first parameters to the companion, or to "
-        "the autopilot.", ((1.0, 65_535.0), _ANY, _ANY, _ANY)),
-    Fault("ground_target N m SIDE [N m SIDE]",
-        "A ground station gives the companion a target so far from where the vehicle is.",
-        (_FAR, _FAR)),
-    Fault("ground_fence N m [N m ahead]",
-        "The vehicle's fence gets one more circle to stay out of, so far ahead of where it is.",
-        ((0.1, 1e5), _FAR)),
-    Fault("set PARAMETER N",
-        "Any parameter whose name begins with SIM_, as if it had this value.", (_ANY,)),
+    Fault("", "reboot", "The autopilot starts again, wherever it is."),
+    Fault("", "ground_command {:1:65535} [{:-1e9:1e9}] [{:-1e9:1e9}] [{:-1e9:1e9}] "
+        "[to_autopilot]", "A ground station sends this MAV_CMD with these first parameters to the "
+        "companion, or to the autopilot."),
+    Fault("", "ground_target {:1e5} m SIDE [{:1e5} m SIDE]",
+        "A ground station gives the companion a target so far from where the vehicle is."),
+    Fault("", "ground_fence {:0.1:1e5} m [{:1e5} m ahead]",
+        "The vehicle's fence gets one more circle to stay out of, so far ahead of where it is."),
+    Fault("", "set PARAMETER {:-1e9:1e9}",
+        "Any parameter whose name begins with SIM_, as if it had this value."),
 )
 # fmt: on
 """In the order of the documentation."""
@@ -163,28 +459,14 @@ BY_NAME: Final = {fault.name: fault for fault in FAULTS}
 
 
 def faults_page() -> str:
-    """docs/reference/faults.md."""
-    rows = list[str]()
+    """The table of docs/reference/faults.md."""
+    same = {(each.group, each.key): f"`{each.row.name}`" for each in ASKING}
+    rows = ["| fault | parameters that do the same | what it does |\n|---|---|---|\n"]
     for fault in FAULTS:
+        names = [same[at] for key in fault.fields if (at := (fault.group, key)) in same]
         usage = fault.usage.replace("|", r"\|")
-        named = (ROWS[at].parameter for at in fault.fields)
-        names = ", ".join(f"`{row.name}`" for row in named if row)
-        rows.append(f"| `{usage}` | {names} | {fault.about} |\n")
-    return _PAGE + "".join(rows)
-
-
-_PAGE: Final = """# Faults
-
-Made from `vehicle_sim/conditions.py` and `vehicle_sim/faults.py` by `scripts/docs`. A line of a
-timeline reads `at TIME: FAULT` or `at TIME for TIME: FAULT`, with units (`ms`, `s`, `min`, `h`);
-what happens once (from `estimator_reset` on) takes no `for`. N is a number, WHERE is north, east,
-south, west, up or down, SIDE one of the first four; `[...]` may be left out. Of overlapping faults
-the latest counts, and before parameters: a fault does not change them. On PX4 `SIM_GPS_USED` takes
-the place of `SIM_GPS1_NUMSATS`; `battery_voltage` is ArduPilot's only.
-
-| fault | parameters that do the same | what it does |
-|---|---|---|
-"""
+        rows.append(f"| `{usage}` | {', '.join(names)} | {fault.about} |\n")
+    return "".join(rows)
 
 
 # --- the timeline ---------------------------------------------------------------------------------
@@ -199,17 +481,16 @@ _LONGEST_US: Final = 10**15
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Entry:
+class Entry(NamedTuple):
     """One line."""
 
     at_us: int
-    until_us: int = NEVER_US
+    until_us: int
     name: str
     changes: Changes
     """Of the conditions, while it lasts; none: it happens once."""
-    values: Sequence[float] = ()
-    """Of what happens once: its numbers (0: left out), and 1 for a switch; or its vector."""
+    values: Sequence[float]
+    """Of what happens once."""
 
 
 @final
@@ -262,47 +543,39 @@ class Timeline:
         if match is None:
             rule = 'reads "at TIME: FAULT" or "at TIME for TIME: FAULT"'
             raise InputError(where, line, rule, "Write for example: at 120 s for 30 s: gps_off.")
-        at_us = _time_us(match["at"], where)
-        length_us = NEVER_US if match["length"] is None else _time_us(match["length"], where)
+        at_us, length_us = _time_us(match["at"], where), NEVER_US
+        if match["length"] is not None:
+            length_us = _time_us(match["length"], where)
         what = match["what"].strip()
         name = what.split()[0].lower()
         if (fault := BY_NAME.get(name)) is None:
             remedy = did_you_mean(name, BY_NAME, f"Choose from: {', '.join(BY_NAME)}.")
             raise InputError(where, name, "no such fault", remedy)
         if match["length"] is not None and fault.once:
-            raise InputError(where, line, f"{fault.name} happens once", 'Leave out "for".')
+            raise InputError(where, line, f"{name} happens once", 'Leave out "for".')
         if length_us == 0:
             raise InputError(where, line, "lasts no time", "Write a longer time.")
         if (name, self._firmware) == ("battery_voltage", "px4"):
             rule = "battery_voltage is for ardupilot, and this is px4"
             raise InputError(where, line, rule, "Leave it out.")
-        numbers, words = fault.read(what, where)
-        if fault.once:
-            is_vector = " SIDE" in fault.usage or " WHERE" in fault.usage
-            known = [value or 0.0 for value in numbers] + [1.0] * len(words)
-            values = vector(numbers, words) if is_vector else known
-            return Entry(at_us=at_us, name=name, changes={}, values=values)
-        is_set = fault.name == "set"
-        changes = (
-            self._set(words[0], numbers[0], where) if is_set else fault.changes(numbers, words)
-        )
-        until_us = min(at_us + length_us, NEVER_US)
-        return Entry(at_us=at_us, until_us=until_us, name=name, changes=changes)
+        changes, values = fault.read(what, where)
+        if name == "set":
+            changes = self._set(what.split()[1].upper(), values[0], where)
+        return Entry(at_us, min(at_us + length_us, NEVER_US), name, changes, values)
 
-    def _set(self, parameter: str, value: float | None, where: str) -> Changes:
+    def _set(self, name: str, value: float, where: str) -> Changes:
         """What a parameter asks for that has this value."""
         table = SIM_PARAMETERS if self._firmware == "ardupilot" else SIM_PARAMETERS_PX4
         rows = {row.name: row for row in table}
-        if (row := rows.get(name := parameter.upper())) is None:
+        if (row := rows.get(name)) is None:
             remedy = did_you_mean(name, rows, "Choose one that begins with SIM_.")
             raise InputError(where, name, f"{self._firmware} has no such parameter", remedy)
-        if not row.least <= (value or 0.0) <= row.most:
+        if not row.least <= value <= row.most:
             rule = f"must lie from {row.least:g} to {row.most:g}"
             raise InputError(where, f"{name} {value:g}", rule, "Correct the number.")
-        group, key = FIELDS[name]
         if (name, self._firmware) == ("SIM_GPS1_NUMSATS", "px4"):
-            return {group: {}}  # SIM_GPS_USED counts
-        return {group: {key: ROWS[group, key].means(value or 0.0)}}
+            return {"gps": {}}  # SIM_GPS_USED counts
+        return next(each.changes(value) for each in ASKING if each.row.name == name)
 
 
 def _time_us(text: str, where: str) -> int:

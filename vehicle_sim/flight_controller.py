@@ -1,28 +1,37 @@
 """The flight controller: an autopilot and its protocols, between messages in and out.
 
 What becomes of a message that comes in stands in HANDLERS, at the end; before that wire/radio.py
-has found it in the bytes of a link and judged its signature and its target.  A reboot creates a new
-flight controller on the same radio.
+has found it in the bytes of a link and judged its signature and its target.  Here MAVLink's units
+and scales are known, in wire/telemetry.py those of what is streamed.  What is not a finite number
+passes through unharmed: the autopilots decide what to make of it.  A reboot creates a new flight
+controller on the same radio.
 """
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, final
+
+from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.core import Autopilot
 from vehicle_sim.autopilot.values import (
     Ack,
+    Command,
     Reboot,
     Reply,
     Report,
     Sender,
     SendMessage,
     SendTelemetry,
+    Setpoint,
     Text,
 )
 from vehicle_sim.dynamics.battery import Battery
+from vehicle_sim.parameters import Firmware
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.sensors.gps import Fix
-from vehicle_sim.wire import messages, telemetry
+from vehicle_sim.wire import telemetry
+from vehicle_sim.wire.frames import Prepared, make
 from vehicle_sim.wire.missions import Missions, store
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
 from vehicle_sim.wire.proximity import DISTANCE_SENSOR, RangeSensors
@@ -32,10 +41,15 @@ from vehicle_sim.wire.streams import Streams
 
 _HEARTBEAT, _POSITION, _CURRENT_MODE = 0, 33, 436
 _CURRENT_MODE_US = 500_000
-_GROUND_STATION = 6
-_SET_MODE = 11
+_SET_MODE, _DO_SET_MODE = 11, 176
 _EPOCH_US = 1_795_000_000_000_000
 """UTC at the start of every run: the same seed gives the same bytes."""
+_NOWHERE = 0x7FFFFFFF
+"""x or y of a COMMAND_INT that gives no place."""
+_LOCAL_FRAMES = frozenset({1, 2, 4, 7, 8, 9, 12, 20, 21})
+"""MAV_FRAME in which x and y are 1e-4 metres."""
+_TEXT_BYTES = 50
+_FILE_NOT_FOUND = 10
 Replies = Iterable[Reply | None]
 
 
@@ -74,12 +88,12 @@ class FlightController:
         self._on_text, self._texts = on_text, 0
         """So many have been said: the number of one that takes several messages."""
 
-    # --- time ---------------------------------------------------------------------------------
-
     @property
     def since_boot_us(self) -> int:
         """The autopilot's own time."""
         return self.now_us - self.boot_us
+
+    # --- out ----------------------------------------------------------------------------------
 
     def go_on(self, replies: Iterable[Reply]) -> None:
         """After a step of the autopilot: what that brings, and what the protocols have to say."""
@@ -111,10 +125,6 @@ class FlightController:
         self._mode_told[link] = mode, self.now_us
         return True
 
-    def send_heartbeat(self) -> None:
-        """Send a heartbeat now: whoever hears it may ask for more."""
-        self._send(_HEARTBEAT, None)
-
     def _said(self, number: int) -> Sequence[Any]:
         """What there is to say by this number now."""
         if number in self.ranging.numbers:
@@ -130,33 +140,31 @@ class FlightController:
         report.renew(us, _EPOCH_US + self.now_us if report.fix.usable else 0)
         report.range_sensors = self.ranging.bits(us)
 
-    # --- out ----------------------------------------------------------------------------------
+    def send_heartbeat(self) -> None:
+        """Send a heartbeat now: whoever hears it may ask for more."""
+        self.answer([SendTelemetry(message=_HEARTBEAT)])
 
     def answer(self, replies: Replies) -> None:
         """Carry out replies of the autopilot and the protocols."""
         for reply in replies:
             match reply:
                 case Ack():
-                    self.radio.send(messages.ack(reply), reply.to.link)
+                    self.radio.send(ack(reply), reply.to.link)
                 case Text():
                     self._say(reply)
                 case SendTelemetry():
-                    self._send(reply.message, reply.to)
+                    self._renew_report()
+                    self._deliver(self._said(reply.message), reply.to)
                 case SendMessage():
-                    self._deliver((reply.message,), reply.to and reply.to.link)
+                    self._deliver((reply.message,), reply.to)
                 case Reboot():
                     self.wants_reboot = True
                 case None:
                     pass
 
-    def _send(self, number: int, to: Sender | None) -> None:
-        """Send the message of this number, if it has data."""
-        self._renew_report()
-        self._deliver(self._said(number), to and to.link)
-
-    def _deliver(self, said: Sequence[Any], only: int | None) -> None:
-        """To this link; None: to all."""
-        for link in self.radio.links if only is None else (only,):
+    def _deliver(self, said: Sequence[Any], to: Sender | None) -> None:
+        """To the link of one client; None: to all links."""
+        for link in self.radio.links if to is None else (to.link,):
             for message in said:
                 self.radio.send(message, link)
 
@@ -165,7 +173,8 @@ class FlightController:
         self._texts, is_px4 = self._texts % 0xFFFF + 1, self.firmware == "px4"
         for link in self.radio.links:
             if link in self.ground_stations if is_px4 else self.radio.router.heard(link):
-                self._deliver(messages.texts(text, self._texts), link)
+                for message in texts(text, self._texts):
+                    self.radio.send(message, link)
         self._on_text(text)
 
     # --- in -----------------------------------------------------------------------------------
@@ -183,25 +192,72 @@ class FlightController:
         self.answer(store(self.autopilot, PlanKind.FENCE, items))
 
 
+# --- values as messages ---------------------------------------------------------------------------
+
+
+def ack(value: Ack) -> Prepared:
+    """COMMAND_ACK, addressed to the asker."""
+    to = (value.to.system, value.to.component)
+    return make("COMMAND_ACK", value.command, value.result, 0, 0, *to)
+
+
+def texts(value: Text, number: int) -> list[Prepared]:
+    """STATUSTEXT; what does not fit into one goes on in chunks of this number, to a zero byte."""
+    said, severity, size = value.text.encode("ascii", "replace"), value.severity, _TEXT_BYTES
+    if len(said) <= size:
+        return [make("STATUSTEXT", severity, said)]
+    parts = [said[start : start + size] for start in range(0, len(said) + 1, size)]
+    return [make("STATUSTEXT", severity, part, number, k) for k, part in enumerate(parts)]
+
+
 # --- what becomes of each kind of message ---------------------------------------------------------
 
 
 def _heartbeat(it: FlightController, message: Any, sender: Sender) -> Replies:
-    if message.type == _GROUND_STATION:
+    if message.type == mavlink.MAV_TYPE_GCS:
         it.ground_stations.add(sender.link)
     return it.autopilot.on_heartbeat(sender, message.type)
 
 
+def command(message: Any, sender: Sender) -> Command:
+    """A COMMAND_LONG or COMMAND_INT."""
+    if message.get_type() == "COMMAND_LONG":
+        place, frame = (message.param5, message.param6, message.param7), None
+    else:
+        frame = message.frame
+        scale = 1e4 if frame in _LOCAL_FRAMES else 1e7
+        x, y = (math.nan if n == _NOWHERE else n / scale for n in (message.x, message.y))
+        place = (x, y, message.z)
+    return Command(
+        sender=sender,
+        target_component=message.target_component,
+        number=message.command,
+        parameters=(message.param1, message.param2, message.param3, message.param4, *place),
+        frame=frame,
+    )
+
+
 def _command(it: FlightController, message: Any, sender: Sender) -> Replies:
-    command = messages.command(message, sender)
-    if command.number in STREAM_COMMANDS:
-        return it.streams.on_command(command, it.now_us)
-    return it.autopilot.on_command(command)
+    asked = command(message, sender)
+    if asked.number in STREAM_COMMANDS:
+        return it.streams.on_command(asked, it.now_us)
+    return it.autopilot.on_command(asked)
+
+
+def mode_command(message: Any, sender: Sender, firmware: Firmware) -> Command:
+    """A SET_MODE, as the DO_SET_MODE that means the same.
+
+    PX4 takes its custom_mode apart into main and sub mode.
+    """
+    mode = message.custom_mode
+    main, sub = (mode >> 16 & 0xFF, mode >> 24 & 0xFF) if firmware == "px4" else (mode, 0)
+    parameters = (float(message.base_mode), float(main), float(sub), 0.0, 0.0, 0.0, 0.0)
+    return Command(sender=sender, target_component=0, number=_DO_SET_MODE, parameters=parameters)
 
 
 def _set_mode(it: FlightController, message: Any, sender: Sender) -> Replies:
     """ArduPilot answers with a COMMAND_ACK of the message's own number."""
-    for reply in it.autopilot.on_command(messages.mode_command(message, sender, it.firmware)):
+    for reply in it.autopilot.on_command(mode_command(message, sender, it.firmware)):
         if isinstance(reply, Ack) and it.firmware == "ardupilot":
             yield reply._replace(command=_SET_MODE)
         else:
@@ -209,7 +265,25 @@ def _set_mode(it: FlightController, message: Any, sender: Sender) -> Replies:
 
 
 def _setpoint(it: FlightController, message: Any, _: Sender) -> Replies:
-    return () if it.setpoints_ignored else it.autopilot.on_setpoint(messages.setpoint(message))
+    """SET_POSITION_TARGET_GLOBAL_INT or _LOCAL_NED."""
+    if it.setpoints_ignored:
+        return ()
+    is_global = message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"
+    if is_global:
+        position = (message.lat_int / 1e7, message.lon_int / 1e7, message.alt)
+    else:
+        position = (message.x, message.y, message.z)
+    setpoint = Setpoint(
+        is_global=is_global,
+        frame=message.coordinate_frame,
+        type_mask=message.type_mask,
+        position=position,
+        velocity_ned_m_s=(message.vx, message.vy, message.vz),
+        acceleration_ned_m_s2=(message.afx, message.afy, message.afz),
+        yaw_rad=message.yaw,
+        yaw_rate_rad_s=message.yaw_rate,
+    )
+    return it.autopilot.on_setpoint(setpoint)
 
 
 def _parameters(it: FlightController, message: Any, sender: Sender) -> Replies:
@@ -230,8 +304,8 @@ def _data_stream(it: FlightController, message: Any, sender: Sender) -> Replies:
 def _time_sync(it: FlightController, message: Any, sender: Sender) -> Replies:
     """A question has a tc1 of 0."""
     if message.tc1 == 0:
-        answer = messages.time_sync(it.since_boot_us * 1000, message.ts1, sender)
-        yield SendMessage(message=answer, to=sender)
+        now_ns, to = it.since_boot_us * 1000, (sender.system, sender.component)
+        yield SendMessage(message=make("TIMESYNC", now_ns, message.ts1, *to), to=sender)
 
 
 def _setup_signing(it: FlightController, message: Any, _: Sender) -> Replies:
@@ -240,8 +314,20 @@ def _setup_signing(it: FlightController, message: Any, _: Sender) -> Replies:
 
 
 def _files(_: FlightController, message: Any, sender: Sender) -> Replies:
-    answer = messages.no_files(message, sender)
-    return (answer and SendMessage(message=answer, to=sender),)
+    """FILE_TRANSFER_PROTOCOL: there are none; no answer to an answer of theirs.
+
+    So clients that look for files first (parameters, component metadata) go on at once with the
+    plain protocols.  Layout of the payload: mavlink.io, services/ftp.
+    """
+    low, high, session, opcode, *_rest = message.payload
+    done, refused = mavlink.MAV_FTP_OPCODE_ACK, mavlink.MAV_FTP_OPCODE_NAK
+    if opcode not in (done, refused):
+        ends = (0, mavlink.MAV_FTP_OPCODE_TERMINATESESSION, mavlink.MAV_FTP_OPCODE_RESETSESSION)
+        answer, size, reason = (done, 0, 0) if opcode in ends else (refused, 1, _FILE_NOT_FOUND)
+        number = ((low + high * 256 + 1) & 0xFFFF).to_bytes(2, "little")
+        payload = [*number, session, answer, size, opcode, *bytes(6), reason, *bytes(238)]
+        to = (0, sender.system, sender.component)
+        yield SendMessage(message=make("FILE_TRANSFER_PROTOCOL", *to, payload), to=sender)
 
 
 def _obstacles(it: FlightController, message: Any, _: Sender) -> Replies:
@@ -265,4 +351,4 @@ HANDLERS: Final[dict[str, Callable[[FlightController, Any, Sender], Replies]]] =
     "FILE_TRANSFER_PROTOCOL": _files,
     "OBSTACLE_DISTANCE": _obstacles,
 }
-"""Who handles which message; what its fields mean is in wire/messages.py."""
+"""Who handles which message."""

@@ -2,11 +2,11 @@
 
 import enum
 import math
-import re
+from collections import UserDict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib import resources
-from typing import Final, Literal, final
+from typing import Literal, final
 
 from vehicle_sim.errors import InputError, did_you_mean
 
@@ -48,7 +48,7 @@ class Parameter:
 
 
 @final
-class Parameters:
+class Parameters(UserDict[str, float]):
     """The table as it stands; the order of the rows is the order of the wire's indices.
 
     InputError for an override that is not in the table, with the nearest known name, and for one
@@ -56,33 +56,23 @@ class Parameters:
     """
 
     def __init__(self, table: Iterable[Parameter], overrides: Mapping[str, float]) -> None:
-        self._rows = {row.name: row for row in table}
-        self._values = {name: row.default for name, row in self._rows.items()}
+        self.rows = {row.name: row for row in table}
+        self.data = {name: row.default for name, row in self.rows.items()}
         self._saved: dict[str, float] = {}
         """Of those that have another value until the next boot."""
         self.version = 0
         """Increases with every change, to invalidate derived values."""
         for name, value in overrides.items():
-            if name not in self._rows:
+            if name not in self.rows:
                 rule = "this autopilot has no such one"
-                raise InputError(f"parameter {name}", value, rule, self._remedy(name))
-            kind = self._rows[name].kind
+                remedy = did_you_mean(name, self.rows, "Leave it out.")
+                raise InputError(f"parameter {name}", value, rule, remedy)
+            kind = self.rows[name].kind
             least, most = kind.range
             if not least <= value <= most:  # nor is NaN
                 rule = f"must be a number from {least:.8g} to {most:.10g}: it has {kind.bits} bits"
                 raise InputError(f"parameter {name}", value, rule, "Give another one.")
             self[name] = value
-
-    def _remedy(self, name: str) -> str:
-        """What a name may stand for that is not in the table."""
-        for was, now, note in RENAMED:
-            known = re.sub(was, now, name) if re.fullmatch(was, name) else ""
-            if known in self._rows:
-                return f"It is called {known} here{note and ', '}{note}."
-        return did_you_mean(name, self._rows, "Leave it out.")
-
-    def __getitem__(self, name: str) -> float:
-        return self._values[name]
 
     def __setitem__(self, name: str, value: float) -> None:
         """Set within the limits of the row and its type, rounded to that.
@@ -90,77 +80,27 @@ class Parameters:
         KeyError for a name not in it.  Neither firmware takes what is not a finite number: nothing
         changes.
         """
-        row = self._rows[name]
+        row = self.rows[name]
         if not math.isfinite(value):
             return
         self._saved.pop(name, None)
         least, most = row.kind.range
         value = min(max(value, row.least, least), row.most, most)
-        self._values[name] = value if row.kind is Kind.REAL32 else float(round(value))
+        self.data[name] = value if row.kind is Kind.REAL32 else float(round(value))
         self.version += 1
 
     def set_until_reboot(self, name: str, value: float) -> None:
         """The same, of a change that is not saved."""
-        saved = self._saved.get(name, self._values[name])
+        saved = self._saved.get(name, self[name])
         self[name] = value
         self._saved[name] = saved
 
-    def __contains__(self, name: object) -> bool:
-        return name in self._rows
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    @property
-    def rows(self) -> tuple[Parameter, ...]:
-        """All rows, in order."""
-        return tuple(self._rows.values())
-
-    def row(self, name: str) -> Parameter:
-        """The row of this name; KeyError if there is none."""
-        return self._rows[name]
-
-    def values(self) -> dict[str, float]:
-        """A copy, by name: what a reboot keeps."""
-        return self._values | self._saved
+    def kept(self) -> dict[str, float]:
+        """What a reboot keeps, by name."""
+        return self.data | self._saved
 
 
-Readable = Mapping[str, float] | Parameters
-
-RENAMED: Final = (
-    ("SYSID_THISMAV", "MAV_SYSID", ""),
-    ("SYSID_THISMAV", "MAV_SYS_ID", ""),
-    ("MAV_SYS_ID", "MAV_SYSID", ""),
-    ("MAV_SYSID", "MAV_SYS_ID", ""),
-    ("SYSID_MYGCS", "MAV_GCS_SYSID", ""),
-    ("SYSID_ENFORCE", "MAV_OPTIONS", ""),
-    (r"SR0_(\w+)", r"MAV1_\1", ""),
-    (r"SR1_(\w+)", r"MAV2_\1", ""),
-    (r"SR[2-9]_(\w+)", r"MAV2_\1", "for the second link; the others have none"),
-    ("ARSPD_FBW_MIN", "AIRSPEED_MIN", ""),
-    ("ARSPD_FBW_MAX", "AIRSPEED_MAX", ""),
-    ("TRIM_ARSPD_CM", "AIRSPEED_CRUISE", "in m/s"),
-    ("LIM_ROLL_CD", "ROLL_LIMIT_DEG", "in deg"),
-    ("ALT_HOLD_RTL", "RTL_ALTITUDE", "in m"),
-    ("FS_GCS_ENABLE", "FS_GCS_ENABL", ""),
-    ("FS_GCS_ENABL", "FS_GCS_ENABLE", ""),
-    ("ATC_ANGLE_MAX", "ANGLE_MAX", "in cdeg"),
-    ("WP_SPD", "WPNAV_SPEED", "in cm/s"),
-    ("WP_SPD_(UP|DN)", r"WPNAV_SPEED_\1", "in cm/s"),
-    ("WP_ACC", "WPNAV_ACCEL", "in cm/s2"),
-    ("WP_ACC_Z", "WPNAV_ACCEL_Z", "in cm/s2"),
-    ("WP_RADIUS_M", "WPNAV_RADIUS", "in cm"),
-    ("LAND_SPD_MS", "LAND_SPEED", "in cm/s"),
-    ("PSC_JERK_NE", "PSC_JERK_XY", ""),
-    ("PRX_TYPE", "PRX1_TYPE", ""),
-    (r"RNGFND_(\w+)", r"RNGFND1_\1", ""),
-    (r"SIM_GPS_(\w+)", r"SIM_GPS1_\1", ""),
-    ("SIM_GPS_DISABLE", "SIM_GPS1_ENABLE", ""),
-    ("COM_OBL_ACT", "COM_OBL_RC_ACT", ""),
-)
-"""Names that releases of the firmwares have or had, as patterns; the name that the simulated one
-has; a word about it.  The first that it has counts."""
-
+Readable = Mapping[str, float]
 
 # --- the tables: *.parm, a row a line in the wire's order -----------------------------------------
 

@@ -4,7 +4,7 @@ Here its parts meet: the world and its faults, the vehicle, its sensors, the fli
 terrain radar and the radio.
 """
 
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Final, final
 
@@ -18,14 +18,13 @@ from vehicle_sim.autopilot.factory import (
     with_own_ids,
 )
 from vehicle_sim.autopilot.values import Sender, Text
-from vehicle_sim.conditions import conditions_of
 from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
 from vehicle_sim.dynamics.contact import LOOK_US, Contact, Crash
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.dynamics.wind import Wind
 from vehicle_sim.errors import InputError
-from vehicle_sim.faults import Timeline
+from vehicle_sim.faults import Timeline, conditions_of
 from vehicle_sim.flight_controller import FlightController
 from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import Plans
@@ -34,10 +33,9 @@ from vehicle_sim.sensors.gps import Gps
 from vehicle_sim.sensors.lidar import Lidar, body_axes_neu
 from vehicle_sim.sensors.terrain_radar import ScanRequest, TerrainRadar, Viewpoint
 from vehicle_sim.terrain import FloatArray
-from vehicle_sim.wire import messages
-from vehicle_sim.wire.lidar import LidarDriver
+from vehicle_sim.wire.components import LidarDriver, RadarComponent
+from vehicle_sim.wire.frames import make
 from vehicle_sim.wire.proximity import RPLIDAR, RangeSensors
-from vehicle_sim.wire.radar import RadarComponent
 from vehicle_sim.wire.radio import Radio, Received
 from vehicle_sim.world import World
 
@@ -59,7 +57,6 @@ _OF_OBSTACLES: Final = ("OBSTACLE_DISTANCE", "DISTANCE_SENSOR")
 class Simulation:
     """One vehicle, its autopilot, its radar and its links.
 
-    What comes in by a link of `byte_streams` may be cut anywhere, as TCP does; a datagram may not.
     Of several vehicles on the same links one `forwards_all` between them, the others only what is
     for their own system.
     ``faults`` is the text of a timeline.  InputError for a parameter that the autopilot does not
@@ -72,24 +69,20 @@ class Simulation:
         *,
         seed: int = 0,
         links: int = 1,
-        byte_streams: Container[int] = (),
         forwards_all: bool = True,
         faults: str = "",
     ) -> None:
         world = replace(world, vehicle=with_own_ids(world.vehicle))
         table, terrain = world.vehicle, world.truth()
         self._world, self._seed, self._personality = world, seed, personality_of(table)
-        self._firmware = self._personality.firmware.profile.firmware
         self.now_us = 0
         """Since the start; the autopilot counts from its own boot."""
         self.companion: Sender | None = None
         """The first one on link 0 whose heartbeat was heard."""
         self.companion_ended = False
-        self._question_ns = -1
-        self.answered_ns = -1
-        """Time of the newest lockstep question that was answered."""
-        self.mistaken_ns = -1
-        """The same, of the newest one that was answered with another tc1 than ts1."""
+        self._question_ns = self.answered_ns = self.mistaken_ns = -1
+        """Times of the newest lockstep question; of the newest that was answered; and of the newest
+        that was answered with another tc1 than ts1."""
         self.not_survived: str | None = None
         """What came in that the real autopilot does not survive: the first of it."""
         self.on_message: Callable[[str], None] | None = None
@@ -110,12 +103,13 @@ class Simulation:
         self._power = PowerModule(self._battery, self._personality.battery)
         self.plans = Plans()
         """Mission, fence and rally points as the autopilot stores them."""
-        self._timeline = Timeline.parse(faults, name="faults", firmware=self._firmware)
+        firmware = self._personality.firmware.profile.firmware
+        self._timeline = Timeline.parse(faults, name="faults", firmware=firmware)
         self._boots, self._down_until_us, self._port_change = 0, 0, False
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
         autopilot = self._make_autopilot(self._own_lidar() | overrides_of(table))
         self._ids = ids_of(self._personality, autopilot.parameters)
-        self._radio = self._make_radio(autopilot, links, byte_streams, forwards_all)
+        self._radio = self._make_radio(links, forwards_all=forwards_all)
         self._radar = self._scanner = None
         if scanner := world.scanner:
             self._radar = TerrainRadar(terrain, world.frame, range_m=scanner.range_m)
@@ -138,15 +132,13 @@ class Simulation:
     def _own_lidar(self) -> dict[str, float]:
         """The parameter of an autopilot that reads a lidar itself."""
         reads = [each for each in self._world.lidars if each.output == "autopilot"]
-        if reads and self._firmware == "px4":
+        if reads and self._personality.is_px4:
             name = "lidar" if reads[0] is self._world.lidar else "second_lidar"
             rule = f"{self._world.vehicle.autopilot} has no driver for it"
             raise InputError(f"{name}.output", "autopilot", rule, "Write driver.")
         return {"PRX1_TYPE": RPLIDAR} if reads else {}
 
-    def _make_radio(
-        self, autopilot: Autopilot, links: int, byte_streams: Container[int], forwards_all: bool
-    ) -> Radio:
+    def _make_radio(self, links: int, *, forwards_all: bool) -> Radio:
         (system, component), scanner, lidar = self._ids, self._world.scanner, self._world.lidar
         for name, beside in (("scanner", scanner), ("lidar", lidar)):
             if beside is not None and beside.component_id == component:
@@ -157,9 +149,8 @@ class Simulation:
             component=component,
             radar_component=scanner.component_id if scanner else None,
             lidar_component=lidar.component_id if lidar and lidar.output != "autopilot" else None,
-            profile=autopilot.profile,
+            firmware=self._personality.firmware.profile.firmware,
             links=links,
-            byte_streams=byte_streams,
             forwards_all=forwards_all,
             rng=generator(self._seed, "links"),
         )
@@ -194,8 +185,8 @@ class Simulation:
         self._range_down_m()
         if self._radar is not None:
             place = self.vehicle.latitude_deg, self.vehicle.longitude_deg
-            asked = ScanRequest(latitude_deg=place[0], longitude_deg=place[1], spacing_m=1, mask=1)
-            self._radar.answer(asked, Viewpoint(*place, self.vehicle.altitude_amsl_m))
+            view = Viewpoint(*place, self.vehicle.altitude_amsl_m)
+            self._radar.answer(ScanRequest(*place, 1, 1), view)
 
     # --- to look at ---------------------------------------------------------------------------
 
@@ -253,11 +244,11 @@ class Simulation:
     def outcome(self) -> str:
         """Where it is and what it does, in a few words."""
         (north_m, east_m), crash = self._contact.local_m, self.crash
-        where = "on the ground" if self.landed else "in the air"
         said = (
             f"{round(north_m)} m north, {round(east_m)} m east, "
             f"{self.vehicle.altitude_amsl_m:.0f} m AMSL, {self.mode_name}, "
-            f"{'armed' if self.armed else 'disarmed'}, {where}"
+            f"{'armed' if self.armed else 'disarmed'}, "
+            f"{'on the ground' if self.landed else 'in the air'}"
         )
         if crash is None:
             return said
@@ -302,16 +293,12 @@ class Simulation:
         """
         question_ns = max(self.now_us - self._controller.boot_us, 1) * 1000 + number
         self._question_ns = question_ns
-        self._radio.send_last(messages.time_sync(0, question_ns), 0)
+        self._radio.send_last(make("TIMESYNC", 0, question_ns), 0)
         return question_ns
 
     def ask_again(self) -> None:
         """Queue the last question once more, to the byte."""
         self._radio.send_last_again()
-
-    def reopen(self, link: int) -> None:
-        """Another client has connected to this link."""
-        self._radio.reopen(link)
 
     def _notice(self, what: str) -> None:
         self._notices.append(f"{self.now_us * 1e-6:9.1f} s  {what}")
@@ -332,9 +319,9 @@ class Simulation:
         """Where it is in the world, how high the ground is there; one line of truth."""
         near_m = self._contact.look(self.now_us)
         mode, armed = shown = self.mode_name, self.armed
-        state = (mode, armed, self.landed)
-        local_m, vehicle = self._contact.local_m, self.vehicle
-        self._truth.append(truth.line(self.now_us, local_m, vehicle, state, near_m, self.crash))
+        state, local_m = (mode, armed, self.landed), self._contact.local_m
+        line = truth.line(self.now_us, local_m, self.vehicle, state, near_m, self.crash)
+        self._truth.append(line)
         if shown != self._shown:
             self._shown = shown
             self._notice(f"{mode}, {'armed' if armed else 'disarmed'}")
@@ -365,7 +352,11 @@ class Simulation:
 
     def _happens(self, name: str, values: Sequence[float]) -> None:
         """A fault that happens once."""
-        controller, autopilot = self._controller, self._controller.autopilot
+        controller, autopilot, radio = self._controller, self._controller.autopilot, self._radio
+        station, companion = (
+            ground_station.STATION,
+            self.companion.component if self.companion else 0,
+        )
         match name:
             case "estimator_reset":
                 controller.answer(autopilot.reset_estimate(*values[:2]))
@@ -377,15 +368,16 @@ class Simulation:
                 self._go_down()
             case "ground_fence":
                 controller.add_to_fence(ground_station.new_fence(self.vehicle, *values))
-            case _:
-                companion = self.companion.component if self.companion else 0
-                to = (self.system_id, companion, self.vehicle)
-                to_autopilot, message = ground_station.said(name, values, *to)
-                if to_autopilot:
-                    controller.receive(message, ground_station.STATION, self.now_us)
-                else:
-                    station = ground_station.STATION
-                    self._radio.send_as(message, station.system, station.component)
+            case "ground_command" if len(values) > 4:  # to_autopilot
+                message = ground_station.command(values[:4], *self._ids)
+                controller.receive(message, station, self.now_us)
+            case "ground_command":
+                message = ground_station.command(values, self.system_id, companion)
+                radio.send_as(message, station.system, station.component)
+            case _:  # ground_target
+                to = (self.system_id, companion)
+                message = ground_station.target(values, self.vehicle, *to)
+                radio.send_as(message, station.system, station.component)
 
     # --- time ---------------------------------------------------------------------------------
 
@@ -416,7 +408,10 @@ class Simulation:
         for lidar, driver in self._lidars:
             self._step_lidar(lidar, driver)
         if now_us >= self._down_until_us:
-            complete = self._say(now_us, looks)
+            streams = self._controller.streams
+            complete = now_us >= streams.soonest_us and self._controller.stream(now_us)
+            if looks and not complete:  # without positions there are ticks all the same
+                complete = streams.interval_us(0, _POSITION) is None
         # the radar has its own power and its own computer
         if self._scanner is not None and now_us >= self._scanner.due_us:
             self._scanner.step(now_us, self.vehicle, self._conditions.radar, tick=complete)
@@ -441,14 +436,6 @@ class Simulation:
         if controller.wants_reboot:
             self._go_down()
 
-    def _say(self, now_us: int, looks: bool) -> bool:
-        """Queue the telemetry that is due; returns whether the tick is complete."""
-        controller = self._controller
-        complete = now_us >= controller.streams.soonest_us and controller.stream(now_us)
-        if looks and not complete:  # without positions there are ticks all the same
-            complete = controller.streams.interval_us(0, _POSITION) is None
-        return complete
-
     def _step_lidar(self, lidar: Lidar, driver: LidarDriver | None) -> None:
         """Measure; what the autopilot gets of it, it gets at once."""
         controller = self._controller
@@ -462,7 +449,7 @@ class Simulation:
                 proximity.on_beams(angles_rad, distances_m, since_boot_us)
             return
         for message in driver.step(self.now_us, controller.boot_us, wrong):
-            if hears and message.get_type() == "OBSTACLE_DISTANCE":
+            if hears:
                 proximity.on_obstacle_distance(message, since_boot_us)
             if wrong.mirrored and self.companion is not None:
                 self._radio.send_as(message, self.companion.system, self.companion.component)
@@ -483,7 +470,7 @@ class Simulation:
         if vehicle.altitude_amsl_m <= contact.ground_amsl_m:
             vehicle.stand(contact.ground_amsl_m)
         if self.now_us + STEP_US >= self._down_until_us:
-            autopilot = self._make_autopilot(self.parameters.values())
+            autopilot = self._make_autopilot(self.parameters.kept())
             self._ids = ids_of(self._personality, autopilot.parameters)
             self._radio.boot_as(*self._ids)
             self._boot(autopilot)
@@ -492,13 +479,12 @@ class Simulation:
     # --- in -----------------------------------------------------------------------------------
 
     def receive(self, link: int, data: bytes) -> None:
-        """Handle everything in this datagram or piece of stream, at the present vehicle time."""
+        """Handle everything in this datagram, at the present vehicle time."""
         for received in self._radio.receive(self.now_us, link, data):
             self._receive(received)
 
     def _receive(self, received: Received) -> None:
-        message = received.message
-        sender = messages.sender(message, received.link)
+        sender, message = received.sender, received.message
         if received.to_radar and self._scanner is not None:
             self._scanner.receive(message, sender)
         kind = message.get_type()

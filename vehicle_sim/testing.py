@@ -12,24 +12,23 @@ docs/simulator.md has the whole example.  The simulator runs in the test's own p
 while the test advances it: between two calls vehicle time stands still.
 """
 
-import json
 import math
 import select
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import pytest
 
 from vehicle_sim.geodesy import WGS84
-from vehicle_sim.links import Endpoint, open_link
+from vehicle_sim.links import Endpoint, Link
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.simulation import STEP_US, Simulation
 from vehicle_sim.world import VehicleKind, World, flat_world
 
 _TICK_STEPS: Final = 5
+_TICK_S: Final = _TICK_STEPS * STEP_US * 1e-6
 _POLL_S, _AGAIN_S = 0.01, 1.0
 _PATIENCE_S = 30.0
 """Wall time that a lockstep tick waits for its answer."""
@@ -38,9 +37,8 @@ _MAX_DATAGRAMS: Final = 1000
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Moment:
-    """Where the vehicle really was: ten a second, from the truth file."""
+class Moment(NamedTuple):
+    """Where the vehicle really was: ten a second."""
 
     t_s: float
     latitude_deg: float
@@ -100,10 +98,9 @@ class Simulator:
         self.fault, self.set_parameter = self.simulation.add_fault, self.simulation.set_parameter
         """A fault from now on, as "for 30 s: gps_off"; and a parameter, as PARAM_SET does it."""
         self._lockstep, self._strict = lockstep, strict
-        self._height_amsl_m = world.truth().height_at_amsl_m
-        self._link = open_link(Endpoint(kind="udpin", host="127.0.0.1", port=0))
+        self._link = Link(Endpoint(kind="udpin", host="127.0.0.1", port=0))
         self.close = self._link.close
-        self.moments: list[Moment] = []
+        self.moments = [self._moment()]
         """The whole flight so far."""
         self.heard_s: dict[str, list[float]] = {}
         """When each kind of message came in, in vehicle time, by its MAVLink name."""
@@ -161,34 +158,32 @@ class Simulator:
         """The same, until this is so; an AssertionError if it is not in time."""
         until_us = self.simulation.now_us + within_s * 1e6 - 0.5
         while not reached():
-            if self.simulation.now_us >= until_us:
-                why = f"it never came to that within {within_s:g} s; {self._where()}"
-                raise AssertionError(why)
-            self.advance(_TICK_STEPS * STEP_US * 1e-6, meanwhile=meanwhile)
+            late = self.simulation.now_us >= until_us
+            assert not late, f"it never came to that within {within_s:g} s; {self._where()}"
+            self.advance(_TICK_S, meanwhile=meanwhile)
 
     def _step(self) -> None:
         simulation = self.simulation
         simulation.step()
         simulation.take_notices()
-        for row in map(json.loads, simulation.take_truth()):
-            if "t_s" not in row:
-                continue  # the header
-            ground_m = self._height_amsl_m(row["north_m"], row["east_m"])
-            self.moments.append(
-                Moment(
-                    t_s=row["t_s"],
-                    latitude_deg=row["lat_deg"],
-                    longitude_deg=row["lon_deg"],
-                    altitude_amsl_m=row["altitude_amsl_m"],
-                    speed_m_s=math.hypot(row["velocity_north_m_s"], row["velocity_east_m_s"]),
-                    above_ground_m=row["altitude_amsl_m"] - ground_m,
-                    mode=row["mode"],
-                    armed=row["armed"],
-                    landed=row["landed"],
-                )
-            )
+        if simulation.take_truth():
+            self.moments.append(self._moment())
         if self._strict and simulation.not_survived is not None:
             raise AssertionError(f"at {self.now_s:.2f} s: {simulation.not_survived}")
+
+    def _moment(self) -> Moment:
+        simulation, vehicle = self.simulation, self.simulation.vehicle
+        return Moment(
+            self.now_s,
+            vehicle.latitude_deg,
+            vehicle.longitude_deg,
+            vehicle.altitude_amsl_m,
+            math.hypot(vehicle.velocity_north_m_s, vehicle.velocity_east_m_s),
+            vehicle.altitude_amsl_m - simulation.ground_amsl_m,
+            simulation.mode_name,
+            simulation.armed,
+            simulation.landed,
+        )
 
     def _heard(self, kind: str) -> None:
         self.heard_s.setdefault(kind, []).append(self.now_s)
@@ -205,11 +200,10 @@ class Simulator:
             self._send_and_receive()
             if not waits or simulation.answered_ns == question_ns:
                 return
-            select.select(self._link.sockets, [], [], _POLL_S)
+            select.select([self._link.socket], [], [], _POLL_S)
             now_s = time.monotonic()
-            if now_s - start_s > _PATIENCE_S:
-                within = f"within {_PATIENCE_S:.0f} s; {self._where()}"
-                raise AssertionError(f"no answer to TIMESYNC {within}")
+            within = f"within {_PATIENCE_S:.0f} s; {self._where()}"
+            assert now_s - start_s <= _PATIENCE_S, f"no answer to TIMESYNC {within}"
             if now_s - again_s > _AGAIN_S:
                 again_s = now_s
                 simulation.ask_again()

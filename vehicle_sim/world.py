@@ -9,8 +9,6 @@ import difflib
 import itertools
 import math
 import tomllib
-import types
-import typing
 from collections.abc import Iterator, Sequence
 from dataclasses import field
 from pathlib import Path
@@ -47,6 +45,10 @@ _MISSING: Final = ("is missing", "Write it into the world file.")
 _MOST_TREES: Final = 200_000
 
 
+_KEYS: Final = dict[str, None]()
+"""Those of all tables."""
+
+
 def _must(holds: bool, key: str, value: object, rule: str, remedy: str) -> None:
     """A rule that keys of a table make together; `key` "" is the table itself."""
     if not holds:
@@ -58,6 +60,7 @@ def _table(kind: type[_T]) -> type[_T]:
     """A table of the file: it refuses keys that it does not know."""
     config = ConfigDict(extra="forbid")
     made: Any = dataclass(frozen=True, slots=True, kw_only=True, config=config)(kind)
+    _KEYS.update(dict.fromkeys(each.name for each in dataclasses.fields(made)))
     return made
 
 
@@ -299,15 +302,6 @@ class LidarTable:
     """Sweeps a second."""
     step_deg: Annotated[_Real, Field(ge=0.2, le=45)] = 3.6
     """Between two beams."""
-    width_deg: Annotated[_Real, Field(ge=5, le=360)] = 360.0
-    """Of the field of view, half to each side of the sensor's nose."""
-    increment_deg: Annotated[_Real, Field(ge=5, le=90)] = 5.0
-    """Of the driver's sectors: the nearest echo in each is told."""
-    angle_offset_deg: _Turn | None = None
-    """Of the middle of the driver's first sector from the vehicle's nose; without it 0, or the
-    left edge of a field of view of less than a turn."""
-    yaw_deg: _Turn = 0.0
-    """How it is mounted, clockwise from the vehicle's nose; the driver corrects for it."""
     noise_m: Annotated[_Real, Field(ge=0)] = 0.0
     """Standard deviation of a distance."""
     lost_share: _Share = 0.0
@@ -473,44 +467,28 @@ def flat_world(
     )
 
 
+_ALTITUDES: Final = ("altitude", "height", "ground", "elevation")
+"""Words of keys that measure from something."""
+_CALLED: Final = {"terrain": "a table", "float_type": "a number", "int_type": "a whole number"}
+
+
 def _explained(problem: Any) -> InputError:
     """What pydantic found, in words."""
-    location: tuple[str | int, ...] = problem["loc"]
-    field, value = ".".join(map(str, location)), problem["input"]
-    if problem["type"] == "unexpected_keyword_argument":
-        return _unknown_key(field, location, value)
-    if problem["type"] == "missing":
+    kind, value, rule = problem["type"], problem["input"], problem["msg"]
+    field = ".".join(map(str, problem["loc"]))
+    key = field.rpartition(".")[2]
+    if kind == "missing":
         return InputError(field, None, *_MISSING)
-    if problem["type"] == "value_error":
+    if kind == "value_error":
         key, value, rule, remedy = problem["ctx"]["error"].args
         return InputError(".".join(filter(None, (field, key))), value, rule, remedy)
-    rule = problem["msg"].removeprefix("Input should be ")
-    known = {"terrain": "a table", "float_type": "a number", "int_type": "a whole number"}
-    return InputError(
-        field, value, f"must be {known.get(problem['type'], rule)}", "Correct the world file."
-    )
-
-
-def _unknown_key(field: str, location: Sequence[str | int], value: object) -> InputError:
-    """An unknown key: the nearest known one, and a word about datums where one is missing."""
-    key = str(location[-1])
-    known = _keys_of(location[:-1])
-    datums = [k for k in known if k.endswith("_amsl_m")]
-    word = next((w for w in ("altitude", "height", "ground", "elevation") if w in key), None)
-    if word and datums and key not in known:
-        nearest = difflib.get_close_matches(key, datums, n=1, cutoff=0.0)[0]
-        rule = "an altitude names its datum, and here it is above mean sea level (amsl)"
-        return InputError(field, value, rule, f"Write {nearest}.")
-    remedy = did_you_mean(key, known, f"Choose from: {', '.join(known)}.")
-    return InputError(field, value, "no such key", remedy)
-
-
-def _keys_of(location: Sequence[str | int]) -> list[str]:
-    """The keys that the table at this place may have."""
-    table: Any = World
-    for part in location:
-        if isinstance(part, str):
-            table = typing.get_type_hints(table)[part]
-            if isinstance(table, types.GenericAlias | types.UnionType):
-                table = typing.get_args(table)[0]
-    return [f.name for f in dataclasses.fields(table)]
+    if kind == "unexpected_keyword_argument":
+        datums = [known for known in _KEYS if known.endswith("_amsl_m")]
+        if any(word in key for word in _ALTITUDES) and key not in _KEYS:
+            nearest = difflib.get_close_matches(key, datums, n=1, cutoff=0.0)[0]
+            rule = "an altitude names its datum, and here it is above mean sea level (amsl)"
+            return InputError(field, value, rule, f"Write {nearest}.")
+        remedy = did_you_mean(key, _KEYS, "Leave it out.")
+        return InputError(field, value, "no such key", remedy)
+    rule = _CALLED.get(kind, rule.removeprefix("Input should be "))
+    return InputError(field, value, f"must be {rule}", "Correct the world file.")

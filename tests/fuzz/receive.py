@@ -60,7 +60,7 @@ class Target:
                 altitude_amsl_m=488.0,
                 heading_deg=0.0,
             )
-            vehicle = Simulation(world, links=LINKS, byte_streams={1})
+            vehicle = Simulation(world, links=LINKS)
             for _ in range(4500):
                 vehicle.step()
             vehicle.take_frames()
@@ -87,7 +87,7 @@ class Target:
                         reader.byte() % LINKS, command(reader, COMMANDS, _STATION, (1, 1))
                     )
                 case 4:
-                    names = [row.name for row in vehicle.parameters.rows]
+                    names = list(vehicle.parameters)
                     name = names[(reader.byte() << 8 | reader.byte()) % len(names)]
                     vehicle.receive(0, _parameter(name, reader.value()))
                 case _:

@@ -56,7 +56,7 @@ def mission(kind: Kind = "copter", *, sets: bool = True, **changes: float) -> Mi
 
 
 def defaults(firmware: Firmware, kind: Kind) -> dict[str, float]:
-    return Held(firmware, kind).simulation.parameters.values()
+    return Held(firmware, kind).simulation.parameters.kept()
 
 
 ARDUCOPTER = defaults("ardupilot", "copter")
@@ -107,7 +107,7 @@ def test_the_bundled_missions_fit_the_vehicles_that_fly_them(name: str) -> None:
     kind = world.vehicle.kind
     firmware = personality_of(world.vehicle).firmware.profile.firmware
     assert (loaded.kind, loaded.autopilot) == (kind, firmware)
-    values = Simulation(world, seed=0).parameters.values()
+    values = Simulation(world, seed=0).parameters.kept()
     findings = findings_of(TABLES[firmware, kind], values, loaded)
     wrong = {each.name for each in findings}
     assert wrong == ({"COM_OBL_RC_ACT"} if firmware == "px4" else set())

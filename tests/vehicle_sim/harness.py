@@ -19,9 +19,9 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.autopilot.values import Ack, Command, Reply, Sender, Setpoint, Text
-from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.dynamics.copter import Limits
 from vehicle_sim.dynamics.plane import Plane
+from vehicle_sim.faults import GpsConditions
 from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.parameters import Firmware, Parameter
 from vehicle_sim.plans import PlanItem, Plans

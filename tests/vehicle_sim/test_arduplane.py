@@ -8,7 +8,7 @@ from tracked import PLANE_ROWS as TABLE
 from tracked import ArduPlane as Rig
 
 from vehicle_sim.autopilot.values import Result, Sender
-from vehicle_sim.conditions import GpsConditions
+from vehicle_sim.faults import GpsConditions
 from vehicle_sim.plans import PlanKind
 
 item = partial(harness.item, PLANE_HOME_DEG)

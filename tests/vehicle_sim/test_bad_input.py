@@ -128,7 +128,7 @@ def test_a_flight_survives_whatever_comes_and_tells_finite_things(
 ) -> None:
     """Orders, setpoints, parameters, plans and faults in any order, sense or none in each."""
     rng, client = random.Random(seed), flying(autopilot, kind)
-    simulation, names = client.simulation, [row.name for row in client.simulation.parameters.rows]
+    simulation, names = client.simulation, list(client.simulation.parameters)
     own = [name.encode() for name in names if not name.startswith("SIM_")]
     for number in TELLING:
         client.command(511, number, 100_000)

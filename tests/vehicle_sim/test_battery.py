@@ -7,9 +7,9 @@ import pytest
 from harness import GENTLE
 
 from vehicle_sim.autopilot.values import Battery
-from vehicle_sim.conditions import BatteryConditions
 from vehicle_sim.dynamics.battery import Model, PowerModule
 from vehicle_sim.dynamics.copter import HOVER_THROTTLE, Copter
+from vehicle_sim.faults import BatteryConditions
 
 
 def fly(

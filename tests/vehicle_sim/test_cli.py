@@ -54,7 +54,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
         (["--autopilot", "px4", "--param", "COM_RC_OVERRIDE=1e12"], ["COM_RC_OVERRIDE", "32 bits"]),
         (["--param", "GUID_TIMEOUTS=1"], ["GUID_TIMEOUTS = 1.0", "Did you mean GUID_TIMEOUT?"]),
         (["--autopilot", "px4", "--param", "GUID_TIMEOUT=1"], ["GUID_TIMEOUT = 1.0"]),
-        (["--param", "SYSID_THISMAV=5"], ["SYSID_THISMAV = 5.0", "MAV_SYSID"]),
+        (["--param", "SYSID_THISMAV=5"], ["SYSID_THISMAV = 5.0", "no such one"]),
         (["--param", "MAV_SYSID=0"], ["MAV_SYSID = 0.0", "1 to 255"]),
         (["--param", "MAV_SYSID=4.5"], ["MAV_SYSID = 4.5", "whole number"]),
         (["--autopilot", "px4", "--param", "MAV_COMP_ID=255"], ["MAV_COMP_ID = 255.0", "1 to 254"]),

@@ -15,7 +15,7 @@ from harness import Flown as OnGround
 from recordings import recording
 from tracked import PX4_GPS, ArduCopter, Curve, Px4Copter, fix_of
 
-from vehicle_sim.conditions import GpsConditions
+from vehicle_sim.faults import GpsConditions
 from vehicle_sim.geodesy import metres_per_degree
 from vehicle_sim.sensors.gps import Fix
 
@@ -168,7 +168,7 @@ def test_an_outage_of_ten_seconds_leaves_it_armable_again(kind: str) -> None:
 # --- PX4 ------------------------------------------------------------------------------------------
 
 _LOG = "px4-gps-loss.tlog"
-_NO_FIX = GpsConditions(fix_type=3, lag_s=0.0, enabled=False, satellites=0)
+_NO_FIX = GpsConditions(lag_s=0.0, enabled=False, satellites=0)
 _FIX = PX4_GPS
 _LOST_S = 30.0
 """80.97 to 110.97 s of the log."""
@@ -256,7 +256,7 @@ def test_a_glitch_is_refused_for_seven_seconds_and_then_believed() -> None:
     """Source: reset_timeout_max 7 s."""
     rig = Px4Copter()
     rig.take_off(10.0)
-    rig.gps_conditions = GpsConditions(fix_type=3, lag_s=0.0, glitch_latitude_deg=0.00045)
+    rig.gps_conditions = GpsConditions(lag_s=0.0, glitch_latitude_deg=0.00045)
     before_deg = rig.copter.latitude_deg
     rig.stream(6.0, position=_HERE)
     assert abs(rig.copter.latitude_deg - before_deg) * 111_200.0 < 3.0

@@ -2,7 +2,6 @@
 
 import math
 import re
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,19 +11,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vehicle_sim.autopilot.values import Battery
-from vehicle_sim.conditions import SIM_PARAMETERS, SIM_PARAMETERS_PX4, Conditions, conditions_of
 from vehicle_sim.dynamics.battery import PowerModule
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.wind import Wind
 from vehicle_sim.errors import InputError
-from vehicle_sim.faults import FAULTS, Timeline
+from vehicle_sim.faults import (
+    FAULTS,
+    SIM_PARAMETERS,
+    SIM_PARAMETERS_PX4,
+    Conditions,
+    Timeline,
+    conditions_of,
+)
 from vehicle_sim.parameters import Firmware, Kind, Parameters
 from vehicle_sim.sensors.gps import ARDUCOPTER, PX4, Gps
 
 TABLES = {"ardupilot": SIM_PARAMETERS, "px4": SIM_PARAMETERS_PX4}
 FIRMWARES: list[Firmware] = ["ardupilot", "px4"]
 S = 1_000_000
-BOTH = {"mask": 0, "to_vehicle": True, "from_vehicle": True}
 
 ASKS: dict[str, tuple[str, dict[str, Any]]] = {
     "gps_off": ("gps", {"enabled": False}),
@@ -44,11 +48,11 @@ ASKS: dict[str, tuple[str, dict[str, Any]]] = {
     "battery 15 %": ("battery", {"most": 0.15}),
     "battery_voltage 10.5 V": ("battery", {"voltage_v": 10.5}),
     "link_off": ("link", {"off": True}),
-    "link_off on link 2": ("link", {"off": True, "mask": 4}),
+    "link_off on link 2": ("link", {"off": True, "only": 2}),
     "link_loss 20 % to_vehicle": ("link", {"lost": 0.2, "from_vehicle": False}),
     "link_delay 300 ms jitter 50 ms from_vehicle on link 1": (
         "link",
-        {"delay_us": 300_000, "jitter_us": 50_000, "to_vehicle": False, "mask": 2},
+        {"delay_us": 300_000, "jitter_us": 50_000, "to_vehicle": False, "only": 1},
     ),
     "link_duplication 20 %": ("link", {"duplicated": 0.2}),
     "link_reordering 20 %": ("link", {"reordered": 0.2}),
@@ -113,17 +117,13 @@ def test_a_fault_asks_for_what_it_says_while_it_lasts_and_for_nothing_else(line:
     usual = conditions_of(parameters())
     group, fields = ASKS[line]
     text = f"at 1 s for 2 s: {line}"
-    expected = replace(usual, **{group: replace(getattr(usual, group), **fields)})
+    expected = usual._replace(**{group: getattr(usual, group)._replace(**fields)})
     found = [asked(text, at_s) for at_s in (0.99, 1.0, 2.99, 3.0)]
     assert found[0] == found[3] == usual
     assert found[1] == found[2] != usual
-    for key, value in vars_of(getattr(expected, group)).items():
+    for key, value in getattr(expected, group)._asdict().items():
         assert getattr(getattr(found[1], group), key) == pytest.approx(value), key
-    assert replace(found[1], **{group: getattr(usual, group)}) == usual
-
-
-def vars_of(conditions: Any) -> dict[str, Any]:
-    return {name: getattr(conditions, name) for name in conditions.__slots__}
+    assert found[1]._replace(**{group: getattr(usual, group)}) == usual
 
 
 @pytest.mark.parametrize("line", HAPPENS)
@@ -162,6 +162,17 @@ def test_parameters_have_names_and_kinds_that_the_firmware_can_have(firmware: Fi
     assert all(name.startswith("SIM_") and len(name) <= 16 for name in names)
     kinds = {row.kind for row in TABLES[firmware]}
     assert firmware == "ardupilot" or kinds <= {Kind.INT32, Kind.REAL32}  # PX4 knows no others
+    alone = {name for name in names if name.startswith(("SIM_BAT", "SIM_GPS_"))}
+    assert alone == (
+        {"SIM_BATT_VOLTAGE", "SIM_BATT_CAP_AH"}
+        if firmware == "ardupilot"
+        else {"SIM_GPS_USED", "SIM_BAT_DRAIN", "SIM_BAT_MIN_PCT"}
+    )
+
+
+def test_of_px4s_two_numbers_of_satellites_its_own_counts() -> None:
+    assert conditions_of(parameters("px4", SIM_GPS_USED=7.0)).gps.satellites == 7
+    assert conditions_of(parameters("px4", SIM_GPS1_NUMSATS=7.0)).gps.satellites == 10
 
 
 def test_without_simulation_parameters_there_is_fair_weather() -> None:

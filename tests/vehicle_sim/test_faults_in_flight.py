@@ -282,6 +282,11 @@ def test_a_client_sees_the_fault(firmware: Firmware, name: str) -> None:
     assert SEES[LINES[name]](seen(firmware), seen(firmware, LINES[name]))
 
 
+def test_a_command_of_the_ground_station_reaches_the_companion_with_its_parameters() -> None:
+    heard = seen("ardupilot", "ground_command 193 1 2 3").of("COMMAND_LONG", 190)
+    assert [(m.command, m.param1, m.param2, m.param3) for m in heard] == [(193, 1.0, 2.0, 3.0)]
+
+
 # --- the same seed, the same bytes ----------------------------------------------------------------
 
 

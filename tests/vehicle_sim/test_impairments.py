@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vehicle_sim.conditions import LinkConditions
+from vehicle_sim.faults import LinkConditions
 from vehicle_sim.wire.impairments import MAX_FRAMES, Impairments
 
 S = 1_000_000
@@ -96,7 +96,7 @@ def test_corrupted_frames_differ_in_up_to_three_bits() -> None:
         (LinkConditions(off=True), {(0, True), (0, False), (5, True), (5, False)}),
         (LinkConditions(off=True, to_vehicle=False), {(0, False), (5, False)}),
         (LinkConditions(off=True, from_vehicle=False), {(0, True), (5, True)}),
-        (LinkConditions(off=True, mask=1 << 5), {(5, True), (5, False)}),
+        (LinkConditions(off=True, only=5), {(5, True), (5, False)}),
     ],
 )
 def test_only_the_links_and_directions_that_are_meant_are_concerned(

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot import arducopter, arduplane, px4copter, px4plane
 from vehicle_sim.errors import InputError
-from vehicle_sim.parameters import RENAMED, Firmware, Kind, Parameter, Parameters
+from vehicle_sim.parameters import Firmware, Kind, Parameter, Parameters
 from vehicle_sim.world import VehicleKind
 
 BOTH = pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
@@ -60,7 +60,7 @@ def test_a_list_has_all_in_order_at_the_rate_of_the_real_one(firmware: Firmware)
     values(vehicle, LIST, 1.0)
     for link in (0, 1):
         got = vehicle.all("PARAM_VALUE", link=link, since_s=since_s + 0.005)
-        assert [h.message.param_id for h in got] == [row.name for row in table.rows]
+        assert [h.message.param_id for h in got] == list(table)
         assert [h.message.param_index for h in got] == list(range(len(table)))
         assert {h.message.param_count for h in got} == {len(table)}
         assert got[-1].at_s - since_s == pytest.approx(len(table) * 1.5 / 1348, abs=0.03)
@@ -71,7 +71,7 @@ def test_a_list_has_all_in_order_at_the_rate_of_the_real_one(firmware: Firmware)
 def test_reading_by_index_and_by_name_and_what_there_is_not(firmware: Firmware) -> None:
     vehicle = fresh(firmware)
     table, name = vehicle.simulation.parameters, FLOAT[firmware]
-    place = [row.name for row in table.rows].index(name)
+    place = list(table).index(name)
     (by_index,), (by_name,) = read(vehicle, index=place), read(vehicle, name)
     assert by_index.param_id == by_name.param_id == name
     assert by_index.param_value == by_name.param_value == table[name]
@@ -114,7 +114,7 @@ def test_ardupilot_converts_to_the_type_whatever_type_is_named(
         (told,) = put(vehicle, name, asked, kind)
         assert told.param_value == pytest.approx(kept, rel=1e-6)
         assert vehicle.simulation.parameters[name] == pytest.approx(kept, rel=1e-6)
-    assert told.param_type == vehicle.simulation.parameters.row(name).kind
+    assert told.param_type == vehicle.simulation.parameters.rows[name].kind
 
 
 @given(value=st.integers(-(2**31), 2**31 - 1).filter(lambda v: v & 0x7FC00000 != 0x7F800000))
@@ -210,6 +210,19 @@ def test_the_rates_of_streams_are_parameters_that_count_from_the_boot(
     assert rates_hz() == [10.0, 4.0, 5.0 if kind == "plane" else 0.0]
 
 
+def test_a_value_is_kept_within_the_limits_of_its_row_and_until_a_reboot_or_for_good() -> None:
+    row = Parameter(name="RATE", default=4.0, kind=Kind.INT16, least=0.0, most=50.0)
+    table = Parameters([row], {})
+    for value, nearest in ((60.0, 50.0), (-3.0, 0.0), (math.nan, 0.0), (7.4, 7.0)):
+        table["RATE"] = value
+        assert table["RATE"] == table.kept()["RATE"] == nearest
+    table.set_until_reboot("RATE", 9.0)
+    table.set_until_reboot("RATE", 10.0)
+    assert (table["RATE"], table.kept()["RATE"]) == (10.0, 7.0)
+    table["RATE"] = 11.0
+    assert (table["RATE"], table.kept()["RATE"]) == (11.0, 11.0)
+
+
 TABLES = {
     "copter": arducopter.FIRMWARE.table,
     "plane": arduplane.FIRMWARE.table,
@@ -221,25 +234,13 @@ TABLES = {
 @pytest.mark.parametrize(
     ("table", "name", "words"),
     [
-        ("copter", "SYSID_THISMAV", "It is called MAV_SYSID here."),
-        ("copter", "SR1_EXTRA1", "It is called MAV2_EXTRA1 here."),
-        ("copter", "SR2_EXTRA1", "MAV2_EXTRA1 here, for the second link; the others have"),
-        ("plane", "TRIM_ARSPD_CM", "It is called AIRSPEED_CRUISE here, in m/s."),
-        ("plane", "FS_GCS_ENABLE", "It is called FS_GCS_ENABL here."),
-        ("px4", "SYSID_THISMAV", "It is called MAV_SYS_ID here."),
+        ("plane", "FS_GCS_ENABLE", "Did you mean FS_GCS_ENABL?"),
         ("copter", "GUID_TIMEOUTS", "Did you mean GUID_TIMEOUT?"),
         ("copter", "QQQQQQQQ", "Leave it out."),
     ],
 )
-def test_names_of_other_releases_are_told_by_the_one_of_here(
+def test_of_a_name_that_there_is_not_the_nearest_is_named(
     table: str, name: str, words: str
 ) -> None:
     with pytest.raises(InputError, match=re.escape(words)):
         Parameters(TABLES[table], {name: 1.0})
-
-
-def test_every_name_of_another_release_is_known_by_its_new_one_somewhere() -> None:
-    rows = {row.name for table in TABLES.values() for row in table}
-    for was, now, *_ in RENAMED:
-        pattern = now.replace("\\1", r"\w+")
-        assert any(re.fullmatch(pattern, name) for name in rows), f"{was}: there is no {now}"

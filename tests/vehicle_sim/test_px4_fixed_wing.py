@@ -22,7 +22,7 @@ from tracked import FixedRow as Row
 from tracked import Px4Plane as Rig
 
 from vehicle_sim.autopilot.values import Landed
-from vehicle_sim.conditions import GpsConditions
+from vehicle_sim.faults import GpsConditions
 from vehicle_sim.plans import PlanKind
 
 flown = functools.cache(fly_fixed)

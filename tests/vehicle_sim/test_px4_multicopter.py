@@ -21,7 +21,7 @@ from tracked import EightRow as Row
 from tracked import Px4Copter as Rig
 
 from vehicle_sim.autopilot.values import Ack, Landed, Reboot, Result, Sender, SendMessage
-from vehicle_sim.conditions import GpsConditions
+from vehicle_sim.faults import GpsConditions
 from vehicle_sim.plans import PlanKind
 
 ACCEPTED, REJECTED, DENIED = Result.ACCEPTED, Result.TEMPORARILY_REJECTED, Result.DENIED

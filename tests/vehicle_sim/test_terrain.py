@@ -15,10 +15,9 @@ from pyproj import Geod
 from rasterio.transform import Affine
 from scipy.interpolate import RegularGridInterpolator
 
-from vehicle_sim.elevation import read_grid
+from vehicle_sim.elevation import GridTerrain, read_grid
 from vehicle_sim.errors import InputError
 from vehicle_sim.geodesy import FloatArray, LocalFrame
-from vehicle_sim.grid import GridTerrain
 from vehicle_sim.terrain import PeakRow, PeakTerrain, Terrain
 from vehicle_sim.world import read_world
 

@@ -7,9 +7,9 @@ import pytest
 from harness import GENTLE
 from numpy.typing import NDArray
 
-from vehicle_sim.conditions import WindConditions
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.wind import LEVEL_M, VERTICAL_M, VERTICAL_SHARE, Wind
+from vehicle_sim.faults import WindConditions
 
 FloatArray = NDArray[np.float64]
 

@@ -44,7 +44,7 @@ def changed(table: Table, path: str, key: str, value: Any, instead_of: str | Non
         ),
         ("vehicle.parameters", "GUID_TIMEOUT", "3", None, ["GUID_TIMEOUT = '3'", "a number"]),
         ("vehicle", "bank_max_deg", 30.0, None, ["bank_max_deg = 30.0", "no such limit"]),
-        ("", "colour", 1, None, ["colour = 1", "Choose from: schema, name"]),
+        ("", "colour", 1, None, ["colour = 1", "no such key. Leave it out."]),
         ("terrain", "ground_m", 0.0, "ground_amsl_m", ["datum", "Write ground_amsl_m"]),
         ("terrain.peaks.0", "height_agl_m", 9.0, "height_amsl_m", ["datum", "height_amsl_m"]),
         ("radars.0", "altitude_m", 0.0, "altitude_amsl_m", ["radars.0", "datum"]),

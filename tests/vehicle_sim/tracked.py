@@ -16,9 +16,9 @@ from harness import NAN, STEP_S, STRONG, ZERO, Rig, Vector
 
 from vehicle_sim.autopilot.px4plane import SIH_AIRPLANE
 from vehicle_sim.autopilot.values import Result, SendMessage
-from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.dynamics.plane import Plane
+from vehicle_sim.faults import GpsConditions
 from vehicle_sim.geodesy import FloatArray, LocalFrame, metres_per_degree
 from vehicle_sim.sensors.gps import ARDUPLANE, PX4, Fix, Gps
 
@@ -26,7 +26,7 @@ POSITION, POSITION_VELOCITY, ALL_THREE, VELOCITY = 0xDF8, 0xDC0, 0xC00, 0xDC7
 """Masks of setpoints."""
 SWING_RAD: Final = 2.404825557695773
 """First zero of J0: a route that swings so far to both sides closes."""
-PX4_GPS: Final = GpsConditions(fix_type=3, lag_s=0.0)
+PX4_GPS: Final = GpsConditions(lag_s=0.0)
 
 
 @final

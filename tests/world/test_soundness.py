@@ -31,8 +31,8 @@ from companion.path.certificate import certify
 from companion.path.subpath import Subpath
 from companion.world.known_map import NO_ANSWER, KnownMap, Scan, empty_map
 from companion.world.simulated_scan import simulated_scan
+from vehicle_sim.elevation import GridTerrain
 from vehicle_sim.geodesy import LocalFrame, metres_per_degree
-from vehicle_sim.grid import GridTerrain
 from vehicle_sim.sensors.terrain_radar import UNSEEN_M, ScanRequest, TerrainRadar, Viewpoint
 
 FloatArray = NDArray[np.float64]

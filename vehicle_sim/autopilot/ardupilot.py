@@ -13,7 +13,7 @@ from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.estimator import Timing, told
 from vehicle_sim.autopilot.guards import Fence, named
 from vehicle_sim.autopilot.values import Command, Landed, Place, Reply, Result, State
-from vehicle_sim.conditions import SIM_PARAMETERS
+from vehicle_sim.faults import SIM_PARAMETERS
 from vehicle_sim.parameters import table
 from vehicle_sim.plans import PlanKind
 

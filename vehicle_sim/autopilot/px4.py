@@ -17,7 +17,7 @@ from vehicle_sim.autopilot.guards import Zones
 from vehicle_sim.autopilot.legs import Does
 from vehicle_sim.autopilot.setpoints import Target, given, read_by_px4
 from vehicle_sim.autopilot.values import Command, Landed, Place, Reply, Result, State
-from vehicle_sim.conditions import SIM_PARAMETERS_PX4
+from vehicle_sim.faults import SIM_PARAMETERS_PX4
 from vehicle_sim.parameters import table
 from vehicle_sim.plans import PlanKind
 

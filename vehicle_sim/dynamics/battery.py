@@ -14,8 +14,8 @@ from typing import Final, Literal, final
 
 import numpy as np
 
-from vehicle_sim.conditions import BatteryConditions
 from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.faults import BatteryConditions
 
 Model = Literal["ardupilot copter", "ardupilot plane", "px4"]
 

@@ -13,8 +13,8 @@ from typing import Final, final
 
 import numpy as np
 
-from vehicle_sim.conditions import WindConditions
 from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.faults import WindConditions
 
 _FULL_HEIGHT_M: Final = 60.0
 """Below this the wind falls with the root of the height: SIM_WIND_T 0, SIM_WIND_T_ALT."""

@@ -12,8 +12,8 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from vehicle_sim.conditions import GpsConditions, Vector
 from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.faults import GpsConditions, Vector
 from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, around, degrees_east, metres_per_degree
 
 _ZERO: Final = (0.0, 0.0, 0.0)
@@ -207,7 +207,7 @@ class Gps:
         east_deg = conditions.glitch_longitude_deg + error_m[1] / per_east_m
         return Fix(
             self._locked_us,
-            min(conditions.fix_type, receiver.fix_type) if locked else receiver.fix_type_lost,
+            receiver.fix_type if locked else receiver.fix_type_lost,
             min(max(sample.latitude_deg + north_deg, -90.0), 90.0),
             around(sample.longitude_deg + east_deg),
             sample.altitude_amsl_m + conditions.glitch_up_m + error_m[2],

@@ -2,7 +2,7 @@
 
 Of a spinning lidar each beam is measured from where the vehicle is when the beam gets there, of a
 sector sensor all at once.  A distance is in metres; inf: no echo came back; NaN: not measured, as
-outside the field of view or nearer than the least distance.
+nearer than the least distance.
 """
 
 import math
@@ -11,8 +11,8 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from vehicle_sim.conditions import LidarConditions
 from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.faults import LidarConditions
 from vehicle_sim.scene import Scene
 from vehicle_sim.terrain import FloatArray
 from vehicle_sim.world import LidarTable
@@ -29,11 +29,8 @@ class Lidar:
     def __init__(self, scene: Scene, settings: LidarTable, rng: np.random.Generator) -> None:
         self._scene, self._settings, self._rng = scene, settings, rng
         self._beams = round(360.0 / settings.step_deg)
-        off_nose_rad = np.arange(self._beams, dtype=np.float64) * (math.tau / self._beams)
-        wrapped_deg = np.degrees(np.remainder(off_nose_rad + math.pi, math.tau)) - 180.0
-        self._in_view = np.abs(wrapped_deg) <= 0.5 * settings.width_deg + 1e-9
-        self.angles_rad = off_nose_rad + math.radians(settings.yaw_deg)
-        """Of all beams, clockwise from the vehicle's nose, as the mounting is known.  (B,)"""
+        self.angles_rad = np.arange(self._beams, dtype=np.float64) * (math.tau / self._beams)
+        """Of all beams, clockwise from the vehicle's nose, as it is mounted.  (B,)"""
         self.distances_m = np.full(len(self.angles_rad), np.nan)
         """The newest of every beam.  (B,)"""
         self._turns = float(rng.random())
@@ -64,7 +61,6 @@ class Lidar:
             fired = np.arange(int(self._turns * count), min(int(turns * count), 2 * count)) % count
             self.middle_us = now_us - round(5e5 / self._turns_1_s)
         self._turns, self._turned_us = turns % 1.0, now_us
-        fired = fired[self._in_view[fired]]
         if len(fired) and not (conditions.dead or conditions.stuck):
             eye_nea_m = (*local_m, vehicle.altitude_amsl_m + _ABOVE_FEET_M)
             self.distances_m[fired] = self._measured(fired, eye_nea_m, vehicle, conditions)

@@ -43,7 +43,7 @@ Eye = tuple[float, float, float]
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class ScanRequest:
     """A TERRAIN_REQUEST: an area of 28 x 32 cells, and which of its 56 blocks are wanted."""
 

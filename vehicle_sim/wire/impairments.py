@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from vehicle_sim.conditions import LinkConditions
+from vehicle_sim.faults import LinkConditions
 
 MAX_FRAMES = 20_000
 """Waiting at once; what comes on top is lost."""
@@ -33,7 +33,7 @@ class Impairments:
     def impair(self, conditions: LinkConditions) -> None:
         """What is wrong from now on; what is on its way already stays on its way."""
         way = conditions.to_vehicle if self._to_vehicle else conditions.from_vehicle
-        concerned = way and (not conditions.mask or conditions.mask >> self._link & 1)
+        concerned = way and conditions.only in (-1, self._link)
         self._conditions = conditions if concerned else LinkConditions()
 
     def push(self, now_us: int, frame: bytes) -> None:

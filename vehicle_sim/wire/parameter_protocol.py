@@ -28,7 +28,7 @@ class ParameterProtocol:
     def __init__(self, autopilot: Autopilot) -> None:
         self._autopilot, self._parameters = autopilot, autopilot.parameters
         self._is_px4 = autopilot.profile.firmware == "px4"
-        self._names = [row.name for row in self._parameters.rows]
+        self._names = list(self._parameters)
         self._listings: dict[int, tuple[Sender, int, int]] = {}
         """By link: to whom, since when, and how many have been sent."""
 
@@ -69,7 +69,7 @@ class ParameterProtocol:
     def _value(self, place: int, index: int | None = None) -> Prepared:
         """PARAM_VALUE: of whole numbers PX4 sends the bits, ArduPilot converts them."""
         name = self._names[place]
-        kind, value = self._parameters.row(name).kind, self._parameters[name]
+        kind, value = self._parameters.rows[name].kind, self._parameters[name]
         if self._is_px4 and kind is not Kind.REAL32:
             (value,) = struct.unpack("<f", struct.pack("<i", int(value)))
         shown = place if index is None else index
@@ -80,7 +80,7 @@ class ParameterProtocol:
 
         What is not a number neither takes; PX4 tells the old value.
         """
-        kind = self._parameters.row(name).kind
+        kind = self._parameters.rows[name].kind
         if told_kind != kind if self._is_px4 else not math.isfinite(value):
             return []
         if kind is not Kind.REAL32 and self._is_px4:

@@ -4,28 +4,29 @@ Parsing, signatures, routing and sequence numbers come together here; what the m
 not.  Frames for another link are forwarded unchanged.
 """
 
-from collections.abc import Container, Iterable
+from collections.abc import Iterable
+from functools import lru_cache
 from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from vehicle_sim.autopilot.values import FirmwareProfile
-from vehicle_sim.conditions import LinkConditions
-from vehicle_sim.wire.frames import Packer, StreamParser
+from vehicle_sim.autopilot.values import Sender
+from vehicle_sim.faults import LinkConditions
+from vehicle_sim.parameters import Firmware
+from vehicle_sim.wire.frames import Packer, frames_of
 from vehicle_sim.wire.impairments import Impairments
-from vehicle_sim.wire.messages import AUTOPILOT_COMPONENT
 from vehicle_sim.wire.routing import Router, targets
 from vehicle_sim.wire.signing import Signing
 
-_frames_of = StreamParser(datagrams=True).feed
-"""Of whole ones; it remembers nothing."""
+_sender = lru_cache(maxsize=64)(Sender)
+"""The same few speak all the time."""
 
 
 @final
 class Received(NamedTuple):
     """A message that is for this vehicle."""
 
-    link: int
+    sender: Sender
     message: Any
     to_autopilot: bool
     to_radar: bool
@@ -39,20 +40,18 @@ class Radio:
         self,
         *,
         system: int,
-        component: int = AUTOPILOT_COMPONENT,
+        component: int,
         radar_component: int | None,
-        lidar_component: int | None = None,
-        profile: FirmwareProfile,
+        lidar_component: int | None,
+        firmware: Firmware,
         links: int,
-        byte_streams: Container[int],
         forwards_all: bool,
         rng: np.random.Generator,
     ) -> None:
         self.links = range(links)
-        self.signing = None if profile.firmware == "px4" else Signing()
-        self._firmware, self._forwards_all = profile.firmware, forwards_all
+        self.signing = None if firmware == "px4" else Signing()
+        self._firmware, self._forwards_all = firmware, forwards_all
         self._radar, self._lidar = radar_component, lidar_component
-        self._parsers = [StreamParser(datagrams=link not in byte_streams) for link in self.links]
         self._in = [Impairments(rng, link=link, to_vehicle=True) for link in self.links]
         self._out = [Impairments(rng, link=link, to_vehicle=False) for link in self.links]
         self.impaired = False
@@ -62,6 +61,7 @@ class Radio:
         """Questions of lockstep: they go after all else."""
         self._question: tuple[int, bytes] | None = None
         self._packers: dict[tuple[int, int, int], Packer] = {}
+        """By link, system and component."""
         self._ids = (0, 0)
         self.boot_as(system, component)
 
@@ -98,7 +98,7 @@ class Radio:
 
     def receive(self, now_us: int, link: int, data: bytes) -> list[Received]:
         """What has just come by this link, as far as it is for this vehicle."""
-        frames = self._parsers[link].feed(data)
+        frames = frames_of(data)
         if not self.impaired or now_us == 0:  # hellos depend on wall time: chance leaves them be
             return self._let_in(link, frames)
         received = []
@@ -115,7 +115,7 @@ class Radio:
         return [each for link in self.links for each in self._late(now_us, link)]
 
     def _late(self, now_us: int, link: int) -> list[Received]:
-        return self._let_in(link, _frames_of(b"".join(self._in[link].pop(now_us))))
+        return self._let_in(link, frames_of(b"".join(self._in[link].pop(now_us))))
 
     def _let_in(self, link: int, frames: Iterable[tuple[bytes, Any]]) -> list[Received]:
         """Intact frames: those that are signed as they must be go to whom they are for."""
@@ -127,54 +127,50 @@ class Radio:
             if self._forwards_all or targets(message)[0] == self._ids[0]:
                 self._outbox += [(other, frame) for other in links if other in self.links]
             if any(to):
-                received.append(Received(link, message, *to))
+                by = message.get_header()
+                sender = _sender(system=by.srcSystem, component=by.srcComponent, link=link)
+                received.append(Received(sender, message, *to))
         return received
 
     # --- out ----------------------------------------------------------------------------------
 
-    def _packer(self, link: int, system: int, component: int) -> Packer:
-        """What numbers the frames of somebody on a link."""
-        signing = self.signing if system == self._ids[0] else None
-        packer = self._packers[link, system, component] = Packer(system, component, signing, link)
-        return packer
-
-    def _frame(self, message: Any, key: tuple[int, int, int]) -> tuple[int, bytes]:
+    def _frame(self, message: Any, *key: int) -> tuple[int, bytes]:
         """The message as the next frame on a link of a system's component."""
-        return key[0], (self._packers.get(key) or self._packer(*key)).frame(message)
+        link, system, component = key
+        packer = self._packers.get((link, system, component))
+        if packer is None:
+            signing = self.signing if system == self._ids[0] else None
+            packer = Packer(system, component, signing, link)
+            self._packers[link, system, component] = packer
+        return link, packer.frame(message)
 
     def send(self, message: Any, link: int, component: int | None = None) -> None:
         """Queue a message of one of the vehicle's components; None: of the autopilot."""
         system, autopilot = self._ids
         by = autopilot if component is None else component
-        self._outbox.append(self._frame(message, (link, system, by)))
+        self._outbox.append(self._frame(message, link, system, by))
 
-    def broadcast(self, message: Any, component: int | None = None) -> None:
+    def broadcast(self, message: Any, component: int) -> None:
         """The same, on every link."""
-        for link in self.links:
-            self.send(message, link, component)
+        self.send_as(message, self._ids[0], component)
 
     def send_as(self, message: Any, system: int, component: int) -> None:
-        """Send a message in somebody else's name, on every link."""
-        keys = [(link, system, component) for link in self.links]
-        self._outbox += [self._frame(message, key) for key in keys]
+        """Send a message in somebody's name, on every link."""
+        self._outbox += [self._frame(message, link, system, component) for link in self.links]
 
     def send_back(self, received: Received) -> None:
         """Send a client its own frame."""
-        self._outbox.append((received.link, bytes(received.message.get_msgbuf())))
+        self._outbox.append((received.sender.link, bytes(received.message.get_msgbuf())))
 
     def send_last(self, message: Any, link: int) -> None:
         """Queue a question of lockstep: after all else, and past what is wrong with the link."""
-        self._question = self._frame(message, (link, *self._ids))
+        self._question = self._frame(message, link, *self._ids)
         self.send_last_again()
 
     def send_last_again(self) -> None:
         """Send the same frame again: another client may be listening now."""
         if self._question is not None:
             self._past.append(self._question)
-
-    def reopen(self, link: int) -> None:
-        """Another client has connected: what the last one began to say is not continued."""
-        self._parsers[link].forget()
 
     def take(self, now_us: int) -> list[tuple[int, bytes]]:
         """What goes out now: link and frame, in order."""

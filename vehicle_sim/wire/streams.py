@@ -54,7 +54,7 @@ class Streams:
         for link in links:
             usual_us = {number: _interval_us(hz) for number, hz in profile.rates_hz.items()}
             for group, name in self._rates_of(link).items():
-                if parameters[name] != parameters.row(name).default:
+                if parameters[name] != parameters.rows[name].default:
                     members = profile.data_streams[group]
                     usual_us |= dict.fromkeys(members, _interval_us(parameters[name]))
             self._usual_us |= {(link, number): us for number, us in usual_us.items()}

@@ -9,7 +9,7 @@ import typer
 from conformance.compare import compare
 from conformance.flights import Side, flight_of, play, read_recording
 from conformance.rows import Row
-from vehicle_sim.terminal import run
+from vehicle_sim.cli import run
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 

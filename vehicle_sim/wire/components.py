@@ -1,0 +1,211 @@
+"""Components beside the autopilot, on the same radio: the terrain radar and the lidar's driver.
+
+Of the radar one request is outstanding: a newer one takes the place of one that has not been looked
+at yet.  A request is looked at from where the vehicle is at the end of its tick, or at the radar's
+next sweep if it has a rate; all wanted blocks follow, and then the report that this was all.
+
+The lidar's driver sends OBSTACLE_DISTANCE as MAVLink has it: element 0 lies at the nose, the others
+clockwise from there; max_distance + 1 is "nothing there", 65535 is "not known"; time_usec is the
+middle of the sweep, in the autopilot's clock.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.autopilot.values import Result, Sender
+from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.faults import LidarConditions, RadarConditions
+from vehicle_sim.sensors.lidar import Lidar
+from vehicle_sim.sensors.terrain_radar import UNSEEN_M, ScanRequest, TerrainRadar, Viewpoint
+from vehicle_sim.wire.frames import Prepared, make
+from vehicle_sim.wire.radio import Radio
+from vehicle_sim.world import LidarTable
+
+HEARTBEAT_US: Final = 1_000_000
+_LOWEST_M, _HIGHEST_M = -32767, 32767
+_UNKNOWN: Final = 65535
+_ELEMENTS: Final = 72
+_WIDTH_DEG: Final = 360.0 / _ELEMENTS
+_BEAT: Final = make(
+    "HEARTBEAT",
+    *(mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID),
+    *(0, 0, mavlink.MAV_STATE_ACTIVE, 3),
+)
+
+
+@final
+class RadarComponent:
+    """Answers one TERRAIN_REQUEST after the other, in the time of the simulation."""
+
+    def __init__(
+        self, radar: TerrainRadar, rng: np.random.Generator, radio: Radio, component_id: int
+    ) -> None:
+        self._radar, self._rng = radar, rng
+        self._radio, self._id = radio, component_id
+        self._asked: tuple[Any, int] | None = None
+        """The request, and by which link."""
+        self._answer: tuple[int, int, Sequence[Prepared]] | None = None
+        """When it is due, and by which link."""
+        self._sweep_us, self._beat_us = 0, HEARTBEAT_US
+        self.due_us = HEARTBEAT_US
+        """Nothing is to be done before."""
+
+    def send_heartbeat(self) -> None:
+        """Send a heartbeat now."""
+        self._radio.broadcast(_BEAT, self._id)
+
+    def receive(self, message: Any, sender: Sender) -> None:
+        """Handle a message that is for the radar; commands that name it are refused."""
+        kind = message.get_type()
+        if kind == "TERRAIN_REQUEST":
+            self._asked, self.due_us = (message, sender.link), 0
+        elif kind in ("COMMAND_LONG", "COMMAND_INT") and message.target_component == self._id:
+            to = (0, 0, sender.system, sender.component)
+            refusal = make("COMMAND_ACK", message.command, Result.UNSUPPORTED, *to)
+            self._radio.send(refusal, sender.link, self._id)
+
+    def step(
+        self, now_us: int, vehicle: Vehicle, conditions: RadarConditions, *, tick: bool
+    ) -> None:
+        """Say what is due; `tick` ends a lockstep tick."""
+        if now_us >= self._beat_us:
+            self._beat_us += HEARTBEAT_US * (1 + (now_us - self._beat_us) // HEARTBEAT_US)
+            if not conditions.silent:
+                self.send_heartbeat()
+        if conditions.silent:
+            self._asked = self._answer = None
+        if self._asked and not self._answer and self._looks(now_us, conditions, tick):
+            (asked, link), self._asked = self._asked, None
+            due_us = now_us + round(conditions.delay_s * 1e6)
+            self._answer = due_us, link, self._scan(asked, vehicle, conditions)
+        if self._answer and now_us >= self._answer[0]:
+            (_, link, replies), self._answer = self._answer, None
+            for reply in replies:
+                self._radio.send(reply, link, self._id)
+        self.due_us = 0 if self._asked or self._answer else self._beat_us
+
+    def _looks(self, now_us: int, conditions: RadarConditions, ends_tick: bool) -> bool:
+        """Whether now is the time to look: at the end of a tick, or of a sweep."""
+        if not conditions.rate_hz:
+            return ends_tick
+        if now_us < self._sweep_us:
+            return False
+        interval_us = max(round(1e6 / conditions.rate_hz), 1)
+        self._sweep_us = now_us - now_us % interval_us + interval_us
+        return True
+
+    def _scan(self, asked: Any, vehicle: Vehicle, conditions: RadarConditions) -> list[Prepared]:
+        """TERRAIN_DATA of all blocks; then TERRAIN_REPORT: nothing is pending, this was all.
+
+        The report counts the blocks that get lost, too.
+        """
+        radar, height_m = self._radar, vehicle.altitude_amsl_m
+        place, spacing_m = (asked.lat / 1e7, asked.lon / 1e7), asked.grid_spacing
+        view = Viewpoint(vehicle.latitude_deg, vehicle.longitude_deg, height_m)
+        blocks = radar.answer(ScanRequest(*place, spacing_m, asked.mask), view)
+        head = (asked.lat, asked.lon, spacing_m)
+        told = [
+            make(
+                "TERRAIN_DATA", *head, block.gridbit, self._spoilt(block.heights_amsl_m, conditions)
+            )
+            for block in blocks
+        ]
+        if conditions.frames_lost:
+            kept = self._rng.random(len(blocks)) >= conditions.frames_lost
+            told = [each for each, keep in zip(told, kept, strict=True) if keep]
+        ground_m = radar.height_amsl_m(*place)
+        report = make("TERRAIN_REPORT", *head, ground_m, height_m - ground_m, 0, len(blocks))
+        return [*told, report]
+
+    def _spoilt(self, heights_amsl_m: Sequence[int], conditions: RadarConditions) -> list[int]:
+        """The heights as a radar in this state has them."""
+        if not (conditions.blind or conditions.cells_missed or conditions.noise_m):
+            return list(heights_amsl_m)
+        heights = np.array(heights_amsl_m)
+        seen = (heights != UNSEEN_M) & (not conditions.blind)
+        if conditions.cells_missed:
+            seen &= self._rng.random(len(heights)) >= conditions.cells_missed
+        if conditions.noise_m:
+            error_m = self._rng.standard_normal(len(heights)) * conditions.noise_m
+            if conditions.either_way:
+                noisy = np.round(heights + error_m)
+            else:
+                noisy = np.ceil(heights + np.abs(error_m))
+            heights = np.clip(noisy, _LOWEST_M, _HIGHEST_M).astype(np.int64)
+        spoilt: list[int] = np.where(seen, heights, UNSEEN_M).tolist()
+        return spoilt
+
+
+@final
+class LidarDriver:
+    """Sends what a lidar measures, in the time of the simulation."""
+
+    def __init__(
+        self, lidar: Lidar, settings: LidarTable, rng: np.random.Generator, radio: Radio
+    ) -> None:
+        self._lidar, self._settings, self._rng, self._radio = lidar, settings, rng, radio
+        off_edge_deg = np.degrees(lidar.angles_rad) + 0.5 * _WIDTH_DEG
+        self._element = np.floor(np.remainder(off_edge_deg + 1e-9, 360.0) / _WIDTH_DEG).astype(int)
+        self._waiting = deque[tuple[int, Any]]()
+        self._due_us, self._beat_us = 0, HEARTBEAT_US
+
+    def send_heartbeat(self) -> None:
+        """Send a heartbeat now."""
+        self._radio.broadcast(_BEAT, self._settings.component_id)
+
+    def step(self, now_us: int, boot_us: int, conditions: LidarConditions) -> list[Any]:
+        """Send what is due; returns the messages that the autopilot hears."""
+        if now_us >= self._beat_us:
+            self._beat_us = now_us + HEARTBEAT_US
+            if not conditions.silent:
+                self.send_heartbeat()
+        interval_us = round(1e6 / (conditions.rate_hz or self._settings.rate_hz))
+        self._due_us = max(self._due_us, now_us - interval_us)  # none to make up for
+        while self._due_us <= now_us:
+            self._due_us += interval_us
+            if not (conditions.dead or conditions.silent):
+                late_us = self._lidar.middle_us + round(self._settings.latency_s * 1e6)
+                message = self._message(self._lidar.middle_us - boot_us, conditions)
+                self._waiting.append((max(late_us, now_us), message))
+        heard = []
+        while self._waiting and self._waiting[0][0] <= now_us:
+            message = self._waiting.popleft()[1]
+            if not conditions.frames_lost or self._rng.random() >= conditions.frames_lost:
+                self._radio.broadcast(message, self._settings.component_id)
+                heard.append(message)
+        return heard
+
+    def _message(self, measured_us: int, wrong: LidarConditions) -> Any:
+        settings, rng = self._settings, self._rng
+        least_cm, most_cm = round(settings.min_m * 100.0), round(settings.range_m * 100.0)
+        increment_deg, offset_deg = _WIDTH_DEG, 0.0
+        told_cm = self._told_cm(most_cm)
+        if wrong.junk:
+            spoilt = rng.random(_ELEMENTS) < wrong.junk
+            values = np.array([0, 1, most_cm + 2, _UNKNOWN - 1, _UNKNOWN])
+            told_cm[spoilt] = values[rng.integers(len(values), size=int(spoilt.sum()))]
+            if rng.random() < wrong.junk:
+                pairs = ((math.nan, offset_deg), (increment_deg, math.nan))
+                increment_deg, offset_deg = pairs[rng.integers(2)]
+        stamp_us, most_us = measured_us + wrong.clock_us, wrong.clock_jump_us
+        stamp_us += int(rng.integers(-most_us, most_us + 1)) if most_us else 0
+        return mavlink.MAVLink_obstacle_distance_message(
+            *(max(stamp_us, 0), mavlink.MAV_DISTANCE_SENSOR_LASER, told_cm.tolist()),
+            *(int(_WIDTH_DEG), least_cm, most_cm, increment_deg, offset_deg, wrong.frame),
+        )
+
+    def _told_cm(self, most_cm: int) -> NDArray[np.int64]:
+        """The nearest echo of each element, "nothing there" or "not known".  -> (72,)."""
+        nearest_m = np.full(_ELEMENTS, np.inf)
+        known = np.zeros(_ELEMENTS, dtype=bool)
+        use = ~np.isnan(self._lidar.distances_m)
+        np.minimum.at(nearest_m, self._element[use], self._lidar.distances_m[use])
+        known[self._element[use]] = True
+        cm = np.where(np.isfinite(nearest_m), np.round(nearest_m * 100.0), most_cm + 1.0)
+        return np.where(known, cm, _UNKNOWN).astype(np.int64)
