@@ -16,7 +16,7 @@ import typer
 from vehicle_sim.autopilot.factory import personality_of, with_own_ids
 from vehicle_sim.errors import InputError, SimulatorError
 from vehicle_sim.faults import Timeline
-from vehicle_sim.links import Link, parse_endpoint
+from vehicle_sim.links import Link, open_link, parse_endpoint
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.server import Server, Settings, Station, stopping_on_signals, truth_files
 from vehicle_sim.simulation import Simulation
@@ -25,7 +25,7 @@ from vehicle_sim.world import VehicleKind, World, flat_world, read_world
 HELP = """A simulated drone to test a companion computer with.
 
 Flies a point-mass copter or plane with an autopilot like ArduPilot's or PX4's, GPS and a terrain
-radar, and speaks MAVLink 2 over UDP.  WORLD is the name of a bundled world, or the path of a
+radar, and speaks MAVLink 2 over UDP or TCP.  WORLD is the name of a bundled world, or the path of a
 world.toml; without it there is level ground at --home.
 
 Start it in one terminal and the companion in another:
@@ -39,7 +39,7 @@ in real time (or --speedup times that) whatever the companion does.  Ctrl-C ends
 
 \b
     vehicle-sim --autopilot px4 --vehicle plane --faults faults.txt
-    vehicle-sim --connect udpin:127.0.0.1:14551 --connect udpout:127.0.0.1:14550
+    vehicle-sim --connect tcpin:127.0.0.1:5760 --connect udpout:127.0.0.1:14550
     vehicle-sim --count 5 --port-step 10
 
 Faults are one line each, such as "at 120 s for 30 s: gps_off": see docs/simulator.md.
@@ -68,7 +68,7 @@ def _flag(name: str, about: str, callback: Any = None) -> Any:
     return typer.Option(name, help=about, callback=callback)
 
 
-_Endpoints = "udpout:HOST:PORT or udpin:HOST:PORT; once for each link."
+_Endpoints = "udpout:HOST:PORT, udpin:HOST:PORT or tcpin:HOST:PORT; once for each link."
 _Place = _option("Without WORLD.", "LAT,LON,ALT,HEADING", _HOME)
 _Range = _option("Without WORLD: a terrain radar that sees so far.", "METRES")
 _Params = _option("A parameter of the autopilot, or a SIM_ one.", "NAME=VALUE")
@@ -127,6 +127,7 @@ def fly(
             each,
             seed=seed + k,
             links=len(endpoints),
+            byte_streams={n for n, each in enumerate(endpoints) if each.kind == "tcpin"},
             forwards_all=k == 0 or port_step > 0,
             faults=timeline,
         )
@@ -139,7 +140,7 @@ def fly(
         truths = stack.enter_context(truth_files(out, names))
         opened = list[list[Link]]()
         for k in range(count if port_step else 1):
-            opened.append([Link(each.shifted(k * port_step)) for each in endpoints])
+            opened.append([open_link(each.shifted(k * port_step)) for each in endpoints])
             for link in opened[-1]:
                 stack.callback(link.close)
         _say(_opening(worlds, opened[0], settings))

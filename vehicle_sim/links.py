@@ -1,8 +1,8 @@
-"""Sockets for MAVLink over UDP, which know no messages.
+"""Sockets for MAVLink, which know no messages.
 
 A link is an address as in pymavlink: udpout:HOST:PORT sends there and receives the answers,
-udpin:HOST:PORT listens and answers all senders.  Neither ever blocks: what cannot be sent now is
-lost, as on a radio.
+udpin:HOST:PORT listens and answers all senders, tcpin:HOST:PORT serves one client at a time.  None
+of them ever blocks: what cannot be sent now is lost, as on a radio.
 """
 
 import re
@@ -18,9 +18,13 @@ _DATAGRAM_BYTES = 1400
 _LARGEST_DATAGRAM_BYTES = 65535
 _LAST_PORT = 65535
 _MAX_PEERS = 16
+_PENDING_BYTES = 262_144
+"""What a TCP client may leave unread before frames for it are dropped."""
 _SOCKET_BYTES = 4 * 1024 * 1024
 
-_FORM = re.compile(r"(udpout|udpin):(?://)?(\[[^\[\]/@?]+\]|[^:\[\]/@?]+):(\d{1,5})", re.ASCII)
+_FORM = re.compile(
+    r"(udpout|udpin|tcpin):(?://)?(\[[^\[\]/@?]+\]|[^:\[\]/@?]+):(\d{1,5})", re.ASCII
+)
 
 
 @final
@@ -28,7 +32,7 @@ _FORM = re.compile(r"(udpout|udpin):(?://)?(\[[^\[\]/@?]+\]|[^:\[\]/@?]+):(\d{1,
 class Endpoint:
     """One --connect."""
 
-    kind: Literal["udpout", "udpin"]
+    kind: Literal["udpout", "udpin", "tcpin"]
     host: str
     port: int
 
@@ -52,8 +56,8 @@ def parse_endpoint(text: str) -> Endpoint:
     """KIND:HOST:PORT, or KIND://HOST:PORT; InputError says what is wrong with it."""
     found = _FORM.fullmatch(text)
     kind, host, port = found.groups() if found else ("", "", "0")
-    if int(port) > _LAST_PORT or (int(port) == 0 and kind != "udpin"):
-        rule = "must be udpout:HOST:PORT or udpin:HOST:PORT, an IPv6 HOST in []"
+    if int(port) > _LAST_PORT or (int(port) == 0 and kind not in ("udpin", "tcpin")):
+        rule = "must be udpout:HOST:PORT, udpin:HOST:PORT or tcpin:HOST:PORT, an IPv6 HOST in []"
         raise InputError("--connect", text, rule, "Try udpout:127.0.0.1:14540.")
     return Endpoint(kind=kind, host=host.strip("[]"), port=int(port))  # type: ignore[arg-type]
 
@@ -68,72 +72,69 @@ def datagrams(frames: Sequence[bytes]) -> list[bytes]:
     return [each for each in packed if each]
 
 
-@final
 class Link:
-    """An open endpoint: it hears one address only, or answers the newest senders.
+    """An open endpoint of UDP: it hears one address only, or answers the newest senders."""
 
-    InputError if the address cannot be used.
-    """
+    _type = socket.SOCK_DGRAM
 
     def __init__(self, endpoint: Endpoint) -> None:
         self._endpoint = endpoint
-        self._listens = endpoint.kind == "udpin"
-        self._peers: dict[Any, None] = {}
-        """Who was heard, the oldest first."""
-        try:
-            self._open()
-        except (OSError, UnicodeError) as error:
-            rule = f"cannot be used ({(getattr(error, 'strerror', None) or str(error)).lower()})"
-            remedy = "Name the host and port that the companion listens on."
-            if self._listens:
-                remedy = "Choose a free port of this machine."
-            raise InputError("--connect", str(endpoint), rule, remedy) from None
+        self._open()
 
     def _open(self) -> None:
         wanted = self._endpoint
-        found = socket.getaddrinfo(wanted.host, wanted.port, type=socket.SOCK_DGRAM)[0]
-        self.socket = socket.socket(*found[:3])
-        """What to wait for."""
+        found = socket.getaddrinfo(wanted.host, wanted.port, type=self._type)[0]
+        self._socket = socket.socket(*found[:3])
+        self._socket.setblocking(False)
         try:
-            self.socket.setblocking(False)
-            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BYTES)
-            attach = self.socket.bind if self._listens else self.socket.connect
-            attach(found[4])
+            self._attach(found[4])
         except OSError:
-            self.socket.close()
+            self._socket.close()
             raise
+
+    def _attach(self, address: Any) -> None:
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BYTES)
+        self._peers: dict[Any, None] = {}
+        self._listens = self._endpoint.kind == "udpin"
+        if self._listens:
+            self._socket.bind(address)
+        else:
+            self._socket.connect(address)
+            self._peers[address] = None
+
+    @property
+    def sockets(self) -> Sequence[socket.socket]:
+        """What to wait for."""
+        return (self._socket,)
 
     @property
     def endpoint(self) -> Endpoint:
         """What was opened, with the port that was found for 0."""
-        if not self._listens:
+        if self._endpoint.kind == "udpout":
             return self._endpoint
-        return replace(self._endpoint, port=int(self.socket.getsockname()[1]))
+        return replace(self._endpoint, port=int(self._socket.getsockname()[1]))
 
     def send(self, frames: Sequence[bytes]) -> None:
         """Send these frames, or lose them."""
         for datagram in datagrams(frames):
-            for peer in self._peers if self._listens else (None,):
-                self._send(datagram, peer)
-
-    def _send(self, datagram: bytes, peer: Any) -> None:
-        for _ in range(2):  # a refusal is about an earlier one, but it keeps this one back
-            try:
-                if peer is None:
-                    self.socket.send(datagram)
-                else:
-                    self.socket.sendto(datagram, peer)
-            except ConnectionRefusedError:
-                continue
-            except OSError:
-                pass  # no route or no room for the moment: as good as a lost datagram
-            return
+            for peer in self._peers:
+                for _ in range(2):  # a refusal is about an earlier one, but it keeps this one back
+                    try:
+                        if self._listens:
+                            self._socket.sendto(datagram, peer)
+                        else:
+                            self._socket.send(datagram)
+                    except ConnectionRefusedError:
+                        continue
+                    except OSError:
+                        pass  # no route or no room for the moment: as good as a lost datagram
+                    break
 
     def receive(self) -> bytes | None:
-        """The next datagram, None if there is none now."""
+        """The next datagram or piece of stream, None if there is none now."""
         while True:
             try:
-                datagram, peer = self.socket.recvfrom(_LARGEST_DATAGRAM_BYTES)
+                datagram, peer = self._socket.recvfrom(_LARGEST_DATAGRAM_BYTES)
             except ConnectionRefusedError:
                 continue
             except OSError:
@@ -144,15 +145,92 @@ class Link:
                     del self._peers[next(iter(self._peers))]
             return datagram
 
+    def take_reopened(self) -> bool:
+        """Whether another client has connected."""
+        return False
+
     def move(self) -> None:
         """Send from another port from now on: what a rebooted ArduPilot does.
 
         A port that others were told of stays.
         """
         if not self._listens:
-            self.socket.close()
+            self._socket.close()
             self._open()
 
     def close(self) -> None:
-        """Close the socket."""
-        self.socket.close()
+        """Close the sockets."""
+        self._socket.close()
+
+
+@final
+class _TcpIn(Link):
+    """Serves one client at a time, as ArduPilot's serial ports over TCP do."""
+
+    _type = socket.SOCK_STREAM
+
+    def _attach(self, address: Any) -> None:
+        self._client: socket.socket | None = None
+        self._pending, self._reopened = b"", False
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._socket.bind(address)
+        self._socket.listen(1)
+
+    @property
+    def sockets(self) -> Sequence[socket.socket]:
+        return (self._client or self._socket,)
+
+    def send(self, frames: Sequence[bytes]) -> None:
+        if self._client is None:
+            return
+        if len(self._pending) < _PENDING_BYTES:  # a client that does not read loses whole frames
+            self._pending += b"".join(frames)
+        try:
+            sent = self._client.send(self._pending) if self._pending else 0
+            self._pending = self._pending[sent:]
+        except BlockingIOError:
+            return
+        except OSError:
+            self.move()
+
+    def receive(self) -> bytes | None:
+        try:
+            if self._client is None:
+                self._client, _ = self._socket.accept()
+                self._client.setblocking(False)
+                self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._reopened = True
+            data = self._client.recv(_LARGEST_DATAGRAM_BYTES)
+        except BlockingIOError:
+            return None
+        except OSError:
+            data = b""
+        if not data:
+            self.move()
+        return data or None
+
+    def take_reopened(self) -> bool:
+        reopened, self._reopened = self._reopened, False
+        return reopened
+
+    def move(self) -> None:
+        """The client sees the connection end."""
+        if self._client is not None:
+            self._client.close()
+        self._client, self._pending = None, b""
+
+    def close(self) -> None:
+        self.move()
+        super().close()
+
+
+def open_link(endpoint: Endpoint) -> Link:
+    """InputError if the address cannot be used."""
+    try:
+        return _TcpIn(endpoint) if endpoint.kind == "tcpin" else Link(endpoint)
+    except (OSError, UnicodeError) as error:
+        rule = f"cannot be used ({(getattr(error, 'strerror', None) or str(error)).lower()})"
+        remedy = "Choose a free port of this machine."
+        if endpoint.kind == "udpout":
+            remedy = "Name the host and port that the companion listens on."
+        raise InputError("--connect", str(endpoint), rule, remedy) from None

@@ -15,7 +15,7 @@ from typing import TextIO, final
 from vehicle_sim.errors import CompanionSilent, InputError, NotSurvived
 from vehicle_sim.links import Link
 from vehicle_sim.simulation import STEP_US, Simulation
-from vehicle_sim.wire.frames import frames_of
+from vehicle_sim.wire.frames import StreamParser
 from vehicle_sim.wire.routing import targets
 
 _HELLO_S = 0.05
@@ -117,8 +117,12 @@ class Server:
         for station in stations:
             for number, link in enumerate(station.links):
                 self._heard.setdefault(link, []).append((station.simulation, number))
-        self._shared = {link for link, hearers in self._heard.items() if len(hearers) > 1}
-        """Links of several vehicles."""
+        self._shared = {
+            link: StreamParser(datagrams=link.endpoint.kind != "tcpin")
+            for link, hearers in self._heard.items()
+            if len(hearers) > 1
+        }
+        """Links of several vehicles, and what finds the frames in what comes by them."""
 
     def run(self) -> float:
         """Fly; returns the wall time that the flying took, in seconds."""
@@ -164,7 +168,7 @@ class Server:
 
     def _listen(self, wait_s: float) -> bool:
         """Handle what is there, waiting so long for the first; tell whether anything was."""
-        sockets = [link.socket for link in self._heard]
+        sockets = [each for link in self._heard for each in link.sockets]
         ready, _, _ = select.select(sockets, [], [], max(wait_s, 0.0))
         return bool(ready) and self._receive()
 
@@ -173,13 +177,18 @@ class Server:
         for link, hearers in self._heard.items():
             for _ in range(_MAX_DATAGRAMS):
                 datagram = link.receive()
+                if link.take_reopened():
+                    if link in self._shared:
+                        self._shared[link].forget()
+                    for simulation, number in hearers:
+                        simulation.reopen(number)
                 if datagram is None:
                     break
                 any_came = True
                 if link not in self._shared:
                     hearers[0][0].receive(hearers[0][1], datagram)
                     continue
-                for frame, message in frames_of(datagram):
+                for frame, message in self._shared[link].feed(datagram):
                     system, _ = targets(message)  # each vehicle gets what is for it, or for all
                     for simulation, number in hearers:
                         if not system or system == simulation.system_id:

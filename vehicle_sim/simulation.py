@@ -4,7 +4,7 @@ Here its parts meet: the world and its faults, the vehicle, its sensors, the fli
 terrain radar and the radio.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import replace
 from typing import Final, final
 
@@ -57,6 +57,7 @@ _OF_OBSTACLES: Final = ("OBSTACLE_DISTANCE", "DISTANCE_SENSOR")
 class Simulation:
     """One vehicle, its autopilot, its radar and its links.
 
+    What comes in by a link of `byte_streams` may be cut anywhere, as TCP does; a datagram may not.
     Of several vehicles on the same links one `forwards_all` between them, the others only what is
     for their own system.
     ``faults`` is the text of a timeline.  InputError for a parameter that the autopilot does not
@@ -69,6 +70,7 @@ class Simulation:
         *,
         seed: int = 0,
         links: int = 1,
+        byte_streams: Container[int] = (),
         forwards_all: bool = True,
         faults: str = "",
     ) -> None:
@@ -109,7 +111,7 @@ class Simulation:
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
         autopilot = self._make_autopilot(self._own_lidar() | overrides_of(table))
         self._ids = ids_of(self._personality, autopilot.parameters)
-        self._radio = self._make_radio(links, forwards_all=forwards_all)
+        self._radio = self._make_radio(links, byte_streams, forwards_all=forwards_all)
         self._radar = self._scanner = None
         if scanner := world.scanner:
             self._radar = TerrainRadar(terrain, world.frame, range_m=scanner.range_m)
@@ -138,7 +140,7 @@ class Simulation:
             raise InputError(f"{name}.output", "autopilot", rule, "Write driver.")
         return {"PRX1_TYPE": RPLIDAR} if reads else {}
 
-    def _make_radio(self, links: int, *, forwards_all: bool) -> Radio:
+    def _make_radio(self, links: int, byte_streams: Container[int], *, forwards_all: bool) -> Radio:
         (system, component), scanner, lidar = self._ids, self._world.scanner, self._world.lidar
         for name, beside in (("scanner", scanner), ("lidar", lidar)):
             if beside is not None and beside.component_id == component:
@@ -151,6 +153,7 @@ class Simulation:
             lidar_component=lidar.component_id if lidar and lidar.output != "autopilot" else None,
             firmware=self._personality.firmware.profile.firmware,
             links=links,
+            byte_streams=byte_streams,
             forwards_all=forwards_all,
             rng=generator(self._seed, "links"),
         )
@@ -299,6 +302,10 @@ class Simulation:
     def ask_again(self) -> None:
         """Queue the last question once more, to the byte."""
         self._radio.send_last_again()
+
+    def reopen(self, link: int) -> None:
+        """Another client has connected to this link."""
+        self._radio.reopen(link)
 
     def _notice(self, what: str) -> None:
         self._notices.append(f"{self.now_us * 1e-6:9.1f} s  {what}")
@@ -479,7 +486,7 @@ class Simulation:
     # --- in -----------------------------------------------------------------------------------
 
     def receive(self, link: int, data: bytes) -> None:
-        """Handle everything in this datagram, at the present vehicle time."""
+        """Handle everything in this datagram or piece of stream, at the present vehicle time."""
         for received in self._radio.receive(self.now_us, link, data):
             self._receive(received)
 

@@ -22,7 +22,7 @@ from typing import Any, Final, NamedTuple, final
 import pytest
 
 from vehicle_sim.geodesy import WGS84
-from vehicle_sim.links import Endpoint, Link
+from vehicle_sim.links import Endpoint, open_link
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.simulation import STEP_US, Simulation
 from vehicle_sim.world import VehicleKind, World, flat_world
@@ -98,7 +98,7 @@ class Simulator:
         self.fault, self.set_parameter = self.simulation.add_fault, self.simulation.set_parameter
         """A fault from now on, as "for 30 s: gps_off"; and a parameter, as PARAM_SET does it."""
         self._lockstep, self._strict = lockstep, strict
-        self._link = Link(Endpoint(kind="udpin", host="127.0.0.1", port=0))
+        self._link = open_link(Endpoint(kind="udpin", host="127.0.0.1", port=0))
         self.close = self._link.close
         self.moments = [self._moment()]
         """The whole flight so far."""
@@ -200,7 +200,7 @@ class Simulator:
             self._send_and_receive()
             if not waits or simulation.answered_ns == question_ns:
                 return
-            select.select([self._link.socket], [], [], _POLL_S)
+            select.select(self._link.sockets, [], [], _POLL_S)
             now_s = time.monotonic()
             within = f"within {_PATIENCE_S:.0f} s; {self._where()}"
             assert now_s - start_s <= _PATIENCE_S, f"no answer to TIMESYNC {within}"

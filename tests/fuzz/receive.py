@@ -60,7 +60,7 @@ class Target:
                 altitude_amsl_m=488.0,
                 heading_deg=0.0,
             )
-            vehicle = Simulation(world, links=LINKS)
+            vehicle = Simulation(world, links=LINKS, byte_streams={1})
             for _ in range(4500):
                 vehicle.step()
             vehicle.take_frames()

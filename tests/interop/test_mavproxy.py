@@ -58,14 +58,14 @@ def connect(fly: Any, mavproxy: Any) -> Any:
     ) -> tuple[Vehicle, Program]:
         # what it fetches as a file it asks for once: of a fast vehicle the refusal may be lost
         plainly = () if speedup < SPEEDUP else ("--cmd=set param_ftp False",)
-        here = f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
+        here = f"127.0.0.1:{free_port(socket.SOCK_STREAM if how == 'tcpin' else socket.SOCK_DGRAM)}"
         if how == "udpout":
             ground = mavproxy(f"udp:{here}", *plainly)
             ground.expect("Waiting for heartbeat")
             vehicle = fly("--connect", f"udpout:{here}", *arguments, speedup=speedup)
         else:
             vehicle = fly("--connect", f"{how}:{here}", *arguments, speedup=speedup)
-            ground = mavproxy(f"udpout:{here}", *plainly)
+            ground = mavproxy(f"{'tcp' if how == 'tcpin' else 'udpout'}:{here}", *plainly)
         ground.expect("online system 1")
         if ready:
             ground.expect(r"Received (\d+) parameters")
@@ -126,7 +126,7 @@ def test_a_guided_flight(connect: Any) -> None:
 
 def test_parameters(connect: Any, tmp_path: Path) -> None:
     """All of them, one of them, one that is set, one that does not exist."""
-    _, ground = connect("udpin")
+    _, ground = connect("tcpin")
     found = re.search(r"Received (\d+) parameters", ground.transcript)
     assert found
     count = int(found[1])
@@ -219,7 +219,7 @@ def test_the_ground_station_dies_in_flight(connect: Any) -> None:
 
 @pytest.mark.nightly
 def test_a_plane(connect: Any) -> None:
-    vehicle, ground = connect("udpin", "--vehicle", "plane")
+    vehicle, ground = connect("tcpin", "--vehicle", "plane")
     ground.ask("mode TAKEOFF", "TAKEOFF> ")
     vehicle.wait_until(lambda now: now["t_s"] > 23.0)
     ground.ask("arm throttle", "COMPONENT_ARM_DISARM: ACCEPTED")

@@ -32,9 +32,9 @@ def tool(name: str, *arguments: object, folder: Path) -> str:
 @pytest.fixture
 def flown(fly: Any, client: Any, tmp_path: Path) -> tuple[Any, str, Path]:
     """A flight under a script of mavutil's high-level functions, and the log that it wrote."""
-    port, log = free_port(socket.SOCK_DGRAM), tmp_path / "flight.tlog"
-    vehicle = fly("--connect", f"udpout:127.0.0.1:{port}", speedup=SPEEDUP)
-    other = client("mavproxy", "pymavlink_flight.py", f"udpin:127.0.0.1:{port}", log)
+    port, log = free_port(socket.SOCK_STREAM), tmp_path / "flight.tlog"
+    vehicle = fly("--connect", f"tcpin:127.0.0.1:{port}", speedup=SPEEDUP)
+    other = client("mavproxy", "pymavlink_flight.py", f"tcp:127.0.0.1:{port}", log)
     assert other.wait(60.0) == 0, other.transcript
     return vehicle, other.transcript, log
 

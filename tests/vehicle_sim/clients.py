@@ -57,10 +57,16 @@ class Client:
         return self.frame(mavlink.MAVLink_timesync_message(question.ts1, question.ts1))
 
     def send(self, *frames: bytes) -> None:
-        self.link.sendto(b"".join(frames), self.address)
+        if self.address is None:
+            self.link.sendall(b"".join(frames))
+        else:
+            self.link.sendto(b"".join(frames), self.address)
 
     def datagram(self) -> bytes:
-        data, self.address = self.link.recvfrom(65535)
+        data, address = self.link.recvfrom(65535)
+        if not data:
+            raise ConnectionError
+        self.address = address or self.address
         return data
 
     def messages(self) -> list[Any]:
@@ -94,6 +100,12 @@ def is_question(message: Any) -> bool:
 def udp_client(ids: tuple[int, int] = (1, 195), port: int = 0) -> Iterator[Client]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.bind(("127.0.0.1", port))
+        yield Client(link, ids)
+
+
+@contextmanager
+def tcp_client(port: int, ids: tuple[int, int] = (1, 195)) -> Iterator[Client]:
+    with socket.create_connection(("127.0.0.1", port), timeout=20.0) as link:
         yield Client(link, ids)
 
 

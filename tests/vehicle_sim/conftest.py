@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from clients import Client, Process, Running, udp_client
 
-from vehicle_sim.links import Link, parse_endpoint
+from vehicle_sim.links import open_link, parse_endpoint
 
 WORLD = """schema = 1
 name = "test"
@@ -93,7 +93,7 @@ def serve(world_table: dict[str, Any]) -> Iterator[Callable[..., Running]]:
     with ExitStack() as stack:
 
         def begin(endpoints: str, *tables: dict[str, Any], **settings: Any) -> Running:
-            links = [Link(parse_endpoint(each)) for each in endpoints.split()]
+            links = [open_link(parse_endpoint(each)) for each in endpoints.split()]
             for link in links:
                 stack.callback(link.close)
             running = Running(tables or [world_table], links, **settings)

@@ -15,7 +15,7 @@ from recordings import recording
 
 from vehicle_sim.links import datagrams
 from vehicle_sim.wire import frames
-from vehicle_sim.wire.frames import Packer, frames_of
+from vehicle_sim.wire.frames import Packer, StreamParser
 from vehicle_sim.wire.telemetry import whole
 
 ARM = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 7.5)
@@ -52,7 +52,7 @@ def test_every_message_of_the_dialect_is_read_and_packed_as_pymavlink_does_it() 
     mav = mavlink.MAVLink(None, srcSystem=3, srcComponent=4)
     for kind in KINDS:
         frame = filled(kind, rng)
-        ((raw, got),) = frames_of(frame)
+        ((raw, got),) = StreamParser(datagrams=True).feed(frame)
         assert raw == frame
         assert same(got, decoded(frame)), kind
         if kind is not mavlink.MAVLink_test_types_message:  # a lone zero is more than it can pack
@@ -62,9 +62,9 @@ def test_every_message_of_the_dialect_is_read_and_packed_as_pymavlink_does_it() 
 
 def test_a_recorded_flight_is_read_as_pymavlink_reads_it() -> None:
     data = recording("px4-offboard-short.tlog").read_bytes()[:400_000]
-    reader, known = mavlink.MAVLink(None), 0
+    parser, reader, known = StreamParser(datagrams=False), mavlink.MAVLink(None), 0
     for _, frame in records(data):
-        wanted, got = reader.decode(bytearray(frame)), frames_of(frame)
+        wanted, got = reader.decode(bytearray(frame)), parser.feed(frame)
         is_known = not isinstance(wanted, mavlink.MAVLink_unknown)
         assert len(got) == is_known
         assert all(same(message, wanted) for _, message in got)
@@ -72,22 +72,30 @@ def test_a_recorded_flight_is_read_as_pymavlink_reads_it() -> None:
     assert known > 1000
 
 
-@pytest.mark.parametrize("old", [False, True])
-@given(noise=st.binary(max_size=9).filter(lambda raw: not set(raw) & {0xFD, 0xFE}))
-def test_all_frames_of_a_datagram_are_read_in_order(noise: bytes, *, old: bool) -> None:
+@given(
+    old=st.booleans(),
+    cuts=st.lists(st.integers(0, 400), max_size=12),
+    noise=st.binary(max_size=9).filter(lambda raw: not set(raw) & {0xFD, 0xFE}),
+)
+def test_a_stream_may_be_cut_anywhere(old: bool, cuts: list[int], noise: bytes) -> None:
     messages = (ARM, BEAT, TEXT) * 2
-    datagram = noise.join([b"", *(packed(message, old=old) for message in messages)])
-    got = [message.to_dict() for _, message in frames_of(datagram)]
-    assert got == [message.to_dict() for message in messages]
+    stream = noise.join([b"", *(packed(message, old=old) for message in messages)])
+    edges = sorted({0, len(stream), *(cut for cut in cuts if cut < len(stream))})
+    parser = StreamParser(datagrams=False)
+    got = [message for a, b in itertools.pairwise(edges) for _, message in parser.feed(stream[a:b])]
+    assert [message.to_dict() for message in got] == [m.to_dict() for m in messages]
 
 
-@given(datagram=st.binary(max_size=600))
-@example(datagram=b"\xfd" * 600)
-@example(datagram=b"\xfe\x09" * 300)
-@example(datagram=b"\xfd\xff\x00" * 200)
-def test_anything_at_all_may_come_and_good_frames_still_arrive(datagram: bytes) -> None:
-    frames_of(datagram)
-    seen = [got for _, got in frames_of(datagram + packed(ARM) * 40)]
+@given(stream=st.binary(max_size=600), step=st.integers(1, 40))
+@example(stream=b"\xfd" * 600, step=7)
+@example(stream=b"\xfe\x09" * 300, step=1)
+@example(stream=b"\xfd\xff\x00" * 200, step=1)
+def test_anything_at_all_may_come_and_good_frames_still_arrive(stream: bytes, step: int) -> None:
+    parser = StreamParser(datagrams=False)
+    for at in range(0, len(stream), step):
+        parser.feed(stream[at : at + step])
+        assert len(parser._rest) < 300
+    seen = [got for _ in range(40) for _, got in parser.feed(packed(ARM))]
     assert len(seen) >= 30  # what a false beginning can swallow is less than ten of them
     assert seen[-1].command == 400
 
@@ -97,12 +105,13 @@ def test_a_broken_datagram_cannot_hide_the_next_one(rubbish: bytes, cut: int, fl
     good = packed(ARM)
     broken = bytearray(good)
     broken[flip % len(good)] ^= 0x55
+    parser = StreamParser(datagrams=True)
     for datagram in (rubbish, good[:cut], bytes(broken)):
-        frames_of(datagram)
-        assert frames_of(good)[0][0] == good
-    assert frames_of(rubbish + good)[-1][0] == good
+        parser.feed(datagram)
+        assert parser.feed(good)[0][0] == good
+    assert parser.feed(rubbish + good)[-1][0] == good
     inside = b"\xfd\xff\x00\x00\x00\x01\x01\x00\x00\x00" + good + bytes(300)
-    assert [frame for frame, _ in frames_of(inside)] == [good]
+    assert [frame for frame, _ in parser.feed(inside)] == [good]
 
 
 def flagged(flags: int, crc_is_off_by: int = 0) -> bytes:
@@ -116,14 +125,15 @@ def flagged(flags: int, crc_is_off_by: int = 0) -> bytes:
     "datagram", [b"abc", flagged(0, 1), flagged(0)[:-1], flagged(2), flagged(3) + bytes(13)]
 )
 def test_what_is_no_frame_of_mavlink_is_passed_over(datagram: bytes) -> None:
-    assert frames_of(datagram) == []
-    assert len(frames_of(flagged(0))) == 1
+    assert StreamParser(datagrams=True).feed(datagram) == []
+    assert len(StreamParser(datagrams=True).feed(flagged(0))) == 1
 
 
 def test_an_unknown_message_costs_only_itself() -> None:
+    parser = StreamParser(datagrams=False)
     for number in range(100_000, 101_000):
         head = bytes([253, 9, 0, 0, 0, 1, 1, *number.to_bytes(3, "little")])
-        assert len(frames_of(head + b"\xfd\xff\x00" * 3 + b"\0\0" + packed(BEAT))) == 1
+        assert len(parser.feed(head + b"\xfd\xff\x00" * 3 + b"\0\0" + packed(BEAT))) == 1
 
 
 def test_the_work_is_linear_in_the_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,7 +148,7 @@ def test_the_work_is_linear_in_the_bytes(monkeypatch: pytest.MonkeyPatch) -> Non
     command = b"\xfd\xff\0\0\0\x01\x01\x4c\0\0"
     for worst in (b"\xfe\xff\x00\x01\x01\x4c", command, b"x\xfd" * 3, b"\xfd" * 6):
         summed.clear()
-        assert frames_of(worst * 4_000) == []
+        assert StreamParser(datagrams=False).feed(worst * 4_000) == []
         assert sum(summed) <= longest * len(worst) * 4_000, worst
         assert sum(summed) > len(worst) * 4_000 or b"\x4c" not in worst
 

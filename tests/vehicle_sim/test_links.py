@@ -1,4 +1,4 @@
-"""Both kinds of endpoint, on real sockets."""
+"""The three kinds of endpoint, on real sockets."""
 
 import socket
 import threading
@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from vehicle_sim.errors import InputError
-from vehicle_sim.links import Link, parse_endpoint
+from vehicle_sim.links import Link, open_link, parse_endpoint
 
 Open = Callable[[str], Link]
 
@@ -17,7 +17,7 @@ def opened() -> Iterator[Open]:
     links: list[Link] = []
 
     def begin(text: str) -> Link:
-        links.append(Link(parse_endpoint(text)))
+        links.append(open_link(parse_endpoint(text)))
         return links[-1]
 
     yield begin
@@ -44,17 +44,17 @@ def udp_client() -> socket.socket:
 @pytest.mark.parametrize(
     "text",
     [
-        *("", "x", "udp:1:2", "udpin:host", "udpin:h:99999", "udpout:h:0", "udpout:::1:14540"),
-        *("tcpin:127.0.0.1:5760", "udp://:14540", "UDPOUT:127.0.0.1:14540", "/dev/ttyACM0,57600"),
+        *("", "x", "udp:1:2", "udpin:host", "tcpin:h:99999", "udpout:h:0", "udpout:::1:14540"),
+        *("tcp:127.0.0.1:5760", "udp://:14540", "UDPOUT:127.0.0.1:14540", "/dev/ttyACM0,57600"),
         *("udpin:a@b:1", "udpin:h:²", "udpout:h:1 ", "udpin:[::1:5"),
     ],
 )
 def test_what_is_not_an_endpoint_is_said_to_be_none(text: str) -> None:
-    with pytest.raises(InputError, match=r"udpout:HOST:PORT or udpin:.*Try udpout:127.0.0.1:14540"):
+    with pytest.raises(InputError, match=r"udpin:HOST:PORT or tcpin:.*Try udpout:127.0.0.1:14540"):
         parse_endpoint(text)
 
 
-@pytest.mark.parametrize("kind", ["udpout", "udpin"])
+@pytest.mark.parametrize("kind", ["udpout", "udpin", "tcpin"])
 @pytest.mark.parametrize("host", ["127.0.0.1", "[::1]", "vehicle.local"])
 def test_with_two_slashes_it_is_the_same_endpoint(kind: str, host: str) -> None:
     endpoint = parse_endpoint(f"{kind}://{host}:14540")
@@ -120,3 +120,42 @@ def test_what_is_sent_after_a_refusal_is_not_lost_with_it(opened: Open) -> None:
         client.bind(address)
         link.send([b"now"])
         assert client.recv(100) == b"now"
+
+
+def test_tcpin_serves_one_client_after_the_other(opened: Open) -> None:
+    link = opened("tcpin:127.0.0.1:0")
+    address = ("127.0.0.1", link.endpoint.port)
+    for words in (b"first", b"second"):
+        with socket.create_connection(address, timeout=5.0) as client:
+            client.sendall(words)
+            assert received(link) == words
+            link.send([words, b"!"])
+            assert client.recv(100) == words + b"!"
+        while link.receive() is not None:
+            pass
+    link.send([b"nobody is there"])
+
+
+def test_a_tcp_client_that_does_not_read_costs_bounded_memory_and_gets_whole_frames(
+    opened: Open,
+) -> None:
+    link = opened("tcpin:127.0.0.1:0")
+    frame = bytes(range(200)) * 5
+    with socket.create_connection(("127.0.0.1", link.endpoint.port), timeout=5.0) as client:
+        client.sendall(b"x")
+        received(link)
+        for _ in range(20_000):
+            link.send([frame])
+        assert len(link._pending) < 1_000_000  # type: ignore[attr-defined]
+        client.settimeout(0.5)
+        got = bytearray()
+        while len(got) < 1_000_000:
+            got += client.recv(65536)
+        assert bytes(got[:1_000_000]) == frame * 1000
+    while link.receive() is not None:
+        pass
+    with socket.create_connection(("127.0.0.1", link.endpoint.port), timeout=5.0) as client:
+        client.sendall(b"x")
+        received(link)
+        link.send([b"only this"])
+        assert client.recv(65536) == b"only this"

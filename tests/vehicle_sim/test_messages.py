@@ -15,7 +15,7 @@ from vehicle_sim.autopilot import px4plane
 from vehicle_sim.autopilot.values import Ack, Battery, Report, Sender, Text
 from vehicle_sim.flight_controller import HANDLERS, ack, command, mode_command, texts
 from vehicle_sim.sensors.gps import Fix
-from vehicle_sim.wire.frames import Packer, frames_of, make, number_of
+from vehicle_sim.wire.frames import Packer, StreamParser, make, number_of
 from vehicle_sim.wire.telemetry import MESSAGES
 
 ANYBODY = Sender(system=255, component=190, link=2)
@@ -23,7 +23,7 @@ ANYBODY = Sender(system=255, component=190, link=2)
 
 def sent(message: Any) -> Any:
     """As it arrives at the other end."""
-    ((_, got),) = frames_of(Packer(255, 190).frame(message))
+    ((_, got),) = StreamParser(datagrams=True).feed(Packer(255, 190).frame(message))
     return got
 
 

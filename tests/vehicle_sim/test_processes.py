@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from clients import Client, Process, is_question, udp_client
+from clients import Client, Process, is_question, tcp_client, udp_client
 from pymavlink.dialects.v20 import all as mavlink
 
 Start = Callable[..., Process]
@@ -52,6 +52,24 @@ def test_it_goes_on_through_a_reboot_over_udp(
     assert companion.wait_for(is_question).ts1 < 5e9
     companion.send(companion.heartbeat(7))
     assert process.result()[::2] == (0, "")
+
+
+def test_over_tcp_a_client_that_was_cut_off_connects_again_and_it_goes_on(
+    start: Start, tmp_path: Path
+) -> None:
+    process = start(
+        *("--lockstep", *faults(tmp_path, "at 1 s: reboot")),
+        *("--connect", "tcpin:127.0.0.1:0", "--duration", 4),
+    )
+    port = process.port_of("tcpin")
+    with tcp_client(port) as first:
+        first.send(first.heartbeat())
+        with pytest.raises((ConnectionError, TimeoutError)):  # the reboot ends the connection
+            follow(first, 4.0)
+    with tcp_client(port) as second:
+        follow(second, 1.0)
+        second.send(second.heartbeat(7))
+        assert process.result()[::2] == (0, "")
 
 
 def run_late(start: Start, wait_s: float, *options: str) -> str:
@@ -135,10 +153,9 @@ def test_clients_on_shared_links_hear_each_other_once_through_the_vehicles(
     start: Start, companion: Client
 ) -> None:
     process = start(
-        *("--count", 2, "--connect", companion.endpoint, "--connect", "udpin:127.0.0.1:0"),
+        *("--count", 2, "--connect", companion.endpoint, "--connect", "tcpin:127.0.0.1:0"),
     )
-    with udp_client((255, 190)) as ground:
-        ground.address = ("127.0.0.1", process.port_of("udpin"))
+    with tcp_client(process.port_of("tcpin"), (255, 190)) as ground:
         companion.datagram()
         companion.send(companion.heartbeat())
         ground.send(ground.frame(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)))

@@ -16,7 +16,7 @@ from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.sensors.terrain_radar import UNSEEN_M, ScanRequest, TerrainRadar, Viewpoint
 from vehicle_sim.terrain import PeakTerrain
 from vehicle_sim.wire.components import RadarComponent
-from vehicle_sim.wire.frames import Packer, frames_of
+from vehicle_sim.wire.frames import Packer, StreamParser
 
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
 TICK_US, STEP_US, S = 50_000, 10_000, 1_000_000
@@ -52,7 +52,7 @@ class Run:
 
     def send(self, message: Any, link: int | None, component: int) -> None:
         assert component == 100
-        ((_, heard),) = frames_of(Packer(1, component).frame(message))
+        ((_, heard),) = StreamParser(datagrams=True).feed(Packer(1, component).frame(message))
         self.said.append((self.now_us, link, heard))
 
     def broadcast(self, message: Any, component: int) -> None:

@@ -6,7 +6,7 @@ import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.parameters import Firmware
-from vehicle_sim.wire.frames import frames_of
+from vehicle_sim.wire.frames import StreamParser
 from vehicle_sim.wire.routing import Route, Router
 
 Ids = tuple[int, int]
@@ -51,7 +51,7 @@ class Vehicle:
 
     def get(self, source: Ids, message: Any, link: int = ON_GCS_LINK) -> Route:
         frame = message.pack(mavlink.MAVLink(None, *source))
-        ((_, got),) = frames_of(bytes(frame))
+        ((_, got),) = StreamParser(datagrams=True).feed(bytes(frame))
         return self.router.route(got, link)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import pytest
-from clients import Client, Running, is_question, udp_client
+from clients import Client, Running, is_question, tcp_client, udp_client
 from pymavlink.dialects.v20 import all as mavlink
 
 Serve = Callable[..., Running]
@@ -191,3 +191,18 @@ def test_real_time_does_not_need_anybody_and_finds_who_comes_later(serve: Serve)
         client.send(client.heartbeat(), client.command(511, 33, 100_000))
         assert client.wait_for("COMMAND_ACK").result == 0
         assert client.wait_for("GLOBAL_POSITION_INT").time_boot_ms > 3000
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_half_a_frame_of_a_client_that_has_gone_swallows_nothing_of_the_next(
+    serve: Serve, world_table: Table, count: int
+) -> None:
+    """Of one vehicle and of a link that two share."""
+    tables = [with_system(world_table, system) for system in range(1, count + 1)]
+    run = serve("tcpin:127.0.0.1:0", *tables)
+    for half in (b"\xfd\xff\0\0\0\1\1", b""):
+        with tcp_client(run.ports[0], (9, 9)) as client:
+            asked = mavlink.MAVLink_command_long_message(count, 1, 42, 0, *[0] * 7)
+            client.send(client.frame(asked))
+            assert client.wait_for("COMMAND_ACK").get_srcSystem() == count
+            client.send(half)

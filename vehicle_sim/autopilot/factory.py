@@ -61,15 +61,19 @@ class Personality:
         return self.make(Boot(self.firmware, vehicle, parameters, plans, rng))
 
     @property
+    def is_px4(self) -> bool:
+        """Whether it is a PX4; else it is an ArduPilot."""
+        return self.firmware.profile.firmware == "px4"
+
+    @property
     def id_parameters(self) -> tuple[str, ...]:
         """Which hold the system, and of PX4 the component, which otherwise is 1."""
-        is_px4 = self.firmware.profile.firmware == "px4"
-        return ("MAV_SYS_ID", "MAV_COMP_ID") if is_px4 else ("MAV_SYSID",)
+        return ("MAV_SYS_ID", "MAV_COMP_ID") if self.is_px4 else ("MAV_SYSID",)
 
     @property
     def highest_id(self) -> int:
         """Of both; the least is 1.  Of PX4 as Mavlink::set_system_id has it."""
-        return 254 if self.firmware.profile.firmware == "px4" else 255
+        return 254 if self.is_px4 else 255
 
 
 _ARDUCOPTER: Final = Personality(

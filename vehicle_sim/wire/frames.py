@@ -30,29 +30,46 @@ _reader = mavlink.MAVLink(None)
 # --- in -------------------------------------------------------------------------------------------
 
 
-def frames_of(datagram: bytes) -> list[tuple[bytes, Any]]:
-    """Every intact frame of MAVLink 1 or 2 with its message, in order; never raises.
+@final
+class StreamParser:
+    """Parses the bytes of one link into frames and messages; never raises.
 
-    Time is linear in the bytes.  A frame does not go on in the next datagram: so a cut one cannot
-    swallow it.  After a broken frame the search goes on at its second byte: a frame hidden in it is
-    found.  Signatures are not looked at (signing.py): they are in the bytes of the frame.
+    MAVLink 1 and 2; time is linear in the bytes, and less than a frame of them is kept.  With
+    ``datagrams`` a frame never goes on in the next call: so a cut one cannot swallow the next.
+    After a broken frame the search goes on at its second byte: a frame hidden in it is found.
+    Signatures are not looked at (signing.py): they are in the bytes of the frame.
     """
-    found, at, size = list[tuple[bytes, Any]](), 0, len(datagram)
-    while begin := _find_marker(datagram, at):
-        at = begin.start()
-        end = _end_of_frame(datagram, at)
-        frame = datagram[at:end]
-        at += 1
-        if end > size or (frame[0] == MARKER_2 and frame[2] & ~SIGNED):
-            continue
-        kind = mavlink.mavlink_map.get(number_of(frame))
-        if kind is None:
-            # its checksum cannot be checked: believe its length only if a frame follows
-            at = end if end == size or datagram[end] in (_MARKER_1, MARKER_2) else at
-        elif (message := _read(frame, kind)) is not None:
-            found.append((frame, message))
-            at = end
-    return found
+
+    def __init__(self, *, datagrams: bool) -> None:
+        self._datagrams = datagrams
+        self._rest = b""
+
+    def forget(self) -> None:
+        """Whoever spoke is gone: half a frame of theirs is none."""
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[tuple[bytes, Any]]:
+        """Every intact frame with its message, in order."""
+        data, self._rest = self._rest + data, b""
+        found, at, size = list[tuple[bytes, Any]](), 0, len(data)
+        while begin := _find_marker(data, at):
+            at = begin.start()
+            end = _end_of_frame(data, at)
+            if end > size and not self._datagrams:
+                self._rest = data[at:]
+                break
+            frame = data[at:end]
+            at += 1
+            if end > size or (frame[0] == MARKER_2 and frame[2] & ~SIGNED):
+                continue
+            kind = mavlink.mavlink_map.get(number_of(frame))
+            if kind is None:
+                # its checksum cannot be checked: believe its length only if a frame follows
+                at = end if end == size or data[end] in (_MARKER_1, MARKER_2) else at
+            elif (message := _read(frame, kind)) is not None:
+                found.append((frame, message))
+                at = end
+        return found
 
 
 def number_of(frame: bytes) -> int:

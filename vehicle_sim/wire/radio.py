@@ -4,7 +4,7 @@ Parsing, signatures, routing and sequence numbers come together here; what the m
 not.  Frames for another link are forwarded unchanged.
 """
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from functools import lru_cache
 from typing import Any, NamedTuple, final
 
@@ -13,13 +13,15 @@ import numpy as np
 from vehicle_sim.autopilot.values import Sender
 from vehicle_sim.faults import LinkConditions
 from vehicle_sim.parameters import Firmware
-from vehicle_sim.wire.frames import Packer, frames_of
+from vehicle_sim.wire.frames import Packer, StreamParser
 from vehicle_sim.wire.impairments import Impairments
 from vehicle_sim.wire.routing import Router, targets
 from vehicle_sim.wire.signing import Signing
 
 _sender = lru_cache(maxsize=64)(Sender)
 """The same few speak all the time."""
+_frames_of = StreamParser(datagrams=True).feed
+"""Of whole ones; it remembers nothing."""
 
 
 @final
@@ -45,6 +47,7 @@ class Radio:
         lidar_component: int | None,
         firmware: Firmware,
         links: int,
+        byte_streams: Container[int],
         forwards_all: bool,
         rng: np.random.Generator,
     ) -> None:
@@ -52,6 +55,7 @@ class Radio:
         self.signing = None if firmware == "px4" else Signing()
         self._firmware, self._forwards_all = firmware, forwards_all
         self._radar, self._lidar = radar_component, lidar_component
+        self._parsers = [StreamParser(datagrams=link not in byte_streams) for link in self.links]
         self._in = [Impairments(rng, link=link, to_vehicle=True) for link in self.links]
         self._out = [Impairments(rng, link=link, to_vehicle=False) for link in self.links]
         self.impaired = False
@@ -98,7 +102,7 @@ class Radio:
 
     def receive(self, now_us: int, link: int, data: bytes) -> list[Received]:
         """What has just come by this link, as far as it is for this vehicle."""
-        frames = frames_of(data)
+        frames = self._parsers[link].feed(data)
         if not self.impaired or now_us == 0:  # hellos depend on wall time: chance leaves them be
             return self._let_in(link, frames)
         received = []
@@ -115,7 +119,7 @@ class Radio:
         return [each for link in self.links for each in self._late(now_us, link)]
 
     def _late(self, now_us: int, link: int) -> list[Received]:
-        return self._let_in(link, frames_of(b"".join(self._in[link].pop(now_us))))
+        return self._let_in(link, _frames_of(b"".join(self._in[link].pop(now_us))))
 
     def _let_in(self, link: int, frames: Iterable[tuple[bytes, Any]]) -> list[Received]:
         """Intact frames: those that are signed as they must be go to whom they are for."""
@@ -171,6 +175,10 @@ class Radio:
         """Send the same frame again: another client may be listening now."""
         if self._question is not None:
             self._past.append(self._question)
+
+    def reopen(self, link: int) -> None:
+        """Another client has connected: what the last one began to say is not continued."""
+        self._parsers[link].forget()
 
     def take(self, now_us: int) -> list[tuple[int, bytes]]:
         """What goes out now: link and frame, in order."""
