@@ -589,7 +589,7 @@ def _exit_as_it_ended(flown: FlightSummary, connect: str) -> None:
 def _not_heard(session: Session, connect: str) -> tuple[str, str]:
     """Why there is no vehicle, and what to do about it."""
     refused = 0 if session.signing is None else session.signing.refused
-    if not session.senders and not session.receiver.passed.total() + refused:
+    if not session.senders and not session.receiver.passed + refused:
         reason = f"--connect = {connect!r}: no vehicle was heard within 10 s"
         return reason, "Start the vehicle, or give the address that it sends to."
     reason, remedy = not_heard(session)

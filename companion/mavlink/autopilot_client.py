@@ -8,8 +8,8 @@ import math
 from typing import Any, Final, final
 
 from companion.mavlink import fence, parameter_client, plan_client
-from companion.mavlink.autopilots import Autopilot, LaunchPose, autopilot_of
-from companion.mavlink.autopilots.messages import NO_HEADING, position
+from companion.mavlink.autopilots import Autopilot, autopilot_of
+from companion.mavlink.autopilots.messages import position
 from companion.mavlink.dialect import COMPANION_COMPONENT, EventMessage, Message, wire
 from companion.mavlink.near_scanner import streams_hz
 from companion.mavlink.own_fence import OwnFence
@@ -74,7 +74,7 @@ class AutopilotClient:
         self._mission, self._lockstep = mission, lockstep
         self._sets_parameters = sets_parameters
         self._home_nea_m: events.Vector | None = None
-        self._heading_cdeg = self._breaches = self._targets_version = 0
+        self._breaches = self._targets_version = 0
         self._judged = -1
         self._sets: dict[str, int] = {}
         """How often each parameter was set."""
@@ -151,9 +151,9 @@ class AutopilotClient:
 
     def on_position(self, message: Message, now_s: float) -> events.Position | None:
         """Decode GLOBAL_POSITION_INT: a fast path of `on_message` and `event_of`."""
-        self.count(_POSITION, now_s)
-        if message.hdg != NO_HEADING:
-            self._heading_cdeg = message.hdg
+        count = self.streams.count
+        count[_POSITION] = count.get(_POSITION, 0) + 1
+        self.parameters.heard_s = now_s
         event = position(message, now_s, self._mission.frame)
         if event is not None:
             self.here_ne_m = event.position_nea_m[:2]
@@ -254,9 +254,8 @@ class AutopilotClient:
                 here = state.vehicle.position_nea_m
                 if here is None:
                     return []
-                heading_rad = math.radians(self._heading_cdeg * 0.01)
-                place = LaunchPose(position_nea_m=here, heading_rad=heading_rad)
-                return autopilot.take_off(command, place, frame, system)
+                heading_rad = state.vehicle.heading_rad or 0.0
+                return autopilot.take_off(command, here, heading_rad, frame, system)
 
     @property
     def due_s(self) -> float:

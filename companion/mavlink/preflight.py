@@ -230,7 +230,7 @@ def not_heard(session: PreflightInputs) -> tuple[str, str]:
     if session.signing is not None and session.signing.refused:
         what = "none was heard; what comes in is not signed with this key"
         return what, "Set the same key up on the vehicle."
-    if session.receiver.passed.total():
+    if session.receiver.passed:
         what = "none was heard; what comes in is no MAVLink"
         return what, "Check the baud rate, and that --connect names the autopilot's port."
     return "none was heard", "Start it, or check --connect."

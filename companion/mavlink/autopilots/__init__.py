@@ -4,7 +4,6 @@ from companion.mavlink.autopilots.arducopter import ARDUCOPTER as ARDUCOPTER
 from companion.mavlink.autopilots.arduplane import ARDUPLANE as ARDUPLANE
 from companion.mavlink.autopilots.common import KINDS
 from companion.mavlink.autopilots.common import Autopilot as Autopilot
-from companion.mavlink.autopilots.common import LaunchPose as LaunchPose
 from companion.mavlink.autopilots.px4_fixed_wing import PX4_FIXED_WING as PX4_FIXED_WING
 from companion.mavlink.autopilots.px4_multicopter import PX4_MULTICOPTER as PX4_MULTICOPTER
 from companion.mavlink.dialect import Message, wire
