@@ -21,8 +21,7 @@ from companion.planning import plan
 from companion.runtime.compiler import load_libraries
 from companion.runtime.control_loop import ControlLoop, Person
 from companion.runtime.link import Link
-from companion.runtime.planner_process import PlanFunction, PlannerProcess
-from companion.runtime.planning import PlannerWorker
+from companion.runtime.planner_process import PlanFunction, PlannerProcess, PlannerWorker
 from companion.runtime.recorder import Recorder, WriterThread
 from companion.runtime.watchdog import Clock, Failure
 from companion.session import Session
@@ -67,9 +66,10 @@ def fly(
         person=person,
     )
     loop.flown.asks_here = person is not None
-    loop.planning = planning = PlannerWorker(planner, loop.answered, lockstep=lockstep)
+    planning = PlannerWorker(planner, loop.answered, lockstep=lockstep)
     recorder = Recorder(folder, clock, loop.lost, persist)
-    loop.writer = writer = recorder if lockstep else WriterThread(recorder)
+    writer = recorder if lockstep else WriterThread(recorder)
+    loop.plan, loop.record = planning.ask, writer.put
     with prompt_threads():
         loop.watchdog.start()
         loop.watchdog.watch(planning.part, planning.run)
