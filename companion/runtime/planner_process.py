@@ -1,9 +1,8 @@
 """The planner's own process: no plan ever delays a setpoint, and one that hangs is killed.
 
-A thread of the companion (`PlannerWorker`) waits for it.
-
 In the same process it would: numba holds the interpreter lock for seconds while it compiles, and
 what guidance and search do between their compiled parts holds it for some milliseconds each.
+A thread of the companion waits for the answer (`PlannerWorker`).
 
 The arrays of a question follow its pickle: that of a near mission's map, 28 MB, would hold the
 interpreter lock for 15 ms.
