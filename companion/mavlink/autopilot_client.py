@@ -7,12 +7,13 @@ messages and events out.
 import math
 from typing import Any, Final, final
 
-from companion.mavlink import fence, parameter_client, plan_client
+from companion.mavlink import parameter_client, plan_client
 from companion.mavlink.autopilots import Autopilot, autopilot_of
 from companion.mavlink.autopilots.messages import position
 from companion.mavlink.dialect import COMPANION_COMPONENT, EventMessage, Message, wire
+from companion.mavlink.fence import Fence, OwnFence
+from companion.mavlink.mission_items import targets_of
 from companion.mavlink.near_scanner import streams_hz
-from companion.mavlink.own_fence import OwnFence
 from companion.mavlink.parameter_client import ParameterClient
 from companion.mavlink.plan_client import MISSION, PlanClient
 from companion.mavlink.rules import Finding, findings_of, names_of
@@ -67,7 +68,10 @@ class AutopilotClient:
         self.said: tuple[float, str] = (-math.inf, "")
         """When it last sent a text, and what."""
         self.here_ne_m: tuple[float, float] | None = None
-        self._own_fence = OwnFence(mission, autopilot, self.plans)
+        firmware, name = autopilot.firmware, autopilot.name
+        self._own_fence = OwnFence(
+            mission, self.plans, firmware.fence, lambda items: firmware.misread(items, name)
+        )
         self.notes, self.warnings = self._own_fence.notes, self._own_fence.warnings
         """What a person should hear of, since last looked at; warnings: of what is grave.  The
         fence says what it has to say into the same lists."""
@@ -104,7 +108,7 @@ class AutopilotClient:
         )
 
     @property
-    def fence(self) -> fence.Fence | None:
+    def fence(self) -> Fence | None:
         """Its own fence, once it was read."""
         return self._own_fence.fence
 
@@ -365,13 +369,13 @@ class AutopilotClient:
         if mission.targets_from_vehicle and plan.version != self._targets_version:
             self._targets_version = plan.version
             home_first = self.autopilot.firmware.home_first
-            route = fence.targets_of(plan.items, mission.frame, home_first=home_first)
+            route = targets_of(plan.items, mission.frame, home_first=home_first)
             self.notes += route.notes
             if route.end_action not in (None, mission.end_action):
                 words = f"its mission ends with {route.end_action.value}"
                 self.notes.append(f"{words}; what counts is end.action: {mission.end_action.value}")
             told.append(events.TargetsChanged(time_s=now_s, targets_ne_m=route.targets_ne_m))
-        if refusal or not (self._plans_told or (mission.fence_from_vehicle and own.needs_home)):
+        if refusal or not (self._plans_told or (own.fence is not None and own.fence.needs_home)):
             self._plans_told = True
             told.append(events.Prepared(time_s=now_s, item=events.Item.PLANS, refusal=refusal))
         return told
