@@ -89,7 +89,6 @@ app = typer.Typer(
     ),
 )
 
-
 app.add_typer(campaign_app, name="campaign")
 app.add_typer(compare_app, name="compare")
 app.command("replay")(replay_command)
@@ -104,40 +103,38 @@ MissionArgument = Annotated[
         help=f"A mission.toml, a QGroundControl .plan, or a bundled name: {', '.join(bundled())}.",
     ),
 ]
-ProfileOption = Annotated[
-    ProfileName | None,
-    typer.Option(
-        help="*flight*: made safe, checked before it is flown (the default). "
-        "*paper*: literally as published, for comparison; not safe to fly."
-    ),
-]
-SeedOption = Annotated[
-    int, typer.Option(min=0, help="Seed of the search: the same seed plans the same path.")
-]
-
-
-ConnectOption = Annotated[
-    str,
-    typer.Option(
-        help="Where the vehicle is: udpin:HOST:PORT waits for it, udpout:HOST:PORT calls it, "
-        "tcp:HOST:PORT, or a serial device and its baud rate: /dev/ttyACM0,57600."
-    ),
-]
-SystemOption = Annotated[
-    int | None,
-    typer.Option(
-        min=1,
-        max=255,
-        help="MAVLink system id of the vehicle; by default the mission's, or the only one heard.",
-    ),
-]
-KeyOption = Annotated[
-    Path | None,
-    typer.Option(
-        help="File with the key of a signed link: a phrase, or 64 hexadecimal digits; "
-        "readable by nobody else."
-    ),
-]
+_PROFILE_HELP = (
+    "*flight*: made safe, checked before it is flown (the default). "
+    "*paper*: literally as published, for comparison; not safe to fly."
+)
+_SEED_HELP = "Seed of the search: the same seed plans the same path."
+_CONNECT_HELP = (
+    "Where the vehicle is: udpin:HOST:PORT waits for it, udpout:HOST:PORT calls it, "
+    "tcp:HOST:PORT, or a serial device and its baud rate: /dev/ttyACM0,57600."
+)
+_SYSTEM_HELP = "MAVLink system id of the vehicle; by default the mission's, or the only one heard."
+_KEY_HELP = (
+    "File with the key of a signed link: a phrase, or 64 hexadecimal digits; "
+    "readable by nobody else."
+)
+_LOCKSTEP_HELP = "Let a simulator that was started with --lockstep run as fast as both can."
+_START_HELP = (
+    "Take off as soon as the vehicle is ready, without waiting for a go: for "
+    "simulators and scripts. --lockstep implies it."
+)
+_SHADOW_HELP = "Plan and say what would be done, never command."
+_OUT_HELP = "Run folder to write; by default runs/DATE-MISSION."
+_RESUME_HELP = "Go on with the flight in the run folder --out, if one was interrupted there."
+_JSON_HELP = (
+    "Print lines of JSON for machines, how the flight stands and at last how it "
+    "ended; what is for people goes to standard error."
+)
+_VIEW_HELP = "Show the flight in the browser while it is flown."
+ProfileOption = Annotated[ProfileName | None, typer.Option(help=_PROFILE_HELP)]
+SeedOption = Annotated[int, typer.Option(min=0, help=_SEED_HELP)]
+ConnectOption = Annotated[str, typer.Option(help=_CONNECT_HELP)]
+SystemOption = Annotated[int | None, typer.Option(min=1, max=255, help=_SYSTEM_HELP)]
+KeyOption = Annotated[Path | None, typer.Option(help=_KEY_HELP)]
 
 
 @app.command("fly")
@@ -145,49 +142,16 @@ def fly_command(
     mission: MissionArgument,
     connect: ConnectOption = _CONNECT,
     system: SystemOption = None,
-    lockstep: Annotated[
-        bool,
-        typer.Option(
-            "--lockstep",
-            help="Let a simulator that was started with --lockstep run as fast as both can.",
-        ),
-    ] = False,
-    start: Annotated[
-        bool,
-        typer.Option(
-            "--start",
-            help="Take off as soon as the vehicle is ready, without waiting for a go: for "
-            "simulators and scripts. --lockstep implies it.",
-        ),
-    ] = False,
-    shadow: Annotated[
-        bool, typer.Option("--shadow", help="Plan and say what would be done, never command.")
-    ] = False,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Run folder to write; by default runs/DATE-MISSION."),
-    ] = None,
-    resume: Annotated[
-        bool,
-        typer.Option(
-            "--resume",
-            help="Go on with the flight in the run folder --out, if one was interrupted there.",
-        ),
-    ] = False,
+    lockstep: Annotated[bool, typer.Option("--lockstep", help=_LOCKSTEP_HELP)] = False,
+    start: Annotated[bool, typer.Option("--start", help=_START_HELP)] = False,
+    shadow: Annotated[bool, typer.Option("--shadow", help=_SHADOW_HELP)] = False,
+    out: Annotated[Path | None, typer.Option(help=_OUT_HELP)] = None,
+    resume: Annotated[bool, typer.Option("--resume", help=_RESUME_HELP)] = False,
     signing_key: KeyOption = None,
     seed: SeedOption = 1,
     profile: ProfileOption = None,
-    as_json: Annotated[
-        bool,
-        typer.Option(
-            "--json",
-            help="Print lines of JSON for machines, how the flight stands and at last how it "
-            "ended; what is for people goes to standard error.",
-        ),
-    ] = False,
-    view: Annotated[
-        bool, typer.Option("--view", help="Show the flight in the browser while it is flown.")
-    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help=_JSON_HELP)] = False,
+    view: Annotated[bool, typer.Option("--view", help=_VIEW_HELP)] = False,
     view_port: PortOption = VIEW_PORT,
 ) -> None:
     """Fly a mission: find the vehicle, take off (or take over), follow subpaths to the target.
