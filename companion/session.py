@@ -43,7 +43,7 @@ from companion.mavlink.rangefinder import Rangefinder
 from companion.mavlink.signing import Signing
 from companion.mavlink.statustext import StatusTexts, final_text
 from companion.mavlink.terrain_download import MESSAGES as TERRAIN
-from companion.mavlink.terrain_download import ScanClient
+from companion.mavlink.terrain_download import TerrainDownload
 from companion.mission import changes, checkpoint, entries, events, machine
 from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context
 from companion.mission.events import Disarm, End, Mode, SetMode, Vector, VehicleStatus
@@ -134,7 +134,8 @@ class Session:
         """Reads the sensor of near things, if that is the mission's scanner."""
         self.rangefinder = Rangefinder.of(mission)
         """Reads the one that looks down, if the mission compares it with the map."""
-        self._scanning = self.near or ScanClient(mission)
+        self._scan: NearScanner | TerrainDownload | None = None
+        """The one that is under way."""
         self._preflight = Preflight()
         self._component: Component | None = None
         self._time_asked = 0
@@ -383,9 +384,9 @@ class Session:
 
     def _on_radar(self, heard: Incoming) -> None:
         """A message of the radar: its answers to a scan, and when to look whether it is over."""
-        if heard.number in TERRAIN:
-            assert isinstance(self._scanning, ScanClient)
-            self._scanning.on_message(heard.message, self.state.vehicle.position_nea_m)
+        scan, here = self._scan, self.state.vehicle.position_nea_m
+        if heard.number in TERRAIN and isinstance(scan, TerrainDownload) and here is not None:
+            scan.on_message(heard.message, here)
         self._scan_on()
 
     def _on_near(self, heard: Incoming) -> None:
@@ -415,7 +416,7 @@ class Session:
             self._look_at_news(vehicle)
         if self.state.phase in (Phase.PREPARING, Phase.READY):
             self._check()
-        if self._scanning.is_on:
+        if self._scan is not None:
             self._scan_on()
         self._housekeeping()
 
@@ -550,7 +551,7 @@ class Session:
     def _on_reboot(self) -> None:
         """The autopilot has rebooted: prepare again; the known terrain is kept."""
         self.state = replace(self.state, now_s=self.now_s, since_s=self.now_s)
-        self._scanning.stop()
+        self._scan = None
         self._plan.forget()
         self._mode_asked_at_s = -math.inf
         if self.vehicle is not None:
@@ -606,15 +607,23 @@ class Session:
         return self._lockstep
 
     def _scan_on(self) -> None:
-        if (done := self._scanning.done(self.now_s)) is not None:
-            self.last_scan = done
+        if (scan := self._scan) is None:
+            return
+        if (done := scan.done(self.now_s)) is not None:
+            self._scan, self.last_scan = None, done
             self._handle(done)
-        elif (request := self._scanning.on_time(self.now_s)) is not None:
+        elif (request := scan.on_time(self.now_s)) is not None:
             self._send_all([request])
 
     def _start_scan(self, centre_nea_m: Vector) -> None:
-        blocks = self._scanning.begin(centre_nea_m, self.state, self.now_s)
-        self._note("scan", centre_nea_m=list(centre_nea_m), blocks=blocks)
+        scan: NearScanner | TerrainDownload
+        if self.near is not None:
+            scan = self.near
+            scan.begin(self.state, self.now_s)
+        else:
+            scan = TerrainDownload.begun(self.mission, centre_nea_m, self.state, self.now_s)
+        self._scan = scan
+        self._note("scan", centre_nea_m=list(centre_nea_m), blocks=scan.asked)
         self._scan_on()
 
     def _check(self) -> None:

@@ -51,8 +51,6 @@ class NearScanner:
         assert sensor is not None
         assert blank is not None
         assert blank.guess_m is not None
-        self.is_on = False
-        """Whether there is a scan under way."""
         self._poses = Poses(mission.frame)
         self._component = sensor.component_id
         self._sensing = NearSensing(sensor, self._poses, self._ground_at_m)
@@ -108,17 +106,15 @@ class NearScanner:
 
     # --- scans
 
-    def begin(self, _centre_nea_m: Vector, state: State, now_s: float) -> int:
-        """Begin a scan: the next sweep ends it.  -> 1, the blocks of it."""
+    asked = 1
+    """Blocks of a scan."""
+
+    def begin(self, state: State, now_s: float) -> None:
+        """Begin a scan: the next sweep ends it."""
         if self._told is not None and state.flight.known is self._before:
             self._near.tell_again(self._told)  # nobody has taken it
         self._before, self._told = state.flight.known, None
-        self._began_s, self.is_on = now_s, True
-        return 1
-
-    def stop(self) -> None:
-        """Forget it."""
-        self.is_on = False
+        self._began_s = now_s
 
     def on_time(self, _now_s: float) -> None:
         """Nothing has to be asked for."""
@@ -130,10 +126,9 @@ class NearScanner:
         """
         self._near.expire(now_s)
         swept = self._swept_s > self._began_s
-        if not self.is_on or not (swept or now_s - self._began_s >= self._scan_time_s):
+        if not (swept or now_s - self._began_s >= self._scan_time_s):
             return None
         answered = swept or not self._sight.is_blind
-        self.is_on = False
         self._told = self._near.changed
         scan = self._near.scan(self._ground_m, self._top_m)
         return ScanDone(time_s=now_s, scan=scan, asked=1, answered=int(answered))

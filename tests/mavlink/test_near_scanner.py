@@ -70,7 +70,7 @@ class Standing:
 
     def scan(self, *, takes: bool = True) -> ScanDone:
         """A whole scan; takes: the mission puts it on its map."""
-        self.scanner.begin(HERE_NEA_M, self.state, self.now_s)
+        self.scanner.begin(self.state, self.now_s)
         self.tick()
         done = self.scanner.done(self.now_s)
         assert done is not None
@@ -103,13 +103,13 @@ def test_a_scan_puts_on_the_map_what_is_free_what_is_closed_and_nothing_else() -
 
 def test_a_later_scan_takes_back_what_is_not_free_any_more_and_frees_what_has_gone() -> None:
     it = Standing().run(20, thing=False)
-    it.scanner.begin(HERE_NEA_M, it.state, it.now_s)
+    it.scanner.begin(it.state, it.now_s)
     it.scan()
     it.run(10)
     it.scan()
     assert it.upper_m(20.0 + THING_M, 20.0) > CEILING_AMSL_M
     it.run(40, thing=False)
-    it.scanner.begin(HERE_NEA_M, it.state, it.now_s)
+    it.scanner.begin(it.state, it.now_s)
     it.tick(thing=False)
     done = it.scanner.done(it.now_s)
     assert done is not None
@@ -122,7 +122,6 @@ def test_what_a_scan_told_that_nobody_took_is_told_again() -> None:
     one, other = Standing().run(20), Standing().run(20)
     for it in (one, other):
         it.scan(takes=it is one)
-        it.scanner.stop()
         it.scan()
     np.testing.assert_array_equal(one.state.flight.known.upper_m, other.state.flight.known.upper_m)
     assert np.isfinite(other.state.flight.known.upper_m).any()
@@ -132,20 +131,18 @@ def test_a_scan_of_a_sensor_that_says_nothing_new_changes_nothing() -> None:
     it = Standing().run(20)
     it.scan()
     before = it.state.flight.known
-    it.scanner.begin(HERE_NEA_M, it.state, it.now_s)
+    it.scanner.begin(it.state, it.now_s)
     it.move_on(1.0)
     it.move_on()
     done = it.scanner.done(it.now_s)
     assert done is not None
     assert (done.asked, done.answered) == (1, 0)
     np.testing.assert_array_equal(before.with_scan(done.scan).upper_m, before.upper_m)
-    assert it.scanner.done(it.now_s) is None
-    assert not it.scanner.is_on
 
 
 def test_a_scan_waits_for_the_next_sweep_and_no_longer_than_it_may_take() -> None:
     it = Standing().run(5)
-    it.scanner.begin(HERE_NEA_M, it.state, it.now_s)
+    it.scanner.begin(it.state, it.now_s)
     assert it.scanner.done(it.now_s) is None
     it.move_on(0.15)
     assert it.scanner.done(it.now_s) is None
@@ -163,7 +160,7 @@ def test_a_healthy_sensor_of_the_autopilot_that_sees_nothing_has_answered() -> N
         seen = scanner.seen(now_s)
         assert seen is not None
         assert seen.sight is (Sight.NOTHING_THERE if answered else Sight.NEVER_HEARD)
-        scanner.begin(HERE_NEA_M, fresh(of), now_s)
+        scanner.begin(fresh(of), now_s)
         done = scanner.done(now_s + 1.0)
         assert done is not None
         assert done.answered == answered
