@@ -38,6 +38,7 @@ from companion.mavlink.link import (
     VehicleSelector,
 )
 from companion.mavlink.near_scanner import NearScanner
+from companion.mavlink.poses import Poses
 from companion.mavlink.preflight import Preflight
 from companion.mavlink.rangefinder import Rangefinder
 from companion.mavlink.signing import Signing
@@ -130,9 +131,12 @@ class Session:
         self._outbox = FrameEncoder(self.selector.system_id, signing)
         self._out = self._outbox.out
         self._texts = StatusTexts()
-        self.near = None if mission.near is None else NearScanner(mission)
+        self._poses = Poses(mission.frame)
+        """Kept while there is a sensor to be read with them."""
+        self.near = None if mission.near is None else NearScanner(mission, self._poses)
         """Reads the sensor of near things, if that is the mission's scanner."""
-        self.rangefinder = Rangefinder.of(mission)
+        error_m = mission.rangefinder_error_m
+        self.rangefinder = None if error_m is None else Rangefinder(self._poses, error_m)
         """Reads the one that looks down, if the mission compares it with the map."""
         self._scan: NearScanner | TerrainDownload | None = None
         """The one that is under way."""
@@ -162,11 +166,12 @@ class Session:
         self._listeners: dict[int, list[Callable[[Message, float], None]]] = defaultdict(list)
         """Sensors that read messages of the autopilot, by number."""
         if self.near is not None:
-            for number in (*near_scanner.OF_AUTOPILOT, near_scanner.ATTITUDE):
+            for number in near_scanner.OF_AUTOPILOT:
                 self._listeners[number].append(self.near.on_message)
         if self.rangefinder is not None:
-            for number in (near_sensing.SECTORS, near_scanner.ATTITUDE):
-                self._listeners[number].append(self.rangefinder.on_message)
+            self._listeners[near_sensing.SECTORS].append(self.rangefinder.on_message)
+        if self._listeners:
+            self._listeners[near_scanner.ATTITUDE].append(self._poses.on_attitude)
         self.sensed: dict[int, set[tuple[int, int]]] = {}
         """Messages of sensors by number: system and component of who sends them."""
         self._silence_told_s = 0.0
@@ -402,12 +407,11 @@ class Session:
         if now_s >= plan.due_s and not shadow:
             self._handle(plan.take(now_s))
         event = vehicle.on_position(heard.message, now_s)
+        if self._listeners and event is not None:
+            self._poses.on_position(event.time_s, event.position_nea_m)
         if self.near is not None:
-            if event is not None:
-                self.near.on_position(event.time_s, event.position_nea_m)
             self._handle(self.near.seen(now_s))
         if event is not None and self.rangefinder is not None:
-            self.rangefinder.on_position(event.time_s, event.position_nea_m)
             self._handle(self.rangefinder.seen(now_s, self.state.flight.known))
         self._handle(event)
         if now_s >= plan.due_s and shadow:

@@ -68,10 +68,7 @@ class AutopilotClient:
         self.said: tuple[float, str] = (-math.inf, "")
         """When it last sent a text, and what."""
         self.here_ne_m: tuple[float, float] | None = None
-        firmware, name = autopilot.firmware, autopilot.name
-        self._own_fence = OwnFence(
-            mission, self.plans, firmware.fence, lambda items: firmware.misread(items, name)
-        )
+        self._own_fence = OwnFence(mission, autopilot, self.plans)
         self.notes, self.warnings = self._own_fence.notes, self._own_fence.warnings
         """What a person should hear of, since last looked at; warnings: of what is grave.  The
         fence says what it has to say into the same lists."""

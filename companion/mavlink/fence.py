@@ -5,9 +5,9 @@ fence is ambiguous, the more restrictive reading is taken and noted.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple, final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 import numpy as np
 import shapely
@@ -20,6 +20,9 @@ from companion.mission.events import FenceChanged, FenceReading, Vector
 from companion.mission.mission import Mission
 from companion.planner.settings import Task
 from companion.world.zones import CircleZone, PolygonZone, Zone, gaps_m, packed
+
+if TYPE_CHECKING:  # it says of its fence what stands here
+    from companion.mavlink.autopilots.common import Autopilot
 
 Point = tuple[float, float]
 """North and east, metres."""
@@ -369,22 +372,14 @@ def command_name(command: int) -> str:
 class OwnFence:
     """Follows the fence of one vehicle.  Until all of a new one is known the old stays in force."""
 
-    def __init__(
-        self,
-        mission: Mission,
-        plans: PlanClient,
-        settings_of: Callable[[Mapping[str, float]], FenceSettings],
-        misread_of: Callable[[Sequence[PlanItem]], str],
-    ) -> None:
-        """settings_of, misread_of: what its parameters say, and its items as `Fence.misread`."""
+    def __init__(self, mission: Mission, autopilot: "Autopilot", plans: PlanClient) -> None:
         self.fence: Fence | None = None
         """As it stands, once it was read."""
         self.notes: list[str] = []
         """What a person should hear of, since last looked at."""
         self.warnings: list[str] = []
         """The same, of what is grave."""
-        self._mission, self._plans = mission, plans
-        self._settings_of, self._misread_of = settings_of, misread_of
+        self._mission, self._autopilot, self._plans = mission, autopilot, plans
         self._drawing_of: tuple[int, float] | None = None
         self._drawing: Iterator[Fence | None] | None = None
         self._drawn: Fence | None = None
@@ -427,7 +422,8 @@ class OwnFence:
         here_ne_m: where the vehicle is, as in `in_force`.
         """
         mission, plan = self._mission, self._plans.plans[FENCE]
-        settings = self._settings_of(parameters)
+        firmware, name = self._autopilot.firmware, self._autopilot.name
+        settings = firmware.fence(parameters)
         if (plan.version, settings.margin_m) != self._drawing_of:
             self._drawing_of = (plan.version, settings.margin_m)
             self._drawing = drawn(plan.items, mission.frame, settings.margin_m)
@@ -435,7 +431,7 @@ class OwnFence:
             if (whole := next(self._drawing)) is None:
                 return None
             self._drawing = None
-            self._drawn = replace(whole, misread=self._misread_of(plan.items))
+            self._drawn = replace(whole, misread=firmware.misread(plan.items, name))
         made_of = self._drawing_of, settings, home_nea_m
         if made_of == self._made_of or self._drawn is None:
             return [], ""

@@ -11,7 +11,7 @@ from companion.mavlink import rangefinder
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.near_sensing import HEALTH, MESSAGES, SECTORS, NearSensing
 from companion.mavlink.poses import Poses
-from companion.mission.events import NearSeen, ScanDone, Vector
+from companion.mission.events import NearSeen, ScanDone
 from companion.mission.mission import Mission
 from companion.mission.state import State
 from companion.world.known_map import KnownMap
@@ -45,15 +45,14 @@ def streams_hz(mission: Mission) -> dict[int, float]:
 class NearScanner:
     """One sensor and its map.  Sans-IO; times are those of the vehicle."""
 
-    def __init__(self, mission: Mission) -> None:
+    def __init__(self, mission: Mission, poses: Poses) -> None:
         """Its map says where the cells are, and as a guess how high the ground is proven to be."""
         sensor, blank = mission.near, mission.known
         assert sensor is not None
         assert blank is not None
         assert blank.guess_m is not None
-        self._poses = Poses(mission.frame)
         self._component = sensor.component_id
-        self._sensing = NearSensing(sensor, self._poses, self._ground_at_m)
+        self._sensing = NearSensing(sensor, poses, self._ground_at_m)
         free_for_s = sensor.free_for_s(mission.task.limits.navigation_error_m)
         self._near = NearMap(blank.bare(), free_for_s)
         self._known, self._ground_m = blank, blank.guess_m
@@ -79,16 +78,9 @@ class NearScanner:
 
     # --- what is heard
 
-    def on_position(self, time_s: float, here_nea_m: Vector) -> None:
-        """The vehicle's position."""
-        self._poses.on_position(time_s, here_nea_m)
-
     def on_message(self, message: Message, now_s: float) -> None:
-        """A message of the sensor; ATTITUDE or SYS_STATUS of the autopilot."""
-        number = message.get_msgId()
-        if number == ATTITUDE:
-            self._poses.on_attitude(message)
-        elif number == HEALTH or message.get_srcComponent() == self._component:
+        """A message of the sensor, or SYS_STATUS of the autopilot."""
+        if message.get_msgId() == HEALTH or message.get_srcComponent() == self._component:
             self._sensing.on_message(message, now_s)
 
     def seen(self, now_s: float) -> NearSeen | None:

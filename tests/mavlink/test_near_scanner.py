@@ -12,6 +12,7 @@ from wires import wire
 
 from companion.config import load_mission
 from companion.mavlink.near_scanner import NearScanner
+from companion.mavlink.poses import Poses
 from companion.mission.events import ScanDone
 from companion.mission.mission import Mission
 from companion.mission.state import State
@@ -47,7 +48,8 @@ class Standing:
 
     def __init__(self) -> None:
         self.mission = mission()
-        self.scanner, self.state = NearScanner(self.mission), fresh(self.mission)
+        self.poses, self.state = Poses(self.mission.frame), fresh(self.mission)
+        self.scanner = NearScanner(self.mission, self.poses)
         self.now_s = 100.0
 
     def tick(self, *messages: Any, thing: bool = True) -> Any:
@@ -59,8 +61,8 @@ class Standing:
 
     def move_on(self, by_s: float = PERIOD_S) -> Any:
         self.now_s += by_s
-        self.scanner.on_message(attitude(self.now_s), self.now_s)
-        self.scanner.on_position(self.now_s, HERE_NEA_M)
+        self.poses.on_attitude(attitude(self.now_s))
+        self.poses.on_position(self.now_s, HERE_NEA_M)
         return self.scanner.seen(self.now_s)
 
     def run(self, count: int, *, thing: bool = True) -> "Standing":
@@ -154,7 +156,7 @@ def test_a_healthy_sensor_of_the_autopilot_that_sees_nothing_has_answered() -> N
     near = mission().near
     assert near is not None
     of = replace(mission(), near=replace(near, kind="distance_sensor", component_id=1))
-    scanner, bit = NearScanner(of), wire.MAV_SYS_STATUS_SENSOR_PROXIMITY
+    scanner, bit = NearScanner(of, Poses(of.frame)), wire.MAV_SYS_STATUS_SENSOR_PROXIMITY
     for now_s, answered in ((100.0, 1), (105.0, 0)):
         scanner.on_message(health(bit, well=bool(answered)), now_s)
         seen = scanner.seen(now_s)
