@@ -211,7 +211,8 @@ class Component:
                 return OrderKind.LAND, None
             case wire.MAV_CMD_DO_REPOSITION:
                 return OrderKind.REPOSITION, self._place_ne_m(message)
-        raise _RefusedError("", _Result.UNSUPPORTED)
+            case _:
+                raise _RefusedError("", _Result.UNSUPPORTED)
 
     def _place_ne_m(self, message: Message) -> Point:
         """Where a reposition goes; a height or speed that is given is ignored."""
