@@ -53,8 +53,7 @@ from companion.runtime.link import open_link
 from companion.runtime.loop import fly
 from companion.runtime.planner_process import PlannerEndedError, PlannerProcess
 from companion.runtime.preflight import run_preflight
-from companion.runtime.signals import stop_signals
-from companion.runtime.terminal import Terminal
+from companion.runtime.terminal import Terminal, stop_signals
 from companion.session import Session
 from companion.sources.files import picture_file, remove_torn, writing
 from companion.telemetry.flight_status import SCHEMA, VERSION, FlightBegun, flight_status

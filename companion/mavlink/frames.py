@@ -88,11 +88,6 @@ def sender_of(frame: bytes) -> tuple[int, int]:
     return (frame[5], frame[6]) if frame[0] == V2 else (frame[3], frame[4])
 
 
-def sequence_of(frame: bytes) -> int:
-    """The sequence number of a whole frame, of its sender."""
-    return frame[4] if frame[0] == V2 else frame[2]
-
-
 def payload_of(frame: bytes, size: int) -> bytes:
     """The payload of a whole frame, with the trailing zeros that MAVLink 2 truncates.
 
