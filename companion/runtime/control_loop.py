@@ -10,12 +10,13 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Final, Protocol, final
+from typing import Final, final
 
 from companion.mavlink.link import Output
 from companion.planner.request import Planned, PlanOutcome, PlanRequest
 from companion.runtime.link import Link, is_setpoint
 from companion.runtime.recorder import WRITER
+from companion.runtime.terminal import Terminal
 from companion.runtime.watchdog import Clock, Failure, Gate, Watchdog, Worker
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
@@ -35,16 +36,6 @@ _MAX_PLANS: Final = 2_000
 _RESERVE_S: Final = 10.0
 
 
-class Person(Protocol):
-    """Who may say go at the terminal."""
-
-    def says_go(self) -> bool:
-        """Whether somebody has said it since this was asked last."""
-
-    def hears(self, answer: str) -> None:
-        """What became of it."""
-
-
 @final
 class ControlLoop:
     """Feeds the session with events and carries out its outputs, through a watched gate."""
@@ -60,7 +51,7 @@ class ControlLoop:
         lockstep: bool,
         clock: Clock,
         stop_asked: Callable[[], bool],
-        person: Person | None = None,
+        person: Terminal | None = None,
     ) -> None:
         self.session, self.link, self.clock = session, link, clock
         self.record: Callable[[Output], None] = lambda _: None

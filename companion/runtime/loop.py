@@ -19,10 +19,11 @@ from typing import Final
 from companion.mission.events import End, Outcome
 from companion.planning import plan
 from companion.runtime.compiler import load_libraries
-from companion.runtime.control_loop import ControlLoop, Person
+from companion.runtime.control_loop import ControlLoop
 from companion.runtime.link import Link
 from companion.runtime.planner_process import PlanFunction, PlannerProcess, PlannerWorker
 from companion.runtime.recorder import Recorder, WriterThread
+from companion.runtime.terminal import Terminal
 from companion.runtime.watchdog import Clock, Failure
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
@@ -44,7 +45,7 @@ def fly(
     stop_asked: Callable[[], bool],
     planner: PlanFunction | None = None,
     persist: Callable[[], None] = lambda: None,
-    person: Person | None = None,
+    person: Terminal | None = None,
     clock: Clock = time.monotonic,
 ) -> FlightSummary:
     """Run a session until its mission ends; every end is a value, `FlightSummary.end`.

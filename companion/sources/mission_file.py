@@ -22,10 +22,10 @@ from companion.planner.settings import PlannerSettings, Task
 from companion.profiles import PROFILES, Weights
 from companion.sources.altitudes import about_altitudes, carried_on
 from companion.sources.files import WAYPOINTS, RawTable, begins_as, path_of, plain, told_path
-from companion.sources.geojson import NoZone, Threats, read_geojson
+from companion.sources.geojson import NoZone, read_geojson
 from companion.sources.mission_schema import KnownTerrainTable, MissionTable, ThreatsTable
 from companion.sources.plan_defaults import with_plan
-from companion.sources.plan_file import Ground, read_plan
+from companion.sources.plan_file import Ground, Zones, read_plan
 from companion.sources.schema import validated
 from companion.sources.waypoint_file import read_waypoint_fence, read_waypoint_list
 from companion.sources.zones import Place, place_of, radar_of, zones_of
@@ -73,14 +73,11 @@ def complete(given: RawTable, folder: Path, where: str) -> MissionFile:
     return MissionFile(table=table, notes=tuple(notes), is_whole=table is given, assumed=assumed)
 
 
-def _threats(path: Path, where: str, leave_out: Collection[NoZone]) -> Threats:
+def _threats(path: Path, where: str, leave_out: Collection[NoZone]) -> Zones:
     """What a GeoJSON file or a list of QGC WPL 110 holds; leave_out: as for `read_geojson`."""
+    threats: Zones
     if begins_as(path, WAYPOINTS):
-        plan = read_waypoint_fence(path, where)
-        notes = [f"{path.name}: its {len(plan.targets)} waypoints are not flown"]
-        threats = Threats(
-            keep_outs=plan.keep_outs, keep_ins=plan.keep_ins, notes=notes if plan.targets else []
-        )
+        threats = read_waypoint_fence(path, where)
     else:
         threats = read_geojson(path, where, leave_out)
     if not (threats.keep_outs or threats.keep_ins):

@@ -136,9 +136,23 @@ class _Plan(_Json):
     rally: _Rally = Field(_Rally(), alias="rallyPoints")
 
 
+@dataclass(slots=True, kw_only=True)
+class Zones:
+    """The zones that a file holds, as tables of a mission file."""
+
+    keep_outs: list[RawTable] = field(default_factory=list)
+    keep_ins: list[RawTable] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    """What was left out or taken otherwise than it is written, for people."""
+
+    def add(self, zone: RawTable, *, inside: bool) -> None:
+        """A zone; inside: that the vehicle stays inside of."""
+        (self.keep_ins if inside else self.keep_outs).append(zone)
+
+
 @final
 @dataclass(slots=True, kw_only=True)
-class Plan:
+class Plan(Zones):
     """What a .plan or a waypoint list holds, as tables of a mission file and numbers."""
 
     name: str
@@ -156,18 +170,14 @@ class Plan:
     unknown_altitudes: list[tuple[str, float]] = field(default_factory=list)
     """Items at so many metres above terrain where it is not known how high that is."""
     end_action: str = "hold"
-    keep_outs: list[RawTable] = field(default_factory=list)
-    keep_ins: list[RawTable] = field(default_factory=list)
     rally_points: list[RawTable] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    """What was left out, for people."""
 
     def add_zone(self, name: str, where: str, inside: bool, *corners: Any, **shape: float) -> None:
         """A polygon of these corners, or a circle of radius_m about one; InputError (where)."""
         places = [place_deg(corner, where) for corner in corners]
         zone: RawTable = {"name": name}
         zone |= places[0] | shape if shape else {"vertices_deg": [[*p.values()] for p in places]}
-        (self.keep_ins if inside else self.keep_outs).append(zone)
+        self.add(zone, inside=inside)
 
     def add_items(self, items: Iterator[tuple[str, Item]], ground: Ground | None) -> None:
         """Add items with what they are called in errors; ground: as for `read_plan`."""

@@ -57,6 +57,8 @@ def read_waypoint_fence(path: Path, where: str) -> Plan:
     if items and not _is_of_zones(items[0][1]):
         items.popleft()
     plan.add_items(_without_zones(items, plan), None)
+    count = len(plan.targets)
+    plan.notes = [f"{path.name}: its {count} waypoints are not flown"] if count else []
     return plan
 
 
