@@ -129,11 +129,15 @@ _JSON_HELP = (
     "ended; what is for people goes to standard error."
 )
 _VIEW_HELP = "Show the flight in the browser while it is flown."
+_FIGURE_HELP = "Picture to write: .png, .svg or .pdf."
+_RUN_HELP = "The run folder of a flight, ended or not."
+_PAGE_HELP = "Page to write; by default RUN_DIR/report.html."
 ProfileOption = Annotated[ProfileName | None, typer.Option(help=_PROFILE_HELP)]
 SeedOption = Annotated[int, typer.Option(min=0, help=_SEED_HELP)]
 ConnectOption = Annotated[str, typer.Option(help=_CONNECT_HELP)]
 SystemOption = Annotated[int | None, typer.Option(min=1, max=255, help=_SYSTEM_HELP)]
 KeyOption = Annotated[Path | None, typer.Option(help=_KEY_HELP)]
+FigureOption = Annotated[Path, typer.Option("--figure", "--out", metavar="FILE", help=_FIGURE_HELP)]
 
 
 @app.command("fly")
@@ -245,12 +249,7 @@ def preflight_command(
 def plan_command(
     world: Annotated[str, typer.Argument(metavar="WORLD", help="A world.toml or a bundled name.")],
     mission: MissionArgument,
-    figure: Annotated[
-        Path,
-        typer.Option(
-            "--figure", "--out", metavar="FILE", help="Picture to write: .png, .svg or .pdf."
-        ),
-    ] = Path("plan.png"),
+    figure: FigureOption = Path("plan.png"),
     seed: SeedOption = 1,
     profile: ProfileOption = None,
 ) -> None:
@@ -294,13 +293,8 @@ def plan_command(
 
 @app.command("report")
 def report_command(
-    run_dir: Annotated[
-        Path, typer.Argument(metavar="RUN_DIR", help="The run folder of a flight, ended or not.")
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Page to write; by default RUN_DIR/report.html."),
-    ] = None,
+    run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help=_RUN_HELP)],
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help=_PAGE_HELP)] = None,
 ) -> None:
     """Explain a flight on one page: how it went and why, maps, plans, health, events.
 
@@ -330,19 +324,13 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+_VERSION = typer.Option(
+    "--version", is_eager=True, callback=_print_version, help="Print the version and exit."
+)
+
+
 @app.callback()
-def _common(
-    *,
-    _version: Annotated[
-        bool,
-        typer.Option(
-            "--version",
-            is_eager=True,
-            callback=_print_version,
-            help="Print the version and exit.",
-        ),
-    ] = False,
-) -> None:
+def _common(*, _version: Annotated[bool, _VERSION] = False) -> None:
     """Options that come before the command."""
 
 

@@ -1,11 +1,12 @@
-"""QGroundControl's .plan files, and the mission items that waypoint lists have too.
+"""QGroundControl's .plan files, and waypoint, fence and rally lists ("QGC WPL 110").
 
 The format is documented in QGroundControl's developer guide, "Plan File Format".  A waypoint is a
 place to reach; its altitude only says between which altitudes the person meant to fly, since the
 companion chooses its own within a band.
 """
 
-from collections import Counter, defaultdict
+import math
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,10 +15,11 @@ from typing import Annotated, Any, Final, Literal, final
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from companion.errors import InputError
+from companion.mavlink import fence
 from companion.mavlink.dialect import wire
 from companion.mavlink.mission_items import not_done
 from companion.ranges import Longitude, Positive
-from companion.sources.files import RawTable, json_table
+from companion.sources.files import RawTable, json_table, read_text
 from companion.sources.schema import validated
 
 AMSL: Final = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_GLOBAL_INT)
@@ -197,16 +199,16 @@ def read_plan(path: Path, where: str, ground: Ground | None = None) -> Plan:
     if found.get("fileType") != "Plan":
         raise InputError(where, str(path), "it is no QGroundControl plan", _REMEDY)
     content, name = validated(_Plan, found, path.name), path.name
-    mission, fence = content.mission, content.fence
+    mission, zones = content.mission, content.fence
     remedy = "Set it in QGroundControl (Mission Start)."
     plan = launched(name, mission.home, f"{name}: mission.plannedHomePosition", remedy)
     plan.kind = _kind(mission.vehicle_type, name)
     plan.speed_m_s = {"copter": mission.hover_speed_m_s, "plane": mission.cruise_speed_m_s}
-    for k, circle in enumerate(fence.circles):
+    for k, circle in enumerate(zones.circles):
         at, shape = f"{name}: geoFence.circles[{k}]", circle.circle
         zone = f"fence circle {k + 1}"
         plan.add_zone(zone, at, circle.inclusion, shape.center, radius_m=shape.radius)
-    for k, polygon in enumerate(fence.polygons):
+    for k, polygon in enumerate(zones.polygons):
         at = f"{name}: geoFence.polygons[{k}]"
         plan.add_zone(f"fence polygon {k + 1}", at, polygon.inclusion, *polygon.polygon)
     if len(plan.keep_ins) > 1:
@@ -395,3 +397,106 @@ def _enum_name(enum: str, value: int | None) -> str:
     entry = wire.enums[enum].get(value)
     known = str(entry.name) if entry is not None else f"{enum} {value}"
     return known.removeprefix(f"{enum}_").lower().replace("_", " ")
+
+
+# --- lists of Mission Planner, MAVProxy and QGroundControl: one item a line (mavlink.io, "File
+# Formats"), line 0 of a mission is launch
+
+_HEAD: Final = "QGC WPL"
+_SAVE_AGAIN: Final = "Save it again with Mission Planner, MAVProxy or QGroundControl."
+_RALLY = wire.MAV_CMD_NAV_RALLY_POINT
+_Labelled = tuple[str, Item]
+"""How an item is called in errors, and the item."""
+
+
+def read_waypoint_list(path: Path, where: str, ground: Ground | None = None) -> Plan:
+    """The waypoints, fence and rally points of a list, as a plan; ground: as for `read_plan`.
+
+    Raises InputError about the field (where), or naming the item that cannot be taken.
+    """
+    items = _items(path, where)
+    remedy = "Set home before you save it. (A list of zones alone: name it as threats.)"
+    if not items or _is_of_zones(items[0][1]):
+        rule = "launch, its first item, has no latitude and longitude"
+        raise InputError(where, path.name, rule, remedy)
+    label, home = items.popleft()
+    plan = launched(path.name, home.place, f"{label} (launch)", remedy)
+    if home.frame not in AMSL:
+        said = f"of frame {home.frame}, is taken to be above mean sea level"
+        plan.notes.append(f"launch: its altitude, {plan.home_amsl_m:g} m {said}")
+    plan.add_items(_without_zones(items, plan), ground)
+    return plan
+
+
+def read_waypoint_fence(path: Path, where: str) -> Plan:
+    """The fence in such a list, which may lack a launch; InputError as above."""
+    items = _items(path, where)
+    plan = Plan(name=path.name, home_deg=(math.nan, math.nan), home_amsl_m=math.nan)
+    if items and not _is_of_zones(items[0][1]):
+        items.popleft()
+    plan.add_items(_without_zones(items, plan), None)
+    count = len(plan.targets)
+    plan.notes = [f"{path.name}: its {count} waypoints are not flown"] if count else []
+    return plan
+
+
+def _items(path: Path, where: str) -> deque[_Labelled]:
+    """By pymavlink, line by line: its `load` names no line, and takes the locale's encoding."""
+    from pymavlink import mavwp  # it is not needed by most missions
+
+    head, *lines = read_text(path, where, _SAVE_AGAIN).lstrip().splitlines()
+    if head.split() != [*_HEAD.split(), "110"]:
+        raise InputError(where, head.strip(), f"only {_HEAD} 110 is known", _SAVE_AGAIN)
+    loader = mavwp.MAVWPLoader()
+    for number, line in enumerate(lines, start=2):
+        try:
+            loader._read_waypoints_v110([line])
+        except (mavwp.MAVWPError, ValueError) as error:
+            label = f"{path.name}: line {number}"
+            raise InputError(label, line.strip()[:60], str(error)[:100], _SAVE_AGAIN) from None
+    found = deque[_Labelled]()
+    for number, item in enumerate(loader.wpoints):
+        label = f"{path.name}: item {number}"
+        numbers = [item.param1, item.param2, item.param3, item.param4, item.x, item.y, item.z]
+        if any(map(math.isinf, numbers)):
+            raise InputError(label, numbers, "it is made of finite numbers", _SAVE_AGAIN)
+        given = [None if math.isnan(each) else each for each in numbers]
+        goes_on, table = item.autocontinue != 0, {"command": item.command, "frame": item.frame}
+        found.append(
+            (label, Item.model_validate(table | {"params": given, "autoContinue": goes_on}))
+        )
+    return found
+
+
+def _is_of_zones(item: Item) -> bool:
+    """Whether it is of a fence or a rally point, and not of a mission."""
+    return fence.RETURN_POINT <= (item.command or 0) <= _RALLY
+
+
+def _without_zones(items: deque[_Labelled], plan: Plan) -> Iterator[_Labelled]:
+    """Add circles, polygons, whose corners follow one another, and rally points; other items."""
+    while items:
+        label, item = items.popleft()
+        command, size = item.command or 0, item.params[0] or 0.0
+        number = len(plan.keep_ins) + len(plan.keep_outs) + 1
+        inside = command in (fence.POLYGON_IN, fence.CIRCLE_IN)
+        if command in (fence.POLYGON_IN, fence.POLYGON_OUT):
+            corners = [item.place]
+            while (
+                items
+                and len(corners) < size
+                and (items[0][1].command, items[0][1].params[0]) == (command, size)
+            ):
+                corners.append(items.popleft()[1].place)
+            if len(corners) != size or size < 3:
+                rule = f"its polygon has {len(corners)} of {size:g} corners"
+                raise InputError(label, size, rule, _SAVE_AGAIN)
+            plan.add_zone(f"fence polygon {number}", label, inside, *corners)
+        elif command in (fence.CIRCLE_IN, fence.CIRCLE_OUT):
+            if not size > 0.0:
+                raise InputError(label, size, "a circle has a radius above 0", _SAVE_AGAIN)
+            plan.add_zone(f"fence circle {number}", label, inside, item.place, radius_m=size)
+        elif command == _RALLY:
+            plan.rally_points.append(place_deg(item.place, label))
+        elif command != fence.RETURN_POINT:
+            yield label, item
