@@ -17,7 +17,13 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 from companion.geodesy import deg
-from companion.mavlink.dialect import COMPANION_COMPONENT, Message, wire
+from companion.mavlink.dialect import (
+    AMSL_FRAMES,
+    COMPANION_COMPONENT,
+    HOME_FRAMES,
+    Message,
+    wire,
+)
 from companion.mission.changes import OrderResult
 from companion.mission.events import Order, OrderKind
 from companion.mission.mission import Mission
@@ -30,12 +36,7 @@ _BEAT_S: Final = 1.0
 _SAME_S: Final = 5.0  # a command that comes again within this time may be the same one
 _MAX_SENDERS: Final = 64
 _NOT_GIVEN_E7 = 2**31 - 1
-_AMSL_OR_HOME = (
-    wire.MAV_FRAME_GLOBAL,
-    wire.MAV_FRAME_GLOBAL_RELATIVE_ALT,
-    wire.MAV_FRAME_GLOBAL_INT,
-    wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
-)
+_AMSL_OR_HOME: Final = (*AMSL_FRAMES, *HOME_FRAMES)
 """Frames of a place whose height the companion may ignore."""
 _ORDERS: Final = frozenset(
     {

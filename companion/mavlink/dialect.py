@@ -9,6 +9,16 @@ COMPANION_COMPONENT = wire.MAV_COMP_ID_PATHPLANNER  # 195
 AUTOPILOT_COMPONENT = wire.MAV_COMP_ID_AUTOPILOT1
 
 Message = wire.MAVLink_message
+AMSL_FRAMES: Final = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_GLOBAL_INT)
+HOME_FRAMES: Final = (
+    wire.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+    wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+)
+TERRAIN_FRAMES: Final = (
+    wire.MAV_FRAME_GLOBAL_TERRAIN_ALT,
+    wire.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT,
+)
+"""Frames of a latitude and a longitude, by what their altitude is above."""
 
 
 def codec(system_id: int) -> wire.MAVLink:

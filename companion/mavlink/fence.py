@@ -14,7 +14,7 @@ import shapely
 from msgspec import structs
 
 from companion.geodesy import LocalFrame, deg, parts_within, short_way
-from companion.mavlink.dialect import wire
+from companion.mavlink.dialect import AMSL_FRAMES, HOME_FRAMES, TERRAIN_FRAMES, wire
 from companion.mavlink.plan_client import FENCE, PlanClient, PlanItem
 from companion.mission.events import FenceChanged, FenceReading, Vector
 from companion.mission.mission import Mission
@@ -31,17 +31,6 @@ POLYGON_IN: Final = wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
 POLYGON_OUT: Final = wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
 CIRCLE_IN: Final = wire.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION
 CIRCLE_OUT: Final = wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION
-_FRAMES: Final = frozenset(
-    {
-        wire.MAV_FRAME_GLOBAL,
-        wire.MAV_FRAME_GLOBAL_RELATIVE_ALT,
-        wire.MAV_FRAME_GLOBAL_INT,
-        wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
-        wire.MAV_FRAME_GLOBAL_TERRAIN_ALT,
-        wire.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT,
-    }
-)
-"""Those in which x and y are a latitude and a longitude."""
 _LARGEST_M = 2.1e7  # half of the way around the Earth
 _CORNERS_AT_ONCE = 250
 """Enough for one event."""
@@ -183,7 +172,8 @@ def _drawn_one(
     name = f"fence {'inclusion' if keep_in else 'exclusion'} {number}"
     if first.command not in (POLYGON_IN, POLYGON_OUT, CIRCLE_IN, CIRCLE_OUT):
         return _unfit(f"fence item {number} is no fence ({command_name(first.command)})")
-    if frames := {item.frame for item in shape} - _FRAMES:
+    placed = {*AMSL_FRAMES, *HOME_FRAMES, *TERRAIN_FRAMES}
+    if frames := {item.frame for item in shape} - placed:
         return _unfit(f"{name}: frame {min(frames)} has no latitude and longitude")
     places = places_of(shape, frame)
     if places is None or any(item.x == item.y == 0 for item in shape):

@@ -11,6 +11,15 @@ from companion.mavlink.fence import Point, command_name, places_of
 from companion.mavlink.plan_client import PlanItem
 from companion.mission.mission import EndAction
 
+PLACES: Final = (
+    wire.MAV_CMD_NAV_WAYPOINT,
+    wire.MAV_CMD_NAV_SPLINE_WAYPOINT,
+    wire.MAV_CMD_NAV_LOITER_UNLIM,
+    wire.MAV_CMD_NAV_LOITER_TURNS,
+    wire.MAV_CMD_NAV_LOITER_TIME,
+    wire.MAV_CMD_NAV_LOITER_TO_ALT,
+)
+"""Commands that go to a place."""
 _LOITER: Final = "loiter at a waypoint"
 _INSTEAD: Final = {
     wire.MAV_CMD_NAV_SPLINE_WAYPOINT: "spline at a waypoint",
@@ -54,25 +63,14 @@ class Targets:
     """Items that are ignored, and assumptions."""
 
 
-_GO_THERE: Final = frozenset(
-    {
-        wire.MAV_CMD_NAV_WAYPOINT,
-        wire.MAV_CMD_NAV_SPLINE_WAYPOINT,
-        wire.MAV_CMD_NAV_LOITER_UNLIM,
-        wire.MAV_CMD_NAV_LOITER_TURNS,
-        wire.MAV_CMD_NAV_LOITER_TIME,
-        wire.MAV_CMD_NAV_LOITER_TO_ALT,
-        wire.MAV_CMD_NAV_LAND,
-        wire.MAV_CMD_NAV_VTOL_LAND,
-    }
-)
 _ENDS: Final = {
     wire.MAV_CMD_NAV_LOITER_UNLIM: EndAction.HOLD,
     wire.MAV_CMD_NAV_LAND: EndAction.LAND,
     wire.MAV_CMD_NAV_VTOL_LAND: EndAction.LAND,
     wire.MAV_CMD_NAV_RETURN_TO_LAUNCH: EndAction.RETURN,
 }
-_TAKE_OFF: Final = frozenset({wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_CMD_NAV_VTOL_TAKEOFF})
+_TAKE_OFF: Final = (wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_CMD_NAV_VTOL_TAKEOFF)
+_LANDINGS: Final = (wire.MAV_CMD_NAV_LAND, wire.MAV_CMD_NAV_VTOL_LAND)
 
 
 def targets_of(items: Sequence[PlanItem], frame: LocalFrame, *, home_first: bool) -> Targets:
@@ -92,7 +90,7 @@ def targets_of(items: Sequence[PlanItem], frame: LocalFrame, *, home_first: bool
         if item.command in _TAKE_OFF and not targets:
             continue  # the companion takes off by itself
         name = f"item {number} ({command_name(item.command)})"
-        if item.command in _GO_THERE:
+        if item.command in (*PLACES, *_LANDINGS):
             places = places_of((item,), frame)
             if places is not None and (item.x or item.y):
                 targets += places

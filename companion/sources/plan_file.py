@@ -16,31 +16,14 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from companion.errors import InputError
 from companion.mavlink import fence
-from companion.mavlink.dialect import wire
-from companion.mavlink.mission_items import not_done
+from companion.mavlink.dialect import AMSL_FRAMES, HOME_FRAMES, TERRAIN_FRAMES, wire
+from companion.mavlink.mission_items import PLACES, not_done
 from companion.ranges import Longitude, Positive
 from companion.sources.files import RawTable, json_table, read_text
 from companion.sources.schema import validated
 
-AMSL: Final = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_GLOBAL_INT)
-_ABOVE_HOME: Final = (
-    wire.MAV_FRAME_GLOBAL_RELATIVE_ALT,
-    wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
-)
-_ABOVE_TERRAIN: Final = (
-    wire.MAV_FRAME_GLOBAL_TERRAIN_ALT,
-    wire.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT,
-)
 _TERRAIN_MODES: Final = (3, 4)
 """AltitudeMode of QGroundControl: above terrain, sent as AMSL (3) or as it is (4)."""
-_PLACES: Final = (
-    wire.MAV_CMD_NAV_WAYPOINT,
-    wire.MAV_CMD_NAV_SPLINE_WAYPOINT,
-    wire.MAV_CMD_NAV_LOITER_UNLIM,
-    wire.MAV_CMD_NAV_LOITER_TURNS,
-    wire.MAV_CMD_NAV_LOITER_TIME,
-    wire.MAV_CMD_NAV_LOITER_TO_ALT,
-)
 _TAKE_OFFS: Final = (wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_CMD_NAV_TAKEOFF_LOCAL)
 _NOT_FLOWN: Final = (wire.MAV_CMD_NAV_DELAY, wire.MAV_CMD_NAV_ROI)
 """Of the commands up to MAV_CMD_NAV_LAST, those that may be left out."""
@@ -285,7 +268,7 @@ class _Items:
         name = _enum_name("MAV_CMD", command)
         if command is None:
             raise InputError(f"{where}.command", None, "it is missing", _REMEDY)
-        if command in _PLACES:
+        if command in PLACES:
             self._take_place(item, command, where)
             if command == wire.MAV_CMD_NAV_LOITER_UNLIM:
                 self._plan.end_action, self._ended_by = "hold", name
@@ -334,18 +317,18 @@ class _Items:
     def _note_altitude(self, item: Item, where: str) -> float | None:
         """How high an item was meant to be, AMSL, if that can be known: remembered."""
         *_, given = item.place
-        if item.frame in _ABOVE_TERRAIN or item.altitude_mode in _TERRAIN_MODES:
+        if item.frame in TERRAIN_FRAMES or item.altitude_mode in _TERRAIN_MODES:
             altitude = self._above_terrain(item, given, where)
-        elif item.frame not in (*_ABOVE_HOME, *AMSL):
+        elif item.frame not in (*HOME_FRAMES, *AMSL_FRAMES):
             rule = "what its altitude is above is not known"
             remedy = "Give altitudes above launch or above mean sea level."
             raise InputError(f"{where}.frame", item.frame, rule, remedy)
-        elif self._home_moves and item.frame in _ABOVE_HOME:
+        elif self._home_moves and item.frame in HOME_FRAMES:
             rule = "do set home comes before it, so what its altitude is above is not known"
             remedy = "Remove that, or give altitudes above mean sea level."
             raise InputError(f"{where}.frame", item.frame, rule, remedy)
         else:
-            above_m = self._plan.home_amsl_m if item.frame in _ABOVE_HOME else 0.0
+            above_m = self._plan.home_amsl_m if item.frame in HOME_FRAMES else 0.0
             altitude = None if given is None else above_m + given
             if altitude is None and item.command not in _TAKE_OFFS:
                 self._note("without an altitude, so that of the one before", where)
@@ -357,7 +340,7 @@ class _Items:
         """By the plan's own word of it, else by the ground that is known there."""
         if item.above_terrain_amsl_m is not None:
             return item.above_terrain_amsl_m
-        if item.frame in AMSL and given not in (None, item.altitude_m):
+        if item.frame in AMSL_FRAMES and given not in (None, item.altitude_m):
             return given  # AltitudeMode 3: this is what is sent
         height_m = given if item.altitude_m is None else item.altitude_m
         if height_m is None:
@@ -421,7 +404,7 @@ def read_waypoint_list(path: Path, where: str, ground: Ground | None = None) -> 
         raise InputError(where, path.name, rule, remedy)
     label, home = items.popleft()
     plan = launched(path.name, home.place, f"{label} (launch)", remedy)
-    if home.frame not in AMSL:
+    if home.frame not in AMSL_FRAMES:
         said = f"of frame {home.frame}, is taken to be above mean sea level"
         plan.notes.append(f"launch: its altitude, {plan.home_amsl_m:g} m {said}")
     plan.add_items(_without_zones(items, plan), ground)
