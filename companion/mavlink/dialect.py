@@ -54,4 +54,11 @@ class EventMessage(wire.MAVLink_message):  # type: ignore[misc]
 KINDS: Final[dict[int, Any]] = {**wire.mavlink_map, EventMessage.id: EventMessage}
 """The class of each kind of message that is understood, by its number."""
 
+
+def enum_word(enum: str, number: int | None) -> str:
+    """What the message definitions call an entry of an enum, without the enum's name; or empty."""
+    entry = wire.enums[enum].get(number)
+    return "" if entry is None else str(entry.name).removeprefix(f"{enum}_")
+
+
 __all__ = ["wire"]  # of what is imported here, what others import from here

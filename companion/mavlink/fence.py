@@ -14,7 +14,7 @@ import shapely
 from msgspec import structs
 
 from companion.geodesy import LocalFrame, deg, parts_within, short_way
-from companion.mavlink.dialect import AMSL_FRAMES, HOME_FRAMES, TERRAIN_FRAMES, wire
+from companion.mavlink.dialect import AMSL_FRAMES, HOME_FRAMES, TERRAIN_FRAMES, enum_word, wire
 from companion.mavlink.plan_client import FENCE, PlanClient, PlanItem
 from companion.mission.events import FenceChanged, FenceReading, Vector
 from companion.mission.mission import Mission
@@ -171,7 +171,8 @@ def _drawn_one(
     keep_in = first.command in (POLYGON_IN, CIRCLE_IN)
     name = f"fence {'inclusion' if keep_in else 'exclusion'} {number}"
     if first.command not in (POLYGON_IN, POLYGON_OUT, CIRCLE_IN, CIRCLE_OUT):
-        return _unfit(f"fence item {number} is no fence ({command_name(first.command)})")
+        what = enum_word("MAV_CMD", first.command) or first.command
+        return _unfit(f"fence item {number} is no fence ({what})")
     placed = {*AMSL_FRAMES, *HOME_FRAMES, *TERRAIN_FRAMES}
     if frames := {item.frame for item in shape} - placed:
         return _unfit(f"{name}: frame {min(frames)} has no latitude and longitude")
@@ -350,12 +351,6 @@ def conflicts(fence: Fence, task: Task, targets_ne_m: Sequence[Point]) -> tuple[
 
 
 # --- as list, parameters and home change ----------------------------------------------------------
-
-
-def command_name(command: int) -> str:
-    """A MAV_CMD by the name that the message definitions give it."""
-    entry = wire.enums["MAV_CMD"].get(command)
-    return str(command) if entry is None else str(entry.name).removeprefix("MAV_CMD_")
 
 
 @final

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Final, final
 
 from companion.geodesy import LocalFrame
-from companion.mavlink.dialect import wire
-from companion.mavlink.fence import Point, command_name, places_of
+from companion.mavlink.dialect import enum_word, wire
+from companion.mavlink.fence import Point, places_of
 from companion.mavlink.plan_client import PlanItem
 from companion.mission.mission import EndAction
 
@@ -89,7 +89,7 @@ def targets_of(items: Sequence[PlanItem], frame: LocalFrame, *, home_first: bool
             break
         if item.command in _TAKE_OFF and not targets:
             continue  # the companion takes off by itself
-        name = f"item {number} ({command_name(item.command)})"
+        name = f"item {number} ({enum_word('MAV_CMD', item.command) or item.command})"
         if item.command in (*PLACES, *_LANDINGS):
             places = places_of((item,), frame)
             if places is not None and (item.x or item.y):

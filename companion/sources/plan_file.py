@@ -16,7 +16,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from companion.errors import InputError
 from companion.mavlink import fence
-from companion.mavlink.dialect import AMSL_FRAMES, HOME_FRAMES, TERRAIN_FRAMES, wire
+from companion.mavlink.autopilots.common import KINDS
+from companion.mavlink.dialect import AMSL_FRAMES, HOME_FRAMES, TERRAIN_FRAMES, enum_word, wire
 from companion.mavlink.mission_items import PLACES, not_done
 from companion.ranges import Longitude, Positive
 from companion.sources.files import RawTable, json_table, read_text
@@ -27,7 +28,6 @@ _TERRAIN_MODES: Final = (3, 4)
 _TAKE_OFFS: Final = (wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_CMD_NAV_TAKEOFF_LOCAL)
 _NOT_FLOWN: Final = (wire.MAV_CMD_NAV_DELAY, wire.MAV_CMD_NAV_ROI)
 """Of the commands up to MAV_CMD_NAV_LAST, those that may be left out."""
-_FIXED_WING, _COPTERS = 1, (2, 3, 4, 13, 14, 15, 29, 35)  # MAV_TYPE
 _REMEDY: Final = "Give a .plan that QGroundControl has saved."
 _MAX_TARGETS: Final = 1000
 _NAMED: Final = 3
@@ -265,7 +265,7 @@ class _Items:
 
     def _take_simple(self, item: Item, where: str) -> None:
         command, (latitude, longitude, _) = item.command, item.place
-        name = _enum_name("MAV_CMD", command)
+        name = _word("MAV_CMD", command)
         if command is None:
             raise InputError(f"{where}.command", None, "it is missing", _REMEDY)
         if command in PLACES:
@@ -366,20 +366,16 @@ class _Items:
 
 
 def _kind(vehicle_type: int, name: str) -> str | None:
-    if vehicle_type in (0, _FIXED_WING, *_COPTERS):
-        return {0: None, _FIXED_WING: "plane"}.get(vehicle_type, "copter")
-    rule = (
-        f"it is for {_enum_name('MAV_TYPE', vehicle_type)}, and only multicopters and planes are "
-        "flown"
-    )
+    if vehicle_type == 0 or vehicle_type in KINDS:
+        return KINDS.get(vehicle_type)  # 0: it does not say
+    what = _word("MAV_TYPE", vehicle_type)
+    rule = f"it is for {what}, and only multicopters and planes are flown"
     remedy = "Plan for one of these in QGroundControl."
     raise InputError(f"{name}: mission.vehicleType", vehicle_type, rule, remedy)
 
 
-def _enum_name(enum: str, value: int | None) -> str:
-    entry = wire.enums[enum].get(value)
-    known = str(entry.name) if entry is not None else f"{enum} {value}"
-    return known.removeprefix(f"{enum}_").lower().replace("_", " ")
+def _word(enum: str, number: int | None) -> str:
+    return (enum_word(enum, number) or f"{enum} {number}").lower().replace("_", " ")
 
 
 # --- lists of Mission Planner, MAVProxy and QGroundControl: one item a line (mavlink.io, "File
