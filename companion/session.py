@@ -620,12 +620,10 @@ class Session:
             self._send_all([request])
 
     def _start_scan(self, centre_nea_m: Vector) -> None:
-        scan: NearScanner | TerrainDownload
-        if self.near is not None:
-            scan = self.near
-            scan.begin(self.state, self.now_s)
-        else:
-            scan = TerrainDownload.begun(self.mission, centre_nea_m, self.state, self.now_s)
+        of = centre_nea_m, self.state, self.now_s
+        scan = (
+            TerrainDownload.begun(self.mission, *of) if self.near is None else self.near.begun(*of)
+        )
         self._scan = scan
         self._note("scan", centre_nea_m=list(centre_nea_m), blocks=scan.asked)
         self._scan_on()

@@ -11,7 +11,7 @@ from companion.mavlink import rangefinder
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.near_sensing import HEALTH, MESSAGES, SECTORS, NearSensing
 from companion.mavlink.poses import Poses
-from companion.mission.events import NearSeen, ScanDone
+from companion.mission.events import NearSeen, ScanDone, Vector
 from companion.mission.mission import Mission
 from companion.mission.state import State
 from companion.world.known_map import KnownMap
@@ -101,12 +101,13 @@ class NearScanner:
     asked = 1
     """Blocks of a scan."""
 
-    def begin(self, state: State, now_s: float) -> None:
-        """Begin a scan: the next sweep ends it."""
+    def begun(self, _centre_nea_m: Vector, state: State, now_s: float) -> "NearScanner":
+        """A scan: the next sweep ends it."""
         if self._told is not None and state.flight.known is self._before:
             self._near.tell_again(self._told)  # nobody has taken it
         self._before, self._told = state.flight.known, None
         self._began_s = now_s
+        return self
 
     def on_time(self, _now_s: float) -> None:
         """Nothing has to be asked for."""

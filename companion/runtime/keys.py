@@ -39,7 +39,7 @@ class SigningKey:
         self._kept_in = path.with_name(path.name + ".time")
         self._kept = _kept(self._kept_in)
 
-    def signing(self, *, clock_s: float, link_id: int = 0) -> Signing:
+    def signing(self, *, clock_s: float) -> Signing:
         """Signs from now on; clock_s: seconds since 1970, as far as this computer knows.
 
         InputError if the time stamp cannot be kept.
@@ -49,7 +49,7 @@ class SigningKey:
         if self.failure is not None:
             rule = f"the time stamp cannot be kept beside it ({self.failure})"
             raise _wrong(self._kept_in, rule, "Let the folder be written.")
-        return Signing(key=self._key, timestamp=first, link_id=link_id)
+        return Signing(key=self._key, timestamp=first)
 
     def save(self, timestamp: int, clock_s: float) -> None:
         """Save the time stamp atomically; never raises."""

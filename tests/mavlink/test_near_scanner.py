@@ -72,7 +72,7 @@ class Standing:
 
     def scan(self, *, takes: bool = True) -> ScanDone:
         """A whole scan; takes: the mission puts it on its map."""
-        self.scanner.begin(self.state, self.now_s)
+        self.scanner.begun(HERE_NEA_M, self.state, self.now_s)
         self.tick()
         done = self.scanner.done(self.now_s)
         assert done is not None
@@ -105,13 +105,13 @@ def test_a_scan_puts_on_the_map_what_is_free_what_is_closed_and_nothing_else() -
 
 def test_a_later_scan_takes_back_what_is_not_free_any_more_and_frees_what_has_gone() -> None:
     it = Standing().run(20, thing=False)
-    it.scanner.begin(it.state, it.now_s)
+    it.scanner.begun(HERE_NEA_M, it.state, it.now_s)
     it.scan()
     it.run(10)
     it.scan()
     assert it.upper_m(20.0 + THING_M, 20.0) > CEILING_AMSL_M
     it.run(40, thing=False)
-    it.scanner.begin(it.state, it.now_s)
+    it.scanner.begun(HERE_NEA_M, it.state, it.now_s)
     it.tick(thing=False)
     done = it.scanner.done(it.now_s)
     assert done is not None
@@ -133,7 +133,7 @@ def test_a_scan_of_a_sensor_that_says_nothing_new_changes_nothing() -> None:
     it = Standing().run(20)
     it.scan()
     before = it.state.flight.known
-    it.scanner.begin(it.state, it.now_s)
+    it.scanner.begun(HERE_NEA_M, it.state, it.now_s)
     it.move_on(1.0)
     it.move_on()
     done = it.scanner.done(it.now_s)
@@ -144,7 +144,7 @@ def test_a_scan_of_a_sensor_that_says_nothing_new_changes_nothing() -> None:
 
 def test_a_scan_waits_for_the_next_sweep_and_no_longer_than_it_may_take() -> None:
     it = Standing().run(5)
-    it.scanner.begin(it.state, it.now_s)
+    it.scanner.begun(HERE_NEA_M, it.state, it.now_s)
     assert it.scanner.done(it.now_s) is None
     it.move_on(0.15)
     assert it.scanner.done(it.now_s) is None
@@ -162,7 +162,7 @@ def test_a_healthy_sensor_of_the_autopilot_that_sees_nothing_has_answered() -> N
         seen = scanner.seen(now_s)
         assert seen is not None
         assert seen.sight is (Sight.NOTHING_THERE if answered else Sight.NEVER_HEARD)
-        scanner.begin(fresh(of), now_s)
+        scanner.begun(HERE_NEA_M, fresh(of), now_s)
         done = scanner.done(now_s + 1.0)
         assert done is not None
         assert done.answered == answered
