@@ -53,8 +53,7 @@ from companion.runtime.link import open_link
 from companion.runtime.loop import fly
 from companion.runtime.planner_process import PlannerEndedError, PlannerProcess
 from companion.runtime.preflight import run_preflight
-from companion.runtime.signals import stop_signals
-from companion.runtime.terminal import Terminal
+from companion.runtime.terminal import Terminal, stop_signals
 from companion.session import Session
 from companion.sources.files import picture_file, remove_torn, writing
 from companion.telemetry.flight_status import SCHEMA, VERSION, FlightBegun, flight_status
@@ -89,7 +88,6 @@ app = typer.Typer(
     ),
 )
 
-
 app.add_typer(campaign_app, name="campaign")
 app.add_typer(compare_app, name="compare")
 app.command("replay")(replay_command)
@@ -104,40 +102,42 @@ MissionArgument = Annotated[
         help=f"A mission.toml, a QGroundControl .plan, or a bundled name: {', '.join(bundled())}.",
     ),
 ]
-ProfileOption = Annotated[
-    ProfileName | None,
-    typer.Option(
-        help="*flight*: made safe, checked before it is flown (the default). "
-        "*paper*: literally as published, for comparison; not safe to fly."
-    ),
-]
-SeedOption = Annotated[
-    int, typer.Option(min=0, help="Seed of the search: the same seed plans the same path.")
-]
-
-
-ConnectOption = Annotated[
-    str,
-    typer.Option(
-        help="Where the vehicle is: udpin:HOST:PORT waits for it, udpout:HOST:PORT calls it, "
-        "tcp:HOST:PORT, or a serial device and its baud rate: /dev/ttyACM0,57600."
-    ),
-]
-SystemOption = Annotated[
-    int | None,
-    typer.Option(
-        min=1,
-        max=255,
-        help="MAVLink system id of the vehicle; by default the mission's, or the only one heard.",
-    ),
-]
-KeyOption = Annotated[
-    Path | None,
-    typer.Option(
-        help="File with the key of a signed link: a phrase, or 64 hexadecimal digits; "
-        "readable by nobody else."
-    ),
-]
+_PROFILE_HELP = (
+    "*flight*: made safe, checked before it is flown (the default). "
+    "*paper*: literally as published, for comparison; not safe to fly."
+)
+_SEED_HELP = "Seed of the search: the same seed plans the same path."
+_CONNECT_HELP = (
+    "Where the vehicle is: udpin:HOST:PORT waits for it, udpout:HOST:PORT calls it, "
+    "tcp:HOST:PORT, or a serial device and its baud rate: /dev/ttyACM0,57600."
+)
+_SYSTEM_HELP = "MAVLink system id of the vehicle; by default the mission's, or the only one heard."
+_KEY_HELP = (
+    "File with the key of a signed link: a phrase, or 64 hexadecimal digits; "
+    "readable by nobody else."
+)
+_LOCKSTEP_HELP = "Let a simulator that was started with --lockstep run as fast as both can."
+_START_HELP = (
+    "Take off as soon as the vehicle is ready, without waiting for a go: for "
+    "simulators and scripts. --lockstep implies it."
+)
+_SHADOW_HELP = "Plan and say what would be done, never command."
+_OUT_HELP = "Run folder to write; by default runs/DATE-MISSION."
+_RESUME_HELP = "Go on with the flight in the run folder --out, if one was interrupted there."
+_JSON_HELP = (
+    "Print lines of JSON for machines, how the flight stands and at last how it "
+    "ended; what is for people goes to standard error."
+)
+_VIEW_HELP = "Show the flight in the browser while it is flown."
+_FIGURE_HELP = "Picture to write: .png, .svg or .pdf."
+_RUN_HELP = "The run folder of a flight, ended or not."
+_PAGE_HELP = "Page to write; by default RUN_DIR/report.html."
+ProfileOption = Annotated[ProfileName | None, typer.Option(help=_PROFILE_HELP)]
+SeedOption = Annotated[int, typer.Option(min=0, help=_SEED_HELP)]
+ConnectOption = Annotated[str, typer.Option(help=_CONNECT_HELP)]
+SystemOption = Annotated[int | None, typer.Option(min=1, max=255, help=_SYSTEM_HELP)]
+KeyOption = Annotated[Path | None, typer.Option(help=_KEY_HELP)]
+FigureOption = Annotated[Path, typer.Option("--figure", "--out", metavar="FILE", help=_FIGURE_HELP)]
 
 
 @app.command("fly")
@@ -145,49 +145,16 @@ def fly_command(
     mission: MissionArgument,
     connect: ConnectOption = _CONNECT,
     system: SystemOption = None,
-    lockstep: Annotated[
-        bool,
-        typer.Option(
-            "--lockstep",
-            help="Let a simulator that was started with --lockstep run as fast as both can.",
-        ),
-    ] = False,
-    start: Annotated[
-        bool,
-        typer.Option(
-            "--start",
-            help="Take off as soon as the vehicle is ready, without waiting for a go: for "
-            "simulators and scripts. --lockstep implies it.",
-        ),
-    ] = False,
-    shadow: Annotated[
-        bool, typer.Option("--shadow", help="Plan and say what would be done, never command.")
-    ] = False,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Run folder to write; by default runs/DATE-MISSION."),
-    ] = None,
-    resume: Annotated[
-        bool,
-        typer.Option(
-            "--resume",
-            help="Go on with the flight in the run folder --out, if one was interrupted there.",
-        ),
-    ] = False,
+    lockstep: Annotated[bool, typer.Option("--lockstep", help=_LOCKSTEP_HELP)] = False,
+    start: Annotated[bool, typer.Option("--start", help=_START_HELP)] = False,
+    shadow: Annotated[bool, typer.Option("--shadow", help=_SHADOW_HELP)] = False,
+    out: Annotated[Path | None, typer.Option(help=_OUT_HELP)] = None,
+    resume: Annotated[bool, typer.Option("--resume", help=_RESUME_HELP)] = False,
     signing_key: KeyOption = None,
     seed: SeedOption = 1,
     profile: ProfileOption = None,
-    as_json: Annotated[
-        bool,
-        typer.Option(
-            "--json",
-            help="Print lines of JSON for machines, how the flight stands and at last how it "
-            "ended; what is for people goes to standard error.",
-        ),
-    ] = False,
-    view: Annotated[
-        bool, typer.Option("--view", help="Show the flight in the browser while it is flown.")
-    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help=_JSON_HELP)] = False,
+    view: Annotated[bool, typer.Option("--view", help=_VIEW_HELP)] = False,
     view_port: PortOption = VIEW_PORT,
 ) -> None:
     """Fly a mission: find the vehicle, take off (or take over), follow subpaths to the target.
@@ -282,12 +249,7 @@ def preflight_command(
 def plan_command(
     world: Annotated[str, typer.Argument(metavar="WORLD", help="A world.toml or a bundled name.")],
     mission: MissionArgument,
-    figure: Annotated[
-        Path,
-        typer.Option(
-            "--figure", "--out", metavar="FILE", help="Picture to write: .png, .svg or .pdf."
-        ),
-    ] = Path("plan.png"),
+    figure: FigureOption = Path("plan.png"),
     seed: SeedOption = 1,
     profile: ProfileOption = None,
 ) -> None:
@@ -331,13 +293,8 @@ def plan_command(
 
 @app.command("report")
 def report_command(
-    run_dir: Annotated[
-        Path, typer.Argument(metavar="RUN_DIR", help="The run folder of a flight, ended or not.")
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Page to write; by default RUN_DIR/report.html."),
-    ] = None,
+    run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help=_RUN_HELP)],
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help=_PAGE_HELP)] = None,
 ) -> None:
     """Explain a flight on one page: how it went and why, maps, plans, health, events.
 
@@ -367,19 +324,13 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+_VERSION = typer.Option(
+    "--version", is_eager=True, callback=_print_version, help="Print the version and exit."
+)
+
+
 @app.callback()
-def _common(
-    *,
-    _version: Annotated[
-        bool,
-        typer.Option(
-            "--version",
-            is_eager=True,
-            callback=_print_version,
-            help="Print the version and exit.",
-        ),
-    ] = False,
-) -> None:
+def _common(*, _version: Annotated[bool, _VERSION] = False) -> None:
     """Options that come before the command."""
 
 
@@ -589,7 +540,7 @@ def _exit_as_it_ended(flown: FlightSummary, connect: str) -> None:
 def _not_heard(session: Session, connect: str) -> tuple[str, str]:
     """Why there is no vehicle, and what to do about it."""
     refused = 0 if session.signing is None else session.signing.refused
-    if not session.senders and not session.receiver.passed.total() + refused:
+    if not session.senders and not session.receiver.passed + refused:
         reason = f"--connect = {connect!r}: no vehicle was heard within 10 s"
         return reason, "Start the vehicle, or give the address that it sends to."
     reason, remedy = not_heard(session)

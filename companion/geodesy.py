@@ -169,12 +169,6 @@ def wrap_deg(angle_deg: Places) -> Places:
     return (angle_deg + 180.0) % 360.0 - 180.0
 
 
-def rotate(north: float, east: float, angle_rad: float) -> tuple[float, float]:
-    """Turn a horizontal vector clockwise (from north towards east)."""
-    cos, sin = math.cos(angle_rad), math.sin(angle_rad)
-    return north * cos - east * sin, north * sin + east * cos
-
-
 def deg_e7(degrees: float) -> int:
     """Degrees -> the wire's 1e-7 degrees."""
     return round(degrees * 1e7)

@@ -38,12 +38,13 @@ from companion.mavlink.link import (
     VehicleSelector,
 )
 from companion.mavlink.near_scanner import NearScanner
+from companion.mavlink.poses import Poses
 from companion.mavlink.preflight import Preflight
 from companion.mavlink.rangefinder import Rangefinder
 from companion.mavlink.signing import Signing
 from companion.mavlink.statustext import StatusTexts, final_text
 from companion.mavlink.terrain_download import MESSAGES as TERRAIN
-from companion.mavlink.terrain_download import ScanClient
+from companion.mavlink.terrain_download import TerrainDownload
 from companion.mission import changes, checkpoint, entries, events, machine
 from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context
 from companion.mission.events import Disarm, End, Mode, SetMode, Vector, VehicleStatus
@@ -130,11 +131,15 @@ class Session:
         self._outbox = FrameEncoder(self.selector.system_id, signing)
         self._out = self._outbox.out
         self._texts = StatusTexts()
-        self.near = None if mission.near is None else NearScanner(mission)
+        self._poses = Poses(mission.frame)
+        """Kept while there is a sensor to be read with them."""
+        self.near = None if mission.near is None else NearScanner(mission, self._poses)
         """Reads the sensor of near things, if that is the mission's scanner."""
-        self.rangefinder = Rangefinder.of(mission)
+        error_m = mission.rangefinder_error_m
+        self.rangefinder = None if error_m is None else Rangefinder(self._poses, error_m)
         """Reads the one that looks down, if the mission compares it with the map."""
-        self._scanning = self.near or ScanClient(mission)
+        self._scan: NearScanner | TerrainDownload | None = None
+        """The one that is under way."""
         self._preflight = Preflight()
         self._component: Component | None = None
         self._time_asked = 0
@@ -161,11 +166,12 @@ class Session:
         self._listeners: dict[int, list[Callable[[Message, float], None]]] = defaultdict(list)
         """Sensors that read messages of the autopilot, by number."""
         if self.near is not None:
-            for number in (*near_scanner.OF_AUTOPILOT, near_scanner.ATTITUDE):
+            for number in near_scanner.OF_AUTOPILOT:
                 self._listeners[number].append(self.near.on_message)
         if self.rangefinder is not None:
-            for number in (near_sensing.SECTORS, near_scanner.ATTITUDE):
-                self._listeners[number].append(self.rangefinder.on_message)
+            self._listeners[near_sensing.SECTORS].append(self.rangefinder.on_message)
+        if self._listeners:
+            self._listeners[near_scanner.ATTITUDE].append(self._poses.on_attitude)
         self.sensed: dict[int, set[tuple[int, int]]] = {}
         """Messages of sensors by number: system and component of who sends them."""
         self._silence_told_s = 0.0
@@ -383,9 +389,9 @@ class Session:
 
     def _on_radar(self, heard: Incoming) -> None:
         """A message of the radar: its answers to a scan, and when to look whether it is over."""
-        if heard.number in TERRAIN:
-            assert isinstance(self._scanning, ScanClient)
-            self._scanning.on_message(heard.message, self.state.vehicle.position_nea_m)
+        scan, here = self._scan, self.state.vehicle.position_nea_m
+        if heard.number in TERRAIN and isinstance(scan, TerrainDownload) and here is not None:
+            scan.on_message(heard.message, here)
         self._scan_on()
 
     def _on_near(self, heard: Incoming) -> None:
@@ -401,12 +407,11 @@ class Session:
         if now_s >= plan.due_s and not shadow:
             self._handle(plan.take(now_s))
         event = vehicle.on_position(heard.message, now_s)
+        if self._listeners and event is not None:
+            self._poses.on_position(event.time_s, event.position_nea_m)
         if self.near is not None:
-            if event is not None:
-                self.near.on_position(event.time_s, event.position_nea_m)
             self._handle(self.near.seen(now_s))
         if event is not None and self.rangefinder is not None:
-            self.rangefinder.on_position(event.time_s, event.position_nea_m)
             self._handle(self.rangefinder.seen(now_s, self.state.flight.known))
         self._handle(event)
         if now_s >= plan.due_s and shadow:
@@ -415,7 +420,7 @@ class Session:
             self._look_at_news(vehicle)
         if self.state.phase in (Phase.PREPARING, Phase.READY):
             self._check()
-        if self._scanning.is_on:
+        if self._scan is not None:
             self._scan_on()
         self._housekeeping()
 
@@ -550,7 +555,7 @@ class Session:
     def _on_reboot(self) -> None:
         """The autopilot has rebooted: prepare again; the known terrain is kept."""
         self.state = replace(self.state, now_s=self.now_s, since_s=self.now_s)
-        self._scanning.stop()
+        self._scan = None
         self._plan.forget()
         self._mode_asked_at_s = -math.inf
         if self.vehicle is not None:
@@ -606,15 +611,21 @@ class Session:
         return self._lockstep
 
     def _scan_on(self) -> None:
-        if (done := self._scanning.done(self.now_s)) is not None:
-            self.last_scan = done
+        if (scan := self._scan) is None:
+            return
+        if (done := scan.done(self.now_s)) is not None:
+            self._scan, self.last_scan = None, done
             self._handle(done)
-        elif (request := self._scanning.on_time(self.now_s)) is not None:
+        elif (request := scan.on_time(self.now_s)) is not None:
             self._send_all([request])
 
     def _start_scan(self, centre_nea_m: Vector) -> None:
-        blocks = self._scanning.begin(centre_nea_m, self.state, self.now_s)
-        self._note("scan", centre_nea_m=list(centre_nea_m), blocks=blocks)
+        of = centre_nea_m, self.state, self.now_s
+        scan = (
+            TerrainDownload.begun(self.mission, *of) if self.near is None else self.near.begun(*of)
+        )
+        self._scan = scan
+        self._note("scan", centre_nea_m=list(centre_nea_m), blocks=scan.asked)
         self._scan_on()
 
     def _check(self) -> None:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from companion.geodesy import LocalFrame, deg, deg_e7, offset_deg, rotate, wrap_rad
+from companion.geodesy import LocalFrame, deg, deg_e7, offset_deg, wrap_rad
 
 GEOD = pyproj.Geod(ellps="WGS84")
 HERE = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
@@ -94,14 +94,6 @@ def test_an_offset_lies_where_a_frame_about_its_beginning_says(
     there = offset_deg(latitude, longitude, north_m, east_m)
     frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
     assert frame.to_local_m(*there) == pytest.approx((north_m, east_m), abs=1e-3)
-
-
-@given(north=st.floats(-200, 200), east=st.floats(-200, 200), angle=st.floats(-10, 10))
-def test_turning_a_vector_clockwise_is_multiplying_by_a_unit_complex_number(
-    north: float, east: float, angle: float
-) -> None:
-    turned = complex(north, east) * cmath.exp(1j * angle)
-    assert rotate(north, east, angle) == pytest.approx((turned.real, turned.imag), abs=1e-9)
 
 
 @given(st.integers(-1_800_000_000, 1_800_000_000), st.floats(-0.5, 0.5))

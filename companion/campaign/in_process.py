@@ -120,7 +120,8 @@ class Flying:
             "profile": self._mission.task.settings.profile.name,
         }
         self._folder.header(facts | {"lockstep": True})
-        self.loop.writer = Recorder(self._folder, self.loop.clock, self.loop.lost)
+        self._recorder = Recorder(self._folder, self.loop.clock, self.loop.lost)
+        self.loop.record = self._recorder.put
         self._turns = self.loop.turns()
 
     def die(self, away_s: float) -> None:
@@ -147,7 +148,7 @@ class Flying:
 
     def close(self) -> None:
         """Write what is left, and the truth."""
-        self.loop.writer.close()
+        self._recorder.close()
         truth = "".join(f"{line}\n" for line in self._vehicle.take_truth())
         (self._files.folder / "truth.jsonl").write_text(truth, encoding="utf-8")
         self._folder.close()

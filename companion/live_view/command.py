@@ -17,7 +17,7 @@ from rich.console import Console
 
 from companion import extras
 from companion.errors import InputError
-from companion.runtime.signals import stop_signals
+from companion.runtime.terminal import stop_signals
 from companion.views.output import plain_console
 
 VIEW_PORT = 8080

@@ -5,18 +5,19 @@ messages and events out.
 """
 
 import math
+from collections.abc import Mapping
 from typing import Any, Final, final
 
-from companion.mavlink import fence, parameter_client, plan_client
-from companion.mavlink.autopilots import Autopilot, LaunchPose, autopilot_of
-from companion.mavlink.autopilots.messages import NO_HEADING, position
+from companion.mavlink import parameter_client, plan_client
+from companion.mavlink.autopilots import Autopilot, autopilot_of
+from companion.mavlink.autopilots.messages import command_long, position
 from companion.mavlink.dialect import COMPANION_COMPONENT, EventMessage, Message, wire
+from companion.mavlink.fence import Fence, OwnFence
+from companion.mavlink.mission_items import targets_of
 from companion.mavlink.near_scanner import streams_hz
-from companion.mavlink.own_fence import OwnFence
 from companion.mavlink.parameter_client import ParameterClient
 from companion.mavlink.plan_client import MISSION, PlanClient
 from companion.mavlink.rules import Finding, findings_of, names_of
-from companion.mavlink.streams import StreamRequests
 from companion.mission import events
 from companion.mission.decisions import Context
 from companion.mission.mission import Mission
@@ -31,10 +32,107 @@ _MAX_SETS = 3  # of one parameter: a client that sets it back so often means it
 _SMOOTH = 0.3  # of a new round trip
 _NEWS_S = 0.005  # a change of less moves no setpoint by much
 _HOME_MOVED_M = 5.0
+_LOOK_S = 2.0
+_ENOUGH = 0.5  # of what was asked for: the rest may have been lost
+_QUIET_S = 10.0  # between requests of what may well have nothing to say
 
 
 AutopilotCommand = events.SetMode | events.SetSpeed | events.Arm | events.Disarm | events.TakeOff
 """Commands to an autopilot, besides setpoints."""
+
+
+@final
+class StreamRequests:
+    """Requests the message streams that a flight needs, and repeats the requests.
+
+    A request may get lost (ardupilot.md 0: one in the first 60 ms after boot is acknowledged and
+    dropped), a reboot clears them all, and ACKs are not reliable (mavlink.md C3): only the arrival
+    of the message counts.
+    """
+
+    def __init__(
+        self,
+        system_id: int,
+        autopilot: Autopilot,
+        position_rate_hz: float,
+        more_hz: Mapping[int, float],
+    ) -> None:
+        """more_hz: what else the mission needs, by message number."""
+        self._system_id, self._autopilot = system_id, autopilot
+        self._wanted_hz = {
+            wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: position_rate_hz,
+            **autopilot.streams_hz,
+            **more_hz,
+        }
+        self._quiet = autopilot.intermittent | {wire.MAVLINK_MSG_ID_DISTANCE_SENSOR}
+        self.count: dict[int, int] = {}
+        """How often each message was received since the autopilot booted; counted by the caller."""
+        self._before: dict[int, int] = {}
+        """The same when it was last looked at."""
+        self._asked_s: dict[int, float] = {}
+        self._looked_s = -math.inf
+        self._wanted = False
+
+    def begin(self, now_s: float) -> list[Message]:
+        """Request everything that is not streamed by default."""
+        self._wanted, self._looked_s, self._before = True, now_s, dict(self.count)
+        self._asked_s = dict.fromkeys(self._wanted_hz, now_s)
+        return [*map(self._rate, self._wanted_hz), *self._once()]
+
+    def forget(self) -> None:
+        """The autopilot has rebooted: all requests are void."""
+        self.count, self._before, self._asked_s, self._looked_s = {}, {}, {}, -math.inf
+
+    def rebase_time(self, shift_s: float) -> None:
+        """Shift all stored times by this much: the clock was replaced."""
+        self._looked_s += shift_s
+        self._asked_s = {key: at_s + shift_s for key, at_s in self._asked_s.items()}
+
+    @property
+    def due_s(self) -> float:
+        """When they are looked at again, at the latest."""
+        return self._looked_s + _LOOK_S if self._wanted else math.inf
+
+    def on_time(self, now_s: float) -> list[Message]:
+        """Requests for messages that are missing or too slow, every two seconds."""
+        since_s = now_s - self._looked_s
+        if not self._wanted or since_s < _LOOK_S:
+            return []
+        self._looked_s = now_s
+        late = [number for number in self._wanted_hz if self._is_late(number, since_s, now_s)]
+        self._asked_s |= dict.fromkeys(late, now_s)
+        self._before = dict(self.count)
+        return [*map(self._rate, late), *self._once()]
+
+    @property
+    def missing(self) -> list[str]:
+        """Names of requested messages that never came."""
+        return [
+            wire.mavlink_map[number].msgname
+            for number in self._wanted_hz
+            if number not in self.count and number not in self._quiet
+        ]
+
+    def _is_late(self, number: int, since_s: float, now_s: float) -> bool:
+        """Whether too few have come, and enough time has passed since it was asked for."""
+        expected = _ENOUGH * self._wanted_hz[number] * min(since_s, _LOOK_S)
+        came = self.count.get(number, 0) - self._before.get(number, 0)
+        again_s = _QUIET_S if number in self._quiet else _LOOK_S
+        asked_s = self._asked_s.get(number, -math.inf)
+        return came < max(expected, 1.0) and now_s - asked_s >= again_s
+
+    def _rate(self, number: int) -> Message:
+        interval_us = 1e6 / self._wanted_hz[number]
+        command = wire.MAV_CMD_SET_MESSAGE_INTERVAL
+        return command_long(self._system_id, command, number, interval_us)
+
+    def _once(self) -> list[Message]:
+        """Requests for what is never streamed, until it has come."""
+        return [
+            command_long(self._system_id, wire.MAV_CMD_REQUEST_MESSAGE, number)
+            for number in self._autopilot.requested_once
+            if number not in self.count
+        ]
 
 
 @final
@@ -74,7 +172,7 @@ class AutopilotClient:
         self._mission, self._lockstep = mission, lockstep
         self._sets_parameters = sets_parameters
         self._home_nea_m: events.Vector | None = None
-        self._heading_cdeg = self._breaches = self._targets_version = 0
+        self._breaches = self._targets_version = 0
         self._judged = -1
         self._sets: dict[str, int] = {}
         """How often each parameter was set."""
@@ -104,7 +202,7 @@ class AutopilotClient:
         )
 
     @property
-    def fence(self) -> fence.Fence | None:
+    def fence(self) -> Fence | None:
         """Its own fence, once it was read."""
         return self._own_fence.fence
 
@@ -151,9 +249,9 @@ class AutopilotClient:
 
     def on_position(self, message: Message, now_s: float) -> events.Position | None:
         """Decode GLOBAL_POSITION_INT: a fast path of `on_message` and `event_of`."""
-        self.count(_POSITION, now_s)
-        if message.hdg != NO_HEADING:
-            self._heading_cdeg = message.hdg
+        count = self.streams.count
+        count[_POSITION] = count.get(_POSITION, 0) + 1
+        self.parameters.heard_s = now_s
         event = position(message, now_s, self._mission.frame)
         if event is not None:
             self.here_ne_m = event.position_nea_m[:2]
@@ -254,9 +352,8 @@ class AutopilotClient:
                 here = state.vehicle.position_nea_m
                 if here is None:
                     return []
-                heading_rad = math.radians(self._heading_cdeg * 0.01)
-                place = LaunchPose(position_nea_m=here, heading_rad=heading_rad)
-                return autopilot.take_off(command, place, frame, system)
+                heading_rad = state.vehicle.heading_rad or 0.0
+                return autopilot.take_off(command, here, heading_rad, frame, system)
 
     @property
     def due_s(self) -> float:
@@ -366,13 +463,13 @@ class AutopilotClient:
         if mission.targets_from_vehicle and plan.version != self._targets_version:
             self._targets_version = plan.version
             home_first = self.autopilot.firmware.home_first
-            route = fence.targets_of(plan.items, mission.frame, home_first=home_first)
+            route = targets_of(plan.items, mission.frame, home_first=home_first)
             self.notes += route.notes
             if route.end_action not in (None, mission.end_action):
                 words = f"its mission ends with {route.end_action.value}"
                 self.notes.append(f"{words}; what counts is end.action: {mission.end_action.value}")
             told.append(events.TargetsChanged(time_s=now_s, targets_ne_m=route.targets_ne_m))
-        if refusal or not (self._plans_told or (mission.fence_from_vehicle and own.needs_home)):
+        if refusal or not (self._plans_told or (own.fence is not None and own.fence.needs_home)):
             self._plans_told = True
             told.append(events.Prepared(time_s=now_s, item=events.Item.PLANS, refusal=refusal))
         return told

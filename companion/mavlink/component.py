@@ -16,13 +16,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
-from companion.geodesy import LocalFrame, deg
-from companion.mavlink.dialect import COMPANION_COMPONENT, Message, wire
+from companion.geodesy import deg
+from companion.mavlink.dialect import (
+    AMSL_FRAMES,
+    COMPANION_COMPONENT,
+    HOME_FRAMES,
+    Message,
+    wire,
+)
 from companion.mission.changes import OrderResult
 from companion.mission.events import Order, OrderKind
 from companion.mission.mission import Mission
 from companion.mission.state import Phase, State
-from companion.path.limits import Limits
 
 COMMANDS: Final = (wire.MAVLINK_MSG_ID_COMMAND_LONG, wire.MAVLINK_MSG_ID_COMMAND_INT)
 _HEARTBEAT: Final = wire.MAVLINK_MSG_ID_HEARTBEAT
@@ -31,12 +36,7 @@ _BEAT_S: Final = 1.0
 _SAME_S: Final = 5.0  # a command that comes again within this time may be the same one
 _MAX_SENDERS: Final = 64
 _NOT_GIVEN_E7 = 2**31 - 1
-_AMSL_OR_HOME = (
-    wire.MAV_FRAME_GLOBAL,
-    wire.MAV_FRAME_GLOBAL_RELATIVE_ALT,
-    wire.MAV_FRAME_GLOBAL_INT,
-    wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
-)
+_AMSL_OR_HOME: Final = (*AMSL_FRAMES, *HOME_FRAMES)
 """Frames of a place whose height the companion may ignore."""
 _ORDERS: Final = frozenset(
     {
@@ -60,6 +60,8 @@ _RELEASES: Final = {
 }
 _Ids = tuple[int, int]
 """System and component id; 0 stands for any."""
+Point = tuple[float, float]
+"""North and east, metres."""
 
 
 class _Result(enum.IntEnum):
@@ -81,18 +83,13 @@ _RESULTS: Final = {
 }
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class _Meaning:
-    """What a command asks for, or why it is refused."""
+class _RefusedError(Exception):
+    """A command that is not carried out."""
 
-    result: _Result = _Result.ACCEPTED
-    text: str = ""
-    """Why not, for the operator."""
-    asks_for: int | None = None
-    """The number of the message of ours that is wanted."""
-    order: OrderKind | None = None
-    target_ne_m: tuple[float, float] | None = None
+    def __init__(self, text: str, result: _Result = _Result.DENIED) -> None:
+        """text: why not, for the operator."""
+        super().__init__(text)
+        self.text, self.result = text, result
 
 
 @final
@@ -155,17 +152,22 @@ class Component:
         before = self._given.get(sender)
         if target == self._ours and before is not None and before.is_repeated_by(message, now_s):
             return Reply(replies=(_ack(message, before.result),))
-        meaning = self._meaning(message, sender)
+        name, command = f"{sender[0]}/{sender[1]}", message.command
+        note = {"kind": "command", "sender": name, "command": command}
+        try:
+            kind, place_ne_m = self._order(message, sender)
+        except _RefusedError as refused:
+            if target != self._ours:
+                return Reply()
+            note |= {"result": refused.result.name.lower(), "why": refused.text}
+            return Reply(replies=(_ack(message, refused.result),), note=note, text=refused.text)
+        if kind is None:
+            note |= {"result": "accepted", "why": ""}
+            answer = (_ack(message, _Result.ACCEPTED),)
+            return Reply(replies=answer, note=note if target == self._ours else None)
         if target != self._ours:  # of broadcasts no order is carried out
-            return Reply() if meaning.asks_for is None else Reply(replies=(_ack(message, 0),))
-        name = f"{sender[0]}/{sender[1]}"
-        note = {"kind": "command", "sender": name, "command": message.command}
-        if meaning.order is None:
-            note |= {"result": meaning.result.name.lower(), "why": meaning.text}
-            return Reply(replies=(_ack(message, meaning.result),), note=note, text=meaning.text)
-        order = Order(
-            time_s=now_s, kind=meaning.order, target_ne_m=meaning.target_ne_m, sender=name
-        )
+            return Reply()
+        order = Order(time_s=now_s, kind=kind, target_ne_m=place_ne_m, sender=name)
         self._given.pop(sender, None)
         self._given[sender] = _Given(message, order)
         if len(self._given) > _MAX_SENDERS:
@@ -180,15 +182,57 @@ class Component:
                 return (_ack(given.message, given.result),)
         return ()
 
-    def _meaning(self, message: Message, sender: _Ids) -> _Meaning:
-        may = any(_matches(allowed, sender) for allowed in self._mission.commanders)
-        if message.command in _ORDERS and not may:
-            who = f"{sender[0]}/{sender[1]} may not command: see link.commanders"
-            return _denied(who)
-        meaning = _meaning_of(message, self._mission.frame, self._mission.task.limits)
-        if meaning.asks_for is not None:
-            self._asked.add(meaning.asks_for)
-        return meaning
+    def _order(self, message: Message, sender: _Ids) -> tuple[OrderKind | None, Point | None]:
+        """What a command orders, and where to; None of a question, whose answer is then due."""
+        first, may = message.param1, (_matches(each, sender) for each in self._mission.commanders)
+        if message.command in _ORDERS and not any(may):
+            raise _RefusedError(f"{sender[0]}/{sender[1]} may not command: see link.commanders")
+        match message.command:
+            case wire.MAV_CMD_REQUEST_MESSAGE if first in (_HEARTBEAT, _VERSION):
+                self._asked.add(int(first))
+                return None, None
+            case wire.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES if first == 1.0:
+                self._asked.add(_VERSION)
+                return None, None
+            case wire.MAV_CMD_REQUEST_MESSAGE | wire.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
+                raise _RefusedError("")
+            case wire.MAV_CMD_MISSION_START:
+                if not (math.isnan(first) or first == 0.0):
+                    raise _RefusedError("start: only from the first item, param1 = 0")
+                return OrderKind.START, None
+            case wire.MAV_CMD_DO_PAUSE_CONTINUE:
+                if first not in (0.0, 1.0):
+                    raise _RefusedError("pause: param1 must be 0 (pause) or 1 (continue)")
+                return (OrderKind.CONTINUE if first else OrderKind.PAUSE), None
+            case wire.MAV_CMD_NAV_RETURN_TO_LAUNCH:
+                return OrderKind.RETURN, None
+            case wire.MAV_CMD_NAV_LAND:
+                if any(at not in (0.0, _NOT_GIVEN_E7) and at == at for at in _xy(message)):
+                    raise _RefusedError("land: it lands where it is; first DO_REPOSITION there")
+                return OrderKind.LAND, None
+            case wire.MAV_CMD_DO_REPOSITION:
+                return OrderKind.REPOSITION, self._place_ne_m(message)
+            case _:
+                raise _RefusedError("", _Result.UNSUPPORTED)
+
+    def _place_ne_m(self, message: Message) -> Point:
+        """Where a reposition goes; a height or speed that is given is ignored."""
+        latitude, longitude = _xy(message)
+        if _is_int(message):
+            if message.frame not in _AMSL_OR_HOME:
+                text = f"reposition: frame {message.frame} is not one of 0, 3, 5, 6"
+                raise _RefusedError(text, _Result.UNSUPPORTED_MAV_FRAME)
+            latitude, longitude = deg(message.x), deg(message.y)
+        on_earth = (
+            abs(latitude) <= 90.0 and abs(longitude) <= 180.0
+        )  # not NaN, nor what is not given
+        if on_earth and not latitude == longitude == 0.0:
+            north_m, east_m = self._mission.frame.to_local_m(latitude, longitude)
+            limits = self._mission.task.limits
+            (south, north), (west, east) = limits.north_m, limits.east_m
+            if south <= north_m <= north and west <= east_m <= east:
+                return north_m, east_m
+        raise _RefusedError("reposition: give a place on the mission's map")
 
     # --- its own messages
 
@@ -210,57 +254,6 @@ class Component:
             messages.append(wire.MAVLink_autopilot_version_message(*values))
         self._asked = asked & {_HEARTBEAT} if faulted else set()
         return messages
-
-
-def _meaning_of(message: Message, frame: LocalFrame, limits: Limits) -> _Meaning:
-    """The meaning of a command; frame, limits: those of the mission, for a place."""
-    first = message.param1
-    match message.command:
-        case wire.MAV_CMD_REQUEST_MESSAGE if first in (_HEARTBEAT, _VERSION):
-            return _Meaning(asks_for=int(first))
-        case wire.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES if first == 1.0:
-            return _Meaning(asks_for=_VERSION)
-        case wire.MAV_CMD_REQUEST_MESSAGE | wire.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
-            return _denied("")
-        case wire.MAV_CMD_MISSION_START:
-            if math.isnan(first) or first == 0.0:
-                return _Meaning(order=OrderKind.START)
-            return _denied("start: only from the first item, param1 = 0")
-        case wire.MAV_CMD_DO_PAUSE_CONTINUE:
-            if first in (0.0, 1.0):
-                return _Meaning(order=OrderKind.CONTINUE if first else OrderKind.PAUSE)
-            return _denied("pause: param1 must be 0 (pause) or 1 (continue)")
-        case wire.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-            return _Meaning(order=OrderKind.RETURN)
-        case wire.MAV_CMD_NAV_LAND:
-            if any(value not in (0.0, _NOT_GIVEN_E7) and value == value for value in _xy(message)):
-                return _denied("land: it lands where it is; first DO_REPOSITION there")
-            return _Meaning(order=OrderKind.LAND)
-        case wire.MAV_CMD_DO_REPOSITION:
-            return _reposition(message, frame, limits)
-        case _:
-            return _Meaning(_Result.UNSUPPORTED)
-
-
-def _reposition(message: Message, frame: LocalFrame, limits: Limits) -> _Meaning:
-    """A new target; altitude and speed are the mission's, so those given are ignored."""
-    latitude, longitude = _xy(message)
-    if _is_int(message):
-        if message.frame not in _AMSL_OR_HOME:
-            text = f"reposition: frame {message.frame} is not one of 0, 3, 5, 6"
-            return _Meaning(_Result.UNSUPPORTED_MAV_FRAME, text)
-        latitude, longitude = deg(message.x), deg(message.y)
-    on_earth = abs(latitude) <= 90.0 and abs(longitude) <= 180.0  # not NaN, nor what is not given
-    if on_earth and not latitude == longitude == 0.0:
-        north_m, east_m = frame.to_local_m(latitude, longitude)
-        (south, north), (west, east) = limits.north_m, limits.east_m
-        if south <= north_m <= north and west <= east_m <= east:
-            return _Meaning(order=OrderKind.REPOSITION, target_ne_m=(north_m, east_m))
-    return _denied("reposition: give a place on the mission's map")
-
-
-def _denied(text: str) -> _Meaning:
-    return _Meaning(_Result.DENIED, text)
 
 
 def _is_int(message: Message) -> bool:

@@ -9,6 +9,16 @@ COMPANION_COMPONENT = wire.MAV_COMP_ID_PATHPLANNER  # 195
 AUTOPILOT_COMPONENT = wire.MAV_COMP_ID_AUTOPILOT1
 
 Message = wire.MAVLink_message
+AMSL_FRAMES: Final = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_GLOBAL_INT)
+HOME_FRAMES: Final = (
+    wire.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+    wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+)
+TERRAIN_FRAMES: Final = (
+    wire.MAV_FRAME_GLOBAL_TERRAIN_ALT,
+    wire.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT,
+)
+"""Frames of a latitude and a longitude, by what their altitude is above."""
 
 
 def codec(system_id: int) -> wire.MAVLink:
@@ -43,5 +53,12 @@ class EventMessage(wire.MAVLink_message):  # type: ignore[misc]
 
 KINDS: Final[dict[int, Any]] = {**wire.mavlink_map, EventMessage.id: EventMessage}
 """The class of each kind of message that is understood, by its number."""
+
+
+def enum_word(enum: str, number: int | None) -> str:
+    """What the message definitions call an entry of an enum, without the enum's name; or empty."""
+    entry = wire.enums[enum].get(number)
+    return "" if entry is None else str(entry.name).removeprefix(f"{enum}_")
+
 
 __all__ = ["wire"]  # of what is imported here, what others import from here

@@ -1,26 +1,28 @@
-"""Decodes the autopilot's lists for a mission: fence to zones, mission to targets.
+"""The vehicle's own fence: its list to zones, what is in force of it, and what is told of it.
 
 Sources: ardupilot.md 4, px4.md 7, MAV_CMD 5000 to 5004 and 5100.  Where autopilots differ or a
 fence is ambiguous, the more restrictive reading is taken and noted.
 """
 
 import math
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple, final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 import numpy as np
 import shapely
+from msgspec import structs
 
 from companion.geodesy import LocalFrame, deg, parts_within, short_way
-from companion.mavlink.dialect import wire
-from companion.mavlink.mission_items import not_done
-from companion.mavlink.plan_client import PlanItem
-from companion.mission.events import FenceChanged, Vector
-from companion.mission.mission import EndAction
+from companion.mavlink.dialect import AMSL_FRAMES, HOME_FRAMES, TERRAIN_FRAMES, enum_word, wire
+from companion.mavlink.plan_client import FENCE, PlanClient, PlanItem
+from companion.mission.events import FenceChanged, FenceReading, Vector
+from companion.mission.mission import Mission
 from companion.planner.settings import Task
 from companion.world.zones import CircleZone, PolygonZone, Zone, gaps_m, packed
+
+if TYPE_CHECKING:  # it says of its fence what stands here
+    from companion.mavlink.autopilots.common import Autopilot
 
 Point = tuple[float, float]
 """North and east, metres."""
@@ -29,17 +31,6 @@ POLYGON_IN: Final = wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
 POLYGON_OUT: Final = wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
 CIRCLE_IN: Final = wire.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION
 CIRCLE_OUT: Final = wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION
-_FRAMES: Final = frozenset(
-    {
-        wire.MAV_FRAME_GLOBAL,
-        wire.MAV_FRAME_GLOBAL_RELATIVE_ALT,
-        wire.MAV_FRAME_GLOBAL_INT,
-        wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
-        wire.MAV_FRAME_GLOBAL_TERRAIN_ALT,
-        wire.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT,
-    }
-)
-"""Those in which x and y are a latitude and a longitude."""
 _LARGEST_M = 2.1e7  # half of the way around the Earth
 _CORNERS_AT_ONCE = 250
 """Enough for one event."""
@@ -97,18 +88,6 @@ class Fence:
             ceiling_amsl_m=self.ceiling_amsl_m,
             misread=bool(self.misread),
         )
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Targets:
-    """A vehicle's own mission, as far as the companion flies it."""
-
-    targets_ne_m: tuple[Point, ...]
-    end_action: EndAction | None = None
-    """From its last item; None if that gives none."""
-    notes: tuple[str, ...] = ()
-    """Items that are ignored, and assumptions."""
 
 
 # --- fence ----------------------------------------------------------------------------------------
@@ -192,10 +171,12 @@ def _drawn_one(
     keep_in = first.command in (POLYGON_IN, CIRCLE_IN)
     name = f"fence {'inclusion' if keep_in else 'exclusion'} {number}"
     if first.command not in (POLYGON_IN, POLYGON_OUT, CIRCLE_IN, CIRCLE_OUT):
-        return _unfit(f"fence item {number} is no fence ({_name(first.command)})")
-    if frames := {item.frame for item in shape} - _FRAMES:
+        what = enum_word("MAV_CMD", first.command) or first.command
+        return _unfit(f"fence item {number} is no fence ({what})")
+    placed = {*AMSL_FRAMES, *HOME_FRAMES, *TERRAIN_FRAMES}
+    if frames := {item.frame for item in shape} - placed:
         return _unfit(f"{name}: frame {min(frames)} has no latitude and longitude")
-    places = _places(shape, frame)
+    places = places_of(shape, frame)
     if places is None or any(item.x == item.y == 0 for item in shape):
         return _unfit(f"{name} has a corner that is nowhere on Earth")
     if first.command in (POLYGON_IN, POLYGON_OUT):
@@ -257,7 +238,7 @@ def _corners(shape: Any) -> tuple[Point, ...]:
     return tuple((north, east) for north, east in shape.exterior.coords[:-1])
 
 
-def _places(shape: Sequence[PlanItem], frame: LocalFrame) -> list[Point] | None:
+def places_of(shape: Sequence[PlanItem], frame: LocalFrame) -> list[Point] | None:
     """Its corners here, with more between where a side that is straight in degrees is not here."""
     if any(abs(item.x) > 900_000_000 or abs(item.y) > 1_800_000_000 for item in shape):
         return None
@@ -369,61 +350,85 @@ def conflicts(fence: Fence, task: Task, targets_ne_m: Sequence[Point]) -> tuple[
     return tuple(found)
 
 
-# --- targets --------------------------------------------------------------------------------------
+# --- as list, parameters and home change ----------------------------------------------------------
 
 
-_GO_THERE: Final = frozenset(
-    {
-        wire.MAV_CMD_NAV_WAYPOINT,
-        wire.MAV_CMD_NAV_SPLINE_WAYPOINT,
-        wire.MAV_CMD_NAV_LOITER_UNLIM,
-        wire.MAV_CMD_NAV_LOITER_TURNS,
-        wire.MAV_CMD_NAV_LOITER_TIME,
-        wire.MAV_CMD_NAV_LOITER_TO_ALT,
-        wire.MAV_CMD_NAV_LAND,
-        wire.MAV_CMD_NAV_VTOL_LAND,
-    }
-)
-_ENDS: Final = {
-    wire.MAV_CMD_NAV_LOITER_UNLIM: EndAction.HOLD,
-    wire.MAV_CMD_NAV_LAND: EndAction.LAND,
-    wire.MAV_CMD_NAV_VTOL_LAND: EndAction.LAND,
-    wire.MAV_CMD_NAV_RETURN_TO_LAUNCH: EndAction.RETURN,
-}
-_TAKE_OFF: Final = frozenset({wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_CMD_NAV_VTOL_TAKEOFF})
+@final
+class OwnFence:
+    """Follows the fence of one vehicle.  Until all of a new one is known the old stays in force."""
 
+    def __init__(self, mission: Mission, autopilot: "Autopilot", plans: PlanClient) -> None:
+        self.fence: Fence | None = None
+        """As it stands, once it was read."""
+        self.notes: list[str] = []
+        """What a person should hear of, since last looked at."""
+        self.warnings: list[str] = []
+        """The same, of what is grave."""
+        self._mission, self._autopilot, self._plans = mission, autopilot, plans
+        self._drawing_of: tuple[int, float] | None = None
+        self._drawing: Iterator[Fence | None] | None = None
+        self._drawn: Fence | None = None
+        """The newest list, once all of it is drawn."""
+        self._made_of: object = None
+        self._told: FenceChanged | None = None
+        self._said: tuple[str, ...] = ()
+        self._reading = 0
 
-def targets_of(items: Sequence[PlanItem], frame: LocalFrame, *, home_first: bool) -> Targets:
-    """The places that a mission goes to, in order, and how it ends.
+    @property
+    def is_drawing(self) -> bool:
+        """Whether it goes on with the next message."""
+        return self._drawing is not None
 
-    home_first: whether item 0 is home and no target.  Heights are not taken: the
-    planner chooses them within the mission's band.
-    """
-    targets: list[Point] = []
-    said: list[str] = []
-    left_out = Counter[str]()
-    end: EndAction | None = None
-    for number, item in list(enumerate(items))[int(home_first) :]:
-        if end is not None:
-            said.append(f"items {number} to {len(items) - 1} come after the end: left out")
-            break
-        if item.command in _TAKE_OFF and not targets:
-            continue  # the companion takes off by itself
-        if item.command in _GO_THERE:
-            places = _places((item,), frame)
-            if places is not None and (item.x or item.y):
-                targets += places
-                left_out.update(not_done(item.command, item.parameters))
-            elif item.command not in _ENDS:
-                said.append(f"item {number} ({_name(item.command)}) names no place: left out")
-        elif item.command not in _ENDS:
-            said.append(f"item {number} ({_name(item.command)}) is not flown: left out")
-        end = _ENDS.get(item.command)
-    if left_out:
-        said.append(f"left out: {', '.join(f'{n} x {what}' for what, n in left_out.items())}")
-    return Targets(targets_ne_m=tuple(targets), end_action=end, notes=tuple(said))
+    def rebooted(self) -> None:
+        """The autopilot has rebooted: what is read again is held against the mission again."""
+        self._reading, self._made_of = 0, None
+        if self._told is not None and self._told.zones:
+            self.notes.append(f"fence: read again, {len(self._told.zones)} zones stay in force")
 
+    def reading(self, now_s: float) -> list[FenceReading]:
+        """Whether one that has changed is being read, and drawn, by now."""
+        items = self._plans.changing.get(FENCE, 0)
+        if not items and self.is_drawing:
+            items = self._reading
+        if items == self._reading:
+            return []
+        self._reading = items
+        return [FenceReading(time_s=now_s, items=items)]
 
-def _name(command: int) -> str:
-    entry = wire.enums["MAV_CMD"].get(command)
-    return str(command) if entry is None else str(entry.name).removeprefix("MAV_CMD_")
+    def update(
+        self,
+        parameters: Mapping[str, float],
+        home_nea_m: Vector | None,
+        here_ne_m: Point | None,
+        now_s: float,
+    ) -> tuple[list[FenceChanged], str] | None:
+        """What is new, and why the mission conflicts with it; None while it is drawn.
+
+        here_ne_m: where the vehicle is, as in `in_force`.
+        """
+        mission, plan = self._mission, self._plans.plans[FENCE]
+        firmware, name = self._autopilot.firmware, self._autopilot.name
+        settings = firmware.fence(parameters)
+        if (plan.version, settings.margin_m) != self._drawing_of:
+            self._drawing_of = (plan.version, settings.margin_m)
+            self._drawing = drawn(plan.items, mission.frame, settings.margin_m)
+        if self._drawing is not None:
+            if (whole := next(self._drawing)) is None:
+                return None
+            self._drawing = None
+            self._drawn = replace(whole, misread=firmware.misread(plan.items, name))
+        made_of = self._drawing_of, settings, home_nea_m
+        if made_of == self._made_of or self._drawn is None:
+            return [], ""
+        self._made_of = made_of
+        whole = self.fence = in_force(
+            self._drawn, settings, home_nea_m=home_nea_m, here_ne_m=here_ne_m
+        )
+        self.notes += [each for each in whole.notes if each not in self._said]
+        self.warnings += [whole.misread] if whole.misread not in ("", *self._said) else []
+        self._said = (*whole.notes, whole.misread)
+        against, told = conflicts(whole, mission.task, mission.targets_ne_m), whole.changed(now_s)
+        before, same = self._told, structs.replace(told, time_s=0.0)
+        is_news = same != before and not whole.needs_home
+        self._told = before if whole.needs_home else same
+        return [told] if is_news else [], against[0] if against else ""

@@ -8,9 +8,7 @@ Nor does it decode messages of numbers: it parses header and checksum again and 
 in a loop, at three times the cost.  It decodes those with strings.
 """
 
-import enum
 import re
-from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import cache
 from operator import itemgetter
@@ -88,11 +86,6 @@ def number_of(frame: bytes) -> int:
 def sender_of(frame: bytes) -> tuple[int, int]:
     """System and component id that a whole frame claims to come from."""
     return (frame[5], frame[6]) if frame[0] == V2 else (frame[3], frame[4])
-
-
-def sequence_of(frame: bytes) -> int:
-    """The sequence number of a whole frame, of its sender."""
-    return frame[4] if frame[0] == V2 else frame[2]
 
 
 def payload_of(frame: bytes, size: int) -> bytes:
@@ -208,16 +201,6 @@ def _in_order(kind: Any) -> Callable[[tuple[Any, ...]], Sequence[Any]] | None:
 # --- bytes to messages
 
 
-class Skipped(enum.Enum):
-    """What was skipped."""
-
-    GARBAGE = "bytes between frames"
-    """Of frames with incompatible flags, too."""
-    CHECKSUM = "frames with a wrong checksum"
-    UNKNOWN = "messages of an unknown kind"
-    SECRET = "messages with a key or password"
-
-
 @final
 class Receiver:
     """Finds the messages in what comes in on one link; nothing is ever raised.
@@ -235,8 +218,8 @@ class Receiver:
 
         ignored: numbers of messages that are passed on undecoded.
         """
-        self.passed: Counter[Skipped] = Counter()
-        """Bytes of garbage, and frames; what was not believed is in Signing.refused."""
+        self.passed = 0
+        """Bytes between frames, and frames not taken; those not believed are in Signing.refused."""
         self.signed = 0
         """Frames that carried a signature, right or wrong."""
         self.counted: dict[tuple[int, int], tuple[int, int, int]] = {}
@@ -276,33 +259,32 @@ class Receiver:
             passed += size - at
             at = size
         self._rest = data[at:]
-        if passed:
-            self.passed[Skipped.GARBAGE] += passed
+        self.passed += passed
         return heard
 
     def _take(self, frame: bytes, kind: Any, at_s: float | None, heard: list[Incoming]) -> bool:
         """Add the message of a frame unless it is rejected; returns whether the frame is intact."""
         if kind is None:
-            self.passed[Skipped.UNKNOWN] += 1
+            self.passed += 1
             return True
         end = (_HEADER_2 if frame[0] == V2 else _HEADER_1) + frame[1]
         covered = frame[1:end] + bytes((kind.crc_extra,))
         if mcrf4xx(covered) != frame[end] | frame[end + 1] << 8:
-            self.passed[Skipped.CHECKSUM] += 1
+            self.passed += 1
             return False
         signed = frame[0] == V2 and frame[2] & _SIGNED
         self.signed += signed
         if self._signing is not None and not self._signing.accepts(frame):
             return True
         if kind.id in SECRETS:
-            self.passed[Skipped.SECRET] += 1
+            self.passed += 1
             return True
         plain, message = strip_signature(frame) if signed else frame, None
         if kind.id not in self._ignored:
             try:
                 message = decoded(plain, kind)
             except wire.MAVError:
-                self.passed[Skipped.CHECKSUM] += 1
+                self.passed += 1
                 return True
             message._signed = bool(signed) and self._signing is not None
         sequence, system, component = plain[4:7] if plain[0] == V2 else plain[2:5]

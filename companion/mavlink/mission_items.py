@@ -1,10 +1,25 @@
-"""What the companion does not do at the places of a mission, wherever the mission comes from."""
+"""What is flown of a mission's items, and what is not, wherever the mission comes from."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from typing import Final
+from dataclasses import dataclass
+from typing import Final, final
 
-from companion.mavlink.dialect import wire
+from companion.geodesy import LocalFrame
+from companion.mavlink.dialect import enum_word, wire
+from companion.mavlink.fence import Point, places_of
+from companion.mavlink.plan_client import PlanItem
+from companion.mission.mission import EndAction
 
+PLACES: Final = (
+    wire.MAV_CMD_NAV_WAYPOINT,
+    wire.MAV_CMD_NAV_SPLINE_WAYPOINT,
+    wire.MAV_CMD_NAV_LOITER_UNLIM,
+    wire.MAV_CMD_NAV_LOITER_TURNS,
+    wire.MAV_CMD_NAV_LOITER_TIME,
+    wire.MAV_CMD_NAV_LOITER_TO_ALT,
+)
+"""Commands that go to a place."""
 _LOITER: Final = "loiter at a waypoint"
 _INSTEAD: Final = {
     wire.MAV_CMD_NAV_SPLINE_WAYPOINT: "spline at a waypoint",
@@ -31,3 +46,60 @@ def not_done(command: int, parameters: Sequence[float | None]) -> Iterator[str]:
         for value, words in zip(parameters, _OF_WAYPOINTS, strict=False):
             if value is not None and abs(value) > 0.0:  # not what is no number
                 yield words
+
+
+# --- the vehicle's own mission
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Targets:
+    """A vehicle's own mission, as far as the companion flies it."""
+
+    targets_ne_m: tuple[Point, ...]
+    end_action: EndAction | None = None
+    """From its last item; None if that gives none."""
+    notes: tuple[str, ...] = ()
+    """Items that are ignored, and assumptions."""
+
+
+_ENDS: Final = {
+    wire.MAV_CMD_NAV_LOITER_UNLIM: EndAction.HOLD,
+    wire.MAV_CMD_NAV_LAND: EndAction.LAND,
+    wire.MAV_CMD_NAV_VTOL_LAND: EndAction.LAND,
+    wire.MAV_CMD_NAV_RETURN_TO_LAUNCH: EndAction.RETURN,
+}
+_TAKE_OFF: Final = (wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_CMD_NAV_VTOL_TAKEOFF)
+_LANDINGS: Final = (wire.MAV_CMD_NAV_LAND, wire.MAV_CMD_NAV_VTOL_LAND)
+
+
+def targets_of(items: Sequence[PlanItem], frame: LocalFrame, *, home_first: bool) -> Targets:
+    """The places that a mission goes to, in order, and how it ends.
+
+    home_first: whether item 0 is home and no target.  Heights are not taken: the
+    planner chooses them within the mission's band.
+    """
+    targets: list[Point] = []
+    said: list[str] = []
+    left_out = Counter[str]()
+    end: EndAction | None = None
+    for number, item in list(enumerate(items))[int(home_first) :]:
+        if end is not None:
+            said.append(f"items {number} to {len(items) - 1} come after the end: left out")
+            break
+        if item.command in _TAKE_OFF and not targets:
+            continue  # the companion takes off by itself
+        name = f"item {number} ({enum_word('MAV_CMD', item.command) or item.command})"
+        if item.command in (*PLACES, *_LANDINGS):
+            places = places_of((item,), frame)
+            if places is not None and (item.x or item.y):
+                targets += places
+                left_out.update(not_done(item.command, item.parameters))
+            elif item.command not in _ENDS:
+                said.append(f"{name} names no place: left out")
+        elif item.command not in _ENDS:
+            said.append(f"{name} is not flown: left out")
+        end = _ENDS.get(item.command)
+    if left_out:
+        said.append(f"left out: {', '.join(f'{n} x {what}' for what, n in left_out.items())}")
+    return Targets(targets_ne_m=tuple(targets), end_action=end, notes=tuple(said))

@@ -45,17 +45,14 @@ def streams_hz(mission: Mission) -> dict[int, float]:
 class NearScanner:
     """One sensor and its map.  Sans-IO; times are those of the vehicle."""
 
-    def __init__(self, mission: Mission) -> None:
+    def __init__(self, mission: Mission, poses: Poses) -> None:
         """Its map says where the cells are, and as a guess how high the ground is proven to be."""
         sensor, blank = mission.near, mission.known
         assert sensor is not None
         assert blank is not None
         assert blank.guess_m is not None
-        self.is_on = False
-        """Whether there is a scan under way."""
-        self._poses = Poses(mission.frame)
         self._component = sensor.component_id
-        self._sensing = NearSensing(sensor, self._poses, self._ground_at_m)
+        self._sensing = NearSensing(sensor, poses, self._ground_at_m)
         free_for_s = sensor.free_for_s(mission.task.limits.navigation_error_m)
         self._near = NearMap(blank.bare(), free_for_s)
         self._known, self._ground_m = blank, blank.guess_m
@@ -81,16 +78,9 @@ class NearScanner:
 
     # --- what is heard
 
-    def on_position(self, time_s: float, here_nea_m: Vector) -> None:
-        """The vehicle's position."""
-        self._poses.on_position(time_s, here_nea_m)
-
     def on_message(self, message: Message, now_s: float) -> None:
-        """A message of the sensor; ATTITUDE or SYS_STATUS of the autopilot."""
-        number = message.get_msgId()
-        if number == ATTITUDE:
-            self._poses.on_attitude(message)
-        elif number == HEALTH or message.get_srcComponent() == self._component:
+        """A message of the sensor, or SYS_STATUS of the autopilot."""
+        if message.get_msgId() == HEALTH or message.get_srcComponent() == self._component:
             self._sensing.on_message(message, now_s)
 
     def seen(self, now_s: float) -> NearSeen | None:
@@ -108,17 +98,16 @@ class NearScanner:
 
     # --- scans
 
-    def begin(self, _centre_nea_m: Vector, state: State, now_s: float) -> int:
-        """Begin a scan: the next sweep ends it.  -> 1, the blocks of it."""
+    asked = 1
+    """Blocks of a scan."""
+
+    def begun(self, _centre_nea_m: Vector, state: State, now_s: float) -> "NearScanner":
+        """A scan: the next sweep ends it."""
         if self._told is not None and state.flight.known is self._before:
             self._near.tell_again(self._told)  # nobody has taken it
         self._before, self._told = state.flight.known, None
-        self._began_s, self.is_on = now_s, True
-        return 1
-
-    def stop(self) -> None:
-        """Forget it."""
-        self.is_on = False
+        self._began_s = now_s
+        return self
 
     def on_time(self, _now_s: float) -> None:
         """Nothing has to be asked for."""
@@ -130,10 +119,9 @@ class NearScanner:
         """
         self._near.expire(now_s)
         swept = self._swept_s > self._began_s
-        if not self.is_on or not (swept or now_s - self._began_s >= self._scan_time_s):
+        if not (swept or now_s - self._began_s >= self._scan_time_s):
             return None
         answered = swept or not self._sight.is_blind
-        self.is_on = False
         self._told = self._near.changed
         scan = self._near.scan(self._ground_m, self._top_m)
         return ScanDone(time_s=now_s, scan=scan, asked=1, answered=int(answered))

@@ -44,7 +44,7 @@ class Poses:
         grid_north_rad = self._frame.grid_north_rad(position_nea_m[0], position_nea_m[1])
         self._positions.keep(time_s, (*position_nea_m, grid_north_rad))
 
-    def on_attitude(self, message: Message) -> None:
+    def on_attitude(self, message: Message, _now_s: float = 0.0) -> None:
         """ATTITUDE of the autopilot, whose yaw is from true north."""
         values = message.roll, message.pitch, message.yaw
         self._attitudes.keep(message.time_boot_ms * 1e-3, values)

@@ -14,12 +14,11 @@ from companion.mavlink import fence, near_sensing
 from companion.mavlink.autopilot_client import AutopilotClient
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
 from companion.mavlink.frames import Receiver
-from companion.mavlink.link import VehicleSelector
+from companion.mavlink.link import TO_COMPONENT_1, VehicleSelector, ids_in_words
 from companion.mavlink.near_scanner import NearScanner
 from companion.mavlink.plan_client import FENCE
 from companion.mavlink.rangefinder import Rangefinder
 from companion.mavlink.signing import Signing
-from companion.mavlink.who import TO_COMPONENT_1, ids_in_words
 from companion.mission import ground, stopped
 from companion.mission.battery import battery_lasts
 from companion.mission.decisions import Context, is_duplicate_suspected
@@ -230,7 +229,7 @@ def not_heard(session: PreflightInputs) -> tuple[str, str]:
     if session.signing is not None and session.signing.refused:
         what = "none was heard; what comes in is not signed with this key"
         return what, "Set the same key up on the vehicle."
-    if session.receiver.passed.total():
+    if session.receiver.passed:
         what = "none was heard; what comes in is no MAVLink"
         return what, "Check the baud rate, and that --connect names the autopilot's port."
     return "none was heard", "Start it, or check --connect."

@@ -4,14 +4,11 @@ import math
 from collections import deque
 from typing import Final, final
 
-from companion.geodesy import LocalFrame
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.poses import Poses
-from companion.mission.events import GroundSeen, Vector
-from companion.mission.mission import Mission
+from companion.mission.events import GroundSeen
 from companion.world.known_map import KnownMap
 
-ATTITUDE: Final = wire.MAVLINK_MSG_ID_ATTITUDE
 RATE_HZ: Final = 10.0
 _DOWN: Final = wire.MAV_SENSOR_ROTATION_PITCH_270
 _AGREE = 4  # readings in a row: one, or two, may be wrong
@@ -26,32 +23,20 @@ class Rangefinder:
     and what is below min_distance is the vehicle itself (proximity.md 3, 4).
     """
 
-    @staticmethod
-    def of(mission: Mission) -> "Rangefinder | None":
-        """The one that the mission compares with its map."""
-        error_m = mission.rangefinder_error_m
-        return None if error_m is None else Rangefinder(mission.frame, error_m)
-
-    def __init__(self, frame: LocalFrame, error_m: float) -> None:
+    def __init__(self, poses: Poses, error_m: float) -> None:
         """error_m: so much higher than the map says the ground may seem."""
         self.heard_s = -math.inf
         """When it last said anything."""
-        self._error_m, self._poses = error_m, Poses(frame)
+        self._error_m, self._poses = error_m, poses
         self._readings: deque[tuple[float, float]] = deque(maxlen=_AGREE)
         """Time and distance, until the pose is known."""
         self._above: deque[tuple[float, float]] = deque(maxlen=_AGREE)
         """Time, and how much higher than on the map the ground was."""
         self._is_told = False
 
-    def on_position(self, time_s: float, here_nea_m: Vector) -> None:
-        """Where the vehicle is."""
-        self._poses.on_position(time_s, here_nea_m)
-
     def on_message(self, message: Message, now_s: float) -> None:
-        """ATTITUDE or DISTANCE_SENSOR of the autopilot."""
-        if message.get_msgId() == ATTITUDE:
-            self._poses.on_attitude(message)
-        elif message.orientation == _DOWN:
+        """DISTANCE_SENSOR of the autopilot."""
+        if message.orientation == _DOWN:
             self.heard_s = now_s
             told_cm = message.current_distance
             if max(message.min_distance, 1) <= told_cm < message.max_distance:

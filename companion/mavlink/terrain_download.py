@@ -159,6 +159,24 @@ class TerrainDownload:
         self.answered = 0
         """Blocks answered."""
 
+    @staticmethod
+    def begun(
+        mission: Mission, centre_nea_m: Vector, state: State, now_s: float
+    ) -> "TerrainDownload":
+        """A scan around a point; of a vehicle without a radar, one that is over at once."""
+        task, flight = state.task, state.flight
+        has_radar = mission.scanner_component_id is not None
+        return TerrainDownload(
+            flight.known,
+            centre_ne_m=centre_nea_m[:2],
+            towards_ne_m=state.targets_ne_m[flight.target],
+            range_m=task.settings.scan_range_m if has_radar else 0.0,
+            deadline_s=now_s + task.settings.scan_time_s,
+            drift_m=_TICKS / mission.position_rate_hz * task.limits.speed_m_s,
+            frame=mission.frame,
+            complete=mission.scanner_complete,
+        )
+
     def is_over(self, now_s: float) -> bool:
         """Whether every request was answered or given up, or the deadline has passed."""
         return (self._area is None and not self._waiting) or now_s >= self._deadline_s
@@ -190,8 +208,8 @@ class TerrainDownload:
         patience_s = _ANSWER_S if self._left == self._area.mask else _PAUSE_S
         return now_s - self._heard_at_s < patience_s
 
-    def on_message(self, message: Message, radar_nea_m: tuple[float, float, float]) -> None:
-        """An answer of the radar: a block, or the report that ends the answers to a request."""
+    def on_message(self, message: Message, radar_nea_m: Vector) -> None:
+        """One of `MESSAGES`: a block, or the report that ends the answers to a request."""
         area = self._area
         if area is None or (message.lat, message.lon) != (area.latitude_e7, area.longitude_e7):
             return
@@ -203,7 +221,7 @@ class TerrainDownload:
         ):
             self._store(area, message, radar_nea_m)
 
-    def _store(self, area: Area, message: Message, radar_nea_m: tuple[float, float, float]) -> None:
+    def _store(self, area: Area, message: Message, radar_nea_m: Vector) -> None:
         self._left &= ~(1 << message.gridbit)
         self.answered += 1
         row = area.row + message.gridbit // BLOCK_COLUMNS * BLOCK
@@ -226,6 +244,12 @@ class TerrainDownload:
             self._waiting.append(area._replace(mask=self._left))
         self._area = None
 
+    def done(self, now_s: float) -> ScanDone | None:
+        """The scan, once it is over."""
+        if not self.is_over(now_s):
+            return None
+        return ScanDone(time_s=now_s, scan=self.scan(), asked=self.asked, answered=self.answered)
+
     def scan(self) -> Scan:
         """What was answered so far, on the part of the map that has answers."""
         rows, columns = np.nonzero(~np.isnan(self._heights_m))
@@ -242,53 +266,3 @@ class TerrainDownload:
             registration_m=self._registration_m,
             complete=self._complete,
         )
-
-
-@final
-class ScanClient:
-    """The scan that is under way; of a vehicle without a radar, one that is over at once."""
-
-    def __init__(self, mission: Mission) -> None:
-        self._mission = mission
-        self._download: TerrainDownload | None = None
-        self.is_on = False
-        """Whether there is a scan under way, or one that is over and was not told yet."""
-
-    def begin(self, centre_nea_m: Vector, state: State, now_s: float) -> int:
-        """Begin a scan around a point.  -> blocks of terrain to request."""
-        mission, task, flight = self._mission, state.task, state.flight
-        has_radar = mission.scanner_component_id is not None
-        self._download = TerrainDownload(
-            flight.known,
-            centre_ne_m=centre_nea_m[:2],
-            towards_ne_m=state.targets_ne_m[flight.target],
-            range_m=task.settings.scan_range_m if has_radar else 0.0,
-            deadline_s=now_s + task.settings.scan_time_s,
-            drift_m=_TICKS / mission.position_rate_hz * task.limits.speed_m_s,
-            frame=mission.frame,
-            complete=mission.scanner_complete,
-        )
-        self.is_on = True
-        return self._download.asked
-
-    def stop(self) -> None:
-        """Forget it."""
-        self._download = None
-        self.is_on = False
-
-    def on_message(self, message: Message, here_nea_m: Vector | None) -> None:
-        """One of `MESSAGES`."""
-        if here_nea_m is not None and self._download is not None:
-            self._download.on_message(message, here_nea_m)
-
-    def on_time(self, now_s: float) -> Message | None:
-        """The next request, if it is time for one."""
-        return None if self._download is None else self._download.on_time(now_s)
-
-    def done(self, now_s: float) -> ScanDone | None:
-        """The scan, once it is over."""
-        over = self._download
-        if over is None or not over.is_over(now_s):
-            return None
-        self.stop()
-        return ScanDone(time_s=now_s, scan=over.scan(), asked=over.asked, answered=over.answered)

@@ -22,9 +22,8 @@ from companion.mavlink.autopilots import FIRMWARES, NAMES, Autopilot, autopilot_
 from companion.mavlink.autopilots.messages import is_nowhere
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, KINDS, Message, wire
 from companion.mavlink.frames import boot_ms_of, decoded, number_of, payload_of, sender_of
-from companion.mavlink.link import ClockReading, Output, VehicleClock
+from companion.mavlink.link import TO_COMPONENT_1, ClockReading, Output, VehicleClock, ids_in_words
 from companion.mavlink.signing import strip_signature
-from companion.mavlink.who import TO_COMPONENT_1, ids_in_words
 from companion.mission.mission import EndAction, Mission
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task

@@ -1,6 +1,5 @@
 """Parses connection strings."""
 
-import errno
 import re
 import socket
 from dataclasses import dataclass
@@ -15,13 +14,10 @@ _REMEDY: Final = (
     "Write udpin:127.0.0.1:14540 (wait for the vehicle), udpout:HOST:PORT, tcp:HOST:PORT (call "
     "it) or /dev/ttyACM0,57600 (serial port, baud rate)."
 )
-_REMEDIES: Final = {
-    errno.EADDRINUSE: "End the program that uses the port, or choose another port on both sides.",
-    errno.EACCES: "Let this user open it: sudo usermod -aG dialout $USER, then log in again.",
-    errno.ENOENT: "Plug the device in, or look for its name with ls /dev/serial/by-id.",
-    errno.EAGAIN: "End the program that uses the device.",
-    errno.EBUSY: "End the program that uses the device.",
-}
+_NOT_OPENED: Final = (
+    "Give an address or a device of this computer; end the program that uses it, or choose another "
+    "port; plug a device in, and let this user open it: sudo usermod -aG dialout $USER."
+)
 _NETWORK: Final = re.compile(
     r"(?:udp:|(udpin|udpout|tcp):(?://)?)(\[[^\s/@\[\]]+\]|[^\s/@:\[\]]+):(\d{1,5})", re.ASCII
 )
@@ -33,61 +29,51 @@ _RATE_BEHIND: Final = re.compile(r".*[ :]\d{4,8}")
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Address:
-    """Address of a network link."""
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """A connection string in its parts."""
 
     text: str
-    """The original text, for error messages."""
+    """All of it, for error messages."""
     kind: str
-    """udpin, udpout or tcp."""
-    host: str
-    port: int
+    """udpin, udpout, tcp or serial."""
+    name: str
+    """The host, or the device."""
+    number: int
+    """The port, or the baud rate."""
 
     def resolved(self) -> tuple[socket.AddressFamily, tuple[str, int]]:
         """The kind of network and the numeric address; InputError if there is no such host."""
         try:
-            found = socket.getaddrinfo(self.host, self.port)
+            found = socket.getaddrinfo(self.name, self.number)
         except (OSError, UnicodeError) as error:
             raise _wrong(self.text, "no such host") from error
         family, *_, address = min(found, key=lambda each: each[0] is not socket.AF_INET)
-        return family, (str(address[0]), self.port)
+        return family, (str(address[0]), self.number)
+
+    def refused(self, error: OSError) -> InputError:
+        """The error about a port or device that cannot be opened."""
+        rule = f"it cannot be opened ({error.strerror or error})"
+        return InputError(_OPTION, self.text, rule, _NOT_OPENED)
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Device:
-    """Which serial port, and how fast."""
-
-    text: str
-    name: str
-    baud: int = DEFAULT_BAUD
-
-
-def parsed(connection: str) -> Address | Device:
+def parsed(text: str) -> Connection:
     """Parse a connection string; InputError names the rule."""
-    if network := _NETWORK.fullmatch(connection):
+    if network := _NETWORK.fullmatch(text):
         kind, host, port = network.groups()
         if not 1 <= int(port) <= 65535:  # 0 would be one that nobody else knows
-            raise _wrong(connection, "a port is a number from 1 to 65535")
-        return Address(text=connection, kind=kind or "udpin", host=host.strip("[]"), port=int(port))
-    others = _SERIAL_OF_OTHERS.fullmatch(connection)
-    if device := others or _SERIAL.fullmatch(connection):
+            raise _wrong(text, "a port is a number from 1 to 65535")
+        return Connection(text, kind or "udpin", host.strip("[]"), int(port))
+    others = _SERIAL_OF_OTHERS.fullmatch(text)
+    if device := others or _SERIAL.fullmatch(text):
         name, baud = device[1], int(device[2] or DEFAULT_BAUD)
         if not others and _RATE_BEHIND.fullmatch(name):
-            raise _wrong(connection, "the baud rate of a serial port comes after a comma")
+            raise _wrong(text, "the baud rate of a serial port comes after a comma")
         if not 1 <= baud <= _MAX_BAUD:
-            raise _wrong(connection, f"a baud rate is a number from 1 to {_MAX_BAUD}")
-        return Device(text=connection, name=name, baud=baud)
-    raise _wrong(connection, "not a connection string (an IPv6 address stands in brackets)")
+            raise _wrong(text, f"a baud rate is a number from 1 to {_MAX_BAUD}")
+        return Connection(text, "serial", name, baud)
+    raise _wrong(text, "not a connection string (an IPv6 address stands in brackets)")
 
 
-def _wrong(connection: str, rule: str) -> InputError:
-    return InputError(_OPTION, connection, rule, _REMEDY)
-
-
-def refused(place: Address | Device, error: OSError) -> InputError:
-    """The error about a port or device that cannot be opened."""
-    rule = f"it cannot be opened ({error.strerror or error})"
-    remedy = _REMEDIES.get(error.errno or 0, "Give an address or a device of this computer.")
-    return InputError(_OPTION, place.text, rule, remedy)
+def _wrong(text: str, rule: str) -> InputError:
+    return InputError(_OPTION, text, rule, _REMEDY)

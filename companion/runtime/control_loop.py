@@ -10,13 +10,13 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Final, Protocol, final
+from typing import Final, final
 
 from companion.mavlink.link import Output
-from companion.planner.request import Planned, PlanOutcome
+from companion.planner.request import Planned, PlanOutcome, PlanRequest
 from companion.runtime.link import Link, is_setpoint
-from companion.runtime.planning import Planning
-from companion.runtime.recorder import WRITER, NoWriter, Writer
+from companion.runtime.recorder import WRITER
+from companion.runtime.terminal import Terminal
 from companion.runtime.watchdog import Clock, Failure, Gate, Watchdog, Worker
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
@@ -36,22 +36,12 @@ _MAX_PLANS: Final = 2_000
 _RESERVE_S: Final = 10.0
 
 
-class Person(Protocol):
-    """Who may say go at the terminal."""
-
-    def says_go(self) -> bool:
-        """Whether somebody has said it since this was asked last."""
-
-    def hears(self, answer: str) -> None:
-        """What became of it."""
-
-
 @final
 class ControlLoop:
     """Feeds the session with events and carries out its outputs, through a watched gate."""
 
-    planning: Planning
-    """Who computes the plans, and tells `answered`; set before the first turn."""
+    plan: Callable[[int, PlanRequest], None]
+    """Has a plan computed, now or soon, whose answer is `answered`; set before the first turn."""
 
     def __init__(
         self,
@@ -61,10 +51,11 @@ class ControlLoop:
         lockstep: bool,
         clock: Clock,
         stop_asked: Callable[[], bool],
-        person: Person | None = None,
+        person: Terminal | None = None,
     ) -> None:
         self.session, self.link, self.clock = session, link, clock
-        self.writer: Writer = NoWriter()
+        self.record: Callable[[Output], None] = lambda _: None
+        """Records what was done, now or soon."""
         self.flown = FlightSummary(session=session)
         self.part, self.ended = Worker("decider"), threading.Event()
         self.gate = Gate(link, clock, session.signed)
@@ -80,7 +71,7 @@ class ControlLoop:
         self._lockstep, self._stop_asked, self._person = lockstep, stop_asked, person
         self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._leaving = threading.Event()
-        self._stopping = False
+        self._stopping, self._plans_asked = False, 0
         self._began_s = self._heard_s = math.nan
         self._read_s = math.nan
         """When all that had arrived was read."""
@@ -137,7 +128,7 @@ class ControlLoop:
         frames = (frame for frame, _ in traceback.walk_tb(error.__traceback__))
         calls = (f.f_code.co_name for f in frames if f.f_locals.get("self") is self.session)
         out.inputs.append(("raised", next(calls, ""), f"{type(error).__name__}: {error}"))
-        self.writer.put(out)
+        self.record(out)
 
     def _turn(self) -> None:
         self._beat()
@@ -203,8 +194,8 @@ class ControlLoop:
             self._person.hears(self.session.say_go() or "go: it takes off")
 
     def _on_plan(self, number: int, outcome: PlanOutcome, took_s: float) -> None:
-        if number < self.planning.newest:
-            return
+        if number < self._plans_asked:
+            return  # a newer one is waited for
         self.flown.plans_s.append(took_s)
         if getattr(outcome, "stopped_after", None) is not None:
             self.flown.out_of_time += 1
@@ -226,7 +217,7 @@ class ControlLoop:
         noted = {"t_s": round(now_s, 6), "kind": "part died", "part": failure.part}
         noted |= {"error": failure.error, "hold_frames": len(hold)}
         record = [(now_s, frame) for frame in hold]
-        self.writer.put(Output(record=record, journal=[noted], inputs=[("held", len(hold))]))
+        self.record(Output(record=record, journal=[noted], inputs=[("held", len(hold))]))
         self.post(lambda: self.session.part_died(failure.part, failure.error))
 
     # --- out
@@ -235,10 +226,11 @@ class ControlLoop:
         try:
             self._send(out)
         finally:
-            self.writer.put(out)
+            self.record(out)
         if out.plan is not None:
             self.flown.scans_nea_m.append(out.plan.scan_nea_m)
-            self.planning.ask(out.plan)
+            self._plans_asked += 1
+            self.plan(self._plans_asked, out.plan)
         if out.end is not None:  # it is over once the vehicle has confirmed its final mode
             self._ended_s = self.clock() if self._ended_s is None else self._ended_s
             patience_s = 0.0 if self.gate.is_shut else _SETTLE_S

@@ -8,15 +8,16 @@ Vehicle time goes on when all that the vehicle has said is answered.  Nothing wa
 read only to say how long it took.
 """
 
+import contextlib
 import time
 from collections import deque
 from collections.abc import Callable
 from typing import Protocol, final
 
+from companion.planner.request import PlanRequest
 from companion.runtime.control_loop import ControlLoop
 from companion.runtime.link import Link, datagrams
 from companion.runtime.planner_process import PlanFunction
-from companion.runtime.planning import AtOnce
 from companion.runtime.recorder import Recorder
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
@@ -106,7 +107,7 @@ def loop_in_process(
 ) -> ControlLoop:
     """The loop of a flight in lockstep, for callers that fly it turn by turn.
 
-    They set its `writer`, if it is recorded, and close that.  stop_asked: ends the mission, as
+    They say who is to `record` it, if anybody.  stop_asked: ends the mission, as
     Ctrl-C does.  on_step: called after each step of the vehicle, to look at it or to change it.
     """
     loop = ControlLoop(
@@ -116,7 +117,13 @@ def loop_in_process(
         clock=lambda: vehicle.now_us * 1e-6,
         stop_asked=stop_asked,
     )
-    loop.planning = AtOnce(planner, loop.answered)
+
+    def plan(number: int, request: PlanRequest) -> None:
+        began_s = time.perf_counter()
+        outcome = planner(request, lambda: False)
+        loop.answered(number, outcome, time.perf_counter() - began_s)
+
+    loop.plan = plan
     return loop
 
 
@@ -137,11 +144,11 @@ def fly_in_process(
     loop = loop_in_process(
         session, vehicle, planner=planner, stop_asked=stop_asked, on_step=on_step
     )
-    if folder is not None:
-        loop.writer = Recorder(folder, loop.clock, loop.lost, portion=_PORTION)
-    try:
+    with contextlib.ExitStack() as stack:
+        if folder is not None:
+            recorder = Recorder(folder, loop.clock, loop.lost, portion=_PORTION)
+            stack.callback(recorder.close)
+            loop.record = recorder.put
         loop.run()
-    finally:
-        loop.writer.close()
     loop.flown.elapsed_s = time.perf_counter() - began_s
     return loop.flown

@@ -8,7 +8,7 @@ import math
 import os
 import stat
 from pathlib import Path
-from typing import Final, NamedTuple, final
+from typing import Final, final
 
 from companion.errors import InputError
 from companion.mavlink.signing import TICKS_PER_S, Signing, key_of, timestamp_of
@@ -23,11 +23,8 @@ _LAST: Final = (1 << 48) - 1
 _ONE_LINE: Final = "Give a file that holds a phrase, or 64 hexadecimal digits, on one line."
 
 
-class StoredTimestamp(NamedTuple):
-    """What FILE.time holds."""
-
-    timestamp: int
-    clock_s: float
+StoredTimestamp = tuple[int, float]
+"""What FILE.time holds: a time stamp, and the clock in seconds."""
 
 
 @final
@@ -42,7 +39,7 @@ class SigningKey:
         self._kept_in = path.with_name(path.name + ".time")
         self._kept = _kept(self._kept_in)
 
-    def signing(self, *, clock_s: float, link_id: int = 0) -> Signing:
+    def signing(self, *, clock_s: float) -> Signing:
         """Signs from now on; clock_s: seconds since 1970, as far as this computer knows.
 
         InputError if the time stamp cannot be kept.
@@ -52,7 +49,7 @@ class SigningKey:
         if self.failure is not None:
             rule = f"the time stamp cannot be kept beside it ({self.failure})"
             raise _wrong(self._kept_in, rule, "Let the folder be written.")
-        return Signing(key=self._key, timestamp=first, link_id=link_id)
+        return Signing(key=self._key, timestamp=first)
 
     def save(self, timestamp: int, clock_s: float) -> None:
         """Save the time stamp atomically; never raises."""
@@ -77,9 +74,10 @@ def first_timestamp(clock_s: float, kept: StoredTimestamp | None) -> int:
     now = timestamp_of(clock_s)
     if kept is None:
         return now
-    since_s = clock_s - kept.clock_s
+    timestamp, kept_s = kept
+    since_s = clock_s - kept_s
     ran_s = min(since_s, _LONGEST_S) if since_s >= 0.0 else _LONGEST_S
-    return max(now, kept.timestamp + math.ceil((ran_s + _MARGIN_S) * TICKS_PER_S))
+    return max(now, timestamp + math.ceil((ran_s + _MARGIN_S) * TICKS_PER_S))
 
 
 def _phrase(path: Path) -> str:
@@ -116,7 +114,7 @@ def _kept(path: Path) -> StoredTimestamp | None:
     if not (0 <= timestamp <= _LAST and 0 <= clock_us <= 1 << 62):
         rule = "it does not hold a time stamp and a clock"
         raise _wrong(path, rule, "Delete it if this computer's clock is right.")
-    return StoredTimestamp(timestamp=timestamp, clock_s=clock_us * 1e-6)
+    return timestamp, clock_us * 1e-6
 
 
 def _wrong(path: Path, rule: str, remedy: str) -> InputError:

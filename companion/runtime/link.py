@@ -23,12 +23,12 @@ import termios
 import threading
 import time
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final, Protocol, Self, final
 
 import serial
 
-from companion.runtime.connection import Address, Device, parsed, refused
+from companion.runtime.connection import Connection, parsed
 
 LARGEST_DATAGRAM = 1400  # stays below the usual MTU
 _AGAIN_S = 0.5
@@ -119,9 +119,8 @@ class Link(Protocol):
 def open_link(connection: str) -> Link:
     """The link that a connection string names; InputError, about --connect, if it cannot be."""
     place = parsed(connection)
-    if isinstance(place, Device):
-        return SerialLink(place)
-    return TcpLink(place) if place.kind == "tcp" else UdpLink(place)
+    kinds: dict[str, Callable[[Connection], Link]] = {"serial": SerialLink, "tcp": TcpLink}
+    return kinds.get(place.kind, UdpLink)(place)
 
 
 def datagrams(frames: Sequence[bytes]) -> Iterator[bytes]:
@@ -140,7 +139,7 @@ def datagrams(frames: Sequence[bytes]) -> Iterator[bytes]:
 class UdpLink(Link):
     """Datagrams to and from one peer: for udpin, the sender that turned out to be the vehicle."""
 
-    def __init__(self, place: Address) -> None:
+    def __init__(self, place: Connection) -> None:
         family, address = place.resolved()
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -153,7 +152,7 @@ class UdpLink(Link):
                 self._peer = address
         except OSError as error:
             self._socket.close()
-            raise refused(place, error) from error
+            raise place.refused(error) from error
 
     def receive(self, timeout_s: float) -> bytes | None:
         """The next datagram, or None if none came in time."""
@@ -316,7 +315,7 @@ def _under_way(stream: socket.socket | serial.Serial) -> int:
 class TcpLink(_StreamLink):
     """tcp:HOST:PORT.  Connects again and again while the peer is absent."""
 
-    def __init__(self, place: Address) -> None:
+    def __init__(self, place: Connection) -> None:
         super().__init__()
         self._family, self._address = place.resolved()
 
@@ -334,7 +333,7 @@ class TcpLink(_StreamLink):
 class SerialLink(_StreamLink):
     """A serial port.  Reopened after it vanished (a cable, a rebooting autopilot)."""
 
-    def __init__(self, place: Device) -> None:
+    def __init__(self, place: Connection) -> None:
         """InputError if it cannot be opened."""
         self._place = place
         try:
@@ -343,9 +342,9 @@ class SerialLink(_StreamLink):
             inner = error.__context__  # the words of the operating system, not pyserial's
             plain = inner if isinstance(inner, OSError) and inner.strerror else error
             numbered = plain if isinstance(plain, OSError) else OSError(*plain.args[-2:])
-            raise refused(place, numbered) from error
+            raise place.refused(numbered) from error
 
     def _open(self) -> serial.Serial:
         """The port, with nothing left in it from before."""
-        name, baud = self._place.name, self._place.baud
+        name, baud = self._place.name, self._place.number
         return serial.Serial(name, baud, timeout=0.0, write_timeout=0.0, exclusive=True)

@@ -19,11 +19,11 @@ from typing import Final
 from companion.mission.events import End, Outcome
 from companion.planning import plan
 from companion.runtime.compiler import load_libraries
-from companion.runtime.control_loop import ControlLoop, Person
+from companion.runtime.control_loop import ControlLoop
 from companion.runtime.link import Link
-from companion.runtime.planner_process import PlanFunction, PlannerProcess
-from companion.runtime.planning import PlannerWorker
+from companion.runtime.planner_process import PlanFunction, PlannerProcess, PlannerWorker
 from companion.runtime.recorder import Recorder, WriterThread
+from companion.runtime.terminal import Terminal
 from companion.runtime.watchdog import Clock, Failure
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
@@ -45,7 +45,7 @@ def fly(
     stop_asked: Callable[[], bool],
     planner: PlanFunction | None = None,
     persist: Callable[[], None] = lambda: None,
-    person: Person | None = None,
+    person: Terminal | None = None,
     clock: Clock = time.monotonic,
 ) -> FlightSummary:
     """Run a session until its mission ends; every end is a value, `FlightSummary.end`.
@@ -67,9 +67,10 @@ def fly(
         person=person,
     )
     loop.flown.asks_here = person is not None
-    loop.planning = planning = PlannerWorker(planner, loop.answered, lockstep=lockstep)
+    planning = PlannerWorker(planner, loop.answered, lockstep=lockstep)
     recorder = Recorder(folder, clock, loop.lost, persist)
-    loop.writer = writer = recorder if lockstep else WriterThread(recorder)
+    writer = recorder if lockstep else WriterThread(recorder)
+    loop.plan, loop.record = planning.ask, writer.put
     with prompt_threads():
         loop.watchdog.start()
         loop.watchdog.watch(planning.part, planning.run)

@@ -1,7 +1,8 @@
-"""Planner process: no plan ever delays a setpoint, and one that hangs is killed.
+"""The planner's own process: no plan ever delays a setpoint, and one that hangs is killed.
 
 In the same process it would: numba holds the interpreter lock for seconds while it compiles, and
 what guidance and search do between their compiled parts holds it for some milliseconds each.
+A thread of the companion waits for the answer (`PlannerWorker`).
 
 The arrays of a question follow its pickle: that of a near mission's map, 28 MB, would hold the
 interpreter lock for 15 ms.
@@ -11,7 +12,9 @@ import contextlib
 import multiprocessing
 import os
 import pickle
+import queue
 import signal
+import time
 from collections.abc import Callable
 from ctypes import c_int64
 from multiprocessing.connection import Connection
@@ -21,15 +24,22 @@ from typing import Final, final
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.planning import plan
 from companion.runtime.compiler import load_kernel, load_libraries
+from companion.runtime.watchdog import Worker
 from companion.runtime.worker_pool import end_with_parent
 
 PlanFunction = Callable[[PlanRequest, Callable[[], bool]], PlanOutcome]
 """Computes a plan; the second argument tells it when to stop searching."""
+OnAnswer = Callable[[int, PlanOutcome, float], None]
+"""Told of the answer to a request, by the request's number, and how long it took, in seconds."""
 _SPAWN: Final = multiprocessing.get_context("spawn")  # threads and fork do not mix
 _LOOK_S = 0.02
 _ENDS_S = 1.0
 """For the exit code of a process whose pipe has ended."""
 _READY = "ready"
+_SEARCHING: Final = 0.8  # of T: the rest is for the proof
+_STARTS_S: Final = 300.0  # a slow computer may compile it first
+_SLACK_S: Final = 5.0  # on top of T: the plan is late long before, and dead only now
+_ALIVE_S: Final = 0.05  # between two looks whether the process is alive
 
 
 class PlannerEndedError(Exception):
@@ -154,3 +164,60 @@ def _outcome(
         return planner(request, lambda: enough.value == request.plan_id)
     except Exception as error:  # noqa: BLE001 - the parent puts the vehicle on hold
         return PlannerEndedError(f"{type(error).__name__}: {error}")
+
+
+# --- the thread that waits for it
+
+
+@final
+class PlannerWorker:
+    """Computes plans in a thread, one at a time; of those asked for the newest counts."""
+
+    def __init__(self, planner: PlanFunction, on_answer: OnAnswer, *, lockstep: bool) -> None:
+        self.part = Worker("planner")
+        self._newest = 0
+        self._planner, self._on_answer, self._lockstep = planner, on_answer, lockstep
+        self._requests: queue.SimpleQueue[tuple[int, PlanRequest]] = queue.SimpleQueue()
+        self._left = False
+
+    def ask(self, number: int, request: PlanRequest) -> None:
+        """Compute a request; the search in progress may stop."""
+        self._newest = number
+        self._requests.put((number, request))
+
+    def run(self) -> None:
+        """Answer requests until stopped; an exception of the planner ends it."""
+        process = self._planner if isinstance(self._planner, PlannerProcess) else None
+        if process is not None:
+            self.part.beat(_STARTS_S)
+            try:
+                process.start()
+            except OSError:  # no room for another process
+                self._planner, process = plan, None
+        self.part.idle()
+        while not self._left:
+            try:
+                number, request = self._requests.get(timeout=_ALIVE_S)
+            except queue.Empty:
+                if process is not None:
+                    process.check()
+                continue
+            self.part.beat(request.time_s + _SLACK_S)
+            began_s = time.perf_counter()
+            outcome = self._planner(request, self._enough(request, number, began_s))
+            self.part.idle()
+            self._on_answer(number, outcome, time.perf_counter() - began_s)
+
+    def leave(self) -> None:
+        """Stop, in the middle of a plan if the planner supports it."""
+        self._left = True
+        if isinstance(self._planner, PlannerProcess):
+            self._planner.close()
+
+    def _enough(self, request: PlanRequest, number: int, began_s: float) -> Callable[[], bool]:
+        """When to stop searching: before T is over in real time, or if obsolete."""
+        due_s = began_s + _SEARCHING * request.time_s
+        return lambda: (
+            self._left
+            or (not self._lockstep and (time.perf_counter() > due_s or number < self._newest))
+        )

@@ -3,7 +3,7 @@
 import queue
 import threading
 from collections.abc import Callable
-from typing import Protocol, final
+from typing import final
 
 from companion.mavlink.link import Output
 from companion.runtime.keys import SAVE_EVERY_S
@@ -16,27 +16,6 @@ _LEAVE_S = 5.0
 WRITER = "writer"
 """The name of the part."""
 _STATE = "state for --resume"
-
-
-class Writer(Protocol):
-    """Where outputs go."""
-
-    def put(self, out: Output) -> None:
-        """Record it, now or soon."""
-
-    def close(self) -> None:
-        """Write everything that can be written."""
-
-
-@final
-class NoWriter:
-    """Records nothing."""
-
-    def put(self, out: Output) -> None:
-        """Nothing is kept."""
-
-    def close(self) -> None:
-        """Nothing is waiting."""
 
 
 @final

@@ -1,9 +1,11 @@
-"""A person at the terminal, who says go."""
+"""A person at the terminal, who says go, or Ctrl-C."""
 
+import contextlib
 import os
 import select
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from types import FrameType
 from typing import Final, Self, TextIO, final
 
 HOW_TO: Final = "once it is ready, type yes to take off; Ctrl-C ends it"
@@ -46,3 +48,23 @@ class Terminal:
 
     def __exit__(self, *_: object) -> None:
         signal.signal(signal.SIGTTIN, self._before)  # type: ignore[arg-type]
+
+
+@contextlib.contextmanager
+def stop_signals() -> Iterator[list[int]]:
+    """Collect termination signals, so that the vehicle is put on hold first."""
+    received: list[int] = []
+
+    def note(number: int, _frame: FrameType | None) -> None:
+        received.append(number)
+
+    before = {
+        each: signal.signal(each, note)
+        for name in ("SIGINT", "SIGTERM", "SIGHUP")
+        if (each := getattr(signal, name, None)) is not None
+    }
+    try:
+        yield received
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)

@@ -2,15 +2,15 @@
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, final
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from companion.errors import InputError
 from companion.sources.files import RawTable, json_table, plain
+from companion.sources.plan_file import Zones
 from companion.sources.schema import validated
 
 _REMEDY: Final = "Give a GeoJSON FeatureCollection of polygons and points; see docs/files.md."
@@ -29,17 +29,6 @@ _NO_ZONES: Final[dict[NoZone, tuple[str, str]]] = {
     "empty": ("without a geometry", "without a geometry"),
 }
 """One, and several."""
-
-
-@final
-@dataclass(slots=True, kw_only=True)
-class Threats:
-    """What a file holds, as tables of a mission file."""
-
-    keep_outs: list[RawTable] = field(default_factory=list)
-    keep_ins: list[RawTable] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    """What was left out or taken otherwise than it is written, for people."""
 
 
 def _latitude_first(place: list[float]) -> list[float]:
@@ -89,7 +78,7 @@ class _Feature(_Json):
     geometry: _Point | _Polygon = Field(discriminator="type")
 
 
-def read_geojson(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> Threats:
+def read_geojson(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> Zones:
     """The zones of a file; leave_out: what a map may have beside them.
 
     Raises InputError about it, naming the feature in it, or counting those that are no zones.
@@ -109,12 +98,12 @@ def read_geojson(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> 
     if len(features) > _MAX_FEATURES:
         rule, remedy = f"it has more than {_MAX_FEATURES:,}", "Keep those near the mission."
         raise InputError(f"{path.name}: features", len(features), rule, remedy)
-    threats, no_zones = Threats(), Counter[NoZone]()
+    zones, no_zones = Zones(), Counter[NoZone]()
     for index, feature in enumerate(features):
         label = f"{path.name}: features[{index}]"
         if not isinstance(feature, dict):
             raise InputError(label, feature, "a feature is a JSON object", "Remove or complete it.")
-        _take(feature, index, label, threats, no_zones)
+        _take(feature, index, label, zones, no_zones)
     if unasked := {kind: count for kind, count in no_zones.items() if kind not in leave_out}:
         rule = "a zone is a polygon, or a point with radius_m"
         kinds = ", ".join(f'"{kind}"' for kind in no_zones)
@@ -124,17 +113,15 @@ def read_geojson(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> 
         )
         raise InputError(f"{path.name}: features", _counted(unasked), rule, remedy)
     if no_zones:
-        threats.notes.append(f"{path.name}: left out, as they are no zones: {_counted(no_zones)}")
-    return threats
+        zones.notes.append(f"{path.name}: left out, as they are no zones: {_counted(no_zones)}")
+    return zones
 
 
 def _counted(kinds: Mapping[NoZone, int]) -> str:
     return ", ".join(f"{count:,} {_NO_ZONES[kind][count > 1]}" for kind, count in kinds.items())
 
 
-def _take(
-    raw: RawTable, index: int, label: str, threats: Threats, no_zones: Counter[NoZone]
-) -> None:
+def _take(raw: RawTable, index: int, label: str, zones: Zones, no_zones: Counter[NoZone]) -> None:
     """Add the zones of a feature; label: how it is called in errors."""
     given = raw.get("properties")
     given = given if isinstance(given, dict) else {}
@@ -157,7 +144,7 @@ def _take(
         latitude, longitude = feature.geometry.coordinates
         place = {"latitude_deg": latitude, "longitude_deg": longitude}
         circle = {"name": name, **place, "radius_m": properties.radius_m}
-        (threats.keep_ins if is_keep_in else threats.keep_outs).append(circle)
+        zones.add(circle, inside=is_keep_in)
     if is_keep_in and len(polygons) > 1:
         rule = "the vehicle cannot keep inside of several polygons at once"
         raise InputError(f"{label}.geometry.type", "MultiPolygon", rule, "Keep one polygon of it.")
@@ -165,12 +152,12 @@ def _take(
         part = name if len(polygons) == 1 else f"{name} part {number}"
         outer, *holes = polygon.coordinates
         zone = {"name": part, "vertices_deg": outer}
-        (threats.keep_ins if is_keep_in else threats.keep_outs).append(zone)
+        zones.add(zone, inside=is_keep_in)
         if is_keep_in:
             for hole, ring in enumerate(holes, start=1):
-                threats.keep_outs.append({"name": f"{part} hole {hole}", "vertices_deg": ring})
+                zones.keep_outs.append({"name": f"{part} hole {hole}", "vertices_deg": ring})
         elif holes:
-            threats.notes.append(f"keep-out {part!r}: its holes are kept out of as well")
+            zones.notes.append(f"keep-out {part!r}: its holes are kept out of as well")
 
 
 def _taken_apart(geometry: Any, deepest: int = _DEEPEST) -> Iterator[Any]:

@@ -4,7 +4,7 @@ A mission may name a .plan, a GeoJSON file and an elevation file.  The first two
 table itself (`complete`), so that a run folder holds all that was flown.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, final
@@ -20,20 +20,32 @@ from companion.path.limits import Limits
 from companion.planner import rules
 from companion.planner.settings import PlannerSettings, Task
 from companion.profiles import PROFILES, Weights
-from companion.sources.altitudes import about_altitudes, carried_on
 from companion.sources.files import WAYPOINTS, RawTable, begins_as, path_of, plain, told_path
-from companion.sources.geojson import NoZone, Threats, read_geojson
-from companion.sources.mission_schema import KnownTerrainTable, MissionTable, ThreatsTable
+from companion.sources.geojson import NoZone, read_geojson
+from companion.sources.mission_schema import (
+    KnownTerrainTable,
+    MissionTable,
+    TargetTable,
+    ThreatsTable,
+)
 from companion.sources.plan_defaults import with_plan
-from companion.sources.plan_file import Ground, read_plan
+from companion.sources.plan_file import (
+    Ground,
+    Zones,
+    read_plan,
+    read_waypoint_fence,
+    read_waypoint_list,
+)
 from companion.sources.schema import validated
-from companion.sources.waypoint_file import read_waypoint_fence, read_waypoint_list
 from companion.sources.zones import Place, place_of, radar_of, zones_of
+from companion.world.columns import distance_to_terrain_m
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.near_map import cell_for_m
 
 _DATUM_ERROR_M: Final = 5.0
 """Of an elevation file that says nothing of it."""
+_MENTIONED_M = 1.0  # a smaller difference is worth no mention
+_STEP_M = 5.0
 
 
 @final
@@ -73,14 +85,11 @@ def complete(given: RawTable, folder: Path, where: str) -> MissionFile:
     return MissionFile(table=table, notes=tuple(notes), is_whole=table is given, assumed=assumed)
 
 
-def _threats(path: Path, where: str, leave_out: Collection[NoZone]) -> Threats:
+def _threats(path: Path, where: str, leave_out: Collection[NoZone]) -> Zones:
     """What a GeoJSON file or a list of QGC WPL 110 holds; leave_out: as for `read_geojson`."""
+    threats: Zones
     if begins_as(path, WAYPOINTS):
-        plan = read_waypoint_fence(path, where)
-        notes = [f"{path.name}: its {len(plan.targets)} waypoints are not flown"]
-        threats = Threats(
-            keep_outs=plan.keep_outs, keep_ins=plan.keep_ins, notes=notes if plan.targets else []
-        )
+        threats = read_waypoint_fence(path, where)
     else:
         threats = read_geojson(path, where, leave_out)
     if not (threats.keep_outs or threats.keep_ins):
@@ -188,7 +197,7 @@ def mission_of(
         name=model.name,
         frame=frame,
         targets_ne_m=_targets(model, task, frame, where),
-        altitudes_amsl_m=carried_on([each.altitude_amsl_m for each in targets]),
+        altitudes_amsl_m=_carried_on([each.altitude_amsl_m for each in targets]),
         task=task,
         scanner_complete=model.scanner.scanner_complete,
         near=near,
@@ -200,7 +209,7 @@ def mission_of(
         notes=tuple(filter(None, (*notes, far, "" if stated_m is None else about_ground))),
         **as_written,
     )
-    return replace(mission, notes=(*mission.notes, *about_altitudes(mission, targets, where)))
+    return replace(mission, notes=(*mission.notes, *_about_altitudes(mission, targets, where)))
 
 
 def _targets(model: MissionTable, task: Task, frame: LocalFrame, where: str) -> tuple[Place, ...]:
@@ -250,3 +259,60 @@ def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -
     if table.trust == "guidance":
         return replace(blank, guess_m=np.where(told.surveyed, told.upper_m, np.nan))
     return told
+
+
+# --- the altitudes of targets, held against the ground that is known before take-off
+
+
+def _carried_on(altitudes_amsl_m: list[float | None]) -> tuple[float | None, ...]:
+    """Each target's altitude, of one that has none that of the target before; () if none has."""
+    carried: list[float | None] = []
+    for altitude in altitudes_amsl_m:
+        before = carried[-1] if carried else None
+        carried.append(before if altitude is None else altitude)
+    return tuple(carried) if carried and carried[-1] is not None else ()
+
+
+def _about_altitudes(mission: Mission, targets: list[TargetTable], where: str) -> Iterator[str]:
+    """Where the targets' own altitudes are not flown, for a vehicle without a terrain radar.
+
+    Raises InputError about a target that nothing of the band is high enough for, or whose ground
+    is not known.
+    """
+    lowest_m, top_m = mission.task.band_amsl_m
+    for number, table in enumerate(targets):
+        if table.altitude_amsl_m is not None and table.altitude_amsl_m >= top_m:
+            rule = f"no path lies higher than {top_m:g} m, the ceiling less the vehicle's errors"
+            remedy = "Lower it, or raise altitude.ceiling_amsl_m."
+            field = f"{where}: targets[{number}].altitude_amsl_m"
+            raise InputError(field, table.altitude_amsl_m, rule, remedy)
+    may_scan = mission.near is not None or mission.scanner_component_id is not None
+    if mission.known is None or may_scan:
+        return
+    altitudes = mission.altitudes_amsl_m or (None,) * len(targets)
+    places = zip(mission.targets_ne_m, altitudes, targets, strict=False)
+    for number, (place, wanted_m, table) in enumerate(places):
+        field = f"{where}: targets[{number}]" + (f" ({table.name})" if table.name else "")
+        least_m = lowest_m if wanted_m is None else max(wanted_m, lowest_m)
+        flown_m = _clear_from_m(mission, place, least_m)
+        if flown_m is None:
+            top_m = mission.task.limits.ceiling_amsl_m
+            rule = f"the ground there is not known, or too high for the ceiling, {top_m:g} m AMSL"
+            remedy = "Move it, or correct [terrain] or altitude.ceiling_amsl_m."
+            raise InputError(field, list(place), rule, remedy)
+        if wanted_m is not None and flown_m - wanted_m > _MENTIONED_M:
+            yield (
+                f"{table.name or f'target {number + 1}'} is planned at {wanted_m:g} m AMSL and "
+                f"flown at {flown_m:.0f} m: below that d_s and the vehicle's errors are not kept"
+            )
+
+
+def _clear_from_m(mission: Mission, place: tuple[float, float], least_m: float) -> float | None:
+    """The lowest altitude from this one on that is clear of the ground; None: none in the band."""
+    assert mission.known is not None
+    top_m, required_m = mission.task.band_amsl_m[1], mission.task.required_clearance_m
+    for up_m in np.arange(min(least_m, top_m), top_m, _STEP_M):
+        at = np.array([*place, up_m])
+        if distance_to_terrain_m(mission.known, at, required_m) >= required_m - 1e-6:
+            return float(up_m)
+    return None

@@ -1,11 +1,12 @@
-"""QGroundControl's .plan files, and the mission items that waypoint lists have too.
+"""QGroundControl's .plan files, and waypoint, fence and rally lists ("QGC WPL 110").
 
 The format is documented in QGroundControl's developer guide, "Plan File Format".  A waypoint is a
 place to reach; its altitude only says between which altitudes the person meant to fly, since the
 companion chooses its own within a band.
 """
 
-from collections import Counter, defaultdict
+import math
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,35 +15,19 @@ from typing import Annotated, Any, Final, Literal, final
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from companion.errors import InputError
-from companion.mavlink.dialect import wire
-from companion.mavlink.mission_items import not_done
+from companion.mavlink import fence
+from companion.mavlink.autopilots.common import KINDS
+from companion.mavlink.dialect import AMSL_FRAMES, HOME_FRAMES, TERRAIN_FRAMES, enum_word, wire
+from companion.mavlink.mission_items import PLACES, not_done
 from companion.ranges import Longitude, Positive
-from companion.sources.files import RawTable, json_table
+from companion.sources.files import RawTable, json_table, read_text
 from companion.sources.schema import validated
 
-AMSL: Final = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_GLOBAL_INT)
-_ABOVE_HOME: Final = (
-    wire.MAV_FRAME_GLOBAL_RELATIVE_ALT,
-    wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
-)
-_ABOVE_TERRAIN: Final = (
-    wire.MAV_FRAME_GLOBAL_TERRAIN_ALT,
-    wire.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT,
-)
 _TERRAIN_MODES: Final = (3, 4)
 """AltitudeMode of QGroundControl: above terrain, sent as AMSL (3) or as it is (4)."""
-_PLACES: Final = (
-    wire.MAV_CMD_NAV_WAYPOINT,
-    wire.MAV_CMD_NAV_SPLINE_WAYPOINT,
-    wire.MAV_CMD_NAV_LOITER_UNLIM,
-    wire.MAV_CMD_NAV_LOITER_TURNS,
-    wire.MAV_CMD_NAV_LOITER_TIME,
-    wire.MAV_CMD_NAV_LOITER_TO_ALT,
-)
 _TAKE_OFFS: Final = (wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_CMD_NAV_TAKEOFF_LOCAL)
 _NOT_FLOWN: Final = (wire.MAV_CMD_NAV_DELAY, wire.MAV_CMD_NAV_ROI)
 """Of the commands up to MAV_CMD_NAV_LAST, those that may be left out."""
-_FIXED_WING, _COPTERS = 1, (2, 3, 4, 13, 14, 15, 29, 35)  # MAV_TYPE
 _REMEDY: Final = "Give a .plan that QGroundControl has saved."
 _MAX_TARGETS: Final = 1000
 _NAMED: Final = 3
@@ -136,9 +121,23 @@ class _Plan(_Json):
     rally: _Rally = Field(_Rally(), alias="rallyPoints")
 
 
+@dataclass(slots=True, kw_only=True)
+class Zones:
+    """The zones that a file holds, as tables of a mission file."""
+
+    keep_outs: list[RawTable] = field(default_factory=list)
+    keep_ins: list[RawTable] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    """What was left out or taken otherwise than it is written, for people."""
+
+    def add(self, zone: RawTable, *, inside: bool) -> None:
+        """A zone; inside: that the vehicle stays inside of."""
+        (self.keep_ins if inside else self.keep_outs).append(zone)
+
+
 @final
 @dataclass(slots=True, kw_only=True)
-class Plan:
+class Plan(Zones):
     """What a .plan or a waypoint list holds, as tables of a mission file and numbers."""
 
     name: str
@@ -156,18 +155,14 @@ class Plan:
     unknown_altitudes: list[tuple[str, float]] = field(default_factory=list)
     """Items at so many metres above terrain where it is not known how high that is."""
     end_action: str = "hold"
-    keep_outs: list[RawTable] = field(default_factory=list)
-    keep_ins: list[RawTable] = field(default_factory=list)
     rally_points: list[RawTable] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    """What was left out, for people."""
 
     def add_zone(self, name: str, where: str, inside: bool, *corners: Any, **shape: float) -> None:
         """A polygon of these corners, or a circle of radius_m about one; InputError (where)."""
         places = [place_deg(corner, where) for corner in corners]
         zone: RawTable = {"name": name}
         zone |= places[0] | shape if shape else {"vertices_deg": [[*p.values()] for p in places]}
-        (self.keep_ins if inside else self.keep_outs).append(zone)
+        self.add(zone, inside=inside)
 
     def add_items(self, items: Iterator[tuple[str, Item]], ground: Ground | None) -> None:
         """Add items with what they are called in errors; ground: as for `read_plan`."""
@@ -187,16 +182,16 @@ def read_plan(path: Path, where: str, ground: Ground | None = None) -> Plan:
     if found.get("fileType") != "Plan":
         raise InputError(where, str(path), "it is no QGroundControl plan", _REMEDY)
     content, name = validated(_Plan, found, path.name), path.name
-    mission, fence = content.mission, content.fence
+    mission, zones = content.mission, content.fence
     remedy = "Set it in QGroundControl (Mission Start)."
     plan = launched(name, mission.home, f"{name}: mission.plannedHomePosition", remedy)
     plan.kind = _kind(mission.vehicle_type, name)
     plan.speed_m_s = {"copter": mission.hover_speed_m_s, "plane": mission.cruise_speed_m_s}
-    for k, circle in enumerate(fence.circles):
+    for k, circle in enumerate(zones.circles):
         at, shape = f"{name}: geoFence.circles[{k}]", circle.circle
         zone = f"fence circle {k + 1}"
         plan.add_zone(zone, at, circle.inclusion, shape.center, radius_m=shape.radius)
-    for k, polygon in enumerate(fence.polygons):
+    for k, polygon in enumerate(zones.polygons):
         at = f"{name}: geoFence.polygons[{k}]"
         plan.add_zone(f"fence polygon {k + 1}", at, polygon.inclusion, *polygon.polygon)
     if len(plan.keep_ins) > 1:
@@ -270,10 +265,10 @@ class _Items:
 
     def _take_simple(self, item: Item, where: str) -> None:
         command, (latitude, longitude, _) = item.command, item.place
-        name = _enum_name("MAV_CMD", command)
+        name = _word("MAV_CMD", command)
         if command is None:
             raise InputError(f"{where}.command", None, "it is missing", _REMEDY)
-        if command in _PLACES:
+        if command in PLACES:
             self._take_place(item, command, where)
             if command == wire.MAV_CMD_NAV_LOITER_UNLIM:
                 self._plan.end_action, self._ended_by = "hold", name
@@ -322,18 +317,18 @@ class _Items:
     def _note_altitude(self, item: Item, where: str) -> float | None:
         """How high an item was meant to be, AMSL, if that can be known: remembered."""
         *_, given = item.place
-        if item.frame in _ABOVE_TERRAIN or item.altitude_mode in _TERRAIN_MODES:
+        if item.frame in TERRAIN_FRAMES or item.altitude_mode in _TERRAIN_MODES:
             altitude = self._above_terrain(item, given, where)
-        elif item.frame not in (*_ABOVE_HOME, *AMSL):
+        elif item.frame not in (*HOME_FRAMES, *AMSL_FRAMES):
             rule = "what its altitude is above is not known"
             remedy = "Give altitudes above launch or above mean sea level."
             raise InputError(f"{where}.frame", item.frame, rule, remedy)
-        elif self._home_moves and item.frame in _ABOVE_HOME:
+        elif self._home_moves and item.frame in HOME_FRAMES:
             rule = "do set home comes before it, so what its altitude is above is not known"
             remedy = "Remove that, or give altitudes above mean sea level."
             raise InputError(f"{where}.frame", item.frame, rule, remedy)
         else:
-            above_m = self._plan.home_amsl_m if item.frame in _ABOVE_HOME else 0.0
+            above_m = self._plan.home_amsl_m if item.frame in HOME_FRAMES else 0.0
             altitude = None if given is None else above_m + given
             if altitude is None and item.command not in _TAKE_OFFS:
                 self._note("without an altitude, so that of the one before", where)
@@ -345,7 +340,7 @@ class _Items:
         """By the plan's own word of it, else by the ground that is known there."""
         if item.above_terrain_amsl_m is not None:
             return item.above_terrain_amsl_m
-        if item.frame in AMSL and given not in (None, item.altitude_m):
+        if item.frame in AMSL_FRAMES and given not in (None, item.altitude_m):
             return given  # AltitudeMode 3: this is what is sent
         height_m = given if item.altitude_m is None else item.altitude_m
         if height_m is None:
@@ -371,17 +366,116 @@ class _Items:
 
 
 def _kind(vehicle_type: int, name: str) -> str | None:
-    if vehicle_type in (0, _FIXED_WING, *_COPTERS):
-        return {0: None, _FIXED_WING: "plane"}.get(vehicle_type, "copter")
-    rule = (
-        f"it is for {_enum_name('MAV_TYPE', vehicle_type)}, and only multicopters and planes are "
-        "flown"
-    )
+    if vehicle_type == 0 or vehicle_type in KINDS:
+        return KINDS.get(vehicle_type)  # 0: it does not say
+    what = _word("MAV_TYPE", vehicle_type)
+    rule = f"it is for {what}, and only multicopters and planes are flown"
     remedy = "Plan for one of these in QGroundControl."
     raise InputError(f"{name}: mission.vehicleType", vehicle_type, rule, remedy)
 
 
-def _enum_name(enum: str, value: int | None) -> str:
-    entry = wire.enums[enum].get(value)
-    known = str(entry.name) if entry is not None else f"{enum} {value}"
-    return known.removeprefix(f"{enum}_").lower().replace("_", " ")
+def _word(enum: str, number: int | None) -> str:
+    return (enum_word(enum, number) or f"{enum} {number}").lower().replace("_", " ")
+
+
+# --- lists of Mission Planner, MAVProxy and QGroundControl: one item a line (mavlink.io, "File
+# Formats"), line 0 of a mission is launch
+
+_HEAD: Final = "QGC WPL"
+_SAVE_AGAIN: Final = "Save it again with Mission Planner, MAVProxy or QGroundControl."
+_RALLY = wire.MAV_CMD_NAV_RALLY_POINT
+_Labelled = tuple[str, Item]
+"""How an item is called in errors, and the item."""
+
+
+def read_waypoint_list(path: Path, where: str, ground: Ground | None = None) -> Plan:
+    """The waypoints, fence and rally points of a list, as a plan; ground: as for `read_plan`.
+
+    Raises InputError about the field (where), or naming the item that cannot be taken.
+    """
+    items = _items(path, where)
+    remedy = "Set home before you save it. (A list of zones alone: name it as threats.)"
+    if not items or _is_of_zones(items[0][1]):
+        rule = "launch, its first item, has no latitude and longitude"
+        raise InputError(where, path.name, rule, remedy)
+    label, home = items.popleft()
+    plan = launched(path.name, home.place, f"{label} (launch)", remedy)
+    if home.frame not in AMSL_FRAMES:
+        said = f"of frame {home.frame}, is taken to be above mean sea level"
+        plan.notes.append(f"launch: its altitude, {plan.home_amsl_m:g} m {said}")
+    plan.add_items(_without_zones(items, plan), ground)
+    return plan
+
+
+def read_waypoint_fence(path: Path, where: str) -> Plan:
+    """The fence in such a list, which may lack a launch; InputError as above."""
+    items = _items(path, where)
+    plan = Plan(name=path.name, home_deg=(math.nan, math.nan), home_amsl_m=math.nan)
+    if items and not _is_of_zones(items[0][1]):
+        items.popleft()
+    plan.add_items(_without_zones(items, plan), None)
+    count = len(plan.targets)
+    plan.notes = [f"{path.name}: its {count} waypoints are not flown"] if count else []
+    return plan
+
+
+def _items(path: Path, where: str) -> deque[_Labelled]:
+    """By pymavlink, line by line: its `load` names no line, and takes the locale's encoding."""
+    from pymavlink import mavwp  # it is not needed by most missions
+
+    head, *lines = read_text(path, where, _SAVE_AGAIN).lstrip().splitlines()
+    if head.split() != [*_HEAD.split(), "110"]:
+        raise InputError(where, head.strip(), f"only {_HEAD} 110 is known", _SAVE_AGAIN)
+    loader = mavwp.MAVWPLoader()
+    for number, line in enumerate(lines, start=2):
+        try:
+            loader._read_waypoints_v110([line])
+        except (mavwp.MAVWPError, ValueError) as error:
+            label = f"{path.name}: line {number}"
+            raise InputError(label, line.strip()[:60], str(error)[:100], _SAVE_AGAIN) from None
+    found = deque[_Labelled]()
+    for number, item in enumerate(loader.wpoints):
+        label = f"{path.name}: item {number}"
+        numbers = [item.param1, item.param2, item.param3, item.param4, item.x, item.y, item.z]
+        if any(map(math.isinf, numbers)):
+            raise InputError(label, numbers, "it is made of finite numbers", _SAVE_AGAIN)
+        given = [None if math.isnan(each) else each for each in numbers]
+        goes_on, table = item.autocontinue != 0, {"command": item.command, "frame": item.frame}
+        found.append(
+            (label, Item.model_validate(table | {"params": given, "autoContinue": goes_on}))
+        )
+    return found
+
+
+def _is_of_zones(item: Item) -> bool:
+    """Whether it is of a fence or a rally point, and not of a mission."""
+    return fence.RETURN_POINT <= (item.command or 0) <= _RALLY
+
+
+def _without_zones(items: deque[_Labelled], plan: Plan) -> Iterator[_Labelled]:
+    """Add circles, polygons, whose corners follow one another, and rally points; other items."""
+    while items:
+        label, item = items.popleft()
+        command, size = item.command or 0, item.params[0] or 0.0
+        number = len(plan.keep_ins) + len(plan.keep_outs) + 1
+        inside = command in (fence.POLYGON_IN, fence.CIRCLE_IN)
+        if command in (fence.POLYGON_IN, fence.POLYGON_OUT):
+            corners = [item.place]
+            while (
+                items
+                and len(corners) < size
+                and (items[0][1].command, items[0][1].params[0]) == (command, size)
+            ):
+                corners.append(items.popleft()[1].place)
+            if len(corners) != size or size < 3:
+                rule = f"its polygon has {len(corners)} of {size:g} corners"
+                raise InputError(label, size, rule, _SAVE_AGAIN)
+            plan.add_zone(f"fence polygon {number}", label, inside, *corners)
+        elif command in (fence.CIRCLE_IN, fence.CIRCLE_OUT):
+            if not size > 0.0:
+                raise InputError(label, size, "a circle has a radius above 0", _SAVE_AGAIN)
+            plan.add_zone(f"fence circle {number}", label, inside, item.place, radius_m=size)
+        elif command == _RALLY:
+            plan.rally_points.append(place_deg(item.place, label))
+        elif command != fence.RETURN_POINT:
+            yield label, item

@@ -94,16 +94,6 @@ class AreaTable(Table):
         return (self.north_min_m, self.north_max_m), (self.east_min_m, self.east_max_m)
 
 
-class RadarTable(Table):
-    """A radar of a world."""
-
-    name: str
-    north_m: Horizontal
-    east_m: Horizontal
-    altitude_amsl_m: Altitude
-    range_m: Positive
-
-
 class PeakTable(Table):
     """A mountain of eq. 1."""
 
@@ -147,7 +137,7 @@ class WorldTable(Table):
     name: str
     origin: OriginTable
     terrain: TerrainTable
-    radars: list[RadarTable] = []
+    radars: list[dict[str, Any]] = []
     vehicle: WorldVehicleTable
     scanner: dict[str, Any] = {}
     trees: list[dict[str, Any]] = []

@@ -5,6 +5,7 @@ Both firmwares throw a receiver's position away that is 50 m off, and believe it
 """
 
 import math
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +19,6 @@ from companion.mavlink.frames import number_of
 from companion.mavlink.link import Output
 from companion.mission.mission import AutopilotName
 from companion.mission.state import Phase, Reason
-from companion.runtime.recorder import Writer
 
 BEGINS_S, GLITCH_S, WRONG_M = 75.0, 30.0, 12.0
 GIVES_IN_S = 11.0
@@ -38,17 +38,14 @@ class Seen(NamedTuple):
 
 
 class Setpoints:
-    """A writer that counts them on their way to another."""
+    """Counts them on their way to what records them."""
 
-    def __init__(self, writer: Writer) -> None:
-        self.writer, self.sent = writer, 0
+    def __init__(self, record: Callable[[Output], None]) -> None:
+        self.record, self.sent = record, 0
 
-    def put(self, out: Output) -> None:
+    def count(self, out: Output) -> None:
         self.sent += sum(number_of(frame) == SETPOINT for _, frame in out.record)
-        self.writer.put(out)
-
-    def close(self) -> None:
-        self.writer.close()
+        self.record(out)
 
 
 def flown(
@@ -61,12 +58,13 @@ def flown(
     files = FlightFiles(world=world, mission=mission, faults=glitch, folder=folder / "run")
     until_s = BEGINS_S + GLITCH_S + GIVES_IN_S + CLEARS_S + 5.0
     flying = Flying(files, seed=1, limit_s=until_s)
-    flying.loop.writer = writer = Setpoints(flying.loop.writer)
+    counted = Setpoints(flying.loop.record)
+    flying.loop.record = counted.count
     seen = []
     while flying.flies and flying.now_s < until_s:
         flying.fly_on(1e6 * (flying.now_s + 0.1))
-        state, sent = flying.loop.session.state, writer.sent
-        writer.sent = 0
+        state, sent = flying.loop.session.state, counted.sent
+        counted.sent = 0
         if state.vehicle.position_nea_m is not None:
             seen.append(Seen(flying.now_s, state.phase, state.vehicle.position_nea_m, sent))
     flying.close()

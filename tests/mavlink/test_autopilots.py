@@ -22,7 +22,6 @@ from companion.mavlink.autopilots import (
     PX4_FIXED_WING,
     PX4_MULTICOPTER,
     Autopilot,
-    LaunchPose,
     autopilot_of,
     described,
 )
@@ -167,8 +166,8 @@ CLIMB = TakeOff(above_home_m=60.0, altitude_amsl_m=548.0)
 
 
 def take_off(autopilot: Autopilot, heading_rad: float, command: TakeOff = CLIMB) -> Any:
-    here = LaunchPose(position_nea_m=CORNER, heading_rad=heading_rad)
-    messages = autopilot.take_off(command, here, FRAME, SYSTEM)
+    heading_rad -= FRAME.grid_north_rad(*CORNER[:2])
+    messages = autopilot.take_off(command, CORNER, heading_rad, FRAME, SYSTEM)
     return over_the_wire(messages[0]) if messages else None
 
 

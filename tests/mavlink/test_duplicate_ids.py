@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.mavlink.dialect import codec, wire
-from companion.mavlink.who import DuplicateIdDetector
+from companion.mavlink.link import DuplicateIdDetector
 from companion.mission.events import DuplicateId
 
 SYSTEM = 7

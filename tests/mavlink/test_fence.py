@@ -15,13 +15,8 @@ from planning import limits
 
 from companion.geodesy import LocalFrame, deg_e7
 from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER
-from companion.mavlink.fence import (
-    Fence,
-    conflicts,
-    drawn,
-    in_force,
-    targets_of,
-)
+from companion.mavlink.fence import Fence, conflicts, drawn, in_force
+from companion.mavlink.mission_items import targets_of
 from companion.mavlink.plan_client import PlanItem
 from companion.mission.mission import EndAction
 from companion.planner.settings import PlannerSettings, Task

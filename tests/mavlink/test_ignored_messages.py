@@ -25,7 +25,7 @@ READ_FROM_LOGS_ONLY = (
     "mavlink/near_sensing.py",
     "mavlink/near_scanner.py",
     "mavlink/rangefinder.py",
-    "mavlink/streams.py",
+    "mavlink/autopilot_client.py",
 )
 
 

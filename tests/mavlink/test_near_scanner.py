@@ -12,6 +12,7 @@ from wires import wire
 
 from companion.config import load_mission
 from companion.mavlink.near_scanner import NearScanner
+from companion.mavlink.poses import Poses
 from companion.mission.events import ScanDone
 from companion.mission.mission import Mission
 from companion.mission.state import State
@@ -47,7 +48,8 @@ class Standing:
 
     def __init__(self) -> None:
         self.mission = mission()
-        self.scanner, self.state = NearScanner(self.mission), fresh(self.mission)
+        self.poses, self.state = Poses(self.mission.frame), fresh(self.mission)
+        self.scanner = NearScanner(self.mission, self.poses)
         self.now_s = 100.0
 
     def tick(self, *messages: Any, thing: bool = True) -> Any:
@@ -59,8 +61,8 @@ class Standing:
 
     def move_on(self, by_s: float = PERIOD_S) -> Any:
         self.now_s += by_s
-        self.scanner.on_message(attitude(self.now_s), self.now_s)
-        self.scanner.on_position(self.now_s, HERE_NEA_M)
+        self.poses.on_attitude(attitude(self.now_s))
+        self.poses.on_position(self.now_s, HERE_NEA_M)
         return self.scanner.seen(self.now_s)
 
     def run(self, count: int, *, thing: bool = True) -> "Standing":
@@ -70,7 +72,7 @@ class Standing:
 
     def scan(self, *, takes: bool = True) -> ScanDone:
         """A whole scan; takes: the mission puts it on its map."""
-        self.scanner.begin(HERE_NEA_M, self.state, self.now_s)
+        self.scanner.begun(HERE_NEA_M, self.state, self.now_s)
         self.tick()
         done = self.scanner.done(self.now_s)
         assert done is not None
@@ -103,13 +105,13 @@ def test_a_scan_puts_on_the_map_what_is_free_what_is_closed_and_nothing_else() -
 
 def test_a_later_scan_takes_back_what_is_not_free_any_more_and_frees_what_has_gone() -> None:
     it = Standing().run(20, thing=False)
-    it.scanner.begin(HERE_NEA_M, it.state, it.now_s)
+    it.scanner.begun(HERE_NEA_M, it.state, it.now_s)
     it.scan()
     it.run(10)
     it.scan()
     assert it.upper_m(20.0 + THING_M, 20.0) > CEILING_AMSL_M
     it.run(40, thing=False)
-    it.scanner.begin(HERE_NEA_M, it.state, it.now_s)
+    it.scanner.begun(HERE_NEA_M, it.state, it.now_s)
     it.tick(thing=False)
     done = it.scanner.done(it.now_s)
     assert done is not None
@@ -122,7 +124,6 @@ def test_what_a_scan_told_that_nobody_took_is_told_again() -> None:
     one, other = Standing().run(20), Standing().run(20)
     for it in (one, other):
         it.scan(takes=it is one)
-        it.scanner.stop()
         it.scan()
     np.testing.assert_array_equal(one.state.flight.known.upper_m, other.state.flight.known.upper_m)
     assert np.isfinite(other.state.flight.known.upper_m).any()
@@ -132,20 +133,18 @@ def test_a_scan_of_a_sensor_that_says_nothing_new_changes_nothing() -> None:
     it = Standing().run(20)
     it.scan()
     before = it.state.flight.known
-    it.scanner.begin(HERE_NEA_M, it.state, it.now_s)
+    it.scanner.begun(HERE_NEA_M, it.state, it.now_s)
     it.move_on(1.0)
     it.move_on()
     done = it.scanner.done(it.now_s)
     assert done is not None
     assert (done.asked, done.answered) == (1, 0)
     np.testing.assert_array_equal(before.with_scan(done.scan).upper_m, before.upper_m)
-    assert it.scanner.done(it.now_s) is None
-    assert not it.scanner.is_on
 
 
 def test_a_scan_waits_for_the_next_sweep_and_no_longer_than_it_may_take() -> None:
     it = Standing().run(5)
-    it.scanner.begin(HERE_NEA_M, it.state, it.now_s)
+    it.scanner.begun(HERE_NEA_M, it.state, it.now_s)
     assert it.scanner.done(it.now_s) is None
     it.move_on(0.15)
     assert it.scanner.done(it.now_s) is None
@@ -157,13 +156,13 @@ def test_a_healthy_sensor_of_the_autopilot_that_sees_nothing_has_answered() -> N
     near = mission().near
     assert near is not None
     of = replace(mission(), near=replace(near, kind="distance_sensor", component_id=1))
-    scanner, bit = NearScanner(of), wire.MAV_SYS_STATUS_SENSOR_PROXIMITY
+    scanner, bit = NearScanner(of, Poses(of.frame)), wire.MAV_SYS_STATUS_SENSOR_PROXIMITY
     for now_s, answered in ((100.0, 1), (105.0, 0)):
         scanner.on_message(health(bit, well=bool(answered)), now_s)
         seen = scanner.seen(now_s)
         assert seen is not None
         assert seen.sight is (Sight.NOTHING_THERE if answered else Sight.NEVER_HEARD)
-        scanner.begin(HERE_NEA_M, fresh(of), now_s)
+        scanner.begun(HERE_NEA_M, fresh(of), now_s)
         done = scanner.done(now_s + 1.0)
         assert done is not None
         assert done.answered == answered

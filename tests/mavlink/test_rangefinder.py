@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from lidars import attitude, beam
 from wires import FRAME
 
+from companion.mavlink.poses import Poses
 from companion.mavlink.rangefinder import Rangefinder
 from companion.mission.events import GroundSeen
 from companion.world.known_map import KnownMap
@@ -34,17 +35,18 @@ class Hovering:
 
     def __init__(self, of: KnownMap, *, lean: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
         self.known, self.lean, self.now_s = of, lean, 50.0
-        self.finder = Rangefinder(FRAME, ERROR_M)
+        self.poses = Poses(FRAME)
+        self.finder = Rangefinder(self.poses, ERROR_M)
 
     def reads(self, *distances_m: float, **fields: Any) -> list[GroundSeen]:
         """What it makes of these, one after the other, and a position after each."""
         found = []
         for distance_m in distances_m:
-            self.finder.on_message(attitude(self.now_s, *self.lean), self.now_s)
+            self.poses.on_attitude(attitude(self.now_s, *self.lean))
             values = {"orientation": 25, "max_distance": 4000, "id": 0, **fields}
             read = beam(self.now_s, round(100.0 * distance_m), **values)
             self.finder.on_message(read, self.now_s)
-            self.finder.on_position(self.now_s, (0.0, 0.0, ALTITUDE_M))
+            self.poses.on_position(self.now_s, (0.0, 0.0, ALTITUDE_M))
             if (seen := self.finder.seen(self.now_s, self.known)) is not None:
                 found.append(seen)
             self.now_s += 0.1

@@ -3,7 +3,7 @@
 import pytest
 
 from companion.errors import InputError
-from companion.runtime.connection import Address, Device, parsed
+from companion.runtime.connection import Connection, parsed
 from companion.runtime.link import open_link
 
 BY_PATH = "/dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0"
@@ -23,7 +23,7 @@ BY_PATH = "/dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0"
     ],
 )
 def test_networks(text: str, kind: str, host: str, port: int) -> None:
-    assert parsed(text) == Address(text=text, kind=kind, host=host, port=port)
+    assert parsed(text) == Connection(text, kind, host, port)
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_networks(text: str, kind: str, host: str, port: int) -> None:
     ],
 )
 def test_serial_ports(text: str, name: str, baud: int) -> None:
-    assert parsed(text) == Device(text=text, name=name, baud=baud)
+    assert parsed(text) == Connection(text, "serial", name, baud)
 
 
 NONSENSE = (

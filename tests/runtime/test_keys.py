@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from companion.errors import InputError
 from companion.mavlink.dialect import codec, wire
 from companion.mavlink.signing import TICKS_PER_S, key_of, timestamp_of
-from companion.runtime.keys import SAVE_EVERY_S, SigningKey, StoredTimestamp, first_timestamp
+from companion.runtime.keys import SAVE_EVERY_S, SigningKey, first_timestamp
 
 CLOCK_S = 1_790_000_000.0
 PHRASE = "correct horse battery staple"
@@ -102,8 +102,8 @@ def test_a_new_process_is_above_all_that_the_last_one_used(
     ahead_s: float, ran_s: float, jump_s: float, down_s: float
 ) -> None:
     """Killed up to SAVE_EVERY_S after it kept its time, on a clock that may jump back."""
-    kept = StoredTimestamp(timestamp=timestamp_of(CLOCK_S + ahead_s), clock_s=CLOCK_S)
-    used = kept.timestamp + round(ran_s * TICKS_PER_S)
+    kept = timestamp_of(CLOCK_S + ahead_s), CLOCK_S
+    used = kept[0] + round(ran_s * TICKS_PER_S)
     clock_s = CLOCK_S + ran_s + down_s + min(jump_s, 0.0)
     went_back_unseen = clock_s >= CLOCK_S and jump_s < 0.0
     if not went_back_unseen:
@@ -115,10 +115,8 @@ def test_restarts_hardly_run_ahead_of_the_clock() -> None:
     clock_s = CLOCK_S
     stamp = timestamp_of(clock_s)
     for _ in range(50):
-        kept = StoredTimestamp(timestamp=stamp, clock_s=clock_s)
+        kept = (stamp, clock_s)
         clock_s += 10.0
         stamp = first_timestamp(clock_s, kept)
     assert stamp <= timestamp_of(clock_s) + 59 * TICKS_PER_S
-    assert first_timestamp(clock_s + 3600.0, StoredTimestamp(timestamp=stamp, clock_s=clock_s)) == (
-        timestamp_of(clock_s + 3600.0)
-    )
+    assert first_timestamp(clock_s + 3600.0, (stamp, clock_s)) == (timestamp_of(clock_s + 3600.0))

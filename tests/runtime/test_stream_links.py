@@ -415,14 +415,14 @@ def test_an_order_is_given_to_the_computer_at_once_and_never_dropped(
 def test_a_device_is_opened_by_one_program_only(terminal: Terminal) -> None:
     with (
         open_link(terminal.name),
-        pytest.raises(InputError, match="End the program that uses the device"),
+        pytest.raises(InputError, match="end the program that uses it"),
     ):
         open_link(terminal.name)
 
 
 def test_what_is_no_serial_port_is_an_input_error_with_its_remedy(tmp_path: Path) -> None:
     (tmp_path / "a-file").write_text("", encoding="utf-8")
-    for name, remedy in (("nothing-here", r"No such file.*Plug the device in"), ("a-file", "Give")):
+    for name, remedy in (("nothing-here", r"No such file.*plug a device in"), ("a-file", "Give")):
         with pytest.raises(InputError, match=remedy) as caught:
             open_link(str(tmp_path / name))
         assert "\n" not in str(caught.value)

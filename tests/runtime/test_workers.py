@@ -28,7 +28,7 @@ from stub_session import (
 from companion.mavlink.link import Output
 from companion.mission.events import End, Outcome
 from companion.planner.request import PlanRequest
-from companion.runtime import loop, planning, recorder, watchdog
+from companion.runtime import loop, planner_process, recorder, watchdog
 from companion.runtime.compiler import load_libraries
 from companion.runtime.planner_process import PlannerProcess
 from companion.telemetry.flight_summary import FlightSummary
@@ -163,7 +163,7 @@ def test_a_planner_that_stands_still_is_dead_some_time_after_its_time(
 ) -> None:
     """An endless loop that computes: it must not take the others' share of the interpreter."""
     slack_s = 0.3
-    monkeypatch.setattr(planning, "_SLACK_S", slack_s)
+    monkeypatch.setattr(planner_process, "_SLACK_S", slack_s)
     over = threading.Event()
 
     def endless(request: PlanRequest, _stop: object) -> Any:

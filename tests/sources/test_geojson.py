@@ -13,7 +13,8 @@ from spoiled import collection, feature, refusal, replace_somewhere
 
 from companion.config import load_mission, mission_text
 from companion.errors import InputError
-from companion.sources.geojson import Threats, read_geojson
+from companion.sources.geojson import read_geojson
+from companion.sources.plan_file import Zones
 
 RING = [[8.0, 47.0], [8.1, 47.0], [8.1, 47.2], [8.0, 47.0]]
 HOLE = [[8.04, 47.02], [8.08, 47.02], [8.08, 47.1], [8.04, 47.02]]
@@ -24,7 +25,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("geojson") / "threats.geojson"
 
 
-def read(path: Path, content: Any) -> Threats:
+def read(path: Path, content: Any) -> Zones:
     path.write_text(json.dumps(content), encoding="utf-8")
     return read_geojson(path, "mission.toml: threats")
 

@@ -16,8 +16,7 @@ from spoiled import JUNK, refusal
 from companion.config import load_mission, mission_text
 from companion.errors import InputError
 from companion.mission.mission import EndAction
-from companion.sources.plan_file import Plan, read_plan
-from companion.sources.waypoint_file import read_waypoint_fence, read_waypoint_list
+from companion.sources.plan_file import Plan, read_plan, read_waypoint_fence, read_waypoint_list
 
 WAYPOINT, TAKE_OFF, RETURN = 16, 22, 20
 HOME = (0, 16, (0, 0, 0, 0), 47.4, 8.55, 400.0)

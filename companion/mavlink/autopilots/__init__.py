@@ -4,10 +4,9 @@ from companion.mavlink.autopilots.arducopter import ARDUCOPTER as ARDUCOPTER
 from companion.mavlink.autopilots.arduplane import ARDUPLANE as ARDUPLANE
 from companion.mavlink.autopilots.common import KINDS
 from companion.mavlink.autopilots.common import Autopilot as Autopilot
-from companion.mavlink.autopilots.common import LaunchPose as LaunchPose
 from companion.mavlink.autopilots.px4_fixed_wing import PX4_FIXED_WING as PX4_FIXED_WING
 from companion.mavlink.autopilots.px4_multicopter import PX4_MULTICOPTER as PX4_MULTICOPTER
-from companion.mavlink.dialect import Message, wire
+from companion.mavlink.dialect import Message, enum_word
 
 ALL: tuple[Autopilot, ...] = (ARDUCOPTER, ARDUPLANE, PX4_MULTICOPTER, PX4_FIXED_WING)
 NAMES = tuple(autopilot.name for autopilot in ALL)
@@ -34,9 +33,5 @@ def described(heartbeat: Message) -> str:
     autopilot = autopilot_of(heartbeat)
     if autopilot is not None:
         return autopilot.name
-    return f"{_word('MAV_AUTOPILOT', heartbeat.autopilot)}, {_word('MAV_TYPE', heartbeat.type)}"
-
-
-def _word(enum: str, number: int) -> str:
-    entry = wire.enums[enum].get(number)
-    return f"{enum} {number}" if entry is None else entry.name.removeprefix(f"{enum}_").lower()
+    both = {"MAV_AUTOPILOT": heartbeat.autopilot, "MAV_TYPE": heartbeat.type}
+    return ", ".join(enum_word(*each).lower() or f"{each[0]} {each[1]}" for each in both.items())

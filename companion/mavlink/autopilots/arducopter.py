@@ -10,10 +10,10 @@ from typing import Final
 from companion.geodesy import LocalFrame
 from companion.mavlink import rules
 from companion.mavlink.autopilots import ardupilot, messages
-from companion.mavlink.autopilots.common import Autopilot, LaunchPose
+from companion.mavlink.autopilots.common import Autopilot
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.rules import CENTI, Case, Finding, Rule, only_read
-from companion.mission.events import Mode, TakeOff
+from companion.mission.events import Mode, TakeOff, Vector
 from companion.mission.mission import Mission
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 from companion.path.envelope import Handling
@@ -22,13 +22,12 @@ _ECHO = wire.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED
 
 
 def _take_off(
-    command: TakeOff, here: LaunchPose, frame: LocalFrame, system_id: int
+    command: TakeOff, _here: Vector, _heading_rad: float, _frame: LocalFrame, system_id: int
 ) -> list[Message]:
     """NAV_TAKEOFF to a height above home, in GUIDED and armed.
 
     Any setpoint before EXTENDED_SYS_STATE says `in air` abandons it.
     """
-    del here, frame
     height_m = command.above_home_m
     if not 0.0 < height_m < messages.HIGHEST_AMSL_M:
         return []

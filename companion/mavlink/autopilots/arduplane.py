@@ -11,10 +11,10 @@ from typing import Final
 from companion.geodesy import LocalFrame, deg
 from companion.mavlink import rules
 from companion.mavlink.autopilots import ardupilot, messages
-from companion.mavlink.autopilots.common import Autopilot, LaunchPose
+from companion.mavlink.autopilots.common import Autopilot
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.rules import CENTI, Case, Finding, Rule, only_read
-from companion.mission.events import Echo, Mode, Setpoint, TakeOff
+from companion.mission.events import Echo, Mode, Setpoint, TakeOff, Vector
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 from companion.path.envelope import PLANE
 
@@ -30,14 +30,13 @@ _CLOCKWISE = 0.0
 
 
 def _take_off(
-    command: TakeOff, here: LaunchPose, frame: LocalFrame, system_id: int
+    _command: TakeOff, _here: Vector, _heading_rad: float, _frame: LocalFrame, system_id: int
 ) -> list[Message]:
     """Mode TAKEOFF, which climbs to its parameter TKOFF_ALT straight ahead, then circles.
 
     It starts rolling as soon as it is armed, and takes no height.  The rest of the climb to the
     mission's height is flown in GUIDED, on a circle.
     """
-    del command, here, frame
     return [messages.set_mode(system_id, wire.PLANE_MODE_TAKEOFF)]
 
 
@@ -53,14 +52,15 @@ def _setpoint(
     setpoint: Setpoint, frame: LocalFrame, system_id: int, loiter_radius_m: float
 ) -> list[Message] | None:
     """DO_REPOSITION without the change to GUIDED: a pilot who took over keeps control."""
-    aimed = messages.aim(setpoint, frame)
-    if aimed is None or not math.isfinite(loiter_radius_m):
+    whole = messages.position_target(setpoint, frame, system_id)  # None: no number of it is sent
+    if whole is None or not math.isfinite(loiter_radius_m):
         return None
     radius_m = _FOLLOWING_RADIUS_M
     if setpoint.stay:
         narrower_m = max(loiter_radius_m - _WIDER_M, 0.5 * loiter_radius_m)
         radius_m = narrower_m if loiter_radius_m > 0.0 else _CIRCLE_M
-    to = system_id, aimed[0], setpoint.position_nea_m[2]
+    place_e7 = whole[0].lat_int, whole[0].lon_int
+    to = system_id, place_e7, setpoint.position_nea_m[2]
     return [messages.reposition(*to, switch=False, radius_m=radius_m, yaw_rad=_CLOCKWISE)]
 
 

@@ -29,16 +29,6 @@ _FAILSAFE = (wire.MAV_STATE_CRITICAL, wire.MAV_STATE_EMERGENCY)
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LaunchPose:
-    """Position and heading before take-off."""
-
-    position_nea_m: events.Vector
-    heading_rad: float
-    """Where its nose points, clockwise from true north (`heading_rad` of GLOBAL_POSITION_INT)."""
-
-
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Modes:
     """Modes of a firmware, or of a vehicle type where they differ within it."""
@@ -117,10 +107,11 @@ class Autopilot:
     """Message ids to ask for by REQUEST_MESSAGE until they have come: never streamed."""
     decoders: Mapping[int, Decoder]
     """Message id -> decoder, for messages that differ between autopilots."""
-    take_off: Callable[[events.TakeOff, LaunchPose, LocalFrame, int], list[Message]]
+    take_off: Callable[[events.TakeOff, events.Vector, float, LocalFrame, int], list[Message]]
     """Take-off command; the sequence of mode, arming and this is `traits.take_off`.
 
-    (command, here, frame, system_id); empty if a value is not finite or out of range.
+    (command, where it stands, where its nose points in the frame, frame, system_id); empty if a
+    value is not finite or out of range.
     """
     setpoint: SetpointEncoder
     """The only function that encodes setpoints."""

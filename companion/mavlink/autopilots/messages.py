@@ -5,11 +5,12 @@ wire: latitude and longitude in 1e-7 degrees, true-north NED.  Values that are n
 range are never sent.
 """
 
+import cmath
 import math
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from companion.geodesy import LocalFrame, rotate
+from companion.geodesy import LocalFrame
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mission import events
 
@@ -32,7 +33,8 @@ POSITION_VELOCITY = 3520
 POSITION = 3576
 """type_mask: everything but the position is ignored."""
 _E7 = 1e-7  # degrees in the wire's unit of them
-NO_HEADING = 65535
+_NO_HEADING = 65535
+_NOTHING = (0.0, 0.0, 0.0)
 _LANDED = {
     wire.MAV_LANDED_STATE_UNDEFINED: events.Landed.UNKNOWN,
     wire.MAV_LANDED_STATE_ON_GROUND: events.Landed.ON_GROUND,
@@ -55,12 +57,12 @@ def position(
     if place is None:
         return None
     turn, heading = -frame.grid_north_rad(place[0], place[1]), message.hdg
-    north_m_s, east_m_s = rotate(message.vx * 0.01, message.vy * 0.01, turn)
+    over_ground = complex(message.vx * 0.01, message.vy * 0.01) * cmath.rect(1.0, turn)
     return events.Position(
         time_s=message.time_boot_ms * 1e-3,
         position_nea_m=place,
-        velocity_nea_m_s=(north_m_s, east_m_s, -message.vz * 0.01),
-        heading_rad=None if heading == NO_HEADING else math.radians(heading * 0.01) + turn,
+        velocity_nea_m_s=(over_ground.real, over_ground.imag, -message.vz * 0.01),
+        heading_rad=None if heading == _NO_HEADING else math.radians(heading * 0.01) + turn,
     )
 
 
@@ -73,19 +75,17 @@ def _gps(message: Message, now_s: float, *_: object) -> events.GpsFix:
     return events.GpsFix(time_s=now_s, good=message.fix_type >= wire.GPS_FIX_TYPE_3D_FIX)
 
 
-def _home(message: Message, now_s: float, frame: LocalFrame, *_: object) -> events.Home | None:
-    place = _place(message, frame)
-    return None if place is None else events.Home(time_s=now_s, position_nea_m=place)
+def _placed(kind: type[events.Home | events.Origin]) -> Decoder:
+    """HOME_POSITION or GPS_GLOBAL_ORIGIN, once there is one."""
 
+    def decode(
+        message: Message, now_s: float, frame: LocalFrame, *_: object
+    ) -> events.Home | events.Origin | None:
+        latitude, longitude = message.latitude * _E7, message.longitude * _E7
+        place = place_of(latitude, longitude, message.altitude * 1e-3, frame)
+        return None if place is None else kind(time_s=now_s, position_nea_m=place)
 
-def _origin(message: Message, now_s: float, frame: LocalFrame, *_: object) -> events.Origin | None:
-    place = _place(message, frame)
-    return None if place is None else events.Origin(time_s=now_s, position_nea_m=place)
-
-
-def _place(message: Message, frame: LocalFrame) -> events.Vector | None:
-    latitude, longitude = message.latitude * _E7, message.longitude * _E7
-    return place_of(latitude, longitude, message.altitude * 1e-3, frame)
+    return decode
 
 
 def _battery(message: Message, now_s: float, *_: object) -> events.Battery | None:
@@ -103,8 +103,8 @@ DECODERS: Final[Mapping[int, Decoder]] = {
     wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: position,
     wire.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _landed,
     wire.MAVLINK_MSG_ID_GPS_RAW_INT: _gps,
-    wire.MAVLINK_MSG_ID_HOME_POSITION: _home,
-    wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _origin,
+    wire.MAVLINK_MSG_ID_HOME_POSITION: _placed(events.Home),
+    wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _placed(events.Origin),
     wire.MAVLINK_MSG_ID_SYS_STATUS: _battery,
     wire.MAVLINK_MSG_ID_BATTERY_STATUS: _one_battery,
 }
@@ -143,30 +143,6 @@ def is_nowhere(latitude_deg: float, longitude_deg: float) -> bool:
 # --- out
 
 
-def aim(
-    setpoint: events.Setpoint, frame: LocalFrame
-) -> tuple[tuple[int, int], events.Vector, float] | None:
-    """Latitude and longitude in 1e-7 degrees, velocity in true-north NED, yaw of a setpoint.
-
-    Yaw is clockwise from true north, within half a turn.  None if any value is not finite or out of
-    range.
-    """
-    velocity = setpoint.velocity_nea_m_s
-    numbers = math.isfinite(setpoint.yaw_rad) and 0.0 <= setpoint.time_s < _LATEST_S
-    if not (numbers and math.hypot(*velocity) <= _FASTEST_M_S):  # NaN is not
-        return None
-    position = setpoint.position_nea_m
-    place = wire_place(position, frame)
-    if place is None:
-        return None
-    turn = frame.grid_north_rad(position[0], position[1])
-    north_m_s, east_m_s = rotate(velocity[0], velocity[1], turn)
-    yaw_rad = math.remainder(setpoint.yaw_rad + turn, math.tau)
-    if not all(map(math.isfinite, (north_m_s, east_m_s, yaw_rad))):
-        return None
-    return place, (north_m_s, east_m_s, -velocity[2]), yaw_rad
-
-
 def wire_place(position_nea_m: events.Vector, frame: LocalFrame) -> tuple[int, int] | None:
     """Latitude and longitude, 1e-7 degrees; None for an invalid destination."""
     north_m, east_m, altitude_m = position_nea_m
@@ -189,19 +165,29 @@ def position_target(
 ) -> list[Message] | None:
     """SET_POSITION_TARGET_GLOBAL_INT in frame 5: AMSL, which all autopilots get right.
 
-    By default position, velocity and yaw, for multicopters: to hold is a velocity of zero.
+    By default position, velocity and yaw, for multicopters: to hold is a velocity of zero.  Yaw is
+    clockwise from true north, within half a turn.  None as for `SetpointEncoder`.
     """
-    aimed = aim(setpoint, frame)
-    if aimed is None:
+    position, velocity = setpoint.position_nea_m, setpoint.velocity_nea_m_s
+    numbers = math.isfinite(setpoint.yaw_rad) and 0.0 <= setpoint.time_s < _LATEST_S
+    if not (numbers and math.hypot(*velocity) <= _FASTEST_M_S):  # NaN is not
         return None
-    place_e7, velocity_ned_m_s, yaw_rad = aimed
-    nothing = (0.0, 0.0, 0.0)
-    stands = setpoint.stay and type_mask == POSITION_VELOCITY_YAW
+    place_e7 = wire_place(position, frame)
+    if place_e7 is None:
+        return None
+    turn_rad = frame.grid_north_rad(position[0], position[1])
+    if not math.isfinite(turn_rad):
+        return None
+    over_ground = complex(velocity[0], velocity[1]) * cmath.rect(1.0, turn_rad)  # north + east j
+    yaw_rad = math.remainder(setpoint.yaw_rad + turn_rad, math.tau)
+    velocity_ned_m_s = over_ground.real, over_ground.imag, -velocity[2]
+    if setpoint.stay and type_mask == POSITION_VELOCITY_YAW:
+        velocity_ned_m_s = _NOTHING
     to = system_id, AUTOPILOT_COMPONENT, wire.MAV_FRAME_GLOBAL_INT, type_mask
-    where = *place_e7, setpoint.position_nea_m[2], *(nothing if stands else velocity_ned_m_s)
     return [
         wire.MAVLink_set_position_target_global_int_message(
-            round(setpoint.time_s * 1e3), *to, *where, *nothing, yaw_rad, 0.0
+            *(round(setpoint.time_s * 1e3), *to, *place_e7, position[2]),
+            *(*velocity_ned_m_s, *_NOTHING, yaw_rad, 0.0),
         )
     ]
 

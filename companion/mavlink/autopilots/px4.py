@@ -33,26 +33,14 @@ _MODES: Mapping[Mode, tuple[int, int]] = {
 """Main and sub mode; custom_mode is main << 16 | sub << 24."""
 _PRECISION_LAND = (_AUTO, 9)
 _BY_NUMBER = {numbers: mode for mode, numbers in _MODES.items()} | {_PRECISION_LAND: Mode.LAND}
-_MAIN_NAMES = {
-    1: "Manual",
-    2: "Altitude",
-    3: "Position",
-    5: "Acro",
-    6: "Offboard",
-    7: "Stabilized",
-    8: "Rattitude",
-}
-_AUTO_NAMES = {
-    1: "Ready",
-    2: "Takeoff",
-    3: "Hold",
-    4: "Mission",
-    5: "Return",
-    6: "Land",
-    8: "Follow Target",
-    9: "Precision Land",
-    10: "VTOL Takeoff",
-}
+_MAIN_NAMES: Final = (
+    *("", "Manual", "Altitude", "Position", "", "Acro", "Offboard", "Stabilized", "Rattitude"),
+)
+_AUTO_NAMES: Final = (
+    *("", "Ready", "Takeoff", "Hold", "Mission", "Return", "Land", "", "Follow Target"),
+    *("Precision Land", "VTOL Takeoff"),
+)
+"""By number; empty: there is none."""
 _NEEDED = (
     wire.ESTIMATOR_ATTITUDE
     | wire.ESTIMATOR_VELOCITY_HORIZ
@@ -89,8 +77,8 @@ def _numbers(custom_mode: int) -> tuple[int, int]:
 def _name_of(custom_mode: int) -> str:
     """As PX4's ground stations call it."""
     main, sub = _numbers(custom_mode)
-    name = _AUTO_NAMES.get(sub) if main == _AUTO else _MAIN_NAMES.get(main)
-    return name or f"mode {main}.{sub}"
+    names, number = (_AUTO_NAMES, sub) if main == _AUTO else (_MAIN_NAMES, main)
+    return "".join(names[number : number + 1]) or f"mode {main}.{sub}"
 
 
 MODES: Final = Modes(  # the failsafe DESCEND is told as LAND

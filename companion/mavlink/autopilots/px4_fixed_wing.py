@@ -11,7 +11,7 @@ from typing import Final
 from companion.geodesy import LocalFrame
 from companion.mavlink import rules
 from companion.mavlink.autopilots import messages, px4
-from companion.mavlink.autopilots.common import Autopilot, LaunchPose
+from companion.mavlink.autopilots.common import Autopilot
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.rules import Case, Finding, Rule
 from companion.mission.events import Setpoint, TakeOff, Vector
@@ -37,19 +37,18 @@ def _hold_about(at_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Mes
 
 
 def _take_off(
-    command: TakeOff, here: LaunchPose, frame: LocalFrame, system_id: int
+    command: TakeOff, here_nea_m: Vector, heading_rad: float, frame: LocalFrame, system_id: int
 ) -> list[Message]:
     """NAV_TAKEOFF to a point 300 m ahead at an altitude AMSL; ends in AUTO.LOITER about it.
 
     Without a point it stays in AUTO.TAKEOFF.
     """
-    north_m, east_m, _ = here.position_nea_m
-    if not all(map(math.isfinite, (north_m, east_m, here.heading_rad))):
+    north_m, east_m, _ = here_nea_m
+    if not math.isfinite(heading_rad):
         return []
-    course_rad = here.heading_rad - frame.grid_north_rad(north_m, east_m)
     ahead = (
-        north_m + _RUNWAY_M * math.cos(course_rad),
-        east_m + _RUNWAY_M * math.sin(course_rad),
+        north_m + _RUNWAY_M * math.cos(heading_rad),
+        east_m + _RUNWAY_M * math.sin(heading_rad),
         command.altitude_amsl_m,
     )
     return px4.take_off(ahead, frame, system_id)

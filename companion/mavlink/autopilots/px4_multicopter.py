@@ -9,19 +9,19 @@ from typing import Final
 from companion.geodesy import LocalFrame
 from companion.mavlink import rules
 from companion.mavlink.autopilots import messages, px4
-from companion.mavlink.autopilots.common import Autopilot, LaunchPose
+from companion.mavlink.autopilots.common import Autopilot
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.rules import Case, Finding, Rule, only_read
-from companion.mission.events import TakeOff
+from companion.mission.events import TakeOff, Vector
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 from companion.path.envelope import COPTER
 
 
 def _take_off(
-    command: TakeOff, here: LaunchPose, frame: LocalFrame, system_id: int
+    command: TakeOff, here_nea_m: Vector, _heading_rad: float, frame: LocalFrame, system_id: int
 ) -> list[Message]:
     """NAV_TAKEOFF to an altitude AMSL, straight up, nose as it stands; ends in AUTO.LOITER."""
-    north_m, east_m, _ = here.position_nea_m
+    north_m, east_m, _ = here_nea_m
     return px4.take_off((north_m, east_m, command.altitude_amsl_m), frame, system_id)
 
 

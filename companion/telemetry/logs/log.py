@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, final
 
 from companion.errors import InputError
 from companion.mavlink.dialect import KINDS, wire
-from companion.mavlink.who import TO_COMPONENT_1, ids_in_words
+from companion.mavlink.link import TO_COMPONENT_1, ids_in_words
 from companion.telemetry.logs.needed import Kind, Missing, missing_of
 
 YEAR_2000_US: Final = 946_684_800_000_000
