@@ -26,7 +26,7 @@ def said(
 ) -> tuple[bool, Any]:
     """Whether it is for the autopilot, and what a `ground_command` or `ground_target` says.
 
-    Values: MAV_CMD, its first three parameters, and whether it is for the autopilot: COMMAND_LONG.
+    Values: MAV_CMD, its first three parameters, and 1 if it is for the autopilot: COMMAND_LONG.
     Or how far north and east of where the vehicle is: DO_REPOSITION.
     """
     if name == "ground_target":
@@ -35,10 +35,10 @@ def said(
             system, companion, _GLOBAL_INT, _REPOSITION, 0, 0, -1.0, 0.0, 0.0, math.nan,
             latitude, longitude, vehicle.altitude_amsl_m,
         )  # fmt: skip
-    number, *parameters, to_autopilot = values
+    (number, *parameters), to_autopilot = values[:4], any(values[4:])
     to = (system, _AUTOPILOT if to_autopilot else companion)
     message = mavlink.MAVLink_command_long_message(*to, round(number), 0, *parameters, *[0.0] * 4)
-    return bool(to_autopilot), message
+    return to_autopilot, message
 
 
 def new_fence(vehicle: Copter | Plane, radius_m: float, ahead_m: float) -> PlanItem:

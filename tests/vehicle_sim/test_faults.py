@@ -11,6 +11,7 @@ from harness import GENTLE
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vehicle_sim import ground_station
 from vehicle_sim.autopilot.values import Battery
 from vehicle_sim.conditions import SIM_PARAMETERS, SIM_PARAMETERS_PX4, Conditions, conditions_of
 from vehicle_sim.dynamics.battery import PowerModule
@@ -319,3 +320,23 @@ def test_case_spaces_and_comments_do_not_matter() -> None:
     assert asked(texts[0], 1.0) == asked(texts[1], 1.0) != Conditions()
     assert asked("at 0s: LINK_OFF To_Vehicle") == asked("at 0s: link_off to_vehicle")
     assert asked("at 0s: Gps_Drift 2m/s WEST") == asked("at 0s: gps_drift 2 m/s west")
+
+
+@pytest.mark.parametrize(
+    ("values", "to_autopilot", "sent"),
+    [
+        ((20.0, 0.0, 0.0, 0.0), False, (20, 0.0, 0.0, 0.0)),
+        ((178.0, 1.0, 9.0, 5.0), False, (178, 1.0, 9.0, 5.0)),
+        ((176.0, 1.0, 2.0, 0.0, 1.0), True, (176, 1.0, 2.0, 0.0)),
+    ],
+)
+def test_a_command_of_a_ground_station_goes_to_whom_its_line_says(
+    values: tuple[float, ...], to_autopilot: bool, sent: tuple[float, ...]
+) -> None:
+    copter = Copter(
+        latitude_deg=47.0, longitude_deg=8.0, altitude_amsl_m=50.0, limits=GENTLE, drag_1_s=0.5
+    )
+    is_own, message = ground_station.said("ground_command", values, 1, 195, copter)
+    assert is_own is to_autopilot
+    assert message.target_component == (1 if to_autopilot else 195)
+    assert (message.command, message.param1, message.param2, message.param3) == sent
