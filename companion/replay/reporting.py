@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from companion.errors import InputError
-from companion.replay.actions import flown_mission
 from companion.replay.export_command import out_file
 from companion.replay.exporting import recorded
-from companion.replay.feed import outputs
+from companion.replay.feed import flown_mission, outputs
 from companion.sources.files import answer, json_table, writing
 from companion.telemetry.export.health import FlightHealth
 from companion.telemetry.run_folder import known_map
