@@ -8,9 +8,7 @@ from companion.config import elevation_file, load_mission, refuse_older
 from companion.errors import InputError
 from companion.mission.mission import Mission
 from companion.sources.files import file_of_run, writing
-from companion.telemetry.export.geojson import write_geojson
-from companion.telemetry.export.kml import write_kml
-from companion.telemetry.export.table import write_csv
+from companion.telemetry.export.formats import write_csv, write_geojson, write_kml
 from companion.telemetry.flight import Flight
 from companion.telemetry.journal import Journal
 from companion.telemetry.logs import Record, open_log

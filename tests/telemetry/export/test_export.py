@@ -20,9 +20,7 @@ from companion.config import load_mission
 from companion.mission.journal import PlanReady
 from companion.replay.exporting import recorded
 from companion.sources.geojson import read_geojson
-from companion.telemetry.export.geojson import write_geojson
-from companion.telemetry.export.kml import write_kml
-from companion.telemetry.export.table import COLUMNS, write_csv
+from companion.telemetry.export.formats import COLUMNS, write_csv, write_geojson, write_kml
 from companion.telemetry.journal import Journal
 
 SCHEMAS = Path(fastkml.validator.__file__).parent / "schema"
@@ -80,6 +78,14 @@ def away_m(points: Any, longitude: float, latitude: float) -> float:
         points[:, 0], points[:, 1], np.full(count, longitude), np.full(count, latitude)
     )
     return float(np.min(metres))
+
+
+def chord_away_m(line: Any, point: Any) -> float:
+    """Least distance of a point from the pieces of a line."""
+    starts, along = line[:-1], np.diff(line, axis=0)
+    share = ((point - starts) * along).sum(1) / np.maximum((along**2).sum(1), 1e-12)
+    feet = starts + np.clip(share, 0.0, 1.0)[:, None] * along
+    return float(np.linalg.norm(feet - point, axis=1).min())
 
 
 # --- KML
@@ -201,6 +207,9 @@ def test_subpaths_follow_their_curves_and_bear_what_is_proven(
         for (north, east), altitude in zip(places, line[:, 2], strict=True):
             gaps = np.linalg.norm(curve - (north, east, altitude), axis=1)
             assert gaps.min() < plan.length_m / 500
+        nea_m = np.column_stack([places, line[:, 2]])
+        for point in curve:
+            assert chord_away_m(nea_m, point) < 0.25
         ends = np.array([[*places[0], line[0, 2]], [*places[-1], line[-1, 2]]])
         np.testing.assert_allclose(ends, curve[[0, -1]], atol=0.02)
         assert row["clearance_m"] == plan.certificate.clearance_m
@@ -261,7 +270,7 @@ def test_the_csv_has_a_row_for_each_position_and_the_documented_columns(
 
 def test_the_page_explains_every_column() -> None:
     page = (Path(__file__).parents[3] / "docs" / "export.md").read_text(encoding="utf-8")
-    for name, words in COLUMNS.items():
+    for name, (_, words) in COLUMNS.items():
         assert f"| `{name}` | {words} |" in page
 
 
