@@ -6,7 +6,6 @@ terrain and outside all radars and keep-outs.
 
 import functools
 import hashlib
-import json
 import math
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, final
@@ -24,8 +23,7 @@ from companion.world.terrain import ArrayTerrain, GridTerrain, PeakTerrain, Terr
 BAND_INSET = 1.1
 """How far inside the band plans keep, in tracking and navigation errors (`Task.band_amsl_m`)."""
 _CELLS_PER_RANGE = 80
-
-
+_SPARE = 0.0375  # of R: half the width of the way through, beside the clearance
 _HALF_DEG_M, _MOST_CELLS = 55_597.0, 5_000
 """Of elevation files: half of what a degree is; of the lattice that they are judged on, a side."""
 
@@ -53,30 +51,12 @@ class DrawnWorld:
 
     @property
     def fingerprint(self) -> str:
-        """A hash of all that the optimum depends on."""
-        task, limits, weights = self.task, self.task.limits, self.task.settings.weights
-        facts = (
-            *_terrain_facts(self.terrain),
-            [(r.centre_nea_m, r.range_m) for r in task.radars],
-            [repr(zone) for zone in task.zones],
-            (limits.turn_radius_m, limits.climb_angle_rad, limits.dive_angle_rad),
-            (self.floor_amsl_m, self.ceiling_amsl_m, limits.north_m, limits.east_m),
-            (task.required_clearance_m, task.settings.scan_range_m),
-            (weights.length, weights.height, weights.radar),
-            (self.start_nea_m, self.targets_ne_m),
-        )  # fmt: skip
-        return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:16]
-
-
-def _terrain_facts(terrain: PeakTerrain | ArrayTerrain) -> tuple[Any, ...]:
-    if isinstance(terrain, ArrayTerrain):
-        heights = hashlib.sha256(np.ascontiguousarray(terrain.heights_m).tobytes()).hexdigest()
-        return heights, (terrain.spacing_m, terrain.south_m, terrain.west_m)
-    rows = [
-        (p.north_m, p.east_m, p.height_amsl_m, p.spread_north_m, p.spread_east_m)
-        for p in terrain.peaks
-    ]
-    return rows, terrain.ground_amsl_m
+        """A hash of the world and of what is to be flown in it, whatever it is called."""
+        heights, terrain = b"", self.terrain
+        if isinstance(terrain, ArrayTerrain):  # whose own text leaves most of them out
+            heights = np.ascontiguousarray(terrain.heights_m).tobytes()
+        facts = repr((terrain, self.task, self.start_nea_m, self.targets_ne_m)).encode()
+        return hashlib.sha256(facts + heights).hexdigest()[:16]
 
 
 def of_files(world: str, mission: str) -> DrawnWorld:
@@ -186,9 +166,10 @@ def _cell_m(world: DrawnWorld) -> float:
     return world.task.settings.scan_range_m / _CELLS_PER_RANGE
 
 
-def has_way_through(world: DrawnWorld, spare_m: float) -> bool:
-    """Whether a disc of radius spare_m can be moved from start to target at the floor."""
+def has_way_through(world: DrawnWorld) -> bool:
+    """Whether a disc with some room can be moved from start to target at the floor."""
     free, cell = free_at_floor(world), _cell_m(world)
+    spare_m = _SPARE * world.task.settings.scan_range_m
     wide = distance_transform_edt(np.pad(free, 1), sampling=cell)[1:-1, 1:-1] > spare_m
     pools, _ = label(wide, structure=np.ones((3, 3)))
     ends = [world.start_nea_m[:2], *world.targets_ne_m]
