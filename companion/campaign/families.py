@@ -289,7 +289,7 @@ def _small(family: str, rng: Rng) -> DrawnWorld:
         ceiling_amsl_m=ground + of.band_m[1],
         north_m=(0.0, 2.0 * margin + north),
         east_m=(0.0, 2.0 * margin + east),
-        **of.limits,  # type: ignore[arg-type]  # numbers, as all others
+        **of.limits,
     )
     settings = PlannerSettings(
         scan_range_m=range_m,

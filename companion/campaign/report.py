@@ -14,7 +14,6 @@ from rich.table import Table
 from rich.text import Text
 
 from companion.campaign.families import SPREAD
-from companion.campaign.row import Row
 from companion.campaign.statistics import (
     CONFIDENCE,
     FACTORS,
@@ -27,7 +26,7 @@ from companion.campaign.statistics import (
     split,
     varying,
 )
-from companion.campaign.store import facts_of, read_rows
+from companion.campaign.store import Row, facts_of, read_rows
 from companion.errors import InputError
 from companion.extras import need
 

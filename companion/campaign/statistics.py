@@ -13,7 +13,7 @@ from typing import Any, Final, final
 import numpy as np
 from scipy.stats import binomtest, bootstrap, wilcoxon
 
-from companion.campaign.row import Row
+from companion.campaign.store import Row
 from companion.geodesy import FloatArray
 
 CONFIDENCE: Final = 0.95

@@ -11,8 +11,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from companion.campaign import drawn_world, families, truth
-from companion.campaign.drawn_files import write
-from companion.campaign.drawn_world import DrawnWorld
+from companion.campaign.drawn_world import DrawnWorld, write
 from companion.campaign.route_cost import Rates, curve_cost
 from companion.config import bundled, load_mission, load_world
 from companion.world.radars import Radar

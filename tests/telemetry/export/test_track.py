@@ -182,7 +182,10 @@ def test_the_newest_targets_count_and_the_fence_is_there_once() -> None:
 # --- shapes
 
 
-def test_a_long_track_is_thinned_evenly_and_keeps_its_ends(tmp_path: Path) -> None:
+def test_a_long_track_is_thinned_evenly_and_keeps_its_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shapes, "MAX_POINTS", 500)
     count = 3 * shapes.MAX_POINTS - 7
     long = flight(*(position(0.1 * k, lat=470_000_000 + 10 * k) for k in range(count)))
     kept = shapes.thinned(slice(0, count), count)
