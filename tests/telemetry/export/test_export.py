@@ -71,15 +71,6 @@ def b_spline(control: Any, count: int) -> Any:
     return BSpline(knots, np.array(control), 3)(np.linspace(0, 1, count))
 
 
-def away_m(points: Any, longitude: float, latitude: float) -> float:
-    """Least distance of a place from points."""
-    count = len(points)
-    _, _, metres = GEOD.inv(
-        points[:, 0], points[:, 1], np.full(count, longitude), np.full(count, latitude)
-    )
-    return float(np.min(metres))
-
-
 def chord_away_m(line: Any, point: Any) -> float:
     """Least distance of a point from the pieces of a line."""
     starts, along = line[:-1], np.diff(line, axis=0)
@@ -147,6 +138,8 @@ def test_gdal_reads_every_layer_of_the_kml(exported: Path) -> None:
     threats = geopandas.read_file(exported / "flight.kml", layer="threats as known")
     assert threats.geometry.is_valid.all()
     assert {'tower <&> "mast"', "village", "county", "radar 1"} <= set(threats["Name"])
+    subpaths = geopandas.read_file(exported / "flight.kml", layer="planned subpaths")
+    assert list(subpaths["Name"]) == ["plan 1, leg 1", "plan 2, leg 2"]
     events = geopandas.read_file(exported / "flight.kml", layer="holds and events")
     assert list(events["code"].fillna("")) == ["PAUSED", ""]
     assert list(events["Name"]) == ["hold: paused by a person", "end: arrived: target reached"]
@@ -191,6 +184,10 @@ def test_the_track_of_the_geojson_is_that_of_the_log(
 ) -> None:
     lines = table[(table["kind"] == "track") & (table.geometry.geom_type == "LineString")]
     rows = np.array([row for line in lines.geometry for row in line.coords])
+    tracks, (first, last) = table[table["kind"] == "track"], (positions[0][1], positions[-1][1])
+    ends_s = tracks["from_s"].iloc[0], tracks["until_s"].iloc[-1]
+    assert ends_s == (first.time_boot_ms / 1e3, last.time_boot_ms / 1e3)
+    assert (tracks["from_s"] < tracks["until_s"]).any()
     logged = {(m.lon * 1e-7, m.lat * 1e-7, m.alt * 1e-3) for _, m in positions}
     assert {tuple(row) for row in rows.round(7)} == {tuple(np.round(row, 7)) for row in logged}
 
