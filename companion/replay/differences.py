@@ -18,6 +18,7 @@ NOTHING: Final = "nothing"
 """Shown for a missing frame or entry."""
 _SHOWN_BYTES: Final = 100
 _MAX_PLANS: Final = 5
+_AFTER_THE_END: Final = "frames and entries came after the end of the recording"
 
 
 @final
@@ -221,19 +222,17 @@ class Replayed(Struct, kw_only=True):
             verdict = "not identical"
         elif self.compared:
             verdict = "identical up to there"
-        lines = {
-            f"first difference at {self.difference}": self.difference is not None,
-            f"the same: {counted} ({self.flown_s:,.1f} s of flight{speed})": True,
-            "no frame was compared: flight.tlog holds none": self.compared and not self.frames,
-            f"the companion was started {self.starts} times": self.starts > 1,
-            **{str(each): True for each in self.plans_differ[:_MAX_PLANS]},
-            f"{more} more plans differ": more > 0,
-            f"{self.unrecorded} frames and entries came after the end of the recording": (
-                self.unrecorded
-            ),
-            f"the flight ended with an error of the companion's: {self.ended_by}": self.ended_by,
-            f"the recording ends early: {self.torn}": self.torn,
-            f"the recording is damaged from there on: {self.damaged}": self.damaged,
-            verdict: True,
-        }
-        return "\n".join(line for line, is_so in lines.items() if is_so)
+        lines = [
+            (self.difference is not None, f"first difference at {self.difference}"),
+            (True, f"the same: {counted} ({self.flown_s:,.1f} s of flight{speed})"),
+            (self.entries and not self.frames, "no frame was compared: flight.tlog holds none"),
+            (self.starts > 1, f"the companion was started {self.starts} times"),
+            *((True, str(each)) for each in self.plans_differ[:_MAX_PLANS]),
+            (more > 0, f"{more} more plans differ"),
+            (self.unrecorded, f"{self.unrecorded} {_AFTER_THE_END}"),
+            (self.ended_by, f"the flight ended with an error of the companion's: {self.ended_by}"),
+            (self.torn, f"the recording ends early: {self.torn}"),
+            (self.damaged, f"the recording is damaged from there on: {self.damaged}"),
+            (True, verdict),
+        ]
+        return "\n".join(line for is_so, line in lines if is_so)
