@@ -8,7 +8,7 @@ simulator's (docs/reference/faults.md), with lines that the simulator does not k
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
@@ -40,9 +40,7 @@ class FaultScript:
         return f"{self.family}-{self.seed}/{self.index}"
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Subject:
+class Subject(NamedTuple):
     """What a script is drawn for."""
 
     vehicle: str
@@ -59,9 +57,7 @@ Draw = Callable[[Rng, Subject, float], list[str]]
 """Lines for something that begins at a time."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Happening:
+class Happening(NamedTuple):
     """One line of a timeline."""
 
     at_s: float

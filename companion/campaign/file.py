@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, final
+from typing import Annotated, Any, Literal, NamedTuple, final
 
 from pydantic import Field
 
@@ -173,9 +173,7 @@ def _unknown(factor: str, values: list[str] | None, known: list[str]) -> Iterato
             yield f"factors.{factor}", name, "there is none of this name", remedy
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
+class Place(NamedTuple):
     """One world and its mission."""
 
     label: str

@@ -5,10 +5,10 @@ import io
 import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from statistics import median
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple
 
 from rich.table import Table
 from rich.text import Text
@@ -41,9 +41,7 @@ _PAIRS_HEAD: Final = (
 )
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Campaign:
+class Campaign(NamedTuple):
     """The rows of a campaign as far as it has come."""
 
     folder: Path
@@ -57,9 +55,7 @@ class Campaign:
     """What the command is asked for to fly one of these runs again."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sheet:
+class Sheet(NamedTuple):
     """A table of the report, in words."""
 
     title: str
@@ -70,9 +66,7 @@ class Sheet:
     notes: Sequence[str] = ()
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Report:
+class Report(NamedTuple):
     """What there is to say of a campaign."""
 
     campaign: Campaign

@@ -12,10 +12,10 @@ import shutil
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, final
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -121,9 +121,7 @@ def _flown(run: Run, folder: Path) -> dict[str, Any]:
 # --- the planner alone
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AloneFlight:
+class AloneFlight(NamedTuple):
     """What the planner, ours or a rival, flew through a world without a vehicle."""
 
     whole: OfflineFlight

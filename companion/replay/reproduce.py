@@ -12,7 +12,7 @@ as in lockstep.  So only flights in lockstep are reproduced from it, which nobod
 
 import math
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import chain, count, islice, starmap
@@ -290,7 +290,7 @@ class _Recording:
         return difference
 
 
-def _entry_lines(path: Path) -> Any:
+def _entry_lines(path: Path) -> Generator[bytes]:
     """The lines of a journal but for its headers, to the last whole one."""
     with path.open("rb") as file:
         for line in iter(partial(file.readline, _LONGEST_LINE), b""):

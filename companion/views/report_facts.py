@@ -6,7 +6,7 @@ import statistics
 from array import array
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
@@ -86,9 +86,7 @@ class FlightHealth:
         return time_us, fixes, np.where(seen == _UNKNOWN, np.nan, seen)
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Nearest:
+class Nearest(NamedTuple):
     """Where the vehicle, by its own word, was nearest to terrain on its way."""
 
     distance_m: float
@@ -100,9 +98,7 @@ class Nearest:
     """Latitude and longitude."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Exposure:
+class Exposure(NamedTuple):
     """How long the vehicle was within ranges of radars that the mission knows."""
 
     length_m: float

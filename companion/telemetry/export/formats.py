@@ -8,10 +8,9 @@ means heights above the ellipsoid, so its file says what it has (`altitude_datum
 import csv
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -29,9 +28,7 @@ _OF_PLAN: Final = ("length_m", "cost", "evaluations", "reaches_target")
 _OF_MOMENT: Final = ("what", "why", "code", "t_s", "until_s")
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Feature:
+class Feature(NamedTuple):
     """One thing to show."""
 
     kind: str
