@@ -45,8 +45,7 @@ from companion.path.certificate import bounds_text
 from companion.planner.offline import fly_offline
 from companion.planning import plan
 from companion.printable import printable
-from companion.replay.command import ProfileName, replay_command
-from companion.replay.export_command import export
+from companion.replay.command import ProfileName, export, replay_command
 from companion.runtime.compiler import load_kernel
 from companion.runtime.keys import SigningKey
 from companion.runtime.link import open_link
@@ -300,7 +299,7 @@ def report_command(
 
     The page is one file that opens without a network, and prints.
     """
-    from companion.replay.reporting import write_report  # slow to import
+    from companion.replay.exporting import write_report  # slow to import
 
     with plain_console(stderr=True).status("reading the flight"):
         said = write_report(run_dir, out)

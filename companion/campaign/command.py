@@ -14,8 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from typer.core import TyperGroup
 
 from companion.campaign import bundled_campaigns
-from companion.campaign.row import Row
-from companion.campaign.store import Store
+from companion.campaign.store import Row, Store
 from companion.errors import InputError
 from companion.runtime.worker_pool import processors
 from companion.sources.files import writing

@@ -8,7 +8,7 @@ simulator's (docs/reference/faults.md), with lines that the simulator does not k
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
@@ -24,7 +24,6 @@ _FROM_S: Final = 35.0
 """About when vehicles are in the air."""
 _UNTIL_S: Final = {"copter": 110.0, "plane": 140.0}
 _CONTINUE: Final = "ground_command 193 1"
-_SIDES: Final = ("north", "east", "south", "west")
 _LINE: Final = re.compile(r"at ([\d.]+) s(?: for ([\d.]+) s)?: *(\S.*)")
 
 
@@ -41,9 +40,7 @@ class FaultScript:
         return f"{self.family}-{self.seed}/{self.index}"
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Subject:
+class Subject(NamedTuple):
     """What a script is drawn for."""
 
     vehicle: str
@@ -60,9 +57,7 @@ Draw = Callable[[Rng, Subject, float], list[str]]
 """Lines for something that begins at a time."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Happening:
+class Happening(NamedTuple):
     """One line of a timeline."""
 
     at_s: float
@@ -117,38 +112,49 @@ def _applies(name: str, vehicle: str) -> bool:
     return name != "stopped by its own fence, and back" or vehicle != "ardupilot-copter"
 
 
-def _fault(form: Callable[[Rng, Subject], str], lasts_s: tuple[float, float] | None = None) -> Draw:
+_DRAWN: Final = re.compile(r"\{(?:([\d.-]+)\.\.([\d.-]+)(?::([^}]*))?|(\w+))\}")
+_WORDS: Final = {
+    "side": ("north", "east", "south", "west"),
+    "way": ("", " to_vehicle", " from_vehicle"),
+    "both": ("", " either_way"),
+}
+
+
+def _filled(form: str, rng: Rng) -> str:
+    """A line with what is drawn in it, from left to right.
+
+    `{3..90:.0f}`: a number between two, as it is written; `{0..9}`: a whole one, the last not; and
+    `{side}`: one of `_WORDS`.
+    """
+
+    def draw(found: re.Match[str]) -> str:
+        low, high, written, words = found.groups()
+        if words is not None:
+            return str(rng.choice(_WORDS[words]))
+        if written is None:
+            return str(rng.integers(int(low), int(high)))
+        return format(rng.uniform(float(low), float(high)), written)
+
+    return _DRAWN.sub(draw, form)
+
+
+def _fault(
+    form: str | Callable[[Rng, Subject], str], lasts_s: tuple[float, float] | None = None
+) -> Draw:
     """One of the simulator's, for so long; None: for good, or once."""
 
     def draw(rng: Rng, subject: Subject, at_s: float) -> list[str]:
-        what = form(rng, subject)
+        what = _filled(form, rng) if isinstance(form, str) else form(rng, subject)
         lasts = "" if lasts_s is None else f" for {rng.uniform(*lasts_s):.2f} s"
         return [f"at {at_s} s{lasts}: {what}"]
 
     return draw
 
 
-def _then(first: str, second: str, after_s: tuple[float, float]) -> Draw:
-    return lambda rng, _, at_s: [
-        f"at {at_s} s: {first}",
-        f"at {at_s + rng.uniform(*after_s):.1f} s: {second}",
-    ]
-
-
-def _side(rng: Rng) -> str:
-    return str(rng.choice(_SIDES))
-
-
-def _way(rng: Rng) -> str:
-    return str(rng.choice(("", " to_vehicle", " from_vehicle")))
-
-
 def _wind(rng: Rng, subject: Subject) -> str:
-    speed = rng.uniform(3.0, 9.0 if subject.size == 1.0 else 7.0)
-    return (
-        f"wind {speed:.1f} m/s from {rng.uniform(0, 360):.0f} deg "
-        f"turbulence {rng.uniform(0, 1.5):.1f} m/s rising {rng.uniform(-5, 5):.0f} deg"
-    )
+    fastest = 9 if subject.size == 1.0 else 7
+    form = f"wind {{3..{fastest}:.1f}} m/s from {{0..360:.0f}} deg "
+    return _filled(form + "turbulence {0..1.5:.1f} m/s rising {-5..5:.0f} deg", rng)
 
 
 def _mode(subject: Subject, mode: Mode) -> str:
@@ -191,67 +197,56 @@ def _new_target(rng: Rng, subject: Subject) -> str:
 
 def _moves_origin(rng: Rng, _: Subject) -> str:
     way = rng.choice(("up", "down"))
-    return f"origin_move {rng.uniform(2, 60):.0f} m {_side(rng)} {rng.uniform(1, 15):.0f} m {way}"
-
-
-def _noisy_radar(rng: Rng, _: Subject) -> str:
-    return f"radar_noise {rng.uniform(0.5, 8):.1f} m{rng.choice(('', ' either_way'))}"
-
-
-def _late_link(rng: Rng, _: Subject) -> str:
-    return (
-        f"link_delay {rng.uniform(20, 700):.0f} ms jitter {rng.uniform(0, 200):.0f} ms{_way(rng)}"
-    )
+    return _filled(f"origin_move {{2..60:.0f}} m {{side}} {{1..15:.0f}} m {way}", rng)
 
 
 ROWS: Final[dict[str, Draw]] = {
-    "gps_off": _fault(lambda *_: "gps_off", (0.5, 25.0)),
-    "gps_glitch": _fault(
-        lambda r, _: f"gps_glitch {r.uniform(3, 90):.0f} m {_side(r)}", (1.0, 30.0)
-    ),
-    "gps_drift": _fault(
-        lambda r, _: f"gps_drift {r.uniform(0.3, 4):.1f} m/s {_side(r)}", (5.0, 30.0)
-    ),
-    "gps_jam": _fault(lambda *_: "gps_jam", (1.0, 15.0)),
-    "gps_noise": _fault(lambda r, _: f"gps_noise {r.uniform(0.3, 3):.1f} m", (10.0, 60.0)),
-    "gps_delay": _fault(lambda r, _: f"gps_delay {r.uniform(100, 600):.0f} ms", (10.0, 60.0)),
-    "gps_satellites": _fault(lambda r, _: f"gps_satellites {r.integers(0, 9)}", (1.0, 25.0)),
+    "gps_off": _fault("gps_off", (0.5, 25.0)),
+    "gps_glitch": _fault("gps_glitch {3..90:.0f} m {side}", (1.0, 30.0)),
+    "gps_drift": _fault("gps_drift {0.3..4:.1f} m/s {side}", (5.0, 30.0)),
+    "gps_jam": _fault("gps_jam", (1.0, 15.0)),
+    "gps_noise": _fault("gps_noise {0.3..3:.1f} m", (10.0, 60.0)),
+    "gps_delay": _fault("gps_delay {100..600:.0f} ms", (10.0, 60.0)),
+    "gps_satellites": _fault("gps_satellites {0..9}", (1.0, 25.0)),
     "wind": _fault(_wind),
-    "turbulence": _fault(lambda r, _: f"turbulence {r.uniform(0.5, 2.5):.1f} m/s"),
-    "battery": _fault(lambda r, _: f"battery {r.uniform(3, 40):.0f} %"),
-    "battery_voltage": _fault(lambda r, _: f"battery_voltage {r.uniform(9.5, 12):.1f} V"),
-    "link_off": _fault(lambda r, _: f"link_off{_way(r)}", (0.2, 25.0)),
-    "link_loss": _fault(lambda r, _: f"link_loss {r.uniform(3, 60):.0f} %{_way(r)}", (10.0, 60.0)),
-    "link_delay": _fault(_late_link, (5.0, 60.0)),
-    "link_duplication": _fault(lambda r, _: f"link_duplication {r.uniform(5, 80):.0f} %"),
-    "link_reordering": _fault(lambda r, _: f"link_reordering {r.uniform(5, 60):.0f} %"),
-    "link_corruption": _fault(lambda r, _: f"link_corruption {r.uniform(1, 40):.0f} %{_way(r)}"),
-    "radar_off": _fault(lambda *_: "radar_off", (2.0, 40.0)),
-    "radar_blind": _fault(lambda *_: "radar_blind", (2.0, 40.0)),
-    "radar_drop": _fault(lambda r, _: f"radar_drop {r.uniform(2, 50):.0f} %"),
-    "radar_loss": _fault(lambda r, _: f"radar_loss {r.uniform(2, 70):.0f} %"),
-    "radar_noise": _fault(_noisy_radar),
-    "radar_delay": _fault(lambda r, _: f"radar_delay {r.uniform(50, 1500):.0f} ms", (5.0, 60.0)),
-    "radar_rate": _fault(lambda r, _: f"radar_rate {r.uniform(0.5, 8):.1f} Hz", (5.0, 60.0)),
-    "setpoints_ignored": _fault(lambda *_: "setpoints_ignored", (0.5, 15.0)),
-    "estimator_reset": _fault(lambda r, _: f"estimator_reset {r.uniform(1, 50):.0f} m {_side(r)}"),
+    "turbulence": _fault("turbulence {0.5..2.5:.1f} m/s"),
+    "battery": _fault("battery {3..40:.0f} %"),
+    "battery_voltage": _fault("battery_voltage {9.5..12:.1f} V"),
+    "link_off": _fault("link_off{way}", (0.2, 25.0)),
+    "link_loss": _fault("link_loss {3..60:.0f} %{way}", (10.0, 60.0)),
+    "link_delay": _fault("link_delay {20..700:.0f} ms jitter {0..200:.0f} ms{way}", (5.0, 60.0)),
+    "link_duplication": _fault("link_duplication {5..80:.0f} %"),
+    "link_reordering": _fault("link_reordering {5..60:.0f} %"),
+    "link_corruption": _fault("link_corruption {1..40:.0f} %{way}"),
+    "radar_off": _fault("radar_off", (2.0, 40.0)),
+    "radar_blind": _fault("radar_blind", (2.0, 40.0)),
+    "radar_drop": _fault("radar_drop {2..50:.0f} %"),
+    "radar_loss": _fault("radar_loss {2..70:.0f} %"),
+    "radar_noise": _fault("radar_noise {0.5..8:.1f} m{both}"),
+    "radar_delay": _fault("radar_delay {50..1500:.0f} ms", (5.0, 60.0)),
+    "radar_rate": _fault("radar_rate {0.5..8:.1f} Hz", (5.0, 60.0)),
+    "setpoints_ignored": _fault("setpoints_ignored", (0.5, 15.0)),
+    "estimator_reset": _fault("estimator_reset {1..50:.0f} m {side}"),
     "origin_move": _fault(_moves_origin),
-    "pilot": _fault(lambda *_: "pilot"),
-    "reboot": _fault(lambda *_: "reboot"),
-    "set": _fault(lambda r, _: f"set SIM_GPS1_NUMSATS {r.integers(3, 9)}", (2.0, 25.0)),
+    "pilot": _fault("pilot"),
+    "reboot": _fault("reboot"),
+    "set": _fault("set SIM_GPS1_NUMSATS {3..9}", (2.0, 25.0)),
     "nothing": lambda *_: [],
     "pilot, and back": _pilot_and_back,
     "station selects return": _fault(lambda _, s: _mode(s, Mode.RETURN)),
-    "told to return": _fault(lambda *_: "ground_command 20"),
-    "told to land": _fault(lambda *_: "ground_command 21"),
+    "told to return": _fault("ground_command 20"),
+    "told to land": _fault("ground_command 21"),
     "new fence ahead": _fault(_fence_ahead),
     "new fence around it": _fault(_fence),
     "stopped by its own fence, and back": _own_fence_and_back,
-    "pause and continue": _then("ground_command 193 0", _CONTINUE, (1.0, 15.0)),
+    "pause and continue": lambda rng, _, at_s: [
+        f"at {at_s} s: ground_command 193 0",
+        f"at {at_s + rng.uniform(1.0, 15.0):.1f} s: {_CONTINUE}",
+    ],
     "new target": _fault(_new_target),
     "change of speed": _fault(
         lambda r, s: f"ground_command 178 1 {r.uniform(0.4, 1.3) * s.speed_m_s:.1f}"
     ),
-    "link lost for long": _fault(lambda *_: "link_off", (30.0, 60.0)),
-    "companion killed, restarted": _fault(lambda *_: KILLED, (0.3, 8.0)),
+    "link lost for long": _fault("link_off", (30.0, 60.0)),
+    "companion killed, restarted": _fault(KILLED, (0.3, 8.0)),
 }

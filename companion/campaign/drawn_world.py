@@ -1,4 +1,4 @@
-"""A world to measure missions in, with its mission, and the proof that there is a way through it.
+"""A world to measure missions in, with its mission: as files, and the proof of a way through it.
 
 The proof is a flood fill that knows nothing of planners: at the floor of the band, clear of all
 terrain and outside all radars and keep-outs.
@@ -6,26 +6,37 @@ terrain and outside all radars and keep-outs.
 
 import functools
 import hashlib
-import json
 import math
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from pathlib import Path
 from typing import Any, final
 
 import numpy as np
+from pydantic import BaseModel
 from scipy.ndimage import distance_transform_edt, grey_dilation, label
 
 from companion.campaign.truth import height_m
 from companion.config import load_mission, load_world
-from companion.geodesy import BoolArray, FloatArray
+from companion.geodesy import BoolArray, FloatArray, LocalFrame
+from companion.mavlink.autopilots import named
+from companion.mission.mission import AutopilotName, EndAction, Mission
 from companion.path.limits import Limits
 from companion.planner.settings import Task
+from companion.sources.files import toml_text
+from companion.sources.mission_schema import MissionVehicleTable, PlannerTable
+from companion.world.radars import Radar
 from companion.world.terrain import ArrayTerrain, GridTerrain, PeakTerrain, Terrain
+from companion.world.zones import CircleZone, Zone
+
+FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
+"""Where drawn worlds lie: with the environments."""
+_USUAL_SCAN_S = 3.3  # of a scan at 10 positions a second: each lets one request go out
 
 BAND_INSET = 1.1
 """How far inside the band plans keep, in tracking and navigation errors (`Task.band_amsl_m`)."""
 _CELLS_PER_RANGE = 80
-
-
+_SPARE = 0.0375  # of R: half the width of the way through, beside the clearance
 _HALF_DEG_M, _MOST_CELLS = 55_597.0, 5_000
 """Of elevation files: half of what a degree is; of the lattice that they are judged on, a side."""
 
@@ -53,30 +64,12 @@ class DrawnWorld:
 
     @property
     def fingerprint(self) -> str:
-        """A hash of all that the optimum depends on."""
-        task, limits, weights = self.task, self.task.limits, self.task.settings.weights
-        facts = (
-            *_terrain_facts(self.terrain),
-            [(r.centre_nea_m, r.range_m) for r in task.radars],
-            [repr(zone) for zone in task.zones],
-            (limits.turn_radius_m, limits.climb_angle_rad, limits.dive_angle_rad),
-            (self.floor_amsl_m, self.ceiling_amsl_m, limits.north_m, limits.east_m),
-            (task.required_clearance_m, task.settings.scan_range_m),
-            (weights.length, weights.height, weights.radar),
-            (self.start_nea_m, self.targets_ne_m),
-        )  # fmt: skip
-        return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:16]
-
-
-def _terrain_facts(terrain: PeakTerrain | ArrayTerrain) -> tuple[Any, ...]:
-    if isinstance(terrain, ArrayTerrain):
-        heights = hashlib.sha256(np.ascontiguousarray(terrain.heights_m).tobytes()).hexdigest()
-        return heights, (terrain.spacing_m, terrain.south_m, terrain.west_m)
-    rows = [
-        (p.north_m, p.east_m, p.height_amsl_m, p.spread_north_m, p.spread_east_m)
-        for p in terrain.peaks
-    ]
-    return rows, terrain.ground_amsl_m
+        """A hash of the world and of what is to be flown in it, whatever it is called."""
+        heights, terrain = b"", self.terrain
+        if isinstance(terrain, ArrayTerrain):  # whose own text leaves most of them out
+            heights = np.ascontiguousarray(terrain.heights_m).tobytes()
+        facts = repr((terrain, self.task, self.start_nea_m, self.targets_ne_m)).encode()
+        return hashlib.sha256(facts + heights).hexdigest()[:16]
 
 
 def of_files(world: str, mission: str) -> DrawnWorld:
@@ -186,9 +179,10 @@ def _cell_m(world: DrawnWorld) -> float:
     return world.task.settings.scan_range_m / _CELLS_PER_RANGE
 
 
-def has_way_through(world: DrawnWorld, spare_m: float) -> bool:
-    """Whether a disc of radius spare_m can be moved from start to target at the floor."""
+def has_way_through(world: DrawnWorld) -> bool:
+    """Whether a disc with some room can be moved from start to target at the floor."""
     free, cell = free_at_floor(world), _cell_m(world)
+    spare_m = _SPARE * world.task.settings.scan_range_m
     wide = distance_transform_edt(np.pad(free, 1), sampling=cell)[1:-1, 1:-1] > spare_m
     pools, _ = label(wide, structure=np.ones((3, 3)))
     ends = [world.start_nea_m[:2], *world.targets_ne_m]
@@ -206,3 +200,138 @@ def is_straight_line_free(world: DrawnWorld) -> bool:
     line = np.linspace(world.start_nea_m[:2], world.targets_ne_m[0], 2_000)
     rows, columns = np.round((line - corner) / _cell_m(world)).astype(np.intp).T
     return bool(free_at_floor(world)[rows, columns].all())
+
+
+# --- as the files that both programs read: world.toml and mission.toml
+
+
+def write(
+    drawn: DrawnWorld,
+    folder: Path,
+    autopilot: AutopilotName = "ardupilot",
+    vehicle: Mapping[str, Any] | None = None,
+) -> tuple[Path, Path]:
+    """Write world.toml and mission.toml -> their paths; what is read back is the same world.
+
+    vehicle: overrides keys of the vehicle's table of mission.toml.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    world, mission = folder / "world.toml", folder / "mission.toml"
+    table = _mission_table(mission_of(drawn, autopilot), vehicle or {})
+    mission.write_text(toml_text(table), encoding="utf-8")
+    world.write_text(toml_text(_world_table(drawn, autopilot)), encoding="utf-8")
+    return world, mission
+
+
+def mission_of(drawn: DrawnWorld, autopilot: AutopilotName = "ardupilot") -> Mission:
+    """The mission of a drawn world, for a vehicle of one of the autopilots."""
+    often = drawn.task.settings.scan_time_s < _USUAL_SCAN_S
+    return Mission(
+        name=drawn.name,
+        frame=FRAME,
+        targets_ne_m=drawn.targets_ne_m,
+        task=drawn.task,
+        end_action=EndAction.HOLD,
+        autopilot=autopilot,
+        position_rate_hz=20.0 if often else 10.0,
+    )
+
+
+def _mission_table(mission: Mission, vehicle: Mapping[str, Any]) -> dict[str, Any]:
+    """A mission as its file has it; `vehicle` overrides keys of the vehicle's table."""
+    task = mission.task
+    limits, settings, frame = task.limits, task.settings, mission.frame
+    of_vehicle = _keys(MissionVehicleTable, mission, limits) | {
+        "climb_angle_deg": math.degrees(limits.climb_angle_rad),
+        "dive_angle_deg": math.degrees(limits.dive_angle_rad),
+        "loiter_radius_m": limits.loiter_radius_m or None,
+        **vehicle,
+    }
+    return {
+        "schema": 1,
+        "name": mission.name,
+        "origin": {"latitude_deg": frame.latitude_deg, "longitude_deg": frame.longitude_deg},
+        "area": {
+            **dict(zip(("north_min_m", "north_max_m"), limits.north_m, strict=True)),
+            **dict(zip(("east_min_m", "east_max_m"), limits.east_m, strict=True)),
+        },
+        "altitude": {"floor_amsl_m": limits.floor_amsl_m, "ceiling_amsl_m": limits.ceiling_amsl_m},
+        "targets": [{"north_m": n, "east_m": e} for n, e in mission.targets_ne_m],
+        "vehicle": of_vehicle,
+        "planner": _keys(PlannerTable, settings)
+        | {"profile": settings.profile.name, "weights": asdict(settings.weights)},
+        "end": {"action": mission.end_action.value},
+        "radars": [_radar(radar) for radar in task.radars],
+        "keep_outs": [_zone(zone) for zone in task.zones if not zone.keep_in],
+        "keep_ins": [_zone(zone) for zone in task.zones if zone.keep_in],
+    }
+
+
+def _keys(table: type[BaseModel], *holders: Any) -> dict[str, Any]:
+    """Of a table of mission.toml, what these have under the same name."""
+    return {
+        name: getattr(holder, name)
+        for holder in holders
+        for name, key in table.model_fields.items()
+        if hasattr(holder, name) and key.alias is None
+    }
+
+
+def _radar(radar: Radar) -> dict[str, Any]:
+    north_m, east_m, altitude_amsl_m = radar.centre_nea_m
+    place = {"north_m": north_m, "east_m": east_m, "altitude_amsl_m": altitude_amsl_m}
+    return {"name": radar.name, **place, "range_m": radar.range_m}
+
+
+def _zone(zone: Zone) -> dict[str, Any]:
+    if not isinstance(zone, CircleZone):
+        return {"name": zone.name, "vertices_m": [list(corner) for corner in zone.vertices_ne_m]}
+    place = {"north_m": zone.north_m, "east_m": zone.east_m, "radius_m": zone.radius_m}
+    return {"name": zone.name, **place}
+
+
+def _world_table(drawn: DrawnWorld, autopilot: AutopilotName) -> dict[str, Any]:
+    """The truth, and a vehicle that can do what the mission asks of it."""
+    task, terrain, kind = drawn.task, drawn.terrain, drawn.task.limits.kind
+    assert isinstance(terrain, PeakTerrain)  # as all families draw it
+    strategy = named(autopilot, kind)
+    start, target = np.array(drawn.start_nea_m[:2]), np.array(drawn.targets_ne_m[0])
+    ahead = target - start if task.limits.hovers else start - target
+    """A plane climbs out over ground on which nothing stands."""
+    return {
+        "schema": 1,
+        "name": drawn.name,
+        "origin": {"latitude_deg": FRAME.latitude_deg, "longitude_deg": FRAME.longitude_deg},
+        "terrain": {
+            "combine": "maximum",
+            "ground_amsl_m": terrain.ground_amsl_m,
+            "peaks": [asdict(peak) for peak in terrain.peaks],
+        },
+        "vehicle": {
+            "kind": kind,
+            "autopilot": "ideal" if (autopilot, kind) == ("ardupilot", "copter") else autopilot,
+            "north_m": float(start[0]),
+            "east_m": float(start[1]),
+            "heading_deg": math.degrees(math.atan2(ahead[1], ahead[0])),
+            **_abilities(drawn),
+            "parameters": {
+                **strategy.firmware.lasting_battery,
+                **strategy.parameters_for(task.limits),
+            },
+        },
+        "radars": [_radar(radar) for radar in task.radars],
+        "scanner": {"component_id": 100, "range_m": task.settings.scan_range_m},
+    }
+
+
+def _abilities(drawn: DrawnWorld) -> dict[str, float]:
+    """Of a copter: more than the mission asks for by about what the environments' have."""
+    limits = drawn.task.limits
+    if not limits.hovers:
+        return {}
+    return {
+        "speed_max_m_s": 1.15 * limits.speed_m_s + 1.0,
+        "acceleration_max_m_s2": 2.0 * limits.acceleration_m_s2,
+        "speed_vertical_max_m_s": 1.5 * limits.climb_rate_m_s,
+        "acceleration_vertical_max_m_s2": max(2.5, limits.acceleration_m_s2),
+    }

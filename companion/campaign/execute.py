@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from companion.campaign.file import Run
-from companion.campaign.row import Row
 from companion.campaign.run import fly_run, lost_run
+from companion.campaign.store import Row
 from companion.errors import FlightInterrupted, InputError
 from companion.runtime.compiler import load_kernel
 

@@ -10,12 +10,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, final
+from typing import Annotated, Any, Literal, NamedTuple, final
 
 from pydantic import Field
 
 from companion.campaign import bundled_campaigns, drawn_faults
-from companion.campaign.alone import Knowledge
 from companion.campaign.drawn_faults import FaultScript
 from companion.campaign.families import FAMILIES, SPREAD
 from companion.config import bundled
@@ -30,6 +29,8 @@ from companion.sources.mission_schema import Name
 from companion.sources.schema import Broken, Table, validated
 
 Over = Literal["process", "planner"]
+Knowledge = Literal["scans", "full"]
+"""Of the ground before the flight, for the planner alone: none, or all of it."""
 Keep = Literal["all", "failures", "none"]
 Vehicle = Literal["ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plane"]
 
@@ -172,9 +173,7 @@ def _unknown(factor: str, values: list[str] | None, known: list[str]) -> Iterato
             yield f"factors.{factor}", name, "there is none of this name", remedy
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
+class Place(NamedTuple):
     """One world and its mission."""
 
     label: str

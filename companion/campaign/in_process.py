@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Protocol, final
+from typing import Any, NamedTuple, Protocol, final
 
 from companion.campaign.drawn_faults import split
 from companion.config import load_mission, mission_text
@@ -28,9 +28,7 @@ _EPOCH_US = 1_700_000_000_000_000
 """Stamps of logs begin here, so that a run leaves the same bytes each time."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FlightFiles:
+class FlightFiles(NamedTuple):
     """What a flight is flown by; all that it writes is written into the folder."""
 
     world: Path

@@ -126,7 +126,9 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
     if flight.mission.near is None:
         # planned in a wrong place, a subpath is right in its shape only
         bounds = _OF_SHAPE if is_excused.any() else None
-        of_subpaths = checked(_subpaths(flight), drawn, bounds=bounds)
+        ready = (e for e in flight.journal if e["kind"] == "plan ready")
+        subpaths = [np.array(e["control_nea_m"]) for e in ready]
+        of_subpaths = checked(subpaths, drawn, bounds=bounds)
         count += of_subpaths["violations"]
         known += filter(None, [of_subpaths["violated"]])
         found = of_subpaths | found
@@ -196,10 +198,6 @@ def _points(rows: Sequence[dict[str, Any]]) -> FloatArray:
     """North, east, altitude of rows of truth; (N, 3)."""
     keys = ("north_m", "east_m", "altitude_amsl_m")
     return np.array([[row[key] for key in keys] for row in rows]).reshape(-1, 3)
-
-
-def _subpaths(flight: Flight) -> list[FloatArray]:
-    return [np.array(e["control_nea_m"]) for e in flight.journal if e["kind"] == "plan ready"]
 
 
 # --- what was planned, and what was flown

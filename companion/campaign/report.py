@@ -5,16 +5,15 @@ import io
 import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from statistics import median
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple
 
 from rich.table import Table
 from rich.text import Text
 
 from companion.campaign.families import SPREAD
-from companion.campaign.row import Row
 from companion.campaign.statistics import (
     CONFIDENCE,
     FACTORS,
@@ -27,7 +26,7 @@ from companion.campaign.statistics import (
     split,
     varying,
 )
-from companion.campaign.store import facts_of, read_rows
+from companion.campaign.store import Row, facts_of, read_rows
 from companion.errors import InputError
 from companion.extras import need
 
@@ -42,9 +41,7 @@ _PAIRS_HEAD: Final = (
 )
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Campaign:
+class Campaign(NamedTuple):
     """The rows of a campaign as far as it has come."""
 
     folder: Path
@@ -58,9 +55,7 @@ class Campaign:
     """What the command is asked for to fly one of these runs again."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sheet:
+class Sheet(NamedTuple):
     """A table of the report, in words."""
 
     title: str
@@ -71,9 +66,7 @@ class Sheet:
     notes: Sequence[str] = ()
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Report:
+class Report(NamedTuple):
     """What there is to say of a campaign."""
 
     campaign: Campaign

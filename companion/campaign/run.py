@@ -15,20 +15,27 @@ from collections.abc import Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from companion.campaign import alone, drawn_faults, families, in_process, judge
-from companion.campaign.drawn_files import write
-from companion.campaign.drawn_world import DrawnWorld, of_files
-from companion.campaign.file import Place, Run
+import numpy as np
+
+from companion.campaign import drawn_faults, families, in_process, judge
+from companion.campaign.drawn_world import DrawnWorld, of_files, write
+from companion.campaign.file import Knowledge, Place, Run
 from companion.campaign.in_process import FlightFiles
-from companion.campaign.row import Row
+from companion.campaign.store import Row
 from companion.config import folder_of, load_world, mission_text, world_table
 from companion.errors import InputError
-from companion.planning import OURS
+from companion.geodesy import FloatArray
+from companion.planner.offline import OfflineFlight, fly_offline
+from companion.planner.request import PlanOutcome, PlanRequest
+from companion.planning import OURS, planner_of
 from companion.profiles import PROFILES
 from companion.sources.files import toml_table, toml_text, with_settings
+from companion.world.known_map import KnownMap, Scan
+from companion.world.simulated_scan import simulated_scan, true_map
 
+_POINTS_PER_RANGE = 1_000
 _OF_PLACES = ("terrain clearance", "keep-out zone", "edge of the map")
 _OF_PLACE = ("mission", "family", "family_seed", "family_index")
 _ROOT = "runs"
@@ -114,14 +121,67 @@ def _flown(run: Run, folder: Path) -> dict[str, Any]:
 # --- the planner alone
 
 
+class AloneFlight(NamedTuple):
+    """What the planner, ours or a rival, flew through a world without a vehicle."""
+
+    whole: OfflineFlight
+    points_nea_m: FloatArray
+    """(S, 3), from the start as far as it came."""
+    plan_s: tuple[float, ...]
+    """Processor time of each plan."""
+
+    @property
+    def why(self) -> str:
+        """Why it did not arrive; empty if it did."""
+        failure = self.whole.failure
+        return "" if failure is None else f"{failure.refusal.name}: {failure.refusal.value}"
+
+
+def fly_alone(
+    world: DrawnWorld, planner: str = OURS, *, knowledge: Knowledge = "scans", seed: int = 1
+) -> AloneFlight:
+    """Fly a world's mission; with full knowledge all of the ground is on the map before it."""
+    plan_s, blank, plan = list[float](), families.unseen(world), planner_of(planner)
+    if knowledge == "full":
+        every = np.ones(blank.upper_m.shape, dtype=bool)
+        upper_m = true_map(world.terrain, blank).upper_m
+        blank = replace(blank, upper_m=upper_m, seen=every, given=every)
+
+    def timed(request: PlanRequest) -> PlanOutcome:
+        began_s = time.process_time()
+        outcome = plan(request)
+        plan_s.append(time.process_time() - began_s)
+        return outcome
+
+    def scanned(_: KnownMap, at_nea_m: tuple[float, float, float], range_m: float) -> Scan:
+        return simulated_scan(blank, at_nea_m, range_m, world.terrain)
+
+    flight = fly_offline(
+        world.task,
+        blank=blank,
+        truth=blank,  # the scanner makes it where it is looked at
+        scanner=scanned,
+        start_nea_m=world.start_nea_m,
+        targets_ne_m=world.targets_ne_m,
+        seed=seed,
+        planner=timed,
+    )
+    points = flight.route_nea_m(world.task.settings.scan_range_m / _POINTS_PER_RANGE)
+    return AloneFlight(whole=flight, points_nea_m=points, plan_s=tuple(plan_s))
+
+
 def _planned(run: Run, folder: Path) -> dict[str, Any]:
-    drawn = _with_factors(drawn_of(run.place), run)
+    drawn, changes = drawn_of(run.place), _of_planner(run)
+    if "profile" in changes:
+        changes["profile"] = PROFILES[changes["profile"]]
+    settings = replace(drawn.task.settings, **changes)
+    drawn = replace(drawn, task=replace(drawn.task, settings=settings))
     if run.keep != "none" and run.place.family is not None:
         write(drawn, folder)
     elif run.keep != "none":
         _files(run, folder)
     planner, knowledge = (run.factors.get(name) for name in ("planner", "knowledge"))
-    flown = alone.fly(drawn, planner or OURS, knowledge=knowledge or "scans", seed=run.seed)
+    flown = fly_alone(drawn, planner or OURS, knowledge=knowledge or "scans", seed=run.seed)
     found = judge.of_task(drawn.task, drawn, flown.plan_s) | {
         "outcome": "failed" if flown.why else "arrived",
         "reason": flown.why or None,
@@ -129,7 +189,8 @@ def _planned(run: Run, folder: Path) -> dict[str, Any]:
         "plans": len(flown.plan_s),
         "holds": flown.whole.holds,
     }
-    subpaths, is_ours = flown.subpaths_nea_m, planner in (None, OURS)
+    subpaths = [leg.subpath.control_nea_m for leg in flown.whole.legs]  # tails included
+    is_ours = planner in (None, OURS)
     if subpaths:
         found |= {"subpaths": len(subpaths)} | judge.of_track(flown.points_nea_m, drawn)
     bounds = None if is_ours else _OF_PLACES  # rivals turn on the spot
@@ -141,15 +202,6 @@ def drawn_of(place: Place) -> DrawnWorld:
     if place.family is not None:
         return families.world(place.family, place.family_seed or 0, place.family_index or 0)
     return of_files(place.world, place.mission or place.world)
-
-
-def _with_factors(drawn: DrawnWorld, run: Run) -> DrawnWorld:
-    changes = _of_planner(run)
-    if "profile" in changes:
-        changes["profile"] = PROFILES[changes["profile"]]
-    return replace(
-        drawn, task=replace(drawn.task, settings=replace(drawn.task.settings, **changes))
-    )
 
 
 def _of_planner(run: Run) -> dict[str, Any]:

@@ -8,12 +8,12 @@ import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from scipy.stats import binomtest, bootstrap, wilcoxon
 
-from companion.campaign.row import Row
+from companion.campaign.store import Row
 from companion.geodesy import FloatArray
 
 CONFIDENCE: Final = 0.95
@@ -34,9 +34,7 @@ Interval = tuple[float, float | None, float | None]
 """An estimate and its 95 % interval; None: too few values for one."""
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class Measure:
+class Measure(NamedTuple):
     """Something that is compared between runs."""
 
     name: str

@@ -8,8 +8,7 @@ needs no search does not show it to be far; the worst samples are searched again
 """
 
 import math
-from dataclasses import dataclass
-from typing import final
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -32,9 +31,7 @@ _PART = 4_000
 """Points that are looked at together."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Curve:
+class Curve(NamedTuple):
     """Samples of a curve: parameter and length (S,), the rest (S, 3)."""
 
     u: FloatArray
@@ -303,9 +300,7 @@ def radar_m(points_nea_m: FloatArray, radars: tuple[Radar, ...], length_m: float
     return float(inside.mean()) * length_m
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Measures:
+class Measures(NamedTuple):
     """The worst of everything over one curve."""
 
     clearance_m: float

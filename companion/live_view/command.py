@@ -71,8 +71,9 @@ def _say_address(console: Console, address: str) -> None:
 def started_view(asked: Asked, console: Console) -> Iterator[None]:
     """Show a flight from a process of its own.  InputError if it cannot be shown."""
     extras.need("view", "--view")
+    command = [sys.executable, "-m", "companion.live_view.server"]
     with subprocess.Popen(
-        [sys.executable, "-m", "companion.live_view"],
+        command,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -83,9 +84,10 @@ def started_view(asked: Asked, console: Console) -> Iterator[None]:
         try:
             process.stdin.write(f"{msgspec.json.encode(asked).decode()}\n")
             process.stdin.flush()
-            said: dict[str, Any] = json.loads(process.stdout.readline() or '{"error": null}')
+            said: dict[str, Any] = json.loads(process.stdout.readline() or "{}")
             if "address" not in said:
-                raise _refused(said["error"])
+                nothing = ("--view", True, "it did not start", "Look above for the reason.")
+                raise InputError(*said.get("error", nothing))
             _say_address(console, said["address"])
             yield
         finally:
@@ -103,9 +105,3 @@ def stay(console: Console) -> None:
     with stop_signals() as stop_asked:
         while not stop_asked:
             time.sleep(_POLL_S)
-
-
-def _refused(error: list[Any] | None) -> InputError:
-    if error is None:
-        return InputError("--view", True, "it did not start", "Look above for the reason.")
-    return InputError(*error)

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from companion.errors import InputError
 from companion.mission.events import Vector
 from companion.mission.mission import Mission
-from companion.replay.actions import flown_mission
-from companion.replay.feed import RUNTIME_RECORDS, DamagedInputError, Feeder
+from companion.replay.feed import RUNTIME_RECORDS, DamagedInputError, Feeder, flown_mission
 from companion.sources.files import answer
 from companion.telemetry.flight import Flight
 from companion.telemetry.inputs import FILE, Input, InputsFile

@@ -7,7 +7,7 @@ import math
 import queue
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Final, final
 
 import numpy as np
@@ -17,7 +17,6 @@ from viser import uplot
 from companion.geodesy import FloatArray
 from companion.live_view import panel
 from companion.live_view.ground import Ground, Replica, last_ground
-from companion.live_view.panel import CHARTS, charts_of
 from companion.live_view.recording import Recording
 from companion.live_view.scene import Scene
 from companion.views.words import clock_text
@@ -64,21 +63,19 @@ class Page:
         camera = server.initial_camera
         camera.near, camera.far = _NEAR, _FAR
         camera.position, camera.look_at = self._camera("overview")
-        server.on_client_connect(lambda client: self._do(lambda: self._view(client, "overview")))
-        server.on_client_disconnect(
-            lambda client: self._do(lambda: self._views.pop(client.client_id, None))
-        )
+        jobs, views = self._jobs, self._views
+        server.on_client_connect(lambda one: jobs.put(lambda: self._view(one, "overview")))
+        server.on_client_disconnect(lambda one: jobs.put(lambda: views.pop(one.client_id, None)))
 
     def _build(self, gui: viser.GuiApi) -> None:
         self._slider: Any = gui.add_slider("time, s", 0.0, 1.0, 0.1, 0.0)
         self._slider.on_update(self._when_moved)
         self._play = gui.add_button("play")
-        self._play.on_click(lambda _: self._do(self._toggle))
-        for part, job in (
-            (gui.add_dropdown("speed", _SPEEDS, initial_value=_SPEEDS[0]), self._set_speed),
-            (gui.add_button_group("go to", ("next plan", "next hold", "newest")), self.jump),
-        ):
-            self._when_chosen(part, job)
+        self._play.on_click(lambda _: self._jobs.put(self._toggle))
+        speeds = gui.add_dropdown("speed", _SPEEDS, initial_value=_SPEEDS[0])
+        speeds.on_update(self._when_chosen(self._set_speed))
+        places = gui.add_button_group("go to", ("next plan", "next hold", "newest"))
+        places.on_click(self._when_chosen(self.jump))
         gui.add_button_group("camera", _VIEWS).on_click(self._when_viewed)
         tabs = gui.add_tab_group()
         with tabs.add_tab("flight"):
@@ -86,33 +83,30 @@ class Page:
         with tabs.add_tab("events"):
             self._events_style = gui.add_html("")
             self._events = gui.add_button_group("", ("none yet",))
-            self._when_chosen(self._events, self.go_to_event)
+            self._events.on_click(self._when_chosen(self.go_to_event))
         charts = gui.add_panel()
         with charts.add_tab("charts"):
-            self._charts = [_chart(gui, *each) for each in CHARTS]
+            self._charts = [_chart(gui, *each) for each in panel.CHARTS]
         charts.dock_left()
         charts.set_width(300)
 
     # --- what people do
 
-    def _do(self, job: Callable[[], object]) -> None:
-        self._jobs.put(job)
-
-    def _when_chosen(self, part: Any, job: Callable[[str], None]) -> None:
+    def _when_chosen(self, job: Callable[[str], None]) -> Callable[[Any], None]:
         def chosen(event: Any) -> None:
             value = event.target.value  # now: it may be another one once the job is done
-            self._do(lambda: job(value))
+            self._jobs.put(lambda: job(value))
 
-        (part.on_click if hasattr(part, "on_click") else part.on_update)(chosen)
+        return chosen
 
     def _when_moved(self, event: Any) -> None:
         if event.client is not None:  # else it was moved from here
             time_s = float(event.target.value)  # now: a step that is under way sets it back
-            self._do(lambda: self.go_to(time_s))
+            self._jobs.put(lambda: self.go_to(time_s))
 
     def _when_viewed(self, event: Any) -> None:
         if event.client is not None:
-            self._do(lambda: self._view(event.client, event.target.value))
+            self._jobs.put(lambda: self._view(event.client, event.target.value))
 
     @property
     def status(self) -> str:
@@ -136,15 +130,16 @@ class Page:
         if where == "newest":
             self._newest = True
             return
-        kind, now_s = where.removeprefix("next "), self._time_s + 0.05
-        times_s = (e.time_s for e in self._recording.events if e.kind == kind and e.time_s > now_s)
-        if (time_s := next(times_s, None)) is not None:
-            self.go_to(time_s)
+        kind, after_s = where.removeprefix("next "), self._time_s + 0.05
+        later = (e for e in self._recording.events if e.kind == kind and e.time_s > after_s)
+        self._go_to_first(event.time_s for event in later)
 
     def go_to_event(self, line: str) -> None:
         """Go to where an event of the list happened."""
         events = self._recording.events
-        times_s = (event.time_s for event in events if panel.event_line(event) == line)
+        self._go_to_first(each.time_s for each in events if panel.event_line(each) == line)
+
+    def _go_to_first(self, times_s: Iterator[float]) -> None:
         if (time_s := next(times_s, None)) is not None:
             self.go_to(time_s)
 
@@ -159,7 +154,8 @@ class Page:
             return np.array([-40.0, -76.0, 50.0]), np.array([2.0, -9.0, 0.0])
         if view == "top":
             return np.array([0.0, -0.5, 108.0]), np.zeros(3)
-        heading_rad = self._heading_rad()
+        flight = self._recording.flight
+        heading_rad = flight.heading_rad(flight.row_at(self._time_s))
         ahead = np.array([math.sin(heading_rad), math.cos(heading_rad), 0.0])
         return self._here - 11.0 * ahead + [0.0, 0.0, 5.5], self._here + 4.0 * ahead
 
@@ -212,7 +208,8 @@ class Page:
         charted = len(recording.flight.times_s), samples
         if now_s - self._charted_at_s >= _CHARTS_S and charted != self._charted:
             self._charted_at_s, self._charted = now_s, charted
-            for chart, data in zip(self._charts, charts_of(recording, self.replica), strict=True):
+            charts = panel.charts_of(recording, self.replica)
+            for chart, data in zip(self._charts, charts, strict=True):
                 chart.scales, chart.data = _scales(data), data
 
     def _show_ground(self, scene: Scene, now_s: float) -> str:
@@ -236,26 +233,18 @@ class Page:
 
     def _show(self, scene: Scene, behind: str) -> None:
         recording, moved = self._recording, -self._here
-        self._here = scene.show(self._time_s, self._heading_rad())
+        self._here = scene.show(self._time_s)
         moved = moved + self._here
         for client in self._server.get_clients().values():
             if self._views.get(client.client_id) == "follow":
                 client.camera.position = client.camera.position + moved
         self._status.content = panel.status_html(
-            recording, self.replica, self._time_s, behind, scene.scale.stretch
+            recording, self.replica, self._time_s, behind, scene.area.stretch
         )
         lines, self._events_style.content = panel.event_list(recording.events, self._time_s)
         self._events.options = lines or ("none yet",)
         self._slider.max = max(round(recording.ends_s + 0.05, 1), 0.1)
         self._slider.value = round(self._time_s, 1)
-
-    def _heading_rad(self) -> float:
-        flight = self._recording.flight
-        row, track = flight.row_at(self._time_s), flight.track
-        heading_rad = math.radians(float(track.heading_deg[row]))
-        if math.isnan(heading_rad):
-            return math.atan2(float(track.east_m_s[row]), float(track.north_m_s[row]))
-        return heading_rad
 
 
 def _chart(gui: viser.GuiApi, title: str, lines: dict[str, str]) -> Any:

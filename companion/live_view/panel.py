@@ -63,7 +63,8 @@ def status_html(
         target = decided.asked.target_ne_m if decided.asked else decided.targets_ne_m[-1]
         to_go_m = math.hypot(target[0] - north_m, target[1] - east_m)
         rows["target"] = f"{metres(target[0])} N, {metres(target[1])} E"
-        rows["to go"] = f"{metres(to_go_m)}, {_to_go_time(to_go_m, speed_m_s)}"
+        time_left = clock_text(to_go_m / speed_m_s) if speed_m_s > 0.5 else "standing"
+        rows["to go"] = f"{metres(to_go_m)}, {time_left}"
     link = f"{recording.rate_hz(time_s):.0f} positions/s"
     if decided.round_trip_s is not None:
         link += f", {decided.round_trip_s * 1e3:.0f} ms round trip"
@@ -121,10 +122,6 @@ def _plan_html(decided: Decided, took_s: Mapping[int, float]) -> str:
 def _table(rows: Mapping[str, str]) -> str:
     cells = (f"<tr><td>{name}</td><td>{value}</td></tr>" for name, value in rows.items())
     return f"<table>{''.join(cells)}</table>"
-
-
-def _to_go_time(distance_m: float, speed_m_s: float) -> str:
-    return clock_text(distance_m / speed_m_s) if speed_m_s > 0.5 else "standing"
 
 
 def event_line(event: Event) -> str:

@@ -77,7 +77,7 @@ class Recording:
         if self._journal is None:
             return
         flight, more = self.flight, False
-        for line in self._journal.new_lines() if answer(self._journal.path.is_file) else ():
+        for line in self._journal.lines() if answer(self._journal.path.is_file) else ():
             flight.take(line)
             more = True
         if self._tlog is None and flight.system_id is not None:

@@ -1,6 +1,5 @@
 """The scene: what a flight was, knew and wanted at a moment, in three dimensions."""
 
-import hashlib
 import math
 from typing import Any, Final, final
 
@@ -11,8 +10,7 @@ from companion.geodesy import FloatArray
 from companion.live_view import shapes
 from companion.live_view.ground import Ground
 from companion.live_view.recording import SECTORS
-from companion.live_view.shapes import Area, Mesh, Scale
-from companion.mission.journal import PlanReady
+from companion.live_view.shapes import Area, Mesh
 from companion.telemetry.export.shapes import ball_nea_m, circle_ne_m, outline_ne_m, walls_nea_m
 from companion.telemetry.flight import Decided, Flight
 from companion.views.words import metres
@@ -20,10 +18,10 @@ from companion.world.radars import Radar
 from companion.world.zones import Zone
 
 Rgb = tuple[int, int, int]
-PATH: Final[Rgb] = (0, 80, 181)
-RADAR: Final[Rgb] = (194, 56, 155)
-KEEP_OUT: Final[Rgb] = (232, 89, 12)
-VEHICLE: Final[Rgb] = (255, 214, 10)
+_PATH: Final[Rgb] = (0, 80, 181)
+_RADAR: Final[Rgb] = (194, 56, 155)
+_KEEP_OUT: Final[Rgb] = (232, 89, 12)
+_VEHICLE: Final[Rgb] = (255, 214, 10)
 _WHITE: Final[Rgb] = (255, 255, 255)
 _TRACK: Final[Rgb] = (20, 20, 20)
 _GUIDE: Final[Rgb] = (0, 140, 110)
@@ -36,6 +34,7 @@ _TRACK_POINTS: Final = 1500
 _CURVE_POINTS: Final = 80
 _BALL_POINTS: Final = 64
 _NOTHING: Final = np.zeros((1, 2, 3))
+_NO_SHADOWS: Final[dict[str, Any]] = {"cast_shadow": False, "receive_shadow": False}
 
 
 @final
@@ -45,9 +44,8 @@ class Scene:
     def __init__(self, server: viser.ViserServer, flight: Flight) -> None:
         self._server, self._scene, self._flight = server, server.scene, flight
         self.area = Area.of(flight)
-        self.scale = Scale.of(self.area)
-        self._tiles: dict[str, bytes] = {}
-        """What each piece of the proven ground was drawn from."""
+        self._tiles: dict[str, int] = {}
+        """What each piece of the proven ground was drawn from, as a hash."""
         self._drawn: dict[str, Any] = {}
         """What each part was drawn from."""
         scene = self._scene
@@ -61,30 +59,29 @@ class Scene:
         )
         scene.set_background_image(np.full((2, 2, 3), (238, 241, 245), dtype=np.uint8))
         self._draw_plate()
-        dart = shapes.dart()
-        self._vehicle = self._mesh("/vehicle", dart, VEHICLE, flat_shading=True)
-        self._drop = self._lines("/drop", _NOTHING, VEHICLE, 1.5)
+        self._vehicle = self._mesh("/vehicle", shapes.dart(), _VEHICLE, flat_shading=True)
+        self._drop = self._lines("/drop", _NOTHING, _VEHICLE, 1.5)
         self._track = self._lines("/track", _NOTHING, _TRACK, 2.5)
         for name in ("/scan", "/proven"):
             self._group(name)
 
     def _draw_plate(self) -> None:
         """The whole map, of which nothing is known yet, with a grid and where north is."""
-        area, base_m, step_m = self.area, self.scale.base_amsl_m, shapes.grid_step_m(self.area)
-        self._mesh("/unknown", shapes.plate(self.scale, area), _UNKNOWN)
-        self._lines("/grid", shapes.grid_lines(self.scale, area, step_m), _GRID, 1.0)
-        corner = np.array([area.north_m[0], area.east_m[0], base_m])
-        self._label("/legend/grid", f"grid {metres(step_m)}", self.scale.scene(corner), "top-left")
-        north = np.array([area.north_m[1], sum(area.east_m) / 2, base_m])
-        self._label("/legend/north", "N", self.scale.scene(north))
+        area, low_m = self.area, self.area.low_m
+        self._mesh("/unknown", area.plate(), _UNKNOWN)
+        self._lines("/grid", area.grid_lines(), _GRID, 1.0)
+        corner = area.scene(np.array([area.north_m[0], area.east_m[0], low_m]))
+        self._label("/legend/grid", f"grid {metres(area.grid_step_m)}", corner, "top-left")
+        north = np.array([area.north_m[1], sum(area.east_m) / 2, low_m])
+        self._label("/legend/north", "N", area.scene(north))
 
-    def show(self, time_s: float, heading_rad: float) -> FloatArray:
+    def show(self, time_s: float) -> FloatArray:
         """Draw the flight as it was; where the vehicle is in the scene.  -> (3,)."""
         flight = self._flight
         row, decided = flight.row_at(time_s), flight.decided_at(time_s)
-        here = self.scale.scene(flight.places_nea_m[row])
+        here = self.area.scene(flight.places_nea_m[row])
         with self._server.atomic():
-            self._show_vehicle(row, here, heading_rad)
+            self._show_vehicle(row, here)
             radars = flight.mission.task.radars if flight.has_mission else ()
             if self._changes("/threats", (radars, flight.zones_of(decided))):
                 for number, radar in enumerate(radars):
@@ -95,123 +92,110 @@ class Scene:
                 self._draw_targets(decided.targets_ne_m)
             if self._changes("/plan", (decided.leg, decided.ready, decided.asked)):
                 self._draw_plan(decided)
-            self._show_sight(time_s, row, decided, heading_rad)
+            self._show_sight(time_s, row, decided)
         return here
 
     def show_ground(self, ground: Ground) -> None:
         """Draw the terrain as it is known: the pieces that differ."""
-        tiles = dict[str, bytes]()
+        tiles = dict[str, int]()
         with self._server.atomic():
-            for (row, column), key, mesh in shapes.proven_tiles(ground, self.scale, self.area):
-                name = f"/proven/{row}_{column}"
-                tiles[name] = hashlib.blake2b(key, digest_size=16).digest()
+            for part, mesh in shapes.proven_tiles(ground, self.area):
+                name = f"/proven/{part}"
+                tiles[name] = hash(tuple(each.tobytes() for each in mesh if each is not None))
                 if self._tiles.get(name) != tiles[name]:
-                    painted = shapes.painted_glb(mesh)
-                    self._scene.add_glb(name, painted, cast_shadow=False, receive_shadow=False)
+                    self._scene.add_glb(name, mesh.painted_glb(), **_NO_SHADOWS)
             for name in self._tiles.keys() - tiles.keys():
                 self._scene.remove_by_name(name)
             self._tiles = tiles
-            guessed = shapes.guessed_mesh(ground, self.scale)
+            guessed = shapes.guessed_mesh(ground, self.area)
             self._group("/guessed")
             if guessed is not None:
                 self._mesh("/guessed/ground", guessed, _GUESSED, opacity=0.38)
 
     # --- the parts
 
-    def _show_vehicle(self, row: int, here: FloatArray, heading_rad: float) -> None:
-        turn = math.pi / 2.0 - heading_rad  # clockwise from north -> anticlockwise from x
+    def _show_vehicle(self, row: int, here: FloatArray) -> None:
+        turn = math.pi / 2.0 - self._flight.heading_rad(row)  # clockwise from north -> from x
         self._vehicle.wxyz = (math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2))
         self._vehicle.position = here
         self._drop.points = np.array([[here, [*here[:2], 0.0]]], dtype=np.float32)
         rows = np.unique(np.linspace(0, row, min(row + 1, _TRACK_POINTS)).astype(np.intp))
-        points = self.scale.scene(self._flight.places_nea_m[rows])
+        points = self.area.scene(self._flight.places_nea_m[rows])
         self._track.points = (shapes.segments(points) if row else _NOTHING).astype(np.float32)
 
     def _draw_radar(self, name: str, radar: Radar) -> None:
         """The sphere in which it sees between the ground and the ceiling."""
-        band = self.scale.base_amsl_m, self.area.high_m
-        ball = shapes.grid_mesh(self.scale.scene(ball_nea_m(radar, band, _BALL_POINTS)))
-        self._mesh(name, ball, RADAR, opacity=0.15)
+        band = self.area.low_m, self.area.high_m
+        ball = self.area.scene(ball_nea_m(radar, band, _BALL_POINTS))
+        self._mesh(name, Mesh.grid(ball), _RADAR, opacity=0.15)
         north, east, altitude = radar.centre_nea_m
         top = np.array([north, east, min(altitude + radar.range_m, band[1])])
-        self._label(f"{name}/label", radar.name, self.scale.scene(top))
+        self._label(f"{name}/label", radar.name, self.area.scene(top))
 
     def _draw_zone(self, name: str, zone: Zone) -> None:
         """Its walls up to the ceiling, their upper edge, and its name in the middle."""
-        low_m, high_m = self.scale.base_amsl_m, self.area.high_m
-        colour, what = (_KEEP_IN, "keep-in") if zone.keep_in else (KEEP_OUT, "keep-out")
-        walls = self.scale.scene(walls_nea_m(zone, (low_m, high_m)))
-        self._mesh(name, shapes.grid_mesh(walls), colour, opacity=0.25)
+        colour, what = (_KEEP_IN, "keep-in") if zone.keep_in else (_KEEP_OUT, "keep-out")
+        walls = self.area.scene(walls_nea_m(zone, (self.area.low_m, self.area.high_m)))
+        self._mesh(name, Mesh.grid(walls), colour, opacity=0.25)
         self._lines(f"{name}/rim", shapes.segments(walls[1]), colour, 2.0)
-        middle = self.scale.scene(np.array([*outline_ne_m(zone).mean(axis=0), high_m]))
+        middle = np.array([*outline_ne_m(zone).mean(axis=0), self.area.high_m])
         text = zone.name if what in zone.name else f"{what} {zone.name}".strip()
-        self._label(f"{name}/label", text, middle)
+        self._label(f"{name}/label", text, self.area.scene(middle))
 
     def _draw_targets(self, targets_ne_m: tuple[tuple[float, float], ...]) -> None:
         for number, target_ne_m in enumerate(targets_ne_m, 1):
             name = f"/targets/{number}"
-            foot = self.scale.scene(np.array([*target_ne_m, self.scale.base_amsl_m]))
+            foot = self.area.scene(np.array([*target_ne_m, self.area.low_m]))
             head = foot + np.array([0.0, 0.0, 0.14 * shapes.WIDTH])
-            self._lines(name, np.array([[foot, head]]), KEEP_OUT, 3.0)
-            self._ball(f"{name}/head", head, 0.8, KEEP_OUT)
+            self._lines(name, np.array([[foot, head]]), _KEEP_OUT, 3.0)
+            self._ball(f"{name}/head", head, 0.8, _KEEP_OUT)
             text = "target" if len(targets_ne_m) == 1 else f"target {number}"
             self._label(f"{name}/label", text, head + np.array([0.0, 0.0, 0.6]))
 
     def _draw_plan(self, decided: Decided) -> None:
         """The subpath that is flown, the next one, what spans it, and what it was asked for."""
         leg, ready, asked = decided.leg, decided.ready, decided.asked
-        if leg is not None:
-            self._curve("/plan/leg", leg, 6.0)
-        if ready is not None and ready is not leg:
-            self._curve("/plan/next", ready, 3.0)
+        for name, plan, width in (("leg", leg, 6.0), ("next", ready, 3.0)):
+            if plan is not None and (name == "leg" or plan is not leg):
+                lengths_m = np.linspace(0.0, plan.subpath.length_m, _CURVE_POINTS)
+                curve = self.area.scene(plan.subpath.points_nea_m(lengths_m))
+                self._lines(f"/plan/{name}", shapes.segments(curve), _PATH, width)
         shown = ready or leg
         if shown is not None:
-            control = self.scale.scene(np.array(shown.control_nea_m))
-            self._lines("/plan/control", shapes.segments(control), PATH, 1.0)
+            control = self.area.scene(np.array(shown.control_nea_m))
+            self._lines("/plan/control", shapes.segments(control), _PATH, 1.0)
             for number, point in enumerate(control):
                 self._ball(f"/plan/control/{number}", point, 0.2, _WHITE)
         if asked is None:
             return
         scan, start = (
-            self.scale.scene(np.array(each)) for each in (asked.scan_nea_m, asked.start_nea_m)
+            self.area.scene(np.array(each)) for each in (asked.scan_nea_m, asked.start_nea_m)
         )
-        above = np.array([0.0, 0.0, 0.5])
         for name, place, colour, anchor in (
             ("p_scan", scan, _SCAN, "bottom-right"),
-            ("p_prog", start, PATH, "bottom-left"),
+            ("p_prog", start, _PATH, "bottom-left"),
         ):
             self._ball(f"/plan/{name}", place, 0.3, colour)
-            self._label(f"/plan/{name}/label", name, above, anchor)
+            self._label(f"/plan/{name}/label", name, np.array([0.0, 0.0, 0.5]), anchor)
         if shown is not None and shown.plan_id == asked.plan_id:
             ahead = np.array([math.sin(shown.guide_rad), math.cos(shown.guide_rad), 0.0])
-            self._scene.add_arrows(
-                "/plan/guide",
-                np.array([[scan, scan + 9.0 * ahead]], dtype=np.float32),
-                _GUIDE,
-                shaft_radius=0.05,
-                head_radius=0.2,
-                head_length=0.7,
-            )
+            arrow = np.array([[scan, scan + 9.0 * ahead]], dtype=np.float32)
+            sizes: dict[str, Any] = {"shaft_radius": 0.05, "head_radius": 0.2, "head_length": 0.7}
+            self._scene.add_arrows("/plan/guide", arrow, _GUIDE, **sizes)
 
-    def _curve(self, name: str, plan: PlanReady, width: float) -> None:
-        lengths_m = np.linspace(0.0, plan.subpath.length_m, _CURVE_POINTS)
-        points = self.scale.scene(plan.subpath.points_nea_m(lengths_m))
-        self._lines(name, shapes.segments(points), PATH, width)
-
-    def _show_sight(self, time_s: float, row: int, decided: Decided, heading_rad: float) -> None:
+    def _show_sight(self, time_s: float, row: int, decided: Decided) -> None:
         """What a lidar sees now; how far the terrain radar looked for the newest plan."""
         flight, asked = self._flight, decided.asked
         swept = flight.newest(SECTORS, time_s)
         now = None if swept is None or swept[0] >= 1.0 else swept[1]
         if self._changes("/scan/fan", (now and now.distances, row)) and now is not None:
-            fan = self._fan(flight.places_nea_m[row], now, heading_rad)
+            fan = self._fan(flight.places_nea_m[row], now, flight.heading_rad(row))
             self._mesh("/scan/fan/sectors", fan, _SCAN, opacity=0.22)
-        looked = None
-        if asked is not None and flight.mission.near is None:
-            looked = asked.scan_nea_m
+        is_radar = asked is not None and flight.mission.near is None
+        looked = asked.scan_nea_m if asked is not None and is_radar else None
         if self._changes("/scan/reach", looked) and looked is not None:
             ring = circle_ne_m(looked[:2], flight.mission.task.settings.scan_range_m)
-            points = self.scale.scene(np.insert(ring, 2, looked[2], axis=1))
+            points = self.area.scene(np.insert(ring, 2, looked[2], axis=1))
             self._lines("/scan/reach/ring", shapes.segments(points), _SCAN, 2.0)
 
     def _fan(self, here_nea_m: FloatArray, message: Any, heading_rad: float) -> Mesh:
@@ -225,7 +209,7 @@ class Scene:
         rim = (rim * np.where(told, reach_m, 0.0)[:, None, None] + here_nea_m).reshape(-1, 3)
         first = 1 + 2 * np.flatnonzero(told)
         faces = np.stack([0 * first, first, first + 1], axis=-1)
-        points = self.scale.scene(np.concatenate([here_nea_m[None], rim]))
+        points = self.area.scene(np.concatenate([here_nea_m[None], rim]))
         return Mesh(points, faces.astype(np.uint32))
 
     # --- nodes
@@ -244,16 +228,8 @@ class Scene:
         self._scene.add_frame(name, show_axes=False)
 
     def _mesh(self, name: str, mesh: Mesh, colour: Rgb, **how: Any) -> viser.MeshHandle:
-        return self._scene.add_mesh_simple(
-            name,
-            mesh.vertices,
-            mesh.faces,
-            color=colour,
-            side="double",
-            cast_shadow=False,
-            receive_shadow=False,
-            **how,
-        )
+        how |= {"color": colour, "side": "double", **_NO_SHADOWS}
+        return self._scene.add_mesh_simple(name, mesh.vertices, mesh.faces, **how)
 
     def _lines(
         self, name: str, pieces: FloatArray, colour: Rgb, width: float

@@ -37,9 +37,34 @@ class Mesh(NamedTuple):
     faces: IndexArray  # (F, 3)
     colours: NDArray[np.uint8] | None = None  # (V, 3)
 
+    @staticmethod
+    def grid(points: FloatArray) -> "Mesh":
+        """(M, N, 3) -> (M - 1) (N - 1) quads."""
+        rows, columns, _ = points.shape
+        index = np.arange(rows * columns).reshape(rows, columns)
+        a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+        faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
+        return Mesh(points.reshape(-1, 3), faces.astype(np.uint32))
+
+    def painted_glb(self) -> bytes:
+        """As binary glTF 2.0, to be drawn in its own colours as painted: without light."""
+
+        def paint(tree: dict[str, Any]) -> None:
+            unlit = "KHR_materials_unlit"
+            tree["extensionsUsed"] = [unlit]
+            tree["materials"] = [{"extensions": {unlit: {}}, "doubleSided": True}]
+            tree["meshes"][0]["primitives"][0]["material"] = 0
+
+        painted = trimesh.Trimesh(
+            self.vertices, self.faces, vertex_colors=self.colours, process=False
+        )
+        glb = painted.export(file_type="glb", tree_postprocessor=paint)
+        assert isinstance(glb, bytes)
+        return glb
+
 
 class Area(NamedTuple):
-    """What the scene shows: ranges of north, east and altitude AMSL."""
+    """What the scene shows, ranges of north, east and altitude AMSL, and how it lies in there."""
 
     north_m: tuple[float, float]
     east_m: tuple[float, float]
@@ -64,49 +89,48 @@ class Area(NamedTuple):
         """Of its longer side."""
         return max(self.north_m[1] - self.north_m[0], self.east_m[1] - self.east_m[0])
 
-
-class Scale(NamedTuple):
-    """How the local frame lies in the scene."""
-
-    centre_ne_m: tuple[float, float]
-    base_amsl_m: float
-    unit_m: float
-    """What one unit of the scene is."""
-    stretch: float
-    """Heights are drawn so many times larger."""
-
-    @staticmethod
-    def of(area: Area) -> "Scale":
-        """With heights stretched as far as mountains need to be seen from above; trees do not."""
-        is_near = area.width_m < _NEAR_M
-        wanted = 1.0 if is_near else _HEIGHT * area.width_m / max(area.high_m - area.low_m, 1.0)
-        return Scale(
-            centre_ne_m=(sum(area.north_m) / 2.0, sum(area.east_m) / 2.0),
-            base_amsl_m=area.low_m,
-            unit_m=area.width_m / WIDTH,
-            stretch=max(each for each in _STRETCHES if each <= max(wanted, 1.0)),
-        )
+    @property
+    def stretch(self) -> float:
+        """How many times larger heights are drawn: mountains are seen from above; trees are not."""
+        is_near, high_m = self.width_m < _NEAR_M, max(self.high_m - self.low_m, 1.0)
+        wanted = 1.0 if is_near else _HEIGHT * self.width_m / high_m
+        return max(each for each in _STRETCHES if each <= max(wanted, 1.0))
 
     def scene(self, places_nea_m: FloatArray) -> FloatArray:
         """Places in the scene.  (..., 3) north, east, altitude -> (..., 3) x, y, z."""
         north, east, altitude = np.moveaxis(np.asarray(places_nea_m, dtype=np.float64), -1, 0)
-        return np.stack(
-            [
-                (east - self.centre_ne_m[1]) / self.unit_m,
-                (north - self.centre_ne_m[0]) / self.unit_m,
-                (altitude - self.base_amsl_m) * self.stretch / self.unit_m,
-            ],
-            axis=-1,
-        )
+        aside = east - sum(self.east_m) / 2.0, north - sum(self.north_m) / 2.0
+        points = np.stack([*aside, (altitude - self.low_m) * self.stretch], axis=-1)
+        return points * (WIDTH / self.width_m)
+
+    def plate(self) -> Mesh:
+        """What nothing is known of: the whole map, flat."""
+        north, east = np.meshgrid(self.north_m, self.east_m, indexing="ij")
+        corners = np.stack([north, east, np.full((2, 2), self.low_m)], axis=-1)
+        return Mesh.grid(self.scene(corners) - [0.0, 0.0, _BELOW])
+
+    @property
+    def grid_step_m(self) -> float:
+        """A round length: some ten of them across the map."""
+        about_m = self.width_m / 10.0
+        power = 10.0 ** math.floor(math.log10(about_m))
+        return max(each * power for each in (1.0, 2.0, 5.0) if each * power <= about_m)
+
+    def grid_lines(self) -> FloatArray:
+        """Lines on the plate, a step apart.  -> (L, 2, 3)."""
+        (south, north), (west, east), low, step_m = (*self[:3], self.grid_step_m)
+        rows = np.arange(math.ceil(south / step_m), north / step_m) * step_m
+        columns = np.arange(math.ceil(west / step_m), east / step_m) * step_m
+        lines = [[[at, west, low], [at, east, low]] for at in rows]
+        lines += [[[south, at, low], [north, at, low]] for at in columns]
+        return self.scene(np.array(lines)) - [0.0, 0.0, _BELOW / 2.0]
 
 
 # --- the ground
 
 
-def proven_tiles(
-    ground: Ground, scale: Scale, area: Area
-) -> Iterator[tuple[tuple[int, int], bytes, Mesh]]:
-    """The proven ground in square pieces: where each is, what tells it from others, and itself.
+def proven_tiles(ground: Ground, area: Area) -> Iterator[tuple[str, Mesh]]:
+    """The proven ground in square pieces, each with its name.
 
     Colours are by altitude, darkest a little above the area, lit from the north-west.
     """
@@ -116,7 +140,7 @@ def proven_tiles(
     share = (corners_m - area.low_m) / max(top_m - area.low_m, 1.0)
     tints = [np.interp(share, np.linspace(0.0, 1.0, len(_TINTS)), tint) for tint in _TINTS.T]
     smooth = scipy.ndimage.uniform_filter(corners_m, 3)
-    north, east = np.gradient(smooth * scale.stretch, ground.cell_m)
+    north, east = np.gradient(smooth * area.stretch, ground.cell_m)
     normal = np.stack([-east, -north, np.ones_like(east)], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     light = 0.62 + 0.48 * np.clip(normal @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
@@ -127,16 +151,15 @@ def proven_tiles(
             here = np.zeros_like(proven)
             here[cells] = proven[cells]
             if here.any():
-                key = here.tobytes() + np.where(here, ground.height_m, 0.0)[cells].tobytes()
-                yield (row, column), key, _cells_mesh(ground, scale, here, corners_m, colours)
+                yield f"{row}_{column}", _cells_mesh(ground, area, here, corners_m, colours)
 
 
-def guessed_mesh(ground: Ground, scale: Scale) -> Mesh | None:
+def guessed_mesh(ground: Ground, area: Area) -> Mesh | None:
     """The guessed ground."""
     guessed = ground.kind == GUESSED
     if not guessed.any():
         return None
-    return _cells_mesh(ground, scale, guessed, _corner_heights_m(ground, guessed))
+    return _cells_mesh(ground, area, guessed, _corner_heights_m(ground, guessed))
 
 
 def _corner_heights_m(ground: Ground, drawn: NDArray[np.bool_]) -> FloatArray:
@@ -151,7 +174,7 @@ def _corner_heights_m(ground: Ground, drawn: NDArray[np.bool_]) -> FloatArray:
 
 def _cells_mesh(
     ground: Ground,
-    scale: Scale,
+    area: Area,
     drawn: NDArray[np.bool_],
     corners_m: FloatArray,
     colours: NDArray[np.uint8] | None = None,
@@ -167,59 +190,10 @@ def _cells_mesh(
     east_m = ground.east_min_m + column * ground.cell_m
     places = np.stack([north_m, east_m, corners_m[row, column]], axis=-1)
     painted = None if colours is None else colours[row, column]
-    return Mesh(scale.scene(places), faces.reshape(-1, 3).astype(np.uint32), painted)
+    return Mesh(area.scene(places), faces.reshape(-1, 3).astype(np.uint32), painted)
 
 
-def plate(scale: Scale, area: Area) -> Mesh:
-    """What nothing is known of: the whole map, flat."""
-    north, east = np.meshgrid(area.north_m, area.east_m, indexing="ij")
-    corners = np.stack([north, east, np.full((2, 2), scale.base_amsl_m)], axis=-1)
-    return grid_mesh(scale.scene(corners) - [0.0, 0.0, _BELOW])
-
-
-def grid_lines(scale: Scale, area: Area, step_m: float) -> FloatArray:
-    """Lines on the plate, so far apart.  -> (L, 2, 3)."""
-    low, lines = scale.base_amsl_m, []
-    (south, north), (west, east) = area.north_m, area.east_m
-    for at in np.arange(math.ceil(south / step_m), north / step_m) * step_m:
-        lines.append([[at, west, low], [at, east, low]])
-    for at in np.arange(math.ceil(west / step_m), east / step_m) * step_m:
-        lines.append([[south, at, low], [north, at, low]])
-    return scale.scene(np.array(lines)) - [0.0, 0.0, _BELOW / 2.0]
-
-
-def grid_step_m(area: Area) -> float:
-    """A round length: some ten of them across the map."""
-    about_m = area.width_m / 10.0
-    power = 10.0 ** math.floor(math.log10(about_m))
-    return max(each * power for each in (1.0, 2.0, 5.0) if each * power <= about_m)
-
-
-def painted_glb(mesh: Mesh) -> bytes:
-    """A mesh with colours of its own as binary glTF 2.0, to be drawn as painted: without light."""
-
-    def paint(tree: dict[str, Any]) -> None:
-        unlit = "KHR_materials_unlit"
-        tree["extensionsUsed"] = [unlit]
-        tree["materials"] = [{"extensions": {unlit: {}}, "doubleSided": True}]
-        tree["meshes"][0]["primitives"][0]["material"] = 0
-
-    painted = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=mesh.colours, process=False)
-    glb = painted.export(file_type="glb", tree_postprocessor=paint)
-    assert isinstance(glb, bytes)
-    return glb
-
-
-def grid_mesh(points: FloatArray) -> Mesh:
-    """(M, N, 3) -> a mesh of (M - 1) (N - 1) quads."""
-    rows, columns, _ = points.shape
-    index = np.arange(rows * columns).reshape(rows, columns)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
-    return Mesh(points.reshape(-1, 3), faces.astype(np.uint32))
-
-
-# --- lines
+# --- lines, and the vehicle
 
 
 def segments(points: FloatArray) -> FloatArray:

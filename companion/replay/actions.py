@@ -2,10 +2,8 @@
 
 import json
 import sys
-import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from functools import cache, partial
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -13,12 +11,9 @@ from typing import Any
 import msgspec
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from companion.config import elevation_file, load_mission, refuse_older
+from companion.config import load_mission
 from companion.errors import FlightFailed, InputError
-from companion.mission.mission import Mission
-from companion.mission.start import Start, terrain_of
-from companion.replay.feed import DamagedInputError, MissionOf, start_of
-from companion.replay.report import replay_json, replay_text
+from companion.replay.feed import flown_mission
 from companion.replay.reproduce import LogReplay, Replay
 from companion.replay.shadow import watch
 from companion.replay.shadow_report import renderables
@@ -26,12 +21,9 @@ from companion.replay.what_if import what_if, what_if_table
 from companion.runtime.compiler import load_kernel
 from companion.runtime.loop import prompt_threads
 from companion.sources.files import file_of_run, writing
-from companion.telemetry import inputs
-from companion.telemetry.inputs import InputsFile
 from companion.views.output import plain_console
 
-_LOADING = "loading the planner (the first time it is compiled: some ten seconds)"
-_SHOWN_EVERY_S = 0.1
+_SHOWN_EVERY = 200  # inputs: a bar costs more than most of them
 _TABLE_COLUMNS = 130  # into a file
 
 
@@ -42,7 +34,7 @@ def same_run(folder: Path, json_file: Path | None, *, plans: bool) -> None:
     """
     mission_of = flown_mission(folder)
     if plans:
-        load_planner()
+        _load_planner()
     _compare(Replay(folder, mission_of, plans=plans), folder, json_file)
 
 
@@ -59,14 +51,9 @@ def same_log(
         rule = "a log alone does not say what the mission was"
         remedy = "Give the run folder, or --mission, or --shadow for another's flight."
         raise InputError("RUN_DIR|LOG", str(log), rule, remedy)
-    load_planner()
-    replay = LogReplay(
-        log,
-        load_mission(mission, profile),
-        seed=seed,
-        version=version("companion"),
-        system_id=system,
-    )
+    _load_planner()
+    flown = load_mission(mission, profile)
+    replay = LogReplay(log, flown, seed=seed, version=version("companion"), system_id=system)
     _compare(replay, log, json_file)
 
 
@@ -74,13 +61,14 @@ def _compare(replay: Replay | LogReplay, flight: Path, json_file: Path | None) -
     console, found = plain_console(soft_wrap=True, highlight=False), replay.found
     with _bar("replaying", replay.inputs.size_bytes) as show, prompt_threads():
         for _ in replay.steps():
-            show(replay.inputs.read_bytes, f"replaying {found.now_s:,.0f} s")
+            if found.inputs % _SHOWN_EVERY == 0:
+                show(replay.inputs.read_bytes, f"replaying {found.now_s:,.0f} s")
     for finding in replay.inputs.findings if isinstance(replay, LogReplay) else ():
         console.print(f"note: {finding}")
     differs = found.difference is not None
     if found.compared or differs:
-        console.print("\n".join(replay_text(found)))
-        _write(replay_json(found), json_file)
+        console.print(str(found))
+        _write(found.as_json(), json_file)
     elif not found.damaged:  # nothing is not the same as something
         rule = "it holds nothing to compare a replay with"
         remedy = "Give the recording of a flight, whole."
@@ -90,9 +78,6 @@ def _compare(replay: Replay | LogReplay, flight: Path, json_file: Path | None) -
         raise InputError("RUN_DIR", str(flight), rule, "Give a copy of it that is whole.")
     if not found.is_identical:
         raise FlightFailed("the replay did not decide as the flight did", "")
-
-
-# --- other questions
 
 
 def changed(
@@ -105,7 +90,7 @@ def changed(
         raise InputError("RUN_DIR|LOG", str(folder), rule, "Give the run folder of the flight.")
     found, flown = [], flown_mission(folder)
     other = load_mission(str(folder / "mission.toml"), profile, settings)
-    load_planner()
+    _load_planner()
     with _bar("planning again", 0) as show:
         for each in what_if(folder, flown, other, seed=seed):
             found.append(each)
@@ -121,54 +106,20 @@ def shadow(flight: Path, mission: str | None, system: int | None, json_file: Pat
         flight = file_of_run(flight, "flight.tlog", "RUN_DIR|LOG")
     chosen = None if mission is None else load_mission(mission)
     if chosen is not None:
-        load_planner()
+        _load_planner()
     with _bar("watching", flight.stat().st_size) as show:
         report = watch(
-            flight,
-            chosen,
-            system_id=system,
-            on_progress=lambda done, _size: show(done, "watching"),
+            flight, chosen, system_id=system, on_progress=lambda done, _: show(done, "watching")
         )
     for each in renderables(report):
         console.print(each)
     _write(report.as_json(), json_file)
 
 
-# --- files, the planner, bars
-
-
-def flown_mission(folder: Path) -> MissionOf:
-    """The mission of a run folder, as it was flown.  InputError if it is another one now."""
-    refuse_older(folder)
-    file = file_of_run(folder, "mission.toml", "RUN_DIR|LOG")
-    loaded = cache(partial(load_mission, str(file)))
-
-    def mission_of(start: Start) -> Mission:
-        mission = loaded(start.profile)
-        if start.terrain != terrain_of(mission):
-            raise _other_terrain(file)
-        return mission
-
-    with suppress(DamagedInputError):  # is found again, at its place
-        mission_of(start_of(next(iter(InputsFile(folder / inputs.FILE)), ())))
-    return mission_of
-
-
-def _other_terrain(mission_file: Path) -> InputError:
-    """The elevation file has changed, so decisions would differ."""
-    elevation = elevation_file(str(mission_file))
-    if elevation is None:
-        field, value, what = "terrain", str(mission_file), "the terrain that it gives in advance"
-        remedy = "Give the run folder with the mission.toml that was flown."
-    else:
-        field, value, what = "terrain.file", elevation, "the elevation file"
-        remedy = f"Put the file of the flight there, or name it in {mission_file}."
-    return InputError(field, value, f"{what} has changed since the flight", remedy)
-
-
-def load_planner() -> None:
+def _load_planner() -> None:
     """Load what computes plans, and say so."""
-    with plain_console(stderr=True).status(_LOADING):
+    words = "loading the planner (the first time it is compiled: some ten seconds)"
+    with plain_console(stderr=True).status(words):
         load_kernel()
 
 
@@ -184,17 +135,7 @@ def _write(values: Any, json_file: Path | None) -> None:
 def _bar(words: str, total: int) -> Iterator[Callable[[int, str], None]]:
     """A progress bar on the terminal; what is yielded tells it how far it is."""
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn())
-    shown_s = 0.0
-    bars = Progress(
-        *columns, TimeRemainingColumn(), console=plain_console(stderr=True), transient=True
-    )
-    with bars:
+    console = plain_console(stderr=True)
+    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bars:
         bar = bars.add_task(words, total=total or None)
-
-        def show(done: int, now: str) -> None:
-            nonlocal shown_s
-            if time.monotonic() - shown_s >= _SHOWN_EVERY_S:
-                shown_s = time.monotonic()
-                bars.update(bar, completed=done, description=now)
-
-        yield show
+        yield lambda done, now: bars.update(bar, completed=done, description=now)

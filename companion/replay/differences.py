@@ -1,33 +1,28 @@
-"""Compares a replay with the recording: frames and journal entries, one by one."""
+"""What a replay and the recording have different: found, as values, and as text."""
 
 import json
-from collections.abc import Generator, Iterator
-from functools import partial
-from itertools import chain, starmap
+import traceback
 from pathlib import Path
 from typing import Any, Final, final
 
 from msgspec import Struct
+from msgspec.structs import asdict
 
 from companion.mavlink.dialect import Message
 from companion.mavlink.frames import Receiver
-from companion.mavlink.link import Stamped
-from companion.mission.entries import Entry
 from companion.printable import with_printable_texts
-from companion.sources.files import file_of_run
-from companion.telemetry.inputs import is_hole
-from companion.telemetry.run_folder import LONGEST_RECORD, Records, journal_line
 
 _SEQUENCE: Final = {0xFD: 4, 0xFE: 2}
 """Where a frame holds its sequence number, by its first byte: not compared, nor is the checksum."""
 NOTHING: Final = "nothing"
 """Shown for a missing frame or entry."""
-_LONGEST_LINE: Final = 2**24
 _SHOWN_BYTES: Final = 100
+_MAX_PLANS: Final = 5
+_AFTER_THE_END: Final = "frames and entries came after the end of the recording"
 
 
 @final
-class Difference(Struct, frozen=True, kw_only=True):
+class Difference(Struct, frozen=True):
     """The first difference between a replay and the recording."""
 
     t_s: float
@@ -40,124 +35,69 @@ class Difference(Struct, frozen=True, kw_only=True):
 
     def __str__(self) -> str:
         where = f"{self.what}.{self.field}" if self.field else self.what
-        return (
-            f"t {self.t_s:.3f} s: {where}: "
-            f"recorded {_shown(self.recorded)}, replayed {_shown(self.replayed)}"
-        )
+        was, now = (v if v == NOTHING else repr(v) for v in (self.recorded, self.replayed))
+        return f"t {self.t_s:.3f} s: {where}: recorded {was}, replayed {now}"
 
 
-def _shown(value: Any) -> str:
-    return value if value == NOTHING else repr(value)
+def frames_differ(time_s: float, recorded: bytes | None, frame: bytes | None) -> Difference | None:
+    """The first field in which two frames differ, sequence numbers apart; None: they are equal.
 
-
-@final
-class Recording:
-    """The recorded frames and entries of a run folder, compared with a replay's in order."""
-
-    def __init__(self, folder: Path) -> None:
-        """InputError if there is nothing to compare with."""
-        self.frames = self.entries = 0
-        """How many were the same."""
-        self.unrecorded = 0
-        """How many came after the end of what was recorded: it was killed, or the disk full."""
-        self._path = file_of_run(folder, "flight.tlog")
-        self._log = Records(self._path)
-        self._lines = _entry_lines(file_of_run(folder, "journal.jsonl"))
-        self._epoch_us: int | None = None
-        """The stamp of vehicle time 0, by the first frame that is compared."""
-        self._has_ended = False
-
-    def close(self) -> None:
-        """Close the files."""
-        self._log.close()
-        self._lines.close()
-
-    def begin_again(self) -> None:
-        """The companion was restarted: its clock may differ."""
-        self._epoch_us = None
-
-    def first_difference(self, record: list[Stamped], journal: list[Entry]) -> Difference | None:
-        """Compare the output of one run with the next records."""
-        found = chain(starmap(self._frame_differs, record), map(self._entry_differs, journal))
-        return next((each for each in found if each is not None), None)
-
-    def pass_over(self, frames: int) -> None:
-        """Skip what the watchdog sent: this many frames, and one entry."""
-        while frames > 0 and self._log.take() is not None:
-            frames -= 1
-        next(self._lines, None)
-
-    def _frame_differs(self, time_s: float, frame: bytes) -> Difference | None:
-        if (held := self._log.take()) is None:
-            self.unrecorded += 1
-            return self._is_damaged(time_s, frame)
-        stamp_us, recorded = held
-        if (difference := frames_differ(time_s, recorded, frame)) is not None:
-            return difference
-        at_us = round(time_s * 1e6)
-        self._epoch_us = stamp_us - at_us if self._epoch_us is None else self._epoch_us
-        if stamp_us != self._epoch_us + at_us:
-            was_s = time_s + (stamp_us - self._epoch_us - at_us) * 1e-6
-            return _difference(time_s, name_of(frame), "time", was_s, time_s)
-        self.frames += 1
-        return None
-
-    def _is_damaged(self, time_s: float, frame: bytes) -> Difference | None:
-        """Whether the log ends here because the data after it is damaged; checked once."""
-        has_ended, self._has_ended = self._has_ended, True
-        left = self._path.stat().st_size - self._log.end
-        if has_ended or left <= LONGEST_RECORD or is_hole(self._path, self._log.end):
+    Either frame may be missing (None).
+    """
+    if recorded is not None and frame is not None:
+        if recorded == frame or _compared(recorded) == _compared(frame):
             return None
-        what = f"{left:,} bytes that are no frames"
-        return _difference(time_s, "flight.tlog", "", what, name_of(frame))
+        was, now = message_of(recorded), message_of(frame)
+        if was is not None and now is not None and was.get_type() == now.get_type():
+            # compared as they are shown: a NaN is the same as another
+            fields = ((name, getattr(was, name), getattr(now, name)) for name in now.fieldnames)
+            differ = (each for each in fields if repr(each[1]) != repr(each[2]))
+            first = next(differ, ("header", recorded[:10].hex(), frame[:10].hex()))
+            return Difference(time_s, now.get_type(), *first)
+    return Difference(time_s, "frame", "message", name_of(recorded), name_of(frame))
 
-    def _entry_differs(self, entry: Entry) -> Difference | None:
-        line, held = journal_line(entry), next(self._lines, None)
-        if held is None:
-            self.unrecorded += 1
-            return None
-        if held != line:
-            was, now = _entry_of(held), with_printable_texts(json.loads(line))
-            time_s, kind = float(entry["t_s"]), str(entry["kind"])
-            if was is None:
-                return _difference(time_s, "journal", "line", held[:_SHOWN_BYTES], kind)
-            if was.get("kind") != kind:
-                return _difference(time_s, "journal", "kind", was.get("kind"), kind)
-            if (differs := values_differ(was, now)) is not None:  # else it is spelled otherwise
-                return _difference(time_s, kind, *differs)
-        self.entries += 1
+
+def entries_differ(recorded: bytes, replayed: bytes, time_s: float, kind: str) -> Difference | None:
+    """The first field in which two lines of a journal differ; None: at most their spelling does."""
+    if recorded == replayed:
         return None
-
-
-def _difference(time_s: float, what: str, field: str, was: Any, now: Any) -> Difference:
-    return Difference(t_s=time_s, what=what, field=field, recorded=was, replayed=now)
-
-
-def _entry_lines(path: Path) -> Generator[bytes, None, None]:
-    """The lines of a journal but for its headers, to the last whole one."""
-    with path.open("rb") as file:
-        for line in iter(partial(file.readline, _LONGEST_LINE), b""):
-            if not line.endswith(b"\n") and len(line) < _LONGEST_LINE:
-                return
-            if not (line.startswith(b'{"schema"') and line.endswith(b"\n")):
-                yield line
-
-
-def _entry_of(line: bytes) -> dict[str, Any] | None:
-    """Decode a journal entry; None if it is invalid."""
     try:
-        entry = with_printable_texts(json.loads(line))
+        was = with_printable_texts(json.loads(recorded))
     except (ValueError, RecursionError):
-        return None
-    return entry if isinstance(entry, dict) else None
+        was = None
+    if not isinstance(was, dict):
+        return Difference(time_s, "journal", "line", recorded[:_SHOWN_BYTES], kind)
+    if was.get("kind") != kind:
+        return Difference(time_s, "journal", "kind", was.get("kind"), kind)
+    differs = values_differ(was, with_printable_texts(json.loads(replayed)))
+    return None if differs is None else Difference(time_s, kind, *differs)
 
 
-# --- where two of a kind differ
+def values_differ(was: Any, now: Any, path: str = "") -> tuple[str, Any, Any] | None:
+    """The first place where plain values differ, and both values; None: nowhere."""
+    match was, now:
+        case dict(), dict():
+            parts = [
+                (f"{path}.{key}".removeprefix("."), was.get(key, NOTHING), now.get(key, NOTHING))
+                for key in {**was, **now}
+            ]
+        case (list() | tuple(), list() | tuple()) if len(was) == len(now):
+            both = enumerate(zip(was, now, strict=True))
+            parts = [(f"{path}[{index}]", old, new) for index, (old, new) in both]
+        case _:
+            return None if was == now else (path, was, now)
+    found = (values_differ(old, new, inner) for inner, old, new in parts)
+    return next((each for each in found if each is not None), None)
 
 
 def _compared(frame: bytes) -> bytes:
     at = _SEQUENCE.get(frame[0], 0)
     return frame[:at] + frame[at + 1 : -2]
+
+
+def message_of(frame: bytes) -> Message | None:
+    """The message of a frame; None if it cannot be decoded."""
+    return next(iter(Receiver().feed(frame)), None)
 
 
 def name_of(frame: bytes | None) -> str:
@@ -168,43 +108,131 @@ def name_of(frame: bytes | None) -> str:
     return "frame" if message is None else str(message.get_type())
 
 
-def message_of(frame: bytes) -> Message | None:
-    """The message of a frame; None if it cannot be decoded."""
-    return next(iter(Receiver().feed(frame)), None)
+# --- what a replay has found
 
 
-def frames_differ(time_s: float, recorded: bytes | None, frame: bytes | None) -> Difference | None:
-    """The first field in which two frames differ, sequence numbers apart; None: they are equal.
+@final
+class RecordedError(Struct, frozen=True):
+    """An error raised by a session, or by the control loop around it."""
 
-    Either frame may be missing (None).
-    """
-    if recorded is None or frame is None:
-        return _difference(time_s, "frame", "message", name_of(recorded), name_of(frame))
-    if recorded == frame or _compared(recorded) == _compared(frame):
-        return None
-    was, now = message_of(recorded), message_of(frame)
-    if was is None or now is None or was.get_type() != now.get_type():
-        return _difference(time_s, "frame", "message", name_of(recorded), name_of(frame))
-    pairs = ((name, getattr(was, name), getattr(now, name)) for name in now.fieldnames)
-    # compared as they are shown: a NaN is the same as another
-    differ = ((name, a, b) for name, a, b in pairs if repr(a) != repr(b))
-    name, a, b = next(differ, ("header", recorded[:10].hex(), frame[:10].hex()))
-    return _difference(time_s, now.get_type(), name, a, b)
+    call: str
+    """Of the session, or another; "" if it did not come out of one."""
+    error: str
+    place: str = ""
+    """In the code, if it was raised here."""
 
+    @staticmethod
+    def of(call: str, error: Exception) -> "RecordedError":
+        """An error that a session has raised just now."""
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        place = f"{Path(last.filename).stem}.{last.name}, line {last.lineno}"
+        return RecordedError(call, f"{type(error).__name__}: {error}", place)
 
-def _values_differ(path: str, was: Any, now: Any) -> Iterator[tuple[str, Any, Any]]:
-    """Where plain values differ: path, and both values."""
-    if isinstance(was, dict) and isinstance(now, dict):
-        for key in [*was, *(key for key in now if key not in was)]:
-            inner = f"{path}.{key}" if path else str(key)
-            yield from _values_differ(inner, was.get(key, NOTHING), now.get(key, NOTHING))
-    elif isinstance(was, list | tuple) and isinstance(now, list | tuple) and len(was) == len(now):
-        for index, (old, new) in enumerate(zip(was, now, strict=True)):
-            yield from _values_differ(f"{path}[{index}]", old, new)
-    elif was != now:
-        yield path, was, now
+    def __str__(self) -> str:
+        return self.error if not self.place else f"{self.error} ({self.place})"
 
 
-def values_differ(was: Any, now: Any) -> tuple[str, Any, Any] | None:
-    """The first place where plain values differ, and both values; None: nowhere."""
-    return next(_values_differ("", was, now), None)
+@final
+class PlanDiffers(Struct, frozen=True, kw_only=True):
+    """A plan that differs from the recorded one."""
+
+    plan_id: int
+    t_s: float
+    field: str
+    recorded: Any
+    computed: Any
+    words: str
+    """How far apart the two are."""
+    kernels: tuple[str, str]
+    """What computed the recorded one, and this one."""
+
+    @property
+    def is_excused(self) -> bool:
+        """Whether the kernels differ, so that the last bits may."""
+        return self.kernels[0] != self.kernels[1]
+
+    def __str__(self) -> str:
+        by = f" ({self.kernels[0]}, now {self.kernels[1]})" if self.is_excused else ""
+        first = f"first {self.field}: recorded {self.recorded!r}, computed {self.computed!r}"
+        return f"t {self.t_s:.3f} s: plan {self.plan_id}{by}: {self.words}; {first}"
+
+
+@final
+class Replayed(Struct, kw_only=True):
+    """The result of a replay so far."""
+
+    difference: Difference | None = None
+    """The first one."""
+    plans_differ: list[PlanDiffers] = []
+    starts: int = 0
+    """How often the companion was started."""
+    inputs: int = 0
+    frames: int = 0
+    """Frames, both ways, that were the same."""
+    entries: int = 0
+    unrecorded: int = 0
+    """Frames and entries after the end of the recording: it was killed, or the disk was full."""
+    torn: str = ""
+    """Why it ended before the end of the file."""
+    plans: int = 0
+    plans_computed: int = 0
+    ended_by: RecordedError | None = None
+    """The error that ended the flight's control loop, if any."""
+    damaged: str = ""
+    """What in the recording is not a valid input; nothing after it was replayed."""
+    now_s: float = 0.0
+    flown_s: float = 0.0
+    """Vehicle time that was replayed, of all starts and boots together."""
+    took_s: float = 0.0
+
+    @property
+    def compared(self) -> int:
+        """How many frames and entries were the same."""
+        return self.frames + self.entries
+
+    @property
+    def plans_are_excused(self) -> bool:
+        """Whether no plan differs, or only as other kernels make it."""
+        return all(each.is_excused for each in self.plans_differ)
+
+    @property
+    def is_identical(self) -> bool:
+        """Whether all decisions and plans equal the recorded ones, and there were any."""
+        same = self.difference is None and self.plans_are_excused
+        return same and self.compared > 0 and not self.damaged
+
+    def as_json(self) -> dict[str, Any]:
+        """For a JSON file."""
+        ended_by = None if self.ended_by is None else self.ended_by.error
+        return {"identical": self.is_identical, **asdict(self), "ended_by": ended_by}
+
+    def __str__(self) -> str:
+        speed = f", {self.flown_s / self.took_s:,.0f}x real time" if self.took_s > 0.0 else ""
+        counted = f"{self.frames:,} frames, {self.entries:,} journal entries"
+        if self.plans_computed:
+            same = self.plans_computed - len(self.plans_differ)
+            counted += f", {same} of {self.plans_computed} plans computed again"
+        elif self.plans:
+            counted += f"; {self.plans} plans taken as recorded"
+        more = len(self.plans_differ) - _MAX_PLANS
+        verdict = "nothing was compared"
+        if self.is_identical:
+            verdict = "identical"
+        elif self.difference is not None or not self.plans_are_excused:
+            verdict = "not identical"
+        elif self.compared:
+            verdict = "identical up to there"
+        lines = [
+            (self.difference is not None, f"first difference at {self.difference}"),
+            (True, f"the same: {counted} ({self.flown_s:,.1f} s of flight{speed})"),
+            (self.entries and not self.frames, "no frame was compared: flight.tlog holds none"),
+            (self.starts > 1, f"the companion was started {self.starts} times"),
+            *((True, str(each)) for each in self.plans_differ[:_MAX_PLANS]),
+            (more > 0, f"{more} more plans differ"),
+            (self.unrecorded, f"{self.unrecorded} {_AFTER_THE_END}"),
+            (self.ended_by, f"the flight ended with an error of the companion's: {self.ended_by}"),
+            (self.torn, f"the recording ends early: {self.torn}"),
+            (self.damaged, f"the recording is damaged from there on: {self.damaged}"),
+            (True, verdict),
+        ]
+        return "\n".join(line for is_so, line in lines if is_so)

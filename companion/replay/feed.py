@@ -1,21 +1,25 @@
 """Feeds recorded inputs to an equal session: replay, what-if, report and view are made of this."""
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, Final, final
 
 import msgspec
 from msgspec import Meta
 
+from companion.config import elevation_file, load_mission, refuse_older
 from companion.errors import InputError
 from companion.mavlink.link import Input, Output
 from companion.mission import checkpoint
 from companion.mission.mission import Mission
-from companion.mission.start import Resume, Start, SystemId
+from companion.mission.start import Resume, Start, SystemId, terrain_of
 from companion.planner.request import PlanOutcome, outcome_of
 from companion.profiles import PROFILES
 from companion.session import Session
+from companion.sources.files import file_of_run
 from companion.telemetry.inputs import FILE, InputsFile
 from companion.world.known_map import unpacked_map
 
@@ -101,6 +105,29 @@ def outputs(folder: Path, mission_of: MissionOf) -> Iterator[tuple[Input, Sessio
         yield told, feeder.session, output
 
 
+def flown_mission(folder: Path) -> MissionOf:
+    """The mission of a run folder, as it was flown.  InputError if its terrain is another now."""
+    refuse_older(folder)
+    file = file_of_run(folder, "mission.toml", "RUN_DIR|LOG")
+    loaded = cache(partial(load_mission, str(file)))
+
+    def mission_of(start: Start) -> Mission:
+        mission = loaded(start.profile)
+        if start.terrain == terrain_of(mission):
+            return mission
+        if (elevation := elevation_file(str(file))) is not None:
+            rule = "the elevation file has changed since the flight"
+            remedy = f"Put the file of the flight there, or name it in {file}."
+            raise InputError("terrain.file", elevation, rule, remedy)
+        rule = "the terrain that it gives in advance has changed since the flight"
+        remedy = "Give the run folder with the mission.toml that was flown."
+        raise InputError("terrain", str(file), rule, remedy)
+
+    with suppress(DamagedInputError):  # is found again, at its place
+        mission_of(start_of(next(iter(InputsFile(folder / FILE)), ())))
+    return mission_of
+
+
 def start_of(told: Input) -> Start:
     """What a session was made of, of a recorded input.  DamagedInputError: it is none."""
     try:
@@ -123,27 +150,23 @@ def answer_of(told: Input) -> PlanOutcome:
 
 def _session_of(start: Start, mission_of: MissionOf) -> Session:
     mission = replace(mission_of(start), system_id=start.system_id)
+    resume: Resume | None = None
+    if start.resume is not None:
+        try:
+            known = None if start.known is None else unpacked_map(start.known)
+            if known is not None:
+                known = known.with_what_was_given(checkpoint.blank_map(mission))
+            resume = start.resume, known
+            checkpoint.initial_state(mission, resume)
+        except checkpoint.DECODE_ERRORS as error:
+            why = f"{type(error).__name__}: {error}"
+            raise DamagedInputError(f"a start that cannot be gone on from ({why})") from error
     return Session(
         mission,
         seed=start.seed,
         lockstep=start.lockstep,
         shadow=start.shadow,
-        resume=_resume_of(start, mission),
+        resume=resume,
         go=start.go,
         version=start.companion,
     )
-
-
-def _resume_of(start: Start, mission: Mission) -> Resume | None:
-    if start.resume is None:
-        return None
-    try:
-        known = None if start.known is None else unpacked_map(start.known)
-        if known is not None:
-            known = known.with_what_was_given(checkpoint.blank_map(mission))
-        resume = start.resume, known
-        checkpoint.initial_state(mission, resume)
-    except checkpoint.DECODE_ERRORS as error:
-        why = f"{type(error).__name__}: {error}"
-        raise DamagedInputError(f"a start that cannot be gone on from ({why})") from error
-    return resume

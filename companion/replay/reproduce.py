@@ -12,9 +12,10 @@ as in lockstep.  So only flights in lockstep are reproduced from it, which nobod
 
 import math
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import replace
-from itertools import chain, count, islice
+from functools import partial
+from itertools import chain, count, islice, starmap
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -24,6 +25,7 @@ from companion.errors import InputError
 from companion.mavlink.dialect import COMPANION_COMPONENT, wire
 from companion.mavlink.frames import number_of, sender_of
 from companion.mavlink.link import Input, Output, Stamped
+from companion.mission.entries import Entry
 from companion.mission.mission import Mission
 from companion.planner import kernels
 from companion.planner.request import PlanOutcome, PlanRequest, values_of
@@ -31,8 +33,12 @@ from companion.planning import plan
 from companion.replay.differences import (
     NOTHING,
     Difference,
-    Recording,
+    PlanDiffers,
+    RecordedError,
+    Replayed,
+    entries_differ,
     frames_differ,
+    name_of,
     values_differ,
 )
 from companion.replay.feed import (
@@ -43,11 +49,13 @@ from companion.replay.feed import (
     MissionOf,
     answer_of,
 )
-from companion.replay.report import PlanDiffers, RecordedError, Replayed
 from companion.session import Session
-from companion.telemetry.inputs import FILE, InputsFile
+from companion.sources.files import file_of_run
+from companion.telemetry.inputs import FILE, InputsFile, is_hole
 from companion.telemetry.logs import Log, open_log
+from companion.telemetry.run_folder import LONGEST_RECORD, Records, journal_line
 
+_LONGEST_LINE: Final = 2**24
 _SILENT_S: Final = 0.2
 """Between two frames of a log: less is no silence."""
 _LOOKED_AT: Final = 3000  # frames that tell whether a flight was flown in lockstep
@@ -55,7 +63,9 @@ _OFTEN: Final = 50
 _MAX_AHEAD: Final = 1000
 """Frames that the companion still sends in a replay when the recorded one sends no more: so many
 may just not have been recorded any more."""
-_TIMESYNC: Final = wire.MAVLINK_MSG_ID_TIMESYNC
+
+
+# --- a run folder
 
 
 @final
@@ -69,8 +79,10 @@ class Replay:
         """
         self.found = Replayed()
         self.inputs = InputsFile(folder / FILE)
-        self._recording, self._feeder = Recording(folder), Feeder(mission_of)
+        self._recording, self._feeder = _Recording(folder, self.found), Feeder(mission_of)
         self._plans, self._asked = plans, dict[int, PlanRequest]()
+        self._flown_before_s = 0.0
+        """By the sessions before this one."""
 
     def steps(self) -> Iterator[None]:
         """Replay, input by input, until the first difference or the end."""
@@ -95,7 +107,11 @@ class Replay:
     def _feed(self, told: Input) -> tuple[Output | None, RecordedError | None]:
         """Feed one input; what the session gave and what it raised."""
         found, feeder, raised = self.found, self._feeder, None
-        if told[0] == "deliver":
+        if told[0] == "start":
+            self._asked.clear()
+            self._recording.epoch_us = None  # the companion was restarted: its clock may differ
+            self._flown_before_s = found.flown_s
+        elif told[0] == "deliver":
             self._plan_again(answer_of(told), feeder.session.now_s)
         try:
             output = feeder.take(told)
@@ -106,13 +122,11 @@ class Replay:
             if told[0] == "start":
                 return None, raised
             output = feeder.session.take_output()
-        if told[0] == "start":
-            self._asked.clear()
-            self._recording.begin_again()
-            found.starts += 1
-        elif output is not None and output.plan is not None:
+        found.starts += told[0] == "start"
+        if output is not None and output.plan is not None:
             self._asked[output.plan.plan_id] = output.plan
-        found.go_on_to(feeder.session.now_s)
+        session = feeder.session
+        found.now_s, found.flown_s = session.now_s, self._flown_before_s + session.clock.passed_s
         return output, raised
 
     def _compare(
@@ -122,67 +136,55 @@ class Replay:
 
         If the flight ended with an error here, the replay must, too.
         """
-        found, recording, ended = self.found, self._recording, None
+        found, ended = self.found, None
         for remark in remarks:
             match remark:
                 case ("unsent", list(numbers)) if given and all(type(n) is int for n in numbers):
                     there = range(len(given.frames))  # else it has sent fewer: that differs
                     given.leave_out(number for number in numbers if number in there)
                 case ("raised", str(call), str(error)):
-                    ended = RecordedError(call=call, error=error)
+                    ended = RecordedError(call, error)
                 case _:
                     pass
         if given is not None:
-            found.difference = recording.first_difference(given.record, given.journal)
-            found.frames, found.entries = recording.frames, recording.entries
-            found.unrecorded = recording.unrecorded
+            found.difference = self._recording.first_difference(given.record, given.journal)
         for name, *told in remarks:
             if name == "held" and told and type(told[0]) is int:
-                recording.pass_over(told[0])
+                self._recording.pass_over(told[0])
         if raised and ended and (raised.call, raised.error) == (ended.call, ended.error):
             found.ended_by = raised
             return
         found.ended_by, last = ended or found.ended_by, ended or raised
         if last is not None and (raised is not None or last.call in SESSION_CALLS):
-            found.difference = found.difference or Difference(
-                t_s=found.now_s,
-                what=last.call or "flight",
-                field="error",
-                recorded=NOTHING if ended is None else str(ended),
-                replayed=NOTHING if raised is None else str(raised),
-            )
+            was, now = (NOTHING if each is None else str(each) for each in (ended, raised))
+            differs = Difference(found.now_s, last.call or "flight", "error", was, now)
+            found.difference = found.difference or differs
 
     def _plan_again(self, answer: PlanOutcome, now_s: float) -> None:
         """Compute a plan again, only to compare it."""
-        self.found.plans += 1
-        request = self._asked.pop(answer.plan_id, None)
+        found, request = self.found, self._asked.pop(answer.plan_id, None)
+        found.plans += 1
         if request is None or not self._plans:
             return
-        self.found.plans_computed += 1
-        values, name = values_of(answer), kernels.signature()
-        kernel = str(values.get("kernel", name))
-        where: tuple[str, Any, Any] | None
+        found.plans_computed += 1
+        name, was = kernels.signature(), values_of(answer)
+        kernel, now = str(was.pop("kernel", name)), dict[str, Any]()
         try:
-            again = values_of(computed_again(request, getattr(answer, "stopped_after", None)))
+            now = values_of(_computed_again(request, getattr(answer, "stopped_after", None)))
         except Exception as error:  # noqa: BLE001 - the planner's own: in flight it had an answer
-            where, kernel = ("error", NOTHING, f"{type(error).__name__}: {error}"), name
-            words = "it cannot be computed"
+            kernel, words = name, "it cannot be computed"
+            where: Any = ("error", NOTHING, f"{type(error).__name__}: {error}")
         else:
-            where = values_differ({**values, "kernel": None}, {**again, "kernel": None})
-            words = "" if where is None else _apart(values, again)
-        if where is None:
-            return
-        self.found.plans_differ.append(
-            PlanDiffers(
-                plan_id=answer.plan_id,
-                t_s=now_s,
-                field=where[0],
-                recorded=where[1],
-                computed=where[2],
-                words=words,
-                kernels=(kernel, name),
-            )
-        )
+            now.pop("kernel", None)
+            where = values_differ(was, now)
+            words = "" if where is None else _apart(was, now)
+        if where is not None:
+            found.plans_differ.append(
+                PlanDiffers(
+                    plan_id=answer.plan_id, t_s=now_s, field=where[0], recorded=where[1],
+                    computed=where[2], words=words, kernels=(kernel, name),
+                )
+            )  # fmt: skip
 
 
 def _with_remarks(inputs: Iterable[Input]) -> Iterator[tuple[Input, list[Input]]]:
@@ -200,7 +202,7 @@ def _with_remarks(inputs: Iterable[Input]) -> Iterator[tuple[Input, list[Input]]
         yield told, remarks
 
 
-def computed_again(request: PlanRequest, stopped_after: int | None) -> PlanOutcome:
+def _computed_again(request: PlanRequest, stopped_after: int | None) -> PlanOutcome:
     """The answer to a request, with the search budget of the recorded one.
 
     stopped_after: how often that search was allowed to go on; None: to its end.
@@ -222,6 +224,80 @@ def _apart(recorded: dict[str, Any], computed: dict[str, Any]) -> str:
     farthest_m = float(np.linalg.norm(was - now, axis=-1).max())
     apart = f"{farthest_m:,.0f}" if farthest_m >= 10.0 else f"{farthest_m:.2g}"
     return f"{costs}, control points up to {apart} m apart"
+
+
+@final
+class _Recording:
+    """The recorded frames and entries of a run folder, compared with a replay's in order."""
+
+    def __init__(self, folder: Path, found: Replayed) -> None:
+        """found: what is the same is counted there.  InputError: nothing is there to compare."""
+        self._found = found
+        self._path = file_of_run(folder, "flight.tlog")
+        self._lines = _entry_lines(file_of_run(folder, "journal.jsonl"))
+        self._log = Records(self._path)
+        self.epoch_us: int | None = None
+        """The stamp of vehicle time 0, by the first frame that is compared."""
+        self._has_ended = False
+
+    def close(self) -> None:
+        """Close the files."""
+        self._log.close()
+        self._lines.close()
+
+    def first_difference(self, record: list[Stamped], journal: list[Entry]) -> Difference | None:
+        """Compare the output of one run with the next records."""
+        found = chain(starmap(self._frame_differs, record), map(self._entry_differs, journal))
+        return next((each for each in found if each is not None), None)
+
+    def pass_over(self, frames: int) -> None:
+        """Skip what the watchdog sent: this many frames, and one entry."""
+        while frames > 0 and self._log.take() is not None:
+            frames -= 1
+        next(self._lines, None)
+
+    def _frame_differs(self, time_s: float, frame: bytes) -> Difference | None:
+        if (held := self._log.take()) is None:
+            self._found.unrecorded += 1
+            return self._is_damaged(time_s, frame)
+        stamp_us, recorded = held
+        if (difference := frames_differ(time_s, recorded, frame)) is not None:
+            return difference
+        at_us = round(time_s * 1e6)
+        self.epoch_us = stamp_us - at_us if self.epoch_us is None else self.epoch_us
+        if stamp_us != self.epoch_us + at_us:
+            was_s = time_s + (stamp_us - self.epoch_us - at_us) * 1e-6
+            return Difference(time_s, name_of(frame), "time", was_s, time_s)
+        self._found.frames += 1
+        return None
+
+    def _is_damaged(self, time_s: float, frame: bytes) -> Difference | None:
+        """Whether the log ends here because the data after it is damaged; checked once."""
+        has_ended, self._has_ended = self._has_ended, True
+        left = self._path.stat().st_size - self._log.end
+        if has_ended or left <= LONGEST_RECORD or is_hole(self._path, self._log.end):
+            return None
+        what = f"{left:,} bytes that are no frames"
+        return Difference(time_s, "flight.tlog", "", what, name_of(frame))
+
+    def _entry_differs(self, entry: Entry) -> Difference | None:
+        if (held := next(self._lines, None)) is None:
+            self._found.unrecorded += 1
+            return None
+        line, time_s, kind = journal_line(entry), float(entry["t_s"]), str(entry["kind"])
+        difference = entries_differ(held, line, time_s, kind)
+        self._found.entries += difference is None
+        return difference
+
+
+def _entry_lines(path: Path) -> Generator[bytes]:
+    """The lines of a journal but for its headers, to the last whole one."""
+    with path.open("rb") as file:
+        for line in iter(partial(file.readline, _LONGEST_LINE), b""):
+            if not line.endswith(b"\n") and len(line) < _LONGEST_LINE:
+                return
+            if not (line.startswith(b'{"schema"') and line.endswith(b"\n")):
+                yield line
 
 
 # --- a telemetry log alone
@@ -253,7 +329,7 @@ class LogReplay:
         )
         self._is_over = False
         again = open_log(path, system_id=self.inputs.system_id)
-        self._sent = (each.frame for each in again.records() if is_of_companion(each.frame))
+        self._sent = (each.frame for each in again.records() if _is_of_companion(each.frame))
 
     def steps(self) -> Iterator[None]:
         """Replay, frame by frame, to the first difference or the end.
@@ -262,7 +338,7 @@ class LogReplay:
         """
         began_s, found = time.perf_counter(), self.found
         first_more: Stamped | None = None
-        for time_s, frame in chain(self._made(), self._farewell()):
+        for time_s, frame in self._made():
             recorded = next(self._sent, None)
             if recorded is not None:
                 found.difference = frames_differ(time_s, recorded, frame)
@@ -287,44 +363,37 @@ class LogReplay:
 
     def _made(self) -> Iterator[Stamped]:
         """The frames that the session sends, with their vehicle times."""
-        session, before_us = self._session, math.inf
+        session, found, before_us = self._session, self.found, math.inf
         if not self._lockstep:
             session.silence(0.0)
         for record in self.inputs.records():
-            if is_of_companion(record.frame):
+            if _is_of_companion(record.frame):
                 continue
             gap_s, before_us = (record.time_us - before_us) * 1e-6, record.time_us
             if gap_s > _SILENT_S and not self._lockstep:
                 session.silence(gap_s)
-            self.found.inputs += 1
+            found.inputs += 1
             session.receive(record.frame, record.time_us * 1e-6)
-            yield from self._run()
-            self.found.go_on_to(session.now_s)
-
-    def _farewell(self) -> Iterator[Stamped]:
-        """What it sends in the end, which may not have been recorded."""
-        self._is_over = True
-        yield from ((self._session.now_s, frame) for frame in self._session.farewell().frames)
-
-    def _run(self) -> Iterator[Stamped]:
-        """What follows from what the session was told; plans are computed at once."""
-        out = self._session.run()
-        yield from ((self._session.now_s, frame) for frame in out.frames)
-        while out.plan is not None:
-            self.found.plans += 1
-            self.found.plans_computed += 1
-            self._session.deliver(plan(out.plan))
-            out = self._session.run()
-            yield from ((self._session.now_s, frame) for frame in out.frames)
+            out = session.run()
+            yield from ((session.now_s, frame) for frame in out.frames)
+            while out.plan is not None:  # computed at once
+                found.plans += 1
+                found.plans_computed += 1
+                session.deliver(plan(out.plan))
+                out = session.run()
+                yield from ((session.now_s, frame) for frame in out.frames)
+            found.now_s, found.flown_s = session.now_s, session.clock.passed_s
+        self._is_over = True  # what it says in the end may not have been recorded
+        yield from ((session.now_s, frame) for frame in session.farewell().frames)
 
 
-def is_of_companion(frame: bytes) -> bool:
-    """Whether a companion has sent it."""
+def _is_of_companion(frame: bytes) -> bool:
     return sender_of(frame)[1] == COMPANION_COMPONENT
 
 
 def _was_in_lockstep(log: Log) -> bool:
     """Whether the simulator sent a TIMESYNC after each step."""
-    first = islice(log.records(), _LOOKED_AT)
-    asked = (number_of(r.frame) == _TIMESYNC and not is_of_companion(r.frame) for r in first)
+    first = (record.frame for record in islice(log.records(), _LOOKED_AT))
+    timesync = wire.MAVLINK_MSG_ID_TIMESYNC
+    asked = (number_of(each) == timesync and not _is_of_companion(each) for each in first)
     return sum(asked) > _OFTEN

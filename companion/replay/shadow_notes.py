@@ -1,8 +1,6 @@
 """Observes the session in shadow mode and notes what it would have done."""
 
 import math
-from functools import reduce
-from operator import add
 from typing import Final, final
 
 import numpy as np
@@ -70,6 +68,8 @@ class Notes:
         """Why the next plan from rest is asked for."""
         self._path: tuple[PlanAttempt, Chords] | None = None
         """What the flown track is compared with."""
+        self._offs: dict[int, list[tuple[float, float, float]]] = {}
+        """Of each plan, by its identity: when, how far off and where along it."""
         self._target = 0
         self._looked_at: Vehicle | None = None
         """The vehicle when it last had a new position."""
@@ -127,10 +127,15 @@ class Notes:
     def finish(self) -> None:
         """The log has ended: put together what was noted piece by piece."""
         report = self.report
-        parts = [asked.off for asked in report.plans if asked.off is not None]
-        if parts:
-            flown_m = sum(part.until_m - part.from_m for part in parts)
-            report.own_path = replace(reduce(add, parts), from_m=0.0, until_m=flown_m)
+        positions, flown_m = list[tuple[float, float, float]](), 0.0
+        for asked in report.plans:
+            if rows := self._offs.get(id(asked)):
+                asked.off = TrackDeviation.of(rows)
+                positions += rows
+                flown_m += asked.off.until_m - asked.off.from_m
+        if positions:
+            whole = TrackDeviation.of(positions)
+            report.own_path = replace(whole, from_m=0.0, until_m=flown_m)
         for seen in (report.health, report.outside):
             seen.sort(key=lambda each: each.from_s)
 
@@ -266,8 +271,7 @@ class Notes:
             return
         asked, chords = self._path
         off_m, along_m = chords.nearest(here)
-        off = TrackDeviation.of(at_s, off_m, along_m)
-        asked.off = off if asked.off is None else asked.off + off
+        self._offs.setdefault(id(asked), []).append((at_s, off_m, along_m))
         if leg is not None:
             return
         if flight.target != self._target:

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from typing import Any, Final, final
 
 import msgspec
+import numpy as np
 from msgspec import Struct
 from rich.console import RenderableType
 from rich.table import Table
@@ -92,33 +93,19 @@ class TrackDeviation(Struct, frozen=True, kw_only=True):
     until_m: float
 
     @staticmethod
-    def of(at_s: float, off_m: float, along_m: float) -> "TrackDeviation":
-        """Of one position, which is so far off, and nearest to the subpath there along it."""
+    def of(positions: Sequence[tuple[float, float, float]]) -> "TrackDeviation":
+        """Of positions: when each was, how far off, and where along the subpath it was nearest."""
+        at_s, off_m, along_m = np.array(positions).T
+        farthest = int(np.argmax(off_m))
         return TrackDeviation(
-            from_s=at_s,
-            until_s=at_s,
-            positions=1,
-            max_m=off_m,
-            max_at_s=at_s,
-            rms_m=off_m,
-            from_m=along_m,
-            until_m=along_m,
-        )
-
-    def __add__(self, later: "TrackDeviation") -> "TrackDeviation":
-        """Of the positions of both."""
-        farther = self if self.max_m >= later.max_m else later
-        positions = self.positions + later.positions
-        squares = (each.positions * each.rms_m**2 for each in (self, later))
-        return TrackDeviation(
-            from_s=self.from_s,
-            until_s=later.until_s,
-            positions=positions,
-            max_m=farther.max_m,
-            max_at_s=farther.max_at_s,
-            rms_m=math.sqrt(sum(squares) / positions),
-            from_m=min(self.from_m, later.from_m),
-            until_m=max(self.until_m, later.until_m),
+            from_s=float(at_s[0]),
+            until_s=float(at_s[-1]),
+            positions=len(positions),
+            max_m=float(off_m[farthest]),
+            max_at_s=float(at_s[farthest]),
+            rms_m=float(np.sqrt(np.mean(off_m**2))),
+            from_m=float(along_m.min()),
+            until_m=float(along_m.max()),
         )
 
 

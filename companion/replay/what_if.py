@@ -53,6 +53,17 @@ class Figures(Struct, frozen=True, kw_only=True):
             time_s=length_m / speed_m_s,
         )
 
+    def cells(self) -> list[str]:
+        """Cost or why there is none, clearance, length and time, for people."""
+        if self.cost is None or self.length_m is None:
+            return [self.refusal.lower().replace("_", " ") or "-", "-", "-", "-"]
+        return [
+            f"{self.cost:.2f}",
+            f"{self.clearance_m:,.0f} m",
+            f"{self.length_m / 1000.0:,.2f} km",
+            f"{self.time_s:,.0f} s",
+        ]
+
 
 @final
 class WhatIf(Struct, frozen=True, kw_only=True):
@@ -66,11 +77,7 @@ class WhatIf(Struct, frozen=True, kw_only=True):
 
 
 def what_if(
-    folder: Path,
-    mission_of: MissionOf,
-    changed: Mission,
-    *,
-    seed: int | None,
+    folder: Path, mission_of: MissionOf, changed: Mission, *, seed: int | None
 ) -> Iterator[WhatIf]:
     """Each subpath of a flight, planned again.
 
@@ -88,19 +95,15 @@ def what_if(
         time_s, request = asked.pop(recorded.plan_id, (0.0, None))
         if request is None or request.flown is not None:
             continue
-        other = replace(
-            request,
-            task=with_changes(request.task, session.mission.task, changed.task),
-            seed=request.seed if seed is None else seed,
-        )
-        if (error := newly_broken(request.task, other.task, other.target_ne_m)) is not None:
+        task = with_changes(request.task, session.mission.task, changed.task)
+        other = replace(request, task=task, seed=request.seed if seed is None else seed)
+        if (error := newly_broken(request.task, task, other.target_ne_m)) is not None:
             raise error
-        again = plan(other)
         yield WhatIf(
             plan_id=recorded.plan_id,
             t_s=time_s,
             flown=Figures.of(recorded, request.task.limits.speed_m_s),
-            now=Figures.of(again, other.task.limits.speed_m_s),
+            now=Figures.of(plan(other), task.limits.speed_m_s),
         )
 
 
@@ -124,9 +127,6 @@ def with_changes(task: Task, before: Task, after: Task) -> Task:
     )
 
 
-# --- for people
-
-
 def what_if_table(found: Sequence[WhatIf]) -> RenderableType:
     """Table of subpaths, as flown -> with the changed settings; below, both sums."""
     table = Table()
@@ -134,39 +134,23 @@ def what_if_table(found: Sequence[WhatIf]) -> RenderableType:
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("terms that differ")
     for each in found:
-        both = zip(_cells(each.flown), _cells(each.now), strict=True)
-        cells = (was if was == now else f"{was} -> {now}" for was, now in both)
-        terms = _terms(each.flown.terms, each.now.terms)
-        table.add_row(f"{each.plan_id}", f"{each.t_s:,.0f} s", *cells, terms)
+        pairs = zip(each.flown.cells(), each.now.cells(), strict=True)
+        cells = (was if was == now else f"{was} -> {now}" for was, now in pairs)
+        terms = []
+        for name in dict.fromkeys((*each.flown.terms, *each.now.terms)):
+            was, now = (f"{side.terms.get(name, 0.0):.2f}" for side in (each.flown, each.now))
+            terms += [f"{name} {was} -> {now}"] if was != now else []
+        table.add_row(f"{each.plan_id}", f"{each.t_s:,.0f} s", *cells, ", ".join(terms))
     there = [(each.flown.cost is not None, each.now.cost is not None) for each in found]
-    both_there = [each for each, both in zip(found, there, strict=True) if all(both)]
+    both = [each for each, is_there in zip(found, there, strict=True) if all(is_there)]
     lines = [
-        f"{len(both_there)} subpaths as flown: {_sums([each.flown for each in both_there])}",
-        f"now: {_sums([each.now for each in both_there])}",
+        f"{len(both)} subpaths as flown: {_sums([each.flown for each in both])}",
+        f"now: {_sums([each.now for each in both])}",
     ]
     lost, gained = there.count((True, False)), there.count((False, True))
     if lost or gained:
         lines.append(f"{lost} that were flown would not be found; {gained} the other way round")
     return Group(table, *map(Text, lines))
-
-
-def _cells(figures: Figures) -> list[str]:
-    """Cost or why there is none, clearance, length and time of an answer."""
-    length_km = None if figures.length_m is None else figures.length_m / 1000.0
-    cells = {
-        "{:.2f}": figures.cost,
-        "{:,.0f} m": figures.clearance_m,
-        "{:,.2f} km": length_km,
-        "{:,.0f} s": figures.time_s,
-    }
-    told = ["-" if value is None else form.format(value) for form, value in cells.items()]
-    return [figures.refusal.lower().replace("_", " ") or told[0], *told[1:]]
-
-
-def _terms(was: dict[str, float], now: dict[str, float]) -> str:
-    pairs = ((name, was.get(name, 0.0), now.get(name, 0.0)) for name in dict.fromkeys((*was, *now)))
-    shown = ((name, f"{old:.2f}", f"{new:.2f}") for name, old, new in pairs)
-    return ", ".join(f"{name} {old} -> {new}" for name, old, new in shown if old != new)
 
 
 def _sums(figures: Sequence[Figures]) -> str:

@@ -355,6 +355,13 @@ class Flight:
         """The position that was the newest, so many seconds after the first; there is one."""
         return max(int(np.searchsorted(self.times_s, time_s, "right")) - 1, 0)
 
+    def heading_rad(self, row: int) -> float:
+        """Where the nose points at a position, or it moves to, clockwise from true north."""
+        track, heading_rad = self.track, math.radians(float(self.track.heading_deg[row]))
+        if math.isnan(heading_rad):
+            return math.atan2(float(track.east_m_s[row]), float(track.north_m_s[row]))
+        return heading_rad
+
     def newest(self, number: int, time_s: float) -> tuple[float, Message] | None:
         """The newest message of a kind that is kept, and how old it was then, seconds."""
         stamps, frames = self._kept[number]

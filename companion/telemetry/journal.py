@@ -33,7 +33,7 @@ _AS_WRITTEN = "Give the journal as the companion has written it."
 
 @final
 class Journal:
-    """A journal.jsonl, read in one go from its beginning, as often as one likes."""
+    """A journal.jsonl, read from its beginning; asked again, what has been written since."""
 
     def __init__(self, path: Path) -> None:
         """Nothing is opened before it is read."""
@@ -53,18 +53,14 @@ class Journal:
         return tuple(f"{self.path.name}: {each}" for each in found)
 
     def entries(self) -> Iterator[Entry]:
-        """The entries in their order; raises InputError, also while it is read."""
+        """Likewise without headers."""
         return (line for line in self.lines() if not isinstance(line, Header))
 
     def lines(self) -> Iterator[Header | Entry]:
-        """Headers and entries in their order; raises InputError, also while it is read."""
-        self.headers.clear()
-        self._unknown.clear()
-        self._read_bytes = self._read_lines = 0
-        return self.new_lines()
+        """Headers and entries in their order, after the last one that was read before.
 
-    def new_lines(self) -> Iterator[Header | Entry]:
-        """Those after the last one that was read, of a journal that still grows."""
+        Raises InputError, also while it is read.
+        """
         for text in self._whole_lines():
             self._read_bytes += len(text)
             self._read_lines += 1

@@ -6,9 +6,8 @@ as it may have flown.
 """
 
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, final
+from typing import Annotated, NamedTuple
 
 import msgspec
 import numpy as np
@@ -28,9 +27,7 @@ _TELLING = tuple(f'"kind":"{kind}"'.encode() for kind in _KINDS)
 _NO_ENTRY = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ResumeData:
+class ResumeData(NamedTuple):
     """Data to resume from."""
 
     resume: Resume | None = None

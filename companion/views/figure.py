@@ -291,11 +291,8 @@ def draw_profile(axes: Axes, figure: FlightFigure) -> None:
     axes.set(xlabel=f"distance along the path over ground, {unit}", ylabel=f"altitude, {unit} AMSL")
 
 
-def draw_oblique(axes: Any, figure: FlightFigure, azimuth_deg: float = _AZIMUTH_DEG) -> None:
-    """Terrain, radars and keep-outs as surfaces, and the path over them, wherever it is hidden.
-
-    azimuth_deg: from where it is seen, from the east, left.
-    """
+def draw_oblique(axes: Any, figure: FlightFigure) -> None:
+    """Terrain, radars and keep-outs as surfaces, and the path over them, wherever it is hidden."""
     unit_m, unit = figure.unit
     terrain = figure.terrain.coarser()
     low, high = figure.altitudes_m
@@ -331,7 +328,7 @@ def draw_oblique(axes: Any, figure: FlightFigure, azimuth_deg: float = _AZIMUTH_
     axes.set(xlabel=f"east, {unit}", ylabel=f"north, {unit}", zlabel=f"altitude, {unit} AMSL")
     axes.zaxis.set_major_locator(MaxNLocator(4))
     axes.set_proj_type("ortho")
-    axes.view_init(_ELEVATION_DEG, azimuth_deg)
+    axes.view_init(_ELEVATION_DEG, _AZIMUTH_DEG)
     axes.set_box_aspect(np.array([*spans[:2] / spans[:2].max(), _HEIGHT]), zoom=1.0)
     note = f"Seen at an angle; heights stretched {stretch:.1f} times"
     axes.text2D(0.5, 0.0, note, transform=axes.transAxes, ha="center", fontsize=12)

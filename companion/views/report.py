@@ -7,19 +7,30 @@ import math
 from collections.abc import Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
-from typing import Final
+from typing import Any, Final
 
+import numpy as np
 from markupsafe import Markup
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from companion.geodesy import BoolArray, FloatArray
+from companion.mission.journal import ScanAsked
 from companion.profiles import Weights
 from companion.telemetry.export.shapes import utc_text
 from companion.telemetry.flight import PlannedSubpath
-from companion.views.page import page
+from companion.views import figure as views
+from companion.views.figure import FlightFigure, TerrainPicture
+from companion.views.page import STYLE, page, svg
 from companion.views.report_facts import FlightFacts
-from companion.views.report_figures import svg_figures
 from companion.views.words import entry_words
+from companion.world.known_map import empty_map
 
 _TERMS: Final = tuple(Weights.__dataclass_fields__)
+_CHART_POINTS: Final = 3000
+_LINE_POINTS: Final = 2000
+_NO_FIX: Final = "#d55e00"
 
 
 def report_html(facts: FlightFacts) -> str:
@@ -59,3 +70,92 @@ def _events(facts: FlightFacts) -> Iterator[tuple[float, str, bool]]:
         if (said := entry_words(entry)) is not None and said[0] != before:
             before = said[0]
             yield t_s, *said
+
+
+# --- figures: SVG that stands in the page
+
+
+def svg_figures(facts: FlightFacts) -> dict[str, str]:
+    """The figures by name: flight and charts; without a track or a subpath, none."""
+    shown = flight_figure(facts)
+    if shown is None:
+        return {}
+    with rc_context(STYLE):
+        return {
+            "flight": svg("flight", views.compose(shown)),
+            "charts": svg("charts", _charts(facts)),
+        }
+
+
+def flight_figure(facts: FlightFacts) -> FlightFigure | None:
+    """What is drawn of a flight; None: neither a position nor a subpath was recorded."""
+    flight, track = facts.flight, facts.track_nea_m
+    task = flight.mission.task
+    if not len(track) and not facts.legs_nea_m:
+        return None
+    start = track[0] if len(track) else facts.legs_nea_m[0][0]
+    scans = (each.centre_nea_m for _, _, each in flight.entries if isinstance(each, ScanAsked))
+    limits, legs_points = task.limits, sum(map(len, facts.legs_nea_m))
+    blank = empty_map(task.cell_m, limits.north_m, limits.east_m)
+    return FlightFigure(
+        title="",
+        terrain=TerrainPicture.of(blank if facts.known is None else facts.known),
+        floor_amsl_m=limits.floor_amsl_m,
+        ceiling_amsl_m=limits.ceiling_amsl_m,
+        start_nea_m=(float(start[0]), float(start[1]), float(start[2])),
+        targets_ne_m=flight.targets_ne_m,
+        legs_nea_m=tuple(_thinned(leg, legs_points) for leg in facts.legs_nea_m),
+        scans_nea_m=() if flight.mission.near else tuple(scans),  # a lidar's is there all the time
+        radars=task.radars,
+        zones=flight.zones,
+        track_nea_m=_thinned(track, len(track)) if len(track) > 1 else None,
+    )
+
+
+def _thinned(line_nea_m: FloatArray, total: int) -> FloatArray:
+    """Some of its points, and the last; total: of all lines that are drawn together."""
+    chosen = np.arange(0, len(line_nea_m), max(total // _LINE_POINTS, 1))
+    return line_nea_m[np.union1d(chosen, [len(line_nea_m) - 1])]
+
+
+def _charts(facts: FlightFacts) -> Figure:
+    """Over time: clearance, speed, satellites; holds are hatched."""
+    canvas = Figure(figsize=(14.0, 7.0), layout="constrained")
+    clearance, speed, satellites = canvas.subplots(3, 1, sharex=True)
+    task, way = facts.flight.mission.task, facts.on_the_way
+    _line(clearance, facts.times_s[way], facts.clearances_m, np.minimum)
+    required_m = task.settings.safety_distance_m
+    clearance.axhline(required_m, color="black", lw=1.2, ls="--", label="$d_s$")
+    clearance.set(ylabel="clearance of known\nterrain, m", ylim=(0.0, None))
+    speeds_m_s = np.hypot(facts.flight.track.north_m_s, facts.flight.track.east_m_s)
+    _line(speed, facts.times_s, speeds_m_s, np.maximum)
+    speed.axhline(task.limits.speed_m_s, color="black", lw=1.2, ls="--")
+    speed.set(ylabel="ground speed,\nm/s", ylim=(0.0, None))
+    time_us, fixes, seen = facts.health.gps
+    satellites.step(facts.log_s(time_us), seen, where="post", color=views.PATH, lw=1.4)
+    _shade(satellites, facts.log_s(time_us), fixes < 3, fc=_NO_FIX, alpha=0.45)
+    satellites.set(ylabel="satellites", ylim=(0.0, None), xlabel="vehicle time, s")
+    for axes in (clearance, speed, satellites):
+        for hold in facts.holds:
+            begin_s = facts.time_s(hold)
+            end_s = facts.times_s[-1] if hold.until_s is None else begin_s + hold.until_s - hold.t_s
+            axes.axvspan(begin_s, end_s, fc="none", ec="#888888", hatch="////", lw=0.0)
+        axes.grid(color="#888888", alpha=0.3, lw=0.6)
+        axes.margins(x=0.0)
+    canvas.align_ylabels()
+    return canvas
+
+
+def _line(axes: Axes, times_s: FloatArray, values: FloatArray, worst: np.ufunc) -> None:
+    """A line of not too many points, which keeps the worst of those that it stands for."""
+    if not len(times_s):
+        return
+    firsts = np.arange(0, len(times_s), -(-len(times_s) // _CHART_POINTS))
+    axes.plot(times_s[firsts], worst.reduceat(values, firsts), color=views.PATH, lw=1.4)
+
+
+def _shade(axes: Axes, times_s: FloatArray, where: BoolArray, **style: Any) -> None:
+    """Shade the times from which on something holds, up to where it no longer does."""
+    changes = np.flatnonzero(np.diff(where, prepend=False, append=False))
+    for first, end in changes.reshape(-1, 2).tolist():
+        axes.axvspan(times_s[first], times_s[min(end, len(times_s) - 1)], lw=0.0, **style)

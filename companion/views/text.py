@@ -22,11 +22,11 @@ from companion.world.near_map import NearSensor
 def mission_summary(mission: Mission) -> str:
     """Summary of a mission, as text for the operator."""
     limits, settings = mission.task.limits, mission.task.settings
-    profile = settings.profile
+    profile, upwards = settings.profile, "straight up to" if limits.hovers else "to"
     lines = [
         f"{mission.name}: profile {profile.name}",
         f"  {_vehicle(mission)}",
-        f"  Take off, climb {_upwards(mission)} {_m(mission.task.take_off_amsl_m)} AMSL, "
+        f"  Take off, climb {upwards} {_m(mission.task.take_off_amsl_m)} AMSL, "
         f"then fly at {limits.speed_m_s:g} m/s between {_m(limits.floor_amsl_m)} and "
         f"{_m(limits.ceiling_amsl_m)} AMSL.",
         f"  {_targets(mission)}",
@@ -75,10 +75,6 @@ def _threats(mission: Mission) -> str:
     kept = f"; {inner} keep-ins are never left" if inner else ""
     own = "; and the vehicle's own fence" if mission.fence_from_vehicle else ""
     return f"{radars}; {zones}{kept}{own}."
-
-
-def _upwards(mission: Mission) -> str:
-    return "straight up to" if mission.task.limits.hovers else "to"
 
 
 def _sight(mission: Mission) -> str:

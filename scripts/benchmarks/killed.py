@@ -23,8 +23,7 @@ from running import Found, main, most
 from tapped import TO_COMPANION, Tapped, end, messages
 
 from companion.campaign import families
-from companion.campaign.drawn_files import FRAME
-from companion.campaign.drawn_world import DrawnWorld
+from companion.campaign.drawn_world import FRAME, DrawnWorld
 from companion.geodesy import FloatArray
 from companion.mission.mission import AutopilotName
 from vehicle_sim.geodesy import metres_per_degree

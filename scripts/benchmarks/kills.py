@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from running import Found, main, most
 from stepped import Flight
 
-from companion.campaign import drawn_files, families
+from companion.campaign import drawn_world, families
 from companion.config import folder_of, load_mission
 from companion.mavlink.autopilots import named
 from companion.mission.mission import AutopilotName, Mission
@@ -185,7 +185,7 @@ def setting(scale: str, autopilot: str, seed: int) -> tuple[Mission, World]:
             limits = replace(limits, speed_m_s=min(limits.speed_m_s, _PX4_PLANE_M_S))
             drawn = replace(drawn, task=replace(drawn.task, limits=limits))
         with tempfile.TemporaryDirectory() as folder:
-            files = drawn_files.write(drawn, Path(folder), cast("AutopilotName", autopilot))
+            files = drawn_world.write(drawn, Path(folder), cast("AutopilotName", autopilot))
             return load_mission(str(files[1])), read_world(files[0])
     mission, world = load_mission(scale), read_world(folder_of(scale) / "world.toml")
     world = world.with_woods_of(seed)

@@ -42,8 +42,8 @@ from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.file import Place
 from companion.campaign.report import read_campaign
 from companion.campaign.route_cost import Rates, curve_cost
-from companion.campaign.row import Row
 from companion.campaign.run import drawn_of
+from companion.campaign.store import Row
 from companion.geodesy import FloatArray
 from companion.paper.rivals.roadmaps import cheapest, grid_edges
 from companion.world.radars import Radar

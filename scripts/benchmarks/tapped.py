@@ -11,8 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, final
 
-from companion.campaign import drawn_files
-from companion.campaign.drawn_world import DrawnWorld
+from companion.campaign.drawn_world import DrawnWorld, write
 from companion.mavlink.dialect import Message
 from companion.mavlink.frames import decoded, frame_extent
 from companion.mission.mission import AutopilotName
@@ -95,7 +94,7 @@ class Tapped:
         with udp_socket() as free:
             self.port = int(free.getsockname()[1])
         rate = {"position_rate_hz": rate_hz}
-        world, self.mission = drawn_files.write(drawn, folder, autopilot, rate)
+        world, self.mission = write(drawn, folder, autopilot, rate)
         self.run, self.log = folder / "run", folder / "companion.log"
         self.vehicle = start_vehicle(world, int(self._vehicle.getsockname()[1]))
         self.start()

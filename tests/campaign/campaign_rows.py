@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from companion.campaign.row import Row
+from companion.campaign.store import Row
 
 
 def row(run: int, **values: object) -> Row:

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from companion import entry_points, library
-from companion.campaign import alone, families
+from companion.campaign import families
+from companion.campaign.run import fly_alone
 from companion.config import load_mission
 from companion.errors import InputError
 from companion.optimise.registry import OPTIMISERS
@@ -150,7 +151,7 @@ def test_an_unknown_optimiser_is_told_the_strangers_names_too(tmp_path: Path) ->
 
 def test_its_planner_flies_and_a_wrong_one_is_refused() -> None:
     world = families.world("copter", 5, 1)
-    found = alone.fly(world, "straight", knowledge="full")
+    found = fly_alone(world, "straight", knowledge="full")
     assert len(found.points_nea_m) > 1  # the straight line is barred in every drawn world
     with pytest.raises(InputError, match=r"a-strangers-search.*does not take a problem"):
         PLANNERS["of-nothing"]

@@ -12,7 +12,7 @@ from flights import one_target
 
 from companion.campaign import drawn_faults, drawn_world, families, judge
 from companion.campaign.drawn_faults import FAMILIES, ROWS, FaultScript, Subject
-from companion.campaign.drawn_files import mission_of
+from companion.campaign.drawn_world import mission_of
 from companion.campaign.file import load_campaign, runs_of
 from companion.campaign.in_process import Flight
 from companion.campaign.run import fly_run

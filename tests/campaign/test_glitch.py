@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from companion.campaign import drawn_files, families
+from companion.campaign import drawn_world, families
 from companion.campaign.in_process import FlightFiles, Flying
 from companion.mavlink.frames import number_of
 from companion.mavlink.link import Output
@@ -53,7 +53,7 @@ def flown(
 ) -> tuple[list[Seen], list[dict[str, Any]], list[dict[str, Any]]]:
     """The flight until some seconds after the glitch: what was seen, the truth, the journal."""
     drawn = families.world(f"short-{kind}", 1, 2)
-    world, mission = drawn_files.write(drawn, folder, autopilot)
+    world, mission = drawn_world.write(drawn, folder, autopilot)
     glitch = f"at {BEGINS_S:g} s for {GLITCH_S:g} s: gps_glitch 50 m north\n"
     files = FlightFiles(world=world, mission=mission, faults=glitch, folder=folder / "run")
     until_s = BEGINS_S + GLITCH_S + GIVES_IN_S + CLEARS_S + 5.0

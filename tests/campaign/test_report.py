@@ -14,7 +14,7 @@ import pytest
 from campaign_rows import paired_rows, row
 
 from companion.campaign.report import read_campaign, report_html, report_of, terminal_tables
-from companion.campaign.row import Row, schema
+from companion.campaign.store import Row, schema
 from companion.cli import main
 
 SOURCE = ["a campaign.toml", "--seeds", "3"]

@@ -23,9 +23,8 @@ from companion.campaign import bundled_campaigns
 from companion.campaign.execute import fly
 from companion.campaign.file import Run, load_campaign, runs_of
 from companion.campaign.report import read_campaign, replay_command
-from companion.campaign.row import TIMING, Row
 from companion.campaign.run import fly_run
-from companion.campaign.store import Store
+from companion.campaign.store import TIMING, Row, Store
 from companion.cli import app
 from companion.errors import InputError
 

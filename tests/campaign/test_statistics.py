@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom, t
 
-from companion.campaign.row import Row
 from companion.campaign.statistics import Figure, bootstrapped, groups, holm, pairs, rate
+from companion.campaign.store import Row
 
 DRAWS = 400
 

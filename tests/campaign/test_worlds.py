@@ -11,8 +11,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from companion.campaign import drawn_world, families, truth
-from companion.campaign.drawn_files import write
-from companion.campaign.drawn_world import DrawnWorld
+from companion.campaign.drawn_world import DrawnWorld, write
 from companion.campaign.route_cost import Rates, curve_cost
 from companion.config import bundled, load_mission, load_world
 from companion.world.radars import Radar
@@ -69,7 +68,7 @@ def ridge(gap_m: float) -> tuple[Peak, ...]:
     """A wall across the map, open over about gap_m in the middle."""
     away = 0.5 * gap_m + 4_000.0 * math.sqrt(math.log(6_000.0 / 2_500.0)) + 515.0
     return tuple(
-        families.mountain(50_000.0, 50_000.0 + side * (away + step), 6_000.0, (4e3, 4e3))
+        families.mountain(50_000.0, 50_000.0 + side * (away + step), 6_000.0, 4e3, 4e3)
         for side in (-1, 1)
         for step in np.arange(0.0, 60_000.0, 2_000.0)
     )
@@ -81,14 +80,14 @@ def test_there_is_a_way_through_a_wall_when_its_gap_is_wide_enough(
 ) -> None:
     terrain = replace(BASE.terrain, peaks=ridge(gap_m))
     world = replace(BASE, terrain=terrain, task=replace(BASE.task, radars=()))
-    assert families.has_way(world) is open_
+    assert drawn_world.has_way_through(world) is open_
     watched = Radar(name="r", centre_nea_m=(50_000.0, 50_000.0, 0.0), range_m=9_000.0)
     closed = replace(world, task=replace(world.task, radars=(watched,)))
-    assert not families.has_way(closed)
+    assert not drawn_world.has_way_through(closed)
 
 
 def test_the_lowest_safe_altitude_over_a_summit_is_the_clearance_above_it() -> None:
-    summit = families.mountain(50_000.0, 50_000.0, 4_000.0, (5e3, 5e3))
+    summit = families.mountain(50_000.0, 50_000.0, 4_000.0, 5e3, 5e3)
     world = replace(BASE, terrain=replace(BASE.terrain, peaks=(summit,)))
     need = drawn_world.lowest_safe_m(world, 250.0, 500.0)
     assert need[220, 220] == 4_500.0  # -5 km + 220 cells: the summit, the centre of curvature below

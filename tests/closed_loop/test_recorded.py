@@ -15,7 +15,7 @@ from programs import BIN
 from shown import MOST_BYTES, Shown
 from tlog import frames_of, recorded_frames
 
-from companion.replay.export_command import Format, export
+from companion.replay.command import Format, export
 from companion.replay.exporting import recorded
 from companion.telemetry.journal import Journal
 from companion.telemetry.run_folder import whole_records

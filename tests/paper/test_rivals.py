@@ -13,8 +13,10 @@ from planning import ask, column_distance_m
 from scipy.sparse import csr_array
 
 from companion import extras
-from companion.campaign import alone, drawn_world, families, truth
+from companion.campaign import drawn_world, families, truth
+from companion.campaign.file import Knowledge
 from companion.campaign.route_cost import Rates, cost_rate
+from companion.campaign.run import fly_alone
 from companion.errors import InputError
 from companion.paper.rivals import roadmaps, routes
 from companion.paper.rivals.routes import PLANNERS, RouteProblem
@@ -123,9 +125,9 @@ def test_the_way_over_a_grid_costs_what_relaxing_every_step_until_none_gains_fin
 
 
 @pytest.mark.parametrize("knowledge", ["full", "scans"])
-def test_a_rival_arrives_and_keeps_its_clearance(knowledge: alone.Knowledge) -> None:
+def test_a_rival_arrives_and_keeps_its_clearance(knowledge: Knowledge) -> None:
     world = families.world("short-copter", 5, 0)
-    flown = alone.fly(world, "a-star", knowledge=knowledge)
+    flown = fly_alone(world, "a-star", knowledge=knowledge)
     points = flown.points_nea_m
     assert not flown.why
     assert math.dist(points[-1, :2], world.targets_ne_m[0]) < 1e-6

@@ -10,7 +10,7 @@ from test_loop import ScriptedLink
 from companion.config import load_mission, mission_text
 from companion.mission.mission import Mission
 from companion.mission.start import Start
-from companion.replay.report import Replayed
+from companion.replay.differences import Replayed
 from companion.replay.reproduce import Replay
 from companion.runtime import loop
 from companion.session import Session

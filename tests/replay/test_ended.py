@@ -15,7 +15,6 @@ from tlog import recorded_frames
 from companion.config import load_mission
 from companion.mission import machine
 from companion.mission.events import Outcome
-from companion.replay.report import replay_json, replay_text
 from companion.replay.what_if import what_if
 from companion.telemetry.inputs import FILE, Input, InputsFile
 
@@ -83,10 +82,10 @@ def test_the_error_that_ended_a_flight_is_shown_again_at_its_place(ended: Path) 
     assert found.unrecorded == 0
     assert (found.ended_by.call, found.ended_by.error) == ("run", ERROR)
     assert found.ended_by.place.startswith("test_ended.breaks, line ")
-    lines = replay_text(found)
+    lines = str(found).splitlines()
     assert lines[-1] == "identical"
     assert any(ERROR in line for line in lines)
-    assert replay_json(found)["ended_by"] == ERROR
+    assert found.as_json()["ended_by"] == ERROR
 
 
 @LOCKSTEP

@@ -10,7 +10,7 @@ import pytest
 from recorded import run_folder
 
 from companion.errors import InputError
-from companion.replay.export_command import Format, export
+from companion.replay.command import Format, export
 from companion.replay.exporting import recorded, write
 
 ALL = pytest.mark.parametrize("to", get_args(Format))

@@ -257,19 +257,6 @@ def begun(run_dir: Path) -> Feeder:
     return feeder
 
 
-def test_an_error_of_the_session_itself_is_not_called_a_broken_input(
-    run_dir: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    feeder = begun(run_dir)
-
-    def broken(*_: object) -> None:
-        raise KeyError("made up")
-
-    monkeypatch.setattr(feeder.session, "run", broken)
-    with pytest.raises(KeyError, match="made up"):
-        feeder.take(("run",))
-
-
 @pytest.mark.parametrize(
     "change", [{"seed": "x"}, {"system_id": 0}, {"resume": 5}, {"odd": 1}, {"profile": "x"}]
 )

@@ -108,12 +108,6 @@ def test_a_block_of_the_disk_that_was_never_written_is_no_line(tmp_path: Path) -
     assert len(read(tmp_path, HEADER, LEG, bytes(4096))) == 1
 
 
-def test_it_can_be_read_again(tmp_path: Path) -> None:
-    journal = written(tmp_path, HEADER, LEG, {"t_s": 1.0, "kind": "x"}, b"{")
-    first = (list(journal.lines()), journal.headers[:], journal.findings)
-    assert (list(journal.lines()), journal.headers, journal.findings) == first
-
-
 # --- what is wrong
 
 

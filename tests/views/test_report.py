@@ -20,7 +20,7 @@ from recorded import EPOCH_US, run_folder
 from short_flight import fly_short
 
 from companion.config import load_mission
-from companion.replay.reporting import facts_of, write_report
+from companion.replay.exporting import facts_of, write_report
 from companion.views.report_facts import FlightFacts
 from companion.world.known_map import KnownMap, digest_of, empty_map, packed_map
 

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from companion.errors import InputError
-from companion.telemetry.logs.log import Log, Odd, Record
-from companion.telemetry.logs.needed import Kind, Missing
+from companion.telemetry.logs.log import Kind, Log, Missing, Odd, Record
 
 __all__ = ["Kind", "Log", "Missing", "Odd", "Record", "open_log"]
 

@@ -20,9 +20,7 @@ from companion.config import load_mission
 from companion.mission.journal import PlanReady
 from companion.replay.exporting import recorded
 from companion.sources.geojson import read_geojson
-from companion.telemetry.export.geojson import write_geojson
-from companion.telemetry.export.kml import write_kml
-from companion.telemetry.export.table import COLUMNS, write_csv
+from companion.telemetry.export.formats import COLUMNS, write_csv, write_geojson, write_kml
 from companion.telemetry.journal import Journal
 
 SCHEMAS = Path(fastkml.validator.__file__).parent / "schema"
@@ -73,13 +71,12 @@ def b_spline(control: Any, count: int) -> Any:
     return BSpline(knots, np.array(control), 3)(np.linspace(0, 1, count))
 
 
-def away_m(points: Any, longitude: float, latitude: float) -> float:
-    """Least distance of a place from points."""
-    count = len(points)
-    _, _, metres = GEOD.inv(
-        points[:, 0], points[:, 1], np.full(count, longitude), np.full(count, latitude)
-    )
-    return float(np.min(metres))
+def chord_away_m(line: Any, point: Any) -> float:
+    """Least distance of a point from the pieces of a line."""
+    starts, along = line[:-1], np.diff(line, axis=0)
+    share = ((point - starts) * along).sum(1) / np.maximum((along**2).sum(1), 1e-12)
+    feet = starts + np.clip(share, 0.0, 1.0)[:, None] * along
+    return float(np.linalg.norm(feet - point, axis=1).min())
 
 
 # --- KML
@@ -141,6 +138,8 @@ def test_gdal_reads_every_layer_of_the_kml(exported: Path) -> None:
     threats = geopandas.read_file(exported / "flight.kml", layer="threats as known")
     assert threats.geometry.is_valid.all()
     assert {'tower <&> "mast"', "village", "county", "radar 1"} <= set(threats["Name"])
+    subpaths = geopandas.read_file(exported / "flight.kml", layer="planned subpaths")
+    assert list(subpaths["Name"]) == ["plan 1, leg 1", "plan 2, leg 2"]
     events = geopandas.read_file(exported / "flight.kml", layer="holds and events")
     assert list(events["code"].fillna("")) == ["PAUSED", ""]
     assert list(events["Name"]) == ["hold: paused by a person", "end: arrived: target reached"]
@@ -185,11 +184,15 @@ def test_the_track_of_the_geojson_is_that_of_the_log(
 ) -> None:
     lines = table[(table["kind"] == "track") & (table.geometry.geom_type == "LineString")]
     rows = np.array([row for line in lines.geometry for row in line.coords])
+    tracks, (first, last) = table[table["kind"] == "track"], (positions[0][1], positions[-1][1])
+    ends_s = tracks["from_s"].iloc[0], tracks["until_s"].iloc[-1]
+    assert ends_s == (first.time_boot_ms / 1e3, last.time_boot_ms / 1e3)
+    assert (tracks["from_s"] < tracks["until_s"]).any()
     logged = {(m.lon * 1e-7, m.lat * 1e-7, m.alt * 1e-3) for _, m in positions}
     assert {tuple(row) for row in rows.round(7)} == {tuple(np.round(row, 7)) for row in logged}
 
 
-def test_subpaths_follow_their_curves_and_bear_what_is_proven(
+def test_subpaths_follow_their_curves_and_say_what_they_cost(
     table: Any, plans: list[PlanReady], run_dir: Path
 ) -> None:
     frame = load_mission(str(run_dir / "mission.toml")).frame
@@ -201,9 +204,12 @@ def test_subpaths_follow_their_curves_and_bear_what_is_proven(
         for (north, east), altitude in zip(places, line[:, 2], strict=True):
             gaps = np.linalg.norm(curve - (north, east, altitude), axis=1)
             assert gaps.min() < plan.length_m / 500
+        nea_m = np.column_stack([places, line[:, 2]])
+        for point in curve:
+            assert chord_away_m(nea_m, point) < 0.25
         ends = np.array([[*places[0], line[0, 2]], [*places[-1], line[-1, 2]]])
         np.testing.assert_allclose(ends, curve[[0, -1]], atol=0.02)
-        assert row["clearance_m"] == plan.certificate.clearance_m
+        assert (row["cost"], row["length_m"]) == (plan.cost, plan.length_m)
         assert (row["leg"], row["flown"]) == (plan.plan_id, True)
 
 
@@ -261,7 +267,7 @@ def test_the_csv_has_a_row_for_each_position_and_the_documented_columns(
 
 def test_the_page_explains_every_column() -> None:
     page = (Path(__file__).parents[3] / "docs" / "export.md").read_text(encoding="utf-8")
-    for name, words in COLUMNS.items():
+    for name, (_, words) in COLUMNS.items():
         assert f"| `{name}` | {words} |" in page
 
 

@@ -2,7 +2,6 @@
 
 import csv
 import math
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,7 @@ from companion.mission import journal as noted
 from companion.mission.journal import Header
 from companion.path.subpath import Subpath
 from companion.telemetry.export import shapes
-from companion.telemetry.export.kml import write_kml
-from companion.telemetry.export.table import write_csv
+from companion.telemetry.export.formats import write_csv, write_kml
 from companion.telemetry.flight import Flight
 
 EPOCH_US = 1_790_000_000_000_000
@@ -184,7 +182,10 @@ def test_the_newest_targets_count_and_the_fence_is_there_once() -> None:
 # --- shapes
 
 
-def test_a_long_track_is_thinned_evenly_and_keeps_its_ends(tmp_path: Path) -> None:
+def test_a_long_track_is_thinned_evenly_and_keeps_its_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shapes, "MAX_POINTS", 500)
     count = 3 * shapes.MAX_POINTS - 7
     long = flight(*(position(0.1 * k, lat=470_000_000 + 10 * k) for k in range(count)))
     kept = shapes.thinned(slice(0, count), count)
@@ -193,14 +194,6 @@ def test_a_long_track_is_thinned_evenly_and_keeps_its_ends(tmp_path: Path) -> No
     assert set(np.diff(kept)[:-1]) == {3}
     write_kml(built(long, phase(0.0, "flying")), tmp_path / "long.kml")
     assert (tmp_path / "long.kml").read_text(encoding="utf-8").count("<when>") == len(kept)
-
-
-def test_corners_are_all_that_a_broken_line_needs() -> None:
-    places = np.array([[0.0, 0.0, 0.0], [100.0, 0.0, 50.0], [100.0, 300.0, 0.0]])
-    line = np.concatenate([np.linspace(a, b, 50) for a, b in pairwise(places)])
-    np.testing.assert_array_equal(line[shapes.corners(line, 0.01)], places)
-    for stands in (5, 1):
-        assert set(shapes.corners(np.zeros((stands, 3)), 1.0)) == {0, stands - 1}
 
 
 def test_a_place_beside_a_subpath_is_told_how_far_it_is_and_where_it_is_nearest() -> None:
