@@ -533,7 +533,7 @@ class Session:
         before_s = self.clock.now_s
         reading = self.clock.read(time_s, None if self._lockstep else heard.at_s)
         if reading is ClockReading.FIRST:  # waits go on by the new clock
-            self.state = self.state.rebase_time(time_s - before_s)
+            self.state = machine.rebased(self.state, time_s - before_s)
             self._due_s = -math.inf
             if self.vehicle is not None:
                 self.vehicle.rebase_time(time_s - before_s)
@@ -542,7 +542,7 @@ class Session:
         elif reading is ClockReading.LATER:
             ahead_s = self.state.now_s - time_s
             if ahead_s > 0.0:  # while only heartbeats came, it was guessed
-                self.state = self.state.rebase_time(-ahead_s)
+                self.state = machine.rebased(self.state, -ahead_s)
             if ticks:
                 self._handle(events.Tick(time_s=time_s))
         return reading is not ClockReading.DOUBTED

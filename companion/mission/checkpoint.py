@@ -137,7 +137,8 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     """
     _must_be_finite(values)
     kept = _read(values, _OF_STATE)
-    state = State.of(mission, known).with_fence(mission.task, kept["fence"])
+    state = State.of(mission, known)
+    state.take_fence(mission.task, kept["fence"])
     rules = state.task
     back = tuple(leg for each in values["back"] if (leg := _leg(each, rules)) is not None)
     leg, next_leg = _leg(values["leg"], rules), _leg(values["next_leg"], rules)

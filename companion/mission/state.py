@@ -1,12 +1,14 @@
-"""Phases, transitions and the state of a mission."""
+"""Phases, transitions and the state of a mission.
+
+`machine.step` copies the state, and the handlers change that copy in place; nobody else does.
+"""
 
 import dataclasses
 import enum
 import math
-from typing import Any, final
+from typing import final
 
 from msgspec import Struct, field
-from msgspec.structs import replace
 
 from companion.mission.events import FenceChanged, Item, Landed, Mode, Setpoint, Vector
 from companion.mission.mission import Mission
@@ -18,6 +20,9 @@ from companion.planner.request import FlownSegment, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 from companion.world.near_map import Sight
+
+Targets = tuple[tuple[float, float], ...]
+"""North and east of each."""
 
 
 class Phase(enum.Enum):
@@ -266,7 +271,7 @@ class Held(Struct, frozen=True):
 
 
 @final
-class Vehicle(Struct, frozen=True, kw_only=True):
+class Vehicle(Struct, kw_only=True):
     """The vehicle's reports."""
 
     traits: VehicleTraits = UNKNOWN
@@ -385,7 +390,7 @@ class Stop(Struct, frozen=True):
 
 
 @final
-class OnPath(Struct, frozen=True, kw_only=True):
+class OnPath(Struct, kw_only=True):
     """The leg that is flown, and where on it the vehicle is led."""
 
     leg: Leg
@@ -405,7 +410,7 @@ class OnPath(Struct, frozen=True, kw_only=True):
 
 
 @final
-class Flight(Struct, frozen=True, kw_only=True):
+class Flight(Struct, kw_only=True):
     """State of the online procedure."""
 
     known: KnownMap
@@ -508,7 +513,7 @@ class Orders(Struct, frozen=True):
 
 
 @final
-class State(Struct, frozen=True, kw_only=True):
+class State(Struct, kw_only=True):
     """The complete state of the mission machine."""
 
     phase: Phase = Phase.WAITING
@@ -554,7 +559,7 @@ class State(Struct, frozen=True, kw_only=True):
     """Since when a fence that has changed is being read; None: it is known."""
     task: Task
     """The task for planning: the mission's with the vehicle's fence."""
-    targets_ne_m: tuple[tuple[float, float], ...]
+    targets_ne_m: Targets
     vehicle: Vehicle = field(default_factory=Vehicle)
     flight: Flight
 
@@ -570,18 +575,10 @@ class State(Struct, frozen=True, kw_only=True):
             task=mission.task, targets_ne_m=mission.targets_ne_m, flight=Flight(known=known)
         )
 
-    def told(self, **reports: Any) -> "State":
-        """The state with these reports of its vehicle."""
-        return replace(self, vehicle=replace(self.vehicle, **reports))
+    def take_fence(self, task: Task, fence: FenceChanged | None) -> None:
+        """From now on within another fence; task: the mission's.
 
-    def with_flight(self, **changes: Any) -> "State":
-        """The state with these fields of its flight changed."""
-        return replace(self, flight=replace(self.flight, **changes))
-
-    def with_fence(self, task: Task, fence: FenceChanged | None) -> "State":
-        """The state within another fence; task: the mission's.
-
-        Its `task` is the old one if they are equal.
+        `task` stays the old one if they are equal.
         """
         if fence is not None:
             limits, (floor, ceiling) = task.limits, (fence.floor_amsl_m, fence.ceiling_amsl_m)
@@ -591,18 +588,4 @@ class State(Struct, frozen=True, kw_only=True):
                 ceiling_amsl_m=min(limits.ceiling_amsl_m, math.inf if ceiling is None else ceiling),
             )
             task = dataclasses.replace(task, limits=limits, zones=(*task.zones, *fence.zones))
-        return replace(self, fence=fence, task=self.task if task == self.task else task)
-
-    def rebase_time(self, shift_s: float) -> "State":
-        """The state on a clock that shows shift_s more: its own time, and the waits that go on."""
-        return replace(
-            self,
-            now_s=self.now_s + shift_s,
-            since_s=self.since_s + shift_s,
-            asked_at_s=self.asked_at_s + shift_s,
-            duplicate_id_at_s=self.duplicate_id_at_s + shift_s,
-            fence_unread_s=None if self.fence_unread_s is None else self.fence_unread_s + shift_s,
-            vehicle=replace(
-                self.vehicle, bad_at_s=self.vehicle.bad_at_s + shift_s, battery_short_at_s=None
-            ),
-        )
+        self.fence, self.task = fence, self.task if task == self.task else task

@@ -11,7 +11,7 @@ from typing import Final
 
 from companion.mission.decisions import (
     Context,
-    Step,
+    Turn,
     has_had_control,
     in_phase_s,
     in_words,
@@ -19,7 +19,7 @@ from companion.mission.decisions import (
     is_second_companion,
     is_silent,
 )
-from companion.mission.events import Disarm, Event, Landed, LinkLost, Mode, Position, SetMode, warn
+from companion.mission.events import Disarm, Event, Landed, LinkLost, Mode, Position, SetMode
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.state import IN_AIR, ON_SETPOINTS, Hold, Phase, Reason, State, Trigger
 from companion.mission.vehicle_traits import UNKNOWN, TakeoffSequence
@@ -212,25 +212,27 @@ def wanted_fallback(state: State, context: Context) -> Fallback:
     return Fallback.RETURN if home else context.mission.fallback
 
 
-def fall_back(state: State, context: Context) -> Step:
+def fall_back(state: State, turn: Turn) -> None:
     """Bring down a vehicle whose mission is given up, if we still control it."""
-    fallback, flight, traits = wanted_fallback(state, context), state.flight, state.vehicle.traits
+    flight, traits = state.flight, state.vehicle.traits
+    fallback = wanted_fallback(state, turn.context)
     if fallback is Fallback.HOLD or traits is UNKNOWN or not _is_left_to_us(state):
-        return state, [], Trigger.GIVE_UP
-    refused = flight.refused_modes | {mode for at, mode in _ASKED_IN.items() if at is state.phase}
+        return
+    if state.phase in _ASKED_IN:
+        flight.refused_modes |= {_ASKED_IN[state.phase]}
     if state.vehicle.distrust is not None or is_above_home(state):
         fallback = Fallback.LAND
     able = {Mode.RETURN, Mode.LAND} if traits.lands else {Mode.RETURN}
-    way = next((mode for mode in LADDER[fallback] if mode in able - refused), None)
     reason = state.reason or Reason.NO_PLAN
     follows = reason is Reason.NOT_OBEYING or flight.homeward
     if follows and flight.fallen_back is not None:
         reason = flight.fallen_back  # that is why it was asked
-    state = state.with_flight(fallen_back=reason, refused_modes=refused)
-    if way is None:
-        return state, [], Trigger.GIVE_UP
-    how, trigger = _BRINGS_DOWN[way]
-    return state, [warn(f"{in_words(state, reason)}: {how}", "end")], trigger
+    flight.fallen_back = reason
+    for mode in LADDER[fallback]:
+        if mode in able - flight.refused_modes:
+            how, trigger = _BRINGS_DOWN[mode]
+            turn.warn(f"{in_words(state, reason)}: {how}", "end")
+            return turn.to(trigger)
 
 
 def _is_left_to_us(state: State) -> bool:

@@ -18,9 +18,10 @@ from made_up import (
     position,
     two_legs_away,
 )
-from renewed import replace
+from renewed import deep, replace
 
 from companion.mission import events
+from companion.mission.decisions import Turn
 from companion.mission.entries import of_change
 from companion.mission.events import Mode, Plan, Position, Setpoint, StartScan, StatusText
 from companion.mission.following import is_on_path, joined, left_path, outside_m
@@ -142,15 +143,16 @@ def cruising() -> Craft:
 
 def found_at(craft: Craft, way: Way, by_m: float, later_s: float = 0.0) -> tuple[Flight, Any]:
     """What follows if the vehicle is found so far from its reference point."""
-    flight, state = craft.state.flight, craft.state
+    state = deep(craft.state)
+    flight = state.flight
     assert flight.path is not None
     told = flight.leg.subpath.pose(flight.reference.length_m).position_nea_m
     here = tuple(np.add(told, np.multiply(way, by_m)).tolist())
     if later_s:
         since_s = state.now_s - later_s
-        path = replace(flight.path, outside_since_s=since_s, outside_m=1.0)
-        flight = replace(flight, path=path)
-    return left_path(state, flight, position(state.now_s, here, craft.velocity))
+        flight.path.outside_since_s, flight.path.outside_m = since_s, 1.0
+    event, turn = position(state.now_s, here, craft.velocity), Turn(state, craft.context)
+    return flight, left_path(state, flight.path, event, turn)
 
 
 FAR_M = ERROR_M + min(ERROR_M, 0.5 * SAFETY_M)
@@ -215,7 +217,7 @@ def test_who_is_seen_at_a_glance_to_be_on_its_path_is_not_outside_of_anything() 
         told = bent.pose(at.length_m).position_nea_m
         for off_m in (np.zeros(3), *(rng.normal(size=(40, 3)) * ERROR_M * rng.uniform(0.1, 1.5))):
             here = position(state.now_s, tuple((told + off_m).tolist()), craft.velocity)
-            if is_on_path(state, state.flight, path, here):
+            if is_on_path(state, path, here):
                 seen += 1
                 assert outside_m(state, path, here) == (0.0, 0.0, 0.0)
             else:

@@ -2,6 +2,7 @@
 
 import pytest
 from made_up import PLANES
+from renewed import replace
 from wild import Wild
 
 from companion.mission import events
@@ -26,7 +27,8 @@ def test_no_leg_is_planned_from_a_circle_that_the_plane_is_not_on(
     plane = circling(traits)
     limits, (north, east, up) = plane.mission.task.limits, plane.here
     away_m = limits.loiter_radius_m + beyond * limits.tracking_error_m
-    plane.state = plane.state.with_flight(hover_nea_m=(north + away_m, east, up), search=None)
+    flight = replace(plane.state.flight, hover_nea_m=(north + away_m, east, up), search=None)
+    plane.state = replace(plane.state, flight=flight)
     speed, scans = (limits.speed_m_s, 0.0, 0.0), len(plane.sent(StartScan))
     for later_s in (0.1, 0.2):
         at_s = plane.now_s + later_s

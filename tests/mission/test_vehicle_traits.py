@@ -10,6 +10,7 @@ from wild import HOME_AMSL_M, Wild
 
 from companion.mavlink.autopilots import PX4_FIXED_WING
 from companion.mission import events, machine, stopped
+from companion.mission.decisions import Turn
 from companion.mission.events import Arm, End, Landed, Mode, Outcome, SetMode, Setpoint, TakeOff
 from companion.mission.following import outside_m
 from companion.mission.mission import EndAction, Fallback
@@ -237,7 +238,10 @@ def test_a_plane_that_passes_its_target_too_far_away_says_so() -> None:
     for off_m in (0.9, 1.1):
         off_m *= state.task.limits.tracking_error_m
         place = (here[0] + off_m, here[1], here[2])
-        said = stopped.reached(replace(state, flight=replace(state.flight, hover_nea_m=place)))
+        state.flight.hover_nea_m = place
+        turn = Turn(state, wild.context)
+        stopped.say_reached(state, turn)
+        (said,) = turn.commands
         far = off_m > state.task.limits.tracking_error_m
         assert said.text == "target reached" + (f": passed {off_m:.0f} m away" if far else "")
         assert said.warning is far
