@@ -6,15 +6,26 @@ up in the local frame, altitudes AMSL.
 
 import enum
 import math
-from typing import final
+from abc import ABC
+from typing import TYPE_CHECKING, final
 
-from msgspec import Struct
+from msgspec import Struct, field
 
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.world.known_map import Scan
 from companion.world.near_map import NearMap, Sight
-from companion.world.zones import Zone
+from companion.world.zones import CircleZone, PolygonZone, Zone
+
+if TYPE_CHECKING:
+    AnyZone = Zone
+else:
+
+    class AnyZone(ABC):  # noqa: B024 - asked for nothing but whose instance a zone is
+        """Both of them: `msgspec` cannot tell two dataclasses apart, `journal.entry_of` does."""
+
+    AnyZone.register(CircleZone)
+    AnyZone.register(PolygonZone)
 
 Vector = tuple[float, float, float]
 
@@ -45,7 +56,25 @@ class Landed(enum.Enum):
 class Event(Struct, frozen=True, kw_only=True):
     """What happened, and when."""
 
-    time_s: float
+    time_s: float = field(name="t_s")
+    """Vehicle time: seconds since its boot (until its clock is known, since the start)."""
+
+
+class Entry(Event, frozen=True, kw_only=True, tag_field="kind"):
+    """What stands in the journal, in these words (`journal`).
+
+    Names carry units; `_nea_m` is north, east (of the mission's local frame) and altitude AMSL.
+    """
+
+    @property
+    def kind(self) -> str:
+        """The name of its kind in the file."""
+        return str(self.__struct_config__.tag)
+
+    @property
+    def t_s(self) -> float:
+        """Its time, as the file calls it."""
+        return self.time_s
 
 
 @final
@@ -143,10 +172,11 @@ class Battery(Event, frozen=True, kw_only=True):
 
 
 @final
-class LinkDelay(Event, frozen=True, kw_only=True):
-    """How long a message takes to the vehicle and back (TIMESYNC)."""
+class LinkDelay(Entry, frozen=True, kw_only=True, tag="link delay"):
+    """The link has become slower or faster."""
 
     round_trip_s: float
+    """To the vehicle and back (TIMESYNC)."""
 
 
 class Item(enum.Enum):
@@ -159,22 +189,26 @@ class Item(enum.Enum):
 
 
 @final
-class Prepared(Event, frozen=True, kw_only=True):
-    """One of the things to prepare is done, or refused."""
+class Prepared(Entry, frozen=True, kw_only=True, tag="prepared"):
+    """One of the preparations before a flight is complete, or refused."""
 
     item: Item
+    """What."""
     refusal: str = ""
-    """Why the vehicle must not fly as it is: what, its value, the rule."""
+    """Why the flight is refused, what, its value, the rule; empty if it is not."""
     remedy: str = ""
 
 
 @final
-class FenceChanged(Event, frozen=True, kw_only=True):
+class FenceChanged(Entry, frozen=True, kw_only=True, tag="fence"):
     """The vehicle's complete fence, as of now."""
 
-    zones: tuple[Zone, ...]
+    zones: tuple[AnyZone, ...]
+    """Circles and polygons."""
     floor_amsl_m: float | None = None
+    """Minimum altitude; null if the fence has none."""
     ceiling_amsl_m: float | None = None
+    """Maximum altitude; null if the fence has none."""
     misread: bool = False
     """Whether the autopilot itself misreads it, so that it may act where no zone is."""
 
@@ -188,10 +222,11 @@ class FenceReading(Event, frozen=True, kw_only=True):
 
 
 @final
-class TargetsChanged(Event, frozen=True, kw_only=True):
-    """The targets of the vehicle's mission, if ours takes them from there."""
+class TargetsChanged(Entry, frozen=True, kw_only=True, tag="targets"):
+    """The targets from now on, from the vehicle's mission."""
 
     targets_ne_m: tuple[tuple[float, float], ...]
+    """In the order in which they are flown to."""
 
 
 class OrderKind(enum.Enum):
@@ -217,8 +252,8 @@ class Order(Event, frozen=True, kw_only=True):
 
 
 @final
-class Rebooted(Event, frozen=True, kw_only=True):
-    """The autopilot's clock has begun again."""
+class Rebooted(Entry, frozen=True, kw_only=True, tag="vehicle rebooted"):
+    """The autopilot's clock has begun again, and with it `t_s`."""
 
 
 @final
@@ -262,24 +297,31 @@ class PlanReady(Event, frozen=True, kw_only=True):
 
 
 @final
-class PlanLate(Event, frozen=True, kw_only=True):
-    """A plan was due and is still being computed (real time only)."""
+class PlanLate(Entry, frozen=True, kw_only=True, tag="plan late"):
+    """A plan was due and not ready (real time only)."""
 
     plan_id: int
+    """Of the request."""
 
 
 @final
-class PlannerDied(Event, frozen=True, kw_only=True):
-    """A part of the companion (planner, reader, writer) has died: nothing is sent any more."""
+class PlannerDied(Entry, frozen=True, kw_only=True, tag="part died", omit_defaults=True):
+    """A part of the companion has died; may be noted twice, by session and watchdog."""
 
     error: str
+    """What it died of."""
+    part: str | None = None
+    """Its name; by the watchdog only."""
+    hold_frames: int | None = None
+    """Number of frames sent to hold the vehicle; by the watchdog only."""
 
 
 @final
-class LinkLost(Event, frozen=True, kw_only=True):
-    """Nothing has been heard of the vehicle for a while."""
+class LinkLost(Entry, frozen=True, kw_only=True, tag="link lost"):
+    """The vehicle was silent for a while."""
 
     silent_s: float
+    """For how long."""
 
 
 @final
@@ -298,8 +340,8 @@ class DuplicateId(Event, frozen=True, kw_only=True):
 
 
 @final
-class StopAsked(Event, frozen=True, kw_only=True):
-    """The operator ends the mission now."""
+class StopAsked(Entry, frozen=True, kw_only=True, tag="stop asked"):
+    """The operator has ended the mission."""
 
 
 class Outcome(enum.Enum):
