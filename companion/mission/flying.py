@@ -1,4 +1,4 @@
-"""The phases on a path, flying and returning (design 6 and 7).
+"""The phases on a path: flying and returning (design 6 and 7), and shadow.
 
 Out: follow a leg, scan, plan, go on to the next.  Back: along the flown path (`way_back`).
 """
@@ -19,6 +19,7 @@ from companion.mission.decisions import (
 )
 from companion.mission.events import (
     Event,
+    Landed,
     Mode,
     Plan,
     PlanLate,
@@ -29,6 +30,7 @@ from companion.mission.events import (
     Vector,
 )
 from companion.mission.following import come_to_rest, rest_at_end, send_hold
+from companion.mission.health import TRUST_S
 from companion.mission.state import (
     Answered,
     OnPath,
@@ -40,7 +42,7 @@ from companion.mission.state import (
     Trigger,
     Way,
 )
-from companion.planner.procedure import Leg, hover_pose, is_on_circle
+from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle
 from companion.planner.progress import NO_PROGRESS
 from companion.planner.request import NotPlanned, Planned, PlanRequest
 from companion.planner.settings import Task
@@ -55,6 +57,8 @@ _LEVEL_M_S = 1.0
 _TURNS = 3.0
 _CIRCLE_SLACK_M = 0.5  # a leg may end where its circle just keeps the clearance
 _SHORT_SIGHTED = 0.8  # of R
+_SAY_AGAIN_S = 10.0  # in shadow: scan again, until there is a leg
+_ARRIVED_M = 30.0
 _MORE_SCANS = 2  # from rest, if the radar has left something out
 
 
@@ -175,7 +179,7 @@ def _at_its_end(state: State, path: OnPath, turn: Turn) -> None:
 def _end_of_way(state: State, path: OnPath, turn: Turn) -> None:
     """At the end of a stretch of the way back, or at a stop before it."""
     if path.stop is not None:
-        way_back.rest_on_way(state.flight)
+        way_back.leave_path(state.flight)
         return turn.fault(path.stop.reason)
     if not state.flight.back:
         rest_at_end(state.flight)
@@ -192,11 +196,8 @@ def _depart(state: State, reason: Reason, turn: Turn) -> None:
     if flight.departures >= (_DEPARTURES_NEAR if is_near else _DEPARTURES):
         return turn.give_up(Reason.NOT_FOLLOWING if reason is Reason.OFF_PATH else reason)
     flight.departures += 1
-    if flight.returning:
-        way_back.rest_on_way(flight)
-    else:
-        come_to_rest(flight)
-    return turn.fault(reason)
+    way_back.leave_path(flight)
+    turn.fault(reason)
 
 
 # --- scans and plans
@@ -383,3 +384,64 @@ def _is_there(state: State, event: Position, here: Vector) -> bool:
     level = abs(event.velocity_nea_m_s[2]) < _LEVEL_M_S
     near = is_on_circle(here, event.position_nea_m, state.task.limits)
     return near and level and abs(here[2] - event.position_nea_m[2]) <= error_m
+
+
+# --- the phase `shadow`: plan for the vehicle and report, never command
+#
+# A leg is planned from where the vehicle is, as if it were to fly it; as long as it does, the
+# successors follow as in flight.  When it does not, the next leg begins where it went.
+
+
+def shadow(state: State, event: Event, turn: Turn) -> None:
+    """What would be done now."""
+    flight, reason = state.flight, state.vehicle.distrust
+    if reason is None and state.now_s - state.vehicle.bad_at_s < TRUST_S:
+        reason = state.reason  # good again, but not for long enough to go on
+    if reason is not state.reason:
+        state.reason = reason
+        come_to_rest(flight)
+        if reason is None:
+            turn.say("shadow: would go on")
+        else:
+            turn.warn(f"shadow: would hold: {in_words(state, reason)}")
+    elif reason is not None or state.vehicle.landed is Landed.ON_GROUND or not state.targets_ne_m:
+        pass
+    elif isinstance(event, Position):
+        _watch(state, event, turn)
+    else:
+        on_answer(state, event, turn)
+
+
+def _watch(state: State, event: Position, turn: Turn) -> None:
+    """Follow the vehicle along the leg that was planned, or plan one from where it is."""
+    flight, here, path = state.flight, event.position_nea_m, state.flight.path
+    tracking_error_m = state.task.limits.tracking_error_m
+    if math.dist(here[:2], state.targets_ne_m[flight.target]) < max(_ARRIVED_M, tracking_error_m):
+        come_to_rest(flight)
+        if flight.target + 1 < len(state.targets_ne_m):
+            flight.target += 1
+            turn.say("shadow: target reached")
+    elif path is not None:
+        off_m, at_m = following.nearest(path.leg, here)
+        if off_m > 3.0 * tracking_error_m:
+            turn.say(f"shadow: the vehicle is {off_m:.0f} m off the path")
+            come_to_rest(flight)
+        else:
+            _watch_leg(state, path, at_m, turn)
+    elif flight.search is None or state.now_s - flight.progress_at_s >= _SAY_AGAIN_S:
+        flight.progress_at_s = state.now_s  # every few seconds until there is a leg
+        start_scan(state, here, turn)
+
+
+def _watch_leg(state: State, path: OnPath, at_m: float, turn: Turn) -> None:
+    """The vehicle is on the leg: scan at p_scan, go over at p_prog."""
+    task, leg = state.task, path.leg
+    length_m = max(path.reference.length_m, at_m)
+    speed_m_s = math.hypot(*state.vehicle.velocity_nea_m_s)
+    path.reference = Reference(length_m=length_m, speed_m_s=speed_m_s)
+    if path.next_leg is not None and length_m >= leg.successor_at_m(task):
+        following.switch_to_next_leg(state.flight, path, task)
+    elif leg.subpath.length_m - length_m < 1.0:
+        come_to_rest(state.flight)
+    elif state.flight.search is None and leg.wants_successor(length_m, task):
+        start_scan(state, leg.subpath.pose(length_m).point_nea_m, turn)

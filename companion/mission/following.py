@@ -222,9 +222,10 @@ def is_stopped(state: State, path: OnPath) -> bool:
 
 def send_setpoint(state: State, path: OnPath, event: Position, turn: Turn) -> None:
     """Send the setpoint for the reference point, if one is due."""
-    if not is_due(state):
-        return
     leg, reference, next_leg, traits = path.leg, path.reference, path.next_leg, state.vehicle.traits
+    least_s = traits.setpoint_period_s - 0.5 * state.vehicle.position_step_s
+    if state.now_s - state.flight.sent_at_s <= least_s:
+        return
     ahead_m = lead_m(state, reference)
     if traits.hovers and path.stop is not None:
         next_leg, end_m = None, min(leg.subpath.length_m, path.stop.at_m)
@@ -259,13 +260,6 @@ def send_setpoint(state: State, path: OnPath, event: Position, turn: Turn) -> No
     )
     state.flight.sent, state.flight.sent_at_s = sent, state.now_s
     turn.commands.append(sent)
-
-
-def is_due(state: State) -> bool:
-    """Whether it is time for another setpoint."""
-    vehicle = state.vehicle
-    least_s = vehicle.traits.setpoint_period_s - 0.5 * vehicle.position_step_s
-    return state.now_s - state.flight.sent_at_s > least_s
 
 
 def vehicle_at_m(state: State, path: OnPath) -> float:
@@ -339,9 +333,10 @@ def end_of(path: OnPath) -> Vector:
 
 def send_hold(state: State, time_s: float, turn: Turn) -> None:
     """Hold position: a setpoint with an explicit velocity of zero."""
-    flight, yaw = state.flight, turn.context.mission.yaw_rad
-    here = flight.hover_nea_m
-    if here is None or not is_due(state):
+    flight, vehicle, yaw = state.flight, state.vehicle, turn.context.mission.yaw_rad
+    here, least_s = flight.hover_nea_m, vehicle.traits.setpoint_period_s
+    least_s -= 0.5 * vehicle.position_step_s
+    if here is None or state.now_s - flight.sent_at_s <= least_s:
         return
     sent = Setpoint(
         time_s=time_s,

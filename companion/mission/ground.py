@@ -248,7 +248,7 @@ def _in_flight(state: State, turn: Turn) -> None:
     if state.orders.active is not None or state.taken or state.flight.returning:
         led = mode in ours and not state.taken
         state.reason = Reason.TAKING_OVER if led else takeover_reason(state)
-        return way_back.rest_on_way(state.flight)
+        return way_back.leave_path(state.flight)
     asked = state.asks > 0  # to hold: it may do so by now
     if mode is Mode.GUIDED and not asked:
         joined = following.joined(state, path)
@@ -302,14 +302,6 @@ def taking_off(state: State, event: Event, turn: Turn) -> None:
         turn.give_up(Reason.NO_TAKE_OFF)
     elif on_ground and guided:
         _ask_to_take_off(state, turn)
-
-
-def take_off_broken_off(state: State, reason: Reason, turn: Turn) -> None:
-    """On the ground that is the end."""
-    if state.vehicle.landed is Landed.ON_GROUND:
-        turn.give_up(reason)
-    else:
-        turn.fault(reason)
 
 
 def _has_climbed(state: State, event: Position, *, guided: bool) -> bool:

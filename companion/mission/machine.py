@@ -11,7 +11,6 @@ from copy import copy
 from typing import Any, Final
 
 from companion.mission import changes, events, flying, following, ground, stopped, way_back
-from companion.mission import shadow as watching
 from companion.mission.battery import take_battery
 from companion.mission.decisions import (
     HEARTBEAT_S,
@@ -79,7 +78,7 @@ def step(before: State, event: Event, context: Context) -> tuple[State, list[Com
     if in_any_phase is None or turn.is_left:
         reason = None if is_well else fault_of(state, event)
         if reason is not None:
-            _BREAK_OFF[state.phase](state, reason, turn)
+            _break_off(state, reason, turn)
         else:
             IN_PHASE[state.phase](state, event, turn)
     if turn.trigger is Trigger.GIVE_UP and not context.shadow:
@@ -87,6 +86,18 @@ def step(before: State, event: Event, context: Context) -> tuple[State, list[Com
     if turn.trigger is not None and state.phase in turn.trigger.origins:
         _enter(state, turn.trigger, turn)
     return state, turn.commands
+
+
+def _break_off(state: State, reason: Reason, turn: Turn) -> None:
+    """What follows from a row of `tables.FAULTS`."""
+    if state.phase is Phase.HOLDING:
+        stopped.broken_off(state, reason, turn)
+    elif state.phase is Phase.TAKING_OFF and state.vehicle.landed is Landed.ON_GROUND:
+        turn.give_up(reason)
+    else:
+        if state.phase is not Phase.TAKING_OFF:
+            way_back.leave_path(state.flight)
+        turn.fault(reason)
 
 
 def rebased(before: State, shift_s: float) -> State:
@@ -144,14 +155,14 @@ def _observe(state: State, event: Event, context: Context) -> None:
             pass
 
 
-def _on_stop(state: State, _event: events.StopAsked, turn: Turn) -> None:
-    state.reason = Reason.STOPPED
-    turn.to(Trigger.STOP)
-
-
-def _on_death(state: State, event: events.PlannerDied, turn: Turn) -> None:
-    state.reason, state.detail = Reason.PLANNER_DIED, f": {event.error}" if event.error else ""
-    turn.to(Trigger.DIED)
+def _on_end(state: State, event: events.StopAsked | events.PlannerDied, turn: Turn) -> None:
+    """A person wants the end, or a part of the companion has died."""
+    if isinstance(event, events.StopAsked):
+        state.reason = Reason.STOPPED
+        turn.to(Trigger.STOP)
+    else:
+        state.reason, state.detail = Reason.PLANNER_DIED, f": {event.error}" if event.error else ""
+        turn.to(Trigger.DIED)
 
 
 def _on_link_lost(state: State, event: events.LinkLost, turn: Turn) -> None:
@@ -168,33 +179,14 @@ def _on_link_lost(state: State, event: events.LinkLost, turn: Turn) -> None:
         turn.is_left = phase is not Phase.PREPARING
 
 
-def _break_off_leg(state: State, reason: Reason, turn: Turn) -> None:
-    following.come_to_rest(state.flight)
-    turn.fault(reason)
-
-
-def _break_off_way_back(state: State, reason: Reason, turn: Turn) -> None:
-    way_back.rest_on_way(state.flight)
-    turn.fault(reason)
-
-
 _IN_ANY_PHASE: Final[dict[type[Event], Callable[[State, Any, Turn], None]]] = {
-    events.StopAsked: _on_stop,
-    events.PlannerDied: _on_death,
+    events.StopAsked: _on_end,
+    events.PlannerDied: _on_end,
     events.LinkLost: _on_link_lost,
     events.DuplicateId: ground.on_duplicate_id,
     **changes.HANDLERS,
 }
 """Handlers of events in any phase; some leave it to the phase (`Turn.is_left`)."""
-
-_BREAK_OFF: Final[dict[Phase, Callable[[State, Reason, Turn], None]]] = {
-    Phase.TAKING_OFF: ground.take_off_broken_off,
-    Phase.FLYING: _break_off_leg,
-    Phase.RETURNING: _break_off_way_back,
-    Phase.ARRIVED: _break_off_leg,
-    Phase.HOLDING: stopped.broken_off,
-}
-"""What follows in each phase from a row of `tables.FAULTS`."""
 
 IN_PHASE: Final[dict[Phase, Callable[[State, Event, Turn], None]]] = {
     Phase.WAITING: ground.waiting,
@@ -208,7 +200,7 @@ IN_PHASE: Final[dict[Phase, Callable[[State, Event, Turn], None]]] = {
     Phase.ARRIVED: stopped.arrived,
     Phase.LANDING: stopped.landing,
     Phase.HANDING_OVER: stopped.handing_over,
-    Phase.SHADOW: watching.shadow,
+    Phase.SHADOW: flying.shadow,
 }
 """The handler of each phase; a mission that is over ignores events."""
 

@@ -82,7 +82,7 @@ def holding(state: State, event: Event, turn: Turn) -> None:
         case Hold.REPLAN | Hold.PAUSED | Hold.RETURN | Hold.LAND:
             return _hold_on_setpoints(state, event, turn)
         case Hold.STREAM_LOST:
-            return _lead_back(state, event, turn)
+            return _take_again(state, event, turn)
         case Hold.TAKEN_OVER | Hold.GROUNDED:
             return _while_taken_over(state, event, turn)
         case Hold.SILENT:
@@ -143,49 +143,55 @@ def _heard_again(state: State, event: Event, turn: Turn) -> None:
         turn.to(Trigger.PREPARE_AGAIN)
 
 
-def _is_trusted(state: State) -> bool:
-    return state.now_s - max(state.vehicle.bad_at_s, state.since_s) > TRUST_S
-
-
-def _is_elsewhere(state: State) -> bool:
-    """Whether the position passes all checks but cannot have been reached."""
-    reason = state.vehicle.distrust
-    return reason is Reason.POSITION_ELSEWHERE and state.reason is not reason
-
-
-def _hold_elsewhere(state: State, turn: Turn) -> None:
-    """Hold for that, with a text: the previous reason is over."""
-    come_to_rest(state.flight)
-    turn.hold(Reason.POSITION_ELSEWHERE)
-    state.taken = False
-
-
 def _while_taken_over(state: State, event: Event, turn: Turn) -> None:
     """Another controller flies: send no command until guided mode is selected, or an order comes.
 
     Also after a failsafe: the autopilot's hold cannot be told from a pilot's.
     """
     if isinstance(event, Battery):
-        warn_of_battery(state, turn)
-        return
-    known = state.held if state.held and state.hold is Hold.TAKEN_OVER else Held(Hold.GROUNDED)
+        return warn_of_battery(state, turn)
+    known, mode = state.held or Held(Hold.TAKEN_OVER), state.vehicle.mode
     told = state.now_s - known.released_at_s < _TOLD_S
-    given_back = state.vehicle.mode is Mode.GUIDED or (told and state.vehicle.mode is Mode.HOLD)
-    if given_back and _is_elsewhere(state):
-        _hold_elsewhere(state, turn)
-    elif not _is_trusted(state):
-        come_to_rest(state.flight)
-    elif state.vehicle.mode is Mode.GUIDED:
-        come_to_rest(state.flight)
-        return resumed(state, turn)
-    elif told:
-        _ask_for_guided(state, event, turn)
+    given_back = mode is Mode.GUIDED or (told and mode is Mode.HOLD)
+    if told or given_back or not _is_trusted(state):
+        _take_again(state, event, turn, given_back=given_back)
     elif known.released_at_s > 0.0:
         state.held = replace(known, released_at_s=-1e9)
         turn.warn("guided mode was not taken")
     elif state.reason is Reason.FAILSAFE and not (state.vehicle.failsafe or known.failsafe_over):
         state.held = replace(known, failsafe_over=True)
         turn.warn(FAILSAFE_OVER)
+
+
+def _is_trusted(state: State) -> bool:
+    return state.now_s - max(state.vehicle.bad_at_s, state.since_s) > TRUST_S
+
+
+def _is_elsewhere(state: State) -> bool:
+    """Whether the position passes all checks but cannot have been reached, which is news."""
+    distrust = state.vehicle.distrust
+    return distrust is Reason.POSITION_ELSEWHERE and state.reason is not distrust
+
+
+def _take_again(state: State, event: Event, turn: Turn, *, given_back: bool = True) -> None:
+    """Lead it again once its position was valid for a while, and it is in guided mode.
+
+    PX4 returns to that by itself as soon as setpoints arrive again (px4.md 6): no mode is
+    requested.  A position that passes all checks but cannot have been reached is held for.
+    """
+    if given_back and _is_elsewhere(state):  # the previous reason is over
+        come_to_rest(state.flight)
+        turn.hold(Reason.POSITION_ELSEWHERE)
+        state.taken = False
+    elif not _is_trusted(state):
+        come_to_rest(state.flight)
+    elif state.vehicle.mode is Mode.GUIDED:
+        come_to_rest(state.flight)
+        resumed(state, turn)
+    elif state.hold is not Hold.STREAM_LOST:
+        _ask_for_guided(state, event, turn)
+    elif isinstance(event, Position):
+        _stream_here(state, event, math.inf, turn)
 
 
 def resumed(state: State, turn: Turn) -> None:
@@ -299,8 +305,7 @@ def _hold_in_its_own_mode(state: State, event: Event, turn: Turn) -> None:
     if in_phase_s(state) > _HOLD_S or state.flight.troubles > _TROUBLES:
         return turn.to(Trigger.GIVE_UP)
     if mode is not Mode.TAKE_OFF and _is_elsewhere(state):
-        _hold_elsewhere(state, turn)
-        return
+        return _take_again(state, event, turn)
     flies_on = hovers and mode is Mode.GUIDED  # to a target that is not known
     if mode is Mode.HOLD or (taking_over and not flies_on):
         state.obeyed = True
@@ -321,13 +326,10 @@ def _hold_in_its_own_mode(state: State, event: Event, turn: Turn) -> None:
     unled = state.reason is Reason.BROKEN_OFF and state.flight.plan_id == 0
     if unled and mode is Mode.HOLD and ordered is Reason.RETURN_ASKED:
         return turn.give_up(Reason.RETURN_ASKED)  # there is no way back but its own
-    if not stands or not _is_trusted(state):
-        come_to_rest(state.flight)
-    elif mode is Mode.GUIDED:
-        come_to_rest(state.flight)
-        return resumed(state, turn)
+    if stands:
+        _take_again(state, event, turn, given_back=False)
     else:
-        _ask_for_guided(state, event, turn)
+        come_to_rest(state.flight)
 
 
 def _land_here(state: State, turn: Turn) -> None:
@@ -341,22 +343,6 @@ def taken(state: State, turn: Turn) -> None:
     """A pilot or the autopilot has taken over."""
     turn.hold(takeover_reason(state))
     state.taken = True
-
-
-def _lead_back(state: State, event: Event, turn: Turn) -> None:
-    """PX4 returns to OFFBOARD by itself as soon as setpoints arrive again (px4.md 6).
-
-    No mode is requested: if it does not return, it holds for another reason.
-    """
-    if _is_elsewhere(state):
-        _hold_elsewhere(state, turn)
-    elif not _is_trusted(state):
-        come_to_rest(state.flight)
-    elif state.vehicle.mode is Mode.GUIDED:
-        come_to_rest(state.flight)
-        return resumed(state, turn)
-    elif isinstance(event, Position):
-        _stream_here(state, event, math.inf, turn)
 
 
 def _stream_here(state: State, event: Position, near_m: float, turn: Turn) -> None:

@@ -124,11 +124,12 @@ def ended(state: State, last: Leg, turn: Turn) -> None:
     return home_by_plan(state, turn, text, state.flight.fallen_back or Reason.NO_PLAN)
 
 
-def rest_on_way(flight: Flight) -> None:
-    """At rest, with the current backtrack leg still to be flown."""
-    path = flight.path
-    hover = None if path is None or path.stop is None else following.end_of(path)
-    following.requeue_backtrack(flight, flight.leg, flight.next_leg)
+def leave_path(flight: Flight) -> None:
+    """At rest off the path; of the way back with its current leg still to be flown."""
+    path, hover = flight.path, None
+    if path is not None and flight.returning:
+        hover = None if path.stop is None else following.end_of(path)
+        following.requeue_backtrack(flight, path.leg, path.next_leg)
     following.come_to_rest(flight, hover)
 
 
