@@ -419,6 +419,8 @@ def test_a_refused_setpoint_is_followed_by_nothing_but_the_hold() -> None:
         it.tick()
     assert "setpoint refused" in kinds(it)
     assert it.session.state.phase is Phase.FAULTED
+    texts = [m.text for m in messages(it.frames[count:]) if m.get_type() == "STATUSTEXT"]
+    assert "setpoint out of range" in "".join(texts)
     modes = [m.param2 for m in messages(it.frames[count:]) if m.get_type() == "COMMAND_LONG"]
     assert GUIDED not in modes
     assert it.vehicle.mode == BRAKE

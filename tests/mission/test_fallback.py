@@ -120,19 +120,26 @@ def test_where_no_way_back_is_proven_its_autopilot_returns_and_that_is_said_befo
     assert (craft.end().outcome, craft.end().reason) == (Outcome.FAILED, f"{end}: {why}")
 
 
-@pytest.mark.parametrize("lands", [True, False])
-def test_what_does_not_take_the_return_lands_or_is_told_to_hold_and_a_person_to_take_over(
-    lands: bool,
+@pytest.mark.parametrize("obeys", [True, False])
+@pytest.mark.parametrize("how", [Fallback.RETURN, Fallback.LAND])
+def test_what_does_not_take_the_one_is_asked_for_the_other_or_to_hold_and_a_person_to_take_over(
+    how: Fallback, obeys: bool
 ) -> None:
-    craft = does_not_follow(AWAY).fly_to(Phase.HANDING_OVER)
+    phases = [(Phase.HANDING_OVER, Mode.RETURN), (Phase.LANDING, Mode.LAND)]
+    first, second = phases if how is Fallback.RETURN else reversed(phases)
+    craft = does_not_follow(replace(AWAY, fallback=how)).fly_to(first[0])
     craft.obeys_modes = False
-    craft.fly_to(Phase.LANDING)
-    craft.obeys_modes = lands
+    craft.fly_to(second[0])
+    craft.obeys_modes = obeys
     craft.fly_to(Phase.DONE)
-    if lands:
-        assert craft.end().reason.startswith("landed: ")
+    if obeys:
+        assert craft.mode is second[1]
+        assert craft.end().reason.partition(": ")[0] in (
+            "landed",
+            "its autopilot returns by itself",
+        )
     else:
-        assert modes(craft)[-3:] == [Mode.RETURN, Mode.LAND, Mode.HOLD]
+        assert modes(craft)[-3:] == [first[1], second[1], Mode.HOLD]
         assert craft.end().reason == Reason.NOT_OBEYING.text
         assert "by hand" in craft.end().remedy
 

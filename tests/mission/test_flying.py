@@ -14,6 +14,7 @@ from made_up import (
     Craft,
     flying,
     near_target,
+    not_planned,
     planned,
     position,
     two_legs_away,
@@ -303,6 +304,25 @@ def test_a_plan_that_comes_after_p_prog_is_not_flown() -> None:
     assert craft.fly_to(Phase.HOLDING).state.reason is Reason.PLAN_LATE
 
 
+def test_a_plan_that_is_refused_leaves_the_way_as_it_is() -> None:
+    """In flight the leg is flown to its end; from rest it stays where it is, and asks again."""
+    craft = flying(
+        two_legs_away(), plan=lambda ask: planned(ask) if ask.plan_id == 1 else not_planned(ask)
+    )
+    flight = craft.state.flight
+    craft.run_until(lambda craft: craft.state.flight.refusal is not None)
+    assert craft.state.flight.leg is flight.leg
+    assert craft.state.flight.next_leg is None
+    stop = flight.leg.subpath.pose(flight.leg.subpath.length_m).point_nea_m
+    for failures in (0, 1, 2):
+        craft.run_until(lambda craft, n=failures: craft.state.flight.failures == n)
+        if failures:
+            assert craft.phase is Phase.HOLDING
+            assert craft.state.flight.hover_nea_m == pytest.approx(stop)
+            assert craft.sent(Plan)[-1].request.attempt == failures - 1
+    assert len(craft.state.flight.flown) == 1
+
+
 @pytest.mark.parametrize("speed_m_s", [0.5, 5.0, 14.0])
 @pytest.mark.parametrize(("left_m", "beside_m"), [(0.0, 0.0), (-3.0, 1.0), (0.3, 0.3), (6.0, 2.0)])
 def test_who_joins_a_path_near_its_end_comes_to_rest_without_a_jump(
@@ -355,6 +375,32 @@ def went_on(at_m: float, told_m: float, pace: float, **echo: Any) -> Flight:
     flight = joined(told_nothing, state.flight.path)
     assert flight is not None
     return flight
+
+
+@pytest.mark.parametrize("share", [0.2, 0.8])
+def test_it_rejoins_the_leg_that_is_the_nearer_one_and_has_flown_the_other(share: float) -> None:
+    """The next leg turns off to the right from p_prog of this one."""
+    state = deep(two_legs().state)
+    path = state.flight.path
+    assert path is not None
+    over_at_m = path.leg.successor_at_m(state.task)
+    begins = path.leg.subpath.pose(over_at_m).position_nea_m
+    aside = begins + np.linspace(0.0, LEG_M, 4)[:, None] * np.array(ASIDE)
+    path.next_leg = replace(
+        path.leg, number=path.leg.number + 1, subpath=Subpath(control_nea_m=aside)
+    )
+    for leg, at_m in ((path.leg, share * over_at_m), (path.next_leg, share * LEG_M)):
+        here = leg.subpath.pose(at_m).point_nea_m
+        state.vehicle.position_nea_m, state.flight.sent = here, None
+        state.vehicle.echo_nea_m = None
+        flight = joined(state, path)
+        assert flight is not None
+        assert flight.leg is leg
+        assert flight.reference.length_m == pytest.approx(at_m, abs=0.1)
+        switches = leg is not path.leg
+        assert flight.legs_flown == state.flight.legs_flown + switches
+        added = flight.flown[len(state.flight.flown) :]
+        assert [each.until_m for each in added] == pytest.approx([over_at_m, at_m][1 - switches :])
 
 
 @pytest.mark.parametrize("age_s", [0.0, 0.1, 0.4])

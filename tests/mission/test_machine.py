@@ -22,6 +22,7 @@ from made_up import (
     holding_mode_taken,
     holding_without_fix,
     holding_without_plan,
+    home_or_on,
     landing,
     mission,
     moving,
@@ -456,6 +457,20 @@ def test_a_vehicle_that_disarms_ends_the_mission() -> None:
     craft.armed = False
     end = craft.fly_to(Phase.DONE).end()
     assert (end.outcome, end.reason) == (Outcome.FAILED, Reason.DISARMED.text)
+
+
+@pytest.mark.parametrize("returns", [False, True])
+def test_a_vehicle_that_is_on_the_ground_is_led_no_further(returns: bool) -> None:
+    """Though it is armed, in guided mode and well located; one such report may be wrong."""
+    craft = flying(two_legs_away(), plan=home_or_on)
+    if returns:
+        craft.order(events.OrderKind.RETURN).fly_to(Phase.RETURNING)
+    craft.take(events.LandedState(time_s=craft.now_s, landed=Landed.ON_GROUND))
+    assert craft.during(0.5)[-1] == craft.sent(Setpoint)[-1]
+    craft.landed = Landed.ON_GROUND
+    craft.run_for(3.0)
+    assert craft.end().reason == Reason.GROUNDED.text
+    assert not craft.during(2.0)
 
 
 def test_a_vehicle_that_somebody_takes_into_the_air_during_arming_is_not_armed() -> None:
