@@ -432,16 +432,6 @@ class StatusText(Command, frozen=True, kw_only=True):
     """Topic: a newer text replaces a queued one of the same topic."""
 
 
-def say(text: str, about: str = "", *, warning: bool = False) -> StatusText:
-    """A text for people."""
-    return StatusText(text=text, warning=warning, about=about)
-
-
-def warn(text: str, about: str = "") -> StatusText:
-    """A text that is a warning."""
-    return say(text, about, warning=True)
-
-
 @final
 class End(Command, frozen=True, kw_only=True):
     """The mission is over."""

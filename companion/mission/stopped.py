@@ -228,10 +228,9 @@ def _hold_on_setpoints(state: State, event: Event, turn: Turn) -> None:
     warn_of_battery(state, turn)
     send_hold(state, event.time_s, turn)
     if (asked := state.flight.planning_backtrack) is None:
-        return _end_of_hold(state, event, turn)
-    if state.now_s - asked.since_s > _ANSWER_S:
-        turn.commands.clear()
-        return turn.give_up(state.reason or Reason.NO_PLAN)
+        _end_of_hold(state, event, turn)
+    elif state.now_s - asked.since_s > _ANSWER_S:
+        turn.give_up(state.reason or Reason.NO_PLAN)
 
 
 def _end_of_hold(state: State, event: Position, turn: Turn) -> None:
@@ -258,12 +257,10 @@ def _end_of_hold(state: State, event: Position, turn: Turn) -> None:
         if held_s < _SENSOR_S * turn.context.mission.attempts:
             return
         hold_for(state, Reason.GROUND_NEARER)
-        turn.commands.clear()
         return _other_way(state, turn)
     stops_allowed = _MAX_STOPS if near is None else _MAX_STOPS_NEAR
     tries = flight.failures < turn.context.mission.attempts and flight.stops <= stops_allowed
     if not on_way_back and (hold is Hold.RETURN or not tries):
-        turn.commands.clear()
         return _other_way(state, turn)
     if state.vehicle.traits.hovers and (state.reason is Reason.NEW_THREAT or not settled):
         come_to_rest(flight)  # the band may be another one, or it does not come back
