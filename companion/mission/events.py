@@ -1,4 +1,4 @@
-"""The events of a mission, derived from `Event`, and its commands, from `Command`.
+"""The events of a mission, derived from `Event`, and its commands, from `Command`: all are final.
 
 Times are the vehicle's (seconds since its boot); positions and velocities are north, east,
 up in the local frame, altitudes AMSL.
@@ -7,7 +7,7 @@ up in the local frame, altitudes AMSL.
 import enum
 import math
 from abc import ABC
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING
 
 from msgspec import Struct, field
 
@@ -77,12 +77,10 @@ class Entry(Event, frozen=True, kw_only=True, tag_field="kind"):
         return self.time_s
 
 
-@final
 class Tick(Event, frozen=True, kw_only=True):
     """The vehicle's clock moved on."""
 
 
-@final
 class VehicleStatus(Event, frozen=True, kw_only=True):
     """A heartbeat of the autopilot."""
 
@@ -92,7 +90,6 @@ class VehicleStatus(Event, frozen=True, kw_only=True):
     """Whether the autopilot reports a failsafe (MAV_STATE critical or emergency)."""
 
 
-@final
 class VehicleFound(Event, frozen=True, kw_only=True):
     """The autopilot is identified: its traits, or None if it is not supported."""
 
@@ -102,7 +99,6 @@ class VehicleFound(Event, frozen=True, kw_only=True):
     """Its autopilot and vehicle type, as text."""
 
 
-@final
 class Position(Event, frozen=True, kw_only=True):
     """The vehicle's reported position."""
 
@@ -112,26 +108,22 @@ class Position(Event, frozen=True, kw_only=True):
     """Its heading in the local frame."""
 
 
-@final
 class LandedState(Event, frozen=True, kw_only=True):
     """On the ground or in the air."""
 
     landed: Landed
 
 
-@final
 class TakeOffTaken(Event, frozen=True, kw_only=True):
     """The autopilot has accepted a take-off: it will begin."""
 
 
-@final
 class GpsFix(Event, frozen=True, kw_only=True):
     """Whether the receiver has a three-dimensional fix."""
 
     good: bool
 
 
-@final
 class Estimator(Event, frozen=True, kw_only=True):
     """Whether the autopilot's estimator reports a valid horizontal position."""
 
@@ -140,21 +132,18 @@ class Estimator(Event, frozen=True, kw_only=True):
     """Horizontal accuracy, if reported."""
 
 
-@final
 class Home(Event, frozen=True, kw_only=True):
     """The vehicle's home, whose altitude take-off heights are measured from."""
 
     position_nea_m: Vector
 
 
-@final
 class Origin(Event, frozen=True, kw_only=True):
     """Where the autopilot's own local frame begins (GPS_GLOBAL_ORIGIN)."""
 
     position_nea_m: Vector
 
 
-@final
 class Echo(Event, frozen=True, kw_only=True):
     """The autopilot's reported target (POSITION_TARGET_*)."""
 
@@ -163,7 +152,6 @@ class Echo(Event, frozen=True, kw_only=True):
     """Velocity of the target; None if not reported."""
 
 
-@final
 class Battery(Event, frozen=True, kw_only=True):
     """What is left in the battery."""
 
@@ -171,7 +159,6 @@ class Battery(Event, frozen=True, kw_only=True):
     """Share of a full one, 0 to 1."""
 
 
-@final
 class LinkDelay(Entry, frozen=True, kw_only=True, tag="link delay"):
     """The link has become slower or faster."""
 
@@ -188,7 +175,6 @@ class Item(enum.Enum):
     """On the ground only: link, radar, datum and everything else in `companion preflight`."""
 
 
-@final
 class Prepared(Entry, frozen=True, kw_only=True, tag="prepared"):
     """One of the preparations before a flight is complete, or refused."""
 
@@ -199,7 +185,6 @@ class Prepared(Entry, frozen=True, kw_only=True, tag="prepared"):
     remedy: str = ""
 
 
-@final
 class FenceChanged(Entry, frozen=True, kw_only=True, tag="fence"):
     """The vehicle's complete fence, as of now."""
 
@@ -213,7 +198,6 @@ class FenceChanged(Entry, frozen=True, kw_only=True, tag="fence"):
     """Whether the autopilot itself misreads it, so that it may act where no zone is."""
 
 
-@final
 class FenceReading(Event, frozen=True, kw_only=True):
     """The vehicle's fence has changed and is being read, or it is not any more."""
 
@@ -221,7 +205,6 @@ class FenceReading(Event, frozen=True, kw_only=True):
     """How many it has; 0: what counts is known again."""
 
 
-@final
 class TargetsChanged(Entry, frozen=True, kw_only=True, tag="targets"):
     """The targets from now on, from the vehicle's mission."""
 
@@ -240,7 +223,6 @@ class OrderKind(enum.Enum):
     LAND = "land where it is"
 
 
-@final
 class Order(Event, frozen=True, kw_only=True):
     """A command to the companion from an authorised sender."""
 
@@ -251,12 +233,10 @@ class Order(Event, frozen=True, kw_only=True):
     """System and component, for the journal: "255/190"."""
 
 
-@final
 class Rebooted(Entry, frozen=True, kw_only=True, tag="vehicle rebooted"):
     """The autopilot's clock has begun again, and with it `t_s`."""
 
 
-@final
 class NearSeen(Event, frozen=True, kw_only=True):
     """The sensor of near things has looked around, or its silence means something else now."""
 
@@ -267,7 +247,6 @@ class NearSeen(Event, frozen=True, kw_only=True):
     """How far the sensor says it sees; inf: it did not say."""
 
 
-@final
 class GroundSeen(Event, frozen=True, kw_only=True):
     """The downward rangefinder does not agree with the known map, or does again."""
 
@@ -275,7 +254,6 @@ class GroundSeen(Event, frozen=True, kw_only=True):
     """So much higher is the ground than the map says, with several readings; 0: it agrees."""
 
 
-@final
 class ScanDone(Event, frozen=True, kw_only=True):
     """The radar has answered as far as it will; cells answered of cells asked for."""
 
@@ -289,14 +267,12 @@ class ScanDone(Event, frozen=True, kw_only=True):
         return 0 < self.answered < self.asked
 
 
-@final
 class PlanReady(Event, frozen=True, kw_only=True):
     """The answer to a plan request, at the time when it was due or later."""
 
     outcome: PlanOutcome
 
 
-@final
 class PlanLate(Entry, frozen=True, kw_only=True, tag="plan late"):
     """A plan was due and not ready (real time only)."""
 
@@ -304,7 +280,6 @@ class PlanLate(Entry, frozen=True, kw_only=True, tag="plan late"):
     """Of the request."""
 
 
-@final
 class PlannerDied(Entry, frozen=True, kw_only=True, tag="part died", omit_defaults=True):
     """A part of the companion has died; may be noted twice, by session and watchdog."""
 
@@ -316,7 +291,6 @@ class PlannerDied(Entry, frozen=True, kw_only=True, tag="part died", omit_defaul
     """Number of frames sent to hold the vehicle; by the watchdog only."""
 
 
-@final
 class LinkLost(Entry, frozen=True, kw_only=True, tag="link lost"):
     """The vehicle was silent for a while."""
 
@@ -324,12 +298,10 @@ class LinkLost(Entry, frozen=True, kw_only=True, tag="link lost"):
     """For how long."""
 
 
-@final
 class FenceBreach(Event, frozen=True, kw_only=True):
     """The autopilot says that the vehicle is where its own fence forbids it to be."""
 
 
-@final
 class DuplicateId(Event, frozen=True, kw_only=True):
     """Another sender with the companion's ids was heard."""
 
@@ -339,7 +311,6 @@ class DuplicateId(Event, frozen=True, kw_only=True):
     """Whether it is the first such event of this certainty."""
 
 
-@final
 class StopAsked(Entry, frozen=True, kw_only=True, tag="stop asked"):
     """The operator has ended the mission."""
 
@@ -356,12 +327,10 @@ class Command(Struct, frozen=True, kw_only=True):
     """What is to be done: by the vehicle, the radar, the planner, or for people."""
 
 
-@final
 class RequestStreams(Command, frozen=True, kw_only=True):
     """Request the message streams that the mission needs."""
 
 
-@final
 class SetMode(Command, frozen=True, kw_only=True):
     """Ask for a flight mode."""
 
@@ -370,17 +339,14 @@ class SetMode(Command, frozen=True, kw_only=True):
     """Where to hold, for autopilots that support it."""
 
 
-@final
 class Arm(Command, frozen=True, kw_only=True):
     """Ask the autopilot to arm."""
 
 
-@final
 class Disarm(Command, frozen=True, kw_only=True):
     """Ask the autopilot to disarm; in the air it refuses."""
 
 
-@final
 class TakeOff(Command, frozen=True, kw_only=True):
     """Ask for a climb, from where the vehicle stands, by its autopilot's own take-off."""
 
@@ -388,21 +354,18 @@ class TakeOff(Command, frozen=True, kw_only=True):
     altitude_amsl_m: float
 
 
-@final
 class SetSpeed(Command, frozen=True, kw_only=True):
     """Send the mission's speed to an autopilot that controls its own speed."""
 
     speed_m_s: float
 
 
-@final
 class StartScan(Command, frozen=True, kw_only=True):
     """Ask the radar what is within range of a point."""
 
     centre_nea_m: Vector
 
 
-@final
 class Plan(Command, frozen=True, kw_only=True):
     """Compute the next subpath; the answer takes effect at due_s."""
 
@@ -410,7 +373,6 @@ class Plan(Command, frozen=True, kw_only=True):
     due_s: float
 
 
-@final
 class Setpoint(Command, frozen=True, kw_only=True):
     """Position and velocity for now, with this yaw."""
 
@@ -422,7 +384,6 @@ class Setpoint(Command, frozen=True, kw_only=True):
     """Hold here: a plane loiters; for multicopters the velocity is zero."""
 
 
-@final
 class StatusText(Command, frozen=True, kw_only=True):
     """A short text to ground stations and the terminal."""
 
@@ -432,7 +393,6 @@ class StatusText(Command, frozen=True, kw_only=True):
     """Topic: a newer text replaces a queued one of the same topic."""
 
 
-@final
 class End(Command, frozen=True, kw_only=True):
     """The mission is over."""
 

@@ -64,7 +64,6 @@ UNTOLD: Final = ("misread", "remedy")
 # --- the mission
 
 
-@final
 class Phase(Entry, frozen=True, kw_only=True, tag="phase"):
     """The mission is in another phase, or in the same for another reason."""
 
@@ -78,7 +77,6 @@ class Phase(Entry, frozen=True, kw_only=True, tag="phase"):
     """The reason's name, which stays the same if its text is improved."""
 
 
-@final
 class LegBegun(Entry, frozen=True, kw_only=True, tag="leg"):
     """The vehicle begins the next subpath: the newest one that was ready."""
 
@@ -86,7 +84,6 @@ class LegBegun(Entry, frozen=True, kw_only=True, tag="leg"):
     """Counted from 1."""
 
 
-@final
 class PathLeft(Entry, frozen=True, kw_only=True, tag="path_left"):
     """The vehicle has left the tube about its path that was proven."""
 
@@ -94,7 +91,6 @@ class PathLeft(Entry, frozen=True, kw_only=True, tag="path_left"):
     """How far it was outside then: beyond its tracking error."""
 
 
-@final
 class Resumed(Entry, frozen=True, kw_only=True, tag="resumed"):
     """The companion was restarted, and resumes the flight."""
 
@@ -106,7 +102,6 @@ class Resumed(Entry, frozen=True, kw_only=True, tag="resumed"):
     """Why the known map could not be read; omitted if it could."""
 
 
-@final
 class End(Entry, frozen=True, kw_only=True, tag="end"):
     """The mission is over."""
 
@@ -119,7 +114,6 @@ class End(Entry, frozen=True, kw_only=True, tag="end"):
 # --- scans and subpaths
 
 
-@final
 class ScanAsked(Entry, frozen=True, kw_only=True, tag="scan"):
     """A scan was requested from the radar."""
 
@@ -129,7 +123,6 @@ class ScanAsked(Entry, frozen=True, kw_only=True, tag="scan"):
     """Of 4 x 4 cells, asked for."""
 
 
-@final
 class ScanDone(Entry, frozen=True, kw_only=True, tag="scan done"):
     """The scan is complete, or as complete as it gets."""
 
@@ -143,7 +136,6 @@ class ScanDone(Entry, frozen=True, kw_only=True, tag="scan done"):
     """Of the known map, so far."""
 
 
-@final
 class PlanAsked(Entry, frozen=True, kw_only=True, tag="plan asked"):
     """A plan for the next subpath was requested."""
 
@@ -171,7 +163,6 @@ class PlanAsked(Entry, frozen=True, kw_only=True, tag="plan asked"):
     """The route to the target of the last plan."""
 
 
-@final
 class PlanReady(Entry, frozen=True, kw_only=True, tag="plan ready", omit_defaults=True):
     """A subpath was found: the answer to `plan asked`, when it takes effect."""
 
@@ -212,7 +203,6 @@ class PlanReady(Entry, frozen=True, kw_only=True, tag="plan ready", omit_default
         return Subpath(control_nea_m=np.array(self.control_nea_m, dtype=np.float64))
 
 
-@final
 class PlanRefused(Entry, frozen=True, kw_only=True, tag="plan refused", omit_defaults=True):
     """No subpath was found: the answer to `plan asked`."""
 
@@ -233,7 +223,6 @@ class PlanRefused(Entry, frozen=True, kw_only=True, tag="plan refused", omit_def
 # --- what others want
 
 
-@final
 class CommandHeard(Entry, frozen=True, kw_only=True, tag="command"):
     """A MAVLink command to the companion, and the answer."""
 
@@ -249,7 +238,6 @@ class CommandHeard(Entry, frozen=True, kw_only=True, tag="command"):
     """Why it was refused; may be empty; omitted for an order."""
 
 
-@final
 class OrderGiven(Entry, frozen=True, kw_only=True, tag="order"):
     """An order to the companion that was accepted."""
 
@@ -264,7 +252,6 @@ class OrderGiven(Entry, frozen=True, kw_only=True, tag="order"):
 # --- the vehicle
 
 
-@final
 class VehicleFound(Entry, frozen=True, kw_only=True, tag="vehicle found"):
     """The first heartbeat of the autopilot."""
 
@@ -274,7 +261,6 @@ class VehicleFound(Entry, frozen=True, kw_only=True, tag="vehicle found"):
     """Autopilot and vehicle type."""
 
 
-@final
 class VehicleSays(Entry, frozen=True, kw_only=True, tag="vehicle says"):
     """A STATUSTEXT of the autopilot."""
 
@@ -282,7 +268,6 @@ class VehicleSays(Entry, frozen=True, kw_only=True, tag="vehicle says"):
     """As it was sent."""
 
 
-@final
 class Acknowledged(Entry, frozen=True, kw_only=True, tag="acknowledged"):
     """A COMMAND_ACK of the autopilot."""
 
@@ -292,12 +277,10 @@ class Acknowledged(Entry, frozen=True, kw_only=True, tag="acknowledged"):
     """MAV_RESULT."""
 
 
-@final
 class AnotherCompanion(Entry, frozen=True, kw_only=True, tag="another companion"):
     """Another sender uses the companion's system and component id."""
 
 
-@final
 class MessagesDropped(Entry, frozen=True, kw_only=True, tag="messages dropped"):
     """Messages arrived faster than they could be handled."""
 
@@ -308,7 +291,6 @@ class MessagesDropped(Entry, frozen=True, kw_only=True, tag="messages dropped"):
 # --- what the companion does
 
 
-@final
 class ModeAsked(Entry, frozen=True, kw_only=True, tag="set mode"):
     """A mode change was requested from the autopilot."""
 
@@ -316,17 +298,14 @@ class ModeAsked(Entry, frozen=True, kw_only=True, tag="set mode"):
     """The companion's name of it: guided, hold, land, return, take off."""
 
 
-@final
 class ArmAsked(Entry, frozen=True, kw_only=True, tag="arm"):
     """Arming was requested from the autopilot."""
 
 
-@final
 class DisarmAsked(Entry, frozen=True, kw_only=True, tag="disarm"):
     """Disarming was requested from the autopilot, which refuses in the air."""
 
 
-@final
 class TakeOffAsked(Entry, frozen=True, kw_only=True, tag="take off"):
     """A take-off was requested from the autopilot."""
 
@@ -334,7 +313,6 @@ class TakeOffAsked(Entry, frozen=True, kw_only=True, tag="take off"):
     """To this height."""
 
 
-@final
 class SetpointRefused(Entry, frozen=True, kw_only=True, tag="setpoint refused"):
     """A setpoint was out of range and not sent."""
 
@@ -342,7 +320,6 @@ class SetpointRefused(Entry, frozen=True, kw_only=True, tag="setpoint refused"):
     """All of it, as Python prints it."""
 
 
-@final
 class Said(Entry, frozen=True, kw_only=True, tag="say"):
     """A text to ground stations and the terminal."""
 
