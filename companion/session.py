@@ -271,7 +271,7 @@ class Session:
                 self._waiting.appendleft(heard)
                 self._out.awaits_plan = True
                 break
-        since_s = self.clock.now_s - self._keeper.kept_at_s
+        since_s = self.clock.now_s - self._keeper.looked_at_s
         if not 0.0 <= since_s < PERIOD_S or self.state.flight.known is not self._keeper.known:
             self._keep()
         return self.take_output()
