@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass, field
 from typing import final
 
-from companion.mission.events import Command, Landed, Position, StatusText
+from companion.mission.events import Command, Position, StatusText
 from companion.mission.health import astray_m, may_differ_m
 from companion.mission.mission import Mission
 from companion.mission.state import Held, Reason, State, Trigger
@@ -21,14 +21,9 @@ GONE_IN_AIR_S = 600.0
 STOPPED_M_S = 0.5
 AT_M = 5.0
 LANDING_ABORTED = "landing broken off: MISSION_START to the companion lands it"
-HEARTBEAT_S = 5.0  # four or five of them missed (mavlink.md 2.1)
-_GROUNDED_S = 1.5
 _FENCE_READ_S = 3.0  # for a changed fence; a few items are read in less, also by a slow radio
 _FENCE_GIVEN_UP_S = 300.0  # twice what 5,010 items took; who does not answer is asked for ever
-_SUSPECT_S = 2.5  # another companion with our ids may have died meanwhile
 _ACTS_S = 15.0  # EKF failsafes come 1 to 10 s after the first doubt (ardupilot.md 5; px4.md 8)
-_THERE_S = 5.0
-_SECOND_S = 5.0  # who hears another so soon after it took over has not been there first
 
 
 @final
@@ -128,11 +123,6 @@ def _metres(length_m: float) -> str:
     return f"{length_m:.1f} m" if length_m < 9.95 else f"{length_m:.0f} m"
 
 
-def in_phase_s(state: State) -> float:
-    """How long this phase has lasted."""
-    return state.now_s - state.since_s
-
-
 def longest_silence_s(state: State, context: Context) -> float:
     """How long to wait for a silent vehicle: longer in the air, as it may come back unattended."""
     return GONE_IN_AIR_S if state.airborne and not context.lockstep else GONE_S
@@ -157,35 +147,6 @@ def fence_is_given_up(state: State) -> bool:
     """Whether reading the changed fence has lasted for too long: it may never end."""
     since_s = state.fence_unread_s
     return since_s is not None and state.now_s - since_s > _FENCE_GIVEN_UP_S
-
-
-def is_silent(state: State) -> bool:
-    """Whether there are no heartbeats: then it is unknown who controls the vehicle."""
-    return state.now_s - state.vehicle.status_at_s > HEARTBEAT_S
-
-
-def is_grounded(state: State) -> bool:
-    """True after 1.5 s of ON_GROUND: single reports are unreliable."""
-    vehicle = state.vehicle
-    on_ground = vehicle.landed is Landed.ON_GROUND
-    return on_ground and state.now_s - vehicle.landed_at_s > _GROUNDED_S
-
-
-def is_duplicate_suspected(state: State) -> bool:
-    """Whether another sender with our ids was heard lately, possibly frames left by a dead one."""
-    return 0.0 <= state.now_s - state.duplicate_id_at_s < _SUSPECT_S
-
-
-def is_second_companion(state: State) -> bool:
-    """Whether there certainly is another companion, and this one has not had control before."""
-    is_there = state.duplicate_id and 0.0 <= state.now_s - state.duplicate_id_at_s < _THERE_S
-    just_now = 0.0 <= state.now_s - state.in_control_since_s < _SECOND_S
-    return is_there and (just_now or not has_had_control(state))
-
-
-def has_had_control(state: State) -> bool:
-    """Whether this companion has had control of the vehicle in the air."""
-    return state.in_control_since_s < math.inf
 
 
 def landing_order(state: State) -> Reason | None:

@@ -14,7 +14,6 @@ from companion.mission.decisions import (
     Context,
     Turn,
     in_words,
-    is_silent,
     waits_for_fence,
 )
 from companion.mission.events import (
@@ -107,7 +106,7 @@ def looks_at_circle(state: State, turn: Turn) -> bool:
     if vehicle.traits.hovers or flight.path is not None or hover is None:
         return False
     task, place = flight.loiter_checked or (None, None)
-    led = vehicle.mode is Mode.GUIDED and vehicle.distrust is None and not is_silent(state)
+    led = vehicle.mode is Mode.GUIDED and vehicle.distrust is None and not state.is_silent
     if (task is state.task and place == hover) or not led:
         return False
     zone, gap_m = nearest(state.task.zones, hover[0], hover[1])

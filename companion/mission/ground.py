@@ -15,13 +15,7 @@ from companion.mission.decisions import (
     LANDING_ABORTED,
     Context,
     Turn,
-    has_had_control,
-    in_phase_s,
     is_at_rest,
-    is_duplicate_suspected,
-    is_grounded,
-    is_second_companion,
-    is_silent,
     landing_order,
 )
 from companion.mission.events import Event, Item, Landed, LinkLost, Mode, Position, Vector
@@ -65,24 +59,24 @@ def preparing(state: State, event: Event, turn: Turn) -> None:
         return _refuses(state, event, turn)
     if state.unready and vehicle.armed:
         return turn.give_up(Reason.ARMED_ALREADY)  # it is not taken over in the air unasked
-    if in_phase_s(state) > _PREPARE_S and not state.unready:
+    if state.in_phase_s > _PREPARE_S and not state.unready:
         missing = _missing(state)
         return turn.give_up(Reason.NOT_READY, missing and f": {missing}")
-    if is_silent(state):
+    if state.is_silent:
         return
     if context.shadow:
         if vehicle.distrust is None:
             turn.to(Trigger.WATCH)
         return
-    if is_second_companion(state):
+    if state.is_second_companion:
         return turn.give_up(Reason.NOT_ALONE)
-    if not has_had_control(state) and _may_not_be_alone(state):
+    if not state.has_had_control and _may_not_be_alone(state):
         return
     if state.landing:
         return _landing_goes_on(state, turn)
     if vehicle.distrust is not None:
         unled = _is_flying(state) and vehicle.mode is Mode.GUIDED
-        if unled and in_phase_s(state) > _UNLED_S:
+        if unled and state.in_phase_s > _UNLED_S:
             turn.ask(events.SetMode(mode=Mode.HOLD))
     elif _is_flying(state):
         _in_flight(state, turn)
@@ -114,13 +108,13 @@ def _on_ground(state: State, turn: Turn) -> None:
         return
     if go or not state.vehicle.armed:
         turn.to(Trigger.GO if go else Trigger.READY)
-    elif is_grounded(state):  # armed by us before a restart: it is disarmed once that is certain
+    elif state.is_grounded:  # armed by us before a restart: it is disarmed once that is certain
         turn.give_up(Reason.NOT_READY, ": armed before a restart, and no go since")
 
 
 def ready(state: State, event: Event, turn: Turn) -> None:
     """Wait for somebody to say go, for as long as it takes; the checks have to go on passing."""
-    if is_second_companion(state):
+    if state.is_second_companion:
         turn.give_up(Reason.NOT_ALONE)
     elif state.vehicle.armed:
         turn.give_up(Reason.ARMED_ALREADY)
@@ -143,7 +137,7 @@ def why_no_go(state: State) -> str:
 
 def _why_unready(state: State, context: Context) -> str:
     """What is missing for the flight by now; empty: nothing."""
-    if is_silent(state):
+    if state.is_silent:
         return Reason.LINK_LOST.text
     if missing := _missing(state):
         return missing
@@ -171,7 +165,7 @@ def _may_not_be_alone(state: State) -> bool:
     quick, and yields if it hears another one later (`is_second_companion`).
     """
     takes_over = _is_flying(state) and state.flight.path is None
-    return is_duplicate_suspected(state) or (takes_over and in_phase_s(state) < _LISTEN_S)
+    return state.is_duplicate_suspected or (takes_over and state.in_phase_s < _LISTEN_S)
 
 
 def on_duplicate_id(state: State, event: events.DuplicateId, turn: Turn) -> None:
@@ -180,7 +174,7 @@ def on_duplicate_id(state: State, event: events.DuplicateId, turn: Turn) -> None
     Two setpoint streams would fight over the vehicle.  The companion that has had control in the
     air continues with a warning; one that hears the other before that ends.
     """
-    if is_second_companion(state) and not turn.context.shadow:
+    if state.is_second_companion and not turn.context.shadow:
         if state.phase is not Phase.WAITING:
             turn.give_up(Reason.NOT_ALONE)
     elif event.certain and event.news:
@@ -262,7 +256,7 @@ def _in_flight(state: State, turn: Turn) -> None:
 def arming(state: State, _event: Event, turn: Turn) -> None:
     """Request the first mode of the take-off sequence, then arming, once a second."""
     vehicle, traits = state.vehicle, state.vehicle.traits
-    if is_duplicate_suspected(state):
+    if state.is_duplicate_suspected:
         return
     first = Mode.GUIDED if traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB else Mode.TAKE_OFF
     if vehicle.mode is first and vehicle.armed:
@@ -272,7 +266,7 @@ def arming(state: State, _event: Event, turn: Turn) -> None:
     elif state.obeyed or (vehicle.armed and not state.armed_by_us):
         return turn.give_up(Reason.MODE_TAKEN)
     rises = vehicle.landed is not Landed.ON_GROUND
-    if in_phase_s(state) > _ARM_S or (rises and not state.armed_by_us):
+    if state.in_phase_s > _ARM_S or (rises and not state.armed_by_us):
         return turn.give_up(Reason.NOT_ARMED)
     if rises:
         return  # its next heartbeat will say that it is armed
@@ -298,7 +292,7 @@ def taking_off(state: State, event: Event, turn: Turn) -> None:
         turn.to(Trigger.AIRBORNE if guided else Trigger.HANDED_OVER)
     elif on_ground and height_m(state) <= 0.0:
         turn.give_up(Reason.HOME_TOO_HIGH)
-    elif in_phase_s(state) > _longest_climb_s(state):
+    elif state.in_phase_s > _longest_climb_s(state):
         turn.give_up(Reason.NO_TAKE_OFF)
     elif on_ground and guided:
         _ask_to_take_off(state, turn)

@@ -13,7 +13,6 @@ from typing import Any, Final
 from companion.mission import changes, events, flying, following, ground, stopped, way_back
 from companion.mission.battery import take_battery
 from companion.mission.decisions import (
-    HEARTBEAT_S,
     Context,
     Turn,
     longest_silence_s,
@@ -22,6 +21,7 @@ from companion.mission.decisions import (
 from companion.mission.events import Command, End, Event, Landed, Mode, Outcome, SetMode
 from companion.mission.health import distrust, take_distrust, take_position
 from companion.mission.state import (
+    HEARTBEAT_S,
     IN_AIR,
     ON_GROUND,
     OVER,

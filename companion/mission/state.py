@@ -21,6 +21,12 @@ from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 from companion.world.near_map import Sight
 
+HEARTBEAT_S = 5.0  # four or five of them missed (mavlink.md 2.1)
+_GROUNDED_S = 1.5
+_SUSPECT_S = 2.5  # another companion with our ids may have died meanwhile
+_THERE_S = 5.0
+_SECOND_S = 5.0  # who hears another so soon after it took over has not been there first
+
 Targets = tuple[tuple[float, float], ...]
 """North and east of each."""
 
@@ -574,6 +580,40 @@ class State(Struct, kw_only=True):
         return State(
             task=mission.task, targets_ne_m=mission.targets_ne_m, flight=Flight(known=known)
         )
+
+    @property
+    def in_phase_s(self) -> float:
+        """How long this phase has lasted."""
+        return self.now_s - self.since_s
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether there are no heartbeats: then it is unknown who controls the vehicle."""
+        return self.now_s - self.vehicle.status_at_s > HEARTBEAT_S
+
+    @property
+    def is_grounded(self) -> bool:
+        """True after 1.5 s of ON_GROUND: single reports are unreliable."""
+        vehicle = self.vehicle
+        on_ground = vehicle.landed is Landed.ON_GROUND
+        return on_ground and self.now_s - vehicle.landed_at_s > _GROUNDED_S
+
+    @property
+    def is_duplicate_suspected(self) -> bool:
+        """Whether another sender with our ids was heard lately, maybe frames left by a dead one."""
+        return 0.0 <= self.now_s - self.duplicate_id_at_s < _SUSPECT_S
+
+    @property
+    def is_second_companion(self) -> bool:
+        """Whether there certainly is another companion, and this one has not had control before."""
+        is_there = self.duplicate_id and 0.0 <= self.now_s - self.duplicate_id_at_s < _THERE_S
+        just_now = 0.0 <= self.now_s - self.in_control_since_s < _SECOND_S
+        return is_there and (just_now or not self.has_had_control)
+
+    @property
+    def has_had_control(self) -> bool:
+        """Whether this companion has had control of the vehicle in the air."""
+        return self.in_control_since_s < math.inf
 
     def take_fence(self, task: Task, fence: FenceChanged | None) -> None:
         """From now on within another fence; task: the mission's.

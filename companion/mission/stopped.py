@@ -30,11 +30,8 @@ from companion.mission.decisions import (
     Turn,
     fence_is_given_up,
     hold_for,
-    in_phase_s,
     in_words,
     is_at_rest,
-    is_grounded,
-    is_silent,
     landing_order,
     longest_silence_s,
     waits_for_fence,
@@ -128,7 +125,7 @@ def _stay_down(state: State, turn: Turn) -> None:
         state.reason, state.detail = order, " before it took off"
         state.remedy = "Start again to fly."
         return turn.to(Trigger.STOP)
-    if in_phase_s(state) > _STAYS_DOWN_S:
+    if state.in_phase_s > _STAYS_DOWN_S:
         return turn.give_up(Reason.NOT_OBEYING)
     if not elsewhere:
         turn.ask(*parting(state))
@@ -136,9 +133,9 @@ def _stay_down(state: State, turn: Turn) -> None:
 
 def _heard_again(state: State, event: Event, turn: Turn) -> None:
     """Prepare again after a silence, which may have concerned some messages only."""
-    if in_phase_s(state) > longest_silence_s(state, turn.context):
+    if state.in_phase_s > longest_silence_s(state, turn.context):
         return turn.give_up(Reason.LINK_LOST)
-    heard = isinstance(event, Position) and not is_silent(state)
+    heard = isinstance(event, Position) and not state.is_silent
     if heard:
         turn.to(Trigger.PREPARE_AGAIN)
 
@@ -236,7 +233,7 @@ def _hold_on_setpoints(state: State, event: Event, turn: Turn) -> None:
 def _end_of_hold(state: State, event: Position, turn: Turn) -> None:
     """What comes after a hold on setpoints, once that is due."""
     hold, near, flight = state.hold, turn.context.mission.near, state.flight
-    held_s, settled = in_phase_s(state), _is_settled(state, event)
+    held_s, settled = state.in_phase_s, _is_settled(state, event)
     moving = not settled and held_s < _SETTLE_S
     pause_s = _PAUSE_S
     if near is not None:  # what it sees now is on the map at once
@@ -299,7 +296,7 @@ def _hold_in_its_own_mode(state: State, event: Event, turn: Turn) -> None:
     """The autopilot holds, until the vehicle is at rest and its position was valid for a while."""
     vehicle, mode, hovers = state.vehicle, state.vehicle.mode, state.vehicle.traits.hovers
     taking_over, ordered = state.hold is Hold.TAKE_OVER, state.orders.active
-    if in_phase_s(state) > _HOLD_S or state.flight.troubles > _TROUBLES:
+    if state.in_phase_s > _HOLD_S or state.flight.troubles > _TROUBLES:
         return turn.to(Trigger.GIVE_UP)
     if mode is not Mode.TAKE_OFF and _is_elsewhere(state):
         return _take_again(state, event, turn)
@@ -309,7 +306,7 @@ def _hold_in_its_own_mode(state: State, event: Event, turn: Turn) -> None:
     stands = (
         not hovers
         or math.hypot(*vehicle.velocity_nea_m_s) < STOPPED_M_S
-        or in_phase_s(state) > _SETTLE_S
+        or state.in_phase_s > _SETTLE_S
         or state.flight.hover_nea_m is not None
     )
     doubted = vehicle.distrust is not None
@@ -369,7 +366,7 @@ def arrived(state: State, event: Event, turn: Turn) -> None:
     flight, asked = state.flight, state.asked_at_s > state.since_s
     if state.vehicle.mode is Mode.HOLD and asked:
         return turn.to(Trigger.END_HOLD)
-    if in_phase_s(state) > _SETTLE_S + _OBEY_S:
+    if state.in_phase_s > _SETTLE_S + _OBEY_S:
         return turn.give_up(Reason.NOT_OBEYING if asked else Reason.NOT_FOLLOWING)
     if isinstance(event, PlanReady):
         return way_back.on_plan(state, event, turn)
@@ -397,7 +394,7 @@ def _end(state: State, turn: Turn) -> None:
         text = "returning: planning a way home"
         return way_back.home_by_plan(state, turn, text, Reason.NO_PLAN)
     if traits.holds_in_guided:
-        if in_phase_s(state) > _TOLD_TO_STAY_S:
+        if state.in_phase_s > _TOLD_TO_STAY_S:
             turn.to(Trigger.END_HOLD)
         return
     # an autopilot may refuse to hold about a point (its own fence): then anywhere
@@ -423,7 +420,7 @@ def _stands_at_target(state: State, event: Position) -> bool:
     off = math.inf if here is None else math.dist(event.position_nea_m, here)
     if not state.vehicle.traits.hovers:
         return off < _CIRCLES * limits.loiter_radius_m + limits.tracking_error_m
-    if in_phase_s(state) > _SETTLE_S:
+    if state.in_phase_s > _SETTLE_S:
         return off < max(AT_M, limits.tracking_error_m)
     return off < _THERE_M and is_at_rest(state, event)
 
@@ -473,7 +470,7 @@ def landing(state: State, event: Event, turn: Turn) -> None:
         state.obeyed = True
     elif is_ours(state):
         turn.ask(SetMode(mode=Mode.LAND))
-    elif not is_grounded(state):  # PX4 holds without setpoints
+    elif not state.is_grounded:  # PX4 holds without setpoints
         return _broken_off(state, turn)
     return None  # on the ground, and not yet disarmed: the mode is the autopilot's
 
@@ -496,11 +493,11 @@ def _broken_off(state: State, turn: Turn) -> None:
 def handing_over(state: State, _event: Event, turn: Turn) -> None:
     """Request RTL until the autopilot takes it; from then on the autopilot is in control."""
     vehicle = state.vehicle
-    if is_silent(state):
+    if state.is_silent:
         return
     if vehicle.mode is Mode.RETURN:
         return turn.to(Trigger.HANDED_ON)
-    if not vehicle.armed or is_grounded(state):
+    if not vehicle.armed or state.is_grounded:
         return turn.give_up(Reason.GROUNDED if vehicle.armed else Reason.DISARMED)
     if not is_ours(state):
         return turn.give_up(takeover_reason(state))
