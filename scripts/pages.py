@@ -180,9 +180,8 @@ def mission_states_page() -> str:
     for each in Trigger:  # drawn, they would hide the rest
         if each not in rare:
             names = ", ".join(before.value for before in each.origins)
-            lines.append(
-                f"Not drawn: `{each.name.lower()}` leads from {names} to {each.after.value}."
-            )
+            leads = f"`{each.name.lower()}` leads from {names} to {each.after.value}"
+            lines.append(f"Not drawn: {leads}.")
     lines += ["", "## Triggers", "", "| trigger | when |", "|---|---|"]
     lines += [f"| `{trigger.name.lower()}` | {trigger.when} |" for trigger in Trigger]
     lines += ["", "## Holds", "", "How a vehicle is held, in the phase holding, by the reason:", ""]

@@ -31,7 +31,7 @@ from companion.mission.changes import OrderResult
 from companion.mission.decisions import Turn
 from companion.mission.events import FenceChanged, Mode, Order, OrderKind, Plan, SetMode, Setpoint
 from companion.mission.flying import on_answer
-from companion.mission.mission import EndAction, Fallback
+from companion.mission.mission import Fallback
 from companion.mission.state import Phase, Reason, Scanning, Way
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.zones import CircleZone
@@ -356,16 +356,6 @@ def test_what_is_restored_is_what_was_kept() -> None:
 
 
 # --- shadow
-
-
-@EACH
-def test_a_shadow_plans_and_says_and_never_commands(traits: VehicleTraits) -> None:
-    wild = Wild.calmly(traits, shadow=True, end_action=EndAction.LAND).aloft(Mode.OTHER)
-    wild.run_for(60.0)
-    assert wild.state.phase is Phase.SHADOW
-    assert wild.sent(Plan)
-    assert not moving(wild.said_to)
-    assert wild.state.flight.leg is not None or wild.sent(events.StatusText)
 
 
 def test_a_mission_that_is_stopped_while_it_takes_over_a_climb_ends_in_a_hold() -> None:
