@@ -46,6 +46,7 @@ from companion.mavlink.statustext import StatusTexts, final_text
 from companion.mavlink.terrain_download import MESSAGES as TERRAIN
 from companion.mavlink.terrain_download import TerrainDownload
 from companion.mission import changes, checkpoint, entries, events, machine
+from companion.mission.checkpoint import PERIOD_S
 from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context
 from companion.mission.events import Disarm, End, Mode, SetMode, Vector, VehicleStatus
 from companion.mission.mission import Mission
@@ -70,19 +71,6 @@ _SILENT_S = 3.0
 _SENSED: Final = frozenset({*near_sensing.MESSAGES.values(), wire.MAVLINK_MSG_ID_TERRAIN_DATA})
 """Messages of sensors, which are chosen by their ids: to say who else sends them."""
 _frame_of: Final = attrgetter("frame")
-_ROUTINE: Final = (
-    events.Position,
-    events.Tick,
-    events.Echo,
-    events.GpsFix,
-    events.Estimator,
-    events.Battery,
-    events.LandedState,
-    events.VehicleStatus,
-    events.NearSeen,
-    events.GroundSeen,
-)
-"""Frequent events: without journal entries, and housekeeping can wait."""
 
 
 @final
@@ -154,7 +142,7 @@ class Session:
         """Its last heartbeat; at the end only one from after that."""
         self._mode_asked_at_s = self._kept_house_s = -math.inf
         self._due_s = -math.inf
-        """When there is something to do in `_housekeeping`, at the latest; -inf: at once."""
+        """When there is something to do in `_keep_house`, at the latest; -inf: at once."""
         self._due_at_s = math.inf
         """The same by the clock of the outside."""
         self._handlers: dict[int | None, Callable[[Incoming], None]] = {
@@ -274,7 +262,7 @@ class Session:
         self._silence_told_s = silent_s
         if self.clock.on_silence(more_s, counts=not waiting) is ClockReading.LATER:
             self._handle(events.Tick(time_s=self.now_s))
-        self._housekeeping()
+        self._keep_house()
 
     def run(self) -> Output:
         """Handle the received messages, as far as possible."""
@@ -289,7 +277,9 @@ class Session:
                 self._waiting.appendleft(heard)
                 self._out.awaits_plan = True
                 break
-        self._keep()
+        since_s = self.clock.now_s - self._keeper.looked_at_s
+        if not 0.0 <= since_s < PERIOD_S or self.state.flight.known is not self._keeper.known:
+            self._keep()
         return self.take_output()
 
     def take_output(self) -> Output:
@@ -355,12 +345,14 @@ class Session:
         if handle is not None and component == AUTOPILOT_COMPONENT:
             if number == _POSITION:
                 time_s = heard.message.time_boot_ms * 1e-3
-                if (
-                    time_s >= self._plan.due_s
-                    and self.clock.believes(time_s, None if self._lockstep else heard.at_s)
-                    and self._must_wait_for_plan(time_s)
-                ):
-                    return False
+                at_s = None if self._lockstep else heard.at_s
+                due = time_s >= self._plan.due_s and self._plan.is_missing(time_s)
+                if due and self.clock.believes(time_s, at_s):
+                    if self._lockstep:
+                        return False
+                    if self._plan.newly_late():
+                        late = self.state.flight.plan_id
+                        self._handle(events.PlanLate(time_s=self.now_s, plan_id=late))
                 counts = self._on_time(time_s, heard, ticks=False)
                 handle = self._on_position
             else:
@@ -418,11 +410,14 @@ class Session:
             self._handle(plan.take(now_s))  # the position before may be a second old
         if vehicle.is_news:
             self._look_at_news(vehicle)
-        if self.state.phase in (Phase.PREPARING, Phase.READY):
-            self._check()
+        if self.state.phase in (Phase.PREPARING, Phase.READY):  # the checks go on
+            if (here := self._preflight.scan_position(self)) is not None:
+                self._start_scan(here)
+            else:
+                self._handle(self._preflight.judged(self))
         if self._scan is not None:
             self._scan_on()
-        self._housekeeping()
+        self._keep_house()
 
     def _on_autopilot(self, heard: Incoming) -> None:
         """Any other message of the autopilot."""
@@ -432,27 +427,23 @@ class Session:
         if (vehicle := self.vehicle) is not None:
             for listen in self._listeners.get(number, ()):
                 listen(message, now_s)
-            if number in TIME_ONLY_MESSAGES or number == _TIMESYNC:
-                self._after_time_only(vehicle, heard)
+            if number in TIME_ONLY_MESSAGES or number == _TIMESYNC:  # they tell only a time
+                if number == _TIMESYNC and message.tc1 != 0 and heard.at_s is not None:
+                    self._handle(vehicle.on_timesync(message, now_s, heard.at_s))
+                vehicle.count(number, now_s)
+                if self.near is not None and number == near_scanner.ATTITUDE:
+                    self._handle(self.near.seen(now_s))
             else:
                 if replies := vehicle.on_message(message, now_s):
                     self._outbox.send(replies, now_s)
                 self._handle(vehicle.event_of(message, now_s))
             if vehicle.is_news or vehicle.notes:
                 self._look_at_news(vehicle)
-            self._housekeeping()
+            self._keep_house()
             if message is not None and (noted := vehicle.journal_entry(message)) is not None:
                 self._note(**noted)
         if number == _TIMESYNC and message.tc1 == 0:
             self._answer_timesync(message)
-
-    def _after_time_only(self, vehicle: AutopilotClient, heard: Incoming) -> None:
-        """What may be due after a message that tells the mission nothing but a time."""
-        if heard.number == _TIMESYNC and heard.message.tc1 != 0 and heard.at_s is not None:
-            self._handle(vehicle.on_timesync(heard.message, self.now_s, heard.at_s))
-        vehicle.count(heard.number, self.now_s)
-        if self.near is not None and heard.number == near_scanner.ATTITUDE:
-            self._handle(self.near.seen(self.now_s))
 
     def _look_at_news(self, vehicle: AutopilotClient) -> None:
         """Handle new events of the autopilot client; its next requests may be due."""
@@ -538,7 +529,7 @@ class Session:
         before_s = self.clock.now_s
         reading = self.clock.read(time_s, None if self._lockstep else heard.at_s)
         if reading is ClockReading.FIRST:  # waits go on by the new clock
-            self.state = self.state.rebase_time(time_s - before_s)
+            self.state = machine.rebased(self.state, time_s - before_s)
             self._due_s = -math.inf
             if self.vehicle is not None:
                 self.vehicle.rebase_time(time_s - before_s)
@@ -547,7 +538,7 @@ class Session:
         elif reading is ClockReading.LATER:
             ahead_s = self.state.now_s - time_s
             if ahead_s > 0.0:  # while only heartbeats came, it was guessed
-                self.state = self.state.rebase_time(-ahead_s)
+                self.state = machine.rebased(self.state, -ahead_s)
             if ticks:
                 self._handle(events.Tick(time_s=time_s))
         return reading is not ClockReading.DOUBTED
@@ -562,7 +553,7 @@ class Session:
             self.vehicle.rebooted()
         self._handle(events.Rebooted(time_s=self.now_s))
 
-    def _housekeeping(self) -> None:
+    def _keep_house(self) -> None:
         """Periodic work: heartbeat, texts, repeated requests."""
         now_s, before_s, at_s = self.clock.going_on_s, self._kept_house_s, self._at_s
         if now_s == before_s:
@@ -603,13 +594,6 @@ class Session:
 
     # --- plans and scans
 
-    def _must_wait_for_plan(self, at_s: float) -> bool:
-        if not self._plan.is_missing(at_s):
-            return False
-        if not self._lockstep and self._plan.newly_late():
-            self._handle(events.PlanLate(time_s=self.now_s, plan_id=self.state.flight.plan_id))
-        return self._lockstep
-
     def _scan_on(self) -> None:
         if (scan := self._scan) is None:
             return
@@ -628,44 +612,37 @@ class Session:
         self._note("scan", centre_nea_m=list(centre_nea_m), blocks=scan.asked)
         self._scan_on()
 
-    def _check(self) -> None:
-        """On the ground: run the preflight checks before arming, and go on with them."""
-        if (here := self._preflight.scan_position(self)) is not None:
-            self._start_scan(here)
-        else:
-            self._handle(self._preflight.judged(self))
-
     # --- events and commands
 
     def _handle(self, event: events.Event | None) -> None:
         """Let the mission decide on an event, if there is one, and do what it decides."""
         if event is None:
             return
-        before = self.state
         if isinstance(event, VehicleStatus):
             self._status = event
-        self.state, commands = machine.step(before, event, self.context)
-        after, noted = self.state, list[entries.Entry | None]()
-        if type(event) not in _ROUTINE:
-            self._due_s = -math.inf
-            noted = [entries.of_event(event, after)]
+        before, frame = self.state, self.mission.frame
+        after, commands = machine.step(before, event, self.context)
+        self.state, path = after, after.flight.path
+        if type(event) is not events.Position:
+            self._note_entries(entries.of_event(event, after))
         if (
             after.phase is not before.phase
             or after.reason is not before.reason
             or after.flight.legs_flown != before.flight.legs_flown
-            or after.targets_ne_m is not before.targets_ne_m
-            or after.airborne is not before.airborne
+            or (path is not None and path.outside_m)
         ):
-            self._due_s = -math.inf
-            noted += entries.of_change(before, after)
-        for entry in filter(None, noted):
-            self._note(**entry)
+            self._note_entries(*entries.of_change(before, after))
         ends = End in map(type, commands)
         for command in commands:
-            if type(command) is events.Setpoint:
-                self._lead(command)
-            else:
+            if type(command) is not events.Setpoint:
                 self._carry_out(command)
+            elif (vehicle := self.vehicle) is not None and not self.context.shadow:
+                circle_m = after.task.limits.loiter_radius_m
+                messages = vehicle.autopilot.setpoint(command, frame, vehicle.system_id, circle_m)
+                if messages is None:
+                    self._refuse(command)
+                else:
+                    self._outbox.send(messages, self.clock.now_s)
             if self._end is not None and not ends:
                 return  # it was refused, and that has ended the mission: the rest counts no more
         if ends:
@@ -674,17 +651,18 @@ class Session:
             self._broke_off_landing = before.phase is Phase.LANDING
             self._status = None if told else self._status
             assert self._end is not None
-            self._send_end_text(self._end, told)
+            held = any(isinstance(each, SetMode) and each.mode is Mode.HOLD for each in told)
+            text, messages = self._texts.end(self._end, held=held, disarmed=Disarm() in told)
+            arrived = self._end.outcome is events.Outcome.ARRIVED
+            self._note("say", text=text, warning=not arrived)
+            self._send_all(messages)
 
-    def _lead(self, setpoint: events.Setpoint) -> None:
-        """Send it at once, in shadow never; one that the wire has no numbers for is an error."""
-        if (vehicle := self.vehicle) is None or self.context.shadow:
-            return
-        circle_m, frame = self.state.task.limits.loiter_radius_m, self.mission.frame
-        messages = vehicle.autopilot.setpoint(setpoint, frame, vehicle.system_id, circle_m)
-        if messages is not None:
-            self._outbox.send(messages, self.clock.now_s)
-            return
+    def _note_entries(self, *noted: entries.Entry | None) -> None:
+        for entry in filter(None, noted):
+            self._note(**entry)
+
+    def _refuse(self, setpoint: events.Setpoint) -> None:
+        """One that the wire has no numbers for is an error."""
         self._note("setpoint refused", setpoint=repr(setpoint))
         self._handle(events.PlannerDied(time_s=self.now_s, error="setpoint out of range"))
 
@@ -722,16 +700,8 @@ class Session:
 
     def _send_text(self, text: str, *, warning: bool, about: str = "") -> None:
         self._note("say", text=text, warning=warning)
-        self._due_s = -math.inf
         self.warned = (self.now_s, text) if warning else self.warned
         self._texts.add(text, self.clock.going_on_s, warning=warning, kind=about)
-
-    def _send_end_text(self, end: End, told: Sequence[SetMode | Disarm]) -> None:
-        """Send the final text at once."""
-        held = any(isinstance(each, SetMode) and each.mode is Mode.HOLD for each in told)
-        text, messages = self._texts.end(end, held=held, disarmed=Disarm() in told)
-        self._note("say", text=text, warning=end.outcome is not events.Outcome.ARRIVED)
-        self._send_all(messages)
 
     def _settled(self) -> bool:
         """Whether the mission is over and the vehicle has done what it was told last."""
@@ -747,4 +717,6 @@ class Session:
         self._outbox.send(messages, self.now_s)
 
     def _note(self, kind: str, **values: Any) -> None:
+        """Add an entry to the journal; after what is noted something may be due."""
+        self._due_s = -math.inf
         self._out.journal.append({"t_s": round(self.now_s, 6), "kind": kind, **values})

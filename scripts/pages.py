@@ -65,7 +65,7 @@ def section(title: str, kind: type, schema: Schema | None = None, left_out: str 
         if key not in needed and default is None:
             said = f"{said.removesuffix(' or null')}; may be left out"
         elif key not in needed and not isinstance(default, (list, dict)):
-            said += f"; {_shown(default)} if left out"
+            said += f"; {_shown(default) or 'empty'} if left out"
         rows.append(f"| `{key}` | {said} | {words.get(key, '')} |\n")
     head = "\n| field | value | |\n|---|---|---|\n" if rows else ""
     return f"{title}\n\n{' '.join((kind.__doc__ or '').split())}\n{head}{''.join(rows)}"
@@ -137,7 +137,8 @@ def _shown(value: object) -> str:
 def journal_page() -> str:
     """Every kind of entry with its fields, then the objects in them."""
     parts = [section("## Header", journal.Header)]
-    parts += [section(f"## `{name}`", it, None, "kind t_s") for name, it in journal.KINDS.items()]
+    untold = " ".join(("kind", "t_s", *journal.UNTOLD))
+    parts += [section(f"## `{name}`", it, None, untold) for name, it in journal.KINDS.items()]
     parts += [section(f"## {name}, in entries", kind) for name, kind in _OBJECTS.items()]
     return "\n".join(parts)
 
@@ -179,9 +180,8 @@ def mission_states_page() -> str:
     for each in Trigger:  # drawn, they would hide the rest
         if each not in rare:
             names = ", ".join(before.value for before in each.origins)
-            lines.append(
-                f"Not drawn: `{each.name.lower()}` leads from {names} to {each.after.value}."
-            )
+            leads = f"`{each.name.lower()}` leads from {names} to {each.after.value}"
+            lines.append(f"Not drawn: {leads}.")
     lines += ["", "## Triggers", "", "| trigger | when |", "|---|---|"]
     lines += [f"| `{trigger.name.lower()}` | {trigger.when} |" for trigger in Trigger]
     lines += ["", "## Holds", "", "How a vehicle is held, in the phase holding, by the reason:", ""]

@@ -419,9 +419,23 @@ def test_a_refused_setpoint_is_followed_by_nothing_but_the_hold() -> None:
         it.tick()
     assert "setpoint refused" in kinds(it)
     assert it.session.state.phase is Phase.FAULTED
+    texts = [m.text for m in messages(it.frames[count:]) if m.get_type() == "STATUSTEXT"]
+    assert "setpoint out of range" in "".join(texts)
     modes = [m.param2 for m in messages(it.frames[count:]) if m.get_type() == "COMMAND_LONG"]
     assert GUIDED not in modes
     assert it.vehicle.mode == BRAKE
+
+
+def test_who_leaves_the_path_is_noted_in_flight() -> None:
+    """A little more than the tracking error across it: it stops on its path."""
+    it = flying()
+    it.run_until(lambda it: it.session.state.flight.reference.speed_m_s > 20.0)
+    it.vehicle.altitude_m += 1.1 * MISSION.task.envelope.tube_m
+    for _ in range(3):
+        it.tick()
+    noted = [entry for entry in it.journal if entry["kind"] == "path_left"]
+    assert len(noted) == 1
+    assert 0.0 < noted[0]["left_path_m"] < 0.2 * MISSION.task.envelope.tube_m
 
 
 @pytest.mark.parametrize("waits", [True, False])

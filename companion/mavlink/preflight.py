@@ -21,7 +21,7 @@ from companion.mavlink.rangefinder import Rangefinder
 from companion.mavlink.signing import Signing
 from companion.mission import ground, stopped
 from companion.mission.battery import battery_lasts
-from companion.mission.decisions import Context, is_duplicate_suspected
+from companion.mission.decisions import Context
 from companion.mission.events import Item, Landed, Prepared, ScanDone, Vector
 from companion.mission.health import distrust
 from companion.mission.mission import Mission
@@ -250,7 +250,7 @@ def _link(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check]
     else:
         what = f"{delay_s * 1e3:.0f} ms there and back, at most {_LONG_DELAY_S * 1e3:.0f} ms"
         yield _check("link delay", delay_s <= _LONG_DELAY_S, what, "Use a faster link.")
-    found = state.duplicate_id or is_duplicate_suspected(state)
+    found = state.duplicate_id or state.is_duplicate_suspected
     ours = f"{vehicle.system_id}/{COMPANION_COMPONENT}"
     what = f"{ours}: {Reason.NOT_ALONE.text}" if found else f"nobody else is {ours}"
     yield _check("companion", not found, what, Reason.NOT_ALONE.remedy)

@@ -6,9 +6,10 @@ import math
 from msgspec.structs import replace
 
 from companion.mission import following
-from companion.mission.events import Battery, Command, Landed, warn
+from companion.mission.decisions import Turn
+from companion.mission.events import Battery, Landed
 from companion.mission.mission import Mission
-from companion.mission.state import Reason, State, Vehicle, Way
+from companion.mission.state import Reason, State, Way
 from companion.mission.way_back import beyond_path_m
 
 _DRAIN_S = 60.0  # before that, what the battery has lost says nothing of what it will
@@ -20,17 +21,17 @@ _LAST_WORD_S = 10.0  # ten times as long as between two
 _TOLD_FORECAST, _TOLD_SHORT = 1, 2
 
 
-def with_battery(state: State, event: Battery, mission: Mission) -> Vehicle:
-    """Update the vehicle by one battery report."""
-    vehicle, left = state.vehicle, event.remaining
-    full = vehicle.battery_full
+def take_battery(state: State, event: Battery, mission: Mission) -> None:
+    """Take one battery report."""
+    vehicle, full = state.vehicle, state.vehicle.battery_full
+    vehicle.battery, vehicle.battery_at_s = event.remaining, event.time_s
     in_air = vehicle.landed not in (Landed.ON_GROUND, Landed.UNKNOWN)
-    if in_air and (full is None or left > full[1]):
-        full = (event.time_s, left)
-    vehicle = replace(vehicle, battery=left, battery_at_s=event.time_s, battery_full=full)
-    since_s = event.time_s if vehicle.battery_short_at_s is None else vehicle.battery_short_at_s
-    lasts = battery_lasts(replace(state, vehicle=vehicle), mission)
-    return replace(vehicle, battery_short_at_s=None if lasts else since_s)
+    if in_air and (full is None or event.remaining > full[1]):
+        vehicle.battery_full = event.time_s, event.remaining
+    if battery_lasts(state, mission):
+        vehicle.battery_short_at_s = None
+    elif vehicle.battery_short_at_s is None:
+        vehicle.battery_short_at_s = event.time_s
 
 
 def battery_is_short(state: State) -> bool:
@@ -49,7 +50,7 @@ def battery_lasts(state: State, mission: Mission) -> bool:
     """Whether the battery reaches the target with the reserve, as far as known.
 
     More than the reserve must be left, and enough for the distance if the mission gives the
-    endurance.  The consumption of this flight only causes a warning (`battery_warning`):
+    endurance.  The consumption of this flight only causes a warning (`warn_of_battery`):
     simulators, and batteries that are not full, lose half of it in the first minute.
     """
     left = state.vehicle.battery
@@ -77,15 +78,16 @@ def battery_runs_low(state: State) -> bool:
     return flight.fallen_back is None and not (flight.homeward or ordered)
 
 
-def given_up_for_battery(state: State) -> State:
+def give_up_for_battery(state: State) -> None:
     """Give up the mission for its fallback, or continue the return in progress."""
     flight, low = state.flight, Reason.BATTERY_LOW
-    fallen_back = flight.fallen_back if flight.returning or flight.homeward else low
-    state = replace(state, orders=replace(state.orders, active=low))
-    return state.with_flight(battery_told=_TOLD_SHORT, fallen_back=fallen_back)
+    state.orders = replace(state.orders, active=low)
+    flight.battery_told = _TOLD_SHORT
+    if not (flight.returning or flight.homeward):
+        flight.fallen_back = low
 
 
-def battery_warning(state: State, mission: Mission) -> tuple[State, list[Command]]:
+def warn_of_battery(state: State, turn: Turn) -> None:
     """Warn once that the battery will not last at this flight's rate, and once that it does not."""
     told, vehicle, tells = state.flight.battery_told, state.vehicle, 0
     if vehicle.battery_short_at_s is not None and battery_is_short(state):
@@ -94,12 +96,12 @@ def battery_warning(state: State, mission: Mission) -> tuple[State, list[Command
         since_s, full = vehicle.battery_full
         elapsed_s, lost = state.now_s - since_s, full - vehicle.battery
         if elapsed_s >= _DRAIN_S and lost >= _TELLING:
-            left_s = (vehicle.battery - mission.reserve) * elapsed_s / (lost - _STEP)
+            left_s = (vehicle.battery - turn.context.mission.reserve) * elapsed_s / (lost - _STEP)
             lasts = left_s >= way_left_m(state, _DETOUR) / state.task.limits.speed_m_s
             tells = 0 if lasts else _TOLD_FORECAST
-    if tells <= told:
-        return state, []
-    return state.with_flight(battery_told=tells), [warn(Reason.BATTERY_LOW.text)]
+    if tells > told:
+        state.flight.battery_told = tells
+        turn.warn(Reason.BATTERY_LOW.text)
 
 
 def way_left_m(state: State, detour: float = 1.0) -> float:
@@ -111,9 +113,7 @@ def way_left_m(state: State, detour: float = 1.0) -> float:
     if flight.way is Way.BACK:
         ahead = [leg for leg in (flight.leg, flight.next_leg, *flight.back) if leg is not None]
         flown_m = flight.reference.length_m
-        if (
-            flight.path is None and ahead and here is not None
-        ):  # it was stopped on the first of them
+        if flight.path is None and ahead and here is not None:  # stopped on the first of them
             flown_m = following.nearest(ahead[0], here)[1]
         return sum(leg.subpath.length_m for leg in ahead) - flown_m + beyond_path_m(state)
     if here is None or not state.targets_ne_m:

@@ -8,35 +8,36 @@ from msgspec.structs import replace
 
 from companion.mission import events, following, ground
 from companion.mission.battery import battery_is_short
-from companion.mission.decisions import Context, Step, fault, give_up, preceded, with_hold_reason
-from companion.mission.events import Command, Event, Landed, say, warn
+from companion.mission.decisions import Turn, hold_for
+from companion.mission.events import Event, Landed, Order, OrderKind
+from companion.mission.following import come_to_rest
 from companion.mission.state import (
     ON_PATH,
     ON_SETPOINTS,
     OVER,
     Answered,
     Flight,
-    Held,
     Hold,
     Orders,
     Phase,
     Planning,
     Reason,
     State,
+    Targets,
     Trigger,
     Vehicle,
     Way,
 )
 from companion.mission.stopped import resumed, taken
 from companion.mission.tables import is_breach_of_fence
-from companion.planner.progress import NO_PROGRESS
+from companion.mission.way_back import set_targets
 from companion.planner.recheck import is_touched, meets_near_things
 from companion.planner.rules import target_refusal
 from companion.world.zones import nearest
 
 _GOING_UP = (Phase.ARMING, Phase.TAKING_OFF)
 _NOT_TO_GO_ON = (Phase.LANDING, Phase.HANDING_OVER, Phase.SHADOW, *OVER)
-_OF_VEHICLE = "mission changed"
+_WAITS_FOR_FENCE = "it returns once the changed fence is read, or goes on being read for too long"
 _FEW_ITEMS = 10  # of a fence: they are read before a person has read the text
 
 
@@ -48,26 +49,26 @@ class OrderResult(enum.Enum):
     NOT_NOW = "it cannot be carried out now"
 
 
-def order_result(state: State, order: events.Order, *, go: bool = False) -> OrderResult:
+def order_result(state: State, order: Order, *, go: bool = False) -> OrderResult:
     """The result of an order, for its acknowledgement; go: it takes off without being told."""
     in_air = state.phase in (*ON_PATH, *_GOING_UP, Phase.HOLDING, Phase.ARRIVED)
     match order.kind:
-        case events.OrderKind.REPOSITION:
+        case OrderKind.REPOSITION:
             if order.target_ne_m is None or target_refusal(state.task, order.target_ne_m):
                 return OrderResult.INVALID
             led = in_air and state.phase not in _GOING_UP
             return OrderResult.ACCEPTED if led else OrderResult.NOT_NOW
-        case events.OrderKind.START | events.OrderKind.CONTINUE if not go and _waits_for_go(state):
-            ready = state.phase is Phase.READY and order.kind is events.OrderKind.START
+        case OrderKind.START | OrderKind.CONTINUE if not go and _waits_for_go(state):
+            ready = state.phase is Phase.READY and order.kind is OrderKind.START
             return OrderResult.ACCEPTED if ready else OrderResult.NOT_NOW
-        case events.OrderKind.START | events.OrderKind.CONTINUE:
+        case OrderKind.START | OrderKind.CONTINUE:
             return OrderResult.NOT_NOW if state.phase in _NOT_TO_GO_ON else OrderResult.ACCEPTED
-        case events.OrderKind.PAUSE:
+        case OrderKind.PAUSE:
             return OrderResult.ACCEPTED if _may_pause(state) else OrderResult.NOT_NOW
-        case events.OrderKind.RETURN:
+        case OrderKind.RETURN:
             held = state.hold is not None and not (_accepts_orders(state) or _stops(state))
             return OrderResult.ACCEPTED if in_air and not held else OrderResult.NOT_NOW
-        case events.OrderKind.LAND:
+        case OrderKind.LAND:
             held = state.hold in (Hold.TAKEN_OVER, Hold.GROUNDED, Hold.SILENT)
             if state.phase is not Phase.LANDING and (held or not in_air):
                 return OrderResult.NOT_NOW
@@ -76,17 +77,17 @@ def order_result(state: State, order: events.Order, *, go: bool = False) -> Orde
             return OrderResult.ACCEPTED if lands else OrderResult.INVALID
 
 
-def why_not(state: State, order: events.Order) -> str:
+def why_not(state: State, order: Order) -> str:
     """Why an order is refused, as text for its sender."""
     why = f"the mission is {state.phase.value}"
     if order_result(state, order) is OrderResult.INVALID:
         place = order.target_ne_m
         why = "it has no target" if place is None else target_refusal(state.task, place)
-        if order.kind is events.OrderKind.LAND:
+        if order.kind is OrderKind.LAND:
             why = f"{state.vehicle.traits.name} is not told to land: send it back"
-    elif order.kind is events.OrderKind.PAUSE and _is_short(state):
+    elif order.kind is OrderKind.PAUSE and _is_short(state):
         why = Reason.BATTERY_LOW.text
-    elif order.kind is events.OrderKind.START and _waits_for_go(state):
+    elif order.kind is OrderKind.START and _waits_for_go(state):
         why = ground.why_no_go(state)
     elif state.phase is Phase.READY:
         why = "it waits for MISSION_START"
@@ -128,77 +129,69 @@ def _stops(state: State) -> bool:
 # --- threats
 
 
-def _with_fence(state: State, event: events.FenceChanged, context: Context) -> Step:
+def _on_fence(state: State, event: events.FenceChanged, turn: Turn) -> None:
     """A new fence: recheck the rest of the path, and stop if it conflicts."""
-    known = state.fence is not None
-    state = state.with_fence(context.mission.task, event)
-    says: list[Command] = [say(f"fence: {len(event.zones)} zones", warning=known)]
-    if (inside := _inside(state)) and state.phase not in ON_PATH:
-        says.append(warn(f"inside zone {inside}"))
-    if not _is_touched(state):
-        return state, says, None
-    if state.phase not in ON_PATH:  # a path that was to be gone on with
-        flight = following.at_rest(state.flight, state.flight.hover_nea_m)
-        return replace(state, flight=flight), says, None
-    return preceded(says, following.stop(state, Reason.NEW_THREAT))
+    flight, known = state.flight, state.fence is not None
+    state.take_fence(turn.context.mission.task, event)
+    turn.say(f"fence: {len(event.zones)} zones", warning=known)
+    on_path = state.phase in ON_PATH
+    if (inside := _inside(state)) and not on_path:
+        turn.warn(f"inside zone {inside}")
+    legs = [(flight.leg, flight.reference.length_m), (flight.next_leg, 0.0)]
+    legs += [(leg, 0.0) for leg in flight.back]
+    if any(leg is not None and is_touched(leg, at_m, state.task) for leg, at_m in legs):
+        if on_path:
+            following.stop(state, Reason.NEW_THREAT, turn)
+        else:  # a path that was to be gone on with
+            come_to_rest(flight, flight.hover_nea_m)
 
 
-def _fence_reading(state: State, event: events.FenceReading, _context: Context) -> Step:
+def _on_fence_reading(state: State, event: events.FenceReading, turn: Turn) -> None:
     """The fence has changed: said at once; who waits for it is `decisions.waits_for_fence`."""
     if not event.items:
-        return replace(state, fence_unread_s=None), [], None
+        state.fence_unread_s = None
+        return
     if state.fence_unread_s is None:
-        state = replace(state, fence_unread_s=event.time_s)
-    text = f"the fence has changed: reading {event.items:,} items"
-    return state, [warn(text)] if event.items > _FEW_ITEMS else [], None
+        state.fence_unread_s = event.time_s
+    if event.items > _FEW_ITEMS:
+        turn.warn(f"the fence has changed: reading {event.items:,} items")
 
 
-def _with_near_things(state: State, event: events.NearSeen, _context: Context) -> Step:
+def _on_near_things(state: State, event: events.NearSeen, turn: Turn) -> None:
     """A sensor has looked around: stop if it is blind now, or something is in the way."""
-    range_m, sees_m, says = state.task.settings.scan_range_m, event.sees_m, list[Command]()
-    if state.airborne and sees_m < min(range_m, state.vehicle.sees_m):  # before: preflight
-        state = state.told(sees_m=sees_m)
-        says = [warn(f"sensor sees {sees_m:g} m of R = {range_m:g} m")]
-    state = state.told(sight=event.sight)
-    path = state.flight.path
+    vehicle, path = state.vehicle, state.flight.path
+    range_m, sees_m, vehicle.sight = state.task.settings.scan_range_m, event.sees_m, event.sight
+    if state.airborne and sees_m < min(range_m, vehicle.sees_m):  # before: preflight
+        vehicle.sees_m = sees_m
+        turn.warn(f"sensor sees {sees_m:g} m of R = {range_m:g} m")
     if state.phase not in ON_PATH or path is None:
-        return state, says, None
+        return
     stops_for = None if path.stop is None else path.stop.reason
     if event.sight.is_blind:
-        if state.flight.returning or stops_for is not None:
-            return state, says, None  # what was flown before is flown again
-        says.append(warn(Reason.SENSOR_SILENT.text))
-        return preceded(says, following.stop(state, Reason.SENSOR_SILENT))
+        if not state.flight.returning and stops_for is None:  # what was flown is flown again
+            turn.warn(Reason.SENSOR_SILENT.text)
+            following.stop(state, Reason.SENSOR_SILENT, turn)
+        return
     kept_m = state.task.settings.safety_distance_m + state.task.limits.tracking_error_m
     legs = [(path.leg, following.vehicle_at_m(state, path)), (path.next_leg, 0.0)]
     if stops_for is not Reason.NEW_THREAT and any(
         leg and meets_near_things(leg, at_m, event.near, kept_m) for leg, at_m in legs
     ):
-        return preceded(says, following.stop(state, Reason.NEW_THREAT))
-    return state, says, None
+        following.stop(state, Reason.NEW_THREAT, turn)
 
 
-def _on_ground_seen(state: State, event: events.GroundSeen, _context: Context) -> Step:
+def _on_ground_seen(state: State, event: events.GroundSeen, turn: Turn) -> None:
     """The ground is nearer than the map says: stop, and wait for the two to agree.
 
     Not on the way back: what was flown before is flown again; nor while it stops: `stopped` waits
     for it, too.
     """
-    state = state.told(ground_above_m=event.above_m)
+    state.vehicle.ground_above_m = event.above_m
     flight, path = state.flight, state.flight.path
     follows = state.phase is Phase.FLYING and path is not None and path.stop is None
-    if not event.above_m or not follows or flight.returning or flight.homeward:
-        return state, [], None
-    says = warn(f"{Reason.GROUND_NEARER.text}: by {event.above_m:.1f} m")
-    return preceded([says], following.stop(state, Reason.GROUND_NEARER))
-
-
-def _is_touched(state: State) -> bool:
-    """Whether the rest of the path conflicts with a new rule."""
-    flight = state.flight
-    legs = [(flight.leg, flight.reference.length_m), (flight.next_leg, 0.0)]
-    legs += [(leg, 0.0) for leg in flight.back]
-    return any(leg is not None and is_touched(leg, at_m, state.task) for leg, at_m in legs)
+    if event.above_m and follows and flight.way is Way.OUT:
+        turn.warn(f"{Reason.GROUND_NEARER.text}: by {event.above_m:.1f} m")
+        following.stop(state, Reason.GROUND_NEARER, turn)
 
 
 def _inside(state: State) -> str:
@@ -213,158 +206,170 @@ def _inside(state: State) -> str:
 # --- targets and orders
 
 
-def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], why: str) -> Step:
+def _on_targets(state: State, event: events.TargetsChanged, turn: Turn) -> None:
+    """Those of the vehicle's mission; not on the way home."""
+    flight, targets_ne_m = state.flight, event.targets_ne_m
+    if targets_ne_m == state.targets_ne_m:
+        return
+    if flight.returning or flight.fallen_back is not None:
+        turn.warn("mission changed: returning all the same")
+    elif not targets_ne_m and state.phase not in (Phase.WAITING, Phase.PREPARING, Phase.READY):
+        turn.warn("the vehicle's mission is empty: the old one is flown")
+    else:
+        _fly_to(state, targets_ne_m, "mission changed", state.orders, turn)
+
+
+def _fly_to(state: State, targets_ne_m: Targets, why: str, orders: Orders, turn: Turn) -> None:
     """New targets: stop, and plan to the first of them."""
-    flight, of_vehicle = state.flight, why == _OF_VEHICLE
-    if targets_ne_m == state.targets_ne_m and (of_vehicle or _flies_there(state)):
-        return state, [], None
-    if of_vehicle and (flight.returning or flight.fallen_back is not None):
-        return state, [warn("mission changed: returning all the same")], None
-    if not targets_ne_m and state.phase not in (Phase.WAITING, Phase.PREPARING, Phase.READY):
-        return state, [warn("the vehicle's mission is empty: the old one is flown")], None
+    flight = state.flight
     for target in targets_ne_m:
         if trouble := target_refusal(state.task, target):
-            return state, [warn(f"{why}: {trouble}")], None
-    orders = state.orders if of_vehicle else Orders()
-    state = replace(state, targets_ne_m=targets_ne_m, orders=orders)
-    state = state.told(battery_short_at_s=None).with_flight(  # it may reach this one
-        target=0,
-        route_ne_m=(),
-        progress=NO_PROGRESS,
-        stops=0,
-        failures=0,
-        way=Way.OUT,
-        back=(),
-        fallen_back=None,
-        search=Answered() if isinstance(flight.search, Planning) else flight.search,
-        planning_backtrack=None,
-        refusal=None,
-    )
-    says: list[Command] = [say(why)]
+            return turn.warn(f"{why}: {trouble}")
+    set_targets(state, targets_ne_m, Way.OUT)
+    state.orders = orders
+    state.vehicle.battery_short_at_s = flight.fallen_back = flight.refusal = None
+    if isinstance(flight.search, Planning):
+        flight.search = Answered()
+    turn.say(why)
     if state.phase in ON_PATH and targets_ne_m:
-        return preceded(says, following.stop(state, Reason.NEW_TARGET))
-    if state.phase is Phase.ARRIVED:
-        if state.asks == 0:
-            return state, says, Trigger.NEXT_TARGET
-        return preceded(says, fault(state, Reason.TAKING_OVER))  # it may hold by now
-    if state.hold in (Hold.PAUSED, Hold.RETURN, Hold.LAND):
-        state = with_hold_reason(state, Reason.NEW_TARGET)
-    return state, says, None
+        following.stop(state, Reason.NEW_TARGET, turn)
+    elif state.phase is Phase.ARRIVED and state.asks:
+        turn.fault(Reason.TAKING_OVER)  # it may hold by now
+    elif state.phase is Phase.ARRIVED:
+        turn.to(Trigger.NEXT_TARGET)
+    elif state.hold in (Hold.PAUSED, Hold.RETURN, Hold.LAND):
+        hold_for(state, Reason.NEW_TARGET)
 
 
-def _flies_there(state: State) -> bool:
-    """Whether the vehicle is flying to the first target, with no other order active."""
-    outward = state.phase is Phase.FLYING and state.flight.target == 0
-    return outward and state.orders.active is None and not state.flight.homeward
-
-
-def _ordered(state: State, order: events.Order, context: Context) -> Step:
+def _on_order(state: State, order: Order, turn: Turn) -> None:
     match order.kind:
-        case events.OrderKind.START if state.phase is Phase.READY:
-            return state, [say(f"go: told by {order.sender}")], Trigger.GO
-        case events.OrderKind.START | events.OrderKind.CONTINUE:
-            return _go_on(state)
-        case events.OrderKind.PAUSE:
-            return _pause(state)
-        case events.OrderKind.REPOSITION:
+        case OrderKind.START if state.phase is Phase.READY:
+            turn.say(f"go: told by {order.sender}")
+            turn.to(Trigger.GO)
+        case OrderKind.START | OrderKind.CONTINUE:
+            _go_on(state, turn)
+        case OrderKind.PAUSE:
+            _pause(state, turn)
+        case OrderKind.REPOSITION:
             assert order.target_ne_m is not None
-            return _with_targets(state, (order.target_ne_m,), "new target")
-        case events.OrderKind.RETURN:
-            waits = state.fence_unread_s is not None and not context.mission.goes_on_while_reading
-            text = "it returns once the changed fence is read, or goes on being read for too long"
-            on_its_way = state.flight.returning or state.flight.homeward
-            step = _back_again(state) if on_its_way else _stop_for(state, Reason.RETURN_ASKED)
-            return preceded([say(text)] if waits else [], step)
-        case events.OrderKind.LAND:  # once it has stopped
-            lands = state.phase is Phase.LANDING or state.orders.active is Reason.LAND_ASKED
-            return (state, [], None) if lands else _stop_for(state, Reason.LAND_ASKED)
+            outward = state.phase is Phase.FLYING and state.flight.target == 0
+            flies = outward and state.orders.active is None and not state.flight.homeward
+            if not flies or (order.target_ne_m,) != state.targets_ne_m:  # else it goes there
+                _fly_to(state, (order.target_ne_m,), "new target", Orders(), turn)
+        case OrderKind.RETURN:
+            goes_on = turn.context.mission.goes_on_while_reading
+            if state.fence_unread_s is not None and not goes_on:
+                turn.say(_WAITS_FOR_FENCE)
+            if state.flight.way is not Way.OUT:
+                _back_again(state, turn)
+            else:
+                _stop_for(state, Reason.RETURN_ASKED, turn)
+        case OrderKind.LAND:  # once it has stopped
+            if state.phase is not Phase.LANDING and state.orders.active is not Reason.LAND_ASKED:
+                _stop_for(state, Reason.LAND_ASKED, turn)
 
 
-def _go_on(state: State) -> Step:
+def _go_on(state: State, turn: Turn) -> None:
     """End a pause: the order suspended by it is active again."""
     wanted = state.orders.suspended or Reason.CONTINUED
-    state = replace(state, orders=state.orders.continued())
-    if state.phase in ON_PATH and (after := _braking_for(state, wanted, Reason.PAUSED)):
-        return after, [say("going on")], None
-    if state.hold is Hold.PAUSED:
-        return preceded([say("going on")], resumed(state))
-    if state.hold is Hold.TAKEN_OVER:
-        released = Held(Hold.TAKEN_OVER) if state.held is None else state.held
-        return replace(state, held=replace(released, released_at_s=state.now_s)), [], None
-    return state, [], None
+    state.orders = state.orders.continued()
+    if state.phase in ON_PATH and _brakes_for(state, wanted, Reason.PAUSED):
+        turn.say("going on")
+    elif state.hold is Hold.PAUSED:
+        turn.say("going on")
+        resumed(state, turn)
+    elif state.held is not None and state.hold is Hold.TAKEN_OVER:
+        state.held = replace(state.held, released_at_s=state.now_s)
 
 
-def _pause(state: State) -> Step:
+def _pause(state: State, turn: Turn) -> None:
     """Hold until an order to continue; a return that has not begun is suspended."""
     if not _may_pause(state):
-        return state, [], None
-    state = replace(state, orders=state.orders.paused())
+        return
+    state.orders = state.orders.paused()
     if state.phase in _GOING_UP:
-        return fault(state, Reason.BROKEN_OFF)
-    if _stops(state):
-        return state, [say(Reason.PAUSED.text)], None
-    if state.phase in ON_PATH:
-        return following.stop(state, Reason.PAUSED)
-    state = with_hold_reason(state.with_flight(planning_backtrack=None), Reason.PAUSED)
-    return state, [say(Reason.PAUSED.text)], None
+        turn.fault(Reason.BROKEN_OFF)
+    elif state.phase in ON_PATH:
+        following.stop(state, Reason.PAUSED, turn)
+    else:
+        turn.say(Reason.PAUSED.text)
+        if not _stops(state):
+            state.flight.planning_backtrack = None
+            hold_for(state, Reason.PAUSED)
 
 
-def _back_again(state: State) -> Step:
+def _back_again(state: State, turn: Turn) -> None:
     """Go on with the backtrack."""
     orders = state.orders
     if Reason.LAND_ASKED not in (orders.active, orders.suspended):
-        return _go_on(state) if orders.active is Reason.PAUSED else (state, [], None)
-    state = replace(state, orders=Orders())
-    after = _braking_for(state, Reason.CONTINUED, Reason.PAUSED, Reason.LAND_ASKED)
-    if after is None and state.hold in (Hold.PAUSED, Hold.LAND):
-        after = with_hold_reason(state, Reason.CONTINUED)
-    return (state, [], None) if after is None else (after, [say("going on")], None)
+        if orders.active is Reason.PAUSED:
+            _go_on(state, turn)
+        return
+    state.orders = Orders()
+    if not _brakes_for(state, Reason.CONTINUED, Reason.PAUSED, Reason.LAND_ASKED):
+        if state.hold not in (Hold.PAUSED, Hold.LAND):
+            return
+        hold_for(state, Reason.CONTINUED)
+    turn.say("going on")
 
 
-def _braking_for(state: State, reason: Reason, *before: Reason) -> State | None:
-    """The state if it stops on its path for another reason than one of those before."""
+def _brakes_for(state: State, reason: Reason, *before: Reason) -> bool:
+    """Whether it stops on its path for one of those before; then it does for another reason."""
     path = state.flight.path
     if path is None or path.stop is None or path.stop.reason not in before:
-        return None
-    return state.with_flight(path=replace(path, stop=replace(path.stop, reason=reason)))
+        return False
+    path.stop = replace(path.stop, reason=reason)
+    return True
 
 
-def _stop_for(state: State, order: Reason) -> Step:
+def _stop_for(state: State, order: Reason, turn: Turn) -> None:
     """Stop as the phase allows; then the order is carried out."""
-    state = replace(state, orders=Orders(order))
+    state.orders = Orders(order)
     if state.phase in _GOING_UP:
-        return fault(state, Reason.BROKEN_OFF)
-    if state.phase is Phase.ARRIVED and state.asks:  # for the end action's mode: it may have it
-        return fault(state, Reason.TAKING_OVER)
-    if state.phase in (*ON_PATH, Phase.ARRIVED):
-        return following.stop(state, order)
-    if state.hold in ON_SETPOINTS and state.reason is not order:
-        state = with_hold_reason(state.with_flight(planning_backtrack=None), order)
-    return state, [], None
+        turn.fault(Reason.BROKEN_OFF)
+    elif state.phase is Phase.ARRIVED and state.asks:  # for the end action's mode: it may have it
+        turn.fault(Reason.TAKING_OVER)
+    elif state.phase in (*ON_PATH, Phase.ARRIVED):
+        following.stop(state, order, turn)
+    elif state.hold in ON_SETPOINTS and state.reason is not order:
+        state.flight.planning_backtrack = None
+        hold_for(state, order)
 
 
 # --- the vehicle itself
 
 
-def _fence_breach(state: State, event: events.FenceBreach, _context: Context) -> Step:
-    state = state.told(fence_breached_at_s=event.time_s)
-    return taken(state) if is_breach_of_fence(state) else (state, [], None)
+def _on_fence_breach(state: State, event: events.FenceBreach, turn: Turn) -> None:
+    state.vehicle.fence_breached_at_s = event.time_s
+    if is_breach_of_fence(state):
+        taken(state, turn)
 
 
-def _prepared(state: State, event: events.Prepared, _context: Context) -> Step | None:
+def _on_prepared(state: State, event: events.Prepared, turn: Turn) -> None:
     if not event.refusal or state.phase in (Phase.PREPARING, Phase.READY):
-        return None
-    if state.phase is Phase.ARMING:
-        return give_up(state, Reason.REFUSED, f": {event.refusal}", event.remedy)
-    return state, [warn(event.refusal)], None
+        turn.is_left = True
+    elif state.phase is Phase.ARMING:
+        turn.give_up(Reason.REFUSED, f": {event.refusal}", event.remedy)
+    else:
+        turn.warn(event.refusal)
 
 
-def _rebooted(state: State, _event: events.Rebooted, _context: Context) -> Step | None:
+def _on_reboot(state: State, _event: events.Rebooted, turn: Turn) -> None:
     """The autopilot has rebooted: prepare again; the known terrain is kept."""
     if state.phase is Phase.WAITING:
-        return None
+        turn.is_left = True
+        return
     flight = state.flight
-    blank = Flight(
+    home, traits = state.vehicle.home_nea_m if state.airborne else None, state.vehicle.traits
+    if flight.returning:  # the way back is asked for again
+        paused = state.orders.active is Reason.PAUSED
+        state.orders = Orders(Reason.RETURN_ASKED)
+        if paused:
+            state.orders = state.orders.paused()
+    waited = state.phase is Phase.READY or state.unready
+    if state.phase is Phase.LANDING:  # it goes on with that, as after a restart
+        state.landing, state.sank = True, state.obeyed
+    state.flight = Flight(
         known=flight.known,
         target=flight.target,
         plan_id=flight.plan_id,
@@ -373,37 +378,25 @@ def _rebooted(state: State, _event: events.Rebooted, _context: Context) -> Step 
         way=Way.HOME if flight.homeward else Way.OUT,
         fallen_back=flight.fallen_back,
     )
-    home, traits = state.vehicle.home_nea_m if state.airborne else None, state.vehicle.traits
-    kept = home is not None
-    vehicle = Vehicle(traits=traits, bad_at_s=state.now_s, home_nea_m=home, home_kept=kept)
-    if flight.returning:  # the way back is asked for again
-        orders = Orders(Reason.RETURN_ASKED)
-        paused = state.orders.active is Reason.PAUSED
-        state = replace(state, orders=orders.paused() if paused else orders)
-    waited = state.phase is Phase.READY or state.unready
-    if state.phase is Phase.LANDING:  # it goes on with that, as after a restart
-        state = replace(state, landing=True, sank=state.obeyed)
-    state = replace(
-        state,
-        flight=blank,
-        vehicle=vehicle,
-        prepared=frozenset(),
-        armed_by_us=state.armed_by_us and state.airborne,  # on the ground it is another's
-        fence_unread_s=None,
-        unready=Reason.REBOOTED.text if waited else "",
+    state.vehicle = Vehicle(
+        traits=traits, bad_at_s=state.now_s, home_nea_m=home, home_kept=home is not None
     )
-    return state, [warn(Reason.REBOOTED.text)], Trigger.PREPARE_AGAIN
+    state.prepared, state.fence_unread_s = frozenset(), None
+    state.armed_by_us = state.armed_by_us and state.airborne  # on the ground it is another's
+    state.unready = Reason.REBOOTED.text if waited else ""
+    turn.warn(Reason.REBOOTED.text)
+    turn.to(Trigger.PREPARE_AGAIN)
 
 
-HANDLERS: Final[dict[type[Event], Callable[[State, Any, Context], Step | None]]] = {
-    events.NearSeen: _with_near_things,
+HANDLERS: Final[dict[type[Event], Callable[[State, Any, Turn], None]]] = {
+    events.NearSeen: _on_near_things,
     events.GroundSeen: _on_ground_seen,
-    events.FenceChanged: _with_fence,
-    events.FenceReading: _fence_reading,
-    events.FenceBreach: _fence_breach,
-    events.TargetsChanged: lambda state, e, _: _with_targets(state, e.targets_ne_m, _OF_VEHICLE),
-    events.Order: _ordered,
-    events.Rebooted: _rebooted,
-    events.Prepared: _prepared,
+    events.FenceChanged: _on_fence,
+    events.FenceReading: _on_fence_reading,
+    events.FenceBreach: _on_fence_breach,
+    events.TargetsChanged: _on_targets,
+    Order: _on_order,
+    events.Rebooted: _on_reboot,
+    events.Prepared: _on_prepared,
 }
-"""Handlers of events that are independent of the phase; None: also left to the phase."""
+"""Handlers of events that are independent of the phase."""

@@ -137,7 +137,8 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     """
     _must_be_finite(values)
     kept = _read(values, _OF_STATE)
-    state = State.of(mission, known).with_fence(mission.task, kept["fence"])
+    state = State.of(mission, known)
+    state.take_fence(mission.task, kept["fence"])
     rules = state.task
     back = tuple(leg for each in values["back"] if (leg := _leg(each, rules)) is not None)
     leg, next_leg = _leg(values["leg"], rules), _leg(values["next_leg"], rules)
@@ -282,7 +283,8 @@ class CheckpointPolicy:
     def __init__(self, *, keeps_map: bool = True) -> None:
         """keeps_map: not one of near things, which may have moved."""
         self._keeps_map = keeps_map
-        self.kept_at_s = -math.inf
+        self.kept_at_s = self.looked_at_s = -math.inf
+        """When the last checkpoint was written, and when it was last seen whether one is due."""
         self.kept: tuple[Any, ...] = ()
         """The fields of the last checkpoint."""
         self.known: KnownMap | None = None
@@ -294,12 +296,13 @@ class CheckpointPolicy:
         if state.phase not in (*IN_AIR, Phase.PREPARING, Phase.READY, Phase.ARMING):
             return None, None
         grown = self._keeps_map and state.flight.known is not self.known
-        since_s, must = now_s - self.kept_at_s, grown or at_once
-        if 0.0 <= since_s < PERIOD_S and not must:
+        must = grown or at_once
+        if 0.0 <= now_s - self.looked_at_s < PERIOD_S and not must:
             return None, None
+        self.looked_at_s = now_s
         path = state.flight.path
         kept = *persisted(state), path and (path.leg, path.next_leg)
-        if kept == self.kept and 0.0 <= since_s < LONGEST_S and not must:
+        if kept == self.kept and 0.0 <= now_s - self.kept_at_s < LONGEST_S and not must:
             return None, None
         self.kept_at_s, self.known, self.kept = now_s, state.flight.known, kept
         return values_of(state), self.known if grown else None

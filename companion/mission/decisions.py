@@ -1,21 +1,19 @@
-"""Common parts of the phase handlers: step, requests, giving up, faults."""
+"""Common parts of the phase handlers: the turn, requests, giving up, faults.
+
+A handler changes the state of its turn in place, and tells the turn what to command and what has
+happened; those that take a turn may end it.
+"""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import final
 
-from msgspec.structs import replace
-
-from companion.mission import events
-from companion.mission.events import Command, Landed, Position, say
+from companion.mission.events import Command, Position, StatusText
 from companion.mission.health import astray_m, may_differ_m
 from companion.mission.mission import Mission
 from companion.mission.state import Held, Reason, State, Trigger
 from companion.path.certificate import bounds_text
 from companion.planner.request import Refusal
-
-Step = tuple[State, list[Command], Trigger | None]
-"""The new state, commands, and the trigger of a phase change."""
 
 ASK_AGAIN_S = 1.0
 GONE_S = 30.0
@@ -23,14 +21,9 @@ GONE_IN_AIR_S = 600.0
 STOPPED_M_S = 0.5
 AT_M = 5.0
 LANDING_ABORTED = "landing broken off: MISSION_START to the companion lands it"
-HEARTBEAT_S = 5.0  # four or five of them missed (mavlink.md 2.1)
-_GROUNDED_S = 1.5
 _FENCE_READ_S = 3.0  # for a changed fence; a few items are read in less, also by a slow radio
 _FENCE_GIVEN_UP_S = 300.0  # twice what 5,010 items took; who does not answer is asked for ever
-_SUSPECT_S = 2.5  # another companion with our ids may have died meanwhile
 _ACTS_S = 15.0  # EKF failsafes come 1 to 10 s after the first doubt (ardupilot.md 5; px4.md 8)
-_THERE_S = 5.0
-_SECOND_S = 5.0  # who hears another so soon after it took over has not been there first
 
 
 @final
@@ -48,17 +41,61 @@ class Context:
     """Somebody has said go beforehand (--start): it takes off as soon as it is ready."""
 
 
-def ask(state: State, *commands: Command) -> Step:
-    """Send requests, once a second."""
-    if state.now_s - state.asked_at_s < ASK_AGAIN_S:
-        return state, [], None
-    return replace(state, asked_at_s=state.now_s, asks=state.asks + 1), list(commands), None
+@final
+@dataclass(slots=True)
+class Turn:
+    """One event being handled: the state, which handlers change in place, and what follows."""
 
+    state: State
+    context: Context
+    commands: list[Command] = field(default_factory=list)
+    """In the order in which they are carried out."""
+    trigger: Trigger | None = None
+    """What has happened; None: the phase goes on."""
+    is_left: bool = False
+    """Whether the phase decides although the event has a handler of its own."""
 
-def preceded(says: list[Command], step: Step) -> Step:
-    """A step whose commands come after these."""
-    state, commands, trigger = step
-    return state, [*says, *commands], trigger
+    def to(self, trigger: Trigger) -> None:
+        """The phase is over."""
+        self.trigger = trigger
+
+    def give_up(self, reason: Reason, detail: str = "", remedy: str = "") -> None:
+        """End the mission; a vehicle in the air is left in its hold mode, or in RTL."""
+        state = self.state
+        if not detail:
+            detail, remedy = reason_text(state, reason)
+        state.reason, state.detail, state.remedy = reason, detail, remedy
+        self.trigger = Trigger.GIVE_UP
+
+    def fault(self, reason: Reason) -> None:
+        """Stop and hold for a reason."""
+        self.state.reason, self.trigger = reason, Trigger.FAULT
+
+    def ask(self, *commands: Command) -> None:
+        """Send requests, once a second."""
+        state = self.state
+        if state.now_s - state.asked_at_s >= ASK_AGAIN_S:
+            state.asked_at_s, state.asks = state.now_s, state.asks + 1
+            self.commands += commands
+
+    def do(self, *commands: Command) -> None:
+        """These come next."""
+        self.commands += commands
+
+    def say(self, text: str, about: str = "", *, warning: bool = False) -> None:
+        """A text for people; about: its topic."""
+        self.commands.append(StatusText(text=text, warning=warning, about=about))
+
+    def warn(self, text: str, about: str = "") -> None:
+        """A text that is a warning."""
+        self.say(text, about, warning=True)
+
+    def hold(self, reason: Reason) -> None:
+        """Held for this reason from now on, which is said."""
+        text = in_words(self.state, reason)
+        text = text if reason is Reason.TAKEN_OFF else f"hold: {text}"
+        hold_for(self.state, reason)
+        self.say(text, "phase", warning=reason.warns)
 
 
 def reason_text(state: State, reason: Reason) -> tuple[str, str]:
@@ -84,23 +121,6 @@ def in_words(state: State, reason: Reason) -> str:
 def _metres(length_m: float) -> str:
     """With a decimal where that tells."""
     return f"{length_m:.1f} m" if length_m < 9.95 else f"{length_m:.0f} m"
-
-
-def give_up(state: State, reason: Reason, detail: str = "", remedy: str = "") -> Step:
-    """End the mission; a vehicle in the air is left in its hold mode, or in RTL."""
-    if not detail:
-        detail, remedy = reason_text(state, reason)
-    return replace(state, reason=reason, detail=detail, remedy=remedy), [], Trigger.GIVE_UP
-
-
-def fault(state: State, reason: Reason) -> Step:
-    """Stop and hold for a reason."""
-    return replace(state, reason=reason), [], Trigger.FAULT
-
-
-def in_phase_s(state: State) -> float:
-    """How long this phase has lasted."""
-    return state.now_s - state.since_s
 
 
 def longest_silence_s(state: State, context: Context) -> float:
@@ -129,35 +149,6 @@ def fence_is_given_up(state: State) -> bool:
     return since_s is not None and state.now_s - since_s > _FENCE_GIVEN_UP_S
 
 
-def is_silent(state: State) -> bool:
-    """Whether there are no heartbeats: then it is unknown who controls the vehicle."""
-    return state.now_s - state.vehicle.status_at_s > HEARTBEAT_S
-
-
-def is_grounded(state: State) -> bool:
-    """True after 1.5 s of ON_GROUND: single reports are unreliable."""
-    vehicle = state.vehicle
-    on_ground = vehicle.landed is Landed.ON_GROUND
-    return on_ground and state.now_s - vehicle.landed_at_s > _GROUNDED_S
-
-
-def is_duplicate_suspected(state: State) -> bool:
-    """Whether another sender with our ids was heard lately, possibly frames left by a dead one."""
-    return 0.0 <= state.now_s - state.duplicate_id_at_s < _SUSPECT_S
-
-
-def is_second_companion(state: State) -> bool:
-    """Whether there certainly is another companion, and this one has not had control before."""
-    is_there = state.duplicate_id and 0.0 <= state.now_s - state.duplicate_id_at_s < _THERE_S
-    just_now = 0.0 <= state.now_s - state.in_control_since_s < _SECOND_S
-    return is_there and (just_now or not has_had_control(state))
-
-
-def has_had_control(state: State) -> bool:
-    """Whether this companion has had control of the vehicle in the air."""
-    return state.in_control_since_s < math.inf
-
-
 def landing_order(state: State) -> Reason | None:
     """The order that a landing follows; None: it is the end of the mission, or its fallback."""
     return Reason.LAND_ASKED if state.flight.fallen_back is Reason.LAND_ASKED else None
@@ -173,19 +164,13 @@ def seen_cause(state: State) -> Reason | None:
     return None if vehicle.battery_short_at_s is None else Reason.BATTERY_LOW
 
 
-def with_hold_reason(state: State, reason: Reason) -> State:
+def hold_for(state: State, reason: Reason) -> None:
     """Held for this reason from now on; what is known of who has it is kept as long as he has."""
     if state.hold is not reason.hold:
         why = seen_cause(state) if reason is Reason.FAILSAFE else None
-        state = replace(state, held=Held(reason.hold, why=why))
-    return replace(state, reason=reason, since_s=state.now_s, asked_at_s=-1e9, asks=0, obeyed=False)
-
-
-def held(state: State, reason: Reason) -> tuple[State, events.StatusText]:
-    """The same, and the text that says so."""
-    text = in_words(state, reason)
-    text = text if reason is Reason.TAKEN_OFF else f"hold: {text}"
-    return with_hold_reason(state, reason), say(text, "phase", warning=reason.warns)
+        state.held = Held(reason.hold, why=why)
+    state.reason, state.since_s, state.asked_at_s = reason, state.now_s, -1e9
+    state.asks, state.obeyed = 0, False
 
 
 def is_at_rest(state: State, event: Position) -> bool:

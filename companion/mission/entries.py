@@ -12,30 +12,19 @@ from companion.planner.request import NotPlanned, Planned, PlanRequest
 
 Entry = dict[str, Any]
 
-_SAME: Final[dict[type, type[journal.Entry]]] = {
-    events.PlanLate: journal.PlanLate,
-    events.PlannerDied: journal.PartDied,
-    events.LinkLost: journal.LinkLost,
-    events.StopAsked: journal.StopAsked,
-    events.FenceChanged: journal.Fence,
-    events.TargetsChanged: journal.Targets,
-    events.Prepared: journal.Prepared,
-    events.LinkDelay: journal.LinkDelay,
-    events.Rebooted: journal.VehicleRebooted,
+_ASKED: Final[dict[type, type[journal.Entry]]] = {
     events.SetMode: journal.ModeAsked,
     events.Arm: journal.ArmAsked,
     events.Disarm: journal.DisarmAsked,
     events.TakeOff: journal.TakeOffAsked,
 }
-"""Events and commands whose fields are those of their entry.
-
-Frequent events are only in the telemetry log."""
+"""Commands, and their entries, which have some of their fields."""
 
 
 def of_event(event: Event, state: State) -> Entry | None:
     """The entry of an event, None for those only in the telemetry log; state: after the event."""
-    if (kind := _SAME.get(type(event))) is not None:
-        return _entry(kind, event)
+    if isinstance(event, events.Entry):
+        return _told(event)
     match event:
         case events.ScanDone():
             return _entry(
@@ -88,7 +77,7 @@ def of_change(before: State, after: State) -> Iterator[Entry]:
 
 def of_command(command: Command) -> Entry | None:
     """The entry of a command; None for setpoints, which are in the telemetry log."""
-    kind = _SAME.get(type(command))
+    kind = _ASKED.get(type(command))
     return None if kind is None else _entry(kind, command)
 
 
@@ -110,7 +99,12 @@ def _entry(kind: type[journal.Entry], source: object = None, **others: Any) -> E
     values = {
         name: getattr(source, name) for name in kind.__struct_fields__ if hasattr(source, name)
     }
-    made = kind(**{"t_s": 0.0, **values, **others})
-    entry: Entry = msgspec.to_builtins(made, enc_hook=journal.plain)
-    del entry["t_s"]
-    return entry
+    return _told(kind(**{"time_s": 0.0, **values, **others}))
+
+
+def _told(entry: journal.Entry) -> Entry:
+    """Its fields, but for the time, which is added where it is noted."""
+    told: Entry = msgspec.to_builtins(entry, enc_hook=journal.plain)
+    for name in ("t_s", *journal.UNTOLD):
+        told.pop(name, None)
+    return told

@@ -1,4 +1,4 @@
-"""The events of a mission, derived from `Event`, and its commands, from `Command`.
+"""The events of a mission, derived from `Event`, and its commands, from `Command`: all are final.
 
 Times are the vehicle's (seconds since its boot); positions and velocities are north, east,
 up in the local frame, altitudes AMSL.
@@ -6,15 +6,26 @@ up in the local frame, altitudes AMSL.
 
 import enum
 import math
-from typing import final
+from abc import ABC
+from typing import TYPE_CHECKING
 
-from msgspec import Struct
+from msgspec import Struct, field
 
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.world.known_map import Scan
 from companion.world.near_map import NearMap, Sight
-from companion.world.zones import Zone
+from companion.world.zones import CircleZone, PolygonZone, Zone
+
+if TYPE_CHECKING:
+    AnyZone = Zone
+else:
+
+    class AnyZone(ABC):  # noqa: B024 - asked for nothing but whose instance a zone is
+        """Both of them: `msgspec` cannot tell two dataclasses apart, `journal.entry_of` does."""
+
+    AnyZone.register(CircleZone)
+    AnyZone.register(PolygonZone)
 
 Vector = tuple[float, float, float]
 
@@ -45,15 +56,31 @@ class Landed(enum.Enum):
 class Event(Struct, frozen=True, kw_only=True):
     """What happened, and when."""
 
-    time_s: float
+    time_s: float = field(name="t_s")
+    """Vehicle time: seconds since its boot (until its clock is known, since the start)."""
 
 
-@final
+class Entry(Event, frozen=True, kw_only=True, tag_field="kind"):
+    """What stands in the journal, in these words (`journal`).
+
+    Names carry units; `_nea_m` is north, east (of the mission's local frame) and altitude AMSL.
+    """
+
+    @property
+    def kind(self) -> str:
+        """The name of its kind in the file."""
+        return str(self.__struct_config__.tag)
+
+    @property
+    def t_s(self) -> float:
+        """Its time, as the file calls it."""
+        return self.time_s
+
+
 class Tick(Event, frozen=True, kw_only=True):
     """The vehicle's clock moved on."""
 
 
-@final
 class VehicleStatus(Event, frozen=True, kw_only=True):
     """A heartbeat of the autopilot."""
 
@@ -63,7 +90,6 @@ class VehicleStatus(Event, frozen=True, kw_only=True):
     """Whether the autopilot reports a failsafe (MAV_STATE critical or emergency)."""
 
 
-@final
 class VehicleFound(Event, frozen=True, kw_only=True):
     """The autopilot is identified: its traits, or None if it is not supported."""
 
@@ -73,7 +99,6 @@ class VehicleFound(Event, frozen=True, kw_only=True):
     """Its autopilot and vehicle type, as text."""
 
 
-@final
 class Position(Event, frozen=True, kw_only=True):
     """The vehicle's reported position."""
 
@@ -83,26 +108,22 @@ class Position(Event, frozen=True, kw_only=True):
     """Its heading in the local frame."""
 
 
-@final
 class LandedState(Event, frozen=True, kw_only=True):
     """On the ground or in the air."""
 
     landed: Landed
 
 
-@final
 class TakeOffTaken(Event, frozen=True, kw_only=True):
     """The autopilot has accepted a take-off: it will begin."""
 
 
-@final
 class GpsFix(Event, frozen=True, kw_only=True):
     """Whether the receiver has a three-dimensional fix."""
 
     good: bool
 
 
-@final
 class Estimator(Event, frozen=True, kw_only=True):
     """Whether the autopilot's estimator reports a valid horizontal position."""
 
@@ -111,21 +132,18 @@ class Estimator(Event, frozen=True, kw_only=True):
     """Horizontal accuracy, if reported."""
 
 
-@final
 class Home(Event, frozen=True, kw_only=True):
     """The vehicle's home, whose altitude take-off heights are measured from."""
 
     position_nea_m: Vector
 
 
-@final
 class Origin(Event, frozen=True, kw_only=True):
     """Where the autopilot's own local frame begins (GPS_GLOBAL_ORIGIN)."""
 
     position_nea_m: Vector
 
 
-@final
 class Echo(Event, frozen=True, kw_only=True):
     """The autopilot's reported target (POSITION_TARGET_*)."""
 
@@ -134,7 +152,6 @@ class Echo(Event, frozen=True, kw_only=True):
     """Velocity of the target; None if not reported."""
 
 
-@final
 class Battery(Event, frozen=True, kw_only=True):
     """What is left in the battery."""
 
@@ -142,11 +159,11 @@ class Battery(Event, frozen=True, kw_only=True):
     """Share of a full one, 0 to 1."""
 
 
-@final
-class LinkDelay(Event, frozen=True, kw_only=True):
-    """How long a message takes to the vehicle and back (TIMESYNC)."""
+class LinkDelay(Entry, frozen=True, kw_only=True, tag="link delay"):
+    """The link has become slower or faster."""
 
     round_trip_s: float
+    """To the vehicle and back (TIMESYNC)."""
 
 
 class Item(enum.Enum):
@@ -158,28 +175,29 @@ class Item(enum.Enum):
     """On the ground only: link, radar, datum and everything else in `companion preflight`."""
 
 
-@final
-class Prepared(Event, frozen=True, kw_only=True):
-    """One of the things to prepare is done, or refused."""
+class Prepared(Entry, frozen=True, kw_only=True, tag="prepared"):
+    """One of the preparations before a flight is complete, or refused."""
 
     item: Item
+    """What."""
     refusal: str = ""
-    """Why the vehicle must not fly as it is: what, its value, the rule."""
+    """Why the flight is refused, what, its value, the rule; empty if it is not."""
     remedy: str = ""
 
 
-@final
-class FenceChanged(Event, frozen=True, kw_only=True):
+class FenceChanged(Entry, frozen=True, kw_only=True, tag="fence"):
     """The vehicle's complete fence, as of now."""
 
-    zones: tuple[Zone, ...]
+    zones: tuple[AnyZone, ...]
+    """Circles and polygons."""
     floor_amsl_m: float | None = None
+    """Minimum altitude; null if the fence has none."""
     ceiling_amsl_m: float | None = None
+    """Maximum altitude; null if the fence has none."""
     misread: bool = False
     """Whether the autopilot itself misreads it, so that it may act where no zone is."""
 
 
-@final
 class FenceReading(Event, frozen=True, kw_only=True):
     """The vehicle's fence has changed and is being read, or it is not any more."""
 
@@ -187,11 +205,11 @@ class FenceReading(Event, frozen=True, kw_only=True):
     """How many it has; 0: what counts is known again."""
 
 
-@final
-class TargetsChanged(Event, frozen=True, kw_only=True):
-    """The targets of the vehicle's mission, if ours takes them from there."""
+class TargetsChanged(Entry, frozen=True, kw_only=True, tag="targets"):
+    """The targets from now on, from the vehicle's mission."""
 
     targets_ne_m: tuple[tuple[float, float], ...]
+    """In the order in which they are flown to."""
 
 
 class OrderKind(enum.Enum):
@@ -205,7 +223,6 @@ class OrderKind(enum.Enum):
     LAND = "land where it is"
 
 
-@final
 class Order(Event, frozen=True, kw_only=True):
     """A command to the companion from an authorised sender."""
 
@@ -216,12 +233,10 @@ class Order(Event, frozen=True, kw_only=True):
     """System and component, for the journal: "255/190"."""
 
 
-@final
-class Rebooted(Event, frozen=True, kw_only=True):
-    """The autopilot's clock has begun again."""
+class Rebooted(Entry, frozen=True, kw_only=True, tag="vehicle rebooted"):
+    """The autopilot's clock has begun again, and with it `t_s`."""
 
 
-@final
 class NearSeen(Event, frozen=True, kw_only=True):
     """The sensor of near things has looked around, or its silence means something else now."""
 
@@ -232,7 +247,6 @@ class NearSeen(Event, frozen=True, kw_only=True):
     """How far the sensor says it sees; inf: it did not say."""
 
 
-@final
 class GroundSeen(Event, frozen=True, kw_only=True):
     """The downward rangefinder does not agree with the known map, or does again."""
 
@@ -240,7 +254,6 @@ class GroundSeen(Event, frozen=True, kw_only=True):
     """So much higher is the ground than the map says, with several readings; 0: it agrees."""
 
 
-@final
 class ScanDone(Event, frozen=True, kw_only=True):
     """The radar has answered as far as it will; cells answered of cells asked for."""
 
@@ -254,40 +267,41 @@ class ScanDone(Event, frozen=True, kw_only=True):
         return 0 < self.answered < self.asked
 
 
-@final
 class PlanReady(Event, frozen=True, kw_only=True):
     """The answer to a plan request, at the time when it was due or later."""
 
     outcome: PlanOutcome
 
 
-@final
-class PlanLate(Event, frozen=True, kw_only=True):
-    """A plan was due and is still being computed (real time only)."""
+class PlanLate(Entry, frozen=True, kw_only=True, tag="plan late"):
+    """A plan was due and not ready (real time only)."""
 
     plan_id: int
+    """Of the request."""
 
 
-@final
-class PlannerDied(Event, frozen=True, kw_only=True):
-    """A part of the companion (planner, reader, writer) has died: nothing is sent any more."""
+class PlannerDied(Entry, frozen=True, kw_only=True, tag="part died", omit_defaults=True):
+    """A part of the companion has died; may be noted twice, by session and watchdog."""
 
     error: str
+    """What it died of."""
+    part: str | None = None
+    """Its name; by the watchdog only."""
+    hold_frames: int | None = None
+    """Number of frames sent to hold the vehicle; by the watchdog only."""
 
 
-@final
-class LinkLost(Event, frozen=True, kw_only=True):
-    """Nothing has been heard of the vehicle for a while."""
+class LinkLost(Entry, frozen=True, kw_only=True, tag="link lost"):
+    """The vehicle was silent for a while."""
 
     silent_s: float
+    """For how long."""
 
 
-@final
 class FenceBreach(Event, frozen=True, kw_only=True):
     """The autopilot says that the vehicle is where its own fence forbids it to be."""
 
 
-@final
 class DuplicateId(Event, frozen=True, kw_only=True):
     """Another sender with the companion's ids was heard."""
 
@@ -297,9 +311,8 @@ class DuplicateId(Event, frozen=True, kw_only=True):
     """Whether it is the first such event of this certainty."""
 
 
-@final
-class StopAsked(Event, frozen=True, kw_only=True):
-    """The operator ends the mission now."""
+class StopAsked(Entry, frozen=True, kw_only=True, tag="stop asked"):
+    """The operator has ended the mission."""
 
 
 class Outcome(enum.Enum):
@@ -314,12 +327,10 @@ class Command(Struct, frozen=True, kw_only=True):
     """What is to be done: by the vehicle, the radar, the planner, or for people."""
 
 
-@final
 class RequestStreams(Command, frozen=True, kw_only=True):
     """Request the message streams that the mission needs."""
 
 
-@final
 class SetMode(Command, frozen=True, kw_only=True):
     """Ask for a flight mode."""
 
@@ -328,17 +339,14 @@ class SetMode(Command, frozen=True, kw_only=True):
     """Where to hold, for autopilots that support it."""
 
 
-@final
 class Arm(Command, frozen=True, kw_only=True):
     """Ask the autopilot to arm."""
 
 
-@final
 class Disarm(Command, frozen=True, kw_only=True):
     """Ask the autopilot to disarm; in the air it refuses."""
 
 
-@final
 class TakeOff(Command, frozen=True, kw_only=True):
     """Ask for a climb, from where the vehicle stands, by its autopilot's own take-off."""
 
@@ -346,21 +354,18 @@ class TakeOff(Command, frozen=True, kw_only=True):
     altitude_amsl_m: float
 
 
-@final
 class SetSpeed(Command, frozen=True, kw_only=True):
     """Send the mission's speed to an autopilot that controls its own speed."""
 
     speed_m_s: float
 
 
-@final
 class StartScan(Command, frozen=True, kw_only=True):
     """Ask the radar what is within range of a point."""
 
     centre_nea_m: Vector
 
 
-@final
 class Plan(Command, frozen=True, kw_only=True):
     """Compute the next subpath; the answer takes effect at due_s."""
 
@@ -368,7 +373,6 @@ class Plan(Command, frozen=True, kw_only=True):
     due_s: float
 
 
-@final
 class Setpoint(Command, frozen=True, kw_only=True):
     """Position and velocity for now, with this yaw."""
 
@@ -380,7 +384,6 @@ class Setpoint(Command, frozen=True, kw_only=True):
     """Hold here: a plane loiters; for multicopters the velocity is zero."""
 
 
-@final
 class StatusText(Command, frozen=True, kw_only=True):
     """A short text to ground stations and the terminal."""
 
@@ -390,17 +393,6 @@ class StatusText(Command, frozen=True, kw_only=True):
     """Topic: a newer text replaces a queued one of the same topic."""
 
 
-def say(text: str, about: str = "", *, warning: bool = False) -> StatusText:
-    """A text for people."""
-    return StatusText(text=text, warning=warning, about=about)
-
-
-def warn(text: str, about: str = "") -> StatusText:
-    """A text that is a warning."""
-    return say(text, about, warning=True)
-
-
-@final
 class End(Command, frozen=True, kw_only=True):
     """The mission is over."""
 

@@ -1,4 +1,4 @@
-"""The phases on a path, flying and returning (design 6 and 7).
+"""The phases on a path: flying and returning (design 6 and 7), and shadow.
 
 Out: follow a leg, scan, plan, go on to the next.  Back: along the flown path (`way_back`).
 """
@@ -6,27 +6,34 @@ Out: follow a leg, scan, plan, go on to the next.  Back: along the flown path (`
 import math
 
 import numpy as np
-from msgspec.structs import replace
 
-from companion.mission import events, following, way_back
-from companion.mission.battery import battery_runs_low, battery_warning, given_up_for_battery
+from companion.mission import following, way_back
+from companion.mission.battery import battery_runs_low, give_up_for_battery, warn_of_battery
 from companion.mission.decisions import (
     AT_M,
     Context,
-    Step,
-    fault,
-    give_up,
+    Turn,
     in_words,
-    is_silent,
-    preceded,
     waits_for_fence,
 )
-from companion.mission.events import Command, Event, Mode, PlanReady, Position, Vector, say, warn
-from companion.mission.following import at_rest, at_rest_at_end, hold_setpoint
+from companion.mission.events import (
+    Event,
+    Landed,
+    Mode,
+    Plan,
+    PlanLate,
+    PlanReady,
+    Position,
+    ScanDone,
+    StartScan,
+    Vector,
+)
+from companion.mission.following import come_to_rest, rest_at_end, send_hold
+from companion.mission.health import TRUST_S
 from companion.mission.state import (
     Answered,
-    Flight,
     OnPath,
+    Phase,
     Planning,
     Reason,
     Scanning,
@@ -34,7 +41,7 @@ from companion.mission.state import (
     Trigger,
     Way,
 )
-from companion.planner.procedure import Leg, hover_pose, is_on_circle
+from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle
 from companion.planner.progress import NO_PROGRESS
 from companion.planner.request import NotPlanned, Planned, PlanRequest
 from companion.planner.settings import Task
@@ -49,207 +56,184 @@ _LEVEL_M_S = 1.0
 _TURNS = 3.0
 _CIRCLE_SLACK_M = 0.5  # a leg may end where its circle just keeps the clearance
 _SHORT_SIGHTED = 0.8  # of R
+_SAY_AGAIN_S = 10.0  # in shadow: scan again, until there is a leg
+_ARRIVED_M = 30.0
 _MORE_SCANS = 2  # from rest, if the radar has left something out
 
 
-def flying(state: State, event: Event, context: Context) -> Step:
-    """Follow the leg, or hold while there is none."""
+def on_path(state: State, event: Event, turn: Turn) -> None:
+    """Flying and returning: follow the leg, or hold while there is none."""
+    flight, outward = state.flight, state.phase is Phase.FLYING
     if not isinstance(event, Position):
-        return on_answer(state, event, context)
-    if state.flight.path is None and (step := circling_near_zone(state)) is not None:
-        return step
-    is_short = state.vehicle.battery_short_at_s is not None  # perhaps: it has to last a while
+        if outward:
+            on_answer(state, event, turn)
+        return
+    if flight.path is None and looks_at_circle(state, turn):
+        return
+    # perhaps: it has to last a while
+    is_short = outward and state.vehicle.battery_short_at_s is not None
     if is_short and battery_runs_low(state):
-        state, commands, trigger = following.stop(given_up_for_battery(state), Reason.BATTERY_LOW)
-        if trigger is not None:
-            return state, commands, trigger
-    if state.fence_unread_s is not None:
-        state, trigger = _stop_for_fence(state, context)
-        if trigger is not None:
-            return state, [], trigger
-    state, warning = battery_warning(state, context.mission)
-    fly = _hover if state.flight.path is None else _lead
-    step = fly(state, event, context)
-    return preceded(warning, step) if warning else step
+        give_up_for_battery(state)
+        following.stop(state, Reason.BATTERY_LOW, turn)
+    unread = state.fence_unread_s is not None and flight.stop is None
+    if unread and turn.trigger is None and waits_for_fence(state, turn.context):
+        following.stop(state, Reason.FENCE_UNREAD, turn)
+    if turn.trigger is not None:
+        return
+    warn_of_battery(state, turn)
+    if flight.path is None:
+        return _hover(state, event, turn)
+    return _lead(state, flight.path, event, turn)
 
 
-def on_answer(state: State, event: Event, context: Context) -> Step:
+def on_answer(state: State, event: Event, turn: Turn) -> None:
     """What radar and planner have found."""
     match event:
-        case events.ScanDone():
-            return _on_scan(state, event, context)
+        case ScanDone():
+            return _on_scan(state, event, turn)
         case PlanReady():
-            return _on_plan(state, event)
-        case events.PlanLate(plan_id=plan_id) if plan_id == state.flight.plan_id:
+            return _on_plan(state, event, turn)
+        case PlanLate(plan_id=plan_id) if plan_id == state.flight.plan_id:
             # the leg is flown to its end unless the plan comes before p_prog
-            return state.with_flight(shortfall=Reason.PLAN_LATE), [], None
+            state.flight.shortfall = Reason.PLAN_LATE
         case _:
-            return state, [], None
+            pass
 
 
-def returning(state: State, event: Event, context: Context) -> Step:
-    """Follow the backtrack leg by leg."""
-    if not isinstance(event, Position):
-        return state, [], None
-    state, warning = battery_warning(state, context.mission)
-    state, trigger = _stop_for_fence(state, context)
-    return preceded(warning, (state, [], trigger) if trigger else _lead(state, event, context))
-
-
-def _stop_for_fence(state: State, context: Context) -> tuple[State, Trigger | None]:
-    """Stop on the path if a changed fence is not known for too long."""
-    stops = state.fence_unread_s is None or state.flight.stop is not None
-    if stops or not waits_for_fence(state, context):
-        return state, None
-    state, _, trigger = following.stop(state, Reason.FENCE_UNREAD)
-    return state, trigger
-
-
-def circling_near_zone(state: State) -> Step | None:
-    """What is said of a plane's circle, once where it waits for a leg; None: left to the phase."""
+def looks_at_circle(state: State, turn: Turn) -> bool:
+    """Look at a plane's circle, once where it waits for a leg; False: this is not the time."""
     flight, hover, vehicle = state.flight, state.flight.hover_nea_m, state.vehicle
     if vehicle.traits.hovers or flight.path is not None or hover is None:
-        return None
+        return False
     task, place = flight.loiter_checked or (None, None)
-    led = vehicle.mode is Mode.GUIDED and vehicle.distrust is None and not is_silent(state)
+    led = vehicle.mode is Mode.GUIDED and vehicle.distrust is None and not state.is_silent
     if (task is state.task and place == hover) or not led:
-        return None
+        return False
     zone, gap_m = nearest(state.task.zones, hover[0], hover[1])
-    near = zone is not None and gap_m < state.task.zone_clearance_m - _CIRCLE_SLACK_M
-    says = [warn(f"circling too near to zone {zone.name}")] if zone is not None and near else []
-    return state.with_flight(loiter_checked=(state.task, hover)), [*says], None
+    if zone is not None and gap_m < state.task.zone_clearance_m - _CIRCLE_SLACK_M:
+        turn.warn(f"circling too near to zone {zone.name}")
+    flight.loiter_checked = state.task, hover
+    return True
 
 
-def _lead(state: State, event: Position, context: Context) -> Step:
+def _lead(state: State, path: OnPath, event: Position, turn: Turn) -> None:
     """Advance the reference point and send it; on the way out scan at p_scan."""
-    path = state.flight.path
-    assert path is not None
+    flight, leg, hovers = state.flight, path.leg, state.vehicle.traits.hovers
     if path.circling and following.still_loiters(state, path, event):
-        return _circle(state, event, context)
-    leg, returns = path.leg, state.flight.way is Way.BACK
-    flight = following.advance_reference(state, path, event)
-    path = flight.path
-    assert path is not None
+        return _circle(state, event, turn)
+    returns = flight.way is Way.BACK
+    following.advance_reference(state, path, event)
     if returns and path.leg is not leg:  # onto what was the next stretch
-        flight, path = way_back.with_next(flight, path)
+        way_back.take_next(flight, path)
     if state.now_s - flight.progress_at_s > _STUCK_S:
-        return give_up(state, Reason.NOT_FOLLOWING)
-    says: list[Command] = []
-    if path.outside_m or not following.is_on_path(state, flight, path, event):
-        flight, says, departs = _kept_to_path(state, flight, event)
-        if departs is not None:
-            if returns:
-                return on_departure(state, way_back.stopped(state).flight, departs)
-            return on_departure(replace(state, flight=flight), at_rest(flight, None), departs)
-        path = flight.path
-        assert path is not None
-    flight, commands = following.setpoint(state, flight, path, event, context)
-    commands, state = [*says, *commands], replace(state, flight=flight)
+        return turn.give_up(Reason.NOT_FOLLOWING)
+    is_on_path = following.is_on_path(state, path, event)
+    departs = None if is_on_path else _leaves_path(state, path, event, turn)
+    if departs is not None:
+        return _depart(state, departs, turn)
+    following.send_setpoint(state, path, event, turn)
     stops = path.next_leg is None or path.stop is not None
     if stops and following.is_stopped(state, path):
-        return preceded(commands, _end_of_way(state, path) if returns else _at_its_end(state, path))
-    at_m, task = path.reference.length_m, state.task
-    speed = 0.0 if state.vehicle.traits.hovers else math.hypot(*event.velocity_nea_m_s[:2])
+        return _end_of_way(state, path, turn) if returns else _at_its_end(state, path, turn)
+    at_m, speed = path.reference.length_m, 0.0
+    if not hovers:
+        speed = math.hypot(*event.velocity_nea_m_s[:2])
     looks = flight.search is None and path.stop is None and not returns
-    if looks and path.leg.wants_successor(at_m, task, speed):
-        flight, scan = start_scan(flight, path.leg.subpath.pose(at_m).point_nea_m)
-        return replace(state, flight=flight), [*commands, *scan], None
-    return state, commands, None
+    if looks and path.leg.wants_successor(at_m, state.task, speed):
+        start_scan(state, path.leg.subpath.pose(at_m).point_nea_m, turn)
 
 
-def _kept_to_path(
-    state: State, flight: Flight, event: Position
-) -> tuple[Flight, list[Command], Reason | None]:
+def _leaves_path(state: State, path: OnPath, event: Position, turn: Turn) -> Reason | None:
     """Look whether the vehicle is on its path and follows; a reason: the leg cannot go on."""
     if following.is_not_taken(state):
-        return flight, [], Reason.NOT_TAKEN
-    flight, departs = following.left_path(state, flight, event)
-    path, before = flight.path, state.flight.path
-    assert path is not None
-    if departs is not None or not path.outside_m or (before is not None and before.outside_m):
-        return flight, [], departs
-    text = f"beside its path, {path.outside_m:.2g} m more than its tracking error"
-    return flight, [say(text, "path", warning=path.stop is not None)], None
+        return Reason.NOT_TAKEN
+    was_outside = path.outside_m
+    departs = following.left_path(state, path, event, turn)
+    if departs is None and path.outside_m and not was_outside:
+        text = f"beside its path, {path.outside_m:.2g} m more than its tracking error"
+        turn.say(text, "path", warning=path.stop is not None)
+    return departs
 
 
-def _circle(state: State, event: Position, context: Context) -> Step:
+def _circle(state: State, event: Position, turn: Turn) -> None:
     """Stay on the circle until its tangent points along the path, once in each turn."""
     limits = state.task.limits
     turn_s = 2.0 * math.pi * limits.loiter_radius_m / limits.speed_m_s
     if state.now_s - state.flight.progress_at_s > _TURNS * turn_s + _STUCK_S:
-        return give_up(state, Reason.NOT_FOLLOWING)
-    flight, stay = hold_setpoint(state, event.time_s, context)
-    return replace(state, flight=flight), stay, None
+        return turn.give_up(Reason.NOT_FOLLOWING)
+    send_hold(state, event.time_s, turn)
 
 
-def _at_its_end(state: State, path: OnPath) -> Step:
+def _at_its_end(state: State, path: OnPath, turn: Turn) -> None:
     """At rest at the end of the leg, or at the stop before it."""
     flight, stop = state.flight, path.stop
     if stop is None and path.leg.reaches_target:
-        return state, [], Trigger.TARGET_REACHED
+        return turn.to(Trigger.TARGET_REACHED)
     reason = flight.shortfall if stop is None else stop.reason
-    counts = stop is None or reason is Reason.BESIDE_PATH
-    flight = replace(at_rest_at_end(flight), stops=flight.stops + counts)
-    return fault(replace(state, flight=flight), reason)
+    flight.stops += stop is None or reason is Reason.BESIDE_PATH
+    rest_at_end(flight)
+    return turn.fault(reason)
 
 
-def _end_of_way(state: State, path: OnPath) -> Step:
+def _end_of_way(state: State, path: OnPath, turn: Turn) -> None:
     """At the end of a stretch of the way back, or at a stop before it."""
     if path.stop is not None:
-        return fault(way_back.stopped(state), path.stop.reason)
-    if state.flight.back:
-        went_on = way_back.begun(state)
-        if went_on is None:
-            return on_departure(state, way_back.stopped(state).flight)
-        return replace(state, flight=went_on), [], None
-    return way_back.ended(replace(state, flight=at_rest_at_end(state.flight)), path.leg)
+        way_back.leave_path(state.flight)
+        return turn.fault(path.stop.reason)
+    if not state.flight.back:
+        rest_at_end(state.flight)
+        return way_back.ended(state, path.leg, turn)
+    went_on = way_back.begun(state, state.flight)
+    if went_on is None:
+        return _depart(state, Reason.OFF_PATH, turn)
+    state.flight = went_on
 
 
-def on_departure(state: State, stopped: Flight, reason: Reason = Reason.OFF_PATH) -> Step:
-    """The vehicle is off the proven path: hold, and replan from there, a limited number of times.
-
-    stopped: its flight at rest.
-    """
-    departures, is_near = state.flight.departures, state.task.settings.is_near
-    if departures >= (_DEPARTURES_NEAR if is_near else _DEPARTURES):
-        return give_up(state, Reason.NOT_FOLLOWING if reason is Reason.OFF_PATH else reason)
-    return fault(replace(state, flight=replace(stopped, departures=departures + 1)), reason)
+def _depart(state: State, reason: Reason, turn: Turn) -> None:
+    """The vehicle is off the proven path: hold, and plan anew, a limited number of times."""
+    flight, is_near = state.flight, state.task.settings.is_near
+    if flight.departures >= (_DEPARTURES_NEAR if is_near else _DEPARTURES):
+        return turn.give_up(Reason.NOT_FOLLOWING if reason is Reason.OFF_PATH else reason)
+    flight.departures += 1
+    way_back.leave_path(flight)
+    turn.fault(reason)
 
 
 # --- scans and plans
 
 
-def _on_scan(state: State, event: events.ScanDone, context: Context) -> Step:
+def _on_scan(state: State, event: ScanDone, turn: Turn) -> None:
     """Ask for the next subpath on the map that the scan has completed."""
-    flight, scanning = state.flight, state.flight.search
+    flight, scanning, context = state.flight, state.flight.search, turn.context
     if not isinstance(scanning, Scanning):
-        return state, [], None
-    scanned_from = scanning.from_nea_m
-    says = _scan_warnings(state, event)
+        return
     path = flight.path
     at_rest_here = path is None and not context.shadow
     if at_rest_here and event.is_partial and scanning.again < _MORE_SCANS:
-        flight = replace(flight, progress_at_s=state.now_s)
-        flight, scan = start_scan(flight, scanned_from, scanning.again + 1)
-        return replace(state, flight=flight), [*says, *scan], None
-    flight = replace(flight, search=Answered())
+        _warn_of_scan(state, event, turn)
+        flight.progress_at_s = state.now_s
+        start_scan(state, scanning.from_nea_m, turn, scanning.again + 1)
+        return
+    flight.search = Answered()
     if event.asked and not event.answered and not scanning.again:
         if context.mission.near is not None:
-            return _no_successor(replace(state, flight=flight), Reason.SENSOR_SILENT)
+            return _no_successor(state, Reason.SENSOR_SILENT, turn)
         if path is not None or not flight.failures:
-            return _no_successor(replace(state, flight=flight), Reason.RADAR_SILENT)
-        flight = replace(flight, shortfall=Reason.RADAR_SILENT)  # on what is known already
+            return _no_successor(state, Reason.RADAR_SILENT, turn)
+        flight.shortfall = Reason.RADAR_SILENT  # on what is known already
     elif flight.shortfall is Reason.RADAR_SILENT:
-        flight = replace(flight, shortfall=Reason.NO_PLAN)  # it answers again
-    task, start, rest = state.task, hover_pose(scanned_from), None
+        flight.shortfall = Reason.NO_PLAN  # it answers again
+    _warn_of_scan(state, event, turn)
+    task, start, rest = state.task, hover_pose(scanning.from_nea_m), None
     if path is not None:
         start, rest = path.leg.subpath.pose(path.leg.successor_at_m(task)), path.leg.rest(task)
+    flight.plan_id += 1
     request = PlanRequest(
-        plan_id=flight.plan_id + 1,
+        plan_id=flight.plan_id,
         seed=context.seed,
         task=task_ahead(state, context),
         known=flight.known,
-        scan_nea_m=scanned_from,
+        scan_nea_m=scanning.from_nea_m,
         start=start,
         from_rest=path is None,
         target_ne_m=state.targets_ne_m[flight.target],
@@ -257,86 +241,112 @@ def _on_scan(state: State, event: events.ScanDone, context: Context) -> Step:
         rest=rest,
         attempt=flight.failures,
     )
-    flight = replace(flight, plan_id=request.plan_id, search=Planning(task))
-    plan = events.Plan(request=request, due_s=event.time_s + request.time_s)
-    return replace(state, flight=flight), [*says, plan], None
+    flight.search = Planning(task)
+    turn.do(Plan(request=request, due_s=event.time_s + request.time_s))
 
 
-def _scan_warnings(state: State, event: events.ScanDone) -> list[Command]:
-    """Warnings about a scan that was worse than the mission expects."""
-    says: list[Command] = []
+def _warn_of_scan(state: State, event: ScanDone, turn: Turn) -> None:
+    """Warn of a scan that was worse than the mission expects."""
     if event.answered < event.asked:
-        says.append(warn(f"scan: {event.answered} of {event.asked} blocks answered", "scan"))
+        turn.warn(f"scan: {event.answered} of {event.asked} blocks answered", "scan")
     wanted_m = state.task.settings.scan_range_m
     seen_m = proven_range_m(state.flight.known, event.scan)
     is_first = event.scan.range_m > 0.0 and event.asked and state.flight.plan_id == 0
     if is_first and seen_m < _SHORT_SIGHTED * wanted_m:
-        says.append(warn(f"radar sees {seen_m / 1000:.1f} km of R = {wanted_m / 1000:.1f} km"))
-    return says
+        turn.warn(f"radar sees {seen_m / 1000:.1f} km of R = {wanted_m / 1000:.1f} km")
 
 
-def _on_plan(state: State, event: PlanReady) -> Step:
+def _on_plan(state: State, event: PlanReady, turn: Turn) -> None:
     """Accept the next subpath, or note why there is none."""
     flight, outcome, planning = state.flight, event.outcome, state.flight.search
     if outcome.plan_id != flight.plan_id or not isinstance(planning, Planning):
-        return state, [], None  # the answer to a question that is no longer asked
+        return None  # the answer to a question that is no longer asked
     if planning.rules is not state.task:  # the rules have changed: it is asked for again
-        return state.with_flight(search=None), [], None
-    state = state.with_flight(search=Answered())
+        flight.search = None
+        return
+    flight.search = Answered()
     verified = state.task.settings.profile.verified
     if not isinstance(outcome, Planned) or (verified and not outcome.certificate.proven):
-        says: list[Command] = []
-        state = state.with_flight(refusal=None)
+        was, flight.refusal = flight.refusal, None
         if isinstance(outcome, NotPlanned):
-            state = state.with_flight(refusal=outcome.refusal, broken=outcome.broken)
-            says = _closed(outcome) if outcome.refusal is not flight.refusal else []
+            flight.refusal, flight.broken = outcome.refusal, outcome.broken
+            if outcome.refusal is not was and outcome.place_ne_m is not None:  # proven, and news
+                north, east = (each / 1000.0 for each in outcome.place_ne_m)
+                turn.warn(f"no way: closed {north:.1f} km N, {east:.1f} km E of origin")
         silent = flight.shortfall is Reason.RADAR_SILENT
-        return preceded(
-            says, _no_successor(state, Reason.RADAR_SILENT if silent else Reason.NO_PLAN)
-        )
+        return _no_successor(state, Reason.RADAR_SILENT if silent else Reason.NO_PLAN, turn)
     if (path := flight.path) is not None:
         soonest_m = path.reference.length_m + following.lead_m(state, path.reference)
         if soonest_m > path.leg.successor_at_m(state.task):
-            return _no_successor(state, Reason.PLAN_LATE)
+            return _no_successor(state, Reason.PLAN_LATE, turn)
         if path.stop is not None:
-            return state, [], None  # it was asked for a way that the vehicle no longer goes
-    flight = _accepted(state, outcome)
-    number = flight.legs_flown + (path is not None)
+            return None  # it was asked for a way that the vehicle no longer goes
     margin_m = min(outcome.certificate.clearance_m, outcome.certificate.keep_out_m)
-    text = f"subpath {number}: {margin_m:.0f} m clear, cost {outcome.cost:.2f}"
-    return replace(state, flight=flight), [say(text, "plan")], None
+    number = flight.legs_flown + 1
+    _accept(state, outcome)
+    turn.say(f"subpath {number}: {margin_m:.0f} m clear, cost {outcome.cost:.2f}", "plan")
 
 
-def _closed(outcome: NotPlanned) -> list[Command]:
-    """A text if it is proven that the target cannot be reached."""
-    if outcome.place_ne_m is None:
-        return []
-    north, east = (each / 1000.0 for each in outcome.place_ne_m)
-    return [warn(f"no way: closed {north:.1f} km N, {east:.1f} km E of origin")]
+def _accept(state: State, planned: Planned) -> None:
+    """Fly it next, or at once if there is no leg."""
+    flight, hovers, reaches = state.flight, state.vehicle.traits.hovers, planned.reaches_target
+    leg = Leg.of(planned, flight.legs_flown + 1, state.task)
+    flight.route_ne_m = () if reaches else planned.route_ne_m or flight.route_ne_m
+    flight.progress = NO_PROGRESS if reaches else planned.progress
+    if not flight.homeward:  # else it is why it goes home
+        flight.refusal = None
+    if flight.path is not None:
+        flight.path.next_leg = leg
+        return
+    flight.path = OnPath(leg=leg, circling=not hovers and not planned.is_escape)  # then at once
+    if flight.shortfall is not Reason.RADAR_SILENT or flight.homeward:
+        flight.failures = 0  # blind, about what is known, it could fly for ever
+    flight.search, flight.shortfall = None, Reason.NO_PLAN
+    flight.legs_flown += 1
 
 
-def _hover(state: State, event: Position, context: Context) -> Step:
+def _no_successor(state: State, reason: Reason, turn: Turn) -> None:
+    """Without a successor a leg is flown to its end; without a leg the vehicle holds now."""
+    flight = state.flight
+    flight.shortfall = reason
+    if flight.path is not None:
+        turn.warn(in_words(state, reason))
+        return
+    come_to_rest(flight, flight.hover_nea_m)
+    flight.failures += 1
+    return turn.fault(reason)
+
+
+def start_scan(state: State, centre_nea_m: Vector, turn: Turn, again: int = 0) -> None:
+    """Start a scan around a point."""
+    state.flight.search = Scanning(centre_nea_m, again)
+    turn.do(StartScan(centre_nea_m=centre_nea_m))
+
+
+# --- waiting for a leg
+
+
+def _hover(state: State, event: Position, turn: Turn) -> None:
     """Hold while waiting for a leg: here, or straight above at the take-off height."""
     flight, settings = state.flight, state.task.settings
-    here = flight.hover_nea_m or _waiting_place(state, event, context)
-    if (task := task_ahead(state, context)) is not state.task:  # no lower than the next leg begins
+    here = flight.hover_nea_m or _waiting_place(state, event, turn.context)
+    task = task_ahead(state, turn.context)
+    if task is not state.task:  # no lower than the next leg begins
         here = here[0], here[1], max(here[2], task.band_amsl_m[0])
-    flight = replace(flight, hover_nea_m=here)
+    flight.hover_nea_m = here
     target = state.targets_ne_m[flight.target]
     if math.dist(here[:2], target) < AT_M and not flight.returning:
-        return replace(state, flight=flight), [], Trigger.TARGET_REACHED
-    commands: list[Command] = []
-    if flight.search is None and not _is_there(state, event, here):
-        if abs(event.velocity_nea_m_s[2]) > 0.1:  # on its way up or down
-            flight = replace(flight, progress_at_s=state.now_s)
-    elif flight.search is None:
-        flight, commands = start_scan(replace(flight, progress_at_s=state.now_s), here)
-    flight, stay = hold_setpoint(replace(state, flight=flight), event.time_s, context)
-    state = replace(state, flight=flight)
+        return turn.to(Trigger.TARGET_REACHED)
+    looks = flight.search is None and _is_there(state, event, here)
+    moves = flight.search is None and abs(event.velocity_nea_m_s[2]) > 0.1  # on its way up or down
+    if looks or moves:
+        flight.progress_at_s = state.now_s
     waited_s = state.now_s - flight.progress_at_s
     if waited_s > settings.scan_time_s + settings.planning_time_s + _ANSWER_SLACK_S:
-        return _no_successor(state, Reason.PLAN_LATE)
-    return state, [*stay, *commands], None
+        return _no_successor(state, Reason.PLAN_LATE, turn)
+    send_hold(state, event.time_s, turn)
+    if looks:
+        start_scan(state, here, turn)
 
 
 def _waiting_place(state: State, event: Position, context: Context) -> Vector:
@@ -374,41 +384,62 @@ def _is_there(state: State, event: Position, here: Vector) -> bool:
     return near and level and abs(here[2] - event.position_nea_m[2]) <= error_m
 
 
-def _accepted(state: State, planned: Planned) -> Flight:
-    flight, hovers = state.flight, state.vehicle.traits.hovers
-    leg = Leg.of(planned, flight.legs_flown + 1, state.task)
-    flight = replace(
-        flight,
-        route_ne_m=() if planned.reaches_target else planned.route_ne_m or flight.route_ne_m,
-        progress=NO_PROGRESS if planned.reaches_target else planned.progress,
-        refusal=flight.refusal if flight.homeward else None,  # why it goes home
-    )
-    if flight.path is not None:
-        return replace(flight, path=replace(flight.path, next_leg=leg))
-    blind = flight.shortfall is Reason.RADAR_SILENT and not flight.homeward
-    return replace(
-        flight,
-        path=OnPath(leg=leg, circling=not hovers and not planned.is_escape),  # then at once
-        search=None,
-        failures=flight.failures if blind else 0,  # about what is known it could fly for ever
-        shortfall=Reason.NO_PLAN,
-        legs_flown=flight.legs_flown + 1,
-    )
+# --- the phase `shadow`: plan for the vehicle and report, never command
+#
+# A leg is planned from where the vehicle is, as if it were to fly it; as long as it does, the
+# successors follow as in flight.  When it does not, the next leg begins where it went.
 
 
-def _no_successor(state: State, reason: Reason) -> Step:
-    """Without a successor a leg is flown to its end; without a leg the vehicle holds now."""
-    flight = replace(state.flight, shortfall=reason)
-    if flight.path is not None:
-        state = replace(state, flight=flight)
-        return state, [warn(in_words(state, reason))], None
-    flight = replace(at_rest(flight, flight.hover_nea_m), failures=flight.failures + 1)
-    return fault(replace(state, flight=flight), reason)
+def shadow(state: State, event: Event, turn: Turn) -> None:
+    """What would be done now."""
+    flight, reason = state.flight, state.vehicle.distrust
+    if reason is None and state.now_s - state.vehicle.bad_at_s < TRUST_S:
+        reason = state.reason  # good again, but not for long enough to go on
+    if reason is not state.reason:
+        state.reason = reason
+        come_to_rest(flight)
+        if reason is None:
+            turn.say("shadow: would go on")
+        else:
+            turn.warn(f"shadow: would hold: {in_words(state, reason)}")
+    elif reason is not None or state.vehicle.landed is Landed.ON_GROUND or not state.targets_ne_m:
+        pass
+    elif isinstance(event, Position):
+        _watch(state, event, turn)
+    else:
+        on_answer(state, event, turn)
 
 
-def start_scan(
-    flight: Flight, centre_nea_m: Vector, again: int = 0
-) -> tuple[Flight, list[Command]]:
-    """Start a scan around a point."""
-    flight = replace(flight, search=Scanning(centre_nea_m, again))
-    return flight, [events.StartScan(centre_nea_m=centre_nea_m)]
+def _watch(state: State, event: Position, turn: Turn) -> None:
+    """Follow the vehicle along the leg that was planned, or plan one from where it is."""
+    flight, here, path = state.flight, event.position_nea_m, state.flight.path
+    tracking_error_m = state.task.limits.tracking_error_m
+    if math.dist(here[:2], state.targets_ne_m[flight.target]) < max(_ARRIVED_M, tracking_error_m):
+        come_to_rest(flight)
+        if flight.target + 1 < len(state.targets_ne_m):
+            flight.target += 1
+            turn.say("shadow: target reached")
+    elif path is not None:
+        off_m, at_m = following.nearest(path.leg, here)
+        if off_m > 3.0 * tracking_error_m:
+            turn.say(f"shadow: the vehicle is {off_m:.0f} m off the path")
+            come_to_rest(flight)
+        else:
+            _watch_leg(state, path, at_m, turn)
+    elif flight.search is None or state.now_s - flight.progress_at_s >= _SAY_AGAIN_S:
+        flight.progress_at_s = state.now_s  # every few seconds until there is a leg
+        start_scan(state, here, turn)
+
+
+def _watch_leg(state: State, path: OnPath, at_m: float, turn: Turn) -> None:
+    """The vehicle is on the leg: scan at p_scan, go over at p_prog."""
+    task, leg = state.task, path.leg
+    length_m = max(path.reference.length_m, at_m)
+    speed_m_s = math.hypot(*state.vehicle.velocity_nea_m_s)
+    path.reference = Reference(length_m=length_m, speed_m_s=speed_m_s)
+    if path.next_leg is not None and length_m >= leg.successor_at_m(task):
+        following.switch_to_next_leg(state.flight, path, task)
+    elif leg.subpath.length_m - length_m < 1.0:
+        come_to_rest(state.flight)
+    elif state.flight.search is None and leg.wants_successor(length_m, task):
+        start_scan(state, leg.subpath.pose(length_m).point_nea_m, turn)

@@ -5,13 +5,13 @@ for the vehicle.  Planes are sent a point ahead of their position on the path.
 """
 
 import math
+from copy import copy
 
 import numpy as np
-from msgspec.structs import replace
 
-from companion.mission.decisions import Context, Step
-from companion.mission.events import Command, Position, Setpoint, Vector
-from companion.mission.state import Answered, Flight, OnPath, Reason, State, Stop, Trigger
+from companion.mission.decisions import Turn
+from companion.mission.events import Position, Setpoint, Vector
+from companion.mission.state import Answered, Flight, OnPath, Reason, State, Stop
 from companion.path.envelope import ending_m_s, slowing_m
 from companion.planner import join
 from companion.planner.loiter_search import Motion, loiter_point
@@ -66,7 +66,7 @@ def lead_m(state: State, reference: Reference) -> float:
     return min(lead_m, _LONGEST_LEAD * state.task.envelope.lead_m)
 
 
-def advance_reference(state: State, path: OnPath, event: Position) -> Flight:
+def advance_reference(state: State, path: OnPath, event: Position) -> None:
     """Advance the reference point by one position; at p_prog switch to the next leg."""
     flight, vehicle, leg, before = state.flight, state.vehicle, path.leg, path.reference
     here = np.asarray(event.position_nea_m)
@@ -83,7 +83,7 @@ def advance_reference(state: State, path: OnPath, event: Position) -> Flight:
             room_m = max(leaves_at_m - before.length_m, 0.0)
             pace_m_s = math.sqrt(pace_m_s**2 + 2.0 * motion.gaining_m_s2 * room_m)
             slows_to_m_s = min(slows_to_m_s, pace_m_s)
-        reference = advance(
+        path.reference = advance(
             before,
             leg,
             vehicle.position_step_s,
@@ -94,27 +94,25 @@ def advance_reference(state: State, path: OnPath, event: Position) -> Flight:
             slows_to_m_s=slows_to_m_s,
         )
     else:
-        reference = follow(before, leg, here, task.limits)
-    sets_out = reference.length_m > before.length_m or path.circling
-    offset = path.offset
-    if offset is not None:
-        offset = join.step(offset, vehicle.position_step_s, task.limits)
-    path = replace(path, reference=reference, circling=False, offset=offset)
-    progress_at_s = state.now_s if sets_out else flight.progress_at_s
-    if path.next_leg is None or reference.length_m < leaves_at_m - _ROUNDING_M:
-        return replace(flight, path=path, progress_at_s=progress_at_s)
-    return switched_to_next_leg(replace(flight, progress_at_s=progress_at_s), path, task)[0]
+        path.reference = follow(before, leg, here, task.limits)
+    if path.reference.length_m > before.length_m or path.circling:
+        flight.progress_at_s = state.now_s
+    path.circling = False
+    if path.offset is not None:
+        path.offset = join.step(path.offset, vehicle.position_step_s, task.limits)
+    if path.next_leg is not None and path.reference.length_m >= leaves_at_m - _ROUNDING_M:
+        switch_to_next_leg(flight, path, task)
 
 
-def is_on_path(state: State, flight: Flight, path: OnPath, event: Position) -> bool:
+def is_on_path(state: State, path: OnPath, event: Position) -> bool:
     """Whether it follows, and nothing of `outside_m` can be the case: what is looked at first.
 
     The path leaves its tangent at the reference point by along^2 / 2 R at most where it bends no
     more than the turn radius R; twice that is allowed for, as it may bend up and down as well.
     """
     vehicle, leg = state.vehicle, path.leg
-    echoes = vehicle.echo_nea_m is None or state.now_s - flight.echoed_at_s <= _NOT_TAKEN_S
-    if not (echoes and vehicle.traits.hovers):
+    echoes = vehicle.echo_nea_m is None or state.now_s - state.flight.echoed_at_s <= _NOT_TAKEN_S
+    if path.outside_m or not (echoes and vehicle.traits.hovers):
         return False
     pose, (north, east, up) = leg.subpath.pose(path.reference.length_m), event.position_nea_m
     off = np.array((north, east, up)) - pose.position_nea_m
@@ -150,7 +148,7 @@ def outside_m(state: State, path: OnPath, event: Position) -> tuple[float, float
     return max(across_m, 0.0), max(before_m, 0.0), max(far_m, 0.0)
 
 
-def left_path(state: State, flight: Flight, event: Position) -> tuple[Flight, Reason | None]:
+def left_path(state: State, path: OnPath, event: Position, turn: Turn) -> Reason | None:
     """What follows if the vehicle has left its path: a note, a stop on the path, or a hold.
 
     Outside of the tube it keeps less than the safety distance.  A copter is stopped on its path,
@@ -159,29 +157,25 @@ def left_path(state: State, flight: Flight, event: Position) -> tuple[Flight, Re
     to hold at once, as it is farther outside than the safety distance allows for, does not come
     back, or is a plane.
     """
-    path, now_s = flight.path, state.now_s
-    assert path is not None
-    task = state.task.at_speed(path.leg.speed_m_s)
+    now_s, task = state.now_s, state.task.at_speed(path.leg.speed_m_s)
     limits, motion = task.limits, task.envelope
     across_m, before_m, far_m = outside_m(state, path, event)
     outside = max(across_m, before_m, far_m)
     if outside == 0.0:
-        path = replace(path, outside_since_s=math.inf, outside_m=0.0)
-        return replace(flight, path=path), None
+        path.outside_since_s, path.outside_m = math.inf, 0.0
+        return None
     if math.isinf(path.outside_since_s):
-        path = replace(path, outside_since_s=now_s, outside_m=outside)
-        flight = replace(flight, path=path)
+        path.outside_since_s, path.outside_m = now_s, outside
     most_m = min(_FARTHEST * motion.tube_m, 0.5 * state.task.settings.safety_distance_m)
     stops_s = limits.speed_m_s / limits.acceleration_m_s2
     is_away = across_m > 0.0 and now_s > path.outside_since_s + stops_s + _BACK_S
     if not limits.hovers or across_m > most_m or far_m > 0.0 or is_away:
-        return flight, Reason.OFF_PATH
+        return Reason.OFF_PATH
     left_m = path.leg.subpath.length_m - path.reference.length_m
     ends = path.next_leg is None and left_m <= slowing_m(motion, motion.speed_m_s)
     if across_m > 0.0 and path.stop is None and not ends:
-        stopped, _, _ = stop(replace(state, flight=flight), Reason.BESIDE_PATH)
-        flight = stopped.flight
-    return flight, None
+        stop(state, Reason.BESIDE_PATH, turn)
+    return None
 
 
 def is_not_taken(state: State) -> bool:
@@ -197,18 +191,15 @@ def still_loiters(state: State, path: OnPath, event: Position) -> bool:
     return not may_leave(path.leg, at_m, event.position_nea_m, event.velocity_nea_m_s, limits)
 
 
-def with_echo(state: State) -> Flight:
-    """The flight after a target report: when it last agreed with the setpoints, or was absent."""
-    flight, echo = state.flight, state.vehicle.echo_nea_m
-    if flight.sent is None or echo is None:
-        return replace(flight, echoed_at_s=state.now_s)
-    limits = state.task.limits
+def take_echo(state: State) -> None:
+    """After a target report: note when it last agreed with the setpoints, or was absent."""
+    flight, echo, limits = state.flight, state.vehicle.echo_nea_m, state.task.limits
     allowed_m = max(1.5 * limits.speed_m_s, 2.0 * limits.tracking_error_m)
     if not limits.hovers:
         allowed_m += 2.0 * limits.loiter_radius_m
-    if math.dist(echo[:2], flight.sent.position_nea_m[:2]) <= allowed_m:
-        return replace(flight, echoed_at_s=state.now_s)
-    return flight
+    sent = None if flight.sent is None else flight.sent.position_nea_m
+    if sent is None or echo is None or math.dist(echo[:2], sent[:2]) <= allowed_m:
+        flight.echoed_at_s = state.now_s
 
 
 def is_stopped(state: State, path: OnPath) -> bool:
@@ -229,13 +220,12 @@ def is_stopped(state: State, path: OnPath) -> bool:
     return left_m < _AT_END * state.task.limits.loiter_radius_m
 
 
-def setpoint(
-    state: State, flight: Flight, path: OnPath, event: Position, context: Context
-) -> tuple[Flight, list[Command]]:
-    """The setpoint for the reference point, if one is due."""
-    if not is_due(state):
-        return flight, []
+def send_setpoint(state: State, path: OnPath, event: Position, turn: Turn) -> None:
+    """Send the setpoint for the reference point, if one is due."""
     leg, reference, next_leg, traits = path.leg, path.reference, path.next_leg, state.vehicle.traits
+    least_s = traits.setpoint_period_s - 0.5 * state.vehicle.position_step_s
+    if state.now_s - state.flight.sent_at_s <= least_s:
+        return
     ahead_m = lead_m(state, reference)
     if traits.hovers and path.stop is not None:
         next_leg, end_m = None, min(leg.subpath.length_m, path.stop.at_m)
@@ -260,7 +250,7 @@ def setpoint(
         aside, drift = offset.position_nea_m.tolist(), offset.velocity_nea_m_s.tolist()
         north_m, east_m, altitude_m = north_m + aside[0], east_m + aside[1], altitude_m + aside[2]
         velocity = velocity[0] + drift[0], velocity[1] + drift[1], velocity[2] + drift[2]
-    yaw = context.mission.yaw_rad
+    yaw = turn.context.mission.yaw_rad
     sent = Setpoint(
         time_s=event.time_s,
         position_nea_m=(north_m, east_m, altitude_m),
@@ -268,14 +258,8 @@ def setpoint(
         yaw_rad=math.atan2(ahead_e, ahead_n) if yaw is None else yaw,
         stay=stays,
     )
-    return replace(flight, sent=sent, sent_at_s=state.now_s), [sent]
-
-
-def is_due(state: State) -> bool:
-    """Whether it is time for another setpoint."""
-    vehicle = state.vehicle
-    least_s = vehicle.traits.setpoint_period_s - 0.5 * vehicle.position_step_s
-    return state.now_s - state.flight.sent_at_s > least_s
+    state.flight.sent, state.flight.sent_at_s = sent, state.now_s
+    turn.commands.append(sent)
 
 
 def vehicle_at_m(state: State, path: OnPath) -> float:
@@ -293,12 +277,12 @@ def vehicle_at_m(state: State, path: OnPath) -> float:
     return max(at_m - max(behind_m, 0.0), 0.0)
 
 
-def stop(state: State, reason: Reason) -> Step:
+def stop(state: State, reason: Reason, turn: Turn) -> None:
     """Stop on the path as soon as the vehicle can, and hold there."""
     flight, path = state.flight, state.flight.path
     if path is None:
-        flight = at_rest(flight, flight.hover_nea_m or state.vehicle.position_nea_m)
-        return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
+        come_to_rest(flight, flight.hover_nea_m or state.vehicle.position_nea_m)
+        return turn.fault(reason)
     leg, reference = path.leg, path.reference
     if not state.vehicle.traits.hovers:
         ahead_m = lead_m(state, reference)
@@ -307,67 +291,62 @@ def stop(state: State, reason: Reason) -> Step:
             here = state.vehicle.position_nea_m or point
             motion = Motion(here, state.vehicle.velocity_nea_m_s)
             point = loiter_point(flight.known, state.task, motion, point) or point
-        flight = at_rest(requeue_backtrack(flight, leg, path.next_leg), point)
-        return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
+        requeue_backtrack(flight, leg, path.next_leg)
+        come_to_rest(flight, point)
+        return turn.fault(reason)
     brakes_m = 0.5 * reference.speed_m_s**2 / state.task.limits.acceleration_m_s2
     stop_at_m = max(vehicle_at_m(state, path) + brakes_m, reference.length_m)
     stop_at_m = min(stop_at_m, leg.subpath.length_m)
     if path.stop is not None:
         stop_at_m = min(stop_at_m, path.stop.at_m)
-    flight = requeue_backtrack(flight, path.next_leg)
-    path = replace(path, stop=Stop(stop_at_m, reason), next_leg=None)
-    return replace(state, flight=replace(flight, path=path, search=Answered())), [], None
+    requeue_backtrack(flight, path.next_leg)
+    path.stop, path.next_leg, flight.search = Stop(stop_at_m, reason), None, Answered()
 
 
-def requeue_backtrack(flight: Flight, *legs: Leg | None) -> Flight:
-    """The flight with these legs put back before the rest of its backtrack, if it is on one."""
-    ahead = (leg for leg in legs if leg is not None)
-    return replace(flight, back=(*ahead, *flight.back)) if flight.returning else flight
+def requeue_backtrack(flight: Flight, *legs: Leg | None) -> None:
+    """Put these legs back before the rest of the backtrack, if it is on one."""
+    if flight.returning:
+        flight.back = (*(leg for leg in legs if leg is not None), *flight.back)
 
 
-def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:
-    """The flight without a leg: the next one begins where the vehicle stops."""
-    return replace(
-        flight,
-        path=None,
-        flown=flown_segments(flight, flight.reference.length_m),
-        hover_nea_m=hover_nea_m,
-        search=None,
-        planning_backtrack=None,
-    )
+def come_to_rest(flight: Flight, hover_nea_m: Vector | None = None) -> None:
+    """Without a leg: the next one begins where the vehicle stops.
+
+    Without a place it is chosen again: it may have been held too low.
+    """
+    flight.flown = flown_segments(flight, flight.reference.length_m)
+    flight.path = flight.search = flight.planning_backtrack = None
+    flight.hover_nea_m = hover_nea_m
 
 
-def held_here(state: State, hover_nea_m: Vector | None = None) -> State:
-    """The state at rest; without a place it is chosen again: it may have been held too low."""
-    return replace(state, flight=at_rest(state.flight, hover_nea_m))
-
-
-def at_rest_at_end(flight: Flight) -> Flight:
-    """The flight at rest at the end of its leg, at its stop, or at its hover."""
+def rest_at_end(flight: Flight) -> None:
+    """At rest at the end of its leg, at its stop, or at its hover."""
     path = flight.path
-    if path is None:
-        return at_rest(flight, flight.hover_nea_m)
+    come_to_rest(flight, flight.hover_nea_m if path is None else end_of(path))
+
+
+def end_of(path: OnPath) -> Vector:
+    """The end of a leg, or the stop before it."""
     end_m = path.leg.subpath.length_m if path.stop is None else path.stop.at_m
-    return at_rest(flight, path.leg.subpath.pose(end_m).point_nea_m)
+    return path.leg.subpath.pose(end_m).point_nea_m
 
 
-def hold_setpoint(state: State, time_s: float, context: Context) -> tuple[Flight, list[Command]]:
+def send_hold(state: State, time_s: float, turn: Turn) -> None:
     """Hold position: a setpoint with an explicit velocity of zero."""
-    flight = state.flight
-    here = flight.hover_nea_m
-    if here is None or not is_due(state):
-        return flight, []
-    yaw = context.mission.yaw_rad
-    if yaw is None:
-        yaw = _towards_target_rad(state, here)
-    stay = Setpoint(
+    flight, vehicle, yaw = state.flight, state.vehicle, turn.context.mission.yaw_rad
+    here, least_s = flight.hover_nea_m, vehicle.traits.setpoint_period_s
+    least_s -= 0.5 * vehicle.position_step_s
+    if here is None or state.now_s - flight.sent_at_s <= least_s:
+        return
+    sent = Setpoint(
         time_s=time_s,
         position_nea_m=_on_the_way(state, here),
         velocity_nea_m_s=(0.0, 0.0, 0.0),
-        yaw_rad=yaw,
+        yaw_rad=_towards_target_rad(state, here) if yaw is None else yaw,
         stay=True,
     )
-    return replace(flight, sent=stay, sent_at_s=state.now_s), [stay]
+    flight.sent, flight.sent_at_s = sent, state.now_s
+    turn.commands.append(sent)
 
 
 def _towards_target_rad(state: State, here_nea_m: Vector) -> float:
@@ -397,19 +376,20 @@ def _on_the_way(state: State, here_nea_m: Vector) -> Vector:
 
 
 def joined(state: State, path: OnPath | None) -> Flight | None:
-    """The flight led along this path, or on its next leg, from the current setpoint on.
+    """Another flight, led along this path, or on its next leg, from the current setpoint on.
 
     None if that is farther from the path than was proven.
     """
-    vehicle, flight, led_so = state.vehicle, state.flight, _led(state)
+    vehicle, flight, led_so = state.vehicle, copy(state.flight), _led(state)
     if led_so is None or path is None:
         return None
     led, velocity = led_so
+    flight.path = path = copy(path)
     off_m, at_m = nearest(path.leg, led)
     if path.next_leg is not None:
         next_off_m, next_at_m = nearest(path.next_leg, led)
         if next_off_m < off_m - 1e-6:
-            flight, path = switched_to_next_leg(flight, path, state.task)
+            switch_to_next_leg(flight, path, state.task)
             off_m, at_m = next_off_m, next_at_m
     limits = state.task.at_speed(path.leg.speed_m_s).limits
     if off_m > limits.tracking_error_m + _ON_CIRCLE * limits.loiter_radius_m:
@@ -420,50 +400,27 @@ def joined(state: State, path: OnPath | None) -> Flight | None:
     if hovers and path.next_leg is None:  # what it cannot brake from is offset
         left_m = path.leg.subpath.length_m - at_m
         speed = min(speed, ending_m_s(path.leg.motion(state.task), left_m))
-    circling, offset = not hovers and off_m > limits.tracking_error_m, path.offset
+    path.circling = not hovers and off_m > limits.tracking_error_m
     if hovers:
-        offset = join.begin(np.asarray(led), np.asarray(velocity), pose, speed)
-    flown = flown_segments(replace(flight, path=path), at_m)
-    path = replace(
-        path,
-        reference=Reference(length_m=at_m, speed_m_s=speed),
-        circling=circling,
-        joined_m=at_m,
-        offset=offset,
-    )
-    return replace(
-        flight,
-        path=path,
-        flown=flown,
-        progress_at_s=state.now_s,
-        hover_nea_m=pose.point_nea_m if circling else None,
-        search=None if path.next_leg is None else Answered(),
-    )
+        path.offset = join.begin(np.asarray(led), np.asarray(velocity), pose, speed)
+    flight.flown = flown_segments(flight, at_m)
+    path.reference, path.joined_m = Reference(length_m=at_m, speed_m_s=speed), at_m
+    flight.progress_at_s = state.now_s
+    flight.hover_nea_m = pose.point_nea_m if path.circling else None
+    flight.search = None if path.next_leg is None else Answered()
+    return flight
 
 
-def switched_to_next_leg(flight: Flight, path: OnPath, task: Task) -> tuple[Flight, OnPath]:
+def switch_to_next_leg(flight: Flight, path: OnPath, task: Task) -> None:
     """On to the next leg: the reference point has reached p_prog of this one."""
-    over_at_m, reference = path.leg.successor_at_m(task), path.reference
     assert path.next_leg is not None
-    onto = replace(
-        path,
-        leg=path.next_leg,
-        next_leg=None,
-        reference=Reference(
-            length_m=max(reference.length_m - over_at_m, 0.0), speed_m_s=reference.speed_m_s
-        ),
-        joined_m=0.0,
-    )
-    flight = replace(
-        flight,
-        path=onto,
-        search=None,
-        troubles=0,
-        shortfall=Reason.NO_PLAN,
-        legs_flown=flight.legs_flown + 1,
-        flown=flown_segments(replace(flight, path=path), over_at_m),
-    )
-    return flight, onto
+    over_at_m, reference = path.leg.successor_at_m(task), path.reference
+    flight.flown = flown_segments(flight, over_at_m)
+    path.leg, path.next_leg, path.joined_m = path.next_leg, None, 0.0
+    length_m = max(reference.length_m - over_at_m, 0.0)
+    path.reference = Reference(length_m=length_m, speed_m_s=reference.speed_m_s)
+    flight.search, flight.troubles, flight.shortfall = None, 0, Reason.NO_PLAN
+    flight.legs_flown += 1
 
 
 def flown_segments(flight: Flight, until_m: float) -> tuple[FlownSegment, ...]:
@@ -477,16 +434,6 @@ def flown_segments(flight: Flight, until_m: float) -> tuple[FlownSegment, ...]:
         until_m=until_m,
         speed_m_s=path.leg.speed_m_s,
     )
-
-
-def along_leg(state: State) -> Flight:
-    """The flight with its reference where the leg is nearest to the vehicle: it has come so far."""
-    flight, path, here = state.flight, state.flight.path, state.vehicle.position_nea_m
-    if path is None or here is None:
-        return flight
-    _, at_m = nearest(path.leg, here)
-    reference = Reference(length_m=max(at_m, path.joined_m))
-    return replace(flight, path=replace(path, reference=reference))
 
 
 def _led(state: State) -> tuple[Vector, Vector] | None:

@@ -6,7 +6,6 @@ Each wait has an end, but for that of a vehicle that is ready: somebody has to s
 import math
 
 import numpy as np
-from msgspec.structs import replace
 
 from companion.geodesy import FloatArray
 from companion.mission import events, following, way_back
@@ -15,23 +14,15 @@ from companion.mission.decisions import (
     AT_M,
     LANDING_ABORTED,
     Context,
-    Step,
-    ask,
-    fault,
-    give_up,
-    has_had_control,
-    in_phase_s,
+    Turn,
     is_at_rest,
-    is_duplicate_suspected,
-    is_grounded,
-    is_second_companion,
-    is_silent,
     landing_order,
 )
-from companion.mission.events import Event, Item, Landed, LinkLost, Mode, Position, Vector, warn
+from companion.mission.events import Event, Item, Landed, LinkLost, Mode, Position, Vector
 from companion.mission.state import Orders, Phase, Reason, State, Trigger
 from companion.mission.tables import takeover_reason
 from companion.mission.vehicle_traits import TakeoffSequence
+from companion.planner.procedure import Reference
 from companion.world.zones import gaps_m as zone_gaps_m
 from companion.world.zones import packed
 
@@ -48,87 +39,92 @@ _LEAST_M = 1.0  # as near as an altitude is told, of a take-off that hardly clim
 _LEVEL_M_S = 1.0
 
 
-def waiting(state: State, event: Event, _context: Context) -> Step:
+def waiting(_state: State, event: Event, turn: Turn) -> None:
     """Wait for a matching autopilot; the runtime decides how long."""
     if isinstance(event, events.VehicleFound):
         if event.traits is None:
-            return give_up(state, Reason.WRONG_VEHICLE, f": {event.name}")
-        return state, [], Trigger.VEHICLE_FOUND
-    return state, [], None
+            turn.give_up(Reason.WRONG_VEHICLE, f": {event.name}")
+        else:
+            turn.to(Trigger.VEHICLE_FOUND)
 
 
-def preparing(state: State, event: Event, context: Context) -> Step:
+def preparing(state: State, event: Event, turn: Turn) -> None:
     """Wait for a valid position, home, parameters and fence, on the ground or in flight.
 
     After a restart in the air, preparations of the previous companion are not repeated.
     """
-    vehicle = state.vehicle
-    if context.shadow:
-        return _to_watch(state)
-    if isinstance(event, events.Prepared) and event.refusal:
-        if _is_flying(state):
-            return state, [warn(event.refusal)], None
-        if state.unready:
-            return _unready(_without(state, event.item), event.refusal)
-        return give_up(state, Reason.REFUSED, f": {event.refusal}", event.remedy)
+    vehicle, context = state.vehicle, turn.context
+    asked_for = state.prepared.issuperset(_ASKED_FOR)
+    if not context.shadow and isinstance(event, events.Prepared) and event.refusal:
+        return _refuses(state, event, turn)
     if state.unready and vehicle.armed:
-        return give_up(state, Reason.ARMED_ALREADY)  # it is not taken over in the air unasked
-    if in_phase_s(state) > _PREPARE_S and not state.unready:
+        return turn.give_up(Reason.ARMED_ALREADY)  # it is not taken over in the air unasked
+    if state.in_phase_s > _PREPARE_S and not state.unready:
         missing = _missing(state)
-        return give_up(state, Reason.NOT_READY, missing and f": {missing}")
-    if is_silent(state):
-        return state, [], None
-    if is_second_companion(state):
-        return give_up(state, Reason.NOT_ALONE)
-    if not has_had_control(state) and _may_not_be_alone(state):
-        return state, [], None
+        return turn.give_up(Reason.NOT_READY, missing and f": {missing}")
+    if state.is_silent:
+        return
+    if context.shadow:
+        if vehicle.distrust is None:
+            turn.to(Trigger.WATCH)
+        return
+    if state.is_second_companion:
+        return turn.give_up(Reason.NOT_ALONE)
+    if not state.has_had_control and _may_not_be_alone(state):
+        return
     if state.landing:
-        return _landing_goes_on(state)
+        return _landing_goes_on(state, turn)
     if vehicle.distrust is not None:
         unled = _is_flying(state) and vehicle.mode is Mode.GUIDED
-        if unled and in_phase_s(state) > _UNLED_S:
-            return ask(state, events.SetMode(mode=Mode.HOLD))
-        return state, [], None
+        if unled and state.in_phase_s > _UNLED_S:
+            turn.ask(events.SetMode(mode=Mode.HOLD))
+    elif _is_flying(state):
+        _in_flight(state, turn)
+    elif vehicle.landed is Landed.ON_GROUND and vehicle.home_nea_m is not None and asked_for:
+        _on_ground(state, turn)
+
+
+def _refuses(state: State, event: events.Prepared, turn: Turn) -> None:
+    """The vehicle must not fly as it is set up."""
     if _is_flying(state):
-        return _in_flight(state)
-    ready = state.prepared.issuperset(_ASKED_FOR) and vehicle.home_nea_m is not None
-    if vehicle.landed is not Landed.ON_GROUND or not ready:
-        return state, [], None
+        turn.warn(event.refusal)
+    elif state.unready:
+        state.prepared -= {event.item}
+        _unready(state, event.refusal, turn)
+    else:
+        turn.give_up(Reason.REFUSED, f": {event.refusal}", event.remedy)
+
+
+def _on_ground(state: State, turn: Turn) -> None:
+    """All that was asked of it is there: it may go, or waits for that."""
     if state.airborne:
-        return give_up(state, Reason.GROUNDED)
-    reason = _refused(state, context)
+        return turn.give_up(Reason.GROUNDED)
+    reason, go = _refused(state, turn.context), turn.context.go
     if reason is not None and state.unready:
-        return _unready(state, reason.text)
+        return _unready(state, reason.text, turn)
     if reason is not None:
-        return give_up(state, reason)
+        return turn.give_up(reason)
     if Item.CHECKS not in state.prepared:
-        return state, [], None
-    if vehicle.armed and not context.go:  # by us, before a restart: nobody has said go since
-        if not is_grounded(state):  # it is disarmed once that is certain
-            return state, [], None
-        return give_up(state, Reason.NOT_READY, ": armed before a restart, and no go since")
-    return state, [], Trigger.GO if context.go else Trigger.READY
+        return
+    if go or not state.vehicle.armed:
+        turn.to(Trigger.GO if go else Trigger.READY)
+    elif state.is_grounded:  # armed by us before a restart: it is disarmed once that is certain
+        turn.give_up(Reason.NOT_READY, ": armed before a restart, and no go since")
 
 
-def _to_watch(state: State) -> Step:
-    """Wait for a valid position of a vehicle that is only watched."""
-    if in_phase_s(state) > _PREPARE_S:
-        missing = _missing(state)
-        return give_up(state, Reason.NOT_READY, missing and f": {missing}")
-    waits = is_silent(state) or state.vehicle.distrust is not None
-    return state, [], None if waits else Trigger.WATCH
-
-
-def ready(state: State, event: Event, context: Context) -> Step:
+def ready(state: State, event: Event, turn: Turn) -> None:
     """Wait for somebody to say go, for as long as it takes; the checks have to go on passing."""
-    if is_second_companion(state):
-        return give_up(state, Reason.NOT_ALONE)
-    if state.vehicle.armed:
-        return give_up(state, Reason.ARMED_ALREADY)
-    if isinstance(event, events.Prepared) and event.refusal:
-        return _unready(_without(state, event.item), event.refusal)
-    why = Reason.LINK_LOST.text if isinstance(event, LinkLost) else _why_unready(state, context)
-    return _unready(state, why) if why else (state, [], None)
+    if state.is_second_companion:
+        turn.give_up(Reason.NOT_ALONE)
+    elif state.vehicle.armed:
+        turn.give_up(Reason.ARMED_ALREADY)
+    elif isinstance(event, events.Prepared) and event.refusal:
+        state.prepared -= {event.item}
+        _unready(state, event.refusal, turn)
+    elif isinstance(event, LinkLost):
+        _unready(state, Reason.LINK_LOST.text, turn)
+    elif why := _why_unready(state, turn.context):
+        _unready(state, why, turn)
 
 
 def why_no_go(state: State) -> str:
@@ -141,7 +137,7 @@ def why_no_go(state: State) -> str:
 
 def _why_unready(state: State, context: Context) -> str:
     """What is missing for the flight by now; empty: nothing."""
-    if is_silent(state):
+    if state.is_silent:
         return Reason.LINK_LOST.text
     if missing := _missing(state):
         return missing
@@ -151,19 +147,15 @@ def _why_unready(state: State, context: Context) -> str:
     return "" if reason is None else reason.text
 
 
-def _unready(state: State, why: str) -> Step:
+def _unready(state: State, why: str, turn: Turn) -> None:
     """Say so, once; it prepares on, or again: what was checked is checked again."""
     if state.phase is Phase.READY:
-        says = warn(f"not ready any more: {why}", "phase")
-        return replace(_without(state, Item.CHECKS), unready=why), [says], Trigger.UNREADY
-    if why == state.unready:
-        return state, [], None
-    return replace(state, unready=why), [warn(f"not ready: {why}", "phase")], None
-
-
-def _without(state: State, item: Item) -> State:
-    """The state with one more thing to prepare (again)."""
-    return replace(state, prepared=state.prepared - {item})
+        turn.warn(f"not ready any more: {why}", "phase")
+        state.prepared -= {Item.CHECKS}
+        turn.to(Trigger.UNREADY)
+    elif why != state.unready:
+        turn.warn(f"not ready: {why}", "phase")
+    state.unready = why
 
 
 def _may_not_be_alone(state: State) -> bool:
@@ -173,36 +165,35 @@ def _may_not_be_alone(state: State) -> bool:
     quick, and yields if it hears another one later (`is_second_companion`).
     """
     takes_over = _is_flying(state) and state.flight.path is None
-    return is_duplicate_suspected(state) or (takes_over and in_phase_s(state) < _LISTEN_S)
+    return state.is_duplicate_suspected or (takes_over and state.in_phase_s < _LISTEN_S)
 
 
-def on_duplicate_id(state: State, event: events.DuplicateId, context: Context) -> Step:
+def on_duplicate_id(state: State, event: events.DuplicateId, turn: Turn) -> None:
     """Another companion with our ids: the one that came second must not take control.
 
     Two setpoint streams would fight over the vehicle.  The companion that has had control in the
     air continues with a warning; one that hears the other before that ends.
     """
-    if is_second_companion(state) and not context.shadow:
-        begun = state.phase is not Phase.WAITING
-        return give_up(state, Reason.NOT_ALONE) if begun else (state, [], None)
-    if event.certain and event.news:
-        return state, [warn(f"{Reason.NOT_ALONE.text}: end it")], None
-    return state, [], None
+    if state.is_second_companion and not turn.context.shadow:
+        if state.phase is not Phase.WAITING:
+            turn.give_up(Reason.NOT_ALONE)
+    elif event.certain and event.news:
+        turn.warn(f"{Reason.NOT_ALONE.text}: end it")
 
 
-def _landing_goes_on(state: State) -> Step:
+def _landing_goes_on(state: State, turn: Turn) -> None:
     """Complete a landing that was begun before a reboot, or by the previous companion."""
     vehicle = state.vehicle
     if vehicle.landed is Landed.ON_GROUND and not vehicle.armed:
-        return state, [], Trigger.LANDED
+        return turn.to(Trigger.LANDED)
     if vehicle.landed is Landed.UNKNOWN:
-        return state, [], None
-    state = replace(state, landing=False)
+        return
+    state.landing = False
     if state.sank and vehicle.mode is not Mode.LAND:
-        says = warn(LANDING_ABORTED)
-        orders = Orders(Reason.PAUSED, landing_order(state))
-        return replace(state, orders=orders), [says], None
-    return state, [], Trigger.END_LAND if vehicle.mode in (Mode.LAND, Mode.GUIDED) else None
+        turn.warn(LANDING_ABORTED)
+        state.orders = Orders(Reason.PAUSED, landing_order(state))
+    elif vehicle.mode in (Mode.LAND, Mode.GUIDED):
+        turn.to(Trigger.END_LAND)
 
 
 def _is_flying(state: State) -> bool:
@@ -236,55 +227,59 @@ def _refused(state: State, context: Context) -> Reason | None:
     return None if battery_lasts(state, context.mission) else Reason.BATTERY_SHORT
 
 
-def _in_flight(state: State) -> Step:
+def _in_flight(state: State, turn: Turn) -> None:
     """Take over in the air: rejoin the path of the previous companion, or stop first."""
-    path = state.flight.path
-    if path is None and not state.prepared.issuperset(_ASKED_FOR):
-        return state, [], None
-    if not state.targets_ne_m:
-        return give_up(state, Reason.NO_TARGETS)
-    state = replace(state, flight=following.along_leg(state))
+    path, here = state.flight.path, state.vehicle.position_nea_m
     mode, ours = state.vehicle.mode, (Mode.GUIDED, Mode.HOLD)
+    if path is None and not state.prepared.issuperset(_ASKED_FOR):
+        return
+    if not state.targets_ne_m:
+        return turn.give_up(Reason.NO_TARGETS)
+    if path is not None and here is not None:  # so far it has come
+        _, at_m = following.nearest(path.leg, here)
+        path.reference = Reference(length_m=max(at_m, path.joined_m))
+    turn.to(Trigger.IN_FLIGHT)
     if state.orders.active is not None or state.taken or state.flight.returning:
-        reason = takeover_reason(state)
-        if mode in ours and not state.taken:
-            reason = Reason.TAKING_OVER
-        return replace(way_back.stopped(state), reason=reason), [], Trigger.IN_FLIGHT
+        led = mode in ours and not state.taken
+        state.reason = Reason.TAKING_OVER if led else takeover_reason(state)
+        return way_back.leave_path(state.flight)
     asked = state.asks > 0  # to hold: it may do so by now
     if mode is Mode.GUIDED and not asked:
-        joined = following.joined(state, state.flight.path)
+        joined = following.joined(state, path)
         if joined is not None:
-            return replace(state, flight=joined), [], Trigger.TAKE_OVER
+            state.flight = joined
+            return turn.to(Trigger.TAKE_OVER)
     ours_or_up = mode in (*ours, Mode.TAKE_OFF)
-    reason = Reason.TAKING_OVER if ours_or_up else takeover_reason(state)
-    return replace(state, reason=reason), [], Trigger.IN_FLIGHT
+    state.reason = Reason.TAKING_OVER if ours_or_up else takeover_reason(state)
 
 
-def arming(state: State, _event: Event, _context: Context) -> Step:
+def arming(state: State, _event: Event, turn: Turn) -> None:
     """Request the first mode of the take-off sequence, then arming, once a second."""
     vehicle, traits = state.vehicle, state.vehicle.traits
-    if is_duplicate_suspected(state):
-        return state, [], None
+    if state.is_duplicate_suspected:
+        return
     first = Mode.GUIDED if traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB else Mode.TAKE_OFF
     if vehicle.mode is first and vehicle.armed:
-        return state, [], Trigger.ARMED
+        return turn.to(Trigger.ARMED)
     if vehicle.mode is first:
-        state = replace(state, obeyed=True)
+        state.obeyed = True
     elif state.obeyed or (vehicle.armed and not state.armed_by_us):
-        return give_up(state, Reason.MODE_TAKEN)
+        return turn.give_up(Reason.MODE_TAKEN)
     rises = vehicle.landed is not Landed.ON_GROUND
-    if in_phase_s(state) > _ARM_S or (rises and not state.armed_by_us):
-        return give_up(state, Reason.NOT_ARMED)
+    if state.in_phase_s > _ARM_S or (rises and not state.armed_by_us):
+        return turn.give_up(Reason.NOT_ARMED)
     if rises:
-        return state, [], None  # its next heartbeat will say that it is armed
+        return  # its next heartbeat will say that it is armed
     if vehicle.mode is first:
-        return ask(replace(state, armed_by_us=True), events.Arm())
-    if traits.take_off is TakeoffSequence.CLIMB_THEN_ARM:
-        return _ask_to_take_off(state)
-    return ask(state, events.SetMode(mode=first))
+        state.armed_by_us = True
+        turn.ask(events.Arm())
+    elif traits.take_off is TakeoffSequence.CLIMB_THEN_ARM:
+        _ask_to_take_off(state, turn)
+    else:
+        turn.ask(events.SetMode(mode=first))
 
 
-def taking_off(state: State, event: Event, _context: Context) -> Step:
+def taking_off(state: State, event: Event, turn: Turn) -> None:
     """Wait until it is at the floor of the band; request the climb if that comes after arming.
 
     An autopilot with a take-off mode holds after it, and is then taken over.
@@ -292,20 +287,15 @@ def taking_off(state: State, event: Event, _context: Context) -> Step:
     guided = state.vehicle.traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB
     on_ground = state.vehicle.landed is Landed.ON_GROUND
     if isinstance(event, Position) and not on_ground and _has_climbed(state, event, guided=guided):
-        if guided:
-            return state, [], Trigger.AIRBORNE
-        return replace(state, reason=Reason.TAKEN_OFF), [], Trigger.HANDED_OVER
-    if on_ground and height_m(state) <= 0.0:
-        return give_up(state, Reason.HOME_TOO_HIGH)
-    if in_phase_s(state) > _longest_climb_s(state):
-        return give_up(state, Reason.NO_TAKE_OFF)
-    return _ask_to_take_off(state) if on_ground and guided else (state, [], None)
-
-
-def take_off_broken_off(state: State, reason: Reason) -> Step:
-    """On the ground that is the end."""
-    down = state.vehicle.landed is Landed.ON_GROUND
-    return give_up(state, reason) if down else fault(state, reason)
+        if not guided:
+            state.reason = Reason.TAKEN_OFF
+        turn.to(Trigger.AIRBORNE if guided else Trigger.HANDED_OVER)
+    elif on_ground and height_m(state) <= 0.0:
+        turn.give_up(Reason.HOME_TOO_HIGH)
+    elif state.in_phase_s > _longest_climb_s(state):
+        turn.give_up(Reason.NO_TAKE_OFF)
+    elif on_ground and guided:
+        _ask_to_take_off(state, turn)
 
 
 def _has_climbed(state: State, event: Position, *, guided: bool) -> bool:
@@ -325,12 +315,11 @@ def _has_climbed(state: State, event: Position, *, guided: bool) -> bool:
     return level and risen_m > _CLIMBED_M and state.vehicle.mode is not Mode.OTHER
 
 
-def _ask_to_take_off(state: State) -> Step:
+def _ask_to_take_off(state: State, turn: Turn) -> None:
     """Request the take-off until it is accepted, and again if it has not begun after a while."""
-    if state.now_s - state.vehicle.take_off_taken_at_s < _BEGINS_S:
-        return state, [], None
-    above_home_m, amsl_m = height_m(state), state.task.take_off_amsl_m
-    return ask(state, events.TakeOff(above_home_m=above_home_m, altitude_amsl_m=amsl_m))
+    if state.now_s - state.vehicle.take_off_taken_at_s >= _BEGINS_S:
+        above_home_m, amsl_m = height_m(state), state.task.take_off_amsl_m
+        turn.ask(events.TakeOff(above_home_m=above_home_m, altitude_amsl_m=amsl_m))
 
 
 def may_take_off(state: State) -> bool:

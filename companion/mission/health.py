@@ -8,8 +8,6 @@ have been wrong.
 
 import math
 
-from msgspec.structs import replace
-
 from companion.mission.events import Landed, Position, Vector
 from companion.mission.state import Reason, Vehicle
 from companion.path.limits import Limits
@@ -33,50 +31,36 @@ _UNHEARD_S = 5.0
 _FLICKERS_S = 1.0  # estimators give in to what they do not believe 7 to 10 s later
 
 
-def with_position(vehicle: Vehicle, event: Position, limits: Limits) -> Vehicle:
-    """Update the vehicle by one position.
+def take_position(vehicle: Vehicle, event: Position, limits: Limits) -> None:
+    """Take one position.
 
     It has jumped if it cannot be reached from the last one: neither by the vehicle's limits nor,
     over a short time, at the reported velocities.
     """
-    before, at_s = vehicle.position_nea_m, event.time_s
-    elapsed_s, moved_at_s, jumped_at_s = 0.0, at_s, vehicle.jumped_at_s
-    believed_at_s, astray_ne_m, blind_s = (
-        vehicle.believed_at_s,
-        vehicle.astray_ne_m,
-        vehicle.blind_s,
-    )
+    before, here, at_s = vehicle.position_nea_m, event.position_nea_m, event.time_s
+    elapsed_s, is_stuck = 0.0, False
     if before is not None:
-        elapsed_s = at_s - vehicle.position_at_s
-        step_m = math.dist(before, event.position_nea_m)
+        elapsed_s, step_m = at_s - vehicle.position_at_s, math.dist(before, here)
         far = step_m > _JUMP_SLACK_M
         jumps = far and step_m > _flown_at_most_m(elapsed_s, limits) + _JUMP_SLACK_M
         if not jumps and elapsed_s <= _STALE_S:
-            surprise_ne_m, mean_m_s = _surprise(vehicle, before, event, elapsed_s)
+            north_m, east_m, mean_m_s = _surprise(vehicle, before, event, elapsed_s)
             usual_m = _SURPRISE_M + _SURPRISE_SHARE * mean_m_s * elapsed_s
-            jumps = math.hypot(*surprise_ne_m) > usual_m
-        jumped_at_s = at_s if jumps else jumped_at_s
+            jumps = math.hypot(north_m, east_m) > usual_m
         moves = math.hypot(*event.velocity_nea_m_s[:2]) > _STILL_M_S
-        if moves and before[:2] == event.position_nea_m[:2]:
-            moved_at_s = vehicle.moved_at_s
+        is_stuck = moves and before[:2] == here[:2]
         on_ground = vehicle.landed in (Landed.ON_GROUND, Landed.UNKNOWN)  # believed as it comes
         if on_ground or (at_s - vehicle.bad_at_s > TRUST_S and not jumps):
-            believed_at_s, astray_ne_m, blind_s = at_s, (0.0, 0.0), 0.0
+            vehicle.believed_at_s, vehicle.astray_ne_m, vehicle.blind_s = at_s, (0.0, 0.0), 0.0
         else:
-            astray_ne_m, blind_s = _reckoned(vehicle, before, event, limits, moves=moves)
-    return replace(
-        vehicle,
-        position_nea_m=event.position_nea_m,
-        velocity_nea_m_s=event.velocity_nea_m_s,
-        heading_rad=event.heading_rad,
-        position_at_s=at_s,
-        position_step_s=elapsed_s,
-        moved_at_s=moved_at_s,
-        jumped_at_s=jumped_at_s,
-        believed_at_s=believed_at_s,
-        astray_ne_m=astray_ne_m,
-        blind_s=blind_s,
-    )
+            _reckon(vehicle, before, event, limits, is_stuck=is_stuck)
+        if jumps:
+            vehicle.jumped_at_s = at_s
+    if not is_stuck:
+        vehicle.moved_at_s = at_s
+    vehicle.position_nea_m, vehicle.velocity_nea_m_s = here, event.velocity_nea_m_s
+    vehicle.heading_rad, vehicle.position_at_s = event.heading_rad, at_s
+    vehicle.position_step_s = elapsed_s
 
 
 def _flown_at_most_m(elapsed_s: float, limits: Limits) -> float:
@@ -85,43 +69,38 @@ def _flown_at_most_m(elapsed_s: float, limits: Limits) -> float:
 
 def _surprise(
     vehicle: Vehicle, before_nea_m: Vector, event: Position, elapsed_s: float
-) -> tuple[tuple[float, float], float]:
-    """Deviation of a position from that predicted by the mean reported velocity, north and east.
+) -> tuple[float, float, float]:
+    """How far a position is, north and east, from where the mean reported velocity leads.
 
     And the speed of that mean.
     """
     a, b = vehicle.velocity_nea_m_s, event.velocity_nea_m_s
     mean = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
-    north, east, _ = event.position_nea_m
-    surprise_ne_m = (
-        north - before_nea_m[0] - elapsed_s * mean[0],
-        east - before_nea_m[1] - elapsed_s * mean[1],
-    )
-    return surprise_ne_m, math.hypot(*mean)
+    north_m = event.position_nea_m[0] - before_nea_m[0] - elapsed_s * mean[0]
+    east_m = event.position_nea_m[1] - before_nea_m[1] - elapsed_s * mean[1]
+    return north_m, east_m, math.hypot(*mean)
 
 
-def _reckoned(
-    vehicle: Vehicle, before_nea_m: Vector, event: Position, limits: Limits, *, moves: bool
-) -> tuple[tuple[float, float], float]:
-    """Deviation, north and east, of the position from the predicted one since it was last valid.
+def _reckon(
+    vehicle: Vehicle, before_nea_m: Vector, event: Position, limits: Limits, *, is_stuck: bool
+) -> None:
+    """How far the position has come from the predicted one since it was last valid.
 
     And how long no source has confirmed it.  Distance that can have been flown in gaps does not
     count.
     """
-    blind_s = vehicle.blind_s
     vouched = vehicle.fix_good and vehicle.estimator_good
     if not vouched and vehicle.jumped_at_s <= vehicle.believed_at_s:
-        blind_s = blind_s + event.time_s - vehicle.position_at_s
-    if moves and before_nea_m[:2] == event.position_nea_m[:2]:
-        return vehicle.astray_ne_m, blind_s  # it tells nothing
-    elapsed_s = event.time_s - vehicle.moved_at_s
-    surprise, _ = _surprise(vehicle, before_nea_m, event, elapsed_s)
+        vehicle.blind_s += event.time_s - vehicle.position_at_s
+    if is_stuck:
+        return  # it tells nothing
+    elapsed_s, share = event.time_s - vehicle.moved_at_s, 1.0
+    north_m, east_m, _ = _surprise(vehicle, before_nea_m, event, elapsed_s)
     if elapsed_s > _STALE_S:
-        size_m = math.hypot(*surprise)
+        size_m = math.hypot(north_m, east_m)
         share = max(size_m - _flown_at_most_m(elapsed_s, limits), 0.0) / max(size_m, 1e-9)
-        surprise = surprise[0] * share, surprise[1] * share
-    north_m, east_m = vehicle.astray_ne_m
-    return (north_m + surprise[0], east_m + surprise[1]), blind_s
+    was_north_m, was_east_m = vehicle.astray_ne_m
+    vehicle.astray_ne_m = was_north_m + share * north_m, was_east_m + share * east_m
 
 
 def astray_m(vehicle: Vehicle) -> float:
@@ -138,16 +117,6 @@ def may_differ_m(vehicle: Vehicle, limits: Limits) -> float:
     since_s = vehicle.position_at_s - vehicle.believed_at_s
     blind_m = 0.5 * _TILT_M_S2 * vehicle.blind_s**2
     return 2.0 * limits.navigation_error_m + _TOLD_SPEED_M_S * since_s + blind_m
-
-
-def with_position_trust(vehicle: Vehicle, reason: Reason | None, now_s: float) -> Vehicle:
-    """The vehicle with the validity of its position updated."""
-    if reason is None:
-        return replace(vehicle, distrust=None)
-    doubted_at_s = vehicle.doubted_at_s if reason is Reason.POSITION_ELSEWHERE else now_s
-    return replace(
-        vehicle, distrust=reason, last_distrust=reason, doubted_at_s=doubted_at_s, bad_at_s=now_s
-    )
 
 
 def distrust(vehicle: Vehicle, now_s: float, limits: Limits) -> Reason | None:
@@ -175,3 +144,12 @@ def distrust(vehicle: Vehicle, now_s: float, limits: Limits) -> Reason | None:
         return None
     elsewhere = astray_m(vehicle) > may_differ_m(vehicle, limits)
     return Reason.POSITION_ELSEWHERE if elsewhere else None
+
+
+def take_distrust(vehicle: Vehicle, reason: Reason | None, now_s: float) -> None:
+    """Note whether the position is valid now."""
+    vehicle.distrust = reason
+    if reason is not None:
+        vehicle.last_distrust, vehicle.bad_at_s = reason, now_s
+        if reason is not Reason.POSITION_ELSEWHERE:
+            vehicle.doubted_at_s = now_s

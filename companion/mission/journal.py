@@ -1,20 +1,19 @@
 """Entry types of journal.jsonl: these declarations are its schema (docs/reference/journal.md).
 
-The writer takes its fields from them (`entries`), the reader checks lines against them
-(`telemetry.journal`), and the page is generated from them, including the attribute docstrings.
-
-Names carry units; `_nea_m` is north, east (of the mission's local frame) and altitude AMSL, metres;
-times are the vehicle's clock.  JSON has no infinite numbers: where one may come up, it is null.
+Some events are entries as they are.  The writer takes its fields from these classes (`entries`),
+the reader checks lines against them (`telemetry.journal`), and the page is generated from them,
+with the attribute docstrings.  JSON has no infinite numbers: where one may come up, it is null.
 """
 
 import math
-from abc import ABC
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, final
+from typing import Annotated, Any, Final, Literal, final
 
 import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 
+from companion.mission import events
+from companion.mission.events import Entry as Entry
 from companion.path.certificate import Certificate
 from companion.path.subpath import Subpath
 from companion.planner.request import Rest
@@ -23,16 +22,6 @@ from companion.world.zones import CircleZone, PolygonZone, Zone
 SCHEMA: Final = "companion-journal"
 VERSION: Final = 3
 """The only one that is read; 1 and 2 were written by companions before 0.2.0."""
-
-if TYPE_CHECKING:
-    AnyZone = Zone
-else:
-
-    class AnyZone(ABC):  # noqa: B024 - asked for nothing but whose instance a zone is
-        """Both of them: `msgspec` cannot tell two dataclasses apart, `_zone` does."""
-
-    AnyZone.register(CircleZone)
-    AnyZone.register(PolygonZone)
 
 NorthEast = tuple[float, float]
 NorthEastAltitude = tuple[float, float, float]
@@ -58,23 +47,24 @@ class Header(Struct, frozen=True, kw_only=True):
     """How often it had been started again; left out of the first header."""
 
 
-class Entry(Struct, frozen=True, tag_field="kind"):
-    """What happened, or was decided."""
-
-    t_s: float
-    """Vehicle time: seconds since its boot (until its clock is known, since the start)."""
-
-    @property
-    def kind(self) -> str:
-        """The name of its kind in the file."""
-        return str(self.__struct_config__.tag)
+# Events that are entries as they are, by their names here
+Fence = events.FenceChanged
+LinkDelay = events.LinkDelay
+LinkLost = events.LinkLost
+PartDied = events.PlannerDied
+PlanLate = events.PlanLate
+Prepared = events.Prepared
+StopAsked = events.StopAsked
+Targets = events.TargetsChanged
+VehicleRebooted = events.Rebooted
+UNTOLD: Final = ("misread", "remedy")
+"""Their fields that are not written."""
 
 
 # --- the mission
 
 
-@final
-class Phase(Entry, frozen=True, tag="phase"):
+class Phase(Entry, frozen=True, kw_only=True, tag="phase"):
     """The mission is in another phase, or in the same for another reason."""
 
     phase: str
@@ -87,24 +77,21 @@ class Phase(Entry, frozen=True, tag="phase"):
     """The reason's name, which stays the same if its text is improved."""
 
 
-@final
-class LegBegun(Entry, frozen=True, tag="leg"):
+class LegBegun(Entry, frozen=True, kw_only=True, tag="leg"):
     """The vehicle begins the next subpath: the newest one that was ready."""
 
     number: int
     """Counted from 1."""
 
 
-@final
-class PathLeft(Entry, frozen=True, tag="path_left"):
+class PathLeft(Entry, frozen=True, kw_only=True, tag="path_left"):
     """The vehicle has left the tube about its path that was proven."""
 
     left_path_m: float
     """How far it was outside then: beyond its tracking error."""
 
 
-@final
-class Resumed(Entry, frozen=True, tag="resumed"):
+class Resumed(Entry, frozen=True, kw_only=True, tag="resumed"):
     """The companion was restarted, and resumes the flight."""
 
     phase: str | None
@@ -115,13 +102,7 @@ class Resumed(Entry, frozen=True, tag="resumed"):
     """Why the known map could not be read; omitted if it could."""
 
 
-@final
-class StopAsked(Entry, frozen=True, tag="stop asked"):
-    """The operator has ended the mission."""
-
-
-@final
-class End(Entry, frozen=True, tag="end"):
+class End(Entry, frozen=True, kw_only=True, tag="end"):
     """The mission is over."""
 
     outcome: Literal["arrived", "failed", "stopped"]
@@ -133,8 +114,7 @@ class End(Entry, frozen=True, tag="end"):
 # --- scans and subpaths
 
 
-@final
-class ScanAsked(Entry, frozen=True, tag="scan"):
+class ScanAsked(Entry, frozen=True, kw_only=True, tag="scan"):
     """A scan was requested from the radar."""
 
     centre_nea_m: NorthEastAltitude
@@ -143,8 +123,7 @@ class ScanAsked(Entry, frozen=True, tag="scan"):
     """Of 4 x 4 cells, asked for."""
 
 
-@final
-class ScanDone(Entry, frozen=True, tag="scan done"):
+class ScanDone(Entry, frozen=True, kw_only=True, tag="scan done"):
     """The scan is complete, or as complete as it gets."""
 
     blocks_asked: int
@@ -157,8 +136,7 @@ class ScanDone(Entry, frozen=True, tag="scan done"):
     """Of the known map, so far."""
 
 
-@final
-class PlanAsked(Entry, frozen=True, tag="plan asked", kw_only=True):
+class PlanAsked(Entry, frozen=True, kw_only=True, tag="plan asked"):
     """A plan for the next subpath was requested."""
 
     plan_id: int
@@ -183,8 +161,7 @@ class PlanAsked(Entry, frozen=True, tag="plan asked", kw_only=True):
     """Where to."""
 
 
-@final
-class PlanReady(Entry, frozen=True, tag="plan ready", omit_defaults=True):
+class PlanReady(Entry, frozen=True, kw_only=True, tag="plan ready", omit_defaults=True):
     """A subpath was found: the answer to `plan asked`, when it takes effect."""
 
     plan_id: int
@@ -224,8 +201,7 @@ class PlanReady(Entry, frozen=True, tag="plan ready", omit_defaults=True):
         return Subpath(control_nea_m=np.array(self.control_nea_m, dtype=np.float64))
 
 
-@final
-class PlanRefused(Entry, frozen=True, tag="plan refused", omit_defaults=True):
+class PlanRefused(Entry, frozen=True, kw_only=True, tag="plan refused", omit_defaults=True):
     """No subpath was found: the answer to `plan asked`."""
 
     plan_id: int
@@ -242,39 +218,10 @@ class PlanRefused(Entry, frozen=True, tag="plan refused", omit_defaults=True):
     """Whether time was up before the search was done (real time only)."""
 
 
-@final
-class PlanLate(Entry, frozen=True, tag="plan late"):
-    """A plan was due and not ready (real time only)."""
-
-    plan_id: int
-    """Of the request."""
-
-
 # --- what others want
 
 
-@final
-class Fence(Entry, frozen=True, tag="fence"):
-    """The vehicle's complete fence, as of now."""
-
-    zones: tuple[AnyZone, ...]
-    """Circles and polygons."""
-    floor_amsl_m: float | None
-    """Minimum altitude; null if the fence has none."""
-    ceiling_amsl_m: float | None
-    """Maximum altitude; null if the fence has none."""
-
-
-@final
-class Targets(Entry, frozen=True, tag="targets"):
-    """The targets from now on, from the vehicle's mission."""
-
-    targets_ne_m: tuple[NorthEast, ...]
-    """In the order in which they are flown to."""
-
-
-@final
-class CommandHeard(Entry, frozen=True, tag="command"):
+class CommandHeard(Entry, frozen=True, kw_only=True, tag="command"):
     """A MAVLink command to the companion, and the answer."""
 
     sender: str
@@ -289,8 +236,7 @@ class CommandHeard(Entry, frozen=True, tag="command"):
     """Why it was refused; may be empty; omitted for an order."""
 
 
-@final
-class OrderGiven(Entry, frozen=True, tag="order"):
+class OrderGiven(Entry, frozen=True, kw_only=True, tag="order"):
     """An order to the companion that was accepted."""
 
     order: Literal["START", "PAUSE", "CONTINUE", "REPOSITION", "RETURN", "LAND"]
@@ -304,8 +250,7 @@ class OrderGiven(Entry, frozen=True, tag="order"):
 # --- the vehicle
 
 
-@final
-class VehicleFound(Entry, frozen=True, tag="vehicle found"):
+class VehicleFound(Entry, frozen=True, kw_only=True, tag="vehicle found"):
     """The first heartbeat of the autopilot."""
 
     system_id: int
@@ -314,26 +259,14 @@ class VehicleFound(Entry, frozen=True, tag="vehicle found"):
     """Autopilot and vehicle type."""
 
 
-@final
-class Prepared(Entry, frozen=True, tag="prepared"):
-    """One of the preparations before a flight is complete."""
-
-    item: str
-    """What."""
-    refusal: str
-    """Why the flight is refused; empty if it is not."""
-
-
-@final
-class VehicleSays(Entry, frozen=True, tag="vehicle says"):
+class VehicleSays(Entry, frozen=True, kw_only=True, tag="vehicle says"):
     """A STATUSTEXT of the autopilot."""
 
     text: str
     """As it was sent."""
 
 
-@final
-class Acknowledged(Entry, frozen=True, tag="acknowledged"):
+class Acknowledged(Entry, frozen=True, kw_only=True, tag="acknowledged"):
     """A COMMAND_ACK of the autopilot."""
 
     command: int
@@ -342,34 +275,11 @@ class Acknowledged(Entry, frozen=True, tag="acknowledged"):
     """MAV_RESULT."""
 
 
-@final
-class VehicleRebooted(Entry, frozen=True, tag="vehicle rebooted"):
-    """The autopilot's clock has begun again, and with it `t_s`."""
-
-
-@final
-class LinkDelay(Entry, frozen=True, tag="link delay"):
-    """The link has become slower or faster."""
-
-    round_trip_s: float
-    """To the vehicle and back."""
-
-
-@final
-class LinkLost(Entry, frozen=True, tag="link lost"):
-    """The vehicle was silent for a while."""
-
-    silent_s: float
-    """For how long."""
-
-
-@final
-class AnotherCompanion(Entry, frozen=True, tag="another companion"):
+class AnotherCompanion(Entry, frozen=True, kw_only=True, tag="another companion"):
     """Another sender uses the companion's system and component id."""
 
 
-@final
-class MessagesDropped(Entry, frozen=True, tag="messages dropped"):
+class MessagesDropped(Entry, frozen=True, kw_only=True, tag="messages dropped"):
     """Messages arrived faster than they could be handled."""
 
     count: int
@@ -379,60 +289,42 @@ class MessagesDropped(Entry, frozen=True, tag="messages dropped"):
 # --- what the companion does
 
 
-@final
-class ModeAsked(Entry, frozen=True, tag="set mode"):
+class ModeAsked(Entry, frozen=True, kw_only=True, tag="set mode"):
     """A mode change was requested from the autopilot."""
 
     mode: str
     """The companion's name of it: guided, hold, land, return, take off."""
 
 
-@final
-class ArmAsked(Entry, frozen=True, tag="arm"):
+class ArmAsked(Entry, frozen=True, kw_only=True, tag="arm"):
     """Arming was requested from the autopilot."""
 
 
-@final
-class DisarmAsked(Entry, frozen=True, tag="disarm"):
+class DisarmAsked(Entry, frozen=True, kw_only=True, tag="disarm"):
     """Disarming was requested from the autopilot, which refuses in the air."""
 
 
-@final
-class TakeOffAsked(Entry, frozen=True, tag="take off"):
+class TakeOffAsked(Entry, frozen=True, kw_only=True, tag="take off"):
     """A take-off was requested from the autopilot."""
 
     above_home_m: float
     """To this height."""
 
 
-@final
-class SetpointRefused(Entry, frozen=True, tag="setpoint refused"):
+class SetpointRefused(Entry, frozen=True, kw_only=True, tag="setpoint refused"):
     """A setpoint was out of range and not sent."""
 
     setpoint: str
     """All of it, as Python prints it."""
 
 
-@final
-class Said(Entry, frozen=True, tag="say"):
+class Said(Entry, frozen=True, kw_only=True, tag="say"):
     """A text to ground stations and the terminal."""
 
     text: str
     """In words."""
     warning: bool
     """Whether it is a warning."""
-
-
-@final
-class PartDied(Entry, frozen=True, tag="part died", omit_defaults=True):
-    """A part of the companion has died; may be noted twice, by session and watchdog."""
-
-    error: str
-    """What it died of."""
-    part: str | None = None
-    """Its name; by the watchdog only."""
-    hold_frames: int | None = None
-    """Number of frames sent to hold the vehicle; by the watchdog only."""
 
 
 KINDS: Final[dict[str, type[Entry]]] = {
@@ -454,10 +346,10 @@ def entry_of(values: dict[str, Any]) -> Entry:
     if kind is PlanReady and isinstance(proven := values.get("certificate"), dict):
         known = {name: math.nan if each is None else each for name, each in proven.items()}
         values = {**values, "certificate": known}
-    return msgspec.convert(values, kind, strict=False, dec_hook=_zone)  # an int may be 1.0
+    return msgspec.convert(values, kind, strict=False, dec_hook=zone_of)  # an int may be 1.0
 
 
-def _zone(_: type, values: Any) -> Zone:
+def zone_of(_: type, values: Any) -> Zone:
     """A circle or a polygon, which only their fields tell apart."""
     if isinstance(values, dict) and "vertices_ne_m" in values:
         return msgspec.convert(values, PolygonZone)

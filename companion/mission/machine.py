@@ -1,32 +1,27 @@
 """The mission machine: (state, event) -> (state, commands).  The only way a mission changes.
 
-An event first updates vehicle and terrain.  Then comes what others want, then what is wrong
+The state is copied once, with all of it that changes, and the copy is changed in place: nobody else
+does.  An event first updates vehicle and terrain.  Then comes what others want, then what is wrong
 (`tables.FAULTS`), then what the phase does; a trigger changes the phase by the table in `state`,
 and the new phase begins with its own commands.  No clock, no I/O: times are those of the events.
 """
 
 from collections.abc import Callable
+from copy import copy
 from typing import Any, Final
 
-from msgspec.structs import replace
-
 from companion.mission import changes, events, flying, following, ground, stopped, way_back
-from companion.mission import shadow as watching
-from companion.mission.battery import with_battery
+from companion.mission.battery import take_battery
 from companion.mission.decisions import (
-    HEARTBEAT_S,
     Context,
-    Step,
-    fault,
-    give_up,
-    held,
+    Turn,
     longest_silence_s,
     reason_text,
 )
-from companion.mission.events import Command, End, Event, Landed, Mode, Outcome, SetMode, say, warn
-from companion.mission.following import held_here
-from companion.mission.health import distrust, with_position, with_position_trust
+from companion.mission.events import Command, End, Event, Landed, Mode, Outcome, SetMode
+from companion.mission.health import distrust, take_distrust, take_position
 from companion.mission.state import (
+    HEARTBEAT_S,
     IN_AIR,
     ON_GROUND,
     OVER,
@@ -48,25 +43,29 @@ _AS_IT_SHOULD = {
 """Ends after which the vehicle needs nothing more, and what it is doing then."""
 
 
-def step(state: State, event: Event, context: Context) -> tuple[State, list[Command]]:
+def step(before: State, event: Event, context: Context) -> tuple[State, list[Command]]:
     """Handle one event: the new state and the commands."""
-    if state.phase in OVER:
-        return state, []
-    now_s, limits = max(state.now_s, event.time_s), state.task.limits
+    if before.phase in OVER:
+        return before, []
+    state = copy(before)
+    state.vehicle, state.flight = copy(before.vehicle), copy(before.flight)
+    state.flight.path = copy(before.flight.path)
+    vehicle, now_s = state.vehicle, max(before.now_s, event.time_s)
+    turn, limits = Turn(state, context), state.task.limits
+    state.now_s = now_s
     if not isinstance(event, events.Position):
-        state = _observed(replace(state, now_s=now_s), event, context)
-        vehicle = state.vehicle
-    elif event.time_s > state.vehicle.position_at_s:
-        vehicle = with_position(state.vehicle, event, limits)
+        _observe(state, event, context)
+    elif event.time_s > vehicle.position_at_s:
+        take_position(vehicle, event, limits)
     else:
-        return replace(state, now_s=now_s), []  # overtaken by a newer one
-    reason = distrust(vehicle, now_s, limits)
-    if reason is not None or vehicle.distrust is not None:
-        vehicle = with_position_trust(vehicle, reason, now_s)
-    airborne = state.airborne or (vehicle.armed and vehicle.landed is Landed.IN_AIR)
-    state = replace(state, now_s=now_s, vehicle=vehicle, airborne=airborne)
-    others = _IN_ANY_PHASE.get(type(event))
-    decided = None if others is None else others(state, event, context)
+        return state, []  # overtaken by a newer one
+    doubt = distrust(vehicle, now_s, limits)
+    if doubt is not None or vehicle.distrust is not None:
+        take_distrust(vehicle, doubt, now_s)
+    state.airborne = state.airborne or (vehicle.armed and vehicle.landed is Landed.IN_AIR)
+    in_any_phase = _IN_ANY_PHASE.get(type(event))
+    if in_any_phase is not None:
+        in_any_phase(state, event, turn)
     is_well = (  # as it mostly is: then no row of the table is true
         vehicle.mode is Mode.GUIDED
         and vehicle.armed
@@ -74,209 +73,223 @@ def step(state: State, event: Event, context: Context) -> tuple[State, list[Comm
         and vehicle.distrust is None
         and now_s - vehicle.status_at_s <= HEARTBEAT_S
         and state.held is None
-        and others is None
+        and in_any_phase is None
     )
-    if decided is None and not is_well:
-        reason = fault_of(state, event)
-        decided = None if reason is None else _BREAK_OFF[state.phase](state, reason)
-    after, commands, trigger = decided or IN_PHASE[state.phase](state, event, context)
-    if trigger is Trigger.GIVE_UP and not context.shadow:
-        after, more, trigger = fall_back(after, context)
-        commands = [*commands, *more]
-    if trigger is None or after.phase not in trigger.origins:
-        return after, commands
-    return _enter(after, trigger, context, commands)
+    if in_any_phase is None or turn.is_left:
+        reason = None if is_well else fault_of(state, event)
+        if reason is not None:
+            _break_off(state, reason, turn)
+        else:
+            IN_PHASE[state.phase](state, event, turn)
+    if turn.trigger is Trigger.GIVE_UP and not context.shadow:
+        fall_back(state, turn)
+    if turn.trigger is not None and state.phase in turn.trigger.origins:
+        _enter(state, turn.trigger, turn)
+    return state, turn.commands
 
 
-def _observed(state: State, event: Event, context: Context) -> State:
+def _break_off(state: State, reason: Reason, turn: Turn) -> None:
+    """What follows from a row of `tables.FAULTS`."""
+    if state.phase is Phase.HOLDING:
+        stopped.broken_off(state, reason, turn)
+    elif state.phase is Phase.TAKING_OFF and state.vehicle.landed is Landed.ON_GROUND:
+        turn.give_up(reason)
+    else:
+        if state.phase is not Phase.TAKING_OFF:
+            way_back.leave_path(state.flight)
+        turn.fault(reason)
+
+
+def rebased(before: State, shift_s: float) -> State:
+    """The state on a clock that shows shift_s more: its own time, and the waits that go on."""
+    state, vehicle = copy(before), copy(before.vehicle)
+    state.vehicle = vehicle
+    state.now_s += shift_s
+    state.since_s += shift_s
+    state.asked_at_s += shift_s
+    state.duplicate_id_at_s += shift_s
+    if state.fence_unread_s is not None:
+        state.fence_unread_s += shift_s
+    vehicle.bad_at_s += shift_s
+    vehicle.battery_short_at_s = None
+    return state
+
+
+def _observe(state: State, event: Event, context: Context) -> None:
     """Update vehicle and terrain by an event, except for positions."""
     vehicle, now_s, told_s = state.vehicle, state.now_s, event.time_s
     match event:
         case events.VehicleFound(traits=traits):
-            return state.told(traits=traits or UNKNOWN)
-        case events.VehicleStatus(mode=mode, armed=armed, failsafe=failsafe):
-            return state.told(mode=mode, armed=armed, failsafe=failsafe, status_at_s=told_s)
+            vehicle.traits = traits or UNKNOWN
+        case events.VehicleStatus():
+            vehicle.mode, vehicle.armed = event.mode, event.armed
+            vehicle.failsafe, vehicle.status_at_s = event.failsafe, told_s
         case events.LandedState(landed=landed) if landed is not vehicle.landed:
-            return state.told(landed=landed, landed_at_s=told_s)
+            vehicle.landed, vehicle.landed_at_s = landed, told_s
         case events.TakeOffTaken():
-            return state.told(take_off_taken_at_s=now_s)
+            vehicle.take_off_taken_at_s = now_s
         case events.GpsFix(good=good):
-            return state.told(fix_good=good, fix_at_s=told_s)
+            vehicle.fix_good, vehicle.fix_at_s = good, told_s
         case events.Estimator(good=good, error_m=error_m):
-            failed = vehicle.estimator_good and not good
-            return state.told(
-                estimator_good=good,
-                estimator_at_s=told_s,
-                estimator_failed_at_s=told_s if failed else vehicle.estimator_failed_at_s,
-                error_m=error_m,
-            )
+            if vehicle.estimator_good and not good:
+                vehicle.estimator_failed_at_s = told_s
+            vehicle.estimator_good, vehicle.estimator_at_s = good, told_s
+            vehicle.error_m = error_m
         case events.Home(position_nea_m=home) if not vehicle.home_kept:
-            return state.told(home_nea_m=home)
+            vehicle.home_nea_m = home
         case events.LinkDelay(round_trip_s=round_trip_s):
-            return state.told(round_trip_s=round_trip_s)
+            vehicle.round_trip_s = round_trip_s
         case events.Battery():
-            return replace(state, vehicle=with_battery(state, event, context.mission))
-        case events.Echo(position_nea_m=place, velocity_nea_m_s=velocity):
-            state = state.told(echo_nea_m=place, echo_nea_m_s=velocity, echo_at_s=told_s)
-            return replace(state, flight=following.with_echo(state))
+            take_battery(state, event, context.mission)
+        case events.Echo():
+            vehicle.echo_nea_m, vehicle.echo_nea_m_s = event.position_nea_m, event.velocity_nea_m_s
+            vehicle.echo_at_s = told_s
+            following.take_echo(state)
         case events.DuplicateId(certain=certain):
-            return replace(state, duplicate_id=certain, duplicate_id_at_s=now_s)
-        case events.Prepared(item=item, refusal="") if item not in state.prepared:
-            return replace(state, prepared=state.prepared | {item})
+            state.duplicate_id, state.duplicate_id_at_s = certain, now_s
+        case events.Prepared(item=item, refusal=""):
+            state.prepared |= {item}
         case events.ScanDone(scan=scan) if state.phase not in ON_GROUND:  # else only to answer
-            return state.with_flight(known=state.flight.known.with_scan(scan))
+            state.flight.known = state.flight.known.with_scan(scan)
         case _:
-            return state
+            pass
 
 
-def _stop(state: State, _event: events.StopAsked, _context: Context) -> Step:
-    return replace(state, reason=Reason.STOPPED), [], Trigger.STOP
+def _on_end(state: State, event: events.StopAsked | events.PlannerDied, turn: Turn) -> None:
+    """A person wants the end, or a part of the companion has died."""
+    if isinstance(event, events.StopAsked):
+        state.reason = Reason.STOPPED
+        turn.to(Trigger.STOP)
+    else:
+        state.reason, state.detail = Reason.PLANNER_DIED, f": {event.error}" if event.error else ""
+        turn.to(Trigger.DIED)
 
 
-def _died(state: State, event: events.PlannerDied, _context: Context) -> Step:
-    detail = f": {event.error}" if event.error else ""
-    return replace(state, reason=Reason.PLANNER_DIED, detail=detail), [], Trigger.DIED
-
-
-def _link_lost(state: State, event: events.LinkLost, context: Context) -> Step | None:
+def _on_link_lost(state: State, event: events.LinkLost, turn: Turn) -> None:
     """Before the flight a silence ends the mission at once, later once it is too long."""
-    phase = state.phase
-    if phase in (Phase.READY, Phase.TAKING_OFF):
-        return None
-    early = phase is Phase.ARMING or (phase is Phase.PREPARING and not state.airborne)
+    phase, airborne = state.phase, state.airborne
+    early = phase is Phase.ARMING or (phase is Phase.PREPARING and not airborne)
     if phase is Phase.WAITING:
-        return give_up(state, Reason.NO_VEHICLE)
-    if early or event.silent_s >= longest_silence_s(state, context):
-        return give_up(state, Reason.LINK_LOST)
-    return (state, [], None) if phase is Phase.PREPARING else None
+        turn.give_up(Reason.NO_VEHICLE)
+    elif phase in (Phase.READY, Phase.TAKING_OFF):
+        turn.is_left = True
+    elif early or event.silent_s >= longest_silence_s(state, turn.context):
+        turn.give_up(Reason.LINK_LOST)
+    else:
+        turn.is_left = phase is not Phase.PREPARING
 
 
-_IN_ANY_PHASE: Final[dict[type[Event], Callable[[State, Any, Context], Step | None]]] = {
-    events.StopAsked: _stop,
-    events.PlannerDied: _died,
-    events.LinkLost: _link_lost,
+_IN_ANY_PHASE: Final[dict[type[Event], Callable[[State, Any, Turn], None]]] = {
+    events.StopAsked: _on_end,
+    events.PlannerDied: _on_end,
+    events.LinkLost: _on_link_lost,
     events.DuplicateId: ground.on_duplicate_id,
     **changes.HANDLERS,
 }
-"""Handlers of events in any phase; None: also left to the phase."""
+"""Handlers of events in any phase; some leave it to the phase (`Turn.is_left`)."""
 
-_BREAK_OFF: Final[dict[Phase, Callable[[State, Reason], Step]]] = {
-    Phase.TAKING_OFF: ground.take_off_broken_off,
-    Phase.FLYING: lambda state, reason: fault(held_here(state), reason),
-    Phase.RETURNING: lambda state, reason: fault(way_back.stopped(state), reason),
-    Phase.ARRIVED: lambda state, reason: fault(held_here(state), reason),
-    Phase.HOLDING: stopped.broken_off,
-}
-"""What follows in each phase from a row of `tables.FAULTS`."""
-
-IN_PHASE: Final[dict[Phase, Callable[[State, Event, Context], Step]]] = {
+IN_PHASE: Final[dict[Phase, Callable[[State, Event, Turn], None]]] = {
     Phase.WAITING: ground.waiting,
     Phase.PREPARING: ground.preparing,
     Phase.READY: ground.ready,
     Phase.ARMING: ground.arming,
     Phase.TAKING_OFF: ground.taking_off,
-    Phase.FLYING: flying.flying,
-    Phase.RETURNING: flying.returning,
+    Phase.FLYING: flying.on_path,
+    Phase.RETURNING: flying.on_path,
     Phase.HOLDING: stopped.holding,
     Phase.ARRIVED: stopped.arrived,
     Phase.LANDING: stopped.landing,
     Phase.HANDING_OVER: stopped.handing_over,
-    Phase.SHADOW: watching.shadow,
+    Phase.SHADOW: flying.shadow,
 }
 """The handler of each phase; a mission that is over ignores events."""
 
 
-def _enter(
-    before: State, trigger: Trigger, context: Context, commands: list[Command]
-) -> tuple[State, list[Command]]:
-    """The next phase, and what it begins with."""
-    phase, now_s = trigger.after, before.now_s
-    state = replace(
-        before, phase=phase, held=None, since_s=now_s, asked_at_s=-1e9, asks=0, obeyed=False
-    )
+def _enter(state: State, trigger: Trigger, turn: Turn) -> None:
+    """Begin the next phase: with what it begins, and how the last one ends."""
+    was, phase, context = state.phase, trigger.after, turn.context
+    if phase in OVER:
+        if not (context.shadow or trigger in _AS_IT_SHOULD):
+            turn.do(*parting(state, stopped=trigger is Trigger.STOP))
+        turn.do(_end_of(state, trigger))
+    state.phase, state.held, state.since_s = phase, None, state.now_s
+    state.asked_at_s, state.asks, state.obeyed = -1e9, 0, False
     if phase in IN_AIR:
-        since_s = now_s if before.phase is Phase.PREPARING else -1e9
-        since_s = min(state.in_control_since_s, since_s)
-        state = replace(state, airborne=True, in_control_since_s=since_s)
-    says: list[Command] = []
+        since_s = state.now_s if was is Phase.PREPARING else -1e9
+        state.in_control_since_s = min(state.in_control_since_s, since_s)
+        state.airborne = True
     match phase:
         case Phase.READY:
-            state = replace(state, unready="")
-            says = [say("ready: waits for go: MISSION_START or a yes", "phase")]
+            state.unready = ""
+            turn.say("ready: waits for go: MISSION_START or a yes", "phase")
         case Phase.PREPARING if trigger is not Trigger.UNREADY:
-            news = (stopped.landing_words(state, context), state.news)
-            says = [events.RequestStreams(), say(f"mission {context.mission.name}")]
-            says += [warn(text) for text in news if text]
-            state = replace(state, news="")
+            turn.do(events.RequestStreams())
+            turn.say(f"mission {context.mission.name}")
+            for text in filter(None, (stopped.landing_words(state, context), state.news)):
+                turn.warn(text)
+            state.news = ""
         case Phase.FLYING | Phase.LANDING | Phase.RETURNING:
-            state, says = _set_out(state)
+            _set_out(state, turn)
         case Phase.HOLDING:
-            state, says = _hold(state)
+            _hold(state, turn)
         case Phase.ARRIVED:
-            state = replace(state, flight=following.at_rest_at_end(state.flight))
-            says = [stopped.reached(state)]
-        case Phase.DONE | Phase.FAULTED:
-            if not (context.shadow or trigger in _AS_IT_SHOULD):
-                says += parting(before, stopped=trigger is Trigger.STOP)
-            says.append(_end_of(before, trigger))
+            following.rest_at_end(state.flight)
+            stopped.say_reached(state, turn)
         case _:
             pass
-    return state, [*commands, *says]
 
 
-def _set_out(state: State) -> tuple[State, list[Command]]:
+def _set_out(state: State, turn: Turn) -> None:
     """To fly, back or on, or to land."""
-    says: list[Command] = []
-    state = replace(state, reason=None, taken=False)
-    state = state.with_flight(progress_at_s=state.now_s, echoed_at_s=state.now_s)
+    state.reason, state.taken = None, False
+    state.flight.progress_at_s = state.flight.echoed_at_s = state.now_s
     if state.phase is not Phase.FLYING:
-        state = replace(state, orders=Orders())
+        state.orders = Orders()
     elif not state.flight.homeward:  # to a target again
-        state = state.with_flight(fallen_back=None)
+        state.flight.fallen_back = None
     if state.phase is Phase.RETURNING:
-        went_back = way_back.begun(state)
+        went_back = way_back.begun(state, state.flight)
         assert went_back is not None  # whoever triggers it has looked
-        state, says = replace(state, flight=went_back), [say("returning", "phase")]
+        state.flight = went_back
+        turn.say("returning", "phase")
     if state.phase is not Phase.LANDING and state.vehicle.traits is not UNKNOWN:
-        says.append(events.SetSpeed(speed_m_s=state.task.limits.speed_m_s))
-    return state, says
+        turn.do(events.SetSpeed(speed_m_s=state.task.limits.speed_m_s))
 
 
-def _hold(state: State) -> tuple[State, list[Command]]:
+def _hold(state: State, turn: Turn) -> None:
     """Hold for the reason that there is."""
     reason = state.reason or Reason.NO_PLAN
-    state, says_so = held(state, reason)
-    match state.hold:
+    turn.hold(reason)
+    match reason.hold:
         case Hold.PAUSED | Hold.RETURN | Hold.LAND:
-            state = replace(state, orders=replace(state.orders, active=reason))
+            state.orders = Orders(reason, state.orders.suspended)
         case Hold.TAKEN_OVER:
-            state = replace(state, taken=True)
+            state.taken = True
         case Hold.MODE | Hold.STREAM_LOST | Hold.GROUNDED | Hold.SILENT:
-            state = state.with_flight(troubles=state.flight.troubles + 1)
+            state.flight.troubles += 1
         case _:
             pass
-    says: list[Command] = [says_so]
-    if state.hold is Hold.MODE:
-        state = replace(state, asked_at_s=state.now_s)
-        says += parting(state) if reason is Reason.BROKEN_OFF else [SetMode(mode=Mode.HOLD)]
-    return state, says
+    if reason.hold is Hold.MODE:
+        state.asked_at_s = state.now_s
+        broken_off = reason is Reason.BROKEN_OFF
+        turn.do(*(parting(state) if broken_off else [SetMode(mode=Mode.HOLD)]))
 
 
-def _end_of(before: State, trigger: Trigger) -> End:
+def _end_of(state: State, trigger: Trigger) -> End:
     """How the mission ended, in words."""
-    fallen_back, how = before.flight.fallen_back, _AS_IT_SHOULD.get(trigger)
+    fallen_back, how = state.flight.fallen_back, _AS_IT_SHOULD.get(trigger)
     if how is None:
-        reason = before.reason or Reason.NO_PLAN
+        reason = state.reason or Reason.NO_PLAN
         outcome = Outcome.STOPPED if trigger is Trigger.STOP else Outcome.FAILED
-        text, remedy = f"{reason.text}{before.detail}", before.remedy or reason.remedy
+        text, remedy = f"{reason.text}{state.detail}", state.remedy or reason.remedy
         return End(outcome=outcome, reason=text, remedy=remedy)
     if fallen_back is not None:
         asked = fallen_back in (Reason.RETURN_ASKED, Reason.LAND_ASKED)
         outcome = Outcome.STOPPED if asked else Outcome.FAILED
-        detail, remedy = reason_text(before, fallen_back)
+        detail, remedy = reason_text(state, fallen_back)
         return End(outcome=outcome, reason=f"{how}: {fallen_back.text}{detail}", remedy=remedy)
-    off_m = stopped.landed_off_m(before) if trigger is Trigger.LANDED else 0.0
-    if off_m > stopped.lands_within_m(before):
+    off_m = stopped.landed_off_m(state) if trigger is Trigger.LANDED else 0.0
+    if off_m > stopped.lands_within_m(state):
         remedy = "Land it by a landing pattern of its autopilot, or set end.action to hold."
         far = f"landed {off_m:.0f} m from where it was to land"
         return End(outcome=Outcome.FAILED, reason=far, remedy=remedy)

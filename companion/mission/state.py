@@ -1,12 +1,14 @@
-"""Phases, transitions and the state of a mission."""
+"""Phases, transitions and the state of a mission.
+
+`machine.step` copies the state, and the handlers change that copy in place; nobody else does.
+"""
 
 import dataclasses
 import enum
 import math
-from typing import Any, final
+from typing import final
 
 from msgspec import Struct, field
-from msgspec.structs import replace
 
 from companion.mission.events import FenceChanged, Item, Landed, Mode, Setpoint, Vector
 from companion.mission.mission import Mission
@@ -18,6 +20,15 @@ from companion.planner.request import FlownSegment, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 from companion.world.near_map import Sight
+
+HEARTBEAT_S = 5.0  # four or five of them missed (mavlink.md 2.1)
+_GROUNDED_S = 1.5
+_SUSPECT_S = 2.5  # another companion with our ids may have died meanwhile
+_THERE_S = 5.0
+_SECOND_S = 5.0  # who hears another so soon after it took over has not been there first
+
+Targets = tuple[tuple[float, float], ...]
+"""North and east of each."""
 
 
 class Phase(enum.Enum):
@@ -266,7 +277,7 @@ class Held(Struct, frozen=True):
 
 
 @final
-class Vehicle(Struct, frozen=True, kw_only=True):
+class Vehicle(Struct, kw_only=True):
     """The vehicle's reports."""
 
     traits: VehicleTraits = UNKNOWN
@@ -385,7 +396,7 @@ class Stop(Struct, frozen=True):
 
 
 @final
-class OnPath(Struct, frozen=True, kw_only=True):
+class OnPath(Struct, kw_only=True):
     """The leg that is flown, and where on it the vehicle is led."""
 
     leg: Leg
@@ -405,7 +416,7 @@ class OnPath(Struct, frozen=True, kw_only=True):
 
 
 @final
-class Flight(Struct, frozen=True, kw_only=True):
+class Flight(Struct, kw_only=True):
     """State of the online procedure."""
 
     known: KnownMap
@@ -508,7 +519,7 @@ class Orders(Struct, frozen=True):
 
 
 @final
-class State(Struct, frozen=True, kw_only=True):
+class State(Struct, kw_only=True):
     """The complete state of the mission machine."""
 
     phase: Phase = Phase.WAITING
@@ -554,7 +565,7 @@ class State(Struct, frozen=True, kw_only=True):
     """Since when a fence that has changed is being read; None: it is known."""
     task: Task
     """The task for planning: the mission's with the vehicle's fence."""
-    targets_ne_m: tuple[tuple[float, float], ...]
+    targets_ne_m: Targets
     vehicle: Vehicle = field(default_factory=Vehicle)
     flight: Flight
 
@@ -570,18 +581,44 @@ class State(Struct, frozen=True, kw_only=True):
             task=mission.task, targets_ne_m=mission.targets_ne_m, flight=Flight(known=known)
         )
 
-    def told(self, **reports: Any) -> "State":
-        """The state with these reports of its vehicle."""
-        return replace(self, vehicle=replace(self.vehicle, **reports))
+    @property
+    def in_phase_s(self) -> float:
+        """How long this phase has lasted."""
+        return self.now_s - self.since_s
 
-    def with_flight(self, **changes: Any) -> "State":
-        """The state with these fields of its flight changed."""
-        return replace(self, flight=replace(self.flight, **changes))
+    @property
+    def is_silent(self) -> bool:
+        """Whether there are no heartbeats: then it is unknown who controls the vehicle."""
+        return self.now_s - self.vehicle.status_at_s > HEARTBEAT_S
 
-    def with_fence(self, task: Task, fence: FenceChanged | None) -> "State":
-        """The state within another fence; task: the mission's.
+    @property
+    def is_grounded(self) -> bool:
+        """True after 1.5 s of ON_GROUND: single reports are unreliable."""
+        vehicle = self.vehicle
+        on_ground = vehicle.landed is Landed.ON_GROUND
+        return on_ground and self.now_s - vehicle.landed_at_s > _GROUNDED_S
 
-        Its `task` is the old one if they are equal.
+    @property
+    def is_duplicate_suspected(self) -> bool:
+        """Whether another sender with our ids was heard lately, maybe frames left by a dead one."""
+        return 0.0 <= self.now_s - self.duplicate_id_at_s < _SUSPECT_S
+
+    @property
+    def is_second_companion(self) -> bool:
+        """Whether there certainly is another companion, and this one has not had control before."""
+        is_there = self.duplicate_id and 0.0 <= self.now_s - self.duplicate_id_at_s < _THERE_S
+        just_now = 0.0 <= self.now_s - self.in_control_since_s < _SECOND_S
+        return is_there and (just_now or not self.has_had_control)
+
+    @property
+    def has_had_control(self) -> bool:
+        """Whether this companion has had control of the vehicle in the air."""
+        return self.in_control_since_s < math.inf
+
+    def take_fence(self, task: Task, fence: FenceChanged | None) -> None:
+        """From now on within another fence; task: the mission's.
+
+        `task` stays the old one if they are equal.
         """
         if fence is not None:
             limits, (floor, ceiling) = task.limits, (fence.floor_amsl_m, fence.ceiling_amsl_m)
@@ -591,18 +628,4 @@ class State(Struct, frozen=True, kw_only=True):
                 ceiling_amsl_m=min(limits.ceiling_amsl_m, math.inf if ceiling is None else ceiling),
             )
             task = dataclasses.replace(task, limits=limits, zones=(*task.zones, *fence.zones))
-        return replace(self, fence=fence, task=self.task if task == self.task else task)
-
-    def rebase_time(self, shift_s: float) -> "State":
-        """The state on a clock that shows shift_s more: its own time, and the waits that go on."""
-        return replace(
-            self,
-            now_s=self.now_s + shift_s,
-            since_s=self.since_s + shift_s,
-            asked_at_s=self.asked_at_s + shift_s,
-            duplicate_id_at_s=self.duplicate_id_at_s + shift_s,
-            fence_unread_s=None if self.fence_unread_s is None else self.fence_unread_s + shift_s,
-            vehicle=replace(
-                self.vehicle, bad_at_s=self.vehicle.bad_at_s + shift_s, battery_short_at_s=None
-            ),
-        )
+        self.fence, self.task = fence, self.task if task == self.task else task

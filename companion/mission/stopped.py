@@ -19,32 +19,26 @@ import math
 
 from msgspec.structs import replace
 
-from companion.mission import events, flying, following, way_back
-from companion.mission.battery import battery_runs_low, battery_warning, given_up_for_battery
+from companion.mission import way_back
+from companion.mission.battery import battery_runs_low, give_up_for_battery, warn_of_battery
 from companion.mission.decisions import (
+    ASK_AGAIN_S,
     AT_M,
     LANDING_ABORTED,
     STOPPED_M_S,
     Context,
-    Step,
-    ask,
-    fault,
+    Turn,
     fence_is_given_up,
-    give_up,
-    held,
-    in_phase_s,
+    hold_for,
     in_words,
     is_at_rest,
-    is_grounded,
-    is_silent,
     landing_order,
     longest_silence_s,
-    preceded,
     waits_for_fence,
-    with_hold_reason,
 )
-from companion.mission.events import Command, Event, Landed, Mode, Position, say, warn
-from companion.mission.following import held_here
+from companion.mission.events import Battery, Event, Landed, Mode, PlanReady, Position, SetMode
+from companion.mission.flying import looks_at_circle
+from companion.mission.following import come_to_rest, send_hold
 from companion.mission.health import TRUST_S
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.state import ON_SETPOINTS, Held, Hold, Orders, Reason, State, Trigger
@@ -75,75 +69,95 @@ _LANDS_WITHIN = 1.5  # loiter radii
 _ASKS = 5  # in vain, once a second
 
 
-def holding(state: State, event: Event, context: Context) -> Step:
+def holding(state: State, event: Event, turn: Turn) -> None:
     """Stop as the reason allows, and continue when it is gone."""
     if stays_down(state):
-        return _stay_down(state)
-    if isinstance(event, Position) and (step := flying.circling_near_zone(state)) is not None:
-        return step
+        return _stay_down(state, turn)
+    if isinstance(event, Position) and looks_at_circle(state, turn):
+        return
     match state.hold:
         case Hold.REPLAN | Hold.PAUSED | Hold.RETURN | Hold.LAND:
-            return _hold_on_setpoints(state, event, context)
+            return _hold_on_setpoints(state, event, turn)
         case Hold.STREAM_LOST:
-            return _lead_back(state, event, context)
+            return _take_again(state, event, turn)
         case Hold.TAKEN_OVER | Hold.GROUNDED:
-            return _while_taken_over(state, event, context)
+            return _while_taken_over(state, event, turn)
         case Hold.SILENT:
-            return _heard_again(state, event, context)
+            return _heard_again(state, event, turn)
         case _:
-            return _hold_in_its_own_mode(state, event, context)
+            return _hold_in_its_own_mode(state, event, turn)
 
 
-def broken_off(state: State, reason: Reason) -> Step:
+def broken_off(state: State, reason: Reason, turn: Turn) -> None:
     """Held for another reason from now on, or at an end."""
     if reason in (Reason.DISARMED, Reason.GROUNDED):
-        return _over(state, reason)
+        return _over(state, reason, turn)
     if reason is Reason.LINK_LOST or state.hold in ON_SETPOINTS:
-        state = held_here(state)
-    return (
-        taken(state)
-        if reason.hold is Hold.TAKEN_OVER
-        else (with_hold_reason(state, reason), [], None)
-    )
+        come_to_rest(state.flight)
+    if reason.hold is Hold.TAKEN_OVER:
+        return taken(state, turn)
+    hold_for(state, reason)
 
 
-def _over(state: State, how: Reason) -> Step:
+def _over(state: State, how: Reason, turn: Turn) -> None:
     """End on the ground, with what was seen to lead to it."""
     reason, taken = state.reason, state.hold is Hold.TAKEN_OVER
     if reason is None or not (taken or reason.hold is Hold.MODE):
-        return give_up(state, how)
+        return turn.give_up(how)
     why = None
     if reason is Reason.FAILSAFE and taken:
         late = state.vehicle.bad_at_s > state.since_s
         why = (state.held and state.held.why) or (state.vehicle.last_distrust if late else None)
     remedy = why.remedy if why else how.remedy
     detail = f": {reason.text}" + (f": {why.text}" if why else "")
-    return give_up(state, how, detail, reason.remedy if reason.hold is Hold.MODE else remedy)
+    return turn.give_up(how, detail, reason.remedy if reason.hold is Hold.MODE else remedy)
 
 
-def _stay_down(state: State) -> Step:
+def _stay_down(state: State, turn: Turn) -> None:
     """End before the flight: out of the take-off mode, and disarmed if we have armed it."""
     vehicle, order = state.vehicle, state.orders.active or Reason.STOPPED
     elsewhere = vehicle.mode not in (Mode.GUIDED, Mode.TAKE_OFF, Mode.HOLD)
     if vehicle.armed and elsewhere:
-        return taken(state)
+        return taken(state, turn)
     out = vehicle.mode not in (Mode.TAKE_OFF, Mode.GUIDED)
     down = out and not (vehicle.armed and state.armed_by_us)
     if down and vehicle.status_at_s > state.since_s:
-        remedy = "Start again to fly."
-        state = replace(state, reason=order, detail=" before it took off", remedy=remedy)
-        return state, [], Trigger.STOP
-    if in_phase_s(state) > _STAYS_DOWN_S:
-        return give_up(state, Reason.NOT_OBEYING)
-    return (state, [], None) if elsewhere else ask(state, *parting(state))
+        state.reason, state.detail = order, " before it took off"
+        state.remedy = "Start again to fly."
+        return turn.to(Trigger.STOP)
+    if state.in_phase_s > _STAYS_DOWN_S:
+        return turn.give_up(Reason.NOT_OBEYING)
+    if not elsewhere:
+        turn.ask(*parting(state))
 
 
-def _heard_again(state: State, event: Event, context: Context) -> Step:
+def _heard_again(state: State, event: Event, turn: Turn) -> None:
     """Prepare again after a silence, which may have concerned some messages only."""
-    if in_phase_s(state) > longest_silence_s(state, context):
-        return give_up(state, Reason.LINK_LOST)
-    heard = isinstance(event, Position) and not is_silent(state)
-    return state, [], Trigger.PREPARE_AGAIN if heard else None
+    if state.in_phase_s > longest_silence_s(state, turn.context):
+        return turn.give_up(Reason.LINK_LOST)
+    heard = isinstance(event, Position) and not state.is_silent
+    if heard:
+        turn.to(Trigger.PREPARE_AGAIN)
+
+
+def _while_taken_over(state: State, event: Event, turn: Turn) -> None:
+    """Another controller flies: send no command until guided mode is selected, or an order comes.
+
+    Also after a failsafe: the autopilot's hold cannot be told from a pilot's.
+    """
+    if isinstance(event, Battery):
+        return warn_of_battery(state, turn)
+    known, mode = state.held or Held(Hold.TAKEN_OVER), state.vehicle.mode
+    told = state.now_s - known.released_at_s < _TOLD_S
+    given_back = mode is Mode.GUIDED or (told and mode is Mode.HOLD)
+    if told or given_back or not _is_trusted(state):
+        _take_again(state, event, turn, given_back=given_back)
+    elif known.released_at_s > 0.0:
+        state.held = replace(known, released_at_s=-1e9)
+        turn.warn("guided mode was not taken")
+    elif state.reason is Reason.FAILSAFE and not (state.vehicle.failsafe or known.failsafe_over):
+        state.held = replace(known, failsafe_over=True)
+        turn.warn(FAILSAFE_OVER)
 
 
 def _is_trusted(state: State) -> bool:
@@ -151,118 +165,103 @@ def _is_trusted(state: State) -> bool:
 
 
 def _is_elsewhere(state: State) -> bool:
-    """Whether the position passes all checks but cannot have been reached."""
-    reason = state.vehicle.distrust
-    return reason is Reason.POSITION_ELSEWHERE and state.reason is not reason
+    """Whether the position passes all checks but cannot have been reached, which is news."""
+    distrust = state.vehicle.distrust
+    return distrust is Reason.POSITION_ELSEWHERE and state.reason is not distrust
 
 
-def _elsewhere(state: State) -> Step:
-    """Hold for that, with a text: the previous reason is over."""
-    state, says = held(held_here(state), Reason.POSITION_ELSEWHERE)
-    return replace(state, taken=False), [says], None
+def _take_again(state: State, event: Event, turn: Turn, *, given_back: bool = True) -> None:
+    """Lead it again once its position was valid for a while, and it is in guided mode.
 
-
-def _while_taken_over(state: State, event: Event, context: Context) -> Step:
-    """Another controller flies: send no command until guided mode is selected, or an order comes.
-
-    Also after a failsafe: the autopilot's hold cannot be told from a pilot's.
+    PX4 returns to that by itself as soon as setpoints arrive again (px4.md 6): no mode is
+    requested.  A position that passes all checks but cannot have been reached is held for.
     """
-    if isinstance(event, events.Battery):
-        state, warning = battery_warning(state, context.mission)
-        return state, warning, None
-    known = state.held if state.held and state.hold is Hold.TAKEN_OVER else Held(Hold.GROUNDED)
-    told = state.now_s - known.released_at_s < _TOLD_S
-    given_back = state.vehicle.mode is Mode.GUIDED or (told and state.vehicle.mode is Mode.HOLD)
-    if given_back and _is_elsewhere(state):
-        return _elsewhere(state)
-    if not _is_trusted(state):
-        return held_here(state), [], None
-    if state.vehicle.mode is Mode.GUIDED:
-        return resumed(held_here(state))
-    if told:
-        return _ask_for_guided(state, event, context)
-    if known.released_at_s > 0.0:
-        state = replace(state, held=replace(known, released_at_s=-1e9))
-        return state, [warn("guided mode was not taken")], None
-    acts = state.reason is not Reason.FAILSAFE or state.vehicle.failsafe
-    if acts or known.failsafe_over:
-        return state, [], None
-    state = replace(state, held=replace(known, failsafe_over=True))
-    return state, [warn(FAILSAFE_OVER)], None
+    if given_back and _is_elsewhere(state):  # the previous reason is over
+        come_to_rest(state.flight)
+        turn.hold(Reason.POSITION_ELSEWHERE)
+        state.taken = False
+    elif not _is_trusted(state):
+        come_to_rest(state.flight)
+    elif state.vehicle.mode is Mode.GUIDED:
+        come_to_rest(state.flight)
+        resumed(state, turn)
+    elif state.hold is not Hold.STREAM_LOST:
+        _ask_for_guided(state, event, turn)
+    elif isinstance(event, Position):
+        _stream_here(state, event, math.inf, turn)
 
 
-def resumed(state: State) -> Step:
+def resumed(state: State, turn: Turn) -> None:
     """End of a hold: the active order first; else continue, or backtrack.
 
     If the backtrack is too far away or blocked, a path home is planned.
     """
-    wanted = state.orders.active
+    flight, wanted = state.flight, state.orders.active
     if wanted not in (None, state.reason):
-        flight = following.at_rest(state.flight, state.vehicle.position_nea_m)
-        return with_hold_reason(replace(state, flight=flight, taken=False), wanted), [], None
-    flight = state.flight
+        come_to_rest(flight, state.vehicle.position_nea_m)
+        state.taken = False
+        hold_for(state, wanted)
+        return
     if not flight.returning:
-        return state, [], Trigger.RESUME
+        return turn.to(Trigger.RESUME)
     clear = not any(is_touched(leg, 0.0, state.task) for leg in flight.back)
-    if clear and way_back.begun(state) is not None:
-        return state, [], Trigger.BACKTRACK
+    if clear and way_back.begun(state, flight) is not None:
+        return turn.to(Trigger.BACKTRACK)
     reason = flight.fallen_back or state.reason or Reason.NO_PLAN
-    return way_back.home_by_plan(state, "returning another way", reason)
+    return way_back.home_by_plan(state, turn, "returning another way", reason)
 
 
-def _hold_on_setpoints(state: State, event: Event, context: Context) -> Step:
+def _hold_on_setpoints(state: State, event: Event, turn: Turn) -> None:
     """Hold at the end of the leg; retry after a pause, a limited number of times."""
-    if isinstance(event, events.PlanReady):
-        return way_back.on_plan(state, event, context)
+    if isinstance(event, PlanReady):
+        return way_back.on_plan(state, event, turn)
     if not isinstance(event, Position):
-        return state, [], None
+        return
     if battery_runs_low(state):  # a pause, too, ends before the battery does
-        low = with_hold_reason(given_up_for_battery(state), Reason.BATTERY_LOW)
-        return low, [warn(f"hold: {Reason.BATTERY_LOW.text}")], None
-    state, warning = battery_warning(state, context.mission)
-    flight, stay = following.hold_setpoint(state, event.time_s, context)
-    state = replace(state, flight=flight)
-    if flight.planning_backtrack is not None:
-        if state.now_s - flight.planning_backtrack.since_s > _ANSWER_S:
-            return give_up(state, state.reason or Reason.NO_PLAN)
-        return state, [*warning, *stay], None
-    return _end_of_hold(state, event, context, [*warning, *stay])
+        give_up_for_battery(state)
+        hold_for(state, Reason.BATTERY_LOW)
+        turn.warn(f"hold: {Reason.BATTERY_LOW.text}")
+        return
+    warn_of_battery(state, turn)
+    send_hold(state, event.time_s, turn)
+    if (asked := state.flight.planning_backtrack) is None:
+        _end_of_hold(state, event, turn)
+    elif state.now_s - asked.since_s > _ANSWER_S:
+        turn.give_up(state.reason or Reason.NO_PLAN)
 
 
-def _end_of_hold(state: State, event: Position, context: Context, commands: list[Command]) -> Step:
-    """What comes after a hold on setpoints, once that is due.
-
-    commands: of the hold, left out where another way is looked for in the same moment.
-    """
-    hold, near, flight = state.hold, context.mission.near, state.flight
-    held_s, settled = in_phase_s(state), _is_settled(state, event)
+def _end_of_hold(state: State, event: Position, turn: Turn) -> None:
+    """What comes after a hold on setpoints, once that is due."""
+    hold, near, flight = state.hold, turn.context.mission.near, state.flight
+    held_s, settled = state.in_phase_s, _is_settled(state, event)
     moving = not settled and held_s < _SETTLE_S
     pause_s = _PAUSE_S
     if near is not None:  # what it sees now is on the map at once
         pause_s = _SENSOR_S if state.vehicle.sight.is_blind else state.task.settings.planning_time_s
     if hold is Hold.LAND and not moving:
-        return preceded(commands, _land_here(state))
+        return _land_here(state, turn)
     if hold in (Hold.PAUSED, Hold.LAND) or held_s < pause_s or moving:
-        return state, commands, None
-    if waits_for_fence(state, context):
+        return
+    if waits_for_fence(state, turn.context):
         if not fence_is_given_up(state):
-            return state, commands, None
-        return preceded(commands, _other_way(with_hold_reason(state, Reason.FENCE_UNREAD), context))
+            return
+        hold_for(state, Reason.FENCE_UNREAD)
+        return _other_way(state, turn)
     low_battery = state.reason is Reason.BATTERY_LOW  # which may have ended a pause
     on_way_back = flight.returning or (low_battery and flight.homeward)
     goes_back = flight.returning or flight.homeward
     if state.vehicle.ground_above_m and not goes_back and hold is Hold.REPLAN:
-        if held_s < _SENSOR_S * context.mission.attempts:
-            return state, commands, None
-        return _other_way(with_hold_reason(state, Reason.GROUND_NEARER), context)
+        if held_s < _SENSOR_S * turn.context.mission.attempts:
+            return
+        hold_for(state, Reason.GROUND_NEARER)
+        return _other_way(state, turn)
     stops_allowed = _MAX_STOPS if near is None else _MAX_STOPS_NEAR
-    tries = flight.failures < context.mission.attempts and flight.stops <= stops_allowed
+    tries = flight.failures < turn.context.mission.attempts and flight.stops <= stops_allowed
     if not on_way_back and (hold is Hold.RETURN or not tries):
-        return _other_way(state, context)
-    hovers = state.vehicle.traits.hovers
-    if hovers and (state.reason is Reason.NEW_THREAT or not settled):
-        state = held_here(state)  # the band may be another one, or it does not come back
-    return preceded(commands, resumed(state))
+        return _other_way(state, turn)
+    if state.vehicle.traits.hovers and (state.reason is Reason.NEW_THREAT or not settled):
+        come_to_rest(flight)  # the band may be another one, or it does not come back
+    return resumed(state, turn)
 
 
 def _is_settled(state: State, event: Position) -> bool:
@@ -274,157 +273,145 @@ def _is_settled(state: State, event: Position) -> bool:
     return off_m <= _SETTLED * state.task.limits.tracking_error_m
 
 
-def _other_way(state: State, context: Context) -> Step:
+def _other_way(state: State, turn: Turn) -> None:
     """Backtrack if that is the fallback; else as `fall_back` says.
 
     Not once planning a path home has failed.
     """
     reason, flight = state.reason or Reason.NO_PLAN, state.flight
-    how = wanted_fallback(state, context)
+    how = wanted_fallback(state, turn.context)
     at_home = not flight.flown and is_above_home(state)
     if how is not Fallback.RETURN or flight.homeward or at_home:
-        return give_up(state, reason)
-    why = in_words(state, reason)
-    state = state.with_flight(fallen_back=reason)
+        return turn.give_up(reason)
+    why, flight.fallen_back = in_words(state, reason), reason
     if not flight.flown:
-        return way_back.home_by_plan(state, f"{why}: planning a way home", reason, warning=True)
+        text = f"{why}: planning a way home"
+        return way_back.home_by_plan(state, turn, text, reason, warning=True)
     how_so = "flying back and landing" if begins_at_home(state) else "flying back, then home"
-    return preceded([warn(f"{why}: {how_so}", "end")], way_back.request(state, context))
+    turn.warn(f"{why}: {how_so}", "end")
+    return way_back.request(state, turn)
 
 
-def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
+def _hold_in_its_own_mode(state: State, event: Event, turn: Turn) -> None:
     """The autopilot holds, until the vehicle is at rest and its position was valid for a while."""
     vehicle, mode, hovers = state.vehicle, state.vehicle.mode, state.vehicle.traits.hovers
-    taking_over = state.hold is Hold.TAKE_OVER
-    if in_phase_s(state) > _HOLD_S or state.flight.troubles > _TROUBLES:
-        return state, [], Trigger.GIVE_UP
+    taking_over, ordered = state.hold is Hold.TAKE_OVER, state.orders.active
+    if state.in_phase_s > _HOLD_S or state.flight.troubles > _TROUBLES:
+        return turn.to(Trigger.GIVE_UP)
     if mode is not Mode.TAKE_OFF and _is_elsewhere(state):
-        return _elsewhere(state)
+        return _take_again(state, event, turn)
     flies_on = hovers and mode is Mode.GUIDED  # to a target that is not known
     if mode is Mode.HOLD or (taking_over and not flies_on):
-        state = replace(state, obeyed=True)
+        state.obeyed = True
     stands = (
         not hovers
         or math.hypot(*vehicle.velocity_nea_m_s) < STOPPED_M_S
-        or in_phase_s(state) > _SETTLE_S
+        or state.in_phase_s > _SETTLE_S
         or state.flight.hover_nea_m is not None
     )
     doubted = vehicle.distrust is not None
     if not state.obeyed or (mode is Mode.GUIDED and (doubted or not stands)):
-        return ask(replace(held_here(state), obeyed=False), events.SetMode(mode=Mode.HOLD))
-    if stands and mode is Mode.HOLD and state.orders.active is Reason.LAND_ASKED:
-        return _land_here(state)
+        come_to_rest(state.flight)
+        state.obeyed = False
+        turn.ask(SetMode(mode=Mode.HOLD))
+        return
+    if stands and mode is Mode.HOLD and ordered is Reason.LAND_ASKED:
+        return _land_here(state, turn)
     unled = state.reason is Reason.BROKEN_OFF and state.flight.plan_id == 0
-    if unled and mode is Mode.HOLD and state.orders.active is Reason.RETURN_ASKED:
-        return give_up(state, Reason.RETURN_ASKED)  # there is no way back but its own
-    if not stands or not _is_trusted(state):
-        return held_here(state), [], None
-    if mode is Mode.GUIDED:
-        return resumed(held_here(state))
-    return _ask_for_guided(state, event, context)
+    if unled and mode is Mode.HOLD and ordered is Reason.RETURN_ASKED:
+        return turn.give_up(Reason.RETURN_ASKED)  # there is no way back but its own
+    if stands:
+        _take_again(state, event, turn, given_back=False)
+    else:
+        come_to_rest(state.flight)
 
 
-def _land_here(state: State) -> Step:
+def _land_here(state: State, turn: Turn) -> None:
     """Land, as ordered."""
-    says = say(f"{Reason.LAND_ASKED.text}: landing here", "phase")
-    return state.with_flight(fallen_back=Reason.LAND_ASKED), [says], Trigger.END_LAND
+    state.flight.fallen_back = Reason.LAND_ASKED
+    turn.say(f"{Reason.LAND_ASKED.text}: landing here", "phase")
+    return turn.to(Trigger.END_LAND)
 
 
-def taken(state: State) -> Step:
+def taken(state: State, turn: Turn) -> None:
     """A pilot or the autopilot has taken over."""
-    state, says = held(state, takeover_reason(state))
-    return replace(state, taken=True), [says], None
+    turn.hold(takeover_reason(state))
+    state.taken = True
 
 
-def _lead_back(state: State, event: Event, context: Context) -> Step:
-    """PX4 returns to OFFBOARD by itself as soon as setpoints arrive again (px4.md 6).
-
-    No mode is requested: if it does not return, it holds for another reason.
-    """
-    mode = state.vehicle.mode
-    if _is_elsewhere(state):
-        return _elsewhere(state)
-    if not _is_trusted(state):
-        return held_here(state), [], None
-    if mode is Mode.GUIDED:
-        return resumed(held_here(state))
-    return _stream_here(state, event, math.inf, context)
-
-
-def _stream_here(state: State, event: Event, near_m: float, context: Context) -> Step:
+def _stream_here(state: State, event: Position, near_m: float, turn: Turn) -> None:
     """Setpoints where it holds, or where it is by now if that is farther away."""
-    if not isinstance(event, Position):
-        return state, [], None
     hover = state.flight.hover_nea_m
     if hover is None or math.dist(hover, event.position_nea_m) > near_m:
-        flight = following.at_rest(state.flight, event.position_nea_m)
-        state = replace(state, flight=flight)
-    flight, stay = following.hold_setpoint(state, event.time_s, context)
-    return replace(state, flight=flight), stay, None
+        come_to_rest(state.flight, event.position_nea_m)
+    send_hold(state, event.time_s, turn)
 
 
-def _ask_for_guided(state: State, event: Event, context: Context) -> Step:
+def _ask_for_guided(state: State, event: Event, turn: Turn) -> None:
     """Request guided mode; with setpoints at the position, for autopilots that need them first."""
-    traits, asking = state.vehicle.traits, events.SetMode(mode=Mode.GUIDED)
-    if not (traits.hovers or traits.needs_setpoints_before_offboard):
-        return ask(state, asking)  # refused before (ardupilot.md 7)
-    if not isinstance(event, Position):
-        return state, [], None
-    near_m = max(AT_M, _CIRCLES * state.task.limits.loiter_radius_m)
-    state, stay, _ = _stream_here(state, event, near_m, context)
-    return preceded(stay, ask(state, asking))
+    traits = state.vehicle.traits
+    if traits.hovers or traits.needs_setpoints_before_offboard:  # refused before (ardupilot.md 7)
+        if not isinstance(event, Position):
+            return
+        near_m = max(AT_M, _CIRCLES * state.task.limits.loiter_radius_m)
+        _stream_here(state, event, near_m, turn)
+    turn.ask(SetMode(mode=Mode.GUIDED))
 
 
 # --- at the target
 
 
-def arrived(state: State, event: Event, context: Context) -> Step:
+def arrived(state: State, event: Event, turn: Turn) -> None:
     """Stop at the target; then the next target, or the end action."""
-    asked = state.asked_at_s > state.since_s
+    flight, asked = state.flight, state.asked_at_s > state.since_s
     if state.vehicle.mode is Mode.HOLD and asked:
-        return state, [], Trigger.END_HOLD
-    if in_phase_s(state) > _SETTLE_S + _OBEY_S:
-        return give_up(state, Reason.NOT_OBEYING if asked else Reason.NOT_FOLLOWING)
-    if isinstance(event, events.PlanReady):
-        return way_back.on_plan(state, event, context)
+        return turn.to(Trigger.END_HOLD)
+    if state.in_phase_s > _SETTLE_S + _OBEY_S:
+        return turn.give_up(Reason.NOT_OBEYING if asked else Reason.NOT_FOLLOWING)
+    if isinstance(event, PlanReady):
+        return way_back.on_plan(state, event, turn)
     if not isinstance(event, Position):
-        return state, [], None
-    flight, stay = following.hold_setpoint(state, event.time_s, context)
-    state = replace(state, flight=flight)
+        return
+    send_hold(state, event.time_s, turn)
     if not _stands_at_target(state, event):
-        return state, stay, None
+        return
     if flight.target + 1 < len(state.targets_ne_m):
-        return state.with_flight(target=flight.target + 1, stops=0), stay, Trigger.NEXT_TARGET
-    return preceded(stay, _end(state, context))
+        flight.target, flight.stops = flight.target + 1, 0
+        return turn.to(Trigger.NEXT_TARGET)
+    return _end(state, turn)
 
 
-def _end(state: State, context: Context) -> Step:
+def _end(state: State, turn: Turn) -> None:
     """The mission's end action."""
-    traits, action, flight = state.vehicle.traits, context.mission.end_action, state.flight
+    traits, action, flight = state.vehicle.traits, turn.context.mission.end_action, state.flight
     if flight.homeward or (action is EndAction.LAND and traits.lands):
-        return state, [], Trigger.END_LAND if traits.lands else Trigger.HAND_OVER
+        return turn.to(Trigger.END_LAND if traits.lands else Trigger.HAND_OVER)
     if action is EndAction.RETURN:
         if flight.planning_backtrack is not None:
-            return state, [], None
+            return
         if flight.flown:
-            return way_back.request(state, context)
-        return way_back.home_by_plan(state, "returning: planning a way home", Reason.NO_PLAN)
+            return way_back.request(state, turn)
+        text = "returning: planning a way home"
+        return way_back.home_by_plan(state, turn, text, Reason.NO_PLAN)
     if traits.holds_in_guided:
-        told = in_phase_s(state) > _TOLD_TO_STAY_S
-        return state, [], Trigger.END_HOLD if told else None
+        if state.in_phase_s > _TOLD_TO_STAY_S:
+            turn.to(Trigger.END_HOLD)
+        return
     # an autopilot may refuse to hold about a point (its own fence): then anywhere
     about = flight.hover_nea_m if state.asks < _ASKS_ABOUT else None
-    return ask(state, events.SetMode(mode=Mode.HOLD, at_nea_m=about))
+    turn.ask(SetMode(mode=Mode.HOLD, at_nea_m=about))
 
 
-def reached(state: State) -> events.StatusText:
+def say_reached(state: State, turn: Turn) -> None:
     """Text at a target; for a plane that missed it by too much, with the distance."""
-    here, there = state.vehicle.position_nea_m, state.flight.hover_nea_m
+    here, there, limits = state.vehicle.position_nea_m, state.flight.hover_nea_m, state.task.limits
+    off_m = 0.0
     if not state.vehicle.traits.hovers and here is not None and there is not None:
         off_m = math.dist(here[:2], there[:2])
-        if off_m > state.task.limits.tracking_error_m:
-            return warn(f"target reached: passed {off_m:.0f} m away", "phase")
-    return say("target reached", "phase")
+    if off_m > limits.tracking_error_m:
+        turn.warn(f"target reached: passed {off_m:.0f} m away", "phase")
+    else:
+        turn.say("target reached", "phase")
 
 
 def _stands_at_target(state: State, event: Position) -> bool:
@@ -433,7 +420,7 @@ def _stands_at_target(state: State, event: Position) -> bool:
     off = math.inf if here is None else math.dist(event.position_nea_m, here)
     if not state.vehicle.traits.hovers:
         return off < _CIRCLES * limits.loiter_radius_m + limits.tracking_error_m
-    if in_phase_s(state) > _SETTLE_S:
+    if state.in_phase_s > _SETTLE_S:
         return off < max(AT_M, limits.tracking_error_m)
     return off < _THERE_M and is_at_rest(state, event)
 
@@ -470,25 +457,25 @@ def landing_words(state: State, context: Context) -> str:
     return f"{traits.name} lands on a circle: up to {within_m:.0f} m from the target"
 
 
-def landing(state: State, event: Event, _context: Context) -> Step:
+def landing(state: State, event: Event, turn: Turn) -> None:
     """Request the land mode until it is taken, then wait for touchdown."""
-    vehicle = state.vehicle
+    vehicle, flight = state.vehicle, state.flight
     if vehicle.landed is Landed.ON_GROUND and not vehicle.armed:
-        return state, [], Trigger.LANDED
+        return turn.to(Trigger.LANDED)
     if isinstance(event, Position) and event.velocity_nea_m_s[2] < -_SINKING_M_S:
-        state = state.with_flight(progress_at_s=state.now_s)
-    if state.now_s - state.flight.progress_at_s > _OBEY_S:
-        return give_up(state, Reason.NOT_OBEYING)
+        flight.progress_at_s = state.now_s
+    if state.now_s - flight.progress_at_s > _OBEY_S:
+        return turn.give_up(Reason.NOT_OBEYING)
     if vehicle.mode is Mode.LAND:
-        return replace(state, obeyed=True), [], None
-    if not is_ours(state):  # PX4 holds without setpoints
-        if is_grounded(state):
-            return state, [], None  # down, and not yet disarmed: the mode is the autopilot's
-        return _broken_off(state)
-    return ask(state, events.SetMode(mode=Mode.LAND))
+        state.obeyed = True
+    elif is_ours(state):
+        turn.ask(SetMode(mode=Mode.LAND))
+    elif not state.is_grounded:  # PX4 holds without setpoints
+        return _broken_off(state, turn)
+    return None  # on the ground, and not yet disarmed: the mode is the autopilot's
 
 
-def _broken_off(state: State) -> Step:
+def _broken_off(state: State, turn: Turn) -> None:
     """The vehicle has left the land mode: not landed again without an order.
 
     Hold in place if guided mode was selected; else the pilot has control, and it holds once handed
@@ -496,24 +483,25 @@ def _broken_off(state: State) -> Step:
     """
     guided = state.vehicle.mode is Mode.GUIDED
     reason = Reason.PAUSED if guided else takeover_reason(state)
-    flight = following.at_rest(state.flight, state.vehicle.position_nea_m if guided else None)
-    state = replace(state, flight=flight)
-    if reason is Reason.FENCE_BREACHED:
-        return fault(state, reason)
-    state = replace(state, orders=Orders(Reason.PAUSED, landing_order(state)))
-    return preceded([warn(LANDING_ABORTED)], fault(state, reason))
+    come_to_rest(state.flight, state.vehicle.position_nea_m if guided else None)
+    if reason is not Reason.FENCE_BREACHED:
+        state.orders = Orders(Reason.PAUSED, landing_order(state))
+        turn.warn(LANDING_ABORTED)
+    return turn.fault(reason)
 
 
-def handing_over(state: State, _event: Event, _context: Context) -> Step:
+def handing_over(state: State, _event: Event, turn: Turn) -> None:
     """Request RTL until the autopilot takes it; from then on the autopilot is in control."""
     vehicle = state.vehicle
-    if is_silent(state):
-        return state, [], None
+    if state.is_silent:
+        return
     if vehicle.mode is Mode.RETURN:
-        return state, [], Trigger.HANDED_ON
-    if not vehicle.armed or is_grounded(state):
-        return give_up(state, Reason.GROUNDED if vehicle.armed else Reason.DISARMED)
+        return turn.to(Trigger.HANDED_ON)
+    if not vehicle.armed or state.is_grounded:
+        return turn.give_up(Reason.GROUNDED if vehicle.armed else Reason.DISARMED)
     if not is_ours(state):
-        return give_up(state, takeover_reason(state))
-    asked = ask(state, events.SetMode(mode=Mode.RETURN))
-    return give_up(asked[0], Reason.NOT_OBEYING) if asked[0].asks > _ASKS else asked
+        return turn.give_up(takeover_reason(state))
+    if state.asks == _ASKS and state.now_s - state.asked_at_s >= ASK_AGAIN_S:
+        return turn.give_up(Reason.NOT_OBEYING)
+    turn.ask(SetMode(mode=Mode.RETURN))
+    return

@@ -11,15 +11,10 @@ from typing import Final
 
 from companion.mission.decisions import (
     Context,
-    Step,
-    has_had_control,
-    in_phase_s,
+    Turn,
     in_words,
-    is_grounded,
-    is_second_companion,
-    is_silent,
 )
-from companion.mission.events import Disarm, Event, Landed, LinkLost, Mode, Position, SetMode, warn
+from companion.mission.events import Disarm, Event, Landed, LinkLost, Mode, Position, SetMode
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.state import IN_AIR, ON_SETPOINTS, Hold, Phase, Reason, State, Trigger
 from companion.mission.vehicle_traits import UNKNOWN, TakeoffSequence
@@ -90,7 +85,7 @@ def _is_held_by_what_it_misreads(state: State) -> bool:
     Where it keeps out then nobody else knows (px4.md 7); a lost stream it would have taken up.
     """
     fence, lost = state.fence, state.hold is Hold.STREAM_LOST
-    return fence is not None and fence.misread and lost and in_phase_s(state) > _COMES_BACK_S
+    return fence is not None and fence.misread and lost and state.in_phase_s > _COMES_BACK_S
 
 
 def _is_out_of_its_fence(state: State) -> bool:
@@ -136,7 +131,7 @@ def is_breach_of_fence(state: State) -> bool:
     held = state.hold in (Hold.TAKEN_OVER, Hold.STREAM_LOST)
     if not held or state.reason is Reason.FENCE_BREACHED:
         return False
-    by_itself = state.vehicle.failsafe or in_phase_s(state) < _BREACH_S
+    by_itself = state.vehicle.failsafe or state.in_phase_s < _BREACH_S
     return by_itself and takeover_reason(state) is Reason.FENCE_BREACHED
 
 
@@ -146,11 +141,11 @@ def stays_down(state: State) -> bool:
 
 
 def _falls_silent(state: State) -> bool:
-    return is_silent(state) and state.hold is not Hold.SILENT
+    return state.is_silent and state.hold is not Hold.SILENT
 
 
 def _is_led(state: State) -> bool:
-    lost_s = in_phase_s(state) if state.hold is Hold.STREAM_LOST else 0.0
+    lost_s = state.in_phase_s if state.hold is Hold.STREAM_LOST else 0.0
     return is_ours(state) and lost_s <= _LEADS_BACK_S
 
 
@@ -161,9 +156,9 @@ FAULTS: Final[tuple[tuple[_Cause, tuple[Phase, ...], _Sign], ...]] = (
     (Reason.FENCE_BREACHED, _HELD, lambda s, e: isinstance(e, Position) and is_breach_of_fence(s)),
     (Reason.LINK_LOST, (*_UP, *_HELD), lambda s, e: isinstance(e, LinkLost) or _falls_silent(s)),
     (Reason.DISARMED, (*_UP, *_HELD), lambda s, _: not (s.vehicle.armed or stays_down(s))),
-    (Reason.GROUNDED, _HELD, lambda s, _: is_grounded(s) and not stays_down(s)),
+    (Reason.GROUNDED, _HELD, lambda s, _: s.is_grounded and not stays_down(s)),
     (_lost_or_taken, (*_UP, *_HELD), lambda s, _: not (stays_down(s) or _is_led(s))),
-    (Reason.GROUNDED, _LED, lambda s, _: is_grounded(s)),
+    (Reason.GROUNDED, _LED, lambda s, _: s.is_grounded),
     (lambda s: s.vehicle.distrust, _UP, lambda *_: True),
     (lambda s: s.vehicle.distrust, _HELD, lambda s, _: s.hold in ON_SETPOINTS),
 )
@@ -212,34 +207,36 @@ def wanted_fallback(state: State, context: Context) -> Fallback:
     return Fallback.RETURN if home else context.mission.fallback
 
 
-def fall_back(state: State, context: Context) -> Step:
+def fall_back(state: State, turn: Turn) -> None:
     """Bring down a vehicle whose mission is given up, if we still control it."""
-    fallback, flight, traits = wanted_fallback(state, context), state.flight, state.vehicle.traits
+    flight, traits = state.flight, state.vehicle.traits
+    fallback = wanted_fallback(state, turn.context)
     if fallback is Fallback.HOLD or traits is UNKNOWN or not _is_left_to_us(state):
-        return state, [], Trigger.GIVE_UP
-    refused = flight.refused_modes | {mode for at, mode in _ASKED_IN.items() if at is state.phase}
+        return
+    if state.phase in _ASKED_IN:
+        flight.refused_modes |= {_ASKED_IN[state.phase]}
     if state.vehicle.distrust is not None or is_above_home(state):
         fallback = Fallback.LAND
     able = {Mode.RETURN, Mode.LAND} if traits.lands else {Mode.RETURN}
-    way = next((mode for mode in LADDER[fallback] if mode in able - refused), None)
     reason = state.reason or Reason.NO_PLAN
     follows = reason is Reason.NOT_OBEYING or flight.homeward
     if follows and flight.fallen_back is not None:
         reason = flight.fallen_back  # that is why it was asked
-    state = state.with_flight(fallen_back=reason, refused_modes=refused)
-    if way is None:
-        return state, [], Trigger.GIVE_UP
-    how, trigger = _BRINGS_DOWN[way]
-    return state, [warn(f"{in_words(state, reason)}: {how}", "end")], trigger
+    flight.fallen_back = reason
+    for mode in LADDER[fallback]:
+        if mode in able - flight.refused_modes:
+            how, trigger = _BRINGS_DOWN[mode]
+            turn.warn(f"{in_words(state, reason)}: {how}", "end")
+            return turn.to(trigger)
 
 
 def _is_left_to_us(state: State) -> bool:
     """Whether we are responsible for the vehicle: it flies or holds on our command."""
     vehicle = state.vehicle
-    led = has_had_control(state) or state.flight.plan_id > 0
-    if not led or state.taken or is_second_companion(state) or state.reason is Reason.LINK_LOST:
+    led = state.has_had_control or state.flight.plan_id > 0
+    if not led or state.taken or state.is_second_companion or state.reason is Reason.LINK_LOST:
         return False
-    if not vehicle.armed or is_grounded(state) or is_silent(state):
+    if not vehicle.armed or state.is_grounded or state.is_silent:
         return False
     if vehicle.mode is Mode.HOLD:
         return state.phase is not Phase.PREPARING or state.asks > 0
@@ -272,7 +269,7 @@ def _flies(state: State) -> bool:
     vehicle, holds = state.vehicle, state.vehicle.mode is Mode.HOLD
     if state.held is not None and state.reason is Reason.BROKEN_OFF:
         return holds or not vehicle.armed or _does_as_told(state)
-    if is_grounded(state):
+    if state.is_grounded:
         return still_goes_up(state) and _takes_off(state)
     told = _does_as_told(state) or (holds and state.asks > 0)
     return state.airborne and vehicle.armed and told
@@ -290,7 +287,7 @@ the companion goes, as it would go on else."""
 
 def is_under_control(state: State) -> bool:
     """Whether the vehicle has to be told to hold if the companion goes."""
-    known = state.vehicle.traits is not UNKNOWN and not is_second_companion(state)
+    known = state.vehicle.traits is not UNKNOWN and not state.is_second_companion
     return known and state.phase in LEAVE and LEAVE[state.phase](state)
 
 
@@ -302,7 +299,7 @@ def parting(state: State, *, stopped: bool = False) -> list[SetMode | Disarm]:
     vehicle = state.vehicle
     if not is_under_control(state):
         lands = state.phase is Phase.LANDING and vehicle.mode is Mode.LAND
-        lands = lands and vehicle.armed and not is_grounded(state)
+        lands = lands and vehicle.armed and not state.is_grounded
         return [SetMode(mode=Mode.HOLD)] if stopped and lands else []
     at = state.flight.hover_nea_m if vehicle.mode is Mode.GUIDED else None
     hold = SetMode(mode=Mode.HOLD, at_nea_m=at)
@@ -310,6 +307,6 @@ def parting(state: State, *, stopped: bool = False) -> list[SetMode | Disarm]:
         down = vehicle.landed is Landed.ON_GROUND
     else:
         goes_up = state.phase is Phase.TAKING_OFF or still_goes_up(state)
-        down = goes_up and is_grounded(state)
+        down = goes_up and state.is_grounded
     # in this order: the first counts should it be in the air by now
     return [hold, Disarm()] if down and state.armed_by_us else [hold]

@@ -1,14 +1,24 @@
 """The way back: along the flown path, each stretch of it proven again; else home by a plan."""
 
 import math
+from copy import copy
 
 from msgspec.structs import replace
 
-from companion.mission import events, following
-from companion.mission.decisions import AT_M, Context, Step, give_up, preceded
-from companion.mission.events import PlanReady, say, warn
-from companion.mission.following import at_rest, at_rest_at_end
-from companion.mission.state import Flight, OnPath, Orders, Planning, Reason, State, Trigger, Way
+from companion.mission import following
+from companion.mission.decisions import AT_M, Turn
+from companion.mission.events import Plan, PlanReady
+from companion.mission.state import (
+    Flight,
+    OnPath,
+    Orders,
+    Planning,
+    Reason,
+    State,
+    Targets,
+    Trigger,
+    Way,
+)
 from companion.planner.procedure import Leg, Reference, hover_pose
 from companion.planner.progress import NO_PROGRESS
 from companion.planner.request import Backtrack, PlanRequest, Refusal
@@ -21,14 +31,16 @@ _CIRCLES = 1.5
 """Loiter radii: a plane lands on a circle about where it is told to (px4.md 10)."""
 
 
-def request(state: State, context: Context) -> Step:
+def request(state: State, turn: Turn) -> None:
     """Request the proof of the backtrack; it takes effect as soon as it is ready."""
     here, flight = state.vehicle.position_nea_m, state.flight
     if here is None:
-        return give_up(state, state.reason or Reason.POSITION_STALE)
+        return turn.give_up(state.reason or Reason.POSITION_STALE)
+    flight.plan_id += 1
+    flight.planning_backtrack = Planning(state.task, since_s=state.now_s)
     request = PlanRequest(
-        plan_id=flight.plan_id + 1,
-        seed=context.seed,
+        plan_id=flight.plan_id,
+        seed=turn.context.seed,
         task=state.task,
         known=flight.known,
         scan_nea_m=here,
@@ -37,25 +49,24 @@ def request(state: State, context: Context) -> Step:
         target_ne_m=here[:2],
         flown=flight.flown,
     )
-    planning = Planning(state.task, since_s=state.now_s)
-    state = state.with_flight(plan_id=request.plan_id, planning_backtrack=planning)
-    return state, [events.Plan(request=request, due_s=state.now_s)], None
+    turn.do(Plan(request=request, due_s=state.now_s))
 
 
-def on_plan(state: State, event: PlanReady, context: Context) -> Step:
+def on_plan(state: State, event: PlanReady, turn: Turn) -> None:
     """Take the backtrack; if it failed, plan a path home, or give up."""
-    flight, asked = state.flight, state.flight.planning_backtrack
-    if asked is None or event.outcome.plan_id != flight.plan_id:
-        return state, [], None
+    flight, asked, outcome = state.flight, state.flight.planning_backtrack, event.outcome
+    if asked is None or outcome.plan_id != flight.plan_id:
+        return
     if asked.rules is not state.task:  # it was proven under other rules
-        return request(state, context)
-    back = _way_of(event.outcome, state.task) if isinstance(event.outcome, Backtrack) else ()
-    after = state.with_flight(way=Way.BACK, back=back, planning_backtrack=None)
-    if begun(after) is not None:
-        return after, [], Trigger.BACKTRACK
+        return request(state, turn)
+    back = _way_of(outcome, state.task) if isinstance(outcome, Backtrack) else ()
+    onto = replace(flight, way=Way.BACK, back=back, planning_backtrack=None)
+    if begun(state, onto) is not None:
+        state.flight = onto
+        return turn.to(Trigger.BACKTRACK)
     reason = state.reason or Reason.NO_PLAN
     text = f"{reason.text}: no way back is proven, planning one home"
-    return home_by_plan(state, text, reason, warning=True)
+    return home_by_plan(state, turn, text, reason, warning=True)
 
 
 def _way_of(outcome: Backtrack, rules: Task) -> tuple[Leg, ...]:
@@ -77,76 +88,84 @@ def _way_of(outcome: Backtrack, rules: Task) -> tuple[Leg, ...]:
     )
 
 
-def begun(state: State) -> Flight | None:
-    """On the first remaining leg of the backtrack; None: none is left, or it is too far off."""
-    flight, before = state.flight, state.flight.path
+def begun(state: State, flight: Flight) -> Flight | None:
+    """On the first remaining leg of the backtrack; None: none is left, or it is too far off.
+
+    flight: the state's, or what it may become; it is left as it is.
+    """
     if not flight.back or state.vehicle.position_nea_m is None:
         return None
     leg, *rest = flight.back
-    onto = OnPath(leg=leg) if before is None else replace(before, leg=leg, next_leg=None, stop=None)
-    went_on = following.joined(replace(state, flight=replace(flight, hover_nea_m=None)), onto)
+    path = OnPath(leg=leg) if flight.path is None else copy(flight.path)
+    path.leg, path.next_leg, path.stop = leg, None, None
+    went_on = following.joined(replace(state, flight=flight), path)
     if went_on is None or went_on.path is None:
         return None
-    at_rest = Reference(length_m=went_on.path.reference.length_m)
-    path = replace(went_on.path, reference=at_rest)
-    return with_next(replace(went_on, back=tuple(rest)), path)[0]
+    went_on.back = tuple(rest)
+    went_on.path.reference = Reference(length_m=went_on.path.reference.length_m)
+    take_next(went_on, went_on.path)
+    return went_on
 
 
-def with_next(flight: Flight, path: OnPath) -> tuple[Flight, OnPath]:
-    """On this path, with the next backtrack leg ready if it may be entered at full speed."""
+def take_next(flight: Flight, path: OnPath) -> None:
+    """Have the next backtrack leg ready if it may be entered at full speed."""
     if path.leg.through and flight.back:
-        next_leg, *rest = flight.back
-        path, flight = replace(path, next_leg=next_leg), replace(flight, back=tuple(rest))
-    return replace(flight, path=path), path
+        path.next_leg, *rest = flight.back
+        flight.back = tuple(rest)
 
 
-def ended(state: State, last: Leg) -> Step:
+def ended(state: State, last: Leg, turn: Turn) -> None:
     """At rest at the end of the backtrack: land there, or plan the rest of the way home."""
     there = last.reaches_target
     if there and begins_at_home(state):
-        return state, [], Trigger.END_LAND if state.vehicle.traits.lands else Trigger.HAND_OVER
+        return turn.to(Trigger.END_LAND if state.vehicle.traits.lands else Trigger.HAND_OVER)
     left_m = beyond_path_m(state)
     text = f"returning: planning {left_m:.0f} m on to home" if there else "returning another way"
-    return home_by_plan(state, text, state.flight.fallen_back or Reason.NO_PLAN)
+    return home_by_plan(state, turn, text, state.flight.fallen_back or Reason.NO_PLAN)
 
 
-def stopped(state: State) -> State:
-    """At rest, with the current backtrack leg still to be flown."""
-    flight = state.flight
-    hover = None if flight.stop is None else at_rest_at_end(flight).hover_nea_m
-    return replace(
-        state,
-        flight=at_rest(following.requeue_backtrack(flight, flight.leg, flight.next_leg), hover),
-    )
+def leave_path(flight: Flight) -> None:
+    """At rest off the path; of the way back with its current leg still to be flown."""
+    path, hover = flight.path, None
+    if path is not None and flight.returning:
+        hover = None if path.stop is None else following.end_of(path)
+        following.requeue_backtrack(flight, path.leg, path.next_leg)
+    following.come_to_rest(flight, hover)
 
 
-def home_by_plan(state: State, text: str, reason: Reason, *, warning: bool = False) -> Step:
+def home_by_plan(
+    state: State, turn: Turn, text: str, reason: Reason, *, warning: bool = False
+) -> None:
     """Go home by a planned path; where none can be asked for, by the autopilot's own return.
 
     text, warning: what is said before; reason: why the flight is given up in the second case.
     """
+    flight = state.flight
     if is_above_home(state) and state.vehicle.traits.lands:
-        return state, [say("returning: above home, landing", "end")], Trigger.END_LAND
-    if state.reason is Reason.NO_PLAN and state.flight.refusal in _NO_WAY_OUT:
-        return give_up(state, reason)
+        turn.say("returning: above home, landing", "end")
+        return turn.to(Trigger.END_LAND)
+    if state.reason is Reason.NO_PLAN and flight.refusal in _NO_WAY_OUT:
+        return turn.give_up(reason)
     place = home_ne_m(state)
-    if place is None:
-        return preceded([warn("home is not known")], give_up(state, reason))
-    why = target_refusal(state.task, place).replace("the target:", "home:")
-    if why or state.flight.homeward:
-        return preceded([warn(why)] if why else [], give_up(state, reason))
-    state = replace(state, targets_ne_m=(place,), orders=Orders()).with_flight(
-        way=Way.HOME,
-        back=(),
-        target=0,
-        route_ne_m=(),
-        progress=NO_PROGRESS,
-        stops=0,
-        failures=0,
-        planning_backtrack=None,
-        search=None,
-    )
-    return state, [say(text, "end", warning=warning)], Trigger.RESUME
+    why = "home is not known"
+    if place is not None:
+        why = target_refusal(state.task, place).replace("the target:", "home:")
+    if place is None or why or flight.homeward:
+        if why:
+            turn.warn(why)
+        return turn.give_up(reason)
+    set_targets(state, (place,), Way.HOME)
+    state.orders, flight.search = Orders(), None
+    turn.say(text, "end", warning=warning)
+    return turn.to(Trigger.RESUME)
+
+
+def set_targets(state: State, targets_ne_m: Targets, way: Way) -> None:
+    """To these targets from now on, without what was known of the way to others."""
+    state.targets_ne_m, flight = targets_ne_m, state.flight
+    flight.target = flight.stops = flight.failures = 0
+    flight.route_ne_m, flight.progress = (), NO_PROGRESS
+    flight.way, flight.back, flight.planning_backtrack = way, (), None
 
 
 # --- home, as the vehicle has it, and whether the flown path begins there

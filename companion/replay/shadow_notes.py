@@ -220,7 +220,7 @@ class Notes:
                 self._end_all(at_s - silent_s)
                 self._silence = self._begin("silence", at_s - silent_s)
             case journal.Prepared(item=item, refusal=refusal):
-                if item != Item.PARAMETERS.value and refusal:
+                if item is not Item.PARAMETERS and refusal:
                     self._judge(f"would have refused the flight: {refusal}")
                 self._judge_parameters(session)
             case journal.End(reason=reason) if self._is_ready:

@@ -50,7 +50,7 @@ def entry_words(entry: Entry) -> tuple[str, bool] | None:
         case noted.Phase(phase=phase, reason=reason):
             return f"{phase}: {reason}" if reason else phase, phase in _BAD_PHASES
         case noted.Prepared(item=item, refusal=refusal) if refusal:
-            return f"{item}: {refusal}", True
+            return f"{item.value}: {refusal}", True
         case noted.PlanRefused(out_of_time=True, evaluations=count):
             is_bad, after = True, f"; time was up after {count:,} candidates"
         case noted.Said(warning=is_bad):

@@ -22,15 +22,16 @@ from made_up import (
     scan_done,
     two_legs_away,
 )
-from renewed import replace
+from renewed import deep, replace
 from wild import Wild
 
 from companion.mavlink.autopilots import ALL, PX4_MULTICOPTER
 from companion.mission import changes, checkpoint, events
 from companion.mission.changes import OrderResult
+from companion.mission.decisions import Turn
 from companion.mission.events import FenceChanged, Mode, Order, OrderKind, Plan, SetMode, Setpoint
 from companion.mission.flying import on_answer
-from companion.mission.mission import EndAction, Fallback
+from companion.mission.mission import Fallback
 from companion.mission.state import Phase, Reason, Scanning, Way
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.zones import CircleZone
@@ -215,7 +216,8 @@ def on_its_way_out() -> tuple[Craft, FenceChanged]:
     """On a leg that was proven with a zone around its start, and leads out of that."""
     craft = flying()
     around = fence(craft, *craft.here[:2], 200.0)
-    state = craft.state.with_fence(craft.context.mission.task, around)
+    state = deep(craft.state)
+    state.take_fence(craft.context.mission.task, around)
     leg = replace(state.flight.leg, rules=state.task)
     craft.state = replace(
         state, flight=replace(state.flight, path=replace(state.flight.path, leg=leg))
@@ -356,16 +358,6 @@ def test_what_is_restored_is_what_was_kept() -> None:
 # --- shadow
 
 
-@EACH
-def test_a_shadow_plans_and_says_and_never_commands(traits: VehicleTraits) -> None:
-    wild = Wild.calmly(traits, shadow=True, end_action=EndAction.LAND).aloft(Mode.OTHER)
-    wild.run_for(60.0)
-    assert wild.state.phase is Phase.SHADOW
-    assert wild.sent(Plan)
-    assert not moving(wild.said_to)
-    assert wild.state.flight.leg is not None or wild.sent(events.StatusText)
-
-
 def test_a_mission_that_is_stopped_while_it_takes_over_a_climb_ends_in_a_hold() -> None:
     wild = Wild.calmly(PX4_MULTICOPTER.traits).aloft(Mode.TAKE_OFF).fly_to(Phase.HOLDING)
     assert (wild.state.reason, wild.mode) == (Reason.TAKING_OVER, Mode.TAKE_OFF)
@@ -379,8 +371,11 @@ def test_only_what_stands_looks_again_where_the_radar_left_something_out(is_shad
     wild = Wild.calmly(ALL[0].traits, shadow=is_shadow).aloft(Mode.OTHER)
     flight = replace(wild.state.flight, path=None, search=Scanning((0, 0, 3000)))
     scanned = replace(scan_done(wild.state.now_s), asked=9, answered=4)
-    _, commands, _ = on_answer(replace(wild.state, flight=flight), scanned, wild.context)
-    does = [type(command) for command in commands if not isinstance(command, events.StatusText)]
+    turn = Turn(replace(wild.state, flight=flight), wild.context)
+    on_answer(turn.state, scanned, turn)
+    does = [
+        type(command) for command in turn.commands if not isinstance(command, events.StatusText)
+    ]
     assert does == [Plan if is_shadow else events.StartScan]
 
 

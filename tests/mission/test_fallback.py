@@ -28,7 +28,7 @@ from companion.mission import events
 from companion.mission.events import Landed, Mode, Order, OrderKind, Outcome, SetMode
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.mission.state import Hold, Phase, Reason
-from companion.planner.request import Backtrack, PlanOutcome, PlanRequest, Refusal
+from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest, Refusal
 
 AWAY = two_legs_away()
 
@@ -120,19 +120,26 @@ def test_where_no_way_back_is_proven_its_autopilot_returns_and_that_is_said_befo
     assert (craft.end().outcome, craft.end().reason) == (Outcome.FAILED, f"{end}: {why}")
 
 
-@pytest.mark.parametrize("lands", [True, False])
-def test_what_does_not_take_the_return_lands_or_is_told_to_hold_and_a_person_to_take_over(
-    lands: bool,
+@pytest.mark.parametrize("obeys", [True, False])
+@pytest.mark.parametrize("how", [Fallback.RETURN, Fallback.LAND])
+def test_what_does_not_take_the_one_is_asked_for_the_other_or_to_hold_and_a_person_to_take_over(
+    how: Fallback, obeys: bool
 ) -> None:
-    craft = does_not_follow(AWAY).fly_to(Phase.HANDING_OVER)
+    phases = [(Phase.HANDING_OVER, Mode.RETURN), (Phase.LANDING, Mode.LAND)]
+    first, second = phases if how is Fallback.RETURN else reversed(phases)
+    craft = does_not_follow(replace(AWAY, fallback=how)).fly_to(first[0])
     craft.obeys_modes = False
-    craft.fly_to(Phase.LANDING)
-    craft.obeys_modes = lands
+    craft.fly_to(second[0])
+    craft.obeys_modes = obeys
     craft.fly_to(Phase.DONE)
-    if lands:
-        assert craft.end().reason.startswith("landed: ")
+    if obeys:
+        assert craft.mode is second[1]
+        assert craft.end().reason.partition(": ")[0] in (
+            "landed",
+            "its autopilot returns by itself",
+        )
     else:
-        assert modes(craft)[-3:] == [Mode.RETURN, Mode.LAND, Mode.HOLD]
+        assert modes(craft)[-3:] == [first[1], second[1], Mode.HOLD]
         assert craft.end().reason == Reason.NOT_OBEYING.text
         assert "by hand" in craft.end().remedy
 
@@ -309,3 +316,64 @@ def test_told_to_return_on_its_planned_way_home_it_flies_on() -> None:
     craft.run_until(lambda craft: craft.state.flight.homeward and craft.velocity[0] != 0.0)
     told(craft)
     assert is_home(craft.fly_to(Phase.DONE))
+
+
+# --- why there is no plan is said in the planner's own words, with its own remedy
+
+
+IN_ZONE = "the target is where a zone forbids to be (inside a keep-out, outside a keep-in)"
+
+
+def refused(request: PlanRequest, refusal: Refusal = Refusal.TARGET_IN_KEEP_OUT) -> NotPlanned:
+    return NotPlanned(plan_id=request.plan_id, refusal=refusal)
+
+
+@pytest.mark.parametrize("refusal", Refusal)
+def test_a_hold_for_want_of_a_plan_says_why_and_the_end_what_helps(refusal: Refusal) -> None:
+    craft = Craft(plan=lambda request: refused(request, refusal)).fly_to(Phase.DONE)
+    why, _, remedy = refusal.value.partition("; ")
+    said = Reason.NO_PLAN.text
+    if refusal is not Refusal.NOTHING_SAFE:
+        said = f"{said}: {why}"
+    assert f"hold: {said}" in warnings(craft.commands)
+    assert craft.end().reason == f"landed: {said}"
+    assert craft.end().remedy.lower() == f"{remedy}.".lower()
+    assert craft.end().remedy != Reason.NO_PLAN.remedy
+
+
+def test_a_target_in_a_fence_is_said_to_be_in_it_while_the_leg_before_it_is_flown() -> None:
+    craft = flying(two_legs_away())
+    craft.plan = refused
+    craft.run_until(lambda craft: any(IN_ZONE in text for text in warnings(craft.commands)))
+    assert craft.phase is Phase.FLYING
+    craft.fly_to(Phase.HOLDING)
+    assert any(text.startswith("hold: ") and IN_ZONE in text for text in warnings(craft.commands))
+
+
+@pytest.mark.parametrize("restarts", [False, True])
+def test_a_landing_for_want_of_a_plan_ends_with_the_planners_remedy(restarts: bool) -> None:
+    craft = Craft(mission(fallback=Fallback.LAND), plan=refused).fly_to(Phase.LANDING)
+    if restarts:
+        craft.restart()
+    end = craft.fly_to(Phase.DONE).end()
+    assert end.outcome is Outcome.FAILED
+    assert IN_ZONE in end.reason
+    assert end.remedy == "Move the target, or remove the zone."
+
+
+def test_what_the_planner_said_of_an_old_target_is_not_said_of_a_new_one() -> None:
+    craft = Craft(plan=refused).fly_to(Phase.HOLDING)
+    craft.plan = planned
+    order = Order(time_s=craft.now_s, kind=OrderKind.REPOSITION, target_ne_m=(9_000.0, 9_000.0))
+    craft.obey(craft.take(order))
+    assert craft.state.flight.refusal is None
+    craft.fly_to(Phase.FLYING)
+    craft.plan = lambda request: replace(refused(request), refusal=Refusal.NOTHING_SAFE)
+    assert IN_ZONE not in " ".join(warnings(craft.during(60.0)))
+
+
+def test_another_reason_to_hold_is_not_explained_by_an_old_refusal() -> None:
+    craft = Craft(plan=refused).fly_to(Phase.HOLDING)
+    craft.fix = False
+    craft.run_until(lambda craft: craft.state.reason is Reason.NO_FIX)
+    assert IN_ZONE not in " ".join(warnings(craft.during(30.0)))

@@ -18,9 +18,10 @@ from made_up import (
     position,
     two_legs_away,
 )
-from renewed import replace
+from renewed import deep, replace
 
 from companion.mission import events
+from companion.mission.decisions import Turn
 from companion.mission.entries import of_change
 from companion.mission.events import Mode, Plan, Position, Setpoint, StartScan, StatusText
 from companion.mission.following import is_on_path, joined, left_path, outside_m
@@ -142,15 +143,16 @@ def cruising() -> Craft:
 
 def found_at(craft: Craft, way: Way, by_m: float, later_s: float = 0.0) -> tuple[Flight, Any]:
     """What follows if the vehicle is found so far from its reference point."""
-    flight, state = craft.state.flight, craft.state
+    state = deep(craft.state)
+    flight = state.flight
     assert flight.path is not None
     told = flight.leg.subpath.pose(flight.reference.length_m).position_nea_m
     here = tuple(np.add(told, np.multiply(way, by_m)).tolist())
     if later_s:
         since_s = state.now_s - later_s
-        path = replace(flight.path, outside_since_s=since_s, outside_m=1.0)
-        flight = replace(flight, path=path)
-    return left_path(state, flight, position(state.now_s, here, craft.velocity))
+        flight.path.outside_since_s, flight.path.outside_m = since_s, 1.0
+    event, turn = position(state.now_s, here, craft.velocity), Turn(state, craft.context)
+    return flight, left_path(state, flight.path, event, turn)
 
 
 FAR_M = ERROR_M + min(ERROR_M, 0.5 * SAFETY_M)
@@ -215,7 +217,7 @@ def test_who_is_seen_at_a_glance_to_be_on_its_path_is_not_outside_of_anything() 
         told = bent.pose(at.length_m).position_nea_m
         for off_m in (np.zeros(3), *(rng.normal(size=(40, 3)) * ERROR_M * rng.uniform(0.1, 1.5))):
             here = position(state.now_s, tuple((told + off_m).tolist()), craft.velocity)
-            if is_on_path(state, state.flight, path, here):
+            if is_on_path(state, path, here):
                 seen += 1
                 assert outside_m(state, path, here) == (0.0, 0.0, 0.0)
             else:
@@ -261,9 +263,10 @@ def test_who_has_left_its_path_stops_says_so_and_goes_on_from_there() -> None:
     assert 0.0 < left["left_path_m"] < 1.01
 
 
-def test_a_datagram_that_was_overtaken_neither_stops_the_flight_nor_sends_it_back() -> None:
+def test_a_datagram_that_was_overtaken_or_comes_twice_changes_nothing() -> None:
     craft = flying()
     was = position(craft.now_s, craft.here, craft.velocity)
+    assert craft.take(was) == []
     craft.tick()
     newest = craft.sent(Setpoint)[-1]
     sent = [c for c in craft.take(was) if isinstance(c, Setpoint)]
@@ -273,18 +276,6 @@ def test_a_datagram_that_was_overtaken_neither_stops_the_flight_nor_sends_it_bac
     for setpoint in sent:
         assert flown_m(setpoint) >= flown_m(newest)
         assert setpoint.velocity_nea_m_s[0] >= 0.0
-
-
-def test_a_position_twice_moves_the_reference_once() -> None:
-    craft = flying()
-    commands = craft.take(*craft.says())
-    craft.obey(commands)
-    [first] = [c for c in commands if isinstance(c, Setpoint)]
-    again = craft.take(position(craft.now_s, craft.here, craft.velocity))
-    assert again == []
-    [following] = [c for c in craft.tick() if isinstance(c, Setpoint)]
-    speed = 0.5 * (math.hypot(*first.velocity_nea_m_s) + math.hypot(*following.velocity_nea_m_s))
-    assert flown_m(following) - flown_m(first) == pytest.approx(speed * TICK_S)
 
 
 def test_a_plan_that_comes_after_p_prog_is_not_flown() -> None:
@@ -353,6 +344,27 @@ def went_on(at_m: float, told_m: float, pace: float, **echo: Any) -> Flight:
     flight = joined(told_nothing, state.flight.path)
     assert flight is not None
     return flight
+
+
+@pytest.mark.parametrize("share", [0.2, 0.8])
+def test_it_rejoins_the_leg_that_is_the_nearer_one_and_has_flown_the_other(share: float) -> None:
+    """The next leg turns off to the right from p_prog of this one."""
+    state = deep(two_legs().state)
+    path = state.flight.path
+    assert path is not None
+    over_at_m = path.leg.successor_at_m(state.task)
+    begins = path.leg.subpath.pose(over_at_m).position_nea_m
+    aside = begins + np.linspace(0.0, LEG_M, 4)[:, None] * np.array(ASIDE)
+    path.next_leg = replace(path.leg, subpath=Subpath(control_nea_m=aside))
+    state.vehicle.echo_nea_m = state.flight.sent = None
+    for leg, at_m in ((path.leg, share * over_at_m), (path.next_leg, share * LEG_M)):
+        state.vehicle.position_nea_m = leg.subpath.pose(at_m).point_nea_m
+        flight = joined(state, path)
+        assert flight is not None
+        assert flight.leg is leg
+        assert flight.reference.length_m == pytest.approx(at_m, abs=0.1)
+        flown_m = [each.until_m for each in flight.flown[len(state.flight.flown) :]]
+        assert flown_m == pytest.approx([at_m] if leg is path.leg else [over_at_m, at_m])
 
 
 @pytest.mark.parametrize("age_s", [0.0, 0.1, 0.4])

@@ -137,14 +137,6 @@ def test_a_vehicle_that_somebody_else_arms_meanwhile_is_left_alone(is_ready: boo
     assert not moving(craft.commands)
 
 
-@EACH
-def test_a_vehicle_that_flies_already_is_taken_over_without_a_go(traits: VehicleTraits) -> None:
-    it = Wild.calmly(traits).aloft(Mode.HOLD)
-    it.context = Context(mission=it.mission, seed=1, go=False)
-    it.watch.context = it.context
-    it.fly_to(Phase.FLYING)
-
-
 def test_what_was_armed_before_a_restart_is_put_down_and_not_left_armed() -> None:
     it = Wild.calmly(ARDUCOPTER.traits)
     it.fly_to(Phase.ARMING).run_until(lambda it: it.armed)

@@ -3,6 +3,7 @@
 Over a short time a jump is also what the speeds that were told cannot have made of the last one.
 """
 
+import copy
 import math
 from collections.abc import Callable
 from typing import Any
@@ -13,8 +14,8 @@ from hypothesis import strategies as st
 from made_up import MISSION, position
 from renewed import replace
 
-from companion.mission.events import Landed
-from companion.mission.health import TRUST_S, astray_m, distrust, with_position, with_position_trust
+from companion.mission.events import Landed, Position
+from companion.mission.health import TRUST_S, astray_m, distrust, take_distrust, take_position
 from companion.mission.state import Reason, Vehicle
 
 LIMITS = MISSION.task.limits
@@ -23,8 +24,10 @@ FLICKERS = {"estimator_good": False, "estimator_failed_at_s": 10.0}
 JUMP_M = 1.5 * math.hypot(150.0, 25.0) * 0.1 + 20.0  # in a tenth of a second, V = 150, climb 25
 
 
-def seen(vehicle: Vehicle, time_s: float) -> Vehicle:
-    return with_position_trust(vehicle, distrust(vehicle, time_s, LIMITS), time_s)
+def with_position(vehicle: Vehicle, event: Position) -> Vehicle:
+    vehicle = copy.copy(vehicle)
+    take_position(vehicle, event, LIMITS)
+    return vehicle
 
 
 def after(*positions: tuple[float, float, float]) -> Vehicle:
@@ -32,7 +35,7 @@ def after(*positions: tuple[float, float, float]) -> Vehicle:
     vehicle = GOOD
     for time_s, east_m, speed_m_s in positions:
         event = position(time_s, (0.0, east_m, 3000.0), (0.0, speed_m_s, 0.0))
-        vehicle = with_position(vehicle, event, LIMITS)
+        vehicle = with_position(vehicle, event)
     return vehicle
 
 
@@ -46,6 +49,9 @@ class Track:
         self.time_s = self.north_m = self.east_m = 0.0
         self.course_rad, self.turn_rad_s = math.radians(90.0), 0.0
         self.speed_m_s, self.step_s = speed_m_s, 1.0 / rate_hz
+
+    def judge(self) -> None:
+        take_distrust(self.vehicle, self.reason, self.time_s)
 
     @property
     def reason(self) -> Reason | None:
@@ -74,14 +80,15 @@ class Track:
 
     def _tell(self) -> None:
         self.time_s += self.step_s
-        self.vehicle = seen(self.vehicle, self.time_s)  # a gap is seen before it ends
+        self.judge()  # a gap is seen before it ends
         velocity = (
             self.speed_m_s * math.cos(self.course_rad),
             self.speed_m_s * math.sin(self.course_rad),
             0.0,
         )
         event = position(self.time_s, (self.north_m, self.east_m, 3000.0), velocity)
-        self.vehicle = seen(with_position(self.vehicle, event, LIMITS), self.time_s)
+        self.vehicle = with_position(self.vehicle, event)
+        self.judge()
 
 
 Place = tuple[float, float, float]
@@ -169,7 +176,7 @@ def test_a_flight_within_the_limits_is_always_believed(
     for tick in range(60):
         time_s = tick / rate_hz
         here = (velocity[0] * time_s, velocity[1] * time_s, 3000.0 + climb_m_s * time_s)
-        vehicle = with_position(vehicle, position(time_s, here, velocity), LIMITS)
+        vehicle = with_position(vehicle, position(time_s, here, velocity))
         assert distrust(vehicle, time_s, LIMITS) is None
 
 

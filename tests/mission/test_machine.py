@@ -22,6 +22,7 @@ from made_up import (
     holding_mode_taken,
     holding_without_fix,
     holding_without_plan,
+    home_or_on,
     landing,
     mission,
     moving,
@@ -122,32 +123,6 @@ def test_a_mission_step_by_step() -> None:
     assert math.hypot(*first.velocity_nea_m_s) == gained
 
 
-def after_arrival(of: Craft) -> list[events.Command]:
-    return [
-        command
-        for before, _, _, commands in of.steps
-        if before.phase in (Phase.ARRIVED, Phase.LANDING)
-        for command in commands
-        if not isinstance(command, Setpoint)
-    ]
-
-
-def test_end_action_hold_leaves_the_vehicle_in_its_hold_mode() -> None:
-    craft = arrived().fly_to(Phase.DONE)
-    assert craft.mode is Mode.HOLD
-    assert craft.end() == events.End(outcome=Outcome.ARRIVED, reason="target reached", remedy="")
-    stay = craft.sent(Setpoint)[-1].position_nea_m
-    assert after_arrival(craft) == [SetMode(mode=Mode.HOLD, at_nea_m=stay), craft.end()]
-
-
-def test_end_action_land_ends_on_the_ground_disarmed() -> None:
-    craft = landing().fly_to(Phase.DONE)
-    assert (craft.landed, craft.armed) == (Landed.ON_GROUND, False)
-    assert craft.end().outcome is Outcome.ARRIVED
-    *asked, last = after_arrival(craft)  # again if no heartbeat has told the mode within a second
-    assert (set(asked), last) == ({SetMode(mode=Mode.LAND)}, craft.end())
-
-
 def test_targets_are_reached_in_their_order_with_a_stop_at_each() -> None:
     corners = ((9000.0, 0.0), (9000.0, 9000.0), (0.0, 9000.0))
     craft = Craft(replace(MISSION, targets_ne_m=corners)).fly_to(Phase.DONE)
@@ -194,6 +169,8 @@ def test_without_a_successor_a_leg_is_flown_to_its_end_and_then_held_with_zero_v
     assert craft.state.reason is Reason.NO_PLAN
     held = [s for _ in range(15) for s in craft.tick() if isinstance(s, Setpoint)]
     assert len(held) == 15
+    craft.run_until(lambda craft: craft.state.flight.failures == 2)  # refused from rest, too
+    held += [s for s in craft.during(1.0) if isinstance(s, Setpoint)]
     for setpoint in held:
         np.testing.assert_allclose(setpoint.position_nea_m, end_nea_m, atol=1e-6)
         assert setpoint.velocity_nea_m_s == (0.0, 0.0, 0.0)
@@ -451,11 +428,20 @@ def test_a_fix_lost_on_the_ground_during_take_off_does_not_begin_the_flight_on_t
     assert not craft.sent(Setpoint)
 
 
-def test_a_vehicle_that_disarms_ends_the_mission() -> None:
-    craft = flying()
-    craft.armed = False
-    end = craft.fly_to(Phase.DONE).end()
-    assert (end.outcome, end.reason) == (Outcome.FAILED, Reason.DISARMED.text)
+@pytest.mark.parametrize("returns", [False, True])
+def test_a_vehicle_that_is_on_the_ground_is_led_no_further(returns: bool) -> None:
+    """Though it is armed, in guided mode and well located; one such report may be wrong."""
+    craft = flying(two_legs_away(), plan=home_or_on)
+    if returns:
+        craft.order(events.OrderKind.RETURN).fly_to(Phase.RETURNING)
+    craft.take(events.LandedState(time_s=craft.now_s, landed=Landed.ON_GROUND))
+    assert craft.during(0.5)[-1] == craft.sent(Setpoint)[-1]
+    disarmed = craft.copy()
+    craft.landed, disarmed.armed = Landed.ON_GROUND, False
+    for it, reason in ((craft, Reason.GROUNDED), (disarmed, Reason.DISARMED)):
+        it.run_for(3.0)
+        assert (it.end().outcome, it.end().reason) == (Outcome.FAILED, reason.text)
+        assert not it.during(2.0)
 
 
 def test_a_vehicle_that_somebody_takes_into_the_air_during_arming_is_not_armed() -> None:

@@ -5,9 +5,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from made_up import Craft, flying, home_or_on, mission, texts, two_legs_away
-from msgspec.structs import replace
+from renewed import deep, replace
 
-from companion.mission import changes, following
+from companion.mission import following
+from companion.mission.decisions import Turn
 from companion.mission.events import Event, GroundSeen, NearSeen, Setpoint
 from companion.mission.mission import Fallback
 from companion.mission.state import Phase, Reason
@@ -174,7 +175,8 @@ def test_a_copter_behind_its_reference_stops_as_far_from_where_it_is_itself() ->
     behind_m = 0.4 * at_m
     place = leg.subpath.pose(at_m - behind_m).point_nea_m
     behind = replace(craft.state, vehicle=replace(vehicle, position_nea_m=place))
-    stopped, _, _ = following.stop(behind, Reason.NEW_THREAT)
+    stopped = deep(behind)
+    following.stop(stopped, Reason.NEW_THREAT, Turn(stopped, craft.context))
     assert stopped.flight.stop is not None
     brakes_m = flight.reference.speed_m_s**2 / (2.0 * MISSION.task.limits.acceleration_m_s2)
     stops_at_m = max(at_m - behind_m + brakes_m, at_m)
@@ -197,7 +199,6 @@ def test_what_stands_between_a_copter_and_its_reference_stops_it() -> None:
     for at_m, stops in ((0.0, True), (ahead_of_it.length_m, False)):
         there = replace(vehicle, position_nea_m=leg.subpath.pose(at_m).point_nea_m)
         path = replace(flight.path, reference=ahead_of_it)
-        state = replace(craft.state, vehicle=there, flight=replace(flight, path=path))
-        step = changes.HANDLERS[type(thing)](state, thing, craft.context)
-        assert step is not None
-        assert (step[0].flight.stop is not None) == stops
+        craft.state = replace(craft.state, vehicle=there, flight=replace(flight, path=path))
+        craft.take(thing)
+        assert (craft.state.flight.stop is not None) == stops

@@ -11,7 +11,6 @@ one, an order is not overruled by an older plan, and no target is flown to below
 """
 
 import pytest
-from made_up import MISSION
 from watch import Watch
 from wild import Wild
 
@@ -92,13 +91,3 @@ def test_the_programs_are_of_all_drivings_and_come_to_every_phase_and_command() 
     assert set().union(*(watch.phases for watch in watches)) == set(Phase)
     assert set().union(*(watch.commands for watch in watches)) == SAID
     assert set().union(*(watch.reasons for watch in watches)) >= OFTEN
-
-
-def test_the_same_program_is_the_same_again() -> None:
-    first, again = Wild(6), Wild(6)
-    first.run(2_000)
-    again.run(2_000)
-    assert repr(first.state.vehicle) == repr(again.state.vehicle)
-    assert first.watch.counts == again.watch.counts
-    assert first.state.phase is again.state.phase
-    assert first.mission.name != MISSION.name

@@ -15,7 +15,7 @@ from made_up import (
     texts,
     two_legs_away,
 )
-from renewed import replace
+from renewed import deep, replace
 from wild import Wild
 
 from companion.mavlink.autopilots import ALL, PX4_FIXED_WING, PX4_MULTICOPTER
@@ -47,7 +47,8 @@ def fence(craft: Craft, *, around: bool, misread: bool = False) -> FenceChanged:
 
 
 def knowing(craft: Craft, known: FenceChanged) -> Craft:
-    craft.state = craft.state.with_fence(craft.context.mission.task, known)
+    craft.state = deep(craft.state)
+    craft.state.take_fence(craft.context.mission.task, known)
     return craft
 
 

@@ -10,11 +10,13 @@ from wild import HOME_AMSL_M, Wild
 
 from companion.mavlink.autopilots import PX4_FIXED_WING
 from companion.mission import events, machine, stopped
+from companion.mission.decisions import Context, Turn
 from companion.mission.events import Arm, End, Landed, Mode, Outcome, SetMode, Setpoint, TakeOff
 from companion.mission.following import outside_m
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.state import Phase, Reason
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
+from companion.world.zones import CircleZone
 
 FIRST = {
     TakeoffSequence.GUIDED_THEN_CLIMB: [SetMode, Arm, TakeOff],
@@ -73,7 +75,9 @@ def test_a_mission_arrives_and_ends_as_it_should(traits: VehicleTraits, end: End
 @EACH
 @pytest.mark.parametrize("mode", [Mode.GUIDED, Mode.HOLD], ids=lambda mode: mode.value)
 def test_a_vehicle_that_flies_already_is_taken_over(traits: VehicleTraits, mode: Mode) -> None:
-    wild = Wild.calmly(traits).aloft(mode).fly_to(Phase.DONE)
+    wild = Wild.calmly(traits).aloft(mode)
+    wild.watch.context = wild.context = Context(mission=wild.mission, seed=1)  # nobody says go
+    wild.fly_to(Phase.DONE)
     assert the_end(wild).outcome is Outcome.ARRIVED
     assert not wild.sent(Arm)
     assert not wild.sent(TakeOff)
@@ -237,7 +241,59 @@ def test_a_plane_that_passes_its_target_too_far_away_says_so() -> None:
     for off_m in (0.9, 1.1):
         off_m *= state.task.limits.tracking_error_m
         place = (here[0] + off_m, here[1], here[2])
-        said = stopped.reached(replace(state, flight=replace(state.flight, hover_nea_m=place)))
+        state.flight.hover_nea_m = place
+        turn = Turn(state, wild.context)
+        stopped.say_reached(state, turn)
+        (said,) = turn.commands
         far = off_m > state.task.limits.tracking_error_m
         assert said.text == "target reached" + (f": passed {off_m:.0f} m away" if far else "")
         assert said.warning is far
+
+
+# --- a plane without a leg: where it begins one, and a fence that is drawn about it
+
+
+def circling(traits: VehicleTraits) -> Wild:
+    """A plane in guided mode that has just been told where to wait for its first leg."""
+    plane = Wild.calmly(traits).aloft(Mode.GUIDED).fly_to(Phase.FLYING)
+    return plane.run_until(lambda plane: plane.state.flight.hover_nea_m is not None)
+
+
+@PLANES
+@pytest.mark.parametrize("beyond", [0.9, 1.1])
+def test_no_leg_is_planned_from_a_circle_that_the_plane_is_not_on(
+    traits: VehicleTraits, beyond: float
+) -> None:
+    """Dense about the limit: a tracking error outside of the circle."""
+    plane = circling(traits)
+    limits, (north, east, up) = plane.mission.task.limits, plane.here
+    away_m = limits.loiter_radius_m + beyond * limits.tracking_error_m
+    flight = replace(plane.state.flight, hover_nea_m=(north + away_m, east, up), search=None)
+    plane.state = replace(plane.state, flight=flight)
+    speed, scans = (limits.speed_m_s, 0.0, 0.0), len(plane.sent(events.StartScan))
+    for later_s in (0.1, 0.2):
+        at_s = plane.now_s + later_s
+        plane.take(events.Position(time_s=at_s, position_nea_m=plane.here, velocity_nea_m_s=speed))
+    assert (len(plane.sent(events.StartScan)) > scans) is (beyond < 1.0)
+
+
+@PLANES
+@pytest.mark.parametrize("gap_m", [-0.6, 0.6])
+def test_a_fence_too_near_to_its_circle_is_said_once_and_it_stays(
+    traits: VehicleTraits, gap_m: float
+) -> None:
+    """Dense about the limit: the required clearance of the circle, less half a metre."""
+    plane = circling(traits)
+    task, hover = plane.mission.task, plane.state.flight.hover_nea_m
+    assert hover is not None
+    away_m = task.limits.loiter_radius_m + task.required_clearance_m - 0.5 + gap_m
+    zone = CircleZone(name="new", north_m=hover[0] + away_m + 70.0, east_m=hover[1], radius_m=70.0)
+    plane.take(events.FenceChanged(time_s=plane.now_s, zones=(zone,)))
+    count = len(plane.said_to)
+    plane.run_for(0.9)  # and no plan is there yet
+    later = plane.said_to[count:]
+    said = [c.text for c in later if isinstance(c, events.StatusText) and c.warning]
+    assert said == (["circling too near to zone new"] if gap_m < 0.0 else [])
+    setpoints = [c for c in later if isinstance(c, events.Setpoint)]
+    assert setpoints
+    assert all(each.stay and each.position_nea_m == hover for each in setpoints)

@@ -119,7 +119,7 @@ def phases(flight: Flight) -> list[str]:
 
 
 def phase(time_s: float, name: str, reason: str | None = None) -> Any:
-    return noted.Phase(t_s=time_s, phase=name, was="", reason=reason, code=None)
+    return noted.Phase(time_s=time_s, phase=name, was="", reason=reason, code=None)
 
 
 def header(**more: Any) -> Header:
@@ -134,7 +134,7 @@ def test_phases_begin_at_the_position_of_their_time() -> None:
 
 
 def test_after_a_reboot_times_count_from_the_new_boot() -> None:
-    reboot = noted.VehicleRebooted(t_s=0.4)
+    reboot = noted.VehicleRebooted(time_s=0.4)
     lines = [phase(100.0, "flying"), reboot, phase(0.4, "preparing"), phase(0.6, "holding", "x")]
     found = built(at(99.0, 100.0, 101.0, 0.5, 0.6), *lines)
     assert phases(found) == ["waiting", "flying", "flying", "preparing", "holding"]
@@ -170,7 +170,7 @@ def test_the_newest_targets_count_and_the_fence_is_there_once() -> None:
         at(1.0),
         noted.entry_of({**fence, "zones": [circle, circle]}),
         noted.entry_of({**fence, "zones": [circle]}),
-        noted.Targets(t_s=1.0, targets_ne_m=((5.0, 6.0), (7.0, 8.0))),
+        noted.Targets(time_s=1.0, targets_ne_m=((5.0, 6.0), (7.0, 8.0))),
     )
     assert found.targets_ne_m == ((5.0, 6.0), (7.0, 8.0))
     assert len(found.zones) == 1
