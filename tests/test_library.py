@@ -16,11 +16,9 @@ from companion.campaign.route_cost import curve_cost
 from companion.config import load_mission
 from companion.errors import InputError
 from companion.library import OPTIMISERS, Flown, NearScene, Task, Thing, fly
-from companion.path.certificate import Certificate
 from companion.planner.offline import OnBoard, fly_offline
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg
-from companion.profiles import PROFILES
 from companion.world.known_map import KnownMap, Scan, empty_map
 
 PAGE = Path(__file__).parents[1] / "docs" / "library.md"
@@ -218,13 +216,6 @@ def test_an_own_planner_answers_every_request(page: dict[str, Any]) -> None:
     quick: Flown = page["quick"]
     assert quick.arrived
     assert page["asked"] == list(range(1, len(quick.details.legs) + 1))
-
-
-def test_what_the_paper_flies_has_certificates_too(page: dict[str, Any]) -> None:
-    task: Task = page["task"]
-    settings = replace(task.settings, profile=PROFILES["paper"], evaluations=200)
-    flown = fly(page["heights"], replace(task, settings=settings), **WHERE)
-    assert all(isinstance(each, Certificate) for each in flown.certificates)
 
 
 @pytest.mark.parametrize(

@@ -390,11 +390,3 @@ def test_members_of_the_archive_and_each_of_the_p_best_come_into_use() -> None:
             x_3.add(bool((state.trial[i] < 0.4).any()))
     assert x_3 == {True, False}
     assert x_best == {0, 1}
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_a_rugged_landscape_is_searched_to_its_bottom(seed: int) -> None:
-    lattice = np.linspace(0.0, 1.0, 41)
-    grid = np.stack(np.meshgrid(lattice, lattice, lattice), axis=-1).reshape(-1, D)
-    bottom = min(rugged(x) for x in grid[:: 1 if seed == 0 else 7])
-    assert ranked(search(rugged, 1_500, seed=seed))[1][0] <= bottom + 1e-9

@@ -10,7 +10,6 @@ from companion.planner.plan import plan
 from companion.planner.request import NotPlanned, Planned, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
-from companion.world.radars import Radar
 from companion.world.zones import CircleZone, PolygonZone, Zone
 
 REQUIRED_M = 70.0  # d_s 60 m, tracking 5 m, navigation 5 m
@@ -167,19 +166,6 @@ def test_out_of_a_zone_that_is_larger_than_sight_it_flies_on_towards_the_edge(
 def test_beside_the_edge_of_the_map_the_way_leads_away_from_it(task: Task, truth: KnownMap) -> None:
     outcome = escaped(replace(task, zones=()), truth, (7_970.0, 1_500.0, 600.0))
     assert along(outcome)[-1, 0] <= 8_000.0 - REQUIRED_M
-
-
-def test_a_radar_that_appears_around_the_vehicle_is_flown_out_of_by_a_plan(
-    task: Task, truth: KnownMap
-) -> None:
-    radar = Radar(name="new", centre_nea_m=(6_500.0, 1_500.0, 0.0), range_m=900.0)
-    seen = replace(task, radars=(radar,), zones=())
-    outcome = plan(replace(ask(seen, truth, HERE), target_ne_m=(6_500.0, 4_500.0)))
-    assert isinstance(outcome, Planned)
-    assert outcome.evaluations > 0
-    assert outcome.certificate.proven
-    within_m = radar.distance_m(along(outcome)) < radar.range_m
-    assert within_m.mean() * outcome.subpath.length_m < 1.6 * 900.0
 
 
 def test_from_the_end_of_a_way_out_a_plan_begins(task: Task, truth: KnownMap) -> None:

@@ -125,16 +125,6 @@ def test_out_of_a_zone_it_is_led_by_a_turn_and_does_not_come_back(course_deg: in
     assert (np.diff(near) == 1).all()  # once out, it stays out
 
 
-def test_the_way_out_goes_on_rather_than_back_through_the_zone() -> None:
-    """It has just left a zone: the nearest place by its length alone may lie behind it."""
-    zone = CircleZone(name="new", north_m=0.0, east_m=0.0, radius_m=70.0)
-    for course_deg in (0.0, 40.0, -40.0):
-        circler = Motion((103.0, 0.0, HEIGHT_M), heading(course_deg))
-        point = sent_to(flat(), replace(TASK, zones=(zone,)), circler)
-        assert point is not None
-        assert min(flown_m((zone,), circler, point, TURN_M)) >= 32.0
-
-
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("course_deg", range(0, 360, 17))
 def test_it_stays_only_where_it_can_turn_to_either_side(course_deg: int, side: float) -> None:

@@ -1,13 +1,7 @@
-"""From rest there is a leg whenever there is a way: against a flood fill that shares no code.
-
-    python tests/planner/test_way_out.py 10000 [FIRST]
-
-looks at as many places, and tells from which no leg was found.
-"""
+"""From rest there is a leg whenever there is a way: against a flood fill that shares no code."""
 
 import math
-import sys
-from collections import Counter, deque
+from collections import deque
 from dataclasses import replace
 from functools import cache
 from itertools import count
@@ -216,19 +210,3 @@ def test_where_real_flights_gave_up_there_is_a_leg(name: str, questions: int) ->
     assert isinstance(outcome, Planned)
     assert outcome.certificate.proven
     assert outcome.subpath.length_m > 1.0
-
-
-def main(many: int, first: int) -> None:
-    """Look at many places."""
-    found: Counter[tuple[bool, str]] = Counter()
-    for seed in range(first, first + many):
-        if (asked := place(seed)) is not None:
-            outcome = plan(asked[0])
-            found[asked[1], type(outcome).__name__] += 1
-            if asked[1] and not isinstance(outcome, Planned):
-                sys.stdout.write(f"no leg: {seed} {outcome}\n")
-    sys.stdout.write(f"{dict(found)}\n")
-
-
-if __name__ == "__main__":
-    main(int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0)
