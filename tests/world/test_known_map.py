@@ -55,6 +55,33 @@ def test_an_empty_map_covers_its_area_and_nothing_is_known_off_a_map() -> None:
         assert not known.is_known(north, east)
 
 
+@given(seed=st.integers(0, 10**6), reach_m=st.floats(0.0, 3_000.0))
+def test_the_cells_about_points_are_those_within_reach_and_off_the_map_nothing_is_known(
+    seed: int, reach_m: float
+) -> None:
+    """Each cell of the map by itself."""
+    rng = np.random.default_rng(seed)
+    known = empty_map(250.0, (-4_000.0, 5_000.0), (1_000.0, 9_000.0))
+    known.upper_m[:] = rng.choice([np.nan, np.inf, 10.0, 500.0], known.upper_m.shape)
+    points = rng.uniform((-6_000.0, -1_000.0), (7_000.0, 11_000.0), (int(rng.integers(1, 4)), 2))
+    ends = zip(points.min(axis=0) - reach_m, points.max(axis=0) + reach_m, strict=True)
+    window, corner = known.about(points, reach_m), (-4_000.0, 1_000.0)
+    for part, least, count, (low, high) in zip(window, corner, known.shape, ends, strict=True):
+        begins = least + 250.0 * np.arange(count)
+        meets = np.flatnonzero((begins <= high) & (begins + 250.0 > low))
+        assert np.arange(count)[part].tolist() == meets.tolist()
+    north, east = points[0].tolist()
+    south_m, west_m, square = known.square_m((north, east), reach_m)
+    size_m = 250.0 * len(square)
+    assert max(south_m - north, west_m - east) <= -reach_m
+    assert min(south_m + size_m - north, west_m + size_m - east) >= reach_m
+    for i, j in rng.integers(0, len(square), (40, 2)).tolist():
+        row, column = known.cell_of(south_m + 250.0 * i + 125.0, west_m + 250.0 * j + 125.0)
+        inside = 0 <= row < known.shape[0] and 0 <= column < known.shape[1]
+        upper_m = float(known.upper_m[row, column]) if inside else math.inf
+        assert square[i, j] == (math.inf if math.isnan(upper_m) else upper_m)
+
+
 # --- scans
 
 

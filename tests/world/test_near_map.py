@@ -7,7 +7,14 @@ import pytest
 from numpy.typing import NDArray
 
 from companion.world.lattice import Lattice
-from companion.world.near_map import FORGOTTEN_AFTER_S, LOOKS, SIGHTINGS, NearMap, Sweep
+from companion.world.near_map import (
+    FORGOTTEN_AFTER_S,
+    LOOKS,
+    SIGHTINGS,
+    NearMap,
+    Sweep,
+    cell_for_m,
+)
 
 FloatArray = NDArray[np.float64]
 LATTICE = Lattice(cell_m=0.25, north_min_m=-25.0, east_min_m=-25.0, shape=(200, 200))
@@ -306,3 +313,27 @@ def test_closed_is_where_something_stands_and_where_no_beam_comes_through() -> N
         assert closed[LATTICE.cell_of(*place)] == is_closed
     assert not (closed & near.free()).any()
     assert (closed | ~near.occupied()).all()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_gap_of_a_point_is_that_to_the_nearest_cell_where_something_stands(seed: int) -> None:
+    rng, near = np.random.default_rng(seed), NearMap(LATTICE)
+    cells, within_m = rng.integers(0, 200, (int(rng.integers(0, 9)), 2)), float(rng.uniform(1, 60))
+    near.met_since_s[tuple(cells.T)] = 1.0
+    points = rng.uniform(-24.0, 24.0, (5, 2))
+    low = cells * LATTICE.cell_m - 25.0
+    over = np.maximum(low - points[:, None], points[:, None] - low - LATTICE.cell_m)
+    truth_m = np.hypot(*np.moveaxis(np.maximum(over, 0.0), -1, 0)).min(axis=1, initial=math.inf)
+    told_m = near.gaps_m(points, within_m)
+    assert told_m[truth_m <= within_m] == pytest.approx(truth_m[truth_m <= within_m])
+    assert (told_m[truth_m > within_m] > within_m).all()
+
+
+@pytest.mark.parametrize(("range_m", "side_m", "cell_m"), [
+    (16.0, 400.0, 0.25), (16.0, 4_000.0, 2.0), (256.0, 4_000.0, 4.0), (64.0, 0.0, 1.0),
+])  # fmt: skip
+def test_cells_are_a_64th_of_the_range_but_no_more_than_four_million(
+    range_m: float, side_m: float, cell_m: float
+) -> None:
+    north_m, east_m = (-0.5 * side_m, 0.5 * side_m), (3.0, 3.0 + side_m)
+    assert cell_for_m(range_m, north_m, east_m) == pytest.approx(cell_m)
