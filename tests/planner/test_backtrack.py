@@ -42,8 +42,13 @@ def back(flight: OfflineFlight, task: Task) -> Backtrack:
 
 
 def test_it_leads_back_to_the_start_along_the_same_curve(
-    back: Backtrack, flight: OfflineFlight
+    back: Backtrack, flight: OfflineFlight, task: Task
 ) -> None:
+    """Every part of it is safe, also for a vehicle that dies at full speed."""
+    steep = max(task.limits.climb_angle_rad, task.limits.dive_angle_rad)
+    both = replace(task, limits=replace(task.limits, climb_angle_rad=steep, dive_angle_rad=steep))
+    for subpath in back.subpaths:
+        assert violations(subpath.control_nea_m, both, flight.known, from_rest=False) == []
     assert (back.reaches_start, back.plan_id) == (True, 77)
     assert back.through == (True,) * (len(back.subpaths) - 1) + (False,)
     control = [subpath.control_nea_m for subpath in back.subpaths]
@@ -61,20 +66,12 @@ def test_it_leads_back_to_the_start_along_the_same_curve(
         assert end.curvature_nea_1_m == pytest.approx(start.curvature_nea_1_m, abs=1e-6)
 
 
-def test_every_part_of_it_is_safe_also_for_a_vehicle_that_dies_at_full_speed(
-    back: Backtrack, flight: OfflineFlight, task: Task
-) -> None:
-    steep = max(task.limits.climb_angle_rad, task.limits.dive_angle_rad)
-    both = replace(task, limits=replace(task.limits, climb_angle_rad=steep, dive_angle_rad=steep))
-    for subpath in back.subpaths:
-        assert violations(subpath.control_nea_m, both, flight.known, from_rest=False) == []
-
-
 def test_a_new_zone_on_the_way_ends_it_before_that(flight: OfflineFlight, task: Task) -> None:
     north, east, _ = flight.legs[1].subpath.pose(200.0).point_nea_m
     zone = CircleZone(name="new", north_m=north, east_m=east, radius_m=100.0)
     fenced = replace(task, zones=(*task.zones, zone))
-    back = backtrack(flown(flight), fenced, flight.known)
+    back, none = (backtrack(each, fenced, flight.known) for each in (flown(flight), ()))
+    assert (none.subpaths, none.reaches_start) == ((), True)  # nothing was flown: it is at home
     assert not back.reaches_start
     assert back.subpaths
     for subpath in back.subpaths:
@@ -108,12 +105,6 @@ def test_a_part_of_a_leg_and_a_corner_and_a_gap_are_joined(task: Task, truth: Kn
     ):
         turn = subpath.pose(subpath.length_m).tangent_nea @ after.pose(0.0).tangent_nea
         assert through == (turn > 0.99)
-
-
-def test_nothing_flown_is_no_way_and_at_home(task: Task, truth: KnownMap) -> None:
-    back = backtrack((), task, truth)
-    assert back.subpaths == ()
-    assert back.reaches_start
 
 
 @pytest.mark.parametrize(("above_m", "parts"), [(0.001, 1), (-0.001, 0), (-0.7, 0)])

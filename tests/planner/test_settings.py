@@ -19,10 +19,9 @@ ENVIRONMENT_1 = Task(
         scan_range_m=20_000.0, safety_distance_m=500.0, planning_time_s=5.0, scan_time_s=4.0
     ),
 )
-PAPERS = replace(ENVIRONMENT_1, settings=replace(ENVIRONMENT_1.settings, profile=PAPER))
 
 
-def test_the_distances_of_environment_1_are_those_of_the_design() -> None:
+def test_the_distances_of_environment_1_are_those_of_the_design_and_of_the_paper() -> None:
     task = ENVIRONMENT_1
     assert task.cell_m == 250.0  # R / 80
     motion = task.envelope
@@ -33,13 +32,11 @@ def test_the_distances_of_environment_1_are_those_of_the_design() -> None:
     assert task.scan_distance_m == task.shortest_scan_distance_m
     assert task.error_m == 15.0  # tracking 10 m, navigation 5 m
     assert task.required_clearance_m == 515.0  # d_s, and both
-
-
-def test_the_paper_keeps_the_safety_distance_in_the_whole_band_and_ends_on_the_scan_range() -> None:
+    papers = replace(task, settings=replace(task.settings, profile=PAPER))
     assert (PAPER.samples, PAPER.margin, PAPER.optimiser) == (10, 1.0, "improved-de")
-    assert PAPERS.tail_m == PAPERS.search_clearance_m == 500.0
-    assert PAPERS.end_radius_m == 20_000.0
-    assert PAPERS.band_amsl_m == (3_000.0, 5_000.0)
+    assert papers.tail_m == papers.search_clearance_m == 500.0
+    assert papers.end_radius_m == 20_000.0  # on the range of the scan
+    assert papers.band_amsl_m == (3_000.0, 5_000.0)
 
 
 errors = st.floats(0.0, 60.0)
