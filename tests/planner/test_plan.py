@@ -10,6 +10,7 @@ from brute_force import violations
 from numpy.typing import NDArray
 from planning import ask as asked
 from planning import column_distance_m, hills
+from small_world import BLANK, TASK, TRUTH
 
 from companion import jit
 from companion.objective import Scene
@@ -99,13 +100,12 @@ def plain(known: KnownMap) -> KnownMap:
 ])  # fmt: skip
 @pytest.mark.parametrize("from_rest", [True, False], ids=["from rest", "in flight"])
 def test_a_plan_is_proven_and_passes_an_independent_check_of_every_metre(
-    task: Task, truth: KnownMap, start: tuple[float, float, float], heading_deg: float,
-    from_rest: bool,
-) -> None:  # fmt: skip
+    start: tuple[float, float, float], heading_deg: float, from_rest: bool
+) -> None:
     where = from_pose(start, heading_deg, 0.03, 1.0 / 900.0)
-    outcome = planned(ask(task, truth, **where, from_rest=from_rest))
+    outcome = planned(ask(TASK, TRUTH, **where, from_rest=from_rest))
     assert outcome.certificate.proven
-    assert violations(outcome.subpath.control_nea_m, task, truth, from_rest=from_rest) == []
+    assert violations(outcome.subpath.control_nea_m, TASK, TRUTH, from_rest=from_rest) == []
     begins = outcome.subpath.pose(0.0)
     assert begins.position_nea_m == pytest.approx(np.array(start))
     if not from_rest:
@@ -115,14 +115,12 @@ def test_a_plan_is_proven_and_passes_an_independent_check_of_every_metre(
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_from_anywhere_a_plan_is_safe_or_there_is_none_and_a_reason(
-    task: Task, truth: KnownMap, seed: int
-) -> None:
+def test_from_anywhere_a_plan_is_safe_or_there_is_none_and_a_reason(seed: int) -> None:
     rng = np.random.default_rng(seed)
     start = tuple(float(v) for v in rng.uniform((500, 500, 315), (7_500, 7_500, 680)))
     where = from_pose(start, *rng.uniform((-180, -0.15, -1 / 300.0), (180, 0.15, 1 / 300.0)))
     target = tuple(float(v) for v in rng.uniform(500.0, 7_500.0, 2))
-    request = ask(with_budget(task, 100), truth, **where, target_ne_m=target)
+    request = ask(with_budget(TASK, 100), TRUTH, **where, target_ne_m=target)
     request = replace(request, from_rest=seed % 2 == 0)
     outcome = plan(request)
     if isinstance(outcome, NotPlanned):
@@ -132,11 +130,11 @@ def test_from_anywhere_a_plan_is_safe_or_there_is_none_and_a_reason(
     control = outcome.subpath.control_nea_m
     assert control[0] == pytest.approx(start)
     if outcome.evaluations:  # else it is the way out of where no certificate can begin
-        assert violations(control, task, truth, from_rest=request.from_rest) == []
+        assert violations(control, TASK, TRUTH, from_rest=request.from_rest) == []
 
 
-def test_the_check_of_every_metre_finds_what_is_wrong(task: Task, truth: KnownMap) -> None:
-    control = planned(ask(task, truth)).subpath.control_nea_m
+def test_the_check_of_every_metre_finds_what_is_wrong() -> None:
+    control = planned(ask(TASK, TRUTH)).subpath.control_nea_m
     shaken, steep = control.copy(), control.copy()
     shaken[2:4, 1] += [900.0, -900.0]
     steep[-2, 2] += 800.0
@@ -149,8 +147,8 @@ def test_the_check_of_every_metre_finds_what_is_wrong(task: Task, truth: KnownMa
         (steep, {"climb", "dive"}),
         (control - np.array([1_500.0, 0, 0]), {"map"}),
     ):
-        assert told <= set(violations(wrong, task, truth, from_rest=True))
-    over = column_distance_m(truth, np.array([[6_000.0, 6_200.0, 540.0]]), 100.0)
+        assert told <= set(violations(wrong, TASK, TRUTH, from_rest=True))
+    over = column_distance_m(TRUTH, np.array([[6_000.0, 6_200.0, 540.0]]), 100.0)
     assert over[0] == pytest.approx(40.0, abs=5.0)
 
 
@@ -161,10 +159,10 @@ def test_the_check_of_every_metre_finds_what_is_wrong(task: Task, truth: KnownMa
     ("left_m", "reaches"), [(400.0, True), (1_600.0, True), (1_950.0, False), (2_400.0, False)]
 )
 def test_a_target_within_reach_is_the_end_and_one_beyond_is_left_room_for_the_last_subpath(
-    task: Task, truth: KnownMap, left_m: float, reaches: bool
+    left_m: float, reaches: bool
 ) -> None:
     target = (START[0] + left_m * math.cos(1.2), START[1] + left_m * math.sin(1.2))
-    outcome = planned(ask(task, truth, target_ne_m=target))
+    outcome = planned(ask(TASK, TRUTH, target_ne_m=target))
     end = outcome.subpath.control_nea_m[-1, :2]
     assert outcome.reaches_target is reaches
     if reaches:
@@ -172,59 +170,55 @@ def test_a_target_within_reach_is_the_end_and_one_beyond_is_left_room_for_the_la
         assert outcome.guide_rad == pytest.approx(1.2, abs=0.05)
         assert outcome.to_go == 0.0
     else:
-        assert math.dist(end, target) >= 2.0 * task.limits.turn_radius_m
+        assert math.dist(end, target) >= 2.0 * TASK.limits.turn_radius_m
 
 
-def test_a_target_on_unknown_ground_is_not_an_end(task: Task, truth: KnownMap) -> None:
+def test_a_target_on_unknown_ground_is_not_an_end() -> None:
     target = (START[0] + 1_000.0, START[1] + 1_000.0)
-    known = replace(truth, upper_m=truth.upper_m.copy(), seen=truth.seen.copy())
+    known = replace(TRUTH, upper_m=TRUTH.upper_m.copy(), seen=TRUTH.seen.copy())
     known.upper_m[known.cell_of(*target)] = np.inf
     known.seen[known.cell_of(*target)] = False
-    outcome = plan(ask(task, known, target_ne_m=target))
+    outcome = plan(ask(TASK, known, target_ne_m=target))
     assert isinstance(outcome, NotPlanned) or not outcome.reaches_target
 
 
 @pytest.mark.parametrize("off_m", [0.0, 0.5, 30.0])
-def test_a_target_where_the_vehicle_is_gives_a_path_of_numbers_or_no_path(
-    task: Task, truth: KnownMap, off_m: float
-) -> None:
+def test_a_target_where_the_vehicle_is_gives_a_path_of_numbers_or_no_path(off_m: float) -> None:
     with np.errstate(all="ignore"):
         target = (START[0] + off_m, START[1])
-        outcome = plan(ask(with_budget(task, 60), truth, target_ne_m=target))
+        outcome = plan(ask(with_budget(TASK, 60), TRUTH, target_ne_m=target))
         if isinstance(outcome, Planned):
             pose = outcome.subpath.pose(0.0)
             assert np.isfinite([*pose.position_nea_m, *pose.tangent_nea, outcome.cost]).all()
 
 
-def test_from_rest_it_leaves_about_where_the_guide_points_and_ends_on_the_circle_about_p_scan(
-    task: Task, truth: KnownMap
-) -> None:
-    outcome = planned(ask(task, truth))
+def test_from_rest_it_leaves_about_where_the_guide_points_and_ends_on_the_circle_about_p_scan() -> (
+    None
+):
+    outcome = planned(ask(TASK, TRUTH))
     pose, guide = outcome.subpath.pose(0.0), outcome.guide_rad
     assert pose.tangent_nea @ [math.cos(guide), math.sin(guide), 0.0] > math.cos(0.6)
     assert pose.tangent_nea[2] == pytest.approx(0.0, abs=1e-9)
     assert np.linalg.norm(pose.curvature_nea_1_m) <= 1e-9
     end = outcome.subpath.control_nea_m[-1]
-    assert 0.95 * task.end_radius_m < math.dist(end[:2], START[:2]) <= task.end_radius_m + 1e-6
+    assert 0.95 * TASK.end_radius_m < math.dist(end[:2], START[:2]) <= TASK.end_radius_m + 1e-6
     assert math.dist(end[:2], FAR_TARGET) < math.dist(START[:2], FAR_TARGET) - 1_000.0
 
 
-def test_what_stands_flies_less_than_l_where_no_more_is_seen(task: Task, blank: KnownMap) -> None:
+def test_what_stands_flies_less_than_l_where_no_more_is_seen() -> None:
     """It will stop there, and see on."""
-    known = empty_map(blank.cell_m, (0.0, 8_000.0), (0.0, 8_000.0))
+    known = empty_map(BLANK.cell_m, (0.0, 8_000.0), (0.0, 8_000.0))
     known.upper_m[28:52, 28:52] = 100.0  # 300 m around the start
-    short = planned(ask(alone(task), known))
-    assert 50.0 < short.subpath.length_m < task.scan_distance_m
-    assert violations(short.subpath.control_nea_m, alone(task), known, from_rest=True) == []
+    short = planned(ask(alone(TASK), known))
+    assert 50.0 < short.subpath.length_m < TASK.scan_distance_m
+    assert violations(short.subpath.control_nea_m, alone(TASK), known, from_rest=True) == []
 
 
-def test_a_proven_way_up_to_the_target_is_taken_though_a_near_end_looks_cheaper(
-    task: Task, blank: KnownMap
-) -> None:
+def test_a_proven_way_up_to_the_target_is_taken_though_a_near_end_looks_cheaper() -> None:
     """From the near end it could only fly past: the cost-to-go knows nothing of turns."""
-    known = true_map(hills((4e3, 4e3, 500.0, 400.0, 400.0), ground_m=100.0), blank)
+    known = true_map(hills((4e3, 4e3, 500.0, 400.0, 400.0), ground_m=100.0), BLANK)
     where = from_pose((2_770.0, 4_000.0, 310.001), 20.0)
-    request = ask(alone(task), known, **where, from_rest=False, target_ne_m=(3_770.0, 4_000.0))
+    request = ask(alone(TASK), known, **where, from_rest=False, target_ne_m=(3_770.0, 4_000.0))
     assert planned(request).reaches_target
 
 
@@ -250,10 +244,9 @@ def test_a_proven_way_up_to_the_target_is_taken_though_a_near_end_looks_cheaper(
     ids=str,
 )
 def test_a_question_without_an_answer_is_refused_at_once_with_its_reason(
-    task: Task, truth: KnownMap, blank: KnownMap, changes: dict[str, object], refusal: Refusal
+    changes: dict[str, object], refusal: Refusal
 ) -> None:
-    if refusal is Refusal.NOTHING_SEEN:
-        truth = blank
+    task, truth = TASK, BLANK if refusal is Refusal.NOTHING_SEEN else TRUTH
     if refusal is Refusal.NO_ROOM_TO_TURN:
         task = replace(task, limits=replace(task.limits, turn_radius_m=1_001.0))
     outcome = refused(ask(task, truth, **changes))
@@ -272,11 +265,9 @@ def walls_about_the_start(known: KnownMap, from_m: float, gap_rad: float) -> Kno
     return replace(known, upper_m=np.where(ring, 690.0, 100.0))
 
 
-def test_in_a_ring_of_walls_nothing_is_proven_and_more_is_evaluated_with_each_attempt(
-    task: Task, truth: KnownMap
-) -> None:
-    shut = walls_about_the_start(truth, 120.0, -1.0)
-    request = ask(with_budget(task, 60, cell_m=truth.cell_m), shut, from_rest=True)
+def test_in_a_ring_of_walls_nothing_is_proven_and_more_is_evaluated_with_each_attempt() -> None:
+    shut = walls_about_the_start(TRUTH, 120.0, -1.0)
+    request = ask(with_budget(TASK, 60, cell_m=TRUTH.cell_m), shut, from_rest=True)
     found = [refused(replace(request, attempt=attempt)) for attempt in (0, 1)]
     for outcome in found:
         assert outcome.refusal is Refusal.NOTHING_SAFE
@@ -284,23 +275,19 @@ def test_in_a_ring_of_walls_nothing_is_proven_and_more_is_evaluated_with_each_at
     assert found[1].evaluations == 2 * found[0].evaluations
 
 
-def test_with_hardly_any_search_a_hovering_vehicle_finds_the_gap_in_a_wall(
-    task: Task, truth: KnownMap
-) -> None:
+def test_with_hardly_any_search_a_hovering_vehicle_finds_the_gap_in_a_wall() -> None:
     """Three real flights gave up where a leg existed: their computers had no time to find it."""
-    shut = walls_about_the_start(truth, 250.0, 0.35)
-    outcome = planned(ask(with_budget(task, 60), shut, from_rest=True))
+    shut = walls_about_the_start(TRUTH, 250.0, 0.35)
+    outcome = planned(ask(with_budget(TASK, 60), shut, from_rest=True))
     assert outcome.certificate.proven
-    slower = task.at_speed(outcome.speed_m_s)
+    slower = TASK.at_speed(outcome.speed_m_s)
     assert violations(outcome.subpath.control_nea_m, slower, shut, from_rest=True) == []
 
 
-def test_boxed_in_by_what_is_unknown_there_is_no_plan_but_a_reason(
-    task: Task, blank: KnownMap
-) -> None:
-    known = empty_map(blank.cell_m, (0.0, 8_000.0), (0.0, 8_000.0))
+def test_boxed_in_by_what_is_unknown_there_is_no_plan_but_a_reason() -> None:
+    known = empty_map(BLANK.cell_m, (0.0, 8_000.0), (0.0, 8_000.0))
     known.upper_m[36:44, 36:44] = 100.0  # 100 m around the start
-    outcome = refused(ask(with_budget(task, 40), known))
+    outcome = refused(ask(with_budget(TASK, 40), known))
     assert outcome.refusal is Refusal.NOTHING_SAFE
     assert "terrain clearance" in outcome.broken
     assert outcome.evaluations == 40 * outcome.tries > 40
@@ -309,11 +296,9 @@ def test_boxed_in_by_what_is_unknown_there_is_no_plan_but_a_reason(
 # --- where it is better to stop
 
 
-def test_it_stops_where_flying_back_from_there_is_shorter_than_the_way_round(
-    task: Task, truth: KnownMap
-) -> None:
+def test_it_stops_where_flying_back_from_there_is_shorter_than_the_way_round() -> None:
     """Between two walls there is no room to turn; round them to the target it is some 4 km."""
-    gap_m, here = task.zone_search_clearance_m + 30.0, (3_000.0, 4_000.0, 320.0)
+    gap_m, here = TASK.zone_search_clearance_m + 30.0, (3_000.0, 4_000.0, 320.0)
     corners = (2e3, 0.0), (3.5e3, 0.0), (3.5e3, 60.0), (2e3, 60.0)
     walls = (
         PolygonZone(
@@ -323,36 +308,34 @@ def test_it_stops_where_flying_back_from_there_is_shorter_than_the_way_round(
         for side in (-1, 1)
     )
     request = ask(
-        alone(with_budget(task, 1_500), *walls), plain(truth), **from_pose(here, 0.0),
+        alone(with_budget(TASK, 1_500), *walls), plain(TRUTH), **from_pose(here, 0.0),
         from_rest=False, target_ne_m=(1_000.0, 4_000.0),
         rest=Rest(length_m=300.0, end_nea_m=(here[0] + 300.0, *here[1:])),
     )  # fmt: skip
     assert refused(request).refusal is Refusal.BETTER_TO_STOP
     going_on = planned(replace(request, rest=None))
-    metre = 2.4 * task.settings.scan_range_m / (100.0 * task.settings.weights.length)
+    metre = 2.4 * TASK.settings.scan_range_m / (100.0 * TASK.settings.weights.length)
     assert (going_on.cost + going_on.to_go) * metre > 3_500.0
 
 
-def test_what_a_stop_costs_is_what_is_not_flown_meanwhile(task: Task) -> None:
+def test_what_a_stop_costs_is_what_is_not_flown_meanwhile() -> None:
     """Braking for the end and setting out again as the reference point does; a scan and a plan."""
-    motion, step_s = task.envelope, 1e-3
+    motion, step_s = TASK.envelope, 1e-3
     lost_m, left_m, flown_m = 0.0, slowing_m(motion, motion.speed_m_s), 1e-6
     while (speed := ending_m_s(motion, left_m)) > 0.1 * motion.speed_m_s:  # slower: it is there
         left_m, lost_m = left_m - speed * step_s, lost_m + (motion.speed_m_s - speed) * step_s
     while (speed := rising_m_s(motion, flown_m)) < motion.speed_m_s:
         flown_m, lost_m = flown_m + speed * step_s, lost_m + (motion.speed_m_s - speed) * step_s
-    stands_s = task.settings.scan_time_s + task.settings.planning_time_s
-    assert task.stop_m == pytest.approx(lost_m + motion.speed_m_s * stands_s, rel=0.1)
+    stands_s = TASK.settings.scan_time_s + TASK.settings.planning_time_s
+    assert TASK.stop_m == pytest.approx(lost_m + motion.speed_m_s * stands_s, rel=0.1)
 
 
 @pytest.mark.parametrize("beside_m", [240.0, 280.0, 320.0])
-def test_no_vehicle_circles_a_target_that_its_turns_are_too_wide_for(
-    task: Task, truth: KnownMap, beside_m: float
-) -> None:
+def test_no_vehicle_circles_a_target_that_its_turns_are_too_wide_for(beside_m: float) -> None:
     """Each subpath is hardly dearer than promised, but it could stop and leave for the target."""
     where = from_pose((4_000.0, 4_000.0 + beside_m, 320.0), 0.0)
     request = ask(
-        alone(task), plain(truth), **where, from_rest=False, target_ne_m=(4_000.0, 4_000.0)
+        alone(TASK), plain(TRUTH), **where, from_rest=False, target_ne_m=(4_000.0, 4_000.0)
     )
     end = request.start.point_nea_m
     for number in range(1, 7):
@@ -367,11 +350,11 @@ def test_no_vehicle_circles_a_target_that_its_turns_are_too_wide_for(
         end = leg.subpath.pose(leg.subpath.length_m).point_nea_m
         request = replace(
             request,
-            start=leg.subpath.pose(leg.successor_at_m(task)),
-            scan_nea_m=leg.subpath.pose(leg.scan_at_m(task)).point_nea_m,
+            start=leg.subpath.pose(leg.successor_at_m(TASK)),
+            scan_nea_m=leg.subpath.pose(leg.scan_at_m(TASK)).point_nea_m,
             from_rest=False,
             route_ne_m=outcome.route_ne_m,
-            rest=leg.rest(task),
+            rest=leg.rest(TASK),
         )
     pytest.fail("it does not arrive")
 
@@ -379,10 +362,8 @@ def test_no_vehicle_circles_a_target_that_its_turns_are_too_wide_for(
 # --- the search
 
 
-def test_the_same_question_has_the_same_answer_and_another_seed_plan_or_attempt_another(
-    task: Task, truth: KnownMap
-) -> None:
-    request = beside_a_hill(task, truth)
+def test_the_same_question_has_the_same_answer_and_another_seed_plan_or_attempt_another() -> None:
+    request = beside_a_hill(TASK, TRUTH)
     a, b = planned(request), planned(request)
     assert a.subpath.control_nea_m.tobytes() == b.subpath.control_nea_m.tobytes()
     assert (a.cost, a.terms, a.certificate) == (b.cost, b.terms, b.certificate)
@@ -394,19 +375,17 @@ def test_the_same_question_has_the_same_answer_and_another_seed_plan_or_attempt_
 
 @pytest.mark.parametrize("time_s", [0.1, 0.4, 1.0, 3.0, 10.0])
 def test_a_wider_search_has_more_time_where_the_vehicle_hovers_but_no_longer_than_3_s_or_t(
-    task: Task, truth: KnownMap, time_s: float
+    time_s: float,
 ) -> None:
-    task = with_budget(task, 3000, planning_time_s=time_s)
+    task = with_budget(TASK, 3000, planning_time_s=time_s)
     for attempt in range(5):
-        at_rest = ask(task, truth, attempt=attempt, from_rest=True).time_s
+        at_rest = ask(task, TRUTH, attempt=attempt, from_rest=True).time_s
         assert at_rest == pytest.approx(min((1 + 3 * attempt) * time_s, max(3.0, time_s)))
-        assert ask(task, truth, attempt=attempt, from_rest=False).time_s == time_s
+        assert ask(task, TRUTH, attempt=attempt, from_rest=False).time_s == time_s
 
 
-def test_the_cost_is_the_weighted_sum_of_the_terms_that_are_reported(
-    task: Task, truth: KnownMap
-) -> None:
-    outcome, weights = planned(ask(task, truth)), asdict(task.settings.weights)
+def test_the_cost_is_the_weighted_sum_of_the_terms_that_are_reported() -> None:
+    outcome, weights = planned(ask(TASK, TRUTH)), asdict(TASK.settings.weights)
     assert outcome.cost == pytest.approx(sum(a * outcome.terms[f] for f, a in weights.items()))
     assert outcome.to_go == pytest.approx(weights["length"] * outcome.terms["to_go"])
     assert outcome.to_go > 0.0
@@ -414,9 +393,9 @@ def test_the_cost_is_the_weighted_sum_of_the_terms_that_are_reported(
 
 @pytest.mark.parametrize("name", ["improved-de", "pso", "de/rand/1/bin", "refined-de"])
 def test_the_optimiser_that_the_settings_name_searches(
-    task: Task, truth: KnownMap, name: str, monkeypatch: pytest.MonkeyPatch
+    name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    request, asked = beside_a_hill(task, truth), list[str]()
+    request, asked = beside_a_hill(TASK, TRUTH), list[str]()
     default = planned(request)
     for each, make in OPTIMISERS.items():
 
@@ -425,37 +404,33 @@ def test_the_optimiser_that_the_settings_name_searches(
             return make(*arguments)  # type: ignore[operator]
 
         monkeypatch.setitem(OPTIMISERS, each, noted)
-    chosen = planned(replace(request, task=with_budget(task, 600, optimiser=name)))
+    chosen = planned(replace(request, task=with_budget(TASK, 600, optimiser=name)))
     same = np.array_equal(chosen.subpath.control_nea_m, default.subpath.control_nea_m)
     assert same == (name == "refined-de")  # the default of profile `flight`
     assert set(asked) == (set() if name == "refined-de" else {name})
-    assert violations(chosen.subpath.control_nea_m, task, truth, from_rest=False) == []
+    assert violations(chosen.subpath.control_nea_m, TASK, TRUTH, from_rest=False) == []
 
 
 @pytest.mark.parametrize("looks", [1, 2, 4])
-def test_the_search_ends_with_the_first_look_at_the_clock_after_time_is_up(
-    task: Task, truth: KnownMap, looks: int
-) -> None:
+def test_the_search_ends_with_the_first_look_at_the_clock_after_time_is_up(looks: int) -> None:
     asked = count(1)
-    outcome = plan(ask(with_budget(task, 6_000), truth), stop=lambda: next(asked) >= looks)
+    outcome = plan(ask(with_budget(TASK, 6_000), TRUTH), stop=lambda: next(asked) >= looks)
     assert 300 * (looks - 1) < outcome.evaluations <= 300 * (looks + 1)
     assert next(asked) - looks <= 5  # it does not go on with other ways
 
 
-def test_with_no_time_at_all_it_still_gives_a_proven_plan_or_none(
-    task: Task, truth: KnownMap
-) -> None:
+def test_with_no_time_at_all_it_still_gives_a_proven_plan_or_none() -> None:
     for start in (START, BESIDE_A_HILL):
-        request = ask(with_budget(task, 30_000), truth, **hover(*start))
+        request = ask(with_budget(TASK, 30_000), TRUTH, **hover(*start))
         outcome = plan(request, stop=lambda: True)
         assert outcome.evaluations <= 600
         if isinstance(outcome, Planned):
             assert outcome.certificate.proven
-            assert violations(outcome.subpath.control_nea_m, task, truth, from_rest=True) == []
+            assert violations(outcome.subpath.control_nea_m, TASK, TRUTH, from_rest=True) == []
 
 
 def test_evaluations_and_tries_are_those_of_the_plan_not_of_the_search_that_found_it(
-    task: Task, truth: KnownMap, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Counted by the kernel, of plans that search again and keep what they had, or find nothing."""
     compiled = jit.compiled
@@ -469,7 +444,7 @@ def test_evaluations_and_tries_are_those_of_the_plan_not_of_the_search_that_foun
         counted = {kernels.search: search}
         monkeypatch.setattr(jit, "compiled", lambda f, by=counted: by.get(f) or compiled(f))
         where = from_pose(START, degrees)
-        outcome = plan(ask(with_budget(task, 60), truth, **where, from_rest=False))
+        outcome = plan(ask(with_budget(TASK, 60), TRUTH, **where, from_rest=False))
         assert outcome.evaluations == sum(spent for _, spent in searched.values())
         if isinstance(outcome, Planned):
             assert outcome.tries == len(searched)

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from planning import ask, column_distance_m, fly, leg_of, limits, spline
+from small_world import TERRAIN
 
 from companion.path.envelope import flown_on_m, stopping_m
 from companion.planner.loiter_search import Motion, loiter_point
@@ -19,7 +20,6 @@ from companion.planner.request import Planned
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated_scan import true_map
-from companion.world.terrain import PeakTerrain
 from companion.world.zones import CircleZone, PolygonZone, Zone
 
 FloatArray = NDArray[np.float64]
@@ -44,8 +44,8 @@ REQUIRED_M = 67.0  # d_s 50 m, tracking 12 m, navigation 5 m
 
 
 @pytest.fixture(scope="module")
-def truth(terrain: PeakTerrain) -> KnownMap:
-    return true_map(terrain, empty_map(TASK.cell_m, LIMITS.north_m, LIMITS.east_m))
+def truth() -> KnownMap:
+    return true_map(TERRAIN, empty_map(TASK.cell_m, LIMITS.north_m, LIMITS.east_m))
 
 
 @pytest.fixture(scope="module")

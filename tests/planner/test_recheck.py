@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from planning import PLANE_TASK, leg_of, limits, zone_distance_m
+from small_world import TASK
 
 from companion.planner.cost_grid import CostGrid
 from companion.planner.cost_samples import BLOCKED
@@ -117,32 +118,30 @@ def but(task: Task, *zones: Zone, **changes: float) -> Task:
 
 
 @pytest.mark.parametrize("below_m", [0.0, 0.7, 50.0])
-def test_what_was_proven_stays_proven_while_the_rules_are_the_same_or_less(
-    task: Task, below_m: float
-) -> None:
+def test_what_was_proven_stays_proven_while_the_rules_are_the_same_or_less(below_m: float) -> None:
     """However it was proven: `paper` proves nothing, a way out leads through its zone."""
-    bounded, above = but(task, ACROSS), but(task, ceiling_amsl_m=350.0)
-    less = but(task, floor_amsl_m=250.0, ceiling_amsl_m=800.0)
-    pairs = (task, but(task)), (bounded, bounded), (bounded, task), (task, less), (above, above)
+    bounded, above = but(TASK, ACROSS), but(TASK, ceiling_amsl_m=350.0)
+    less = but(TASK, floor_amsl_m=250.0, ceiling_amsl_m=800.0)
+    pairs = (TASK, but(TASK)), (bounded, bounded), (bounded, TASK), (TASK, less), (above, above)
     for before, now in pairs:
         assert not is_touched(low_leg(before, below_m), 0.0, now)
 
 
-def test_a_rule_that_is_new_is_held_against_what_is_left_of_a_leg(task: Task) -> None:
-    leg = low_leg(task)
+def test_a_rule_that_is_new_is_held_against_what_is_left_of_a_leg() -> None:
+    leg = low_leg(TASK)
     for from_m, now, touched in (
-        (0.0, but(task, ACROSS), True),
-        (4_000.0, but(task, ACROSS), False),
-        (0.0, but(task, floor_amsl_m=301.0), True),
-        (0.0, but(task, floor_amsl_m=300.4), False),  # home moves so far
-        (1_000.0, but(task, floor_amsl_m=301.0), False),
-        (0.0, but(task, ceiling_amsl_m=LOW_M + 90.0), True),
+        (0.0, but(TASK, ACROSS), True),
+        (4_000.0, but(TASK, ACROSS), False),
+        (0.0, but(TASK, floor_amsl_m=301.0), True),
+        (0.0, but(TASK, floor_amsl_m=300.4), False),  # home moves so far
+        (1_000.0, but(TASK, floor_amsl_m=301.0), False),
+        (0.0, but(TASK, ceiling_amsl_m=LOW_M + 90.0), True),
     ):
         assert is_touched(leg, from_m, now) is touched
     # of one whose rules nobody knows all rules count
-    assert not is_touched(low_leg(None), 0.0, task)
-    assert is_touched(low_leg(None, below_m=0.7), 0.0, task)
-    assert is_touched(low_leg(None), 0.0, but(task, ACROSS))
+    assert not is_touched(low_leg(None), 0.0, TASK)
+    assert is_touched(low_leg(None, below_m=0.7), 0.0, TASK)
+    assert is_touched(low_leg(None), 0.0, but(TASK, ACROSS))
 
 
 # --- near things
