@@ -1,5 +1,6 @@
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,55 +40,44 @@ def test_the_distances_of_environment_1_are_those_of_the_design_and_of_the_paper
     assert papers.band_amsl_m == (3_000.0, 5_000.0)
 
 
-errors = st.floats(0.0, 60.0)
+def changed(profile: Any, limits: dict[str, float], settings: dict[str, float]) -> Task:
+    settled = replace(ENVIRONMENT_1.settings, profile=profile, **settings)
+    return replace(ENVIRONMENT_1, limits=replace(LIMITS, **limits), settings=settled)
 
 
-@given(d_s=st.floats(1.0, 600.0), tracking=errors, navigation=errors)
-def test_the_search_aims_at_more_than_the_certificate_asks_for(
-    d_s: float, tracking: float, navigation: float
-) -> None:
-    task = replace(
-        ENVIRONMENT_1,
-        limits=replace(LIMITS, tracking_error_m=tracking, navigation_error_m=navigation),
-        settings=replace(ENVIRONMENT_1.settings, safety_distance_m=d_s),
-    )
-    assert task.search_clearance_m >= task.required_clearance_m >= d_s
-    low, high = task.band_amsl_m
-    assert low >= 3_000.0 + tracking + navigation
-    assert high <= 5_000.0 - tracking - navigation
+tasks = st.builds(
+    changed,
+    st.sampled_from([FLIGHT, PAPER]),
+    st.fixed_dictionaries({
+        "speed_m_s": st.floats(1.0, 300.0), "acceleration_m_s2": st.floats(0.5, 20.0),
+        "dead_man_s": st.floats(0.0, 10.0), "tracking_error_m": st.floats(0.0, 60.0),
+        "navigation_error_m": st.floats(0.0, 60.0),
+    }),
+    st.fixed_dictionaries({
+        "scan_range_m": st.floats(100.0, 50_000.0), "safety_distance_m": st.floats(1.0, 600.0),
+        "planning_time_s": st.floats(0.1, 20.0),
+    }),
+)  # fmt: skip
 
 
-@given(
-    speed=st.floats(1.0, 300.0),
-    acceleration=st.floats(0.5, 20.0),
-    range_m=st.floats(100.0, 50_000.0),
-    d_s=st.floats(1.0, 2_000.0),
-    t=st.floats(0.1, 20.0),
-    profile=st.sampled_from([FLIGHT, PAPER]),
-)
-def test_the_scan_distance_keeps_equation_4_and_the_tail_holds_a_stop(
-    speed: float, acceleration: float, range_m: float, d_s: float, t: float, profile: object
-) -> None:
-    task = replace(
-        ENVIRONMENT_1,
-        limits=replace(LIMITS, speed_m_s=speed, acceleration_m_s2=acceleration),
-        settings=replace(
-            ENVIRONMENT_1.settings,
-            scan_range_m=range_m,
-            safety_distance_m=d_s,
-            planning_time_s=t,
-            profile=profile,
-        ),
-    )
-    assert task.scan_distance_m >= speed * t + d_s
+@given(task=tasks)
+def test_the_scan_distance_keeps_equation_4_and_the_tail_holds_a_stop(task: Task) -> None:
+    """And the search aims at more than the certificate asks for."""
+    limits, settled = task.limits, task.settings
+    d_s, speed = settled.safety_distance_m, limits.speed_m_s
+    assert task.scan_distance_m >= speed * settled.planning_time_s + d_s
     assert task.tail_m >= d_s
     assert task.cell_m == int(task.cell_m) >= 1.0
-    assert abs(task.cell_m - range_m / 80.0) <= 0.5 or task.cell_m == 1.0
-    if profile is FLIGHT:
-        stopping_time = speed / acceleration
-        assert task.tail_m >= speed * stopping_time / 2.0 + d_s - 1e-9
+    assert abs(task.cell_m - settled.scan_range_m / 80.0) <= 0.5 or task.cell_m == 1.0
+    if settled.profile is FLIGHT:
+        brakes_m = 0.5 * speed**2 / limits.acceleration_m_s2
+        assert task.tail_m >= brakes_m + d_s - 1e-9
         # flying on for the dead man's time, and then braking
-        assert task.tail_m >= speed * 3.5 + speed * stopping_time / 2.0 - 1e-9
+        assert task.tail_m >= speed * limits.dead_man_s + brakes_m - 1e-9
+        error = limits.tracking_error_m + limits.navigation_error_m
+        assert task.search_clearance_m >= task.required_clearance_m >= d_s
+        assert 3_000.0 + error <= task.band_amsl_m[0]
+        assert task.band_amsl_m[1] <= 5_000.0 - error
 
 
 @pytest.mark.parametrize("d_s", [20.0, 90.0])
@@ -111,30 +101,19 @@ def test_at_the_end_of_a_subpath_the_ground_within_the_clearance_has_been_scanne
     assert (surface.altitude_m(end_n, end_e) < 5_000.0).all()
 
 
-@given(
-    speed=st.floats(1.0, 200.0),
-    acceleration=st.floats(0.5, 20.0),
-    flies_on_s=st.floats(0.0, 10.0),
-    d_s=st.floats(1.0, 600.0),
-    error=errors,
-)
+@given(task=tasks)
 def test_a_vehicle_that_is_left_alone_near_the_end_of_sight_stays_over_ground_that_was_scanned(
-    speed: float, acceleration: float, flies_on_s: float, d_s: float, error: float
+    task: Task,
 ) -> None:
-    limits = replace(
-        LIMITS,
-        speed_m_s=speed,
-        acceleration_m_s2=acceleration,
-        dead_man_s=flies_on_s,
-        tracking_error_m=error,
-        navigation_error_m=0.5 * error,
-    )
-    planner = replace(ENVIRONMENT_1.settings, safety_distance_m=d_s)
-    task = replace(ENVIRONMENT_1, limits=limits, settings=planner)
+    planner = replace(ENVIRONMENT_1.settings, safety_distance_m=task.settings.safety_distance_m)
+    task = replace(task, settings=planner)
+    speed, limits = min(task.limits.speed_m_s, 200.0), task.limits
+    task = replace(task, limits=replace(limits, speed_m_s=speed))
     before_end_m = slowing_m(task.envelope, speed) * np.linspace(0.0, 1.0, 400) ** 2
     slowing = np.array([ending_m_s(task.envelope, left_m) for left_m in before_end_m.tolist()])
-    beyond_m = slowing * flies_on_s + slowing**2 / (2.0 * acceleration) - before_end_m
-    farthest_m = task.end_radius_m + beyond_m.max() + 1.5 * error
+    brakes_m = slowing**2 / (2.0 * limits.acceleration_m_s2)
+    beyond_m = slowing * limits.dead_man_s + brakes_m - before_end_m
+    farthest_m = task.end_radius_m + beyond_m.max() + task.error_m
     cell_diagonal_m = math.hypot(task.cell_m, task.cell_m)  # a cell is seen by its middle
     assert farthest_m <= task.settings.scan_range_m - cell_diagonal_m
     assert task.end_radius_m + task.required_clearance_m <= 20_000.0 - cell_diagonal_m
