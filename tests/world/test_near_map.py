@@ -236,7 +236,9 @@ def test_all_that_beams_have_passed_is_free_a_wall_is_occupied_and_behind_it_not
     None
 ):
     near, blocked, columns = NearMap(LATTICE), NearMap(LATTICE), slice(90, 110)
-    looked(near, NOTHING, SIGHTINGS)
+    looked(near, NOTHING, 2)
+    assert not near.free().any()  # not before the third in a row
+    looked(near, NOTHING, 1)
     north, east = np.meshgrid(*(np.arange(200) * 0.25 - 25.0 + 0.125,) * 2, indexing="ij")
     away = np.hypot(north, east)
     assert near.free()[away < REACH_M - 0.3].all()

@@ -108,6 +108,14 @@ def test_a_wall_hides_just_what_lies_below_the_line_over_its_top_and_a_hollow_sl
     assert np.isfinite(scan.heights_m[:34, 20 - scan.column]).all()
 
 
+def test_what_is_two_cells_away_is_always_seen_and_beyond_a_wall_beside_the_radar_nothing() -> None:
+    truth = flat()
+    truth.upper_m[1] = 300.0
+    scan = simulated_scan(truth, (50.0, 2_050.0, 100.0), 1_000.0)
+    due_north = scan.heights_m[:, 20 - scan.column]
+    assert np.isfinite(due_north).tolist() == [True] * 3 + [False] * (len(due_north) - 3)
+
+
 @pytest.mark.parametrize("eye_m", [1.0, 5.0])
 def test_the_plain_is_seen_up_to_the_horizon(eye_m: float) -> None:
     """At R acos(R / (R + h)), give or take a cell; the earth is as curved as it is anywhere."""
