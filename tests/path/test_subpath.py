@@ -58,6 +58,8 @@ def test_the_pose_is_where_the_curve_is_after_that_length_with_its_tangent_and_c
     flown, _ = quad(lambda at: np.linalg.norm(curve(at, 1)), 0.0, u, points=knots, limit=100)
     assert flown == pytest.approx(share * subpath.length_m, rel=1e-6, abs=0.05)
     assert np.linalg.norm(curve(u) - pose.position_nea_m) <= 1e-6 * subpath.length_m
+    longer = [subpath.is_longer_than(k * subpath.length_m) for k in (share, 1 - 1e-6, 1 + 1e-6, 2)]
+    assert longer == [True, True, False, False]
     first, second = (curve(u, order) for order in (1, 2))
     assert pose.tangent_nea == pytest.approx(first / np.linalg.norm(first), abs=1e-9)
     assert pose.curvature_nea_1_m @ pose.tangent_nea == pytest.approx(0.0, abs=1e-12)

@@ -13,6 +13,7 @@ from companion.planner.settings import PlannerSettings, Task
 from companion.profiles import FLIGHT, PAPER
 from companion.world.clearance import safe_surface
 from companion.world.known_map import empty_map
+from companion.world.radars import Radar
 
 ENVIRONMENT_1 = Task(
     limits=LIMITS,
@@ -78,6 +79,19 @@ def test_the_scan_distance_keeps_equation_4_and_the_tail_holds_a_stop(task: Task
         assert task.search_clearance_m >= task.required_clearance_m >= d_s
         assert 3_000.0 + error <= task.band_amsl_m[0]
         assert task.band_amsl_m[1] <= 5_000.0 - error
+
+
+@given(task=tasks, amsl_m=st.floats(2_000.0, 5_000.0), reach_m=st.floats(0.0, 40e3))
+def test_a_floor_is_raised_and_never_lowered_and_radars_within_reach_are_near(
+    task: Task, amsl_m: float, reach_m: float
+) -> None:
+    (low, high), raised = task.band_amsl_m, task.no_lower_than(amsl_m)
+    assert raised.band_amsl_m == pytest.approx((max(low, amsl_m), high))
+    centres = [(10e3 * k, 5e3 * k, 7e3) for k in range(-3, 4)]
+    radars = [Radar(name=str(at), centre_nea_m=at, range_m=6e3) for at in centres]
+    near = replace(task, radars=tuple(radars)).radars_near((1e3, -2e3), reach_m)
+    apart_m = [math.hypot(north - 1e3, east + 2e3) for north, east, _ in centres]
+    assert list(near) == [r for r, m in zip(radars, apart_m, strict=True) if m - 6e3 <= reach_m]
 
 
 @pytest.mark.parametrize("d_s", [20.0, 90.0])

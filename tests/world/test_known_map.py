@@ -228,6 +228,10 @@ def test_a_map_survives_as_bytes_and_is_told_from_those_that_differ_in_anything(
     back, by_m = unpacked_map(packed_map(known)), np.zeros_like(upper)
     assert np.array_equal(back.upper_m, known.upper_m)
     assert np.array_equal(back.seen, known.seen)
+    told = replace(known, given=given_, guess_m=upper)  # in advance: files keep only the rest
+    whole = unpacked_map(packed_map(told)).with_what_was_given(told)
+    assert digest_of(whole) == digest_of(told)
+    assert whole.guess_m is upper
     by_m[7, 2] = 1.0
     for each in (back, replace(known, upper_m=upper + 1e-9 * by_m)):  # of another processor
         assert digest_of(each) == digest_of(known)

@@ -221,6 +221,11 @@ def test_a_scan_tells_all_that_is_known_where_something_may_have_changed_and_tel
     assert closed.any()
     np.testing.assert_array_equal(heights, np.where(closed, 50.0, np.where(free, ground, np.nan)))
     assert (scan.supersedes, again.supersedes, again.heights_m.size) == (True, False, 0)
+    for window in ((slice(3, 9), slice(100, 120)), (slice(5, 30), slice(90, 101))):
+        near.tell_again(window)  # nobody has taken it
+    once_more = near.scan(ground, 50.0)
+    assert (once_more.row, once_more.column, *once_more.heights_m.shape) == (3, 90, 27, 30)
+    np.testing.assert_array_equal(once_more.heights_m, heights[3:30, 90:120])
 
 
 def test_an_echo_that_stays_in_free_cells_counts_there_whatever_lies_behind_it() -> None:
