@@ -74,6 +74,11 @@ def test_where_there_is_no_way_out_the_reason_is_what_is_around() -> None:
     outcome = plan(ask(TASK, pit, (1_025.0, 1_025.0, 450.0)))
     assert isinstance(outcome, NotPlanned)
     assert outcome.refusal is Refusal.START_NEAR_TERRAIN
+    seen = pit.upper_m < 5_000.0
+    hidden = replace(pit, upper_m=np.where(seen, 100.0, np.inf), seen=seen)
+    outcome = plan(ask(TASK, hidden, (1_025.0, 1_025.0, 450.0)))
+    assert isinstance(outcome, NotPlanned)
+    assert outcome.refusal is Refusal.START_NEAR_UNKNOWN
     settings = replace(TASK.settings, cell_m=BLANK.cell_m)  # by a sensor of near things
     outcome = plan(ask(replace(TASK, settings=settings), pit, (1_025.0, 1_025.0, 450.0)))
     assert isinstance(outcome, NotPlanned)

@@ -147,6 +147,13 @@ def test_a_cliff_costs_the_ramp_up_to_it_on_which_the_altitude_needed_falls(rise
         assert needed_m == pytest.approx(max(on_the_ramp_m, FLOOR), abs=coarse_m)
 
 
+@given(altitude_m=st.floats(2_000.0, 6_000.0))
+def test_to_come_down_costs_the_height_on_the_way_to_the_floor(altitude_m: float) -> None:
+    above_m = np.linspace(0.0, min(max(altitude_m, FLOOR), CEILING) - FLOOR, 2_001)
+    integral = np.trapezoid(HEIGHT * above_m / (CEILING - FLOOR), above_m / math.tan(CLIMB))
+    assert cost_grid.descent_m(altitude_m, TASK) == pytest.approx(integral, rel=1e-6, abs=1e-9)
+
+
 @pytest.mark.parametrize("off_m", [300.0, 3_000.0, 6_000.0])
 @pytest.mark.parametrize("range_m", [7_000.0, 11_000.0])
 def test_round_a_radar_the_way_is_tangent_arc_tangent(off_m: float, range_m: float) -> None:

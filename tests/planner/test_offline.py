@@ -114,7 +114,8 @@ def test_a_flight_that_runs_out_of_legs_stops_and_says_so_and_how_to_go_on(
     assert cut.flown_m == pytest.approx(lengths_m)
     assert len(flight.legs) < usual_most_legs(TASK, START, (TARGET,))
     far = ((TARGET[0] + 1e6, TARGET[1]), TARGET)
-    assert usual_most_legs(TASK, START, far) > 2e6 / TASK.settings.scan_range_m
+    least = 2e6 / TASK.settings.scan_range_m
+    assert least < usual_most_legs(TASK, START, far) < 20.0 * least
 
 
 def test_a_leg_without_a_successor_is_flown_to_its_end_where_attempts_are_counted_anew() -> None:

@@ -94,6 +94,22 @@ def test_a_floor_is_raised_and_never_lowered_and_radars_within_reach_are_near(
     assert list(near) == [r for r, m in zip(radars, apart_m, strict=True) if m - 6e3 <= reach_m]
 
 
+@given(task=tasks, share=st.floats(0.05, 1.5), loiter_m=st.sampled_from([0.0, 900.0]))
+def test_a_slower_leg_turns_with_the_same_lateral_acceleration_and_planes_are_never_slower(
+    task: Task, share: float, loiter_m: float
+) -> None:
+    task = replace(task, limits=replace(task.limits, loiter_radius_m=loiter_m))
+    limits, speed_m_s = task.limits, share * task.limits.speed_m_s
+    slow = task.at_speed(speed_m_s)
+    assert task.at_speed(None) is task
+    if share >= 1.0 or loiter_m:
+        assert slow is task
+        return
+    assert slow.limits.speed_m_s == speed_m_s
+    sideways_m_s2 = limits.speed_m_s**2 / limits.turn_radius_m
+    assert speed_m_s**2 / slow.limits.turn_radius_m == pytest.approx(sideways_m_s2)
+
+
 @pytest.mark.parametrize("d_s", [20.0, 90.0])
 @pytest.mark.parametrize("tracking", [2.0, 40.0])
 @settings(max_examples=8)
