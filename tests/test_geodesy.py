@@ -79,14 +79,6 @@ def test_no_frame_of_a_map_has_its_north_farther_from_the_true_one_than_the_conv
     assert away_rad <= frame.convergence_rad(north_m, east_m) * 1.02 + 3e-4
 
 
-def test_meridians_converge_by_the_sine_of_the_latitude_and_not_due_north_of_the_origin() -> None:
-    across_rad = 100_000.0 / (6_378_137.0 * math.cos(math.radians(47.0)))
-    told = HERE.grid_north_rad(0.0, 100_000.0)
-    assert told == pytest.approx(across_rad * math.sin(math.radians(47.0)), abs=2e-4)
-    for north_m in (0.0, 50_000.0):
-        assert HERE.grid_north_rad(north_m, 0.0) == pytest.approx(0.0, abs=1e-6)
-
-
 @given(latitude=latitudes, longitude=longitudes, north_m=metres, east_m=metres)
 def test_an_offset_lies_where_a_frame_about_its_beginning_says(
     latitude: float, longitude: float, north_m: float, east_m: float

@@ -16,11 +16,9 @@ from companion.campaign.route_cost import curve_cost
 from companion.config import load_mission
 from companion.errors import InputError
 from companion.library import OPTIMISERS, Flown, NearScene, Task, Thing, fly
-from companion.path.certificate import Certificate
 from companion.planner.offline import OnBoard, fly_offline
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg
-from companion.profiles import PROFILES
 from companion.world.known_map import KnownMap, Scan, empty_map
 
 PAGE = Path(__file__).parents[1] / "docs" / "library.md"
@@ -165,17 +163,6 @@ def test_a_lidar_finds_the_way_out_of_a_maze() -> None:
     assert nearest_m > task.settings.safety_distance_m
 
 
-def aboard(task: Task, things: list[Thing]) -> tuple[OnBoard, dict[str, Any]]:
-    """A sensor in the wood of the page, and the flight that it is on board of."""
-    blank = empty_map(0.25, (-20.0, 60.0), (-20.0, 60.0))
-    blank = replace(blank, guess_m=np.full(blank.upper_m.shape, 400.0))
-    sensor = library.NearSensor(kind="obstacle_distance", component_id=1, range_m=16.0)
-    sensor_on_board = OnBoard(sensor, NearScene(things), task, blank)
-    where = {"blank": blank, "truth": blank, "start_nea_m": (0.0, 0.0, 405.5), "seed": 1}
-    where["planner"] = plan
-    return sensor_on_board, {**where, "on_board": sensor_on_board}
-
-
 def test_the_time_is_that_of_legs_no_faster_than_proven_and_of_each_stop(
     page: dict[str, Any],
 ) -> None:
@@ -193,8 +180,12 @@ def test_the_time_is_that_of_legs_no_faster_than_proven_and_of_each_stop(
 def test_a_thing_that_comes_into_the_way_is_stopped_for(
     page: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """In the wood of the page, in the middle of the second leg."""
     task: Task = page["among"].task
-    on_board, where = aboard(task, [])
+    blank = empty_map(0.25, (-20.0, 60.0), (-20.0, 60.0))
+    blank = replace(blank, guess_m=np.full(blank.upper_m.shape, 400.0))
+    sensor = library.NearSensor(kind="obstacle_distance", component_id=1, range_m=16.0)
+    on_board = OnBoard(sensor, NearScene([]), task, blank)
     flies = on_board.flies
 
     def meets(leg: Leg, from_m: float, until_m: float, *, goes_on: bool) -> tuple[float, float]:
@@ -204,7 +195,10 @@ def test_a_thing_that_comes_into_the_way_is_stopped_for(
         return flies(leg, from_m, until_m, goes_on=goes_on)
 
     monkeypatch.setattr(on_board, "flies", meets)
-    flight = fly_offline(task, targets_ne_m=((42.0, 42.0),), **where)
+    flight = fly_offline(
+        task, blank=blank, truth=blank, start_nea_m=(0.0, 0.0, 405.5),
+        targets_ne_m=((42.0, 42.0),), seed=1, planner=plan, on_board=on_board,
+    )  # fmt: skip
     assert flight.failure is None
     assert flight.holds
     assert flight.flown_m[1] < flight.legs[1].successor_at_m(task)
@@ -218,13 +212,6 @@ def test_an_own_planner_answers_every_request(page: dict[str, Any]) -> None:
     quick: Flown = page["quick"]
     assert quick.arrived
     assert page["asked"] == list(range(1, len(quick.details.legs) + 1))
-
-
-def test_what_the_paper_flies_has_certificates_too(page: dict[str, Any]) -> None:
-    task: Task = page["task"]
-    settings = replace(task.settings, profile=PROFILES["paper"], evaluations=200)
-    flown = fly(page["heights"], replace(task, settings=settings), **WHERE)
-    assert all(isinstance(each, Certificate) for each in flown.certificates)
 
 
 @pytest.mark.parametrize(

@@ -82,22 +82,6 @@ def test_position_tangent_and_curvature_go_on_across_a_join(
         assert np.linalg.norm(curvature_1_m(new, 0.0) - bend) <= 1e-6 * np.linalg.norm(bend) + 1e-12
 
 
-@given(seed=seeds, points=st.sampled_from([5, 6]))
-def test_from_rest_a_subpath_leaves_level_in_any_direction_without_a_bend(
-    seed: int, points: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    scene = random_scene(rng, points=points, from_rest=True)
-    x = cube(rng, scene, 4)
-    for each, control in zip(x, control_points(x, scene), strict=True):
-        curve = spline(control)
-        assert curve(0.0) == pytest.approx(scene.start[0])
-        leaving = curve(0.0, 1) / np.linalg.norm(curve(0.0, 1))
-        bearing = scene.guide_rad + (2.0 * each[3 * points - 9] - 1.0) * math.pi
-        assert leaving == pytest.approx([math.cos(bearing), math.sin(bearing), 0.0], abs=1e-9)
-        assert np.linalg.norm(curvature_1_m(curve, 0.0)) <= 1e-12
-
-
 # --- where control points may lie
 
 
@@ -111,10 +95,11 @@ def azimuth_from_tangent(control: FloatArray, offset: FloatArray) -> float:
 def test_the_end_lies_within_its_circle_about_p_scan_and_free_points_in_their_ring(
     seed: int, points: int
 ) -> None:
+    """From rest it leaves level in any direction, without a bend."""
     rng = np.random.default_rng(seed)
     scene = random_scene(rng, points=points, is_final=False)
-    low, high = scene.band_amsl_m
-    for control in control_points(cube(rng, scene, 10), scene):
+    (low, high), x = scene.band_amsl_m, cube(rng, scene, 10)
+    for each, control in zip(x, control_points(x, scene), strict=True):
         offset = control[-1, :2] - scene.scan_ne_m
         away = float(np.hypot(*offset))
         assert SHORTEST_END - 1e-9 <= away / scene.end_radius_m <= 1.0 + 1e-9
@@ -124,8 +109,14 @@ def test_the_end_lies_within_its_circle_about_p_scan_and_free_points_in_their_ri
             offset = control[k, :2] - control[0, :2]
             assert SHORTEST_R * unit - 1e-6 <= np.hypot(*offset) <= unit + 1e-6
             assert abs(azimuth_from_tangent(control, offset)) <= SPREAD_RAD + 1e-9
-        assert low - 1e-9 <= control[3:, 2].min()
-        assert control[3:, 2].max() <= high + 1e-9
+        assert low - 1e-9 <= control[3:, 2].min() <= control[3:, 2].max() <= high + 1e-9
+        if scene.from_rest:
+            curve = spline(control)
+            assert curve(0.0) == pytest.approx(scene.start[0])
+            leaving = curve(0.0, 1) / np.linalg.norm(curve(0.0, 1))
+            bearing = scene.guide_rad + (2.0 * each[3 * points - 9] - 1.0) * math.pi
+            assert leaving == pytest.approx([math.cos(bearing), math.sin(bearing), 0.0], abs=1e-9)
+            assert np.linalg.norm(curvature_1_m(curve, 0.0)) <= 1e-12
 
 
 @given(seed=seeds, points=st.sampled_from([5, 6]))
@@ -304,6 +295,8 @@ def expected_outside(points: list[FloatArray], scene: Scene) -> float:
 def test_each_term_is_what_a_scalar_implementation_makes_of_the_curve(seed: int) -> None:
     rng = np.random.default_rng(seed)
     scene = random_scene(rng, samples=12)
+    for each in cube(rng, scene, 20):
+        assert all(0.0 <= value < math.inf for value in terms(each, scene).values())
     x = cube(rng, scene, 2)
     for each, control in zip(x, control_points(x, scene), strict=True):
         table, slowly = terms(each, scene), expected(control, scene)
@@ -319,16 +312,6 @@ def test_the_weights_are_those_of_equation_5_and_what_is_left_to_fly_counts_as_l
     weights = dict(zip(TERMS, weights_of(Weights()), strict=True))
     paper = {"length": 0.1, "height": 0.15, "guide": 0.15, "crash": 0.3, "radar": 0.3}
     assert weights.items() >= (paper | {"constraints": 1.0, "to_go": 0.1}).items()
-
-
-@given(seed=seeds)
-def test_no_term_is_negative_or_anything_but_a_number(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    scene = random_scene(rng)
-    for x in cube(rng, scene, 20):
-        for name, value in terms(x, scene).items():
-            assert math.isfinite(value), name
-            assert value >= 0.0, name
 
 
 # --- how a candidate is looked at
@@ -358,14 +341,3 @@ def test_beyond_a_bound_the_cost_is_infinite_and_below_it_the_cost(seed: int, sh
     cost = objective.cost(x, math.inf, scene)
     assert objective.cost(x, share * cost, scene) == (math.inf if share < 1.0 else cost)
     assert objective.cost(x, cost, scene) == cost
-
-
-def test_variables_at_their_middles_lead_straight_on() -> None:
-    scene = random_scene(np.random.default_rng(4), points=6, from_rest=True, is_final=False)
-    control = control_points(np.full((1, scene.variables), 0.5), scene)[0]
-    for k in (1, 2, 3, 4):
-        assert azimuth_from_tangent(control, control[k] - control[0]) == pytest.approx(
-            0.0, abs=1e-9
-        )
-    about_scan = control[5, :2] - scene.scan_ne_m
-    assert azimuth_from_tangent(control, about_scan) == pytest.approx(0.0, abs=1e-9)

@@ -113,37 +113,37 @@ def test_every_mutant_is_equation_17_of_one_of_the_p_best_and_three_others(
         assert nearest(state.trial[i], mutants(state, i, a, best)) < 1e-12
 
 
-@pytest.mark.parametrize("own", [0.0, 0.3, 0.9])
-def test_a_share_of_mutants_starts_from_the_member_itself(own: float) -> None:
-    how = SMALL._replace(own=own)
-    from_itself = []
-    for seed in range(150):
-        state = started(how, seed)
-        best = [members(state)[k] for k in np.argsort(state.costs)[:2]]
-        n = ask(state)
-        for i, x in enumerate(members(state)[:n]):
-            apart = state.trial[i] - 0.5 * np.array([x + b for b in best])
-            rest = [k for k in range(7) if k != i]
-            pairs = itertools.permutations(members(state)[rest], 2)
-            from_itself.append(any(nearest(0.5 * (p - q), apart) < 1e-12 for p, q in pairs))
-    # 1050 draws, 5 standard deviations
-    assert np.mean(from_itself) == pytest.approx(own, abs=0.08)
-
-
-@pytest.mark.parametrize("cr", [0.0, 0.5, 1.0])
-def test_a_trial_takes_each_variable_from_the_mutant_with_probability_cr_and_at_least_one(
-    cr: float,
+@pytest.mark.parametrize(("own", "cr"), [(0.0, 0.0), (0.3, 0.5), (0.9, 1.0)])
+def test_members_archive_and_variables_come_into_use_as_often_as_they_are_to(
+    own: float, cr: float
 ) -> None:
-    changes = []
-    for seed in range(100):
+    """A share of mutants starts from the member itself, the others from each of the p best."""
+    from_itself, changed, x_best, x_3 = [], [], set[int](), set[bool]()
+    for seed in range(150):
+        state = started(SMALL._replace(own=own), seed)
+        x, order = members(state), np.argsort(state.costs)[:2].tolist()
+        for i in range(ask(state)):
+            apart = state.trial[i] - 0.5 * (x[i] + x[order])
+            pairs = itertools.permutations(np.delete(x, i, axis=0), 2)
+            from_itself.append(any(nearest(0.5 * (p - q), apart) < 1e-12 for p, q in pairs))
         state = started(seed=seed, cr=cr)
         n = ask(state)
-        changes.append(state.trial[:n] != state.population[:n])
-    changed = np.concatenate(changes)
-    assert changed.any(axis=1).all()
-    # one of D for certain, the others with Cr; 700 x 3 draws: 5 standard deviations are 0.06
-    assert changed.mean() == pytest.approx(cr + (1 - cr) / D, abs=0.06)
-    assert changed.mean(axis=0) == pytest.approx(np.full(D, cr + (1 - cr) / D), abs=0.1)
+        changed += list(state.trial[:n] != state.population[:n])
+        state = started(seed=seed, a=0.4)
+        state.archive[0], state.now[names.KEPT] = 0.9, 1  # far away, so that its use shows
+        order = np.argsort(state.costs)[:2].tolist()
+        for i in range(ask(state) if seed < 60 else 0):
+            can_be = [mutants(state, i, 0.4, [members(state)[b]]) for b in order]
+            x_best |= {k for k in (0, 1) if nearest(state.trial[i], can_be[k]) < 1e-12}
+            x_3.add(bool((state.trial[i] < 0.4).any()))
+    # 1050 draws, 5 standard deviations
+    assert np.mean(from_itself) == pytest.approx(own, abs=0.08)
+    assert np.any(changed, axis=1).all()
+    # one of D for certain, the others with Cr; 1050 x 3 draws: 5 standard deviations are 0.05
+    expected = cr + (1 - cr) / D
+    assert np.mean(changed) == pytest.approx(expected, abs=0.06)
+    assert np.mean(changed, axis=0) == pytest.approx(np.full(D, expected), abs=0.1)
+    assert (x_best, x_3) == ({0, 1}, {True, False})
 
 
 @few
@@ -214,7 +214,11 @@ def test_every_triple_of_others_is_equally_likely(size: int, more: int, i: int) 
     assert sorted(triples) == possible
 
 
-def test_the_population_falls_linearly_and_its_worst_go() -> None:
+def test_the_population_begins_as_large_as_allowed_falls_linearly_and_its_worst_go() -> None:
+    for evaluations, expected in ((10, 20), (600, 27), (3_000, 60), (10**6, 150)):
+        assert Settings().members(evaluations) == expected
+        state = begin(D, evaluations, NO_SEEDS, Settings(), np.random.default_rng(0))
+        assert ask(state) == min(expected, evaluations - int(0.15 * evaluations))
     state = begin(D, 2_000, NO_SEEDS, Settings(population=60, smallest=6), np.random.default_rng(1))
     while state.now[names.PHASE] in (names.START, names.EVOLVE):
         before = np.sort(state.costs[: state.now[names.SIZE]])
@@ -232,17 +236,6 @@ def test_the_population_falls_linearly_and_its_worst_go() -> None:
         assert state.now[names.KEPT] <= size
     assert size == 6
     assert spent(state) == 1_700
-
-
-@pytest.mark.parametrize(
-    ("evaluations", "expected"), [(10, 20), (600, 27), (3_000, 60), (10**6, 150)]
-)
-def test_the_population_begins_as_large_as_the_budget_allows(
-    evaluations: int, expected: int
-) -> None:
-    assert Settings().members(evaluations) == expected
-    state = begin(D, evaluations, NO_SEEDS, Settings(), np.random.default_rng(0))
-    assert ask(state) == min(expected, evaluations - int(0.15 * evaluations))
 
 
 @few
@@ -373,28 +366,3 @@ def test_a_simplex_that_has_collapsed_is_begun_anew_and_its_best_vertex_kept() -
     assert begun > 3
     assert (np.diff(best) <= 0.0).all()
     assert best[-1] < 1e-5
-
-
-def test_members_of_the_archive_and_each_of_the_p_best_come_into_use() -> None:
-    x_best, x_3 = set(), set()
-    for seed in range(60):
-        state = started(seed=seed, a=0.4)
-        state.archive[0], state.now[names.KEPT] = 0.9, 1
-        order = np.argsort(state.costs)
-        ask(state)
-        for i in range(7):
-            for k, b in enumerate(order[:2]):
-                can_be = mutants(state, i, 0.4, [members(state)[b]])
-                if nearest(state.trial[i], can_be) < 1e-12:
-                    x_best.add(k)
-            x_3.add(bool((state.trial[i] < 0.4).any()))
-    assert x_3 == {True, False}
-    assert x_best == {0, 1}
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_a_rugged_landscape_is_searched_to_its_bottom(seed: int) -> None:
-    lattice = np.linspace(0.0, 1.0, 41)
-    grid = np.stack(np.meshgrid(lattice, lattice, lattice), axis=-1).reshape(-1, D)
-    bottom = min(rugged(x) for x in grid[:: 1 if seed == 0 else 7])
-    assert ranked(search(rugged, 1_500, seed=seed))[1][0] <= bottom + 1e-9

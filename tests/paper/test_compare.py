@@ -20,7 +20,6 @@ from companion.paper.compare.comparisons import (
     ALGORITHMS,
     Comparison,
     agreement,
-    by_heading,
     figure_3,
     figure_4,
     order,
@@ -28,7 +27,7 @@ from companion.paper.compare.comparisons import (
     table_1,
 )
 from companion.paper.compare.missions import KINDS, Case, Outcome, Run, crosses, fly_all
-from companion.paper.compare.pictures import compose_effect, compose_table
+from companion.paper.compare.pictures import compose_effect
 
 TABLE = table_1()
 EFFECTS = [figure_3(), figure_4()]
@@ -148,19 +147,6 @@ def test_the_agreement_with_the_paper_is_counted_in_pairs_of_its_order() -> None
         by_the_paper = [found[k] for k in (0, 2, 1, 3)]
         assert agreement(by_the_paper) == (agrees[0], [f"GA < {each}" for each in agrees[1]])
         assert order(found) == (papers if agrees[0] == 6 else f"GA < {papers[:-5]}")
-
-
-def test_the_picture_of_the_table_shows_every_run_and_every_mean() -> None:
-    rng = np.random.default_rng(1)
-    runs = [tuple(map(run, rng.uniform(30.0, 500.0, 5).tolist())) for _ in TABLE.cases]
-    found = [Outcome(case=c, runs=each) for c, each in zip(TABLE.cases, runs, strict=True)]
-    panels = [axes for axes in compose_table(TABLE, found).axes if axes.get_label() == "row"]
-    assert len(panels) == 4
-    for axes, outcomes in zip(panels, by_heading(found), strict=True):
-        lines = [np.asarray(line.get_ydata()).tolist() for line in axes.lines]
-        for outcome in outcomes:
-            assert outcome.costs in lines
-            assert any(line == pytest.approx([outcome.mean()]) for line in lines if line)
 
 
 # --- Fig. 3 and Fig. 4

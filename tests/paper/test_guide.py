@@ -1,4 +1,3 @@
-import cmath
 import math
 
 import numpy as np
@@ -66,22 +65,16 @@ def brute_force_guide(s: Place, t: Place, radars: list[Radar], overlap_m: float)
     return straight + (left if abs(left) < abs(right) else right)
 
 
-@pytest.mark.parametrize("gap_m", [1.0, 0.001])
-def test_a_circle_that_the_line_just_misses_does_not_turn_the_guide(gap_m: float) -> None:
-    assert guide(radar(50_000.0, 10_000.0 + gap_m, 10_000.0)) == 0.0
-    assert guide(radar(50_000.0, 10_000.0 - gap_m, 10_000.0)) != 0.0
-
-
 @pytest.mark.parametrize("off_m", [-100.0, -0.01, 0.01, 100.0])
 def test_circles_count_as_one_from_an_overlap_of_more_than_d_overlap_on(off_m: float) -> None:
     """The paper's Fig. 2: SN round both circles, or SC between them."""
-    o1 = radar(50_000.0, -1_000.0, 10_000.0)
-    apart = 10_000.0 + 12_000.0 - 2_000.0 + off_m
+    o1, apart = radar(50_000.0, -1_000.0, 10_000.0), 10_000.0 + 12_000.0 - 2_000.0 + off_m
     o2 = radar(50_000.0, -1_000.0 + apart, 12_000.0)
-    alone = min(tangent_bearings(S, o1), key=abs)
-    outer = min(tangent_bearings(S, o1))
-    assert alone > 0.0 > outer
+    outer, alone = sorted(tangent_bearings(S, o1))
+    assert outer < 0.0 < alone < -outer
     assert guide(o1, o2) == pytest.approx(outer if off_m < 0.0 else alone)
+    beside = radar(50_000.0, 10_000.0 + 0.001 * off_m, 10_000.0)  # the line misses it, or not
+    assert (guide(beside) == 0.0) == (off_m > 0.0)
 
 
 @given(
@@ -104,16 +97,3 @@ def test_the_guide_is_that_of_section_2_6_by_brute_force(
     expected = brute_force_guide(s, t, radars, overlap_m)
     found = guide(*radars, overlap_m=overlap_m, s=s, t=t)
     assert turned(found, expected) == pytest.approx(0.0, abs=1e-9)
-
-
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_cluster_around_the_scanning_point_turns_the_guide_by_135_degrees_at_most(
-    side: float,
-) -> None:
-    ring = [  # wider on one side than on the other
-        radar(at.real, side * at.imag, 7e3)
-        for at in (cmath.rect(10e3, math.radians(b)) for b in (0, 50, 100, 150, -50, -100))
-    ]
-    assert abs(guide(*ring)) == pytest.approx(math.radians(135.0))
-    # to the other side the cluster ends before that
-    assert guide(*ring[:3], ring[4]) == pytest.approx(-side * (math.radians(50.0) + math.asin(0.7)))

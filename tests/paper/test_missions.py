@@ -33,7 +33,6 @@ TASK = replace(bundled_case("environment-1").task, radars=())
 """The limits of environment-1: 3 to 5 km, turns of 2.5 km, 10 degrees; d_s 500 m."""
 FLAT = hills()
 STEP_M = 10.0
-LEVEL = ((0.0, 0.0, 3000.0), (20_000.0, 0.0, 3000.0))
 
 
 def quick(planning_time_s: float = 3.0) -> Case:
@@ -106,74 +105,66 @@ def test_ctrl_c_ends_it_with_its_processes() -> None:
 # --- what breaks a bound
 
 
-def straight(one: Point, two: Point) -> Subpath:
-    return Subpath(control_nea_m=np.linspace(one, two, 4))
-
-
-def level(*corners: tuple[float, float]) -> Subpath:
-    return Subpath(control_nea_m=np.insert(np.array(corners), 2, 3000.0, axis=1))
-
-
-def measured(subpath: Subpath, *radars: Radar, flown_m: float | None = None) -> dict[str, float]:
-    flown_m = subpath.length_m if flown_m is None else flown_m
-    return violations([(subpath, flown_m)], replace(TASK, radars=radars), FLAT)
+def curve(*corners: Point) -> Subpath:
+    """Straight between two of them."""
+    return Subpath(
+        control_nea_m=np.linspace(*corners, 4) if len(corners) == 2 else np.array(corners)
+    )
 
 
 def radar(north_m: float, east_m: float, range_m: float) -> Radar:
     return Radar(name="r", centre_nea_m=(north_m, east_m, 0.0), range_m=range_m)
 
 
-def test_a_level_straight_line_over_a_plain_violates_nothing() -> None:
-    assert measured(straight(*LEVEL)) == dict.fromkeys(KINDS, 0.0)
-
-
-@given(range_m=st.floats(4_000.0, 15_000.0), off=st.floats(0.0, 0.95))
-def test_a_line_through_radars_is_seen_for_the_length_of_the_chord_once(
-    range_m: float, off: float
-) -> None:
-    aside_m = off * math.sqrt(range_m**2 - 3000.0**2)
-    seen_by = radar(25_000.0, aside_m, range_m)
-    line = straight((0.0, 0.0, 3000.0), (50_000.0, 0.0, 3000.0))
-    chord_m = 2.0 * math.sqrt(range_m**2 - 3000.0**2 - aside_m**2)
-    for radars in ([seen_by], [seen_by, seen_by]):
-        assert measured(line, *radars)["radar"] == pytest.approx(chord_m, abs=2.0 * STEP_M)
-
-
-@given(bottom_m=st.floats(2_000.0, 2_990.0), top_m=st.floats(5_010.0, 6_000.0))
-def test_a_line_that_rises_through_the_band_leaves_it_at_both_ends(
-    bottom_m: float, top_m: float
-) -> None:
-    line = straight((0.0, 0.0, bottom_m), (30_000.0, 0.0, top_m))
-    outside = (3000.0 - bottom_m + top_m - 5000.0) / (top_m - bottom_m)
-    band_m = measured(line)["band"]
-    assert band_m == pytest.approx(outside * line.length_m, abs=2.0 * STEP_M)
-
-
-@pytest.mark.parametrize(("angle_deg", "broken"), [(9.9, 0.0), (10.1, 1.0), (-9.9, 0), (-10.1, 1)])
-def test_a_slope_counts_when_it_is_steeper_than_the_limit(angle_deg: float, broken: float) -> None:
+def slope(angle_deg: float) -> Subpath:
     rise_m = 5_000.0 * math.tan(math.radians(angle_deg))
-    line = straight((0.0, 0.0, 4000.0), (5_000.0, 0.0, 4000.0 + rise_m))
-    assert measured(line)["climb"] == pytest.approx(broken * line.length_m)
+    return curve((0.0, 0.0, 4000.0), (5_000.0, 0.0, 4000.0 + rise_m))
 
 
-@pytest.mark.parametrize(("radius_m", "broken"), [(2_300.0, 1.0), (2_700.0, 0.0)])
-def test_a_turn_counts_when_it_is_tighter_than_the_limit(radius_m: float, broken: float) -> None:
-    # a quarter of a circle; the cubic Bezier curve is one to 0.03 % (its curvature to 1.5 %)
-    k = 4.0 / 3.0 * math.tan(math.pi / 8.0) * radius_m
-    curve = level((0.0, 0.0), (k, 0.0), (radius_m, radius_m - k), (radius_m, radius_m))
-    assert measured(curve)["turn"] == pytest.approx(broken * curve.length_m, rel=0.01)
+def turn(radius_m: float) -> Subpath:
+    """A quarter of a circle; the cubic Bezier curve is one to 0.03 % (its curvature to 1.5 %)."""
+    k, r = 4.0 / 3.0 * math.tan(math.pi / 8.0) * radius_m, radius_m
+    return curve((0.0, 0.0, 3e3), (k, 0.0, 3e3), (r, r - k, 3e3), (r, r, 3e3))
 
 
-def test_a_join_with_r2_of_0_is_a_corner() -> None:
-    assert measured(level((0.0, 0.0), (0.0, 0.0), (9e3, 4e3), (20e3, 0.0)))["turn"] > 0.0
+def chord_m(range_m: float, aside_m: float = 0.0) -> float:
+    """How long a line 3 km up is within the range of a radar so far aside."""
+    return 2.0 * math.sqrt(range_m**2 - 3000.0**2 - aside_m**2)
 
 
-def test_what_is_not_flown_is_not_measured_and_subpaths_add_up() -> None:
-    seen_by = radar(20_000.0, 0.0, 5_000.0)
-    assert measured(straight(*LEVEL), seen_by)["radar"] > 3_900.0
-    assert measured(straight(*LEVEL), seen_by, flown_m=15_000.0)["radar"] == 0.0
-    one = straight((0.0, 0.0, 2900.0), (5_000.0, 0.0, 2900.0))
-    two = straight((5_000.0, 0.0, 3000.0), (9_000.0, 0.0, 3000.0))
+LEVEL = curve((0.0, 0.0, 3000.0), (20_000.0, 0.0, 3000.0))
+BREAKS: list[tuple[Subpath, tuple[Radar, ...], float, str, float]] = [
+    (LEVEL, (), 1.0, "", 0.0),
+    (LEVEL, (radar(10e3, 2e3, 6e3),), 1.0, "radar", chord_m(6e3, 2e3)),
+    (LEVEL, (radar(10e3, 2e3, 6e3),) * 2, 1.0, "radar", chord_m(6e3, 2e3)),  # once
+    (LEVEL, (radar(20e3, 0.0, 5e3),), 1.0, "radar", 0.5 * chord_m(5e3)),
+    (LEVEL, (radar(20e3, 0.0, 5e3),), 0.75, "", 0.0),  # it is not flown so far
+    (curve((0.0, 0.0, 2e3), (40e3, 0.0, 6e3)), (), 1.0, "band", 20e3 * math.hypot(1.0, 0.1)),
+    (slope(9.9), (), 1.0, "", 0.0),
+    (slope(-9.9), (), 1.0, "", 0.0),
+    (slope(10.1), (), 1.0, "climb", slope(10.1).length_m),
+    (slope(-10.1), (), 1.0, "climb", slope(10.1).length_m),
+    (turn(2_700.0), (), 1.0, "", 0.0),
+    (turn(2_300.0), (), 1.0, "turn", turn(2_300.0).length_m),
+]
+"""Curve, radars, the share that is flown, and what of it breaks which bound."""
+
+
+@pytest.mark.parametrize(("path", "radars", "share", "kind", "broken_m"), BREAKS)
+def test_of_what_is_flown_just_so_much_breaks_a_bound(
+    path: Subpath, radars: tuple[Radar, ...], share: float, kind: str, broken_m: float
+) -> None:
+    found = violations([(path, share * path.length_m)], replace(TASK, radars=radars), FLAT)
+    for each in KINDS:
+        expected = broken_m if each == kind else 0.0
+        assert found[each] == pytest.approx(expected, rel=0.01, abs=2.0 * STEP_M)
+
+
+def test_a_join_with_r2_of_0_is_a_corner_and_subpaths_add_up() -> None:
+    corner = curve((0.0, 0.0, 3e3), (0.0, 0.0, 3e3), (9e3, 4e3, 3e3), (20e3, 0.0, 3e3))
+    assert violations([(corner, corner.length_m)], TASK, FLAT)["turn"] > 0.0
+    one = curve((0.0, 0.0, 2900.0), (5_000.0, 0.0, 2900.0))
+    two = curve((5_000.0, 0.0, 3000.0), (9_000.0, 0.0, 3000.0))
     found = violations([(one, 4_000.0), (two, two.length_m)], TASK, FLAT)
     assert found["band"] == pytest.approx(4_000.0)
 
@@ -186,8 +177,7 @@ def test_what_is_not_flown_is_not_measured_and_subpaths_add_up() -> None:
 def test_near_a_peak_its_distance_is_that_of_the_nearest_of_many_points_of_its_surface(
     spread_m: float, at_m: float, above_m: float
 ) -> None:
-    terrain = hills((0.0, 0.0, 4000.0, spread_m, 9e3), ground_m=-1e6)
-    east_m = 2_000.0
+    terrain, east_m = hills((0.0, 0.0, 4000.0, spread_m, 9e3), ground_m=-1e6), 2_000.0
     ground_m = 4000.0 * math.exp(-((at_m / spread_m) ** 2) - (east_m / 9e3) ** 2)
     point = np.array([at_m, east_m, ground_m + above_m])
     offsets = np.arange(-1_000.0, 1_001.0, 20.0)

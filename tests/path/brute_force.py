@@ -6,7 +6,7 @@ refined by scipy's minimisers from dense samples.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import planning
@@ -49,8 +49,7 @@ class Case:
         return self.task.surroundings(self.known, place, float(far))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Scale:
+class Scale(NamedTuple):
     cell_m: float
     cells: int
     distance_m: float
@@ -60,24 +59,17 @@ class Scale:
     turn_radius_m: float
     relief_m: float
     dead_man_s: float = 3.5
-    settling_s: float = 0.4
     overruns_m: tuple[float, ...] = (np.inf,)
 
 
+NEAR = 1.0, (0.3, 0.5, 1.0, np.inf)
 SCALES = (
-    Scale(cell_m=250.0, cells=44, distance_m=500.0, error_m=15.0, speed_m_s=150.0,
-          acceleration_m_s2=5.0, turn_radius_m=1_200.0, relief_m=1_500.0),
-    Scale(cell_m=19.0, cells=40, distance_m=40.0, error_m=6.0, speed_m_s=8.0,
-          acceleration_m_s2=2.5, turn_radius_m=40.0, relief_m=150.0),
-    Scale(cell_m=25.0, cells=56, distance_m=200.0, error_m=10.0, speed_m_s=30.0,
-          acceleration_m_s2=4.0, turn_radius_m=150.0, relief_m=300.0),
-    Scale(cell_m=0.25, cells=80, distance_m=0.5, error_m=0.45, speed_m_s=3.0,
-          acceleration_m_s2=2.5, turn_radius_m=6.0, relief_m=4.0,
-          dead_man_s=1.0, overruns_m=(0.3, 0.5, 1.0, np.inf)),
-    Scale(cell_m=0.625, cells=90, distance_m=1.0, error_m=0.9, speed_m_s=5.0,
-          acceleration_m_s2=2.5, turn_radius_m=8.0, relief_m=8.0,
-          dead_man_s=1.0, overruns_m=(0.3, 0.5, 1.0, np.inf)),
-)  # fmt: skip
+    Scale(250.0, 44, 500.0, 15.0, 150.0, 5.0, 1_200.0, 1_500.0),
+    Scale(19.0, 40, 40.0, 6.0, 8.0, 2.5, 40.0, 150.0),
+    Scale(25.0, 56, 200.0, 10.0, 30.0, 4.0, 150.0, 300.0),
+    Scale(0.25, 80, 0.5, 0.45, 3.0, 2.5, 6.0, 4.0, *NEAR),
+    Scale(0.625, 90, 1.0, 0.9, 5.0, 2.5, 8.0, 8.0, *NEAR),
+)
 
 
 def random_case(rng: np.random.Generator) -> Case:
@@ -114,7 +106,7 @@ def random_case(rng: np.random.Generator) -> Case:
             settings=PlannerSettings(
                 scan_range_m=size, safety_distance_m=scale.distance_m, planning_time_s=1.0
             ),
-            handling=replace(ARDUCOPTER, settling_s=scale.settling_s),
+            handling=replace(ARDUCOPTER, settling_s=0.4),
             radars=tuple(
                 Radar(name="r", centre_nea_m=(*rng.uniform(0, size, 2), 0.0), range_m=0.15 * size)
                 for _ in range(rng.integers(0, 3))
@@ -225,21 +217,12 @@ def column_distance_m(
     return np.minimum(planning.column_distance_m(known, points_nea_m, within_m), edge)
 
 
-def circles_nea_m(case: Case, points_nea_m: FloatArray) -> FloatArray:
-    """Points that have to be as clear as those: of a plane some of its circle about each.
-
-    (S, 3) -> (S, K, 3).
-    """
-    turn = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
-    ring = np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=-1)
-    loiter_m = case.task.limits.loiter_radius_m
-    aside = loiter_m * np.concatenate([[[0.0, 0.0, 0.0]], ring, 0.5 * ring])
-    return points_nea_m[:, None] + (aside if loiter_m else aside[:1])
-
-
 def terrain_m(case: Case, points_nea_m: FloatArray, within_m: float = np.inf) -> FloatArray:
     """Distance of the vehicle, or of its circle, from the terrain.  (S, 3) -> (S,)."""
-    points = circles_nea_m(case, points_nea_m)
+    turn, loiter_m = np.linspace(0.0, 2.0 * np.pi, 24), case.task.limits.loiter_radius_m
+    ring = loiter_m * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=-1)
+    aside = np.concatenate([np.zeros((1, 3)), *((ring, 0.5 * ring) if loiter_m else ())])
+    points = points_nea_m[:, None] + aside
     far = column_distance_m(case.known, points.reshape(-1, 3), within_m)
     return far.reshape(points.shape[:2]).min(axis=1)
 
@@ -415,28 +398,21 @@ def fastest_m_s(it: Envelope, left: FloatArray, flown: FloatArray | None = None)
     return low
 
 
-def stretch_points_nea_m(
-    case: Case, spline: Any, fine: FloatArray, lengths: FloatArray, u: FloatArray, share: FloatArray
-) -> FloatArray:
-    """Points of the straight stretches that leave the curve at u.  (S,) x2 -> (S, 3)."""
-    flown = np.interp(u, fine, lengths)
-    left = np.maximum(lengths[-1] - flown, 0.0)
-    motion = case.task.envelope
-    speed = fastest_m_s(motion, left, flown if case.from_rest else None)
-    reach = speed * motion.dead_man_s + speed**2 / (2.0 * case.task.limits.acceleration_m_s2)
-    velocity = spline(u, 1)
-    size = np.linalg.norm(velocity, axis=-1)
-    tangent = velocity / np.maximum(size, 1e-9)[..., None]
-    return spline(u) + (share * reach)[..., None] * tangent
-
-
 def _dead_man(
     case: Case, spline: Any, fine: FloatArray, lengths: FloatArray
 ) -> tuple[float, FloatArray]:
-    """Least distance over all straight stretches, and where."""
+    """Least distance over all straight stretches that leave the curve, and where."""
+    motion = case.task.envelope
 
     def at(u: FloatArray, share: FloatArray) -> FloatArray:
-        return stretch_points_nea_m(case, spline, fine, lengths, u, share)
+        flown = np.interp(u, fine, lengths)
+        left = np.maximum(lengths[-1] - flown, 0.0)
+        speed = fastest_m_s(motion, left, flown if case.from_rest else None)
+        brakes = speed**2 / (2.0 * case.task.limits.acceleration_m_s2)
+        velocity = spline(u, 1)
+        size = np.linalg.norm(velocity, axis=-1)[..., None]
+        reach = share * (speed * motion.dead_man_s + brakes)
+        return np.asarray(spline(u) + reach[..., None] * velocity / np.maximum(size, 1e-9))
 
     def distance(
         points: FloatArray, far: float = 4.0 * case.task.required_clearance_m

@@ -250,18 +250,6 @@ def test_the_map_ends_at_its_edge(off: float) -> None:
         assert "terrain clearance" in told.broken  # off the map nothing is known
 
 
-def test_a_turn_away_from_a_wall_is_refused_if_going_straight_on_would_hit_it() -> None:
-    # From a circle of radius 200 m the tangents of 90 m (15 m/s) come 19 m out of it.
-    out = (200.0 + 25.0 + 40.0) / math.sqrt(2.0)
-    zone = CircleZone(name="w", north_m=1_500.0 + out, east_m=1_700.0 - out, radius_m=40.0)
-    limits = replace(LIMITS, turn_radius_m=150.0)
-    fast = certified(*arc(200.0), zones=(zone,), limits=limits, clearance_m=14.0)
-    assert fast.broken == ("dead-man reach",)
-    assert fast.dead_man_m == pytest.approx(25.0 - 19.3, abs=2.0)
-    slow = replace(limits, speed_m_s=5.0)
-    assert certified(*arc(200.0), zones=(zone,), limits=slow, clearance_m=14.0).proven
-
-
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e12])
 @pytest.mark.parametrize("where", [(0, 0), (1, 1), (3, 2)])
 def test_a_curve_that_is_not_finite_is_never_proven_and_no_error(

@@ -1,3 +1,5 @@
+"""How a vehicle moves, against integrals and halving."""
+
 import math
 from dataclasses import replace
 
@@ -11,6 +13,7 @@ from planning import ARDUCOPTER, limits
 from companion.path.envelope import (
     COPTER,
     Envelope,
+    Handling,
     beyond_m,
     ending_m_s,
     envelope_of,
@@ -32,21 +35,15 @@ motions = st.builds(
 )
 
 
-@given(speed=st.floats(0.0, 300.0), motion=motions)
-def test_the_dead_man_reach_is_what_a_vehicle_covers_that_flies_on_and_then_brakes(
-    speed: float, motion: Envelope
+@given(motion=motions, speed=st.floats(0.0, 300.0), left=st.floats(0.0, 3_000.0))
+def test_speeds_near_the_ends_of_a_leg_are_the_highest_that_its_rules_allow(
+    motion: Envelope, speed: float, left: float
 ) -> None:
-    steps = 4_000
-    time_s = (np.arange(steps) + 0.5) * (speed / motion.braking_m_s2) / steps
-    braked_m = (speed - motion.braking_m_s2 * time_s).mean() * speed / motion.braking_m_s2
+    """And the dead-man reach is what a vehicle covers that flies on and then brakes."""
+    share = (np.arange(4_000) + 0.5) / 4_000
+    braked_m = (speed * (1.0 - share)).mean() * speed / motion.braking_m_s2
     covered_m = speed * motion.dead_man_s + braked_m
     assert flown_on_m(motion, speed) == pytest.approx(covered_m, rel=1e-5, abs=1e-9)
-
-
-@given(motion=motions, left=st.floats(0.0, 3_000.0))
-def test_speeds_near_the_ends_of_a_leg_are_the_highest_that_its_rules_allow(
-    motion: Envelope, left: float
-) -> None:
     [told] = fastest_m_s(motion, np.array([left]))
     assert ending_m_s(motion, left) == pytest.approx(told, rel=1e-6, abs=1e-6)
     [told] = fastest_m_s(motion, np.array([1e9]), np.array([left]))
@@ -54,17 +51,12 @@ def test_speeds_near_the_ends_of_a_leg_are_the_highest_that_its_rules_allow(
 
 
 @given(motion=motions)
-def test_it_slows_down_from_where_its_speed_is_bounded_by_the_end(motion: Envelope) -> None:
+def test_no_stretch_ends_farther_beyond_a_leg_than_is_told(motion: Envelope) -> None:
+    """It slows down from where its speed is bounded by the end."""
     at_m = slowing_m(motion, motion.speed_m_s)
     assert ending_m_s(motion, at_m + 1e-6) == pytest.approx(motion.speed_m_s, rel=1e-6)
-    if at_m > 0.01:
-        assert ending_m_s(motion, 0.99 * at_m) < motion.speed_m_s
-
-
-@given(motion=motions)
-def test_no_stretch_ends_farther_beyond_a_leg_than_is_told(motion: Envelope) -> None:
-    far_m = 1.5 * slowing_m(motion, motion.speed_m_s) + 1.0
-    left = far_m * np.linspace(0.0, 1.0, 2_001) ** 2
+    assert at_m <= 0.01 or ending_m_s(motion, 0.99 * at_m) < motion.speed_m_s
+    left = (1.5 * at_m + 1.0) * np.linspace(0.0, 1.0, 2_001) ** 2
     speed = fastest_m_s(motion, left)
     beyond = speed * motion.dead_man_s + speed**2 / (2.0 * motion.braking_m_s2) - left
     assert max(beyond.max(), 0.0) <= beyond_m(motion) + 1e-6
@@ -77,8 +69,7 @@ def test_without_setpoints_it_leaves_its_tangent_by_what_its_jerk_and_its_map_tu
 ) -> None:
     bounds = limits(speed_m_s=speed, acceleration_m_s2=5.0, turn_radius_m=speed**2 / 4.0)
     motion = envelope_of(bounds, replace(COPTER, turning_s2=0.0), convergence_rad=0.02)
-    reach_m = flown_on_m(motion, speed)
-    time_s = np.linspace(0.0, reach_m / speed, 200_001)
+    time_s = np.linspace(0.0, flown_on_m(motion, speed) / speed, 200_001)
     across_m_s2 = np.maximum(4.0 - 20.0 * time_s, 0.0)  # jerk: four times the acceleration
     velocity = np.cumsum(across_m_s2) * time_s[1] + 0.02 * speed
     assert velocity.sum() * time_s[1] == pytest.approx(motion.aside_m, rel=0.05)
@@ -94,13 +85,14 @@ def test_the_reach_covers_the_54_m_that_arducopter_flew_on_at_10_m_s() -> None:
 
 
 @pytest.mark.parametrize("handling", [ARDUCOPTER, COPTER])
-def test_a_mission_widens_the_tube_that_was_measured_and_never_narrows_it(handling) -> None:  # type: ignore[no-untyped-def]
+def test_a_mission_widens_the_tube_that_was_measured_and_never_narrows_it(
+    handling: Handling,
+) -> None:
     wide, narrow = (envelope_of(limits(tracking_error_m=m), handling) for m in (20.0, 0.01))
-    assert wide.tube_m == 20.0
-    assert narrow.tube_m == handling.steady_m
+    assert (wide.tube_m, narrow.tube_m) == (20.0, handling.steady_m)
     assert narrow.dead_man_s == limits().dead_man_s + handling.lag_s
     bend_s2 = max(handling.turning_s2, handling.leading_s2)
-    assert narrow.lateral_m_s2 * bend_s2 <= narrow.tube_m
-    assert wide.lateral_m_s2 * bend_s2 <= wide.tube_m * (1.0 + 1e-12)
+    for each in (wide, narrow):
+        assert each.lateral_m_s2 * bend_s2 <= each.tube_m * (1.0 + 1e-12)
     plane = envelope_of(limits(loiter_radius_m=50.0, lead_s=2.0, speed_m_s=20.0), handling)
     assert flown_on_m(plane, 20.0) == 40.0

@@ -5,21 +5,20 @@ import numpy as np
 import pytest
 from brute_force import violations
 from planning import ask, fly, spline
+from small_world import TASK, TRUTH
 
 from companion.planner.backtrack import backtrack
 from companion.planner.offline import OfflineFlight
 from companion.planner.plan import plan
 from companion.planner.request import Backtrack, FlownSegment
-from companion.planner.settings import Task
-from companion.world.known_map import KnownMap
 from companion.world.zones import CircleZone
 
 START, TARGET = (1_000.0, 1_200.0, 500.0), (4_800.0, 2_600.0)
 
 
 @pytest.fixture(scope="module")
-def flight(task: Task, truth: KnownMap) -> OfflineFlight:
-    flight = fly(task, truth, START, TARGET, seed=3)
+def flight() -> OfflineFlight:
+    flight = fly(TASK, TRUTH, START, TARGET, seed=3)
     assert flight.failure is None
     assert len(flight.legs) >= 3
     return flight
@@ -33,10 +32,10 @@ def flown(flight: OfflineFlight) -> tuple[FlownSegment, ...]:
 
 
 @pytest.fixture(scope="module")
-def back(flight: OfflineFlight, task: Task) -> Backtrack:
+def back(flight: OfflineFlight) -> Backtrack:
     """As the planner answers it."""
     end = flight.legs[-1].subpath.pose(1e9).point_nea_m
-    outcome = plan(ask(task, flight.known, end, plan_id=77, flown=flown(flight)))
+    outcome = plan(ask(TASK, flight.known, end, plan_id=77, flown=flown(flight)))
     assert isinstance(outcome, Backtrack)
     return outcome
 
@@ -44,6 +43,11 @@ def back(flight: OfflineFlight, task: Task) -> Backtrack:
 def test_it_leads_back_to_the_start_along_the_same_curve(
     back: Backtrack, flight: OfflineFlight
 ) -> None:
+    """Every part of it is safe, also for a vehicle that dies at full speed."""
+    steep = max(TASK.limits.climb_angle_rad, TASK.limits.dive_angle_rad)
+    both = replace(TASK, limits=replace(TASK.limits, climb_angle_rad=steep, dive_angle_rad=steep))
+    for subpath in back.subpaths:
+        assert violations(subpath.control_nea_m, both, flight.known, from_rest=False) == []
     assert (back.reaches_start, back.plan_id) == (True, 77)
     assert back.through == (True,) * (len(back.subpaths) - 1) + (False,)
     control = [subpath.control_nea_m for subpath in back.subpaths]
@@ -61,28 +65,20 @@ def test_it_leads_back_to_the_start_along_the_same_curve(
         assert end.curvature_nea_1_m == pytest.approx(start.curvature_nea_1_m, abs=1e-6)
 
 
-def test_every_part_of_it_is_safe_also_for_a_vehicle_that_dies_at_full_speed(
-    back: Backtrack, flight: OfflineFlight, task: Task
-) -> None:
-    steep = max(task.limits.climb_angle_rad, task.limits.dive_angle_rad)
-    both = replace(task, limits=replace(task.limits, climb_angle_rad=steep, dive_angle_rad=steep))
-    for subpath in back.subpaths:
-        assert violations(subpath.control_nea_m, both, flight.known, from_rest=False) == []
-
-
-def test_a_new_zone_on_the_way_ends_it_before_that(flight: OfflineFlight, task: Task) -> None:
+def test_a_new_zone_on_the_way_ends_it_before_that(flight: OfflineFlight) -> None:
     north, east, _ = flight.legs[1].subpath.pose(200.0).point_nea_m
     zone = CircleZone(name="new", north_m=north, east_m=east, radius_m=100.0)
-    fenced = replace(task, zones=(*task.zones, zone))
-    back = backtrack(flown(flight), fenced, flight.known)
+    fenced = replace(TASK, zones=(*TASK.zones, zone))
+    back, none = (backtrack(each, fenced, flight.known) for each in (flown(flight), ()))
+    assert (none.subpaths, none.reaches_start) == ((), True)  # nothing was flown: it is at home
     assert not back.reaches_start
     assert back.subpaths
     for subpath in back.subpaths:
         points = spline(subpath.control_nea_m)(np.linspace(0.0, 1.0, 200))
-        assert zone.distance_m(points[:, 0], points[:, 1]).min() >= task.required_clearance_m
+        assert zone.distance_m(points[:, 0], points[:, 1]).min() >= TASK.required_clearance_m
 
 
-def test_a_part_of_a_leg_and_a_corner_and_a_gap_are_joined(task: Task, truth: KnownMap) -> None:
+def test_a_part_of_a_leg_and_a_corner_and_a_gap_are_joined() -> None:
     def line(*ends: tuple[float, float, float]) -> np.ndarray:
         start, end = np.array(ends)
         return np.asarray(start + np.linspace(0.0, 1.0, 5)[:, None] * (end - start))
@@ -95,7 +91,7 @@ def test_a_part_of_a_leg_and_a_corner_and_a_gap_are_joined(task: Task, truth: Kn
         FlownSegment(control_nea_m=second, from_m=0.0, until_m=400.0),
         FlownSegment(control_nea_m=third, from_m=0.0, until_m=300.0),
     )
-    back = backtrack(parts, task, truth)
+    back = backtrack(parts, TASK, TRUTH)
     assert back.reaches_start
     ends = [subpath.control_nea_m[-1].tolist() for subpath in back.subpaths]
     corners = [(1_700.0, 1_420.0), (1_700.0, 1_400.0), (1_700.0, 1_000.0), (1_100.0, 1_000.0)]
@@ -110,18 +106,12 @@ def test_a_part_of_a_leg_and_a_corner_and_a_gap_are_joined(task: Task, truth: Kn
         assert through == (turn > 0.99)
 
 
-def test_nothing_flown_is_no_way_and_at_home(task: Task, truth: KnownMap) -> None:
-    back = backtrack((), task, truth)
-    assert back.subpaths == ()
-    assert back.reaches_start
-
-
 @pytest.mark.parametrize(("above_m", "parts"), [(0.001, 1), (-0.001, 0), (-0.7, 0)])
 def test_what_begins_below_what_is_asked_above_the_floor_is_not_proven_though_it_was_flown(
-    task: Task, truth: KnownMap, above_m: float, parts: int
+    above_m: float, parts: int
 ) -> None:
-    low_m = task.limits.floor_amsl_m + task.error_m + above_m
+    low_m = TASK.limits.floor_amsl_m + TASK.error_m + above_m
     control = np.linspace((1_000.0, 600.0, low_m), (1_600.0, 600.0, low_m + 20.0), 4)
     stretch = FlownSegment(control_nea_m=control, from_m=0.0, until_m=600.0)
-    back = backtrack((stretch,), task, truth)
+    back = backtrack((stretch,), TASK, TRUTH)
     assert (len(back.subpaths), back.reaches_start) == (parts, bool(parts))

@@ -193,18 +193,3 @@ def test_what_is_needed_is_the_most_that_the_way_asks_for_less_what_can_be_climb
             flown_m += STEP_M * math.dist(places[-1], target[:2])
             most = max(most, target[2] - steepness * flown_m)
             assert needed_m[row - 2, column] == pytest.approx(most, abs=1e-9)
-
-
-def test_compiled_and_as_plain_python_it_is_the_same() -> None:
-    rng = np.random.default_rng(5)
-    grid = a_grid(rng, 12, 15)
-    fast = solved(grid, {17: 3.0})
-    slow = Costs.unknown(fast.seed.copy())
-    seeds = np.isfinite(fast.seed).reshape(12, 15)
-    cheapest_ways.repair(grid, slow, seeds, HERE, math.inf, (0, 12, 0, 15))
-    for mine, other in zip(fast[:4], slow[:4], strict=True):
-        assert mine.tobytes() == other.tobytes()
-    ends = rng.uniform(-5.0, 40.0, (2, 20, 2))
-    np.testing.assert_allclose(
-        compiled(cheapest_ways.lines_m)(grid, *ends), cheapest_ways.lines_m(grid, *ends), rtol=1e-12
-    )

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from brute_force import violations
 from planning import ask, column_distance_m, spline, zone_distance_m
+from small_world import BLANK, TASK, TRUTH
 
 from companion.planner.plan import plan
 from companion.planner.request import NotPlanned, Planned, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
-from companion.world.radars import Radar
 from companion.world.zones import CircleZone, PolygonZone, Zone
 
 REQUIRED_M = 70.0  # d_s 60 m, tracking 5 m, navigation 5 m
@@ -31,21 +31,20 @@ INSIDE = [(2_300.0, 4_300.0), (2_300.0, 4_600.0), (2_100.0, 4_100.0), (5_200.0, 
 
 @pytest.mark.parametrize("start_ne_m", [*INSIDE, (2_300.0, 4_700.0)], ids=str)
 def test_the_way_out_of_a_keep_out_is_straight_and_little_longer_than_it_must_be(
-    task: Task, truth: KnownMap, start_ne_m: tuple[float, float]
+    start_ne_m: tuple[float, float],
 ) -> None:
-    outcome = escaped(task, truth, (*start_ne_m, 600.0))
+    outcome = escaped(TASK, TRUTH, (*start_ne_m, 600.0))
     control = outcome.subpath.control_nea_m
-    for zone in task.zones:
+    for zone in TASK.zones:
         assert zone_distance_m(zone, *control[-1:, :2].T)[0] >= REQUIRED_M
     legs = np.diff(control, axis=0)
     assert legs / np.linalg.norm(legs, axis=-1)[:, None] == pytest.approx(
         np.tile(outcome.subpath.pose(0.0).tangent_nea, (3, 1)), abs=1e-6
     )
     n, e = start_ne_m
+    shortest = REQUIRED_M + min(n - 5_000, 5_400 - n, e - 5_000, 5_400 - e)
     if n < 4_000.0:
-        shortest = 350.0 + REQUIRED_M - math.dist(start_ne_m, (2_300.0, 4_300.0))
-    else:
-        shortest = min(n - 5_000, 5_400 - n, e - 5_000, 5_400 - e) + REQUIRED_M
+        shortest = REQUIRED_M + 350.0 - math.dist(start_ne_m, (2_300.0, 4_300.0))
     step_m = 0.4 * 2_000.0 / 24.0
     assert shortest - 1e-6 <= outcome.subpath.length_m <= 1.05 * shortest + step_m
 
@@ -53,32 +52,35 @@ def test_the_way_out_of_a_keep_out_is_straight_and_little_longer_than_it_must_be
 @pytest.mark.parametrize("bearing_deg", [0, 70, 200])
 @pytest.mark.parametrize("now_m", [3.0, 30.0, 65.0])
 def test_the_way_out_from_beside_a_slope_comes_no_nearer_and_ends_clear(
-    task: Task, truth: KnownMap, bearing_deg: int, now_m: float
+    bearing_deg: int, now_m: float
 ) -> None:
     far, turn = np.arange(0.0, 900.0), math.radians(bearing_deg)  # from the peak of the hill
     line = np.array([3_000.0, 2_600.0, 450.0]) + far[:, None] * [math.cos(turn), math.sin(turn), 0]
-    away = column_distance_m(truth, line, 200.0)
+    away = column_distance_m(TRUTH, line, 200.0)
     start = tuple(float(v) for v in line[np.flatnonzero(away >= now_m)[0]])
     now = away[np.flatnonzero(away >= now_m)[0]]
     assert now < REQUIRED_M
-    outcome = escaped(task, truth, start)
+    outcome = escaped(TASK, TRUTH, start)
     points = spline(outcome.subpath.control_nea_m)(np.linspace(0.0, 1.0, 500))
-    away = column_distance_m(truth, points, 200.0)
+    away = column_distance_m(TRUTH, points, 200.0)
     assert away.min() >= now - 1.0
     assert away[-1] >= REQUIRED_M
 
 
-def test_where_there_is_no_way_out_the_reason_is_what_is_around(
-    task: Task, blank: KnownMap
-) -> None:
-    pit = replace(blank, upper_m=np.full_like(blank.upper_m, 5_000.0), seen=~blank.seen)
+def test_where_there_is_no_way_out_the_reason_is_what_is_around() -> None:
+    pit = replace(BLANK, upper_m=np.full_like(BLANK.upper_m, 5_000.0), seen=~BLANK.seen)
     pit.upper_m[40:42, 40:42] = 100.0
     pit.upper_m[290:310, 290:310] = 100.0  # where the target is
-    outcome = plan(ask(task, pit, (1_025.0, 1_025.0, 450.0)))
+    outcome = plan(ask(TASK, pit, (1_025.0, 1_025.0, 450.0)))
     assert isinstance(outcome, NotPlanned)
     assert outcome.refusal is Refusal.START_NEAR_TERRAIN
-    settings = replace(task.settings, cell_m=blank.cell_m)  # by a sensor of near things
-    outcome = plan(ask(replace(task, settings=settings), pit, (1_025.0, 1_025.0, 450.0)))
+    seen = pit.upper_m < 5_000.0
+    hidden = replace(pit, upper_m=np.where(seen, 100.0, np.inf), seen=seen)
+    outcome = plan(ask(TASK, hidden, (1_025.0, 1_025.0, 450.0)))
+    assert isinstance(outcome, NotPlanned)
+    assert outcome.refusal is Refusal.START_NEAR_UNKNOWN
+    settings = replace(TASK.settings, cell_m=BLANK.cell_m)  # by a sensor of near things
+    outcome = plan(ask(replace(TASK, settings=settings), pit, (1_025.0, 1_025.0, 450.0)))
     assert isinstance(outcome, NotPlanned)
     assert outcome.refusal is Refusal.START_NEAR_THINGS
     assert "terrain" not in outcome.refusal.value  # which it does not see, and may be far away
@@ -105,15 +107,13 @@ def circle(north: float, east: float, radius: float, *, keep_in: bool = False) -
 
 
 @pytest.mark.parametrize("fenced", [True, False])
-def test_the_way_out_from_beside_terrain_leads_through_no_zone(
-    task: Task, blank: KnownMap, fenced: bool
-) -> None:
+def test_the_way_out_from_beside_terrain_leads_through_no_zone(fenced: bool) -> None:
     """In a corridor of known ground, 30 m from its end: the only way leads along it."""
-    corridor = replace(blank, upper_m=blank.upper_m.copy(), seen=blank.seen.copy())
+    corridor = replace(BLANK, upper_m=BLANK.upper_m.copy(), seen=BLANK.seen.copy())
     corridor.upper_m[240:320, 40:48] = 100.0
     corridor.seen[240:320, 40:48] = True
     post = circle(6_110.0, 1_100.0, 5.0)  # 75 m ahead
-    request = ask(replace(task, zones=(post,) * fenced), corridor, (6_030.0, 1_100.0, 600.0))
+    request = ask(replace(TASK, zones=(post,) * fenced), corridor, (6_030.0, 1_100.0, 600.0))
     assert isinstance(plan(request), NotPlanned if fenced else Planned)
 
 
@@ -138,9 +138,9 @@ def bar(south: float, north: float, west: float = 700.0, east: float = 2_300.0) 
     ],
 )
 def test_out_of_zones_the_way_is_short_and_leads_deeper_into_none_unless_it_is_much_shorter(
-    task: Task, truth: KnownMap, zones: tuple[Zone, ...], shortest_m: float, deeper: bool
+    zones: tuple[Zone, ...], shortest_m: float, deeper: bool
 ) -> None:
-    outcome = escaped(replace(task, zones=zones), truth, HERE)
+    outcome = escaped(replace(TASK, zones=zones), TRUTH, HERE)
     points = along(outcome)
     assert depth_m(zones, points)[-1] >= REQUIRED_M
     assert outcome.subpath.length_m <= 1.1 * shortest_m + 70.0
@@ -152,40 +152,20 @@ def test_out_of_zones_the_way_is_short_and_leads_deeper_into_none_unless_it_is_m
             assert (np.diff(np.minimum(gap_m, 0.0)) >= -1e-6).all()
 
 
-def test_out_of_a_zone_that_is_larger_than_sight_it_flies_on_towards_the_edge(
-    task: Task, truth: KnownMap
-) -> None:
+def test_out_of_a_zone_that_is_larger_than_sight_it_flies_on_towards_the_edge() -> None:
+    """And from beside the edge of the map away from it."""
     zones, here = (circle(4_000.0, 1_500.0, 5_500.0),), (4_200.0, 1_500.0, 600.0)
-    wide = replace(task, zones=zones)
-    before = float(depth_m(zones, np.array([here]))[0])
-    outcome = escaped(wide, truth, here)
-    points = along(outcome)
-    assert depth_m(zones, points)[-1] >= before + 1_000.0
-    assert (np.diff(depth_m(zones, points)) >= -1e-6).all()
-
-
-def test_beside_the_edge_of_the_map_the_way_leads_away_from_it(task: Task, truth: KnownMap) -> None:
-    outcome = escaped(replace(task, zones=()), truth, (7_970.0, 1_500.0, 600.0))
+    depths_m = depth_m(zones, along(escaped(replace(TASK, zones=zones), TRUTH, here)))
+    assert depths_m[-1] >= depths_m[0] + 1_000.0
+    assert (np.diff(depths_m) >= -1e-6).all()
+    outcome = escaped(replace(TASK, zones=()), TRUTH, (7_970.0, 1_500.0, 600.0))
     assert along(outcome)[-1, 0] <= 8_000.0 - REQUIRED_M
 
 
-def test_a_radar_that_appears_around_the_vehicle_is_flown_out_of_by_a_plan(
-    task: Task, truth: KnownMap
-) -> None:
-    radar = Radar(name="new", centre_nea_m=(6_500.0, 1_500.0, 0.0), range_m=900.0)
-    seen = replace(task, radars=(radar,), zones=())
-    outcome = plan(replace(ask(seen, truth, HERE), target_ne_m=(6_500.0, 4_500.0)))
-    assert isinstance(outcome, Planned)
-    assert outcome.evaluations > 0
-    assert outcome.certificate.proven
-    within_m = radar.distance_m(along(outcome)) < radar.range_m
-    assert within_m.mean() * outcome.subpath.length_m < 1.6 * 900.0
-
-
-def test_from_the_end_of_a_way_out_a_plan_begins(task: Task, truth: KnownMap) -> None:
-    outcome = escaped(task, truth, (2_300.0, 4_600.0, 600.0))
+def test_from_the_end_of_a_way_out_a_plan_begins() -> None:
+    outcome = escaped(TASK, TRUTH, (2_300.0, 4_600.0, 600.0))
     end = outcome.subpath.pose(outcome.subpath.length_m).point_nea_m
-    after = plan(ask(task, truth, end))
+    after = plan(ask(TASK, TRUTH, end))
     assert isinstance(after, Planned)
     assert after.evaluations > 0
-    assert violations(after.subpath.control_nea_m, task, truth, from_rest=True) == []
+    assert violations(after.subpath.control_nea_m, TASK, TRUTH, from_rest=True) == []

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from planning import ask
 from scenes import cube, random_scene
+from small_world import TASK, TRUTH
 
 from companion import jit
 from companion.optimise import refined_de
 from companion.planner import kernels
 from companion.planner.plan import plan
 from companion.planner.request import Planned
-from companion.planner.settings import Task
-from companion.world.known_map import KnownMap
 
 
 def test_compiled_costs_and_terms_are_those_of_plain_python() -> None:
@@ -32,13 +31,9 @@ def test_compiled_costs_and_terms_are_those_of_plain_python() -> None:
 @pytest.mark.parametrize("start", [(1_000.0, 1_000.0, 450.0), (3_500.0, 3_100.0, 500.0)], ids=str)
 @pytest.mark.parametrize("from_rest", [True, False], ids=["from rest", "in flight"])
 def test_plain_python_makes_the_same_plan(
-    task: Task,
-    truth: KnownMap,
-    start: tuple[float, float, float],
-    from_rest: bool,
-    monkeypatch: pytest.MonkeyPatch,
+    start: tuple[float, float, float], from_rest: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    request = ask(task, truth, start, from_rest=from_rest)
+    request = ask(TASK, TRUTH, start, from_rest=from_rest)
     fast = plan(request)
     monkeypatch.setattr(jit, "compiled", lambda function: function)
     slow = plan(request)

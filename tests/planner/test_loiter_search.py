@@ -10,7 +10,6 @@ from planning import PLANE_TASK, zone_distance_m
 
 from companion.geodesy import FloatArray
 from companion.planner.loiter_search import Motion, Vector, loiter_point
-from companion.planner.settings import Task
 from companion.world import zones as zones_module
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.zones import CircleZone, PolygonZone, Zone
@@ -23,12 +22,14 @@ HEIGHT_M = 120.0
 STEP_S = 0.1
 
 
-def flat(height_m: float = 0.0) -> KnownMap:
+def flat() -> KnownMap:
     """All of the map, seen."""
     blank = empty_map(20.0, LIMITS.north_m, LIMITS.east_m)
-    return replace(
-        blank, upper_m=np.full_like(blank.upper_m, height_m), seen=np.ones_like(blank.seen)
-    )
+    return replace(blank, upper_m=np.zeros_like(blank.upper_m), seen=np.ones_like(blank.seen))
+
+
+def disc(radius_m: float, north_m: float = 0.0, east_m: float = 0.0) -> CircleZone:
+    return CircleZone(name="new", north_m=north_m, east_m=east_m, radius_m=radius_m)
 
 
 def gap_m(zones: tuple[Zone, ...], north: float, east: float) -> float:
@@ -56,9 +57,9 @@ def flown_m(
     return gaps
 
 
-def sent_to(known: KnownMap, task: Task, circler: Motion) -> Vector | None:
+def sent_to(known: KnownMap, circler: Motion, *zones: Zone) -> Vector | None:
     """One that would rather stay where it is."""
-    return loiter_point(known, task, circler, circler.here_nea_m)
+    return loiter_point(known, replace(TASK, zones=zones), circler, circler.here_nea_m)
 
 
 def jagged(middle: FloatArray, reach_m: FloatArray, name: str) -> PolygonZone:
@@ -67,15 +68,15 @@ def jagged(middle: FloatArray, reach_m: FloatArray, name: str) -> PolygonZone:
     return PolygonZone(name=name, vertices_ne_m=tuple(map(tuple, places.tolist())))
 
 
-def heading(course_deg: float) -> tuple[float, float, float]:
+def heading(course_deg: float, north_m: float = 0.0, altitude_m: float = HEIGHT_M) -> Motion:
     course = math.radians(course_deg)
-    return V * math.cos(course), V * math.sin(course), 0.0
+    velocity = V * math.cos(course), V * math.sin(course), 0.0
+    return Motion((north_m, 0.0, altitude_m), velocity)
 
 
 def a_circle(rng: np.random.Generator) -> tuple[Zone, ...]:
-    north, east = rng.uniform(-250.0, 250.0, 2).tolist()
-    radius_m = float(rng.uniform(50.0, 150.0))
-    return (CircleZone(name="new", north_m=north, east_m=east, radius_m=radius_m),)
+    place = rng.uniform(-250.0, 250.0, 2).tolist()
+    return (disc(float(rng.uniform(50.0, 150.0)), *place),)
 
 
 def polygons(rng: np.random.Generator) -> tuple[Zone, ...]:
@@ -90,16 +91,12 @@ def polygons(rng: np.random.Generator) -> tuple[Zone, ...]:
 @pytest.mark.parametrize("radius_m", [0.5 * TURN_M, TURN_M])
 @pytest.mark.parametrize(("draw", "scenes", "most"), [(a_circle, 60, 40), (polygons, 20, 12)])
 def test_the_circle_is_clear_and_the_way_there_never_comes_nearer_than_staying(
-    draw: Callable[[np.random.Generator], tuple[Zone, ...]],
-    scenes: int,
-    most: int,
-    radius_m: float,
+    draw: Callable[[np.random.Generator], tuple[Zone, ...]], scenes: int, most: int, radius_m: float
 ) -> None:
     rng, reached = np.random.default_rng(9), 0
     for _ in range(scenes):
-        zones, here = draw(rng), (0.0, 0.0, HEIGHT_M)
-        circler = Motion(here, heading(float(rng.uniform(0, 360))))
-        point = sent_to(flat(), replace(TASK, zones=zones), circler)
+        zones, circler = draw(rng), heading(float(rng.uniform(0, 360)))
+        point = sent_to(flat(), circler, *zones)
         if point is None:
             continue
         assert gap_m(zones, *point[:2]) - LOITER_M >= TASK.error_m
@@ -113,9 +110,8 @@ def test_the_circle_is_clear_and_the_way_there_never_comes_nearer_than_staying(
 @pytest.mark.parametrize("course_deg", range(150, 211, 15))
 def test_out_of_a_zone_it_is_led_by_a_turn_and_does_not_come_back(course_deg: int) -> None:
     """Deep inside, with the nose outwards, it is out within a half turn and the depth."""
-    zone = CircleZone(name="new", north_m=0.0, east_m=0.0, radius_m=120.0)
-    circler = Motion((-60.0, 0.0, HEIGHT_M), heading(course_deg))
-    point = sent_to(flat(), replace(TASK, zones=(zone,)), circler)
+    zone, circler = disc(120.0), heading(course_deg, -60.0)
+    point = sent_to(flat(), circler, zone)
     assert point is not None
     assert gap_m((zone,), *point[:2]) - LOITER_M >= REQUIRED_M
     gaps = np.array(flown_m((zone,), circler, point, TURN_M))
@@ -125,73 +121,52 @@ def test_out_of_a_zone_it_is_led_by_a_turn_and_does_not_come_back(course_deg: in
     assert (np.diff(near) == 1).all()  # once out, it stays out
 
 
-def test_the_way_out_goes_on_rather_than_back_through_the_zone() -> None:
-    """It has just left a zone: the nearest place by its length alone may lie behind it."""
-    zone = CircleZone(name="new", north_m=0.0, east_m=0.0, radius_m=70.0)
-    for course_deg in (0.0, 40.0, -40.0):
-        circler = Motion((103.0, 0.0, HEIGHT_M), heading(course_deg))
-        point = sent_to(flat(), replace(TASK, zones=(zone,)), circler)
-        assert point is not None
-        assert min(flown_m((zone,), circler, point, TURN_M)) >= 32.0
-
-
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("course_deg", range(0, 360, 17))
 def test_it_stays_only_where_it_can_turn_to_either_side(course_deg: int, side: float) -> None:
     """The circle about where it is would be clear; the turn that brings it there is not."""
-    course = math.radians(course_deg)
+    course, circler = math.radians(course_deg), heading(course_deg)
     north, east = (2.0 * TURN_M * side * x for x in (-math.sin(course), math.cos(course)))
-    zone = CircleZone(name="zone", north_m=north, east_m=east, radius_m=20.0)
-    velocity = V * math.cos(course), V * math.sin(course), 0.0
-    circler = Motion((0.0, 0.0, HEIGHT_M), velocity)
+    zone = disc(20.0, north, east)
     assert gap_m((zone,), 0.0, 0.0) - LOITER_M > REQUIRED_M
-    assert sent_to(flat(), replace(TASK, zones=(zone,)), circler) != circler.here_nea_m
+    assert sent_to(flat(), circler, zone) != circler.here_nea_m
 
 
 def test_nothing_is_clear_where_the_ground_is_not_known() -> None:
-    blank = empty_map(20.0, LIMITS.north_m, LIMITS.east_m)
-    zone = CircleZone(name="new", north_m=0.0, east_m=0.0, radius_m=70.0)
-    circler = Motion((103.0, 0.0, HEIGHT_M), heading(0.0))
-    assert sent_to(blank, replace(TASK, zones=(zone,)), circler) is None
-    half = flat()
+    zone, half = disc(70.0), flat()
     half.upper_m[half.middles_m(0, 0, half.upper_m.shape)[0][:, 0] > 150.0] = np.inf
-    away = Motion((-103.0, 0.0, HEIGHT_M), heading(180.0))
-    point = sent_to(half, replace(TASK, zones=(zone,)), away)
+    assert sent_to(replace(half, upper_m=half.upper_m + np.inf), heading(0.0, 103.0), zone) is None
+    point = sent_to(half, heading(180.0, -103.0), zone)
     assert point is not None
     assert point[0] + LOITER_M + REQUIRED_M <= 160.0
-    assert sent_to(half, replace(TASK, zones=(zone,)), circler) is None  # no room to turn
+    assert sent_to(half, heading(0.0, 103.0), zone) is None  # no room to turn
 
 
-def test_a_hill_on_the_way_counts_at_the_height_that_the_plane_has() -> None:
+@pytest.mark.parametrize(("height_m", "found"), [(65.0, False), (HEIGHT_M, True)])
+def test_a_hill_on_the_way_counts_at_the_height_that_the_plane_has(
+    height_m: float, found: bool
+) -> None:
     """A climb takes longer than the way: a place beyond the hill is none for a plane below it."""
     corners = ((-900.0, -900.0), (-900.0, 900.0), (20.0, 900.0), (20.0, -900.0))
-    task = replace(TASK, zones=(PolygonZone(name="land", vertices_ne_m=corners),))
-    known = flat()
+    land, known = PolygonZone(name="land", vertices_ne_m=corners), flat()
     north, _ = known.middles_m(0, 0, known.upper_m.shape)
     known.upper_m[(north[:, 0] > 150.0) & (north[:, 0] < 250.0)] = 60.0
-    for height_m, found in ((65.0, False), (HEIGHT_M, True)):
-        circler = Motion((0.0, 0.0, height_m), heading(0.0))
-        assert (sent_to(known, task, circler) is not None) is found
+    assert (sent_to(known, heading(0.0, 0.0, height_m), land) is not None) is found
 
 
 def test_among_fifty_zones_of_a_hundred_corners_it_looks_at_no_more_than_it_can(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Counted are pairs of a point and an edge: some 10 ns each.  The watchdog allows 0.2 s."""
-    looked_at = 0
-    outside_m = zones_module._outside_m
+    looked_at, outside_m = list[int](), zones_module._outside_m
 
     def counted(edges: FloatArray, north: FloatArray, east: FloatArray) -> FloatArray:
-        nonlocal looked_at
-        looked_at += len(edges) * len(north)
+        looked_at.append(len(edges) * len(north))
         return outside_m(edges, north, east)
 
     monkeypatch.setattr(zones_module, "_outside_m", counted)
     rng = np.random.default_rng(3)
-    zones = []
-    for k in range(50):
-        middle = rng.uniform(-900.0, 900.0, 2) if k else np.zeros(2)
-        zones.append(jagged(middle, rng.uniform(50.0, 90.0, 100), str(k)))
-    task = replace(TASK, zones=tuple(zones))
-    sent_to(flat(), task, Motion((100.0, 0.0, HEIGHT_M), heading(90.0)))
-    assert 0 < looked_at < 2_000_000
+    middles = rng.uniform(-900.0, 900.0, (50, 2)) * (np.arange(50) > 0)[:, None]
+    zones = [jagged(each, rng.uniform(50.0, 90.0, 100), str(k)) for k, each in enumerate(middles)]
+    sent_to(flat(), heading(90.0, 100.0), *zones)
+    assert 0 < sum(looked_at) < 2_000_000

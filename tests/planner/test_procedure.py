@@ -1,3 +1,5 @@
+"""The reference point along a leg, where a leg is left, and how a vehicle joins it."""
+
 import math
 from dataclasses import replace
 from typing import Any
@@ -11,6 +13,9 @@ from numpy.typing import NDArray
 from planning import PLANE_TASK, leg_of, limits
 
 from companion.path.envelope import Envelope, slowing_m
+from companion.path.subpath import Pose
+from companion.planner.join import Offset, begin
+from companion.planner.join import step as faded
 from companion.planner.procedure import Leg, Reference, advance, ahead_m, is_at_end, off_path_m
 from companion.planner.settings import PlannerSettings, Task
 
@@ -18,13 +23,13 @@ FloatArray = NDArray[np.float64]
 
 LIMITS = limits(floor_amsl_m=0.0, ceiling_amsl_m=9_000.0)
 V, A, CLIMB_RATE = LIMITS.speed_m_s, LIMITS.acceleration_m_s2, LIMITS.climb_rate_m_s
-TASK = Task(
-    limits=LIMITS,
-    settings=PlannerSettings(
-        scan_range_m=2_000.0, safety_distance_m=60.0, planning_time_s=2.0, scan_time_s=1.0
-    ),
+SETTINGS = PlannerSettings(
+    scan_range_m=2_000.0, safety_distance_m=60.0, planning_time_s=2.0, scan_time_s=1.0
 )
+TASK = Task(limits=LIMITS, settings=SETTINGS)
 MOTION = TASK.envelope
+SHORT = Task(limits=replace(LIMITS, overrun_m=5.0), settings=replace(SETTINGS, cell_m=1.0))
+"""Which may run on by 5 m only: V and the dead man are 3.5 V."""
 ticks = st.sampled_from([0.05, 0.1, 0.2, 0.5])
 
 
@@ -44,12 +49,10 @@ def step(
     return advance(reference, leg, tick_s, here, motion, **keywords)
 
 
-def flown(
-    leg: Leg, tick_s: float, *, goes_on: bool = False, most_s: float = 400.0
-) -> list[Reference]:
-    """The reference point of a vehicle that is always on it, tick by tick."""
+def flown(leg: Leg, tick_s: float, *, goes_on: bool = False) -> list[Reference]:
+    """The reference point of a vehicle that is always on it, tick by tick, for 400 s at most."""
     references = [Reference()]
-    while len(references) * tick_s < most_s and not is_at_end(references[-1], leg):
+    while len(references) * tick_s < 400.0 and not is_at_end(references[-1], leg):
         references.append(step(references[-1], leg, tick_s, goes_on=goes_on))
     return references
 
@@ -78,8 +81,7 @@ def test_the_reference_point_is_never_faster_than_v_nor_than_its_acceleration_al
     references = flown(bent_leg(), tick_s, goes_on=goes_on)
     speeds = np.array([r.speed_m_s for r in references])
     moved = np.diff([r.length_m for r in references]) / tick_s
-    assert speeds.max() <= V + 1e-9
-    assert moved.max() <= V + 1e-9
+    assert max(speeds.max(), moved.max()) <= V + 1e-9
     assert moved.min() >= 0.0
     assert np.diff(speeds).max() <= MOTION.gaining_m_s2 * tick_s + 1e-9
     assert np.diff(speeds).min() >= -2.0 * A * tick_s - 1e-9
@@ -112,20 +114,22 @@ def test_it_waits_for_a_vehicle_that_does_not_follow_and_goes_on_with_it(tick_s:
         reference = advance(reference, leg, tick_s, vehicle, MOTION, goes_on=False)
     assert reference.length_m > waiting_at
     assert reference.speed_m_s > 0.0
+    before = Reference(length_m=100.0, speed_m_s=V)  # and is not pulled along by one ahead
+    ahead = advance(before, leg, 0.1, np.array([900.0, 0.0, 0.0]), MOTION, goes_on=False)
+    assert ahead == Reference(length_m=pytest.approx(100.0 + V * 0.1), speed_m_s=V)
 
 
-def overshoot_m_s(references_m: list[float], tick_s: float, jerk_m_s3: float) -> float:
+def overshoot_m_s(jerk_m_s3: float, *, waits: bool) -> float:
     """By how much a follower of limited jerk (ArduCopter's P 1/s, acceleration A) exceeds V.
 
-    Given the reference's places in advance, or (empty) with the reference that waits for it.
+    Of the reference that waits for it, or of a trapezium that does not.
     """
-    at_m = speed = gain = 0.0
-    fastest, leg, reference = 0.0, leg_to(4_000.0, 0.0, 0.0), Reference()
-    for k in range(int(30.0 / tick_s)):
-        if references_m:
-            wanted_m = references_m[min(k, len(references_m) - 1)]
-            wanted = min(A * k * tick_s, V)
-        else:
+    tick_s, at_m, speed, gain, fastest = 0.05, 0.0, 0.0, 0.0, 0.0
+    leg, reference = leg_to(4_000.0, 0.0, 0.0), Reference()
+    for time_s in np.arange(0.0, 30.0, tick_s).tolist():
+        ramp_m = 0.5 * A * time_s**2 if time_s < V / A else V * time_s - 0.5 * V**2 / A
+        wanted_m, wanted = ramp_m, min(A * time_s, V)
+        if waits:
             here = np.array([at_m, 0.0, 0.0])
             reference = advance(reference, leg, tick_s, here, MOTION, goes_on=True)
             wanted_m, wanted = reference.length_m, reference.speed_m_s
@@ -141,23 +145,10 @@ def overshoot_m_s(references_m: list[float], tick_s: float, jerk_m_s3: float) ->
 def test_it_waits_for_a_vehicle_that_gains_speed_so_that_it_overshoots_less(
     jerk_m_s3: float,
 ) -> None:
-    tick_s = 0.05
-    times = np.arange(0.0, 30.0, tick_s)
-    ramp = np.where(times < V / A, 0.5 * A * times**2, V * times - 0.5 * V**2 / A)
-    trapezium = overshoot_m_s(ramp.tolist(), tick_s, jerk_m_s3)
-    assert overshoot_m_s([], tick_s, jerk_m_s3) < 0.7 * trapezium
+    assert overshoot_m_s(jerk_m_s3, waits=True) < 0.7 * overshoot_m_s(jerk_m_s3, waits=False)
 
 
-def test_a_vehicle_that_is_ahead_does_not_pull_the_reference_point_along() -> None:
-    leg, before, here = leg_to(2_000.0, 0.0, 0.0), Reference(length_m=100.0, speed_m_s=V), 900.0
-    ahead = advance(before, leg, 0.1, np.array([here, 0.0, 0.0]), MOTION, goes_on=False)
-    assert ahead == Reference(length_m=pytest.approx(100.0 + V * 0.1), speed_m_s=V)
-
-
-SLOWING = replace(LIMITS, overrun_m=5.0)  # V and the dead man: 3.5 V
-SHORT = replace(TASK, limits=SLOWING, settings=replace(TASK.settings, cell_m=1.0))
-
-
+@settings(max_examples=12)
 @given(tick_s=ticks, motion=st.sampled_from([MOTION, SHORT.envelope]))
 def test_towards_its_end_it_is_never_faster_than_the_certificate_takes_it_to_be(
     tick_s: float, motion: Envelope
@@ -188,46 +179,12 @@ def test_a_short_leg_is_flown_so_slowly_that_its_successor_comes_while_it_can_st
     while reference.length_m < at_m:
         reference = step(reference, leg, tick_s, SHORT.envelope, goes_on=True, slows_to_m_s=slow)
         seconds += tick_s
-    settings = SHORT.settings
-    assert seconds >= settings.planning_time_s + settings.scan_time_s
+    assert seconds >= SETTINGS.planning_time_s + SETTINGS.scan_time_s
     speed, left_m = reference.speed_m_s, length_m - reference.length_m
     assert slowing_m(SHORT.envelope, speed) <= left_m + 2.0 * V * tick_s
 
 
-# --- where to scan and where the next leg takes over
-
-
-@given(length_m=st.floats(1.0, 5_000.0), longer_m=st.sampled_from([None, 600.0]))
-def test_p_scan_and_p_prog_lie_in_order_on_the_leg(length_m: float, longer_m: float | None) -> None:
-    task = replace(TASK, settings=replace(TASK.settings, scan_distance_m=longer_m))
-    leg = leg_to(length_m, 0.0, 0.0)
-    scan, prog = leg.scan_at_m(task), leg.successor_at_m(task)
-    assert 0.0 <= scan <= prog <= leg.subpath.length_m
-    if length_m >= task.scan_distance_m:
-        # the paper: L before the end, and (in flight) the tail before the end
-        assert scan == pytest.approx(length_m - task.scan_distance_m)
-        assert prog == pytest.approx(length_m - task.tail_m)
-    if length_m >= 345.0:
-        seconds = task.settings.planning_time_s + task.settings.scan_time_s
-        assert (prog - scan) / V >= seconds - 1e-9
-
-
-@given(speed_m_s=st.floats(10.0, 30.0), longer_m=st.floats(0.0, 900.0))
-def test_with_the_wind_a_plane_asks_so_soon_that_its_point_is_not_yet_at_p_prog(
-    speed_m_s: float, longer_m: float
-) -> None:
-    task, v = PLANE_TASK, PLANE_TASK.limits.speed_m_s
-    settled, length_m = task.settings, 2.0 * task.shortest_scan_distance_m + longer_m
-    leg = leg_of([[i * length_m / 3.0, 0.0, 100.0] for i in range(4)])
-    asks = np.linspace(0.0, length_m, 2_001)
-    at_m = next(float(at) for at in asks if leg.wants_successor(float(at), task, speed_m_s))
-    answers_s = settled.scan_time_s + settled.planning_time_s + 3.0 * settled.position_period_s
-    point_m = at_m + speed_m_s * (answers_s + task.limits.lead_s)
-    assert point_m <= leg.successor_at_m(task) + length_m / 2_000
-    if speed_m_s <= v:
-        assert at_m == pytest.approx(leg.scan_at_m(task), abs=length_m / 2_000)
-
-
+@settings(max_examples=30)
 @given(at=st.floats(0.2, 1.2), tick_s=ticks)
 def test_the_reference_point_stops_where_it_is_told_to_if_that_is_before_the_end(
     at: float, tick_s: float
@@ -247,32 +204,99 @@ def test_the_reference_point_stops_where_it_is_told_to_if_that_is_before_the_end
     assert is_at_end(reference, leg) == at_end
 
 
-def test_a_leg_of_the_way_back_is_left_at_its_very_end() -> None:
-    leg = replace(leg_to(900.0, 0.0, 0.0), through=True)
-    assert leg.successor_at_m(TASK) == leg.subpath.length_m
-
-
-@given(
-    at=st.floats(0.05, 1.0),
-    along_m=st.floats(-20.0, 20.0),
-    aside_m=st.floats(-15.0, 15.0),
-    up_m=st.floats(-15.0, 15.0),
-)
+@given(at=st.floats(0.05, 1.0), off_m=st.tuples(*[st.floats(-15.0, 15.0)] * 3))
 def test_off_the_path_is_the_distance_to_its_nearest_point_and_beyond_its_end_to_that(
-    at: float, along_m: float, aside_m: float, up_m: float
+    at: float, off_m: tuple[float, float, float]
 ) -> None:
     leg = bent_leg()
     reference = Reference(length_m=at * leg.subpath.length_m)
     pose = leg.subpath.pose(reference.length_m)
-    north, east, _ = pose.tangent_nea.tolist()
-    across = np.array([-east, north, 0.0]) / math.hypot(north, east)
-    vehicle = pose.position_nea_m + along_m * pose.tangent_nea + aside_m * across
-    vehicle[2] += up_m
+    vehicle = pose.position_nea_m + off_m
     near = np.linspace(reference.length_m - 80.0, reference.length_m + 80.0, 3_201)
     near = near[(near >= 0.0) & (near <= leg.subpath.length_m)]
-    points = leg.subpath.points_nea_m(near)
-    nearest = float(np.linalg.norm(points - vehicle, axis=-1).min())
+    nearest = float(np.linalg.norm(leg.subpath.points_nea_m(near) - vehicle, axis=-1).min())
     assert off_path_m(reference, leg, vehicle) == pytest.approx(nearest, abs=0.05)
-    assert ahead_m(reference, leg, vehicle) == pytest.approx(
-        float((vehicle - pose.position_nea_m) @ pose.tangent_nea)
-    )
+    assert ahead_m(reference, leg, vehicle) == pytest.approx(float(pose.tangent_nea @ off_m))
+
+
+# --- where to scan and where the next leg takes over
+
+
+@given(length_m=st.floats(1.0, 5_000.0), longer_m=st.sampled_from([None, 600.0]))
+def test_p_scan_and_p_prog_lie_in_order_on_the_leg(length_m: float, longer_m: float | None) -> None:
+    task = replace(TASK, settings=replace(SETTINGS, scan_distance_m=longer_m))
+    leg = leg_to(length_m, 0.0, 0.0)
+    scan, prog = leg.scan_at_m(task), leg.successor_at_m(task)
+    assert 0.0 <= scan <= prog <= leg.subpath.length_m
+    if length_m >= task.scan_distance_m:
+        # the paper: L before the end, and (in flight) the tail before the end
+        assert scan == pytest.approx(length_m - task.scan_distance_m)
+        assert prog == pytest.approx(length_m - task.tail_m)
+    if length_m >= 345.0:
+        assert (prog - scan) / V >= SETTINGS.planning_time_s + SETTINGS.scan_time_s - 1e-9
+    back = replace(leg, through=True)  # of the way back: it is left at its very end
+    assert back.successor_at_m(TASK) == leg.subpath.length_m
+
+
+@given(speed_m_s=st.floats(10.0, 30.0), longer_m=st.floats(0.0, 900.0))
+def test_with_the_wind_a_plane_asks_so_soon_that_its_point_is_not_yet_at_p_prog(
+    speed_m_s: float, longer_m: float
+) -> None:
+    task, settled = PLANE_TASK, PLANE_TASK.settings
+    length_m = 2.0 * task.shortest_scan_distance_m + longer_m
+    leg = leg_of([[i * length_m / 3.0, 0.0, 100.0] for i in range(4)])
+    asks = np.linspace(0.0, length_m, 2_001)
+    at_m = next(float(at) for at in asks if leg.wants_successor(float(at), task, speed_m_s))
+    answers_s = settled.scan_time_s + settled.planning_time_s + 3.0 * settled.position_period_s
+    point_m = at_m + speed_m_s * (answers_s + task.limits.lead_s)
+    assert point_m <= leg.successor_at_m(task) + length_m / 2_000
+    if speed_m_s <= task.limits.speed_m_s:
+        assert at_m == pytest.approx(leg.scan_at_m(task), abs=length_m / 2_000)
+
+
+# --- the offset of a vehicle that joins its leg, and fades
+
+SLOW = limits(speed_m_s=10.0, acceleration_m_s2=2.5)
+vectors = st.tuples(*[st.floats(-15.0, 15.0)] * 3)
+
+
+def test_an_offset_begins_where_the_vehicle_is_and_as_fast() -> None:
+    pose = Pose(position_nea_m=np.array([10.0, 20.0, 30.0]), tangent_nea=np.array([0.6, 0.8, 0.0]))
+    offset = begin((12.0, 21.0, 29.0), (1.0, 2.0, 0.5), pose, 5.0)
+    assert offset.position_nea_m == pytest.approx([2.0, 1.0, -1.0])
+    assert offset.velocity_nea_m_s == pytest.approx([-2.0, -2.0, 0.5])
+    assert not offset.is_gone
+    assert begin(pose.point_nea_m, (3.0, 4.0, 0.0), pose, 5.0).is_gone
+
+
+@settings(max_examples=15)
+@given(position=vectors, velocity=vectors, tick_s=st.sampled_from([0.02, 0.05, 0.1, 0.2]))
+def test_it_fades_smoothly_within_half_of_the_acceleration(
+    position: tuple[float, ...], velocity: tuple[float, ...], tick_s: float
+) -> None:
+    offset = Offset(position_nea_m=np.array(position), velocity_nea_m_s=np.array(velocity))
+    for _ in range(math.ceil(120.0 / tick_s)):
+        after = faded(offset, tick_s, SLOW)
+        change = np.linalg.norm(after.velocity_nea_m_s - offset.velocity_nea_m_s)
+        assert change <= 0.5 * SLOW.acceleration_m_s2 * tick_s * 1.001
+        mean = 0.5 * (after.velocity_nea_m_s + offset.velocity_nea_m_s)
+        moved = after.position_nea_m - offset.position_nea_m
+        assert np.linalg.norm(moved - tick_s * mean) <= SLOW.acceleration_m_s2 * tick_s**2
+        offset = after
+    assert offset.is_gone
+
+
+def test_at_one_rate_it_is_the_critically_damped_spring_and_sooner_with_more_acceleration() -> None:
+    # So near that the fastest rate holds all along: x'' = -2 x' - x from x = 0.2.
+    offset = Offset(position_nea_m=np.array([0.2, 0.0, 0.0]))
+    for t in np.arange(1, 31) * 0.1:
+        offset = faded(offset, 0.1, SLOW)
+        assert offset.position_nea_m[0] == pytest.approx(0.2 * (1.0 + t) * math.exp(-t))
+        assert offset.velocity_nea_m_s[0] == pytest.approx(-0.2 * t * math.exp(-t))
+    left_m = []
+    for acceleration in (4.0, 1.0):
+        offset = Offset(position_nea_m=np.array([40.0, 0.0, 0.0]))
+        for _ in range(50):
+            offset = faded(offset, 0.1, replace(SLOW, acceleration_m_s2=acceleration))
+        left_m.append(float(offset.position_nea_m[0]))
+    assert 0.0 <= left_m[0] < left_m[1] < 40.0

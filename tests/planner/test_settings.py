@@ -1,5 +1,6 @@
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from companion.planner.settings import PlannerSettings, Task
 from companion.profiles import FLIGHT, PAPER
 from companion.world.clearance import safe_surface
 from companion.world.known_map import empty_map
+from companion.world.radars import Radar
 
 ENVIRONMENT_1 = Task(
     limits=LIMITS,
@@ -19,10 +21,9 @@ ENVIRONMENT_1 = Task(
         scan_range_m=20_000.0, safety_distance_m=500.0, planning_time_s=5.0, scan_time_s=4.0
     ),
 )
-PAPERS = replace(ENVIRONMENT_1, settings=replace(ENVIRONMENT_1.settings, profile=PAPER))
 
 
-def test_the_distances_of_environment_1_are_those_of_the_design() -> None:
+def test_the_distances_of_environment_1_are_those_of_the_design_and_of_the_paper() -> None:
     task = ENVIRONMENT_1
     assert task.cell_m == 250.0  # R / 80
     motion = task.envelope
@@ -33,64 +34,80 @@ def test_the_distances_of_environment_1_are_those_of_the_design() -> None:
     assert task.scan_distance_m == task.shortest_scan_distance_m
     assert task.error_m == 15.0  # tracking 10 m, navigation 5 m
     assert task.required_clearance_m == 515.0  # d_s, and both
-
-
-def test_the_paper_keeps_the_safety_distance_in_the_whole_band_and_ends_on_the_scan_range() -> None:
+    papers = replace(task, settings=replace(task.settings, profile=PAPER))
     assert (PAPER.samples, PAPER.margin, PAPER.optimiser) == (10, 1.0, "improved-de")
-    assert PAPERS.tail_m == PAPERS.search_clearance_m == 500.0
-    assert PAPERS.end_radius_m == 20_000.0
-    assert PAPERS.band_amsl_m == (3_000.0, 5_000.0)
+    assert papers.tail_m == papers.search_clearance_m == 500.0
+    assert papers.end_radius_m == 20_000.0  # on the range of the scan
+    assert papers.band_amsl_m == (3_000.0, 5_000.0)
 
 
-errors = st.floats(0.0, 60.0)
+def changed(profile: Any, limits: dict[str, float], settings: dict[str, float]) -> Task:
+    settled = replace(ENVIRONMENT_1.settings, profile=profile, **settings)
+    return replace(ENVIRONMENT_1, limits=replace(LIMITS, **limits), settings=settled)
 
 
-@given(d_s=st.floats(1.0, 600.0), tracking=errors, navigation=errors)
-def test_the_search_aims_at_more_than_the_certificate_asks_for(
-    d_s: float, tracking: float, navigation: float
-) -> None:
-    task = replace(
-        ENVIRONMENT_1,
-        limits=replace(LIMITS, tracking_error_m=tracking, navigation_error_m=navigation),
-        settings=replace(ENVIRONMENT_1.settings, safety_distance_m=d_s),
-    )
-    assert task.search_clearance_m >= task.required_clearance_m >= d_s
-    low, high = task.band_amsl_m
-    assert low >= 3_000.0 + tracking + navigation
-    assert high <= 5_000.0 - tracking - navigation
+tasks = st.builds(
+    changed,
+    st.sampled_from([FLIGHT, PAPER]),
+    st.fixed_dictionaries({
+        "speed_m_s": st.floats(1.0, 300.0), "acceleration_m_s2": st.floats(0.5, 20.0),
+        "dead_man_s": st.floats(0.0, 10.0), "tracking_error_m": st.floats(0.0, 60.0),
+        "navigation_error_m": st.floats(0.0, 60.0),
+    }),
+    st.fixed_dictionaries({
+        "scan_range_m": st.floats(100.0, 50_000.0), "safety_distance_m": st.floats(1.0, 600.0),
+        "planning_time_s": st.floats(0.1, 20.0),
+    }),
+)  # fmt: skip
 
 
-@given(
-    speed=st.floats(1.0, 300.0),
-    acceleration=st.floats(0.5, 20.0),
-    range_m=st.floats(100.0, 50_000.0),
-    d_s=st.floats(1.0, 2_000.0),
-    t=st.floats(0.1, 20.0),
-    profile=st.sampled_from([FLIGHT, PAPER]),
-)
-def test_the_scan_distance_keeps_equation_4_and_the_tail_holds_a_stop(
-    speed: float, acceleration: float, range_m: float, d_s: float, t: float, profile: object
-) -> None:
-    task = replace(
-        ENVIRONMENT_1,
-        limits=replace(LIMITS, speed_m_s=speed, acceleration_m_s2=acceleration),
-        settings=replace(
-            ENVIRONMENT_1.settings,
-            scan_range_m=range_m,
-            safety_distance_m=d_s,
-            planning_time_s=t,
-            profile=profile,
-        ),
-    )
-    assert task.scan_distance_m >= speed * t + d_s
+@given(task=tasks)
+def test_the_scan_distance_keeps_equation_4_and_the_tail_holds_a_stop(task: Task) -> None:
+    """And the search aims at more than the certificate asks for."""
+    limits, settled = task.limits, task.settings
+    d_s, speed = settled.safety_distance_m, limits.speed_m_s
+    assert task.scan_distance_m >= speed * settled.planning_time_s + d_s
     assert task.tail_m >= d_s
     assert task.cell_m == int(task.cell_m) >= 1.0
-    assert abs(task.cell_m - range_m / 80.0) <= 0.5 or task.cell_m == 1.0
-    if profile is FLIGHT:
-        stopping_time = speed / acceleration
-        assert task.tail_m >= speed * stopping_time / 2.0 + d_s - 1e-9
+    assert abs(task.cell_m - settled.scan_range_m / 80.0) <= 0.5 or task.cell_m == 1.0
+    if settled.profile is FLIGHT:
+        brakes_m = 0.5 * speed**2 / limits.acceleration_m_s2
+        assert task.tail_m >= brakes_m + d_s - 1e-9
         # flying on for the dead man's time, and then braking
-        assert task.tail_m >= speed * 3.5 + speed * stopping_time / 2.0 - 1e-9
+        assert task.tail_m >= speed * limits.dead_man_s + brakes_m - 1e-9
+        error = limits.tracking_error_m + limits.navigation_error_m
+        assert task.search_clearance_m >= task.required_clearance_m >= d_s
+        assert 3_000.0 + error <= task.band_amsl_m[0]
+        assert task.band_amsl_m[1] <= 5_000.0 - error
+
+
+@given(task=tasks, amsl_m=st.floats(2_000.0, 5_000.0), reach_m=st.floats(0.0, 40e3))
+def test_a_floor_is_raised_and_never_lowered_and_radars_within_reach_are_near(
+    task: Task, amsl_m: float, reach_m: float
+) -> None:
+    (low, high), raised = task.band_amsl_m, task.no_lower_than(amsl_m)
+    assert raised.band_amsl_m == pytest.approx((max(low, amsl_m), high))
+    centres = [(10e3 * k, 5e3 * k, 7e3) for k in range(-3, 4)]
+    radars = [Radar(name=str(at), centre_nea_m=at, range_m=6e3) for at in centres]
+    near = replace(task, radars=tuple(radars)).radars_near((1e3, -2e3), reach_m)
+    apart_m = [math.hypot(north - 1e3, east + 2e3) for north, east, _ in centres]
+    assert list(near) == [r for r, m in zip(radars, apart_m, strict=True) if m - 6e3 <= reach_m]
+
+
+@given(task=tasks, share=st.floats(0.05, 1.5), loiter_m=st.sampled_from([0.0, 900.0]))
+def test_a_slower_leg_turns_with_the_same_lateral_acceleration_and_planes_are_never_slower(
+    task: Task, share: float, loiter_m: float
+) -> None:
+    task = replace(task, limits=replace(task.limits, loiter_radius_m=loiter_m))
+    limits, speed_m_s = task.limits, share * task.limits.speed_m_s
+    slow = task.at_speed(speed_m_s)
+    assert task.at_speed(None) is task
+    if share >= 1.0 or loiter_m:
+        assert slow is task
+        return
+    assert slow.limits.speed_m_s == speed_m_s
+    sideways_m_s2 = limits.speed_m_s**2 / limits.turn_radius_m
+    assert speed_m_s**2 / slow.limits.turn_radius_m == pytest.approx(sideways_m_s2)
 
 
 @pytest.mark.parametrize("d_s", [20.0, 90.0])
@@ -114,30 +131,19 @@ def test_at_the_end_of_a_subpath_the_ground_within_the_clearance_has_been_scanne
     assert (surface.altitude_m(end_n, end_e) < 5_000.0).all()
 
 
-@given(
-    speed=st.floats(1.0, 200.0),
-    acceleration=st.floats(0.5, 20.0),
-    flies_on_s=st.floats(0.0, 10.0),
-    d_s=st.floats(1.0, 600.0),
-    error=errors,
-)
+@given(task=tasks)
 def test_a_vehicle_that_is_left_alone_near_the_end_of_sight_stays_over_ground_that_was_scanned(
-    speed: float, acceleration: float, flies_on_s: float, d_s: float, error: float
+    task: Task,
 ) -> None:
-    limits = replace(
-        LIMITS,
-        speed_m_s=speed,
-        acceleration_m_s2=acceleration,
-        dead_man_s=flies_on_s,
-        tracking_error_m=error,
-        navigation_error_m=0.5 * error,
-    )
-    planner = replace(ENVIRONMENT_1.settings, safety_distance_m=d_s)
-    task = replace(ENVIRONMENT_1, limits=limits, settings=planner)
+    planner = replace(ENVIRONMENT_1.settings, safety_distance_m=task.settings.safety_distance_m)
+    task = replace(task, settings=planner)
+    speed, limits = min(task.limits.speed_m_s, 200.0), task.limits
+    task = replace(task, limits=replace(limits, speed_m_s=speed))
     before_end_m = slowing_m(task.envelope, speed) * np.linspace(0.0, 1.0, 400) ** 2
     slowing = np.array([ending_m_s(task.envelope, left_m) for left_m in before_end_m.tolist()])
-    beyond_m = slowing * flies_on_s + slowing**2 / (2.0 * acceleration) - before_end_m
-    farthest_m = task.end_radius_m + beyond_m.max() + 1.5 * error
+    brakes_m = slowing**2 / (2.0 * limits.acceleration_m_s2)
+    beyond_m = slowing * limits.dead_man_s + brakes_m - before_end_m
+    farthest_m = task.end_radius_m + beyond_m.max() + task.error_m
     cell_diagonal_m = math.hypot(task.cell_m, task.cell_m)  # a cell is seen by its middle
     assert farthest_m <= task.settings.scan_range_m - cell_diagonal_m
     assert task.end_radius_m + task.required_clearance_m <= 20_000.0 - cell_diagonal_m

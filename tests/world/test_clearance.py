@@ -1,8 +1,10 @@
+"""Safe surfaces and distances to ground, against columns that are compared one by one."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from planning import column_distance_m
@@ -14,84 +16,57 @@ from companion.world.known_map import KnownMap, empty_map
 
 FloatArray = NDArray[np.float64]
 
-CELL_M = 100.0
-CELLS = 24
-UNKNOWN_M = 900.0
-MIDDLE = (1_230.0, 1_170.0)
+CELL_M, CELLS, UNKNOWN_M = 100.0, 24, 900.0
+MIDDLE = np.array([1_230.0, 1_170.0])
+seeds = st.integers(0, 10**6)
 
 
 def random_map(rng: np.random.Generator, registration_m: float = 0.0) -> KnownMap:
     """Pillars, plains and holes in what is known."""
-    size = CELLS * CELL_M
-    blank = empty_map(CELL_M, (0.0, size), (0.0, size))
+    blank = empty_map(CELL_M, (0.0, CELLS * CELL_M), (0.0, CELLS * CELL_M))
     upper = rng.uniform(0.0, 600.0, (CELLS, CELLS)) * (rng.random((CELLS, CELLS)) < 0.3)
     upper[rng.random((CELLS, CELLS)) < 0.05] = np.inf
-    return KnownMap(
-        cell_m=CELL_M,
-        north_min_m=0.0,
-        east_min_m=0.0,
-        upper_m=upper,
-        seen=np.isfinite(upper) & ~blank.seen,
-        registration_m=registration_m,
-    )
+    seen = np.isfinite(upper)
+    return replace(blank, upper_m=upper, seen=seen, registration_m=registration_m)
 
 
 def tops(known: KnownMap) -> FloatArray:
     return np.where(np.isfinite(known.upper_m), known.upper_m, UNKNOWN_M)
 
 
-def gaps_m(known: KnownMap, points_ne_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Gaps along north and east from points to all cells.  (K, 2) -> (K, rows), (K, columns)."""
-    gaps = []
-    for axis, least in enumerate((known.north_min_m, known.east_min_m)):
-        low = least + np.arange(known.upper_m.shape[axis]) * known.cell_m
-        p = points_ne_m[:, axis, None]
-        gaps.append(np.maximum(np.maximum(low - p, p - low - known.cell_m), 0.0))
-    return gaps[0], gaps[1]
-
-
-def distance_to_columns_m(known: KnownMap, points: FloatArray) -> FloatArray:
-    """Distance of points to all terrain wherever its registration lets it be.  (K, 3) -> (K,)."""
-    return column_distance_m(replace(known, upper_m=tops(known)), points)
+def surface_over(known: KnownMap, clearance_m: float, parts: float = 1.0) -> Surface:
+    """Of 900 m about the middle; parts: of a map whose cells are so many times smaller."""
+    return safe_surface(
+        known,
+        centre_ne_m=(MIDDLE[0] / parts, MIDDLE[1] / parts),
+        reach_m=900.0 / parts,
+        clearance_m=clearance_m,
+        unknown_m=UNKNOWN_M,
+    )
 
 
 def near_middle(rng: np.random.Generator, count: int, reach_m: float) -> FloatArray:
     angle, far = rng.uniform(0, 2 * np.pi, count), reach_m * np.sqrt(rng.random(count))
-    return np.stack([MIDDLE[0] + far * np.cos(angle), MIDDLE[1] + far * np.sin(angle)], axis=-1)
-
-
-seeds = st.integers(0, 10**6)
-clearances = st.floats(5.0, 260.0)
-
-
-def finer(known: KnownMap, parts: float) -> KnownMap:
-    """The same cells, smaller: the clearance is so many more of them."""
-    return replace(known, cell_m=known.cell_m / parts)
+    return MIDDLE + far[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
 @given(
     seed=seeds,
-    clearance_m=clearances,
+    clearance_m=st.floats(5.0, 260.0),
     registration_m=st.sampled_from([0.0, 3.0, 40.0, 130.0]),
     parts=st.sampled_from([1.0, 1.7, 4.0]),
 )
 def test_every_point_over_the_safe_surface_keeps_the_clearance_to_columns_of_cells(
     seed: int, clearance_m: float, registration_m: float, parts: float
 ) -> None:
+    """Wherever the registration lets them be."""
     rng = np.random.default_rng(seed)
-    known = finer(random_map(rng, registration_m), parts)
-    centre = MIDDLE[0] / parts, MIDDLE[1] / parts
-    surface = safe_surface(
-        known,
-        centre_ne_m=centre,
-        reach_m=900.0 / parts,
-        clearance_m=clearance_m,
-        unknown_m=UNKNOWN_M,
-    )
+    known = replace(random_map(rng, registration_m), cell_m=CELL_M / parts)
+    surface = surface_over(known, clearance_m, parts)
     ne = near_middle(rng, 300, 900.0) / parts  # up to the limit of its reach
     altitude = surface.altitude_m(ne[:, 0], ne[:, 1]) + 1e-6 + rng.exponential(5.0, 300)
-    points = np.column_stack([ne, altitude])
-    assert (distance_to_columns_m(known, points) >= clearance_m - 1e-6).all()
+    away = column_distance_m(replace(known, upper_m=tops(known)), np.column_stack([ne, altitude]))
+    assert (away >= clearance_m - 1e-6).all()
 
 
 @pytest.mark.parametrize("parts", [1.0, 4.0], ids=["half cells", "whole cells"])
@@ -100,18 +75,15 @@ def test_the_safe_surface_counts_terrain_as_at_most_two_of_its_cells_nearer_than
     parts: float, seed: int, share: float
 ) -> None:
     rng = np.random.default_rng(seed)
-    known = finer(random_map(rng), parts)
+    known = replace(random_map(rng), cell_m=CELL_M / parts)
     # up to there half cells are worth their time; the rest of the map is within reach of no point
     clearance_m = share * (260.0 if parts == 1.0 else 1_000.0 / parts)
-    surface = safe_surface(
-        known,
-        centre_ne_m=(MIDDLE[0] / parts, MIDDLE[1] / parts),
-        reach_m=900.0 / parts,
-        clearance_m=clearance_m,
-        unknown_m=UNKNOWN_M,
+    surface = surface_over(known, clearance_m, parts)
+    ne, low = near_middle(rng, 200, 100.0) / parts, np.arange(CELLS) * known.cell_m
+    north, east = (
+        np.maximum(np.maximum(low - p, p - low - known.cell_m) - 2.0 * surface.cell_m, 0.0)
+        for p in ne.T[:, :, None]
     )
-    ne = near_middle(rng, 200, 100.0) / parts
-    north, east = (np.maximum(gap - 2.0 * surface.cell_m, 0.0) for gap in gaps_m(known, ne))
     aside = np.hypot(north[:, :, None], east[:, None, :])
     ball = np.sqrt(np.maximum(clearance_m**2 - aside**2, 0.0))
     strictest = np.where(aside < clearance_m, tops(known) + ball, -np.inf).max(axis=(1, 2))
@@ -120,23 +92,20 @@ def test_the_safe_surface_counts_terrain_as_at_most_two_of_its_cells_nearer_than
 
 
 @pytest.mark.parametrize("clearance_m", [30.0, 170.0])
+@pytest.mark.parametrize(("centre", "places"), [
+    ((500.0, 500.0), ([800.0, -150.0, 300.0], [500.0, 500.0, 1_200.0])),
+    ((9e3, -9e3), ([8_600.0, 9_300.0], [-9_200.0, -8_700.0])),
+])  # fmt: skip
 def test_unknown_ground_and_ground_off_the_map_count_as_terrain_of_the_altitude_given(
-    clearance_m: float,
+    clearance_m: float, centre: tuple[float, float], places: tuple[list[float], list[float]]
 ) -> None:
     known = empty_map(CELL_M, (0.0, 1_000.0), (0.0, 1_000.0))
     known.upper_m[:5] = 0.0
     surface = safe_surface(
-        known, centre_ne_m=(500.0, 500.0), reach_m=900.0, clearance_m=clearance_m, unknown_m=700.0
+        known, centre_ne_m=centre, reach_m=900.0, clearance_m=clearance_m, unknown_m=700.0
     )
-    north, east = np.array([800.0, -150.0, 300.0]), np.array([500.0, 500.0, 1_200.0])
-    assert surface.altitude_m(north, east) == pytest.approx([700.0 + clearance_m] * 3)
-    beyond = safe_surface(
-        known, centre_ne_m=(9e3, -9e3), reach_m=500.0, clearance_m=clearance_m, unknown_m=700.0
-    )
-    assert beyond.vertex_m == pytest.approx(np.full_like(beyond.vertex_m, 700.0 + clearance_m))
-
-
-# --- the distance of one point
+    told = surface.altitude_m(*(np.array(each) for each in places))
+    assert told == pytest.approx([700.0 + clearance_m] * len(told))
 
 
 def endless(known: KnownMap) -> KnownMap:
@@ -173,23 +142,18 @@ def test_the_distance_of_a_point_is_that_to_the_nearest_column_that_counts(
 # --- the surface itself
 
 
-def random_surface(rng: np.random.Generator) -> Surface:
-    return Surface(
-        north_min_m=-200.0, east_min_m=300.0, cell_m=50.0, vertex_m=rng.uniform(0.0, 400.0, (9, 7))
-    )
-
-
 @given(seed=seeds)
 def test_a_surface_is_bilinear_between_its_vertices_and_goes_on_as_at_its_edges(seed: int) -> None:
     """Its slope is the finite difference."""
     rng = np.random.default_rng(seed)
-    surface = random_surface(rng)
+    heights = rng.uniform(0.0, 400.0, (9, 7))
+    surface = Surface(north_min_m=-200.0, east_min_m=300.0, cell_m=50.0, vertex_m=heights)
     axes = (-200.0 + 50.0 * np.arange(9), 300.0 + 50.0 * np.arange(7))
     for far_m in (0.0, 100.0, 1e4):
         north = rng.uniform(-200.0 - far_m, 200.0 + far_m, (4, 5))
         east = rng.uniform(300.0 - far_m, 600.0 + far_m, (4, 5))
         inside = np.stack([np.clip(north, -200.0, 200.0), np.clip(east, 300.0, 600.0)], axis=-1)
-        expected = RegularGridInterpolator(axes, surface.vertex_m)(inside)
+        expected = RegularGridInterpolator(axes, heights)(inside)
         assert surface.altitude_m(north, east) == pytest.approx(expected, abs=1e-3)
     h, cell_n, cell_e = 0.1, rng.integers(0, 8, 30), rng.integers(0, 6, 30)
     north = -200.0 + 50.0 * (cell_n + rng.uniform(0.01, 0.99, 30))
@@ -200,16 +164,13 @@ def test_a_surface_is_bilinear_between_its_vertices_and_goes_on_as_at_its_edges(
     assert slope2 == pytest.approx((rise_n**2 + rise_e**2) / (2 * h) ** 2, rel=1e-6, abs=1e-9)
 
 
-@settings(max_examples=20)
 @given(seed=seeds)
 def test_the_terrain_surface_is_the_map_at_the_middles_of_cells_and_0_where_unknown(
     seed: int,
 ) -> None:
     rng = np.random.default_rng(seed)
-    known = random_map(rng)
-    surface = terrain_surface(known, centre_ne_m=MIDDLE, reach_m=700.0)
-    index = rng.integers(6, 18, (40, 2))
-    north, east = ((index + 0.5) * CELL_M).T
+    known, index = random_map(rng), rng.integers(6, 18, (40, 2))
+    surface = terrain_surface(known, centre_ne_m=tuple(MIDDLE.tolist()), reach_m=700.0)
     upper = known.upper_m[index[:, 0], index[:, 1]]
     expected = np.where(np.isfinite(upper), upper, 0.0)
-    assert surface.altitude_m(north, east) == pytest.approx(expected)
+    assert surface.altitude_m(*((index + 0.5) * CELL_M).T) == pytest.approx(expected)

@@ -35,25 +35,22 @@ def disc(radius: float) -> BoolArray:
     return np.asarray(np.hypot(NORTH - HERE[0], EAST - HERE[1]) < radius)
 
 
-def test_what_was_seen_is_believed_as_it_was_seen() -> None:
-    terrain = peak(20e3, 22e3, 4e3, 5e3)
+def test_what_was_seen_is_believed_as_it_was_seen_and_a_sight_line_bounds_the_guess() -> None:
+    """Of nothing nothing is guessed, nor far off the map."""
+    terrain = peak(22e3, 22e3, 4e3, 5e3)
     known = seen_where(terrain, disc(9e3))
     believed = guessed_m(known, HERE, R)
     np.testing.assert_array_equal(believed[known.seen], terrain[known.seen])
-
-
-def test_of_nothing_nothing_is_guessed() -> None:
+    below = replace(known, upper_m=np.where(known.seen, known.upper_m, 900.0))
+    assert believed[~known.seen].max() > 900.0
+    assert guessed_m(below, HERE, R)[~known.seen].max() <= 900.0
     assert np.isneginf(guessed_m(BLANK, HERE, R)).all()
+    for north, east in ((10.0 * R, 0.0), (0.0, 10.0 * R), (-10.0 * R, -10.0 * R)):
+        far = guessed_m(known, (HERE[0] + north, HERE[1] + east), R)
+        assert np.array_equal(far > -np.inf, known.seen)
 
 
-@pytest.mark.parametrize("here", [(10.0 * R, 0.0), (0.0, 10.0 * R), (-10.0 * R, -10.0 * R)])
-def test_far_off_the_map_nothing_is_guessed(here: tuple[float, float]) -> None:
-    known = seen_where(peak(20e3, 22e3, 4e3, 5e3), disc(9e3))
-    believed = guessed_m(known, (HERE[0] + here[0], HERE[1] + here[1]), R)
-    assert np.array_equal(believed > -np.inf, known.seen)
-
-
-@pytest.mark.parametrize("spread", [4e3, 5.5e3, 7e3])
+@pytest.mark.parametrize("spread", [4e3, 7e3])
 def test_a_mountain_seen_to_its_crest_has_another_side(spread: float) -> None:
     """Guessed to within a fifth of its height, where a plain would be wrong by nearly all of it."""
     terrain = peak(22e3, 22e3, 4e3, spread)
@@ -110,15 +107,6 @@ def test_it_is_the_kriging_of_another_implementation(monkeypatch: pytest.MonkeyP
     np.testing.assert_allclose(ours[unseen], expected, atol=1e-6 * rise.max())
 
 
-def test_a_sight_line_bounds_the_guess() -> None:
-    terrain = peak(22e3, 22e3, 4e3, 5e3)
-    known = seen_where(terrain, disc(9e3))
-    bound = 900.0
-    below = replace(known, upper_m=np.where(known.seen, known.upper_m, bound))
-    assert guessed_m(known, HERE, R)[~known.seen].max() > bound
-    assert guessed_m(below, HERE, R)[~known.seen].max() <= bound
-
-
 def test_a_file_for_guidance_is_believed_until_a_scan_knows_better() -> None:
     told = peak(25e3, 25e3, 4e3, 5e3)
     told[:, :20] = np.nan
@@ -135,13 +123,11 @@ def test_a_file_for_guidance_is_believed_until_a_scan_knows_better() -> None:
 def test_no_proof_reads_a_guess() -> None:
     known = seen_where(peak(20e3, 20e3, 3e3, 4e3), disc(9e3))
     guessed = replace(known, guess_m=np.full((160, 160), -500.0))
-    for one, other in zip(read_by_proofs(known), read_by_proofs(guessed), strict=True):
+    task, read = load_mission("environment-1").task, list[list[FloatArray]]()
+    for each in (known, guessed):
+        safe = safe_surface(each, centre_ne_m=HERE, reach_m=R, clearance_m=500.0, unknown_m=5e3)
+        columns = task.surroundings(each, HERE, R).columns
+        read.append([safe.vertex_m, columns.heights_m, columns.blocks_m, each.surveyed])
+    for one, other in zip(*read, strict=True):
         np.testing.assert_array_equal(one, other)
     assert not guessed.is_known(39e3, 39e3)
-
-
-def read_by_proofs(known: KnownMap) -> list[FloatArray]:
-    task = load_mission("environment-1").task
-    safe = safe_surface(known, centre_ne_m=HERE, reach_m=R, clearance_m=500.0, unknown_m=5_000.0)
-    around = task.surroundings(known, HERE, R)
-    return [safe.vertex_m, around.columns.heights_m, around.columns.blocks_m, known.surveyed]

@@ -1,4 +1,4 @@
-"""The lattice of the map, what scans make of it, and lines of sight (bounds: test_soundness.py)."""
+"""The map, what scans make of it, its bytes, and lines of sight (bounds: test_soundness.py)."""
 
 import math
 from dataclasses import replace
@@ -6,16 +6,23 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from nudge import SEEDS, nudged
 from numpy.typing import NDArray
-from rough_ground import COLUMNS, RANGE_M, ROWS, blank, ground, scan_of
+from rough_ground import COLUMNS, RANGE_M, ROWS, blank, scan_of
 
 from companion.geodesy import LEAST_RADIUS_M
-from companion.world.known_map import NO_ANSWER, NOT_SEEN, KnownMap, Scan, empty_map
+from companion.world.known_map import (
+    NO_ANSWER,
+    NOT_SEEN,
+    Scan,
+    digest_of,
+    empty_map,
+    packed_map,
+    unpacked_map,
+)
 from companion.world.sight_lines import sight_line_m
-from companion.world.simulated_scan import simulated_scan
 
 FloatArray = NDArray[np.float64]
 
@@ -32,12 +39,8 @@ def test_the_cell_of_a_point_is_the_one_whose_middle_is_within_half_a_cell(
     known = empty_map(250.0, (-4_000.0, 5_000.0), (1_000.0, 9_000.0))
     north, east = known.middles_m(row, column, (1, 1))
     assert known.cell_of(north[0, 0] + n * 250.0, east[0, 0] - n * 250.0) == (row, column)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_the_cell_of_a_point_on_an_edge_hangs_on_no_last_digit(seed: int) -> None:
-    known = empty_map(250.0, (-5_000.0, 5_000.0), (-5_000.0, 5_000.0))
-    assert known.cell_of(*nudged((0.0, 250.0), seed)) == (20, 21)
+    for seed in SEEDS:  # that of a point on an edge hangs on no last digit
+        assert known.cell_of(*nudged((0.0, 1_250.0), seed)) == (16, 1)
 
 
 def test_an_empty_map_covers_its_area_and_nothing_is_known_off_a_map() -> None:
@@ -50,6 +53,33 @@ def test_an_empty_map_covers_its_area_and_nothing_is_known_off_a_map() -> None:
     assert known.is_known(0.0, 0.0)
     for north, east in ((-11.0, 0.0), (0.0, -1.0), (991.0, 0.0), (0.0, 1_251.0)):
         assert not known.is_known(north, east)
+
+
+@given(seed=st.integers(0, 10**6), reach_m=st.floats(0.0, 3_000.0))
+def test_the_cells_about_points_are_those_within_reach_and_off_the_map_nothing_is_known(
+    seed: int, reach_m: float
+) -> None:
+    """Each cell of the map by itself."""
+    rng = np.random.default_rng(seed)
+    known = empty_map(250.0, (-4_000.0, 5_000.0), (1_000.0, 9_000.0))
+    known.upper_m[:] = rng.choice([np.nan, np.inf, 10.0, 500.0], known.upper_m.shape)
+    points = rng.uniform((-6_000.0, -1_000.0), (7_000.0, 11_000.0), (int(rng.integers(1, 4)), 2))
+    ends = zip(points.min(axis=0) - reach_m, points.max(axis=0) + reach_m, strict=True)
+    window, corner = known.about(points, reach_m), (-4_000.0, 1_000.0)
+    for part, least, count, (low, high) in zip(window, corner, known.shape, ends, strict=True):
+        begins = least + 250.0 * np.arange(count)
+        meets = np.flatnonzero((begins <= high) & (begins + 250.0 > low))
+        assert np.arange(count)[part].tolist() == meets.tolist()
+    north, east = points[0].tolist()
+    south_m, west_m, square = known.square_m((north, east), reach_m)
+    size_m = 250.0 * len(square)
+    assert max(south_m - north, west_m - east) <= -reach_m
+    assert min(south_m + size_m - north, west_m + size_m - east) >= reach_m
+    for i, j in rng.integers(0, len(square), (40, 2)).tolist():
+        row, column = known.cell_of(south_m + 250.0 * i + 125.0, west_m + 250.0 * j + 125.0)
+        inside = 0 <= row < known.shape[0] and 0 <= column < known.shape[1]
+        upper_m = float(known.upper_m[row, column]) if inside else math.inf
+        assert square[i, j] == (math.inf if math.isnan(upper_m) else upper_m)
 
 
 # --- scans
@@ -94,32 +124,20 @@ def test_a_scan_changes_what_it_answers_and_what_it_supersedes(seed: int) -> Non
 
 @pytest.mark.parametrize("reach_m", [1_150.0, RANGE_M], ids=["shown so far", "promised"])
 def test_a_cell_out_of_range_stays_unknown_although_the_radar_answered(reach_m: float) -> None:
+    """And a scan means the same on a bigger map."""
     radar = 1_001.0, 1_001.0, 600.0
     north, east = blank().middles_m(0, 0, (ROWS, COLUMNS))
     far = np.hypot(north - radar[0], east - radar[1]) > reach_m
-    assert far.any()
-    known = blank().with_scan(scan_of(np.full((ROWS, COLUMNS), 50.0), ~far, radar))
+    scan = scan_of(np.full((ROWS, COLUMNS), 50.0), ~far, radar)
+    known = blank().with_scan(scan)
     assert np.isposinf(known.upper_m[far]).all()
     assert (known.upper_m[~far] == 50.0).all()
-
-
-@settings(max_examples=10)
-@given(number=st.integers(0, 10**4), row=st.integers(0, 40), column=st.integers(0, 40))
-def test_a_scan_means_the_same_on_a_bigger_map(number: int, row: int, column: int) -> None:
-    place, rng = ground(number)
-    tops = place.tops_m()
-    truth = KnownMap(cell_m=CELL_M, north_min_m=0.0, east_min_m=0.0, upper_m=np.ceil(tops),
-                     seen=np.ones(tops.shape, dtype=bool))  # fmt: skip
-    radar = 2_790.0, 3_210.0, float(tops[27:30, 31:34].max() + rng.uniform(5.0, 700.0))
-    scan = simulated_scan(truth, radar, 2_000.0)
-    alone = blank().with_scan(scan)
-    low_n, low_e = -row * CELL_M, -column * CELL_M
-    big = empty_map(CELL_M, (low_n, low_n + 100 * CELL_M), (low_e, low_e + 110 * CELL_M))
-    after = big.with_scan(replace(scan, row=scan.row + row, column=scan.column + column))
-    part = after.part(slice(row, row + ROWS), slice(column, column + COLUMNS))
-    assert (part.upper_m == alone.upper_m).all()
+    big = empty_map(CELL_M, (-700.0, 9_300.0), (-1_100.0, 9_900.0))
+    after = big.with_scan(replace(scan, row=scan.row + 7, column=scan.column + 11))
+    part = after.part(slice(7, 7 + ROWS), slice(11, 11 + COLUMNS))
+    assert (part.upper_m == known.upper_m).all()
     assert (part.north_min_m, part.east_min_m) == (0.0, 0.0)
-    assert np.isfinite(after.upper_m).sum() == np.isfinite(alone.upper_m).sum()
+    assert np.isfinite(after.upper_m).sum() == np.isfinite(known.upper_m).sum()
 
 
 # --- the sight line
@@ -130,13 +148,12 @@ def test_a_scan_means_the_same_on_a_bigger_map(number: int, row: int, column: in
 def test_the_sight_line_over_a_wall_is_the_straight_line_loosened_by_the_slack(
     wall_cell: int, top_m: float, behind: int
 ) -> None:
-    known = blank()
+    known, slack = blank(), 150.0
     known.upper_m[:] = 0.0
     known.upper_m[wall_cell] = top_m
     radar = np.array([0.5 * CELL_M, 13.5 * CELL_M, 400.0])
     far = (wall_cell + behind) * CELL_M  # to the middle of a cell behind the wall
     point = np.array([radar[0] + far, radar[1]])
-    slack = 150.0
     found = sight_line_m(known, known.upper_m, radar[None], point[None], slack)[0]
 
     def line(over_m: float, to_m: float) -> float:
@@ -167,16 +184,9 @@ def test_a_sight_line_knows_no_bound_over_unknown_ground_and_looks_no_farther_th
     assert np.isposinf(found[0])
     assert math.isfinite(found[1])
     known.upper_m[9:] = 5_000.0
-    again = sight_line_m(known, known.upper_m, radars, points, 50.0)
-    assert again[1] == found[1]
+    assert sight_line_m(known, known.upper_m, radars, points, 50.0)[1] == found[1]
     beside = np.array([[120.0, 1_350.0]])  # nothing lies between
     assert np.isneginf(sight_line_m(known, known.upper_m, radars[:1], beside, 150.0)).all()
-
-
-def line_of_slope_m(slope: float, away_m: float) -> float:
-    """Altitude above the radar of a line, so far away, over a round earth."""
-    share = (slope * away_m + away_m**2 / (2.0 * LEAST_RADIUS_M)) / LEAST_RADIUS_M
-    return LEAST_RADIUS_M * share / (1.0 - share)
 
 
 @pytest.mark.parametrize("error_m", [0.0, 3.0])
@@ -199,43 +209,44 @@ def test_a_cell_beside_the_radar_hides_what_is_behind_it_by_its_nearest_corner(
     point = radar[:, :2] + 1_000.0 * np.array([[math.cos(bearing), math.sin(bearing)]])
     found = sight_line_m(known, known.upper_m, radar, point, slack_m)
     nearest_m = math.hypot(5.0, 5.0) - error_m if is_behind else 0.5 * CELL_M
-    line_m = 400.0 + line_of_slope_m(100.0 / nearest_m, 1_000.0 + slack_m)
-    assert found == pytest.approx(line_m, rel=1e-9)
+    away_m = 1_000.0 + slack_m  # of a line of this slope, over a round earth
+    share = (100.0 / nearest_m * away_m + away_m**2 / (2.0 * LEAST_RADIUS_M)) / LEAST_RADIUS_M
+    assert found == pytest.approx(400.0 + LEAST_RADIUS_M * share / (1.0 - share), rel=1e-9)
 
 
-def brute_force_line_m(
-    known: KnownMap, radar: FloatArray, centre: FloatArray, reach_m: float
-) -> float:
-    """The steepest line to points of a cell (centre, half its side) by marching every 2 m."""
-    steepest = -math.inf
-    for offset in ((0, 0), (-1, -1), (-1, 1), (1, -1), (1, 1), (0, 1), (1, 0), (0, -1), (-1, 0)):
-        point = centre + np.asarray(offset) * reach_m
-        far = float(np.hypot(*(point - radar[:2])))
-        along = np.arange(2.0, far - CELL_M, 2.0)[:, None]
-        places = radar[:2] + along * (point - radar[:2]) / far
-        index = (places / CELL_M).astype(int)
-        rise = known.upper_m[index[:, 0], index[:, 1]] - radar[2]
-        if len(rise):
-            steepest = max(steepest, radar[2] + float((rise / along[:, 0]).max()) * far)
-    return steepest
+# --- as bytes
 
 
-@settings(max_examples=25)
-@example(seed=3, apart_m=0.0)
-@given(seed=st.integers(0, 10**6), apart_m=st.floats(0.0, 200.0))
-def test_the_sight_lines_of_radars_near_each_other_are_above_those_of_brute_force_from_each(
-    seed: int, apart_m: float
-) -> None:
-    rng = np.random.default_rng(seed)
-    known = blank()
-    known.upper_m[:] = rng.choice([0.0, 100.0, 300.0, 900.0], size=known.upper_m.shape)
-    first = np.array([*rng.uniform(0.3, 0.7, 2) * 2_800.0, rng.uniform(50.0, 1_000.0)])
-    radars = first + rng.uniform(-apart_m, apart_m, (30, 3)) * (1.0, 1.0, 0.3)
-    middles = (rng.integers(0, 28, (30, 2)) + 0.5) * CELL_M
-    found = sight_line_m(known, known.upper_m, radars, middles, 1.5 * CELL_M)
-    brute = [
-        brute_force_line_m(known, radar, middle, 0.5 * CELL_M)
-        for radar, middle in zip(radars, middles, strict=True)
+def test_a_map_survives_as_bytes_and_is_told_from_those_that_differ_in_anything() -> None:
+    empty = empty_map(25.0, (0.0, 1000.0), (0.0, 500.0))
+    upper, given_ = (
+        np.random.default_rng(1).uniform(300.0, 900.0, empty.upper_m.shape),
+        empty.seen.copy(),
+    )
+    upper[3, 4], given_[3, 4] = math.inf, True
+    known = replace(empty, upper_m=upper, seen=np.isfinite(upper))
+    back, by_m = unpacked_map(packed_map(known)), np.zeros_like(upper)
+    assert np.array_equal(back.upper_m, known.upper_m)
+    assert np.array_equal(back.seen, known.seen)
+    told = replace(known, given=given_, guess_m=upper)  # in advance: files keep only the rest
+    whole = unpacked_map(packed_map(told)).with_what_was_given(told)
+    assert digest_of(whole) == digest_of(told)
+    assert whole.guess_m is upper
+    by_m[7, 2] = 1.0
+    for each in (back, replace(known, upper_m=upper + 1e-9 * by_m)):  # of another processor
+        assert digest_of(each) == digest_of(known)
+    maps = [
+        empty,
+        known,
+        replace(known, upper_m=upper + 0.01 * by_m),
+        replace(known, seen=~known.seen),
+        replace(known, given=given_),
+        replace(known, north_min_m=25.0),
+        replace(known, cell_m=50.0),
+        replace(known, registration_m=1.0),
+        empty_map(25.0, (0.0, 500.0), (0.0, 1000.0)),
     ]
-    bounded = ~np.isneginf(found)  # beside the radar there is nothing to look over
-    assert (found[bounded] >= np.array(brute)[bounded] - 1e-6).all()
+    assert len({digest_of(each) for each in maps}) == len(maps)
+    for length in (0, 1, 100, -1):
+        with pytest.raises(ValueError, match="cut short or damaged"):
+            unpacked_map(packed_map(known)[:length])

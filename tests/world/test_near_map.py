@@ -7,14 +7,22 @@ import pytest
 from numpy.typing import NDArray
 
 from companion.world.lattice import Lattice
-from companion.world.near_map import FORGOTTEN_AFTER_S, LOOKS, SIGHTINGS, NearMap, Sweep
+from companion.world.near_map import (
+    FORGOTTEN_AFTER_S,
+    LOOKS,
+    SIGHTINGS,
+    NearMap,
+    Sweep,
+    cell_for_m,
+)
 
 FloatArray = NDArray[np.float64]
 LATTICE = Lattice(cell_m=0.25, north_min_m=-25.0, east_min_m=-25.0, shape=(200, 200))
-REACH_M = 16.0
-PERIOD_S = 0.1
+REACH_M, PERIOD_S = 16.0, 0.1
 NOTHING: FloatArray = np.full((1, 2), 100.0)
 """No thing near by."""
+FAR = np.full(72, np.inf)
+"""What 72 sectors meet of nothing."""
 
 
 def post(north_m: float, east_m: float, radius_m: float) -> FloatArray:
@@ -37,21 +45,19 @@ def scene(random: np.random.Generator) -> FloatArray:
     ]
     for _ in range(random.integers(0, 4)):
         start = random.uniform(-20.0, 20.0, 2)
-        end = start + random.uniform(-15.0, 15.0, 2)
-        things.append(wall(tuple(start), tuple(end)))
+        things.append(wall(tuple(start), tuple(start + random.uniform(-15.0, 15.0, 2))))
     points = np.concatenate([*things, NOTHING])
     return points[np.hypot(*points.T) > 3.0]
 
 
 def nearest_m(
-    points: FloatArray, at_ne_m: FloatArray, first_rad: float, width_rad: float, sectors: int
-) -> FloatArray:
-    """Distance of the nearest point in each sector; inf: none in reach.  (K,)."""
+    points: FloatArray, sectors: int = 72, width_rad: float | None = None,
+    first_rad: float = 0.0, at_ne_m: FloatArray | float = 0.0,
+) -> FloatArray:  # fmt: skip
+    """Distance of the nearest point in each sector, all round; inf: none in reach.  (K,)."""
     apart = points - at_ne_m
-    away = np.hypot(*apart.T)
-    sector = np.floor(
-        np.mod(np.arctan2(apart[:, 1], apart[:, 0]) - first_rad, math.tau) / width_rad
-    ).astype(int)
+    away, turn = np.hypot(*apart.T), np.arctan2(apart[:, 1], apart[:, 0]) - first_rad
+    sector = np.floor(np.mod(turn, math.tau) / (width_rad or math.tau / sectors)).astype(int)
     result = np.full(sectors, np.inf)
     inside = (away <= REACH_M) & (sector < sectors)
     np.minimum.at(result, sector[inside], away[inside])
@@ -62,26 +68,20 @@ def sweep_of(distance_m: FloatArray, **what: object) -> Sweep:
     """What a sensor says that meets these."""
     met = np.isfinite(distance_m)
     values = {
-        "time_s": 0.0,
-        "sensor_ne_m": (0.0, 0.0),
-        "first_rad": 0.0,
-        "width_rad": math.tau / len(distance_m),
-        "clear_m": np.where(met, distance_m, REACH_M),
-        "echo_m": distance_m,
-        "range_m": REACH_M,
-        "blind_m": 0.2,
-        "error_m": 0.1,
+        "time_s": 0.0, "sensor_ne_m": (0.0, 0.0), "first_rad": 0.0,
+        "width_rad": math.tau / len(distance_m), "clear_m": np.where(met, distance_m, REACH_M),
+        "echo_m": distance_m, "range_m": REACH_M, "blind_m": 0.2, "error_m": 0.1,
         "bearing_error_rad": 0.0,
-    }
+    }  # fmt: skip
     return Sweep(**{**values, **what})  # type: ignore[arg-type]
 
 
-def looked(near: NearMap, points: FloatArray, count: int, start_s: float = 0.0) -> None:
+def looked(near: NearMap, points: FloatArray, count: int, start_s: float = 0.0,
+           error_m: float = 0.1) -> None:  # fmt: skip
     """So many sweeps of 72 sectors of a sensor that stands in the middle."""
-    at = np.zeros(2)
-    distance = nearest_m(points, at, 0.0, math.tau / 72, 72)
+    distance = nearest_m(points)
     for k in range(count):
-        near.add(sweep_of(distance, time_s=start_s + k * PERIOD_S))
+        near.add(sweep_of(distance, time_s=start_s + k * PERIOD_S, error_m=error_m))
 
 
 def wrongly_free(near: NearMap, points: FloatArray) -> int:
@@ -97,36 +97,30 @@ def flown(seed: int) -> tuple[NearMap, FloatArray]:
     random = np.random.default_rng(seed)
     points = scene(random)
     sectors = int(random.choice([8, 24, 72, 90, 360]))
-    all_round = random.random() < 0.7
-    width = math.tau / sectors
-    seen = sectors if all_round else max(sectors // 3, 1)
+    width, seen = math.tau / sectors, sectors
+    if random.random() >= 0.7:
+        seen = max(sectors // 3, 1)
     error_m, bearing_error = random.uniform(0.0, 0.5), random.uniform(0.0, 0.06)
     lost, dust = random.uniform(0.0, 0.3), random.uniform(0.0, 0.05)
-    speed = random.uniform(-1.0, 1.0, 2)
-    turning = random.uniform(-2.0, 2.0)
+    speed, turning = random.uniform(-1.0, 1.0, 2), random.uniform(-2.0, 2.0)
     near = NearMap(LATTICE)
     for k in range(int(random.integers(4, 40))):
         at, yaw = speed * k * PERIOD_S, turning * k * PERIOD_S
-        distance = nearest_m(points, at, yaw, width, seen)
+        distance = nearest_m(points, seen, width, yaw, at)
         if k % SIGHTINGS:  # else each thing would be missed as often as it must not be
             distance[random.random(seen) < lost] = np.inf
         told_at = at + 0.5 * error_m * random.uniform(-0.7, 0.7, 2)
         noisy = np.maximum(distance + 0.5 * error_m * random.uniform(-1.0, 1.0, seen), 0.0)
         dusty = random.random(seen) < dust
         noisy[dusty] = random.uniform(0.0, np.minimum(noisy[dusty], REACH_M))
-        met = np.isfinite(noisy)
+        first_rad = yaw + bearing_error * random.uniform(-1.0, 1.0)
         near.add(
             sweep_of(
-                noisy,
-                time_s=k * PERIOD_S,
-                sensor_ne_m=(float(told_at[0]), float(told_at[1])),
-                first_rad=yaw + bearing_error * random.uniform(-1.0, 1.0),
-                width_rad=width,
-                clear_m=np.where(met, noisy, REACH_M),
-                error_m=error_m,
+                noisy, time_s=k * PERIOD_S, sensor_ne_m=tuple(told_at.tolist()),
+                first_rad=first_rad, width_rad=width, error_m=error_m,
                 bearing_error_rad=bearing_error,
             )
-        )
+        )  # fmt: skip
     return near, points
 
 
@@ -170,30 +164,25 @@ def test_a_post_that_is_watched_while_the_position_drifts_is_never_in_free_cells
 ) -> None:
     """The vehicle stands still, and thinks that it wanders away from the post."""
     near, thing = NearMap(LATTICE), post(6.0, 0.0, 0.25)
-    distance = nearest_m(thing, np.zeros(2), 0.0, math.tau / sectors, sectors)
+    distance = nearest_m(thing, sectors)
     for k in range(150):
-        time_s = 0.4 * k
-        told_ne_m = np.array([-drift_m_s * time_s, 0.0])
-        near.add(
-            sweep_of(distance, time_s=time_s, sensor_ne_m=tuple(told_ne_m.tolist()), error_m=0.35)
-        )
+        told = (-drift_m_s * 0.4 * k, 0.0)
+        near.add(sweep_of(distance, time_s=0.4 * k, sensor_ne_m=told, error_m=0.35))
         if k % 25 == 24:
-            assert wrongly_free(near, thing + told_ne_m) == 0, time_s
+            assert wrongly_free(near, thing + np.array(told)) == 0, k
 
 
 def test_what_is_looked_at_stays_free_and_what_is_not_is_unknown_in_time() -> None:
     near = NearMap(LATTICE)
     looked(near, NOTHING, 5)
     at_first = near.free()
-    ahead = np.full(72, np.inf)
     half = np.where(np.arange(72) % 71 < 17, REACH_M, 0.0)  # looks to the north-east only
     later_s = 0.5
     while later_s < near.free_for_s + 2.0:
-        near.add(sweep_of(ahead, clear_m=half, time_s=later_s))
+        near.add(sweep_of(FAR, clear_m=half, time_s=later_s))
         later_s += 0.5
-    row, column = LATTICE.cell_of(5.0, 5.0)
-    assert near.free()[row, column]
     behind = LATTICE.cell_of(-5.0, -5.0)
+    assert near.free()[LATTICE.cell_of(5.0, 5.0)]
     assert at_first[behind]
     assert not near.free()[behind]
     assert not near.closed()[behind]
@@ -201,18 +190,18 @@ def test_what_is_looked_at_stays_free_and_what_is_not_is_unknown_in_time() -> No
     np.testing.assert_array_equal(near.free(), at_first)
 
 
-def test_nothing_is_free_for_longer_without_any_sweep() -> None:
+@pytest.mark.parametrize(("start_s", "later_s"), [(0.0, 8.5), (300.0, 20.0)])
+def test_nothing_is_free_for_longer_without_any_sweep(start_s: float, later_s: float) -> None:
     """Nor if the clock begins anew: in the meantime the position may have drifted, too."""
-    for start_s, later_s in ((0.0, 8.5), (300.0, 20.0)):
-        near = NearMap(LATTICE)
-        looked(near, NOTHING, 5, start_s=start_s)
-        for at_s, is_free in ((start_s + near.free_for_s, True), (later_s, False)):
-            near.changed = None
-            near.expire(at_s)
-            assert (near.changed is None) == near.free().any() == is_free
+    near = NearMap(LATTICE)
+    looked(near, NOTHING, 5, start_s=start_s)
+    for at_s, is_free in ((start_s + near.free_for_s, True), (later_s, False)):
         near.changed = None
-        near.expire(1_000.0)
-        assert near.changed is None
+        near.expire(at_s)
+        assert (near.changed is None) == near.free().any() == is_free
+    near.changed = None
+    near.expire(1_000.0)
+    assert near.changed is None
 
 
 def test_a_scan_tells_all_that_is_known_where_something_may_have_changed_and_tells_it_once() -> (
@@ -221,10 +210,9 @@ def test_a_scan_tells_all_that_is_known_where_something_may_have_changed_and_tel
     near, ground = NearMap(LATTICE), np.full(LATTICE.shape, 7.0)
     for k in range(SIGHTINGS):
         for at in ((-5.0, -6.0), (6.0, 5.0)):
-            near.add(sweep_of(np.full(72, np.inf), sensor_ne_m=at, time_s=k * PERIOD_S))
-    near.add(sweep_of(nearest_m(post(2.0, 3.0, 0.5), np.zeros(2), 0.0, math.tau / 72, 72)))
-    scan = near.scan(ground, 50.0)
-    assert scan.supersedes
+            near.add(sweep_of(FAR, sensor_ne_m=at, time_s=k * PERIOD_S))
+    near.add(sweep_of(nearest_m(post(2.0, 3.0, 0.5))))
+    scan, again = near.scan(ground, 50.0), near.scan(ground, 50.0)
     heights = np.full(LATTICE.shape, np.nan)
     rows, columns = scan.heights_m.shape
     heights[scan.row : scan.row + rows, scan.column : scan.column + columns] = scan.heights_m
@@ -232,43 +220,40 @@ def test_a_scan_tells_all_that_is_known_where_something_may_have_changed_and_tel
     assert free.any()
     assert closed.any()
     np.testing.assert_array_equal(heights, np.where(closed, 50.0, np.where(free, ground, np.nan)))
-    again = near.scan(ground, 50.0)
-    assert not again.supersedes
-    assert again.heights_m.size == 0
+    assert (scan.supersedes, again.supersedes, again.heights_m.size) == (True, False, 0)
+    for window in ((slice(3, 9), slice(100, 120)), (slice(5, 30), slice(90, 101))):
+        near.tell_again(window)  # nobody has taken it
+    once_more = near.scan(ground, 50.0)
+    assert (once_more.row, once_more.column, *once_more.heights_m.shape) == (3, 90, 27, 30)
+    np.testing.assert_array_equal(once_more.heights_m, heights[3:30, 90:120])
 
 
 def test_an_echo_that_stays_in_free_cells_counts_there_whatever_lies_behind_it() -> None:
     """A wall was free up to, and something new stands before it, nearer than the error."""
-    near, barrier = NearMap(LATTICE), wall((6.5, -30.0), (6.5, 30.0))
-    at = np.zeros(2)
-    for k in range(5):
-        seen = nearest_m(barrier, at, 0.0, math.tau / 72, 72)
-        near.add(sweep_of(seen, time_s=k * PERIOD_S, error_m=0.05))
-    new = post(5.85, 0.0, 0.05)
+    near, barrier, new = NearMap(LATTICE), wall((6.5, -30.0), (6.5, 30.0)), post(5.85, 0.0, 0.05)
+    looked(near, barrier, 5, error_m=0.05)
     assert wrongly_free(near, new) > 0
-    seen = nearest_m(np.concatenate([barrier, new]), at, 0.0, math.tau / 72, 72)
-    for k in range(SIGHTINGS):
-        near.add(sweep_of(seen, time_s=1.0 + k * PERIOD_S, error_m=0.5))
-    nearest = new[np.hypot(*new.T) < 5.82]
-    assert wrongly_free(near, nearest) == 0
+    looked(near, np.concatenate([barrier, new]), SIGHTINGS, start_s=1.0, error_m=0.5)
+    assert wrongly_free(near, new[np.hypot(*new.T) < 5.82]) == 0
 
 
 def test_all_that_beams_have_passed_is_free_a_wall_is_occupied_and_behind_it_nothing_is_known() -> (
     None
 ):
-    near = NearMap(LATTICE)
-    looked(near, NOTHING, SIGHTINGS)
+    near, blocked, columns = NearMap(LATTICE), NearMap(LATTICE), slice(90, 110)
+    looked(near, NOTHING, 2)
+    assert not near.free().any()  # not before the third in a row
+    looked(near, NOTHING, 1)
     north, east = np.meshgrid(*(np.arange(200) * 0.25 - 25.0 + 0.125,) * 2, indexing="ij")
     away = np.hypot(north, east)
     assert near.free()[away < REACH_M - 0.3].all()
     assert not near.free()[away > REACH_M].any()
     assert not near.occupied().any()
-    near, columns = NearMap(LATTICE), slice(90, 110)
-    looked(near, wall((5.0, -30.0), (5.0, 30.0)), SIGHTINGS)
+    looked(blocked, wall((5.0, -30.0), (5.0, 30.0)), SIGHTINGS)
     row = LATTICE.cell_of(5.0, 0.0)[0]
-    assert near.free()[100 : row - 2, columns].all()
-    assert near.occupied()[row, columns].all()
-    assert not near.free()[row + 2 :, columns].any()
+    assert blocked.free()[100 : row - 2, columns].all()
+    assert blocked.occupied()[row, columns].all()
+    assert not blocked.free()[row + 2 :, columns].any()
 
 
 @pytest.mark.parametrize("times", [1, 100])
@@ -293,7 +278,7 @@ def test_what_was_met_for_a_moment_only_is_forgotten_and_unknown(
     near, cell = NearMap(LATTICE), LATTICE.cell_of(5.5, 0.0)
     looked(near, post(6.0, 0.0, 0.5), round(standing_s / PERIOD_S) + 1)
     later_s = standing_s + FORGOTTEN_AFTER_S + 1.0
-    near.add(sweep_of(np.full(72, np.inf), clear_m=np.zeros(72), time_s=later_s))  # says nothing
+    near.add(sweep_of(FAR, clear_m=np.zeros(72), time_s=later_s))  # says nothing
     assert near.occupied()[cell] == is_remembered
     assert not near.free()[cell]
 
@@ -312,28 +297,50 @@ def test_one_echo_of_a_wide_sector_blocks_its_arc_but_not_what_is_known_to_be_fr
         looked(near, NOTHING, 5 if was_looked_at else 0)
         near.add(sweep_of(distance, first_rad=first_rad, time_s=1.0))
         assert all(near.occupied()[cell] and not near.free()[cell] for cell in arc)
-
     near, points = NearMap(LATTICE), post(8.5, 0.0, 0.5)
     looked(near, points, 5)
-    wide = nearest_m(points, np.zeros(2), first_rad, math.radians(45.0), 8)
+    wide = nearest_m(points, 8, first_rad=first_rad)
     near.add(sweep_of(wide, first_rad=first_rad, time_s=1.0))
     assert near.free()[arc[2]]
 
 
 def test_closed_is_where_something_stands_and_where_no_beam_comes_through() -> None:
     """A gap too narrow for a beam is closed once it was looked at for long; what is far is open."""
-    posts = np.concatenate([post(4.0, -0.2, 0.1), post(4.0, 0.2, 0.1), [[100.0, 100.0]]])
-    near = NearMap(LATTICE)
+    near, posts = NearMap(LATTICE), np.concatenate([post(4.0, e, 0.1) for e in (-0.2, 0.2)])
     assert not near.closed().any()
     looked(near, posts, LOOKS - 1)
-    early = near.closed()
-    np.testing.assert_array_equal(early, near.occupied())
+    np.testing.assert_array_equal(near.closed(), near.occupied())
     looked(near, posts, 1, start_s=5.0)
     closed = near.closed()
-    assert closed[LATTICE.cell_of(4.0, -0.2)]
-    assert closed[LATTICE.cell_of(4.0, 0.2)]
-    assert closed[LATTICE.cell_of(3.8, 0.0)]  # no sector clears it
-    assert not closed[LATTICE.cell_of(2.0, 0.0)]  # free
-    assert not closed[LATTICE.cell_of(12.0, 0.0)]  # behind: unknown, and far
+    # posts, and a gap that no sector clears; what is free, and what is behind and far
+    for place, is_closed in (
+        ((4.0, -0.2), True), ((4.0, 0.2), True), ((3.8, 0.0), True), ((2.0, 0.0), False),
+        ((12.0, 0.0), False),
+    ):  # fmt: skip
+        assert closed[LATTICE.cell_of(*place)] == is_closed
     assert not (closed & near.free()).any()
     assert (closed | ~near.occupied()).all()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_gap_of_a_point_is_that_to_the_nearest_cell_where_something_stands(seed: int) -> None:
+    rng, near = np.random.default_rng(seed), NearMap(LATTICE)
+    cells, within_m = rng.integers(0, 200, (int(rng.integers(0, 9)), 2)), float(rng.uniform(1, 60))
+    near.met_since_s[tuple(cells.T)] = 1.0
+    points = rng.uniform(-24.0, 24.0, (5, 2))
+    low = cells * LATTICE.cell_m - 25.0
+    over = np.maximum(low - points[:, None], points[:, None] - low - LATTICE.cell_m)
+    truth_m = np.hypot(*np.moveaxis(np.maximum(over, 0.0), -1, 0)).min(axis=1, initial=math.inf)
+    told_m = near.gaps_m(points, within_m)
+    assert told_m[truth_m <= within_m] == pytest.approx(truth_m[truth_m <= within_m])
+    assert (told_m[truth_m > within_m] > within_m).all()
+
+
+@pytest.mark.parametrize(("range_m", "side_m", "cell_m"), [
+    (16.0, 400.0, 0.25), (16.0, 4_000.0, 2.0), (256.0, 4_000.0, 4.0), (64.0, 0.0, 1.0),
+])  # fmt: skip
+def test_cells_are_a_64th_of_the_range_but_no_more_than_four_million(
+    range_m: float, side_m: float, cell_m: float
+) -> None:
+    north_m, east_m = (-0.5 * side_m, 0.5 * side_m), (3.0, 3.0 + side_m)
+    assert cell_for_m(range_m, north_m, east_m) == pytest.approx(cell_m)

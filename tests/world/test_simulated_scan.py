@@ -1,36 +1,41 @@
+"""What a radar and a sensor of near things show of a world, against points all over it."""
+
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
+from planning import hills
 
 from companion.world.known_map import KnownMap, empty_map
+from companion.world.near_map import Kind, NearSensor
 from companion.world.simulated_scan import simulated_scan, true_map
-from companion.world.terrain import Peak, PeakTerrain
+from companion.world.simulated_sweep import SECTORS, NearScene, Thing
+from companion.world.terrain import PeakTerrain
 
 CELL_M = 100.0
 
 
 def random_terrain(rng: np.random.Generator) -> PeakTerrain:
-    peaks = tuple(
-        Peak(*rng.uniform((0, 0, 50, 200, 200), (4_000, 4_000, 1_200, 900, 900)).tolist())
-        for _ in range(int(rng.integers(1, 6)))
-    )
-    return PeakTerrain(peaks=peaks, ground_amsl_m=30.0)
+    low, high = (0, 0, 50, 200, 200), (4_000, 4_000, 1_200, 900, 900)
+    return hills(*rng.uniform(low, high, (rng.integers(1, 6), 5)).tolist(), ground_m=30.0)
 
 
 def blank() -> KnownMap:
     return empty_map(CELL_M, (0.0, 4_000.0), (0.0, 4_000.0))
 
 
-def flat(ground_m: float = 100.0) -> KnownMap:
+def flat(ground_m: float = 0.0) -> KnownMap:
     return true_map(PeakTerrain(peaks=(), ground_amsl_m=ground_m), blank())
 
 
 @settings(max_examples=30)
 @given(seed=st.integers(0, 10**6))
 def test_the_true_map_holds_the_highest_terrain_of_each_cell_in_whole_metres(seed: int) -> None:
+    """And one that is made only where it is looked at is the same."""
     rng = np.random.default_rng(seed)
     terrain = random_terrain(rng)
     truth = true_map(terrain, blank())
@@ -42,6 +47,14 @@ def test_the_true_map_holds_the_highest_terrain_of_each_cell_in_whole_metres(see
         assert brute <= truth.upper_m[row, column] <= math.ceil(brute + 2 * 2.5 * 5.2)
     assert (truth.upper_m == np.round(truth.upper_m)).all()
     assert truth.seen.all()
+    radar, range_m = (
+        (*rng.uniform(-500, 4_500, 2), rng.uniform(100, 1_500)),
+        rng.uniform(300, 2_500),
+    )
+    one = simulated_scan(blank(), radar, range_m, terrain)
+    other = simulated_scan(truth, radar, range_m)
+    assert (one.row, one.column) == (other.row, other.column)
+    assert (one.heights_m == other.heights_m).all()
 
 
 @example(north_min_dm=131_182, rows=488, cell_m=256)
@@ -66,7 +79,7 @@ def test_over_flat_ground_just_the_cells_in_range_are_seen(
     n: float, e: float, range_m: float
 ) -> None:
     """Of those on the map, and each from where the radar is."""
-    scan = simulated_scan(flat(), (n, e, 400.0), range_m)
+    scan = simulated_scan(flat(100.0), (n, e, 400.0), range_m)
     middles = (np.arange(40) + 0.5) * CELL_M
     far = np.hypot(middles[:, None] - n, middles[None, :] - e)
     heights = np.full((40, 40), -np.inf)
@@ -77,11 +90,12 @@ def test_over_flat_ground_just_the_cells_in_range_are_seen(
 
 
 @settings(max_examples=40)
-@given(wall=st.integers(5, 15), top_m=st.floats(0.0, 900.0), radar_m=st.floats(50.0, 900.0))
-def test_a_wall_hides_just_what_lies_below_the_line_over_its_top(
-    wall: int, top_m: float, radar_m: float
+@given(wall=st.integers(5, 15), top_m=st.floats(0.0, 900.0), radar_m=st.floats(50.0, 900.0),
+       bend=st.floats(0.5, 5.0), offset=st.floats(-49.0, 49.0))  # fmt: skip
+def test_a_wall_hides_just_what_lies_below_the_line_over_its_top_and_a_hollow_slope_nothing(
+    wall: int, top_m: float, radar_m: float, bend: float, offset: float
 ) -> None:
-    truth = flat(0.0)
+    truth = flat()
     truth.upper_m[wall] = top_m
     scan = simulated_scan(truth, (0.5 * CELL_M, 20.5 * CELL_M, radar_m), 3_500.0)
     due_north = scan.heights_m[:, 20 - scan.column]
@@ -89,15 +103,17 @@ def test_a_wall_hides_just_what_lies_below_the_line_over_its_top(
         line = radar_m + (top_m - radar_m) / wall * cell
         if abs(line) > 1e-6:
             assert np.isfinite(due_north[cell - scan.row]) == (line <= 0.0)
-
-
-@given(offset=st.floats(-49.0, 49.0), bend=st.floats(0.5, 5.0))
-def test_a_slope_that_rises_ever_more_steeply_hides_nothing(offset: float, bend: float) -> None:
-    truth = flat(0.0)
-    truth.upper_m[:] = bend * np.arange(40.0)[:, None] ** 2
+    truth.upper_m[:] = bend * np.arange(40.0)[:, None] ** 2  # ever more steeply
     scan = simulated_scan(truth, (50.0, 2_050.0 + offset, bend + 50.0), 3_500.0)
+    assert np.isfinite(scan.heights_m[:34, 20 - scan.column]).all()
+
+
+def test_what_is_two_cells_away_is_always_seen_and_beyond_a_wall_beside_the_radar_nothing() -> None:
+    truth = flat()
+    truth.upper_m[1] = 300.0
+    scan = simulated_scan(truth, (50.0, 2_050.0, 100.0), 1_000.0)
     due_north = scan.heights_m[:, 20 - scan.column]
-    assert np.isfinite(due_north[:34]).all()
+    assert np.isfinite(due_north).tolist() == [True] * 3 + [False] * (len(due_north) - 3)
 
 
 @pytest.mark.parametrize("eye_m", [1.0, 5.0])
@@ -111,14 +127,71 @@ def test_the_plain_is_seen_up_to_the_horizon(eye_m: float) -> None:
     assert horizon[0] - 2 * CELL_M <= (seen.max() + 1) * CELL_M <= horizon[1] + 2 * CELL_M
 
 
-@settings(max_examples=20)
-@given(seed=st.integers(0, 10**6))
-def test_a_truth_that_is_made_where_it_is_looked_at_is_the_true_map(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    terrain = random_terrain(rng)
-    n, e = rng.uniform(-500, 4_500, 2).tolist()
-    radar, range_m = (n, e, float(rng.uniform(100, 1_500))), float(rng.uniform(300, 2_500))
-    one = simulated_scan(blank(), radar, range_m, terrain)
-    other = simulated_scan(true_map(terrain, blank()), radar, range_m)
-    assert (one.row, one.column) == (other.row, other.column)
-    assert (one.heights_m == other.heights_m).all()
+# --- near things
+
+
+def outline(thing: Thing) -> NDArray[np.float64]:
+    """Points of the surface, and some inside of it, 5 mm apart.  (M, 2)."""
+    corners = [*thing.corners_ne_m, *thing.corners_ne_m[: 1 if thing.closed else 0]]
+    lines = [np.array(corners[:1])]
+    for a, b in pairwise(corners):
+        share = np.linspace(0.0, 1.0, math.ceil(math.dist(a, b) / 0.005) + 2)[:, None]
+        along = np.subtract(b, a) / max(math.dist(a, b), 1e-9)
+        left = thing.half_width_m * np.array([-along[1], along[0]])
+        middle = np.array(a) * (1.0 - share) + np.array(b) * share
+        lines += [middle + left, middle - left]
+    turn = np.linspace(0.0, math.tau, math.ceil(math.tau * thing.half_width_m / 0.005) + 2)
+    rim = thing.half_width_m * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    return np.concatenate([*lines, *(np.array(corner) + rim for corner in corners)])
+
+
+def drawn(random: np.random.Generator) -> list[Thing]:
+    """Trees, walls and houses, none where the sensor is."""
+    things = []
+    for count in random.choice([1, 1, 2, 3, 4], 6):
+        away_m, turn = random.uniform(3.0, 12.0), random.uniform(0.0, math.tau)
+        middle = away_m * np.array([math.cos(turn), math.sin(turn)])
+        corners = (middle + random.uniform(-1.2, 1.2, (count, 2))).tolist()
+        half_m = float(random.uniform(0.0, 0.4))
+        things.append(Thing(corners_ne_m=corners, half_width_m=half_m, closed=bool(count == 4)))
+    return things
+
+
+@pytest.mark.parametrize("kind", SECTORS)
+@pytest.mark.parametrize("seed", range(8))
+def test_each_sector_is_clear_up_to_the_nearest_point_of_all_surfaces(
+    kind: Kind, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    things, heading_rad = drawn(random), random.uniform(-4.0, 4.0)
+    sensor = NearSensor(kind=kind, component_id=1, range_m=8.0, forward_m=0.3, yaw_rad=0.2)
+    sweep = NearScene(things).sweep(sensor, 5.0, (0.1, -0.2), heading_rad)
+    eye = np.array([0.1 + 0.3 * math.cos(heading_rad), -0.2 + 0.3 * math.sin(heading_rad)])
+    assert sweep.sensor_ne_m == pytest.approx(eye)
+    surface = np.concatenate([outline(thing) for thing in things])
+    away = surface - eye
+    turned = np.arctan2(away[:, 1], away[:, 0]) - sweep.first_rad
+    sector = np.floor(np.remainder(turned, math.tau) / sweep.width_rad).astype(int)
+    for k in range(SECTORS[kind]):
+        nearest_m = np.hypot(*away[sector == k].T).min(initial=math.inf)
+        assert sweep.clear_m[k] == pytest.approx(min(nearest_m, 8.0), abs=0.05)
+        assert sweep.clear_m[k] <= nearest_m + 1e-9
+        if abs(nearest_m - 8.0) > 0.05:
+            assert math.isfinite(sweep.echo_m[k]) is bool(nearest_m < 8.0)
+    met = np.isfinite(sweep.echo_m)
+    assert sweep.echo_m[met].tolist() == sweep.clear_m[met].tolist()
+    points = random.uniform(-14.0, 14.0, (10, 2))  # and how far anything is from a point
+    nearest = np.hypot(*(surface[:, None] - points).T).min(axis=1)
+    gaps_m = NearScene(things).gaps_m(points)
+    inside = gaps_m == 0.0
+    assert gaps_m[~inside] == pytest.approx(nearest[~inside], abs=0.01)
+    assert (nearest[inside] <= 0.4).all()
+    assert NearScene([]).gaps_m(points).tolist() == [math.inf] * 10
+
+
+def test_the_first_sector_has_the_nose_in_its_middle() -> None:
+    post = NearScene([Thing(corners_ne_m=[(0.0, 5.0)], half_width_m=0.1)])  # east
+    sensor = NearSensor(kind="distance_sensor", component_id=1, range_m=8.0)
+    sweep = post.sweep(sensor, 0.0, (0.0, 0.0), 0.5 * math.pi)
+    assert np.flatnonzero(np.isfinite(sweep.echo_m)).tolist() == [0]
+    assert sweep.echo_m[0] == pytest.approx(4.9)

@@ -1,4 +1,4 @@
-"""Distances to zones, in each form they have, against shapely and the winding number."""
+"""Distances to zones, in each form they have, against shapely and winding numbers; and radars."""
 
 import math
 
@@ -12,6 +12,7 @@ from planning import zone_distance_m
 
 from companion.objective import may_be_near
 from companion.world import zones as module
+from companion.world.radars import Radar, detection_probability
 from companion.world.zones import (
     CircleZone,
     PolygonZone,
@@ -39,31 +40,23 @@ def polygon(rng: np.random.Generator, corners: int, radius_m: float) -> PolygonZ
     places = middle + reach[:, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
     places = np.round(places, int(rng.choice([-2, -1, 9])))
     places = np.repeat(places, rng.choice([1, 1, 1, 2], corners), axis=0)
-    keep_in = bool(rng.random() < 0.2)
-    return PolygonZone(
-        name="p", vertices_ne_m=tuple((n, e) for n, e in places.tolist()), keep_in=keep_in
-    )
+    vertices, keep_in = tuple((n, e) for n, e in places.tolist()), bool(rng.random() < 0.2)
+    return PolygonZone(name="p", vertices_ne_m=vertices, keep_in=keep_in)
 
 
-def some_zones(rng: np.random.Generator) -> tuple[Zone, ...]:
-    zones: list[Zone] = []
+def drawn(seed: int, count: int) -> tuple[np.random.Generator, tuple[Zone, ...], FloatArray]:
+    """Zones; and points (N, 2): so many anywhere, then corners and middles of edges."""
+    rng, zones = np.random.default_rng(seed), list[Zone]()
     for _ in range(rng.integers(0, 8)):
         zones.append(polygon(rng, int(rng.integers(3, 60)), float(rng.uniform(20.0, 600.0))))
     for _ in range(rng.integers(0, 4)):
         n, e = rng.uniform(-800.0, 800.0, 2).tolist()
         radius_m, keep_in = float(rng.uniform(10.0, 400.0)), bool(rng.random() < 0.2)
         zones.append(CircleZone(name="c", north_m=n, east_m=e, radius_m=radius_m, keep_in=keep_in))
-    return tuple(zones[k] for k in rng.permutation(len(zones)))
-
-
-def some_points(rng: np.random.Generator, zones: tuple[Zone, ...], count: int) -> FloatArray:
-    """Anywhere, and corners of zones and middles of their edges.  -> (N, 2)."""
-    points = [rng.uniform(-1_500.0, 1_500.0, (count, 2))]
-    for zone in zones:
-        if isinstance(zone, PolygonZone):
-            corners = np.array(zone.vertices_ne_m)
-            points += [corners[:3], 0.5 * (corners + np.roll(corners, 1, axis=0))[:3]]
-    return np.concatenate(points)
+    corners = [np.array(zone.vertices_ne_m) for zone in zones if isinstance(zone, PolygonZone)]
+    middles = [0.5 * (each + np.roll(each, 1, axis=0)) for each in corners]
+    points = [rng.uniform(-1_500.0, 1_500.0, (count, 2)), *(x[:3] for x in corners + middles)]
+    return rng, tuple(zones[k] for k in rng.permutation(len(zones))), np.concatenate(points)
 
 
 def truth_m(zones: tuple[Zone, ...], points: FloatArray) -> FloatArray:
@@ -75,9 +68,7 @@ def truth_m(zones: tuple[Zone, ...], points: FloatArray) -> FloatArray:
 def test_the_distance_of_points_is_that_to_the_nearest_edge_negative_inside(
     seed: int, within_m: float
 ) -> None:
-    rng = np.random.default_rng(seed)
-    zones = some_zones(rng)
-    points = some_points(rng, zones, 60)
+    rng, zones, points = drawn(seed, 60)
     truth, (north, east) = truth_m(zones, points), points.T
     told = gaps_m(packed(zones), north, east, within_m)
     assert told == pytest.approx(np.minimum(truth, within_m), abs=1e-6)
@@ -90,25 +81,17 @@ def test_the_distance_of_points_is_that_to_the_nearest_edge_negative_inside(
     for zone in zones:
         expected = pytest.approx(truth_m((zone,), points), abs=1e-6)
         assert zone.distance_m(north, east) == expected
-
-
-@given(seed=seeds)
-def test_the_nearest_zone_is_found(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    zones = some_zones(rng)
-    for point in rng.uniform(-1_500.0, 1_500.0, (5, 2)):
-        gaps = {zone: float(truth_m((zone,), point[None])[0]) for zone in zones}
-        zone, gap_m = nearest(zones, *point.tolist())
+    for point, gap_m in zip(points[:5], truth.tolist(), strict=False):
+        zone, told_m = nearest(zones, *point.tolist())
         assert (zone is None) == (not zones)
-        assert gap_m == pytest.approx(min(gaps.values(), default=math.inf), abs=1e-6)
-        assert zone is None or gap_m == pytest.approx(gaps[zone], abs=1e-6)
+        assert told_m == pytest.approx(gap_m, abs=1e-6)
+        assert zone is None or told_m == pytest.approx(truth_m((zone,), point[None])[0], abs=1e-6)
 
 
 @given(seed=seeds)
 def test_the_scalar_form_that_is_compiled_tells_the_same(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    zones = tuple(zone for zone in some_zones(rng) if isinstance(zone, PolygonZone))
-    points = some_points(rng, zones, 10)
+    _, zones, points = drawn(seed, 10)
+    zones = tuple(zone for zone in zones if isinstance(zone, PolygonZone))
     for k, zone in enumerate(zones):
         truth = truth_m((zone,), points)
         for enough, most in ((1e9, 1e9), (80.0, 5.0)):
@@ -118,8 +101,7 @@ def test_the_scalar_form_that_is_compiled_tells_the_same(seed: int) -> None:
 
 @given(seed=seeds)
 def test_a_segment_is_as_far_as_its_nearest_point_and_no_bound_is_optimistic(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    zones = some_zones(rng)
+    rng, zones, _ = drawn(seed, 0)
     begin, end = rng.uniform(-1_500.0, 1_500.0, (2, 2))
     end = np.where(rng.random(2) < 0.2, begin, end)  # along an axis, or a point
     way = begin + np.linspace(0.0, 1.0, 2_001)[:, None] * (end - begin)
@@ -127,26 +109,24 @@ def test_a_segment_is_as_far_as_its_nearest_point_and_no_bound_is_optimistic(see
     segment = (*begin.tolist(), 0.0, *(end - begin).tolist(), 0.0)
     lower, upper = zone_distance(packed(zones), segment, 1e9)
     assert lower <= min(truth, 1e9) + 1e-6
-    assert upper >= min(truth, 1e9) - step_m
+    assert upper >= min(truth, 1e9) - step_m - 1e-9
     assert upper <= min(truth_m(zones, way[[0, 1_000]]).min(), 1e9) + 1e-6
     if truth > step_m + 1e-6:  # it is wholly where it may be
-        assert lower == upper >= min(truth, 1e9) - step_m
-    rings = [shapely.LinearRing(z.vertices_ne_m) for z in zones if isinstance(z, PolygonZone)]
+        assert lower == upper >= min(truth, 1e9) - step_m - 1e-9
     only = tuple(zone for zone in zones if isinstance(zone, PolygonZone))
     if only and truth_m(only, way).min() > step_m + 1e-6:
-        exact = min(shapely.LineString([begin, end]).distance(ring) for ring in rings)
+        line, rings = shapely.LineString([begin, end]), [z.vertices_ne_m for z in only]
+        exact = min(line.distance(shapely.LinearRing(ring)) for ring in rings)
         assert zone_distance(packed(only), segment, 1e9)[0] == pytest.approx(exact, abs=1e-6)
 
 
 @given(seed=seeds, distance_m=st.floats(-60.0, 300.0))
 def test_no_place_near_a_zone_is_left_out_of_a_lattice(seed: int, distance_m: float) -> None:
-    rng = np.random.default_rng(seed)
-    zones = some_zones(rng)
+    rng, zones, _ = drawn(seed, 0)
     axes = np.arange(-1_300.0, 1_300.0, 90.0), np.arange(-1_200.0, 1_100.0, 70.0)
-    places = tuple(axes[0].tolist()), tuple(axes[1].tolist())
     north, east = np.meshgrid(*axes, indexing="ij")
     truth = truth_m(zones, np.stack([north.ravel(), east.ravel()], axis=-1)).reshape(north.shape)
-    found = too_near(zones, *places, distance_m)
+    found = too_near(zones, tuple(axes[0].tolist()), tuple(axes[1].tolist()), distance_m)
     sure = np.abs(truth - distance_m) > 1e-6
     assert (found == (truth < distance_m))[sure].all()
     plain = near_on_lattice(packed(zones), axes[0][:5], axes[1][:5], distance_m)
@@ -166,3 +146,17 @@ def test_points_in_portions_are_told_the_same(monkeypatch: pytest.MonkeyPatch) -
     whole = gaps_m(table, north, east)
     monkeypatch.setattr(module, "_AT_ONCE", 500)
     assert (gaps_m(table, north, east) == whole).all()
+
+
+@given(range_m=st.floats(1.0, 1e5), fraction=st.floats(0.0, 1.0))
+def test_detection_is_equation_3_within_the_range_and_nothing_beyond(
+    range_m: float, fraction: float
+) -> None:
+    d = np.array([fraction * range_m, range_m, np.nextafter(range_m, np.inf)])
+    told = detection_probability(d, range_m)
+    assert told[0] == pytest.approx(range_m**4 / (range_m**4 + d[0] ** 4))
+    assert told[1:].tolist() == [0.5, 0.0]
+    radar = Radar(name="r", centre_nea_m=(100.0, -200.0, 50.0), range_m=range_m)
+    points = np.random.default_rng(1).normal(size=(3, 4, 3)) * 1_000.0
+    away = [[math.dist(point, radar.centre_nea_m) for point in row] for row in points.tolist()]
+    assert radar.distance_m(points) == pytest.approx(np.array(away))
