@@ -7,6 +7,7 @@ means heights above the ellipsoid, so its file says what it has (`altitude_datum
 
 import csv
 import json
+import math
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
@@ -25,6 +26,10 @@ Facts = dict[str, str | int | float | bool | None]
 """For people who click on it: names with units, plain values; None: not known, or none."""
 _NO_FACTS: Final[Facts] = {}
 _OF_PLAN: Final = ("length_m", "cost", "evaluations", "reaches_target")
+_OF_PROOF: Final = (
+    *("clearance_m", "keep_out_m", "dead_man_m", "turn_radius_m", "climb_angle_rad"),
+    *("dive_angle_rad", "lowest_amsl_m", "highest_amsl_m", "radar_m"),
+)
 _OF_MOMENT: Final = ("what", "why", "code", "t_s", "until_s")
 
 
@@ -59,7 +64,7 @@ def features_of(flight: Flight) -> Iterator[Feature]:
         line, times_us = shapes.of_track(piece), piece.time_us
         yield Feature(kind="track", name=phase, points=line, facts=facts, times_us=times_us)
     for planned in flight.planned:
-        plan = planned.plan
+        plan, proven = planned.plan, planned.plan.certificate
         facts = {
             "plan_id": plan.plan_id,
             "leg": planned.leg,
@@ -67,6 +72,8 @@ def features_of(flight: Flight) -> Iterator[Feature]:
             "ready_s": plan.t_s,
             "begun_s": planned.begun_s,
             **{name: getattr(plan, name) for name in _OF_PLAN},
+            **{name: _bounded(getattr(proven, name)) for name in _OF_PROOF},
+            "broken": ", ".join(proven.broken),
         }
         line = shapes.of_subpath(plan.subpath, frame)
         yield Feature(kind="subpath", name=f"plan {plan.plan_id}", points=line, facts=facts)
@@ -91,6 +98,11 @@ def features_of(flight: Flight) -> Iterator[Feature]:
             place, time_us = shapes.of_track(here), here.time_us
             name = moment.what
             yield Feature(kind="event", name=name, points=place, facts=facts, times_us=time_us)
+
+
+def _bounded(number: float | None) -> float | None:
+    """JSON has no infinity."""
+    return number if number is not None and math.isfinite(number) else None
 
 
 # --- GeoJSON
