@@ -22,7 +22,8 @@ from running import Found, main, most
 from tapped import BIN, udp_socket
 from woods import scene_of
 
-from companion.campaign import alone, families
+from companion.campaign import families
+from companion.campaign.run import fly_alone
 from companion.library import fly
 from companion.planner import plan as planning
 from companion.planner.plan import plan
@@ -60,7 +61,7 @@ def timed(times_ms: list[float], function: Callable[..., Any]) -> Callable[..., 
 def flown(environment: str, seed: int) -> list[float]:
     """How long each plan of a mission took: bundled, among near things, or of a drawn world."""
     if environment in families.FAMILIES:
-        return [1e3 * each for each in alone.fly(families.world(environment, seed, 0)).plan_s]
+        return [1e3 * each for each in fly_alone(families.world(environment, seed, 0)).plan_s]
     times_ms = list[float]()
     scene = scene_of(environment, seed) if environment in ("street", "forest") else None
     fly(environment, environment, scene=scene, planner=timed(times_ms, plan), seed=seed)
