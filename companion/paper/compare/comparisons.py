@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, final
 
-from scipy.stats import mannwhitneyu
-
 from companion import extras
 from companion.config import load_mission
 from companion.paper.compare.missions import KINDS, Case, Line, Outcome, bundled_case
@@ -151,6 +149,8 @@ def surely_less(one: Outcome, other: Outcome) -> bool:
     """
     if not one.costs or not other.costs:
         return False
+    from scipy.stats import mannwhitneyu  # slow to import: half of the start of any command
+
     if statistics.median(one.costs) > (1.0 - _LEAST) * statistics.median(other.costs):
         return False
     return bool(mannwhitneyu(one.costs, other.costs, alternative="less").pvalue < _SURE)
