@@ -34,8 +34,7 @@ Environment = Literal[
     "forest",
 ]  # fmt: skip
 _BARRED = {"environment-2", "street", "forest"}
-_SHARES = (0.5, 0.99)
-_BARS_MS, _GUIDANCE_BAR_MS = (30.0, 100.0), 3.0
+_SHARES, _BARS_MS, _GUIDANCE_BAR_MS = (0.5, 0.99), (30.0, 100.0), 3.0
 _FIRST_PLAN = """
 import time
 began = time.perf_counter()
