@@ -52,7 +52,7 @@ class Page:
         self._here: FloatArray = np.zeros(3)
         self._shown: tuple[float, int, str] | None = None
         self._ground_at_s = self._read_at_s = self._charted_at_s = -math.inf
-        self._ground_shown = -1
+        self._ground_shown, self._slid_to_s = -1, 0.0
         self._charted: tuple[int, int] | None = None
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(0, 80, 181))
@@ -232,19 +232,20 @@ class Page:
         return f"{behind}; shown as at the end" if number == -2 else behind
 
     def _show(self, scene: Scene, behind: str) -> None:
-        recording, moved = self._recording, -self._here
+        recording, before = self._recording, self._here
         self._here = scene.show(self._time_s)
-        moved = moved + self._here
         for client in self._server.get_clients().values():
             if self._views.get(client.client_id) == "follow":
-                client.camera.position = client.camera.position + moved
+                client.camera.position = client.camera.position + (self._here - before)
         self._status.content = panel.status_html(
             recording, self.replica, self._time_s, behind, scene.area.stretch
         )
         lines, self._events_style.content = panel.event_list(recording.events, self._time_s)
         self._events.options = lines or ("none yet",)
         self._slider.max = max(round(recording.ends_s + 0.05, 1), 0.1)
-        self._slider.value = round(self._time_s, 1)
+        if self._time_s != self._slid_to_s:  # else it may have been moved just now, untold yet
+            self._slid_to_s = self._time_s
+            self._slider.value = round(self._time_s, 1)
 
 
 def _chart(gui: viser.GuiApi, title: str, lines: dict[str, str]) -> Any:
@@ -265,8 +266,7 @@ def _scales(data: tuple[FloatArray, ...]) -> dict[str, uplot.Scale]:
     values = values[np.isfinite(values)]
     low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
     margin = max(0.06 * (high - low), 1e-3 + 1e-3 * abs(high))
-    last_s = float(data[0][-1]) if len(data[0]) else 1.0
     return {
-        "x": uplot.Scale(time=False, range=(0.0, max(last_s, 1.0))),
+        "x": uplot.Scale(time=False, range=(0.0, float(max([1.0, *data[0][-1:]])))),
         "y": uplot.Scale(range=(low - margin, high + margin)),
     }
