@@ -8,8 +8,6 @@ import math
 from collections.abc import Callable
 from typing import final
 
-import numpy as np
-
 from companion import jit
 from companion.geodesy import FloatArray
 from companion.objective import TERMS, Scene, Workspace, radar_table, rows_of, weights_of
@@ -86,8 +84,7 @@ class Searches:
     def at_speed(self, speed_m_s: float) -> Planned | None:
         """The cheapest subpath, until one costs hardly more than was hoped or time is up.
 
-        Where none is proven, what breaks a bound counts more, so that it is not traded for way;
-        and at last a subpath need not end at a target that is in sight.
+        Where none is proven, what breaks a bound counts more, so that it is not traded for way.
         """
         motion = self._request.task.at_speed(speed_m_s).envelope
         scene = self.scene._replace(motion=motion)
@@ -95,8 +92,6 @@ class Searches:
             shortest_m = max(slowing_m(motion, motion.speed_m_s), motion.lead_m)
             scene = scene._replace(shortest_m=float(shortest_m))
         kinds = [(scene, _DEARER), (_strict(scene), math.inf)]
-        if scene.is_final:
-            kinds.append((_past_target(_strict(scene)), math.inf))
         best: Planned | None = None
         for kind, enough in kinds:
             for points in _POINTS:
@@ -271,17 +266,6 @@ def _strict(scene: Scene) -> Scene:
     """The scene in which what breaks a bound counts more, so that it is not traded for way."""
     times = (_STRICTER if name in ("crash", "constraints") else 1.0 for name in TERMS)
     return scene._replace(weights=tuple(a * b for a, b in zip(scene.weights, times, strict=True)))
-
-
-def _past_target(scene: Scene) -> Scene:
-    """The scene of a subpath that does not end at a target within reach, though it could.
-
-    Its end leaves room to turn to the target, or to climb: nearer than that it has to go away
-    first.
-    """
-    room_m, to_go = _ROOM * scene.end_radius_m, scene.to_go
-    away_m = np.where(to_go.vertex_m < room_m, 2.0 * room_m - to_go.vertex_m, to_go.vertex_m)
-    return scene._replace(is_final=False, to_go=to_go._replace(vertex_m=away_m))
 
 
 def _surface(request: PlanRequest, clearance_m: float) -> Surface:

@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from companion.optimise import refined_de as names
 from companion.optimise.refined_de import Settings, State, ask, begin, others, ranked, spent, tell
@@ -218,16 +217,15 @@ def test_the_population_begins_as_large_as_allowed_falls_linearly_and_its_worst_
     for evaluations, expected in ((10, 20), (600, 27), (3_000, 60), (10**6, 150)):
         assert Settings().members(evaluations) == expected
         state = begin(D, evaluations, NO_SEEDS, Settings(), np.random.default_rng(0))
-        assert ask(state) == min(expected, evaluations - int(0.15 * evaluations))
+        assert ask(state) == min(expected, evaluations)
     state = begin(D, 2_000, NO_SEEDS, Settings(population=60, smallest=6), np.random.default_rng(1))
-    while state.now[names.PHASE] in (names.START, names.EVOLVE):
-        before = np.sort(state.costs[: state.now[names.SIZE]])
-        n = ask(state)
+    while n := ask(state):
+        before = np.sort(state.costs[: state.now[names.SIZE] or 60])
         told = [bowl(x) for x in state.trial[:n]]
         state.trial_costs[:n] = told
         tell(state, n)
         size = int(state.now[names.SIZE])
-        assert size == pytest.approx(60.0 - 54.0 * spent(state) / 1_700.0, abs=0.5)
+        assert size == pytest.approx(60.0 - 54.0 * spent(state) / 2_000.0, abs=0.5)
         now = np.sort(state.costs[:size])
         assert now[0] == min(min(told), before[0])
         assert (now <= before[:size]).all()
@@ -235,7 +233,7 @@ def test_the_population_begins_as_large_as_allowed_falls_linearly_and_its_worst_
         assert all(bowl(state.population[k]) == state.costs[k] for k in range(size))
         assert state.now[names.KEPT] <= size
     assert size == 6
-    assert spent(state) == 1_700
+    assert spent(state) == 2_000
 
 
 @few
@@ -248,7 +246,6 @@ def test_a_search_told_infinity_above_its_bounds_is_the_same_search(
     for a, b in zip(ranked(whole), ranked(short), strict=True):
         assert a.tobytes() == b.tobytes()
     assert (whole.population == short.population).all()
-    assert (whole.simplex == short.simplex).all()
 
 
 @few
@@ -273,96 +270,3 @@ def test_at_every_moment_the_best_so_far_is_known_and_the_budget_is_kept(
         assert len(np.unique(x, axis=0)) == len(x)
     assert len(told) == evaluations
     assert ask(state) == 0
-
-
-def rosenbrock(x: FloatArray) -> float:
-    y = 2.0 * x - 0.2
-    return float((100.0 * (y[1:] - y[:-1] ** 2) ** 2 + (1.0 - y[:-1]) ** 2).sum())
-
-
-def creased(x: FloatArray) -> float:
-    """Kinks and waves about the middle of the cube, so steep that a simplex has to shrink."""
-    near = x - 0.45 - 0.01 * np.arange(len(x))
-    return float(
-        np.abs(near).sum() + 3.0 * np.abs(near[1:] - near[:-1]).max() + np.sin(900.0 * near).sum()
-    )
-
-
-@pytest.mark.parametrize("cost", [rosenbrock, creased])
-@pytest.mark.parametrize("dimensions", [3, 5, 7])
-@pytest.mark.parametrize("seed", [0, 1])
-def test_the_simplex_makes_the_moves_of_another_implementation(
-    dimensions: int, seed: int, cost: Cost
-) -> None:
-    """scipy's, with the same factors, from the same simplex, as long as no vertex is clipped."""
-    how = Settings(population=8, polish=0.95, edge=0.02)
-    start = 0.4 + 0.1 * np.random.default_rng(seed + 7).random((1, dimensions))
-    state = begin(dimensions, 400, start, how, np.random.default_rng(seed))
-    moves: list[FloatArray] = []
-    simplex = np.empty(0)
-    while n := ask(state):
-        phase = int(state.now[names.PHASE])
-        if phase not in (names.START, names.EVOLVE, names.BUILD):
-            simplex = simplex if len(simplex) else state.simplex[:-1].copy()
-            moves += list(state.trial[:n].copy())
-        state.trial_costs[:n] = [cost(x) for x in state.trial[:n]]
-        tell(state, n)
-        if len(simplex) and state.now[names.PHASE] == names.BUILD:
-            break  # it has converged
-    theirs: list[FloatArray] = []
-
-    def recorded(x: FloatArray) -> float:
-        theirs.append(x.copy())
-        return cost(x)
-
-    minimize(
-        recorded,
-        simplex[0],
-        method="Nelder-Mead",
-        options={"adaptive": True, "initial_simplex": simplex, "maxfev": 380, "fatol": 0.0},
-    )
-    after = theirs[dimensions + 1 :]
-    compared = min(len(moves), len(after), 60)
-    assert compared >= 40
-    assert np.max(moves[:compared]) < 1.0
-    assert np.min(moves[:compared]) > 0.0
-    assert np.array(moves[:compared]) == pytest.approx(np.array(after[:compared]), abs=1e-9)
-
-
-EQUAL = [
-    ([1.0], 1.0, names.REFLECT),
-    ([2.0, 1.9], 1.9, names.OUTSIDE),
-    ([2.5, 2.5], 2.5, names.OUTSIDE),
-    ([3.0, 2.9], 2.9, names.INSIDE),
-    ([3.5, 3.0], 3.0, names.INSIDE),
-]
-
-
-@pytest.mark.parametrize(("told", "worst", "second"), EQUAL)
-def test_between_equals_a_simplex_decides_as_nelder_and_mead(
-    told: list[float], worst: float, second: int
-) -> None:
-    state = begin(2, 100, None, Settings(), np.random.default_rng(0))
-    state.simplex[:3] = [[0.4, 0.4], [0.5, 0.4], [0.4, 0.5]]
-    state.simplex_costs[:3] = 1.0, 2.0, 3.0
-    state.now[names.PHASE] = names.REFLECT
-    for k, cost in enumerate(told):
-        assert state.now[names.PHASE] == (second if k else names.REFLECT)
-        assert ask(state) == 1
-        state.trial_costs[0] = cost
-        tell(state, 1)
-    assert state.simplex_costs.tolist() == [*sorted([1.0, 2.0, worst]), math.inf]
-    assert state.now[names.PHASE] == (names.SHRINK if worst == 3.0 else names.REFLECT)
-
-
-def test_a_simplex_that_has_collapsed_is_begun_anew_and_its_best_vertex_kept() -> None:
-    state = begin(2, 2_000, np.empty((0, 2)), Settings(polish=0.9), np.random.default_rng(0))
-    best, begun = [], 0
-    while n := ask(state):
-        begun += state.now[names.PHASE] == names.BUILD
-        state.trial_costs[:n] = [abs(x[0] - 0.25) + abs(x[1] - 0.5) for x in state.trial[:n]]
-        tell(state, n)
-        best.append(ranked(state)[1][0])
-    assert begun > 3
-    assert (np.diff(best) <= 0.0).all()
-    assert best[-1] < 1e-5
