@@ -213,17 +213,23 @@ def _on_px4(mission: Mission, world: World) -> tuple[Mission, World]:
 
 
 def kills(scale: str, autopilot: str, seed: int, every_s: float) -> Iterator[dict[str, Any]]:
-    """The kills of one flight, one after the other."""
+    """The kills of one flight, one after the other; the last says why it gave up, if it did."""
     wind = "at 1 s: wind {} m/s from 250 deg turbulence {}".format(*_WINDS[scale])
     flight, due_s = KilledFlight(*setting(scale, autopilot, seed), seed, wind), -1.0
+    kill: dict[str, Any] = {}
     while not flight.is_over and flight.now_s <= _LIMIT_S:
         flight.step()
         flies_leg = flight.phase is Phase.FLYING and flight.session.state.flight.leg is not None
         if flies_leg and flight.now_s >= due_s:
             due_s = flight.now_s + every_s
-            yield {"scale": scale, "autopilot": autopilot, "seed": seed, **flight.killed()}
-    if due_s < 0.0 or flight.phase is Phase.DONE:
-        raise AssertionError(flight.session.state.reason)
+            kill = {"scale": scale, "autopilot": autopilot, "seed": seed, "gave_up": None}
+            kill |= flight.killed()
+            yield kill
+    reason = flight.session.state.reason
+    if not kill:
+        raise AssertionError(reason)  # it never flew: there is nothing to kill
+    if flight.phase is Phase.DONE and reason is not None:
+        kill["gave_up"] = reason.text
 
 
 def sample(
@@ -251,6 +257,7 @@ def killed(
             "killed at every second": ", ".join(settings),
             "kills": len(mine),
             "outside": int((outside > 0.0).sum()),
+            "flights given up": sum(kill["gave_up"] is not None for kill in mine),
             "margin left: least, m|.2f": -outside.max(),
             "1 %, m|.2f": -np.percentile(outside, 99.0),
         }
