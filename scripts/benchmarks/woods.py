@@ -11,15 +11,16 @@ has to keep.  Distances are true ones, to all things there are.  Held: not arriv
 A place is north + 1j east, in metres.
 """
 
+import heapq
 import math
 from itertools import product
 from typing import Any, Literal, final
 
+import numba
 import numpy as np
 import scipy.ndimage
 from numpy.typing import NDArray
 from running import Bar, Found, in_processes, least, main, most
-from scipy.sparse import csr_array
 from stepped import Flight
 
 from companion.config import folder_of, load_mission, load_world
@@ -27,7 +28,6 @@ from companion.geodesy import FloatArray
 from companion.library import NearScene, Thing
 from companion.library import fly as fly_in_library
 from companion.mission.state import Phase
-from companion.paper.rivals.roadmaps import EIGHT, cheapest, grid_edges
 from companion.planner.offline import OnBoard
 from companion.world.near_map import NearMap
 from vehicle_sim.world import read_world
@@ -40,6 +40,7 @@ _STEP_S = 0.1  # of the sensor: 10 Hz
 _DECIDES_S = 0.2  # between decisions of the rival: the companion plans at 5 Hz, too
 _AT_M = 1.0  # the rival has arrived
 _LIMIT_S = 900.0
+_STEPS = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j)  # to the neighbours
 
 
 @final
@@ -84,6 +85,7 @@ class AStar:
         return complex(places[np.searchsorted(along_m, self._ahead_m)])
 
 
+@numba.njit
 def a_star(rate: FloatArray, start: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int64]:
     """The cheapest way over cells, eight neighbours each, (K, 2); none: there is no way.
 
@@ -92,10 +94,27 @@ def a_star(rate: FloatArray, start: tuple[int, int], end: tuple[int, int]) -> ND
     """
     rate = rate.copy()
     rate[start] = 1.0
-    before, after, cost = grid_edges(rate, 1, EIGHT)
-    graph = csr_array((cost, (before, after)), shape=(rate.size, rate.size))
-    way = cheapest(graph, *(row * rate.shape[1] + column for row, column in (start, end)))
-    return np.stack(np.divmod(np.array(way, dtype=np.int64), rate.shape[1]), axis=-1)
+    cost, before = np.full(rate.shape, np.inf), np.full((*rate.shape, 2), -1)
+    cost[start] = 0.0
+    ahead = [(0.0, start)]
+    while ahead:
+        _, (row, column) = heapq.heappop(ahead)
+        if (row, column) == end:
+            break
+        for north, east in _STEPS:
+            i, j = row + north, column + east
+            if 0 <= i < rate.shape[0] and 0 <= j < rate.shape[1]:
+                step = math.sqrt(north * north + east * east)
+                by_it = cost[row, column] + step * 0.5 * (rate[row, column] + rate[i, j])
+                if by_it < cost[i, j]:
+                    cost[i, j], before[i, j] = by_it, (row, column)
+                    far, near = abs(end[0] - i), abs(end[1] - j)
+                    least = max(far, near) + (math.sqrt(2.0) - 1.0) * min(far, near)
+                    heapq.heappush(ahead, (by_it + least, (i, j)))
+    way = [end]
+    while before[way[-1]][0] >= 0:
+        way.append((before[way[-1]][0], before[way[-1]][1]))
+    return np.array(way[::-1]) if way[-1] == start else np.empty((0, 2), dtype=np.int64)
 
 
 def scene_of(name: str, seed: int) -> NearScene:

@@ -3,7 +3,9 @@
 from typing import Any
 
 import numpy as np
-from woods import AStar
+import pytest
+from scipy.sparse.csgraph import dijkstra
+from woods import AStar, a_star
 
 from companion.world.lattice import Lattice
 from companion.world.near_map import NearMap
@@ -45,3 +47,23 @@ def test_it_flies_to_the_target_and_round_a_wall_with_the_margin() -> None:
     assert min(gaps) > MARGIN_M - 2 * CELL_M
     closed = looked(np.array([(40, column) for column in range(SIZE)]))
     assert closed.aim(here) == here  # there is no way
+
+
+def test_its_way_costs_as_much_as_the_cheapest_of_all() -> None:
+    rng = np.random.default_rng(2)
+    for shape in rng.integers(3, 15, size=(30, 2)).tolist():
+        rate = rng.choice([1.0, 1.0, 20.0, np.inf], size=shape)
+        ends = [tuple(rng.integers(0, shape).tolist()) for _ in range(2)]
+        rate[ends[0]] = 1.0
+        places = np.argwhere(np.ones(shape, dtype=bool))
+        apart = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
+        mean = 0.5 * (rate.ravel()[:, None] + rate.ravel())
+        joined = (apart < 1.5) & (apart > 0.0) & np.isfinite(mean)
+        steps = np.where(joined, apart * np.where(joined, mean, 0.0), 0.0)
+        start, end = (np.ravel_multi_index(place, shape) for place in ends)
+        least = dijkstra(steps, indices=start)[end]
+        way = a_star(rate, *ends)
+        index = np.ravel_multi_index(tuple(way.T), shape)
+        assert len(way) if np.isfinite(least) else not len(way)
+        assert steps[index[:-1], index[1:]].sum() == pytest.approx(least if len(way) else 0.0)
+        assert not len(way) or (index[0], index[-1]) == (start, end)
