@@ -18,12 +18,11 @@ world, or, without a campaign, of some worlds that are flown for it.  How J* is 
 """
 
 import hashlib
-import json
 import math
 import os
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal, final
@@ -59,17 +58,6 @@ _SAMPLES_PER_POINT = 10
 _STEP = 1e-20  # of the derivatives by a complex step, which has no rounding
 _NEXT_M = 0.01  # of those of the ground: a difference
 _STIFF, _PUSH, _SCALE_M = 300.0, 100.0, 1000.0  # of the augmented Lagrangian
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Optimum:
-    """The best feasible route that was found."""
-
-    cost: float
-    """J."""
-    control_nea_m: FloatArray
-    """(K, 3): of a clamped cubic B-spline."""
 
 
 # --- the cheapest ways over a grid
@@ -359,28 +347,26 @@ def refined(control: FloatArray, points: int) -> FloatArray:
     return np.concatenate([control[:1], middle, control[-1:]])
 
 
-def optimum(world: DrawnWorld) -> Optimum:
-    """The best route; ValueError: none was found.
+def optimum(world: DrawnWorld) -> tuple[float, FloatArray]:
+    """J* and the control points, (K, 3), of the best route; ValueError: none was found.
 
     A way's cost over the grid is within 0.4 % of what its curve costs, or below it where the curve
     cannot follow: ways that are dearer than that need no curve.
     """
     solver, unit = Solver(world), Rates.of(world).unit
     finer = max(1.0, _side_m(world) / _USUAL_SIDE_M)
-    best, best_control = math.inf, np.empty((0, 3))
+    best = math.inf, np.empty((0, 3))
     for grid_m, route in solver.candidates():
-        if unit * grid_m * _OF_GRID > best:
+        if unit * grid_m * _OF_GRID > best[0]:
             break
         for soft in {(), solver.entered(route)}:
             few = solver.improved(solver.curve(route, round(30 * finer)), soft, 100)
             many = solver.improved(refined(few, round(60 * finer)), soft, 120)
-            if curve_cost(truth.sampled(many, 50.0), world) <= 1.01 * best:
-                cost, mended = solver.mended(many, soft)
-                if cost < best:
-                    best, best_control = cost, mended
-    if not math.isfinite(best):
+            if curve_cost(truth.sampled(many, 50.0), world) <= 1.01 * best[0]:
+                best = min(best, solver.mended(many, soft), key=lambda found: found[0])
+    if not math.isfinite(best[0]):
         raise ValueError(f"{world.name}: no feasible route was found")
-    return Optimum(cost=best, control_nea_m=best_control.round(6))
+    return best
 
 
 def _side_m(world: DrawnWorld) -> float:
@@ -412,30 +398,28 @@ def _apart_m(a: FloatArray, b: FloatArray) -> float:
 # --- of any world, found once
 
 
-def best_of(world: DrawnWorld) -> Optimum | None:
-    """The optimum, found at the size that the solver is made for, or before; None: there is none.
+def best_of(world: DrawnWorld) -> float | None:
+    """J*, found at the size that the solver is made for, or before; None: there is no route.
 
-    J is the same at every size.
+    It is the same at every size.
     """
     digest = hashlib.sha256(b"".join(Path(it.__file__).read_bytes() for it in (truth, route_cost)))
     digest.update(Path(__file__).read_bytes())
     store = Path(user_cache_dir("companion")) / f"optima-{digest.hexdigest()[:16]}"
-    file = store / f"{world.fingerprint}.json"
+    file = store / f"{world.fingerprint}.txt"
     if file.is_file():
-        cost, control = json.loads(file.read_text(encoding="utf-8"))
-        return Optimum(cost=cost, control_nea_m=np.array(control))
+        return float(file.read_text(encoding="utf-8"))
     clearance_m = world.task.required_clearance_m
     scale = max(_SOLVER_SIDE_M / _side_m(world), _SOLVER_CLEARANCE_M / clearance_m)
     try:
-        found = optimum(drawn_world.scaled(world, scale) if abs(scale - 1.0) > 1e-9 else world)
+        cost, _ = optimum(drawn_world.scaled(world, scale) if abs(scale - 1.0) > 1e-9 else world)
     except ValueError:
         return None
-    found = replace(found, control_nea_m=found.control_nea_m / scale)
     store.mkdir(parents=True, exist_ok=True)
     part = file.with_suffix(f".{os.getpid()}")
-    part.write_text(json.dumps([found.cost, found.control_nea_m.tolist()]), encoding="utf-8")
+    part.write_text(repr(cost), encoding="utf-8")
     part.replace(file)
-    return found
+    return cost
 
 
 # --- beside a campaign
@@ -444,8 +428,8 @@ BARS = (1.02, 1.04, 1.10, 1.25)
 """Of J / J* with scans alone, of fresh worlds: median, mean, 90 %, worst."""
 
 
-def best_of_place(place: Place) -> Optimum | None:
-    """The optimum of a campaign's world."""
+def best_of_place(place: Place) -> float | None:
+    """J* of a campaign's world."""
     return best_of(drawn_of(place))
 
 
@@ -457,10 +441,10 @@ def place_of(row: Row) -> Place:
     )  # fmt: skip
 
 
-def ratios(rows: Sequence[Row], known: dict[Place, Optimum | None]) -> FloatArray:
+def ratios(rows: Sequence[Row], known: dict[Place, float | None]) -> FloatArray:
     """J / J* of the runs that arrived, where J* is known."""
     found = [(row.cost, known[place_of(row)]) for row in rows if row.arrived]
-    return np.array([cost / best.cost for cost, best in found if cost and best])
+    return np.array([cost / best for cost, best in found if cost and best])
 
 
 def beside(

@@ -126,20 +126,17 @@ def test_a_finer_curve_is_the_same_curve() -> None:
 
 def test_an_optimum_is_feasible_costs_what_is_said_and_what_a_flight_cannot_beat() -> None:
     world = drawn_world.bundled("environment-1")
-    found = optimum.optimum(world)
-    curve = truth.sampled(found.control_nea_m, 10.0)
+    cost, control_nea_m = optimum.optimum(world)
+    curve = truth.sampled(control_nea_m, 10.0)
     assert truth.measure(curve, world.terrain, world.task).violations(world.task) == ()
-    assert curve_cost(curve, world) == pytest.approx(found.cost, rel=1e-4)
-    assert found.cost == pytest.approx(29.73376, rel=1e-4)  # by gradients that were written by hand
-    np.testing.assert_allclose(found.control_nea_m[0], world.start_nea_m)
-    np.testing.assert_allclose(found.control_nea_m[-1][:2], world.targets_ne_m[0])
+    assert curve_cost(curve, world) == pytest.approx(cost, rel=1e-4)
+    assert cost == pytest.approx(29.73376, rel=1e-4)  # by gradients that were written by hand
+    np.testing.assert_allclose(control_nea_m[0], world.start_nea_m)
+    np.testing.assert_allclose(control_nea_m[-1][:2], world.targets_ne_m[0])
 
 
 def test_costs_are_set_beside_the_optimum_of_their_own_world() -> None:
     dear, cheap, lost = row(0, cost=33.0), row(1, cost=60.0, world="b"), row(2, arrived=False)
-    known = {
-        optimum.place_of(each): optimum.Optimum(cost=cost, control_nea_m=np.zeros((4, 3)))
-        for each, cost in ((dear, 30.0), (cheap, 60.0))
-    }
+    known = {optimum.place_of(dear): 30.0, optimum.place_of(cheap): 60.0}
     assert optimum.ratios([dear, cheap, lost], known) == pytest.approx([1.1, 1.0])
     assert len(optimum.ratios([dear], {optimum.place_of(dear): None})) == 0
