@@ -27,7 +27,7 @@ from companion.geodesy import FloatArray
 from companion.library import NearScene, Thing
 from companion.library import fly as fly_in_library
 from companion.mission.state import Phase
-from companion.paper.rivals.roadmaps import EIGHT, cheapest, grid_edges
+from companion.paper.rivals import EIGHT, cheapest, grid_edges
 from companion.planner.offline import OnBoard
 from companion.world.near_map import NearMap
 from vehicle_sim.world import read_world

@@ -18,8 +18,8 @@ from companion.campaign.file import Knowledge
 from companion.campaign.route_cost import Rates, cost_rate
 from companion.campaign.run import fly_alone
 from companion.errors import InputError
-from companion.paper.rivals import roadmaps, routes
-from companion.paper.rivals.routes import PLANNERS, RouteProblem
+from companion.paper import rivals
+from companion.paper.rivals import PLANNERS, RouteProblem
 from companion.planner.request import NotPlanned, Planned, PlanRequest
 from companion.world.simulated_scan import true_map
 from companion.world.zones import CircleZone
@@ -90,7 +90,7 @@ def test_in_an_empty_world_the_route_is_straight_and_who_is_shut_in_says_so(name
 
 
 @pytest.mark.parametrize(
-    ("every", "steps"), [(4, roadmaps.SIXTEEN), (4, roadmaps.EIGHT), (1, roadmaps.EIGHT)]
+    ("every", "steps"), [(4, rivals.SIXTEEN), (4, rivals.EIGHT), (1, rivals.EIGHT)]
 )
 def test_the_way_over_a_grid_costs_what_relaxing_every_step_until_none_gains_finds(
     every: int, steps: tuple[tuple[int, int], ...]
@@ -110,11 +110,10 @@ def test_the_way_over_a_grid_costs_what_relaxing_every_step_until_none_gains_fin
             for here, there in (((i, j), (k, m)), ((k, m), (i, j))):
                 if cheapest.get(here, math.inf) + cost < cheapest.get(there, math.inf) - 1e-9:
                     cheapest[there], gained = cheapest[here] + cost, True
-    before, after, found = roadmaps.grid_edges(rate, every, steps)
+    before, after, found = rivals.grid_edges(rate, every, steps)
     graph = csr_array((found, (before, after)), shape=(rows * columns, rows * columns))
     way = [
-        divmod(node, columns)
-        for node in roadmaps.cheapest(graph, 2 * columns + 2, 17 * columns + 18)
+        divmod(node, columns) for node in rivals.cheapest(graph, 2 * columns + 2, 17 * columns + 18)
     ]
     assert (way[0], way[-1]) == ((2, 2), (17, 18))
     paid = [expected.get((*a, *b), expected.get((*b, *a), math.inf)) for a, b in pairwise(way)]
@@ -146,7 +145,7 @@ def asked() -> PlanRequest:
 
 
 def test_a_field_costs_at_its_points_no_less_than_the_measure_says() -> None:
-    world, field = families.world("dense", 0, 0), routes.problem_of(asked())
+    world, field = families.world("dense", 0, 0), rivals.problem_of(asked())
     index = np.random.default_rng(2).integers(0, min(field.rate.shape), (3_000, 2))
     rate = field.rate[tuple(index.T)]
     free = np.isfinite(rate)
@@ -182,7 +181,7 @@ def test_unseen_ground_is_free_in_the_plan_and_never_flown_over() -> None:
 
 def plan(request: PlanRequest) -> Planned | NotPlanned:
     """Of A*."""
-    return routes.leg_by_leg(PLANNERS["a-star"])(request)
+    return rivals.leg_by_leg(PLANNERS["a-star"])(request)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -210,7 +209,7 @@ def test_a_leg_keeps_its_clearance_over_rough_ground_and_from_zones(seed: int) -
     "answer", [np.zeros((3, 3)), np.full((4, 2), np.nan), np.zeros((4, 2)), np.zeros((1, 2))]
 )
 def test_an_answer_that_is_no_route_is_refused(answer: FloatArray) -> None:
-    plan = routes.leg_by_leg(lambda _problem, _rng: answer)
+    plan = rivals.leg_by_leg(lambda _problem, _rng: answer)
     with pytest.raises(InputError, match="a route is"):
         plan(asked())
 
