@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from planning import ask, column_distance_m
 from scipy.sparse import csr_array
+from scipy.sparse.csgraph import shortest_path
 
 from companion import extras
 from companion.campaign import drawn_world, families, truth
@@ -90,34 +91,30 @@ def test_in_an_empty_world_the_route_is_straight_and_who_is_shut_in_says_so(name
 
 
 @pytest.mark.parametrize(
-    ("every", "steps"), [(4, rivals.SIXTEEN), (4, rivals.EIGHT), (1, rivals.EIGHT)]
+    ("every", "ways"), [(4, rivals.SIXTEEN), (4, rivals.EIGHT), (1, rivals.EIGHT)]
 )
-def test_the_way_over_a_grid_costs_what_relaxing_every_step_until_none_gains_finds(
-    every: int, steps: tuple[tuple[int, int], ...]
+def test_steps_of_a_grid_cost_its_rate_along_them_and_the_cheapest_way_the_least_of_all(
+    every: int, ways: tuple[tuple[int, int], ...]
 ) -> None:
     rate = with_discs(1)[60 : 61 + 20 * every, 60 : 61 + 20 * every]
     rows, columns = rate[::every, ::every].shape
-    cheapest = {(2, 2): 0.0}
-    expected, gained = dict[tuple[int, int, int, int], float](), True
-    for (i, j), (up, right) in itertools.product(np.ndindex(rows, columns), steps):
-        if 0 <= i + up < rows and 0 <= j + right < columns:
+    expected = dict[tuple[int, int], float]()
+    for (i, j), (up, right) in itertools.product(np.ndindex(rows, columns), ways):
+        if i + up < rows and 0 <= j + right < columns:
             line = [rate[every * i + s * up, every * j + s * right] for s in range(every + 1)]
             mean = (0.5 * line[0] + sum(line[1:-1]) + 0.5 * line[-1]) / every
-            expected[i, j, i + up, j + right] = every * math.hypot(up, right) * mean
-    while gained:
-        gained = False
-        for (i, j, k, m), cost in expected.items():
-            for here, there in (((i, j), (k, m)), ((k, m), (i, j))):
-                if cheapest.get(here, math.inf) + cost < cheapest.get(there, math.inf) - 1e-9:
-                    cheapest[there], gained = cheapest[here] + cost, True
-    before, after, found = rivals.grid_edges(rate, every, steps)
-    graph = csr_array((found, (before, after)), shape=(rows * columns, rows * columns))
-    way = [
-        divmod(node, columns) for node in rivals.cheapest(graph, 2 * columns + 2, 17 * columns + 18)
-    ]
-    assert (way[0], way[-1]) == ((2, 2), (17, 18))
-    paid = [expected.get((*a, *b), expected.get((*b, *a), math.inf)) for a, b in pairwise(way)]
-    assert sum(paid) == pytest.approx(cheapest[17, 18])
+            there = (i + up) * columns + j + right
+            expected[i * columns + j, there] = every * math.hypot(up, right) * mean
+    before, after, costs = rivals.grid_edges(rate, every, ways)
+    found = dict(zip(zip(before.tolist(), after.tolist(), strict=True), costs, strict=True))
+    assert found == pytest.approx({k: v for k, v in expected.items() if v < math.inf})
+    graph = csr_array((costs, (before, after)), shape=(rows * columns, rows * columns))
+    start, end = 2 * columns + 2, 17 * columns + 18
+    way = rivals.cheapest(graph, start, end)
+    assert (way[0], way[-1]) == (start, end)
+    paid = sum(found.get((a, b)) or found[b, a] for a, b in pairwise(way))
+    least = shortest_path(graph, method="FW", directed=False)[start, end]
+    assert paid == pytest.approx(least)
 
 
 # --- flown

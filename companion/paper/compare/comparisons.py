@@ -250,12 +250,12 @@ def _effect(
 def _ways(outcome: Outcome) -> dict[str, str]:
     shown, way = outcome.shown, outcome.case.papers_way
     return {
-        "way": f"{way}: {outcome.ways.count(way)}/{len(outcome.runs)}",
+        "way": f"{way} {outcome.ways.count(way)}/{len(outcome.runs)}",
         "arrived": outcome.arrivals,
         "cost": f"{shown.cost:.1f}",
         "length": f"{shown.length_m / 1000:.1f} km",
         "highest": f"{shown.highest_amsl_m / 1000:.2f} km",
-        "in radars": f"{shown.violations['radar'] / 1000:.1f} km",
+        "seen": f"{shown.violations['radar'] / 1000:.1f} km",
     }
 
 
