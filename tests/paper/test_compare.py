@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+from companion import extras
 from companion.errors import InputError
 from companion.paper.compare import missions
 from companion.paper.compare.command import compare_app
@@ -128,6 +129,9 @@ def test_only_costs_that_lie_apart_noticeably_are_surely_less() -> None:
     assert surely_less(a, b)
     assert not surely_less(b, a)
     assert not any(surely_less(one, other) for one, other in itertools.permutations((a, c, d), 2))
+    a, b, c = row([1.0, 2.0, 3.0], [7.0, 8.0, 9.0, 10.0], [7.0, 8.0, 9.0])
+    assert surely_less(a, b)  # by chance once in 35 times
+    assert not surely_less(a, c)  # once in 20
     for apart, counts in ((1.0, True), (0.1, False)):  # 1 %, and a sure 0.1 %
         a, b = row(*([100.0 + 1e-4 * v + k * apart for v in range(20)] for k in range(2)))
         assert surely_less(a, b) is counts
@@ -249,6 +253,17 @@ def test_routes_flies_whoever_is_asked_for(tmp_path: Path, monkeypatch: pytest.M
         assert f"{each['j'][0]:.2f}" in shown
     with pytest.raises(InputError, match=r"--planner = 'magic': there is no such planner"):
         called("routes", "--planner", "magic")
+
+
+def test_without_dask_one_process_flies_and_more_name_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(extras, "find_spec", lambda _name: None)
+    monkeypatch.setattr(missions, "fly", lambda case, _seed: run(sum(case.papers_cost)))
+    words = ["table-1", "--figure", str(tmp_path / "p.svg"), "--runs", "1"]
+    with pytest.raises(InputError, match=r"--jobs = 2: dask.*companion\[campaign\]"):
+        called(*words, "--jobs", "2")
+    assert "improved DE" in called(*words)
 
 
 @pytest.mark.parametrize("command", ["table-1", "figure-3", "figure-4"])

@@ -41,6 +41,7 @@ def test_a_scan_is_taken_l_before_the_end_by_equation_4(planning_time_s: float) 
     assert task.tail_m == 500.0
 
 
+@pytest.mark.xdist_group("campaign")
 def test_routes_lead_to_the_target_and_do_not_depend_on_the_number_of_processes() -> None:
     cases = [quick(), quick(5.0)]
     alone, together = (fly_all(cases, 2, 7, jobs) for jobs in (1, 2))
@@ -63,6 +64,7 @@ def test_routes_lead_to_the_target_and_do_not_depend_on_the_number_of_processes(
     assert not multiprocessing.active_children()
 
 
+@pytest.mark.xdist_group("campaign")
 def test_ctrl_c_ends_it_with_its_processes() -> None:
     code = """
         import multiprocessing, signal, sys
@@ -170,8 +172,9 @@ def test_of_what_is_flown_just_so_much_breaks_a_bound(
 
 
 def test_a_join_with_r2_of_0_is_a_corner_and_subpaths_add_up() -> None:
-    corner = curve((0.0, 0.0, 3e3), (0.0, 0.0, 3e3), (9e3, 4e3, 3e3), (20e3, 0.0, 3e3))
-    assert broken((corner, 20e3))["turn"] > 0.0
+    straight = curve((0.0, 0.0, 3e3), (0.0, 0.0, 3e3), (9e3, 4e3, 3e3), (18e3, 8e3, 3e3))
+    found = broken((straight, 20e3))  # its first sample, which stands for half a step
+    assert found == pytest.approx(dict.fromkeys(KINDS, 0.0) | {"turn": 0.5 * STEP_M}, rel=1e-3)
     one = curve((0.0, 0.0, 2900.0), (5_000.0, 0.0, 2900.0))
     two = curve((5_000.0, 0.0, 3000.0), (9_000.0, 0.0, 3000.0))
     assert broken((one, 4_000.0), (two, 4_000.0))["band"] == pytest.approx(4_000.0)

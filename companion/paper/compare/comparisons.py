@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any, final
 
 from companion import extras
-from companion.campaign import drawn_world
+from companion.campaign.drawn_world import DrawnWorld, bundled
 from companion.paper.compare import PER_SECOND
 from companion.paper.compare.missions import (
     KINDS,
@@ -43,9 +43,10 @@ def by_heading(found: Sequence[Outcome]) -> list[list[Outcome]]:
     return [list(part) for _, part in itertools.groupby(found, lambda each: each.case.heading)]
 
 
-def _budget(time_s: float, per_second: int) -> dict[str, Any]:
-    """T, and the evaluations that stand for it."""
-    return {"planning_time_s": time_s, "evaluations": round(time_s * per_second)}
+def _with_budget(environment: str, optimiser: str, time_s: float, per_second: int) -> DrawnWorld:
+    """An environment as published, with an optimiser, T, and the evaluations that stand for it."""
+    budget = {"planning_time_s": time_s, "evaluations": round(time_s * per_second)}
+    return as_published(environment, optimiser=optimiser, **budget)
 
 
 # --- Table 1: four algorithms, two environments, two planning times, twenty runs each
@@ -73,11 +74,11 @@ def table_1(per_second: int = PER_SECOND) -> Comparison:
         Case(
             heading=f"{environment}, {time_s:g} s",
             label=algorithm,
-            world=as_published(environment, optimiser=name, **_budget(time_s, per_second)),
+            world=_with_budget(environment, optimiser, time_s, per_second),
             papers_cost=cost,
         )
         for (environment, time_s), costs in PAPERS.items()
-        for (algorithm, name), cost in zip(ALGORITHMS.items(), costs, strict=True)
+        for (algorithm, optimiser), cost in zip(ALGORITHMS.items(), costs, strict=True)
     ]
     tables = {
         "Table 1: cost from start to target, mean ± standard deviation": _costs,
@@ -173,17 +174,17 @@ _HILLS = [
 def figure_3(per_second: int = PER_SECOND) -> Comparison:
     """Climb over a ridge or go round it, by the weights of height and guide."""
     one, two = ((peak.north_m, peak.east_m) for peak in (_RIDGE[0], _RIDGE[-1]))
-    settings = [
-        ("climbs over", "a2 = 0.15, a3 = 0.15", {"weights": Weights(height=0.15, guide=0.15)}),
-        ("goes round", "a2 = 0.25, a3 = 0.05", {"weights": Weights(height=0.25, guide=0.05)}),
-    ]
+    settings = {
+        "a2 = 0.15, a3 = 0.15": ("climbs over", {"weights": Weights(height=0.15, guide=0.15)}),
+        "a2 = 0.25, a3 = 0.05": ("goes round", {"weights": Weights(height=0.25, guide=0.05)}),
+    }
     paper = (
         "“UAV can choose climbing or bypassing the mountain by weighing the relative size of a2 "
         "and a3”; it “chooses bypassing the mountains when we increase the proportion of a2”"
     )
     title = "Fig. 3: 3D path and vertical profile for two weightings"
-    ridge = _small_world("ridge", _RIDGE, (), per_second)
-    return _effect(title, paper, ridge, ("climbs over", one, two), settings)
+    world = _small_world("ridge", _RIDGE, (), per_second)
+    return _effect(title, paper, world, ("climbs over", one, two), settings)
 
 
 def figure_4(per_second: int = PER_SECOND) -> Comparison:
@@ -195,39 +196,34 @@ def figure_4(per_second: int = PER_SECOND) -> Comparison:
         Radar(name=f"radar {number}", centre_nea_m=(*centre, 0.0), range_m=_RANGE_M)
         for number, centre in enumerate((one, two), 1)
     )
-    settings = [
-        ("goes round", "d_overlap = 2 km", {"overlap_m": 2_000.0}),
-        ("flies between", "d_overlap = 6 km", {"overlap_m": 6_000.0}),
-    ]
+    settings = {
+        "d_overlap = 2 km": ("goes round", {"overlap_m": 2_000.0}),
+        "d_overlap = 6 km": ("flies between", {"overlap_m": 6_000.0}),
+    }
     paper = (
         "“when the value of d_overlap is small UAV will bypass all radars, otherwise it may "
         "traverse through the intersection of two radars”"
     )
     title = "Fig. 4: 3D path for two values of d_overlap"
-    two_radars = _small_world("two radars", _HILLS, radars, per_second)
-    return _effect(title, paper, two_radars, ("flies between", one, two), settings)
+    world = _small_world("two radars", _HILLS, radars, per_second)
+    return _effect(title, paper, world, ("flies between", one, two), settings)
 
 
 def _small_world(
     name: str, peaks: Sequence[Peak], radars: tuple[Radar, ...], per_second: int
-) -> drawn_world.DrawnWorld:
+) -> DrawnWorld:
     """A world with the vehicle, the band and the planner of environment-1."""
-    optimiser = ALGORITHMS["improved DE"]
-    base = as_published("environment-1", optimiser=optimiser, **_budget(_T_S, per_second))
+    base = _with_budget("environment-1", ALGORITHMS["improved DE"], _T_S, per_second)
     terrain = PeakTerrain(peaks=tuple(peaks), ground_amsl_m=0.0)
     return replace(base, name=name, terrain=terrain, task=replace(base.task, radars=radars))
 
 
 def _effect(
-    title: str,
-    paper: str,
-    world: drawn_world.DrawnWorld,
-    line: Line,
-    settings: Sequence[tuple[str, str, dict[str, Any]]],
+    title: str, paper: str, world: DrawnWorld, line: Line, settings: Mapping[str, tuple[str, Any]]
 ) -> Comparison:
-    """Settings with which the paper's routes cross a line or go round it.
+    """Settings by their labels, and the way that the paper's route goes with each.
 
-    paper: what it says of that.  settings: the paper's way with them, their label, and they.
+    paper: what it says of that.  line: what is crossed on one of the two ways.
     """
     cases = [
         Case(
@@ -237,7 +233,7 @@ def _effect(
             papers_way=way,
             line=line,
         )
-        for way, label, changes in settings
+        for label, (way, changes) in settings.items()
     ]
     remarks = [
         f"The paper: {paper}.",
@@ -278,7 +274,7 @@ def routes(names: Sequence[str] = ()) -> Comparison:
     cases = []
     for environment in ENVIRONMENTS:
         for name in dict.fromkeys(names or installed):
-            planner, world = name, drawn_world.bundled(environment)
+            planner, world = name, bundled(environment)
             if name == PAPER.name:
                 planner, world = OURS, with_settings(world, profile=PAPER)
             planner_of(planner, "--planner")  # or says why not

@@ -174,13 +174,12 @@ class Outcome:
     @property
     def violations(self) -> dict[str, dict[str, float]]:
         """Of each kind the share of missions that break it, and the mean metres that do."""
-        metres = {kind: [run.violations[kind] for run in self.runs] for kind in KINDS}
         return {
             kind: {
-                "missions": statistics.fmean(each > 0.0 for each in found),
-                "mean_m": statistics.fmean(found),
+                "missions": statistics.fmean(run.violations[kind] > 0.0 for run in self.runs),
+                "mean_m": statistics.fmean(run.violations[kind] for run in self.runs),
             }
-            for kind, found in metres.items()
+            for kind in KINDS
         }
 
     @property
