@@ -26,15 +26,13 @@ from companion.paper.compare.comparisons import (
     surely_less,
     table_1,
 )
-from companion.paper.compare.missions import KINDS, Case, Outcome, Run, crosses
+from companion.paper.compare.missions import KINDS, Case, Outcome, Point, Run, crosses
 from companion.paper.compare.pictures import compose_effect
 
 TABLE = table_1()
 EFFECTS = [figure_3(), figure_4()]
 CLEAN = dict.fromkeys(KINDS, 0.0)
-Point = tuple[float, float]
 points = st.tuples(*[st.tuples(*[st.floats(-100.0, 100.0)] * 2)] * 4)
-every_effect = pytest.mark.parametrize("effect", EFFECTS, ids=["figure-3", "figure-4"])
 
 
 def run(cost: float, aside_m: float = 0.0, **changes: Any) -> Run:
@@ -212,7 +210,7 @@ def test_a_figure_is_flown_the_papers_way_in_both_settings_drawn_and_told(
         assert other["violations"]["radar"]["mean_m"] > 5_000.0
 
 
-@every_effect
+@pytest.mark.parametrize("effect", EFFECTS, ids=["figure-3", "figure-4"])
 def test_each_panel_shows_the_route_of_median_cost_and_says_where_most_runs_go(
     effect: Comparison,
 ) -> None:

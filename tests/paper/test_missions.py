@@ -9,21 +9,20 @@ import subprocess
 import sys
 import textwrap
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from planning import hills
 
-from companion.campaign.drawn_world import DrawnWorld
 from companion.paper.compare.missions import KINDS, Case, as_published, fly_all, violations
 from companion.profiles import PAPER
 from companion.world.radars import Radar
+from companion.world.terrain import PeakTerrain
 
 Point = tuple[float, float, float]
 FloatArray = NDArray[np.float64]
-STEP_M = 10.0
+FLAT, STEP_M = hills(), 10.0
 
 
 def quick(planning_time_s: float = 3.0) -> Case:
@@ -48,9 +47,8 @@ def test_routes_lead_to_the_target_and_do_not_depend_on_the_number_of_processes(
     assert fly_all(cases[:1], 1, 8, 1)[0].costs == alone[0].costs[1:]
     for case, one, other in zip(cases, alone, together, strict=True):
         assert one.case == other.case == case
-        assert [run.route_nea_m.tobytes() for run in one.runs] == [
-            run.route_nea_m.tobytes() for run in other.runs
-        ]
+        for run, again in zip(one.runs, other.runs, strict=True):
+            assert run.route_nea_m.tobytes() == again.route_nea_m.tobytes()
         assert len(set(one.costs)) == 2
         for run in one.runs:
             assert run.route_nea_m[0] == pytest.approx(case.world.start_nea_m)
@@ -75,10 +73,9 @@ def test_ctrl_c_ends_it_with_its_processes() -> None:
                 for each in flown:
                     print(*(each.pid for each in multiprocessing.active_children()), flush=True)
                     yield each
-            quick = {"optimiser": "pso", "planning_time_s": 3.0, "evaluations": 100}
-            case = Case(heading="", label="", world=as_published("environment-1", **quick))
+            world = as_published("environment-1", optimiser="pso", evaluations=100)
             try:
-                fly_all([case], 999, 1, 2, told)
+                fly_all([Case(heading="", label="", world=world)], 999, 1, 2, told)
             except KeyboardInterrupt:
                 sys.exit(130)
     """
@@ -110,15 +107,12 @@ def curve(*corners: Point) -> FloatArray:
 
 
 def broken(
-    *flown: tuple[FloatArray, float], radars: tuple[Radar, ...] = (), **changes: Any
+    *flown: tuple[FloatArray, float], radars: tuple[Radar, ...] = (), terrain: PeakTerrain = FLAT
 ) -> dict[str, float]:
     """With the limits of environment-1: 3 to 5 km, turns of 2.5 km, 10 degrees; d_s 500 m."""
-    return violations(flown, world(radars, **changes))
-
-
-def world(radars: tuple[Radar, ...] = (), **changes: Any) -> DrawnWorld:
-    base = as_published("environment-1")
-    return replace(base, task=replace(base.task, radars=radars), **{"terrain": hills()} | changes)
+    world = as_published("environment-1")
+    task = replace(world.task, radars=radars)
+    return violations(flown, replace(world, task=task, terrain=terrain))
 
 
 def radar(north_m: float, east_m: float, range_m: float) -> Radar:
