@@ -236,7 +236,7 @@ def fly_all(
     else:
         extras.need("campaign", "--jobs", jobs)
         found = dict[int, Run]()
-        with closing(worked(lambda each: fly(*each), every, jobs=jobs)) as working:
+        with closing(worked(lambda each: fly(*each), every, jobs=min(jobs, len(every)))) as working:
             for number, run in shown(working):
                 if isinstance(run, Exception):
                     raise run
