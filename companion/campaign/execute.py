@@ -80,8 +80,8 @@ def _workers_here(jobs: int) -> Any:
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         return LocalCluster(
-            n_workers=jobs, threads_per_worker=1, memory_limit=0, dashboard_address=None,
-            silence_logs=logging.CRITICAL,
+            n_workers=jobs, threads_per_worker=1, memory_limit=0, silence_logs=logging.CRITICAL,
+            dashboard_address="127.0.0.1:0",  # beside whatever else flies here
         )  # fmt: skip
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,6 +1,5 @@
 """The table and the figures: what is told of runs that nobody flew, and the ways that are flown."""
 
-import itertools
 import json
 import math
 from dataclasses import replace
@@ -122,11 +121,10 @@ def test_algorithms_are_ordered_by_mean_and_those_that_never_arrive_come_last() 
 
 def test_only_costs_that_lie_apart_noticeably_are_surely_less() -> None:
     low, high = [100.0 + v for v in range(20)], [150.0 + v for v in range(20)]
-    mixed, hair = [v + 0.9 for v in low], [v + 0.4 * (i == 0) for i, v in enumerate(low)]
-    a, b, c, d = row(low, high, mixed, hair)
+    a, b, c = row(low, high, [v + 0.9 for v in low])
     assert surely_less(a, b)
     assert not surely_less(b, a)
-    assert not any(surely_less(one, other) for one, other in itertools.permutations((a, c, d), 2))
+    assert not surely_less(a, c)
     a, b, c = row([1.0, 2.0, 3.0], [7.0, 8.0, 9.0, 10.0], [7.0, 8.0, 9.0])
     assert surely_less(a, b)  # by chance once in 35 times
     assert not surely_less(a, c)  # once in 20
@@ -235,9 +233,6 @@ def test_each_panel_shows_the_route_of_median_cost_and_says_where_most_runs_go(
             along = np.hypot(*np.diff(route_km[:, :2], axis=0).T).cumsum()
             shown = np.stack([np.insert(along, 0, 0.0), route_km[:, 2]], axis=-1)
         assert any(line.shape == shown.shape and np.allclose(line, shown) for line in lines)
-
-
-# --- the commands
 
 
 def test_routes_flies_whoever_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

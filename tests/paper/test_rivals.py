@@ -5,6 +5,7 @@ import itertools
 import math
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,13 +22,13 @@ from companion.campaign.run import fly_alone
 from companion.errors import InputError
 from companion.paper import rivals
 from companion.paper.rivals import PLANNERS, RouteProblem
-from companion.planner.request import NotPlanned, Planned, PlanRequest
+from companion.planner.request import NotPlanned, PlanRequest
 from companion.world.simulated_scan import true_map
 from companion.world.zones import CircleZone
 
 FloatArray = NDArray[np.float64]
 SIZE, SPACING_M = 161, 10.0
-NIGHTLY = pytest.mark.nightly
+plan = rivals.leg_by_leg(PLANNERS["a-star"])
 every_planner = pytest.mark.parametrize("name", sorted(PLANNERS))
 
 
@@ -63,7 +64,9 @@ def planned(name: str, problem: RouteProblem) -> FloatArray:
 
 
 @every_planner
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=NIGHTLY) for seed in (1, 2))])
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (1, 2))]
+)
 def test_routes_go_from_start_to_target_are_free_by_brute_force_and_the_same_again(
     name: str, seed: int
 ) -> None:
@@ -115,6 +118,20 @@ def test_steps_of_a_grid_cost_its_rate_along_them_and_the_cheapest_way_the_least
     paid = sum(found.get((a, b)) or found[b, a] for a, b in pairwise(way))
     least = shortest_path(graph, method="FW", directed=False)[start, end]
     assert paid == pytest.approx(least)
+    line = csr_array(([1.0, 1.0], ([0, 1], [1, 2])), shape=(4, 4))
+    assert [rivals.cheapest(line, 0, end) for end in (2, 3)] == [[0, 1, 2], []]
+
+
+def test_rrt_star_costs_as_many_lines_as_it_may(monkeypatch: pytest.MonkeyPatch) -> None:
+    costed, line_cost = list[float](), RouteProblem.line_cost
+
+    def counted(*line: Any) -> float:
+        costed.append(line_cost(*line))
+        return costed[-1]
+
+    monkeypatch.setattr(RouteProblem, "line_cost", counted)
+    planned("rrt-star", problem_in(with_discs(0)))
+    assert 5_000 <= len(costed) < 5_200  # and some to pull it straight
 
 
 # --- flown
@@ -129,8 +146,8 @@ def test_a_rival_arrives_and_keeps_its_clearance(knowledge: Knowledge) -> None:
     assert math.dist(points[-1, :2], world.targets_ne_m[0]) < 1e-6
     need = world.task.required_clearance_m
     assert truth.terrain_distance_m(points, world.terrain, 2.0 * need).min() >= 0.99 * need
-    assert points[:, 2].min() >= world.floor_amsl_m - 1e-6
-    assert points[:, 2].max() <= world.ceiling_amsl_m + 1e-6
+    inside_m = points[:, 2].clip(world.floor_amsl_m, world.ceiling_amsl_m)
+    assert points[:, 2] == pytest.approx(inside_m, abs=1e-6)
 
 
 @functools.cache
@@ -176,11 +193,6 @@ def test_unseen_ground_is_free_in_the_plan_and_never_flown_over() -> None:
     assert isinstance(answer, NotPlanned)
 
 
-def plan(request: PlanRequest) -> Planned | NotPlanned:
-    """Of A*."""
-    return rivals.leg_by_leg(PLANNERS["a-star"])(request)
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_a_leg_keeps_its_clearance_over_rough_ground_and_from_zones(seed: int) -> None:
     request = asked()
@@ -197,6 +209,7 @@ def test_a_leg_keeps_its_clearance_over_rough_ground_and_from_zones(seed: int) -
     assert "turn radius" in outcome.certificate.broken  # it is flown as it is
     subpath, need = outcome.subpath, task.required_clearance_m
     points = subpath.points_nea_m(np.linspace(0.0, subpath.length_m, 2_000))
+    assert points[0] == pytest.approx(request.start.position_nea_m)
     assert zone.distance_m(points[:, 0], points[:, 1]).min() >= need
     assert column_distance_m(known, points[100:], 2.0 * need).min() >= need
     assert math.dist(points[-1, :2], start) > 0.8 * task.settings.scan_range_m
