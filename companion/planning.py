@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 from companion.paper.plan import plan_as_published
-from companion.paper.rivals.routes import PLANNERS, leg_by_leg
 from companion.planner import plan as flight
 from companion.planner.request import PlanOutcome, PlanRequest
 
@@ -25,4 +24,6 @@ def planner_of(name: str, field: str = "planner") -> Planner:
     """What plans under this name: ours, or a rival; InputError about a field if there is none."""
     if name == OURS:
         return plan
+    from companion.paper.rivals import PLANNERS, leg_by_leg  # slow to import, and seldom needed
+
     return leg_by_leg(PLANNERS.chosen(name, field))

@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 from companion.campaign import bundled_campaigns
 from companion.campaign.store import Row, Store
 from companion.errors import InputError
-from companion.runtime.worker_pool import processors
+from companion.runtime.processes import processors
 from companion.sources.files import writing
 from companion.views.output import plain_console
 

@@ -20,7 +20,7 @@ from companion.campaign.families import FAMILIES, SPREAD
 from companion.config import bundled
 from companion.errors import InputError
 from companion.optimise.registry import OPTIMISERS
-from companion.paper.rivals.routes import PLANNERS
+from companion.paper.rivals import PLANNERS
 from companion.planning import OURS
 from companion.profiles import PROFILES
 from companion.ranges import Positive

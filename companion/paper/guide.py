@@ -2,9 +2,6 @@
 
 import math
 
-import numpy as np
-from scipy.sparse.csgraph import connected_components
-
 from companion.geodesy import wrap_rad
 from companion.world.radars import Radar
 
@@ -24,27 +21,34 @@ def tangent_guide_rad(
     (row 16).  Circles of the whole range (row 14); a radar around S is ignored (row 15).
     """
     straight = _bearing_rad(scan_ne_m, target_ne_m)
-    around = [each for each in radars if _apart_m(scan_ne_m, each) > each.range_m]
-    offsets = [wrap_rad(_bearing_rad(scan_ne_m, each.centre_nea_m) - straight) for each in around]
-    entries_m = [math.inf] * len(around)  # where S-T enters each
-    for k, (each, offset) in enumerate(zip(around, offsets, strict=True)):
+    offsets = {
+        each: wrap_rad(_bearing_rad(scan_ne_m, each.centre_nea_m) - straight)
+        for each in radars
+        if _apart_m(scan_ne_m, each) > each.range_m
+    }
+    entries_m = dict[Radar, float]()  # where S-T enters each, from S
+    for each, offset in offsets.items():
         apart_m = _apart_m(scan_ne_m, each)
         along, aside = apart_m * math.cos(offset), apart_m * math.sin(offset)
         if along > 0.0 and abs(aside) < each.range_m:
-            entries_m[k] = along - math.sqrt(each.range_m**2 - aside**2)
+            entries_m[each] = along - math.sqrt(each.range_m**2 - aside**2)
     north, east = target_ne_m[0] - scan_ne_m[0], target_ne_m[1] - scan_ne_m[1]
-    if min(entries_m, default=math.inf) >= math.hypot(north, east):
+    if min(entries_m.values(), default=math.inf) >= math.hypot(north, east):
         return straight
-    joined = [
-        [_apart_m(a.centre_nea_m, b) < a.range_m + b.range_m - overlap_m for b in around]
-        for a in around
-    ]
-    cluster = connected_components(np.array(joined))[1]  # a number for each radar
+    cluster, found = set[Radar](), {min(entries_m, key=entries_m.__getitem__)}
+    while found:  # whoever overlaps what was found last
+        cluster |= found
+        found = {
+            other
+            for each in found
+            for other in offsets
+            if _apart_m(each.centre_nea_m, other) < each.range_m + other.range_m - overlap_m
+        } - cluster
     left, right = 0.0, 0.0
-    for each, offset, number in zip(around, offsets, cluster, strict=True):
-        if number == cluster[np.argmin(entries_m)]:
-            half_width = math.asin(each.range_m / _apart_m(scan_ne_m, each))
-            left, right = min(left, offset - half_width), max(right, offset + half_width)
+    for each in cluster:
+        half_width = math.asin(each.range_m / _apart_m(scan_ne_m, each))
+        left = min(left, offsets[each] - half_width)
+        right = max(right, offsets[each] + half_width)
     left, right = max(left, -_WIDEST_RAD), min(right, _WIDEST_RAD)
     return wrap_rad(straight + (left if -left < right else right))
 

@@ -24,8 +24,8 @@ from typing import Final, final
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.planning import plan
 from companion.runtime.compiler import load_kernel, load_libraries
+from companion.runtime.processes import end_with_parent
 from companion.runtime.watchdog import Worker
-from companion.runtime.worker_pool import end_with_parent
 
 PlanFunction = Callable[[PlanRequest, Callable[[], bool]], PlanOutcome]
 """Computes a plan; the second argument tells it when to stop searching."""

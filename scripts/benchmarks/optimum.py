@@ -44,7 +44,7 @@ from companion.campaign.route_cost import Rates, curve_cost
 from companion.campaign.run import drawn_of
 from companion.campaign.store import Row
 from companion.geodesy import FloatArray
-from companion.paper.rivals.roadmaps import cheapest, grid_edges
+from companion.paper.rivals import cheapest, grid_edges
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone
 

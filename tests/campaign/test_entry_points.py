@@ -15,7 +15,7 @@ from companion.campaign.run import fly_alone
 from companion.config import load_mission
 from companion.errors import InputError
 from companion.optimise.registry import OPTIMISERS
-from companion.paper.rivals.routes import PLANNERS
+from companion.paper.rivals import PLANNERS
 
 CODE = '''
 import numpy as np

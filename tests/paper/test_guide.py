@@ -11,8 +11,7 @@ from companion.world.radars import Radar
 
 Place = tuple[float, float]
 
-S: Place = (0.0, 0.0)
-T: Place = (100_000.0, 0.0)
+S, T = (0.0, 0.0), (100_000.0, 0.0)
 
 
 def radar(north: float, east: float, range_m: float) -> Radar:

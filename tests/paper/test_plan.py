@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from planning import ask
 
-from companion.paper.compare.missions import bundled_case
+from companion.paper.compare.missions import as_published
 from companion.paper.guide import tangent_guide_rad
 from companion.planner.procedure import hover_pose
 from companion.planner.request import Planned
@@ -15,14 +15,14 @@ from companion.planning import plan
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated_scan import true_map
 
-CASE = bundled_case("environment-2", evaluations=200)
-START, TASK = CASE.start_nea_m, CASE.task
+WORLD = as_published("environment-2", evaluations=200)
+START, TASK, TARGET = WORLD.start_nea_m, WORLD.task, WORLD.targets_ne_m[0]
 BLANK = empty_map(TASK.cell_m, TASK.limits.north_m, TASK.limits.east_m)
-TRUTH = true_map(CASE.terrain, BLANK)
+TRUTH = true_map(WORLD.terrain, BLANK)
 
 
 def planned(known: KnownMap = TRUTH, **changes: object) -> Planned:
-    outcome = plan(ask(TASK, known, START, **{"target_ne_m": CASE.target_ne_m} | changes))
+    outcome = plan(ask(TASK, known, START, **{"target_ne_m": TARGET} | changes))
     assert isinstance(outcome, Planned)
     return outcome
 
@@ -51,7 +51,7 @@ def test_it_ends_at_the_range_of_the_scan_or_at_a_target_within_it() -> None:
 def test_from_rest_it_leaves_level_along_the_papers_tangents() -> None:
     climbing = replace(hover_pose(START), tangent_nea=np.array([0.8, 0.0, 0.6]))
     outcome = planned(start=climbing)
-    guide = tangent_guide_rad(START[:2], CASE.target_ne_m, TASK.radars, TASK.settings.overlap_m)
+    guide = tangent_guide_rad(START[:2], TARGET, TASK.radars, TASK.settings.overlap_m)
     assert outcome.guide_rad == pytest.approx(guide, abs=1e-8)
     assert abs(guide - math.pi / 4) > 0.1  # a radar is in the way
     leaving = outcome.subpath.control_nea_m[1] - outcome.subpath.control_nea_m[0]

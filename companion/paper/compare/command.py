@@ -1,23 +1,26 @@
 """`companion compare`: the paper's table and figures, computed again."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich import box
 from rich.progress import track
 from rich.table import Table
 
+from companion import extras
 from companion.errors import InputError
-from companion.paper.compare import comparisons
-from companion.paper.compare.comparisons import PER_SECOND, Comparison, Row, by_heading
-from companion.paper.compare.missions import Outcome, fly_all
-from companion.runtime.worker_pool import processors
+from companion.paper.compare import PER_SECOND
+from companion.runtime.processes import processors
 from companion.sources.files import picture_file, writable, writing
 from companion.views.output import plain_console
+
+if TYPE_CHECKING:
+    from companion.paper.compare.comparisons import Comparison, Row
+    from companion.paper.compare.missions import Outcome
 
 compare_app = typer.Typer(
     no_args_is_help=True,
@@ -27,7 +30,7 @@ compare_app = typer.Typer(
 )
 Option = typer.Option
 Runs = Annotated[int, Option(min=1, max=1000, help="Missions for each setting, each with a seed.")]
-_JOBS = "Processes to fly them in; by default one per processor."
+_JOBS = "Processes to fly them in; by default one per processor, one without the extra campaign."
 Jobs = Annotated[int | None, Option(min=1, help=_JOBS)]
 _SEED = "Seed of the first mission; the others count on from it."
 Seed = Annotated[int, Option(min=0, help=_SEED)]
@@ -37,10 +40,15 @@ _FIGURE = "Picture to write: .png, .svg or .pdf; by default COMMAND.png."
 Picture = Annotated[Path | None, Option("--figure", "--out", metavar="FILE", help=_FIGURE)]
 _EVALUATIONS = "Evaluations that stand for a second of T."
 _PLANNERS = "Only these; by default ours and all that are installed."
+_OF_THE_PAPER = {
+    "table-1": "Table 1: improved DE, classical DE, PSO and GA on two environments, two budgets.",
+    "figure-3": "Fig. 3: climb over a ridge or go round it, by the weights of height and guide.",
+    "figure-4": "Fig. 4: fly between two overlapping radars or round both, by d_overlap.",
+}
 
 
-def _add(name: str, comparison_of: Callable[[int], Comparison]) -> None:
-    @compare_app.command(name, help=comparison_of.__doc__)
+def _add(name: str, says: str) -> None:
+    @compare_app.command(name, help=says)
     def command(
         runs: Runs = 20,
         jobs: Jobs = None,
@@ -49,13 +57,14 @@ def _add(name: str, comparison_of: Callable[[int], Comparison]) -> None:
         figure: Picture = None,
         per_second: Annotated[int, Option(min=1, help=_EVALUATIONS)] = PER_SECOND,
     ) -> None:
-        picture = figure or Path(f"{name}.png")
-        _compare(comparison_of(per_second), runs, jobs, seed, json_file, picture)
+        from companion.paper.compare import comparisons  # slow to import
+
+        comparison = getattr(comparisons, name.replace("-", "_"))(per_second)
+        _compare(comparison, runs, jobs, seed, json_file, figure or Path(f"{name}.png"))
 
 
-_add("table-1", comparisons.table_1)
-_add("figure-3", comparisons.figure_3)
-_add("figure-4", comparisons.figure_4)
+for _name, _says in _OF_THE_PAPER.items():
+    _add(_name, _says)
 
 
 @compare_app.command("routes")
@@ -67,11 +76,13 @@ def routes_command(
     planners: Annotated[list[str] | None, Option("--planner", help=_PLANNERS)] = None,
 ) -> None:
     """The planners that the paper's introduction names, beside ours, in both environments."""
+    from companion.paper.compare import comparisons  # slow to import
+
     _compare(comparisons.routes(planners or ()), runs, jobs, seed, json_file, None)
 
 
 def _compare(
-    comparison: Comparison,
+    comparison: "Comparison",
     runs: int,
     jobs: int | None,
     seed: int,
@@ -82,15 +93,18 @@ def _compare(
 
     A file that cannot be written is refused before anything is flown.
     """
+    from companion.paper.compare.missions import fly_all  # slow to import
+
     if picture is not None and json_file is not None and json_file.absolute() == picture.absolute():
         rule = "the picture goes there (--figure)"
         raise InputError("--json", str(json_file), rule, "Name another file.")
     picture = picture and picture_file("--figure", picture)
     json_file = json_file and writable("--json", json_file)
+    jobs = jobs or (1 if extras.missing("campaign") else processors())
     console, bar = plain_console(), plain_console(stderr=True)
     total = runs * len(comparison.cases)
     shown = partial(track, description="flying", total=total, console=bar, transient=True)
-    found = fly_all(comparison.cases, runs, seed, jobs or processors(), shown)
+    found = fly_all(comparison.cases, runs, seed, jobs, shown)
     for title, row in comparison.tables.items():
         console.print(table(title, row, found))
     for remark in comparison.remarks(found):
@@ -109,7 +123,7 @@ def _compare(
         console.out(f"numbers: {json_file}", highlight=False)
 
 
-def table(title: str, row: Row, found: Sequence[Outcome]) -> Table:
+def table(title: str, row: "Row", found: "Sequence[Outcome]") -> Table:
     """A row for each outcome, and one for each heading if there are several.
 
     Its cells stay whole in a terminal of 80 columns.
@@ -118,11 +132,9 @@ def table(title: str, row: Row, found: Sequence[Outcome]) -> Table:
     result.add_column("", no_wrap=True)
     for name in row(found[0]):
         result.add_column(name, justify="right")
-    parts = by_heading(found)
-    indent = "  " if len(parts) > 1 else ""
-    for part in parts:
-        if indent:
-            result.add_row(part[0].case.heading)
-        for outcome in part:
-            result.add_row(indent + outcome.case.label, *row(outcome).values())
+    heading, several = "", len({outcome.case.heading for outcome in found}) > 1
+    for outcome in found:
+        if several and outcome.case.heading != heading:
+            result.add_row(heading := outcome.case.heading)
+        result.add_row("  " * several + outcome.case.label, *row(outcome).values())
     return result

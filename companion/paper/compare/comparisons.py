@@ -9,16 +9,22 @@ from functools import partial
 from typing import Any, final
 
 from companion import extras
-from companion.config import load_mission
-from companion.paper.compare.missions import KINDS, Case, Line, Outcome, bundled_case
-from companion.paper.rivals.routes import PLANNERS
+from companion.campaign.drawn_world import DrawnWorld, bundled
+from companion.paper.compare import PER_SECOND
+from companion.paper.compare.missions import (
+    KINDS,
+    Case,
+    Line,
+    Outcome,
+    as_published,
+    with_settings,
+)
+from companion.paper.rivals import PLANNERS
 from companion.planning import OURS, planner_of
 from companion.profiles import PAPER, Weights
 from companion.world.radars import Radar
 from companion.world.terrain import Peak, PeakTerrain
 
-PER_SECOND = 1000
-"""Evaluations that stand for a second of T: what interpreted Matlab did in 2011, about."""
 Row = Callable[[Outcome], dict[str, str]]  # what a table says of an outcome, by its columns
 
 
@@ -37,9 +43,10 @@ def by_heading(found: Sequence[Outcome]) -> list[list[Outcome]]:
     return [list(part) for _, part in itertools.groupby(found, lambda each: each.case.heading)]
 
 
-def _budget(time_s: float, per_second: int) -> dict[str, Any]:
-    """T, and the evaluations that stand for it."""
-    return {"planning_time_s": time_s, "evaluations": round(time_s * per_second)}
+def _with_budget(environment: str, optimiser: str, time_s: float, per_second: int) -> DrawnWorld:
+    """An environment as published, with an optimiser, T, and the evaluations that stand for it."""
+    budget = {"planning_time_s": time_s, "evaluations": round(time_s * per_second)}
+    return as_published(environment, optimiser=optimiser, **budget)
 
 
 # --- Table 1: four algorithms, two environments, two planning times, twenty runs each
@@ -62,25 +69,22 @@ _LEAST = 0.005  # if their medians differ by this part
 
 
 def table_1(per_second: int = PER_SECOND) -> Comparison:
-    """Table 1: improved DE, classical DE, PSO and GA on two environments with two budgets."""
+    """Four algorithms on two environments with two budgets."""
     cases = [
-        replace(
-            bundled_case(environment, optimiser=optimiser, **_budget(time_s, per_second)),
+        Case(
             heading=f"{environment}, {time_s:g} s",
             label=algorithm,
+            world=_with_budget(environment, optimiser, time_s, per_second),
             papers_cost=cost,
         )
         for (environment, time_s), costs in PAPERS.items()
         for (algorithm, optimiser), cost in zip(ALGORITHMS.items(), costs, strict=True)
     ]
-    return Comparison(
-        cases=cases,
-        tables={
-            "Table 1: cost from start to target, mean ± standard deviation": _costs,
-            "Missions that break a bound somewhere, and the mean metres that do": _broken,
-        },
-        remarks=partial(_orders, per_second=per_second),
-    )
+    tables = {
+        "Table 1: cost from start to target, mean ± standard deviation": _costs,
+        "Missions that break a bound somewhere, and the mean metres that do": _broken,
+    }
+    return Comparison(cases=cases, tables=tables, remarks=partial(_orders, per_second=per_second))
 
 
 def _costs(outcome: Outcome) -> dict[str, str]:
@@ -102,7 +106,7 @@ def _broken(outcome: Outcome) -> dict[str, str]:
 
 def _orders(found: Sequence[Outcome], per_second: int) -> list[str]:
     """The budget, and whose order it is."""
-    settings = [outcome.case.task.settings for outcome in found]
+    settings = [outcome.case.world.task.settings for outcome in found]
     evaluations = {each.planning_time_s: each.evaluations for each in settings}
     budgets = ", ".join(f"T = {t:g} s is {n:,} evaluations" for t, n in evaluations.items())
     why = ", about what interpreted Matlab did in 2011" if per_second == PER_SECOND else ""
@@ -114,11 +118,13 @@ def _orders(found: Sequence[Outcome], per_second: int) -> list[str]:
     for row in by_heading(found):
         by_the_paper = sorted(row, key=lambda outcome: outcome.case.papers_cost)
         papers_order = " < ".join(outcome.case.label for outcome in by_the_paper)
-        confirmed, contradicted = agreement(by_the_paper)
-        against = f"; against it: {', '.join(contradicted)}" if contradicted else ""
+        pairs = list(itertools.combinations(by_the_paper, 2))
+        agree = sum(surely_less(a, b) for a, b in pairs)
+        against = [f"{b.case.label} < {a.case.label}" for a, b in pairs if surely_less(b, a)]
         lines.append(
             f"{row[0].case.heading}: {order(row)}. The paper: {papers_order}. "
-            f"{confirmed} of its 6 pairs are surely so here{against}."
+            f"{agree} of its {len(pairs)} pairs are surely so here"
+            f"{'; against it: ' * bool(against)}{', '.join(against)}."
         )
     return lines
 
@@ -135,13 +141,6 @@ def order(row: Sequence[Outcome]) -> str:
     return words
 
 
-def agreement(by_the_paper: Sequence[Outcome]) -> tuple[int, list[str]]:
-    """How many pairs in the paper's order are surely so here, and which surely are not."""
-    pairs = list(itertools.combinations(by_the_paper, 2))
-    against = [(b.case.label, a.case.label) for a, b in pairs if surely_less(b, a)]
-    return sum(surely_less(a, b) for a, b in pairs), [" < ".join(pair) for pair in against]
-
-
 def surely_less(one: Outcome, other: Outcome) -> bool:
     """Whether the costs of one are surely, and noticeably, less than those of the other.
 
@@ -149,7 +148,7 @@ def surely_less(one: Outcome, other: Outcome) -> bool:
     """
     if not one.costs or not other.costs:
         return False
-    from scipy.stats import mannwhitneyu  # slow to import: half of the start of any command
+    from scipy.stats import mannwhitneyu  # slow to import, and only for this table
 
     if statistics.median(one.costs) > (1.0 - _LEAST) * statistics.median(other.costs):
         return False
@@ -173,22 +172,23 @@ _HILLS = [
 
 
 def figure_3(per_second: int = PER_SECOND) -> Comparison:
-    """Fig. 3: climb over a ridge or go round it, by the weights of height and guide."""
+    """Climb over a ridge or go round it, by the weights of height and guide."""
     one, two = ((peak.north_m, peak.east_m) for peak in (_RIDGE[0], _RIDGE[-1]))
-    base = _case("ridge", _RIDGE, (), ("climbs over", one, two), per_second)
-    cases = [
-        _set(base, way, f"a2 = {a2:g}, a3 = {a3:g}", weights=Weights(height=a2, guide=a3))
-        for way, a2, a3 in (("climbs over", 0.15, 0.15), ("goes round", 0.25, 0.05))
-    ]
+    settings = {
+        "a2 = 0.15, a3 = 0.15": ("climbs over", {"weights": Weights(height=0.15, guide=0.15)}),
+        "a2 = 0.25, a3 = 0.05": ("goes round", {"weights": Weights(height=0.25, guide=0.05)}),
+    }
     paper = (
         "“UAV can choose climbing or bypassing the mountain by weighing the relative size of a2 "
         "and a3”; it “chooses bypassing the mountains when we increase the proportion of a2”"
     )
-    return _effect("Fig. 3: 3D path and vertical profile for two weightings", paper, cases)
+    title = "Fig. 3: 3D path and vertical profile for two weightings"
+    world = _small_world("ridge", _RIDGE, (), per_second)
+    return _effect(title, paper, world, ("climbs over", one, two), settings)
 
 
 def figure_4(per_second: int = PER_SECOND) -> Comparison:
-    """Fig. 4: fly between two overlapping radars or round both, by d_overlap."""
+    """Fly between two overlapping radars or round both, by d_overlap."""
     half_m = _RANGE_M - 0.5 * _OVERLAP_M
     aside_m = [math.sqrt(0.5) * (_ASIDE_M + side * half_m) for side in (-1.0, 1.0)]
     one, two = ((50_000.0 - each_m, 50_000.0 + each_m) for each_m in aside_m)
@@ -196,41 +196,49 @@ def figure_4(per_second: int = PER_SECOND) -> Comparison:
         Radar(name=f"radar {number}", centre_nea_m=(*centre, 0.0), range_m=_RANGE_M)
         for number, centre in enumerate((one, two), 1)
     )
-    base = _case("two radars", _HILLS, radars, ("flies between", one, two), per_second)
-    cases = [
-        _set(base, way, f"d_overlap = {km:g} km", overlap_m=1000.0 * km)
-        for way, km in (("goes round", 2.0), ("flies between", 6.0))
-    ]
+    settings = {
+        "d_overlap = 2 km": ("goes round", {"overlap_m": 2_000.0}),
+        "d_overlap = 6 km": ("flies between", {"overlap_m": 6_000.0}),
+    }
     paper = (
         "“when the value of d_overlap is small UAV will bypass all radars, otherwise it may "
         "traverse through the intersection of two radars”"
     )
-    return _effect("Fig. 4: 3D path for two values of d_overlap", paper, cases)
+    title = "Fig. 4: 3D path for two values of d_overlap"
+    world = _small_world("two radars", _HILLS, radars, per_second)
+    return _effect(title, paper, world, ("flies between", one, two), settings)
 
 
-def _case(
-    world: str, peaks: list[Peak], radars: tuple[Radar, ...], line: Line, per_second: int
-) -> Case:
+def _small_world(
+    name: str, peaks: Sequence[Peak], radars: tuple[Radar, ...], per_second: int
+) -> DrawnWorld:
     """A world with the vehicle, the band and the planner of environment-1."""
-    optimiser = ALGORITHMS["improved DE"]
-    base = bundled_case("environment-1", optimiser=optimiser, **_budget(_T_S, per_second))
+    base = _with_budget("environment-1", ALGORITHMS["improved DE"], _T_S, per_second)
     terrain = PeakTerrain(peaks=tuple(peaks), ground_amsl_m=0.0)
-    task = replace(base.task, radars=radars)
-    return replace(base, world=world, terrain=terrain, task=task, line=line)
+    return replace(base, name=name, terrain=terrain, task=replace(base.task, radars=radars))
 
 
-def _set(case: Case, way: str, label: str, **settings: Any) -> Case:
-    """A case with some settings, by which the paper's route goes this way."""
-    task = replace(case.task, settings=replace(case.task.settings, **settings))
-    return replace(case, task=task, papers_way=way, label=label)
+def _effect(
+    title: str, paper: str, world: DrawnWorld, line: Line, settings: Mapping[str, tuple[str, Any]]
+) -> Comparison:
+    """Settings by their labels, and the way that the paper's route goes with each.
 
-
-def _effect(title: str, paper: str, cases: Sequence[Case]) -> Comparison:
-    """Settings with which routes cross a line, and are said to, or go round it."""
+    paper: what it says of that.  line: what is crossed on one of the two ways.
+    """
+    cases = [
+        Case(
+            heading="environment-1",
+            label=label,
+            world=with_settings(world, **changes),
+            papers_way=way,
+            line=line,
+        )
+        for label, (way, changes) in settings.items()
+    ]
     remarks = [
         f"The paper: {paper}.",
         "Cost, length and heights are those of the run of median cost, which the picture shows. "
-        f"Improved DE, {cases[0].task.settings.evaluations:,} evaluations for T = {_T_S:g} s.",
+        f"Improved DE, {world.task.settings.evaluations:,} evaluations for T = {_T_S:g} s.",
     ]
     return Comparison(cases=cases, tables={title: _ways}, remarks=lambda _: remarks)
 
@@ -238,12 +246,12 @@ def _effect(title: str, paper: str, cases: Sequence[Case]) -> Comparison:
 def _ways(outcome: Outcome) -> dict[str, str]:
     shown, way = outcome.shown, outcome.case.papers_way
     return {
-        "way": f"{way}: {outcome.ways.count(way)}/{len(outcome.runs)}",
+        "way": f"{way} {outcome.ways.count(way)}/{len(outcome.runs)}",
         "arrived": outcome.arrivals,
         "cost": f"{shown.cost:.1f}",
         "length": f"{shown.length_m / 1000:.1f} km",
         "highest": f"{shown.highest_amsl_m / 1000:.2f} km",
-        "in radars": f"{shown.violations['radar'] / 1000:.1f} km",
+        "seen": f"{shown.violations['radar'] / 1000:.1f} km",
     }
 
 
@@ -263,19 +271,14 @@ def routes(names: Sequence[str] = ()) -> Comparison:
     """
     ompl = ("rrt-star", "bit-star") if extras.missing("compare") else ()
     installed = [OURS, PAPER.name, *(name for name in PLANNERS if name not in ompl)]
-    asked = {name: OURS if name == PAPER.name else name for name in names or installed}
-    for name in asked.values():
-        planner_of(name, "--planner")  # or says why not
-    cases = [
-        replace(
-            bundled_case(environment),
-            label=name,
-            planner=planner,
-            task=load_mission(environment, name if name == PAPER.name else None).task,
-        )
-        for environment in ENVIRONMENTS
-        for name, planner in asked.items()
-    ]
+    cases = []
+    for environment in ENVIRONMENTS:
+        for name in dict.fromkeys(names or installed):
+            planner, world = name, bundled(environment)
+            if name == PAPER.name:
+                planner, world = OURS, with_settings(world, profile=PAPER)
+            planner_of(planner, "--planner")  # or says why not
+            cases.append(Case(heading=environment, label=name, world=world, planner=planner))
     title = "Planners of whole routes, and planners of subpaths"
     return Comparison(cases=cases, tables={title: _means}, remarks=lambda _: [_ROUTES])
 
@@ -288,5 +291,5 @@ def _means(outcome: Outcome) -> dict[str, str]:
         "below d_s": f"{outcome.violations['clearance']['mean_m']:,.0f}",
         "legs": f"{outcome.mean('legs'):.0f}",
         "arrived": outcome.arrivals,
-        "processor": f"{outcome.mean('took_s'):.1f} s",
+        "processor": f"{outcome.mean('plan_s'):.1f} s",
     }

@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from companion.campaign.families import unseen
 from companion.paper.compare.comparisons import Comparison, by_heading
 from companion.paper.compare.missions import Outcome
 from companion.views import figure as views
 from companion.views.figure import FlightFigure, TerrainPicture
-from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
 
 _OURS, _PAPERS = "#0050b5", "#8a6d3b"
@@ -109,16 +109,15 @@ def _canvas(
 
 
 def _flight(outcome: Outcome) -> FlightFigure:
-    case, run, limits = outcome.case, outcome.shown, outcome.case.task.limits
-    blank = empty_map(case.task.cell_m, limits.north_m, limits.east_m)
+    world, run, limits = outcome.case.world, outcome.shown, outcome.case.world.task.limits
     return FlightFigure(
         title="",
-        terrain=TerrainPicture.of(true_map(case.terrain, blank)),
+        terrain=TerrainPicture.of(true_map(world.terrain, unseen(world))),
         floor_amsl_m=limits.floor_amsl_m,
         ceiling_amsl_m=limits.ceiling_amsl_m,
-        start_nea_m=case.start_nea_m,
-        targets_ne_m=(case.target_ne_m,),
+        start_nea_m=world.start_nea_m,
+        targets_ne_m=world.targets_ne_m[-1:],
         legs_nea_m=(run.route_nea_m,),
         scans_nea_m=run.scans_nea_m,
-        radars=case.task.radars,
+        radars=world.task.radars,
     )

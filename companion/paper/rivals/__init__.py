@@ -1,1 +1,0 @@
-"""Planners of whole routes that the paper's introduction names, flown leg by leg as ours is."""
