@@ -27,8 +27,7 @@ import numpy as np
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.ranges import NotNegative, Positive
-from companion.world.known_map import NO_ANSWER, Scan
-from companion.world.lattice import IntArray, Lattice, Window
+from companion.world.known_map import NO_ANSWER, IntArray, Lattice, Scan, Window
 
 _NO_GAP = 1e-6  # sectors that are left of a turn that they go all round
 _MOST = 255  # counts of sweeps go no farther: they are bytes
@@ -93,10 +92,7 @@ class Sweep:
 
         (...) x2 -> (...), metres; 0 where there is no sector.
         """
-        ring, turn = (
-            self.clear_m,
-            math.tau / self.width_rad,
-        )  # sectors that a full turn has room for
+        ring, turn = self.clear_m, math.tau / self.width_rad  # of as many sectors a turn has room
         if turn - len(ring) > _NO_GAP:
             ring = np.append(ring, 0.0)
         low, high = (
@@ -295,11 +291,9 @@ class NearMap:
         Every sector that comes within the errors of a passed cell is clear to beyond its farthest
         corner.  Near by: and nothing stands before them.
         """
-        lattice, (rows, columns) = self.lattice, window
-        shape = rows.stop - rows.start, columns.stop - columns.start
-        north, east = lattice.middles_m(rows.start, columns.start, shape)
+        north, east = self.lattice.middles_m(window)
         north, east = north - sweep.sensor_ne_m[0], east - sweep.sensor_ne_m[1]
-        away_m, half_m = np.hypot(north, east), math.sqrt(0.5) * lattice.cell_m
+        away_m, half_m = np.hypot(north, east), math.sqrt(0.5) * self.lattice.cell_m
         around_m = half_m + sweep.error_m
         aside_rad = np.arcsin(around_m / np.maximum(away_m, around_m)) + sweep.bearing_error_rad
         aside_rad[away_m <= around_m] = math.pi

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from woods import AStar
 
-from companion.world.lattice import Lattice
+from companion.world.known_map import Lattice
 from companion.world.near_map import NearMap
 
 CELL_M, MARGIN_M, RANGE_M = 0.5, 2.5, 16.0

@@ -23,7 +23,7 @@ from companion.path.subpath import Subpath
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
-from companion.world.simulated_scan import true_map
+from companion.world.simulated import true_map
 from companion.world.terrain import PeakTerrain
 from companion.world.zones import CircleZone, PolygonZone, Zone
 

@@ -235,7 +235,7 @@ def answered(heights_m: FloatArray, radar_nea_m: Point, range_m: float) -> Scan:
 
 def scan_of(tops_m: FloatArray, seen: BoolArray, radar_nea_m: Point) -> Scan:
     """The answers of a radar that saw these cells, within range."""
-    north, east = blank().middles_m(0, 0, (ROWS, COLUMNS))
+    north, east = blank().middles_m()
     near = np.hypot(north - radar_nea_m[0], east - radar_nea_m[1]) <= RANGE_M
     return answered(np.where(seen & near, np.ceil(tops_m), NOT_SEEN), radar_nea_m, RANGE_M)
 

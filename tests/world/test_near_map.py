@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from companion.world.lattice import Lattice
+from companion.world.known_map import Lattice
 from companion.world.near_map import (
     FORGOTTEN_AFTER_S,
     LOOKS,

@@ -12,8 +12,7 @@ from planning import hills
 
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.near_map import Kind, NearSensor
-from companion.world.simulated_scan import simulated_scan, true_map
-from companion.world.simulated_sweep import SECTORS, NearScene, Thing
+from companion.world.simulated import SECTORS, NearScene, Thing, simulated_scan, true_map
 from companion.world.terrain import PeakTerrain
 
 CELL_M = 100.0

@@ -26,7 +26,7 @@ from companion.planning import OURS, planner_of
 from companion.profiles import PAPER
 from companion.runtime.worker_pool import worker_pool
 from companion.world.known_map import empty_map
-from companion.world.simulated_scan import true_map
+from companion.world.simulated import true_map
 from companion.world.terrain import PeakTerrain
 
 _ROUTE_SPACING_M, _DENSE_M = 100.0, 10.0

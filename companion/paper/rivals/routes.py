@@ -21,7 +21,7 @@ from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.paper.plan import reported
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
-from companion.world.clearance import Surface, safe_surface
+from companion.world.columns import Surface, safe_surface
 from companion.world.known_map import KnownMap
 from companion.world.radars import detection_probability
 
