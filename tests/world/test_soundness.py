@@ -108,7 +108,7 @@ def moving(place: Ground, early: Scan, radar: Point, rng: np.random.Generator) -
     """A scan of which the second half of the answers, here and there, is given from elsewhere."""
     turn, away_m = rng.uniform(0.0, 2.0 * np.pi), float(rng.choice([15.0, 300.0]))
     n, e = radar[0] + away_m * np.cos(turn), radar[1] + away_m * np.sin(turn)
-    ground_m = float(place.height_m(np.array(n), np.array(e)))
+    ground_m = float(place.height_m(np.array([n]), np.array([e]))[0])
     there = n, e, max(radar[2] + float(rng.choice([0.0, 5.0])), ground_m + 5.0)
     late = scan_of(place.tops_m(), sight_of(place, there).somewhere, there)
     moved = np.kron(rng.random((ROWS // 4, COLUMNS // 4)) < 0.5, np.ones((4, 4))) > 0.0
