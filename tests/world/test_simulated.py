@@ -82,10 +82,9 @@ def test_over_flat_ground_just_the_cells_in_range_are_seen(
     middles = (np.arange(40) + 0.5) * CELL_M
     far = np.hypot(middles[:, None] - n, middles[None, :] - e)
     heights = np.full((40, 40), -np.inf)
-    rows, columns = scan.heights_m.shape
-    heights[scan.row : scan.row + rows, scan.column : scan.column + columns] = scan.heights_m
+    heights[scan.window] = scan.heights_m
     np.testing.assert_array_equal(heights, np.where(far <= range_m, 100.0, -np.inf))
-    assert (scan.radar_nea_m == np.broadcast_to((n, e, 400.0), (rows, columns, 3))).all()
+    assert (scan.radar_nea_m == np.broadcast_to((n, e, 400.0), (*scan.heights_m.shape, 3))).all()
 
 
 @settings(max_examples=40)
