@@ -64,7 +64,7 @@ from companion.views.output import PatientOutput, plain_console
 from companion.views.pictures import draw_flown, draw_offline
 from companion.views.text import checks_table, flight_table, mission_summary, plans_table
 from companion.world.known_map import empty_map
-from companion.world.simulated_scan import true_map
+from companion.world.simulated import true_map
 
 _INTERRUPTED, _CRASHED = 130, 70
 _NO_OUTPUT = (errno.ENOSPC, errno.EPIPE, errno.EIO)

@@ -16,7 +16,7 @@ from typing import Any
 from companion.caches import cache_folder, is_writable
 
 SOURCES = (
-    *("world/clearance", "world/columns", "world/zones", "objective", "optimise/refined_de"),
+    *("world/columns", "world/zones", "objective", "optimise/refined_de"),
     *("path/envelope", "path/proof", "path/proof_shape"),
     *("planner/cheapest_ways", "planner/cost_samples", "planner/kernels"),
 )

@@ -27,8 +27,7 @@ from companion.sources.schema import keys_of, validated
 from companion.world.known_map import NO_ANSWER, NOT_SEEN, KnownMap, Scan, empty_map
 from companion.world.near_map import NearSensor, cell_for_m
 from companion.world.radars import Radar, detection_probability
-from companion.world.simulated_scan import simulated_scan, true_map
-from companion.world.simulated_sweep import NearScene, Thing
+from companion.world.simulated import NearScene, Thing, simulated_scan, true_map
 from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain, Terrain
 from companion.world.zones import CircleZone, PolygonZone
 

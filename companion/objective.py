@@ -18,11 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.bspline import uniform_basis
 from companion.path.envelope import Envelope, ending_m_s, flown_on_m, rising_m_s
-from companion.path.subpath import Pose
+from companion.path.subpath import Pose, uniform_basis
 from companion.profiles import Weights
-from companion.world.clearance import Surface
+from companion.world.columns import Surface
 from companion.world.radars import Radar
 from companion.world.zones import NearCells, ZoneTable, polygon_at
 

@@ -8,7 +8,7 @@ from companion.campaign import families
 from companion.planner.offline import fly_offline
 from companion.planner.plan import plan
 from companion.planner.progress import SLACK, Progress
-from companion.world.simulated_scan import true_map
+from companion.world.simulated import true_map
 
 R_M, ALLOWED_M = 1_000.0, 300.0
 

@@ -33,7 +33,7 @@ from companion.planning import OURS, planner_of
 from companion.profiles import PROFILES
 from companion.sources.files import toml_table, toml_text, with_settings
 from companion.world.known_map import KnownMap, Scan
-from companion.world.simulated_scan import simulated_scan, true_map
+from companion.world.simulated import simulated_scan, true_map
 
 _POINTS_PER_RANGE = 1_000
 _OF_PLACES = ("terrain clearance", "keep-out zone", "edge of the map")

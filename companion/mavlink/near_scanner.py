@@ -14,8 +14,7 @@ from companion.mavlink.poses import Poses
 from companion.mission.events import NearSeen, ScanDone, Vector
 from companion.mission.mission import Mission
 from companion.mission.state import State
-from companion.world.known_map import KnownMap
-from companion.world.lattice import Window
+from companion.world.known_map import KnownMap, Window
 from companion.world.near_map import NearMap, Sight, top_amsl_m
 
 ATTITUDE: Final = wire.MAVLINK_MSG_ID_ATTITUDE

@@ -69,7 +69,8 @@ def _mask(
     known: KnownMap, row: int, column: int, centre_ne_m: tuple[float, float], range_m: float
 ) -> int:
     """Bits of the blocks that are on the map, within range and not seen entirely."""
-    north, east = known.middles_m(row, column, (ROWS, COLUMNS))
+    window = slice(row, row + ROWS), slice(column, column + COLUMNS)
+    north, east = known.middles_m(window)
     apart_m = np.hypot(north - centre_ne_m[0], east - centre_ne_m[1])
     wanted = apart_m <= range_m + _ALIKE_M
     rows, columns = known.seen.shape

@@ -16,7 +16,7 @@ from companion.path.certificate import certify
 from companion.path.subpath import Subpath
 from companion.planner.procedure import hover_pose
 from companion.planner.request import REACH, Planned, PlanRequest
-from companion.world.clearance import terrain_surface
+from companion.world.columns import terrain_surface
 
 
 def plan_as_published(request: PlanRequest) -> Planned:

@@ -30,7 +30,7 @@ from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.paper.plan import reported
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
-from companion.world.clearance import safe_surface
+from companion.world.columns import safe_surface
 from companion.world.radars import detection_probability
 
 IntArray = NDArray[np.intp]

@@ -11,11 +11,10 @@ from typing import final
 import numpy as np
 
 from companion.geodesy import FloatArray, wrap_rad
-from companion.path.bspline import uniform_basis
-from companion.path.subpath import Pose
+from companion.path.subpath import Pose, uniform_basis
 from companion.planner.settings import Task
 from companion.profiles import PAPER
-from companion.world.clearance import Surface
+from companion.world.columns import Surface
 from companion.world.radars import detection_probability
 
 VARIABLES = 6  # r2, r3, phi3, z3, phi4, z4

@@ -12,11 +12,10 @@ from typing import final
 import numpy as np
 
 from companion import jit
-from companion.path.bspline import cubics_of
 from companion.path.envelope import Envelope, flown_on_m
 from companion.path.limits import Limits
 from companion.path.proof import ROUNDING, ROUNDING_M, Bounds, Surroundings, prove
-from companion.path.subpath import Subpath
+from companion.path.subpath import Subpath, cubics_of
 from companion.world.columns import pack_columns
 from companion.world.known_map import KnownMap
 from companion.world.radars import Radar

@@ -126,8 +126,8 @@ def piece_of(cubics: FloatArray, span: int, start: float, end: float) -> Piece:
     squared = dx * dx + dy * dy + dz * dz
     chord = math.sqrt(squared)
     least, length = 1.0, 0.0
-    for i in range(3):  # the legs of the control polygon, three times as long: a Bernstein basis
-        u, v = (0.0, 0.0) if i == 0 else ((1.0, 0.0) if i == 1 else (2.0, 3.0))
+    # the legs of the control polygon, three times as long: a Bernstein basis
+    for u, v in ((0.0, 0.0), (1.0, 0.0), (2.0, 3.0)):
         px, py, pz = ax + u * bx + v * cx, ay + u * by + v * cy, az + u * bz + v * cz
         leg = distance(px, py, pz)
         length += leg / 3.0

@@ -11,9 +11,8 @@ from itertools import zip_longest
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.bspline import cubics_of, samples_at
 from companion.path.certificate import certify
-from companion.path.subpath import Subpath, straight
+from companion.path.subpath import Subpath, cubics_of, samples_at, straight
 from companion.planner.request import Backtrack, FlownSegment
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap

@@ -32,8 +32,7 @@ from companion.planner.cheapest_ways import Grid, IndexArray
 from companion.planner.cost_samples import BLOCKED, Box, Ground, Scale
 from companion.planner.settings import Task
 from companion.world.guess import Blocks, believed_m
-from companion.world.known_map import KnownMap
-from companion.world.lattice import Lattice
+from companion.world.known_map import KnownMap, Lattice
 from companion.world.zones import too_near
 
 Place = tuple[float, float]

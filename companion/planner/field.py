@@ -19,7 +19,7 @@ from companion.planner.cheapest_ways import Costs
 from companion.planner.cost_grid import Belief, CostGrid, Place
 from companion.planner.cost_samples import BLOCKED
 from companion.planner.settings import Task
-from companion.world.clearance import Surface
+from companion.world.columns import Surface
 from companion.world.known_map import KnownMap
 
 _GIVEN_RANGES = 1.6

@@ -9,8 +9,7 @@ from companion.geodesy import FloatArray
 from companion.planner.cheapest_ways import IndexArray
 from companion.planner.procedure import Vector
 from companion.planner.settings import Task
-from companion.world.clearance import sees_anything
-from companion.world.columns import distance_to_terrain_m, distances_to_terrain_m
+from companion.world.columns import distance_to_terrain_m, distances_to_terrain_m, sees_anything
 from companion.world.known_map import KnownMap
 from companion.world.zones import gaps_m, packed
 

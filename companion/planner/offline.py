@@ -21,8 +21,7 @@ from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequ
 from companion.planner.settings import Place, Task
 from companion.world.known_map import KnownMap, Scan
 from companion.world.near_map import NearMap, NearSensor, top_amsl_m
-from companion.world.simulated_scan import simulated_scan
-from companion.world.simulated_sweep import NearScene
+from companion.world.simulated import NearScene, simulated_scan
 
 _TIMES_AS_MANY, _MIN_MOST_LEGS = 6, 60  # far beyond any mission that has arrived
 _MAX_ATTEMPTS = 4  # from one place, each with a wider search

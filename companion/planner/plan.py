@@ -24,8 +24,7 @@ from companion.planner.reachability import blocked_at
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.searches import Searches
 from companion.planner.way_out import way_out
-from companion.world.clearance import sees_anything
-from companion.world.columns import distance_to_terrain_m
+from companion.world.columns import distance_to_terrain_m, sees_anything
 
 _MUCH_DEARER = 0.5  # of the cost of R: then it is planned more slowly, too
 _OWED, _OWED_NEAR = 1.0, 0.25

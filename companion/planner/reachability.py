@@ -11,7 +11,7 @@ from companion.planner.cheapest_ways import IndexArray
 from companion.planner.cost_grid import Place, sampled
 from companion.planner.field import CostToGo
 from companion.planner.settings import Task
-from companion.world.clearance import dilated_m
+from companion.world.columns import dilated_m
 from companion.world.known_map import KnownMap
 from companion.world.zones import too_near
 

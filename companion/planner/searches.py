@@ -24,7 +24,7 @@ from companion.planner.field import CostToGo
 from companion.planner.price import Prices
 from companion.planner.request import REACH, Planned, PlanRequest
 from companion.planner.seeds import seeds_of, ways_of
-from companion.world.clearance import Surface, safe_surface
+from companion.world.columns import Surface, safe_surface
 from companion.world.zones import PolygonZone, near_cells, packed
 
 _POINTS = (5, 6)  # control points: six where five find nothing good

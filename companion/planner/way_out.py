@@ -20,7 +20,7 @@ from companion.path.subpath import Subpath, straight
 from companion.planner.cheapest_ways import IndexArray
 from companion.planner.price import Prices
 from companion.planner.request import Planned, PlanRequest
-from companion.world.clearance import safe_surface
+from companion.world.columns import safe_surface
 from companion.world.known_map import KnownMap
 from companion.world.zones import too_near
 

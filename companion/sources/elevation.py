@@ -21,7 +21,7 @@ from companion.errors import InputError
 from companion.geodesy import BoolArray, FloatArray, LocalFrame, wrap_deg
 from companion.sources.files import answer, told_path
 from companion.world.known_map import KnownMap
-from companion.world.simulated_scan import true_map
+from companion.world.simulated import true_map
 from companion.world.terrain import GridTerrain
 
 VerticalDatum = Literal["AMSL", "EGM84", "EGM96", "EGM2008", "NAVD88", "NGVD29", "EVRF"]

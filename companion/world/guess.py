@@ -14,8 +14,7 @@ import numpy as np
 import scipy
 
 from companion.geodesy import BoolArray, FloatArray
-from companion.world.known_map import KnownMap
-from companion.world.lattice import IntArray, Window
+from companion.world.known_map import IntArray, KnownMap, Window
 
 _REACH = 6.0
 """Of R about here, in which seen terrain is continued.  A mountain that was forgotten from afar

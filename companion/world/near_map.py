@@ -27,8 +27,7 @@ import numpy as np
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.ranges import NotNegative, Positive
-from companion.world.known_map import NO_ANSWER, Scan
-from companion.world.lattice import IntArray, Lattice, Window
+from companion.world.known_map import NO_ANSWER, IntArray, Lattice, Scan, Window
 
 _NO_GAP = 1e-6  # sectors that are left of a turn that they go all round
 _MOST = 255  # counts of sweeps go no farther: they are bytes
@@ -93,10 +92,7 @@ class Sweep:
 
         (...) x2 -> (...), metres; 0 where there is no sector.
         """
-        ring, turn = (
-            self.clear_m,
-            math.tau / self.width_rad,
-        )  # sectors that a full turn has room for
+        ring, turn = self.clear_m, math.tau / self.width_rad  # of as many sectors a turn has room
         if turn - len(ring) > _NO_GAP:
             ring = np.append(ring, 0.0)
         low, high = (
@@ -295,11 +291,9 @@ class NearMap:
         Every sector that comes within the errors of a passed cell is clear to beyond its farthest
         corner.  Near by: and nothing stands before them.
         """
-        lattice, (rows, columns) = self.lattice, window
-        shape = rows.stop - rows.start, columns.stop - columns.start
-        north, east = lattice.middles_m(rows.start, columns.start, shape)
+        north, east = self.lattice.middles_m(window)
         north, east = north - sweep.sensor_ne_m[0], east - sweep.sensor_ne_m[1]
-        away_m, half_m = np.hypot(north, east), math.sqrt(0.5) * lattice.cell_m
+        away_m, half_m = np.hypot(north, east), math.sqrt(0.5) * self.lattice.cell_m
         around_m = half_m + sweep.error_m
         aside_rad = np.arcsin(around_m / np.maximum(away_m, around_m)) + sweep.bearing_error_rad
         aside_rad[away_m <= around_m] = math.pi
@@ -320,47 +314,43 @@ class NearMap:
         sharp, middles = met.copy(), met.copy()
         if not met.size:
             return met, sharp
-        row, column, inner = self._arcs(sweep, window)  # (sectors, points)
+        row, column, is_inner = self._arcs(sweep, window)
         inside = (row >= 0) & (row < met.shape[0]) & (column >= 0) & (column < met.shape[1])
         row, column = np.where(inside, row, 0), np.where(inside, column, 0)
         elsewhere = inside & ~self.free(window)[row, column]
-        says = np.where(elsewhere.any(axis=1, keepdims=True), elsewhere, inside)
+        says = np.where(elsewhere.any(axis=(1, 2), keepdims=True), elsewhere, inside)
         met[row[says], column[says]] = True
-        middle = inside & inner & ~(elsewhere & inner).any(axis=1, keepdims=True)
+        middle = inside & is_inner & ~(elsewhere & is_inner).any(axis=(1, 2), keepdims=True)
         middles[row[middle], column[middle]] = True
         count = self.inside[window]
         count += count < _MOST
         count[~middles] = 0
         met |= count >= SIGHTINGS
-        echo_m = sweep.echo_m[np.isfinite(sweep.echo_m)]
-        says &= (echo_m * sweep.width_rad <= _SHARP_M)[:, None]
+        echo_m = sweep.echo_m[np.isfinite(sweep.echo_m), None, None]
+        says &= echo_m * sweep.width_rad <= _SHARP_M
         sharp[row[says], column[says]] = True
         return met, sharp
 
     def _arcs(self, sweep: Sweep, window: Window) -> tuple[IntArray, IntArray, BoolArray]:
         """Rows and columns in a window of points close together on the arcs of all echoes.
 
-        And which of them are in the middle half of the error.  (sectors, points) x2, (points,).
+        And which are in the middle half of the error.  (echoes, away, across) x2, (away, 1).
         """
-        lattice = self.lattice
-        sectors = np.flatnonzero(np.isfinite(sweep.echo_m))
-        echo_m, step_m = sweep.echo_m[sectors, None, None], 0.5 * lattice.cell_m
-        along = math.ceil(2.0 * sweep.error_m / step_m) + 1
+        lattice, sectors = self.lattice, np.flatnonzero(np.isfinite(sweep.echo_m))[:, None, None]
+        echo_m, step_m = sweep.echo_m[sectors], 0.5 * lattice.cell_m
         across_m = sweep.width_rad * float(echo_m.max(initial=0.0))
         across = math.ceil(across_m / step_m) + 1
-        off_m = np.linspace(-sweep.error_m, sweep.error_m, along)
-        away_m = echo_m + off_m[:, None]
+        along = math.ceil(2.0 * sweep.error_m / step_m) + 1
+        off_m = np.linspace(-sweep.error_m, sweep.error_m, along)[:, None]
         share = (np.arange(across) + 0.5) / across
-        bearing_rad = sweep.first_rad + (sectors[:, None, None] + share) * sweep.width_rad
-        north = sweep.sensor_ne_m[0] - lattice.north_min_m + away_m * np.cos(bearing_rad)
-        east = sweep.sensor_ne_m[1] - lattice.east_min_m + away_m * np.sin(bearing_rad)
-        shape = len(sectors), along * across
+        bearing_rad = sweep.first_rad + (sectors + share) * sweep.width_rad
+        north = sweep.sensor_ne_m[0] - lattice.north_min_m + (echo_m + off_m) * np.cos(bearing_rad)
+        east = sweep.sensor_ne_m[1] - lattice.east_min_m + (echo_m + off_m) * np.sin(bearing_rad)
         row, column = (
-            np.floor(at / lattice.cell_m).astype(np.intp).reshape(shape) - part.start
+            np.floor(at / lattice.cell_m).astype(np.intp) - part.start
             for at, part in zip((north, east), window, strict=True)
         )
-        inner = np.abs(off_m) <= 0.5 * sweep.error_m + 1e-9
-        return row, column, inner.repeat(across)
+        return row, column, np.abs(off_m) <= 0.5 * sweep.error_m + 1e-9
 
 
 def cell_for_m(range_m: float, north_m: tuple[float, float], east_m: tuple[float, float]) -> float:

@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse.csgraph import dijkstra
 from woods import AStar, a_star
 
-from companion.world.lattice import Lattice
+from companion.world.known_map import Lattice
 from companion.world.near_map import NearMap
 
 CELL_M, MARGIN_M, RANGE_M = 0.5, 2.5, 16.0

@@ -17,7 +17,7 @@ from companion.mavlink.near_scanner import ATTITUDE, OF_AUTOPILOT
 from companion.mavlink.near_sensing import NearSensing, Sight
 from companion.mavlink.poses import Poses
 from companion.telemetry.logs import open_log
-from companion.world.lattice import Lattice
+from companion.world.known_map import Lattice
 from companion.world.near_map import NearMap, NearSensor
 
 HOME = LocalFrame(latitude_deg=51.8752066, longitude_deg=14.6487830)

@@ -13,7 +13,7 @@ from companion.mission.events import Event, GroundSeen, NearSeen, Setpoint
 from companion.mission.mission import Fallback
 from companion.mission.state import Phase, Reason
 from companion.planner.procedure import Reference
-from companion.world.lattice import Lattice
+from companion.world.known_map import Lattice
 from companion.world.near_map import NearMap, NearSensor, Sight
 
 SENSOR = NearSensor(kind="obstacle_distance", component_id=196, range_m=20_000.0)

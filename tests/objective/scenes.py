@@ -11,7 +11,7 @@ from companion.objective import TERMS, Scene, Workspace, radar_table, rows_of, w
 from companion.path.envelope import envelope_of
 from companion.path.subpath import Pose, Subpath
 from companion.profiles import Weights
-from companion.world.clearance import Surface
+from companion.world.columns import Surface
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone, PolygonZone, Zone, near_cells, packed
 

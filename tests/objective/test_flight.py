@@ -27,7 +27,7 @@ from companion.objective import (
 )
 from companion.path.subpath import Subpath
 from companion.profiles import Weights
-from companion.world.clearance import Surface
+from companion.world.columns import Surface
 from companion.world.radars import Radar
 from companion.world.zones import ZoneTable
 

@@ -13,7 +13,7 @@ from companion.planner.procedure import hover_pose
 from companion.planner.request import Planned
 from companion.planning import plan
 from companion.world.known_map import KnownMap, empty_map
-from companion.world.simulated_scan import true_map
+from companion.world.simulated import true_map
 
 WORLD = as_published("environment-2", evaluations=200)
 START, TASK, TARGET = WORLD.start_nea_m, WORLD.task, WORLD.targets_ne_m[0]

@@ -23,7 +23,7 @@ from companion.errors import InputError
 from companion.paper import rivals
 from companion.paper.rivals import PLANNERS, RouteProblem
 from companion.planner.request import NotPlanned, PlanRequest
-from companion.world.simulated_scan import true_map
+from companion.world.simulated import true_map
 from companion.world.zones import CircleZone
 
 FloatArray = NDArray[np.float64]
@@ -181,7 +181,7 @@ def test_unseen_ground_is_free_in_the_plan_and_never_flown_over() -> None:
     request = asked()
     start = np.array(request.start.point_nea_m[:2])
     blank = replace(request.known, upper_m=np.full_like(request.known.upper_m, np.inf))
-    rows, columns = request.known.middles_m(0, 0, blank.upper_m.shape)
+    rows, columns = request.known.middles_m()
     near = np.hypot(rows - start[0], columns - start[1]) < 6_000.0
     seen = replace(blank, upper_m=np.zeros(near.shape), seen=near)  # the rest is but bounded
     outcome = plan(replace(request, known=seen))

@@ -16,7 +16,7 @@ from companion.paper.terms import VARIABLES, Scene, control_points, cost, cost_t
 from companion.path.subpath import Pose
 from companion.planner.settings import PlannerSettings, Task
 from companion.profiles import Weights
-from companion.world.clearance import Surface
+from companion.world.columns import Surface
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone, PolygonZone
 

@@ -23,7 +23,7 @@ from companion.path.subpath import Subpath
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
-from companion.world.simulated_scan import true_map
+from companion.world.simulated import true_map
 from companion.world.terrain import PeakTerrain
 from companion.world.zones import CircleZone, PolygonZone, Zone
 
@@ -132,18 +132,7 @@ def _terrain(
         heights += scale.relief_m * (rng.random(heights.shape) < 0.003)
     else:  # a rough slope
         heights += np.linspace(0.0, rng.uniform(0.0, scale.relief_m), scale.cells)[:, None]
-    seen = np.ones(heights.shape, dtype=bool)
-    return (
-        KnownMap(
-            cell_m=scale.cell_m,
-            north_min_m=0.0,
-            east_min_m=0.0,
-            upper_m=heights,
-            seen=seen,
-            registration_m=registration,
-        ),
-        None,
-    )
+    return replace(like, upper_m=heights, seen=~like.seen, registration_m=registration), None
 
 
 def _control(
@@ -217,6 +206,13 @@ def column_distance_m(
     return np.minimum(planning.column_distance_m(known, points_nea_m, within_m), edge)
 
 
+def zones_m(zones: tuple[Zone, ...], points_nea_m: FloatArray) -> FloatArray:
+    """Distance of points, seen from above, from the nearest zone.  (S, 3) -> (S,)."""
+    n, e, _ = points_nea_m.T
+    gaps = [planning.zone_distance_m(zone, n, e) for zone in zones]
+    return np.asarray(np.min([np.full(len(n), np.inf), *gaps], axis=0))
+
+
 def terrain_m(case: Case, points_nea_m: FloatArray, within_m: float = np.inf) -> FloatArray:
     """Distance of the vehicle, or of its circle, from the terrain.  (S, 3) -> (S,)."""
     turn, loiter_m = np.linspace(0.0, 2.0 * np.pi, 24), case.task.limits.loiter_radius_m
@@ -269,8 +265,7 @@ class Truth:
     length_m: float
     detection: float
     nearest_nea_m: FloatArray
-    """Where the clearance is least; `dead_man_nea_m` likewise."""
-    dead_man_nea_m: FloatArray
+    """Where the clearance is least."""
 
 
 def _least(of: Callable[..., FloatArray], u: FloatArray) -> tuple[float, float]:
@@ -299,10 +294,8 @@ def truth(case: Case, samples: int = 200) -> Truth:
     clearance, where = _least(lambda at, far=far_m: terrain_m(case, spline(at), far), u)
     keep_out = np.inf
     for zone in case.task.zones:
-        keep_out = min(
-            keep_out,
-            _least(lambda at, _=0.0, z=zone: planning.zone_distance_m(z, *spline(at).T[:2]), u)[0],
-        )  # type: ignore[misc]
+        gap_m, _ = _least(lambda at, _=0.0, z=zone: zones_m((z,), spline(at)), u)  # type: ignore[misc]
+        keep_out = min(keep_out, gap_m)
     keep_out -= case.task.limits.loiter_radius_m
     fine = np.linspace(0.0, 1.0, 3_001)
     points = spline(fine)
@@ -315,9 +308,8 @@ def truth(case: Case, samples: int = 200) -> Truth:
     slope = first[moving, 2] / speed[moving]
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=-1))])
     n, e, z = points.T
-    limits = case.task.limits
-    off = np.maximum(np.maximum(limits.north_m[0] - n, n - limits.north_m[1]),
-                     np.maximum(limits.east_m[0] - e, e - limits.east_m[1]))  # fmt: skip
+    (south_m, north_m), (west_m, east_m) = case.task.limits.north_m, case.task.limits.east_m
+    off = np.concatenate([south_m - n, n - north_m, west_m - e, e - east_m])
     inside = np.zeros(len(points), dtype=bool)
     detection = 0.0
     for radar in case.task.radars:
@@ -325,9 +317,9 @@ def truth(case: Case, samples: int = 200) -> Truth:
         inside |= ratio <= 1.0
         detection = max(detection, float(np.where(ratio <= 1, 1 / (1 + ratio**4), 0.0).max()))
     both = 0.5 * (inside[1:].astype(float) + inside[:-1])
-    dead_man, at_nea = _dead_man(case, spline, fine, lengths)
-    if case.task.limits.loiter_radius_m:
-        dead_man = min(clearance, keep_out)
+    dead_man = min(clearance, keep_out)
+    if case.task.limits.hovers:
+        dead_man = _dead_man(case, spline, fine, lengths)
     return Truth(
         clearance_m=clearance,
         keep_out_m=keep_out,
@@ -342,7 +334,6 @@ def truth(case: Case, samples: int = 200) -> Truth:
         length_m=float(lengths[-1]),
         detection=detection,
         nearest_nea_m=spline(where),
-        dead_man_nea_m=at_nea,
     )
 
 
@@ -398,10 +389,8 @@ def fastest_m_s(it: Envelope, left: FloatArray, flown: FloatArray | None = None)
     return low
 
 
-def _dead_man(
-    case: Case, spline: Any, fine: FloatArray, lengths: FloatArray
-) -> tuple[float, FloatArray]:
-    """Least distance over all straight stretches that leave the curve, and where."""
+def _dead_man(case: Case, spline: Any, fine: FloatArray, lengths: FloatArray) -> float:
+    """Least distance over all straight stretches that leave the curve."""
     motion = case.task.envelope
 
     def at(u: FloatArray, share: FloatArray) -> FloatArray:
@@ -417,23 +406,21 @@ def _dead_man(
     def distance(
         points: FloatArray, far: float = 4.0 * case.task.required_clearance_m
     ) -> FloatArray:
-        result = column_distance_m(case.known, points, far)
-        for zone in case.task.zones:
-            result = np.minimum(result, planning.zone_distance_m(zone, *points.T[:2]))
-        return result
+        return np.minimum(
+            column_distance_m(case.known, points, far), zones_m(case.task.zones, points)
+        )
 
     u, share = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 1, 50), np.linspace(0, 1, 14)))
     values = distance(at(u, share))
     k = int(values.argmin())
     best, where = float(values[k]), np.array([u[k], share[k]])
-    if best > 0.0:
-        found = minimize(
-            lambda x: float(distance(at(np.clip(x[:1], 0, 1), np.clip(x[1:], 0, 1)), 2 * best)[0]),
-            where,
-            method="Nelder-Mead",
-            options={"maxfev": 60, "xatol": 1e-6, "fatol": 1e-4,
-                     "initial_simplex": where + np.array([[0, 0], [0.01, 0], [0, 0.04]])},
-        )  # fmt: skip
-        if found.fun < best:
-            best, where = float(found.fun), np.clip(found.x, 0, 1)
-    return best, at(where[:1], where[1:])[0]
+    if best <= 0.0:
+        return best
+    found = minimize(
+        lambda x: float(distance(at(np.clip(x[:1], 0, 1), np.clip(x[1:], 0, 1)), 2 * best)[0]),
+        where,
+        method="Nelder-Mead",
+        options={"maxfev": 60, "xatol": 1e-6, "fatol": 1e-4,
+                 "initial_simplex": where + np.array([[0, 0], [0.01, 0], [0, 0.04]])},
+    )  # fmt: skip
+    return min(best, float(found.fun))

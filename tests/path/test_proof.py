@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from companion import jit
 from companion.path import proof
-from companion.path.bspline import cubics_of
 from companion.path.proof import exposure, first_pieces, piece_of, stretch_of
 from companion.path.proof_shape import extremes, largest
+from companion.path.subpath import cubics_of
 from companion.world.columns import column_distance, terrain_distance
 
 seeds = st.integers(0, 10**6)

@@ -9,8 +9,7 @@ from planning import parameter_of, spline
 from scipy.integrate import quad
 from scipy.interpolate import BSpline
 
-from companion.path.bspline import cubics_of, samples_at, uniform_basis
-from companion.path.subpath import Subpath
+from companion.path.subpath import Subpath, cubics_of, samples_at, uniform_basis
 
 FloatArray = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from planning import hills, limits
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import empty_map
 from companion.world.radars import Radar
-from companion.world.simulated_scan import true_map
+from companion.world.simulated import true_map
 from companion.world.zones import CircleZone, PolygonZone
 
 SQUARE = ((5e3, 5e3), (5e3, 5.4e3), (5.4e3, 5.4e3), (5.4e3, 5e3))

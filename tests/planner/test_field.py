@@ -14,7 +14,7 @@ from companion.planner import cost_grid
 from companion.planner.cost_grid import Belief
 from companion.planner.field import CostToGo, Memory, cost_to_go
 from companion.planner.settings import PlannerSettings, Task
-from companion.world.clearance import Surface
+from companion.world.columns import Surface
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone, Zone
@@ -58,7 +58,7 @@ def seen(task: Task, height_m: np.ndarray | float, where: np.ndarray | bool = Tr
 
 TASK = a_task()
 FREE, CLEAR_M = a_map(TASK), TASK.search_clearance_m
-NORTH, EAST = FREE.middles_m(0, 0, FREE.upper_m.shape)
+NORTH, EAST = FREE.middles_m()
 
 
 def radar(north: float, east: float, range_m: float) -> Radar:

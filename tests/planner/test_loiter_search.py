@@ -134,7 +134,7 @@ def test_it_stays_only_where_it_can_turn_to_either_side(course_deg: int, side: f
 
 def test_nothing_is_clear_where_the_ground_is_not_known() -> None:
     zone, half = disc(70.0), flat()
-    half.upper_m[half.middles_m(0, 0, half.upper_m.shape)[0][:, 0] > 150.0] = np.inf
+    half.upper_m[half.middles_m()[0][:, 0] > 150.0] = np.inf
     assert sent_to(replace(half, upper_m=half.upper_m + np.inf), heading(0.0, 103.0), zone) is None
     point = sent_to(half, heading(180.0, -103.0), zone)
     assert point is not None
@@ -149,7 +149,7 @@ def test_a_hill_on_the_way_counts_at_the_height_that_the_plane_has(
     """A climb takes longer than the way: a place beyond the hill is none for a plane below it."""
     corners = ((-900.0, -900.0), (-900.0, 900.0), (20.0, 900.0), (20.0, -900.0))
     land, known = PolygonZone(name="land", vertices_ne_m=corners), flat()
-    north, _ = known.middles_m(0, 0, known.upper_m.shape)
+    north, _ = known.middles_m()
     known.upper_m[(north[:, 0] > 150.0) & (north[:, 0] < 250.0)] = 60.0
     assert (sent_to(known, heading(0.0, 0.0, height_m), land) is not None) is found
 

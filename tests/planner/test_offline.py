@@ -14,7 +14,7 @@ from companion.planner.progress import NO_PROGRESS
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, Scan
-from companion.world.simulated_scan import simulated_scan
+from companion.world.simulated import simulated_scan
 
 START = (800.0, 800.0, 450.0)
 TARGET = (7_200.0, 7_000.0)
@@ -81,7 +81,7 @@ def test_it_scans_at_p_scan_of_each_leg_and_goes_on_at_p_prog(
 def test_it_plans_on_what_its_scans_have_shown_only(flight: OfflineFlight) -> None:
     known = flight.known
     assert (known.upper_m[known.seen] == TRUTH.upper_m[known.seen]).all()
-    north, east = known.middles_m(0, 0, (known.upper_m.shape[0], known.upper_m.shape[1]))
+    north, east = known.middles_m()
     nearest = np.min([np.hypot(north - n, east - e) for n, e, _ in flight.scans_nea_m], axis=0)
     assert not known.seen[nearest > TASK.settings.scan_range_m].any()
     assert np.isposinf(known.upper_m[nearest > TASK.settings.scan_range_m]).all()

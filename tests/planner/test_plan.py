@@ -25,7 +25,7 @@ from companion.planner.procedure import Leg, hover_pose
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal, Rest
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
-from companion.world.simulated_scan import true_map
+from companion.world.simulated import true_map
 from companion.world.zones import PolygonZone
 
 FloatArray = NDArray[np.float64]
@@ -256,7 +256,7 @@ def test_a_question_without_an_answer_is_refused_at_once_with_its_reason(
 
 def walls_about_the_start(known: KnownMap, from_m: float, gap_rad: float) -> KnownMap:
     """A ring of walls that is wider than an end is away, over a plain, with a gap."""
-    north, east = known.middles_m(0, 0, known.upper_m.shape)
+    north, east = known.middles_m()
     away_m, bearing = (
         np.hypot(north - START[0], east - START[1]),
         np.arctan2(east - 1e3, north - 1e3),

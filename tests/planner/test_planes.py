@@ -19,7 +19,7 @@ from companion.planner.procedure import Leg, Reference, follow, may_leave, off_p
 from companion.planner.request import Planned
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
-from companion.world.simulated_scan import true_map
+from companion.world.simulated import true_map
 from companion.world.zones import CircleZone, PolygonZone, Zone
 
 FloatArray = NDArray[np.float64]

@@ -22,7 +22,7 @@ from companion.planner.request import Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
-from companion.world.simulated_scan import true_map
+from companion.world.simulated import true_map
 from companion.world.zones import CircleZone, PolygonZone, Zone
 
 _BASE = load_mission("environment-1").task
@@ -35,7 +35,7 @@ TASK = replace(
 )
 BLANK = empty_map(CELL_M, (0.0, SIZE_M), (0.0, SIZE_M))
 ROWS = BLANK.upper_m.shape[0]
-NORTH, EAST = BLANK.middles_m(0, 0, (ROWS, ROWS))
+NORTH, EAST = BLANK.middles_m()
 HERE, TARGET = (5e3, 20e3), (35e3, 20e3)
 CLEAR_M = TASK.required_clearance_m
 

@@ -16,8 +16,7 @@ from companion.planner.cost_samples import BLOCKED
 from companion.planner.procedure import Leg
 from companion.planner.recheck import comes_too_near, is_touched, meets_near_things
 from companion.planner.settings import Task
-from companion.world.known_map import empty_map
-from companion.world.lattice import Lattice
+from companion.world.known_map import Lattice, empty_map
 from companion.world.near_map import NearMap
 from companion.world.zones import CircleZone, PolygonZone, Zone
 

@@ -11,7 +11,7 @@ from planning import LARGE as LIMITS
 from companion.path.envelope import ending_m_s, slowing_m
 from companion.planner.settings import PlannerSettings, Task
 from companion.profiles import FLIGHT, PAPER
-from companion.world.clearance import safe_surface
+from companion.world.columns import safe_surface
 from companion.world.known_map import empty_map
 from companion.world.radars import Radar
 
@@ -120,7 +120,7 @@ def test_at_the_end_of_a_subpath_the_ground_within_the_clearance_has_been_scanne
     planner = PlannerSettings(scan_range_m=2_000.0, safety_distance_m=d_s, planning_time_s=2.0)
     task = Task(limits=replace(LIMITS, tracking_error_m=tracking), settings=planner)
     known = empty_map(25.0, (-3_000.0, 3_000.0), (-3_000.0, 3_000.0))
-    north, east = known.middles_m(0, 0, (240, 240))
+    north, east = known.middles_m()
     known.upper_m[np.hypot(north - n, east - e) <= 2_000.0] = 0.0  # as the radar answers
     clearance = max(task.required_clearance_m, d_s * FLIGHT.margin)
     surface = safe_surface(

@@ -15,7 +15,7 @@ from companion.path.proof import prove
 from companion.planner import cheapest_ways, cost_samples, field, kernels
 from companion.runtime import compiler
 from companion.world import zones
-from companion.world.clearance import dilated_m
+from companion.world.columns import dilated_m
 
 
 @pytest.fixture(autouse=True)

@@ -9,7 +9,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from companion.world.known_map import NOT_SEEN, KnownMap, Scan, empty_map
 
@@ -36,33 +38,21 @@ class Ground:
 
     def height_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """Between the nodes.  (...), (...) -> (...)."""
-        rows, columns = self.nodes_m.shape
-        row = np.clip(north_m / _STEP_M, 0.0, rows - 1.000001)
-        column = np.clip(east_m / _STEP_M, 0.0, columns - 1.000001)
-        i, j = row.astype(np.intp), column.astype(np.intp)
-        u, v = row - i, column - j
-        flat, first = self.nodes_m.ravel(), i * columns + j
-        south = flat[first] * (1.0 - v) + flat[first + 1] * v
-        north = flat[first + columns] * (1.0 - v) + flat[first + columns + 1] * v
-        return np.asarray(south * (1.0 - u) + north * u)
+        at = np.stack(np.broadcast_arrays(north_m, east_m)) / _STEP_M
+        return np.asarray(map_coordinates(self.nodes_m, at, order=1, mode="nearest"))
 
     def tops_m(self) -> FloatArray:
         """The highest of each cell.  -> (ROWS, COLUMNS)."""
-        result = np.full((ROWS, COLUMNS), -np.inf)
-        for i in range(NODES + 1):
-            for j in range(NODES + 1):
-                part = self.nodes_m[i : i + ROWS * NODES : NODES, j : j + COLUMNS * NODES : NODES]
-                np.maximum(result, part, out=result)
-        return result
+        of_cells = sliding_window_view(self.nodes_m, (NODES + 1, NODES + 1))[::NODES, ::NODES]
+        return np.asarray(of_cells.max(axis=(2, 3)))
 
 
 # --- sorts of ground, all of slopes of 10 to 85 degrees
 
 
-def _axes() -> tuple[FloatArray, FloatArray]:
-    north = np.arange(ROWS * NODES + 1) * _STEP_M
-    east = np.arange(COLUMNS * NODES + 1) * _STEP_M
-    return north[:, None], east[None, :]
+SHAPE = (ROWS * NODES + 1, COLUMNS * NODES + 1)
+NORTH_M = np.arange(SHAPE[0])[:, None] * _STEP_M  # of the nodes
+EAST_M = np.arange(SHAPE[1])[None, :] * _STEP_M
 
 
 def _slope(rng: np.random.Generator) -> float:
@@ -75,27 +65,25 @@ def _somewhere(rng: np.random.Generator) -> tuple[float, float]:
 
 def peaks(rng: np.random.Generator) -> FloatArray:
     """Mountains of eq. 1, whose steepest slope is 0.858 x height / spread."""
-    north, east = _axes()
-    result = np.full(np.broadcast_shapes(north.shape, east.shape), 0.0)
+    result = np.zeros(SHAPE)
     for _ in range(int(rng.integers(1, 12))):
         n, e = _somewhere(rng)
         height = float(rng.uniform(100.0, 3_000.0))
         spread = max(0.858 * height / _slope(rng), 60.0)
-        x, y = (north - n) / spread, (east - e) / (spread * float(rng.uniform(1.0, 3.0)))
+        x, y = (NORTH_M - n) / spread, (EAST_M - e) / (spread * float(rng.uniform(1.0, 3.0)))
         np.maximum(result, height * np.exp(-x * x - y * y), out=result)
     return result
 
 
 def ridges(rng: np.random.Generator) -> FloatArray:
     """Long crests in any direction, side by side or crossing, some with gaps."""
-    north, east = _axes()
-    result = np.full(np.broadcast_shapes(north.shape, east.shape), 0.0)
+    result = np.zeros(SHAPE)
     height, slope = float(rng.uniform(200.0, 3_000.0)), _slope(rng)
     for _ in range(int(rng.integers(1, 5))):
         n, e = _somewhere(rng)
         bearing = float(rng.uniform(0.0, math.pi))
-        aside = (north - n) * math.cos(bearing) + (east - e) * math.sin(bearing)
-        along = (east - e) * math.cos(bearing) - (north - n) * math.sin(bearing)
+        aside = (NORTH_M - n) * math.cos(bearing) + (EAST_M - e) * math.sin(bearing)
+        along = (EAST_M - e) * math.cos(bearing) - (NORTH_M - n) * math.sin(bearing)
         crest = height * (1.0 + float(rng.uniform(0.0, 0.1)) * np.sin(along / 300.0))
         if rng.random() < 0.5:
             crest = np.where(np.abs(along) < float(rng.uniform(100.0, 1_000.0)), 0.0, crest)
@@ -105,31 +93,28 @@ def ridges(rng: np.random.Generator) -> FloatArray:
 
 def walls(rng: np.random.Generator) -> FloatArray:
     """Walls from one node to several cells thick, towers, and pits."""
-    north, east = _axes()
-    result = np.full(np.broadcast_shapes(north.shape, east.shape), 0.0)
+    result = np.zeros(SHAPE)
     for _ in range(int(rng.integers(2, 14))):
         n, e = _somewhere(rng)
         half = rng.choice([12.0, 30.0, 80.0, 200.0, 900.0], 2)
-        inside = (np.abs(north - n) <= half[0]) & (np.abs(east - e) <= half[1])
+        inside = (np.abs(NORTH_M - n) <= half[0]) & (np.abs(EAST_M - e) <= half[1])
         result[inside] = float(rng.uniform(-300.0, 2_000.0))
     return result
 
 
 def steps(rng: np.random.Generator) -> FloatArray:
     """Terraces."""
-    north, east = _axes()
     bearing, slope = float(rng.uniform(0.0, 2.0 * math.pi)), _slope(rng)
-    rise = slope * (north * math.cos(bearing) + east * math.sin(bearing))
+    rise = slope * (NORTH_M * math.cos(bearing) + EAST_M * math.sin(bearing))
     height = float(rng.uniform(30.0, 600.0))
     return np.asarray(np.floor((rise - rise.min()) / height) % float(rng.integers(2, 9)) * height)
 
 
 def relief(rng: np.random.Generator) -> FloatArray:
     """Gaussian relief as the earth has it: amplitude as the wave number to the power of -2."""
-    shape = (ROWS * NODES + 1, COLUMNS * NODES + 1)
-    wave = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.fftfreq(shape[1])[None, :])
+    wave = np.hypot(np.fft.fftfreq(SHAPE[0])[:, None], np.fft.fftfreq(SHAPE[1])[None, :])
     wave[0, 0] = np.inf
-    noise = np.fft.fft2(rng.normal(size=shape))
+    noise = np.fft.fft2(rng.normal(size=SHAPE))
     heights = np.fft.ifft2(noise / np.maximum(wave, 0.004) ** float(rng.uniform(1.4, 2.2))).real
     return np.asarray(
         (heights - heights.min()) / np.ptp(heights) * float(rng.uniform(300.0, 4_000.0))
@@ -235,7 +220,7 @@ def answered(heights_m: FloatArray, radar_nea_m: Point, range_m: float) -> Scan:
 
 def scan_of(tops_m: FloatArray, seen: BoolArray, radar_nea_m: Point) -> Scan:
     """The answers of a radar that saw these cells, within range."""
-    north, east = blank().middles_m(0, 0, (ROWS, COLUMNS))
+    north, east = blank().middles_m()
     near = np.hypot(north - radar_nea_m[0], east - radar_nea_m[1]) <= RANGE_M
     return answered(np.where(seen & near, np.ceil(tops_m), NOT_SEEN), radar_nea_m, RANGE_M)
 

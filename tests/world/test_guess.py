@@ -10,7 +10,7 @@ from scipy.interpolate import RBFInterpolator
 from companion.config import load_mission
 from companion.geodesy import BoolArray, FloatArray
 from companion.world import guess
-from companion.world.clearance import safe_surface
+from companion.world.columns import safe_surface
 from companion.world.guess import guessed_m
 from companion.world.known_map import KnownMap, empty_map
 
@@ -18,7 +18,7 @@ R = 20_000.0
 CELL = 250.0
 HERE = (15e3, 15e3)
 BLANK = empty_map(CELL, (0.0, 40e3), (0.0, 40e3))
-NORTH, EAST = BLANK.middles_m(0, 0, (160, 160))
+NORTH, EAST = BLANK.middles_m()
 
 
 def peak(north: float, east: float, height: float, spread: float) -> FloatArray:

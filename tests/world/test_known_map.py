@@ -20,9 +20,9 @@ from companion.world.known_map import (
     digest_of,
     empty_map,
     packed_map,
+    sight_line_m,
     unpacked_map,
 )
-from companion.world.sight_lines import sight_line_m
 
 FloatArray = NDArray[np.float64]
 
@@ -36,8 +36,8 @@ CELL_M = 100.0
 def test_the_cell_of_a_point_is_the_one_whose_middle_is_within_half_a_cell(
     row: int, column: int, n: float
 ) -> None:
-    known = empty_map(250.0, (-4_000.0, 5_000.0), (1_000.0, 9_000.0))
-    north, east = known.middles_m(row, column, (1, 1))
+    known = empty_map(250.0, (-4_000.0, 5_000.0), (1_000.0, 9_000.0)).bare()
+    north, east = known.middles_m((slice(row, row + 1), slice(column, column + 1)))
     assert known.cell_of(north[0, 0] + n * 250.0, east[0, 0] - n * 250.0) == (row, column)
     for seed in SEEDS:  # that of a point on an edge hangs on no last digit
         assert known.cell_of(*nudged((0.0, 1_250.0), seed)) == (16, 1)
@@ -126,7 +126,7 @@ def test_a_scan_changes_what_it_answers_and_what_it_supersedes(seed: int) -> Non
 def test_a_cell_out_of_range_stays_unknown_although_the_radar_answered(reach_m: float) -> None:
     """And a scan means the same on a bigger map."""
     radar = 1_001.0, 1_001.0, 600.0
-    north, east = blank().middles_m(0, 0, (ROWS, COLUMNS))
+    north, east = blank().middles_m()
     far = np.hypot(north - radar[0], east - radar[1]) > reach_m
     scan = scan_of(np.full((ROWS, COLUMNS), 50.0), ~far, radar)
     known = blank().with_scan(scan)

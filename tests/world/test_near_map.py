@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from companion.world.lattice import Lattice
+from companion.world.known_map import Lattice
 from companion.world.near_map import (
     FORGOTTEN_AFTER_S,
     LOOKS,
@@ -214,8 +214,7 @@ def test_a_scan_tells_all_that_is_known_where_something_may_have_changed_and_tel
     near.add(sweep_of(nearest_m(post(2.0, 3.0, 0.5))))
     scan, again = near.scan(ground, 50.0), near.scan(ground, 50.0)
     heights = np.full(LATTICE.shape, np.nan)
-    rows, columns = scan.heights_m.shape
-    heights[scan.row : scan.row + rows, scan.column : scan.column + columns] = scan.heights_m
+    heights[scan.window] = scan.heights_m
     free, closed = near.free(), near.closed()
     assert free.any()
     assert closed.any()
@@ -302,6 +301,25 @@ def test_one_echo_of_a_wide_sector_blocks_its_arc_but_not_what_is_known_to_be_fr
     wide = nearest_m(points, 8, first_rad=first_rad)
     near.add(sweep_of(wide, first_rad=first_rad, time_s=1.0))
     assert near.free()[arc[2]]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_an_echo_is_somewhere_across_its_sector_as_far_as_its_error_lets_it_be(seed: int) -> None:
+    """All cells with a point well inside of that are met, and none that is a cell away."""
+    rng, near = np.random.default_rng(seed), NearMap(LATTICE)
+    echo_m, error_m, width = rng.uniform(3.0, 15.0), rng.uniform(0.0, 0.9), math.tau / 24
+    first_rad, at = rng.uniform(-9.0, 9.0), rng.uniform(-2.0, 2.0, 2)
+    told = {"first_rad": first_rad, "width_rad": width, "sensor_ne_m": tuple(at.tolist())}
+    near.add(sweep_of(np.array([echo_m]), error_m=error_m, **told))
+    away = np.linspace(echo_m - error_m, echo_m + error_m, 60)[:, None]
+    turn = first_rad + np.linspace(0.0, width, 400)
+    points = (at + np.stack([away * np.cos(turn), away * np.sin(turn)], axis=-1)).reshape(-1, 2)
+    inner = points.reshape(60, 400, 2)[5:-5, 20:-20].reshape(-1, 2)
+    rows, columns = np.floor((inner + 25.0) / LATTICE.cell_m).astype(int).T
+    assert near.occupied()[rows, columns].all()
+    middles = (np.argwhere(near.occupied()) + 0.5) * LATTICE.cell_m - 25.0
+    gap_m = np.hypot(*(middles[:, None] - points).T).min(axis=0)
+    assert (gap_m <= LATTICE.cell_m).all()
 
 
 def test_closed_is_where_something_stands_and_where_no_beam_comes_through() -> None:

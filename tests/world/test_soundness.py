@@ -27,7 +27,7 @@ from rough_ground import (
 )
 
 from companion.world.known_map import NO_ANSWER, KnownMap, Scan, empty_map
-from companion.world.simulated_scan import simulated_scan
+from companion.world.simulated import simulated_scan
 from vehicle_sim.elevation import GridTerrain
 from vehicle_sim.geodesy import LocalFrame, metres_per_degree
 from vehicle_sim.sensors.terrain_radar import UNSEEN_M, ScanRequest, TerrainRadar, Viewpoint
@@ -108,7 +108,7 @@ def moving(place: Ground, early: Scan, radar: Point, rng: np.random.Generator) -
     """A scan of which the second half of the answers, here and there, is given from elsewhere."""
     turn, away_m = rng.uniform(0.0, 2.0 * np.pi), float(rng.choice([15.0, 300.0]))
     n, e = radar[0] + away_m * np.cos(turn), radar[1] + away_m * np.sin(turn)
-    ground_m = float(place.height_m(np.array(n), np.array(e)))
+    ground_m = float(place.height_m(np.array([n]), np.array([e]))[0])
     there = n, e, max(radar[2] + float(rng.choice([0.0, 5.0])), ground_m + 5.0)
     late = scan_of(place.tops_m(), sight_of(place, there).somewhere, there)
     moved = np.kron(rng.random((ROWS // 4, COLUMNS // 4)) < 0.5, np.ones((4, 4))) > 0.0
@@ -146,7 +146,7 @@ def test_what_a_ridge_hides_on_a_round_earth_is_below_its_bound(
         range_m = float(rng.choice([5_000.0, 20_000.0, 60_000.0]))
         cell_m = range_m / 80.0
         known = empty_map(cell_m, (0.0, 2.25 * range_m), (0.0, 2.25 * range_m))
-        north, east = known.middles_m(0, 0, known.upper_m.shape)
+        north, east = known.middles_m()
         radar = 1.125 * range_m + 1.0, 1.125 * range_m + 1.0, float(rng.uniform(500.0, 3_500.0))
         away = np.hypot(north - radar[0], east - radar[1])
         first = float(rng.uniform(0.05, 0.5)) * range_m

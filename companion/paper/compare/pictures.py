@@ -15,7 +15,7 @@ from companion.paper.compare.comparisons import Comparison, by_heading
 from companion.paper.compare.missions import Outcome
 from companion.views import figure as views
 from companion.views.figure import FlightFigure, TerrainPicture
-from companion.world.simulated_scan import true_map
+from companion.world.simulated import true_map
 
 _OURS, _PAPERS = "#0050b5", "#8a6d3b"
 _WIDELY = 3.0  # spread of costs from which on their scale is logarithmic

@@ -10,8 +10,13 @@ from numpy.typing import NDArray
 from planning import column_distance_m
 from scipy.interpolate import RegularGridInterpolator
 
-from companion.world.clearance import Surface, safe_surface, terrain_surface
-from companion.world.columns import distance_to_terrain_m, distances_to_terrain_m
+from companion.world.columns import (
+    Surface,
+    distance_to_terrain_m,
+    distances_to_terrain_m,
+    safe_surface,
+    terrain_surface,
+)
 from companion.world.known_map import KnownMap, empty_map
 
 FloatArray = NDArray[np.float64]

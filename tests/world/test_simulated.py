@@ -12,8 +12,7 @@ from planning import hills
 
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.near_map import Kind, NearSensor
-from companion.world.simulated_scan import simulated_scan, true_map
-from companion.world.simulated_sweep import SECTORS, NearScene, Thing
+from companion.world.simulated import SECTORS, NearScene, Thing, simulated_scan, true_map
 from companion.world.terrain import PeakTerrain
 
 CELL_M = 100.0
@@ -83,10 +82,9 @@ def test_over_flat_ground_just_the_cells_in_range_are_seen(
     middles = (np.arange(40) + 0.5) * CELL_M
     far = np.hypot(middles[:, None] - n, middles[None, :] - e)
     heights = np.full((40, 40), -np.inf)
-    rows, columns = scan.heights_m.shape
-    heights[scan.row : scan.row + rows, scan.column : scan.column + columns] = scan.heights_m
+    heights[scan.window] = scan.heights_m
     np.testing.assert_array_equal(heights, np.where(far <= range_m, 100.0, -np.inf))
-    assert (scan.radar_nea_m == np.broadcast_to((n, e, 400.0), (rows, columns, 3))).all()
+    assert (scan.radar_nea_m == np.broadcast_to((n, e, 400.0), (*scan.heights_m.shape, 3))).all()
 
 
 @settings(max_examples=40)
