@@ -13,10 +13,10 @@ from companion.mission.decisions import Turn
 from companion.mission.events import Position, Setpoint, Vector
 from companion.mission.state import Answered, Flight, OnPath, Reason, State, Stop
 from companion.path.envelope import ending_m_s, slowing_m
-from companion.planner import join
 from companion.planner.loiter_search import Motion, loiter_point
 from companion.planner.procedure import (
     Leg,
+    Offset,
     Reference,
     advance,
     ahead_m,
@@ -99,7 +99,7 @@ def advance_reference(state: State, path: OnPath, event: Position) -> None:
         flight.progress_at_s = state.now_s
     path.circling = False
     if path.offset is not None:
-        path.offset = join.step(path.offset, vehicle.position_step_s, task.limits)
+        path.offset = path.offset.after(vehicle.position_step_s, task.limits)
     if path.next_leg is not None and path.reference.length_m >= leaves_at_m - _ROUNDING_M:
         switch_to_next_leg(flight, path, task)
 
@@ -402,7 +402,7 @@ def joined(state: State, path: OnPath | None) -> Flight | None:
         speed = min(speed, ending_m_s(path.leg.motion(state.task), left_m))
     path.circling = not hovers and off_m > limits.tracking_error_m
     if hovers:
-        path.offset = join.begin(np.asarray(led), np.asarray(velocity), pose, speed)
+        path.offset = Offset.of(led, velocity, pose, speed)
     flight.flown = flown_segments(flight, at_m)
     path.reference, path.joined_m = Reference(length_m=at_m, speed_m_s=speed), at_m
     flight.progress_at_s = state.now_s

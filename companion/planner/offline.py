@@ -16,7 +16,6 @@ from companion.path.envelope import stopping_m
 from companion.planner import procedure
 from companion.planner.procedure import Leg, Reference, Vector, hover_pose
 from companion.planner.progress import NO_PROGRESS
-from companion.planner.recheck import meets_near_things
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.settings import Place, Task
 from companion.world.known_map import KnownMap, Scan
@@ -201,7 +200,7 @@ class OnBoard:
             pose = leg.subpath.pose(at_m)
             self._heading_rad = math.atan2(pose.tangent_nea[1], pose.tangent_nea[0])
             self.look(pose.point_nea_m[:2], self._heading_rad, speed_m_s, seconds=step_s)
-            if meets_near_things(leg, at_m, self.near, kept_m):
+            if leg.meets(self.near, at_m, kept_m):
                 self._now_s += speed_m_s / task.limits.acceleration_m_s2
                 self._reference = Reference()
                 stop_m = min(at_m + stopping_m(motion, speed_m_s), np.nextafter(until_m, 0.0))
