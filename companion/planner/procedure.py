@@ -127,8 +127,9 @@ class Leg:
 
     def slows_to_m_s(self, task: Task) -> float:
         """The speed that it is flown at from its start on; infinite: as fast as it may."""
-        goes_on = not self.reaches_target and self.can_be_left(task)
-        return self.leaving(task)[1] if goes_on else math.inf
+        if self.reaches_target or not self.can_be_left(task):
+            return math.inf
+        return self.leaving(task)[1]
 
     def successor_at_m(self, task: Task) -> float:
         """Length flown at p_prog."""
@@ -239,9 +240,8 @@ def advance(
     ready, so there is no stop at the end of this one.  until_m: the length at which to stop, with
     all that the vehicle brakes with, if that is before the end.
     """
-    at_m, speed = reference.length_m, reference.speed_m_s
-    pose, length_m = leg.subpath.pose(at_m), leg.subpath.length_m
-    lead = float((pose.position_nea_m - vehicle_nea_m) @ pose.tangent_nea)
+    at_m, speed, length_m = reference.length_m, reference.speed_m_s, leg.subpath.length_m
+    lead = -ahead_m(reference, leg, vehicle_nea_m)
     if lead > motion.lag_m:
         return Reference(length_m=at_m, speed_m_s=0.0)
     slower, left_m = motion.braking_m_s2 * elapsed_s, max(min(length_m, until_m) - at_m, 0.0)

@@ -1,17 +1,10 @@
 """Ways out for a vehicle at rest where a search cannot begin, or finds nothing; and where none is.
 
-- `escape`: from a place that is too near to terrain or zones for any certificate to begin.
+- `escape`: where it is too near to terrain or zones for any certificate to begin.
 - `way_out`: a straight piece to begin with, where no search finds a leg.
 - `blocked_at`: whether the known map proves that there is no way to the target.
 
-An escape is straight, proven not to come nearer to terrain and zones than the vehicle already is,
-and clear of all at its end.  For a plane distances are those of its loiter circle.
-
-For a way out a flood fill over the map, of places that keep the clearance of the certificate at the
-altitude of the vehicle, reaches all that it can come to by straight pieces.  Of these places the
-one from which least is left to fly is flown towards; if none is better than where it is, one at the
-edge of what has been seen.  The leg goes straight along the way there as far as that is proven, as
-fast as its length allows.  It ends at rest, where the next plan sees more.
+For a plane all distances are those of its loiter circle.
 """
 
 import math
@@ -34,7 +27,7 @@ from companion.planner.field import CostToGo
 from companion.planner.price import Prices
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
 from companion.planner.searches import straight_plan
-from companion.planner.settings import Kept, Task
+from companion.planner.settings import Task
 from companion.world.clearance import dilated_m, safe_surface
 from companion.world.columns import distance_to_terrain_m, distances_to_terrain_m
 from companion.world.known_map import KnownMap
@@ -61,11 +54,11 @@ _NO_GROUND_M = -1e4  # altitude AMSL of ground that no proof meets: no ground on
 def escape(request: PlanRequest) -> Planned | NotPlanned | None:
     """The shortest straight way out of where no certificate can begin; None: one can.
 
-    Proven: no nearer to the terrain than the vehicle is now, and with the whole clearance from
-    where it first has that; no nearer to a zone that it is clear of than now.  Out of those that
-    it is in, a way that first leads deeper is only taken if it is much shorter; and out of one that
-    is too large, a way as far towards its edge as can be seen.  The certificate is that about the
-    terrain.
+    It is clear of terrain and zones at its end.  Proven: no nearer to the terrain than the vehicle
+    is now, and with the whole clearance from where it first has that; no nearer to a zone that it
+    is clear of than now.  Out of those that it is in, a way that first leads deeper is only taken
+    if it is much shorter; and out of one that is too large, a way as far towards its edge as can be
+    seen.  The certificate is that about the terrain.
     """
     task, start, around = request.task, request.start.position_nea_m, request.around
     least_m = task.required_clearance_m
@@ -104,18 +97,18 @@ def _proofs(
     required_m = task.required_clearance_m
 
     def keeping(keep_m: float, known: KnownMap, zones: tuple[Zone, ...] = ()) -> Surroundings:
-        keep_m = min(keep_m, required_m)
+        here_ne_m, range_m = request.start.point_nea_m[:2], task.settings.scan_range_m
         contact_m = min(task.envelope.contact_m, keep_m)
-        kept: Kept = {"clearance_m": keep_m, "contact_m": contact_m, "zones": zones}
-        place, reach_m = request.start.point_nea_m[:2], task.settings.scan_range_m
-        return task.surroundings(known, place, reach_m, **kept)
+        return task.surroundings(
+            known, here_ne_m, range_m, clearance_m=keep_m, contact_m=contact_m, zones=zones
+        )
 
     gap_m = float(_gaps_m(request, *others))
     air = replace(known, upper_m=np.full(known.upper_m.shape, _NO_GROUND_M))
-    off_zones = keeping(max(gap_m - _SLACK_M, 0.5 * gap_m), air, others)
+    off_zones = keeping(min(max(gap_m - _SLACK_M, 0.5 * gap_m), required_m), air, others)
     clear = ground = keeping(required_m, known)
     if now_m < required_m:
-        ground = keeping(max(now_m, 1.0) - _SLACK_M, known)
+        ground = keeping(min(max(now_m, 1.0) - _SLACK_M, required_m), known)
 
     def proven(end: FloatArray) -> Certificate | None:
         whole = straight(start, end)
@@ -212,6 +205,12 @@ def way_out(
     request: PlanRequest, prices: Prices, prove: Prove, *, looks: bool, strays: bool
 ) -> tuple[Planned, float] | None:
     """The straight piece to begin with, level or climbing, and what it costs with all that follows.
+
+    A flood fill over the map, of places that keep the clearance of the certificate at the altitude
+    of the vehicle, reaches all that it can come to by straight pieces.  Of these places the one
+    from which least is left to fly is flown towards; if none is better than where it is, one at the
+    edge of what has been seen.  The leg goes straight along the way there as far as that is proven,
+    as fast as its length allows.  It ends at rest, where the next plan sees more.
 
     looks: where no less is left to fly anywhere, it goes to where more is seen.  strays: it may
     climb where that brings it no nearer at once.  None if there is no place to go to.
@@ -322,9 +321,8 @@ class _Pieces:
         away_m, reached = steps * step_m, np.isfinite(steps)
         left_m = np.full(len(steps), math.inf)
         left_m[reached] = self._prices.to_go_m(self._at(places_ne_m[reached], away_m[reached]))
-        goals = _least(left_m)
-        if left_m[goals[0]] > self._left_here_m - _GAIN_CELLS * cell_m:
-            goals = []
+        is_nearer = left_m.min() <= self._left_here_m - _GAIN_CELLS * cell_m
+        goals = _least(left_m) if is_nearer else []
         if looks:
             near_m = task.required_clearance_m + _SEAM_CELLS * cell_m
             edge = _sees_more(self._request.around, places_ne_m, self._top_m, near_m)

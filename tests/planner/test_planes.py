@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from planning import ask, column_distance_m, fly, leg_of, limits, spline
-from small_world import TERRAIN
+from planning import TERRAIN, ask, column_distance_m, fly, leg_of, limits, spline
 
 from companion.path.envelope import flown_on_m, stopping_m
 from companion.planner.loiter_search import Motion, loiter_point

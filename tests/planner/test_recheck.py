@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from planning import PLANE_TASK, leg_of, limits, zone_distance_m
-from small_world import TASK
+from planning import PLANE_TASK, TASK, leg_of, limits, zone_distance_m
 
 from companion.planner.cost_grid import CostGrid
 from companion.planner.cost_samples import BLOCKED
