@@ -13,7 +13,7 @@ from companion.mission.decisions import Turn
 from companion.mission.events import Position, Setpoint, Vector
 from companion.mission.state import Answered, Flight, OnPath, Reason, State, Stop
 from companion.path.envelope import ending_m_s, slowing_m
-from companion.planner.loiter_search import Motion, loiter_point
+from companion.planner.loiter_search import loiter_point
 from companion.planner.procedure import (
     Leg,
     Offset,
@@ -289,8 +289,8 @@ def stop(state: State, reason: Reason, turn: Turn) -> None:
         point = sent_pose(reference, leg, path.next_leg, ahead_m, state.task).point_nea_m
         if reason in (Reason.NEW_THREAT, Reason.FENCE_UNREAD):
             here = state.vehicle.position_nea_m or point
-            motion = Motion(here, state.vehicle.velocity_nea_m_s)
-            point = loiter_point(flight.known, state.task, motion, point) or point
+            velocity = state.vehicle.velocity_nea_m_s
+            point = loiter_point(flight.known, state.task, here, velocity, point) or point
         requeue_backtrack(flight, leg, path.next_leg)
         come_to_rest(flight, point)
         return turn.fault(reason)

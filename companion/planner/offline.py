@@ -149,9 +149,9 @@ def fly_offline(
 
 def usual_most_legs(task: Task, start_nea_m: Vector, targets_ne_m: tuple[Place, ...]) -> int:
     """Six times as many as a straight way has, or 60 if that is more."""
-    places = [start_nea_m[:2], *targets_ne_m]
     leg_m = max(task.end_radius_m - task.tail_m, 0.1 * task.settings.scan_range_m)
-    legs = sum(math.ceil(math.dist(a, b) / leg_m) for a, b in pairwise(places))
+    ways = pairwise([start_nea_m[:2], *targets_ne_m])
+    legs = sum(math.ceil(math.dist(*way) / leg_m) for way in ways)
     return max(_MIN_MOST_LEGS, _TIMES_AS_MANY * legs)
 
 
