@@ -15,6 +15,7 @@ from typing import Any, final
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from companion import jit
 from companion.geodesy import BoolArray, FloatArray
@@ -374,7 +375,7 @@ def _sees_more(
     seam = np.isinf(known.upper_m) & scipy.ndimage.binary_dilation(free)
     near = scipy.ndimage.distance_transform_edt(~seam, sampling=known.cell_m) <= near_m
     corner = known.north_min_m, known.east_min_m
-    return np.asarray(_of_cells(near & seam.any(), places_ne_m, corner, known.cell_m))
+    return _of_cells(near & seam.any(), places_ne_m, corner, known.cell_m)
 
 
 def _flood(free: BoolArray, price: FloatArray, begin: int) -> tuple[FloatArray, IndexArray]:
@@ -429,14 +430,16 @@ def blocked_at(
     return north, east
 
 
-def _of_cells(values: Any, places_ne_m: FloatArray, corner_ne_m: Place, cell_m: float) -> Any:
+def _of_cells(
+    values: NDArray[Any], places_ne_m: FloatArray, corner_ne_m: Place, cell_m: float
+) -> NDArray[Any]:
     """The values of the cells that places lie in; of one off the map, of the nearest.
 
     (R, C), (N, 2) -> (N,).
     """
     index = np.floor((places_ne_m - corner_ne_m) / cell_m).astype(np.int64)
     row, column = np.clip(index, 0, np.array(values.shape) - 1).T
-    return values[row, column]
+    return np.asarray(values[row, column])
 
 
 def _barred(known: KnownMap, task: Task, across: int) -> BoolArray:
