@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import shapely
+from companion.world.simulated_scan import true_map
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.optimize import brentq
@@ -19,8 +20,9 @@ from companion.planner.procedure import Leg, hover_pose
 from companion.planner.request import PlanRequest
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
+from companion.world.radars import Radar
 from companion.world.terrain import Peak, PeakTerrain
-from companion.world.zones import CircleZone, Zone
+from companion.world.zones import CircleZone, PolygonZone, Zone
 
 ARDUCOPTER = named("ardupilot", "copter").traits.handling
 
@@ -117,6 +119,41 @@ def fly(
 def hills(*rows: tuple[float, ...], ground_m: float = 0.0) -> PeakTerrain:
     """Peaks by north, east, height and their spreads to the north and east."""
     return PeakTerrain(peaks=tuple(Peak(*row) for row in rows), ground_amsl_m=ground_m)
+
+
+# --- a small world: hills of 300 to 900 m on 8 km x 8 km, a vehicle of 15 m/s
+
+SQUARE = ((5e3, 5e3), (5e3, 5.4e3), (5.4e3, 5.4e3), (5.4e3, 5e3))
+TASK = Task(
+    limits=_COPTER,
+    settings=PlannerSettings(
+        scan_range_m=2_000.0,
+        safety_distance_m=60.0,
+        planning_time_s=2.0,
+        scan_time_s=1.0,
+        overlap_m=200.0,
+        evaluations=600,
+    ),
+    radars=(Radar(name="r", centre_nea_m=(6_500.0, 3_300.0, 0.0), range_m=900.0),),
+    zones=(
+        CircleZone(name="c", north_m=2_300.0, east_m=4_300.0, radius_m=350.0),
+        PolygonZone(name="s", vertices_ne_m=SQUARE),
+    ),
+)
+TERRAIN = hills(
+    (3_000.0, 2_600.0, 900.0, 500.0, 400.0),
+    (4_300.0, 3_900.0, 650.0, 400.0, 700.0),
+    (2_000.0, 6_000.0, 800.0, 500.0, 500.0),
+    (6_000.0, 6_200.0, 500.0, 600.0, 300.0),
+    ground_m=100.0,
+)
+BLANK = empty_map(TASK.cell_m, TASK.limits.north_m, TASK.limits.east_m)
+"""Nothing is known."""
+TRUTH = true_map(TERRAIN, BLANK)
+"""Everything is."""
+
+
+# --- legs, curves and distances
 
 
 def leg_of(control_nea_m: Any, **changes: Any) -> Leg:

@@ -31,7 +31,6 @@ from companion.mission.state import (
 from companion.mission.stopped import resumed, taken
 from companion.mission.tables import is_breach_of_fence
 from companion.mission.way_back import set_targets
-from companion.planner.recheck import is_touched, meets_near_things
 from companion.planner.rules import target_refusal
 from companion.world.zones import nearest
 
@@ -139,7 +138,7 @@ def _on_fence(state: State, event: events.FenceChanged, turn: Turn) -> None:
         turn.warn(f"inside zone {inside}")
     legs = [(flight.leg, flight.reference.length_m), (flight.next_leg, 0.0)]
     legs += [(leg, 0.0) for leg in flight.back]
-    if any(leg is not None and is_touched(leg, at_m, state.task) for leg, at_m in legs):
+    if any(leg is not None and leg.is_touched(at_m, state.task) for leg, at_m in legs):
         if on_path:
             following.stop(state, Reason.NEW_THREAT, turn)
         else:  # a path that was to be gone on with
@@ -175,7 +174,7 @@ def _on_near_things(state: State, event: events.NearSeen, turn: Turn) -> None:
     kept_m = state.task.settings.safety_distance_m + state.task.limits.tracking_error_m
     legs = [(path.leg, following.vehicle_at_m(state, path)), (path.next_leg, 0.0)]
     if stops_for is not Reason.NEW_THREAT and any(
-        leg and meets_near_things(leg, at_m, event.near, kept_m) for leg, at_m in legs
+        leg and leg.meets(event.near, at_m, kept_m) for leg, at_m in legs
     ):
         following.stop(state, Reason.NEW_THREAT, turn)
 

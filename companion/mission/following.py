@@ -13,10 +13,10 @@ from companion.mission.decisions import Turn
 from companion.mission.events import Position, Setpoint, Vector
 from companion.mission.state import Answered, Flight, OnPath, Reason, State, Stop
 from companion.path.envelope import ending_m_s, slowing_m
-from companion.planner import join
-from companion.planner.loiter_search import Motion, loiter_point
+from companion.planner.loiter_search import loiter_point
 from companion.planner.procedure import (
     Leg,
+    Offset,
     Reference,
     advance,
     ahead_m,
@@ -99,7 +99,7 @@ def advance_reference(state: State, path: OnPath, event: Position) -> None:
         flight.progress_at_s = state.now_s
     path.circling = False
     if path.offset is not None:
-        path.offset = join.step(path.offset, vehicle.position_step_s, task.limits)
+        path.offset = path.offset.after(vehicle.position_step_s, task.limits)
     if path.next_leg is not None and path.reference.length_m >= leaves_at_m - _ROUNDING_M:
         switch_to_next_leg(flight, path, task)
 
@@ -289,8 +289,8 @@ def stop(state: State, reason: Reason, turn: Turn) -> None:
         point = sent_pose(reference, leg, path.next_leg, ahead_m, state.task).point_nea_m
         if reason in (Reason.NEW_THREAT, Reason.FENCE_UNREAD):
             here = state.vehicle.position_nea_m or point
-            motion = Motion(here, state.vehicle.velocity_nea_m_s)
-            point = loiter_point(flight.known, state.task, motion, point) or point
+            velocity = state.vehicle.velocity_nea_m_s
+            point = loiter_point(flight.known, state.task, here, velocity, point) or point
         requeue_backtrack(flight, leg, path.next_leg)
         come_to_rest(flight, point)
         return turn.fault(reason)
@@ -402,7 +402,7 @@ def joined(state: State, path: OnPath | None) -> Flight | None:
         speed = min(speed, ending_m_s(path.leg.motion(state.task), left_m))
     path.circling = not hovers and off_m > limits.tracking_error_m
     if hovers:
-        path.offset = join.begin(np.asarray(led), np.asarray(velocity), pose, speed)
+        path.offset = Offset.of(led, velocity, pose, speed)
     flight.flown = flown_segments(flight, at_m)
     path.reference, path.joined_m = Reference(length_m=at_m, speed_m_s=speed), at_m
     flight.progress_at_s = state.now_s

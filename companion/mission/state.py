@@ -13,8 +13,7 @@ from msgspec import Struct, field
 from companion.mission.events import FenceChanged, Item, Landed, Mode, Setpoint, Vector
 from companion.mission.mission import Mission
 from companion.mission.vehicle_traits import UNKNOWN, VehicleTraits
-from companion.planner.join import Offset
-from companion.planner.procedure import Leg, Reference
+from companion.planner.procedure import Leg, Offset, Reference
 from companion.planner.progress import NO_PROGRESS, Progress
 from companion.planner.request import FlownSegment, Refusal
 from companion.planner.settings import Task

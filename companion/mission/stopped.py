@@ -44,7 +44,6 @@ from companion.mission.mission import EndAction, Fallback
 from companion.mission.state import ON_SETPOINTS, Held, Hold, Orders, Reason, State, Trigger
 from companion.mission.tables import is_ours, parting, stays_down, takeover_reason, wanted_fallback
 from companion.mission.way_back import begins_at_home, home_ne_m, is_above_home
-from companion.planner.recheck import is_touched
 
 FAILSAFE_OVER = "failsafe over: MISSION_START to the companion, or guided mode, goes on"
 
@@ -204,7 +203,7 @@ def resumed(state: State, turn: Turn) -> None:
         return
     if not flight.returning:
         return turn.to(Trigger.RESUME)
-    clear = not any(is_touched(leg, 0.0, state.task) for leg in flight.back)
+    clear = not any(leg.is_touched(0.0, state.task) for leg in flight.back)
     if clear and way_back.begun(state, flight) is not None:
         return turn.to(Trigger.BACKTRACK)
     reason = flight.fallen_back or state.reason or Reason.NO_PLAN

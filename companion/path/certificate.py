@@ -12,14 +12,8 @@ from typing import final
 import numpy as np
 
 from companion import jit
-from companion.path.envelope import Envelope, flown_on_m
-from companion.path.limits import Limits
 from companion.path.proof import ROUNDING, ROUNDING_M, Bounds, Surroundings, prove
 from companion.path.subpath import Subpath, cubics_of
-from companion.world.columns import pack_columns
-from companion.world.known_map import KnownMap
-from companion.world.radars import Radar
-from companion.world.zones import Zone, packed
 
 _SANE_M = 1e8  # no control point is farther out than this: the arithmetic of the proof stays finite
 _SET_BY = {
@@ -122,49 +116,4 @@ def certify(subpath: Subpath, around: Surroundings, *, from_rest: bool) -> Certi
         required_contact_m=around.contact_m,
         speed_m_s=motion.speed_m_s,
         broken=tuple(name for name, is_kept in zip(_SET_BY, kept, strict=True) if not is_kept),
-    )
-
-
-def pack_surroundings(
-    known: KnownMap,
-    limits: Limits,
-    motion: Envelope,
-    *,
-    clearance_m: float,
-    zones: tuple[Zone, ...],
-    centre_ne_m: tuple[float, float],
-    reach_m: float,
-    radars: tuple[Radar, ...] = (),
-    contact_m: float | None = None,
-    stops: bool = True,
-) -> Surroundings:
-    """What certificates are about, as plain arrays; made once per plan.
-
-    The curves keep clearance_m from terrain and zones, and so much of the altitude band that the
-    vehicle stays in it; the dead-man stretches keep contact_m (None: what the vehicle may be off).
-    centre_ne_m, reach_m: the curves stay within this of there (their straight dead-man stretches
-    may leave it).  What lies farther out counts as terrain without a top.
-    stops: the vehicle stops at the end of a curve; else it may go on from there at full speed.
-    """
-    farther_m = flown_on_m(motion, motion.speed_m_s) + 3.0 * clearance_m
-    registration_m = known.registration_m + motion.loiter_m
-    (south_m, north_m), (west_m, east_m) = limits.north_m, limits.east_m
-    low_m, high_m = limits.inner_band_amsl_m(motion.error_m)
-    circles = [(*radar.centre_nea_m, radar.range_m) for radar in radars]
-    return Surroundings(
-        columns=pack_columns(
-            known,
-            centre_ne_m=centre_ne_m,
-            reach_m=reach_m + farther_m + registration_m,
-            block=max(2, min(16, round(0.75 * clearance_m / known.cell_m))),
-            registration_m=registration_m,
-        ),
-        zones=packed(zones),
-        radars=np.array(circles, dtype=np.float64).reshape(-1, 4),
-        clearance_m=float(clearance_m),
-        contact_m=float(motion.contact_m if contact_m is None else contact_m),
-        motion=motion,
-        stops=stops,
-        lowest_nea_m=(float(south_m), float(west_m), float(low_m)),
-        highest_nea_m=(float(north_m), float(east_m), float(high_m)),
     )

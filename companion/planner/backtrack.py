@@ -31,9 +31,8 @@ def backtrack(
     `reaches_start` is False.  A `through` subpath may be flown into the next at full speed, else
     the vehicle stops at its end.  The vehicle starts at rest.
     """
-    curves = _curves_back(flown, task)
-    back: list[tuple[Subpath, bool, float]] = []
-    from_rest = True
+    curves, from_rest = _curves_back(flown, task), True
+    subpaths, throughs, speeds_m_s = list[Subpath](), list[bool](), list[float]()
     for (control, speed_m_s), follows in zip_longest(curves, curves[1:]):
         subpath, slow = Subpath(control_nea_m=control), task.at_speed(speed_m_s)
         is_proven = partial(_is_proven, subpath, slow, known, from_rest=from_rest)
@@ -41,14 +40,16 @@ def backtrack(
         through = through and _is_smooth(control, follows[0]) and is_proven(stops=False)
         if not (through or is_proven(stops=True)):
             break
-        back.append((subpath, through, speed_m_s))
+        subpaths.append(subpath)
+        throughs.append(through)
+        speeds_m_s.append(speed_m_s)
         from_rest = not through
     return Backtrack(
         plan_id=plan_id,
-        subpaths=tuple(subpath for subpath, _, _ in back),
-        through=tuple(through for _, through, _ in back),
-        reaches_start=len(back) == len(curves),
-        speeds_m_s=tuple(speed_m_s for _, _, speed_m_s in back),
+        subpaths=tuple(subpaths),
+        through=tuple(throughs),
+        reaches_start=len(subpaths) == len(curves),
+        speeds_m_s=tuple(speeds_m_s),
     )
 
 
@@ -59,12 +60,11 @@ def _curves_back(flown: tuple[FlownSegment, ...], task: Task) -> list[tuple[Floa
         speed_m_s = task.at_speed(segment.speed_m_s).limits.speed_m_s
         for control in _reversed(segment):
             if curves:
-                last = curves[-1][0][-1:]
-                gap_m = float(np.linalg.norm(control[0] - last[0]))
-                if gap_m > _APART_M:
-                    curves.append((straight(last[0], control[0]).control_nea_m, speed_m_s))
+                last = curves[-1][0][-1]
+                if np.linalg.norm(control[0] - last) > _APART_M:
+                    curves.append((straight(last, control[0]).control_nea_m, speed_m_s))
                 else:
-                    control = np.concatenate([last, control[1:]])
+                    control[0] = last
             curves.append((control, speed_m_s))
     return curves
 

@@ -1,7 +1,6 @@
 """Searches a place where a plane can loiter that has to leave its path for a new zone."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -30,22 +29,16 @@ _STILL_M_S, _ON_THE_SPOT = 1.0, 1e-6
 """Slower over ground no plane flies: its course means nothing, and it counts as turning at once."""
 
 
-class Motion(NamedTuple):
-    """Where a plane is and how it flies."""
-
-    here_nea_m: Vector
-    velocity_nea_m_s: Vector
-    """Over ground; it turns from there towards a place (almost zero: straight flight)."""
-
-
-def loiter_point(known: KnownMap, task: Task, motion: Motion, preferred: Vector) -> Vector | None:
+def loiter_point(
+    known: KnownMap, task: Task, here_nea_m: Vector, velocity_nea_m_s: Vector, preferred: Vector
+) -> Vector | None:
     """A point to loiter at: its circle is clear of terrain and zones.
 
     The preferred point if the way there is clear, else the point at the vehicle's height with the
     shortest way; what of it is too near to zones counts again, by the share of the required
     clearance that is missing there (or up to 20 times: among 300 drawn fences it led out of them
     equally soon).  A circle keeps the required clearance, or, if none does, the vehicle's errors.
-    Of the way there, which begins with a turn:
+    Of the way there, which begins with a turn from its velocity over ground:
 
     - it clears terrain by the errors, or comes no nearer than the vehicle is; all of it counts as
       flown at the lower of its ends, as a climb takes longer than the way;
@@ -53,10 +46,10 @@ def loiter_point(known: KnownMap, task: Task, motion: Motion, preferred: Vector)
 
     Unknown ground is never clear.  None: there is no such place among the best.
     """
-    here, zones = np.array(motion.here_nea_m), packed(task.zones)
+    here, zones = np.array(here_nea_m), packed(task.zones)
     error_m, required_m = task.error_m, task.required_clearance_m
     farthest_m, circle_m = _FARTHEST * task.settings.scan_range_m, task.limits.loiter_radius_m
-    if not sees_anything(known, motion.here_nea_m[:2], farthest_m):
+    if not sees_anything(known, here_nea_m[:2], farthest_m):
         return None
     turns = np.linspace(0.0, 2.0 * math.pi, _BEARINGS, endpoint=False)
     radii = np.linspace(0.0, farthest_m, _LENGTHS + 1)[1:, None, None]
@@ -70,7 +63,7 @@ def loiter_point(known: KnownMap, task: Task, motion: Motion, preferred: Vector)
     low = np.column_stack([points[:, :2], np.minimum(points[:, 2], here[2])])
     clear_m = np.minimum(clear_m, distances_to_terrain_m(known.grown(circle_m), low, required_m))
 
-    ways, lengths_m, which = _ways_ne_m(task, motion, low[:, :2], _ROUGHLY)
+    ways, lengths_m, which = _ways_ne_m(task, here[:2], velocity_nea_m_s, low[:, :2], _ROUGHLY)
     off_m = gaps_m(zones, ways[..., 0], ways[..., 1], required_m)
     nearest_m, bad_m = np.full(len(points), np.inf), np.zeros(len(points))
     np.minimum.at(nearest_m, which, off_m.min(axis=-1))
@@ -81,7 +74,7 @@ def loiter_point(known: KnownMap, task: Task, motion: Motion, preferred: Vector)
     off_terrain_m = min(error_m, distance_to_terrain_m(known, here, error_m) - _SLACK_M)
     order = np.lexsort([np.round(bad_m, 3), clear_m < required_m])
     for k in order[((nearest_m >= off_zones_m) & (clear_m >= error_m))[order]][:_LOOKED_AT]:
-        ways, _, _ = _ways_ne_m(task, motion, low[k : k + 1, :2], _SAMPLES)
+        ways, _, _ = _ways_ne_m(task, here[:2], velocity_nea_m_s, low[k : k + 1, :2], _SAMPLES)
         flown = np.insert(ways.reshape(-1, 2), 2, low[k, 2], axis=1)
         clears_zones = gaps_m(zones, flown[:, 0], flown[:, 1], required_m) >= off_zones_m
         clears_terrain = distances_to_terrain_m(known, flown, error_m) >= off_terrain_m
@@ -92,7 +85,7 @@ def loiter_point(known: KnownMap, task: Task, motion: Motion, preferred: Vector)
 
 
 def _ways_ne_m(
-    task: Task, motion: Motion, places_ne_m: FloatArray, samples: int
+    task: Task, here: FloatArray, velocity: Vector, places_ne_m: FloatArray, samples: int
 ) -> tuple[FloatArray, FloatArray, IndexArray]:
     """Ways to N places: a turn, wide or tight, until the nose points there, then straight.
 
@@ -100,8 +93,7 @@ def _ways_ne_m(
     pointed at: the whole turn.
     -> (M, S, 2), lengths (M,), and to which of the places (M,).
     """
-    here, (north, east, _) = np.array(motion.here_nea_m[:2]), motion.velocity_nea_m_s
-    course, moves = math.atan2(east, north), math.hypot(north, east) >= _STILL_M_S
+    course = math.atan2(velocity[1], velocity[0])
     away = places_ne_m - here
     bearing = np.arctan2(away[:, 1], away[:, 0]) - course
     bearing = np.arctan2(np.sin(bearing), np.cos(bearing))
@@ -109,7 +101,8 @@ def _ways_ne_m(
     flown = (_TURNS[:, None] * bearing >= 0.0) | (np.abs(bearing) > _EITHER_SIDE_RAD) | is_here
     turn, which = np.nonzero(flown)
     side, size_m = np.sign(_TURNS)[turn], (np.abs(_TURNS) * task.limits.turn_radius_m)[turn]
-    size_m = size_m if moves else np.full(len(size_m), _ON_THE_SPOT)
+    if math.hypot(*velocity[:2]) < _STILL_M_S:
+        size_m = np.full(len(size_m), _ON_THE_SPOT)
     centre = here + (side * size_m)[:, None] * [-math.sin(course), math.cos(course)]
     away = places_ne_m[which] - centre
     apart_m = np.hypot(away[:, 0], away[:, 1])

@@ -16,7 +16,6 @@ from companion.path.envelope import stopping_m
 from companion.planner import procedure
 from companion.planner.procedure import Leg, Reference, Vector, hover_pose
 from companion.planner.progress import NO_PROGRESS
-from companion.planner.recheck import meets_near_things
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.settings import Place, Task
 from companion.world.known_map import KnownMap, Scan
@@ -149,9 +148,9 @@ def fly_offline(
 
 def usual_most_legs(task: Task, start_nea_m: Vector, targets_ne_m: tuple[Place, ...]) -> int:
     """Six times as many as a straight way has, or 60 if that is more."""
-    places = [start_nea_m[:2], *targets_ne_m]
     leg_m = max(task.end_radius_m - task.tail_m, 0.1 * task.settings.scan_range_m)
-    legs = sum(math.ceil(math.dist(a, b) / leg_m) for a, b in pairwise(places))
+    ways = pairwise([start_nea_m[:2], *targets_ne_m])
+    legs = sum(math.ceil(math.dist(*way) / leg_m) for way in ways)
     return max(_MIN_MOST_LEGS, _TIMES_AS_MANY * legs)
 
 
@@ -200,7 +199,7 @@ class OnBoard:
             pose = leg.subpath.pose(at_m)
             self._heading_rad = math.atan2(pose.tangent_nea[1], pose.tangent_nea[0])
             self.look(pose.point_nea_m[:2], self._heading_rad, speed_m_s, seconds=step_s)
-            if meets_near_things(leg, at_m, self.near, kept_m):
+            if leg.meets(self.near, at_m, kept_m):
                 self._now_s += speed_m_s / task.limits.acceleration_m_s2
                 self._reference = Reference()
                 stop_m = min(at_m + stopping_m(motion, speed_m_s), np.nextafter(until_m, 0.0))

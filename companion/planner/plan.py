@@ -15,15 +15,13 @@ from companion.objective import rows_of
 from companion.planner import rules
 from companion.planner.backtrack import backtrack
 from companion.planner.cost_grid import Belief, Place
-from companion.planner.escape import escape
 from companion.planner.field import cost_to_go
 from companion.planner.price import Prices
 from companion.planner.procedure import hover_pose
 from companion.planner.progress import BELIEVED, Progress
-from companion.planner.reachability import blocked_at
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.searches import Searches
-from companion.planner.way_out import way_out
+from companion.planner.way_out import blocked_at, escape, way_out
 from companion.world.columns import distance_to_terrain_m, sees_anything
 
 _MUCH_DEARER = 0.5  # of the cost of R: then it is planned more slowly, too

@@ -8,7 +8,8 @@ The next leg starts at p_prog of this one.  A leg that has no successor is flown
 the vehicle stops: the tail is long enough for that.  A plane circles the end.
 
 Multicopters follow a point that moves along the path by itself (`advance`); planes, whose speed is
-not commanded, are sent to a point ahead of their position (`follow`).
+not commanded, are sent to a point ahead of their position (`follow`).  One that is not quite on the
+path, after a restart, joins it without a jump (`Offset`).
 """
 
 import math
@@ -24,6 +25,8 @@ from companion.path.limits import Limits
 from companion.path.subpath import Pose, Subpath
 from companion.planner.request import Planned, Rest
 from companion.planner.settings import Task
+from companion.world.near_map import NearMap
+from companion.world.zones import Zone, gaps_m, packed
 
 _GAINS = 0.6  # of the lag: so far ahead it gains no speed, else the vehicle catches up too fast
 _SLOWEST = 0.25  # of V: what would have to be left more slowly is flown to its end
@@ -34,6 +37,14 @@ _WINDOW_S = 5.0  # how far ahead it is looked for, in seconds of flight
 _PACES = 100  # parts of a leg for each of which a speed is known
 _PROJECTIONS = 2  # to the nearest point of a path that hardly bends over a tracking error
 _LEAVES = math.cos(math.radians(25.0))  # a plane leaves its circle when it flies so along the path
+_LEEWAY, _LEEWAY_M = 2e-3, 0.01
+"""Of the required distance, and metres besides: a certificate is not exact either (to 1 %)."""
+_BAND_SLACK_M = 0.5  # a ceiling above home moves that much with where the autopilot has its home
+_BAND_SAMPLES = 100
+"""A leg climbs by less than its climb angle over 1 % of its length between two of them."""
+_SHARE = 0.5  # of the acceleration, for joining the path: the path needs the rest
+_SLOWEST_1_S, _FASTEST_1_S = 0.02, 1.0  # gone within minutes, and as fast as a vehicle follows
+_GONE = 0.05  # m and m/s
 
 Vector = tuple[float, float, float]
 
@@ -67,8 +78,7 @@ class Leg:
 
     def scan_at_m(self, task: Task) -> float:
         """Length flown at p_scan: L before the end, or at once on a short leg (paper 2.3)."""
-        task = task if self.speed_m_s is None else task.at_speed(self.speed_m_s)
-        return max(self.subpath.length_m - task.scan_distance_m, 0.0)
+        return max(self.subpath.length_m - task.at_speed(self.speed_m_s).scan_distance_m, 0.0)
 
     def wants_successor(self, at_m: float, task: Task, speed_m_s: float = 0.0) -> bool:
         """Whether to scan and plan for the next leg, at this length flown: from p_scan on.
@@ -117,8 +127,9 @@ class Leg:
 
     def slows_to_m_s(self, task: Task) -> float:
         """The speed that it is flown at from its start on; infinite: as fast as it may."""
-        goes_on = not self.reaches_target and self.can_be_left(task)
-        return self.leaving(task)[1] if goes_on else math.inf
+        if self.reaches_target or not self.can_be_left(task):
+            return math.inf
+        return self.leaving(task)[1]
 
     def successor_at_m(self, task: Task) -> float:
         """Length flown at p_prog."""
@@ -142,6 +153,55 @@ class Leg:
         left_m = self.subpath.length_m - at_m + _ROUNDING_M
         slows_m = max(slowing_m(motion, speed_m_s), motion.lead_m)
         return left_m >= slows_m and speed_m_s >= _SLOWEST * motion.speed_m_s
+
+    # --- what bars the rest of it: what was proven stays proven, but for what is new or stricter
+
+    def is_touched(self, from_m: float, task: Task) -> bool:
+        """Whether it breaks, from a length on, a rule that is new: a zone, the floor, the ceiling.
+
+        task: the rules now.
+        """
+        before, zones = self.rules, task.zones
+        was_low_m, was_high_m = -math.inf, math.inf
+        if before is not None:
+            was_low_m, was_high_m = before.limits.inner_band_amsl_m(before.error_m)
+            zones = tuple(zone for zone in zones if zone not in before.zones)
+        low_m, high_m = task.limits.inner_band_amsl_m(task.error_m)
+        lengths = np.linspace(from_m, self.subpath.length_m, _BAND_SAMPLES)
+        heights = self.subpath.points_nea_m(lengths)[:, 2]
+        too_low = low_m > was_low_m and heights.min() < low_m - _BAND_SLACK_M
+        too_high = high_m < was_high_m and heights.max() > high_m + _BAND_SLACK_M
+        return bool(too_low or too_high) or self.nears(zones, from_m, task.zone_clearance_m)
+
+    def nears(self, zones: tuple[Zone, ...], from_m: float, required_m: float) -> bool:
+        """Whether it comes nearer to a zone, from a length on, than it must keep, to 0.2 %.
+
+        Looked at a leeway apart: between two samples nothing is nearer than half of that.
+        """
+        leeway_m, length_m = _LEEWAY * required_m + _LEEWAY_M, self.subpath.length_m
+        count = math.ceil(max(length_m - from_m, 0.0) / leeway_m) + 1
+        lengths = np.linspace(min(from_m, length_m), length_m, count)
+        north, east, _ = self.subpath.points_nea_m(lengths).T
+        told_m = gaps_m(packed(zones), north, east, required_m)
+        return bool((told_m < required_m - 0.5 * leeway_m).any())
+
+    def meets(self, near: NearMap, from_m: float, required_m: float) -> bool:
+        """Whether something stands nearer than required to the rest of it, seen from above.
+
+        What is too near already may be left: a stop would be on the same path.  It must lead away,
+        to where the distance is kept, within as much of the path.  Looked at every half cell: what
+        lies between two points is nearer by less than a thirtieth of a cell if required_m is a cell
+        or more.
+        """
+        length_m = self.subpath.length_m
+        steps = max(round(2.0 * (length_m - from_m) / near.lattice.cell_m), 1)
+        lengths = np.linspace(from_m, length_m, steps + 1)
+        apart_m = near.gaps_m(self.subpath.points_nea_m(lengths)[:, :2], required_m)
+        kept = apart_m >= required_m
+        left_at = int(np.argmax(kept)) if kept.any() else steps
+        is_soon = lengths[left_at] - from_m <= required_m
+        leads_away = is_soon and (apart_m[:left_at] >= apart_m[0]).all()
+        return not (leads_away and kept[left_at:].all())
 
 
 @final
@@ -180,9 +240,8 @@ def advance(
     ready, so there is no stop at the end of this one.  until_m: the length at which to stop, with
     all that the vehicle brakes with, if that is before the end.
     """
-    at_m, speed = reference.length_m, reference.speed_m_s
-    pose, length_m = leg.subpath.pose(at_m), leg.subpath.length_m
-    lead = float((pose.position_nea_m - vehicle_nea_m) @ pose.tangent_nea)
+    at_m, speed, length_m = reference.length_m, reference.speed_m_s, leg.subpath.length_m
+    lead = -ahead_m(reference, leg, vehicle_nea_m)
     if lead > motion.lag_m:
         return Reference(length_m=at_m, speed_m_s=0.0)
     slower, left_m = motion.braking_m_s2 * elapsed_s, max(min(length_m, until_m) - at_m, 0.0)
@@ -320,3 +379,51 @@ def may_leave(
     least = _LEAVES * math.hypot(ahead_n, ahead_e) * math.hypot(north, east)
     flies_along = north * ahead_n + east * ahead_e >= least > 0.0
     return flies_along and is_on_circle(pose.point_nea_m, position_nea_m, limits)
+
+
+# --- joining the path
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Offset:
+    """What is added to the reference point's position and velocity, so that it does not jump.
+
+    A companion that was restarted in flight, or has taken over, begins with the setpoint at the
+    vehicle (or at its autopilot's target).  The offset then decays like a critically damped spring:
+    as fast as half of the mission's acceleration allows.
+    """
+
+    position_nea_m: FloatArray  # (3,)
+    velocity_nea_m_s: FloatArray  # (3,)
+
+    @staticmethod
+    def of(setpoint_nea_m: Vector, velocity_nea_m_s: Vector, pose: Pose, speed: float) -> "Offset":
+        """That of a setpoint from a reference point that moves at a pose with a speed, m/s."""
+        return Offset(
+            position_nea_m=setpoint_nea_m - pose.position_nea_m,
+            velocity_nea_m_s=velocity_nea_m_s - speed * pose.tangent_nea,
+        )
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether it has decayed to almost nothing."""
+        parts = self.position_nea_m, self.velocity_nea_m_s
+        return all(float(np.linalg.norm(part)) < _GONE for part in parts)
+
+    def after(self, elapsed_s: float, limits: Limits) -> "Offset":
+        """One step later, at the fastest decay rate w whose acceleration is allowed.
+
+        x = (x0 + c t) e^(-wt) with c = v0 + w x0 has an acceleration of at most w (|c| + |v0|), so
+        of w^2 |x0| + 2 w |v0|.
+        """
+        position, velocity = self.position_nea_m, self.velocity_nea_m_s
+        far, fast = float(np.linalg.norm(position)), float(np.linalg.norm(velocity))
+        most = _SHARE * limits.acceleration_m_s2
+        rate = most / (fast + math.sqrt(fast * fast + most * far) + 1e-12)
+        rate = min(max(rate, _SLOWEST_1_S), _FASTEST_1_S)
+        slope, left = velocity + rate * position, math.exp(-rate * elapsed_s)
+        return Offset(
+            position_nea_m=left * (position + elapsed_s * slope),
+            velocity_nea_m_s=left * (velocity - rate * elapsed_s * slope),
+        )

@@ -4,20 +4,21 @@ import hashlib
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, TypedDict, Unpack, final
+from typing import Annotated, final
 
+import numpy as np
 from annotated_types import Ge, Le
 
 from companion.path import envelope as moves
-from companion.path.certificate import pack_surroundings
 from companion.path.envelope import COPTER, PLANE, Envelope, Handling
 from companion.path.limits import Limits
 from companion.path.proof import Surroundings
 from companion.profiles import FLIGHT, Profile, Weights
 from companion.ranges import NotNegative, Positive
+from companion.world.columns import pack_columns
 from companion.world.known_map import KnownMap
 from companion.world.radars import Radar
-from companion.world.zones import Zone
+from companion.world.zones import Zone, packed
 
 Place = tuple[float, float]  # north and east in the local frame, metres
 CELLS_PER_RANGE = 80  # design 5.3: cells of R / 80
@@ -56,17 +57,6 @@ class PlannerSettings:
     def is_near(self) -> bool:
         """Whether it flies among near things, whose map has cells of its own."""
         return self.cell_m is not None
-
-
-class Kept(TypedDict, total=False):
-    """What certificates are about, where it is not what a task says: as of `pack_surroundings`."""
-
-    motion: Envelope
-    clearance_m: float
-    contact_m: float
-    zones: tuple[Zone, ...]
-    radars: tuple[Radar, ...]
-    stops: bool
 
 
 @final
@@ -154,13 +144,50 @@ class Task:
         return max(self.limits.floor_amsl_m + 2.0 * self.envelope.tube_m, self.band_amsl_m[0])
 
     def surroundings(
-        self, known: KnownMap, centre_ne_m: Place, reach_m: float, **otherwise: Unpack[Kept]
+        self,
+        known: KnownMap,
+        centre_ne_m: Place,
+        reach_m: float,
+        *,
+        motion: Envelope | None = None,
+        clearance_m: float | None = None,
+        contact_m: float | None = None,
+        zones: tuple[Zone, ...] | None = None,
+        radars: tuple[Radar, ...] | None = None,
+        stops: bool = True,
     ) -> Surroundings:
-        """What certificates of its paths are about, within reach of a place."""
-        kept: Kept = {"motion": self.envelope, "clearance_m": self.required_clearance_m}
-        kept |= {"zones": self.zones, "radars": self.radars}
-        return pack_surroundings(
-            known, self.limits, centre_ne_m=centre_ne_m, reach_m=reach_m, **(kept | otherwise)
+        """What certificates of its paths are about; made once per plan.
+
+        The curves keep a clearance from terrain and zones, and so much of the altitude band that
+        the vehicle stays in it; the dead-man stretches keep contact_m (None: what the vehicle may
+        be off).  They stay within reach of a place (their straight dead-man stretches may leave
+        it): what lies farther out counts as terrain without a top.  stops: the vehicle stops at the
+        end of a curve; else it may go on from there at full speed.
+        """
+        limits, motion = self.limits, motion or self.envelope
+        clearance_m = self.required_clearance_m if clearance_m is None else clearance_m
+        farther_m = moves.flown_on_m(motion, motion.speed_m_s) + 3.0 * clearance_m
+        registration_m = known.registration_m + motion.loiter_m
+        (south_m, north_m), (west_m, east_m) = limits.north_m, limits.east_m
+        low_m, high_m = limits.inner_band_amsl_m(motion.error_m)
+        radars = self.radars if radars is None else radars
+        circles = [(*radar.centre_nea_m, radar.range_m) for radar in radars]
+        return Surroundings(
+            columns=pack_columns(
+                known,
+                centre_ne_m=centre_ne_m,
+                reach_m=reach_m + farther_m + registration_m,
+                block=max(2, min(16, round(0.75 * clearance_m / known.cell_m))),
+                registration_m=registration_m,
+            ),
+            zones=packed(self.zones if zones is None else zones),
+            radars=np.array(circles, dtype=np.float64).reshape(-1, 4),
+            clearance_m=float(clearance_m),
+            contact_m=float(motion.contact_m if contact_m is None else contact_m),
+            motion=motion,
+            stops=stops,
+            lowest_nea_m=(float(south_m), float(west_m), float(low_m)),
+            highest_nea_m=(float(north_m), float(east_m), float(high_m)),
         )
 
     @cached_property

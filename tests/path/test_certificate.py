@@ -8,10 +8,11 @@ import pytest
 from brute_force import FloatArray, broken_by, fastest_m_s, random_case, truth
 from planning import ARDUCOPTER, limits
 
-from companion.path.certificate import Certificate, certify, pack_surroundings
+from companion.path.certificate import Certificate, certify
 from companion.path.envelope import envelope_of, flown_on_m
 from companion.path.limits import Limits
 from companion.path.subpath import Subpath
+from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone, PolygonZone, Zone
@@ -25,6 +26,7 @@ LIMITS = limits(
 )
 MOTION = envelope_of(LIMITS, ARDUCOPTER)
 CLEAR_M, CONTACT_M = 60.0, MOTION.contact_m
+SETTINGS = PlannerSettings(scan_range_m=3_000.0, safety_distance_m=CLEAR_M, planning_time_s=1.0)
 CASES, NIGHTLY_CASES = 20, 80
 
 
@@ -46,16 +48,9 @@ def certified(
     reach_m: float = 3_000.0,
     stops: bool = True,
 ) -> Certificate:
-    surroundings = pack_surroundings(
-        known or a_map(),
-        limits,
-        envelope_of(limits, ARDUCOPTER),
-        clearance_m=clearance_m,
-        zones=zones,
-        radars=radars,
-        centre_ne_m=(2_000.0, 2_000.0),
-        reach_m=reach_m,
-        stops=stops,
+    task = Task(limits=limits, settings=SETTINGS, handling=ARDUCOPTER, radars=radars, zones=zones)
+    surroundings = task.surroundings(
+        known or a_map(), (2_000.0, 2_000.0), reach_m, clearance_m=clearance_m, stops=stops
     )
     subpath = Subpath(control_nea_m=np.array(corners, dtype=float))
     return certify(subpath, surroundings, from_rest=from_rest)
@@ -260,9 +255,8 @@ def test_a_curve_that_is_not_finite_is_never_proven_and_no_error(
     control[where] = value
     with np.errstate(all="ignore"):
         subpath = Subpath(control_nea_m=control)
-    surroundings = pack_surroundings(
-        *(a_map(), LIMITS, MOTION), clearance_m=60.0, zones=(), centre_ne_m=(2e3, 2e3), reach_m=3e3
-    )
+    task = Task(limits=LIMITS, settings=SETTINGS, handling=ARDUCOPTER)
+    surroundings = task.surroundings(a_map(), (2e3, 2e3), 3e3, clearance_m=60.0)
     told = certify(subpath, surroundings, from_rest=False)
     assert told_before.proven
     assert not told.proven

@@ -4,8 +4,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from brute_force import violations
-from planning import ask, fly, spline
-from small_world import TASK, TRUTH
+from planning import TASK, TRUTH, ask, fly, spline
 
 from companion.planner.backtrack import backtrack
 from companion.planner.offline import OfflineFlight

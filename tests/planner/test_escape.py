@@ -4,8 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from brute_force import violations
-from planning import ask, column_distance_m, spline, zone_distance_m
-from small_world import BLANK, TASK, TRUTH
+from planning import BLANK, TASK, TRUTH, ask, column_distance_m, spline, zone_distance_m
 
 from companion.planner.plan import plan
 from companion.planner.request import NotPlanned, Planned, Refusal

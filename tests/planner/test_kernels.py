@@ -4,9 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from planning import ask
+from planning import TASK, TRUTH, ask
 from scenes import cube, random_scene
-from small_world import TASK, TRUTH
 
 from companion import jit
 from companion.optimise import refined_de

@@ -9,11 +9,12 @@ import pytest
 from planning import PLANE_TASK, zone_distance_m
 
 from companion.geodesy import FloatArray
-from companion.planner.loiter_search import Motion, Vector, loiter_point
+from companion.planner.loiter_search import Vector, loiter_point
 from companion.world import zones as zones_module
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.zones import CircleZone, PolygonZone, Zone
 
+Motion = tuple[Vector, Vector]  # where a plane is, and its velocity
 V, TURN_M, LOITER_M = 18.0, 100.0, 80.0
 TASK = PLANE_TASK
 LIMITS, SETTINGS = TASK.limits, TASK.settings
@@ -41,8 +42,8 @@ def flown_m(
     zones: tuple[Zone, ...], circler: Motion, to: tuple[float, float, float], radius_m: float
 ) -> list[float]:
     """Distances to zones of a plane that always turns its nose towards the point, step by step."""
-    north, east, _ = circler.here_nea_m
-    course = math.atan2(circler.velocity_nea_m_s[1], circler.velocity_nea_m_s[0])
+    (north, east, _), velocity = circler
+    course = math.atan2(velocity[1], velocity[0])
     gaps = []
     for _ in range(1_000):
         if math.dist((north, east), to[:2]) < LOITER_M:
@@ -59,7 +60,7 @@ def flown_m(
 
 def sent_to(known: KnownMap, circler: Motion, *zones: Zone) -> Vector | None:
     """One that would rather stay where it is."""
-    return loiter_point(known, replace(TASK, zones=zones), circler, circler.here_nea_m)
+    return loiter_point(known, replace(TASK, zones=zones), *circler, circler[0])
 
 
 def jagged(middle: FloatArray, reach_m: FloatArray, name: str) -> PolygonZone:
@@ -71,7 +72,7 @@ def jagged(middle: FloatArray, reach_m: FloatArray, name: str) -> PolygonZone:
 def heading(course_deg: float, north_m: float = 0.0, altitude_m: float = HEIGHT_M) -> Motion:
     course = math.radians(course_deg)
     velocity = V * math.cos(course), V * math.sin(course), 0.0
-    return Motion((north_m, 0.0, altitude_m), velocity)
+    return (north_m, 0.0, altitude_m), velocity
 
 
 def a_circle(rng: np.random.Generator) -> tuple[Zone, ...]:
@@ -129,7 +130,7 @@ def test_it_stays_only_where_it_can_turn_to_either_side(course_deg: int, side: f
     north, east = (2.0 * TURN_M * side * x for x in (-math.sin(course), math.cos(course)))
     zone = disc(20.0, north, east)
     assert gap_m((zone,), 0.0, 0.0) - LOITER_M > REQUIRED_M
-    assert sent_to(flat(), circler, zone) != circler.here_nea_m
+    assert sent_to(flat(), circler, zone) != circler[0]
 
 
 def test_nothing_is_clear_where_the_ground_is_not_known() -> None:

@@ -4,8 +4,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from brute_force import violations
-from planning import fly
-from small_world import TASK, TRUTH
+from planning import TASK, TRUTH, fly
 
 from companion.planner.offline import OfflineFlight, usual_most_legs
 from companion.planner.plan import plan

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from brute_force import violations
 from numpy.typing import NDArray
+from planning import BLANK, TASK, TRUTH, column_distance_m, hills
 from planning import ask as asked
-from planning import column_distance_m, hills
-from small_world import BLANK, TASK, TRUTH
 
 from companion import jit
 from companion.objective import Scene

@@ -8,11 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from planning import ask, column_distance_m, fly, leg_of, limits, spline
-from small_world import TERRAIN
+from planning import TERRAIN, ask, column_distance_m, fly, leg_of, limits, spline
 
 from companion.path.envelope import flown_on_m, stopping_m
-from companion.planner.loiter_search import Motion, loiter_point
+from companion.planner.loiter_search import loiter_point
 from companion.planner.offline import OfflineFlight
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg, Reference, follow, may_leave, off_path_m, sent_pose
@@ -100,10 +99,10 @@ def test_the_way_out_of_a_new_zone_ends_where_the_whole_circle_is_clear(
 
 
 def test_a_refuge_is_the_preferred_place_if_that_is_clear(truth: KnownMap) -> None:
-    here = Motion((1_000.0, 4_500.0, 450.0), (0.0, 0.0, 0.0))
+    here, still = (1_000.0, 4_500.0, 450.0), (0.0, 0.0, 0.0)
     in_zone, clear = (3_300.0, 4_300.0, 450.0), (1_200.0, 4_600.0, 450.0)
-    assert loiter_point(truth, TASK, here, clear) == clear
-    assert loiter_point(truth, TASK, here, in_zone) == pytest.approx(here.here_nea_m)
+    assert loiter_point(truth, TASK, here, still, clear) == clear
+    assert loiter_point(truth, TASK, here, still, in_zone) == pytest.approx(here)
 
 
 # --- where the plane is on its path

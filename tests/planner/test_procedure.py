@@ -14,9 +14,15 @@ from planning import PLANE_TASK, leg_of, limits
 
 from companion.path.envelope import Envelope, slowing_m
 from companion.path.subpath import Pose
-from companion.planner.join import Offset, begin
-from companion.planner.join import step as faded
-from companion.planner.procedure import Leg, Reference, advance, ahead_m, is_at_end, off_path_m
+from companion.planner.procedure import (
+    Leg,
+    Offset,
+    Reference,
+    advance,
+    ahead_m,
+    is_at_end,
+    off_path_m,
+)
 from companion.planner.settings import PlannerSettings, Task
 
 FloatArray = NDArray[np.float64]
@@ -262,11 +268,11 @@ vectors = st.tuples(*[st.floats(-15.0, 15.0)] * 3)
 
 def test_an_offset_begins_where_the_vehicle_is_and_as_fast() -> None:
     pose = Pose(position_nea_m=np.array([10.0, 20.0, 30.0]), tangent_nea=np.array([0.6, 0.8, 0.0]))
-    offset = begin((12.0, 21.0, 29.0), (1.0, 2.0, 0.5), pose, 5.0)
+    offset = Offset.of((12.0, 21.0, 29.0), (1.0, 2.0, 0.5), pose, 5.0)
     assert offset.position_nea_m == pytest.approx([2.0, 1.0, -1.0])
     assert offset.velocity_nea_m_s == pytest.approx([-2.0, -2.0, 0.5])
     assert not offset.is_gone
-    assert begin(pose.point_nea_m, (3.0, 4.0, 0.0), pose, 5.0).is_gone
+    assert Offset.of(pose.point_nea_m, (3.0, 4.0, 0.0), pose, 5.0).is_gone
 
 
 @settings(max_examples=15)
@@ -276,7 +282,7 @@ def test_it_fades_smoothly_within_half_of_the_acceleration(
 ) -> None:
     offset = Offset(position_nea_m=np.array(position), velocity_nea_m_s=np.array(velocity))
     for _ in range(math.ceil(120.0 / tick_s)):
-        after = faded(offset, tick_s, SLOW)
+        after = offset.after(tick_s, SLOW)
         change = np.linalg.norm(after.velocity_nea_m_s - offset.velocity_nea_m_s)
         assert change <= 0.5 * SLOW.acceleration_m_s2 * tick_s * 1.001
         mean = 0.5 * (after.velocity_nea_m_s + offset.velocity_nea_m_s)
@@ -288,15 +294,15 @@ def test_it_fades_smoothly_within_half_of_the_acceleration(
 
 def test_at_one_rate_it_is_the_critically_damped_spring_and_sooner_with_more_acceleration() -> None:
     # So near that the fastest rate holds all along: x'' = -2 x' - x from x = 0.2.
-    offset = Offset(position_nea_m=np.array([0.2, 0.0, 0.0]))
+    offset = Offset(position_nea_m=np.array([0.2, 0.0, 0.0]), velocity_nea_m_s=np.zeros(3))
     for t in np.arange(1, 31) * 0.1:
-        offset = faded(offset, 0.1, SLOW)
+        offset = offset.after(0.1, SLOW)
         assert offset.position_nea_m[0] == pytest.approx(0.2 * (1.0 + t) * math.exp(-t))
         assert offset.velocity_nea_m_s[0] == pytest.approx(-0.2 * t * math.exp(-t))
     left_m = []
     for acceleration in (4.0, 1.0):
-        offset = Offset(position_nea_m=np.array([40.0, 0.0, 0.0]))
+        offset = Offset(position_nea_m=np.array([40.0, 0.0, 0.0]), velocity_nea_m_s=np.zeros(3))
         for _ in range(50):
-            offset = faded(offset, 0.1, replace(SLOW, acceleration_m_s2=acceleration))
+            offset = offset.after(0.1, replace(SLOW, acceleration_m_s2=acceleration))
         left_m.append(float(offset.position_nea_m[0]))
     assert 0.0 <= left_m[0] < left_m[1] < 40.0

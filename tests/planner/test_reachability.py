@@ -17,9 +17,9 @@ from companion.config import load_mission
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner.field import cost_to_go
 from companion.planner.offline import OfflineFlight
-from companion.planner.reachability import blocked_at
 from companion.planner.request import Refusal
 from companion.planner.settings import Task
+from companion.planner.way_out import blocked_at
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
 from companion.world.simulated import true_map

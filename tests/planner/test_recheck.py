@@ -8,13 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from planning import PLANE_TASK, leg_of, limits, zone_distance_m
-from small_world import TASK
+from planning import PLANE_TASK, TASK, leg_of, limits, zone_distance_m
 
 from companion.planner.cost_grid import CostGrid
 from companion.planner.cost_samples import BLOCKED
 from companion.planner.procedure import Leg
-from companion.planner.recheck import comes_too_near, is_touched, meets_near_things
 from companion.planner.settings import Task
 from companion.world.known_map import Lattice, empty_map
 from companion.world.near_map import NearMap
@@ -66,7 +64,7 @@ def test_a_leg_comes_too_near_where_dense_samples_do(seed: int, required_m: floa
     zones, from_m = zones_along(rng, leg), rng.uniform(0.0, 0.5) * leg.subpath.length_m
     points = rest_ne_m(leg, from_m, 8_001)  # about 2.5 m apart
     gap_m = min(zone_distance_m(zone, *points.T).min() for zone in zones)
-    if comes_too_near(leg, from_m, zones, required_m):
+    if leg.nears(zones, from_m, required_m):
         assert gap_m < required_m + 2.0
     else:
         assert gap_m >= 0.998 * required_m - 0.01
@@ -97,7 +95,7 @@ BEHIND = CircleZone(name="c", north_m=5_000.0, east_m=0.0, radius_m=500.0)
 def test_of_a_leg_at_just_the_required_distance_none_is_too_near(
     zone: Zone, from_m: float, required_m: float, near: bool
 ) -> None:
-    assert comes_too_near(straight_on(20_000.0), from_m, (zone,), required_m) is near
+    assert straight_on(20_000.0).nears((zone,), from_m, required_m) is near
 
 
 # --- rules that have changed
@@ -123,7 +121,7 @@ def test_what_was_proven_stays_proven_while_the_rules_are_the_same_or_less(below
     less = but(TASK, floor_amsl_m=250.0, ceiling_amsl_m=800.0)
     pairs = (TASK, but(TASK)), (bounded, bounded), (bounded, TASK), (TASK, less), (above, above)
     for before, now in pairs:
-        assert not is_touched(low_leg(before, below_m), 0.0, now)
+        assert not low_leg(before, below_m).is_touched(0.0, now)
 
 
 def test_a_rule_that_is_new_is_held_against_what_is_left_of_a_leg() -> None:
@@ -136,11 +134,11 @@ def test_a_rule_that_is_new_is_held_against_what_is_left_of_a_leg() -> None:
         (1_000.0, but(TASK, floor_amsl_m=301.0), False),
         (0.0, but(TASK, ceiling_amsl_m=LOW_M + 90.0), True),
     ):
-        assert is_touched(leg, from_m, now) is touched
+        assert leg.is_touched(from_m, now) is touched
     # of one whose rules nobody knows all rules count
-    assert not is_touched(low_leg(None), 0.0, TASK)
-    assert is_touched(low_leg(None, below_m=0.7), 0.0, TASK)
-    assert is_touched(low_leg(None), 0.0, but(TASK, ACROSS))
+    assert not low_leg(None).is_touched(0.0, TASK)
+    assert low_leg(None, below_m=0.7).is_touched(0.0, TASK)
+    assert low_leg(None).is_touched(0.0, but(TASK, ACROSS))
 
 
 # --- near things
@@ -176,7 +174,7 @@ def test_a_leg_meets_what_stands_nearer_to_its_rest_than_required(
     from_m = share * leg.subpath.length_m
     points = rest_ne_m(leg, from_m, 4_001)
     gap, now = gap_m(points, cells), gap_m(points[:1], cells)
-    meets = meets_near_things(leg, from_m, near_map(*cells), required_m)
+    meets = leg.meets(near_map(*cells), from_m, required_m)
     if gap >= required_m + 1e-9:
         assert not meets
     elif gap < required_m - CELL_M / 30.0 and now >= required_m:
@@ -200,9 +198,9 @@ def test_what_is_too_near_is_left_by_a_leg_that_leads_away_soon_and_to_nothing_e
     length_m: float, from_m: float, cells: list[tuple[int, int]], required_m: float, meets: bool
 ) -> None:
     near = near_map(*cells)
-    assert meets_near_things(straight_on(length_m), from_m, near, required_m) is meets
+    assert straight_on(length_m).meets(near, from_m, required_m) is meets
     near.met_since_s[:] = math.inf  # wiped out
-    assert not meets_near_things(straight_on(length_m), from_m, near, required_m)
+    assert not straight_on(length_m).meets(near, from_m, required_m)
 
 
 # --- routes
