@@ -90,8 +90,8 @@ def facts_of(run_dir: Path) -> FlightFacts:
     flight, notes = recorded(run_dir, health.look)
     known, run = _known(run_dir, odd), _run(run_dir, odd)
     return FlightFacts(
-        flight=flight,
-        health=health,
+        flight,
+        health,
         known=known,
         run=run,
         mission_toml=(run_dir / "mission.toml").read_text(encoding="utf-8", errors="replace"),

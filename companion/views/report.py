@@ -89,7 +89,7 @@ def svg_figures(facts: FlightFacts) -> dict[str, str]:
 
 def flight_figure(facts: FlightFacts) -> FlightFigure | None:
     """What is drawn of a flight; None: neither a position nor a subpath was recorded."""
-    flight, track = facts.flight, facts.track_nea_m
+    flight, track = facts.flight, facts.flight.places_nea_m
     task = flight.mission.task
     if not len(track) and not facts.legs_nea_m:
         return None

@@ -91,17 +91,24 @@ def words_of(page: str) -> str:
     return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", shown)).split())
 
 
+def records_of(run: Path) -> list[tuple[int, bytes]]:
+    """Stamp and frame of each record of the log."""
+    log, records, at = (run / "flight.tlog").read_bytes(), [], 0
+    while at < len(log):
+        end = at + 8 + 12 + log[at + 9]
+        records.append((struct.unpack_from(">Q", log, at)[0], log[at + 8 : end]))
+        at = end
+    return records
+
+
 def positions(run: Path) -> list[tuple[float, float, float, float]]:
     """Vehicle time, latitude, longitude, altitude, by pymavlink."""
-    data, at, found = (run / "flight.tlog").read_bytes(), 0, []
-    parser = wire.MAVLink(None)
-    while at < len(data):
-        size = 12 + data[at + 9]
-        message: Any = parser.decode(bytearray(data[at + 8 : at + 8 + size]))
+    parser, found = wire.MAVLink(None), []
+    for _, frame in records_of(run):
+        message: Any = parser.decode(bytearray(frame))
         if message.get_type() == "GLOBAL_POSITION_INT" and message.lat:
             place = message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3
             found.append((message.time_boot_ms * 1e-3, *place))
-        at += 8 + size
     return found
 
 
@@ -219,16 +226,6 @@ def test_plans_that_time_has_cut_are_told_with_the_remedy(copy: Path) -> None:
     many = 1 + sum(e["kind"] == "plan ready" for e in said)
     assert f"; of {many} the search was cut as time was up: raise planner.planning_time_s" in words
     assert "plan 9 refused: OUT_OF_TIME; time was up after 341 candidates" in words
-
-
-def records_of(run: Path) -> list[tuple[int, bytes]]:
-    """Stamp and frame of each record of the log."""
-    log, records, at = (run / "flight.tlog").read_bytes(), [], 0
-    while at < len(log):
-        end = at + 8 + 12 + log[at + 9]
-        records.append((struct.unpack_from(">Q", log, at)[0], log[at + 8 : end]))
-        at = end
-    return records
 
 
 def write_log(run: Path, records: list[tuple[int, bytes]]) -> None:
@@ -437,7 +434,7 @@ def test_without_the_record_itself_it_is_one_line_and_exit_code_2(
     copy: Path, name: str, words: str
 ) -> None:
     (copy / name).unlink()
-    code, said = command("report", copy)
+    code, _, said = answered("report", copy)
     assert code == 2
     assert words in said
     assert len(said.splitlines()) == 1
@@ -446,16 +443,10 @@ def test_without_the_record_itself_it_is_one_line_and_exit_code_2(
 
 @pytest.mark.usefixtures("undrawn")
 def test_the_command_writes_beside_the_flight_and_never_over_it(copy: Path) -> None:
-    assert command("report", copy) == (0, "")
+    assert answered("report", copy)[::2] == (0, "")
     assert (copy / "report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
-    code, said = command("report", copy, "--out", copy / "flight.tlog")
+    code, _, said = answered("report", copy, "--out", copy / "flight.tlog")
     assert code == 2
     assert "that is what the flight was recorded in" in said
-    assert command("report", copy, "--out", copy / "none" / "x.html")[0] == 2
-    assert "not written" in command("report", copy, "--out", "/dev/full")[1]
-
-
-def command(*arguments: str | Path) -> tuple[object, str]:
-    """Exit code, and what is said of errors."""
-    code, _, said = answered(*arguments)
-    return code, said
+    assert answered("report", copy, "--out", copy / "none" / "x.html")[0] == 2
+    assert "not written" in answered("report", copy, "--out", "/dev/full")[2]
