@@ -21,7 +21,7 @@ from companion.profiles import Weights
 from companion.telemetry.export.shapes import utc_text
 from companion.telemetry.flight import PlannedSubpath
 from companion.views import figure as views
-from companion.views.figure import FlightFigure, TerrainPicture
+from companion.views.figure import FlightFigure
 from companion.views.page import STYLE, page, svg
 from companion.views.report_facts import FlightFacts
 from companion.views.words import entry_words
@@ -97,16 +97,14 @@ def flight_figure(facts: FlightFacts) -> FlightFigure | None:
     scans = (each.centre_nea_m for _, _, each in flight.entries if isinstance(each, ScanAsked))
     limits, legs_points = task.limits, sum(map(len, facts.legs_nea_m))
     blank = empty_map(task.cell_m, limits.north_m, limits.east_m)
-    return FlightFigure(
+    return FlightFigure.of(
+        flight.mission,
+        blank if facts.known is None else facts.known,
         title="",
-        terrain=TerrainPicture.of(blank if facts.known is None else facts.known),
-        floor_amsl_m=limits.floor_amsl_m,
-        ceiling_amsl_m=limits.ceiling_amsl_m,
         start_nea_m=(float(start[0]), float(start[1]), float(start[2])),
         targets_ne_m=flight.targets_ne_m,
         legs_nea_m=tuple(_thinned(leg, legs_points) for leg in facts.legs_nea_m),
         scans_nea_m=() if flight.mission.near else tuple(scans),  # a lidar's is there all the time
-        radars=task.radars,
         zones=flight.zones,
         track_nea_m=_thinned(track, len(track)) if len(track) > 1 else None,
     )

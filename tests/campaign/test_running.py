@@ -342,13 +342,6 @@ def test_options_that_have_no_effect_or_make_no_campaign_are_refused(
         campaign_command("run", str(path), "--out", str(tmp_path / "out"), *options)
 
 
-def test_a_plan_is_no_campaign(tmp_path: Path) -> None:
-    path = tmp_path / "x.toml"
-    path.write_text('{"fileType": "Plan"}')
-    with pytest.raises(InputError, match=f"^file = '{path}': not TOML: .*docs/files.md"):
-        load_campaign(str(path))
-
-
 def test_no_room_for_a_folder_ends_a_campaign_on_a_cluster_too(tmp_path: Path) -> None:
     """And leaves no row: the run is flown when there is room."""
     (tmp_path / "runs").write_text("where the folders of runs belong")
