@@ -129,9 +129,8 @@ def _charts(facts: FlightFacts) -> Figure:
     _line(speed, facts.times_s, speeds_m_s, np.maximum)
     speed.axhline(task.limits.speed_m_s, color="black", lw=1.2, ls="--")
     speed.set(ylabel="ground speed,\nm/s", ylim=(0.0, None))
-    time_us, fixes, seen = facts.health.gps
-    satellites.step(facts.log_s(time_us), seen, where="post", color=views.PATH, lw=1.4)
-    _shade(satellites, facts.log_s(time_us), fixes < 3, fc=_NO_FIX, alpha=0.45)
+    satellites.step(facts.gps_s, facts.satellites, where="post", color=views.PATH, lw=1.4)
+    _shade(satellites, facts.gps_s, facts.fixes < 3, fc=_NO_FIX, alpha=0.45)
     satellites.set(ylabel="satellites", ylim=(0.0, None), xlabel="vehicle time, s")
     for axes in (clearance, speed, satellites):
         for hold in facts.holds:

@@ -3,7 +3,6 @@
 import itertools
 import math
 import statistics
-from array import array
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple, final
@@ -11,12 +10,9 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 
 from companion.geodesy import BoolArray, FloatArray
-from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
-from companion.mavlink.frames import V2, number_of, payload_of, sender_of
 from companion.mission import journal as noted
 from companion.mission.state import IN_AIR, Phase, Reason
 from companion.telemetry.flight import Flight, IntArray, Moment
-from companion.telemetry.logs import Record
 from companion.world.columns import distances_to_terrain_m
 from companion.world.known_map import KnownMap
 from companion.world.radars import detection_probability
@@ -30,59 +26,8 @@ _REMEDIES = {reason.text: reason.remedy for reason in Reason}
 _STEP_S = 1.0  # between the points of a route: finer, and the noise of a hover adds up
 _MOST_CELLS = 16  # about a position, in which terrain is looked for
 _AT_ONCE = 4000  # positions
-_GPS: Final = wire.MAVLink_gps_raw_int_message
-_AT: Final = {name: at for at, name in enumerate(_GPS.ordered_fieldnames)}
-_UNPACK, _BYTES = _GPS.unpacker.unpack, _GPS.unpacker.size
-_SETPOINT: Final = wire.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
 _OLD: Final = 128  # a sequence number so far ahead is one that comes late, or twice
 _UNKNOWN: Final = 255
-
-
-@final
-class FlightHealth:
-    """Counts frames and gaps, and keeps what the GPS has said."""
-
-    def __init__(self) -> None:
-        self.heard = 0
-        """Frames of the autopilot."""
-        self.lost = 0
-        """Frames of the autopilot that are missing, by their sequence numbers."""
-        self.silence_us = 0
-        """The longest time without a frame of the autopilot, microseconds."""
-        self._sequence: int | None = None
-        self._heard_us = 0
-        self.setpoints_us = array("q")
-        """When the companion sent setpoints, microseconds since 1970."""
-        self._gps = array("q")
-
-    def look(self, record: Record) -> None:
-        """The next frame of the log."""
-        frame, component = record.frame, sender_of(record.frame)[1]
-        if component == COMPANION_COMPONENT and number_of(frame) == _SETPOINT:
-            self.setpoints_us.append(record.time_us)
-        if component != AUTOPILOT_COMPONENT:
-            return
-        sequence = frame[4] if frame[0] == V2 else frame[2]
-        if self._sequence is not None:
-            missing = (sequence - self._sequence - 1) % 256
-            self.lost += missing if missing < _OLD else 0
-            self.silence_us = max(self.silence_us, record.time_us - self._heard_us)
-        self._sequence, self._heard_us = sequence, record.time_us
-        self.heard += 1
-        if number_of(frame) == _GPS.id:
-            values = _UNPACK(payload_of(frame, _BYTES)[:_BYTES])
-            said = values[_AT["fix_type"]], values[_AT["satellites_visible"]]
-            self._gps.extend((record.time_us, *said))
-
-    @property
-    def gps(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """When the GPS spoke, fix and satellites each time, three arrays of (M,).
-
-        Microseconds since 1970; GPS_FIX_TYPE, 3 and more: a fix in three dimensions; NaN: not known
-        how many.
-        """
-        time_us, fixes, seen = np.array(self._gps, dtype=np.int64).reshape(-1, 3).T
-        return time_us, fixes, np.where(seen == _UNKNOWN, np.nan, seen)
 
 
 class Nearest(NamedTuple):
@@ -118,7 +63,6 @@ class FlightFacts:
     def __init__(
         self,
         flight: Flight,
-        health: FlightHealth,
         *,
         known: KnownMap | None,
         run: dict[str, Any],
@@ -130,8 +74,8 @@ class FlightFacts:
         run: what run.json says; empty without it.  notes: what is missing, or odd about what was
         recorded, in words.
         """
-        self.flight, self.health, self.known = flight, health, known
-        self.run, self.mission_toml, self.notes = run, mission_toml, notes
+        self.flight, self.known, self.run = flight, known, run
+        self.mission_toml, self.notes = mission_toml, notes
         self.times_s = self.log_s(flight.track.time_us)
         """When the vehicle was at each position.  (N,)"""
         known_then = flight.decided_at_positions()
@@ -254,17 +198,29 @@ class FlightFacts:
         )
 
     def _tell_of_link_and_gps(self) -> None:
-        sent_us, positions_us, longest_us = self.health.setpoints_us, self.flight.track.time_us, 0
-        for phase, part in self.flight.segments() if len(positions_us) else ():
+        flight, longest_us = self.flight, 0
+        heard_us, sequence = np.array(flight.heard, dtype=np.int64).reshape(-1, 2).T
+        missing = (np.diff(sequence) - 1) % 256
+        self.heard = len(heard_us)
+        """Frames of the autopilot."""
+        self.lost = int(missing[missing < _OLD].sum())
+        """Frames of the autopilot that are missing, by their sequence numbers."""
+        self.silence_s = int(np.diff(heard_us).max(initial=0)) * 1e-6
+        """The longest time without a frame of the autopilot."""
+        sent_us, positions_us = np.array(flight.setpoints_us, np.int64), flight.track.time_us
+        for phase, part in flight.segments() if len(positions_us) else ():
             if phase == Phase.FLYING.value:
                 begin, end = np.searchsorted(sent_us, positions_us[[part.start, part.stop - 1]])
                 longest_us = max(longest_us, int(np.diff(sent_us[begin:end]).max(initial=0)))
         self.setpoint_gap_s = longest_us * 1e-6
         """The longest time between two setpoints in one stretch of flying; 0: there are none."""
-        time_us, fixes, seen = self.health.gps
-        at_s, has_had_one = self.log_s(time_us), np.cumsum(fixes >= 3) > 0
-        lacks = np.diff(at_s, append=at_s[-1:])[(fixes < 3) & has_had_one]
-        self.without_fix_s = float(lacks.sum())
+        time_us, self.fixes, seen = np.array(flight.gps, dtype=np.int64).reshape(-1, 3).T
+        """GPS_FIX_TYPE each time that the GPS spoke, 3 and more: in three dimensions.  (M,)"""
+        self.gps_s, self.satellites = self.log_s(time_us), np.where(seen == _UNKNOWN, np.nan, seen)
+        """When that was, and how many it saw; NaN: not known.  (M,) each"""
+        has_had_one = np.cumsum(self.fixes >= 3) > 0
+        lasted_s = np.diff(self.gps_s, append=self.gps_s[-1:])
+        self.without_fix_s = float(lasted_s[(self.fixes < 3) & has_had_one].sum())
         """How long the GPS said that it had no fix in three dimensions, after its first one."""
-        self.fewest_satellites = float(np.fmin.reduce(seen[has_had_one], initial=np.nan))
+        self.fewest_satellites = float(np.fmin.reduce(self.satellites[has_had_one], initial=np.nan))
         """That the GPS saw after its first fix; NaN: it did not say."""
