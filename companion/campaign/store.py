@@ -127,10 +127,6 @@ class Row:
     worker: str
     """Machine and process."""
 
-    def deterministic(self) -> dict[str, Any]:
-        """The columns that are the same however it was run."""
-        return {name: value for name, value in asdict(self).items() if name not in TIMING}
-
 
 def schema() -> "pa.Schema":
     """The columns of the data set, from the fields of `Row`."""

@@ -11,7 +11,7 @@ from bisect import bisect_right
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +29,6 @@ IntArray = npt.NDArray[np.int64]
 
 _POSITION: Final = wire.MAVLink_global_position_int_message
 _COLUMNS: Final = ("time_us", *_POSITION.ordered_fieldnames)
-_UNPACK, _BYTES = _POSITION.unpacker.unpack, _POSITION.unpacker.size
 _GPS: Final = wire.MAVLink_gps_raw_int_message
 _SETPOINT: Final = wire.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
 _NO_HEADING: Final = 65535
@@ -252,10 +251,10 @@ class Flight:
         elif component == COMPANION_COMPONENT and number == _SETPOINT:
             self.setpoints_us.append(time_us)
         if is_ours and number == _GPS.id:
-            told = decoded(frame, _GPS)
-            self.gps.extend((time_us, told.fix_type, told.satellites_visible))
+            told = dict(zip(_GPS.ordered_fieldnames, _unpacked(_GPS, frame), strict=True))
+            self.gps.extend((time_us, told["fix_type"], told["satellites_visible"]))
         elif is_ours and number == _POSITION.id:
-            values = _UNPACK(payload_of(frame, _BYTES)[:_BYTES])
+            values = _unpacked(_POSITION, frame)
             if values[1] == values[2] == 0 or abs(values[1]) > 900_000_000:
                 self._without_fix += 1
             else:
@@ -430,3 +429,9 @@ class Flight:
             nearest = int(np.argmin(np.linalg.norm(lines[at] - successor[0], axis=1)))
             lines[at] = lines[at][: nearest + 1]
         return lines
+
+
+def _unpacked(kind: Any, frame: bytes) -> tuple[Any, ...]:
+    """The numbers of a whole frame of a kind, in the order of the wire; signed or not."""
+    size = kind.unpacker.size
+    return tuple(kind.unpacker.unpack(payload_of(frame, size)[:size]))

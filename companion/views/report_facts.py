@@ -81,9 +81,8 @@ class FlightFacts:
         known_then = flight.decided_at_positions()
         self.on_the_way: BoolArray = np.array([d.phase in _ON_THE_WAY for d in known_then], bool)
         """Which positions are in flight, after take-off and before landing.  (N,)"""
-        self.duration_s = (
-            float(np.ptp(self.times_s[self.on_the_way])) if any(self.on_the_way) else 0.0
-        )
+        way_s = self.times_s[self.on_the_way]
+        self.duration_s = float(np.ptp(way_s)) if len(way_s) else 0.0
         """From the first to the last position on the way."""
         self.legs_nea_m = tuple(flight.legs_nea_m())
         """The subpaths that were begun, each as far as its successor.  (S, 3) each."""
@@ -108,9 +107,7 @@ class FlightFacts:
     def _tell_what_happened(self, entries: Sequence[noted.Entry]) -> None:
         found = [entry.name for entry in entries if isinstance(entry, noted.VehicleFound)]
         ends = [entry for entry in entries if isinstance(entry, noted.End)]
-        plans = [
-            entry for entry in entries if isinstance(entry, noted.PlanReady | noted.PlanRefused)
-        ]
+        plans = (e for e in entries if isinstance(e, noted.PlanReady | noted.PlanRefused))
         self.vehicle = found[0] if found else ""
         """What was flown."""
         self.end = ends[-1] if ends else None
@@ -167,10 +164,8 @@ class FlightFacts:
             [distances_to_terrain_m(known, part, reach_m, seen_only=True) for part in parts]
         )
         least = int(np.argmin(self.clearances_m))
-        at, distance_m = (
-            int(np.flatnonzero(self.on_the_way)[least]),
-            float(self.clearances_m[least]),
-        )
+        distance_m = float(self.clearances_m[least])
+        at = int(np.flatnonzero(self.on_the_way)[least])
         self.nearest = Nearest(
             distance_m=distance_m,
             is_bound=distance_m >= reach_m,

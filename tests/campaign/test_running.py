@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +75,7 @@ def runs(folder: Path, text: str) -> list[Run]:
 
 def same(rows: Any) -> list[dict[str, Any]]:
     """Rows by their numbers, without what differs from machine to machine."""
-    plain = [row.deterministic() if isinstance(row, Row) else row for row in rows]
+    plain = [asdict(row) if isinstance(row, Row) else row for row in rows]
     plain = [{k: v for k, v in row.items() if k not in TIMING} for row in plain]
     return sorted(plain, key=lambda row: row["run"])
 

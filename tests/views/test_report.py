@@ -138,6 +138,7 @@ def test_the_length_flown_is_that_of_the_geodesics_between_the_positions(
     assert facts.straight_m == pytest.approx(straight, rel=1e-4)
     left = GEOD.line_length([rows[-1][2], target[1]], [rows[-1][1], target[0]])
     assert facts.left_m == pytest.approx(left, abs=0.1)
+    assert facts.duration_s == pytest.approx(rows[-1][0] - rows[0][0], abs=0.01)
 
 
 def test_the_worst_clearance_is_that_of_every_position_to_every_known_cell(
@@ -346,6 +347,7 @@ def test_what_comes_from_the_flight_is_text_and_no_markup(copy: Path) -> None:
     assert not read.open
     assert "script" not in read.tags
     assert words_of(page).count(EVIL) >= 5
+    assert f"✘ Failed: {EVIL}" in words_of(page)  # by the last end
     for figure in re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL):
         lxml.etree.fromstring(figure.encode())
 
