@@ -12,7 +12,6 @@ flown again, and is the same.  Two writers at once are refused.
 
 import fcntl
 import json
-import os
 import shutil
 import typing
 from collections.abc import Sequence
@@ -23,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Self, final
 
 from companion.errors import InputError
 from companion.extras import need
+from companion.telemetry.run_folder import replace_whole
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -63,7 +63,7 @@ class Row:
     planner: str = "ours"
     """`ours`, or a rival for whole routes."""
     knowledge: str = "scans"
-    """What the planner is told: `scans`; `elevation`, a poor file too; `full`, all of it."""
+    """What the planner is told of the ground: `scans`, or `full`: all of it."""
     over: str
     """`process` or `planner`."""
 
@@ -127,10 +127,6 @@ class Row:
     worker: str
     """Machine and process."""
 
-    def deterministic(self) -> dict[str, Any]:
-        """The columns that are the same however it was run."""
-        return {name: value for name, value in asdict(self).items() if name not in TIMING}
-
 
 def schema() -> "pa.Schema":
     """The columns of the data set, from the fields of `Row`."""
@@ -193,8 +189,8 @@ class Store:
     def _begin(self, text: str, facts: dict[str, Any]) -> None:
         if any((self.folder / ROWS).iterdir()):
             raise self._refused("it holds rows of something else")
-        _write(self.folder / _FILE, text.encode())
-        _write(self.folder / _RUNS, json.dumps(facts).encode())
+        replace_whole(self.folder / _FILE, text.encode())
+        replace_whole(self.folder / _RUNS, json.dumps(facts).encode())
 
     def _remove_unfinished(self) -> None:
         """What a killed process was writing: it has the lock no more."""
@@ -204,7 +200,7 @@ class Store:
             shutil.rmtree(path, ignore_errors=True)
 
     def add(self, rows: Sequence[Row]) -> None:
-        """Rows, on the disk when this returns; those that are there already are left out."""
+        """Add rows, in a part of their own; those that are there already are left out."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -215,7 +211,7 @@ class Store:
         sink = pa.BufferOutputStream()
         pq.write_table(table, sink)
         path = self.folder / ROWS / f"part-{self._parts:06d}-{min(fresh):07d}.parquet"
-        _write(path, sink.getvalue().to_pybytes())
+        replace_whole(path, sink.getvalue().to_pybytes())
         self._parts += 1
         self.done |= fresh.keys()
 
@@ -224,21 +220,6 @@ class Store:
 
     def __exit__(self, *_: object) -> None:
         self._lock.close()
-
-
-def _write(path: Path, content: bytes) -> None:
-    """A file that is there whole or not at all, and stays after a power cut."""
-    new = path.with_name(f".{path.name}.new")
-    with new.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    new.replace(path)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
 
 
 def read_rows(field: str, folder: Path, columns: Sequence[str]) -> list[dict[str, Any]]:

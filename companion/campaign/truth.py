@@ -3,8 +3,8 @@
 Curves are evaluated by scipy's BSpline. The distance to the terrain is the true Euclidean one: the
 solid is the union of what lies under each mountain (eq. 1, the highest counts) and under the
 plain, so the distance to it is the least of the distances to each. For one mountain the nearest
-point is found by Newton's method from the point below, at every sample for which a bound that
-needs no search does not show it to be far; the worst samples are searched again by brute force.
+point is found on ever finer grids, for every sample for which a bound that needs no search does
+not show it to be far.
 """
 
 import math
@@ -23,8 +23,11 @@ from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
 from companion.world.zones import CircleZone, Zone
 
 _STEEPEST = math.sqrt(2.0) * math.exp(-0.5)  # of exp(-x^2), times height over spread: 0.858
-_NEWTON_STEPS = 25
-_CONVERGED_M = 1e-3
+_GRID = np.stack(np.meshgrid(*2 * [np.linspace(-1.0, 1.0, 11)]), axis=-1).reshape(-1, 2)
+_FINER = 0.4
+"""Each grid has two cells of the one before to each side of the nearest point on that."""
+_FINEST_M = 0.01
+"""Half a side: then the distance is right to a tenth of a millimetre."""
 _STOPPED_M = 1.0
 _JUMP = 1e-6
 _PART = 4_000
@@ -171,8 +174,11 @@ def _peaks_distance_m(points_nea_m: FloatArray, terrain: PeakTerrain, up_to_m: f
         inside = above <= 0.0
         result[inside] = np.minimum(result[inside], above[inside])
         near = ~inside & (above / math.hypot(1.0, steepest) < result)
+        aside = np.hypot(points_nea_m[:, 0] - peak.north_m, points_nea_m[:, 1] - peak.east_m)
+        least = np.maximum(aside - up_to_m, 0.0) / max(peak.spread_north_m, peak.spread_east_m)
+        near &= peak.height_amsl_m * np.exp(-(least**2)) > points_nea_m[:, 2] - up_to_m
         if near.any():
-            found = _peak_distance_m(peak, points_nea_m[near])
+            found = _peak_distance_m(peak, points_nea_m[near], up_to_m)
             result[near] = np.minimum(result[near], found)
     return result
 
@@ -208,73 +214,22 @@ def _array_distance_m(
 
 
 def _peak_height_m(peak: Peak, at_ne_m: FloatArray) -> FloatArray:
-    x = (at_ne_m[:, 0] - peak.north_m) / peak.spread_north_m
-    y = (at_ne_m[:, 1] - peak.east_m) / peak.spread_east_m
+    x = (at_ne_m[..., 0] - peak.north_m) / peak.spread_north_m
+    y = (at_ne_m[..., 1] - peak.east_m) / peak.spread_east_m
     return peak.height_amsl_m * np.exp(-x * x - y * y)
 
 
-def _peak_distance_m(peak: Peak, points_nea_m: FloatArray) -> FloatArray:
-    """Distance of points above one mountain to its surface.  (S, 3) -> (S,)."""
-    at, foot = points_nea_m[:, :2], points_nea_m[:, :2].copy()
-    centre = np.array([peak.north_m, peak.east_m])
-    spread2 = np.array([peak.spread_north_m, peak.spread_east_m]) ** 2
-    limit_m = 0.25 * math.sqrt(float(spread2.min()))  # a trust region
-    residual = np.full(len(at), np.inf)
-    for _ in range(_NEWTON_STEPS):
-        height = _peak_height_m(peak, foot)
-        above = points_nea_m[:, 2] - height
-        scaled = (foot - centre) / spread2
-        slope = -2.0 * height[:, None] * scaled
-        gradient = foot - at - above[:, None] * slope
-        residual = np.hypot(gradient[:, 0], gradient[:, 1])
-        if residual.max() < _CONVERGED_M:
-            break
-        curved_n = height * (4.0 * scaled[:, 0] ** 2 - 2.0 / spread2[0])
-        curved_e = height * (4.0 * scaled[:, 1] ** 2 - 2.0 / spread2[1])
-        curved_ne = 4.0 * height * scaled[:, 0] * scaled[:, 1]
-        nn = 1.0 + slope[:, 0] ** 2 - above * curved_n
-        ee = 1.0 + slope[:, 1] ** 2 - above * curved_e
-        ne = slope[:, 0] * slope[:, 1] - above * curved_ne
-        bent = (nn <= 0.05) | (nn * ee - ne * ne <= 0.05 * nn)  # not convex there: Gauss-Newton
-        nn = np.where(bent, 1.0 + slope[:, 0] ** 2, nn)
-        ee = np.where(bent, 1.0 + slope[:, 1] ** 2, ee)
-        ne = np.where(bent, slope[:, 0] * slope[:, 1], ne)
-        det = nn * ee - ne * ne
-        step = np.stack(
-            [
-                (ee * gradient[:, 0] - ne * gradient[:, 1]) / det,
-                (nn * gradient[:, 1] - ne * gradient[:, 0]) / det,
-            ],
-            axis=-1,
-        )
-        size = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-12)
-        foot = foot - step * np.minimum(1.0, limit_m / size)[:, None]
-    result = _to_foot_m(peak, points_nea_m, foot)
-    again = set(np.nonzero(residual >= 1.0)[0][:50].tolist()) | {int(np.argmin(result))}
-    for index in again:
-        result[index] = min(result[index], brute_distance_m(peak, points_nea_m[index]))
-    return result
-
-
-def _to_foot_m(peak: Peak, points_nea_m: FloatArray, foot_ne_m: FloatArray) -> FloatArray:
-    above = np.maximum(points_nea_m[:, 2] - _peak_height_m(peak, foot_ne_m), 0.0)
-    aside = points_nea_m[:, :2] - foot_ne_m
-    return np.sqrt(aside[:, 0] ** 2 + aside[:, 1] ** 2 + above**2)
-
-
-def brute_distance_m(peak: Peak, point_nea_m: FloatArray) -> float:
-    """Distance of one point to one mountain by ever finer grids about it, to centimetres."""
-    centre = point_nea_m[:2]
-    half = float(point_nea_m[2] - _peak_height_m(peak, point_nea_m[None, :2])[0])
-    nearest = half
-    while half > 0.05:
-        axis = np.linspace(-half, half, 61)
-        north, east = (a.ravel() for a in np.meshgrid(axis, axis, indexing="ij"))
-        feet = centre + np.stack([north, east], axis=-1)
-        distance = _to_foot_m(peak, np.broadcast_to(point_nea_m, (len(feet), 3)), feet)
-        best = int(np.argmin(distance))
-        nearest = min(nearest, float(distance[best]))
-        centre, half = feet[best], half / 10.0
+def _peak_distance_m(peak: Peak, points_nea_m: FloatArray, up_to_m: float) -> FloatArray:
+    """Distance of points above one mountain to its surface, at most up_to_m.  (S, 3) -> (S,)."""
+    at, up = points_nea_m[:, None, :2], points_nea_m[:, None, 2]
+    centre, nearest, half_m = at, np.full(len(points_nea_m), up_to_m), up_to_m
+    while half_m > _FINEST_M:
+        feet = centre + half_m * _GRID  # (S, G, 2)
+        above = np.maximum(up - _peak_height_m(peak, feet), 0.0)
+        away = np.sqrt(np.sum((feet - at) ** 2, axis=-1) + above**2)
+        best = np.argmin(away, axis=1)[:, None]
+        nearest = np.minimum(nearest, np.take_along_axis(away, best, axis=1)[:, 0])
+        centre, half_m = np.take_along_axis(feet, best[:, :, None], axis=1), _FINER * half_m
     return nearest
 
 

@@ -1,6 +1,5 @@
 """A run folder's flight, put together: exported in one of the formats, or explained on a page."""
 
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -14,22 +13,17 @@ from companion.sources.files import answer, file_of_run, json_table, writing
 from companion.telemetry.export.formats import write_csv, write_geojson, write_kml
 from companion.telemetry.flight import Flight
 from companion.telemetry.journal import Journal
-from companion.telemetry.logs import Record, open_log
+from companion.telemetry.logs import open_log
 from companion.telemetry.run_folder import known_map
-from companion.views.report_facts import FlightFacts, FlightHealth
+from companion.views.report_facts import FlightFacts
 from companion.world.known_map import KnownMap
 
 _NO_VEHICLE_BYTES: Final = 1000  # a few heartbeats of a companion that has met nobody
 _NOT_NEEDED: Final = "terrain={highest_amsl_m = -500.0}"
 
 
-def recorded(
-    run_dir: Path, look: Callable[[Record], None] = lambda _: None
-) -> tuple[Flight, tuple[str, ...]]:
-    """The flight in a run folder, and what was odd about it.  Raises InputError.
-
-    look: is shown each frame of the log, in order.
-    """
+def recorded(run_dir: Path) -> tuple[Flight, tuple[str, ...]]:
+    """The flight in a run folder, and what was odd about it.  Raises InputError."""
     flight, notes = Flight(mission_of(run_dir)), list[str]()
     journal = Journal(run_dir / "journal.jsonl")
     for line in journal.lines():
@@ -43,7 +37,6 @@ def recorded(
     else:
         flight.system_id = log.system_id
         for record in log.records():
-            look(record)
             flight.look(*record)
         notes += (f"{file.name}: {finding}" for finding in log.findings)
     flight.settle()
@@ -86,12 +79,10 @@ def write_report(run_dir: Path, out: Path | None) -> tuple[str, ...]:
 
 def facts_of(run_dir: Path) -> FlightFacts:
     """What there is of the flight in a run folder.  Raises InputError without the essential."""
-    health, odd = FlightHealth(), list[str]()
-    flight, notes = recorded(run_dir, health.look)
+    (flight, notes), odd = recorded(run_dir), list[str]()
     known, run = _known(run_dir, odd), _run(run_dir, odd)
     return FlightFacts(
-        flight=flight,
-        health=health,
+        flight,
         known=known,
         run=run,
         mission_toml=(run_dir / "mission.toml").read_text(encoding="utf-8", errors="replace"),

@@ -11,14 +11,14 @@ from bisect import bisect_right
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 import numpy.typing as npt
 
 from companion.geodesy import FloatArray, LocalFrame
-from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
-from companion.mavlink.frames import decoded, number_of, payload_of, sender_of
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
+from companion.mavlink.frames import V2, decoded, number_of, payload_of, sender_of
 from companion.mission import journal as noted
 from companion.mission.journal import Entry, Header, PlanReady
 from companion.mission.mission import Mission
@@ -29,7 +29,8 @@ IntArray = npt.NDArray[np.int64]
 
 _POSITION: Final = wire.MAVLink_global_position_int_message
 _COLUMNS: Final = ("time_us", *_POSITION.ordered_fieldnames)
-_UNPACK, _BYTES = _POSITION.unpacker.unpack, _POSITION.unpacker.size
+_GPS: Final = wire.MAVLink_gps_raw_int_message
+_SETPOINT: Final = wire.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
 _NO_HEADING: Final = 65535
 _REBOOT_S: Final = 2.0  # as the companion's own clock has it
 _RESTARTED_S: Final = 60.0
@@ -198,6 +199,12 @@ class Flight:
         self.track = Track.of(np.empty((0, len(_COLUMNS)), dtype=np.int64))
         self.left_out = 0
         """Positions before there was a fix, or that stand alone in time."""
+        self.heard = array("q")
+        """Of each frame of the autopilot: microseconds since 1970, and its sequence number."""
+        self.gps = array("q")
+        """Of each GPS_RAW_INT: microseconds since 1970, GPS_FIX_TYPE and satellites."""
+        self.setpoints_us = array("q")
+        """When the companion sent setpoints, microseconds since 1970."""
         self.entries: list[tuple[int, float, Entry]] = []
         """Boot, vehicle time and content of each line of the journal."""
         self.planned: list[PlannedSubpath] = []
@@ -233,18 +240,21 @@ class Flight:
 
     def look(self, time_us: int, frame: bytes) -> None:
         """The next frame of the log, and when it was logged."""
-        number = number_of(frame)
-        if number != _POSITION.id and number not in self._kept:
-            return
-        system, component = sender_of(frame)
+        number, (system, component) = number_of(frame), sender_of(frame)
         is_ours = component == AUTOPILOT_COMPONENT and self.system_id in (None, system)
-        if number in self._kept:
-            if is_ours or number == wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE:
-                stamps, frames = self._kept[number]
-                stamps.append(time_us * 1e-6)
-                frames.append(frame)
-        elif is_ours:
-            values = _UNPACK(payload_of(frame, _BYTES)[:_BYTES])
+        if number in self._kept and (is_ours or number == wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE):
+            stamps, frames = self._kept[number]
+            stamps.append(time_us * 1e-6)
+            frames.append(frame)
+        if is_ours:
+            self.heard.extend((time_us, frame[4] if frame[0] == V2 else frame[2]))
+        elif component == COMPANION_COMPONENT and number == _SETPOINT:
+            self.setpoints_us.append(time_us)
+        if is_ours and number == _GPS.id:
+            told = dict(zip(_GPS.ordered_fieldnames, _unpacked(_GPS, frame), strict=True))
+            self.gps.extend((time_us, told["fix_type"], told["satellites_visible"]))
+        elif is_ours and number == _POSITION.id:
+            values = _unpacked(_POSITION, frame)
             if values[1] == values[2] == 0 or abs(values[1]) > 900_000_000:
                 self._without_fix += 1
             else:
@@ -419,3 +429,9 @@ class Flight:
             nearest = int(np.argmin(np.linalg.norm(lines[at] - successor[0], axis=1)))
             lines[at] = lines[at][: nearest + 1]
         return lines
+
+
+def _unpacked(kind: Any, frame: bytes) -> tuple[Any, ...]:
+    """The numbers of a whole frame of a kind, in the order of the wire; signed or not."""
+    size = kind.unpacker.size
+    return tuple(kind.unpacker.unpack(payload_of(frame, size)[:size]))

@@ -98,7 +98,7 @@ class RunFolder:
                 rule = f"it holds a flight already ({held[0]})"
                 raise InputError("--out", str(path), rule, "Give a new folder, or --resume.")
             if "mission.toml" not in held:
-                _replace(path / "mission.toml", mission_toml.encode(), durable=durable)
+                replace_whole(path / "mission.toml", mission_toml.encode(), durable=durable)
             self._lock()
             if held:
                 self._go_on()
@@ -209,7 +209,7 @@ class RunFolder:
 
     def _replace(self, name: str, content: Callable[[], bytes]) -> str | None:
         try:
-            _replace(self.path / name, content(), durable=self._durable)
+            replace_whole(self.path / name, content(), durable=self._durable)
         except OSError as error:
             return error.strerror or str(error)
         return None
@@ -325,8 +325,11 @@ def known_map(path: Path) -> KnownMap:
 # --- bytes
 
 
-def _replace(path: Path, content: bytes, *, durable: bool) -> None:
-    """Write a file so that at every moment there is a whole one under its name."""
+def replace_whole(path: Path, content: bytes, *, durable: bool = True) -> None:
+    """Write a file so that at every moment there is a whole one under its name.
+
+    durable: a power cut leaves a whole one too, this one or the one before.
+    """
     new = path.with_name(f".{path.name}.new")
     try:
         with new.open("wb") as file:

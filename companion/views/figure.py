@@ -19,6 +19,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from companion.geodesy import FloatArray
+from companion.mission.mission import Mission
 from companion.telemetry.export import shapes
 from companion.world.known_map import KnownMap
 from companion.world.radars import Radar
@@ -113,6 +114,21 @@ class FlightFigure:
     caption: str = ""
     altitudes_shown_m: tuple[float, float] | None = None
     """Least and greatest altitude to show; None: as far as is needed (`altitudes_m`)."""
+
+    @classmethod
+    def of(cls, mission: Mission, known: KnownMap, **shown: Any) -> "FlightFigure":
+        """Of a mission over known terrain; shown: the rest, and what differs from the mission."""
+        task = mission.task
+        of_mission: dict[str, Any] = {
+            "title": f"{mission.name}, profile {task.settings.profile.name}",
+            "terrain": TerrainPicture.of(known),
+            "radars": task.radars,
+            "zones": task.zones,
+            "floor_amsl_m": task.limits.floor_amsl_m,
+            "ceiling_amsl_m": task.limits.ceiling_amsl_m,
+            "targets_ne_m": mission.targets_ne_m,
+        }
+        return cls(**(of_mission | shown))
 
     @property
     def path_nea_m(self) -> FloatArray:

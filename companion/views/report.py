@@ -21,7 +21,7 @@ from companion.profiles import Weights
 from companion.telemetry.export.shapes import utc_text
 from companion.telemetry.flight import PlannedSubpath
 from companion.views import figure as views
-from companion.views.figure import FlightFigure, TerrainPicture
+from companion.views.figure import FlightFigure
 from companion.views.page import STYLE, page, svg
 from companion.views.report_facts import FlightFacts
 from companion.views.words import entry_words
@@ -89,7 +89,7 @@ def svg_figures(facts: FlightFacts) -> dict[str, str]:
 
 def flight_figure(facts: FlightFacts) -> FlightFigure | None:
     """What is drawn of a flight; None: neither a position nor a subpath was recorded."""
-    flight, track = facts.flight, facts.track_nea_m
+    flight, track = facts.flight, facts.flight.places_nea_m
     task = flight.mission.task
     if not len(track) and not facts.legs_nea_m:
         return None
@@ -97,16 +97,14 @@ def flight_figure(facts: FlightFacts) -> FlightFigure | None:
     scans = (each.centre_nea_m for _, _, each in flight.entries if isinstance(each, ScanAsked))
     limits, legs_points = task.limits, sum(map(len, facts.legs_nea_m))
     blank = empty_map(task.cell_m, limits.north_m, limits.east_m)
-    return FlightFigure(
+    return FlightFigure.of(
+        flight.mission,
+        blank if facts.known is None else facts.known,
         title="",
-        terrain=TerrainPicture.of(blank if facts.known is None else facts.known),
-        floor_amsl_m=limits.floor_amsl_m,
-        ceiling_amsl_m=limits.ceiling_amsl_m,
         start_nea_m=(float(start[0]), float(start[1]), float(start[2])),
         targets_ne_m=flight.targets_ne_m,
         legs_nea_m=tuple(_thinned(leg, legs_points) for leg in facts.legs_nea_m),
         scans_nea_m=() if flight.mission.near else tuple(scans),  # a lidar's is there all the time
-        radars=task.radars,
         zones=flight.zones,
         track_nea_m=_thinned(track, len(track)) if len(track) > 1 else None,
     )
@@ -131,9 +129,8 @@ def _charts(facts: FlightFacts) -> Figure:
     _line(speed, facts.times_s, speeds_m_s, np.maximum)
     speed.axhline(task.limits.speed_m_s, color="black", lw=1.2, ls="--")
     speed.set(ylabel="ground speed,\nm/s", ylim=(0.0, None))
-    time_us, fixes, seen = facts.health.gps
-    satellites.step(facts.log_s(time_us), seen, where="post", color=views.PATH, lw=1.4)
-    _shade(satellites, facts.log_s(time_us), fixes < 3, fc=_NO_FIX, alpha=0.45)
+    satellites.step(facts.gps_s, facts.satellites, where="post", color=views.PATH, lw=1.4)
+    _shade(satellites, facts.gps_s, facts.fixes < 3, fc=_NO_FIX, alpha=0.45)
     satellites.set(ylabel="satellites", ylim=(0.0, None), xlabel="vehicle time, s")
     for axes in (clearance, speed, satellites):
         for hold in facts.holds:

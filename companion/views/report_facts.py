@@ -3,20 +3,16 @@
 import itertools
 import math
 import statistics
-from array import array
-from dataclasses import dataclass
-from functools import cached_property
+from collections import Counter
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
 from companion.geodesy import BoolArray, FloatArray
-from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
-from companion.mavlink.frames import V2, number_of, payload_of, sender_of
 from companion.mission import journal as noted
 from companion.mission.state import IN_AIR, Phase, Reason
 from companion.telemetry.flight import Flight, IntArray, Moment
-from companion.telemetry.logs import Record
 from companion.world.columns import distances_to_terrain_m
 from companion.world.known_map import KnownMap
 from companion.world.radars import detection_probability
@@ -27,63 +23,11 @@ _ON_THE_WAY = {
     if phase not in (Phase.TAKING_OFF, Phase.LANDING)
 }
 _REMEDIES = {reason.text: reason.remedy for reason in Reason}
-_ANSWERS = (noted.PlanReady, noted.PlanRefused)
 _STEP_S = 1.0  # between the points of a route: finer, and the noise of a hover adds up
 _MOST_CELLS = 16  # about a position, in which terrain is looked for
 _AT_ONCE = 4000  # positions
-_GPS: Final = wire.MAVLink_gps_raw_int_message
-_AT: Final = {name: at for at, name in enumerate(_GPS.ordered_fieldnames)}
-_UNPACK, _BYTES = _GPS.unpacker.unpack, _GPS.unpacker.size
-_SETPOINT: Final = wire.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
 _OLD: Final = 128  # a sequence number so far ahead is one that comes late, or twice
 _UNKNOWN: Final = 255
-
-
-@final
-class FlightHealth:
-    """Counts frames and gaps, and keeps what the GPS has said."""
-
-    def __init__(self) -> None:
-        self.heard = 0
-        """Frames of the autopilot."""
-        self.lost = 0
-        """Frames of the autopilot that are missing, by their sequence numbers."""
-        self.silence_us = 0
-        """The longest time without a frame of the autopilot, microseconds."""
-        self._sequence: int | None = None
-        self._heard_us = 0
-        self.setpoints_us = array("q")
-        """When the companion sent setpoints, microseconds since 1970."""
-        self._gps = array("q")
-
-    def look(self, record: Record) -> None:
-        """The next frame of the log."""
-        frame, component = record.frame, sender_of(record.frame)[1]
-        if component == COMPANION_COMPONENT and number_of(frame) == _SETPOINT:
-            self.setpoints_us.append(record.time_us)
-        if component != AUTOPILOT_COMPONENT:
-            return
-        sequence = frame[4] if frame[0] == V2 else frame[2]
-        if self._sequence is not None:
-            missing = (sequence - self._sequence - 1) % 256
-            self.lost += missing if missing < _OLD else 0
-            self.silence_us = max(self.silence_us, record.time_us - self._heard_us)
-        self._sequence, self._heard_us = sequence, record.time_us
-        self.heard += 1
-        if number_of(frame) == _GPS.id:
-            values = _UNPACK(payload_of(frame, _BYTES)[:_BYTES])
-            said = values[_AT["fix_type"]], values[_AT["satellites_visible"]]
-            self._gps.extend((record.time_us, *said))
-
-    @property
-    def gps(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """When the GPS spoke, fix and satellites each time, three arrays of (M,).
-
-        Microseconds since 1970; GPS_FIX_TYPE, 3 and more: a fix in three dimensions; NaN: not known
-        how many.
-        """
-        time_us, fixes, seen = np.array(self._gps, dtype=np.int64).reshape(-1, 3).T
-        return time_us, fixes, np.where(seen == _UNKNOWN, np.nan, seen)
 
 
 class Nearest(NamedTuple):
@@ -110,24 +54,44 @@ class Exposure(NamedTuple):
 
 
 @final
-@dataclass(frozen=True, kw_only=True)  # no slots: what takes time is computed once
 class FlightFacts:
     """A recorded flight, and what it comes to; times are the vehicle's, seconds since its boot.
 
     After a reboot they continue as the log's do.
     """
 
-    flight: Flight
-    health: FlightHealth
-    known: KnownMap | None
-    """The terrain as far as it was known at the end; None: it was not recorded."""
-    run: dict[str, Any]
-    """What run.json says; empty without it."""
-    mission_toml: str
-    notes: tuple[str, ...]
-    """What is missing, or odd about what was recorded, in words."""
+    def __init__(
+        self,
+        flight: Flight,
+        *,
+        known: KnownMap | None,
+        run: dict[str, Any],
+        mission_toml: str,
+        notes: tuple[str, ...],
+    ) -> None:
+        """known: the terrain as far as it was known at the end; None: it was not recorded.
 
-    # --- times and places
+        run: what run.json says; empty without it.  notes: what is missing, or odd about what was
+        recorded, in words.
+        """
+        self.flight, self.known, self.run = flight, known, run
+        self.mission_toml, self.notes = mission_toml, notes
+        self.times_s = self.log_s(flight.track.time_us)
+        """When the vehicle was at each position.  (N,)"""
+        known_then = flight.decided_at_positions()
+        self.on_the_way: BoolArray = np.array([d.phase in _ON_THE_WAY for d in known_then], bool)
+        """Which positions are in flight, after take-off and before landing.  (N,)"""
+        way_s = self.times_s[self.on_the_way]
+        self.duration_s = float(np.ptp(way_s)) if len(way_s) else 0.0
+        """From the first to the last position on the way."""
+        self.legs_nea_m = tuple(flight.legs_nea_m())
+        """The subpaths that were begun, each as far as its successor.  (S, 3) each."""
+        self._tell_what_happened([entry for _, _, entry in flight.entries])
+        self._tell_the_route()
+        self._tell_of_terrain()
+        self.exposure = self._exposure()
+        """Within radar ranges, on the way."""
+        self._tell_of_link_and_gps()
 
     def time_s(self, moment: Moment) -> float:
         """The time of the report of something that happened."""
@@ -140,133 +104,78 @@ class FlightFacts:
         first_us, first_s = (track.time_us[0], track.t_s[0]) if len(track) else (0, 0.0)
         return np.asarray((time_us - first_us) * 1e-6 + first_s, dtype=np.float64)
 
-    @cached_property
-    def times_s(self) -> FloatArray:
-        """When the vehicle was at each position.  -> (N,)."""
-        return self.log_s(self.flight.track.time_us)
-
-    @cached_property
-    def track_nea_m(self) -> FloatArray:
-        """All positions.  -> (N, 3)."""
-        return self.flight.places_nea_m
-
-    @cached_property
-    def on_the_way(self) -> BoolArray:
-        """Which positions are in flight, after take-off and before landing.  -> (N,)."""
-        known = self.flight.decided_at_positions()
-        return np.array([each.phase in _ON_THE_WAY for each in known], dtype=bool)
-
-    @property
-    def duration_s(self) -> float:
-        """From the first to the last position on the way."""
-        return float(np.ptp(self.times_s[self.on_the_way])) if self.on_the_way.any() else 0.0
-
-    @property
-    def vehicle(self) -> str:
+    def _tell_what_happened(self, entries: Sequence[noted.Entry]) -> None:
+        found = [entry.name for entry in entries if isinstance(entry, noted.VehicleFound)]
+        ends = [entry for entry in entries if isinstance(entry, noted.End)]
+        plans = (e for e in entries if isinstance(e, noted.PlanReady | noted.PlanRefused))
+        self.vehicle = found[0] if found else ""
         """What was flown."""
-        found = (e.name for _, _, e in self.flight.entries if isinstance(e, noted.VehicleFound))
-        return next(found, "")
-
-    # --- how it ended
-
-    @cached_property
-    def end(self) -> noted.End | None:
+        self.end = ends[-1] if ends else None
         """The end of the mission; None: the record ends before."""
-        ends = [entry for _, _, entry in self.flight.entries if isinstance(entry, noted.End)]
-        return ends[-1] if ends else None
-
-    @property
-    def remedy(self) -> str:
-        """What to do about a flight that has failed, if that is known."""
         reason = "" if self.end is None else self.end.reason
-        return next((_REMEDIES[text] for text in _REMEDIES if reason.startswith(text)), "")
-
-    @property
-    def holds(self) -> list[Moment]:
+        self.remedy = next((_REMEDIES[text] for text in _REMEDIES if reason.startswith(text)), "")
+        """What to do about a flight that has failed, if that is known."""
+        self.holds = [moment for moment in self.flight.moments if moment.what == "hold"]
         """When it was held, and why."""
-        return [moment for moment in self.flight.moments if moment.what == "hold"]
-
-    @property
-    def held_s(self) -> float:
-        """For how long in all, as far as it was recorded."""
         last_s = float(self.times_s[-1]) if len(self.times_s) else 0.0
-        ends = [last_s if each.until_s is None else each.until_s for each in self.holds]
-        return sum(max(end_s - h.t_s, 0.0) for h, end_s in zip(self.holds, ends, strict=True))
+        ends_s = [last_s if each.until_s is None else each.until_s for each in self.holds]
+        self.held_s = sum(max(s - h.t_s, 0.0) for h, s in zip(self.holds, ends_s, strict=True))
+        """For how long in all, as far as it was recorded."""
+        self.counts = Counter(entry.kind for entry in entries)
+        """How many entries of each kind the journal has."""
+        self.out_of_time = sum(plan.out_of_time for plan in plans)
+        """How many plans were cut by time, found or not."""
+        told = self.run.get("planning_s")
+        took_s = [t for t in told if isinstance(t, int | float)] if isinstance(told, list) else []
+        self.planning_s = (statistics.median(took_s), max(took_s)) if took_s else None
+        """How long plans took, median and longest, wall time; None: that was not recorded."""
 
-    # --- the route
-
-    @cached_property
-    def route_nea_m(self) -> FloatArray:
-        """Where the vehicle was on its way, once a second.  -> (M, 3)."""
+    def _tell_the_route(self) -> None:
         chosen = np.flatnonzero(self.on_the_way)
-        if not len(chosen):
-            return np.empty((0, 3))
         seconds = np.floor(self.times_s[chosen] / _STEP_S)
-        firsts = np.flatnonzero(np.diff(seconds, prepend=-1.0))
-        return self.track_nea_m[chosen[np.union1d(firsts, [len(chosen) - 1])]]
-
-    @property
-    def flown_m(self) -> float:
-        """How far it flew over ground."""
-        return float(np.hypot(*np.diff(self.route_nea_m[:, :2], axis=0).T).sum())
-
-    @cached_property
-    def stations_ne_m(self) -> list[tuple[float, float]]:
+        rows = np.union1d(np.flatnonzero(np.diff(seconds, prepend=-1.0)), [len(chosen) - 1])
+        route_ne_m = self.flight.places_nea_m[chosen[rows] if len(chosen) else chosen, :2]
+        self.flown_m = float(np.hypot(*np.diff(route_ne_m, axis=0).T).sum())
+        """How far it flew over ground, by where it was once a second."""
+        starts = [(north_m, east_m) for north_m, east_m in route_ne_m[:1].tolist()]
+        self.stations_ne_m = [*starts, *self.flight.targets_ne_m] if starts else []
         """The start of its way, and the targets; none without a way."""
-        starts = [(north_m, east_m) for north_m, east_m, _ in self.route_nea_m[:1].tolist()]
-        return [*starts, *self.flight.targets_ne_m] if starts else []
-
-    @property
-    def straight_m(self) -> float:
+        self.straight_m = sum(math.dist(a, b) for a, b in itertools.pairwise(self.stations_ne_m))
         """From the start of its way straight from target to target."""
-        return sum(math.dist(a, b) for a, b in itertools.pairwise(self.stations_ne_m))
-
-    @property
-    def left_m(self) -> float:
+        self.left_m = math.dist(route_ne_m[-1], self.stations_ne_m[-1]) if starts else 0.0
         """Straight from where it was last to the last target."""
-        return math.dist(self.route_nea_m[-1, :2], self.stations_ne_m[-1])
 
-    @cached_property
-    def clearances_m(self) -> FloatArray:
-        """Distance from the known terrain at each position on the way.  -> (K,).
-
-        In three dimensions, from columns as high as their cells; at most `clearance_reach_m`.
-        """
-        points = self.track_nea_m[self.on_the_way]
-        if self.known is None or not len(points):
-            return np.full(len(points), np.nan)
-        parts = np.array_split(points, max(len(points) // _AT_ONCE, 1))
-        reach_m = self.clearance_reach_m
-        found = [distances_to_terrain_m(self.known, p, reach_m, seen_only=True) for p in parts]
-        return np.concatenate(found)
-
-    @property
-    def clearance_reach_m(self) -> float:
+    def _tell_of_terrain(self) -> None:
+        flight, known = self.flight, self.known
+        task, points = flight.mission.task, flight.places_nea_m[self.on_the_way]
+        cell_m = task.cell_m if known is None else known.cell_m
+        reach_m = max(min(8.0 * task.required_clearance_m, _MOST_CELLS * cell_m), 2.0 * cell_m)
+        self.clearance_reach_m = reach_m
         """Farther away terrain is not looked for."""
-        task = self.flight.mission.task
-        cell_m = task.cell_m if self.known is None else self.known.cell_m
-        return max(min(8.0 * task.required_clearance_m, _MOST_CELLS * cell_m), 2.0 * cell_m)
-
-    @cached_property
-    def nearest(self) -> Nearest | None:
+        self.clearances_m: FloatArray = np.full(len(points), np.nan)
+        """Distance from the known terrain at each position on the way, in three dimensions, from
+        columns as high as their cells; at most `clearance_reach_m`.  (K,)"""
+        self.nearest: Nearest | None = None
         """Where the way was nearest to terrain; None: no terrain or no way was recorded."""
-        if not len(self.clearances_m) or math.isnan(self.clearances_m[0]):
-            return None
+        if known is None or not len(points):
+            return
+        parts = np.array_split(points, max(len(points) // _AT_ONCE, 1))
+        self.clearances_m = np.concatenate(
+            [distances_to_terrain_m(known, part, reach_m, seen_only=True) for part in parts]
+        )
         least = int(np.argmin(self.clearances_m))
+        distance_m = float(self.clearances_m[least])
         at = int(np.flatnonzero(self.on_the_way)[least])
-        distance_m, track = float(self.clearances_m[least]), self.flight.track
-        return Nearest(
+        self.nearest = Nearest(
             distance_m=distance_m,
-            is_bound=distance_m >= self.clearance_reach_m,
+            is_bound=distance_m >= reach_m,
             time_s=float(self.times_s[at]),
-            place_nea_m=self.track_nea_m[at].tolist(),
-            place_deg=(float(track.latitude_deg[at]), float(track.longitude_deg[at])),
+            place_nea_m=points[least].tolist(),
+            place_deg=(float(flight.track.latitude_deg[at]), float(flight.track.longitude_deg[at])),
         )
 
-    @cached_property
-    def exposure(self) -> Exposure:
-        """Within radar ranges, on the way."""
-        points, inside = self.track_nea_m, np.zeros(len(self.track_nea_m), dtype=bool)
+    def _exposure(self) -> Exposure:
+        points, inside = self.flight.places_nea_m, np.zeros(len(self.times_s), dtype=bool)
         highest, whose = 0.0, ""
         for radar in self.flight.mission.task.radars:
             distances_m = radar.distance_m(points)
@@ -283,52 +192,30 @@ class FlightFacts:
             radar=whose,
         )
 
-    # --- the plans
-
-    @cached_property
-    def legs_nea_m(self) -> tuple[FloatArray, ...]:
-        """The subpaths that were begun, each as far as its successor.  -> (S, 3) each."""
-        return tuple(self.flight.legs_nea_m())
-
-    @property
-    def planning_s(self) -> tuple[float, float] | None:
-        """How long plans took, median and longest, wall time; None: that was not recorded."""
-        told = self.run.get("planning_s")
-        took_s = [t for t in told if isinstance(t, int | float)] if isinstance(told, list) else []
-        return (statistics.median(took_s), max(took_s)) if took_s else None
-
-    def count(self, kind: str) -> int:
-        """How many entries of a kind the journal has."""
-        return sum(entry.kind == kind for _, _, entry in self.flight.entries)
-
-    @property
-    def out_of_time(self) -> int:
-        """How many plans were cut by time, found or not."""
-        plans = (e for _, _, e in self.flight.entries if isinstance(e, _ANSWERS))
-        return sum(plan.out_of_time for plan in plans)
-
-    # --- link and GPS
-
-    @property
-    def setpoint_gap_s(self) -> float:
-        """The longest time between two setpoints in one stretch of flying; 0: there are none."""
-        sent_us, time_us, longest_us = self.health.setpoints_us, self.flight.track.time_us, 0
-        for phase, part in self.flight.segments() if len(time_us) else ():
+    def _tell_of_link_and_gps(self) -> None:
+        flight, longest_us = self.flight, 0
+        heard_us, sequence = np.array(flight.heard, dtype=np.int64).reshape(-1, 2).T
+        missing = (np.diff(sequence) - 1) % 256
+        self.heard = len(heard_us)
+        """Frames of the autopilot."""
+        self.lost = int(missing[missing < _OLD].sum())
+        """Frames of the autopilot that are missing, by their sequence numbers."""
+        self.silence_s = int(np.diff(heard_us).max(initial=0)) * 1e-6
+        """The longest time without a frame of the autopilot."""
+        sent_us, positions_us = np.array(flight.setpoints_us, np.int64), flight.track.time_us
+        for phase, part in flight.segments() if len(positions_us) else ():
             if phase == Phase.FLYING.value:
-                begin, end = np.searchsorted(sent_us, time_us[[part.start, part.stop - 1]])
+                begin, end = np.searchsorted(sent_us, positions_us[[part.start, part.stop - 1]])
                 longest_us = max(longest_us, int(np.diff(sent_us[begin:end]).max(initial=0)))
-        return longest_us * 1e-6
-
-    @property
-    def without_fix_s(self) -> float:
+        self.setpoint_gap_s = longest_us * 1e-6
+        """The longest time between two setpoints in one stretch of flying; 0: there are none."""
+        time_us, self.fixes, seen = np.array(flight.gps, dtype=np.int64).reshape(-1, 3).T
+        """GPS_FIX_TYPE each time that the GPS spoke, 3 and more: in three dimensions.  (M,)"""
+        self.gps_s, self.satellites = self.log_s(time_us), np.where(seen == _UNKNOWN, np.nan, seen)
+        """When that was, and how many it saw; NaN: not known.  (M,) each"""
+        has_had_one = np.cumsum(self.fixes >= 3) > 0
+        lasted_s = np.diff(self.gps_s, append=self.gps_s[-1:])
+        self.without_fix_s = float(lasted_s[(self.fixes < 3) & has_had_one].sum())
         """How long the GPS said that it had no fix in three dimensions, after its first one."""
-        time_us, fixes, _ = self.health.gps
-        at_s = self.log_s(time_us)
-        lacks = (fixes < 3) & (np.cumsum(fixes >= 3) > 0)
-        return float(np.diff(at_s, append=at_s[-1:])[lacks].sum())
-
-    @property
-    def fewest_satellites(self) -> float:
+        self.fewest_satellites = float(np.fmin.reduce(self.satellites[has_had_one], initial=np.nan))
         """That the GPS saw after its first fix; NaN: it did not say."""
-        _, fixes, seen = self.health.gps
-        return float(np.fmin.reduce(seen[np.cumsum(fixes >= 3) > 0], initial=np.nan))

@@ -51,18 +51,30 @@ def test_distance_to_the_terrain_is_that_to_the_nearest_of_many_surface_points()
     assert np.sum(found < 1_000.0) > 100
 
 
-def test_a_finer_search_about_the_worst_point_finds_nothing_nearer() -> None:
-    rng = np.random.default_rng(2)
-    peak = TERRAIN.peaks[0]
-    for _ in range(20):
-        point = np.array([*rng.uniform(-4e3, 4e3, 2), 5_200.0])
-        found = truth.terrain_distance_m(point[None], TERRAIN, 9e3)[0]
-        assert found <= truth.brute_distance_m(peak, point) + 1e-2
-
-
-def test_distance_is_negative_inside_a_mountain() -> None:
-    inside = np.array([[0.0, 0.0, 4_900.0]])
-    assert truth.terrain_distance_m(inside, TERRAIN, 500.0)[0] < 0.0
+@pytest.mark.parametrize(
+    ("height_m", "spread_m", "up_to_m"), [(5_000.0, 4e3, 1_000.0), (150.0, 8.0, 30.0)]
+)
+def test_the_distance_to_a_round_mountain_or_tower_is_that_in_the_plane_through_its_axis(
+    height_m: float, spread_m: float, up_to_m: float
+) -> None:
+    peak = Peak(north_m=30.0, east_m=-40.0, height_amsl_m=height_m, spread_north_m=spread_m,
+                spread_east_m=spread_m)  # fmt: skip
+    terrain, rng = PeakTerrain(peaks=(peak,), ground_amsl_m=0.0), np.random.default_rng(2)
+    away_m = rng.uniform(0.0, 3.0 * spread_m, 300)
+    up_m = height_m * np.exp(-((away_m / spread_m) ** 2)) + rng.uniform(0.0, 2.0 * up_to_m, 300)
+    bearing = rng.uniform(0.0, 2.0 * np.pi, 300)
+    points = np.stack([30.0 + away_m * np.cos(bearing), away_m * np.sin(bearing) - 40.0, up_m], -1)
+    found = truth.terrain_distance_m(points, terrain, up_to_m)
+    radius_m = np.linspace(0.0, 4.0 * spread_m, 400_001)
+    surface_m = height_m * np.exp(-((radius_m / spread_m) ** 2))
+    expected = [
+        np.sqrt(np.min((radius_m - r) ** 2 + np.maximum(z - surface_m, 0.0) ** 2))
+        for r, z in zip(away_m, up_m, strict=True)
+    ]
+    np.testing.assert_allclose(found, np.minimum(np.minimum(expected, up_m), up_to_m), atol=2e-3)
+    assert np.sum(found < up_to_m) > 50
+    under = points - [0.0, 0.0, 2.1 * up_to_m]
+    assert (truth.terrain_distance_m(under, terrain, up_to_m) < 0.0).all()
 
 
 def test_four_control_points_are_a_bezier_curve() -> None:

@@ -91,17 +91,24 @@ def words_of(page: str) -> str:
     return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", shown)).split())
 
 
+def records_of(run: Path) -> list[tuple[int, bytes]]:
+    """Stamp and frame of each record of the log."""
+    log, records, at = (run / "flight.tlog").read_bytes(), [], 0
+    while at < len(log):
+        end = at + 8 + 12 + log[at + 9]
+        records.append((struct.unpack_from(">Q", log, at)[0], log[at + 8 : end]))
+        at = end
+    return records
+
+
 def positions(run: Path) -> list[tuple[float, float, float, float]]:
     """Vehicle time, latitude, longitude, altitude, by pymavlink."""
-    data, at, found = (run / "flight.tlog").read_bytes(), 0, []
-    parser = wire.MAVLink(None)
-    while at < len(data):
-        size = 12 + data[at + 9]
-        message: Any = parser.decode(bytearray(data[at + 8 : at + 8 + size]))
+    parser, found = wire.MAVLink(None), []
+    for _, frame in records_of(run):
+        message: Any = parser.decode(bytearray(frame))
         if message.get_type() == "GLOBAL_POSITION_INT" and message.lat:
             place = message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3
             found.append((message.time_boot_ms * 1e-3, *place))
-        at += 8 + size
     return found
 
 
@@ -131,6 +138,7 @@ def test_the_length_flown_is_that_of_the_geodesics_between_the_positions(
     assert facts.straight_m == pytest.approx(straight, rel=1e-4)
     left = GEOD.line_length([rows[-1][2], target[1]], [rows[-1][1], target[0]])
     assert facts.left_m == pytest.approx(left, abs=0.1)
+    assert facts.duration_s == pytest.approx(rows[-1][0] - rows[0][0], abs=0.01)
 
 
 def test_the_worst_clearance_is_that_of_every_position_to_every_known_cell(
@@ -221,16 +229,6 @@ def test_plans_that_time_has_cut_are_told_with_the_remedy(copy: Path) -> None:
     assert "plan 9 refused: OUT_OF_TIME; time was up after 341 candidates" in words
 
 
-def records_of(run: Path) -> list[tuple[int, bytes]]:
-    """Stamp and frame of each record of the log."""
-    log, records, at = (run / "flight.tlog").read_bytes(), [], 0
-    while at < len(log):
-        end = at + 8 + 12 + log[at + 9]
-        records.append((struct.unpack_from(">Q", log, at)[0], log[at + 8 : end]))
-        at = end
-    return records
-
-
 def write_log(run: Path, records: list[tuple[int, bytes]]) -> None:
     log = b"".join(struct.pack(">Q", stamp_us) + frame for stamp_us, frame in records)
     (run / "flight.tlog").write_bytes(log)
@@ -241,11 +239,11 @@ def test_missing_frames_and_silences_are_counted(copy: Path, facts: FlightFacts)
     of_autopilot = [k for k, each in enumerate(records) if each[1][6] == 1]
     dropped = set(of_autopilot[500:520]) | {of_autopilot[700]}
     write_log(copy, [each for k, each in enumerate(records) if k not in dropped])
-    health = facts_of(copy).health
-    assert health.lost - facts.health.lost == len(dropped)
-    assert health.heard == len(of_autopilot) - len(dropped)
+    found = facts_of(copy)
+    assert found.lost - facts.lost == len(dropped)
+    assert found.heard == len(of_autopilot) - len(dropped)
     left = np.array([records[k][0] for k in of_autopilot if k not in dropped])
-    assert health.silence_us == np.diff(left).max()
+    assert found.silence_s == pytest.approx(1e-6 * np.diff(left).max())
 
 
 def test_times_without_a_fix_and_gaps_of_setpoints_are_those_of_the_log(copy: Path) -> None:
@@ -349,6 +347,7 @@ def test_what_comes_from_the_flight_is_text_and_no_markup(copy: Path) -> None:
     assert not read.open
     assert "script" not in read.tags
     assert words_of(page).count(EVIL) >= 5
+    assert f"✘ Failed: {EVIL}" in words_of(page)  # by the last end
     for figure in re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL):
         lxml.etree.fromstring(figure.encode())
 
@@ -437,7 +436,7 @@ def test_without_the_record_itself_it_is_one_line_and_exit_code_2(
     copy: Path, name: str, words: str
 ) -> None:
     (copy / name).unlink()
-    code, said = command("report", copy)
+    code, _, said = answered("report", copy)
     assert code == 2
     assert words in said
     assert len(said.splitlines()) == 1
@@ -446,16 +445,10 @@ def test_without_the_record_itself_it_is_one_line_and_exit_code_2(
 
 @pytest.mark.usefixtures("undrawn")
 def test_the_command_writes_beside_the_flight_and_never_over_it(copy: Path) -> None:
-    assert command("report", copy) == (0, "")
+    assert answered("report", copy)[::2] == (0, "")
     assert (copy / "report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
-    code, said = command("report", copy, "--out", copy / "flight.tlog")
+    code, _, said = answered("report", copy, "--out", copy / "flight.tlog")
     assert code == 2
     assert "that is what the flight was recorded in" in said
-    assert command("report", copy, "--out", copy / "none" / "x.html")[0] == 2
-    assert "not written" in command("report", copy, "--out", "/dev/full")[1]
-
-
-def command(*arguments: str | Path) -> tuple[object, str]:
-    """Exit code, and what is said of errors."""
-    code, _, said = answered(*arguments)
-    return code, said
+    assert answered("report", copy, "--out", copy / "none" / "x.html")[0] == 2
+    assert "not written" in answered("report", copy, "--out", "/dev/full")[2]
