@@ -168,22 +168,3 @@ def test_where_it_is_is_told_alike_by_all_messages(copter: Flown, multicopter: R
             assert (told[331].x, told[331].vx, told[331].yawspeed, told[331].estimator_type) == (
                 *(local_m.x, local_m.vx, attitude.yawspeed, 8),
             )
-
-
-def test_the_echo_is_what_the_controller_wants(copter: Flown, multicopter: Rig) -> None:
-    """POSITION_TARGET_LOCAL_NED: what is not given is NaN (PX4) or 0, and has its bits."""
-    echo = read(PX4[85](report_of(multicopter)))
-    assert echo.type_mask == 7
-    assert math.isnan(echo.x)
-    assert echo.vx == pytest.approx(5.0)
-    fresh = Rig()
-    fresh.run(5.0)
-    idle = read(PX4[85](report_of(fresh)))
-    assert (idle.type_mask, idle.afz) == (63, 100.0)
-    assert math.isnan(idle.vx)
-    for kind, mask in (("position", 0xDF8), ("pos+vel", 0xC00), ("velocity", 0xC07)):
-        copter.setpoint((5.0, 0.0, -30.0), (1.0, 0.0, 0.0), kind=kind)
-        copter.step()
-        echo = read(ARDUPILOT[85](report_of(copter)))
-        assert echo.type_mask == mask
-        assert ((echo.x != 0.0), (echo.vx != 0.0)) == (mask & 7 == 0, mask & 0x38 == 0)
