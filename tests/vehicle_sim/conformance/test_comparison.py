@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
+from conformance import compare
 from conformance.__main__ import tables
-from conformance.compare import compare
 from conformance.flights import Reason, Recording, Side, TimedFrame, decoded, flight_of
 from conformance.rows import Row
 
