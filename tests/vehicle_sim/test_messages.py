@@ -14,7 +14,6 @@ from tracked import Px4Copter as Rig
 from vehicle_sim.autopilot import px4plane
 from vehicle_sim.autopilot.values import Ack, Battery, Report, Sender, Text
 from vehicle_sim.flight_controller import HANDLERS, ack, command, mode_command, texts
-from vehicle_sim.sensors.gps import Fix
 from vehicle_sim.wire.frames import Packer, StreamParser, make, number_of
 from vehicle_sim.wire.telemetry import MESSAGES
 
@@ -105,11 +104,10 @@ def read(said: Any) -> Any:
     return mavlink.MAVLink(None).decode(bytearray(Packer(1, 1).frame(said)))
 
 
-def report_of(rig: Any, fix: Fix | None = None) -> Report:
+def report_of(rig: Any) -> Report:
     """Of a vehicle in the tests of its autopilot."""
-    it = rig.px4 if isinstance(rig, Rig) else rig.autopilot
-    known = rig.fix if fix is None else fix
-    return Report(autopilot=it, time_us=rig.now_us, fix=known, battery=Battery(), hardware_id=7)
+    told = {"autopilot": rig.autopilot, "time_us": rig.now_us, "fix": rig.fix, "hardware_id": 7}
+    return Report(**told, battery=Battery())
 
 
 @pytest.fixture(scope="module")
