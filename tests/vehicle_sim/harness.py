@@ -37,7 +37,7 @@ VEHICLE, GCS, COMPANION = (1, 1), (255, 190), (1, 191)
 ZERO: Vector = (0.0, 0.0, 0.0)
 NAN: Final = math.nan
 POSITION, POSITION_VELOCITY, ALL, VELOCITY = 0xDF8, 0xDC0, 0xC00, 0xDC7
-GUIDED, COPTER_LAND, BRAKE = 4, 9, 17
+GUIDED, BRAKE = 4, 17
 PLANE_GUIDED, PLANE_TAKEOFF = 15, 13
 MISSION = 0x04040000
 ATTITUDE = 30
@@ -409,17 +409,17 @@ class Link:
         """Vehicle time since the start."""
         return self.simulation.now_us * 1e-6
 
-    def step(self) -> None:
-        """10 ms, and before them what is due to be sent."""
+    def step(self) -> bool:
+        """10 ms, and before them what is due to be sent; whether a lockstep tick is complete."""
         steps, self._steps = self._steps, self._steps + 1
         if self.aim is not None and steps % round(_STEPS_PER_S / self.rate_hz) == 0:
             self.send(self.aim(self.now_s))
         if steps % _STEPS_PER_S == 0:
             for kind in self.heartbeats:
                 self.send(heartbeat(kind))
-        self.simulation.step()
-        now_s = self.now_s
+        complete, now_s = self.simulation.step(), self.now_s
         self.heard += [Heard(now_s, link, frame) for link, frame in self.simulation.take_frames()]
+        return complete
 
     def run(self, seconds: float, meanwhile: Callable[[], object] | None = None) -> list[Heard]:
         """What comes while time passes; meanwhile: what to do ten times a second."""

@@ -13,9 +13,7 @@ import harness
 import pytest
 import tracked
 from harness import (
-    ALL,
     BRAKE,
-    COPTER_LAND,
     GUIDED,
     NAN,
     POSITION,
@@ -226,18 +224,6 @@ def test_a_gust_that_presses_it_down_ends_no_take_off() -> None:
     assert it.airborne(10.0).height_m == pytest.approx(10.0, abs=1.0)
 
 
-def test_land_takes_35_s_from_30_m_and_disarms_two_seconds_after() -> None:
-    it = hovering()
-    it.command(176, 1, COPTER_LAND)
-    it.run(0.5)
-    assert landed_state(it) == LANDING
-    took_s = 0.5 + it.run_until(lambda: it.height_m < 0.05, within_s=50.0)
-    assert took_s == pytest.approx(35.0, abs=1.5)
-    disarms_s = it.run_until(lambda: not it.autopilot.armed, within_s=6.0)
-    assert disarms_s == pytest.approx(2.0, abs=0.4)
-    assert landed_state(it) == ON_GROUND
-
-
 @pytest.mark.parametrize("mode", [0, 2, 5, 16])  # STABILIZE, ALT_HOLD, LOITER, POSHOLD
 def test_without_a_pilot_the_modes_by_hand_come_down(mode: int) -> None:
     it = hovering()
@@ -263,13 +249,6 @@ def test_rtl_climbs_to_15_m_comes_home_waits_and_lands() -> None:
     assert abs(it.local_m()[0]) < 2.0
     it.run_until(lambda: not it.autopilot.armed, within_s=60)
     assert abs(it.local_m()[0]) < 0.5
-
-
-def test_over_home_each_stage_of_a_return_takes_1_55_s_and_the_wait_5_s() -> None:
-    it = hovering()
-    assert it.command(176, 1, RTL) == ACCEPTED
-    took_s = it.run_until(lambda: landed_state(it) == LANDING, within_s=20)
-    assert took_s == pytest.approx(2 * 1.55 + 5.0, abs=0.1)
 
 
 @pytest.mark.parametrize(("behaviour", "looks_home"), [(1.0, True), (2.0, False), (0.0, False)])
@@ -299,15 +278,6 @@ def test_brake_stops_and_ignores_setpoints() -> None:
     it.run(5.0)
     assert it.local_m()[0] == pytest.approx(north_m, abs=0.05)
     assert it.autopilot.target_echo() is None
-
-
-def test_a_crash_is_said_and_the_end() -> None:
-    it = hovering()  # test_contact.py says what is one
-    it.give((0.0, 0.0, 500.0), mask=POSITION)  # below the ground
-    it.run_until(lambda: it.height_m == 0.0)
-    it.take(it.autopilot.crash())
-    assert (it.autopilot.landed, it.autopilot.armed) == (True, False)
-    assert any(text.startswith("Crash") for text in it.texts)
 
 
 # --- failsafes ------------------------------------------------------------------------------------
@@ -401,17 +371,6 @@ def test_local_places_are_about_the_origin_also_when_home_is_moved() -> None:
         assert it.autopilot.target_echo().position_ned_m[2] == pytest.approx(down_m, abs=0.1)
 
 
-def test_a_waypoint_is_told_of_a_place_that_does_not_move_and_the_target_in_guided_only() -> None:
-    it = hovering()
-    it.give((60.0, 0.0, -30.0), mask=POSITION)
-    assert it.autopilot.status().waypoint.distance_m == pytest.approx(60.0, abs=0.5)
-    it.give((60.0, 0.0, -30.0), (1.0, 0.0, 0.0), mask=POSITION_VELOCITY)
-    assert it.autopilot.status().waypoint is None
-    it.command(176, 1, RTL)
-    assert it.autopilot.status().waypoint is not None
-    assert it.autopilot.target_echo() is None
-
-
 def test_a_change_of_speed_limits_a_place_alone_and_is_forgotten_with_the_submode() -> None:
     it = hovering()
     it.give((300.0, 0.0, -30.0), mask=POSITION)
@@ -455,32 +414,6 @@ def test_a_setpoint_of_nothing_stops_it_from_5_m_s_as_measured() -> None:
         stream(it, 1.0, ZERO, mask=0xFFF)
         speeds.append(it.speed_m_s)
     assert speeds == pytest.approx([4.3, 2.9, 1.4], abs=0.35)
-
-
-def test_the_target_runs_on_for_the_time_out_and_then_its_velocity_is_0() -> None:
-    it = hovering(45.0)
-    north_m = fly_north(it, 10.0, 20.0, ALL) - 1.0
-    it.run(1.9)
-    echo = it.autopilot.target_echo()
-    assert (echo.position_ned_m[0], echo.velocity_ned_m_s[0]) == pytest.approx(
-        (north_m + 20.0, 10.0), abs=0.5
-    )
-    it.run(10.0)
-    echo = it.autopilot.target_echo()
-    assert echo.position_ned_m[0] == pytest.approx(north_m + 30.0, abs=0.5)
-    assert echo.velocity_ned_m_s[0] == 0.0
-
-
-def test_resumed_where_the_path_should_be_it_sprints_at_15_m_s() -> None:
-    it = hovering(45.0)
-    north_m, fastest = fly_north(it, 10.0, 25.0) + 100.0, 0.0
-    it.run(10.0)
-    for _ in range(200):
-        it.give((north_m, 0.0, -30.0), (10.0, 0.0, 0.0), mask=POSITION_VELOCITY)
-        it.run(0.1)
-        north_m += 1.0
-        fastest = max(fastest, it.speed_m_s)
-    assert fastest == pytest.approx(15.0, abs=1.5)
 
 
 def test_an_acceleration_alone_is_flown_until_the_time_out() -> None:

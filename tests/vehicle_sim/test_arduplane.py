@@ -40,17 +40,6 @@ def test_nothing_but_take_off_and_auto_leaves_the_ground() -> None:
     assert rig.autopilot.landed
 
 
-def test_it_disarms_in_flight_only_by_force() -> None:
-    rig = flying()
-    assert rig.command(400, 0.0) is Result.FAILED
-    assert rig.command(400, 0.0, 21196.0) is Result.ACCEPTED
-    assert not rig.autopilot.armed
-    rig.run_until(lambda: rig.autopilot.landed)
-    rig.run(20.0)
-    assert rig.speed_m_s == 0.0
-    assert rig.height_m == 0.0
-
-
 # --- GUIDED: points -------------------------------------------------------------------------------
 
 

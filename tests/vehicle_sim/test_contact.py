@@ -3,12 +3,12 @@
 import math
 
 import pytest
-from harness import GROUND_M, VEHICLES, Flown
+from harness import GROUND_M, VEHICLES, Flown, item
 
 from vehicle_sim.dynamics.contact import Contact, Crash, is_crash
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.geodesy import LocalFrame
-from vehicle_sim.plans import PlanItem, PlanKind
+from vehicle_sim.plans import PlanKind
 from vehicle_sim.scene import Scene
 from vehicle_sim.terrain import PeakTerrain
 
@@ -128,13 +128,8 @@ def test_a_copter_that_comes_down_to_land_has_not_crashed(autopilot: str) -> Non
 def test_a_plane_that_rolls_out_on_its_runway_has_not_crashed() -> None:
     flown = Flown("plane", "ardupilot")
     simulation = flown.simulation
-
-    def item(command: int, north_m: float = 0.0, up_m: float = 0.0) -> PlanItem:
-        north_deg = 47.0 + north_m / 111_200.0
-        return PlanItem(frame=3, command=command, x=round(north_deg * 1e7), y=80_000_000, z_m=up_m)
-
-    items = (item(16), item(22, up_m=20.0), item(16, 250.0, 20.0), item(21, 500.0))
-    simulation.plans[PlanKind.MISSION] = items
+    legs = ((16,), (22, 0.0, 0.0, 20.0), (16, 250.0, 0.0, 20.0), (21, 500.0))
+    simulation.plans[PlanKind.MISSION] = tuple(item((47.0, 8.0), *leg) for leg in legs)
     flown.order(176, 1, 10)
     flown.order(400, 1)
     flown.fly_until(lambda: flown.above_m > 10.0, 40.0)

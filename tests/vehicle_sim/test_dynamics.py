@@ -128,13 +128,6 @@ def test_drag_and_tilt_hold_the_speeds_that_were_measured(
     assert it.pitch_rad == pytest.approx(-math.radians(tilt_deg), rel=1e-6)
 
 
-def test_speed_dies_away_in_still_air_as_the_closed_form_says() -> None:
-    it = copter(FREE, DRAG_1_S)
-    it.velocity_east_m_s = 10.0
-    flown(it, 2.0, 0.0, 0.0, 0.0)
-    assert it.velocity_east_m_s == pytest.approx(10.0 * math.exp(-DRAG_1_S * 2.0), rel=0.005)
-
-
 def test_left_alone_it_drifts_with_the_wind_and_to_stand_still_it_leans_into_it() -> None:
     it = copter(FREE, DRAG_1_S)
     it.wind_north_m_s, it.wind_east_m_s = -8.0, 4.0

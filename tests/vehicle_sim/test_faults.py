@@ -175,23 +175,6 @@ def test_of_px4s_two_numbers_of_satellites_its_own_counts() -> None:
     assert conditions_of(parameters("px4", SIM_GPS1_NUMSATS=7.0)).gps.satellites == 10
 
 
-def test_without_simulation_parameters_there_is_fair_weather() -> None:
-    assert conditions_of({}) == conditions_of(parameters()) == Conditions()
-
-
-def test_gps_parameters_are_those_of_the_recorded_flight_and_a_fault_goes_before_them() -> None:
-    """arducopter-gps-loss.tlog: SIM_GPS1_GLTCH_X 0.00045, later SIM_GPS1_ENABLE 0."""
-    values = parameters(SIM_GPS1_GLTCH_X=0.00045)
-    assert conditions_of(values).gps.glitch_latitude_deg == 0.00045
-    values["SIM_GPS1_ENABLE"] = 0
-    assert not conditions_of(values).gps.enabled
-    timeline = Timeline.parse("at 0 s for 1 s: set SIM_GPS1_ENABLE 1")
-    timeline.step(0)
-    assert conditions_of(values, timeline.changes).gps.enabled
-    timeline.step(S)
-    assert not conditions_of(values, timeline.changes).gps.enabled
-
-
 @pytest.mark.parametrize("firmware", FIRMWARES)
 @given(data=st.data())
 def test_no_value_of_any_parameter_leads_off_the_earth(
@@ -264,14 +247,6 @@ def test_any_overlap_is_what_a_replay_from_the_start_says(
             lasts = "" if length is None else f"for {length} s: "
             timeline.add(lasts + form.format(value), now * S)
             assert timeline.next_us <= now * S
-
-
-def test_nothing_is_due_between_two_edges() -> None:
-    timeline, edges = Timeline.parse("at 2 s for 3 s: gps_off\nat 4 s: gps_jam\nat 9 s: pilot"), []
-    while timeline.next_us < 100 * S:
-        edges.append(timeline.next_us / S)
-        timeline.step(timeline.next_us)
-    assert edges == [2.0, 4.0, 5.0, 9.0]
 
 
 BAD = [

@@ -6,10 +6,10 @@ ardupilot.md (head, 1), px4.md (1 to 3, 10).
 from typing import Any
 
 import pytest
-from harness import GCS, KINDS, MISSION, PLACE, VEHICLE, Key, Link, flying, heartbeat, ready
+from harness import GCS, KINDS, MISSION, PLACE, Key, Link, flying, heartbeat, ready
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot import core, px4
+from vehicle_sim.autopilot import core
 from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.parameters import Kind
 from vehicle_sim.world import VehicleKind
@@ -78,31 +78,6 @@ def test_what_can_be_streamed_and_asked_for(
     assert not profile.requestable & set(not_requested)
 
 
-RATES_HZ = {
-    98.0: "ATTITUDE",
-    49.0: "ATTITUDE_QUATERNION GLOBAL_POSITION_INT",
-    29.5: "LOCAL_POSITION_NED ODOMETRY",
-    9.9: "TIMESYNC ALTITUDE DISTANCE_SENSOR POSITION_TARGET_LOCAL_NED VFR_HUD",
-    8.0: "GPS_RAW_INT",
-    5.0: "EXTENDED_SYS_STATE SYS_STATUS",
-    1.0: "HEARTBEAT MISSION_CURRENT ESTIMATOR_STATUS SYSTEM_TIME",
-    0.5: "BATTERY_STATUS HOME_POSITION CURRENT_MODE",
-}
-"""Messages of an onboard link of PX4 that somebody reads, in Hz of its wall time: 1.5 % slower."""
-
-
-def test_px4_speaks_unasked_at_the_rates_that_were_measured() -> None:
-    vehicle = Link("copter", "px4", PLACE)
-    vehicle.run(10.0)
-    vehicle.heard.clear()
-    vehicle.run(20.0)
-    kinds = [heard.kind for heard in vehicle.heard]
-    rates_hz = {name: hz for hz, names in RATES_HZ.items() for name in names.split()}
-    told_hz = {name: kinds.count(name) / 20.0 * 0.985 for name in rates_hz}
-    assert told_hz == pytest.approx(rates_hz, rel=0.05)
-    assert "GPS_GLOBAL_ORIGIN" not in kinds  # it was told before
-
-
 def texts(vehicle: Link, link: int) -> bool:
     return bool(vehicle.all("STATUSTEXT", link=link))
 
@@ -169,22 +144,3 @@ def test_every_mode_is_flown_or_refused_with_a_word(kind: Any) -> None:
         assert client.set_mode(back) == 0
         client.run(1.0)
         assert client.last("HEARTBEAT").custom_mode == back
-
-
-@pytest.mark.parametrize("kind", KINDS[2:], ids="-".join)
-def test_px4_returns_in_mode_return_when_its_mission_says_so(kind: Any) -> None:
-    client, modes = ready(*kind), {mode.name: mode.number for mode in px4.MODES}
-    x, y = (round(angle * 1e7) for angle in PLACE[:2])
-    items = [
-        mavlink.MAVLink_mission_item_int_message(
-            *VEHICLE, seq, 2 if command == 20 else 3, command, *(0, 1), *[0] * 4, *place, 30.0, 0
-        )
-        for seq, (command, *place) in enumerate(
-            ((22, x, y), (16, x + 10_000, y + 10_000), (20, x, y))
-        )
-    ]
-    assert client.upload(items, 0) == 0
-    assert client.set_mode(modes["Mission"]) == 0
-    assert client.command(400, 1) == 0
-    returns = modes["Return"]
-    assert client.until(lambda: client.last("HEARTBEAT").custom_mode == returns, 180.0) < 180.0

@@ -10,14 +10,12 @@ from harness import Flown, Link
 from pymavlink.dialects.v20 import all as mavlink
 from test_near_scene import GROUND_M, world
 
-from vehicle_sim.errors import InputError
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.wire.frames import Packer
 from vehicle_sim.wire.proximity import BY_MAVLINK, Proximity
 
 NOT_THERE, NOT_KNOWN = 1601, 65535
 POST = {"north_m": 10.0, "east_m": 0.0, "radius_m": 1.0, "height_m": 50.0}
-BEHIND = POST | {"north_m": -10.0}
 WALL = {"points_ne_m": [[-60.0, 8.0], [60.0, 8.0]], "thickness_m": 1.0, "height_m": 50.0}
 AT_ONCE = {"kind": "sectors"}
 """Takes a tenth of the time of beam after beam."""
@@ -231,27 +229,6 @@ def test_nothing_in_reach_and_a_dead_lidar_are_both_silent_and_only_the_health_b
     assert (there, health) == (True, well)
 
 
-def test_an_echo_is_repeated_for_1_to_1_75_s_and_then_told_as_the_maximum() -> None:
-    # a high post in the sector before it: behind an empty one it would be wiped at once
-    high = {"north_m": 6.0, "east_m": -6.0, "radius_m": 1.0, "height_m": 500.0}
-    bench = Bench(trees=[POST, high], **ITS_OWN).fly(4.0)
-    bench.hold_m = 60.0  # above the post
-    start_s = bench.now_s
-    bench.fly(3.0)
-    ahead = [each for each in bench.all("DISTANCE_SENSOR") if each.message.orientation == 0]
-    last_s = max(each.at_s for each in ahead if each.message.current_distance < 1600)
-    assert {each.message.current_distance for each in ahead if each.at_s > last_s} == {1600}
-    assert 0.9 <= last_s - start_s <= 1.9
-
-
-def test_a_sector_with_a_post_is_called_empty_for_up_to_0_9_s_in_a_row() -> None:
-    bench = Bench(trees=[POST, BEHIND], **ITS_OWN).fly(10.0)
-    ahead = [m.current_distance for m in bench.of("DISTANCE_SENSOR") if m.orientation == 0][5:]
-    full = "".join("x" if cm == 1600 else "." for cm in ahead)
-    assert 3 <= max(map(len, full.split("."))) <= 9
-    assert 0.03 < full.count("x") / len(full) < 0.3  # about an eighth of each turn
-
-
 def told(distances: dict[int, int], **fields: Any) -> Any:
     values = {"time_usec": 1, "sensor_type": 0, "increment": 5, "min_distance": 30}
     values |= {"max_distance": 2000, "increment_f": 5.0, "angle_offset": 0.0, "frame": 12}
@@ -292,21 +269,6 @@ def test_the_driver_or_a_second_lidar_comes_back_as_sectors_of_component_1() -> 
     assert (bench.maps()[-1].max_distance, min(bench.maps()[-1].distances)) == (4000, 900)
     assert bench.sectors()[0] == pytest.approx(900, abs=2)
     assert {m.max_distance for m in bench.of("DISTANCE_SENSOR", 1)} == {1200}
-
-
-@pytest.mark.parametrize(
-    ("tables", "words"),
-    [
-        (
-            {"lidar": {"range_m": 9.0}, "second_lidar": {"range_m": 9.0, "output": "driver"}},
-            "Write",
-        ),
-        ({"second_lidar": {"range_m": 9.0, "output": "autopilot"}}, "beside"),
-    ],
-)
-def test_a_second_lidar_is_an_autopilots(tables: Any, words: str) -> None:
-    with pytest.raises(InputError, match=rf"second_lidar\.output.*{words}"):
-        world(**tables)
 
 
 # --- the downward rangefinder ---------------------------------------------------------------------

@@ -14,7 +14,6 @@ from tracked import Px4Copter as Rig
 from vehicle_sim.autopilot import px4plane
 from vehicle_sim.autopilot.values import Ack, Battery, Report, Sender, Text
 from vehicle_sim.flight_controller import HANDLERS, ack, command, mode_command, texts
-from vehicle_sim.sensors.gps import Fix
 from vehicle_sim.wire.frames import Packer, StreamParser, make, number_of
 from vehicle_sim.wire.telemetry import MESSAGES
 
@@ -105,11 +104,10 @@ def read(said: Any) -> Any:
     return mavlink.MAVLink(None).decode(bytearray(Packer(1, 1).frame(said)))
 
 
-def report_of(rig: Any, fix: Fix | None = None) -> Report:
+def report_of(rig: Any) -> Report:
     """Of a vehicle in the tests of its autopilot."""
-    it = rig.px4 if isinstance(rig, Rig) else rig.autopilot
-    known = rig.fix if fix is None else fix
-    return Report(autopilot=it, time_us=rig.now_us, fix=known, battery=Battery(), hardware_id=7)
+    told = {"autopilot": rig.autopilot, "time_us": rig.now_us, "fix": rig.fix, "hardware_id": 7}
+    return Report(**told, battery=Battery())
 
 
 @pytest.fixture(scope="module")
@@ -168,22 +166,3 @@ def test_where_it_is_is_told_alike_by_all_messages(copter: Flown, multicopter: R
             assert (told[331].x, told[331].vx, told[331].yawspeed, told[331].estimator_type) == (
                 *(local_m.x, local_m.vx, attitude.yawspeed, 8),
             )
-
-
-def test_the_echo_is_what_the_controller_wants(copter: Flown, multicopter: Rig) -> None:
-    """POSITION_TARGET_LOCAL_NED: what is not given is NaN (PX4) or 0, and has its bits."""
-    echo = read(PX4[85](report_of(multicopter)))
-    assert echo.type_mask == 7
-    assert math.isnan(echo.x)
-    assert echo.vx == pytest.approx(5.0)
-    fresh = Rig()
-    fresh.run(5.0)
-    idle = read(PX4[85](report_of(fresh)))
-    assert (idle.type_mask, idle.afz) == (63, 100.0)
-    assert math.isnan(idle.vx)
-    for kind, mask in (("position", 0xDF8), ("pos+vel", 0xC00), ("velocity", 0xC07)):
-        copter.setpoint((5.0, 0.0, -30.0), (1.0, 0.0, 0.0), kind=kind)
-        copter.step()
-        echo = read(ARDUPILOT[85](report_of(copter)))
-        assert echo.type_mask == mask
-        assert ((echo.x != 0.0), (echo.vx != 0.0)) == (mask & 7 == 0, mask & 0x38 == 0)

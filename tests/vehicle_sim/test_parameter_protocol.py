@@ -1,7 +1,6 @@
 """Parameters over the wire; pymavlink's own client sets some in tests/interop."""
 
 import math
-import re
 import struct
 from itertools import pairwise
 from typing import Any, cast
@@ -12,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot import arducopter, arduplane, px4copter, px4plane
 from vehicle_sim.errors import InputError
 from vehicle_sim.parameters import Firmware, Kind, Parameter, Parameters
 from vehicle_sim.world import VehicleKind
@@ -221,26 +219,3 @@ def test_a_value_is_kept_within_the_limits_of_its_row_and_until_a_reboot_or_for_
     assert (table["RATE"], table.kept()["RATE"]) == (10.0, 7.0)
     table["RATE"] = 11.0
     assert (table["RATE"], table.kept()["RATE"]) == (11.0, 11.0)
-
-
-TABLES = {
-    "copter": arducopter.FIRMWARE.table,
-    "plane": arduplane.FIRMWARE.table,
-    "px4": px4copter.FIRMWARE.table,
-    "px4 plane": px4plane.FIRMWARE.table,
-}
-
-
-@pytest.mark.parametrize(
-    ("table", "name", "words"),
-    [
-        ("plane", "FS_GCS_ENABLE", "Did you mean FS_GCS_ENABL?"),
-        ("copter", "GUID_TIMEOUTS", "Did you mean GUID_TIMEOUT?"),
-        ("copter", "QQQQQQQQ", "Leave it out."),
-    ],
-)
-def test_of_a_name_that_there_is_not_the_nearest_is_named(
-    table: str, name: str, words: str
-) -> None:
-    with pytest.raises(InputError, match=re.escape(words)):
-        Parameters(TABLES[table], {name: 1.0})

@@ -569,14 +569,16 @@ def test_it_flies_a_mission() -> None:
     rig.px4.on_plan(PlanKind.MISSION)
     assert rig.px4.status().mission_state == 2
     assert rig.command(300, 0.0, 0.0) == [ACCEPTED]
-    began_s, nearest_m = dict[int, float](), [math.inf, math.inf]
+    began_s, nearest_m, modes = dict[int, float](), [math.inf, math.inf], list[str]()
     while rig.px4.armed and rig.now_s < 200.0:
         rig.step()
+        modes.append(rig.px4.mode_name)
         began_s.setdefault(rig.px4.route.current, rig.now_s)
         for index, place in enumerate(corners):
             away_m = math.dist(rig.px4.local_m[:2], place)
             nearest_m[index] = min(nearest_m[index], away_m)
     assert list(began_s) == [0, 1, 2, 3]
+    assert modes[-2] == "Return"  # as its last item says
     told_s = {r.message.seq: at for at, r in rig.said if isinstance(r, SendMessage)}
     assert began_s[2] - told_s[1] == about(1.0, 0.05)  # when it comes there: then it waits
     assert max(nearest_m) < 10.5  # NAV_ACC_RAD

@@ -149,22 +149,6 @@ def test_the_horizon_is_where_the_earth_curves_away(eye_m: float) -> None:
                 assert (block.heights_amsl_m[0] != UNSEEN_M) == seen
 
 
-def test_a_peak_far_out_is_where_the_message_definition_puts_it() -> None:
-    request = ScanRequest(latitude_deg=47.5, longitude_deg=9.0, spacing_m=100, mask=ALL_BLOCKS)
-    i, j = 22, 9  # 2250 m true north and 950 m true east of the corner
-    azimuth = math.degrees(math.atan2(950.0, 2250.0))
-    lon, lat, _ = WGS84.fwd(9.0, 47.5, azimuth, math.hypot(2250.0, 950.0))
-    north, east = FRAME.to_local(lat, lon)
-    terrain = PeakTerrain([(north, east, 700.0, 20.0, 20.0)], combine="maximum", ground_amsl_m=0)
-    radar = TerrainRadar(terrain, FRAME, range_m=RANGE_M)
-    view = Viewpoint(latitude_deg=lat, longitude_deg=lon, altitude_amsl_m=3000.0)
-    blocks = {block.gridbit: block.heights_amsl_m for block in radar.answer(request, view)}
-    gridbit, x, y = (i // 4) * 8 + j // 4, i % 4, j % 4
-    assert blocks[gridbit][x * 4 + y] == 700
-    assert max(max(heights) for heights in blocks.values()) == 700
-    assert sum(height == 700 for heights in blocks.values() for height in heights) == 1
-
-
 @given(mask=st.integers(0, ALL_BLOCKS))
 @settings(max_examples=10)
 def test_the_mask_picks_blocks_and_changes_nothing_in_them(mask: int) -> None:

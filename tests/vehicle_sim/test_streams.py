@@ -67,15 +67,6 @@ def test_a_rate_is_met_exactly_and_only_on_the_link_that_asked(
     assert seen[0, HEARTBEAT] == seen[1, HEARTBEAT] == 20
 
 
-@pytest.mark.parametrize(("asked", "kept"), [(10_900, 10_000), (5, 1_000), (2e9, 60_000_000)])
-def test_ardupilots_intervals_are_whole_milliseconds_up_to_a_minute(
-    asked: float, kept: int
-) -> None:
-    streams = fresh("ardupilot")
-    ask(streams, 511, POSITION, asked)
-    assert streams.interval_us(0, POSITION) == kept
-
-
 def test_nothing_is_due_before_it_is_said_to_be_and_a_pause_is_not_made_up_for() -> None:
     streams = fresh("px4", links=1, rates_hz={ATTITUDE: 50.0})
     for now_us in range(0, 3_000_000, 1_000):

@@ -19,7 +19,6 @@ from vehicle_sim.elevation import GridTerrain, read_grid
 from vehicle_sim.errors import InputError
 from vehicle_sim.geodesy import FloatArray, LocalFrame
 from vehicle_sim.terrain import PeakRow, PeakTerrain, Terrain
-from vehicle_sim.world import read_world
 
 WGS84 = Geod(ellps="WGS84")
 STEP = (1 / 1200, 1 / 1200)
@@ -167,7 +166,6 @@ def test_the_lattice_of_lower_bounds_is_not_above_the_terrain(
         assert (lowest >= brute - 25.0).all()
 
 
-VALLEY = Path(__file__).parents[2] / "companion" / "environments" / "valley"
 FRAME = LocalFrame(latitude_deg=46.5, longitude_deg=8.5)
 AREA = (-2_000.0, 3_000.0, -4_000.0, 1_500.0)
 
@@ -255,9 +253,3 @@ def test_what_is_no_elevation_file_is_refused(tmp_path: Path) -> None:
     other.write_text("nothing")
     assert "cannot be read" in refused(other)
     assert "no such file" in refused(Path("/vsicurl/http://127.0.0.1/terrain.tif"))
-
-
-def test_the_bundled_valley_stands_on_low_ground_between_ridges() -> None:
-    terrain = read_world(VALLEY / "world.toml").truth()
-    assert 380.0 < terrain.height_at_amsl_m(2_350.0, -3_350.0) < 430.0
-    assert terrain.height_at_amsl_m(-750.0, -3_500.0) > 700.0

@@ -53,21 +53,6 @@ def test_time_stands_still_between_calls_and_goes_on_by_as_much_as_is_asked(sim:
     assert calls == pytest.approx([3.05 + 0.05 * k for k in range(20)])
 
 
-def test_ready_means_that_it_can_be_armed(vehicle_sim: Start) -> None:  # noqa: F811
-    for autopilot, vehicle in (
-        ("ardupilot", "copter"),
-        ("ardupilot", "plane"),
-        ("px4", "copter"),
-        ("px4", "plane"),
-    ):
-        sim = vehicle_sim(autopilot=autopilot, vehicle=vehicle, ready=True)
-        assert 1.0 < sim.now_s < 60.0
-        arm = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0)
-        sim.simulation.receive(0, said(mavlink.MAVLink(None, 1, 191), arm))
-        sim.advance(1.0)
-        assert sim.armed, (autopilot, vehicle)
-
-
 def test_what_never_comes_is_told_with_where_it_is(sim: Simulator) -> None:
     with pytest.raises(AssertionError, match=r"within 2 s; at 2\.0 s: .* on the ground"):
         sim.advance_until(lambda: sim.armed, within_s=2.0)

@@ -72,12 +72,6 @@ def test_what_the_tilt_does_not_allow_is_not_flown_with_any_kind_of_setpoint(kin
     assert got.speed_m_s < 11.0
 
 
-def test_the_kinds_of_setpoint_are_as_good_as_measured_in_this_order() -> None:
-    order = ["pos+vel+acc", "pos+vel", "position"]
-    off_m = [fly(row_of(8, kind)).off_rms_m for kind in order]
-    assert off_m == sorted(off_m)
-
-
 EIGHT = row_of(8, "pos+vel+acc")
 
 

@@ -6,11 +6,11 @@ Source: ardupilot.md 2 to 5 and the recorded flights; submodes and their changes
 import enum
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import ClassVar, Final
 
 from vehicle_sim.autopilot import values
 from vehicle_sim.autopilot.ardupilot import EKF3, ArduPilot, firmware
-from vehicle_sim.autopilot.copter_control import Horizontal, Tuning, Vertical, bounded, rate_for
+from vehicle_sim.autopilot.copter_control import Horizontal, Tuning, Vertical, rate_for
 from vehicle_sim.autopilot.core import Boot, Mode
 from vehicle_sim.autopilot.earth import FlatEarth, way_m
 from vehicle_sim.autopilot.legs import RETURN, TAKEOFF, Does, Leg, back
@@ -84,6 +84,8 @@ class ArduCopter(ArduPilot):
     """Its modes, on the position controller."""
 
     gcs_failsafe = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
+    nose_follows_motion: ClassVar[bool] = False
+    """Ahead is where it flies, and not where the controller wants to fly."""
 
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
@@ -112,7 +114,7 @@ class ArduCopter(ArduPilot):
     def read_parameters(self) -> None:
         """They are read live; the speeds of a submode when it begins."""
         p, limits = self.parameters, self.copter.limits
-        lean_rad = math.radians(bounded(p["ANGLE_MAX"] / 100.0, 10.0, 85.0))
+        lean_rad = math.radians(min(max(p["ANGLE_MAX"] / 100.0, 10.0), 85.0))
 
         def metres(name: str, most: float = math.inf) -> float:
             return min(max(p[name], 10.0) / 100.0, most)
@@ -325,16 +327,11 @@ class ArduCopter(ArduPilot):
         self._yaw_rate_rad_s = rate_rad_s if turns else None
         return True
 
-    @property
-    def _age_s(self) -> float:
-        """Since the last setpoint."""
-        return self.now_s - self._heard_s
-
     def steer(self) -> None:
         """The target of GUIDED goes on with its velocity, until GUID_TIMEOUT; on the ground too."""
         if self.mode.name != "GUIDED" or self.kind in (Kind.TAKEOFF, Kind.POSITION):
             return
-        if self._age_s > self._timeout_s:
+        if self.now_s - self._heard_s > self._timeout_s:
             self._moves, self._feed = _STILL, _STILL
             self.kind = Kind.VELOCITY if self.kind is Kind.PUSH else self.kind
             return
@@ -398,19 +395,14 @@ class ArduCopter(ArduPilot):
         self.copter.advance(level.real, level.imag, up, self.step_s)
         self.copter.heading_rad = self._heading_rad()
 
-    def _follow(self) -> Order:
-        """The second half of the controller."""
-        return self.level.lean(self.step_s), self.up.lift()
-
     def _hold(self, climb_m_s: float, *, level: bool = False) -> Order:
         """To a standstill, climbing at this rate; without a position only the lean goes."""
+        lift = self.up.towards(climb_m_s, 0.0, self.step_s)
         if level:
-            self.up.towards_climb(climb_m_s, 0.0, self.step_s)
-            return self.level.levelled(self.step_s), self.up.lift()
+            return self.level.levelled(self.step_s), lift
         self.level.move(self.step_s)
-        self.level.towards_velocity(0j, 0j, self.step_s)
-        self.up.towards_climb(climb_m_s, 0.0, self.step_s)
-        return self._follow()
+        self.level.towards(0j, 0j, self.step_s)
+        return self.level.lean(self.step_s), lift
 
     def _go(self, place_deg: complex, altitude_m: float) -> Order:
         """To a place that does not move: the climb and the way there in proportion."""
@@ -425,10 +417,10 @@ class ArduCopter(ArduPilot):
             speed_m_s = away_m * most_up / rise_m
         elif away_m > 1e-6:
             most_up = max(rise_m * speed_m_s / away_m, 1e-3)
-        self.level.towards_place(place_deg, 0j, 0j, speed_m_s, self.step_s)
-        speeds = (min(up_m_s, most_up), min(down_m_s, most_up))
-        self.up.towards_altitude(altitude_m, 0.0, 0.0, speeds, self.step_s)
-        return self._follow()
+        self.level.towards(0j, 0j, self.step_s, place_deg, speed_m_s)
+        up_down_m_s = (min(up_m_s, most_up), min(down_m_s, most_up))
+        lift = self.up.towards(0.0, 0.0, self.step_s, altitude_m, up_down_m_s)
+        return self.level.lean(self.step_s), lift
 
     def fly_target(self) -> Order:
         """GUIDED."""
@@ -442,15 +434,16 @@ class ArduCopter(ArduPilot):
         (velocity, climb_m_s), (feed, feed_up), dt_s = self._moves, self._feed, self.step_s
         if self.kind is Kind.PUSH:
             self.level.push(feed, dt_s)
-            self.up.towards_climb(self.up.climb_m_s, feed_up, dt_s)
+            lift = self.up.towards(self.up.climb_m_s, feed_up, dt_s)
         elif self.kind is Kind.VELOCITY:
-            self.level.towards_velocity(velocity, feed, dt_s)
-            self.up.towards_climb(climb_m_s, feed_up, dt_s)
+            self.level.towards(velocity, feed, dt_s)
+            lift = self.up.towards(climb_m_s, feed_up, dt_s)
         else:
-            speed_m_s, *up_down = self._speeds_m_s
-            self.level.towards_place(self._place_deg, velocity, feed, speed_m_s, dt_s)
-            self.up.towards_altitude(self._altitude_m, climb_m_s, feed_up, up_down, dt_s)
-        return self._follow()
+            speed_m_s, up_m_s, down_m_s = self._speeds_m_s
+            self.level.towards(velocity, feed, dt_s, self._place_deg, speed_m_s)
+            up_down_m_s = (up_m_s, down_m_s)
+            lift = self.up.towards(climb_m_s, feed_up, dt_s, self._altitude_m, up_down_m_s)
+        return self.level.lean(dt_s), lift
 
     def brake(self) -> Order:
         """BRAKE."""
@@ -459,9 +452,8 @@ class ArduCopter(ArduPilot):
             return self._hold(0.0)
         most = min(_BRAKE_M_S2, self.copter.limits.acceleration_m_s2, 4.0 * speed)
         asked = self.level.flown * (self.copter.drag_1_s - most / speed)
-        self.up.towards_climb(0.0, 0.0, self.step_s)
         self.level.follow(asked)
-        return asked, self.up.lift()
+        return asked, self.up.towards(0.0, 0.0, self.step_s)
 
     def sink(self) -> Order:
         """The modes that a pilot holds it in: the stick is at its lower end."""
@@ -476,7 +468,7 @@ class ArduCopter(ArduPilot):
         slow = max(p["LAND_SPEED"], 20.0) / 100.0
         low_m = max(p["LAND_ALT_LOW"], 100.0) / 100.0
         rate = rate_for(low_m - height_m, 1.0, tuning.acceleration_up_m_s2, self.step_s)
-        rate = bounded(rate, -max(tuning.speed_down_m_s, slow), -slow)
+        rate = min(max(rate, -max(tuning.speed_down_m_s, slow)), -slow)
         if self.now_s < self._pauses_until_s:
             rate = 0.0
         self._lands_with_position &= self.estimator.aiding
@@ -540,23 +532,21 @@ class ArduCopter(ArduPilot):
         ahead = behaviour in (1, 3) if name == "RTL" else behaviour != 0
         self._looks_ahead = ahead and name in ("GUIDED", "AUTO", "RTL")
 
-    @property
-    def looks_along(self) -> complex:
-        """The velocity that the nose looks along."""
-        return self.level.velocity
-
     def _heading_rad(self) -> float:
         """One step on, from 0 to 2 pi."""
-        now_rad, wanted_rad = self.copter.heading_rad, self._yaw_rad
+        copter, wanted_rad = self.copter, self._yaw_rad
+        now_rad = copter.heading_rad
         if wanted_rad is None and self._yaw_rate_rad_s is not None:
             return (now_rad + self._yaw_rate_rad_s * self.step_s) % math.tau
         if wanted_rad is None:
-            way = self.looks_along
+            way = self.level.velocity
+            if self.nose_follows_motion:
+                way = complex(copter.velocity_north_m_s, copter.velocity_east_m_s)
             if not self._looks_ahead or abs(way) < _MOVING_SHARE * self.tuning.speed_m_s:
                 return now_rad
             wanted_rad = math.atan2(way.imag, way.real)
         rate = _TURN_1_S * math.remainder(wanted_rad - now_rad, math.tau)
-        return (now_rad + bounded(rate, -_SLEW_RAD_S, _SLEW_RAD_S) * self.step_s) % math.tau
+        return (now_rad + min(max(rate, -_SLEW_RAD_S), _SLEW_RAD_S) * self.step_s) % math.tau
 
     # --- telling ------------------------------------------------------------------------------
 

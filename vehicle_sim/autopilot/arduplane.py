@@ -11,7 +11,6 @@ from typing import Final, final
 
 from vehicle_sim.autopilot import values
 from vehicle_sim.autopilot.ardupilot import EKF3, ArduPilot, firmware
-from vehicle_sim.autopilot.copter_control import bounded
 from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HEARTBEAT, HOME_POSITION, Boot, Mode
 from vehicle_sim.autopilot.earth import FlatEarth, way_m
 from vehicle_sim.autopilot.estimator import State as Estimates
@@ -315,7 +314,7 @@ class ArduPlane(Wheels, ArduPilot):
         usual_m_s = p["AIRSPEED_MIN" if flies in ("glides", "cruises") else "AIRSPEED_CRUISE"]
         cruise_m_s = self._speeds_m_s.get(_DO_CHANGE_SPEED, usual_m_s)
         asked_m_s = self._speeds_m_s.get(_GUIDED_CHANGE_SPEED, cruise_m_s)
-        self._demand_m_s = bounded(asked_m_s, p["AIRSPEED_MIN"], p["AIRSPEED_MAX"])
+        self._demand_m_s = min(max(asked_m_s, p["AIRSPEED_MIN"]), p["AIRSPEED_MAX"])
         altitude_m = self.estimate.altitude_amsl_m
         control.airspeed_m_s = true_airspeed_m_s(self._demand_m_s, altitude_m)
         control.climb_m_s = None
@@ -352,7 +351,7 @@ class ArduPlane(Wheels, ArduPilot):
         if self._course is not None:
             course_rad, most_rad = self._course
             error_rad = math.remainder(course_rad - cmath.phase(control.velocity), math.tau)
-            control.bank_rad = bounded(_HEADING_GAIN * error_rad, -most_rad, most_rad)
+            control.bank_rad = min(max(_HEADING_GAIN * error_rad, -most_rad), most_rad)
         if self._climbing:
             self._watch_climb()
         elif control.climb_m_s is not None:
@@ -394,9 +393,9 @@ class ArduPlane(Wheels, ArduPilot):
         """Level near the ground; over at its height, or far enough away."""
         control, p = self.control, self.parameters
         climbed_m = self.estimate.altitude_amsl_m - self._start.altitude_amsl_m
-        share = bounded((climbed_m - _LEVEL_M) / (_FREE_M - _LEVEL_M), 0.0, 1.0)
+        share = min(max((climbed_m - _LEVEL_M) / (_FREE_M - _LEVEL_M), 0.0), 1.0)
         most_rad = _LEVEL_RAD + share * (control.bank_most_rad - _LEVEL_RAD)
-        control.bank_rad = bounded(control.bank_rad, -most_rad, most_rad)
+        control.bank_rad = min(max(control.bank_rad, -most_rad), most_rad)
         over = not self._takes_off
         if self.mode.flies == "takes off":
             away_m = abs(control.off_m(self._start))

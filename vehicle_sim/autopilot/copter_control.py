@@ -7,12 +7,12 @@ follow the desired ones: position error to velocity, velocity error through a PI
 which the lean angle limits.  Drag is what the PID's integrator has to learn: in a turn it is late,
 and that is the error off the path of ardupilot.md 3.
 
-Horizontal vectors are north + east j, places are degrees so.
+Horizontal vectors are north + east j, places are degrees so; `(one * other.conjugate()).real` is
+their scalar product.
 Source: AP_Math/control.cpp and AC_PosControl.cpp of 4.7.0-dev, in metres.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -67,31 +67,16 @@ def clipped(vector: complex, most: float) -> complex:
     return vector if size <= most else vector * (most / size)
 
 
-def bounded(value: float, least: float, most: float) -> float:
-    """The value, or the limit that it is beyond."""
-    return least if value < least else most if value > most else value
-
-
-def dot(one: complex, other: complex) -> float:
-    """The scalar product."""
-    return one.real * other.real + one.imag * other.imag
-
-
 def turned_first(wanted: complex, velocity: complex, most: float, across_most: float) -> complex:
     """Limit an acceleration: what turns goes before what drives or brakes."""
     speed = abs(velocity)
     if speed < 1e-3:
         return clipped(wanted, most)
     way = velocity / speed
-    along = dot(wanted, way)
+    along = (wanted * way.conjugate()).real
     across = clipped(wanted - along * way, across_most)
     room = math.sqrt(max(most * most - abs(across) ** 2, 0.0))
-    return across + bounded(along, -room, room) * way
-
-
-def off_deg(from_: complex, to: complex) -> complex:
-    """From one place to another in degrees, the shorter way round the earth."""
-    return complex(to.real - from_.real, degrees_east(from_.imag, to.imag))
+    return across + min(max(along, -room), room) * way
 
 
 @final
@@ -134,55 +119,54 @@ class Horizontal:
         self._lean = self._asked = 0j
 
     def metres(self, from_deg: complex, to_deg: complex) -> complex:
-        """From one place to another."""
-        off = off_deg(from_deg, to_deg)
-        return complex(off.real * self.scale[0], off.imag * self.scale[1])
+        """From one place to another, the shorter way round the earth."""
+        east_deg = degrees_east(from_deg.imag, to_deg.imag)
+        return complex((to_deg.real - from_deg.real) * self.scale[0], east_deg * self.scale[1])
 
     # --- what is asked for --------------------------------------------------------------------
 
     def move(self, dt_s: float) -> None:
         """The desired state one step on; where the lean is at its limit it waits."""
-        here_deg = self.here_deg
-        self.scale = metres_per_degree(here_deg.real)
-        pushed, limited = self.acceleration, self._limited
+        self.scale = metres_per_degree(self._estimate.latitude_deg)
+        pushed, limit = self.acceleration, self._limited.conjugate()
         step = self.velocity * dt_s + pushed * (0.5 * dt_s * dt_s)
-        if limited:
-            if dot(step, limited) > 0.0 and dot(self.metres(here_deg, self.place_deg), limited) > 0:
+        if limit:
+            ahead = self.metres(self.here_deg, self.place_deg)
+            if (step * limit).real > 0.0 and (ahead * limit).real > 0.0:
                 step = 0j
-            if dot(pushed, limited) > 0.0 and dot(self._error or 0j, limited) > 0.0:
-                pushed = 0j if dot(self.velocity, limited) >= 0.0 else pushed
+            if (pushed * limit).real > 0.0 and ((self._error or 0j) * limit).real > 0.0:
+                pushed = 0j if (self.velocity * limit).real >= 0.0 else pushed
         self.place_deg += complex(step.real / self.scale[0], step.imag / self.scale[1])
         self.velocity += pushed * dt_s
 
-    def towards_velocity(self, velocity: complex, feed: complex, dt_s: float) -> None:
-        """Shape the acceleration so that the velocity becomes this one; `feed` comes on top."""
+    def towards(
+        self,
+        velocity: complex,
+        feed: complex,
+        dt_s: float,
+        place_deg: complex | None = None,
+        speed_m_s: float = math.inf,
+    ) -> None:
+        """Shape the acceleration so that the velocity becomes this one; `feed` comes on top.
+
+        place_deg: a place that moves like that, and the way there no faster than at speed_m_s.
+        """
         most, jerk = self.tuning.acceleration_m_s2, self.tuning.jerk_m_s3
-        error, wanted = velocity - self.velocity, feed
+        to_go = 0j if place_deg is None else self.metres(self.place_deg, place_deg)
+        away = abs(to_go)
+        if away > 1e-6:
+            rate = rate_for(away, _APPROACH * jerk / most, _APPROACH * most, dt_s)
+            velocity += to_go * (min(rate, speed_m_s) / away)
+        error, speed = velocity - self.velocity, abs(velocity)
         size = abs(error)
         if size > 1e-9:
-            rate = rate_for(size, jerk / most, jerk, dt_s)
-            wanted += self._cornered(error * (rate / size), velocity)
-        self.acceleration += clipped(wanted - self.acceleration, jerk * dt_s)
-
-    def _cornered(self, wanted: complex, velocity: complex) -> complex:
-        """Limit an acceleration so that enough is left for turning (limit_accel_corner_xy)."""
-        most, speed = self.tuning.acceleration_m_s2, abs(velocity)
-        along = dot(wanted, velocity) / speed if speed > 1e-6 else 0.0
-        if 2.0 * along * along <= abs(wanted) ** 2:  # more across than along
-            return clipped(wanted, most)
-        return turned_first(wanted, velocity, most, _CORNER_SHARE * most)
-
-    def towards_place(
-        self, place_deg: complex, velocity: complex, feed: complex, speed_m_s: float, dt_s: float
-    ) -> None:
-        """Shape towards a place that moves like this; the way there no faster than this speed."""
-        to_go = self.metres(self.place_deg, place_deg)
-        away, most = abs(to_go), self.tuning.acceleration_m_s2
-        if away > 1e-6:
-            gain = _APPROACH * self.tuning.jerk_m_s3 / most
-            rate = rate_for(away, gain, _APPROACH * most, dt_s)
-            velocity += to_go * ((rate if rate < speed_m_s else speed_m_s) / away)
-        self.towards_velocity(velocity, feed, dt_s)
+            change = error * (rate_for(size, jerk / most, jerk, dt_s) / size)
+            along = (change * velocity.conjugate()).real / speed if speed > 1e-6 else 0.0
+            if 2.0 * along * along <= abs(change) ** 2:  # more across than along
+                feed += clipped(change, most)
+            else:  # enough is left for turning (limit_accel_corner_xy)
+                feed += turned_first(change, velocity, most, _CORNER_SHARE * most)
+        self.acceleration += clipped(feed - self.acceleration, jerk * dt_s)
 
     def push(self, acceleration: complex, dt_s: float) -> None:
         """Shape towards an acceleration alone."""
@@ -193,18 +177,24 @@ class Horizontal:
 
     def lean(self, dt_s: float) -> complex:
         """The acceleration that the lean gives, one step on."""
-        off = self.metres(self.here_deg, self.place_deg)
+        e = self._estimate
+        off = self.metres(complex(e.latitude_deg, e.longitude_deg), self.place_deg)
         away = abs(off)
         if away > 1e-9:
             off *= rate_for(away, POSITION_P, self.tuning.acceleration_m_s2, dt_s) / away
-        error = off + self.velocity - self.flown
+        error = off + self.velocity - complex(e.velocity_north_m_s, e.velocity_east_m_s)
         if self._error is not None:
             blend = dt_s / (FILTER_S + dt_s)
             step = blend * (error - self._error)
             error = self._error + step
             self._derivative += blend * (step / dt_s - self._derivative)
         self._error = error
-        self._integrate(VELOCITY_I * dt_s * error)
+        step = VELOCITY_I * dt_s * error
+        grown = clipped(self._integral + step, INTEGRATOR_M_S2)
+        if (step * self._limited.conjugate()).real > 0.0:
+            # a limited output may turn it, but not make it longer
+            grown = clipped(grown, abs(self._integral))
+        self._integral = grown
         asked = VELOCITY_P * error + self._integral + self.acceleration
         asked += VELOCITY_D * self._derivative
         self._limited = 0j
@@ -214,13 +204,6 @@ class Horizontal:
         self._asked = asked
         self._lean += dt_s / (LEAN_S + dt_s) * (asked - self._lean)
         return self._lean
-
-    def _integrate(self, step: complex) -> None:
-        grown = clipped(self._integral + step, INTEGRATOR_M_S2)
-        if dot(step, self._limited) > 0.0:
-            # a limited output may turn it, but not make it longer
-            grown = clipped(grown, abs(self._integral))
-        self._integral = grown
 
     def levelled(self, dt_s: float) -> complex:
         """Without a position: no lean is asked for."""
@@ -244,33 +227,29 @@ class Vertical:
         self.altitude_amsl_m = self._estimate.altitude_amsl_m
         self.climb_m_s, self.acceleration_m_s2 = self._estimate.velocity_up_m_s, 0.0
 
-    def towards_climb(self, climb_m_s: float, feed_m_s2: float, dt_s: float) -> None:
-        """Shape towards a vertical velocity, and move the desired height."""
+    def towards(
+        self,
+        climb_m_s: float,
+        feed_m_s2: float,
+        dt_s: float,
+        altitude_amsl_m: float | None = None,
+        up_down_m_s: tuple[float, float] = (math.inf, math.inf),
+    ) -> float:
+        """Shape towards a vertical velocity and move the desired height; the acceleration for it.
+
+        altitude_amsl_m: a height that changes like that, and no faster there than up_down_m_s.
+        """
         most, jerk = self.tuning.acceleration_up_m_s2, self.tuning.jerk_up_m_s3
-        pushed = self.acceleration_m_s2
+        pushed, e = self.acceleration_m_s2, self._estimate
+        if altitude_amsl_m is not None:
+            error_m, (up_m_s, down_m_s) = altitude_amsl_m - self.altitude_amsl_m, up_down_m_s
+            rate = rate_for(error_m, _APPROACH * jerk / most, _APPROACH * most, dt_s)
+            climb_m_s += min(max(rate, -down_m_s), up_m_s)
         self.altitude_amsl_m += self.climb_m_s * dt_s + 0.5 * pushed * dt_s * dt_s
         self.climb_m_s += pushed * dt_s
         wanted = rate_for(climb_m_s - self.climb_m_s, jerk / most, jerk, dt_s)
-        step = bounded(wanted, -most, most) + feed_m_s2 - pushed
-        self.acceleration_m_s2 += bounded(step, -jerk * dt_s, jerk * dt_s)
-
-    def towards_altitude(
-        self,
-        altitude_amsl_m: float,
-        climb_m_s: float,
-        feed_m_s2: float,
-        speeds_m_s: Sequence[float],
-        dt_s: float,
-    ) -> None:
-        """Shape towards a height that changes like this, no faster up and down than this."""
-        most, jerk = self.tuning.acceleration_up_m_s2, self.tuning.jerk_up_m_s3
-        error_m = altitude_amsl_m - self.altitude_amsl_m
-        rate = rate_for(error_m, _APPROACH * jerk / most, _APPROACH * most, dt_s)
-        rate = bounded(rate, -speeds_m_s[1], speeds_m_s[0])
-        self.towards_climb(rate + climb_m_s, feed_m_s2, dt_s)
-
-    def lift(self) -> float:
-        """The vertical acceleration."""
-        off_m = self.altitude_amsl_m - self._estimate.altitude_amsl_m
-        off_m_s = off_m + self.climb_m_s - self._estimate.velocity_up_m_s
+        step = min(max(wanted, -most), most) + feed_m_s2 - pushed
+        self.acceleration_m_s2 += min(max(step, -jerk * dt_s), jerk * dt_s)
+        off_m = self.altitude_amsl_m - e.altitude_amsl_m
+        off_m_s = off_m + self.climb_m_s - e.velocity_up_m_s
         return VELOCITY_UP_P * off_m_s + self.acceleration_m_s2

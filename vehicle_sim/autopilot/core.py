@@ -115,6 +115,7 @@ class Autopilot:
     disarms_after_s: Callable[[], float | None]  # since it landed or was armed; None: never
     waypoint: Callable[[], values.Waypoint | None]  # the place that it goes to
     is_there: Callable[[Leg], bool]  # whether it has come to where a leg ends
+    look: Callable[[], None] | None = None  # in every step, before the checks
     lies_below_m_s = math.inf  # speed on the ground at which it may be taken to have landed
 
     # How it decides, by a family (ardupilot.py, px4.py).
@@ -166,9 +167,6 @@ class Autopilot:
 
     # --- what not every one does --------------------------------------------------------------
 
-    def look(self) -> None:
-        """In every step, before the checks."""
-
     def took_off(self) -> None:
         """An automatic take-off is over."""
 
@@ -217,19 +215,11 @@ class Autopilot:
         if self.parameters.version != self._version:
             self._version = self.parameters.version
             self.read_parameters()
-        self.look()
+        if self.look is not None:
+            self.look()
         if now_us >= self._check_us:
             self._check_us = now_us + _CHECK_US
             self.check()
-        self._advance()
-        estimator.follow()
-        attitude_rad = (vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad)
-        self._attitudes_rad = (self._attitudes_rad[1], attitude_rad)
-        return self.taken() if self._said else ()
-
-    def _advance(self) -> None:
-        """Steer and move the vehicle, or let it stand; the simulation judges its contacts."""
-        vehicle = self.vehicle
         if self.armed:
             self.steer()
         if vehicle.stands and self.armed and self.lifts_off():
@@ -237,16 +227,24 @@ class Autopilot:
         if vehicle.stands:
             self.stand()
             self._wait_on_ground()
-            return
-        if self.armed:
-            self.move()
+        else:  # the simulation judges its contacts
+            if self.armed:
+                self.move()
+            else:
+                vehicle.fall(dt_s)
+            if vehicle.altitude_amsl_m <= ground_amsl_m:
+                self._come_to_ground()
+        estimator.follow()
+        attitude_rad = (vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad)
+        self._attitudes_rad = (self._attitudes_rad[1], attitude_rad)
+        return self.taken() if self._said else ()
+
+    def _come_to_ground(self) -> None:
+        vehicle = self.vehicle
+        if self.armed and self.wants_up():  # the ground carries it until it rises
+            vehicle.altitude_amsl_m = self.ground_m
+            vehicle.velocity_up_m_s = max(vehicle.velocity_up_m_s, 0.0)
         else:
-            vehicle.fall(self.step_s)
-        if vehicle.altitude_amsl_m <= self.ground_m:
-            if self.armed and self.wants_up():  # the ground carries it until it rises
-                vehicle.altitude_amsl_m = self.ground_m
-                vehicle.velocity_up_m_s = max(vehicle.velocity_up_m_s, 0.0)
-                return
             self.touched_s = self.now_s
             self.touch_down()
 

@@ -8,7 +8,7 @@ the real controller correct so hard.
 from typing import Final, final
 
 from vehicle_sim.autopilot.arducopter import ArduCopter, Kind, Order
-from vehicle_sim.autopilot.copter_control import bounded, clipped
+from vehicle_sim.autopilot.copter_control import clipped
 from vehicle_sim.autopilot.setpoints import Target
 from vehicle_sim.autopilot.values import Place
 from vehicle_sim.geodesy import metres_per_degree
@@ -31,6 +31,7 @@ class Ideal(ArduCopter):
     has: held still, it would saw the acceleration up and down at the rate of the stream.
     """
 
+    nose_follows_motion = True
     _slope: Order = (0j, 0.0)
     """How the streamed velocity changes, and the interval that it was seen over; 0: not known."""
     _interval_s = 0.0
@@ -49,7 +50,7 @@ class Ideal(ArduCopter):
 
     def take(self, target: Target, place: Place | None) -> bool:
         """Steer for it, and see how the velocity has changed since the one before."""
-        kind, gap_s, (velocity, climb_m_s) = self.kind, self._age_s, self._moves
+        kind, gap_s, (velocity, climb_m_s) = self.kind, self.now_s - self._heard_s, self._moves
         if not super().take(target, place):
             return False
         if gap_s >= 1e-3:
@@ -69,7 +70,7 @@ class Ideal(ArduCopter):
     def fly_target(self) -> Order:
         """GUIDED."""
         if self.estimator.aiding:
-            if self.kind is Kind.PATH and self._age_s <= self._timeout_s:
+            if self.kind is Kind.PATH and self.now_s - self._heard_s <= self._timeout_s:
                 return self._track()
             if self._tracks:
                 self._tracks = False
@@ -79,12 +80,8 @@ class Ideal(ArduCopter):
 
     def _track(self) -> Order:
         """Acceleration by the errors of position and velocity."""
-        estimate, here_deg, tuning, age_s = (
-            self.estimate,
-            self.level.here_deg,
-            self.tuning,
-            self._age_s,
-        )
+        estimate, here_deg, tuning = self.estimate, self.level.here_deg, self.tuning
+        age_s = self.now_s - self._heard_s
         self._tracks, self.level.scale = True, metres_per_degree(here_deg.real)
         ahead_s = age_s if age_s <= 2.0 * self._interval_s else 0.0
         off_m = self.level.metres(here_deg, self._place_deg)
@@ -93,13 +90,8 @@ class Ideal(ArduCopter):
         late, late_up = velocity - self.level.flown, climb_m_s - estimate.velocity_up_m_s
         level = clipped(off_m * KP_1_S2, KV_1_S * tuning.speed_m_s)
         most_up = KV_1_S * tuning.speed_up_m_s
-        up = bounded(rise_m * KP_1_S2, -most_up, most_up)
+        up = min(max(rise_m * KP_1_S2, -most_up), most_up)
         return (
             level + KV_1_S * (late + self._slope[0] * ahead_s) + feed,
             up + KV_1_S * (late_up + self._slope[1] * ahead_s) + feed_up,
         )
-
-    @property
-    def looks_along(self) -> complex:
-        """The nose looks where the vehicle goes."""
-        return complex(self.copter.velocity_north_m_s, self.copter.velocity_east_m_s)

@@ -14,7 +14,6 @@ from typing import ClassVar, Final, NamedTuple, final
 
 import numpy as np
 
-from vehicle_sim.autopilot.copter_control import bounded
 from vehicle_sim.autopilot.core import Autopilot, Boot
 from vehicle_sim.autopilot.earth import way_m
 from vehicle_sim.autopilot.values import Estimate, Place
@@ -31,7 +30,7 @@ _HELD_M_S = (0.0, 10.17, 20.34, 22.70, 26.83, 33.0, 330.0)
 
 def eas_to_tas(altitude_amsl_m: float) -> float:
     """True over equivalent airspeed in the standard atmosphere, troposphere."""
-    altitude_amsl_m = bounded(altitude_amsl_m, -1000.0, 11000.0)
+    altitude_amsl_m = min(max(altitude_amsl_m, -1000.0), 11000.0)
     ratio: float = (1.0 - 2.25577e-5 * altitude_amsl_m) ** -2.12794
     return ratio
 
@@ -81,7 +80,7 @@ class L1:
             share = min(abs(sine) / math.pi, 1.0)
             towards_rad = math.copysign(0.5 * math.pi * (2.0 - share) * share, sine)
         else:
-            towards_rad = math.asin(bounded(sine, -_STEEPEST, _STEEPEST))
+            towards_rad = math.asin(min(max(sine, -_STEEPEST), _STEEPEST))
         self.bearing_rad = cmath.phase(way) + towards_rad
         return self._turn(towards_rad + cmath.phase(way / velocity), abs(velocity))
 
@@ -125,7 +124,7 @@ class L1:
         if both and angle_rad * self._before_rad < 0.0:
             angle_rad = self._before_rad
         self._before_rad = angle_rad
-        sine = math.sin(bounded(angle_rad, -0.5 * math.pi, 0.5 * math.pi))
+        sine = math.sin(min(max(angle_rad, -0.5 * math.pi), 0.5 * math.pi))
         return 4.0 * self.damping**2 * speed_m_s**2 / self.length_m(speed_m_s) * sine
 
 
@@ -152,7 +151,9 @@ class HeightControl:
     def climb_m_s(self, wanted_m: float, height_m: float, dt_s: float) -> float:
         """Climb rate for this step."""
         change_m = wanted_m - self._limited_m
-        self._limited_m += bounded(change_m, -self.sink_most_m_s * dt_s, self.climb_most_m_s * dt_s)
+        self._limited_m += min(
+            max(change_m, -self.sink_most_m_s * dt_s), self.climb_most_m_s * dt_s
+        )
         rate_m_s = (self._limited_m - self._smooth_m) / _DEMAND_S
         self._smooth_m += rate_m_s * dt_s
         return rate_m_s + (self._smooth_m - height_m) / _ERROR_S
@@ -230,7 +231,7 @@ class PlaneControl:
         else:
             self.heights.begin(height_m)
         self._speed_m_s = max(self.airspeed_m_s, self._speed_m_s - self.slowing_m_s2 * dt_s)
-        bank_rad = bounded(self.bank_rad, -self.bank_most_rad, self.bank_most_rad)
+        bank_rad = min(max(self.bank_rad, -self.bank_most_rad), self.bank_most_rad)
         plane.advance(bank_rad, climb, self._speed_m_s, dt_s)
         if self.climb_m_s is not None:
             plane.throttle = 1.0 if self.climb_m_s > 0.0 else 0.0
@@ -284,7 +285,7 @@ class Wheels(Autopilot):
         plane.altitude_amsl_m = self.ground_m
         self._waited_s = self._waited_s if wants_up else self.now_s
         open_s = self.now_s - self._waited_s - runway.waits_s
-        plane.throttle = bounded(open_s / runway.opens_s, 0.0, 1.0)
+        plane.throttle = min(max(open_s / runway.opens_s, 0.0), 1.0)
         push_m_s2 = -max(self.rolling_m_s / runway.rolls_out_s, runway.brakes_m_s2)
         if plane.throttle > 0.0:
             push_m_s2 = runway.full_m_s2 * plane.throttle**runway.power

@@ -212,7 +212,7 @@ class Px4(core.Autopilot):
     def look(self) -> None:
         """In every step, before the checks."""
         if self.estimator.origin is not None:
-            self.local_m = self.frame.ned_m(self.estimate.place)
+            self.local_m = self.frame.ned_m(self.estimate)
 
     @property
     def height_m(self) -> float:

@@ -7,7 +7,7 @@ down; NaN: not given.
 import math
 from typing import Final, NamedTuple, final
 
-from vehicle_sim.autopilot.copter_control import bounded, clipped, dot
+from vehicle_sim.autopilot.copter_control import clipped
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.parameters import Parameters
 
@@ -54,9 +54,9 @@ class Control:
         self._damping = p["MPC_XY_VEL_D_ACC"]
         self._fastest, self._fastest_down = p["MPC_XY_VEL_MAX"], p["MPC_Z_VEL_MAX_DN"]
         self.fastest_up_m_s = p["MPC_Z_VEL_MAX_UP"]
-        tilt_rad = math.radians(bounded(p["MPC_TILTMAX_AIR"], 5.0, 85.0))
+        tilt_rad = math.radians(min(max(p["MPC_TILTMAX_AIR"], 5.0), 85.0))
         self._tilt_m_s2 = GRAVITY_M_S2 * math.tan(tilt_rad)
-        hover = bounded(p["MPC_THR_HOVER"], 0.1, 0.8)
+        hover = min(max(p["MPC_THR_HOVER"], 0.1), 0.8)
         self._most_up_m_s2 = GRAVITY_M_S2 * (p["MPC_THR_MAX"] / hover - 1.0)
         self._most_down_m_s2 = GRAVITY_M_S2 * (1.0 - p["MPC_THR_MIN"] / hover)
 
@@ -74,7 +74,9 @@ class Control:
             sink = wanted.sink
         elif wanted.sink == wanted.sink:
             sink += wanted.sink
-        sink = bounded(sink, -most_up_m_s, self._fastest_down)
+        sink = max(
+            min(sink, self._fastest_down), -most_up_m_s
+        )  # the ramp of a take-off presses down
 
         asked, error = 0j, velocity - flown.velocity
         if given(error):
@@ -94,8 +96,8 @@ class Control:
             drop += self._gain_down * off + self._integral_down
             if -self._most_up_m_s2 < drop < self._most_down_m_s2 or drop * off < 0.0:
                 grown = self._integral_down + self._integrates_down * off * dt_s
-                self._integral_down = bounded(grown, -GRAVITY_M_S2, GRAVITY_M_S2)
-        drop = bounded(drop, -self._most_up_m_s2, self._most_down_m_s2)
+                self._integral_down = min(max(grown, -GRAVITY_M_S2), GRAVITY_M_S2)
+        drop = min(max(drop, -self._most_up_m_s2), self._most_down_m_s2)
         self.velocity, self.sink, self.asked, self.asked_down = velocity, sink, asked, drop
         self._lean += (asked - self._lean) * (dt_s / (_ATTITUDE_S + dt_s))
         return self._lean, drop
@@ -113,7 +115,7 @@ class Control:
         if abs(share + velocity) <= most:
             return share + velocity
         way = velocity / abs(velocity)
-        along = dot(way, share)
+        along = (way * share.conjugate()).real
         more = math.sqrt(max(along * along - size * size + most * most, 0.0)) - along
         return share + way * more
 
@@ -158,8 +160,8 @@ class Point:
         at, most, step = self.at, self._most, self._jerk * dt_s
         gain = 1.2 * self._jerk / most
         push = at.push + clipped(clipped(gain * (velocity - at.velocity), most) - at.push, step)
-        wanted = bounded(gain * (sink_m_s - at.sink), -self._most_up, most)
-        push_down = at.push_down + bounded(wanted - at.push_down, -step, step)
+        wanted = min(max(gain * (sink_m_s - at.sink), -self._most_up), most)
+        push_down = at.push_down + min(max(wanted - at.push_down, -step), step)
         velocity, sink_m_s = at.velocity + push * dt_s, at.sink + push_down * dt_s
         place, down = at.place + velocity * dt_s, at.down + sink_m_s * dt_s
         self.at = State(place, down, velocity, sink_m_s, push, push_down)
@@ -184,6 +186,6 @@ class Point:
         if sink_m_s != sink_m_s:
             _, up_m_s, down_m_s = speeds_m_s
             speed = braking_speed_m_s(abs(off_down), most, self._jerk)
-            sink_m_s = bounded(math.copysign(speed, off_down), -up_m_s, down_m_s)
+            sink_m_s = min(max(math.copysign(speed, off_down), -up_m_s), down_m_s)
             sink_m_s = 0.0 if off_down != off_down else sink_m_s
         self.towards_velocity(velocity, sink_m_s, dt_s)

@@ -3,7 +3,6 @@
 import math
 from typing import Final, final
 
-from vehicle_sim.autopilot.copter_control import bounded
 from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.legs import RETURN, Does, Leg, back
 from vehicle_sim.autopilot.px4 import MODES, NAVIGATED, RATES_HZ, Px4, firmware
@@ -75,7 +74,9 @@ class Px4Copter(Px4):
         e, copter = self.estimate, self.copter
         velocity = complex(e.velocity_north_m_s, e.velocity_east_m_s)
         push = complex(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2)
-        return State(self._here, self.local_m[2], velocity, -e.velocity_up_m_s, push)
+        north_m, east_m, down_m = self.local_m
+        place = complex(north_m, east_m)
+        return State(place, down_m, velocity, -e.velocity_up_m_s, push)
 
     @property
     def _here(self) -> complex:
@@ -272,7 +273,7 @@ class Px4Copter(Px4):
         if not given(self._goal) and self._point.stands:
             self._goal = self._point.at.place
         upper_m, lower_m = p["MPC_LAND_ALT1"], p["MPC_LAND_ALT2"]
-        share = bounded((height_m - lower_m) / max(upper_m - lower_m, 0.1), 0.0, 1.0)
+        share = min(max((height_m - lower_m) / max(upper_m - lower_m, 0.1), 0.0), 1.0)
         sink_m_s = slow + (p["MPC_Z_V_AUTO_DN"] - slow) * share
         if height_m < p["MPC_LAND_ALT3"]:
             sink_m_s = min(slow, p["MPC_LAND_CRWL"])
@@ -318,7 +319,7 @@ class Px4Copter(Px4):
             elif abs(way) > _NEAR_M:
                 self._yaw_rad = math.atan2(way.imag, way.real)
         most, off_rad = math.radians(fastest_deg_s), self._yaw_rad - copter.heading_rad
-        self._turn_rad_s = bounded(gain_1_s * math.remainder(off_rad, math.tau), -most, most)
+        self._turn_rad_s = min(max(gain_1_s * math.remainder(off_rad, math.tau), -most), most)
         turned_rad = copter.heading_rad + self._turn_rad_s * self.step_s
         copter.heading_rad = math.remainder(turned_rad, math.tau)
 

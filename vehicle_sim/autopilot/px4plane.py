@@ -14,7 +14,6 @@ import cmath
 import math
 from typing import Final, NamedTuple, final
 
-from vehicle_sim.autopilot.copter_control import bounded
 from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.legs import Does, Leg
@@ -134,7 +133,7 @@ class Px4Plane(Wheels, Px4):
         if self.mode.name in ("Hold", "Mission", "Return"):
             wanted_m_s = self.speed_m_s or wanted_m_s
         least_m_s = p["FW_AIRSPD_MIN"]
-        return self._true(bounded(wanted_m_s, least_m_s, max(p["FW_AIRSPD_MAX"], least_m_s)))
+        return self._true(min(max(wanted_m_s, least_m_s), max(p["FW_AIRSPD_MAX"], least_m_s)))
 
     # --- where to -----------------------------------------------------------------------------
 
@@ -227,7 +226,7 @@ class Px4Plane(Wheels, Px4):
             control.climb_m_s = -self._sink_m_s - _SINKS_FASTER_1_S * excess_m_s
         if self._goal is not None:
             energy = plane.airspeed_m_s**2 - control.airspeed_m_s**2
-            more_m = bounded(energy / (2.0 * GRAVITY_M_S2), -_TRADED_M, _TRADED_M)
+            more_m = min(max(energy / (2.0 * GRAVITY_M_S2), -_TRADED_M), _TRADED_M)
             control.height_amsl_m = self._goal.altitude_amsl_m + more_m
         self._bank()
 

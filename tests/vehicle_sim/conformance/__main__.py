@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from conformance.compare import compare
+from conformance import compare
 from conformance.flights import Side, flight_of, play, read_recording
 from conformance.rows import Row
 from vehicle_sim.cli import run

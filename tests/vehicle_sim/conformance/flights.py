@@ -327,18 +327,13 @@ _POST_M = 1000.0
 
 
 def play(recording: Recording, flight: Flight, *, seed: int = 0) -> list[TimedFrame]:
-    """Everything that the simulated vehicle says while the recorded client flies it."""
-    faults = timeline(recording, flight)
-    simulation = Simulation(world_of(recording, flight), seed=seed, faults=faults)
-    return played(simulation, recording, flight)
-
-
-def played(flying: Simulation, recording: Recording, flight: Flight) -> list[TimedFrame]:
-    """Everything that this one says then.
+    """Everything that the simulated vehicle says while the recorded client flies it.
 
     A frame goes in at the first step that is not before its time.  Before the recording begins
     the vehicle boots alone, and what it says then was not recorded either.
     """
+    faults = timeline(recording, flight)
+    flying = Simulation(world_of(recording, flight), seed=seed, faults=faults)
     begin_us, end_us = (round(t * 1e6) for t in (recording.begin_s, recording.end_s))
     waiting = [(round(one.time_s * 1e6), one.frame) for one in reversed(recording.sent)]
     placed_us = [round(recording.clock.vehicle_s(p.at_s) * 1e6) for p in flight.placements]

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from conformance.compare import compare
+from conformance import compare
 from conformance.flights import Recording, Side, flight_of, play
 
 Recorded = Callable[[str], Recording]
