@@ -47,7 +47,7 @@ def world(family: str, seed: int, index: int) -> DrawnWorld:
     stream, draw = _FAMILIES[family]
     key: tuple[int, ...] = (stream, seed, index)
     name = f"{family}-{seed}-{index}"
-    if family == "dense":  # as it was drawn before there were seeds
+    if family in _ANYWHERE:  # as they were drawn before there were seeds
         key = (stream, index, seed)
         if seed == 0:
             key, name = key[:2], f"{family}-{index}"
@@ -68,14 +68,21 @@ def unseen(world: DrawnWorld) -> KnownMap:
 # --- 100 km x 100 km, the mission of environment-2
 
 
-def _dense(rng: Rng) -> DrawnWorld:
-    """Mountains and radars anywhere in the square, about as many as environment-2 has."""
+_ANYWHERE: Final = {
+    "dense": ((12, 28), (10, 14), (6_000.0, 11_000.0)),
+    "sparse": ((4, 8), (3, 5), (9_000.0, 15_000.0)),
+}
+"""How many mountains, how many radars, and their ranges: as environment-2 and environment-1 are."""
+
+
+def _anywhere(family: str, rng: Rng) -> DrawnWorld:
+    """Mountains and radars anywhere in the square."""
+    mountains, radars, range_m = _ANYWHERE[family]
     base = drawn_world.bundled("environment-2")
     ends = [(*base.start_nea_m[:2], 6_000.0), (*base.targets_ne_m[0], 6_000.0)]
-    peaks = _peaks_in(_SQUARE, rng, int(rng.integers(12, 28, endpoint=True)), ends)
-    count = int(rng.integers(10, 14, endpoint=True))
-    radars = _radars_in(_SQUARE, rng, count, (6_000.0, 11_000.0), ends)
-    return _with_obstacles(base, peaks, radars)
+    peaks = _peaks_in(_SQUARE, rng, int(rng.integers(*mountains, endpoint=True)), ends)
+    count = int(rng.integers(*radars, endpoint=True))
+    return _with_obstacles(base, peaks, _radars_in(_SQUARE, rng, count, range_m, ends))
 
 
 def _spread_out(count: int, variant: int) -> DrawnWorld:
@@ -388,7 +395,8 @@ def _leaves_ends(base: DrawnWorld, at_ne_m: tuple[float, float], reach_m: float)
 
 
 _FAMILIES: dict[str, tuple[int, Callable[[Rng], DrawnWorld]]] = {
-    "dense": (1, _dense),
+    "dense": (1, functools.partial(_anywhere, "dense")),
+    "sparse": (2, functools.partial(_anywhere, "sparse")),
     "gathered": (11, _gathered),
     "walls": (12, _walls),
     "copter": (14, functools.partial(_small, "copter")),

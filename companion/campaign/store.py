@@ -63,7 +63,7 @@ class Row:
     planner: str = "ours"
     """`ours`, or a rival for whole routes."""
     knowledge: str = "scans"
-    """What the planner is told of the ground: `scans`, or `full`: all of it."""
+    """What the planner is told: `scans`; `elevation`, a poor file too; `full`, all of it."""
     over: str
     """`process` or `planner`."""
 
