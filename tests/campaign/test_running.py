@@ -349,7 +349,7 @@ def test_no_room_for_a_folder_ends_a_campaign_on_a_cluster_too(tmp_path: Path) -
 
     [run, *_] = runs(tmp_path, PLANNED.replace('"none"', '"all"'))
     with (
-        LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
+        LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster,
         pytest.raises(FileExistsError),
     ):
         list(fly([run], tmp_path, scheduler=cluster.scheduler_address, jobs=1))
