@@ -83,7 +83,7 @@ def test_a_part_of_a_leg_and_a_corner_and_a_gap_are_joined() -> None:
         return np.asarray(start + np.linspace(0.0, 1.0, 5)[:, None] * (end - start))
 
     first = line((1_000.0, 1_000.0, 500.0), (2_000.0, 1_000.0, 500.0))
-    second = line((1_700.0, 1_000.0, 500.0), (1_700.0, 2_000.0, 500.0))  # from where it stopped
+    second = line((1_700.0, 1_000.02, 500.0), (1_700.0, 2_000.0, 500.0))  # about where it stopped
     third = line((1_700.0, 1_420.0, 500.0), (1_000.0, 1_420.0, 500.0))  # it was held 20 m aside
     parts = (
         FlownSegment(control_nea_m=first, from_m=100.0, until_m=700.0),
@@ -101,6 +101,7 @@ def test_a_part_of_a_leg_and_a_corner_and_a_gap_are_joined() -> None:
     for subpath, through, after in zip(
         back.subpaths, back.through, back.subpaths[1:], strict=False
     ):
+        assert (subpath.control_nea_m[-1] == after.control_nea_m[0]).all()
         turn = subpath.pose(subpath.length_m).tangent_nea @ after.pose(0.0).tangent_nea
         assert through == (turn > 0.99)
 
