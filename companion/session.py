@@ -622,7 +622,7 @@ class Session:
             self._status = event
         before, frame = self.state, self.mission.frame
         after, commands = machine.step(before, event, self.context)
-        self.state, path = after, after.flight.path
+        self.state, path = after, after.path
         if type(event) is not events.Position:
             self._note_entries(entries.of_event(event, after))
         if (

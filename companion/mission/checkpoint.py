@@ -16,7 +16,17 @@ from msgspec.structs import replace
 
 from companion.mission.events import FenceChanged
 from companion.mission.mission import Mission
-from companion.mission.state import IN_AIR, OnPath, Orders, Phase, Reason, State, Way
+from companion.mission.state import (
+    IN_AIR,
+    Landing,
+    OnPath,
+    Orders,
+    Phase,
+    Reason,
+    State,
+    Waiting,
+    Way,
+)
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
 from companion.planner.request import FlownSegment, Refusal, control_points
@@ -40,16 +50,18 @@ PERIOD_S, LONGEST_S = 1.0, 10.0
 
 def values_of(state: State) -> Values:
     """The state as plain values (JSON)."""
-    flight = state.flight
+    flight, path = state.flight, state.path
     return {
         "t_s": state.now_s,
         "phase": state.phase.name,
-        "sank": state.phase is Phase.LANDING and state.obeyed,
+        "sank": isinstance(state.stage, Landing) and state.stage.obeyed,
         **{name: _plain(getattr(state, name)) for name in _OF_STATE},
         "standing": _plain(state.orders.active),
         "set_aside": _plain(state.orders.suspended),
         **{name: _plain(getattr(flight, name)) for name in (*_OF_FLIGHT, *_WAY)},
-        "joined_m": 0.0 if flight.path is None else flight.path.joined_m,
+        "leg": None if path is None else _plain(path.leg),
+        "next_leg": None if path is None else _plain(path.next_leg),
+        "joined_m": 0.0 if path is None else path.joined_m,
     }
 
 
@@ -86,10 +98,13 @@ def initial_state(mission: Mission, resume: tuple[Values, KnownMap | None] | Non
     if "lost" in values:
         state, time_s = State.of(mission, known), float(values["t_s"])
         flight = replace(state.flight, plan_id=int(values["plan_id"]))
-        state = replace(state, now_s=time_s, since_s=time_s, airborne=True, flight=flight)
+        state = replace(state, now_s=time_s, airborne=True, flight=flight)
     else:
         state = restored(mission, kept or known, values)
-    return replace(state, news=". ".join(restore_notes(values)))
+    left = state.stage
+    assert isinstance(left, Waiting)
+    left.since_s, left.news = state.now_s, ". ".join(restore_notes(values))
+    return state
 
 
 def blank_map(mission: Mission) -> KnownMap:
@@ -146,17 +161,20 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     flight = replace(
         state.flight,
         **_read(values, _OF_FLIGHT),
-        path=None if leg is None else OnPath(leg=leg, next_leg=next_leg, joined_m=joined_m),
         way=Way.BACK if values["returning"] else Way.HOME if values["homeward"] else Way.OUT,
         back=back if values["returning"] else (),
     )
     time_s = float(values["t_s"])
-    state = replace(
-        state,
-        now_s=time_s,
+    left = Waiting(
         since_s=time_s,
+        path=None if leg is None else OnPath(leg=leg, next_leg=next_leg, joined_m=joined_m),
         landing=values["phase"] == Phase.LANDING.name,
         sank=bool(values["sank"]),
+    )
+    state = replace(
+        state,
+        stage=left,
+        now_s=time_s,
         orders=Orders(_reason(values["standing"]), _reason(values["set_aside"])),
         flight=flight,
         **kept,
@@ -264,9 +282,9 @@ _OF_LEG: Final[dict[str, Callable[[Any], Any]]] = {
     **dict.fromkeys(("reaches_target", "through"), bool),
 }
 """Fields that are stored, and their decoders from what `_plain` returns."""
-_WAY: Final = ("returning", "homeward", "leg", "next_leg", "back")
+_WAY: Final = ("returning", "homeward", "back")
 persisted: Final = attrgetter(
-    *(*_OF_STATE, "orders", "phase", "obeyed"),
+    *(*_OF_STATE, "orders", "phase"),
     *(f"flight.{name}" for name in (*_OF_FLIGHT, "way", "back")),
 )
 """All fields of a state in a checkpoint, except the time and the legs."""
@@ -300,8 +318,8 @@ class CheckpointPolicy:
         if 0.0 <= now_s - self.looked_at_s < PERIOD_S and not must:
             return None, None
         self.looked_at_s = now_s
-        path = state.flight.path
-        kept = *persisted(state), path and (path.leg, path.next_leg)
+        path, landing = state.path, isinstance(state.stage, Landing) and state.stage.obeyed
+        kept = *persisted(state), landing, path and (path.leg, path.next_leg)
         if kept == self.kept and 0.0 <= now_s - self.kept_at_s < LONGEST_S and not must:
             return None, None
         self.kept_at_s, self.known, self.kept = now_s, state.flight.known, kept

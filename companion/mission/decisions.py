@@ -11,7 +11,7 @@ from typing import final
 from companion.mission.events import Command, Position, StatusText
 from companion.mission.health import astray_m, may_differ_m
 from companion.mission.mission import Mission
-from companion.mission.state import Held, Reason, State, Trigger
+from companion.mission.state import Holding, Reason, Stage, State, Trigger
 from companion.path.certificate import bounds_text
 from companion.planner.request import Refusal
 
@@ -52,12 +52,14 @@ class Turn:
     """In the order in which they are carried out."""
     trigger: Trigger | None = None
     """What has happened; None: the phase goes on."""
+    stage: Stage | None = None
+    """The phase after it, where that begins with something known."""
     is_left: bool = False
     """Whether the phase decides although the event has a handler of its own."""
 
-    def to(self, trigger: Trigger) -> None:
-        """The phase is over."""
-        self.trigger = trigger
+    def to(self, trigger: Trigger, stage: Stage | None = None) -> None:
+        """The phase is over; stage: the next one, unless it begins with nothing known."""
+        self.trigger, self.stage = trigger, stage
 
     def give_up(self, reason: Reason, detail: str = "", remedy: str = "") -> None:
         """End the mission; a vehicle in the air is left in its hold mode, or in RTL."""
@@ -65,17 +67,18 @@ class Turn:
         if not detail:
             detail, remedy = reason_text(state, reason)
         state.reason, state.detail, state.remedy = reason, detail, remedy
-        self.trigger = Trigger.GIVE_UP
+        self.to(Trigger.GIVE_UP)
 
     def fault(self, reason: Reason) -> None:
         """Stop and hold for a reason."""
-        self.state.reason, self.trigger = reason, Trigger.FAULT
+        self.state.reason = reason
+        self.to(Trigger.FAULT)
 
     def ask(self, *commands: Command) -> None:
         """Send requests, once a second."""
-        state = self.state
-        if state.now_s - state.asked_at_s >= ASK_AGAIN_S:
-            state.asked_at_s, state.asks = state.now_s, state.asks + 1
+        now_s, stage = self.state.now_s, self.state.stage
+        if now_s - stage.asked_at_s >= ASK_AGAIN_S:
+            stage.asked_at_s, stage.asks = now_s, stage.asks + 1
             self.commands += commands
 
     def do(self, *commands: Command) -> None:
@@ -166,11 +169,15 @@ def seen_cause(state: State) -> Reason | None:
 
 def hold_for(state: State, reason: Reason) -> None:
     """Held for this reason from now on; what is known of who has it is kept as long as he has."""
-    if state.hold is not reason.hold:
-        why = seen_cause(state) if reason is Reason.FAILSAFE else None
-        state.held = Held(reason.hold, why=why)
-    state.reason, state.since_s, state.asked_at_s = reason, state.now_s, -1e9
-    state.asks, state.obeyed = 0, False
+    held = state.stage
+    if not isinstance(held, Holding):
+        held = Holding(how=reason.hold)
+    elif held.how is not reason.hold:
+        held = Holding(how=reason.hold, backtrack=held.backtrack)
+    if held is not state.stage and reason is Reason.FAILSAFE:
+        held.why = seen_cause(state)
+    held.since_s, held.asked_at_s, held.asks, held.obeyed = state.now_s, -1e9, 0, False
+    state.stage, state.reason = held, reason
 
 
 def is_at_rest(state: State, event: Position) -> bool:

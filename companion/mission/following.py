@@ -11,7 +11,18 @@ import numpy as np
 
 from companion.mission.decisions import Turn
 from companion.mission.events import Position, Setpoint, Vector
-from companion.mission.state import Answered, Flight, OnPath, Reason, State, Stop
+from companion.mission.state import (
+    Answered,
+    Arrived,
+    Flying,
+    Holding,
+    Inherited,
+    Led,
+    OnPath,
+    Reason,
+    State,
+    Stop,
+)
 from companion.path.envelope import ending_m_s, slowing_m
 from companion.planner import join
 from companion.planner.loiter_search import Motion, loiter_point
@@ -68,13 +79,13 @@ def lead_m(state: State, reference: Reference) -> float:
 
 def advance_reference(state: State, path: OnPath, event: Position) -> None:
     """Advance the reference point by one position; at p_prog switch to the next leg."""
-    flight, vehicle, leg, before = state.flight, state.vehicle, path.leg, path.reference
+    vehicle, leg, before = state.vehicle, path.leg, path.reference
     here = np.asarray(event.position_nea_m)
     task = state.task if leg.speed_m_s is None else state.task.at_speed(leg.speed_m_s)
     slows_to_m_s = leaves_at_m = math.inf
     if path.next_leg is not None:
         leaves_at_m = leg.successor_at_m(task)
-    if leg.subpath.length_m < task.shortest_scan_distance_m and not flight.returning:
+    if leg.subpath.length_m < task.shortest_scan_distance_m and not state.flight.returning:
         slows_to_m_s = leg.slows_to_m_s(task)
     if vehicle.traits.hovers:
         motion = task.envelope
@@ -96,12 +107,23 @@ def advance_reference(state: State, path: OnPath, event: Position) -> None:
     else:
         path.reference = follow(before, leg, here, task.limits)
     if path.reference.length_m > before.length_m or path.circling:
-        flight.progress_at_s = state.now_s
+        _note_progress(state)
     path.circling = False
     if path.offset is not None:
         path.offset = join.step(path.offset, vehicle.position_step_s, task.limits)
     if path.next_leg is not None and path.reference.length_m >= leaves_at_m - _ROUNDING_M:
-        switch_to_next_leg(flight, path, task)
+        switch_to_next_leg(state, path, task)
+
+
+def _note_progress(state: State) -> None:
+    """The reference point moves."""
+    if isinstance(state.stage, Led):
+        state.stage.progress_at_s = state.now_s
+
+
+def _unechoed_s(state: State) -> float:
+    """How long the reported target has disagreed with the setpoints."""
+    return state.now_s - state.stage.echoed_at_s if isinstance(state.stage, Led) else 0.0
 
 
 def is_on_path(state: State, path: OnPath, event: Position) -> bool:
@@ -111,7 +133,7 @@ def is_on_path(state: State, path: OnPath, event: Position) -> bool:
     more than the turn radius R; twice that is allowed for, as it may bend up and down as well.
     """
     vehicle, leg = state.vehicle, path.leg
-    echoes = vehicle.echo_nea_m is None or state.now_s - state.flight.echoed_at_s <= _NOT_TAKEN_S
+    echoes = vehicle.echo_nea_m is None or _unechoed_s(state) <= _NOT_TAKEN_S
     if path.outside_m or not (echoes and vehicle.traits.hovers):
         return False
     pose, (north, east, up) = leg.subpath.pose(path.reference.length_m), event.position_nea_m
@@ -182,7 +204,7 @@ def is_not_taken(state: State) -> bool:
     """Whether the autopilot's echo has disagreed with the setpoints for too long."""
     vehicle, now_s = state.vehicle, state.now_s
     is_fresh = vehicle.echo_nea_m is not None and now_s - vehicle.echo_at_s < _ECHO_S
-    return is_fresh and now_s - state.flight.echoed_at_s > _NOT_TAKEN_S
+    return is_fresh and _unechoed_s(state) > _NOT_TAKEN_S
 
 
 def still_loiters(state: State, path: OnPath, event: Position) -> bool:
@@ -193,13 +215,15 @@ def still_loiters(state: State, path: OnPath, event: Position) -> bool:
 
 def take_echo(state: State) -> None:
     """After a target report: note when it last agreed with the setpoints, or was absent."""
-    flight, echo, limits = state.flight, state.vehicle.echo_nea_m, state.task.limits
+    stage, echo, limits = state.stage, state.vehicle.echo_nea_m, state.task.limits
+    if not isinstance(stage, Led):
+        return
     allowed_m = max(1.5 * limits.speed_m_s, 2.0 * limits.tracking_error_m)
     if not limits.hovers:
         allowed_m += 2.0 * limits.loiter_radius_m
-    sent = None if flight.sent is None else flight.sent.position_nea_m
-    if sent is None or echo is None or math.dist(echo[:2], sent[:2]) <= allowed_m:
-        flight.echoed_at_s = state.now_s
+    last = state.flight.sent
+    if last is None or echo is None or math.dist(echo[:2], last.position_nea_m[:2]) <= allowed_m:
+        stage.echoed_at_s = state.now_s
 
 
 def is_stopped(state: State, path: OnPath) -> bool:
@@ -279,9 +303,9 @@ def vehicle_at_m(state: State, path: OnPath) -> float:
 
 def stop(state: State, reason: Reason, turn: Turn) -> None:
     """Stop on the path as soon as the vehicle can, and hold there."""
-    flight, path = state.flight, state.flight.path
+    flight, path = state.flight, state.path
     if path is None:
-        come_to_rest(flight, flight.hover_nea_m or state.vehicle.position_nea_m)
+        come_to_rest(state, flight.hover_nea_m or state.vehicle.position_nea_m)
         return turn.fault(reason)
     leg, reference = path.leg, path.reference
     if not state.vehicle.traits.hovers:
@@ -291,38 +315,48 @@ def stop(state: State, reason: Reason, turn: Turn) -> None:
             here = state.vehicle.position_nea_m or point
             motion = Motion(here, state.vehicle.velocity_nea_m_s)
             point = loiter_point(flight.known, state.task, motion, point) or point
-        requeue_backtrack(flight, leg, path.next_leg)
-        come_to_rest(flight, point)
+        requeue_backtrack(state, leg, path.next_leg)
+        come_to_rest(state, point)
         return turn.fault(reason)
     brakes_m = 0.5 * reference.speed_m_s**2 / state.task.limits.acceleration_m_s2
     stop_at_m = max(vehicle_at_m(state, path) + brakes_m, reference.length_m)
     stop_at_m = min(stop_at_m, leg.subpath.length_m)
     if path.stop is not None:
         stop_at_m = min(stop_at_m, path.stop.at_m)
-    requeue_backtrack(flight, path.next_leg)
-    path.stop, path.next_leg, flight.search = Stop(stop_at_m, reason), None, Answered()
+    requeue_backtrack(state, path.next_leg)
+    path.stop, path.next_leg = Stop(stop_at_m, reason), None
+    if isinstance(state.stage, Flying):
+        state.stage.search = Answered()
 
 
-def requeue_backtrack(flight: Flight, *legs: Leg | None) -> None:
+def requeue_backtrack(state: State, *legs: Leg | None) -> None:
     """Put these legs back before the rest of the backtrack, if it is on one."""
+    flight = state.flight
     if flight.returning:
         flight.back = (*(leg for leg in legs if leg is not None), *flight.back)
 
 
-def come_to_rest(flight: Flight, hover_nea_m: Vector | None = None) -> None:
+def come_to_rest(state: State, hover_nea_m: Vector | None = None) -> None:
     """Without a leg: the next one begins where the vehicle stops.
 
     Without a place it is chosen again: it may have been held too low.
     """
-    flight.flown = flown_segments(flight, flight.reference.length_m)
-    flight.path = flight.search = flight.planning_backtrack = None
-    flight.hover_nea_m = hover_nea_m
+    stage, path = state.stage, state.path
+    if path is not None:
+        note_flown(state, path, path.reference.length_m)
+    if isinstance(stage, Led | Inherited):
+        stage.path = None
+    if isinstance(stage, Flying):
+        stage.search = None
+    elif isinstance(stage, Holding | Arrived):
+        stage.backtrack = None
+    state.flight.hover_nea_m = hover_nea_m
 
 
-def rest_at_end(flight: Flight) -> None:
+def rest_at_end(state: State) -> None:
     """At rest at the end of its leg, at its stop, or at its hover."""
-    path = flight.path
-    come_to_rest(flight, flight.hover_nea_m if path is None else end_of(path))
+    path = state.path
+    come_to_rest(state, state.flight.hover_nea_m if path is None else end_of(path))
 
 
 def end_of(path: OnPath) -> Vector:
@@ -375,25 +409,25 @@ def _on_the_way(state: State, here_nea_m: Vector) -> Vector:
 # --- from leg to leg, and back to a path: after a restart, and for the backtrack
 
 
-def joined(state: State, path: OnPath | None) -> Flight | None:
-    """Another flight, led along this path, or on its next leg, from the current setpoint on.
+def joined(state: State, path: OnPath | None) -> OnPath | None:
+    """The vehicle is led along this path, or on its next leg, from the current setpoint on.
 
-    None if that is farther from the path than was proven.
+    None if that is farther from the path than was proven: nothing has changed then.
     """
-    vehicle, flight, led_so = state.vehicle, copy(state.flight), _led(state)
+    vehicle, flight, led_so = state.vehicle, state.flight, _led(state)
     if led_so is None or path is None:
         return None
-    led, velocity = led_so
-    flight.path = path = copy(path)
-    off_m, at_m = nearest(path.leg, led)
+    (led, velocity), path = led_so, copy(path)
+    leg, (off_m, at_m) = path.leg, nearest(path.leg, led)
     if path.next_leg is not None:
         next_off_m, next_at_m = nearest(path.next_leg, led)
         if next_off_m < off_m - 1e-6:
-            switch_to_next_leg(flight, path, state.task)
-            off_m, at_m = next_off_m, next_at_m
-    limits = state.task.at_speed(path.leg.speed_m_s).limits
+            leg, off_m, at_m = path.next_leg, next_off_m, next_at_m
+    limits = state.task.at_speed(leg.speed_m_s).limits
     if off_m > limits.tracking_error_m + _ON_CIRCLE * limits.loiter_radius_m:
         return None
+    if leg is path.next_leg:
+        switch_to_next_leg(state, path, state.task)
     pose, hovers = path.leg.subpath.pose(at_m), vehicle.traits.hovers
     speed = max(float(np.dot(velocity, pose.tangent_nea)), 0.0)
     speed = min(speed, limits.speed_m_s)
@@ -403,37 +437,37 @@ def joined(state: State, path: OnPath | None) -> Flight | None:
     path.circling = not hovers and off_m > limits.tracking_error_m
     if hovers:
         path.offset = join.begin(np.asarray(led), np.asarray(velocity), pose, speed)
-    flight.flown = flown_segments(flight, at_m)
+    note_flown(state, path, at_m)
     path.reference, path.joined_m = Reference(length_m=at_m, speed_m_s=speed), at_m
-    flight.progress_at_s = state.now_s
+    _note_progress(state)
     flight.hover_nea_m = pose.point_nea_m if path.circling else None
-    flight.search = None if path.next_leg is None else Answered()
-    return flight
+    return path
 
 
-def switch_to_next_leg(flight: Flight, path: OnPath, task: Task) -> None:
+def switch_to_next_leg(state: State, path: OnPath, task: Task) -> None:
     """On to the next leg: the reference point has reached p_prog of this one."""
     assert path.next_leg is not None
     over_at_m, reference = path.leg.successor_at_m(task), path.reference
-    flight.flown = flown_segments(flight, over_at_m)
+    note_flown(state, path, over_at_m)
     path.leg, path.next_leg, path.joined_m = path.next_leg, None, 0.0
     length_m = max(reference.length_m - over_at_m, 0.0)
     path.reference = Reference(length_m=length_m, speed_m_s=reference.speed_m_s)
-    flight.search, flight.troubles, flight.shortfall = None, 0, Reason.NO_PLAN
-    flight.legs_flown += 1
+    if isinstance(state.stage, Flying):
+        state.stage.search, state.stage.shortfall = None, Reason.NO_PLAN
+    state.flight.troubles = 0
+    state.flight.legs_flown += 1
 
 
-def flown_segments(flight: Flight, until_m: float) -> tuple[FlownSegment, ...]:
-    """The flown segments, including this leg up to a length."""
-    path = flight.path
-    if path is None or flight.returning:
-        return flight.flown
-    return *flight.flown, FlownSegment(
-        control_nea_m=path.leg.subpath.control_nea_m,
-        from_m=path.joined_m,
-        until_m=until_m,
-        speed_m_s=path.leg.speed_m_s,
-    )
+def note_flown(state: State, path: OnPath, until_m: float) -> None:
+    """Add this leg to what was flown, up to a length; not on the way back."""
+    if not state.flight.returning:
+        flown = FlownSegment(
+            control_nea_m=path.leg.subpath.control_nea_m,
+            from_m=path.joined_m,
+            until_m=until_m,
+            speed_m_s=path.leg.speed_m_s,
+        )
+        state.flight.flown = (*state.flight.flown, flown)
 
 
 def _led(state: State) -> tuple[Vector, Vector] | None:

@@ -19,7 +19,18 @@ from companion.mission.decisions import (
     landing_order,
 )
 from companion.mission.events import Event, Item, Landed, LinkLost, Mode, Position, Vector
-from companion.mission.state import Orders, Phase, Reason, State, Trigger
+from companion.mission.state import (
+    Answered,
+    Arming,
+    Flying,
+    Inherited,
+    Orders,
+    Phase,
+    Preparing,
+    Reason,
+    State,
+    Trigger,
+)
 from companion.mission.tables import takeover_reason
 from companion.mission.vehicle_traits import TakeoffSequence
 from companion.planner.procedure import Reference
@@ -39,13 +50,17 @@ _LEAST_M = 1.0  # as near as an altitude is told, of a take-off that hardly clim
 _LEVEL_M_S = 1.0
 
 
-def waiting(_state: State, event: Event, turn: Turn) -> None:
+def waiting(state: State, event: Event, turn: Turn) -> None:
     """Wait for a matching autopilot; the runtime decides how long."""
     if isinstance(event, events.VehicleFound):
         if event.traits is None:
             turn.give_up(Reason.WRONG_VEHICLE, f": {event.name}")
         else:
-            turn.to(Trigger.VEHICLE_FOUND)
+            left = state.stage
+            assert isinstance(left, Inherited)
+            path, left.path = left.path, None
+            preparing = Preparing(path=path, landing=left.landing, sank=left.sank)
+            turn.to(Trigger.VEHICLE_FOUND, preparing)
 
 
 def preparing(state: State, event: Event, turn: Turn) -> None:
@@ -72,8 +87,8 @@ def preparing(state: State, event: Event, turn: Turn) -> None:
         return turn.give_up(Reason.NOT_ALONE)
     if not state.has_had_control and _may_not_be_alone(state):
         return
-    if state.landing:
-        return _landing_goes_on(state, turn)
+    if isinstance(state.stage, Preparing) and state.stage.landing:
+        return _landing_goes_on(state, state.stage, turn)
     if vehicle.distrust is not None:
         unled = _is_flying(state) and vehicle.mode is Mode.GUIDED
         if unled and state.in_phase_s > _UNLED_S:
@@ -152,10 +167,10 @@ def _unready(state: State, why: str, turn: Turn) -> None:
     if state.phase is Phase.READY:
         turn.warn(f"not ready any more: {why}", "phase")
         state.prepared -= {Item.CHECKS}
-        turn.to(Trigger.UNREADY)
-    elif why != state.unready:
+        turn.to(Trigger.UNREADY, Preparing(unready=why))
+    elif isinstance(state.stage, Preparing) and why != state.unready:
         turn.warn(f"not ready: {why}", "phase")
-    state.unready = why
+        state.stage.unready = why
 
 
 def _may_not_be_alone(state: State) -> bool:
@@ -164,7 +179,7 @@ def _may_not_be_alone(state: State) -> bool:
     On the ground there is time for that while arming; a companion that resumes its own path must be
     quick, and yields if it hears another one later (`is_second_companion`).
     """
-    takes_over = _is_flying(state) and state.flight.path is None
+    takes_over = _is_flying(state) and state.path is None
     return state.is_duplicate_suspected or (takes_over and state.in_phase_s < _LISTEN_S)
 
 
@@ -181,15 +196,15 @@ def on_duplicate_id(state: State, event: events.DuplicateId, turn: Turn) -> None
         turn.warn(f"{Reason.NOT_ALONE.text}: end it")
 
 
-def _landing_goes_on(state: State, turn: Turn) -> None:
+def _landing_goes_on(state: State, stage: Preparing, turn: Turn) -> None:
     """Complete a landing that was begun before a reboot, or by the previous companion."""
     vehicle = state.vehicle
     if vehicle.landed is Landed.ON_GROUND and not vehicle.armed:
         return turn.to(Trigger.LANDED)
     if vehicle.landed is Landed.UNKNOWN:
         return
-    state.landing = False
-    if state.sank and vehicle.mode is not Mode.LAND:
+    stage.landing = False
+    if stage.sank and vehicle.mode is not Mode.LAND:
         turn.warn(LANDING_ABORTED)
         state.orders = Orders(Reason.PAUSED, landing_order(state))
     elif vehicle.mode in (Mode.LAND, Mode.GUIDED):
@@ -229,7 +244,8 @@ def _refused(state: State, context: Context) -> Reason | None:
 
 def _in_flight(state: State, turn: Turn) -> None:
     """Take over in the air: rejoin the path of the previous companion, or stop first."""
-    path, here = state.flight.path, state.vehicle.position_nea_m
+    stage, path, here = state.stage, state.path, state.vehicle.position_nea_m
+    assert isinstance(stage, Preparing)
     mode, ours = state.vehicle.mode, (Mode.GUIDED, Mode.HOLD)
     if path is None and not state.prepared.issuperset(_ASKED_FOR):
         return
@@ -242,28 +258,29 @@ def _in_flight(state: State, turn: Turn) -> None:
     if state.orders.active is not None or state.taken or state.flight.returning:
         led = mode in ours and not state.taken
         state.reason = Reason.TAKING_OVER if led else takeover_reason(state)
-        return way_back.leave_path(state.flight)
-    asked = state.asks > 0  # to hold: it may do so by now
+        return way_back.leave_path(state)
+    asked = state.stage.asks > 0  # to hold: it may do so by now
     if mode is Mode.GUIDED and not asked:
         joined = following.joined(state, path)
         if joined is not None:
-            state.flight = joined
-            return turn.to(Trigger.TAKE_OVER)
+            stage.path, search = None, None if joined.next_leg is None else Answered()
+            return turn.to(Trigger.TAKE_OVER, Flying(path=joined, search=search))
     ours_or_up = mode in (*ours, Mode.TAKE_OFF)
     state.reason = Reason.TAKING_OVER if ours_or_up else takeover_reason(state)
 
 
 def arming(state: State, _event: Event, turn: Turn) -> None:
     """Request the first mode of the take-off sequence, then arming, once a second."""
-    vehicle, traits = state.vehicle, state.vehicle.traits
+    vehicle, traits, stage = state.vehicle, state.vehicle.traits, state.stage
+    assert isinstance(stage, Arming)
     if state.is_duplicate_suspected:
         return
     first = Mode.GUIDED if traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB else Mode.TAKE_OFF
     if vehicle.mode is first and vehicle.armed:
         return turn.to(Trigger.ARMED)
     if vehicle.mode is first:
-        state.obeyed = True
-    elif state.obeyed or (vehicle.armed and not state.armed_by_us):
+        stage.obeyed = True
+    elif stage.obeyed or (vehicle.armed and not state.armed_by_us):
         return turn.give_up(Reason.MODE_TAKEN)
     rises = vehicle.landed is not Landed.ON_GROUND
     if state.in_phase_s > _ARM_S or (rises and not state.armed_by_us):

@@ -15,6 +15,7 @@ from companion.mission.battery import take_battery
 from companion.mission.decisions import (
     Context,
     Turn,
+    hold_for,
     longest_silence_s,
     reason_text,
 )
@@ -25,12 +26,18 @@ from companion.mission.state import (
     IN_AIR,
     ON_GROUND,
     OVER,
+    STAGES,
     Hold,
+    Holding,
+    Inherited,
+    Landing,
+    Led,
     Orders,
     Phase,
     Reason,
     State,
     Trigger,
+    Waiting,
 )
 from companion.mission.tables import fall_back, fault_of, parting
 from companion.mission.vehicle_traits import UNKNOWN
@@ -49,7 +56,9 @@ def step(before: State, event: Event, context: Context) -> tuple[State, list[Com
         return before, []
     state = copy(before)
     state.vehicle, state.flight = copy(before.vehicle), copy(before.flight)
-    state.flight.path = copy(before.flight.path)
+    state.stage = stage = copy(before.stage)
+    if isinstance(stage, Led | Inherited):
+        stage.path = copy(stage.path)
     vehicle, now_s = state.vehicle, max(before.now_s, event.time_s)
     turn, limits = Turn(state, context), state.task.limits
     state.now_s = now_s
@@ -72,7 +81,7 @@ def step(before: State, event: Event, context: Context) -> tuple[State, list[Com
         and vehicle.landed is Landed.IN_AIR
         and vehicle.distrust is None
         and now_s - vehicle.status_at_s <= HEARTBEAT_S
-        and state.held is None
+        and not isinstance(stage, Holding)
         and in_any_phase is None
     )
     if in_any_phase is None or turn.is_left:
@@ -96,17 +105,17 @@ def _break_off(state: State, reason: Reason, turn: Turn) -> None:
         turn.give_up(reason)
     else:
         if state.phase is not Phase.TAKING_OFF:
-            way_back.leave_path(state.flight)
+            way_back.leave_path(state)
         turn.fault(reason)
 
 
 def rebased(before: State, shift_s: float) -> State:
     """The state on a clock that shows shift_s more: its own time, and the waits that go on."""
-    state, vehicle = copy(before), copy(before.vehicle)
-    state.vehicle = vehicle
+    state, vehicle, stage = copy(before), copy(before.vehicle), copy(before.stage)
+    state.vehicle, state.stage = vehicle, stage
     state.now_s += shift_s
-    state.since_s += shift_s
-    state.asked_at_s += shift_s
+    stage.since_s += shift_s
+    stage.asked_at_s += shift_s
     state.duplicate_id_at_s += shift_s
     if state.fence_unread_s is not None:
         state.fence_unread_s += shift_s
@@ -207,33 +216,36 @@ IN_PHASE: Final[dict[Phase, Callable[[State, Event, Turn], None]]] = {
 
 def _enter(state: State, trigger: Trigger, turn: Turn) -> None:
     """Begin the next phase: with what it begins, and how the last one ends."""
-    was, phase, context = state.phase, trigger.after, turn.context
+    was, phase, context = state.stage, trigger.after, turn.context
     if phase in OVER:
         if not (context.shadow or trigger in _AS_IT_SHOULD):
             turn.do(*parting(state, stopped=trigger is Trigger.STOP))
         turn.do(_end_of(state, trigger))
-    state.phase, state.held, state.since_s = phase, None, state.now_s
-    state.asked_at_s, state.asks, state.obeyed = -1e9, 0, False
+    if isinstance(was, Led | Inherited) and was.path is not None:  # broken off on it
+        following.note_flown(state, was.path, was.path.reference.length_m)
+    if phase is Phase.HOLDING:
+        hold_for(state, state.reason or Reason.NO_PLAN)
+    else:
+        state.stage = turn.stage or STAGES[phase]()
+    state.stage.since_s = state.now_s
     if phase in IN_AIR:
-        since_s = state.now_s if was is Phase.PREPARING else -1e9
+        since_s = state.now_s if was.phase is Phase.PREPARING else -1e9
         state.in_control_since_s = min(state.in_control_since_s, since_s)
         state.airborne = True
     match phase:
         case Phase.READY:
-            state.unready = ""
             turn.say("ready: waits for go: MISSION_START or a yes", "phase")
         case Phase.PREPARING if trigger is not Trigger.UNREADY:
             turn.do(events.RequestStreams())
             turn.say(f"mission {context.mission.name}")
-            for text in filter(None, (stopped.landing_words(state, context), state.news)):
+            news = was.news if isinstance(was, Waiting) else ""
+            for text in filter(None, (stopped.landing_words(state, context), news)):
                 turn.warn(text)
-            state.news = ""
         case Phase.FLYING | Phase.LANDING | Phase.RETURNING:
             _set_out(state, turn)
         case Phase.HOLDING:
             _hold(state, turn)
         case Phase.ARRIVED:
-            following.rest_at_end(state.flight)
             stopped.say_reached(state, turn)
         case _:
             pass
@@ -242,15 +254,15 @@ def _enter(state: State, trigger: Trigger, turn: Turn) -> None:
 def _set_out(state: State, turn: Turn) -> None:
     """To fly, back or on, or to land."""
     state.reason, state.taken = None, False
-    state.flight.progress_at_s = state.flight.echoed_at_s = state.now_s
+    if isinstance(state.stage, Led):
+        state.stage.progress_at_s = state.stage.echoed_at_s = state.now_s
+    elif isinstance(state.stage, Landing):
+        state.stage.sinks_at_s = state.now_s
     if state.phase is not Phase.FLYING:
         state.orders = Orders()
     elif not state.flight.homeward:  # to a target again
         state.flight.fallen_back = None
     if state.phase is Phase.RETURNING:
-        went_back = way_back.begun(state, state.flight)
-        assert went_back is not None  # whoever triggers it has looked
-        state.flight = went_back
         turn.say("returning", "phase")
     if state.phase is not Phase.LANDING and state.vehicle.traits is not UNKNOWN:
         turn.do(events.SetSpeed(speed_m_s=state.task.limits.speed_m_s))
@@ -270,7 +282,7 @@ def _hold(state: State, turn: Turn) -> None:
         case _:
             pass
     if reason.hold is Hold.MODE:
-        state.asked_at_s = state.now_s
+        state.stage.asked_at_s = state.now_s
         broken_off = reason is Reason.BROKEN_OFF
         turn.do(*(parting(state) if broken_off else [SetMode(mode=Mode.HOLD)]))
 

@@ -6,7 +6,7 @@
 import dataclasses
 import enum
 import math
-from typing import final
+from typing import ClassVar, Final, final
 
 from msgspec import Struct, field
 
@@ -264,19 +264,6 @@ class Reason(enum.Enum):
 
 
 @final
-class Held(Struct, frozen=True):
-    """What the phase `holding` knows."""
-
-    how: Hold
-    released_at_s: float = -1e9
-    """When the operator last ordered to continue."""
-    failsafe_over: bool = False
-    """Whether the end of the failsafe that took the vehicle was reported."""
-    why: Reason | None = None
-    """What was seen to be wrong when a failsafe took it."""
-
-
-@final
 class Vehicle(Struct, kw_only=True):
     """The vehicle's reports."""
 
@@ -417,25 +404,20 @@ class OnPath(Struct, kw_only=True):
 
 @final
 class Flight(Struct, kw_only=True):
-    """State of the online procedure."""
+    """How far the mission has come, whatever the phase."""
 
     known: KnownMap
     target: int = 0
-    path: OnPath | None = None
-    """None: there is no leg, it waits for one."""
     hover_nea_m: Vector | None = None
-    """Where to hold meanwhile."""
+    """Where to hold while there is no leg."""
     loiter_checked: tuple[Task, Vector] | None = None
     """Rules and hold position of the last look at the zones about a plane's circle."""
-    search: Search | None = None
     plan_id: int = 0
     """Of the newest plan request."""
     route_ne_m: tuple[tuple[float, float], ...] = ()
     """The route to the target of the newest plan."""
     progress: Progress = NO_PROGRESS
     """Towards the target, as of that plan."""
-    shortfall: Reason = Reason.NO_PLAN
-    """Why this leg has no successor (yet)."""
     refusal: Refusal | None = None
     """Why there is no plan, in the planner's own words."""
     broken: tuple[str, ...] = ()
@@ -449,45 +431,20 @@ class Flight(Struct, kw_only=True):
     """How often the vehicle was told to hold for having left its path, or not followed it."""
     troubles: int = 0
     """Holds for its position or another fault since the last completed leg."""
-    progress_at_s: float = 0.0
-    """When the reference point last moved, or the wait for a leg began."""
     sent: Setpoint | None = None
     """The last setpoint."""
     sent_at_s: float = -1e9
-    echoed_at_s: float = 0.0
-    """When the reported target last agreed with the setpoint."""
     flown: tuple[FlownSegment, ...] = ()
     """The flown path, for the backtrack."""
     way: Way = Way.OUT
     back: tuple[Leg, ...] = ()
     """What is left of the backtrack, beside the legs that are flown."""
-    planning_backtrack: Planning | None = None
     battery_told: int = 0
     """Battery warnings sent: 1, it will not last at this rate; 2, it does not last."""
     fallen_back: Reason | None = None
     """Why the mission was given up for its fallback; None: it was not."""
     refused_modes: frozenset[Mode] = frozenset()
     """Modes requested to bring the vehicle down that it did not take."""
-
-    @property
-    def leg(self) -> Leg | None:
-        """The leg that is flown."""
-        return None if self.path is None else self.path.leg
-
-    @property
-    def next_leg(self) -> Leg | None:
-        """The one after it, if that is known."""
-        return None if self.path is None else self.path.next_leg
-
-    @property
-    def reference(self) -> Reference:
-        """Where on the leg the vehicle is led."""
-        return Reference() if self.path is None else self.path.reference
-
-    @property
-    def stop(self) -> Stop | None:
-        """Where on it to stop, if not at its end."""
-        return None if self.path is None else self.path.stop
 
     @property
     def returning(self) -> bool:
@@ -498,6 +455,175 @@ class Flight(Struct, kw_only=True):
     def homeward(self) -> bool:
         """Whether a path home is planned."""
         return self.way is Way.HOME
+
+
+# --- the phases: what lives only in one of them ends with it
+
+
+class Stage(Struct, kw_only=True):
+    """A phase, with what each of them knows."""
+
+    phase: ClassVar[Phase]
+    since_s: float = 0.0
+    """When it began."""
+    asked_at_s: float = -1e9
+    """When the vehicle was last asked for something."""
+    asks: int = 0
+    """How often."""
+
+
+class Inherited(Stage, kw_only=True):
+    """Before control: what was left by the previous companion, or before a reboot."""
+
+    path: OnPath | None = None
+    """The path that it flew."""
+    landing: bool = False
+    """Whether the vehicle was being landed."""
+    sank: bool = False
+    """Whether it had taken the land mode then: leaving it was a pilot's decision."""
+
+
+@final
+class Waiting(Inherited, kw_only=True):
+    """For a vehicle."""
+
+    phase = Phase.WAITING
+    news: str = ""
+    """Text to send once there is one: what could not be restored."""
+
+
+@final
+class Preparing(Inherited, kw_only=True):
+    """On the ground or in the air."""
+
+    phase = Phase.PREPARING
+    unready: str = ""
+    """Why it is not ready any more, having waited for a go; empty: it has not."""
+
+
+@final
+class Ready(Stage, kw_only=True):
+    """Waits for a go."""
+
+    phase = Phase.READY
+
+
+@final
+class Arming(Stage, kw_only=True):
+    """And the mode that the take-off begins with."""
+
+    phase = Phase.ARMING
+    obeyed: bool = False
+    """Whether the vehicle took that mode."""
+
+
+@final
+class TakingOff(Stage, kw_only=True):
+    """By the autopilot's own take-off."""
+
+    phase = Phase.TAKING_OFF
+
+
+class Led(Stage, kw_only=True):
+    """Along a path."""
+
+    path: OnPath | None = None
+    """None: there is no leg, it waits for one."""
+    progress_at_s: float = 0.0
+    """When the reference point last moved, or the wait for a leg began."""
+    echoed_at_s: float = 0.0
+    """When the reported target last agreed with the setpoint."""
+
+
+class Flying(Led, kw_only=True):
+    """To the targets, or home by a plan."""
+
+    phase = Phase.FLYING
+    search: Search | None = None
+    shortfall: Reason = Reason.NO_PLAN
+    """Why this leg has no successor (yet)."""
+
+
+@final
+class Shadow(Flying, kw_only=True):
+    """As if it led the vehicle."""
+
+    phase = Phase.SHADOW
+
+
+@final
+class Returning(Led, kw_only=True):
+    """Along the flown path."""
+
+    phase = Phase.RETURNING
+
+
+@final
+class Holding(Stage, kw_only=True):
+    """For the state's reason."""
+
+    phase = Phase.HOLDING
+    how: Hold
+    obeyed: bool = False
+    """Whether the vehicle took the hold mode, or needs none."""
+    backtrack: Planning | None = None
+    """The request for the way back."""
+    released_at_s: float = -1e9
+    """When the operator last ordered to continue."""
+    failsafe_over: bool = False
+    """Whether the end of the failsafe that took the vehicle was reported."""
+    why: Reason | None = None
+    """What was seen to be wrong when a failsafe took it."""
+
+
+@final
+class Arrived(Stage, kw_only=True):
+    """At a target."""
+
+    phase = Phase.ARRIVED
+    backtrack: Planning | None = None
+    """The request for the way back."""
+
+
+@final
+class Landing(Stage, kw_only=True):
+    """In the autopilot's own land mode."""
+
+    phase = Phase.LANDING
+    obeyed: bool = False
+    """Whether the vehicle took it."""
+    sinks_at_s: float = 0.0
+    """When it last sank."""
+
+
+@final
+class HandingOver(Stage, kw_only=True):
+    """To the autopilot's own return."""
+
+    phase = Phase.HANDING_OVER
+
+
+@final
+class Done(Stage, kw_only=True):
+    """It has ended."""
+
+    phase = Phase.DONE
+
+
+@final
+class Faulted(Stage, kw_only=True):
+    """A part of the companion has died."""
+
+    phase = Phase.FAULTED
+
+
+STAGES: Final[dict[Phase, type[Stage]]] = {
+    each.phase: each
+    for each in (
+        *(Waiting, Preparing, Ready, Arming, TakingOff, Flying, Returning, Holding),
+        *(Arrived, Landing, HandingOver, Shadow, Done, Faulted),
+    )
+}
 
 
 @final
@@ -522,24 +648,11 @@ class Orders(Struct, frozen=True):
 class State(Struct, kw_only=True):
     """The complete state of the mission machine."""
 
-    phase: Phase = Phase.WAITING
-    since_s: float = 0.0
-    """When the phase began."""
+    stage: Stage = field(default_factory=Waiting)
+    """The phase, and what lives only in it."""
     now_s: float = 0.0
-    asked_at_s: float = -1e9
-    """Time of the last request in this phase."""
-    asks: int = 0
-    """How often, in this phase."""
-    obeyed: bool = False
-    """Whether the vehicle took the mode that this phase requested."""
     armed_by_us: bool = False
     """Whether the companion requested the arming."""
-    landing: bool = False
-    """Whether it was being landed before a reboot, or by the previous companion."""
-    sank: bool = False
-    """Whether it had taken the land mode then: leaving it was a pilot's decision."""
-    news: str = ""
-    """Text to send once there is a vehicle: what could not be restored."""
     in_control_since_s: float = math.inf
     """Since when this companion has had control in the air; long ago if it has taken off."""
     duplicate_id_at_s: float = -1e9
@@ -549,13 +662,9 @@ class State(Struct, kw_only=True):
     airborne: bool = False
     """Whether the vehicle has been in the air since the start: then it is never armed again."""
     prepared: frozenset[Item] = frozenset()
-    unready: str = ""
-    """Why it is not ready any more, having waited for a go; empty: it has not, or is."""
     orders: Orders = Orders()
     taken: bool = False
     """Whether a pilot or the autopilot has taken over, and has not handed back yet."""
-    held: Held | None = None
-    """In the phase `holding`."""
     reason: Reason | None = None
     detail: str = ""
     """Detail of the reason."""
@@ -570,9 +679,36 @@ class State(Struct, kw_only=True):
     flight: Flight
 
     @property
+    def phase(self) -> Phase:
+        """The phase by its name."""
+        return self.stage.phase
+
+    @property
     def hold(self) -> Hold | None:
         """How it is held, in the phase `holding`."""
-        return None if self.held is None else self.held.how
+        return self.stage.how if isinstance(self.stage, Holding) else None
+
+    @property
+    def path(self) -> OnPath | None:
+        """The path that is flown, or was; None: there is none, or no phase that has one."""
+        return self.stage.path if isinstance(self.stage, Led | Inherited) else None
+
+    @property
+    def leg(self) -> Leg | None:
+        """The leg that is flown."""
+        path = self.path
+        return None if path is None else path.leg
+
+    @property
+    def reference(self) -> Reference:
+        """Where on the leg the vehicle is led."""
+        path = self.path
+        return Reference() if path is None else path.reference
+
+    @property
+    def unready(self) -> str:
+        """Why it is not ready any more, having waited for a go; empty: it has not, or is."""
+        return self.stage.unready if isinstance(self.stage, Preparing) else ""
 
     @staticmethod
     def of(mission: Mission, known: KnownMap) -> "State":
@@ -584,7 +720,7 @@ class State(Struct, kw_only=True):
     @property
     def in_phase_s(self) -> float:
         """How long this phase has lasted."""
-        return self.now_s - self.since_s
+        return self.now_s - self.stage.since_s
 
     @property
     def is_silent(self) -> bool:

@@ -17,8 +17,6 @@ a dead part of the companion has ended the mission.
 
 import math
 
-from msgspec.structs import replace
-
 from companion.mission import way_back
 from companion.mission.battery import battery_runs_low, give_up_for_battery, warn_of_battery
 from companion.mission.decisions import (
@@ -41,7 +39,18 @@ from companion.mission.flying import looks_at_circle
 from companion.mission.following import come_to_rest, send_hold
 from companion.mission.health import TRUST_S
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.state import ON_SETPOINTS, Held, Hold, Orders, Reason, State, Trigger
+from companion.mission.state import (
+    ON_SETPOINTS,
+    Arrived,
+    Hold,
+    Holding,
+    Landing,
+    Orders,
+    Reason,
+    Returning,
+    State,
+    Trigger,
+)
 from companion.mission.tables import is_ours, parting, stays_down, takeover_reason, wanted_fallback
 from companion.mission.way_back import begins_at_home, home_ne_m, is_above_home
 from companion.planner.recheck import is_touched
@@ -93,7 +102,7 @@ def broken_off(state: State, reason: Reason, turn: Turn) -> None:
     if reason in (Reason.DISARMED, Reason.GROUNDED):
         return _over(state, reason, turn)
     if reason is Reason.LINK_LOST or state.hold in ON_SETPOINTS:
-        come_to_rest(state.flight)
+        come_to_rest(state)
     if reason.hold is Hold.TAKEN_OVER:
         return taken(state, turn)
     hold_for(state, reason)
@@ -101,13 +110,14 @@ def broken_off(state: State, reason: Reason, turn: Turn) -> None:
 
 def _over(state: State, how: Reason, turn: Turn) -> None:
     """End on the ground, with what was seen to lead to it."""
-    reason, taken = state.reason, state.hold is Hold.TAKEN_OVER
+    held, reason, taken = state.stage, state.reason, state.hold is Hold.TAKEN_OVER
+    assert isinstance(held, Holding)
     if reason is None or not (taken or reason.hold is Hold.MODE):
         return turn.give_up(how)
     why = None
     if reason is Reason.FAILSAFE and taken:
-        late = state.vehicle.bad_at_s > state.since_s
-        why = (state.held and state.held.why) or (state.vehicle.last_distrust if late else None)
+        late = state.vehicle.bad_at_s > state.stage.since_s
+        why = held.why or (state.vehicle.last_distrust if late else None)
     remedy = why.remedy if why else how.remedy
     detail = f": {reason.text}" + (f": {why.text}" if why else "")
     return turn.give_up(how, detail, reason.remedy if reason.hold is Hold.MODE else remedy)
@@ -121,7 +131,7 @@ def _stay_down(state: State, turn: Turn) -> None:
         return taken(state, turn)
     out = vehicle.mode not in (Mode.TAKE_OFF, Mode.GUIDED)
     down = out and not (vehicle.armed and state.armed_by_us)
-    if down and vehicle.status_at_s > state.since_s:
+    if down and vehicle.status_at_s > state.stage.since_s:
         state.reason, state.detail = order, " before it took off"
         state.remedy = "Start again to fly."
         return turn.to(Trigger.STOP)
@@ -147,21 +157,22 @@ def _while_taken_over(state: State, event: Event, turn: Turn) -> None:
     """
     if isinstance(event, Battery):
         return warn_of_battery(state, turn)
-    known, mode = state.held or Held(Hold.TAKEN_OVER), state.vehicle.mode
-    told = state.now_s - known.released_at_s < _TOLD_S
+    held, mode = state.stage, state.vehicle.mode
+    assert isinstance(held, Holding)
+    told = state.now_s - held.released_at_s < _TOLD_S
     given_back = mode is Mode.GUIDED or (told and mode is Mode.HOLD)
     if told or given_back or not _is_trusted(state):
         _take_again(state, event, turn, given_back=given_back)
-    elif known.released_at_s > 0.0:
-        state.held = replace(known, released_at_s=-1e9)
+    elif held.released_at_s > 0.0:
+        held.released_at_s = -1e9
         turn.warn("guided mode was not taken")
-    elif state.reason is Reason.FAILSAFE and not (state.vehicle.failsafe or known.failsafe_over):
-        state.held = replace(known, failsafe_over=True)
+    elif state.reason is Reason.FAILSAFE and not (state.vehicle.failsafe or held.failsafe_over):
+        held.failsafe_over = True
         turn.warn(FAILSAFE_OVER)
 
 
 def _is_trusted(state: State) -> bool:
-    return state.now_s - max(state.vehicle.bad_at_s, state.since_s) > TRUST_S
+    return state.now_s - max(state.vehicle.bad_at_s, state.stage.since_s) > TRUST_S
 
 
 def _is_elsewhere(state: State) -> bool:
@@ -177,13 +188,13 @@ def _take_again(state: State, event: Event, turn: Turn, *, given_back: bool = Tr
     requested.  A position that passes all checks but cannot have been reached is held for.
     """
     if given_back and _is_elsewhere(state):  # the previous reason is over
-        come_to_rest(state.flight)
+        come_to_rest(state)
         turn.hold(Reason.POSITION_ELSEWHERE)
         state.taken = False
     elif not _is_trusted(state):
-        come_to_rest(state.flight)
+        come_to_rest(state)
     elif state.vehicle.mode is Mode.GUIDED:
-        come_to_rest(state.flight)
+        come_to_rest(state)
         resumed(state, turn)
     elif state.hold is not Hold.STREAM_LOST:
         _ask_for_guided(state, event, turn)
@@ -198,15 +209,15 @@ def resumed(state: State, turn: Turn) -> None:
     """
     flight, wanted = state.flight, state.orders.active
     if wanted not in (None, state.reason):
-        come_to_rest(flight, state.vehicle.position_nea_m)
+        come_to_rest(state, state.vehicle.position_nea_m)
         state.taken = False
         hold_for(state, wanted)
         return
     if not flight.returning:
         return turn.to(Trigger.RESUME)
     clear = not any(is_touched(leg, 0.0, state.task) for leg in flight.back)
-    if clear and way_back.begun(state, flight) is not None:
-        return turn.to(Trigger.BACKTRACK)
+    if clear and (path := way_back.begun(state)) is not None:
+        return turn.to(Trigger.BACKTRACK, Returning(path=path))
     reason = flight.fallen_back or state.reason or Reason.NO_PLAN
     return way_back.home_by_plan(state, turn, "returning another way", reason)
 
@@ -224,7 +235,9 @@ def _hold_on_setpoints(state: State, event: Event, turn: Turn) -> None:
         return
     warn_of_battery(state, turn)
     send_hold(state, event.time_s, turn)
-    if (asked := state.flight.planning_backtrack) is None:
+    held = state.stage
+    assert isinstance(held, Holding)
+    if (asked := held.backtrack) is None:
         _end_of_hold(state, event, turn)
     elif state.now_s - asked.since_s > _ANSWER_S:
         turn.give_up(state.reason or Reason.NO_PLAN)
@@ -260,7 +273,7 @@ def _end_of_hold(state: State, event: Position, turn: Turn) -> None:
     if not on_way_back and (hold is Hold.RETURN or not tries):
         return _other_way(state, turn)
     if state.vehicle.traits.hovers and (state.reason is Reason.NEW_THREAT or not settled):
-        come_to_rest(flight)  # the band may be another one, or it does not come back
+        come_to_rest(state)  # the band may be another one, or it does not come back
     return resumed(state, turn)
 
 
@@ -295,14 +308,16 @@ def _other_way(state: State, turn: Turn) -> None:
 def _hold_in_its_own_mode(state: State, event: Event, turn: Turn) -> None:
     """The autopilot holds, until the vehicle is at rest and its position was valid for a while."""
     vehicle, mode, hovers = state.vehicle, state.vehicle.mode, state.vehicle.traits.hovers
-    taking_over, ordered = state.hold is Hold.TAKE_OVER, state.orders.active
+    held, ordered = state.stage, state.orders.active
+    assert isinstance(held, Holding)
+    taking_over = held.how is Hold.TAKE_OVER
     if state.in_phase_s > _HOLD_S or state.flight.troubles > _TROUBLES:
         return turn.to(Trigger.GIVE_UP)
     if mode is not Mode.TAKE_OFF and _is_elsewhere(state):
         return _take_again(state, event, turn)
     flies_on = hovers and mode is Mode.GUIDED  # to a target that is not known
     if mode is Mode.HOLD or (taking_over and not flies_on):
-        state.obeyed = True
+        held.obeyed = True
     stands = (
         not hovers
         or math.hypot(*vehicle.velocity_nea_m_s) < STOPPED_M_S
@@ -310,9 +325,9 @@ def _hold_in_its_own_mode(state: State, event: Event, turn: Turn) -> None:
         or state.flight.hover_nea_m is not None
     )
     doubted = vehicle.distrust is not None
-    if not state.obeyed or (mode is Mode.GUIDED and (doubted or not stands)):
-        come_to_rest(state.flight)
-        state.obeyed = False
+    if not held.obeyed or (mode is Mode.GUIDED and (doubted or not stands)):
+        come_to_rest(state)
+        held.obeyed = False
         turn.ask(SetMode(mode=Mode.HOLD))
         return
     if stands and mode is Mode.HOLD and ordered is Reason.LAND_ASKED:
@@ -323,7 +338,7 @@ def _hold_in_its_own_mode(state: State, event: Event, turn: Turn) -> None:
     if stands:
         _take_again(state, event, turn, given_back=False)
     else:
-        come_to_rest(state.flight)
+        come_to_rest(state)
 
 
 def _land_here(state: State, turn: Turn) -> None:
@@ -343,7 +358,7 @@ def _stream_here(state: State, event: Position, near_m: float, turn: Turn) -> No
     """Setpoints where it holds, or where it is by now if that is farther away."""
     hover = state.flight.hover_nea_m
     if hover is None or math.dist(hover, event.position_nea_m) > near_m:
-        come_to_rest(state.flight, event.position_nea_m)
+        come_to_rest(state, event.position_nea_m)
     send_hold(state, event.time_s, turn)
 
 
@@ -363,7 +378,7 @@ def _ask_for_guided(state: State, event: Event, turn: Turn) -> None:
 
 def arrived(state: State, event: Event, turn: Turn) -> None:
     """Stop at the target; then the next target, or the end action."""
-    flight, asked = state.flight, state.asked_at_s > state.since_s
+    flight, asked = state.flight, state.stage.asked_at_s > state.stage.since_s
     if state.vehicle.mode is Mode.HOLD and asked:
         return turn.to(Trigger.END_HOLD)
     if state.in_phase_s > _SETTLE_S + _OBEY_S:
@@ -387,7 +402,7 @@ def _end(state: State, turn: Turn) -> None:
     if flight.homeward or (action is EndAction.LAND and traits.lands):
         return turn.to(Trigger.END_LAND if traits.lands else Trigger.HAND_OVER)
     if action is EndAction.RETURN:
-        if flight.planning_backtrack is not None:
+        if isinstance(state.stage, Arrived) and state.stage.backtrack is not None:
             return
         if flight.flown:
             return way_back.request(state, turn)
@@ -398,7 +413,7 @@ def _end(state: State, turn: Turn) -> None:
             turn.to(Trigger.END_HOLD)
         return
     # an autopilot may refuse to hold about a point (its own fence): then anywhere
-    about = flight.hover_nea_m if state.asks < _ASKS_ABOUT else None
+    about = flight.hover_nea_m if state.stage.asks < _ASKS_ABOUT else None
     turn.ask(SetMode(mode=Mode.HOLD, at_nea_m=about))
 
 
@@ -459,15 +474,16 @@ def landing_words(state: State, context: Context) -> str:
 
 def landing(state: State, event: Event, turn: Turn) -> None:
     """Request the land mode until it is taken, then wait for touchdown."""
-    vehicle, flight = state.vehicle, state.flight
+    vehicle, stage = state.vehicle, state.stage
+    assert isinstance(stage, Landing)
     if vehicle.landed is Landed.ON_GROUND and not vehicle.armed:
         return turn.to(Trigger.LANDED)
     if isinstance(event, Position) and event.velocity_nea_m_s[2] < -_SINKING_M_S:
-        flight.progress_at_s = state.now_s
-    if state.now_s - flight.progress_at_s > _OBEY_S:
+        stage.sinks_at_s = state.now_s
+    if state.now_s - stage.sinks_at_s > _OBEY_S:
         return turn.give_up(Reason.NOT_OBEYING)
     if vehicle.mode is Mode.LAND:
-        state.obeyed = True
+        stage.obeyed = True
     elif is_ours(state):
         turn.ask(SetMode(mode=Mode.LAND))
     elif not state.is_grounded:  # PX4 holds without setpoints
@@ -483,7 +499,7 @@ def _broken_off(state: State, turn: Turn) -> None:
     """
     guided = state.vehicle.mode is Mode.GUIDED
     reason = Reason.PAUSED if guided else takeover_reason(state)
-    come_to_rest(state.flight, state.vehicle.position_nea_m if guided else None)
+    come_to_rest(state, state.vehicle.position_nea_m if guided else None)
     if reason is not Reason.FENCE_BREACHED:
         state.orders = Orders(Reason.PAUSED, landing_order(state))
         turn.warn(LANDING_ABORTED)
@@ -501,7 +517,7 @@ def handing_over(state: State, _event: Event, turn: Turn) -> None:
         return turn.give_up(Reason.GROUNDED if vehicle.armed else Reason.DISARMED)
     if not is_ours(state):
         return turn.give_up(takeover_reason(state))
-    if state.asks == _ASKS and state.now_s - state.asked_at_s >= ASK_AGAIN_S:
+    if state.stage.asks == _ASKS and state.now_s - state.stage.asked_at_s >= ASK_AGAIN_S:
         return turn.give_up(Reason.NOT_OBEYING)
     turn.ask(SetMode(mode=Mode.RETURN))
     return

@@ -186,7 +186,7 @@ def taken_over(of: Mission = FAR) -> Craft:
 
 def under_way(craft: Craft) -> Craft:
     """On its first leg, some kilometres on."""
-    return craft.run_until(lambda craft: craft.state.flight.reference.length_m > 2_000.0)
+    return craft.run_until(lambda craft: craft.state.reference.length_m > 2_000.0)
 
 
 def told(craft: Craft) -> None:
@@ -227,7 +227,7 @@ def test_so_does_each_autopilot(autopilot: Autopilot) -> None:
     """One that has no mode to land is led home, and then left to its own return."""
     it = Wild.calmly(autopilot.traits, fallback=Fallback.RETURN).aloft(Mode.GUIDED)
     it.here = (-250.0, 200.0, it.here[2])
-    it.run_until(lambda it: it.state.flight.reference.length_m > 60.0)
+    it.run_until(lambda it: it.state.reference.length_m > 60.0)
     it.take(Order(time_s=it.now_s, kind=OrderKind.RETURN))
     it.fly_to(Phase.DONE)
     limits = it.mission.task.limits
