@@ -6,7 +6,8 @@ from typing import TypeVar
 
 import msgspec
 
-from companion.mission.state import STAGES, Hold, Holding, Inherited, Led, State
+from companion.mission.phases import STAGES, Hold, Holding, Led, Preparing, Stage
+from companion.mission.state import State
 
 Value = TypeVar("Value")
 
@@ -16,7 +17,7 @@ def deep(state: State) -> State:
     state = copy(state)
     state.vehicle, state.flight = copy(state.vehicle), copy(state.flight)
     state.stage = copy(state.stage)
-    if isinstance(state.stage, Led | Inherited):
+    if isinstance(state.stage, Led | Preparing):
         state.stage.path = copy(state.stage.path)
     return state
 
@@ -27,10 +28,11 @@ def replace(value: Value, /, **changes: object) -> Value:
     Of a mission's state those of its phase, too; phase: another one.
     """
     if isinstance(value, State):
-        kind, stage = STAGES[changes.pop("phase", value.phase)], value.stage
-        if kind is not type(stage):
+        phase, stage = changes.pop("phase", value.phase), value.stage
+        if phase is not stage.phase:
+            kind = STAGES.get(phase, Stage)
             held = {"how": Hold.MODE} if kind is Holding else {}
-            stage = kind(since_s=stage.since_s, **held)
+            stage = kind(phase=phase, since_s=stage.since_s, **held)
         of_stage = {name: changes.pop(name) for name in [*changes] if hasattr(stage, name)}
         changes["stage"] = msgspec.structs.replace(changes.get("stage", stage), **of_stage)
     if isinstance(value, msgspec.Struct):

@@ -9,7 +9,8 @@ from companion.mission import following
 from companion.mission.decisions import Turn
 from companion.mission.events import Battery, Landed
 from companion.mission.mission import Mission
-from companion.mission.state import Reason, State, Way
+from companion.mission.phases import Reason
+from companion.mission.state import State, Way
 from companion.mission.way_back import beyond_path_m
 
 _DRAIN_S = 60.0  # before that, what the battery has lost says nothing of what it will

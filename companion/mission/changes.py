@@ -6,34 +6,13 @@ from typing import Any, Final
 
 from msgspec.structs import replace
 
-from companion.mission import events, following, ground
+from companion.mission import events, following, ground, phases
 from companion.mission.battery import battery_is_short
 from companion.mission.decisions import Turn, hold_for
 from companion.mission.events import Event, Landed, Order, OrderKind
 from companion.mission.following import come_to_rest
-from companion.mission.state import (
-    ON_PATH,
-    ON_SETPOINTS,
-    OVER,
-    Answered,
-    Flight,
-    Flying,
-    Hold,
-    Holding,
-    Inherited,
-    Landing,
-    Led,
-    Orders,
-    Phase,
-    Planning,
-    Preparing,
-    Reason,
-    State,
-    Targets,
-    Trigger,
-    Vehicle,
-    Way,
-)
+from companion.mission.phases import ON_PATH, ON_SETPOINTS, OVER, Hold, Phase, Reason, Trigger
+from companion.mission.state import Flight, Orders, State, Targets, Vehicle, Way
 from companion.mission.stopped import resumed, taken
 from companion.mission.tables import is_breach_of_fence
 from companion.mission.way_back import set_targets
@@ -236,8 +215,8 @@ def _fly_to(state: State, targets_ne_m: Targets, why: str, orders: Orders, turn:
     set_targets(state, targets_ne_m, Way.OUT)
     state.orders = orders
     state.vehicle.battery_short_at_s = flight.fallen_back = flight.refusal = None
-    if isinstance(state.stage, Flying) and isinstance(state.stage.search, Planning):
-        state.stage.search = Answered()
+    if isinstance(state.stage, phases.Flying) and isinstance(state.stage.search, phases.Planning):
+        state.stage.search = phases.Answered()
     turn.say(why)
     if state.phase in ON_PATH and targets_ne_m:
         following.stop(state, Reason.NEW_TARGET, turn)
@@ -286,7 +265,7 @@ def _go_on(state: State, turn: Turn) -> None:
     elif state.hold is Hold.PAUSED:
         turn.say("going on")
         resumed(state, turn)
-    elif isinstance(state.stage, Holding) and state.stage.how is Hold.TAKEN_OVER:
+    elif isinstance(state.stage, phases.Holding) and state.stage.how is Hold.TAKEN_OVER:
         state.stage.released_at_s = state.now_s
 
 
@@ -346,7 +325,7 @@ def _stop_for(state: State, order: Reason, turn: Turn) -> None:
 
 def _order_instead(state: State, order: Reason) -> None:
     """Held for an order: a way back that is being proven is not wanted any more."""
-    if isinstance(state.stage, Holding):
+    if isinstance(state.stage, phases.Holding):
         state.stage.backtrack = None
     hold_for(state, order)
 
@@ -382,14 +361,14 @@ def _on_reboot(state: State, _event: events.Rebooted, turn: Turn) -> None:
         if paused:
             state.orders = state.orders.paused()
     was = state.stage
-    again = Preparing()
+    again = phases.Preparing()
     if state.phase is Phase.READY or state.unready:
         again.unready = Reason.REBOOTED.text
-    if isinstance(was, Landing):  # it goes on with that, as after a restart
+    if isinstance(was, phases.Landing):  # it goes on with that, as after a restart
         again.landing, again.sank = True, was.obeyed
-    elif isinstance(was, Preparing):
+    elif isinstance(was, phases.Preparing):
         again.landing, again.sank = was.landing, was.sank
-    if isinstance(was, Led | Inherited):
+    if isinstance(was, phases.Led | phases.Preparing):
         was.path = None
     state.flight = Flight(
         known=flight.known,

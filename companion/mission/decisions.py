@@ -8,10 +8,12 @@ import math
 from dataclasses import dataclass, field
 from typing import final
 
+from companion.mission import phases
 from companion.mission.events import Command, Position, StatusText
 from companion.mission.health import astray_m, may_differ_m
 from companion.mission.mission import Mission
-from companion.mission.state import Holding, Reason, Stage, State, Trigger
+from companion.mission.phases import Reason, Trigger
+from companion.mission.state import State
 from companion.path.certificate import bounds_text
 from companion.planner.request import Refusal
 
@@ -52,12 +54,12 @@ class Turn:
     """In the order in which they are carried out."""
     trigger: Trigger | None = None
     """What has happened; None: the phase goes on."""
-    stage: Stage | None = None
+    stage: phases.Stage | None = None
     """The phase after it, where that begins with something known."""
     is_left: bool = False
     """Whether the phase decides although the event has a handler of its own."""
 
-    def to(self, trigger: Trigger, stage: Stage | None = None) -> None:
+    def to(self, trigger: Trigger, stage: phases.Stage | None = None) -> None:
         """The phase is over; stage: the next one, unless it begins with nothing known."""
         self.trigger, self.stage = trigger, stage
 
@@ -170,10 +172,10 @@ def seen_cause(state: State) -> Reason | None:
 def hold_for(state: State, reason: Reason) -> None:
     """Held for this reason from now on; what is known of who has it is kept as long as he has."""
     held = state.stage
-    if not isinstance(held, Holding):
-        held = Holding(how=reason.hold)
+    if not isinstance(held, phases.Holding):
+        held = phases.Holding(how=reason.hold)
     elif held.how is not reason.hold:
-        held = Holding(how=reason.hold, backtrack=held.backtrack)
+        held = phases.Holding(how=reason.hold, backtrack=held.backtrack)
     if held is not state.stage and reason is Reason.FAILSAFE:
         held.why = seen_cause(state)
     held.since_s, held.asked_at_s, held.asks, held.obeyed = state.now_s, -1e9, 0, False

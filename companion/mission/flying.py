@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from companion.mission import following, way_back
+from companion.mission import following, phases, way_back
 from companion.mission.battery import battery_runs_low, give_up_for_battery, warn_of_battery
 from companion.mission.decisions import (
     AT_M,
@@ -30,19 +30,8 @@ from companion.mission.events import (
 )
 from companion.mission.following import come_to_rest, rest_at_end, send_hold
 from companion.mission.health import TRUST_S
-from companion.mission.state import (
-    Answered,
-    Flying,
-    Led,
-    OnPath,
-    Planning,
-    Reason,
-    Scanning,
-    Shadow,
-    State,
-    Trigger,
-    Way,
-)
+from companion.mission.phases import OnPath, Phase, Reason, Trigger
+from companion.mission.state import State, Way
 from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle
 from companion.planner.progress import NO_PROGRESS
 from companion.planner.request import NotPlanned, Planned, PlanRequest
@@ -63,19 +52,16 @@ _ARRIVED_M = 30.0
 _MORE_SCANS = 2  # from rest, if the radar has left something out
 
 
-def on_path(state: State, event: Event, turn: Turn) -> None:
-    """Flying and returning: follow the leg, or hold while there is none."""
-    stage = state.stage
-    assert isinstance(stage, Led)
-    outward = isinstance(stage, Flying)
+def on_path(state: State, stage: phases.Led, event: Event, turn: Turn) -> None:
+    """phases.Flying and returning: follow the leg, or hold while there is none."""
     if not isinstance(event, Position):
-        if outward:
-            on_answer(state, event, turn)
+        if isinstance(stage, phases.Flying):
+            on_answer(state, stage, event, turn)
         return
     if stage.path is None and looks_at_circle(state, turn):
         return
     # perhaps: it has to last a while
-    is_short = outward and state.vehicle.battery_short_at_s is not None
+    is_short = state.phase is Phase.FLYING and state.vehicle.battery_short_at_s is not None
     if is_short and battery_runs_low(state):
         give_up_for_battery(state)
         following.stop(state, Reason.BATTERY_LOW, turn)
@@ -87,15 +73,13 @@ def on_path(state: State, event: Event, turn: Turn) -> None:
         return
     warn_of_battery(state, turn)
     if stage.path is None:
-        assert isinstance(stage, Flying)  # what returns has a path
+        assert isinstance(stage, phases.Flying)  # what returns has a path
         return _hover(state, stage, event, turn)
     return _lead(state, stage, stage.path, event, turn)
 
 
-def on_answer(state: State, event: Event, turn: Turn) -> None:
+def on_answer(state: State, stage: phases.Flying, event: Event, turn: Turn) -> None:
     """What radar and planner have found."""
-    stage = state.stage
-    assert isinstance(stage, Flying)
     match event:
         case ScanDone():
             return _on_scan(state, stage, event, turn)
@@ -124,7 +108,7 @@ def looks_at_circle(state: State, turn: Turn) -> bool:
     return True
 
 
-def _lead(state: State, stage: Led, path: OnPath, event: Position, turn: Turn) -> None:
+def _lead(state: State, stage: phases.Led, path: OnPath, event: Position, turn: Turn) -> None:
     """Advance the reference point and send it; on the way out scan at p_scan."""
     leg, hovers = path.leg, state.vehicle.traits.hovers
     if path.circling and following.still_loiters(state, path, event):
@@ -147,8 +131,9 @@ def _lead(state: State, stage: Led, path: OnPath, event: Position, turn: Turn) -
     at_m, speed = path.reference.length_m, 0.0
     if not hovers:
         speed = math.hypot(*event.velocity_nea_m_s[:2])
-    looks = path.stop is None and not returns and isinstance(stage, Flying)
-    if looks and stage.search is None and path.leg.wants_successor(at_m, state.task, speed):
+    if path.stop is not None or returns or not isinstance(stage, phases.Flying):
+        return
+    if stage.search is None and path.leg.wants_successor(at_m, state.task, speed):
         start_scan(stage, path.leg.subpath.pose(at_m).point_nea_m, turn)
 
 
@@ -164,7 +149,7 @@ def _leaves_path(state: State, path: OnPath, event: Position, turn: Turn) -> Rea
     return departs
 
 
-def _circle(state: State, stage: Led, event: Position, turn: Turn) -> None:
+def _circle(state: State, stage: phases.Led, event: Position, turn: Turn) -> None:
     """Stay on the circle until its tangent points along the path, once in each turn."""
     limits = state.task.limits
     turn_s = 2.0 * math.pi * limits.loiter_radius_m / limits.speed_m_s
@@ -173,20 +158,20 @@ def _circle(state: State, stage: Led, event: Position, turn: Turn) -> None:
     send_hold(state, event.time_s, turn)
 
 
-def _at_its_end(state: State, stage: Led, path: OnPath, turn: Turn) -> None:
+def _at_its_end(state: State, stage: phases.Led, path: OnPath, turn: Turn) -> None:
     """At rest at the end of the leg, or at the stop before it."""
     flight, stop = state.flight, path.stop
     if stop is None and path.leg.reaches_target:
         rest_at_end(state)
         return turn.to(Trigger.TARGET_REACHED)
-    shortfall = stage.shortfall if isinstance(stage, Flying) else Reason.NO_PLAN
+    shortfall = stage.shortfall if isinstance(stage, phases.Flying) else Reason.NO_PLAN
     reason = shortfall if stop is None else stop.reason
     flight.stops += stop is None or reason is Reason.BESIDE_PATH
     rest_at_end(state)
     return turn.fault(reason)
 
 
-def _end_of_way(state: State, stage: Led, path: OnPath, turn: Turn) -> None:
+def _end_of_way(state: State, stage: phases.Led, path: OnPath, turn: Turn) -> None:
     """At the end of a stretch of the way back, or at a stop before it."""
     if path.stop is not None:
         way_back.leave_path(state)
@@ -213,10 +198,10 @@ def _depart(state: State, reason: Reason, turn: Turn) -> None:
 # --- scans and plans
 
 
-def _on_scan(state: State, stage: Flying, event: ScanDone, turn: Turn) -> None:
+def _on_scan(state: State, stage: phases.Flying, event: ScanDone, turn: Turn) -> None:
     """Ask for the next subpath on the map that the scan has completed."""
     flight, scanning, context = state.flight, stage.search, turn.context
-    if not isinstance(scanning, Scanning):
+    if not isinstance(scanning, phases.Scanning):
         return
     path = stage.path
     at_rest_here = path is None and not context.shadow
@@ -225,7 +210,7 @@ def _on_scan(state: State, stage: Flying, event: ScanDone, turn: Turn) -> None:
         stage.progress_at_s = state.now_s
         start_scan(stage, scanning.from_nea_m, turn, scanning.again + 1)
         return
-    stage.search = Answered()
+    stage.search = phases.Answered()
     if event.asked and not event.answered and not scanning.again:
         if context.mission.near is not None:
             return _no_successor(state, stage, Reason.SENSOR_SILENT, turn)
@@ -252,7 +237,7 @@ def _on_scan(state: State, stage: Flying, event: ScanDone, turn: Turn) -> None:
         rest=rest,
         attempt=flight.failures,
     )
-    stage.search = Planning(task)
+    stage.search = phases.Planning(task)
     turn.do(Plan(request=request, due_s=event.time_s + request.time_s))
 
 
@@ -267,15 +252,15 @@ def _warn_of_scan(state: State, event: ScanDone, turn: Turn) -> None:
         turn.warn(f"radar sees {seen_m / 1000:.1f} km of R = {wanted_m / 1000:.1f} km")
 
 
-def _on_plan(state: State, stage: Flying, event: PlanReady, turn: Turn) -> None:
+def _on_plan(state: State, stage: phases.Flying, event: PlanReady, turn: Turn) -> None:
     """Accept the next subpath, or note why there is none."""
     flight, outcome, planning = state.flight, event.outcome, stage.search
-    if outcome.plan_id != flight.plan_id or not isinstance(planning, Planning):
+    if outcome.plan_id != flight.plan_id or not isinstance(planning, phases.Planning):
         return None  # the answer to a question that is no longer asked
     if planning.rules is not state.task:  # the rules have changed: it is asked for again
         stage.search = None
         return
-    stage.search = Answered()
+    stage.search = phases.Answered()
     verified = state.task.settings.profile.verified
     if not isinstance(outcome, Planned) or (verified and not outcome.certificate.proven):
         was, flight.refusal = flight.refusal, None
@@ -298,7 +283,7 @@ def _on_plan(state: State, stage: Flying, event: PlanReady, turn: Turn) -> None:
     turn.say(f"subpath {number}: {margin_m:.0f} m clear, cost {outcome.cost:.2f}", "plan")
 
 
-def _accept(state: State, stage: Flying, planned: Planned) -> None:
+def _accept(state: State, stage: phases.Flying, planned: Planned) -> None:
     """Fly it next, or at once if there is no leg."""
     flight, hovers, reaches = state.flight, state.vehicle.traits.hovers, planned.reaches_target
     leg = Leg.of(planned, flight.legs_flown + 1, state.task)
@@ -316,7 +301,7 @@ def _accept(state: State, stage: Flying, planned: Planned) -> None:
     flight.legs_flown += 1
 
 
-def _no_successor(state: State, stage: Flying, reason: Reason, turn: Turn) -> None:
+def _no_successor(state: State, stage: phases.Flying, reason: Reason, turn: Turn) -> None:
     """Without a successor a leg is flown to its end; without a leg the vehicle holds now."""
     flight = state.flight
     stage.shortfall = reason
@@ -328,16 +313,16 @@ def _no_successor(state: State, stage: Flying, reason: Reason, turn: Turn) -> No
     return turn.fault(reason)
 
 
-def start_scan(stage: Flying, centre_nea_m: Vector, turn: Turn, again: int = 0) -> None:
+def start_scan(stage: phases.Flying, centre_nea_m: Vector, turn: Turn, again: int = 0) -> None:
     """Start a scan around a point."""
-    stage.search = Scanning(centre_nea_m, again)
+    stage.search = phases.Scanning(centre_nea_m, again)
     turn.do(StartScan(centre_nea_m=centre_nea_m))
 
 
 # --- waiting for a leg
 
 
-def _hover(state: State, stage: Flying, event: Position, turn: Turn) -> None:
+def _hover(state: State, stage: phases.Flying, event: Position, turn: Turn) -> None:
     """Hold while waiting for a leg: here, or straight above at the take-off height."""
     flight, settings = state.flight, state.task.settings
     here = flight.hover_nea_m or _waiting_place(state, event, turn.context)
@@ -401,10 +386,9 @@ def _is_there(state: State, event: Position, here: Vector) -> bool:
 # successors follow as in flight.  When it does not, the next leg begins where it went.
 
 
-def shadow(state: State, event: Event, turn: Turn) -> None:
+def shadow(state: State, stage: phases.Flying, event: Event, turn: Turn) -> None:
     """What would be done now."""
-    stage, reason = state.stage, state.vehicle.distrust
-    assert isinstance(stage, Shadow)
+    reason = state.vehicle.distrust
     if reason is None and state.now_s - state.vehicle.bad_at_s < TRUST_S:
         reason = state.reason  # good again, but not for long enough to go on
     if reason is not state.reason:
@@ -419,10 +403,10 @@ def shadow(state: State, event: Event, turn: Turn) -> None:
     elif isinstance(event, Position):
         _watch(state, stage, event, turn)
     else:
-        on_answer(state, event, turn)
+        on_answer(state, stage, event, turn)
 
 
-def _watch(state: State, stage: Shadow, event: Position, turn: Turn) -> None:
+def _watch(state: State, stage: phases.Flying, event: Position, turn: Turn) -> None:
     """Follow the vehicle along the leg that was planned, or plan one from where it is."""
     flight, here, path = state.flight, event.position_nea_m, stage.path
     tracking_error_m = state.task.limits.tracking_error_m
@@ -443,7 +427,7 @@ def _watch(state: State, stage: Shadow, event: Position, turn: Turn) -> None:
         start_scan(stage, here, turn)
 
 
-def _watch_leg(state: State, stage: Shadow, path: OnPath, at_m: float, turn: Turn) -> None:
+def _watch_leg(state: State, stage: phases.Flying, path: OnPath, at_m: float, turn: Turn) -> None:
     """The vehicle is on the leg: scan at p_scan, go over at p_prog."""
     task, leg = state.task, path.leg
     length_m = max(path.reference.length_m, at_m)

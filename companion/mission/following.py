@@ -9,20 +9,11 @@ from copy import copy
 
 import numpy as np
 
+from companion.mission import phases
 from companion.mission.decisions import Turn
 from companion.mission.events import Position, Setpoint, Vector
-from companion.mission.state import (
-    Answered,
-    Arrived,
-    Flying,
-    Holding,
-    Inherited,
-    Led,
-    OnPath,
-    Reason,
-    State,
-    Stop,
-)
+from companion.mission.phases import OnPath, Reason
+from companion.mission.state import State
 from companion.path.envelope import ending_m_s, slowing_m
 from companion.planner import join
 from companion.planner.loiter_search import Motion, loiter_point
@@ -117,13 +108,13 @@ def advance_reference(state: State, path: OnPath, event: Position) -> None:
 
 def _note_progress(state: State) -> None:
     """The reference point moves."""
-    if isinstance(state.stage, Led):
+    if isinstance(state.stage, phases.Led):
         state.stage.progress_at_s = state.now_s
 
 
 def _unechoed_s(state: State) -> float:
     """How long the reported target has disagreed with the setpoints."""
-    return state.now_s - state.stage.echoed_at_s if isinstance(state.stage, Led) else 0.0
+    return state.now_s - state.stage.echoed_at_s if isinstance(state.stage, phases.Led) else 0.0
 
 
 def is_on_path(state: State, path: OnPath, event: Position) -> bool:
@@ -216,7 +207,7 @@ def still_loiters(state: State, path: OnPath, event: Position) -> bool:
 def take_echo(state: State) -> None:
     """After a target report: note when it last agreed with the setpoints, or was absent."""
     stage, echo, limits = state.stage, state.vehicle.echo_nea_m, state.task.limits
-    if not isinstance(stage, Led):
+    if not isinstance(stage, phases.Led):
         return
     allowed_m = max(1.5 * limits.speed_m_s, 2.0 * limits.tracking_error_m)
     if not limits.hovers:
@@ -324,9 +315,9 @@ def stop(state: State, reason: Reason, turn: Turn) -> None:
     if path.stop is not None:
         stop_at_m = min(stop_at_m, path.stop.at_m)
     requeue_backtrack(state, path.next_leg)
-    path.stop, path.next_leg = Stop(stop_at_m, reason), None
-    if isinstance(state.stage, Flying):
-        state.stage.search = Answered()
+    path.stop, path.next_leg = phases.Stop(stop_at_m, reason), None
+    if isinstance(state.stage, phases.Flying):
+        state.stage.search = phases.Answered()
 
 
 def requeue_backtrack(state: State, *legs: Leg | None) -> None:
@@ -344,11 +335,11 @@ def come_to_rest(state: State, hover_nea_m: Vector | None = None) -> None:
     stage, path = state.stage, state.path
     if path is not None:
         note_flown(state, path, path.reference.length_m)
-    if isinstance(stage, Led | Inherited):
+    if isinstance(stage, phases.Led | phases.Preparing):
         stage.path = None
-    if isinstance(stage, Flying):
+    if isinstance(stage, phases.Flying):
         stage.search = None
-    elif isinstance(stage, Holding | Arrived):
+    elif isinstance(stage, phases.Stopped):
         stage.backtrack = None
     state.flight.hover_nea_m = hover_nea_m
 
@@ -452,7 +443,7 @@ def switch_to_next_leg(state: State, path: OnPath, task: Task) -> None:
     path.leg, path.next_leg, path.joined_m = path.next_leg, None, 0.0
     length_m = max(reference.length_m - over_at_m, 0.0)
     path.reference = Reference(length_m=length_m, speed_m_s=reference.speed_m_s)
-    if isinstance(state.stage, Flying):
+    if isinstance(state.stage, phases.Flying):
         state.stage.search, state.stage.shortfall = None, Reason.NO_PLAN
     state.flight.troubles = 0
     state.flight.legs_flown += 1

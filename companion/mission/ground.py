@@ -6,9 +6,10 @@ Each wait has an end, but for that of a vehicle that is ready: somebody has to s
 import math
 
 import numpy as np
+from msgspec.structs import replace
 
 from companion.geodesy import FloatArray
-from companion.mission import events, following, way_back
+from companion.mission import events, following, phases, way_back
 from companion.mission.battery import battery_lasts
 from companion.mission.decisions import (
     AT_M,
@@ -19,18 +20,8 @@ from companion.mission.decisions import (
     landing_order,
 )
 from companion.mission.events import Event, Item, Landed, LinkLost, Mode, Position, Vector
-from companion.mission.state import (
-    Answered,
-    Arming,
-    Flying,
-    Inherited,
-    Orders,
-    Phase,
-    Preparing,
-    Reason,
-    State,
-    Trigger,
-)
+from companion.mission.phases import Phase, Reason, Trigger
+from companion.mission.state import Orders, State
 from companion.mission.tables import takeover_reason
 from companion.mission.vehicle_traits import TakeoffSequence
 from companion.planner.procedure import Reference
@@ -50,20 +41,16 @@ _LEAST_M = 1.0  # as near as an altitude is told, of a take-off that hardly clim
 _LEVEL_M_S = 1.0
 
 
-def waiting(state: State, event: Event, turn: Turn) -> None:
+def waiting(_state: State, left: phases.Preparing, event: Event, turn: Turn) -> None:
     """Wait for a matching autopilot; the runtime decides how long."""
     if isinstance(event, events.VehicleFound):
         if event.traits is None:
             turn.give_up(Reason.WRONG_VEHICLE, f": {event.name}")
         else:
-            left = state.stage
-            assert isinstance(left, Inherited)
-            path, left.path = left.path, None
-            preparing = Preparing(path=path, landing=left.landing, sank=left.sank)
-            turn.to(Trigger.VEHICLE_FOUND, preparing)
+            turn.to(Trigger.VEHICLE_FOUND, replace(left, phase=Phase.PREPARING))
 
 
-def preparing(state: State, event: Event, turn: Turn) -> None:
+def preparing(state: State, stage: phases.Preparing, event: Event, turn: Turn) -> None:
     """Wait for a valid position, home, parameters and fence, on the ground or in flight.
 
     After a restart in the air, preparations of the previous companion are not repeated.
@@ -72,9 +59,9 @@ def preparing(state: State, event: Event, turn: Turn) -> None:
     asked_for = state.prepared.issuperset(_ASKED_FOR)
     if not context.shadow and isinstance(event, events.Prepared) and event.refusal:
         return _refuses(state, event, turn)
-    if state.unready and vehicle.armed:
+    if stage.unready and vehicle.armed:
         return turn.give_up(Reason.ARMED_ALREADY)  # it is not taken over in the air unasked
-    if state.in_phase_s > _PREPARE_S and not state.unready:
+    if state.in_phase_s > _PREPARE_S and not stage.unready:
         missing = _missing(state)
         return turn.give_up(Reason.NOT_READY, missing and f": {missing}")
     if state.is_silent:
@@ -87,14 +74,14 @@ def preparing(state: State, event: Event, turn: Turn) -> None:
         return turn.give_up(Reason.NOT_ALONE)
     if not state.has_had_control and _may_not_be_alone(state):
         return
-    if isinstance(state.stage, Preparing) and state.stage.landing:
-        return _landing_goes_on(state, state.stage, turn)
+    if stage.landing:
+        return _landing_goes_on(state, stage, turn)
     if vehicle.distrust is not None:
         unled = _is_flying(state) and vehicle.mode is Mode.GUIDED
         if unled and state.in_phase_s > _UNLED_S:
             turn.ask(events.SetMode(mode=Mode.HOLD))
     elif _is_flying(state):
-        _in_flight(state, turn)
+        _in_flight(state, stage, turn)
     elif vehicle.landed is Landed.ON_GROUND and vehicle.home_nea_m is not None and asked_for:
         _on_ground(state, turn)
 
@@ -127,7 +114,7 @@ def _on_ground(state: State, turn: Turn) -> None:
         turn.give_up(Reason.NOT_READY, ": armed before a restart, and no go since")
 
 
-def ready(state: State, event: Event, turn: Turn) -> None:
+def ready(state: State, _: phases.Stage, event: Event, turn: Turn) -> None:
     """Wait for somebody to say go, for as long as it takes; the checks have to go on passing."""
     if state.is_second_companion:
         turn.give_up(Reason.NOT_ALONE)
@@ -167,8 +154,8 @@ def _unready(state: State, why: str, turn: Turn) -> None:
     if state.phase is Phase.READY:
         turn.warn(f"not ready any more: {why}", "phase")
         state.prepared -= {Item.CHECKS}
-        turn.to(Trigger.UNREADY, Preparing(unready=why))
-    elif isinstance(state.stage, Preparing) and why != state.unready:
+        turn.to(Trigger.UNREADY, phases.Preparing(unready=why))
+    elif isinstance(state.stage, phases.Preparing) and why != state.unready:
         turn.warn(f"not ready: {why}", "phase")
         state.stage.unready = why
 
@@ -196,7 +183,7 @@ def on_duplicate_id(state: State, event: events.DuplicateId, turn: Turn) -> None
         turn.warn(f"{Reason.NOT_ALONE.text}: end it")
 
 
-def _landing_goes_on(state: State, stage: Preparing, turn: Turn) -> None:
+def _landing_goes_on(state: State, stage: phases.Preparing, turn: Turn) -> None:
     """Complete a landing that was begun before a reboot, or by the previous companion."""
     vehicle = state.vehicle
     if vehicle.landed is Landed.ON_GROUND and not vehicle.armed:
@@ -242,10 +229,9 @@ def _refused(state: State, context: Context) -> Reason | None:
     return None if battery_lasts(state, context.mission) else Reason.BATTERY_SHORT
 
 
-def _in_flight(state: State, turn: Turn) -> None:
+def _in_flight(state: State, stage: phases.Preparing, turn: Turn) -> None:
     """Take over in the air: rejoin the path of the previous companion, or stop first."""
-    stage, path, here = state.stage, state.path, state.vehicle.position_nea_m
-    assert isinstance(stage, Preparing)
+    path, here = stage.path, state.vehicle.position_nea_m
     mode, ours = state.vehicle.mode, (Mode.GUIDED, Mode.HOLD)
     if path is None and not state.prepared.issuperset(_ASKED_FOR):
         return
@@ -259,20 +245,19 @@ def _in_flight(state: State, turn: Turn) -> None:
         led = mode in ours and not state.taken
         state.reason = Reason.TAKING_OVER if led else takeover_reason(state)
         return way_back.leave_path(state)
-    asked = state.stage.asks > 0  # to hold: it may do so by now
+    asked = stage.asks > 0  # to hold: it may do so by now
     if mode is Mode.GUIDED and not asked:
         joined = following.joined(state, path)
         if joined is not None:
-            stage.path, search = None, None if joined.next_leg is None else Answered()
-            return turn.to(Trigger.TAKE_OVER, Flying(path=joined, search=search))
+            stage.path, search = None, None if joined.next_leg is None else phases.Answered()
+            return turn.to(Trigger.TAKE_OVER, phases.Flying(path=joined, search=search))
     ours_or_up = mode in (*ours, Mode.TAKE_OFF)
     state.reason = Reason.TAKING_OVER if ours_or_up else takeover_reason(state)
 
 
-def arming(state: State, _event: Event, turn: Turn) -> None:
+def arming(state: State, stage: phases.Arming, _event: Event, turn: Turn) -> None:
     """Request the first mode of the take-off sequence, then arming, once a second."""
-    vehicle, traits, stage = state.vehicle, state.vehicle.traits, state.stage
-    assert isinstance(stage, Arming)
+    vehicle, traits = state.vehicle, state.vehicle.traits
     if state.is_duplicate_suspected:
         return
     first = Mode.GUIDED if traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB else Mode.TAKE_OFF
@@ -296,7 +281,7 @@ def arming(state: State, _event: Event, turn: Turn) -> None:
         turn.ask(events.SetMode(mode=first))
 
 
-def taking_off(state: State, event: Event, turn: Turn) -> None:
+def taking_off(state: State, _: phases.Stage, event: Event, turn: Turn) -> None:
     """Wait until it is at the floor of the band; request the climb if that comes after arming.
 
     An autopilot with a take-off mode holds after it, and is then taken over.

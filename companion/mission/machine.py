@@ -10,7 +10,7 @@ from collections.abc import Callable
 from copy import copy
 from typing import Any, Final
 
-from companion.mission import changes, events, flying, following, ground, stopped, way_back
+from companion.mission import changes, events, flying, following, ground, phases, stopped, way_back
 from companion.mission.battery import take_battery
 from companion.mission.decisions import (
     Context,
@@ -21,24 +21,8 @@ from companion.mission.decisions import (
 )
 from companion.mission.events import Command, End, Event, Landed, Mode, Outcome, SetMode
 from companion.mission.health import distrust, take_distrust, take_position
-from companion.mission.state import (
-    HEARTBEAT_S,
-    IN_AIR,
-    ON_GROUND,
-    OVER,
-    STAGES,
-    Hold,
-    Holding,
-    Inherited,
-    Landing,
-    Led,
-    Orders,
-    Phase,
-    Reason,
-    State,
-    Trigger,
-    Waiting,
-)
+from companion.mission.phases import IN_AIR, ON_GROUND, OVER, Hold, Phase, Reason, Trigger
+from companion.mission.state import HEARTBEAT_S, Orders, State
 from companion.mission.tables import fall_back, fault_of, parting
 from companion.mission.vehicle_traits import UNKNOWN
 
@@ -57,7 +41,7 @@ def step(before: State, event: Event, context: Context) -> tuple[State, list[Com
     state = copy(before)
     state.vehicle, state.flight = copy(before.vehicle), copy(before.flight)
     state.stage = stage = copy(before.stage)
-    if isinstance(stage, Led | Inherited):
+    if isinstance(stage, phases.Led | phases.Preparing):
         stage.path = copy(stage.path)
     vehicle, now_s = state.vehicle, max(before.now_s, event.time_s)
     turn, limits = Turn(state, context), state.task.limits
@@ -81,7 +65,7 @@ def step(before: State, event: Event, context: Context) -> tuple[State, list[Com
         and vehicle.landed is Landed.IN_AIR
         and vehicle.distrust is None
         and now_s - vehicle.status_at_s <= HEARTBEAT_S
-        and not isinstance(stage, Holding)
+        and not isinstance(stage, phases.Holding)
         and in_any_phase is None
     )
     if in_any_phase is None or turn.is_left:
@@ -89,7 +73,7 @@ def step(before: State, event: Event, context: Context) -> tuple[State, list[Com
         if reason is not None:
             _break_off(state, reason, turn)
         else:
-            IN_PHASE[state.phase](state, event, turn)
+            IN_PHASE[state.phase](state, state.stage, event, turn)
     if turn.trigger is Trigger.GIVE_UP and not context.shadow:
         fall_back(state, turn)
     if turn.trigger is not None and state.phase in turn.trigger.origins:
@@ -197,7 +181,7 @@ _IN_ANY_PHASE: Final[dict[type[Event], Callable[[State, Any, Turn], None]]] = {
 }
 """Handlers of events in any phase; some leave it to the phase (`Turn.is_left`)."""
 
-IN_PHASE: Final[dict[Phase, Callable[[State, Event, Turn], None]]] = {
+IN_PHASE: Final[dict[Phase, Callable[[State, Any, Event, Turn], None]]] = {
     Phase.WAITING: ground.waiting,
     Phase.PREPARING: ground.preparing,
     Phase.READY: ground.ready,
@@ -211,7 +195,7 @@ IN_PHASE: Final[dict[Phase, Callable[[State, Event, Turn], None]]] = {
     Phase.HANDING_OVER: stopped.handing_over,
     Phase.SHADOW: flying.shadow,
 }
-"""The handler of each phase; a mission that is over ignores events."""
+"""The handler of each phase, of state and stage; a mission that is over ignores events."""
 
 
 def _enter(state: State, trigger: Trigger, turn: Turn) -> None:
@@ -221,13 +205,14 @@ def _enter(state: State, trigger: Trigger, turn: Turn) -> None:
         if not (context.shadow or trigger in _AS_IT_SHOULD):
             turn.do(*parting(state, stopped=trigger is Trigger.STOP))
         turn.do(_end_of(state, trigger))
-    if isinstance(was, Led | Inherited) and was.path is not None:  # broken off on it
-        following.note_flown(state, was.path, was.path.reference.length_m)
     if phase is Phase.HOLDING:
         hold_for(state, state.reason or Reason.NO_PLAN)
     else:
-        state.stage = turn.stage or STAGES[phase]()
+        state.stage = turn.stage or phases.STAGES.get(phase, phases.Stage)(phase=phase)
     state.stage.since_s = state.now_s
+    left = was.path if isinstance(was, phases.Led | phases.Preparing) else None
+    if left is not None and state.path is not left:  # broken off on it
+        following.note_flown(state, left, left.reference.length_m)
     if phase in IN_AIR:
         since_s = state.now_s if was.phase is Phase.PREPARING else -1e9
         state.in_control_since_s = min(state.in_control_since_s, since_s)
@@ -238,9 +223,11 @@ def _enter(state: State, trigger: Trigger, turn: Turn) -> None:
         case Phase.PREPARING if trigger is not Trigger.UNREADY:
             turn.do(events.RequestStreams())
             turn.say(f"mission {context.mission.name}")
-            news = was.news if isinstance(was, Waiting) else ""
-            for text in filter(None, (stopped.landing_words(state, context), news)):
+            stage = state.stage
+            assert isinstance(stage, phases.Preparing)
+            for text in filter(None, (stopped.landing_words(state, context), stage.news)):
                 turn.warn(text)
+            stage.news = ""
         case Phase.FLYING | Phase.LANDING | Phase.RETURNING:
             _set_out(state, turn)
         case Phase.HOLDING:
@@ -254,9 +241,9 @@ def _enter(state: State, trigger: Trigger, turn: Turn) -> None:
 def _set_out(state: State, turn: Turn) -> None:
     """To fly, back or on, or to land."""
     state.reason, state.taken = None, False
-    if isinstance(state.stage, Led):
+    if isinstance(state.stage, phases.Led):
         state.stage.progress_at_s = state.stage.echoed_at_s = state.now_s
-    elif isinstance(state.stage, Landing):
+    elif isinstance(state.stage, phases.Landing):
         state.stage.sinks_at_s = state.now_s
     if state.phase is not Phase.FLYING:
         state.orders = Orders()

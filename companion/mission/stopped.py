@@ -17,7 +17,7 @@ a dead part of the companion has ended the mission.
 
 import math
 
-from companion.mission import way_back
+from companion.mission import phases, way_back
 from companion.mission.battery import battery_runs_low, give_up_for_battery, warn_of_battery
 from companion.mission.decisions import (
     ASK_AGAIN_S,
@@ -39,18 +39,8 @@ from companion.mission.flying import looks_at_circle
 from companion.mission.following import come_to_rest, send_hold
 from companion.mission.health import TRUST_S
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.state import (
-    ON_SETPOINTS,
-    Arrived,
-    Hold,
-    Holding,
-    Landing,
-    Orders,
-    Reason,
-    Returning,
-    State,
-    Trigger,
-)
+from companion.mission.phases import ON_SETPOINTS, Hold, Reason, Trigger
+from companion.mission.state import Orders, State
 from companion.mission.tables import is_ours, parting, stays_down, takeover_reason, wanted_fallback
 from companion.mission.way_back import begins_at_home, home_ne_m, is_above_home
 from companion.planner.recheck import is_touched
@@ -78,23 +68,23 @@ _LANDS_WITHIN = 1.5  # loiter radii
 _ASKS = 5  # in vain, once a second
 
 
-def holding(state: State, event: Event, turn: Turn) -> None:
+def holding(state: State, held: phases.Holding, event: Event, turn: Turn) -> None:
     """Stop as the reason allows, and continue when it is gone."""
     if stays_down(state):
         return _stay_down(state, turn)
     if isinstance(event, Position) and looks_at_circle(state, turn):
         return
-    match state.hold:
+    match held.how:
         case Hold.REPLAN | Hold.PAUSED | Hold.RETURN | Hold.LAND:
-            return _hold_on_setpoints(state, event, turn)
+            return _hold_on_setpoints(state, held, event, turn)
         case Hold.STREAM_LOST:
             return _take_again(state, event, turn)
         case Hold.TAKEN_OVER | Hold.GROUNDED:
-            return _while_taken_over(state, event, turn)
+            return _while_taken_over(state, held, event, turn)
         case Hold.SILENT:
             return _heard_again(state, event, turn)
         case _:
-            return _hold_in_its_own_mode(state, event, turn)
+            return _hold_in_its_own_mode(state, held, event, turn)
 
 
 def broken_off(state: State, reason: Reason, turn: Turn) -> None:
@@ -111,7 +101,7 @@ def broken_off(state: State, reason: Reason, turn: Turn) -> None:
 def _over(state: State, how: Reason, turn: Turn) -> None:
     """End on the ground, with what was seen to lead to it."""
     held, reason, taken = state.stage, state.reason, state.hold is Hold.TAKEN_OVER
-    assert isinstance(held, Holding)
+    assert isinstance(held, phases.Holding)
     if reason is None or not (taken or reason.hold is Hold.MODE):
         return turn.give_up(how)
     why = None
@@ -150,15 +140,14 @@ def _heard_again(state: State, event: Event, turn: Turn) -> None:
         turn.to(Trigger.PREPARE_AGAIN)
 
 
-def _while_taken_over(state: State, event: Event, turn: Turn) -> None:
+def _while_taken_over(state: State, held: phases.Holding, event: Event, turn: Turn) -> None:
     """Another controller flies: send no command until guided mode is selected, or an order comes.
 
     Also after a failsafe: the autopilot's hold cannot be told from a pilot's.
     """
     if isinstance(event, Battery):
         return warn_of_battery(state, turn)
-    held, mode = state.stage, state.vehicle.mode
-    assert isinstance(held, Holding)
+    mode = state.vehicle.mode
     told = state.now_s - held.released_at_s < _TOLD_S
     given_back = mode is Mode.GUIDED or (told and mode is Mode.HOLD)
     if told or given_back or not _is_trusted(state):
@@ -217,12 +206,12 @@ def resumed(state: State, turn: Turn) -> None:
         return turn.to(Trigger.RESUME)
     clear = not any(is_touched(leg, 0.0, state.task) for leg in flight.back)
     if clear and (path := way_back.begun(state)) is not None:
-        return turn.to(Trigger.BACKTRACK, Returning(path=path))
+        return turn.to(Trigger.BACKTRACK, phases.Led(path=path))
     reason = flight.fallen_back or state.reason or Reason.NO_PLAN
     return way_back.home_by_plan(state, turn, "returning another way", reason)
 
 
-def _hold_on_setpoints(state: State, event: Event, turn: Turn) -> None:
+def _hold_on_setpoints(state: State, held: phases.Holding, event: Event, turn: Turn) -> None:
     """Hold at the end of the leg; retry after a pause, a limited number of times."""
     if isinstance(event, PlanReady):
         return way_back.on_plan(state, event, turn)
@@ -235,8 +224,6 @@ def _hold_on_setpoints(state: State, event: Event, turn: Turn) -> None:
         return
     warn_of_battery(state, turn)
     send_hold(state, event.time_s, turn)
-    held = state.stage
-    assert isinstance(held, Holding)
     if (asked := held.backtrack) is None:
         _end_of_hold(state, event, turn)
     elif state.now_s - asked.since_s > _ANSWER_S:
@@ -305,12 +292,10 @@ def _other_way(state: State, turn: Turn) -> None:
     return way_back.request(state, turn)
 
 
-def _hold_in_its_own_mode(state: State, event: Event, turn: Turn) -> None:
+def _hold_in_its_own_mode(state: State, held: phases.Holding, event: Event, turn: Turn) -> None:
     """The autopilot holds, until the vehicle is at rest and its position was valid for a while."""
     vehicle, mode, hovers = state.vehicle, state.vehicle.mode, state.vehicle.traits.hovers
-    held, ordered = state.stage, state.orders.active
-    assert isinstance(held, Holding)
-    taking_over = held.how is Hold.TAKE_OVER
+    taking_over, ordered = held.how is Hold.TAKE_OVER, state.orders.active
     if state.in_phase_s > _HOLD_S or state.flight.troubles > _TROUBLES:
         return turn.to(Trigger.GIVE_UP)
     if mode is not Mode.TAKE_OFF and _is_elsewhere(state):
@@ -376,9 +361,9 @@ def _ask_for_guided(state: State, event: Event, turn: Turn) -> None:
 # --- at the target
 
 
-def arrived(state: State, event: Event, turn: Turn) -> None:
+def arrived(state: State, stage: phases.Arrived, event: Event, turn: Turn) -> None:
     """Stop at the target; then the next target, or the end action."""
-    flight, asked = state.flight, state.stage.asked_at_s > state.stage.since_s
+    flight, asked = state.flight, stage.asked_at_s > stage.since_s
     if state.vehicle.mode is Mode.HOLD and asked:
         return turn.to(Trigger.END_HOLD)
     if state.in_phase_s > _SETTLE_S + _OBEY_S:
@@ -393,16 +378,16 @@ def arrived(state: State, event: Event, turn: Turn) -> None:
     if flight.target + 1 < len(state.targets_ne_m):
         flight.target, flight.stops = flight.target + 1, 0
         return turn.to(Trigger.NEXT_TARGET)
-    return _end(state, turn)
+    return _end(state, stage, turn)
 
 
-def _end(state: State, turn: Turn) -> None:
+def _end(state: State, stage: phases.Arrived, turn: Turn) -> None:
     """The mission's end action."""
     traits, action, flight = state.vehicle.traits, turn.context.mission.end_action, state.flight
     if flight.homeward or (action is EndAction.LAND and traits.lands):
         return turn.to(Trigger.END_LAND if traits.lands else Trigger.HAND_OVER)
     if action is EndAction.RETURN:
-        if isinstance(state.stage, Arrived) and state.stage.backtrack is not None:
+        if stage.backtrack is not None:
             return
         if flight.flown:
             return way_back.request(state, turn)
@@ -413,7 +398,7 @@ def _end(state: State, turn: Turn) -> None:
             turn.to(Trigger.END_HOLD)
         return
     # an autopilot may refuse to hold about a point (its own fence): then anywhere
-    about = flight.hover_nea_m if state.stage.asks < _ASKS_ABOUT else None
+    about = flight.hover_nea_m if stage.asks < _ASKS_ABOUT else None
     turn.ask(SetMode(mode=Mode.HOLD, at_nea_m=about))
 
 
@@ -472,10 +457,9 @@ def landing_words(state: State, context: Context) -> str:
     return f"{traits.name} lands on a circle: up to {within_m:.0f} m from the target"
 
 
-def landing(state: State, event: Event, turn: Turn) -> None:
+def landing(state: State, stage: phases.Landing, event: Event, turn: Turn) -> None:
     """Request the land mode until it is taken, then wait for touchdown."""
-    vehicle, stage = state.vehicle, state.stage
-    assert isinstance(stage, Landing)
+    vehicle = state.vehicle
     if vehicle.landed is Landed.ON_GROUND and not vehicle.armed:
         return turn.to(Trigger.LANDED)
     if isinstance(event, Position) and event.velocity_nea_m_s[2] < -_SINKING_M_S:
@@ -506,7 +490,7 @@ def _broken_off(state: State, turn: Turn) -> None:
     return turn.fault(reason)
 
 
-def handing_over(state: State, _event: Event, turn: Turn) -> None:
+def handing_over(state: State, stage: phases.Stage, _event: Event, turn: Turn) -> None:
     """Request RTL until the autopilot takes it; from then on the autopilot is in control."""
     vehicle = state.vehicle
     if state.is_silent:
@@ -517,7 +501,7 @@ def handing_over(state: State, _event: Event, turn: Turn) -> None:
         return turn.give_up(Reason.GROUNDED if vehicle.armed else Reason.DISARMED)
     if not is_ours(state):
         return turn.give_up(takeover_reason(state))
-    if state.stage.asks == _ASKS and state.now_s - state.stage.asked_at_s >= ASK_AGAIN_S:
+    if stage.asks == _ASKS and state.now_s - stage.asked_at_s >= ASK_AGAIN_S:
         return turn.give_up(Reason.NOT_OBEYING)
     turn.ask(SetMode(mode=Mode.RETURN))
     return

@@ -9,6 +9,7 @@ LEAVE   when the vehicle is told to hold as the companion goes
 from collections.abc import Callable
 from typing import Final
 
+from companion.mission import phases
 from companion.mission.decisions import (
     Context,
     Turn,
@@ -16,18 +17,8 @@ from companion.mission.decisions import (
 )
 from companion.mission.events import Disarm, Event, Landed, LinkLost, Mode, Position, SetMode
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.state import (
-    IN_AIR,
-    ON_SETPOINTS,
-    Arming,
-    Hold,
-    Holding,
-    Landing,
-    Phase,
-    Reason,
-    State,
-    Trigger,
-)
+from companion.mission.phases import IN_AIR, ON_SETPOINTS, Hold, Phase, Reason, Trigger
+from companion.mission.state import State
 from companion.mission.vehicle_traits import UNKNOWN, TakeoffSequence
 from companion.mission.way_back import is_above_home
 from companion.world.zones import nearest
@@ -60,14 +51,14 @@ def is_ours(state: State) -> bool:
     """Whether the vehicle's mode is one of ours."""
     phase, mode, stage = state.phase, state.vehicle.mode, state.stage
     traits = state.vehicle.traits
-    if isinstance(stage, Holding):
+    if isinstance(stage, phases.Holding):
         early = mode is Mode.TAKE_OFF and not stage.obeyed  # it has not heard us yet
         if early and stage.how is Hold.MODE:
             return still_goes_up(state)
         return mode in OURS.get(stage.how, _ANY)
     if phase is Phase.TAKING_OFF and traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB:
         return mode is Mode.GUIDED
-    early = isinstance(stage, Landing) and not stage.obeyed
+    early = isinstance(stage, phases.Landing) and not stage.obeyed
     return mode in OURS.get(phase, _ANY) or (early and mode in (Mode.GUIDED, Mode.HOLD))
 
 
@@ -187,8 +178,8 @@ def fault_of(state: State, event: Event) -> Reason | None:
         and state.stage.asked_at_s > state.stage.since_s
     ):
         return None  # it does what was asked of it last
-    for cause, phases, is_so in FAULTS:
-        if phase in phases and is_so(state, event):
+    for cause, counts_in, is_so in FAULTS:
+        if phase in counts_in and is_so(state, event):
             return cause if isinstance(cause, Reason) else cause(state)
     return None
 
@@ -270,7 +261,7 @@ def _does_as_told(state: State) -> bool:
 
 def _is_to_take_off(state: State) -> bool:
     """On the ground, before it was obeyed, no pilot has taken it."""
-    is_obeyed = isinstance(state.stage, Arming) and state.stage.obeyed
+    is_obeyed = isinstance(state.stage, phases.Arming) and state.stage.obeyed
     asked, down = (
         state.stage.asks > 0 or state.armed_by_us,
         state.vehicle.landed is Landed.ON_GROUND,

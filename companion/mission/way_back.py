@@ -3,22 +3,11 @@
 import math
 from copy import copy
 
-from companion.mission import following
+from companion.mission import following, phases
 from companion.mission.decisions import AT_M, Turn
 from companion.mission.events import Plan, PlanReady
-from companion.mission.state import (
-    Arrived,
-    Holding,
-    OnPath,
-    Orders,
-    Planning,
-    Reason,
-    Returning,
-    State,
-    Targets,
-    Trigger,
-    Way,
-)
+from companion.mission.phases import OnPath, Reason, Trigger
+from companion.mission.state import Orders, State, Targets, Way
 from companion.planner.procedure import Leg, Reference, hover_pose
 from companion.planner.progress import NO_PROGRESS
 from companion.planner.request import Backtrack, PlanRequest, Refusal
@@ -34,11 +23,11 @@ _CIRCLES = 1.5
 def request(state: State, turn: Turn) -> None:
     """Request the proof of the backtrack; it takes effect as soon as it is ready."""
     here, flight, stage = state.vehicle.position_nea_m, state.flight, state.stage
-    assert isinstance(stage, Holding | Arrived)
+    assert isinstance(stage, phases.Stopped)
     if here is None:
         return turn.give_up(state.reason or Reason.POSITION_STALE)
     flight.plan_id += 1
-    stage.backtrack = Planning(state.task, since_s=state.now_s)
+    stage.backtrack = phases.Planning(state.task, since_s=state.now_s)
     request = PlanRequest(
         plan_id=flight.plan_id,
         seed=turn.context.seed,
@@ -56,7 +45,7 @@ def request(state: State, turn: Turn) -> None:
 def on_plan(state: State, event: PlanReady, turn: Turn) -> None:
     """Take the backtrack; if it failed, plan a path home, or give up."""
     flight, stage, outcome = state.flight, state.stage, event.outcome
-    asked = stage.backtrack if isinstance(stage, Holding | Arrived) else None
+    asked = stage.backtrack if isinstance(stage, phases.Stopped) else None
     if asked is None or outcome.plan_id != flight.plan_id:
         return
     if asked.rules is not state.task:  # it was proven under other rules
@@ -65,7 +54,7 @@ def on_plan(state: State, event: PlanReady, turn: Turn) -> None:
     back = _way_of(outcome, state.task) if isinstance(outcome, Backtrack) else ()
     flight.way, flight.back = Way.BACK, back
     if (path := begun(state)) is not None:
-        return turn.to(Trigger.BACKTRACK, Returning(path=path))
+        return turn.to(Trigger.BACKTRACK, phases.Led(path=path))
     flight.way, flight.back = was
     reason = state.reason or Reason.NO_PLAN
     text = f"{reason.text}: no way back is proven, planning one home"
@@ -171,7 +160,7 @@ def set_targets(state: State, targets_ne_m: Targets, way: Way) -> None:
     flight.target = flight.stops = flight.failures = 0
     flight.route_ne_m, flight.progress = (), NO_PROGRESS
     flight.way, flight.back = way, ()
-    if isinstance(stage, Holding | Arrived):
+    if isinstance(stage, phases.Stopped):
         stage.backtrack = None
 
 

@@ -10,10 +10,11 @@ from typing import Final, Literal, final
 import numpy as np
 from msgspec import Struct
 
+from companion.mission import phases
 from companion.mission.battery import way_left_m
 from companion.mission.decisions import reason_text
 from companion.mission.events import Outcome, Vector
-from companion.mission.state import IN_AIR, ON_PATH, Holding, Phase, Reason, State
+from companion.mission.state import IN_AIR, ON_PATH, Phase, Reason, State
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.planner.procedure import off_path_m
 from companion.telemetry.flight_summary import FlightSummary
@@ -211,7 +212,7 @@ def _reason(state: State) -> tuple[str | None, str | None]:
     reason = state.reason
     if reason is None:
         return None, None
-    over = isinstance(state.stage, Holding) and state.stage.failsafe_over
+    over = isinstance(state.stage, phases.Holding) and state.stage.failsafe_over
     if over and reason is Reason.FAILSAFE:
         return FAILSAFE_OVER, None
     detail, remedy = reason_text(state, reason)

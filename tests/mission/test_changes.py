@@ -32,7 +32,8 @@ from companion.mission.decisions import Turn
 from companion.mission.events import FenceChanged, Mode, Order, OrderKind, Plan, SetMode, Setpoint
 from companion.mission.flying import on_answer
 from companion.mission.mission import Fallback
-from companion.mission.state import Phase, Reason, Scanning, Way
+from companion.mission.phases import Scanning
+from companion.mission.state import Phase, Reason, Way
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.zones import CircleZone
 
@@ -370,7 +371,7 @@ def test_only_what_stands_looks_again_where_the_radar_left_something_out(is_shad
     state = replace(wild.state, phase=Phase.SHADOW if is_shadow else Phase.FLYING)
     scanned = replace(scan_done(wild.state.now_s), asked=9, answered=4)
     turn = Turn(replace(state, search=Scanning((0, 0, 3000))), wild.context)
-    on_answer(turn.state, scanned, turn)
+    on_answer(turn.state, turn.state.stage, scanned, turn)
     does = [
         type(command) for command in turn.commands if not isinstance(command, events.StatusText)
     ]

@@ -27,7 +27,8 @@ from companion.mavlink.autopilots import ALL, Autopilot
 from companion.mission import events
 from companion.mission.events import Landed, Mode, Order, OrderKind, Outcome, SetMode
 from companion.mission.mission import EndAction, Fallback, Mission
-from companion.mission.state import Hold, Phase, Reason
+from companion.mission.phases import Hold
+from companion.mission.state import Phase, Reason
 from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest, Refusal
 
 AWAY = two_legs_away()

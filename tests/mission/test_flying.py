@@ -25,7 +25,8 @@ from companion.mission.decisions import Turn
 from companion.mission.entries import of_change
 from companion.mission.events import Mode, Plan, Position, Setpoint, StartScan, StatusText
 from companion.mission.following import is_on_path, joined, left_path, outside_m
-from companion.mission.state import Answered, OnPath, Phase, Reason
+from companion.mission.phases import Answered, OnPath
+from companion.mission.state import Phase, Reason
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Reference, hover_pose
 from companion.planner.request import Planned, PlanRequest

@@ -26,7 +26,8 @@ from companion.mavlink.frames import IGNORED_MESSAGES
 from companion.mission import checkpoint
 from companion.mission.events import Mode
 from companion.mission.mission import Mission
-from companion.mission.state import Flying, OnPath, Phase, Reason, State
+from companion.mission.phases import Flying, OnPath
+from companion.mission.state import Phase, Reason, State
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
 from companion.planner.request import PlanOutcome
