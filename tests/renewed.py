@@ -6,7 +6,8 @@ from typing import TypeVar
 
 import msgspec
 
-from companion.mission.phases import STAGES, Hold, Holding, Led, Preparing, Stage
+from companion.mission.machine import PHASES
+from companion.mission.phases import Hold, Holding, Led, Preparing
 from companion.mission.state import State
 
 Value = TypeVar("Value")
@@ -30,7 +31,7 @@ def replace(value: Value, /, **changes: object) -> Value:
     if isinstance(value, State):
         phase, stage = changes.pop("phase", value.phase), value.stage
         if phase is not stage.phase:
-            kind = STAGES.get(phase, Stage)
+            kind = PHASES[phase][0]
             held = {"how": Hold.MODE} if kind is Holding else {}
             stage = kind(phase=phase, since_s=stage.since_s, **held)
         of_stage = {name: changes.pop(name) for name in [*changes] if hasattr(stage, name)}

@@ -7,27 +7,10 @@ import math
 
 import numpy as np
 
-from companion.mission import following, phases, way_back
+from companion.mission import events, following, phases, way_back
 from companion.mission.battery import battery_runs_low, give_up_for_battery, warn_of_battery
-from companion.mission.decisions import (
-    AT_M,
-    Context,
-    Turn,
-    in_words,
-    waits_for_fence,
-)
-from companion.mission.events import (
-    Event,
-    Landed,
-    Mode,
-    Plan,
-    PlanLate,
-    PlanReady,
-    Position,
-    ScanDone,
-    StartScan,
-    Vector,
-)
+from companion.mission.decisions import AT_M, Context, Turn, in_words, waits_for_fence
+from companion.mission.events import Event, Landed, Mode, Position, Vector
 from companion.mission.following import come_to_rest, rest_at_end, send_hold
 from companion.mission.health import TRUST_S
 from companion.mission.phases import OnPath, Phase, Reason, Trigger
@@ -81,11 +64,11 @@ def on_path(state: State, stage: phases.Led, event: Event, turn: Turn) -> None:
 def on_answer(state: State, stage: phases.Flying, event: Event, turn: Turn) -> None:
     """What radar and planner have found."""
     match event:
-        case ScanDone():
+        case events.ScanDone():
             return _on_scan(state, stage, event, turn)
-        case PlanReady():
+        case events.PlanReady():
             return _on_plan(state, stage, event, turn)
-        case PlanLate(plan_id=plan_id) if plan_id == state.flight.plan_id:
+        case events.PlanLate(plan_id=plan_id) if plan_id == state.flight.plan_id:
             # the leg is flown to its end unless the plan comes before p_prog
             stage.shortfall = Reason.PLAN_LATE
         case _:
@@ -114,7 +97,7 @@ def _lead(state: State, stage: phases.Led, path: OnPath, event: Position, turn: 
     if path.circling and following.still_loiters(state, path, event):
         return _circle(state, stage, event, turn)
     returns = state.flight.way is Way.BACK
-    following.advance_reference(state, path, event)
+    following.advance_reference(state, stage, path, event)
     if returns and path.leg is not leg:  # onto what was the next stretch
         way_back.take_next(state, path)
     if state.now_s - stage.progress_at_s > _STUCK_S:
@@ -182,7 +165,7 @@ def _end_of_way(state: State, stage: phases.Led, path: OnPath, turn: Turn) -> No
     went_on = way_back.begun(state)
     if went_on is None:
         return _depart(state, Reason.OFF_PATH, turn)
-    stage.path = went_on
+    stage.path, stage.progress_at_s = went_on, state.now_s
 
 
 def _depart(state: State, reason: Reason, turn: Turn) -> None:
@@ -198,7 +181,7 @@ def _depart(state: State, reason: Reason, turn: Turn) -> None:
 # --- scans and plans
 
 
-def _on_scan(state: State, stage: phases.Flying, event: ScanDone, turn: Turn) -> None:
+def _on_scan(state: State, stage: phases.Flying, event: events.ScanDone, turn: Turn) -> None:
     """Ask for the next subpath on the map that the scan has completed."""
     flight, scanning, context = state.flight, stage.search, turn.context
     if not isinstance(scanning, phases.Scanning):
@@ -238,10 +221,10 @@ def _on_scan(state: State, stage: phases.Flying, event: ScanDone, turn: Turn) ->
         attempt=flight.failures,
     )
     stage.search = phases.Planning(task)
-    turn.do(Plan(request=request, due_s=event.time_s + request.time_s))
+    turn.do(events.Plan(request=request, due_s=event.time_s + request.time_s))
 
 
-def _warn_of_scan(state: State, event: ScanDone, turn: Turn) -> None:
+def _warn_of_scan(state: State, event: events.ScanDone, turn: Turn) -> None:
     """Warn of a scan that was worse than the mission expects."""
     if event.answered < event.asked:
         turn.warn(f"scan: {event.answered} of {event.asked} blocks answered", "scan")
@@ -252,7 +235,7 @@ def _warn_of_scan(state: State, event: ScanDone, turn: Turn) -> None:
         turn.warn(f"radar sees {seen_m / 1000:.1f} km of R = {wanted_m / 1000:.1f} km")
 
 
-def _on_plan(state: State, stage: phases.Flying, event: PlanReady, turn: Turn) -> None:
+def _on_plan(state: State, stage: phases.Flying, event: events.PlanReady, turn: Turn) -> None:
     """Accept the next subpath, or note why there is none."""
     flight, outcome, planning = state.flight, event.outcome, stage.search
     if outcome.plan_id != flight.plan_id or not isinstance(planning, phases.Planning):
@@ -316,7 +299,7 @@ def _no_successor(state: State, stage: phases.Flying, reason: Reason, turn: Turn
 def start_scan(stage: phases.Flying, centre_nea_m: Vector, turn: Turn, again: int = 0) -> None:
     """Start a scan around a point."""
     stage.search = phases.Scanning(centre_nea_m, again)
-    turn.do(StartScan(centre_nea_m=centre_nea_m))
+    turn.do(events.StartScan(centre_nea_m=centre_nea_m))
 
 
 # --- waiting for a leg

@@ -15,22 +15,9 @@ from companion.mission.events import Position, Setpoint, Vector
 from companion.mission.phases import OnPath, Reason
 from companion.mission.state import State
 from companion.path.envelope import ending_m_s, slowing_m
-from companion.planner import join
+from companion.planner import join, procedure
 from companion.planner.loiter_search import Motion, loiter_point
-from companion.planner.procedure import (
-    Leg,
-    Reference,
-    advance,
-    ahead_m,
-    allowed_speed_m_s,
-    follow,
-    is_at_end,
-    may_leave,
-    off_disc_m,
-    off_path_m,
-    paced_m_s,
-    sent_pose,
-)
+from companion.planner.procedure import Leg, Reference
 from companion.planner.request import FlownSegment
 from companion.planner.settings import Task
 
@@ -68,7 +55,7 @@ def lead_m(state: State, reference: Reference) -> float:
     return min(lead_m, _LONGEST_LEAD * state.task.envelope.lead_m)
 
 
-def advance_reference(state: State, path: OnPath, event: Position) -> None:
+def advance_reference(state: State, stage: phases.Led, path: OnPath, event: Position) -> None:
     """Advance the reference point by one position; at p_prog switch to the next leg."""
     vehicle, leg, before = state.vehicle, path.leg, path.reference
     here = np.asarray(event.position_nea_m)
@@ -81,11 +68,11 @@ def advance_reference(state: State, path: OnPath, event: Position) -> None:
     if vehicle.traits.hovers:
         motion = task.envelope
         if path.next_leg is not None:  # for its first bends, too
-            pace_m_s = paced_m_s(path.next_leg.subpath, motion, 0.0)
+            pace_m_s = procedure.paced_m_s(path.next_leg.subpath, motion, 0.0)
             room_m = max(leaves_at_m - before.length_m, 0.0)
             pace_m_s = math.sqrt(pace_m_s**2 + 2.0 * motion.gaining_m_s2 * room_m)
             slows_to_m_s = min(slows_to_m_s, pace_m_s)
-        path.reference = advance(
+        path.reference = procedure.advance(
             before,
             leg,
             vehicle.position_step_s,
@@ -96,20 +83,14 @@ def advance_reference(state: State, path: OnPath, event: Position) -> None:
             slows_to_m_s=slows_to_m_s,
         )
     else:
-        path.reference = follow(before, leg, here, task.limits)
+        path.reference = procedure.follow(before, leg, here, task.limits)
     if path.reference.length_m > before.length_m or path.circling:
-        _note_progress(state)
+        stage.progress_at_s = state.now_s
     path.circling = False
     if path.offset is not None:
         path.offset = join.step(path.offset, vehicle.position_step_s, task.limits)
     if path.next_leg is not None and path.reference.length_m >= leaves_at_m - _ROUNDING_M:
         switch_to_next_leg(state, path, task)
-
-
-def _note_progress(state: State) -> None:
-    """The reference point moves."""
-    if isinstance(state.stage, phases.Led):
-        state.stage.progress_at_s = state.now_s
 
 
 def _unechoed_s(state: State) -> float:
@@ -150,12 +131,12 @@ def outside_m(state: State, path: OnPath, event: Position) -> tuple[float, float
     allowed_m = motion.tube_m
     if not state.vehicle.traits.hovers:
         centre = leg.subpath.pose(reference.length_m).point_nea_m
-        off_m = off_disc_m(centre, event.position_nea_m, motion.loiter_m)
+        off_m = procedure.off_disc_m(centre, event.position_nea_m, motion.loiter_m)
         return max(off_m - allowed_m, 0.0), 0.0, 0.0
     if path.offset is not None:
         allowed_m += float(np.linalg.norm(path.offset.position_nea_m))
-    ahead = ahead_m(reference, leg, here)
-    across_m = off_path_m(reference, leg, here) - allowed_m
+    ahead = procedure.ahead_m(reference, leg, here)
+    across_m = procedure.off_path_m(reference, leg, here) - allowed_m
     before_m = ahead - lead_m(state, reference) - allowed_m
     far_m = abs(ahead) - motion.lag_m - allowed_m
     return max(across_m, 0.0), max(before_m, 0.0), max(far_m, 0.0)
@@ -201,7 +182,9 @@ def is_not_taken(state: State) -> bool:
 def still_loiters(state: State, path: OnPath, event: Position) -> bool:
     """Whether a plane that is to leave its circle is not yet aligned with the path."""
     at_m, limits = path.reference.length_m, state.task.limits
-    return not may_leave(path.leg, at_m, event.position_nea_m, event.velocity_nea_m_s, limits)
+    return not procedure.may_leave(
+        path.leg, at_m, event.position_nea_m, event.velocity_nea_m_s, limits
+    )
 
 
 def take_echo(state: State) -> None:
@@ -226,11 +209,11 @@ def is_stopped(state: State, path: OnPath) -> bool:
     if state.vehicle.traits.hovers:
         joins = path.offset is not None and not path.offset.is_gone
         until_m = math.inf if stop is None else stop.at_m
-        return not joins and is_at_end(path.reference, leg, until_m)
+        return not joins and procedure.is_at_end(path.reference, leg, until_m)
     if stop is not None:
         return True  # it circles where it was to stop
     if leg.reaches_target:  # it passes it, and circles it then
-        return is_at_end(path.reference, leg)
+        return procedure.is_at_end(path.reference, leg)
     left_m = leg.subpath.length_m - path.reference.length_m
     return left_m < _AT_END * state.task.limits.loiter_radius_m
 
@@ -245,8 +228,8 @@ def send_setpoint(state: State, path: OnPath, event: Position, turn: Turn) -> No
     if traits.hovers and path.stop is not None:
         next_leg, end_m = None, min(leg.subpath.length_m, path.stop.at_m)
         ahead_m = min(ahead_m, max(end_m - reference.length_m, 0.0))
-    pose = sent_pose(reference, leg, next_leg, ahead_m, state.task)
-    speed = min(reference.speed_m_s, allowed_speed_m_s(pose, state.task.limits))
+    pose = procedure.sent_pose(reference, leg, next_leg, ahead_m, state.task)
+    speed = min(reference.speed_m_s, procedure.allowed_speed_m_s(pose, state.task.limits))
     beyond_m = reference.length_m + ahead_m - leg.subpath.length_m
     stays = not traits.hovers and next_leg is None and beyond_m >= 0.0
     north_m, east_m, altitude_m = pose.position_nea_m.tolist()
@@ -301,7 +284,7 @@ def stop(state: State, reason: Reason, turn: Turn) -> None:
     leg, reference = path.leg, path.reference
     if not state.vehicle.traits.hovers:
         ahead_m = lead_m(state, reference)
-        point = sent_pose(reference, leg, path.next_leg, ahead_m, state.task).point_nea_m
+        point = procedure.sent_pose(reference, leg, path.next_leg, ahead_m, state.task).point_nea_m
         if reason in (Reason.NEW_THREAT, Reason.FENCE_UNREAD):
             here = state.vehicle.position_nea_m or point
             motion = Motion(here, state.vehicle.velocity_nea_m_s)
@@ -430,7 +413,6 @@ def joined(state: State, path: OnPath | None) -> OnPath | None:
         path.offset = join.begin(np.asarray(led), np.asarray(velocity), pose, speed)
     note_flown(state, path, at_m)
     path.reference, path.joined_m = Reference(length_m=at_m, speed_m_s=speed), at_m
-    _note_progress(state)
     flight.hover_nea_m = pose.point_nea_m if path.circling else None
     return path
 

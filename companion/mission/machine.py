@@ -12,16 +12,10 @@ from typing import Any, Final
 
 from companion.mission import changes, events, flying, following, ground, phases, stopped, way_back
 from companion.mission.battery import take_battery
-from companion.mission.decisions import (
-    Context,
-    Turn,
-    hold_for,
-    longest_silence_s,
-    reason_text,
-)
+from companion.mission.decisions import Context, Turn, hold_for, longest_silence_s, reason_text
 from companion.mission.events import Command, End, Event, Landed, Mode, Outcome, SetMode
 from companion.mission.health import distrust, take_distrust, take_position
-from companion.mission.phases import IN_AIR, ON_GROUND, OVER, Hold, Phase, Reason, Trigger
+from companion.mission.phases import IN_AIR, ON_GROUND, OVER, Hold, Phase, Reason, Stage, Trigger
 from companion.mission.state import HEARTBEAT_S, Orders, State
 from companion.mission.tables import fall_back, fault_of, parting
 from companion.mission.vehicle_traits import UNKNOWN
@@ -73,7 +67,7 @@ def step(before: State, event: Event, context: Context) -> tuple[State, list[Com
         if reason is not None:
             _break_off(state, reason, turn)
         else:
-            IN_PHASE[state.phase](state, state.stage, event, turn)
+            PHASES[state.phase][1](state, state.stage, event, turn)
     if turn.trigger is Trigger.GIVE_UP and not context.shadow:
         fall_back(state, turn)
     if turn.trigger is not None and state.phase in turn.trigger.origins:
@@ -181,21 +175,23 @@ _IN_ANY_PHASE: Final[dict[type[Event], Callable[[State, Any, Turn], None]]] = {
 }
 """Handlers of events in any phase; some leave it to the phase (`Turn.is_left`)."""
 
-IN_PHASE: Final[dict[Phase, Callable[[State, Any, Event, Turn], None]]] = {
-    Phase.WAITING: ground.waiting,
-    Phase.PREPARING: ground.preparing,
-    Phase.READY: ground.ready,
-    Phase.ARMING: ground.arming,
-    Phase.TAKING_OFF: ground.taking_off,
-    Phase.FLYING: flying.on_path,
-    Phase.RETURNING: flying.on_path,
-    Phase.HOLDING: stopped.holding,
-    Phase.ARRIVED: stopped.arrived,
-    Phase.LANDING: stopped.landing,
-    Phase.HANDING_OVER: stopped.handing_over,
-    Phase.SHADOW: flying.shadow,
+PHASES: Final[dict[Phase, tuple[type[Stage], Callable[[State, Any, Event, Turn], None]]]] = {
+    Phase.WAITING: (phases.Preparing, ground.waiting),
+    Phase.PREPARING: (phases.Preparing, ground.preparing),
+    Phase.READY: (Stage, ground.ready),
+    Phase.ARMING: (phases.Arming, ground.arming),
+    Phase.TAKING_OFF: (Stage, ground.taking_off),
+    Phase.FLYING: (phases.Flying, flying.on_path),
+    Phase.RETURNING: (phases.Led, flying.on_path),
+    Phase.HOLDING: (phases.Holding, stopped.holding),
+    Phase.ARRIVED: (phases.Arrived, stopped.arrived),
+    Phase.LANDING: (phases.Landing, stopped.landing),
+    Phase.HANDING_OVER: (Stage, stopped.handing_over),
+    Phase.SHADOW: (phases.Flying, flying.shadow),
+    Phase.DONE: (Stage, lambda *_: None),
+    Phase.FAULTED: (Stage, lambda *_: None),
 }
-"""The handler of each phase, of state and stage; a mission that is over ignores events."""
+"""What each phase knows, and its handler; a mission that is over ignores events."""
 
 
 def _enter(state: State, trigger: Trigger, turn: Turn) -> None:
@@ -208,7 +204,7 @@ def _enter(state: State, trigger: Trigger, turn: Turn) -> None:
     if phase is Phase.HOLDING:
         hold_for(state, state.reason or Reason.NO_PLAN)
     else:
-        state.stage = turn.stage or phases.STAGES.get(phase, phases.Stage)(phase=phase)
+        state.stage = turn.stage or PHASES[phase][0](phase=phase)
     state.stage.since_s = state.now_s
     left = was.path if isinstance(was, phases.Led | phases.Preparing) else None
     if left is not None and state.path is not left:  # broken off on it

@@ -5,7 +5,7 @@ A phase is a value with its own fields (`Stage`), which end with it.
 
 import enum
 import math
-from typing import Final, final
+from typing import final
 
 from msgspec import Struct, field
 
@@ -411,15 +411,3 @@ class Landing(Stage, kw_only=True):
     """Whether the vehicle took it."""
     sinks_at_s: float = 0.0
     """When it last sank."""
-
-
-STAGES: Final[dict[Phase, type[Stage]]] = {
-    **dict.fromkeys((Phase.WAITING, Phase.PREPARING), Preparing),
-    Phase.ARMING: Arming,
-    **dict.fromkeys((Phase.FLYING, Phase.SHADOW), Flying),
-    Phase.RETURNING: Led,
-    Phase.HOLDING: Holding,
-    Phase.ARRIVED: Arrived,
-    Phase.LANDING: Landing,
-}
-"""By phase; of the others nothing more is known."""

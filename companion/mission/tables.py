@@ -10,11 +10,7 @@ from collections.abc import Callable
 from typing import Final
 
 from companion.mission import phases
-from companion.mission.decisions import (
-    Context,
-    Turn,
-    in_words,
-)
+from companion.mission.decisions import Context, Turn, in_words
 from companion.mission.events import Disarm, Event, Landed, LinkLost, Mode, Position, SetMode
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.phases import IN_AIR, ON_SETPOINTS, Hold, Phase, Reason, Trigger
