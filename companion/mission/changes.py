@@ -259,7 +259,8 @@ def _on_order(state: State, order: Order, turn: Turn) -> None:
 def _go_on(state: State, turn: Turn) -> None:
     """End a pause: the order suspended by it is active again."""
     wanted = state.orders.suspended or Reason.CONTINUED
-    state.orders = state.orders.continued()
+    if state.orders.active is Reason.PAUSED:
+        state.orders = Orders(state.orders.suspended)
     if state.phase in ON_PATH and _brakes_for(state, wanted, Reason.PAUSED):
         turn.say("going on")
     elif state.hold is Hold.PAUSED:
@@ -281,7 +282,7 @@ def _pause(state: State, turn: Turn) -> None:
     else:
         turn.say(Reason.PAUSED.text)
         if not _stops(state):
-            _order_instead(state, Reason.PAUSED)
+            hold_for(state, Reason.PAUSED)
 
 
 def _back_again(state: State, turn: Turn) -> None:
@@ -320,14 +321,7 @@ def _stop_for(state: State, order: Reason, turn: Turn) -> None:
     elif state.phase in (*ON_PATH, Phase.ARRIVED):
         following.stop(state, order, turn)
     elif state.hold in ON_SETPOINTS and state.reason is not order:
-        _order_instead(state, order)
-
-
-def _order_instead(state: State, order: Reason) -> None:
-    """Held for an order: a way back that is being proven is not wanted any more."""
-    if isinstance(state.stage, phases.Holding):
-        state.stage.backtrack = None
-    hold_for(state, order)
+        hold_for(state, order)
 
 
 # --- the vehicle itself
@@ -364,7 +358,7 @@ def _on_reboot(state: State, _event: events.Rebooted, turn: Turn) -> None:
     again = phases.Preparing()
     if state.phase is Phase.READY or state.unready:
         again.unready = Reason.REBOOTED.text
-    if isinstance(was, phases.Landing):  # it goes on with that, as after a restart
+    if was.phase is Phase.LANDING:  # it goes on with that, as after a restart
         again.landing, again.sank = True, was.obeyed
     elif isinstance(was, phases.Preparing):
         again.landing, again.sank = was.landing, was.sank

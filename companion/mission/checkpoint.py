@@ -11,7 +11,7 @@ from operator import attrgetter
 from typing import Any, Final, final
 
 import msgspec
-from msgspec import Struct
+from msgspec import MsgspecError, Struct
 from msgspec.structs import replace
 
 from companion.geodesy import FloatArray
@@ -29,15 +29,7 @@ from companion.world.known_map import KnownMap, empty_map
 
 Values = dict[str, Any]
 
-DECODE_ERRORS = (
-    ArithmeticError,
-    AttributeError,
-    LookupError,
-    RecursionError,
-    TypeError,
-    ValueError,
-    msgspec.MsgspecError,
-)
+DECODE_ERRORS = (ArithmeticError, LookupError, RecursionError, TypeError, ValueError, MsgspecError)
 """Exceptions that restoring invalid values may raise."""
 PERIOD_S, LONGEST_S = 1.0, 10.0
 _AS_THEY_ARE: Final = ("airborne", "taken", "armed_by_us", "targets_ne_m", "fence")
@@ -114,7 +106,7 @@ def values_of(state: State) -> Values:
     saved = Saved(
         t_s=state.now_s,
         phase=state.phase.name,
-        sank=isinstance(state.stage, phases.Landing) and state.stage.obeyed,
+        sank=state.phase is Phase.LANDING and state.stage.obeyed,
         standing=_name(orders.active),
         set_aside=_name(orders.suspended),
         flown=flight.flown,
@@ -178,12 +170,8 @@ def without_map(values: Values, why: str) -> Values:
 
 def restore_notes(values: Values) -> list[str]:
     """What could not be restored, as text for the operator."""
-    news = []
-    if "lost" in values:
-        news.append(f"taking over without memory of the flight: {values['lost']}")
-    if "map_lost" in values:
-        news.append(f"scanning anew: {values['map_lost']}")
-    return news
+    said = {"lost": "taking over without memory of the flight", "map_lost": "scanning anew"}
+    return [f"{text}: {values[key]}" for key, text in said.items() if key in values]
 
 
 def resumed_entry(values: Values) -> Values:
@@ -276,7 +264,7 @@ class CheckpointPolicy:
         if 0.0 <= now_s - self.looked_at_s < PERIOD_S and not must:
             return None, None
         self.looked_at_s = now_s
-        path, landing = state.path, isinstance(state.stage, phases.Landing) and state.stage.obeyed
+        path, landing = state.path, state.phase is Phase.LANDING and state.stage.obeyed
         kept = *_persisted(state), landing, path and (path.leg, path.next_leg)
         if kept == self.kept and 0.0 <= now_s - self.kept_at_s < LONGEST_S and not must:
             return None, None

@@ -13,7 +13,7 @@ from companion.mission.events import Command, Position, StatusText
 from companion.mission.health import astray_m, may_differ_m
 from companion.mission.mission import Mission
 from companion.mission.phases import Reason, Trigger
-from companion.mission.state import State
+from companion.mission.state import Orders, State
 from companion.path.certificate import bounds_text
 from companion.planner.request import Refusal
 
@@ -154,9 +154,11 @@ def fence_is_given_up(state: State) -> bool:
     return since_s is not None and state.now_s - since_s > _FENCE_GIVEN_UP_S
 
 
-def landing_order(state: State) -> Reason | None:
-    """The order that a landing follows; None: it is the end of the mission, or its fallback."""
-    return Reason.LAND_ASKED if state.flight.fallen_back is Reason.LAND_ASKED else None
+def abort_landing(state: State, turn: Turn) -> None:
+    """It has left the land mode: not landed again without an order, for which it waits."""
+    ordered = state.flight.fallen_back is Reason.LAND_ASKED  # else by the mission, or its fallback
+    state.orders = Orders(Reason.PAUSED, Reason.LAND_ASKED if ordered else None)
+    turn.warn(LANDING_ABORTED)
 
 
 def seen_cause(state: State) -> Reason | None:
@@ -172,13 +174,11 @@ def seen_cause(state: State) -> Reason | None:
 def hold_for(state: State, reason: Reason) -> None:
     """Held for this reason from now on; what is known of who has it is kept as long as he has."""
     held = state.stage
-    if not isinstance(held, phases.Holding):
-        held = phases.Holding(how=reason.hold)
-    elif held.how is not reason.hold:
-        held = phases.Holding(how=reason.hold, backtrack=held.backtrack)
-    if held is not state.stage and reason is Reason.FAILSAFE:
-        held.why = seen_cause(state)
-    held.since_s, held.asked_at_s, held.asks, held.obeyed = state.now_s, -1e9, 0, False
+    if not isinstance(held, phases.Holding) or held.how is not reason.hold:
+        why = seen_cause(state) if reason is Reason.FAILSAFE else None
+        held = phases.Holding(how=reason.hold, why=why)
+    held.since_s, held.asked_at_s, held.asks = state.now_s, -1e9, 0
+    held.obeyed, held.backtrack = False, None
     state.stage, state.reason = held, reason
 
 

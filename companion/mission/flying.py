@@ -15,7 +15,7 @@ from companion.mission.following import come_to_rest, rest_at_end, send_hold
 from companion.mission.health import TRUST_S
 from companion.mission.phases import OnPath, Phase, Reason, Trigger
 from companion.mission.state import State, Way
-from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle
+from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle, may_leave
 from companion.planner.progress import NO_PROGRESS
 from companion.planner.request import NotPlanned, Planned, PlanRequest
 from companion.planner.settings import Task
@@ -93,8 +93,9 @@ def looks_at_circle(state: State, turn: Turn) -> bool:
 
 def _lead(state: State, stage: phases.Led, path: OnPath, event: Position, turn: Turn) -> None:
     """Advance the reference point and send it; on the way out scan at p_scan."""
-    leg, hovers = path.leg, state.vehicle.traits.hovers
-    if path.circling and following.still_loiters(state, path, event):
+    leg, hovers, velocity = path.leg, state.vehicle.traits.hovers, event.velocity_nea_m_s
+    along = path.reference.length_m, event.position_nea_m, velocity, state.task.limits
+    if path.circling and not may_leave(leg, *along):
         return _circle(state, stage, event, turn)
     returns = state.flight.way is Way.BACK
     following.advance_reference(state, stage, path, event)
@@ -113,7 +114,7 @@ def _lead(state: State, stage: phases.Led, path: OnPath, event: Position, turn: 
         return ends(state, stage, path, turn)
     at_m, speed = path.reference.length_m, 0.0
     if not hovers:
-        speed = math.hypot(*event.velocity_nea_m_s[:2])
+        speed = math.hypot(*velocity[:2])
     if path.stop is not None or returns or not isinstance(stage, phases.Flying):
         return
     if stage.search is None and path.leg.wants_successor(at_m, state.task, speed):

@@ -11,7 +11,7 @@ import numpy as np
 
 from companion.mission import phases
 from companion.mission.decisions import Turn
-from companion.mission.events import Position, Setpoint, Vector
+from companion.mission.events import Echo, Position, Setpoint, Vector
 from companion.mission.phases import OnPath, Reason
 from companion.mission.state import State
 from companion.path.envelope import ending_m_s, slowing_m
@@ -105,7 +105,7 @@ def is_on_path(state: State, path: OnPath, event: Position) -> bool:
     more than the turn radius R; twice that is allowed for, as it may bend up and down as well.
     """
     vehicle, leg = state.vehicle, path.leg
-    echoes = vehicle.echo_nea_m is None or _unechoed_s(state) <= _NOT_TAKEN_S
+    echoes = vehicle.echo is None or _unechoed_s(state) <= _NOT_TAKEN_S
     if path.outside_m or not (echoes and vehicle.traits.hovers):
         return False
     pose, (north, east, up) = leg.subpath.pose(path.reference.length_m), event.position_nea_m
@@ -174,29 +174,21 @@ def left_path(state: State, path: OnPath, event: Position, turn: Turn) -> Reason
 
 def is_not_taken(state: State) -> bool:
     """Whether the autopilot's echo has disagreed with the setpoints for too long."""
-    vehicle, now_s = state.vehicle, state.now_s
-    is_fresh = vehicle.echo_nea_m is not None and now_s - vehicle.echo_at_s < _ECHO_S
+    echo = state.vehicle.echo
+    is_fresh = echo is not None and state.now_s - echo.time_s < _ECHO_S
     return is_fresh and _unechoed_s(state) > _NOT_TAKEN_S
 
 
-def still_loiters(state: State, path: OnPath, event: Position) -> bool:
-    """Whether a plane that is to leave its circle is not yet aligned with the path."""
-    at_m, limits = path.reference.length_m, state.task.limits
-    return not procedure.may_leave(
-        path.leg, at_m, event.position_nea_m, event.velocity_nea_m_s, limits
-    )
-
-
-def take_echo(state: State) -> None:
-    """After a target report: note when it last agreed with the setpoints, or was absent."""
-    stage, echo, limits = state.stage, state.vehicle.echo_nea_m, state.task.limits
+def take_echo(state: State, echo: Echo) -> None:
+    """Note when the reported target last agreed with the setpoints, or there were none."""
+    stage, limits = state.stage, state.task.limits
     if not isinstance(stage, phases.Led):
         return
     allowed_m = max(1.5 * limits.speed_m_s, 2.0 * limits.tracking_error_m)
     if not limits.hovers:
         allowed_m += 2.0 * limits.loiter_radius_m
     last = state.flight.sent
-    if last is None or echo is None or math.dist(echo[:2], last.position_nea_m[:2]) <= allowed_m:
+    if last is None or math.dist(echo.position_nea_m[:2], last.position_nea_m[:2]) <= allowed_m:
         stage.echoed_at_s = state.now_s
 
 
@@ -451,7 +443,7 @@ def _led(state: State) -> tuple[Vector, Vector] | None:
     ArduPilot's is after a setpoint time-out.
     """
     vehicle, flight = state.vehicle, state.flight
-    here, velocity, echo = vehicle.position_nea_m, vehicle.velocity_nea_m_s, vehicle.echo_nea_m
+    here, velocity, echo = vehicle.position_nea_m, vehicle.velocity_nea_m_s, vehicle.echo
     if here is None:
         return None
     if not vehicle.traits.hovers:
@@ -459,11 +451,11 @@ def _led(state: State) -> tuple[Vector, Vector] | None:
     if flight.sent is not None and state.now_s - flight.sent_at_s < _FRESH_S:
         return flight.sent.position_nea_m, velocity
     near_m = 2.0 * state.task.limits.tracking_error_m + state.task.limits.speed_m_s * _FRESH_S
-    age_s = state.now_s - vehicle.echo_at_s
-    if echo is None or age_s > _FRESH_S or math.dist(echo, here) >= near_m:
+    age_s = math.inf if echo is None else state.now_s - echo.time_s
+    if echo is None or age_s > _FRESH_S or math.dist(echo.position_nea_m, here) >= near_m:
         return here, velocity
-    velocity = vehicle.echo_nea_m_s or velocity
-    north, east, up = (at + age_s * v for at, v in zip(echo, velocity, strict=True))
+    velocity = echo.velocity_nea_m_s or velocity
+    north, east, up = (at + age_s * v for at, v in zip(echo.position_nea_m, velocity, strict=True))
     return (north, east, up), velocity
 
 

@@ -11,17 +11,10 @@ from msgspec.structs import replace
 from companion.geodesy import FloatArray
 from companion.mission import events, following, phases, way_back
 from companion.mission.battery import battery_lasts
-from companion.mission.decisions import (
-    AT_M,
-    LANDING_ABORTED,
-    Context,
-    Turn,
-    is_at_rest,
-    landing_order,
-)
+from companion.mission.decisions import AT_M, Context, Turn, abort_landing, is_at_rest
 from companion.mission.events import Event, Item, Landed, LinkLost, Mode, Position, Vector
 from companion.mission.phases import Phase, Reason, Trigger
-from companion.mission.state import Orders, State
+from companion.mission.state import State
 from companion.mission.tables import takeover_reason
 from companion.mission.vehicle_traits import TakeoffSequence
 from companion.planner.procedure import Reference
@@ -192,8 +185,7 @@ def _landing_goes_on(state: State, stage: phases.Preparing, turn: Turn) -> None:
         return
     stage.landing = False
     if stage.sank and vehicle.mode is not Mode.LAND:
-        turn.warn(LANDING_ABORTED)
-        state.orders = Orders(Reason.PAUSED, landing_order(state))
+        abort_landing(state, turn)
     elif vehicle.mode in (Mode.LAND, Mode.GUIDED):
         turn.to(Trigger.END_LAND)
 
@@ -210,9 +202,8 @@ def _missing(state: State) -> str:
         missing.append("home")
     if vehicle.landed is Landed.UNKNOWN:
         missing.append("landed state")
-    distrusted = vehicle.distrust
-    if distrusted is not None:
-        missing.append(distrusted.text)
+    if vehicle.distrust is not None:
+        missing.append(vehicle.distrust.text)
     return ", ".join(missing)
 
 
@@ -255,7 +246,7 @@ def _in_flight(state: State, stage: phases.Preparing, turn: Turn) -> None:
     state.reason = Reason.TAKING_OVER if ours_or_up else takeover_reason(state)
 
 
-def arming(state: State, stage: phases.Arming, _event: Event, turn: Turn) -> None:
+def arming(state: State, stage: phases.Stage, _event: Event, turn: Turn) -> None:
     """Request the first mode of the take-off sequence, then arming, once a second."""
     vehicle, traits = state.vehicle, state.vehicle.traits
     if state.is_duplicate_suspected:
@@ -288,13 +279,14 @@ def taking_off(state: State, _: phases.Stage, event: Event, turn: Turn) -> None:
     """
     guided = state.vehicle.traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB
     on_ground = state.vehicle.landed is Landed.ON_GROUND
+    climb_m_s = state.task.limits.climb_rate_m_s
     if isinstance(event, Position) and not on_ground and _has_climbed(state, event, guided=guided):
         if not guided:
             state.reason = Reason.TAKEN_OFF
         turn.to(Trigger.AIRBORNE if guided else Trigger.HANDED_OVER)
     elif on_ground and height_m(state) <= 0.0:
         turn.give_up(Reason.HOME_TOO_HIGH)
-    elif state.in_phase_s > _longest_climb_s(state):
+    elif state.in_phase_s > _TAKE_OFF_SLACK_S + 2.0 * max(height_m(state), 0.0) / climb_m_s:
         turn.give_up(Reason.NO_TAKE_OFF)
     elif on_ground and guided:
         _ask_to_take_off(state, turn)
@@ -351,8 +343,3 @@ def height_m(state: State) -> float:
     """How far above home the climb-out ends."""
     home = state.vehicle.home_nea_m
     return state.task.take_off_amsl_m - (0.0 if home is None else home[2])
-
-
-def _longest_climb_s(state: State) -> float:
-    climb_rate = state.task.limits.climb_rate_m_s
-    return 2.0 * max(height_m(state), 0.0) / climb_rate + _TAKE_OFF_SLACK_S

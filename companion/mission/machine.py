@@ -129,9 +129,8 @@ def _observe(state: State, event: Event, context: Context) -> None:
         case events.Battery():
             take_battery(state, event, context.mission)
         case events.Echo():
-            vehicle.echo_nea_m, vehicle.echo_nea_m_s = event.position_nea_m, event.velocity_nea_m_s
-            vehicle.echo_at_s = told_s
-            following.take_echo(state)
+            vehicle.echo = event
+            following.take_echo(state, event)
         case events.DuplicateId(certain=certain):
             state.duplicate_id, state.duplicate_id_at_s = certain, now_s
         case events.Prepared(item=item, refusal=""):
@@ -179,13 +178,13 @@ PHASES: Final[dict[Phase, tuple[type[Stage], Callable[[State, Any, Event, Turn],
     Phase.WAITING: (phases.Preparing, ground.waiting),
     Phase.PREPARING: (phases.Preparing, ground.preparing),
     Phase.READY: (Stage, ground.ready),
-    Phase.ARMING: (phases.Arming, ground.arming),
+    Phase.ARMING: (Stage, ground.arming),
     Phase.TAKING_OFF: (Stage, ground.taking_off),
     Phase.FLYING: (phases.Flying, flying.on_path),
     Phase.RETURNING: (phases.Led, flying.on_path),
     Phase.HOLDING: (phases.Holding, stopped.holding),
-    Phase.ARRIVED: (phases.Arrived, stopped.arrived),
-    Phase.LANDING: (phases.Landing, stopped.landing),
+    Phase.ARRIVED: (phases.Stopped, stopped.arrived),
+    Phase.LANDING: (Stage, stopped.landing),
     Phase.HANDING_OVER: (Stage, stopped.handing_over),
     Phase.SHADOW: (phases.Flying, flying.shadow),
     Phase.DONE: (Stage, lambda *_: None),
@@ -205,7 +204,7 @@ def _enter(state: State, trigger: Trigger, turn: Turn) -> None:
         hold_for(state, state.reason or Reason.NO_PLAN)
     else:
         state.stage = turn.stage or PHASES[phase][0](phase=phase)
-    state.stage.since_s = state.now_s
+    state.stage.since_s = state.stage.progress_at_s = state.now_s
     left = was.path if isinstance(was, phases.Led | phases.Preparing) else None
     if left is not None and state.path is not left:  # broken off on it
         following.note_flown(state, left, left.reference.length_m)
@@ -238,9 +237,7 @@ def _set_out(state: State, turn: Turn) -> None:
     """To fly, back or on, or to land."""
     state.reason, state.taken = None, False
     if isinstance(state.stage, phases.Led):
-        state.stage.progress_at_s = state.stage.echoed_at_s = state.now_s
-    elif isinstance(state.stage, phases.Landing):
-        state.stage.sinks_at_s = state.now_s
+        state.stage.echoed_at_s = state.now_s
     if state.phase is not Phase.FLYING:
         state.orders = Orders()
     elif not state.flight.homeward:  # to a target again

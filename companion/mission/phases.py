@@ -310,15 +310,19 @@ class OnPath(Struct, kw_only=True):
 
 
 class Stage(Struct, kw_only=True):
-    """A phase, with what each of them knows; most know more."""
+    """A phase, with what each of them knows; some know more."""
 
     phase: Phase
     since_s: float = 0.0
     """When it began."""
+    progress_at_s: float = 0.0
+    """When it last came on: the reference point moved, the vehicle sank, a wait for a leg began."""
     asked_at_s: float = -1e9
     """When the vehicle was last asked for something."""
     asks: int = 0
     """How often."""
+    obeyed: bool = False
+    """Whether it took the mode that this phase requests, or needs none."""
 
 
 @final
@@ -341,23 +345,12 @@ class Preparing(Stage, kw_only=True):
     """Why it is not ready any more, having waited for a go; empty: it has not."""
 
 
-@final
-class Arming(Stage, kw_only=True):
-    """And the mode that the take-off begins with."""
-
-    phase: Phase = Phase.ARMING
-    obeyed: bool = False
-    """Whether the vehicle took that mode."""
-
-
 class Led(Stage, kw_only=True):
     """On a path: along the flown one back, or as `Flying`."""
 
     phase: Phase = Phase.RETURNING
     path: OnPath | None = None
     """None: there is no leg, it waits for one."""
-    progress_at_s: float = 0.0
-    """When the reference point last moved, or the wait for a leg began."""
     echoed_at_s: float = 0.0
     """When the reported target last agreed with the setpoint."""
 
@@ -373,10 +366,11 @@ class Flying(Led, kw_only=True):
 
 
 class Stopped(Stage, kw_only=True):
-    """Where it may ask for the way back."""
+    """At rest: at a target, or as `Holding`."""
 
+    phase: Phase = Phase.ARRIVED
     backtrack: Planning | None = None
-    """The request for it."""
+    """The request for the way back."""
 
 
 @final
@@ -385,29 +379,9 @@ class Holding(Stopped, kw_only=True):
 
     phase: Phase = Phase.HOLDING
     how: Hold
-    obeyed: bool = False
-    """Whether the vehicle took the hold mode, or needs none."""
     released_at_s: float = -1e9
     """When the operator last ordered to continue."""
     failsafe_over: bool = False
     """Whether the end of the failsafe that took the vehicle was reported."""
     why: Reason | None = None
     """What was seen to be wrong when a failsafe took it."""
-
-
-@final
-class Arrived(Stopped, kw_only=True):
-    """At a target."""
-
-    phase: Phase = Phase.ARRIVED
-
-
-@final
-class Landing(Stage, kw_only=True):
-    """In the autopilot's own land mode."""
-
-    phase: Phase = Phase.LANDING
-    obeyed: bool = False
-    """Whether the vehicle took it."""
-    sinks_at_s: float = 0.0
-    """When it last sank."""

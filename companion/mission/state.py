@@ -10,7 +10,7 @@ from typing import final
 
 from msgspec import Struct, field
 
-from companion.mission.events import FenceChanged, Item, Landed, Mode, Setpoint, Vector
+from companion.mission.events import Echo, FenceChanged, Item, Landed, Mode, Setpoint, Vector
 from companion.mission.mission import Mission
 from companion.mission.phases import IN_AIR as IN_AIR  # for those who read the state
 from companion.mission.phases import ON_PATH as ON_PATH
@@ -76,10 +76,8 @@ class Vehicle(Struct, kw_only=True):
     """Time of the first report in the air, and the charge then."""
     round_trip_s: float = 0.0
     """Of the link."""
-    echo_nea_m: Vector | None = None
-    echo_nea_m_s: Vector | None = None
-    """The velocity of its target."""
-    echo_at_s: float = -1e9
+    echo: Echo | None = None
+    """Its target, as last told."""
     position_nea_m: Vector | None = None
     velocity_nea_m_s: Vector = (0.0, 0.0, 0.0)
     heading_rad: float | None = None
@@ -187,10 +185,6 @@ class Orders(Struct, frozen=True):
     def paused(self) -> "Orders":
         """With a pause."""
         return self if self.active is Reason.PAUSED else Orders(Reason.PAUSED, self.active)
-
-    def continued(self) -> "Orders":
-        """Without a pause."""
-        return Orders(self.suspended) if self.active is Reason.PAUSED else self
 
 
 @final

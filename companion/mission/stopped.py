@@ -22,15 +22,14 @@ from companion.mission.battery import battery_runs_low, give_up_for_battery, war
 from companion.mission.decisions import (
     ASK_AGAIN_S,
     AT_M,
-    LANDING_ABORTED,
     STOPPED_M_S,
     Context,
     Turn,
+    abort_landing,
     fence_is_given_up,
     hold_for,
     in_words,
     is_at_rest,
-    landing_order,
     longest_silence_s,
     waits_for_fence,
 )
@@ -40,7 +39,7 @@ from companion.mission.following import come_to_rest, send_hold
 from companion.mission.health import TRUST_S
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.phases import ON_SETPOINTS, Hold, Reason, Trigger
-from companion.mission.state import Orders, State
+from companion.mission.state import State
 from companion.mission.tables import is_ours, parting, stays_down, takeover_reason, wanted_fallback
 from companion.mission.way_back import begins_at_home, home_ne_m, is_above_home
 from companion.planner.recheck import is_touched
@@ -135,8 +134,7 @@ def _heard_again(state: State, event: Event, turn: Turn) -> None:
     """Prepare again after a silence, which may have concerned some messages only."""
     if state.in_phase_s > longest_silence_s(state, turn.context):
         return turn.give_up(Reason.LINK_LOST)
-    heard = isinstance(event, Position) and not state.is_silent
-    if heard:
+    if isinstance(event, Position) and not state.is_silent:
         turn.to(Trigger.PREPARE_AGAIN)
 
 
@@ -361,7 +359,7 @@ def _ask_for_guided(state: State, event: Event, turn: Turn) -> None:
 # --- at the target
 
 
-def arrived(state: State, stage: phases.Arrived, event: Event, turn: Turn) -> None:
+def arrived(state: State, stage: phases.Stopped, event: Event, turn: Turn) -> None:
     """Stop at the target; then the next target, or the end action."""
     flight, asked = state.flight, stage.asked_at_s > stage.since_s
     if state.vehicle.mode is Mode.HOLD and asked:
@@ -381,7 +379,7 @@ def arrived(state: State, stage: phases.Arrived, event: Event, turn: Turn) -> No
     return _end(state, stage, turn)
 
 
-def _end(state: State, stage: phases.Arrived, turn: Turn) -> None:
+def _end(state: State, stage: phases.Stopped, turn: Turn) -> None:
     """The mission's end action."""
     traits, action, flight = state.vehicle.traits, turn.context.mission.end_action, state.flight
     if flight.homeward or (action is EndAction.LAND and traits.lands):
@@ -457,14 +455,14 @@ def landing_words(state: State, context: Context) -> str:
     return f"{traits.name} lands on a circle: up to {within_m:.0f} m from the target"
 
 
-def landing(state: State, stage: phases.Landing, event: Event, turn: Turn) -> None:
+def landing(state: State, stage: phases.Stage, event: Event, turn: Turn) -> None:
     """Request the land mode until it is taken, then wait for touchdown."""
     vehicle = state.vehicle
     if vehicle.landed is Landed.ON_GROUND and not vehicle.armed:
         return turn.to(Trigger.LANDED)
     if isinstance(event, Position) and event.velocity_nea_m_s[2] < -_SINKING_M_S:
-        stage.sinks_at_s = state.now_s
-    if state.now_s - stage.sinks_at_s > _OBEY_S:
+        stage.progress_at_s = state.now_s
+    if state.now_s - stage.progress_at_s > _OBEY_S:
         return turn.give_up(Reason.NOT_OBEYING)
     if vehicle.mode is Mode.LAND:
         stage.obeyed = True
@@ -485,8 +483,7 @@ def _broken_off(state: State, turn: Turn) -> None:
     reason = Reason.PAUSED if guided else takeover_reason(state)
     come_to_rest(state, state.vehicle.position_nea_m if guided else None)
     if reason is not Reason.FENCE_BREACHED:
-        state.orders = Orders(Reason.PAUSED, landing_order(state))
-        turn.warn(LANDING_ABORTED)
+        abort_landing(state, turn)
     return turn.fault(reason)
 
 
@@ -504,4 +501,3 @@ def handing_over(state: State, stage: phases.Stage, _event: Event, turn: Turn) -
     if stage.asks == _ASKS and state.now_s - stage.asked_at_s >= ASK_AGAIN_S:
         return turn.give_up(Reason.NOT_OBEYING)
     turn.ask(SetMode(mode=Mode.RETURN))
-    return

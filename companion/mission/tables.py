@@ -54,7 +54,7 @@ def is_ours(state: State) -> bool:
         return mode in OURS.get(stage.how, _ANY)
     if phase is Phase.TAKING_OFF and traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB:
         return mode is Mode.GUIDED
-    early = isinstance(stage, phases.Landing) and not stage.obeyed
+    early = phase is Phase.LANDING and not stage.obeyed
     return mode in OURS.get(phase, _ANY) or (early and mode in (Mode.GUIDED, Mode.HOLD))
 
 
@@ -257,12 +257,11 @@ def _does_as_told(state: State) -> bool:
 
 def _is_to_take_off(state: State) -> bool:
     """On the ground, before it was obeyed, no pilot has taken it."""
-    is_obeyed = isinstance(state.stage, phases.Arming) and state.stage.obeyed
     asked, down = (
         state.stage.asks > 0 or state.armed_by_us,
         state.vehicle.landed is Landed.ON_GROUND,
     )
-    return asked and (_does_as_told(state) or (not is_obeyed and down))
+    return asked and (_does_as_told(state) or (not state.stage.obeyed and down))
 
 
 def _takes_off(state: State) -> bool:

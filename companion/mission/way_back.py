@@ -16,8 +16,7 @@ from companion.planner.settings import Task
 
 _NO_WAY_OUT = frozenset({Refusal.START_NEAR_TERRAIN, Refusal.START_NEAR_UNKNOWN})
 """From where nothing leads away nothing leads home either: only the autopilot climbs out."""
-_CIRCLES = 1.5
-"""Loiter radii: a plane lands on a circle about where it is told to (px4.md 10)."""
+_CIRCLES = 1.5  # loiter radii: a plane lands on a circle about where it is told to (px4.md 10)
 
 
 def request(state: State, turn: Turn) -> None:

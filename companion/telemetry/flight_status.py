@@ -10,11 +10,11 @@ from typing import Final, Literal, final
 import numpy as np
 from msgspec import Struct
 
-from companion.mission import phases
 from companion.mission.battery import way_left_m
 from companion.mission.decisions import reason_text
 from companion.mission.events import Outcome, Vector
-from companion.mission.state import IN_AIR, ON_PATH, Phase, Reason, State
+from companion.mission.phases import IN_AIR, ON_PATH, Holding, Phase, Reason
+from companion.mission.state import State
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.planner.procedure import off_path_m
 from companion.telemetry.flight_summary import FlightSummary
@@ -209,11 +209,10 @@ def _waits_for(flown: FlightSummary) -> str:
 
 def _reason(state: State) -> tuple[str | None, str | None]:
     """Why the mission holds or ends, and the remedy."""
-    reason = state.reason
+    reason, stage = state.reason, state.stage
     if reason is None:
         return None, None
-    over = isinstance(state.stage, phases.Holding) and state.stage.failsafe_over
-    if over and reason is Reason.FAILSAFE:
+    if reason is Reason.FAILSAFE and isinstance(stage, Holding) and stage.failsafe_over:
         return FAILSAFE_OVER, None
     detail, remedy = reason_text(state, reason)
     return f"{reason.text}{state.detail or detail}", state.remedy or remedy

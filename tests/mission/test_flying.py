@@ -327,7 +327,7 @@ def test_who_joins_a_path_near_its_end_comes_to_rest_without_a_jump(
     assert math.hypot(*sent[-1].velocity_nea_m_s) < 0.1
 
 
-def went_on(at_m: float, told_m: float, pace: float, **echo: Any) -> OnPath:
+def went_on(at_m: float, told_m: float, pace: float, age_s: float, moves: Any = None) -> OnPath:
     """Where it goes on along its leg: at that length and share of V, told to be at the other."""
     state = two_legs().state
     curve = state.leg.subpath
@@ -336,8 +336,11 @@ def went_on(at_m: float, told_m: float, pace: float, **echo: Any) -> OnPath:
         state.vehicle,
         position_nea_m=curve.pose(at_m).point_nea_m,
         velocity_nea_m_s=(north, east, up),
-        echo_nea_m=curve.pose(told_m).point_nea_m,
-        **echo,
+        echo=events.Echo(
+            time_s=state.now_s - age_s,
+            position_nea_m=curve.pose(told_m).point_nea_m,
+            velocity_nea_m_s=moves,
+        ),
     )
     told_nothing = replace(state, vehicle=vehicle, flight=replace(state.flight, sent=None))
     path = joined(deep(told_nothing), state.path)
@@ -355,7 +358,7 @@ def test_it_rejoins_the_leg_that_is_the_nearer_one_and_has_flown_the_other(share
     begins = path.leg.subpath.pose(over_at_m).position_nea_m
     aside = begins + np.linspace(0.0, LEG_M, 4)[:, None] * np.array(ASIDE)
     path.next_leg = replace(path.leg, subpath=Subpath(control_nea_m=aside))
-    state.vehicle.echo_nea_m = state.flight.sent = None
+    state.vehicle.echo = state.flight.sent = None
     for leg, at_m in ((path.leg, share * over_at_m), (path.next_leg, share * LEG_M)):
         state.vehicle.position_nea_m = leg.subpath.pose(at_m).point_nea_m
         then = deep(state)
@@ -369,14 +372,12 @@ def test_it_rejoins_the_leg_that_is_the_nearer_one_and_has_flown_the_other(share
 
 @pytest.mark.parametrize("age_s", [0.0, 0.1, 0.4])
 def test_it_goes_on_where_the_autopilots_target_has_moved_since_it_was_told(age_s: float) -> None:
-    at_s = two_legs().state.now_s - age_s
-    path = went_on(1_000.0, 1_000.0 - age_s * SPEED_M_S, 1.0, echo_at_s=at_s)
+    path = went_on(1_000.0, 1_000.0 - age_s * SPEED_M_S, 1.0, age_s)
     assert path.reference.length_m == pytest.approx(1_000.0, abs=0.1)
 
 
 def test_it_goes_on_from_a_target_that_stands_as_slowly_as_the_target() -> None:
-    echo = {"echo_nea_m_s": (0.0, 0.0, 0.0), "echo_at_s": two_legs().state.now_s - 0.4}
-    path = went_on(1_000.0 - 0.6 * SPEED_M_S, 1_000.0, 0.6, **echo)
+    path = went_on(1_000.0 - 0.6 * SPEED_M_S, 1_000.0, 0.6, 0.4, (0.0, 0.0, 0.0))
     assert path.offset is not None
     assert path.reference.length_m == pytest.approx(1_000.0, abs=0.01)
     assert path.reference.speed_m_s == 0.0
