@@ -11,7 +11,7 @@ from scripted_vehicle import BRAKE, LAND, MISSION, Pair, Vehicle, messages, pair
 
 from companion.mission.events import Outcome
 from companion.mission.mission import EndAction
-from companion.mission.state import Phase, Trigger
+from companion.mission.phases import Phase, Trigger
 from companion.planner.request import NotPlanned, PlanOutcome, PlanRequest, Refusal
 from companion.session import Session
 

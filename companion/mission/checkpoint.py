@@ -12,7 +12,6 @@ from typing import Any, Final, final
 
 import msgspec
 from msgspec import MsgspecError, Struct
-from msgspec.structs import replace
 
 from companion.geodesy import FloatArray
 from companion.mission import phases
@@ -32,7 +31,8 @@ Values = dict[str, Any]
 DECODE_ERRORS = (ArithmeticError, LookupError, RecursionError, TypeError, ValueError, MsgspecError)
 """Exceptions that restoring invalid values may raise."""
 PERIOD_S, LONGEST_S = 1.0, 10.0
-_AS_THEY_ARE: Final = ("airborne", "taken", "armed_by_us", "targets_ne_m", "fence")
+_LOST = {"lost": "taking over without memory of the flight", "map_lost": "scanning anew"}
+_AS_THEY_ARE: Final = ("airborne", "taken", "armed_by_us", "targets_ne_m")
 """Of the state, what is saved under its own name; and of the flight:"""
 _OF_FLIGHT: Final = ("target", "plan_id", "legs_flown", "stops", "departures", "route_ne_m")
 _OF_LEG: Final = ("number", "plan_id", "speed_m_s", "reaches_target", "through")
@@ -79,7 +79,8 @@ class Saved(Struct, kw_only=True):
     taken: bool
     armed_by_us: bool
     targets_ne_m: Targets
-    fence: FenceChanged | None
+    fence: dict[str, Any] | None
+    """A `FenceChanged`."""
     standing: str | None
     """The active order."""
     set_aside: str | None
@@ -90,10 +91,11 @@ class Saved(Struct, kw_only=True):
     stops: int
     departures: int
     route_ne_m: Targets
-    flown: tuple[FlownSegment, ...]
+    flown: list[tuple[FloatArray, float, float, float | None]]
     refusal: str | None
     fallen_back: str | None
-    way: str
+    returning: bool
+    homeward: bool
     leg: _Leg | None
     next_leg: _Leg | None
     joined_m: float
@@ -107,12 +109,16 @@ def values_of(state: State) -> Values:
         t_s=state.now_s,
         phase=state.phase.name,
         sank=state.phase is Phase.LANDING and state.stage.obeyed,
+        fence=None if state.fence is None else msgspec.to_builtins(state.fence),
         standing=_name(orders.active),
         set_aside=_name(orders.suspended),
-        flown=flight.flown,
+        flown=[
+            (each.control_nea_m, each.from_m, each.until_m, each.speed_m_s) for each in flight.flown
+        ],
         refusal=_name(flight.refusal),
         fallen_back=_name(flight.fallen_back),
-        way=flight.way.name,
+        returning=flight.returning,
+        homeward=flight.homeward,
         leg=None if path is None else _Leg.of(path.leg),
         next_leg=None if path is None or path.next_leg is None else _Leg.of(path.next_leg),
         joined_m=0.0 if path is None else path.joined_m,
@@ -135,9 +141,9 @@ def initial_state(mission: Mission, resume: tuple[Values, KnownMap | None] | Non
     values, kept = resume
     known = blank_map(mission)
     if "lost" in values:
-        state, time_s = State.of(mission, known), float(values["t_s"])
-        flight = replace(state.flight, plan_id=int(values["plan_id"]))
-        state = replace(state, now_s=time_s, airborne=True, flight=flight)
+        state = State.of(mission, known)
+        state.now_s, state.airborne = float(values["t_s"]), True
+        state.flight.plan_id = int(values["plan_id"])
     else:
         state = restored(mission, kept or known, values)
     left = state.stage
@@ -170,14 +176,12 @@ def without_map(values: Values, why: str) -> Values:
 
 def restore_notes(values: Values) -> list[str]:
     """What could not be restored, as text for the operator."""
-    said = {"lost": "taking over without memory of the flight", "map_lost": "scanning anew"}
-    return [f"{text}: {values[key]}" for key, text in said.items() if key in values]
+    return [f"{text}: {values[key]}" for key, text in _LOST.items() if key in values]
 
 
 def resumed_entry(values: Values) -> Values:
     """The journal entry of a resumed flight."""
-    lost: Values = {key: values[key] for key in ("lost", "map_lost") if key in values}
-    return {"phase": values.get("phase"), **lost}
+    return {"phase": values.get("phase")} | {key: values[key] for key in _LOST if key in values}
 
 
 def restored(mission: Mission, known: KnownMap, values: Values) -> State:
@@ -188,18 +192,23 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     json.dumps(values, allow_nan=False)  # ValueError: a number that is not finite
     saved = msgspec.convert(values, Saved, dec_hook=_decoded)
     state = State.of(mission, known)
-    state.take_fence(mission.task, saved.fence)
-    task, leg, next_leg, way = state.task, saved.leg, saved.next_leg, Way[saved.way]
+    if saved.fence is not None:
+        told = {"t_s": 0.0, **saved.fence}
+        state.take_fence(mission.task, msgspec.convert(told, FenceChanged, dec_hook=_decoded))
+    task, leg, next_leg = state.task, saved.leg, saved.next_leg
     path = leg and OnPath(
         leg=leg.leg(task), next_leg=next_leg and next_leg.leg(task), joined_m=saved.joined_m
     )
     state.flight = Flight(
         known=known,
-        flown=saved.flown,
+        flown=tuple(
+            FlownSegment(control_nea_m=control, from_m=low_m, until_m=high_m, speed_m_s=speed_m_s)
+            for control, low_m, high_m, speed_m_s in saved.flown
+        ),
         refusal=None if saved.refusal is None else Refusal[saved.refusal],
         fallen_back=_reason(saved.fallen_back),
-        way=way,
-        back=tuple(each.leg(task) for each in saved.back) if way is Way.BACK else (),
+        way=Way.BACK if saved.returning else Way.HOME if saved.homeward else Way.OUT,
+        back=tuple(each.leg(task) for each in saved.back) if saved.returning else (),
         **{name: getattr(saved, name) for name in _OF_FLIGHT},
     )
     state.stage = phases.Preparing(
@@ -209,12 +218,10 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
         landing=saved.phase == Phase.LANDING.name,
         sank=saved.sank,
     )
-    state = replace(
-        state,
-        now_s=saved.t_s,
-        orders=Orders(_reason(saved.standing), _reason(saved.set_aside)),
-        **{name: getattr(saved, name) for name in _AS_THEY_ARE},
-    )
+    state.now_s = saved.t_s
+    state.orders = Orders(_reason(saved.standing), _reason(saved.set_aside))
+    for name in _AS_THEY_ARE:
+        setattr(state, name, getattr(saved, name))
     if not 0 <= saved.target < max(len(state.targets_ne_m), 1):
         raise ValueError(f"target {saved.target} of {len(state.targets_ne_m)}")
     return state
@@ -230,7 +237,7 @@ def _reason(name: str | None) -> Reason | None:
 
 
 _persisted: Final = attrgetter(
-    *(*_AS_THEY_ARE, "orders", "phase"),
+    *(*_AS_THEY_ARE, "fence", "orders", "phase"),
     *(f"flight.{name}" for name in (*_OF_FLIGHT, "flown", "refusal", "fallen_back", "way", "back")),
 )
 """All fields of a state in a checkpoint, except the time and the legs."""

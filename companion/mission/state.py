@@ -13,12 +13,9 @@ from msgspec import Struct, field
 from companion.mission.events import Echo, FenceChanged, Item, Landed, Mode, Setpoint, Vector
 from companion.mission.mission import Mission
 from companion.mission.phases import IN_AIR as IN_AIR  # for those who read the state
-from companion.mission.phases import ON_PATH as ON_PATH
-from companion.mission.phases import OVER as OVER
 from companion.mission.phases import Hold, Holding, Led, OnPath, Preparing, Stage
 from companion.mission.phases import Phase as Phase
 from companion.mission.phases import Reason as Reason
-from companion.mission.phases import Trigger as Trigger
 from companion.mission.vehicle_traits import UNKNOWN, VehicleTraits
 from companion.planner.procedure import Leg, Reference
 from companion.planner.progress import NO_PROGRESS, Progress

@@ -32,8 +32,8 @@ from companion.mission.decisions import Turn
 from companion.mission.events import FenceChanged, Mode, Order, OrderKind, Plan, SetMode, Setpoint
 from companion.mission.flying import on_answer
 from companion.mission.mission import Fallback
-from companion.mission.phases import Scanning
-from companion.mission.state import Phase, Reason, Way
+from companion.mission.phases import Phase, Reason, Scanning
+from companion.mission.state import Way
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.zones import CircleZone
 
@@ -239,11 +239,9 @@ def test_what_a_path_was_proven_under_outlives_the_companion_and_no_other_missio
     values = json.loads(json.dumps(checkpoint.values_of(craft.state)))
     known, stricter = craft.state.flight.known, replace(MISSION.task.limits, dead_man_s=9.0)
     again = checkpoint.restored(MISSION, known, values)
-    assert again.leg is not None
     assert again.leg.rules == again.task == craft.state.task
     other = replace(MISSION, task=replace(MISSION.task, limits=stricter))
     leg = checkpoint.restored(other, known, values).leg
-    assert leg is not None
     assert leg.rules is None
 
 

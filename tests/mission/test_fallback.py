@@ -27,8 +27,7 @@ from companion.mavlink.autopilots import ALL, Autopilot
 from companion.mission import events
 from companion.mission.events import Landed, Mode, Order, OrderKind, Outcome, SetMode
 from companion.mission.mission import EndAction, Fallback, Mission
-from companion.mission.phases import Hold
-from companion.mission.state import Phase, Reason
+from companion.mission.phases import Hold, Phase, Reason
 from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest, Refusal
 
 AWAY = two_legs_away()
@@ -104,7 +103,6 @@ def test_where_no_way_back_is_proven_its_autopilot_returns_and_that_is_said_befo
     """But what does not know where it is lands."""
     craft = failure(AWAY).fly_to(Phase.DONE)
     reason = craft.state.flight.fallen_back
-    assert reason is not None
     why = f"{reason.text}{broke(failure)}"
     mode, how, end = (
         Mode.RETURN,
@@ -208,7 +206,6 @@ def no_way_on(craft: Craft) -> None:
 
 def is_home(craft: Craft) -> bool:
     """Landed there; or its autopilot flies there by itself."""
-    assert craft.home_nea_m is not None
     return math.dist(craft.here[:2], craft.home_nea_m[:2]) < 100.0 and not craft.armed
 
 

@@ -25,8 +25,7 @@ from companion.mission.decisions import Turn
 from companion.mission.entries import of_change
 from companion.mission.events import Mode, Plan, Position, Setpoint, StartScan, StatusText
 from companion.mission.following import is_on_path, joined, left_path, outside_m
-from companion.mission.phases import Answered, OnPath
-from companion.mission.state import Phase, Reason
+from companion.mission.phases import Answered, OnPath, Phase, Reason
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Reference, hover_pose
 from companion.planner.request import Planned, PlanRequest
@@ -187,11 +186,7 @@ def test_who_leaves_where_it_was_proven_to_be_is_noted_and_is_to_stop_or_to_hold
 
 @pytest.mark.parametrize(
     ("off", "later_s", "reason"),
-    [
-        (1.5, STOPS_S + 2.0, None),
-        (1.5, STOPS_S + 4.0, Reason.OFF_PATH),
-        (0.5, STOPS_S + 4.0, None),
-    ],
+    [(1.5, STOPS_S + 2.0, None), (1.5, STOPS_S + 4.0, Reason.OFF_PATH), (0.5, STOPS_S + 4.0, None)],
 )
 def test_who_does_not_come_back_is_told_to_hold(
     off: float, later_s: float, reason: Reason | None
@@ -353,7 +348,6 @@ def test_it_rejoins_the_leg_that_is_the_nearer_one_and_has_flown_the_other(share
     """The next leg turns off to the right from p_prog of this one."""
     state = deep(two_legs().state)
     path = state.path
-    assert path is not None
     over_at_m = path.leg.successor_at_m(state.task)
     begins = path.leg.subpath.pose(over_at_m).position_nea_m
     aside = begins + np.linspace(0.0, LEG_M, 4)[:, None] * np.array(ASIDE)
@@ -363,7 +357,6 @@ def test_it_rejoins_the_leg_that_is_the_nearer_one_and_has_flown_the_other(share
         state.vehicle.position_nea_m = leg.subpath.pose(at_m).point_nea_m
         then = deep(state)
         goes_on = joined(then, path)
-        assert goes_on is not None
         assert goes_on.leg is leg
         assert goes_on.reference.length_m == pytest.approx(at_m, abs=0.1)
         flown_m = [each.until_m for each in then.flight.flown[len(state.flight.flown) :]]
@@ -378,7 +371,6 @@ def test_it_goes_on_where_the_autopilots_target_has_moved_since_it_was_told(age_
 
 def test_it_goes_on_from_a_target_that_stands_as_slowly_as_the_target() -> None:
     path = went_on(1_000.0 - 0.6 * SPEED_M_S, 1_000.0, 0.6, 0.4, (0.0, 0.0, 0.0))
-    assert path.offset is not None
     assert path.reference.length_m == pytest.approx(1_000.0, abs=0.01)
     assert path.reference.speed_m_s == 0.0
     assert np.linalg.norm(path.offset.velocity_nea_m_s) == 0.0

@@ -163,7 +163,6 @@ def only_the_first(request: PlanRequest) -> PlanOutcome:
 def test_without_a_successor_a_leg_is_flown_to_its_end_and_then_held_with_zero_velocity() -> None:
     craft = flying(plan=only_the_first)
     leg = craft.state.leg
-    assert leg is not None
     end_nea_m = leg.subpath.pose(leg.subpath.length_m).position_nea_m
     craft.fly_to(Phase.HOLDING)
     assert craft.state.reason is Reason.NO_PLAN

@@ -123,7 +123,6 @@ def test_something_in_its_way_stops_it_at_once(blind: bool) -> None:
         craft.take(seen(craft, Sight.DEAD))
     craft.take(seen(craft, Sight.SEES, ahead(craft, 6000.0)))
     stop = craft.state.path.stop
-    assert stop is not None
     assert stop.reason is Reason.NEW_THREAT
     assert told(craft, Reason.SENSOR_SILENT) == blind
     craft.take(seen(craft, Sight.SEES, ahead(craft, 6000.0)))
@@ -171,13 +170,11 @@ def test_a_copter_behind_its_reference_stops_as_far_from_where_it_is_itself() ->
     craft = flying(MISSION)
     path, vehicle = craft.state.path, craft.state.vehicle
     leg, at_m = path.leg, path.reference.length_m
-    assert vehicle.position_nea_m is not None
     behind_m = 0.4 * at_m
     place = leg.subpath.pose(at_m - behind_m).point_nea_m
     behind = replace(craft.state, vehicle=replace(vehicle, position_nea_m=place))
     stopped = deep(behind)
     following.stop(stopped, Reason.NEW_THREAT, Turn(stopped, craft.context))
-    assert stopped.path.stop is not None
     brakes_m = path.reference.speed_m_s**2 / (2.0 * MISSION.task.limits.acceleration_m_s2)
     stops_at_m = max(at_m - behind_m + brakes_m, at_m)
     assert stopped.path.stop.at_m == pytest.approx(stops_at_m, rel=1e-3)

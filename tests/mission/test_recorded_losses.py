@@ -26,8 +26,8 @@ from companion.mavlink.frames import IGNORED_MESSAGES
 from companion.mission import checkpoint
 from companion.mission.events import Mode
 from companion.mission.mission import Mission
-from companion.mission.phases import Flying, OnPath
-from companion.mission.state import Phase, Reason, State
+from companion.mission.phases import Flying, OnPath, Phase, Reason
+from companion.mission.state import State
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
 from companion.planner.request import PlanOutcome
@@ -289,7 +289,6 @@ def not_guided(name: str) -> list[tuple[float, float]]:
         if not ours or message.get_type() != "HEARTBEAT":
             continue
         autopilot = autopilot or autopilot_of(message)
-        assert autopilot is not None
         guided = autopilot.modes.mode_of(message.custom_mode) is Mode.GUIDED
         began = began or guided
         if began and not guided and since_s is None:

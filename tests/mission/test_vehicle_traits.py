@@ -101,7 +101,6 @@ def test_a_vehicle_below_the_band_climbs_before_anything_is_planned(traits: Vehi
     wild.fly_to(Phase.FLYING).run_until(lambda wild: wild.state.flight.plan_id > 0)
     lowest_m = wild.mission.task.band_amsl_m[0]
     assert wild.here[2] >= lowest_m - wild.mission.task.limits.tracking_error_m
-    assert wild.state.flight.hover_nea_m is not None
     assert wild.state.flight.hover_nea_m[2] >= lowest_m
     heights = [c.position_nea_m[2] for c in wild.sent(Setpoint)]
     if traits.hovers:  # the climb is led at the mission's rate
@@ -237,7 +236,6 @@ def test_a_plane_that_lands_too_far_from_its_target_has_not_arrived() -> None:
 def test_a_plane_that_passes_its_target_too_far_away_says_so() -> None:
     wild = Wild.calmly(PX4_FIXED_WING.traits).fly_to(Phase.ARRIVED)
     state, here = wild.state, wild.state.vehicle.position_nea_m
-    assert here is not None
     for off_m in (0.9, 1.1):
         off_m *= state.task.limits.tracking_error_m
         place = (here[0] + off_m, here[1], here[2])

@@ -18,10 +18,11 @@ from companion.mission import events
 from companion.mission.decisions import Context
 from companion.mission.events import Command, Event, Landed, Mode, OrderKind, Position, Setpoint
 from companion.mission.mission import Mission
-from companion.mission.state import Phase, Reason, State, Trigger
+from companion.mission.phases import Phase, Reason, Trigger
+from companion.mission.state import State
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.path.subpath import Subpath
-from companion.planner.procedure import Leg, Reference
+from companion.planner.procedure import Leg
 from companion.planner.request import Backtrack, Planned, PlanOutcome, PlanRequest
 
 OVER = (Phase.DONE, Phase.FAULTED)
@@ -329,14 +330,11 @@ class Watch:
         now = after.now_s
         reason = after.reason if after.phase is Phase.HOLDING else None
         key = (after.phase, reason)
-        if (
-            key != self.key
-            or after.phase is not before.phase
-            or after.stage.since_s != before.stage.since_s
-        ):
+        was, stage = before.stage, after.stage
+        if key != self.key or stage.phase is not was.phase or stage.since_s != was.since_s:
             self.key, self.since_s, self.spoke_at_s = key, now, now
             self.progress_at_s = now
-        if _reference(after) != _reference(before) or after.leg is not before.leg:
+        if after.reference != before.reference or after.leg is not before.leg:
             self.progress_at_s = now
         if isinstance(event, Position) and abs(event.velocity_nea_m_s[2]) > 0.1:
             self.progress_at_s = now
@@ -398,10 +396,6 @@ _PROGRESS = (Phase.FLYING, Phase.RETURNING, Phase.LANDING)
 def _flown_by(state: State) -> tuple[Leg | None, Leg | None]:
     """The leg that it flies, and the next one."""
     return (None, None) if state.path is None else (state.path.leg, state.path.next_leg)
-
-
-def _reference(state: State) -> Reference:
-    return Reference() if state.path is None else state.path.reference
 
 
 def _name(subpath: Subpath) -> bytes:

@@ -14,8 +14,7 @@ from test_output import written
 from companion.config import load_mission
 from companion.errors import FlightFailed, InputError
 from companion.mission.events import End, Outcome
-from companion.mission.phases import Hold
-from companion.mission.state import Phase, Reason
+from companion.mission.phases import Hold, Phase, Reason
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.session import Session
 from companion.telemetry.flight_status import FlightStatus, flight_status
