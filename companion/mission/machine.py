@@ -2,7 +2,7 @@
 
 The state is copied once, with all of it that changes, and the copy is changed in place: nobody else
 does.  An event first updates vehicle and terrain.  Then comes what others want, then what is wrong
-(`tables.FAULTS`), then what the phase does; a trigger changes the phase by the table in `state`,
+(`tables.FAULTS`), then what the phase does; a trigger changes the phase by the table in `phases`,
 and the new phase begins with its own commands.  No clock, no I/O: times are those of the events.
 """
 
