@@ -44,7 +44,7 @@ def on_path(state: State, stage: phases.Led, event: Event, turn: Turn) -> None:
     if stage.path is None and looks_at_circle(state, turn):
         return
     # perhaps: it has to last a while
-    is_short = state.phase is Phase.FLYING and state.vehicle.battery_short_at_s is not None
+    is_short = stage.phase is Phase.FLYING and state.vehicle.battery_short_at_s is not None
     if is_short and battery_runs_low(state):
         give_up_for_battery(state)
         following.stop(state, Reason.BATTERY_LOW, turn)
@@ -103,8 +103,9 @@ def _lead(state: State, stage: phases.Led, path: OnPath, event: Position, turn: 
         way_back.take_next(state, path)
     if state.now_s - stage.progress_at_s > _STUCK_S:
         return turn.give_up(Reason.NOT_FOLLOWING)
-    is_on_path = following.is_on_path(state, path, event)
-    departs = None if is_on_path else _leaves_path(state, path, event, turn)
+    unechoed_s = state.now_s - stage.echoed_at_s
+    is_on_path = following.is_on_path(state, path, event, unechoed_s)
+    departs = None if is_on_path else _leaves_path(state, path, event, unechoed_s, turn)
     if departs is not None:
         return _depart(state, departs, turn)
     following.send_setpoint(state, path, event, turn)
@@ -121,9 +122,11 @@ def _lead(state: State, stage: phases.Led, path: OnPath, event: Position, turn: 
         start_scan(stage, path.leg.subpath.pose(at_m).point_nea_m, turn)
 
 
-def _leaves_path(state: State, path: OnPath, event: Position, turn: Turn) -> Reason | None:
+def _leaves_path(
+    state: State, path: OnPath, event: Position, unechoed_s: float, turn: Turn
+) -> Reason | None:
     """Look whether the vehicle is on its path and follows; a reason: the leg cannot go on."""
-    if following.is_not_taken(state):
+    if following.is_not_taken(state, unechoed_s):
         return Reason.NOT_TAKEN
     was_outside = path.outside_m
     departs = following.left_path(state, path, event, turn)

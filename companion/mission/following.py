@@ -93,19 +93,15 @@ def advance_reference(state: State, stage: phases.Led, path: OnPath, event: Posi
         switch_to_next_leg(state, path, task)
 
 
-def _unechoed_s(state: State) -> float:
-    """How long the reported target has disagreed with the setpoints."""
-    return state.now_s - state.stage.echoed_at_s if isinstance(state.stage, phases.Led) else 0.0
-
-
-def is_on_path(state: State, path: OnPath, event: Position) -> bool:
+def is_on_path(state: State, path: OnPath, event: Position, unechoed_s: float = 0.0) -> bool:
     """Whether it follows, and nothing of `outside_m` can be the case: what is looked at first.
 
     The path leaves its tangent at the reference point by along^2 / 2 R at most where it bends no
     more than the turn radius R; twice that is allowed for, as it may bend up and down as well.
+    unechoed_s: how long the reported target has disagreed with the setpoints.
     """
     vehicle, leg = state.vehicle, path.leg
-    echoes = vehicle.echo is None or _unechoed_s(state) <= _NOT_TAKEN_S
+    echoes = vehicle.echo is None or unechoed_s <= _NOT_TAKEN_S
     if path.outside_m or not (echoes and vehicle.traits.hovers):
         return False
     pose, (north, east, up) = leg.subpath.pose(path.reference.length_m), event.position_nea_m
@@ -172,11 +168,11 @@ def left_path(state: State, path: OnPath, event: Position, turn: Turn) -> Reason
     return None
 
 
-def is_not_taken(state: State) -> bool:
-    """Whether the autopilot's echo has disagreed with the setpoints for too long."""
+def is_not_taken(state: State, unechoed_s: float) -> bool:
+    """Whether the reported target has disagreed with the setpoints for too long: unechoed_s."""
     echo = state.vehicle.echo
     is_fresh = echo is not None and state.now_s - echo.time_s < _ECHO_S
-    return is_fresh and _unechoed_s(state) > _NOT_TAKEN_S
+    return is_fresh and unechoed_s > _NOT_TAKEN_S
 
 
 def take_echo(state: State, echo: Echo) -> None:

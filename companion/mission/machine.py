@@ -30,7 +30,7 @@ _AS_IT_SHOULD = {
 
 def step(before: State, event: Event, context: Context) -> tuple[State, list[Command]]:
     """Handle one event: the new state and the commands."""
-    if before.phase in OVER:
+    if before.stage.phase in OVER:
         return before, []
     state = copy(before)
     state.vehicle, state.flight = copy(before.vehicle), copy(before.flight)
@@ -67,7 +67,7 @@ def step(before: State, event: Event, context: Context) -> tuple[State, list[Com
         if reason is not None:
             _break_off(state, reason, turn)
         else:
-            PHASES[state.phase][1](state, state.stage, event, turn)
+            PHASES[state.stage.phase][1](state, state.stage, event, turn)
     if turn.trigger is Trigger.GIVE_UP and not context.shadow:
         fall_back(state, turn)
     if turn.trigger is not None and state.phase in turn.trigger.origins:
