@@ -222,7 +222,6 @@ def _enter(state: State, trigger: Trigger, turn: Turn) -> None:
             assert isinstance(stage, phases.Preparing)
             for text in filter(None, (stopped.landing_words(state, context), stage.news)):
                 turn.warn(text)
-            stage.news = ""
         case Phase.FLYING | Phase.LANDING | Phase.RETURNING:
             _set_out(state, turn)
         case Phase.HOLDING:

@@ -283,7 +283,6 @@ def test_a_fence_too_near_to_its_circle_is_said_once_and_it_stays(
     """Dense about the limit: the required clearance of the circle, less half a metre."""
     plane = circling(traits)
     task, hover = plane.mission.task, plane.state.flight.hover_nea_m
-    assert hover is not None
     away_m = task.limits.loiter_radius_m + task.required_clearance_m - 0.5 + gap_m
     zone = CircleZone(name="new", north_m=hover[0] + away_m + 70.0, east_m=hover[1], radius_m=70.0)
     plane.take(events.FenceChanged(time_s=plane.now_s, zones=(zone,)))
