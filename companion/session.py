@@ -255,7 +255,7 @@ class Session:
         """The autopilot was silent for this long; called repeatedly while it lasts."""
         self._out.inputs.append(("silence", silent_s))
         more_s = max(silent_s - self._silence_told_s, 0.0)
-        waiting = self.state.phase is Phase.WAITING
+        waiting = self.state.stage.phase is Phase.WAITING
         for limit in (_NO_VEHICLE_S,) if waiting else (_SILENT_S, GONE_S, GONE_IN_AIR_S):
             if self._silence_told_s < limit <= silent_s:
                 self._handle(events.LinkLost(time_s=self.now_s, silent_s=limit))
@@ -410,7 +410,7 @@ class Session:
             self._handle(plan.take(now_s))  # the position before may be a second old
         if vehicle.is_news:
             self._look_at_news(vehicle)
-        if self.state.phase in (Phase.PREPARING, Phase.READY):  # the checks go on
+        if self.state.stage.phase in (Phase.PREPARING, Phase.READY):  # the checks go on
             if (here := self._preflight.scan_position(self)) is not None:
                 self._start_scan(here)
             else:
@@ -564,13 +564,13 @@ class Session:
         ):
             return
         vehicle, component, is_over = self.vehicle, self._component, self._end is not None
-        if vehicle is not None and self.state.phase is not Phase.WAITING:
+        if vehicle is not None and self.state.stage.phase is not Phase.WAITING:
             self._send_all(vehicle.on_time(now_s, at_s))
             for texts, warning in ((vehicle.warnings, True), (vehicle.notes, False)):
                 while texts:
                     self._send_text(texts.pop(0), warning=warning)
         if component is not None:
-            faulted = self.state.phase is Phase.FAULTED or is_over
+            faulted = self.state.stage.phase is Phase.FAULTED or is_over
             self._send_all(component.on_time(now_s, self.state, faulted=faulted))
         elif not is_over and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
             self._mode_asked_at_s = now_s  # no vehicle is known yet: only our heartbeat
@@ -622,11 +622,11 @@ class Session:
             self._status = event
         before, frame = self.state, self.mission.frame
         after, commands = machine.step(before, event, self.context)
-        self.state, path = after, after.flight.path
+        self.state, path = after, getattr(after.stage, "path", None)  # if it has one
         if type(event) is not events.Position:
             self._note_entries(entries.of_event(event, after))
         if (
-            after.phase is not before.phase
+            after.stage.phase is not before.stage.phase
             or after.reason is not before.reason
             or after.flight.legs_flown != before.flight.legs_flown
             or (path is not None and path.outside_m)

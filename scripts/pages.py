@@ -16,7 +16,7 @@ from packaging.utils import canonicalize_name
 from pydantic import TypeAdapter
 
 from companion.mission import journal
-from companion.mission.state import Hold, Phase, Reason, Trigger
+from companion.mission.phases import Hold, Phase, Reason, Trigger
 from companion.path.certificate import Certificate
 from companion.planner.request import Refusal
 from companion.telemetry.flight_status import FlightBegun, FlightEnded, FlightStatus

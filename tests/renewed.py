@@ -6,6 +6,8 @@ from typing import TypeVar
 
 import msgspec
 
+from companion.mission.machine import PHASES
+from companion.mission.phases import Hold, Holding, Led, Preparing
 from companion.mission.state import State
 
 Value = TypeVar("Value")
@@ -15,12 +17,25 @@ def deep(state: State) -> State:
     """A copy of a state, all of which that a step changes may be changed."""
     state = copy(state)
     state.vehicle, state.flight = copy(state.vehicle), copy(state.flight)
-    state.flight.path = copy(state.flight.path)
+    state.stage = copy(state.stage)
+    if isinstance(state.stage, Led | Preparing):
+        state.stage.path = copy(state.stage.path)
     return state
 
 
 def replace(value: Value, /, **changes: object) -> Value:
-    """A copy of a state (msgspec's) or of any other value (a dataclass) with some other fields."""
+    """A copy of a state (msgspec's) or of any other value (a dataclass) with some other fields.
+
+    Of a mission's state those of its phase, too; phase: another one.
+    """
+    if isinstance(value, State):
+        phase, stage = changes.pop("phase", value.phase), value.stage
+        if phase is not stage.phase:
+            kind = PHASES[phase][0]
+            held = {"how": Hold.MODE} if kind is Holding else {}
+            stage = kind(phase=phase, since_s=stage.since_s, **held)
+        of_stage = {name: changes.pop(name) for name in [*changes] if hasattr(stage, name)}
+        changes["stage"] = msgspec.structs.replace(changes.get("stage", stage), **of_stage)
     if isinstance(value, msgspec.Struct):
         return msgspec.structs.replace(value, **changes)
     return dataclasses.replace(value, **changes)  # type: ignore[type-var]

@@ -22,7 +22,7 @@ def ended(it: Pair) -> bool:
 
 
 def flying(**keywords: Any) -> Pair:
-    return pair(**keywords).run_until(lambda it: it.session.state.flight.leg is not None)
+    return pair(**keywords).run_until(lambda it: it.session.state.leg is not None)
 
 
 def kinds(it: Pair) -> list[str]:
@@ -429,7 +429,7 @@ def test_a_refused_setpoint_is_followed_by_nothing_but_the_hold() -> None:
 def test_who_leaves_the_path_is_noted_in_flight() -> None:
     """A little more than the tracking error across it: it stops on its path."""
     it = flying()
-    it.run_until(lambda it: it.session.state.flight.reference.speed_m_s > 20.0)
+    it.run_until(lambda it: it.session.state.reference.speed_m_s > 20.0)
     it.vehicle.altitude_m += 1.1 * MISSION.task.envelope.tube_m
     for _ in range(3):
         it.tick()

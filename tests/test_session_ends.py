@@ -11,7 +11,7 @@ from scripted_vehicle import BRAKE, LAND, MISSION, Pair, Vehicle, messages, pair
 
 from companion.mission.events import Outcome
 from companion.mission.mission import EndAction
-from companion.mission.state import Phase, Trigger
+from companion.mission.phases import Phase, Trigger
 from companion.planner.request import NotPlanned, PlanOutcome, PlanRequest, Refusal
 from companion.session import Session
 
@@ -52,7 +52,7 @@ def flown_to(phase: Phase) -> Pair:
     of = replace(MISSION, end_action=EndAction.HOLD)
     it = Pair(Session(of, seed=1, lockstep=True), Vehicle(lockstep=True))
     if phase is Phase.HOLDING:
-        it.run_until(lambda it: it.session.state.flight.leg is not None)
+        it.run_until(lambda it: it.session.state.leg is not None)
         it.ask(wire.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)
     if phase is Phase.WAITING:
         return it
@@ -138,7 +138,7 @@ def finds_no_plan(it: Pair) -> None:
 
 
 def finds_no_way_back(it: Pair) -> None:
-    it.run_until(lambda it: it.session.state.flight.leg is not None)
+    it.run_until(lambda it: it.session.state.leg is not None)
     it.planner = refuses
     it.ask(wire.MAV_CMD_NAV_RETURN_TO_LAUNCH)
 

@@ -54,20 +54,20 @@ def flying() -> tuple[Pair, Seeing]:
     """At speed on a straight way that the mission's map does not know to be clear."""
     vehicle = Seeing()
     it = Pair(Session(load_mission("forest"), seed=1, lockstep=True), vehicle)
-    it.run_until(lambda it: it.session.state.flight.reference.speed_m_s > 2.0)
+    it.run_until(lambda it: it.session.state.reference.speed_m_s > 2.0)
     assert it.session.state.phase is Phase.FLYING
     return it, vehicle
 
 
 def is_stopping(it: Pair, reason: Reason) -> bool:
-    stop = it.session.state.flight.stop
+    stop = it.session.state.path.stop
     return stop is not None and stop.reason is reason
 
 
 def place(it: Pair, by_m: float) -> tuple[float, float]:
-    flight = it.session.state.flight
-    assert flight.leg is not None
-    north, east, _ = flight.leg.subpath.pose(flight.reference.length_m + by_m).point_nea_m
+    path = it.session.state.path
+    assert path is not None
+    north, east, _ = path.leg.subpath.pose(path.reference.length_m + by_m).point_nea_m
     return north, east
 
 

@@ -33,7 +33,7 @@ def on_its_way() -> Faced:
     vehicle = Simulation(world, links=2)
     flight = Faced(mission("ardupilot", "copter"), vehicle, link=1, signing=signing())
     flight.station(mavlink.MAVLink_setup_signing_message(1, 1, list(KEY), NOW), link=0)
-    flight.run(250.0, until=lambda: flight.session.state.flight.leg is not None)
+    flight.run(250.0, until=lambda: flight.session.state.leg is not None)
     return flight
 
 

@@ -60,7 +60,7 @@ class Bus:
         """The first, on its way."""
         first = self.joins(session())
         for _ in range(3000):
-            if first.session.state.flight.leg is not None:
+            if first.session.state.leg is not None:
                 return first
             self.tick()
         raise AssertionError(first.session.state.phase)

@@ -110,8 +110,8 @@ class Preflight:
                 return None
             self._looked_s = state.now_s
             return here  # what the last scan saw counts till this one is over
-        if state.since_s != self._preparing_since_s:  # prepared anew
-            self._preparing_since_s, self._failing_s = state.since_s, None
+        if state.stage.since_s != self._preparing_since_s:  # prepared anew
+            self._preparing_since_s, self._failing_s = state.stage.since_s, None
             self._looked, self._looks, self._told = False, 0, ""
         if self._looked or state.airborne or not state.targets_ne_m or heard.context.shadow:
             return None

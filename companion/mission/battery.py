@@ -9,7 +9,8 @@ from companion.mission import following
 from companion.mission.decisions import Turn
 from companion.mission.events import Battery, Landed
 from companion.mission.mission import Mission
-from companion.mission.state import Reason, State, Way
+from companion.mission.phases import Reason
+from companion.mission.state import State, Way
 from companion.mission.way_back import beyond_path_m
 
 _DRAIN_S = 60.0  # before that, what the battery has lost says nothing of what it will
@@ -111,9 +112,11 @@ def way_left_m(state: State, detour: float = 1.0) -> float:
     """
     here, flight = state.vehicle.position_nea_m, state.flight
     if flight.way is Way.BACK:
-        ahead = [leg for leg in (flight.leg, flight.next_leg, *flight.back) if leg is not None]
-        flown_m = flight.reference.length_m
-        if flight.path is None and ahead and here is not None:  # stopped on the first of them
+        path = state.path
+        legs = (*flight.back,) if path is None else (path.leg, path.next_leg, *flight.back)
+        ahead = [leg for leg in legs if leg is not None]
+        flown_m = 0.0 if path is None else path.reference.length_m
+        if path is None and ahead and here is not None:  # stopped on the first of them
             flown_m = following.nearest(ahead[0], here)[1]
         return sum(leg.subpath.length_m for leg in ahead) - flown_m + beyond_path_m(state)
     if here is None or not state.targets_ne_m:

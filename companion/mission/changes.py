@@ -6,31 +6,17 @@ from typing import Any, Final
 
 from msgspec.structs import replace
 
-from companion.mission import events, following, ground
+from companion.mission import events, following, ground, phases
 from companion.mission.battery import battery_is_short
 from companion.mission.decisions import Turn, hold_for
 from companion.mission.events import Event, Landed, Order, OrderKind
 from companion.mission.following import come_to_rest
-from companion.mission.state import (
-    ON_PATH,
-    ON_SETPOINTS,
-    OVER,
-    Answered,
-    Flight,
-    Hold,
-    Orders,
-    Phase,
-    Planning,
-    Reason,
-    State,
-    Targets,
-    Trigger,
-    Vehicle,
-    Way,
-)
+from companion.mission.phases import ON_PATH, ON_SETPOINTS, OVER, Hold, Phase, Reason, Trigger
+from companion.mission.state import Flight, Orders, State, Targets, Vehicle, Way
 from companion.mission.stopped import resumed, taken
 from companion.mission.tables import is_breach_of_fence
 from companion.mission.way_back import set_targets
+from companion.planner.procedure import Leg
 from companion.planner.rules import target_refusal
 from companion.world.zones import nearest
 
@@ -130,19 +116,20 @@ def _stops(state: State) -> bool:
 
 def _on_fence(state: State, event: events.FenceChanged, turn: Turn) -> None:
     """A new fence: recheck the rest of the path, and stop if it conflicts."""
-    flight, known = state.flight, state.fence is not None
+    flight, path, known = state.flight, state.path, state.fence is not None
     state.take_fence(turn.context.mission.task, event)
     turn.say(f"fence: {len(event.zones)} zones", warning=known)
     on_path = state.phase in ON_PATH
     if (inside := _inside(state)) and not on_path:
         turn.warn(f"inside zone {inside}")
-    legs = [(flight.leg, flight.reference.length_m), (flight.next_leg, 0.0)]
-    legs += [(leg, 0.0) for leg in flight.back]
+    legs: list[tuple[Leg | None, float]] = [(leg, 0.0) for leg in flight.back]
+    if path is not None:
+        legs += [(path.leg, path.reference.length_m), (path.next_leg, 0.0)]
     if any(leg is not None and leg.is_touched(at_m, state.task) for leg, at_m in legs):
         if on_path:
             following.stop(state, Reason.NEW_THREAT, turn)
         else:  # a path that was to be gone on with
-            come_to_rest(flight, flight.hover_nea_m)
+            come_to_rest(state, flight.hover_nea_m)
 
 
 def _on_fence_reading(state: State, event: events.FenceReading, turn: Turn) -> None:
@@ -158,7 +145,7 @@ def _on_fence_reading(state: State, event: events.FenceReading, turn: Turn) -> N
 
 def _on_near_things(state: State, event: events.NearSeen, turn: Turn) -> None:
     """A sensor has looked around: stop if it is blind now, or something is in the way."""
-    vehicle, path = state.vehicle, state.flight.path
+    vehicle, path = state.vehicle, state.path
     range_m, sees_m, vehicle.sight = state.task.settings.scan_range_m, event.sees_m, event.sight
     if state.airborne and sees_m < min(range_m, vehicle.sees_m):  # before: preflight
         vehicle.sees_m = sees_m
@@ -186,7 +173,7 @@ def _on_ground_seen(state: State, event: events.GroundSeen, turn: Turn) -> None:
     for it, too.
     """
     state.vehicle.ground_above_m = event.above_m
-    flight, path = state.flight, state.flight.path
+    flight, path = state.flight, state.path
     follows = state.phase is Phase.FLYING and path is not None and path.stop is None
     if event.above_m and follows and flight.way is Way.OUT:
         turn.warn(f"{Reason.GROUND_NEARER.text}: by {event.above_m:.1f} m")
@@ -227,12 +214,12 @@ def _fly_to(state: State, targets_ne_m: Targets, why: str, orders: Orders, turn:
     set_targets(state, targets_ne_m, Way.OUT)
     state.orders = orders
     state.vehicle.battery_short_at_s = flight.fallen_back = flight.refusal = None
-    if isinstance(flight.search, Planning):
-        flight.search = Answered()
+    if isinstance(state.stage, phases.Flying) and isinstance(state.stage.search, phases.Planning):
+        state.stage.search = phases.Answered()
     turn.say(why)
     if state.phase in ON_PATH and targets_ne_m:
         following.stop(state, Reason.NEW_TARGET, turn)
-    elif state.phase is Phase.ARRIVED and state.asks:
+    elif state.phase is Phase.ARRIVED and state.stage.asks:
         turn.fault(Reason.TAKING_OVER)  # it may hold by now
     elif state.phase is Phase.ARRIVED:
         turn.to(Trigger.NEXT_TARGET)
@@ -271,14 +258,15 @@ def _on_order(state: State, order: Order, turn: Turn) -> None:
 def _go_on(state: State, turn: Turn) -> None:
     """End a pause: the order suspended by it is active again."""
     wanted = state.orders.suspended or Reason.CONTINUED
-    state.orders = state.orders.continued()
+    if state.orders.active is Reason.PAUSED:
+        state.orders = Orders(state.orders.suspended)
     if state.phase in ON_PATH and _brakes_for(state, wanted, Reason.PAUSED):
         turn.say("going on")
     elif state.hold is Hold.PAUSED:
         turn.say("going on")
         resumed(state, turn)
-    elif state.held is not None and state.hold is Hold.TAKEN_OVER:
-        state.held = replace(state.held, released_at_s=state.now_s)
+    elif isinstance(state.stage, phases.Holding) and state.stage.how is Hold.TAKEN_OVER:
+        state.stage.released_at_s = state.now_s
 
 
 def _pause(state: State, turn: Turn) -> None:
@@ -293,7 +281,6 @@ def _pause(state: State, turn: Turn) -> None:
     else:
         turn.say(Reason.PAUSED.text)
         if not _stops(state):
-            state.flight.planning_backtrack = None
             hold_for(state, Reason.PAUSED)
 
 
@@ -314,7 +301,7 @@ def _back_again(state: State, turn: Turn) -> None:
 
 def _brakes_for(state: State, reason: Reason, *before: Reason) -> bool:
     """Whether it stops on its path for one of those before; then it does for another reason."""
-    path = state.flight.path
+    path = state.path
     if path is None or path.stop is None or path.stop.reason not in before:
         return False
     path.stop = replace(path.stop, reason=reason)
@@ -326,12 +313,13 @@ def _stop_for(state: State, order: Reason, turn: Turn) -> None:
     state.orders = Orders(order)
     if state.phase in _GOING_UP:
         turn.fault(Reason.BROKEN_OFF)
-    elif state.phase is Phase.ARRIVED and state.asks:  # for the end action's mode: it may have it
+    elif (
+        state.phase is Phase.ARRIVED and state.stage.asks
+    ):  # for the end action's mode: it may have it
         turn.fault(Reason.TAKING_OVER)
     elif state.phase in (*ON_PATH, Phase.ARRIVED):
         following.stop(state, order, turn)
     elif state.hold in ON_SETPOINTS and state.reason is not order:
-        state.flight.planning_backtrack = None
         hold_for(state, order)
 
 
@@ -365,9 +353,16 @@ def _on_reboot(state: State, _event: events.Rebooted, turn: Turn) -> None:
         state.orders = Orders(Reason.RETURN_ASKED)
         if paused:
             state.orders = state.orders.paused()
-    waited = state.phase is Phase.READY or state.unready
-    if state.phase is Phase.LANDING:  # it goes on with that, as after a restart
-        state.landing, state.sank = True, state.obeyed
+    was = state.stage
+    again = phases.Preparing()
+    if state.phase is Phase.READY or state.unready:
+        again.unready = Reason.REBOOTED.text
+    if was.phase is Phase.LANDING:  # it goes on with that, as after a restart
+        again.landing, again.sank = True, was.obeyed
+    elif isinstance(was, phases.Preparing):
+        again.landing, again.sank = was.landing, was.sank
+    if isinstance(was, phases.Led | phases.Preparing):
+        was.path = None
     state.flight = Flight(
         known=flight.known,
         target=flight.target,
@@ -382,9 +377,8 @@ def _on_reboot(state: State, _event: events.Rebooted, turn: Turn) -> None:
     )
     state.prepared, state.fence_unread_s = frozenset(), None
     state.armed_by_us = state.armed_by_us and state.airborne  # on the ground it is another's
-    state.unready = Reason.REBOOTED.text if waited else ""
     turn.warn(Reason.REBOOTED.text)
-    turn.to(Trigger.PREPARE_AGAIN)
+    turn.to(Trigger.PREPARE_AGAIN, again)
 
 
 HANDLERS: Final[dict[type[Event], Callable[[State, Any, Turn], None]]] = {

@@ -1,80 +1,137 @@
 """Checkpoint: the state that a companion restarted in flight resumes from (design 7).
 
 Plain values, for a file: the current path, the mission's progress, the flown path and the vehicle's
-fence.  The known map is stored beside it.  If they cannot be read, a vehicle in
-the air is still taken over, without them (`without_checkpoint`).
+fence (`Saved`).  The known map is stored beside it.  If they cannot be read, a vehicle in the air
+is still taken over, without them (`without_checkpoint`).
 """
 
+import json
 import math
-from collections.abc import Callable
-from enum import Enum
-from functools import lru_cache
 from operator import attrgetter
 from typing import Any, Final, final
 
-from msgspec.structs import replace
+import msgspec
+from msgspec import MsgspecError, Struct
 
+from companion.geodesy import FloatArray
+from companion.mission import phases
 from companion.mission.events import FenceChanged
+from companion.mission.journal import plain, zone_of
 from companion.mission.mission import Mission
-from companion.mission.state import IN_AIR, OnPath, Orders, Phase, Reason, State, Way
+from companion.mission.phases import IN_AIR, OnPath, Phase, Reason
+from companion.mission.state import Flight, Orders, State, Targets, Way
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
 from companion.planner.request import FlownSegment, Refusal, control_points
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
-from companion.world.zones import CircleZone, PolygonZone, Zone
 
 Values = dict[str, Any]
 
-DECODE_ERRORS = (
-    ArithmeticError,
-    AttributeError,
-    LookupError,
-    RecursionError,
-    TypeError,
-    ValueError,
-)
+DECODE_ERRORS = (ArithmeticError, LookupError, RecursionError, TypeError, ValueError, MsgspecError)
 """Exceptions that restoring invalid values may raise."""
 PERIOD_S, LONGEST_S = 1.0, 10.0
+_LOST = {"lost": "taking over without memory of the flight", "map_lost": "scanning anew"}
+_AS_THEY_ARE: Final = ("airborne", "taken", "armed_by_us", "targets_ne_m")
+"""Of the state, what is saved under its own name; and of the flight:"""
+_OF_FLIGHT: Final = ("target", "plan_id", "legs_flown", "stops", "departures", "route_ne_m")
+_OF_LEG: Final = ("number", "plan_id", "speed_m_s", "reaches_target", "through")
+
+
+@final
+class _Leg(Struct):
+    """A `Leg`; rules: the digest of the task that it was proven under."""
+
+    number: int
+    plan_id: int
+    speed_m_s: float | None
+    reaches_target: bool
+    through: bool
+    rules: str | None
+    control_nea_m: FloatArray
+
+    @staticmethod
+    def of(leg: Leg) -> "_Leg":
+        """What is saved of a leg."""
+        return _Leg(
+            **{name: getattr(leg, name) for name in _OF_LEG},
+            rules=None if leg.rules is None else leg.rules.digest,
+            control_nea_m=leg.subpath.control_nea_m,
+        )
+
+    def leg(self, task: Task) -> Leg:
+        """The leg; task: the one in force: its digest tells whether it was proven under that."""
+        return Leg(
+            **{name: getattr(self, name) for name in _OF_LEG},
+            rules=task if self.rules == task.digest else None,
+            subpath=Subpath(control_nea_m=self.control_nea_m),
+        )
+
+
+@final
+class Saved(Struct, kw_only=True):
+    """What is saved of a state, by the names that it has there; reasons by name."""
+
+    t_s: float
+    phase: str
+    sank: bool
+    airborne: bool
+    taken: bool
+    armed_by_us: bool
+    targets_ne_m: Targets
+    fence: dict[str, Any] | None
+    """A `FenceChanged`."""
+    standing: str | None
+    """The active order."""
+    set_aside: str | None
+    """The order suspended by a pause."""
+    target: int
+    plan_id: int
+    legs_flown: int
+    stops: int
+    departures: int
+    route_ne_m: Targets
+    flown: list[tuple[FloatArray, float, float, float | None]]
+    refusal: str | None
+    fallen_back: str | None
+    returning: bool
+    homeward: bool
+    leg: _Leg | None
+    next_leg: _Leg | None
+    joined_m: float
+    back: list[_Leg]
 
 
 def values_of(state: State) -> Values:
     """The state as plain values (JSON)."""
-    flight = state.flight
-    return {
-        "t_s": state.now_s,
-        "phase": state.phase.name,
-        "sank": state.phase is Phase.LANDING and state.obeyed,
-        **{name: _plain(getattr(state, name)) for name in _OF_STATE},
-        "standing": _plain(state.orders.active),
-        "set_aside": _plain(state.orders.suspended),
-        **{name: _plain(getattr(flight, name)) for name in (*_OF_FLIGHT, *_WAY)},
-        "joined_m": 0.0 if flight.path is None else flight.path.joined_m,
-    }
+    flight, path, orders = state.flight, state.path, state.orders
+    saved = Saved(
+        t_s=state.now_s,
+        phase=state.phase.name,
+        sank=state.phase is Phase.LANDING and state.stage.obeyed,
+        fence=None if state.fence is None else msgspec.to_builtins(state.fence),
+        standing=_name(orders.active),
+        set_aside=_name(orders.suspended),
+        flown=[
+            (each.control_nea_m, each.from_m, each.until_m, each.speed_m_s) for each in flight.flown
+        ],
+        refusal=_name(flight.refusal),
+        fallen_back=_name(flight.fallen_back),
+        returning=flight.returning,
+        homeward=flight.homeward,
+        leg=None if path is None else _Leg.of(path.leg),
+        next_leg=None if path is None or path.next_leg is None else _Leg.of(path.next_leg),
+        joined_m=0.0 if path is None else path.joined_m,
+        back=[_Leg.of(leg) for leg in flight.back],
+        **{name: getattr(state, name) for name in _AS_THEY_ARE},
+        **{name: getattr(flight, name) for name in _OF_FLIGHT},
+    )
+    values: Values = msgspec.to_builtins(saved, enc_hook=plain)
+    return values
 
 
-def _plain(value: Any) -> Any:
-    """Enumerations by name, infinite limits as null."""
-    match value:
-        case Enum():
-            return value.name
-        case tuple():
-            return [_plain(each) for each in value]
-        case Leg():
-            return {
-                **{name: getattr(value, name) for name in _OF_LEG},
-                "rules": None if value.rules is None else value.rules.digest,
-                "control_nea_m": value.subpath.control_nea_m.tolist(),
-            }
-        case FenceChanged():
-            zones = [_of_zone(zone) for zone in value.zones]
-            return {"zones": zones, **{name: getattr(value, name) for name in _LIMITS}}
-        case FlownSegment():
-            return [value.control_nea_m.tolist(), value.from_m, value.until_m, value.speed_m_s]
-        case float():
-            return value if math.isfinite(value) else None
-        case _:
-            return value
+def _name(value: Reason | Refusal | None) -> str | None:
+    return None if value is None else value.name
 
 
 def initial_state(mission: Mission, resume: tuple[Values, KnownMap | None] | None) -> State:
@@ -84,12 +141,15 @@ def initial_state(mission: Mission, resume: tuple[Values, KnownMap | None] | Non
     values, kept = resume
     known = blank_map(mission)
     if "lost" in values:
-        state, time_s = State.of(mission, known), float(values["t_s"])
-        flight = replace(state.flight, plan_id=int(values["plan_id"]))
-        state = replace(state, now_s=time_s, since_s=time_s, airborne=True, flight=flight)
+        state = State.of(mission, known)
+        state.now_s, state.airborne = float(values["t_s"]), True
+        state.flight.plan_id = int(values["plan_id"])
     else:
         state = restored(mission, kept or known, values)
-    return replace(state, news=". ".join(restore_notes(values)))
+    left = state.stage
+    assert isinstance(left, phases.Preparing)
+    left.since_s, left.news = state.now_s, ". ".join(restore_notes(values))
+    return state
 
 
 def blank_map(mission: Mission) -> KnownMap:
@@ -116,18 +176,12 @@ def without_map(values: Values, why: str) -> Values:
 
 def restore_notes(values: Values) -> list[str]:
     """What could not be restored, as text for the operator."""
-    news = []
-    if "lost" in values:
-        news.append(f"taking over without memory of the flight: {values['lost']}")
-    if "map_lost" in values:
-        news.append(f"scanning anew: {values['map_lost']}")
-    return news
+    return [f"{text}: {values[key]}" for key, text in _LOST.items() if key in values]
 
 
 def resumed_entry(values: Values) -> Values:
     """The journal entry of a resumed flight."""
-    lost: Values = {key: values[key] for key in ("lost", "map_lost") if key in values}
-    return {"phase": values.get("phase"), **lost}
+    return {"phase": values.get("phase")} | {key: values[key] for key in _LOST if key in values}
 
 
 def restored(mission: Mission, known: KnownMap, values: Values) -> State:
@@ -135,139 +189,56 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
 
     The vehicle's state is not part of it: the vehicle is prepared again.
     """
-    _must_be_finite(values)
-    kept = _read(values, _OF_STATE)
+    json.dumps(values, allow_nan=False)  # ValueError: a number that is not finite
+    saved = msgspec.convert(values, Saved, dec_hook=_decoded)
     state = State.of(mission, known)
-    state.take_fence(mission.task, kept["fence"])
-    rules = state.task
-    back = tuple(leg for each in values["back"] if (leg := _leg(each, rules)) is not None)
-    leg, next_leg = _leg(values["leg"], rules), _leg(values["next_leg"], rules)
-    joined_m = float(values["joined_m"])
-    flight = replace(
-        state.flight,
-        **_read(values, _OF_FLIGHT),
-        path=None if leg is None else OnPath(leg=leg, next_leg=next_leg, joined_m=joined_m),
-        way=Way.BACK if values["returning"] else Way.HOME if values["homeward"] else Way.OUT,
-        back=back if values["returning"] else (),
+    if saved.fence is not None:
+        told = {"t_s": 0.0, **saved.fence}
+        state.take_fence(mission.task, msgspec.convert(told, FenceChanged, dec_hook=_decoded))
+    task, leg, next_leg = state.task, saved.leg, saved.next_leg
+    path = leg and OnPath(
+        leg=leg.leg(task), next_leg=next_leg and next_leg.leg(task), joined_m=saved.joined_m
     )
-    time_s = float(values["t_s"])
-    state = replace(
-        state,
-        now_s=time_s,
-        since_s=time_s,
-        landing=values["phase"] == Phase.LANDING.name,
-        sank=bool(values["sank"]),
-        orders=Orders(_reason(values["standing"]), _reason(values["set_aside"])),
-        flight=flight,
-        **kept,
+    state.flight = Flight(
+        known=known,
+        flown=tuple(
+            FlownSegment(control_nea_m=control, from_m=low_m, until_m=high_m, speed_m_s=speed_m_s)
+            for control, low_m, high_m, speed_m_s in saved.flown
+        ),
+        refusal=None if saved.refusal is None else Refusal[saved.refusal],
+        fallen_back=_reason(saved.fallen_back),
+        way=Way.BACK if saved.returning else Way.HOME if saved.homeward else Way.OUT,
+        back=tuple(each.leg(task) for each in saved.back) if saved.returning else (),
+        **{name: getattr(saved, name) for name in _OF_FLIGHT},
     )
-    if not 0 <= flight.target < max(len(state.targets_ne_m), 1):
-        raise ValueError(f"target {flight.target} of {len(state.targets_ne_m)}")
+    state.stage = phases.Preparing(
+        phase=Phase.WAITING,
+        since_s=saved.t_s,
+        path=path,
+        landing=saved.phase == Phase.LANDING.name,
+        sank=saved.sank,
+    )
+    state.now_s = saved.t_s
+    state.orders = Orders(_reason(saved.standing), _reason(saved.set_aside))
+    for name in _AS_THEY_ARE:
+        setattr(state, name, getattr(saved, name))
+    if not 0 <= saved.target < max(len(state.targets_ne_m), 1):
+        raise ValueError(f"target {saved.target} of {len(state.targets_ne_m)}")
     return state
 
 
-def _read(values: Values, kinds: dict[str, Callable[[Any], Any]]) -> Values:
-    """Fields of a state, of their types."""
-    return {name: kind(values[name]) for name, kind in kinds.items()}
-
-
-def _must_be_finite(value: Any) -> None:
-    """Raise ValueError for numbers that are not finite."""
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ValueError(f"{value} among the numbers")
-    inner = value.values() if isinstance(value, dict) else value
-    if isinstance(value, dict | list):
-        for each in inner:
-            _must_be_finite(each)
+def _decoded(kind: type, values: Any) -> Any:
+    """For `msgspec`: what it does not know itself."""
+    return zone_of(kind, values) if isinstance(values, dict) else control_points(values)
 
 
 def _reason(name: str | None) -> Reason | None:
     return None if name is None else Reason[name]
 
 
-def _places(values: list[list[float]]) -> tuple[tuple[float, float], ...]:
-    return tuple((float(north), float(east)) for north, east in values)
-
-
-def _segments(values: list[Any]) -> tuple[FlownSegment, ...]:
-    return tuple(
-        FlownSegment(
-            control_nea_m=control_points(control),
-            from_m=float(low),
-            until_m=float(high),
-            speed_m_s=_speed(speed),
-        )
-        for control, low, high, speed in values
-    )
-
-
-def _speed(value: Any) -> float | None:
-    return None if value is None else float(value)
-
-
-def _leg(values: Values | None, rules: Task) -> Leg | None:
-    """rules: those in force; their digest tells whether the leg was proven under them."""
-    if values is None:
-        return None
-    return Leg(
-        **_read(values, _OF_LEG),
-        subpath=Subpath(control_nea_m=control_points(values["control_nea_m"])),
-        rules=rules if values.get("rules") == rules.digest else None,
-    )
-
-
-def _fence(values: Values | None) -> FenceChanged | None:
-    if values is None:
-        return None
-    return FenceChanged(
-        time_s=0.0,
-        zones=tuple(_zone(each) for each in values["zones"]),
-        **{name: values[name] for name in _LIMITS},
-    )
-
-
-@lru_cache(maxsize=1024)
-def _of_zone(zone: Zone) -> Values:
-    """Cached, not to be modified: needed every second, and the same for a whole flight."""
-    values: Values = {"name": zone.name, "keep_in": zone.keep_in}
-    if isinstance(zone, CircleZone):
-        return {**values, "circle": [zone.north_m, zone.east_m, zone.radius_m]}
-    return {**values, "vertices_ne_m": [list(vertex) for vertex in zone.vertices_ne_m]}
-
-
-def _zone(values: Values) -> Zone:
-    name, keep_in = str(values["name"]), bool(values["keep_in"])
-    if "circle" in values:
-        north_m, east_m, radius_m = (float(value) for value in values["circle"])
-        return CircleZone(
-            name=name, north_m=north_m, east_m=east_m, radius_m=radius_m, keep_in=keep_in
-        )
-    return PolygonZone(name=name, vertices_ne_m=_places(values["vertices_ne_m"]), keep_in=keep_in)
-
-
-_LIMITS: Final = ("floor_amsl_m", "ceiling_amsl_m")
-_OF_STATE: Final[dict[str, Callable[[Any], Any]]] = {
-    **dict.fromkeys(("airborne", "taken", "armed_by_us"), bool),
-    "targets_ne_m": _places,
-    "fence": _fence,
-}
-_OF_FLIGHT: Final[dict[str, Callable[[Any], Any]]] = {
-    **dict.fromkeys(("target", "plan_id", "legs_flown", "stops", "departures"), int),
-    "route_ne_m": _places,
-    "flown": _segments,
-    "refusal": lambda name: None if name is None else Refusal[name],
-    "fallen_back": _reason,
-}
-_OF_LEG: Final[dict[str, Callable[[Any], Any]]] = {
-    **dict.fromkeys(("number", "plan_id"), int),
-    "speed_m_s": _speed,
-    **dict.fromkeys(("reaches_target", "through"), bool),
-}
-"""Fields that are stored, and their decoders from what `_plain` returns."""
-_WAY: Final = ("returning", "homeward", "leg", "next_leg", "back")
-persisted: Final = attrgetter(
-    *(*_OF_STATE, "orders", "phase", "obeyed"),
-    *(f"flight.{name}" for name in (*_OF_FLIGHT, "way", "back")),
+_persisted: Final = attrgetter(
+    *(*_AS_THEY_ARE, "fence", "orders", "phase"),
+    *(f"flight.{name}" for name in (*_OF_FLIGHT, "flown", "refusal", "fallen_back", "way", "back")),
 )
 """All fields of a state in a checkpoint, except the time and the legs."""
 
@@ -300,8 +271,8 @@ class CheckpointPolicy:
         if 0.0 <= now_s - self.looked_at_s < PERIOD_S and not must:
             return None, None
         self.looked_at_s = now_s
-        path = state.flight.path
-        kept = *persisted(state), path and (path.leg, path.next_leg)
+        path, landing = state.path, state.phase is Phase.LANDING and state.stage.obeyed
+        kept = *_persisted(state), landing, path and (path.leg, path.next_leg)
         if kept == self.kept and 0.0 <= now_s - self.kept_at_s < LONGEST_S and not must:
             return None, None
         self.kept_at_s, self.known, self.kept = now_s, state.flight.known, kept

@@ -8,10 +8,12 @@ import math
 from dataclasses import dataclass, field
 from typing import final
 
+from companion.mission import phases
 from companion.mission.events import Command, Position, StatusText
 from companion.mission.health import astray_m, may_differ_m
 from companion.mission.mission import Mission
-from companion.mission.state import Held, Reason, State, Trigger
+from companion.mission.phases import Reason, Trigger
+from companion.mission.state import Orders, State
 from companion.path.certificate import bounds_text
 from companion.planner.request import Refusal
 
@@ -52,12 +54,14 @@ class Turn:
     """In the order in which they are carried out."""
     trigger: Trigger | None = None
     """What has happened; None: the phase goes on."""
+    stage: phases.Stage | None = None
+    """The phase after it, where that begins with something known."""
     is_left: bool = False
     """Whether the phase decides although the event has a handler of its own."""
 
-    def to(self, trigger: Trigger) -> None:
-        """The phase is over."""
-        self.trigger = trigger
+    def to(self, trigger: Trigger, stage: phases.Stage | None = None) -> None:
+        """The phase is over; stage: the next one, unless it begins with nothing known."""
+        self.trigger, self.stage = trigger, stage
 
     def give_up(self, reason: Reason, detail: str = "", remedy: str = "") -> None:
         """End the mission; a vehicle in the air is left in its hold mode, or in RTL."""
@@ -65,17 +69,18 @@ class Turn:
         if not detail:
             detail, remedy = reason_text(state, reason)
         state.reason, state.detail, state.remedy = reason, detail, remedy
-        self.trigger = Trigger.GIVE_UP
+        self.to(Trigger.GIVE_UP)
 
     def fault(self, reason: Reason) -> None:
         """Stop and hold for a reason."""
-        self.state.reason, self.trigger = reason, Trigger.FAULT
+        self.state.reason = reason
+        self.to(Trigger.FAULT)
 
     def ask(self, *commands: Command) -> None:
         """Send requests, once a second."""
-        state = self.state
-        if state.now_s - state.asked_at_s >= ASK_AGAIN_S:
-            state.asked_at_s, state.asks = state.now_s, state.asks + 1
+        now_s, stage = self.state.now_s, self.state.stage
+        if now_s - stage.asked_at_s >= ASK_AGAIN_S:
+            stage.asked_at_s, stage.asks = now_s, stage.asks + 1
             self.commands += commands
 
     def do(self, *commands: Command) -> None:
@@ -149,9 +154,11 @@ def fence_is_given_up(state: State) -> bool:
     return since_s is not None and state.now_s - since_s > _FENCE_GIVEN_UP_S
 
 
-def landing_order(state: State) -> Reason | None:
-    """The order that a landing follows; None: it is the end of the mission, or its fallback."""
-    return Reason.LAND_ASKED if state.flight.fallen_back is Reason.LAND_ASKED else None
+def abort_landing(state: State, turn: Turn) -> None:
+    """It has left the land mode: not landed again without an order, for which it waits."""
+    ordered = state.flight.fallen_back is Reason.LAND_ASKED  # else by the mission, or its fallback
+    state.orders = Orders(Reason.PAUSED, Reason.LAND_ASKED if ordered else None)
+    turn.warn(LANDING_ABORTED)
 
 
 def seen_cause(state: State) -> Reason | None:
@@ -166,11 +173,13 @@ def seen_cause(state: State) -> Reason | None:
 
 def hold_for(state: State, reason: Reason) -> None:
     """Held for this reason from now on; what is known of who has it is kept as long as he has."""
-    if state.hold is not reason.hold:
+    held = state.stage
+    if not isinstance(held, phases.Holding) or held.how is not reason.hold:
         why = seen_cause(state) if reason is Reason.FAILSAFE else None
-        state.held = Held(reason.hold, why=why)
-    state.reason, state.since_s, state.asked_at_s = reason, state.now_s, -1e9
-    state.asks, state.obeyed = 0, False
+        held = phases.Holding(how=reason.hold, why=why)
+    held.since_s, held.asked_at_s, held.asks = state.now_s, -1e9, 0
+    held.obeyed, held.backtrack = False, None
+    state.stage, state.reason = held, reason
 
 
 def is_at_rest(state: State, event: Position) -> bool:

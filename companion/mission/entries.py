@@ -68,7 +68,7 @@ def of_change(before: State, after: State) -> Iterator[Entry]:
             reason=None if after.reason is None else after.reason.text,
             code=None if after.reason is None else after.reason.name,
         )
-    path, was_on = after.flight.path, before.flight.path
+    path, was_on = after.path, before.path
     if path is not None and path.outside_m and not (was_on is not None and was_on.outside_m):
         yield _entry(journal.PathLeft, left_path_m=path.outside_m)
     if after.flight.legs_flown != before.flight.legs_flown:

@@ -7,41 +7,15 @@ import math
 
 import numpy as np
 
-from companion.mission import following, way_back
+from companion.mission import events, following, phases, way_back
 from companion.mission.battery import battery_runs_low, give_up_for_battery, warn_of_battery
-from companion.mission.decisions import (
-    AT_M,
-    Context,
-    Turn,
-    in_words,
-    waits_for_fence,
-)
-from companion.mission.events import (
-    Event,
-    Landed,
-    Mode,
-    Plan,
-    PlanLate,
-    PlanReady,
-    Position,
-    ScanDone,
-    StartScan,
-    Vector,
-)
+from companion.mission.decisions import AT_M, Context, Turn, in_words, waits_for_fence
+from companion.mission.events import Event, Landed, Mode, Position, Vector
 from companion.mission.following import come_to_rest, rest_at_end, send_hold
 from companion.mission.health import TRUST_S
-from companion.mission.state import (
-    Answered,
-    OnPath,
-    Phase,
-    Planning,
-    Reason,
-    Scanning,
-    State,
-    Trigger,
-    Way,
-)
-from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle
+from companion.mission.phases import OnPath, Phase, Reason, Trigger
+from companion.mission.state import State, Way
+from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle, may_leave
 from companion.planner.progress import NO_PROGRESS
 from companion.planner.request import NotPlanned, Planned, PlanRequest
 from companion.planner.settings import Task
@@ -61,41 +35,42 @@ _ARRIVED_M = 30.0
 _MORE_SCANS = 2  # from rest, if the radar has left something out
 
 
-def on_path(state: State, event: Event, turn: Turn) -> None:
-    """Flying and returning: follow the leg, or hold while there is none."""
-    flight, outward = state.flight, state.phase is Phase.FLYING
+def on_path(state: State, stage: phases.Led, event: Event, turn: Turn) -> None:
+    """phases.Flying and returning: follow the leg, or hold while there is none."""
     if not isinstance(event, Position):
-        if outward:
-            on_answer(state, event, turn)
+        if isinstance(stage, phases.Flying):
+            on_answer(state, stage, event, turn)
         return
-    if flight.path is None and looks_at_circle(state, turn):
+    if stage.path is None and looks_at_circle(state, turn):
         return
     # perhaps: it has to last a while
-    is_short = outward and state.vehicle.battery_short_at_s is not None
+    is_short = stage.phase is Phase.FLYING and state.vehicle.battery_short_at_s is not None
     if is_short and battery_runs_low(state):
         give_up_for_battery(state)
         following.stop(state, Reason.BATTERY_LOW, turn)
-    unread = state.fence_unread_s is not None and flight.stop is None
+    stops = stage.path is not None and stage.path.stop is not None
+    unread = state.fence_unread_s is not None and not stops
     if unread and turn.trigger is None and waits_for_fence(state, turn.context):
         following.stop(state, Reason.FENCE_UNREAD, turn)
     if turn.trigger is not None:
         return
     warn_of_battery(state, turn)
-    if flight.path is None:
-        return _hover(state, event, turn)
-    return _lead(state, flight.path, event, turn)
+    if stage.path is None:
+        assert isinstance(stage, phases.Flying)  # what returns has a path
+        return _hover(state, stage, event, turn)
+    return _lead(state, stage, stage.path, event, turn)
 
 
-def on_answer(state: State, event: Event, turn: Turn) -> None:
+def on_answer(state: State, stage: phases.Flying, event: Event, turn: Turn) -> None:
     """What radar and planner have found."""
     match event:
-        case ScanDone():
-            return _on_scan(state, event, turn)
-        case PlanReady():
-            return _on_plan(state, event, turn)
-        case PlanLate(plan_id=plan_id) if plan_id == state.flight.plan_id:
+        case events.ScanDone():
+            return _on_scan(state, stage, event, turn)
+        case events.PlanReady():
+            return _on_plan(state, stage, event, turn)
+        case events.PlanLate(plan_id=plan_id) if plan_id == state.flight.plan_id:
             # the leg is flown to its end unless the plan comes before p_prog
-            state.flight.shortfall = Reason.PLAN_LATE
+            stage.shortfall = Reason.PLAN_LATE
         case _:
             pass
 
@@ -103,7 +78,7 @@ def on_answer(state: State, event: Event, turn: Turn) -> None:
 def looks_at_circle(state: State, turn: Turn) -> bool:
     """Look at a plane's circle, once where it waits for a leg; False: this is not the time."""
     flight, hover, vehicle = state.flight, state.flight.hover_nea_m, state.vehicle
-    if vehicle.traits.hovers or flight.path is not None or hover is None:
+    if vehicle.traits.hovers or state.path is not None or hover is None:
         return False
     task, place = flight.loiter_checked or (None, None)
     led = vehicle.mode is Mode.GUIDED and vehicle.distrust is None and not state.is_silent
@@ -116,36 +91,42 @@ def looks_at_circle(state: State, turn: Turn) -> bool:
     return True
 
 
-def _lead(state: State, path: OnPath, event: Position, turn: Turn) -> None:
+def _lead(state: State, stage: phases.Led, path: OnPath, event: Position, turn: Turn) -> None:
     """Advance the reference point and send it; on the way out scan at p_scan."""
-    flight, leg, hovers = state.flight, path.leg, state.vehicle.traits.hovers
-    if path.circling and following.still_loiters(state, path, event):
-        return _circle(state, event, turn)
-    returns = flight.way is Way.BACK
-    following.advance_reference(state, path, event)
+    leg, hovers, velocity = path.leg, state.vehicle.traits.hovers, event.velocity_nea_m_s
+    along = path.reference.length_m, event.position_nea_m, velocity, state.task.limits
+    if path.circling and not may_leave(leg, *along):
+        return _circle(state, stage, event, turn)
+    returns = state.flight.way is Way.BACK
+    following.advance_reference(state, stage, path, event)
     if returns and path.leg is not leg:  # onto what was the next stretch
-        way_back.take_next(flight, path)
-    if state.now_s - flight.progress_at_s > _STUCK_S:
+        way_back.take_next(state, path)
+    if state.now_s - stage.progress_at_s > _STUCK_S:
         return turn.give_up(Reason.NOT_FOLLOWING)
-    is_on_path = following.is_on_path(state, path, event)
-    departs = None if is_on_path else _leaves_path(state, path, event, turn)
+    unechoed_s = state.now_s - stage.echoed_at_s
+    is_on_path = following.is_on_path(state, path, event, unechoed_s)
+    departs = None if is_on_path else _leaves_path(state, path, event, unechoed_s, turn)
     if departs is not None:
         return _depart(state, departs, turn)
     following.send_setpoint(state, path, event, turn)
     stops = path.next_leg is None or path.stop is not None
     if stops and following.is_stopped(state, path):
-        return _end_of_way(state, path, turn) if returns else _at_its_end(state, path, turn)
+        ends = _end_of_way if returns else _at_its_end
+        return ends(state, stage, path, turn)
     at_m, speed = path.reference.length_m, 0.0
     if not hovers:
-        speed = math.hypot(*event.velocity_nea_m_s[:2])
-    looks = flight.search is None and path.stop is None and not returns
-    if looks and path.leg.wants_successor(at_m, state.task, speed):
-        start_scan(state, path.leg.subpath.pose(at_m).point_nea_m, turn)
+        speed = math.hypot(*velocity[:2])
+    if path.stop is not None or returns or not isinstance(stage, phases.Flying):
+        return
+    if stage.search is None and path.leg.wants_successor(at_m, state.task, speed):
+        start_scan(stage, path.leg.subpath.pose(at_m).point_nea_m, turn)
 
 
-def _leaves_path(state: State, path: OnPath, event: Position, turn: Turn) -> Reason | None:
+def _leaves_path(
+    state: State, path: OnPath, event: Position, unechoed_s: float, turn: Turn
+) -> Reason | None:
     """Look whether the vehicle is on its path and follows; a reason: the leg cannot go on."""
-    if following.is_not_taken(state):
+    if following.is_not_taken(state, unechoed_s):
         return Reason.NOT_TAKEN
     was_outside = path.outside_m
     departs = following.left_path(state, path, event, turn)
@@ -155,38 +136,40 @@ def _leaves_path(state: State, path: OnPath, event: Position, turn: Turn) -> Rea
     return departs
 
 
-def _circle(state: State, event: Position, turn: Turn) -> None:
+def _circle(state: State, stage: phases.Led, event: Position, turn: Turn) -> None:
     """Stay on the circle until its tangent points along the path, once in each turn."""
     limits = state.task.limits
     turn_s = 2.0 * math.pi * limits.loiter_radius_m / limits.speed_m_s
-    if state.now_s - state.flight.progress_at_s > _TURNS * turn_s + _STUCK_S:
+    if state.now_s - stage.progress_at_s > _TURNS * turn_s + _STUCK_S:
         return turn.give_up(Reason.NOT_FOLLOWING)
     send_hold(state, event.time_s, turn)
 
 
-def _at_its_end(state: State, path: OnPath, turn: Turn) -> None:
+def _at_its_end(state: State, stage: phases.Led, path: OnPath, turn: Turn) -> None:
     """At rest at the end of the leg, or at the stop before it."""
     flight, stop = state.flight, path.stop
     if stop is None and path.leg.reaches_target:
+        rest_at_end(state)
         return turn.to(Trigger.TARGET_REACHED)
-    reason = flight.shortfall if stop is None else stop.reason
+    shortfall = stage.shortfall if isinstance(stage, phases.Flying) else Reason.NO_PLAN
+    reason = shortfall if stop is None else stop.reason
     flight.stops += stop is None or reason is Reason.BESIDE_PATH
-    rest_at_end(flight)
+    rest_at_end(state)
     return turn.fault(reason)
 
 
-def _end_of_way(state: State, path: OnPath, turn: Turn) -> None:
+def _end_of_way(state: State, stage: phases.Led, path: OnPath, turn: Turn) -> None:
     """At the end of a stretch of the way back, or at a stop before it."""
     if path.stop is not None:
-        way_back.leave_path(state.flight)
+        way_back.leave_path(state)
         return turn.fault(path.stop.reason)
     if not state.flight.back:
-        rest_at_end(state.flight)
+        rest_at_end(state)
         return way_back.ended(state, path.leg, turn)
-    went_on = way_back.begun(state, state.flight)
+    went_on = way_back.begun(state)
     if went_on is None:
         return _depart(state, Reason.OFF_PATH, turn)
-    state.flight = went_on
+    stage.path, stage.progress_at_s = went_on, state.now_s
 
 
 def _depart(state: State, reason: Reason, turn: Turn) -> None:
@@ -195,34 +178,34 @@ def _depart(state: State, reason: Reason, turn: Turn) -> None:
     if flight.departures >= (_DEPARTURES_NEAR if is_near else _DEPARTURES):
         return turn.give_up(Reason.NOT_FOLLOWING if reason is Reason.OFF_PATH else reason)
     flight.departures += 1
-    way_back.leave_path(flight)
+    way_back.leave_path(state)
     turn.fault(reason)
 
 
 # --- scans and plans
 
 
-def _on_scan(state: State, event: ScanDone, turn: Turn) -> None:
+def _on_scan(state: State, stage: phases.Flying, event: events.ScanDone, turn: Turn) -> None:
     """Ask for the next subpath on the map that the scan has completed."""
-    flight, scanning, context = state.flight, state.flight.search, turn.context
-    if not isinstance(scanning, Scanning):
+    flight, scanning, context = state.flight, stage.search, turn.context
+    if not isinstance(scanning, phases.Scanning):
         return
-    path = flight.path
+    path = stage.path
     at_rest_here = path is None and not context.shadow
     if at_rest_here and event.is_partial and scanning.again < _MORE_SCANS:
         _warn_of_scan(state, event, turn)
-        flight.progress_at_s = state.now_s
-        start_scan(state, scanning.from_nea_m, turn, scanning.again + 1)
+        stage.progress_at_s = state.now_s
+        start_scan(stage, scanning.from_nea_m, turn, scanning.again + 1)
         return
-    flight.search = Answered()
+    stage.search = phases.Answered()
     if event.asked and not event.answered and not scanning.again:
         if context.mission.near is not None:
-            return _no_successor(state, Reason.SENSOR_SILENT, turn)
+            return _no_successor(state, stage, Reason.SENSOR_SILENT, turn)
         if path is not None or not flight.failures:
-            return _no_successor(state, Reason.RADAR_SILENT, turn)
-        flight.shortfall = Reason.RADAR_SILENT  # on what is known already
-    elif flight.shortfall is Reason.RADAR_SILENT:
-        flight.shortfall = Reason.NO_PLAN  # it answers again
+            return _no_successor(state, stage, Reason.RADAR_SILENT, turn)
+        stage.shortfall = Reason.RADAR_SILENT  # on what is known already
+    elif stage.shortfall is Reason.RADAR_SILENT:
+        stage.shortfall = Reason.NO_PLAN  # it answers again
     _warn_of_scan(state, event, turn)
     task, start, rest = state.task, hover_pose(scanning.from_nea_m), None
     if path is not None:
@@ -241,11 +224,11 @@ def _on_scan(state: State, event: ScanDone, turn: Turn) -> None:
         rest=rest,
         attempt=flight.failures,
     )
-    flight.search = Planning(task)
-    turn.do(Plan(request=request, due_s=event.time_s + request.time_s))
+    stage.search = phases.Planning(task)
+    turn.do(events.Plan(request=request, due_s=event.time_s + request.time_s))
 
 
-def _warn_of_scan(state: State, event: ScanDone, turn: Turn) -> None:
+def _warn_of_scan(state: State, event: events.ScanDone, turn: Turn) -> None:
     """Warn of a scan that was worse than the mission expects."""
     if event.answered < event.asked:
         turn.warn(f"scan: {event.answered} of {event.asked} blocks answered", "scan")
@@ -256,15 +239,15 @@ def _warn_of_scan(state: State, event: ScanDone, turn: Turn) -> None:
         turn.warn(f"radar sees {seen_m / 1000:.1f} km of R = {wanted_m / 1000:.1f} km")
 
 
-def _on_plan(state: State, event: PlanReady, turn: Turn) -> None:
+def _on_plan(state: State, stage: phases.Flying, event: events.PlanReady, turn: Turn) -> None:
     """Accept the next subpath, or note why there is none."""
-    flight, outcome, planning = state.flight, event.outcome, state.flight.search
-    if outcome.plan_id != flight.plan_id or not isinstance(planning, Planning):
+    flight, outcome, planning = state.flight, event.outcome, stage.search
+    if outcome.plan_id != flight.plan_id or not isinstance(planning, phases.Planning):
         return None  # the answer to a question that is no longer asked
     if planning.rules is not state.task:  # the rules have changed: it is asked for again
-        flight.search = None
+        stage.search = None
         return
-    flight.search = Answered()
+    stage.search = phases.Answered()
     verified = state.task.settings.profile.verified
     if not isinstance(outcome, Planned) or (verified and not outcome.certificate.proven):
         was, flight.refusal = flight.refusal, None
@@ -273,21 +256,21 @@ def _on_plan(state: State, event: PlanReady, turn: Turn) -> None:
             if outcome.refusal is not was and outcome.place_ne_m is not None:  # proven, and news
                 north, east = (each / 1000.0 for each in outcome.place_ne_m)
                 turn.warn(f"no way: closed {north:.1f} km N, {east:.1f} km E of origin")
-        silent = flight.shortfall is Reason.RADAR_SILENT
-        return _no_successor(state, Reason.RADAR_SILENT if silent else Reason.NO_PLAN, turn)
-    if (path := flight.path) is not None:
+        silent = stage.shortfall is Reason.RADAR_SILENT
+        return _no_successor(state, stage, Reason.RADAR_SILENT if silent else Reason.NO_PLAN, turn)
+    if (path := stage.path) is not None:
         soonest_m = path.reference.length_m + following.lead_m(state, path.reference)
         if soonest_m > path.leg.successor_at_m(state.task):
-            return _no_successor(state, Reason.PLAN_LATE, turn)
+            return _no_successor(state, stage, Reason.PLAN_LATE, turn)
         if path.stop is not None:
             return None  # it was asked for a way that the vehicle no longer goes
     margin_m = min(outcome.certificate.clearance_m, outcome.certificate.keep_out_m)
     number = flight.legs_flown + 1
-    _accept(state, outcome)
+    _accept(state, stage, outcome)
     turn.say(f"subpath {number}: {margin_m:.0f} m clear, cost {outcome.cost:.2f}", "plan")
 
 
-def _accept(state: State, planned: Planned) -> None:
+def _accept(state: State, stage: phases.Flying, planned: Planned) -> None:
     """Fly it next, or at once if there is no leg."""
     flight, hovers, reaches = state.flight, state.vehicle.traits.hovers, planned.reaches_target
     leg = Leg.of(planned, flight.legs_flown + 1, state.task)
@@ -295,38 +278,38 @@ def _accept(state: State, planned: Planned) -> None:
     flight.progress = NO_PROGRESS if reaches else planned.progress
     if not flight.homeward:  # else it is why it goes home
         flight.refusal = None
-    if flight.path is not None:
-        flight.path.next_leg = leg
+    if stage.path is not None:
+        stage.path.next_leg = leg
         return
-    flight.path = OnPath(leg=leg, circling=not hovers and not planned.is_escape)  # then at once
-    if flight.shortfall is not Reason.RADAR_SILENT or flight.homeward:
+    stage.path = OnPath(leg=leg, circling=not hovers and not planned.is_escape)  # then at once
+    if stage.shortfall is not Reason.RADAR_SILENT or flight.homeward:
         flight.failures = 0  # blind, about what is known, it could fly for ever
-    flight.search, flight.shortfall = None, Reason.NO_PLAN
+    stage.search, stage.shortfall = None, Reason.NO_PLAN
     flight.legs_flown += 1
 
 
-def _no_successor(state: State, reason: Reason, turn: Turn) -> None:
+def _no_successor(state: State, stage: phases.Flying, reason: Reason, turn: Turn) -> None:
     """Without a successor a leg is flown to its end; without a leg the vehicle holds now."""
     flight = state.flight
-    flight.shortfall = reason
-    if flight.path is not None:
+    stage.shortfall = reason
+    if stage.path is not None:
         turn.warn(in_words(state, reason))
         return
-    come_to_rest(flight, flight.hover_nea_m)
+    come_to_rest(state, flight.hover_nea_m)
     flight.failures += 1
     return turn.fault(reason)
 
 
-def start_scan(state: State, centre_nea_m: Vector, turn: Turn, again: int = 0) -> None:
+def start_scan(stage: phases.Flying, centre_nea_m: Vector, turn: Turn, again: int = 0) -> None:
     """Start a scan around a point."""
-    state.flight.search = Scanning(centre_nea_m, again)
-    turn.do(StartScan(centre_nea_m=centre_nea_m))
+    stage.search = phases.Scanning(centre_nea_m, again)
+    turn.do(events.StartScan(centre_nea_m=centre_nea_m))
 
 
 # --- waiting for a leg
 
 
-def _hover(state: State, event: Position, turn: Turn) -> None:
+def _hover(state: State, stage: phases.Flying, event: Position, turn: Turn) -> None:
     """Hold while waiting for a leg: here, or straight above at the take-off height."""
     flight, settings = state.flight, state.task.settings
     here = flight.hover_nea_m or _waiting_place(state, event, turn.context)
@@ -337,16 +320,16 @@ def _hover(state: State, event: Position, turn: Turn) -> None:
     target = state.targets_ne_m[flight.target]
     if math.dist(here[:2], target) < AT_M and not flight.returning:
         return turn.to(Trigger.TARGET_REACHED)
-    looks = flight.search is None and _is_there(state, event, here)
-    moves = flight.search is None and abs(event.velocity_nea_m_s[2]) > 0.1  # on its way up or down
+    looks = stage.search is None and _is_there(state, event, here)
+    moves = stage.search is None and abs(event.velocity_nea_m_s[2]) > 0.1  # on its way up or down
     if looks or moves:
-        flight.progress_at_s = state.now_s
-    waited_s = state.now_s - flight.progress_at_s
+        stage.progress_at_s = state.now_s
+    waited_s = state.now_s - stage.progress_at_s
     if waited_s > settings.scan_time_s + settings.planning_time_s + _ANSWER_SLACK_S:
-        return _no_successor(state, Reason.PLAN_LATE, turn)
+        return _no_successor(state, stage, Reason.PLAN_LATE, turn)
     send_hold(state, event.time_s, turn)
     if looks:
-        start_scan(state, here, turn)
+        start_scan(stage, here, turn)
 
 
 def _waiting_place(state: State, event: Position, context: Context) -> Vector:
@@ -390,14 +373,14 @@ def _is_there(state: State, event: Position, here: Vector) -> bool:
 # successors follow as in flight.  When it does not, the next leg begins where it went.
 
 
-def shadow(state: State, event: Event, turn: Turn) -> None:
+def shadow(state: State, stage: phases.Flying, event: Event, turn: Turn) -> None:
     """What would be done now."""
-    flight, reason = state.flight, state.vehicle.distrust
+    reason = state.vehicle.distrust
     if reason is None and state.now_s - state.vehicle.bad_at_s < TRUST_S:
         reason = state.reason  # good again, but not for long enough to go on
     if reason is not state.reason:
         state.reason = reason
-        come_to_rest(flight)
+        come_to_rest(state)
         if reason is None:
             turn.say("shadow: would go on")
         else:
@@ -405,17 +388,17 @@ def shadow(state: State, event: Event, turn: Turn) -> None:
     elif reason is not None or state.vehicle.landed is Landed.ON_GROUND or not state.targets_ne_m:
         pass
     elif isinstance(event, Position):
-        _watch(state, event, turn)
+        _watch(state, stage, event, turn)
     else:
-        on_answer(state, event, turn)
+        on_answer(state, stage, event, turn)
 
 
-def _watch(state: State, event: Position, turn: Turn) -> None:
+def _watch(state: State, stage: phases.Flying, event: Position, turn: Turn) -> None:
     """Follow the vehicle along the leg that was planned, or plan one from where it is."""
-    flight, here, path = state.flight, event.position_nea_m, state.flight.path
+    flight, here, path = state.flight, event.position_nea_m, stage.path
     tracking_error_m = state.task.limits.tracking_error_m
     if math.dist(here[:2], state.targets_ne_m[flight.target]) < max(_ARRIVED_M, tracking_error_m):
-        come_to_rest(flight)
+        come_to_rest(state)
         if flight.target + 1 < len(state.targets_ne_m):
             flight.target += 1
             turn.say("shadow: target reached")
@@ -423,23 +406,23 @@ def _watch(state: State, event: Position, turn: Turn) -> None:
         off_m, at_m = following.nearest(path.leg, here)
         if off_m > 3.0 * tracking_error_m:
             turn.say(f"shadow: the vehicle is {off_m:.0f} m off the path")
-            come_to_rest(flight)
+            come_to_rest(state)
         else:
-            _watch_leg(state, path, at_m, turn)
-    elif flight.search is None or state.now_s - flight.progress_at_s >= _SAY_AGAIN_S:
-        flight.progress_at_s = state.now_s  # every few seconds until there is a leg
-        start_scan(state, here, turn)
+            _watch_leg(state, stage, path, at_m, turn)
+    elif stage.search is None or state.now_s - stage.progress_at_s >= _SAY_AGAIN_S:
+        stage.progress_at_s = state.now_s  # every few seconds until there is a leg
+        start_scan(stage, here, turn)
 
 
-def _watch_leg(state: State, path: OnPath, at_m: float, turn: Turn) -> None:
+def _watch_leg(state: State, stage: phases.Flying, path: OnPath, at_m: float, turn: Turn) -> None:
     """The vehicle is on the leg: scan at p_scan, go over at p_prog."""
     task, leg = state.task, path.leg
     length_m = max(path.reference.length_m, at_m)
     speed_m_s = math.hypot(*state.vehicle.velocity_nea_m_s)
     path.reference = Reference(length_m=length_m, speed_m_s=speed_m_s)
     if path.next_leg is not None and length_m >= leg.successor_at_m(task):
-        following.switch_to_next_leg(state.flight, path, task)
+        following.switch_to_next_leg(state, path, task)
     elif leg.subpath.length_m - length_m < 1.0:
-        come_to_rest(state.flight)
-    elif state.flight.search is None and leg.wants_successor(length_m, task):
-        start_scan(state, leg.subpath.pose(length_m).point_nea_m, turn)
+        come_to_rest(state)
+    elif stage.search is None and leg.wants_successor(length_m, task):
+        start_scan(stage, leg.subpath.pose(length_m).point_nea_m, turn)

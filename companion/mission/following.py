@@ -9,26 +9,15 @@ from copy import copy
 
 import numpy as np
 
+from companion.mission import phases
 from companion.mission.decisions import Turn
-from companion.mission.events import Position, Setpoint, Vector
-from companion.mission.state import Answered, Flight, OnPath, Reason, State, Stop
+from companion.mission.events import Echo, Position, Setpoint, Vector
+from companion.mission.phases import OnPath, Reason
+from companion.mission.state import State
 from companion.path.envelope import ending_m_s, slowing_m
+from companion.planner import procedure
 from companion.planner.loiter_search import loiter_point
-from companion.planner.procedure import (
-    Leg,
-    Offset,
-    Reference,
-    advance,
-    ahead_m,
-    allowed_speed_m_s,
-    follow,
-    is_at_end,
-    may_leave,
-    off_disc_m,
-    off_path_m,
-    paced_m_s,
-    sent_pose,
-)
+from companion.planner.procedure import Leg, Offset, Reference
 from companion.planner.request import FlownSegment
 from companion.planner.settings import Task
 
@@ -66,24 +55,24 @@ def lead_m(state: State, reference: Reference) -> float:
     return min(lead_m, _LONGEST_LEAD * state.task.envelope.lead_m)
 
 
-def advance_reference(state: State, path: OnPath, event: Position) -> None:
+def advance_reference(state: State, stage: phases.Led, path: OnPath, event: Position) -> None:
     """Advance the reference point by one position; at p_prog switch to the next leg."""
-    flight, vehicle, leg, before = state.flight, state.vehicle, path.leg, path.reference
+    vehicle, leg, before = state.vehicle, path.leg, path.reference
     here = np.asarray(event.position_nea_m)
     task = state.task if leg.speed_m_s is None else state.task.at_speed(leg.speed_m_s)
     slows_to_m_s = leaves_at_m = math.inf
     if path.next_leg is not None:
         leaves_at_m = leg.successor_at_m(task)
-    if leg.subpath.length_m < task.shortest_scan_distance_m and not flight.returning:
+    if leg.subpath.length_m < task.shortest_scan_distance_m and not state.flight.returning:
         slows_to_m_s = leg.slows_to_m_s(task)
     if vehicle.traits.hovers:
         motion = task.envelope
         if path.next_leg is not None:  # for its first bends, too
-            pace_m_s = paced_m_s(path.next_leg.subpath, motion, 0.0)
+            pace_m_s = procedure.paced_m_s(path.next_leg.subpath, motion, 0.0)
             room_m = max(leaves_at_m - before.length_m, 0.0)
             pace_m_s = math.sqrt(pace_m_s**2 + 2.0 * motion.gaining_m_s2 * room_m)
             slows_to_m_s = min(slows_to_m_s, pace_m_s)
-        path.reference = advance(
+        path.reference = procedure.advance(
             before,
             leg,
             vehicle.position_step_s,
@@ -94,24 +83,25 @@ def advance_reference(state: State, path: OnPath, event: Position) -> None:
             slows_to_m_s=slows_to_m_s,
         )
     else:
-        path.reference = follow(before, leg, here, task.limits)
+        path.reference = procedure.follow(before, leg, here, task.limits)
     if path.reference.length_m > before.length_m or path.circling:
-        flight.progress_at_s = state.now_s
+        stage.progress_at_s = state.now_s
     path.circling = False
     if path.offset is not None:
         path.offset = path.offset.after(vehicle.position_step_s, task.limits)
     if path.next_leg is not None and path.reference.length_m >= leaves_at_m - _ROUNDING_M:
-        switch_to_next_leg(flight, path, task)
+        switch_to_next_leg(state, path, task)
 
 
-def is_on_path(state: State, path: OnPath, event: Position) -> bool:
+def is_on_path(state: State, path: OnPath, event: Position, unechoed_s: float = 0.0) -> bool:
     """Whether it follows, and nothing of `outside_m` can be the case: what is looked at first.
 
     The path leaves its tangent at the reference point by along^2 / 2 R at most where it bends no
     more than the turn radius R; twice that is allowed for, as it may bend up and down as well.
+    unechoed_s: how long the reported target has disagreed with the setpoints.
     """
     vehicle, leg = state.vehicle, path.leg
-    echoes = vehicle.echo_nea_m is None or state.now_s - state.flight.echoed_at_s <= _NOT_TAKEN_S
+    echoes = vehicle.echo is None or unechoed_s <= _NOT_TAKEN_S
     if path.outside_m or not (echoes and vehicle.traits.hovers):
         return False
     pose, (north, east, up) = leg.subpath.pose(path.reference.length_m), event.position_nea_m
@@ -137,12 +127,12 @@ def outside_m(state: State, path: OnPath, event: Position) -> tuple[float, float
     allowed_m = motion.tube_m
     if not state.vehicle.traits.hovers:
         centre = leg.subpath.pose(reference.length_m).point_nea_m
-        off_m = off_disc_m(centre, event.position_nea_m, motion.loiter_m)
+        off_m = procedure.off_disc_m(centre, event.position_nea_m, motion.loiter_m)
         return max(off_m - allowed_m, 0.0), 0.0, 0.0
     if path.offset is not None:
         allowed_m += float(np.linalg.norm(path.offset.position_nea_m))
-    ahead = ahead_m(reference, leg, here)
-    across_m = off_path_m(reference, leg, here) - allowed_m
+    ahead = procedure.ahead_m(reference, leg, here)
+    across_m = procedure.off_path_m(reference, leg, here) - allowed_m
     before_m = ahead - lead_m(state, reference) - allowed_m
     far_m = abs(ahead) - motion.lag_m - allowed_m
     return max(across_m, 0.0), max(before_m, 0.0), max(far_m, 0.0)
@@ -178,28 +168,24 @@ def left_path(state: State, path: OnPath, event: Position, turn: Turn) -> Reason
     return None
 
 
-def is_not_taken(state: State) -> bool:
-    """Whether the autopilot's echo has disagreed with the setpoints for too long."""
-    vehicle, now_s = state.vehicle, state.now_s
-    is_fresh = vehicle.echo_nea_m is not None and now_s - vehicle.echo_at_s < _ECHO_S
-    return is_fresh and now_s - state.flight.echoed_at_s > _NOT_TAKEN_S
+def is_not_taken(state: State, unechoed_s: float) -> bool:
+    """Whether the reported target has disagreed with the setpoints for too long: unechoed_s."""
+    echo = state.vehicle.echo
+    is_fresh = echo is not None and state.now_s - echo.time_s < _ECHO_S
+    return is_fresh and unechoed_s > _NOT_TAKEN_S
 
 
-def still_loiters(state: State, path: OnPath, event: Position) -> bool:
-    """Whether a plane that is to leave its circle is not yet aligned with the path."""
-    at_m, limits = path.reference.length_m, state.task.limits
-    return not may_leave(path.leg, at_m, event.position_nea_m, event.velocity_nea_m_s, limits)
-
-
-def take_echo(state: State) -> None:
-    """After a target report: note when it last agreed with the setpoints, or was absent."""
-    flight, echo, limits = state.flight, state.vehicle.echo_nea_m, state.task.limits
+def take_echo(state: State, echo: Echo) -> None:
+    """Note when the reported target last agreed with the setpoints, or there were none."""
+    stage, limits = state.stage, state.task.limits
+    if not isinstance(stage, phases.Led):
+        return
     allowed_m = max(1.5 * limits.speed_m_s, 2.0 * limits.tracking_error_m)
     if not limits.hovers:
         allowed_m += 2.0 * limits.loiter_radius_m
-    sent = None if flight.sent is None else flight.sent.position_nea_m
-    if sent is None or echo is None or math.dist(echo[:2], sent[:2]) <= allowed_m:
-        flight.echoed_at_s = state.now_s
+    last = state.flight.sent
+    if last is None or math.dist(echo.position_nea_m[:2], last.position_nea_m[:2]) <= allowed_m:
+        stage.echoed_at_s = state.now_s
 
 
 def is_stopped(state: State, path: OnPath) -> bool:
@@ -211,11 +197,11 @@ def is_stopped(state: State, path: OnPath) -> bool:
     if state.vehicle.traits.hovers:
         joins = path.offset is not None and not path.offset.is_gone
         until_m = math.inf if stop is None else stop.at_m
-        return not joins and is_at_end(path.reference, leg, until_m)
+        return not joins and procedure.is_at_end(path.reference, leg, until_m)
     if stop is not None:
         return True  # it circles where it was to stop
     if leg.reaches_target:  # it passes it, and circles it then
-        return is_at_end(path.reference, leg)
+        return procedure.is_at_end(path.reference, leg)
     left_m = leg.subpath.length_m - path.reference.length_m
     return left_m < _AT_END * state.task.limits.loiter_radius_m
 
@@ -230,8 +216,8 @@ def send_setpoint(state: State, path: OnPath, event: Position, turn: Turn) -> No
     if traits.hovers and path.stop is not None:
         next_leg, end_m = None, min(leg.subpath.length_m, path.stop.at_m)
         ahead_m = min(ahead_m, max(end_m - reference.length_m, 0.0))
-    pose = sent_pose(reference, leg, next_leg, ahead_m, state.task)
-    speed = min(reference.speed_m_s, allowed_speed_m_s(pose, state.task.limits))
+    pose = procedure.sent_pose(reference, leg, next_leg, ahead_m, state.task)
+    speed = min(reference.speed_m_s, procedure.allowed_speed_m_s(pose, state.task.limits))
     beyond_m = reference.length_m + ahead_m - leg.subpath.length_m
     stays = not traits.hovers and next_leg is None and beyond_m >= 0.0
     north_m, east_m, altitude_m = pose.position_nea_m.tolist()
@@ -279,50 +265,60 @@ def vehicle_at_m(state: State, path: OnPath) -> float:
 
 def stop(state: State, reason: Reason, turn: Turn) -> None:
     """Stop on the path as soon as the vehicle can, and hold there."""
-    flight, path = state.flight, state.flight.path
+    flight, path = state.flight, state.path
     if path is None:
-        come_to_rest(flight, flight.hover_nea_m or state.vehicle.position_nea_m)
+        come_to_rest(state, flight.hover_nea_m or state.vehicle.position_nea_m)
         return turn.fault(reason)
     leg, reference = path.leg, path.reference
     if not state.vehicle.traits.hovers:
         ahead_m = lead_m(state, reference)
-        point = sent_pose(reference, leg, path.next_leg, ahead_m, state.task).point_nea_m
+        point = procedure.sent_pose(reference, leg, path.next_leg, ahead_m, state.task).point_nea_m
         if reason in (Reason.NEW_THREAT, Reason.FENCE_UNREAD):
             here = state.vehicle.position_nea_m or point
             velocity = state.vehicle.velocity_nea_m_s
             point = loiter_point(flight.known, state.task, here, velocity, point) or point
-        requeue_backtrack(flight, leg, path.next_leg)
-        come_to_rest(flight, point)
+        requeue_backtrack(state, leg, path.next_leg)
+        come_to_rest(state, point)
         return turn.fault(reason)
     brakes_m = 0.5 * reference.speed_m_s**2 / state.task.limits.acceleration_m_s2
     stop_at_m = max(vehicle_at_m(state, path) + brakes_m, reference.length_m)
     stop_at_m = min(stop_at_m, leg.subpath.length_m)
     if path.stop is not None:
         stop_at_m = min(stop_at_m, path.stop.at_m)
-    requeue_backtrack(flight, path.next_leg)
-    path.stop, path.next_leg, flight.search = Stop(stop_at_m, reason), None, Answered()
+    requeue_backtrack(state, path.next_leg)
+    path.stop, path.next_leg = phases.Stop(stop_at_m, reason), None
+    if isinstance(state.stage, phases.Flying):
+        state.stage.search = phases.Answered()
 
 
-def requeue_backtrack(flight: Flight, *legs: Leg | None) -> None:
+def requeue_backtrack(state: State, *legs: Leg | None) -> None:
     """Put these legs back before the rest of the backtrack, if it is on one."""
+    flight = state.flight
     if flight.returning:
         flight.back = (*(leg for leg in legs if leg is not None), *flight.back)
 
 
-def come_to_rest(flight: Flight, hover_nea_m: Vector | None = None) -> None:
+def come_to_rest(state: State, hover_nea_m: Vector | None = None) -> None:
     """Without a leg: the next one begins where the vehicle stops.
 
     Without a place it is chosen again: it may have been held too low.
     """
-    flight.flown = flown_segments(flight, flight.reference.length_m)
-    flight.path = flight.search = flight.planning_backtrack = None
-    flight.hover_nea_m = hover_nea_m
+    stage, path = state.stage, state.path
+    if path is not None:
+        note_flown(state, path, path.reference.length_m)
+    if isinstance(stage, phases.Led | phases.Preparing):
+        stage.path = None
+    if isinstance(stage, phases.Flying):
+        stage.search = None
+    elif isinstance(stage, phases.Stopped):
+        stage.backtrack = None
+    state.flight.hover_nea_m = hover_nea_m
 
 
-def rest_at_end(flight: Flight) -> None:
+def rest_at_end(state: State) -> None:
     """At rest at the end of its leg, at its stop, or at its hover."""
-    path = flight.path
-    come_to_rest(flight, flight.hover_nea_m if path is None else end_of(path))
+    path = state.path
+    come_to_rest(state, state.flight.hover_nea_m if path is None else end_of(path))
 
 
 def end_of(path: OnPath) -> Vector:
@@ -375,25 +371,25 @@ def _on_the_way(state: State, here_nea_m: Vector) -> Vector:
 # --- from leg to leg, and back to a path: after a restart, and for the backtrack
 
 
-def joined(state: State, path: OnPath | None) -> Flight | None:
-    """Another flight, led along this path, or on its next leg, from the current setpoint on.
+def joined(state: State, path: OnPath | None) -> OnPath | None:
+    """The vehicle is led along this path, or on its next leg, from the current setpoint on.
 
-    None if that is farther from the path than was proven.
+    None if that is farther from the path than was proven: nothing has changed then.
     """
-    vehicle, flight, led_so = state.vehicle, copy(state.flight), _led(state)
+    vehicle, flight, led_so = state.vehicle, state.flight, _led(state)
     if led_so is None or path is None:
         return None
-    led, velocity = led_so
-    flight.path = path = copy(path)
-    off_m, at_m = nearest(path.leg, led)
+    (led, velocity), path = led_so, copy(path)
+    leg, (off_m, at_m) = path.leg, nearest(path.leg, led)
     if path.next_leg is not None:
         next_off_m, next_at_m = nearest(path.next_leg, led)
         if next_off_m < off_m - 1e-6:
-            switch_to_next_leg(flight, path, state.task)
-            off_m, at_m = next_off_m, next_at_m
-    limits = state.task.at_speed(path.leg.speed_m_s).limits
+            leg, off_m, at_m = path.next_leg, next_off_m, next_at_m
+    limits = state.task.at_speed(leg.speed_m_s).limits
     if off_m > limits.tracking_error_m + _ON_CIRCLE * limits.loiter_radius_m:
         return None
+    if leg is path.next_leg:
+        switch_to_next_leg(state, path, state.task)
     pose, hovers = path.leg.subpath.pose(at_m), vehicle.traits.hovers
     speed = max(float(np.dot(velocity, pose.tangent_nea)), 0.0)
     speed = min(speed, limits.speed_m_s)
@@ -403,37 +399,36 @@ def joined(state: State, path: OnPath | None) -> Flight | None:
     path.circling = not hovers and off_m > limits.tracking_error_m
     if hovers:
         path.offset = Offset.of(led, velocity, pose, speed)
-    flight.flown = flown_segments(flight, at_m)
+    note_flown(state, path, at_m)
     path.reference, path.joined_m = Reference(length_m=at_m, speed_m_s=speed), at_m
-    flight.progress_at_s = state.now_s
     flight.hover_nea_m = pose.point_nea_m if path.circling else None
-    flight.search = None if path.next_leg is None else Answered()
-    return flight
+    return path
 
 
-def switch_to_next_leg(flight: Flight, path: OnPath, task: Task) -> None:
+def switch_to_next_leg(state: State, path: OnPath, task: Task) -> None:
     """On to the next leg: the reference point has reached p_prog of this one."""
     assert path.next_leg is not None
     over_at_m, reference = path.leg.successor_at_m(task), path.reference
-    flight.flown = flown_segments(flight, over_at_m)
+    note_flown(state, path, over_at_m)
     path.leg, path.next_leg, path.joined_m = path.next_leg, None, 0.0
     length_m = max(reference.length_m - over_at_m, 0.0)
     path.reference = Reference(length_m=length_m, speed_m_s=reference.speed_m_s)
-    flight.search, flight.troubles, flight.shortfall = None, 0, Reason.NO_PLAN
-    flight.legs_flown += 1
+    if isinstance(state.stage, phases.Flying):
+        state.stage.search, state.stage.shortfall = None, Reason.NO_PLAN
+    state.flight.troubles = 0
+    state.flight.legs_flown += 1
 
 
-def flown_segments(flight: Flight, until_m: float) -> tuple[FlownSegment, ...]:
-    """The flown segments, including this leg up to a length."""
-    path = flight.path
-    if path is None or flight.returning:
-        return flight.flown
-    return *flight.flown, FlownSegment(
-        control_nea_m=path.leg.subpath.control_nea_m,
-        from_m=path.joined_m,
-        until_m=until_m,
-        speed_m_s=path.leg.speed_m_s,
-    )
+def note_flown(state: State, path: OnPath, until_m: float) -> None:
+    """Add this leg to what was flown, up to a length; not on the way back."""
+    if not state.flight.returning:
+        flown = FlownSegment(
+            control_nea_m=path.leg.subpath.control_nea_m,
+            from_m=path.joined_m,
+            until_m=until_m,
+            speed_m_s=path.leg.speed_m_s,
+        )
+        state.flight.flown = (*state.flight.flown, flown)
 
 
 def _led(state: State) -> tuple[Vector, Vector] | None:
@@ -444,7 +439,7 @@ def _led(state: State) -> tuple[Vector, Vector] | None:
     ArduPilot's is after a setpoint time-out.
     """
     vehicle, flight = state.vehicle, state.flight
-    here, velocity, echo = vehicle.position_nea_m, vehicle.velocity_nea_m_s, vehicle.echo_nea_m
+    here, velocity, echo = vehicle.position_nea_m, vehicle.velocity_nea_m_s, vehicle.echo
     if here is None:
         return None
     if not vehicle.traits.hovers:
@@ -452,11 +447,11 @@ def _led(state: State) -> tuple[Vector, Vector] | None:
     if flight.sent is not None and state.now_s - flight.sent_at_s < _FRESH_S:
         return flight.sent.position_nea_m, velocity
     near_m = 2.0 * state.task.limits.tracking_error_m + state.task.limits.speed_m_s * _FRESH_S
-    age_s = state.now_s - vehicle.echo_at_s
-    if echo is None or age_s > _FRESH_S or math.dist(echo, here) >= near_m:
+    age_s = math.inf if echo is None else state.now_s - echo.time_s
+    if echo is None or age_s > _FRESH_S or math.dist(echo.position_nea_m, here) >= near_m:
         return here, velocity
-    velocity = vehicle.echo_nea_m_s or velocity
-    north, east, up = (at + age_s * v for at, v in zip(echo, velocity, strict=True))
+    velocity = echo.velocity_nea_m_s or velocity
+    north, east, up = (at + age_s * v for at, v in zip(echo.position_nea_m, velocity, strict=True))
     return (north, east, up), velocity
 
 

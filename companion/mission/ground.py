@@ -6,20 +6,15 @@ Each wait has an end, but for that of a vehicle that is ready: somebody has to s
 import math
 
 import numpy as np
+from msgspec.structs import replace
 
 from companion.geodesy import FloatArray
-from companion.mission import events, following, way_back
+from companion.mission import events, following, phases, way_back
 from companion.mission.battery import battery_lasts
-from companion.mission.decisions import (
-    AT_M,
-    LANDING_ABORTED,
-    Context,
-    Turn,
-    is_at_rest,
-    landing_order,
-)
+from companion.mission.decisions import AT_M, Context, Turn, abort_landing, is_at_rest
 from companion.mission.events import Event, Item, Landed, LinkLost, Mode, Position, Vector
-from companion.mission.state import Orders, Phase, Reason, State, Trigger
+from companion.mission.phases import Phase, Reason, Trigger
+from companion.mission.state import State
 from companion.mission.tables import takeover_reason
 from companion.mission.vehicle_traits import TakeoffSequence
 from companion.planner.procedure import Reference
@@ -39,16 +34,16 @@ _LEAST_M = 1.0  # as near as an altitude is told, of a take-off that hardly clim
 _LEVEL_M_S = 1.0
 
 
-def waiting(_state: State, event: Event, turn: Turn) -> None:
+def waiting(_state: State, left: phases.Preparing, event: Event, turn: Turn) -> None:
     """Wait for a matching autopilot; the runtime decides how long."""
     if isinstance(event, events.VehicleFound):
         if event.traits is None:
             turn.give_up(Reason.WRONG_VEHICLE, f": {event.name}")
         else:
-            turn.to(Trigger.VEHICLE_FOUND)
+            turn.to(Trigger.VEHICLE_FOUND, replace(left, phase=Phase.PREPARING))
 
 
-def preparing(state: State, event: Event, turn: Turn) -> None:
+def preparing(state: State, stage: phases.Preparing, event: Event, turn: Turn) -> None:
     """Wait for a valid position, home, parameters and fence, on the ground or in flight.
 
     After a restart in the air, preparations of the previous companion are not repeated.
@@ -57,9 +52,9 @@ def preparing(state: State, event: Event, turn: Turn) -> None:
     asked_for = state.prepared.issuperset(_ASKED_FOR)
     if not context.shadow and isinstance(event, events.Prepared) and event.refusal:
         return _refuses(state, event, turn)
-    if state.unready and vehicle.armed:
+    if stage.unready and vehicle.armed:
         return turn.give_up(Reason.ARMED_ALREADY)  # it is not taken over in the air unasked
-    if state.in_phase_s > _PREPARE_S and not state.unready:
+    if state.in_phase_s > _PREPARE_S and not stage.unready:
         missing = _missing(state)
         return turn.give_up(Reason.NOT_READY, missing and f": {missing}")
     if state.is_silent:
@@ -72,14 +67,14 @@ def preparing(state: State, event: Event, turn: Turn) -> None:
         return turn.give_up(Reason.NOT_ALONE)
     if not state.has_had_control and _may_not_be_alone(state):
         return
-    if state.landing:
-        return _landing_goes_on(state, turn)
+    if stage.landing:
+        return _landing_goes_on(state, stage, turn)
     if vehicle.distrust is not None:
         unled = _is_flying(state) and vehicle.mode is Mode.GUIDED
         if unled and state.in_phase_s > _UNLED_S:
             turn.ask(events.SetMode(mode=Mode.HOLD))
     elif _is_flying(state):
-        _in_flight(state, turn)
+        _in_flight(state, stage, turn)
     elif vehicle.landed is Landed.ON_GROUND and vehicle.home_nea_m is not None and asked_for:
         _on_ground(state, turn)
 
@@ -112,7 +107,7 @@ def _on_ground(state: State, turn: Turn) -> None:
         turn.give_up(Reason.NOT_READY, ": armed before a restart, and no go since")
 
 
-def ready(state: State, event: Event, turn: Turn) -> None:
+def ready(state: State, _: phases.Stage, event: Event, turn: Turn) -> None:
     """Wait for somebody to say go, for as long as it takes; the checks have to go on passing."""
     if state.is_second_companion:
         turn.give_up(Reason.NOT_ALONE)
@@ -152,10 +147,10 @@ def _unready(state: State, why: str, turn: Turn) -> None:
     if state.phase is Phase.READY:
         turn.warn(f"not ready any more: {why}", "phase")
         state.prepared -= {Item.CHECKS}
-        turn.to(Trigger.UNREADY)
-    elif why != state.unready:
+        turn.to(Trigger.UNREADY, phases.Preparing(unready=why))
+    elif isinstance(state.stage, phases.Preparing) and why != state.unready:
         turn.warn(f"not ready: {why}", "phase")
-    state.unready = why
+        state.stage.unready = why
 
 
 def _may_not_be_alone(state: State) -> bool:
@@ -164,7 +159,7 @@ def _may_not_be_alone(state: State) -> bool:
     On the ground there is time for that while arming; a companion that resumes its own path must be
     quick, and yields if it hears another one later (`is_second_companion`).
     """
-    takes_over = _is_flying(state) and state.flight.path is None
+    takes_over = _is_flying(state) and state.path is None
     return state.is_duplicate_suspected or (takes_over and state.in_phase_s < _LISTEN_S)
 
 
@@ -181,17 +176,16 @@ def on_duplicate_id(state: State, event: events.DuplicateId, turn: Turn) -> None
         turn.warn(f"{Reason.NOT_ALONE.text}: end it")
 
 
-def _landing_goes_on(state: State, turn: Turn) -> None:
+def _landing_goes_on(state: State, stage: phases.Preparing, turn: Turn) -> None:
     """Complete a landing that was begun before a reboot, or by the previous companion."""
     vehicle = state.vehicle
     if vehicle.landed is Landed.ON_GROUND and not vehicle.armed:
         return turn.to(Trigger.LANDED)
     if vehicle.landed is Landed.UNKNOWN:
         return
-    state.landing = False
-    if state.sank and vehicle.mode is not Mode.LAND:
-        turn.warn(LANDING_ABORTED)
-        state.orders = Orders(Reason.PAUSED, landing_order(state))
+    stage.landing = False
+    if stage.sank and vehicle.mode is not Mode.LAND:
+        abort_landing(state, turn)
     elif vehicle.mode in (Mode.LAND, Mode.GUIDED):
         turn.to(Trigger.END_LAND)
 
@@ -208,9 +202,8 @@ def _missing(state: State) -> str:
         missing.append("home")
     if vehicle.landed is Landed.UNKNOWN:
         missing.append("landed state")
-    distrusted = vehicle.distrust
-    if distrusted is not None:
-        missing.append(distrusted.text)
+    if vehicle.distrust is not None:
+        missing.append(vehicle.distrust.text)
     return ", ".join(missing)
 
 
@@ -227,9 +220,9 @@ def _refused(state: State, context: Context) -> Reason | None:
     return None if battery_lasts(state, context.mission) else Reason.BATTERY_SHORT
 
 
-def _in_flight(state: State, turn: Turn) -> None:
+def _in_flight(state: State, stage: phases.Preparing, turn: Turn) -> None:
     """Take over in the air: rejoin the path of the previous companion, or stop first."""
-    path, here = state.flight.path, state.vehicle.position_nea_m
+    path, here = stage.path, state.vehicle.position_nea_m
     mode, ours = state.vehicle.mode, (Mode.GUIDED, Mode.HOLD)
     if path is None and not state.prepared.issuperset(_ASKED_FOR):
         return
@@ -242,18 +235,18 @@ def _in_flight(state: State, turn: Turn) -> None:
     if state.orders.active is not None or state.taken or state.flight.returning:
         led = mode in ours and not state.taken
         state.reason = Reason.TAKING_OVER if led else takeover_reason(state)
-        return way_back.leave_path(state.flight)
-    asked = state.asks > 0  # to hold: it may do so by now
+        return way_back.leave_path(state)
+    asked = stage.asks > 0  # to hold: it may do so by now
     if mode is Mode.GUIDED and not asked:
         joined = following.joined(state, path)
         if joined is not None:
-            state.flight = joined
-            return turn.to(Trigger.TAKE_OVER)
+            stage.path, search = None, None if joined.next_leg is None else phases.Answered()
+            return turn.to(Trigger.TAKE_OVER, phases.Flying(path=joined, search=search))
     ours_or_up = mode in (*ours, Mode.TAKE_OFF)
     state.reason = Reason.TAKING_OVER if ours_or_up else takeover_reason(state)
 
 
-def arming(state: State, _event: Event, turn: Turn) -> None:
+def arming(state: State, stage: phases.Stage, _event: Event, turn: Turn) -> None:
     """Request the first mode of the take-off sequence, then arming, once a second."""
     vehicle, traits = state.vehicle, state.vehicle.traits
     if state.is_duplicate_suspected:
@@ -262,8 +255,8 @@ def arming(state: State, _event: Event, turn: Turn) -> None:
     if vehicle.mode is first and vehicle.armed:
         return turn.to(Trigger.ARMED)
     if vehicle.mode is first:
-        state.obeyed = True
-    elif state.obeyed or (vehicle.armed and not state.armed_by_us):
+        stage.obeyed = True
+    elif stage.obeyed or (vehicle.armed and not state.armed_by_us):
         return turn.give_up(Reason.MODE_TAKEN)
     rises = vehicle.landed is not Landed.ON_GROUND
     if state.in_phase_s > _ARM_S or (rises and not state.armed_by_us):
@@ -279,20 +272,21 @@ def arming(state: State, _event: Event, turn: Turn) -> None:
         turn.ask(events.SetMode(mode=first))
 
 
-def taking_off(state: State, event: Event, turn: Turn) -> None:
+def taking_off(state: State, _: phases.Stage, event: Event, turn: Turn) -> None:
     """Wait until it is at the floor of the band; request the climb if that comes after arming.
 
     An autopilot with a take-off mode holds after it, and is then taken over.
     """
     guided = state.vehicle.traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB
     on_ground = state.vehicle.landed is Landed.ON_GROUND
+    climb_m_s = state.task.limits.climb_rate_m_s
     if isinstance(event, Position) and not on_ground and _has_climbed(state, event, guided=guided):
         if not guided:
             state.reason = Reason.TAKEN_OFF
         turn.to(Trigger.AIRBORNE if guided else Trigger.HANDED_OVER)
     elif on_ground and height_m(state) <= 0.0:
         turn.give_up(Reason.HOME_TOO_HIGH)
-    elif state.in_phase_s > _longest_climb_s(state):
+    elif state.in_phase_s > _TAKE_OFF_SLACK_S + 2.0 * max(height_m(state), 0.0) / climb_m_s:
         turn.give_up(Reason.NO_TAKE_OFF)
     elif on_ground and guided:
         _ask_to_take_off(state, turn)
@@ -349,8 +343,3 @@ def height_m(state: State) -> float:
     """How far above home the climb-out ends."""
     home = state.vehicle.home_nea_m
     return state.task.take_off_amsl_m - (0.0 if home is None else home[2])
-
-
-def _longest_climb_s(state: State) -> float:
-    climb_rate = state.task.limits.climb_rate_m_s
-    return 2.0 * max(height_m(state), 0.0) / climb_rate + _TAKE_OFF_SLACK_S

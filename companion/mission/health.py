@@ -9,7 +9,8 @@ have been wrong.
 import math
 
 from companion.mission.events import Landed, Position, Vector
-from companion.mission.state import Reason, Vehicle
+from companion.mission.phases import Reason
+from companion.mission.state import Vehicle
 from companion.path.limits import Limits
 
 TRUST_S = 2.0

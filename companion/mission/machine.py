@@ -2,7 +2,7 @@
 
 The state is copied once, with all of it that changes, and the copy is changed in place: nobody else
 does.  An event first updates vehicle and terrain.  Then comes what others want, then what is wrong
-(`tables.FAULTS`), then what the phase does; a trigger changes the phase by the table in `state`,
+(`tables.FAULTS`), then what the phase does; a trigger changes the phase by the table in `phases`,
 and the new phase begins with its own commands.  No clock, no I/O: times are those of the events.
 """
 
@@ -10,28 +10,13 @@ from collections.abc import Callable
 from copy import copy
 from typing import Any, Final
 
-from companion.mission import changes, events, flying, following, ground, stopped, way_back
+from companion.mission import changes, events, flying, following, ground, phases, stopped, way_back
 from companion.mission.battery import take_battery
-from companion.mission.decisions import (
-    Context,
-    Turn,
-    longest_silence_s,
-    reason_text,
-)
+from companion.mission.decisions import Context, Turn, hold_for, longest_silence_s, reason_text
 from companion.mission.events import Command, End, Event, Landed, Mode, Outcome, SetMode
 from companion.mission.health import distrust, take_distrust, take_position
-from companion.mission.state import (
-    HEARTBEAT_S,
-    IN_AIR,
-    ON_GROUND,
-    OVER,
-    Hold,
-    Orders,
-    Phase,
-    Reason,
-    State,
-    Trigger,
-)
+from companion.mission.phases import IN_AIR, ON_GROUND, OVER, Hold, Phase, Reason, Stage, Trigger
+from companion.mission.state import HEARTBEAT_S, Orders, State
 from companion.mission.tables import fall_back, fault_of, parting
 from companion.mission.vehicle_traits import UNKNOWN
 
@@ -45,11 +30,13 @@ _AS_IT_SHOULD = {
 
 def step(before: State, event: Event, context: Context) -> tuple[State, list[Command]]:
     """Handle one event: the new state and the commands."""
-    if before.phase in OVER:
+    if before.stage.phase in OVER:
         return before, []
     state = copy(before)
     state.vehicle, state.flight = copy(before.vehicle), copy(before.flight)
-    state.flight.path = copy(before.flight.path)
+    state.stage = stage = copy(before.stage)
+    if isinstance(stage, phases.Led | phases.Preparing):
+        stage.path = copy(stage.path)
     vehicle, now_s = state.vehicle, max(before.now_s, event.time_s)
     turn, limits = Turn(state, context), state.task.limits
     state.now_s = now_s
@@ -72,7 +59,7 @@ def step(before: State, event: Event, context: Context) -> tuple[State, list[Com
         and vehicle.landed is Landed.IN_AIR
         and vehicle.distrust is None
         and now_s - vehicle.status_at_s <= HEARTBEAT_S
-        and state.held is None
+        and not isinstance(stage, phases.Holding)
         and in_any_phase is None
     )
     if in_any_phase is None or turn.is_left:
@@ -80,7 +67,7 @@ def step(before: State, event: Event, context: Context) -> tuple[State, list[Com
         if reason is not None:
             _break_off(state, reason, turn)
         else:
-            IN_PHASE[state.phase](state, event, turn)
+            PHASES[state.stage.phase][1](state, state.stage, event, turn)
     if turn.trigger is Trigger.GIVE_UP and not context.shadow:
         fall_back(state, turn)
     if turn.trigger is not None and state.phase in turn.trigger.origins:
@@ -96,17 +83,17 @@ def _break_off(state: State, reason: Reason, turn: Turn) -> None:
         turn.give_up(reason)
     else:
         if state.phase is not Phase.TAKING_OFF:
-            way_back.leave_path(state.flight)
+            way_back.leave_path(state)
         turn.fault(reason)
 
 
 def rebased(before: State, shift_s: float) -> State:
     """The state on a clock that shows shift_s more: its own time, and the waits that go on."""
-    state, vehicle = copy(before), copy(before.vehicle)
-    state.vehicle = vehicle
+    state, vehicle, stage = copy(before), copy(before.vehicle), copy(before.stage)
+    state.vehicle, state.stage = vehicle, stage
     state.now_s += shift_s
-    state.since_s += shift_s
-    state.asked_at_s += shift_s
+    stage.since_s += shift_s
+    stage.asked_at_s += shift_s
     state.duplicate_id_at_s += shift_s
     if state.fence_unread_s is not None:
         state.fence_unread_s += shift_s
@@ -142,9 +129,8 @@ def _observe(state: State, event: Event, context: Context) -> None:
         case events.Battery():
             take_battery(state, event, context.mission)
         case events.Echo():
-            vehicle.echo_nea_m, vehicle.echo_nea_m_s = event.position_nea_m, event.velocity_nea_m_s
-            vehicle.echo_at_s = told_s
-            following.take_echo(state)
+            vehicle.echo = event
+            following.take_echo(state, event)
         case events.DuplicateId(certain=certain):
             state.duplicate_id, state.duplicate_id_at_s = certain, now_s
         case events.Prepared(item=item, refusal=""):
@@ -188,52 +174,59 @@ _IN_ANY_PHASE: Final[dict[type[Event], Callable[[State, Any, Turn], None]]] = {
 }
 """Handlers of events in any phase; some leave it to the phase (`Turn.is_left`)."""
 
-IN_PHASE: Final[dict[Phase, Callable[[State, Event, Turn], None]]] = {
-    Phase.WAITING: ground.waiting,
-    Phase.PREPARING: ground.preparing,
-    Phase.READY: ground.ready,
-    Phase.ARMING: ground.arming,
-    Phase.TAKING_OFF: ground.taking_off,
-    Phase.FLYING: flying.on_path,
-    Phase.RETURNING: flying.on_path,
-    Phase.HOLDING: stopped.holding,
-    Phase.ARRIVED: stopped.arrived,
-    Phase.LANDING: stopped.landing,
-    Phase.HANDING_OVER: stopped.handing_over,
-    Phase.SHADOW: flying.shadow,
+PHASES: Final[dict[Phase, tuple[type[Stage], Callable[[State, Any, Event, Turn], None]]]] = {
+    Phase.WAITING: (phases.Preparing, ground.waiting),
+    Phase.PREPARING: (phases.Preparing, ground.preparing),
+    Phase.READY: (Stage, ground.ready),
+    Phase.ARMING: (Stage, ground.arming),
+    Phase.TAKING_OFF: (Stage, ground.taking_off),
+    Phase.FLYING: (phases.Flying, flying.on_path),
+    Phase.RETURNING: (phases.Led, flying.on_path),
+    Phase.HOLDING: (phases.Holding, stopped.holding),
+    Phase.ARRIVED: (phases.Stopped, stopped.arrived),
+    Phase.LANDING: (Stage, stopped.landing),
+    Phase.HANDING_OVER: (Stage, stopped.handing_over),
+    Phase.SHADOW: (phases.Flying, flying.shadow),
+    Phase.DONE: (Stage, lambda *_: None),
+    Phase.FAULTED: (Stage, lambda *_: None),
 }
-"""The handler of each phase; a mission that is over ignores events."""
+"""What each phase knows, and its handler; a mission that is over ignores events."""
 
 
 def _enter(state: State, trigger: Trigger, turn: Turn) -> None:
     """Begin the next phase: with what it begins, and how the last one ends."""
-    was, phase, context = state.phase, trigger.after, turn.context
+    was, phase, context = state.stage, trigger.after, turn.context
     if phase in OVER:
         if not (context.shadow or trigger in _AS_IT_SHOULD):
             turn.do(*parting(state, stopped=trigger is Trigger.STOP))
         turn.do(_end_of(state, trigger))
-    state.phase, state.held, state.since_s = phase, None, state.now_s
-    state.asked_at_s, state.asks, state.obeyed = -1e9, 0, False
+    if phase is Phase.HOLDING:
+        hold_for(state, state.reason or Reason.NO_PLAN)
+    else:
+        state.stage = turn.stage or PHASES[phase][0](phase=phase)
+    state.stage.since_s = state.stage.progress_at_s = state.now_s
+    left = was.path if isinstance(was, phases.Led | phases.Preparing) else None
+    if left is not None and state.path is not left:  # broken off on it
+        following.note_flown(state, left, left.reference.length_m)
     if phase in IN_AIR:
-        since_s = state.now_s if was is Phase.PREPARING else -1e9
+        since_s = state.now_s if was.phase is Phase.PREPARING else -1e9
         state.in_control_since_s = min(state.in_control_since_s, since_s)
         state.airborne = True
     match phase:
         case Phase.READY:
-            state.unready = ""
             turn.say("ready: waits for go: MISSION_START or a yes", "phase")
         case Phase.PREPARING if trigger is not Trigger.UNREADY:
             turn.do(events.RequestStreams())
             turn.say(f"mission {context.mission.name}")
-            for text in filter(None, (stopped.landing_words(state, context), state.news)):
+            stage = state.stage
+            assert isinstance(stage, phases.Preparing)
+            for text in filter(None, (stopped.landing_words(state, context), stage.news)):
                 turn.warn(text)
-            state.news = ""
         case Phase.FLYING | Phase.LANDING | Phase.RETURNING:
             _set_out(state, turn)
         case Phase.HOLDING:
             _hold(state, turn)
         case Phase.ARRIVED:
-            following.rest_at_end(state.flight)
             stopped.say_reached(state, turn)
         case _:
             pass
@@ -242,15 +235,13 @@ def _enter(state: State, trigger: Trigger, turn: Turn) -> None:
 def _set_out(state: State, turn: Turn) -> None:
     """To fly, back or on, or to land."""
     state.reason, state.taken = None, False
-    state.flight.progress_at_s = state.flight.echoed_at_s = state.now_s
+    if isinstance(state.stage, phases.Led):
+        state.stage.echoed_at_s = state.now_s
     if state.phase is not Phase.FLYING:
         state.orders = Orders()
     elif not state.flight.homeward:  # to a target again
         state.flight.fallen_back = None
     if state.phase is Phase.RETURNING:
-        went_back = way_back.begun(state, state.flight)
-        assert went_back is not None  # whoever triggers it has looked
-        state.flight = went_back
         turn.say("returning", "phase")
     if state.phase is not Phase.LANDING and state.vehicle.traits is not UNKNOWN:
         turn.do(events.SetSpeed(speed_m_s=state.task.limits.speed_m_s))
@@ -270,7 +261,7 @@ def _hold(state: State, turn: Turn) -> None:
         case _:
             pass
     if reason.hold is Hold.MODE:
-        state.asked_at_s = state.now_s
+        state.stage.asked_at_s = state.now_s
         broken_off = reason is Reason.BROKEN_OFF
         turn.do(*(parting(state) if broken_off else [SetMode(mode=Mode.HOLD)]))
 

@@ -1,4 +1,4 @@
-"""Phases, transitions and the state of a mission.
+"""The state of a mission: its phase, the vehicle, and how far it has come.
 
 `machine.step` copies the state, and the handlers change that copy in place; nobody else does.
 """
@@ -10,10 +10,14 @@ from typing import final
 
 from msgspec import Struct, field
 
-from companion.mission.events import FenceChanged, Item, Landed, Mode, Setpoint, Vector
+from companion.mission.events import Echo, FenceChanged, Item, Landed, Mode, Setpoint, Vector
 from companion.mission.mission import Mission
+from companion.mission.phases import IN_AIR as IN_AIR  # for those who read the state
+from companion.mission.phases import Hold, Holding, Led, OnPath, Preparing, Stage
+from companion.mission.phases import Phase as Phase
+from companion.mission.phases import Reason as Reason
 from companion.mission.vehicle_traits import UNKNOWN, VehicleTraits
-from companion.planner.procedure import Leg, Offset, Reference
+from companion.planner.procedure import Leg, Reference
 from companion.planner.progress import NO_PROGRESS, Progress
 from companion.planner.request import FlownSegment, Refusal
 from companion.planner.settings import Task
@@ -28,251 +32,6 @@ _SECOND_S = 5.0  # who hears another so soon after it took over has not been the
 
 Targets = tuple[tuple[float, float], ...]
 """North and east of each."""
-
-
-class Phase(enum.Enum):
-    """Phase of a mission (design section 7)."""
-
-    WAITING = "waiting"
-    PREPARING = "preparing"
-    READY = "ready"
-    ARMING = "arming"
-    TAKING_OFF = "taking off"
-    FLYING = "flying"
-    HOLDING = "holding"
-    ARRIVED = "arrived"
-    LANDING = "landing"
-    RETURNING = "returning"
-    HANDING_OVER = "handing over"
-    SHADOW = "shadow"
-    DONE = "done"
-    FAULTED = "faulted"
-    __hash__ = object.__hash__  # Enum's is slow, and asked for with every event
-
-
-ON_GROUND = (Phase.WAITING, Phase.PREPARING, Phase.READY, Phase.ARMING)
-IN_AIR = (
-    Phase.TAKING_OFF,
-    Phase.FLYING,
-    Phase.HOLDING,
-    Phase.ARRIVED,
-    Phase.RETURNING,
-    Phase.LANDING,
-    Phase.HANDING_OVER,
-)
-ON_PATH = (Phase.FLYING, Phase.RETURNING)
-OVER = (Phase.DONE, Phase.FAULTED)
-_LED = tuple(phase for phase in IN_AIR if phase not in (Phase.HOLDING, Phase.HANDING_OVER))
-_ALL = (*ON_GROUND, *IN_AIR, Phase.SHADOW)
-_HELD = (Phase.ARRIVED, Phase.HOLDING, Phase.RETURNING)
-_LANDS_FROM = (Phase.PREPARING, Phase.TAKING_OFF, Phase.FLYING, *_HELD, Phase.HANDING_OVER)
-_HANDS_OVER = (Phase.PREPARING, *_LED, Phase.HOLDING)
-
-
-class Trigger(enum.Enum):
-    """The transition table: what has happened, in which phases it counts, and the phase after."""
-
-    VEHICLE_FOUND = ("the vehicle's heartbeat was heard", Phase.WAITING, Phase.PREPARING)
-    READY = ("all that the take-off needs is there, on the ground", Phase.PREPARING, Phase.READY)
-    GO = ("somebody says go, or has (--start)", (Phase.PREPARING, Phase.READY), Phase.ARMING)
-    UNREADY = ("a check fails while it waits for that", Phase.READY, Phase.PREPARING)
-    IN_FLIGHT = ("ready, but in the air: it is taken over", Phase.PREPARING, Phase.HOLDING)
-    TAKE_OVER = ("it still flies the path of the last companion", Phase.PREPARING, Phase.FLYING)
-    WATCH = ("the vehicle is known, and only to be watched", Phase.PREPARING, Phase.SHADOW)
-    ARMED = ("armed, in the mode its take-off begins with", Phase.ARMING, Phase.TAKING_OFF)
-    AIRBORNE = ("at the floor of the band, in guided mode", Phase.TAKING_OFF, Phase.FLYING)
-    HANDED_OVER = ("there, where its autopilot holds it", Phase.TAKING_OFF, Phase.HOLDING)
-    TARGET_REACHED = ("the last leg was flown to its end", Phase.FLYING, Phase.ARRIVED)
-    NEXT_TARGET = ("stopped at a target that is not the last", Phase.ARRIVED, Phase.FLYING)
-    END_HOLD = ("stopped at the last target, in the hold mode", Phase.ARRIVED, Phase.DONE)
-    END_LAND = (
-        "at the last target, at home or where told: told to land",
-        _LANDS_FROM,
-        Phase.LANDING,
-    )
-    BACKTRACK = (
-        "told to return on the flown path",
-        (Phase.ARRIVED, Phase.HOLDING),
-        Phase.RETURNING,
-    )
-    HAND_OVER = ("no way back of ours is left: its autopilot's", _HANDS_OVER, Phase.HANDING_OVER)
-    HANDED_ON = ("its autopilot returns by itself", Phase.HANDING_OVER, Phase.DONE)
-    LANDED = ("on the ground, disarmed", (Phase.PREPARING, Phase.LANDING), Phase.DONE)
-    FAULT = ("it cannot go on; the reason says why", (Phase.ARMING, *_LED), Phase.HOLDING)
-    RESUME = ("the reason for holding is gone, or another try is due", _HELD, Phase.FLYING)
-    PREPARE_AGAIN = ("heard again after a silence, or rebooted", _ALL[1:], Phase.PREPARING)
-    GIVE_UP = ("no way to go on: somebody else brings it down", _ALL, Phase.DONE)
-    DIED = ("a part of the companion died", _ALL, Phase.FAULTED)
-    STOP = ("a person asked for the end", _ALL, Phase.DONE)
-
-    def __init__(self, when: str, origins: Phase | tuple[Phase, ...], after: Phase) -> None:
-        self.when = when
-        """What has happened."""
-        self.origins = origins if isinstance(origins, tuple) else (origins,)
-        """The phases that it ends; in any other it changes nothing."""
-        self.after = after
-        """The phase that it begins."""
-
-
-class Hold(enum.Enum):
-    """How a vehicle is held; each reason has one of them."""
-
-    REPLAN = "by setpoints; planning is retried after a pause, a limited number of times"
-    PAUSED = "by setpoints, until another order or a low battery"
-    RETURN = "by setpoints, until the backtrack is proven"
-    LAND = "by setpoints until it is at rest, then it lands"
-    MODE = "the autopilot's hold mode, until it is at rest and its position was valid for a while"
-    TAKE_OVER = "in its current mode if that stops it; then like mode"
-    STREAM_LOST = (
-        "the autopilot holds for lack of setpoints: a new stream returns it to guided mode"
-    )
-    TAKEN_OVER = "not by us: taken over by a pilot or the autopilot, until handed back"
-    GROUNDED = "not by us: reported disarmed, or on the ground"
-    SILENT = "not by us: the vehicle is silent"
-
-
-ON_SETPOINTS = (Hold.REPLAN, Hold.PAUSED, Hold.RETURN, Hold.LAND)
-"""Holds with a valid position."""
-
-
-class Reason(enum.Enum):
-    """Why a mission holds or ends, and the remedy."""
-
-    NO_VEHICLE = ("no vehicle was heard", "Start it, or check --connect.")
-    WRONG_VEHICLE = (
-        "the vehicle is none that this mission is for",
-        "Check --connect, and vehicle.kind and vehicle.autopilot of the mission.",
-    )
-    NOT_READY = ("the vehicle did not get ready to fly", "See its messages for what it waits for.")
-    REFUSED = ("the vehicle must not fly as it is set up", "Change what the last line names.")
-    NO_TARGETS = ("the vehicle has no mission with waypoints", "Upload one, then start again.")
-    BATTERY_SHORT = (
-        "the battery does not reach the target and the reserve",
-        "Charge it, or move the target.",
-    )
-    NOT_ARMED = ("the vehicle would not arm", "See its messages for the reason.")
-    OUTSIDE = ("the vehicle stands off the map or at a zone's edge", "Check origin and area.")
-    HOME_TOO_HIGH = ("home lies above the floor of the band", "Raise altitude.floor_amsl_m.")
-    NO_TAKE_OFF = ("the vehicle did not reach the floor of the band", "Check its climb rate.")
-    TAKING_OVER = ("taking over", "Wait: it stops first.", Hold.TAKE_OVER, False)
-    TAKEN_OFF = ("taken off", "Wait: guided mode comes next.", Hold.TAKE_OVER, False)
-    BROKEN_OFF = ("the take-off is broken off", "Wait: it stops first.", Hold.MODE, False)
-    POSITION_STALE = ("no position for 0.5 s", "Wait for the vehicle's position to come back.")
-    POSITION_FROZEN = ("the position stands still while the speed does not", "Check the GPS.")
-    POSITION_JUMPED = ("the position jumped further than the vehicle can fly", "Check the GPS.")
-    POSITION_ELSEWHERE = (
-        "the position is not where its speeds lead",
-        "Check the GPS: it is believed once it agrees, or after 60 s without another jump.",
-    )
-    NO_FIX = ("the GPS fix is lost", "Wait for the fix to come back.")
-    ESTIMATOR = ("the autopilot does not vouch for its position", "Check the vehicle's GPS.")
-    INACCURATE = (
-        "the position is less accurate than the mission allows",
-        "Wait, or raise vehicle.navigation_error_m.",
-    )
-    LINK_LOST = ("the vehicle fell silent", "Check the link and the vehicle.", Hold.SILENT)
-    NOT_ALONE = (
-        "another companion with our ids is on the link",
-        "End one of the two; each vehicle has one, by its own system id.",
-    )
-    REBOOTED = ("the autopilot has rebooted", "Look at the vehicle before it flies again.")
-    ARMED_ALREADY = ("somebody else has armed the vehicle", "Disarm it, then start again.")
-    STREAM_LOST = (
-        "the autopilot has lost the setpoints",
-        "Check the link; it goes on by itself.",
-        Hold.STREAM_LOST,
-    )
-    HEALTH_SILENT = (
-        "no word of how good the position is",
-        "Check the link, and who changes message rates.",
-    )
-    MODE_TAKEN = (
-        "somebody else flies the vehicle",
-        "Give it back: guided mode, or the command MISSION_START to the companion.",
-        Hold.TAKEN_OVER,
-    )
-    FAILSAFE = (
-        "the autopilot's own failsafe took the vehicle",
-        "See its messages; when that is over, give it back: guided mode, or MISSION_START.",
-        Hold.TAKEN_OVER,
-    )
-    FENCE_BREACHED = (
-        "the vehicle's own fence stopped it",
-        "Change its fence, or give it back (guided mode, or MISSION_START) to be led out of it.",
-        Hold.TAKEN_OVER,
-    )
-    DISARMED = ("the vehicle disarmed", "See its messages for the reason.", Hold.GROUNDED)
-    GROUNDED = ("the vehicle is on the ground", "Look at it before it flies again.", Hold.GROUNDED)
-    BESIDE_PATH = (
-        "the vehicle was beside its path",
-        "Raise vehicle.tracking_error_m or fly slower.",
-        Hold.REPLAN,
-    )
-    OFF_PATH = ("the vehicle left its path", "Raise vehicle.tracking_error_m or fly slower.")
-    NOT_FOLLOWING = ("the vehicle does not follow its setpoints", "Check that it can fly them.")
-    NOT_TAKEN = ("the autopilot does not take the setpoints", "See its messages for the reason.")
-    NOT_OBEYING = ("the vehicle did not take the mode asked for", "Take over by hand.")
-    SENSOR_SILENT = (
-        "the sensor of near things is silent",
-        "Check it, its driver and its link.",
-        Hold.REPLAN,
-    )
-    GROUND_NEARER = (
-        "the ground is nearer than the map says",
-        "Check map, altitude datum and rangefinder.",
-        Hold.REPLAN,
-    )
-    RADAR_SILENT = ("the terrain radar did not answer", "Check the radar.", Hold.REPLAN)
-    NO_PLAN = ("no safe subpath was found", "Relax the mission's planner settings.", Hold.REPLAN)
-    PLAN_LATE = (
-        "the next subpath was not ready in time",
-        "Raise planner.planning_time_s, or use a faster computer.",
-        Hold.REPLAN,
-    )
-    NEW_THREAT = ("a new threat lies on the path", "Wait for the way round it.", Hold.REPLAN)
-    FENCE_UNREAD = (
-        "the vehicle's fence has changed and is being read",
-        "Wait until it is read; from_vehicle.goes_on_while_reading lets it fly on.",
-        Hold.REPLAN,
-    )
-    NEW_TARGET = ("a new target was given", "Wait for the way to it.", Hold.REPLAN, False)
-    CONTINUED = ("told to go on while it still stopped", "Wait for the way on.", Hold.REPLAN, False)
-    PAUSED = ("paused by a person", "Send the command to continue.", Hold.PAUSED, False)
-    RETURN_ASKED = ("told to return", "Wait until it has landed.", Hold.RETURN)
-    LAND_ASKED = ("told to land", "Wait until it has landed.", Hold.LAND, False)
-    BATTERY_LOW = (
-        "the battery will not reach the target and the reserve",
-        "Bring the vehicle down.",
-        Hold.RETURN,
-    )
-    PLANNER_DIED = (
-        "a part of the companion stopped with an error",
-        "Report the error in the journal.",
-    )
-    STOPPED = ("stopped by a person", "Start again to fly on.")
-
-    def __init__(self, text: str, remedy: str, hold: Hold = Hold.MODE, warns: bool = True) -> None:
-        self.text = text
-        """What happened."""
-        self.remedy = remedy
-        """What to do about it."""
-        self.hold = hold
-        """How a vehicle is held for this reason."""
-        self.warns = warns
-        """Whether it is a fault."""
-
-
-@final
-class Held(Struct, frozen=True):
-    """What the phase `holding` knows."""
-
-    how: Hold
-    released_at_s: float = -1e9
-    """When the operator last ordered to continue."""
-    failsafe_over: bool = False
-    """Whether the end of the failsafe that took the vehicle was reported."""
-    why: Reason | None = None
-    """What was seen to be wrong when a failsafe took it."""
 
 
 @final
@@ -314,10 +73,8 @@ class Vehicle(Struct, kw_only=True):
     """Time of the first report in the air, and the charge then."""
     round_trip_s: float = 0.0
     """Of the link."""
-    echo_nea_m: Vector | None = None
-    echo_nea_m_s: Vector | None = None
-    """The velocity of its target."""
-    echo_at_s: float = -1e9
+    echo: Echo | None = None
+    """Its target, as last told."""
     position_nea_m: Vector | None = None
     velocity_nea_m_s: Vector = (0.0, 0.0, 0.0)
     heading_rad: float | None = None
@@ -350,33 +107,6 @@ class Vehicle(Struct, kw_only=True):
     """How long since then no source has confirmed it, until it jumped."""
 
 
-@final
-class Scanning(Struct, frozen=True):
-    """A scan around a place was requested; a plan follows."""
-
-    from_nea_m: Vector
-    again: int = 0
-    """Scans repeated from here because the answer was incomplete."""
-
-
-@final
-class Planning(Struct, frozen=True):
-    """The newest plan was requested, or a backtrack as such."""
-
-    rules: Task
-    """The task of the request."""
-    since_s: float = 0.0
-
-
-@final
-class Answered(Struct, frozen=True):
-    """The answer is there: a successor, or this leg is flown to its end."""
-
-
-Search = Scanning | Planning | Answered
-"""Progress of the search for the next leg."""
-
-
 class Way(enum.Enum):
     """Where a flight goes."""
 
@@ -386,55 +116,21 @@ class Way(enum.Enum):
 
 
 @final
-class Stop(Struct, frozen=True):
-    """Where to stop before the end of the leg."""
-
-    at_m: float
-    """Length along the leg."""
-    reason: Reason
-
-
-@final
-class OnPath(Struct, kw_only=True):
-    """The leg that is flown, and where on it the vehicle is led."""
-
-    leg: Leg
-    reference: Reference = field(default_factory=Reference)
-    next_leg: Leg | None = None
-    joined_m: float = 0.0
-    """Length along the leg at which it was begun."""
-    circling: bool = False
-    """Whether a plane still loiters at its start."""
-    offset: Offset | None = None
-    """Between the path and where the vehicle is led: after a restart it decays."""
-    stop: Stop | None = None
-    outside_since_s: float = math.inf
-    """Since when the vehicle has been outside of the tube that was proven; inf: it is inside."""
-    outside_m: float = 0.0
-    """How far outside it was then."""
-
-
-@final
 class Flight(Struct, kw_only=True):
-    """State of the online procedure."""
+    """How far the mission has come, whatever the phase."""
 
     known: KnownMap
     target: int = 0
-    path: OnPath | None = None
-    """None: there is no leg, it waits for one."""
     hover_nea_m: Vector | None = None
-    """Where to hold meanwhile."""
+    """Where to hold while there is no leg."""
     loiter_checked: tuple[Task, Vector] | None = None
     """Rules and hold position of the last look at the zones about a plane's circle."""
-    search: Search | None = None
     plan_id: int = 0
     """Of the newest plan request."""
     route_ne_m: tuple[tuple[float, float], ...] = ()
     """The route to the target of the newest plan."""
     progress: Progress = NO_PROGRESS
     """Towards the target, as of that plan."""
-    shortfall: Reason = Reason.NO_PLAN
-    """Why this leg has no successor (yet)."""
     refusal: Refusal | None = None
     """Why there is no plan, in the planner's own words."""
     broken: tuple[str, ...] = ()
@@ -448,45 +144,20 @@ class Flight(Struct, kw_only=True):
     """How often the vehicle was told to hold for having left its path, or not followed it."""
     troubles: int = 0
     """Holds for its position or another fault since the last completed leg."""
-    progress_at_s: float = 0.0
-    """When the reference point last moved, or the wait for a leg began."""
     sent: Setpoint | None = None
     """The last setpoint."""
     sent_at_s: float = -1e9
-    echoed_at_s: float = 0.0
-    """When the reported target last agreed with the setpoint."""
     flown: tuple[FlownSegment, ...] = ()
     """The flown path, for the backtrack."""
     way: Way = Way.OUT
     back: tuple[Leg, ...] = ()
     """What is left of the backtrack, beside the legs that are flown."""
-    planning_backtrack: Planning | None = None
     battery_told: int = 0
     """Battery warnings sent: 1, it will not last at this rate; 2, it does not last."""
     fallen_back: Reason | None = None
     """Why the mission was given up for its fallback; None: it was not."""
     refused_modes: frozenset[Mode] = frozenset()
     """Modes requested to bring the vehicle down that it did not take."""
-
-    @property
-    def leg(self) -> Leg | None:
-        """The leg that is flown."""
-        return None if self.path is None else self.path.leg
-
-    @property
-    def next_leg(self) -> Leg | None:
-        """The one after it, if that is known."""
-        return None if self.path is None else self.path.next_leg
-
-    @property
-    def reference(self) -> Reference:
-        """Where on the leg the vehicle is led."""
-        return Reference() if self.path is None else self.path.reference
-
-    @property
-    def stop(self) -> Stop | None:
-        """Where on it to stop, if not at its end."""
-        return None if self.path is None else self.path.stop
 
     @property
     def returning(self) -> bool:
@@ -512,33 +183,16 @@ class Orders(Struct, frozen=True):
         """With a pause."""
         return self if self.active is Reason.PAUSED else Orders(Reason.PAUSED, self.active)
 
-    def continued(self) -> "Orders":
-        """Without a pause."""
-        return Orders(self.suspended) if self.active is Reason.PAUSED else self
-
 
 @final
 class State(Struct, kw_only=True):
     """The complete state of the mission machine."""
 
-    phase: Phase = Phase.WAITING
-    since_s: float = 0.0
-    """When the phase began."""
+    stage: Stage = field(default_factory=lambda: Preparing(phase=Phase.WAITING))
+    """The phase, and what lives only in it."""
     now_s: float = 0.0
-    asked_at_s: float = -1e9
-    """Time of the last request in this phase."""
-    asks: int = 0
-    """How often, in this phase."""
-    obeyed: bool = False
-    """Whether the vehicle took the mode that this phase requested."""
     armed_by_us: bool = False
     """Whether the companion requested the arming."""
-    landing: bool = False
-    """Whether it was being landed before a reboot, or by the previous companion."""
-    sank: bool = False
-    """Whether it had taken the land mode then: leaving it was a pilot's decision."""
-    news: str = ""
-    """Text to send once there is a vehicle: what could not be restored."""
     in_control_since_s: float = math.inf
     """Since when this companion has had control in the air; long ago if it has taken off."""
     duplicate_id_at_s: float = -1e9
@@ -548,13 +202,9 @@ class State(Struct, kw_only=True):
     airborne: bool = False
     """Whether the vehicle has been in the air since the start: then it is never armed again."""
     prepared: frozenset[Item] = frozenset()
-    unready: str = ""
-    """Why it is not ready any more, having waited for a go; empty: it has not, or is."""
     orders: Orders = Orders()
     taken: bool = False
     """Whether a pilot or the autopilot has taken over, and has not handed back yet."""
-    held: Held | None = None
-    """In the phase `holding`."""
     reason: Reason | None = None
     detail: str = ""
     """Detail of the reason."""
@@ -569,9 +219,36 @@ class State(Struct, kw_only=True):
     flight: Flight
 
     @property
+    def phase(self) -> Phase:
+        """The phase by its name."""
+        return self.stage.phase
+
+    @property
     def hold(self) -> Hold | None:
         """How it is held, in the phase `holding`."""
-        return None if self.held is None else self.held.how
+        return self.stage.how if isinstance(self.stage, Holding) else None
+
+    @property
+    def path(self) -> OnPath | None:
+        """The path that is flown, or was; None: there is none, or no phase that has one."""
+        return self.stage.path if isinstance(self.stage, Led | Preparing) else None
+
+    @property
+    def leg(self) -> Leg | None:
+        """The leg that is flown."""
+        path = self.path
+        return None if path is None else path.leg
+
+    @property
+    def reference(self) -> Reference:
+        """Where on the leg the vehicle is led."""
+        path = self.path
+        return Reference() if path is None else path.reference
+
+    @property
+    def unready(self) -> str:
+        """Why it is not ready any more, having waited for a go; empty: it has not, or is."""
+        return self.stage.unready if isinstance(self.stage, Preparing) else ""
 
     @staticmethod
     def of(mission: Mission, known: KnownMap) -> "State":
@@ -583,7 +260,7 @@ class State(Struct, kw_only=True):
     @property
     def in_phase_s(self) -> float:
         """How long this phase has lasted."""
-        return self.now_s - self.since_s
+        return self.now_s - self.stage.since_s
 
     @property
     def is_silent(self) -> bool:

@@ -17,22 +17,19 @@ a dead part of the companion has ended the mission.
 
 import math
 
-from msgspec.structs import replace
-
-from companion.mission import way_back
+from companion.mission import phases, way_back
 from companion.mission.battery import battery_runs_low, give_up_for_battery, warn_of_battery
 from companion.mission.decisions import (
     ASK_AGAIN_S,
     AT_M,
-    LANDING_ABORTED,
     STOPPED_M_S,
     Context,
     Turn,
+    abort_landing,
     fence_is_given_up,
     hold_for,
     in_words,
     is_at_rest,
-    landing_order,
     longest_silence_s,
     waits_for_fence,
 )
@@ -41,7 +38,8 @@ from companion.mission.flying import looks_at_circle
 from companion.mission.following import come_to_rest, send_hold
 from companion.mission.health import TRUST_S
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.state import ON_SETPOINTS, Held, Hold, Orders, Reason, State, Trigger
+from companion.mission.phases import ON_SETPOINTS, Hold, Reason, Trigger
+from companion.mission.state import State
 from companion.mission.tables import is_ours, parting, stays_down, takeover_reason, wanted_fallback
 from companion.mission.way_back import begins_at_home, home_ne_m, is_above_home
 
@@ -68,23 +66,23 @@ _LANDS_WITHIN = 1.5  # loiter radii
 _ASKS = 5  # in vain, once a second
 
 
-def holding(state: State, event: Event, turn: Turn) -> None:
+def holding(state: State, held: phases.Holding, event: Event, turn: Turn) -> None:
     """Stop as the reason allows, and continue when it is gone."""
     if stays_down(state):
         return _stay_down(state, turn)
     if isinstance(event, Position) and looks_at_circle(state, turn):
         return
-    match state.hold:
+    match held.how:
         case Hold.REPLAN | Hold.PAUSED | Hold.RETURN | Hold.LAND:
-            return _hold_on_setpoints(state, event, turn)
+            return _hold_on_setpoints(state, held, event, turn)
         case Hold.STREAM_LOST:
             return _take_again(state, event, turn)
         case Hold.TAKEN_OVER | Hold.GROUNDED:
-            return _while_taken_over(state, event, turn)
+            return _while_taken_over(state, held, event, turn)
         case Hold.SILENT:
             return _heard_again(state, event, turn)
         case _:
-            return _hold_in_its_own_mode(state, event, turn)
+            return _hold_in_its_own_mode(state, held, event, turn)
 
 
 def broken_off(state: State, reason: Reason, turn: Turn) -> None:
@@ -92,7 +90,7 @@ def broken_off(state: State, reason: Reason, turn: Turn) -> None:
     if reason in (Reason.DISARMED, Reason.GROUNDED):
         return _over(state, reason, turn)
     if reason is Reason.LINK_LOST or state.hold in ON_SETPOINTS:
-        come_to_rest(state.flight)
+        come_to_rest(state)
     if reason.hold is Hold.TAKEN_OVER:
         return taken(state, turn)
     hold_for(state, reason)
@@ -100,13 +98,14 @@ def broken_off(state: State, reason: Reason, turn: Turn) -> None:
 
 def _over(state: State, how: Reason, turn: Turn) -> None:
     """End on the ground, with what was seen to lead to it."""
-    reason, taken = state.reason, state.hold is Hold.TAKEN_OVER
+    held, reason, taken = state.stage, state.reason, state.hold is Hold.TAKEN_OVER
+    assert isinstance(held, phases.Holding)
     if reason is None or not (taken or reason.hold is Hold.MODE):
         return turn.give_up(how)
     why = None
     if reason is Reason.FAILSAFE and taken:
-        late = state.vehicle.bad_at_s > state.since_s
-        why = (state.held and state.held.why) or (state.vehicle.last_distrust if late else None)
+        late = state.vehicle.bad_at_s > state.stage.since_s
+        why = held.why or (state.vehicle.last_distrust if late else None)
     remedy = why.remedy if why else how.remedy
     detail = f": {reason.text}" + (f": {why.text}" if why else "")
     return turn.give_up(how, detail, reason.remedy if reason.hold is Hold.MODE else remedy)
@@ -120,7 +119,7 @@ def _stay_down(state: State, turn: Turn) -> None:
         return taken(state, turn)
     out = vehicle.mode not in (Mode.TAKE_OFF, Mode.GUIDED)
     down = out and not (vehicle.armed and state.armed_by_us)
-    if down and vehicle.status_at_s > state.since_s:
+    if down and vehicle.status_at_s > state.stage.since_s:
         state.reason, state.detail = order, " before it took off"
         state.remedy = "Start again to fly."
         return turn.to(Trigger.STOP)
@@ -134,33 +133,32 @@ def _heard_again(state: State, event: Event, turn: Turn) -> None:
     """Prepare again after a silence, which may have concerned some messages only."""
     if state.in_phase_s > longest_silence_s(state, turn.context):
         return turn.give_up(Reason.LINK_LOST)
-    heard = isinstance(event, Position) and not state.is_silent
-    if heard:
+    if isinstance(event, Position) and not state.is_silent:
         turn.to(Trigger.PREPARE_AGAIN)
 
 
-def _while_taken_over(state: State, event: Event, turn: Turn) -> None:
+def _while_taken_over(state: State, held: phases.Holding, event: Event, turn: Turn) -> None:
     """Another controller flies: send no command until guided mode is selected, or an order comes.
 
     Also after a failsafe: the autopilot's hold cannot be told from a pilot's.
     """
     if isinstance(event, Battery):
         return warn_of_battery(state, turn)
-    known, mode = state.held or Held(Hold.TAKEN_OVER), state.vehicle.mode
-    told = state.now_s - known.released_at_s < _TOLD_S
+    mode = state.vehicle.mode
+    told = state.now_s - held.released_at_s < _TOLD_S
     given_back = mode is Mode.GUIDED or (told and mode is Mode.HOLD)
     if told or given_back or not _is_trusted(state):
         _take_again(state, event, turn, given_back=given_back)
-    elif known.released_at_s > 0.0:
-        state.held = replace(known, released_at_s=-1e9)
+    elif held.released_at_s > 0.0:
+        held.released_at_s = -1e9
         turn.warn("guided mode was not taken")
-    elif state.reason is Reason.FAILSAFE and not (state.vehicle.failsafe or known.failsafe_over):
-        state.held = replace(known, failsafe_over=True)
+    elif state.reason is Reason.FAILSAFE and not (state.vehicle.failsafe or held.failsafe_over):
+        held.failsafe_over = True
         turn.warn(FAILSAFE_OVER)
 
 
 def _is_trusted(state: State) -> bool:
-    return state.now_s - max(state.vehicle.bad_at_s, state.since_s) > TRUST_S
+    return state.now_s - max(state.vehicle.bad_at_s, state.stage.since_s) > TRUST_S
 
 
 def _is_elsewhere(state: State) -> bool:
@@ -176,13 +174,13 @@ def _take_again(state: State, event: Event, turn: Turn, *, given_back: bool = Tr
     requested.  A position that passes all checks but cannot have been reached is held for.
     """
     if given_back and _is_elsewhere(state):  # the previous reason is over
-        come_to_rest(state.flight)
+        come_to_rest(state)
         turn.hold(Reason.POSITION_ELSEWHERE)
         state.taken = False
     elif not _is_trusted(state):
-        come_to_rest(state.flight)
+        come_to_rest(state)
     elif state.vehicle.mode is Mode.GUIDED:
-        come_to_rest(state.flight)
+        come_to_rest(state)
         resumed(state, turn)
     elif state.hold is not Hold.STREAM_LOST:
         _ask_for_guided(state, event, turn)
@@ -197,20 +195,20 @@ def resumed(state: State, turn: Turn) -> None:
     """
     flight, wanted = state.flight, state.orders.active
     if wanted not in (None, state.reason):
-        come_to_rest(flight, state.vehicle.position_nea_m)
+        come_to_rest(state, state.vehicle.position_nea_m)
         state.taken = False
         hold_for(state, wanted)
         return
     if not flight.returning:
         return turn.to(Trigger.RESUME)
     clear = not any(leg.is_touched(0.0, state.task) for leg in flight.back)
-    if clear and way_back.begun(state, flight) is not None:
-        return turn.to(Trigger.BACKTRACK)
+    if clear and (path := way_back.begun(state)) is not None:
+        return turn.to(Trigger.BACKTRACK, phases.Led(path=path))
     reason = flight.fallen_back or state.reason or Reason.NO_PLAN
     return way_back.home_by_plan(state, turn, "returning another way", reason)
 
 
-def _hold_on_setpoints(state: State, event: Event, turn: Turn) -> None:
+def _hold_on_setpoints(state: State, held: phases.Holding, event: Event, turn: Turn) -> None:
     """Hold at the end of the leg; retry after a pause, a limited number of times."""
     if isinstance(event, PlanReady):
         return way_back.on_plan(state, event, turn)
@@ -223,7 +221,7 @@ def _hold_on_setpoints(state: State, event: Event, turn: Turn) -> None:
         return
     warn_of_battery(state, turn)
     send_hold(state, event.time_s, turn)
-    if (asked := state.flight.planning_backtrack) is None:
+    if (asked := held.backtrack) is None:
         _end_of_hold(state, event, turn)
     elif state.now_s - asked.since_s > _ANSWER_S:
         turn.give_up(state.reason or Reason.NO_PLAN)
@@ -259,7 +257,7 @@ def _end_of_hold(state: State, event: Position, turn: Turn) -> None:
     if not on_way_back and (hold is Hold.RETURN or not tries):
         return _other_way(state, turn)
     if state.vehicle.traits.hovers and (state.reason is Reason.NEW_THREAT or not settled):
-        come_to_rest(flight)  # the band may be another one, or it does not come back
+        come_to_rest(state)  # the band may be another one, or it does not come back
     return resumed(state, turn)
 
 
@@ -291,17 +289,17 @@ def _other_way(state: State, turn: Turn) -> None:
     return way_back.request(state, turn)
 
 
-def _hold_in_its_own_mode(state: State, event: Event, turn: Turn) -> None:
+def _hold_in_its_own_mode(state: State, held: phases.Holding, event: Event, turn: Turn) -> None:
     """The autopilot holds, until the vehicle is at rest and its position was valid for a while."""
     vehicle, mode, hovers = state.vehicle, state.vehicle.mode, state.vehicle.traits.hovers
-    taking_over, ordered = state.hold is Hold.TAKE_OVER, state.orders.active
+    taking_over, ordered = held.how is Hold.TAKE_OVER, state.orders.active
     if state.in_phase_s > _HOLD_S or state.flight.troubles > _TROUBLES:
         return turn.to(Trigger.GIVE_UP)
     if mode is not Mode.TAKE_OFF and _is_elsewhere(state):
         return _take_again(state, event, turn)
     flies_on = hovers and mode is Mode.GUIDED  # to a target that is not known
     if mode is Mode.HOLD or (taking_over and not flies_on):
-        state.obeyed = True
+        held.obeyed = True
     stands = (
         not hovers
         or math.hypot(*vehicle.velocity_nea_m_s) < STOPPED_M_S
@@ -309,9 +307,9 @@ def _hold_in_its_own_mode(state: State, event: Event, turn: Turn) -> None:
         or state.flight.hover_nea_m is not None
     )
     doubted = vehicle.distrust is not None
-    if not state.obeyed or (mode is Mode.GUIDED and (doubted or not stands)):
-        come_to_rest(state.flight)
-        state.obeyed = False
+    if not held.obeyed or (mode is Mode.GUIDED and (doubted or not stands)):
+        come_to_rest(state)
+        held.obeyed = False
         turn.ask(SetMode(mode=Mode.HOLD))
         return
     if stands and mode is Mode.HOLD and ordered is Reason.LAND_ASKED:
@@ -322,7 +320,7 @@ def _hold_in_its_own_mode(state: State, event: Event, turn: Turn) -> None:
     if stands:
         _take_again(state, event, turn, given_back=False)
     else:
-        come_to_rest(state.flight)
+        come_to_rest(state)
 
 
 def _land_here(state: State, turn: Turn) -> None:
@@ -342,7 +340,7 @@ def _stream_here(state: State, event: Position, near_m: float, turn: Turn) -> No
     """Setpoints where it holds, or where it is by now if that is farther away."""
     hover = state.flight.hover_nea_m
     if hover is None or math.dist(hover, event.position_nea_m) > near_m:
-        come_to_rest(state.flight, event.position_nea_m)
+        come_to_rest(state, event.position_nea_m)
     send_hold(state, event.time_s, turn)
 
 
@@ -360,9 +358,9 @@ def _ask_for_guided(state: State, event: Event, turn: Turn) -> None:
 # --- at the target
 
 
-def arrived(state: State, event: Event, turn: Turn) -> None:
+def arrived(state: State, stage: phases.Stopped, event: Event, turn: Turn) -> None:
     """Stop at the target; then the next target, or the end action."""
-    flight, asked = state.flight, state.asked_at_s > state.since_s
+    flight, asked = state.flight, stage.asked_at_s > stage.since_s
     if state.vehicle.mode is Mode.HOLD and asked:
         return turn.to(Trigger.END_HOLD)
     if state.in_phase_s > _SETTLE_S + _OBEY_S:
@@ -377,16 +375,16 @@ def arrived(state: State, event: Event, turn: Turn) -> None:
     if flight.target + 1 < len(state.targets_ne_m):
         flight.target, flight.stops = flight.target + 1, 0
         return turn.to(Trigger.NEXT_TARGET)
-    return _end(state, turn)
+    return _end(state, stage, turn)
 
 
-def _end(state: State, turn: Turn) -> None:
+def _end(state: State, stage: phases.Stopped, turn: Turn) -> None:
     """The mission's end action."""
     traits, action, flight = state.vehicle.traits, turn.context.mission.end_action, state.flight
     if flight.homeward or (action is EndAction.LAND and traits.lands):
         return turn.to(Trigger.END_LAND if traits.lands else Trigger.HAND_OVER)
     if action is EndAction.RETURN:
-        if flight.planning_backtrack is not None:
+        if stage.backtrack is not None:
             return
         if flight.flown:
             return way_back.request(state, turn)
@@ -397,7 +395,7 @@ def _end(state: State, turn: Turn) -> None:
             turn.to(Trigger.END_HOLD)
         return
     # an autopilot may refuse to hold about a point (its own fence): then anywhere
-    about = flight.hover_nea_m if state.asks < _ASKS_ABOUT else None
+    about = flight.hover_nea_m if stage.asks < _ASKS_ABOUT else None
     turn.ask(SetMode(mode=Mode.HOLD, at_nea_m=about))
 
 
@@ -456,17 +454,17 @@ def landing_words(state: State, context: Context) -> str:
     return f"{traits.name} lands on a circle: up to {within_m:.0f} m from the target"
 
 
-def landing(state: State, event: Event, turn: Turn) -> None:
+def landing(state: State, stage: phases.Stage, event: Event, turn: Turn) -> None:
     """Request the land mode until it is taken, then wait for touchdown."""
-    vehicle, flight = state.vehicle, state.flight
+    vehicle = state.vehicle
     if vehicle.landed is Landed.ON_GROUND and not vehicle.armed:
         return turn.to(Trigger.LANDED)
     if isinstance(event, Position) and event.velocity_nea_m_s[2] < -_SINKING_M_S:
-        flight.progress_at_s = state.now_s
-    if state.now_s - flight.progress_at_s > _OBEY_S:
+        stage.progress_at_s = state.now_s
+    if state.now_s - stage.progress_at_s > _OBEY_S:
         return turn.give_up(Reason.NOT_OBEYING)
     if vehicle.mode is Mode.LAND:
-        state.obeyed = True
+        stage.obeyed = True
     elif is_ours(state):
         turn.ask(SetMode(mode=Mode.LAND))
     elif not state.is_grounded:  # PX4 holds without setpoints
@@ -482,14 +480,13 @@ def _broken_off(state: State, turn: Turn) -> None:
     """
     guided = state.vehicle.mode is Mode.GUIDED
     reason = Reason.PAUSED if guided else takeover_reason(state)
-    come_to_rest(state.flight, state.vehicle.position_nea_m if guided else None)
+    come_to_rest(state, state.vehicle.position_nea_m if guided else None)
     if reason is not Reason.FENCE_BREACHED:
-        state.orders = Orders(Reason.PAUSED, landing_order(state))
-        turn.warn(LANDING_ABORTED)
+        abort_landing(state, turn)
     return turn.fault(reason)
 
 
-def handing_over(state: State, _event: Event, turn: Turn) -> None:
+def handing_over(state: State, stage: phases.Stage, _event: Event, turn: Turn) -> None:
     """Request RTL until the autopilot takes it; from then on the autopilot is in control."""
     vehicle = state.vehicle
     if state.is_silent:
@@ -500,7 +497,6 @@ def handing_over(state: State, _event: Event, turn: Turn) -> None:
         return turn.give_up(Reason.GROUNDED if vehicle.armed else Reason.DISARMED)
     if not is_ours(state):
         return turn.give_up(takeover_reason(state))
-    if state.asks == _ASKS and state.now_s - state.asked_at_s >= ASK_AGAIN_S:
+    if stage.asks == _ASKS and state.now_s - stage.asked_at_s >= ASK_AGAIN_S:
         return turn.give_up(Reason.NOT_OBEYING)
     turn.ask(SetMode(mode=Mode.RETURN))
-    return

@@ -9,14 +9,12 @@ LEAVE   when the vehicle is told to hold as the companion goes
 from collections.abc import Callable
 from typing import Final
 
-from companion.mission.decisions import (
-    Context,
-    Turn,
-    in_words,
-)
+from companion.mission import phases
+from companion.mission.decisions import Context, Turn, in_words
 from companion.mission.events import Disarm, Event, Landed, LinkLost, Mode, Position, SetMode
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.state import IN_AIR, ON_SETPOINTS, Hold, Phase, Reason, State, Trigger
+from companion.mission.phases import IN_AIR, ON_SETPOINTS, Hold, Phase, Reason, Trigger
+from companion.mission.state import State
 from companion.mission.vehicle_traits import UNKNOWN, TakeoffSequence
 from companion.mission.way_back import is_above_home
 from companion.world.zones import nearest
@@ -47,15 +45,16 @@ _ANY = (*Mode, None)
 
 def is_ours(state: State) -> bool:
     """Whether the vehicle's mode is one of ours."""
-    phase, mode, traits = state.phase, state.vehicle.mode, state.vehicle.traits
-    if state.held is not None:
-        early = mode is Mode.TAKE_OFF and not state.obeyed  # it has not heard us yet
-        if early and state.hold is Hold.MODE:
+    phase, mode, stage = state.phase, state.vehicle.mode, state.stage
+    traits = state.vehicle.traits
+    if isinstance(stage, phases.Holding):
+        early = mode is Mode.TAKE_OFF and not stage.obeyed  # it has not heard us yet
+        if early and stage.how is Hold.MODE:
             return still_goes_up(state)
-        return mode in OURS.get(state.held.how, _ANY)
+        return mode in OURS.get(stage.how, _ANY)
     if phase is Phase.TAKING_OFF and traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB:
         return mode is Mode.GUIDED
-    early = phase is Phase.LANDING and not state.obeyed
+    early = phase is Phase.LANDING and not stage.obeyed
     return mode in OURS.get(phase, _ANY) or (early and mode in (Mode.GUIDED, Mode.HOLD))
 
 
@@ -118,7 +117,7 @@ def _lost_or_taken(state: State) -> Reason:
     vehicle, taken = state.vehicle, takeover_reason(state)
     needs_them = vehicle.traits.needs_setpoints_before_offboard
     lost = needs_them and vehicle.failsafe and vehicle.mode is Mode.HOLD
-    lost = lost and (state.held is None or state.hold in ON_SETPOINTS)
+    lost = lost and (state.hold is None or state.hold in ON_SETPOINTS)
     return Reason.STREAM_LOST if lost and taken is not Reason.FENCE_BREACHED else taken
 
 
@@ -169,10 +168,14 @@ That the vehicle does not obey comes before a position that is not to be believe
 def fault_of(state: State, event: Event) -> Reason | None:
     """Why this phase cannot go on; None: it can."""
     vehicle, phase = state.vehicle, state.phase
-    if phase is Phase.ARRIVED and vehicle.mode is Mode.HOLD and state.asked_at_s > state.since_s:
+    if (
+        phase is Phase.ARRIVED
+        and vehicle.mode is Mode.HOLD
+        and state.stage.asked_at_s > state.stage.since_s
+    ):
         return None  # it does what was asked of it last
-    for cause, phases, is_so in FAULTS:
-        if phase in phases and is_so(state, event):
+    for cause, counts_in, is_so in FAULTS:
+        if phase in counts_in and is_so(state, event):
             return cause if isinstance(cause, Reason) else cause(state)
     return None
 
@@ -239,7 +242,7 @@ def _is_left_to_us(state: State) -> bool:
     if not vehicle.armed or state.is_grounded or state.is_silent:
         return False
     if vehicle.mode is Mode.HOLD:
-        return state.phase is not Phase.PREPARING or state.asks > 0
+        return state.phase is not Phase.PREPARING or state.stage.asks > 0
     return _does_as_told(state)
 
 
@@ -254,8 +257,11 @@ def _does_as_told(state: State) -> bool:
 
 def _is_to_take_off(state: State) -> bool:
     """On the ground, before it was obeyed, no pilot has taken it."""
-    asked, down = state.asks > 0 or state.armed_by_us, state.vehicle.landed is Landed.ON_GROUND
-    return asked and (_does_as_told(state) or (not state.obeyed and down))
+    asked, down = (
+        state.stage.asks > 0 or state.armed_by_us,
+        state.vehicle.landed is Landed.ON_GROUND,
+    )
+    return asked and (_does_as_told(state) or (not state.stage.obeyed and down))
 
 
 def _takes_off(state: State) -> bool:
@@ -267,11 +273,11 @@ def _takes_off(state: State) -> bool:
 def _flies(state: State) -> bool:
     """Its last heartbeat may be from before what we asked last."""
     vehicle, holds = state.vehicle, state.vehicle.mode is Mode.HOLD
-    if state.held is not None and state.reason is Reason.BROKEN_OFF:
+    if state.hold is not None and state.reason is Reason.BROKEN_OFF:
         return holds or not vehicle.armed or _does_as_told(state)
     if state.is_grounded:
         return still_goes_up(state) and _takes_off(state)
-    told = _does_as_told(state) or (holds and state.asks > 0)
+    told = _does_as_told(state) or (holds and state.stage.asks > 0)
     return state.airborne and vehicle.armed and told
 
 

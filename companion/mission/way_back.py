@@ -3,22 +3,11 @@
 import math
 from copy import copy
 
-from msgspec.structs import replace
-
-from companion.mission import following
+from companion.mission import following, phases
 from companion.mission.decisions import AT_M, Turn
 from companion.mission.events import Plan, PlanReady
-from companion.mission.state import (
-    Flight,
-    OnPath,
-    Orders,
-    Planning,
-    Reason,
-    State,
-    Targets,
-    Trigger,
-    Way,
-)
+from companion.mission.phases import OnPath, Reason, Trigger
+from companion.mission.state import Orders, State, Targets, Way
 from companion.planner.procedure import Leg, Reference, hover_pose
 from companion.planner.progress import NO_PROGRESS
 from companion.planner.request import Backtrack, PlanRequest, Refusal
@@ -27,17 +16,17 @@ from companion.planner.settings import Task
 
 _NO_WAY_OUT = frozenset({Refusal.START_NEAR_TERRAIN, Refusal.START_NEAR_UNKNOWN})
 """From where nothing leads away nothing leads home either: only the autopilot climbs out."""
-_CIRCLES = 1.5
-"""Loiter radii: a plane lands on a circle about where it is told to (px4.md 10)."""
+_CIRCLES = 1.5  # loiter radii: a plane lands on a circle about where it is told to (px4.md 10)
 
 
 def request(state: State, turn: Turn) -> None:
     """Request the proof of the backtrack; it takes effect as soon as it is ready."""
-    here, flight = state.vehicle.position_nea_m, state.flight
+    here, flight, stage = state.vehicle.position_nea_m, state.flight, state.stage
+    assert isinstance(stage, phases.Stopped)
     if here is None:
         return turn.give_up(state.reason or Reason.POSITION_STALE)
     flight.plan_id += 1
-    flight.planning_backtrack = Planning(state.task, since_s=state.now_s)
+    stage.backtrack = phases.Planning(state.task, since_s=state.now_s)
     request = PlanRequest(
         plan_id=flight.plan_id,
         seed=turn.context.seed,
@@ -54,16 +43,18 @@ def request(state: State, turn: Turn) -> None:
 
 def on_plan(state: State, event: PlanReady, turn: Turn) -> None:
     """Take the backtrack; if it failed, plan a path home, or give up."""
-    flight, asked, outcome = state.flight, state.flight.planning_backtrack, event.outcome
+    flight, stage, outcome = state.flight, state.stage, event.outcome
+    asked = stage.backtrack if isinstance(stage, phases.Stopped) else None
     if asked is None or outcome.plan_id != flight.plan_id:
         return
     if asked.rules is not state.task:  # it was proven under other rules
         return request(state, turn)
+    was = flight.way, flight.back
     back = _way_of(outcome, state.task) if isinstance(outcome, Backtrack) else ()
-    onto = replace(flight, way=Way.BACK, back=back, planning_backtrack=None)
-    if begun(state, onto) is not None:
-        state.flight = onto
-        return turn.to(Trigger.BACKTRACK)
+    flight.way, flight.back = Way.BACK, back
+    if (path := begun(state)) is not None:
+        return turn.to(Trigger.BACKTRACK, phases.Led(path=path))
+    flight.way, flight.back = was
     reason = state.reason or Reason.NO_PLAN
     text = f"{reason.text}: no way back is proven, planning one home"
     return home_by_plan(state, turn, text, reason, warning=True)
@@ -88,27 +79,29 @@ def _way_of(outcome: Backtrack, rules: Task) -> tuple[Leg, ...]:
     )
 
 
-def begun(state: State, flight: Flight) -> Flight | None:
-    """On the first remaining leg of the backtrack; None: none is left, or it is too far off.
+def begun(state: State) -> OnPath | None:
+    """On the first remaining leg of the backtrack.
 
-    flight: the state's, or what it may become; it is left as it is.
+    None: none is left, or it is too far off; nothing has changed then.
     """
+    flight = state.flight
     if not flight.back or state.vehicle.position_nea_m is None:
         return None
     leg, *rest = flight.back
-    path = OnPath(leg=leg) if flight.path is None else copy(flight.path)
-    path.leg, path.next_leg, path.stop = leg, None, None
-    went_on = following.joined(replace(state, flight=flight), path)
-    if went_on is None or went_on.path is None:
+    begins = OnPath(leg=leg) if state.path is None else copy(state.path)
+    begins.leg, begins.next_leg, begins.stop = leg, None, None
+    path = following.joined(state, begins)
+    if path is None:
         return None
-    went_on.back = tuple(rest)
-    went_on.path.reference = Reference(length_m=went_on.path.reference.length_m)
-    take_next(went_on, went_on.path)
-    return went_on
+    flight.back = tuple(rest)
+    path.reference = Reference(length_m=path.reference.length_m)
+    take_next(state, path)
+    return path
 
 
-def take_next(flight: Flight, path: OnPath) -> None:
+def take_next(state: State, path: OnPath) -> None:
     """Have the next backtrack leg ready if it may be entered at full speed."""
+    flight = state.flight
     if path.leg.through and flight.back:
         path.next_leg, *rest = flight.back
         flight.back = tuple(rest)
@@ -124,13 +117,13 @@ def ended(state: State, last: Leg, turn: Turn) -> None:
     return home_by_plan(state, turn, text, state.flight.fallen_back or Reason.NO_PLAN)
 
 
-def leave_path(flight: Flight) -> None:
+def leave_path(state: State) -> None:
     """At rest off the path; of the way back with its current leg still to be flown."""
-    path, hover = flight.path, None
-    if path is not None and flight.returning:
+    path, hover = state.path, None
+    if path is not None and state.flight.returning:
         hover = None if path.stop is None else following.end_of(path)
-        following.requeue_backtrack(flight, path.leg, path.next_leg)
-    following.come_to_rest(flight, hover)
+        following.requeue_backtrack(state, path.leg, path.next_leg)
+    following.come_to_rest(state, hover)
 
 
 def home_by_plan(
@@ -155,17 +148,19 @@ def home_by_plan(
             turn.warn(why)
         return turn.give_up(reason)
     set_targets(state, (place,), Way.HOME)
-    state.orders, flight.search = Orders(), None
+    state.orders = Orders()
     turn.say(text, "end", warning=warning)
     return turn.to(Trigger.RESUME)
 
 
 def set_targets(state: State, targets_ne_m: Targets, way: Way) -> None:
     """To these targets from now on, without what was known of the way to others."""
-    state.targets_ne_m, flight = targets_ne_m, state.flight
+    state.targets_ne_m, flight, stage = targets_ne_m, state.flight, state.stage
     flight.target = flight.stops = flight.failures = 0
     flight.route_ne_m, flight.progress = (), NO_PROGRESS
-    flight.way, flight.back, flight.planning_backtrack = way, (), None
+    flight.way, flight.back = way, ()
+    if isinstance(stage, phases.Stopped):
+        stage.backtrack = None
 
 
 # --- home, as the vehicle has it, and whether the flown path begins there

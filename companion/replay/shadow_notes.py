@@ -263,7 +263,7 @@ class Notes:
 
     def _on_way(self, at_s: float, here: Vector, state: State) -> None:
         """Compare the flown track with the newest planned subpath."""
-        flight, leg = state.flight, state.flight.leg
+        flight, leg = state.flight, state.leg
         if leg is not None and (self._path is None or self._path[0].plan_id != leg.plan_id):
             planned = self._plans.get(leg.plan_id)
             self._path = None if planned is None else (planned, Chords(leg.subpath))

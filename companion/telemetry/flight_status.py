@@ -13,7 +13,8 @@ from msgspec import Struct
 from companion.mission.battery import way_left_m
 from companion.mission.decisions import reason_text
 from companion.mission.events import Outcome, Vector
-from companion.mission.state import IN_AIR, ON_PATH, Phase, Reason, State
+from companion.mission.phases import IN_AIR, ON_PATH, Holding, Phase, Reason
+from companion.mission.state import State
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.planner.procedure import off_path_m
 from companion.telemetry.flight_summary import FlightSummary
@@ -141,9 +142,9 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
     speed_m_s = math.hypot(north_m_s, east_m_s)
     left_m = way_left_m(state) if here is not None and state.targets_ne_m else None
     flies, cruise_m_s = state.phase in ON_PATH, task.limits.speed_m_s
-    leg, off_m = flight.leg, None
-    if leg is not None and here is not None:
-        off_m = off_path_m(flight.reference, leg, np.asarray(here))
+    path, off_m = state.path, None
+    if path is not None and here is not None:
+        off_m = off_path_m(path.reference, path.leg, np.asarray(here))
     plan = flown.plans[-1] if flown.plans else None
     heard, lost = session.frames_heard
     looked_m = _LOOKS * task.settings.scan_range_m
@@ -156,7 +157,7 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
         code=None if state.reason is None else state.reason.name,
         remedy=remedy,
         waits_for=_waits_for(flown) if state.phase is Phase.READY else None,
-        warning=warning if _stands(warned_at_s, now_s, state.since_s) else None,
+        warning=warning if _stands(warned_at_s, now_s, state.stage.since_s) else None,
         vehicle=session.found,
         vehicle_text=said if _stands(said_at_s, now_s) else None,
         mode=None if vehicle.mode is None else vehicle.mode.value,
@@ -208,11 +209,10 @@ def _waits_for(flown: FlightSummary) -> str:
 
 def _reason(state: State) -> tuple[str | None, str | None]:
     """Why the mission holds or ends, and the remedy."""
-    reason = state.reason
+    reason, stage = state.reason, state.stage
     if reason is None:
         return None, None
-    over = state.held is not None and state.held.failsafe_over
-    if over and reason is Reason.FAILSAFE:
+    if reason is Reason.FAILSAFE and isinstance(stage, Holding) and stage.failsafe_over:
         return FAILSAFE_OVER, None
     detail, remedy = reason_text(state, reason)
     return f"{reason.text}{state.detail or detail}", state.remedy or remedy

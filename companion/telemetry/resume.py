@@ -64,7 +64,7 @@ def _values(folder: Path, mission: Mission) -> checkpoint.Values:
     try:
         checkpoint.restored(mission, checkpoint.blank_map(mission), values)
         msgspec.convert(values.get("system_id"), SystemId | None)
-    except (*checkpoint.DECODE_ERRORS, msgspec.ValidationError) as error:
+    except checkpoint.DECODE_ERRORS as error:
         raise ValueError(f"what it holds is no flight ({type(error).__name__}: {error})") from error
     return values
 

@@ -123,7 +123,7 @@ class KilledFlight(Flight):
     def step(self) -> None:
         """Notes the leg, and the one before."""
         super().step()
-        leg = self.session.state.flight.leg
+        leg = self.session.state.leg
         if leg is not None and (not self._legs or self._legs[-1] is not leg):
             self._legs = [*self._legs[-1:], leg]
 
@@ -161,7 +161,7 @@ class KilledFlight(Flight):
                 turned_rad += abs(math.remainder(vehicle.heading_rad - heading_rad, math.tau))
                 heading_rad = vehicle.heading_rad
         where = np.array([*track[:: max(len(track) // 150, 1)], track[-1]])
-        task, at_m = self.mission.task, self.session.state.flight.reference.length_m
+        task, at_m = self.mission.task, self.session.state.reference.length_m
         outside = np.full(len(where), math.inf)
         for leg in self._legs:
             told = proven(leg, task, from_rest=self._from_rest.get(leg.plan_id, False), near_m=at_m)
@@ -219,7 +219,7 @@ def kills(scale: str, autopilot: str, seed: int, every_s: float) -> Iterator[dic
     kill: dict[str, Any] = {}
     while not flight.is_over and flight.now_s <= _LIMIT_S:
         flight.step()
-        flies_leg = flight.phase is Phase.FLYING and flight.session.state.flight.leg is not None
+        flies_leg = flight.phase is Phase.FLYING and flight.session.state.leg is not None
         if flies_leg and flight.now_s >= due_s:
             due_s = flight.now_s + every_s
             kill = {"scale": scale, "autopilot": autopilot, "seed": seed, "gave_up": None}

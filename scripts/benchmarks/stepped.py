@@ -5,7 +5,7 @@ import sys
 from types import FrameType
 
 from companion.mission.mission import Mission
-from companion.mission.state import OVER, Phase
+from companion.mission.phases import OVER, Phase
 from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.session import Session

@@ -51,8 +51,8 @@ def test_told_to_land_it_lands_and_is_the_same_again(tmp_path: Path) -> None:
 
     def look() -> None:
         nonlocal told
-        flies = session.state.flight.leg is not None
-        if flies and not told and session.state.flight.reference.length_m > 1_000.0:
+        flies = session.state.leg is not None
+        if flies and not told and session.state.reference.length_m > 1_000.0:
             told = True
             vehicle.commands.append(command(wire.MAV_CMD_NAV_LAND))
 

@@ -19,14 +19,14 @@ from companion.mavlink.dialect import codec
 from companion.mission.changes import OrderResult
 from companion.mission.checkpoint import initial_state
 from companion.mission.events import Order, OrderKind
-from companion.mission.state import Phase
+from companion.mission.phases import Phase, Stage
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, IN_PROGRESS, WRONG_FRAME = 0, 1, 2, 3, 5, 9
 START, PAUSE, REPOSITION, RETURN, LAND = 300, 193, 192, 20, 21
 REQUEST, CAPABILITIES = 512, 520
 MISSION = load_mission("valley")  # 10 km x 7.5 km, 8 m/s
 STRANGER = (42, 1)
-READY = structs.replace(initial_state(MISSION, None), phase=Phase.READY)
+READY = structs.replace(initial_state(MISSION, None), stage=Stage(phase=Phase.READY))
 NAN = math.nan
 
 

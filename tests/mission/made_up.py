@@ -482,7 +482,7 @@ def two_legs_away(of: Mission = MISSION) -> Mission:
 def flying(of: Mission = MISSION, **keywords: Any) -> Craft:
     """On its first leg, at speed."""
     craft = Craft(of, **keywords).fly_to(Phase.FLYING)
-    return craft.run_until(lambda craft: craft.state.flight.reference.speed_m_s > 100.0)
+    return craft.run_until(lambda craft: craft.state.reference.speed_m_s > 100.0)
 
 
 @once

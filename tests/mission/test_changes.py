@@ -32,7 +32,8 @@ from companion.mission.decisions import Turn
 from companion.mission.events import FenceChanged, Mode, Order, OrderKind, Plan, SetMode, Setpoint
 from companion.mission.flying import on_answer
 from companion.mission.mission import Fallback
-from companion.mission.state import Phase, Reason, Scanning, Way
+from companion.mission.phases import Phase, Reason, Scanning
+from companion.mission.state import Way
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.zones import CircleZone
 
@@ -196,7 +197,7 @@ def test_a_fence_across_the_path_or_around_it_stops_the_vehicle_and_plans_anew(
 def test_a_fence_on_the_way_back_of_a_vehicle_that_is_paused_leaves_it_led() -> None:
     """In guided mode silence is a lost stream, whatever has become of the way back."""
     craft = flying()
-    leg = craft.state.flight.leg
+    leg = craft.state.leg
     assert leg is not None
     craft.take(Order(time_s=craft.now_s, kind=OrderKind.PAUSE))
     craft.fly_to(Phase.HOLDING)
@@ -218,10 +219,8 @@ def on_its_way_out() -> tuple[Craft, FenceChanged]:
     around = fence(craft, *craft.here[:2], 200.0)
     state = deep(craft.state)
     state.take_fence(craft.context.mission.task, around)
-    leg = replace(state.flight.leg, rules=state.task)
-    craft.state = replace(
-        state, flight=replace(state.flight, path=replace(state.flight.path, leg=leg))
-    )
+    leg = replace(state.leg, rules=state.task)
+    craft.state = replace(state, path=replace(state.path, leg=leg))
     return craft, around
 
 
@@ -230,9 +229,9 @@ def test_the_same_fence_told_again_is_no_other_and_stops_nobody() -> None:
     before = craft.state
     craft.take(replace(around, time_s=craft.now_s + 1.0))
     assert craft.state.task is before.task
-    assert (craft.phase, craft.state.flight) == (Phase.FLYING, before.flight)
+    assert (craft.state.stage, craft.state.flight) == (before.stage, before.flight)
     craft.take(FenceChanged(time_s=craft.now_s, zones=(*around.zones, *around.zones)))
-    assert craft.state.flight.stop is None
+    assert craft.state.path.stop is None
 
 
 def test_what_a_path_was_proven_under_outlives_the_companion_and_no_other_mission() -> None:
@@ -240,11 +239,9 @@ def test_what_a_path_was_proven_under_outlives_the_companion_and_no_other_missio
     values = json.loads(json.dumps(checkpoint.values_of(craft.state)))
     known, stricter = craft.state.flight.known, replace(MISSION.task.limits, dead_man_s=9.0)
     again = checkpoint.restored(MISSION, known, values)
-    assert again.flight.leg is not None
-    assert again.flight.leg.rules == again.task == craft.state.task
+    assert again.leg.rules == again.task == craft.state.task
     other = replace(MISSION, task=replace(MISSION.task, limits=stricter))
-    leg = checkpoint.restored(other, known, values).flight.leg
-    assert leg is not None
+    leg = checkpoint.restored(other, known, values).leg
     assert leg.rules is None
 
 
@@ -267,7 +264,7 @@ def test_a_reboot_prepares_again_and_keeps_what_is_known(state: str) -> None:
     assert craft.phase is Phase.PREPARING
     assert craft.state.flight.known is known
     assert craft.state.vehicle.position_nea_m is None
-    assert craft.state.flight.leg is None
+    assert craft.state.leg is None
 
 
 @pytest.mark.parametrize("made", [lambda: flying(two_legs_away()), holding_mode_taken])
@@ -323,7 +320,7 @@ def test_a_restart_at_any_moment_of_a_flight_goes_on_without_a_jump(
     traits: VehicleTraits, after_s: float
 ) -> None:
     """Where the vehicle is led: 1 m and 1 m/s from where it was led, or from where it is."""
-    wild = Wild.calmly(traits).run_until(lambda wild: wild.state.flight.leg is not None)
+    wild = Wild.calmly(traits).run_until(lambda wild: wild.state.leg is not None)
     wild.run_for(after_s)
     last = wild.sent(Setpoint)[-1]
     wild._restart()
@@ -369,10 +366,10 @@ def test_a_mission_that_is_stopped_while_it_takes_over_a_climb_ends_in_a_hold() 
 def test_only_what_stands_looks_again_where_the_radar_left_something_out(is_shadow: bool) -> None:
     """A shadow's vehicle flies on meanwhile, wherever somebody else takes it."""
     wild = Wild.calmly(ALL[0].traits, shadow=is_shadow).aloft(Mode.OTHER)
-    flight = replace(wild.state.flight, path=None, search=Scanning((0, 0, 3000)))
+    state = replace(wild.state, phase=Phase.SHADOW if is_shadow else Phase.FLYING)
     scanned = replace(scan_done(wild.state.now_s), asked=9, answered=4)
-    turn = Turn(replace(wild.state, flight=flight), wild.context)
-    on_answer(turn.state, scanned, turn)
+    turn = Turn(replace(state, search=Scanning((0, 0, 3000))), wild.context)
+    on_answer(turn.state, turn.state.stage, scanned, turn)
     does = [
         type(command) for command in turn.commands if not isinstance(command, events.StatusText)
     ]

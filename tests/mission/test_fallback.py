@@ -27,7 +27,7 @@ from companion.mavlink.autopilots import ALL, Autopilot
 from companion.mission import events
 from companion.mission.events import Landed, Mode, Order, OrderKind, Outcome, SetMode
 from companion.mission.mission import EndAction, Fallback, Mission
-from companion.mission.state import Hold, Phase, Reason
+from companion.mission.phases import Hold, Phase, Reason
 from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest, Refusal
 
 AWAY = two_legs_away()
@@ -103,7 +103,6 @@ def test_where_no_way_back_is_proven_its_autopilot_returns_and_that_is_said_befo
     """But what does not know where it is lands."""
     craft = failure(AWAY).fly_to(Phase.DONE)
     reason = craft.state.flight.fallen_back
-    assert reason is not None
     why = f"{reason.text}{broke(failure)}"
     mode, how, end = (
         Mode.RETURN,
@@ -186,7 +185,7 @@ def taken_over(of: Mission = FAR) -> Craft:
 
 def under_way(craft: Craft) -> Craft:
     """On its first leg, some kilometres on."""
-    return craft.run_until(lambda craft: craft.state.flight.reference.length_m > 2_000.0)
+    return craft.run_until(lambda craft: craft.state.reference.length_m > 2_000.0)
 
 
 def told(craft: Craft) -> None:
@@ -207,7 +206,6 @@ def no_way_on(craft: Craft) -> None:
 
 def is_home(craft: Craft) -> bool:
     """Landed there; or its autopilot flies there by itself."""
-    assert craft.home_nea_m is not None
     return math.dist(craft.here[:2], craft.home_nea_m[:2]) < 100.0 and not craft.armed
 
 
@@ -227,7 +225,7 @@ def test_so_does_each_autopilot(autopilot: Autopilot) -> None:
     """One that has no mode to land is led home, and then left to its own return."""
     it = Wild.calmly(autopilot.traits, fallback=Fallback.RETURN).aloft(Mode.GUIDED)
     it.here = (-250.0, 200.0, it.here[2])
-    it.run_until(lambda it: it.state.flight.reference.length_m > 60.0)
+    it.run_until(lambda it: it.state.reference.length_m > 60.0)
     it.take(Order(time_s=it.now_s, kind=OrderKind.RETURN))
     it.fly_to(Phase.DONE)
     limits = it.mission.task.limits

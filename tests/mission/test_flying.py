@@ -25,7 +25,7 @@ from companion.mission.decisions import Turn
 from companion.mission.entries import of_change
 from companion.mission.events import Mode, Plan, Position, Setpoint, StartScan, StatusText
 from companion.mission.following import is_on_path, joined, left_path, outside_m
-from companion.mission.state import Answered, Flight, Phase, Reason
+from companion.mission.phases import Answered, OnPath, Phase, Reason
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Reference, hover_pose
 from companion.planner.request import Planned, PlanRequest
@@ -77,9 +77,9 @@ def test_the_reference_goes_over_to_the_next_leg_at_p_prog() -> None:
     for before, event, after, _ in craft.steps:
         if after.flight.legs_flown > before.flight.legs_flown >= 1:
             assert isinstance(event, Position)
-            reference = after.flight.reference.length_m
+            reference = after.reference.length_m
             assert 0.0 <= reference <= SPEED_M_S * TICK_S
-            assert before.flight.reference.length_m <= LEG_M - TAIL_M
+            assert before.reference.length_m <= LEG_M - TAIL_M
 
 
 def test_setpoints_are_continuous_across_the_switch_to_1e_6() -> None:
@@ -141,18 +141,17 @@ def cruising() -> Craft:
     return flying().run_for(60.0)
 
 
-def found_at(craft: Craft, way: Way, by_m: float, later_s: float = 0.0) -> tuple[Flight, Any]:
+def found_at(craft: Craft, way: Way, by_m: float, later_s: float = 0.0) -> tuple[OnPath, Any]:
     """What follows if the vehicle is found so far from its reference point."""
     state = deep(craft.state)
-    flight = state.flight
-    assert flight.path is not None
-    told = flight.leg.subpath.pose(flight.reference.length_m).position_nea_m
+    path = state.path
+    told = path.leg.subpath.pose(path.reference.length_m).position_nea_m
     here = tuple(np.add(told, np.multiply(way, by_m)).tolist())
     if later_s:
         since_s = state.now_s - later_s
-        flight.path.outside_since_s, flight.path.outside_m = since_s, 1.0
+        path.outside_since_s, path.outside_m = since_s, 1.0
     event, turn = position(state.now_s, here, craft.velocity), Turn(state, craft.context)
-    return flight, left_path(state, flight.path, event, turn)
+    return path, left_path(state, path, event, turn)
 
 
 FAR_M = ERROR_M + min(ERROR_M, 0.5 * SAFETY_M)
@@ -176,36 +175,32 @@ def test_who_leaves_where_it_was_proven_to_be_is_noted_and_is_to_stop_or_to_hold
 ) -> None:
     ways, limit_m, stops, departs = LIMITS[limit]
     for way in ways:
-        flight, reason = found_at(cruising(), way, share * limit_m)
+        path, reason = found_at(cruising(), way, share * limit_m)
         assert reason is (departs if share > 1.0 else None)
         if departs is None:
             left_m = max(share - 1.0, 0.0) * limit_m
-            assert flight.path.outside_m == pytest.approx(left_m, rel=0.01)
-            stop = None if flight.stop is None else flight.stop.reason
+            assert path.outside_m == pytest.approx(left_m, rel=0.01)
+            stop = None if path.stop is None else path.stop.reason
             assert stop is (stops if share > 1.0 else None)
 
 
 @pytest.mark.parametrize(
     ("off", "later_s", "reason"),
-    [
-        (1.5, STOPS_S + 2.0, None),
-        (1.5, STOPS_S + 4.0, Reason.OFF_PATH),
-        (0.5, STOPS_S + 4.0, None),
-    ],
+    [(1.5, STOPS_S + 2.0, None), (1.5, STOPS_S + 4.0, Reason.OFF_PATH), (0.5, STOPS_S + 4.0, None)],
 )
 def test_who_does_not_come_back_is_told_to_hold(
     off: float, later_s: float, reason: Reason | None
 ) -> None:
-    flight, departs = found_at(cruising(), ASIDE, off * ERROR_M, later_s=later_s)
+    path, departs = found_at(cruising(), ASIDE, off * ERROR_M, later_s=later_s)
     assert departs is reason
-    assert (flight.path.outside_m > 0.0) is (off > 1.0)
+    assert (path.outside_m > 0.0) is (off > 1.0)
 
 
 def test_who_is_seen_at_a_glance_to_be_on_its_path_is_not_outside_of_anything() -> None:
     """On paths that bend up to the turn radius, before and behind the reference point."""
     craft, rng = cruising(), np.random.default_rng(1)
     state, radius_m, seen = craft.state, MISSION.task.limits.turn_radius_m, 0
-    leg = state.flight.leg
+    leg = state.leg
     assert leg is not None
     for _ in range(60):
         turn_rad = np.linspace(0.0, rng.uniform(0.2, 2.0), 7)
@@ -213,7 +208,7 @@ def test_who_is_seen_at_a_glance_to_be_on_its_path_is_not_outside_of_anything() 
         control = np.stack([np.sin(turn_rad), 1.0 - np.cos(turn_rad), 0.0 * turn_rad], axis=-1)
         bent = Subpath(control_nea_m=bend_m * control + (0.0, 0.0, craft.here[2]))
         at = Reference(length_m=rng.uniform(0.0, bent.length_m), speed_m_s=SPEED_M_S)
-        path = replace(state.flight.path, leg=replace(leg, subpath=bent), reference=at)
+        path = replace(state.path, leg=replace(leg, subpath=bent), reference=at)
         told = bent.pose(at.length_m).position_nea_m
         for off_m in (np.zeros(3), *(rng.normal(size=(40, 3)) * ERROR_M * rng.uniform(0.1, 1.5))):
             here = position(state.now_s, tuple((told + off_m).tolist()), craft.velocity)
@@ -227,16 +222,15 @@ def test_who_is_seen_at_a_glance_to_be_on_its_path_is_not_outside_of_anything() 
 
 def test_who_overshoots_the_end_of_its_path_has_left_it() -> None:
     craft = cruising()
-    leg = craft.state.flight.leg
+    leg = craft.state.leg
     at_end = Reference(length_m=leg.subpath.length_m - 0.5 * ERROR_M, speed_m_s=5.0)
-    path = replace(craft.state.flight.path, reference=at_end, next_leg=None)
-    flight = replace(craft.state.flight, path=path)
+    path = replace(craft.state.path, reference=at_end, next_leg=None)
     craft = copy.copy(craft)
-    craft.state = replace(craft.state, flight=flight)
+    craft.state = replace(craft.state, path=path)
     for beyond_m in (0.98 * ERROR_M, 1.02 * ERROR_M):
         left, departs = found_at(craft, ALONG, 0.5 * ERROR_M + beyond_m)
         ahead = 0.5 * ERROR_M + beyond_m - ERROR_M  # of where it was told to be
-        assert left.path.outside_m == pytest.approx(max(beyond_m - ERROR_M, ahead), abs=1e-3)
+        assert left.outside_m == pytest.approx(max(beyond_m - ERROR_M, ahead), abs=1e-3)
         assert (left.stop, departs) == (None, None)  # it stops there anyway
 
 
@@ -286,9 +280,9 @@ def test_a_plan_that_comes_after_p_prog_is_not_flown() -> None:
         return planned(request) if request.plan_id == 1 else None
 
     craft = Craft(plan=first_only).run_until(lambda _: len(asked) == 2)
-    craft.run_until(lambda craft: craft.state.flight.reference.length_m > LEG_M - TAIL_M)
+    craft.run_until(lambda craft: craft.state.reference.length_m > LEG_M - TAIL_M)
     craft.take(events.PlanReady(time_s=craft.now_s, outcome=planned(asked[1])))
-    assert craft.state.flight.next_leg is None
+    assert craft.state.path.next_leg is None
     assert craft.fly_to(Phase.HOLDING).state.reason is Reason.PLAN_LATE
 
 
@@ -299,21 +293,21 @@ def test_who_joins_a_path_near_its_end_comes_to_rest_without_a_jump(
 ) -> None:
     """As after a restart: the autopilot has flown on, to where it can hardly stop any more."""
     craft = flying()
-    craft.run_until(lambda it: it.state.flight.reference.length_m > 100.0)
-    flight = craft.state.flight
-    end = flight.leg.subpath.pose(flight.leg.subpath.length_m)
+    craft.run_until(lambda it: it.state.reference.length_m > 100.0)
+    curve = craft.state.leg.subpath
+    end = curve.pose(curve.length_m)
     along, across = end.tangent_nea, np.array([-end.tangent_nea[1], end.tangent_nea[0], 0.0])
     north, east, altitude = end.position_nea_m - left_m * along + beside_m * across
     at, velocity = (float(north), float(east), float(altitude)), tuple(speed_m_s * along)
-    path = replace(flight.path, next_leg=None)
     state = replace(
         craft.state,
         vehicle=replace(craft.state.vehicle, position_nea_m=at, velocity_nea_m_s=velocity),
-        flight=replace(flight, path=path, search=None, sent=None),
+        flight=replace(craft.state.flight, sent=None),
+        path=replace(craft.state.path, next_leg=None),
     )
-    went_on = joined(state, state.flight.path)
+    went_on = joined(state, state.path)
     assert went_on is not None
-    craft.state = replace(state, flight=replace(went_on, search=Answered()))
+    craft.state = replace(state, path=went_on, search=Answered())
     craft.here, craft.velocity = at, velocity
     sent: list[Setpoint] = []
     while craft.state.phase is Phase.FLYING and len(sent) < 300:
@@ -328,59 +322,58 @@ def test_who_joins_a_path_near_its_end_comes_to_rest_without_a_jump(
     assert math.hypot(*sent[-1].velocity_nea_m_s) < 0.1
 
 
-def went_on(at_m: float, told_m: float, pace: float, **echo: Any) -> Flight:
+def went_on(at_m: float, told_m: float, pace: float, age_s: float, moves: Any = None) -> OnPath:
     """Where it goes on along its leg: at that length and share of V, told to be at the other."""
     state = two_legs().state
-    curve = state.flight.leg.subpath
+    curve = state.leg.subpath
     north, east, up = (float(each) for each in pace * SPEED_M_S * curve.pose(at_m).tangent_nea)
     vehicle = replace(
         state.vehicle,
         position_nea_m=curve.pose(at_m).point_nea_m,
         velocity_nea_m_s=(north, east, up),
-        echo_nea_m=curve.pose(told_m).point_nea_m,
-        **echo,
+        echo=events.Echo(
+            time_s=state.now_s - age_s,
+            position_nea_m=curve.pose(told_m).point_nea_m,
+            velocity_nea_m_s=moves,
+        ),
     )
     told_nothing = replace(state, vehicle=vehicle, flight=replace(state.flight, sent=None))
-    flight = joined(told_nothing, state.flight.path)
-    assert flight is not None
-    return flight
+    path = joined(deep(told_nothing), state.path)
+    assert path is not None
+    return path
 
 
 @pytest.mark.parametrize("share", [0.2, 0.8])
 def test_it_rejoins_the_leg_that_is_the_nearer_one_and_has_flown_the_other(share: float) -> None:
     """The next leg turns off to the right from p_prog of this one."""
     state = deep(two_legs().state)
-    path = state.flight.path
-    assert path is not None
+    path = state.path
     over_at_m = path.leg.successor_at_m(state.task)
     begins = path.leg.subpath.pose(over_at_m).position_nea_m
     aside = begins + np.linspace(0.0, LEG_M, 4)[:, None] * np.array(ASIDE)
     path.next_leg = replace(path.leg, subpath=Subpath(control_nea_m=aside))
-    state.vehicle.echo_nea_m = state.flight.sent = None
+    state.vehicle.echo = state.flight.sent = None
     for leg, at_m in ((path.leg, share * over_at_m), (path.next_leg, share * LEG_M)):
         state.vehicle.position_nea_m = leg.subpath.pose(at_m).point_nea_m
-        flight = joined(state, path)
-        assert flight is not None
-        assert flight.leg is leg
-        assert flight.reference.length_m == pytest.approx(at_m, abs=0.1)
-        flown_m = [each.until_m for each in flight.flown[len(state.flight.flown) :]]
+        then = deep(state)
+        goes_on = joined(then, path)
+        assert goes_on.leg is leg
+        assert goes_on.reference.length_m == pytest.approx(at_m, abs=0.1)
+        flown_m = [each.until_m for each in then.flight.flown[len(state.flight.flown) :]]
         assert flown_m == pytest.approx([at_m] if leg is path.leg else [over_at_m, at_m])
 
 
 @pytest.mark.parametrize("age_s", [0.0, 0.1, 0.4])
 def test_it_goes_on_where_the_autopilots_target_has_moved_since_it_was_told(age_s: float) -> None:
-    at_s = two_legs().state.now_s - age_s
-    flight = went_on(1_000.0, 1_000.0 - age_s * SPEED_M_S, 1.0, echo_at_s=at_s)
-    assert flight.reference.length_m == pytest.approx(1_000.0, abs=0.1)
+    path = went_on(1_000.0, 1_000.0 - age_s * SPEED_M_S, 1.0, age_s)
+    assert path.reference.length_m == pytest.approx(1_000.0, abs=0.1)
 
 
 def test_it_goes_on_from_a_target_that_stands_as_slowly_as_the_target() -> None:
-    echo = {"echo_nea_m_s": (0.0, 0.0, 0.0), "echo_at_s": two_legs().state.now_s - 0.4}
-    flight = went_on(1_000.0 - 0.6 * SPEED_M_S, 1_000.0, 0.6, **echo)
-    assert flight.path.offset is not None
-    assert flight.reference.length_m == pytest.approx(1_000.0, abs=0.01)
-    assert flight.reference.speed_m_s == 0.0
-    assert np.linalg.norm(flight.path.offset.velocity_nea_m_s) == 0.0
+    path = went_on(1_000.0 - 0.6 * SPEED_M_S, 1_000.0, 0.6, 0.4, (0.0, 0.0, 0.0))
+    assert path.reference.length_m == pytest.approx(1_000.0, abs=0.01)
+    assert path.reference.speed_m_s == 0.0
+    assert np.linalg.norm(path.offset.velocity_nea_m_s) == 0.0
 
 
 def test_at_its_target_it_looks_where_it_has_flown_to() -> None:
@@ -402,4 +395,4 @@ def test_a_subpath_that_begins_too_low_is_not_flown_and_no_made_up_planner_prove
         replace(request, start=hover_pose((0.0, 0.0, low_m))), climb_m=10.0
     )
     craft.run_until(lambda craft: bool(craft.sent(Plan))).run_for(10.0)
-    assert (craft.state.flight.leg is not None) is proven
+    assert (craft.state.leg is not None) is proven

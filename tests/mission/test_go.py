@@ -123,8 +123,9 @@ def test_a_go_is_not_kept_over_a_reboot() -> None:
     craft.obeys_modes = False
     assert says_go(craft) is OrderResult.ACCEPTED
     craft.obey(craft.take(Rebooted(time_s=craft.now_s)))
-    craft.fly_to(Phase.READY).run_for(30.0)
-    assert craft.phase is Phase.READY
+    craft.fly_to(Phase.READY).run_for(30.0).fix = False
+    craft.obey(craft.take(Rebooted(time_s=craft.now_s)))
+    assert craft.run_for(150.0).phase is Phase.PREPARING  # a person waits with it
 
 
 @pytest.mark.parametrize("is_ready", [True, False])

@@ -74,7 +74,7 @@ def test_while_it_is_not_certain_nothing_is_begun_and_then_it_goes_on() -> None:
 
 @EACH
 def test_the_one_that_flies_flies_on_and_says_so_once(traits: VehicleTraits) -> None:
-    it = Wild.calmly(traits).run_until(lambda it: it.state.flight.leg is not None)
+    it = Wild.calmly(traits).run_until(lambda it: it.state.leg is not None)
     said = shared(it, 20)
     assert warnings(said) == [f"{Reason.NOT_ALONE.text}: end it"]
     end = it.fly_to(Phase.DONE).said_to[-1]
@@ -103,7 +103,7 @@ def test_one_that_hears_of_the_first_just_after_it_took_over_yields(
     traits: VehicleTraits, first_heard_s: float
 ) -> None:
     """With the path of the companion before it, it takes over at once: that may be too soon."""
-    it = Wild.calmly(traits).run_until(lambda it: it.state.flight.leg is not None).run_for(5.0)
+    it = Wild.calmly(traits).run_until(lambda it: it.state.leg is not None).run_for(5.0)
     it._restart()
     it.run_for(first_heard_s)
     for number in range(3):
@@ -136,7 +136,7 @@ def test_a_shadow_says_so_and_watches_on() -> None:
 
 @EACH
 def test_without_its_memory_it_takes_over_in_flight_and_arrives(traits: VehicleTraits) -> None:
-    it = Wild.calmly(traits).run_until(lambda it: it.state.flight.leg is not None).run_for(8.0)
+    it = Wild.calmly(traits).run_until(lambda it: it.state.leg is not None).run_for(8.0)
     count, number = len(it.said_to), it.state.flight.plan_id
     torn = checkpoint.without_checkpoint("torn", system_id=1, time_s=it.now_s, plan_id=number)
     it.resumes(torn)

@@ -162,8 +162,7 @@ def only_the_first(request: PlanRequest) -> PlanOutcome:
 
 def test_without_a_successor_a_leg_is_flown_to_its_end_and_then_held_with_zero_velocity() -> None:
     craft = flying(plan=only_the_first)
-    leg = craft.state.flight.leg
-    assert leg is not None
+    leg = craft.state.leg
     end_nea_m = leg.subpath.pose(leg.subpath.length_m).position_nea_m
     craft.fly_to(Phase.HOLDING)
     assert craft.state.reason is Reason.NO_PLAN
@@ -197,7 +196,7 @@ def test_a_plan_that_never_comes_is_a_late_plan_at_the_end_of_the_leg(
     craft = flying(plan=lambda request: planned(request) if request.plan_id == 1 else None)
     craft.run_until(lambda craft: len(craft.sent(Plan)) == 2).run_for(6.0)
     assert craft.take(events.PlanLate(time_s=craft.now_s, plan_id=plan_id)) == []
-    assert (craft.phase, craft.state.flight.shortfall) == (Phase.FLYING, why)
+    assert (craft.phase, craft.state.stage.shortfall) == (Phase.FLYING, why)
     assert craft.fly_to(Phase.HOLDING).state.reason is why
 
 

@@ -45,17 +45,17 @@ def told(craft: Craft, reason: Reason) -> int:
 
 def ahead(craft: Craft, by_m: float) -> tuple[float, float]:
     """A place on the path."""
-    flight = craft.state.flight
-    north, east, _ = flight.leg.subpath.pose(flight.reference.length_m + by_m).point_nea_m
+    path = craft.state.path
+    north, east, _ = path.leg.subpath.pose(path.reference.length_m + by_m).point_nea_m
     return north, east
 
 
 @pytest.mark.parametrize("sight", [Sight.DEAD, Sight.NEVER_HEARD])
 def test_a_sensor_that_falls_silent_stops_it_on_its_path_until_it_sees_again(sight: Sight) -> None:
     craft = flying(MISSION)
-    leg, at_m = craft.state.flight.leg, craft.state.flight.reference.length_m
+    leg, at_m = craft.state.leg, craft.state.reference.length_m
     assert leg is not None
-    speed_m_s = craft.state.flight.reference.speed_m_s
+    speed_m_s = craft.state.reference.speed_m_s
     brakes_m = 0.5 * speed_m_s**2 / MISSION.task.limits.acceleration_m_s2
     for _ in range(3):
         craft.take(seen(craft, sight))
@@ -81,7 +81,7 @@ def test_a_sensor_that_falls_silent_stops_it_on_its_path_until_it_sees_again(sig
 def test_ground_that_is_nearer_stops_it_on_its_path_until_the_two_agree() -> None:
     craft = flying(MISSION)
     craft.take(ground(craft, 0.0))
-    assert craft.state.flight.stop is None
+    assert craft.state.path.stop is None
     for _ in range(3):
         craft.take(ground(craft))
     craft.fly_to(Phase.HOLDING)
@@ -109,7 +109,7 @@ def test_what_stays_wrong_is_waited_for_a_while_and_then_it_flies_back(
     craft.run_until(lambda craft: craft.phase is Phase.RETURNING, limit_s=300.0)
     assert after_s[0] < craft.now_s - since_s < after_s[1]
     craft.take(sees(craft))
-    assert craft.state.flight.stop is None
+    assert craft.state.path.stop is None
     craft.run_until(lambda craft: craft.phase is Phase.LANDING or craft.over)
     assert craft.phase is Phase.LANDING
     assert np.hypot(*craft.here[:2]) < 100.0
@@ -122,12 +122,11 @@ def test_something_in_its_way_stops_it_at_once(blind: bool) -> None:
     if blind:
         craft.take(seen(craft, Sight.DEAD))
     craft.take(seen(craft, Sight.SEES, ahead(craft, 6000.0)))
-    stop = craft.state.flight.stop
-    assert stop is not None
+    stop = craft.state.path.stop
     assert stop.reason is Reason.NEW_THREAT
     assert told(craft, Reason.SENSOR_SILENT) == blind
     craft.take(seen(craft, Sight.SEES, ahead(craft, 6000.0)))
-    assert craft.state.flight.stop is stop  # it is told once
+    assert craft.state.path.stop is stop  # it is told once
     craft.fly_to(Phase.HOLDING)
     assert craft.state.reason is Reason.NEW_THREAT
 
@@ -137,14 +136,14 @@ def test_something_beside_behind_or_gone_stops_nobody() -> None:
     north, east = ahead(craft, 6000.0)
     kept_m = MISSION.task.settings.safety_distance_m + MISSION.task.limits.tracking_error_m
     aside_m = kept_m + 2.0 * CELL_M
-    leg = craft.state.flight.leg
+    leg = craft.state.leg
     behind = tuple(leg.subpath.pose(0.0).point_nea_m[:2])
     if np.hypot(*np.subtract(ahead(craft, 0.0), behind)) < aside_m:
         craft.run_for(10.0)
     craft.take(seen(craft, Sight.SEES, (north - aside_m, east + aside_m), behind))
-    assert craft.state.flight.stop is None
+    assert craft.state.path.stop is None
     craft.take(seen(craft, Sight.NOTHING_THERE))
-    assert craft.state.flight.stop is None
+    assert craft.state.path.stop is None
 
 
 def test_a_vehicle_that_swings_through_after_its_stop_is_waited_for() -> None:
@@ -169,36 +168,31 @@ def test_a_vehicle_that_swings_through_after_its_stop_is_waited_for() -> None:
 
 def test_a_copter_behind_its_reference_stops_as_far_from_where_it_is_itself() -> None:
     craft = flying(MISSION)
-    flight, vehicle = craft.state.flight, craft.state.vehicle
-    leg, at_m = flight.leg, flight.reference.length_m
-    assert vehicle.position_nea_m is not None
+    path, vehicle = craft.state.path, craft.state.vehicle
+    leg, at_m = path.leg, path.reference.length_m
     behind_m = 0.4 * at_m
     place = leg.subpath.pose(at_m - behind_m).point_nea_m
     behind = replace(craft.state, vehicle=replace(vehicle, position_nea_m=place))
     stopped = deep(behind)
     following.stop(stopped, Reason.NEW_THREAT, Turn(stopped, craft.context))
-    assert stopped.flight.stop is not None
-    brakes_m = flight.reference.speed_m_s**2 / (2.0 * MISSION.task.limits.acceleration_m_s2)
+    brakes_m = path.reference.speed_m_s**2 / (2.0 * MISSION.task.limits.acceleration_m_s2)
     stops_at_m = max(at_m - behind_m + brakes_m, at_m)
-    assert stopped.flight.stop.at_m == pytest.approx(stops_at_m, rel=1e-3)
+    assert stopped.path.stop.at_m == pytest.approx(stops_at_m, rel=1e-3)
     age_s = 1.0  # of the position: it has flown on since
     later = replace(behind, now_s=behind.now_s + age_s)
-    path = craft.state.flight.path
-    assert path is not None
     gained_m = following.vehicle_at_m(later, path) - following.vehicle_at_m(behind, path)
     assert gained_m == pytest.approx(np.linalg.norm(vehicle.velocity_nea_m_s) * age_s, rel=1e-3)
 
 
 def test_what_stands_between_a_copter_and_its_reference_stops_it() -> None:
     craft = flying(MISSION)
-    flight, vehicle = craft.state.flight, craft.state.vehicle
-    leg = flight.leg
+    vehicle, path, leg = craft.state.vehicle, craft.state.path, craft.state.leg
     ahead_of_it = Reference(length_m=0.8 * leg.subpath.length_m)
     north, east, _ = leg.subpath.pose(0.5 * leg.subpath.length_m).point_nea_m
     thing = seen(craft, Sight.SEES, (north, east))
     for at_m, stops in ((0.0, True), (ahead_of_it.length_m, False)):
         there = replace(vehicle, position_nea_m=leg.subpath.pose(at_m).point_nea_m)
-        path = replace(flight.path, reference=ahead_of_it)
-        craft.state = replace(craft.state, vehicle=there, flight=replace(flight, path=path))
+        led = replace(path, reference=ahead_of_it)
+        craft.state = replace(craft.state, vehicle=there, path=led)
         craft.take(thing)
-        assert (craft.state.flight.stop is not None) == stops
+        assert (craft.state.path.stop is not None) == stops

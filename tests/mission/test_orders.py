@@ -73,7 +73,7 @@ def asking_for_the_way_back() -> Craft:
     """Held, told to return: the planner has been asked, and has not answered."""
     craft = told(under_way(), RETURN)
     craft.plan = lambda _: None
-    return craft.run_until(lambda craft: craft.state.flight.planning_backtrack is not None)
+    return craft.run_until(lambda craft: getattr(craft.state.stage, "backtrack", None))
 
 
 def answer(craft: Craft) -> Craft:
@@ -141,7 +141,7 @@ def test_a_landing_that_was_broken_off_is_a_landing_again_when_told_to_go_on(pau
     if pauses:
         told(craft, PAUSE, 60.0).restart()
     else:
-        craft.run_until(lambda craft: craft.phase is LANDING and craft.state.obeyed)
+        craft.run_until(lambda craft: craft.phase is LANDING and craft.state.stage.obeyed)
         craft.mode = Mode.GUIDED
         craft.fly_to(HOLDING)
     assert craft.run_for(30.0).phase is HOLDING
@@ -159,7 +159,7 @@ def test_a_companion_started_again_in_flight_knows_the_whole_way_back(found_in: 
     craft = under_way().run_for(30.0).restart()
     craft.mode = found_in
     told(craft, 20.0, RETURN)
-    craft.run_until(lambda craft: craft.state.flight.planning_backtrack is not None)
+    craft.run_until(lambda craft: getattr(craft.state.stage, "backtrack", None))
     flown = craft.sent(Plan)[-1].request.flown
     assert flown is not None
     away_m = math.hypot(*craft.here[:2])
@@ -178,9 +178,9 @@ def on_its_way_back(traits: VehicleTraits) -> Wild:
 
 def ways_left(wild: Wild) -> list[bytes]:
     """The stretches that are still to be flown."""
-    flight = wild.state.flight
-    legs = [leg for leg in (flight.leg, flight.next_leg, *flight.back) if leg is not None]
-    return [leg.subpath.control_nea_m.tobytes() for leg in legs]
+    path, back = wild.state.path, wild.state.flight.back
+    legs = back if path is None else (path.leg, path.next_leg, *back)
+    return [leg.subpath.control_nea_m.tobytes() for leg in legs if leg is not None]
 
 
 @pytest.mark.sample(3)

@@ -73,7 +73,7 @@ def test_what_the_autopilot_does_after_it_has_said_that_its_fence_is_breached(
     assert texts(commands) == [f"hold: {Reason.FENCE_BREACHED.text}"]
     assert "MISSION_START" in Reason.FENCE_BREACHED.remedy
     craft.take(events.Order(time_s=craft.now_s, kind=events.OrderKind.START))
-    assert craft.state.held.released_at_s == craft.now_s
+    assert craft.state.stage.released_at_s == craft.now_s
 
 
 @pytest.mark.parametrize(("ago_s", "is_why"), [(2.0, True), (6.0, False), (-1.0, False)])
@@ -189,7 +189,7 @@ def test_a_few_items_are_read_in_flight_and_who_says_so_flies_on_meanwhile() -> 
 
 @EACH
 def test_copters_hold_and_planes_circle_while_it_is_read(traits: VehicleTraits) -> None:
-    it = Wild.calmly(traits).run_until(lambda it: it.state.flight.leg is not None)
+    it = Wild.calmly(traits).run_until(lambda it: it.state.leg is not None)
     it.run_for(2.0)
     it.take(FenceReading(time_s=it.now_s, items=400))
     it.run_for(60.0)

@@ -26,7 +26,8 @@ from companion.mavlink.frames import IGNORED_MESSAGES
 from companion.mission import checkpoint
 from companion.mission.events import Mode
 from companion.mission.mission import Mission
-from companion.mission.state import OnPath, Phase, Reason, State
+from companion.mission.phases import Flying, OnPath, Phase, Reason
+from companion.mission.state import State
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
 from companion.planner.request import PlanOutcome
@@ -242,8 +243,8 @@ def on_route(name: str, from_s: float, until_s: float) -> Session:
         reaches_target=False,
     )
     state = State.of(mission, known)
-    flight = replace(state.flight, path=OnPath(leg=leg), plan_id=1, legs_flown=1)
-    state = replace(state, phase=Phase.FLYING, airborne=True, flight=flight)
+    flight = replace(state.flight, plan_id=1, legs_flown=1)
+    state = replace(state, stage=Flying(path=OnPath(leg=leg)), airborne=True, flight=flight)
     left = checkpoint.values_of(state)
     return Session(mission, seed=1, lockstep=False, resume=(left, known))
 
@@ -288,7 +289,6 @@ def not_guided(name: str) -> list[tuple[float, float]]:
         if not ours or message.get_type() != "HEARTBEAT":
             continue
         autopilot = autopilot or autopilot_of(message)
-        assert autopilot is not None
         guided = autopilot.modes.mode_of(message.custom_mode) is Mode.GUIDED
         began = began or guided
         if began and not guided and since_s is None:

@@ -1,5 +1,5 @@
 from companion.mission import events, journal
-from companion.mission.state import Phase, Reason, Trigger
+from companion.mission.phases import Phase, Reason, Trigger
 
 # Design section 7, written down a second time.
 ANYTIME = {"done", "faulted"}

@@ -80,7 +80,7 @@ def test_one_word_of_an_empty_battery_ends_nothing(fallback: Fallback) -> None:
         craft.run_for(1.0)
     assert craft.phase is Phase.FLYING
     assert craft.state.flight.fallen_back is None
-    assert craft.state.flight.stop is None
+    assert craft.state.path.stop is None
 
 
 @pytest.mark.parametrize(("goes_on", "after_s"), [(True, (3.0, 5.0)), (False, (9.5, 10.5))])
@@ -162,7 +162,7 @@ def test_a_pause_that_the_battery_would_end_at_once_is_refused(where: str) -> No
     assert changes.order_result(craft.state, pause) is OrderResult.NOT_NOW
     assert changes.why_not(craft.state, pause) == f"pause refused: {Reason.BATTERY_LOW.text}"
     craft.obey(craft.take(pause))
-    stop = craft.state.flight.stop
+    stop = craft.state.path.stop
     assert Reason.PAUSED not in (craft.state.orders.active, None if stop is None else stop.reason)
     assert craft.fly_to(Phase.DONE).landed is Landed.ON_GROUND
 

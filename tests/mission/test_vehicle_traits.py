@@ -101,7 +101,6 @@ def test_a_vehicle_below_the_band_climbs_before_anything_is_planned(traits: Vehi
     wild.fly_to(Phase.FLYING).run_until(lambda wild: wild.state.flight.plan_id > 0)
     lowest_m = wild.mission.task.band_amsl_m[0]
     assert wild.here[2] >= lowest_m - wild.mission.task.limits.tracking_error_m
-    assert wild.state.flight.hover_nea_m is not None
     assert wild.state.flight.hover_nea_m[2] >= lowest_m
     heights = [c.position_nea_m[2] for c in wild.sent(Setpoint)]
     if traits.hovers:  # the climb is led at the mission's rate
@@ -113,12 +112,12 @@ def test_a_vehicle_below_the_band_climbs_before_anything_is_planned(traits: Vehi
 @PLANES
 def test_a_plane_leaves_its_circle_when_it_flies_the_way_of_its_path(traits: VehicleTraits) -> None:
     wild = Wild.calmly(traits).fly_to(Phase.FLYING)
-    wild.run_until(lambda wild: wild.state.flight.leg is not None)
-    assert wild.state.flight.path.circling
+    wild.run_until(lambda wild: wild.state.leg is not None)
+    assert wild.state.path.circling
     stays = len([c for c in wild.sent(Setpoint) if not c.stay])
     assert stays == 0
-    wild.run_until(lambda wild: not wild.state.flight.path.circling)
-    leg = wild.state.flight.leg
+    wild.run_until(lambda wild: not wild.state.path.circling)
+    leg = wild.state.leg
     tangent = leg.subpath.pose(0.0).tangent_nea
     velocity = wild.velocity
     along = velocity[0] * tangent[0] + velocity[1] * tangent[1]
@@ -131,10 +130,10 @@ def test_a_plane_that_has_circled_for_long_is_not_taken_for_stuck_as_it_sets_out
 ) -> None:
     """It may have had to fly to its circle first: the wait for its way there counts from there."""
     wild = Wild.calmly(traits).fly_to(Phase.FLYING)
-    wild.run_until(lambda wild: wild.state.flight.path and wild.state.flight.path.circling)
-    leg = wild.state.flight.leg
+    wild.run_until(lambda wild: wild.state.path and wild.state.path.circling)
+    leg = wild.state.leg
     start = leg.subpath.pose(0.0)
-    flight = replace(wild.state.flight, progress_at_s=wild.now_s - 40.0)
+    circled = replace(wild.state, progress_at_s=wild.now_s - 40.0)
     north, east, up = (float(x) for x in start.position_nea_m - 30.0 * start.tangent_nea)
     velocity = (20.0 * float(start.tangent_nea[0]), 20.0 * float(start.tangent_nea[1]), 0.0)
     vehicle = replace(
@@ -146,10 +145,10 @@ def test_a_plane_that_has_circled_for_long_is_not_taken_for_stuck_as_it_sets_out
     event = events.Position(
         time_s=wild.now_s + 0.1, position_nea_m=(north, east, up), velocity_nea_m_s=velocity
     )
-    before = replace(wild.state, flight=flight, vehicle=vehicle)
+    before = replace(circled, vehicle=vehicle)
     state, _ = machine.step(before, event, wild.context)
-    assert not state.flight.path.circling
-    assert state.flight.reference.length_m == 0.0  # abeam of the start, or before it
+    assert not state.path.circling
+    assert state.reference.length_m == 0.0  # abeam of the start, or before it
     assert state.phase is Phase.FLYING
 
 
@@ -160,9 +159,9 @@ def test_a_plane_that_sinks_or_rises_out_of_its_tube_has_left_it(
 ) -> None:
     """What is proven is the level circle about each point of the path, and not a ball."""
     wild = Wild.calmly(traits)
-    wild.run_until(lambda wild: wild.state.flight.reference.length_m > 60.0)
+    wild.run_until(lambda wild: wild.state.reference.length_m > 60.0)
     state, tube_m = wild.state, wild.mission.task.envelope.tube_m
-    pose = state.flight.leg.subpath.pose(state.flight.reference.length_m)
+    pose = state.leg.subpath.pose(state.reference.length_m)
     north, east, up = pose.point_nea_m
     aside_m = 0.9 * wild.mission.task.limits.loiter_radius_m
     for share, out_m in ((0.98, 0.0), (1.02, 0.02 * tube_m)):
@@ -170,13 +169,13 @@ def test_a_plane_that_sinks_or_rises_out_of_its_tube_has_left_it(
         event = events.Position(
             time_s=wild.now_s, position_nea_m=here, velocity_nea_m_s=(9.0, 0.0, 0.0)
         )
-        assert outside_m(state, state.flight.path, event)[0] == pytest.approx(out_m, abs=1e-6)
+        assert outside_m(state, state.path, event)[0] == pytest.approx(out_m, abs=1e-6)
 
 
 @PLANES
 def test_a_plane_that_stops_circles_a_point_ahead_on_its_path(traits: VehicleTraits) -> None:
     wild = Wild.calmly(traits)
-    wild.run_until(lambda wild: wild.state.flight.reference.length_m > 60.0)
+    wild.run_until(lambda wild: wild.state.reference.length_m > 60.0)
     wild.bad_plans = 1.0
     wild.fly_to(Phase.HOLDING)
     assert wild.state.reason in (Reason.NO_PLAN, Reason.PLAN_LATE)
@@ -186,7 +185,7 @@ def test_a_plane_that_stops_circles_a_point_ahead_on_its_path(traits: VehicleTra
 
 @EACH
 def test_setpoints_keep_the_period_of_the_autopilot(traits: VehicleTraits) -> None:
-    wild = Wild.calmly(traits).run_until(lambda wild: wild.state.flight.reference.length_m > 60.0)
+    wild = Wild.calmly(traits).run_until(lambda wild: wild.state.reference.length_m > 60.0)
     times = [c.time_s for c in wild.sent(Setpoint)][-20:]
     gaps = [b - a for a, b in pairwise(times)]
     assert min(gaps) >= max(traits.setpoint_period_s - 0.5 * wild.tick_s, wild.tick_s) - 1e-6
@@ -198,7 +197,7 @@ def test_setpoints_keep_the_period_of_the_autopilot(traits: VehicleTraits) -> No
 @pytest.mark.parametrize("how", list(Fallback), ids=lambda how: how.value)
 def test_without_a_way_on_the_mission_falls_back(traits: VehicleTraits, how: Fallback) -> None:
     wild = Wild.calmly(traits, fallback=how, targets_ne_m=((900.0, 300.0),))
-    wild.run_until(lambda wild: wild.state.flight.reference.length_m > 60.0)
+    wild.run_until(lambda wild: wild.state.reference.length_m > 60.0)
     wild.bad_plans = 1.0
     wild.fly_to(Phase.DONE)
     end = the_end(wild)
@@ -237,7 +236,6 @@ def test_a_plane_that_lands_too_far_from_its_target_has_not_arrived() -> None:
 def test_a_plane_that_passes_its_target_too_far_away_says_so() -> None:
     wild = Wild.calmly(PX4_FIXED_WING.traits).fly_to(Phase.ARRIVED)
     state, here = wild.state, wild.state.vehicle.position_nea_m
-    assert here is not None
     for off_m in (0.9, 1.1):
         off_m *= state.task.limits.tracking_error_m
         place = (here[0] + off_m, here[1], here[2])
@@ -268,8 +266,8 @@ def test_no_leg_is_planned_from_a_circle_that_the_plane_is_not_on(
     plane = circling(traits)
     limits, (north, east, up) = plane.mission.task.limits, plane.here
     away_m = limits.loiter_radius_m + beyond * limits.tracking_error_m
-    flight = replace(plane.state.flight, hover_nea_m=(north + away_m, east, up), search=None)
-    plane.state = replace(plane.state, flight=flight)
+    flight = replace(plane.state.flight, hover_nea_m=(north + away_m, east, up))
+    plane.state = replace(plane.state, flight=flight, search=None)
     speed, scans = (limits.speed_m_s, 0.0, 0.0), len(plane.sent(events.StartScan))
     for later_s in (0.1, 0.2):
         at_s = plane.now_s + later_s
@@ -285,7 +283,6 @@ def test_a_fence_too_near_to_its_circle_is_said_once_and_it_stays(
     """Dense about the limit: the required clearance of the circle, less half a metre."""
     plane = circling(traits)
     task, hover = plane.mission.task, plane.state.flight.hover_nea_m
-    assert hover is not None
     away_m = task.limits.loiter_radius_m + task.required_clearance_m - 0.5 + gap_m
     zone = CircleZone(name="new", north_m=hover[0] + away_m + 70.0, east_m=hover[1], radius_m=70.0)
     plane.take(events.FenceChanged(time_s=plane.now_s, zones=(zone,)))

@@ -6,6 +6,7 @@ the last word was said.
 """
 
 import math
+import operator
 from collections import Counter
 from typing import Any
 
@@ -17,9 +18,11 @@ from companion.mission import events
 from companion.mission.decisions import Context
 from companion.mission.events import Command, Event, Landed, Mode, OrderKind, Position, Setpoint
 from companion.mission.mission import Mission
-from companion.mission.state import Phase, Reason, State, Trigger
+from companion.mission.phases import Phase, Reason, Trigger
+from companion.mission.state import State
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.path.subpath import Subpath
+from companion.planner.procedure import Leg
 from companion.planner.request import Backtrack, Planned, PlanOutcome, PlanRequest
 
 OVER = (Phase.DONE, Phase.FAULTED)
@@ -270,7 +273,7 @@ class Watch:
 
     def _joining(self, state: State, order: int) -> float:
         """What a join adds to position (0) or velocity (1), and a rounding error."""
-        offset = None if state.flight.path is None else state.flight.path.offset
+        offset = None if state.path is None else state.path.offset
         if offset is None:
             return 1e-6
         return (
@@ -293,11 +296,10 @@ class Watch:
 
         The leg is that of the state before, too: this step may have ended it.
         """
-        flights = (before.flight, after.flight)
-        legs = [leg for flight in flights for leg in (flight.leg, flight.next_leg)]
+        legs = [*_flown_by(before), *_flown_by(after)]
         off_m = [_off_m(leg.subpath, sent.position_nea_m) for leg in legs if leg is not None]
         allowed_m = max(self._joining(before, 0), self._joining(after, 0))
-        if after.flight.leg is None:  # ended in this step, and with it the join
+        if after.path is None:  # ended in this step, and with it the join
             allowed_m += 0.3 * self._joining(before, 1)
         if any(leg is not None and leg.reaches_target for leg in legs):
             allowed_m += 0.25 * before.task.limits.loiter_radius_m  # a plane passes its target
@@ -308,11 +310,10 @@ class Watch:
         held = after.phase is Phase.HOLDING and before.phase is not Phase.HOLDING
         old = isinstance(event, events.PlanReady) and event.outcome.plan_id != self.newest
         if old and not held:
-            was = before.flight
-            assert flight.leg is was.leg, "took the answer to an old question"
-            assert flight.next_leg is was.next_leg, "took the answer to an old question"
-            assert flight.back is was.back, "took the answer to an old question"
-        for leg in (flight.leg, flight.next_leg, *flight.back):
+            same = map(operator.is_, _flown_by(after), _flown_by(before))
+            assert all(same), "took the answer to an old question"
+            assert flight.back is before.flight.back, "took the answer to an old question"
+        for leg in (*_flown_by(after), *flight.back):
             if leg is not None:
                 name = _name(leg.subpath)
                 assert name in self.proven, "a leg that nobody has proven, or for an old question"
@@ -326,13 +327,14 @@ class Watch:
     def _deadlines(
         self, before: State, event: Event, after: State, commands: list[Command]
     ) -> None:
-        now, flight = after.now_s, after.flight
+        now = after.now_s
         reason = after.reason if after.phase is Phase.HOLDING else None
         key = (after.phase, reason)
-        if key != self.key or after.phase is not before.phase or after.since_s != before.since_s:
+        was, stage = before.stage, after.stage
+        if key != self.key or stage.phase is not was.phase or stage.since_s != was.since_s:
             self.key, self.since_s, self.spoke_at_s = key, now, now
             self.progress_at_s = now
-        if flight.reference != before.flight.reference or flight.leg is not before.flight.leg:
+        if after.reference != before.reference or after.leg is not before.leg:
             self.progress_at_s = now
         if isinstance(event, Position) and abs(event.velocity_nea_m_s[2]) > 0.1:
             self.progress_at_s = now
@@ -389,6 +391,11 @@ class Watch:
 
 
 _PROGRESS = (Phase.FLYING, Phase.RETURNING, Phase.LANDING)
+
+
+def _flown_by(state: State) -> tuple[Leg | None, Leg | None]:
+    """The leg that it flies, and the next one."""
+    return (None, None) if state.path is None else (state.path.leg, state.path.next_leg)
 
 
 def _name(subpath: Subpath) -> bytes:

@@ -53,8 +53,8 @@ class WatchOrders:
         held = after.phase is Phase.HOLDING and before.phase is not Phase.HOLDING
         old = isinstance(event, PlanReady) and self.orders != self.orders_when_asked
         if old and not held:
-            assert after.flight.leg is before.flight.leg, "a plan from before the order"
-            assert after.flight.next_leg is before.flight.next_leg, "a plan from before the order"
+            legs = [(p.leg, p.next_leg) if (p := each.path) else None for each in (before, after)]
+            assert legs[0] == legs[1], "a plan from before the order"
             assert after.phase is not Phase.RETURNING or before.phase is Phase.RETURNING, (
                 "a way back from before the order"
             )

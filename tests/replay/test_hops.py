@@ -37,7 +37,7 @@ def files_passed(session: Session, frame: bytes) -> list[str] | None:
         output = session.run()
     finally:
         sys.setprofile(None)
-    follows = session.state.phase is Phase.FLYING and session.state.flight.leg is not None
+    follows = session.state.phase is Phase.FLYING and session.state.leg is not None
     return calls if follows and len(output.frames) == 1 else None
 
 

@@ -46,7 +46,7 @@ def mission_file(folder: Path) -> Path:
 def flown(file: Path) -> Pair:
     """The mission, paused on its way by a person."""
     it = Pair(Session(load_mission(str(file)), seed=1, lockstep=True), Vehicle())
-    it.run_until(lambda it: it.session.state.flight.leg is not None)
+    it.run_until(lambda it: it.session.state.leg is not None)
     for _ in range(50):
         it.tick()
     tell(it, 0.0)

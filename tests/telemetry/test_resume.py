@@ -56,7 +56,7 @@ def test_what_can_be_read_is_gone_on_with(folder: Path) -> None:
     state = begun(recalled)
     assert (state.flight.target, state.orders.active, state.airborne) == (1, Reason.PAUSED, True)
     assert (state.flight.known.upper_m == 512.0).all()
-    assert state.news == ""
+    assert state.stage.news == ""
 
 
 def test_terrain_known_in_advance_is_still_known_after_a_restart(folder: Path) -> None:
@@ -141,8 +141,8 @@ def test_without_a_checkpoint_that_can_be_read_it_takes_over_and_never_arms(
     assert len(line) < 200
     state = begun(recalled)
     assert state.airborne
-    assert state.news == line
-    assert (state.flight.target, state.flight.leg, state.orders.active) == (0, None, None)
+    assert state.stage.news == line
+    assert (state.flight.target, state.leg, state.orders.active) == (0, None, None)
     assert np.array_equal(state.flight.known.upper_m, BLANK.upper_m)
     assert state.flight.plan_id == 7
     assert recalled.resume[0]["system_id"] == 3  # as the journal has it
@@ -166,7 +166,7 @@ def test_without_a_map_that_can_be_read_the_rest_is_gone_on_with(folder: Path, d
     state = begun(recalled)
     assert (state.flight.target, state.orders.active, state.airborne) == (1, Reason.PAUSED, True)
     assert np.array_equal(state.flight.known.upper_m, BLANK.upper_m)
-    assert state.news == line
+    assert state.stage.news == line
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from test_output import written
 from companion.config import load_mission
 from companion.errors import FlightFailed, InputError
 from companion.mission.events import End, Outcome
-from companion.mission.state import Held, Hold, Phase, Reason
+from companion.mission.phases import Hold, Phase, Reason
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.session import Session
 from companion.telemetry.flight_status import FlightStatus, flight_status
@@ -81,11 +81,11 @@ def test_the_autopilots_failsafe_and_its_end_are_said() -> None:
         102.0, failsafe=True, phase=Phase.HOLDING, since_s=102.0, reason=Reason.FAILSAFE
     )
     assert Reason.FAILSAFE.text in held
-    over = terminal.show(130.0, held=Held(Hold.TAKEN_OVER, failsafe_over=True))
+    over = terminal.show(130.0, how=Hold.TAKEN_OVER, failsafe_over=True)
     assert FAILSAFE_OVER in over[-1]
-    [silent] = terminal.show(135.0, reason=Reason.LINK_LOST, held=Held(Hold.SILENT))
+    [silent] = terminal.show(135.0, reason=Reason.LINK_LOST, how=Hold.SILENT)
     assert Reason.LINK_LOST.text in silent
-    [flies] = terminal.show(140.0, phase=Phase.FLYING, since_s=140.0, reason=None, held=None)
+    [flies] = terminal.show(140.0, phase=Phase.FLYING, since_s=140.0, reason=None)
     assert "failsafe" not in flies
 
 
