@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import shapely
-from companion.world.simulated_scan import true_map
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.optimize import brentq
@@ -21,6 +20,7 @@ from companion.planner.request import PlanRequest
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
+from companion.world.simulated import true_map
 from companion.world.terrain import Peak, PeakTerrain
 from companion.world.zones import CircleZone, PolygonZone, Zone
 
