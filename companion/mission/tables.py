@@ -307,7 +307,9 @@ def parting(state: State, *, stopped: bool = False) -> list[SetMode | Disarm]:
         lands = state.phase is Phase.LANDING and vehicle.mode is Mode.LAND
         lands = lands and vehicle.armed and not state.is_grounded
         return [SetMode(mode=Mode.HOLD)] if stopped and lands else []
-    at = state.flight.hover_nea_m if vehicle.mode is Mode.GUIDED else None
+    path = state.path  # on a leg it holds where it is: where it hovered last lies behind
+    hovers = vehicle.mode is Mode.GUIDED and (path is None or path.circling)
+    at = state.flight.hover_nea_m if hovers else None
     hold = SetMode(mode=Mode.HOLD, at_nea_m=at)
     if state.phase is Phase.ARMING:
         down = vehicle.landed is Landed.ON_GROUND

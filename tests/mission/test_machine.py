@@ -251,7 +251,7 @@ def test_a_dead_planner_ends_the_mission_in_the_hold_mode_with_the_same_event() 
     commands = craft.take(events.PlannerDied(time_s=craft.now_s, error="ValueError"))
     assert craft.phase is Phase.FAULTED
     assert commands == [
-        SetMode(mode=Mode.HOLD, at_nea_m=craft.state.flight.hover_nea_m),
+        SetMode(mode=Mode.HOLD),  # where it is, on its leg
         events.End(
             outcome=Outcome.FAILED,
             reason=f"{Reason.PLANNER_DIED.text}: ValueError",
@@ -510,7 +510,11 @@ def test_whenever_it_goes_the_vehicle_is_left_holding_or_disarmed_on_the_ground(
         phases.add(craft.phase)
         at, left = f"{craft.phase} at {craft.now_s}", craft.copy()
         height_m, mode = left.here[2], left.mode
-        alone(left, goes(left))
+        path, commands = left.state.path, goes(left)
+        if path is not None and not path.circling:
+            places = [command.at_nea_m for command in commands if isinstance(command, SetMode)]
+            assert places == [None], f"{at}: it is sent back to where it hovered"
+        alone(left, commands)
         assert left.here[2] <= height_m, f"{at}: it climbs on"
         landed = mode is Mode.LAND and (goes is not by_hand or left.landed is Landed.ON_GROUND)
         assert is_safe(left) or landed, f"{at}: {left.mode}, armed {left.armed}"
