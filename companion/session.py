@@ -545,7 +545,8 @@ class Session:
 
     def _on_reboot(self) -> None:
         """The autopilot has rebooted: prepare again; the known terrain is kept."""
-        self.state = replace(self.state, now_s=self.now_s, since_s=self.now_s)
+        stage = replace(self.state.stage, since_s=self.now_s)
+        self.state = replace(self.state, now_s=self.now_s, stage=stage)
         self._scan = None
         self._plan.forget()
         self._mode_asked_at_s = -math.inf

@@ -241,7 +241,8 @@ def advance(
     all that the vehicle brakes with, if that is before the end.
     """
     at_m, speed, length_m = reference.length_m, reference.speed_m_s, leg.subpath.length_m
-    lead = -ahead_m(reference, leg, vehicle_nea_m)
+    pose = leg.subpath.pose(at_m)
+    lead = float((pose.position_nea_m - vehicle_nea_m) @ pose.tangent_nea)
     if lead > motion.lag_m:
         return Reference(length_m=at_m, speed_m_s=0.0)
     slower, left_m = motion.braking_m_s2 * elapsed_s, max(min(length_m, until_m) - at_m, 0.0)
