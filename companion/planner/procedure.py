@@ -78,7 +78,8 @@ class Leg:
 
     def scan_at_m(self, task: Task) -> float:
         """Length flown at p_scan: L before the end, or at once on a short leg (paper 2.3)."""
-        return max(self.subpath.length_m - task.at_speed(self.speed_m_s).scan_distance_m, 0.0)
+        task = task if self.speed_m_s is None else task.at_speed(self.speed_m_s)
+        return max(self.subpath.length_m - task.scan_distance_m, 0.0)
 
     def wants_successor(self, at_m: float, task: Task, speed_m_s: float = 0.0) -> bool:
         """Whether to scan and plan for the next leg, at this length flown: from p_scan on.
