@@ -4,7 +4,9 @@
 
 The stream of setpoints ends, and a copy of the simulation flies on until the vehicle stands (a
 plane: until it has gone round).  Where it truly is must lie within what the certificates of its leg
-and of the leg before speak of: tube and navigation error about curve, stretches, circles.
+and of the leg before speak of: tube and navigation error about curve, stretches, circles.  A plane
+is sent to points ahead of it: shortly before p_prog they lie on the next leg, whose certificate
+counts, too.
 """
 
 import itertools
@@ -26,6 +28,7 @@ from stepped import Flight
 from companion.campaign import drawn_world, families
 from companion.config import folder_of, load_mission
 from companion.mavlink.autopilots import named
+from companion.mission.following import lead_m
 from companion.mission.mission import AutopilotName, Mission
 from companion.mission.state import Phase
 from companion.path.envelope import Envelope, ending_m_s, flown_on_m, rising_m_s
@@ -161,9 +164,13 @@ class KilledFlight(Flight):
                 turned_rad += abs(math.remainder(vehicle.heading_rad - heading_rad, math.tau))
                 heading_rad = vehicle.heading_rad
         where = np.array([*track[:: max(len(track) // 150, 1)], track[-1]])
-        task, at_m = self.mission.task, self.session.state.reference.length_m
+        state, task, legs = self.session.state, self.mission.task, self._legs
+        path, at_m = state.path, state.reference.length_m
+        points_m = at_m + lead_m(state, state.reference)
+        if path and path.next_leg and points_m > path.leg.successor_at_m(task):
+            legs = [path.next_leg, *legs]
         outside = np.full(len(where), math.inf)
-        for leg in self._legs:
+        for leg in legs:
             told = proven(leg, task, from_rest=self._from_rest.get(leg.plan_id, False), near_m=at_m)
             outside = np.minimum(outside, told.outside_m(where))
         return {
