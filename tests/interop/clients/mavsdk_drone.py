@@ -60,6 +60,17 @@ class Drone:
         except TimeoutError:
             raise TimeoutError(f"{topic}: not within {PATIENCE_S:g} s") from None
 
+    async def arm(self) -> None:
+        """Arm when its checks pass, which they do not while it misses our heartbeat."""
+        while True:
+            await self.until("health_all_ok", bool)
+            try:
+                return await self.action.arm()
+            except api("action").ActionError as error:
+                if "DENIED" not in str(error):
+                    raise
+                say("not armed", error)
+
 
 async def connected(url: str, port: int) -> Drone:
     """Connect, and wait until the vehicle is there.  `port`: of the server program, with gRPC."""

@@ -33,7 +33,7 @@ async def session(drone: Drone) -> None:
     await drone.action.set_takeoff_altitude(10.0)
     await drone.action.set_return_to_launch_altitude(20.0)
     say("return altitude", await drone.action.get_return_to_launch_altitude())
-    await drone.action.arm()
+    await drone.arm()
     await drone.action.takeoff()
     say("flight mode", await drone.until("flight_mode", lambda mode: "TAKEOFF" in mode.name))
     say("then", await drone.until("flight_mode", lambda mode: "HOLD" in mode.name))

@@ -29,7 +29,7 @@ async def session(drone: Drone) -> None:
             texts.append(text.text)
 
     listener = asyncio.create_task(listen())
-    await drone.action.arm()
+    await drone.arm()
     say("armed", await drone.until("armed", bool))
     up = values.PositionNedYaw(0.0, 0.0, -10.0, 0.0)
     await drone.offboard.set_position_ned(up)
