@@ -74,9 +74,8 @@ class Control:
             sink = wanted.sink
         elif wanted.sink == wanted.sink:
             sink += wanted.sink
-        sink = max(
-            min(sink, self._fastest_down), -most_up_m_s
-        )  # the ramp of a take-off presses down
+        # in this order: the ramp of a take-off, which makes most_up_m_s negative, presses down
+        sink = max(min(sink, self._fastest_down), -most_up_m_s)
 
         asked, error = 0j, velocity - flown.velocity
         if given(error):
