@@ -28,6 +28,9 @@ _SCAN_REQUESTS = 33
 _MOST_OF_SIGHT = 0.6
 """L as a share of how far out subpaths end: a leg gains what is left, and with less than 40 % it
 would see the same ground three times."""
+_LEAST_OF_SPEED = 0.5
+"""Of V: who asks for a speed is not given less than half of it, but told what stands against it."""
+_STEP_M_S = 0.1  # speeds are told to people, who read one decimal
 _MIN_BAND_ERRORS = 4.0
 """Between floor and ceiling: paths keep 1.1 errors from either (`Task.band_amsl_m`), and as much
 again is left to climb in."""
@@ -60,6 +63,22 @@ def newly_broken(before: Task, after: Task, target_ne_m: Place) -> InputError | 
 def target_refusal(task: Task, target_ne_m: Place) -> str:
     """Why a place cannot be a target, as text; empty if it can."""
     return next((f"the target: {rule}" for _, _, rule, _ in of_target(task, target_ne_m, "")), "")
+
+
+def slowed_to_sight(task: Task) -> Task:
+    """The task at the highest speed, V or less, at which eq. 4 leaves a copter enough of R.
+
+    It turns as tightly as its lateral acceleration lets it there.  A task that needs less than half
+    of V, or that names its L, stays as it is, and so does a plane's: `of_task` has its rule.
+    """
+    limits, settings = task.limits, task.settings
+    may = limits.hovers and settings.profile.verified and settings.scan_distance_m is None
+    sight_m, most = _MOST_OF_SIGHT * task.end_radius_m, limits.speed_m_s
+    if not may or task.scan_distance_m <= sight_m:
+        return task
+    tenths = range(math.floor(most / _STEP_M_S), math.ceil(_LEAST_OF_SPEED * most / _STEP_M_S), -1)
+    slower = (task.at_speed(round(each * _STEP_M_S, 1)) for each in tenths)
+    return next((each for each in slower if each.scan_distance_m <= sight_m), task)
 
 
 def of_area(north_m: tuple[float, float], east_m: tuple[float, float]) -> Iterator[Broken]:

@@ -183,6 +183,7 @@ def mission_of(
         ),
         stated_ground_amsl_m=None if model.scans_ground else stated_m,
     )
+    task, slower = _slowed_to_sight(task)
     rules.refuse(rules.of_task(task), f"{where}: ")
     zones, far = zones_of(model, task, frame, where)
     task = replace(task, zones=zones)
@@ -206,10 +207,20 @@ def mission_of(
             place_of(point, frame, f"{where}: rally_points[{index}]")
             for index, point in enumerate(model.rally_points)
         ),
-        notes=tuple(filter(None, (*notes, far, "" if stated_m is None else about_ground))),
+        notes=tuple(filter(None, (*notes, slower, far, "" if stated_m is None else about_ground))),
         **as_written,
     )
     return replace(mission, notes=(*mission.notes, *_about_altitudes(mission, targets, where)))
+
+
+def _slowed_to_sight(task: Task) -> tuple[Task, str]:
+    """The task as `rules.slowed_to_sight` has it, and what a person should know of it."""
+    slowed = rules.slowed_to_sight(task)
+    asked, flown = task.limits.speed_m_s, slowed.limits.speed_m_s
+    if slowed is task:
+        return task, ""
+    rule = f"R = {task.settings.scan_range_m:g} m is too short for V = {asked:g} m/s (eq. 4)"
+    return slowed, f"{rule}: it is flown at {flown:g} m/s; raise planner.scan_range_m to fly faster"
 
 
 def _targets(model: MissionTable, task: Task, frame: LocalFrame, where: str) -> tuple[Place, ...]:
