@@ -30,6 +30,8 @@ _OWED, _OWED_NEAR = 1.0, 0.25
 
 Chosen on 13 worlds of 20261128 (`walls`, `gathered`, `copter`: mean J 56.7, 51.1 and 52.1 with
 0.25, 1 and 2), and on forests (218 and 240 s with 0.25 and 1 for seed 3001)."""
+_MOST_OWED = 2.0 * math.pi
+"""Of R: a way all round what is in sight.  Who owes more, standing, has found no way on there."""
 _FEW = 0.005  # of the cells in sight: when a scan shows no more than that, nothing new was seen
 
 
@@ -44,6 +46,8 @@ def plan(request: PlanRequest, stop: Callable[[], bool] = lambda: False) -> Plan
         return backtrack(request.flown, request.task, request.known, request.plan_id)
     if (refusal := _impossible(request)) is None:
         if (escaped := escape(request)) is not None:
+            if isinstance(escaped, Planned):  # who was in debt still is
+                return replace(escaped, progress=request.progress)
             return escaped
         refusal = _unreachable(request)
     if refusal is not None:
@@ -168,7 +172,11 @@ class _Plan:
             return self._refused(Refusal.OUT_OF_TIME if searches.is_cut else Refusal.NOTHING_SAFE)
         if request.rest is not None and (self._goes_round(best) or self._is_better_to_stop(best)):
             return self._refused(Refusal.BETTER_TO_STOP)
-        progress = self._progress.after(self._owed_m(best), self._prices.after_m(best))
+        owed_m = self._owed_m(best)
+        strays = owed_m > max(_MOST_OWED * self._range_m, self._allowed_m)
+        if request.from_rest and strays and not (is_near or best.reaches_target):
+            return self._refused(Refusal.NO_WAY_PROVEN)
+        progress = self._progress.after(owed_m, self._prices.after_m(best))
         evaluations, tries = searches.evaluations, searches.tries
         return replace(best, evaluations=evaluations, tries=tries, progress=progress)
 

@@ -143,6 +143,10 @@ class Refusal(enum.Enum):
         outside a keep-in), or too near to it; move the target, or remove the zone""")
     NO_WAY = _said("""what is known of terrain and zones leaves no way to the target; move the
         target, raise altitude.ceiling_amsl_m, or lower planner.safety_distance_m""")
+    NO_WAY_PROVEN = _said("""no way on was found: since the vehicle was last nearer to the target,
+        going on has cost more than a way all round what it sees; the way that the map shows may be
+        narrower than can be proven: lower planner.safety_distance_m, raise
+        altitude.ceiling_amsl_m, or lead it past by targets""")
     START_NEAR_UNKNOWN = _said("""the ground near the vehicle is unknown, or the map ends there; fly
         it to where its radar sees, or widen [area]""")
     TARGET_AT_EDGE = _said("""the target is off the map, or nearer to its edge than the required
