@@ -173,8 +173,8 @@ class _Plan:
         if request.rest is not None and (self._goes_round(best) or self._is_better_to_stop(best)):
             return self._refused(Refusal.BETTER_TO_STOP)
         owed_m = self._owed_m(best)
-        strays = owed_m > max(_MOST_OWED * self._range_m, self._allowed_m)
-        if request.from_rest and strays and not (is_near or best.reaches_target):
+        most_m = max(_MOST_OWED * self._range_m, self._allowed_m, self._progress.owed_m)
+        if request.from_rest and owed_m > most_m and not (is_near or best.reaches_target):
             return self._refused(Refusal.NO_WAY_PROVEN)
         progress = self._progress.after(owed_m, self._prices.after_m(best))
         evaluations, tries = searches.evaluations, searches.tries

@@ -73,12 +73,17 @@ def slowed_to_sight(task: Task) -> Task:
     """
     limits, settings = task.limits, task.settings
     may = limits.hovers and settings.profile.verified and settings.scan_distance_m is None
-    sight_m, most = _MOST_OF_SIGHT * task.end_radius_m, limits.speed_m_s
-    if not may or task.scan_distance_m <= sight_m:
+    if not may or _sees_enough(task):
         return task
-    tenths = range(math.floor(most / _STEP_M_S), math.ceil(_LEAST_OF_SPEED * most / _STEP_M_S), -1)
-    slower = (task.at_speed(round(each * _STEP_M_S, 1)) for each in tenths)
-    return next((each for each in slower if each.scan_distance_m <= sight_m), task)
+    least, most = (share * limits.speed_m_s / _STEP_M_S for share in (_LEAST_OF_SPEED, 1.0))
+    steps = range(math.floor(most), math.ceil(least) - 1, -1)
+    slower = (task.at_speed(round(each * _STEP_M_S, 1)) for each in steps)
+    return next((each for each in slower if _sees_enough(each)), task)
+
+
+def _sees_enough(task: Task) -> bool:
+    """Whether a leg gains as much as it should, by eq. 4."""
+    return task.scan_distance_m <= _MOST_OF_SIGHT * task.end_radius_m
 
 
 def of_area(north_m: tuple[float, float], east_m: tuple[float, float]) -> Iterator[Broken]:
@@ -113,7 +118,7 @@ def of_task(task: Task) -> Iterator[Broken]:
         (asked_m is not None and asked_m < least_m, "planner.scan_distance_m", asked_m,
          f"eq. 4: L must be at least V (T + scan time) + tail = {least_m:g} m",
          "Leave scan_distance_m out, or lower planning_time_s or speed_m_s."),
-        (task.scan_distance_m > sight_m, "planner.planning_time_s", settings.planning_time_s,
+        (not _sees_enough(task), "planner.planning_time_s", settings.planning_time_s,
          f"eq. 4: with V = {speed:g} m/s and d_s = {d_s:g} m it needs L = "
          f"{task.scan_distance_m:g} m, too much for R = {range_m:g} m (at most {sight_m:g} m)",
          "Lower planning_time_s, speed_m_s or safety_distance_m, or raise scan_range_m."),

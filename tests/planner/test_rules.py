@@ -66,6 +66,41 @@ def test_a_broken_rule_is_told_in_one_line_by_the_field_of_a_mission_file(
     assert len(str(caught.value).splitlines()) == 1
 
 
+@settings(max_examples=50)
+@given(st.floats(8.0, 300.0))
+def test_a_copter_flies_as_fast_as_it_sees_and_no_slower_than_half_of_what_is_asked(
+    asked_m_s: float,
+) -> None:
+    task = changed(COPTER, {"speed_m_s": asked_m_s, "turn_radius_m": 60.0})
+
+    def is_short(task: Task) -> bool:
+        return "planner.planning_time_s" in [field for field, *_ in rules.of_task(task)]
+
+    slowed = rules.slowed_to_sight(task)
+    flown_m_s = slowed.limits.speed_m_s
+    assert (slowed is task) == (
+        not is_short(task) or is_short(task.at_speed(0.5 * asked_m_s + 0.1))
+    )
+    if slowed is not task:
+        assert 0.5 * asked_m_s <= flown_m_s < asked_m_s
+        assert not is_short(slowed)
+        assert is_short(task.at_speed(min(flown_m_s + 0.1, asked_m_s)))
+        asked, flown = task.limits, slowed.limits
+        assert flown_m_s**2 / flown.turn_radius_m == pytest.approx(
+            asked_m_s**2 / asked.turn_radius_m
+        )
+
+
+def test_a_plane_and_who_names_its_l_are_not_slowed_down() -> None:
+    for base, changes in (
+        (PLANE, {"speed_m_s": 300.0}),
+        (COPTER, {"speed_m_s": 150.0, "scan_distance_m": LEAST_L_M}),
+    ):
+        task = changed(base, changes)
+        assert list(rules.of_task(task))
+        assert rules.slowed_to_sight(task) is task
+
+
 def test_a_change_is_refused_for_what_it_breaks_not_for_what_was_broken() -> None:
     fine, target = Task(limits=COPTER, settings=SETTINGS), (0.0, 0.0)
     low, tight = (changed(COPTER, {key: 3.1}) for key in ("ceiling_amsl_m", "turn_radius_m"))
