@@ -22,7 +22,7 @@ from companion.world.known_map import KnownMap, Scan
 from companion.world.near_map import NearMap, NearSensor, top_amsl_m
 from companion.world.simulated import NearScene, simulated_scan
 
-_TIMES_AS_MANY, _MIN_MOST_LEGS = 6, 60  # far beyond any mission that has arrived
+_TIMES_AS_MANY, _MIN_MOST_LEGS = 6, 150  # missions have arrived after 76, among walls
 _MAX_ATTEMPTS = 4  # from one place, each with a wider search
 _ROUNDING = 1e-6  # of a sweep
 _LOOKS_FIRST_S = 2.0  # a vehicle that takes off has looked about for longer than that
@@ -147,7 +147,7 @@ def fly_offline(
 
 
 def usual_most_legs(task: Task, start_nea_m: Vector, targets_ne_m: tuple[Place, ...]) -> int:
-    """Six times as many as a straight way has, or 60 if that is more."""
+    """Six times as many as a straight way has, or 150 if that is more."""
     leg_m = max(task.end_radius_m - task.tail_m, 0.1 * task.settings.scan_range_m)
     ways = pairwise([start_nea_m[:2], *targets_ne_m])
     legs = sum(math.ceil(math.dist(*way) / leg_m) for way in ways)
