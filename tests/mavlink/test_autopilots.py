@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as wire
-from wires import CORNER, FRAME, GEOD, SYSTEM, angle_between, geodetic, over_the_wire
+from wires import CORNER, FRAME, GEOD, SYSTEM, angle_between, geodetic, geodetic_e7, over_the_wire
 
 import companion
 from companion.mavlink.autopilots import (
@@ -135,23 +135,23 @@ def test_a_mode_is_asked_for_by_number_or_not_at_all(autopilot: Autopilot, mode:
 
 @each
 def test_only_px4s_plane_holds_about_a_point(autopilot: Autopilot) -> None:
-    here = autopilot.set_mode(SetMode(mode=Mode.HOLD), FRAME, SYSTEM)
-    nowhere = SetMode(mode=Mode.HOLD, at_nea_m=(math.nan, 0.0, 100.0))
-    there = autopilot.set_mode(SetMode(mode=Mode.HOLD, at_nea_m=CORNER), FRAME, SYSTEM)
-    told = [[m.to_dict() for m in each] for each in (here, there)]
-    assert [m.to_dict() for m in autopilot.set_mode(nowhere, FRAME, SYSTEM)] == told[0]
+    places = (None, (math.nan, 0.0, 100.0), CORNER)
+    here, nowhere, there = (
+        [over_the_wire(message) for message in autopilot.set_mode(command, FRAME, SYSTEM)]
+        for command in (SetMode(mode=Mode.HOLD, at_nea_m=place) for place in places)
+    )
+    assert [m.to_dict() for m in nowhere] == [m.to_dict() for m in here]
     if autopilot is not PX4_FIXED_WING:
-        assert told[0] == told[1]
+        assert [m.to_dict() for m in there] == [m.to_dict() for m in here]
         return
-    [sent] = map(over_the_wire, there)
+    [sent] = there
     assert (sent.get_type(), sent.command, sent.frame) == ("COMMAND_INT", 192, 5)
     assert sent.param2 == 1.0  # bit 0 switches to Hold
-    latitude, longitude = geodetic(*CORNER[:2])
-    assert (sent.x, sent.y) == pytest.approx((latitude * 1e7, longitude * 1e7), abs=1)
+    assert (sent.x, sent.y) == pytest.approx(geodetic_e7(*CORNER[:2]), abs=1)
     assert sent.z == CORNER[2]
 
 
-# --- arming and take-off
+# --- arming, take-off and speed
 
 
 @each
@@ -173,8 +173,8 @@ def take_off(autopilot: Autopilot, heading_rad: float, command: TakeOff = CLIMB)
 
 def test_ardupilots_take_off_to_a_height_above_home_or_by_their_mode() -> None:
     sent = take_off(ARDUCOPTER, 0.3)
-    assert (sent.get_type(), sent.command, sent.param7) == ("COMMAND_LONG", 22, 60.0)
-    assert [getattr(sent, f"param{n}") for n in range(1, 7)] == [0.0] * 6
+    assert (sent.get_type(), sent.command) == ("COMMAND_LONG", 22)
+    assert [getattr(sent, f"param{n}") for n in range(1, 8)] == [0.0] * 6 + [60.0]
     sent = take_off(ARDUPLANE, 0.3)
     assert (sent.command, sent.param2) == (176, wire.PLANE_MODE_TAKEOFF)
 
@@ -200,9 +200,6 @@ def test_a_take_off_to_nowhere_or_along_no_direction_is_refused(bad: float) -> N
     nowhere = TakeOff(above_home_m=bad, altitude_amsl_m=bad)
     assert [take_off(autopilot, 0.0, nowhere) for autopilot in (ARDUCOPTER, *PX4)] == [None] * 3
     assert math.isfinite(bad) or take_off(PX4_FIXED_WING, bad) is None
-
-
-# --- speed, and whether setpoints are taken
 
 
 @each

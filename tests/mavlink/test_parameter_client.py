@@ -33,11 +33,23 @@ def told(name: str, value: float, kind: int = 9, source: tuple[int, int] = (1, 1
     return over_the_wire(message, source)
 
 
-def names_of_requests(messages: list[Any]) -> list[str]:
-    return [message.param_id for message in messages]
+def asked(messages: list[Any]) -> list[tuple[str, str]]:
+    return [(message.get_type(), message.param_id) for message in messages]
 
 
-# --- against the simulator ------------------------------------------------------------------------
+def client_of(firmware: str, groups: Any) -> ParameterClient:
+    return ParameterClient(1, groups, bytewise=firmware == "px4")
+
+
+KEPT_OTHERWISE = (
+    ("NAV_GPSF_LT", 9000.0, "it was told 9000 and says 3600"),
+    ("NO_SUCH_ONE", 1.0, "the autopilot does not have it"),
+    ("COM_OF_LOSS_T", math.nan, "nan is no number that a parameter can have"),
+    ("COM_OBL_RC_ACT", 5e12, "5e+12 does not fit into its type"),
+)
+
+
+# --- against the simulator
 
 
 @pytest.mark.sample(5)
@@ -52,7 +64,7 @@ def test_reads_what_the_vehicle_has_and_knows_what_it_has_not(
     if fault:
         held.simulation.add_fault(fault)
     groups = names_of(RULES[firmware, kind])
-    client = ParameterClient(1, groups, bytewise=firmware == "px4")
+    client = client_of(firmware, groups)
     took_s = held.run(60.0, client, lambda: client.is_done)
     assert client.is_done
     # five tries for what it has not, each once it was heard since: its heartbeat, once a second
@@ -71,7 +83,7 @@ def test_a_silent_link_is_not_flooded_and_makes_nothing_missing(
 ) -> None:
     held = Held(firmware, kind)
     held.simulation.add_fault("for 20 s: link_off")
-    client = ParameterClient(1, names_of(RULES[firmware, kind]), bytewise=firmware == "px4")
+    client = client_of(firmware, names_of(RULES[firmware, kind]))
     held.run(19.0, client)
     assert not client.is_done
     assert set(client.waiting) == set(client._group_of)
@@ -85,6 +97,12 @@ def test_a_silent_link_is_not_flooded_and_makes_nothing_missing(
     )
 
 
+SETS = {
+    "ardupilot": {"FENCE_TYPE": 3.0, "FENCE_RADIUS": 212.5},
+    "px4": {"COM_OBL_RC_ACT": 5.0, "COM_OF_LOSS_T": 0.7, "COM_RCL_EXCEPT": -1.0},
+}
+
+
 @ALL_FOUR
 @pytest.mark.parametrize("fault", ["", "link_loss 25 %"])
 def test_sets_whole_and_other_numbers_and_reads_them_back(
@@ -93,66 +111,47 @@ def test_sets_whole_and_other_numbers_and_reads_them_back(
     held = Held(firmware, kind)
     if fault:
         held.simulation.add_fault(fault)
-    values = {"ardupilot": {"FENCE_TYPE": 3.0, "FENCE_RADIUS": 212.5}}.get(
-        firmware, {"COM_OBL_RC_ACT": 5.0, "COM_OF_LOSS_T": 0.7, "COM_RCL_EXCEPT": -1.0}
-    )
-    client = ParameterClient(1, [], bytewise=firmware == "px4")
-    for name, value in values.items():
+    client = client_of(firmware, [])
+    for name, value in SETS[firmware].items():
         client.set(name, value)
     held.run(30.0, client, lambda: client.is_done)
     assert client.is_done
     assert client.failed_sets == {}
-    for name, value in values.items():
+    for name, value in SETS[firmware].items():
         assert held.simulation.parameters[name] == pytest.approx(value)
         assert client.values[name] == pytest.approx(value)
 
 
 def test_a_value_that_the_vehicle_keeps_otherwise_is_a_failure() -> None:
     held = Held("px4", "plane")
-    client = ParameterClient(1, [], bytewise=True)
-    client.set("NAV_GPSF_LT", 9000.0)  # at most 3600
-    client.set("NO_SUCH_ONE", 1.0)
-    client.set("COM_OF_LOSS_T", math.nan)
-    client.set("COM_OBL_RC_ACT", 5e12)
+    client = client_of("px4", [])
+    for name, value, _ in KEPT_OTHERWISE:
+        client.set(name, value)
     held.run(20.0, client, lambda: client.is_done)
     assert client.is_done
-    assert client.failed_sets == {
-        "NAV_GPSF_LT": "it was told 9000 and says 3600",
-        "NO_SUCH_ONE": "the autopilot does not have it",
-        "COM_OF_LOSS_T": "nan is no number that a parameter can have",
-        "COM_OBL_RC_ACT": "5e+12 does not fit into its type",
-    }
+    assert client.failed_sets == {name: why for name, _, why in KEPT_OTHERWISE}
 
 
-# --- against recorded flights ---------------------------------------------------------------------
+# --- against recorded flights
 
 
-@pytest.mark.parametrize(
-    ("log", "expected"),
-    [
-        (
-            "px4-offboard-8mps.tlog",
-            {
-                "COM_OBL_RC_ACT": 5.0,
-                "COM_OF_LOSS_T": 1.0,
-                "MPC_XY_VEL_MAX": 12.0,
-                "CAL_ACC0_ROT": -1.0,
-                "CAL_BARO0_ID": 6620172.0,
-            },
-        ),
-        ("px4-offboard-short.tlog", {"SYS_AUTOSTART": 10040.0, "COM_OBL_RC_ACT": 5.0}),
-        ("px4-fixedwing-offboard.tlog", {"FW_AIRSPD_TRIM": 15.0, "NAV_LOITER_RAD": 80.0}),
-        ("arducopter-guided-10mps.tlog", {"ANGLE_MAX": 4500.0, "COMPASS_DEV_ID": 97539.0}),
-    ],
-)
-def test_reads_the_values_of_recorded_flights(log: str, expected: dict[str, float]) -> None:
-    client = ParameterClient(1, [(name,) for name in expected], bytewise=log.startswith("px4"))
-    for at_s, message in recorded(log):
+RECORDED = {
+    "px4-offboard-8mps": {"COM_OBL_RC_ACT": 5.0, "CAL_ACC0_ROT": -1.0, "CAL_BARO0_ID": 6620172.0},
+    "px4-offboard-short": {"SYS_AUTOSTART": 10040.0, "COM_OBL_RC_ACT": 5.0},
+    "px4-fixedwing-offboard": {"FW_AIRSPD_TRIM": 15.0, "NAV_LOITER_RAD": 80.0},
+    "arducopter-guided-10mps": {"ANGLE_MAX": 4500.0, "COMPASS_DEV_ID": 97539.0},
+}
+
+
+@pytest.mark.parametrize("log", RECORDED)
+def test_reads_the_values_of_recorded_flights(log: str) -> None:
+    client = client_of(log[:3], [(name,) for name in RECORDED[log]])
+    for at_s, message in recorded(f"{log}.tlog"):
         client.on_message(message, at_s)
-    assert {name: client.values[name] for name in expected} == expected
+    assert client.values == RECORDED[log]
 
 
-# --- what is said, and by whom --------------------------------------------------------------------
+# --- what is said, and by whom
 
 
 @given(data=st.data(), kind=st.sampled_from(sorted(WHOLE)), bytewise=st.booleans())
@@ -176,33 +175,38 @@ def test_other_numbers_are_floats_either_way(value: float, bytewise: bool) -> No
 
 
 def test_one_of_two_names_ends_the_asking_for_both() -> None:
-    client = ParameterClient(1, [("MAV_SYSID", "SYSID_THISMAV")])
-    assert names_of_requests(client.on_time(0.0)) == ["MAV_SYSID", "SYSID_THISMAV"]
+    client = client_of("ardupilot", [("MAV_SYSID", "SYSID_THISMAV")])
+    names = [name for _, name in asked(client.on_time(0.0))]
+    assert names == ["MAV_SYSID", "SYSID_THISMAV"]
     client.on_message(told("SYSID_THISMAV", 1.0, 4), 0.1)
     assert client.is_done
     assert client.values == {"SYSID_THISMAV": 1.0}
 
 
-def test_a_parameter_error_says_at_once_that_there_is_none() -> None:
-    client = ParameterClient(1, [("A",), ("B",)])
+def test_a_parameter_error_says_at_once_that_there_is_none_or_that_it_can_only_be_read() -> None:
+    client = client_of("ardupilot", [("A",), ("B",)])
     client.on_time(0.0)
-    error = wire.MAVLink_param_error_message(1, 195, b"A", -1, 1)
-    assert error.error == wire.MAV_PARAM_ERROR_DOES_NOT_EXIST
-    client.on_message(over_the_wire(error), 0.1)
+    missing, fixed = (
+        over_the_wire(wire.MAVLink_param_error_message(1, 195, name, -1, error))
+        for name, error in (
+            (b"A", wire.MAV_PARAM_ERROR_DOES_NOT_EXIST),
+            (b"B", wire.MAV_PARAM_ERROR_READ_ONLY),
+        )
+    )
+    client.on_message(missing, 0.1)
     assert client.waiting == ("B",)
     client.on_message(told("B", 2.0), 0.2)
     assert client.is_done
     client.set("B", 3.0)
     client.on_time(0.3)
-    refused = wire.MAVLink_param_error_message(1, 195, b"B", -1, wire.MAV_PARAM_ERROR_READ_ONLY)
-    client.on_message(over_the_wire(refused), 0.4)
+    client.on_message(fixed, 0.4)
     assert client.failed_sets == {"B": "it can only be read"}
     assert client.is_done
 
 
 @pytest.mark.parametrize("source", [(2, 1), (1, 100), (255, 190)])
 def test_only_the_autopilot_tells_its_parameters(source: tuple[int, int]) -> None:
-    client = ParameterClient(1, [("A",)])
+    client = client_of("ardupilot", [("A",)])
     client.on_time(0.0)
     assert client.on_message(told("A", 1.0, source=source), 0.1) == []
     assert client.values == {}
@@ -210,7 +214,7 @@ def test_only_the_autopilot_tells_its_parameters(source: tuple[int, int]) -> Non
 
 
 def test_a_value_that_comes_late_counts() -> None:
-    client = ParameterClient(1, [("A",), ("B",)])
+    client = client_of("ardupilot", [("A",), ("B",)])
     client.on_message(told("B", 1.0), 0.0)
     for step in range(100):
         client.on_time(0.1 * step)
@@ -224,37 +228,30 @@ def test_a_value_that_comes_late_counts() -> None:
 
 
 def test_the_version_tells_how_whole_numbers_travel() -> None:
-    client = ParameterClient(1, [("COM_OBL_RC_ACT",)], bytewise=False)
+    client = client_of("ardupilot", [("COM_OBL_RC_ACT",)])
     (bits,) = struct.unpack("<f", struct.pack("<i", 5))
     client.on_message(told("COM_OBL_RC_ACT", bits, 6), 0.1)
-    version = wire.MAVLink_autopilot_version_message(
-        0xE8FF, 0, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0
-    )
-    (again,) = client.on_message(over_the_wire(version), 0.2)
-    assert again.get_type() == "PARAM_REQUEST_READ"
+    numbers = (0xE8FF, 0, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
+    version = over_the_wire(wire.MAVLink_autopilot_version_message(*numbers))
+    assert asked(client.on_message(version, 0.2)) == [("PARAM_REQUEST_READ", "COM_OBL_RC_ACT")]
     client.on_message(told("COM_OBL_RC_ACT", bits, 6), 0.3)
     assert client.values == {"COM_OBL_RC_ACT": 5.0}
 
 
-def test_what_was_set_is_read_back() -> None:
-    client = ParameterClient(1, [("A",)])
+def test_what_was_set_is_read_back_and_after_a_reboot_all_is_asked_for_again() -> None:
+    client = client_of("ardupilot", [("A",)])
     client.on_message(told("A", 1.0), 0.0)
     client.set("A", 3.0)
-    (asked,) = client.on_time(0.1)
-    assert (asked.get_type(), asked.param_value) == ("PARAM_SET", 3.0)
-    (read,) = client.on_message(told("A", 3.0), 0.2)  # it says so, but does it keep it?
-    assert read.get_type() == "PARAM_REQUEST_READ"
+    (sent,) = client.on_time(0.1)
+    assert (sent.get_type(), sent.param_value) == ("PARAM_SET", 3.0)
+    # it says so, but does it keep it?
+    assert asked(client.on_message(told("A", 3.0), 0.2)) == [("PARAM_REQUEST_READ", "A")]
     assert not client.is_done
     for step in range(100):
         client.on_message(told("A", 2.0), 0.3 + 0.1 * step)
     assert client.failed_sets == {"A": "it was told 3 and says 2"}
-
-
-def test_after_a_reboot_all_is_asked_for_again() -> None:
-    client = ParameterClient(1, [("A",)])
-    client.on_message(told("A", 1.0), 0.0)
     assert client.is_done
     client.restart()
     assert not client.is_done
     assert client.values == {}
-    assert names_of_requests(client.on_time(1.0)) == ["A"]
+    assert asked(client.on_time(1.0)) == [("PARAM_REQUEST_READ", "A")]

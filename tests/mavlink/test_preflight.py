@@ -88,32 +88,22 @@ def looked() -> Pair:
     return Pair().looked_at()
 
 
-def sees(patch: pytest.MonkeyPatch, it: Pair, **vehicle: Any) -> None:
-    """The vehicle tells something else."""
-    state = it.session.state
-    told = replace(state, vehicle=replace(state.vehicle, **vehicle))
-    patch.setattr(it.session, "state", told)
-
-
 # --- a vehicle that may fly
 
 
-def test_a_vehicle_that_may_fly_passes(good: Pair) -> None:
+def test_a_vehicle_that_may_fly_passes_and_each_line_names_what(good: Pair) -> None:
     assert good.refused == []
-    for name in ("vehicle", "messages", "fence", "targets", "position", "take-off", "place"):
-        assert good.status(name) == "ok", name
-    for name in ("battery", "link delay"):
-        assert good.status(name) == "ok", name
+    passed = "vehicle, messages, fence, targets, position, take-off, place, battery, link delay"
+    assert {name: good.status(name) for name in passed.split(", ")} == dict.fromkeys(
+        passed.split(", "), "ok"
+    )
     assert good.status("radar") == "note"
-
-
-def test_every_line_names_what_and_what_is_refused_a_remedy(good: Pair) -> None:
     for check in good.checks:
         assert check.name
         assert check.what
         assert "\n" not in f"{check.name}{check.what}{check.remedy}"
         assert not check.what.endswith(".")
-        assert check.remedy == "" or check.remedy.endswith(".")
+        assert check.remedy == "" or (check.remedy.endswith(".") and check.what)
         assert ".." not in f"{check.what}. {check.remedy}"
 
 
@@ -225,12 +215,50 @@ def test_several_vehicles_and_none_chosen() -> None:
     assert "also heard: 9" in chosen.words("vehicle")
 
 
-@pytest.mark.parametrize(("delay_s", "verdict"), [(0.1, "ok"), (0.8, "refused"), (None, "note")])
-def test_the_delay_of_the_link(
-    looked: Pair, monkeypatch: pytest.MonkeyPatch, delay_s: float | None, verdict: str
+def seen(part: str, check: str, status: str, **changes: Any) -> tuple[str, str, str, Any]:
+    """A row: what is otherwise of this part of a session, and what one check says of it."""
+    return part, check, status, changes
+
+
+HIGH = (0.0, 0.0, 700.0)
+
+
+@pytest.mark.parametrize(
+    ("part", "check", "status", "changes"),
+    [
+        seen("link", "link delay", "ok", round_trip_s=0.1),
+        seen("link", "link delay", "refused", round_trip_s=0.8),
+        seen("link", "link delay", "note", round_trip_s=None),
+        seen("vehicle", "place", "refused", position_nea_m=(5000.0, 0.0, 488.0)),
+        seen("vehicle", "take-off", "refused", position_nea_m=HIGH, home_nea_m=HIGH),
+        seen("vehicle", "battery", "ok", battery=0.9),
+        seen("vehicle", "battery", "refused", battery=0.1),
+        seen("vehicle", "battery", "note", battery=None),
+        seen("mission", "battery", "ok", endurance_s=1200.0),
+        seen("mission", "battery", "refused", endurance_s=60.0),
+    ],
+)
+def test_what_is_said_of_what_is_seen(
+    looked: Pair,
+    monkeypatch: pytest.MonkeyPatch,
+    part: str,
+    check: str,
+    status: str,
+    changes: dict[str, Any],
 ) -> None:
-    monkeypatch.setattr(looked.session.vehicle, "round_trip_s", delay_s)
-    assert looked.status("link delay") == verdict
+    session = looked.session
+    if part == "link":
+        monkeypatch.setattr(session.vehicle, *next(iter(changes.items())))
+    elif part == "mission":
+        monkeypatch.setattr(session, "mission", replace(session.mission, **changes))
+    else:
+        vehicle = replace(session.state.vehicle, **changes)
+        monkeypatch.setattr(session, "state", replace(session.state, vehicle=vehicle))
+    assert looked.status(check) == status
+    if check == "take-off":
+        assert "altitude.floor_amsl_m" in looked.words(check)
+    if check == "battery" and changes.get("battery"):
+        assert "not given" in looked.words(check)  # how long it lasts
 
 
 def test_a_vehicle_that_falls_silent_is_not_one_that_may_fly() -> None:
@@ -239,9 +267,6 @@ def test_a_vehicle_that_falls_silent_is_not_one_that_may_fly() -> None:
         it.session.silence(float(silent_s))
     assert it.refused
     assert "fell silent" in it.words("link")
-
-
-# --- what the autopilot holds
 
 
 def upload(it: Pair, kind: int, *items: tuple[int, float, float, float]) -> None:
@@ -257,20 +282,6 @@ def upload(it: Pair, kind: int, *items: tuple[int, float, float, float]) -> None
     it.run(0.5)
 
 
-# --- where it is
-
-
-def test_a_vehicle_off_the_map_or_above_the_band(
-    looked: Pair, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sees(monkeypatch, looked, position_nea_m=(5000.0, 0.0, 488.0))
-    assert looked.status("place") == "refused"
-    high = (0.0, 0.0, 700.0)
-    sees(monkeypatch, looked, position_nea_m=high, home_nea_m=high)
-    assert looked.status("take-off") == "refused"
-    assert "altitude.floor_amsl_m" in looked.words("take-off")
-
-
 @pytest.mark.parametrize(("ground_m", "verdict"), [(486.0, "ok"), (560.0, "refused")])
 def test_a_terrain_with_another_datum(ground_m: float, verdict: str) -> None:
     limits = load_mission("sitl-px4").task.limits
@@ -279,29 +290,6 @@ def test_a_terrain_with_another_datum(ground_m: float, verdict: str) -> None:
     known = replace(known, upper_m=filled, seen=np.ones(known.seen.shape, dtype=bool))
     it = Pair(known=known).looked_at()
     assert it.status("datum") == verdict
-
-
-@pytest.mark.parametrize(
-    ("left", "endurance_s", "verdict"),
-    [(0.9, None, "ok"), (0.9, 1200.0, "ok"), (0.1, None, "refused"), (0.9, 60.0, "refused")],
-)
-def test_the_battery(left: float, endurance_s: float | None, verdict: str) -> None:
-    it = Pair(endurance_s=endurance_s).looked_at()
-    it.session.state = replace(
-        it.session.state, vehicle=replace(it.session.state.vehicle, battery=left)
-    )
-    assert it.status("battery") == verdict
-    assert ("not given" in it.words("battery")) == (endurance_s is None)
-
-
-def test_a_battery_that_says_nothing_is_noted() -> None:
-    it = Pair()
-    hides("SYS_STATUS", "BATTERY_STATUS")(it)
-    it.looked_at(9.0)
-    assert it.status("battery") == "note"
-
-
-# --- signing
 
 
 KEY = bytes(range(32))
@@ -402,7 +390,7 @@ SETUPS = {
         draws((16, 0.0, 300.0, 100.0), (16, 0.0, 500.0, 300.0), kind=0),
         *("targets", "ok", ("2 targets",)),
     ),
-    "battery too short": Setup({"endurance_s": 30.0}),
+    "battery too short": Setup({"endurance_s": 30.0}, NO_CHANGE, "battery", "refused"),
     "armed already": Setup({}, armed, "armed", "refused", ("somebody else",)),
     "no radar": Setup(
         {"scanner_component_id": 77}, NO_CHANGE, "radar", "refused", ("component 77",)

@@ -68,32 +68,35 @@ def block(request: Any, bit: int, data: list[int], **changes: int) -> Any:
 
 
 def report(request: Any, pending: int = 0) -> Any:
-    return wire.MAVLink_terrain_report_message(
-        request.lat, request.lon, request.grid_spacing, 0.0, 0.0, pending, 1
-    )
+    corner = (request.lat, request.lon, request.grid_spacing)
+    return wire.MAVLink_terrain_report_message(*corner, 0.0, 0.0, pending, 1)
 
 
 Answer = Callable[[Any], list[Any]]
 
 
+def answers(request: Any, data: Callable[[Any, int], list[int]]) -> list[Any]:
+    """All blocks that are asked for, with these heights, and the report."""
+    blocks = [block(request, bit, data(request, bit)) for bit in bits(request.mask)]
+    return [*blocks, report(request)]
+
+
 def flat(request: Any) -> list[Any]:
-    return [*(block(request, bit, [500] * 16) for bit in bits(request.mask)), report(request)]
-
-
-def sloping(request: Any) -> list[Any]:
-    return [
-        *(block(request, bit, heights(request, bit)) for bit in bits(request.mask)),
-        report(request),
-    ]
+    return answers(request, lambda _, __: [500] * 16)
 
 
 def download(
-    known: KnownMap = MAP, centre: tuple[float, float] = CORNER, range_m: float = RANGE_M
+    known: KnownMap = MAP,
+    centre: tuple[float, ...] = CORNER,
+    range_m: float = RANGE_M,
+    towards_ne_m: tuple[float, float] = (1e5, 0.0),
 ) -> TerrainDownload:
+    """towards_ne_m: from the centre."""
+    north_m, east_m = centre
     return TerrainDownload(
         known,
-        centre_ne_m=centre,
-        towards_ne_m=(centre[0] + 1e5, centre[1]),
+        centre_ne_m=(north_m, east_m),
+        towards_ne_m=(north_m + towards_ne_m[0], east_m + towards_ne_m[1]),
         range_m=range_m,
         deadline_s=DEADLINE_S,
         drift_m=30.0,
@@ -101,10 +104,10 @@ def download(
     )
 
 
-def run(task: TerrainDownload, answer: Answer, limit_s: float = DEADLINE_S) -> list[Any]:
+def run(task: TerrainDownload, answer: Answer) -> list[Any]:
     """All requests; the radar answers within a tenth of a second."""
     requests = []
-    for tick in range(round(limit_s * 10) + 1):
+    for tick in range(round(DEADLINE_S * 10) + 1):
         if task.is_over(tick / 10):
             break
         request = task.on_time(tick / 10)
@@ -129,7 +132,7 @@ def middle_of(row: int, column: int) -> tuple[float, float]:
 @pytest.mark.parametrize("centre", [CORNER, (0.0, 0.0), (50_000.0, 100_000.0)])
 def test_every_height_lands_in_the_cell_that_it_belongs_to(centre: tuple[float, float]) -> None:
     task = download(centre=centre, range_m=3000.0)
-    run(task, sloping)
+    run(task, lambda request: answers(request, heights))
     scan = task.scan()
     rows, columns = np.nonzero(np.isfinite(on_map(scan)))
     assert rows.size > 400
@@ -140,15 +143,20 @@ def test_every_height_lands_in_the_cell_that_it_belongs_to(centre: tuple[float, 
         assert slack < 0.1 * CELL_M / 2  # less than a cell's error would be
 
 
-def test_all_that_is_within_range_and_on_the_map_is_asked_for() -> None:
+def test_all_that_is_within_range_and_on_the_map_is_asked_for_once() -> None:
     task = download()
     run(task, flat)
     answered = np.isfinite(on_map(task.scan()))
-    for row in range(MAP.upper_m.shape[0]):
-        for column in range(MAP.upper_m.shape[1]):
-            if math.dist(middle_of(row, column), CORNER) <= RANGE_M:
-                assert answered[row, column], (row, column)
+    for row, column in np.ndindex(MAP.upper_m.shape):
+        if math.dist(middle_of(row, column), CORNER) <= RANGE_M:
+            assert answered[row, column], (row, column)
     assert task.asked == task.answered
+    seen = MAP.with_scan(task.scan())
+    assert list(areas(seen, CORNER, RANGE_M - 2 * CELL_M, FRAME)) == []
+    again = download(known=seen)
+    assert again.asked == 0
+    assert again.is_over(0.0)
+    assert again.on_time(0.0) is None
 
 
 @pytest.mark.parametrize("centre", [(104_000.0, 104_000.0), (-4000.0, 103_000.0), CORNER])
@@ -233,14 +241,10 @@ def test_a_block_that_stays_lost_is_unknown_and_never_looks_sheltered() -> None:
 
 def test_minus_32768_is_not_seen_and_every_other_height_is_a_height() -> None:
     data = [-32768, -32767, -1, 0, 1, 32767] + [5] * 10
-
-    def odd(request: Any) -> list[Any]:
-        return [*(block(request, bit, data) for bit in bits(request.mask)), report(request)]
-
     task = download(range_m=2000.0)
-    run(task, odd)
-    heights = task.scan().heights_m
-    assert set(np.unique(heights[~np.isnan(heights)])) == {NOT_SEEN, -32767, -1, 0, 1, 32767, 5}
+    run(task, lambda request: answers(request, lambda _, __: data))
+    heights_m = task.scan().heights_m
+    assert set(np.unique(heights_m[~np.isnan(heights_m)])) == {NOT_SEEN, -32767, -1, 0, 1, 32767, 5}
 
 
 def test_a_silent_radar_ends_with_the_deadline_and_without_answers() -> None:
@@ -273,28 +277,13 @@ def test_blocks_of_other_requests_not_asked_for_or_told_again_are_ignored() -> N
     assert task.answered == len(wanted)
 
 
-def test_what_was_seen_is_not_asked_for_again() -> None:
-    task = download()
-    run(task, flat)
-    seen = MAP.with_scan(task.scan())
-    assert list(areas(seen, CORNER, RANGE_M - 2 * CELL_M, FRAME)) == []
-    again = download(known=seen)
-    assert again.asked == 0
-    assert again.is_over(0.0)
-    assert again.on_time(0.0) is None
-
-
 def test_a_mask_asks_for_no_more_than_56_blocks_in_row_major_order() -> None:
     for area in areas(MAP, CORNER, 20_000.0, FRAME):
         assert 0 < area.mask < 1 << 56
         for bit in bits(area.mask):
             row, column = area.row + 4 * (bit // 8), area.column + 4 * (bit % 8)
-            gaps = [
-                math.dist(middle_of(row + x, column + y), CORNER)
-                for x in range(4)
-                for y in range(4)
-            ]
-            assert min(gaps) <= 20_000.0
+            cells = (middle_of(row + x, column + y) for x in range(4) for y in range(4))
+            assert min(math.dist(cell, CORNER) for cell in cells) <= 20_000.0
 
 
 def test_the_place_of_the_radar_is_kept_for_every_cell() -> None:
@@ -318,18 +307,8 @@ def test_what_is_asked_for_and_in_which_order_hangs_on_no_last_digit(
     centre: tuple[float, float], towards: tuple[float, float], nudge: int
 ) -> None:
     """On a corner of four cells, in the middle of one, and with two areas equally far away."""
-
-    def requests(here: tuple[float, ...]) -> list[Any]:
-        north, east = here
-        task = TerrainDownload(
-            MAP,
-            centre_ne_m=(north, east),
-            towards_ne_m=(north + towards[0], east + towards[1]),
-            range_m=20_000.0,
-            deadline_s=DEADLINE_S,
-            drift_m=30.0,
-            frame=FRAME,
-        )
-        return [(each.lat, each.lon, each.mask) for each in run(task, flat)]
-
-    assert requests(nudged(centre, nudge)) == requests(centre)
+    asked = [
+        [(each.lat, each.lon, each.mask) for each in run(download(MAP, here, 2e4, towards), flat)]
+        for here in (centre, nudged(centre, nudge))
+    ]
+    assert asked[0] == asked[1]

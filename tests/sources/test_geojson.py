@@ -60,6 +60,8 @@ def test_polygons_are_zones_and_points_circles(path: Path) -> None:
     ]
     assert found.keep_ins == [{"name": "feature 4", **place, "radius_m": 9000.0}]
     assert not found.notes
+    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:OGC:1.3:CRS84"}}
+    assert read(path, collection(feature("Polygon", [RING]), crs=crs)).keep_outs
 
 
 def test_holes_make_a_keep_out_no_smaller_and_a_keep_in_no_larger(path: Path) -> None:
@@ -69,6 +71,10 @@ def test_holes_make_a_keep_out_no_smaller_and_a_keep_in_no_larger(path: Path) ->
     found = read(path, collection(feature("Polygon", [RING, HOLE], name="range", kind="keep_in")))
     assert [zone["name"] for zone in found.keep_ins] == ["range"]
     assert [zone["name"] for zone in found.keep_outs] == ["range hole 1"]
+
+
+def in_one(*geometries: Any) -> dict[str, Any]:
+    return {"type": "GeometryCollection", "geometries": list(geometries)}
 
 
 PIN, LINE = feature("Point", [8.0, 47.0]), feature("LineString", RING)
@@ -86,7 +92,7 @@ NO_ZONES = [
     feature("MultiPolygon", []),
     feature("Point", []),
     feature("LineString", []),
-    {"type": "Feature", "geometry": {"type": "GeometryCollection", "geometries": []}},
+    {"type": "Feature", "geometry": in_one()},
 ]
 ALL = ("points", "lines", "empty")
 
@@ -109,20 +115,15 @@ def test_what_a_map_has_beside_zones_is_counted_by_kind_with_the_way_to_leave_it
 
 def test_zones_are_never_left_out_with_it(path: Path) -> None:
     """Nor is what is meant for one, and is broken."""
-    mixed = {"type": "GeometryCollection", "geometries": [
-        LINE["geometry"],
-        {"type": "Polygon", "coordinates": [RING]},
-        {"type": "GeometryCollection", "geometries": [
-            {"type": "MultiPolygon", "coordinates": [[HOLE], [], [RING]]}]},
-    ]}  # fmt: skip
+    inner = {"type": "MultiPolygon", "coordinates": [[HOLE], [], [RING]]}
+    parts = [LINE["geometry"], feature("Polygon", [RING])["geometry"], in_one(inner)]
+    mixed = in_one(*parts)
     circles = feature("MultiPoint", [[8.0, 47.0], [8.1, 47.0]], radius_m=50.0)
-    path.write_text(
-        json.dumps(collection(*NO_ZONES, feature("x", 0) | {"geometry": mixed}, circles))
-    )
-    found = read_geojson(path, "threats", ALL)
-    assert [len(zone.get("vertices_deg", [])) for zone in found.keep_outs] == [3, 3, 3, 0, 0]
-    path.write_text(json.dumps(mixed))
-    assert len(read_geojson(path, "threats", ALL).keep_outs) == 3
+    content = collection(*NO_ZONES, feature("x", 0) | {"geometry": mixed}, circles)
+    for whole, corners_of_each in ((content, [3, 3, 3, 0, 0]), (mixed, [3, 3, 3])):
+        path.write_text(json.dumps(whole))
+        found = read_geojson(path, "threats", ALL).keep_outs
+        assert [len(zone.get("vertices_deg", [])) for zone in found] == corners_of_each
     for broken in (
         feature("Polygon", [RING[:2]]),
         feature("Point", [8.0, 47.0], radius_m="9"),
@@ -194,11 +195,6 @@ def test_what_cannot_be_taken_is_told_by_its_feature(path: Path, bad: Any, words
     assert re.search(words, message), message
     if len(bad.get("features", ())) == 2:
         assert message.startswith("threats.geojson: features[1] (x)")
-
-
-def test_a_crs_that_says_wgs84_is_taken(path: Path) -> None:
-    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:OGC:1.3:CRS84"}}
-    assert read(path, collection(feature("Polygon", [RING]), crs=crs)).keep_outs
 
 
 EVERYTHING = collection(
