@@ -94,7 +94,6 @@ def beside(firmware: Any, held: Held | None = None, **how: Any) -> Side:
 def prepared(firmware: Any) -> Side:
     side = beside(firmware)
     side.run(60.0, until=lambda: bool(side.prepared(Item.PLANS)))
-    assert side.client is not None
     return side
 
 
@@ -117,7 +116,6 @@ def test_what_is_said_of_a_fence_that_is_drawn_later_is_said_once(firmware: str)
 def test_a_polygon_after_a_circle_is_named_to_who_flies_a_px4(firmware: str, command: int) -> None:
     corners, is_px4 = polygon(5, command=command), firmware == "px4"
     side = prepared(firmware).draws(*corners, circle(60.0))
-    assert side.client is not None
     assert side.client.warnings == []
     side.draws(circle(60.0), *corners)
     assert len(side.client.warnings) == is_px4
@@ -158,7 +156,6 @@ def test_the_fence_that_is_known_stays_in_force_while_it_is_read_again_after_a_r
     held.upload(FENCE, polygon(7))
     side = beside("px4", held).run(8.0)
     assert side.fences == [2]
-    assert side.client is not None
     side.client.rebooted()
     side.hears_home = False
     assert side.run(8.0).fences == [2]  # not that without what is drawn about home
@@ -252,7 +249,6 @@ def fought(times: int, seconds: float) -> tuple[Held, Side, float]:
     for _ in range(times):
         held.other(wire.MAVLink_param_set_message(1, 1, b"COM_OBL_RC_ACT", 0.0, 6))
         side.run(seconds)
-    assert side.client is not None
     return held, side, side.client.parameters.values["COM_OBL_RC_ACT"]
 
 
@@ -276,7 +272,6 @@ def test_by_another_clock_the_same_is_asked_at_the_same_moments(shift_s: float) 
     for shifted_s in (0.0, shift_s):
         held = Held("ardupilot")
         side = beside("ardupilot", held).run(1.0)
-        assert side.client is not None
         side.client.rebase_time(shifted_s)
         times_s = (held.now_s + shifted_s + tenth / 10 for tenth in range(100))  # nobody answers
         said = (side.client.on_time(at_s, None) for at_s in times_s)
@@ -302,7 +297,6 @@ def plane_told_its_speed() -> tuple[AutopilotClient, Any]:
     mission = load_mission("sitl-arduplane")
     context = Context(mission=mission, seed=1, lockstep=True, shadow=True)
     side = AutopilotClient.found(beat(), context)
-    assert side is not None
     side.begin(0.0)
     state = State.of(mission, checkpoint.blank_map(mission))
     [told] = side.command_messages(SetSpeed(speed_m_s=22.0), state) or [None]

@@ -45,7 +45,6 @@ def zones_of(
     is_px4 = not any(name.startswith("FENCE_") for name in parameters)
     settings = (PX4_MULTICOPTER if is_px4 else ARDUCOPTER).firmware.fence(parameters)
     *_, whole = drawn(items, frame, settings.margin_m)
-    assert whole is not None
     return in_force(whole, settings, **where)
 
 
@@ -88,7 +87,7 @@ def as_stored(items: list[PlanItem]) -> Plans:
 
 
 def allowed_by_ardupilot(items: list[PlanItem], parameters: dict[str, float], at: Any) -> bool:
-    fence = ArduPilotFence({"FENCE_RADIUS": 150.0, **parameters}, as_stored(items))  # type: ignore[arg-type]
+    fence = ArduPilotFence({"FENCE_RADIUS": 150.0, **parameters}, as_stored(items))
     latitude, longitude = FRAME.to_geodetic_deg(*at)
     place = Place(latitude_deg=latitude, longitude_deg=longitude, altitude_amsl_m=HOME_M)
     home = Place(latitude_deg=HOME_DEG[0], longitude_deg=HOME_DEG[1], altitude_amsl_m=HOME_M)

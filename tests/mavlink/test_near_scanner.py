@@ -65,7 +65,6 @@ class Standing:
     def done(self, *, takes: bool = True) -> ScanDone:
         """A scan that is over; takes: the mission puts it on its map."""
         done = self.scanner.done(self.now_s)
-        assert done is not None
         if takes:
             known = self.state.flight.known.with_scan(done.scan)
             self.state = changed(self.state, flight=changed(self.state.flight, known=known))
@@ -138,7 +137,6 @@ def test_a_healthy_sensor_of_the_autopilot_that_sees_nothing_has_answered() -> N
         assert seen.sight is (Sight.NOTHING_THERE if answered else Sight.NEVER_HEARD)
         scanner.begun(HERE_NEA_M, State.of(of, MISSION.known), now_s)
         done = scanner.done(now_s + 1.0)
-        assert done is not None
         assert done.answered == answered
 
 

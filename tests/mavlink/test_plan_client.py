@@ -308,7 +308,7 @@ def test_a_fence_that_is_empty_right_after_a_reboot_counts_when_it_is_still_empt
     client.on_message(count(1), 0.0)
     client.on_message(item(0), 0.0)
     for number in (0, 0):  # rally points, mission
-        client.on_message(count(number, client._transfer.kind), 0.1)  # type: ignore[union-attr]
+        client.on_message(count(number, client._transfer.kind), 0.1)
     client.refresh()
     asked = client.on_time(1.0)
     assert asked[0].mission_type == FENCE

@@ -56,7 +56,7 @@ def test_times_of_silence_are_told_apart() -> None:
     seconds, before_s = Counter[Sight](), 210.0
     for now_s, _, sensing in seen(250.0):
         if now_s > before_s:
-            seconds[sensing.sight(now_s)] += now_s - before_s  # type: ignore[assignment]
+            seconds[sensing.sight(now_s)] += now_s - before_s
             before_s = now_s
     assert seconds[Sight.NOTHING_THERE] == pytest.approx(24.0, abs=0.5)
     assert seconds[Sight.SEES] == pytest.approx(16.0, abs=0.5)

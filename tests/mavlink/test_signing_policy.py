@@ -117,7 +117,7 @@ def test_a_frame_that_was_kept_is_signed_as_pymavlink_would_sign_it_now() -> Non
 def test_signed_frames_of_any_component_are_believed_each_once() -> None:
     signing = ours()
     streams = ({}, {"component": 197}, {"system": 255, "component": 190, "link": 7})
-    speakers = [Speaker(**ids) for ids in streams]  # type: ignore[arg-type]
+    speakers = [Speaker(**ids) for ids in streams]
     assert all(signing.accepts(speaker.frame()) for speaker in speakers * 3)
     assert not signing.refused
     first, second, third = (speakers[0].frame() for _ in range(3))
@@ -172,7 +172,7 @@ def test_streams_are_kept_apart_by_link_system_and_component_256_of_them() -> No
     signing = ours()
     assert signing.accepts(Speaker(NOW + 1000).frame())
     for other in ({"link": 1}, {"system": 2}, {"component": 2}):
-        assert signing.accepts(Speaker(NOW, **other).frame())  # type: ignore[arg-type]
+        assert signing.accepts(Speaker(NOW, **other).frame())
     for k in range(300):  # memory is bounded
         signing.accepts(Speaker(NOW, link=k % 256, system=3 + k // 256).frame())
     assert signing.refused == 300 + 4 - 256

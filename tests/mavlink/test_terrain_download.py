@@ -184,7 +184,6 @@ def test_one_request_is_outstanding_until_its_report_or_its_answers_stop() -> No
     """For a second before the first answer, and for 0.4 s after one."""
     task = download(range_m=10_000.0)
     first = task.on_time(0.0)
-    assert first is not None
     assert task.on_time(0.9) is None
     for message in flat(first)[:-1]:
         task.on_message(message, HERE)
@@ -193,7 +192,6 @@ def test_one_request_is_outstanding_until_its_report_or_its_answers_stop() -> No
     assert task.on_time(0.96) is None
     task.on_message(report(first), HERE)
     second = task.on_time(0.97)
-    assert second is not None
     assert (second.lat, second.lon) != (first.lat, first.lon)
     for at_s, message in ((1.0, flat(second)[0]), (1.3, flat(second)[1])):
         task.on_message(message, HERE)
@@ -260,7 +258,6 @@ def test_a_silent_radar_ends_with_the_deadline_and_without_answers() -> None:
 def test_blocks_of_other_requests_not_asked_for_or_told_again_are_ignored() -> None:
     task = download(range_m=2000.0)
     request = task.on_time(0.0)
-    assert request is not None
     wanted = bits(request.mask)
     for spoil in ({"lat": 470_000_000}, {"lon": 80_000_000}, {"grid_spacing": 100}):
         task.on_message(block(request, wanted[0], [9] * 16, **spoil), HERE)
@@ -289,7 +286,6 @@ def test_a_mask_asks_for_no_more_than_56_blocks_in_row_major_order() -> None:
 def test_the_place_of_the_radar_is_kept_for_every_cell() -> None:
     task = download(range_m=2000.0)
     request = task.on_time(0.0)
-    assert request is not None
     first, *others = flat(request)
     task.on_message(first, (1.0, 2.0, 3.0))
     for message in others:

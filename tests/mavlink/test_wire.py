@@ -55,7 +55,6 @@ def made(**changes: Any) -> Setpoint:
 
 def sent(autopilot: Autopilot, setpoint: Setpoint, loiter_radius_m: float = 0.0) -> Any:
     messages = autopilot.setpoint(setpoint, FRAME, SYSTEM, loiter_radius_m)
-    assert messages is not None
     [message] = messages
     return over_the_wire(message)
 
@@ -236,7 +235,6 @@ def test_a_position_is_read_where_it_was_with_velocity_along_the_frame(place: Ve
     heights = {"alt": round(place[2] * 1e3), "relative_alt": 123, "vz": -250}
     read = event(at(*there, **speeds, **heights, hdg=round(math.degrees(course) * 100)))
     assert isinstance(read, Position)
-    assert read.heading_rad is not None
     assert angle_between(read.heading_rad, bearing) < 3e-4
     assert read.time_s == 12.3
     assert read.position_nea_m == pytest.approx(place, abs=0.02)

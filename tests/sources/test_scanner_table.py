@@ -41,7 +41,6 @@ def test_each_kind_says_what_is_listened_to_and_of_whom(
     tmp_path: Path, scanner: str, kind: str, component: int, of_autopilot: bool
 ) -> None:
     mission = load(tmp_path, scanner)
-    assert mission.near is not None
     assert (mission.near.kind, mission.near.component_id) == (kind, component)
     assert mission.scanner_component_id is None
     number = {"obstacle_distance": 330, "distance_sensor": 132}[kind]
@@ -55,7 +54,6 @@ def test_all_that_is_said_of_it_is_taken_and_the_vehicle_stays_what_it_is(tmp_pa
     more += "position_error_m = 0.06\ndrift_m_s = 0.01\nbearing_error_deg = 2.0"
     mission = load(tmp_path, OBSTACLE + more)
     near = mission.near
-    assert near is not None
     assert mission.kind == "copter"
     assert (near.component_id, near.forward_m, near.right_m, near.blind_m) == (50, 0.1, -0.2, 0.4)
     assert near.yaw_rad == pytest.approx(0.5 * math.pi)
@@ -68,8 +66,6 @@ def test_all_that_is_said_of_it_is_taken_and_the_vehicle_stays_what_it_is(tmp_pa
 
 def test_the_ground_is_a_guess_and_nothing_of_what_stands_on_it_is_known(tmp_path: Path) -> None:
     known = load(tmp_path, OBSTACLE).known
-    assert known is not None
-    assert known.guess_m is not None
     assert (known.guess_m == 400.5).all()
     assert not known.surveyed.any()
 
