@@ -1,7 +1,6 @@
 """One autopilot's client against the simulator: fences, breaches, parameters, speed, take-off."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +9,6 @@ from held import Held, circle, polygon, waypoints
 from wires import over_the_wire
 
 from companion.config import load_mission
-from companion.mavlink import fence
 from companion.mavlink.autopilot_client import AutopilotClient
 from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER, Autopilot, px4
 from companion.mavlink.dialect import EventMessage, codec, wire
@@ -163,27 +161,6 @@ def test_the_fence_that_is_known_stays_in_force_while_it_is_read_again_after_a_r
     held.upload(FENCE, [])
     side.hears_home = True
     assert side.run(20.0).fences == [2, 1]
-
-
-def test_a_long_fence_is_drawn_a_few_corners_at_a_time_and_told_when_it_is_whole(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    held = Held("ardupilot")
-    held.upload(FENCE, [*polygon(30), *polygon(31), *polygon(32)])
-    portions: list[tuple[int, float]] = []
-    draw = fence.drawn
-
-    def counted(*of: Any) -> Iterator[fence.Fence | None]:
-        for found in draw(*of):
-            portions.append((0 if found is None else len(found.zones), held.now_s))
-            yield found
-
-    monkeypatch.setattr(fence, "_CORNERS_AT_ONCE", 20)
-    monkeypatch.setattr(fence, "drawn", counted)
-    side = beside("ardupilot", held).run(8.0)
-    assert [zones for zones, _ in portions] == [0, 0, 0, 3]
-    assert portions[-1][1] - portions[0][1] < 0.5  # with each message, whatever it is
-    assert side.fences == [3]
 
 
 # --- breaches

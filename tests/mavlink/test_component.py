@@ -85,9 +85,7 @@ def results(message: Any, server: Component | None = None) -> list[int]:
         (LAND, (0.0, 0.0, 0.0, NAN), OrderKind.LAND),
     ],
 )
-def test_an_order_is_passed_on_and_acknowledged_by_what_the_machine_makes_of_it(
-    command: int, parameters: tuple[float, ...], kind: OrderKind
-) -> None:
+def test_orders_are_passed_on(command: int, parameters: tuple[float, ...], kind: OrderKind) -> None:
     verdicts = {OrderResult.NOT_NOW: REJECTED, OrderResult.INVALID: DENIED}
     for message in (command_long(command, *parameters), command_int(command, *parameters[:4])):
         for verdict, result in (verdicts | {OrderResult.ACCEPTED: ACCEPTED}).items():
@@ -135,9 +133,7 @@ UNKNOWN = [
     ],
     ids=["impossible", "other frames", "not ours", "unknown"],
 )
-def test_what_cannot_be_done_is_refused_to_who_asked_for_it(
-    messages: list[Any], result: int, is_explained: bool
-) -> None:
+def test_the_impossible_is_refused(messages: list[Any], result: int, is_explained: bool) -> None:
     for message in messages:
         answer, acks = answered(made(), message)
         sender = message.get_srcSystem(), message.get_srcComponent()
@@ -148,9 +144,7 @@ def test_what_cannot_be_done_is_refused_to_who_asked_for_it(
 
 
 @given(st.floats(-4_900.0, 4_900.0), st.floats(-3_900.0, 3_400.0), st.sampled_from([0, 3, 5, 6]))
-def test_a_new_target_lies_where_the_geodesic_says(
-    north_m: float, east_m: float, frame_id: int
-) -> None:
+def test_a_new_target_lies_where_told(north_m: float, east_m: float, frame_id: int) -> None:
     x, y = geodetic_e7(north_m, east_m)
     message = command_int(REPOSITION, -1.0, x=x, y=y, z=NAN, frame_id=frame_id)
     in_floats = command_long(REPOSITION, -1.0, 0.0, 0.0, NAN, x * 1e-7, y * 1e-7, 50.0)
@@ -178,9 +172,7 @@ MAY |= dict.fromkeys((STRANGER, (1, 190), (254, 191), (1, 1)), False)
 
 
 @pytest.mark.parametrize(("sender", "may"), MAY.items())
-def test_only_commanders_may_order_matched_with_0_as_any(
-    sender: tuple[int, int], may: bool
-) -> None:
+def test_only_commanders_may_order_0_meaning_any(sender: tuple[int, int], may: bool) -> None:
     name = f"{sender[0]}/{sender[1]}"
     for command in (START, PAUSE, RETURN):
         answer, acks = answered(made(), command_long(command, sender=sender))
@@ -196,9 +188,7 @@ def test_only_commanders_may_order_matched_with_0_as_any(
     [(target, PERSON) for target in ((7, 1), (8, 195), (8, 0), (1, 195), (0, 1), (255, 190))]
     + [(OURS, OURS)],  # our own, sent back by a router
 )
-def test_what_is_for_others_is_neither_answered_nor_obeyed(
-    target: tuple[int, int], sender: tuple[int, int]
-) -> None:
+def test_what_is_for_others_is_left_alone(target: tuple[int, int], sender: tuple[int, int]) -> None:
     for command in (START, REQUEST, 400, 60_000):
         message = command_long(command, 148.0, target=target, sender=sender)
         assert made().on_message(message, 1.0) == Reply()
@@ -245,9 +235,7 @@ OTHERS = command_long(PAUSE, confirmation=1, sender=(1, 191))
         ([(THERE, 1.0), (THERE, 1.5), (BESIDE, 1.6)], [True, False, True]),
     ],
 )
-def test_a_command_sent_again_is_not_obeyed_again(
-    messages: list[tuple[Any, float]], are_orders: list[bool]
-) -> None:
+def test_a_repeat_is_not_obeyed(messages: list[tuple[Any, float]], are_orders: list[bool]) -> None:
     server = made()
     told = [answered(server, message, at_s)[0].order is not None for message, at_s in messages]
     assert told == are_orders
@@ -306,9 +294,7 @@ def kinds_sent(component: Component, at_s: float, *, faulted: bool = False) -> l
     return [message.get_type() for message in component.on_time(at_s, READY, faulted=faulted)]
 
 
-def test_an_onboard_controller_beats_once_a_second_whatever_its_clock_and_not_while_faulted() -> (
-    None
-):
+def test_it_beats_once_a_second_whatever_its_clock_and_not_while_faulted() -> None:
     beat = over_the_wire(heartbeat(wire.MAV_STATE_CRITICAL), OURS)
     assert (beat.type, beat.autopilot) == (18, 8)  # MAV_TYPE_ONBOARD_CONTROLLER, INVALID
     assert (beat.base_mode, beat.custom_mode) == (0, 0)

@@ -146,9 +146,7 @@ READ = ClockReading
         ((61.9,), READ.LATER),
     ],
 )
-def test_a_clock_that_leaps_is_doubted_like_one_that_falls(
-    stamps_s: tuple[float, ...], last: ClockReading
-) -> None:
+def test_a_leap_is_doubted_like_a_fall(stamps_s: tuple[float, ...], last: ClockReading) -> None:
     clock = VehicleClock(0.0)
     assert clock.read(60.0) is READ.FIRST
     told = [(clock.believes(stamp_s), clock.read(stamp_s)) for stamp_s in stamps_s]
@@ -191,9 +189,7 @@ def said() -> list[bytes]:
 
 @pytest.mark.sample(4)
 @pytest.mark.parametrize("seed", range(8))
-def test_frames_that_nobody_reads_change_no_decision_and_are_recorded_where_they_came(
-    said: list[bytes], seed: int
-) -> None:
+def test_what_nobody_reads_is_recorded_and_decides_nothing(said: list[bytes], seed: int) -> None:
     rng, numbers, more = random.Random(seed), sorted(IGNORED_MESSAGES), list[bytes]()
     for frame in said:
         who = rng.choice([(1, 1), (1, 1), (7, 1), (1, 158)])

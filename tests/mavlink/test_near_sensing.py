@@ -207,9 +207,7 @@ def test_sight_is_told_apart_from_a_sensor_that_is_dead_or_sees_nothing() -> Non
         (158, {"id": 0, "horizontal_fov": math.radians(27.0)}, False),
     ],
 )
-def test_one_beam_does_not_speak_for_a_sector(
-    component: int, fields: dict[str, Any], is_taken: bool
-) -> None:
+def test_a_beam_is_no_sector(component: int, fields: dict[str, Any], is_taken: bool) -> None:
     sensing = NearSensing(BEHIND_AUTOPILOT, standing())
     sensing.on_distance_sensor(beam(NOW_S - 0.05, source=(1, component), **fields), NOW_S)
     assert (sensing.sight(NOW_S) is Sight.SEES) == is_taken
@@ -223,9 +221,7 @@ def test_one_beam_does_not_speak_for_a_sector(
     ],
     ids=["still", "flood"],
 )
-def test_sectors_of_one_stamp_go_on_to_be_taken(
-    beams: list[tuple[float, int]], echoes_m: list[float]
-) -> None:
+def test_sectors_of_one_stamp_go_on(beams: list[tuple[float, int]], echoes_m: list[float]) -> None:
     sensing = NearSensing(BEHIND_AUTOPILOT, standing())
     for after_s, cm in beams:
         sensing.on_distance_sensor(beam(NOW_S - 0.05, cm), NOW_S + after_s)
@@ -300,14 +296,6 @@ def once(k: int) -> bool:
 )
 def test_what_silence_about_a_sector_means(told: Told, seconds: float, expected_m: str) -> None:
     assert sectors_over(seconds, told) == pytest.approx([float(m) for m in expected_m.split()])
-
-
-@pytest.mark.parametrize("turned", range(8))
-def test_which_sectors_have_an_echo_does_not_matter_to_what_is_clear(turned: int) -> None:
-    """Whatever the heading of a vehicle before open ground; ds-4: only 3, 4 and 5 had one."""
-    told = sorted((turned + k) % 8 for k in range(3))
-    expected = [7.0 if sector in told else 16.0 for sector in range(8)]
-    assert sectors_over(4.0, always(*told)) == pytest.approx(expected)
 
 
 def test_of_a_driver_other_than_the_autopilot_silence_says_nothing() -> None:

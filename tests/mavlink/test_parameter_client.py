@@ -57,9 +57,7 @@ KEPT_OTHERWISE = (
 @pytest.mark.parametrize(
     "fault", ["", "link_loss 25 %", "link_delay 700 ms", "link_duplication 50 %"]
 )
-def test_reads_what_the_vehicle_has_and_knows_what_it_has_not(
-    firmware: Firmware, kind: Kind, fault: str
-) -> None:
+def test_reads_what_there_is_and_knows_the_rest(firmware: Firmware, kind: Kind, fault: str) -> None:
     held = Held(firmware, kind)
     if fault:
         held.simulation.add_fault(fault)
@@ -78,9 +76,7 @@ def test_reads_what_the_vehicle_has_and_knows_what_it_has_not(
 
 @pytest.mark.sample(2)  # of both firmwares
 @ALL_FOUR
-def test_a_silent_link_is_not_flooded_and_makes_nothing_missing(
-    firmware: Firmware, kind: Kind
-) -> None:
+def test_a_silent_link_is_not_flooded_and_hides_nothing(firmware: Firmware, kind: Kind) -> None:
     held = Held(firmware, kind)
     held.simulation.add_fault("for 20 s: link_off")
     client = client_of(firmware, names_of(RULES[firmware, kind]))
@@ -105,9 +101,7 @@ SETS = {
 
 @ALL_FOUR
 @pytest.mark.parametrize("fault", ["", "link_loss 25 %"])
-def test_sets_whole_and_other_numbers_and_reads_them_back(
-    firmware: Firmware, kind: Kind, fault: str
-) -> None:
+def test_sets_numbers_and_reads_them_back(firmware: Firmware, kind: Kind, fault: str) -> None:
     held = Held(firmware, kind)
     if fault:
         held.simulation.add_fault(fault)

@@ -89,9 +89,7 @@ def test_downloads_all_three_lists(firmware: Firmware, kind: Kind, fault: str) -
 @pytest.mark.sample(5)
 @ALL_FOUR
 @pytest.mark.parametrize("waited_s", [0.0, 1.3, 2.9, 4.4])
-def test_a_fence_that_is_drawn_in_flight_is_known_in_time(
-    firmware: Firmware, kind: Kind, waited_s: float
-) -> None:
+def test_a_change_is_known_in_time(firmware: Firmware, kind: Kind, waited_s: float) -> None:
     held = Held(firmware, kind)
     held.upload(FENCE, polygon(5))
     client = PlanClient(1, OURS)
@@ -121,9 +119,7 @@ def test_a_long_fence_that_is_changed_in_place_is_known_in_time(firmware: Firmwa
 
 @pytest.mark.sample(2)  # of both firmwares
 @ALL_FOUR
-def test_a_list_that_somebody_is_uploading_meanwhile_is_never_seen_half(
-    firmware: Firmware, kind: Kind
-) -> None:
+def test_a_list_that_is_being_uploaded_is_never_seen_half(firmware: Firmware, kind: Kind) -> None:
     """Uploads in a row, of which ArduPilot denies all others any part while they last."""
     held = Held(firmware, kind)
     versions = [polygon(12, size_m=100.0 + 10.0 * k) for k in range(4)]

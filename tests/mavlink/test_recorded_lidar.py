@@ -69,9 +69,7 @@ def cells_of(points: NDArray[np.float64]) -> tuple[Any, Any]:
 
 
 @pytest.mark.parametrize("until_s", [110.0, pytest.param(220.0, marks=pytest.mark.nightly)])
-def test_at_no_time_is_any_point_of_a_post_free_and_the_space_between_them_is(
-    until_s: float,
-) -> None:
+def test_at_no_time_is_a_post_free_and_the_space_between_is(until_s: float) -> None:
     turn = np.linspace(0.0, math.tau, 100)  # 6 cm apart: a cell has 25
     around = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     surfaces = (POSTS[:, None] + around).reshape(-1, 2)

@@ -201,9 +201,7 @@ def test_refusals_are_told_once_a_minute_and_only_if_there_are_new_ones() -> Non
     number=st.integers(0, 2**24 - 1),
     extra=st.integers(0, 255),
 )
-def test_a_stripped_frame_is_the_frame_that_was_never_signed(
-    text: bytes, sequence: int, number: int, extra: int
-) -> None:
+def test_a_stripped_frame_is_unsigned(text: bytes, sequence: int, number: int, extra: int) -> None:
     def framed(flags: int) -> bytes:
         head = bytes([len(text), flags, 0, sequence, 1, 1]) + number.to_bytes(3, "little")
         checksum = mcrf4xx(head + text + bytes([extra]))

@@ -136,9 +136,7 @@ def test_the_same_is_not_repeated_for_5_s() -> None:
     assert times_s == pytest.approx([0.0, 5.0, 10.0], abs=0.11)
 
 
-def test_what_waited_too_long_is_not_said_but_warnings_are_also_when_the_clock_begins_anew() -> (
-    None
-):
+def test_old_news_are_not_said_but_old_warnings_are_whatever_the_clock() -> None:
     texts = StatusTexts()
     texts.add("before", 1000.0)
     assert heard(texts, 1000.0) == ["before"]

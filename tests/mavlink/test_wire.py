@@ -70,9 +70,7 @@ def event(
 
 @each_target
 @pytest.mark.parametrize("stay", [False, True])
-def test_a_setpoint_is_a_place_amsl_with_a_mask_of_what_the_autopilot_is_to_use(
-    autopilot: Autopilot, stay: bool
-) -> None:
+def test_a_setpoint_is_a_place_amsl_with_its_mask(autopilot: Autopilot, stay: bool) -> None:
     message = sent(autopilot, made(stay=stay))
     assert message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"
     assert (message.target_system, message.target_component) == (SYSTEM, 1)
@@ -116,9 +114,7 @@ def test_yaw_is_sent_within_half_a_turn(yaw_rad: float) -> None:
     ("stay", "wanted_m", "circle_m"),
     [(False, 100.0, 10.0), (True, 100.0, 80.0), (True, 30.0, 15.0), (True, 0.0, None)],
 )
-def test_a_plane_of_ardupilot_is_repositioned_and_never_taken_from_a_pilot(
-    stay: bool, wanted_m: float, circle_m: float | None
-) -> None:
+def test_an_arduplane_is_repositioned(stay: bool, wanted_m: float, circle_m: float | None) -> None:
     """It follows with a small circle, and stays on a wide one (ardupilot.md 7)."""
     message = sent(ARDUPLANE, made(stay=stay), wanted_m)
     assert (message.get_type(), message.command) == ("COMMAND_INT", 192)
@@ -201,9 +197,7 @@ def test_what_is_in_range_is_sent_to_where_it_is(place: Vector) -> None:
         ("yaw_rad", (math.nan, math.inf)),
     ],
 )
-def test_a_setpoint_with_one_bad_value_is_refused(
-    autopilot: Autopilot, field: str, values: Any
-) -> None:
+def test_one_bad_value_is_refused(autopilot: Autopilot, field: str, values: Any) -> None:
     for stay in (False, True):
         for bad in values:
             told = made(stay=stay, **{field: bad})
@@ -329,9 +323,7 @@ def waypoint(latitude_e7: int, longitude_e7: int) -> Any:
         (waypoint, Echo, ARDUPLANE),  # its waypoint is the echo
     ],
 )
-def test_home_origin_and_a_planes_waypoint_are_places_amsl(
-    said: Any, kind: type, autopilot: Autopilot
-) -> None:
+def test_home_and_waypoints_are_places_amsl(said: Any, kind: type, autopilot: Autopilot) -> None:
     read: Any = event(said(*geodetic_e7(*CORNER[:2])), autopilot)
     assert isinstance(read, kind)
     assert read.position_nea_m == pytest.approx((*CORNER[:2], 584.07), abs=0.02)
@@ -366,9 +358,7 @@ def test_a_local_echo_is_read_on_the_autopilots_own_earth(
 
 
 @each
-def test_a_local_echo_needs_an_origin_and_a_position_and_a_vehicle_that_hovers(
-    autopilot: Autopilot,
-) -> None:
+def test_a_local_echo_needs_an_origin_and_a_vehicle_that_hovers(autopilot: Autopilot) -> None:
     told = (1.0, 2.0, -3.0)
     assert event(local_target(*told), autopilot, None) is None
     is_echo = isinstance(event(local_target(*told), autopilot, ORIGINS[0]), Echo)

@@ -116,9 +116,7 @@ def over_the_valley(folder: Path, north_m: float, east_m: float) -> Mission:
     return load_mission(str(path))
 
 
-def test_what_the_elevation_file_says_against_an_altitude_is_said_before_take_off(
-    tmp_path: Path,
-) -> None:
+def test_what_the_elevation_file_says_against_it_is_said(tmp_path: Path) -> None:
     assert over_the_valley(tmp_path, -3850.0, 800.0).notes == ()
     [low] = over_the_valley(tmp_path, -3850.0, -2000.0).notes
     assert "at 520 is planned at 520 m AMSL and flown at 585 m" in low
@@ -127,9 +125,7 @@ def test_what_the_elevation_file_says_against_an_altitude_is_said_before_take_of
 
 
 @pytest.mark.parametrize("altitude_m", [650.0, 10_000.0])
-def test_a_target_outside_of_the_band_is_refused_with_a_radar_too(
-    tmp_path: Path, altitude_m: float
-) -> None:
+def test_a_target_outside_of_the_band_is_refused(tmp_path: Path, altitude_m: float) -> None:
     path, target = tmp_path / "mission.toml", "east_m = 800.0\n"
     text = VALLEY_TEXT.replace(target, f"{target}altitude_amsl_m = {altitude_m}\n")
     path.write_text(text, encoding="utf-8")
@@ -152,18 +148,14 @@ def of_terrain(height_m: float, number: int = 2, mode: int | None = None, frame:
 
 
 @pytest.mark.parametrize("said", [{}, {"mode": 3}, {"mode": 4}, {"frame": 11}])
-def test_an_altitude_above_terrain_counts_from_the_ground_that_is_stated(
-    tmp_path: Path, said: dict[str, int]
-) -> None:
+def test_above_terrain_is_above_the_ground_stated(tmp_path: Path, said: dict[str, int]) -> None:
     terrain = "[vehicle]\nscanner = false\n[terrain]\nhighest_amsl_m = 505.0\n"
     mission = planned(tmp_path, [waypoint(100.0), of_terrain(120.0, **said)], terrain)
     assert mission.altitudes_amsl_m == (588.0, 625.0)
     assert any("above terrain" in note and "items[1]" in note for note in mission.notes)
 
 
-def test_an_altitude_above_terrain_counts_from_the_ground_of_an_elevation_file(
-    tmp_path: Path,
-) -> None:
+def test_above_terrain_is_above_the_ground_of_a_file(tmp_path: Path) -> None:
     """The ground rises by 1 m for each 0.0002 degrees of latitude, so by 27 m to the waypoint."""
     rows, step_deg, south_west = 400, 0.0002, (HOME[0] - 0.04, HOME[1] - 0.04)
     rise_m = np.arange(rows)[::-1, None] + np.zeros((rows, rows)) - 0.04 / step_deg

@@ -72,9 +72,7 @@ def test_what_is_no_toml_is_one_error_in_one_line(text: str) -> None:
         (b"\xff\xfe{}", "cannot be read"),
     ],
 )
-def test_what_is_no_json_object_is_one_error_in_one_line(
-    tmp_path: Path, data: bytes, rule: str
-) -> None:
+def test_what_is_no_json_object_is_one_error(tmp_path: Path, data: bytes, rule: str) -> None:
     path = tmp_path / "x.json"
     path.write_bytes(data)
     with pytest.raises(InputError, match=r"^plan = .*Mend it\.$") as caught:
@@ -146,9 +144,7 @@ def test_a_plan_is_a_plan_under_any_name(tmp_path: Path, name: bytes) -> None:
         (b"x\0\1", "not TOML"),
     ],
 )
-def test_what_is_no_mission_world_plan_or_zones_is_refused_in_one_line(
-    tmp_path: Path, content: bytes, what: str
-) -> None:
+def test_what_is_none_of_them_is_refused(tmp_path: Path, content: bytes, what: str) -> None:
     (tmp_path / "x.txt").write_bytes(content)
     (tmp_path / "fenced.plan").write_bytes(FENCED)
     for load in (load_mission, load_world):
@@ -182,9 +178,7 @@ def test_an_elevation_file_may_have_any_name_and_the_run_folder_names_it(tmp_pat
 
 
 @pytest.mark.parametrize("command", [["report"], ["export", "--format", "kml"]])
-def test_a_file_in_place_of_a_run_folder_is_told_where_it_belongs(
-    tmp_path: Path, command: list[str]
-) -> None:
+def test_a_file_in_place_of_a_run_folder_is_refused(tmp_path: Path, command: list[str]) -> None:
     log = tmp_path / "any.tlog"
     log.write_bytes(BEGINNING_OF_A_ULG)
     code, _, said = answered(command[0], log, *command[1:])

@@ -97,9 +97,7 @@ NO_ZONES = [
 ALL = ("points", "lines", "empty")
 
 
-def test_what_a_map_has_beside_zones_is_counted_by_kind_with_the_way_to_leave_it_out(
-    path: Path,
-) -> None:
+def test_what_a_map_has_beside_zones_is_counted_with_the_way_out(path: Path) -> None:
     told = refused(path, collection(feature("Polygon", [RING]), *NO_ZONES))
     assert "6 points without radius_m, 2 lines, 8 without a geometry" in told
     assert (

@@ -140,9 +140,7 @@ def test_all_that_can_be_said_of_the_flight_is_taken(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("autopilot", ['autopilot = "px4"', ""])
-def test_a_plane_holds_on_a_circle_and_may_land_where_its_autopilot_can(
-    folder: Path, autopilot: str
-) -> None:
+def test_a_plane_holds_on_a_circle_and_some_may_land(folder: Path, autopilot: str) -> None:
     mission = load(folder, vehicle(autopilot, PLANE).replace('"hold"', '"land"'))
     assert (mission.kind, mission.end_action) == ("plane", EndAction.LAND)
     assert mission.task.limits.loiter_radius_m == 80.0
@@ -165,9 +163,7 @@ def test_a_mission_that_names_no_other_file_is_recorded_as_it_stands(name: str) 
 
 
 @given(azimuth_deg=st.floats(-180.0, 180.0), distance_m=st.floats(0.0, 3900.0))
-def test_a_target_in_degrees_lies_where_the_ellipsoid_has_it(
-    folder: Path, azimuth_deg: float, distance_m: float
-) -> None:
+def test_degrees_are_on_the_ellipsoid(folder: Path, azimuth_deg: float, distance_m: float) -> None:
     longitude, latitude, _ = GEOD.fwd(8.0, 47.0, azimuth_deg, distance_m)
     mission = load(folder, place(f"latitude_deg = {latitude!r}\nlongitude_deg = {longitude!r}"))
     azimuth = math.radians(azimuth_deg)
@@ -312,9 +308,7 @@ def test_threats_of_a_file_count_beside_those_of_the_mission(folder: Path) -> No
     assert mission.notes == ("keep-out 'wood': its holes are kept out of as well",)
 
 
-def test_a_run_folder_needs_neither_the_threats_nor_the_place_of_the_terrain(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_a_run_folder_needs_no_other_file(folder: Path, tmp_path: Path) -> None:
     text = 'threats = "threats.geojson"\n' + KNOWN
     mission = load(folder, text)
     copy = tmp_path / "mission.toml"
@@ -363,9 +357,7 @@ def test_beyond_the_file_nothing_is_known_even_if_holes_in_it_are_sea(tmp_path: 
         assert not known.seen.any()
 
 
-def test_ground_that_is_stated_is_known_everywhere_and_a_radar_may_know_better(
-    folder: Path,
-) -> None:
+def test_ground_that_is_stated_is_known_everywhere(folder: Path) -> None:
     with_radar = load(folder, STATED).known
     assert not with_radar.seen.any()
     assert mission_text(str(folder / "mission.toml")) == STATED

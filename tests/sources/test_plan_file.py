@@ -116,9 +116,7 @@ def test_the_waypoints_of_a_survey_are_targets_and_its_camera_is_left_out() -> N
         (item(17, 0, 0, 0, None, 47.42, 8.55, 50), "hold", 2),
     ],
 )
-def test_the_last_item_says_how_the_mission_ends(
-    path: Path, last: Any, action: str, targets: int
-) -> None:
+def test_the_last_item_is_the_end(path: Path, last: Any, action: str, targets: int) -> None:
     found = read(path, plan(waypoint(), last))
     assert (found.end_action, len(found.targets)) == (action, targets)
     if targets == 2:
@@ -209,9 +207,7 @@ def test_a_plan_alone_is_a_mission_that_says_what_it_assumed(name: str, tmp_path
 
 @pytest.mark.parametrize("name", PLANS)
 @pytest.mark.parametrize("higher_m", [-20.0, 0.0, 80.0])
-def test_a_plan_is_flown_without_a_radar_over_ground_of_a_stated_height(
-    name: str, higher_m: float, tmp_path: Path
-) -> None:
+def test_a_plan_is_flown_without_a_radar(name: str, higher_m: float, tmp_path: Path) -> None:
     """The band that is assumed lies above launch and above that ground."""
     content, home_m = MISSIONS / name, read_plan(MISSIONS / name, "MISSION").home_amsl_m
     stated = f"[vehicle]\nscanner = false\n[terrain]\nhighest_amsl_m = {home_m + higher_m}\n"
@@ -325,9 +321,7 @@ def test_a_parameter_that_is_no_number_is_not_given(path: Path, spelled: str) ->
 @pytest.mark.parametrize(
     ("place", "far_km"), [((50.4, 11.5), 400), ((-47.4, -171.45), 20_004), ((53.0, 17.0), 865)]
 )
-def test_a_waypoint_too_far_from_launch_is_named_with_its_distance(
-    path: Path, place: tuple[float, float], far_km: float
-) -> None:
+def test_a_far_waypoint_is_named(path: Path, place: tuple[float, float], far_km: float) -> None:
     """And not a key of a mission.toml, which a plan has not."""
     path.write_text(json.dumps(plan(waypoint(), item(16, 0, 0, 0, None, *place, 50))))
     told = alone_refused(path)
@@ -347,9 +341,7 @@ def test_a_waypoint_too_far_from_launch_is_named_with_its_distance(
         {"plannedHomePosition": [47.4, 8.55, 60_000]},
     ],
 )
-def test_an_error_about_a_key_that_the_plan_has_not_says_that_it_was_assumed(
-    path: Path, mission: dict[str, Any]
-) -> None:
+def test_an_error_about_an_assumed_key_says_so(path: Path, mission: dict[str, Any]) -> None:
     latitude = mission.get("plannedHomePosition", [47.4])[0] + 0.01
     path.write_text(json.dumps(plan(item(16, 0, 0, 0, None, latitude, 8.55, 50), **mission)))
     assert "assumed for the plan" in alone_refused(path)

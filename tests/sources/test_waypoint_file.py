@@ -56,9 +56,7 @@ def waypoint(north: float, altitude_m: float = 50.0, frame: int = 3) -> Row:
 # --- missions
 
 
-def test_a_list_is_the_plan_that_qgroundcontrol_would_save_of_the_same_mission(
-    path: Path, tmp_path: Path
-) -> None:
+def test_a_list_is_the_plan_that_qgroundcontrol_would_save(path: Path, tmp_path: Path) -> None:
     rows = [
         (3, TAKE_OFF, (0, 0, 0, 0), 47.4, 8.55, 30.0),
         waypoint(0.01, 45.0),
