@@ -272,15 +272,6 @@ def test_blocks_of_other_requests_not_asked_for_or_told_again_are_ignored() -> N
     assert task.answered == len(wanted)
 
 
-def test_a_mask_asks_for_no_more_than_56_blocks_in_row_major_order() -> None:
-    for area in areas(MAP, CORNER, 20_000.0, FRAME):
-        assert 0 < area.mask < 1 << 56
-        for bit in bits(area.mask):
-            row, column = area.row + 4 * (bit // 8), area.column + 4 * (bit % 8)
-            cells = (middle_of(row + x, column + y) for x in range(4) for y in range(4))
-            assert min(math.dist(cell, CORNER) for cell in cells) <= 20_000.0
-
-
 def test_the_place_of_the_radar_is_kept_for_every_cell() -> None:
     task = download(range_m=2000.0)
     request = task.on_time(0.0)
