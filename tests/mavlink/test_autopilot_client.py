@@ -107,17 +107,9 @@ def test_what_is_said_of_a_fence_that_is_drawn_later_is_said_once(firmware: str)
     if firmware == "px4":  # ArduPilot takes none without an end
         side.draws(circle(math.inf))
         assert "needs a radius" in side.prepared(Item.PLANS)[before].refusal
-
-
-@both
-@pytest.mark.parametrize("command", [5001, 5002])
-def test_a_polygon_after_a_circle_is_named_to_who_flies_a_px4(firmware: str, command: int) -> None:
-    corners, is_px4 = polygon(5, command=command), firmware == "px4"
-    side = prepared(firmware).draws(*corners, circle(60.0))
-    assert side.client.warnings == []
-    side.draws(circle(60.0), *corners)
-    assert len(side.client.warnings) == is_px4
-    assert [event.misread for event in side.told(FenceChanged)[-2:]] == [False, is_px4]
+        side.draws(circle(60.0), *polygon(5))
+        assert [event.misread for event in side.told(FenceChanged)][-2:] == [False, True]
+        assert len(side.client.warnings) == 1
 
 
 @both
