@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import fields
 from importlib import resources
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pyproj
@@ -19,8 +19,6 @@ import shapely
 from geotiff import write_elevation
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import BaseModel
-from pydantic.fields import FieldInfo
 from spoiled import collection, feature, refusal, replace_somewhere
 
 from companion.config import bundled, load_mission, mission_text
@@ -524,6 +522,17 @@ def test_any_value_anywhere_is_taken_or_an_input_error(folder: Path, data: st.Da
 
 
 PAGE = (Path(__file__).parents[2] / "docs" / "files.md").read_text(encoding="utf-8")
+SCHEMA = MissionTable.model_json_schema()
+
+
+def keys_of(table: dict[str, Any], path: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
+    """Every key with its tables, and how it is declared."""
+    for name, declared in table["properties"].items():
+        tables = re.findall(r"#/\$defs/(\w+)", json.dumps(declared))
+        for inner in tables:
+            yield from keys_of(SCHEMA["$defs"][inner], f"{path}{name}.")
+        if not tables:
+            yield path + name, declared
 
 
 def test_the_page_of_files_has_every_key_and_the_default_that_it_is_declared_with() -> None:
@@ -531,33 +540,14 @@ def test_the_page_of_files_has_every_key_and_the_default_that_it_is_declared_wit
     for line in re.findall(r"^\| `.*\|$", PAGE, re.MULTILINE):
         keys, *_, default = (cell.strip(' `"|') for cell in line.split(" | "))
         said |= dict.fromkeys(re.findall(r"[a-z]\w*\.\w+", keys), default)
-    for key, field in keys_of(MissionTable):
-        is_weight = key.startswith("planner.weights.")  # one for each term of the cost
-        assert is_weight or key.rpartition(".")[2] in PAGE
-        if field.is_required():
-            assert said.get(key, "") == "", key
-        elif field.default is not None and not is_weight:
-            value = field.default
-            shown = f"{value:g}" if isinstance(value, float) else str(value)
-            assert said[key] == (shown.lower() if isinstance(value, bool) else shown), key
-
-
-def keys_of(table: type[BaseModel], path: str = "") -> Iterator[tuple[str, FieldInfo]]:
-    """Every key with its tables, and how it is declared."""
-    for name, field in table.model_fields.items():
-        key = path + (field.alias or name)
-        tables = list(tables_in(field.annotation))
-        for inner in tables:
-            yield from keys_of(inner, f"{key}.")
-        if not tables:
-            yield key, field
-
-
-def tables_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for part in get_args(annotation):
-        yield from tables_in(part)
+    for key, declared in keys_of(SCHEMA):
+        if key.startswith("planner.weights."):  # one for each term of the cost
+            continue
+        assert key.rpartition(".")[2] in PAGE
+        default = declared.get("default", "")
+        if default is not None:
+            shown = f"{default:g}" if isinstance(default, float) else str(default)
+            assert said.get(key, "") == (shown.lower() if default in (True, False) else shown), key
 
 
 @given(
