@@ -202,18 +202,7 @@ _OF_UPLOADS = (
 
 def item_message(item: Stored, seq: int, kind: int) -> Any:
     return wire.MAVLink_mission_item_int_message(
-        1,
-        1,
-        seq,
-        item.frame,
-        item.command,
-        0,
-        1,
-        *item.parameters,
-        item.x,
-        item.y,
-        item.z_m,
-        kind,
+        1, 1, seq, item.frame, item.command, 0, 1, *item.parameters, item.x, item.y, item.z_m, kind
     )
 
 

@@ -10,13 +10,7 @@ from hypothesis import strategies as st
 from recordings import recording
 
 from companion.mavlink.dialect import codec, wire
-from companion.mavlink.frames import (
-    Receiver,
-    decoded,
-    find_marker,
-    intact_end,
-    sender_of,
-)
+from companion.mavlink.frames import Receiver, decoded, find_marker, intact_end, sender_of
 from companion.mavlink.signing import SECRETS, Signing
 from companion.printable import printable
 

@@ -160,10 +160,7 @@ REFUSED: list[tuple[Any, str]] = [
             (item(16, 0, 0, 0, None, 97.4, 8.5, 50), "out of range"),
             (waypoint(frame=7), "what its altitude is above is not known"),
             ({"type": "SimpleItem"}, "command.*missing"),
-            (
-                {"type": "ComplexItem", "complexItemType": "StructureScan"},
-                "holds no waypoints",
-            ),
+            ({"type": "ComplexItem", "complexItemType": "StructureScan"}, "holds no waypoints"),
         )
     ),
 ]
