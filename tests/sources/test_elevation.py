@@ -1,3 +1,5 @@
+"""Elevation files: heights where they are, or one line that says why not."""
+
 import math
 import subprocess
 import sys

@@ -1,3 +1,5 @@
+"""Zones of a map as GeoJSON has them: what is taken, left out, and refused."""
+
 import contextlib
 import copy
 import functools

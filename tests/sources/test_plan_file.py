@@ -1,3 +1,5 @@
+"""QGroundControl's plans: what they say, what is assumed, and what is refused."""
+
 import contextlib
 import copy
 import functools
