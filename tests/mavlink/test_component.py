@@ -322,6 +322,7 @@ def test_the_version_is_told_once_to_everybody_who_asks_for_it(sender: tuple[int
 
 
 def test_versions_are_numbers_as_in_autopilot_version() -> None:
-    versions = {"0.1.0": 0x000100FF, "1.2": 0x010200FF, "3.4.5rc2": 0x030405C0, "unknown": 0}
-    versions |= {"3.4.5b1": 0x03040580, "3.4.5.dev7": 0x03040500, "300.1.1": 0xFF0101FF}
+    versions = {"0.1.0": 0x000100FF, "1.2": 0x010200FF, "300.1.1": 0xFF0101FF, "unknown": 0, "": 0}
+    versions |= {"3.4.5rc2": 0x030405C0, "3.4.5b1": 0x03040580, "3.4.5a1": 0x03040540}
+    versions |= {"3.4.5.dev7": 0x03040500, "3.4.5+local": 0x03040500}
     assert {version: version_number(version) for version in versions} == versions
