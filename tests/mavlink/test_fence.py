@@ -346,18 +346,17 @@ def test_targets_are_the_places_between_take_off_and_the_end() -> None:
         "left out: 1 x waiting at a waypoint, 1 x spline at a waypoint, 1 x loiter at a waypoint",
     )
     assert targets_of((), FRAME, home_first=True).targets_ne_m == ()
-    assert targets_of(items, FRAME, home_first=False).targets_ne_m[0] == pytest.approx(
-        (0, 0), abs=0.02
-    )
-
-
-@pytest.mark.parametrize(
-    ("command", "action", "places"),
-    [(17, EndAction.HOLD, 2), (21, EndAction.LAND, 2), (20, EndAction.RETURN, 1), (16, None, 2)],
-)
-def test_the_last_item_is_the_end(command: int, action: EndAction | None, places: int) -> None:
-    found = targets_of([item(16, 50, 0, 0), item(command, 90, 0, 0)], FRAME, home_first=False)
-    assert (found.end_action, len(found.targets_ne_m)) == (action, places)
+    first = targets_of(items, FRAME, home_first=False).targets_ne_m[0]
+    assert first == pytest.approx((0, 0), abs=0.02)
+    ends = {
+        17: (EndAction.HOLD, 2),
+        21: (EndAction.LAND, 2),
+        20: (EndAction.RETURN, 1),
+        16: (None, 2),
+    }
+    for last, end in ends.items():
+        found = targets_of([item(16, 50, 0, 0), item(last, 90, 0, 0)], FRAME, home_first=False)
+        assert (found.end_action, len(found.targets_ne_m)) == end
 
 
 # --- what PX4 makes of it
