@@ -29,28 +29,28 @@ from companion.mission.state import State
 from vehicle_sim.plans import PlanItem as Stored
 
 FENCE = 1
+AUTOPILOTS = {"ardupilot": ARDUCOPTER, "px4": PX4_MULTICOPTER}
 NAMES = {"ardupilot": "sitl-arducopter", "px4": "sitl-px4"}
 both = pytest.mark.parametrize("firmware", NAMES)
 
 
 class Side:
-    """An autopilot's client as one of a simulated vehicle, and the events that it tells."""
+    """An autopilot's client beside a simulated vehicle, and the events that it tells."""
 
-    def __init__(self, held: Held, mission: Mission, *, sets_parameters: bool = False) -> None:
-        context = Context(mission=mission, seed=1, lockstep=True, shadow=not sets_parameters)
-        self._held, self._context = held, context
-        self.client: AutopilotClient | None = None
+    def __init__(
+        self, firmware: Any, mission: Mission | None = None, *, sets: bool = False
+    ) -> None:
+        mission = mission or load_mission(NAMES[firmware])
+        self.held, self.hears_home = Held(firmware), True
+        self.client = AutopilotClient(
+            mission, 1, AUTOPILOTS[firmware], lockstep=True, sets_parameters=sets
+        )
         self.events: list[Any] = []
-        self.hears_home = True
+        self._has_begun = False
 
     def on_message(self, message: Any, now_s: float) -> list[Any]:
-        if self.client is None:
-            if message.get_type() == "HEARTBEAT":
-                self.client = AutopilotClient.found(message, self._context)
-            return [] if self.client is None else self.client.begin(now_s)
-        if message.get_srcComponent() != 1:
-            return []
-        if message.get_type() == "HOME_POSITION" and not self.hears_home:
+        is_home = message.get_type() == "HOME_POSITION"
+        if message.get_srcComponent() != 1 or (is_home and not self.hears_home):
             return []
         replies = self.client.on_message(message, now_s)
         self.client.event_of(message, now_s)
@@ -58,7 +58,9 @@ class Side:
         return replies
 
     def on_time(self, now_s: float) -> list[Any]:
-        return [] if self.client is None else self.client.on_time(now_s, None)
+        begin = [] if self._has_begun else self.client.begin(now_s)
+        self._has_begun = True
+        return begin + self.client.on_time(now_s, None)
 
     def told(self, *kinds: type) -> list[Any]:
         return [event for event in self.events if isinstance(event, kinds)]
@@ -71,28 +73,17 @@ class Side:
         """Zones of each fence that was told."""
         return [len(event.zones) for event in self.told(FenceChanged)]
 
-    @property
-    def said(self) -> list[str]:
-        return [] if self.client is None else self.client.notes
-
     def run(self, seconds: float, until: Any = lambda: False) -> "Side":
-        self._held.run(seconds, self, until)
+        self.held.run(seconds, self, until)
         return self
 
     def draws(self, *items: Stored, seconds: float = 20.0) -> "Side":
         """A ground station uploads a fence meanwhile."""
-        self._held.upload(FENCE, list(items), self)
+        self.held.upload(FENCE, list(items), self)
         return self.run(seconds)
 
-
-def beside(firmware: Any, held: Held | None = None, **how: Any) -> Side:
-    return Side(held or Held(firmware), load_mission(NAMES[firmware]), **how)
-
-
-def prepared(firmware: Any) -> Side:
-    side = beside(firmware)
-    side.run(60.0, until=lambda: bool(side.prepared(Item.PLANS)))
-    return side
+    def until_prepared(self) -> "Side":
+        return self.run(60.0, until=lambda: bool(self.prepared(Item.PLANS)))
 
 
 # --- fences
@@ -100,8 +91,8 @@ def prepared(firmware: Any) -> Side:
 
 @both
 def test_what_is_said_of_a_fence_that_is_drawn_later_is_said_once(firmware: str) -> None:
-    side = prepared(firmware).draws(*polygon(5, command=5002))
-    assert len(side.said) == len(set(side.said))
+    side = Side(firmware).until_prepared().draws(*polygon(5, command=5002))
+    assert len(side.client.notes) == len(set(side.client.notes))
     assert any(side.fences)
     before = len(side.prepared(Item.PLANS))
     if firmware == "px4":  # ArduPilot takes none without an end
@@ -114,7 +105,7 @@ def test_what_is_said_of_a_fence_that_is_drawn_later_is_said_once(firmware: str)
 
 @both
 def test_a_fence_that_has_changed_is_told_before_it_is_read(firmware: str) -> None:
-    side = prepared(firmware)
+    side = Side(firmware).until_prepared()
     for items, size_m in ((40, 100.0), (60, 100.0), (60, 140.0)):  # the last: as many, elsewhere
         side.events.clear()
         side.draws(*polygon(items, size_m=size_m), seconds=0.0)
@@ -129,28 +120,26 @@ def test_a_fence_that_has_changed_is_told_before_it_is_read(firmware: str) -> No
 
 def test_plans_are_not_done_before_a_fence_about_home_is_drawn() -> None:
     """Else a vehicle whose home is heard last arms before its fence is held against the mission."""
-    held = Held("ardupilot")
+    side = Side("ardupilot")
     for name, value in (("FENCE_ENABLE", 1.0), ("FENCE_TYPE", 2.0), ("FENCE_RADIUS", 60.0)):
-        held.simulation.set_parameter(name, value)
-    side = beside("ardupilot", held)
+        side.held.simulation.set_parameter(name, value)
     side.hears_home = False
     assert not side.run(30.0).prepared(Item.PLANS)
     side.hears_home = True
-    side.run(60.0, until=lambda: bool(side.prepared(Item.PLANS)))
-    assert "fence about home (radius 60 m)" in side.prepared(Item.PLANS)[0].refusal
+    told = side.until_prepared().prepared(Item.PLANS)
+    assert "fence about home (radius 60 m)" in told[0].refusal
 
 
 def test_the_fence_that_is_known_stays_in_force_while_it_is_read_again_after_a_reboot() -> None:
-    held = Held("px4")
-    held.simulation.set_parameter("GF_MAX_HOR_DIST", 400.0)
-    held.upload(FENCE, polygon(7))
-    side = beside("px4", held).run(8.0)
-    assert side.fences == [2]
+    side = Side("px4")
+    side.held.simulation.set_parameter("GF_MAX_HOR_DIST", 400.0)
+    side.held.upload(FENCE, polygon(7))
+    assert side.run(8.0).fences == [2]
     side.client.rebooted()
     side.hears_home = False
     assert side.run(8.0).fences == [2]  # not that without what is drawn about home
-    assert any("2 zones stay in force" in note for note in side.said)
-    held.upload(FENCE, [])
+    assert any("2 zones stay in force" in note for note in side.client.notes)
+    side.held.upload(FENCE, [])
     side.hears_home = True
     assert side.run(20.0).fences == [2, 1]
 
@@ -209,28 +198,28 @@ def test_fence_status_tells_of_each_breach_once() -> None:
 # --- parameters and clocks
 
 
-def fought(times: int, seconds: float) -> tuple[Held, Side, float]:
+def fought(times: int, seconds: float) -> tuple[Side, float]:
     """COM_OBL_RC_ACT, which is to be 5, set back to 0 so many times by a ground station."""
-    held = Held("px4")
-    side = beside("px4", held, sets_parameters=True)
-    is_set = lambda: held.simulation.parameters["COM_OBL_RC_ACT"] == 5.0  # noqa: E731
-    side.run(30.0, until=is_set).run(3.0)
+    side = Side("px4", sets=True)
+    there = side.held.simulation.parameters
+    side.run(30.0, until=lambda: there["COM_OBL_RC_ACT"] == 5.0).run(3.0)
     for _ in range(times):
-        held.other(wire.MAVLink_param_set_message(1, 1, b"COM_OBL_RC_ACT", 0.0, 6))
+        side.held.other(wire.MAVLink_param_set_message(1, 1, b"COM_OBL_RC_ACT", 0.0, 6))
         side.run(seconds)
-    return held, side, side.client.parameters.values["COM_OBL_RC_ACT"]
+    return side, side.client.parameters.values["COM_OBL_RC_ACT"]
 
 
 def test_who_keeps_setting_a_parameter_back_is_said_once_and_not_fought_for_ever() -> None:
-    _, side, value = fought(1, 12.0)
+    side, value = fought(1, 12.0)
     assert value == 5.0  # once, it is set again
     assert not any(event.refusal for event in side.prepared(Item.PARAMETERS))
-    assert [text for text in side.said if "COM_OBL_RC_ACT" in text] == ["set COM_OBL_RC_ACT to 5"]
-    held, side, value = fought(6, 9.0)
+    said = [note for note in side.client.notes if "COM_OBL_RC_ACT" in note]
+    assert said == ["set COM_OBL_RC_ACT to 5"]
+    side, value = fought(6, 9.0)
     assert value == 0.0
     [line] = [event.refusal for event in side.prepared(Item.PARAMETERS) if event.refusal]
     assert line.startswith("COM_OBL_RC_ACT = 0: somebody keeps setting it back. End that")
-    sets = [message for _, message in held.sent if message.get_type() == "PARAM_SET"]
+    sets = [message for _, message in side.held.sent if message.get_type() == "PARAM_SET"]
     assert 3 <= len([each for each in sets if each.param_id == "COM_OBL_RC_ACT"]) <= 6
 
 
@@ -239,10 +228,10 @@ def test_by_another_clock_the_same_is_asked_at_the_same_moments(shift_s: float) 
     """As after a restart in flight: the clock of before goes on until the vehicle's is heard."""
     asked = []
     for shifted_s in (0.0, shift_s):
-        held = Held("ardupilot")
-        side = beside("ardupilot", held).run(1.0)
+        side = Side("ardupilot").run(1.0)
         side.client.rebase_time(shifted_s)
-        times_s = (held.now_s + shifted_s + tenth / 10 for tenth in range(100))  # nobody answers
+        now_s = side.held.now_s + shifted_s
+        times_s = (now_s + 0.097 * k for k in range(100))  # unanswered; no wait ends at one of them
         said = (side.client.on_time(at_s, None) for at_s in times_s)
         asked.append([sorted(bytes(each.pack(codec(1))) for each in told) for told in said])
     assert asked[0] == asked[1]
@@ -313,8 +302,8 @@ def test_a_take_off_is_taken_once_it_is_accepted(command: int, result: int, take
 
 def test_how_the_vehicles_own_mission_ends_is_not_passed_over_in_silence() -> None:
     """The companion ends as its own mission says: who has drawn an RTL has to hear of it."""
-    held = Held("ardupilot")
-    held.upload(0, [*waypoints(3), Stored(frame=2, command=20)])
-    side = Side(held, replace(load_mission("sitl-arducopter"), targets_from_vehicle=True))
-    side.run(60.0, until=lambda: bool(side.prepared(Item.PLANS)))
-    assert side.said == ["its mission ends with return; what counts is end.action: land"]
+    mission = replace(load_mission("sitl-arducopter"), targets_from_vehicle=True)
+    side = Side("ardupilot", mission)
+    side.held.upload(0, [*waypoints(3), Stored(frame=2, command=20)])
+    said = side.until_prepared().client.notes
+    assert said == ["its mission ends with return; what counts is end.action: land"]
