@@ -162,7 +162,7 @@ def test_a_world_of_before_says_what_of_it_is_gone(tmp_path: Path) -> None:
 
 
 def test_what_is_no_file_is_told(tmp_path: Path) -> None:
-    """Files of another kind: `tests/sources/test_recognised.py`."""
+    """Files of another kind: `tests/sources/test_files.py`."""
     names = r"'nowhere'.*no such file.*environment-1, environment-2"
     folder = r"it is a folder\. Give a mission\.toml"
     for name, words in (("nowhere", names), (str(tmp_path), folder), ("x" * 5000, "xxx")):

@@ -29,13 +29,7 @@ from companion.mavlink.link import Output
 from companion.mission.decisions import Context
 from companion.mission.mission import EndAction, Mission
 from companion.path.limits import Limits
-from companion.planner.request import (
-    Backtrack,
-    NotPlanned,
-    PlanOutcome,
-    PlanRequest,
-    Refusal,
-)
+from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.settings import PlannerSettings, Task
 from companion.session import Session
 from companion.telemetry.run_folder import journal_line

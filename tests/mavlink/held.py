@@ -59,10 +59,12 @@ class Held:
     def __init__(self, firmware: Firmware, kind: Kind = "copter", faults: str = "") -> None:
         self.simulation = Simulation(level(firmware, kind), seed=1, links=2, faults=faults)
         self.sent: list[tuple[float, Any]] = []
+        self.heard: list[Any] = []
+        """What the client has heard."""
         self.others: list[bytes] = []
-        """What link 1 has heard."""
+        """What link 1 has."""
         self._ours = codec(OURS[0])
-        self._heard = Receiver(ignored=IGNORED_MESSAGES)
+        self._receiver = Receiver(ignored=IGNORED_MESSAGES)
         self._theirs = wire.MAVLink(None, srcSystem=255, srcComponent=190)
         self.run(1.5)
 
@@ -93,8 +95,9 @@ class Held:
                 if link == 1:
                     self.others.append(frame)
                 elif client is not None:
-                    for message in self._heard.feed(frame):
+                    for message in self._receiver.feed(frame):
                         if message is not None:
+                            self.heard.append(message)
                             self.say(client.on_message(message, self.now_s))
 
     def say(self, messages: list[Any]) -> None:
@@ -199,18 +202,7 @@ _OF_UPLOADS = (
 
 def item_message(item: Stored, seq: int, kind: int) -> Any:
     return wire.MAVLink_mission_item_int_message(
-        1,
-        1,
-        seq,
-        item.frame,
-        item.command,
-        0,
-        1,
-        *item.parameters,
-        item.x,
-        item.y,
-        item.z_m,
-        kind,
+        1, 1, seq, item.frame, item.command, 0, 1, *item.parameters, item.x, item.y, item.z_m, kind
     )
 
 

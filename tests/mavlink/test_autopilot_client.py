@@ -1,9 +1,7 @@
-"""What a person hears of a vehicle's own fence, drawn by a ground station in flight or before."""
+"""One autopilot's client against the simulator: fences, breaches, parameters, speed, take-off."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import pytest
@@ -11,16 +9,8 @@ from held import Held, circle, polygon, waypoints
 from wires import over_the_wire
 
 from companion.config import load_mission
-from companion.mavlink import fence
 from companion.mavlink.autopilot_client import AutopilotClient
-from companion.mavlink.autopilots import (
-    ALL,
-    ARDUCOPTER,
-    PX4_MULTICOPTER,
-    Autopilot,
-    autopilot_of,
-    px4,
-)
+from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER, Autopilot, px4
 from companion.mavlink.dialect import EventMessage, codec, wire
 from companion.mavlink.frames import Receiver
 from companion.mission import checkpoint
@@ -39,188 +29,127 @@ from companion.mission.state import State
 from vehicle_sim.plans import PlanItem as Stored
 
 FENCE = 1
+AUTOPILOTS = {"ardupilot": ARDUCOPTER, "px4": PX4_MULTICOPTER}
+NAMES = {"ardupilot": "sitl-arducopter", "px4": "sitl-px4"}
+both = pytest.mark.parametrize("firmware", NAMES)
 
 
 class Side:
-    """A vehicle side as a client, and the events that it tells."""
+    """An autopilot's client beside a simulated vehicle, and the events that it tells."""
 
-    sets_parameters = False
-
-    def __init__(self, held: Held, mission: str | Mission) -> None:
-        self._held, self._mission = held, mission
-        self.side: AutopilotClient | None = None
+    def __init__(
+        self, firmware: Any, mission: Mission | None = None, *, sets: bool = False
+    ) -> None:
+        mission = mission or load_mission(NAMES[firmware])
+        self.held, self.hears_home = Held(firmware), True
+        self.client = AutopilotClient(
+            mission, 1, AUTOPILOTS[firmware], lockstep=True, sets_parameters=sets
+        )
         self.events: list[Any] = []
-        self.hears_home = True
+        self._has_begun = False
 
     def on_message(self, message: Any, now_s: float) -> list[Any]:
-        if self.side is None:
-            autopilot = autopilot_of(message) if message.get_type() == "HEARTBEAT" else None
-            if autopilot is None:
-                return []
-            self.side = AutopilotClient(
-                load_mission(self._mission) if isinstance(self._mission, str) else self._mission,
-                1,
-                autopilot,
-                lockstep=True,
-                sets_parameters=self.sets_parameters,
-            )
-            return self.side.begin(now_s)
-        if message.get_srcComponent() != 1:
+        is_home = message.get_type() == "HOME_POSITION"
+        if message.get_srcComponent() != 1 or (is_home and not self.hears_home):
             return []
-        if message.get_type() == "HOME_POSITION" and not self.hears_home:
-            return []
-        replies = self.side.on_message(message, now_s)
-        self.side.event_of(message, now_s)
-        self.events += self.side.news(now_s)
+        replies = self.client.on_message(message, now_s)
+        self.client.event_of(message, now_s)
+        self.events += self.client.news(now_s)
         return replies
 
     def on_time(self, now_s: float) -> list[Any]:
-        return [] if self.side is None else self.side.on_time(now_s, None)
+        begin = [] if self._has_begun else self.client.begin(now_s)
+        self._has_begun = True
+        return begin + self.client.on_time(now_s, None)
+
+    def told(self, *kinds: type) -> list[Any]:
+        return [event for event in self.events if isinstance(event, kinds)]
+
+    def prepared(self, item: Item) -> list[Prepared]:
+        return [event for event in self.told(Prepared) if event.item is item]
 
     @property
-    def refusals(self) -> list[str]:
-        return [event.refusal for event in prepared_plans(self) if event.refusal]
+    def fences(self) -> list[int]:
+        """Zones of each fence that was told."""
+        return [len(event.zones) for event in self.told(FenceChanged)]
 
-    @property
-    def said(self) -> list[str]:
-        return [] if self.side is None else self.side.notes
+    def run(self, seconds: float, until: Any = lambda: False) -> "Side":
+        self.held.run(seconds, self, until)
+        return self
 
+    def draws(self, *items: Stored, seconds: float = 20.0) -> "Side":
+        """A ground station uploads a fence meanwhile."""
+        self.held.upload(FENCE, list(items), self)
+        return self.run(seconds)
 
-def begun(firmware: Any) -> tuple[Held, Side]:
-    held = Held(firmware)
-    name = "sitl-px4" if firmware == "px4" else "sitl-arducopter"
-    client = Side(held, name)
-    held.run(60.0, client, until=lambda: bool(prepared_plans(client)))
-    assert prepared_plans(client)
-    return held, client
-
-
-def prepared_plans(client: Side) -> list[Prepared]:
-    told = (event for event in client.events if isinstance(event, Prepared))
-    return [event for event in told if event.item is Item.PLANS]
+    def until_prepared(self) -> "Side":
+        return self.run(60.0, until=lambda: bool(self.prepared(Item.PLANS)))
 
 
-@pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
-def test_what_is_said_of_a_fence_that_is_drawn_later_is_said_once(firmware: Any) -> None:
-    held, client = begun(firmware)
-    held.upload(FENCE, polygon(5, command=5002), client)
-    held.run(20.0, client)
-    assert len(client.said) == len(set(client.said))
-    assert any(isinstance(event, FenceChanged) and event.zones for event in client.events)
-    before = len(client.refusals)
+# --- fences
+
+
+@both
+def test_what_is_said_of_a_fence_that_is_drawn_later_is_said_once(firmware: str) -> None:
+    side = Side(firmware).until_prepared().draws(*polygon(5, command=5002))
+    assert len(side.client.notes) == len(set(side.client.notes))
+    assert any(side.fences)
+    before = len(side.prepared(Item.PLANS))
     if firmware == "px4":  # ArduPilot takes none without an end
-        held.upload(FENCE, [circle(math.inf)], client)
-        held.run(10.0, client)
-        assert "needs a radius" in client.refusals[before]
+        side.draws(circle(math.inf))
+        assert "needs a radius" in side.prepared(Item.PLANS)[before].refusal
+        side.draws(circle(60.0), *polygon(5))
+        assert [event.misread for event in side.told(FenceChanged)][-2:] == [False, True]
+        assert len(side.client.warnings) == 1
 
 
-@pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
-@pytest.mark.parametrize("command", [5001, 5002])
-def test_a_polygon_after_a_circle_is_named_to_who_flies_a_px4_also_when_it_is_drawn_later(
-    firmware: Any, command: int
-) -> None:
-    held, client = begun(firmware)
-    assert client.side is not None
-    held.upload(FENCE, [*polygon(5, command=command), circle(60.0)], client)
-    held.run(20.0, client)
-    assert client.side.warnings == []
-    held.upload(FENCE, [circle(60.0), *polygon(5, command=command)], client)
-    held.run(20.0, client)
-    assert len(client.side.warnings) == (firmware == "px4")
-    told = [event for event in client.events if isinstance(event, FenceChanged)]
-    assert [event.misread for event in told[-2:]] == [False, firmware == "px4"]
-
-
-@pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
-def test_a_fence_that_has_changed_is_told_before_it_is_read(firmware: Any) -> None:
-    held, client = begun(firmware)
-    for items in (40, 60, 60):  # the last: other places, as many
-        count = len(client.events)
-        fence_items = polygon(items, size_m=100.0 + count)
-        held.upload(FENCE, fence_items, client)
-        held.run(90.0, client, until=partial(is_read, client, count))
-        told = [e for e in client.events[count:] if isinstance(e, FenceReading | FenceChanged)]
-        assert [type(e) for e in told] == [FenceReading, FenceChanged, FenceReading]
-        assert [e.items for e in told if isinstance(e, FenceReading)] == [items, 0]
-    count = len(client.events)
-    held.run(90.0, client)  # it is read again, and is the same
-    assert not [event for event in client.events[count:] if isinstance(event, FenceReading)]
-
-
-def is_read(client: Side, since: int) -> bool:
-    told = [event for event in client.events[since:] if isinstance(event, FenceReading)]
-    return len(told) == 2
+@both
+def test_a_fence_that_has_changed_is_told_before_it_is_read(firmware: str) -> None:
+    side = Side(firmware).until_prepared()
+    for items, size_m in ((40, 100.0), (60, 100.0), (60, 140.0)):  # the last: as many, elsewhere
+        side.events.clear()
+        side.draws(*polygon(items, size_m=size_m), seconds=0.0)
+        side.run(90.0, until=lambda: len(side.told(FenceReading)) == 2)
+        told = side.told(FenceReading, FenceChanged)
+        assert [type(event) for event in told] == [FenceReading, FenceChanged, FenceReading]
+        assert [event.items for event in side.told(FenceReading)] == [items, 0]
+    side.events.clear()
+    side.run(90.0)  # it is read again, and is the same
+    assert not side.told(FenceReading)
 
 
 def test_plans_are_not_done_before_a_fence_about_home_is_drawn() -> None:
     """Else a vehicle whose home is heard last arms before its fence is held against the mission."""
-    held = Held("ardupilot")
+    side = Side("ardupilot")
     for name, value in (("FENCE_ENABLE", 1.0), ("FENCE_TYPE", 2.0), ("FENCE_RADIUS", 60.0)):
-        held.other(wire.MAVLink_param_set_message(1, 1, name.encode(), value, 9))
-        held.run(0.5)
-    client = Side(held, "sitl-arducopter")
-    client.hears_home = False
-    held.run(30.0, client)
-    assert not prepared_plans(client)
-    client.hears_home = True
-    held.run(60.0, client, until=lambda: bool(prepared_plans(client)))
-    assert "fence about home (radius 60 m)" in prepared_plans(client)[0].refusal
-
-
-# --- breaches of it
-
-
-def fences_told(client: Side) -> list[int]:
-    return [len(event.zones) for event in client.events if isinstance(event, FenceChanged)]
+        side.held.simulation.set_parameter(name, value)
+    side.hears_home = False
+    assert not side.run(30.0).prepared(Item.PLANS)
+    side.hears_home = True
+    told = side.until_prepared().prepared(Item.PLANS)
+    assert "fence about home (radius 60 m)" in told[0].refusal
 
 
 def test_the_fence_that_is_known_stays_in_force_while_it_is_read_again_after_a_reboot() -> None:
-    held = Held("px4")
-    held.simulation.set_parameter("GF_MAX_HOR_DIST", 400.0)
-    held.upload(FENCE, polygon(7))
-    client = Side(held, "sitl-px4")
-    held.run(8.0, client)
-    assert fences_told(client) == [2]
-    assert client.side is not None
-    client.side.rebooted()
-    client.hears_home = False
-    held.run(8.0, client)
-    assert fences_told(client) == [2]  # not that without what is drawn about home
-    assert any("2 zones stay in force" in note for note in client.said)
-    held.upload(FENCE, [])
-    client.hears_home = True
-    held.run(20.0, client)
-    assert fences_told(client) == [2, 1]
+    side = Side("px4")
+    side.held.simulation.set_parameter("GF_MAX_HOR_DIST", 400.0)
+    side.held.upload(FENCE, polygon(7))
+    assert side.run(8.0).fences == [2]
+    side.client.rebooted()
+    side.hears_home = False
+    assert side.run(8.0).fences == [2]  # not that without what is drawn about home
+    assert any("2 zones stay in force" in note for note in side.client.notes)
+    side.held.upload(FENCE, [])
+    side.hears_home = True
+    assert side.run(20.0).fences == [2, 1]
 
 
-def test_a_long_fence_is_drawn_a_few_corners_at_a_time_and_told_when_it_is_whole(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    held = Held("ardupilot")
-    held.upload(FENCE, [*polygon(30), *polygon(31), *polygon(32)])
-    client = Side(held, "sitl-arducopter")
-    portions: list[int] = []
-    times_s: list[float] = []
-    draw = fence.drawn
-
-    def counted(*of: Any) -> Iterator[fence.Fence | None]:
-        for found in draw(*of):
-            portions.append(0 if found is None else len(found.zones))
-            times_s.append(held.simulation.now_us * 1e-6)
-            yield found
-
-    monkeypatch.setattr(fence, "_CORNERS_AT_ONCE", 20)
-    monkeypatch.setattr(fence, "drawn", counted)
-    held.run(8.0, client)
-    assert portions == [0, 0, 0, 3]
-    assert times_s[-1] - times_s[0] < 0.5  # with each message, whatever it is
-    assert fences_told(client) == [3]
+# --- breaches
 
 
-def told_of(message: Any, autopilot: Autopilot) -> Any:
-    side = AutopilotClient(
-        load_mission("sitl-px4"), 1, autopilot, lockstep=True, sets_parameters=False
-    )
+def heard(message: Any, autopilot: Autopilot) -> Any:
+    mission = load_mission("sitl-px4")
+    side = AutopilotClient(mission, 1, autopilot, lockstep=True, sets_parameters=False)
     return side.event_of(message, 7.0)
 
 
@@ -229,8 +158,8 @@ def px4_event(name: str) -> Any:
     number = px4.event_id(name) | 1 << 24
     payload = EventMessage.unpacker.pack(number, 5, 1, 0, 0, 0x33, *[0] * 40)
     sent = EventMessage(0, 0, number, 5, 1, 0x33, [0] * 40)
-    [heard] = Receiver().feed(sent._pack(codec(1), EventMessage.crc_extra, payload))
-    return heard
+    [read] = Receiver().feed(sent._pack(codec(1), EventMessage.crc_extra, payload))
+    return read
 
 
 def text(said: str) -> Any:
@@ -253,68 +182,45 @@ def text(said: str) -> Any:
     ],
 )
 def test_what_autopilots_say_of_a_breach(autopilot: Autopilot, message: Any, breach: bool) -> None:
-    assert told_of(message, autopilot) == (FenceBreach(time_s=7.0) if breach else None)
+    assert heard(message, autopilot) == (FenceBreach(time_s=7.0) if breach else None)
     assert px4.event_id("check_modes_offboard_signal") == 3087815  # as recorded (px4.md 6)
 
 
 def test_fence_status_tells_of_each_breach_once() -> None:
     mission = load_mission("sitl-arducopter")
-    side = AutopilotClient(mission, 1, ALL[0], lockstep=True, sets_parameters=False)
+    side = AutopilotClient(mission, 1, ARDUCOPTER, lockstep=True, sets_parameters=False)
     states = [(0, 0), (1, 1), (1, 1), (0, 1), (1, 2)]
-    told = [
-        side.event_of(wire.MAVLink_fence_status_message(status, count, 3, 0, 0), 1.0) is not None
-        for status, count in states
-    ]
+    messages = [wire.MAVLink_fence_status_message(*state, 3, 0, 0) for state in states]
+    told = [side.event_of(message, 1.0) is not None for message in messages]
     assert told == [False, True, False, False, True]
 
 
-# --- somebody who sets parameters back
+# --- parameters and clocks
 
 
-class Sets(Side):
-    """One that may set parameters."""
-
-    sets_parameters = True
-
-    @property
-    def refusals(self) -> list[str]:
-        told = (event for event in self.events if isinstance(event, Prepared))
-        return [event.refusal for event in told if event.item is Item.PARAMETERS and event.refusal]
-
-
-def fought(times: int, *, seconds: float = 12.0) -> tuple[Held, Sets]:
+def fought(times: int, seconds: float) -> tuple[Side, float]:
     """COM_OBL_RC_ACT, which is to be 5, set back to 0 so many times by a ground station."""
-    held = Held("px4")
-    client = Sets(held, "sitl-px4")
-    held.run(30.0, client, until=lambda: value_of(client) == 5.0)
-    held.run(3.0, client)
+    side = Side("px4", sets=True)
+    there = side.held.simulation.parameters
+    side.run(30.0, until=lambda: there["COM_OBL_RC_ACT"] == 5.0).run(3.0)
     for _ in range(times):
-        sets = wire.MAVLink_param_set_message(1, 1, b"COM_OBL_RC_ACT", 0.0, 6)
-        held.other(sets)
-        held.run(seconds, client)
-    return held, client
-
-
-def value_of(client: Sets) -> float | None:
-    """As the vehicle says it is."""
-    return None if client.side is None else client.side.parameters.values.get("COM_OBL_RC_ACT")
+        side.held.other(wire.MAVLink_param_set_message(1, 1, b"COM_OBL_RC_ACT", 0.0, 6))
+        side.run(seconds)
+    return side, side.client.parameters.values["COM_OBL_RC_ACT"]
 
 
 def test_who_keeps_setting_a_parameter_back_is_said_once_and_not_fought_for_ever() -> None:
-    _, client = fought(1)
-    assert value_of(client) == 5.0  # once, it is set again
-    assert client.refusals == []
-    assert [text for text in client.said if "COM_OBL_RC_ACT" in text] == ["set COM_OBL_RC_ACT to 5"]
-    held, client = fought(6, seconds=9.0)
-    assert value_of(client) == 0.0
-    [line] = client.refusals
+    side, value = fought(1, 12.0)
+    assert value == 5.0  # once, it is set again
+    assert not any(event.refusal for event in side.prepared(Item.PARAMETERS))
+    said = [note for note in side.client.notes if "COM_OBL_RC_ACT" in note]
+    assert said == ["set COM_OBL_RC_ACT to 5"]
+    side, value = fought(6, 9.0)
+    assert value == 0.0
+    [line] = [event.refusal for event in side.prepared(Item.PARAMETERS) if event.refusal]
     assert line.startswith("COM_OBL_RC_ACT = 0: somebody keeps setting it back. End that")
-    ours = [
-        message
-        for _, message in held.sent
-        if message.get_type() == "PARAM_SET" and message.param_id == "COM_OBL_RC_ACT"
-    ]
-    assert 3 <= len(ours) <= 6  # each may have been told twice
+    sets = [message for _, message in side.held.sent if message.get_type() == "PARAM_SET"]
+    assert 3 <= len([each for each in sets if each.param_id == "COM_OBL_RC_ACT"]) <= 6
 
 
 @pytest.mark.parametrize("shift_s", [-595.0, 86_400.0])
@@ -322,38 +228,37 @@ def test_by_another_clock_the_same_is_asked_at_the_same_moments(shift_s: float) 
     """As after a restart in flight: the clock of before goes on until the vehicle's is heard."""
     asked = []
     for shifted_s in (0.0, shift_s):
-        held = Held("ardupilot")
-        client = Side(held, "sitl-arducopter")
-        held.run(1.0, client)
-        assert client.side is not None
-        client.side.rebase_time(shifted_s)
-        asked.append([])
-        for tenth in range(100):  # nobody answers
-            now_s = held.now_s + shifted_s + tenth / 10
-            heard = [bytes(m.pack(codec(1))) for m in client.side.on_time(now_s, None)]
-            asked[-1].append(sorted(heard))
+        side = Side("ardupilot").run(1.0)
+        side.client.rebase_time(shifted_s)
+        now_s = side.held.now_s + shifted_s
+        times_s = (now_s + 0.097 * k for k in range(100))  # unanswered; no wait ends at one of them
+        said = (side.client.on_time(at_s, None) for at_s in times_s)
+        asked.append([sorted(bytes(each.pack(codec(1))) for each in told) for told in said])
     assert asked[0] == asked[1]
-    assert len([each for each in asked[0] if each]) > 10
+    assert len([told for told in asked[0] if told]) > 10
 
 
-def plane_told_its_speed() -> tuple[AutopilotClient, list[Any]]:
+# --- speed, take-off and the end of its own mission
+
+
+def beat(mode: int = wire.PLANE_MODE_GUIDED) -> Any:
+    numbers = (1, wire.MAV_AUTOPILOT_ARDUPILOTMEGA, 129, mode, 4, 3)
+    return over_the_wire(wire.MAVLink_heartbeat_message(*numbers))
+
+
+def ack(command: int, result: int) -> Any:
+    return over_the_wire(wire.MAVLink_command_ack_message(command, result))
+
+
+def plane_told_its_speed() -> tuple[AutopilotClient, Any]:
     """An ArduPlane in guided mode, and the command, whose first frame may have been lost."""
     mission = load_mission("sitl-arduplane")
-    side = AutopilotClient.found(
-        heartbeat(), Context(mission=mission, seed=1, lockstep=True, shadow=True)
-    )
-    assert side is not None
+    context = Context(mission=mission, seed=1, lockstep=True, shadow=True)
+    side = AutopilotClient.found(beat(), context)
     side.begin(0.0)
-    told = side.command_messages(
-        SetSpeed(speed_m_s=22.0), State.of(mission, checkpoint.blank_map(mission))
-    )
-    assert told is not None
+    state = State.of(mission, checkpoint.blank_map(mission))
+    [told] = side.command_messages(SetSpeed(speed_m_s=22.0), state) or [None]
     return side, told
-
-
-def heartbeat(mode: int = wire.PLANE_MODE_GUIDED) -> Any:
-    beat = wire.MAVLink_heartbeat_message(1, wire.MAV_AUTOPILOT_ARDUPILOTMEGA, 129, mode, 4, 3)
-    return over_the_wire(beat)
 
 
 def times_told(side: AutopilotClient, from_s: float) -> int:
@@ -363,21 +268,17 @@ def times_told(side: AutopilotClient, from_s: float) -> int:
 
 
 def test_a_plane_is_told_its_speed_until_it_answers_or_somebody_else_flies_it() -> None:
-    side, [told] = plane_told_its_speed()
+    side, told = plane_told_its_speed()
     assert told.command == wire.MAV_CMD_GUIDED_CHANGE_SPEED
     assert 9 <= times_told(side, 0.0) <= 10
-    other = wire.MAVLink_command_ack_message(wire.MAV_CMD_DO_REPOSITION, 0)
-    answers = (over_the_wire(other), heartbeat(wire.PLANE_MODE_GUIDED), heartbeat())
-    for number, message in enumerate(answers):
-        side.event_of(message, 10.0 + 10.0 * number)
-        assert times_told(side, 10.0 + 10.0 * number) == 10
+    for number, message in enumerate((ack(wire.MAV_CMD_DO_REPOSITION, 0), beat(), beat()), 1):
+        side.event_of(message, 10.0 * number)
+        assert times_told(side, 10.0 * number) == 10
+    refused = ["the autopilot does not take the mission's speed"]
     for ends, notes in (
-        (heartbeat(wire.PLANE_MODE_LOITER), []),
-        (over_the_wire(wire.MAVLink_command_ack_message(told.command, 0)), []),
-        (
-            over_the_wire(wire.MAVLink_command_ack_message(told.command, 2)),
-            ["the autopilot does not take the mission's speed"],
-        ),
+        (beat(wire.PLANE_MODE_LOITER), []),
+        (ack(told.command, wire.MAV_RESULT_ACCEPTED), []),
+        (ack(told.command, wire.MAV_RESULT_DENIED), refused),
     ):
         side, _ = plane_told_its_speed()
         side.event_of(ends, 0.5)
@@ -395,16 +296,14 @@ def test_a_plane_is_told_its_speed_until_it_answers_or_somebody_else_flies_it() 
     ],
 )
 def test_a_take_off_is_taken_once_it_is_accepted(command: int, result: int, taken: bool) -> None:
-    message = over_the_wire(wire.MAVLink_command_ack_message(command, result))
-    event = plane_told_its_speed()[0].event_of(message, 3.0)
+    event = plane_told_its_speed()[0].event_of(ack(command, result), 3.0)
     assert event == (TakeOffTaken(time_s=3.0) if taken else None)
 
 
 def test_how_the_vehicles_own_mission_ends_is_not_passed_over_in_silence() -> None:
     """The companion ends as its own mission says: who has drawn an RTL has to hear of it."""
     mission = replace(load_mission("sitl-arducopter"), targets_from_vehicle=True)
-    held = Held("ardupilot")
-    held.upload(0, [*waypoints(3), Stored(frame=2, command=20)])
-    client = Side(held, mission)
-    held.run(60.0, client, until=lambda: bool(prepared_plans(client)))
-    assert client.said == ["its mission ends with return; what counts is end.action: land"]
+    side = Side("ardupilot", mission)
+    side.held.upload(0, [*waypoints(3), Stored(frame=2, command=20)])
+    said = side.until_prepared().client.notes
+    assert said == ["its mission ends with return; what counts is end.action: land"]

@@ -14,28 +14,18 @@ from companion.config import load_mission
 from companion.mavlink.near_scanner import NearScanner
 from companion.mavlink.poses import Poses
 from companion.mission.events import ScanDone
-from companion.mission.mission import Mission
 from companion.mission.state import State
 from companion.world.near_map import Sight
 
+MISSION = load_mission("forest")
 PERIOD_S = 0.1
 HERE_NEA_M = (20.0, 20.0, 405.0)
 THING_M = 5.0
 """There is one of 10 degrees width in the north; beyond it nothing is seen."""
-GROUND_AMSL_M = 400.5
-CEILING_AMSL_M, RANGE_M = 408.0, 16.0
+GROUND_AMSL_M, CEILING_AMSL_M, RANGE_M = 400.5, 408.0, 16.0
 
 
-def mission() -> Mission:
-    return load_mission("forest")
-
-
-def fresh(of: Mission) -> State:
-    assert of.known is not None
-    return State.of(of, of.known)
-
-
-def distances(time_s: float, *, thing: bool = True, component: int = 196, **fields: Any) -> Any:
+def sweep(time_s: float, *, thing: bool = True, component: int = 196, **fields: Any) -> Any:
     told = [1601] * 72
     if thing:
         told[71] = told[0] = told[1] = round(100.0 * THING_M)
@@ -44,18 +34,18 @@ def distances(time_s: float, *, thing: bool = True, component: int = 196, **fiel
 
 
 class Standing:
-    """A scanner on a vehicle that stands still, at 10 Hz."""
+    """A scanner on a vehicle that stands still, at 10 Hz, and the map of its mission."""
 
-    def __init__(self) -> None:
-        self.mission = mission()
-        self.poses, self.state = Poses(self.mission.frame), fresh(self.mission)
-        self.scanner = NearScanner(self.mission, self.poses)
+    def __init__(self, sweeps: int = 20, *, thing: bool = True) -> None:
+        assert MISSION.known is not None
+        self.poses, self.state = Poses(MISSION.frame), State.of(MISSION, MISSION.known)
+        self.scanner = NearScanner(MISSION, self.poses)
         self.now_s = 100.0
+        self.run(sweeps, thing=thing)
 
     def tick(self, *messages: Any, thing: bool = True) -> Any:
         """The messages, or one sweep, and a position after it; what it has seen."""
-        said = messages or (distances(self.now_s, thing=thing),)
-        for message in said:
+        for message in messages or (sweep(self.now_s, thing=thing),):
             self.scanner.on_message(message, self.now_s)
         return self.move_on()
 
@@ -65,63 +55,55 @@ class Standing:
         self.poses.on_position(self.now_s, HERE_NEA_M)
         return self.scanner.seen(self.now_s)
 
-    def run(self, count: int, *, thing: bool = True) -> "Standing":
+    def run(self, count: int, *, thing: bool = True) -> None:
         for _ in range(count):
             self.tick(thing=thing)
-        return self
 
-    def scan(self, *, takes: bool = True) -> ScanDone:
-        """A whole scan; takes: the mission puts it on its map."""
+    def begin(self) -> None:
         self.scanner.begun(HERE_NEA_M, self.state, self.now_s)
-        self.tick()
+
+    def done(self, *, takes: bool = True) -> ScanDone:
+        """A scan that is over; takes: the mission puts it on its map."""
         done = self.scanner.done(self.now_s)
-        assert done is not None
-        assert done.answered == 1
         if takes:
             known = self.state.flight.known.with_scan(done.scan)
-            self.state = replace_known(self.state, known)
+            self.state = changed(self.state, flight=changed(self.state.flight, known=known))
         return done
 
-    def upper_m(self, north_m: float, east_m: float) -> float:
+    def scan(self, *, thing: bool = True, takes: bool = True) -> None:
+        self.begin()
+        self.tick(thing=thing)
+        assert self.done(takes=takes).answered == 1
+
+    def upper_m(self, north_m: float, east_m: float = 20.0) -> float:
         known = self.state.flight.known
         return float(known.upper_m[known.cell_of(north_m, east_m)])
 
 
-def replace_known(state: State, known: Any) -> State:
-    return changed(state, flight=changed(state.flight, known=known))
-
-
 def test_a_scan_puts_on_the_map_what_is_free_what_is_closed_and_nothing_else() -> None:
-    it = Standing().run(20)
+    it = Standing()
     it.scan()
-    assert it.upper_m(22.0, 20.0) == GROUND_AMSL_M
-    assert it.upper_m(15.0, 20.0) == GROUND_AMSL_M
-    top_m = CEILING_AMSL_M + RANGE_M
-    assert it.upper_m(20.0 + THING_M, 20.0) == top_m
-    assert it.upper_m(20.0 + THING_M + 3.0, 20.0) == math.inf  # behind it
-    assert it.upper_m(60.0, 20.0) == math.inf
-    assert it.upper_m(20.0, 20.0) == GROUND_AMSL_M  # where the vehicle is
+    for north_m in (15.0, 20.0, 22.0):  # behind, below and before it
+        assert it.upper_m(north_m) == GROUND_AMSL_M
+    assert it.upper_m(20.0 + THING_M) == CEILING_AMSL_M + RANGE_M
+    assert it.upper_m(20.0 + THING_M + 3.0) == it.upper_m(60.0) == math.inf
 
 
 def test_a_later_scan_takes_back_what_is_not_free_any_more_and_frees_what_has_gone() -> None:
-    it = Standing().run(20, thing=False)
-    it.scanner.begun(HERE_NEA_M, it.state, it.now_s)
+    it = Standing(thing=False)
+    it.begin()
     it.scan()
     it.run(10)
     it.scan()
-    assert it.upper_m(20.0 + THING_M, 20.0) > CEILING_AMSL_M
+    assert it.upper_m(20.0 + THING_M) > CEILING_AMSL_M
     it.run(40, thing=False)
-    it.scanner.begun(HERE_NEA_M, it.state, it.now_s)
-    it.tick(thing=False)
-    done = it.scanner.done(it.now_s)
-    assert done is not None
-    it.state = replace_known(it.state, it.state.flight.known.with_scan(done.scan))
-    assert it.upper_m(20.0 + THING_M, 20.0) == GROUND_AMSL_M
+    it.scan(thing=False)
+    assert it.upper_m(20.0 + THING_M) == GROUND_AMSL_M
 
 
 def test_what_a_scan_told_that_nobody_took_is_told_again() -> None:
     """As after a stop in the moment of a scan."""
-    one, other = Standing().run(20), Standing().run(20)
+    one, other = Standing(), Standing()
     for it in (one, other):
         it.scan(takes=it is one)
         it.scan()
@@ -129,58 +111,49 @@ def test_what_a_scan_told_that_nobody_took_is_told_again() -> None:
     assert np.isfinite(other.state.flight.known.upper_m).any()
 
 
-def test_a_scan_of_a_sensor_that_says_nothing_new_changes_nothing() -> None:
-    it = Standing().run(20)
+def test_a_scan_waits_for_a_new_sweep_and_no_longer_than_it_may_and_changes_nothing_then() -> None:
+    it = Standing()
     it.scan()
     before = it.state.flight.known
-    it.scanner.begun(HERE_NEA_M, it.state, it.now_s)
+    it.begin()
+    for wait_s in (0.0, 0.15):
+        it.move_on(wait_s)
+        assert it.scanner.done(it.now_s) is None
     it.move_on(1.0)
-    it.move_on()
-    done = it.scanner.done(it.now_s)
-    assert done is not None
+    done = it.done()
     assert (done.asked, done.answered) == (1, 0)
-    np.testing.assert_array_equal(before.with_scan(done.scan).upper_m, before.upper_m)
-
-
-def test_a_scan_waits_for_the_next_sweep_and_no_longer_than_it_may_take() -> None:
-    it = Standing().run(5)
-    it.scanner.begun(HERE_NEA_M, it.state, it.now_s)
-    assert it.scanner.done(it.now_s) is None
-    it.move_on(0.15)
-    assert it.scanner.done(it.now_s) is None
-    it.move_on()
-    assert it.scanner.done(it.now_s) is not None
+    np.testing.assert_array_equal(it.state.flight.known.upper_m, before.upper_m)
 
 
 def test_a_healthy_sensor_of_the_autopilot_that_sees_nothing_has_answered() -> None:
-    near = mission().near
-    assert near is not None
-    of = replace(mission(), near=replace(near, kind="distance_sensor", component_id=1))
+    assert MISSION.near is not None
+    assert MISSION.known is not None
+    of = replace(MISSION, near=replace(MISSION.near, kind="distance_sensor", component_id=1))
     scanner, bit = NearScanner(of, Poses(of.frame)), wire.MAV_SYS_STATUS_SENSOR_PROXIMITY
     for now_s, answered in ((100.0, 1), (105.0, 0)):
         scanner.on_message(health(bit, well=bool(answered)), now_s)
         seen = scanner.seen(now_s)
         assert seen is not None
         assert seen.sight is (Sight.NOTHING_THERE if answered else Sight.NEVER_HEARD)
-        scanner.begun(HERE_NEA_M, fresh(of), now_s)
+        scanner.begun(HERE_NEA_M, State.of(of, MISSION.known), now_s)
         done = scanner.done(now_s + 1.0)
-        assert done is not None
         assert done.answered == answered
 
 
 @pytest.mark.parametrize("component", [1, 195, 197])
 def test_what_others_say_of_obstacles_is_not_believed(component: int) -> None:
     """Also what we say, when somebody mirrors it."""
-    it = Standing().run(10)
-    before = it.scanner.seen(it.now_s), it.scanner._near.passes.copy()
+    it = Standing()
     for _ in range(20):
-        it.tick(distances(it.now_s, component=component, distances=[100] * 72))
-    np.testing.assert_array_equal(it.scanner._near.passes, before[1])
-    assert not it.scanner._near.occupied()[it.state.flight.known.cell_of(19.0, 20.0)]
+        it.tick(sweep(it.now_s, component=component, distances=[100] * 72))
+    it.scan()
+    assert it.upper_m(19.0) == GROUND_AMSL_M
 
 
-def test_silence_is_told_once_and_so_is_the_return_of_sight() -> None:
-    it = Standing().run(10)
+@pytest.mark.parametrize("clock_s", [None, 2.0], ids=["runs on", "begins anew"])
+def test_silence_is_told_once_and_so_is_the_return_of_sight(clock_s: float | None) -> None:
+    it = Standing()
+    it.now_s = clock_s or it.now_s
     told = [it.move_on() for _ in range(30)]
     assert [seen.sight for seen in told if seen] == [Sight.DEAD]
     seen = [it.tick() for _ in range(3)]
@@ -189,27 +162,16 @@ def test_silence_is_told_once_and_so_is_the_return_of_sight() -> None:
 
 def test_a_flood_a_jump_of_clocks_and_junk_cost_no_more_than_what_is_kept() -> None:
     """200 Hz is 20 messages in a tick; a stamp of another clock counts as now; NaN says nothing."""
-    it = Standing()
-    for _ in range(10):
-        seen = it.tick(*(distances(it.now_s + 1e-4 * k) for k in range(20)))
-    assert seen is not None
-    jumping = (distances(time_s) for time_s in (0.0, 1e9, it.now_s - 50.0, it.now_s + 50.0))
+    it = Standing(0)
+    seen = [it.tick(*(sweep(it.now_s + 1e-4 * k) for k in range(20))) for _ in range(10)]
+    assert seen[-1] is not None
+    jumping = (sweep(time_s) for time_s in (0.0, 1e9, it.now_s - 50.0, it.now_s + 50.0))
     assert it.tick(*jumping) is not None
-    junk = (
-        distances(it.now_s, increment_f=math.nan),
-        distances(it.now_s, angle_offset=math.inf),
-        distances(it.now_s, frame=99),
-        distances(it.now_s, max_distance=10),
-        distances(it.now_s, increment=0, increment_f=0.0),
-    )
-    assert it.tick(*junk) is None
+    junk: list[dict[str, Any]] = [
+        *({"increment_f": math.nan}, {"angle_offset": math.inf}, {"frame": 99}),
+        *({"max_distance": 10}, {"increment": 0, "increment_f": 0.0}),
+    ]
+    assert it.tick(*(sweep(it.now_s, **fields) for fields in junk)) is None
     it.scan()
-    assert it.upper_m(22.0, 20.0) == GROUND_AMSL_M
-    assert it.upper_m(20.0 + THING_M, 20.0) > CEILING_AMSL_M
-
-
-def test_a_vehicle_clock_that_begins_anew_leaves_no_sight_of_a_dead_sensor() -> None:
-    it = Standing().run(10)
-    it.now_s = 2.0
-    told = [it.move_on() for _ in range(10)]
-    assert [seen.sight for seen in told if seen] == [Sight.DEAD]
+    assert it.upper_m(22.0) == GROUND_AMSL_M
+    assert it.upper_m(20.0 + THING_M) > CEILING_AMSL_M

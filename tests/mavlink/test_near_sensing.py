@@ -77,15 +77,7 @@ def test_frames_offsets_and_turning_senses_all_mean_the_same_place(yaw_deg: floa
 
 
 def test_a_sensor_that_is_turned_and_mounted_aside_is_where_it_is() -> None:
-    sensor = NearSensor(
-        kind="obstacle_distance",
-        component_id=196,
-        range_m=40.0,
-        latency_s=0.0,
-        yaw_rad=math.pi,
-        forward_m=0.5,
-        right_m=0.2,
-    )
+    sensor = replace(LIDAR, yaw_rad=math.pi, forward_m=0.5, right_m=0.2)
     sweep = read(obstacle_distance([500]), standing(math.radians(90.0)), sensor)
     assert clear_towards_m(sweep, -90.0) == pytest.approx(5.0)
     assert sweep.sensor_ne_m == pytest.approx((3.0 - 0.2, 4.0 + 0.5))
@@ -190,15 +182,11 @@ def test_a_pose_that_is_not_known_is_not_guessed() -> None:
     assert poses.at(NOW_S + 1.05) is None
 
 
-def test_a_sensor_that_knows_nothing_in_any_direction_does_not_see() -> None:
+def test_sight_is_told_apart_from_a_sensor_that_is_dead_or_sees_nothing() -> None:
     sensing = NearSensing(LIDAR, standing())
-    sensing.on_obstacle_distance(obstacle_distance([UNKNOWN] * 72), NOW_S)
-    assert sensing.sight(NOW_S) is Sight.NEVER_HEARD
-    sensing.on_obstacle_distance(obstacle_distance([UNKNOWN] * 71), NOW_S)
-    assert sensing.sight(NOW_S) is Sight.SEES
-
-
-def test_a_lidar_that_dies_is_told_from_one_that_sees_nothing() -> None:
+    for known, sight in ((0, Sight.NEVER_HEARD), (1, Sight.SEES)):
+        sensing.on_obstacle_distance(obstacle_distance([UNKNOWN] * (72 - known)), NOW_S)
+        assert sensing.sight(NOW_S) is sight
     sensing = NearSensing(BEHIND_AUTOPILOT, standing())
     assert sensing.sight(NOW_S) is Sight.NEVER_HEARD
     sensing.on_distance_sensor(beam(NOW_S - 0.1), NOW_S)
@@ -219,9 +207,7 @@ def test_a_lidar_that_dies_is_told_from_one_that_sees_nothing() -> None:
         (158, {"id": 0, "horizontal_fov": math.radians(27.0)}, False),
     ],
 )
-def test_one_beam_does_not_speak_for_a_sector(
-    component: int, fields: dict[str, Any], is_taken: bool
-) -> None:
+def test_a_beam_is_no_sector(component: int, fields: dict[str, Any], is_taken: bool) -> None:
     sensing = NearSensing(BEHIND_AUTOPILOT, standing())
     sensing.on_distance_sensor(beam(NOW_S - 0.05, source=(1, component), **fields), NOW_S)
     assert (sensing.sight(NOW_S) is Sight.SEES) == is_taken
@@ -235,9 +221,7 @@ def test_one_beam_does_not_speak_for_a_sector(
     ],
     ids=["still", "flood"],
 )
-def test_sectors_of_one_stamp_go_on_to_be_taken(
-    beams: list[tuple[float, int]], echoes_m: list[float]
-) -> None:
+def test_sectors_of_one_stamp_go_on(beams: list[tuple[float, int]], echoes_m: list[float]) -> None:
     sensing = NearSensing(BEHIND_AUTOPILOT, standing())
     for after_s, cm in beams:
         sensing.on_distance_sensor(beam(NOW_S - 0.05, cm), NOW_S + after_s)
@@ -261,60 +245,62 @@ def flown(
     return sensing, sweeps
 
 
-def sectors_over(
-    seconds: float, told: Callable[[int], Iterable[int]], component: int = 1
-) -> list[float]:
+Told = Callable[[int], Iterable[int]]
+
+
+def sectors_over(seconds: float, told: Told, component: int = 1) -> list[float]:
     """What is clear in the end, metres, if set k at 20 Hz tells of a thing in these sectors."""
     sensor = replace(BEHIND_AUTOPILOT, component_id=component)
     beams = lambda k: [beam(0.0, orientation=sector) for sector in told(k)]  # noqa: E731
     return [float(each) for each in flown(sensor, seconds, beams)[1][-1].clear_m]
 
 
-def test_a_sector_before_the_last_one_that_was_never_told_is_empty() -> None:
-    """A link leaves out the high ones (proximity.md 1)."""
-    assert sectors_over(1.0, lambda _: (0, 2, 5)) == [7.0, 0.0, 7.0, 0.0, 0.0, 7.0, 0.0, 0.0]
-    expected = [7.0, 16.0, 7.0, 16.0, 16.0, 7.0, 0.0, 0.0]
-    assert sectors_over(1.75, lambda _: (0, 2, 5)) == pytest.approx(expected)
+def always(*sectors: int) -> Told:
+    return lambda _: sectors
 
 
-@pytest.mark.parametrize("turned", range(8))
-def test_which_sectors_have_an_echo_does_not_matter_to_what_is_clear(turned: int) -> None:
-    """Whatever the heading of a vehicle before open ground; ds-4: only 3, 4 and 5 had one."""
-    told = sorted((turned + k) % 8 for k in range(3))
-    expected = [7.0 if sector in told else 16.0 for sector in range(8)]
-    assert sectors_over(4.0, lambda _: told) == pytest.approx(expected)
+def unless(*sectors: int, at: Callable[[int], bool], told: tuple[int, ...] = ()) -> Told:
+    """These sectors, but in some sets only those that are told."""
+    return lambda k: told if at(k) else sectors
 
 
-def test_what_a_link_has_no_room_for_stays_unknown() -> None:
-    """The room differs, as what comes once a second needs some of it."""
-    cut = lambda k: (0, 2, 5) if k % 20 else (0, 2)  # noqa: E731
-    assert sectors_over(6.0, cut)[6:] == [0.0, 0.0]
-    once = lambda k: (0, 2) if k == 100 else (0, 2, 5)  # noqa: E731
-    assert sectors_over(5.0, once)[6:] == pytest.approx([16.0, 16.0])
-    assert sectors_over(6.0, once)[6:] == [0.0, 0.0]
-    assert sectors_over(9.0, once)[6:] == pytest.approx([16.0, 16.0])
+def each_second(k: int) -> bool:
+    return k % 20 == 0
 
 
-@pytest.mark.parametrize("first", [0, 4])
-def test_a_set_that_a_link_leaves_out_altogether_is_missed(first: int) -> None:
-    """A thing in the next sector is never told of, for want of room."""
-    cut = lambda k: (first,) if k % 20 else ()  # noqa: E731
-    unknown = range(first + 1, 8)
-    assert {sectors_over(6.0, cut)[each] for each in unknown} == {0.0}
-    slower = lambda k: (first,) if k < 20 or k % 2 else ()  # noqa: E731
-    for told in (lambda _: (first,), slower):
-        clear_m = sectors_over(7.0, told)
-        assert clear_m == pytest.approx([7.0 if each == first else 16.0 for each in range(8)])
+def once(k: int) -> bool:
+    return k == 100
 
 
-def test_one_that_is_left_out_now_and_was_told_before_is_unknown() -> None:
-    clear_m = sectors_over(4.0, lambda k: (0, 2, 5) if k < 70 else (0, 5))
-    assert clear_m == pytest.approx([7.0, 16.0, 0.0, 16.0, 16.0, 7.0, 16.0, 16.0])
+@pytest.mark.parametrize(
+    ("told", "seconds", "expected_m"),
+    [
+        # a sector before the last one that was never told is empty; a link leaves out the high
+        # ones (proximity.md 1)
+        (always(0, 2, 5), 1.0, "7 0 7 0 0 7 0 0"),
+        (always(0, 2, 5), 1.75, "7 16 7 16 16 7 0 0"),
+        (always(0, 2, 5), 4.0, "7 16 7 16 16 7 16 16"),
+        # what a link has no room for is unknown; what comes once a second needs some of it
+        (unless(0, 2, 5, at=each_second, told=(0, 2)), 6.0, "7 16 7 0 0 7 0 0"),
+        (unless(0, 2, 5, at=once, told=(0, 2)), 5.0, "7 16 7 16 16 7 16 16"),
+        (unless(0, 2, 5, at=once, told=(0, 2)), 6.1, "7 16 7 0 0 7 0 0"),
+        (unless(0, 2, 5, at=once, told=(0, 2)), 9.0, "7 16 7 16 16 7 16 16"),
+        # a set that is left out altogether is missed: a thing in the next sector is never told of
+        (unless(0, at=each_second), 6.0, "7 0 0 0 0 0 0 0"),
+        (unless(4, at=each_second), 6.0, "16 16 16 16 7 0 0 0"),
+        (unless(0, at=lambda k: k >= 20 and k % 2 == 0), 7.0, "7 16 16 16 16 16 16 16"),
+        (always(4), 7.0, "16 16 16 16 7 16 16 16"),
+        # one that is left out now and was told before is unknown
+        (unless(0, 2, 5, at=lambda k: k >= 70, told=(0, 5)), 4.0, "7 16 0 16 16 7 16 16"),
+    ],
+)
+def test_what_silence_about_a_sector_means(told: Told, seconds: float, expected_m: str) -> None:
+    assert sectors_over(seconds, told) == pytest.approx([float(m) for m in expected_m.split()])
 
 
 def test_of_a_driver_other_than_the_autopilot_silence_says_nothing() -> None:
     expected = [7.0, 0.0, 7.0, 0.0, 0.0, 7.0, 0.0, 0.0]
-    assert sectors_over(4.0, lambda _: (0, 2, 5), component=158) == expected
+    assert sectors_over(4.0, always(0, 2, 5), component=158) == expected
 
 
 def test_how_far_it_sees_is_the_least_that_its_newest_messages_say() -> None:
@@ -323,12 +309,10 @@ def test_how_far_it_sees_is_the_least_that_its_newest_messages_say() -> None:
     for most_cm, now_s in ((4000, NOW_S), (1200, NOW_S + 0.1), (2500, NOW_S + 0.2)):
         sensing.on_obstacle_distance(obstacle_distance([500], max_distance=most_cm), now_s)
         assert sensing.limits_m == pytest.approx((0.2, 0.01 * most_cm))
-
-
-def test_sectors_of_unlike_limits_are_clear_as_far_as_each_one_sees() -> None:
+    limits_cm = ((20, 900), (50, 800), (20, 4000))  # sectors of unlike ones are clear as far
     beams = [
-        beam(0.0, most_cm, orientation=sector, min_distance=least_cm, max_distance=most_cm)
-        for sector, least_cm, most_cm in ((0, 20, 900), (1, 50, 800), (2, 20, 4000))
+        beam(0.0, most, orientation=sector, min_distance=least, max_distance=most)
+        for sector, (least, most) in enumerate(limits_cm)
     ]
     sensing, sweeps = flown(BEHIND_AUTOPILOT, 2.0, lambda _: beams)
     assert sweeps[-1].clear_m[:3] == pytest.approx([9.0, 8.0, BEHIND_AUTOPILOT.range_m])

@@ -5,27 +5,23 @@ import struct
 from typing import Any
 
 import pytest
-from held import FOUR, Firmware, Held, Kind, recorded
+from held import FOUR, Held, recorded
 from hypothesis import given
 from hypothesis import strategies as st
 from wires import over_the_wire
 
 from companion.mavlink.autopilots import ALL
 from companion.mavlink.dialect import wire
-from companion.mavlink.parameter_client import (
-    ANSWER_S,
-    ParameterClient,
-    decoded,
-    encoded,
-)
+from companion.mavlink.parameter_client import ANSWER_S, ParameterClient, decoded, encoded
 from companion.mavlink.rules import names_of
 
-ALL_FOUR = pytest.mark.parametrize(("firmware", "kind"), FOUR)
-RULES = {way: each.rules for way, each in zip(FOUR, ALL, strict=True)}
-WHOLE = {1: (0, 255), 2: (-128, 127), 3: (0, 65535), 4: (-(2**15), 2**15 - 1)} | {
-    5: (0, 2**32 - 1),
-    6: (-(2**31), 2**31 - 1),
-}
+GROUPS = {way: names_of(each.rules) for way, each in zip(FOUR, ALL, strict=True)}
+ALL_FOUR = pytest.mark.parametrize("way", FOUR, ids=" ".join)
+READ = "PARAM_REQUEST_READ"
+
+
+def client_of(firmware: str, *groups: tuple[str, ...]) -> ParameterClient:
+    return ParameterClient(1, groups, bytewise=firmware == "px4")
 
 
 def told(name: str, value: float, kind: int = 9, source: tuple[int, int] = (1, 1)) -> Any:
@@ -33,11 +29,11 @@ def told(name: str, value: float, kind: int = 9, source: tuple[int, int] = (1, 1
     return over_the_wire(message, source)
 
 
-def names_of_requests(messages: list[Any]) -> list[str]:
-    return [message.param_id for message in messages]
+def asked(messages: list[Any]) -> list[tuple[str, str]]:
+    return [(message.get_type(), message.param_id) for message in messages]
 
 
-# --- against the simulator ------------------------------------------------------------------------
+# --- against the simulator
 
 
 @pytest.mark.sample(5)
@@ -45,124 +41,104 @@ def names_of_requests(messages: list[Any]) -> list[str]:
 @pytest.mark.parametrize(
     "fault", ["", "link_loss 25 %", "link_delay 700 ms", "link_duplication 50 %"]
 )
-def test_reads_what_the_vehicle_has_and_knows_what_it_has_not(
-    firmware: Firmware, kind: Kind, fault: str
-) -> None:
-    held = Held(firmware, kind)
+def test_reads_what_there_is_and_knows_the_rest(way: Any, fault: str) -> None:
+    held, client = Held(*way), client_of(way[0], *GROUPS[way])
     if fault:
         held.simulation.add_fault(fault)
-    groups = names_of(RULES[firmware, kind])
-    client = ParameterClient(1, groups, bytewise=firmware == "px4")
     took_s = held.run(60.0, client, lambda: client.is_done)
     assert client.is_done
     # five tries for what it has not, each once it was heard since: its heartbeat, once a second
     assert took_s < (5.0 if not fault else 15.0)
-    parameters = held.simulation.parameters
-    known = {name for group in groups for name in group if name in parameters}
-    assert set(client.values) == known
-    for name in known:
-        assert client.values[name] == pytest.approx(parameters[name], rel=1e-6)
+    there = held.simulation.parameters
+    known = {name: there[name] for group in GROUPS[way] for name in group if name in there}
+    assert client.values == pytest.approx(known, rel=1e-6)
 
 
 @pytest.mark.sample(2)  # of both firmwares
 @ALL_FOUR
-def test_a_silent_link_is_not_flooded_and_makes_nothing_missing(
-    firmware: Firmware, kind: Kind
-) -> None:
-    held = Held(firmware, kind)
+def test_a_silent_link_is_not_flooded_and_hides_nothing(way: Any) -> None:
+    held, client = Held(*way), client_of(way[0], *GROUPS[way])
     held.simulation.add_fault("for 20 s: link_off")
-    client = ParameterClient(1, names_of(RULES[firmware, kind]), bytewise=firmware == "px4")
     held.run(19.0, client)
-    assert not client.is_done
-    assert set(client.waiting) == set(client._group_of)
-    times = [at_s for at_s, _ in held.sent]
-    for at_s in times:
-        assert sum(at_s <= other < at_s + ANSWER_S - 0.02 for other in times) <= 6
+    names = {name for group in GROUPS[way] for name in group}
+    assert set(client.waiting) == names
+    times_s = [at_s for at_s, _ in held.sent]
+    for at_s in times_s:
+        assert sum(at_s <= other < at_s + ANSWER_S - 0.02 for other in times_s) <= 6
     held.run(10.0, client)
     assert client.is_done
-    assert all(
-        name in client.values for name in client._group_of if name in held.simulation.parameters
-    )
+    assert {name for name in names if name in held.simulation.parameters} <= set(client.values)
+
+
+SETS = {
+    "ardupilot": {"FENCE_TYPE": 3.0, "FENCE_RADIUS": 212.5},
+    "px4": {"COM_OBL_RC_ACT": 5.0, "COM_OF_LOSS_T": 0.7, "COM_RCL_EXCEPT": -1.0},
+}
 
 
 @ALL_FOUR
 @pytest.mark.parametrize("fault", ["", "link_loss 25 %"])
-def test_sets_whole_and_other_numbers_and_reads_them_back(
-    firmware: Firmware, kind: Kind, fault: str
-) -> None:
-    held = Held(firmware, kind)
+def test_sets_numbers_and_reads_them_back(way: Any, fault: str) -> None:
+    held, client, values = Held(*way), client_of(way[0]), SETS[way[0]]
     if fault:
         held.simulation.add_fault(fault)
-    values = {"ardupilot": {"FENCE_TYPE": 3.0, "FENCE_RADIUS": 212.5}}.get(
-        firmware, {"COM_OBL_RC_ACT": 5.0, "COM_OF_LOSS_T": 0.7, "COM_RCL_EXCEPT": -1.0}
-    )
-    client = ParameterClient(1, [], bytewise=firmware == "px4")
     for name, value in values.items():
         client.set(name, value)
     held.run(30.0, client, lambda: client.is_done)
     assert client.is_done
     assert client.failed_sets == {}
-    for name, value in values.items():
-        assert held.simulation.parameters[name] == pytest.approx(value)
-        assert client.values[name] == pytest.approx(value)
+    assert client.values == pytest.approx(values)
+    assert {name: held.simulation.parameters[name] for name in values} == pytest.approx(values)
+
+
+KEPT_OTHERWISE = (
+    ("NAV_GPSF_LT", 9000.0, "it was told 9000 and says 3600"),
+    ("NO_SUCH_ONE", 1.0, "the autopilot does not have it"),
+    ("COM_OF_LOSS_T", math.nan, "nan is no number that a parameter can have"),
+    ("COM_OBL_RC_ACT", 5e12, "5e+12 does not fit into its type"),
+)
 
 
 def test_a_value_that_the_vehicle_keeps_otherwise_is_a_failure() -> None:
-    held = Held("px4", "plane")
-    client = ParameterClient(1, [], bytewise=True)
-    client.set("NAV_GPSF_LT", 9000.0)  # at most 3600
-    client.set("NO_SUCH_ONE", 1.0)
-    client.set("COM_OF_LOSS_T", math.nan)
-    client.set("COM_OBL_RC_ACT", 5e12)
+    held, client = Held("px4", "plane"), client_of("px4")
+    for name, value, _ in KEPT_OTHERWISE:
+        client.set(name, value)
     held.run(20.0, client, lambda: client.is_done)
     assert client.is_done
-    assert client.failed_sets == {
-        "NAV_GPSF_LT": "it was told 9000 and says 3600",
-        "NO_SUCH_ONE": "the autopilot does not have it",
-        "COM_OF_LOSS_T": "nan is no number that a parameter can have",
-        "COM_OBL_RC_ACT": "5e+12 does not fit into its type",
-    }
+    assert client.failed_sets == {name: why for name, _, why in KEPT_OTHERWISE}
 
 
-# --- against recorded flights ---------------------------------------------------------------------
+# --- against recorded flights
+
+RECORDED = {
+    "px4-offboard-8mps": {"COM_OBL_RC_ACT": 5.0, "CAL_ACC0_ROT": -1.0, "CAL_BARO0_ID": 6620172.0},
+    "px4-offboard-short": {"SYS_AUTOSTART": 10040.0, "COM_OBL_RC_ACT": 5.0},
+    "px4-fixedwing-offboard": {"FW_AIRSPD_TRIM": 15.0, "NAV_LOITER_RAD": 80.0},
+    "arducopter-guided-10mps": {"ANGLE_MAX": 4500.0, "COMPASS_DEV_ID": 97539.0},
+}
 
 
-@pytest.mark.parametrize(
-    ("log", "expected"),
-    [
-        (
-            "px4-offboard-8mps.tlog",
-            {
-                "COM_OBL_RC_ACT": 5.0,
-                "COM_OF_LOSS_T": 1.0,
-                "MPC_XY_VEL_MAX": 12.0,
-                "CAL_ACC0_ROT": -1.0,
-                "CAL_BARO0_ID": 6620172.0,
-            },
-        ),
-        ("px4-offboard-short.tlog", {"SYS_AUTOSTART": 10040.0, "COM_OBL_RC_ACT": 5.0}),
-        ("px4-fixedwing-offboard.tlog", {"FW_AIRSPD_TRIM": 15.0, "NAV_LOITER_RAD": 80.0}),
-        ("arducopter-guided-10mps.tlog", {"ANGLE_MAX": 4500.0, "COMPASS_DEV_ID": 97539.0}),
-    ],
-)
-def test_reads_the_values_of_recorded_flights(log: str, expected: dict[str, float]) -> None:
-    client = ParameterClient(1, [(name,) for name in expected], bytewise=log.startswith("px4"))
-    for at_s, message in recorded(log):
+@pytest.mark.parametrize("log", RECORDED)
+def test_reads_the_values_of_recorded_flights(log: str) -> None:
+    client = client_of(log[:3], *((name,) for name in RECORDED[log]))
+    for at_s, message in recorded(f"{log}.tlog"):
         client.on_message(message, at_s)
-    assert {name: client.values[name] for name in expected} == expected
+    assert client.values == RECORDED[log]
 
 
-# --- what is said, and by whom --------------------------------------------------------------------
+# --- how numbers travel
+
+WHOLE = {1: (0, 255), 2: (-128, 127), 3: (0, 65535), 4: (-(2**15), 2**15 - 1)}
+WHOLE |= {5: (0, 2**32 - 1), 6: (-(2**31), 2**31 - 1)}
 
 
 @given(data=st.data(), kind=st.sampled_from(sorted(WHOLE)), bytewise=st.booleans())
 def test_whole_numbers_survive_the_wire(data: st.DataObject, kind: int, bytewise: bool) -> None:
     low, high = WHOLE[kind]
-    most = 2**24 if not bytewise else high  # a float holds no more exactly
+    most = high if bytewise else 2**24  # a float holds no more exactly
     value = float(data.draw(st.integers(max(low, -most), min(high, most))))
     sent = encoded(value, kind, bytewise=bytewise)
-    raw = sent if not math.isnan(sent) else 0.0
-    message = told("NAME", raw, kind)
+    message = told("NAME", 0.0 if math.isnan(sent) else sent, kind)
     if math.isnan(sent):  # a float on the way would change its bits, the bytes do not
         frame = bytearray(message.get_msgbuf())
         frame[10:14] = struct.pack("<i", int(value))
@@ -175,42 +151,49 @@ def test_other_numbers_are_floats_either_way(value: float, bytewise: bool) -> No
     assert decoded(told("NAME", encoded(value, 9, bytewise=bytewise)), bytewise=bytewise) == value
 
 
-def test_one_of_two_names_ends_the_asking_for_both() -> None:
-    client = ParameterClient(1, [("MAV_SYSID", "SYSID_THISMAV")])
-    assert names_of_requests(client.on_time(0.0)) == ["MAV_SYSID", "SYSID_THISMAV"]
-    client.on_message(told("SYSID_THISMAV", 1.0, 4), 0.1)
-    assert client.is_done
-    assert client.values == {"SYSID_THISMAV": 1.0}
+def test_the_version_tells_how_whole_numbers_travel() -> None:
+    client = client_of("ardupilot", ("COM_OBL_RC_ACT",))
+    (bits,) = struct.unpack("<f", struct.pack("<i", 5))
+    client.on_message(told("COM_OBL_RC_ACT", bits, 6), 0.1)
+    numbers = (0xE8FF, 0, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
+    version = over_the_wire(wire.MAVLink_autopilot_version_message(*numbers))
+    assert asked(client.on_message(version, 0.2)) == [(READ, "COM_OBL_RC_ACT")]
+    client.on_message(told("COM_OBL_RC_ACT", bits, 6), 0.3)
+    assert client.values == {"COM_OBL_RC_ACT": 5.0}
 
 
-def test_a_parameter_error_says_at_once_that_there_is_none() -> None:
-    client = ParameterClient(1, [("A",), ("B",)])
+# --- what is said, and by whom
+
+
+def error(name: bytes, why: int) -> Any:
+    return over_the_wire(wire.MAVLink_param_error_message(1, 195, name, -1, why))
+
+
+def test_a_parameter_error_says_at_once_that_there_is_none_or_that_it_can_only_be_read() -> None:
+    client = client_of("ardupilot", ("A",), ("B",))
     client.on_time(0.0)
-    error = wire.MAVLink_param_error_message(1, 195, b"A", -1, 1)
-    assert error.error == wire.MAV_PARAM_ERROR_DOES_NOT_EXIST
-    client.on_message(over_the_wire(error), 0.1)
+    client.on_message(error(b"A", wire.MAV_PARAM_ERROR_DOES_NOT_EXIST), 0.1)
     assert client.waiting == ("B",)
     client.on_message(told("B", 2.0), 0.2)
     assert client.is_done
     client.set("B", 3.0)
     client.on_time(0.3)
-    refused = wire.MAVLink_param_error_message(1, 195, b"B", -1, wire.MAV_PARAM_ERROR_READ_ONLY)
-    client.on_message(over_the_wire(refused), 0.4)
+    client.on_message(error(b"B", wire.MAV_PARAM_ERROR_READ_ONLY), 0.4)
     assert client.failed_sets == {"B": "it can only be read"}
     assert client.is_done
 
 
-@pytest.mark.parametrize("source", [(2, 1), (1, 100), (255, 190)])
-def test_only_the_autopilot_tells_its_parameters(source: tuple[int, int]) -> None:
-    client = ParameterClient(1, [("A",)])
-    client.on_time(0.0)
-    assert client.on_message(told("A", 1.0, source=source), 0.1) == []
-    assert client.values == {}
-    assert not client.is_done
+@pytest.mark.parametrize("source", [(2, 1), (1, 100), (255, 190), (1, 1)])
+def test_only_the_autopilot_tells_and_one_of_two_names_is_enough(source: tuple[int, int]) -> None:
+    client = client_of("ardupilot", ("MAV_SYSID", "SYSID_THISMAV"))
+    assert asked(client.on_time(0.0)) == [(READ, "MAV_SYSID"), (READ, "SYSID_THISMAV")]
+    assert client.on_message(told("SYSID_THISMAV", 1.0, 4, source), 0.1) == []
+    assert client.values == ({"SYSID_THISMAV": 1.0} if source == (1, 1) else {})
+    assert client.is_done == (source == (1, 1))
 
 
 def test_a_value_that_comes_late_counts() -> None:
-    client = ParameterClient(1, [("A",), ("B",)])
+    client = client_of("ardupilot", ("A",), ("B",))
     client.on_message(told("B", 1.0), 0.0)
     for step in range(100):
         client.on_time(0.1 * step)
@@ -223,38 +206,18 @@ def test_a_value_that_comes_late_counts() -> None:
     assert client.version == version + 2
 
 
-def test_the_version_tells_how_whole_numbers_travel() -> None:
-    client = ParameterClient(1, [("COM_OBL_RC_ACT",)], bytewise=False)
-    (bits,) = struct.unpack("<f", struct.pack("<i", 5))
-    client.on_message(told("COM_OBL_RC_ACT", bits, 6), 0.1)
-    version = wire.MAVLink_autopilot_version_message(
-        0xE8FF, 0, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0
-    )
-    (again,) = client.on_message(over_the_wire(version), 0.2)
-    assert again.get_type() == "PARAM_REQUEST_READ"
-    client.on_message(told("COM_OBL_RC_ACT", bits, 6), 0.3)
-    assert client.values == {"COM_OBL_RC_ACT": 5.0}
-
-
-def test_what_was_set_is_read_back() -> None:
-    client = ParameterClient(1, [("A",)])
+def test_what_was_set_is_read_back_and_after_a_reboot_all_is_asked_for_again() -> None:
+    client = client_of("ardupilot", ("A",))
     client.on_message(told("A", 1.0), 0.0)
     client.set("A", 3.0)
-    (asked,) = client.on_time(0.1)
-    assert (asked.get_type(), asked.param_value) == ("PARAM_SET", 3.0)
-    (read,) = client.on_message(told("A", 3.0), 0.2)  # it says so, but does it keep it?
-    assert read.get_type() == "PARAM_REQUEST_READ"
+    (sent,) = client.on_time(0.1)
+    assert (sent.get_type(), sent.param_value) == ("PARAM_SET", 3.0)
+    assert asked(client.on_message(told("A", 3.0), 0.2)) == [(READ, "A")]  # does it keep it?
     assert not client.is_done
     for step in range(100):
         client.on_message(told("A", 2.0), 0.3 + 0.1 * step)
     assert client.failed_sets == {"A": "it was told 3 and says 2"}
-
-
-def test_after_a_reboot_all_is_asked_for_again() -> None:
-    client = ParameterClient(1, [("A",)])
-    client.on_message(told("A", 1.0), 0.0)
-    assert client.is_done
     client.restart()
     assert not client.is_done
     assert client.values == {}
-    assert names_of_requests(client.on_time(1.0)) == ["A"]
+    assert asked(client.on_time(1.0)) == [(READ, "A")]

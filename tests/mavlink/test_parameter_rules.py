@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from companion.config import bundled, load_mission
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots import ALL
 from companion.mavlink.parameter_client import ParameterClient
-from companion.mavlink.rules import Finding, Rule, findings_of, names_of
+from companion.mavlink.rules import Finding, findings_of, names_of
 from companion.mission.mission import EndAction, Mission
 from companion.path.envelope import flown_on_m
 from companion.planner.settings import PlannerSettings, Task
@@ -26,20 +25,23 @@ from vehicle_sim.autopilot.factory import personality_of
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import read_world
 
-TABLES = {way: each.rules for way, each in zip(FOUR, ALL, strict=True)}
-ARDUCOPTER_RULES, ARDUPLANE_RULES, PX4_MULTICOPTER_RULES, PX4_FIXED_WING_RULES = TABLES.values()
-ALL_FOUR = pytest.mark.parametrize(("firmware", "kind"), FOUR)
-REFUSE, SET = "refused", "set"
 Way = tuple[Firmware, Kind]
-
-
-VALUES = {"acceleration_m_s2": 2.0, "climb_rate_m_s": 1.5, "tracking_error_m": 10.0}
-VALUES |= {"climb_angle_rad": 0.12, "dive_angle_rad": 0.12}
-VALUES |= {"floor_amsl_m": 500.0, "ceiling_amsl_m": 660.0}
+Values = dict[str, float]
+COPTER, PLANE, QUAD, WING = FOUR
+TABLES = {way: each.rules for way, each in zip(FOUR, ALL, strict=True)}
+DEFAULTS = {way: Held(*way).simulation.parameters.kept() for way in FOUR}
+STAYS_WITHOUT_RC = {"COM_OBL_RC_ACT": 5.0}
+"""px4.md 6: without RC a PX4 sinks when the stream stops, by default."""
+USUAL = {way: DEFAULTS[way] | (STAYS_WITHOUT_RC if way[0] == "px4" else {}) for way in FOUR}
+ALL_FOUR = pytest.mark.parametrize("way", FOUR, ids=" ".join)
+REFUSE, SET = "refused", "set"
 KINDS = {
     "copter": {"speed_m_s": 8.0, "turn_radius_m": 50.0},
     "plane": {"speed_m_s": 15.0, "turn_radius_m": 120.0, "loiter_radius_m": 110.0},
 }
+VALUES = {"acceleration_m_s2": 2.0, "climb_rate_m_s": 1.5, "tracking_error_m": 10.0}
+VALUES |= {"climb_angle_rad": 0.12, "dive_angle_rad": 0.12}
+VALUES |= {"floor_amsl_m": 500.0, "ceiling_amsl_m": 660.0}
 
 
 def mission(kind: Kind = "copter", *, sets: bool = True, **changes: float) -> Mission:
@@ -55,161 +57,111 @@ def mission(kind: Kind = "copter", *, sets: bool = True, **changes: float) -> Mi
     )
 
 
-def defaults(firmware: Firmware, kind: Kind) -> dict[str, float]:
-    return Held(firmware, kind).simulation.parameters.kept()
-
-
-ARDUCOPTER = defaults("ardupilot", "copter")
-ARDUPLANE = defaults("ardupilot", "plane")
-PX4 = defaults("px4", "copter") | {"COM_OBL_RC_ACT": 5.0}
-PX4_WING = defaults("px4", "plane") | {"COM_OBL_RC_ACT": 5.0}
-USUAL = dict(zip(FOUR, (ARDUCOPTER, ARDUPLANE, PX4, PX4_WING), strict=True))
-
-
-def found(findings: Iterable[Finding], name: str) -> Finding | None:
-    (one,) = [finding for finding in findings if finding.name == name] or [None]
-    return one
+def found(way: Way, values: Values, of: Mission | None = None, *more: Any) -> dict[str, Finding]:
+    """What is said, by parameter."""
+    findings = findings_of(TABLES[way], values, of or mission(way[1]), *more)
+    return {finding.name: finding for finding in findings}
 
 
 def severity_of(finding: Finding | None) -> str | None:
     return None if finding is None else REFUSE if finding.set_to is None else SET
 
 
-def of(
-    rules: tuple[Rule, ...],
-    values: dict[str, float],
-    name: str,
-    value: float,
-    of_mission: Mission,
-) -> tuple[str | None, float | None]:
-    """What is said about one parameter with this value, all others being as given."""
-    finding = found(findings_of(rules, values | {name: value}, of_mission), name)
-    return severity_of(finding), None if finding is None else finding.set_to
+def severity(way: Way, changes: Values, name: str, of: Mission, *more: Any) -> str | None:
+    return severity_of(found(way, USUAL[way] | changes, of, *more).get(name))
 
 
-# --- the whole tables -----------------------------------------------------------------------------
+# --- the whole tables
 
 
 @ALL_FOUR
-def test_defaults_are_safe_but_for_what_was_measured_not_to_be(
-    firmware: Firmware, kind: Kind
-) -> None:
-    findings = findings_of(TABLES[firmware, kind], defaults(firmware, kind), mission(kind))
-    wrong = {(each.name, severity_of(each)) for each in findings}
-    # px4.md 6: without RC the vehicle sinks when the stream stops
-    assert wrong == ({("COM_OBL_RC_ACT", SET)} if firmware == "px4" else set())
+def test_defaults_are_safe_but_for_what_was_measured(way: Way) -> None:
+    said = {name: severity_of(each) for name, each in found(way, DEFAULTS[way]).items()}
+    assert said == (dict.fromkeys(STAYS_WITHOUT_RC, SET) if way[0] == "px4" else {})
 
 
 @pytest.mark.parametrize("name", bundled())
 def test_the_bundled_missions_fit_the_vehicles_that_fly_them(name: str) -> None:
     file = resources.files("companion") / "environments" / name / "world.toml"
     loaded, world = load_mission(name), read_world(Path(str(file)))
-    kind = world.vehicle.kind
-    firmware = personality_of(world.vehicle).firmware.profile.firmware
-    assert (loaded.kind, loaded.autopilot) == (kind, firmware)
+    way = personality_of(world.vehicle).firmware.profile.firmware, world.vehicle.kind
+    assert (loaded.autopilot, loaded.kind) == way
     values = Simulation(world, seed=0).parameters.kept()
-    findings = findings_of(TABLES[firmware, kind], values, loaded)
-    wrong = {each.name for each in findings}
-    assert wrong == ({"COM_OBL_RC_ACT"} if firmware == "px4" else set())
+    assert set(found(way, values, loaded)) == set(STAYS_WITHOUT_RC if way[0] == "px4" else ())
 
 
 @ALL_FOUR
-def test_every_rule_can_be_read_and_every_name_is_one(firmware: Firmware, kind: Kind) -> None:
-    rules = TABLES[firmware, kind]
-    names = [name for group in names_of(rules) for name in group]
+def test_every_rule_can_be_read_and_every_name_is_one(way: Way) -> None:
+    names = [name for group in names_of(TABLES[way]) for name in group]
     assert len(names) == len(set(names))
     assert all(0 < len(name) <= 16 and name.isascii() for name in names)
-    known = defaults(firmware, kind)
-    usual = [rule.name for rule in rules if rule.found(known) is None]
+    usual = {rule.name for rule in TABLES[way] if rule.found(DEFAULTS[way]) is None}
     unread = {f"PRX1_IGN_WID{k}" for k in range(1, 5)}  # not in the simulator's table
-    assert set(usual) <= {"ARMING_SKIPCHK", *unread}  # only newer ones have the former
+    assert usual <= {"ARMING_SKIPCHK", *unread}  # only newer ones have the former
+
+
+WORST = {
+    COPTER: {"GUID_TIMEOUT": 5.0},
+    PLANE: {"WP_LOITER_RAD": -150.0},
+    QUAD: {"COM_OF_LOSS_T": 8.0, "COM_OBL_RC_ACT": 7.0},
+    WING: {"COM_OF_LOSS_T": 8.0, "NAV_LOITER_RAD": 200.0},
+}
 
 
 @ALL_FOUR
-def test_what_is_set_is_taken_and_then_nothing_is_left_to_set(
-    firmware: Firmware, kind: Kind
-) -> None:
-    held = Held(firmware, kind)
-    worst = {
-        ("ardupilot", "copter"): {"GUID_TIMEOUT": 5.0},
-        ("ardupilot", "plane"): {"WP_LOITER_RAD": -150.0},
-        ("px4", "copter"): {"COM_OF_LOSS_T": 8.0, "COM_OBL_RC_ACT": 7.0},
-        ("px4", "plane"): {"COM_OF_LOSS_T": 8.0, "NAV_LOITER_RAD": 200.0},
-    }[firmware, kind]
-    for name, value in worst.items():
+def test_what_is_set_is_taken_and_then_nothing_is_left(way: Way) -> None:
+    held = Held(*way)
+    for name, value in WORST[way].items():
         held.simulation.parameters[name] = value
-    rules, flown = TABLES[firmware, kind], mission(kind)
-    client = ParameterClient(1, names_of(rules), bytewise=firmware == "px4")
+    client = ParameterClient(1, names_of(TABLES[way]), bytewise=way[0] == "px4")
     held.run(10.0, client, lambda: client.is_done)
-    findings = findings_of(rules, client.values, flown)
-    to_set = [each for each in findings if each.set_to is not None]
-    assert {each.name for each in to_set} >= set(worst)
-    for each in to_set:
-        client.set(each.name, each.set_to or 0.0)
+    to_set = {name: each.set_to for name, each in found(way, client.values).items() if each.set_to}
+    assert set(to_set) >= set(WORST[way])
+    for name, value in to_set.items():
+        client.set(name, value)
     held.run(10.0, client, lambda: client.is_done)
     assert client.failed_sets == {}
-    left = findings_of(rules, client.values, flown)
-    assert [str(each) for each in left] == []
+    assert found(way, client.values) == {}
 
 
 @ALL_FOUR
-def test_a_mission_that_sets_nothing_refuses_instead(firmware: Firmware, kind: Kind) -> None:
-    values = defaults(firmware, kind) | {"COM_OBL_RC_ACT": 0.0, "GUID_TIMEOUT": 5.0}
-    asked = findings_of(TABLES[firmware, kind], values, mission(kind))
-    refused = findings_of(TABLES[firmware, kind], values, mission(kind, sets=False))
-    assert all(each.set_to is None for each in refused)
-    assert {each.name for each in refused} == {each.name for each in asked}
+def test_a_mission_that_sets_nothing_refuses_instead(way: Way) -> None:
+    values = DEFAULTS[way] | {"COM_OBL_RC_ACT": 0.0, "GUID_TIMEOUT": 5.0}
+    refused = found(way, values, mission(way[1], sets=False))
+    assert all(each.set_to is None for each in refused.values())
+    assert set(refused) == set(found(way, values))
 
 
-def test_a_line_names_parameter_value_rule_and_remedy() -> None:
-    findings = findings_of(PX4_MULTICOPTER_RULES, PX4 | {"COM_OBL_RC_ACT": 0.0}, mission())
-    assert str(findings[0]) == (
+def test_a_line_names_parameter_value_rule_and_remedy_and_the_worst_comes_first() -> None:
+    values = USUAL[QUAD] | {"COM_OBL_RC_ACT": 0.0}
+    findings = findings_of(TABLES[QUAD], values, mission(speed_m_s=30.0))
+    assert [severity_of(each) for each in findings] == [REFUSE, REFUSE, SET]
+    assert str(findings[-1]) == (
         "COM_OBL_RC_ACT = 0: when the stream stops the vehicle sinks without RC. It is set to 5."
     )
-    for rules, values in ((PX4_MULTICOPTER_RULES, PX4), (ARDUCOPTER_RULES, ARDUCOPTER)):
-        for each in findings_of(
-            rules, values, mission(sets=False, speed_m_s=40.0, climb_rate_m_s=9.0)
-        ):
-            assert "\n" not in str(each)
-            assert len(str(each)) < 300
-
-
-def test_the_worst_comes_first() -> None:
-    findings = findings_of(
-        PX4_MULTICOPTER_RULES, PX4 | {"COM_OBL_RC_ACT": 0.0}, mission(speed_m_s=30.0)
-    )
-    assert [severity_of(each) for each in findings] == [REFUSE, REFUSE, SET]
+    assert all("\n" not in str(each) and len(str(each)) < 300 for each in findings)
 
 
 @ALL_FOUR
-def test_what_the_autopilot_does_not_have_is_refused_only_if_it_is_essential(
-    firmware: Firmware, kind: Kind
-) -> None:
-    rules, values = TABLES[firmware, kind], defaults(firmware, kind)
-    for rule in rules:
-        without = {k: v for k, v in values.items() if k not in rule.names}
-        finding = found(findings_of(rules, without, mission(kind)), rule.name)
-        assert severity_of(finding) == (REFUSE if rule.essential else None)
-    (nothing,) = findings_of(rules, {}, mission(kind))
+def test_what_is_missing_is_refused_only_if_it_is_essential(way: Way) -> None:
+    for rule in TABLES[way]:
+        without = {k: v for k, v in DEFAULTS[way].items() if k not in rule.names}
+        said = found(way, without).get(rule.name)
+        assert severity_of(said) == (REFUSE if rule.essential else None)
+    (nothing,) = found(way, {}).values()
     assert severity_of(nothing) == REFUSE
 
 
-@given(values=st.dictionaries(st.sampled_from(sorted(PX4)), st.floats(), max_size=8))
-def test_no_value_whatever_raises(values: dict[str, float]) -> None:
-    for rules, usual in (
-        (PX4_MULTICOPTER_RULES, PX4),
-        (PX4_FIXED_WING_RULES, PX4_WING),
-        (ARDUCOPTER_RULES, ARDUCOPTER),
-        (ARDUPLANE_RULES, ARDUPLANE),
-    ):
-        wild = dict(zip(usual, values.values(), strict=False))
-        for finding in findings_of(rules, usual | values | wild, mission(), 480.0):
-            assert finding.set_to is None or math.isfinite(finding.set_to)
+@given(values=st.lists(st.floats(), max_size=8), way=st.sampled_from(FOUR), data=st.data())
+def test_no_value_whatever_raises(values: list[float], way: Way, data: st.DataObject) -> None:
+    names = data.draw(st.permutations(sorted(name for r in TABLES[way] for name in r.names)))
+    wild = dict(zip(names, values, strict=False))
+    for finding in found(way, USUAL[way] | wild, mission(), 480.0).values():
+        assert finding.set_to is None or math.isfinite(finding.set_to)
 
 
-# --- one parameter at a time ----------------------------------------------------------------------
+# --- one parameter at a time
 
-COPTER, PLANE, QUAD, WING = TABLES
 SLOW, FAST = {"dead_man_s": 0.6}, {"climb_rate_m_s": 2.0, "dive_angle_rad": 0.5}
 STEEP, FLAT = {"climb_angle_rad": 0.25}, {"climb_rate_m_s": 2.0, "dive_angle_rad": 0.1}
 WIDE = {"loiter_radius_m": 100.0}
@@ -257,23 +209,19 @@ def row(way: Way, name: str, *cases: tuple[float, Any], **limits: float) -> list
         *row(QUAD, "SYS_HAS_GPS", (0.0, REFUSE), (1.0, None)),
     ],
 )
-def test_what_is_said_of_a_value(
-    way: Way, name: str, value: float, said: Any, limits: dict[str, float]
-) -> None:
-    severity, set_to = of(TABLES[way], USUAL[way], name, value, mission(way[1], **limits))
-    assert (severity, set_to) == (
-        (None, None) if said is None else (REFUSE, None) if said is REFUSE else (SET, said)
-    )
+def test_one_value(way: Way, name: str, value: float, said: Any, limits: dict[str, float]) -> None:
+    finding = found(way, USUAL[way] | {name: value}, mission(way[1], **limits)).get(name)
+    expected = said if said in (None, REFUSE) else SET
+    assert severity_of(finding) == expected
+    assert finding is None or finding.set_to == (said if expected is SET else None)
 
 
 @pytest.mark.parametrize(("timeout_s", "furthest_m"), [(3.0, 53.7), (1.0, 33.6), (0.5, 28.8)])
-def test_a_timeout_that_passes_stays_within_the_certified_reach(
-    timeout_s: float, furthest_m: float
-) -> None:
+def test_a_timeout_stays_within_the_certified_reach(timeout_s: float, furthest_m: float) -> None:
     """ardupilot.md 3, "Stream stops at 10 m/s": how far beyond the last setpoint it comes."""
     for dead_man_s in (0.5, 1.0, 1.5, 2.0, 3.0, 3.5):
         flown = mission(speed_m_s=10.0, acceleration_m_s2=2.5, dead_man_s=dead_man_s)
-        passes = of(ARDUCOPTER_RULES, ARDUCOPTER, "GUID_TIMEOUT", timeout_s, flown)[0] is None
+        passes = severity(COPTER, {"GUID_TIMEOUT": timeout_s}, "GUID_TIMEOUT", flown) is None
         assert passes == (dead_man_s >= timeout_s + 0.5)
         if passes:
             assert furthest_m <= flown_on_m(flown.task.envelope, 10.0)
@@ -282,25 +230,24 @@ def test_a_timeout_that_passes_stays_within_the_certified_reach(
 def test_px4_brakes_within_the_certified_reach() -> None:
     """px4.md 4: 12 m/s then AUTO:LOITER, 31.2 m; and 1.12 s until it does."""
     flown = mission(speed_m_s=12.0, acceleration_m_s2=3.0, dead_man_s=1.8)
-    values = PX4 | {"MPC_XY_VEL_MAX": 15.0}
-    assert of(PX4_MULTICOPTER_RULES, values, "COM_OF_LOSS_T", 1.0, flown) == (None, None)
+    values = {"MPC_XY_VEL_MAX": 15.0, "COM_OF_LOSS_T": 1.0}
+    assert severity(QUAD, values, "COM_OF_LOSS_T", flown) is None
     assert flown_on_m(flown.task.envelope, 12.0) >= 12.0 * 1.12 + 31.2
 
 
 @given(degrees=st.floats(5.0, 70.0), radius_m=st.floats(20.0, 300.0))
 def test_tilt_gives_acceleration_and_bank_turns(degrees: float, radius_m: float) -> None:
-    needed, tangent = mission(acceleration_m_s2=4.0), math.tan(math.radians(degrees))
-    severity, _ = of(PX4_MULTICOPTER_RULES, PX4, "MPC_TILTMAX_AIR", degrees, needed)
-    assert (severity is None) == (9.81 * tangent >= 4.0)
+    tangent, needed = math.tan(math.radians(degrees)), mission(acceleration_m_s2=4.0)
+    tilt = severity(QUAD, {"MPC_TILTMAX_AIR": degrees}, "MPC_TILTMAX_AIR", needed)
+    assert (tilt is None) == (9.81 * tangent >= 4.0)
     flown = mission("plane", turn_radius_m=radius_m)
-    severity, _ = of(ARDUPLANE_RULES, ARDUPLANE, "ROLL_LIMIT_DEG", degrees, flown)
-    assert (severity is None) == (15.0**2 / radius_m <= 9.81 * tangent + 1e-6)
+    bank = severity(PLANE, {"ROLL_LIMIT_DEG": degrees}, "ROLL_LIMIT_DEG", flown)
+    assert (bank is None) == (15.0**2 / radius_m <= 9.81 * tangent + 1e-6)
 
 
 def test_the_autopilots_own_take_off_must_not_end_above_the_ceiling() -> None:
-    for home_amsl_m, severity in ((None, None), (600.0, None), (620.0, REFUSE)):
-        findings = findings_of(ARDUPLANE_RULES, ARDUPLANE, mission("plane"), home_amsl_m)
-        assert severity_of(found(findings, "TKOFF_ALT")) is severity
+    for home_amsl_m, expected in ((None, None), (600.0, None), (620.0, REFUSE)):
+        assert severity(PLANE, {}, "TKOFF_ALT", mission("plane"), home_amsl_m) == expected
 
 
 def test_a_lidar_on_the_autopilot_has_to_look_all_round() -> None:
@@ -311,38 +258,38 @@ def test_a_lidar_on_the_autopilot_has_to_look_all_round() -> None:
         ("PRX1_IGN_WID1", (0.0,), (20.0,)),
         ("PRX1_IGN_WID4", (0.0,), (20.0,)),
     ):
-        said = {v: of(ARDUCOPTER_RULES, ARDUCOPTER, name, v, by_lidar)[0] for v in fine + refused}
-        assert said == dict.fromkeys(fine, None) | dict.fromkeys(refused, REFUSE)
+        said = {v: severity(COPTER, {name: v}, name, by_lidar) for v in fine + refused}
+        assert said == dict.fromkeys(fine) | dict.fromkeys(refused, REFUSE)
     elsewhere = dataclasses.replace(by_lidar, near=dataclasses.replace(LIDAR, component_id=158))
     for each in (elsewhere, mission()):
-        assert not any(r.matters(each) for r in ARDUCOPTER_RULES if r.name.startswith("PRX1"))
+        assert not any(r.matters(each) for r in TABLES[COPTER] if r.name.startswith("PRX1"))
 
 
-# --- names and units ------------------------------------------------------------------------------
+NEWER = {
+    "ANGLE_MAX": ("ATC_ANGLE_MAX", 0.01),
+    "WPNAV_ACCEL": ("WP_ACC", 0.01),
+    "WPNAV_SPEED_UP": ("WP_SPD_UP", 0.01),
+    "PSC_JERK_XY": ("PSC_JERK_NE", 1.0),
+    "MAV_GCS_SYSID": ("SYSID_MYGCS", 1.0),
+    "MAV_SYSID": ("SYSID_THISMAV", 1.0),
+}
+"""ArduPilot 4.7.0: ANGLE_MAX (cdeg) is ATC_ANGLE_MAX (deg), WPNAV_SPEED (cm/s) WP_SPD (m/s)."""
 
 
 def test_newer_and_older_names_have_other_units_and_mean_the_same() -> None:
-    """ArduPilot 4.7.0: ANGLE_MAX (cdeg) is ATC_ANGLE_MAX (deg), WPNAV_SPEED (cm/s) WP_SPD (m/s)."""
-    renamed = {
-        "ANGLE_MAX": ("ATC_ANGLE_MAX", 0.01),
-        "WPNAV_ACCEL": ("WP_ACC", 0.01),
-        "WPNAV_SPEED_UP": ("WP_SPD_UP", 0.01),
-        "PSC_JERK_XY": ("PSC_JERK_NE", 1.0),
-        "MAV_GCS_SYSID": ("SYSID_MYGCS", 1.0),
-        "MAV_SYSID": ("SYSID_THISMAV", 1.0),
+    newer = {
+        NEWER.get(k, (k, 1.0))[0]: v * NEWER.get(k, (k, 1.0))[1] for k, v in USUAL[COPTER].items()
     }
-    newer = dict(ARDUCOPTER)
-    for old, (new, scale) in renamed.items():
-        newer[new] = newer.pop(old) * scale
     for changes in ({}, {"acceleration_m_s2": 4.0, "speed_m_s": 14.0}, {"dead_man_s": 2.0}):
         said = [
-            [(severity_of(each), each.rule) for each in findings_of(ARDUCOPTER_RULES, values, m)]
-            for m in (mission(**changes),)
-            for values in (ARDUCOPTER, newer)
+            [
+                (severity_of(each), each.rule)
+                for each in found(COPTER, values, mission(**changes)).values()
+            ]
+            for values in (USUAL[COPTER], newer)
         ]
         assert said[0] == said[1]
-    older = dict(ARDUPLANE)
+    older = dict(USUAL[PLANE])
     older["LIM_ROLL_CD"] = older.pop("ROLL_LIMIT_DEG") * 100.0
     flown = mission("plane", speed_m_s=22.0, turn_radius_m=200.0, climb_angle_rad=0.1)
-    expected = findings_of(ARDUPLANE_RULES, ARDUPLANE, flown)
-    assert findings_of(ARDUPLANE_RULES, older, flown) == expected
+    assert found(PLANE, older, flown) == found(PLANE, USUAL[PLANE], flown)

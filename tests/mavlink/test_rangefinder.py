@@ -22,11 +22,7 @@ def known(upper_m: Any = MAP_M) -> KnownMap:
     """Cells of 2 m; the vehicle is in the middle of them."""
     heights = np.broadcast_to(np.asarray(upper_m, dtype=np.float64), (40, 40)).copy()
     return KnownMap(
-        cell_m=2.0,
-        north_min_m=-40.0,
-        east_min_m=-40.0,
-        upper_m=heights,
-        seen=np.isfinite(heights),
+        cell_m=2.0, north_min_m=-40.0, east_min_m=-40.0, upper_m=heights, seen=np.isfinite(heights)
     )
 
 

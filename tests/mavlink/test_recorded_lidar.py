@@ -56,7 +56,7 @@ def test_times_of_silence_are_told_apart() -> None:
     seconds, before_s = Counter[Sight](), 210.0
     for now_s, _, sensing in seen(250.0):
         if now_s > before_s:
-            seconds[sensing.sight(now_s)] += now_s - before_s  # type: ignore[assignment]
+            seconds[sensing.sight(now_s)] += now_s - before_s
             before_s = now_s
     assert seconds[Sight.NOTHING_THERE] == pytest.approx(24.0, abs=0.5)
     assert seconds[Sight.SEES] == pytest.approx(16.0, abs=0.5)
@@ -69,9 +69,7 @@ def cells_of(points: NDArray[np.float64]) -> tuple[Any, Any]:
 
 
 @pytest.mark.parametrize("until_s", [110.0, pytest.param(220.0, marks=pytest.mark.nightly)])
-def test_at_no_time_is_any_point_of_a_post_free_and_the_space_between_them_is(
-    until_s: float,
-) -> None:
+def test_at_no_time_is_a_post_free_and_the_space_between_is(until_s: float) -> None:
     turn = np.linspace(0.0, math.tau, 100)  # 6 cm apart: a cell has 25
     around = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     surfaces = (POSTS[:, None] + around).reshape(-1, 2)

@@ -6,7 +6,7 @@ mask", "terrain data MSL"; data[x * 4 + y] with x north and y east (ArduPilot's 
 """
 
 import math
-from collections.abc import Callable
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from nudge import nudged
 from wires import FRAME, GEOD, wire
 
 from companion.mavlink.terrain_download import TerrainDownload, areas
-from companion.world.known_map import NOT_SEEN, KnownMap, Scan, empty_map
+from companion.world.known_map import NOT_SEEN, Scan, empty_map
 
 CELL_M = 250.0
 RANGE_M = 6000.0
@@ -68,49 +68,42 @@ def block(request: Any, bit: int, data: list[int], **changes: int) -> Any:
 
 
 def report(request: Any, pending: int = 0) -> Any:
-    return wire.MAVLink_terrain_report_message(
-        request.lat, request.lon, request.grid_spacing, 0.0, 0.0, pending, 1
-    )
+    corner = (request.lat, request.lon, request.grid_spacing)
+    return wire.MAVLink_terrain_report_message(*corner, 0.0, 0.0, pending, 1)
 
 
-Answer = Callable[[Any], list[Any]]
+def level(_request: Any, _bit: int) -> list[int]:
+    return [500] * 16
 
 
-def flat(request: Any) -> list[Any]:
-    return [*(block(request, bit, [500] * 16) for bit in bits(request.mask)), report(request)]
+def nothing_lost(_request: Any, _bit: int) -> bool:
+    return False
 
 
-def sloping(request: Any) -> list[Any]:
-    return [
-        *(block(request, bit, heights(request, bit)) for bit in bits(request.mask)),
-        report(request),
-    ]
+def answers(request: Any, data: Any = level, lost: Any = nothing_lost) -> list[Any]:
+    """All blocks that are asked for, with these heights, and the report."""
+    there = [bit for bit in bits(request.mask) if not lost(request, bit)]
+    return [*(block(request, bit, data(request, bit)) for bit in there), report(request)]
 
 
 def download(
-    known: KnownMap = MAP, centre: tuple[float, float] = CORNER, range_m: float = RANGE_M
+    centre: tuple[float, ...] = CORNER, range_m: float = RANGE_M, **how: Any
 ) -> TerrainDownload:
-    return TerrainDownload(
-        known,
-        centre_ne_m=centre,
-        towards_ne_m=(centre[0] + 1e5, centre[1]),
-        range_m=range_m,
-        deadline_s=DEADLINE_S,
-        drift_m=30.0,
-        frame=FRAME,
-    )
+    """To the north, if nothing else is said."""
+    usual = {"towards_ne_m": (centre[0] + 1e5, centre[1]), "deadline_s": DEADLINE_S}
+    values = {"known": MAP, "drift_m": 30.0, "frame": FRAME, **usual, **how}
+    return TerrainDownload(centre_ne_m=(centre[0], centre[1]), range_m=range_m, **values)
 
 
-def run(task: TerrainDownload, answer: Answer, limit_s: float = DEADLINE_S) -> list[Any]:
+def run(task: TerrainDownload, data: Any = level, lost: Any = nothing_lost) -> list[Any]:
     """All requests; the radar answers within a tenth of a second."""
     requests = []
-    for tick in range(round(limit_s * 10) + 1):
-        if task.is_over(tick / 10):
+    for at_s in (tick / 10 for tick in range(round(DEADLINE_S * 10) + 1)):
+        if task.is_over(at_s):
             break
-        request = task.on_time(tick / 10)
-        if request is not None:
+        if (request := task.on_time(at_s)) is not None:
             requests.append(request)
-            for message in answer(request):
+            for message in answers(request, data, lost):
                 task.on_message(message, HERE)
     return requests
 
@@ -126,137 +119,151 @@ def middle_of(row: int, column: int) -> tuple[float, float]:
     return -5000.0 + (row + 0.5) * CELL_M, -5000.0 + (column + 0.5) * CELL_M
 
 
+def told(scan: Scan) -> set[float]:
+    """The heights that were answered."""
+    return set(scan.heights_m[~np.isnan(scan.heights_m)])
+
+
+# --- what is asked for, and where it lands
+
+
 @pytest.mark.parametrize("centre", [CORNER, (0.0, 0.0), (50_000.0, 100_000.0)])
 def test_every_height_lands_in_the_cell_that_it_belongs_to(centre: tuple[float, float]) -> None:
-    task = download(centre=centre, range_m=3000.0)
-    run(task, sloping)
+    task = download(centre, 3000.0)
+    run(task, heights)
     scan = task.scan()
     rows, columns = np.nonzero(np.isfinite(on_map(scan)))
     assert rows.size > 400
+    slack = 0.6 + scan.registration_m * math.hypot(0.1, 0.013)
+    assert slack < 0.1 * CELL_M / 2  # less than a cell's error would be
     for row, column in zip(rows, columns, strict=True):
         expected = height_m(*middle_of(row, column))
-        slack = 0.6 + scan.registration_m * math.hypot(0.1, 0.013)
         assert on_map(scan)[row, column] == pytest.approx(expected, abs=slack)
-        assert slack < 0.1 * CELL_M / 2  # less than a cell's error would be
 
 
-def test_all_that_is_within_range_and_on_the_map_is_asked_for() -> None:
+def test_all_that_is_within_range_and_on_the_map_is_asked_for_once() -> None:
     task = download()
-    run(task, flat)
+    run(task)
     answered = np.isfinite(on_map(task.scan()))
-    for row in range(MAP.upper_m.shape[0]):
-        for column in range(MAP.upper_m.shape[1]):
-            if math.dist(middle_of(row, column), CORNER) <= RANGE_M:
-                assert answered[row, column], (row, column)
+    for row, column in np.ndindex(MAP.upper_m.shape):
+        if math.dist(middle_of(row, column), CORNER) <= RANGE_M:
+            assert answered[row, column], (row, column)
     assert task.asked == task.answered
+    seen = MAP.with_scan(task.scan())
+    assert list(areas(seen, CORNER, RANGE_M - 2 * CELL_M, FRAME)) == []
+    again = download(known=seen)
+    assert again.asked == 0
+    assert again.is_over(0.0)
+    assert again.on_time(0.0) is None
 
 
 @pytest.mark.parametrize("centre", [(104_000.0, 104_000.0), (-4000.0, 103_000.0), CORNER])
-def test_registration_bounds_the_offset_of_every_corner_of_every_cell(
-    centre: tuple[float, float],
-) -> None:
+def test_registration_bounds_the_offset_of_every_corner(centre: tuple[float, float]) -> None:
     found = list(areas(MAP, centre, 9000.0, FRAME))
-    scan = download(centre=centre, range_m=9000.0).scan()
+    scan = download(centre, 9000.0).scan()
     assert scan.registration_m == max(area.registration_m for area in found) < CELL_M / 2
     for area in found:
-        request = wire.MAVLink_terrain_request_message(
-            area.latitude_e7, area.longitude_e7, round(CELL_M), area.mask
-        )
+        corner = (area.latitude_e7, area.longitude_e7, round(CELL_M))
+        request = wire.MAVLink_terrain_request_message(*corner, area.mask)
         south, west = -5000.0 + area.row * CELL_M, -5000.0 + area.column * CELL_M
-        worst = 0.0
-        for x in range(0, 29, 4):
-            for y in range(0, 33, 4):
-                there = local(*place(request, x * CELL_M, y * CELL_M))
-                worst = max(worst, math.dist(there, (south + x * CELL_M, west + y * CELL_M)))
-        assert worst <= area.registration_m + 1e-3
-        assert area.registration_m <= worst + 1e-3  # and no more than that
+        offsets_m = [
+            math.dist(local(*place(request, north_m, east_m)), (south + north_m, west + east_m))
+            for north_m in CELL_M * np.arange(0, 29, 4)
+            for east_m in CELL_M * np.arange(0, 33, 4)
+        ]
+        assert area.registration_m == pytest.approx(max(offsets_m), abs=1e-3)  # and no more
+
+
+@pytest.mark.parametrize("centre", [CORNER, (CORNER[0] + 125.0, CORNER[1] - 125.0)])
+@pytest.mark.parametrize("towards", [(1e5, 0.0), (1e5, 1e5)], ids=["north", "north-east"])
+def test_what_is_asked_for_and_in_which_order_hangs_on_no_last_digit(
+    centre: tuple[float, float], towards: tuple[float, float], nudge: int
+) -> None:
+    """On a corner of four cells, in the middle of one, and with two areas equally far away."""
+    asked = []
+    for here in (centre, nudged(centre, nudge)):
+        there = (here[0] + towards[0], here[1] + towards[1])
+        requests = run(download(here, 20_000.0, towards_ne_m=there))
+        asked.append([(each.lat, each.lon, each.mask) for each in requests])
+    assert asked[0] == asked[1]
+
+
+# --- one request after the other
 
 
 def test_one_request_is_outstanding_until_its_report_or_its_answers_stop() -> None:
     """For a second before the first answer, and for 0.4 s after one."""
     task = download(range_m=10_000.0)
     first = task.on_time(0.0)
-    assert first is not None
     assert task.on_time(0.9) is None
-    for message in flat(first)[:-1]:
+    *blocks, over = answers(first)
+    for message in blocks:
         task.on_message(message, HERE)
     assert task.on_time(0.95) is None
     task.on_message(report(first, pending=3), HERE)
     assert task.on_time(0.96) is None
-    task.on_message(report(first), HERE)
+    task.on_message(over, HERE)
     second = task.on_time(0.97)
-    assert second is not None
-    assert (second.lat, second.lon) != (first.lat, first.lon)
-    for at_s, message in ((1.0, flat(second)[0]), (1.3, flat(second)[1])):
+    for at_s, message in zip((1.0, 1.3), answers(second), strict=False):
         task.on_message(message, HERE)
         assert task.on_time(at_s) is None
     assert task.on_time(1.6) is None
     third = task.on_time(1.75)
-    assert third is not None
-    assert (third.lat, third.lon) not in ((first.lat, first.lon), (second.lat, second.lon))
+    assert len({(each.lat, each.lon) for each in (first, second, third)}) == 3
 
 
 def test_a_lost_block_is_asked_for_again_and_only_it() -> None:
     lost: list[int] = []
 
-    def once(request: Any) -> list[Any]:
-        answers = flat(request)
-        if lost:
-            return answers
-        lost.append(bits(request.mask)[3])
-        return answers[:3] + answers[4:]
+    def once(request: Any, bit: int) -> bool:
+        if not lost and bit == bits(request.mask)[3]:
+            lost.append(bit)
+            return True
+        return False
 
     task = download(range_m=2000.0)
-    requests = run(task, once)
+    requests = run(task, lost=once)
     assert requests[-1].mask == 1 << lost[0]
     assert (requests[-1].lat, requests[-1].lon) == (requests[0].lat, requests[0].lon)
     assert task.answered == task.asked
 
 
 def test_a_block_that_stays_lost_is_unknown_and_never_looks_sheltered() -> None:
-    def without_one(request: Any) -> list[Any]:
-        return [a for a in flat(request) if getattr(a, "gridbit", None) != bits(first_mask)[3]]
-
     task = download(range_m=2000.0)
-    first_mask = next(areas(MAP, CORNER, 2000.0, FRAME)).mask
-    requests = run(task, without_one)
+    gone = bits(next(areas(MAP, CORNER, 2000.0, FRAME)).mask)[3]
+    requests = run(task, lost=lambda _, bit: bit == gone)
     assert task.answered < task.asked
     scan = task.scan()
     assert not np.isneginf(scan.heights_m).any()
     assert np.isnan(scan.heights_m).any()
-    assert max(sum(r.mask == q.mask for r in requests) for q in requests) <= 3  # it gives up
-    after = MAP.with_scan(scan)
-    unknown = np.isnan(on_map(scan))
+    assert max(Counter(request.mask for request in requests).values()) <= 3  # it gives up
+    after, unknown = MAP.with_scan(scan), np.isnan(on_map(scan))
     assert np.isinf(after.upper_m[unknown]).all()
     assert not after.seen[unknown].any()
 
 
-def test_minus_32768_is_not_seen_and_every_other_height_is_a_height() -> None:
-    data = [-32768, -32767, -1, 0, 1, 32767] + [5] * 10
-
-    def odd(request: Any) -> list[Any]:
-        return [*(block(request, bit, data) for bit in bits(request.mask)), report(request)]
-
-    task = download(range_m=2000.0)
-    run(task, odd)
-    heights = task.scan().heights_m
-    assert set(np.unique(heights[~np.isnan(heights)])) == {NOT_SEEN, -32767, -1, 0, 1, 32767, 5}
-
-
 def test_a_silent_radar_ends_with_the_deadline_and_without_answers() -> None:
     task = download()
-    requests = run(task, lambda _: [])
+    requests = [task.on_time(tick / 10) for tick in range(40)]
     assert task.is_over(DEADLINE_S)
     assert not task.is_over(DEADLINE_S - 0.1)
     assert task.on_time(DEADLINE_S) is None
-    assert (task.answered, len(requests)) == (0, 4)
-    assert np.isnan(task.scan().heights_m).all()
+    assert (task.answered, sum(request is not None for request in requests)) == (0, 4)
+    assert told(task.scan()) == set()
+
+
+# --- what is believed
+
+
+def test_minus_32768_is_not_seen_and_every_other_height_is_a_height() -> None:
+    task = download(range_m=2000.0)
+    run(task, lambda _, __: [-32768, -32767, -1, 0, 1, 32767] + [5] * 10)
+    assert told(task.scan()) == {NOT_SEEN, -32767, -1, 0, 1, 32767, 5}
 
 
 def test_blocks_of_other_requests_not_asked_for_or_told_again_are_ignored() -> None:
     task = download(range_m=2000.0)
     request = task.on_time(0.0)
-    assert request is not None
     wanted = bits(request.mask)
     for spoil in ({"lat": 470_000_000}, {"lon": 80_000_000}, {"grid_spacing": 100}):
         task.on_message(block(request, wanted[0], [9] * 16, **spoil), HERE)
@@ -266,70 +273,20 @@ def test_blocks_of_other_requests_not_asked_for_or_told_again_are_ignored() -> N
     for height in (100, 200):
         task.on_message(block(request, wanted[0], [height] * 16), HERE)
     assert task.answered == 1
-    values = task.scan().heights_m
-    assert set(values[~np.isnan(values)]) == {100.0}
-    for message in [*flat(request)[:-1], report(request), *flat(request)]:  # nothing is asked then
+    assert told(task.scan()) == {100.0}
+    *blocks, over = answers(request)
+    for message in [*blocks, over, *blocks, over]:  # nothing is asked for any more
         task.on_message(message, HERE)
     assert task.answered == len(wanted)
 
 
-def test_what_was_seen_is_not_asked_for_again() -> None:
-    task = download()
-    run(task, flat)
-    seen = MAP.with_scan(task.scan())
-    assert list(areas(seen, CORNER, RANGE_M - 2 * CELL_M, FRAME)) == []
-    again = download(known=seen)
-    assert again.asked == 0
-    assert again.is_over(0.0)
-    assert again.on_time(0.0) is None
-
-
-def test_a_mask_asks_for_no_more_than_56_blocks_in_row_major_order() -> None:
-    for area in areas(MAP, CORNER, 20_000.0, FRAME):
-        assert 0 < area.mask < 1 << 56
-        for bit in bits(area.mask):
-            row, column = area.row + 4 * (bit // 8), area.column + 4 * (bit % 8)
-            gaps = [
-                math.dist(middle_of(row + x, column + y), CORNER)
-                for x in range(4)
-                for y in range(4)
-            ]
-            assert min(gaps) <= 20_000.0
-
-
 def test_the_place_of_the_radar_is_kept_for_every_cell() -> None:
     task = download(range_m=2000.0)
-    request = task.on_time(0.0)
-    assert request is not None
-    first, *others = flat(request)
+    first, *others = answers(task.on_time(0.0))
     task.on_message(first, (1.0, 2.0, 3.0))
     for message in others:
         task.on_message(message, HERE)
     scan = task.scan()
-    answered = ~np.isnan(scan.heights_m)
-    places = {tuple(radar) for radar in scan.radar_nea_m[answered]}
+    places = {tuple(radar) for radar in scan.radar_nea_m[~np.isnan(scan.heights_m)]}
     assert places == {(1.0, 2.0, 3.0), HERE}
     assert (scan.range_m, scan.drift_m) == (2000.0, 30.0)
-
-
-@pytest.mark.parametrize("centre", [CORNER, (CORNER[0] + 125.0, CORNER[1] - 125.0)])
-@pytest.mark.parametrize("towards", [(1e5, 0.0), (1e5, 1e5)], ids=["north", "north-east"])
-def test_what_is_asked_for_and_in_which_order_hangs_on_no_last_digit(
-    centre: tuple[float, float], towards: tuple[float, float], nudge: int
-) -> None:
-    """On a corner of four cells, in the middle of one, and with two areas equally far away."""
-
-    def requests(here: tuple[float, ...]) -> list[Any]:
-        north, east = here
-        task = TerrainDownload(
-            MAP,
-            centre_ne_m=(north, east),
-            towards_ne_m=(north + towards[0], east + towards[1]),
-            range_m=20_000.0,
-            deadline_s=DEADLINE_S,
-            drift_m=30.0,
-            frame=FRAME,
-        )
-        return [(each.lat, each.lon, each.mask) for each in run(task, flat)]
-
-    assert requests(nudged(centre, nudge)) == requests(centre)

@@ -1,4 +1,5 @@
-import functools
+"""Elevation files: heights where they are, or one line that says why not."""
+
 import math
 import subprocess
 import sys
@@ -9,11 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rasterio.transform import Affine
 from scipy.interpolate import RegularGridInterpolator
+from spoiled import refusal
 
 from companion.config import load_world
 from companion.errors import InputError
@@ -42,24 +42,15 @@ def make(tmp_path: Path) -> Make:
     """A GeoTIFF whose middle is FRAME's origin, with the changes wanted."""
 
     def made(
-        data: NDArray[Any] | None = None,
-        *,
-        units: str = "",
-        scale: float = 1.0,
-        **changes: Any,
+        data: NDArray[Any] | None = None, *, units: str = "", scale: float = 1.0, **changes: Any
     ) -> Path:
         data = heights() if data is None else data
         rows, columns = data.shape
-        west, north = 8.5 - 0.5 * columns * STEP, 46.5 + 0.5 * rows * STEP
-        profile: dict[str, Any] = {
-            "driver": "GTiff",
-            "crs": "EPSG:4326",
-            "transform": from_origin(west, north, STEP, STEP),
-            "dtype": data.dtype,
-            "count": 1,
-        }
+        corner = (8.5 - 0.5 * columns * STEP, 46.5 + 0.5 * rows * STEP)
+        usual = {"crs": "EPSG:4326", "transform": from_origin(*corner, STEP, STEP), "count": 1}
+        size: Any = {"driver": "GTiff", "height": rows, "width": columns, "dtype": data.dtype}
         path = tmp_path / "terrain.tif"
-        with rasterio.open(path, "w", height=rows, width=columns, **(profile | changes)) as file:
+        with rasterio.open(path, "w", **size, **(usual | changes)) as file:
             for band in range(file.count):
                 file.write(data, band + 1)
             file.units = [units] * file.count
@@ -70,27 +61,21 @@ def make(tmp_path: Path) -> Make:
 
 
 def read(path: Path, **changes: Any) -> GridTerrain:
-    given_: dict[str, Any] = {"vertical_datum": "EGM96", "nodata": None, "field": "terrain.file"}
-    area = changes.pop("area", AREA)
-    return ElevationFile(path=path, **(given_ | changes)).terrain(FRAME, area)
+    usual = {"vertical_datum": "EGM96", "nodata": None, "field": "terrain.file"}
+    return ElevationFile(path=path, **(usual | changes)).terrain(FRAME, AREA)
 
 
 def refused(path: Path, **changes: Any) -> str:
-    with pytest.raises(InputError) as caught:
-        read(path, **changes)
-    message = str(caught.value)
-    assert "\n" not in message
-    assert message.startswith("terrain.file = ")
-    return message
+    told = refusal(lambda path, changes: read(path, **changes), path, changes)
+    assert told.startswith("terrain.file = ")
+    return told
 
 
 # --- what is read
 
 
 @pytest.mark.parametrize("dtype", ["int16", "float32", "uint16"])
-def test_the_terrain_is_bilinear_between_the_middles_of_the_files_cells(
-    make: Make, dtype: str
-) -> None:
+def test_the_terrain_is_bilinear_between_the_cells_middles(make: Make, dtype: str) -> None:
     data = heights().astype(dtype)
     terrain = read(make(data))
     rows, columns = data.shape
@@ -118,11 +103,9 @@ def test_an_srtm_tile_is_read_by_its_name(tmp_path: Path) -> None:
     path = tmp_path / "N46E008.hgt"
     path.write_bytes(data.tobytes())
     terrain = read(path)
-    frame = LocalFrame(latitude_deg=46.5, longitude_deg=8.5)
-    for row, column in ((590, 570), (600, 600), (615, 580)):  # points of the grid, row 0 at 47 N
-        north, east = frame.to_local_m(47.0 - row / 1200, 8.0 + column / 1200)
-        height = terrain.height_m(np.array([north]), np.array([east]))[0]
-        assert height == pytest.approx(data[row, column], abs=0.05)
+    rows, columns = np.array([(590, 570), (600, 600), (615, 580)]).T  # row 0 at 47 N
+    north, east = FRAME.to_local_m(47.0 - rows / 1200, 8.0 + columns / 1200)
+    assert terrain.height_m(north, east) == pytest.approx(data[rows, columns], abs=0.05)
 
 
 def test_a_world_of_a_file_loads_from_beside_the_world_file(tmp_path: Path) -> None:
@@ -136,22 +119,24 @@ def test_a_world_of_a_file_loads_from_beside_the_world_file(tmp_path: Path) -> N
 
 
 def test_a_world_of_peaks_does_not_load_rasterio() -> None:
-    program = (
-        "import sys; from companion.config import load_world; load_world('environment-1'); "
-        "sys.exit('rasterio' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+    program = "import sys; from companion.config import load_world; load_world('environment-1')"
+    told = [sys.executable, "-c", f"{program}; sys.exit('rasterio' in sys.modules)"]
+    assert subprocess.run(told, check=False).returncode == 0
 
 
 # --- holes
 
 
 @pytest.mark.parametrize(("nodata", "filled"), [("sea", 0.0), (123.0, 123.0), (0.5, 0.5)])
-def test_holes_are_an_error_unless_the_world_says_what_lies_there(
-    make: Make, nodata: Any, filled: float
+@pytest.mark.parametrize("hole", [-9999.0, math.nan])
+def test_holes_are_an_error_if_nothing_fills_them(
+    make: Make, hole: float, nodata: Any, filled: float
 ) -> None:
-    data = heights()
-    data[60:62, 70:72] = -9999
+    """Outside of the area they do not matter."""
+    data = heights().astype(np.float32)
+    data[0, 0] = -9999
+    assert read(make(data, nodata=-9999)).heights_m.min() >= 300
+    data[60:62, 70:72] = hole
     path = make(data, nodata=-9999)
     message = refused(path)
     assert "4 of its cells in [area] have no height" in message
@@ -159,16 +144,6 @@ def test_holes_are_an_error_unless_the_world_says_what_lies_there(
     terrain = read(path, nodata=nodata)
     assert (terrain.heights_m == filled).sum() == 4
     assert terrain.heights_m.min() == filled
-
-
-def test_holes_are_what_is_no_number_too_and_outside_of_the_area_do_not_matter(make: Make) -> None:
-    data = heights().astype(np.float32)
-    data[0, 0] = -9999
-    assert read(make(data, nodata=-9999)).heights_m.min() >= 300
-    data[60, 70] = np.nan
-    path = make(data)
-    assert "1 of its cells" in refused(path)
-    assert (read(path, nodata="sea").heights_m == 0.0).sum() == 1
 
 
 # --- what is refused
@@ -192,9 +167,7 @@ def test_holes_are_what_is_no_number_too_and_outside_of_the_area_do_not_matter(m
     ],
     ids=str,
 )
-def test_what_cannot_be_flown_over_is_refused_in_one_line(
-    make: Make, changes: dict[str, Any], words: list[str]
-) -> None:
+def test_odd_files_are_refused(make: Make, changes: dict[str, Any], words: list[str]) -> None:
     message = refused(make(**changes), vertical_datum="NAVD88")
     assert all(word in message for word in words), message
 
@@ -204,19 +177,13 @@ def test_datums_that_agree_with_wgs84_to_a_metre_or_two_are_taken(make: Make, cr
     assert read(make(crs=crs)).heights_m.shape == read(make()).heights_m.shape
 
 
-def test_heights_that_are_not_of_this_earth_are_refused(make: Make) -> None:
+def test_what_is_no_elevation_file_of_this_earth_is_refused(make: Make, tmp_path: Path) -> None:
     assert "not this earth" in refused(make(heights() * np.int16(10)))
-
-
-def test_a_file_that_is_no_elevation_file_or_not_there_is_refused(tmp_path: Path) -> None:
-    other = tmp_path / "terrain.tif"
-    other.write_text("not a picture")
-    assert "cannot be read" in refused(other)
-    assert "no such file" in refused(tmp_path / "absent.tif")
-    assert "no such file" in refused(Path("/vsicurl/http://127.0.0.1/terrain.tif"))
-    short = tmp_path / "N46E008.hgt"
-    short.write_bytes(b"\0" * 100)
-    assert "cannot be read" in refused(short)
+    for name in ("terrain.tif", "N46E008.hgt"):
+        (tmp_path / name).write_bytes(b"\0" * 100)
+        assert "cannot be read" in refused(tmp_path / name)
+    for absent in (tmp_path / "absent.tif", Path("/vsicurl/http://127.0.0.1/terrain.tif")):
+        assert "no such file" in refused(absent)
 
 
 @pytest.mark.parametrize(
@@ -231,9 +198,7 @@ def test_a_file_that_is_no_elevation_file_or_not_there_is_refused(tmp_path: Path
         ("[area]", "[region]", ["region", "no such key"]),
     ],
 )
-def test_a_world_file_that_leaves_things_open_is_refused(
-    tmp_path: Path, was: str, becomes: str, words: list[str]
-) -> None:
+def test_open_worlds_are_refused(tmp_path: Path, was: str, becomes: str, words: list[str]) -> None:
     text = (VALLEY / "world.toml").read_text(encoding="utf-8")
     assert was in text
     (tmp_path / "world.toml").write_text(text.replace(was, becomes, 1), encoding="utf-8")
@@ -246,23 +211,15 @@ def test_a_world_file_that_leaves_things_open_is_refused(
 # --- the two programs
 
 
-@functools.cache
-def valleys() -> Any:
-    """The companion's and the simulator's."""
-    return load_world("valley").terrain, read_world(VALLEY / "world.toml").truth()
-
-
-@settings(max_examples=20)
-@given(seed=st.integers(0, 10**6))
-def test_both_programs_read_the_same_heights_to_a_centimetre(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    north, east = rng.uniform(-5_200, 5_200, 500), rng.uniform(-4_200, 3_700, 500)
-    ours, theirs = valleys()
+def test_both_programs_read_the_same_heights_to_a_centimetre() -> None:
+    rng = np.random.default_rng(6)
+    north, east = rng.uniform(-5_200, 5_200, 10_000), rng.uniform(-4_200, 3_700, 10_000)
+    ours, theirs = load_world("valley").terrain, read_world(VALLEY / "world.toml").truth()
     off_m = ours.height_m(north, east) - theirs.height_amsl_m(north, east)
     assert np.abs(off_m).max() < 0.01
 
 
-def test_the_bundled_elevations_are_matplotlibs_sample_the_right_way_up() -> None:
+def test_the_bundled_elevations_are_matplotlibs_sample_row_0_in_the_north() -> None:
     from matplotlib import cbook
 
     sample = cbook.get_sample_data("jacksboro_fault_dem.npz")["elevation"]
@@ -274,12 +231,3 @@ def test_the_bundled_elevations_are_matplotlibs_sample_the_right_way_up() -> Non
     assert (VALLEY / "terrain.tif").stat().st_size < 250_000
     assert math.isclose(bounds.top, 36.73291667, abs_tol=1e-7)
     assert math.isclose(bounds.bottom, 36.44625, abs_tol=1e-7)
-    # Row 0 is the north: the Clinch valley, the lowest, is in the south-east, and Cumberland
-    # Mountain runs from the fault in the middle to the north-east, as ridges do there.
-    row, column = np.unravel_index(sample.argmin(), sample.shape)
-    assert row > 172
-    assert column > 201
-    columns = np.arange(225, 396)
-    ridge = np.rint(147 - (columns - 222) * 0.66).astype(int)
-    crest = np.max([sample[ridge + off, columns] for off in range(-6, 7)], axis=0)
-    assert (crest - sample[ridge + 14, columns]).mean() > 150

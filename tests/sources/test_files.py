@@ -1,45 +1,52 @@
+"""Files by what is in them: texts, tables, plans under any name; anything else is one line."""
+
+import contextlib
+import gzip
+import os
 import tomllib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from answers import answered
+from geotiff import write_elevation
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.config import load_mission, load_world, mission_text
 from companion.errors import InputError
 from companion.sources.files import json_table, plain, read_text, toml_table, toml_text, writing
 
-SCALARS = (
+FENCED = (Path(__file__).parent / "missions" / "fenced.plan").read_bytes()
+LIST = b"QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 100 1\n1 0 3 16 0 0 0 0 47 8.002 240 1\n"
+BEGINNING_OF_A_ULG = b"\x00\x06\x0a\x24\x18\x1e\x40\x00\xfd\x09"
+
+
+def line(caught: pytest.ExceptionInfo[InputError]) -> str:
+    """What is said; it has one line."""
+    message = str(caught.value)
+    assert len(message.splitlines()) == 1
+    return message
+
+
+# --- texts and tables
+
+VALUES = st.recursive(
     st.booleans()
     | st.integers(-(2**63), 2**63 - 1)
     | st.floats(allow_nan=False, allow_infinity=False)
-    | st.text()
-)
-VALUES = st.recursive(
-    SCALARS,
+    | st.text(),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner),
     max_leaves=8,
 )
 
 
-def test_what_a_full_disk_took_a_part_of_is_removed_and_a_device_is_not(tmp_path: Path) -> None:
-    torn = tmp_path / "report.html"
-    torn.write_text("half", encoding="utf-8")
-    with pytest.raises(InputError, match="No space left on device"), writing("--out", torn):
-        Path("/dev/full").write_text("the other half", encoding="utf-8")
-    assert not torn.exists()
-    with pytest.raises(InputError, match="No space left"), writing("--out", Path("/dev/full")):
-        Path("/dev/full").write_text("all of it", encoding="utf-8")
-    assert Path("/dev/full").is_char_device()
-
-
 @given(st.dictionaries(st.text(), VALUES, max_size=5))
 def test_a_table_that_was_written_reads_back_as_it_was(table: dict[str, Any]) -> None:
     assert tomllib.loads(toml_text(table)) == table
-
-
-def test_half_a_surrogate_is_written_as_something_that_can_be_read() -> None:
-    assert tomllib.loads(toml_text({"name": "a\ud800b\x7f"})) == {"name": "a?b\x7f"}
+    half_a_surrogate = toml_text({"name": "a\ud800b\x7f"})
+    assert tomllib.loads(half_a_surrogate) == {"name": "a?b\x7f"}
 
 
 @pytest.mark.parametrize(
@@ -50,7 +57,7 @@ def test_half_a_surrogate_is_written_as_something_that_can_be_read() -> None:
 def test_what_is_no_toml_is_one_error_in_one_line(text: str) -> None:
     with pytest.raises(InputError, match=r"^file = 'x.toml': not TOML") as caught:
         toml_table(text, "x.toml")
-    assert len(str(caught.value).splitlines()) == 1
+    line(caught)
 
 
 @pytest.mark.parametrize(
@@ -65,38 +72,33 @@ def test_what_is_no_toml_is_one_error_in_one_line(text: str) -> None:
         (b"\xff\xfe{}", "cannot be read"),
     ],
 )
-def test_what_is_no_json_object_is_one_error_in_one_line(
-    tmp_path: Path, data: bytes, rule: str
-) -> None:
+def test_what_is_no_json_object_is_one_error(tmp_path: Path, data: bytes, rule: str) -> None:
     path = tmp_path / "x.json"
     path.write_bytes(data)
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=r"^plan = .*Mend it\.$") as caught:
         json_table(path, "plan", "Mend it.")
-    message = str(caught.value)
-    assert message.startswith("plan = ")
-    assert rule in message
-    assert message.endswith("Mend it.")
-    assert len(message.splitlines()) == 1
+    assert rule in line(caught)
 
 
-def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
-    path = tmp_path / "x.json"
-    path.write_bytes(b"\xef\xbb\xbf{}")
+def test_what_can_be_read_is_a_file_that_is_there_and_ends(tmp_path: Path) -> None:
+    path, huge = tmp_path / "x.json", tmp_path / "huge.json"
+    path.write_bytes(b"\xef\xbb\xbf{}")  # a mark of the byte order is no part of the text
     assert json_table(path, "plan", "") == {}
-
-
-def test_a_folder_and_a_missing_file_are_told_apart(tmp_path: Path) -> None:
-    for path, rule in ((tmp_path, "it is a folder"), (tmp_path / "absent", "no such file")):
-        with pytest.raises(InputError, match=rule):
-            read_text(path, "field", "Remedy.")
-
-
-def test_a_file_that_never_ends_is_refused_before_it_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "huge.json"
-    with path.open("wb") as file:
+    with huge.open("wb") as file:
         file.truncate(64_000_001)
-    with pytest.raises(InputError, match="larger than 64 MB"):
-        read_text(path, "field", "Remedy.")
+    for bad, rule in ((tmp_path, "a folder"), (path / "x", "no such file"), (huge, "than 64 MB")):
+        with pytest.raises(InputError, match=rule):
+            read_text(bad, "field", "Remedy.")
+
+
+def test_what_a_full_disk_took_a_part_of_is_removed_and_a_device_is_not(tmp_path: Path) -> None:
+    torn, full = tmp_path / "report.html", Path("/dev/full")
+    torn.write_text("half", encoding="utf-8")
+    for path in (torn, full):
+        with pytest.raises(InputError, match="No space left on device"), writing("--out", path):
+            full.write_text("the other half", encoding="utf-8")
+    assert not torn.exists()
+    assert full.is_char_device()
 
 
 @given(st.none() | st.integers() | st.text())
@@ -105,3 +107,82 @@ def test_a_plain_name_is_one_printable_line_that_is_not_long(name: object) -> No
     assert 0 < len(shown) <= 60
     assert shown.isprintable()
     assert shown == shown.strip()
+
+
+# --- told by what is in them
+
+
+@pytest.mark.parametrize("name", [b"flight.plan.txt", b"flight.json", b"Flight.PLAN", b"pl\xe4n"])
+def test_a_plan_is_a_plan_under_any_name(tmp_path: Path, name: bytes) -> None:
+    """Also under one that is no UTF-8; so is a list of waypoints, or an error that names it."""
+    path = tmp_path / os.fsdecode(name)
+    path.write_bytes(FENCED)
+    mission = load_mission(str(path))
+    assert len(mission.targets_ne_m) == 3
+    toml = tmp_path / "mission.toml"
+    with contextlib.suppress(UnicodeEncodeError):
+        toml.write_text(f'plan = "{path.name}"\n', encoding="utf-8")
+        assert load_mission(str(toml)).targets_ne_m == mission.targets_ne_m
+    mission_text(str(path)).encode()
+    path.write_bytes(LIST)
+    assert len(load_mission(str(path)).targets_ne_m) == 1
+    path.write_bytes(b"<kml>")
+    with pytest.raises(InputError) as caught:
+        load_mission(str(path))
+    assert line(caught).isascii()
+
+
+@pytest.mark.parametrize(
+    ("content", "what"),
+    [
+        (b"", "it is missing"),
+        (b"<!DOCTYPE html><html>", "not TOML"),
+        (b'{"type": "FeatureCollection", "features": []}', "not TOML"),
+        ('schema = 1\nname = "x"\n'.encode("utf-16"), "no text in UTF-8"),
+        (gzip.compress(b"QGC WPL 110\n", mtime=0), "no text in UTF-8"),
+        (BEGINNING_OF_A_ULG, "no text in UTF-8"),
+        (b"x\0\1", "not TOML"),
+    ],
+)
+def test_what_is_none_of_them_is_refused(tmp_path: Path, content: bytes, what: str) -> None:
+    (tmp_path / "x.txt").write_bytes(content)
+    (tmp_path / "fenced.plan").write_bytes(FENCED)
+    for load in (load_mission, load_world):
+        with pytest.raises(InputError, match=what) as caught:
+            load(str(tmp_path / "x.txt"))
+        line(caught)
+    toml = tmp_path / "mission.toml"
+    for text in ('plan = "x.txt"\n', 'plan = "fenced.plan"\nthreats = "x.txt"\n'):
+        toml.write_text(text)
+        if b"Feature" not in content or "threats" not in text:
+            with pytest.raises(InputError, match=r"no text in UTF-8|not JSON|no QGroundControl"):
+                load_mission(str(toml))
+
+
+def test_an_elevation_file_may_have_any_name_and_the_run_folder_names_it(tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"h\xf6he")
+    folder.mkdir()
+    heights_m = np.arange(200.0)[:, None] + np.zeros((200, 200))
+    write_elevation(tmp_path / "h.tif", heights_m, (47.05, 7.95), 0.0005)
+    (tmp_path / "h.tif").replace(folder / "h.tif")
+    (folder / "x.txt").write_bytes(LIST)
+    mission, again = folder / "mission.toml", tmp_path / "again.toml"
+    mission.write_text('plan = "x.txt"\n[terrain]\nfile = "h.tif"\nvertical_datum = "EGM96"\n')
+    again.write_text(mission_text(str(mission)), encoding="utf-8")
+    first, second = load_mission(str(mission)).known, load_mission(str(again)).known
+    assert np.isfinite(first.upper_m).any()
+    assert np.array_equal(first.upper_m, second.upper_m)
+    (folder / "h.tif").unlink()
+    with pytest.raises(InputError, match="no such file"):
+        load_mission(str(again))
+
+
+@pytest.mark.parametrize("command", [["report"], ["export", "--format", "kml"]])
+def test_a_file_in_place_of_a_run_folder_is_refused(tmp_path: Path, command: list[str]) -> None:
+    log = tmp_path / "any.tlog"
+    log.write_bytes(BEGINNING_OF_A_ULG)
+    code, _, said = answered(command[0], log, *command[1:])
+    assert code == 2
+    assert "no such folder" not in said
+    for words in ("it is a file", "companion replay LOG --shadow", "companion view LOG"):
+        assert words in said

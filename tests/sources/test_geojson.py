@@ -1,3 +1,5 @@
+"""Zones of a map as GeoJSON has them: what is taken, left out, and refused."""
+
 import contextlib
 import copy
 import functools
@@ -25,9 +27,9 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("geojson") / "threats.geojson"
 
 
-def read(path: Path, content: Any) -> Zones:
+def read(path: Path, content: Any, leave_out: tuple[Any, ...] = ()) -> Zones:
     path.write_text(json.dumps(content), encoding="utf-8")
-    return read_geojson(path, "mission.toml: threats")
+    return read_geojson(path, "mission.toml: threats", leave_out)
 
 
 refused = functools.partial(refusal, read)
@@ -60,6 +62,8 @@ def test_polygons_are_zones_and_points_circles(path: Path) -> None:
     ]
     assert found.keep_ins == [{"name": "feature 4", **place, "radius_m": 9000.0}]
     assert not found.notes
+    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:OGC:1.3:CRS84"}}
+    assert read(path, collection(feature("Polygon", [RING]), crs=crs)).keep_outs
 
 
 def test_holes_make_a_keep_out_no_smaller_and_a_keep_in_no_larger(path: Path) -> None:
@@ -69,6 +73,10 @@ def test_holes_make_a_keep_out_no_smaller_and_a_keep_in_no_larger(path: Path) ->
     found = read(path, collection(feature("Polygon", [RING, HOLE], name="range", kind="keep_in")))
     assert [zone["name"] for zone in found.keep_ins] == ["range"]
     assert [zone["name"] for zone in found.keep_outs] == ["range hole 1"]
+
+
+def in_one(*geometries: Any) -> dict[str, Any]:
+    return {"type": "GeometryCollection", "geometries": list(geometries)}
 
 
 PIN, LINE = feature("Point", [8.0, 47.0]), feature("LineString", RING)
@@ -86,14 +94,12 @@ NO_ZONES = [
     feature("MultiPolygon", []),
     feature("Point", []),
     feature("LineString", []),
-    {"type": "Feature", "geometry": {"type": "GeometryCollection", "geometries": []}},
+    {"type": "Feature", "geometry": in_one()},
 ]
 ALL = ("points", "lines", "empty")
 
 
-def test_what_a_map_has_beside_zones_is_counted_by_kind_with_the_way_to_leave_it_out(
-    path: Path,
-) -> None:
+def test_what_a_map_has_beside_zones_is_counted_with_the_way_out(path: Path) -> None:
     told = refused(path, collection(feature("Polygon", [RING]), *NO_ZONES))
     assert "6 points without radius_m, 2 lines, 8 without a geometry" in told
     assert (
@@ -108,31 +114,14 @@ def test_what_a_map_has_beside_zones_is_counted_by_kind_with_the_way_to_leave_it
 
 
 def test_zones_are_never_left_out_with_it(path: Path) -> None:
-    """Nor is what is meant for one, and is broken."""
-    mixed = {"type": "GeometryCollection", "geometries": [
-        LINE["geometry"],
-        {"type": "Polygon", "coordinates": [RING]},
-        {"type": "GeometryCollection", "geometries": [
-            {"type": "MultiPolygon", "coordinates": [[HOLE], [], [RING]]}]},
-    ]}  # fmt: skip
+    inner = {"type": "MultiPolygon", "coordinates": [[HOLE], [], [RING]]}
+    parts = [LINE["geometry"], feature("Polygon", [RING])["geometry"], in_one(inner)]
+    mixed = in_one(*parts)
     circles = feature("MultiPoint", [[8.0, 47.0], [8.1, 47.0]], radius_m=50.0)
-    path.write_text(
-        json.dumps(collection(*NO_ZONES, feature("x", 0) | {"geometry": mixed}, circles))
-    )
-    found = read_geojson(path, "threats", ALL)
-    assert [len(zone.get("vertices_deg", [])) for zone in found.keep_outs] == [3, 3, 3, 0, 0]
-    path.write_text(json.dumps(mixed))
-    assert len(read_geojson(path, "threats", ALL).keep_outs) == 3
-    for broken in (
-        feature("Polygon", [RING[:2]]),
-        feature("Point", [8.0, 47.0], radius_m="9"),
-        feature("Point", [8.0, 47.0], kind="radar"),
-        feature("Point", [8.0], radius_m=9.0),
-        feature("Polygon", 7),
-    ):
-        path.write_text(json.dumps(collection(broken)))
-        with pytest.raises(InputError, match=r"features\[0\]"):
-            read_geojson(path, "threats", ALL)
+    content = collection(*NO_ZONES, feature("x", 0) | {"geometry": mixed}, circles)
+    for whole, corners_of_each in ((content, [3, 3, 3, 0, 0]), (mixed, [3, 3, 3])):
+        found = read(path, whole, ALL).keep_outs
+        assert [len(zone.get("vertices_deg", [])) for zone in found] == corners_of_each
 
 
 def test_a_mission_says_what_it_leaves_out_of_its_map(path: Path) -> None:
@@ -171,6 +160,7 @@ REFUSED: list[tuple[Any, str]] = [
             (("MultiPolygon", [[RING], [HOLE]]), {"kind": "keep_in"}, "Keep one"),
             (("Circle", [8.0, 47.0]), {}, "one of 'Point', 'Polygon'"),
             (("Point", [8.0, 47.0]), {"radius_m": "9"}, "radius_m.*a valid number"),
+            (("Point", [8.0]), {"radius_m": 9.0}, "at least 2 items"),
             (("Point", [8.0, 47.0]), {"radius_m": 10**400}, "radius_m.*a valid number"),
             (("Point", [8.0, 47.0]), {"kind": "radar", "range_m": 9}, r"\[\[radars\]\]"),
         )
@@ -190,15 +180,12 @@ REFUSED: list[tuple[Any, str]] = [
 
 @pytest.mark.parametrize(("bad", "words"), REFUSED, ids=range(len(REFUSED)))
 def test_what_cannot_be_taken_is_told_by_its_feature(path: Path, bad: Any, words: str) -> None:
-    message = refused(path, bad)
-    assert re.search(words, message), message
-    if len(bad.get("features", ())) == 2:
-        assert message.startswith("threats.geojson: features[1] (x)")
-
-
-def test_a_crs_that_says_wgs84_is_taken(path: Path) -> None:
-    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:OGC:1.3:CRS84"}}
-    assert read(path, collection(feature("Polygon", [RING]), crs=crs)).keep_outs
+    """Also where all is to be left out that is no zone: these are meant for one, and broken."""
+    for leave_out in ((), ALL):
+        message = refusal(functools.partial(read, leave_out=leave_out), path, bad)
+        assert re.search(words, message), message
+        if len(bad.get("features", ())) == 2:
+            assert message.startswith("threats.geojson: features[1] (x)")
 
 
 EVERYTHING = collection(

@@ -9,6 +9,7 @@ from companion.config import load_mission, mission_text
 from companion.errors import InputError
 from companion.mavlink.near_scanner import messages_of, streams_hz
 from companion.mission.mission import Mission
+from companion.sources.files import toml_text
 
 BEFORE, _REST = mission_text("forest").split("[scanner]")
 AFTER = "[planner]" + _REST.split("[planner]")[1]
@@ -41,7 +42,6 @@ def test_each_kind_says_what_is_listened_to_and_of_whom(
     tmp_path: Path, scanner: str, kind: str, component: int, of_autopilot: bool
 ) -> None:
     mission = load(tmp_path, scanner)
-    assert mission.near is not None
     assert (mission.near.kind, mission.near.component_id) == (kind, component)
     assert mission.scanner_component_id is None
     number = {"obstacle_distance": 330, "distance_sensor": 132}[kind]
@@ -49,27 +49,24 @@ def test_each_kind_says_what_is_listened_to_and_of_whom(
     assert set(streams_hz(mission)) == ({30, number} if of_autopilot else {30})
 
 
+ERRORS = {"forward_m": 0.1, "right_m": -0.2, "blind_m": 0.4, "latency_s": 0.01}
+ERRORS |= {"latency_error_s": 0.02, "range_error_m": 0.3}
+ERRORS |= {"position_error_m": 0.06, "drift_m_s": 0.01}
+
+
 def test_all_that_is_said_of_it_is_taken_and_the_vehicle_stays_what_it_is(tmp_path: Path) -> None:
-    more = "component = 50\nyaw_deg = 90.0\nforward_m = 0.1\nright_m = -0.2\nblind_m = 0.4\n"
-    more += "latency_s = 0.01\nlatency_error_s = 0.02\nrange_error_m = 0.3\n"
-    more += "position_error_m = 0.06\ndrift_m_s = 0.01\nbearing_error_deg = 2.0"
-    mission = load(tmp_path, OBSTACLE + more)
+    angles = "component = 50\nyaw_deg = 90.0\nbearing_error_deg = 2.0\n"
+    mission = load(tmp_path, OBSTACLE + angles + toml_text(ERRORS))
     near = mission.near
-    assert near is not None
-    assert mission.kind == "copter"
-    assert (near.component_id, near.forward_m, near.right_m, near.blind_m) == (50, 0.1, -0.2, 0.4)
+    assert (mission.kind, near.component_id, near.speaks_for_m) == ("copter", 50, 4.0)
     assert near.yaw_rad == pytest.approx(0.5 * math.pi)
     assert near.bearing_error_rad == pytest.approx(math.radians(2.0))
-    assert near.drift_m_s == 0.01
-    assert (near.latency_s, near.latency_error_s) == (0.01, 0.02)
-    assert (near.range_error_m, near.position_error_m, near.speaks_for_m) == (0.3, 0.06, 4.0)
+    assert {name: getattr(near, name) for name in ERRORS} == ERRORS
     assert near.range_m == mission.task.settings.scan_range_m
 
 
 def test_the_ground_is_a_guess_and_nothing_of_what_stands_on_it_is_known(tmp_path: Path) -> None:
     known = load(tmp_path, OBSTACLE).known
-    assert known is not None
-    assert known.guess_m is not None
     assert (known.guess_m == 400.5).all()
     assert not known.surveyed.any()
 

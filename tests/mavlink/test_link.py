@@ -1,0 +1,227 @@
+"""What a link tells besides messages: strangers with our ids, the vehicle's time, frames unread."""
+
+import random
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import all as wire
+from scripted_vehicle import MISSION, pair
+
+from companion.mavlink.autopilots import ALL, Autopilot
+from companion.mavlink.dialect import codec
+from companion.mavlink.frames import IGNORED_MESSAGES, Receiver
+from companion.mavlink.link import ClockReading, DuplicateIdDetector, VehicleClock
+from companion.mission.events import DuplicateId
+from companion.session import Session
+
+SYSTEM = 7
+
+
+# --- another process with our ids is told from our own frames that a link sends back
+
+
+class Speaker:
+    """A process that speaks as 7/195: we, or somebody else."""
+
+    def __init__(self, seq: int = 0, system_id: int = SYSTEM) -> None:
+        self.link = codec(system_id)
+        self.link.seq = seq
+
+    def says(self, message: Any, **how: bool) -> bytes:
+        frame: bytes = message.pack(self.link, **how)
+        self.link.seq = (self.link.seq + 1) % 256
+        return frame
+
+    def beats(self, **how: bool) -> bytes:
+        return self.says(wire.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), **how)
+
+    def leads(self, time_ms: int) -> bytes:
+        values = (time_ms, SYSTEM, 1, 5, 2496, 473977420, 85455940, 520.0, *[0.0] * 8)
+        return self.says(wire.MAVLink_set_position_target_global_int_message(*values))
+
+
+@given(st.lists(st.tuples(st.booleans(), st.floats(0.0, 2.0)), max_size=60))
+def test_without_a_stranger_nothing_is_ever_told(steps: list[tuple[bool, float]]) -> None:
+    """Whatever the link does with our frames: sends them back in any order, again, or late."""
+    us, it, now_s = Speaker(), DuplicateIdDetector(), 0.0
+    frames = [us.beats()]
+    it.sent.append(frames[0])
+    for sends, wait_s in steps:
+        now_s += wait_s
+        if sends:
+            frames.append(us.leads(len(frames)))
+            it.sent.append(frames[-1])
+        else:
+            assert it.heard(frames[int(wait_s * 1e6) % len(frames)], SYSTEM, now_s) is None
+
+
+def test_a_reflection_may_come_200_frames_late_or_without_signature_version_or_zeros() -> None:
+    us, it = Speaker(), DuplicateIdDetector()
+    frames = [us.beats() if tick % 10 == 0 else us.leads(tick * 100) for tick in range(400)]
+    for tick, frame in enumerate(frames):
+        it.sent.append(frame)
+        for late in (0, 0, 1, 30, 200):
+            assert late > tick or it.heard(frames[tick - late], SYSTEM, tick * 0.1) is None
+    us.link.signing.secret_key, us.link.signing.sign_outgoing = b"k" * 32, True
+    sequence = us.link.seq
+    it.sent.append(us.beats())
+    for how in ({}, {"force_mavlink1": True}):
+        assert it.heard(Speaker(sequence).beats(**how), SYSTEM, 40.1) is None
+
+
+def test_one_who_says_the_same_with_a_sequence_of_its_own_is_a_stranger() -> None:
+    us, them, it = Speaker(), Speaker(seq=100), DuplicateIdDetector()
+    told = []
+    for second in range(6):
+        it.sent.append(us.beats())
+        told.append(it.heard(them.beats(), SYSTEM, float(second)))
+    news = DuplicateId(time_s=2.0, certain=True, news=True)
+    expected = [DuplicateId(time_s=float(at), certain=at > 1) for at in range(6)]
+    assert told == [*expected[:2], news, *expected[3:]]
+
+
+def test_what_a_dead_companion_has_left_in_buffers_is_never_certain() -> None:
+    before, it = Speaker(seq=50), DuplicateIdDetector()
+    told = [it.heard(before.leads(tick), SYSTEM, 10.0 + 0.01 * tick) for tick in range(140)]
+    assert [event.certain for event in told if event is not None] == [False] * 3
+    doubted = DuplicateId(time_s=20.0, certain=False)
+    assert it.heard(before.beats(), SYSTEM, 20.0) == doubted
+
+
+@pytest.mark.parametrize("rate_hz", [1, 20, 200])
+def test_a_stranger_that_streams_is_told_of_twice_a_second_at_most(rate_hz: int) -> None:
+    them, it = Speaker(), DuplicateIdDetector()
+    heard = [it.heard(them.leads(k), SYSTEM, k / rate_hz) for k in range(10 * rate_hz)]
+    told = [event for event in heard if event is not None]
+    assert 0 < len(told) <= 21
+    assert sum(event.news for event in told) == 1
+    others = [event for event in told if not event.news]
+    assert all(b.time_s - a.time_s >= 0.5 - 1e-9 for a, b in pairwise(others))
+
+
+def test_another_vehicles_companion_is_none_of_ours_once_it_is_clear_whose_we_are() -> None:
+    """What was heard before that counts then; one who comes back later is news again."""
+    theirs, it = Speaker(system_id=8), DuplicateIdDetector()
+    assert not any(it.heard(theirs.beats(), SYSTEM, float(at)) for at in range(10))
+    them, it = Speaker(), DuplicateIdDetector()
+    assert not any(it.heard(them.beats(), None, float(at)) for at in range(4))
+    told = [it.heard(them.beats(), SYSTEM, float(at)) for at in (4, 10, *range(30, 34))]
+    assert [event.time_s for event in told if event and event.news] == [4.0, 32.0]
+
+
+# --- the vehicle's time
+
+
+@pytest.mark.parametrize(("rate_hz", "read"), [(100, 20), (50, 17), (20, 20), (4, 4), (1, 1)])
+def test_the_time_is_read_of_at_most_twenty_attitudes_a_second(rate_hz: int, read: int) -> None:
+    clock = VehicleClock(0.0)
+    times_ms = [round(k * 1000 / rate_hz) + 5000 for k in range(10 * rate_hz)]
+    needed = [at_ms for at_ms in times_ms if clock.is_newer(wire.MAVLINK_MSG_ID_ATTITUDE, at_ms)]
+    assert len(needed) == pytest.approx(10 * read, abs=4)
+    assert min((b - a for a, b in pairwise(needed)), default=1000) >= 50
+    assert clock.is_newer(wire.MAVLINK_MSG_ID_ATTITUDE, 10)  # it has begun again
+
+
+READ = ClockReading
+"""Short, for the table below."""
+
+
+@pytest.mark.parametrize(
+    ("stamps_s", "last"),
+    [
+        ((1060.0,), READ.DOUBTED),
+        ((1060.0, 60.1), READ.LATER),  # the clock goes on where it was
+        ((1060.0, 60.1, 1060.1), READ.DOUBTED),  # one that leaps now and then is never believed
+        ((1060.0, 1060.0), READ.DOUBTED),  # copies of one frame, or messages of one moment
+        ((1060.0, 5.0), READ.DOUBTED),
+        ((1060.0, 2_000.0), READ.DOUBTED),
+        ((1060.0, 1060.1), READ.LATER),  # two agree: so it is
+        ((5.0,), READ.DOUBTED),
+        ((5.0, 60.1), READ.LATER),
+        ((5.0, 5.0), READ.DOUBTED),
+        ((5.0, 5.1), READ.REBOOTED),
+        ((61.9,), READ.LATER),
+    ],
+)
+def test_a_leap_is_doubted_like_a_fall(stamps_s: tuple[float, ...], last: ClockReading) -> None:
+    clock = VehicleClock(0.0)
+    assert clock.read(60.0) is READ.FIRST
+    told = [(clock.believes(stamp_s), clock.read(stamp_s)) for stamp_s in stamps_s]
+    assert told[-1][1] is last
+    assert all(believed is (reading is not READ.DOUBTED) for believed, reading in told)
+
+
+def test_a_leap_that_the_silence_or_the_arrival_explains_is_believed_at_once() -> None:
+    arrived, silent = VehicleClock(0.0), VehicleClock(0.0)
+    for clock in (arrived, silent):
+        clock.read(60.0, 7.0)
+    assert arrived.read(90.0, 37.0) is READ.LATER  # a gap in a log, or a slow stream
+    assert arrived.read(97.0, 38.0) is READ.DOUBTED
+    silent.on_silence(30.0, counts=True)
+    assert silent.read(90.0) is READ.LATER
+    assert silent.read(97.0) is READ.DOUBTED
+
+
+# --- what is not read is recorded, frame by frame, and changes nothing
+
+
+def any_frame(number: int, rng: random.Random, system: int = 1, component: int = 1) -> bytes:
+    kind = wire.mavlink_map[number]
+    sender = wire.MAVLink(None, srcSystem=system, srcComponent=component)
+    sender.seq = rng.randrange(256)
+    message = wire.MAVLink_message(kind.id, kind.msgname)
+    return bytes(message._pack(sender, kind.crc_extra, rng.randbytes(kind.unpacker.size)))
+
+
+@pytest.fixture(scope="module")
+def said() -> list[bytes]:
+    """What a vehicle says from its start into its flight, frame by frame."""
+    it, frames = pair(lockstep=False), list[bytes]()
+    for _ in range(140):
+        told = it.vehicle.tick()
+        frames += [bytes(message.get_msgbuf()) for message in Receiver().feed(told)]
+        it.feed(told)
+    return frames
+
+
+@pytest.mark.sample(4)
+@pytest.mark.parametrize("seed", range(8))
+def test_what_nobody_reads_is_recorded_and_decides_nothing(said: list[bytes], seed: int) -> None:
+    rng, numbers, more = random.Random(seed), sorted(IGNORED_MESSAGES), list[bytes]()
+    for frame in said:
+        who = rng.choice([(1, 1), (1, 1), (7, 1), (1, 158)])
+        more += [any_frame(rng.choice(numbers), rng, *who) for _ in range(rng.randrange(4))]
+        more.append(frame)
+    plain, busy = (Session(MISSION, seed=1, lockstep=False) for _ in range(2))
+    plain.receive(b"".join(said))
+    busy.receive(b"".join(more))
+    expected, given_ = plain.run(), busy.run()
+    assert (given_.frames, given_.journal) == (expected.frames, expected.journal)
+    sent = set(given_.frames)
+    assert [frame for _, frame in given_.record if frame not in sent] == more
+    assert busy.receive(any_frame(wire.MAVLINK_MSG_ID_HIGHRES_IMU, rng))  # it is there all the same
+
+
+@pytest.mark.parametrize("behind_ms", [0, 10])
+def test_another_vehicles_time_does_not_hide_ours(said: list[bytes], behind_ms: int) -> None:
+    """Two in lockstep tell the same times; who listens to both still knows how late it is."""
+    session = Session(MISSION, seed=1, lockstep=False)
+    session.receive(b"".join(said))
+    session.run()
+    began_ms = round(session.now_s * 1000.0)
+    for at_ms in range(began_ms + 200, began_ms + 2_000, 200):
+        for system, told_ms in ((7, at_ms - behind_ms), (1, at_ms)):
+            sender = wire.MAVLink(None, srcSystem=system, srcComponent=1)
+            attitude = wire.MAVLink_attitude_message(told_ms, 0, 0, 0, 0, 0, 0)
+            session.receive(attitude.pack(sender))
+        session.run()
+        assert session.now_s == pytest.approx(at_ms * 1e-3)
+
+
+@pytest.mark.parametrize("autopilot", ALL, ids=lambda a: a.name)
+def test_nothing_that_is_asked_for_goes_unread(autopilot: Autopilot) -> None:
+    wanted = {*autopilot.streams_hz, *autopilot.requested_once, *autopilot.intermittent}
+    assert not (wanted | set(autopilot.decoders)) & IGNORED_MESSAGES

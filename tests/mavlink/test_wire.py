@@ -1,0 +1,358 @@
+"""Setpoints and events against pymavlink's packing and parsing, geodesy against geodesics."""
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import all as wire
+from wires import (
+    CORNER,
+    FRAME,
+    GEOD,
+    PLACES,
+    SYSTEM,
+    angle_between,
+    geodetic,
+    geodetic_e7,
+    over_the_wire,
+    true_course_rad,
+)
+
+from companion.geodesy import LocalFrame
+from companion.mavlink.autopilots import (
+    ALL,
+    ARDUCOPTER,
+    ARDUPLANE,
+    PX4_FIXED_WING,
+    PX4_MULTICOPTER,
+    Autopilot,
+)
+from companion.mission import events
+from companion.mission.events import Echo, Event, Landed, Position, Setpoint, Vector
+from vehicle_sim.autopilot.earth import FlatEarth, Projection
+from vehicle_sim.autopilot.values import Place
+
+HOVERING = (ARDUCOPTER, PX4_MULTICOPTER)
+TARGETS = (*HOVERING, PX4_FIXED_WING)
+"""Those that take SET_POSITION_TARGET."""
+each = pytest.mark.parametrize("autopilot", ALL, ids=lambda a: a.name)
+each_target = pytest.mark.parametrize("autopilot", TARGETS, ids=lambda a: a.name)
+
+
+def mask(names: str) -> int:
+    """The bits of what is to be ignored."""
+    types = (getattr(wire, f"POSITION_TARGET_TYPEMASK_{name}_IGNORE") for name in names.split())
+    return sum(types)
+
+
+def made(**changes: Any) -> Setpoint:
+    velocity: Vector = (100.0, -60.0, 5.0)
+    usual = {"time_s": 12.3, "position_nea_m": CORNER, "velocity_nea_m_s": velocity, "yaw_rad": 0.5}
+    return Setpoint(**{**usual, **changes})
+
+
+def sent(autopilot: Autopilot, setpoint: Setpoint, loiter_radius_m: float = 0.0) -> Any:
+    messages = autopilot.setpoint(setpoint, FRAME, SYSTEM, loiter_radius_m)
+    [message] = messages
+    return over_the_wire(message)
+
+
+def event(
+    message: Any, autopilot: Autopilot = ARDUCOPTER, origin_nea_m: Vector | None = None
+) -> Event | None:
+    return autopilot.event_of(over_the_wire(message), 1.5, FRAME, origin_nea_m)
+
+
+# --- setpoints
+
+
+@each_target
+@pytest.mark.parametrize("stay", [False, True])
+def test_a_setpoint_is_a_place_amsl_with_its_mask(autopilot: Autopilot, stay: bool) -> None:
+    message = sent(autopilot, made(stay=stay))
+    assert message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"
+    assert (message.target_system, message.target_component) == (SYSTEM, 1)
+    assert message.coordinate_frame == 5 == wire.MAV_FRAME_GLOBAL_INT
+    assert message.time_boot_ms == 12_300
+    assert (message.lat_int, message.lon_int) == pytest.approx(geodetic_e7(*CORNER[:2]), abs=1)
+    assert message.alt == 3500.0
+    assert (message.afx, message.afy, message.afz, message.yaw_rate) == (0.0, 0.0, 0.0, 0.0)
+    ignored = "AX AY AZ YAW_RATE"
+    if autopilot is PX4_FIXED_WING:
+        ignored += " YAW VX VY VZ" if stay else " YAW"
+    assert message.type_mask == mask(ignored)
+    if stay and autopilot is not PX4_FIXED_WING:  # what hovers is told an explicit zero
+        assert (message.vx, message.vy, message.vz) == (0.0, 0.0, 0.0)
+        assert message.yaw == pytest.approx(sent(autopilot, made()).yaw)
+
+
+@each_target
+@pytest.mark.parametrize("place", PLACES)
+def test_velocity_and_nose_point_along_the_true_course(autopilot: Autopilot, place: Vector) -> None:
+    for bearing in (math.radians(45.0 * k) for k in range(8)):
+        velocity = (150.0 * math.cos(bearing), 150.0 * math.sin(bearing), 12.0)
+        changes = {"position_nea_m": place, "velocity_nea_m_s": velocity, "yaw_rad": bearing}
+        message = sent(autopilot, made(**changes))
+        course = true_course_rad(*place[:2], bearing)
+        # The frame is no conformal one: at the corner a right angle is off by 1e-4 rad.
+        assert angle_between(math.atan2(message.vy, message.vx), course) < 1e-4
+        assert angle_between(message.yaw, course) < 1e-4
+        assert abs(message.yaw) <= math.pi + 1e-6
+        assert math.hypot(message.vx, message.vy) == pytest.approx(150.0, rel=1e-6)
+        assert message.vz == pytest.approx(-12.0)
+
+
+@pytest.mark.parametrize(
+    ("stay", "wanted_m", "circle_m"),
+    [(False, 100.0, 10.0), (True, 100.0, 80.0), (True, 30.0, 15.0), (True, 0.0, None)],
+)
+def test_an_arduplane_is_repositioned(stay: bool, wanted_m: float, circle_m: float | None) -> None:
+    """It follows with a small circle, and stays on a wide one (ardupilot.md 7)."""
+    message = sent(ARDUPLANE, made(stay=stay), wanted_m)
+    assert (message.get_type(), message.command) == ("COMMAND_INT", 192)
+    assert (message.target_system, message.target_component) == (SYSTEM, 1)
+    assert message.frame == wire.MAV_FRAME_GLOBAL_INT
+    assert message.param2 == 0.0  # bit 0 would switch to GUIDED
+    assert (message.x, message.y) == pytest.approx(geodetic_e7(*CORNER[:2]), abs=1)
+    assert message.z == 3500.0
+    assert message.param3 > 0.0  # 0 would keep the 10 m that it followed with
+    assert circle_m is None or message.param3 == circle_m
+
+
+numbers = st.one_of(
+    st.floats(),
+    st.floats(-2e5, 2e5),
+    st.sampled_from([math.nan, math.inf, -math.inf, 0.0, 1e9, -1e9, 1e38, 1e300, 2e7, 5e-324]),
+)
+triples = st.tuples(numbers, numbers, numbers)
+setpoints = st.builds(
+    Setpoint,
+    time_s=numbers | st.floats(0.0, 4e6),
+    position_nea_m=triples | st.tuples(*[st.floats(-2e5, 2e5)] * 2, st.floats(-1e3, 6e4)),
+    velocity_nea_m_s=triples | st.tuples(*[st.floats(-2e3, 2e3)] * 3),
+    yaw_rad=numbers | st.floats(-4.0, 4.0),
+    stay=st.booleans(),
+)
+GULF = LocalFrame(latitude_deg=0.0, longitude_deg=0.0)
+
+
+@given(st.sampled_from(ALL), setpoints, st.just(0.0) | numbers, st.sampled_from([FRAME, GULF]))
+def test_nothing_that_is_not_finite_and_in_range_is_ever_sent(
+    autopilot: Autopilot, setpoint: Setpoint, radius_m: float, frame: LocalFrame
+) -> None:
+    messages = autopilot.setpoint(setpoint, frame, SYSTEM, radius_m)
+    if messages is None:
+        return
+    [message] = map(over_the_wire, messages)
+    fields = {key: value for key, value in message.to_dict().items() if key != "mavpackettype"}
+    assert all(map(math.isfinite, fields.values()))
+    is_target = message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"
+    here = (message.lat_int, message.lon_int) if is_target else (message.x, message.y)
+    assert abs(here[0]) <= 900_000_000
+    assert abs(here[1]) <= 1_800_000_000
+    assert max(map(abs, here)) >= 100_000
+    assert -500.0 <= (message.alt if is_target else message.z) <= 50_000.0
+    if is_target:
+        assert max(abs(message.vx), abs(message.vy), abs(message.vz)) <= 1000.0
+        assert message.time_boot_ms == pytest.approx(1e3 * setpoint.time_s, abs=0.501)
+
+
+@given(place=st.tuples(st.floats(-2e5, 2e5), st.floats(-2e5, 2e5), st.floats(-500.0, 5e4)))
+def test_what_is_in_range_is_sent_to_where_it_is(place: Vector) -> None:
+    message = sent(ARDUCOPTER, made(position_nea_m=place))
+    latitude, longitude = geodetic(*place[:2])
+    _, _, off_m = GEOD.inv(longitude, latitude, message.lon_int * 1e-7, message.lat_int * 1e-7)
+    assert off_m < 0.02
+    assert message.alt == pytest.approx(place[2], abs=0.01)
+
+
+@each
+@pytest.mark.parametrize(
+    ("field", "values"),
+    [
+        ("time_s", (math.nan, -0.1, 2.0**32 / 1e3)),
+        ("position_nea_m", [(0.0, bad, 3000.0) for bad in (math.nan, math.inf, 1e9)]),
+        ("position_nea_m", [(0.0, 0.0, bad) for bad in (math.nan, 50_001.0, -501.0)]),
+        ("velocity_nea_m_s", [(bad, 0.0, 0.0) for bad in (math.nan, 1001.0)]),
+        ("velocity_nea_m_s", [(0.0, 0.0, -1001.0)]),
+        ("yaw_rad", (math.nan, math.inf)),
+    ],
+)
+def test_one_bad_value_is_refused(autopilot: Autopilot, field: str, values: Any) -> None:
+    for stay in (False, True):
+        for bad in values:
+            told = made(stay=stay, **{field: bad})
+            assert autopilot.setpoint(told, FRAME, SYSTEM, 0.0) is None, bad
+
+
+@each
+def test_a_setpoint_about_latitude_and_longitude_0_is_refused(autopilot: Autopilot) -> None:
+    for off_m in (0.0, 0.001, 500.0):
+        there = made(position_nea_m=(off_m, off_m, 100.0))
+        assert autopilot.setpoint(there, GULF, SYSTEM, 0.0) is None
+    for radius_m in (math.nan, math.inf):
+        assert ARDUPLANE.setpoint(made(stay=True), FRAME, SYSTEM, radius_m) is None
+
+
+# --- positions
+
+
+def at(lat_e7: int, lon_e7: int, **fields: int) -> Any:
+    usual = {"alt": 0, "relative_alt": 0, "vx": 0, "vy": 0, "vz": 0, "hdg": 0}
+    return wire.MAVLink_global_position_int_message(12_300, lat_e7, lon_e7, **{**usual, **fields})
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_position_is_read_where_it_was_with_velocity_along_the_frame(place: Vector) -> None:
+    bearing, there = 0.7, geodetic_e7(*place[:2])
+    course = true_course_rad(*place[:2], bearing)
+    speeds = {"vx": round(15_000 * math.cos(course)), "vy": round(15_000 * math.sin(course))}
+    heights = {"alt": round(place[2] * 1e3), "relative_alt": 123, "vz": -250}
+    read = event(at(*there, **speeds, **heights, hdg=round(math.degrees(course) * 100)))
+    assert isinstance(read, Position)
+    assert angle_between(read.heading_rad, bearing) < 3e-4
+    assert read.time_s == 12.3
+    assert read.position_nea_m == pytest.approx(place, abs=0.02)
+    north, east, up = read.velocity_nea_m_s
+    assert math.hypot(north, east) == pytest.approx(150.0, abs=0.01)
+    assert math.atan2(east, north) == pytest.approx(bearing, abs=2e-4)
+    assert up == pytest.approx(2.5)
+    unknown = event(at(*there, hdg=65_535))
+    assert isinstance(unknown, Position)
+    assert unknown.heading_rad is None
+
+
+@pytest.mark.parametrize("place", [(0, 0), (3090, -717), (-99_000, 99_000), (0, 80_000_000)])
+def test_about_latitude_and_longitude_0_there_is_no_position(place: tuple[int, int]) -> None:
+    """3090, -717 was recorded: an ArduPlane that has no fix yet; on the equator there are some."""
+    assert (event(at(*place)) is None) == (place[1] < 100_000)
+
+
+whole = st.integers(-(2**31), 2**31 - 1) | st.sampled_from([2**31 - 1, -(2**31), 900_000_001])
+
+
+@given(lat_e7=whole, lon_e7=whole, alt=whole)
+def test_a_position_is_finite_or_none(lat_e7: int, lon_e7: int, alt: int) -> None:
+    read = event(at(lat_e7, lon_e7, alt=alt, vx=100, vy=-100, vz=3))
+    if isinstance(read, Position):
+        assert all(map(math.isfinite, (*read.position_nea_m, *read.velocity_nea_m_s)))
+
+
+# --- other events
+
+
+@each
+def test_a_heartbeat_tells_of_arming_and_of_a_failsafe(autopilot: Autopilot) -> None:
+    for status in range(9):
+        name = wire.enums["MAV_STATE"][status].name
+        for armed in (False, True):
+            base = 1 | (wire.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
+            read = event(wire.MAVLink_heartbeat_message(2, 3, base, 4, status, 3), autopilot)
+            assert isinstance(read, events.VehicleStatus)
+            assert (read.time_s, read.armed) == (1.5, armed)
+            assert read.failsafe == (name in ("MAV_STATE_CRITICAL", "MAV_STATE_EMERGENCY"))
+    assert event(wire.MAVLink_system_time_message(0, 0), autopilot) is None
+
+
+LANDED = {
+    "UNDEFINED": Landed.UNKNOWN,
+    "ON_GROUND": Landed.ON_GROUND,
+    "IN_AIR": Landed.IN_AIR,
+    "TAKEOFF": Landed.TAKING_OFF,
+    "LANDING": Landed.LANDING,
+}
+
+
+def test_landed_states_fixes_and_batteries_are_those_of_the_message_definitions() -> None:
+    for number in range(100):
+        name = next((n for n in LANDED if getattr(wire, f"MAV_LANDED_STATE_{n}") == number), "")
+        expected = events.LandedState(time_s=1.5, landed=LANDED.get(name, Landed.UNKNOWN))
+        assert event(wire.MAVLink_extended_sys_state_message(0, number)) == expected
+    for fix_type, good in ((0, False), (2, False), (3, True), (6, True)):
+        fix = wire.MAVLink_gps_raw_int_message(0, fix_type, *([0] * 8))
+        assert event(fix) == events.GpsFix(time_s=1.5, good=good)
+    for percent, share in ((0, 0.0), (37, 0.37), (100, 1.0), (-1, None)):
+        status = wire.MAVLink_sys_status_message(0, 0, 0, 0, 12_000, 0, percent, 0, 0, 0, 0, 0, 0)
+        first, second = (
+            wire.MAVLink_battery_status_message(number, 0, 0, 0, [0] * 10, 0, 0, 0, percent)
+            for number in (0, 1)
+        )
+        left = None if share is None else events.Battery(time_s=1.5, remaining=share)
+        assert event(status) == event(first) == left
+        assert event(second) is None
+
+
+def home(latitude_e7: int, longitude_e7: int) -> Any:
+    rest = (584_070, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
+    return wire.MAVLink_home_position_message(latitude_e7, longitude_e7, *rest)
+
+
+def origin(latitude_e7: int, longitude_e7: int) -> Any:
+    return wire.MAVLink_gps_global_origin_message(latitude_e7, longitude_e7, 584_070)
+
+
+def waypoint(latitude_e7: int, longitude_e7: int) -> Any:
+    values = (latitude_e7, longitude_e7, 584.07, *([0.0] * 8))
+    return wire.MAVLink_position_target_global_int_message(0, 0, 0xFDF8, *values)
+
+
+@pytest.mark.parametrize(
+    ("said", "kind", "autopilot"),
+    [
+        (home, events.Home, ARDUCOPTER),
+        (origin, events.Origin, ARDUCOPTER),
+        (waypoint, Echo, ARDUPLANE),  # its waypoint is the echo
+    ],
+)
+def test_home_and_waypoints_are_places_amsl(said: Any, kind: type, autopilot: Autopilot) -> None:
+    read: Any = event(said(*geodetic_e7(*CORNER[:2])), autopilot)
+    assert isinstance(read, kind)
+    assert read.position_nea_m == pytest.approx((*CORNER[:2], 584.07), abs=0.02)
+    assert event(said(0, 0), autopilot) is None
+
+
+# --- echoes
+
+ORIGINS = ((0.0, 0.0, 488.0), (-30_000.0, 20_000.0, 488.0))
+
+
+def local_target(x: float, y: float, z: float, type_mask: int = 0) -> Any:
+    values = (x, y, z, 3.0, 0.0, -1.0, *[0.0] * 5)
+    return wire.MAVLink_position_target_local_ned_message(0, 1, type_mask, *values)
+
+
+@pytest.mark.parametrize("origin_nea_m", ORIGINS)
+@pytest.mark.parametrize("ne_m", [(0.0, 0.0), (300.0, -200.0), (9000.0, 4000.0), (-4e4, 3e4)])
+@pytest.mark.parametrize(
+    ("autopilot", "earth"), [(ARDUCOPTER, FlatEarth), (PX4_MULTICOPTER, Projection)]
+)
+def test_a_local_echo_is_read_on_the_autopilots_own_earth(
+    autopilot: Autopilot, earth: Any, origin_nea_m: Vector, ne_m: tuple[float, float]
+) -> None:
+    there = earth(Place(*geodetic(*origin_nea_m[:2]), origin_nea_m[2])).place(*ne_m, 0.0)
+    read = event(local_target(*ne_m, -60.0), autopilot, origin_nea_m)
+    assert isinstance(read, Echo)
+    latitude, longitude = geodetic(*read.position_nea_m[:2])
+    _, _, off_m = GEOD.inv(longitude, latitude, there[1], there[0])
+    assert off_m < 0.05
+    assert read.position_nea_m[2] == pytest.approx(548.0)
+
+
+@each
+def test_a_local_echo_needs_an_origin_and_a_vehicle_that_hovers(autopilot: Autopilot) -> None:
+    told = (1.0, 2.0, -3.0)
+    assert event(local_target(*told), autopilot, None) is None
+    is_echo = isinstance(event(local_target(*told), autopilot, ORIGINS[0]), Echo)
+    assert is_echo == (autopilot in HOVERING)
+    for bit in (1, 2, 4):
+        assert event(local_target(*told, bit), autopilot, ORIGINS[0]) is None
+
+
+@given(x=st.floats(width=32), y=st.floats(width=32), z=st.floats(width=32))
+@pytest.mark.parametrize("autopilot", HOVERING, ids=lambda a: a.name)
+def test_an_echo_is_finite_or_none(autopilot: Autopilot, x: float, y: float, z: float) -> None:
+    for values in ((x, y, z), (math.nan, y, z), (x, math.inf, z), (x, y, math.nan)):
+        read: Any = event(local_target(*values), autopilot, ORIGINS[0])
+        assert read is None or all(map(math.isfinite, (*read.position_nea_m, *values)))
