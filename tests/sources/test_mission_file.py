@@ -137,6 +137,16 @@ def test_all_that_can_be_said_of_the_flight_is_taken(folder: Path) -> None:
     assert {name: getattr(mission, name) for name in expected} == expected
 
 
+def test_a_copter_that_outruns_its_sight_is_flown_more_slowly_and_says_so() -> None:
+    forest = load_mission("forest", settings=["vehicle.speed_m_s=5"])
+    flown_m_s = forest.task.limits.speed_m_s
+    assert 2.5 <= flown_m_s < 5.0
+    [note] = [note for note in forest.notes if "eq. 4" in note]
+    assert f"V = 5 m/s (eq. 4): it is flown at {flown_m_s:g} m/s" in note
+    with pytest.raises(InputError, match=r"planner.planning_time_s = 0.4: eq. 4"):
+        load_mission("forest", settings=["vehicle.speed_m_s=50", "vehicle.turn_radius_m=500"])
+
+
 @pytest.mark.parametrize("autopilot", ['autopilot = "px4"', ""])
 def test_a_plane_holds_on_a_circle_and_some_may_land(folder: Path, autopilot: str) -> None:
     mission = load(folder, vehicle(autopilot, PLANE).replace('"hold"', '"land"'))
