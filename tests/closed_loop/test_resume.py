@@ -43,7 +43,7 @@ PLANE_MOMENTS: tuple[Moment, ...] = (
     ("at a join", lambda now: now["phase"] == "FLYING" and now["legs_flown"] >= 2),
 )
 MOMENTS: dict[str, tuple[Moment, ...]] = {
-    "sitl-arducopter": PLANE_MOMENTS[:1],  # at any: `tests/mission/test_changes.py`
+    "sitl-arducopter": PLANE_MOMENTS[:1],  # at any: `tests/mission/test_kinds.py`
     "sitl-px4": (
         ("before the first leg", _is_before_first_leg),
         *PLANE_MOMENTS,

@@ -59,6 +59,7 @@ TRAITS = [each.traits for each in ALL]
 EACH = each_of(*TRAITS)
 COPTERS = each_of(*(each for each in TRAITS if each.hovers))
 PLANES = each_of(*(each for each in TRAITS if not each.hovers))
+HOLDS_FOR_SETPOINTS = each_of(*(each for each in TRAITS if each.needs_setpoints_before_offboard))
 MOVING = (
     events.Arm,
     events.Disarm,
@@ -175,6 +176,11 @@ def not_planned(request: PlanRequest) -> NotPlanned:
     )
 
 
+def only_the_first(request: PlanRequest) -> PlanOutcome:
+    """A first leg; then neither a way on nor, as that is no way back, one back."""
+    return planned(request) if request.plan_id == 1 else not_planned(request)
+
+
 def scan(height_m: float = NO_ANSWER) -> Scan:
     return Scan(
         row=0,
@@ -243,6 +249,9 @@ class Craft:
     @property
     def commands(self) -> list[Command]:
         return [command for *_, commands in self.steps for command in commands]
+
+    said_to = commands
+    """By the name that they have of a `Wild` vehicle."""
 
     def sent(self, kind: type[Kind]) -> list[Kind]:
         return [command for command in self.commands if isinstance(command, kind)]
@@ -514,7 +523,13 @@ def landing() -> Craft:
     return arrived(LAND).fly_to(Phase.LANDING)
 
 
-def order_of(craft: Craft, kind: events.OrderKind) -> events.Order:
+def shifted(craft: Craft, north_m: float) -> Craft:
+    """The vehicle is elsewhere all at once."""
+    craft.here = (craft.here[0] + north_m, *craft.here[1:])
+    return craft
+
+
+def order_of(craft: Any, kind: events.OrderKind) -> events.Order:
     """An order by a ground station, with a place if it is one that needs it."""
     target_ne_m = (6_000.0, 2_000.0) if kind is events.OrderKind.REPOSITION else None
     return events.Order(time_s=craft.now_s, kind=kind, target_ne_m=target_ne_m, sender="255/190")
