@@ -261,7 +261,7 @@ def test_the_climb_out_is_not_judged_but_a_later_dip_below_the_floor_is() -> Non
     whole = np.concatenate([climb, cruise])
     track = true_track.judge(a_world(), a_mission(), times, whole)
     assert track["lowest altitude AMSL"].value == 3500.0
-    assert track.begin_s == 36.0
+    assert track["begins"].value == 36.0
     whole[700, 2] = 2900.0
     dipped = true_track.judge(a_world(), a_mission(), times, whole)
     assert dipped["lowest altitude AMSL"].value == 2900.0

@@ -143,6 +143,8 @@ class QueueLink(Link):
             queue.SimpleQueue()
         )
         self.sender: object = "vehicle"
+        self.on_flying: Callable[[], None] = lambda: None
+        """What a test does to it once setpoints are streamed."""
 
     def receive(self, timeout_s: float) -> bytes | None:
         try:
