@@ -15,6 +15,11 @@ import pytest
 from programs import BIN, ROOT, Program, free_port
 
 from companion.campaign.in_process import FlightFiles, fly_here
+from companion.planner.plan import plan
+from companion.runtime.in_process import fly_in_process
+from companion.session import Session
+from companion.telemetry.run_folder import RunFolder
+from vehicle_sim.simulation import Simulation
 
 ENVIRONMENTS = ROOT / "companion" / "environments"
 HILLS = str(Path(__file__).parent / "hills" / "world.toml")
@@ -120,6 +125,15 @@ def flown_here(
     """A flight in this process, in lockstep, recorded until it ends or is stopped by then."""
     files = FlightFiles(world=Path(world), mission=Path(mission), faults=faults, folder=folder)
     fly_here(files, seed=1, limit_s=limit_s)
+    return Recorded(folder=folder)
+
+
+def flown_with(folder: Path, session: Session, vehicle: Simulation, **options: Any) -> Recorded:
+    """The same with a session and a vehicle that a test has made, to its end."""
+    with RunFolder(folder, mission_toml="", epoch_us=0, durable=False) as run:
+        fly_in_process(session, vehicle, planner=plan, folder=run, **options)
+    truth = "\n".join(vehicle.take_truth())
+    (folder / "truth.jsonl").write_text(truth, encoding="utf-8")
     return Recorded(folder=folder)
 
 

@@ -5,14 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from flights import NIGHTLY, Recorded
+from flights import NIGHTLY, Recorded, flown_with
 
 from companion.config import load_mission
 from companion.mavlink.preflight import checks_of
-from companion.planner import plan as planner
-from companion.runtime.in_process import fly_in_process
 from companion.session import Session
-from companion.telemetry.run_folder import RunFolder
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import flat_world
 
@@ -51,17 +48,8 @@ def flight_of(mission: Path, autopilot: str) -> tuple[Recorded, Session]:
         heading_deg=0.0,
     )
     session = Session(load_mission(str(mission)), seed=1, lockstep=True)
-    vehicle, flight = Simulation(world, seed=1), Recorded(folder=mission.parent / "run")
-    with RunFolder(flight.folder, mission_toml="", epoch_us=0, durable=False) as run:
-        fly_in_process(session, vehicle, planner=planner.plan, folder=run)
-    truth = "\n".join(vehicle.take_truth())
-    (flight.folder / "truth.jsonl").write_text(truth, encoding="utf-8")
+    flight = flown_with(mission.parent / "run", session, Simulation(world, seed=1))
     return flight, session
-
-
-def heights_m(flight: Recorded) -> list[tuple[float, float]]:
-    """When, and how far above launch it truly was."""
-    return [(entry["t_s"], entry["altitude_amsl_m"] - HOME[2]) for entry in flight.truth]
 
 
 @pytest.mark.parametrize("autopilot", ["ardupilot", pytest.param("px4", marks=NIGHTLY)])
@@ -87,7 +75,7 @@ def test_the_same_plan_over_stated_ground_is_flown_at_its_altitudes(
     assert flight.outcome == "arrived"
     assert "mission field" in flight.says
     reached = [e["t_s"] for e in flight.journal if e.get("text") == "target reached"]
-    truth = heights_m(flight)
+    truth = [(row["t_s"], row["altitude_amsl_m"] - HOME[2]) for row in flight.truth]
     for at_s, wanted_m in zip(reached, (40.0, 60.0), strict=False):
         there_m = min(truth, key=lambda each: abs(each[0] - at_s))[1]
         assert there_m == pytest.approx(wanted_m, abs=3.0)
