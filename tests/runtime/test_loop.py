@@ -62,7 +62,9 @@ def fly(
     )
 
 
-def test_a_flight_in_lockstep_ends_at_its_target(folder: RunFolder) -> None:
+def test_a_flight_in_lockstep_ends_at_its_target_and_its_folder_holds_all_that_was_said(
+    folder: RunFolder,
+) -> None:
     def cut(request: PlanRequest, stop: object) -> PlanOutcome:
         return replace(straight_plan(request, stop), stopped_after=2)
 
@@ -74,11 +76,6 @@ def test_a_flight_in_lockstep_ends_at_its_target(folder: RunFolder) -> None:
     assert flown.to_go_m == pytest.approx(0.0, abs=5.0)
     last = link.vehicle.heard[-1]
     assert (last.get_type(), last.system_status) == ("HEARTBEAT", 7)
-
-
-def test_the_folder_holds_all_that_was_said_and_decided(folder: RunFolder) -> None:
-    link = ScriptedLink(Vehicle())
-    fly(link, folder)
     lines = (folder.path / "journal.jsonl").read_text(encoding="utf-8").splitlines()
     assert [json.loads(line)["kind"] for line in lines[-2:]] == ["end", "say"]
     log = (folder.path / "flight.tlog").read_bytes()
