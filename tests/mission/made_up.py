@@ -5,7 +5,7 @@ import functools
 import json
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -209,7 +209,43 @@ def position(
     return events.Position(time_s=time_s, position_nea_m=at, velocity_nea_m_s=velocity)
 
 
-class Craft:
+class Program:
+    """A mission that is flown tick by tick, with a vehicle that somebody makes up."""
+
+    state: State
+    now_s: float
+    tick_s = TICK_S
+    said_to: Sequence[Command]
+    """All that the vehicle was told."""
+
+    def tick(self) -> object:
+        """A tick later: the vehicle has moved and said so, and was answered."""
+        raise NotImplementedError
+
+    @property
+    def over(self) -> bool:
+        return self.state.phase in OVER
+
+    def sent(self, kind: type[Kind]) -> list[Kind]:
+        return [command for command in self.said_to if isinstance(command, kind)]
+
+    def run_until(self, done: Callable[[Self], Any], limit_s: float = 3600.0) -> Self:
+        deadline_s = self.now_s + limit_s
+        while not done(self):
+            assert self.now_s < deadline_s, f"nothing after {limit_s} s: {self.state.phase}"
+            self.tick()
+        return self
+
+    def fly_to(self, phase: Phase) -> Self:
+        return self.run_until(lambda it: it.state.phase is phase)
+
+    def run_for(self, seconds: float) -> Self:
+        for _ in range(round(seconds / self.tick_s)):
+            self.tick()
+        return self
+
+
+class Craft(Program):
     """A mission in flight, and a vehicle that does exactly what it is told."""
 
     def __init__(
@@ -251,10 +287,6 @@ class Craft:
         return [command for *_, commands in self.steps for command in commands]
 
     said_to = commands
-    """By the name that they have of a `Wild` vehicle."""
-
-    def sent(self, kind: type[Kind]) -> list[Kind]:
-        return [command for command in self.commands if isinstance(command, kind)]
 
     def take(self, *events: Event) -> list[Command]:
         """Events in, commands out; the vehicle does not hear of them."""
@@ -371,21 +403,6 @@ class Craft:
             out += commands
         return out
 
-    def run_until(self, done: Callable[["Craft"], bool], limit_s: float = 3600.0) -> "Craft":
-        deadline_s = self.now_s + limit_s
-        while not done(self):
-            assert self.now_s < deadline_s, f"nothing after {limit_s} s: {self.phase}"
-            self.tick()
-        return self
-
-    def fly_to(self, phase: Phase) -> "Craft":
-        return self.run_until(lambda craft: craft.phase is phase)
-
-    def run_for(self, seconds: float) -> "Craft":
-        for _ in range(round(seconds / TICK_S)):
-            self.tick()
-        return self
-
     def during(self, seconds: float) -> list[Command]:
         """What is said while it flies on for so long."""
         count = len(self.commands)
@@ -395,10 +412,6 @@ class Craft:
         """From now on another has it, in that mode."""
         self.mode, self.failsafe, self.obeys_modes = mode, failsafe, False
         return self
-
-    @property
-    def over(self) -> bool:
-        return self.phase in OVER
 
     @property
     def phases(self) -> set[Phase]:

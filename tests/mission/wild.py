@@ -11,7 +11,16 @@ from typing import Any
 
 import numpy as np
 from made_up import HOME_AMSL_M as HOME_AMSL_M
-from made_up import MISSION, OVER, certificate, not_planned, planned, scan, straight, within_band
+from made_up import (
+    MISSION,
+    Program,
+    certificate,
+    not_planned,
+    planned,
+    scan,
+    straight,
+    within_band,
+)
 from renewed import replace
 from watch import Watch
 
@@ -107,7 +116,7 @@ def mission_for(traits: VehicleTraits, rng: np.random.Generator) -> Mission:
     )
 
 
-class Wild:
+class Wild(Program):
     """One program: a vehicle that mostly does what it is told, in a world that mostly does not."""
 
     def __init__(self, seed: int, step: Callable[..., Any] | None = None) -> None:
@@ -178,34 +187,12 @@ class Wild:
 
     # --- the loop
 
-    @property
-    def over(self) -> bool:
-        return self.state.phase in OVER
-
     def run(self, events: int) -> None:
         """At least so many events, or until some are seen to do nothing after the end."""
         after = 0
         while self.events < events and after < 8:
             self.tick()
             after += self.over
-
-    def run_until(self, done: Callable[["Wild"], Any], limit_s: float = 900.0) -> "Wild":
-        deadline_s = self.now_s + limit_s
-        while not done(self):
-            assert self.now_s < deadline_s, f"nothing after {limit_s} s: {self.state.phase}"
-            self.tick()
-        return self
-
-    def fly_to(self, phase: Phase) -> "Wild":
-        return self.run_until(lambda wild: wild.state.phase is phase)
-
-    def run_for(self, seconds: float) -> "Wild":
-        for _ in range(round(seconds / self.tick_s)):
-            self.tick()
-        return self
-
-    def sent(self, kind: type[Any]) -> list[Any]:
-        return [command for command in self.said_to if isinstance(command, kind)]
 
     def take(self, event: Event) -> None:
         """One event: the machine decides, the watch sees it, the vehicle obeys."""
