@@ -177,17 +177,6 @@ def kept(folder: Path) -> dict[str, Any] | None:
     return values
 
 
-def companion(
-    mission: str | Path, folder: Path, connect: str, *options: object, patch: str = ""
-) -> Program:
-    """Start the companion, as a user does; patch: Python that it runs before."""
-    program = [BIN / "companion"]
-    if patch:
-        main = f"{patch}\nfrom companion.cli import main\nmain()"
-        program = [sys.executable, "-c", main]
-    return run(*program, "fly", mission, "--connect", connect, "--start", "--out", folder, *options)
-
-
 def simulator(world: str | Path, folder: Path, *options: object) -> Program:
     """Start the simulator, as a user does."""
     return run(BIN / "vehicle-sim", world, "--out", folder, *options)
@@ -208,18 +197,14 @@ def launch(
     *options: object,
     clock: Sequence[str] = ("--lockstep",),
     simulator_options: Sequence[object] = (),
-    truth: Path | None = None,
-    patch: str = "",
 ) -> Flight:
-    """Start both programs on a free port of loopback.
-
-    truth: the simulator's folder, if it is not the companion's; patch: as of `companion`.
-    """
+    """Start both programs on a free port of loopback, as a user does."""
     port = free_port()
+    here = ("--connect", f"udpin:127.0.0.1:{port}", "--start", "--out", folder)
     lockstep = [option for option in clock if option == "--lockstep"]
-    us = companion(mission, folder, f"udpin:127.0.0.1:{port}", *lockstep, *options, patch=patch)
-    connect = ("--connect", f"udpout:127.0.0.1:{port}")
-    vehicle = simulator(world, truth or folder, *connect, *clock, *simulator_options)
+    us = run(BIN / "companion", "fly", mission, *here, *lockstep, *options)
+    there = ("--connect", f"udpout:127.0.0.1:{port}")
+    vehicle = simulator(world, folder, *there, *clock, *simulator_options)
     return Flight(folder=folder, companion=us, simulator=vehicle)
 
 

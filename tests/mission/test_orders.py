@@ -228,6 +228,18 @@ def test_a_pause_on_a_return_outlives_an_old_plan_the_companion_and_the_autopilo
     told(craft, CONTINUE, RETURNING)
 
 
+@pytest.mark.parametrize("found_in", [Mode.GUIDED, Mode.HOLD])
+def test_a_companion_started_again_in_flight_knows_the_whole_way_back(found_in: Mode) -> None:
+    craft = under_way().run_for(30.0).restart()
+    craft.mode = found_in
+    told(craft, 20.0, RETURN)
+    craft.run_until(lambda craft: getattr(craft.state.stage, "backtrack", None))
+    flown = craft.sent(Plan)[-1].request.flown
+    assert flown is not None
+    away_m = math.hypot(*craft.here[:2])
+    assert sum(each.until_m - each.from_m for each in flown) == pytest.approx(away_m, rel=0.01)
+
+
 def test_a_return_for_want_of_plans_goes_on_after_a_pause() -> None:
     """All attempts are used up then, and that is no reason to give up the way back."""
     craft = under_way(replace(two_legs_away(), fallback=Fallback.RETURN))

@@ -55,6 +55,8 @@ class Rig:
             "lockstep": False,
             "planner": lambda _request, _stop: "planned",
         }
+        self.once_flying: Callable[[], None] = lambda: None
+        """What happens once setpoints are streamed."""
         self.released = threading.Event()
         """What has stood still goes on."""
         self._over = threading.Event()
@@ -160,7 +162,7 @@ def planner_is_killed(rig: Rig) -> tuple[str, str]:
         assert planner.pid is not None
         os.kill(planner.pid, signal.SIGKILL)
 
-    rig.link.on_flying = kill
+    rig.once_flying = kill
     return "planner", "its process has ended (SIGKILL)"
 
 
@@ -230,7 +232,7 @@ def test_whatever_dies_nothing_more_is_streamed_and_the_vehicle_is_told_to_hold(
 ) -> None:
     part, error = death(rig)
     with rig.flying():
-        rig.link.on_flying()
+        rig.once_flying()
         assert_held(rig, part, error)
         sent = len(rig.link.sent)
         rig.released.set()  # what it says now leaves no more
