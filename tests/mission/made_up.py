@@ -248,6 +248,21 @@ class Program:
 class Craft(Program):
     """A mission in flight, and a vehicle that does exactly what it is told."""
 
+    mode, armed, landed = Mode.OTHER, False, Landed.ON_GROUND
+    here: Vector = (0.0, 0.0, HOME_AMSL_M)
+    home_nea_m: Vector | None = here
+    velocity: Vector = (0.0, 0.0, 0.0)
+    by_hand: Vector = (0.0, 0.0, 0.0)
+    """Velocity at which somebody else flies it."""
+    climb_to_m: float | None = None
+    obeys_modes = follows = fix = estimator = arms = takes_off = True
+    accepts = failsafe = scan_asked = False
+    """Whether it accepts a take-off that it does not begin; and what its autopilot does."""
+    answered = asked = 1
+    """Of the radar's blocks."""
+    battery: float | None = None
+    pending: tuple[float, PlanOutcome] | None = None
+
     def __init__(
         self,
         of: Mission = MISSION,
@@ -257,26 +272,10 @@ class Craft(Program):
         go: bool = True,
     ) -> None:
         self.context = Context(mission=of, seed=1, shadow=shadow, go=go)
-        self.traits = traits
+        self.state, self.now_s, self.traits, self.plan = fresh(of), 0.0, traits, plan
         self.told: list[Event] = []
-        self.state = fresh(of)
-        self.plan = plan
+        """What it says at the next tick."""
         self.steps: list[Step] = []
-        self.now_s = 0.0
-        self.mode, self.armed, self.landed = Mode.OTHER, False, Landed.ON_GROUND
-        self.here: Vector = (0.0, 0.0, HOME_AMSL_M)
-        self.home_nea_m: Vector | None = self.here
-        self.velocity: Vector = (0.0, 0.0, 0.0)
-        self.by_hand: Vector = (0.0, 0.0, 0.0)
-        """Velocity at which somebody else flies it."""
-        self.climb_to_m: float | None = None
-        self.obeys_modes, self.follows, self.fix, self.estimator = True, True, True, True
-        self.answered, self.asked = 1, 1
-        self.arms, self.takes_off, self.accepts = True, True, False
-        self.battery: float | None = None
-        self.failsafe = False
-        self.scan_asked = False
-        self.pending: tuple[float, PlanOutcome] | None = None
 
     @property
     def phase(self) -> Phase:
