@@ -83,7 +83,9 @@ def only_arms(message: Any) -> bool:
     return bool(message.param1 == 1.0 and message.param2 == 0.0)
 
 
-@each(*MOMENTS, nightly=["sitl-px4", "sitl-arduplane", "sitl-px4-plane"])  # planes: `replay/test_golden`
+@each(
+    *MOMENTS, nightly=["sitl-px4", "sitl-arduplane", "sitl-px4-plane"]
+)  # planes: `replay/test_golden`
 def test_it_arrives_however_often_it_was_killed_and_is_armed_once(flown: Any, name: str) -> None:
     """Journal and log hold all lives: in lockstep the vehicle waits for the next one."""
     flight, killed_at_s = flown(name, by=killed)
