@@ -47,11 +47,19 @@ def test_plan_reaches_the_target_and_writes_a_picture(tmp_path: Path) -> None:
     assert "subpaths" in shown
 
 
+def refused(*arguments: str | Path) -> str:
+    """The one line that wrong input is answered with."""
+    code, _, said = answered(*arguments)
+    assert code == 2, (arguments, said)
+    assert len(said.splitlines()) == 1, said
+    assert said.startswith("error: ")
+    return said
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (("fly", "nowhere"), "MISSION = 'nowhere'"),
-        (("fly", "environment-1", "--connect", "tcp:1"), "--connect = 'tcp:1'"),
         (("fly", "environment-1", "--seed", "-1"), "--seed"),
         (("fly", "environment-1", "--profile", "bold"), "--profile"),
         (("fly", "environment-1", "environment-2"), "environment-2"),
@@ -66,6 +74,30 @@ def test_wrong_input_is_one_line_and_exit_code_2(arguments: tuple[str, ...], wor
     assert words in refused(*arguments)
 
 
+@pytest.mark.parametrize("command", ["fly", "preflight"])
+@pytest.mark.parametrize(
+    "option",
+    [
+        *(f"--connect={each}" for each in ("14550", "tcp:1", "tcpin:127.0.0.1:5760")),
+        "--connect=/dev/null,57600",
+        *(f"--system={each}" for each in ("0", "256", "-1", "one", "1.5")),
+        "--signing-key={key}",
+    ],
+)
+def test_so_are_a_link_a_system_and_a_key_that_cannot_be(
+    command: str, option: str, tmp_path: Path
+) -> None:
+    """A key that others can read is not shown.  Each that cannot be: `tests/runtime`."""
+    key, out = tmp_path / "key", tmp_path / "run"
+    key.write_text("hush hush\n", encoding="utf-8")
+    key.chmod(0o644)
+    options = (option.format(key=key), *(("--out", out) if command == "fly" else ()))
+    line = refused(command, "environment-1", *options)
+    assert option.partition("=")[0] in line or "chmod 600" in line
+    assert "hush hush" not in line
+    assert not out.exists()
+
+
 def test_so_it_is_of_the_program() -> None:
     command = [COMPANION, "fly", "nowhere"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
@@ -75,15 +107,6 @@ def test_so_it_is_of_the_program() -> None:
 
 
 # --- the other ways of flying
-
-
-def refused(*arguments: str | Path) -> str:
-    """The one line that wrong input is answered with."""
-    code, _, said = answered(*arguments)
-    assert code == 2, (arguments, said)
-    assert len(said.splitlines()) == 1, said
-    assert said.startswith("error: ")
-    return said
 
 
 def test_what_is_asked_for_and_cannot_be_printed_is_an_error_of_one_line() -> None:
@@ -159,33 +182,6 @@ def test_what_was_kept_and_cannot_be_read_is_said_and_gone_on_without(tmp_path: 
     entries = [json.loads(line) for line in journal]
     [resumed] = [entry for entry in entries if entry.get("kind") == "resumed"]
     assert "resume.json" in resumed["lost"]
-
-
-@pytest.mark.parametrize("command", ["fly", "preflight"])
-@pytest.mark.parametrize("connection", ["14550", "tcpin:127.0.0.1:5760", "/dev/null,57600"])
-def test_a_connection_that_cannot_be(command: str, connection: str, tmp_path: Path) -> None:
-    """Each that cannot be: `tests/runtime/test_link.py`, `test_stream_links.py`."""
-    out = ("--out", tmp_path / "run") if command == "fly" else ()
-    line = refused(command, "environment-1", "--connect", connection, *out)
-    assert "--connect" in line
-    assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.parametrize("system", ["0", "256", "-1", "one", "1.5"])
-@pytest.mark.parametrize("command", ["fly", "preflight"])
-def test_a_system_id_that_cannot_be(command: str, system: str) -> None:
-    assert "--system" in refused(command, "environment-1", "--system", system)
-
-
-@pytest.mark.parametrize("command", ["fly", "preflight"])
-def test_a_key_that_others_can_read(tmp_path: Path, command: str) -> None:
-    """Each that cannot be: `tests/runtime/test_keys.py`."""
-    key = tmp_path / "key"
-    key.write_text("hush hush\n", encoding="utf-8")
-    key.chmod(0o644)
-    line = refused(command, "environment-1", "--signing-key", key)
-    assert "chmod 600" in line
-    assert "hush hush" not in line
 
 
 # --- help

@@ -13,7 +13,7 @@ from test_loop import ScriptedLink
 from companion.mavlink import preflight
 from companion.mavlink.link import Output
 from companion.mission.state import Phase
-from companion.replay.feed import Feeder, start_of
+from companion.replay.feed import Feeder
 from companion.runtime import loop
 from companion.runtime.terminal import HOW_TO, Terminal
 from companion.session import Session
@@ -108,13 +108,6 @@ def test_a_go_is_an_input_and_the_flight_is_told_again_as_it_was() -> None:
         output = feeder.take(each)
         journal += output.journal if isinstance(output, Output) else []
     assert journal == it.journal
-
-
-def test_a_flight_from_before_anybody_was_asked_is_told_again_as_it_was() -> None:
-    it = Pair(Session(MISSION, seed=1, lockstep=False, go=True), Vehicle(lockstep=False))
-    it.run_until(lambda it: it.vehicle.armed, 60.0)
-    it.inputs[0][1].pop("go")
-    assert start_of(it.inputs[0]).go
 
 
 class Says:

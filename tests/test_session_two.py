@@ -128,17 +128,3 @@ def test_what_fly_refuses_preflight_refuses(alone: bool) -> None:
         assert check.status is CheckStatus.REFUSED
         assert check.what == f"1/195: {Reason.NOT_ALONE.text}"
         assert check.remedy == Reason.NOT_ALONE.remedy
-
-
-def test_a_flight_without_its_memory_is_said_to_people_and_in_the_journal() -> None:
-    bus = Bus()
-    now_s = bus.flying().session.now_s
-    bus.pairs.clear()
-    lost = checkpoint.without_checkpoint("resume.json: torn", system_id=1, time_s=now_s, plan_id=4)
-    again = bus.joins(session(resume=(lost, None)))
-    bus.run(20.0)
-    [resumed] = [entry for entry in again.journal if entry["kind"] == "resumed"]
-    assert resumed["lost"] == "resume.json: torn"
-    assert "without memory of the flight: resume.json: torn" in said(again)
-    assert len(warned(again, "without memory")) == 1
-    assert again.session.state.phase is Phase.FLYING

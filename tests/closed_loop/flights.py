@@ -15,6 +15,11 @@ import pytest
 from programs import BIN, ROOT, Program, free_port
 
 from companion.campaign.in_process import FlightFiles, fly_here
+from companion.planner.plan import plan
+from companion.runtime.in_process import fly_in_process
+from companion.session import Session
+from companion.telemetry.run_folder import RunFolder
+from vehicle_sim.simulation import Simulation
 
 ENVIRONMENTS = ROOT / "companion" / "environments"
 HILLS = str(Path(__file__).parent / "hills" / "world.toml")
@@ -123,6 +128,15 @@ def flown_here(
     return Recorded(folder=folder)
 
 
+def flown_with(folder: Path, session: Session, vehicle: Simulation, **options: Any) -> Recorded:
+    """The same with a session and a vehicle that a test has made, to its end."""
+    with RunFolder(folder, mission_toml="", epoch_us=0, durable=False) as run:
+        fly_in_process(session, vehicle, planner=plan, folder=run, **options)
+    truth = "\n".join(vehicle.take_truth())
+    (folder / "truth.jsonl").write_text(truth, encoding="utf-8")
+    return Recorded(folder=folder)
+
+
 @functools.cache
 def folder_of(scene: str) -> Path:
     """Where its world.toml and mission.toml are."""
@@ -163,17 +177,6 @@ def kept(folder: Path) -> dict[str, Any] | None:
     return values
 
 
-def companion(
-    mission: str | Path, folder: Path, connect: str, *options: object, patch: str = ""
-) -> Program:
-    """Start the companion, as a user does; patch: Python that it runs before."""
-    program = [BIN / "companion"]
-    if patch:
-        main = f"{patch}\nfrom companion.cli import main\nmain()"
-        program = [sys.executable, "-c", main]
-    return run(*program, "fly", mission, "--connect", connect, "--start", "--out", folder, *options)
-
-
 def simulator(world: str | Path, folder: Path, *options: object) -> Program:
     """Start the simulator, as a user does."""
     return run(BIN / "vehicle-sim", world, "--out", folder, *options)
@@ -194,18 +197,14 @@ def launch(
     *options: object,
     clock: Sequence[str] = ("--lockstep",),
     simulator_options: Sequence[object] = (),
-    truth: Path | None = None,
-    patch: str = "",
 ) -> Flight:
-    """Start both programs on a free port of loopback.
-
-    truth: the simulator's folder, if it is not the companion's; patch: as of `companion`.
-    """
+    """Start both programs on a free port of loopback, as a user does."""
     port = free_port()
+    here = ("--connect", f"udpin:127.0.0.1:{port}", "--start", "--out", folder)
     lockstep = [option for option in clock if option == "--lockstep"]
-    us = companion(mission, folder, f"udpin:127.0.0.1:{port}", *lockstep, *options, patch=patch)
-    connect = ("--connect", f"udpout:127.0.0.1:{port}")
-    vehicle = simulator(world, truth or folder, *connect, *clock, *simulator_options)
+    us = run(BIN / "companion", "fly", mission, *here, *lockstep, *options)
+    there = ("--connect", f"udpout:127.0.0.1:{port}")
+    vehicle = simulator(world, folder, *there, *clock, *simulator_options)
     return Flight(folder=folder, companion=us, simulator=vehicle)
 
 

@@ -27,8 +27,7 @@ _ENDS_S = 400.0
 class Shown:
     """A flight of the hills that is shown on a terminal, and as JSON to a pipe."""
 
-    def __init__(self, folder: Path, *, reader: str = "reads") -> None:
-        """reader: "reads", "leaves" after the first line, or "waits" and never reads."""
+    def __init__(self, folder: Path) -> None:
         world, mission, *options = flown_as("hills")
         port, out = free_port(), os.pipe()
         fcntl.fcntl(out[1], fcntl.F_SETPIPE_SZ, 4096)
@@ -48,25 +47,19 @@ class Shown:
         os.close(them)
         os.close(out[1])
         self.screen, self.json = b"", b""
-        threads = [threading.Thread(target=self._watch, args=(us,))]
-        if reader == "reads":
-            threads.append(threading.Thread(target=self._read, args=(out[0],)))
+        ends = ((self._watch, us), (self._read, out[0]))
+        threads = [threading.Thread(target=each, args=(end,)) for each, end in ends]
         for thread in threads:
             thread.start()
         try:
             where = ("--connect", f"udpout:127.0.0.1:{port}", "--lockstep", *BAD_LINK)
             vehicle = simulator(world, folder.parent / "truth", *where)
-            if reader == "leaves":
-                os.read(out[0], 1)
-                os.close(out[0])
             self.code = self.process.wait(_ENDS_S)
             vehicle.wait()
         finally:
             self.process.kill()
         for thread in threads:
             thread.join()
-        if reader == "waits":
-            os.close(out[0])
 
     @property
     def text(self) -> str:

@@ -5,14 +5,12 @@ All are flown in this process.
 
 import math
 from pathlib import Path
-from typing import Any
 
 import pytest
 import shapely
 from flights import ENVIRONMENTS, Recorded, edited, flown_here
 
 from companion.config import load_mission
-from companion.mission.state import Reason
 from companion.replay.reproduce import Replay
 
 pytestmark = pytest.mark.closed_loop
@@ -77,10 +75,6 @@ def mission(folder: Path, *changes: tuple[str, str]) -> Path:
     return edited(forest, folder / "mission.toml", smaller, nearer, *changes)
 
 
-def flown_through(folder: Path, world: Path, faults: str = "") -> Recorded:
-    return flown_here(folder / "run", world, folder / "mission.toml", faults=faults)
-
-
 def arrived_clear(flight: Recorded) -> None:
     """Every sample of the truth keeps d_s from all that stands there, and it is at the target."""
     assert flight.outcome == "arrived"
@@ -115,18 +109,6 @@ def test_that_flight_is_replayed_as_it_was(by_lidar: Recorded) -> None:
     assert replay.found.unrecorded == 0
 
 
-@pytest.mark.nightly  # without a flight: `tests/mission/test_near_things.py`
-def test_a_lidar_that_is_dead_for_a_while_is_waited_for_in_a_hold(tmp_path: Path) -> None:
-    mission(tmp_path)
-    flight = flown_through(tmp_path, garden(tmp_path), "at 58 s for 8 s: lidar_dead")
-    arrived_clear(flight)
-    [silent] = [row["t_s"] for row in flight.journal if is_hold(row, Reason.SENSOR_SILENT)]
-    assert 58.5 < silent < 62.0
-    stands = [row for row in flight.truth if silent + 3.0 < row["t_s"] < 66.0]
-    assert all(math.hypot(*velocity_m_s(row)) < 0.3 for row in stands)
-    assert flight.says.count(Reason.SENSOR_SILENT.text) == 1
-
-
 def test_killed_between_the_trees_and_started_again_it_learns_them_anew(by_lidar: Recorded) -> None:
     """Things move: what was known of them is not kept, and no leg is planned on it."""
     assert not (by_lidar.folder / "known.npz").exists()
@@ -137,59 +119,3 @@ def test_killed_between_the_trees_and_started_again_it_learns_them_anew(by_lidar
     anew = [row["cells_seen"] for row in journal[again:] if row.get("kind") == "scan done"]
     assert anew[0] < max(seen)
     assert not any(row.get("kind") in ("arm", "take off") for row in journal[again:])
-
-
-def is_hold(row: dict[str, Any], reason: Reason) -> bool:
-    return row.get("phase") == "holding" and row.get("reason") == reason.text
-
-
-def velocity_m_s(row: dict[str, Any]) -> tuple[float, float]:
-    return row["velocity_north_m_s"], row["velocity_east_m_s"]
-
-
-OF_DRIVER = ("component = 196\n", "")
-TREE = "[[trees]]\nnorth_m = 30.0\neast_m = 1.0\nradius_m = 0.3\nheight_m = 15.0\n"
-
-
-@pytest.mark.nightly  # without a flight: `tests/mavlink/test_near_sensing.py`
-def test_eight_wide_sectors_of_an_autopilot_that_is_silent_in_the_open_lead_past_a_tree(
-    tmp_path: Path,
-) -> None:
-    """While nothing is in its reach nothing is said: its health tells that from a dead sensor."""
-    mission(tmp_path, ('kind = "obstacle_distance"', 'kind = "distance_sensor"'), OF_DRIVER)
-    world = tmp_path / "world.toml"
-    world.write_text(f'{WORLD}output = "autopilot"\n{TREE}', encoding="utf-8")
-    flight = flown_through(tmp_path, world)
-    assert flight.outcome == "arrived"
-    assert min(row["near_m"] for row in flight.truth if not row["landed"]) >= SAFE_M
-    assert not any(Reason.SENSOR_SILENT.text in text for text in flight.says)
-
-
-HILL = """
-[[terrain.peaks]]
-north_m = 28.0
-east_m = 0.0
-height_amsl_m = 402.4
-spread_north_m = 250.0
-spread_east_m = 2000.0
-[vehicle.parameters]
-RNGFND1_TYPE = 100
-RNGFND1_MAX = 12.0
-"""
-LOOKS_DOWN = ('kind = "copter"', 'kind = "copter"\nrangefinder_error_m = 1.0')
-
-
-@pytest.mark.nightly  # without a flight: `tests/mission/test_near_things.py`
-def test_ground_that_is_higher_than_stated_stops_it_until_it_is_given_up(tmp_path: Path) -> None:
-    """2.2 m below its path, where the mission states 4 and its lidar looks over it."""
-    mission(tmp_path, LOOKS_DOWN)
-    world = tmp_path / "world.toml"
-    world.write_text(f"{WORLD}{TREE}{HILL}", encoding="utf-8")
-    flight = flown_through(tmp_path, world)
-    [held] = [row["t_s"] for row in flight.journal if is_hold(row, Reason.GROUND_NEARER)]
-    stands = [row for row in flight.truth if held + 5.0 < row["t_s"] < held + 59.0]
-    assert len(stands) > 500
-    assert all(row["altitude_amsl_m"] - 402.4 > 1.0 for row in stands)
-    assert all(math.hypot(*velocity_m_s(row)) < 0.3 for row in stands)
-    assert flight.outcome == "failed"
-    assert Reason.GROUND_NEARER.text in flight.end["reason"]

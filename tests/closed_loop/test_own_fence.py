@@ -5,17 +5,14 @@ By upload: `tests/interop/test_mavproxy.py`, `tests/vehicle_sim/test_mission_pro
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
-from flights import ENVIRONMENTS, NIGHTLY, Recorded
+from flights import ENVIRONMENTS, NIGHTLY, flown_with
 from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
-from companion.planner.plan import plan
-from companion.runtime.in_process import fly_in_process
 from companion.session import Session
-from companion.telemetry.run_folder import RunFolder
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import read_world
@@ -24,21 +21,29 @@ pytestmark = pytest.mark.closed_loop
 ADOPTED_S = 10.0
 Circle = tuple[float, float, float]
 """North, east, radius, metres."""
-COPTER = ((-150.0, 800.0, -150.0, 900.0), (300.0, 50.0, 60.0), (540.0, 460.0, 50.0), 20.0)
-CASES: dict[str, tuple[tuple[float, ...], Circle, Circle, float]] = {
+
+
+class Fence(NamedTuple):
+    box: tuple[float, float, float, float]
+    """South, north, west and east of what is never left."""
+    before: Circle
+    """On the straight way to the first target."""
+    later: Circle
+    """On that to the second, drawn when the first is so many metres away."""
+    near_m: float
+
+
+COPTER = Fence((-150.0, 800.0, -150.0, 900.0), (300.0, 50.0, 60.0), (540.0, 460.0, 50.0), 20.0)
+CASES = {
     "sitl-arducopter": COPTER,
     "sitl-px4": COPTER,
-    "sitl-arduplane": (
-        *((-1000.0, 2400.0, -1900.0, 1100.0), (1000.0, 250.0, 100.0)),
-        *((900.0, -650.0, 80.0), 150.0),
+    "sitl-arduplane": Fence(
+        (-1000.0, 2400.0, -1900.0, 1100.0), (1000.0, 250.0, 100.0), (900.0, -650.0, 80.0), 150.0
     ),
-    "sitl-px4-plane": (
-        *((-800.0, 1900.0, -1500.0, 1000.0), (950.0, 219.0, 80.0)),
-        *((850.0, -375.0, 60.0), 120.0),
+    "sitl-px4-plane": Fence(
+        (-800.0, 1900.0, -1500.0, 1000.0), (950.0, 219.0, 80.0), (850.0, -375.0, 60.0), 120.0
     ),
 }
-"""South, north, west and east of what is never left; a circle on the straight way to the first
-target; another on that to the second, drawn when the first is so many metres away."""
 
 
 def outside_m(row: dict[str, Any], circle: Circle) -> float:
@@ -60,17 +65,16 @@ def test_the_true_track_keeps_away_from_what_is_drawn_before_and_in_flight(
     drawn_s: list[float] = []
 
     def draw(*circles: Circle) -> None:
-        box = [(south, west), (south, east), (north, east), (north, west)]
         corner = wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
-        shapes = [(corner, 4.0, place) for place in box]
         circle = wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION
+        box = [(south, west), (south, east), (north, east), (north, west)]
+        shapes = [(corner, 4.0, place) for place in box]
         shapes += [(circle, each[2], each[:2]) for each in circles]
         items = []
         for command, size, place in shapes:
             x, y = (round(float(deg) * 1e7) for deg in mission.frame.to_geodetic_deg(*place))
-            items.append(
-                PlanItem(frame=0, command=command, parameters=(size, 0.0, 0.0, 0.0), x=x, y=y)
-            )
+            values = (size, 0.0, 0.0, 0.0)
+            items.append(PlanItem(frame=0, command=command, parameters=values, x=x, y=y))
         vehicle.plans[PlanKind.FENCE] = tuple(items)
 
     def look() -> None:
@@ -81,13 +85,9 @@ def test_the_true_track_keeps_away_from_what_is_drawn_before_and_in_flight(
             draw(before, later)
 
     draw(before)
-    flight = Recorded(folder=tmp_path)
-    with RunFolder(flight.folder, mission_toml="", epoch_us=0, durable=False) as run:
-        fly_in_process(session, vehicle, planner=plan, folder=run, on_step=look)
-    truth = "\n".join(vehicle.take_truth())
-    (flight.folder / "truth.jsonl").write_text(truth, encoding="utf-8")
+    flight = flown_with(tmp_path, session, vehicle, on_step=look)
     assert flight.outcome == "arrived"
-    assert sum(entry.get("text") == "target reached" for entry in flight.journal) == 3
+    assert flight.says.count("target reached") == 3
     [known_s] = [e["t_s"] for e in flight.journal if len(e.get("zones", ())) == 3][:1]
     assert known_s - drawn_s[0] <= ADOPTED_S
     at_once = min(flight.truth, key=lambda row: abs(row["t_s"] - drawn_s[0]))

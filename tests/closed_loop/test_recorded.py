@@ -1,19 +1,15 @@
 """What real flights leave behind: whole, documented, and read by other people's programs."""
 
-import json
-import re
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any, get_args
-from xml.etree import ElementTree as ET
 
 import geopandas
 import pytest
 from flights import HILLS, HILLS_MISSION, flown_here
-from programs import BIN
 from shown import MOST_BYTES, Shown
-from tlog import frames_of, recorded_frames
+from tlog import frames_of
 
 from companion.replay.command import Format, export
 from companion.replay.exporting import recorded
@@ -24,28 +20,6 @@ pytestmark = pytest.mark.closed_loop
 
 SEED = ("--seed", "3")
 IN_TURN = pytest.mark.xdist_group("hills")  # they look at the same flight
-FRAMES = 5_000
-"""Of all kinds; the other programs read the whole log."""
-GPX = "{http://www.topografix.com/GPX/1/0}"
-
-
-def frames(folder: Path) -> list[tuple[int, Any]]:
-    """Every whole frame of the log and its stamp."""
-    log = folder / "flight.tlog"
-    return list(frames_of(log.read_bytes()[: whole_records(log)]))
-
-
-def tool(*arguments: object, folder: Path) -> str:
-    """What one of pymavlink's programs, or a script, prints."""
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=120,
-        cwd=folder,
-    )
-    return done.stdout
 
 
 # --- the journal
@@ -76,75 +50,32 @@ def test_nor_does_that_of_a_flight_with_faults(tmp_path: Path) -> None:
     assert list(table[table["what"] == "hold"]["why"]) == [moment.why for moment in holds]
 
 
-# --- the log, in the hands of pymavlink's own programs
+# --- the log, in the hands of pymavlink's own reader
 
-
-@pytest.fixture
-def log(flown: Any, tmp_path: Path) -> Path:
-    """A log, where programs may write beside it."""
-    source = flown(HILLS, HILLS_MISSION, *SEED).folder / "flight.tlog"
-    return Path((tmp_path / "flight.tlog").write_bytes(source.read_bytes()) and tmp_path)
-
-
-@IN_TURN
-def test_mavlogdump_prints_every_frame_at_its_time(log: Path) -> None:
-    beginning = recorded_frames(log / "flight.tlog")[:FRAMES]
-    records = [us.to_bytes(8, "big") + frame for us, frame in beginning]
-    (log / "flight.tlog").write_bytes(b"".join(records))
-    printed = tool(BIN / "mavlogdump.py", "--format", "json", "flight.tlog", folder=log)
-    rows = [json.loads(line)["meta"] for line in printed.splitlines()]
-    expected = frames(log)
-    assert len(expected) == FRAMES
-    assert [row["type"] for row in rows] == [message.get_type() for _, message in expected]
-    for row, (stamp_us, _) in zip(rows, expected, strict=True):
-        assert row["timestamp"] == pytest.approx(stamp_us * 1e-6, abs=1e-5)
+READER = """
+import sys
+from pymavlink import mavutil
+log, count = mavutil.mavlink_connection(sys.argv[1]), 0
+while (message := log.recv_match(type="GLOBAL_POSITION_INT")) is not None:
+    count, last = count + 1, message
+print(count, log.flightmode, last.get_srcSystem(), last.alt, last._timestamp)
+"""
 
 
 @IN_TURN
-def test_mavutil_reads_it_as_a_ground_station_does(log: Path) -> None:
-    code = (
-        "from pymavlink import mavutil\n"
-        "log = mavutil.mavlink_connection('flight.tlog')\n"
-        "count = 0\n"
-        "while (message := log.recv_match(type='GLOBAL_POSITION_INT')) is not None:\n"
-        "    count += 1\n"
-        "    last = message\n"
-        "print(count, log.flightmode, last.get_srcSystem(), last.alt, last._timestamp)\n"
-    )
-    count, mode, system, altitude, time_s = tool("-c", code, folder=log).split()
-    positions = [each for each in frames(log) if each[1].get_type() == "GLOBAL_POSITION_INT"]
+def test_mavutil_reads_it_as_a_ground_station_does(flown: Any) -> None:
+    log = flown(HILLS, HILLS_MISSION, *SEED).folder / "flight.tlog"
+    command = [sys.executable, "-W", "ignore", "-c", READER, str(log)]
+    count, mode, system, altitude, time_s = subprocess.check_output(command, text=True).split()
+    whole = frames_of(log.read_bytes()[: whole_records(log)])
+    positions = [each for each in whole if each[1].get_type() == "GLOBAL_POSITION_INT"]
     stamp_us, last = positions[-1]
     assert (int(count), mode, system) == (len(positions), "BRAKE", "1")
     assert int(altitude) == last.alt
     assert float(time_s) == pytest.approx(stamp_us * 1e-6, abs=1e-5)
 
 
-@IN_TURN
-@pytest.mark.nightly
-def test_mavtogpx_mavflightmodes_mavparms_and_mavloss_understand_it(log: Path) -> None:
-    def said(program: str) -> str:
-        return tool(BIN / f"{program}.py", "flight.tlog", folder=log)
-
-    said("mavtogpx")
-    points = ET.parse(log / "flight.tlog.gpx").getroot().iter(f"{GPX}trkpt")
-    places = [(float(point.attrib["lat"]), float(point.attrib["lon"])) for point in points]
-    assert len(places) > 1000
-    assert places[-1] == pytest.approx((47.2334323, 8.31694), abs=1e-3)  # the target
-    assert re.search(r"^GUIDED +0:0[4-6]:", said("mavflightmodes"), re.MULTILINE)
-    assert "GUID_TIMEOUT" in said("mavparms")
-    assert re.findall(r"Total: (\d+) packets", said("mavloss")) == [str(len(frames(log)))]
-
-
 # --- a disk that is full
-
-
-@IN_TURN
-def test_the_same_seed_writes_the_same_journal(flown: Any) -> None:
-    """As far as there is one of both."""
-    once, again = flown(HILLS, HILLS_MISSION, *SEED), flown(by=Shown)
-    journals = [each.folder.joinpath("journal.jsonl").read_bytes() for each in (once, again)]
-    assert journals[0].startswith(journals[1])
-    assert journals[1].count(b'"kind":"plan ready"') > 1
 
 
 @IN_TURN

@@ -7,9 +7,8 @@ lives have written one after the other.
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, final
+from typing import Any, NamedTuple
 
 import pytest
 import tlog
@@ -19,167 +18,139 @@ from pyproj import Geod
 
 pytestmark = pytest.mark.closed_loop
 
-COMPANION = 195
 LOOK_S = 0.01
 """How long it flies between two looks at what it has kept."""
 JUMP_M, JUMP_M_S = 1.0, 1.0
 FLIES_ON_S = {"sitl-arducopter": 3.0, "sitl-px4": 0.5}
 """How long the autopilot moves its target on by itself (ardupilot.md 3, px4.md 3)."""
-_GEOD = Geod(ellps="WGS84")
+GEOD = Geod(ellps="WGS84")
 Values = dict[str, Any]
-Moment = tuple[str, Callable[[Values], bool]]
+Moment = Callable[[Values], bool]
+Place = tuple[float, float, float]
+"""Degrees, and metres AMSL; or metres a second to the north, east and down."""
 
 
-def _is_before_first_leg(now: Values) -> bool:
+def before_first_leg(now: Values) -> bool:
     return now["phase"] in ("TAKING_OFF", "HOLDING", "FLYING") and now["leg"] is None
 
 
-def _is_in_leg(now: Values) -> bool:
+def in_leg(now: Values) -> bool:
     return now["phase"] == "FLYING" and now["leg"] is not None
 
 
-PLANE_MOMENTS: tuple[Moment, ...] = (
-    ("in a leg", _is_in_leg),
-    ("at a join", lambda now: now["phase"] == "FLYING" and now["legs_flown"] >= 2),
-)
+def at_join(now: Values) -> bool:
+    return now["phase"] == "FLYING" and now["legs_flown"] >= 2
+
+
+def landing(now: Values) -> bool:
+    return bool(now["phase"] == "LANDING")
+
+
 MOMENTS: dict[str, tuple[Moment, ...]] = {
-    "sitl-arducopter": PLANE_MOMENTS[:1],  # at any: `tests/mission/test_changes.py`
-    "sitl-px4": (
-        ("before the first leg", _is_before_first_leg),
-        *PLANE_MOMENTS,
-        ("while landing", lambda now: now["phase"] == "LANDING"),
-    ),
+    "sitl-arducopter": (in_leg,),  # at any: `tests/mission/test_kinds.py`
+    "sitl-px4": (before_first_leg, in_leg, at_join, landing),
+    "sitl-arduplane": (in_leg, at_join),
+    "sitl-px4-plane": (in_leg, at_join),
 }
 
 
-@final
-@dataclass(kw_only=True)
-class Killed:
+class Killed(NamedTuple):
     """A flight to its end, and where it was killed."""
 
     flight: Flight
-    killed_at_s: list[float] = field(default_factory=list)
+    killed_at_s: list[float]
 
 
 def killed(folder: Path, name: str) -> Killed:
     """Kill it at each of its moments, and start it again, as its service does."""
     mission = short_mission(name, folder.parent)
-    flight = launch(folder, name, mission, "--resume", "--system", 1)
-    it = Killed(flight=flight)
-    for _, is_now in MOMENTS.get(name, PLANE_MOMENTS):
+    it = Killed(launch(folder, name, mission, "--resume", "--system", 1), [])
+    for is_now in MOMENTS[name]:
 
-        def look(is_now: Callable[[Values], bool] = is_now) -> Values | None:
+        def look(is_now: Moment = is_now) -> Values | None:
             values = kept(folder)
             return values if values is not None and is_now(values) else None
 
-        it.killed_at_s.append(flight.companion.until(look, every_s=LOOK_S)["t_s"])
-        flight.companion.kill()
-        flight.companion = run(*map(str, flight.companion.process.args))  # type: ignore[union-attr]
-    flight.wait()
+        companion = it.flight.companion
+        it.killed_at_s.append(companion.until(look, every_s=LOOK_S)["t_s"])
+        companion.kill()
+        it.flight.companion = run(*map(str, companion.process.args))  # type: ignore[union-attr]
+    it.flight.wait()
     return it
 
 
-COPTERS = each("sitl-arducopter", "sitl-px4", nightly=["sitl-px4"])
-ALL = each(
-    *("sitl-arducopter", "sitl-px4", "sitl-arduplane", "sitl-px4-plane"),
-    nightly=["sitl-px4", "sitl-arduplane", "sitl-px4-plane"],  # planes: `test_planes`
-)
+def only_arms(message: Any) -> bool:
+    return bool(message.param1 == 1.0 and message.param2 == 0.0)
 
 
-@ALL
-def test_it_arrives_however_often_it_was_killed(flown: Any, name: str) -> None:
-    it = flown(name, by=killed)
-    it.flight.ended_well()
-    last = it.flight.truth[-1]
+@each(
+    *MOMENTS, nightly=["sitl-px4", "sitl-arduplane", "sitl-px4-plane"]
+)  # planes: `replay/test_golden`
+def test_it_arrives_however_often_it_was_killed_and_is_armed_once(flown: Any, name: str) -> None:
+    """Journal and log hold all lives: in lockstep the vehicle waits for the next one."""
+    flight, killed_at_s = flown(name, by=killed)
+    flight.ended_well()
+    last = flight.truth[-1]
     assert name not in FLIES_ON_S or (last["landed"] and not last["armed"])
-    assert it.killed_at_s == sorted(it.killed_at_s)
-    texts = [entry.get("text") for entry in it.flight.journal]
-    assert texts.count("target reached") >= 2
-
-
-@ALL
-def test_journal_and_log_hold_all_lives(flown: Any, name: str) -> None:
-    it = flown(name, by=killed)
-    heads = [entry for entry in it.flight.journal if "schema" in entry]
-    assert [head.get("resumed", 0) for head in heads] == list(range(len(it.killed_at_s) + 1))
-    times = [
-        message.time_boot_ms * 1e-3
-        for message in tlog.messages(it.flight.folder)
-        if message.get_type() == "GLOBAL_POSITION_INT"
-    ]
+    assert killed_at_s == sorted(killed_at_s)
+    assert flight.says.count("target reached") >= 2
+    heads = [k for k, entry in enumerate(flight.journal) if "schema" in entry]
+    lives = [flight.journal[k].get("resumed", 0) for k in heads]
+    assert lives == list(range(len(killed_at_s) + 1))
+    assert "arm" not in [entry.get("kind") for entry in flight.journal[heads[1] :]]
+    log = tlog.messages(flight.folder)
+    times = [m.time_boot_ms * 1e-3 for m in log if m.get_type() == "GLOBAL_POSITION_INT"]
     gaps = [after - before for before, after in itertools.pairwise(times)]
     assert min(gaps) >= 0.0
-    assert max(gaps) < 3.0  # no life is missing: in lockstep the vehicle waits for the next one
-
-
-@ALL
-def test_it_is_never_armed_again(flown: Any, name: str) -> None:
-    it = flown(name, by=killed)
-    arms = [
-        message
-        for message in tlog.messages(it.flight.folder)
-        if message.get_srcComponent() == COMPANION
-        and message.get_type() in ("COMMAND_LONG", "COMMAND_INT")
-        and message.command == wire.MAV_CMD_COMPONENT_ARM_DISARM
-    ]
+    assert max(gaps) < 3.0
+    arming = wire.MAV_CMD_COMPONENT_ARM_DISARM
+    commands = [m for m in log if m.get_type() in ("COMMAND_LONG", "COMMAND_INT")]
+    arms = [m for m in commands if m.command == arming and m.get_srcComponent() == 195]
     assert arms
-    assert all(message.param1 == 1.0 and message.param2 == 0.0 for message in arms)
-    first_kill = [k for k, entry in enumerate(it.flight.journal) if "schema" in entry][1]
-    later = [entry for entry in it.flight.journal[first_kill:] if entry.get("kind") == "arm"]
-    assert later == []
-    armed = [row["armed"] for row in it.flight.truth]
+    assert all(map(only_arms, arms))
+    armed = [row["armed"] for row in flight.truth]
     changes = [after for before, after in itertools.pairwise(armed) if before != after]
     assert changes in ([True], [True, False])
 
 
-def place_of(message: Any) -> tuple[float, float, float]:
+def place_and_velocity(message: Any) -> tuple[Place, Place]:
     if message.get_type() == "GLOBAL_POSITION_INT":
-        return message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3
-    return message.lat_int * 1e-7, message.lon_int * 1e-7, message.alt
+        place = message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3
+        return place, (message.vx * 1e-2, message.vy * 1e-2, message.vz * 1e-2)
+    place = message.lat_int * 1e-7, message.lon_int * 1e-7, message.alt
+    return place, (message.vx, message.vy, message.vz)
 
 
-def velocity_of(message: Any) -> tuple[float, float, float]:
-    if message.get_type() == "GLOBAL_POSITION_INT":
-        return message.vx * 1e-2, message.vy * 1e-2, message.vz * 1e-2
-    return message.vx, message.vy, message.vz
-
-
-def apart_m(one: tuple[float, float, float], other: tuple[float, float, float]) -> float:
-    _, _, level_m = _GEOD.inv(one[1], one[0], other[1], other[0])
+def apart_m(one: Place, other: Place) -> float:
+    _, _, level_m = GEOD.inv(one[1], one[0], other[1], other[0])
     return math.hypot(level_m, one[2] - other[2])
 
 
-def moved(
-    place: tuple[float, float, float], velocity: tuple[float, float, float], seconds: float
-) -> tuple[float, float, float]:
+def moved(place: Place, velocity: Place, seconds: float) -> Place:
     north, east, down = (value * seconds for value in velocity)
     azimuth = math.degrees(math.atan2(east, north))
-    longitude, latitude, _ = _GEOD.fwd(place[1], place[0], azimuth, math.hypot(north, east))
+    longitude, latitude, _ = GEOD.fwd(place[1], place[0], azimuth, math.hypot(north, east))
     return latitude, longitude, place[2] - down
 
 
-@COPTERS
+@each(*FLIES_ON_S, nightly=["sitl-px4"])
 def test_no_setpoint_jumps(flown: Any, name: str) -> None:
     """Each is where the autopilot's own target is: where the one before has come to, or it."""
-    it = flown(name, by=killed)
     before: Any = None
     vehicle: Any = None
     largest = [0.0, 0.0]
-    for message in tlog.messages(it.flight.folder):
+    for message in tlog.messages(flown(name, by=killed).flight.folder):
         if message.get_type() == "GLOBAL_POSITION_INT" and message.get_srcComponent() == 1:
             vehicle = message
         elif message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT":
-            near = [(apart_m(place_of(message), place_of(vehicle)), velocity_of(vehicle))]
+            targets = [place_and_velocity(vehicle)]
             if before is not None:
+                place, velocity = place_and_velocity(before)
                 gap_s = (message.time_boot_ms - before.time_boot_ms) * 1e-3
-                flown_s = min(gap_s, FLIES_ON_S[name])
-                target = moved(place_of(before), velocity_of(before), flown_s)
-                near.append((apart_m(place_of(message), target), velocity_of(before)))
-            metres, speed = min(
-                ((metres, math.dist(velocity_of(message), velocity)) for metres, velocity in near),
-                key=sum,
-            )
-            largest = [max(largest[0], metres), max(largest[1], speed)]
+                targets.append((moved(place, velocity, min(gap_s, FLIES_ON_S[name])), velocity))
+            place, velocity = place_and_velocity(message)
+            jumps = [(apart_m(place, at), math.dist(velocity, speed)) for at, speed in targets]
+            largest = [max(pair) for pair in zip(largest, min(jumps, key=sum), strict=True)]
             before = message
     assert before is not None
     assert largest[0] <= JUMP_M, largest

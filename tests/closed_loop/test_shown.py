@@ -2,7 +2,6 @@
 
 import json
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -121,14 +120,3 @@ def test_on_a_terminal_a_table_is_drawn_and_the_cursor_is_given_back(shown: Show
     table = [line for line in shown.text.splitlines() if line.startswith(("to go ", "FLYING "))]
     assert table
     assert max(map(len, table)) <= WIDTH
-
-
-@pytest.mark.nightly  # of what is printed alone: `tests/views/test_output.py`
-@pytest.mark.parametrize("reader", ["leaves", "waits"])
-def test_a_reader_that_does_not_read_changes_nothing_of_the_flight(
-    reader: str, flight: Flight, tmp_path: Path
-) -> None:
-    other = Shown(tmp_path / "run", reader=reader)
-    assert other.code == 0
-    journals = [(each.folder / "journal.jsonl").read_bytes() for each in (flight, other)]
-    assert journals[0].startswith(journals[1])

@@ -1,7 +1,7 @@
 """A companion that goes while its vehicle takes off: nothing climbs on alone.
 
-Both programs in one process: the companion is told to stop, or a part of it dies; then the vehicle
-flies on by itself for half a minute, and its truth is looked at.
+Both programs in one process: the companion is told to stop, or a part of it dies and the watchdog's
+last frames are all that the vehicle is told; then it flies on by itself for a while.
 """
 
 from collections.abc import Callable
@@ -10,16 +10,16 @@ import pytest
 from flights import ENVIRONMENTS, NIGHTLY
 
 from companion.config import load_mission
-from companion.mission.events import Outcome
 from companion.mission.state import Phase, State
 from companion.planner.request import PlanOutcome
-from companion.runtime.in_process import fly_in_process, loop_in_process
+from companion.runtime.in_process import loop_in_process
+from companion.runtime.watchdog import _HOLD_AGAIN_S
 from companion.session import Session
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import read_world
 
 pytestmark = pytest.mark.closed_loop
-PX4, *OTHERS = PLACES = ["sitl-px4", "sitl-arducopter", "sitl-arduplane", "sitl-px4-plane"]
+PX4, *OTHERS = ["sitl-px4", "sitl-arducopter", "sitl-arduplane", "sitl-px4-plane"]
 HOLDS = {"BRAKE", "LOITER", "AUTO.LOITER", "HOLD"}
 ALONE_S, STOPS_WITHIN_M = 20.0, 12.0
 
@@ -41,49 +41,38 @@ def in_the_climb(state: State) -> bool:
     return climbs and here[2] > home[2] + 10.0
 
 
-@pytest.mark.parametrize("when", [arming, on_the_ground, in_the_climb])
-@pytest.mark.parametrize("name", PLACES)
-def test_stopped_in_its_take_off_it_is_left_holding_or_disarmed(
-    name: str, when: Callable[[State], bool]
-) -> None:
-    session, vehicle = both(name)
-    flown = fly_in_process(
-        session, vehicle, planner=no_planner, stop_asked=lambda: when(session.state)
-    )
-    assert flown.end is not None
-    assert flown.end.outcome is Outcome.STOPPED
-    is_left_well(vehicle)
-
-
-@pytest.mark.parametrize("name", [PX4, *(pytest.param(each, marks=NIGHTLY) for each in OTHERS)])
-@pytest.mark.parametrize("when", [on_the_ground, pytest.param(in_the_climb, marks=NIGHTLY)])
-def test_so_it_is_when_a_part_dies(name: str, when: Callable[[State], bool]) -> None:
-    """The watchdog's last frames are all that it is told."""
-    session, vehicle = both(name)
-    loop = loop_in_process(session, vehicle, planner=no_planner)
-    for _ in loop.turns():
-        if when(session.state):
-            break
-    vehicle.receive(0, b"".join(session.hold_frames()))
-    is_left_well(vehicle)
-
-
-def both(name: str) -> tuple[Session, Simulation]:
-    """A companion, and its vehicle."""
-    session = Session(load_mission(name), seed=1, lockstep=True)
-    return session, Simulation(read_world(ENVIRONMENTS / name / "world.toml"), seed=1)
-
-
-def is_left_well(vehicle: Simulation) -> None:
-    """It goes on alone: no higher than it needs to stop, and held; or down, and disarmed."""
-    began_us, before_m = vehicle.now_us, vehicle.vehicle.altitude_amsl_m
-    while vehicle.now_us < began_us + ALONE_S * 1e6:
-        vehicle.step()
-    assert vehicle.vehicle.altitude_amsl_m < before_m + STOPS_WITHIN_M
-    assert vehicle.mode_name.upper() in HOLDS
-    assert vehicle.landed != vehicle.armed
-
-
 def no_planner(*_: object) -> PlanOutcome:
     """It has not come so far."""
     raise AssertionError
+
+
+def goes_on(vehicle: Simulation, seconds: float) -> None:
+    until_us = vehicle.now_us + seconds * 1e6
+    while vehicle.now_us < until_us:
+        vehicle.step()
+
+
+@pytest.mark.parametrize("name", [PX4, *(pytest.param(each, marks=NIGHTLY) for each in OTHERS)])
+@pytest.mark.parametrize("when", [arming, on_the_ground, in_the_climb])
+@pytest.mark.parametrize("dies", [False, True], ids=["stopped", "a part dies"])
+def test_gone_in_its_take_off_it_leaves_the_vehicle_holding_or_disarmed(
+    name: str, when: Callable[[State], bool], dies: bool
+) -> None:
+    """No higher than it needs to stop, and held; or down, and disarmed."""
+    session = Session(load_mission(name), seed=1, lockstep=True)
+    vehicle = Simulation(read_world(ENVIRONMENTS / name / "world.toml"), seed=1)
+
+    def goes() -> bool:
+        return not dies and when(session.state)
+
+    for _ in loop_in_process(session, vehicle, planner=no_planner, stop_asked=goes).turns():
+        if dies and when(session.state):
+            break
+    before_m, hold = vehicle.vehicle.altitude_amsl_m, b"".join(session.hold_frames())
+    for wait_s in _HOLD_AGAIN_S if dies else ():
+        goes_on(vehicle, wait_s)
+        vehicle.receive(0, hold)
+    goes_on(vehicle, ALONE_S)
+    assert vehicle.vehicle.altitude_amsl_m < before_m + STOPS_WITHIN_M
+    assert vehicle.mode_name.upper() in HOLDS
+    assert vehicle.landed != vehicle.armed

@@ -20,25 +20,19 @@ that wanders off below the band is judged too. It goes on to the end of the file
 """
 
 import argparse
-import dataclasses
 import json
 import math
 import sys
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import Any, NamedTuple
 
 import numpy as np
 import rasterio
 import shapely
 from numpy.typing import NDArray
 from pyproj import Geod
-from rich import box
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
@@ -54,21 +48,19 @@ SLOWEST_M_S = 20.0
 """Turns and slopes are judged above this ground speed only, or half of V if that is less."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Check:
+class Check(NamedTuple):
     """One figure of the track beside the bound that it had to keep."""
 
     name: str
     value: float
     unit: str
-    relation: str
+    relation: str = ""
     """">=" or "<=", or "" for a figure without a bound."""
-    bound: float
-    """What the mission asks; NaN without a relation."""
-    limit: float
+    bound: float = math.nan
+    """What the mission asks."""
+    limit: float = math.nan
     """The bound with its tolerance: what is enforced."""
-    t_s: float
+    t_s: float = math.nan
     """Vehicle time of the worst moment; NaN where there is none."""
 
     @property
@@ -78,24 +70,21 @@ class Check:
             return self.value >= self.limit
         return self.relation == "" or self.value <= self.limit
 
+    def __str__(self) -> str:
+        bound = f" {self.relation} {self.bound:.1f} (limit {self.limit:.1f})" * bool(self.relation)
+        when = f" at {self.t_s:.1f} s" if math.isfinite(self.t_s) else ""
+        return f"{self.name} [{self.unit}]: {self.value:.1f}{bound}{when}" + " VIOLATION" * (
+            not self.ok
+        )
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrueTrack:
-    """What a flown track truly was."""
 
-    begin_s: float
-    """Vehicle time at which the judged part begins."""
-    checks: tuple[Check, ...]
-
-    def __getitem__(self, name: str) -> Check:
-        """The check of that name."""
-        return next(check for check in self.checks if check.name == name)
+class TrueTrack(dict[str, Check]):
+    """What a flown track truly was: its checks by their names."""
 
     @property
-    def violations(self) -> tuple[Check, ...]:
+    def violations(self) -> list[Check]:
         """The checks that failed."""
-        return tuple(check for check in self.checks if not check.ok)
+        return [check for check in self.values() if not check.ok]
 
     @property
     def ok(self) -> bool:
@@ -103,9 +92,7 @@ class TrueTrack:
         return not self.violations
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Surface:
+class Surface(NamedTuple):
     """The true terrain: mountains of eq. 1 on a plain."""
 
     peaks: FloatArray
@@ -125,9 +112,7 @@ class Surface:
         return surface
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Elevations:
+class Elevations(NamedTuple):
     """The true terrain: points of an elevation file, bilinear between them."""
 
     heights_amsl_m: FloatArray
@@ -320,8 +305,7 @@ def crash_check(path: Path) -> Check:
     lines = path.read_text(encoding="utf-8").splitlines()
     crashes = (json.loads(line).get("crash") for line in lines if '"crash"' in line)
     crash = next(filter(None, crashes), {"speed_m_s": 0.0, "t_s": math.nan})
-    return Check(name="speed of a crash", value=crash["speed_m_s"], unit="m/s", relation="<=",
-                 bound=0.0, limit=0.0, t_s=crash["t_s"])  # fmt: skip
+    return Check("speed of a crash", crash["speed_m_s"], "m/s", "<=", 0.0, 0.0, crash["t_s"])
 
 
 def first_judged(t_s: FloatArray, track_nea_m: FloatArray, lowest_amsl_m: float) -> int:
@@ -357,54 +341,51 @@ def judge(
     first = first_judged(t_s, track_nea_m, floor - slack)
     t_s, track_nea_m = t_s[first:], track_nea_m[first:]
     point_t_s, points = resampled(t_s, track_nea_m)
+    low, high, track = 1 - TOLERANCE, 1 + TOLERANCE, TrueTrack()
 
-    checks: list[Check] = []
+    def figure(name: str, value: float, unit: str, *bound: Any) -> None:
+        track[name] = Check(name, float(value), unit, *bound)
 
-    def check(
-        name: str, values: FloatArray, times: FloatArray, unit: str,
-        relation: str = "", bound: float = math.nan, limit: float = math.nan,
-    ) -> None:  # fmt: skip
-        """Add the worst of the values; without any, the best there can be."""
-        pick = np.argmin if relation == ">=" else np.argmax
-        worst = int(pick(values)) if len(values) else -1
-        none = math.inf if relation == ">=" else 0.0
-        value = float(values[worst]) if len(values) else none
-        t = float(times[worst]) if len(values) and len(times) else math.nan
-        checks.append(Check(name=name, value=value, unit=unit, relation=relation, bound=bound,
-                            limit=limit, t_s=t))  # fmt: skip
+    def least(name: str, values: FloatArray, times: FloatArray, bound: float, limit: float) -> None:
+        worst = int(np.argmin(values)) if len(values) else -1
+        value, at_s = (values[worst], times[worst]) if len(values) else (math.inf, math.nan)
+        figure(name, value, "m", ">=", bound, limit, float(at_s))
 
-    low, high, never = 1 - TOLERANCE, 1 + TOLERANCE, np.empty(0)
+    def most(name: str, values: FloatArray, times: FloatArray, unit: str, *bound: float) -> None:
+        worst = int(np.argmax(values)) if len(values) else -1
+        value, at_s = (values[worst], times[worst]) if len(values) else (0.0, math.nan)
+        figure(name, value, unit, "<=", *bound, float(at_s))
+
     clearances = clearances_m(points, surface_of(world, folder))
-    check("distance to terrain", clearances, point_t_s, "m", ">=", safety, low * safety)
-    total_s = np.zeros(1)
+    least("distance to terrain", clearances, point_t_s, safety, low * safety)
+    total_s = 0.0
     for radar in world.get("radars", []):
         centre = np.array([radar["north_m"], radar["east_m"], radar["altitude_amsl_m"]])
         spent = seconds_inside(t_s, track_nea_m, centre, radar["range_m"])
         total_s += spent.sum()
-        name = f"time inside {radar['name']}"
-        check(name, spent.sum(keepdims=True), t_s[:-1][spent > 0][:1], "s", "<=", 0.0, 0.0)
-    check("time inside radars", total_s, never, "s", "<=", 0.0, 0.0)
+        figure(f"time inside {radar['name']}", spent.sum(), "s", "<=", 0.0, 0.0)
+    figure("time inside radars", total_s, "s", "<=", 0.0, 0.0)
     zones = [keep_out_distances_m(points, zone) for zone in mission.get("keep_outs", [])]
-    nearest = np.min(zones, axis=0) if zones else never
-    check("distance to keep-outs", nearest, point_t_s, "m", ">=", safety, low * safety)
+    nearest = np.min(zones, axis=0) if zones else np.empty(0)
+    least("distance to keep-outs", nearest, point_t_s, safety, low * safety)
     slowest_m_s = min(SLOWEST_M_S, 0.5 * float(vehicle.get("speed_m_s", math.inf)))
     middle_s, radii, slopes = turns_and_slopes(t_s, track_nea_m, slowest_m_s)
     turn = float(vehicle["turn_radius_m"])
-    check("turn radius", radii, middle_s, "m", ">=", turn, low * turn)
+    least("turn radius", radii, middle_s, turn, low * turn)
     for what, sign in (("climb", 1.0), ("dive", -1.0)):
-        most, degrees = float(vehicle[f"{what}_angle_deg"]), sign * np.degrees(slopes)
-        degrees = np.maximum(degrees, 0.0)
-        check(f"{what} angle", degrees, middle_s, "deg", "<=", most, high * most)
+        steepest, degrees = float(vehicle[f"{what}_angle_deg"]), sign * np.degrees(slopes)
+        bounds = steepest, high * steepest
+        most(f"{what} angle", np.maximum(degrees, 0.0), middle_s, "deg", *bounds)
     heights = track_nea_m[:, 2]
-    check("lowest altitude AMSL", heights, t_s, "m", ">=", floor, floor - slack)
-    check("highest altitude AMSL", heights, t_s, "m", "<=", ceiling, ceiling + slack)
+    least("lowest altitude AMSL", heights, t_s, floor, floor - slack)
+    most("highest altitude AMSL", heights, t_s, "m", ceiling, ceiling + slack)
     target, end = mission["targets"][-1], track_nea_m[-1]
-    miss = np.hypot(end[:1] - target["north_m"], end[1:2] - target["east_m"])
-    check("end to target", miss, t_s[-1:], "m", "<=", ARRIVED_M, ARRIVED_M)
-    flown = np.linalg.norm(np.diff(track_nea_m, axis=0), axis=-1).sum(keepdims=True)
-    check("length flown", flown, never, "m")
-    check("duration", t_s[-1:] - t_s[:1], never, "s")
-    return TrueTrack(begin_s=float(t_s[0]), checks=tuple(checks))
+    miss_m = math.dist(end[:2], (target["north_m"], target["east_m"]))
+    figure("end to target", miss_m, "m", "<=", ARRIVED_M, ARRIVED_M, float(t_s[-1]))
+    figure("length flown", np.linalg.norm(np.diff(track_nea_m, axis=0), axis=-1).sum(), "m")
+    figure("begins", t_s[0], "s")
+    figure("duration", t_s[-1] - t_s[0], "s")
+    return track
 
 
 def judge_files(world_toml: Path, mission_toml: Path, truth_jsonl: Path) -> TrueTrack:
@@ -412,25 +393,8 @@ def judge_files(world_toml: Path, mission_toml: Path, truth_jsonl: Path) -> True
     world = tomllib.loads(world_toml.read_text(encoding="utf-8"))
     mission = tomllib.loads(mission_toml.read_text(encoding="utf-8"))
     track = judge(world, mission, *read_truth(truth_jsonl), world_toml.parent)
-    return dataclasses.replace(track, checks=(*track.checks, crash_check(truth_jsonl)))
-
-
-def as_table(track: TrueTrack) -> Table:
-    """Lay out the checks for a person."""
-    title = f"True track from t = {track.begin_s:.1f} s"
-    table = Table(title=title, box=box.SIMPLE, pad_edge=False, show_edge=False)
-    table.add_column("figure", no_wrap=True)
-    for heading in ("worst", "bound", "limit", "at time"):
-        table.add_column(heading, justify="right")
-    table.add_column("verdict", no_wrap=True)
-    for check in track.checks:
-        bound = f"{check.relation} {check.bound:.1f}" if check.relation else ""
-        limit = f"{check.relation} {check.limit:.1f}" if check.relation else ""
-        when = f"{check.t_s:.1f} s" if math.isfinite(check.t_s) else ""
-        verdict = "" if not check.relation else "ok" if check.ok else "[bold red]VIOLATION"
-        name = escape(f"{check.name} [{check.unit}]")
-        table.add_row(name, f"{check.value:.1f}", bound, limit, when, verdict)
-    return table
+    crash = crash_check(truth_jsonl)
+    return TrueTrack(track | {crash.name: crash})
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -440,7 +404,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.add_argument(name, type=Path)
     given = parser.parse_args(arguments)
     track = judge_files(given.world_toml, given.mission_toml, given.truth_jsonl)
-    Console().print(as_table(track))
+    sys.stdout.write("".join(f"{check}\n" for check in track.values()))
     return 0 if track.ok else 1
 
 

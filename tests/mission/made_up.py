@@ -5,7 +5,7 @@ import functools
 import json
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -59,6 +59,7 @@ TRAITS = [each.traits for each in ALL]
 EACH = each_of(*TRAITS)
 COPTERS = each_of(*(each for each in TRAITS if each.hovers))
 PLANES = each_of(*(each for each in TRAITS if not each.hovers))
+HOLDS_FOR_SETPOINTS = each_of(*(each for each in TRAITS if each.needs_setpoints_before_offboard))
 MOVING = (
     events.Arm,
     events.Disarm,
@@ -175,6 +176,11 @@ def not_planned(request: PlanRequest) -> NotPlanned:
     )
 
 
+def only_the_first(request: PlanRequest) -> PlanOutcome:
+    """A first leg; then neither a way on nor, as that is no way back, one back."""
+    return planned(request) if request.plan_id == 1 else not_planned(request)
+
+
 def scan(height_m: float = NO_ANSWER) -> Scan:
     return Scan(
         row=0,
@@ -203,8 +209,59 @@ def position(
     return events.Position(time_s=time_s, position_nea_m=at, velocity_nea_m_s=velocity)
 
 
-class Craft:
+class Program:
+    """A mission that is flown tick by tick, with a vehicle that somebody makes up."""
+
+    state: State
+    now_s: float
+    tick_s = TICK_S
+    said_to: Sequence[Command]
+    """All that the vehicle was told."""
+
+    def tick(self) -> object:
+        """A tick later: the vehicle has moved and said so, and was answered."""
+        raise NotImplementedError
+
+    @property
+    def over(self) -> bool:
+        return self.state.phase in OVER
+
+    def sent(self, kind: type[Kind]) -> list[Kind]:
+        return [command for command in self.said_to if isinstance(command, kind)]
+
+    def run_until(self, done: Callable[[Self], Any], limit_s: float = 3600.0) -> Self:
+        deadline_s = self.now_s + limit_s
+        while not done(self):
+            assert self.now_s < deadline_s, f"nothing after {limit_s} s: {self.state.phase}"
+            self.tick()
+        return self
+
+    def fly_to(self, phase: Phase) -> Self:
+        return self.run_until(lambda it: it.state.phase is phase)
+
+    def run_for(self, seconds: float) -> Self:
+        for _ in range(round(seconds / self.tick_s)):
+            self.tick()
+        return self
+
+
+class Craft(Program):
     """A mission in flight, and a vehicle that does exactly what it is told."""
+
+    mode, armed, landed = Mode.OTHER, False, Landed.ON_GROUND
+    here: Vector = (0.0, 0.0, HOME_AMSL_M)
+    home_nea_m: Vector | None = here
+    velocity: Vector = (0.0, 0.0, 0.0)
+    by_hand: Vector = (0.0, 0.0, 0.0)
+    """Velocity at which somebody else flies it."""
+    climb_to_m: float | None = None
+    obeys_modes = follows = fix = estimator = arms = takes_off = True
+    accepts = failsafe = scan_asked = False
+    """Whether it accepts a take-off that it does not begin; and what its autopilot does."""
+    answered = asked = 1
+    """Of the radar's blocks."""
+    battery: float | None = None
+    pending: tuple[float, PlanOutcome] | None = None
 
     def __init__(
         self,
@@ -215,26 +272,10 @@ class Craft:
         go: bool = True,
     ) -> None:
         self.context = Context(mission=of, seed=1, shadow=shadow, go=go)
-        self.traits = traits
+        self.state, self.now_s, self.traits, self.plan = fresh(of), 0.0, traits, plan
         self.told: list[Event] = []
-        self.state = fresh(of)
-        self.plan = plan
+        """What it says at the next tick."""
         self.steps: list[Step] = []
-        self.now_s = 0.0
-        self.mode, self.armed, self.landed = Mode.OTHER, False, Landed.ON_GROUND
-        self.here: Vector = (0.0, 0.0, HOME_AMSL_M)
-        self.home_nea_m: Vector | None = self.here
-        self.velocity: Vector = (0.0, 0.0, 0.0)
-        self.by_hand: Vector = (0.0, 0.0, 0.0)
-        """Velocity at which somebody else flies it."""
-        self.climb_to_m: float | None = None
-        self.obeys_modes, self.follows, self.fix, self.estimator = True, True, True, True
-        self.answered, self.asked = 1, 1
-        self.arms, self.takes_off, self.accepts = True, True, False
-        self.battery: float | None = None
-        self.failsafe = False
-        self.scan_asked = False
-        self.pending: tuple[float, PlanOutcome] | None = None
 
     @property
     def phase(self) -> Phase:
@@ -244,8 +285,7 @@ class Craft:
     def commands(self) -> list[Command]:
         return [command for *_, commands in self.steps for command in commands]
 
-    def sent(self, kind: type[Kind]) -> list[Kind]:
-        return [command for command in self.commands if isinstance(command, kind)]
+    said_to = commands
 
     def take(self, *events: Event) -> list[Command]:
         """Events in, commands out; the vehicle does not hear of them."""
@@ -362,21 +402,6 @@ class Craft:
             out += commands
         return out
 
-    def run_until(self, done: Callable[["Craft"], bool], limit_s: float = 3600.0) -> "Craft":
-        deadline_s = self.now_s + limit_s
-        while not done(self):
-            assert self.now_s < deadline_s, f"nothing after {limit_s} s: {self.phase}"
-            self.tick()
-        return self
-
-    def fly_to(self, phase: Phase) -> "Craft":
-        return self.run_until(lambda craft: craft.phase is phase)
-
-    def run_for(self, seconds: float) -> "Craft":
-        for _ in range(round(seconds / TICK_S)):
-            self.tick()
-        return self
-
     def during(self, seconds: float) -> list[Command]:
         """What is said while it flies on for so long."""
         count = len(self.commands)
@@ -386,10 +411,6 @@ class Craft:
         """From now on another has it, in that mode."""
         self.mode, self.failsafe, self.obeys_modes = mode, failsafe, False
         return self
-
-    @property
-    def over(self) -> bool:
-        return self.phase in OVER
 
     @property
     def phases(self) -> set[Phase]:
@@ -514,7 +535,13 @@ def landing() -> Craft:
     return arrived(LAND).fly_to(Phase.LANDING)
 
 
-def order_of(craft: Craft, kind: events.OrderKind) -> events.Order:
+def shifted(craft: Craft, north_m: float) -> Craft:
+    """The vehicle is elsewhere all at once."""
+    craft.here = (craft.here[0] + north_m, *craft.here[1:])
+    return craft
+
+
+def order_of(craft: Any, kind: events.OrderKind) -> events.Order:
     """An order by a ground station, with a place if it is one that needs it."""
     target_ne_m = (6_000.0, 2_000.0) if kind is events.OrderKind.REPOSITION else None
     return events.Order(time_s=craft.now_s, kind=kind, target_ne_m=target_ne_m, sender="255/190")

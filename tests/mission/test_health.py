@@ -1,6 +1,7 @@
 """Thresholds: 0.5 s without a position, 1 s frozen, a jump of 1.5 times what can be flown.
 
 Over a short time a jump is also what the speeds that were told cannot have made of the last one.
+In flight a position that is not believed is a hold, with what is wrong with it in words.
 """
 
 import copy
@@ -11,12 +12,23 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made_up import MISSION, position
+from made_up import (
+    COPTERS,
+    MISSION,
+    Craft,
+    fresh,
+    position,
+    shifted,
+    texts,
+)
 from renewed import replace
 
-from companion.mission.events import Landed, Position
+from companion.mission.decisions import reason_text
+from companion.mission.events import Landed, Mode, Plan, Position, Setpoint
 from companion.mission.health import TRUST_S, astray_m, distrust, take_distrust, take_position
-from companion.mission.state import Reason, Vehicle
+from companion.mission.phases import Phase, Reason
+from companion.mission.state import Vehicle
+from companion.mission.vehicle_traits import VehicleTraits
 
 LIMITS = MISSION.task.limits
 GOOD = Vehicle(fix_good=True, estimator_good=True, fix_at_s=math.inf, estimator_at_s=math.inf)
@@ -40,55 +52,44 @@ def after(*positions: tuple[float, float, float]) -> Vehicle:
 
 
 class Track:
-    """A vehicle flown level, and what is thought of the positions it tells."""
+    """A vehicle flown level to the east, and what is thought of the positions that it tells."""
 
     def __init__(
         self, *, rate_hz: float = 10.0, landed: Landed = Landed.IN_AIR, speed_m_s: float = 20.0
     ) -> None:
         self.vehicle = replace(GOOD, landed=landed)
         self.time_s = self.north_m = self.east_m = 0.0
-        self.course_rad, self.turn_rad_s = math.radians(90.0), 0.0
+        self.course_rad, self.turn_rad_s = 0.5 * math.pi, 0.0
         self.speed_m_s, self.step_s = speed_m_s, 1.0 / rate_hz
-
-    def judge(self) -> None:
-        take_distrust(self.vehicle, self.reason, self.time_s)
 
     @property
     def reason(self) -> Reason | None:
         return distrust(self.vehicle, self.time_s, LIMITS)
 
     def vouch(self, *, fix: bool = True, estimator: bool = True) -> "Track":
-        failed_at_s = self.vehicle.estimator_failed_at_s if estimator else self.time_s
-        self.vehicle = replace(
-            self.vehicle, fix_good=fix, estimator_good=estimator, estimator_failed_at_s=failed_at_s
-        )
+        self.vehicle = replace(self.vehicle, fix_good=fix, estimator_good=estimator)
+        if not estimator:
+            self.vehicle.estimator_failed_at_s = self.time_s
         return self
 
-    def fly(self, seconds: float) -> "Track":
+    def fly(self, seconds: float, *, frozen: bool = False) -> "Track":
+        """frozen: its position is, its speed is not."""
         for _ in range(round(seconds / self.step_s)):
             middle_rad = self.course_rad + 0.5 * self.step_s * self.turn_rad_s
             self.course_rad += self.step_s * self.turn_rad_s
-            self.north_m += self.step_s * self.speed_m_s * math.cos(middle_rad)
-            self.east_m += self.step_s * self.speed_m_s * math.sin(middle_rad)
-            self._tell()
+            if not frozen:
+                self.north_m += self.step_s * self.speed_m_s * math.cos(middle_rad)
+                self.east_m += self.step_s * self.speed_m_s * math.sin(middle_rad)
+            self.time_s += self.step_s
+            take_distrust(self.vehicle, self.reason, self.time_s)  # a gap is seen before it ends
+            course = math.cos(self.course_rad), math.sin(self.course_rad), 0.0
+            north, east, up = (self.speed_m_s * each for each in course)
+            here = (self.north_m, self.east_m, 3000.0)
+            self.vehicle = with_position(
+                self.vehicle, position(self.time_s, here, (north, east, up))
+            )
+            take_distrust(self.vehicle, self.reason, self.time_s)
         return self
-
-    def stand_still(self, seconds: float) -> None:
-        """The position is frozen, the speed is not."""
-        for _ in range(round(seconds / self.step_s)):
-            self._tell()
-
-    def _tell(self) -> None:
-        self.time_s += self.step_s
-        self.judge()  # a gap is seen before it ends
-        velocity = (
-            self.speed_m_s * math.cos(self.course_rad),
-            self.speed_m_s * math.sin(self.course_rad),
-            0.0,
-        )
-        event = position(self.time_s, (self.north_m, self.east_m, 3000.0), velocity)
-        self.vehicle = with_position(self.vehicle, event)
-        self.judge()
 
 
 Place = tuple[float, float, float]
@@ -247,7 +248,7 @@ def test_what_is_flown_meanwhile_is_no_discrepancy(rate_hz: float) -> None:
 def test_what_is_flown_unseen_is_no_discrepancy_as_far_as_it_can_be_flown(frozen: bool) -> None:
     track = Track().fly(10.0)
     if frozen:
-        track.stand_still(10.0)
+        track.fly(10.0, frozen=True)
     track.time_s += 0.0 if frozen else 10.0
     track.east_m += 900.0  # V is 150 m/s
     assert track.fly(1.0).reason is None
@@ -257,3 +258,43 @@ def test_on_the_ground_a_position_may_jump_as_it_likes() -> None:
     track = Track(landed=Landed.ON_GROUND, speed_m_s=0.0).fly(10.0)
     track.north_m += 50.0
     assert track.fly(1.0).reason is None
+
+
+# --- in flight
+
+
+@COPTERS
+@pytest.mark.parametrize("taken", [False, True])
+def test_it_holds_where_the_vehicle_cannot_be_says_how_far_off_and_goes_on_once_it_agrees(
+    traits: VehicleTraits, taken: bool
+) -> None:
+    """It gets a fix that is 50 m off; also while somebody else has it, who then gives it back."""
+    craft = Craft(traits=traits).fly_to(Phase.FLYING).run_for(10.0)
+    craft.mode = Mode.OTHER if taken else craft.mode
+    craft.fix = False
+    craft.run_for(3.0)
+    craft.fix = True
+    shifted(craft, 50.0).run_for(10.0)
+    craft.mode = Mode.GUIDED if taken else craft.mode
+    craft.run_for(5.0)
+    assert craft.state.reason is Reason.POSITION_ELSEWHERE
+    assert craft.mode is Mode.HOLD
+    said = texts(craft.commands)[-1].removeprefix(f"hold: {Reason.POSITION_ELSEWHERE.text}: ")
+    off_m, allowed_m = (float(each.split(" m ")[0]) for each in said.split(", "))
+    assert off_m == pytest.approx(50.0, abs=8.0)  # it stops within a tick
+    assert allowed_m < off_m
+    assert not [c for c in craft.during(30.0) if isinstance(c, Setpoint | Plan)]
+    assert shifted(craft, -50.0).run_for(10.0).phase is Phase.FLYING
+
+
+def test_how_far_off_it_is_and_what_is_allowed_are_told_so_that_they_differ() -> None:
+    """Between trees a metre counts."""
+    state = fresh()
+    limits = replace(state.task.limits, navigation_error_m=0.3, tracking_error_m=0.3)
+    places = {"astray_ne_m": (0.0, 1.04), "position_at_s": 5.0, "believed_at_s": 5.0}
+    vehicle = replace(state.vehicle, **places, moved_at_s=5.0, doubted_at_s=0.0)
+    state = replace(state, vehicle=vehicle, task=replace(state.task, limits=limits))
+    vouched = replace(vehicle, fix_good=True, fix_at_s=5.0, estimator_good=True, estimator_at_s=5.0)
+    assert distrust(vouched, 5.0, limits) is Reason.POSITION_ELSEWHERE
+    detail, _ = reason_text(state, Reason.POSITION_ELSEWHERE)
+    assert detail == ": 1.0 m off, 0.6 m allowed"

@@ -11,135 +11,134 @@ from companion.mission import following
 from companion.mission.decisions import Turn
 from companion.mission.events import Event, GroundSeen, NearSeen, Setpoint
 from companion.mission.mission import Fallback
-from companion.mission.state import Phase, Reason
+from companion.mission.phases import Phase, Reason
 from companion.planner.procedure import Reference
 from companion.world.known_map import Lattice
 from companion.world.near_map import NearMap, NearSensor, Sight
 
 SENSOR = NearSensor(kind="obstacle_distance", component_id=196, range_m=20_000.0)
 MISSION = two_legs_away(mission(near=SENSOR, rangefinder_error_m=2.0, fallback=Fallback.RETURN))
+LIMITS, SETTINGS = MISSION.task.limits, MISSION.task.settings
 CELL_M = 100.0
 PLACE = Lattice(cell_m=CELL_M, north_min_m=-1000.0, east_min_m=-1000.0, shape=(300, 300))
-
-
-def near(*things_ne_m: tuple[float, float]) -> NearMap:
-    result = NearMap(PLACE)
-    for north, east in things_ne_m:
-        cell = round(north / CELL_M) + 10, round(east / CELL_M) + 10
-        result.met_since_s[cell] = result.met_s[cell] = 1.0
-    return result
+Sees = Callable[[Craft], Event]
 
 
 def seen(craft: Craft, sight: Sight = Sight.SEES, *things_ne_m: tuple[float, float]) -> NearSeen:
-    return NearSeen(time_s=craft.now_s, sight=sight, near=near(*things_ne_m))
+    near = NearMap(PLACE)
+    for north, east in things_ne_m:
+        cell = round(north / CELL_M) + 10, round(east / CELL_M) + 10
+        near.met_since_s[cell] = near.met_s[cell] = 1.0
+    return NearSeen(time_s=craft.now_s, sight=sight, near=near)
 
 
-def ground(craft: Craft, above_m: float = 5.0) -> GroundSeen:
+def dead(craft: Craft) -> Event:
+    return seen(craft, Sight.DEAD)
+
+
+def never_heard(craft: Craft) -> Event:
+    return seen(craft, Sight.NEVER_HEARD)
+
+
+def ground(craft: Craft, above_m: float = 5.0) -> Event:
     """So much higher than the map says."""
     return GroundSeen(time_s=craft.now_s, above_m=above_m)
+
+
+def well(craft: Craft, wrong: Sees) -> Event:
+    """That nothing is wrong any more."""
+    return ground(craft, 0.0) if wrong is ground else seen(craft)
+
+
+def on_path(craft: Craft, ahead_m: float) -> tuple[float, float]:
+    """A place so far ahead of it."""
+    path = craft.state.path
+    north, east, _ = path.leg.subpath.pose(path.reference.length_m + ahead_m).point_nea_m
+    return north, east
+
+
+def meets(craft: Craft) -> NearSeen:
+    """Something in its way, 6 km ahead."""
+    return seen(craft, Sight.SEES, on_path(craft, 6000.0))
 
 
 def told(craft: Craft, reason: Reason) -> int:
     return sum(text.startswith(reason.text) for text in texts(craft.commands))
 
 
-def ahead(craft: Craft, by_m: float) -> tuple[float, float]:
-    """A place on the path."""
-    path = craft.state.path
-    north, east, _ = path.leg.subpath.pose(path.reference.length_m + by_m).point_nea_m
-    return north, east
-
-
-@pytest.mark.parametrize("sight", [Sight.DEAD, Sight.NEVER_HEARD])
-def test_a_sensor_that_falls_silent_stops_it_on_its_path_until_it_sees_again(sight: Sight) -> None:
+@pytest.mark.parametrize(
+    ("wrong", "reason"),
+    [
+        (dead, Reason.SENSOR_SILENT),
+        (never_heard, Reason.SENSOR_SILENT),
+        (ground, Reason.GROUND_NEARER),
+    ],
+)
+def test_what_is_not_seen_or_nearer_stops_it_on_its_path_until_that_is_over(
+    wrong: Sees, reason: Reason
+) -> None:
     craft = flying(MISSION)
-    leg, at_m = craft.state.leg, craft.state.reference.length_m
-    assert leg is not None
-    speed_m_s = craft.state.reference.speed_m_s
-    brakes_m = 0.5 * speed_m_s**2 / MISSION.task.limits.acceleration_m_s2
-    for _ in range(3):
-        craft.take(seen(craft, sight))
-    assert told(craft, Reason.SENSOR_SILENT) == 1
-    before = len(craft.sent(Setpoint))
-    craft.fly_to(Phase.HOLDING)
-    assert craft.state.reason is Reason.SENSOR_SILENT
-    stop = leg.subpath.pose(at_m + brakes_m).point_nea_m
-    assert np.linalg.norm(np.subtract(craft.here, stop)) < 15.0 + 0.01 * brakes_m
-    assert len(craft.sent(Setpoint)) - before > 20
-    for place in [setpoint.position_nea_m for setpoint in craft.sent(Setpoint)[before:]]:
-        line = leg.subpath.control_nea_m
-        along = (line[-1] - line[0]) / np.linalg.norm(line[-1] - line[0])
-        apart = np.subtract(place, line[0])
-        assert np.linalg.norm(apart - (apart @ along) * along) < 0.1  # on its path
-    craft.run_for(5.0)
-    assert craft.phase is Phase.HOLDING
-    craft.take(seen(craft))
-    craft.fly_to(Phase.FLYING)
-    craft.fly_to(Phase.ARRIVED)
-
-
-def test_ground_that_is_nearer_stops_it_on_its_path_until_the_two_agree() -> None:
-    craft = flying(MISSION)
-    craft.take(ground(craft, 0.0))
+    leg, reference = craft.state.leg, craft.state.reference
+    craft.take(well(craft, wrong))
     assert craft.state.path.stop is None
     for _ in range(3):
-        craft.take(ground(craft))
-    craft.fly_to(Phase.HOLDING)
-    assert craft.state.reason is Reason.GROUND_NEARER
-    assert told(craft, Reason.GROUND_NEARER) == 1
-    assert craft.run_for(20.0).phase is Phase.HOLDING
-    craft.take(ground(craft, 0.0))
+        craft.take(wrong(craft))
+    assert told(craft, reason) == 1
+    before = len(craft.sent(Setpoint))
+    assert craft.fly_to(Phase.HOLDING).state.reason is reason
+    brakes_m = 0.5 * reference.speed_m_s**2 / LIMITS.acceleration_m_s2
+    stop = leg.subpath.pose(reference.length_m + brakes_m).point_nea_m
+    assert np.linalg.norm(np.subtract(craft.here, stop)) < 15.0 + 0.01 * brakes_m
+    places = np.array([setpoint.position_nea_m for setpoint in craft.sent(Setpoint)[before:]])
+    assert len(places) > 20
+    line = leg.subpath.control_nea_m
+    along = (line[-1] - line[0]) / np.linalg.norm(line[-1] - line[0])
+    apart = places - line[0]
+    aside_m = np.linalg.norm(apart - (apart @ along)[:, None] * along, axis=-1)
+    assert aside_m.max() < 0.1  # on its path
+    assert craft.run_for(5.0).phase is Phase.HOLDING
+    craft.take(well(craft, wrong))
     craft.fly_to(Phase.FLYING).fly_to(Phase.ARRIVED)
 
 
-@pytest.mark.parametrize(
-    ("sees", "after_s"),
-    [(lambda craft: seen(craft, Sight.DEAD), (30.0, 300.0)), (ground, (50.0, 80.0))],
-    ids=["dead sensor", "ground"],
-)
+@pytest.mark.parametrize(("wrong", "after_s"), [(dead, (30.0, 300.0)), (ground, (50.0, 80.0))])
 def test_what_stays_wrong_is_waited_for_a_while_and_then_it_flies_back(
-    sees: Callable[[Craft], Event], after_s: tuple[float, float]
+    wrong: Sees, after_s: tuple[float, float]
 ) -> None:
     """And that stops no way back: what was flown before is flown again."""
     craft = flying(MISSION, plan=home_or_on)
-    craft.answered = 0 if sees is not ground else 1
-    craft.take(sees(craft))
-    craft.fly_to(Phase.HOLDING)
-    since_s = craft.now_s
+    craft.answered = int(wrong is ground)
+    craft.take(wrong(craft))
+    since_s = craft.fly_to(Phase.HOLDING).now_s
     craft.run_until(lambda craft: craft.phase is Phase.RETURNING, limit_s=300.0)
     assert after_s[0] < craft.now_s - since_s < after_s[1]
-    craft.take(sees(craft))
+    craft.take(wrong(craft))
     assert craft.state.path.stop is None
-    craft.run_until(lambda craft: craft.phase is Phase.LANDING or craft.over)
-    assert craft.phase is Phase.LANDING
+    craft.fly_to(Phase.LANDING)
     assert np.hypot(*craft.here[:2]) < 100.0
 
 
 @pytest.mark.parametrize("blind", [False, True])
 def test_something_in_its_way_stops_it_at_once(blind: bool) -> None:
-    """Also if it stops for want of sight already: it is planned anew from there."""
+    """Also if it stops for want of sight already: it is planned anew from there, and told once."""
     craft = flying(MISSION)
     if blind:
-        craft.take(seen(craft, Sight.DEAD))
-    craft.take(seen(craft, Sight.SEES, ahead(craft, 6000.0)))
+        craft.take(dead(craft))
+    craft.take(meets(craft))
     stop = craft.state.path.stop
     assert stop.reason is Reason.NEW_THREAT
     assert told(craft, Reason.SENSOR_SILENT) == blind
-    craft.take(seen(craft, Sight.SEES, ahead(craft, 6000.0)))
-    assert craft.state.path.stop is stop  # it is told once
-    craft.fly_to(Phase.HOLDING)
-    assert craft.state.reason is Reason.NEW_THREAT
+    craft.take(meets(craft))
+    assert craft.state.path.stop is stop
+    assert craft.fly_to(Phase.HOLDING).state.reason is Reason.NEW_THREAT
 
 
 def test_something_beside_behind_or_gone_stops_nobody() -> None:
-    craft = flying(MISSION)
-    north, east = ahead(craft, 6000.0)
-    kept_m = MISSION.task.settings.safety_distance_m + MISSION.task.limits.tracking_error_m
-    aside_m = kept_m + 2.0 * CELL_M
-    leg = craft.state.leg
-    behind = tuple(leg.subpath.pose(0.0).point_nea_m[:2])
-    if np.hypot(*np.subtract(ahead(craft, 0.0), behind)) < aside_m:
-        craft.run_for(10.0)
+    craft = flying(MISSION).run_for(10.0)
+    north, east = on_path(craft, 6000.0)
+    aside_m = SETTINGS.safety_distance_m + LIMITS.tracking_error_m + 2.0 * CELL_M
+    behind = on_path(craft, -craft.state.reference.length_m)
+    assert np.hypot(*np.subtract(on_path(craft, 0.0), behind)) > aside_m
     craft.take(seen(craft, Sight.SEES, (north - aside_m, east + aside_m), behind))
     assert craft.state.path.stop is None
     craft.take(seen(craft, Sight.NOTHING_THERE))
@@ -149,50 +148,45 @@ def test_something_beside_behind_or_gone_stops_nobody() -> None:
 def test_a_vehicle_that_swings_through_after_its_stop_is_waited_for() -> None:
     """It would have left its next path at once: that begins where it is told to hold."""
     craft = flying(MISSION)
-    craft.take(seen(craft, Sight.SEES, ahead(craft, 6000.0)))
+    craft.take(meets(craft))
     craft.fly_to(Phase.HOLDING)
-    off_m, speed_m_s = 2.5 * MISSION.task.limits.tracking_error_m, 5.0
+    off_m, speed_m_s = 2.5 * LIMITS.tracking_error_m, 5.0
     craft.follows, craft.velocity = False, (speed_m_s, 0.0, 0.0)
-    craft.by_hand = craft.velocity
-    craft.run_for(off_m / speed_m_s)
-    craft.velocity = craft.by_hand = (0.0, 0.0, 0.0)
-    settings = MISSION.task.settings
-    craft.run_for(settings.planning_time_s + 10.0)
-    assert craft.phase is Phase.HOLDING
+    craft.fly_by_hand(craft.velocity, off_m / speed_m_s).velocity = (0.0, 0.0, 0.0)
+    assert craft.run_for(SETTINGS.planning_time_s + 10.0).phase is Phase.HOLDING
     craft.follows = True
     craft.fly_to(Phase.FLYING)
-    craft.run_for(settings.planning_time_s + 10.0)
-    assert craft.phase is Phase.FLYING
+    assert craft.run_for(SETTINGS.planning_time_s + 10.0).phase is Phase.FLYING
     assert craft.state.flight.departures == 0
 
 
 def test_a_copter_behind_its_reference_stops_as_far_from_where_it_is_itself() -> None:
+    """An old position is where it was: it has flown on since."""
     craft = flying(MISSION)
     path, vehicle = craft.state.path, craft.state.vehicle
-    leg, at_m = path.leg, path.reference.length_m
-    behind_m = 0.4 * at_m
-    place = leg.subpath.pose(at_m - behind_m).point_nea_m
+    at_m = 0.6 * path.reference.length_m
+    place = path.leg.subpath.pose(at_m).point_nea_m
     behind = replace(craft.state, vehicle=replace(vehicle, position_nea_m=place))
     stopped = deep(behind)
     following.stop(stopped, Reason.NEW_THREAT, Turn(stopped, craft.context))
-    brakes_m = path.reference.speed_m_s**2 / (2.0 * MISSION.task.limits.acceleration_m_s2)
-    stops_at_m = max(at_m - behind_m + brakes_m, at_m)
+    brakes_m = path.reference.speed_m_s**2 / (2.0 * LIMITS.acceleration_m_s2)
+    stops_at_m = max(at_m + brakes_m, path.reference.length_m)
     assert stopped.path.stop.at_m == pytest.approx(stops_at_m, rel=1e-3)
-    age_s = 1.0  # of the position: it has flown on since
+    age_s = 1.0
     later = replace(behind, now_s=behind.now_s + age_s)
     gained_m = following.vehicle_at_m(later, path) - following.vehicle_at_m(behind, path)
     assert gained_m == pytest.approx(np.linalg.norm(vehicle.velocity_nea_m_s) * age_s, rel=1e-3)
 
 
-def test_what_stands_between_a_copter_and_its_reference_stops_it() -> None:
+@pytest.mark.parametrize(("share", "stops"), [(0.0, True), (0.8, False)])
+def test_what_stands_between_a_copter_and_its_reference_stops_it(share: float, stops: bool) -> None:
+    """It is led at 0.8 of its leg, and the thing stands at a half."""
     craft = flying(MISSION)
-    vehicle, path, leg = craft.state.vehicle, craft.state.path, craft.state.leg
-    ahead_of_it = Reference(length_m=0.8 * leg.subpath.length_m)
-    north, east, _ = leg.subpath.pose(0.5 * leg.subpath.length_m).point_nea_m
-    thing = seen(craft, Sight.SEES, (north, east))
-    for at_m, stops in ((0.0, True), (ahead_of_it.length_m, False)):
-        there = replace(vehicle, position_nea_m=leg.subpath.pose(at_m).point_nea_m)
-        led = replace(path, reference=ahead_of_it)
-        craft.state = replace(craft.state, vehicle=there, path=led)
-        craft.take(thing)
-        assert (craft.state.path.stop is not None) == stops
+    curve = craft.state.leg.subpath
+    here = curve.pose(share * curve.length_m).point_nea_m
+    thing = seen(craft, Sight.SEES, curve.pose(0.5 * curve.length_m).point_nea_m[:2])
+    path = replace(craft.state.path, reference=Reference(length_m=0.8 * curve.length_m))
+    vehicle = replace(craft.state.vehicle, position_nea_m=here)
+    craft.state = replace(craft.state, vehicle=vehicle, path=path)
+    craft.take(thing)
+    assert (craft.state.path.stop is not None) == stops

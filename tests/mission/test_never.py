@@ -15,49 +15,24 @@ from watch import Watch
 from wild import Wild
 
 from companion.mavlink.autopilots import ALL
-from companion.mission.events import (
-    Arm,
-    End,
-    Plan,
-    RequestStreams,
-    SetMode,
-    Setpoint,
-    SetSpeed,
-    StartScan,
-    StatusText,
-    TakeOff,
-)
-from companion.mission.state import Phase, Reason
+from companion.mission import events
+from companion.mission.phases import Phase, Reason
 
 SHARDS, EVENTS = 60, 20_000
 LONGEST = 6_000
 """Events of one program."""
-SAID = {Arm, End, Plan, RequestStreams, StatusText, SetMode, Setpoint, SetSpeed, StartScan, TakeOff}
-OFTEN = {
-    Reason.NO_PLAN,
-    Reason.RADAR_SILENT,
-    Reason.POSITION_STALE,
-    Reason.POSITION_FROZEN,
-    Reason.POSITION_JUMPED,
-    Reason.NO_FIX,
-    Reason.ESTIMATOR,
-    Reason.INACCURATE,
-    Reason.OFF_PATH,
-    Reason.NOT_TAKEN,
-    Reason.NOT_FOLLOWING,
-    Reason.TAKING_OVER,
-    Reason.MODE_TAKEN,
-    Reason.LINK_LOST,
-    Reason.DISARMED,
-    Reason.PAUSED,
-    Reason.NEW_TARGET,
-    Reason.RETURN_ASKED,
-    Reason.LAND_ASKED,
-    Reason.BATTERY_LOW,
-    Reason.REFUSED,
-    Reason.NOT_READY,
+SAID = {
+    *(events.Arm, events.TakeOff, events.SetMode, events.Setpoint, events.SetSpeed),
+    *(events.RequestStreams, events.StartScan, events.Plan, events.StatusText, events.End),
 }
-"""What the programs have to come to, or they would show nothing."""
+OFTEN = {
+    *(Reason.NO_PLAN, Reason.RADAR_SILENT, Reason.NEW_TARGET, Reason.REFUSED, Reason.NOT_READY),
+    *(Reason.POSITION_STALE, Reason.POSITION_FROZEN, Reason.POSITION_JUMPED, Reason.NO_FIX),
+    *(Reason.ESTIMATOR, Reason.INACCURATE, Reason.OFF_PATH, Reason.NOT_TAKEN, Reason.DISARMED),
+    *(Reason.NOT_FOLLOWING, Reason.TAKING_OVER, Reason.MODE_TAKEN, Reason.LINK_LOST),
+    *(Reason.PAUSED, Reason.RETURN_ASKED, Reason.LAND_ASKED, Reason.BATTERY_LOW),
+}
+"""Reasons that the programs have to come to, or they would show nothing."""
 
 
 def shard(number: int, events: int = EVENTS) -> list[Watch]:
@@ -89,5 +64,5 @@ def test_the_programs_are_of_all_drivings_and_come_to_every_phase_and_command() 
     assert {watch.context.shadow for watch in watches} == {True, False}
     assert sum(watch.orders.kept > 0 for watch in watches) > 10
     assert set().union(*(watch.phases for watch in watches)) == set(Phase)
-    assert set().union(*(watch.commands for watch in watches)) == SAID
+    assert set().union(*(watch.commands for watch in watches)) >= SAID
     assert set().union(*(watch.reasons for watch in watches)) >= OFTEN

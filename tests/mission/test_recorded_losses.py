@@ -10,7 +10,7 @@ import functools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -20,13 +20,13 @@ from renewed import replace
 
 from companion.config import load_mission
 from companion.geodesy import FloatArray, LocalFrame
-from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER, Autopilot, autopilot_of
+from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER, Autopilot
 from companion.mavlink.dialect import codec, wire
 from companion.mavlink.frames import IGNORED_MESSAGES
 from companion.mission import checkpoint
 from companion.mission.events import Mode
 from companion.mission.mission import Mission
-from companion.mission.phases import Flying, OnPath, Phase, Reason
+from companion.mission.phases import Flying, OnPath
 from companion.mission.state import State
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
@@ -34,25 +34,57 @@ from companion.planner.request import PlanOutcome
 from companion.session import Session
 from companion.world.known_map import empty_map
 
-COMPANION = (1, 191)
-"""Of the recordings: whom the session stands for."""
-ARDUPILOT, PX4 = "arducopter-gps-loss.tlog", "px4-gps-loss.tlog"
-ARDUPILOT_HOME, PX4_HOME = (-35.363262, 149.165237, 584.0), (47.397742, 8.545594, 488.0)
-FLIGHTS: dict[str, tuple[str, tuple[float, float, float]]] = {
-    ARDUPILOT: ("sitl-arducopter", ARDUPILOT_HOME),
-    PX4: ("sitl-px4", PX4_HOME),
-}
-"""Which bundled mission a recording is flown with, and its home."""
+Span = tuple[float, float]
+
+
+class Recording(NamedTuple):
+    """A recorded flight in which the GPS was lost."""
+
+    name: str
+    autopilot: Autopilot
+    mission: str
+    """The bundled mission that it is flown with."""
+    home: tuple[float, float, float]
+    """Degrees, and metres AMSL."""
+    custom_modes: tuple[int, int, int]
+    """As its heartbeats tell them: guided, hold and land."""
+
+
+ARDUPILOT = Recording(
+    "arducopter-gps-loss.tlog", ARDUCOPTER, "sitl-arducopter", (-35.363262, 149.165237, 584.0),
+    (4, 17, 9),
+)  # fmt: skip
+PX4 = Recording(
+    "px4-gps-loss.tlog", PX4_MULTICOPTER, "sitl-px4", (47.397742, 8.545594, 488.0),
+    (0x00060000, 0x03040000, 0x06040000),
+)  # fmt: skip
+
+
+class Fault(NamedTuple):
+    """A loss, and the session that takes over before it."""
+
+    of: Recording
+    bad: Span
+    """Until the position is right again: `Glitch cleared`, GPS fused again."""
+    from_s: float
+    path_to_s: float
+    """How far the made-up path goes along the recorded route."""
+    end_s: float
+
+
+FAULTS = (
+    Fault(ARDUPILOT, (113.1, 148.3), 90.0, 155.0, 200.0),
+    Fault(ARDUPILOT, (163.2, 188.5), 152.0, 200.0, 400.0),
+    Fault(PX4, (76.3, 108.6), 50.0, 120.0, 400.0),
+)
+MODES = (Mode.GUIDED, Mode.HOLD, Mode.LAND)
+COMPANION, VEHICLE = (1, 191), (1, 1)
+"""Of the recordings: whom the session stands for, and whom it flies."""
 SEEN_S = 2.0
 """So long after it began a fault is seen: receiver at 5 Hz, estimator at 2 Hz, and it may flicker.
 
 ArduPilot's own estimate stays right for 10 s after the step, PX4's for some seconds.
 """
-BAD: dict[str, tuple[tuple[float, float], ...]] = {
-    ARDUPILOT: ((113.1, 148.3), (163.2, 188.5)),
-    PX4: ((76.3, 108.6),),
-}
-"""From the fault until the position is right again: `Glitch cleared`, GPS fused again."""
 TRUSTED_AGAIN_S = 2.0
 PATH_M = 1000.0
 """Of a made-up plan; nobody flies it."""
@@ -63,10 +95,11 @@ CHATTER = IGNORED_MESSAGES | {
 }
 """Two thirds of the frames, which mean nothing to a companion here: left out, they cost time."""
 LEADS = frozenset({"SET_POSITION_TARGET_GLOBAL_INT", "SET_POSITION_TARGET_LOCAL_NED"})
+CHANGES = LEADS | {"PARAM_SET", "SET_MODE", "MISSION_COUNT", "MISSION_CLEAR_ALL"}
 ACTS = (
-    wire.MAV_CMD_DO_SET_MODE,
     wire.MAV_CMD_COMPONENT_ARM_DISARM,
     wire.MAV_CMD_NAV_TAKEOFF,
+    wire.MAV_CMD_DO_SET_MODE,
     wire.MAV_CMD_NAV_LAND,
     wire.MAV_CMD_DO_REPOSITION,
     wire.MAV_CMD_DO_CHANGE_SPEED,
@@ -75,10 +108,43 @@ ACTS = (
 """Commands that move a vehicle."""
 
 
-def mission_for(name: str) -> Mission:
+@functools.cache
+def messages(of: Recording) -> list[tuple[float, Any]]:
+    """Time since the first record, and message, of all but the chatter."""
+    return list(recorded(of.name, CHATTER))
+
+
+def inbound(of: Recording) -> Iterator[tuple[float, Any]]:
+    """What was not said by the companion of the recording."""
+    return (each for each in messages(of) if sender(each[1]) != COMPANION)
+
+
+def sender(message: Any) -> tuple[int, int]:
+    return message.get_srcSystem(), message.get_srcComponent()
+
+
+def mode_told(of: Recording, message: Any) -> Mode | None:
+    """In which mode a heartbeat says that the vehicle is; None: it is no heartbeat of it."""
+    if sender(message) != VEHICLE or message.get_type() != "HEARTBEAT":
+        return None
+    return of.autopilot.modes.mode_of(message.custom_mode)
+
+
+def mode_asked(of: Recording, message: Any) -> Mode | None:
+    if message.get_type() != "COMMAND_LONG" or message.command != wire.MAV_CMD_DO_SET_MODE:
+        return None
+    number = int(message.param2)
+    if of is PX4:
+        number = number << 16 | int(message.param3) << 24
+    return of.autopilot.modes.mode_of(number)
+
+
+# --- a session that takes over in flight
+
+
+def mission_for(of: Recording) -> Mission:
     """A wide mission about the recording's home, with limits like those that it was flown with."""
-    bundled, (latitude, longitude, home_m) = FLIGHTS[name]
-    mission = load_mission(bundled)
+    mission, (latitude, longitude, home_m) = load_mission(of.mission), of.home
     limits = replace(
         mission.task.limits,
         floor_amsl_m=home_m + 5.0,
@@ -97,56 +163,71 @@ def mission_for(name: str) -> Mission:
     )
 
 
+def route(of: Recording, frame: LocalFrame, from_s: float, until_s: float) -> FloatArray:
+    """(N, 3): where the companion of the recording sent the vehicle, about one point a second."""
+    *place, height = of.home
+    for _, message in messages(of):
+        if message.get_type() == "GPS_GLOBAL_ORIGIN":
+            place, height = (
+                [message.latitude * 1e-7, message.longitude * 1e-7],
+                message.altitude * 1e-3,
+            )
+            break
+    north, east = frame.to_local_m(*place)
+    points, next_s = list[tuple[float, float, float]](), from_s
+    for at_s, message in messages(of):
+        if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED" and next_s <= at_s <= until_s:
+            next_s = at_s + 1.0
+            points.append((north + message.x, east + message.y, height - message.z))
+    return np.array(points)
+
+
+def on_route(fault: Fault) -> Session:
+    """On a path along the recorded route."""
+    mission = mission_for(fault.of)
+    known = mission.known
+    assert known is not None
+    control = route(fault.of, mission.frame, fault.from_s, fault.path_to_s)
+    leg = Leg(number=1, plan_id=1, subpath=Subpath(control_nea_m=control), reaches_target=False)
+    state = State.of(mission, known)
+    flight = replace(state.flight, plan_id=1, legs_flown=1)
+    state = replace(state, stage=Flying(path=OnPath(leg=leg)), airborne=True, flight=flight)
+    left = checkpoint.values_of(state)
+    return Session(mission, seed=1, lockstep=False, resume=(left, known))
+
+
 @dataclass(slots=True)
-class Replay:
+class Flown:
     """What the session did."""
 
     sent: list[tuple[float, Any]] = field(default_factory=list)
+    modes: list[tuple[float, Mode]] = field(default_factory=list)
+    """When it asked for which."""
     planned_s: list[float] = field(default_factory=list)
     """When a plan was asked for."""
-    ends: tuple[Phase, Reason | None] = (Phase.WAITING, None)
-    """In which phase, and why."""
 
     @property
     def leads_s(self) -> list[float]:
         """When the vehicle was sent a setpoint."""
         return [at_s for at_s, message in self.sent if message.get_type() in LEADS]
 
-    def modes(self, autopilot: Autopilot) -> list[tuple[float, Mode]]:
-        """When it was asked for which mode."""
-        return [
-            (at_s, asked)
-            for at_s, message in self.sent
-            if (asked := _mode_asked(message, autopilot)) is not None
-        ]
 
-
-def replayed(
-    name: str,
-    session: Session,
-    *,
-    from_s: float = 0.0,
-    until_s: float = math.inf,
-    obeys: bool = False,
-) -> Replay:
+@functools.cache
+def flown(fault: Fault, obeys: bool) -> Flown:
     """The recording through a session, in real time's way.
 
     obeys: the heartbeats tell the mode that the session asked for, while the recorded vehicle is in
     guided mode.
     """
-    replay, reader = Replay(), codec(1)
+    it, reader, session, of = Flown(), codec(1), on_route(fault), fault.of
     answer: tuple[float, PlanOutcome] | None = None
-    autopilot: Autopilot | None = None
-    mode: Mode | None = None
-    heard_s = from_s
-    for at_s, message in _inbound(name):
-        if not from_s <= at_s <= until_s:
+    heard_s = fault.from_s
+    for at_s, message in inbound(of):
+        if not fault.from_s <= at_s <= fault.end_s:
             continue
-        if autopilot is None and message.get_type() == "HEARTBEAT":
-            autopilot = autopilot_of(message)
         frame = bytes(message.get_msgbuf())
-        if obeys and autopilot is not None and mode is not None:
-            frame = _in_mode(message, mode, autopilot) or frame
+        if obeys and it.modes and mode_told(of, message) is Mode.GUIDED:
+            frame = in_mode(message, of.custom_modes[MODES.index(it.modes[-1][1])])
         if answer is not None and at_s >= answer[0]:
             session.deliver(answer[1])
             answer = None
@@ -155,195 +236,73 @@ def replayed(
         else:
             session.silence(at_s - heard_s)
         out = session.run()
-        for packed in out.frames:
-            told = reader.decode(bytearray(packed))
-            replay.sent.append((at_s, told))
-            if autopilot is not None:
-                mode = _mode_asked(told, autopilot) or mode
+        told = [reader.decode(bytearray(packed)) for packed in out.frames]
+        it.sent += [(at_s, each) for each in told]
+        it.modes += [(at_s, mode) for each in told if (mode := mode_asked(of, each)) is not None]
         if out.plan is not None:
-            replay.planned_s.append(at_s)
+            it.planned_s.append(at_s)
             answer = (at_s + 0.5, planned(out.plan, PATH_M))
-    replay.ends = session.state.phase, session.state.reason
-    return replay
+    return it
 
 
-@functools.cache
-def _read(name: str) -> list[tuple[float, Any]]:
-    """Time since the first record, and message, of all but the chatter."""
-    return list(recorded(name, CHATTER))
-
-
-def _inbound(name: str) -> Iterator[tuple[float, Any]]:
-    """What was not said by the companion of the recording."""
-    for at_s, message in _read(name):
-        if (message.get_srcSystem(), message.get_srcComponent()) != COMPANION:
-            yield at_s, message
-
-
-def _mode_asked(message: Any, autopilot: Autopilot) -> Mode | None:
-    if message.get_type() != "COMMAND_LONG" or message.command != wire.MAV_CMD_DO_SET_MODE:
-        return None
-    number = int(message.param2)
-    if autopilot.name.startswith("PX4"):
-        number = number << 16 | int(message.param3) << 24
-    return autopilot.modes.mode_of(number)
-
-
-def _in_mode(message: Any, mode: Mode, autopilot: Autopilot) -> bytes | None:
-    """A heartbeat of the autopilot in guided mode, as if it were in this one."""
-    ours = (message.get_srcSystem(), message.get_srcComponent()) == (1, 1)
-    if not ours or message.get_type() != "HEARTBEAT":
-        return None
-    if autopilot.modes.mode_of(message.custom_mode) is not Mode.GUIDED:
-        return None
-    numbers = {Mode.GUIDED: 4, Mode.HOLD: 17, Mode.LAND: 9}
-    if autopilot.name.startswith("PX4"):
-        numbers = {Mode.GUIDED: 0x00060000, Mode.HOLD: 0x03040000, Mode.LAND: 0x06040000}
-    made = wire.MAVLink_heartbeat_message(
-        message.type,
-        message.autopilot,
-        message.base_mode,
-        numbers[mode],
-        message.system_status,
-        message.mavlink_version,
-    )
+def in_mode(heartbeat: Any, custom_mode: int) -> bytes:
+    """The same heartbeat, in another mode."""
+    values = {name: getattr(heartbeat, name) for name in heartbeat.fieldnames}
+    made = wire.MAVLink_heartbeat_message(**values | {"custom_mode": custom_mode})
     packer = codec(1)
-    packer.srcComponent = 1
-    packer.seq = message.get_seq()
+    packer.srcComponent, packer.seq = VEHICLE[1], heartbeat.get_seq()
     return bytes(made.pack(packer))
 
 
-def route(name: str, mission: Mission, from_s: float, until_s: float) -> FloatArray:
-    """(N, 3): where the companion of the recording sent the vehicle, about one point a second."""
-    home = FLIGHTS[name][1]
-    origin = next((m for _, m in _read(name) if m.get_type() == "GPS_GLOBAL_ORIGIN"), None)
-    place, height = home[:2], home[2]
-    if origin is not None:
-        place, height = (origin.latitude * 1e-7, origin.longitude * 1e-7), origin.altitude * 1e-3
-    north, east = mission.frame.to_local_m(*place)
-    points, next_s = list[tuple[float, float, float]](), from_s
-    for at_s, message in _read(name):
-        if at_s > until_s:
-            break
-        if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED" and at_s >= next_s:
-            next_s = at_s + 1.0
-            points.append((north + message.x, east + message.y, height - message.z))
-    return np.array(points)
+# --- laws
 
 
-def on_route(name: str, from_s: float, until_s: float) -> Session:
-    """A session that takes over in flight, on a path along the recorded route."""
-    mission = mission_for(name)
-    known = mission.known
-    assert known is not None
-    leg = Leg(
-        number=1,
-        plan_id=1,
-        subpath=Subpath(control_nea_m=route(name, mission, from_s, until_s)),
-        reaches_target=False,
-    )
-    state = State.of(mission, known)
-    flight = replace(state.flight, plan_id=1, legs_flown=1)
-    state = replace(state, stage=Flying(path=OnPath(leg=leg)), airborne=True, flight=flight)
-    left = checkpoint.values_of(state)
-    return Session(mission, seed=1, lockstep=False, resume=(left, known))
+def is_within(at_s: float, spans: list[Span]) -> bool:
+    return any(since_s < at_s < until_s for since_s, until_s in spans)
 
 
-TAKES_OVER: dict[str, tuple[tuple[float, float, float], ...]] = {
-    ARDUPILOT: ((90.0, 155.0, 200.0), (152.0, 200.0, 400.0)),
-    PX4: ((50.0, 120.0, 400.0),),
-}
-"""For each fault: when the session with the made-up path begins, how far the path goes, the end."""
-FLOWN = [
-    pytest.param(name, times, bad, obeys, id=f"{name[:4]} {bad[0]:.0f} s{' obeys' * obeys}")
-    for name in BAD
-    for times, bad in zip(TAKES_OVER[name], BAD[name], strict=True)
-    for obeys in (False, True)
-]
-
-
-@functools.cache
-def flown(name: str, from_s: float, until_s: float, end_s: float, obeys: bool) -> Replay:
-    session = on_route(name, from_s, until_s)
-    return replayed(name, session, from_s=from_s, until_s=end_s, obeys=obeys)
-
-
-def acts(message: Any) -> bool:
-    """Whether a message moves a vehicle, or changes it."""
-    kind = message.get_type()
-    if kind in ("COMMAND_LONG", "COMMAND_INT"):
-        return message.command in ACTS
-    return kind in LEADS or kind in ("PARAM_SET", "SET_MODE", "MISSION_COUNT", "MISSION_CLEAR_ALL")
-
-
-def is_bad(name: str, at_s: float) -> bool:
-    """Whether the position is wrong at this time, or has had time to be found out."""
-    return any(since_s + SEEN_S < at_s < until_s for since_s, until_s in BAD[name])
-
-
-def not_guided(name: str) -> list[tuple[float, float]]:
+def in_anothers_mode(fault: Fault) -> list[Span]:
     """From when to when the heartbeats of the recording tell another mode, after it was guided."""
-    autopilot, spans, since_s, began = None, list[tuple[float, float]](), None, False
-    for at_s, message in _inbound(name):
-        ours = (message.get_srcSystem(), message.get_srcComponent()) == (1, 1)
-        if not ours or message.get_type() != "HEARTBEAT":
-            continue
-        autopilot = autopilot or autopilot_of(message)
-        guided = autopilot.modes.mode_of(message.custom_mode) is Mode.GUIDED
-        began = began or guided
-        if began and not guided and since_s is None:
-            since_s = at_s
-        elif guided and since_s is not None:
-            spans.append((since_s, at_s))
-            since_s = None
-    return spans if since_s is None else [*spans, (since_s, math.inf)]
+    told = [(at_s, mode_told(fault.of, message)) for at_s, message in inbound(fault.of)]
+    beats = [(at_s, mode is Mode.GUIDED) for at_s, mode in told if mode is not None]
+    first = next(k for k, (_, guided) in enumerate(beats) if guided)
+    spans, since_s = list[Span](), math.inf
+    for at_s, guided in [*beats[first:], (math.inf, True)]:
+        if guided and since_s < math.inf:
+            spans.append((max(since_s, fault.from_s), min(at_s, fault.end_s)))
+        since_s = math.inf if guided else min(since_s, at_s)
+    return spans
 
 
-def strategy(name: str) -> Autopilot:
-    return ARDUCOPTER if name == ARDUPILOT else PX4_MULTICOPTER
-
-
-@pytest.mark.parametrize(("name", "times", "bad", "obeys"), FLOWN)
+@pytest.mark.parametrize("obeys", [False, True])
+@pytest.mark.parametrize(
+    "fault", FAULTS, ids=lambda each: f"{each.of.name[:4]} {each.bad[0]:.0f} s"
+)
 def test_it_lets_go_asks_for_hold_and_begins_nothing_at_a_wrong_position_or_in_anothers_mode(
-    name: str, times: tuple[float, float, float], bad: tuple[float, float], obeys: bool
+    fault: Fault, obeys: bool
 ) -> None:
-    replay, fault_s = flown(name, *times, obeys), bad[0]
-    before = [at_s for at_s in replay.leads_s if at_s < fault_s]
-    assert len(before) > 5.0 * (fault_s - times[0] - 5.0)  # it took over, and did fly
-    let_go_s = max(at_s for at_s in replay.leads_s if at_s < bad[1])
-    assert let_go_s < fault_s + SEEN_S
-    asked_s, asked = next(each for each in replay.modes(strategy(name)) if each[0] > fault_s)
+    it, (bad_s, right_s) = flown(fault, obeys), fault.bad
+    before = [at_s for at_s in it.leads_s if at_s < bad_s]
+    assert len(before) > 5.0 * (bad_s - fault.from_s - 5.0)  # it took over, and did fly
+    let_go_s = max(at_s for at_s in it.leads_s if at_s < right_s)
+    assert let_go_s < bad_s + SEEN_S
+    asked_s, asked = next(each for each in it.modes if each[0] > bad_s)
     assert asked is Mode.HOLD
     assert let_go_s < asked_s < let_go_s + 0.5
-    assert not [at_s for at_s in (*replay.leads_s, *replay.planned_s) if is_bad(name, at_s)]
-    again = [at_s for at_s in replay.leads_s if at_s > bad[1]]
-    assert min(again, default=math.inf) > bad[1] + TRUSTED_AGAIN_S
-    taken = [(max(a, times[0]), min(b, times[2])) for a, b in not_guided(name)]
+    wrong = [(since_s + SEEN_S, until_s) for of, (since_s, until_s), *_ in FAULTS if of is fault.of]
+    assert not [at_s for at_s in (*it.leads_s, *it.planned_s) if is_within(at_s, wrong)]
+    again = [at_s for at_s in it.leads_s if at_s > right_s]
+    assert min(again, default=math.inf) > right_s + TRUSTED_AGAIN_S
+    taken = in_anothers_mode(fault)
     assert any(since_s < until_s for since_s, until_s in taken)
-    acted = [at_s for at_s, message in replay.sent if acts(message)]
-    assert not [at_s for at_s in acted if any(a < at_s < b for a, b in taken)]
+    for at_s, message in it.sent:
+        acts = message.get_type() in CHANGES or getattr(message, "command", None) in ACTS
+        assert not (acts and is_within(at_s, taken)), (at_s, message)
 
 
 def test_the_made_up_vehicle_that_obeys_is_flown_on_with_once_its_position_is_right() -> None:
     """ArduPilot's glitch: 2 s after it was cleared guided mode is asked for, and a plan."""
-    replay = flown(ARDUPILOT, *TAKES_OVER[ARDUPILOT][0], True)
-    right_s = BAD[ARDUPILOT][0][1]
-    guided_s = [at_s for at_s, mode in replay.modes(ARDUCOPTER) if mode is Mode.GUIDED]
-    assert right_s + TRUSTED_AGAIN_S < min(guided_s) < right_s + TRUSTED_AGAIN_S + 1.0
-    assert min(replay.planned_s) > min(guided_s)
-
-
-@pytest.mark.parametrize("obeys", [False, True])
-def test_it_never_begins_again_from_the_ground(obeys: bool) -> None:
-    """ArduPilot's recording lands at 321.8 s, PX4's at about 197 s, and disarms."""
-    for name in BAD:
-        replay = flown(name, *TAKES_OVER[name][-1], obeys)
-        phase, reason = replay.ends
-        assert phase is Phase.DONE
-        assert reason in (Reason.GROUNDED, Reason.DISARMED)
-        landed_s = 321.8 if name == ARDUPILOT else 195.0
-        led = [at_s for at_s, message in replay.sent if message.get_type() in LEADS]
-        assert max(led) < landed_s
-        started = (wire.MAV_CMD_COMPONENT_ARM_DISARM, wire.MAV_CMD_NAV_TAKEOFF)
-        commands = [m.command for _, m in replay.sent if m.get_type() == "COMMAND_LONG"]
-        assert not set(commands) & set(started)
+    it, right_s = flown(FAULTS[0], True), FAULTS[0].bad[1]
+    guided_s = min(at_s for at_s, mode in it.modes if mode is Mode.GUIDED)
+    assert right_s + TRUSTED_AGAIN_S < guided_s < right_s + TRUSTED_AGAIN_S + 1.0
+    assert min(it.planned_s) > guided_s

@@ -318,11 +318,12 @@ class Watch:
                 name = _name(leg.subpath)
                 assert name in self.proven, "a leg that nobody has proven, or for an old question"
 
-    def _up(self, before: State, command: Command) -> None:
+    def _up(self, before: State, command: events.Arm | events.TakeOff) -> None:
         assert self.landed is Landed.ON_GROUND, f"{command} in the air"
         assert not self.flown, f"{command} after a flight"
         assert before.phase in (Phase.ARMING, Phase.TAKING_OFF)
         assert self.context.go or self.said_go, "nobody has said go"
+        assert isinstance(command, events.Arm) or command.above_home_m > 0.0, "up to below home"
 
     def _deadlines(
         self, before: State, event: Event, after: State, commands: list[Command]

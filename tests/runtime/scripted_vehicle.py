@@ -20,6 +20,7 @@ from companion.session import Session
 MISSION = replace(load_mission("environment-1"), targets_ne_m=((4000.0, 3000.0),))
 GEOD = pyproj.Geod(ellps="WGS84")
 HOME_AMSL_M = 2990.0
+ORIGIN = (470000000, 80000000)
 TICK_MS = 100
 GUIDED, BRAKE, LAND = 4, 17, 9
 PARAMETERS = {  # ArduCopter's own names and units
@@ -157,30 +158,21 @@ class Vehicle:
         )
 
     def telemetry(self, message_id: int) -> bytes:
-        match message_id:
-            case 33:
-                return self.position()
-            case 245:
-                return self.pack(wire.MAVLink_extended_sys_state_message(0, self.landed))
-            case 24:
-                return self.pack(wire.MAVLink_gps_raw_int_message(0, 6, *([0] * 8)))
-            case 193:
-                return self.pack(wire.MAVLink_ekf_status_report_message(0x33F, *([0.0] * 5)))
-            case 242:
-                home = wire.MAVLink_home_position_message(
-                    470000000, 80000000, round(HOME_AMSL_M * 1e3), 0, 0, 0, [1, 0, 0, 0], 0, 0, 0
-                )
-                return self.pack(home)
-            case 49:
-                origin = wire.MAVLink_gps_global_origin_message(470000000, 80000000, 0)
-                return self.pack(origin)
-            case 1:
-                return self.pack(wire.MAVLink_sys_status_message(*([0] * 5), -1, -1, *([0] * 6)))
-            case 30:
-                attitude = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-                return self.pack(wire.MAVLink_attitude_message(self.time_ms, *attitude))
-            case _:
-                return b""
+        if message_id == wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
+            return self.position()
+        home_mm, still = round(HOME_AMSL_M * 1e3), [0.0] * 6
+        says = {
+            1: lambda: wire.MAVLink_sys_status_message(*[0] * 5, -1, -1, *[0] * 6),
+            24: lambda: wire.MAVLink_gps_raw_int_message(0, 6, *[0] * 8),
+            30: lambda: wire.MAVLink_attitude_message(self.time_ms, *still),
+            49: lambda: wire.MAVLink_gps_global_origin_message(*ORIGIN, 0),
+            193: lambda: wire.MAVLink_ekf_status_report_message(0x33F, *[0.0] * 5),
+            242: lambda: wire.MAVLink_home_position_message(
+                *ORIGIN, home_mm, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0
+            ),
+            245: lambda: wire.MAVLink_extended_sys_state_message(0, self.landed),
+        }
+        return self.pack(says[message_id]()) if message_id in says else b""
 
     def parameter(self, name: str) -> bytes:
         value, count = self.parameters[name], len(self.parameters)
@@ -234,17 +226,15 @@ class Vehicle:
         if message.command in self.deaf_to:
             return
         match message.command:
-            case 176:
+            case wire.MAV_CMD_DO_SET_MODE:
                 self.mode, self.velocity_ned = int(message.param2), (0.0, 0.0, 0.0)
-            case 400:
+            case wire.MAV_CMD_COMPONENT_ARM_DISARM:
                 self.armed = True
-            case 22:
+            case wire.MAV_CMD_NAV_TAKEOFF:
                 self.landed, self.climb_to_m = 3, HOME_AMSL_M + message.param7
-            case 511:
-                rounded = max(round(message.param2 / 1e5) * 100, 100)
-                self.streams_ms[int(message.param1)] = rounded
-            case _:
-                pass
+            case wire.MAV_CMD_SET_MESSAGE_INTERVAL:
+                every_ms = max(round(message.param2 / 1e5) * 100, 100)
+                self.streams_ms[int(message.param1)] = every_ms
 
 
 @dataclass

@@ -87,16 +87,15 @@ class StubSession:
             self.out.record.append((self.now_s, frame))
         return True
 
-    def signed(self, frames: list[bytes]) -> list[bytes]:
-        return frames
-
-    def run(self) -> Output:
-        return self.take_output()
-
     def take_output(self) -> Output:
         out, self.out = self.out, Output()
         out.end, out.settled = self.end, True
         return out
+
+    run = farewell = take_output
+
+    def signed(self, frames: list[bytes]) -> list[bytes]:
+        return frames
 
     def ask(self, request: PlanRequest) -> None:
         self.out.plan = request
@@ -109,9 +108,6 @@ class StubSession:
 
     def stop(self) -> None:
         self.end = End(outcome=Outcome.STOPPED, reason="asked to", remedy="")
-
-    def farewell(self) -> Output:
-        return self.run()
 
     def final_text(self, why: str) -> list[bytes]:
         return [packed(wire.MAVLink_statustext_message(4, f"ended: {why}"[:50].encode()))]

@@ -94,22 +94,16 @@ def folder_of_cache(home: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return Path(os.environ["NUMBA_CACHE_DIR"])
 
 
-def test_the_same_code_has_the_same_folder_under_the_one_that_is_given_or_inherited(
-    home: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = folder_of_cache(home, monkeypatch)
-    assert folder.parent == home
-    assert list(folder.iterdir()) == []
-    assert jit.cache_on_disk()  # as a process that inherits it
-    assert Path(os.environ["NUMBA_CACHE_DIR"]) == folder
-    assert folder_of_cache(home, monkeypatch) == folder
-
-
 @pytest.mark.parametrize("index", range(len(jit.SOURCES)))
-def test_a_change_in_any_source_has_another_folder(
+def test_the_same_sources_have_the_same_folder_and_a_change_in_any_has_another(
     index: int, home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Under the folder that is given, or inherited by another process."""
     before, sources = folder_of_cache(home, monkeypatch), list(jit.SOURCES)
+    assert before.parent == home
+    assert list(before.iterdir()) == []
+    assert jit.cache_on_disk()  # as a process that inherits it
+    assert Path(os.environ["NUMBA_CACHE_DIR"]) == before
     shutil.copy(Path(jit.__file__).parent / f"{sources[index]}.py", home / "changed.py")
     sources[index] = str(home / "changed")
     monkeypatch.setattr(jit, "SOURCES", tuple(sources))

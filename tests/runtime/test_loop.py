@@ -11,11 +11,9 @@ from typing import Any
 
 import pytest
 from scripted_vehicle import MISSION, Vehicle, straight_plan
-from stub_session import HEARTBEAT, HOLD, SETPOINT, QueueLink, StubSession, as_any, packed
+from stub_session import HEARTBEAT, HOLD, SETPOINT, QueueLink, StubSession, as_any
 
-from companion.mavlink.autopilots import ALL
-from companion.mavlink.autopilots.common import Autopilot
-from companion.mission.events import Mode, Outcome, SetMode, Setpoint
+from companion.mission.events import Outcome
 from companion.mission.state import Reason
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.runtime import loop
@@ -64,7 +62,9 @@ def fly(
     )
 
 
-def test_a_flight_in_lockstep_ends_at_its_target(folder: RunFolder) -> None:
+def test_a_flight_in_lockstep_ends_at_its_target_and_its_folder_holds_all_that_was_said(
+    folder: RunFolder,
+) -> None:
     def cut(request: PlanRequest, stop: object) -> PlanOutcome:
         return replace(straight_plan(request, stop), stopped_after=2)
 
@@ -76,11 +76,6 @@ def test_a_flight_in_lockstep_ends_at_its_target(folder: RunFolder) -> None:
     assert flown.to_go_m == pytest.approx(0.0, abs=5.0)
     last = link.vehicle.heard[-1]
     assert (last.get_type(), last.system_status) == ("HEARTBEAT", 7)
-
-
-def test_the_folder_holds_all_that_was_said_and_decided(folder: RunFolder) -> None:
-    link = ScriptedLink(Vehicle())
-    fly(link, folder)
     lines = (folder.path / "journal.jsonl").read_text(encoding="utf-8").splitlines()
     assert [json.loads(line)["kind"] for line in lines[-2:]] == ["end", "say"]
     log = (folder.path / "flight.tlog").read_bytes()
@@ -188,23 +183,6 @@ def test_of_setpoints_that_are_due_together_only_the_newest_is_sent() -> None:
     assert newest_setpoint([HEARTBEAT, HOLD]) == [HEARTBEAT, HOLD]
     assert newest_setpoint([SETPOINT]) == [SETPOINT]
     assert newest_setpoint([]) == []
-
-
-@pytest.mark.parametrize("autopilot", ALL, ids=lambda each: each.name)
-def test_an_order_to_hold_is_sent_whatever_setpoint_comes_after_it(autopilot: Autopilot) -> None:
-    """A fixed wing of PX4's is told to hold by DO_REPOSITION, as an ArduPlane is told where to."""
-    here = (0.0, 0.0, 700.0)
-    hold = autopilot.set_mode(SetMode(mode=Mode.HOLD, at_nea_m=here), MISSION.frame, 1)
-    assert hold
-    setpoints = autopilot.setpoint(
-        Setpoint(time_s=1.0, position_nea_m=here, velocity_nea_m_s=(1.0, 0.0, 0.0), yaw_rad=0.0),
-        MISSION.frame,
-        1,
-        0.0,
-    )
-    assert setpoints
-    frames = [packed(message) for message in (*setpoints, *hold, *setpoints)]
-    assert newest_setpoint(frames) == frames[len(setpoints) :]
 
 
 def test_what_must_outlive_the_process_is_kept_now_and_then_and_at_the_end(

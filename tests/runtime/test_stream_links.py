@@ -27,35 +27,17 @@ PATIENCE_S = 10.0
 FRAME = bytes(range(64))
 
 
-def heard(link: Link, count: int) -> bytes:
-    """So many bytes, in whatever pieces."""
-    data, until_s = b"", time.monotonic() + PATIENCE_S
-    while len(data) < count:
-        assert time.monotonic() < until_s, f"only {len(data)} bytes"
-        data += link.receive(0.05) or b""
-    return data
-
-
-def arriving(link: Link, far: int, enough: Callable[[bytes], bool], *goes_on: bytes) -> bytes:
-    """What comes out at the far end, which does not block, until it is enough.
-
-    Meanwhile these frames go on being sent.
-    """
-    data, until_s = b"", time.monotonic() + PATIENCE_S
-    os.set_blocking(far, False)
-    while not enough(data):
-        assert time.monotonic() < until_s, f"only {len(data)} bytes"
-        link.send([*goes_on])
-        assert link.receive(0.01) is None
-        with contextlib.suppress(BlockingIOError):
-            data += os.read(far, 1 << 20)
-    return data
-
-
-def until(done: Callable[[], bool]) -> None:
+def until(done: Callable[[], Any]) -> None:
     until_s = time.monotonic() + PATIENCE_S
     while not done():
         assert time.monotonic() < until_s
+
+
+def heard(link: Link, count: int) -> bytes:
+    """So many bytes, in whatever pieces."""
+    pieces: list[bytes] = []
+    until(lambda: pieces.append(link.receive(0.05) or b"") or sum(map(len, pieces)) >= count)
+    return b"".join(pieces)
 
 
 # --- the vehicle's end, over TCP and over a serial port
@@ -64,13 +46,14 @@ def until(done: Callable[[], bool]) -> None:
 class Server:
     """Waits for the call of tcp:."""
 
+    computers = 2 * 2048 + 1024
+    """Bytes that computers take: as much again is what it says that it takes."""
+
     def __init__(self, port: int = 0) -> None:
         self.listener = socket.create_server(("127.0.0.1", port))
         self.listener.settimeout(PATIENCE_S)
         self.listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)  # the least
-        self.port: int = self.listener.getsockname()[1]
-        self.name, self.computers = f"tcp:127.0.0.1:{self.port}", 2 * 2048 + 1024
-        """Bytes that computers take: as much again is what it says that it takes."""
+        self.name = f"tcp:127.0.0.1:{self.listener.getsockname()[1]}"
         self._peers: list[socket.socket] = []
 
     def answers(self, link: Link) -> int:
@@ -141,16 +124,20 @@ class Terminal:
 
 @pytest.fixture
 def server() -> Iterator[Server]:
-    made = Server()
-    yield made
-    made.close()
+    with contextlib.closing(Server()) as made:
+        yield made
 
 
 @pytest.fixture
 def terminal(tmp_path: Path) -> Iterator[Terminal]:
-    made = Terminal(tmp_path)
-    yield made
-    made.close()
+    with contextlib.closing(Terminal(tmp_path)) as made:
+        yield made
+
+
+@pytest.fixture
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is lost is reached for again without a wait."""
+    monkeypatch.setattr(links, "_AGAIN_S", 0.0)
 
 
 @pytest.fixture(params=["server", "terminal"])
@@ -158,7 +145,20 @@ def end(request: pytest.FixtureRequest) -> Any:
     return request.getfixturevalue(request.param)
 
 
-# --- both
+def arriving(link: Link, far: int, enough: Callable[[bytes], bool], *goes_on: bytes) -> bytes:
+    """What comes out at the far end, until it is enough; meanwhile frames go on being sent."""
+    data = [b""]
+    os.set_blocking(far, False)
+
+    def comes() -> bool:
+        link.send([*goes_on])
+        assert link.receive(0.01) is None
+        with contextlib.suppress(BlockingIOError):
+            data[0] += os.read(far, 1 << 20)
+        return enough(data[0])
+
+    until(comes)
+    return data[0]
 
 
 def test_bytes_are_carried_both_ways(end: Server | Terminal) -> None:
@@ -186,10 +186,8 @@ def test_one_that_is_lost_is_reached_again_and_nothing_is_raised(end: Server | T
             end.comes_back()
 
 
-def test_a_link_that_was_closed_reaches_for_nobody(
-    end: Server | Terminal, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(links, "_AGAIN_S", 0.0)
+@pytest.mark.usefixtures("at_once")
+def test_a_link_that_was_closed_reaches_for_nobody(end: Server | Terminal) -> None:
     link = open_link(end.name)
     link.close()
     for _ in range(3):
@@ -220,63 +218,72 @@ def setpoint(at_s: float) -> bytes:
     )
 
 
-def stalled(link: Link) -> None:
-    """Ten minutes of a flight in which nobody reads; then it is told to hold."""
-    for number in range(6_000):
-        link.send([setpoint(0.1 * number), HEARTBEAT])
-        if number % 100 == 0:
-            asked = b"%d" % (number // 100)
-            link.send([packed(wire.MAVLink_param_request_read_message(1, 1, asked, -1))])
-    link.send([HOLD])
-
-
-NEWEST = setpoint(600.0)
-
-
-def assert_nothing_stale(data: bytes, computers: int) -> None:
-    """No more setpoints than the computers on the way had taken, bytes; at last the newest.
-
-    Of other messages none is lost, and an order comes where it was given.
-    """
-    messages = wire.MAVLink(None).parse_buffer(data) or []
-    kinds = [message.get_type() for message in messages]
-    until_hold = kinds[: kinds.index("COMMAND_LONG")]
-    assert {m.time_boot_ms for m in messages[len(until_hold) + 1 :]} == {600_000}
-    assert until_hold.count("SET_POSITION_TARGET_GLOBAL_INT") <= 2 + computers / len(NEWEST)
-    assert until_hold.count("HEARTBEAT") <= 2 + computers / len(NEWEST)
-    asked = [m.param_id for m in messages if m.get_type() == "PARAM_REQUEST_READ"]
-    assert asked == [str(number) for number in range(60)]
+def question(number: int) -> bytes:
+    """One of many, of which none makes another needless."""
+    return packed(wire.MAVLink_param_request_read_message(1, 1, b"%d" % number, -1))
 
 
 def test_after_a_stall_the_newest_setpoint_comes_and_not_those_that_waited(
     end: Server | Terminal,
 ) -> None:
+    """Ten minutes of a flight in which nobody reads; then it is told to hold.
+
+    No more setpoints come than the computers on the way had taken, and at last the newest; of other
+    messages none is lost, and an order comes where it was given.
+    """
+    newest = setpoint(600.0)
     with open_link(end.name) as link:
         far = end.answers(link)
-        stalled(link)
-        assert_nothing_stale(
-            arriving(link, far, lambda data: NEWEST in data, NEWEST), end.computers
-        )
+        for number in range(6_000):
+            link.send([setpoint(0.1 * number), HEARTBEAT])
+            if number % 100 == 0:
+                link.send([question(number // 100)])
+        link.send([HOLD])
+        data = arriving(link, far, lambda data: newest in data, newest)
+    told = wire.MAVLink(None).parse_buffer(data) or []
+    kinds = [message.get_type() for message in told]
+    hold = kinds.index("COMMAND_LONG")
+    assert {m.time_boot_ms for m in told[hold + 1 :]} == {600_000}
+    for kind in ("SET_POSITION_TARGET_GLOBAL_INT", "HEARTBEAT"):
+        assert kinds[:hold].count(kind) <= 2 + end.computers / len(newest)
+    asked = [m.param_id for m in told if m.get_type() == "PARAM_REQUEST_READ"]
+    assert asked == [str(number) for number in range(60)]
+
+
+def test_an_order_is_given_to_the_computer_at_once_and_never_dropped(
+    server: Server, terminal: Terminal
+) -> None:
+    with open_link(server.name) as link:
+        far = server.answers(link)
+        link.send([question(number) for number in range(100)])  # more than is to be under way
+        link.send([HOLD])
+        got = b""
+        while HOLD not in got:  # nobody pushes any more
+            got += os.read(far, 4096)
+    orders = [packed(wire.MAVLink_command_long_message(1, 1, 176, 0, *[k] * 7)) for k in range(20)]
+    with open_link(terminal.name) as link:
+        for number, order in enumerate(orders):  # this port takes no more after a while
+            link.send([*map(question, range(200 * number, 200 * number + 200)), order])
+        got = arriving(link, terminal.far, lambda data: orders[-1] in data)
+        assert all(order in got for order in orders)
 
 
 # --- TCP
 
 
-def test_a_tcp_peer_that_is_not_there_yet_is_no_error() -> None:
+def test_a_tcp_peer_that_is_not_there_yet_is_no_error_and_no_order_is_kept_for_it() -> None:
     port = free_port(socket.SOCK_STREAM)
     with open_link(f"tcp:127.0.0.1:{port}") as link:
         for _ in range(5):
-            link.send([FRAME])
+            link.send([HOLD])
             assert link.receive(0.02) is None
-        late = Server(port)
-        os.write(late.answers(link), b"here")
-        assert heard(link, 4) == b"here"
-        late.close()
+        with contextlib.closing(Server(port)) as late:
+            far = late.answers(link)
+            link.send([b"after"])
+            assert os.read(far, 100) == b"after"
 
 
-def test_an_order_that_was_given_before_anybody_answered_is_not_kept_for_later(
-    server: Server,
-) -> None:
+def test_an_order_that_was_given_before_the_call_is_answered_is_not_kept(server: Server) -> None:
     with open_link(server.name) as link:
         assert link.receive(0.0) is None  # it calls
         link.send([HOLD])
@@ -289,9 +296,9 @@ def test_a_setpoint_that_has_waited_too_long_is_not_sent(
     server: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now_s = [1_000.0]
-    monkeypatch.setattr(links.time, "monotonic", lambda: now_s[0])
     with open_link(server.name) as link:
         far = server.answers(link)
+        monkeypatch.setattr(links.time, "monotonic", lambda: now_s[0])
         for number in range(100):
             link.send([setpoint(0.1 * number)])
         newest = setpoint(10.0)
@@ -308,9 +315,7 @@ def test_a_link_that_is_closed_under_its_reader_ends_its_wait_with_nothing(
     server: Server, monkeypatch: pytest.MonkeyPatch, kind: str, looked: bool
 ) -> None:
     """Just before the reader looks whether something has come in, or just after."""
-    scheme = kind.partition(",")[0]
-    port = server.port if scheme == "tcp" else free_port(socket.SOCK_STREAM)
-    link = open_link(f"{scheme}:127.0.0.1:{port}")
+    link = open_link(f"udpin:127.0.0.1:{free_port()}" if kind == "udpin" else server.name)
     if kind == "tcp":
         os.write(server.answers(link), b"late")
 
@@ -334,33 +339,32 @@ def test_a_serial_port_is_opened_at_the_baud_rate_that_is_asked_for(terminal: Te
             assert termios.tcgetattr(terminal.far)[4:6] == [speed, speed]
 
 
-SETTING_UP = ("tcsetattr", "tcflush")
-"""What is done to a port that is open already: of one that is gone it is no OSError."""
-
-
-def vanishes_at(terminal: Terminal, step: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The next time that it is opened, it is pulled out in the middle."""
+def in_the_middle(step: str, does: Callable[[], None], monkeypatch: pytest.MonkeyPatch) -> None:
+    """What happens while a port that is open already is set up: the next time, once."""
     real = getattr(termios, step)
 
-    def pulled(*arguments: object) -> None:
+    def meanwhile(*arguments: object) -> None:
         monkeypatch.setattr(termios, step, real)
-        terminal.goes()
+        does()
         real(*arguments)
 
-    monkeypatch.setattr(termios, step, pulled)
+    monkeypatch.setattr(termios, step, meanwhile)
 
 
-@pytest.mark.parametrize("step", SETTING_UP)
+@pytest.mark.usefixtures("at_once")
+@pytest.mark.parametrize("step", ["tcsetattr", "tcflush"])
 def test_a_device_that_vanishes_while_it_is_opened_again_is_opened_once_more(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
-    """As the USB of a flight controller does, which is a bootloader for some seconds."""
-    monkeypatch.setattr(links, "_AGAIN_S", 0.0)
+    """As the USB of a flight controller does, which is a bootloader for some seconds.
+
+    Of a port that is gone what is done to it raises no OSError.
+    """
     with open_link(terminal.name) as link:
         terminal.goes()
         assert link.receive(0.02) is None
         terminal.comes_back()
-        vanishes_at(terminal, step, monkeypatch)
+        in_the_middle(step, terminal.goes, monkeypatch)
         assert link.receive(0.02) is None
         assert not terminal.path.exists()
         terminal.comes_back()
@@ -368,56 +372,20 @@ def test_a_device_that_vanishes_while_it_is_opened_again_is_opened_once_more(
         assert heard(link, 4) == b"back"
 
 
+@pytest.mark.usefixtures("at_once")
 def test_a_serial_link_that_is_closed_while_it_opens_its_device_again_leaves_it_to_others(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(links, "_AGAIN_S", 0.0)
+    """One program at a time has it; what is no serial port is refused with its remedy, too."""
     link = open_link(terminal.name)
+    with pytest.raises(InputError, match="end the program that uses it"):
+        open_link(terminal.name)
     terminal.goes()
     assert link.receive(0.02) is None
     terminal.comes_back()
-    real = termios.tcsetattr
-
-    def closing(*arguments: Any) -> None:
-        monkeypatch.setattr(termios, "tcsetattr", real)
-        link.close()
-        real(*arguments)
-
-    monkeypatch.setattr(termios, "tcsetattr", closing)
+    in_the_middle("tcsetattr", link.close, monkeypatch)
     assert link.receive(0.02) is None
     open_link(terminal.name).close()
-
-
-def requests(first: int, count: int) -> list[bytes]:
-    """So many frames of which none makes another needless."""
-    names = (b"%d" % number for number in range(first, first + count))
-    return [packed(wire.MAVLink_param_request_read_message(1, 1, name, -1)) for name in names]
-
-
-def test_an_order_is_given_to_the_computer_at_once_and_never_dropped(
-    server: Server, terminal: Terminal
-) -> None:
-    with open_link(server.name) as link:
-        far = server.answers(link)
-        link.send(requests(0, 100))  # more than is to be under way
-        link.send([HOLD])
-        got = b""
-        while HOLD not in got:  # nobody pushes any more
-            got += os.read(far, 4096)
-    orders = [packed(wire.MAVLink_command_long_message(1, 1, 176, 0, *[k] * 7)) for k in range(20)]
-    with open_link(terminal.name) as link:
-        for number, order in enumerate(orders):  # this port takes no more after a while
-            link.send([*requests(200 * number, 200), order])
-        got = arriving(link, terminal.far, lambda data: orders[-1] in data)
-        assert all(order in got for order in orders)
-
-
-def test_a_device_is_opened_by_one_program_only(terminal: Terminal) -> None:
-    with (
-        open_link(terminal.name),
-        pytest.raises(InputError, match="end the program that uses it"),
-    ):
-        open_link(terminal.name)
 
 
 def test_what_is_no_serial_port_is_an_input_error_with_its_remedy(tmp_path: Path) -> None:

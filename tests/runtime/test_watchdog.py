@@ -130,34 +130,26 @@ def test_a_link_that_is_stuck_in_the_middle_of_a_frame_does_not_keep_the_hold_ba
     thread.join()
 
 
-def test_of_several_deaths_the_first_counts_and_the_hold_is_sent_for_it_once_in_full() -> None:
-    rig = Rig()
-    rig.watchdog.start()
-    rig.watchdog.died(Worker("reader"), "first")
-    rig.watchdog.died(Worker("planner"), "second")
-    rig.watchdog.end(10.0)
-    assert rig.failures == [(Failure(part="reader", error="first"), [HOLD])]
-    assert rig.frames() == [HOLD] * 3
-    assert rig.gate.is_shut
-
-
-def test_a_part_that_is_not_vital_shuts_nothing() -> None:
+@pytest.mark.parametrize("ended", [False, True])
+def test_of_several_deaths_the_first_counts_and_the_hold_is_sent_for_it_once_in_full(
+    ended: bool,
+) -> None:
+    """A part that is not vital shuts nothing; after the end of a flight nothing is a death."""
     rig = Rig()
     rig.watchdog.start()
     rig.watchdog.died(Worker("writer", vital=False), "disk")
-    rig.watchdog.end(10.0)
     assert rig.losses == [Failure(part="writer", error="disk")]
     assert not rig.gate.is_shut
-    assert rig.frames() == []
-
-
-def test_after_the_end_of_a_flight_nothing_is_a_death() -> None:
-    rig = Rig()
-    rig.watchdog.start()
+    if ended:
+        rig.watchdog.end(10.0)
+    rig.watchdog.died(Worker("reader"), "first")
+    rig.watchdog.died(Worker("planner"), "second")
     rig.watchdog.end(10.0)
-    rig.watchdog.died(Worker("planner"), "its process was ended")
-    assert not rig.gate.is_shut
-    assert rig.watchdog.failure is None
+    first = Failure(part="reader", error="first")
+    assert rig.failures == ([] if ended else [(first, [HOLD])])
+    assert rig.watchdog.failure == (None if ended else first)
+    assert rig.frames() == ([] if ended else [HOLD] * 3)
+    assert rig.gate.is_shut is not ended
 
 
 def test_a_computer_that_was_asleep_for_a_minute_has_lost_nobody() -> None:

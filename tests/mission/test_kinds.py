@@ -1,0 +1,348 @@
+"""Every kind of autopilot and vehicle: take-off, take-over in the air, the flight, its end."""
+
+import json
+import math
+from itertools import pairwise
+
+import pytest
+from made_up import EACH, LAND, PLANES, Craft, arrived, flying, landing, two_legs_away, warnings
+from renewed import replace
+from wild import HOME_AMSL_M, Wild
+
+from companion.mavlink.autopilots import PX4_FIXED_WING, PX4_MULTICOPTER
+from companion.mission import checkpoint, events, machine, stopped
+from companion.mission.decisions import Context, Turn
+from companion.mission.events import Arm, Landed, Mode, Outcome, SetMode, Setpoint, TakeOff
+from companion.mission.following import outside_m
+from companion.mission.mission import EndAction
+from companion.mission.phases import Phase, Reason
+from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
+from companion.world.zones import CircleZone
+
+FIRST = {
+    TakeoffSequence.GUIDED_THEN_CLIMB: [SetMode, Arm, TakeOff],
+    TakeoffSequence.MODE_THEN_ARM: [SetMode, Arm],
+    TakeoffSequence.CLIMB_THEN_ARM: [TakeOff, Arm],
+}
+
+
+def outcome_of(wild: Wild) -> Outcome:
+    [end] = wild.fly_to(Phase.DONE).sent(events.End)
+    assert isinstance(end, events.End)
+    return end.outcome
+
+
+@EACH
+def test_it_is_sent_up_in_the_order_that_its_autopilot_wants(traits: VehicleTraits) -> None:
+    wild = Wild.calmly(traits).run_until(lambda wild: wild.landed is not Landed.ON_GROUND)
+    told = [type(c) for c in wild.said_to if isinstance(c, SetMode | Arm | TakeOff | Setpoint)]
+    assert list(dict.fromkeys(told)) == FIRST[traits.take_off]
+    guided = traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB
+    modes = {command.mode for command in wild.sent(SetMode)}
+    assert modes <= {Mode.GUIDED if guided else Mode.TAKE_OFF}
+
+
+@pytest.mark.sample(3)  # of each autopilot
+@EACH
+@pytest.mark.parametrize("end", list(EndAction), ids=lambda end: end.value)
+def test_a_mission_arrives_and_ends_as_it_should(traits: VehicleTraits, end: EndAction) -> None:
+    wild = Wild.calmly(traits, end_action=end)
+    outcome, limits = outcome_of(wild), wild.mission.task.limits
+    target, home = wild.mission.targets_ne_m[0], wild.state.flight.flown[0].control_nea_m[0, :2]
+    there, within_m = target if end is EndAction.LAND else home, math.inf
+    if wild.landed is Landed.ON_GROUND and not traits.hovers:
+        within_m = 1.5 * limits.loiter_radius_m
+    assert (outcome is Outcome.ARRIVED) is (math.dist(wild.here[:2], there) <= within_m)
+    near_m = 5.0 if traits.hovers else 3.0 * limits.loiter_radius_m
+    stops = [c.position_nea_m for c in wild.sent(Setpoint) if c.stay]
+    assert min(math.dist(stop[:2], target) for stop in stops) < 1.0
+    if end is EndAction.HOLD:
+        assert math.dist(wild.here[:2], target) < near_m
+        assert wild.mode is (Mode.GUIDED if traits.holds_in_guided else Mode.HOLD)
+    if end is EndAction.LAND and traits.lands:
+        assert math.dist(wild.here[:2], target) < 2.0 * near_m
+        assert (wild.landed, wild.armed) == (Landed.ON_GROUND, False)
+    if end is EndAction.RETURN:
+        assert math.hypot(*wild.here[:2]) < 1.5 * near_m + 10.0
+        assert Phase.RETURNING in wild.watch.phases
+
+
+@pytest.mark.sample(3)
+@EACH
+@pytest.mark.parametrize("mode", [Mode.GUIDED, Mode.HOLD, Mode.OTHER], ids=lambda mode: mode.value)
+def test_a_vehicle_that_flies_already_is_taken_over_once_somebody_selects_guided(
+    traits: VehicleTraits, mode: Mode
+) -> None:
+    """And nobody has to say go; while another flies it, it is left alone."""
+    wild = Wild.calmly(traits).aloft(mode)
+    wild.watch.context = wild.context = Context(mission=wild.mission, seed=1)
+    if mode is Mode.OTHER:
+        wild.run_for(30.0)
+        assert (wild.state.phase, wild.state.reason) == (Phase.HOLDING, Reason.MODE_TAKEN)
+        assert not wild.sent(SetMode) + wild.sent(Setpoint)
+        wild.mode = Mode.GUIDED
+    assert outcome_of(wild) is Outcome.ARRIVED
+    assert not wild.sent(Arm) + wild.sent(TakeOff)
+
+
+@EACH
+def test_a_vehicle_below_the_band_climbs_before_anything_is_planned(traits: VehicleTraits) -> None:
+    """A copter is led up at the mission's rate."""
+    wild = Wild.calmly(traits).aloft(Mode.GUIDED, height_m=5.0)
+    wild.fly_to(Phase.FLYING).run_until(lambda wild: wild.state.flight.plan_id > 0)
+    limits, lowest_m = wild.mission.task.limits, wild.mission.task.band_amsl_m[0]
+    assert wild.here[2] >= lowest_m - limits.tracking_error_m
+    assert wild.state.flight.hover_nea_m[2] >= lowest_m
+    heights = [HOME_AMSL_M + 5.0, *(c.position_nea_m[2] for c in wild.sent(Setpoint))]
+    if traits.hovers:
+        assert max(b - a for a, b in pairwise(heights)) <= limits.climb_rate_m_s * 1.0 + 1e-6
+
+
+def led(traits: VehicleTraits) -> Wild:
+    """Some way along its first leg."""
+    return Wild.calmly(traits).run_until(lambda it: it.state.reference.length_m > 60.0)
+
+
+@EACH
+def test_setpoints_keep_the_period_of_the_autopilot(traits: VehicleTraits) -> None:
+    wild = led(traits)
+    gaps = [b.time_s - a.time_s for a, b in pairwise(wild.sent(Setpoint)[-20:])]
+    assert min(gaps) >= max(traits.setpoint_period_s - 0.5 * wild.tick_s, wild.tick_s) - 1e-6
+    assert max(gaps) <= traits.setpoint_period_s + wild.tick_s + 1e-6
+
+
+# --- restarts
+
+
+@pytest.mark.sample(5)
+@EACH
+@pytest.mark.parametrize("after_s", [0.3, 3.1, 8.7, 14.9, 21.3, 27.7])
+def test_a_restart_at_any_moment_of_a_flight_goes_on_without_a_jump(
+    traits: VehicleTraits, after_s: float
+) -> None:
+    """Where the vehicle is led: 1 m and 1 m/s from where it was led, or from where it is."""
+    wild = Wild.calmly(traits).run_until(lambda wild: wild.state.leg is not None)
+    wild.run_for(after_s)
+    last = wild.sent(Setpoint)[-1]
+    wild._restart()
+    count = len(wild.sent(Setpoint))
+    wild.run_until(lambda wild: len(wild.sent(Setpoint)) > count)
+    first = wild.sent(Setpoint)[count]
+    passed_s = first.time_s - last.time_s
+    assert passed_s < 6.0
+    if traits.hovers:
+        moved_m = math.dist(first.position_nea_m, last.position_nea_m)
+        assert moved_m <= 1.0 + passed_s * math.hypot(*last.velocity_nea_m_s)
+        was = (wild.velocity, last.velocity_nea_m_s)  # it has stopped at the last setpoint, or not
+        apart = min(math.dist(first.velocity_nea_m_s, velocity) for velocity in was)
+        assert first.stay or apart <= 1.0 + 2.5 * wild.tick_s
+    assert outcome_of(wild) is Outcome.ARRIVED
+
+
+def test_what_is_restored_is_what_was_kept() -> None:
+    """Under a fence, too."""
+    craft = flying(two_legs_away())
+    zone = CircleZone(name="drawn", north_m=4_000.0, east_m=-4_000.0, radius_m=500.0)
+    craft.take(events.FenceChanged(time_s=craft.now_s, zones=(zone,)))
+    craft.run_until(lambda craft: craft.state.flight.legs_flown == 2)
+    values = json.loads(json.dumps(checkpoint.values_of(craft.state)))
+    state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
+    again = checkpoint.values_of(state)
+    assert again == {**checkpoint.values_of(craft.state), "phase": Phase.WAITING.name}
+    assert state.task == craft.state.task
+    assert state.airborne
+
+
+def test_its_own_hold_after_a_restart_is_not_taken_for_a_persons() -> None:
+    """Asked for while the position was bad, and good again before the heartbeat tells of it."""
+    craft = flying(two_legs_away()).restart()  # it says that it flies, and stands where it is
+    craft.run_until(lambda craft: craft.mode is Mode.HOLD)
+    craft.velocity = (0.0, 0.0, 0.0)
+    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
+
+
+@pytest.mark.parametrize("again", [Craft.reboot, Craft.restart])
+@pytest.mark.parametrize("broken_off", [False, True])
+def test_a_landing_goes_on_after_a_restart_or_a_reboot(broken_off: bool, again: object) -> None:
+    craft = landing().run_until(lambda craft: craft.mode is Mode.LAND).run_for(3.0)
+    craft = craft.reboot() if again is Craft.reboot else craft.restart()
+    craft.mode = Mode.GUIDED if broken_off else Mode.LAND
+    said = craft.during(15.0)
+    assert SetMode(mode=Mode.LAND) not in said
+    if broken_off:
+        assert (craft.phase, craft.state.orders.active) == (Phase.HOLDING, Reason.PAUSED)
+        assert [text for text in warnings(said) if "MISSION_START" in text]
+    else:
+        assert craft.fly_to(Phase.DONE).landed is Landed.ON_GROUND
+
+
+@pytest.mark.parametrize("meanwhile", [Mode.GUIDED, Mode.HOLD])
+def test_a_landing_that_was_never_begun_is_asked_for_again(meanwhile: Mode) -> None:
+    """Guided mode is what it is in until its autopilot obeys; without setpoints PX4 holds."""
+    craft = arrived(LAND)
+    craft.obeys_modes = False
+    craft.fly_to(Phase.LANDING).mode = meanwhile
+    assert craft.run_for(5.0).phase is Phase.LANDING
+    craft.obeys_modes = True
+    assert craft.fly_to(Phase.DONE).landed is Landed.ON_GROUND
+
+
+def test_a_vehicle_that_reboots_in_flight_and_flies_on_is_taken_over_with_what_was_known() -> None:
+    craft = arrived()
+    known = craft.state.flight.known
+    craft.reboot()
+    state = craft.state
+    assert (state.phase, state.vehicle.position_nea_m, state.leg) == (Phase.PREPARING, None, None)
+    assert state.flight.known is known
+    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
+
+
+def test_a_mission_that_is_stopped_while_it_takes_over_a_climb_ends_in_a_hold() -> None:
+    wild = Wild.calmly(PX4_MULTICOPTER.traits).aloft(Mode.TAKE_OFF).fly_to(Phase.HOLDING)
+    assert (wild.state.reason, wild.mode) == (Reason.TAKING_OVER, Mode.TAKE_OFF)
+    wild.take(events.StopAsked(time_s=wild.now_s))
+    assert [each.mode for each in wild.sent(SetMode)] == [Mode.HOLD]
+
+
+@pytest.mark.parametrize("echoes", [True, False])
+def test_setpoints_that_the_autopilot_does_not_take_are_a_reasoned_hold(echoes: bool) -> None:
+    """One without an echo is not suspected."""
+    craft = flying()
+    while craft.phase is Phase.FLYING and craft.now_s < 100.0:
+        far = (craft.here[0] - 5_000.0, craft.here[1], craft.here[2])
+        if echoes:
+            craft.take(events.Echo(time_s=craft.now_s, position_nea_m=far))
+        craft.tick()
+    assert craft.state.reason is (Reason.NOT_TAKEN if echoes else None)
+    assert (craft.sent(SetMode)[-1].mode is Mode.HOLD) is echoes
+
+
+# --- planes
+
+
+@PLANES
+def test_a_plane_leaves_its_circle_when_it_flies_the_way_of_its_path(traits: VehicleTraits) -> None:
+    wild = Wild.calmly(traits).run_until(lambda wild: wild.state.leg is not None)
+    assert wild.state.path.circling
+    assert all(setpoint.stay for setpoint in wild.sent(Setpoint))
+    wild.run_until(lambda wild: not wild.state.path.circling)
+    tangent = wild.state.leg.subpath.pose(0.0).tangent_nea
+    along = sum(a * b for a, b in zip(wild.velocity[:2], tangent, strict=False))
+    assert along > 0.85 * math.hypot(*wild.velocity[:2])
+
+
+@PLANES
+def test_a_plane_that_has_circled_for_long_is_not_taken_for_stuck_as_it_sets_out(
+    traits: VehicleTraits,
+) -> None:
+    """It may have had to fly to its circle first: the wait for its way there counts from there."""
+    wild = Wild.calmly(traits).run_until(lambda wild: wild.state.path and wild.state.path.circling)
+    start = wild.state.leg.subpath.pose(0.0)
+    north, east, up = (float(x) for x in start.position_nea_m - 30.0 * start.tangent_nea)
+    velocity = (20.0 * float(start.tangent_nea[0]), 20.0 * float(start.tangent_nea[1]), 0.0)
+    vehicle = replace(
+        wild.state.vehicle,
+        position_nea_m=(north - 0.1 * velocity[0], east - 0.1 * velocity[1], up),
+        velocity_nea_m_s=velocity,
+        position_at_s=wild.now_s,
+    )
+    circled = replace(wild.state, vehicle=vehicle, progress_at_s=wild.now_s - 40.0)
+    here = (north, east, up)
+    event = events.Position(time_s=wild.now_s + 0.1, position_nea_m=here, velocity_nea_m_s=velocity)
+    state, _ = machine.step(circled, event, wild.context)
+    assert not state.path.circling
+    assert state.reference.length_m == 0.0  # abeam of the start, or before it
+    assert state.phase is Phase.FLYING
+
+
+@PLANES
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_plane_that_sinks_or_rises_out_of_its_tube_has_left_it(
+    traits: VehicleTraits, sign: float
+) -> None:
+    """What is proven is the level circle about each point of the path, and not a ball."""
+    wild = led(traits)
+    state, task = wild.state, wild.mission.task
+    north, east, up = state.leg.subpath.pose(state.reference.length_m).point_nea_m
+    aside_m, tube_m = 0.9 * task.limits.loiter_radius_m, task.envelope.tube_m
+    for share, out_m in ((0.98, 0.0), (1.02, 0.02 * tube_m)):
+        here = (north + aside_m, east, up + sign * share * tube_m)
+        event = events.Position(
+            time_s=wild.now_s, position_nea_m=here, velocity_nea_m_s=(9.0, 0.0, 0.0)
+        )
+        assert outside_m(state, state.path, event)[0] == pytest.approx(out_m, abs=1e-6)
+
+
+@PLANES
+def test_a_plane_that_stops_circles_a_point_ahead_on_its_path(traits: VehicleTraits) -> None:
+    wild = led(traits)
+    wild.bad_plans = 1.0
+    wild.fly_to(Phase.HOLDING)
+    assert wild.state.reason in (Reason.NO_PLAN, Reason.PLAN_LATE)
+    assert wild.state.flight.hover_nea_m is not None
+    assert all(c.stay for c in wild.run_for(1.5).sent(Setpoint)[-3:])
+
+
+@pytest.mark.parametrize("far", [False, True])
+def test_a_plane_that_passes_or_lands_too_far_from_its_target_says_so(far: bool) -> None:
+    """It has not arrived where it was to land."""
+    wild = Wild.calmly(PX4_FIXED_WING.traits, end_action=EndAction.LAND).fly_to(Phase.ARRIVED)
+    turn, here = Turn(wild.state, wild.context), wild.state.vehicle.position_nea_m
+    off_m = (1.1 if far else 0.9) * wild.state.task.limits.tracking_error_m
+    wild.state.flight.hover_nea_m = (here[0] + off_m, *here[1:])
+    stopped.say_reached(wild.state, turn)
+    (said,) = turn.commands
+    assert said.text == "target reached" + f": passed {off_m:.0f} m away" * far
+    assert said.warning is far
+    if far:
+        wild.fly_to(Phase.LANDING)
+        within_m = stopped.lands_within_m(wild.state)
+        target = wild.here[0], wild.here[1] + 2.0 * within_m + 50.0
+        wild.state = replace(wild.state, targets_ne_m=(target,))
+        assert outcome_of(wild) is Outcome.FAILED
+        off_m = math.dist(wild.here[:2], target)
+        assert off_m > within_m
+        assert wild.sent(events.End)[0].reason == f"landed {off_m:.0f} m from where it was to land"
+
+
+def circling(traits: VehicleTraits) -> Wild:
+    """A plane in guided mode that has just been told where to wait for its first leg."""
+    plane = Wild.calmly(traits).aloft(Mode.GUIDED).fly_to(Phase.FLYING)
+    return plane.run_until(lambda plane: plane.state.flight.hover_nea_m is not None)
+
+
+@PLANES
+@pytest.mark.parametrize("beyond", [0.9, 1.1])
+def test_no_leg_is_planned_from_a_circle_that_the_plane_is_not_on(
+    traits: VehicleTraits, beyond: float
+) -> None:
+    """Dense about the limit: a tracking error outside of the circle."""
+    plane = circling(traits)
+    limits, (north, east, up) = plane.mission.task.limits, plane.here
+    away_m = limits.loiter_radius_m + beyond * limits.tracking_error_m
+    flight = replace(plane.state.flight, hover_nea_m=(north + away_m, east, up))
+    plane.state = replace(plane.state, flight=flight, search=None)
+    speed, scans = (limits.speed_m_s, 0.0, 0.0), len(plane.sent(events.StartScan))
+    for later_s in (0.1, 0.2):
+        at_s = plane.now_s + later_s
+        plane.take(events.Position(time_s=at_s, position_nea_m=plane.here, velocity_nea_m_s=speed))
+    assert (len(plane.sent(events.StartScan)) > scans) is (beyond < 1.0)
+
+
+@PLANES
+@pytest.mark.parametrize("gap_m", [-0.6, 0.6])
+def test_a_fence_too_near_to_its_circle_is_said_once_and_it_stays(
+    traits: VehicleTraits, gap_m: float
+) -> None:
+    """Dense about the limit: the required clearance of the circle, less half a metre."""
+    plane = circling(traits)
+    task, hover = plane.mission.task, plane.state.flight.hover_nea_m
+    away_m = task.limits.loiter_radius_m + task.required_clearance_m - 0.5 + gap_m
+    zone = CircleZone(name="new", north_m=hover[0] + away_m + 70.0, east_m=hover[1], radius_m=70.0)
+    plane.take(events.FenceChanged(time_s=plane.now_s, zones=(zone,)))
+    count = len(plane.said_to)
+    later = plane.run_for(0.9).said_to[count:]  # and no plan is there yet
+    assert warnings(later) == (["circling too near to zone new"] if gap_m < 0.0 else [])
+    setpoints = [c for c in later if isinstance(c, Setpoint)]
+    assert setpoints
+    assert all(each.stay and each.position_nea_m == hover for each in setpoints)

@@ -1,0 +1,226 @@
+"""Whoever goes leaves the vehicle safe; nothing that is waited for is waited for for ever."""
+
+from collections.abc import Callable
+
+import pytest
+from made_up import (
+    COPTERS,
+    EACH,
+    HOME_AMSL_M,
+    LAND,
+    OVER,
+    TICK_S,
+    Craft,
+    arrived,
+    flying,
+    holding_mode_taken,
+    holding_without_fix,
+    holding_without_plan,
+    landing,
+    moving,
+    near_target,
+    preparing,
+    status,
+    texts,
+)
+
+from companion.mavlink.autopilots import ARDUCOPTER
+from companion.mission import changes, events
+from companion.mission.events import Mode, OrderKind, Outcome, SetMode, Setpoint, Tick
+from companion.mission.phases import Phase, Reason
+from companion.mission.tables import parting
+from companion.mission.vehicle_traits import VehicleTraits
+
+
+def by_hand(craft: Craft) -> list[events.Command]:
+    """Ctrl-C."""
+    return craft.take(events.StopAsked(time_s=craft.now_s))
+
+
+def by_a_death(craft: Craft) -> list[events.Command]:
+    """A part of the companion dies."""
+    return craft.take(events.PlannerDied(time_s=craft.now_s, error="ValueError"))
+
+
+def by_the_watchdog(craft: Craft) -> list[events.Command]:
+    """The decider itself has died: nothing else is decided any more."""
+    return parting(craft.state)
+
+
+def is_safe_alone(craft: Craft, told: list[events.Command]) -> bool:
+    """Without its companion for five seconds: held in the air, or disarmed on the ground.
+
+    There it is not about to take off when somebody arms it, either.
+    """
+    craft.obey(told)
+    for _ in range(50):
+        craft._move()
+    if craft.here[2] > HOME_AMSL_M:
+        return craft.mode is Mode.HOLD
+    return not craft.armed and craft.mode not in (Mode.TAKE_OFF, Mode.GUIDED)
+
+
+@pytest.mark.parametrize("goes", [by_hand, by_a_death, by_the_watchdog])
+@EACH
+def test_whenever_it_goes_the_vehicle_is_left_holding_or_disarmed_on_the_ground(
+    traits: VehicleTraits, goes: Callable[[Craft], list[events.Command]]
+) -> None:
+    """At each tick, in flight at each second; a landing goes on by itself."""
+    craft = Craft(near_target(LAND), traits=traits).fly_to(Phase.ARMING)
+    while craft.phase not in OVER:
+        craft.tick()
+        if craft.phase in OVER or (craft.phase is Phase.FLYING and craft.now_s % 1.0 > TICK_S):
+            continue
+        at, left = f"{craft.phase} at {craft.now_s}", craft.copy()
+        height_m, mode, path = left.here[2], left.mode, left.state.path
+        commands = goes(left)
+        if path is not None and not path.circling:
+            places = [command.at_nea_m for command in commands if isinstance(command, SetMode)]
+            assert places == [None], f"{at}: it is sent back to where it hovered"
+        safe = is_safe_alone(left, commands)
+        assert left.here[2] <= height_m, f"{at}: it climbs on"
+        landed = mode is Mode.LAND and (
+            goes is not by_hand or left.landed is events.Landed.ON_GROUND
+        )
+        assert safe or landed, f"{at}: {left.mode}, armed {left.armed}"
+    assert craft.phases >= {Phase.ARMING, Phase.TAKING_OFF, Phase.FLYING}
+
+
+@pytest.mark.parametrize("made", [Craft, preparing])
+def test_a_vehicle_that_was_told_nothing_yet_is_told_nothing_in_the_end(
+    made: Callable[[], Craft],
+) -> None:
+    craft = made()
+    assert not moving(by_hand(craft))
+    assert craft.end().outcome is Outcome.STOPPED
+
+
+@EACH
+def test_a_pilot_who_takes_it_in_the_take_off_keeps_it(traits: VehicleTraits) -> None:
+    craft = Craft(traits=traits).fly_to(Phase.TAKING_OFF).run_for(1.0)
+    craft.take(status(craft.now_s, Mode.OTHER))
+    assert not moving(by_hand(craft))
+
+
+# --- the way up
+
+
+@pytest.mark.parametrize("arms_late", [False, True])
+@EACH
+def test_a_vehicle_that_will_not_arm_is_left_out_of_its_take_off_mode(
+    traits: VehicleTraits, arms_late: bool
+) -> None:
+    """Nor does it take off by an arming that comes through when it was given up."""
+    craft = Craft(traits=traits)
+    craft.arms = False
+    craft.fly_to(Phase.ARMING).run_until(lambda craft: bool(craft.sent(events.End)), 100.0)
+    assert craft.end().reason == Reason.NOT_ARMED.text
+    ended = craft.steps[-1][3] or craft.commands[-3:]
+    craft.armed = arms_late
+    assert is_safe_alone(craft, ended)
+
+
+@COPTERS
+@pytest.mark.parametrize(
+    ("accepts", "asked"), [(True, {4.8: 1, 1.0: 2}), (False, {3.5: 4})], ids=["accepted", "refused"]
+)
+def test_a_take_off_is_asked_for_once_a_second_and_after_it_was_accepted_if_it_does_not_begin(
+    traits: VehicleTraits, accepts: bool, asked: dict[float, int]
+) -> None:
+    craft = Craft(traits=traits)
+    craft.takes_off, craft.accepts = False, accepts
+    craft.run_until(lambda craft: bool(craft.sent(events.TakeOff)))
+    for seconds, times in asked.items():
+        assert len(craft.run_for(seconds).sent(events.TakeOff)) == times
+
+
+@EACH
+def test_an_ordinary_take_off_is_called_nothing_else(traits: VehicleTraits) -> None:
+    said = texts(Craft(traits=traits).fly_to(Phase.FLYING).commands)
+    assert not [text for text in said if "hold" in text or "taking over" in text]
+    assert ("taken off" in said) == (traits is not ARDUCOPTER.traits)  # by itself
+
+
+@pytest.mark.parametrize("kind", [OrderKind.PAUSE, OrderKind.RETURN, OrderKind.LAND])
+@EACH
+def test_an_order_in_the_take_off_is_obeyed_at_once(traits: VehicleTraits, kind: OrderKind) -> None:
+    """At each tick until it flies: it holds before anything else; on the ground it stays there."""
+    started = Craft(traits=traits).fly_to(Phase.ARMING)
+    while started.phase is not Phase.FLYING:
+        started.run_for(2 * TICK_S)
+        craft, height_m = started.copy(), started.here[2]
+        on_ground, at = height_m <= HOME_AMSL_M, f"{started.phase}, {started.now_s}"
+        if kind is OrderKind.LAND and not traits.lands and not on_ground:
+            continue
+        order = events.Order(time_s=craft.now_s, kind=kind)
+        assert changes.order_result(craft.state, order) is changes.OrderResult.ACCEPTED
+        craft.obey(craft.take(order))
+        deadline_s = craft.now_s + 60.0
+        while not craft.over and craft.now_s < deadline_s:
+            craft.tick()
+            assert craft.here[2] <= height_m + 1.0, f"{at}: it climbs on"
+        assert not [c for c in craft.sent(Setpoint) if not c.stay], at
+        if kind is OrderKind.PAUSE and not on_ground:
+            assert craft.state.reason is Reason.PAUSED, at
+            continue
+        assert craft.end().outcome is Outcome.STOPPED, at
+        hands_over = kind is OrderKind.RETURN and not (traits.hovers or on_ground)
+        assert not craft.armed or (hands_over and craft.mode is Mode.RETURN), at
+
+
+# --- nothing waits for ever
+
+WAITS: dict[str, Callable[[], Craft]] = {
+    "waiting": Craft,
+    "preparing": preparing,
+    "arming": lambda: Craft().fly_to(Phase.ARMING),
+    "taking off": lambda: Craft().fly_to(Phase.TAKING_OFF),
+    "flying": flying,
+    "holding without a plan": holding_without_plan,
+    "holding without a fix": holding_without_fix,
+    "holding for a person": holding_mode_taken,
+    "arrived": arrived,
+    "landing": landing,
+}
+ENDLESS = ("waiting", "holding for a person")
+"""As long as the link is there: they wait for somebody."""
+
+
+@pytest.mark.parametrize("link", [True, False], ids=["only the clock", "link lost"])
+@pytest.mark.parametrize("wait", WAITS)
+def test_every_wait_ends_with_a_reason_when_only_the_clock_goes_on_or_the_link_is_lost(
+    wait: str, link: bool
+) -> None:
+    craft = WAITS[wait]()
+    if link:
+        craft.take(*(Tick(time_s=craft.state.now_s + tick) for tick in range(1, 701)))
+    else:
+        lost = (3.0, 30.0, 600.0)
+        craft.take(*(events.LinkLost(time_s=craft.now_s, silent_s=silent_s) for silent_s in lost))
+    if wait not in ENDLESS or not link:
+        assert craft.over, f"still {craft.phase.value} after twelve minutes"
+        assert craft.end().outcome is Outcome.FAILED
+
+
+@pytest.mark.parametrize("silent_s", [3.0, 30.0])
+@pytest.mark.parametrize("made", [flying, holding_without_fix])
+def test_a_link_that_comes_back_in_the_air_prepares_again_and_goes_on(
+    made: Callable[..., Craft], silent_s: float
+) -> None:
+    craft = made(near_target()).run_for(2.0)
+    craft.take(events.LinkLost(time_s=craft.now_s, silent_s=silent_s))
+    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.LINK_LOST)
+    craft.fix = True
+    craft.fly_to(Phase.PREPARING)
+    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
+
+
+def test_the_hold_about_the_target_is_asked_for_once_a_second_and_then_a_hold_anywhere() -> None:
+    """An autopilot may refuse to hold at a place."""
+    craft = arrived()
+    craft.obeys_modes = False
+    craft.run_for(5.0)
+    asked = [command.at_nea_m for command in craft.sent(SetMode) if command.mode is Mode.HOLD]
+    assert 4 <= len(asked) <= 6
+    assert None not in asked[:2]
+    assert set(asked[2:]) == {None}

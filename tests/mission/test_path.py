@@ -1,0 +1,229 @@
+"""Off its path a vehicle stops or holds; where it joins one, nothing jumps."""
+
+import functools
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from made_up import LEG_M, MISSION, SPEED_M_S, TICK_S, Craft, flying, position, texts
+from renewed import deep, replace
+
+from companion.mission import events
+from companion.mission.decisions import Turn
+from companion.mission.entries import of_change
+from companion.mission.events import Mode, Setpoint
+from companion.mission.following import is_on_path, joined, left_path, outside_m
+from companion.mission.phases import Answered, OnPath, Phase, Reason
+from companion.mission.state import State
+from companion.path.subpath import Subpath
+from companion.planner.procedure import Reference
+
+Way = tuple[float, float, float]
+HALF = math.sqrt(0.5)
+ASIDE, ALONG, BACK, UP = (HALF, -HALF, 0.0), (HALF, HALF, 0.0), (-HALF, -HALF, 0.0), (0.0, 0.0, 1.0)
+SLANTED = (0.6 * HALF, -0.6 * HALF, 0.8)
+ERROR_M, SAFETY_M = MISSION.task.limits.tracking_error_m, MISSION.task.settings.safety_distance_m
+FAR_M = ERROR_M + min(ERROR_M, 0.5 * SAFETY_M)
+STOPS_S = SPEED_M_S / 5.0
+
+
+@functools.cache
+def cruising() -> Craft:
+    return flying().run_for(60.0)
+
+
+def found_at(path: OnPath, way: Way, by_m: float, later_s: float = 0.0) -> tuple[OnPath, Any]:
+    """What follows if the vehicle is found so far from its reference point on that path.
+
+    later_s: after it has been outside of its tube for so long.
+    """
+    state = deep(replace(cruising().state, path=path))
+    path = state.path
+    told = path.leg.subpath.pose(path.reference.length_m).position_nea_m
+    here = tuple(np.add(told, np.multiply(way, by_m)).tolist())
+    if later_s:
+        path.outside_since_s, path.outside_m = state.now_s - later_s, 1.0
+    event = position(state.now_s, here, cruising().velocity)
+    return path, left_path(state, path, event, Turn(state, cruising().context))
+
+
+LIMITS = {
+    "out of the tube": ((ASIDE, UP, SLANTED), ERROR_M, Reason.BESIDE_PATH, None),
+    "ahead of where it was told to be": ((ALONG,), ERROR_M, None, None),
+    "a second ahead or behind": ((ALONG, BACK), ERROR_M + SPEED_M_S, None, Reason.OFF_PATH),
+    "too far off for a stop": ((ASIDE,), FAR_M, Reason.BESIDE_PATH, Reason.OFF_PATH),
+}
+"""Ways, and how far: from there on it is to stop on its path, or to hold."""
+
+
+@pytest.mark.parametrize("share", [0.98, 1.02])
+@pytest.mark.parametrize("limit", LIMITS)
+def test_who_leaves_where_it_was_proven_to_be_is_noted_and_is_to_stop_or_to_hold(
+    limit: str, share: float
+) -> None:
+    ways, limit_m, stops, departs = LIMITS[limit]
+    for way in ways:
+        path, reason = found_at(cruising().state.path, way, share * limit_m)
+        assert reason is (departs if share > 1.0 else None)
+        if departs is None:
+            left_m = max(share - 1.0, 0.0) * limit_m
+            assert path.outside_m == pytest.approx(left_m, rel=0.01)
+            stop = None if path.stop is None else path.stop.reason
+            assert stop is (stops if share > 1.0 else None)
+
+
+@pytest.mark.parametrize(
+    ("off", "later_s", "reason"),
+    [(1.5, STOPS_S + 2.0, None), (1.5, STOPS_S + 4.0, Reason.OFF_PATH), (0.5, STOPS_S + 4.0, None)],
+)
+def test_who_does_not_come_back_is_told_to_hold(
+    off: float, later_s: float, reason: Reason | None
+) -> None:
+    path, departs = found_at(cruising().state.path, ASIDE, off * ERROR_M, later_s=later_s)
+    assert departs is reason
+    assert (path.outside_m > 0.0) is (off > 1.0)
+
+
+def test_who_overshoots_the_end_of_its_path_has_left_it() -> None:
+    whole_m = cruising().state.leg.subpath.length_m
+    at_end = Reference(length_m=whole_m - 0.5 * ERROR_M, speed_m_s=5.0)
+    path = replace(cruising().state.path, reference=at_end, next_leg=None)
+    for beyond_m in (0.98 * ERROR_M, 1.02 * ERROR_M):
+        left, departs = found_at(path, ALONG, 0.5 * ERROR_M + beyond_m)
+        ahead = 0.5 * ERROR_M + beyond_m - ERROR_M  # of where it was told to be
+        assert left.outside_m == pytest.approx(max(beyond_m - ERROR_M, ahead), abs=1e-3)
+        assert (left.stop, departs) == (None, None)  # it stops there anyway
+
+
+def test_who_is_seen_at_a_glance_to_be_on_its_path_is_not_outside_of_anything() -> None:
+    """On paths that bend up to the turn radius, before and behind the reference point."""
+    craft, rng = cruising(), np.random.default_rng(1)
+    state, radius_m, seen = craft.state, MISSION.task.limits.turn_radius_m, 0
+    for _ in range(60):
+        turn_rad = np.linspace(0.0, rng.uniform(0.2, 2.0), 7)
+        bend_m = radius_m * rng.uniform(1.1, 3.0)  # of the polygon: the curve lies inside it
+        control = np.stack([np.sin(turn_rad), 1.0 - np.cos(turn_rad), 0.0 * turn_rad], axis=-1)
+        bent = Subpath(control_nea_m=bend_m * control + (0.0, 0.0, craft.here[2]))
+        at = Reference(length_m=rng.uniform(0.0, bent.length_m), speed_m_s=SPEED_M_S)
+        path = replace(state.path, leg=replace(state.leg, subpath=bent), reference=at)
+        told = bent.pose(at.length_m).position_nea_m
+        for off_m in (np.zeros(3), *(rng.normal(size=(40, 3)) * ERROR_M * rng.uniform(0.1, 1.5))):
+            here = position(state.now_s, tuple((told + off_m).tolist()), craft.velocity)
+            if is_on_path(state, path, here):
+                seen += 1
+                assert outside_m(state, path, here) == (0.0, 0.0, 0.0)
+            else:
+                assert off_m.any()
+    assert seen > 500
+
+
+def test_who_has_left_its_path_stops_says_so_and_goes_on_from_there() -> None:
+    craft = flying().run_for(60.0)
+    legs, craft.follows = craft.state.flight.legs_flown, False
+    for tick in range(2_000):  # it drifts out by a metre a tick, and back
+        told = craft.sent(Setpoint)[-1]
+        off_m = max(18.0 - abs(tick - 18.0), 0.0)
+        craft.here = tuple(np.add(told.position_nea_m, np.multiply(ASIDE, off_m)).tolist())
+        craft.velocity = told.velocity_nea_m_s
+        craft.tick()
+        if craft.state.flight.legs_flown > legs:
+            break
+    assert Reason.BESIDE_PATH in {after.reason for *_, after, _ in craft.steps}
+    assert {after.phase for *_, after, _ in craft.steps[-500:]} <= {Phase.FLYING, Phase.HOLDING}
+    assert craft.mode is Mode.GUIDED
+    assert craft.state.flight.legs_flown > legs
+    assert craft.state.flight.stops == 1
+    assert any(text.startswith("beside its path, ") for text in texts(craft.commands))
+    entries = [e for before, _, after, _ in craft.steps for e in of_change(before, after)]
+    (left,) = [each for each in entries if each["kind"] == "path_left"]
+    assert 0.0 < left["left_path_m"] < 1.01
+
+
+# --- who joins a path, as after a restart
+
+
+@pytest.mark.parametrize("speed_m_s", [0.5, 5.0, 14.0])
+@pytest.mark.parametrize(("left_m", "beside_m"), [(0.0, 0.0), (-3.0, 1.0), (0.3, 0.3), (6.0, 2.0)])
+def test_who_joins_a_path_near_its_end_comes_to_rest_without_a_jump(
+    left_m: float, beside_m: float, speed_m_s: float
+) -> None:
+    """The autopilot has flown on, to where it can hardly stop any more."""
+    craft = flying()
+    craft.run_until(lambda it: it.state.reference.length_m > 100.0)
+    curve = craft.state.leg.subpath
+    end = curve.pose(curve.length_m)
+    along, across = end.tangent_nea, np.array([-end.tangent_nea[1], end.tangent_nea[0], 0.0])
+    north, east, altitude = end.position_nea_m - left_m * along + beside_m * across
+    craft.here, craft.velocity = (
+        (float(north), float(east), float(altitude)),
+        tuple(speed_m_s * along),
+    )
+    state = told_nothing(craft.state, craft.here, craft.velocity, None)
+    state.path.next_leg = None
+    went_on = joined(state, state.path)
+    assert went_on is not None
+    craft.state = replace(state, path=went_on, search=Answered())
+    sent: list[Setpoint] = []
+    while craft.state.phase is Phase.FLYING and len(sent) < 300:
+        sent += [each for each in craft.tick() if isinstance(each, Setpoint)]
+    assert craft.state.phase is not Phase.FLYING
+    assert math.dist(sent[0].velocity_nea_m_s, speed_m_s * along) <= 1.0
+    harder = 2.5 * craft.state.task.limits.acceleration_m_s2  # twice on the path, half beside it
+    for before, after in pairwise(sent):
+        moved = np.add(before.position_nea_m, TICK_S * np.array(before.velocity_nea_m_s))
+        assert math.dist(moved, after.position_nea_m) <= 0.25
+        assert math.dist(before.velocity_nea_m_s, after.velocity_nea_m_s) <= harder * TICK_S
+    assert math.hypot(*sent[-1].velocity_nea_m_s) < 0.1
+
+
+def told_nothing(state: State, at: Any, velocity: Any, echo: events.Echo | None) -> State:
+    """The state of a companion that finds its vehicle there, with the autopilot's target."""
+    state = deep(state)
+    vehicle, state.flight.sent = state.vehicle, None
+    vehicle.position_nea_m, vehicle.velocity_nea_m_s, vehicle.echo = at, velocity, echo
+    return state
+
+
+@pytest.mark.parametrize("share", [0.2, 0.8])
+def test_it_rejoins_the_leg_that_is_the_nearer_one_and_has_flown_the_other(share: float) -> None:
+    """The next leg turns off to the right from p_prog of this one."""
+    state, path = cruising().state, deep(cruising().state).path
+    over_at_m = path.leg.successor_at_m(state.task)
+    begins = path.leg.subpath.pose(over_at_m).position_nea_m
+    aside = begins + np.linspace(0.0, LEG_M, 4)[:, None] * np.array(ASIDE)
+    path.next_leg = replace(path.leg, subpath=Subpath(control_nea_m=aside))
+    for leg, at_m in ((path.leg, share * over_at_m), (path.next_leg, share * LEG_M)):
+        here = leg.subpath.pose(at_m).point_nea_m
+        found = told_nothing(state, here, state.vehicle.velocity_nea_m_s, None)
+        goes_on = joined(found, path)
+        assert goes_on.leg is leg
+        assert goes_on.reference.length_m == pytest.approx(at_m, abs=0.1)
+        flown_m = [each.until_m for each in found.flight.flown[len(state.flight.flown) :]]
+        assert flown_m == pytest.approx([at_m] if leg is path.leg else [over_at_m, at_m])
+
+
+@pytest.mark.parametrize(
+    ("age_s", "pace", "stands"),
+    [(0.0, 1.0, False), (0.1, 1.0, False), (0.4, 1.0, False), (0.4, 0.6, True)],
+)
+def test_it_goes_on_where_the_autopilots_target_has_moved_since_it_was_told(
+    age_s: float, pace: float, stands: bool
+) -> None:
+    """Age and speed of the target, of V; from one that stands as slowly as the target."""
+    state, flown_m = cruising().state, age_s * SPEED_M_S
+    curve, ahead_m = state.leg.subpath, 0.6 * SPEED_M_S if stands else 0.0
+    echo = events.Echo(
+        time_s=state.now_s - age_s,
+        position_nea_m=curve.pose(1_000.0 if stands else 1_000.0 - flown_m).point_nea_m,
+        velocity_nea_m_s=(0.0, 0.0, 0.0) if stands else None,
+    )
+    at = curve.pose(1_000.0 - ahead_m)
+    velocity = tuple((pace * SPEED_M_S * at.tangent_nea).tolist())
+    path = joined(told_nothing(state, at.point_nea_m, velocity, echo), state.path)
+    assert path is not None
+    assert path.reference.length_m == pytest.approx(1_000.0, abs=0.01 if stands else 0.1)
+    if stands:
+        assert path.reference.speed_m_s == 0.0
+        assert np.linalg.norm(path.offset.velocity_nea_m_s) == 0.0
