@@ -481,8 +481,7 @@ def _broken_off(state: State, turn: Turn) -> None:
     guided = state.vehicle.mode is Mode.GUIDED
     reason = Reason.PAUSED if guided else takeover_reason(state)
     come_to_rest(state, state.vehicle.position_nea_m if guided else None)
-    if reason is not Reason.FENCE_BREACHED:
-        abort_landing(state, turn)
+    abort_landing(state, turn)
     return turn.fault(reason)
 
 

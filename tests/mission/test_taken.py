@@ -90,7 +90,6 @@ def test_a_landing_broken_off_is_held_where_it_is_until_told(mode: Mode, failsaf
     assert craft.landed is events.Landed.ON_GROUND
 
 
-@pytest.mark.xfail(strict=True, reason="the landing is forgotten: random programs found it")
 def test_a_landing_that_the_fence_breaks_off_is_no_flight_to_the_target_once_given_back() -> None:
     """Told to land; its own fence makes it hold; somebody selects guided mode."""
     craft = flying(two_legs_away()).order(OrderKind.LAND).fly_to(Phase.LANDING)
