@@ -12,8 +12,8 @@ from types import FrameType
 from typing import Any
 
 import pytest
-import tracked
-from harness import Flown
+from harness import OFFBOARD, Flown
+from rigs import ArduCopter, Px4Copter, Px4Plane, circling, hovering
 
 from vehicle_sim.autopilot import factory
 from vehicle_sim.autopilot.arducopter import FIRMWARE
@@ -87,19 +87,17 @@ AUTOPILOTS = str(Path(factory.__file__).parent)
 NORTH = (300.0, 0.0, -40.0), (5.0, 0.0, 0.0)
 """A place and a velocity."""
 FLYING: dict[str, Callable[[], Any]] = {
-    "arducopter": tracked.airborne,
-    "arduplane": tracked.flying,
-    "ideal": lambda: tracked.ArduCopter(drag=False).airborne(),
-    "px4copter": tracked.Px4Copter,
-    "px4plane": tracked.Px4Plane,
+    "arducopter": hovering,
+    "arduplane": circling,
+    "ideal": lambda: ArduCopter(drag=False).airborne(),
+    "px4copter": lambda: Px4Copter().take_off(),
+    "px4plane": lambda: Px4Plane().take_off(),
 }
 
 
 @pytest.mark.parametrize("name", FLYING)
 def test_a_step_that_follows_a_path_calls_at_most_15_functions_of_the_autopilots(name: str) -> None:
     rig, counts = FLYING[name](), list[int]()
-    if name.startswith("px4"):
-        rig.take_off()
     passed = set[Any]()
 
     def note(at: FrameType, event: str, _: Any) -> None:
@@ -110,9 +108,9 @@ def test_a_step_that_follows_a_path_calls_at_most_15_functions_of_the_autopilots
         if name == "arduplane":
             rig.reposition(500.0, 0.0, 80.0)
         elif k % 10 == 0:
-            rig.give(*NORTH, mask=tracked.POSITION_VELOCITY)
+            rig.aim(*NORTH)
         if k == 5 and name == "px4plane":
-            assert rig.mode(6) == Result.ACCEPTED
+            assert rig.command(176, 1.0, *OFFBOARD) == Result.ACCEPTED
         rig.now_us += 10_000
         rig.fix = rig.receive()
         passed.clear()

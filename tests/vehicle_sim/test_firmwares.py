@@ -109,8 +109,9 @@ def test_px4_tells_its_mode_twice_a_second_and_at_once_when_it_changes() -> None
     since_s = vehicle.now_s
     vehicle.run(10.0)
     assert len(vehicle.all("CURRENT_MODE", since_s=since_s)) == pytest.approx(20, abs=1)
-    vehicle.set_mode(MISSION)
-    assert vehicle.last("CURRENT_MODE").custom_mode == MISSION
+    mission = MISSION[0] << 16 | MISSION[1] << 24
+    vehicle.set_mode(mission)
+    assert vehicle.last("CURRENT_MODE").custom_mode == mission
 
 
 def test_px4_takes_what_is_signed_and_what_is_not_and_never_signs() -> None:

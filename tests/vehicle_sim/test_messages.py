@@ -5,11 +5,11 @@ import struct
 from typing import Any
 
 import pytest
+from harness import copied
 from pymavlink import mavftp_op
 from pymavlink.dialects.v20 import all as mavlink
 from pymavlink.quaternion import QuaternionBase as Quaternion
-from tracked import ArduCopter as Flown
-from tracked import Px4Copter as Rig
+from rigs import ArduCopter, Px4Copter, Rig, hovering
 
 from vehicle_sim.autopilot import px4plane
 from vehicle_sim.autopilot.values import Ack, Battery, Report, Sender, Text
@@ -104,36 +104,32 @@ def read(said: Any) -> Any:
     return mavlink.MAVLink(None).decode(bytearray(Packer(1, 1).frame(said)))
 
 
-def report_of(rig: Any) -> Report:
+def report_of(rig: Rig) -> Report:
     """Of a vehicle in the tests of its autopilot."""
     told = {"autopilot": rig.autopilot, "time_us": rig.now_us, "fix": rig.fix, "hardware_id": 7}
     return Report(**told, battery=Battery())
 
 
-@pytest.fixture(scope="module")
-def copter() -> Flown:
-    it = Flown(ANGLE_MAX=4500.0).airborne(30.0)
+@copied
+def copter() -> ArduCopter:
+    it = hovering()
     for k in range(500):
         if k % 10 == 0:
-            it.setpoint((0.0, 0.0, -30.0), (k * 0.01, 0.0, 0.0), kind="pos+vel+acc")
+            it.aim((0.0, 0.0, -30.0), (k * 0.01, 0.0, 0.0), (0.0, 0.0, 0.0))
         it.step()
     return it
 
 
-@pytest.fixture(scope="module")
-def multicopter() -> Rig:
-    rig = Rig()
-    rig.take_off(12.0)
-    rig.stream(3.0, velocity=(5.0, 3.0, 0.0))
-    return rig
+@copied
+def multicopter() -> Px4Copter:
+    return Px4Copter().take_off(12.0).stream(3.0, None, (5.0, 3.0, 0.0))
 
 
-def test_every_message_can_be_packed_and_read_again(copter: Flown, multicopter: Rig) -> None:
+def test_every_message_can_be_packed_and_read_again() -> None:
     """Also before there is anything to say."""
-    booting, fresh = Flown(), Rig()
-    booting.run(5.0)
+    booting, fresh = ArduCopter().run(5.0), Px4Copter()
     fresh.step()
-    for builders, rigs in ((ARDUPILOT, (booting, copter)), (PX4, (fresh, multicopter))):
+    for builders, rigs in ((ARDUPILOT, (booting, copter())), (PX4, (fresh, multicopter()))):
         for number, build in builders.items():
             saids = [build(report_of(rig)) for rig in rigs]
             for frame in map(Packer(1, 1).frame, filter(None, saids)):
@@ -142,9 +138,9 @@ def test_every_message_can_be_packed_and_read_again(copter: Flown, multicopter: 
     assert {*px4plane.FIRMWARE.profile.rates_hz, 49, 148} <= set(PX4)
 
 
-def test_where_it_is_is_told_alike_by_all_messages(copter: Flown, multicopter: Rig) -> None:
+def test_where_it_is_is_told_alike_by_all_messages() -> None:
     """Truth and estimate differ by what the receiver's delay makes of the speed."""
-    for builders, rig in ((ARDUPILOT, copter), (PX4, multicopter)):
+    for builders, rig in ((ARDUPILOT, copter()), (PX4, multicopter())):
         report, vehicle = report_of(rig), report_of(rig).vehicle
         told = {number: read(build(report)) for number, build in builders.items() if build(report)}
         place, attitude, local_m = told[33], told[30], told[32]
