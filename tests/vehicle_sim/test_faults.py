@@ -23,7 +23,7 @@ from vehicle_sim.faults import (
     Timeline,
     conditions_of,
 )
-from vehicle_sim.parameters import Firmware, Kind, Parameters
+from vehicle_sim.parameters import Firmware, Parameters
 from vehicle_sim.sensors.gps import ARDUCOPTER, PX4, Gps
 
 TABLES = {"ardupilot": SIM_PARAMETERS, "px4": SIM_PARAMETERS_PX4}
@@ -153,26 +153,6 @@ def test_px4_has_no_fix_with_fewer_than_four_satellites(
 
 
 # --- the parameters -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("firmware", FIRMWARES)
-def test_parameters_have_names_and_kinds_that_the_firmware_can_have(firmware: Firmware) -> None:
-    names = [row.name for row in TABLES[firmware]]
-    assert len(set(names)) == len(names)
-    assert all(name.startswith("SIM_") and len(name) <= 16 for name in names)
-    kinds = {row.kind for row in TABLES[firmware]}
-    assert firmware == "ardupilot" or kinds <= {Kind.INT32, Kind.REAL32}  # PX4 knows no others
-    alone = {name for name in names if name.startswith(("SIM_BAT", "SIM_GPS_"))}
-    assert alone == (
-        {"SIM_BATT_VOLTAGE", "SIM_BATT_CAP_AH"}
-        if firmware == "ardupilot"
-        else {"SIM_GPS_USED", "SIM_BAT_DRAIN", "SIM_BAT_MIN_PCT"}
-    )
-
-
-def test_of_px4s_two_numbers_of_satellites_its_own_counts() -> None:
-    assert conditions_of(parameters("px4", SIM_GPS_USED=7.0)).gps.satellites == 7
-    assert conditions_of(parameters("px4", SIM_GPS1_NUMSATS=7.0)).gps.satellites == 10
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES)

@@ -64,20 +64,6 @@ def test_flying_true_north_140_km_away_follows_the_meridian_there() -> None:
     assert math.degrees(math.atan2(east_m - 1e5, north_m - 1e5)) == pytest.approx(-0.97, abs=0.15)
 
 
-@given(
-    latitude_deg=st.floats(-80.0, 80.0),
-    longitude_deg=st.floats(-179.0, 179.0),
-    north_m=st.floats(-50_000.0, 50_000.0),
-    east_m=st.floats(-50_000.0, 50_000.0),
-)
-def test_there_and_back(
-    latitude_deg: float, longitude_deg: float, north_m: float, east_m: float
-) -> None:
-    projection = Projection(Place(latitude_deg, longitude_deg, 400.0))
-    back = projection.ned_m(projection.place(north_m, east_m, -30.0))
-    assert back == pytest.approx((north_m, east_m, -30.0), abs=1e-4)
-
-
 @pytest.mark.parametrize("origin", [(47.397742, 8.545594), (-33.9, 151.2), (0.0, 0.0)])
 def test_it_is_pyprojs_on_the_sphere(origin: tuple[float, float]) -> None:
     latitude_deg, longitude_deg = origin

@@ -148,22 +148,6 @@ def test_all_kinds_of_rows_fail_when_all_that_they_look_at_is_changed(
     assert kinds <= failing(rows_of(flight, Side(sorted(said, key=lambda h: h.time_s))))
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("kind", "name_of", "change", "others"),
-    CHANGES,
-    ids=[f"{c[0]}-{i}" for i, c in enumerate(CHANGES)],
-)
-def test_a_kind_of_row_fails_when_what_it_looks_at_is_changed(
-    recorded: Recorded, kind: str, name_of: str, change: Change, others: set[str]
-) -> None:
-    flight = recorded(name_of)
-    said = sorted((x for h in flight.said for x in change(h)), key=lambda h: h.time_s)
-    found = failing(rows_of(flight, Side(said)))
-    assert kind in found
-    assert found <= {kind} | others
-
-
 def test_every_kind_of_row_has_been_made_to_fail(recorded: Recorded) -> None:
     kinds = {
         row.kind for name in (COPTER, PX4) for row in rows_of(recorded(name), recorded(name).side)
