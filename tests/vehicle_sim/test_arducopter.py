@@ -29,7 +29,7 @@ from vehicle_sim.plans import Jumps, PlanItem, PlanKind
 
 ACCEPTED, _, DENIED, UNSUPPORTED, FAILED = range(5)
 STABILIZE, GROUND_M = 0, COPTER_HOME[2]
-ON_GROUND, IN_AIR, TAKEOFF, LANDING = 1, 2, 3, 4
+ON_GROUND, LANDING = 1, 4
 item = functools.partial(harness.item, COPTER_HOME)
 approx = pytest.approx
 
@@ -118,27 +118,12 @@ def test_guided_is_had_without_a_position_but_armed_in_only_with_one() -> None:
     assert it.until(lambda: not it.armed, within_s=20) == approx(10, abs=0.1)  # it stays idle
 
 
-def test_disarming_in_flight_needs_force_and_is_the_end() -> None:
-    it = in_air()
-    assert [it.command(400, 0), it.command(400, 0, 21196)] == [FAILED, ACCEPTED]
-    fell_s = it.until(lambda: it.height_m == 0.0, within_s=10)
-    assert fell_s == approx(math.sqrt(2 * 30 / 9.80665), abs=0.1)
-
-
 def test_reposition_is_taken_as_command_int_only() -> None:
     it, there = in_air(), (-1, 1, 0, 0, 47.0005, 8.0, 50.0)
     assert [it.command(192, *there), it.set_mode(BRAKE)] == [UNSUPPORTED, ACCEPTED]
     assert it.command(192, -1, 0, *there[2:], frame=3) == DENIED
     assert (it.command(192, *there, frame=3), it.mode) == (ACCEPTED, "GUIDED")
     assert it.run(30.0).ned_m == approx((55.66, 0.0, -50.0), abs=0.5)
-
-
-def test_a_setpoint_that_is_not_survived_is_told_once_and_it_stays() -> None:
-    it = in_air()
-    before = len(it.texts)
-    assert len(stream(it, 1.0, (NAN, 0.0, -30.0)).texts) == before + 1
-    assert it.texts[-1].startswith("SIM:")
-    assert it.run(5.0).ned_m == approx((0.0, 0.0, -30.0), abs=1.0)
 
 
 # --- take-off, landing, modes ---------------------------------------------------------------------
@@ -166,12 +151,6 @@ def test_a_setpoint_is_echoed_while_landed_and_ends_a_take_off() -> None:
     assert it.run(15.0).ned_m == approx((20.0, 0.0, -height_m), abs=0.5)
 
 
-def test_a_gust_that_presses_it_down_ends_no_take_off() -> None:
-    it = ArduCopter()
-    it.vehicle.wind_up_m_s = -1.0
-    assert it.airborne(10.0).height_m == approx(10.0, abs=1.0)
-
-
 @pytest.mark.parametrize("mode", [0, 2, 5, 16])  # STABILIZE, ALT_HOLD, LOITER, POSHOLD
 def test_without_a_pilot_the_modes_by_hand_come_down(mode: int) -> None:
     it = in_air()
@@ -193,20 +172,6 @@ def test_rtl_climbs_to_15_m_comes_home_waits_and_lands() -> None:
     assert abs(it.ned_m[0]) < 2.0
     it.until(lambda: not it.armed, within_s=60)
     assert abs(it.ned_m[0]) < 0.5
-
-
-@pytest.mark.parametrize(("behaviour", "looks_home"), [(1.0, True), (2.0, False), (0.0, False)])
-def test_on_its_way_home_the_nose_looks_where_the_parameter_says(
-    behaviour: float, looks_home: bool
-) -> None:
-    it = in_air()
-    it.autopilot.parameters["WP_YAW_BEHAVIOR"] = behaviour
-    it.aim((0.0, 60.0, -30.0))
-    before_rad = it.run(15.0).vehicle.heading_rad
-    assert before_rad == approx(math.pi / 2 if behaviour else 0.0, abs=0.05)
-    it.set_mode(RTL)
-    turned_rad = math.remainder(it.run(10.0).vehicle.heading_rad - before_rad, math.tau)
-    assert abs(turned_rad) == approx(math.pi if looks_home else 0.0, abs=0.1)
 
 
 def test_brake_stops_and_ignores_setpoints() -> None:
@@ -287,15 +252,6 @@ def test_above_terrain_it_goes_down_without_data(frame: int) -> None:
     assert it.ned_m[0] < 5.0
 
 
-def test_local_places_are_about_the_origin_also_when_home_is_moved() -> None:
-    it, home = in_air(), (47.001, 8.0, GROUND_M + 20.0)
-    assert it.command(179, 0, 0, 0, 0, *home, frame=0) == ACCEPTED
-    it.aim((5.0, 0.0, -30.0))
-    assert echo_m(it)[2] == approx(-30.0, abs=0.1)
-    it.aim((47.0, 8.0, 30.0), frame=6, is_global=True)
-    assert echo_m(it)[2] == approx(-50.0, abs=0.1)
-
-
 def test_a_change_of_speed_limits_a_place_alone_and_is_forgotten_with_the_submode() -> None:
     it = in_air()
     it.aim((300.0, 0.0, -30.0))
@@ -312,36 +268,6 @@ def test_a_change_of_speed_limits_a_place_alone_and_is_forgotten_with_the_submod
         it.aim((north_m + 0.6 * k, 0.0, -30.0), (6.0, 0.0, 0.0))
         it.run(0.1)
     assert it.speed_m_s == approx(6.0, abs=0.2)
-
-
-def test_up_down_and_along_have_speeds_of_their_own_and_the_slower_sets_the_pace() -> None:
-    it = in_air(45.0)
-    it.aim((40.0, 0.0, -50.0))
-    it.until(lambda: it.height_m > 40.0)  # half of the way up at 2.5 m/s
-    assert it.ned_m[0] == approx(20.0, abs=4.0)
-    it.aim((140.0, 0.0, -56.0))
-    it.until(lambda: it.ned_m[0] > 90.0)  # at 10 m/s 70 m of 120, and of 16 m up
-    assert it.height_m == approx(40.0 + 16.0 * 70.0 / 120.0, abs=1.5)
-    for kind, speed_m_s, down_m in ((2, 1.0, -70.0), (3, 0.5, -10.0)):
-        it.aim((40.0, 0.0, down_m), (0.1, 0.0, 0.0))
-        it.aim((40.0, 0.0, down_m))
-        assert it.command(178, kind, speed_m_s) == ACCEPTED
-        assert abs(it.run(6.0).vehicle.velocity_up_m_s) == approx(speed_m_s, abs=0.05)
-
-
-def test_a_setpoint_of_nothing_stops_it_from_5_m_s_as_measured() -> None:
-    """4.3, 2.9 and 1.4 m/s after 1, 2 and 3 s; streamed, each one begins the stop anew."""
-    it = in_air(45.0)
-    fly_north(it, 5.0, 14.0)
-    speeds = [stream(it, 1.0, mask=0xFFF).speed_m_s for _ in range(3)]
-    assert speeds == approx([4.3, 2.9, 1.4], abs=0.35)
-
-
-def test_an_acceleration_alone_is_flown_until_the_time_out() -> None:
-    it = stream(in_air(), 3.0, None, None, (1.0, 0.0, 0.0))
-    assert it.vehicle.velocity_north_m_s == approx(2.6, abs=0.4)
-    assert it.autopilot.target_echo().type_mask == 0xC3F
-    assert it.run(12.0).vehicle.velocity_north_m_s == approx(0.0, abs=0.1)
 
 
 def test_a_yaw_that_was_told_is_reset_by_a_setpoint_that_ignores_it() -> None:
@@ -384,15 +310,6 @@ def test_a_mission_is_flown_from_take_off_to_landing() -> None:
     assert told[2][0] - told[1][0] > 10.0 + 3.0  # 40 m at 4 m/s, and the wait
     assert max(speeds) == approx(4.0, abs=0.2)
     assert math.hypot(*it.ne_m) < 1.0
-
-
-def test_a_landing_item_comes_down_where_it_says_and_the_current_item_can_be_set() -> None:
-    it = on_mission(item(22, z_m=10.0), item(16, 300.0, 0.0, 10.0), item(21, 30.0, 20.0))
-    it.until(lambda: it.autopilot.route.current == 2, within_s=60.0)
-    assert [it.command(224, 9), it.command(224, 3)] == [FAILED, ACCEPTED]
-    comes_to(it, LANDING)
-    it.until(lambda: not it.armed, within_s=60.0)
-    assert it.ne_m == approx((30.0, 20.0), abs=1.0)
 
 
 def test_an_endless_jump_between_nothings_ends() -> None:

@@ -13,7 +13,7 @@ from vehicle_sim.faults import GpsConditions
 from vehicle_sim.plans import PlanItem, PlanKind
 
 item = partial(harness.item, PLANE_HOME)
-MANUAL, FBWA, CRUISE = 0, 5, 7
+MANUAL, FBWA = 0, 5
 REPOSITION, CHANGE_SPEED, CHANGE_HEADING = 192, 43000, 43002
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = (
     *(Result.ACCEPTED, Result.DENIED),
@@ -65,19 +65,6 @@ def test_reposition_is_a_command_int_with_a_place() -> None:
         assert (rig.command(REPOSITION, *given, frame=3), rig.mode) == (result, mode)
 
 
-def test_it_circles_where_guided_was_entered_and_tells_the_point() -> None:
-    rig = circling()
-    rig.set_mode(PLANE_LOITER)
-    centre, height_m, before = rig.run(5.0).ne_m, rig.height_m, len(rig.reached())
-    rig.set_mode(PLANE_GUIDED)
-    assert math.dist(rig.run(80.0).ne_m, centre) == pytest.approx(97.0, abs=3.0)
-    assert rig.height_m == pytest.approx(height_m, abs=1.0)
-    waypoint = rig.status.waypoint
-    assert rig.frame.to_local(*waypoint.place[:2]) == pytest.approx(centre, abs=0.5)
-    assert waypoint.distance_m == pytest.approx(math.dist(rig.ne_m, centre), abs=3.0)
-    assert len(rig.reached()) == before + 1
-
-
 @pytest.mark.parametrize(
     ("asked_m", "flown_m", "ccw"), [(40.0, 60.0, 0.0), (80.0, 97.0, 1.0), (150.0, 167.0, 0.0)]
 )
@@ -90,19 +77,6 @@ def test_a_circle_is_wider_than_asked_by_what_was_measured(
     rig.run(40.0).run(15.0, lambda: places.append(complex(*rig.ne_m)))
     assert sum(map(abs, places)) / len(places) == pytest.approx(flown_m, abs=3.0)
     assert ((places[100] / places[0]).imag < 0.0) is bool(ccw)
-
-
-def test_a_stream_of_points_that_ends_leaves_it_on_the_last_one_without_a_word() -> None:
-    rig = circling()
-    said, texts = len(rig.reached()), len(rig.texts)
-    for _ in range(20):
-        north_m, east_m = rig.ne_m
-        rig.reposition(north_m + 20.0, east_m, 80.0, 60.0)
-        assert rig.run(0.98).mode == "GUIDED"
-    last = rig.frame.to_local(*rig.status.waypoint.place[:2])
-    assert len(rig.reached()) - said == pytest.approx(20, abs=4)  # a near point is reached at once
-    assert math.dist(rig.run(60.0).ne_m, last) == pytest.approx(78.0, abs=5.0)
-    assert len(rig.texts) == texts
 
 
 # --- GUIDED: speed, height, course ----------------------------------------------------------------
@@ -182,16 +156,6 @@ def test_it_returns_climbing_and_circles_home() -> None:
     assert rig.height_m == pytest.approx(100.0, abs=1.0)
 
 
-def test_without_a_pilot_it_holds_height_or_glides() -> None:
-    rig = circling()
-    rig.set_mode(CRUISE)
-    assert rig.run(20.0).height_m == pytest.approx(80.0, abs=5.0)
-    rig.set_mode(FBWA)
-    assert rig.run(10.0).height_m < 75.0
-    rig.until(lambda: rig.landed)
-    assert rig.run(20.0).speed_m_s == 0.0
-
-
 MISSION: tuple[PlanItem, ...] = (
     item(16),
     item(22, 0.0, 0.0, 50.0, 15.0),
@@ -238,15 +202,6 @@ def test_auto_flies_the_mission_from_take_off_to_landing() -> None:
     assert rig.texts[-1] == "Throttle disarmed"
 
 
-def test_the_current_item_may_be_set_and_after_the_last_it_returns() -> None:
-    rig = on_mission(7).run(25.0)
-    assert [rig.command(224, 20.0), rig.command(224, 6.0)] == [FAILED, ACCEPTED]
-    assert rig.status.mission_current == 6
-    rig.until(lambda: math.dist(rig.ne_m, (-800.0, 0.0)) < 60.0)
-    rig.until(lambda: rig.mode == "RTL", 5.0)
-    assert rig.status.mission_state == 5
-
-
 # --- failsafes, wind ------------------------------------------------------------------------------
 
 
@@ -276,13 +231,3 @@ def test_without_gps_it_levels_its_wings_and_stays_in_its_mode() -> None:
     rig.gps_conditions = GpsConditions()
     assert from_home_m(rig.run(60.0)) < 1000.0
     assert rig.autopilot.estimate.position_ok
-
-
-def test_wind_carries_it_but_not_its_circle() -> None:
-    rig, seen = circling(), list[tuple[float, float]]()
-    rig.reposition(0.0, 0.0, 80.0, 100.0)
-    rig.vehicle.wind_east_m_s = 6.0
-    rig.run(60.0).run(60.0, lambda: seen.append((from_home_m(rig), rig.speed_m_s)))
-    away_m, speeds_m_s = zip(*seen, strict=True)
-    assert 75.0 < min(away_m) < max(away_m) < 150.0
-    assert max(speeds_m_s) - min(speeds_m_s) == pytest.approx(12.0, abs=0.5)

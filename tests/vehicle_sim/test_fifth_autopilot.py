@@ -3,17 +3,10 @@
 And what an autopilot does in one step is read in few functions.
 """
 
-import sys
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from statistics import median
-from types import FrameType
-from typing import Any
 
 import pytest
-from harness import OFFBOARD, Flown
-from rigs import ArduCopter, Px4Copter, Px4Plane, circling, hovering
+from harness import Flown
 
 from vehicle_sim.autopilot import factory
 from vehicle_sim.autopilot.arducopter import FIRMWARE
@@ -82,42 +75,3 @@ def test_one_that_there_is_not_is_refused_with_those_that_there_are(name: str, k
 
 
 # --- one step -------------------------------------------------------------------------------------
-
-AUTOPILOTS = str(Path(factory.__file__).parent)
-NORTH = (300.0, 0.0, -40.0), (5.0, 0.0, 0.0)
-"""A place and a velocity."""
-FLYING: dict[str, Callable[[], Any]] = {
-    "arducopter": hovering,
-    "arduplane": circling,
-    "ideal": lambda: ArduCopter(drag=False).airborne(),
-    "px4copter": lambda: Px4Copter().take_off(),
-    "px4plane": lambda: Px4Plane().take_off(),
-}
-
-
-@pytest.mark.parametrize("name", FLYING)
-def test_a_step_that_follows_a_path_calls_at_most_15_functions_of_the_autopilots(name: str) -> None:
-    rig, counts = FLYING[name](), list[int]()
-    passed = set[Any]()
-
-    def note(at: FrameType, event: str, _: Any) -> None:
-        if event == "call" and at.f_code.co_filename.startswith(AUTOPILOTS):
-            passed.add(at.f_code)
-
-    for k in range(200):
-        if name == "arduplane":
-            rig.reposition(500.0, 0.0, 80.0)
-        elif k % 10 == 0:
-            rig.aim(*NORTH)
-        if k == 5 and name == "px4plane":
-            assert rig.command(176, 1.0, *OFFBOARD) == Result.ACCEPTED
-        rig.now_us += 10_000
-        rig.fix = rig.receive()
-        passed.clear()
-        sys.setprofile(note)
-        try:
-            rig.autopilot.step(rig.now_us, 0.01, rig.ground_amsl_m, rig.fix)
-        finally:
-            sys.setprofile(None)
-        counts.append(len(passed))
-    assert 5 < median(counts) <= 15

@@ -6,7 +6,7 @@ ardupilot.md (head, 1), px4.md (1 to 3, 10).
 from typing import Any
 
 import pytest
-from harness import GCS, KINDS, MISSION, PLACE, Key, Link, flying, heartbeat, ready
+from harness import GCS, KINDS, PLACE, Key, Link, flying, heartbeat, ready
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot import core
@@ -53,31 +53,6 @@ def test_defaults_and_capabilities_are_those_of_the_documents(
         assert integers >= {"COM_OBL_RC_ACT", "GF_ACTION"}
 
 
-@pytest.mark.parametrize(
-    ("firmware", "streamed", "not_streamed", "not_requested"),
-    [
-        (
-            "ardupilot",
-            (33, 32, 30, 245, 85, 87, 162, 193),
-            (230, 331, 64, 111, 330, 231),
-            (230, 300),
-        ),
-        ("px4", (30, 32, 33, 436, 31), (0, 42, 9999, 140), (9999, 193)),
-    ],
-)
-def test_what_can_be_streamed_and_asked_for(
-    firmware: str,
-    streamed: tuple[int, ...],
-    not_streamed: tuple[int, ...],
-    not_requested: tuple[int, ...],
-) -> None:
-    profile = PERSONALITIES[firmware, "copter"].firmware.profile
-    assert profile.streamable >= set(streamed)
-    assert not profile.streamable & set(not_streamed)
-    assert profile.requestable >= {148, 242, 49}
-    assert not profile.requestable & set(not_requested)
-
-
 def texts(vehicle: Link, link: int) -> bool:
     return bool(vehicle.all("STATUSTEXT", link=link))
 
@@ -101,17 +76,6 @@ def test_px4_tells_texts_to_ground_stations_only() -> None:
     assert vehicle.command(400, 1) == 0
     vehicle.run(1.0)
     assert (texts(vehicle, 0), texts(vehicle, 1)) == (False, True)
-
-
-def test_px4_tells_its_mode_twice_a_second_and_at_once_when_it_changes() -> None:
-    vehicle = ready("px4", "copter")
-    vehicle.command(511, 436, 50_000)
-    since_s = vehicle.now_s
-    vehicle.run(10.0)
-    assert len(vehicle.all("CURRENT_MODE", since_s=since_s)) == pytest.approx(20, abs=1)
-    mission = MISSION[0] << 16 | MISSION[1] << 24
-    vehicle.set_mode(mission)
-    assert vehicle.last("CURRENT_MODE").custom_mode == mission
 
 
 def test_px4_takes_what_is_signed_and_what_is_not_and_never_signs() -> None:

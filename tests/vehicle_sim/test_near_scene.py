@@ -116,28 +116,6 @@ def test_tilted_beams_end_where_small_steps_first_are_inside(seed: int) -> None:
         assert length == pytest.approx(first, abs=0.05) or length > 59.9
 
 
-def test_beams_meet_a_hill_where_small_steps_do() -> None:
-    hill = [
-        {
-            "north_m": 40.0,
-            "east_m": 0.0,
-            "height_amsl_m": GROUND_M + 30.0,
-            "spread_north_m": 15.0,
-            "spread_east_m": 20.0,
-        }
-    ]
-    made = world(terrain={"combine": "maximum", "ground_amsl_m": GROUND_M, "peaks": hill})
-    terrain, eye = made.truth(), np.array([0.0, 0.0, GROUND_M + 10.0])
-    pitches = np.radians([-25.0, -5.0, 0.0, 5.0, 20.0])
-    ways = np.stack([np.cos(pitches), 0 * pitches, np.sin(pitches)], -1)
-    found = made.scene().ray_lengths_m(eye, ways, 60.0)
-    steps = np.arange(0.0, 60.0, 0.005)
-    for way, length in zip(ways, found, strict=True):
-        points = eye + steps[:, None] * way
-        below = points[:, 2] < terrain.height_amsl_m(points[:, 0], points[:, 1])
-        assert length == pytest.approx(steps[below.argmax()] if below.any() else math.inf, abs=0.1)
-
-
 @pytest.mark.parametrize(("above_m", "met"), [(0.015, False), (0.025, True)])
 def test_a_level_beam_passes_over_what_the_earths_curvature_hides(
     above_m: float, *, met: bool
@@ -214,12 +192,6 @@ def test_a_wood_keeps_its_spacing_and_its_clearings(seed: int) -> None:
     clear_m = np.hypot(*(places - [50.0, 60.0]).T) - [t.radius_m for t in trees]
     assert clear_m.min() >= 15.0
     assert all(0.2 <= t.radius_m <= 0.5 and 10.0 <= t.height_m <= 20.0 for t in trees)
-
-
-def test_clearings_take_their_share() -> None:
-    counts = [len([*wood_of(clearing_share=s, clearings=[]).trees()]) for s in (0.0, 0.3, 0.6)]
-    assert counts == sorted(counts, reverse=True)
-    assert counts[2] < 0.6 * counts[0]
 
 
 def test_the_same_seed_draws_the_same_wood_and_another_another() -> None:

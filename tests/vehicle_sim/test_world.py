@@ -71,8 +71,14 @@ def test_what_is_wrong_is_named_with_its_remedy(
 
 
 WOOD: Table = {
-    "seed": 1, "north_min_m": 0.0, "north_max_m": 90.0, "east_min_m": 0.0, "east_max_m": 90.0,
-    "spacing_m": [4.0, 8.0], "radius_m": [0.2, 0.4], "height_m": [10.0, 20.0],
+    "seed": 1,
+    "north_min_m": 0.0,
+    "north_max_m": 90.0,
+    "east_min_m": 0.0,
+    "east_max_m": 90.0,
+    "spacing_m": [4.0, 8.0],
+    "radius_m": [0.2, 0.4],
+    "height_m": [10.0, 20.0],
 }
 TREE: Table = {"north_m": 9.0, "east_m": 0.0, "radius_m": 0.5, "height_m": 9.0}
 NO_AREA = dict.fromkeys(("north_min_m", "north_max_m", "east_min_m", "east_max_m"), 1)
