@@ -63,6 +63,15 @@ def test_without_a_position_the_last_commands_stay(mask: int) -> None:
     assert rig.mode == "Offboard"
 
 
+def test_a_point_is_circled_tightly_once_reached() -> None:
+    """px4.md 10: 8 to 30 m off."""
+    rig = to_point(offboard(300.0, north_m=-300.0), 300.0, 0.0, 55.0)
+    away = [away_m(to_point(rig, 300.0, 0.0, 0.1), 300.0) for _ in range(350)]
+    assert min(away) == pytest.approx(13.0, abs=7.0)
+    assert max(away) == pytest.approx(23.0, abs=9.0)
+    assert rig.mode == "Offboard"
+
+
 # --- other modes ----------------------------------------------------------------------------------
 
 
