@@ -26,6 +26,7 @@ from harness import (
     copied,
 )
 from rigs import Px4Copter
+from tracked import lean_deg
 
 from vehicle_sim.autopilot.values import Ack, Landed, Reboot, Result, Sender
 from vehicle_sim.plans import PlanKind
@@ -197,6 +198,47 @@ def test_the_nose_turns_to_the_yaw_that_is_told_and_frame_8_turns_with_it() -> N
         assert math.degrees(rig.vehicle.heading_rad) == about(90.0, 3.0)
     rig.stream(4.0, None, (3.0, 0.0, 0.0), frame=8)
     assert rig.vehicle.velocity_neu_m_s[:2] == about((0.0, 3.0), 0.3)
+
+
+def test_a_place_30_m_away_is_flown_to_with_all_the_tilt_there_is() -> None:
+    """With the stock drag.  Of 500 m: 9.7 m/s at last."""
+    rig, there_s = hover(drag=1.0), list[float]()
+    tilt_deg = fastest = farthest = 0.0
+    start_s = rig.now_s
+    for _ in range(240):
+        rig.stream(0.05, (30.0, 0.0, -15.0))
+        tilt_deg, fastest = max(tilt_deg, lean_deg(rig)), max(fastest, rig.speed_m_s)
+        farthest = max(farthest, rig.ned_m[0])
+        there_s += [rig.now_s - start_s] if rig.ned_m[0] > 29.0 else []
+    assert (tilt_deg, fastest) == (about(45.0, 2.0), about(8.8, 0.5))
+    assert (there_s[0], farthest) == (about(4.8, 0.4), about(31.4, 0.7))
+    assert rig.stream(25.0, (530.0, 0.0, -15.0)).speed_m_s == about(9.7, 0.3)
+
+
+@pytest.mark.parametrize(
+    ("how", "expected"),
+    [
+        ("position", {"farthest": 10.0}),
+        ("velocity", {"metres": 11.0, "seconds": 2.3}),
+        ("hold", {"metres": 31.2, "seconds": 5.6}),
+    ],
+)
+def test_it_stops_from_12_m_s(how: str, expected: dict[str, float]) -> None:
+    """15 %: 0.1 s of delay is 1.2 m."""
+    rig = cruise(12.0).stream(2.0, None, (12.0, 0.0, 0.0))
+    assert rig.speed_m_s > 11.5
+    here, start_s = rig.ned_m, rig.now_s
+    setpoint = ((*here[:2], -15.0),) if how == "position" else (None, ZERO)
+    if how == "hold":
+        rig.set_mode(*HOLD)
+    seen = {"farthest": 0.0}
+    for _ in range(280):
+        rig.stream(0.05, *setpoint)
+        seen["metres"] = rig.ned_m[0] - here[0]
+        seen["farthest"] = max(seen["farthest"], seen["metres"])
+        if rig.speed_m_s < 0.3:
+            seen.setdefault("seconds", rig.now_s - start_s)
+    assert {name: seen[name] for name in expected} == pytest.approx(expected, rel=0.15)
 
 
 # --- 6: loss of the stream, failsafes -------------------------------------------------------------
