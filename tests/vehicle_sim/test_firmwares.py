@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot import core
 from vehicle_sim.autopilot.factory import PERSONALITIES
-from vehicle_sim.parameters import Kind
+from vehicle_sim.parameters import Firmware, Kind
 from vehicle_sim.world import VehicleKind
 
 DEFAULTS = {
@@ -53,29 +53,23 @@ def test_defaults_and_capabilities_are_those_of_the_documents(
         assert integers >= {"COM_OBL_RC_ACT", "GF_ACTION"}
 
 
-def texts(vehicle: Link, link: int) -> bool:
-    return bool(vehicle.all("STATUSTEXT", link=link))
-
-
-def test_ardupilot_tells_texts_where_anybody_was_heard() -> None:
-    vehicle = Link("copter", "ardupilot", PLACE, links=2)
-    vehicle.run(44.0)
-    assert not texts(vehicle, 0)
-    assert not texts(vehicle, 1)
-    vehicle.send(heartbeat(), link=1)
-    vehicle.command(176, 1, 4, link=1)
+@pytest.mark.parametrize(("firmware", "boot_s"), [("ardupilot", 44.0), ("px4", 7.0)])
+def test_ardupilot_tells_texts_where_anybody_was_heard_and_px4_to_ground_stations_only(
+    firmware: Firmware, boot_s: float
+) -> None:
+    vehicle = Link("copter", firmware, PLACE, links=2)
+    vehicle.run(boot_s)
+    assert vehicle.texts() == vehicle.texts(link=1) == []
+    if firmware == "px4":
+        vehicle.send(heartbeat())
+        vehicle.send(heartbeat(mavlink.MAV_TYPE_GCS), link=1, source=GCS)
+    else:
+        vehicle.send(heartbeat(), link=1)
+        vehicle.command(176, 1, 4, link=1)
     vehicle.command(400, 1, link=1)
-    assert (texts(vehicle, 0), texts(vehicle, 1)) == (False, True)
-
-
-def test_px4_tells_texts_to_ground_stations_only() -> None:
-    vehicle = Link("copter", "px4", PLACE, links=2)
-    vehicle.run(7.0)
-    vehicle.send(heartbeat())
-    vehicle.send(heartbeat(mavlink.MAV_TYPE_GCS), link=1, source=GCS)
-    assert vehicle.command(400, 1) == 0
     vehicle.run(1.0)
-    assert (texts(vehicle, 0), texts(vehicle, 1)) == (False, True)
+    assert vehicle.texts() == []
+    assert vehicle.texts(link=1)
 
 
 def test_px4_takes_what_is_signed_and_what_is_not_and_never_signs() -> None:

@@ -153,6 +153,7 @@ def test_near_things_that_cannot_be_are_refused_in_one_line(
             *("vehicle.parameters.GUID_TIMOUT", 1.0, {}),
             r"GUID_TIMOUT = 1\.0.*Did you mean GUID_TIMEOUT\?",
         ),
+        ("vehicle.autopilot", "sparow", {}, "autopilot = 'sparow': must be 'ardupilot' or"),
     ],
 )
 def test_what_only_the_vehicle_knows_is_refused_too(
