@@ -29,7 +29,7 @@ from vehicle_sim.plans import Jumps, PlanItem, PlanKind
 
 ACCEPTED, _, DENIED, UNSUPPORTED, FAILED = range(5)
 STABILIZE, GROUND_M = 0, COPTER_HOME[2]
-ON_GROUND, LANDING = 1, 4
+ON_GROUND, IN_AIR, TAKEOFF, LANDING = 1, 2, 3, 4
 item = functools.partial(harness.item, COPTER_HOME)
 approx = pytest.approx
 
@@ -137,6 +137,21 @@ def test_take_off_fails_disarmed_in_stabilize_in_the_air_and_without_a_height() 
     it = booted()
     assert {climb(it, height_m) for height_m in (NAN, math.inf, 0.0, -5.0)} == {FAILED}
     assert [climb(it, 30.0, frame) for frame in (0, 5, 6, 3)] == [DENIED] * 3 + [ACCEPTED]
+
+
+def test_take_off_is_5_m_high_after_4_6_s_and_30_m_after_17_s_and_ends_a_second_later() -> None:
+    it, speeds = booted().run(4.0), list[float]()
+    climb(it, 30.0)
+    took_s = it.until(lambda: it.height_m > 5.0, within_s=9.0)
+    assert took_s == approx(4.6, abs=0.4)
+    begun_s = it.now_s - took_s
+    while it.height_m < 29.7:
+        it.step()
+        speeds.append(it.vehicle.velocity_up_m_s)
+    assert it.now_s - begun_s == approx(17.0, abs=1.5)
+    assert max(speeds) == approx(2.5, abs=0.15)
+    assert it.status.landed_state == TAKEOFF
+    assert comes_to(it, IN_AIR, within_s=5.0) == approx(1.0, abs=0.5)
 
 
 def test_a_setpoint_is_echoed_while_landed_and_ends_a_take_off() -> None:
@@ -268,6 +283,21 @@ def test_a_change_of_speed_limits_a_place_alone_and_is_forgotten_with_the_submod
         it.aim((north_m + 0.6 * k, 0.0, -30.0), (6.0, 0.0, 0.0))
         it.run(0.1)
     assert it.speed_m_s == approx(6.0, abs=0.2)
+
+
+def test_a_setpoint_of_nothing_stops_it_from_5_m_s_as_measured() -> None:
+    """4.3, 2.9 and 1.4 m/s after 1, 2 and 3 s; streamed, each one begins the stop anew."""
+    it = in_air(45.0)
+    fly_north(it, 5.0, 14.0)
+    speeds = [stream(it, 1.0, mask=0xFFF).speed_m_s for _ in range(3)]
+    assert speeds == approx([4.3, 2.9, 1.4], abs=0.35)
+
+
+def test_an_acceleration_alone_is_flown_until_the_time_out() -> None:
+    it = stream(in_air(), 3.0, None, None, (1.0, 0.0, 0.0))
+    assert it.vehicle.velocity_north_m_s == approx(2.6, abs=0.4)
+    assert it.autopilot.target_echo().type_mask == 0xC3F
+    assert it.run(12.0).vehicle.velocity_north_m_s == approx(0.0, abs=0.1)
 
 
 def test_a_yaw_that_was_told_is_reset_by_a_setpoint_that_ignores_it() -> None:

@@ -99,9 +99,13 @@ def test_drag_and_tilt_hold_the_speeds_that_were_measured(
 def test_left_alone_it_drifts_with_the_wind_and_to_stand_still_it_leans_into_it() -> None:
     it, without_drag = copter(FREE, DRAG_1_S), copter(FREE)
     for each in (it, without_drag):
-        each.wind_north_m_s, each.wind_east_m_s, each.wind_up_m_s = -8.0, 4.0, 0.0
+        each.wind_north_m_s, each.wind_east_m_s = -8.0, 4.0
         flown(each, 20.0, 0.0, 0.0, 0.0)
     assert without_drag.velocity_neu_m_s == (0.0, 0.0, 0.0)  # wind is not felt
+    without_drag.wind_up_m_s, in_calm = 2.0, copter(FREE)
+    for each in (without_drag, in_calm):
+        flown(each, 5.0, 3.0, -1.0, 0.5)
+    assert without_drag.velocity_neu_m_s == in_calm.velocity_neu_m_s
     assert it.velocity_neu_m_s == approx((-8.0, 4.0, 0.0), abs=1e-3)
     assert it.airspeed_m_s == approx(0.0, abs=2e-3)
     it.wind_east_m_s = 0.0

@@ -195,6 +195,7 @@ def test_a_wood_keeps_its_spacing_and_its_clearings(seed: int) -> None:
 def test_the_same_seed_draws_the_same_wood_and_a_scene_has_each_tree_of_it() -> None:
     made = world(woods=[WOOD])
     assert trees_of(made) == trees_of() != trees_of(made.with_woods_of(8)) == trees_of(seed=8)
+    scene = made.scene()
     for tree in trees_of()[::40]:
         at = [tree.north_m + tree.radius_m + 1.0, tree.east_m, GROUND_M + 5.0]
-        assert made.scene().distance_m(np.array(at))[0] <= 1.0 + 1e-9
+        assert scene.distance_m(np.array(at))[0] <= 1.0 + 1e-9

@@ -63,6 +63,13 @@ def test_without_a_position_the_last_commands_stay(mask: int) -> None:
     assert rig.mode == "Offboard"
 
 
+def test_speed_is_the_parameter_whatever_is_commanded() -> None:
+    rig = offboard(5000.0, FW_AIRSPD_TRIM=12.0)
+    assert rig.command(178, 0.0, 20.0, -1.0) == 0
+    to_point(rig, 5000.0, 0.0, 20.0)
+    assert rig.vehicle.airspeed_m_s == pytest.approx(12.0 * 1.027, abs=0.1)  # at 550 m
+
+
 def test_a_point_is_circled_tightly_once_reached() -> None:
     """px4.md 10: 8 to 30 m off."""
     rig = to_point(offboard(300.0, north_m=-300.0), 300.0, 0.0, 55.0)
