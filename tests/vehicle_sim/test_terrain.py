@@ -42,8 +42,10 @@ def drawn(rng: np.random.Generator, kind: Kind) -> tuple[Terrain, list[PeakRow]]
             area_m=(-HALF_M, HALF_M, -HALF_M, HALF_M),
         )
         return grid, []
-    low, high = zip(*[(-HALF_M, HALF_M)] * 2, *[(100, 3000)], *[(300, 3000)] * 2, strict=True)
-    rows = [tuple(rng.uniform(low, high).tolist()) for _ in range(int(rng.integers(0, 8)))]
+    count = int(rng.integers(0, 8))
+    places, heights = rng.uniform(-HALF_M, HALF_M, (count, 2)), rng.uniform(100, 3000, count)
+    spreads = rng.uniform(300, 3000, (count, 2))
+    rows = [tuple(row) for row in np.column_stack([places, heights, spreads]).tolist()]
     return PeakTerrain(rows, combine=kind, ground_amsl_m=50.0), rows  # type: ignore[arg-type]
 
 

@@ -142,25 +142,20 @@ def test_near_things_that_cannot_be_are_refused_in_one_line(
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "more", "words"),
+    ("path", "value", "words"),
     [
-        (
-            *("vehicle.autopilot", "px4", lidar(output="autopilot")),
-            r"lidar\.output = 'autopilot'.*px4",
-        ),
-        ("trees", [TREE | {"north_m": 0.3}], {}, r"vehicle\.north_m.*stands inside"),
-        (
-            *("vehicle.parameters.GUID_TIMOUT", 1.0, {}),
-            r"GUID_TIMOUT = 1\.0.*Did you mean GUID_TIMEOUT\?",
-        ),
-        ("vehicle.autopilot", "sparow", {}, "autopilot = 'sparow': must be 'ardupilot' or"),
+        ("vehicle.autopilot", "px4", r"lidar\.output = 'autopilot'.*px4"),
+        ("vehicle.autopilot", "sparow", "autopilot = 'sparow': must be 'ardupilot' or"),
+        ("vehicle.parameters.GUID_TIMOUT", 1.0, "GUID_TIMOUT = 1.0.*Did you mean GUID_TIMEOUT?"),
+        ("trees", [TREE | {"north_m": 0.3}], r"vehicle\.north_m.*stands inside"),
     ],
 )
 def test_what_only_the_vehicle_knows_is_refused_too(
-    world_table: Table, path: str, value: Any, more: Table, words: str
+    world_table: Table, path: str, value: Any, words: str
 ) -> None:
+    table = changed(world_table, path, value) | lidar(output="autopilot")
     with pytest.raises(InputError, match=words):
-        Simulation(parse_world(changed(world_table, path, value) | more))
+        Simulation(parse_world(table))
 
 
 @pytest.mark.parametrize("text", ["not toml [", "[targets]\nx = 1\n", "", "name = 'x'\n"])
