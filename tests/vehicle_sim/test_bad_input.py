@@ -5,7 +5,7 @@ import random
 from typing import Any
 
 import pytest
-from harness import KINDS, PLACE, Link, flying, local
+from harness import KINDS, PLACE, Link, flying, local, ready
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
@@ -14,6 +14,7 @@ from receive import MESSAGES, Target, intact
 from vehicle_sim.plans import PlanItem, PlanKind
 
 WILD = (math.nan, math.inf, -math.inf, 0.0, -0.0, 1.0, -1.0, 3.4e38, -3.4e38, 1e-45, 4.0, 192.0)
+COMMANDS = sorted(number for number in mavlink.enums["MAV_CMD"] if number < 65536)
 FRAMES = (0, 1, 2, 3, 5, 6, 7, 8, 9, 10, 11, 12, 21, 255)
 MASKS = (0, 0xDF8, 0xDC0, 0xC00, 0x9C0, 0xDC7)
 EDGES_E7 = (0, 474_000_000, 85_000_000, -(2**31), 2**31 - 1)
@@ -64,6 +65,26 @@ def setpoints(rng: random.Random) -> list[Any]:
         mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, frame, mask, *v),
         mavlink.MAVLink_set_position_target_global_int_message(0, 1, 1, frame, mask, x, y, *v[2:]),
     ]
+
+
+@pytest.mark.parametrize(("autopilot", "kind"), KINDS)
+def test_every_command_parameter_and_setpoint_with_every_wild_number(
+    autopilot: Any, kind: Any
+) -> None:
+    rng, client = random.Random(4), ready(autopilot, kind)
+    rows = client.simulation.parameters.rows.values()
+    own = [row for row in rows if not row.name.startswith("SIM_")]  # those may cut the link
+    assert len(own) > 40
+    for count, number in enumerate(COMMANDS * 4):
+        row = own[count % len(own)]
+        client.send(
+            command(rng, number),
+            mavlink.MAVLink_param_set_message(1, 1, row.name.encode(), rng.choice(WILD), row.kind),
+            *setpoints(rng),
+        )
+        if count % 10 == 0:
+            client.run(0.05)
+    assert any(each.kind == "HEARTBEAT" for each in client.run(5.0))  # or it reboots
 
 
 ACTED_ON = (16, 17, 20, 21, 22, 115, 176, 178, 179, 192, 207, 224, 300, 400, 43000, 43001, 43002)
