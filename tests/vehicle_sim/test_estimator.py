@@ -199,18 +199,15 @@ def test_accuracy_grows_as_recorded_and_the_estimate_drifts_and_jumps_back() -> 
         assert sample(LOST_S + 4.0, seed)[3] < 2.0
 
 
-def test_a_short_loss_is_not_noticed() -> None:
-    rig = Px4Copter().take_off(10.0)
+def test_a_short_loss_is_not_noticed_and_a_glitch_is_believed_after_seven_seconds() -> None:
+    """Source: reset_timeout_max 7 s."""
+    rig, moved_m = Px4Copter().take_off(10.0), list[float]()
     for rig.gps_conditions in (NO_FIX, PX4_GPS):
         rig.stream(4.0, HERE)
     assert (rig.mode, rig.autopilot.estimate.flags) == ("Offboard", 0x37F)
-
-
-def test_a_glitch_is_refused_for_seven_seconds_and_then_believed() -> None:
-    """Source: reset_timeout_max 7 s."""
     rig = Px4Copter().take_off(10.0)
     rig.gps_conditions = GpsConditions(lag_s=0.0, glitch_latitude_deg=0.00045)
-    before_deg, moved_m = rig.vehicle.latitude_deg, list[float]()
+    before_deg = rig.vehicle.latitude_deg
     for seconds in (6.0, 15.0):
         rig.stream(seconds, HERE)
         moved_m.append((rig.vehicle.latitude_deg - before_deg) * 111_200.0)

@@ -151,6 +151,16 @@ def test_a_value_is_kept_within_the_limits_of_its_row_and_until_a_reboot_or_for_
 # --- what a parameter does ------------------------------------------------------------------------
 
 
+def reboot(vehicle: Link) -> None:
+    vehicle.simulation.add_fault("reboot")
+    vehicle.run(1.2)
+
+
+def obeys(vehicle: Link, *target: int) -> bool:
+    vehicle.send(mavlink.MAVLink_command_long_message(*target, 400, 0, 1, *[0] * 6))
+    return any(heard.kind == "COMMAND_ACK" for heard in vehicle.run(0.02))
+
+
 @pytest.mark.parametrize(
     ("firmware", "given", "before", "after"),
     [
@@ -163,27 +173,17 @@ def test_the_parameters_of_ids_are_what_it_boots_as(
     firmware: Firmware, given: dict[str, float], before: tuple[int, int], after: dict[str, float]
 ) -> None:
     """Set at the start, or by PARAM_SET and then a reboot, and not before that."""
-    vehicle = fresh(firmware, **given)
-
-    def obeys(*target: int) -> bool:
-        vehicle.send(mavlink.MAVLink_command_long_message(*target, 400, 0, 1, *[0] * 6))
-        return any(heard.kind == "COMMAND_ACK" for heard in vehicle.run(0.02))
-
-    def who_speaks(seconds: float) -> set[tuple[int, int]]:
-        return {heard.source for heard in vehicle.run(seconds)}
-
-    assert who_speaks(3.0) == {before}
-    assert obeys(*before)
+    vehicle, booted_as = fresh(firmware, **given), (9, int(after.get("MAV_COMP_ID", before[1])))
+    assert {heard.source for heard in vehicle.run(3.0)} == {before}
+    assert obeys(vehicle, *before)
     for name, value in after.items():
         vehicle.simulation.set_parameter(name, value)
-    assert who_speaks(2.0) == {before}
+    assert {heard.source for heard in vehicle.run(2.0)} == {before}
     assert vehicle.simulation.system_id == before[0]
-    vehicle.simulation.add_fault("reboot")
-    vehicle.run(1.2)
-    booted_as = (9, int(after.get("MAV_COMP_ID", before[1])))
-    assert who_speaks(3.0) == {booted_as}
+    reboot(vehicle)
+    assert {heard.source for heard in vehicle.run(3.0)} == {booted_as}
     assert vehicle.simulation.system_id == 9
-    assert (obeys(*booted_as), obeys(*before)) == (True, False)
+    assert (obeys(vehicle, *booted_as), obeys(vehicle, *before)) == (True, False)
 
 
 @pytest.mark.parametrize(("kind", "unasked_hz"), [("copter", 0), ("plane", 1)])
@@ -203,6 +203,5 @@ def test_the_rates_of_streams_are_parameters_that_count_from_the_boot(
     vehicle.send(mavlink.MAVLink_request_data_stream_message(*VEHICLE, 11, 5, 1))  # EXTRA2
     assert rates_hz() == [10.0, unasked_hz, 5.0]
     assert vehicle.simulation.parameters["MAV1_EXTRA2"] == 5.0
-    vehicle.simulation.add_fault("reboot")
-    vehicle.run(1.2)
+    reboot(vehicle)
     assert rates_hz() == [10.0, 4.0, 5.0 if kind == "plane" else 0.0]

@@ -252,7 +252,7 @@ class Posts(msgspec.Struct, frozen=True, kw_only=True):
 
     def places_ne_m(self) -> FloatArray:
         """In those metres.  -> (count^2, 2)."""
-        steps = self.apart_m * np.stack(np.indices((self.count, self.count)), axis=-1)
+        steps = self.apart_m * np.moveaxis(np.indices((self.count, self.count)), 0, -1)
         return np.array((self.north_m, self.east_m)) + steps.reshape(-1, 2)
 
 

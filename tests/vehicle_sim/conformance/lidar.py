@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.flights import Flight, FloatArray, Posts, Side
-from conformance.rows import NOTHING, Comparison, Row
+from conformance.rows import NOTHING, Comparison, Row, row
 
 _SYS_STATUS, _ATTITUDE, _DISTANCE_SENSOR, _SIMSTATE = 1, 30, 132, 164
 _PROXIMITY = 0x4000000
@@ -70,7 +70,7 @@ def _row(kind: str, name: str, pair: Sequence[float | None], tolerance: float) -
     if real is not None and simulated is not None:
         difference = abs(real - simulated) / tolerance
     shown = (NOTHING if value is None else f"{value:.3g}" for value in pair)
-    return Row(kind, name, *shown, difference)
+    return row(kind, name, shown, difference)
 
 
 def _sectors(side: Side, flight: Flight, posts: Posts) -> dict[int, _Sector]:

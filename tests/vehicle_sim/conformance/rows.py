@@ -50,6 +50,14 @@ class Row:
         return self.difference <= 1.0
 
 
+def row(
+    kind: str, name: str, shown: Iterable[str], difference: float, at_s: float | None = None
+) -> Row:
+    """One row; shown: of the real one and of the simulated one."""
+    real, simulated = shown
+    return Row(kind, name, real, simulated, difference, at_s)
+
+
 class Comparison:
     """Two sides of the same flight, and when what was caused."""
 
@@ -150,7 +158,7 @@ def timed_rows(
         if real and simulated:
             difference = abs(simulated[0] - at_s) / comparison.patience_s(at_s, interval_s)
         shown = (f"{each[0]:.2f} s" if each else NOTHING for each in (real, simulated))
-        yield Row(kind, name, *shown, difference, at_s)
+        yield row(kind, name, shown, difference, at_s)
 
 
 def interval_s(times: Sequence[float]) -> float:
@@ -225,7 +233,7 @@ def _ack_row(name: str, at_s: float, real: Answers, simulated: Answers) -> Row:
         ", ".join(f"{enum_name('MAV_RESULT', r)} +{t - at_s:.2f} s" for t, r in side[:5]) or NOTHING
         for side in (real, simulated)
     )
-    return Row("ack", name, *shown, difference, at_s)
+    return row("ack", name, shown, difference, at_s)
 
 
 # --- exchanges and single answers -----------------------------------------------------------------
@@ -277,7 +285,7 @@ def once_rows(comparison: Comparison) -> Iterator[Row]:
                 ours, theirs = ("given" if any(_listed(x)) else "not given" for x in (ours, theirs))
             apart = _apart(ours, theirs, _TOLERANCES.get(name, 0.0))
             shown = (str(ours), NOTHING if theirs is None else str(theirs))
-            yield Row("said once", f"{message_name(number)}.{name}", *shown, apart)
+            yield row("said once", f"{message_name(number)}.{name}", shown, apart)
 
 
 def _listed(value: Any) -> list[Any]:
@@ -389,7 +397,7 @@ def stream_rows(comparison: Comparison) -> Iterator[Row]:
 
         def seconds(kind: str, ours: float, theirs: float, allowed_s: float, at_s: float) -> Row:
             shown = (f"{each:.2f} s" for each in (ours, theirs))
-            return Row(kind, name, *shown, abs(ours - theirs) / allowed_s, at_s)  # noqa: B023
+            return row(kind, name, shown, abs(ours - theirs) / allowed_s, at_s)  # noqa: B023
 
         yield seconds("first", real[0], simulated[0], max(FIRST_S, usual_s), real[0])
         (ours_s, at_s), (theirs_s, _) = map(_longest_gap, (real, simulated))
@@ -425,7 +433,7 @@ def _filling_row(name: str, real: Sequence[Any], simulated: Sequence[Any]) -> Ro
             wrong.append((field, "varies", theirs[0]))
     wrong = [each for each in wrong if not _UNREAD.fullmatch(each[0])]
     shown = (", ".join(f"{each[0]} {each[k]}" for each in wrong) for k in (1, 2))
-    return Row("filling", name, *shown, math.inf if wrong else 0.0)
+    return row("filling", name, shown, math.inf if wrong else 0.0)
 
 
 def _values(messages: Sequence[Any], field: str) -> list[Any]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from conformance.flights import TimedFrame, decoded
-from conformance.rows import NOTHING, Comparison, Row, changes, message_name
+from conformance.rows import NOTHING, Comparison, Row, changes, message_name, row
 from vehicle_sim.geodesy import metres_per_degree
 
 BIN_S = 10
@@ -290,7 +290,7 @@ def battery_rows(comparison: Comparison) -> Iterator[Row]:
                 pairs = zip(real, simulated, (_VOLTS, _PER_CENT, _AMPERES), strict=True)
                 apart = max(abs(a - b) / allowed for a, b, allowed in pairs)
             shown = (f"{e[0]:.2f} V, {e[1]} %, {e[2]:.1f} A" if e else NOTHING for e in told)
-            yield Row("battery", name, *shown, apart, at_s)
+            yield row("battery", name, shown, apart, at_s)
 
 
 def _charge(message: Any) -> tuple[float, float, float]:
