@@ -11,7 +11,6 @@ import functools
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Final, Protocol, Self, TypeVar
 
 from pymavlink.dialects.v20 import all as mavlink
@@ -123,15 +122,6 @@ class Heard:
         return self._message
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Key:
-    """With what a client signs."""
-
-    secret: bytes
-    link: int
-    timestamp: int
-
-
 def local(
     position: Vector | None = None, velocity: Vector | None = None, *, mask: int | None = None
 ) -> Any:
@@ -201,19 +191,12 @@ class Link:
 
     # --- in -----------------------------------------------------------------------------------
 
-    def send(
-        self, *messages: Any, source: Ids | None = None, link: int = 0, key: Key | None = None
-    ) -> None:
+    def send(self, *messages: Any, source: Ids | None = None, link: int = 0) -> None:
         """One datagram with these messages."""
         who, data = source or self.source, b""
         for message in messages:
             mav = mavlink.MAVLink(None, srcSystem=who[0], srcComponent=who[1])
             mav.seq = self._sequence.get(who, 0)
-            if key is not None:
-                mav.signing.secret_key = key.secret
-                mav.signing.link_id = key.link
-                mav.signing.timestamp = key.timestamp
-                mav.signing.sign_outgoing = True
             data += bytes(message.pack(mav))
             self._sequence[who] = (mav.seq + 1) % 256
         self.put(data, link=link)

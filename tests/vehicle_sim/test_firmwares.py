@@ -6,7 +6,7 @@ ardupilot.md (head, 1), px4.md (1 to 3, 10).
 from typing import Any
 
 import pytest
-from harness import GCS, KINDS, PLACE, Key, Link, flying, heartbeat, ready
+from harness import GCS, KINDS, PLACE, Link, flying, heartbeat, ready
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot import core
@@ -73,12 +73,14 @@ def test_ardupilot_tells_texts_where_anybody_was_heard_and_px4_to_ground_station
 
 
 def test_px4_takes_what_is_signed_and_what_is_not_and_never_signs() -> None:
-    vehicle = ready("px4", "copter")
-    key = Key(secret=bytes([7]) * 32, link=3, timestamp=400_000_000_000)
-    vehicle.send(mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, *[0] * 6), key=key)
+    vehicle, mav, stamp = ready("px4", "copter"), mavlink.MAVLink(None, *GCS), 400_000_000_000
+    mav.signing.secret_key, mav.signing.link_id = bytes([7]) * 32, 3
+    mav.signing.timestamp, mav.signing.sign_outgoing = stamp, True
+    arm = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, *[0] * 6)
+    vehicle.put(bytes(arm.pack(mav)))
     vehicle.run(0.1)
     assert vehicle.simulation.armed
-    vehicle.send(mavlink.MAVLink_setup_signing_message(1, 1, key.secret, key.timestamp + 1))
+    vehicle.send(mavlink.MAVLink_setup_signing_message(1, 1, mav.signing.secret_key, stamp + 1))
     vehicle.run(0.1)
     assert vehicle.command(400, 0) == 0
     assert not vehicle.simulation.armed
