@@ -11,7 +11,7 @@ import functools
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, Protocol, Self, TypeVar
+from typing import Any, Final, Self, TypeVar
 
 from pymavlink.dialects.v20 import all as mavlink
 
@@ -47,18 +47,12 @@ _reader = mavlink.MAVLink(None)
 _NAMES = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
 
 
-class Copies(Protocol):
-    """What can be had again as it is now."""
-
-    def copy(self) -> Self: ...
-
-
-Made = TypeVar("Made", bound=Copies)
+Made = TypeVar("Made")
 
 
 def copied(make: Callable[..., Made]) -> Callable[..., Made]:
     """What is made of the same arguments is made once, and each caller has a copy."""
-    kept = functools.cache(make)
+    kept: Any = functools.cache(make)
     return functools.wraps(make)(lambda *given, **named: kept(*given, **named).copy())
 
 

@@ -10,17 +10,7 @@ from typing import Any
 
 import harness
 import pytest
-from harness import (
-    AUTO,
-    BRAKE,
-    COPTER_HOME,
-    GUIDED,
-    NAN,
-    RTL,
-    Vector,
-    copied,
-    limits,
-)
+from harness import AUTO, BRAKE, COPTER_HOME, GUIDED, NAN, RTL, Vector, copied, limits
 from pyproj import Geod
 from rigs import ArduCopter, hovering
 

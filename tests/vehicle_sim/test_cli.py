@@ -126,8 +126,7 @@ def test_what_is_asked_for_and_cannot_be_printed_is_an_error_of_one_line(start: 
 
 
 @pytest.mark.parametrize(
-    ("number", "clock"),
-    [(signal.SIGTERM, ["--lockstep"]), (signal.SIGINT, [])],
+    ("number", "clock"), [(signal.SIGTERM, ["--lockstep"]), (signal.SIGINT, [])]
 )
 def test_a_signal_ends_it_cleanly_even_where_sigint_was_ignored(
     start: Start,

@@ -308,7 +308,7 @@ def test_clients_on_shared_links_hear_each_other_once_through_the_vehicles(
     start: Start, companion: Client
 ) -> None:
     process = start(
-        *("--count", 2, "--connect", companion.endpoint, "--connect", "tcpin:127.0.0.1:0"),
+        *("--count", 2, "--connect", companion.endpoint, "--connect", "tcpin:127.0.0.1:0")
     )
     with tcp_client(process.port_of("tcpin"), (255, 190)) as ground:
         companion.begin()
