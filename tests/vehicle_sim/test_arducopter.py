@@ -332,6 +332,15 @@ def test_a_mission_is_flown_from_take_off_to_landing() -> None:
     assert math.hypot(*it.ne_m) < 1.0
 
 
+def test_a_landing_item_comes_down_where_it_says_and_the_current_item_can_be_set() -> None:
+    it = on_mission(item(22, z_m=10.0), item(16, 300.0, 0.0, 10.0), item(21, 30.0, 20.0))
+    it.until(lambda: it.autopilot.route.current == 2, within_s=60.0)
+    assert [it.command(224, 9), it.command(224, 3)] == [FAILED, ACCEPTED]
+    comes_to(it, LANDING)
+    it.until(lambda: not it.armed, within_s=60.0)
+    assert it.ne_m == approx((30.0, 20.0), abs=1.0)
+
+
 def test_an_endless_jump_between_nothings_ends() -> None:
     forever = PlanItem(frame=0, command=177, parameters=(1.0, -1.0, 0.0, 0.0))
     assert len(list(Jumps(1).walk((item(16), forever), 1, 50))) == 50

@@ -7,6 +7,7 @@ called seen although it is hidden lies so little behind a ridge that the ridge h
 import math
 from collections.abc import Callable, Sequence
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from vehicle_sim.sensors.terrain_radar import UNSEEN_M, ScanRequest, TerrainRada
 from vehicle_sim.terrain import PeakRow, PeakTerrain, Terrain
 from vehicle_sim.wire.components import RadarComponent
 from vehicle_sim.wire.frames import Packer, StreamParser
+from vehicle_sim.world import read_world
 
 FloatArray = NDArray[np.float64]
 Height = Callable[[FloatArray, FloatArray], FloatArray]
@@ -162,6 +164,7 @@ def test_nonsense_is_answered_with_nothing_and_cells_of_a_country_are_survived(
 
 # --- what is hidden: rays marched over the true ground in small steps -----------------------------
 
+VALLEY = Path(__file__).parents[2] / "companion" / "environments" / "valley" / "world.toml"
 EARTH_M, STEPS = 6_371_009.0, 400
 """Steps of a ray."""
 
@@ -235,6 +238,19 @@ def test_random_worlds(seed: int, combine: Any, spacing_m: int, above_ground_m: 
     terrain = PeakTerrain(rows, combine=combine, ground_amsl_m=100.0)
     eye = (0.0, 0.0, float(height(np.zeros(1), np.zeros(1))[0]) + above_ground_m)
     check(terrain, height, FRAME, eye, range_m=4000.0, spacing_m=spacing_m, steepest=1.5)
+
+
+@pytest.mark.sample(2)
+@pytest.mark.parametrize(
+    ("north_m", "east_m", "above_ground_m"),
+    [(71.0, 2252.0, 20.0), (1966.0, -454.0, 20.0), (1521.0, 190.0, 150.0)],
+)
+def test_the_valley(north_m: float, east_m: float, above_ground_m: float) -> None:
+    world = read_world(VALLEY)
+    terrain = world.truth()
+    eye = (north_m, east_m, terrain.height_at_amsl_m(north_m, east_m) + above_ground_m)
+    height, frame = terrain.height_amsl_m, world.frame
+    check(terrain, height, frame, eye, range_m=1500.0, spacing_m=48, steepest=0.7)
 
 
 # --- its component --------------------------------------------------------------------------------
