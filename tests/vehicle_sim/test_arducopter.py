@@ -108,6 +108,21 @@ def test_guided_is_had_without_a_position_but_armed_in_only_with_one() -> None:
     assert it.until(lambda: not it.armed, within_s=20) == approx(10, abs=0.1)  # it stays idle
 
 
+def test_disarming_in_flight_needs_force_and_is_the_end() -> None:
+    it = in_air()
+    assert [it.command(400, 0), it.command(400, 0, 21196)] == [FAILED, ACCEPTED]
+    fell_s = it.until(lambda: it.height_m == 0.0, within_s=10)
+    assert fell_s == approx(math.sqrt(2 * 30 / 9.80665), abs=0.1)
+
+
+def test_a_setpoint_that_is_not_survived_is_told_once_and_it_stays() -> None:
+    it = in_air()
+    before = len(it.texts)
+    assert len(stream(it, 1.0, (NAN, 0.0, -30.0)).texts) == before + 1
+    assert it.texts[-1].startswith("SIM:")
+    assert it.run(5.0).ned_m == approx((0.0, 0.0, -30.0), abs=1.0)
+
+
 def test_reposition_is_taken_as_command_int_only() -> None:
     it, there = in_air(), (-1, 1, 0, 0, 47.0005, 8.0, 50.0)
     assert [it.command(192, *there), it.set_mode(BRAKE)] == [UNSUPPORTED, ACCEPTED]
@@ -179,6 +194,20 @@ def test_rtl_climbs_to_15_m_comes_home_waits_and_lands() -> None:
     assert abs(it.ned_m[0]) < 0.5
 
 
+@pytest.mark.parametrize(("behaviour", "looks_home"), [(1.0, True), (2.0, False), (0.0, False)])
+def test_on_its_way_home_the_nose_looks_where_the_parameter_says(
+    behaviour: float, looks_home: bool
+) -> None:
+    it = in_air()
+    it.autopilot.parameters["WP_YAW_BEHAVIOR"] = behaviour
+    it.aim((0.0, 60.0, -30.0))
+    before_rad = it.run(15.0).vehicle.heading_rad
+    assert before_rad == approx(math.pi / 2 if behaviour else 0.0, abs=0.05)
+    it.set_mode(RTL)
+    turned_rad = math.remainder(it.run(10.0).vehicle.heading_rad - before_rad, math.tau)
+    assert abs(turned_rad) == approx(math.pi if looks_home else 0.0, abs=0.1)
+
+
 def test_brake_stops_and_ignores_setpoints() -> None:
     it = hovering(height_m=60.0)
     it.vehicle.velocity_north_m_s = 15.0
@@ -248,6 +277,15 @@ def test_a_place_in_a_global_frame_and_what_the_echo_says_of_it(frame: int) -> N
     assert it.autopilot.target_echo().velocity_ned_m_s == (1.0, 0.5, 0.0)
 
 
+def test_local_places_are_about_the_origin_also_when_home_is_moved() -> None:
+    it, home = in_air(), (47.001, 8.0, GROUND_M + 20.0)
+    assert it.command(179, 0, 0, 0, 0, *home, frame=0) == ACCEPTED
+    it.aim((5.0, 0.0, -30.0))
+    assert echo_m(it)[2] == approx(-30.0, abs=0.1)
+    it.aim((47.0, 8.0, 30.0), frame=6, is_global=True)
+    assert echo_m(it)[2] == approx(-50.0, abs=0.1)
+
+
 @pytest.mark.parametrize("frame", [10, 11])
 def test_above_terrain_it_goes_down_without_data(frame: int) -> None:
     it = in_air()
@@ -288,6 +326,21 @@ def test_an_acceleration_alone_is_flown_until_the_time_out() -> None:
     assert it.vehicle.velocity_north_m_s == approx(2.6, abs=0.4)
     assert it.autopilot.target_echo().type_mask == 0xC3F
     assert it.run(12.0).vehicle.velocity_north_m_s == approx(0.0, abs=0.1)
+
+
+def test_up_down_and_along_have_speeds_of_their_own_and_the_slower_sets_the_pace() -> None:
+    it = in_air(45.0)
+    it.aim((40.0, 0.0, -50.0))
+    it.until(lambda: it.height_m > 40.0)  # half of the way up at 2.5 m/s
+    assert it.ned_m[0] == approx(20.0, abs=4.0)
+    it.aim((140.0, 0.0, -56.0))
+    it.until(lambda: it.ned_m[0] > 90.0)  # at 10 m/s 70 m of 120, and of 16 m up
+    assert it.height_m == approx(40.0 + 16.0 * 70.0 / 120.0, abs=1.5)
+    for kind, speed_m_s, down_m in ((2, 1.0, -70.0), (3, 0.5, -10.0)):
+        it.aim((40.0, 0.0, down_m), (0.1, 0.0, 0.0))
+        it.aim((40.0, 0.0, down_m))
+        assert it.command(178, kind, speed_m_s) == ACCEPTED
+        assert abs(it.run(6.0).vehicle.velocity_up_m_s) == approx(speed_m_s, abs=0.05)
 
 
 def test_a_yaw_that_was_told_is_reset_by_a_setpoint_that_ignores_it() -> None:

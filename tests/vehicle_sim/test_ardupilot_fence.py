@@ -106,6 +106,15 @@ def test_below_the_floor_is_a_breach(action: int, mode: str) -> None:
     assert (len(it.when(BELOW)), it.mode) == (1, mode)
 
 
+def test_the_floor_comes_with_the_height_and_goes_with_the_landing() -> None:
+    it = fenced(**FLOOR)
+    it.set_mode(LAND)
+    it.until(lambda: it.landed, 60.0)
+    assert it.when(BELOW) == []
+    it.airborne(12.0)  # not yet 2 m above it
+    assert not it.status.fence_breached
+
+
 @pytest.mark.parametrize(
     ("value", "in_flight", "landing"), [(1.0, True, False), (2.0, True, True), (3.0, True, True)]
 )
@@ -121,6 +130,13 @@ def test_autoenable_is_a_fence_with_the_take_off_or_while_armed(
     it.until(lambda: not it.armed, 60.0)
     assert it.when(BELOW) == []
     assert it.autopilot.fence.enabled is (value == 2.0)
+
+
+def test_a_take_off_that_ends_below_the_floor_is_a_breach_then() -> None:
+    below = {"FENCE_TYPE": 8.0, "FENCE_ALT_MIN": 50.0}
+    it = fenced(FENCE_ENABLE=0.0, FENCE_AUTOENABLE=2.0, **below)
+    it.until(lambda: it.mode == "RTL", 10.0)
+    assert len(it.when(BELOW)) == 1
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from vehicle_sim.faults import GpsConditions
 from vehicle_sim.plans import PlanItem, PlanKind
 
 item = partial(harness.item, PLANE_HOME)
-MANUAL, FBWA = 0, 5
+MANUAL, FBWA, CRUISE = 0, 5, 7
 REPOSITION, CHANGE_SPEED, CHANGE_HEADING = 192, 43000, 43002
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = (
     *(Result.ACCEPTED, Result.DENIED),
@@ -63,6 +63,19 @@ def test_reposition_is_a_command_int_with_a_place() -> None:
     for changes_mode, result, mode in ((0.0, FAILED, "LOITER"), (1.0, ACCEPTED, "GUIDED")):
         given = (-1.0, changes_mode, 0.0, 0.0, *place)
         assert (rig.command(REPOSITION, *given, frame=3), rig.mode) == (result, mode)
+
+
+def test_it_circles_where_guided_was_entered_and_tells_the_point() -> None:
+    rig = circling()
+    rig.set_mode(PLANE_LOITER)
+    centre, height_m, before = rig.run(5.0).ne_m, rig.height_m, len(rig.reached())
+    rig.set_mode(PLANE_GUIDED)
+    assert math.dist(rig.run(80.0).ne_m, centre) == pytest.approx(97.0, abs=3.0)
+    assert rig.height_m == pytest.approx(height_m, abs=1.0)
+    waypoint = rig.status.waypoint
+    assert rig.frame.to_local(*waypoint.place[:2]) == pytest.approx(centre, abs=0.5)
+    assert waypoint.distance_m == pytest.approx(math.dist(rig.ne_m, centre), abs=3.0)
+    assert len(rig.reached()) == before + 1
 
 
 @pytest.mark.parametrize(
@@ -156,6 +169,16 @@ def test_it_returns_climbing_and_circles_home() -> None:
     assert rig.height_m == pytest.approx(100.0, abs=1.0)
 
 
+def test_without_a_pilot_it_holds_height_or_glides() -> None:
+    rig = circling()
+    rig.set_mode(CRUISE)
+    assert rig.run(20.0).height_m == pytest.approx(80.0, abs=5.0)
+    rig.set_mode(FBWA)
+    assert rig.run(10.0).height_m < 75.0
+    rig.until(lambda: rig.landed)
+    assert rig.run(20.0).speed_m_s == 0.0
+
+
 MISSION: tuple[PlanItem, ...] = (
     item(16),
     item(22, 0.0, 0.0, 50.0, 15.0),
@@ -200,6 +223,15 @@ def test_auto_flies_the_mission_from_take_off_to_landing() -> None:
     assert 0.0 < north < 800.0  # from 40 m above home it sinks wings level
     assert abs(east) < 5.0
     assert rig.texts[-1] == "Throttle disarmed"
+
+
+def test_the_current_item_may_be_set_and_after_the_last_it_returns() -> None:
+    rig = on_mission(7).run(25.0)
+    assert [rig.command(224, 20.0), rig.command(224, 6.0)] == [FAILED, ACCEPTED]
+    assert rig.status.mission_current == 6
+    rig.until(lambda: math.dist(rig.ne_m, (-800.0, 0.0)) < 60.0)
+    rig.until(lambda: rig.mode == "RTL", 5.0)
+    assert rig.status.mission_state == 5
 
 
 # --- failsafes, wind ------------------------------------------------------------------------------

@@ -251,3 +251,13 @@ def test_a_list_is_taken_whole_or_refused_and_the_old_one_stays(
     assert vehicle.upload(items, kind) == result
     assert ({each: kept[each] for each in PlanKind} == before) is (result != ACCEPTED)
     assert vehicle.upload([], FENCE) == ACCEPTED  # nothing is under way
+
+
+@BOTH
+def test_the_current_item_is_set_and_told_without_an_acknowledgement(firmware: Firmware) -> None:
+    vehicle = fresh(firmware)
+    vehicle.upload(lists()[MISSION], MISSION)
+    vehicle.send(mavlink.MAVLink_mission_set_current_message(*VEHICLE, 2))
+    answers = vehicle.run(0.02)
+    assert not [each for each in answers if each.kind == "COMMAND_ACK"]
+    assert {each.message.seq for each in answers if each.kind == "MISSION_CURRENT"} == {2}

@@ -5,7 +5,7 @@ import math
 
 import harness
 import pytest
-from harness import NAN, OFFBOARD, PLACE, POSITION_VELOCITY, VELOCITY
+from harness import HOLD, NAN, OFFBOARD, PLACE, POSITION_VELOCITY, VELOCITY
 from rigs import Px4Plane, cruising
 from tracked import fixed_wing_route
 
@@ -94,6 +94,15 @@ def test_loiter_radius_is_held(radius_m: float) -> None:
     assert turns * radius_m > 0.0
 
 
+def test_without_pilot_position_mode_flies_straight_on() -> None:
+    rig = offboard(5000.0, 5000.0, heading_rad=0.5, COM_OBL_RC_ACT=0.0)
+    rig.until(lambda: rig.mode == "Position", 5.0)
+    heading_rad, height_m = rig.vehicle.heading_rad, rig.height_m
+    rig.run(20.0)
+    assert rig.vehicle.heading_rad == pytest.approx(heading_rad, abs=0.05)
+    assert rig.height_m == pytest.approx(height_m, abs=3.5)
+
+
 def test_lost_gps_flies_a_bank_then_descends() -> None:
     rig = offboard(5000.0, NAV_GPSF_LT=10.0)
     rig.gps_conditions = GpsConditions(enabled=False)
@@ -111,6 +120,16 @@ def test_take_off_is_off_the_ground_after_two_seconds_and_50_m_high_after_22() -
     assert off_circle_m(rig.run(60.0), 300.0, 0.0) < 0.6
 
 
+def test_take_off_without_a_place_never_ends_and_arming_alone_starts_nothing() -> None:
+    rig = Px4Plane().run(6.0)
+    assert rig.command(400, 1.0) == 0
+    rig.run(20.0)
+    assert (rig.armed, rig.landed, rig.speed_m_s) == (True, True, 0.0)
+    assert rig.command(22, 0.0, 0.0, NAN, NAN, NAN, NAN, NAN) == 0
+    assert rig.run(100.0).mode == "Takeoff"
+    assert rig.height_m == pytest.approx(30.0 + 10.0 - 2.2, abs=1.5)
+
+
 def test_landing_circles_down_where_it_was_commanded_and_disarms() -> None:
     rig = offboard(5000.0, height_m=67.2)
     rig.vehicle.altitude_amsl_m = PLACE[2] + 67.2
@@ -125,6 +144,17 @@ def test_landing_circles_down_where_it_was_commanded_and_disarms() -> None:
     assert rig.now_s - begin_s == pytest.approx(77.6 + 3.8, abs=2.5)
     assert rig.until(lambda: not rig.armed) == pytest.approx(2.0, abs=0.1)
     assert (rig.height_m, rig.mode) == (0.0, "Offboard")  # the one last commanded for flight
+
+
+@pytest.mark.parametrize("goes_on", [HOLD, OFFBOARD], ids=["Hold", "Offboard"])
+def test_a_landing_that_is_broken_off_ends(goes_on: tuple[int, int]) -> None:
+    rig = cruising()
+    assert rig.command(21) == 0
+    assert rig.run(20.0).height_m < 60.0
+    to_point(rig, 300.0, 0.0, 1.0)
+    assert [rig.set_mode(*mode) for mode in (OFFBOARD, goes_on)] == [0, 0]
+    height_m = rig.run(1.0).height_m if goes_on == HOLD else 70.0
+    assert to_point(rig, 300.0, 0.0, 20.0).height_m == pytest.approx(height_m, abs=4.0)
 
 
 def test_return_circles_over_home_at_its_height() -> None:

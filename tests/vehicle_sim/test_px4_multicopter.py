@@ -29,6 +29,7 @@ from rigs import Px4Copter
 from tracked import lean_deg
 
 from vehicle_sim.autopilot.values import Ack, Landed, Reboot, Result, Sender
+from vehicle_sim.faults import GpsConditions
 from vehicle_sim.plans import PlanKind
 
 ACCEPTED, REJECTED, DENIED = Result.ACCEPTED, Result.TEMPORARILY_REJECTED, Result.DENIED
@@ -304,6 +305,22 @@ def test_a_slow_stream_flips_between_the_modes(rate_hz: float, modes: list[str])
         rig.step()
         seen += [rig.mode] if seen[-1:] != [rig.mode] else []
     assert seen[:8] == modes
+
+
+def test_a_stream_that_is_lost_on_the_ground_leaves_it_armed_in_hold() -> None:
+    rig = on_ground().stream(0.5, ZERO)
+    rig.set_mode(*OFFBOARD)
+    rig.command(400, 1.0)
+    rig.stream(1.0, ZERO)
+    assert rig.until(lambda: rig.mode == "Hold", 3.0) == about(1.1, 0.2)
+    assert rig.run(5.0).armed
+
+
+def test_hold_without_a_position_is_a_descent() -> None:
+    rig = hover()
+    rig.set_mode(*HOLD)
+    rig.gps_conditions = GpsConditions(enabled=False)
+    assert rig.until(lambda: rig.mode == "Descend", 10.0) == about(5.2, 0.4)
 
 
 def test_the_battery_brings_it_home() -> None:
