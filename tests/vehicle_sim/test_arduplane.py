@@ -92,6 +92,19 @@ def test_a_circle_is_wider_than_asked_by_what_was_measured(
     assert ((places[100] / places[0]).imag < 0.0) is bool(ccw)
 
 
+def test_a_stream_of_points_that_ends_leaves_it_on_the_last_one_without_a_word() -> None:
+    rig = circling()
+    said, texts = len(rig.reached()), len(rig.texts)
+    for _ in range(20):
+        north_m, east_m = rig.ne_m
+        rig.reposition(north_m + 20.0, east_m, 80.0, 60.0)
+        assert rig.run(0.98).mode == "GUIDED"
+    last = rig.frame.to_local(*rig.status.waypoint.place[:2])
+    assert len(rig.reached()) - said == pytest.approx(20, abs=4)  # a near point is reached at once
+    assert math.dist(rig.run(60.0).ne_m, last) == pytest.approx(78.0, abs=5.0)
+    assert len(rig.texts) == texts
+
+
 # --- GUIDED: speed, height, course ----------------------------------------------------------------
 
 

@@ -123,6 +123,14 @@ def test_offboard_takes_a_setpoint_and_what_came_before_it_is_a_sign_of_life_onl
     assert rig.speed_m_s < 0.6
 
 
+def test_home_can_be_moved_but_not_to_nowhere() -> None:
+    rig, move = on_ground(), (179, 0.0, 0.0, 0.0, 0.0, 47.4, 8.55)
+    results = [rig.command(*move, up_m, frame=0) for up_m in (500.0, NAN, 3.4e38)]
+    assert results == [ACCEPTED, DENIED, DENIED]
+    home = rig.autopilot.home
+    assert (home.latitude_deg, home.altitude_amsl_m) == (47.4, 500.0)
+
+
 def test_a_commanded_take_off_ends_in_hold_at_its_height() -> None:
     rig = on_ground()
     assert rig.command(22, *(NAN,) * 7) == ACCEPTED
@@ -321,6 +329,13 @@ def test_hold_without_a_position_is_a_descent() -> None:
     rig.set_mode(*HOLD)
     rig.gps_conditions = GpsConditions(enabled=False)
     assert rig.until(lambda: rig.mode == "Descend", 10.0) == about(5.2, 0.4)
+
+
+@pytest.mark.parametrize(("mode", "name"), [(HOLD, "Hold"), (PX4_LAND, "Land")])
+def test_a_commanded_mode_is_not_undone_by_the_stream(mode: tuple[int, int], name: str) -> None:
+    rig = cruise()
+    rig.set_mode(*mode)
+    assert rig.stream(6.0, None, (5.0, 0.0, 0.0)).mode == name
 
 
 def test_the_battery_brings_it_home() -> None:
