@@ -47,27 +47,27 @@ NAN = float("nan")
 @pytest.mark.parametrize(
     ("path", "value", "without", "words"),
     [
-        ("vehicle.speed_mx_m_s", 1.0, "speed_max_m_s", ["vehicle.speed_mx_m_s", "speed_max_m_s"]),
-        ("vehicle.parameters.GUID_TIMEOUT", "3", "", ["GUID_TIMEOUT = '3'", "a number"]),
-        ("vehicle.bank_max_deg", 30.0, "", ["bank_max_deg = 30.0", "no such limit"]),
-        ("colour", 1, "", ["colour = 1", "no such key. Leave it out."]),
-        ("terrain.ground_m", 0.0, "ground_amsl_m", ["datum", "Write ground_amsl_m"]),
-        ("terrain.peaks.0.height_agl_m", 9.0, "height_amsl_m", ["datum", "height_amsl_m"]),
-        ("radars.0.altitude_m", 0.0, "altitude_amsl_m", ["radars.0", "datum"]),
-        ("vehicle.speed_max_m_s", -1.0, "", ["speed_max_m_s = -1.0", "greater than 0"]),
-        ("vehicle.speed_max_m_s", "fast", "", ["speed_max_m_s = 'fast'", "a number"]),
-        ("vehicle.system_id", 256, "", ["system_id = 256", "255"]),
-        ("vehicle.kind", "balloon", "", ["kind = 'balloon'", "'copter'"]),
-        ("origin.latitude_deg", NAN, "", ["latitude_deg", "finite"]),
-        ("terrain.combine", "mean", "", ["combine = 'mean'", "'maximum' or 'sum'"]),
-        ("schema", 2, "", ["schema = 2", "1"]),
+        ("vehicle.speed_mx_m_s", 1.0, "speed_max_m_s", "vehicle.speed_mx_m_s ... speed_max_m_s"),
+        ("vehicle.parameters.GUID_TIMEOUT", "3", "", "GUID_TIMEOUT = '3' ... a number"),
+        ("vehicle.bank_max_deg", 30.0, "", "bank_max_deg = 30.0 ... no such limit"),
+        ("colour", 1, "", "colour = 1 ... no such key. Leave it out."),
+        ("terrain.ground_m", 0.0, "ground_amsl_m", "datum ... Write ground_amsl_m"),
+        ("terrain.peaks.0.height_agl_m", 9.0, "height_amsl_m", "datum ... height_amsl_m"),
+        ("radars.0.altitude_m", 0.0, "altitude_amsl_m", "radars.0 ... datum"),
+        ("vehicle.speed_max_m_s", -1.0, "", "speed_max_m_s = -1.0 ... greater than 0"),
+        ("vehicle.speed_max_m_s", "fast", "", "speed_max_m_s = 'fast' ... a number"),
+        ("vehicle.system_id", 256, "", "system_id = 256 ... 255"),
+        ("vehicle.kind", "balloon", "", "kind = 'balloon' ... 'copter'"),
+        ("origin.latitude_deg", NAN, "", "latitude_deg ... finite"),
+        ("terrain.combine", "mean", "", "combine = 'mean' ... 'maximum' or 'sum'"),
+        ("schema", 2, "", "schema = 2 ... 1"),
     ],
 )
 def test_what_is_wrong_is_named_with_its_remedy(
-    world_table: Table, path: str, value: Any, without: str, words: list[str]
+    world_table: Table, path: str, value: Any, without: str, words: str
 ) -> None:
     message = refused(changed(world_table, path, value, without))
-    assert all(word in message for word in words), message
+    assert all(word in message for word in words.split(" ... ")), message
 
 
 WOOD: Table = {
@@ -95,50 +95,50 @@ def lidar(which: str = "lidar", **fields: Any) -> Table:
 @pytest.mark.parametrize(
     ("near", "words"),
     [
-        ({"trees": [{"north_m": 1.0}]}, ["trees.0.east_m", "missing"]),
-        ({"trees": [TREE | {"radius_m": 0.0}]}, ["trees.0.radius_m = 0.0", "greater than 0"]),
-        ({"walls": [{"points_ne_m": [[0.0, 1.0]]}]}, ["walls.0.points_ne_m", "at least 2"]),
-        ({"wires": [{"ends_ne_m": [[0.0, 1.0]], "height_m": 3.0}]}, ["wires.0.ends_ne_m"]),
-        (wood(spacing_m=[8.0, 4.0]), ["woods.0.spacing_m", "least first"]),
-        (wood(north_max_m=-5.0), ["woods.0", "least must lie below"]),
-        (wood(east_min_m=95.0), ["woods.0", "least must lie below"]),
-        (wood(spacing_m=[0.01, 1.0]), ["woods.0.spacing_m", "200000 trees"]),
-        (wood(radus_m=1.0), ["woods.0.radus_m", "radius_m"]),
+        ({"trees": [{"north_m": 1.0}]}, "trees.0.east_m ... missing"),
+        ({"trees": [TREE | {"radius_m": 0.0}]}, "trees.0.radius_m = 0.0 ... greater than 0"),
+        ({"walls": [{"points_ne_m": [[0.0, 1.0]]}]}, "walls.0.points_ne_m ... at least 2"),
+        ({"wires": [{"ends_ne_m": [[0.0, 1.0]], "height_m": 3.0}]}, "wires.0.ends_ne_m"),
+        (wood(spacing_m=[8.0, 4.0]), "woods.0.spacing_m ... least first"),
+        (wood(north_max_m=-5.0), "woods.0 ... least must lie below"),
+        (wood(east_min_m=95.0), "woods.0 ... least must lie below"),
+        (wood(spacing_m=[0.01, 1.0]), "woods.0.spacing_m ... 200000 trees"),
+        (wood(radus_m=1.0), "woods.0.radus_m ... radius_m"),
         (
             wood(clearings=[{"north_m": 1.0, "east_m": 1.0}]),
-            ["woods.0.clearings.0.radius_m", "missing"],
+            "woods.0.clearings.0.radius_m ... missing",
         ),
         (
             {"terrain": {"file": "terrain.tif", "vertical_datum": "WGS84"}},
-            ["terrain.vertical_datum", "'NAVD88'"],
+            "terrain.vertical_datum ... 'NAVD88'",
         ),
         (
             {"terrain": {"file": "a.tif", "ground_amsl_m": 1.0}},
-            ["terrain.file = 'a.tif'", "Leave out one"],
+            "terrain.file = 'a.tif' ... Leave out one",
         ),
-        ({"terrain": {"ground_amsl_m": 1.0}}, ["terrain.combine", "missing"]),
-        ({"terrain": {"file": "a.tif"}}, ["area", "missing"]),
-        ({"area": NO_AREA}, ["area = (1", "Swap"]),
+        ({"terrain": {"ground_amsl_m": 1.0}}, "terrain.combine ... missing"),
+        ({"terrain": {"file": "a.tif"}}, "area ... missing"),
+        ({"area": NO_AREA}, "area = (1 ... Swap"),
         (
             lidar("second_lidar", output="autopilot"),
-            ["second_lidar.output = 'autopilot'", "beside a [lidar]"],
+            "second_lidar.output = 'autopilot' ... beside a [lidar]",
         ),
         (
             lidar() | lidar("second_lidar", output="driver"),
-            ["second_lidar.output = 'driver'", "Write second_lidar.output"],
+            "second_lidar.output = 'driver' ... Write second_lidar.output",
         ),
-        (lidar(range_m=NAN), ["lidar.range_m", "finite"]),
-        (lidar(min_m=9.0), ["lidar.min_m = 9.0", "range_m"]),
-        (lidar(kind="flash"), ["lidar.kind = 'flash'", "'spinning'"]),
-        (lidar(turns_s=9.0), ["lidar.turns_s", "turns_1_s"]),
-        (lidar(component_id=100), ["lidar.component_id", "radar"]),
+        (lidar(range_m=NAN), "lidar.range_m ... finite"),
+        (lidar(min_m=9.0), "lidar.min_m = 9.0 ... range_m"),
+        (lidar(kind="flash"), "lidar.kind = 'flash' ... 'spinning'"),
+        (lidar(turns_s=9.0), "lidar.turns_s ... turns_1_s"),
+        (lidar(component_id=100), "lidar.component_id ... radar"),
     ],
 )
 def test_near_things_that_cannot_be_are_refused_in_one_line(
-    world_table: Table, near: Table, words: list[str]
+    world_table: Table, near: Table, words: str
 ) -> None:
     message = refused(world_table | near)
-    assert all(word in message for word in words), message
+    assert all(word in message for word in words.split(" ... ")), message
 
 
 @pytest.mark.parametrize(
