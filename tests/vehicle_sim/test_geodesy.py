@@ -47,6 +47,20 @@ def test_a_degree_is_as_long_as_the_geodesic_along_it(latitude_deg: float) -> No
     assert metres_per_degree(latitude_deg) == pytest.approx(expected, rel=1e-6)
 
 
+@given(
+    latitude_deg=st.floats(-80.0, 80.0),
+    longitude_deg=st.floats(-179.0, 179.0),
+    north_m=st.floats(-50_000.0, 50_000.0),
+    east_m=st.floats(-50_000.0, 50_000.0),
+)
+def test_there_and_back(
+    latitude_deg: float, longitude_deg: float, north_m: float, east_m: float
+) -> None:
+    projection = Projection(Place(latitude_deg, longitude_deg, 400.0))
+    back = projection.ned_m(projection.place(north_m, east_m, -30.0))
+    assert back == pytest.approx((north_m, east_m, -30.0), abs=1e-4)
+
+
 @pytest.mark.parametrize("origin", [(47.397742, 8.545594), (-33.9, 151.2), (0.0, 0.0)])
 def test_it_is_pyprojs_on_the_sphere(origin: tuple[float, float]) -> None:
     latitude_deg, longitude_deg = origin
