@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import pytest
+from harness import Ids
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.errors import SimulatorError
@@ -26,11 +27,10 @@ ROOT = Path(__file__).parents[2]
 class Client:
     """The other end of a link: a few frames on a real socket, and nothing of our own code."""
 
-    def __init__(self, link: socket.socket, ids: tuple[int, int] = (1, 195)) -> None:
+    def __init__(self, link: socket.socket, ids: Ids = (1, 195)) -> None:
         self.link, self.address = link, cast(Any, None)
         self.link.settimeout(20.0)
-        self.mav = mavlink.MAVLink(None, *ids)
-        self.parser = mavlink.MAVLink(None)
+        self.mav, self.parser = mavlink.MAVLink(None, *ids), mavlink.MAVLink(None)
         self.parser.robust_parsing = True
 
     @property
@@ -46,9 +46,9 @@ class Client:
         self.mav.seq = (self.mav.seq + 1) % 256
         return packed
 
-    def command(self, number: int, *parameters: float) -> bytes:
-        padded = [*parameters, *[0.0] * (7 - len(parameters))]
-        return self.frame(mavlink.MAVLink_command_long_message(1, 1, number, 0, *padded))
+    def command(self, number: int, *p: float, target: Ids = (1, 1)) -> bytes:
+        padded = [*p, *[0.0] * (7 - len(p))]
+        return self.frame(mavlink.MAVLink_command_long_message(*target, number, 0, *padded))
 
     def heartbeat(self, status: int = 4) -> bytes:
         return self.frame(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, status, 3))
@@ -71,6 +71,11 @@ class Client:
 
     def messages(self) -> list[Any]:
         return self.parser.parse_buffer(self.datagram()) or []
+
+    def begin(self, *frames: bytes) -> None:
+        """Be found, and say so with a heartbeat."""
+        self.datagram()
+        self.send(self.heartbeat(), *frames)
 
     def tick(self, *frames: bytes) -> list[Any]:
         """Take one tick of lockstep and answer it, after these frames."""
@@ -97,14 +102,14 @@ def is_question(message: Any) -> bool:
 
 
 @contextmanager
-def udp_client(ids: tuple[int, int] = (1, 195), port: int = 0) -> Iterator[Client]:
+def udp_client(ids: Ids = (1, 195), port: int = 0) -> Iterator[Client]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.bind(("127.0.0.1", port))
         yield Client(link, ids)
 
 
 @contextmanager
-def tcp_client(port: int, ids: tuple[int, int] = (1, 195)) -> Iterator[Client]:
+def tcp_client(port: int, ids: Ids = (1, 195)) -> Iterator[Client]:
     with socket.create_connection(("127.0.0.1", port), timeout=20.0) as link:
         yield Client(link, ids)
 
@@ -140,10 +145,8 @@ class Running:
         self.stop = threading.Event()
         self.ports = [link.endpoint.port for link in links]
         of_each = links if len(links) > 1 else [*links] * len(tables)
-        stations = [
-            Station(simulation=each, links=[link])
-            for each, link in zip(self.simulations, of_each, strict=True)
-        ]
+        pairs = zip(self.simulations, of_each, strict=True)
+        stations = [Station(simulation=each, links=[link]) for each, link in pairs]
         stations[0].truth = self.truth
         self._server = Server(stations, Settings(**settings), self.stop, say=lambda _: None)
         self.thread = threading.Thread(target=self._run, daemon=True)

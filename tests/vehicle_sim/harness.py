@@ -1,8 +1,8 @@
-"""The one harness: a vehicle that is told what to do, by values, by messages or by frames.
+"""The one harness: whole vehicles, of which nothing is seen but their frames, and who flies them.
 
-`Rig` is an autopilot alone over level ground, told by values: what tracking is measured with.
-`Link` is a whole vehicle of which nothing is seen but its frames, `Flown` is flown into things.
-Vehicles that have booted or fly already are made once and handed out as copies.
+`Link` is a vehicle with a client at the other end of its links, `Flown` one that is flown into
+things.  Those that have booted or fly already are made once and handed out as copies.  Autopilots
+alone, told by values, are in rigs.py; sockets and processes in clients.py.
 """
 
 import copy
@@ -11,21 +11,15 @@ import functools
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final, Self
+from typing import Any, Final, Self, TypeVar
 
-import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot.factory import PERSONALITIES
-from vehicle_sim.autopilot.values import Ack, Command, Reply, Sender, Setpoint, Text
 from vehicle_sim.dynamics.copter import Limits
 from vehicle_sim.dynamics.plane import Plane
-from vehicle_sim.faults import GpsConditions
 from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.parameters import Firmware, Parameter
-from vehicle_sim.plans import PlanItem, Plans
-from vehicle_sim.sensors.gps import Fix, Gps
+from vehicle_sim.plans import PlanItem
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import VehicleKind, parse_world
 
@@ -37,164 +31,53 @@ VEHICLE, GCS, COMPANION = (1, 1), (255, 190), (1, 191)
 ZERO: Vector = (0.0, 0.0, 0.0)
 NAN: Final = math.nan
 POSITION, POSITION_VELOCITY, ALL, VELOCITY = 0xDF8, 0xDC0, 0xC00, 0xDC7
-GUIDED, BRAKE = 4, 17
-PLANE_GUIDED, PLANE_TAKEOFF = 15, 13
-MISSION = 0x04040000
-ATTITUDE = 30
+"""Masks of setpoints."""
+AUTO, GUIDED, RTL, LAND, BRAKE = 3, 4, 6, 9, 17
+PLANE_AUTO, PLANE_RTL, PLANE_LOITER, PLANE_TAKEOFF, PLANE_GUIDED = 10, 11, 12, 13, 15
+OFFBOARD, TAKEOFF, HOLD, MISSION, RETURN, PX4_LAND = (6, 0), *((4, sub) for sub in (2, 3, 4, 5, 6))
+"""Modes: ArduCopter's, ArduPlane's, and main and sub mode of PX4's."""
 QUIET = (2, 4, 8, 29, 31, 33, 36, 74, 83, 85, 87, 105, 111, 132, 141, 147, 231, 241, 331, 360, 380)
 """What PX4 streams and is rarely looked at."""
+COPTER_HOME, PLANE_HOME = (47.0, 8.0, 500.0), (-35.3632621, 149.1652370, 584.09)
+PLACE: Final = (47.397742, 8.545594, 488.0)
+"""Where ArduCopter, ArduPlane and PX4 stand: latitude, longitude, metres AMSL."""
 _STEPS_PER_S = 100
 _WHERE = ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "ATTITUDE", "HEARTBEAT")
 _reader = mavlink.MAVLink(None)
 _NAMES = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
 
 
-# --- by values ------------------------------------------------------------------------------------
-
-STEP_US, STEP_S = 10_000, 0.01
-_ASKER = Sender(system=1, component=191)
-GENTLE = Limits(
-    speed_m_s=50.0,
-    acceleration_m_s2=9.0,
-    speed_vertical_m_s=5.0,
-    acceleration_vertical_m_s2=5.0,
-)
-STRONG = Limits(
-    speed_m_s=40.0,
-    acceleration_m_s2=30.0,
-    speed_vertical_m_s=10.0,
-    acceleration_vertical_m_s2=9.0,
-)
-"""What airframes can do: one for sensors and weather, one for autopilots."""
+Made = TypeVar("Made")
 
 
-class Rig:
-    """An autopilot of any kind over level ground; a vehicle's own adds how it gets into the air."""
+def copied(make: Callable[..., Made]) -> Callable[..., Made]:
+    """What is made of the same arguments is made once, and each caller has a copy."""
+    kept: Any = functools.cache(make)
+    return functools.wraps(make)(lambda *given, **named: kept(*given, **named).copy())
 
-    def __init__(
-        self,
-        personality: tuple[str, VehicleKind],
-        vehicle: Any,
-        parameters: Mapping[str, float],
-        gps: Gps | None = None,
-        conditions: GpsConditions | None = None,
-        *,
-        seed: int = 1,
-    ) -> None:
-        self.ground_amsl_m, self.plans = vehicle.altitude_amsl_m, Plans()
-        boot = PERSONALITIES[personality].boot
-        rng = np.random.default_rng(seed)
-        self.autopilot: Any = boot(vehicle, parameters, self.plans, rng)
-        self.gps, self.gps_conditions = gps, conditions or GpsConditions()
-        self.now_us = 0
-        self.fix = Fix()
-        self.said: list[tuple[float, Reply]] = []
-        """With the time in seconds."""
 
-    @property
-    def now_s(self) -> float:
-        """Since boot."""
-        return self.now_us * 1e-6
+def limits(speed: float, acceleration: float, vertical: float, up: float) -> Limits:
+    """What an airframe can do, in m/s and m/s2."""
+    return Limits(
+        speed_m_s=speed,
+        acceleration_m_s2=acceleration,
+        speed_vertical_m_s=vertical,
+        acceleration_vertical_m_s2=up,
+    )
 
-    @property
-    def height_m(self) -> float:
-        """Above the ground, truly."""
-        return self.autopilot.vehicle.altitude_amsl_m - self.ground_amsl_m
 
-    @property
-    def speed_m_s(self) -> float:
-        """Over the ground, truly."""
-        vehicle = self.autopilot.vehicle
-        return math.hypot(vehicle.velocity_north_m_s, vehicle.velocity_east_m_s)
+GENTLE, STRONG = limits(50.0, 9.0, 5.0, 5.0), limits(40.0, 30.0, 10.0, 9.0)
+"""Airframes: one for sensors and weather, one for autopilots."""
 
-    @property
-    def texts(self) -> list[str]:
-        return [reply.text for _, reply in self.said if isinstance(reply, Text)]
 
-    def when(self, text: str) -> list[float]:
-        """The times at which this was said."""
-        return [at for at, reply in self.said if isinstance(reply, Text) and reply.text == text]
-
-    def receive(self) -> Fix:
-        """The newest fix."""
-        assert self.gps is not None
-        return self.gps.step(self.now_us, self.autopilot.vehicle, self.gps_conditions)
-
-    def take(self, replies: Sequence[Reply]) -> Sequence[Reply]:
-        self.said.extend((self.now_s, reply) for reply in replies)
-        return replies
-
-    def step(self) -> None:
-        """One hundredth of a second."""
-        self.now_us += STEP_US
-        self.fix = self.receive()
-        self.take(self.autopilot.step(self.now_us, STEP_S, self.ground_amsl_m, self.fix))
-
-    def run(self, seconds: float, each: Callable[[], None] | None = None) -> None:
-        """Fly on, with something to do before each step."""
-        for _ in range(round(seconds / STEP_S)):
-            if each is not None:
-                each()
-            self.step()
-
-    def run_until(self, reached: Callable[[], bool], within_s: float = 300.0) -> float:
-        """Fly until this is so; returns how long it took, in seconds."""
-        start_us = self.now_us
-        while not reached():
-            assert self.now_us - start_us < within_s * 1e6, "it never came to that"
-            self.step()
-        return (self.now_us - start_us) * 1e-6
-
-    def answers(
-        self,
-        number: int,
-        *parameters: float,
-        frame: int | None = None,
-        target_component: int = 1,
-    ) -> list[int]:
-        """What a command is answered at once."""
-        command = Command(
-            sender=_ASKER,
-            target_component=target_component,
-            number=number,
-            parameters=(*parameters, *(0.0,) * (7 - len(parameters))),
-            frame=frame,
-        )
-        acks = [r for r in self.take(self.autopilot.on_command(command)) if isinstance(r, Ack)]
-        assert all((ack.to, ack.command) == (_ASKER, number) for ack in acks)
-        return [ack.result for ack in acks]
-
-    def command(self, number: int, *parameters: float, **fields: Any) -> int:
-        """The only answer."""
-        (answer,) = self.answers(number, *parameters, **fields)
-        return answer
-
-    def give(
-        self,
-        position: Vector = ZERO,
-        velocity: Vector = ZERO,
-        acceleration: Vector = ZERO,
-        *,
-        mask: int,
-        frame: int = 1,
-        is_global: bool = False,
-        yaw_rad: float = 0.0,
-    ) -> None:
-        """A setpoint."""
-        setpoint = Setpoint(
-            is_global=is_global,
-            frame=frame,
-            type_mask=mask,
-            position=position,
-            velocity_ned_m_s=velocity,
-            acceleration_ned_m_s2=acceleration,
-            yaw_rad=yaw_rad,
-        )
-        self.take(self.autopilot.on_setpoint(setpoint))
+def placed(place: tuple[float, ...], *, height: bool = True) -> dict[str, float]:
+    """A place as the fields of a vehicle; without its height, of a frame."""
+    names = ("latitude_deg", "longitude_deg", "altitude_amsl_m")[: 3 if height else 2]
+    return dict(zip(names, place, strict=False))
 
 
 def item(
-    home_deg: tuple[float, float],
+    home_deg: tuple[float, ...],
     command: int,
     north_m: float = 0.0,
     east_m: float = 0.0,
@@ -203,7 +86,7 @@ def item(
     frame: int = 3,
 ) -> PlanItem:
     """Of a plan, at a place in metres from home."""
-    home = LocalFrame(latitude_deg=home_deg[0], longitude_deg=home_deg[1])
+    home = LocalFrame(**placed(home_deg, height=False))
     x, y = (round(angle * 1e7) for angle in home.to_geographic(north_m, east_m))
     p1, p2, p3, p4 = (*p, 0.0, 0.0, 0.0, 0.0)[:4]
     return PlanItem(frame=frame, command=command, parameters=(p1, p2, p3, p4), x=x, y=y, z_m=z_m)
@@ -231,15 +114,6 @@ class Heard:
         if self._message is None:
             self._message = _reader.decode(bytearray(self.frame))
         return self._message
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Key:
-    """With what a client signs."""
-
-    secret: bytes
-    link: int
-    timestamp: int
 
 
 def local(
@@ -311,19 +185,12 @@ class Link:
 
     # --- in -----------------------------------------------------------------------------------
 
-    def send(
-        self, *messages: Any, source: Ids | None = None, link: int = 0, key: Key | None = None
-    ) -> None:
+    def send(self, *messages: Any, source: Ids | None = None, link: int = 0) -> None:
         """One datagram with these messages."""
         who, data = source or self.source, b""
         for message in messages:
             mav = mavlink.MAVLink(None, srcSystem=who[0], srcComponent=who[1])
             mav.seq = self._sequence.get(who, 0)
-            if key is not None:
-                mav.signing.secret_key = key.secret
-                mav.signing.link_id = key.link
-                mav.signing.timestamp = key.timestamp
-                mav.signing.sign_outgoing = True
             data += bytes(message.pack(mav))
             self._sequence[who] = (mav.seq + 1) % 256
         self.put(data, link=link)
@@ -469,55 +336,44 @@ KINDS: Final[tuple[tuple[Firmware, VehicleKind], ...]] = (
 )
 READY_S: Final = dict(zip(KINDS, (45.0, 25.0, 6.0, 6.0), strict=True))
 """After which it may be armed."""
-PLACE: Final = (47.397742, 8.545594, 488.0)
 
 
-@functools.cache
-def _ready(firmware: Firmware, kind: VehicleKind) -> Link:
+@copied
+def ready(firmware: Firmware, kind: VehicleKind) -> Link:
+    """One that may be armed, with a ground station on link 0."""
     vehicle = Link(kind, firmware, PLACE)
     vehicle.source, vehicle.heartbeats = GCS, (mavlink.MAV_TYPE_GCS,)
     vehicle.run(READY_S[firmware, kind])
     for number in QUIET if firmware == "px4" else ():
         vehicle.command(511, number, -1)
-    for number in (24, 33, ATTITUDE):
+    for number in (24, 33, 30):
         vehicle.command(511, number, 100_000)
     return vehicle
 
 
-def ready(firmware: Firmware, kind: VehicleKind) -> Link:
-    """One that may be armed, with a ground station on link 0."""
-    return _ready(firmware, kind).copy()
-
-
 def take_off(vehicle: Link) -> None:
     """Into the air, to some 40 m, into the mode in which it takes setpoints (PX4: Hold)."""
-    height = (0.0,) * 4
-    orders: list[tuple[float, ...]]
+    climb = (22, 0, 0, 0, 0, 0, 0, 40.0)
+    orders: Sequence[tuple[float, ...]] = ((176, 1, PLANE_TAKEOFF), (400, 1))
     if vehicle.firmware == "px4":
         place = (round(PLACE[0] * 1e7), round(PLACE[1] * 1e7), PLACE[2] + 40.0)
-        orders = [(22, *height, *place), (400, 1)]
+        assert vehicle.command(22, 0, 0, 0, 0, *place, frame=5) == 0
+        orders = ((400, 1),)
     elif vehicle.kind == "copter":
-        orders = [(176, 1, GUIDED), (400, 1), (22, *height, 0, 0, 40.0)]
-    else:
-        orders = [(176, 1, PLANE_TAKEOFF), (400, 1)]
+        orders = ((176, 1, GUIDED), (400, 1), climb)
     for number, *parameters in orders:
-        frame = 5 if number == 22 and vehicle.firmware == "px4" else None
-        assert vehicle.command(int(number), *parameters, frame=frame) == 0
+        assert vehicle.command(int(number), *parameters) == 0
     vehicle.run(30.0)
     if (vehicle.firmware, vehicle.kind) == ("ardupilot", "plane"):
         assert vehicle.set_mode(PLANE_GUIDED) == 0
 
 
-@functools.cache
-def _flying(firmware: Firmware, kind: VehicleKind) -> Link:
+@copied
+def flying(firmware: Firmware, kind: VehicleKind) -> Link:
+    """Some 40 m up, in the mode in which it takes setpoints (PX4: Hold)."""
     vehicle = ready(firmware, kind)
     take_off(vehicle)
     return vehicle
-
-
-def flying(firmware: Firmware, kind: VehicleKind) -> Link:
-    """Some 40 m up, in the mode in which it takes setpoints (PX4: Hold)."""
-    return _flying(firmware, kind).copy()
 
 
 # --- into things ----------------------------------------------------------------------------------
@@ -565,27 +421,23 @@ class Flown(Link):
         raise AssertionError(f"it never came to that: {self.simulation.outcome()}")
 
     def into_the_air(self, height_m: float) -> None:
-        simulation = self.simulation
-        up = lambda: self.above_m > height_m - 0.5  # noqa: E731
-        if isinstance(simulation.vehicle, Plane):
-            if self.is_px4:
-                self.order(22, 0, 0, 0, *[math.nan] * 4)  # for good straight on
-            else:
-                self.order(176, 1, 13)
-            self.order(400, 1)
-            self.fly_until(up, 60.0)
-            if not self.is_px4:
-                self.order(176, 1, 7)  # CRUISE: straight on
-        elif not self.is_px4:
-            self.order(176, 1, 4)
-            self.order(400, 1)
-            self.order(22, *[0.0] * 6, height_m)
-            self.fly_until(up, 60.0)
-        else:
-            self.fly_until(lambda: simulation.now_us % 1_000_000 == 0, 1.1, 0.0, 0.0)
-            self.order(176, 1, 6)
-            self.order(400, 1)
-            self.fly_until(up, 60.0, 0.0, -2.0)
+        """Up; planes fly straight on then, and PX4's copter is in OFFBOARD."""
+        is_plane = isinstance(self.simulation.vehicle, Plane)
+        aim: tuple[float, ...] = ()
+        orders: dict[tuple[bool, bool], tuple[tuple[float, ...], ...]] = {
+            (True, True): ((22, 0, 0, 0, *[math.nan] * 4), (400, 1)),  # for good straight on
+            (True, False): ((176, 1, PLANE_TAKEOFF), (400, 1)),
+            (False, True): ((176, 1, *OFFBOARD), (400, 1)),
+            (False, False): ((176, 1, GUIDED), (400, 1), (22, *[0.0] * 6, height_m)),
+        }
+        if not is_plane and self.is_px4:
+            self.fly_until(lambda: self.simulation.now_us % 1_000_000 == 0, 1.1, 0.0, 0.0)
+            aim = (0.0, -2.0)
+        for number, *values in orders[is_plane, self.is_px4]:
+            self.order(int(number), *values)
+        self.fly_until(lambda: self.above_m > height_m - 0.5, 60.0, *aim)
+        if is_plane and not self.is_px4:
+            self.order(176, 1, 7)  # CRUISE
 
     def truth(self) -> Sequence[dict[str, Any]]:
         return [json.loads(line) for line in self.simulation.take_truth()][1:]

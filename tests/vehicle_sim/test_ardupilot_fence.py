@@ -3,34 +3,38 @@
 import math
 
 import pytest
-from harness import item
+from harness import COPTER_HOME, GUIDED, LAND, Vector, item
 from hypothesis import given
 from hypothesis import strategies as st
-from tracked import ArduCopter as Flown
+from rigs import ArduCopter, hovering
 
 from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.guards import Fence
 from vehicle_sim.autopilot.values import Place
 from vehicle_sim.plans import PlanItem, PlanKind, Zone
 
-HOME = Place(latitude_deg=47.0, longitude_deg=8.0, altitude_amsl_m=500.0)
+HOME = Place(*COPTER_HOME)
 EARTH = FlatEarth(HOME)
+FLOOR = {"FENCE_TYPE": 8.0, "FENCE_ALT_MIN": 15.0}
+BELOW, OUTSIDE = "Min Alt fence breached", "Polygon fence breached"
 
 
 def circle(north_m: float, east_m: float, radius_m: float, command: int = 5004) -> PlanItem:
-    return item(HOME[:2], command, north_m, east_m, 0.0, radius_m, frame=0)
+    return item(HOME, command, north_m, east_m, 0.0, radius_m, frame=0)
 
 
-def polygon(command: int, *corners_m: tuple[float, float]) -> tuple[PlanItem, ...]:
-    n = float(len(corners_m))
-    return tuple(item(HOME[:2], command, *corner, 0.0, n, frame=0) for corner in corners_m)
+ELSEWHERE = tuple(
+    item(HOME, 5001, *corner, 0.0, 3.0, frame=0)
+    for corner in ((50.0, 0.0), (90.0, 0.0), (90.0, 40.0))
+)
+"""An inclusion that is not where it flies."""
 
 
-def fenced(*items: PlanItem, **parameters: float) -> Flown:
-    it = Flown(**{"ANGLE_MAX": 4500.0, "FENCE_ENABLE": 1.0, "FENCE_TYPE": 4.0} | parameters)
-    it.autopilot.plans[PlanKind.FENCE] = items
-    it.autopilot.on_plan(PlanKind.FENCE)
-    return it.airborne(30.0)
+def fenced(*items: PlanItem, **parameters: float) -> ArduCopter:
+    """At 30 m, with a fence of polygons and circles."""
+    it = hovering(**{"FENCE_ENABLE": 1.0, "FENCE_TYPE": 4.0} | parameters)
+    it.plan(PlanKind.FENCE, *items)
+    return it
 
 
 @given(
@@ -41,157 +45,119 @@ def fenced(*items: PlanItem, **parameters: float) -> Flown:
 def test_inside_is_a_winding_number_that_is_not_zero_for_convex_polygons(
     angles: list[float], north: float, east: float
 ) -> None:
-    corners = [(math.cos(a), math.sin(a)) for a in sorted(angles)]
-    fence = Zone(keeps_in=True, corners=tuple(corners))
-    turned = 0.0
+    corners, turned = [(math.cos(a), math.sin(a)) for a in sorted(angles)], 0.0
     for (n0, e0), (n1, e1) in zip(corners, [*corners[1:], corners[0]], strict=True):
         before = math.atan2(e0 - east, n0 - north)
         turned += math.remainder(math.atan2(e1 - east, n1 - north) - before, math.tau)
         if abs((n1 - n0) * (east - e0) - (e1 - e0) * (north - n0)) < 1e-6:
             return  # on the line of an edge: either answer will do
+    fence = Zone(keeps_in=True, corners=tuple(corners))
     assert fence.surrounds((north, east)) == (abs(turned) > math.pi)
 
 
+TWO_CIRCLES = (circle(0.0, 0.0, 10.0, 5003), circle(50.0, 0.0, 10.0, 5003))
+ONE_CIRCLE = (circle(100.0, 0.0, 10.0),)
+
+
 @pytest.mark.parametrize(
-    ("kinds", "place", "found"),
+    ("kinds", "items", "options", "place", "found"),
     [
-        (1, (0.0, 0.0, 99.0), 0),
-        (1, (0.0, 0.0, 101.0), 1),
-        (2, (149.0, 0.0, 0.0), 0),
-        (2, (151.0, 0.0, 0.0), 2),
-        (7, (151.0, 0.0, 101.0), 3),
-        (4, (100.0, 0.0, 0.0), 4),
-        (4, (110.5, 0.0, 0.0), 0),
-        (4, (0.0, 0.0, 0.0), 0),
+        *((1, ONE_CIRCLE, 0, (0.0, 0.0, 99.0), 0), (1, ONE_CIRCLE, 0, (0.0, 0.0, 101.0), 1)),
+        *((2, ONE_CIRCLE, 0, (149.0, 0.0, 0.0), 0), (2, ONE_CIRCLE, 0, (151.0, 0.0, 0.0), 2)),
+        (7, ONE_CIRCLE, 0, (151.0, 0.0, 101.0), 3),
+        *((4, ONE_CIRCLE, 0, (100.0, 0.0, 0.0), 4), (4, ONE_CIRCLE, 0, (110.5, 0.0, 0.0), 0)),
+        # of two inclusions it stays in both, or by an option in either
+        *((4, TWO_CIRCLES, 0, (50.0, 0.0, 9.0), 4), (4, TWO_CIRCLES, 2, (50.0, 0.0, 9.0), 0)),
+        *((4, TWO_CIRCLES, 0, (25.0, 0.0, 9.0), 4), (4, TWO_CIRCLES, 2, (25.0, 0.0, 9.0), 4)),
     ],
 )
 def test_each_kind_of_fence_is_where_its_parameters_say(
-    kinds: int, place: tuple[float, float, float], found: int
+    kinds: int, items: tuple[PlanItem, ...], options: int, place: Vector, found: int
 ) -> None:
-    it = Flown(FENCE_ENABLE=1.0, FENCE_TYPE=float(kinds))
-    it.autopilot.plans[PlanKind.FENCE] = (circle(100.0, 0.0, 10.0),)
+    it = ArduCopter(FENCE_ENABLE=1.0, FENCE_TYPE=float(kinds), FENCE_OPTIONS=float(options))
+    it.plans[PlanKind.FENCE] = items
     fence = Fence(it.autopilot.parameters, it.autopilot.plans)
-    north_m, east_m, up_m = place
-    assert fence.outside(EARTH.place(north_m, east_m, -up_m), HOME, EARTH) == found
-
-
-@pytest.mark.parametrize(("union", "found"), [(0.0, 4), (2.0, 0)])
-def test_of_two_inclusions_it_stays_in_both_or_by_an_option_in_either(
-    union: float, found: int
-) -> None:
-    it = Flown(FENCE_ENABLE=1.0, FENCE_TYPE=4.0, FENCE_OPTIONS=union)
-    it.autopilot.plans[PlanKind.FENCE] = tuple(circle(n, 0.0, 10.0, 5003) for n in (0.0, 50.0))
-    fence = Fence(it.autopilot.parameters, it.autopilot.plans)
-    assert fence.outside(EARTH.place(50.0, 0.0, -9.0), HOME, EARTH) == found
-    assert fence.outside(EARTH.place(25.0, 0.0, -9.0), HOME, EARTH) == 4
+    there = EARTH.place(place[0], place[1], -place[2])
+    assert fence.outside(there, HOME, EARTH) == found
 
 
 @pytest.mark.parametrize(("action", "mode"), [(0, "GUIDED"), (1, "RTL"), (2, "LAND")])
-def test_the_action_is_a_parameter(action: int, mode: str) -> None:
-    it = fenced(FENCE_ACTION=float(action))
-    it.autopilot.plans[PlanKind.FENCE] = polygon(5001, (50.0, 0.0), (90.0, 0.0), (90.0, 40.0))
-    it.autopilot.on_plan(PlanKind.FENCE)
-    it.run(0.5)
-    assert it.autopilot.mode_name == mode
-    assert it.autopilot.status().fence_breached
-
-
-FLOOR = {"FENCE_TYPE": 8.0, "FENCE_ALT_MIN": 15.0}
+def test_outside_of_an_inclusion_the_action_is_a_parameter(action: int, mode: str) -> None:
+    it = fenced(*ELSEWHERE, FENCE_ACTION=float(action))
+    begun_s = it.now_s
+    assert it.run(1.0).mode == mode
+    assert it.when(OUTSIDE) == [pytest.approx(begun_s + 0.5, abs=0.15)]
+    assert it.set_mode(GUIDED) == 0  # it can be had again
+    assert (it.run(1.0).mode, it.status.fence_breached) == ("GUIDED", True)
+    it.command(207, 0)  # off
+    assert not it.run(0.2).status.fence_breached
 
 
 @pytest.mark.parametrize(("action", "mode"), [(0, "GUIDED"), (1, "RTL"), (4, "BRAKE")])
 def test_below_the_floor_is_a_breach(action: int, mode: str) -> None:
     it = fenced(FENCE_ACTION=float(action), **FLOOR)  # through it, up to 30 m: no breach
-    assert it.when("Min Alt fence breached") == []
+    assert it.when(BELOW) == []
     while it.height_m > 15.0:
-        assert not it.autopilot.status().fence_breached
-        it.setpoint((0.0, 0.0, 0.0), (0.0, 0.0, 1.5), kind="velocity")
+        assert not it.status.fence_breached
+        it.aim(None, (0.0, 0.0, 1.5))
         it.step()
-    it.run(0.2)
-    status = it.autopilot.status()
+    status = it.run(0.2).status
     assert (status.fence_breached, status.fence_breach_type) == (True, 1)
-    assert len(it.when("Min Alt fence breached")) == 1
-    assert it.autopilot.mode_name == mode
+    assert (len(it.when(BELOW)), it.mode) == (1, mode)
 
 
 def test_the_floor_comes_with_the_height_and_goes_with_the_landing() -> None:
     it = fenced(**FLOOR)
-    # a target below it is dropped, one above is not
-    for down_m, taken in ((-10.0, False), (-20.0, True)):
-        it.setpoint((0.0, 0.0, down_m), kind="position")
-        echo = it.autopilot.target_echo()
-        assert echo is not None
-        assert echo.position_ned_m is not None
-        assert (echo.position_ned_m[2] == pytest.approx(down_m)) is taken
-    it.command(176, 1, 9)  # LAND
-    it.run_until(lambda: it.autopilot.landed, 60.0)
-    assert it.when("Min Alt fence breached") == []
+    it.set_mode(LAND)
+    it.until(lambda: it.landed, 60.0)
+    assert it.when(BELOW) == []
     it.airborne(12.0)  # not yet 2 m above it
-    assert not it.autopilot.status().fence_breached
-
-
-def test_autoenable_3_is_a_fence_while_armed() -> None:
-    it = fenced(FENCE_ENABLE=0.0, FENCE_AUTOENABLE=3.0, **FLOOR)
-    assert it.autopilot.fence.enabled
-    it.command(176, 1, 9)
-    it.run_until(lambda: not it.autopilot.armed, 60.0)
-    assert not it.autopilot.fence.enabled
-
-
-@pytest.mark.parametrize("value", [1.0, 2.0])
-def test_autoenable_1_and_2_are_a_fence_once_it_has_taken_off(value: float) -> None:
-    it = fenced(FENCE_ENABLE=0.0, FENCE_AUTOENABLE=value, FENCE_ACTION=0.0, **FLOOR)
-    it.run(5.0)
-    assert it.autopilot.fence.enabled
-    assert it.autopilot.fence.has_floor
-    it.command(176, 1, 9)
-    it.run(1.0)
-    assert it.autopilot.fence.enabled is (value == 2.0)  # of 2 only the floor ends
-    it.run_until(lambda: not it.autopilot.armed, 60.0)
-    assert it.when("Min Alt fence breached") == []
-
-
-def test_a_take_off_that_ends_below_the_floor_is_a_breach_then() -> None:
-    it = fenced(FENCE_ENABLE=0.0, FENCE_AUTOENABLE=2.0, FENCE_TYPE=8.0, FENCE_ALT_MIN=50.0)
-    it.run_until(lambda: it.autopilot.mode_name == "RTL", 10.0)
-    assert len(it.when("Min Alt fence breached")) == 1
-
-
-def test_one_uploaded_around_it_is_breached_after_half_a_second_unless_it_is_off() -> None:
-    it = fenced()
-    it.autopilot.plans[PlanKind.FENCE] = polygon(5001, (50.0, 0.0), (90.0, 0.0), (90.0, 40.0))
-    it.autopilot.on_plan(PlanKind.FENCE)
-    begun_s = it.now_s
-    it.run(1.0)
-    assert it.when("Polygon fence breached") == [pytest.approx(begun_s + 0.5, abs=0.15)]
-    assert it.autopilot.mode_name == "RTL"
-    assert it.command(176, 1, 4) == 0  # GUIDED can be had again
-    it.run(1.0)
-    assert (it.autopilot.mode_name, it.autopilot.status().fence_breached) == ("GUIDED", True)
-    it.command(207, 0)
-    it.run(0.2)
-    assert not it.autopilot.status().fence_breached
+    assert not it.status.fence_breached
 
 
 @pytest.mark.parametrize(
-    ("kinds", "items", "beyond"),
+    ("value", "in_flight", "landing"), [(1.0, True, False), (2.0, True, True), (3.0, True, True)]
+)
+def test_autoenable_is_a_fence_with_the_take_off_or_while_armed(
+    value: float, in_flight: bool, landing: bool
+) -> None:
+    it = fenced(FENCE_ENABLE=0.0, FENCE_AUTOENABLE=value, FENCE_ACTION=0.0, **FLOOR)
+    it.run(5.0)
+    assert it.autopilot.fence.enabled is it.autopilot.fence.has_floor is in_flight
+    it.set_mode(LAND)
+    it.run(1.0)
+    assert it.autopilot.fence.enabled is landing  # of 2 only the floor ends
+    it.until(lambda: not it.armed, 60.0)
+    assert it.when(BELOW) == []
+    assert it.autopilot.fence.enabled is (value == 2.0)
+
+
+def test_a_take_off_that_ends_below_the_floor_is_a_breach_then() -> None:
+    below = {"FENCE_TYPE": 8.0, "FENCE_ALT_MIN": 50.0}
+    it = fenced(FENCE_ENABLE=0.0, FENCE_AUTOENABLE=2.0, **below)
+    it.until(lambda: it.mode == "RTL", 10.0)
+    assert len(it.when(BELOW)) == 1
+
+
+@pytest.mark.parametrize(
+    ("parameters", "items", "beyond"),
     [
-        (7.0, (), (200.0, 0.0, -30.0)),
-        (7.0, (), (0.0, 0.0, -110.0)),
-        (4.0, (circle(80.0, 0.0, 15.0),), (80.0, 0.0, -30.0)),
-        (4.0, (circle(0.0, 0.0, 60.0, 5003),), (80.0, 0.0, -30.0)),
+        ({"FENCE_TYPE": 7.0}, (), (200.0, 0.0, -30.0)),
+        ({"FENCE_TYPE": 7.0}, (), (0.0, 0.0, -110.0)),
+        (FLOOR, (), (40.0, 0.0, -10.0)),
+        ({}, (circle(80.0, 0.0, 15.0),), (80.0, 0.0, -30.0)),
+        ({}, (circle(0.0, 0.0, 60.0, 5003),), (80.0, 0.0, -30.0)),
     ],
 )
 def test_a_target_beyond_it_is_dropped_without_a_word(
-    kinds: float, items: tuple[PlanItem, ...], beyond: tuple[float, float, float]
+    parameters: dict[str, float], items: tuple[PlanItem, ...], beyond: Vector
 ) -> None:
-    it = fenced(*items, FENCE_TYPE=kinds)
+    it = fenced(*items, **parameters)
     texts = len(it.texts)
     for place in ((40.0, 0.0, -30.0), beyond):
-        it.setpoint(place, kind="position")
-        echo = it.autopilot.target_echo()
-        assert echo is not None
-        assert echo.position_ned_m == pytest.approx((40.0, 0.0, -30.0), abs=0.1)
+        it.aim(place)
+        taken = it.autopilot.target_echo().position_ned_m
+        assert taken == pytest.approx((40.0, 0.0, -30.0), abs=0.1)
     assert len(it.texts) == texts
 
 
@@ -206,12 +172,9 @@ def test_streaming_at_8_m_s_through_an_exclusion_ends_14_5_m_deep_and_beside_it_
     for k in range(2200):
         if k % 10 == 0:
             north_m = 0.8 * (k * 0.01) ** 2 if k < 500 else 20.0 + 8.0 * (k * 0.01 - 5.0)
-            v = min(1.6 * k * 0.01, 8.0)
-            it.setpoint((north_m, 0.0, -30.0), (v, 0.0, 0.0), kind="pos+vel+acc")
+            it.aim((north_m, 0.0, -30.0), (min(1.6 * k * 0.01, 8.0), 0.0, 0.0), (0.0, 0.0, 0.0))
         it.step()
-        here_m = it.local_m()
-        deepest_m = max(deepest_m, 15.0 - math.dist(here_m[:2], (80.0, east_m)))
+        deepest_m = max(deepest_m, 15.0 - math.dist(it.ne_m, (80.0, east_m)))
     assert deepest_m == pytest.approx(deep_m, abs=1.5 if deep_m > 0.0 else 0.1)
     breached = enabled and deep_m > 0.0
-    assert bool(it.when("Polygon fence breached")) is breached
-    assert it.autopilot.mode_name == ("RTL" if breached else "GUIDED")
+    assert (bool(it.when(OUTSIDE)), it.mode) == (breached, "RTL" if breached else "GUIDED")

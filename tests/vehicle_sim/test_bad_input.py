@@ -24,10 +24,7 @@ _target = Target()
 
 @given(st.binary(max_size=300))
 @settings(
-    max_examples=100,
-    deadline=None,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.too_slow],
+    max_examples=100, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
 )
 def test_any_bytes_and_any_frames_do_no_harm(data: bytes) -> None:
     _target.play(data)

@@ -37,7 +37,6 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
         (["WORLD", "--connect", "udpout:no.such.host.invalid:5"], ["no.such.host.invalid"]),
         (["WORLD", "--lockstep", "--speedup", "2"], ["--speedup = 2.0", "Leave out one"]),
         (["WORLD", "--speedup", "0"], ["--speedup = 0.0", "0.01"]),
-        (["WORLD", "--speedup", "nan"], ["--speedup = nan"]),
         (["WORLD", "--speedup", "fast"], ["--speedup"]),
         (["WORLD", "--duration", "-1"], ["--duration = -1.0"]),
         (["WORLD", "--seed", "-1"], ["--seed = -1"]),
@@ -48,21 +47,14 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
         (["--vehicle", "boat"], ["'--vehicle'", "'boat'", "'plane'"]),
         (["--home", "47,8"], ["--home = '47,8'", "LAT,LON,ALT,HEADING"]),
         (["--home", "97,8,0,0"], ["--home = '97,8,0,0'", "85 deg"]),
-        (["--home", "47,8,nan,0"], ["--home = '47,8,nan,0'"]),
         (["--param", "GUID_TIMEOUT"], ["--param = 'GUID_TIMEOUT'", "NAME=VALUE"]),
-        (["--param", "GUID_TIMEOUT=1e300"], ["GUID_TIMEOUT = 1e+300", "32 bits"]),
-        (["--autopilot", "px4", "--param", "COM_RC_OVERRIDE=1e12"], ["COM_RC_OVERRIDE", "32 bits"]),
         (["--param", "GUID_TIMEOUTS=1"], ["GUID_TIMEOUTS = 1.0", "Did you mean GUID_TIMEOUT?"]),
-        (["--autopilot", "px4", "--param", "GUID_TIMEOUT=1"], ["GUID_TIMEOUT = 1.0"]),
         (["--param", "SYSID_THISMAV=5"], ["SYSID_THISMAV = 5.0", "no such one"]),
-        (["--param", "RC1_MIN=1"], ["this autopilot has no such one"]),  # nobody reads it
-        (["--autopilot", "px4", "--param", "COM_ARM_WO_GPS=1"], ["has no such one"]),
         (["--param", "MAV_SYSID=0"], ["MAV_SYSID = 0.0", "1 to 255"]),
         (["--param", "MAV_SYSID=4.5"], ["MAV_SYSID = 4.5", "whole number"]),
         (["--autopilot", "px4", "--param", "MAV_COMP_ID=255"], ["MAV_COMP_ID = 255.0", "1 to 254"]),
         (["--param", "MAV_SYSID=200", "--count", "99"], ["--count = 99", "from 200 to 255"]),
         (["--param", "MAV_SYSID=253", "--count", "5"], ["must be from 1 to 3", "Try 3."]),
-        (["--param", "FENCE_ENABLE=300"], ["FENCE_ENABLE = 300.0", "8 bits"]),
         (["--count", "0"], ["--count = 0"]),
         (["--count", "251"], ["--count = 251"]),
         (["--port-step", "-1"], ["--port-step = -1"]),
@@ -81,19 +73,6 @@ def test_what_cannot_be_done_is_one_line_and_exit_code_2(
     assert err.count("\n") == 1
     assert err.startswith("error: ")
     assert all(word in err for word in words), err
-
-
-def test_the_help_page_explains_itself(run: Callable[..., Any]) -> None:
-    code, out, _ = run("--help")
-    assert code == 0
-    for word in ("companion fly", "--lockstep", "--connect", "WORLD", "--out DIR"):
-        assert word in out
-
-
-def test_the_bundled_worlds_are_found_by_name() -> None:
-    worlds = cli.bundled_worlds()
-    assert {"environment-1", "environment-2"} <= set(worlds)
-    assert all(path.is_file() for path in worlds.values())
 
 
 def test_a_run_ends_after_its_duration_with_its_figures_and_its_truth(
@@ -147,8 +126,7 @@ def test_what_is_asked_for_and_cannot_be_printed_is_an_error_of_one_line(start: 
 
 
 @pytest.mark.parametrize(
-    ("number", "clock"),
-    [(signal.SIGTERM, ["--lockstep"]), (signal.SIGINT, [])],
+    ("number", "clock"), [(signal.SIGTERM, ["--lockstep"]), (signal.SIGINT, [])]
 )
 def test_a_signal_ends_it_cleanly_even_where_sigint_was_ignored(
     start: Start,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from harness import GENTLE
+from harness import GENTLE, placed
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -23,11 +23,10 @@ from vehicle_sim.faults import (
     Timeline,
     conditions_of,
 )
-from vehicle_sim.parameters import Firmware, Kind, Parameters
+from vehicle_sim.parameters import Firmware, Parameters
 from vehicle_sim.sensors.gps import ARDUCOPTER, PX4, Gps
 
 TABLES = {"ardupilot": SIM_PARAMETERS, "px4": SIM_PARAMETERS_PX4}
-FIRMWARES: list[Firmware] = ["ardupilot", "px4"]
 S = 1_000_000
 
 ASKS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -93,15 +92,11 @@ HAPPENS: dict[str, tuple[float, ...]] = {
 }
 
 
-def parameters(firmware: Firmware = "ardupilot", **overrides: float) -> Parameters:
-    return Parameters(TABLES[firmware], overrides)
-
-
 def asked(text: str, at_s: float = 0.0, firmware: Firmware = "ardupilot") -> Conditions:
     """What a timeline asks for at a time, of parameters that say nothing."""
     timeline = Timeline.parse(text, firmware=firmware)
     timeline.step(round(at_s * S))
-    return conditions_of(parameters(firmware), timeline.changes)
+    return conditions_of(Parameters(TABLES[firmware], {}), timeline.changes)
 
 
 # --- each fault -----------------------------------------------------------------------------------
@@ -114,16 +109,16 @@ def test_every_fault_is_in_a_table() -> None:
 
 @pytest.mark.parametrize("line", ASKS)
 def test_a_fault_asks_for_what_it_says_while_it_lasts_and_for_nothing_else(line: str) -> None:
-    usual = conditions_of(parameters())
-    group, fields = ASKS[line]
-    text = f"at 1 s for 2 s: {line}"
-    expected = usual._replace(**{group: getattr(usual, group)._replace(**fields)})
-    found = [asked(text, at_s) for at_s in (0.99, 1.0, 2.99, 3.0)]
-    assert found[0] == found[3] == usual
-    assert found[1] == found[2] != usual
-    for key, value in getattr(expected, group)._asdict().items():
-        assert getattr(getattr(found[1], group), key) == pytest.approx(value), key
-    assert found[1]._replace(**{group: getattr(usual, group)}) == usual
+    usual, (group, fields) = asked(""), ASKS[line]
+    before, first, last, after = (
+        asked(f"at 1 s for 2 s: {line}", at_s) for at_s in (0.99, 1.0, 2.99, 3.0)
+    )
+    assert before == after == usual
+    assert first == last != usual
+    expected = getattr(usual, group)._replace(**fields)._asdict()
+    for key, value in expected.items():
+        assert getattr(getattr(first, group), key) == pytest.approx(value), key
+    assert first._replace(**{group: getattr(usual, group)}) == usual
 
 
 @pytest.mark.parametrize("line", HAPPENS)
@@ -137,12 +132,9 @@ def test_what_happens_once_happens_once(line: str) -> None:
 @pytest.mark.parametrize(
     ("line", "seen", "enabled"),
     [
-        ("gps_off", 0, False),
-        ("gps_satellites 3", 3, False),
-        ("gps_satellites 4", 4, True),
-        ("set SIM_GPS_USED 3", 3, False),
+        *(("gps_off", 0, False), ("gps_satellites 3", 3, False), ("gps_satellites 4", 4, True)),
+        *(("set SIM_GPS_USED 3", 3, False), ("turbulence 0 m/s", 10, True)),
         ("set SIM_GPS1_NUMSATS 3", 10, True),  # ArduPilot's
-        ("turbulence 0 m/s", 10, True),
     ],
 )
 def test_px4_has_no_fix_with_fewer_than_four_satellites(
@@ -152,46 +144,20 @@ def test_px4_has_no_fix_with_fewer_than_four_satellites(
     assert (gps.satellites, gps.enabled) == (seen, enabled)
 
 
-# --- the parameters -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("firmware", FIRMWARES)
-def test_parameters_have_names_and_kinds_that_the_firmware_can_have(firmware: Firmware) -> None:
-    names = [row.name for row in TABLES[firmware]]
-    assert len(set(names)) == len(names)
-    assert all(name.startswith("SIM_") and len(name) <= 16 for name in names)
-    kinds = {row.kind for row in TABLES[firmware]}
-    assert firmware == "ardupilot" or kinds <= {Kind.INT32, Kind.REAL32}  # PX4 knows no others
-    alone = {name for name in names if name.startswith(("SIM_BAT", "SIM_GPS_"))}
-    assert alone == (
-        {"SIM_BATT_VOLTAGE", "SIM_BATT_CAP_AH"}
-        if firmware == "ardupilot"
-        else {"SIM_GPS_USED", "SIM_BAT_DRAIN", "SIM_BAT_MIN_PCT"}
-    )
-
-
-def test_of_px4s_two_numbers_of_satellites_its_own_counts() -> None:
-    assert conditions_of(parameters("px4", SIM_GPS_USED=7.0)).gps.satellites == 7
-    assert conditions_of(parameters("px4", SIM_GPS1_NUMSATS=7.0)).gps.satellites == 10
-
-
-@pytest.mark.parametrize("firmware", FIRMWARES)
+@pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
 @given(data=st.data())
 def test_no_value_of_any_parameter_leads_off_the_earth(
     firmware: Firmware, data: st.DataObject
 ) -> None:
     """Receiver, wind and battery stay finite and in range whatever is set."""
-    values = parameters(firmware)
+    values, is_px4 = Parameters(TABLES[firmware], {}), firmware == "px4"
     wild = st.floats(width=32) | st.sampled_from([math.inf, -math.inf, math.nan, 1e38, -1e38])
     for name in data.draw(st.lists(st.sampled_from([row.name for row in TABLES[firmware]]))):
         values[name] = data.draw(wild)
-    conditions = conditions_of(values)
-    rng = np.random.default_rng(1)
-    gps, wind = Gps(ARDUCOPTER if firmware == "ardupilot" else PX4, rng), Wind(rng)
-    power = PowerModule(Battery(), "ardupilot copter" if firmware == "ardupilot" else "px4")
-    copter = Copter(
-        latitude_deg=47.0, longitude_deg=179.9, altitude_amsl_m=50.0, limits=GENTLE, drag_1_s=0.5
-    )
+    conditions, rng = conditions_of(values), np.random.default_rng(1)
+    gps, wind = Gps(PX4 if is_px4 else ARDUCOPTER, rng), Wind(rng)
+    power = PowerModule(Battery(), "px4" if is_px4 else "ardupilot copter")
+    copter = Copter(**placed((47.0, 179.9, 50.0)), limits=GENTLE, drag_1_s=0.5)
     for now_us in range(9_700_000, 11_000_000, 50_000):
         wind.step(0.05, copter, conditions.wind, 0.0)
         copter.advance(0.0, 0.0, 0.0, 0.05)
@@ -222,13 +188,13 @@ def test_any_overlap_is_what_a_replay_from_the_start_says(
     lines: list[tuple[int, int | None, str, int]], stride: int, added: int
 ) -> None:
     """Of those that last now, or for ever, the line that began last; some are added on the way."""
-    written, later = lines[: len(lines) - added], lines[len(lines) - added :]
-    text = [
-        f"at {at} s{'' if length is None else f' for {length} s'}: {form.format(value)}"
-        for at, length, form, value in written
-    ]
+    begun, later = lines[: len(lines) - added], lines[len(lines) - added :]
+
+    def lasts(length: int | None) -> str:
+        return "" if length is None else f"for {length} s"
+
+    text = [f"at {at} s {lasts(length)}: {form.format(v)}" for at, length, form, v in begun]
     timeline = Timeline.parse("\n".join(text))
-    begun = list(written)
     for now in range(0, 60, stride):
         timeline.step(now * S)
         seen = conditions_of({}, timeline.changes)
@@ -243,40 +209,36 @@ def test_any_overlap_is_what_a_replay_from_the_start_says(
             assert found == float(max(lasting, default=(0, 0, 0))[2])
         if later:
             _, length, form, value = later.pop()
-            begun.append((now, length, form, value))
-            lasts = "" if length is None else f"for {length} s: "
-            timeline.add(lasts + form.format(value), now * S)
+            begun = [*begun, (now, length, form, value)]
+            lasting_s = f"{lasts(length)}: " if length else ""
+            timeline.add(lasting_s + form.format(value), now * S)
             assert timeline.next_us <= now * S
 
 
-BAD = [
-    ("at 120 s gps_off", 'reads "at TIME: FAULT"'),
-    ("gps_off", 'reads "at TIME: FAULT"'),
-    ("at 120: gps_off", "names its unit"),
-    ("at soon: gps_off", "is not a time"),
-    ("at -5 s: gps_off", "lies outside the run"),
-    ("at 1e400 s: gps_off", "is not a time"),
-    ("at 5 s for 0 s: gps_off", "lasts no time"),
-    ("at 5 s: gps_of", "Did you mean gps_off"),
-    ("at 5 s: zebra", "Choose from: gps_off"),
-    ("at 5 s: wind 8 from 270 deg", 'reads "wind N m/s from N deg'),
-    ("at 5 s: wind 800 m/s from 270 deg", "800 must lie from 0 to 100"),
-    ("at 5 s: wind 8 m/s from 400 deg", "400 must lie from -360 to 360"),
-    ("at 5 s: wind nan m/s from 270 deg", "reads"),
-    ("at 5 s: link_loss 120 %", "120 must lie from 0 to 100"),
-    ("at 5 s: link_loss 20", 'reads "link_loss N %'),
-    ("at 5 s: link_off on link 24", "24 must lie from 0 to 23"),
-    ("at 5 s for 3 s: reboot", "happens once"),
-    ("at 5 s: set SIM_WIND_SPED 4", "Did you mean SIM_WIND_SPD"),
-    ("at 5 s: set SIM_WIND_SPD 400", "must lie from 0 to 100"),
-    ("at 5 s: set WPNAV_SPEED 4", "has no such parameter"),
-    ("at 5 s: estimator_reset 20 m up", "reads"),
-    ("at 5 s: gps_glitch 20 m north 2e6 m up", "reads"),
-    ("at 5 s: gps_glitch 20 m north 2000000 m up", "must lie from 0 to 100000"),
-]
-
-
-@pytest.mark.parametrize(("line", "message"), BAD)
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        *((bad, 'reads "at TIME: FAULT"') for bad in ("at 120 s gps_off", "gps_off")),
+        *(("at 120: gps_off", "names its unit"), ("at soon: gps_off", "is not a time")),
+        *(("at -5 s: gps_off", "lies outside the run"), ("at 1e400 s: gps_off", "is not a time")),
+        ("at 5 s for 0 s: gps_off", "lasts no time"),
+        *(("at 5 s: gps_of", "Did you mean gps_off"), ("at 5 s: zebra", "Choose from: gps_off")),
+        ("at 5 s: wind 8 from 270 deg", 'reads "wind N m/s from N deg'),
+        ("at 5 s: wind 800 m/s from 270 deg", "800 must lie from 0 to 100"),
+        ("at 5 s: wind 8 m/s from 400 deg", "400 must lie from -360 to 360"),
+        ("at 5 s: wind nan m/s from 270 deg", "reads"),
+        ("at 5 s: link_loss 120 %", "120 must lie from 0 to 100"),
+        ("at 5 s: link_loss 20", 'reads "link_loss N %'),
+        ("at 5 s: link_off on link 24", "24 must lie from 0 to 23"),
+        ("at 5 s for 3 s: reboot", "happens once"),
+        ("at 5 s: set SIM_WIND_SPED 4", "Did you mean SIM_WIND_SPD"),
+        ("at 5 s: set SIM_WIND_SPD 400", "must lie from 0 to 100"),
+        ("at 5 s: set WPNAV_SPEED 4", "has no such parameter"),
+        ("at 5 s: estimator_reset 20 m up", "reads"),
+        ("at 5 s: gps_glitch 20 m north 2e6 m up", "reads"),
+        ("at 5 s: gps_glitch 20 m north 2000000 m up", "must lie from 0 to 100000"),
+    ],
+)
 def test_a_bad_line_says_where_what_and_what_to_do(line: str, message: str) -> None:
     with pytest.raises(InputError, match=re.escape(message)) as caught:
         Timeline.parse(f"# a comment\nat 1 s: gps_off\n{line}\n", name="faults.txt")
@@ -293,11 +255,9 @@ def test_a_fault_of_the_other_firmware_is_refused() -> None:
 def test_any_text_is_a_timeline_or_an_input_error(text: str) -> None:
     for prefix in ("", "at 1 s: ", "at 1 s: wind 5 m/s from ", "at "):
         try:
-            timeline = Timeline.parse(prefix + text)
+            asked(prefix + text, 2.0)
         except InputError:
             continue
-        timeline.step(2 * S)
-        conditions_of(parameters(), timeline.changes)
 
 
 def test_case_spaces_and_comments_do_not_matter() -> None:

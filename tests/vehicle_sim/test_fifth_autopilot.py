@@ -12,16 +12,13 @@ from types import FrameType
 from typing import Any
 
 import pytest
-import tracked
-from harness import Flown
+from harness import OFFBOARD, Flown
+from rigs import ArduCopter, Px4Copter, Px4Plane, Rig, circling, hovering
 
 from vehicle_sim.autopilot import factory
 from vehicle_sim.autopilot.arducopter import FIRMWARE
 from vehicle_sim.autopilot.values import Result
-from vehicle_sim.errors import InputError
 from vehicle_sim.parameters import Parameter
-from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import parse_world
 
 _NUMBERS = {"GUIDED": 40, "LAND": 41, "RTL": 42}
 """custom_mode of its own."""
@@ -39,15 +36,9 @@ SPARROW = replace(
 )
 
 
-@pytest.fixture(autouse=True)
-def sparrow(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In the list."""
-    usual = factory.PERSONALITIES["ardupilot", "copter"]
-    mine = replace(usual, firmware=SPARROW)
+def test_a_world_names_it_and_it_flies_as_its_data_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    mine = replace(factory.PERSONALITIES["ardupilot", "copter"], firmware=SPARROW)
     monkeypatch.setitem(factory.PERSONALITIES, ("sparrow", "copter"), mine)
-
-
-def test_a_world_names_it_and_it_flies_as_its_data_say() -> None:
     flown = Flown("copter", "sparrow")
     assert flown.command(224, 7) == Result.DENIED  # no such item: ArduPilot says FAILED
     assert [flown.command(176, 1, 40), flown.command(400, 1)] == [0, 0]
@@ -58,9 +49,7 @@ def test_a_world_names_it_and_it_flies_as_its_data_say() -> None:
     assert (beat.custom_mode, beat.autopilot) == (40, 0)
     flown.go(0.0, 0.0, at_m=(200.0, 0.0, -10.0))
     speeds_m_s = list[float]()
-    for _ in range(20):
-        flown.run(1.0)
-        speeds_m_s.append(flown.simulation.vehicle.velocity_north_m_s)
+    flown.run(20.0, lambda: speeds_m_s.append(flown.simulation.vehicle.velocity_north_m_s))
     assert flown.simulation.mode_name == "GUIDED"
     assert max(speeds_m_s) == pytest.approx(3.0, abs=0.5)
     flown.command(176, 1, 41)
@@ -68,58 +57,41 @@ def test_a_world_names_it_and_it_flies_as_its_data_say() -> None:
     assert flown.simulation.crash is None
 
 
-@pytest.mark.parametrize(("name", "kind"), [("sparow", "copter"), ("ideal", "plane")])
-def test_one_that_there_is_not_is_refused_with_those_that_there_are(name: str, kind: str) -> None:
-    table = {
-        "schema": 1,
-        "name": "nobody",
-        "origin": {"latitude_deg": 47.0, "longitude_deg": 8.0},
-        "terrain": {"combine": "maximum", "ground_amsl_m": 0.0},
-        "vehicle": {"kind": kind, "autopilot": name},
-    }
-    with pytest.raises(InputError, match=f"autopilot = '{name}': must be 'ardupilot' or"):
-        Simulation(parse_world(table))
-
-
-# --- one step -------------------------------------------------------------------------------------
-
-AUTOPILOTS = str(Path(factory.__file__).parent)
-NORTH = (300.0, 0.0, -40.0), (5.0, 0.0, 0.0)
-"""A place and a velocity."""
-FLYING: dict[str, Callable[[], Any]] = {
-    "arducopter": tracked.airborne,
-    "arduplane": tracked.flying,
-    "ideal": lambda: tracked.ArduCopter(drag=False).airborne(),
-    "px4copter": tracked.Px4Copter,
-    "px4plane": tracked.Px4Plane,
+FLYING: dict[str, Callable[[], Rig]] = {
+    "arducopter": hovering,
+    "arduplane": circling,
+    "ideal": lambda: ArduCopter(drag=False).airborne(),
+    "px4copter": lambda: Px4Copter().take_off(),
+    "px4plane": lambda: Px4Plane().take_off(),
 }
 
 
 @pytest.mark.parametrize("name", FLYING)
 def test_a_step_that_follows_a_path_calls_at_most_15_functions_of_the_autopilots(name: str) -> None:
-    rig, counts = FLYING[name](), list[int]()
-    if name.startswith("px4"):
-        rig.take_off()
-    passed = set[Any]()
+    rig, passed, counts = FLYING[name](), set[Any](), list[int]()
+    rig.aim((300.0, 0.0, -40.0), (5.0, 0.0, 0.0))
+    if name == "px4plane":
+        assert rig.command(176, 1.0, *OFFBOARD) == Result.ACCEPTED
+    where, step = str(Path(factory.__file__).parent), rig.autopilot.step
 
     def note(at: FrameType, event: str, _: Any) -> None:
-        if event == "call" and at.f_code.co_filename.startswith(AUTOPILOTS):
+        if event == "call" and at.f_code.co_filename.startswith(where):
             passed.add(at.f_code)
 
-    for k in range(200):
-        if name == "arduplane":
-            rig.reposition(500.0, 0.0, 80.0)
-        elif k % 10 == 0:
-            rig.give(*NORTH, mask=tracked.POSITION_VELOCITY)
-        if k == 5 and name == "px4plane":
-            assert rig.mode(6) == Result.ACCEPTED
-        rig.now_us += 10_000
-        rig.fix = rig.receive()
+    def counted(*given: Any) -> Any:
         passed.clear()
         sys.setprofile(note)
         try:
-            rig.autopilot.step(rig.now_us, 0.01, rig.ground_amsl_m, rig.fix)
+            return step(*given)
         finally:
             sys.setprofile(None)
-        counts.append(len(passed))
+            counts.append(len(passed))
+
+    rig.autopilot.step = counted
+    for k in range(200):
+        if name == "arduplane":
+            rig.command(192, -1.0, 1.0, 0.0, 0.0, -35.36, 149.17, 80.0, frame=3)
+        elif k % 10 == 0:
+            rig.aim((300.0, 0.0, -40.0), (5.0, 0.0, 0.0))
+        rig.step()
     assert 5 < median(counts) <= 15

@@ -6,12 +6,12 @@ ardupilot.md (head, 1), px4.md (1 to 3, 10).
 from typing import Any
 
 import pytest
-from harness import GCS, KINDS, MISSION, PLACE, Key, Link, flying, heartbeat, ready
+from harness import GCS, KINDS, MISSION, PLACE, Link, flying, heartbeat, ready
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot import core
 from vehicle_sim.autopilot.factory import PERSONALITIES
-from vehicle_sim.parameters import Kind
+from vehicle_sim.parameters import Firmware, Kind
 from vehicle_sim.world import VehicleKind
 
 DEFAULTS = {
@@ -78,29 +78,23 @@ def test_what_can_be_streamed_and_asked_for(
     assert not profile.requestable & set(not_requested)
 
 
-def texts(vehicle: Link, link: int) -> bool:
-    return bool(vehicle.all("STATUSTEXT", link=link))
-
-
-def test_ardupilot_tells_texts_where_anybody_was_heard() -> None:
-    vehicle = Link("copter", "ardupilot", PLACE, links=2)
-    vehicle.run(44.0)
-    assert not texts(vehicle, 0)
-    assert not texts(vehicle, 1)
-    vehicle.send(heartbeat(), link=1)
-    vehicle.command(176, 1, 4, link=1)
+@pytest.mark.parametrize(("firmware", "boot_s"), [("ardupilot", 44.0), ("px4", 7.0)])
+def test_ardupilot_tells_texts_where_anybody_was_heard_and_px4_to_ground_stations_only(
+    firmware: Firmware, boot_s: float
+) -> None:
+    vehicle = Link("copter", firmware, PLACE, links=2)
+    vehicle.run(boot_s)
+    assert vehicle.texts() == vehicle.texts(link=1) == []
+    if firmware == "px4":
+        vehicle.send(heartbeat())
+        vehicle.send(heartbeat(mavlink.MAV_TYPE_GCS), link=1, source=GCS)
+    else:
+        vehicle.send(heartbeat(), link=1)
+        vehicle.command(176, 1, 4, link=1)
     vehicle.command(400, 1, link=1)
-    assert (texts(vehicle, 0), texts(vehicle, 1)) == (False, True)
-
-
-def test_px4_tells_texts_to_ground_stations_only() -> None:
-    vehicle = Link("copter", "px4", PLACE, links=2)
-    vehicle.run(7.0)
-    vehicle.send(heartbeat())
-    vehicle.send(heartbeat(mavlink.MAV_TYPE_GCS), link=1, source=GCS)
-    assert vehicle.command(400, 1) == 0
     vehicle.run(1.0)
-    assert (texts(vehicle, 0), texts(vehicle, 1)) == (False, True)
+    assert vehicle.texts() == []
+    assert vehicle.texts(link=1)
 
 
 def test_px4_tells_its_mode_twice_a_second_and_at_once_when_it_changes() -> None:
@@ -109,17 +103,20 @@ def test_px4_tells_its_mode_twice_a_second_and_at_once_when_it_changes() -> None
     since_s = vehicle.now_s
     vehicle.run(10.0)
     assert len(vehicle.all("CURRENT_MODE", since_s=since_s)) == pytest.approx(20, abs=1)
-    vehicle.set_mode(MISSION)
-    assert vehicle.last("CURRENT_MODE").custom_mode == MISSION
+    mission = MISSION[0] << 16 | MISSION[1] << 24
+    vehicle.set_mode(mission)
+    assert vehicle.last("CURRENT_MODE").custom_mode == mission
 
 
 def test_px4_takes_what_is_signed_and_what_is_not_and_never_signs() -> None:
-    vehicle = ready("px4", "copter")
-    key = Key(secret=bytes([7]) * 32, link=3, timestamp=400_000_000_000)
-    vehicle.send(mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, *[0] * 6), key=key)
+    vehicle, mav, stamp = ready("px4", "copter"), mavlink.MAVLink(None, *GCS), 400_000_000_000
+    mav.signing.secret_key, mav.signing.link_id = bytes([7]) * 32, 3
+    mav.signing.timestamp, mav.signing.sign_outgoing = stamp, True
+    arm = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, *[0] * 6)
+    vehicle.put(bytes(arm.pack(mav)))
     vehicle.run(0.1)
     assert vehicle.simulation.armed
-    vehicle.send(mavlink.MAVLink_setup_signing_message(1, 1, key.secret, key.timestamp + 1))
+    vehicle.send(mavlink.MAVLink_setup_signing_message(1, 1, mav.signing.secret_key, stamp + 1))
     vehicle.run(0.1)
     assert vehicle.command(400, 0) == 0
     assert not vehicle.simulation.armed

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conformance.flights import decoded, heard, records
-from harness import GENTLE
+from harness import GENTLE, PLANE_HOME, placed
 from numpy.typing import NDArray
 from pyproj import Geod
 from recordings import recording
@@ -19,47 +19,44 @@ from vehicle_sim.sensors.gps import ARDUCOPTER, PX4, Fix, Gps, Receiver
 
 FloatArray = NDArray[np.float64]
 WGS84 = Geod(ellps="WGS84")
-HOME = (-35.3632621, 149.1652374, 584.09)
-FINE = GpsConditions()
-PROMPT = GpsConditions(lag_s=0.0)
-STEP_US = 10_000
-S = 1_000_000
+FINE, PROMPT = GpsConditions(), GpsConditions(lag_s=0.0)
+STEP_US, S = 10_000, 1_000_000
+Changes = list[tuple[float, GpsConditions]]
+"""From these seconds on."""
 
 
-def standing() -> Copter:
-    return Copter(
-        latitude_deg=HOME[0], longitude_deg=HOME[1], altitude_amsl_m=HOME[2], limits=GENTLE
-    )
-
-
-def fixes(
+def told(
     receiver: Receiver,
+    changes: Changes,
     until_s: float,
-    conditions: GpsConditions = FINE,
     *,
     copter: Copter | None = None,
-    seed: int = 1,
     step_us: int = STEP_US,
 ) -> list[Fix]:
-    """Every solution up to then, of a vehicle that keeps its velocity."""
-    gps, vehicle = Gps(receiver, np.random.default_rng(seed)), copter or standing()
-    found, last = [], None
-    for now_us in range(step_us, round(until_s * S) + 1, step_us):
-        vehicle.advance(0.0, 0.0, 0.0, step_us * 1e-6)
-        fix = gps.step(now_us, vehicle, conditions)
-        if fix is not last:
-            found.append(fix)
-        last = fix
+    """What it says after each step, of a vehicle that keeps its velocity."""
+    vehicle = copter or Copter(**placed(PLANE_HOME), limits=GENTLE)
+    gps, starts, found = Gps(receiver, np.random.default_rng(1)), [at for at, _ in changes], []
+    for now_us in range(0, round(until_s * S) + 1, step_us):
+        conditions = changes[bisect.bisect_right(starts, now_us / S) - 1][1]
+        vehicle.advance(0.0, 0.0, 0.0, step_us * 1e-6 if now_us else 0.0)
+        found.append(gps.step(now_us, vehicle, conditions))
     return found
 
 
-def offsets_m(found: list[Fix]) -> FloatArray:
+def solutions(receiver: Receiver, until_s: float, conditions: Any = FINE, **how: Any) -> list[Fix]:
+    """Each new one."""
+    found = told(receiver, [(0.0, conditions)], until_s, **how)
+    return [fix for k, fix in enumerate(found) if k and fix is not found[k - 1]]
+
+
+def offsets_m(found: list[Fix], latitude_deg: float = PLANE_HOME[0]) -> FloatArray:
     """North, east, up of home.  -> (K, 3)."""
     rows = []
     for fix in found:
-        azimuth, _, away = WGS84.inv(HOME[1], HOME[0], fix.longitude_deg, fix.latitude_deg)
-        angle = math.radians(azimuth)
-        rows.append((away * math.cos(angle), away * math.sin(angle), fix.altitude_amsl_m - HOME[2]))
+        place = (PLANE_HOME[1], latitude_deg, fix.longitude_deg, fix.latitude_deg)
+        azimuth, _, away = WGS84.inv(*place)
+        north, east = math.cos(math.radians(azimuth)), math.sin(math.radians(azimuth))
+        rows.append((away * north, away * east, fix.altitude_amsl_m - PLANE_HOME[2]))
     return np.array(rows)
 
 
@@ -76,27 +73,15 @@ def recorded(name: str, numbers: set[int]) -> Iterator[tuple[float, Any]]:
             yield one.time_s, decoded(one)
 
 
-def replayed(
-    receiver: Receiver, changes: list[tuple[float, GpsConditions]], asked_s: list[float]
-) -> list[Fix]:
-    """The newest solution at each of these times; conditions from their times on."""
-    gps, copter, told, now_us = Gps(receiver, np.random.default_rng(1)), standing(), [], 0
-    starts = [start for start, _ in changes]
-    for time_s in asked_s:
-        fix = Fix()
-        while now_us <= time_s * S:
-            conditions = changes[bisect.bisect_right(starts, now_us / S) - 1][1]
-            fix = gps.step(now_us, copter, conditions)
-            now_us += STEP_US
-        told.append(fix)
-    return told
+def newest(receiver: Receiver, changes: Changes, asked_s: list[float]) -> list[Fix]:
+    """The newest solution at each of these times."""
+    found = told(receiver, changes, asked_s[-1])
+    return [found[int(time_s * S) // STEP_US] for time_s in asked_s]
 
 
 def test_fixes_come_and_go_as_arducopters_did() -> None:
     """Type, satellites, dilution and time of each GPS_RAW_INT of arducopter-gps-loss.tlog."""
-    asked: list[tuple[float, Any]] = []
-    changes: list[tuple[float, GpsConditions]] = [(0.0, FINE)]
-    late_s = 0.0
+    asked, changes, late_s = list[tuple[float, Any]](), [(0.0, FINE)], 0.0
     for time_s, message in recorded("arducopter-gps-loss.tlog", {2, 23, 24}):
         kind = message.get_type()
         if kind == "SYSTEM_TIME":
@@ -107,10 +92,10 @@ def test_fixes_come_and_go_as_arducopters_did() -> None:
             now = FINE._replace(enabled=message.param_value != 0.0)
             changes.append((time_s - late_s, now))
     assert [round(time_s) for time_s, _ in changes] == [0, 163, 188]
-    told = replayed(ARDUCOPTER, changes, [time_s for time_s, _ in asked])
+    fixes = newest(ARDUCOPTER, changes, [time_s for time_s, _ in asked])
     wrong = [
         (time_s, fix.fix_type, real.fix_type, fix.time_us, real.time_usec)
-        for (time_s, real), fix in zip(asked, told, strict=True)
+        for (time_s, real), fix in zip(asked, fixes, strict=True)
         if (fix.fix_type, fix.satellites, fix.time_us)
         != (real.fix_type, real.satellites_visible, real.time_usec)
         or (fix.fix_type and fix.horizontal_dilution != real.eph / 100.0)
@@ -126,14 +111,12 @@ def test_fixes_come_and_go_as_px4s_did() -> None:
     lost = [real.time_usec / S for real in asked if real.fix_type == 0]
     off = PROMPT._replace(enabled=False, satellites=0)
     changes = [(0.0, PROMPT), (lost[0] - 0.1, off), (lost[-1] + 0.03, PROMPT)]
-    told = replayed(PX4, changes, [real.time_usec / S + 0.02 for real in asked])
-    for real, fix in zip(asked, told, strict=True):
-        assert fix.fix_type == real.fix_type
-        assert fix.satellites == real.satellites_visible
+    fixes = newest(PX4, changes, [real.time_usec / S + 0.02 for real in asked])
+    for real, fix in zip(asked, fixes, strict=True):
+        assert (fix.fix_type, fix.satellites) == (real.fix_type, real.satellites_visible)
         assert fix.horizontal_dilution == real.eph / 100.0
         assert fix.vertical_accuracy_m == pytest.approx(real.v_acc * 1e-3)
-    times_us = [fix.time_us for fix in told]
-    assert np.diff(times_us).min() > 0  # also without a fix
+    assert np.diff([fix.time_us for fix in fixes]).min() > 0  # also without a fix
 
 
 def test_px4s_noise_is_that_of_the_recorded_receiver() -> None:
@@ -141,21 +124,17 @@ def test_px4s_noise_is_that_of_the_recorded_receiver() -> None:
     local, real = [], []
     for _, message in recorded("px4-gps-loss.tlog", {24, 32}):
         if message.get_type() == "LOCAL_POSITION_NED":
-            local.append((message.time_boot_ms * 1e-3, message.x, message.y))
+            local.append((message.time_boot_ms * 1e-3, message.x))
         elif 25.0 < message.time_usec / S < 80.0:
-            real.append((message.time_usec / S, message.lat / 1e7, message.lon / 1e7))
+            real.append((message.time_usec / S, message.lat / 1e7))
     track, seen = np.array(local), np.array(real)
-    north = np.interp(seen[:, 0], track[:, 0], track[:, 1])
-    measured = seen[:, 1] * 111_200.0 - north
-    step_real = np.diff(measured)  # the difference of two solutions: slow errors cancel
-    found = offsets_m(fixes(PX4, 200.0, PROMPT)[1:])
-    step_own = np.diff(found[:, 0])
-    assert step_own.std() == pytest.approx(step_real.std(), rel=0.15)
-    white = (
-        np.corrcoef(step_own[1:], step_own[:-1])[0, 1],
-        np.corrcoef(step_real[1:], step_real[:-1])[0, 1],
-    )
-    assert white == pytest.approx((-0.5, -0.5), abs=0.1)  # what differences of white noise have
+    measured = seen[:, 1] * 111_200.0 - np.interp(seen[:, 0], *track.T)
+    own = offsets_m(solutions(PX4, 200.0, PROMPT)[1:])[:, 0]
+    # the difference of two solutions: slow errors cancel
+    steps = [np.diff(values) for values in (own, measured)]
+    assert steps[0].std() == pytest.approx(steps[1].std(), rel=0.15)
+    for each in steps:  # what differences of white noise have
+        assert np.corrcoef(each[1:], each[:-1])[0, 1] == pytest.approx(-0.5, abs=0.1)
 
 
 # --- what the receiver does -----------------------------------------------------------------------
@@ -163,18 +142,12 @@ def test_px4s_noise_is_that_of_the_recorded_receiver() -> None:
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.1, 0.25, 1.0])
 def test_the_position_is_as_old_as_the_lag_says(lag_s: float) -> None:
-    copter = standing()
+    copter = Copter(**placed(PLANE_HOME), limits=GENTLE)
     copter.velocity_north_m_s = 10.0
-    found = fixes(ARDUCOPTER, 30.0, GpsConditions(lag_s=lag_s), copter=copter)[15:]
-    north_m = offsets_m(found)[:, 0]
+    found = solutions(ARDUCOPTER, 30.0, GpsConditions(lag_s=lag_s), copter=copter)[15:]
     expected = [10.0 * (fix.time_us * 1e-6 - lag_s) for fix in found]
-    assert north_m == pytest.approx(np.array(expected), abs=0.005)
+    assert offsets_m(found)[:, 0] == pytest.approx(np.array(expected), abs=0.005)
     assert {round(fix.velocity_north_m_s, 6) for fix in found} == {10.0}
-
-
-def test_a_lag_beyond_its_memory_is_as_long_as_that() -> None:
-    found = fixes(ARDUCOPTER, 60.0, GpsConditions(lag_s=10_000.0))
-    assert all(math.isfinite(fix.latitude_deg) for fix in found)
 
 
 @pytest.mark.parametrize("latitude_deg", [-35.4, 0.0, 60.0])
@@ -188,67 +161,41 @@ def test_a_lag_beyond_its_memory_is_as_long_as_that() -> None:
 def test_a_glitch_moves_the_position_at_once_and_back(
     latitude_deg: float, glitch: GpsConditions, moved_m: tuple[float, float, float]
 ) -> None:
-    gps, copter, told = Gps(ARDUCOPTER, np.random.default_rng(1)), standing(), {}
-    copter.latitude_deg = latitude_deg
-    for now_us in range(0, 20 * S, STEP_US):
-        told[now_us] = gps.step(now_us, copter, glitch if 12 * S <= now_us < 15 * S else FINE)
-    for at_us, expected_m in ((11_990_000, (0.0, 0.0, 0.0)), (12_180_000, moved_m)):
-        fix = told[at_us]
-        azimuth, _, away = WGS84.inv(HOME[1], latitude_deg, fix.longitude_deg, fix.latitude_deg)
-        angle = math.radians(azimuth)
-        found_m = (away * math.cos(angle), away * math.sin(angle), fix.altitude_amsl_m - HOME[2])
-        assert found_m == pytest.approx(expected_m, abs=0.3)
-        assert fix.fix_type == 6
-    assert told[15_180_000][2:5] == told[11_990_000][2:5]
+    copter = Copter(**placed((latitude_deg, *PLANE_HOME[1:])), limits=GENTLE)
+    changes = [(0.0, FINE), (12.0, glitch), (15.0, FINE)]
+    found = told(ARDUCOPTER, changes, 20.0, copter=copter)
+    for step, expected_m in ((1199, (0.0, 0.0, 0.0)), (1218, moved_m)):
+        assert offsets_m([found[step]], latitude_deg)[0] == pytest.approx(expected_m, abs=0.3)
+        assert found[step].fix_type == 6
+    assert found[1518][2:5] == found[1199][2:5]
 
 
 def test_a_drift_goes_on_at_its_speed_and_is_forgotten() -> None:
     drift = GpsConditions(drift_m_s=(0.0, 0.5, 0.1))
-    found = fixes(ARDUCOPTER, 60.0, drift)[3:]
-    away = offsets_m(found)
-    lasted_s = (found[-1].time_us - found[0].time_us) * 1e-6
-    assert away[-1] - away[0] == pytest.approx(
-        [0, 0.5 * lasted_s, 0.1 * lasted_s], rel=2e-3, abs=1e-3
-    )
+    found = solutions(ARDUCOPTER, 60.0, drift)[3:]
+    away, lasted_s = offsets_m(found), (found[-1].time_us - found[0].time_us) * 1e-6
+    expected = [0, 0.5 * lasted_s, 0.1 * lasted_s]
+    assert away[-1] - away[0] == pytest.approx(expected, rel=2e-3, abs=1e-3)
     assert found[-1].velocity_east_m_s == pytest.approx(0.5)
-    gps, copter = Gps(ARDUCOPTER, np.random.default_rng(1)), standing()
-    for now_us in range(0, 30 * S, STEP_US):
-        fix = gps.step(now_us, copter, drift if now_us < 20 * S else FINE)
-    assert offsets_m([fix])[0] == pytest.approx([0, 0, 0], abs=1e-6)
+    found = told(ARDUCOPTER, [(0.0, drift), (20.0, FINE)], 30.0)
+    assert offsets_m(found[-1:])[0] == pytest.approx([0, 0, 0], abs=1e-6)
 
 
 def test_noise_has_the_standard_deviation_that_is_asked_for() -> None:
-    found = fixes(ARDUCOPTER, 4000.0, GpsConditions(sigma_m=3.0), step_us=100_000)[3:]
-    away = offsets_m(found)
+    found = solutions(ARDUCOPTER, 4000.0, GpsConditions(sigma_m=3.0), step_us=100_000)[3:]
+    away, lag = offsets_m(found), round(5.0 / 0.2)
     assert away.std(axis=0) == pytest.approx([3.0, 3.0, 4.5], rel=0.15)
-    lag = round(5.0 / 0.2)
-    for axis in range(3):
-        x = away[:, axis]
+    for x in away.T:
         assert np.corrcoef(x[lag:], x[:-lag])[0, 1] == pytest.approx(math.exp(-1.0), abs=0.12)
 
 
 def test_a_jammed_receiver_first_loses_its_fix_and_then_says_wild_things() -> None:
-    jammed = GpsConditions(jammed=True)
-    gps, copter, found = Gps(ARDUCOPTER, np.random.default_rng(3)), standing(), list[Fix]()
-    for now_us in range(0, 140 * S, 200_000):
-        found.append(gps.step(now_us, copter, jammed if now_us >= 20 * S else FINE))
+    changes = [(0.0, FINE), (20.0, GpsConditions(jammed=True))]
+    found = told(ARDUCOPTER, changes, 139.9, step_us=200_000)
     lost, wild = found[102:107], found[140:]
     assert found[99].fix_type == 6
     assert {(fix.fix_type, fix.satellites) for fix in lost} == {(1, 3)}
     assert {fix.fix_type for fix in wild} == {1, 6}
-    away = np.hypot(*offsets_m(wild)[:, :2].T)
-    assert 20.0 < away.max() < 20_000.0
+    assert 20.0 < np.hypot(*offsets_m(wild)[:, :2].T).max() < 20_000.0
     assert 50.0 < max(abs(fix.velocity_north_m_s) for fix in wild) <= 400.0
     assert len({fix.satellites for fix in wild}) > 5
-
-
-def test_an_offset_in_height_is_what_is_told() -> None:
-    found = fixes(ARDUCOPTER, 20.0, GpsConditions(offset_up_m=10.0))[3:]
-    assert offsets_m(found)[-1] == pytest.approx([0.0, 0.0, 10.0], abs=1e-6)
-
-
-@pytest.mark.parametrize("receiver", [ARDUCOPTER, PX4])
-def test_the_same_seed_says_the_same(receiver: Receiver) -> None:
-    bad = GpsConditions(sigma_m=2.0, jammed=True)
-    runs = [fixes(receiver, 30.0, bad, seed=seed) for seed in (1, 1, 2)]
-    assert runs[0] == runs[1] != runs[2]

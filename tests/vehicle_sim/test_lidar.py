@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from harness import Flown, Link
 from pymavlink.dialects.v20 import all as mavlink
-from test_near_scene import GROUND_M, world
+from test_near_scene import GROUND_M
 
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.wire.frames import Packer
 from vehicle_sim.wire.proximity import BY_MAVLINK, Proximity
 
-NOT_THERE, NOT_KNOWN = 1601, 65535
+NOT_THERE, NOT_KNOWN, PROXIMITY = 1601, 65535, 0x4000000
 POST = {"north_m": 10.0, "east_m": 0.0, "radius_m": 1.0, "height_m": 50.0}
 WALL = {"points_ne_m": [[-60.0, 8.0], [60.0, 8.0]], "thickness_m": 1.0, "height_m": 50.0}
 AT_ONCE = {"kind": "sectors"}
@@ -59,11 +59,8 @@ class Bench(Link):
     def sectors(self) -> dict[int, int]:
         """By sector what the newest cycle says."""
         told = [m for m in self.of("DISTANCE_SENSOR", 1) if m.id >= 10]
-        return {
-            m.orientation: m.current_distance
-            for m in told
-            if told[-1].time_boot_ms == m.time_boot_ms
-        }
+        newest = [m for m in told if m.time_boot_ms == told[-1].time_boot_ms]
+        return {m.orientation: m.current_distance for m in newest}
 
 
 # --- the driver -----------------------------------------------------------------------------------
@@ -99,19 +96,20 @@ def test_what_the_driver_says_and_how_often_on_every_link() -> None:
 
 def test_nearer_than_the_least_distance_nothing_is_known() -> None:
     near = POST | {"north_m": 1.3}
-    told = Bench(trees=[near], lidar={"min_m": 0.5}).fly(1.0).maps()[-1].distances
+    told, known = (
+        Bench(trees=[near], lidar={"min_m": least_m}).fly(1.0).maps()[-1].distances
+        for least_m in (0.5, 0.1)
+    )
     unknown = {k for k, cm in enumerate(told) if cm == NOT_KNOWN}
-    assert unknown
-    assert unknown <= {*range(14), *range(58, 72)}  # the post's sectors
-    assert min(Bench(trees=[near], lidar={"min_m": 0.1}).fly(1.0).maps()[-1].distances) == 30
+    assert set() < unknown <= {*range(14), *range(58, 72)}  # the post's sectors
+    assert min(known) == 30
 
 
 def test_a_leaning_vehicle_sees_the_ground() -> None:
     bench = Bench(autopilot="px4")
     bench.turn_rad = (0.0, math.radians(-30.0), math.radians(90.0))
-    told = bench.fly(1.0).maps()[-1]
-    assert told.distances[0] == pytest.approx((5.15 / math.sin(math.radians(30))) * 100, abs=3)
-    assert told.distances[36] == NOT_THERE
+    told = bench.fly(1.0).maps()[-1].distances
+    assert (told[0], told[36]) == (pytest.approx(1030, abs=3), NOT_THERE)  # 5.15 m / sin 30 deg
 
 
 def test_noise_and_lost_echoes_have_the_size_that_the_world_says_and_are_the_seeds() -> None:
@@ -222,11 +220,9 @@ def test_nothing_in_reach_and_a_dead_lidar_are_both_silent_and_only_the_health_b
 ) -> None:
     bench = Bench(faults=fault, **things, **ITS_OWN).fly(5.0)
     assert (bench.all("DISTANCE_SENSOR", since_s=3.35) == []) is silent
-    there, health = (
-        bool(getattr(bench.last("SYS_STATUS"), f"onboard_control_sensors_{word}") & 0x4000000)
-        for word in ("present", "health")
-    )
-    assert (there, health) == (True, well)
+    status = bench.last("SYS_STATUS")
+    assert status.onboard_control_sensors_present & PROXIMITY
+    assert bool(status.onboard_control_sensors_health & PROXIMITY) is well
 
 
 def told(distances: dict[int, int], **fields: Any) -> Any:
@@ -276,15 +272,13 @@ def test_the_driver_or_a_second_lidar_comes_back_as_sectors_of_component_1() -> 
 
 def test_a_rangefinder_measures_slant_range_and_goes_on_beyond_its_maximum() -> None:
     parameters = {"RNGFND1_TYPE": 100.0, "RNGFND1_MAX": 12.0}
-    faults = "at 3 s: rangefinder_off"
-    bench = Bench(parameters=parameters, faults=faults, asks=(132, 173))
+    bench = Bench(parameters=parameters, faults="at 3 s: rangefinder_off", asks=(132, 173))
     bench.hold_m, bench.turn_rad = 16.0, (math.radians(20.0), math.radians(-10.0), 1.0)
     bench.fly(2.0)
     slant_m = 16.0 / (math.cos(math.radians(20.0)) * math.cos(math.radians(10.0)))
-    message = bench.last("DISTANCE_SENSOR")
-    assert message.current_distance == pytest.approx(slant_m * 100, abs=1)
-    assert (message.id, message.orientation, message.type) == (0, 25, 4)
-    assert (message.min_distance, message.max_distance) == (20, 1200)
+    m = bench.last("DISTANCE_SENSOR")
+    assert m.current_distance == pytest.approx(slant_m * 100, abs=1)
+    assert (m.id, m.orientation, m.type, m.min_distance, m.max_distance) == (0, 25, 4, 20, 1200)
     assert bench.last("RANGEFINDER").distance == pytest.approx(slant_m, abs=0.01)
     bench.fly(2.0)
     assert bench.of("DISTANCE_SENSOR", since_s=3.05) == []
@@ -295,38 +289,34 @@ def test_a_rangefinder_measures_slant_range_and_goes_on_beyond_its_maximum() -> 
 
 # --- touching -------------------------------------------------------------------------------------
 
+TREE = POST | {"north_m": 12.0, "radius_m": 0.05}
+FENCE = WALL | {"points_ne_m": [[12.0, -9.0], [12.0, 9.0]], "thickness_m": 0.1}
 
-def flown_at(near: dict[str, Any], autopilot: str) -> tuple[Simulation, Sequence[dict[str, Any]]]:
+
+def flown_at(autopilot: str, **near: Any) -> tuple[Simulation, Sequence[dict[str, Any]]]:
     """Armed in the air at 4 m/s to the north, 5 m above the ground."""
     flown = Flown("copter", autopilot, **near)
     flown.into_the_air(5.0)
-    until_s = flown.simulation.now_us * 1e-6 + 8.0
-    flown.fly_until(lambda: flown.simulation.now_us * 1e-6 > until_s, 9.0, 4.0, 0.0)
+    until_s = flown.now_s + 8.0
+    flown.fly_until(lambda: flown.now_s > until_s, 9.0, 4.0, 0.0)
     return flown.simulation, flown.truth()
 
 
 @pytest.mark.parametrize(
-    ("thing", "autopilot"),
-    [
-        (("trees", POST | {"north_m": 12.0, "radius_m": 0.05}), "ardupilot"),
-        (("walls", WALL | {"points_ne_m": [[12.0, -9.0], [12.0, 9.0]], "thickness_m": 0.1}), "px4"),
-    ],
+    ("autopilot", "thing"), [("ardupilot", {"trees": [TREE]}), ("px4", {"walls": [FENCE]})]
 )
-def test_who_touches_something_thin_crashes(thing: tuple[str, Any], autopilot: str) -> None:
-    simulation, truth = flown_at({thing[0]: [thing[1]]}, autopilot)
+def test_who_touches_something_thin_crashes(autopilot: str, thing: dict[str, Any]) -> None:
+    simulation, truth = flown_at(autopilot, **thing)
     assert simulation.nearest_m == min(row["near_m"] for row in truth) == 0.0
     assert (simulation.armed, simulation.landed) == (False, True)
     assert truth[-1]["north_m"] < 12.3
 
 
 def test_who_passes_has_the_least_distance_in_the_truth() -> None:
-    tree = POST | {"north_m": 12.0, "east_m": 3.0, "radius_m": 0.5}
-    simulation, truth = flown_at({"trees": [tree]}, "ardupilot")
+    aside = {"east_m": 3.0, "radius_m": 0.5}
+    simulation, truth = flown_at("ardupilot", trees=[TREE | aside])
     assert simulation.armed
     east_m = [row["east_m"] for row in truth if abs(row["north_m"] - 12.0) < 0.5]
     least_m = min(row["near_m"] for row in truth)
     assert least_m == pytest.approx(3.0 - 0.5 - float(np.mean(east_m)), abs=0.02)
     assert least_m == pytest.approx(simulation.nearest_m, abs=1e-3)
-    nothing = Simulation(world())
-    nothing.step()
-    assert not any("near_m" in line for line in nothing.take_truth())

@@ -55,10 +55,9 @@ def test_what_is_not_an_endpoint_is_said_to_be_none(text: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["udpout", "udpin", "tcpin"])
-@pytest.mark.parametrize("host", ["127.0.0.1", "[::1]", "vehicle.local"])
-def test_with_two_slashes_it_is_the_same_endpoint(kind: str, host: str) -> None:
-    endpoint = parse_endpoint(f"{kind}://{host}:14540")
-    assert str(endpoint) == f"{kind}:{host}:14540"
+def test_with_two_slashes_it_is_the_same_endpoint(kind: str) -> None:
+    for host in ("127.0.0.1", "[::1]", "vehicle.local"):
+        assert str(parse_endpoint(f"{kind}://{host}:14540")) == f"{kind}:{host}:14540"
 
 
 def test_a_port_in_use_is_named(opened: Open) -> None:

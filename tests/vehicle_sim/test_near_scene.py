@@ -8,13 +8,12 @@ import pytest
 import shapely
 from scipy.spatial import cKDTree
 
-from vehicle_sim.scene import Scene
 from vehicle_sim.terrain import FloatArray
-from vehicle_sim.world import Wood, World, parse_world
+from vehicle_sim.world import Tree, World, parse_world
 
 GROUND_M = 100.0
-Solid = tuple[Any, float, float]
-"""A shapely geometry in north and east, from a height to a height."""
+Solid = tuple[Any, float]
+"""A shapely geometry in north and east, from the ground up to a height."""
 
 
 def world(**near: Any) -> World:
@@ -32,40 +31,37 @@ def world(**near: Any) -> World:
 
 def drawn(seed: int) -> tuple[World, list[Solid]]:
     """Random things, and the same as shapely has them."""
-    rng = np.random.default_rng(seed)
-    solids: list[Solid] = []
+    rng, solids = np.random.default_rng(seed), list[Solid]()
     trees, walls, buildings = [], [], []
 
-    def height() -> float:
-        return float(rng.uniform(3.0, 20.0))
+    def height(shape: Any) -> dict[str, float]:
+        """Of a thing of this shape."""
+        height_m = float(rng.uniform(3.0, 20.0))
+        solids.append((shape, GROUND_M + height_m))
+        return {"height_m": height_m}
 
     for _ in range(30):
-        (n, e), r, h = rng.uniform(-30, 30, 2).tolist(), float(rng.uniform(0.1, 2.0)), height()
-        trees.append({"north_m": n, "east_m": e, "radius_m": r, "height_m": h})
-        solids.append((shapely.Point(n, e).buffer(r, quad_segs=128), -math.inf, GROUND_M + h))
+        (n, e), radius_m = rng.uniform(-30, 30, 2).tolist(), float(rng.uniform(0.1, 2.0))
+        round_m = shapely.Point(n, e).buffer(radius_m, quad_segs=128)
+        trees.append({"north_m": n, "east_m": e, "radius_m": radius_m} | height(round_m))
     for _ in range(4):
-        points, t, h = rng.uniform(-30, 30, (3, 2)).tolist(), float(rng.uniform(0.2, 2)), height()
-        walls.append({"points_ne_m": points, "thickness_m": t, "height_m": h})
-        line = shapely.LineString(points).buffer(t / 2, quad_segs=128)
-        solids.append((line, -math.inf, GROUND_M + h))
+        points, thick_m = rng.uniform(-30, 30, (3, 2)).tolist(), float(rng.uniform(0.2, 2))
+        line = shapely.LineString(points).buffer(thick_m / 2, quad_segs=128)
+        walls.append({"points_ne_m": points, "thickness_m": thick_m} | height(line))
     for _ in range(4):
         angles = np.sort(rng.uniform(0, math.tau, 6))
         rays = rng.uniform(2, 12, (6, 1)) * np.stack([np.cos(angles), np.sin(angles)], -1)
-        corners, h = (rng.uniform(-30, 30, 2) + rays).tolist(), height()
-        if shapely.Polygon(corners).is_valid:
-            buildings.append({"corners_ne_m": corners, "height_m": h})
-            solids.append((shapely.Polygon(corners), -math.inf, GROUND_M + h))
+        corners = (rng.uniform(-30, 30, 2) + rays).tolist()
+        if (shape := shapely.Polygon(corners)).is_valid:
+            buildings.append({"corners_ne_m": corners} | height(shape))
     return world(trees=trees, walls=walls, buildings=buildings), solids
 
 
 def away_m(solids: list[Solid], points: FloatArray) -> FloatArray:
     flat = shapely.points(points[:, :2])
     each = [
-        np.hypot(
-            shapely.distance(shape, flat),
-            np.maximum(np.maximum(points[:, 2] - top, bottom - points[:, 2]), 0.0),
-        )
-        for shape, bottom, top in solids
+        np.hypot(shapely.distance(shape, flat), np.maximum(points[:, 2] - top, 0.0))
+        for shape, top in solids
     ]
     return np.min(each, axis=0)
 
@@ -87,7 +83,7 @@ def test_level_beams_are_as_long_as_shapelys_lines(seed: int) -> None:
     eye = np.array([*rng.uniform(-30, 30, 2), GROUND_M + 5.0])
     while away_m(solids, eye[None])[0] == 0.0:
         eye[:2] += 1.0
-    tall = shapely.union_all([shape for shape, _, top in solids if top > eye[2]])
+    tall = shapely.union_all([shape for shape, top in solids if top > eye[2]])
     expected = []
     for way in ways:
         line = shapely.LineString([eye[:2], eye[:2] + 40.0 * way[:2]]).intersection(tall)
@@ -99,42 +95,30 @@ def test_level_beams_are_as_long_as_shapelys_lines(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_tilted_beams_end_where_small_steps_first_are_inside(seed: int) -> None:
     made, solids = drawn(seed)
-    rng = np.random.default_rng(seed + 300)
-    ways = rng.normal(size=(12, 3)) * [1.0, 1.0, 0.4]
+    ways = np.random.default_rng(seed + 300).normal(size=(12, 3)) * [1.0, 1.0, 0.4]
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     eye = np.array([0.0, 0.0, GROUND_M + 22.0])  # above all roofs: beams come down on them
-    found = made.scene().ray_lengths_m(eye, ways, 60.0)
-    steps = np.arange(0.0, 60.0, 0.02)
-    for shape, _, _ in solids:
-        shapely.prepare(shape)
+    found, steps = made.scene().ray_lengths_m(eye, ways, 60.0), np.arange(0.0, 60.0, 0.02)
+    shapely.prepare([shape for shape, _ in solids])
     for way, length in zip(ways, found, strict=True):
         points = eye + steps[:, None] * way
         inside = points[:, 2] < GROUND_M
-        for shape, _, top in solids:
+        for shape, top in solids:
             inside |= (points[:, 2] <= top) & shapely.contains_xy(shape, *points[:, :2].T)
         first = steps[inside.argmax()] if inside.any() else math.inf
         assert length == pytest.approx(first, abs=0.05) or length > 59.9
 
 
 def test_beams_meet_a_hill_where_small_steps_do() -> None:
-    hill = [
-        {
-            "north_m": 40.0,
-            "east_m": 0.0,
-            "height_amsl_m": GROUND_M + 30.0,
-            "spread_north_m": 15.0,
-            "spread_east_m": 20.0,
-        }
-    ]
-    made = world(terrain={"combine": "maximum", "ground_amsl_m": GROUND_M, "peaks": hill})
-    terrain, eye = made.truth(), np.array([0.0, 0.0, GROUND_M + 10.0])
-    pitches = np.radians([-25.0, -5.0, 0.0, 5.0, 20.0])
+    hill = {"north_m": 40.0, "east_m": 0.0, "height_amsl_m": GROUND_M + 30.0}
+    hill |= {"spread_north_m": 15.0, "spread_east_m": 20.0}
+    made = world(terrain={"combine": "maximum", "ground_amsl_m": GROUND_M, "peaks": [hill]})
+    eye, pitches = np.array([0.0, 0.0, GROUND_M + 10.0]), np.radians([-25.0, -5.0, 0.0, 5.0, 20.0])
     ways = np.stack([np.cos(pitches), 0 * pitches, np.sin(pitches)], -1)
-    found = made.scene().ray_lengths_m(eye, ways, 60.0)
-    steps = np.arange(0.0, 60.0, 0.005)
+    found, steps = made.scene().ray_lengths_m(eye, ways, 60.0), np.arange(0.0, 60.0, 0.005)
     for way, length in zip(ways, found, strict=True):
         points = eye + steps[:, None] * way
-        below = points[:, 2] < terrain.height_amsl_m(points[:, 0], points[:, 1])
+        below = points[:, 2] < made.truth().height_amsl_m(points[:, 0], points[:, 1])
         assert length == pytest.approx(steps[below.argmax()] if below.any() else math.inf, abs=0.1)
 
 
@@ -143,23 +127,17 @@ def test_a_level_beam_passes_over_what_the_earths_curvature_hides(
     above_m: float, *, met: bool
 ) -> None:
     """500 m away the ground has sunk by 2 cm."""
-    wall = {
-        "points_ne_m": [[500.0, -5.0], [500.0, 5.0]],
-        "thickness_m": 0.2,
-        "height_m": 5.0 + above_m,
-    }
-    made = world(walls=[wall]).scene()
+    wall = {"points_ne_m": [[500.0, -5.0], [500.0, 5.0]], "thickness_m": 0.2}
+    made = world(walls=[wall | {"height_m": 5.0 + above_m}]).scene()
     level = np.array([[1.0, 0.0, 0.0]])
     found = made.ray_lengths_m(np.array([0.0, 0.0, GROUND_M + 5.0]), level, 600.0)
     assert np.isfinite(found[0]) == met
 
 
 def test_a_beam_meets_level_ground_and_roofs_where_the_earth_has_sunk_to() -> None:
-    roof = {
-        "corners_ne_m": [[-900.0, -900.0], [-900.0, 900.0], [900.0, 900.0], [900.0, -900.0]],
-        "height_m": 5.0,
-    }
-    for things, level_m in (({}, 0.0), ({"buildings": [roof]}, 5.0)):
+    corners = [[-900.0, -900.0], [-900.0, 900.0], [900.0, 900.0], [900.0, -900.0]]
+    roof = {"buildings": [{"corners_ne_m": corners, "height_m": 5.0}]}
+    for things, level_m in (({}, 0.0), (roof, 5.0)):
         made = world(**things).scene()
         for slope in (-0.02, -0.0031, -0.00305):
             way = np.array([[0.6, 0.8, slope]]) / math.hypot(1.0, slope)
@@ -184,26 +162,21 @@ def test_a_wire_is_touched_and_not_seen() -> None:
 
 WOOD: dict[str, Any] = {
     "seed": 7,
-    "north_min_m": -20.0,
-    "north_max_m": 180.0,
-    "east_min_m": 0.0,
-    "east_max_m": 150.0,
-    "spacing_m": [4.0, 8.0],
-    "radius_m": [0.2, 0.5],
-    "height_m": [10.0, 20.0],
     "clearing_share": 0.1,
     "clearings": [{"north_m": 50.0, "east_m": 60.0, "radius_m": 15.0}],
 }
+WOOD |= {"north_min_m": -20.0, "north_max_m": 180.0, "east_min_m": 0.0, "east_max_m": 150.0}
+WOOD |= {"spacing_m": [4.0, 8.0], "radius_m": [0.2, 0.5], "height_m": [10.0, 20.0]}
 
 
-def wood_of(**changes: Any) -> Wood:
-    (wood,) = world(woods=[WOOD | changes]).woods
-    return wood
+def trees_of(made: World | None = None, **changes: Any) -> list[Tree]:
+    (wood,) = (made or world(woods=[WOOD | changes])).woods
+    return list(wood.trees())
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_wood_keeps_its_spacing_and_its_clearings(seed: int) -> None:
-    trees = list(wood_of(seed=seed).trees())
+    trees = trees_of(seed=seed)
     places = np.array([(t.north_m, t.east_m) for t in trees])
     assert (places >= [-20.0, 0.0]).all()
     assert (places <= [180.0, 150.0]).all()
@@ -214,31 +187,15 @@ def test_a_wood_keeps_its_spacing_and_its_clearings(seed: int) -> None:
     clear_m = np.hypot(*(places - [50.0, 60.0]).T) - [t.radius_m for t in trees]
     assert clear_m.min() >= 15.0
     assert all(0.2 <= t.radius_m <= 0.5 and 10.0 <= t.height_m <= 20.0 for t in trees)
-
-
-def test_clearings_take_their_share() -> None:
-    counts = [len([*wood_of(clearing_share=s, clearings=[]).trees()]) for s in (0.0, 0.3, 0.6)]
+    counts = [len(trees_of(seed=seed, clearing_share=s, clearings=[])) for s in (0.0, 0.3, 0.6)]
     assert counts == sorted(counts, reverse=True)
     assert counts[2] < 0.6 * counts[0]
 
 
-def test_the_same_seed_draws_the_same_wood_and_another_another() -> None:
+def test_the_same_seed_draws_the_same_wood_and_a_scene_has_each_tree_of_it() -> None:
     made = world(woods=[WOOD])
-    first, again, other, eighth = (
-        list(wood.trees())
-        for wood in (
-            made.woods[0],
-            world(woods=[WOOD]).woods[0],
-            made.with_woods_of(8).woods[0],
-            wood_of(seed=8),
-        )
-    )
-    assert first == again != other == eighth
-
-
-def test_a_scene_has_each_tree_of_its_woods() -> None:
-    made = world(woods=[WOOD])
-    scene: Scene = made.scene()
-    for tree in list(made.woods[0].trees())[::40]:
+    assert trees_of(made) == trees_of() != trees_of(made.with_woods_of(8)) == trees_of(seed=8)
+    scene = made.scene()
+    for tree in trees_of()[::40]:
         at = [tree.north_m + tree.radius_m + 1.0, tree.east_m, GROUND_M + 5.0]
         assert scene.distance_m(np.array(at))[0] <= 1.0 + 1e-9

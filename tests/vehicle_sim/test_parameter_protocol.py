@@ -3,7 +3,7 @@
 import math
 import struct
 from itertools import pairwise
-from typing import Any, cast
+from typing import Any
 
 import pytest
 from harness import COMPANION, GCS, PLACE, VEHICLE, Link
@@ -19,6 +19,7 @@ BOTH = pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
 FLOAT = {"ardupilot": "GUID_TIMEOUT", "px4": "COM_DISARM_LAND"}
 LIST = mavlink.MAVLink_param_request_list_message(*VEHICLE)
 REAL, INT8, INT32 = 9, 2, 6
+BITS = {Kind.INT8: 8, Kind.INT16: 16, Kind.INT32: 32}
 
 
 def fresh(firmware: Firmware, kind: VehicleKind = "copter", **parameters: float) -> Link:
@@ -43,8 +44,8 @@ def put(vehicle: Link, name: str, value: float, kind: int = REAL) -> list[Any]:
     return values(vehicle, mavlink.MAVLink_param_set_message(*VEHICLE, name.encode(), value, kind))
 
 
-def as_float(whole: int) -> float:
-    return cast(float, struct.unpack("<f", struct.pack("<i", whole))[0])
+def as_float(whole: int) -> Any:
+    return struct.unpack("<f", struct.pack("<i", whole))[0]
 
 
 @BOTH
@@ -58,15 +59,14 @@ def test_a_list_has_all_in_order_at_the_rate_of_the_real_one(firmware: Firmware)
     values(vehicle, LIST, 1.0)
     for link in (0, 1):
         got = vehicle.all("PARAM_VALUE", link=link, since_s=since_s + 0.005)
-        assert [h.message.param_id for h in got] == list(table)
-        assert [h.message.param_index for h in got] == list(range(len(table)))
-        assert {h.message.param_count for h in got} == {len(table)}
+        told = [(h.message.param_id, h.message.param_index, h.message.param_count) for h in got]
+        assert told == [(name, k, len(table)) for k, name in enumerate(table)]
         assert got[-1].at_s - since_s == pytest.approx(len(table) * 1.5 / 1348, abs=0.03)
         assert all(b.at_s - a.at_s < 0.011 for a, b in pairwise(got))
 
 
 @BOTH
-def test_reading_by_index_and_by_name_and_what_there_is_not(firmware: Firmware) -> None:
+def test_a_value_is_read_by_index_or_name_told_to_every_link_and_kept(firmware: Firmware) -> None:
     vehicle = fresh(firmware)
     table, name = vehicle.simulation.parameters, FLOAT[firmware]
     place = list(table).index(name)
@@ -78,30 +78,22 @@ def test_reading_by_index_and_by_name_and_what_there_is_not(firmware: Firmware) 
     assert len(read(vehicle, index=len(table) - 1)) == 1
     assert read(vehicle, "NO_SUCH_NAME") == read(vehicle, index=len(table)) == []
     assert put(vehicle, "NO_SUCH_NAME", 1.0) == []
-
-
-@BOTH
-def test_a_set_value_is_told_to_every_link_and_kept(firmware: Firmware) -> None:
-    vehicle, name = fresh(firmware), FLOAT[firmware]
+    begun_s = vehicle.now_s
     (told,) = put(vehicle, name, 1.5)
-    (there,) = [heard.message for heard in vehicle.all("PARAM_VALUE", link=1)]
-    assert told.param_value == there.param_value == vehicle.simulation.parameters[name] == 1.5
+    (there,) = [h.message for h in vehicle.all("PARAM_VALUE", link=1, since_s=begun_s)]
+    assert told.param_value == there.param_value == table[name] == 1.5
     for value in (math.nan, math.inf, -math.inf):  # neither firmware keeps it
         answers = put(vehicle, name, value)
         assert [answer.param_value for answer in answers] == [1.5] * (firmware == "px4")
-        assert vehicle.simulation.parameters[name] == 1.5
+        assert table[name] == 1.5
 
 
 @pytest.mark.parametrize(
     ("name", "asked", "kept"),
     [
-        ("ANGLE_MAX", 4500.6, 4500),
-        ("ANGLE_MAX", 4500.995, 4501),
-        ("ANGLE_MAX", -7.995, -8),
-        ("ANGLE_MAX", 1e9, 32767),
-        ("DISARM_DELAY", -1e9, -128),
-        ("RTL_LOIT_TIME", 1e30, 2**31 - 1),
-        ("GUID_TIMEOUT", 1e30, 1e30),
+        *(("ANGLE_MAX", 4500.6, 4500), ("ANGLE_MAX", 4500.995, 4501), ("ANGLE_MAX", -7.995, -8)),
+        *(("ANGLE_MAX", 1e9, 32767), ("DISARM_DELAY", -1e9, -128)),
+        *(("RTL_LOIT_TIME", 1e30, 2**31 - 1), ("GUID_TIMEOUT", 1e30, 1e30)),
     ],
 )
 def test_ardupilot_converts_to_the_type_whatever_type_is_named(
@@ -126,29 +118,47 @@ def test_px4s_integers_travel_as_their_bits_and_no_other_type_is_taken(value: in
     assert put(vehicle, name, 3.0, REAL) == put(vehicle, FLOAT["px4"], as_float(3), INT32) == []
 
 
-BITS = {Kind.INT8: 8, Kind.INT16: 16, Kind.INT32: 32}
-
-
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 300.0, -1e30, 7.4, 7.6])
 @pytest.mark.parametrize("kind", Kind)
 def test_a_table_takes_only_what_its_types_hold(kind: Kind, value: float) -> None:
     """From inside, as by faults and tests; what is given at the start is refused instead."""
-    table = (Parameter(name="IT", default=3, kind=kind),)
+    table, bits = (Parameter(name="IT", default=3, kind=kind),), BITS.get(kind, 32)
     parameters = Parameters(table, {})
     parameters["IT"] = value
-    half = 1 << BITS.get(kind, 32) - 1
-    holds = math.isfinite(value) if kind is Kind.REAL32 else -half <= value <= half - 1
-    whole = kind is not Kind.REAL32 and math.isfinite(value)
-    kept = min(max(round(value), -half), half - 1) if whole else value
-    assert parameters["IT"] == (kept if math.isfinite(value) else 3)
-    if not holds:
-        with pytest.raises(
-            InputError, match=f"must be a number from .*it has {BITS.get(kind, 32)} bits"
-        ):
+    half = 1 << bits - 1
+    kept = value if math.isfinite(value) else 3
+    if kind is not Kind.REAL32 and math.isfinite(value):
+        kept = min(max(round(value), -half), half - 1)
+    assert parameters["IT"] == kept
+    if not math.isfinite(value) or not (kind is Kind.REAL32 or -half <= value <= half - 1):
+        with pytest.raises(InputError, match=f"must be a number from .*it has {bits} bits"):
             Parameters(table, {"IT": value})
 
 
+def test_a_value_is_kept_within_the_limits_of_its_row_and_until_a_reboot_or_for_good() -> None:
+    row = Parameter(name="RATE", default=4.0, kind=Kind.INT16, least=0.0, most=50.0)
+    table = Parameters([row], {})
+    for value, nearest in ((60.0, 50.0), (-3.0, 0.0), (math.nan, 0.0), (7.4, 7.0)):
+        table["RATE"] = value
+        assert table["RATE"] == table.kept()["RATE"] == nearest
+    for value in (9.0, 10.0):
+        table.set_until_reboot("RATE", value)
+    assert (table["RATE"], table.kept()["RATE"]) == (10.0, 7.0)
+    table["RATE"] = 11.0
+    assert (table["RATE"], table.kept()["RATE"]) == (11.0, 11.0)
+
+
 # --- what a parameter does ------------------------------------------------------------------------
+
+
+def reboot(vehicle: Link) -> None:
+    vehicle.simulation.add_fault("reboot")
+    vehicle.run(1.2)
+
+
+def obeys(vehicle: Link, *target: int) -> bool:
+    vehicle.send(mavlink.MAVLink_command_long_message(*target, 400, 0, 1, *[0] * 6))
+    return any(heard.kind == "COMMAND_ACK" for heard in vehicle.run(0.02))
 
 
 @pytest.mark.parametrize(
@@ -163,27 +173,17 @@ def test_the_parameters_of_ids_are_what_it_boots_as(
     firmware: Firmware, given: dict[str, float], before: tuple[int, int], after: dict[str, float]
 ) -> None:
     """Set at the start, or by PARAM_SET and then a reboot, and not before that."""
-    vehicle = fresh(firmware, **given)
-
-    def obeys(*target: int) -> bool:
-        vehicle.send(mavlink.MAVLink_command_long_message(*target, 400, 0, 1, *[0] * 6))
-        return any(heard.kind == "COMMAND_ACK" for heard in vehicle.run(0.02))
-
-    def who_speaks(seconds: float) -> set[tuple[int, int]]:
-        return {heard.source for heard in vehicle.run(seconds)}
-
-    assert who_speaks(3.0) == {before}
-    assert obeys(*before)
+    vehicle, booted_as = fresh(firmware, **given), (9, int(after.get("MAV_COMP_ID", before[1])))
+    assert {heard.source for heard in vehicle.run(3.0)} == {before}
+    assert obeys(vehicle, *before)
     for name, value in after.items():
         vehicle.simulation.set_parameter(name, value)
-    assert who_speaks(2.0) == {before}
+    assert {heard.source for heard in vehicle.run(2.0)} == {before}
     assert vehicle.simulation.system_id == before[0]
-    vehicle.simulation.add_fault("reboot")
-    vehicle.run(1.2)
-    booted_as = (9, int(after.get("MAV_COMP_ID", before[1])))
-    assert who_speaks(3.0) == {booted_as}
+    reboot(vehicle)
+    assert {heard.source for heard in vehicle.run(3.0)} == {booted_as}
     assert vehicle.simulation.system_id == 9
-    assert (obeys(*booted_as), obeys(*before)) == (True, False)
+    assert (obeys(vehicle, *booted_as), obeys(vehicle, *before)) == (True, False)
 
 
 @pytest.mark.parametrize(("kind", "unasked_hz"), [("copter", 0), ("plane", 1)])
@@ -203,19 +203,5 @@ def test_the_rates_of_streams_are_parameters_that_count_from_the_boot(
     vehicle.send(mavlink.MAVLink_request_data_stream_message(*VEHICLE, 11, 5, 1))  # EXTRA2
     assert rates_hz() == [10.0, unasked_hz, 5.0]
     assert vehicle.simulation.parameters["MAV1_EXTRA2"] == 5.0
-    vehicle.simulation.add_fault("reboot")
-    vehicle.run(1.2)
+    reboot(vehicle)
     assert rates_hz() == [10.0, 4.0, 5.0 if kind == "plane" else 0.0]
-
-
-def test_a_value_is_kept_within_the_limits_of_its_row_and_until_a_reboot_or_for_good() -> None:
-    row = Parameter(name="RATE", default=4.0, kind=Kind.INT16, least=0.0, most=50.0)
-    table = Parameters([row], {})
-    for value, nearest in ((60.0, 50.0), (-3.0, 0.0), (math.nan, 0.0), (7.4, 7.0)):
-        table["RATE"] = value
-        assert table["RATE"] == table.kept()["RATE"] == nearest
-    table.set_until_reboot("RATE", 9.0)
-    table.set_until_reboot("RATE", 10.0)
-    assert (table["RATE"], table.kept()["RATE"]) == (10.0, 7.0)
-    table["RATE"] = 11.0
-    assert (table["RATE"], table.kept()["RATE"]) == (11.0, 11.0)

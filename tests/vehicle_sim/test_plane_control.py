@@ -15,9 +15,9 @@ from vehicle_sim.autopilot.plane_control import (
     true_airspeed_m_s,
 )
 
-SPEED_M_S, STEP_S = 20.0, 0.02
-METRES = st.floats(-500.0, 500.0)
-ANGLES = st.floats(-math.pi, math.pi)
+SPEED_M_S, STEP_S, AHEAD = 20.0, 0.02, 20 + 0j
+METRES, ANGLES = st.floats(-500.0, 500.0), st.floats(-math.pi, math.pi)
+approx = pytest.approx
 
 
 def guidance(period_s: float = 15.0) -> L1:
@@ -27,7 +27,7 @@ def guidance(period_s: float = 15.0) -> L1:
 
 
 class Point:
-    """An independent, ideal vehicle."""
+    """An independent, ideal vehicle; places are complex: north and east."""
 
     def __init__(self, at_m: complex, course_deg: float = 0.0, wind: complex = 0j) -> None:
         self.at_m, self.course_rad, self.wind = at_m, math.radians(course_deg), wind
@@ -67,14 +67,11 @@ def test_a_circle_is_joined_from_anywhere_and_held_the_right_way_round(
     for _ in range(20):
         before_m = point.at_m
         point.circle(l1, radius_m, 0.5)
-        assert abs(point.at_m) == pytest.approx(100.0, abs=0.5)
+        assert abs(point.at_m) == approx(100.0, abs=0.5)
         assert cmath.phase(point.at_m / before_m) * radius_m > 0.0
-
-
-def test_on_the_circle_it_asks_for_the_centripetal_acceleration() -> None:
-    for way in (1.0, -1.0):
+    for way in (1.0, -1.0):  # on it, it asks for the centripetal acceleration
         lateral = guidance().circle(-150j, way * 150.0, complex(way * SPEED_M_S))
-        assert lateral == pytest.approx(way * SPEED_M_S**2 / 150.0)
+        assert lateral == approx(way * SPEED_M_S**2 / 150.0)
 
 
 @pytest.mark.parametrize("period_s", [10.0, 20.0])
@@ -88,7 +85,7 @@ def test_it_answers_a_small_offset_as_an_oscillator_of_its_period_and_damping(
         point.follow(l1, 1.0)
         fading = math.exp(-0.75 * omega * k)
         phase = math.cos(damped * k) + 0.75 * omega / damped * math.sin(damped * k)
-        assert point.at_m.imag == pytest.approx(fading * phase, abs=0.05)
+        assert point.at_m.imag == approx(fading * phase, abs=0.05)
 
 
 @pytest.mark.parametrize("radius_m", [200.0, -300.0])
@@ -98,7 +95,7 @@ def test_a_curve_told_as_lines_is_flown_outside_by_the_closed_form(radius_m: flo
     outside_m = abs(point.at_m - 1j * radius_m) - abs(radius_m)
     # a little less: the wider circle is also less curved
     wanted_m = SPEED_M_S**2 / abs(radius_m) * (10.0 / math.tau) ** 2
-    assert outside_m == pytest.approx(wanted_m, rel=0.05)
+    assert outside_m == approx(wanted_m, rel=0.05)
 
 
 @pytest.mark.parametrize("off_m", [-60.0, 15.0, 120.0])
@@ -106,21 +103,21 @@ def test_a_line_is_joined_and_kept_in_cross_wind(off_m: float) -> None:
     point = Point(off_m * 1j, wind=6j)
     point.follow(guidance(), 90.0)
     assert abs(point.at_m.imag) < 0.05
-    assert math.sin(point.course_rad) == pytest.approx(-6.0 / SPEED_M_S, abs=1e-3)
+    assert math.sin(point.course_rad) == approx(-6.0 / SPEED_M_S, abs=1e-3)
 
 
 def test_legs_lead_to_the_start_along_and_back_to_the_end() -> None:
     l1 = guidance()
     for off_m, towards in ((-500 + 300j, 500 - 300j), (1300 + 50j, -300 - 50j)):
-        l1.leg(off_m, 1000 + 0j, 20 + 0j)
-        assert l1.bearing_rad == pytest.approx(cmath.phase(towards))
-    assert l1.leg(500 + 0j, 1000 + 0j, 20 + 0j) == 0.0
-    l1.leg(500 - 3j, 1000 + 0j, 20 + 0j)
-    assert l1.cross_track_m == pytest.approx(3.0)
+        l1.leg(off_m, 1000 + 0j, AHEAD)
+        assert l1.bearing_rad == approx(cmath.phase(towards))
+    assert l1.leg(500 + 0j, 1000 + 0j, AHEAD) == 0.0
+    l1.leg(500 - 3j, 1000 + 0j, AHEAD)
+    assert l1.cross_track_m == approx(3.0)
 
 
 @given(north_m=METRES, east_m=METRES, course_rad=ANGLES, radius_m=st.floats(20.0, 300.0))
-def test_it_has_no_preferred_side(
+def test_it_has_no_preferred_side_and_does_not_dither(
     north_m: float, east_m: float, course_rad: float, radius_m: float
 ) -> None:
     at_m, velocity = complex(north_m, east_m), cmath.rect(SPEED_M_S, course_rad)
@@ -128,19 +125,15 @@ def test_it_has_no_preferred_side(
     there = guidance().circle(at_m.conjugate(), -radius_m, velocity.conjugate())
     assert math.isfinite(here)
     if abs(at_m) > 1.0 and abs(cmath.phase(-velocity * at_m.conjugate())) < 3.14:
-        assert here == pytest.approx(-there, abs=1e-6)
+        assert here == approx(-there, abs=1e-6)
+    l1 = guidance()  # with the target right behind
+    turns = [l1.circle(complex(300.0, 0.5 * (-1) ** k), 50.0, AHEAD) for k in range(10)]
+    assert len({turn > 0.0 for turn in turns[1:]}) == 1
 
 
 def test_at_the_point_itself_is_no_trouble() -> None:
-    for radius_m in (50.0, 1e-6):
-        assert math.isfinite(guidance().circle(0j, radius_m, 20 + 0j))
-    assert guidance().leg(0j, 0j, 20 + 0j) == 0.0
-
-
-def test_with_the_target_right_behind_it_does_not_dither() -> None:
-    l1 = guidance()
-    turns = [l1.circle(complex(300.0, 0.5 * (-1) ** k), 50.0, 20 + 0j) for k in range(10)]
-    assert len({turn > 0.0 for turn in turns[1:]}) == 1
+    assert all(math.isfinite(guidance().circle(0j, radius_m, AHEAD)) for radius_m in (50.0, 1e-6))
+    assert guidance().leg(0j, 0j, AHEAD) == 0.0
 
 
 def test_a_height_is_reached_as_a_limited_demand_through_a_lag() -> None:
@@ -152,12 +145,12 @@ def test_a_height_is_reached_as_a_limited_demand_through_a_lag() -> None:
         for _ in range(100):
             height_m += heights.climb_m_s(105.0, height_m, 0.01) * 0.01
         wanted_m = 105.0 - behind_m * math.exp(-(second - 1.0) / lag_s)
-        assert height_m == pytest.approx(wanted_m, abs=0.02)
+        assert height_m == approx(wanted_m, abs=0.02)
 
 
 def test_airspeeds_are_those_measured_in_the_standard_atmosphere() -> None:
     for altitude_m, density_ratio in ((0.0, 1.0), (1000.0, 0.9075), (3000.0, 0.7423)):
-        assert eas_to_tas(altitude_m) == pytest.approx(1.0 / math.sqrt(density_ratio), rel=1e-3)
+        assert eas_to_tas(altitude_m) == approx(1.0 / math.sqrt(density_ratio), rel=1e-3)
         for asked_m_s in (8.0, 18.0, 22.0, 29.0, 40.0):
             true_m_s = true_airspeed_m_s(asked_m_s, altitude_m)
-            assert indicated_airspeed_m_s(true_m_s, altitude_m) == pytest.approx(asked_m_s)
+            assert indicated_airspeed_m_s(true_m_s, altitude_m) == approx(asked_m_s)

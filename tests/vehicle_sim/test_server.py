@@ -1,31 +1,31 @@
-"""Lockstep and real time over real sockets, with the server in this process."""
+"""Lockstep and real time over real sockets: with the server in this process, and as a process."""
 
+import hashlib
 import json
-import socket
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from pathlib import Path
 from typing import Any
 
 import pytest
-from clients import Client, Running, is_question, tcp_client, udp_client
+from clients import Client, Process, Running, is_question, tcp_client, udp_client
 from pymavlink.dialects.v20 import all as mavlink
 
-Serve = Callable[..., Running]
+Serve, Start = Callable[..., Running], Callable[..., Process]
 Table = dict[str, Any]
 
 
-def with_system(table: Table, system: int) -> Table:
-    return table | {"vehicle": table["vehicle"] | {"system_id": system}}
+def numbered(table: Table, count: int) -> list[Table]:
+    """So many vehicles, of systems that count up."""
+    vehicle = table["vehicle"]
+    return [table | {"vehicle": vehicle | {"system_id": k + 1}} for k in range(count)]
 
 
-def begun(
-    serve: Serve, companion: Client, *frames: bytes, tables: Sequence[Table] = (), **settings: Any
-) -> Running:
-    """A lockstep whose companion has been heard."""
-    run = serve(companion.endpoint, *tables, lockstep=True, **settings)
-    companion.datagram()
-    companion.send(companion.heartbeat(), *frames)
-    return run
+def asks(message: Any) -> bool:
+    """Whichever of several vehicles."""
+    return bool(message.get_type() == "TIMESYNC" and message.tc1 == 0 and message.ts1)
 
 
 # --- lockstep -------------------------------------------------------------------------------------
@@ -49,7 +49,8 @@ def test_lockstep_stands_at_0_until_a_heartbeat_then_advances_tick_by_tick(
 
 
 def test_lockstep_waits_for_the_right_answer(serve: Serve, companion: Client) -> None:
-    run = begun(serve, companion)
+    run = serve(companion.endpoint, lockstep=True)
+    companion.begin()
     question = companion.wait_for(is_question)
     wrong = companion.frame(mavlink.MAVLink_timesync_message(5, 5))
     companion.send(wrong, b"\xfd garbage \xfd\xff\x00")
@@ -62,7 +63,8 @@ def test_lockstep_waits_for_the_right_answer(serve: Serve, companion: Client) ->
 
 
 def test_a_companion_that_has_ended_ends_the_run(serve: Serve, companion: Client) -> None:
-    run = begun(serve, companion)
+    run = serve(companion.endpoint, lockstep=True)
+    companion.begin()
     companion.tick()
     companion.wait_for(is_question)  # and it is not answered any more
     companion.send(companion.heartbeat(7))
@@ -72,27 +74,28 @@ def test_a_companion_that_has_ended_ends_the_run(serve: Serve, companion: Client
     assert last["t_s"] == pytest.approx(run.simulation.now_us * 1e-6)
 
 
-def test_silence_in_lockstep_is_an_error_that_says_when(serve: Serve, companion: Client) -> None:
-    run = begun(serve, companion, silence_s=0.3)
-    companion.tick()
-    companion.tick()
+@pytest.mark.parametrize(
+    ("ticks", "settings", "words"),
+    [
+        (2, {"silence_s": 0.3}, "at 0.3 s vehicle time"),
+        (0, {"first_heartbeat_s": 0.3}, "no heartbeat"),
+        (-1, {"silence_s": 0.5}, "tc1 must echo ts1"),  # it answers with a time of its own
+    ],
+)
+def test_silence_in_lockstep_is_an_error_that_says_what_is_missing(
+    serve: Serve, companion: Client, ticks: int, settings: dict[str, float], words: str
+) -> None:
+    run = serve(companion.endpoint, lockstep=True, **settings)
+    if ticks:
+        companion.begin()
+    for _ in range(ticks):
+        companion.tick()
+    if ticks < 0:
+        asked = companion.wait_for(is_question).ts1
+        own = mavlink.MAVLink_timesync_message(time.time_ns(), asked)
+        companion.send(companion.frame(own))
     assert run.ended()
-    assert "at 0.3 s vehicle time" in str(run.error)
-
-
-def test_no_companion_at_all_is_an_error_too(serve: Serve, companion: Client) -> None:
-    run = serve(companion.endpoint, lockstep=True, first_heartbeat_s=0.3)
-    assert run.ended()
-    assert "no heartbeat" in str(run.error)
-
-
-def test_who_answers_with_a_time_of_its_own_is_told_so(serve: Serve, companion: Client) -> None:
-    run = begun(serve, companion, silence_s=0.5)
-    question = companion.wait_for(is_question)
-    own = mavlink.MAVLink_timesync_message(time.time_ns(), question.ts1)
-    companion.send(companion.frame(own))
-    assert run.ended()
-    assert "tc1 must echo ts1" in str(run.error)
+    assert words in str(run.error)
 
 
 @pytest.mark.parametrize("every_us", [100_000, 2e9])
@@ -100,7 +103,8 @@ def test_lockstep_lasts_as_long_as_was_asked(
     serve: Serve, companion: Client, every_us: float
 ) -> None:
     """Also if positions, which end its ticks, are asked for once an hour only."""
-    run = begun(serve, companion, duration_s=1.0)
+    run = serve(companion.endpoint, lockstep=True, duration_s=1.0)
+    companion.begin()
     companion.tick(companion.command(511, 33, every_us))
     for _ in range(9 if every_us < 1e6 else 0):
         companion.tick()
@@ -111,14 +115,13 @@ def test_lockstep_lasts_as_long_as_was_asked(
 def test_vehicles_on_one_link_ask_different_questions_and_wait_for_all(
     serve: Serve, world_table: Table, companion: Client
 ) -> None:
-    tables = [with_system(world_table, system) for system in (1, 2, 3)]
-    begun(serve, companion, tables=tables)
+    serve(companion.endpoint, *numbered(world_table, 3), lockstep=True)
+    companion.begin()
     asked = list[tuple[int, int]]()
     while len(asked) < 15:
-        for message in companion.messages():
-            if message.get_type() == "TIMESYNC" and message.tc1 == 0 and message.ts1:
-                asked.append((message.ts1, message.get_srcSystem()))
-                companion.send(companion.answer(message))
+        for message in filter(asks, companion.messages()):
+            asked.append((message.ts1, message.get_srcSystem()))
+            companion.send(companion.answer(message))
     assert len({question for question, _ in asked}) == len(asked)
     assert [system for _, system in asked[:6]] == [1, 2, 3, 1, 2, 3]
 
@@ -126,38 +129,22 @@ def test_vehicles_on_one_link_ask_different_questions_and_wait_for_all(
 def test_each_of_several_vehicles_flies_its_own_time(serve: Serve, world_table: Table) -> None:
     """The clock of the one whose companion ends first stands, and the other's goes on."""
     with udp_client() as first, udp_client((2, 195)) as second:
-        tables = [with_system(world_table, system) for system in (1, 2)]
         both = f"{first.endpoint} {second.endpoint}"
-        run = serve(both, *tables, lockstep=True, duration_s=3.0)
-        for client in (first, second):
-            client.datagram()
-            client.send(client.heartbeat())
+        run = serve(both, *numbered(world_table, 2), lockstep=True, duration_s=3.0)
+        first.begin()
+        second.begin()
         last_ns = 0
         while last_ns < 3_000_000_000:
             if run.simulations[0].now_us < 1_000_000:
                 first.tick()
             elif not run.simulations[0].companion_ended:
                 first.send(first.heartbeat(7))
-            for message in second.messages():
-                if message.get_type() == "TIMESYNC" and message.tc1 == 0 and message.ts1:
-                    last_ns = message.ts1
-                    second.send(second.answer(message))
+            for message in filter(asks, second.messages()):
+                last_ns = message.ts1
+                second.send(second.answer(message))
         assert run.ended()
     assert run.simulations[0].now_us <= 1_100_000
     assert run.simulations[1].now_us == 3_000_000
-
-
-def test_a_scan_of_56_blocks_comes_whole_in_few_datagrams(serve: Serve, companion: Client) -> None:
-    request = mavlink.MAVLink_terrain_request_message(470000000, 80000000, 100, (1 << 56) - 1)
-    begun(serve, companion, companion.frame(request))
-    sizes, got = [], []
-    while not (got and is_question(got[-1])):
-        data = companion.datagram()
-        sizes.append(len(data))
-        got += companion.parser.parse_buffer(data) or []
-    assert max(sizes) <= 1400
-    assert len(sizes) <= 4
-    assert [m.gridbit for m in got if m.get_type() == "TERRAIN_DATA"] == list(range(56))
 
 
 # --- real time ------------------------------------------------------------------------------------
@@ -176,33 +163,185 @@ def test_real_time_keeps_the_pace_whatever_the_companion_does(
     assert 0.5 < share < 1.1  # a busy computer may let time slip, but never gains any
 
 
-def test_real_time_does_not_need_anybody_and_finds_who_comes_later(serve: Serve) -> None:
-    with udp_client() as probe:
-        port = probe.port
-    run = serve(f"udpout:127.0.0.1:{port}", speedup=10.0)  # every datagram is refused
-    deadline_s = time.monotonic() + 5.0
-    while run.simulation.now_us < 3_000_000 and time.monotonic() < deadline_s:
-        assert not run.ended(0.01)
-    assert run.simulation.now_us >= 3_000_000
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
-        link.bind(("127.0.0.1", port))
-        client = Client(link)
-        client.wait_for("HEARTBEAT")
-        client.send(client.heartbeat(), client.command(511, 33, 100_000))
-        assert client.wait_for("COMMAND_ACK").result == 0
-        assert client.wait_for("GLOBAL_POSITION_INT").time_boot_ms > 3000
-
-
 @pytest.mark.parametrize("count", [1, 2])
 def test_half_a_frame_of_a_client_that_has_gone_swallows_nothing_of_the_next(
     serve: Serve, world_table: Table, count: int
 ) -> None:
     """Of one vehicle and of a link that two share."""
-    tables = [with_system(world_table, system) for system in range(1, count + 1)]
-    run = serve("tcpin:127.0.0.1:0", *tables)
+    run = serve("tcpin:127.0.0.1:0", *numbered(world_table, count))
     for half in (b"\xfd\xff\0\0\0\1\1", b""):
         with tcp_client(run.ports[0], (9, 9)) as client:
-            asked = mavlink.MAVLink_command_long_message(count, 1, 42, 0, *[0] * 7)
-            client.send(client.frame(asked))
+            client.send(client.command(42, target=(count, 1)))
             assert client.wait_for("COMMAND_ACK").get_srcSystem() == count
             client.send(half)
+
+
+# --- as a process: lockstep against all that disturbs it ------------------------------------------
+
+
+def follow(client: Client, for_s: float, newest_ns: int = 0) -> str:
+    """Answer for so much vehicle time, all boots together; a digest of what came."""
+    digest, passed_ns = hashlib.sha256(), 0
+    while passed_ns < for_s * 1e9:
+        for message in client.messages():
+            if newest_ns:
+                digest.update(message.get_msgbuf())
+            if is_question(message):
+                since_ns = newest_ns if message.ts1 >= newest_ns else 0
+                newest_ns, passed_ns = message.ts1, passed_ns + message.ts1 - since_ns
+                client.send(client.answer(message))
+    return digest.hexdigest()
+
+
+def faults(folder: Path, text: str) -> tuple[str, str]:
+    (folder / "faults.txt").write_text(text, encoding="utf-8")
+    return "--faults", str(folder / "faults.txt")
+
+
+def test_it_goes_on_through_a_reboot_over_udp(
+    start: Start, companion: Client, tmp_path: Path
+) -> None:
+    process = start(
+        *("--autopilot", "px4", "--lockstep", *faults(tmp_path, "at 3 s: reboot")),
+        *("--connect", companion.endpoint, "--duration", 7),
+    )
+    companion.begin()
+    follow(companion, 2.9)
+    before = companion.address
+    follow(companion, 3.5, newest_ns=2_900_000_000)
+    assert companion.address != before  # another source port, as the real one's
+    # the question counts from the boot, as all stamps do
+    assert companion.wait_for(is_question).ts1 < 5e9
+    companion.send(companion.heartbeat(7))
+    assert process.result()[::2] == (0, "")
+
+
+def test_over_tcp_a_client_that_was_cut_off_connects_again_and_it_goes_on(
+    start: Start, tmp_path: Path
+) -> None:
+    process = start(
+        *("--lockstep", *faults(tmp_path, "at 1 s: reboot")),
+        *("--connect", "tcpin:127.0.0.1:0", "--duration", 4),
+    )
+    port = process.port_of("tcpin")
+    with tcp_client(port) as first:
+        first.send(first.heartbeat())
+        with pytest.raises((ConnectionError, TimeoutError)):  # the reboot ends the connection
+            follow(first, 4.0)
+    with tcp_client(port) as second:
+        follow(second, 1.0)
+        second.send(second.heartbeat(7))
+        assert process.result()[::2] == (0, "")
+
+
+BAD_LINKS = {
+    "lossy and late": """at 0 s: link_duplication 30 %
+        at 0 s: link_loss 20 %
+        at 0 s: link_corruption 20 %
+        at 0 s: link_reordering 30 %
+        at 0 s: link_delay 50 ms""",
+    "off": "at 0 s: link_off",
+}
+
+
+@pytest.mark.sample(2)
+@pytest.mark.parametrize("bad", BAD_LINKS)
+def test_links_that_are_bad_from_the_start_neither_stop_it_nor_depend_on_when_one_comes(
+    start: Start, bad: str, tmp_path: Path
+) -> None:
+    told = set[str]()
+    for wait_s in (0.0, 0.7):
+        with udp_client() as client:
+            process = start(
+                *("--lockstep", "--connect", client.endpoint, "--duration", 4),
+                *faults(tmp_path, BAD_LINKS[bad]),
+            )
+            client.datagram()
+            threading.Event().wait(wait_s)
+            client.send(client.heartbeat())
+            told.add(follow(client, 3.9))
+            process.terminate()
+            assert process.result()[::2] == (0, "")
+    assert len(told) == 1
+
+
+# --- as a process: several vehicles, several links ------------------------------------------------
+
+
+def test_three_vehicles_on_one_port_are_told_apart_by_their_systems(
+    start: Start, companion: Client, tmp_path: Path
+) -> None:
+    process = start(
+        *("--count", 3, "--connect", companion.endpoint, "--speedup", 20),
+        *("--duration", 20, "--autopilot", "px4", "--out", tmp_path),
+    )
+    companion.datagram()
+    answered = None
+    while answered is None:  # until its estimator lets it
+        companion.send(companion.command(400, 1, 21196, target=(2, 1)))
+        accepted = [m for m in companion.messages() if getattr(m, "result", None) == 0]
+        answered = accepted[0] if accepted else None
+    assert answered.get_srcSystem() == 2
+    code, out, err = process.result()
+    assert (code, err) == (0, "")
+    assert "as system 1 to 3" in out
+    for number, name in enumerate(("truth.jsonl", "truth-2.jsonl", "truth-3.jsonl")):
+        _, *rows = map(json.loads, (tmp_path / name).read_text("utf-8").splitlines())
+        assert any(row["armed"] for row in rows) is (number == 1)
+        assert rows[0]["east_m"] == pytest.approx(10.0 * number, abs=0.01)
+
+
+def test_with_a_port_step_each_vehicle_has_its_own_ports(start: Start) -> None:
+    with ExitStack() as stack:
+        for _ in range(100):  # until there are two free ports in a row
+            one = stack.enter_context(udp_client())
+            with suppress(OSError):
+                two = stack.enter_context(udp_client(port=one.port + 1))
+                break
+        start("--count", 2, "--port-step", 1, "--connect", one.endpoint)
+        for client, system in ((one, 1), (two, 2)):
+            beats = [client.wait_for("HEARTBEAT") for _ in range(3)]
+            assert {beat.get_srcSystem() for beat in beats} == {system}
+
+
+def test_clients_on_shared_links_hear_each_other_once_through_the_vehicles(
+    start: Start, companion: Client
+) -> None:
+    process = start(
+        *("--count", 2, "--connect", companion.endpoint, "--connect", "tcpin:127.0.0.1:0")
+    )
+    with tcp_client(process.port_of("tcpin"), (255, 190)) as ground:
+        companion.begin()
+        ground.send(ground.frame(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)))
+        assert companion.wait_for(lambda m: m.get_srcSystem() == 255).type == 6
+        ground.send(ground.command(42, 1, 2, 3, 4, 5, 6, 7, target=(1, 195)))
+        got = companion.wait_for("COMMAND_LONG")
+        assert (got.command, got.param7, got.get_srcComponent()) == (42, 7.0, 190)
+        companion.send(companion.heartbeat(5))  # a status that nobody else here has
+        heard, until_s = 0, time.monotonic() + 10.0
+        while time.monotonic() < until_s:
+            found = sum(getattr(m, "system_status", 0) == 5 for m in ground.messages())
+            if found and not heard:
+                until_s = time.monotonic() + 1.5  # the vehicles' next heartbeats come after it
+            heard += found
+    assert heard == 1
+    process.terminate()
+    assert process.result()[::2] == (0, "")
+
+
+def test_strict_ends_the_run_at_what_the_real_one_does_not_survive(
+    start: Start, companion: Client
+) -> None:
+    process = start("--connect", companion.endpoint, "--lockstep", "--strict")
+    companion.begin()
+    for k in range(460):
+        frames = [companion.heartbeat()] if k % 10 == 0 else []
+        companion.tick(*frames, *([companion.command(176, 1, 4)] if k == 440 else []))
+    wild = mavlink.MAVLink_set_position_target_local_ned_message(
+        0, 1, 1, 1, 0xDF8, float("nan"), 0, -20, *[0.0] * 8
+    )
+    companion.tick(companion.frame(wild))
+    companion.tick()
+    code, _, err = process.result()
+    assert (code, err.count("\n")) == (1, 1)
+    assert err.startswith("error: SIM:")

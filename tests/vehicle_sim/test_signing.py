@@ -1,26 +1,35 @@
-"""MAVLink 2 signing: the table of ardupilot.md 5 row by row, and pymavlink as the other side."""
+"""What is signed, with pymavlink as the other side (ardupilot.md 5), and what a bad link loses."""
 
+import itertools
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
+from vehicle_sim.faults import LinkConditions
 from vehicle_sim.wire.frames import Packer
+from vehicle_sim.wire.impairments import MAX_FRAMES, Impairments
 from vehicle_sim.wire.signing import AHEAD, Signing
 
-USB, RADIO = 0, 1
+STEP_US, S = 10_000, 1_000_000
+ARM = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0)
+STATUS = mavlink.MAVLink_radio_status_message(1, 1, 1, 1, 1, 1, 1)
+
+# --- what is signed -------------------------------------------------------------------------------
+
+USB, SIGNED = 0, 1
+"""Links: the first takes everything."""
 KEY, WRONG_KEY = bytes(range(32)), bytes(32 * [9])
 SECOND = 100_000
 """Of the time stamps: 10 microseconds each."""
 NOW = 3_600 * 24 * 365 * 11 * SECOND
-ARM = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0)
-STATUS = mavlink.MAVLink_radio_status_message(1, 1, 1, 1, 1, 1, 1)
 
 
-def setup(key: bytes = KEY, timestamp: int = NOW) -> Any:
-    return mavlink.MAVLink_setup_signing_message(1, 1, list(key), timestamp)
+def setup(secret: bytes = KEY, timestamp: int = NOW) -> Any:
+    return mavlink.MAVLink_setup_signing_message(1, 1, list(secret), timestamp)
 
 
 def signed_vehicle() -> Signing:
@@ -33,17 +42,17 @@ class Client:
     """pymavlink with its own signing."""
 
     def __init__(
-        self, *, key: bytes = KEY, link: int = 5, timestamp: int = NOW, component: int = 190
+        self, *, secret: bytes = KEY, link: int = 5, late: int = 0, component: int = 190
     ) -> None:
         self.mav = mavlink.MAVLink(None, srcSystem=255, srcComponent=component)
-        self.mav.signing.secret_key, self.mav.signing.link_id = key, link
-        self.mav.signing.timestamp, self.mav.signing.sign_outgoing = timestamp, bool(key)
+        self.mav.signing.secret_key, self.mav.signing.link_id = secret, link
+        self.mav.signing.timestamp, self.mav.signing.sign_outgoing = NOW + late, bool(secret)
 
     def frame(self, message: Any = ARM, *, old: bool = False) -> bytes:
         return bytes(message.pack(self.mav, force_mavlink1=old))
 
 
-UNSIGNED, LIAR = Client(key=b""), Client(key=WRONG_KEY)
+UNSIGNED, LIAR = Client(secret=b""), Client(secret=WRONG_KEY)
 
 
 def test_without_a_key_everything_comes_in_and_nothing_is_signed() -> None:
@@ -51,7 +60,7 @@ def test_without_a_key_everything_comes_in_and_nothing_is_signed() -> None:
     taken_back.setup(setup(bytes(32), 0), armed=False)
     for signing in (Signing(), taken_back):
         assert Packer(1, 1, signing).frame(ARM)[2] == 0
-        assert all(signing.accepts(client.frame(), RADIO) for client in (UNSIGNED, LIAR))
+        assert all(signing.accepts(client.frame(), SIGNED) for client in (UNSIGNED, LIAR))
     refused = signing.setup(setup(), armed=True)
     assert refused is not None
     assert refused.text == "ERROR: Won't setup signing when armed"
@@ -60,14 +69,15 @@ def test_without_a_key_everything_comes_in_and_nothing_is_signed() -> None:
 
 def test_pymavlink_believes_what_the_vehicle_signs_a_minute_ahead_on_every_link() -> None:
     signing, client = signed_vehicle(), Client()
-    for count, link in enumerate((USB, RADIO, 2)):
+    for count, link in enumerate((USB, SIGNED, 2)):
         frame = Packer(1, 1, signing, link).frame(STATUS)
         assert client.mav.decode(bytearray(frame)).get_signed()
         assert frame[-13] == link
-        assert int.from_bytes(frame[-12:-6], "little") == NOW + 60 * SECOND + count
+        assert int.from_bytes(frame[-12:-6], "little") == NOW + AHEAD + count
+    assert AHEAD == 60 * SECOND
     assert client.mav.signing.badsig_count == 0
     with pytest.raises(mavlink.MAVError, match="signature"):
-        Client(key=WRONG_KEY).mav.decode(bytearray(frame))
+        Client(secret=WRONG_KEY).mav.decode(bytearray(frame))
 
 
 @given(flip=st.integers(0, 10**6))
@@ -76,49 +86,173 @@ def test_the_vehicle_believes_what_pymavlink_signs_but_for_one_bit(flip: int) ->
     frame = bytearray(client.frame())
     at = flip % (8 * len(frame))
     frame[at // 8] ^= 1 << at % 8
-    assert not signing.accepts(bytes(frame), RADIO)
-    assert all(signing.accepts(client.frame(), RADIO) for _ in range(5))  # it leaves no trace
+    assert not signing.accepts(bytes(frame), SIGNED)
+    assert all(signing.accepts(client.frame(), SIGNED) for _ in range(5))  # it leaves no trace
 
 
 def test_link_0_takes_everything_and_the_others_only_radio_status_unsigned() -> None:
     signing = signed_vehicle()
-    for frame in (
-        UNSIGNED.frame(),
-        LIAR.frame(),
-        UNSIGNED.frame(old=True),
-        UNSIGNED.frame(setup()),
-    ):
-        assert signing.accepts(frame, USB)
-        assert not signing.accepts(frame, RADIO)
-    assert signing.accepts(UNSIGNED.frame(STATUS), RADIO)
-    assert signing.accepts(UNSIGNED.frame(STATUS, old=True), RADIO)
+    frames = (UNSIGNED.frame(), LIAR.frame(), UNSIGNED.frame(old=True), UNSIGNED.frame(setup()))
+    assert [signing.accepts(frame, link) for frame in frames for link in (USB, SIGNED)] == [
+        True,
+        False,
+    ] * 4
+    assert all(signing.accepts(UNSIGNED.frame(STATUS, old=old), SIGNED) for old in (False, True))
 
 
 @pytest.mark.parametrize(
-    ("offset", "taken"), [(-30 * SECOND, False), (-1, False), (0, True), (90 * SECOND, True)]
+    ("late", "taken"), [(-30 * SECOND, False), (-1, False), (0, True), (90 * SECOND, True)]
 )
-def test_how_old_a_new_stream_may_be(offset: int, *, taken: bool) -> None:
-    # 30 s old was dropped although the client's clock is right: the vehicle's is 60 s ahead
-    assert AHEAD == 60 * SECOND
-    assert signed_vehicle().accepts(Client(timestamp=NOW + offset).frame(), RADIO) is taken
+def test_how_old_a_new_stream_may_be(late: int, *, taken: bool) -> None:
+    """30 s old was dropped although the client's clock is right: the vehicle's is 60 s ahead."""
+    assert signed_vehicle().accepts(Client(late=late).frame(), SIGNED) is taken
 
 
 def test_of_each_stream_only_what_is_newer_comes_in_and_streams_are_bounded() -> None:
-    signing, frame = signed_vehicle(), Client(timestamp=NOW + 5).frame()
-    assert [signing.accepts(frame, RADIO) for _ in range(3)] == [True, False, False]
-    assert not signing.accepts(Client(timestamp=NOW + 4).frame(), RADIO)
-    assert signing.accepts(Client(component=191).frame(), RADIO)  # another stream
-    taken = [signing.accepts(Client(link=link).frame(), RADIO) for link in range(10, 40)]
+    signing, frame = signed_vehicle(), Client(late=5).frame()
+    assert [signing.accepts(frame, SIGNED) for _ in range(3)] == [True, False, False]
+    assert not signing.accepts(Client(late=4).frame(), SIGNED)
+    assert signing.accepts(Client(component=191).frame(), SIGNED)  # another stream
+    taken = [signing.accepts(Client(link=link).frame(), SIGNED) for link in range(10, 40)]
     assert taken == [True] * 14 + [False] * 16
-    assert signing.accepts(Client(link=13, timestamp=NOW + 9).frame(), RADIO)
+    assert signing.accepts(Client(link=13, late=9).frame(), SIGNED)
 
 
 def test_the_vehicle_keeps_up_with_what_it_hears_and_keeps_its_key_over_a_reboot() -> None:
-    signing = signed_vehicle()
-    assert signing.accepts(Client(timestamp=NOW + 200 * SECOND).frame(), RADIO)
-    assert not signing.accepts(Client(link=6, timestamp=NOW + 20 * SECOND).frame(), RADIO)
+    signing, later = signed_vehicle(), 200 * SECOND
+    assert signing.accepts(Client(late=later).frame(), SIGNED)
+    assert not signing.accepts(Client(link=6, late=20 * SECOND).frame(), SIGNED)
     signing.restart()
     assert Packer(1, 1, signing).frame(ARM)[2] == 1
-    assert not signing.accepts(UNSIGNED.frame(), RADIO)
-    assert not signing.accepts(Client(link=9, timestamp=NOW + 130 * SECOND).frame(), RADIO)
-    assert signing.accepts(Client(timestamp=NOW + 200 * SECOND).frame(), RADIO)
+    assert not signing.accepts(UNSIGNED.frame(), SIGNED)
+    assert not signing.accepts(Client(link=9, late=130 * SECOND).frame(), SIGNED)
+    assert signing.accepts(Client(late=later).frame(), SIGNED)
+
+
+# --- what gets lost -------------------------------------------------------------------------------
+
+
+def frame(number: int) -> bytes:
+    return number.to_bytes(4, "big") * 8
+
+
+def link(conditions: LinkConditions, seed: int = 1, **which: int) -> Impairments:
+    made = Impairments(np.random.default_rng(seed), **which)  # type: ignore[arg-type]
+    made.impair(conditions)
+    return made
+
+
+def carried(made: Impairments, count: int) -> list[tuple[int, bytes]]:
+    """When each frame that came out did so; one frame goes in each step."""
+    out = []
+    for now_us in range(0, count * STEP_US + 5 * S, STEP_US):
+        if now_us < count * STEP_US:
+            made.push(now_us, frame(now_us // STEP_US))
+        out += [(now_us, data) for data in made.pop(now_us)]
+    return out
+
+
+def numbers(count: int, **conditions: Any) -> list[int]:
+    out = carried(link(LinkConditions(**conditions)), count)
+    return [int.from_bytes(data[:4], "big") for _, data in out]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05, 0.9])
+def test_the_share_that_is_lost_is_lost_for_good(share: float) -> None:
+    out = numbers(5000, lost=share)
+    assert out == sorted(out)
+    assert len(out) / 5000 == pytest.approx(1.0 - share, abs=0.025 if share else 0.0)
+
+
+@given(delay_us=st.integers(0, 3 * S))
+def test_a_delay_is_the_same_for_all_and_keeps_the_order(delay_us: int) -> None:
+    out = carried(link(LinkConditions(delay_us=delay_us)), 50)
+    assert [data for _, data in out] == list(map(frame, range(50)))
+    for k, (time_us, _) in enumerate(out):
+        assert 0 <= time_us - k * STEP_US - delay_us < STEP_US
+
+
+def test_jitter_lets_frames_overtake_and_is_never_longer_than_it_says() -> None:
+    out = carried(link(LinkConditions(delay_us=100_000, jitter_us=80_000)), 2000)
+    order = [int.from_bytes(data[:4], "big") for _, data in out]
+    late_us = np.array([time_us for time_us, _ in out]) - np.array(order) * STEP_US
+    assert 100_000 <= late_us.min() <= late_us.max() <= 190_000
+    assert late_us.mean() == pytest.approx(145_000, abs=3000)  # half a step more for the steps
+    assert order != sorted(order) == list(range(2000))
+
+
+def test_duplicates_come_right_behind_and_what_is_reordered_is_overtaken_by_the_next() -> None:
+    twice = numbers(3000, duplicated=0.3)
+    assert twice == sorted(twice)
+    assert len(twice) / 3000 == pytest.approx(1.3, abs=0.03)
+    assert max(len(list(run)) for _, run in itertools.groupby(twice)) == 2
+    out = numbers(5000, reordered=0.1)
+    assert sorted(out) == list(range(5000))
+    assert np.mean(np.diff(out) < 0) == pytest.approx(0.1 * 0.9, abs=0.02)
+    last = link(LinkConditions(reordered=1.0))
+    last.push(0, frame(7))
+    assert [last.pop(at) for at in (499_999, 500_000)] == [[], [frame(7)]]  # not held for ever
+
+
+def test_corrupted_frames_differ_in_up_to_three_bits() -> None:
+    wrong = [
+        (int.from_bytes(data, "big") ^ int.from_bytes(frame(k), "big")).bit_count()
+        for k, (_, data) in enumerate(carried(link(LinkConditions(corrupted=0.25)), 4000))
+    ]
+    assert np.mean(np.array(wrong) > 0) == pytest.approx(0.25, abs=0.03)
+    assert max(wrong) == 3
+    made = link(LinkConditions(corrupted=1.0))
+    made.push(0, b"")
+    assert made.pop(0) == [b""]
+
+
+@pytest.mark.parametrize(
+    ("conditions", "concerned"),
+    [
+        ({}, {(0, True), (0, False), (5, True), (5, False)}),
+        ({"to_vehicle": False}, {(0, False), (5, False)}),
+        ({"from_vehicle": False}, {(0, True), (5, True)}),
+        ({"only": 5}, {(5, True), (5, False)}),
+    ],
+)
+def test_only_the_links_and_directions_that_are_meant_are_concerned(
+    conditions: Any, concerned: set[tuple[int, bool]]
+) -> None:
+    for which, to_vehicle in itertools.product((0, 5), (True, False)):
+        off = LinkConditions(off=True, **conditions)
+        made = link(off, link=which, to_vehicle=to_vehicle)
+        assert bool(carried(made, 1)) != ((which, to_vehicle) in concerned)
+        made.impair(LinkConditions())
+        assert len(carried(made, 3)) == 3
+
+
+def test_what_is_on_its_way_comes_before_what_follows_and_a_full_queue_loses_the_rest() -> None:
+    made = link(LinkConditions(delay_us=S))
+    made.push(0, frame(0))
+    made.impair(LinkConditions())
+    made.push(10_000, frame(1))
+    assert [made.pop(at) for at in (10_000, S)] == [[], [frame(0), frame(1)]]
+    made = link(LinkConditions(delay_us=60 * S))
+    for k in range(MAX_FRAMES + 500):
+        made.push(k, b"x")
+    assert len(made.pop(200 * S)) == MAX_FRAMES
+
+
+@given(
+    conditions=st.builds(
+        LinkConditions,
+        lost=st.floats(0, 1),
+        delay_us=st.integers(0, 300_000),
+        jitter_us=st.integers(0, 300_000),
+        duplicated=st.floats(0, 1),
+        reordered=st.floats(0, 1),
+        corrupted=st.floats(0, 1),
+    ),
+    seed=st.integers(0, 1000),
+)
+def test_the_same_seed_does_the_same_and_no_frame_is_forgotten(
+    conditions: LinkConditions, seed: int
+) -> None:
+    out = carried(link(conditions, seed), 60)
+    assert carried(link(conditions, seed), 60) == out
+    assert (60 if conditions.lost == 0.0 else 0) <= len(out) <= 120

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+from harness import placed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -21,70 +22,60 @@ from vehicle_sim.geodesy import FloatArray, LocalFrame
 from vehicle_sim.terrain import PeakRow, PeakTerrain, Terrain
 
 WGS84 = Geod(ellps="WGS84")
-STEP = (1 / 1200, 1 / 1200)
-HALF_M = 3_000.0
+STEP, HALF_M = (1 / 1200, 1 / 1200), 3_000.0
 PLACES = ((0.0, 0.0), (36.5, -84.3), (-47.0, 179.99), (62.0, -180.0))
+KINDS = st.sampled_from(["maximum", "sum", *PLACES])
+SEEDS = st.integers(0, 10**6)
 ROWS, COLUMNS = 100, 160
+Kind = str | tuple[float, float]
 
 
-def peaks(rng: np.random.Generator) -> list[PeakRow]:
-    return [
-        (
-            float(rng.uniform(-HALF_M, HALF_M)),
-            float(rng.uniform(-HALF_M, HALF_M)),
-            float(rng.uniform(100, 3000)),
-            float(rng.uniform(300, 3000)),
-            float(rng.uniform(300, 3000)),
+def drawn(rng: np.random.Generator, kind: Kind) -> tuple[Terrain, list[PeakRow]]:
+    """Peaks; or about a place rough ground: steps of up to 120 m between points of about 90 m."""
+    if isinstance(kind, tuple):
+        grid = GridTerrain.of(
+            rng.integers(200, 320, (ROWS, COLUMNS)).astype(np.int16),
+            north_deg=kind[0] + 0.5 * ROWS * STEP[0],
+            west_deg=kind[1] - 0.5 * COLUMNS * STEP[1],
+            step_deg=STEP,
+            frame=LocalFrame(**placed(kind, height=False)),
+            area_m=(-HALF_M, HALF_M, -HALF_M, HALF_M),
         )
-        for _ in range(int(rng.integers(0, 8)))
-    ]
-
-
-def grid(rng: np.random.Generator, place: tuple[float, float]) -> GridTerrain:
-    """Rough ground around the origin: steps of up to 120 m between points of about 90 m."""
-    return GridTerrain.of(
-        rng.integers(200, 320, (ROWS, COLUMNS)).astype(np.int16),
-        north_deg=place[0] + 0.5 * ROWS * STEP[0],
-        west_deg=place[1] - 0.5 * COLUMNS * STEP[1],
-        step_deg=STEP,
-        frame=LocalFrame(latitude_deg=place[0], longitude_deg=place[1]),
-        area_m=(-HALF_M, HALF_M, -HALF_M, HALF_M),
-    )
+        return grid, []
+    count = int(rng.integers(0, 8))
+    places, heights = rng.uniform(-HALF_M, HALF_M, (count, 2)), rng.uniform(100, 3000, count)
+    spreads = rng.uniform(300, 3000, (count, 2))
+    rows = [tuple(row) for row in np.column_stack([places, heights, spreads]).tolist()]
+    return PeakTerrain(rows, combine=kind, ground_amsl_m=50.0), rows  # type: ignore[arg-type]
 
 
 def test_a_single_peak_is_equation_1_over_the_ground() -> None:
     peak = (1000.0, 2000.0, 900.0, 300.0, 500.0)
     terrain = PeakTerrain([peak], combine="maximum", ground_amsl_m=100.0)
     assert terrain.height_at_amsl_m(1000.0, 2000.0) == 900.0
-    assert terrain.height_at_amsl_m(1300.0, 2000.0) == pytest.approx(900.0 / np.e)
-    assert terrain.height_at_amsl_m(1000.0, 2500.0) == pytest.approx(900.0 / np.e)
+    for place in ((1300.0, 2000.0), (1000.0, 2500.0)):
+        assert terrain.height_at_amsl_m(*place) == pytest.approx(900.0 / np.e)
     assert terrain.height_at_amsl_m(9000.0, 9000.0) == 100.0
     twice = PeakTerrain([peak, peak], combine="sum", ground_amsl_m=0.0)
     assert twice.height_at_amsl_m(1000.0, 2000.0) == 1800.0
 
 
 @settings(max_examples=15)
-@given(seed=st.integers(0, 10**6), place=st.sampled_from(PLACES))
+@given(seed=SEEDS, place=st.sampled_from(PLACES))
 def test_the_grid_is_bilinear_in_latitude_and_longitude_and_goes_on_beyond_its_edge(
     seed: int, place: tuple[float, float]
 ) -> None:
     rng = np.random.default_rng(seed)
-    terrain = grid(rng, place)
+    terrain: Any = drawn(rng, place)[0]
     north, east = rng.uniform(-HALF_M, HALF_M, (2, 200))
-    longitude, latitude, _ = WGS84.fwd(
-        np.full(200, place[1]),
-        np.full(200, place[0]),
-        np.degrees(np.arctan2(east, north)),
-        np.hypot(north, east),
-    )
+    azimuth, ones = np.degrees(np.arctan2(east, north)), np.ones(200)
+    start = (place[1] * ones, place[0] * ones)
+    longitude, latitude, _ = WGS84.fwd(*start, azimuth, np.hypot(north, east))
     east_deg = (longitude - place[1] + 180.0) % 360.0 - 180.0
-    surface = RegularGridInterpolator(
-        (
-            (np.arange(ROWS) + 1 - 0.5 * ROWS) * STEP[0],
-            (np.arange(COLUMNS) - 0.5 * COLUMNS) * STEP[1],
-        ),
-        terrain.heights_m[::-1].astype(float),
-    )
+    rows_deg = (np.arange(ROWS) + 1 - 0.5 * ROWS) * STEP[0]
+    columns_deg = (np.arange(COLUMNS) - 0.5 * COLUMNS) * STEP[1]
+    heights = terrain.heights_m[::-1].astype(float)
+    surface = RegularGridInterpolator((rows_deg, columns_deg), heights)
     expected = surface(np.stack([latitude - place[0], east_deg], axis=-1))
     # 1 cm: a way of 250 m between the places of the table bends by 1 mm and slopes are up to 2
     np.testing.assert_allclose(terrain.height_amsl_m(north, east), expected, rtol=0, atol=0.01)
@@ -95,24 +86,12 @@ def test_the_grid_is_bilinear_in_latitude_and_longitude_and_goes_on_beyond_its_e
 
 # --- bounds ---------------------------------------------------------------------------------------
 
-KINDS = st.sampled_from(["maximum", "sum", *PLACES])
-
-
-def drawn(
-    rng: np.random.Generator, kind: str | tuple[float, float]
-) -> tuple[Terrain, list[PeakRow]]:
-    if isinstance(kind, tuple):
-        return grid(rng, kind), []
-    made = peaks(rng)
-    return PeakTerrain(made, combine=kind, ground_amsl_m=50.0), made  # type: ignore[arg-type]
-
 
 def turned_quads(rng: np.random.Generator, size_m: float, about: list[PeakRow]) -> FloatArray:
     """Anywhere, and with the tops of peaks in them or just outside.  -> (K, 4, 2)."""
     tops = np.array([row[:2] for row in about]).reshape(-1, 2)
-    centres = np.concatenate(
-        [rng.uniform(-2_500, 2_500, (20, 2)), tops + rng.uniform(-0.6, 0.6, tops.shape) * size_m]
-    )
+    near_tops = tops + rng.uniform(-0.6, 0.6, tops.shape) * size_m
+    centres = np.concatenate([rng.uniform(-2_500, 2_500, (20, 2)), near_tops])
     square = np.array([(-1, -1), (-1, 1), (1, 1), (1, -1)]) * size_m / 2
     angle = rng.uniform(-0.3, 0.3)
     turn = np.array([(np.cos(angle), -np.sin(angle)), (np.sin(angle), np.cos(angle))])
@@ -120,9 +99,9 @@ def turned_quads(rng: np.random.Generator, size_m: float, about: list[PeakRow]) 
 
 
 @settings(max_examples=40)
-@given(seed=st.integers(0, 10**6), kind=KINDS, size_m=st.sampled_from([19.0, 60.0, 250.0, 400.0]))
+@given(seed=SEEDS, kind=KINDS, size_m=st.sampled_from([19.0, 60.0, 250.0, 400.0]))
 def test_the_highest_of_a_quadrilateral_bounds_what_is_in_it_and_is_near_it(
-    seed: int, kind: str | tuple[float, float], size_m: float
+    seed: int, kind: Kind, size_m: float
 ) -> None:
     rng = np.random.default_rng(seed)
     terrain, about = drawn(rng, kind)
@@ -144,20 +123,18 @@ def test_the_highest_of_a_quadrilateral_bounds_what_is_in_it_and_is_near_it(
 
 
 @settings(max_examples=40)
-@given(seed=st.integers(0, 10**6), kind=KINDS, cell_m=st.sampled_from([4.0, 200.0]))
+@given(seed=SEEDS, kind=KINDS, cell_m=st.sampled_from([4.0, 200.0]))
 def test_the_lattice_of_lower_bounds_is_not_above_the_terrain(
-    seed: int, kind: str | tuple[float, float], cell_m: float
+    seed: int, kind: Kind, cell_m: float
 ) -> None:
     rng = np.random.default_rng(seed)
     terrain, _ = drawn(rng, kind)
-    north, east = (
-        start + np.arange(0.0, 25.5) * cell_m for start in rng.uniform(-2_900, -2_000, 2)
-    )
+    begins = rng.uniform(-2_900, -2_000, 2)
+    north, east = (start + np.arange(0.0, 25.5) * cell_m for start in begins)
     lowest = terrain.lowest_in_grid_amsl_m(north, east)
     u, v = rng.uniform(0.0, cell_m, (2, 40))
-    brute = terrain.height_amsl_m(
-        (north[:-1, None] + u)[:, None, :], (east[:-1, None] + v)[None, :, :]
-    ).min(axis=-1)
+    inside = (north[:-1, None] + u)[:, None, :], (east[:-1, None] + v)[None, :, :]
+    brute = terrain.height_amsl_m(*inside).min(axis=-1)
     assert lowest.shape == (25, 25)
     assert (lowest <= brute + 1e-6).all()
     if not isinstance(kind, tuple):
@@ -166,25 +143,22 @@ def test_the_lattice_of_lower_bounds_is_not_above_the_terrain(
         assert (lowest >= brute - 25.0).all()
 
 
+# --- files ----------------------------------------------------------------------------------------
+
 FRAME = LocalFrame(latitude_deg=46.5, longitude_deg=8.5)
 AREA = (-2_000.0, 3_000.0, -4_000.0, 1_500.0)
+DATA = np.random.default_rng(3).integers(300, 2_000, (120, 150)).astype(np.int16)
 
 
-def heights() -> NDArray[np.int16]:
-    return np.random.default_rng(3).integers(300, 2_000, (120, 150)).astype(np.int16)
+def placing(west_deg: float, north_deg: float, turn: float = 0.0, down: float = -1.0) -> Affine:
+    return Affine(STEP[0], turn, west_deg, 0, down * STEP[0], north_deg)
 
 
-def written(path: Path, data: NDArray[Any], **changes: Any) -> Path:
+def written(path: Path, data: NDArray[Any] = DATA, **changes: Any) -> Path:
     """A file whose middle is FRAME's origin."""
-    profile: dict[str, Any] = {
-        "driver": "GTiff",
-        "crs": "EPSG:4326",
-        "transform": Affine(STEP[0], 0, 8.5 - 75 * STEP[0], 0, -STEP[0], 46.5 + 60 * STEP[0]),
-        "dtype": data.dtype,
-        "count": 1,
-        "height": data.shape[0],
-        "width": data.shape[1],
-    }
+    placed = placing(8.5 - 75 * STEP[0], 46.5 + 60 * STEP[0])
+    profile: dict[str, Any] = {"driver": "GTiff", "crs": "EPSG:4326", "transform": placed}
+    profile |= {"dtype": data.dtype, "count": 1, "height": data.shape[0], "width": data.shape[1]}
     with rasterio.open(path, "w", **(profile | changes)) as file:
         file.write(data, 1)
     return path
@@ -194,35 +168,31 @@ def read(path: Path, nodata: Any = None) -> GridTerrain:
     return read_grid(path, FRAME, AREA, nodata)
 
 
-def refused(path: Path, nodata: Any = None) -> str:
+def refused(path: Path) -> str:
     with pytest.raises(InputError) as caught:
-        read(path, nodata)
+        read(path)
     message = str(caught.value)
     assert "\n" not in message
     assert message.startswith("terrain.file = ")
     return message
 
 
-def test_a_point_of_the_file_is_where_the_file_says(tmp_path: Path) -> None:
-    data = heights()
-    terrain = read(written(tmp_path / "terrain.tif", data))
+def test_a_point_of_the_file_is_where_the_file_or_its_name_says(tmp_path: Path) -> None:
+    terrain = read(written(tmp_path / "terrain.tif"))
     for row, column in ((50, 60), (60, 75), (45, 80)):
         latitude = 46.5 + (60 - row - 0.5) * STEP[0]
         longitude = 8.5 + (column + 0.5 - 75) * STEP[0]
-        north, east = FRAME.to_local(latitude, longitude)
-        assert terrain.height_at_amsl_m(north, east) == pytest.approx(data[row, column], abs=0.1)
-
-
-def test_an_srtm_tile_is_read_by_its_name(tmp_path: Path) -> None:
-    data = np.random.default_rng(5).integers(100, 3_000, (1201, 1201)).astype(">i2")
-    path = tmp_path / "N46E008.hgt"
-    path.write_bytes(data.tobytes())
-    north, east = FRAME.to_local(47.0 - 615 / 1200, 8.0 + 580 / 1200)
-    assert read(path).height_at_amsl_m(north, east) == pytest.approx(data[615, 580], abs=0.1)
+        height_m = terrain.height_at_amsl_m(*FRAME.to_local(latitude, longitude))
+        assert height_m == pytest.approx(DATA[row, column], abs=0.1)
+    tile = np.random.default_rng(5).integers(100, 3_000, (1201, 1201)).astype(">i2")
+    path = tmp_path / "N46E008.hgt"  # of SRTM
+    path.write_bytes(tile.tobytes())
+    there = FRAME.to_local(47.0 - 615 / 1200, 8.0 + 580 / 1200)
+    assert read(path).height_at_amsl_m(*there) == pytest.approx(tile[615, 580], abs=0.1)
 
 
 def test_holes_are_an_error_unless_the_world_says_what_lies_there(tmp_path: Path) -> None:
-    data = heights().astype(np.float32)
+    data = DATA.astype(np.float32)
     data[60, 70], data[61, 70], data[0, 0] = -9999.0, np.nan, -9999.0
     path = written(tmp_path / "terrain.tif", data, nodata=-9999.0)
     assert "2 points without height" in refused(path)
@@ -235,21 +205,20 @@ def test_holes_are_an_error_unless_the_world_says_what_lies_there(tmp_path: Path
     [
         ({"crs": "EPSG:32632"}, "latitude and longitude"),
         ({"crs": None}, "latitude and longitude"),
-        ({"transform": Affine(STEP[0], 1e-5, 8.4, 0, -STEP[0], 46.6)}, "north up"),
-        ({"transform": Affine(STEP[0], 0, 8.4, 0, STEP[0], 46.4)}, "north up"),
-        ({"transform": Affine(STEP[0], 0, 8.49, 0, -STEP[0], 46.55)}, "does not cover [area]"),
-        ({"transform": Affine(STEP[0], 0, 8.39, 0, -STEP[0], 46.55)}, "does not cover [area]"),
+        ({"transform": placing(8.4, 46.6, turn=1e-5)}, "north up"),
+        ({"transform": placing(8.4, 46.4, down=1.0)}, "north up"),
+        ({"transform": placing(8.49, 46.55)}, "does not cover [area]"),
+        ({"transform": placing(8.39, 46.55)}, "does not cover [area]"),
     ],
     ids=str,
 )
 def test_what_cannot_be_flown_over_is_refused_in_one_line(
     tmp_path: Path, changes: dict[str, Any], words: str
 ) -> None:
-    assert words in refused(written(tmp_path / "terrain.tif", heights(), **changes))
+    assert words in refused(written(tmp_path / "terrain.tif", **changes))
 
 
 def test_what_is_no_elevation_file_is_refused(tmp_path: Path) -> None:
-    other = tmp_path / "terrain.tif"
-    other.write_text("nothing")
-    assert "cannot be read" in refused(other)
+    (tmp_path / "terrain.tif").write_text("nothing")
+    assert "cannot be read" in refused(tmp_path / "terrain.tif")
     assert "no such file" in refused(Path("/vsicurl/http://127.0.0.1/terrain.tif"))

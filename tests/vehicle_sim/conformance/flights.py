@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.dynamics import Vehicle
@@ -27,6 +28,7 @@ _STAMPED = {30, 32, 33}
 _FIRMWARES: dict[int, Firmware] = {3: "ardupilot", 12: "px4"}
 _FIXED_WING, _ARMED, _FIX_3D = 1, 0x80, 3
 _DECODER = mavlink.MAVLink(None)
+FloatArray = NDArray[np.float64]
 
 
 class TimedFrame(NamedTuple):
@@ -57,7 +59,8 @@ class Side:
         self._frames = dict[int, list[TimedFrame]]()
         for one in said:
             self._frames.setdefault(one.number, []).append(one)
-        self._decoded = dict[int, list[tuple[float, Any]]]()
+        self.of = functools.cache(self._of)
+        """Time and message of each of these."""
 
     @property
     def numbers(self) -> set[int]:
@@ -68,11 +71,8 @@ class Side:
         """Every frame of this message."""
         return self._frames.get(number, ())
 
-    def of(self, number: int) -> Sequence[tuple[float, Any]]:
-        """Time and message of each of them."""
-        if number not in self._decoded:
-            self._decoded[number] = [(one.time_s, decoded(one)) for one in self.heard(number)]
-        return self._decoded[number]
+    def _of(self, number: int) -> Sequence[tuple[float, Any]]:
+        return [(one.time_s, decoded(one)) for one in self.heard(number)]
 
 
 # --- log time and vehicle time --------------------------------------------------------------------
@@ -92,19 +92,19 @@ class Clock:
             known = best.get(int(log_s))
             if known is None or vehicle_s - log_s > known[1] - known[0]:
                 best[int(log_s)] = (log_s, vehicle_s)
-        self._log_s, told_s = np.array(sorted(best.values()) or [(0.0, 0.0)]).T
-        self._vehicle_s = np.maximum.accumulate(told_s)
+        log, told = np.array(sorted(best.values()) or [(0.0, 0.0)]).T
+        self._knots = (log, np.maximum.accumulate(told))
 
     def vehicle_s(self, log_s: float) -> float:
         """Vehicle time at this log time."""
-        return _along(log_s, self._log_s, self._vehicle_s)
+        return _along(log_s, *self._knots)
 
     def log_s(self, vehicle_s: float) -> float:
         """Log time at this vehicle time."""
-        return _along(vehicle_s, self._vehicle_s, self._log_s)
+        return _along(vehicle_s, *reversed(self._knots))
 
 
-def _along(x: float, knots: Any, values: Any) -> float:
+def _along(x: float, knots: FloatArray, values: FloatArray) -> float:
     inside = min(max(x, knots[0]), knots[-1])
     return float(np.interp(inside, knots, values) + x - inside)
 
@@ -236,13 +236,6 @@ class Span(msgspec.Struct, frozen=True, kw_only=True):
     what: str = ""
 
 
-class Placement(msgspec.Struct, frozen=True, kw_only=True):
-    """The simulated vehicle is put where the real one was, with its course and speed, once."""
-
-    at_s: float
-    why: str
-
-
 class Posts(msgspec.Struct, frozen=True, kw_only=True):
     """Round posts on a square grid, endlessly high."""
 
@@ -257,10 +250,10 @@ class Posts(msgspec.Struct, frozen=True, kw_only=True):
     """The recorded simulator's own flat earth."""
     metres_per_longitude: float
 
-    def places_ne_m(self) -> list[tuple[float, float]]:
-        """In those metres."""
-        steps = [k * self.apart_m for k in range(self.count)]
-        return [(self.north_m + north, self.east_m + east) for north in steps for east in steps]
+    def places_ne_m(self) -> FloatArray:
+        """In those metres.  -> (count^2, 2)."""
+        steps = self.apart_m * np.moveaxis(np.indices((self.count, self.count)), 0, -1)
+        return np.array((self.north_m, self.east_m)) + steps.reshape(-1, 2)
 
 
 class Reason(msgspec.Struct, frozen=True, kw_only=True):
@@ -296,7 +289,8 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
     faults: Sequence[Span] = ()
     """Done to the simulator, and not by a client's frame."""
     left_out: Sequence[Span] = ()
-    placements: Sequence[Placement] = ()
+    placed_at_s: float | None = None
+    """When the simulated vehicle is put where the real one was, with its course and speed."""
     reasons: Sequence[Reason] = ()
 
 
@@ -336,7 +330,9 @@ def play(recording: Recording, flight: Flight, *, seed: int = 0) -> list[TimedFr
     flying = Simulation(world_of(recording, flight), seed=seed, faults=faults)
     begin_us, end_us = (round(t * 1e6) for t in (recording.begin_s, recording.end_s))
     waiting = [(round(one.time_s * 1e6), one.frame) for one in reversed(recording.sent)]
-    placed_us = [round(recording.clock.vehicle_s(p.at_s) * 1e6) for p in flight.placements]
+    placed_us = math.inf
+    if flight.placed_at_s is not None:
+        placed_us = round(recording.clock.vehicle_s(flight.placed_at_s) * 1e6)
     back = list[TimedFrame]()
 
     def take() -> None:
@@ -345,8 +341,9 @@ def play(recording: Recording, flight: Flight, *, seed: int = 0) -> list[TimedFr
                 back.append(heard(flying.now_us * 1e-6, frame))
 
     while flying.now_us <= end_us:
-        if placed_us and placed_us[0] <= flying.now_us:
-            _place(flying.vehicle, recording, flight, placed_us.pop(0) * 1e-6)
+        if placed_us <= flying.now_us:
+            _place(flying.vehicle, recording, flight, placed_us * 1e-6)
+            placed_us = math.inf
         while waiting and waiting[-1][0] <= flying.now_us:
             flying.receive(_LINK, waiting.pop()[1])
             take()
@@ -378,12 +375,10 @@ def world_of(recording: Recording, flight: Flight) -> World:
         return world
     home_deg = (flight.home.latitude_deg, flight.home.longitude_deg)
     metres = (posts.metres_per_latitude, posts.metres_per_longitude)
-    at_deg = np.array(home_deg) + np.array(posts.places_ne_m()) / metres
-    places = np.transpose(world.frame.to_local_many(*at_deg.T)).tolist()
-    trees = tuple(
-        Tree(north_m=north, east_m=east, radius_m=posts.radius_m, height_m=_POST_M)
-        for north, east in places
-    )
+    at_deg = np.array(home_deg) + posts.places_ne_m() / metres
+    size = {"radius_m": posts.radius_m, "height_m": _POST_M}
+    places = zip(*world.frame.to_local_many(*at_deg.T), strict=True)
+    trees = tuple(Tree(north_m=float(n), east_m=float(e), **size) for n, e in places)
     return dataclasses.replace(world, trees=trees, lidar=LidarTable(**flight.lidar))
 
 

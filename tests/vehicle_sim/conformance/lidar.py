@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from conformance.flights import Flight, Posts, Side
+from conformance.flights import Flight, FloatArray, Posts, Side
 from conformance.rows import NOTHING, Comparison, Row, row
 
 _SYS_STATUS, _ATTITUDE, _DISTANCE_SENSOR, _SIMSTATE = 1, 30, 132, 164
@@ -26,7 +26,6 @@ _FAR = 99.0
 _COUNT, _MEDIAN_M, _SHARE, _ROW = 48.0, 0.03, 0.04, 4.0
 _BOGUS_SHARE, _STALE_S, _SILENT_S = 0.015, 0.35, 1.1
 """Tolerances."""
-FloatArray = NDArray[np.float64]
 
 
 class _Sector(NamedTuple):
@@ -48,14 +47,13 @@ def lidar_rows(comparison: Comparison) -> Iterator[Row]:
     posts = comparison.flight.posts
     if posts is None:
         return
-    real, simulated = (_sectors(side, comparison.flight, posts) for side in comparison.sides)
+    sides = [_sectors(side, comparison.flight, posts) for side in comparison.sides]
     for sector in range(_SECTORS):
-        pair = (real.get(sector), simulated.get(sector))
-        name = f"sector {sector}"
+        pair, name = [side.get(sector) for side in sides], f"sector {sector}"
         yield _row("lidar count", name, [p and p.said for p in pair], _COUNT)
         yield _row("lidar error", name, [p and p.median_m for p in pair], _MEDIAN_M)
         yield _row("lidar echoes", name, [p and p.near_share for p in pair], _SHARE)
-    whole = [list(side.values()) or None for side in (real, simulated)]
+    whole = [list(side.values()) or None for side in sides]
     rows = [s and max(p.longest_row for p in s) for s in whole]
     yield _row("bogus empties", "longest row", rows, _ROW)
     shares = [s and float(np.mean([p.bogus_share for p in s])) for s in whole]
@@ -84,7 +82,7 @@ def _sectors(side: Side, flight: Flight, posts: Posts) -> dict[int, _Sector]:
             said.setdefault(m.orientation, []).append(measured)
     if not (truth and turns and said):
         return {}
-    places = np.array(posts.places_ne_m())
+    places = posts.places_ne_m()
     scale = (posts.metres_per_latitude, posts.metres_per_longitude)
     home = (flight.home.latitude_deg, flight.home.longitude_deg)
     flown_ne_m = (np.array([(m.lat / 1e7, m.lng / 1e7) for _, m in truth]) - home) * scale

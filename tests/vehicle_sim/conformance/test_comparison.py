@@ -34,26 +34,18 @@ def failing(rows: Iterable[Row]) -> set[str]:
 
 
 @pytest.mark.sample(9)
-def test_a_flight_agrees_with_itself_in_every_row(recorded: Recorded, name: str) -> None:
+def test_a_flight_agrees_with_itself_not_with_another_one_and_silence_with_nothing(
+    recorded: Recorded, name: str
+) -> None:
     flight = recorded(name)
     rows = rows_of(flight, flight.side)
     assert [row for row in rows if not row.agrees] == []
     assert max(row.difference for row in rows) == 0.0
     assert len(rows) > 150
-
-
-@pytest.mark.sample(9)
-def test_a_flight_does_not_agree_with_another_one(recorded: Recorded, name: str) -> None:
-    flight = recorded(name)
     other = recorded(COPTER if name != COPTER else "arducopter-guided-10mps.tlog")
     rows = rows_of(flight, other.side)
     assert sum(row.agrees for row in rows) < 0.75 * len(rows)
-
-
-@pytest.mark.sample(9)
-def test_silence_agrees_with_nothing(recorded: Recorded, name: str) -> None:
-    flight = recorded(name)
-    assert {row.kind for row in rows_of(flight, Side(())) if row.agrees} == set()
+    assert not any(row.agrees for row in rows_of(flight, Side(())))
 
 
 # --- each kind of row can fail --------------------------------------------------------------------
@@ -89,48 +81,38 @@ def lost(h: TimedFrame) -> Iterable[TimedFrame]:  # noqa: ARG001
     return ()
 
 
-def later(seconds: float) -> Change:
-    return lambda h: (h._replace(time_s=h.time_s + seconds),)
-
-
 ALL = (-math.inf, math.inf)
-CHANGES: list[tuple[str, str, Change, set[str]]] = [
-    # kind of row, recording, what is done to what it said, what else may then fail
-    ("ack", COPTER, at(77, 200, 204, setting(result=1)), set()),
-    ("ack", COPTER, at(77, 200, 204, later(0.5)), set()),
-    ("ack", PLANE, at(77, 100, 100.3, lost), set()),
-    ("exchange", PX4, at(47, *ALL, setting(type=13)), set()),
-    ("exchange", PX4, at(51, *ALL, lost), set()),
-    ("said once", PX4, at(148, *ALL, setting(capabilities=1)), set()),
-    ("said once", COPTER, at(242, *ALL, adding(altitude=5000)), set()),
-    ("mode", COPTER, at(0, 150, 160, setting(custom_mode=5)), set()),
-    ("armed", COPTER, at(0, 150, 160, setting(base_mode=89)), set()),
-    ("base mode", COPTER, at(0, 100, 110, setting(base_mode=145)), set()),
-    ("system status", COPTER, at(0, 150, 160, setting(system_status=5)), set()),
-    ("vehicle", COPTER, at(0, *ALL, setting(type=13)), set()),
-    ("landed", COPTER, at(245, 60, 70, setting(landed_state=3)), set()),
-    ("vtol", COPTER, at(245, *ALL, setting(vtol_state=4)), {"filling"}),
-    ("fix", COPTER, at(24, 160, 190, setting(fix_type=6)), set()),
-    ("estimator", COPTER, at(193, 170, 176, setting(flags=831)), set()),
-    ("estimator", PX4, at(230, 80, 110, setting(flags=0x37F)), set()),
-    ("current mode", PX4, at(436, 80, 100, setting(custom_mode=0x03040000)), set()),
-    ("intended mode", PX4, at(436, 80, 100, setting(intended_custom_mode=0)), set()),
-    ("mission", PX4, at(42, 80, 100, setting(mission_mode=1)), set()),
-    ("echo", COPTER, at(85, 100, 110, setting(type_mask=0)), set()),
-    ("count", COPTER, at(30, 100, 110, lost), {"longest silence", "motion"}),
-    ("count", COPTER, at(111, *ALL, lost), set()),
-    ("first", COPTER, at(32, 0, 45, lost), {"track"}),
-    ("longest silence", COPTER, at(24, 200, 203, lost), set()),
-    ("filling", COPTER, at(24, *ALL, setting(satellites_visible=11)), set()),
-    ("filling", COPTER, at(74, *ALL, setting(climb=0.0)), set()),
-    ("track", COPTER, at(33, 90, 92, adding(lat=300)), set()),
-    ("track", COPTER, at(32, 90, 92, adding(z=3.0)), set()),
-    ("motion", COPTER, at(33, 70, 110, adding(vz=100)), set()),
-    ("motion", COPTER, at(33, 90, 100, setting(hdg=0)), set()),
-    ("motion", COPTER, at(30, 90, 100, setting(roll=0.0, pitch=0.0)), set()),
-    ("target", COPTER, at(85, 90, 100, adding(vx=2.0)), set()),
-    ("target", PLANE, at(87, 90, 100, adding(alt=20.0)), set()),
-    ("battery", COPTER, at(147, 150, 200, setting(battery_remaining=99)), set()),
+CHANGES: list[tuple[str, str, Change]] = [
+    # kind of row, recording, and what is done to what it said
+    ("ack", COPTER, at(77, 200, 204, setting(result=1))),
+    ("ack", PLANE, at(77, 100, 100.3, lost)),
+    ("exchange", PX4, at(47, *ALL, setting(type=13))),
+    ("said once", PX4, at(148, *ALL, setting(capabilities=1))),
+    ("said once", COPTER, at(242, *ALL, adding(altitude=5000))),
+    ("mode", COPTER, at(0, 150, 160, setting(custom_mode=5))),
+    ("armed", COPTER, at(0, 150, 160, setting(base_mode=89))),
+    ("base mode", COPTER, at(0, 100, 110, setting(base_mode=145))),
+    ("system status", COPTER, at(0, 150, 160, setting(system_status=5))),
+    ("vehicle", COPTER, at(0, *ALL, setting(type=13))),
+    ("landed", COPTER, at(245, 60, 70, setting(landed_state=3))),
+    ("vtol", COPTER, at(245, *ALL, setting(vtol_state=4))),
+    ("fix", COPTER, at(24, 160, 190, setting(fix_type=6))),
+    ("estimator", COPTER, at(193, 170, 176, setting(flags=831))),
+    ("estimator", PX4, at(230, 80, 110, setting(flags=0x37F))),
+    ("current mode", PX4, at(436, 80, 100, setting(custom_mode=0x03040000))),
+    ("intended mode", PX4, at(436, 80, 100, setting(intended_custom_mode=0))),
+    ("mission", PX4, at(42, 80, 100, setting(mission_mode=1))),
+    ("echo", COPTER, at(85, 100, 110, setting(type_mask=0))),
+    ("count", COPTER, at(30, 100, 110, lost)),
+    ("first", COPTER, at(32, 0, 45, lost)),
+    ("longest silence", COPTER, at(24, 200, 203, lost)),
+    ("filling", COPTER, at(24, *ALL, setting(satellites_visible=11))),
+    ("track", COPTER, at(33, 90, 92, adding(lat=300))),
+    ("motion", COPTER, at(33, 70, 110, adding(vz=100))),
+    ("motion", PX4, at(33, 90, 100, setting(hdg=0))),
+    ("target", COPTER, at(85, 90, 100, adding(vx=2.0))),
+    ("target", PLANE, at(87, 90, 100, adding(alt=20.0))),
+    ("battery", COPTER, at(147, 150, 200, setting(battery_remaining=99))),
 ]
 
 
@@ -139,35 +121,17 @@ def test_all_kinds_of_rows_fail_when_all_that_they_look_at_is_changed(
     recorded: Recorded, name_of: str
 ) -> None:
     flight = recorded(name_of)
-    said = list(flight.said)
-    kinds = set()
-    for kind, name, change, _ in CHANGES:
+    said, kinds = list(flight.said), set()
+    for kind, name, change in CHANGES:
         if name == name_of:
             said = [changed for h in said for changed in change(h)]
             kinds.add(kind)
     assert kinds <= failing(rows_of(flight, Side(sorted(said, key=lambda h: h.time_s))))
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("kind", "name_of", "change", "others"),
-    CHANGES,
-    ids=[f"{c[0]}-{i}" for i, c in enumerate(CHANGES)],
-)
-def test_a_kind_of_row_fails_when_what_it_looks_at_is_changed(
-    recorded: Recorded, kind: str, name_of: str, change: Change, others: set[str]
-) -> None:
-    flight = recorded(name_of)
-    said = sorted((x for h in flight.said for x in change(h)), key=lambda h: h.time_s)
-    found = failing(rows_of(flight, Side(said)))
-    assert kind in found
-    assert found <= {kind} | others
-
-
 def test_every_kind_of_row_has_been_made_to_fail(recorded: Recorded) -> None:
-    kinds = {
-        row.kind for name in (COPTER, PX4) for row in rows_of(recorded(name), recorded(name).side)
-    }
+    flights = [recorded(name) for name in (COPTER, PX4)]
+    kinds = {row.kind for flight in flights for row in rows_of(flight, flight.side)}
     assert kinds == {kind for kind, *_ in CHANGES}
 
 

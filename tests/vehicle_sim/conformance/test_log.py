@@ -1,7 +1,6 @@
 """Reading recordings, and the law of their clock.  That they are played into a vehicle as they were
 flown is seen by test_recordings.py: else they would not agree."""
 
-import dataclasses
 import math
 import struct
 from collections.abc import Callable
@@ -13,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
-from recordings import FOLDER, recording
+from recordings import FOLDER
 
 from conformance.flights import (
     Clock,
@@ -70,11 +69,6 @@ def test_something_else_is_refused_in_words(
         read_recording(tmp_path / called)
 
 
-def test_a_packed_log_is_the_same_flight() -> None:
-    ours, plain = (read_recording(p) for p in (FOLDER / f"{SHORT}.xz", recording(SHORT)))
-    assert (ours.name, ours.sent, ours.said) == (plain.name, plain.sent, plain.said)
-
-
 @pytest.mark.sample(3)
 def test_a_recording_says_who_flew_and_who_said_what_at_which_vehicle_time(
     recorded: Recorded, name: str
@@ -105,14 +99,6 @@ def test_a_recording_says_who_flew_and_who_said_what_at_which_vehicle_time(
     for reason in known.reasons:  # they are narrow, and say something
         assert len(reason.why) > 20
         assert not reason.names == reason.shown == ".*"
-
-
-def test_a_recording_that_nobody_knows_is_taken_as_it_says(recorded: Recorded) -> None:
-    flight = dataclasses.replace(recorded(SHORT), name="strange.tlog")
-    known = flight_of(flight)
-    assert known.home == flight.home
-    assert not known.parameters
-    assert not known.faults
 
 
 @given(

@@ -16,6 +16,7 @@ _BESIDE_S = 0.35
 _SILENT_S = 2
 _ATTITUDE, _LOCAL, _GLOBAL, _LOCAL_TARGET, _GLOBAL_TARGET, _BATTERY = 30, 32, 33, 85, 87, 147
 _UNKNOWN_HEADING = 65535
+Span = tuple[float, float]
 
 # --- which part of the flight a second belongs to, as the real autopilot told it; and tolerances --
 
@@ -55,34 +56,32 @@ _NEARNESS = {
     ("plane", "landing"): Tolerances(25.0, 10.0, 3.0, 1.5, 30.0, 12.0),
     ("plane", "blind"): Tolerances(25.0, 10.0, 3.0, 1.5, 30.0, 12.0),
 }
-Span = tuple[float, float]
 
 
-class Phases:
+def phases_of(comparison: Comparison) -> Callable[[float], str]:
     """The phase at any vehicle time of a recorded flight."""
+    real, recording = comparison.real, comparison.recording
+    landed = changes(real.of(245), lambda m: m.landed_state)
+    modes = changes(real.of(0), lambda m: m.custom_mode)
+    vehicle = f"{recording.firmware} {recording.kind}"
+    landing_modes = _LANDING_MODES.get(vehicle, _PX4_LANDING_MODES)
+    blind = list(_blind_times(comparison))
+    chases = list(_chase_times(comparison)) if recording.kind == "copter" else []
+    airborne_s = next((t for t, state in landed if state in (2, 3)), math.inf)
 
-    def __init__(self, comparison: Comparison) -> None:
-        real, recording = comparison.real, comparison.recording
-        self._landed = changes(real.of(245), lambda m: m.landed_state)
-        self._mode = changes(real.of(0), lambda m: m.custom_mode)
-        vehicle = f"{recording.firmware} {recording.kind}"
-        self._landing_modes = _LANDING_MODES.get(vehicle, _PX4_LANDING_MODES)
-        self._blind = _blind_times(comparison)
-        self._chases = _chase_times(comparison) if recording.kind == "copter" else []
-        self._airborne_s = next((t for t, state in self._landed if state in (2, 3)), math.inf)
-
-    def at(self, time_s: float) -> str:
-        """What the real vehicle was doing then."""
-        landed = _value_at(self._landed, time_s)
-        if _is_within(self._blind, time_s):
+    def at(time_s: float) -> str:
+        state = _value_at(landed, time_s)
+        if _is_within(blind, time_s):
             return "blind"
-        if landed in (None, 0, 1):
+        if state in (None, 0, 1):
             return "ground"
-        if _value_at(self._mode, time_s) in self._landing_modes:
+        if _value_at(modes, time_s) in landing_modes:
             return "landing"
-        if landed == 3 or time_s < self._airborne_s + _TAKEOFF_S:
+        if state == 3 or time_s < airborne_s + _TAKEOFF_S:
             return "take-off"
-        return "chase" if _is_within(self._chases, time_s) else "flight"
+        return "chase" if _is_within(chases, time_s) else "flight"
+
+    return at
 
 
 def _is_within(spans: Sequence[Span], time_s: float) -> bool:
@@ -93,34 +92,30 @@ def _value_at(events: Sequence[tuple[float, Any]], time_s: float) -> Any:
     return next((value for at_s, value in reversed(events) if at_s <= time_s), None)
 
 
-def _blind_times(comparison: Comparison) -> list[Span]:
+def _blind_times(comparison: Comparison) -> Iterator[Span]:
     """While there was no fix after there had been one, or the estimator called it wrong."""
     fixes = changes(comparison.real.of(24), lambda m: m.fix_type <= _FIX_2D)
     while fixes and fixes[0][1]:
         del fixes[0]
     glitches = changes(comparison.real.of(193), lambda m: bool(m.flags & _GLITCH))
-    spans = list[Span]()
     for events in (fixes, glitches):
         till = [*events, (comparison.recording.end_s, False)]
         for (begin_s, is_bad), (over_s, _) in itertools.pairwise(till):
             if is_bad:
-                spans.append((begin_s - 2.0, over_s + _RECOVERY_S))
-    return spans
+                yield begin_s - 2.0, over_s + _RECOVERY_S
 
 
-def _chase_times(comparison: Comparison) -> list[Span]:
+def _chase_times(comparison: Comparison) -> Iterator[Span]:
     """While its target was more than FAR_M away, and for a while afterwards."""
     positions = comparison.real.of(_LOCAL)
     times = [time_s for time_s, _ in positions]
-    spans = list[Span]()
     for time_s, target in comparison.real.of(_LOCAL_TARGET):
         place = bisect.bisect_left(times, time_s)
         if target.type_mask & _NO_POSITION or place >= len(times):
             continue
         here = positions[place][1]
         if math.hypot(target.x - here.x, target.y - here.y) > FAR_M:
-            spans.append((time_s, time_s + _SETTLING_S))
-    return spans
+            yield time_s, time_s + _SETTLING_S
 
 
 # --- measures: how far apart in tolerances, and how to show it ------------------------------------
@@ -207,34 +202,38 @@ def track_rows(comparison: Comparison) -> Iterator[Row]:
         level = _apart(apart_m, near.horizontal_m, "m")
         return max(level, _apart(a.alt - b.alt, near.vertical_m, "m of height"))
 
-    # of these the worst second but one of each bin counts: a step of one side may come a moment
-    # later on the other, which is a matter of times
-    tracks = [(_GLOBAL, horizontally), (_LOCAL, _local_track)]
-    tracks += [(_GLOBAL, _global_height), (_LOCAL, _local_height)]
-    # and of these the middle one
-    motions = [(_GLOBAL, _speed), (_GLOBAL, _climb), (_GLOBAL, _heading), (_ATTITUDE, _tilt)]
-    phases = Phases(comparison)
-    yield from _binned(comparison, phases, "track", tracks)
-    yield from _binned(comparison, phases, "motion", motions)
-    yield from _binned(
-        comparison, phases, "target", [(_LOCAL_TARGET, _echo), (_GLOBAL_TARGET, aimed)]
-    )
+    looks: dict[str, list[tuple[int, Measure]]] = {
+        # of these the worst second but one of each bin counts: a step of one side may come a
+        # moment later on the other, which is a matter of times; of the others the middle one
+        "track": [
+            *((_GLOBAL, horizontally), (_LOCAL, _local_track)),
+            *((_GLOBAL, _global_height), (_LOCAL, _local_height)),
+        ],
+        "motion": [(_GLOBAL, _speed), (_GLOBAL, _climb), (_GLOBAL, _heading), (_ATTITUDE, _tilt)],
+        "target": [(_LOCAL_TARGET, _echo), (_GLOBAL_TARGET, aimed)],
+    }
+    phase_at = phases_of(comparison)
+    for kind, measures in looks.items():
+        yield from _binned(comparison, phase_at, kind, measures)
 
 
 def _binned(
-    comparison: Comparison, phases: Phases, kind: str, looks: Sequence[tuple[int, Measure]]
+    comparison: Comparison,
+    phase_at: Callable[[float], str],
+    kind: str,
+    looks: Sequence[tuple[int, Measure]],
 ) -> Iterator[Row]:
     recording = comparison.recording
-    said = {n: [_Beside(side.heard(n)) for side in comparison.sides] for n, _ in looks}
+    said = {n: [_beside(side.heard(n)) for side in comparison.sides] for n, _ in looks}
     first, last = (math.floor(recording.begin_s / BIN_S), math.ceil(recording.end_s / BIN_S))
     for begin_s in range(first * BIN_S, last * BIN_S, BIN_S):
         if comparison.is_left_out(begin_s) or comparison.is_left_out(begin_s + BIN_S):
             continue
         seconds = range(begin_s, begin_s + BIN_S)
-        nearness = [_NEARNESS[recording.kind, phases.at(second)] for second in seconds]
+        nearness = [_NEARNESS[recording.kind, phase_at(second)] for second in seconds]
         found = list[tuple[Apart, str]]()
         for number, measure in looks:
-            real, simulated = ([side.at(second) for second in seconds] for side in said[number])
+            real, simulated = ([at(second) for second in seconds] for at in said[number])
             apart = sorted(
                 measure(a, b, near)
                 for a, b, near in zip(real, simulated, nearness, strict=True)
@@ -255,19 +254,18 @@ def _binned(
             yield Row(kind, name, message, shown, difference, begin_s)
 
 
-class _Beside:
-    """The message nearest to a time."""
+def _beside(said: Sequence[TimedFrame]) -> Callable[[float], Any]:
+    """The message nearest to a time; None if there is none beside it."""
+    times = [one.time_s for one in said]
 
-    def __init__(self, said: Sequence[TimedFrame]) -> None:
-        self._said, self._times = said, [one.time_s for one in said]
-
-    def at(self, time_s: float) -> Any | None:
-        """None if there is none beside it."""
-        place = bisect.bisect_left(self._times, time_s)
-        near = self._said[max(place - 1, 0) : place + 1]
+    def at(time_s: float) -> Any:
+        place = bisect.bisect_left(times, time_s)
+        near = said[max(place - 1, 0) : place + 1]
         best = min(near, key=lambda one: abs(one.time_s - time_s), default=None)
         there = best is not None and abs(best.time_s - time_s) <= _BESIDE_S
         return decoded(best) if best is not None and there else None
+
+    return at
 
 
 # --- battery --------------------------------------------------------------------------------------
@@ -280,11 +278,11 @@ def battery_rows(comparison: Comparison) -> Iterator[Row]:
     begin_s, end_s = comparison.recording.begin_s, comparison.recording.end_s
     for name, part in (("begin", 0.1), ("middle", 0.5), ("end", 0.9)):
         at_s = begin_s + part * (end_s - begin_s)
-        near = [
+        said = (
             min(side.of(_BATTERY), key=lambda each: abs(each[0] - at_s), default=None)
             for side in comparison.sides
-        ]
-        told = [each and _charge(each[1]) for each in near]
+        )
+        told = [each and _charge(each[1]) for each in said]
         real, simulated = told
         if real:
             apart = math.inf
