@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from log_files import FORMATS, bin_of, counts, entry, fmt_entries, messages_of, of, opened, told
 from recordings import recording
+from told_alike import both_at, changes, late_s, of_kind, table
 
 from companion.errors import InputError
-from companion.mavlink.dialect import Message, wire
+from companion.mavlink.dialect import wire
 from companion.replay.shadow import watch
 from companion.telemetry.logs import Odd, open_log
 
@@ -26,24 +27,6 @@ COPTER_START = b"".join(
 )
 PLACE = (471_000_000, 85_000_000, 500, 0, 0)
 VELOCITY = (0, 0, 0, 90, 3, 4, 0, *([0] * 8))  # of the estimator: 3 m/s north, 4 m/s east
-Told = list[tuple[int, Message]]
-
-
-def of_kind(pairs: Told, kind: str) -> Told:
-    return [pair for pair in pairs if pair[1].get_type() == kind]
-
-
-def values(pairs: Told, kind: str, *fields: str) -> list[list[object]]:
-    """Of each message of a kind these fields."""
-    return [[getattr(m, field) for field in fields] for _, m in of_kind(pairs, kind)]
-
-
-def changes(pairs: Told) -> list[tuple[int, int, bool]]:
-    """Kind of vehicle, mode and arming of the heartbeats, without repetitions."""
-    armed = wire.MAV_MODE_FLAG_SAFETY_ARMED
-    beats = [m for _, m in of_kind(pairs, "HEARTBEAT")]
-    seen = [(m.type, m.custom_mode, bool(m.base_mode & armed)) for m in beats]
-    return [each for k, each in enumerate(seen) if k == 0 or each != seen[k - 1]]
 
 
 @pytest.mark.parametrize("name", [COPTER, PLANE])
@@ -55,49 +38,41 @@ def test_the_same_flight_is_told_as_in_its_tlog(name: str, tmp_path: Path) -> No
     ours = messages_of(log.records())
     assert not log.findings
     assert (log.kind, log.systems, log.system_id) == ("bin", (1,), 1)
-    assert_same_positions(theirs, ours)
+    positions = "time_boot_ms lat lon alt relative_alt vx vy vz hdg"
+    was, now = both_at(theirs, ours, "GLOBAL_POSITION_INT", positions)
+    assert len(was) > 0.95 * len(of_kind(theirs, "GLOBAL_POSITION_INT"))
+    off = np.abs(was - now)
+    off[:, -1] = np.minimum(off[:, -1], 36_000 - off[:, -1])  # a heading goes round
+    assert off.max() <= 1  # the last digit of the wire
+    assert np.ptp(late_s(theirs, ours)) < 0.5  # the .tlog has the time of arrival
     for kind, fields in {
-        "GPS_RAW_INT": ("fix_type", "lat", "lon", "alt", "satellites_visible", "vel", "cog"),
-        "EKF_STATUS_REPORT": ("flags",),
-        "HOME_POSITION": ("latitude", "longitude", "altitude"),
-        "GPS_GLOBAL_ORIGIN": ("latitude", "longitude", "altitude"),
-        "PARAM_VALUE": ("param_value",),
+        "GPS_RAW_INT": "fix_type lat lon alt satellites_visible vel cog",
+        "EKF_STATUS_REPORT": "flags",
+        "HOME_POSITION": "latitude longitude altitude",
+        "GPS_GLOBAL_ORIGIN": "latitude longitude altitude",
+        "PARAM_VALUE": "param_value",
     }.items():
-        mine, others = (np.array(values(each, kind, *fields), float) for each in (ours, theirs))
+        mine, others = (table(each, kind, fields) for each in (ours, theirs))
         np.testing.assert_allclose(mine, others, rtol=1e-6, atol=10.0)  # of the wire's units
-    assert values(ours, "PARAM_VALUE", "param_id") == values(theirs, "PARAM_VALUE", "param_id")
-    booted_ms = [
-        max(m.time_unix_usec // 1000 - m.time_boot_ms for _, m in of_kind(each, "SYSTEM_TIME"))
-        for each in (theirs, ours)
-    ]
-    assert booted_ms[1] == pytest.approx(booted_ms[0], abs=100)
-    left, same = (values(each, "SYS_STATUS", "battery_remaining") for each in (ours, theirs))
-    assert all(each in same for each in left)
-    assert changes(ours) == changes(theirs)
+    names = [[m.param_id for _, m in of_kind(each, "PARAM_VALUE")] for each in (ours, theirs)]
+    assert names[0] == names[1]
+    times = "time_unix_usec time_boot_ms"
+    dates = [table(each, "SYSTEM_TIME", times) @ [1e-3, -1.0] for each in (theirs, ours)]
+    assert dates[1].max() == pytest.approx(dates[0].max(), abs=100.0)
+    left, same = (
+        set(table(each, "SYS_STATUS", "battery_remaining").flat) for each in (ours, theirs)
+    )
+    assert left <= same
+    modes = [changes(each, "HEARTBEAT", "type custom_mode base_mode") for each in (ours, theirs)]
+    assert [each[1:] for each in modes[0]] == [each[1:] for each in modes[1]]
     texts = [m.text for _, m in of_kind(ours, "STATUSTEXT")]
     texts = [text for text in texts if "V4.5.7 (" not in text]  # that one is the writer's
     assert texts == [m.text for _, m in of_kind(theirs, "STATUSTEXT")]
-    states = [m.system_status for _, m in of_kind(ours, "HEARTBEAT")]
+    states = table(ours, "HEARTBEAT", "system_status")
     assert (wire.MAV_STATE_CRITICAL in states) == (name == COPTER)  # its failsafe
-    ground = [m.landed_state for _, m in of_kind(ours, "EXTENDED_SYS_STATE")]
+    ground = table(ours, "EXTENDED_SYS_STATE", "landed_state").ravel()
     assert ground[0] == ground[-1] == wire.MAV_LANDED_STATE_ON_GROUND
     assert wire.MAV_LANDED_STATE_IN_AIR in ground
-
-
-def assert_same_positions(theirs: Told, ours: Told) -> None:
-    """The same at the same time since boot, to the last digit of the wire."""
-    fields = ("lat", "lon", "alt", "relative_alt", "vx", "vy", "vz", "hdg")
-    table = {m.time_boot_ms: (t, m) for t, m in of_kind(theirs, "GLOBAL_POSITION_INT")}
-    positions = of_kind(ours, "GLOBAL_POSITION_INT")
-    assert len(positions) > 0.95 * len(table)
-    late_s = []
-    for time_us, mine in positions:
-        arrived_us, other = table[mine.time_boot_ms]
-        late_s.append((arrived_us - time_us) * 1e-6)
-        for field in fields:
-            off = abs(getattr(mine, field) - getattr(other, field))
-            assert min(off, abs(off - 36_000) if field == "hdg" else off) <= 1, field
-    assert np.ptp(late_s) < 0.5  # the .tlog has the time of arrival, by another clock
 
 
 def test_whose_log_it_is_stands_in_its_parameters(tmp_path: Path) -> None:

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from log_files import counts, messages_of, of, opened, told
 from recordings import recording
+from told_alike import Told, both_at, changes, late_s, of_kind, table
 
 from companion.errors import InputError
-from companion.mavlink.dialect import Message, wire
+from companion.mavlink.dialect import wire
 from companion.mavlink.parameter_client import decoded
 from companion.replay.shadow import watch
 from companion.telemetry.logs import Log, Odd, open_log
@@ -22,7 +23,6 @@ MAGIC = b"ULog\x01\x12\x35\x01"
 DAY_US = 86_400 * 1_000_000
 DATE_US = 1_710_773_350_346_000
 FIXES = 60
-Told = list[tuple[int, Message]]
 Both = tuple[Told, Told, Log]
 
 
@@ -78,10 +78,6 @@ def positions(log: Log) -> Told:
     return of_kind(messages_of(log.records()), "GLOBAL_POSITION_INT")
 
 
-def of_kind(pairs: Told, kind: str) -> Told:
-    return [pair for pair in pairs if pair[1].get_type() == kind]
-
-
 # --- against what was sent in the same flight
 
 
@@ -94,65 +90,47 @@ def both() -> Both:
     return sent, messages_of(log.records()), log
 
 
-def table(pairs: Told, kind: str, time: str, fields: str) -> np.ndarray:
-    """Time since boot, then the fields, a line for each message; (M, 1 + F)."""
-    names = (time, *fields.split())
-    rows = [[getattr(m, name) for name in names] for _, m in of_kind(pairs, kind)]
-    return np.array(rows, dtype=float)
-
-
-FIX = "fix_type lat lon alt eph epv vel satellites_visible h_acc"
+FIX = "time_usec fix_type lat lon alt eph epv vel satellites_visible h_acc"
 
 
 @pytest.mark.parametrize(
-    ("kind", "time", "fields", "tolerance", "least"),
+    ("kind", "fields", "tolerance", "least"),
     [
-        ("GLOBAL_POSITION_INT", "time_boot_ms", "lat lon alt vx vy vz", 2, 900),
-        ("GPS_RAW_INT", "time_usec", FIX, 1, 50),
+        ("GLOBAL_POSITION_INT", "time_boot_ms lat lon alt vx vy vz", 2, 900),
+        ("GPS_RAW_INT", FIX, 1, 50),
     ],
 )
 def test_positions_and_fixes_of_the_same_moment_are_those_that_were_sent(
-    both: Both, kind: str, time: str, fields: str, tolerance: float, least: int
+    both: Both, kind: str, fields: str, tolerance: float, least: int
 ) -> None:
-    theirs, mine = (table(each, kind, time, fields) for each in both[:2])
-    moments, i, j = np.intersect1d(theirs[:, 0], mine[:, 0], return_indices=True)
-    assert len(moments) >= least
-    assert np.abs(theirs[i, 1:] - mine[j, 1:]).max() <= tolerance
-
-
-def changes(pairs: Told, kind: str, fields: list[str]) -> list[list[float]]:
-    """Times in seconds and values, each time that they change."""
-    found: list[list[float]] = []
-    for time_us, m in of_kind(pairs, kind):
-        now = [getattr(m, f) & (128 if f == "base_mode" else ~0) for f in fields]
-        if not found or found[-1][1:] != now:
-            found.append([time_us * 1e-6, *now])
-    return found
+    theirs, mine = both_at(both[0], both[1], kind, fields)
+    assert len(theirs) >= least
+    assert np.abs(theirs - mine).max() <= tolerance
 
 
 @pytest.mark.parametrize(
     ("kind", "fields"),
     [
-        ("HEARTBEAT", ["type", "autopilot", "custom_mode", "base_mode"]),
-        ("EXTENDED_SYS_STATE", ["landed_state"]),
+        ("HEARTBEAT", "type autopilot custom_mode base_mode"),
+        ("EXTENDED_SYS_STATE", "landed_state"),
     ],
 )
-def test_modes_arming_and_ground_change_as_sent(both: Both, kind: str, fields: list[str]) -> None:
+def test_modes_arming_and_ground_change_as_sent(both: Both, kind: str, fields: str) -> None:
     """The .tlog has a heartbeat a second: two changes within one are one there."""
     theirs, mine = (changes(each, kind, fields) for each in both[:2])
     ends = [*mine[1:], [math.inf]]
     merged = [here for here, after in zip(mine, ends, strict=True) if after[0] - here[0] > 0.5]
     assert [each[1:] for each in merged] == [each[1:] for each in theirs]
-    late_s = [b[0] - a[0] for a, b in zip(merged[1:], theirs[1:], strict=True)]
-    assert -0.1 < min(late_s) <= max(late_s) < 1.7
+    late = [b[0] - a[0] for a, b in zip(merged[1:], theirs[1:], strict=True)]
+    assert -0.1 < min(late) <= max(late) < 1.7
     for pairs in both[:2]:
         beats = [m for _, m in of_kind(pairs, "HEARTBEAT")]
         assert sum(m.system_status == wire.MAV_STATE_CRITICAL for m in beats) >= 3  # its failsafe
 
 
 def test_the_estimator_made_of_other_topics_agrees_with_the_one_that_was_sent(both: Both) -> None:
-    fields = "flags pos_horiz_accuracy"
-    theirs, mine = (table(each, "ESTIMATOR_STATUS", "time_usec", fields) for each in both[:2])
+    fields = "time_usec flags pos_horiz_accuracy"
+    theirs, mine = (table(each, "ESTIMATOR_STATUS", fields) for each in both[:2])
     needed = (
         *(wire.ESTIMATOR_ATTITUDE, wire.ESTIMATOR_VELOCITY_HORIZ, wire.ESTIMATOR_POS_HORIZ_REL),
         *(wire.ESTIMATOR_POS_HORIZ_ABS, wire.ESTIMATOR_POS_VERT_ABS, wire.ESTIMATOR_ACCEL_ERROR),
@@ -180,10 +158,8 @@ def test_parameters_and_the_date_are_those_that_were_sent(both: Both) -> None:
     for _, m in of_kind(sent, "PARAM_VALUE"):
         if m.param_id != "EKF2_MAG_DECL":  # set before the log
             assert decoded(m, bytewise=True) in mine[m.param_id]
-    begun = {m.time_boot_ms: t for t, m in of_kind(sent, "GLOBAL_POSITION_INT")}
-    pairs = [(m.time_boot_ms, t) for t, m in of_kind(ours, "GLOBAL_POSITION_INT")]
-    late_s = [(begun[boot_ms] - t) * 1e-6 for boot_ms, t in pairs if boot_ms in begun]
-    assert -0.05 < min(late_s) <= max(late_s) < 0.7  # the simulation ran at 0.99 of real time
+    late = late_s(sent, ours)
+    assert -0.05 < late.min() <= late.max() < 0.7  # the simulation ran at 0.99 of real time
 
 
 # --- small logs
