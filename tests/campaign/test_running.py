@@ -1,7 +1,6 @@
 """A campaign's data set is the same however it is flown, and whatever dies meanwhile."""
 
 import errno
-import json
 import os
 import shlex
 import signal
@@ -16,6 +15,7 @@ from typing import Any
 import campaign_rows
 import pytest
 import typer
+from distributed import LocalCluster
 from flights import one_target
 
 from companion.campaign import bundled_campaigns
@@ -103,64 +103,27 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
     return same(fly_run(run, folder) for run in runs(folder, PLANNED))
 
 
-def test_a_local_worker_that_is_killed_takes_no_run_with_it(planned: Any, tmp_path: Path) -> None:
-    flying = fly(runs(tmp_path, PLANNED), tmp_path, scheduler=None, jobs=1)
+@pytest.fixture
+def cluster() -> Iterator[LocalCluster]:
+    """Two workers and who gives them work, in processes of their own."""
+    with LocalCluster(2, threads_per_worker=1, dashboard_address=":0") as made:
+        yield made
+
+
+@pytest.mark.parametrize("place", ["here", "a cluster"])
+def test_a_worker_that_is_killed_takes_no_run_with_it(
+    planned: Any, tmp_path: Path, place: str, request: pytest.FixtureRequest
+) -> None:
+    scheduler = None
+    if place == "a cluster":
+        scheduler = request.getfixturevalue("cluster").scheduler_address
+    flying = fly(runs(tmp_path, PLANNED), tmp_path, scheduler=scheduler, jobs=1)
     rows = [next(flying)]
     os.kill(int(rows[0].worker.rpartition("/")[2]), signal.SIGKILL)
     rows += flying
     assert same(rows) == planned
     assert len({row.worker for row in rows}) > 1
     assert all(row.arrived and row.violations == 0 for row in rows)
-
-
-@pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[tuple[str, list["subprocess.Popen[bytes]"]]]:
-    """A scheduler and two workers, in processes of their own -> address, workers."""
-    address_file = tmp_path / "scheduler.json"
-    dask = [sys.executable, "-m", "distributed.cli"]
-    here = ["--host", "127.0.0.1", "--no-dashboard"]
-    quiet: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-
-    def start(program: str, *options: str) -> "subprocess.Popen[bytes]":
-        command = [*dask[:2], f"distributed.cli.dask_{program}", *options]
-        return subprocess.Popen(command, cwd=tmp_path, **quiet)
-
-    scheduler = start("scheduler", *here, "--port", "0", "--scheduler-file", str(address_file))
-    started = [scheduler]
-    try:
-        wait_until(address_file.is_file)
-        address = wait_until(lambda: _address(address_file))
-        alone = ["--nthreads", "1", "--no-nanny", "--no-dashboard"]
-        workers = [start("worker", address, *alone) for _ in range(2)]
-        started += workers
-        yield address, workers
-    finally:
-        for process in started:
-            process.kill()
-            process.wait()
-
-
-def _address(file: Path) -> str | None:
-    try:
-        return str(json.loads(file.read_text(encoding="utf-8"))["address"])
-    except ValueError:  # being written
-        return None
-
-
-def test_a_cluster_that_loses_a_worker_half_way_brings_the_same(
-    planned: Any, cluster: Any, tmp_path: Path
-) -> None:
-    address, workers = cluster
-    todo = runs(tmp_path, PLANNED)
-    rows = list[Row]()
-    for row in fly(todo, tmp_path, scheduler=address, jobs=1):
-        rows.append(row)
-        if len(rows) == len(todo) // 2:
-            of = {int(row.worker.rpartition("/")[2]) for row in rows}
-            lost = next(worker for worker in workers if worker.pid in of)
-            lost.kill()
-    assert len(rows) == len(todo)
-    assert same(rows) == planned
 
 
 def test_killed_and_started_again_it_is_as_if_it_had_not_been(
@@ -325,8 +288,6 @@ def test_options_that_have_no_effect_or_make_no_campaign_are_refused(
 def test_no_room_for_a_folder_ends_a_campaign_on_a_cluster_too(tmp_path: Path) -> None:
     """And leaves no row: the run is flown when there is room."""
     (tmp_path / "runs").write_text("where the folders of runs belong")
-    from distributed import LocalCluster
-
     [run, *_] = runs(tmp_path, PLANNED.replace('"none"', '"all"'))
     with (
         LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster,
