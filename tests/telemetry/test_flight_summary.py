@@ -14,12 +14,10 @@ from renewed import replace
 from companion.config import load_mission
 from companion.mavlink.link import VehicleClock
 from companion.mission.state import Phase, Reason
-from companion.replay.feed import Feeder
+from companion.replay.feed import flown_mission, outputs
 from companion.session import Session
-from companion.telemetry import inputs
 from companion.telemetry.flight_status import FlightStatus, flight_status
 from companion.telemetry.flight_summary import FlightSummary
-from companion.telemetry.inputs import InputsFile
 from vehicle_sim.geodesy import LocalFrame
 
 MISSION = load_mission("environment-1")  # its target is 100 km north and 100 km east
@@ -33,17 +31,14 @@ LEFT_OVER = (Reason.NO_VEHICLE, Reason.NOT_READY, Reason.LINK_LOST, Reason.PLANN
 
 def flights(name: str) -> Iterator[tuple[FlightSummary, dict[str, Any]]]:
     """A golden flight again, and by name the newest messages of its autopilot until then."""
-    folder, newest = GOLDENS / name, dict[str, Any]()
-    start, *rest = InputsFile(folder / inputs.FILE)
-    feeder = Feeder(lambda of: load_mission(str(folder / "mission.toml"), of.profile))
-    feeder.take(start)
-    flown, parser = FlightSummary(session=feeder.session), wire.MAVLink(None)
-    for number, each in enumerate(rest):
-        if each[0] == "receive" and len(each) == 3:
-            for message in parser.parse_buffer(each[1]) or ():
+    folder, newest, parser = GOLDENS / name, dict[str, Any](), wire.MAVLink(None)
+    flown = None
+    for number, (told, session, _) in enumerate(outputs(folder, flown_mission(folder))):
+        flown = flown or FlightSummary(session=session)
+        if told[0] == "receive" and len(told) == 3:
+            for message in parser.parse_buffer(told[1]) or ():
                 if (message.get_srcSystem(), message.get_srcComponent()) == (1, 1):
                     newest[message.get_type()] = message
-        feeder.take(each)
         if number % EVERY == 0:
             yield flown, newest
 

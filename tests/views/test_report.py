@@ -16,6 +16,7 @@ import lxml.etree
 import numpy as np
 import pyproj
 import pytest
+from planning import column_distance_m
 from pymavlink.dialects.v20 import all as wire
 from recorded import EPOCH_US, run_folder
 from short_flight import fly_short
@@ -136,23 +137,13 @@ def test_the_worst_clearance_is_that_of_every_position_to_every_known_cell(
     run_dir: Path, way: Any, facts: FlightFacts
 ) -> None:
     known, frame = hill(run_dir), facts.flight.mission.frame
-    rows, columns = np.nonzero(known.seen & (known.upper_m > 300.0))
-    south, west = known.north_min_m + rows * known.cell_m, known.east_min_m + columns * known.cell_m
-    least, where = math.inf, 0.0
-    for t_s, latitude, longitude, up in way:
-        north, east = frame.to_local_m(latitude, longitude)
-        aside = np.hypot(
-            np.clip(north, south, south + known.cell_m) - north,
-            np.clip(east, west, west + known.cell_m) - east,
-        )
-        over = np.maximum(up - known.upper_m[rows, columns], 0.0)
-        gap = np.hypot(np.maximum(aside - known.registration_m, 0.0), over).min()
-        if gap < least:
-            least, where = gap, t_s
+    places = [(*frame.to_local_m(latitude, longitude), up) for _, latitude, longitude, up in way]
+    seen = replace(known, upper_m=np.where(known.seen, known.upper_m, -np.inf))
+    away_m = column_distance_m(seen, np.array(places))
     assert facts.nearest is not None
     assert not facts.nearest.is_bound
-    assert facts.nearest.distance_m == pytest.approx(least, abs=1e-6)
-    assert facts.nearest.time_s == pytest.approx(where, abs=1e-6)
+    assert facts.nearest.distance_m == pytest.approx(away_m.min(), abs=1e-6)
+    assert facts.nearest.time_s == pytest.approx(way[away_m.argmin()][0], abs=1e-6)
 
 
 def test_the_exposure_is_that_of_the_positions_within_the_range(

@@ -13,7 +13,7 @@ import pyogrio
 import pyproj
 import pytest
 from lxml import etree
-from scipy.interpolate import BSpline
+from planning import spline
 from scipy.spatial import cKDTree
 from tlog import frames_of
 
@@ -164,14 +164,6 @@ def test_the_track_of_the_geojson_is_that_of_the_log(
     assert (tracks["from_s"] < tracks["until_s"]).any()
 
 
-def b_spline(control: Any, count: int) -> FloatArray:
-    """Points of a clamped uniform cubic B-spline, by scipy."""
-    spans = len(control) - 3
-    knots = np.concatenate([[0, 0, 0], np.linspace(0, 1, spans + 1), [1, 1, 1]])
-    points: FloatArray = BSpline(knots, np.array(control), 3)(np.linspace(0, 1, count))
-    return points
-
-
 def away_from_chords_m(line: FloatArray, point: FloatArray) -> float:
     """Least distance of a point from the pieces of a line."""
     starts, along = line[:-1], np.diff(line, axis=0)
@@ -191,7 +183,7 @@ def test_subpaths_follow_their_curves_and_bear_what_is_proven(
         line = np.array(row.geometry.coords)
         places = [mission.frame.to_local_m(latitude, longitude) for longitude, latitude, _ in line]
         line_nea_m = np.column_stack([places, line[:, 2]])
-        curve = b_spline(plan.control_nea_m, 500)
+        curve = spline(plan.control_nea_m)(np.linspace(0.0, 1.0, 500))
         assert max(away_from_chords_m(line_nea_m, point) for point in curve) < 0.25
         assert cKDTree(curve).query(line_nea_m)[0].max() < plan.length_m / 500
         np.testing.assert_allclose(line_nea_m[[0, -1]], curve[[0, -1]], atol=0.02)
