@@ -3,10 +3,13 @@
 import math
 from dataclasses import replace
 
+import made_up
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from made_up import certificate
+from planning import ask
 from rich.console import Console
 from rich.table import Table
 
@@ -14,7 +17,6 @@ from companion.config import load_mission
 from companion.mission.events import End, Outcome
 from companion.mission.mission import Mission
 from companion.path.certificate import Certificate
-from companion.path.subpath import Subpath
 from companion.planner.request import Planned
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
@@ -24,45 +26,16 @@ from companion.views.words import metres_at_least
 from companion.world.known_map import empty_map
 
 HILLS = load_mission("environment-1")
-PROVEN = Certificate(
-    clearance_m=612.4,
-    keep_out_m=math.inf,
-    dead_man_m=150.0,
-    off_map_m=0.0,
-    required_clearance_m=515.0,
-    required_contact_m=15.0,
-    speed_m_s=150.0,
-    turn_radius_m=2_600.0,
-    climb_angle_rad=0.01,
-    dive_angle_rad=0.0,
-    lowest_amsl_m=3_022.0,
-    highest_amsl_m=3_040.0,
-    radar_m=250.0,
-    detection=0.1,
-    pieces=90,
-    broken=(),
-)
+NOTHING_KNOWN = empty_map(HILLS.task.cell_m, HILLS.task.limits.north_m, HILLS.task.limits.east_m)
+PROVEN = replace(certificate(), clearance_m=612.4, turn_radius_m=2_600.0, radar_m=250.0)
 UNPROVEN = replace(PROVEN, broken=("turn radius",))
+START_NEA_M, TARGET_NE_M, LENGTH_M = (0.0, 0.0, 3030.0), (9_000.0, 12_000.0), 15_000.0
 
 
-def planned(certificate: Certificate, cost: float) -> Planned:
+def planned(proof: Certificate, cost: float) -> Planned:
     """A straight plan, 15 km long."""
-    ends = np.array([0.0, 0.0, 3030.0]), np.array([9_000.0, 12_000.0, 3030.0])
-    return Planned(
-        plan_id=1,
-        kernel="numpy",
-        reaches_target=False,
-        cost=cost,
-        to_go=20.0,
-        terms={},
-        guide_rad=0.0,
-        route_ne_m=(),
-        evaluations=3000,
-        rank=0,
-        tries=1,
-        certificate=certificate,
-        subpath=Subpath(control_nea_m=np.linspace(*ends, 4)),
-    )
+    request = ask(HILLS.task, NOTHING_KNOWN, START_NEA_M, target_ne_m=TARGET_NE_M)
+    return replace(made_up.planned(request, LENGTH_M), certificate=proof, cost=cost)
 
 
 def rows(table: Table) -> list[str]:
