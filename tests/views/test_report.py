@@ -139,7 +139,7 @@ def test_the_worst_clearance_is_that_of_every_position_to_every_known_cell(
     known, frame = hill(run_dir), facts.flight.mission.frame
     places = [(*frame.to_local_m(latitude, longitude), up) for _, latitude, longitude, up in way]
     seen = replace(known, upper_m=np.where(known.seen, known.upper_m, -np.inf))
-    away_m = column_distance_m(seen, np.array(places))
+    away_m = column_distance_m(seen, np.array(places), 2_000.0)
     assert facts.nearest is not None
     assert not facts.nearest.is_bound
     assert facts.nearest.distance_m == pytest.approx(away_m.min(), abs=1e-6)
