@@ -360,12 +360,12 @@ def test_a_mission_adds_no_holds_to_those_of_the_vehicle(written: Write, every: 
 
 
 def test_a_mission_somewhere_else_is_refused_in_one_line() -> None:
-    rule = r"47\.397.*km north.*outside its \[area\].*leave --mission out"
     with pytest.raises(InputError) as caught:
         watch(recording(PX4), mission("copter-canberra"))
     text = str(caught.value)
     assert "\n" not in text
-    assert all(re.search(words, text) for words in rule.split(".*"))
+    for words in ("47.397", "km north", "outside its [area]", "leave --mission out"):
+        assert words in text
 
 
 @pytest.mark.parametrize(

@@ -57,10 +57,8 @@ def resumed(folder: Path) -> tuple[ResumeData, State]:
 def assert_goes_on(state: State, ground_m: float | None) -> None:
     """It is where the checkpoint says, over this ground, or over what the mission knows (None)."""
     assert (state.flight.target, state.orders.active, state.airborne) == (1, Reason.PAUSED, True)
-    upper_m = state.flight.known.upper_m
-    assert (
-        np.array_equal(upper_m, BLANK.upper_m) if ground_m is None else (upper_m == ground_m).all()
-    )
+    expected = BLANK.upper_m if ground_m is None else np.full_like(BLANK.upper_m, ground_m)
+    assert np.array_equal(state.flight.known.upper_m, expected)
 
 
 def test_what_can_be_read_is_gone_on_with(folder: Path) -> None:
