@@ -42,25 +42,21 @@ class Paced(ScriptedLink):
         return super().receive(timeout_s)
 
 
-@pytest.fixture(params=[True, False], ids=["in lockstep", "in real time"])
-def ended(tmp_path: Path, bug: None, request: pytest.FixtureRequest) -> Path:
+def flown_to_its_error(folder: Path, *, lockstep: bool) -> Path:
     """The run folder of a flight that ended so."""
-    del bug
-    folder, link = tmp_path / "run", Paced(Vehicle(lockstep=request.param))
-    end = fly_short(folder, link=link, lockstep=request.param, until_s=1e6).end
+    link = Paced(Vehicle(lockstep=lockstep))
+    end = fly_short(folder, link=link, lockstep=lockstep, until_s=1e6).end
     assert end.outcome is Outcome.FAILED
     assert ERROR in end.reason
     return folder
 
 
+@pytest.mark.usefixtures("bug")
+@pytest.mark.parametrize("lockstep", [True, False], ids=["in lockstep", "in real time"])
 def test_the_error_that_ended_a_flight_is_shown_again_at_its_place(
-    ended: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, lockstep: bool
 ) -> None:
-    """All of the last turn is recorded, and nothing that was not sent.
-
-    An error where the flight had none, and none where it had one, are differences.
-    """
-    found = replayed(ended)
+    found = replayed(flown_to_its_error(tmp_path / "run", lockstep=lockstep))
     assert found.difference is None
     assert found.is_identical
     assert found.unrecorded == 0
@@ -70,25 +66,31 @@ def test_the_error_that_ended_a_flight_is_shown_again_at_its_place(
     assert lines[-1] == "identical"
     assert any(ERROR in line for line in lines)
     assert found.as_json()["ended_by"] == ERROR
-    if "real time" in request.node.name:
-        return
-    told = list(InputsFile(ended / FILE))
+
+
+@pytest.mark.usefixtures("bug")
+def test_all_of_the_last_turn_is_recorded_and_nothing_that_was_not_sent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An error where the flight had none, and none where it had one, are differences."""
+    run = flown_to_its_error(tmp_path / "run", lockstep=True)
+    told = list(InputsFile(run / FILE))
     assert [each[0] for each in told[-4:]] == ["receive", "run", "raised", "held"]
-    heard = [frame for _, frame in recorded_frames(ended / "flight.tlog") if frame[6] == 1]
+    heard = [frame for _, frame in recorded_frames(run / "flight.tlog") if frame[6] == 1]
     last = next(each[1] for each in reversed(told) if each[0] == "receive")
     assert heard[-1] in last
-    lines = (ended / "journal.jsonl").read_text("utf-8").splitlines()
+    lines = (run / "journal.jsonl").read_text("utf-8").splitlines()
     assert json.loads(lines[-1])["kind"] == "part died"
-    mission = load_mission(str(ended / "mission.toml"))
-    made = list(what_if(ended, lambda _: mission, mission, seed=None))
+    mission = load_mission(str(run / "mission.toml"))
+    made = list(what_if(run, lambda _: mission, mission, seed=None))
     assert [each.plan_id for each in made] == [1]  # what if ends with the flight
-    whole = (ended / FILE).read_bytes()
-    rewritten(ended, lambda told: told.__delitem__(slice(-2, None)))
-    said = str(replayed(ended).difference)
+    whole = (run / FILE).read_bytes()
+    rewritten(run, lambda inputs: inputs.__delitem__(slice(-2, None)))
+    said = str(replayed(run).difference)
     assert said.startswith(f"t 20.000 s: run.error: recorded nothing, replayed '{ERROR}")
-    (ended / FILE).write_bytes(whole)
+    (run / FILE).write_bytes(whole)
     monkeypatch.undo()  # a companion that was mended
-    assert replayed(ended).difference.t_s == pytest.approx(20.0, abs=0.2)
+    assert replayed(run).difference.t_s == pytest.approx(20.0, abs=0.2)
 
 
 def test_an_error_from_outside_of_the_decisions_is_no_difference(tmp_path: Path) -> None:
