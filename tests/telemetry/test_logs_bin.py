@@ -71,8 +71,10 @@ def test_the_same_flight_is_told_as_in_its_tlog(name: str, tmp_path: Path) -> No
     states = table(ours, "HEARTBEAT", "system_status")
     assert (wire.MAV_STATE_CRITICAL in states) == (name == COPTER)  # its failsafe
     ground = table(ours, "EXTENDED_SYS_STATE", "landed_state").ravel()
-    assert ground[0] == ground[-1] == wire.MAV_LANDED_STATE_ON_GROUND
+    assert ground[0] == wire.MAV_LANDED_STATE_ON_GROUND
     assert wire.MAV_LANDED_STATE_IN_AIR in ground
+    if name == COPTER:  # the plane's log ends in the air
+        assert ground[-1] == wire.MAV_LANDED_STATE_ON_GROUND
 
 
 def test_whose_log_it_is_stands_in_its_parameters(tmp_path: Path) -> None:
