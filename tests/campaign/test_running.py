@@ -126,6 +126,15 @@ def test_a_worker_that_is_killed_takes_no_run_with_it(
     assert all(row.arrived and row.violations == 0 for row in rows)
 
 
+@pytest.mark.nightly
+def test_a_run_that_kills_each_worker_becomes_a_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("companion.campaign.execute.fly_run", lambda *_, **__: os._exit(1))
+    [row] = fly(runs(tmp_path, PLANNED)[:1], tmp_path, scheduler=None, jobs=1)
+    assert (row.outcome, row.error) == ("error", "its worker died 3 times and more")
+
+
 def test_killed_and_started_again_it_is_as_if_it_had_not_been(
     planned: Any,
     tmp_path: Path,

@@ -271,6 +271,9 @@ def test_it_plans_where_the_vehicle_is_and_only_where_that_is_to_be_believed(
     assert asked_s[-1] < hold.let_go_s
     assert report.plans[0].why == "it begins to watch"
     assert all("off its path" in asked.why for asked in report.plans[1:])
+    text = text_of(report)
+    assert "it begins to watch" in text
+    assert "flown track off its own paths" in text
     assert {asked.outcome for asked in report.plans[:-1]} == {"ready"}
     assert report.plans[-1].outcome == "given up"  # it was to be answered when it had let go
     track = track_of(PX4)

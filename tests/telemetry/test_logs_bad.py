@@ -58,6 +58,7 @@ NO_LOGS = {
     "starts.tlog": (b"\xfe" * 100_000, NOTHING),
     "markers.tlog": (b"\xfd\x00" * 50_000, NOTHING),
     "header.ulg": (HEADS[".ulg"], NOTHING),
+    "notes.txt": (b"nothing flies here\n" * 10, NOTHING),
     "text.log": (b"FMT, 128, 89, FMT, BBnNZ, Type\n", "an ArduPilot log as text"),
     "log.tlog.gz": (gzip.compress(b"0" * 99, mtime=0), "it is compressed. Unpack it with gunzip"),
     "logs.zip": (b"PK\x03\x04" + bytes(1000), "it is a zip archive"),

@@ -186,6 +186,12 @@ def test_unknown_ground_is_shown_as_unknown(value: float, tmp_path: Path) -> Non
     draw(flight, tmp_path / "flight.png")
 
 
+def test_a_high_wall_of_terrain_does_not_flatten_the_band() -> None:
+    flight = unknown(a_flight(), np.s_[-20:, -20:], 15_000.0)
+    low, high = axes_of(flight)["profile"].get_ylim()
+    assert (flight.ceiling_amsl_m - flight.floor_amsl_m) / 1000.0 > 0.2 * (high - low)
+
+
 # --- size
 
 

@@ -204,6 +204,16 @@ def test_radars_and_targets_lie_where_the_mission_has_them(table: Any, mission: 
     assert (target.x, target.y) == pytest.approx((longitude, latitude), abs=0.1 * METRE_DEG)
 
 
+def test_a_hold_lies_where_the_vehicle_was_then(
+    table: Any, positions: list[tuple[int, Any]]
+) -> None:
+    hold = table[table["what"] == "hold"].iloc[0]
+    [message] = [m for _, m in positions if m.time_boot_ms == round(hold["t_s"] * 1e3)]
+    assert hold.geometry.coords[0] == pytest.approx(place_of(message), abs=1e-7)
+    assert hold["why"] == "paused by a person"
+    assert 9.0 < hold["until_s"] - hold["t_s"] < 12.0
+
+
 def test_the_threats_of_an_export_are_threats_for_a_mission(exported: Path, tmp_path: Path) -> None:
     """The keep-outs and keep-ins alone, as a person would cut them out in QGIS."""
     found = json.loads((exported / "flight.geojson").read_text(encoding="utf-8"))
