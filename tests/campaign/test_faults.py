@@ -171,7 +171,13 @@ VIOLATIONS: dict[str, Case] = {
 ENDINGS: dict[str, Case] = {
     "arrived": ([TARGET] * 3, {}, "", 0),
     "unexplained: no reason": ([TARGET] * 3, {"outcome": "failed", "reason": ""}, "", 1),
-    "unexplained: left in guided mode": ([TARGET] * 3, SILENT, "at 0.1 s for 0.1 s: link_off", 1),
+    "unexplained: left in guided mode": ([TARGET] * 3, SILENT, "", 1),
+    "unexplained: left in guided mode, once in reach again": (
+        [TARGET] * 3,
+        SILENT,
+        "at 0.1 s for 0.1 s: link_off",
+        1,
+    ),
     "unexplained: no end": ([TARGET] * 3, {"kind": "say"}, "", 1),
     "unexplained: arrived elsewhere": ([AWAY] * 3, {}, "", 1),
     "arrived, its target was moved": (
@@ -202,9 +208,7 @@ def test_what_it_could_know_of_and_did_violates(case: str, tmp_path: Path) -> No
 def test_an_ending_is_explained_by_a_reason_and_a_safe_mode(case: str, tmp_path: Path) -> None:
     places, more, timeline, count = ENDINGS[case]
     found = judge.judged(flight(tmp_path, places, **more), DRAWN, timeline)
-    assert found["ending"] == case.partition(",")[0]
-    if timeline == "" or count == 0:
-        assert found["violations"] == count
+    assert (found["ending"], found["violations"]) == (case.partition(",")[0], count)
 
 
 def test_an_excuse_ends_with_its_grace(tmp_path: Path) -> None:
