@@ -138,6 +138,7 @@ DAMAGES: dict[str, tuple[Damage, int, str]] = {
     "nothing": (empty("flight.tlog", "journal.jsonl"), 2, "it holds nothing to compare a replay"),
     "no frame": (empty("flight.tlog"), 0, "no frame was compared: flight.tlog holds none"),
     "a line that is no JSON": (with_line(b"?\n"), 1, "journal.line: recorded b'.\\\\n'"),
+    "a line that is no entry": (with_line(b"[1]\n"), 1, "journal.line: recorded b'.1.\\\\n'"),
     "an empty line": (with_line(b"\n"), 1, "journal.line: recorded b'\\\\n'"),
     "garbage in the log": (garbage_in_the_log, 1, "recorded '.* bytes that are no frames'"),
     "garbage in the inputs": (
@@ -164,6 +165,14 @@ def test_what_is_damaged_is_a_difference_or_an_error_of_one_line(run: Path, dama
     assert (code, len(errors)) == (expected, expected > 0)
     assert re.search(words, "\n".join([out, *errors]), flags=re.DOTALL)
     assert damage != "nothing" or "identical" not in out
+
+
+def test_a_line_of_the_journal_that_another_version_spells_otherwise_is_the_same(run: Path) -> None:
+    path, before = run / "journal.jsonl", replayed(run)
+    path.write_bytes(path.read_bytes().replace(b'"kind":"', b'"kind": "'))
+    found = replayed(run)
+    assert found.is_identical
+    assert found.entries == before.entries > 0
 
 
 ODD = [None, 1, -1, "x", "", [], {}, [[1]], [1, 2, 3], [[1], [2, 3]], b"x", 2**63, 1e300]
