@@ -289,6 +289,11 @@ def test_what_comes_from_the_flight_is_text_and_no_markup(copy: Path) -> None:
         lxml.etree.fromstring(figure.encode())
 
 
+def test_the_same_flight_gives_the_same_page(run_dir: Path, page: str, tmp_path: Path) -> None:
+    write_report(run_dir, tmp_path / "again.html")
+    assert (tmp_path / "again.html").read_text(encoding="utf-8") == page
+
+
 # --- what is not there, or otherwise
 
 
