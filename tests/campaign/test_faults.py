@@ -137,12 +137,89 @@ def beside(gap_m: float) -> tuple[float, float]:
     raise AssertionError
 
 
-@pytest.mark.parametrize(("gap_m", "count"), [(12.2, 0), (11.5, 1), (-3.0, 1)])
-def test_who_is_nearer_than_the_safety_distance_violates_it(
-    gap_m: float, count: int, tmp_path: Path
-) -> None:
-    assert DRAWN.task.settings.safety_distance_m == 12.0
-    assert len(violated(flight(tmp_path, [*[beside(gap_m)] * 3, TARGET]))) == count
+SAFETY_M, ERROR_M = 12.0, 3.0  # of the world that is drawn: its safety distance, its position's
+INSIDE, OUTSIDE = (-1_200.0, -1_200.0), (-1_150.0, -1_200.0)  # of a circle of 30 m that is drawn
+FENCE, AWAY = "at 2.0 s: ground_fence 30 m", (TARGET[0] - 200.0, TARGET[1])
+SILENT = {"outcome": "failed", "reason": "the vehicle fell silent"}
+HELD = {"mode": "BRAKE", "outcome": "failed", "reason": "no way"}
+Case = tuple[list[tuple[float, float]], dict[str, Any], str, int]
+"""Places, a second at each, and more of the flight; the faults; how many violations."""
+VIOLATIONS: dict[str, Case] = {
+    "as near as the safety distance": ([*[beside(12.2)] * 3, TARGET], {}, "", 0),
+    "nearer": ([*[beside(11.5)] * 3, TARGET], {}, "", 1),
+    "inside": ([*[beside(-3.0)] * 3, TARGET], {}, "", 1),
+    "told wrong by its error": ([*[beside(0.0)] * 3, TARGET], {"told_off_m": 2.5}, "", 1),
+    "told wrong by more": ([*[beside(0.0)] * 3, TARGET], {"told_off_m": 3.5}, "", 0),
+    "flown by the autopilot": (
+        [*[beside(0.0)] * 3, *[TARGET] * 5, *[beside(0.0)] * 4, TARGET],
+        {"mode": "RTL"},
+        "",
+        0,
+    ),
+    # what is new is known after ten seconds, and then has to be left once
+    "a new fence": ([*[INSIDE] * 11, TARGET], {}, FENCE, 0),
+    "a new fence that is not left": ([*[INSIDE] * 40, TARGET], {}, FENCE, 1),
+    "one that was left before it was known": (
+        [*[INSIDE] * 3, *[OUTSIDE] * 2, *[INSIDE] * 2, *[OUTSIDE] * 10, TARGET],
+        {},
+        FENCE,
+        0,
+    ),
+    "one that is left": ([*[INSIDE] * 16, *[OUTSIDE] * 10, TARGET], {}, FENCE, 0),
+    "and entered again": ([*[INSIDE] * 16, *[OUTSIDE] * 10, INSIDE, TARGET], {}, FENCE, 1),
+}
+ENDINGS: dict[str, Case] = {
+    "arrived": ([TARGET] * 3, {}, "", 0),
+    "unexplained: no reason": ([TARGET] * 3, {"outcome": "failed", "reason": ""}, "", 1),
+    "unexplained: left in guided mode": ([TARGET] * 3, SILENT, "", 1),
+    "unexplained: left in guided mode, once in reach again": (
+        [TARGET] * 3,
+        SILENT,
+        "at 0.1 s for 0.1 s: link_off",
+        1,
+    ),
+    "unexplained: no end": ([TARGET] * 3, {"kind": "say"}, "", 1),
+    "unexplained: arrived elsewhere": ([AWAY] * 3, {}, "", 1),
+    "arrived, its target was moved": (
+        [AWAY] * 3,
+        {},
+        "at 1.0 s: ground_target 1 m north 1 m east",
+        0,
+    ),
+    "held for good, out of reach": ([TARGET] * 3, SILENT, "at 0.1 s for 99 s: link_off", 0),
+    "held for good, with nothing wrong": ([TARGET] * 3, HELD, "", 1),
+    "held for good, in wind": ([TARGET] * 3, HELD, "at 0.1 s: turbulence 1 m/s", 0),
+}
+
+
+@pytest.mark.parametrize("case", VIOLATIONS)
+def test_what_it_could_know_of_and_did_violates(case: str, tmp_path: Path) -> None:
+    """What it could not know of excuses it, and so does whoever else flew."""
+    assert DRAWN.task.settings.safety_distance_m == SAFETY_M
+    assert DRAWN.task.limits.navigation_error_m == ERROR_M
+    places, more, timeline, count = VIOLATIONS[case]
+    flown = flight(tmp_path, places, **more)
+    assert len(violated(flown, timeline)) == count
+    if "told_off_m" in more:
+        assert (judge.judged(flown, DRAWN, "")["excused"] is None) == bool(count)
+
+
+@pytest.mark.parametrize("case", ENDINGS)
+def test_an_ending_is_explained_by_a_reason_and_a_safe_mode(case: str, tmp_path: Path) -> None:
+    places, more, timeline, count = ENDINGS[case]
+    found = judge.judged(flight(tmp_path, places, **more), DRAWN, timeline)
+    assert (found["ending"], found["violations"]) == (case.partition(",")[0], count)
+
+
+def test_an_excuse_ends_with_its_grace(tmp_path: Path) -> None:
+    places = [*[beside(0.0)] * 3, *[TARGET] * 5, *[beside(0.0)] * 10, TARGET]
+    flown = flight(tmp_path, places)
+    for row in flown.truth[:30]:
+        row["mode"] = "LOITER"
+    assert len(violated(flown)) == 1
+    for row in flown.truth:
+        row["mode"] = "LOITER"  # a copter's pilot
+    assert not violated(flown)
 
 
 def test_who_leaves_a_keep_in_violates_it(tmp_path: Path) -> None:
@@ -151,16 +228,6 @@ def test_who_leaves_a_keep_in_violates_it(tmp_path: Path) -> None:
     for off_m, count in ((37.0, 0), (39.0, 1), (60.0, 1)):
         flown = flight(tmp_path, [(-1_200.0, off_m)] * 3, kind="say")
         assert judge.judged(flown, world, None)["violations"] == count
-
-
-@pytest.mark.parametrize(("off_m", "count"), [(3.5, 0), (2.5, 1)])
-def test_a_position_that_was_told_wrong_excuses_and_one_within_its_error_does_not(
-    off_m: float, count: int, tmp_path: Path
-) -> None:
-    assert DRAWN.task.limits.navigation_error_m == 3.0
-    flown = flight(tmp_path, [*[beside(0.0)] * 3, TARGET], told_off_m=off_m)
-    assert len(violated(flown)) == count
-    assert (judge.judged(flown, DRAWN, "")["excused"] is None) == bool(count)
 
 
 CRASH = {"t_s": 3.05, "into": "the ground", "speed_m_s": 9.13}
@@ -172,50 +239,15 @@ CRASH = {"t_s": 3.05, "into": "the ground", "speed_m_s": 9.13}
 def test_a_crash_violates_unless_somebody_else_flew_or_it_was_landing(
     mode: str, told_off_m: float, count: int, tmp_path: Path
 ) -> None:
+    """Without faults it does wherever it was, and no ending is judged."""
     flown = flight(tmp_path, [beside(50.0)] * 4, told_off_m=told_off_m, mode=mode)
-    before = violated(flown)
+    before, said = violated(flown), "hit the ground at 9.1 m/s, 3.0 s"
+    assert "ending" not in judge.judged(flown, DRAWN, None)
     for row in flown.truth[30:]:
         row |= {"landed": True, "armed": False, "crash": CRASH}
     assert len(after := violated(flown)) - len(before) == count
-    assert ("hit the ground at 9.1 m/s, 3.0 s" in after) == bool(count)
-
-
-def test_without_faults_a_crash_is_a_violation_wherever_it_was_and_no_ending_is(
-    tmp_path: Path,
-) -> None:
-    flown = flight(tmp_path, [TARGET] * 2, mode="LAND", kind="say")
-    row = judge.judged(flown, DRAWN, None)
-    assert (row["violations"], row["violated"], "ending" in row) == (0, None, False)
-    flown.truth[-1]["crash"] = CRASH | {"t_s": 2.0}
-    row = judge.judged(flown, DRAWN, None)
-    assert (row["violations"], row["violated"]) == (1, "hit the ground at 9.1 m/s, 2.0 s")
-
-
-def test_an_excuse_ends_with_its_grace(tmp_path: Path) -> None:
-    far = TARGET
-    places = [beside(0.0)] * 3 + [far] * 5
-    assert not violated(flight(tmp_path, [*places, *[beside(0.0)] * 4, far], mode="RTL"))
-    flown = flight(tmp_path, [*places, *[beside(0.0)] * 10, far])
-    for row in flown.truth[:30]:
-        row["mode"] = "LOITER"
-    assert len(violated(flown)) == 1
-    for row in flown.truth:
-        row["mode"] = "LOITER"  # a copter's pilot
-    assert not violated(flown)
-
-
-def test_a_new_fence_is_known_after_ten_seconds_and_then_has_to_be_left_once(
-    tmp_path: Path,
-) -> None:
-    inside, outside = (-1_200.0, -1_200.0), (-1_150.0, -1_200.0)
-    line = "at 2.0 s: ground_fence 30 m"
-    assert not violated(flight(tmp_path, [*[inside] * 11, TARGET]), line)
-    assert len(violated(flight(tmp_path, [*[inside] * 40, TARGET]), line)) == 1
-    unknown = [inside] * 3 + [outside] * 2 + [inside] * 2 + [outside] * 10
-    assert not violated(flight(tmp_path, [*unknown, TARGET]), line)
-    leaves = [inside] * 16 + [outside] * 10
-    assert not violated(flight(tmp_path, [*leaves, TARGET]), line)
-    assert len(violated(flight(tmp_path, [*leaves, inside, TARGET]), line)) == 1
+    assert (said in after) == bool(count)
+    assert said in str(judge.judged(flown, DRAWN, None)["violated"])
 
 
 def test_a_silence_is_counted_in_guided_mode_and_when_somebody_could_speak(tmp_path: Path) -> None:
@@ -229,50 +261,6 @@ def test_a_silence_is_counted_in_guided_mode_and_when_somebody_could_speak(tmp_p
     for row in flown.truth:
         row["mode"] = "BRAKE"
     assert judge.judged(flown, DRAWN, "")["silent_s"] == 0.0
-
-
-@pytest.mark.parametrize(
-    ("end", "ending"),
-    [
-        ({}, "arrived"),
-        ({"outcome": "failed", "reason": ""}, "unexplained: no reason"),
-        ({"outcome": "failed", "reason": "the radar did not"}, "unexplained: left in guided mode"),
-        ({"kind": "say"}, "unexplained: no end"),
-    ],
-)
-def test_an_ending_is_explained_by_a_reason_and_a_safe_mode(
-    end: dict[str, Any], ending: str, tmp_path: Path
-) -> None:
-    found = judge.judged(flight(tmp_path, [TARGET] * 3, **end), DRAWN, "")
-    assert found["ending"] == ending
-    assert found["violations"] == ending.startswith("unexplained")
-
-
-@pytest.mark.parametrize(
-    ("until_s", "ending"), [(0.1, "unexplained: left in guided mode"), (99.0, "held for good")]
-)
-def test_a_copter_that_no_command_could_reach_at_the_end_holds(
-    until_s: float, ending: str, tmp_path: Path
-) -> None:
-    flown = flight(tmp_path, [TARGET] * 3, outcome="failed", reason="the vehicle fell silent")
-    lost = f"at 0.1 s for {until_s} s: link_off"
-    assert judge.judged(flown, DRAWN, lost)["ending"] == ending
-
-
-@pytest.mark.parametrize(("timeline", "count"), [("", 1), ("at 0.1 s: turbulence 1 m/s", 0)])
-def test_to_hold_for_good_with_nothing_wrong_violates(
-    timeline: str, count: int, tmp_path: Path
-) -> None:
-    flown = flight(tmp_path, [TARGET] * 3, mode="BRAKE", outcome="failed", reason="no way")
-    found = judge.judged(flown, DRAWN, timeline)
-    assert (found["ending"], found["violations"]) == ("held for good", count)
-
-
-def test_who_says_that_it_arrived_somewhere_else_is_found_out(tmp_path: Path) -> None:
-    flown = flight(tmp_path, [(TARGET[0] - 200.0, TARGET[1])] * 3)
-    assert judge.judged(flown, DRAWN, "")["ending"] == "unexplained: arrived elsewhere"
-    told = "at 1.0 s: ground_target 1 m north 1 m east"
-    assert judge.judged(flown, DRAWN, told)["ending"] == "arrived"
 
 
 def test_faults_are_judged_in_lidar_missions_too(tmp_path: Path) -> None:

@@ -5,71 +5,65 @@ Both firmwares throw a receiver's position away that is 50 m off, and believe it
 """
 
 import math
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from tlog import frames_of
 
 from companion.campaign import drawn_world, families
-from companion.campaign.in_process import FlightFiles, Flying
-from companion.mavlink.frames import number_of
-from companion.mavlink.link import Output
+from companion.campaign.in_process import Flight, FlightFiles, Flying
+from companion.mavlink.dialect import wire
 from companion.mission.mission import AutopilotName
 from companion.mission.state import Phase, Reason
+from companion.telemetry.run_folder import resume_head
 
 BEGINS_S, GLITCH_S, WRONG_M = 75.0, 30.0, 12.0
 GIVES_IN_S = 11.0
 """It has given in by then, and gives in to the end of the glitch as late again."""
 CLEARS_S = 10.0
 """So long after that ArduPilot says `Glitch cleared`."""
-SETPOINT = 86
 
 
 class Seen(NamedTuple):
-    """What the companion thought and did in a tenth of a second."""
+    """What the companion thought at the end of a tenth of a second."""
 
     t_s: float
     phase: Phase
     believed_nea_m: tuple[float, float, float]
-    setpoints: int
 
 
-class Setpoints:
-    """Counts them on their way to what records them."""
-
-    def __init__(self, record: Callable[[Output], None]) -> None:
-        self.record, self.sent = record, 0
-
-    def count(self, out: Output) -> None:
-        self.sent += sum(number_of(frame) == SETPOINT for _, frame in out.record)
-        self.record(out)
-
-
-def flown(
-    autopilot: AutopilotName, kind: str, folder: Path
-) -> tuple[list[Seen], list[dict[str, Any]], list[dict[str, Any]]]:
-    """The flight until some seconds after the glitch: what was seen, the truth, the journal."""
+def flown(autopilot: AutopilotName, kind: str, folder: Path) -> tuple[list[Seen], Flight]:
+    """The flight until some seconds after the glitch."""
     drawn = families.world(f"short-{kind}", 1, 2)
     world, mission = drawn_world.write(drawn, folder, autopilot)
     glitch = f"at {BEGINS_S:g} s for {GLITCH_S:g} s: gps_glitch 50 m north\n"
     files = FlightFiles(world=world, mission=mission, faults=glitch, folder=folder / "run")
     until_s = BEGINS_S + GLITCH_S + GIVES_IN_S + CLEARS_S + 5.0
-    flying = Flying(files, seed=1, limit_s=until_s)
-    counted = Setpoints(flying.loop.record)
-    flying.loop.record = counted.count
-    seen = []
+    flying, seen = Flying(files, seed=1, limit_s=until_s), list[Seen]()
     while flying.flies and flying.now_s < until_s:
         flying.fly_on(1e6 * (flying.now_s + 0.1))
-        state, sent = flying.loop.session.state, counted.sent
-        counted.sent = 0
+        state = flying.loop.session.state
         if state.vehicle.position_nea_m is not None:
-            seen.append(Seen(flying.now_s, state.phase, state.vehicle.position_nea_m, sent))
+            seen.append(Seen(flying.now_s, state.phase, state.vehicle.position_nea_m))
     flying.close()
-    flight = flying.flight()
-    return seen, flight.truth, flight.journal
+    return seen, flying.flight()
+
+
+def is_setpoint(message: Any) -> bool:
+    """ArduPlane is led by commands to be somewhere, all others by positions and velocities."""
+    if message.get_type() == "COMMAND_INT":
+        return bool(message.command == wire.MAV_CMD_DO_REPOSITION)
+    return message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"
+
+
+def setpoints_s(folder: Path) -> list[float]:
+    """The vehicle times at which any was sent."""
+    epoch_us = resume_head(folder).epoch_us
+    log = frames_of((folder / "flight.tlog").read_bytes())
+    return [(at_us - epoch_us) * 1e-6 for at_us, message in log if is_setpoint(message)]
 
 
 @pytest.mark.sample(4)
@@ -78,9 +72,9 @@ def flown(
 def test_nothing_is_flown_by_a_position_that_the_estimator_has_given_in_to(
     autopilot: AutopilotName, kind: str, tmp_path: Path
 ) -> None:
-    seen, truth, journal = flown(autopilot, kind, tmp_path)
-    times_s = np.array([row["t_s"] for row in truth])
-    track = np.array([(row["north_m"], row["east_m"]) for row in truth])
+    seen, flight = flown(autopilot, kind, tmp_path)
+    times_s = np.array([row["t_s"] for row in flight.truth])
+    track = np.array([(row["north_m"], row["east_m"]) for row in flight.truth])
     wrong_s = []
     for each in seen:
         truly = track[min(np.searchsorted(times_s, each.t_s), len(track) - 1)]
@@ -90,8 +84,10 @@ def test_nothing_is_flown_by_a_position_that_the_estimator_has_given_in_to(
     assert wrong_s[0] < BEGINS_S + GIVES_IN_S  # the scene is the one that is meant
     assert wrong_s[-1] > BEGINS_S + GLITCH_S
     assert not [at_s for at_s in wrong_s if at_s > BEGINS_S + GLITCH_S + GIVES_IN_S]
-    assert not [each for each in seen if wrong_s[0] < each.t_s <= wrong_s[-1] and each.setpoints]
-    told = [entry["text"] for entry in journal if entry["kind"] == "say"]
+    sent_s = setpoints_s(flight.folder)
+    assert min(sent_s) < wrong_s[0] < wrong_s[-1] < max(sent_s)
+    assert not [at_s for at_s in sent_s if wrong_s[0] < at_s <= wrong_s[-1]]
+    told = [entry["text"] for entry in flight.journal if entry["kind"] == "say"]
     [why] = [text for text in told if Reason.POSITION_ELSEWHERE.text in text]
     off_m = float(why.split(" m off")[0].split()[-1])
     assert off_m == pytest.approx(50.0, abs=3.0)

@@ -11,11 +11,11 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from answers import answered
 from campaign_rows import paired_rows, row
 
 from companion.campaign.report import read_campaign, report_html, report_of, terminal_tables
 from companion.campaign.store import Row, schema
-from companion.cli import main
 
 SOURCE = ["a campaign.toml", "--seeds", "3"]
 EVIL = "</pre></svg><script>alert('x')</script>"
@@ -37,13 +37,6 @@ def words_of(page: str) -> str:
     return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", shown)).split())
 
 
-def run(*arguments: str, monkeypatch: pytest.MonkeyPatch) -> int:
-    monkeypatch.setattr("sys.argv", ["companion", "campaign", "report", *arguments])
-    with pytest.raises(SystemExit) as end:
-        main()
-    return int(end.value.code or 0)
-
-
 def failed(count: int) -> list[Row]:
     return [
         row(n, arrived=False, outcome="failed", reason="stuck", cost=None, length_m=None)
@@ -52,10 +45,11 @@ def failed(count: int) -> list[Row]:
 
 
 def test_the_page_loads_nothing_and_says_what_follows_and_the_terminal_says_it_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
 ) -> None:
     folder = campaign(tmp_path / "c", paired_rows())
-    assert run(str(folder), monkeypatch=monkeypatch) == 0
+    code, shown, _ = answered("campaign", "report", folder)
+    assert code == 0
     page = (folder / "report.html").read_text()
     for url in re.findall(r"""(?:src|href|url)\s*[=(]\s*["']?([^"')\s>]+)""", page):
         assert url.startswith("#"), url
@@ -67,7 +61,6 @@ def test_the_page_loads_nothing_and_says_what_follows_and_the_terminal_says_it_t
         r"l-shade refined-de cost J 37 \S+ \[\S+ \S+\] -\S+ \[\S+ -\S+\] 28 0 9 ", said
     )
     assert "Not finished" not in said
-    shown = capsys.readouterr().out
     for words in ("By optimiser", "In pairs", "Not arrived, first: hill/1: failed: stuck (3 runs)"):
         assert words in shown
 
@@ -76,10 +69,10 @@ def test_the_page_loads_nothing_and_says_what_follows_and_the_terminal_says_it_t
     "rows", [[], [row(0)], failed(1), failed(30), [row(0, error="ValueError: no", arrived=False)]]
 )
 def test_there_is_a_page_of_nothing_of_one_run_and_of_failures(
-    tmp_path: Path, rows: list[Row], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, rows: list[Row]
 ) -> None:
     folder = campaign(tmp_path / "c", rows, 40)
-    assert run(str(folder), monkeypatch=monkeypatch) == 0
+    assert answered("campaign", "report", folder)[0] == 0
     said = words_of((folder / "report.html").read_text())
     assert "nan" not in said
     assert f"Not finished: {40 - len(rows)} of 40 runs have no row yet" in said
@@ -140,13 +133,11 @@ def test_some_are_never_none_and_nearly_all_never_all(tmp_path: Path) -> None:
     assert sheet.rows[0][2:4] == ("100.0 [99.9, 100.0]", "0.1 [0.0, 0.1]")
 
 
-def test_csv_has_every_row_and_every_figure(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_csv_has_every_row_and_every_figure(tmp_path: Path) -> None:
     rows = paired_rows()
     rows[0] = replace(rows[0], violated='a "quoted", odd\nvalue')
     folder, out = campaign(tmp_path / "c", rows), tmp_path / "all.csv"
-    assert run(str(folder), "--csv", str(out), monkeypatch=monkeypatch) == 0
+    assert answered("campaign", "report", folder, "--csv", out)[0] == 0
     with (tmp_path / "all-rows.csv").open(newline="") as file:
         read = list(csv.DictReader(file))
     assert [int(each["run"]) for each in read] == [each.run for each in rows]
@@ -159,30 +150,22 @@ def test_csv_has_every_row_and_every_figure(
     assert (cost["group"], cost["against"], cost["n"]) == ("l-shade", "refined-de", "37")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["nowhere"], "it holds no campaign"),
-        (["c", "--by", "colour"], "no such factor. Choose from: world,"),
-        (["c", "--html", "no/such/x.html"], "not written"),
-        (["damaged"], "cannot be read"),
-    ],
-)
-def test_wrong_input_is_one_line(
-    arguments: list[str],
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_wrong_input_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     campaign(tmp_path / "c", paired_rows(2))
-    folder = campaign(tmp_path / "damaged", paired_rows(2))
-    (folder / "rows" / "part-000000.parquet").write_bytes(b"PAR1 not at all PAR1")
+    damaged = campaign(tmp_path / "damaged", paired_rows(2)) / "rows" / "part-000000.parquet"
+    damaged.write_bytes(b"PAR1 not at all PAR1")
     monkeypatch.chdir(tmp_path)
-    assert run(*arguments, monkeypatch=monkeypatch) == 2
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    assert line.startswith("error: ")
-    assert said in line
+    for arguments, rule in {
+        ("nowhere",): "it holds no campaign",
+        ("c", "--by", "colour"): "no such factor. Choose from: world,",
+        ("c", "--html", "no/such/x.html"): "not written",
+        ("damaged",): "cannot be read",
+    }.items():
+        code, _, said = answered("campaign", "report", *arguments)
+        assert code == 2
+        assert said.startswith("error: ")
+        assert rule in said
+        assert said.count("\n") == 1
 
 
 def test_factors_are_grouped_together_when_asked_for(tmp_path: Path) -> None:

@@ -1,9 +1,7 @@
 """A campaign's data set is the same however it is flown, and whatever dies meanwhile."""
 
 import errno
-import json
 import os
-import re
 import shlex
 import signal
 import subprocess
@@ -17,6 +15,7 @@ from typing import Any
 import campaign_rows
 import pytest
 import typer
+from distributed import LocalCluster
 from flights import one_target
 
 from companion.campaign import bundled_campaigns
@@ -104,8 +103,21 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
     return same(fly_run(run, folder) for run in runs(folder, PLANNED))
 
 
-def test_a_local_worker_that_is_killed_takes_no_run_with_it(planned: Any, tmp_path: Path) -> None:
-    flying = fly(runs(tmp_path, PLANNED), tmp_path, scheduler=None, jobs=1)
+@pytest.fixture
+def cluster() -> Iterator[LocalCluster]:
+    """Two workers and who gives them work, in processes of their own."""
+    with LocalCluster(2, threads_per_worker=1, dashboard_address=":0") as made:
+        yield made
+
+
+@pytest.mark.parametrize("place", ["here", "a cluster"])
+def test_a_worker_that_is_killed_takes_no_run_with_it(
+    planned: Any, tmp_path: Path, place: str, request: pytest.FixtureRequest
+) -> None:
+    scheduler = None
+    if place == "a cluster":
+        scheduler = request.getfixturevalue("cluster").scheduler_address
+    flying = fly(runs(tmp_path, PLANNED), tmp_path, scheduler=scheduler, jobs=1)
     rows = [next(flying)]
     os.kill(int(rows[0].worker.rpartition("/")[2]), signal.SIGKILL)
     rows += flying
@@ -121,56 +133,6 @@ def test_a_run_that_kills_each_worker_becomes_a_row(
     monkeypatch.setattr("companion.campaign.execute.fly_run", lambda *_, **__: os._exit(1))
     [row] = fly(runs(tmp_path, PLANNED)[:1], tmp_path, scheduler=None, jobs=1)
     assert (row.outcome, row.error) == ("error", "its worker died 3 times and more")
-
-
-@pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[tuple[str, list["subprocess.Popen[bytes]"]]]:
-    """A scheduler and two workers, in processes of their own -> address, workers."""
-    address_file = tmp_path / "scheduler.json"
-    dask = [sys.executable, "-m", "distributed.cli"]
-    here = ["--host", "127.0.0.1", "--no-dashboard"]
-    quiet: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-
-    def start(program: str, *options: str) -> "subprocess.Popen[bytes]":
-        command = [*dask[:2], f"distributed.cli.dask_{program}", *options]
-        return subprocess.Popen(command, cwd=tmp_path, **quiet)
-
-    scheduler = start("scheduler", *here, "--port", "0", "--scheduler-file", str(address_file))
-    started = [scheduler]
-    try:
-        wait_until(address_file.is_file)
-        address = wait_until(lambda: _address(address_file))
-        alone = ["--nthreads", "1", "--no-nanny", "--no-dashboard"]
-        workers = [start("worker", address, *alone) for _ in range(2)]
-        started += workers
-        yield address, workers
-    finally:
-        for process in started:
-            process.kill()
-            process.wait()
-
-
-def _address(file: Path) -> str | None:
-    try:
-        return str(json.loads(file.read_text(encoding="utf-8"))["address"])
-    except ValueError:  # being written
-        return None
-
-
-def test_a_cluster_that_loses_a_worker_half_way_brings_the_same(
-    planned: Any, cluster: Any, tmp_path: Path
-) -> None:
-    address, workers = cluster
-    todo = runs(tmp_path, PLANNED)
-    rows = list[Row]()
-    for row in fly(todo, tmp_path, scheduler=address, jobs=1):
-        rows.append(row)
-        if len(rows) == len(todo) // 2:
-            of = {int(row.worker.rpartition("/")[2]) for row in rows}
-            lost = next(worker for worker in workers if worker.pid in of)
-            lost.kill()
-    assert len(rows) == len(todo)
-    assert same(rows) == planned
 
 
 def test_killed_and_started_again_it_is_as_if_it_had_not_been(
@@ -264,9 +226,9 @@ def test_a_full_disk_is_one_line_and_no_result(
     assert {row.error for row in read_campaign(tmp_path / "out").rows} == {None}
 
 
-@pytest.mark.parametrize(
-    ("was", "now", "says"),
-    [
+NO_EFFECT = "it has no effect"
+REFUSED = {
+    FLOWN: [
         ("schema = 1", "", "schema"),
         ("schema = 1", "schema = [", "not TOML"),
         ('name = "flown"', 'nmae = "flown"', "Did you mean name?"),
@@ -282,11 +244,11 @@ def test_a_full_disk_is_one_line_and_no_result(
         ("[factors]", "vehicles = [2]\n[factors]", "places[0].vehicles"),
         ("[factors]", 'over = "planner"\n[factors]', "places[0].over"),
         ("[factors]", '[factors]\nknowledge = ["full"]', "of the planner alone"),
-        ("[factors]", "seed = 3\n[factors]", "places[0].seed = 3: it has no effect"),
-        ("[factors]", "count = 3\n[factors]", "places[0].count = 3: it has no effect"),
-        ("[factors]", "indices = [3]\n[factors]", "places[0].indices = [3]: it has no effect"),
-        (WORLD, DENSE, "places[0].mission = 'mission.toml': it has no effect"),
-        (WORLD_ALONE, f"{DENSE}first = 3\nindices = [1]", "places[0].first = 3: it has no effect"),
+        ("[factors]", "seed = 3\n[factors]", f"places[0].seed = 3: {NO_EFFECT}"),
+        ("[factors]", "count = 3\n[factors]", f"places[0].count = 3: {NO_EFFECT}"),
+        ("[factors]", "indices = [3]\n[factors]", f"places[0].indices = [3]: {NO_EFFECT}"),
+        (WORLD, DENSE, f"places[0].mission = 'mission.toml': {NO_EFFECT}"),
+        (WORLD_ALONE, f"{DENSE}first = 3\nindices = [1]", f"places[0].first = 3: {NO_EFFECT}"),
         (WORLD_ALONE, f"{DENSE}indices = []", "places[0].indices"),
         ("[factors]", f"{PX4}[factors]\n{COPTERS}", "places[0].vehicle = 'px4-copter': the factor"),
         ('faults = ["none", "dead"]', "", "choices[0].name = 'dead': no factor"),
@@ -294,59 +256,47 @@ def test_a_full_disk_is_one_line_and_no_result(
         ("[[choices]]", '[[choices]]\nname = "dead"\n[[choices]]', "stands for another already"),
         ('keep = "failures"', 'over = "planner"', "factors.faults = ['none', 'dead']: the planner"),
     ],
-)
-def test_what_is_wrong_with_a_file_is_said_in_one_line(
-    was: str, now: str, says: str, tmp_path: Path
-) -> None:
-    refused(FLOWN, was, now, says, tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("was", "now", "says"),
-    [
+    PLANNED: [
         ("[factors]", f"{PX4}[factors]", "places[0].vehicle = 'px4-copter': the planner alone has"),
         ("seeds = 2", "limit_s = 60", "limit_s = 60.0: the planner alone has no vehicle"),
         ("[factors]", '[factors]\nplanner = ["a-star"]\noptimiser = ["pso"]', "factors.optimiser"),
         ("[factors]", '[factors]\nplanner = ["a-stra"]', "Did you mean a-star?"),
     ],
-)
-def test_so_is_what_the_planner_alone_has_no_use_for(
-    was: str, now: str, says: str, tmp_path: Path
-) -> None:
-    refused(PLANNED, was, now, says, tmp_path)
+}
+OPTIONS = {
+    "--most = 1: --only says which runs": ["--only", "0", "--most", "1"],
+    "--jobs = 2": ["--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"],
+    "over = 'udp': it must be": ["--over", "udp"],
+}
 
 
-def refused(text: str, was: str, now: str, says: str, folder: Path) -> None:
-    assert was in text
-    path = campaign_file(folder, text.replace(was, now))
+def refused(folder: Path, text: str, *options: str) -> str:
+    """What is said of a campaign, in one line, before anything is written."""
+    path = campaign_file(folder, text)
     with pytest.raises(InputError) as error:
-        campaign_command("run", str(path), "--out", str(folder / "out"))
-    assert says in str(error.value)
+        campaign_command("run", str(path), "--out", str(folder / "out"), *options)
     assert "\n" not in str(error.value)
     assert not (folder / "out").exists()
+    return str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (["--only", "0", "--most", "1"], "--most = 1: --only says which runs"),
-        (["--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"], "--jobs = 2"),
-        (["--over", "udp"], "over = 'udp': it must be"),
-    ],
-)
+@pytest.mark.parametrize("text", REFUSED, ids=["flown", "planned"])
+def test_what_is_wrong_with_a_file_is_said_in_one_line(text: str, tmp_path: Path) -> None:
+    for was, now, says in REFUSED[text]:
+        assert was in text
+        assert says in refused(tmp_path, text.replace(was, now))
+
+
+@pytest.mark.parametrize("says", OPTIONS)
 def test_options_that_have_no_effect_or_make_no_campaign_are_refused(
-    options: list[str], says: str, tmp_path: Path
+    says: str, tmp_path: Path
 ) -> None:
-    path = campaign_file(tmp_path, PLANNED)
-    with pytest.raises(InputError, match=re.escape(says)):
-        campaign_command("run", str(path), "--out", str(tmp_path / "out"), *options)
+    assert says in refused(tmp_path, PLANNED, *OPTIONS[says])
 
 
 def test_no_room_for_a_folder_ends_a_campaign_on_a_cluster_too(tmp_path: Path) -> None:
     """And leaves no row: the run is flown when there is room."""
     (tmp_path / "runs").write_text("where the folders of runs belong")
-    from distributed import LocalCluster
-
     [run, *_] = runs(tmp_path, PLANNED.replace('"none"', '"all"'))
     with (
         LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster,

@@ -4,8 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from planning import LARGE
-from scipy.spatial import cKDTree
+from planning import LARGE, zone_distance_m
 
 from companion.campaign import drawn_world, judge, truth
 from companion.world.radars import Radar
@@ -13,6 +12,9 @@ from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
 from companion.world.zones import CircleZone, PolygonZone
 
 FloatArray = NDArray[np.float64]
+H_M, R2_M = 700.0, 2_000.0
+BEND_1_M = 2.0 / 3.0 * H_M / R2_M**2
+"""The curvature that a control polygon begins with: planner-numbers E."""
 
 TERRAIN = PeakTerrain(
     peaks=(
@@ -24,31 +26,6 @@ TERRAIN = PeakTerrain(
 TASK = drawn_world.bundled("environment-2").task
 LIMITS = replace(LARGE, north_m=(-20e3, 20e3), east_m=(-20e3, 20e3),
                  tracking_error_m=15.0, navigation_error_m=0.0)  # fmt: skip
-
-
-def surface_samples(terrain: PeakTerrain, spacing_m: float) -> FloatArray:
-    axis = np.arange(-12e3, 12e3, spacing_m)
-    north, east = (a.ravel() for a in np.meshgrid(axis, axis, indexing="ij"))
-    height = np.full(north.shape, terrain.ground_amsl_m)
-    for p in terrain.peaks:
-        bell = ((north - p.north_m) / p.spread_north_m) ** 2
-        bell += ((east - p.east_m) / p.spread_east_m) ** 2
-        height = np.maximum(height, p.height_amsl_m * np.exp(-bell))
-    return np.stack([north, east, height], axis=-1)
-
-
-def test_distance_to_the_terrain_is_that_to_the_nearest_of_many_surface_points() -> None:
-    spacing_m = 50.0
-    samples = surface_samples(TERRAIN, spacing_m)
-    rng = np.random.default_rng(1)
-    points = np.column_stack([rng.uniform(-8e3, 10e3, (1_500, 2)), rng.uniform(3e3, 5e3, 1_500)])
-    points = points[points[:, 2] > truth.height_m(TERRAIN, points[:, 0], points[:, 1])]
-    found = truth.terrain_distance_m(points, TERRAIN, 1_500.0)
-    brute = np.minimum(cKDTree(samples).query(points)[0], 1_500.0)
-    assert np.all(found <= brute + 1e-3)  # every surface sample is at least as far as the nearest
-    too_far = np.sqrt(found**2 + spacing_m**2)  # a sample lies within half a diagonal of the foot
-    assert np.all(brute <= too_far + 3.0)
-    assert np.sum(found < 1_000.0) > 100
 
 
 @pytest.mark.parametrize(
@@ -77,44 +54,28 @@ def test_the_distance_to_a_round_mountain_or_tower_is_that_in_the_plane_through_
     assert (truth.terrain_distance_m(under, terrain, up_to_m) < 0.0).all()
 
 
-def test_four_control_points_are_a_bezier_curve() -> None:
-    p = np.random.default_rng(3).normal(size=(4, 3))
-    u = 0.3
+def test_a_sampled_curve_is_its_bezier_curve_evenly_spaced_with_its_curvature() -> None:
+    p, u = np.random.default_rng(3).normal(size=(4, 3)), 0.3
     bernstein = [math.comb(3, k) * u**k * (1 - u) ** (3 - k) for k in range(4)]
     np.testing.assert_allclose(truth.spline(p)(u), bernstein @ p, rtol=1e-12)
-
-
-def test_samples_are_evenly_spaced_and_give_the_length_of_a_straight_line() -> None:
-    control = np.array([[0.0, 0, 0], [100, 0, 0], [2_000, 0, 0], [2_100, 0, 0], [9_000, 0, 0]])
-    curve = truth.sampled(control, 1.0)
+    line = np.array([[0.0, 0, 0], [100, 0, 0], [2_000, 0, 0], [2_100, 0, 0], [9_000, 0, 0]])
+    curve = truth.sampled(line, 1.0)
     assert curve.length_m[-1] == pytest.approx(9_000.0, rel=1e-9)
     steps = np.linalg.norm(np.diff(curve.points_nea_m, axis=0), axis=-1)
     np.testing.assert_allclose(steps, 1.0, atol=0.01)
+    bent = np.array([[0.0, 0, 0], [R2_M, 0, 0], [5_000, H_M, 0], [9_000, 4_000, 0]])
+    curvature_1_m = truth.sampled(bent, 10.0).curvature_1_m[0]
+    assert curvature_1_m == pytest.approx(BEND_1_M, rel=1e-9)
 
 
-def test_curvature_at_the_start_is_that_of_the_control_polygon() -> None:
-    h, r2 = 700.0, 2_000.0  # (2 / 3) h / r2^2: planner-numbers E
-    control = np.array([[0.0, 0, 0], [r2, 0, 0], [5_000, h, 0], [9_000, 4_000, 0]])
-    curve = truth.sampled(control, 10.0)
-    assert curve.curvature_1_m[0] == pytest.approx(2.0 / 3.0 * h / r2**2, rel=1e-9)
-
-
-def test_keep_out_distances_are_those_to_many_points_of_the_edge() -> None:
+def test_keep_out_distances_are_those_of_shapely_and_winding_numbers() -> None:
     corners = ((0.0, 0.0), (4e3, 0.0), (4e3, 3e3), (2e3, 1e3), (0.0, 3e3))
-    zone = PolygonZone(name="p", vertices_ne_m=corners)
-    edge = np.concatenate(
-        [
-            np.linspace(a, b, 2_000)
-            for a, b in zip(np.array(corners), np.roll(np.array(corners), -1, axis=0), strict=True)
-        ]
-    )
-    points = np.column_stack([np.random.default_rng(4).uniform(-2e3, 6e3, (500, 2)), np.zeros(500)])
-    found = truth.keep_out_distance_m(points, zone)
-    np.testing.assert_allclose(np.abs(found), cKDTree(edge).query(points[:, :2])[0], atol=3.0)
-    assert truth.keep_out_distance_m(np.array([[2e3, 500.0, 0.0]]), zone)[0] < 0.0
-    assert truth.keep_out_distance_m(np.array([[2e3, 2.5e3, 0.0]]), zone)[0] > 0.0
-    circle = CircleZone(name="c", north_m=0.0, east_m=0.0, radius_m=5.0)
-    assert truth.keep_out_distance_m(np.array([[3.0, 4.0, 99.0]]), circle)[0] == 0.0
+    circle = CircleZone(name="c", north_m=0.0, east_m=0.0, radius_m=500.0)
+    points = np.random.default_rng(4).uniform(-2e3, 6e3, (500, 3))
+    for zone in (PolygonZone(name="p", vertices_ne_m=corners), circle):
+        expected = zone_distance_m(zone, points[:, 0], points[:, 1])
+        assert truth.keep_out_distance_m(points, zone) == pytest.approx(expected, abs=1e-6)
+        assert (expected < 0.0).any()
 
 
 def test_radar_metres_are_the_chord_through_the_sphere() -> None:
@@ -166,39 +127,42 @@ def rest_of(control: FloatArray, at: float) -> FloatArray:
     return np.array([row[-1] for row in rows[::-1]])
 
 
-def test_a_curve_goes_over_into_its_own_rest_without_a_jump() -> None:
-    found = truth.jumps(CURVE, rest_of(CURVE, 0.6), TASK)
-    assert found is not None
-    assert max(found) < 1e-9
-    assert truth.goes_over(CURVE, rest_of(CURVE, 0.6), TASK)
+def turned(control: FloatArray, angle_rad: float) -> FloatArray:
+    """About the vertical through its beginning."""
+    cos, sin = math.cos(angle_rad), math.sin(angle_rad)
+    matrix = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return control[0] + (control - control[0]) @ matrix.T
 
 
-def test_a_join_that_turns_jumps_by_the_angle() -> None:
-    rest, angle = rest_of(CURVE, 0.6), 0.01
-    turn = np.array([[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0]])
-    turned = rest[0] + (rest - rest[0]) @ np.vstack([turn, [0.0, 0.0, 1.0]]).T
-    position, tangent, _ = truth.jumps(CURVE, turned, TASK) or (1.0, 1.0, 1.0)
-    assert position < 1e-12
-    along = rest[1] - rest[0]
-    level = np.linalg.norm(along[:2]) / np.linalg.norm(along)
-    assert tangent == pytest.approx(2.0 * math.sin(0.5 * angle) * level, rel=1e-6)
-    assert not truth.goes_over(CURVE, turned, TASK)
+ANGLE_RAD = 0.01
+REST = rest_of(CURVE, 0.6)
+LEVEL = np.linalg.norm((REST[1] - REST[0])[:2]) / np.linalg.norm(REST[1] - REST[0])
+BENT = np.array([[8e3, 0, 3_100], [8e3 + R2_M, 0, 3_100], [14e3, H_M, 3_100], [18e3, 4e3, 3_100]])
+JOINS = {
+    "its own rest": (CURVE, REST, (0.0, 0.0, 0.0)),
+    "turned": (
+        CURVE,
+        turned(REST, ANGLE_RAD),
+        (0.0, 2.0 * math.sin(0.5 * ANGLE_RAD) * LEVEL, None),
+    ),
+    "bent": (LINE, BENT, (0.0, 0.0, 2_500.0 * BEND_1_M)),  # by the turn radius of the mission
+    "beside": (LINE, LINE + np.array([7e3, 2.0, 0.0]), (2.0 / 20_000.0, None, None)),
+    # a right angle, where the first ends: from rest
+    "a stop": (LINE, LINE[-1] + (LINE - LINE[0])[:, [1, 0, 2]], None),
+}
 
 
-def test_a_join_from_a_straight_line_jumps_by_the_curvature_of_the_next() -> None:
-    h, r2 = 700.0, 2_000.0
-    bent = np.array([[8e3, 0, 3_100], [8e3 + r2, 0, 3_100], [14e3, h, 3_100], [18e3, 4e3, 3_100]])
-    position, tangent, curvature = truth.jumps(LINE, bent, TASK) or (1.0, 1.0, 1.0)
-    assert max(position, tangent) < 1e-12
-    assert curvature == pytest.approx(2_500.0 * 2.0 / 3.0 * h / r2**2, rel=1e-9)
-
-
-def test_a_join_beside_the_curve_jumps_in_position_and_a_stop_does_not() -> None:
-    beside = LINE + np.array([7e3, 2.0, 0.0])
-    assert truth.jumps(LINE, beside, TASK)[0] == pytest.approx(2.0 / 20_000.0)
-    from_rest = LINE[-1] + (LINE - LINE[0])[:, [1, 0, 2]]  # a right angle, where the first ends
-    assert truth.jumps(LINE, from_rest, TASK) is None
-    assert truth.goes_over(LINE, from_rest, TASK)
+@pytest.mark.parametrize("join", JOINS)
+def test_a_join_jumps_by_what_it_leaves_its_curve_in_place_direction_and_bend(join: str) -> None:
+    """A stop does not jump."""
+    first, second, expected = JOINS[join]
+    found = truth.jumps(first, second, TASK)
+    assert truth.goes_over(first, second, TASK) == (join in ("its own rest", "a stop"))
+    if expected is None:
+        assert found is None
+        return
+    for jump, value in zip(found, expected, strict=True):
+        assert value is None or jump == pytest.approx(value, rel=1e-6, abs=1e-9)
 
 
 def test_the_distance_to_an_array_of_heights_is_that_to_its_plane() -> None:

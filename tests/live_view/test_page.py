@@ -33,52 +33,47 @@ expect.set_options(timeout=_PATIENCE_MS)
 
 
 @pytest.fixture(scope="module")
-def errors() -> list[str]:
-    """What the browser's console says of errors."""
-    return []
+def blank(chromium: Path) -> Iterator[tuple[Page, list[str]]]:
+    """The browser before anything is flown, and what its console says of errors.
 
-
-@pytest.fixture(scope="module")
-def blank(chromium: Path, errors: list[str]) -> Iterator[Page]:
-    """The browser, before anything is flown: a busy machine may take a minute to start it.
-
-    All tests look at one page: without a graphics processor it draws one, never another.
+    A busy machine may take a minute to start it.  All tests look at one page: without a graphics
+    processor it draws one, never another.
     """
+    errors = list[str]()
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=list(_OPTIONS))
         page = browser.new_page(viewport={"width": 1000, "height": 640})
         page.set_default_timeout(_PATIENCE_MS)
         page.on("console", lambda told: errors.append(told.text) if told.type == "error" else None)
         page.on("pageerror", lambda error: errors.append(str(error)))
-        yield page
+        yield page, errors
         browser.close()
 
 
 @pytest.fixture(scope="module")
-def flight(blank: Page, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flight]:
-    """In real time, four times: a vehicle that waits is somewhere else after a look at it."""
-    del blank  # without a browser nobody looks at it
+def flight(
+    blank: tuple[Page, list[str]], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[tuple[Flight, str]]:
+    """It flies, and the address of its page, which shows it.
+
+    In real time, four times: a vehicle that waits is somewhere else after a look at it.
+    """
     folder = tmp_path_factory.mktemp("viewed") / "run"
     view = ("--view", "--view-port", "0")
-    clock = ("--speedup", "4", *_ENDURING)
-    flying = launch(folder, HILLS, HILLS_MISSION, *view, clock=clock)
-    yield flying
+    flying = launch(folder, HILLS, HILLS_MISSION, *view, clock=("--speedup", "4", *_ENDURING))
+    address = flying.companion.expect(r"view: (\S+)").group(1)
+    flying.companion.expect("taking off")
+    blank[0].goto(f"{address}?{_COARSE}")
+    expect(blank[0].get_by_text("flying", exact=True)).to_be_visible()
+    yield flying, address
     flying.kill()
 
 
-@pytest.fixture(scope="module")
-def address(flight: Flight) -> str:
-    """Of its page."""
-    return flight.companion.expect(r"view: (\S+)").group(1)
-
-
-@pytest.fixture(scope="module")
-def page(blank: Page, flight: Flight, address: str) -> Page:
+@pytest.fixture
+def page(blank: tuple[Page, list[str]], flight: tuple[Flight, str]) -> Page:
     """The page of the flight, which flies."""
-    flight.companion.expect("taking off")
-    blank.goto(f"{address}?{_COARSE}")
-    expect(blank.get_by_text("flying", exact=True)).to_be_visible()
-    return blank
+    del flight
+    return blank[0]
 
 
 def row(page: Page, name: str) -> str:
@@ -158,14 +153,15 @@ def served(folder: Path, port: int) -> Iterator[None]:
 
 
 def test_its_run_folder_is_shown_again_and_the_page_comes_back(
-    flight: Flight, page: Page, address: str, errors: list[str]
+    flight: tuple[Flight, str], blank: tuple[Page, list[str]]
 ) -> None:
+    (flying, address), (page, errors) = flight, blank
     page.get_by_role("button", name="play", exact=True).press("Enter")
     expect(page.get_by_role("button", name="pause", exact=True)).to_be_visible()
     assert errors == []
-    flight.companion.interrupt(60.0)
+    flying.companion.interrupt(60.0)
     clock = page.locator("tr", has_text=re.compile("^time"))
-    with served(flight.folder, int(re.findall(r":(\d+)", address)[0])):
+    with served(flying.folder, int(re.findall(r":(\d+)", address)[0])):
         expect(page.get_by_role("button", name="play", exact=True)).to_be_visible()
         slider = page.get_by_role("slider")
         expect(slider).not_to_have_attribute("aria-valuenow", "0")  # it is where the flight ended

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from planning import parameter_of, spline
 from scenes import LIMITS, R_M, RADAR_MARGIN_M, cube, random_scene
-from scipy.interpolate import RegularGridInterpolator
 
 from companion import objective
 from companion.objective import (
@@ -29,7 +28,7 @@ from companion.path.subpath import Subpath
 from companion.profiles import Weights
 from companion.world.columns import Surface
 from companion.world.radars import Radar
-from companion.world.zones import ZoneTable
+from companion.world.zones import ZoneTable, polygon_at
 
 FloatArray = NDArray[np.float64]
 
@@ -142,38 +141,20 @@ def terms(x: FloatArray, scene: Scene) -> dict[str, float]:
     return dict(zip(TERMS, scene.at.terms.tolist(), strict=True))
 
 
-def bilinear_m(surface: Surface, north: float, east: float) -> float:
-    rows, columns = surface.vertex_m.shape
-    axes = (
-        surface.north_min_m + surface.cell_m * np.arange(rows),
-        surface.east_min_m + surface.cell_m * np.arange(columns),
-    )
-    last = [axis[-1] - 1e-6 * surface.cell_m for axis in axes]  # clamped so far inside
-    inside = np.clip(north, axes[0][0], last[0]), np.clip(east, axes[1][0], last[1])
-    return float(RegularGridInterpolator(axes, surface.vertex_m)([inside])[0])
+def height_m(surface: Surface, north: float, east: float) -> float:
+    """Of a surface there: world/test_columns."""
+    return float(surface.altitude_m(np.array([north]), np.array([east]))[0])
 
 
 def gaps_m(zones: ZoneTable, north: float, east: float) -> list[float]:
-    """Distances to the edges, negative inside: inside is where the edge winds round the point.
-
-    The other way round for a zone to stay inside of.
-    """
-    found = [
+    """Signed distances to all zones; to polygons: world/test_zones."""
+    polygons = [
+        polygon_at(zones, k, north, east, math.inf, math.inf) for k in range(len(zones.polygons))
+    ]
+    return polygons + [
         sign * (math.dist((north, east), middle) - radius)
         for *middle, radius, sign in zones.circles.tolist()
     ]
-    here = complex(north, east)
-    for first, end, sign, *_ in zones.polygons.tolist():
-        groups = range(int(first), int(end))
-        edges = np.concatenate([zones.edges[k, : int(zones.groups[k, 4])] for k in groups])
-        turns, nearest = 0.0, math.inf
-        for an, ae, bn, be in edges.tolist():
-            a, b = complex(an, ae) - here, complex(bn, be) - here
-            turns += math.atan2((b / a).imag, (b / a).real)
-            foot = ((0 - a) / (b - a)).real  # the share of the edge that is nearest to the point
-            nearest = min(nearest, abs(a + min(max(foot, 0.0), 1.0) * (b - a)))
-        found.append(sign * (-nearest if abs(turns) > math.pi else nearest))
-    return found
 
 
 def expected(control: FloatArray, scene: Scene) -> dict[str, float]:
@@ -214,13 +195,13 @@ def expected_to_go_m(control: FloatArray, scene: Scene) -> float:
     ahead = LIMITS.turn_radius_m
     there = control[-1, 0] + ahead * math.cos(heading), control[-1, 1] + ahead * math.sin(heading)
     low, high = scene.band_amsl_m
-    altitude, needed = control[-1, 2], bilinear_m(scene.needed, control[-1, 0], control[-1, 1])
+    altitude, needed = control[-1, 2], height_m(scene.needed, control[-1, 0], control[-1, 1])
     above, asked = (max((z - low) / (high - low), 0.0) for z in (altitude, needed))
     down = scene.descent_m * max(above**2 - asked**2, 0.0)
     up = max(needed - altitude, 0.0) / math.tan(LIMITS.climb_angle_rad)
-    here_m = bilinear_m(scene.to_go, control[-1, 0], control[-1, 1])
+    here_m = height_m(scene.to_go, control[-1, 0], control[-1, 1])
     short = scene.end_radius_m - math.dist(control[-1, :2], scene.scan_ne_m)
-    return float(max(ahead + bilinear_m(scene.to_go, *there), here_m) + down + up + 0.25 * short)
+    return float(max(ahead + height_m(scene.to_go, *there), here_m) + down + up + 0.25 * short)
 
 
 def expected_crash(
@@ -230,7 +211,7 @@ def expected_crash(
     for a, b in pairwise(points):
         for share in (1 / 3, 2 / 3, 1.0):
             n, e, z = a + share * (b - a)
-            total += max(bilinear_m(scene.surface, n, e) - z, 0.0) / 3.0
+            total += max(height_m(scene.surface, n, e) - z, 0.0) / 3.0
     for j in range(1, len(points), 2):
         if scene.motion.loiter_m:
             break  # it circles: the surface knows
@@ -244,7 +225,7 @@ def expected_crash(
         tangent = curve(u[j], 1) / np.linalg.norm(curve(u[j], 1))
         for share in (0.5, 1.0):
             n, e, z = points[j] + share * reach * tangent
-            total += 2.0 * max(bilinear_m(scene.contact, n, e) - z, 0.0)
+            total += 2.0 * max(height_m(scene.contact, n, e) - z, 0.0)
     return 100.0 * total / scene.safety_distance_m
 
 

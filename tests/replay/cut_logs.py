@@ -16,7 +16,28 @@ from companion.replay.shadow import watch
 from companion.replay.shadow_report import ShadowReport
 from companion.telemetry.logs import Record, open_log
 
-MISSIONS = Path(__file__).parent / "missions"
+MISSION = str(Path(__file__).with_name("mission.toml"))
+ZURICH = "origin.latitude_deg=47.397742 origin.longitude_deg=8.545594 "
+"""Where PX4's simulations begin."""
+PLANE = """
+    vehicle.kind=plane vehicle.acceleration_m_s2=2.0 vehicle.climb_rate_m_s=2.5
+    vehicle.climb_angle_deg=6.0 vehicle.dive_angle_deg=4.0 vehicle.loiter_radius_m=100.0
+    vehicle.tracking_error_m=15.0 planner.scan_range_m=2000.0 planner.safety_distance_m=10.0
+"""
+MISSIONS = {
+    "copter-canberra": "",
+    "copter-zurich": ZURICH
+    + "altitude.floor_amsl_m=492.0 altitude.ceiling_amsl_m=638.0 terrain.highest_amsl_m=476.0 "
+    + "vehicle.tracking_error_m=2.0 planner.safety_distance_m=3.0",
+    "plane-canberra": PLANE
+    + "altitude.floor_amsl_m=609.0 altitude.ceiling_amsl_m=834.0 terrain.highest_amsl_m=554.0 "
+    + "vehicle.speed_m_s=22.0 vehicle.turn_radius_m=250.0",
+    "plane-zurich": ZURICH
+    + PLANE
+    + "altitude.floor_amsl_m=508.0 altitude.ceiling_amsl_m=738.0 terrain.highest_amsl_m=458.0 "
+    + "vehicle.speed_m_s=14.0 vehicle.turn_radius_m=85.0",
+}
+"""By vehicle and place, what differs from the copter's mission near Canberra."""
 VEHICLE = (1, 1)
 COMPANION = (1, 191)
 STATION = (255, 190)
@@ -35,7 +56,7 @@ def whole(name: str) -> ShadowReport:
 
 def mission(name: str, *, evaluations: int | None = None) -> Mission:
     """A mission for a recorded flight, with so many candidates to a plan."""
-    chosen = load_mission(str(MISSIONS / f"{name}.toml"))
+    chosen = load_mission(MISSION, settings=MISSIONS[name].split())
     settings = chosen.task.settings
     quick = replace(settings, evaluations=evaluations or settings.evaluations)
     return replace(chosen, task=replace(chosen.task, settings=quick))

@@ -3,8 +3,6 @@
 import json
 import shutil
 import threading
-from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +14,7 @@ from companion.config import load_mission
 from companion.mission import machine
 from companion.mission.events import Outcome
 from companion.replay.what_if import what_if
-from companion.telemetry.inputs import FILE, Input, InputsFile
+from companion.telemetry.inputs import FILE, InputsFile
 
 ERROR = "ZeroDivisionError: made up"
 
@@ -44,39 +42,21 @@ class Paced(ScriptedLink):
         return super().receive(timeout_s)
 
 
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Callable[[bool], Path]:
-    """Flies once in lockstep and once in real time -> run folder."""
-
-    @cache
-    def fly(lockstep: bool) -> Path:
-        folder, link = tmp_path_factory.mktemp("ended") / "run", Paced(Vehicle(lockstep=lockstep))
-        end = fly_short(folder, link=link, lockstep=lockstep, until_s=1e6).end
-        assert end.outcome is Outcome.FAILED
-        assert ERROR in end.reason
-        return folder
-
-    return fly
-
-
-@pytest.fixture
-def ended(
-    tmp_path: Path, bug: None, flown: Callable[[bool], Path], request: pytest.FixtureRequest
-) -> Path:
+def flown_to_its_error(folder: Path, *, lockstep: bool) -> Path:
     """The run folder of a flight that ended so."""
-    del bug
-    return Path(shutil.copytree(flown(request.param), tmp_path / "run"))
+    link = Paced(Vehicle(lockstep=lockstep))
+    end = fly_short(folder, link=link, lockstep=lockstep, until_s=1e6).end
+    assert end.outcome is Outcome.FAILED
+    assert ERROR in end.reason
+    return folder
 
 
-EITHER = pytest.mark.parametrize(
-    "ended", [True, False], indirect=True, ids=["in lockstep", "in real time"]
-)
-LOCKSTEP = pytest.mark.parametrize("ended", [True], indirect=True, ids=["in lockstep"])
-
-
-@EITHER
-def test_the_error_that_ended_a_flight_is_shown_again_at_its_place(ended: Path) -> None:
-    found = replayed(ended)
+@pytest.mark.usefixtures("bug")
+@pytest.mark.parametrize("lockstep", [True, False], ids=["in lockstep", "in real time"])
+def test_the_error_that_ended_a_flight_is_shown_again_at_its_place(
+    tmp_path: Path, lockstep: bool
+) -> None:
+    found = replayed(flown_to_its_error(tmp_path / "run", lockstep=lockstep))
     assert found.difference is None
     assert found.is_identical
     assert found.unrecorded == 0
@@ -88,43 +68,29 @@ def test_the_error_that_ended_a_flight_is_shown_again_at_its_place(ended: Path) 
     assert found.as_json()["ended_by"] == ERROR
 
 
-@LOCKSTEP
-def test_what_the_last_turn_was_told_is_recorded_and_nothing_that_was_not_sent(
-    ended: Path,
+@pytest.mark.usefixtures("bug")
+def test_all_of_the_last_turn_is_recorded_and_nothing_that_was_not_sent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told = list(InputsFile(ended / FILE))
+    """An error where the flight had none, and none where it had one, are differences."""
+    run = flown_to_its_error(tmp_path / "run", lockstep=True)
+    told = list(InputsFile(run / FILE))
     assert [each[0] for each in told[-4:]] == ["receive", "run", "raised", "held"]
-    heard = [frame for _, frame in recorded_frames(ended / "flight.tlog") if frame[6] == 1]
+    heard = [frame for _, frame in recorded_frames(run / "flight.tlog") if frame[6] == 1]
     last = next(each[1] for each in reversed(told) if each[0] == "receive")
     assert heard[-1] in last
-    lines = (ended / "journal.jsonl").read_text("utf-8").splitlines()
+    lines = (run / "journal.jsonl").read_text("utf-8").splitlines()
     assert json.loads(lines[-1])["kind"] == "part died"
-
-
-@LOCKSTEP
-def test_a_companion_that_was_mended_is_told_from_the_one_that_flew(
-    ended: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.undo()
-    difference = replayed(ended).difference
-    assert difference.t_s == pytest.approx(20.0, abs=0.2)
-
-
-@LOCKSTEP
-def test_an_error_where_the_flight_had_none_is_a_difference(ended: Path) -> None:
-    def change(told: list[Input]) -> None:
-        del told[-2:]
-
-    rewritten(ended, change)
-    difference = replayed(ended).difference
-    assert str(difference).startswith(f"t 20.000 s: run.error: recorded nothing, replayed '{ERROR}")
-
-
-@LOCKSTEP
-def test_what_if_ends_with_the_flight(ended: Path) -> None:
-    mission = load_mission(str(ended / "mission.toml"))
-    made = list(what_if(ended, lambda _: mission, mission, seed=None))
-    assert [each.plan_id for each in made] == [1]
+    mission = load_mission(str(run / "mission.toml"))
+    made = list(what_if(run, lambda _: mission, mission, seed=None))
+    assert [each.plan_id for each in made] == [1]  # what if ends with the flight
+    whole = (run / FILE).read_bytes()
+    rewritten(run, lambda inputs: inputs.__delitem__(slice(-2, None)))
+    said = str(replayed(run).difference)
+    assert said.startswith(f"t 20.000 s: run.error: recorded nothing, replayed '{ERROR}")
+    (run / FILE).write_bytes(whole)
+    monkeypatch.undo()  # a companion that was mended
+    assert replayed(run).difference.t_s == pytest.approx(20.0, abs=0.2)
 
 
 def test_an_error_from_outside_of_the_decisions_is_no_difference(tmp_path: Path) -> None:
@@ -142,6 +108,16 @@ def test_an_error_from_outside_of_the_decisions_is_no_difference(tmp_path: Path)
     assert found.ended_by.call == ""
 
 
+# --- what was sent otherwise than the session said
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """The run folder of a short flight."""
+    fly_short(tmp_path / "run", until_s=30.0)
+    return tmp_path / "run"
+
+
 def records_of(run: Path) -> list[bytes]:
     """The frames of a log, each with its stamp."""
     log, records, end = (run / "flight.tlog").read_bytes(), list[bytes](), 0
@@ -151,43 +127,40 @@ def records_of(run: Path) -> list[bytes]:
     return records
 
 
-@pytest.mark.parametrize("is_said", [True, False])
-def test_a_frame_that_was_not_sent_is_left_out_if_it_is_said_so(
-    tmp_path: Path, is_said: bool
-) -> None:
-    run = tmp_path / "run"
-    fly_short(run, until_s=30.0)
+def head_of(run: Path, count: int) -> Any:
+    """The replay of its first inputs alone."""
+    head = Path(shutil.copytree(run, run.with_name(f"head-{count}")))
+    rewritten(head, lambda inputs: inputs.__delitem__(slice(count, None)))
+    return replayed(head, plans=False)
+
+
+def midst_of(run: Path) -> int:
+    """The number of an input in the midst of its flight."""
     runs = [number for number, each in enumerate(InputsFile(run / FILE)) if each == ("run",)]
-    frames = list[int]()
-    for at in range(runs[200], runs[200] + 40):
-        head = tmp_path / f"head-{at}"
-        shutil.copytree(run, head)
-        rewritten(head, lambda inputs, at=at: inputs.__setitem__(slice(at, None), []))
-        frames.append(replayed(head, plans=False).frames)
+    return runs[200]
+
+
+@pytest.mark.parametrize("is_said", [True, False])
+def test_a_frame_that_was_not_sent_is_left_out_if_it_is_said_so(run: Path, is_said: bool) -> None:
+    begin, frames = midst_of(run), list[int]()
+    for at in range(begin, begin + 40):
+        frames.append(head_of(run, at).frames)
         if frames[-1] > frames[0]:
             break
     assert frames[-1] > frames[-2]  # by the input before this one
     if is_said:
         rewritten(run, lambda inputs: inputs.insert(at, ("unsent", [0])))
     records = records_of(run)
-    ours = 8 + 6  # where MAVLink 2 has the component, behind the stamp: the autopilot's is 1
-    sent = [at for at in range(*frames[-2:]) if records[at][ours] != 1]
-    del records[sent[0]]
+    component = 8 + 6  # where MAVLink 2 has it, behind the stamp: the autopilot's is 1
+    del records[next(k for k in range(*frames[-2:]) if records[k][component] != 1)]
     (run / "flight.tlog").write_bytes(b"".join(records))
-    found = replayed(run, plans=False)
-    assert (found.difference is None) == is_said
+    assert (replayed(run, plans=False).difference is None) == is_said
 
 
-def test_what_the_watchdog_sent_meanwhile_is_passed_over(tmp_path: Path) -> None:
+def test_what_the_watchdog_sent_meanwhile_is_passed_over(run: Path) -> None:
     """Two frames and the entry about them, in the midst of a flight."""
-    run = tmp_path / "run"
-    fly_short(run, until_s=30.0)
-    told = list(InputsFile(run / FILE))
-    at = [number for number, each in enumerate(told) if each == ("run",)][200] + 1
-    whole, head = replayed(run, plans=False), tmp_path / "head"
-    shutil.copytree(run, head)
-    rewritten(head, lambda inputs: inputs.__setitem__(slice(at, None), []))
-    until = replayed(head, plans=False)
+    at = midst_of(run) + 1
+    whole, until = replayed(run, plans=False), head_of(run, at)
     rewritten(run, lambda inputs: inputs.insert(at, ("held", 2)))
     records = records_of(run)
     records[until.frames : until.frames] = records[:2]

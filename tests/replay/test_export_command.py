@@ -1,19 +1,23 @@
-"""`companion export` at the door: what it refuses, and what it makes of a flight cut off."""
+"""`companion export` and `report` at the door: what they refuse, and make of a flight cut off."""
 
 import json
 import random
 import shutil
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import pytest
+from answers import answered
 from recorded import run_folder
 
-from companion.errors import InputError
-from companion.replay.command import Format, export
+from companion.replay.command import Format
 from companion.replay.exporting import recorded, write
 
-ALL = pytest.mark.parametrize("to", get_args(Format))
+FORMATS = get_args(Format)
+COMMANDS = [("report",), *(("export", "--format", to) for to in FORMATS)]
+EACH = pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command[-1])
+RECORDED = ["flight.tlog", "journal.jsonl", "mission.toml", "run.json"]
 
 
 @pytest.fixture(scope="module")
@@ -27,77 +31,79 @@ def copy(run_dir: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(run_dir, tmp_path / "run"))
 
 
-def refused(*arguments: Any, **options: Any) -> str:
-    with pytest.raises(InputError) as caught:
-        export(*arguments, **options)
-    assert "\n" not in str(caught.value)
-    assert caught.value.exit_code == 2
-    return str(caught.value)
+@pytest.fixture(autouse=True)
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nine tenths of the time of a report goes into its figures."""
+    monkeypatch.setattr("companion.views.report.svg_figures", lambda _facts: {})
 
 
-@ALL
-def test_it_writes_beside_the_flight_by_default_and_says_so(
-    copy: Path, to: Format, capsys: pytest.CaptureFixture[str]
+def refused(command: tuple[str, ...], run: Path, *options: object) -> str:
+    """What is said of it: one line, and it leaves the folder as it was."""
+    before = {file: file.read_bytes() for file in run.glob("*") if file.is_file()}
+    code, _, said = answered(*command, run, *options)
+    assert (code, len(said.splitlines())) == (2, 1), said
+    assert {file: file.read_bytes() for file in run.glob("*") if file.is_file()} == before
+    return said
+
+
+@EACH
+def test_it_is_written_beside_the_flight_or_where_it_is_told(
+    copy: Path, tmp_path: Path, command: tuple[str, ...]
 ) -> None:
-    export(copy, to)
-    file = copy / f"flight.{to}"
-    assert file.stat().st_size > 1000
-    said = capsys.readouterr().out.splitlines()
-    assert said[-1] == f"1110 positions, 2 subpaths, 2 holds and events: {file}"
-
-
-def test_it_writes_where_it_is_told_to_and_nothing_else(copy: Path, tmp_path: Path) -> None:
     before = {file: file.read_bytes() for file in copy.iterdir()}
-    export(copy, "kml", tmp_path / "my flight.kml")
-    assert (tmp_path / "my flight.kml").is_file()
+    there = tmp_path / "my flight"
+    assert answered(*command, copy, "--out", there)[::2] == (0, "")
     assert {file: file.read_bytes() for file in copy.iterdir()} == before
+    code, shown, _ = answered(*command, copy)
+    [beside] = set(copy.iterdir()) - before.keys()
+    assert code == 0
+    assert beside.name == ("report.html" if command == ("report",) else f"flight.{command[-1]}")
+    assert beside.read_bytes() == there.read_bytes()  # and the same each time
+    if command != ("report",):
+        said = f"1110 positions, 2 subpaths, 2 holds and events: {beside}"
+        assert shown.splitlines()[-1] == said
 
 
-# --- what is wrong
+@EACH
+def test_what_was_recorded_is_not_written_over_and_no_place_that_cannot_be_written_to(
+    copy: Path, command: tuple[str, ...]
+) -> None:
+    for name in RECORDED:
+        for file in (copy / name, copy / ".." / "run" / name):
+            assert "that is what the flight was recorded in" in refused(
+                command, copy, "--out", file
+            )
+    assert "--out" in refused(command, copy, "--out", copy)
+    assert "--out" in refused(command, copy, "--out", copy / "none" / "file")
+    said = refused(command, copy, "--out", "/dev/full")
+    assert "--out = '/dev/full': not written (No space left on device)" in said
 
 
-def test_what_is_no_run_folder_is_refused(tmp_path: Path, copy: Path) -> None:
-    words = refused(tmp_path / "none", "kml")
-    assert words.startswith("RUN_DIR = ")
-    (tmp_path / "empty").mkdir()
-    assert "it holds no mission.toml" in refused(tmp_path / "empty", "kml")
-    assert "RUN_DIR" in refused(copy / "flight.tlog", "kml")
-    (copy / "flight.tlog").unlink()
-    assert "it holds no flight.tlog" in refused(copy, "kml")
-
-
-def test_a_journal_that_is_wrong_is_said_with_its_line(copy: Path) -> None:
-    journal = copy / "journal.jsonl"
-    lines = len(journal.read_bytes().splitlines())
+def add_a_wrong_line(run: Path) -> str:
+    journal = run / "journal.jsonl"
+    number = 1 + len(journal.read_bytes().splitlines())
     with journal.open("ab") as out:
         out.write(b'{"t_s":"x","kind":"arm"}\n')
-    assert f"line {lines + 1}: t_s = 'x'" in refused(copy, "csv")
+    return f"line {number}: t_s = 'x'"
 
 
-@pytest.mark.parametrize("name", ["flight.tlog", "journal.jsonl", "mission.toml", "run.json"])
-def test_what_was_recorded_is_not_written_over(copy: Path, name: str) -> None:
-    before = (copy / name).read_bytes()
-    assert "recorded" in refused(copy, "csv", copy / name)
-    assert "recorded" in refused(copy, "csv", copy / ".." / "run" / name)
-    assert (copy / name).read_bytes() == before
+NO_FLIGHTS: dict[str, Callable[[Path], object]] = {
+    "it holds no mission.toml": lambda run: (run / "mission.toml").unlink(),
+    "it holds no flight.tlog": lambda run: (run / "flight.tlog").unlink(),
+    "No such file": lambda run: (run / "journal.jsonl").unlink(),
+    "RUN_DIR = ": lambda run: shutil.rmtree(run),
+    "a wrong line": add_a_wrong_line,
+}
 
 
-@ALL
-def test_a_place_that_cannot_be_written_to_is_refused(copy: Path, to: Format) -> None:
-    assert "--out" in refused(copy, to, copy)
-    assert "--out" in refused(copy, to, copy / "none" / "file")
+@pytest.mark.parametrize("words", NO_FLIGHTS)
+def test_what_is_no_run_folder_is_refused(copy: Path, words: str) -> None:
+    told = NO_FLIGHTS[words](copy)
+    for command in COMMANDS[:2]:
+        assert (told if isinstance(told, str) else words) in refused(command, copy)
 
 
-@ALL
-def test_a_disk_that_is_full_is_said(copy: Path, to: Format) -> None:
-    words = refused(copy, to, Path("/dev/full"))
-    assert words.startswith("--out = '/dev/full': not written (No space left on device)")
-
-
-# --- what is not whole
-
-
-@ALL
+@pytest.mark.parametrize("to", FORMATS)
 def test_a_flight_that_was_cut_off_anywhere_is_exported_as_far_as_it_goes(
     run_dir: Path, tmp_path: Path, to: Format
 ) -> None:
@@ -112,7 +118,7 @@ def test_a_flight_that_was_cut_off_anywhere_is_exported_as_far_as_it_goes(
         (copy / "flight.tlog").write_bytes(log[: int(share * len(log))])
         flight, notes = recorded(copy)
         assert len(flight.track) <= len(whole.track)
-        assert not notes or all("\n" not in note for note in notes)
+        assert not any("\n" in note for note in notes)
         write(flight, to, copy / f"flight.{to}")
         assert (copy / f"flight.{to}").is_file()
         if share > 0.5:
@@ -122,9 +128,8 @@ def test_a_flight_that_was_cut_off_anywhere_is_exported_as_far_as_it_goes(
 
 
 def test_the_elevation_file_of_the_mission_may_be_on_another_computer(copy: Path) -> None:
-    text = (copy / "mission.toml").read_text(encoding="utf-8")
-    terrain = '[terrain]\nfile = "/elsewhere/dem.tif"\nvertical_datum = "EGM96"\n'
-    (copy / "mission.toml").write_text(text + terrain, encoding="utf-8")
-    export(copy, "geojson")
+    with (copy / "mission.toml").open("a", encoding="utf-8") as file:
+        file.write('[terrain]\nfile = "/elsewhere/dem.tif"\nvertical_datum = "EGM96"\n')
+    assert answered("export", "--format", "geojson", copy)[0] == 0
     found = json.loads((copy / "flight.geojson").read_text(encoding="utf-8"))
     assert found["altitude_datum"] == "AMSL"

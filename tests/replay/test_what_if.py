@@ -81,22 +81,19 @@ def test_what_changed_in_flight_stays_and_only_what_the_settings_say_changes() -
     assert with_changes(in_flight, before, before).limits == in_flight.limits
 
 
-@pytest.mark.parametrize(
-    ("setting", "words"),
-    [
-        ("planner", "it is not a key, an = and a value"),
-        ("=3", "it is not a key, an = and a value"),
-        ("name.of=3", "name is not a table of the mission"),
-        ("planner.safty_distance_m=3", "no such key"),
-        ("planner.safety_distance_m=many", "safety_distance_m"),
-        ("planner.safety_distance_m=-3", "safety_distance_m"),
-    ],
-)
-def test_a_setting_that_is_none_is_refused_in_one_line(setting: str, words: str) -> None:
-    with pytest.raises(InputError) as refused:
-        load_mission(MISSION, settings=[setting])
-    assert words in str(refused.value)
-    assert len(str(refused.value).splitlines()) == 1
+def test_a_setting_that_is_none_is_refused_in_one_line() -> None:
+    for setting, words in {
+        "planner": "it is not a key, an = and a value",
+        "=3": "it is not a key, an = and a value",
+        "name.of=3": "name is not a table of the mission",
+        "planner.safty_distance_m=3": "no such key",
+        "planner.safety_distance_m=many": "safety_distance_m",
+        "planner.safety_distance_m=-3": "safety_distance_m",
+    }.items():
+        with pytest.raises(InputError) as refused:
+            load_mission(MISSION, settings=[setting])
+        assert words in str(refused.value)
+        assert len(str(refused.value).splitlines()) == 1
 
 
 def test_the_command_tabulates_and_writes_it(tmp_path: Path) -> None:

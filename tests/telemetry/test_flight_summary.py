@@ -1,40 +1,144 @@
+"""What is shown of a flight is what the vehicle said, as other programs read its messages."""
+
+import math
+import random
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
 import pytest
+from golden import GOLDENS
+from pymavlink.dialects.v20 import all as wire
 from renewed import replace
 
 from companion.config import load_mission
 from companion.mavlink.link import VehicleClock
-from companion.mission.events import Position
-from companion.mission.state import Reason, Vehicle
+from companion.mission.state import Phase, Reason
+from companion.replay.feed import flown_mission, outputs
 from companion.session import Session
+from companion.telemetry.flight_status import FlightStatus, flight_status
 from companion.telemetry.flight_summary import FlightSummary
+from vehicle_sim.geodesy import LocalFrame
 
-MISSION = load_mission("environment-1")
-
-
-def flown(north_m: float, east_m: float) -> FlightSummary:
-    session = Session(MISSION, seed=1, lockstep=True)
-    event = Position(
-        time_s=1.0, position_nea_m=(north_m, east_m, 4000.0), velocity_nea_m_s=(0.0, 0.0, 0.0)
-    )
-    vehicle = replace(Vehicle(), position_nea_m=event.position_nea_m)
-    session.state = replace(session.state, vehicle=vehicle)
-    return FlightSummary(session=session)
+MISSION = load_mission("environment-1")  # its target is 100 km north and 100 km east
+EVERY = 25  # inputs
+LEFT_OVER = (Reason.NO_VEHICLE, Reason.NOT_READY, Reason.LINK_LOST, Reason.PLANNER_DIED)
+"""What ends a companion and no flight."""
 
 
-def test_the_distance_to_go_is_horizontal_and_to_the_target_in_turn() -> None:
+# --- against the messages of recorded flights
+
+
+def flights(name: str) -> Iterator[tuple[FlightSummary, dict[str, Any]]]:
+    """A golden flight again, and by name the newest messages of its autopilot until then."""
+    folder, newest, parser = GOLDENS / name, dict[str, Any](), wire.MAVLink(None)
+    flown = None
+    for number, (told, session, _) in enumerate(outputs(folder, flown_mission(folder))):
+        flown = flown or FlightSummary(session=session)
+        if told[0] == "receive" and len(told) == 3:
+            for message in parser.parse_buffer(told[1]) or ():
+                if (message.get_srcSystem(), message.get_srcComponent()) == (1, 1):
+                    newest[message.get_type()] = message
+        if number % EVERY == 0:
+            yield flown, newest
+
+
+def to_target_m(flown: FlightSummary, position: Any) -> float:
+    """By the geodesy of the other program."""
+    frame, state = flown.session.mission.frame, flown.session.state
+    theirs = LocalFrame(latitude_deg=frame.latitude_deg, longitude_deg=frame.longitude_deg)
+    here = theirs.to_local(position.lat * 1e-7, position.lon * 1e-7)
+    return math.dist(here, state.targets_ne_m[state.flight.target])
+
+
+@pytest.mark.parametrize("name", ["copter-loses-gps", "px4-plane-told-to-return"])
+def test_it_is_what_the_messages_say_and_whole_as_json(name: str) -> None:
+    seen: list[FlightStatus] = []
+    for flown, newest in flights(name):
+        it, position = flight_status(flown), newest.get("GLOBAL_POSITION_INT")
+        assert msgspec.json.decode(msgspec.json.encode(it), type=FlightStatus) == it
+        if position is None or it.position_nea_m is None or not newest.get("SYS_STATUS"):
+            continue
+        state = flown.session.state
+        if state.vehicle.position_at_s * 1e3 != pytest.approx(position.time_boot_ms):
+            continue  # the newest has not been handled yet
+        assert it.latitude_deg == pytest.approx(position.lat * 1e-7, abs=1e-6)
+        assert it.longitude_deg == pytest.approx(position.lon * 1e-7, abs=1e-6)
+        assert it.altitude_amsl_m == pytest.approx(position.alt * 1e-3)
+        assert it.speed_m_s == pytest.approx(math.hypot(position.vx, position.vy) * 1e-2)
+        assert it.climb_m_s == pytest.approx(-position.vz * 1e-2)
+        assert it.position_age_s == pytest.approx(it.t_s - position.time_boot_ms * 1e-3, abs=1e-3)
+        said = (newest[each] for each in ("SYS_STATUS", "BATTERY_STATUS") if each in newest)
+        percent = 100.0 * (it.battery_left or 0.0)
+        assert percent in [pytest.approx(each.battery_remaining) for each in said]
+        assert it.armed == bool(newest["HEARTBEAT"].base_mode & 128)
+        assert it.to_go_m == pytest.approx(to_target_m(flown, position), rel=1e-4, abs=0.1)
+        assert it.way_left_m is not None
+        if state.phase is Phase.FLYING and it.time_left_s is not None:
+            assert it.way_left_m > 0.999 * it.to_go_m
+            way_m = it.time_left_s * flown.session.mission.task.limits.speed_m_s
+            assert way_m == pytest.approx(it.way_left_m)
+        seen.append(it)
+    assert len(seen) > 50
+    assert {each.phase for each in seen} >= {"flying", "holding"}
+    assert all((each.reason is None) == (each.code is None) for each in seen)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_frames_that_are_missing_are_counted(seed: int) -> None:
+    """By their numbers, which begin again after 255; those of others do not count."""
+    rng, autopilot = random.Random(seed), wire.MAVLink(None, srcSystem=1, srcComponent=1)
+    session = Session(MISSION, seed=1, lockstep=False)
+    dropped, sent = 0, 600
+    for number in range(sent):
+        frame = wire.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3).pack(autopilot)
+        autopilot.seq = (autopilot.seq + 1) % 256
+        other = wire.MAVLink_heartbeat_message(6, 8, 0, 0, 3, 3).pack(wire.MAVLink(None, 255, 190))
+        if 5 < number < sent - 1 and rng.random() < 0.2:
+            dropped += 1
+        else:
+            session.receive(frame + other)
+    session.run()
+    it = flight_status(FlightSummary(session=session))
+    assert (it.frames_heard, it.frames_lost) == (sent - dropped, dropped)
+
+
+# --- distances, times, and whether a flight may go on
+
+
+def flown(north_m: float = 0.0, east_m: float = 0.0, **options: Any) -> FlightSummary:
+    """A flight whose vehicle is there."""
+    it = FlightSummary(session=Session(MISSION, seed=1, lockstep=True, **options))
+    move(it, north_m, east_m)
+    return it
+
+
+def move(it: FlightSummary, north_m: float, east_m: float, **flight: Any) -> None:
+    state = it.session.state
+    here = replace(state.vehicle, position_nea_m=(north_m, east_m, 4_000.0))
+    it.session.state = replace(state, vehicle=here, flight=replace(state.flight, **flight))
+
+
+def test_the_distance_to_go_is_horizontal_and_there_is_none_without_a_position() -> None:
     assert flown(100_000.0 - 300.0, 100_000.0 - 400.0).to_go_m == pytest.approx(500.0)
-
-
-def test_there_is_no_distance_without_a_position() -> None:
     assert FlightSummary(session=Session(MISSION, seed=1, lockstep=True)).to_go_m is None
 
 
+def test_a_plane_is_told_what_it_passed_its_last_target_at_not_where_it_circles() -> None:
+    """The nearest of all positions on the way to that target, and of no other."""
+    it = flown()
+    it.session.state = replace(it.session.state, targets_ne_m=((0.0, 0.0), (1_000.0, 0.0)))
+    on_the_way = [(0, 3.0, 0.0), (1, 990.2, 30.0), (1, 1_000.0, 9.8), (1, 1_000.0, 32.6)]
+    for target, north_m, east_m in on_the_way:
+        move(it, north_m, east_m, target=target)
+        it.note_passing()
+    assert it.passed_m == pytest.approx(9.8)
+
+
 @pytest.mark.parametrize("start_s", [0.0, 290.0])
-def test_the_factor_of_real_time_counts_what_passed_while_the_vehicle_was_heard(
-    start_s: float,
-) -> None:
-    """Neither what its clock had shown before, nor what a flight had taken that was resumed."""
-    it = flown(0.0, 0.0)
+def test_the_factor_of_real_time_is_of_what_passed_while_it_was_heard(start_s: float) -> None:
+    """Neither of what its clock had shown before, nor of what a flight took that was resumed."""
+    it = flown()
     clock = it.session.clock = VehicleClock(start_s)
     assert it.times_real_time == 0.0
     for time_s in (312.0, 312.0, 313.0, 314.0):
@@ -50,38 +154,16 @@ def test_a_reboot_takes_nothing_from_what_has_passed() -> None:
     assert clock.passed_s == 3.5
 
 
-LEFT_OVER = (Reason.NO_VEHICLE, Reason.NOT_READY, Reason.LINK_LOST, Reason.PLANNER_DIED)
-
-
-@pytest.mark.parametrize("reason", Reason)
 @pytest.mark.parametrize("airborne", [False, True])
-def test_only_a_flight_that_nobody_has_decided_to_end_in_the_air_may_go_on(
-    reason: Reason, airborne: bool
-) -> None:
-    it = flown(0.0, 0.0)
-    it.session.state = replace(it.session.state, reason=reason, airborne=airborne)
-    assert it.may_go_on is (airborne and reason in LEFT_OVER)
-    it.died = True
-    assert it.may_go_on is airborne
-
-
-def test_what_was_only_watched_does_not_go_on() -> None:
-    it = FlightSummary(session=Session(MISSION, seed=1, lockstep=False, shadow=True), died=True)
-    it.session.state = replace(it.session.state, airborne=True)
-    assert not it.may_go_on
-
-
-def test_a_plane_is_told_what_it_passed_its_last_target_at_not_where_it_circles() -> None:
-    """The nearest of all positions on the way to that target, and of no other."""
-    it = flown(0.0, 0.0)
-    state = replace(it.session.state, targets_ne_m=((0.0, 0.0), (1_000.0, 0.0)))
-    for target, north_m, east_m in [(0, 3.0, 0.0), (1, 990.2, 30.0), (1, 1_000.0, 9.8)]:
-        here = replace(state.vehicle, position_nea_m=(north_m, east_m, 4_000.0))
-        flight = replace(state.flight, target=target)
-        it.session.state = replace(state, vehicle=here, flight=flight)
-        it.note_passing()
-    assert it.passed_m == pytest.approx(9.8)
-    here = replace(state.vehicle, position_nea_m=(1_000.0, 32.6, 4_000.0))
-    it.session.state = replace(it.session.state, vehicle=here)
-    it.note_passing()
-    assert it.passed_m == pytest.approx(9.8)
+def test_only_a_flight_that_nobody_has_decided_to_end_in_the_air_may_go_on(airborne: bool) -> None:
+    """And none that was only watched."""
+    for reason in Reason:
+        it = flown()
+        it.session.state = replace(it.session.state, reason=reason, airborne=airborne)
+        assert it.may_go_on is (airborne and reason in LEFT_OVER)
+        it.died = True
+        assert it.may_go_on is airborne
+    watched = flown(shadow=True)
+    watched.session.state = replace(watched.session.state, airborne=airborne)
+    watched.died = True
+    assert not watched.may_go_on

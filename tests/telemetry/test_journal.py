@@ -30,33 +30,24 @@ LEG = {"t_s": 3.5, "kind": "leg", "number": 1}
 
 def written(folder: Path, *lines: Any) -> Journal:
     """A journal of these lines; bytes as they are, anything else as JSON."""
-    (folder / "journal.jsonl").write_bytes(b"".join(map(as_bytes, lines)))
-    return Journal(folder / "journal.jsonl")
+    file = folder / "journal.jsonl"
+    file.write_bytes(b"".join(each if isinstance(each, bytes) else line(each) for each in lines))
+    return Journal(file)
 
 
-def as_bytes(line: Any) -> bytes:
-    if isinstance(line, bytes):
-        return line
-    return json.dumps(line, separators=(",", ":")).encode() + b"\n"
+def line(value: Any) -> bytes:
+    return json.dumps(value, separators=(",", ":")).encode() + b"\n"
 
 
-def read(folder: Path, *lines: Any) -> list[Any]:
-    return list(written(folder, *lines).entries())
-
-
-# --- what is written is documented, and what is documented is there
-
-
-def test_the_journal_of_a_flight_holds_what_is_documented_and_no_more(run_dir: Path) -> None:
-    """Reading and writing again gives the same values: nothing is made up, nothing is lost."""
+def test_a_flight_is_read_and_written_again_with_the_same_values(run_dir: Path) -> None:
+    """Nothing is made up, nothing is lost."""
     journal = Journal(run_dir / "journal.jsonl")
     entries = list(journal.entries())
     assert (journal.findings, len(journal.headers)) == ((), 1)
     assert {"phase", "leg", "plan ready", "order", "fence"} <= {entry.kind for entry in entries}
     lines = (run_dir / "journal.jsonl").read_bytes().splitlines()[1:]
-    for line, entry in zip(lines, entries, strict=True):
-        given = json.loads(line)
-        again = json.loads(msgspec.json.encode(entry))
+    for text, entry in zip(lines, entries, strict=True):
+        given, again = json.loads(text), json.loads(msgspec.json.encode(entry))
         assert {name: again[name] for name in given} == given
         left_out = {name: again[name] for name in again.keys() - {*given, *noted.UNTOLD}}
         assert set(left_out.values()) <= {None}, left_out
@@ -82,12 +73,9 @@ def test_the_page_explains_every_kind_and_every_field() -> None:
     for kind in KINDS:
         assert page.count(f"\n## `{kind}`\n") == 1
     assert f"about version {VERSION}." in (ROOT / "docs/reference/journal.md").read_text("utf-8")
-    for line in page.splitlines():
-        assert not re.fullmatch(r"\| `\w+` \| .* \|  \|", line), f"no words: {line}"
-        assert "| |" not in line or line.startswith("| field")
-
-
-# --- what is not whole
+    for text in page.splitlines():
+        assert not re.fullmatch(r"\| `\w+` \| .* \|  \|", text), f"no words: {text}"
+        assert "| |" not in text or text.startswith("| field")
 
 
 def test_reading_stops_at_the_last_whole_line_wherever_it_was_cut(tmp_path: Path) -> None:
@@ -95,39 +83,28 @@ def test_reading_stops_at_the_last_whole_line_wherever_it_was_cut(tmp_path: Path
     ends = [place + 1 for place, byte in enumerate(whole) if byte == ord("\n")]
     for length in range(len(whole) + 1):
         journal = written(tmp_path, whole[:length])
-        found = list(journal.lines())
         kept = [end for end in ends if end <= length]
-        assert len(found) == len(kept)
+        assert len(list(journal.lines())) == len(kept)
         torn = length - max([0, *kept])
-        assert journal.findings == (
-            (f"journal.jsonl: the last line is not whole ({torn} bytes): left out",) if torn else ()
-        )
-
-
-def test_a_block_of_the_disk_that_was_never_written_is_no_line(tmp_path: Path) -> None:
-    assert len(read(tmp_path, HEADER, LEG, bytes(4096))) == 1
-
-
-# --- what is wrong
+        said = f"journal.jsonl: the last line is not whole ({torn} bytes): left out"
+        assert journal.findings == ((said,) if torn else ())
+    never_written = bytes(4096)  # a block of the disk
+    assert len(list(written(tmp_path, HEADER, LEG, never_written).entries())) == 1
 
 
 REFUSED: list[tuple[list[Any], str]] = [
     ([LEG], r"line 1 = .*: a journal begins with a header"),
     ([b"\n"], r"line 1 = '.*': a journal begins with a header"),
-    *(
-        ([{**HEADER, "version": other}], rf"line 1: version = {other!r}: only 3 can be read")
-        for other in (VERSION + 1, VERSION - 1, 0, str(VERSION), True, None)
-    ),
+    ([{**HEADER, "version": VERSION - 1}], r"line 1: version = 2: only 3 can be read"),
+    ([{**HEADER, "version": str(VERSION)}], r"line 1: version = '3': only 3 can be read"),
+    ([{**HEADER, "version": True}], r"line 1: version = True: only 3 can be read"),
     ([{**HEADER, "schema": "x"}], r"schema = 'x': only 'companion-journal' can be read"),
     ([{**HEADER, "seed": "a"}], r"line 1: seed = 'a': expected `int`, got `str`"),
     ([{"schema": HEADER["schema"], "version": VERSION}], r"1: mission = None: it is missing"),
     ([b'{"schema":\n'], r"line 1 = '\{\"schema\":': it is not JSON"),
-    ([HEADER, b"garbage\n"], r"line 2 = 'garbage': it is not JSON"),
     ([HEADER, b"\xff\xfe\n"], r"line 2 = .*: it is not JSON"),
-    *(  # numbers that JSON does not have
-        ([HEADER, b'{"t_s":%b,"kind":"arm"}\n' % constant], "line 2")
-        for constant in (b"NaN", b"Infinity", b"1e999")
-    ),
+    ([HEADER, b'{"t_s":NaN,"kind":"arm"}\n'], "line 2"),
+    ([HEADER, b'{"t_s":1e999,"kind":"arm"}\n'], "line 2"),
     ([HEADER, LEG, [1]], r"line 3: kind = \[1\]: "),
     ([HEADER, {"t_s": 1.0}], r"line 2: kind = None: it is missing"),
     ([HEADER, {**LEG, "number": "x"}], r"line 2: number = 'x': expected `int`, got `str`"),
@@ -144,26 +121,24 @@ REFUSED: list[tuple[list[Any], str]] = [
 @pytest.mark.parametrize(("lines", "words"), REFUSED, ids=range(len(REFUSED)))
 def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, lines: list[Any], words: str) -> None:
     with pytest.raises(InputError, match=words) as caught:
-        read(tmp_path, *lines)
+        list(written(tmp_path, *lines).entries())
     text = str(caught.value)
     assert "\n" not in text
     assert len(text) < 600
     assert text.endswith(".")
 
 
-def test_a_folder_and_a_file_that_is_not_there_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"journal = .*: it cannot be read \(Is a directory\)"):
-        list(Journal(tmp_path).entries())
-    with pytest.raises(InputError, match=r"it cannot be read \(No such file or directory\)"):
-        list(Journal(tmp_path / "none").entries())
-
-
-def test_a_line_without_an_end_is_refused_and_not_kept_in_memory(tmp_path: Path) -> None:
-    file = tmp_path / "journal.jsonl"
-    with file.open("wb") as out:
+def test_what_is_no_journal_is_refused_and_not_kept_in_memory(tmp_path: Path) -> None:
+    endless = tmp_path / "endless"
+    with endless.open("wb") as out:
         out.truncate(200 * 2**20)  # zeros that take no room
-    with pytest.raises(InputError, match="a line has no end within 64 MB"):
-        list(Journal(file).entries())
+    for path, rule in {
+        tmp_path: "it cannot be read (Is a directory)",
+        tmp_path / "none": "it cannot be read (No such file or directory)",
+        endless: "a line has no end within 64 MB",
+    }.items():
+        with pytest.raises(InputError, match=re.escape(rule)):
+            list(Journal(path).entries())
 
 
 def test_kinds_that_are_not_known_are_counted_and_fields_passed_over(tmp_path: Path) -> None:
@@ -174,17 +149,12 @@ def test_kinds_that_are_not_known_are_counted_and_fields_passed_over(tmp_path: P
     assert journal.findings == (left_out,)
 
 
-# --- a day of it
-
-
 def test_a_long_journal_takes_no_memory(tmp_path: Path) -> None:
-    say = json.dumps({"t_s": 1.0, "kind": "say", "text": "x" * 200, "warning": False}) + "\n"
-    file = tmp_path / "journal.jsonl"
-    file.write_text(json.dumps(HEADER, separators=(",", ":")) + "\n" + say * 40_000)
-    assert file.stat().st_size > 10_000_000
+    say = line({"t_s": 1.0, "kind": "say", "text": "x" * 200, "warning": False})
+    journal = written(tmp_path, HEADER, say * 40_000)  # of a day: 10 MB
     tracemalloc.start()
     try:
-        kinds = Counter(entry.kind for entry in Journal(file).entries())
+        kinds = Counter(entry.kind for entry in journal.entries())
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

@@ -1,30 +1,21 @@
 """ArduPilot's .bin, told as MAVLink, against the .tlog of the same flight."""
 
 import math
-from collections.abc import Callable
-from functools import cache
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from log_files import (
-    FORMATS,
-    bin_of,
-    counts,
-    entry,
-    fmt_entries,
-    messages_of,
-    of,
-    opened,
-    told,
-)
+from log_files import FORMATS, bin_of, counts, entry, fmt_entries, messages_of, of, opened, told
 from recordings import recording
+from told_alike import both_at, changes, late_s, of_kind, table
 
 from companion.errors import InputError
-from companion.mavlink.dialect import Message, wire
+from companion.mavlink.dialect import wire
+from companion.replay.shadow import watch
 from companion.telemetry.logs import Odd, open_log
 
-COPTER, PLANE = "arducopter-gps-loss", "arduplane-guided-reposition"
+COPTER, PLANE = "arducopter-gps-loss.tlog", "arduplane-guided-reposition.tlog"
 COPTER_START = b"".join(
     (
         fmt_entries(),
@@ -34,102 +25,62 @@ COPTER_START = b"".join(
         entry("MODE", 2000, 4, 4, 1),
     )
 )
-
-
-@pytest.fixture(scope="module")
-def flights(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    folder = tmp_path_factory.mktemp("bin")
-
-    @cache
-    def file_of(name: str) -> Path:
-        (folder / f"{name}.bin").write_bytes(bin_of(recording(f"{name}.tlog")))
-        return folder / f"{name}.bin"
-
-    return file_of
+PLACE = (471_000_000, 85_000_000, 500, 0, 0)
+VELOCITY = (0, 0, 0, 90, 3, 4, 0, *([0] * 8))  # of the estimator: 3 m/s north, 4 m/s east
 
 
 @pytest.mark.parametrize("name", [COPTER, PLANE])
 @pytest.mark.sample(2)
-def test_the_same_flight_is_told_as_in_its_tlog(name: str, flights: Callable[[str], Path]) -> None:
-    theirs = messages_of(open_log(recording(f"{name}.tlog")).records())
+def test_the_same_flight_is_told_as_in_its_tlog(name: str, tmp_path: Path) -> None:
+    theirs = messages_of(open_log(recording(name)).records())
     theirs = [pair for pair in theirs if pair[1].get_srcComponent() == 1]
-    log = open_log(flights(name))
+    log = opened(tmp_path, bin_of(recording(name)))
     ours = messages_of(log.records())
     assert not log.findings
     assert (log.kind, log.systems, log.system_id) == ("bin", (1,), 1)
-    _same_positions(theirs, ours)
+    positions = "time_boot_ms lat lon alt relative_alt vx vy vz hdg"
+    was, now = both_at(theirs, ours, "GLOBAL_POSITION_INT", positions)
+    assert len(was) > 0.95 * len(of_kind(theirs, "GLOBAL_POSITION_INT"))
+    off = np.abs(was - now)
+    off[:, -1] = np.minimum(off[:, -1], 36_000 - off[:, -1])  # a heading goes round
+    assert off.max() <= 1  # the last digit of the wire
+    assert np.ptp(late_s(theirs, ours)) < 0.5  # the .tlog has the time of arrival
     for kind, fields in {
-        "GPS_RAW_INT": ("fix_type", "lat", "lon", "alt", "satellites_visible", "vel", "cog"),
-        "EKF_STATUS_REPORT": ("flags",),
-        "HOME_POSITION": ("latitude", "longitude", "altitude"),
-        "GPS_GLOBAL_ORIGIN": ("latitude", "longitude", "altitude"),
-        "PARAM_VALUE": ("param_id", "param_value"),
+        "GPS_RAW_INT": "fix_type lat lon alt satellites_visible vel cog",
+        "EKF_STATUS_REPORT": "flags",
+        "HOME_POSITION": "latitude longitude altitude",
+        "GPS_GLOBAL_ORIGIN": "latitude longitude altitude",
+        "PARAM_VALUE": "param_value",
     }.items():
-        assert _values(ours, kind, fields) == pytest.approx(_values(theirs, kind, fields), abs=10)
-    dates_ms = [
-        {m.time_unix_usec // 1000 - m.time_boot_ms for m in of([m for _, m in each], "SYSTEM_TIME")}
-        for each in (theirs, ours)
-    ]
-    assert max(dates_ms[1]) == pytest.approx(max(dates_ms[0]), abs=100)
-    percents = {m.battery_remaining for m in of([m for _, m in ours], "SYS_STATUS")}
-    assert percents <= {m.battery_remaining for m in of([m for _, m in theirs], "SYS_STATUS")}
-    for seen, fields in (("HEARTBEAT", ("type", "custom_mode", "armed")),):
-        assert _changes(ours, seen, fields) == _changes(theirs, seen, fields)
-    texts = [m.text for m in of([m for _, m in theirs], "STATUSTEXT")]
-    mine = [m.text for m in of([m for _, m in ours], "STATUSTEXT")]
-    assert [text for text in mine if "V4.5.7 (" not in text] == texts  # that one is the writer's
-
-
-def _same_positions(theirs: list[tuple[int, Message]], ours: list[tuple[int, Message]]) -> None:
-    """The same at the same time since boot, to the last digit of the wire."""
-    fields = ("lat", "lon", "alt", "relative_alt", "vx", "vy", "vz", "hdg")
-    table = {m.time_boot_ms: m for _, m in theirs if m.get_type() == "GLOBAL_POSITION_INT"}
-    positions = [(t, m) for t, m in ours if m.get_type() == "GLOBAL_POSITION_INT"]
-    assert len(positions) > 0.95 * len(table)
-    for _, mine in positions:
-        other = table[mine.time_boot_ms]
-        for field in fields:
-            off = abs(getattr(mine, field) - getattr(other, field))
-            assert min(off, abs(off - 36_000) if field == "hdg" else off) <= 1, field
-    stamps = {m.time_boot_ms: t for t, m in theirs if m.get_type() == "GLOBAL_POSITION_INT"}
-    late_s = np.array([stamps[m.time_boot_ms] - t for t, m in positions]) * 1e-6
-    assert np.ptp(late_s) < 0.5  # the .tlog has the time of arrival, by another clock
-
-
-def _values(pairs: list[tuple[int, Message]], kind: str, fields: tuple[str, ...]) -> list[float]:
-    """All numbers of all messages of a kind, texts by their hash."""
-    values = [getattr(m, f) for _, m in pairs if m.get_type() == kind for f in fields]
-    return [hash(v) % 1000 if isinstance(v, str) else v for v in values]
-
-
-def _changes(pairs: list[tuple[int, Message]], kind: str, fields: tuple[str, ...]) -> list[object]:
-    """What follows what, without repetitions."""
-    seen: list[object] = []
-    for _, m in pairs:
-        if m.get_type() != kind:
-            continue
-        armed = bool(m.base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED)
-        now = [armed if f == "armed" else getattr(m, f) for f in fields]
-        if not seen or seen[-1] != now:
-            seen.append(now)
-    return seen
-
-
-def test_a_failsafe_and_the_ground_are_told(flights: Callable[[str], Path]) -> None:
-    messages = told(open_log(flights(COPTER)))
-    states = [m.system_status for m in of(messages, "HEARTBEAT")]
-    assert wire.MAV_STATE_CRITICAL in states
-    assert states[0] == states[-1] == wire.MAV_STATE_STANDBY
-    ground = [m.landed_state for m in of(messages, "EXTENDED_SYS_STATE")]
-    assert ground[0] == ground[-1] == wire.MAV_LANDED_STATE_ON_GROUND
+        mine, others = (table(each, kind, fields) for each in (ours, theirs))
+        np.testing.assert_allclose(mine, others, rtol=1e-6, atol=10.0)  # of the wire's units
+    names = [[m.param_id for _, m in of_kind(each, "PARAM_VALUE")] for each in (ours, theirs)]
+    assert names[0] == names[1]
+    times = "time_unix_usec time_boot_ms"
+    dates = [table(each, "SYSTEM_TIME", times) @ [1e-3, -1.0] for each in (theirs, ours)]
+    assert dates[1].max() == pytest.approx(dates[0].max(), abs=100.0)
+    left, same = (
+        set(table(each, "SYS_STATUS", "battery_remaining").flat) for each in (ours, theirs)
+    )
+    assert left <= same
+    modes = [changes(each, "HEARTBEAT", "type custom_mode base_mode") for each in (ours, theirs)]
+    assert [each[1:] for each in modes[0]] == [each[1:] for each in modes[1]]
+    texts = [m.text for _, m in of_kind(ours, "STATUSTEXT")]
+    texts = [text for text in texts if "V4.5.7 (" not in text]  # that one is the writer's
+    assert texts == [m.text for _, m in of_kind(theirs, "STATUSTEXT")]
+    states = table(ours, "HEARTBEAT", "system_status")
+    assert (wire.MAV_STATE_CRITICAL in states) == (name == COPTER)  # its failsafe
+    ground = table(ours, "EXTENDED_SYS_STATE", "landed_state").ravel()
+    assert ground[0] == wire.MAV_LANDED_STATE_ON_GROUND
     assert wire.MAV_LANDED_STATE_IN_AIR in ground
+    if name == COPTER:  # the plane's log ends in the air
+        assert ground[-1] == wire.MAV_LANDED_STATE_ON_GROUND
 
 
 def test_whose_log_it_is_stands_in_its_parameters(tmp_path: Path) -> None:
     log = opened(tmp_path, COPTER_START)
     (beat,) = of(told(log), "HEARTBEAT")
-    assert (beat.get_srcSystem(), log.system_id) == (7, 7)
-    assert beat.type == wire.MAV_TYPE_HEXAROTOR
+    assert (beat.get_srcSystem(), log.system_id, beat.type) == (7, 7, wire.MAV_TYPE_HEXAROTOR)
     assert not beat.base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED
     with pytest.raises(InputError, match=r"--system = 3: there is no such vehicle.*is system 7"):
         opened(tmp_path, COPTER_START, system_id=3)
@@ -145,9 +96,39 @@ def test_an_unknown_date_unknown_arming_and_what_is_missing_are_told(tmp_path: P
     assert {"HEARTBEAT", "PARAM_VALUE", "STATUSTEXT", "ESTIMATOR_STATUS"}.isdisjoint(missing)
 
 
+GREETINGS = {
+    b"ArduCopter V3.1 (5c6503e2)": "3.1",
+    b"APMrover2 V3.5.0": "3.5",
+    b"ArduPlane V3.9.11": "3.9",
+    b"ArduCopter V4.0.0 (0bb18a15)": None,
+    b"ArduCopter V10.1.0": None,
+}
+
+
+@pytest.mark.parametrize(("greeting", "refused"), GREETINGS.items(), ids=str)
+def test_firmware_before_4_0_is_refused_by_its_version(
+    greeting: bytes, refused: str | None, tmp_path: Path
+) -> None:
+    content = fmt_entries() + entry("MSG", 900_000, greeting)
+    if refused is None:
+        assert opened(tmp_path, content).autopilot == wire.MAV_AUTOPILOT_ARDUPILOTMEGA
+        return
+    rule = f"it is of ArduPilot {refused}, and logs are read from 4.0 on. Fly newer"
+    with pytest.raises(InputError, match=re.escape(rule)):
+        opened(tmp_path, content)
+
+
+def test_who_nobody_knows_is_refused_with_what_was_looked_for(tmp_path: Path) -> None:
+    log = opened(tmp_path, fmt_entries() + entry("MSG", 900_000, b"HomeBrew 1.0"))
+    with pytest.raises(InputError, match=r"no HEARTBEAT: .*; no entry \(VER, MSG\) tells"):
+        watch(log.path, None)
+
+
+# --- what stands in for what
+
+
 def test_without_an_estimator_the_gps_is_told_and_said_so(tmp_path: Path) -> None:
-    content = bin_of(recording(f"{COPTER}.tlog"), without=("POS", "XKF1", "XKF4"))
-    log = opened(tmp_path, content)
+    log = opened(tmp_path, bin_of(recording(COPTER), without=("POS", "XKF1", "XKF4")))
     messages = told(log)
     fixes = [m for m in of(messages, "GPS_RAW_INT") if m.fix_type >= 3]
     positions = of(messages, "GLOBAL_POSITION_INT")
@@ -163,17 +144,17 @@ def test_without_an_estimator_the_gps_is_told_and_said_so(tmp_path: Path) -> Non
 
 
 def test_a_position_without_a_velocity_is_not_told(tmp_path: Path) -> None:
-    place = (471_000_000, 85_000_000, 500, 0, 0)
-    estimate = (0, 0, 0, 90, 3, 4, 0, *([0] * 8))
-    content = (
-        COPTER_START
-        + entry("POS", 1_000_000, *place)
-        + entry("XKF1", 2_000_000, *estimate)
-        + entry("POS", 2_100_000, *place)
-        + entry("POS", 3_900_000, *place)
-    )
+    """Nor one whose velocity is older than a second."""
+    content = COPTER_START + entry("POS", 1_000_000, *PLACE) + entry("XKF1", 2_000_000, *VELOCITY)
+    content += entry("POS", 2_100_000, *PLACE) + entry("POS", 3_900_000, *PLACE)
     (position,) = of(told(opened(tmp_path, content)), "GLOBAL_POSITION_INT")
     assert (position.time_boot_ms, position.vx, position.vy) == (2100, 300, 400)
+
+
+def test_positions_are_thinned_to_fifty_a_second(tmp_path: Path) -> None:
+    content = COPTER_START + entry("XKF1", 5000, *VELOCITY)
+    content += b"".join(entry("POS", 10_000 + 2500 * k, *PLACE) for k in range(400))
+    assert len(of(told(opened(tmp_path, content)), "GLOBAL_POSITION_INT")) == 50
 
 
 @pytest.mark.parametrize(("capacity_mah", "percents"), [(4000, [75, 50, 0]), (0, [-1, -1, -1])])
@@ -190,55 +171,51 @@ def test_what_is_left_in_a_battery_of_4_0_is_reckoned_as_ardupilot_does(
     assert [m.battery_remaining for m in batteries] == percents
 
 
-def test_positions_are_thinned_to_fifty_a_second(tmp_path: Path) -> None:
-    content = COPTER_START + entry("XKF1", 5000, 0, 0, 0, 90, 3, 4, 0, *([0] * 8))
-    for k in range(400):
-        content += entry("POS", 10_000 + 2500 * k, 471_000_000, 85_000_000, 500, 0, 0)
-    positions = of(told(opened(tmp_path, content)), "GLOBAL_POSITION_INT")
-    assert len(positions) == 50
+# --- damage
+
+TEXTS = [entry("MSG", 3_000_000 + k * 1000, b"%d" % k) for k in range(6)]
+LEAPS = [3_000_000, 4_000_000, 1 << 60, 5_000_000, 4_000_000_000, 6_000_000]
+SENSELESS = (
+    entry("XKF1", 3000, 0, 0, 0, 90, math.nan, 1e30, 0, *([0] * 8)),
+    entry("POS", 4000, 1, 1, 500, 0, 0),
+    entry("POS", 900_000, 1, 1, math.inf, 0, 0),
+    entry("BAT", 5000, 0, *([math.nan] * 4), *([0] * 6)),
+    entry("MODE", 6000, 200, 200, 1),
+    entry("MSG", 7000, b"\xff\xfe\x00"),
+)
+DAMAGES: dict[str, tuple[bytes, list[str] | None, dict[Odd, int]]] = {
+    "cut, noise and the end missing": (
+        TEXTS[0] + TEXTS[1][:20] + TEXTS[2] + b"noise" + TEXTS[3] + TEXTS[4] + TEXTS[5][:30],
+        ["0", "3", "4"],  # what noise follows is left out, too
+        {
+            Odd.DAMAGED: 2,
+            Odd.GARBAGE: 20 + len(TEXTS[2]) + len(b"noise") - 2 * len(b"\xa3\x95"),
+            Odd.CUT_SHORT: 30,
+        },
+    ),
+    "a time that leaps is not believed once": (
+        b"".join(entry("MSG", time_us, b"%d" % time_us) for time_us in LEAPS),
+        ["3000000", "4000000", "5000000", "6000000"],
+        {Odd.WRONG_STAMP: 2},
+    ),
+    "numbers that fit into no message": (b"".join(SENSELESS), None, {Odd.DAMAGED: 3}),
+    "what the vehicle could not write": (
+        b"".join(entry("DSF", 3000 + k, lost, *([0] * 5)) for k, lost in enumerate((0, 40, 42))),
+        [],
+        {Odd.LOST_ENTRIES: 42},
+    ),
+}
 
 
-def test_an_entry_that_is_damaged_is_left_out_and_the_rest_is_kept(tmp_path: Path) -> None:
-    rest = [entry("MSG", 3_000_000 + k * 1000, b"text %d" % k) for k in range(6)]
-    content = COPTER_START + rest[0] + rest[1][:20] + rest[2] + b"noise" + rest[3] + rest[4]
-    log = opened(tmp_path, content + rest[5][:30])
-    texts = [m.text for m in of(told(log), "STATUSTEXT")]
-    assert texts == ["ArduCopter V4.5.7", "text 0", "text 3", "text 4"]
-    found = counts(log)
-    assert found[Odd.DAMAGED] == 2  # what noise follows, too
-    assert found[Odd.GARBAGE] == 20 + len(rest[2]) + len(b"noise") - 2 * len(b"\xa3\x95")
-    assert found[Odd.CUT_SHORT] == 30
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_what_is_damaged_is_left_out_and_counted_and_the_rest_is_kept(
+    tmp_path: Path, damage: str
+) -> None:
+    content, texts, found = DAMAGES[damage]
+    log = opened(tmp_path, COPTER_START + content)
+    messages = told(log)
+    if texts is not None:
+        assert [m.text for m in of(messages, "STATUSTEXT")] == ["ArduCopter V4.5.7", *texts]
+    assert not of(messages, "GLOBAL_POSITION_INT")
+    assert counts(log) == found | {Odd.NO_DATE: 1}
     assert log.read_bytes == log.size_bytes
-
-
-def test_numbers_that_fit_into_no_message_are_damage(tmp_path: Path) -> None:
-    nan = math.nan
-    content = COPTER_START + b"".join(
-        (
-            entry("XKF1", 3000, 0, 0, 0, 90, nan, 1e30, 0, *([0] * 8)),
-            entry("POS", 4000, 1, 1, 500, 0, 0),
-            entry("POS", 900_000, 1, 1, math.inf, 0, 0),
-            entry("BAT", 5000, 0, nan, nan, nan, nan, 0, 0, 0, 0, 0, 0),
-            entry("MODE", 6000, 200, 200, 1),
-            entry("MSG", 7000, b"\xff\xfe\x00"),
-        )
-    )
-    log = opened(tmp_path, content)
-    assert of(told(log), "GLOBAL_POSITION_INT") == []
-    assert counts(log)[Odd.DAMAGED] == 3
-
-
-def test_a_time_that_leaps_is_not_believed_once(tmp_path: Path) -> None:
-    times = [3_000_000, 4_000_000, 1 << 60, 5_000_000, 4_000_000_000, 6_000_000]
-    content = COPTER_START + b"".join(entry("MSG", t, b"at %d" % t) for t in times)
-    log = opened(tmp_path, content)
-    texts = [m.text for m in of(told(log), "STATUSTEXT")][1:]
-    assert texts == ["at 3000000", "at 4000000", "at 5000000", "at 6000000"]
-    assert counts(log)[Odd.WRONG_STAMP] == 2
-
-
-def test_what_the_vehicle_could_not_write_is_told(tmp_path: Path) -> None:
-    lost = b"".join(entry("DSF", 3000 + k, each, *([0] * 5)) for k, each in enumerate((0, 40, 42)))
-    log = opened(tmp_path, COPTER_START + lost)
-    told(log)
-    assert counts(log)[Odd.LOST_ENTRIES] == 42

@@ -9,172 +9,160 @@ import numpy as np
 import pytest
 from log_files import counts, messages_of, of, opened, told
 from recordings import recording
+from told_alike import Told, both_at, changes, late_s, of_kind, table
 
 from companion.errors import InputError
-from companion.mavlink.dialect import Message, wire
+from companion.mavlink.dialect import wire
 from companion.mavlink.parameter_client import decoded
+from companion.replay.shadow import watch
 from companion.telemetry.logs import Log, Odd, open_log
 from companion.telemetry.logs.made import direction
 
 SHORT = recording("px4-offboard-short.ulg")
-HEADER = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1_000_000)
+MAGIC = b"ULog\x01\x12\x35\x01"
+DAY_US = 86_400 * 1_000_000
+DATE_US = 1_710_773_350_346_000
+FIXES = 60
+Both = tuple[Told, Told, Log]
 
 
 def message(kind: bytes, content: bytes) -> bytes:
     return struct.pack("<H", len(content)) + kind + content
 
 
-STATUS = "vehicle_status:uint64_t timestamp;uint8_t nav_state;uint8_t arming_state;bool failsafe;"
+HEADER = MAGIC + struct.pack("<Q", 1_000_000)
+TOPICS = (
+    b"vehicle_status:uint64_t timestamp;uint8_t nav_state;uint8_t arming_state;bool failsafe;"
+    b"uint8_t system_type;uint8_t[4] _padding0;",
+    b"vehicle_global_position:uint64_t timestamp;double lat;double lon;float alt;",
+    b"vehicle_local_position:uint64_t timestamp;double ref_lat;double ref_lon;float ref_alt;"
+    b"float x;float y;float z;float vx;float vy;float vz;float heading;float eph;float epv;"
+    b"bool xy_valid;bool z_valid;bool v_xy_valid;bool v_z_valid;bool xy_global;bool z_global;"
+    b"bool dist_bottom_valid;",
+)
+STATUS, GLOBAL, LOCAL = range(3, 6)  # numbers of the topics, as they are subscribed to
 START = (
     HEADER
-    + message(b"F", STATUS.encode() + b"uint8_t system_type;uint8_t[4] _padding0;")
+    + message(b"F", TOPICS[0])
     + message(b"P", b"\x12int32_t MAV_SYS_ID" + struct.pack("<i", 42))
     + message(b"A", b"\x00\x03\x00vehicle_status")
 )
 
 
 def status(time_us: int, nav_state: int, arming_state: int, failsafe: int = 0) -> bytes:
-    content = struct.pack("<HQBBBB", 3, time_us, nav_state, arming_state, failsafe, 13)
-    return message(b"D", content)
+    values = (time_us, nav_state, arming_state, failsafe, 13)
+    return message(b"D", struct.pack("<HQBBBB", STATUS, *values))
 
 
 def text(time_us: int, said: bytes, level: bytes = b"4") -> bytes:
     return message(b"L", level + struct.pack("<Q", time_us) + said)
 
 
+def px4(clock_us: int, header_us: int, release: int = 0x010D00FF) -> bytes:
+    """A PX4 whose clock begins there, and says something else in the header, with positions."""
+    out = MAGIC + struct.pack("<Q", header_us)
+    out += message(b"I", b"\x17uint32_t ver_sw_release" + struct.pack("<I", release))
+    out += b"".join(message(b"F", topic) for topic in TOPICS)
+    for number, topic in enumerate(TOPICS, start=STATUS):
+        out += message(b"A", struct.pack("<BH", 0, number) + topic.split(b":")[0])
+    for k in range(FIXES):
+        time_us = clock_us + 100_000 * k
+        local = (47.0, 8.0, 500.0, 0.1 * k, *([0.0] * 6), 0.5, 0.5, *([True] * 6), False)
+        out += status(time_us, 4, 2)
+        out += message(b"D", struct.pack("<HQdd10f7?", LOCAL, time_us, *local))
+        out += message(b"D", struct.pack("<HQddf", GLOBAL, time_us, 47.0 + 1e-6 * k, 8.0, 500.0))
+    return out + text(clock_us + 100_000 * FIXES, b"Armed")
+
+
+def positions(log: Log) -> Told:
+    return of_kind(messages_of(log.records()), "GLOBAL_POSITION_INT")
+
+
+# --- against what was sent in the same flight
+
+
 @pytest.fixture(scope="module")
-def both() -> tuple[list[tuple[int, Message]], list[tuple[int, Message]], Log]:
+def both() -> Both:
     """The flight as it was sent, as it is told, and the log."""
     sent = messages_of(open_log(SHORT.with_suffix(".tlog")).records())
     log = open_log(SHORT)
-    return (
-        [pair for pair in sent if pair[1].get_srcComponent() == 1],
-        messages_of(log.records()),
-        log,
-    )
+    sent = [pair for pair in sent if pair[1].get_srcComponent() == 1]
+    return sent, messages_of(log.records()), log
 
 
-Both = tuple[list[tuple[int, Message]], list[tuple[int, Message]], Log]
-
-
-def _table(pairs: list[tuple[int, Message]], kind: str, time: str, fields: list[str]) -> np.ndarray:
-    """Time since boot, then the fields, a line for each message; (M, 1 + F)."""
-    messages = [m for _, m in pairs if m.get_type() == kind]
-    return np.array([[getattr(m, f) for f in (time, *fields)] for m in messages], dtype=float)
+FIX = "time_usec fix_type lat lon alt eph epv vel satellites_visible h_acc"
 
 
 @pytest.mark.parametrize(
-    ("kind", "time", "fields", "tolerance", "least"),
+    ("kind", "fields", "tolerance", "least"),
     [
-        ("GLOBAL_POSITION_INT", "time_boot_ms", ["lat", "lon", "alt", "vx", "vy", "vz"], 2, 900),
-        (
-            "GPS_RAW_INT",
-            "time_usec",
-            ["fix_type", "lat", "lon", "alt", "eph", "epv", "vel", "satellites_visible", "h_acc"],
-            1,
-            50,
-        ),
+        ("GLOBAL_POSITION_INT", "time_boot_ms lat lon alt vx vy vz", 2, 900),
+        ("GPS_RAW_INT", FIX, 1, 50),
     ],
 )
 def test_positions_and_fixes_of_the_same_moment_are_those_that_were_sent(
-    both: Both, kind: str, time: str, fields: list[str], tolerance: float, least: int
+    both: Both, kind: str, fields: str, tolerance: float, least: int
 ) -> None:
-    sent, ours, _ = both
-    theirs, mine = _table(sent, kind, time, fields), _table(ours, kind, time, fields)
-    moments, i, j = np.intersect1d(theirs[:, 0], mine[:, 0], return_indices=True)
-    assert len(moments) >= least
-    assert np.abs(theirs[i, 1:] - mine[j, 1:]).max() <= tolerance
-
-
-def _changes(pairs: list[tuple[int, Message]], kind: str, fields: list[str]) -> list[list[float]]:
-    """Times in seconds and values, each time that they change."""
-    changes: list[list[float]] = []
-    for time_us, m in pairs:
-        if m.get_type() != kind:
-            continue
-        now = [getattr(m, f) & (128 if f == "base_mode" else ~0) for f in fields]
-        if not changes or changes[-1][1:] != now:
-            changes.append([time_us * 1e-6, *now])
-    return changes
+    theirs, mine = both_at(both[0], both[1], kind, fields)
+    assert len(theirs) >= least
+    assert np.abs(theirs - mine).max() <= tolerance
 
 
 @pytest.mark.parametrize(
     ("kind", "fields"),
     [
-        ("HEARTBEAT", ["type", "autopilot", "custom_mode", "base_mode"]),
-        ("EXTENDED_SYS_STATE", ["landed_state"]),
+        ("HEARTBEAT", "type autopilot custom_mode base_mode"),
+        ("EXTENDED_SYS_STATE", "landed_state"),
     ],
 )
-def test_modes_arming_and_ground_change_as_they_were_sent(
-    both: Both, kind: str, fields: list[str]
-) -> None:
+def test_modes_arming_and_ground_change_as_sent(both: Both, kind: str, fields: str) -> None:
     """The .tlog has a heartbeat a second: two changes within one are one there."""
-    sent, ours, _ = both
-    theirs, mine = _changes(sent, kind, fields), _changes(ours, kind, fields)
-    merged = [
-        here
-        for here, later in zip(mine, [*mine[1:], [math.inf]], strict=True)
-        if later[0] - here[0] > 0.5
-    ]
+    theirs, mine = (changes(each, kind, fields) for each in both[:2])
+    ends = [*mine[1:], [math.inf]]
+    merged = [here for here, after in zip(mine, ends, strict=True) if after[0] - here[0] > 0.5]
     assert [each[1:] for each in merged] == [each[1:] for each in theirs]
-    late_s = [b[0] - a[0] for a, b in zip(merged[1:], theirs[1:], strict=True)]
-    assert min(late_s) > -0.1 and max(late_s) < 1.7  # noqa: PT018 - a range
-
-
-def test_the_failsafe_is_told_as_it_was_sent(both: Both) -> None:
+    late = [b[0] - a[0] for a, b in zip(merged[1:], theirs[1:], strict=True)]
+    assert -0.1 < min(late) <= max(late) < 1.7
     for pairs in both[:2]:
-        critical = [t for t, m in pairs if m.get_type() == "HEARTBEAT" and m.system_status == 5]
-        assert len(critical) >= 3
+        beats = [m for _, m in of_kind(pairs, "HEARTBEAT")]
+        assert sum(m.system_status == wire.MAV_STATE_CRITICAL for m in beats) >= 3  # its failsafe
 
 
 def test_the_estimator_made_of_other_topics_agrees_with_the_one_that_was_sent(both: Both) -> None:
-    sent, ours, log = both
-    theirs = _table(sent, "ESTIMATOR_STATUS", "time_usec", ["flags", "pos_horiz_accuracy"])
-    mine = _table(ours, "ESTIMATOR_STATUS", "time_usec", ["flags", "pos_horiz_accuracy"])
+    fields = "time_usec flags pos_horiz_accuracy"
+    theirs, mine = (table(each, "ESTIMATOR_STATUS", fields) for each in both[:2])
     needed = (
-        wire.ESTIMATOR_ATTITUDE
-        | wire.ESTIMATOR_VELOCITY_HORIZ
-        | wire.ESTIMATOR_POS_HORIZ_REL
-        | wire.ESTIMATOR_POS_HORIZ_ABS
-        | wire.ESTIMATOR_POS_VERT_ABS
-        | wire.ESTIMATOR_ACCEL_ERROR
+        *(wire.ESTIMATOR_ATTITUDE, wire.ESTIMATOR_VELOCITY_HORIZ, wire.ESTIMATOR_POS_HORIZ_REL),
+        *(wire.ESTIMATOR_POS_HORIZ_ABS, wire.ESTIMATOR_POS_VERT_ABS, wire.ESTIMATOR_ACCEL_ERROR),
     )
-    compared = 0
+    mask, compared = sum(needed), 0
     for time_us, flags, accuracy_m in theirs:
         k = int(np.abs(mine[:, 0] - time_us).argmin())
         if abs(mine[k, 0] - time_us) < 150_000 and time_us > 3e6:
-            assert int(mine[k, 1]) & needed == int(flags) & needed
+            assert int(mine[k, 1]) & mask == int(flags) & mask
             assert mine[k, 2] == pytest.approx(accuracy_m, abs=0.05)
             compared += 1
     assert compared > 50
-    assert [str(each) for each in log.findings] == [
+    assert [str(each) for each in both[2].findings] == [
         "ESTIMATOR_STATUS is made of vehicle_local_position and estimator_status_flags: "
         "there is no estimator_status"
     ]
-    assert log.missing() == ()
+    assert both[2].missing() == ()
 
 
-def test_parameters_are_those_that_were_sent(both: Both) -> None:
+def test_parameters_and_the_date_are_those_that_were_sent(both: Both) -> None:
     sent, ours, _ = both
     mine: dict[str, list[float]] = defaultdict(list)
-    for _, m in ours:
-        if m.get_type() == "PARAM_VALUE":
-            mine[m.param_id].append(decoded(m, bytewise=True))
-    for _, m in sent:
-        if m.get_type() == "PARAM_VALUE" and m.param_id != "EKF2_MAG_DECL":  # set before the log
+    for _, m in of_kind(ours, "PARAM_VALUE"):
+        mine[m.param_id].append(decoded(m, bytewise=True))
+    for _, m in of_kind(sent, "PARAM_VALUE"):
+        if m.param_id != "EKF2_MAG_DECL":  # set before the log
             assert decoded(m, bytewise=True) in mine[m.param_id]
+    late = late_s(sent, ours)
+    assert -0.05 < late.min() <= late.max() < 0.7  # the simulation ran at 0.99 of real time
 
 
-def test_the_date_is_that_of_the_log(both: Both) -> None:
-    sent, ours, _ = both
-    begun = {m.time_boot_ms: t for t, m in sent if m.get_type() == "GLOBAL_POSITION_INT"}
-    late_s = [
-        (begun[m.time_boot_ms] - t) * 1e-6
-        for t, m in ours
-        if m.get_type() == "GLOBAL_POSITION_INT" and m.time_boot_ms in begun
-    ]
-    assert min(late_s) > -0.05
-    assert max(late_s) < 0.7  # the simulation ran at 0.99 of real time
+# --- small logs
 
 
 def test_a_small_log_is_told(tmp_path: Path) -> None:
@@ -189,17 +177,17 @@ def test_a_small_log_is_told(tmp_path: Path) -> None:
         + text(4_000_000, b"x" * 120, b"9"),
     )
     pairs = messages_of(log.records())
-    beats = [(t, m) for t, m in pairs if m.get_type() == "HEARTBEAT"]
-    assert log.system_id == 42
-    assert [(t, m.custom_mode, m.system_status) for t, m in beats[:1]] == [
-        (1_000_000, 4 << 16 | 3 << 24, wire.MAV_STATE_STANDBY)
-    ]
-    assert {m.get_srcSystem() for _, m in beats} == {42}
+    beats = of_kind(pairs, "HEARTBEAT")
+    assert (log.system_id, {m.get_srcSystem() for _, m in beats}) == (42, {42})
+    first_us, first = beats[0]
+    loiter = 4 << 16 | 3 << 24
+    assert (first_us, first.custom_mode) == (1_000_000, loiter)
+    assert first.system_status == wire.MAV_STATE_STANDBY
     assert beats[-1][1].system_status == wire.MAV_STATE_CRITICAL
-    texts = of([m for _, m in pairs], "STATUSTEXT")
-    assert [(m.text, m.severity) for m in texts[:1]] == [("Ready", 4)]
-    assert "".join(m.text for m in texts[1:]) == "x" * 120
-    assert [m.chunk_seq for m in texts[1:]] == [0, 1, 2]
+    ready, *long = [m for _, m in of_kind(pairs, "STATUSTEXT")]
+    assert (ready.text, ready.severity) == ("Ready", 4)
+    assert "".join(m.text for m in long) == "x" * 120
+    assert [m.chunk_seq for m in long] == [0, 1, 2]
     assert counts(log) == {Odd.NO_DATE: 1, Odd.LOST_TIME: 250}
     assert "ESTIMATOR_STATUS" in {each.message for each in log.missing()}
 
@@ -233,16 +221,65 @@ def test_damage_costs_what_comes_before_a_mark(tmp_path: Path) -> None:
     assert log.read_bytes == log.size_bytes
 
 
-def test_a_log_of_a_later_format_is_refused(tmp_path: Path) -> None:
-    flags = bytes(8) + b"\x02" + bytes(7) + bytes(24)
-    with pytest.raises(InputError, match="its flags say that it must not be read"):
-        opened(tmp_path, HEADER + message(b"B", flags) + START[len(HEADER) :])
-    appended = bytes(8) + b"\x01" + bytes(7) + bytes(24)
-    log = opened(tmp_path, HEADER + message(b"B", appended) + START[16:] + status(2_000_000, 4, 1))
-    assert of(told(log), "HEARTBEAT")
+def test_a_log_of_a_later_format_is_refused_and_one_that_was_appended_to_is_read(
+    tmp_path: Path,
+) -> None:
+    for flag, is_read in ((b"\x02", False), (b"\x01", True)):
+        flags = message(b"B", bytes(8) + flag + bytes(31))
+        content = HEADER + flags + START[len(HEADER) :] + status(2_000_000, 4, 1)
+        if is_read:
+            assert of(told(opened(tmp_path, content)), "HEARTBEAT")
+        else:
+            with pytest.raises(InputError, match="its flags say that it must not be read"):
+                opened(tmp_path, content)
 
 
-def test_a_wrong_start_is_not_believed(tmp_path: Path) -> None:
-    content = HEADER[:8] + b"\xff" * 8 + START[16:] + status(2_000_000, 4, 1)
+@pytest.mark.parametrize(
+    ("release", "refused"), [(0x010C03FF, "1.12"), (0x010400FF, "1.4"), (0x00090000, ""), (0, "")]
+)
+def test_firmware_before_1_13_is_refused_by_its_version(
+    tmp_path: Path, release: int, refused: str
+) -> None:
+    """Whoever builds it from no release has a version of 0: that one is read."""
+    content = px4(1_000_000, 1_000_000, release)
+    if refused:
+        with pytest.raises(InputError, match=f"of PX4 {refused}, and logs are read from 1.13 on"):
+            opened(tmp_path, content)
+    else:
+        assert len(positions(opened(tmp_path, content))) == FIXES
+
+
+# --- clocks
+
+
+@pytest.mark.parametrize("header_us", [DATE_US, DATE_US - 5_000_000, 0, 112_000_000])
+def test_a_clock_that_is_a_date_is_told_from_the_logs_beginning(
+    tmp_path: Path, header_us: int
+) -> None:
+    """As PX4's simulation with Gazebo writes it: microseconds since 1970."""
+    log = opened(tmp_path, px4(DATE_US, header_us))
+    found = positions(log)
+    assert [time_us for time_us, _ in found] == [DATE_US + 100_000 * k for k in range(FIXES)]
+    assert found[-1][1].time_boot_ms - found[0][1].time_boot_ms == 100 * (FIXES - 1)
+    assert found[0][1].time_boot_ms < 10_000
+    assert not counts(log)
+    assert any("clock is a date" in finding for finding in log.findings)
+
+
+def test_a_vehicle_that_is_up_for_months_is_read_and_a_wrong_start_not_believed(
+    tmp_path: Path,
+) -> None:
+    boot_us = 100 * DAY_US
+    found = positions(opened(tmp_path, px4(boot_us, boot_us)))
+    assert len(found) == FIXES
+    assert found[0][1].time_boot_ms == boot_us // 1000 % (1 << 32)
+    wrong = MAGIC + b"\xff" * 8 + START[len(HEADER) :] + status(2_000_000, 4, 1)
+    assert messages_of(opened(tmp_path, wrong).records())[-1][0] == 2_000_000
+
+
+def test_what_was_thrown_away_is_told_with_what_is_missing(tmp_path: Path) -> None:
+    """Positions that are no numbers: a log of which nothing is left says why."""
+    content = px4(1_000_000, 1_000_000).replace(struct.pack("<d", 8.0), struct.pack("<d", math.nan))
     log = opened(tmp_path, content)
-    assert [t for t, _ in messages_of(log.records())][-1] == 2_000_000
+    with pytest.raises(InputError, match=r"no GLOBAL_POSITION_INT: .*; [\d,]+ entries that cannot"):
+        watch(log.path, None)

@@ -1,3 +1,5 @@
+"""The picture of a flight: what its plan and its profile show, and that there always is one."""
+
 import math
 import struct
 from dataclasses import replace
@@ -31,6 +33,7 @@ def terrain_of(extent_m: float, cells: int, stretch: float = 1.0) -> TerrainPict
 
 
 def a_flight() -> FlightFigure:
+    """Over the hill in two straight legs, from one corner of 5 km by 5 km to near the other."""
     u = np.linspace(0.0, 1.0, 60)
     first = np.stack([500 + 2000 * u, 500 + 1500 * u, 520 + 60 * u], axis=-1)
     second = np.stack([2500 + 1000 * u, 2000 + 2300 * u, 580 - 20 * u], axis=-1)
@@ -52,6 +55,9 @@ def a_flight() -> FlightFigure:
     )
 
 
+PATH = np.concatenate(a_flight().legs_nea_m)
+
+
 def unknown(flight: FlightFigure, where: Any, value: float = math.nan) -> FlightFigure:
     heights = flight.terrain.heights_m.copy()
     heights[where] = value
@@ -71,12 +77,7 @@ def labels_of(axes: Any) -> set[str]:
     return set(axes.get_legend_handles_labels()[1])
 
 
-def test_the_file_is_a_png_of_the_stated_size_and_no_figure_stays_open(tmp_path: Path) -> None:
-    draw(a_flight(), tmp_path / "flight.png")
-    content = (tmp_path / "flight.png").read_bytes()
-    assert content[:8] == PNG
-    assert struct.unpack(">II", content[16:24]) == tuple(round(side * DPI) for side in SIZE_IN)
-    assert not matplotlib._pylab_helpers.Gcf.figs
+# --- the file
 
 
 @pytest.fixture
@@ -86,6 +87,14 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(views, "_BLOCKS", 30)
 
 
+def test_the_file_is_a_png_of_the_stated_size_and_no_figure_stays_open(tmp_path: Path) -> None:
+    draw(a_flight(), tmp_path / "flight.png")
+    content = (tmp_path / "flight.png").read_bytes()
+    assert content[:8] == PNG
+    assert struct.unpack(">II", content[16:24]) == tuple(round(side * DPI) for side in SIZE_IN)
+    assert not matplotlib._pylab_helpers.Gcf.figs
+
+
 @pytest.mark.usefixtures("coarse")
 @pytest.mark.parametrize(
     ("suffix", "begin"), [(".png", PNG), (".svg", b"<?xml"), (".PDF", b"%PDF")]
@@ -93,66 +102,74 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_same_flight_gives_the_same_picture_of_the_kind_that_is_named(
     suffix: str, begin: bytes, tmp_path: Path
 ) -> None:
+    """The terrain of an .svg is an image, and its lines are lines."""
     one, two = tmp_path / f"one{suffix}", tmp_path / f"two{suffix}"
     for path in (one, two):
         draw(a_flight(), path)
     assert one.read_bytes().startswith(begin)
     assert one.read_bytes() == two.read_bytes()
+    if suffix == ".svg":
+        tags = [each.tag.partition("}")[2] for each in lxml.etree.parse(one).iter("*")]
+        assert tags.count("image") >= 2
+        assert 50 < tags.count("path") < 3000
 
 
 @pytest.mark.usefixtures("coarse")
-def test_the_terrain_of_an_svg_is_an_image_and_its_lines_are_lines(tmp_path: Path) -> None:
-    draw(a_flight(), tmp_path / "flight.svg")
-    elements = [
-        each.tag.partition("}")[2] for each in lxml.etree.parse(tmp_path / "flight.svg").iter("*")
-    ]
-    assert elements.count("image") >= 2
-    assert 50 < elements.count("path") < 3000
+def test_there_is_a_picture_when_nothing_is_known_planned_or_flown(tmp_path: Path) -> None:
+    flight = replace(unknown(a_flight(), np.s_[:], math.inf), legs_nea_m=(), scans_nea_m=())
+    draw(flight, tmp_path / "flight.png")
+    draw(replace(flight, radars=(), zones=(), caption=""), tmp_path / "flight.png")
+
+
+# --- the plan
 
 
 def test_the_plan_shows_the_path_in_kilometres_with_east_to_the_right() -> None:
-    flight = a_flight()
-    plan = axes_of(flight)["plan"]
-    expected = np.concatenate(flight.legs_nea_m)[:, [1, 0]] / 1000.0
-    np.testing.assert_allclose(line_of(plan, "planned path"), expected)
-    assert plan.get_xlim() == pytest.approx((0.0, 5.0))
-    assert plan.get_ylim() == pytest.approx((0.0, 5.0))
+    plan = axes_of(a_flight())["plan"]
+    np.testing.assert_allclose(line_of(plan, "planned path"), PATH[:, [1, 0]] / 1000.0)
+    assert [plan.get_xlim(), plan.get_ylim()] == [pytest.approx((0.0, 5.0))] * 2
     assert plan.get_aspect() == 1.0
+    assert "unknown ground" not in labels_of(plan)
 
 
 def test_radars_are_as_wide_in_the_plan_as_their_spheres_are_within_the_band() -> None:
-    flight = a_flight()
-    plan = axes_of(flight)["plan"]
+    plan = axes_of(a_flight())["plan"]
     radii = {p.get_label(): p.get_radius() for p in plan.patches if hasattr(p, "get_radius")}
-    # the band begins 350 m above the radar
-    assert radii["radar, within the band"] == pytest.approx(math.sqrt(0.7**2 - 0.35**2))
+    above_km = 0.35  # the band begins so far above the radar
+    assert radii["radar, within the band"] == pytest.approx(math.sqrt(0.7**2 - above_km**2))
     assert radii["radar, full range"] == pytest.approx(0.7)
 
 
+# --- the profile
+
+
 def test_the_profile_shows_the_terrain_under_the_path_and_the_path_over_it() -> None:
-    flight = a_flight()
-    profile = axes_of(flight)["profile"]
-    path = np.concatenate(flight.legs_nea_m)
-    under = line_of(profile, "terrain under the path")
-    middles = (np.floor(path[:, :2] / CELL_M) + 0.5) * CELL_M  # of the cell that holds the point
+    profile = axes_of(a_flight())["profile"]
+    under, over = (line_of(profile, n) for n in ("terrain under the path", "planned path"))
+    middles = (np.floor(PATH[:, :2] / CELL_M) + 0.5) * CELL_M  # of the cell that holds the point
     np.testing.assert_allclose(under[:, 1], hill(middles[:, 0], middles[:, 1]) / 1000.0)
-    over = line_of(profile, "planned path")
-    np.testing.assert_allclose(over[:, 1], path[:, 2] / 1000.0)
-    length_km = (math.hypot(2.0, 1.5), math.hypot(1.0, 2.3))
-    assert over[-1, 0] == pytest.approx(sum(length_km))
-    assert line_of(profile, "scan (p_scan)")[1, 0] == pytest.approx(length_km[0] / 2, abs=0.03)
+    np.testing.assert_allclose(over[:, 1], PATH[:, 2] / 1000.0)
+    first_km, second_km = math.hypot(2.0, 1.5), math.hypot(1.0, 2.3)
+    assert over[-1, 0] == pytest.approx(first_km + second_km)
+    assert line_of(profile, "scan (p_scan)")[1, 0] == pytest.approx(first_km / 2, abs=0.03)
+
+
+def test_the_flown_track_is_drawn_at_the_nearest_place_of_the_path_or_is_its_own() -> None:
+    higher = axes_of(replace(a_flight(), track_nea_m=np.add(PATH, (0.0, 0.0, 7.0))))["profile"]
+    expected = np.add(line_of(higher, "planned path"), (0.0, 0.007))
+    np.testing.assert_allclose(line_of(higher, "flown track"), expected, atol=1e-12)
+    alone = axes_of(replace(a_flight(), legs_nea_m=(), track_nea_m=PATH))
+    assert "planned path" not in labels_of(alone["plan"])
+    np.testing.assert_allclose(line_of(alone["profile"], "flown track")[:, 1], PATH[:, 2] / 1000.0)
 
 
 def test_a_radar_shades_the_profile_only_where_the_path_is_within_its_range() -> None:
-    centre = (1500.0, 1250.0, 550.0)  # on the path, halfway along its first leg
-    near = replace(
-        a_flight(), radars=(Radar(name="near", centre_nea_m=centre, range_m=300.0),), zones=()
-    )
-    profile = axes_of(near)["profile"]
+    halfway = (1500.0, 1250.0, 550.0)  # along the first leg, on it
+    near = Radar(name="near", centre_nea_m=halfway, range_m=300.0)
+    profile = axes_of(replace(a_flight(), radars=(near,), zones=()))["profile"]
     shade = next(c for c in reversed(profile.collections) if c.get_paths())
     extent = shade.get_paths()[0].get_extents()
-    assert extent.x0 == pytest.approx(1.25 - 0.3, abs=0.05)
-    assert extent.x1 == pytest.approx(1.25 + 0.3, abs=0.05)
+    assert (extent.x0, extent.x1) == pytest.approx((1.25 - 0.3, 1.25 + 0.3), abs=0.05)
     assert extent.y1 == pytest.approx(0.85, abs=0.01)
 
 
@@ -163,46 +180,19 @@ def test_unknown_ground_is_shown_as_unknown(value: float, tmp_path: Path) -> Non
     axes = axes_of(flight)
     assert "unknown ground" in labels_of(axes["plan"])
     under = line_of(axes["profile"], "terrain under the path")
-    path = np.concatenate(flight.legs_nea_m)
-    in_corner = (path[:, :2] < 60 * CELL_M).all(axis=1)
+    in_corner = (PATH[:, :2] < 60 * CELL_M).all(axis=1)
     assert in_corner.any()
     np.testing.assert_array_equal(np.isnan(under[:, 1]), in_corner)
     draw(flight, tmp_path / "flight.png")
-
-
-def test_known_ground_is_not_called_unknown() -> None:
-    assert "unknown ground" not in labels_of(axes_of(a_flight())["plan"])
-
-
-@pytest.mark.usefixtures("coarse")
-def test_there_is_a_picture_when_nothing_is_known_planned_or_flown(tmp_path: Path) -> None:
-    flight = replace(unknown(a_flight(), np.s_[:], math.inf), legs_nea_m=(), scans_nea_m=())
-    draw(flight, tmp_path / "flight.png")
-    draw(replace(flight, radars=(), zones=(), caption=""), tmp_path / "flight.png")
-
-
-def test_the_flown_track_is_drawn_at_the_nearest_place_of_the_path() -> None:
-    flight = a_flight()
-    track = np.concatenate(flight.legs_nea_m) + np.array([0.0, 0.0, 7.0])
-    profile = axes_of(replace(flight, track_nea_m=track))["profile"]
-    over = line_of(profile, "planned path")
-    np.testing.assert_allclose(
-        line_of(profile, "flown track"), over + np.array([0.0, 0.007]), atol=1e-12
-    )
-
-
-def test_a_track_without_a_plan_is_its_own_path() -> None:
-    flight = a_flight()
-    track = np.concatenate(flight.legs_nea_m)
-    axes = axes_of(replace(flight, legs_nea_m=(), track_nea_m=track))
-    assert "planned path" not in labels_of(axes["plan"])
-    np.testing.assert_allclose(line_of(axes["profile"], "flown track")[:, 1], track[:, 2] / 1000.0)
 
 
 def test_a_high_wall_of_terrain_does_not_flatten_the_band() -> None:
     flight = unknown(a_flight(), np.s_[-20:, -20:], 15_000.0)
     low, high = axes_of(flight)["profile"].get_ylim()
     assert (flight.ceiling_amsl_m - flight.floor_amsl_m) / 1000.0 > 0.2 * (high - low)
+
+
+# --- size
 
 
 def test_coarser_terrain_is_nowhere_lower_and_has_the_same_extent() -> None:
@@ -212,28 +202,26 @@ def test_coarser_terrain_is_nowhere_lower_and_has_the_same_extent() -> None:
     assert coarse.north_edges_m[[0, -1]] == pytest.approx(fine.north_edges_m[[0, -1]])
     middles = (fine.north_edges_m[1:] + fine.north_edges_m[:-1]) / 2
     points = np.stack(np.meshgrid(middles, middles, indexing="ij"), axis=-1)
-    above = coarse.under_m(points) - fine.heights_m
     known = np.isfinite(fine.heights_m)
-    assert (above[known] >= 0.0).all()
+    assert ((coarse.under_m(points) - fine.heights_m)[known] >= 0.0).all()
     assert np.nanmax(coarse.heights_m) == fine.heights_m[known].max()
 
 
 @pytest.mark.usefixtures("coarse")
-@pytest.mark.parametrize("extent_m", [1000.0, 100_000.0])
+@pytest.mark.parametrize(("extent_m", "unit_m"), [(1000.0, 1.0), (100_000.0, 1000.0)])
 def test_worlds_of_any_size_are_drawn_with_their_own_extent(
-    extent_m: float, tmp_path: Path
+    extent_m: float, unit_m: float, tmp_path: Path
 ) -> None:
-    flight = a_flight()
     scale = extent_m / 5000.0
-    legs = tuple(leg * [scale, scale, 1.0] for leg in flight.legs_nea_m)
+    legs = tuple(leg * [scale, scale, 1.0] for leg in a_flight().legs_nea_m)
     terrain = terrain_of(extent_m, 440, stretch=scale)
-    sized = replace(flight, terrain=terrain, legs_nea_m=legs)
+    sized = replace(a_flight(), terrain=terrain, legs_nea_m=legs)
     draw(sized, tmp_path / "flight.png")
-    unit_m, unit = (1.0, "m") if extent_m < 2000.0 else (1000.0, "km")
     axes = axes_of(sized)
     assert axes["plan"].get_xlim() == pytest.approx((0.0, extent_m / unit_m))
     low, high = np.array(axes["profile"].get_ylim()) * unit_m
     assert low < sized.floor_amsl_m < sized.ceiling_amsl_m < high
-    for view in axes.values():
-        if view.get_xlabel():
-            assert view.get_xlabel().endswith(f", {unit}")
+    unit = "m" if unit_m == 1.0 else "km"
+    assert all(
+        view.get_xlabel().endswith(f", {unit}") for view in axes.values() if view.get_xlabel()
+    )

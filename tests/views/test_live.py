@@ -2,13 +2,12 @@
 
 import io
 import json
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from renewed import replace
 from rich.console import Console
-from test_flight_status import flights
+from test_flight_summary import flights
 from test_output import written
 
 from companion.config import load_mission
@@ -22,14 +21,23 @@ from companion.telemetry.flight_summary import FlightSummary
 from companion.views.live import MachineLines, Progress, status_table
 from companion.views.output import PatientOutput
 
+FLIES = {"phase": Phase.FLYING, "reason": None}
+LONGEST = json.loads("""{
+    "altitude_amsl_m": -1234.5, "above_ground_m": -1234.5, "clearance_m": 9e3, "looked_m": 9e3,
+    "speed_m_s": 150.0, "course_rad": 6.0, "climb_m_s": -10.0, "safety_distance_m": 1e3,
+    "way_left_m": 1.5e5, "to_go_m": 1.5e5, "time_left_s": 36e3, "t_s": 86400.0,
+    "link_age_s": 599.9, "link_round_trip_s": 1.999, "times_real_time": 187.0,
+    "plan_cost": 1234.56, "plan_took_s": 29.999, "plan_clearance_m": 9e3
+}""")
+"""The longest values that a table has to hold."""
+
 
 class Terminal:
     """A session that is told what its state is, and the lines that are printed of it."""
 
     def __init__(self) -> None:
-        self.flown = FlightSummary(
-            session=Session(load_mission("environment-1"), seed=1, lockstep=False)
-        )
+        session = Session(load_mission("environment-1"), seed=1, lockstep=False)
+        self.flown = FlightSummary(session=session)
         self.console = Console(width=200, force_terminal=False, record=True, file=io.StringIO())
         self.progress = Progress(self.console, PatientOutput(io.StringIO()))
 
@@ -38,6 +46,8 @@ class Terminal:
         session = self.flown.session
         session.clock.read(time_s, time_s)  # it is heard as time goes by
         vehicle = replace(session.state.vehicle, failsafe=failsafe)
+        if "phase" in changes:
+            changes["since_s"] = time_s
         session.state = replace(session.state, now_s=time_s, vehicle=vehicle, **changes)
         self.progress.show(flight_status(self.flown))
         return self.console.export_text().splitlines()
@@ -51,65 +61,54 @@ class Terminal:
         self.flown.session._send_text(text, warning=True)
 
 
-def test_why_it_holds_is_not_said_any_more_once_it_flies() -> None:
+# --- lines
+
+
+def test_each_change_is_a_line_that_says_why_it_holds_while_it_holds() -> None:
+    """The autopilot's failsafe and its end, another reason, and no reason once it flies."""
+    held = {"phase": Phase.HOLDING, "reason": Reason.FAILSAFE}
+    over = {"how": Hold.TAKEN_OVER, "failsafe_over": True}
+    lost = {"reason": Reason.LINK_LOST, "how": Hold.SILENT}
     terminal = Terminal()
-    terminal.show(100.0, phase=Phase.FLYING, since_s=90.0, reason=None)
-    terminal.warn(f"hold: {Reason.NO_FIX.text}")
-    [held] = terminal.show(100.1, phase=Phase.HOLDING, since_s=100.0, reason=Reason.NO_FIX)
-    assert Reason.NO_FIX.text in held
-    assert terminal.table().count(Reason.NO_FIX.text) == 1
-    [flies] = terminal.show(110.0, phase=Phase.FLYING, since_s=110.0, reason=None)
-    assert "hold" not in flies
-    assert "(" not in flies
-
-
-def test_another_reason_to_hold_is_another_line() -> None:
-    terminal = Terminal()
-    terminal.show(100.0, phase=Phase.HOLDING, since_s=100.0, reason=Reason.ESTIMATOR)
-    assert terminal.show(101.0) == []
-    [line] = terminal.show(110.0, reason=Reason.POSITION_ELSEWHERE)
-    assert Reason.POSITION_ELSEWHERE.text in line
-    assert terminal.show(111.0) == []
-
-
-def test_the_autopilots_failsafe_and_its_end_are_said() -> None:
-    terminal = Terminal()
-    terminal.show(100.0, phase=Phase.FLYING, since_s=90.0, reason=None)
-    [begins] = terminal.show(101.0, failsafe=True)
-    assert "failsafe" in begins
-    [held] = terminal.show(
-        102.0, failsafe=True, phase=Phase.HOLDING, since_s=102.0, reason=Reason.FAILSAFE
-    )
-    assert Reason.FAILSAFE.text in held
-    over = terminal.show(130.0, how=Hold.TAKEN_OVER, failsafe_over=True)
-    assert FAILSAFE_OVER in over[-1]
-    [silent] = terminal.show(135.0, reason=Reason.LINK_LOST, how=Hold.SILENT)
-    assert Reason.LINK_LOST.text in silent
-    [flies] = terminal.show(140.0, phase=Phase.FLYING, since_s=140.0, reason=None)
-    assert "failsafe" not in flies
-
-
-def test_a_failsafe_that_ends_in_flight_is_a_line_without_it() -> None:
-    terminal = Terminal()
-    terminal.show(100.0, failsafe=True, phase=Phase.FLYING, since_s=90.0, reason=None)
-    [line] = terminal.show(101.0)
-    assert "failsafe" not in line
+    terminal.show(100.0, **FLIES)
+    for time_s, failsafe, changes, words in [
+        (101.0, True, {}, "failsafe"),
+        (102.0, True, held, Reason.FAILSAFE.text),
+        (103.0, True, {}, None),
+        (130.0, False, over, FAILSAFE_OVER),
+        (135.0, False, lost, Reason.LINK_LOST.text),
+        (136.0, False, {"reason": Reason.ESTIMATOR}, Reason.ESTIMATOR.text),
+        (137.0, False, {}, None),
+        (140.0, False, FLIES, "flying"),
+        (141.0, True, {}, "failsafe"),
+        (142.0, False, {}, "flying"),
+    ]:
+        lines = terminal.show(time_s, failsafe=failsafe, **changes)
+        assert bool(lines) == (words is not None), time_s
+        assert words is None or words in lines[-1]
+        if words == "flying":
+            assert not any(old in lines[-1] for old in ("failsafe", "hold", "("))
 
 
 @pytest.mark.parametrize(("later_s", "stands"), [(59.0, True), (61.0, False)])
-def test_a_warning_stands_for_a_minute(later_s: float, stands: bool) -> None:
+def test_a_warning_stands_for_a_minute_and_a_reason_to_hold_once(
+    later_s: float, stands: bool
+) -> None:
     terminal = Terminal()
-    terminal.show(100.0, phase=Phase.FLYING, since_s=90.0, reason=None)
+    terminal.show(100.0, **FLIES)
     terminal.warn("scan: 3 of 9 blocks answered")
     [line] = terminal.show(100.2)
     assert line.endswith("(scan: 3 of 9 blocks answered)")
     terminal.show(100.0 + later_s)
     assert ("scan:" in terminal.table()) is stands
+    terminal.warn(f"hold: {Reason.NO_FIX.text}")
+    terminal.show(200.0, phase=Phase.HOLDING, reason=Reason.NO_FIX)
+    assert terminal.table().count(Reason.NO_FIX.text) == 1
 
 
 def test_a_vehicle_that_was_up_for_long_is_flown_at_the_pace_of_the_clock() -> None:
     terminal = Terminal()
-    terminal.show(3_000.0, phase=Phase.FLYING, since_s=2_990.0, reason=None)
+    terminal.show(3_000.0, **FLIES)
     terminal.flown.elapsed_s = 30.0
     [line] = terminal.show(3_030.0, phase=Phase.RETURNING)
     assert "   1x real time" in line
@@ -126,38 +125,15 @@ def shown(status: FlightStatus, width: int, **options: Any) -> str:
     return file.getvalue()
 
 
-def recorded() -> Iterator[FlightStatus]:
-    """All kinds of things that happen, with the longest values."""
+@pytest.fixture(scope="module")
+def statuses() -> list[FlightStatus]:
+    """All kinds of things that happen, the last with the longest values."""
+    found = []
     for name in ("copter-loses-gps", "px4-plane-told-to-return", "plane-meets-new-fence"):
         for number, (flown, _) in enumerate(flights(name)):
             if number % 7 == 0:
-                yield flight_status(flown)
-    yield replace(
-        flight_status(flown),
-        altitude_amsl_m=-1234.5,
-        above_ground_m=-1234.5,
-        speed_m_s=150.0,
-        course_rad=6.0,
-        climb_m_s=-10.0,
-        way_left_m=1.5e5,
-        to_go_m=1.5e5,
-        time_left_s=36_000.0,
-        link_age_s=599.9,
-        link_round_trip_s=1.999,
-        times_real_time=187.0,
-        t_s=86_400.0,
-        clearance_m=9_000.0,
-        looked_m=9_000.0,
-        safety_distance_m=1_000.0,
-        plan_cost=1234.56,
-        plan_took_s=29.999,
-        plan_clearance_m=9_000.0,
-    )
-
-
-@pytest.fixture(scope="module")
-def statuses() -> list[FlightStatus]:
-    return list(recorded())
+                found.append(flight_status(flown))
+    return [*found, replace(found[-1], **LONGEST)]
 
 
 @pytest.mark.parametrize("width", [80, 200])
@@ -178,9 +154,8 @@ def test_it_is_whole_in_a_terminal_of_this_width(statuses: list[FlightStatus], w
 
 
 def test_what_is_wrong_is_told_without_colours_too(statuses: list[FlightStatus]) -> None:
-    bad = replace(
-        statuses[-1], clearance_m=3.0, battery_left=0.1, link_age_s=4.0, position_age_s=4.0
-    )
+    wrong = {"clearance_m": 3.0, "battery_left": 0.1, "link_age_s": 4.0, "position_age_s": 4.0}
+    bad = replace(statuses[-1], **wrong)
     plain = shown(bad, 80)
     assert "\x1b" not in plain
     assert plain.count("!") >= 4
@@ -194,20 +169,30 @@ def lines_of(buffer: io.StringIO) -> list[dict[str, Any]]:
     return [json.loads(line) for line in buffer.getvalue().splitlines()]
 
 
-@pytest.mark.parametrize(
-    ("end", "error", "expected"),
-    [
-        (("ARRIVED", "there"), None, ("arrived", "there", 0)),
-        (("FAILED", "silent"), FlightFailed("silent", "Look."), ("failed", "silent. Look.", 1)),
-        (None, InputError("a", 1, "no", "Give 2."), ("failed", "a = 1: no. Give 2.", 2)),
-        (None, ZeroDivisionError("division"), ("failed", "division", 70)),
-        (("STOPPED", "asked"), KeyboardInterrupt(), ("stopped", "stopped by a person", 130)),
-    ],
-    ids=["arrived", "failed", "wrong input", "crashed", "stopped again while it draws"],
-)
-def test_the_last_line_is_how_it_ended(
-    end: tuple[str, str] | None, error: BaseException | None, expected: tuple[str, str, int]
-) -> None:
+ENDS: dict[str, tuple[tuple[str, str] | None, BaseException | None, tuple[str, str, int]]] = {
+    "arrived": (("ARRIVED", "there"), None, ("arrived", "there", 0)),
+    "failed": (
+        ("FAILED", "silent"),
+        FlightFailed("silent", "Look."),
+        ("failed", "silent. Look.", 1),
+    ),
+    "wrong input": (
+        None,
+        InputError("a", 1, "no", "Give 2."),
+        ("failed", "a = 1: no. Give 2.", 2),
+    ),
+    "crashed": (None, ZeroDivisionError("division"), ("failed", "division", 70)),
+    "stopped again while it draws": (
+        ("STOPPED", "asked"),
+        KeyboardInterrupt(),
+        ("stopped", "stopped by a person", 130),
+    ),
+}
+
+
+@pytest.mark.parametrize("how", ENDS)
+def test_the_last_line_is_how_it_ended(how: str) -> None:
+    end, error, expected = ENDS[how]
     buffer = io.StringIO()
     with PatientOutput(buffer) as output:
         lines = MachineLines(output)

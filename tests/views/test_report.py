@@ -1,11 +1,13 @@
 """The report of a flight, held against what was recorded, read by parsers that are not ours."""
 
 import html.parser
+import itertools
 import json
 import math
 import re
 import shutil
 import struct
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,10 +16,11 @@ import lxml.etree
 import numpy as np
 import pyproj
 import pytest
-from answers import answered
+from planning import column_distance_m
 from pymavlink.dialects.v20 import all as wire
 from recorded import EPOCH_US, run_folder
 from short_flight import fly_short
+from tlog import frames_of
 
 from companion.config import load_mission
 from companion.replay.exporting import facts_of, write_report
@@ -27,16 +30,18 @@ from companion.world.known_map import KnownMap, digest_of, empty_map, packed_map
 GEOD = pyproj.Geod(ellps="WGS84")
 EVIL = "</pre></svg><script>alert('x')</script>"
 RADAR = '[[radars]]\nname = "{}"\nnorth_m = {}\neast_m = {}\naltitude_amsl_m = {}\nrange_m = {}\n'
-VOID = {"meta", "br", "img", "input", "link", "hr"}
+RADAR_NEA_M, RANGE_M = (2000.0, 1500.0, 3000.0), 900.0
+TARGET_NE_M = (4000.0, 3000.0)
+Record = tuple[int, Any]
+"""Stamp, in microseconds, and message."""
 
 
 @pytest.fixture(scope="module")
 def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short flight past a radar, over a hill that came to be known."""
     run = run_folder(tmp_path_factory.mktemp("recorded"))
-    radar = RADAR.format("near <&>", 2000.0, 1500.0, 3000.0, 900.0)
     with (run / "mission.toml").open("a", encoding="utf-8") as file:
-        file.write(radar)
+        file.write(RADAR.format("near <&>", *RADAR_NEA_M, RANGE_M))
     (run / "known.npz").write_bytes(packed_map(hill(run)))
     facts = json.loads((run / "run.json").read_text())
     facts |= {"planning_s": [0.2, 0.9, 0.3], "began": "2026-05-04T10:20:30+00:00"}
@@ -91,112 +96,114 @@ def words_of(page: str) -> str:
     return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", shown)).split())
 
 
-def records_of(run: Path) -> list[tuple[int, bytes]]:
-    """Stamp and frame of each record of the log."""
-    log, records, at = (run / "flight.tlog").read_bytes(), [], 0
-    while at < len(log):
-        end = at + 8 + 12 + log[at + 9]
-        records.append((struct.unpack_from(">Q", log, at)[0], log[at + 8 : end]))
-        at = end
-    return records
-
-
-def positions(run: Path) -> list[tuple[float, float, float, float]]:
-    """Vehicle time, latitude, longitude, altitude, by pymavlink."""
-    parser, found = wire.MAVLink(None), []
-    for _, frame in records_of(run):
-        message: Any = parser.decode(bytearray(frame))
-        if message.get_type() == "GLOBAL_POSITION_INT" and message.lat:
-            place = message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3
-            found.append((message.time_boot_ms * 1e-3, *place))
-    return found
+def records_of(run: Path) -> list[Record]:
+    return list(frames_of((run / "flight.tlog").read_bytes()))
 
 
 def entries(run: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (run / "journal.jsonl").read_text().splitlines()[1:]]
 
 
-def on_the_way(run: Path) -> list[tuple[float, float, float, float]]:
-    """Positions from the end of the climb on, until the mission is over."""
-    phases = [(e["t_s"], e["phase"]) for e in entries(run) if e["kind"] == "phase"]
+@pytest.fixture(scope="module")
+def way(run_dir: Path) -> list[tuple[float, float, float, float]]:
+    """Time, latitude, longitude, altitude from the end of the climb until the mission is over."""
+    phases = [(e["t_s"], e["phase"]) for e in entries(run_dir) if e["kind"] == "phase"]
     begin = next(t_s for t_s, phase in phases if phase == "flying")
     end = next(t_s for t_s, phase in phases if phase == "done")
-    return [each for each in positions(run) if begin <= each[0] < end]
+    found = [m for _, m in records_of(run_dir) if m.get_type() == "GLOBAL_POSITION_INT" and m.lat]
+    rows = [(m.time_boot_ms * 1e-3, m.lat * 1e-7, m.lon * 1e-7, m.alt * 1e-3) for m in found]
+    return [row for row in rows if begin <= row[0] < end]
 
 
 # --- the numbers
 
 
 def test_the_length_flown_is_that_of_the_geodesics_between_the_positions(
-    run_dir: Path, facts: FlightFacts
+    way: Any, facts: FlightFacts
 ) -> None:
-    rows = on_the_way(run_dir)
-    expected = GEOD.line_length([r[2] for r in rows], [r[1] for r in rows])
+    latitudes, longitudes = [row[1] for row in way], [row[2] for row in way]
+    target = facts.flight.mission.frame.to_geodetic_deg(*TARGET_NE_M)
+    expected = GEOD.line_length(longitudes, latitudes)
     assert facts.flown_m == pytest.approx(expected, rel=2e-3)
-    target = facts.flight.mission.frame.to_geodetic_deg(4000.0, 3000.0)
-    straight = GEOD.line_length([rows[0][2], target[1]], [rows[0][1], target[0]])
-    assert facts.straight_m == pytest.approx(straight, rel=1e-4)
-    left = GEOD.line_length([rows[-1][2], target[1]], [rows[-1][1], target[0]])
-    assert facts.left_m == pytest.approx(left, abs=0.1)
-    assert facts.duration_s == pytest.approx(rows[-1][0] - rows[0][0], abs=0.01)
+    first, last = (
+        GEOD.line_length([longitudes[k], target[1]], [latitudes[k], target[0]]) for k in (0, -1)
+    )
+    assert facts.straight_m == pytest.approx(first, rel=1e-4)
+    assert facts.left_m == pytest.approx(last, abs=0.1)
+    assert facts.duration_s == pytest.approx(way[-1][0] - way[0][0], abs=0.01)
 
 
 def test_the_worst_clearance_is_that_of_every_position_to_every_known_cell(
-    run_dir: Path, facts: FlightFacts
+    run_dir: Path, way: Any, facts: FlightFacts
 ) -> None:
     known, frame = hill(run_dir), facts.flight.mission.frame
-    rows, columns = np.nonzero(known.seen)
-    near = known.upper_m[rows, columns] > 300.0
-    rows, columns = rows[near], columns[near]
-    south, west = known.north_min_m + rows * known.cell_m, known.east_min_m + columns * known.cell_m
-    least, where = math.inf, 0.0
-    for t_s, latitude, longitude, up in on_the_way(run_dir):
-        north, east = frame.to_local_m(latitude, longitude)
-        aside = np.hypot(
-            np.clip(north, south, south + known.cell_m) - north,
-            np.clip(east, west, west + known.cell_m) - east,
-        )
-        over = np.maximum(up - known.upper_m[rows, columns], 0.0)
-        gaps = np.hypot(np.maximum(aside - known.registration_m, 0.0), over)
-        if gaps.min() < least:
-            least, where = gaps.min(), t_s
+    places = [(*frame.to_local_m(latitude, longitude), up) for _, latitude, longitude, up in way]
+    seen = replace(known, upper_m=np.where(known.seen, known.upper_m, -np.inf))
+    away_m = column_distance_m(seen, np.array(places), 2_000.0)
     assert facts.nearest is not None
     assert not facts.nearest.is_bound
-    assert facts.nearest.distance_m == pytest.approx(least, abs=1e-6)
-    assert facts.nearest.time_s == pytest.approx(where, abs=1e-6)
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_far_from_all_terrain_the_clearance_is_a_bound(copy: Path) -> None:
-    known = hill(copy)
-    low = np.where(known.seen, -9000.0, np.inf)
-    (copy / "known.npz").write_bytes(packed_map(replace(known, upper_m=low)))
-    facts = facts_of(copy)
-    assert facts.nearest is not None
-    assert facts.nearest.is_bound
-    assert "more than" in words_of(report_of(copy))
+    assert facts.nearest.distance_m == pytest.approx(away_m.min(), abs=1e-6)
+    assert facts.nearest.time_s == pytest.approx(way[away_m.argmin()][0], abs=1e-6)
 
 
 def test_the_exposure_is_that_of_the_positions_within_the_range(
-    run_dir: Path, facts: FlightFacts
+    way: Any, facts: FlightFacts
 ) -> None:
-    frame, inside_s, inside_m, nearest = facts.flight.mission.frame, 0.0, 0.0, math.inf
-    rows = on_the_way(run_dir)
-    points = [(*frame.to_local_m(lat, lon), up) for _, lat, lon, up in rows]
-    for (t_s, *_), (next_s, *_), here, there in zip(
-        rows, rows[1:], points, points[1:], strict=False
-    ):
-        away = math.dist(here, (2000.0, 1500.0, 3000.0))
-        nearest = min(nearest, away)
-        if away <= 900.0:
-            inside_s += next_s - t_s
-            inside_m += math.dist(here, there)
+    frame = facts.flight.mission.frame
+    rows = [(t_s, (*frame.to_local_m(lat, lon), up)) for t_s, lat, lon, up in way]
+    pairs = [
+        (after[0] - here[0], math.dist(here[1], after[1]))
+        for here, after in itertools.pairwise(rows)
+        if math.dist(here[1], RADAR_NEA_M) <= RANGE_M
+    ]
+    nearest_m = min(math.dist(place, RADAR_NEA_M) for _, place in rows)
     exposure = facts.exposure
-    assert inside_s > 5.0
-    assert exposure.duration_s == pytest.approx(inside_s, abs=0.2)
-    assert exposure.length_m == pytest.approx(inside_m, rel=0.02)
-    assert exposure.detection == pytest.approx(900.0**4 / (900.0**4 + nearest**4), rel=1e-6)
+    assert exposure.duration_s == pytest.approx(sum(s for s, _ in pairs), abs=0.2)
+    assert exposure.length_m == pytest.approx(sum(m for _, m in pairs), rel=0.02)
+    assert exposure.duration_s > 5.0
+    detection = RANGE_M**4 / (RANGE_M**4 + nearest_m**4)
+    assert exposure.detection == pytest.approx(detection, rel=1e-6)
     assert exposure.radar == "near <&>"
+
+
+def write_log(run: Path, records: list[Record]) -> None:
+    log = b"".join(struct.pack(">Q", at_us) + bytes(m.get_msgbuf()) for at_us, m in records)
+    (run / "flight.tlog").write_bytes(log)
+
+
+def test_missing_frames_and_silences_are_counted(copy: Path, facts: FlightFacts) -> None:
+    records = records_of(copy)
+    of_autopilot = [k for k, (_, m) in enumerate(records) if m.get_srcComponent() == 1]
+    dropped = set(of_autopilot[500:520]) | {of_autopilot[700]}
+    write_log(copy, [each for k, each in enumerate(records) if k not in dropped])
+    found = facts_of(copy)
+    assert found.lost - facts.lost == len(dropped)
+    assert found.heard == len(of_autopilot) - len(dropped)
+    left = np.array([records[k][0] for k in of_autopilot if k not in dropped])
+    assert found.silence_s == pytest.approx(1e-6 * np.diff(left).max())
+
+
+def test_times_without_a_fix_and_gaps_of_setpoints_are_those_of_the_log(copy: Path) -> None:
+    codec, changed, sent_s = wire.MAVLink(None, srcSystem=1, srcComponent=1), [], list[float]()
+    for at_us, m in records_of(copy):
+        time_s, sender = (at_us - EPOCH_US) * 1e-6, m.get_srcComponent()
+        if m.get_type() == "GPS_RAW_INT":
+            lost = 60.0 <= time_s < 70.0
+            m.fix_type, m.satellites_visible = (1, 2) if lost else (m.fix_type, 9)
+            codec.seq = m.get_seq()
+            m.pack(codec)
+        if m.get_type() == "SET_POSITION_TARGET_GLOBAL_INT" and sender == 195:
+            if 50.0 <= time_s < 51.5:
+                continue
+            sent_s.append(time_s)
+        changed.append((at_us, m))
+    write_log(copy, changed)
+    facts = facts_of(copy)
+    assert facts.without_fix_s == pytest.approx(10.0, abs=1.0)
+    assert facts.fewest_satellites == 2.0
+    flying_s = np.array(sent_s)[np.array(sent_s) > 45.0]
+    assert facts.setpoint_gap_s == pytest.approx(np.diff(flying_s).max(), abs=1e-6)
+    assert facts.setpoint_gap_s > 1.5
 
 
 def test_holds_plans_and_times_are_those_of_the_files(run_dir: Path, page: str) -> None:
@@ -214,77 +221,18 @@ def test_holds_plans_and_times_are_those_of_the_files(run_dir: Path, page: str) 
     assert "cut as time was up" not in words
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_plans_that_time_has_cut_are_told_with_the_remedy(copy: Path) -> None:
-    said = entries(copy)
-    refused = {"kind": "plan refused", "plan_id": 9, "reason": "OUT_OF_TIME", "broken": []}
-    refused |= {"t_s": said[-1]["t_s"], "evaluations": 341, "out_of_time": True}
-    found = [e | {"out_of_time": True} if e["kind"] == "plan ready" else e for e in said]
-    header, *_ = (copy / "journal.jsonl").read_text(encoding="utf-8").splitlines()
-    lines = [header, *map(json.dumps, [*found, refused])]
-    (copy / "journal.jsonl").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    words = words_of(report_of(copy))
-    many = 1 + sum(e["kind"] == "plan ready" for e in said)
-    assert f"; of {many} the search was cut as time was up: raise planner.planning_time_s" in words
-    assert "plan 9 refused: OUT_OF_TIME; time was up after 341 candidates" in words
-
-
-def write_log(run: Path, records: list[tuple[int, bytes]]) -> None:
-    log = b"".join(struct.pack(">Q", stamp_us) + frame for stamp_us, frame in records)
-    (run / "flight.tlog").write_bytes(log)
-
-
-def test_missing_frames_and_silences_are_counted(copy: Path, facts: FlightFacts) -> None:
-    records = records_of(copy)
-    of_autopilot = [k for k, each in enumerate(records) if each[1][6] == 1]
-    dropped = set(of_autopilot[500:520]) | {of_autopilot[700]}
-    write_log(copy, [each for k, each in enumerate(records) if k not in dropped])
-    found = facts_of(copy)
-    assert found.lost - facts.lost == len(dropped)
-    assert found.heard == len(of_autopilot) - len(dropped)
-    left = np.array([records[k][0] for k in of_autopilot if k not in dropped])
-    assert found.silence_s == pytest.approx(1e-6 * np.diff(left).max())
-
-
-def test_times_without_a_fix_and_gaps_of_setpoints_are_those_of_the_log(copy: Path) -> None:
-    parser, changed, sent_us = wire.MAVLink(None, srcSystem=1, srcComponent=1), [], list[int]()
-    for stamp_us, frame in records_of(copy):
-        message: Any = parser.decode(bytearray(frame))
-        time_s = (stamp_us - EPOCH_US) * 1e-6
-        if message.get_type() == "GPS_RAW_INT":
-            message.satellites_visible = 9
-            if 60.0 <= time_s < 70.0:
-                message.fix_type, message.satellites_visible = 1, 2
-            parser.seq = frame[4]
-            frame = message.pack(parser)
-        if (
-            message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"
-            and message.get_srcComponent() == 195
-        ):
-            if 50.0 <= time_s < 51.5:
-                continue
-            sent_us.append(stamp_us)
-        changed.append((stamp_us, frame))
-    write_log(copy, changed)
-    facts, sent_s = facts_of(copy), (np.array(sent_us) - EPOCH_US) * 1e-6
-    assert facts.without_fix_s == pytest.approx(10.0, abs=1.0)
-    assert facts.fewest_satellites == 2.0
-    assert facts.setpoint_gap_s == pytest.approx(np.diff(sent_s[sent_s > 45.0]).max(), abs=1e-6)
-    assert facts.setpoint_gap_s > 1.5
-
-
 # --- the page
 
 
 class Page(html.parser.HTMLParser):
     """The elements of a page, and whether they are closed in order."""
 
+    VOID = frozenset({"meta", "br", "img", "input", "link", "hr"})
+
     def __init__(self, text: str) -> None:
         super().__init__()
-        self.open: list[str] = []
+        self.open, self.ids, self.links = list[str](), list[str](), list[str]()
         self.tags: set[str] = set()
-        self.ids: list[str] = []
-        self.links: list[str] = []
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
@@ -295,45 +243,34 @@ class Page(html.parser.HTMLParser):
                 self.ids.append(value or "")
             if name in ("src", "href", "xlink:href", "action", "srcset", "data", "poster"):
                 self.links.append(value or "")
-        if tag not in VOID:
+        if tag not in self.VOID:
             self.open.append(tag)
 
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_starttag(tag, attrs)
-        if tag not in VOID:
-            self.open.pop()
-
     def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
+        assert tag in self.VOID or self.open.pop() == tag
 
 
 def test_the_page_is_whole_and_loads_nothing(page: str) -> None:
+    """Each figure is XML, and holds what it refers to."""
     read = Page(page)
     assert not read.open
     assert not read.tags & {"script", "link", "iframe", "object", "embed", "base", "form", "img"}
     assert all(link.startswith(("#", "data:image/png;base64,")) for link in read.links)
-    styles = re.findall(r"<style.*?</style>", page, flags=re.DOTALL)
-    assert not any("@import" in style or "url(" in style for style in styles[:1])
+    assert "@import" not in page
     assert all(url.startswith("#") for url in re.findall(r"url\(([^)]*)\)", page))
     assert "default-src 'none'" in page
     assert len(read.ids) == len(set(read.ids))
-
-
-def test_each_figure_is_valid_xml_and_holds_what_it_refers_to(page: str) -> None:
     figures = re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL)
     assert len(figures) == 2
     for figure in figures:
         root = lxml.etree.fromstring(figure.encode())
         assert root.tag == "{http://www.w3.org/2000/svg}svg"
-        ids = set(root.xpath("//@id"))
-        wanted = set(re.findall(r'(?:href="#|url\(#)([^")]*)', figure))
-        assert wanted <= ids
+        assert set(re.findall(r'(?:href="#|url\(#)([^")]*)', figure)) <= set(root.xpath("//@id"))
 
 
 def test_what_comes_from_the_flight_is_text_and_no_markup(copy: Path) -> None:
-    mission = (copy / "mission.toml").read_text(encoding="utf-8")
-    mission += f"# {EVIL}\n" + RADAR.format(EVIL, 3000.0, 3000.0, 3000.0, 2000.0)
-    (copy / "mission.toml").write_text(mission, encoding="utf-8")
+    with (copy / "mission.toml").open("a", encoding="utf-8") as file:
+        file.write(f"# {EVIL}\n" + RADAR.format(EVIL, 3000.0, 3000.0, 3000.0, 2000.0))
     evil = [
         {"t_s": 50.0, "kind": "vehicle says", "text": EVIL},
         {"t_s": 51.0, "kind": "part died", "error": EVIL},
@@ -357,15 +294,88 @@ def test_the_same_flight_gives_the_same_page(run_dir: Path, page: str, tmp_path:
     assert (tmp_path / "again.html").read_text(encoding="utf-8") == page
 
 
-# --- what is not there
+# --- what is not there, or otherwise
 
 
-def test_without_a_map_it_says_so(copy: Path) -> None:
-    (copy / "known.npz").unlink()
-    (copy / "inputs.msgpack").unlink()
+def without_a_map(run: Path) -> None:
+    (run / "known.npz").unlink()
+    (run / "inputs.msgpack").unlink()
+
+
+def far_from_all_terrain(run: Path) -> None:
+    known = hill(run)
+    low = np.where(known.seen, -9000.0, np.inf)
+    (run / "known.npz").write_bytes(packed_map(replace(known, upper_m=low)))
+
+
+def with_odd_values(run: Path) -> None:
+    odd = {"planning_s": ["x", None], "began": 5, "times_real_time": "fast", "companion": [1]}
+    (run / "run.json").write_text(json.dumps(odd))
+
+
+def cut_by_time(run: Path) -> None:
+    refused = {"kind": "plan refused", "plan_id": 9, "reason": "OUT_OF_TIME", "broken": []}
+    refused |= {"t_s": 90.0, "evaluations": 341, "out_of_time": True}
+    header, *_ = (run / "journal.jsonl").read_text().splitlines()
+    said = [e | {"out_of_time": True} if e["kind"] == "plan ready" else e for e in entries(run)]
+    lines = [header, *map(json.dumps, [*said, refused])]
+    (run / "journal.jsonl").write_text("\n".join(lines) + "\n")
+
+
+def failed(run: Path) -> None:
+    end = '"outcome":"{}","reason":"{}"'
+    was, now = end.format("arrived", "target reached"), end.format("failed", "the vehicle disarmed")
+    text = (run / "journal.jsonl").read_text()
+    assert was in text
+    (run / "journal.jsonl").write_text(text.replace(was, now))
+
+
+ODD: dict[str, tuple[Callable[[Path], object], list[str]]] = {
+    "no map": (without_a_map, ["the known map was not recorded"]),
+    "no terrain near": (far_from_all_terrain, ["more than"]),
+    "a damaged run.json": (lambda run: (run / "run.json").write_bytes(b"\0{"), ["run.json: "]),
+    "a damaged map": (lambda run: (run / "known.npz").write_bytes(b"\0{"), ["known.npz: "]),
+    "odd values": (with_odd_values, ["Planning time, median not recorded"]),
+    "out of time": (
+        cut_by_time,
+        [
+            "; of 3 the search was cut as time was up: raise planner.planning_time_s",
+            "plan 9 refused: OUT_OF_TIME; time was up after 341 candidates",
+        ],
+    ),
+    "failed": (
+        failed,
+        [
+            "✘ Failed: the vehicle disarmed",
+            "Held before: paused by a person (",
+            "What to do: See its messages for the reason.",
+            "from the last target at the end",
+        ],
+    ),
+}
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize("what", ODD)
+def test_what_is_odd_about_a_flight_is_told(copy: Path, what: str) -> None:
+    change, expected = ODD[what]
+    change(copy)
     words = words_of(report_of(copy))
-    assert "the known map was not recorded" in words
-    assert "Nearest to known terrain" not in words
+    for each in expected:
+        assert each in words
+    assert ("Nearest to known terrain" in words) == (what not in ("no map", "a damaged map"))
+
+
+@pytest.mark.sample(2)
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.7, 0.97])
+def test_a_flight_that_was_cut_off_is_told_as_far_as_it_goes(copy: Path, share: float) -> None:
+    for name in ("journal.jsonl", "flight.tlog"):
+        data = (copy / name).read_bytes()
+        (copy / name).write_bytes(data[: int(share * len(data))])
+    words = words_of(report_of(copy))
+    assert "Not ended" in words
+    planned = b'"kind":"plan ready"' in (copy / "journal.jsonl").read_bytes()
+    assert ("None was planned" in words) is not planned
 
 
 def test_a_map_that_was_not_kept_grows_again_in_a_replay(tmp_path: Path) -> None:
@@ -382,73 +392,3 @@ def test_a_map_that_was_not_kept_grows_again_in_a_replay(tmp_path: Path) -> None
     assert again is not None
     assert kept.seen.sum() > 1000
     assert digest_of(again) == digest_of(kept)
-
-
-@pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("name", ["run.json", "known.npz"])
-def test_damaged_files_beside_the_record_are_named(copy: Path, name: str) -> None:
-    (copy / name).write_bytes(b"\x00{")
-    assert f"{name}: " in words_of(report_of(copy))
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_a_run_json_with_other_values_than_ours_is_told_without_them(copy: Path) -> None:
-    odd = {"planning_s": ["x", None], "began": 5, "times_real_time": "fast", "companion": [1]}
-    (copy / "run.json").write_text(json.dumps(odd))
-    assert "Planning time, median not recorded" in words_of(report_of(copy))
-
-
-@pytest.mark.sample(2)
-@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.7, 0.97])
-def test_a_flight_that_was_cut_off_is_told_as_far_as_it_goes(copy: Path, share: float) -> None:
-    for name in ("journal.jsonl", "flight.tlog"):
-        data = (copy / name).read_bytes()
-        (copy / name).write_bytes(data[: int(share * len(data))])
-    words = words_of(report_of(copy))
-    assert "Not ended" in words
-    planned = b'"kind":"plan ready"' in (copy / "journal.jsonl").read_bytes()
-    assert ("None was planned" in words) is not planned
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_a_failed_flight_says_why_and_what_led_to_it(copy: Path) -> None:
-    text = (copy / "journal.jsonl").read_text()
-    end = '"outcome":"arrived","reason":"target reached"'
-    assert end in text
-    failed = '"outcome":"failed","reason":"the vehicle disarmed"'
-    (copy / "journal.jsonl").write_text(text.replace(end, failed))
-    words = words_of(report_of(copy))
-    assert "✘ Failed: the vehicle disarmed" in words
-    assert re.search(r"Held before: paused by a person \(\d+ s\)\.", words)
-    assert "What to do: See its messages for the reason." in words
-    assert "from the last target at the end" in words
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("mission.toml", "it holds no mission.toml"),
-        ("flight.tlog", "it holds no flight.tlog"),
-        ("journal.jsonl", "No such file"),
-    ],
-)
-def test_without_the_record_itself_it_is_one_line_and_exit_code_2(
-    copy: Path, name: str, words: str
-) -> None:
-    (copy / name).unlink()
-    code, _, said = answered("report", copy)
-    assert code == 2
-    assert words in said
-    assert len(said.splitlines()) == 1
-    assert not (copy / "report.html").exists()
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_the_command_writes_beside_the_flight_and_never_over_it(copy: Path) -> None:
-    assert answered("report", copy)[::2] == (0, "")
-    assert (copy / "report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
-    code, _, said = answered("report", copy, "--out", copy / "flight.tlog")
-    assert code == 2
-    assert "that is what the flight was recorded in" in said
-    assert answered("report", copy, "--out", copy / "none" / "x.html")[0] == 2
-    assert "not written" in answered("report", copy, "--out", "/dev/full")[2]

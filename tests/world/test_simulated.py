@@ -1,10 +1,10 @@
 """What a radar and a sensor of near things show of a world, against points all over it."""
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
+import shapely
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -129,18 +129,13 @@ def test_the_plain_is_seen_up_to_the_horizon(eye_m: float) -> None:
 
 
 def outline(thing: Thing) -> NDArray[np.float64]:
-    """Points of the surface, and some inside of it, 5 mm apart.  (M, 2)."""
-    corners = [*thing.corners_ne_m, *thing.corners_ne_m[: 1 if thing.closed else 0]]
-    lines = [np.array(corners[:1])]
-    for a, b in pairwise(corners):
-        share = np.linspace(0.0, 1.0, math.ceil(math.dist(a, b) / 0.005) + 2)[:, None]
-        along = np.subtract(b, a) / max(math.dist(a, b), 1e-9)
-        left = thing.half_width_m * np.array([-along[1], along[0]])
-        middle = np.array(a) * (1.0 - share) + np.array(b) * share
-        lines += [middle + left, middle - left]
-    turn = np.linspace(0.0, math.tau, math.ceil(math.tau * thing.half_width_m / 0.005) + 2)
-    rim = thing.half_width_m * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    return np.concatenate([*lines, *(np.array(corner) + rim for corner in corners)])
+    """Points of the surface, 5 mm apart, by shapely.  (M, 2)."""
+    corners = thing.corners_ne_m
+    kind = shapely.LinearRing if thing.closed else shapely.LineString
+    line = kind(corners) if len(corners) > 1 else shapely.Point(corners[0])
+    if thing.half_width_m > 0.0:
+        line = line.buffer(thing.half_width_m, quad_segs=500).boundary
+    return shapely.get_coordinates(line.segmentize(0.005))
 
 
 def drawn(random: np.random.Generator) -> list[Thing]:

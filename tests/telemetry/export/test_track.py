@@ -31,16 +31,36 @@ def position(
     return bytes(message.pack(codec, force_mavlink1=v1))
 
 
-def flight(*frames: bytes, system_id: int | None = 1) -> Flight:
+def flight(*frames: bytes, entries: Any = (), system_id: int | None = 1) -> Flight:
+    """These frames a tenth of a second apart, and then entries of the journal."""
     found = Flight(MISSION, system_id)
     for k, frame in enumerate(frames):
         found.look(EPOCH_US + 100_000 * k, frame)
+    for entry in entries:
+        found.take(entry)
     found.settle()
     return found
 
 
-def at(*times_s: float) -> Flight:
-    return flight(*(position(time_s) for time_s in times_s))
+def at(*times_s: float, entries: Any = ()) -> Flight:
+    """Positions at these vehicle times."""
+    return flight(*map(position, times_s), entries=entries)
+
+
+def phases(flight: Flight) -> list[str]:
+    return [each.phase for each in flight.decided_at_positions()]
+
+
+def phase(time_s: float, name: str, reason: str | None = None) -> Any:
+    return noted.Phase(time_s=time_s, phase=name, was="", reason=reason, code=None)
+
+
+def header(**more: Any) -> Header:
+    facts = {"version": 1, "mission": "m", "seed": 1, "profile": "flight", "lockstep": True}
+    return Header(**{"schema": "companion-journal", **facts, **more})
+
+
+# --- frames
 
 
 FIRST = {
@@ -50,10 +70,10 @@ FIRST = {
     "longitude_deg": 8.0,
     "altitude_amsl_m": 500.0,
     "above_home_m": 10.0,
+    "heading_deg": 90.0,
     "north_m_s": 1.0,
     "east_m_s": -2.0,
     "up_m_s": -3.0,
-    "heading_deg": 90.0,
 }
 ZERO = {"north_m_s": "vx", "east_m_s": "vy", "up_m_s": "vz", "heading_deg": "hdg"}
 ZERO |= {"above_home_m": "relative_alt"}  # zeros that MAVLink 2 leaves out
@@ -68,28 +88,24 @@ ZERO |= {"above_home_m": "relative_alt"}  # zeros that MAVLink 2 leaves out
         ({"hdg": 65535}, {"heading_deg": math.nan}),
     ],
 )
-def test_units_signs_datums_and_what_is_not_told(told: Any, expected: dict[str, float]) -> None:
-    found = flight(position(12.3, **told)).track
-    values = {name: getattr(found, name)[0] for name in FIRST}
+def test_units_signs_datums_and_what_is_not_told(
+    told: Any, expected: dict[str, float], tmp_path: Path
+) -> None:
+    """A table of it has velocities upwards, and no heading that is not known."""
+    found = flight(position(12.3, **told), entries=[phase(0.0, "flying")])
+    values = {name: getattr(found.track, name)[0] for name in FIRST}
     assert values == pytest.approx(FIRST | expected, nan_ok=True)
-
-
-def test_a_table_has_velocities_upwards_and_no_heading_that_is_not_known(tmp_path: Path) -> None:
-    write_csv(built(flight(position(12.3, hdg=65535)), phase(0.0, "flying")), tmp_path / "a.csv")
+    write_csv(found, tmp_path / "a.csv")
     [row] = csv.DictReader((tmp_path / "a.csv").read_text(encoding="utf-8").splitlines())
-    velocity = [row[f"{axis}_m_s"] for axis in ("north", "east", "up")]
-    assert (velocity, row["heading_deg"]) == (["1.00", "-2.00", "-3.00"], "")
+    for name in ("north_m_s", "east_m_s", "up_m_s", "heading_deg"):
+        assert float(row[name] or "nan") == pytest.approx(values[name], nan_ok=True)
 
 
-def test_only_the_autopilot_of_the_vehicle_counts() -> None:
+def test_only_the_autopilot_of_the_vehicle_counts_and_only_with_a_fix() -> None:
     others = [position(1.0, ids=ids) for ids in ((2, 1), (1, 195), (255, 190))]
-    assert len(flight(*others, position(2.0)).track) == 1
+    beat = bytes(wire.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3).pack(wire.MAVLink(None, 1, 1)))
+    assert len(flight(*others, beat, position(2.0)).track) == 1
     assert len(flight(*others, position(2.0), system_id=None).track) == 2
-    beat = wire.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
-    assert len(flight(bytes(beat.pack(wire.MAVLink(None, 1, 1)))).track) == 0
-
-
-def test_positions_before_there_is_a_fix_are_left_out_and_counted() -> None:
     found = flight(position(1.0, lat=0, lon=0), position(2.0, lat=2_000_000_000), position(3.0))
     assert found.track.t_s.tolist() == [3.0]
     assert found.left_out == 2
@@ -106,57 +122,48 @@ def test_a_clock_that_begins_again_is_a_reboot_and_a_single_fall_is_a_mistake() 
 
 # --- entries and positions meet by the vehicle's clock
 
-
-def built(flight: Flight, *lines: Any) -> Flight:
-    for line in lines:
-        flight.take(line)
-    flight.settle()
-    return flight
-
-
-def phases(flight: Flight) -> list[str]:
-    return [each.phase for each in flight.decided_at_positions()]
+REBOOTED = [
+    *(phase(100.0, "flying"), noted.VehicleRebooted(time_s=0.4)),
+    *(phase(0.4, "preparing"), phase(0.6, "holding", "x")),
+]
+RESTARTED = [header(), phase(1000.0, "flying"), header(resumed=1), phase(5.0, "preparing")]
 
 
-def phase(time_s: float, name: str, reason: str | None = None) -> Any:
-    return noted.Phase(time_s=time_s, phase=name, was="", reason=reason, code=None)
+@pytest.mark.parametrize(
+    ("times_s", "entries", "expected"),
+    [
+        (  # each phase begins at the position of its time
+            (1.0, 2.0, 3.0, 4.0),
+            [phase(0.5, "preparing"), phase(3.0, "flying")],
+            "preparing preparing flying flying",
+        ),
+        (  # after a reboot times count from the new boot
+            (99.0, 100.0, 101.0, 0.5, 0.6),
+            REBOOTED,
+            "waiting flying flying preparing holding",
+        ),
+        # a reboot while no companion ran is seen by the clock
+        ((1000.0, 1001.0, 5.0), RESTARTED, "flying flying preparing"),
+        # what it did before it knew the clock counts from the first position: it waited nine
+        # seconds for a vehicle that had been on for two
+        ((2.0, 3.0), [phase(9.0, "preparing"), phase(3.0, "arming")], "waiting arming"),
+    ],
+    ids=["in one boot", "rebooted", "restarted", "waited"],
+)
+def test_phases_are_those_of_their_times(times_s: Any, entries: list[Any], expected: str) -> None:
+    assert phases(at(*times_s, entries=entries)) == expected.split()
 
 
-def header(**more: Any) -> Header:
-    facts = {"version": 1, "mission": "m", "seed": 1, "profile": "flight", "lockstep": True}
-    return Header(**{"schema": "companion-journal", **facts, **more})
-
-
-def test_phases_begin_at_the_position_of_their_time() -> None:
-    found = built(at(1.0, 2.0, 3.0, 4.0), phase(0.5, "preparing"), phase(3.0, "flying"))
-    assert phases(found) == ["preparing", "preparing", "flying", "flying"]
-    assert found.segments() == [("preparing", slice(0, 2)), ("flying", slice(2, 4))]
-
-
-def test_after_a_reboot_times_count_from_the_new_boot() -> None:
-    reboot = noted.VehicleRebooted(time_s=0.4)
-    lines = [phase(100.0, "flying"), reboot, phase(0.4, "preparing"), phase(0.6, "holding", "x")]
-    found = built(at(99.0, 100.0, 101.0, 0.5, 0.6), *lines)
-    assert phases(found) == ["waiting", "flying", "flying", "preparing", "holding"]
+def test_moments_and_segments_are_those_of_their_boots() -> None:
+    found = at(99.0, 100.0, 101.0, 0.5, 0.6, entries=REBOOTED)
     assert [(m.what, m.boot) for m in found.moments] == [("reboot", 1), ("hold", 1)]
-    assert found.index_at(1, 0.6) == 4
-    assert found.index_at(0, 0.6) == 0
-
-
-def test_a_reboot_while_no_companion_ran_is_seen_by_the_clock() -> None:
-    lines = [header(), phase(1000.0, "flying"), header(resumed=1), phase(5.0, "preparing")]
-    found = built(at(1000.0, 1001.0, 5.0), *lines)
-    assert phases(found) == ["flying", "flying", "preparing"]
-
-
-def test_what_the_companion_did_before_it_knew_the_clock_counts_from_the_first_position() -> None:
-    """It waited nine seconds for a vehicle that had been on for two."""
-    found = built(at(2.0, 3.0), phase(9.0, "preparing"), phase(3.0, "arming"))
-    assert phases(found) == ["waiting", "arming"]
+    assert [found.index_at(boot, 0.6) for boot in (1, 0)] == [4, 0]
+    expected = [("waiting", 0, 1), ("flying", 1, 3), ("preparing", 3, 4), ("holding", 4, 5)]
+    assert [(name, part.start, part.stop) for name, part in found.segments()] == expected
 
 
 def test_without_positions_nothing_has_a_place() -> None:
-    found = built(flight(), phase(1.0, "holding", "x"))
+    found = flight(entries=[phase(1.0, "holding", "x")])
     assert (len(found.track), found.left_out, found.segments()) == (0, 0, [])
     assert shapes.of_track(found.track).shape == (0, 3)
     assert found.index_at(0, 1.0) is None
@@ -166,17 +173,14 @@ def test_the_newest_targets_count_and_the_fence_is_there_once() -> None:
     circle = {"name": "a", "north_m": 1.0, "east_m": 2.0, "radius_m": 3.0, "keep_in": True}
     fence = {"kind": "fence", "t_s": 1.0, "floor_amsl_m": None, "ceiling_amsl_m": None}
     order = {"t_s": 3.0, "kind": "order", "sender": "255/190", "speed_m_s": None}
-    found = built(
-        at(1.0),
-        noted.entry_of({**fence, "zones": [circle, circle]}),
-        noted.entry_of({**fence, "zones": [circle]}),
-        noted.Targets(time_s=1.0, targets_ne_m=((5.0, 6.0), (7.0, 8.0))),
-    )
+    fences = [noted.entry_of({**fence, "zones": [circle] * count}) for count in (2, 1)]
+    targets = noted.Targets(time_s=1.0, targets_ne_m=((5.0, 6.0), (7.0, 8.0)))
+    found = at(1.0, entries=[*fences, targets])
     assert found.targets_ne_m == ((5.0, 6.0), (7.0, 8.0))
     assert len(found.zones) == 1
     there = noted.entry_of({**order, "order": "REPOSITION", "target_ne_m": [9.0, 10.0]})
     pause = noted.entry_of({**order, "order": "PAUSE", "target_ne_m": None})
-    assert built(at(1.0), there, pause).targets_ne_m == ((9.0, 10.0),)
+    assert at(1.0, entries=[there, pause]).targets_ne_m == ((9.0, 10.0),)
 
 
 # --- shapes
@@ -187,12 +191,12 @@ def test_a_long_track_is_thinned_evenly_and_keeps_its_ends(
 ) -> None:
     monkeypatch.setattr(shapes, "MAX_POINTS", 500)
     count = 3 * shapes.MAX_POINTS - 7
-    long = flight(*(position(0.1 * k, lat=470_000_000 + 10 * k) for k in range(count)))
+    frames = [position(0.1 * k, lat=470_000_000 + 10 * k) for k in range(count)]
     kept = shapes.thinned(slice(0, count), count)
     assert len(kept) <= shapes.MAX_POINTS + 1
     assert (kept[0], kept[-1]) == (0, count - 1)
     assert set(np.diff(kept)[:-1]) == {3}
-    write_kml(built(long, phase(0.0, "flying")), tmp_path / "long.kml")
+    write_kml(flight(*frames, entries=[phase(0.0, "flying")]), tmp_path / "long.kml")
     assert (tmp_path / "long.kml").read_text(encoding="utf-8").count("<when>") == len(kept)
 
 
