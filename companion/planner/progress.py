@@ -11,8 +11,9 @@ the same place each time.  A leg that is hardly dearer than promised then leaves
 what it costs, but for `SLACK`, which is less than a leg costs; dearer ones owe, and more than may
 be is never owed in flight.  So every flight between stops comes to a record.  Standing, what is
 owed grows until a straight piece is cheaper, and those leave less to fly, or climb to where the way
-on begins; where there is none, it grows until it is more than a way all round what is in sight, and
-that there is no way on is the answer (not among near things, whose map forgets).  Records are apart by no less than a leg, or a cell, leaves off.
+on begins.  Where there is none it grows until it is more than a way all round what is in sight, and
+then the answer is that no way on was found (not among near things, whose map forgets).  Records are
+apart by no less than a leg, or a cell, leaves off.
 
 Guesses promise what cannot be flown where ground is hidden that is not as low as they say.  They
 are given up where the best that a standing vehicle can do costs more than was promised by more than

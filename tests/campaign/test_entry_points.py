@@ -1,6 +1,9 @@
 """A stranger's distribution brings an optimiser and a planner, and we fly with both."""
 
 import importlib
+import importlib.resources
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,7 +12,7 @@ import pytest
 from companion import entry_points, library
 from companion.campaign import families
 from companion.campaign.run import fly_alone
-from companion.config import load_mission, mission_text
+from companion.config import load_mission
 from companion.errors import InputError
 from companion.optimise.registry import OPTIMISERS
 from companion.paper.rivals import PLANNERS
@@ -50,29 +53,39 @@ def straight(problem, rng):
 def of_nothing():
     return None
 '''
-ENTRY_POINTS = """
-[companion.optimisers]
-scatter = strangers_search:Scatter
-flat = strangers_search:Flat
-gone = strangers_search:Gone
-pso = strangers_search:Flat
-[companion.planners]
-straight = strangers_search:straight
-of-nothing = strangers_search:of_nothing
+PROJECT = """
+[build-system]
+requires = ["hatchling"]
+build-backend = "hatchling.build"
+[project]
+name = "a-strangers-search"
+version = "1.0"
+[project.entry-points."companion.optimisers"]
+scatter = "strangers_search:Scatter"
+flat = "strangers_search:Flat"
+gone = "strangers_search:Gone"
+pso = "strangers_search:Flat"
+[project.entry-points."companion.planners"]
+straight = "strangers_search:straight"
+of-nothing = "strangers_search:of_nothing"
+[tool.hatch.build.targets.wheel]
+packages = ["strangers_search"]
 """
 
 
 @pytest.fixture(scope="module", autouse=True)
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """What pip leaves of it in a folder on the path."""
-    target = tmp_path_factory.mktemp("installed")
-    (target / "strangers_search.py").write_text(CODE, encoding="utf-8")
-    facts = target / "a_strangers_search-1.0.dist-info"
-    facts.mkdir()
-    (facts / "METADATA").write_text(
-        "Metadata-Version: 2.1\nName: a-strangers-search\nVersion: 1.0\n"
+    """As pip installs it, into a folder on the path."""
+    source, target = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("installed")
+    (source / "strangers_search").mkdir()
+    (source / "strangers_search" / "__init__.py").write_text(CODE, encoding="utf-8")
+    (source / "pyproject.toml").write_text(PROJECT, encoding="utf-8")
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
+    subprocess.run(
+        [*pip, "--no-build-isolation", "--target", str(target), str(source)],
+        check=True,
+        capture_output=True,
     )
-    (facts / "entry_points.txt").write_text(ENTRY_POINTS)
     known = set(OPTIMISERS), set(PLANNERS)
     with pytest.MonkeyPatch.context() as patched:
         patched.syspath_prepend(str(target))
@@ -86,7 +99,9 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 def mission_with(folder: Path, optimiser: str) -> str:
-    text, path = mission_text("environment-1"), folder / "mission.toml"
+    environments = Path(str(importlib.resources.files("companion") / "environments"))
+    text = (environments / "environment-1" / "mission.toml").read_text(encoding="utf-8")
+    path = folder / "mission.toml"
     path.write_text(text.replace("overlap_m", f'optimiser = "{optimiser}"\noverlap_m', 1))
     return str(path)
 
