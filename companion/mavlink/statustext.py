@@ -19,6 +19,7 @@ _PERIOD_S = 1.0
 _REPEAT_S = 5.0  # the same text of a kind is not said again for so long
 _STALE_S = 10.0  # what could not be said for so long is not news any more
 _MAX_WAITING = 16
+_ROUNDING_S = 1e-6  # of the time until which the chunks of a text take
 _LAST_CHUNKED = 0xFFFF  # id of the chunks of the last text of all
 _ASCII = str.maketrans(
     {"≤": "<=", "≥": ">=", "–": "-", "—": "-", "−": "-", "²": "2", "…": "..", "°": "deg"}
@@ -60,7 +61,8 @@ class StatusTexts:
 
     def due(self, now_s: float) -> list[Message]:
         """The messages to send now: the first queued text, if it is time for one."""
-        if now_s < self._free_at_s - _MAX_CHUNKS * _PERIOD_S:  # the clock began again
+        soonest_s = self._free_at_s - _MAX_CHUNKS * _PERIOD_S - _ROUNDING_S
+        if now_s < soonest_s:  # the clock began again
             self._free_at_s = now_s
         for kind, (_, warning, at_s) in tuple(self._waiting.items()):
             if not warning and abs(now_s - at_s) > _STALE_S:

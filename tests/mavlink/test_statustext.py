@@ -4,7 +4,7 @@ import struct
 from typing import NamedTuple
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from companion.mavlink.dialect import codec
@@ -90,6 +90,7 @@ def test_whatever_is_said_is_sent_in_ascii_on_one_line(text: str, warning: bool)
         st.tuples(st.floats(0.0, 1.5), st.integers(0, 200), st.booleans()), min_size=1, max_size=60
     )
 )
+@example([(1.1497576567241352, 148, True), (0.0, 0, False), (1.0, 0, False)])  # 4 s, rounded
 def test_never_more_than_one_message_a_second(said: list[tuple[float, int, bool]]) -> None:
     """On average from any text on: one in chunks keeps the next waiting for as long."""
     texts, now_s, times_s = StatusTexts(), 0.0, list[float]()
