@@ -50,12 +50,11 @@ from companion.runtime.compiler import load_kernel
 from companion.runtime.keys import SigningKey
 from companion.runtime.link import open_link
 from companion.runtime.loop import fly
-from companion.runtime.planner_process import PlannerEndedError, PlannerProcess
 from companion.runtime.preflight import run_preflight
 from companion.runtime.terminal import Terminal, stop_signals
 from companion.session import Session
 from companion.sources.files import picture_file, remove_torn, writing
-from companion.telemetry.flight_status import SCHEMA, VERSION, FlightBegun, flight_status
+from companion.telemetry.flight_status import LOADS, SCHEMA, VERSION, FlightBegun, flight_status
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.resume import ResumeData, load_resume_data
 from companion.telemetry.run_folder import RunFolder
@@ -68,7 +67,6 @@ from companion.world.simulated import true_map
 
 _INTERRUPTED, _CRASHED = 130, 70
 _NO_OUTPUT = (errno.ENOSPC, errno.EPIPE, errno.EIO)
-_LOADING = "loading the planner (compiled the first time, in some fifteen seconds)"
 _USAGE_ERROR = typer.BadParameter.__bases__  # typer has no name for the class of all of them
 
 _CONNECT = "udpin:127.0.0.1:14540"
@@ -267,7 +265,7 @@ def plan_command(
     task, limits = chosen.task, chosen.task.limits
     blank = chosen.known or empty_map(task.cell_m, limits.north_m, limits.east_m)
     truth = true_map(place.terrain, blank)
-    with console.status(_LOADING):
+    with console.status(LOADS):
         load_kernel()
     began_s = time.perf_counter()
     flight = fly_offline(
@@ -422,13 +420,9 @@ def _flown(
     recalled: what there was of the flight that is gone on with; None: it is a new one.
     """
     console, began, lockstep = shows.console, datetime.now(UTC), session.context.lockstep
-    planner = plan if lockstep else PlannerProcess()
-    with console.status(_LOADING):
-        if not isinstance(planner, PlannerProcess):
+    if lockstep:
+        with console.status(LOADS):
             load_kernel()
-        elif recalled is None:  # what is in flight again does not wait for a compiler
-            with contextlib.suppress(OSError, PlannerEndedError):  # it is tried again in flight
-                planner.start()
     with contextlib.ExitStack() as until_shown:
         with (
             open_link(connect) as link,
@@ -476,7 +470,7 @@ def _flown(
                 on_progress=show,
                 stop_asked=lambda: bool(stop_asked),
                 person=person,
-                planner=planner,
+                in_flight=recalled is not None,
                 persist=partial(_keep_time, key, session.signing),
             )
             facts: dict[str, object] = {

@@ -42,6 +42,8 @@ class ControlLoop:
 
     plan: Callable[[int, PlanRequest], None]
     """Has a plan computed, now or soon, whose answer is `answered`; set before the first turn."""
+    planner_is_ready: Callable[[], bool] = staticmethod(lambda: True)
+    """Nothing is heard of the vehicle before: none takes off that nobody can plan for."""
 
     def __init__(
         self,
@@ -108,7 +110,9 @@ class ControlLoop:
         try:
             if not self._lockstep:
                 self.session.silence(0.0)  # the first heartbeat waits for nobody
-            while self.flown.end is None and not self._leaving.is_set():
+                self._carry_out(self.session.run())
+                self._await_planner()
+            while self.goes_on:
                 self._turn()
                 yield
             self._carry_out(self.session.farewell())
@@ -120,6 +124,24 @@ class ControlLoop:
             raise
         finally:
             self.ended.set()
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether the mission has not ended and nobody has said to leave."""
+        return self.flown.end is None and not self._leaving.is_set()
+
+    def _await_planner(self) -> None:
+        """Send heartbeats while the planner is loaded, and obey Ctrl-C."""
+        while self.goes_on and not self.planner_is_ready():
+            self.flown.loads = True
+            self._beat()
+            self._hear(_POLL_S)
+            now_s = self.clock()
+            self._carry_out(self.session.run())
+            if now_s - self._heard_s >= _SILENCE_S:
+                self.session.silence(0.0)  # nobody was listened to
+                self._heard_s = now_s
+        self.flown.loads = False
 
     def _record_the_end(self, error: BaseException) -> None:
         """Record the inputs before an error, to reproduce it."""

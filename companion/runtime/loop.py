@@ -44,6 +44,7 @@ def fly(
     on_progress: Callable[[FlightSummary], None],
     stop_asked: Callable[[], bool],
     planner: PlanFunction | None = None,
+    in_flight: bool = False,
     persist: Callable[[], None] = lambda: None,
     person: Terminal | None = None,
     clock: Clock = time.monotonic,
@@ -51,11 +52,13 @@ def fly(
     """Run a session until its mission ends; every end is a value, `FlightSummary.end`.
 
     planner: by default `plan`, in a process of its own unless in lockstep.
+    in_flight: the vehicle may be: it is listened to while the planner is still being loaded.
     persist: saves what must outlive the process; called every SAVE_EVERY_S (`keys`) and at the end.
     person: who may say go at the terminal; None: there is none.
     on_progress is called in the caller's thread, stop_asked in another one.
     """
-    load_libraries()
+    if in_flight:
+        load_libraries()  # now, or it would delay setpoints
     if planner is None:
         planner = plan if lockstep else PlannerProcess()
     loop = ControlLoop(
@@ -71,6 +74,8 @@ def fly(
     recorder = Recorder(folder, clock, loop.lost, persist)
     writer = recorder if lockstep else WriterThread(recorder)
     loop.plan, loop.record = planning.ask, writer.put
+    if not in_flight:
+        loop.planner_is_ready = planning.ready.is_set
     with prompt_threads():
         loop.watchdog.start()
         loop.watchdog.watch(planning.part, planning.run)

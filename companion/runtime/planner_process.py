@@ -14,6 +14,7 @@ import os
 import pickle
 import queue
 import signal
+import threading
 import time
 from collections.abc import Callable
 from ctypes import c_int64
@@ -174,7 +175,7 @@ class PlannerWorker:
     """Computes plans in a thread, one at a time; of those asked for the newest counts."""
 
     def __init__(self, planner: PlanFunction, on_answer: OnAnswer, *, lockstep: bool) -> None:
-        self.part = Worker("planner")
+        self.part, self.ready = Worker("planner"), threading.Event()
         self._newest = 0
         self._planner, self._on_answer, self._lockstep = planner, on_answer, lockstep
         self._requests: queue.SimpleQueue[tuple[int, PlanRequest]] = queue.SimpleQueue()
@@ -194,6 +195,8 @@ class PlannerWorker:
                 process.start()
             except OSError:  # no room for another process
                 self._planner, process = plan, None
+        load_libraries()
+        self.ready.set()
         self.part.idle()
         while not self._left:
             try:

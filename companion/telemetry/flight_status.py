@@ -21,6 +21,7 @@ from companion.telemetry.flight_summary import FlightSummary
 from companion.world.columns import distance_to_terrain_m
 from companion.world.known_map import KnownMap
 
+LOADS: Final = "loads the planner: compiled the first time, in some fifteen seconds"
 _LOOKS = 0.5  # of the scan range R: what is farther away is not looked for
 _WARNED_S = 60.0  # for how long a warning or a text stands
 _MOVES_M_S = 0.2
@@ -45,7 +46,7 @@ class FlightStatus(Struct, frozen=True, kw_only=True, tag_field="kind", tag="sta
     remedy: str | None
     """What to do about it."""
     waits_for: str | None
-    """What a person has to do before it takes off; null: nothing."""
+    """What it waits for before it takes off: its planner, or a person's go; null: neither."""
     warning: str | None
     """The companion's latest warning of this phase, for a minute."""
     vehicle: str
@@ -156,7 +157,7 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
         reason=reason,
         code=None if state.reason is None else state.reason.name,
         remedy=remedy,
-        waits_for=_waits_for(flown) if state.phase is Phase.READY else None,
+        waits_for=_waits_for(flown),
         warning=warning if _stands(warned_at_s, now_s, state.stage.since_s) else None,
         vehicle=session.found,
         vehicle_text=said if _stands(said_at_s, now_s) else None,
@@ -199,8 +200,12 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
     )
 
 
-def _waits_for(flown: FlightSummary) -> str:
-    """How to say go; there is no terminal for it in a service or a script."""
+def _waits_for(flown: FlightSummary) -> str | None:
+    """The planner, or how to say go; there is no terminal for it in a service or a script."""
+    if flown.loads:
+        return LOADS
+    if flown.session.state.phase is not Phase.READY:
+        return None
     if flown.asks_here:
         return "waits for go: type yes here, or send MISSION_START from a ground station"
     here = "no terminal is here for a yes, and --start was not given"

@@ -38,6 +38,8 @@ class FlightSummary:
     passed_m: float = math.inf
     """The nearest that a plane was to its last target, horizontally: it circles it afterwards."""
     end: End | None = None
+    loads: bool = False
+    """Whether the planner is still being loaded."""
     asks_here: bool = False
     """Whether somebody can say go in the terminal."""
     died: bool = False

@@ -17,7 +17,7 @@ from companion.mission.events import Outcome
 from companion.mission.state import Reason
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.runtime import loop
-from companion.runtime.control_loop import newest_setpoint
+from companion.runtime.control_loop import ControlLoop, newest_setpoint
 from companion.runtime.link import Link
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
@@ -147,6 +147,50 @@ def test_a_silence_is_told_as_it_grows_and_ends_with_the_next_word(folder: RunFo
     assert first_s == 0.0  # for the first heartbeat
     assert told_s[0] >= 0.2
     assert told_s[turn - 1] >= 0.5 > told_s[turn]
+
+
+def test_while_its_planner_is_loaded_it_sends_heartbeats_and_listens_to_nobody() -> None:
+    """For as long as that takes: that no vehicle is heard of meanwhile is nobody's fault."""
+    now_s, waited_s = 0.0, 30.0
+
+    def clock() -> float:
+        nonlocal now_s
+        now_s += 0.1
+        return now_s
+
+    def is_ready() -> bool:
+        assert link.incoming.qsize() == 1
+        return now_s > waited_s
+
+    link = QueueLink(clock)
+    link.incoming.put(b"a word")
+    session = Session(MISSION, seed=1, lockstep=False)
+    control = ControlLoop(
+        session, link, lockstep=False, clock=clock, stop_asked=lambda: now_s > waited_s + 2.0
+    )
+    control.planner_is_ready = is_ready
+    control.run()
+    assert control.flown.end is not None
+    assert control.flown.end.outcome is Outcome.STOPPED
+    sent_s = [at_s for at_s, frame in link.sent if frame[7:10] == bytes(3)]  # HEARTBEAT
+    assert sent_s[0] < 1.0
+    assert max(after - before for before, after in pairwise(sent_s)) < 2.0
+    assert link.incoming.empty()
+
+
+def test_ctrl_c_is_obeyed_while_the_planner_is_loaded() -> None:
+    link = QueueLink(time.monotonic)
+    control = ControlLoop(
+        Session(MISSION, seed=1, lockstep=False),
+        link,
+        lockstep=False,
+        clock=time.monotonic,
+        stop_asked=lambda: True,
+    )
+    control.planner_is_ready = lambda: False
+    control.run()
+    assert control.flown.end is not None
+    assert control.flown.end.outcome is Outcome.STOPPED
 
 
 def test_who_spoke_for_the_vehicle_is_answered(folder: RunFolder) -> None:
