@@ -10,11 +10,13 @@ flight; nobody else's vehicle is told anything; nothing after the end; a pause i
 one, an order is not overruled by an older plan, and no target is flown to below the reserve.
 """
 
+import math
+
 import pytest
 from watch import Watch
 from wild import Wild
 
-from companion.mavlink.autopilots import ALL
+from companion.mavlink.autopilots import ALL, ARDUCOPTER
 from companion.mission import events
 from companion.mission.phases import Phase, Reason
 
@@ -26,13 +28,23 @@ SAID = {
     *(events.RequestStreams, events.StartScan, events.Plan, events.StatusText, events.End),
 }
 OFTEN = {
-    *(Reason.NO_PLAN, Reason.RADAR_SILENT, Reason.NEW_TARGET, Reason.REFUSED, Reason.NOT_READY),
-    *(Reason.POSITION_STALE, Reason.POSITION_FROZEN, Reason.POSITION_JUMPED, Reason.NO_FIX),
-    *(Reason.ESTIMATOR, Reason.INACCURATE, Reason.OFF_PATH, Reason.NOT_TAKEN, Reason.DISARMED),
-    *(Reason.NOT_FOLLOWING, Reason.TAKING_OVER, Reason.MODE_TAKEN, Reason.LINK_LOST),
-    *(Reason.PAUSED, Reason.RETURN_ASKED, Reason.LAND_ASKED, Reason.BATTERY_LOW),
+    *(Reason.RADAR_SILENT, Reason.NEW_TARGET, Reason.REFUSED, Reason.NOT_READY, Reason.LINK_LOST),
+    *(Reason.INACCURATE, Reason.DISARMED, Reason.TAKING_OVER, Reason.MODE_TAKEN, Reason.PAUSED),
+    *(Reason.RETURN_ASKED, Reason.LAND_ASKED),
 }
 """Reasons that the programs have to come to, or they would show nothing."""
+ALONE = {
+    "fix": {Reason.NO_FIX},
+    "estimator": {Reason.ESTIMATOR},
+    "position": {Reason.POSITION_STALE},
+    "frozen": {Reason.POSITION_FROZEN},
+    "jump": {Reason.POSITION_JUMPED, Reason.OFF_PATH},
+    "weak": {Reason.NOT_FOLLOWING},
+    "echo": {Reason.NOT_TAKEN},
+    "drain": {Reason.BATTERY_LOW},
+    "no plan": {Reason.NO_PLAN},
+}
+"""To what a trouble leads that begins in flight and stays, with nothing else wrong."""
 
 
 def shard(number: int, events: int = EVENTS) -> list[Watch]:
@@ -55,6 +67,14 @@ def shard(number: int, events: int = EVENTS) -> list[Watch]:
 def test_nothing_happens_that_must_never_happen(number: int) -> None:
     watches = shard(number)
     assert sum(watch.setpoints for watch in watches) > 0
+
+
+@pytest.mark.parametrize("trouble", ALONE)
+def test_a_trouble_that_begins_in_flight_is_told_by_its_name(trouble: str) -> None:
+    program = Wild.calmly(ARDUCOPTER.traits)
+    program.lasting, program.lasting_in = (math.inf, trouble), Phase.FLYING
+    program.run(LONGEST)
+    assert program.watch.reasons >= ALONE[trouble]
 
 
 @pytest.mark.nightly
