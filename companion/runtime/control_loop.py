@@ -43,7 +43,7 @@ class ControlLoop:
     plan: Callable[[int, PlanRequest], None]
     """Has a plan computed, now or soon, whose answer is `answered`; set before the first turn."""
     planner_is_ready: Callable[[], bool] = staticmethod(lambda: True)
-    """Nothing is heard of the vehicle before: none takes off that nobody can plan for."""
+    """What the vehicle says before counts for nothing: none takes off that nobody can plan for."""
 
     def __init__(
         self,
@@ -131,11 +131,12 @@ class ControlLoop:
         return self.flown.end is None and not self._leaving.is_set()
 
     def _await_planner(self) -> None:
-        """Send heartbeats while the planner is loaded, and obey Ctrl-C."""
+        """While the planner is loaded send heartbeats, obey Ctrl-C, and drop what is heard."""
         while self.goes_on and not self.planner_is_ready():
             self.flown.loads = True
             self._beat()
-            self._hear(_POLL_S)
+            self.link.receive(_POLL_S)
+            self._hear()
             now_s = self.clock()
             self._carry_out(self.session.run())
             if now_s - self._heard_s >= _SILENCE_S:
