@@ -92,8 +92,10 @@ def _refuses(state: State, event: events.Prepared, turn: Turn) -> None:
 
 def _on_ground(state: State, turn: Turn) -> None:
     """All that was asked of it is there: it may go, or waits for that."""
-    if state.airborne:
-        return turn.give_up(Reason.GROUNDED)
+    if state.airborne:  # since a restart, as its take-off may only have begun
+        if not state.vehicle.armed or state.in_phase_s > _BEGINS_S:
+            turn.give_up(Reason.GROUNDED)
+        return
     reason, go = _refused(state, turn.context), turn.context.go
     if reason is not None and state.unready:
         return _unready(state, reason.text, turn)
