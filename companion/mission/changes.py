@@ -361,7 +361,8 @@ def _on_reboot(state: State, _event: events.Rebooted, turn: Turn) -> None:
         again.landing, again.sank = True, was.obeyed
     elif isinstance(was, phases.Preparing):
         again.landing, again.sank = was.landing, was.sank
-    if isinstance(was, phases.Led | phases.Preparing):
+    if isinstance(was, phases.Led | phases.Preparing) and was.path is not None:
+        following.note_flown(state, was.path, was.path.reference.length_m)
         was.path = None
     state.flight = Flight(
         known=flight.known,

@@ -179,7 +179,8 @@ def hold_for(state: State, reason: Reason) -> None:
         held = phases.Holding(how=reason.hold, why=why)
     held.since_s, held.asked_at_s, held.asks = state.now_s, -1e9, 0
     held.obeyed, held.backtrack = False, None
-    state.stage, state.reason = held, reason
+    state.stage = held
+    state.because(reason)
 
 
 def is_at_rest(state: State, event: Position) -> bool:

@@ -379,7 +379,7 @@ def shadow(state: State, stage: phases.Flying, event: Event, turn: Turn) -> None
     if reason is None and state.now_s - state.vehicle.bad_at_s < TRUST_S:
         reason = state.reason  # good again, but not for long enough to go on
     if reason is not state.reason:
-        state.reason = reason
+        state.because(reason)
         come_to_rest(state)
         if reason is None:
             turn.say("shadow: would go on")

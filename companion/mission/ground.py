@@ -236,7 +236,7 @@ def _in_flight(state: State, stage: phases.Preparing, turn: Turn) -> None:
     turn.to(Trigger.IN_FLIGHT)
     if state.orders.active is not None or state.taken or state.flight.returning:
         led = mode in ours and not state.taken
-        state.reason = Reason.TAKING_OVER if led else takeover_reason(state)
+        state.because(Reason.TAKING_OVER if led else takeover_reason(state))
         return way_back.leave_path(state)
     asked = stage.asks > 0  # to hold: it may do so by now
     if mode is Mode.GUIDED and not asked:
@@ -245,7 +245,7 @@ def _in_flight(state: State, stage: phases.Preparing, turn: Turn) -> None:
             stage.path, search = None, None if joined.next_leg is None else phases.Answered()
             return turn.to(Trigger.TAKE_OVER, phases.Flying(path=joined, search=search))
     ours_or_up = mode in (*ours, Mode.TAKE_OFF)
-    state.reason = Reason.TAKING_OVER if ours_or_up else takeover_reason(state)
+    state.because(Reason.TAKING_OVER if ours_or_up else takeover_reason(state))
 
 
 def arming(state: State, stage: phases.Stage, _event: Event, turn: Turn) -> None:
@@ -284,7 +284,7 @@ def taking_off(state: State, _: phases.Stage, event: Event, turn: Turn) -> None:
     climb_m_s = state.task.limits.climb_rate_m_s
     if isinstance(event, Position) and not on_ground and _has_climbed(state, event, guided=guided):
         if not guided:
-            state.reason = Reason.TAKEN_OFF
+            state.because(Reason.TAKEN_OFF)
         turn.to(Trigger.AIRBORNE if guided else Trigger.HANDED_OVER)
     elif on_ground and height_m(state) <= 0.0:
         turn.give_up(Reason.HOME_TOO_HIGH)

@@ -144,10 +144,11 @@ def _observe(state: State, event: Event, context: Context) -> None:
 def _on_end(state: State, event: events.StopAsked | events.PlannerDied, turn: Turn) -> None:
     """A person wants the end, or a part of the companion has died."""
     if isinstance(event, events.StopAsked):
-        state.reason = Reason.STOPPED
+        state.because(Reason.STOPPED)
         turn.to(Trigger.STOP)
     else:
-        state.reason, state.detail = Reason.PLANNER_DIED, f": {event.error}" if event.error else ""
+        state.because(Reason.PLANNER_DIED)
+        state.detail = f": {event.error}" if event.error else ""
         turn.to(Trigger.DIED)
 
 

@@ -218,6 +218,12 @@ class State(Struct, kw_only=True):
     vehicle: Vehicle = field(default_factory=Vehicle)
     flight: Flight
 
+    def because(self, reason: Reason | None) -> None:
+        """Hold or end for this reason from now on: what was said of another is not true of it."""
+        if reason is not self.reason:
+            self.detail = self.remedy = ""
+        self.reason = reason
+
     @property
     def phase(self) -> Phase:
         """The phase by its name."""

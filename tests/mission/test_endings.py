@@ -327,5 +327,11 @@ def test_what_the_planner_said_of_an_old_target_explains_no_new_one_and_no_other
     assert IN_ZONE not in " ".join(warnings(craft.during(60.0)))
 
 
+def test_why_it_fell_back_does_not_explain_the_end_that_a_person_wants_then() -> None:
+    craft = Craft(mission(fallback=Fallback.LAND), plan=refused).fly_to(Phase.LANDING)
+    craft.obey(craft.take(events.StopAsked(time_s=craft.now_s)))
+    assert (craft.end().reason, craft.end().remedy) == (Reason.STOPPED.text, Reason.STOPPED.remedy)
+
+
 def test_what_a_mission_falls_back_on_by_itself_is_to_return() -> None:
     assert load_mission("environment-1").fallback is Fallback.RETURN

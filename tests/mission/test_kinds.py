@@ -206,6 +206,14 @@ def test_a_vehicle_that_reboots_in_flight_and_flies_on_is_taken_over_with_what_w
     assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
 
 
+def test_what_was_flown_of_a_leg_before_a_reboot_is_part_of_the_way_back() -> None:
+    craft = flying(two_legs_away()).run_for(20.0)
+    leg, at_m = craft.state.leg, craft.state.path.reference.length_m
+    flown = craft.reboot().state.flight.flown[-1]
+    assert at_m > 10.0
+    assert (flown.until_m, flown.control_nea_m) == (at_m, leg.subpath.control_nea_m)
+
+
 def test_a_mission_that_is_stopped_while_it_takes_over_a_climb_ends_in_a_hold() -> None:
     wild = Wild.calmly(PX4_MULTICOPTER.traits).aloft(Mode.TAKE_OFF).fly_to(Phase.HOLDING)
     assert (wild.state.reason, wild.mode) == (Reason.TAKING_OVER, Mode.TAKE_OFF)
