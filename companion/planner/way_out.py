@@ -184,6 +184,7 @@ _GAIN_CELLS = 1.0  # of way: a place from which not so much less is left to fly 
 _SEAM_CELLS = 3.0  # beyond the clearance, of places next to what is unknown
 _SEEN = 7.0  # steps: what one more costs that a radar sees from near (eq. 10, as guidance has it)
 _STOP = 0.25  # of R: what a stop costs at least, as another plan may turn back
+_ALIKE = 0.2  # of a stop: of pieces whose prices differ by less the longer one is flown
 _LOOKS = 50  # along a straight piece, for radars
 _AFTER = 3  # places that are flown towards, one after the other, if nothing is proven to the first
 _CLIMBS = (0.0, 0.95)  # of the climb angle
@@ -304,7 +305,8 @@ class _Pieces:
         gets_on = (left_m < self._left_here_m) | (gained_m > 0.5 * away_m)
         gets_on |= np.array([end.least_m > 0.0 for end in ends])
         stops_m = np.maximum(self._stop_m * climb_m / away_m, [end.stops_m for end in ends])
-        order = np.lexsort((left_m + away_m + stops_m, ~gets_on)).tolist()
+        price_m = np.round((left_m + away_m + stops_m) / (_ALIKE * self._stop_m))
+        order = np.lexsort((-away_m, price_m, ~gets_on)).tolist()
         return [replace(ends[i], stops_m=float(stops_m[i])) for i in order if gets_on[i] or strays]
 
     def _ways(self, *, looks: bool) -> tuple[list[Way], FloatArray]:

@@ -30,7 +30,9 @@ RANGE_M = SETTINGS.scan_range_m
 MOUTH = (49_375.0, 30_000.0, 4_710.0)  # as high as it comes in front of the gap
 
 
-def at_the_mouth(gap_m: float, *, owed_m: float) -> PlanRequest:
+def at_the_mouth(
+    gap_m: float, *, owed_m: float, start_nea_m: tuple[float, float, float] = MOUTH
+) -> PlanRequest:
     """The question of a vehicle that hovers there, sees all and believes no guesses any more."""
     aside = np.arange(0.5 * gap_m, 20e3, 398.55)
     rows = [(50e3, 30e3 + east, 6_000.0, 800.0, 800.0) for east in (*aside, *-aside)]
@@ -38,7 +40,7 @@ def at_the_mouth(gap_m: float, *, owed_m: float) -> PlanRequest:
     seen = np.ones(blank.shape, dtype=bool)
     known = replace(blank, upper_m=true_map(hills(*rows), blank).upper_m, seen=seen, given=seen)
     owes = Progress(record_m=0.0, owed_m=owed_m, seen=seen.size, believed_below_m=0.0)
-    return ask(TASK, known, MOUTH, target_ne_m=(90e3, 30e3), progress=owes)
+    return ask(TASK, known, start_nea_m, target_ne_m=(90e3, 30e3), progress=owes)
 
 
 def test_who_owes_more_than_a_way_round_all_in_sight_is_told_that_no_way_on_was_found() -> None:
@@ -57,6 +59,17 @@ def test_who_gets_on_flies_on_whatever_it_owes() -> None:
     assert isinstance(through, Planned)
     assert through.subpath.control_nea_m[-1, 0] > MOUTH[0]
     assert through.progress.owed_m <= owed_m
+
+
+@pytest.mark.parametrize("start_nea_m", [(46e3, 33.6e3, 3_700.0), (46e3, 33.2e3, 3_760.0)])
+def test_of_climbs_that_cost_the_same_the_longest_is_flown(
+    start_nea_m: tuple[float, float, float],
+) -> None:
+    """Beside the gap, below its height: a piece of 480 m is as cheap, and ends in a stop, too."""
+    climbs = plan(at_the_mouth(2_332.0, owed_m=0.0, start_nea_m=start_nea_m))
+    assert isinstance(climbs, Planned)
+    assert climbs.is_escape
+    assert climbs.subpath.length_m > 3_000.0
 
 
 @pytest.mark.parametrize("owed_m", [0.0, 300.0])
