@@ -66,7 +66,7 @@ def _compare(replay: Replay | LogReplay, flight: Path, json_file: Path | None) -
     for finding in replay.inputs.findings if isinstance(replay, LogReplay) else ():
         console.print(f"note: {finding}")
     differs = found.difference is not None
-    if found.compared or differs:
+    if found.frames + found.entries or differs:
         console.print(str(found))
         _write(found.as_json(), json_file)
     elif not found.damaged:  # nothing is not the same as something

@@ -133,37 +133,15 @@ class RecordedError(Struct, frozen=True):
 
 
 @final
-class PlanDiffers(Struct, frozen=True, kw_only=True):
-    """A plan that differs from the recorded one."""
-
-    plan_id: int
-    t_s: float
-    field: str
-    recorded: Any
-    computed: Any
-    words: str
-    """How far apart the two are."""
-    kernels: tuple[str, str]
-    """What computed the recorded one, and this one."""
-
-    @property
-    def is_excused(self) -> bool:
-        """Whether the kernels differ, so that the last bits may."""
-        return self.kernels[0] != self.kernels[1]
-
-    def __str__(self) -> str:
-        by = f" ({self.kernels[0]}, now {self.kernels[1]})" if self.is_excused else ""
-        first = f"first {self.field}: recorded {self.recorded!r}, computed {self.computed!r}"
-        return f"t {self.t_s:.3f} s: plan {self.plan_id}{by}: {self.words}; {first}"
-
-
-@final
 class Replayed(Struct, kw_only=True):
     """The result of a replay so far."""
 
     difference: Difference | None = None
     """The first one."""
-    plans_differ: list[PlanDiffers] = []
+    plans_differ: list[Difference] = []
+    """Of each plan that was computed otherwise: the cost, or the first value that differs."""
+    plans_excused: int = 0
+    """How many of them another kernel had computed: the last bits of its results may differ."""
     starts: int = 0
     """How often the companion was started."""
     inputs: int = 0
@@ -186,20 +164,14 @@ class Replayed(Struct, kw_only=True):
     took_s: float = 0.0
 
     @property
-    def compared(self) -> int:
-        """How many frames and entries were the same."""
-        return self.frames + self.entries
-
-    @property
-    def plans_are_excused(self) -> bool:
-        """Whether no plan differs, or only as other kernels make it."""
-        return all(each.is_excused for each in self.plans_differ)
+    def differs(self) -> bool:
+        """Whether a decision differs, or a plan of the same kernel."""
+        return self.difference is not None or len(self.plans_differ) > self.plans_excused
 
     @property
     def is_identical(self) -> bool:
         """Whether all decisions and plans equal the recorded ones, and there were any."""
-        same = self.difference is None and self.plans_are_excused
-        return same and self.compared > 0 and not self.damaged
+        return not self.differs and self.frames + self.entries > 0 and not self.damaged
 
     def as_json(self) -> dict[str, Any]:
         """For a JSON file."""
@@ -209,18 +181,14 @@ class Replayed(Struct, kw_only=True):
     def __str__(self) -> str:
         speed = f", {self.flown_s / self.took_s:,.0f}x real time" if self.took_s > 0.0 else ""
         counted = f"{self.frames:,} frames, {self.entries:,} journal entries"
+        odd_plans = len(self.plans_differ)
         if self.plans_computed:
-            same = self.plans_computed - len(self.plans_differ)
+            same = self.plans_computed - odd_plans
             counted += f", {same} of {self.plans_computed} plans computed again"
         elif self.plans:
             counted += f"; {self.plans} plans taken as recorded"
-        more = len(self.plans_differ) - _MAX_PLANS
-        verdict = "nothing was compared"
-        if self.is_identical:
-            verdict = "identical"
-        elif self.difference is not None or not self.plans_are_excused:
-            verdict = "not identical"
-        elif self.compared:
+        verdict = "not identical" if self.differs else "identical"
+        if self.damaged and not self.differs:
             verdict = "identical up to there"
         lines = [
             (self.difference is not None, f"first difference at {self.difference}"),
@@ -228,7 +196,7 @@ class Replayed(Struct, kw_only=True):
             (self.entries and not self.frames, "no frame was compared: flight.tlog holds none"),
             (self.starts > 1, f"the companion was started {self.starts} times"),
             *((True, str(each)) for each in self.plans_differ[:_MAX_PLANS]),
-            (more > 0, f"{more} more plans differ"),
+            (odd_plans > _MAX_PLANS, f"{odd_plans - _MAX_PLANS} more plans differ"),
             (self.unrecorded, f"{self.unrecorded} {_AFTER_THE_END}"),
             (self.ended_by, f"the flight ended with an error of the companion's: {self.ended_by}"),
             (self.torn, f"the recording ends early: {self.torn}"),

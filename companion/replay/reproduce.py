@@ -7,23 +7,20 @@ difference.
 
 A telemetry log alone has the frames, both ways, but neither silences, nor which frames came
 together, nor how long plans took: each frame is handled by itself, and each plan is ready at once,
-as in lockstep.  So only flights in lockstep are reproduced from it, which nobody had to say go to.
+as in lockstep.  So only flights in lockstep are reproduced from it.
 """
 
-import math
 import time
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
-from itertools import chain, count, islice, starmap
+from itertools import chain, count, starmap
 from pathlib import Path
 from typing import Any, Final, final
 
-import numpy as np
-
 from companion.errors import InputError
-from companion.mavlink.dialect import COMPANION_COMPONENT, wire
-from companion.mavlink.frames import number_of, sender_of
+from companion.mavlink.dialect import COMPANION_COMPONENT
+from companion.mavlink.frames import sender_of
 from companion.mavlink.link import Input, Output, Stamped
 from companion.mission.entries import Entry
 from companion.mission.mission import Mission
@@ -33,7 +30,6 @@ from companion.planning import plan
 from companion.replay.differences import (
     NOTHING,
     Difference,
-    PlanDiffers,
     RecordedError,
     Replayed,
     entries_differ,
@@ -56,10 +52,6 @@ from companion.telemetry.logs import Log, open_log
 from companion.telemetry.run_folder import LONGEST_RECORD, Records, journal_line
 
 _LONGEST_LINE: Final = 2**24
-_SILENT_S: Final = 0.2
-"""Between two frames of a log: less is no silence."""
-_LOOKED_AT: Final = 3000  # frames that tell whether a flight was flown in lockstep
-_OFTEN: Final = 50
 _MAX_AHEAD: Final = 1000
 """Frames that the companion still sends in a replay when the recorded one sends no more: so many
 may just not have been recorded any more."""
@@ -167,39 +159,33 @@ class Replay:
         if request is None or not self._plans:
             return
         found.plans_computed += 1
-        name, was = kernels.signature(), values_of(answer)
-        kernel, now = str(was.pop("kernel", name)), dict[str, Any]()
+        was, kernel = values_of(answer), kernels.signature()
+        recorded_by = str(was.pop("kernel", kernel))
         try:
             now = values_of(_computed_again(request, getattr(answer, "stopped_after", None)))
         except Exception as error:  # noqa: BLE001 - the planner's own: in flight it had an answer
-            kernel, words = name, "it cannot be computed"
-            where: Any = ("error", NOTHING, f"{type(error).__name__}: {error}")
-        else:
-            now.pop("kernel", None)
-            where = values_differ(was, now)
-            words = "" if where is None else _apart(was, now)
-        if where is not None:
-            found.plans_differ.append(
-                PlanDiffers(
-                    plan_id=answer.plan_id, t_s=now_s, field=where[0], recorded=where[1],
-                    computed=where[2], words=words, kernels=(kernel, name),
-                )
-            )  # fmt: skip
+            now, recorded_by = {"error": f"{type(error).__name__}: {error}"}, kernel
+        now.pop("kernel", None)
+        what, first = f"plan {answer.plan_id}", ("error", "kind", "cost")  # they say most
+        if (place := values_differ(dict.fromkeys(first) | was, dict.fromkeys(first) | now)) is None:
+            return
+        if recorded_by != kernel:
+            what += f" ({recorded_by}, now {kernel})"
+            found.plans_excused += 1
+        found.plans_differ.append(Difference(now_s, what, *place))
 
 
 def _with_remarks(inputs: Iterable[Input]) -> Iterator[tuple[Input, list[Input]]]:
     """Each input of a session with what the runtime then remarked about it."""
     told: Input | None = None
     remarks: list[Input] = []
-    for each in inputs:
-        if told is not None and each[0] in RUNTIME_RECORDS:
+    for each in chain(inputs, [None]):
+        if each is not None and told is not None and each[0] in RUNTIME_RECORDS:
             remarks.append(each)
             continue
         if told is not None:
             yield told, remarks
         told, remarks = each, []
-    if told is not None:
-        yield told, remarks
 
 
 def _computed_again(request: PlanRequest, stopped_after: int | None) -> PlanOutcome:
@@ -209,21 +195,6 @@ def _computed_again(request: PlanRequest, stopped_after: int | None) -> PlanOutc
     """
     asked = count(1)
     return plan(request, lambda: stopped_after is not None and next(asked) > stopped_after)
-
-
-def _apart(recorded: dict[str, Any], computed: dict[str, Any]) -> str:
-    """The difference of two answers, as text."""
-    if recorded["kind"] != computed["kind"]:
-        return f"{recorded['kind']}, now {computed['kind']}"
-    if recorded["kind"] != "planned":
-        return str(recorded["kind"])
-    costs = f"cost {recorded['cost']:.3f}, now {computed['cost']:.3f}"
-    was, now = (np.asarray(each["control_nea_m"]) for each in (recorded, computed))
-    if was.shape != now.shape:
-        return f"{costs}, of {len(was)} control points, now {len(now)}"
-    farthest_m = float(np.linalg.norm(was - now, axis=-1).max())
-    apart = f"{farthest_m:,.0f}" if farthest_m >= 10.0 else f"{farthest_m:.2g}"
-    return f"{costs}, control points up to {apart} m apart"
 
 
 @final
@@ -319,15 +290,12 @@ class LogReplay:
         """InputError if it is no log, or has several vehicles and none is chosen."""
         self.found = Replayed(starts=1)
         self.inputs: Log = open_log(path, system_id=system_id)
-        self._lockstep = _was_in_lockstep(self.inputs)
         self._session = Session(
             replace(mission, system_id=self.inputs.system_id or mission.system_id),
             seed=seed,
-            lockstep=self._lockstep,
-            go=True,
+            lockstep=True,
             version=version,
         )
-        self._is_over = False
         again = open_log(path, system_id=self.inputs.system_id)
         self._sent = (each.frame for each in again.records() if _is_of_companion(each.frame))
 
@@ -337,41 +305,39 @@ class LogReplay:
         InputError if no companion was there.
         """
         began_s, found = time.perf_counter(), self.found
-        first_more: Stamped | None = None
+        ahead: list[Stamped] = []
         for time_s, frame in self._made():
-            recorded = next(self._sent, None)
-            if recorded is not None:
-                found.difference = frames_differ(time_s, recorded, frame)
-                found.frames += found.difference is None
-            elif self._is_over or found.unrecorded > _MAX_AHEAD:
-                break
+            if (recorded := next(self._sent, None)) is None:
+                ahead.append((time_s, frame))
             else:
-                found.unrecorded += 1
-                first_more = first_more or (time_s, frame)
-            found.took_s = time.perf_counter() - began_s
+                self._compare(time_s, recorded, frame)
+            found.took_s, found.unrecorded = time.perf_counter() - began_s, len(ahead)
             yield
-            if found.difference is not None:
-                return
-        if (left := next(self._sent, None)) is not None:
-            found.difference = frames_differ(found.now_s, left, None)
-        elif not found.frames:
+            if found.difference is not None or found.unrecorded > _MAX_AHEAD:
+                break
+        else:  # what it says in the end may not have been recorded
+            for frame, recorded in zip(self._session.farewell().frames, self._sent, strict=False):
+                self._compare(found.now_s, recorded, frame)
+            if (left := next(self._sent, None)) is not None:
+                self._compare(found.now_s, left, None)
+        if not found.frames and found.difference is None:
             rule = "nothing in it was sent by a companion: there is nothing to compare with"
             remedy = "Give --shadow to see what it would have done."
             raise InputError("RUN_DIR|LOG", str(self.inputs.path), rule, remedy)
-        elif first_more is not None and found.unrecorded > _MAX_AHEAD:
-            found.difference = frames_differ(first_more[0], None, first_more[1])
+        if found.unrecorded > _MAX_AHEAD:
+            found.difference = frames_differ(ahead[0][0], None, ahead[0][1])
+
+    def _compare(self, time_s: float, recorded: bytes, frame: bytes | None) -> None:
+        difference = frames_differ(time_s, recorded, frame)
+        self.found.frames += difference is None
+        self.found.difference = self.found.difference or difference
 
     def _made(self) -> Iterator[Stamped]:
         """The frames that the session sends, with their vehicle times."""
-        session, found, before_us = self._session, self.found, math.inf
-        if not self._lockstep:
-            session.silence(0.0)
+        session, found = self._session, self.found
         for record in self.inputs.records():
             if _is_of_companion(record.frame):
                 continue
-            gap_s, before_us = (record.time_us - before_us) * 1e-6, record.time_us
-            if gap_s > _SILENT_S and not self._lockstep:
-                session.silence(gap_s)
             found.inputs += 1
             session.receive(record.frame, record.time_us * 1e-6)
             out = session.run()
@@ -383,17 +349,8 @@ class LogReplay:
                 out = session.run()
                 yield from ((session.now_s, frame) for frame in out.frames)
             found.now_s, found.flown_s = session.now_s, session.clock.passed_s
-        self._is_over = True  # what it says in the end may not have been recorded
-        yield from ((session.now_s, frame) for frame in session.farewell().frames)
 
 
 def _is_of_companion(frame: bytes) -> bool:
     return sender_of(frame)[1] == COMPANION_COMPONENT
 
-
-def _was_in_lockstep(log: Log) -> bool:
-    """Whether the simulator sent a TIMESYNC after each step."""
-    first = (record.frame for record in islice(log.records(), _LOOKED_AT))
-    timesync = wire.MAVLINK_MSG_ID_TIMESYNC
-    asked = (number_of(each) == timesync and not _is_of_companion(each) for each in first)
-    return sum(asked) > _OFTEN
