@@ -16,7 +16,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import chain, count, starmap
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Final, final
 
 from companion.errors import InputError
 from companion.mavlink.dialect import COMPANION_COMPONENT
@@ -353,4 +353,3 @@ class LogReplay:
 
 def _is_of_companion(frame: bytes) -> bool:
     return sender_of(frame)[1] == COMPANION_COMPONENT
-

@@ -29,9 +29,9 @@ from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
 from companion.planning import plan
 from companion.replay.shadow_notes import Notes
-from companion.replay.shadow_report import Limitation, ShadowReport
+from companion.replay.shadow_report import ShadowReport
 from companion.session import Session
-from companion.telemetry.logs import Log, Odd, Record, open_log
+from companion.telemetry.logs import HOW_TO_RECORD, Log, Record, open_log
 from companion.views.words import metres
 
 HEARTBEAT: Final = wire.MAVLINK_MSG_ID_HEARTBEAT
@@ -62,8 +62,6 @@ LISTENED: Final = frozenset(
 )
 """Of the autopilot, besides the clocks.  Shadow mode needs neither battery nor setpoint echoes."""
 _RADAR: Final = frozenset({wire.MAVLINK_MSG_ID_TERRAIN_DATA, wire.MAVLINK_MSG_ID_TERRAIN_REPORT})
-_SHOWN_BYTES: Final = 65_536  # between two words of the progress
-_PATIENCE_US: Final = 30_000_000  # for a word of the GPS, once there are positions
 _QUIET_S: Final = 0.2  # less is no silence
 _LOOKS_S: Final = (3.0, 10.0, 30.0, 600.0)  # when a silence means something to the session
 _TICK_S: Final = 0.1
@@ -72,7 +70,7 @@ _PERIODS: Final = 21
 _FEW: Final = 5
 _FIRST_PERIOD_S: Final = 1.0  # until so many are known
 _LONGEST_PERIOD_S: Final = 5.0
-_SLOW_S: Final = 0.17  # between positions: from here on some are taken for late that are not
+_SLOW_HZ: Final = 6.0  # positions that come less often: some are taken for late that are not
 _STAND_IN_AFTER_S: Final = 10.0
 _STAND_IN_S: Final = 1.0
 _TYPE_AT: Final = 4  # in the payload of HEARTBEAT
@@ -83,14 +81,12 @@ def watch(
     mission: Mission | None,
     *,
     system_id: int | None = None,
-    on_progress: Callable[[int, int], None] = lambda _read, _size: None,
     on_output: Callable[[float, Output], None] = lambda _at_s, _out: None,
 ) -> ShadowReport:
     """Run the companion in shadow on a log: a .tlog, an ArduPilot .bin or a PX4 .ulg.
 
     mission: what to plan; None: only the vehicle's health is looked at.
     system_id: of the vehicle, if there are several in the log; the mission's if it names one.
-    on_progress: told the bytes read and their sum, now and then.
     on_output: told the seconds of the log, and what the session gave.
 
     Raises InputError if log, vehicle and mission do not fit together.
@@ -117,14 +113,9 @@ def watch(
         report.notes.append("planned on the terrain of the mission alone, without its radar")
     notes = Notes(report, chosen.frame, checks_area=mission is not None)
     watching = Watch(chosen, log, look, notes, on_output)
-    shown = 0
     for record in log.records():
         watching.on_record(record)
-        if log.read_bytes - shown >= _SHOWN_BYTES:
-            shown = log.read_bytes
-            on_progress(shown, log.size_bytes)
     watching.finish()
-    on_progress(log.size_bytes, log.size_bytes)
     report.missing, report.log_findings = log.missing(), log.findings
     report.could_not = list(_could_not(chosen, watching, notes))
     report.took_s = time.perf_counter() - began_s
@@ -150,8 +141,8 @@ def _look(log: Log) -> _Look:
     """
     heartbeat: Message | None = None
     autopilot: Autopilot | None = None
-    first: tuple[int, float, float] | None = None
-    place: tuple[int, float, float] | None = None
+    first: tuple[float, float] | None = None
+    place: tuple[float, float] | None = None
     fix = False
     for record in log.records():
         number, sender = number_of(record.frame), sender_of(record.frame)
@@ -165,10 +156,8 @@ def _look(log: Log) -> _Look:
         elif number == GPS:
             fix = message.fix_type >= wire.GPS_FIX_TYPE_3D_FIX
         elif number == POSITION and _is_a_place(deg(message.lat), deg(message.lon)):
-            here = record.time_us, deg(message.lat), deg(message.lon)
-            first = first or here
-            if fix or record.time_us - first[0] > _PATIENCE_US:
-                place = here if fix else first
+            here = deg(message.lat), deg(message.lon)
+            first, place = first or here, here if fix else place
         if autopilot is not None and place is not None:
             break
     place = place or first
@@ -179,7 +168,7 @@ def _look(log: Log) -> _Look:
         raise InputError("LOG", str(log.path), rule, f"It flies: {', '.join(NAMES)}.")
     if place is None:
         raise _of_no_use(log, "GLOBAL_POSITION_INT")
-    return _Look(heartbeat, autopilot, *place[1:])
+    return _Look(heartbeat, autopilot, *place)
 
 
 def _is_a_place(latitude_deg: float, longitude_deg: float) -> bool:
@@ -194,12 +183,9 @@ def _of_no_use(log: Log, name: str) -> InputError:
         rule = f"it has no HEARTBEAT of component 1, as autopilots are; it has that of {ids}"
         return InputError("LOG", str(log.path), rule, f"{TO_COMPONENT_1} Then record again.")
     for missing in log.missing():
-        if name in missing.message:
-            losses = (Odd.GARBAGE, Odd.CHECKSUM, Odd.DAMAGED, Odd.WRONG_STAMP)  # may be why
-            lost = [each.said(count) for each in losses if (count := log.odd[each]) > 0]
-            lost += [each for each in log.substitutes if name in each]
-            rule = "; ".join([f"it has no {missing.message}: {missing.without}", *lost])
-            return InputError("LOG", str(log.path), rule, f"{missing.remedy}.")
+        if name in missing.message:  # what was odd about the log may be why
+            rule = "; ".join([f"it has no {missing.message}: {missing.without}", *log.findings])
+            return InputError("LOG", str(log.path), rule, f"{HOW_TO_RECORD}.")
     rule = "its vehicle never knew where it was: each position is 0, 0"
     return InputError("LOG", str(log.path), rule, "Give a log of a flight with a position.")
 
@@ -279,18 +265,14 @@ class Watch:
         self._heard_s: float | None = None
         self._clock_s = 0.0
         self._mode, self._armed = -1, False
-        self._first_position_s: float | None = None
         self._position_s: float | None = None
         self._periods: deque[float] = deque(maxlen=_PERIODS)
         self._positions = 0
         self._positions_s = 0.0  # between all positions, without the gaps
-        self.slow_s = 0.0
-        """For how long positions came too seldom to tell in time that one is missing."""
-        self.slowest_s = 0.0
         self.stood_in_s: dict[str, float] = {}
         """Messages that were taken to be good because there are none, and since when."""
         self._stand_ins = _all_is_well(self._vehicle[0], look.autopilot)
-        self._stand_in_s = -math.inf
+        self._stand_in_due_s: float | None = None
         self.radar_is_heard = False
 
     def on_record(self, record: Record) -> None:
@@ -351,18 +333,13 @@ class Watch:
         at_s, before_s = self._at_s, self._position_s
         self._position_s = self._clock_s = at_s
         self._positions += 1
-        if self._first_position_s is None:
-            self._first_position_s = at_s
         if before_s is not None and at_s - before_s < _LONGEST_PERIOD_S:
             self._periods.append(at_s - before_s)
             self._positions_s += at_s - before_s
-            period_s = self._period_s()
-            if period_s > _SLOW_S and len(self._periods) == _PERIODS:
-                self.slow_s += at_s - before_s
-                self.slowest_s = max(self.slowest_s, period_s)
-        since_s = at_s - self._first_position_s
-        if since_s >= _STAND_IN_AFTER_S and at_s - self._stand_in_s >= _STAND_IN_S:
-            self._stand_in_s = at_s
+        if self._stand_in_due_s is None:
+            self._stand_in_due_s = at_s + _STAND_IN_AFTER_S
+        if at_s >= self._stand_in_due_s:
+            self._stand_in_due_s = at_s + _STAND_IN_S
             for number, frame in self._stand_ins.items():
                 if number not in self._log.heard:
                     self.stood_in_s.setdefault(KINDS[number].msgname, at_s)
@@ -449,50 +426,40 @@ def _all_is_well(system_id: int, autopilot: Autopilot) -> dict[int, bytes]:
     return {each.get_msgId(): bytes(each.pack(codec)) for each in (fix, sure)}
 
 
-def _could_not(mission: Mission, watching: Watch, notes: Notes) -> Iterator[Limitation]:
-    """Limitations other than those of missing messages."""
+def _could_not(mission: Mission, watching: Watch, notes: Notes) -> Iterator[str]:
+    """What shadow mode could not do on this log, beside that for which messages are missing."""
     report = notes.report
     if names := " and ".join(watching.stood_in_s):
-        yield Limitation(
-            what="tell whether the position is to be believed",
-            because=f"{names} missing: taken to be good from "
-            f"{min(watching.stood_in_s.values()):.0f} s on (in flight the companion would not "
-            "have begun)",
-            remedy="What to record, and how: docs/logs.md",
-            message=names,
+        since_s = min(watching.stood_in_s.values())
+        yield (
+            f"tell whether the position is to be believed: {names} missing: taken to be good from "
+            f"{since_s:.0f} s on (in flight the companion would not have begun). {HOW_TO_RECORD}"
         )
-    if watching.slow_s > 0.0:
-        yield Limitation(
-            what="tell in time that a position is missing",
-            because=f"GLOBAL_POSITION_INT comes at less than {1.0 / _SLOW_S:.1f} Hz for "
-            f"{math.ceil(watching.slow_s):,} s in all (at the slowest at "
-            f"{1.0 / watching.slowest_s:.1f} Hz): in flight the companion asks for "
-            f"{mission.position_rate_hz:g} Hz, and takes 0.5 s without one for a fault",
-            remedy="Record it at 6 Hz or more",
-            message="GLOBAL_POSITION_INT",
+    if report.position_rate_hz is not None and report.position_rate_hz < _SLOW_HZ:
+        yield (
+            "tell in time that a position is missing: GLOBAL_POSITION_INT comes at "
+            f"{report.position_rate_hz:.1f} Hz: in flight the companion asks for "
+            f"{mission.position_rate_hz:g} Hz, and takes 0.5 s without one for a fault. "
+            f"Record it at {_SLOW_HZ:g} Hz or more"
         )
     if report.watched_from_s is None:
-        yield Limitation(
-            what="begin",
-            because="the position was never one to be believed",
-            remedy="See what is missing, and the vehicle's health",
+        yield (
+            "begin: the position was never one to be believed. See what is missing, and the "
+            "vehicle's health"
         )
     if mission.targets_from_vehicle:
-        yield Limitation(
-            what="plan to the targets of the vehicle's own mission",
-            because="a log does not answer questions: MISSION_ITEM_INT is not heard",
-            remedy="Give a mission with [[targets]]",
-            message="MISSION_ITEM_INT",
+        yield (
+            "plan to the targets of the vehicle's own mission: a log does not answer questions: "
+            "MISSION_ITEM_INT is not heard. Give a mission with [[targets]]"
         )
     if notes.unanswered_scans and mission.scanner_component_id is not None:
         reasons = Counter(asked.reason for asked in report.plans)
         refused = reasons["NOTHING_SEEN"] + reasons["START_NEAR_UNKNOWN"]
-        yield Limitation(
-            what=f"plan as it would ({notes.unanswered_scans} scans unanswered, "
-            f"{refused} plans refused for it)",
-            because="TERRAIN_DATA of the log answers other questions than the shadow has"
-            if watching.radar_is_heard
-            else "TERRAIN_DATA is missing: nothing is known of the ground",
-            remedy="Give the mission [terrain]: an elevation file, or highest_amsl_m",
-            message="TERRAIN_DATA",
+        why = "is missing: nothing is known of the ground"
+        if watching.radar_is_heard:
+            why = "of the log answers other questions than the shadow has"
+        yield (
+            f"plan as it would ({notes.unanswered_scans} scans unanswered, {refused} plans refused "
+            f"for it): TERRAIN_DATA {why}. Give the mission [terrain]: an elevation file, or "
+            "highest_amsl_m"
         )

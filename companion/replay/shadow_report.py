@@ -88,14 +88,11 @@ class TrackDeviation(Struct, frozen=True, kw_only=True):
     max_at_s: float
     rms_m: float
     """Root mean square over the positions."""
-    from_m: float
-    """The part of the subpath that the track was nearest to, as lengths along it."""
-    until_m: float
 
     @staticmethod
-    def of(positions: Sequence[tuple[float, float, float]]) -> "TrackDeviation":
-        """Of positions: when each was, how far off, and where along the subpath it was nearest."""
-        at_s, off_m, along_m = np.array(positions).T
+    def of(positions: Sequence[tuple[float, float]]) -> "TrackDeviation":
+        """Of positions: when each was, and how far off."""
+        at_s, off_m = np.array(positions).T
         farthest = int(np.argmax(off_m))
         return TrackDeviation(
             from_s=float(at_s[0]),
@@ -104,8 +101,6 @@ class TrackDeviation(Struct, frozen=True, kw_only=True):
             max_m=float(off_m[farthest]),
             max_at_s=float(at_s[farthest]),
             rms_m=float(np.sqrt(np.mean(off_m**2))),
-            from_m=float(along_m.min()),
-            until_m=float(along_m.max()),
         )
 
 
@@ -149,19 +144,6 @@ class VehicleReport(Struct, frozen=True, kw_only=True):
 
 
 @final
-class Limitation(Struct, frozen=True, kw_only=True):
-    """What shadow mode could not do on this log, and most often which message it lacks."""
-
-    what: str
-    because: str
-    remedy: str
-    message: str | None = None
-
-    def __str__(self) -> str:
-        return f"{self.what}: {self.because}. {self.remedy}"
-
-
-@final
 class ShadowReport(Struct, kw_only=True):
     """All of it.  Times are seconds after the log's first record unless they are said otherwise."""
 
@@ -191,7 +173,8 @@ class ShadowReport(Struct, kw_only=True):
     own_path: TrackDeviation | None = None
     """How far the flown track was from all planned subpaths together."""
     said: list[VehicleReport] = []
-    could_not: list[Limitation] = []
+    could_not: list[str] = []
+    """What shadow mode could not do on this log, why, and what to do about it."""
     missing: tuple[Missing, ...] = ()
     log_findings: tuple[str, ...] = ()
     notes: list[str] = []
@@ -262,11 +245,10 @@ def _head(report: ShadowReport) -> Iterator[str]:
 
 def _hold_row(hold: Hold, report: ShadowReport) -> list[str]:
     """When it would have held and why, and what the vehicle did and said by itself meanwhile."""
-    first, *later = hold.why
-    begins = {first.text: ""}
-    for why in later:
-        begins.setdefault(why.text, f"{why.at_s:,.1f} s: {why.text}")
-    reasons = [text for text in begins.values() if text][:_MAX_REASONS]
+    first, reasons = hold.why[0], dict[str, str]()
+    for why in hold.why:
+        reasons.setdefault(why.text, f"{why.at_s:,.1f} s: {why.text}")
+    _, *later = reasons.values()
     until_s = hold.let_go_s + _NEAR_S if hold.went_on_s is None else hold.went_on_s
     from_s = hold.let_go_s - _MOMENT_S
     said = [str(each) for each in report.said if from_s <= each.at_s <= until_s] or ["nothing"]
@@ -276,7 +258,7 @@ def _hold_row(hold: Hold, report: ShadowReport) -> list[str]:
         "never" if at_s is None else f"{at_s:,.1f} s" for at_s in (hold.trusted_s, hold.went_on_s)
     )
     ground = "" if hold.in_air else "\n(on the ground)"
-    why_text = "\n".join([first.text, *reasons, f"-> {first.remedy}"])
+    why_text = "\n".join([first.text, *later[:_MAX_REASONS], f"-> {first.remedy}"])
     return [f"{hold.let_go_s:,.2f} s{ground}", why_text, good, on, "\n".join(said)]
 
 
@@ -309,13 +291,11 @@ def _tail(report: ShadowReport) -> Iterator[str]:
     if (own := report.own_path) is not None:
         yield (
             f"flown track off its own paths: {own.max_m:,.1f} m at most (at {own.max_at_s:,.1f} "
-            f"s), {own.rms_m:,.1f} m rms, over {own.positions:,} positions and "
-            f"{own.until_m:,.0f} m of path"
+            f"s), {own.rms_m:,.1f} m rms, over {own.positions:,} positions"
         )
-    told = " ".join(each.message or "" for each in report.could_not)
-    missing = sorted(report.missing, key=lambda each: not each.vital)
     yield from (f"could not {each}" for each in report.could_not)
-    yield from (str(each) for each in missing if each.message not in told)
+    told = " ".join(report.could_not)
+    yield from (str(each) for each in report.missing if each.message not in told)
     yield from (f"note: {note}" for note in report.notes)
     yield from (f"log: {finding}" for finding in report.log_findings)
     speed = report.length_s / report.took_s if report.took_s > 0.0 else math.inf

@@ -304,10 +304,10 @@ def test_how_far_the_track_was_from_its_own_path(minute: tuple[ShadowReport, Sen
 
 
 def test_a_deviation_is_the_worst_and_the_root_mean_square_of_all_positions() -> None:
-    off = TrackDeviation.of([(0.0, 3.0, 0.0), (1.0, 5.0, 10.0), (2.0, 4.0, 20.0)])
+    off = TrackDeviation.of([(0.0, 3.0), (1.0, 5.0), (2.0, 4.0)])
     assert (off.positions, off.max_m, off.max_at_s) == (3, 5.0, 1.0)
     assert off.rms_m == pytest.approx((50.0 / 3.0) ** 0.5)
-    assert (off.from_s, off.until_s, off.from_m, off.until_m) == (0.0, 2.0, 0.0, 20.0)
+    assert (off.from_s, off.until_s) == (0.0, 2.0)
 
 
 def test_it_tells_where_the_mission_does_not_allow_the_vehicle_to_be() -> None:

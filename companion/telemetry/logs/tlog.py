@@ -125,8 +125,6 @@ class _Framed(NamedTuple):
     stamp: bytes
     """What is before it, since the last frame: the last 8 bytes at most."""
     frame: bytes
-    end: int
-    """Where it ends in the file."""
     is_known: bool = True
     """Else its kind is not, and so neither whether its checksum is right."""
 
@@ -136,44 +134,45 @@ def _framed(path: Path, stamp_bytes: int, odd: Counter[Odd]) -> Iterator[_Framed
 
     stamp_bytes: before each frame.  One wrong byte costs two frames at most.
     """
-    data, base, at, more = b"", 0, 0, True
+    data, at, more = b"", 0, True
     with path.open("rb") as file:
         while more or at < len(data):
             if more and at + _AHEAD > len(data):
                 portion = file.read(_PORTION)
-                data, base, at, more = data[at:] + portion, base + at, 0, bool(portion)
+                data, at, more = data[at:] + portion, 0, bool(portion)
                 continue
             begin = at + stamp_bytes
-            end = intact_end(data, begin)
-            if end:
-                yield _Framed(data[at:begin], data[begin:end], base + end)
+            if end := intact_end(data, begin):
+                yield _Framed(data[at:begin], data[begin:end])
                 at = end
                 continue
-            end, number = frame_extent(data, begin) if _may_begin(data, begin) else (0, None)
-            is_whole, is_last = number is not None and end <= len(data), end == len(data)
-            after = end + stamp_bytes
-            if is_whole and number not in KINDS and (is_last or _may_begin(data, after)):
-                yield _Framed(data[at:begin], data[begin:end], base + end, is_known=False)
+            if end := _unknown_end(data, begin, stamp_bytes):
+                yield _Framed(data[at:begin], data[begin:end], is_known=False)
                 at = end
-            elif is_whole and number in KINDS and (is_last or intact_end(data, after)):
+                continue
+            until = len(data) - LONGEST if more else len(data)  # beyond, more may be needed
+            found, end = _next_intact(data, at, until)
+            stamp = data[max(at, found - _STAMP) : found] if end else b""
+            after = found - (stamp_bytes if len(stamp) == _STAMP else 0)
+            if more and not end:
+                after -= _STAMP  # the stamp of the next one may be among the last bytes
+            if _may_begin(data, begin) and frame_extent(data, begin)[0] == after:
                 odd[Odd.CHECKSUM] += 1
-                at = end
             else:
-                is_cut = not is_whole and (end > len(data) or begin >= len(data))
-                until = len(data) - LONGEST if more else len(data)  # beyond, more may be needed
-                begin, end = _next_intact(data, at, until)
-                stamp = data[max(at, begin - _STAMP) : begin]
-                passed = begin - at - (stamp_bytes if len(stamp) == _STAMP else 0)
-                if end:
-                    odd[Odd.GARBAGE] += passed
-                    yield _Framed(stamp, data[begin:end], base + end)
-                    at = end
-                elif more:  # the stamp of the next one may be among the last bytes
-                    odd[Odd.GARBAGE] += until - _STAMP - at
-                    at = until - _STAMP
-                else:
-                    odd[Odd.CUT_SHORT if is_cut else Odd.GARBAGE] += until - at
-                    at = until
+                is_cut = not (more or end) and after - at < _STAMP + LONGEST
+                odd[Odd.CUT_SHORT if is_cut else Odd.GARBAGE] += after - at
+            if end:
+                yield _Framed(stamp, data[found:end])
+            at = end or after
+
+
+def _unknown_end(data: bytes, at: int, stamp_bytes: int) -> int:
+    """End of what may be a frame of an unknown kind, if another seems to follow it; else 0."""
+    if not _may_begin(data, at):
+        return 0
+    end, number = frame_extent(data, at)
+    is_one = number is not None and number not in KINDS and end <= len(data)
+    return end if is_one and (end == len(data) or _may_begin(data, end + stamp_bytes)) else 0
 
 
 def _next_intact(data: bytes, at: int, until: int) -> tuple[int, int]:
@@ -205,8 +204,7 @@ def _records(stamp_bytes: int, start_us: int | None, log: Log) -> Iterator[Recor
     if start_us is None:
         odd[Odd.NO_STAMPS] = 1
     others = frozenset(log.systems) - {log.system_id}
-    for stamp, frame, end, is_known in _framed(log.path, stamp_bytes, odd):
-        log.read_bytes = end
+    for stamp, frame, is_known in _framed(log.path, stamp_bytes, odd):
         number, (system, component) = number_of(frame), sender_of(frame)
         is_ours = component == AUTOPILOT_COMPONENT and log.system_id in (None, system)
         if start_us is None:
@@ -231,4 +229,3 @@ def _records(stamp_bytes: int, start_us: int | None, log: Log) -> Iterator[Recor
             if is_ours:
                 log.heard.add(number)
             yield Record(clock.now_us, frame)
-    log.read_bytes = log.path.stat().st_size

@@ -6,9 +6,9 @@ import math
 import re
 from collections.abc import Iterator
 from functools import partial
-from operator import itemgetter
+from operator import attrgetter
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 from pyulog import ULog, core
@@ -63,6 +63,7 @@ _LEAVING: Final = {
 }
 """nav_state -> MAV_LANDED_STATE, off the ground; else in the air."""
 _PLACE: Final = ("latitude_deg", "longitude_deg", "altitude_msl_m")
+_TIME: Final = attrgetter("time_us")
 _COLOURS: Final = re.compile(r"\x1b\[[0-9;]*m")
 
 
@@ -97,36 +98,29 @@ def _topics(log: ULog) -> dict[str, ULog.Data]:
     return {name: found[name] for name in sorted(found, reverse=True)}
 
 
-def _rows(log: ULog, size: int) -> Iterator[Row]:
-    """Parameters, texts and data, by time; size: of the file."""
+def _rows(log: ULog) -> Iterator[Row]:
+    """Parameters, texts and data, by time."""
     texts = (*log.logged_messages, *itertools.chain(*log.logged_messages_tagged.values()))
-    rows: list[_Timed] = [
-        (each.timestamp, "text", {"level": each.log_level, "text": each.message}) for each in texts
+    rows = [
+        Row("text", each.timestamp, {"level": each.log_level, "text": each.message})
+        for each in texts
     ]
     for time_us, key, value in log.changed_parameters:
-        rows.append((time_us, "parameter", {"key": key, "value": value}))
+        rows.append(Row("parameter", time_us, {"key": key, "value": value}))
     rows.sort(key=_TIME)
-    topics = _topics(log).values()
-    count = max(len(rows) + sum(len(each.data["timestamp"]) for each in topics), 1)
     for key, value in log.initial_parameters.items():
-        yield Row("parameter", None, {"key": key, "value": value}, 0)
-    merged = heapq.merge(rows, *map(_data, topics), key=_TIME)
-    for number, (time_us, name, values) in enumerate(merged):
-        yield Row(name, time_us, values, size * number // count)
+        yield Row("parameter", None, {"key": key, "value": value})
+    yield from heapq.merge(rows, *map(_data, _topics(log).values()), key=_TIME)
 
 
-_Timed = tuple[int, str, dict[str, Any]]
-_TIME: Final = itemgetter(0)
-
-
-def _data(topic: ULog.Data) -> Iterator[_Timed]:
+def _data(topic: ULog.Data) -> Iterator[Row]:
     """The messages of a topic by time."""
     order = np.argsort(topic.data["timestamp"], kind="stable")
     for some in np.split(order, range(_CHUNK, len(order), _CHUNK)):
         columns = [column[some].tolist() for column in topic.data.values()]
         for row in zip(*columns, strict=True):
             values = dict(zip(topic.data, row, strict=True))
-            yield values["timestamp"], topic.name, values
+            yield Row(topic.name, values["timestamp"], values)
 
 
 # --- the first look
@@ -143,7 +137,7 @@ def opened(path: Path, system_id: int | None) -> Log | None:
     release = log.msg_info_dict.get("ver_sw_release")
     if isinstance(release, int) and release >= 1 << 24:  # else built from no release
         made.refuse_older(path, "PX4", (release >> 24, release >> 16 & 0xFF), _OLDEST)
-    stamps = (row.time_us for row in _rows(log, 0) if row.time_us is not None)
+    stamps = (row.time_us for row in _rows(log) if row.time_us is not None)
     known_us = list(itertools.islice(stamps, _SAMPLE))
     if not known_us and not log.initial_parameters:
         return None
@@ -202,7 +196,7 @@ def _records(ulog: ULog, start_us: int, log: Log) -> Iterator[Record]:
     if ulog.dropouts:
         log.odd[Odd.LOST_TIME] = sum(lost.duration for lost in ulog.dropouts)
     epoch_us = _epoch_us(ulog) or zero_us or None
-    rows = (_begun(row, start_us, zero_us) for row in _rows(ulog, log.size_bytes))
+    rows = (_begun(row, start_us, zero_us) for row in _rows(ulog))
     messages = _Messages(epoch_us, has_estimator="estimator_status" in _topics(ulog))
     return made.made(log, rows, messages.of, epoch_us=epoch_us, start_us=start_us - zero_us)
 
