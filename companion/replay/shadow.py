@@ -3,13 +3,12 @@
     report = watch(path, mission)
 
 The log is read once, in bounded memory, after a scan for its vehicle and first position.  Only
-frames of the vehicle's autopilot and its terrain radar are used, not those of a companion or a
-ground station on the same link.  Time is the vehicle's; silences are the log's.
+frames of the vehicle's autopilot are used, not those of a companion, a radar or a ground station
+on the same link.  Time is the vehicle's; silences are the log's.
 """
 
 import math
-import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -61,14 +60,13 @@ LISTENED: Final = frozenset(
     }
 )
 """Of the autopilot, besides the clocks.  Shadow mode needs neither battery nor setpoint echoes."""
-_RADAR: Final = frozenset({wire.MAVLINK_MSG_ID_TERRAIN_DATA, wire.MAVLINK_MSG_ID_TERRAIN_REPORT})
 _QUIET_S: Final = 0.2  # less is no silence
 _LOOKS_S: Final = (3.0, 10.0, 30.0, 600.0)  # when a silence means something to the session
 _TICK_S: Final = 0.1
 _OVERDUE: Final = 3.0  # usual periods without a position, before the clock goes on without one
 _PERIODS: Final = 21
 _FEW: Final = 5
-_FIRST_PERIOD_S: Final = 1.0  # until so many are known
+_FIRST_OVERDUE_S: Final = 3.0  # until so many are known
 _LONGEST_PERIOD_S: Final = 5.0
 _SLOW_HZ: Final = 6.0  # positions that come less often: some are taken for late that are not
 _STAND_IN_AFTER_S: Final = 10.0
@@ -91,13 +89,16 @@ def watch(
 
     Raises InputError if log, vehicle and mission do not fit together.
     """
-    began_s = time.perf_counter()
     wanted = system_id if system_id is not None or mission is None else mission.system_id
     log = open_log(path, system_id=wanted)
     look = _look(log)
     if mission is not None:
         _check_fits(mission, look)
-    chosen = replace(mission or _health_alone(look), system_id=log.system_id)
+    chosen = replace(
+        mission or _health_alone(look),
+        system_id=log.system_id,
+        scanner_component_id=None,  # what a radar answered then, it did not answer to this shadow
+    )
     report = ShadowReport(
         file=log.path.name,
         kind=log.kind,
@@ -106,10 +107,7 @@ def watch(
         mission=None if mission is None else mission.name,
         notes=[] if mission is None else [*mission.notes],
     )
-    charted = chosen.known is not None and bool(chosen.known.surveyed.any())
-    if charted and chosen.scanner_component_id is not None:
-        # what a radar answered then, it did not answer to these questions
-        chosen = replace(chosen, scanner_component_id=None)
+    if mission is not None and mission.scanner_component_id is not None:
         report.notes.append("planned on the terrain of the mission alone, without its radar")
     notes = Notes(report, chosen.frame, checks_area=mission is not None)
     watching = Watch(chosen, log, look, notes, on_output)
@@ -117,8 +115,7 @@ def watch(
         watching.on_record(record)
     watching.finish()
     report.missing, report.log_findings = log.missing(), log.findings
-    report.could_not = list(_could_not(chosen, watching, notes))
-    report.took_s = time.perf_counter() - began_s
+    report.could_not = list(_could_not(chosen, watching, report))
     return report
 
 
@@ -182,9 +179,9 @@ def _of_no_use(log: Log, name: str) -> InputError:
         ids = ids_in_words(sorted(log.elsewhere))
         rule = f"it has no HEARTBEAT of component 1, as autopilots are; it has that of {ids}"
         return InputError("LOG", str(log.path), rule, f"{TO_COMPONENT_1} Then record again.")
-    for missing in log.missing():
-        if name in missing.message:  # what was odd about the log may be why
-            rule = "; ".join([f"it has no {missing.message}: {missing.without}", *log.findings])
+    for message, without in log.missing().items():
+        if name in message:  # what was odd about the log may be why
+            rule = "; ".join([f"it has no {message}: {without}", *log.findings])
             return InputError("LOG", str(log.path), rule, f"{HOW_TO_RECORD}.")
     rule = "its vehicle never knew where it was: each position is 0, 0"
     return InputError("LOG", str(log.path), rule, "Give a log of a flight with a position.")
@@ -203,9 +200,7 @@ def _check_fits(mission: Mission, look: _Look) -> None:
     if not (south <= north_m <= north and west <= east_m <= east):
         rule = (
             f"the flight begins at {look.latitude_deg:.6f}, {look.longitude_deg:.6f}, "
-            f"{metres(north_m)} north and {metres(east_m)} east of the mission's origin, outside "
-            f"its [area] (north {metres(south)} to {metres(north)}, "
-            f"east {metres(west)} to {metres(east)})"
+            f"{metres(north_m)} north and {metres(east_m)} east of its origin, outside its [area]"
         )
         raise InputError("--mission", mission.name, rule, remedy)
 
@@ -257,36 +252,33 @@ class Watch:
         self._mission, self._log, self._notes, self._on_output = mission, log, notes, on_output
         self._modes = look.autopilot.modes
         self._vehicle = look.heartbeat.get_srcSystem(), AUTOPILOT_COMPONENT
-        self._radar = self._vehicle[0], mission.scanner_component_id
         self._session: Session | None = None
         self._clock = VehicleClock(0.0)
-        self._now_us = self._at_s = 0.0
-        """Of the newest record: since 1970, and since the first one."""
+        self._now_us: int | None = None
+        """Of the newest record, since 1970."""
+        self._at_s = 0.0
+        """The same since the first one."""
         self._heard_s: float | None = None
         self._clock_s = 0.0
         self._mode, self._armed = -1, False
         self._position_s: float | None = None
         self._periods: deque[float] = deque(maxlen=_PERIODS)
+        self._overdue_s = _FIRST_OVERDUE_S
         self._positions = 0
         self._positions_s = 0.0  # between all positions, without the gaps
         self.stood_in_s: dict[str, float] = {}
         """Messages that were taken to be good because there are none, and since when."""
         self._stand_ins = _all_is_well(self._vehicle[0], look.autopilot)
         self._stand_in_due_s: float | None = None
-        self.radar_is_heard = False
 
     def on_record(self, record: Record) -> None:
         """The next frame of the log, of any sender."""
         frame, report = record.frame, self._notes.report
-        if not report.records:
+        if self._now_us is None:
             report.began_us = record.time_us
-        report.records += 1
         self._now_us, self._at_s = record.time_us, (record.time_us - report.began_us) * 1e-6
-        sender, number = sender_of(frame), number_of(frame)
-        if sender == self._radar and number in _RADAR:
-            self.radar_is_heard |= number == wire.MAVLINK_MSG_ID_TERRAIN_DATA
-            self._feed(frame)
-        if sender != self._vehicle:
+        number = number_of(frame)
+        if sender_of(frame) != self._vehicle:
             return
         self._hear_again()
         if number == HEARTBEAT and payload_of(frame, 9)[_TYPE_AT] == wire.MAV_TYPE_GENERIC:
@@ -317,17 +309,12 @@ class Watch:
 
     def _tells_time(self) -> bool:
         """Whether a message that only tells the time is needed: positions tell it as well."""
-        overdue_s = _OVERDUE * self._period_s()
-        if self._position_s is not None and self._at_s - self._position_s < overdue_s:
+        if self._position_s is not None and self._at_s - self._position_s < self._overdue_s:
             return False
         if self._at_s - self._clock_s < _TICK_S:
             return False
         self._clock_s = self._at_s
         return True
-
-    def _period_s(self) -> float:
-        """Usual time between two positions of late."""
-        return median(self._periods) if len(self._periods) >= _FEW else _FIRST_PERIOD_S
 
     def _on_position(self) -> None:
         at_s, before_s = self._at_s, self._position_s
@@ -336,6 +323,8 @@ class Watch:
         if before_s is not None and at_s - before_s < _LONGEST_PERIOD_S:
             self._periods.append(at_s - before_s)
             self._positions_s += at_s - before_s
+            if len(self._periods) >= _FEW:
+                self._overdue_s = _OVERDUE * median(self._periods)
         if self._stand_in_due_s is None:
             self._stand_in_due_s = at_s + _STAND_IN_AFTER_S
         if at_s >= self._stand_in_due_s:
@@ -378,8 +367,7 @@ class Watch:
             session = Session(self._mission, seed=1, lockstep=False, shadow=True)
             self._session = session
             self._notes.begin_again()
-        self._notes.report.heard += 1
-        session.receive(frame, self._now_us * 1e-6)
+        session.receive(frame, (self._now_us or 0) * 1e-6)
         self._run(session, self._at_s)
 
     def _run(self, session: Session, at_s: float) -> None:
@@ -426,9 +414,8 @@ def _all_is_well(system_id: int, autopilot: Autopilot) -> dict[int, bytes]:
     return {each.get_msgId(): bytes(each.pack(codec)) for each in (fix, sure)}
 
 
-def _could_not(mission: Mission, watching: Watch, notes: Notes) -> Iterator[str]:
+def _could_not(mission: Mission, watching: Watch, report: ShadowReport) -> Iterator[str]:
     """What shadow mode could not do on this log, beside that for which messages are missing."""
-    report = notes.report
     if names := " and ".join(watching.stood_in_s):
         since_s = min(watching.stood_in_s.values())
         yield (
@@ -442,24 +429,13 @@ def _could_not(mission: Mission, watching: Watch, notes: Notes) -> Iterator[str]
             f"{mission.position_rate_hz:g} Hz, and takes 0.5 s without one for a fault. "
             f"Record it at {_SLOW_HZ:g} Hz or more"
         )
-    if report.watched_from_s is None:
-        yield (
-            "begin: the position was never one to be believed. See what is missing, and the "
-            "vehicle's health"
-        )
     if mission.targets_from_vehicle:
         yield (
             "plan to the targets of the vehicle's own mission: a log does not answer questions: "
             "MISSION_ITEM_INT is not heard. Give a mission with [[targets]]"
         )
-    if notes.unanswered_scans and mission.scanner_component_id is not None:
-        reasons = Counter(asked.reason for asked in report.plans)
-        refused = reasons["NOTHING_SEEN"] + reasons["START_NEAR_UNKNOWN"]
-        why = "is missing: nothing is known of the ground"
-        if watching.radar_is_heard:
-            why = "of the log answers other questions than the shadow has"
+    if report.plans and (mission.known is None or not mission.known.surveyed.any()):
         yield (
-            f"plan as it would ({notes.unanswered_scans} scans unanswered, {refused} plans refused "
-            f"for it): TERRAIN_DATA {why}. Give the mission [terrain]: an elevation file, or "
-            "highest_amsl_m"
+            "plan as it would: a log does not answer scans: nothing is known of the ground. Give "
+            "the mission [terrain]: an elevation file, or highest_amsl_m"
         )

@@ -35,6 +35,9 @@ _DOUBTS: Final = {
     Reason.HEALTH_SILENT: "no word of GPS or estimator",
     Reason.INACCURATE: "position less accurate than allowed",
 }
+_DISTRUST: Final = {*_DOUBTS, Reason.POSITION_JUMPED, Reason.NO_FIX, Reason.ESTIMATOR}
+"""Reasons for an invalid position (mission/health.py).  Missing plans are not among them: each
+plan's result is reported separately."""
 
 
 @final
@@ -44,7 +47,6 @@ class Notes:
     def __init__(self, report: ShadowReport, frame: LocalFrame, *, checks_area: bool) -> None:
         """report: what is noted goes there; checks_area: there is a mission with an area."""
         self.report = report
-        self.unanswered_scans = 0
         self._frame, self._checks_area = frame, checks_area
         self._vehicle = Vehicle()
         self._spans: dict[str, Observed] = {}
@@ -134,16 +136,18 @@ class Notes:
     def _on_hold(self, at_s: float, state: State) -> None:
         """Note where a hold begins and ends."""
         watching, hold = state.phase is Phase.SHADOW, self._hold
+        reason = state.reason if watching and state.reason in _DISTRUST else None
         if not self._is_ready:
-            self._is_ready = watching and state.reason is None
+            self._is_ready = watching and reason is None
             if self._is_ready and self.report.watched_from_s is None:
                 self.report.watched_from_s = at_s
             return
-        reason, silent = state.reason, _SILENCE in self._spans
+        silent = _SILENCE in self._spans
         if silent:
             reason = Reason.LINK_LOST
         elif not watching:  # it prepares again, or another session does
-            reason = reason or Reason.REBOOTED if hold is None else Reason[hold.why[-1].code]
+            reason = state.reason or Reason.REBOOTED
+            reason = reason if hold is None else Reason[hold.why[-1].code]
         if reason is None:
             if hold is not None:
                 hold.went_on_s = at_s
@@ -151,27 +155,23 @@ class Notes:
                 self._hold, self._cause = None, f"it goes on after: {hold.why[0].text}"
             return
         if hold is None:
-            hold = self._hold = self._let_go(at_s, state)
+            for asked in self._plans.values():
+                if asked.outcome == "unanswered":
+                    asked.outcome = "given up"
+            self._plans, self._path = {}, None
+            hold = self._hold = Hold(
+                let_go_s=at_s,
+                vehicle_s=state.now_s,
+                why=[],
+                place=self._place(state.vehicle.position_nea_m),
+                in_air=is_in_air(state.vehicle),
+            )
+            self.report.holds.append(hold)
         if not hold.why or hold.why[-1].code != reason.name:
             why = HoldReason(at_s=at_s, code=reason.name, text=reason.text, remedy=reason.remedy)
             hold.why.append(why)
         trusted = watching and not silent and state.vehicle.distrust is None
         hold.trusted_s = (hold.trusted_s or at_s) if trusted else None
-
-    def _let_go(self, at_s: float, state: State) -> Hold:
-        for asked in self._plans.values():
-            if asked.outcome == "unanswered":
-                asked.outcome = "given up"
-        self._plans, self._path = {}, None
-        hold = Hold(
-            let_go_s=at_s,
-            vehicle_s=state.now_s,
-            why=[],
-            place=self._place(state.vehicle.position_nea_m),
-            in_air=is_in_air(state.vehicle),
-        )
-        self.report.holds.append(hold)
-        return hold
 
     def _on_entry(self, at_s: float, entry: journal.Entry, session: Session) -> None:
         match entry:
@@ -181,7 +181,6 @@ class Notes:
                 asked = self._plans[plan_id] = PlanAttempt(
                     plan_id=plan_id,
                     at_s=at_s,
-                    vehicle_s=session.state.now_s,
                     place=place,
                     why=self._cause if from_rest else "the next subpath",
                     goes_on=not from_rest,
@@ -203,8 +202,6 @@ class Notes:
                     asked.remedy = Refusal[reason].value
                     if not asked.goes_on:  # the vehicle had left the last path long before
                         self._path = None
-            case journal.ScanDone(blocks_asked=asked_for, blocks_answered=answered):
-                self.unanswered_scans += asked_for > 0 == answered
             case journal.LinkLost(silent_s=silent_s) if _SILENCE not in self._spans:
                 self._end_all(at_s - silent_s)
                 self._spans[_SILENCE] = self._saw(_SILENCE, at_s - silent_s)
@@ -244,7 +241,8 @@ class Notes:
         if self._checks_area and (vehicle.distrust is None or not in_air):
             beyond = _beyond_m(here, state) if in_air else {}
             self._outside = {kind: off_m for kind, off_m in beyond.items() if off_m > 0.0}
-        if in_air and state.phase is Phase.SHADOW and state.reason is None:
+        is_led = state.phase is Phase.SHADOW and state.reason not in _DISTRUST
+        if in_air and is_led and vehicle.distrust is None:
             self._on_way(at_s, here, state)
 
     def _on_way(self, at_s: float, here: Vector, state: State) -> None:
@@ -327,8 +325,6 @@ class Notes:
             latitude_deg=latitude,
             longitude_deg=longitude,
             altitude_amsl_m=altitude_m,
-            north_m=north_m,
-            east_m=east_m,
         )
 
 

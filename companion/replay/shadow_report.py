@@ -13,7 +13,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from companion.telemetry.logs import Missing
+from companion.telemetry.logs import HOW_TO_RECORD
 
 SCHEMA: Final = 1
 """Of `ShadowReport.as_json`."""
@@ -31,9 +31,6 @@ class Place(Struct, frozen=True, kw_only=True):
     latitude_deg: float
     longitude_deg: float
     altitude_amsl_m: float
-    north_m: float
-    """Of the mission's origin; without a mission, of the first position."""
-    east_m: float
 
 
 @final
@@ -110,7 +107,6 @@ class PlanAttempt(Struct, kw_only=True):
 
     plan_id: int
     at_s: float
-    vehicle_s: float
     place: Place
     """Where it would have begun."""
     why: str
@@ -161,9 +157,6 @@ class ShadowReport(Struct, kw_only=True):
     in_air_s: float = 0.0
     watched_from_s: float | None = None
     """When the companion would have been ready; None: never."""
-    records: int = 0
-    heard: int = 0
-    """Records that were used."""
     position_rate_hz: float | None = None
     holds: list[Hold] = []
     health: list[Observed] = []
@@ -175,10 +168,10 @@ class ShadowReport(Struct, kw_only=True):
     said: list[VehicleReport] = []
     could_not: list[str] = []
     """What shadow mode could not do on this log, why, and what to do about it."""
-    missing: tuple[Missing, ...] = ()
+    missing: dict[str, str] = {}
+    """Messages that the log lacks, and what is impossible without each."""
     log_findings: tuple[str, ...] = ()
     notes: list[str] = []
-    took_s: float = 0.0
 
     def as_json(self) -> dict[str, Any]:
         """For `--json`: plain values, units in the names."""
@@ -295,11 +288,11 @@ def _tail(report: ShadowReport) -> Iterator[str]:
         )
     yield from (f"could not {each}" for each in report.could_not)
     told = " ".join(report.could_not)
-    yield from (str(each) for each in report.missing if each.message not in told)
+    for message, without in report.missing.items():
+        if message not in told:
+            yield f"{message} is missing: {without}. {HOW_TO_RECORD}"
     yield from (f"note: {note}" for note in report.notes)
     yield from (f"log: {finding}" for finding in report.log_findings)
-    speed = report.length_s / report.took_s if report.took_s > 0.0 else math.inf
-    yield f"{report.heard:,} of {report.records:,} messages were of use; {speed:,.0f}x real time"
 
 
 def _words(name: str) -> str:

@@ -214,7 +214,7 @@ def test_a_log_without_a_vehicle_can_be_read(tmp_path: Path) -> None:
     content = stamped(0, frame(attitude(1)))
     log = opened(tmp_path, content)
     assert (log.systems, log.system_id, len(list(log.records()))) == ((), None, 1)
-    names = [each.message for each in log.missing()]
+    names = list(log.missing())
     assert names[:2] == ["HEARTBEAT", "GLOBAL_POSITION_INT"]
     assert {"EKF_STATUS_REPORT", "ESTIMATOR_STATUS"} <= set(names)
     with pytest.raises(InputError, match="leave --system out"):
@@ -225,10 +225,10 @@ def test_what_is_missing_is_told_with_how_to_have_it(tmp_path: Path) -> None:
     gps = wire.MAVLink_gps_raw_int_message(1, 3, *[1] * 8)
     log = opened(tmp_path, BEATS[0] + stamped(0, frame(gps)))
     list(log.records())
-    missing = {each.message: each for each in log.missing()}
+    missing = log.missing()
     assert not {"HEARTBEAT", "GPS_RAW_INT", "ESTIMATOR_STATUS"} & missing.keys()  # the last: PX4's
     assert "GLOBAL_POSITION_INT" in missing
-    assert str(missing["HOME_POSITION"]).endswith("What to record, and how: docs/logs.md")
+    assert missing["HOME_POSITION"] == "where home is, and how high"
     flight = open_log(recording("px4-gps-loss.tlog"))
     list(flight.records())
-    assert [each.message for each in flight.missing()] == ["STATUSTEXT"]  # PX4 sends none
+    assert list(flight.missing()) == ["STATUSTEXT"]  # PX4 sends none

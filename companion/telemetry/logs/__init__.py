@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Final
 
 from companion.errors import InputError
-from companion.telemetry.logs.log import HOW_TO_RECORD, Kind, Log, Missing, Odd, Record
+from companion.telemetry.logs.log import HOW_TO_RECORD, Kind, Log, Odd, Record
 
-__all__ = ["HOW_TO_RECORD", "Kind", "Log", "Missing", "Odd", "Record", "open_log"]
+__all__ = ["HOW_TO_RECORD", "Kind", "Log", "Odd", "Record", "open_log"]
 
 _KINDS: Final = "Give a .tlog of MAVLink frames, an ArduPilot .bin or a PX4 .ulg."
 _OTHERS: Final = {

@@ -3,7 +3,7 @@
 import enum
 import itertools
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal, NamedTuple, final
@@ -81,35 +81,6 @@ _NEEDED: Final = {
 HOW_TO_RECORD: Final = "What to record, and how: docs/logs.md"
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class Missing:
-    """A message that the companion needs and a log lacks."""
-
-    message: str
-    """Its MAVLink name; of several that serve alike, joined by "or"."""
-    without: str
-    """What is impossible without it."""
-
-    def __str__(self) -> str:
-        return f"{self.message} is missing: {self.without}. {HOW_TO_RECORD}"
-
-
-def missing_of(autopilot: int | None, heard: Collection[str]) -> tuple[Missing, ...]:
-    """What of all that is missing from a log.
-
-    autopilot: MAV_AUTOPILOT, None if it is not known; heard: MAVLink names that the log has.
-    """
-    ways = [each for each in ALL if autopilot in (None, each.firmware.number)]
-    decoded = {wire.mavlink_map[number].msgname for each in ways for number in each.decoders}
-    return tuple(
-        Missing(message, without)
-        for message, without in _NEEDED.items()
-        if not any(each in heard for each in message.split(" or "))
-        and (without is not _ESTIMATOR or message in decoded)
-    )
-
-
 # --- a log, opened
 
 
@@ -143,10 +114,20 @@ class Log:
         """What is odd about it, as far as `records` has come."""
         return (*self.substitutes, *(odd.said(n) for odd, n in self.odd.items() if n > 0))
 
-    def missing(self) -> tuple[Missing, ...]:
-        """What the companion listens to and never came; once `records` has come to the end."""
-        names = {KINDS[each].msgname for each in self.heard if each in wire.mavlink_map}
-        return missing_of(self.autopilot, names)
+    def missing(self) -> dict[str, str]:
+        """What never came of what the companion listens to, once `records` has come to the end.
+
+        MAVLink names (of several that serve alike, joined by "or"), and what is impossible without.
+        """
+        heard = {KINDS[each].msgname for each in self.heard if each in wire.mavlink_map}
+        ways = [each for each in ALL if self.autopilot in (None, each.firmware.number)]
+        decoded = {wire.mavlink_map[number].msgname for each in ways for number in each.decoders}
+        return {
+            message: without
+            for message, without in _NEEDED.items()
+            if heard.isdisjoint(message.split(" or "))
+            and (without is not _ESTIMATOR or message in decoded)
+        }
 
     def records(self) -> Iterator[Record]:
         """All of it, in order; each call begins again, and so do the findings.
