@@ -1,6 +1,5 @@
 """The actions of `companion replay`, apart from the command line."""
 
-import json
 import sys
 from importlib.metadata import version
 from itertools import count
@@ -132,8 +131,7 @@ def _load_planner() -> None:
 
 
 def _write(values: Any, json_file: Path | None) -> None:
-    if json_file is None:
-        return
-    plain = msgspec.to_builtins(values, enc_hook=str, builtin_types=(bytes,))
-    with writing("--json", json_file):
-        json_file.write_text(json.dumps(plain, indent=2, default=str) + "\n", encoding="utf-8")
+    if json_file is not None:
+        text = msgspec.json.format(msgspec.json.encode(values, enc_hook=str), indent=2)
+        with writing("--json", json_file):
+            json_file.write_bytes(text + b"\n")

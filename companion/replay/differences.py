@@ -17,7 +17,6 @@ _SEQUENCE: Final = {0xFD: 4, 0xFE: 2}
 NOTHING: Final = "nothing"
 """Shown for a missing frame or entry."""
 _SHOWN_BYTES: Final = 100
-_MAX_PLANS: Final = 5
 _AFTER_THE_END: Final = "frames and entries came after the end of the recording"
 
 
@@ -108,28 +107,13 @@ def name_of(frame: bytes | None) -> str:
     return "frame" if message is None else str(message.get_type())
 
 
+def place_of(error: Exception) -> str:
+    """Where in the code it was raised."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{Path(last.filename).stem}.{last.name}, line {last.lineno}"
+
+
 # --- what a replay has found
-
-
-@final
-class RecordedError(Struct, frozen=True):
-    """An error raised by a session, or by the control loop around it."""
-
-    call: str
-    """Of the session, or another; "" if it did not come out of one."""
-    error: str
-    place: str = ""
-    """In the code, if it was raised here."""
-
-    @staticmethod
-    def of(call: str, error: Exception) -> "RecordedError":
-        """An error that a session has raised just now."""
-        last = traceback.extract_tb(error.__traceback__)[-1]
-        place = f"{Path(last.filename).stem}.{last.name}, line {last.lineno}"
-        return RecordedError(call, f"{type(error).__name__}: {error}", place)
-
-    def __str__(self) -> str:
-        return self.error if not self.place else f"{self.error} ({self.place})"
 
 
 @final
@@ -154,8 +138,8 @@ class Replayed(Struct, kw_only=True):
     """Why it ended before the end of the file."""
     plans: int = 0
     plans_computed: int = 0
-    ended_by: RecordedError | None = None
-    """The error that ended the flight's control loop, if any."""
+    ended_by: str = ""
+    """The error that ended the flight's control loop; and where, if it ended the replay, too."""
     damaged: str = ""
     """What in the recording is not a valid input; nothing after it was replayed."""
     now_s: float = 0.0
@@ -175,15 +159,13 @@ class Replayed(Struct, kw_only=True):
 
     def as_json(self) -> dict[str, Any]:
         """For a JSON file."""
-        ended_by = None if self.ended_by is None else self.ended_by.error
-        return {"identical": self.is_identical, **asdict(self), "ended_by": ended_by}
+        return {"identical": self.is_identical, **asdict(self)}
 
     def __str__(self) -> str:
         speed = f", {self.flown_s / self.took_s:,.0f}x real time" if self.took_s > 0.0 else ""
         counted = f"{self.frames:,} frames, {self.entries:,} journal entries"
-        odd_plans = len(self.plans_differ)
         if self.plans_computed:
-            same = self.plans_computed - odd_plans
+            same = self.plans_computed - len(self.plans_differ)
             counted += f", {same} of {self.plans_computed} plans computed again"
         elif self.plans:
             counted += f"; {self.plans} plans taken as recorded"
@@ -195,8 +177,7 @@ class Replayed(Struct, kw_only=True):
             (True, f"the same: {counted} ({self.flown_s:,.1f} s of flight{speed})"),
             (self.entries and not self.frames, "no frame was compared: flight.tlog holds none"),
             (self.starts > 1, f"the companion was started {self.starts} times"),
-            *((True, str(each)) for each in self.plans_differ[:_MAX_PLANS]),
-            (odd_plans > _MAX_PLANS, f"{odd_plans - _MAX_PLANS} more plans differ"),
+            *((True, f"plans differ, the first at {each}") for each in self.plans_differ[:1]),
             (self.unrecorded, f"{self.unrecorded} {_AFTER_THE_END}"),
             (self.ended_by, f"the flight ended with an error of the companion's: {self.ended_by}"),
             (self.torn, f"the recording ends early: {self.torn}"),

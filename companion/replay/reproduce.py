@@ -13,7 +13,6 @@ as in lockstep.  So only flights in lockstep are reproduced from it.
 import time
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import replace
-from functools import partial
 from itertools import chain, count, starmap
 from pathlib import Path
 from typing import Final, final
@@ -30,11 +29,11 @@ from companion.planning import plan
 from companion.replay.differences import (
     NOTHING,
     Difference,
-    RecordedError,
     Replayed,
     entries_differ,
     frames_differ,
     name_of,
+    place_of,
     values_differ,
 )
 from companion.replay.feed import (
@@ -51,7 +50,6 @@ from companion.telemetry.inputs import FILE, InputsFile, is_hole
 from companion.telemetry.logs import Log, open_log
 from companion.telemetry.run_folder import LONGEST_RECORD, Records, journal_line
 
-_LONGEST_LINE: Final = 2**24
 _MAX_AHEAD: Final = 1000
 """Frames that the companion still sends in a replay when the recorded one sends no more: so many
 may just not have been recorded any more."""
@@ -82,7 +80,7 @@ class Replay:
         try:
             for told, remarks in _with_remarks(self.inputs):
                 found.inputs += 1 + len(remarks)
-                self._compare(*self._feed(told), remarks)
+                self._compare(told[0], *self._feed(told), remarks)
                 found.took_s = time.perf_counter() - began_s
                 if found.difference is not None:
                     break
@@ -96,7 +94,7 @@ class Replay:
         elif self.inputs.torn_bytes and found.difference is None and not found.damaged:
             found.torn = f"{self.inputs.torn_bytes} bytes of a record that is not whole"
 
-    def _feed(self, told: Input) -> tuple[Output | None, RecordedError | None]:
+    def _feed(self, told: Input) -> tuple[Output | None, Exception | None]:
         """Feed one input; what the session gave and what it raised."""
         found, feeder, raised = self.found, self._feeder, None
         if told[0] == "start":
@@ -110,10 +108,9 @@ class Replay:
         except (DamagedInputError, InputError):
             raise
         except Exception as error:  # noqa: BLE001 - the session's own: the flight's end, perhaps
-            raised = RecordedError.of(told[0], error)
             if told[0] == "start":
-                return None, raised
-            output = feeder.session.take_output()
+                return None, error
+            raised, output = error, feeder.session.take_output()
         found.starts += told[0] == "start"
         if output is not None and output.plan is not None:
             self._asked[output.plan.plan_id] = output.plan
@@ -122,20 +119,20 @@ class Replay:
         return output, raised
 
     def _compare(
-        self, given: Output | None, raised: RecordedError | None, remarks: list[Input]
+        self, call: str, given: Output | None, raised: Exception | None, remarks: list[Input]
     ) -> None:
         """Compare what came of an input with the recording, and with the runtime's remarks.
 
         If the flight ended with an error here, the replay must, too.
         """
-        found, ended = self.found, None
+        found, ended, ended_call = self.found, "", call
         for remark in remarks:
             match remark:
                 case ("unsent", list(numbers)) if given and all(type(n) is int for n in numbers):
                     there = range(len(given.frames))  # else it has sent fewer: that differs
                     given.leave_out(number for number in numbers if number in there)
-                case ("raised", str(call), str(error)):
-                    ended = RecordedError(call, error)
+                case ("raised", str(of), str(error)):
+                    ended_call, ended = of, error
                 case _:
                     pass
         if given is not None:
@@ -143,14 +140,15 @@ class Replay:
         for name, *told in remarks:
             if name == "held" and told and type(told[0]) is int:
                 self._recording.pass_over(told[0])
-        if raised and ended and (raised.call, raised.error) == (ended.call, ended.error):
-            found.ended_by = raised
+        error = "" if raised is None else f"{type(raised).__name__}: {raised}"
+        placed = error if raised is None else f"{error} ({place_of(raised)})"
+        if error and (ended_call, ended) == (call, error):
+            found.ended_by = placed
             return
-        found.ended_by, last = ended or found.ended_by, ended or raised
-        if last is not None and (raised is not None or last.call in SESSION_CALLS):
-            was, now = (NOTHING if each is None else str(each) for each in (ended, raised))
-            differs = Difference(found.now_s, last.call or "flight", "error", was, now)
-            found.difference = found.difference or differs
+        found.ended_by = ended or found.ended_by
+        if error or (ended and ended_call in SESSION_CALLS):
+            what, was, now = ended_call or "flight", ended or NOTHING, placed or NOTHING
+            found.difference = found.difference or Difference(found.now_s, what, "error", was, now)
 
     def _plan_again(self, answer: PlanOutcome, now_s: float) -> None:
         """Compute a plan again, only to compare it."""
@@ -264,10 +262,8 @@ class _Recording:
 def _entry_lines(path: Path) -> Generator[bytes]:
     """The lines of a journal but for its headers, to the last whole one."""
     with path.open("rb") as file:
-        for line in iter(partial(file.readline, _LONGEST_LINE), b""):
-            if not line.endswith(b"\n") and len(line) < _LONGEST_LINE:
-                return
-            if not (line.startswith(b'{"schema"') and line.endswith(b"\n")):
+        for line in file:
+            if line.endswith(b"\n") and not line.startswith(b'{"schema"'):
                 yield line
 
 
@@ -340,14 +336,14 @@ class LogReplay:
                 continue
             found.inputs += 1
             session.receive(record.frame, record.time_us * 1e-6)
-            out = session.run()
-            yield from ((session.now_s, frame) for frame in out.frames)
-            while out.plan is not None:  # computed at once
-                found.plans += 1
-                found.plans_computed += 1
-                session.deliver(plan(out.plan))
+            while True:
                 out = session.run()
                 yield from ((session.now_s, frame) for frame in out.frames)
+                if out.plan is None:
+                    break
+                found.plans += 1
+                found.plans_computed += 1
+                session.deliver(plan(out.plan))  # at once
             found.now_s, found.flown_s = session.now_s, session.clock.passed_s
 
 

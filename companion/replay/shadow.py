@@ -109,7 +109,7 @@ def watch(
     )
     if mission is not None and mission.scanner_component_id is not None:
         report.notes.append("planned on the terrain of the mission alone, without its radar")
-    notes = Notes(report, chosen.frame, checks_area=mission is not None)
+    notes = Notes(report, chosen.frame)
     watching = Watch(chosen, log, look, notes, on_output)
     for record in log.records():
         watching.on_record(record)
@@ -286,7 +286,7 @@ class Watch:
         boot_ms = boot_ms_of(frame, number)  # looked at also while no session could tell
         read = None if boot_ms is None else self._clock.read(boot_ms * 1e-3, self._at_s)
         if read is ClockReading.REBOOTED:
-            self._notes.rebooted(self._at_s)
+            self._notes.saw("the autopilot has rebooted", self._at_s, self._at_s)
         if number in LISTENED or (number in _CLOCKS and self._tells_time()):
             self._look_at(frame, number)
             if number == POSITION:
@@ -393,7 +393,7 @@ class Watch:
             beat = decoded(strip_signature(frame), wire.MAVLink_heartbeat_message)
             if beat.custom_mode != self._mode:
                 self._mode = beat.custom_mode
-                self._notes.say(self._at_s, "mode", self._modes.name_of(self._mode))
+                self._notes.say(self._at_s, f"mode {self._modes.name_of(self._mode)}")
             armed = bool(beat.base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED)
             if armed is not self._armed:
                 self._notes.say(self._at_s, "armed" if armed else "disarmed")
@@ -401,7 +401,7 @@ class Watch:
         elif number == STATUSTEXT:
             text = decoded(strip_signature(frame), wire.MAVLink_statustext_message)
             if text.severity <= wire.MAV_SEVERITY_WARNING:
-                self._notes.say(self._at_s, "says", text.text)
+                self._notes.say(self._at_s, f"“{text.text}”")
 
 
 def _all_is_well(system_id: int, autopilot: Autopilot) -> dict[int, bytes]:

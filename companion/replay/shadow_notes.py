@@ -44,10 +44,10 @@ plan's result is reported separately."""
 class Notes:
     """The notes of one flight in shadow mode."""
 
-    def __init__(self, report: ShadowReport, frame: LocalFrame, *, checks_area: bool) -> None:
-        """report: what is noted goes there; checks_area: there is a mission with an area."""
+    def __init__(self, report: ShadowReport, frame: LocalFrame) -> None:
+        """report: what is noted goes there."""
         self.report = report
-        self._frame, self._checks_area = frame, checks_area
+        self._frame, self._has_mission = frame, report.mission is not None
         self._vehicle = Vehicle()
         self._spans: dict[str, Observed] = {}
         """What is observed now, by its kind."""
@@ -84,17 +84,33 @@ class Notes:
     def not_recorded(self, from_s: float, until_s: float) -> None:
         """The log has a gap, and another session begins: nothing in progress goes on."""
         self._end_all(from_s)
-        self._saw("not recorded", from_s, until_s)
+        self.saw("not recorded", from_s, until_s)
         self._at_s, self._was_in_air, self._hold, self._is_ready = until_s, None, None, False
         self._cause = _BEGINS
 
-    def rebooted(self, at_s: float) -> None:
-        """The vehicle's clock has begun again."""
-        self._saw("the autopilot has rebooted", at_s, at_s)
+    def saw(
+        self,
+        kind: str,
+        from_s: float,
+        until_s: float | None = None,
+        worst_m: float | None = None,
+        to: list[Observed] | None = None,
+    ) -> Observed:
+        """Note something where the vehicle is now.  to: a list of the report, else its health."""
+        seen = Observed(
+            kind=kind,
+            from_s=from_s,
+            until_s=until_s,
+            in_air=is_in_air(self._vehicle),
+            worst_m=worst_m,
+            place=self._place(self._vehicle.position_nea_m),
+        )
+        (self.report.health if to is None else to).append(seen)
+        return seen
 
-    def say(self, at_s: float, what: str, text: str = "") -> None:
+    def say(self, at_s: float, text: str) -> None:
         """The vehicle has done or said something."""
-        self.report.said.append(VehicleReport(at_s=at_s, what=what, text=text))
+        self.report.said.append(VehicleReport(at_s=at_s, text=text))
 
     def on_output(self, at_s: float, session: Session, entries: list[Entry]) -> None:
         """The session has been run.  at_s: of the log."""
@@ -204,7 +220,7 @@ class Notes:
                         self._path = None
             case journal.LinkLost(silent_s=silent_s) if _SILENCE not in self._spans:
                 self._end_all(at_s - silent_s)
-                self._spans[_SILENCE] = self._saw(_SILENCE, at_s - silent_s)
+                self._spans[_SILENCE] = self.saw(_SILENCE, at_s - silent_s)
             case journal.Prepared(item=item, refusal=refusal):
                 if item is not Item.PARAMETERS and refusal:
                     self._judge(f"would have refused the flight: {refusal}")
@@ -214,7 +230,7 @@ class Notes:
 
     def _judge_parameters(self, session: Session) -> None:
         """Those that are known: of the others the log says nothing, and nobody can be asked."""
-        if session.vehicle is None or not self._checks_area:
+        if session.vehicle is None or not self._has_mission:
             return
         for finding in session.vehicle.findings:
             if finding.value is not None and finding.set_to is not None:
@@ -234,11 +250,11 @@ class Notes:
             return
         was = None if before is None else before.position_nea_m
         if was is not None and vehicle.jumped_at_s == vehicle.position_at_s:
-            self._saw("position jumped", at_s, at_s, math.dist(was, here))
+            self.saw("position jumped", at_s, at_s, math.dist(was, here))
         in_air = is_in_air(vehicle)
         if not in_air:
             self._path = None
-        if self._checks_area and (vehicle.distrust is None or not in_air):
+        if self._has_mission and (vehicle.distrust is None or not in_air):
             beyond = _beyond_m(here, state) if in_air else {}
             self._outside = {kind: off_m for kind, off_m in beyond.items() if off_m > 0.0}
         is_led = state.phase is Phase.SHADOW and state.reason not in _DISTRUST
@@ -286,29 +302,9 @@ class Notes:
         for kind, worst_m in now.items():
             if (span := self._spans.get(kind)) is None:
                 to = self.report.health if worst_m is None else self.report.outside
-                self._spans[kind] = self._saw(kind, at_s, None, worst_m, to)
+                self._spans[kind] = self.saw(kind, at_s, None, worst_m, to)
             elif worst_m is not None:
                 span.worst_m = max(span.worst_m or 0.0, worst_m)
-
-    def _saw(
-        self,
-        kind: str,
-        from_s: float,
-        until_s: float | None = None,
-        worst_m: float | None = None,
-        to: list[Observed] | None = None,
-    ) -> Observed:
-        """Note something where the vehicle is now.  to: a list of the report, else its health."""
-        seen = Observed(
-            kind=kind,
-            from_s=from_s,
-            until_s=until_s,
-            in_air=is_in_air(self._vehicle),
-            worst_m=worst_m,
-            place=self._place(self._vehicle.position_nea_m),
-        )
-        (self.report.health if to is None else to).append(seen)
-        return seen
 
     def _end_all(self, at_s: float) -> None:
         """End everything in progress."""

@@ -17,9 +17,6 @@ from companion.telemetry.logs import HOW_TO_RECORD
 
 SCHEMA: Final = 1
 """Of `ShadowReport.as_json`."""
-_MAX_ROWS: Final = 30
-_MAX_SAID: Final = 8
-_MAX_REASONS: Final = 3
 _MOMENT_S: Final = 1.0  # before it let go: what the vehicle said then may be why
 _NEAR_S: Final = 60.0  # after it let go for good: what the vehicle said so long belongs to it
 
@@ -130,13 +127,11 @@ class VehicleReport(Struct, frozen=True, kw_only=True):
     """What the vehicle did, or said, by itself."""
 
     at_s: float
-    what: str
-    """"mode", "armed", "disarmed", "in the air", "on the ground" or "says"."""
-    text: str = ""
+    text: str
+    """A mode, "armed", "disarmed", "in the air", "on the ground", or what it said, quoted."""
 
     def __str__(self) -> str:
-        did = f"“{self.text}”" if self.what == "says" else f"{self.what} {self.text}".rstrip()
-        return f"{self.at_s:,.1f} s {did}"
+        return f"{self.at_s:,.1f} s {self.text}"
 
 
 @final
@@ -206,10 +201,8 @@ def renderables(report: ShadowReport) -> list[RenderableType]:
 
 def _table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     table = Table(*headings, title=title, title_justify="left")
-    for row in rows[:_MAX_ROWS]:
+    for row in rows:
         table.add_row(*map(Text, row))
-    if len(rows) > _MAX_ROWS:
-        table.caption = f"{len(rows) - _MAX_ROWS} more: --json has them"
     return table
 
 
@@ -245,13 +238,11 @@ def _hold_row(hold: Hold, report: ShadowReport) -> list[str]:
     until_s = hold.let_go_s + _NEAR_S if hold.went_on_s is None else hold.went_on_s
     from_s = hold.let_go_s - _MOMENT_S
     said = [str(each) for each in report.said if from_s <= each.at_s <= until_s] or ["nothing"]
-    if len(said) > _MAX_SAID:
-        said[_MAX_SAID:] = [f"{len(said) - _MAX_SAID} more"]
     good, on = (
         "never" if at_s is None else f"{at_s:,.1f} s" for at_s in (hold.trusted_s, hold.went_on_s)
     )
     ground = "" if hold.in_air else "\n(on the ground)"
-    why_text = "\n".join([first.text, *later[:_MAX_REASONS], f"-> {first.remedy}"])
+    why_text = "\n".join([first.text, *later, f"-> {first.remedy}"])
     return [f"{hold.let_go_s:,.2f} s{ground}", why_text, good, on, "\n".join(said)]
 
 

@@ -40,15 +40,9 @@ def bases() -> dict[str, bytes]:
     """Whole logs of each kind, small, by suffix."""
     copter = recording("arducopter-gps-loss.tlog")
     px4 = recording("px4-offboard-short.tlog")
-    raw, at = b"", 0
-    content = copter.read_bytes()[:15_000]
-    while end := intact_end(content, at + 8):
-        raw += content[at + 8 : end]
-        at = end
     return {
         ".tlog": copter.read_bytes()[:20_000],
         "-px4.tlog": px4.read_bytes()[:20_000],
-        ".raw": raw,
         ".bin": bin_of(copter, most=900),
         ".ulg": ulg_of(recording("px4-offboard-short.ulg"), TOPICS, 20_000),
     }

@@ -172,12 +172,14 @@ def test_what_the_vehicle_did_by_itself_stands_beside_jumps_as_long_as_they_were
     health = report_of(ARDUPILOT).health
     jumps = [each for each in health if each.kind == "position jumped" and each.from_s < 150.0]
     assert [each.worst_m for each in jumps] == pytest.approx([50.0, 51.0], abs=1.0)
-    said = [(each.what, each.text, each.at_s) for each in report_of(ARDUPILOT).said]
-    times = {(what, text): at_s for what, text, at_s in said}
-    assert times["armed", ""] == pytest.approx(44.0, abs=0.1)
-    assert times["says", "EKF variance"] == pytest.approx(171.2, abs=0.1)
-    modes = [(text, at_s) for what, text, at_s in said if what == "mode"]
-    assert [text for text, _ in modes] == ["STABILIZE", "GUIDED", "LAND", "GUIDED", "LAND"]
+    said = [(each.text, each.at_s) for each in report_of(ARDUPILOT).said]
+    times = dict(said)
+    assert times["armed"] == pytest.approx(44.0, abs=0.1)
+    assert times["“EKF variance”"] == pytest.approx(171.2, abs=0.1)
+    modes = [each for each in said if each[0].startswith("mode")]
+    assert [text.removeprefix("mode ") for text, _ in modes] == [
+        *("STABILIZE", "GUIDED", "LAND", "GUIDED", "LAND")
+    ]
     assert [at_s for _, at_s in modes[1:]] == pytest.approx([43.1, 171.2, 203.2, 286.7], abs=0.6)
 
 
@@ -350,7 +352,7 @@ def text_of(report: ShadowReport, width: int = 160) -> str:
 def test_the_page_shows_the_report_as_it_is_printed() -> None:
     """And what a vehicle says is no colour: PX4 before 1.10 puts the module in brackets."""
     report = report_of(PX4)
-    says = VehicleReport(at_s=report.holds[0].let_go_s, what="says", text="[commander] lost[/b]")
+    says = VehicleReport(at_s=report.holds[0].let_go_s, text="“[commander] lost[/b]”")
     assert "“[commander] lost[/b]”" in text_of(structs.replace(report, said=[says]))
     page = Path(__file__).parents[2] / "docs/reference/shadow-report.md"
     lines = map(str.rstrip, text_of(cut_logs.whole(PX4), width=100).splitlines())

@@ -38,15 +38,8 @@ def open_log(path: Path, *, system_id: int | None = None) -> Log:
 
 
 def _opened(path: Path, system_id: int | None) -> Log:
-    if not path.exists():
-        raise InputError("log", str(path), "there is no such file", "Give the path of a log.")
-    if path.is_dir():
-        remedy = "Give a file in it, for instance its flight.tlog."
-        raise InputError("log", str(path), "it is a directory", remedy)
     if not path.is_file():
-        raise InputError("log", str(path), "it is no ordinary file", _KINDS)
-    if path.stat().st_size == 0:
-        raise InputError("log", str(path), "it is empty", _KINDS)
+        raise InputError("log", str(path), "there is no file of that name", _KINDS)
     with path.open("rb") as file:
         head = file.read(8)
     log = None

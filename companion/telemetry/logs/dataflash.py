@@ -67,15 +67,9 @@ _FAILSAFES: Final = frozenset({5, 6, 8, 17, 20, 23, 31})
 terrain, dead reckoning."""
 _FRESH_US: Final = 1_000_000
 """A velocity of longer ago is not that of the position."""
-_FLAGS: Final = (
-    *((1 << bit, 1 << bit) for bit in range(6)),
-    (1 << 6, wire.EKF_POS_VERT_AGL),
-    (1 << 7, wire.EKF_CONST_POS_MODE),
-    (1 << 8, wire.EKF_PRED_POS_HORIZ_REL),
-    (1 << 9, wire.EKF_PRED_POS_HORIZ_ABS),
-    (1 << 14, wire.EKF_GPS_GLITCHING),
-)
-"""Bits of the filter status (XKF4.SS), and what EKF_STATUS_REPORT has for them."""
+_SAME: Final = 0x3FF
+"""Bits of the filter status (XKF4.SS) that EKF_STATUS_REPORT has, too."""
+_GLITCHING: Final = 1 << 14
 _INITIALISED: Final = 1 << 16
 """In XKF4.SS; a status of 16 bits, as logged before 4.3, does not say it."""
 
@@ -169,13 +163,6 @@ class _Look:
                     (mav for word, mav in _VEHICLES.items() if text.startswith(word)), None
                 )
 
-    def substitutes(self) -> Iterator[str]:
-        """What of the usual it has not, and what is told instead."""
-        if self.mav_type is None:
-            yield "no entry (VER, MSG) tells which kind of vehicle it is: no HEARTBEAT is made"
-        if not any(self.counts[each] for each in ("ARM", "EV", "STAT")):
-            yield "no entry (ARM, EV, STAT) tells whether it is armed: taken for disarmed"
-
 
 def _epoch_us(row: Row) -> int | None:
     """When the vehicle booted, by a GPS entry with a fix."""
@@ -200,7 +187,6 @@ def opened(path: Path, system_id: int | None) -> Log | None:
         system_id=chosen(path, (look.system_id,), system_id),
         autopilot=int(wire.MAV_AUTOPILOT_ARDUPILOTMEGA),
         read=partial(_records, look),
-        substitutes=tuple(look.substitutes()),
     )
 
 
@@ -208,6 +194,7 @@ def opened(path: Path, system_id: int | None) -> Log | None:
 
 
 def _records(look: _Look, log: Log) -> Iterator[Record]:
+    log.odd[Odd.NO_KIND] = int(look.mav_type is None)
     return made.made(
         log,
         _told(log),
@@ -349,7 +336,7 @@ class _Messages:
         if values.get("C", 0) != self._core or not self._pace.is_due("estimator", boot_us):
             return
         status = values["SS"]
-        flags = sum(flag for bit, flag in _FLAGS if status & bit)
+        flags = status & _SAME | (wire.EKF_GPS_GLITCHING if status & _GLITCHING else 0)
         if not status & (_INITIALISED if status >= _INITIALISED else wire.EKF_ATTITUDE):
             flags |= wire.EKF_UNINITIALIZED
         variances = (values["SV"], values["SP"], values["SH"], values["SM"], 0.0)

@@ -44,9 +44,7 @@ class Odd(enum.StrEnum):
     UNREADABLE = "the file could not be read on"
     SECRET = "{} messages with a key or password were left out"
     SIGNED = "{} messages are signed: no signature was checked"
-    MAVLINK_1 = "{} messages are of MAVLink 1"
     OTHER_VEHICLE = "{} messages of other vehicles were left out"
-    NO_STAMPS = "no time stamps that are dates: time is the vehicle's clock, as if booted in 1970"
     NO_STAMP = "{} messages without a time stamp: each has the time of the one before"
     WRONG_STAMP = "{} time stamps make no sense: not believed"
     NO_DATE = "nothing tells the date: time counts from the vehicle's boot, as if in 1970"
@@ -54,6 +52,12 @@ class Odd(enum.StrEnum):
     TIME_GAP = "{} gaps of more than ten minutes"
     LOST_TIME = "the vehicle says that it could not write its log for {} milliseconds"
     LOST_ENTRIES = "the vehicle says that it could not write {} entries of its log"
+    NO_KIND = "no entry (VER, MSG) tells which kind of vehicle it is: no HEARTBEAT is made"
+    CLOCK_IS_DATE = "the vehicle's clock is a date: its boot is taken to be the log's beginning"
+    MADE_ESTIMATOR = (
+        "ESTIMATOR_STATUS is made of vehicle_local_position and estimator_status_flags: there is "
+        "no estimator_status"
+    )
 
     def said(self, count: int) -> str:
         """The text."""
@@ -100,8 +104,6 @@ class Log:
     """MAV_AUTOPILOT; None: nothing tells."""
     read: Callable[["Log"], Iterator[Record]]
     """One pass through it: notes in the log how far it is, what is odd and what it heard."""
-    substitutes: tuple[str, ...] = ()
-    """What is made of something else than usual, in words."""
     elsewhere: frozenset[tuple[int, int]] = frozenset()
     """System and component of what sends an autopilot's heartbeat and is not component 1."""
     odd: Counter[Odd] = field(default_factory=Counter)
@@ -112,7 +114,7 @@ class Log:
     @property
     def findings(self) -> tuple[str, ...]:
         """What is odd about it, as far as `records` has come."""
-        return (*self.substitutes, *(odd.said(n) for odd, n in self.odd.items() if n > 0))
+        return tuple(odd.said(n) for odd, n in self.odd.items() if n > 0)
 
     def missing(self) -> dict[str, str]:
         """What never came of what the companion listens to, once `records` has come to the end.
@@ -171,24 +173,22 @@ class Clock:
     goes on.  After a fall time continues from where it was.
     """
 
-    def __init__(
-        self, odd: Counter[Odd], *, first_us: int, last_us: int, start_us: int | None = None
-    ) -> None:
+    def __init__(self, odd: Counter[Odd], *, first_us: int, last_us: int, start_us: int) -> None:
         """first_us, last_us: the stamps that make sense at all.
 
-        start_us: the first one, from which others are doubted; None: the first that makes sense.
+        start_us: the first one, from which others are doubted.
         """
         self._odd, self._first_us, self._last_us = odd, first_us, last_us
-        self._stamp_us, self._shift_us = start_us, 0
+        self._stamp_us = self.now_us = start_us
+        self._shift_us = 0
         self._doubted_us: int | None = None
-        self.now_us = first_us if start_us is None else start_us
 
     def read(self, stamp_us: int) -> bool:
         """Go on to a stamp, in microseconds; whether it is believed."""
         if not self._first_us <= stamp_us < self._last_us:
             self._odd[Odd.WRONG_STAMP] += 1
             return False
-        step_us = 0 if self._stamp_us is None else stamp_us - self._stamp_us
+        step_us = stamp_us - self._stamp_us
         if not -_BACK_US <= step_us <= _GAP_US:
             if self._doubted_us is None or not agree(self._doubted_us, stamp_us):
                 self._doubted_us = stamp_us

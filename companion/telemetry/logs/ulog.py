@@ -144,8 +144,9 @@ def opened(path: Path, system_id: int | None) -> Log | None:
     start_us, begun_us = earliest(known_us) if known_us else 0, log.start_timestamp
     if known_us and 0 <= known_us[len(known_us) // 2] - begun_us < made.LONGEST_US:
         start_us = begun_us
-    system = _parameters(log).get("MAV_SYS_ID", 1)
-    systems = (int(system) if 1 <= system <= 255 else 1,)
+    changed = {name: value for _, name, value in log.changed_parameters}
+    system = (log.initial_parameters | changed).get("MAV_SYS_ID", 1)
+    systems = (system if isinstance(system, int) and 1 <= system <= 255 else 1,)
     return Log(
         kind="ulg",
         path=path,
@@ -153,26 +154,7 @@ def opened(path: Path, system_id: int | None) -> Log | None:
         system_id=chosen(path, systems, system_id),
         autopilot=int(wire.MAV_AUTOPILOT_PX4),
         read=partial(_records, log, start_us),
-        substitutes=tuple(_substitutes(log, is_dated=start_us >= YEAR_2000_US)),
     )
-
-
-def _parameters(log: ULog) -> dict[str, float]:
-    """By name, as they were in the end."""
-    changed = {name: value for _, name, value in log.changed_parameters}
-    everything = log.initial_parameters | changed
-    return {name: value for name, value in everything.items() if isinstance(value, int | float)}
-
-
-def _substitutes(log: ULog, *, is_dated: bool) -> Iterator[str]:
-    if is_dated:
-        yield "the vehicle's clock is a date: its boot is taken to be the log's beginning"
-    topics = _topics(log)
-    if "vehicle_local_position" in topics and "estimator_status" not in topics:
-        yield (
-            "ESTIMATOR_STATUS is made of vehicle_local_position and "
-            "estimator_status_flags: there is no estimator_status"
-        )
 
 
 def _epoch_us(log: ULog) -> int | None:
@@ -191,13 +173,16 @@ def _epoch_us(log: ULog) -> int | None:
 def _records(ulog: ULog, start_us: int, log: Log) -> Iterator[Record]:
     """start_us: when the log begins, by the vehicle's clock, which may be a date."""
     zero_us = start_us if start_us >= YEAR_2000_US else 0  # then that is taken for its boot
-    if ulog.file_corruption:
-        log.odd[Odd.CORRUPT] = 1
-    if ulog.dropouts:
-        log.odd[Odd.LOST_TIME] = sum(lost.duration for lost in ulog.dropouts)
+    topics = _topics(ulog)
+    log.odd[Odd.CORRUPT] = int(ulog.file_corruption)
+    log.odd[Odd.LOST_TIME] = sum(lost.duration for lost in ulog.dropouts)
+    log.odd[Odd.CLOCK_IS_DATE] = int(zero_us > 0)
+    log.odd[Odd.MADE_ESTIMATOR] = int(
+        "vehicle_local_position" in topics and "estimator_status" not in topics
+    )
     epoch_us = _epoch_us(ulog) or zero_us or None
     rows = (_begun(row, start_us, zero_us) for row in _rows(ulog))
-    messages = _Messages(epoch_us, has_estimator="estimator_status" in _topics(ulog))
+    messages = _Messages(epoch_us, has_estimator="estimator_status" in topics)
     return made.made(log, rows, messages.of, epoch_us=epoch_us, start_us=start_us - zero_us)
 
 
@@ -294,7 +279,7 @@ class _Messages:
                 state = wire.MAV_STATE_CRITICAL if values.get("failsafe") else wire.MAV_STATE_ACTIVE
             flags = wire.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
             flags |= wire.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
-            whose, (main, sub) = (_mav_type(values), wire.MAV_AUTOPILOT_PX4), _MODES[mode]
+            whose, (main, sub) = (values["system_type"], wire.MAV_AUTOPILOT_PX4), _MODES[mode]
             yield wire.MAVLink_heartbeat_message(*whose, flags, main << 16 | sub << 24, state, 3)
         if self._landed:
             yield made.ground(wire.MAV_LANDED_STATE_ON_GROUND)
@@ -385,13 +370,3 @@ def _made_estimator(values: Values, flags: Values, boot_us: int) -> Message:
         *(1.0 if each else math.nan for each in rejected),
         *(math.nan, math.nan, math.nan, values["eph"], values["epv"]),
     )
-
-
-def _mav_type(status: Values) -> int:
-    """MAV_TYPE of a vehicle_status."""
-    if status.get("system_type"):
-        return int(status["system_type"])
-    if status.get("is_vtol"):
-        return int(wire.MAV_TYPE_VTOL_RESERVED5)
-    is_rotary = status.get("vehicle_type") == 1
-    return int(wire.MAV_TYPE_QUADROTOR if is_rotary else wire.MAV_TYPE_FIXED_WING)
