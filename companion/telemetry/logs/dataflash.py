@@ -220,7 +220,7 @@ class _Messages:
 
     def __init__(self, look: _Look) -> None:
         self._mav_type, self._epoch_us = look.mav_type, look.epoch_us
-        self._pace = made.Pace()
+        self._is_due = made.Pace().is_due
         self._mode: int | None = None
         self._armed, self._landed = False, wire.MAV_LANDED_STATE_UNDEFINED
         self._failsafes: set[int] = set()
@@ -236,9 +236,9 @@ class _Messages:
         before = self._mode, self._armed, bool(self._failsafes), self._landed
         yield from self._of(name, values, boot_us)
         changed = before != (self._mode, self._armed, bool(self._failsafes), self._landed)
-        if self._pace.is_due("heartbeat", boot_us) or changed:
+        if self._is_due("heartbeat", boot_us) or changed:
             yield from self._state()
-        if self._pace.is_due("clock", boot_us):
+        if self._is_due("clock", boot_us):
             yield made.system_time(self._epoch_us, boot_us)
 
     def _of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
@@ -276,7 +276,7 @@ class _Messages:
             case "GPS" if values.get("I", 0) == 0:
                 yield self._gps(values, boot_us)
             case "BAT" if values.get("Inst", values.get("Instance", values.get("I", 0))) == 0:
-                if self._pace.is_due("battery", boot_us):
+                if self._is_due("battery", boot_us):
                     percent = values.get("RemPct", -1)
                     percent = percent if 0 <= percent <= 100 else -1
                     yield made.battery(values["Volt"], values.get("Curr", 0.0), percent)
@@ -307,7 +307,7 @@ class _Messages:
         velocity = self._velocities.get(self._core)
         if velocity is None or boot_us - velocity[0] > _FRESH_US:
             return
-        if self._pace.is_due("position", boot_us):
+        if self._is_due("position", boot_us):
             yield wire.MAVLink_global_position_int_message(
                 made.boot_ms(boot_us),
                 *(*wired(_place(values)), round(values.get("RelHomeAlt", 0.0) * 1e3)),
@@ -333,7 +333,7 @@ class _Messages:
     def _estimator(self, values: Values, boot_us: int) -> Iterator[Message]:
         """EKF_STATUS_REPORT of the primary core's XKF4."""
         self._core = max(values.get("PI", 0), 0)
-        if values.get("C", 0) != self._core or not self._pace.is_due("estimator", boot_us):
+        if values.get("C", 0) != self._core or not self._is_due("estimator", boot_us):
             return
         status = values["SS"]
         flags = status & _SAME | (wire.EKF_GPS_GLITCHING if status & _GLITCHING else 0)

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 from companion.errors import InputError
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, KINDS, wire
@@ -57,8 +57,8 @@ def opened(path: Path, system_id: int | None) -> Log | None:
 
     InputError if they have no time stamps, or it is not clear which vehicle is meant.
     """
-    frames = (each for each in _framed(path, Counter()) if each.is_known)
-    stamps = [each.stamp for each in islice(frames, _SAMPLE)]
+    framed = (each for each in _framed(path, Counter()) if number_of(each[1]) in KINDS)
+    stamps = [stamp for stamp, _ in islice(framed, _SAMPLE)]
     times_us = [int.from_bytes(each) for each in stamps if len(each) == _STAMP]
     if not stamps:
         return None
@@ -104,20 +104,11 @@ def _autopilots_of(path: Path) -> tuple[dict[int, int], frozenset[tuple[int, int
 # --- frames in the bytes of a file
 
 
-class _Framed(NamedTuple):
-    """A frame of a file, and what stands around it."""
+def _framed(path: Path, odd: Counter[Odd]) -> Iterator[tuple[bytes, bytes]]:
+    """Stamps and frames of a file in order, in bounded memory; what is passed over is counted.
 
-    stamp: bytes
-    """What is before it, since the last frame: the last 8 bytes at most."""
-    frame: bytes
-    is_known: bool = True
-    """Else its kind is not, and so neither whether its checksum is right."""
-
-
-def _framed(path: Path, odd: Counter[Odd]) -> Iterator[_Framed]:
-    """The frames of a file in order, in bounded memory; what is passed over is counted.
-
-    One wrong byte costs two frames at most.
+    A stamp is what stands before a frame, since the last one: 8 bytes at most.  Of frames whose
+    kind is not known the checksum is not, either.  One wrong byte costs two frames at most.
     """
     data, at, more = b"", 0, True
     with path.open("rb") as file:
@@ -127,12 +118,8 @@ def _framed(path: Path, odd: Counter[Odd]) -> Iterator[_Framed]:
                 data, at, more = data[at:] + portion, 0, bool(portion)
                 continue
             begin = at + _STAMP
-            if end := intact_end(data, begin):
-                yield _Framed(data[at:begin], data[begin:end])
-                at = end
-                continue
-            if end := _unknown_end(data, begin):
-                yield _Framed(data[at:begin], data[begin:end], is_known=False)
+            if end := intact_end(data, begin) or _unknown_end(data, begin):
+                yield data[at:begin], data[begin:end]
                 at = end
                 continue
             until = len(data) - LONGEST if more else len(data)  # beyond, more may be needed
@@ -147,7 +134,7 @@ def _framed(path: Path, odd: Counter[Odd]) -> Iterator[_Framed]:
                 is_cut = not (more or end) and after - at < _STAMP + LONGEST
                 odd[Odd.CUT_SHORT if is_cut else Odd.GARBAGE] += after - at
             if end:
-                yield _Framed(stamp, data[found:end])
+                yield stamp, data[found:end]
             at = end or after
 
 
@@ -187,14 +174,13 @@ def _records(start_us: int, log: Log) -> Iterator[Record]:
     odd, first_us = log.odd, min(start_us, YEAR_2000_US)
     clock = Clock(odd, first_us=first_us, last_us=YEAR_2100_US, start_us=start_us)
     others = frozenset(log.systems) - {log.system_id}
-    for stamp, frame, is_known in _framed(log.path, odd):
+    for stamp, frame in _framed(log.path, odd):
         number, (system, component) = number_of(frame), sender_of(frame)
         if len(stamp) == _STAMP:
             clock.read(int.from_bytes(stamp))
         else:
             odd[Odd.NO_STAMP] += 1
-        if not is_known:
-            odd[Odd.UNKNOWN] += 1
+        odd[Odd.UNKNOWN] += number not in KINDS
         if system in others:
             odd[Odd.OTHER_VEHICLE] += 1
         elif number in SECRETS:

@@ -199,7 +199,7 @@ class _Messages:
 
     def __init__(self, epoch_us: int | None, *, has_estimator: bool) -> None:
         self._epoch_us, self._has_estimator = epoch_us, has_estimator
-        self._pace = made.Pace()
+        self._is_due = made.Pace().is_due
         self._status: Values = {}
         self._landed: bool | None = None
         self._local: Values = {}
@@ -211,9 +211,9 @@ class _Messages:
     def of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
         """Messages of one row."""
         yield from self._of(name, values, boot_us)
-        if self._status and self._pace.is_due("heartbeat", boot_us):
+        if self._status and self._is_due("heartbeat", boot_us):
             yield from self._state()
-        if self._status and self._pace.is_due("clock", boot_us):
+        if self._status and self._is_due("clock", boot_us):
             yield made.system_time(self._epoch_us, boot_us)
 
     def _of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
@@ -263,9 +263,6 @@ class _Messages:
                 yield from made.texts(_COLOURS.sub("", values["text"]), severity, self._texts)
             case _:
                 return  # not due, or of nothing that is known
-
-    def _is_due(self, what: str, boot_us: int) -> bool:
-        return self._pace.is_due(what, boot_us)
 
     def _state(self) -> Iterator[Message]:
         """HEARTBEAT and EXTENDED_SYS_STATE."""
