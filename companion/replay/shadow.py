@@ -420,14 +420,12 @@ def _could_not(mission: Mission, watching: Watch, report: ShadowReport) -> Itera
         since_s = min(watching.stood_in_s.values())
         yield (
             f"tell whether the position is to be believed: {names} missing: taken to be good from "
-            f"{since_s:.0f} s on (in flight the companion would not have begun). {HOW_TO_RECORD}"
+            f"{since_s:.0f} s on (in flight it would not have begun). {HOW_TO_RECORD}"
         )
     if report.position_rate_hz is not None and report.position_rate_hz < _SLOW_HZ:
         yield (
             "tell in time that a position is missing: GLOBAL_POSITION_INT comes at "
-            f"{report.position_rate_hz:.1f} Hz: in flight the companion asks for "
-            f"{mission.position_rate_hz:g} Hz, and takes 0.5 s without one for a fault. "
-            f"Record it at {_SLOW_HZ:g} Hz or more"
+            f"{report.position_rate_hz:.1f} Hz. Record it at {_SLOW_HZ:g} Hz or more"
         )
     if mission.targets_from_vehicle:
         yield (

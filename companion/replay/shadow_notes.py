@@ -192,12 +192,10 @@ class Notes:
     def _on_entry(self, at_s: float, entry: journal.Entry, session: Session) -> None:
         match entry:
             case journal.PlanAsked(plan_id=plan_id, from_rest=from_rest):
-                place = self._place(entry.scan_nea_m)
-                assert place is not None
                 asked = self._plans[plan_id] = PlanAttempt(
                     plan_id=plan_id,
                     at_s=at_s,
-                    place=place,
+                    place=self._place(entry.scan_nea_m),
                     why=self._cause if from_rest else "the next subpath",
                     goes_on=not from_rest,
                 )

@@ -104,7 +104,7 @@ class PlanAttempt(Struct, kw_only=True):
 
     plan_id: int
     at_s: float
-    place: Place
+    place: Place | None
     """Where it would have begun."""
     why: str
     goes_on: bool

@@ -26,11 +26,11 @@ from companion.telemetry.logs.log import (
     chosen,
     earliest,
 )
-from companion.telemetry.logs.made import Row, Values, direction, thousandths, whole, wired
+from companion.telemetry.logs.made import Row, Values, direction, whole, wired
 
 ROWS: Final = frozenset(
     (
-        *("ARM", "ATT", "BAT", "ERR", "EV", "GPA", "GPS", "MODE", "MSG"),
+        *("ARM", "ATT", "BAT", "ERR", "EV", "GPS", "MODE", "MSG"),
         *("ORGN", "PARM", "POS", "STAT", "XKF1", "XKF4"),
     )
 )
@@ -228,7 +228,6 @@ class _Messages:
         """By estimator core: when, and north, east, down, m/s."""
         self._core = 0
         self._yaw_deg = math.nan
-        self._accuracy: Values = {}
         self._texts = 0
 
     def of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
@@ -271,8 +270,6 @@ class _Messages:
                 level = [1.0, 0.0, 0.0, 0.0]
                 told = (*wired(_place(values)), 0, 0, 0, level, 0, 0, 0, boot_us)
                 yield wire.MAVLink_home_position_message(*told)
-            case "GPA" if values.get("I", 0) == 0:
-                self._accuracy = values
             case "GPS" if values.get("I", 0) == 0:
                 yield self._gps(values, boot_us)
             case "BAT" if values.get("Inst", values.get("Instance", values.get("I", 0))) == 0:
@@ -317,17 +314,11 @@ class _Messages:
 
     def _gps(self, values: Values, boot_us: int) -> Message:
         """GPS_RAW_INT."""
-        accuracy = self._accuracy
-        vertical, ellipsoid_m = accuracy.get("VDop"), accuracy.get("AEl", accuracy.get("AE", 0.0))
+        speed_cm_s = whole(values["Spd"] * 100, 0, 65535)
         return wire.MAVLink_gps_raw_int_message(
             *(boot_us, values["Status"], *wired(_place(values))),
-            whole(values["HDop"] * 100, 0, 65535),
-            65535 if vertical is None else whole(vertical * 100, 0, 65535),
-            *(whole(values["Spd"] * 100, 0, 65535), direction(values["GCrs"]), values["NSats"]),
-            alt_ellipsoid=round(ellipsoid_m * 1e3),
-            h_acc=thousandths(accuracy.get("HAcc", 0.0)),
-            v_acc=thousandths(accuracy.get("VAcc", 0.0)),
-            vel_acc=thousandths(accuracy.get("SAcc", 0.0)),
+            *(whole(values["HDop"] * 100, 0, 65535), 65535),
+            *(speed_cm_s, direction(values["GCrs"]), values["NSats"]),
         )
 
     def _estimator(self, values: Values, boot_us: int) -> Iterator[Message]:
