@@ -1,5 +1,6 @@
 """The actions of `companion replay`, apart from the command line."""
 
+import json
 import sys
 from importlib.metadata import version
 from itertools import count
@@ -7,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from msgspec.structs import asdict
 from rich.status import Status
 
 from companion.config import load_mission
@@ -67,7 +69,7 @@ def _compare(replay: Replay | LogReplay, flight: Path, json_file: Path | None) -
     differs = found.difference is not None
     if found.frames + found.entries or differs:
         console.print(str(found))
-        _write(found.as_json(), json_file)
+        _write({"identical": found.is_identical, **asdict(found)}, json_file)
     elif not found.damaged:  # nothing is not the same as something
         rule = "it holds nothing to compare a replay with"
         remedy = "Give the recording of a flight, whole."
@@ -116,7 +118,7 @@ def shadow(flight: Path, mission: str | None, system: int | None, json_file: Pat
         report = watch(flight, chosen, system_id=system, on_output=show)
     for each in renderables(report):
         console.print(each)
-    _write(report.as_json(), json_file)
+    _write(report, json_file)
 
 
 def _shown(words: str) -> Status:
@@ -132,6 +134,6 @@ def _load_planner() -> None:
 
 def _write(values: Any, json_file: Path | None) -> None:
     if json_file is not None:
-        text = msgspec.json.format(msgspec.json.encode(values, enc_hook=str), indent=2)
+        plain = msgspec.to_builtins(values, enc_hook=str, builtin_types=(bytes,))
         with writing("--json", json_file):
-            json_file.write_bytes(text + b"\n")
+            json_file.write_text(json.dumps(plain, indent=2, default=str) + "\n", encoding="utf-8")

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from msgspec import Struct
-from msgspec.structs import asdict
 
 from companion.mavlink.dialect import Message
 from companion.mavlink.frames import Receiver
@@ -156,10 +155,6 @@ class Replayed(Struct, kw_only=True):
     def is_identical(self) -> bool:
         """Whether all decisions and plans equal the recorded ones, and there were any."""
         return not self.differs and self.frames + self.entries > 0 and not self.damaged
-
-    def as_json(self) -> dict[str, Any]:
-        """For a JSON file."""
-        return {"identical": self.is_identical, **asdict(self)}
 
     def __str__(self) -> str:
         speed = f", {self.flown_s / self.took_s:,.0f}x real time" if self.took_s > 0.0 else ""

@@ -101,7 +101,6 @@ def watch(
     )
     report = ShadowReport(
         file=log.path.name,
-        kind=log.kind,
         system_id=look.heartbeat.get_srcSystem(),
         vehicle=described(look.heartbeat),
         mission=None if mission is None else mission.name,

@@ -4,9 +4,8 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
-from typing import Any, Final, final
+from typing import Final, Literal, final
 
-import msgspec
 import numpy as np
 from msgspec import Struct
 from rich.console import RenderableType
@@ -15,8 +14,6 @@ from rich.text import Text
 
 from companion.telemetry.logs import HOW_TO_RECORD
 
-SCHEMA: Final = 1
-"""Of `ShadowReport.as_json`."""
 _MOMENT_S: Final = 1.0  # before it let go: what the vehicle said then may be why
 _NEAR_S: Final = 60.0  # after it let go for good: what the vehicle said so long belongs to it
 
@@ -138,9 +135,9 @@ class VehicleReport(Struct, frozen=True, kw_only=True):
 class ShadowReport(Struct, kw_only=True):
     """All of it.  Times are seconds after the log's first record unless they are said otherwise."""
 
+    schema: Literal[1] = 1
+    """Version of these fields, for readers of `--json`."""
     file: str
-    kind: str
-    """"tlog", "bin" or "ulg"."""
     system_id: int
     vehicle: str
     """The autopilot and kind, in words."""
@@ -167,11 +164,6 @@ class ShadowReport(Struct, kw_only=True):
     """Messages that the log lacks, and what is impossible without each."""
     log_findings: tuple[str, ...] = ()
     notes: list[str] = []
-
-    def as_json(self) -> dict[str, Any]:
-        """For `--json`: plain values, units in the names."""
-        values: dict[str, Any] = msgspec.to_builtins(self)
-        return {"schema": SCHEMA, **values}
 
 
 # --- for people

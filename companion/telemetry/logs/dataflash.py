@@ -28,13 +28,13 @@ from companion.telemetry.logs.log import (
 )
 from companion.telemetry.logs.made import Row, Values, direction, whole, wired
 
-ROWS: Final = frozenset(
+_ROWS: Final = frozenset(
     (
-        *("ARM", "ATT", "BAT", "ERR", "EV", "GPS", "MODE", "MSG"),
+        *("ARM", "ATT", "BAT", "DSF", "ERR", "EV", "GPS", "MODE", "MSG"),
         *("ORGN", "PARM", "POS", "STAT", "XKF1", "XKF4"),
     )
 )
-"""Names of the entries that are translated."""
+"""Names of the entries that are translated, and of the one that tells what was lost."""
 _MAGIC: Final = b"\xa3\x95"
 _LONGEST: Final = 255
 """Bytes of an entry."""
@@ -88,10 +88,8 @@ class _Entries(DFReader.DFReader_binary):  # type: ignore[misc]  # it has no typ
     init_arrays = init_arrays_fast = init_clock = _add_msg = _nothing
 
 
-def _rows(
-    path: Path, odd: Counter[Odd], wanted: Collection[str], counts: Counter[str]
-) -> Iterator[Row]:
-    """The entries of the kinds that are wanted; all are counted, by kind."""
+def _rows(path: Path, odd: Counter[Odd], wanted: Collection[str]) -> Iterator[Row]:
+    """The entries of the kinds that are wanted."""
     log = _Entries(str(path))
     end, size = 0, log.data_len
     with made.silent(DFReader):
@@ -110,7 +108,6 @@ def _rows(
                     odd[Odd.DAMAGED] += 1
                     log.offset = end = begin + len(_MAGIC)
                     continue
-                counts[name] += 1
                 if name in wanted:
                     try:
                         values = entry.to_dict()
@@ -132,7 +129,6 @@ class _Look:
     """What one pass through the file tells of the whole log."""
 
     def __init__(self, path: Path) -> None:
-        self.counts: Counter[str] = Counter()
         self.system_id = 1
         """ArduPilot's default, until a parameter says otherwise."""
         self.epoch_us: int | None = None
@@ -141,7 +137,7 @@ class _Look:
         """None: nothing tells."""
         self.times_us: list[int] = []
         """Of the first entries."""
-        for row in _rows(path, Counter(), {"GPS", "MSG", "PARM", "VER"}, self.counts):
+        for row in _rows(path, Counter(), {"GPS", "MSG", "PARM", "VER"}):
             if row.time_us is not None and len(self.times_us) < _SAMPLE:
                 self.times_us.append(row.time_us)
             with suppress(KeyError, TypeError, ValueError, OverflowError):
@@ -178,7 +174,7 @@ def opened(path: Path, system_id: int | None) -> Log | None:
     """A .bin; None: nothing of use is in it.  InputError: of firmware before 4.0, or not whose."""
     look = _Look(path)
     made.refuse_older(path, "ArduPilot", look.version, _OLDEST)
-    if ROWS.isdisjoint(look.counts):
+    if not look.times_us:
         return None
     return Log(
         kind="bin",
@@ -200,13 +196,13 @@ def _records(look: _Look, log: Log) -> Iterator[Record]:
         _told(log),
         _Messages(look).of,
         epoch_us=look.epoch_us,
-        start_us=earliest(look.times_us) if look.times_us else 0,
+        start_us=earliest(look.times_us),
     )
 
 
 def _told(log: Log) -> Iterator[Row]:
     """What is translated; what the logger could not write (DSF.Dp) is counted."""
-    for row in _rows(log.path, log.odd, {*ROWS, "DSF"}, Counter()):
+    for row in _rows(log.path, log.odd, _ROWS):
         lost = row.values.get("Dp")
         if row.name != "DSF":
             yield row

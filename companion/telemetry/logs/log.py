@@ -211,4 +211,4 @@ def agree(stamp_us: int, next_us: int) -> bool:
 def earliest(stamps_us: list[int]) -> int:
     """Where a log begins, by its first stamps: the first that the one after it agrees with."""
     pairs = itertools.pairwise(stamps_us)
-    return next((now for now, after in pairs if agree(now, after)), stamps_us[0])
+    return next((now for now, after in pairs if agree(now, after)), next(iter(stamps_us), 0))

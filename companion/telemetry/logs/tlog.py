@@ -68,14 +68,14 @@ def opened(path: Path, system_id: int | None) -> Log | None:
     autopilots, elsewhere = _autopilots_of(path)
     systems = tuple(sorted(autopilots))
     vehicle = chosen(path, systems, system_id, elsewhere)
-    likely_us = [each for each in times_us if each < YEAR_2100_US]
+    start_us = earliest([each for each in times_us if each < YEAR_2100_US])
     return Log(
         kind="tlog",
         path=path,
         systems=systems,
         system_id=vehicle,
         autopilot=autopilots.get(vehicle or 0),
-        read=partial(_records, earliest(likely_us) if likely_us else 0),
+        read=partial(_records, start_us),
         elsewhere=elsewhere,
     )
 

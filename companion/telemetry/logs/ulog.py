@@ -141,7 +141,7 @@ def opened(path: Path, system_id: int | None) -> Log | None:
     known_us = list(itertools.islice(stamps, _SAMPLE))
     if not known_us and not log.initial_parameters:
         return None
-    start_us, begun_us = earliest(known_us) if known_us else 0, log.start_timestamp
+    start_us, begun_us = earliest(known_us), log.start_timestamp
     if known_us and 0 <= known_us[len(known_us) // 2] - begun_us < made.LONGEST_US:
         start_us = begun_us
     changed = {name: value for _, name, value in log.changed_parameters}
