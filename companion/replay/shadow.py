@@ -253,10 +253,8 @@ class Watch:
         self._vehicle = look.heartbeat.get_srcSystem(), AUTOPILOT_COMPONENT
         self._session: Session | None = None
         self._clock = VehicleClock(0.0)
-        self._now_us: int | None = None
-        """Of the newest record, since 1970."""
         self._at_s = 0.0
-        """The same since the first one."""
+        """Of the newest record, since the first one."""
         self._heard_s: float | None = None
         self._clock_s = 0.0
         self._mode, self._armed = -1, False
@@ -273,9 +271,9 @@ class Watch:
     def on_record(self, record: Record) -> None:
         """The next frame of the log, of any sender."""
         frame, report = record.frame, self._notes.report
-        if self._now_us is None:
+        if report.began_us is None:
             report.began_us = record.time_us
-        self._now_us, self._at_s = record.time_us, (record.time_us - report.began_us) * 1e-6
+        self._at_s = (record.time_us - report.began_us) * 1e-6
         number = number_of(frame)
         if sender_of(frame) != self._vehicle:
             return
@@ -366,7 +364,7 @@ class Watch:
             session = Session(self._mission, seed=1, lockstep=False, shadow=True)
             self._session = session
             self._notes.begin_again()
-        session.receive(frame, (self._now_us or 0) * 1e-6)
+        session.receive(frame, self._at_s)
         self._run(session, self._at_s)
 
     def _run(self, session: Session, at_s: float) -> None:

@@ -143,7 +143,7 @@ class ShadowReport(Struct, kw_only=True):
     """The autopilot and kind, in words."""
     mission: str | None
     """Its name; None: health alone."""
-    began_us: int = 0
+    began_us: int | None = None
     """Time of the first record, microseconds since 1970."""
     length_s: float = 0.0
     in_air_s: float = 0.0
@@ -200,7 +200,7 @@ def _table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -
 
 def _head(report: ShadowReport) -> Iterator[str]:
     air = f", {report.in_air_s:,.0f} s of it in the air" if report.in_air_s else ""
-    began = datetime.fromtimestamp(report.began_us * 1e-6, UTC)
+    began = datetime.fromtimestamp((report.began_us or 0) * 1e-6, UTC)
     date = f"{began:%Y-%m-%d %H:%M:%S}Z, " if began.year > 1970 else ""
     yield (
         f"{report.file}: {report.vehicle}, system {report.system_id}; {date}"
