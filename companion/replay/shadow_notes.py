@@ -315,11 +315,7 @@ class Notes:
             return None
         north_m, east_m, altitude_m = point_nea_m
         latitude, longitude = self._frame.to_geodetic_deg(north_m, east_m)
-        return Place(
-            latitude_deg=latitude,
-            longitude_deg=longitude,
-            altitude_amsl_m=altitude_m,
-        )
+        return Place(latitude_deg=latitude, longitude_deg=longitude, altitude_amsl_m=altitude_m)
 
 
 def is_in_air(vehicle: Vehicle) -> bool:
