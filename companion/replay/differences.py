@@ -16,7 +16,6 @@ _SEQUENCE: Final = {0xFD: 4, 0xFE: 2}
 NOTHING: Final = "nothing"
 """Shown for a missing frame or entry."""
 _SHOWN_BYTES: Final = 100
-_AFTER_THE_END: Final = "frames and entries came after the end of the recording"
 
 
 @final
@@ -173,7 +172,7 @@ class Replayed(Struct, kw_only=True):
             (self.entries and not self.frames, "no frame was compared: flight.tlog holds none"),
             (self.starts > 1, f"the companion was started {self.starts} times"),
             *((True, f"plans differ, the first at {each}") for each in self.plans_differ[:1]),
-            (self.unrecorded, f"{self.unrecorded} {_AFTER_THE_END}"),
+            (self.unrecorded, f"{self.unrecorded} frames and entries came after its end"),
             (self.ended_by, f"the flight ended with an error of the companion's: {self.ended_by}"),
             (self.torn, f"the recording ends early: {self.torn}"),
             (self.damaged, f"the recording is damaged from there on: {self.damaged}"),

@@ -173,19 +173,16 @@ class Clock:
     goes on.  After a fall time continues from where it was.
     """
 
-    def __init__(self, odd: Counter[Odd], *, first_us: int, last_us: int, start_us: int) -> None:
-        """first_us, last_us: the stamps that make sense at all.
-
-        start_us: the first one, from which others are doubted.
-        """
-        self._odd, self._first_us, self._last_us = odd, first_us, last_us
+    def __init__(self, odd: Counter[Odd], *, start_us: int, last_us: int) -> None:
+        """start_us: the first stamp, from which others are doubted; none is beyond last_us."""
+        self._odd, self._last_us = odd, last_us
         self._stamp_us = self.now_us = start_us
         self._shift_us = 0
         self._doubted_us: int | None = None
 
     def read(self, stamp_us: int) -> bool:
         """Go on to a stamp, in microseconds; whether it is believed."""
-        if not self._first_us <= stamp_us < self._last_us:
+        if stamp_us >= self._last_us:
             self._odd[Odd.WRONG_STAMP] += 1
             return False
         step_us = stamp_us - self._stamp_us

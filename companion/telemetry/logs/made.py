@@ -61,7 +61,7 @@ def made(
         log.odd[Odd.NO_DATE] = 1
     boot_us = epoch_us or 0
     last_us, start_us = boot_us + LONGEST_US, boot_us + start_us
-    clock = Clock(log.odd, first_us=boot_us, last_us=last_us, start_us=start_us)
+    clock = Clock(log.odd, start_us=start_us, last_us=last_us)
     codec = wire.MAVLink(None, srcSystem=log.system_id, srcComponent=AUTOPILOT_COMPONENT)
     for row in rows:
         if row.time_us is not None and not clock.read(boot_us + row.time_us):

@@ -17,8 +17,6 @@ from companion.errors import InputError
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, KINDS, wire
 from companion.mavlink.frames import (
     LONGEST,
-    V1,
-    V2,
     find_marker,
     frame_extent,
     intact_end,
@@ -28,7 +26,6 @@ from companion.mavlink.frames import (
 )
 from companion.mavlink.signing import SECRETS, is_signed
 from companion.telemetry.logs.log import (
-    YEAR_2000_US,
     YEAR_2100_US,
     Clock,
     Log,
@@ -159,20 +156,14 @@ def _next_intact(data: bytes, at: int, until: int) -> tuple[int, int]:
 
 def _may_begin(data: bytes, at: int) -> bool:
     """Whether there is what a frame can begin with, as far as it can be told."""
-    if at >= len(data):
-        return False
-    if data[at] == V2:
-        return at + 2 >= len(data) or data[at + 2] <= 1
-    return data[at] == V1
+    found = find_marker(data, at, at + 3)
+    return found is not None and found.start() == at
 
 
 def _records(start_us: int, log: Log) -> Iterator[Record]:
-    """All frames, but those of other vehicles and those with secrets.
-
-    start_us: the first stamp; if it is a date, the others are, too.
-    """
-    odd, first_us = log.odd, min(start_us, YEAR_2000_US)
-    clock = Clock(odd, first_us=first_us, last_us=YEAR_2100_US, start_us=start_us)
+    """All frames, but those of other vehicles and those with secrets; start_us: the first stamp."""
+    odd = log.odd
+    clock = Clock(odd, start_us=start_us, last_us=YEAR_2100_US)
     others = frozenset(log.systems) - {log.system_id}
     for stamp, frame in _framed(log.path, odd):
         number, (system, component) = number_of(frame), sender_of(frame)
