@@ -2,17 +2,18 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from importlib.metadata import version
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import msgspec
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from msgspec.structs import asdict
+from rich.status import Status
 
 from companion.config import load_mission
 from companion.errors import FlightFailed, InputError
+from companion.mavlink.link import Output
 from companion.replay.feed import flown_mission
 from companion.replay.reproduce import LogReplay, Replay
 from companion.replay.shadow import watch
@@ -23,7 +24,7 @@ from companion.runtime.loop import prompt_threads
 from companion.sources.files import file_of_run, writing
 from companion.views.output import plain_console
 
-_SHOWN_EVERY = 200  # inputs: a bar costs more than most of them
+_SHOWN_EVERY = 200  # inputs: to show one costs more than most of them
 _TABLE_COLUMNS = 130  # into a file
 
 
@@ -59,16 +60,16 @@ def same_log(
 
 def _compare(replay: Replay | LogReplay, flight: Path, json_file: Path | None) -> None:
     console, found = plain_console(soft_wrap=True, highlight=False), replay.found
-    with _bar("replaying", replay.inputs.size_bytes) as show, prompt_threads():
+    with _shown("replaying") as status, prompt_threads():
         for _ in replay.steps():
             if found.inputs % _SHOWN_EVERY == 0:
-                show(replay.inputs.read_bytes, f"replaying {found.now_s:,.0f} s")
+                status.update(f"replaying {found.now_s:,.0f} s")
     for finding in replay.inputs.findings if isinstance(replay, LogReplay) else ():
         console.print(f"note: {finding}")
     differs = found.difference is not None
-    if found.compared or differs:
+    if found.frames + found.entries or differs:
         console.print(str(found))
-        _write(found.as_json(), json_file)
+        _write({"identical": found.is_identical, **asdict(found)}, json_file)
     elif not found.damaged:  # nothing is not the same as something
         rule = "it holds nothing to compare a replay with"
         remedy = "Give the recording of a flight, whole."
@@ -91,10 +92,10 @@ def changed(
     found, flown = [], flown_mission(folder)
     other = load_mission(str(folder / "mission.toml"), profile, settings)
     _load_planner()
-    with _bar("planning again", 0) as show:
+    with _shown("planning again") as status:
         for each in what_if(folder, flown, other, seed=seed):
             found.append(each)
-            show(0, f"planned again: {len(found)}")
+            status.update(f"planned again: {len(found)}")
     console.print(what_if_table(found))
     _write(found, json_file)
 
@@ -107,35 +108,32 @@ def shadow(flight: Path, mission: str | None, system: int | None, json_file: Pat
     chosen = None if mission is None else load_mission(mission)
     if chosen is not None:
         _load_planner()
-    with _bar("watching", flight.stat().st_size) as show:
-        report = watch(
-            flight, chosen, system_id=system, on_progress=lambda done, _: show(done, "watching")
-        )
+    with _shown("watching") as status:
+        given = count()
+
+        def show(at_s: float, _: Output) -> None:
+            if next(given) % _SHOWN_EVERY == 0:
+                status.update(f"watching {at_s:,.0f} s")
+
+        report = watch(flight, chosen, system_id=system, on_output=show)
     for each in renderables(report):
         console.print(each)
-    _write(report.as_json(), json_file)
+    _write(report, json_file)
+
+
+def _shown(words: str) -> Status:
+    """What is under way, on the terminal, while it is entered."""
+    return plain_console(stderr=True).status(words)
 
 
 def _load_planner() -> None:
     """Load what computes plans, and say so."""
-    words = "loading the planner (the first time it is compiled: some ten seconds)"
-    with plain_console(stderr=True).status(words):
+    with _shown("loading the planner (the first time it is compiled: some ten seconds)"):
         load_kernel()
 
 
 def _write(values: Any, json_file: Path | None) -> None:
-    if json_file is None:
-        return
-    plain = msgspec.to_builtins(values, enc_hook=str, builtin_types=(bytes,))
-    with writing("--json", json_file):
-        json_file.write_text(json.dumps(plain, indent=2, default=str) + "\n", encoding="utf-8")
-
-
-@contextmanager
-def _bar(words: str, total: int) -> Iterator[Callable[[int, str], None]]:
-    """A progress bar on the terminal; what is yielded tells it how far it is."""
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn())
-    console = plain_console(stderr=True)
-    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bars:
-        bar = bars.add_task(words, total=total or None)
-        yield lambda done, now: bars.update(bar, completed=done, description=now)
+    if json_file is not None:
+        plain = msgspec.to_builtins(values, enc_hook=str, builtin_types=(bytes,))
+        with writing("--json", json_file):
+            json_file.write_text(json.dumps(plain, indent=2, default=str) + "\n", encoding="utf-8")

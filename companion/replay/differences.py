@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from msgspec import Struct
-from msgspec.structs import asdict
 
 from companion.mavlink.dialect import Message
 from companion.mavlink.frames import Receiver
@@ -17,8 +16,6 @@ _SEQUENCE: Final = {0xFD: 4, 0xFE: 2}
 NOTHING: Final = "nothing"
 """Shown for a missing frame or entry."""
 _SHOWN_BYTES: Final = 100
-_MAX_PLANS: Final = 5
-_AFTER_THE_END: Final = "frames and entries came after the end of the recording"
 
 
 @final
@@ -108,53 +105,13 @@ def name_of(frame: bytes | None) -> str:
     return "frame" if message is None else str(message.get_type())
 
 
+def place_of(error: Exception) -> str:
+    """Where in the code it was raised."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{Path(last.filename).stem}.{last.name}, line {last.lineno}"
+
+
 # --- what a replay has found
-
-
-@final
-class RecordedError(Struct, frozen=True):
-    """An error raised by a session, or by the control loop around it."""
-
-    call: str
-    """Of the session, or another; "" if it did not come out of one."""
-    error: str
-    place: str = ""
-    """In the code, if it was raised here."""
-
-    @staticmethod
-    def of(call: str, error: Exception) -> "RecordedError":
-        """An error that a session has raised just now."""
-        last = traceback.extract_tb(error.__traceback__)[-1]
-        place = f"{Path(last.filename).stem}.{last.name}, line {last.lineno}"
-        return RecordedError(call, f"{type(error).__name__}: {error}", place)
-
-    def __str__(self) -> str:
-        return self.error if not self.place else f"{self.error} ({self.place})"
-
-
-@final
-class PlanDiffers(Struct, frozen=True, kw_only=True):
-    """A plan that differs from the recorded one."""
-
-    plan_id: int
-    t_s: float
-    field: str
-    recorded: Any
-    computed: Any
-    words: str
-    """How far apart the two are."""
-    kernels: tuple[str, str]
-    """What computed the recorded one, and this one."""
-
-    @property
-    def is_excused(self) -> bool:
-        """Whether the kernels differ, so that the last bits may."""
-        return self.kernels[0] != self.kernels[1]
-
-    def __str__(self) -> str:
-        by = f" ({self.kernels[0]}, now {self.kernels[1]})" if self.is_excused else ""
-        first = f"first {self.field}: recorded {self.recorded!r}, computed {self.computed!r}"
-        return f"t {self.t_s:.3f} s: plan {self.plan_id}{by}: {self.words}; {first}"
 
 
 @final
@@ -163,7 +120,10 @@ class Replayed(Struct, kw_only=True):
 
     difference: Difference | None = None
     """The first one."""
-    plans_differ: list[PlanDiffers] = []
+    plans_differ: list[Difference] = []
+    """Of each plan that was computed otherwise: the cost, or the first value that differs."""
+    plans_excused: int = 0
+    """How many of them another kernel had computed: the last bits of its results may differ."""
     starts: int = 0
     """How often the companion was started."""
     inputs: int = 0
@@ -176,8 +136,8 @@ class Replayed(Struct, kw_only=True):
     """Why it ended before the end of the file."""
     plans: int = 0
     plans_computed: int = 0
-    ended_by: RecordedError | None = None
-    """The error that ended the flight's control loop, if any."""
+    ended_by: str = ""
+    """The error that ended the flight's control loop; and where, if it ended the replay, too."""
     damaged: str = ""
     """What in the recording is not a valid input; nothing after it was replayed."""
     now_s: float = 0.0
@@ -186,25 +146,14 @@ class Replayed(Struct, kw_only=True):
     took_s: float = 0.0
 
     @property
-    def compared(self) -> int:
-        """How many frames and entries were the same."""
-        return self.frames + self.entries
-
-    @property
-    def plans_are_excused(self) -> bool:
-        """Whether no plan differs, or only as other kernels make it."""
-        return all(each.is_excused for each in self.plans_differ)
+    def differs(self) -> bool:
+        """Whether a decision differs, or a plan of the same kernel."""
+        return self.difference is not None or len(self.plans_differ) > self.plans_excused
 
     @property
     def is_identical(self) -> bool:
         """Whether all decisions and plans equal the recorded ones, and there were any."""
-        same = self.difference is None and self.plans_are_excused
-        return same and self.compared > 0 and not self.damaged
-
-    def as_json(self) -> dict[str, Any]:
-        """For a JSON file."""
-        ended_by = None if self.ended_by is None else self.ended_by.error
-        return {"identical": self.is_identical, **asdict(self), "ended_by": ended_by}
+        return not self.differs and self.frames + self.entries > 0 and not self.damaged
 
     def __str__(self) -> str:
         speed = f", {self.flown_s / self.took_s:,.0f}x real time" if self.took_s > 0.0 else ""
@@ -214,22 +163,16 @@ class Replayed(Struct, kw_only=True):
             counted += f", {same} of {self.plans_computed} plans computed again"
         elif self.plans:
             counted += f"; {self.plans} plans taken as recorded"
-        more = len(self.plans_differ) - _MAX_PLANS
-        verdict = "nothing was compared"
-        if self.is_identical:
-            verdict = "identical"
-        elif self.difference is not None or not self.plans_are_excused:
-            verdict = "not identical"
-        elif self.compared:
+        verdict = "not identical" if self.differs else "identical"
+        if self.damaged and not self.differs:
             verdict = "identical up to there"
         lines = [
             (self.difference is not None, f"first difference at {self.difference}"),
             (True, f"the same: {counted} ({self.flown_s:,.1f} s of flight{speed})"),
             (self.entries and not self.frames, "no frame was compared: flight.tlog holds none"),
             (self.starts > 1, f"the companion was started {self.starts} times"),
-            *((True, str(each)) for each in self.plans_differ[:_MAX_PLANS]),
-            (more > 0, f"{more} more plans differ"),
-            (self.unrecorded, f"{self.unrecorded} {_AFTER_THE_END}"),
+            *((True, f"plans differ, the first at {each}") for each in self.plans_differ[:1]),
+            (self.unrecorded, f"{self.unrecorded} frames and entries came after its end"),
             (self.ended_by, f"the flight ended with an error of the companion's: {self.ended_by}"),
             (self.torn, f"the recording ends early: {self.torn}"),
             (self.damaged, f"the recording is damaged from there on: {self.damaged}"),

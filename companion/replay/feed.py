@@ -73,18 +73,16 @@ class Feeder:
             self._session = None
             self._session = _session_of(start_of(told), self._mission_of)
             return None
-        if self._session is None:
-            raise DamagedInputError(f"{told[0]!r} before any start")
-        if told[0] in RUNTIME_RECORDS:
+        session, (call, *given) = self.session, told
+        if call in RUNTIME_RECORDS:
             return None
-        call, *given = told
         try:
             arguments = msgspec.convert(given, _ARGUMENTS.get(call))
         except msgspec.ValidationError as error:
             raise DamagedInputError(f"an input that is none ({call!r:.40})") from error
         if call == "deliver":
             arguments = (answer_of(told),)
-        output = getattr(self._session, call)(*arguments)
+        output = getattr(session, call)(*arguments)
         return output if isinstance(output, Output) else None
 
 

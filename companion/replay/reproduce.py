@@ -7,23 +7,19 @@ difference.
 
 A telemetry log alone has the frames, both ways, but neither silences, nor which frames came
 together, nor how long plans took: each frame is handled by itself, and each plan is ready at once,
-as in lockstep.  So only flights in lockstep are reproduced from it, which nobody had to say go to.
+as in lockstep.  So only flights in lockstep are reproduced from it.
 """
 
-import math
 import time
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import replace
-from functools import partial
-from itertools import chain, count, islice, starmap
+from itertools import chain, count, starmap
 from pathlib import Path
-from typing import Any, Final, final
-
-import numpy as np
+from typing import Final, final
 
 from companion.errors import InputError
-from companion.mavlink.dialect import COMPANION_COMPONENT, wire
-from companion.mavlink.frames import number_of, sender_of
+from companion.mavlink.dialect import COMPANION_COMPONENT
+from companion.mavlink.frames import sender_of
 from companion.mavlink.link import Input, Output, Stamped
 from companion.mission.entries import Entry
 from companion.mission.mission import Mission
@@ -33,12 +29,11 @@ from companion.planning import plan
 from companion.replay.differences import (
     NOTHING,
     Difference,
-    PlanDiffers,
-    RecordedError,
     Replayed,
     entries_differ,
     frames_differ,
     name_of,
+    place_of,
     values_differ,
 )
 from companion.replay.feed import (
@@ -55,11 +50,6 @@ from companion.telemetry.inputs import FILE, InputsFile, is_hole
 from companion.telemetry.logs import Log, open_log
 from companion.telemetry.run_folder import LONGEST_RECORD, Records, journal_line
 
-_LONGEST_LINE: Final = 2**24
-_SILENT_S: Final = 0.2
-"""Between two frames of a log: less is no silence."""
-_LOOKED_AT: Final = 3000  # frames that tell whether a flight was flown in lockstep
-_OFTEN: Final = 50
 _MAX_AHEAD: Final = 1000
 """Frames that the companion still sends in a replay when the recorded one sends no more: so many
 may just not have been recorded any more."""
@@ -90,7 +80,7 @@ class Replay:
         try:
             for told, remarks in _with_remarks(self.inputs):
                 found.inputs += 1 + len(remarks)
-                self._compare(*self._feed(told), remarks)
+                self._compare(told[0], *self._feed(told), remarks)
                 found.took_s = time.perf_counter() - began_s
                 if found.difference is not None:
                     break
@@ -104,7 +94,7 @@ class Replay:
         elif self.inputs.torn_bytes and found.difference is None and not found.damaged:
             found.torn = f"{self.inputs.torn_bytes} bytes of a record that is not whole"
 
-    def _feed(self, told: Input) -> tuple[Output | None, RecordedError | None]:
+    def _feed(self, told: Input) -> tuple[Output | None, Exception | None]:
         """Feed one input; what the session gave and what it raised."""
         found, feeder, raised = self.found, self._feeder, None
         if told[0] == "start":
@@ -118,10 +108,9 @@ class Replay:
         except (DamagedInputError, InputError):
             raise
         except Exception as error:  # noqa: BLE001 - the session's own: the flight's end, perhaps
-            raised = RecordedError.of(told[0], error)
             if told[0] == "start":
-                return None, raised
-            output = feeder.session.take_output()
+                return None, error
+            raised, output = error, feeder.session.take_output()
         found.starts += told[0] == "start"
         if output is not None and output.plan is not None:
             self._asked[output.plan.plan_id] = output.plan
@@ -130,20 +119,20 @@ class Replay:
         return output, raised
 
     def _compare(
-        self, given: Output | None, raised: RecordedError | None, remarks: list[Input]
+        self, call: str, given: Output | None, raised: Exception | None, remarks: list[Input]
     ) -> None:
         """Compare what came of an input with the recording, and with the runtime's remarks.
 
         If the flight ended with an error here, the replay must, too.
         """
-        found, ended = self.found, None
+        found, ended, ended_call = self.found, "", call
         for remark in remarks:
             match remark:
                 case ("unsent", list(numbers)) if given and all(type(n) is int for n in numbers):
                     there = range(len(given.frames))  # else it has sent fewer: that differs
                     given.leave_out(number for number in numbers if number in there)
-                case ("raised", str(call), str(error)):
-                    ended = RecordedError(call, error)
+                case ("raised", str(of), str(error)):
+                    ended_call, ended = of, error
                 case _:
                     pass
         if given is not None:
@@ -151,14 +140,15 @@ class Replay:
         for name, *told in remarks:
             if name == "held" and told and type(told[0]) is int:
                 self._recording.pass_over(told[0])
-        if raised and ended and (raised.call, raised.error) == (ended.call, ended.error):
-            found.ended_by = raised
+        error = "" if raised is None else f"{type(raised).__name__}: {raised}"
+        placed = error if raised is None else f"{error} ({place_of(raised)})"
+        if error and (ended_call, ended) == (call, error):
+            found.ended_by = placed
             return
-        found.ended_by, last = ended or found.ended_by, ended or raised
-        if last is not None and (raised is not None or last.call in SESSION_CALLS):
-            was, now = (NOTHING if each is None else str(each) for each in (ended, raised))
-            differs = Difference(found.now_s, last.call or "flight", "error", was, now)
-            found.difference = found.difference or differs
+        found.ended_by = ended or found.ended_by
+        if error or (ended and ended_call in SESSION_CALLS):
+            what, was, now = ended_call or "flight", ended or NOTHING, placed or NOTHING
+            found.difference = found.difference or Difference(found.now_s, what, "error", was, now)
 
     def _plan_again(self, answer: PlanOutcome, now_s: float) -> None:
         """Compute a plan again, only to compare it."""
@@ -167,39 +157,33 @@ class Replay:
         if request is None or not self._plans:
             return
         found.plans_computed += 1
-        name, was = kernels.signature(), values_of(answer)
-        kernel, now = str(was.pop("kernel", name)), dict[str, Any]()
+        was, kernel = values_of(answer), kernels.signature()
+        recorded_by = str(was.pop("kernel", kernel))
         try:
             now = values_of(_computed_again(request, getattr(answer, "stopped_after", None)))
         except Exception as error:  # noqa: BLE001 - the planner's own: in flight it had an answer
-            kernel, words = name, "it cannot be computed"
-            where: Any = ("error", NOTHING, f"{type(error).__name__}: {error}")
-        else:
-            now.pop("kernel", None)
-            where = values_differ(was, now)
-            words = "" if where is None else _apart(was, now)
-        if where is not None:
-            found.plans_differ.append(
-                PlanDiffers(
-                    plan_id=answer.plan_id, t_s=now_s, field=where[0], recorded=where[1],
-                    computed=where[2], words=words, kernels=(kernel, name),
-                )
-            )  # fmt: skip
+            now, recorded_by = {"error": f"{type(error).__name__}: {error}"}, kernel
+        now.pop("kernel", None)
+        what, first = f"plan {answer.plan_id}", ("error", "kind", "cost")  # they say most
+        if (place := values_differ(dict.fromkeys(first) | was, dict.fromkeys(first) | now)) is None:
+            return
+        if recorded_by != kernel:
+            what += f" ({recorded_by}, now {kernel})"
+            found.plans_excused += 1
+        found.plans_differ.append(Difference(now_s, what, *place))
 
 
 def _with_remarks(inputs: Iterable[Input]) -> Iterator[tuple[Input, list[Input]]]:
     """Each input of a session with what the runtime then remarked about it."""
     told: Input | None = None
     remarks: list[Input] = []
-    for each in inputs:
-        if told is not None and each[0] in RUNTIME_RECORDS:
+    for each in chain(inputs, [None]):
+        if each is not None and told is not None and each[0] in RUNTIME_RECORDS:
             remarks.append(each)
             continue
         if told is not None:
             yield told, remarks
         told, remarks = each, []
-    if told is not None:
-        yield told, remarks
 
 
 def _computed_again(request: PlanRequest, stopped_after: int | None) -> PlanOutcome:
@@ -209,21 +193,6 @@ def _computed_again(request: PlanRequest, stopped_after: int | None) -> PlanOutc
     """
     asked = count(1)
     return plan(request, lambda: stopped_after is not None and next(asked) > stopped_after)
-
-
-def _apart(recorded: dict[str, Any], computed: dict[str, Any]) -> str:
-    """The difference of two answers, as text."""
-    if recorded["kind"] != computed["kind"]:
-        return f"{recorded['kind']}, now {computed['kind']}"
-    if recorded["kind"] != "planned":
-        return str(recorded["kind"])
-    costs = f"cost {recorded['cost']:.3f}, now {computed['cost']:.3f}"
-    was, now = (np.asarray(each["control_nea_m"]) for each in (recorded, computed))
-    if was.shape != now.shape:
-        return f"{costs}, of {len(was)} control points, now {len(now)}"
-    farthest_m = float(np.linalg.norm(was - now, axis=-1).max())
-    apart = f"{farthest_m:,.0f}" if farthest_m >= 10.0 else f"{farthest_m:.2g}"
-    return f"{costs}, control points up to {apart} m apart"
 
 
 @final
@@ -293,10 +262,8 @@ class _Recording:
 def _entry_lines(path: Path) -> Generator[bytes]:
     """The lines of a journal but for its headers, to the last whole one."""
     with path.open("rb") as file:
-        for line in iter(partial(file.readline, _LONGEST_LINE), b""):
-            if not line.endswith(b"\n") and len(line) < _LONGEST_LINE:
-                return
-            if not (line.startswith(b'{"schema"') and line.endswith(b"\n")):
+        for line in file:
+            if line.endswith(b"\n") and not line.startswith(b'{"schema"'):
                 yield line
 
 
@@ -319,15 +286,12 @@ class LogReplay:
         """InputError if it is no log, or has several vehicles and none is chosen."""
         self.found = Replayed(starts=1)
         self.inputs: Log = open_log(path, system_id=system_id)
-        self._lockstep = _was_in_lockstep(self.inputs)
         self._session = Session(
             replace(mission, system_id=self.inputs.system_id or mission.system_id),
             seed=seed,
-            lockstep=self._lockstep,
-            go=True,
+            lockstep=True,
             version=version,
         )
-        self._is_over = False
         again = open_log(path, system_id=self.inputs.system_id)
         self._sent = (each.frame for each in again.records() if _is_of_companion(each.frame))
 
@@ -337,63 +301,51 @@ class LogReplay:
         InputError if no companion was there.
         """
         began_s, found = time.perf_counter(), self.found
-        first_more: Stamped | None = None
+        ahead: list[Stamped] = []
         for time_s, frame in self._made():
-            recorded = next(self._sent, None)
-            if recorded is not None:
-                found.difference = frames_differ(time_s, recorded, frame)
-                found.frames += found.difference is None
-            elif self._is_over or found.unrecorded > _MAX_AHEAD:
-                break
+            if (recorded := next(self._sent, None)) is None:
+                ahead.append((time_s, frame))
             else:
-                found.unrecorded += 1
-                first_more = first_more or (time_s, frame)
-            found.took_s = time.perf_counter() - began_s
+                self._compare(time_s, recorded, frame)
+            found.took_s, found.unrecorded = time.perf_counter() - began_s, len(ahead)
             yield
-            if found.difference is not None:
-                return
-        if (left := next(self._sent, None)) is not None:
-            found.difference = frames_differ(found.now_s, left, None)
-        elif not found.frames:
+            if found.difference is not None or found.unrecorded > _MAX_AHEAD:
+                break
+        else:  # what it says in the end may not have been recorded
+            for frame, recorded in zip(self._session.farewell().frames, self._sent, strict=False):
+                self._compare(found.now_s, recorded, frame)
+            if (left := next(self._sent, None)) is not None:
+                self._compare(found.now_s, left, None)
+        if not found.frames and found.difference is None:
             rule = "nothing in it was sent by a companion: there is nothing to compare with"
             remedy = "Give --shadow to see what it would have done."
             raise InputError("RUN_DIR|LOG", str(self.inputs.path), rule, remedy)
-        elif first_more is not None and found.unrecorded > _MAX_AHEAD:
-            found.difference = frames_differ(first_more[0], None, first_more[1])
+        if found.unrecorded > _MAX_AHEAD:
+            found.difference = frames_differ(ahead[0][0], None, ahead[0][1])
+
+    def _compare(self, time_s: float, recorded: bytes, frame: bytes | None) -> None:
+        difference = frames_differ(time_s, recorded, frame)
+        self.found.frames += difference is None
+        self.found.difference = self.found.difference or difference
 
     def _made(self) -> Iterator[Stamped]:
         """The frames that the session sends, with their vehicle times."""
-        session, found, before_us = self._session, self.found, math.inf
-        if not self._lockstep:
-            session.silence(0.0)
+        session, found = self._session, self.found
         for record in self.inputs.records():
             if _is_of_companion(record.frame):
                 continue
-            gap_s, before_us = (record.time_us - before_us) * 1e-6, record.time_us
-            if gap_s > _SILENT_S and not self._lockstep:
-                session.silence(gap_s)
             found.inputs += 1
             session.receive(record.frame, record.time_us * 1e-6)
-            out = session.run()
-            yield from ((session.now_s, frame) for frame in out.frames)
-            while out.plan is not None:  # computed at once
-                found.plans += 1
-                found.plans_computed += 1
-                session.deliver(plan(out.plan))
+            while True:
                 out = session.run()
                 yield from ((session.now_s, frame) for frame in out.frames)
+                if out.plan is None:
+                    break
+                found.plans += 1
+                found.plans_computed += 1
+                session.deliver(plan(out.plan))  # at once
             found.now_s, found.flown_s = session.now_s, session.clock.passed_s
-        self._is_over = True  # what it says in the end may not have been recorded
-        yield from ((session.now_s, frame) for frame in session.farewell().frames)
 
 
 def _is_of_companion(frame: bytes) -> bool:
     return sender_of(frame)[1] == COMPANION_COMPONENT
-
-
-def _was_in_lockstep(log: Log) -> bool:
-    """Whether the simulator sent a TIMESYNC after each step."""
-    first = (record.frame for record in islice(log.records(), _LOOKED_AT))
-    timesync = wire.MAVLINK_MSG_ID_TIMESYNC
-    asked = (number_of(each) == timesync and not _is_of_companion(each) for each in first)
-    return sum(asked) > _OFTEN

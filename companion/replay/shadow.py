@@ -3,13 +3,12 @@
     report = watch(path, mission)
 
 The log is read once, in bounded memory, after a scan for its vehicle and first position.  Only
-frames of the vehicle's autopilot and its terrain radar are used, not those of a companion or a
-ground station on the same link.  Time is the vehicle's; silences are the log's.
+frames of the vehicle's autopilot are used, not those of a companion, a radar or a ground station
+on the same link.  Time is the vehicle's; silences are the log's.
 """
 
 import math
-import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -29,9 +28,9 @@ from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
 from companion.planning import plan
 from companion.replay.shadow_notes import Notes
-from companion.replay.shadow_report import Limitation, ShadowReport
+from companion.replay.shadow_report import ShadowReport
 from companion.session import Session
-from companion.telemetry.logs import Log, Odd, Record, open_log
+from companion.telemetry.logs import HOW_TO_RECORD, Log, Record, open_log
 from companion.views.words import metres
 
 HEARTBEAT: Final = wire.MAVLINK_MSG_ID_HEARTBEAT
@@ -61,18 +60,15 @@ LISTENED: Final = frozenset(
     }
 )
 """Of the autopilot, besides the clocks.  Shadow mode needs neither battery nor setpoint echoes."""
-_RADAR: Final = frozenset({wire.MAVLINK_MSG_ID_TERRAIN_DATA, wire.MAVLINK_MSG_ID_TERRAIN_REPORT})
-_SHOWN_BYTES: Final = 65_536  # between two words of the progress
-_PATIENCE_US: Final = 30_000_000  # for a word of the GPS, once there are positions
 _QUIET_S: Final = 0.2  # less is no silence
 _LOOKS_S: Final = (3.0, 10.0, 30.0, 600.0)  # when a silence means something to the session
 _TICK_S: Final = 0.1
 _OVERDUE: Final = 3.0  # usual periods without a position, before the clock goes on without one
 _PERIODS: Final = 21
 _FEW: Final = 5
-_FIRST_PERIOD_S: Final = 1.0  # until so many are known
+_FIRST_OVERDUE_S: Final = 3.0  # until so many are known
 _LONGEST_PERIOD_S: Final = 5.0
-_SLOW_S: Final = 0.17  # between positions: from here on some are taken for late that are not
+_SLOW_HZ: Final = 6.0  # positions that come less often: some are taken for late that are not
 _STAND_IN_AFTER_S: Final = 10.0
 _STAND_IN_S: Final = 1.0
 _TYPE_AT: Final = 4  # in the payload of HEARTBEAT
@@ -83,51 +79,42 @@ def watch(
     mission: Mission | None,
     *,
     system_id: int | None = None,
-    on_progress: Callable[[int, int], None] = lambda _read, _size: None,
     on_output: Callable[[float, Output], None] = lambda _at_s, _out: None,
 ) -> ShadowReport:
     """Run the companion in shadow on a log: a .tlog, an ArduPilot .bin or a PX4 .ulg.
 
     mission: what to plan; None: only the vehicle's health is looked at.
     system_id: of the vehicle, if there are several in the log; the mission's if it names one.
-    on_progress: told the bytes read and their sum, now and then.
     on_output: told the seconds of the log, and what the session gave.
 
     Raises InputError if log, vehicle and mission do not fit together.
     """
-    began_s = time.perf_counter()
     wanted = system_id if system_id is not None or mission is None else mission.system_id
     log = open_log(path, system_id=wanted)
     look = _look(log)
     if mission is not None:
         _check_fits(mission, look)
-    chosen = replace(mission or _health_alone(look), system_id=log.system_id)
+    chosen = replace(
+        mission or _health_alone(look),
+        system_id=log.system_id,
+        scanner_component_id=None,  # what a radar answered then, it did not answer to this shadow
+    )
     report = ShadowReport(
         file=log.path.name,
-        kind=log.kind,
         system_id=look.heartbeat.get_srcSystem(),
         vehicle=described(look.heartbeat),
         mission=None if mission is None else mission.name,
         notes=[] if mission is None else [*mission.notes],
     )
-    charted = chosen.known is not None and bool(chosen.known.surveyed.any())
-    if charted and chosen.scanner_component_id is not None:
-        # what a radar answered then, it did not answer to these questions
-        chosen = replace(chosen, scanner_component_id=None)
+    if mission is not None and mission.scanner_component_id is not None:
         report.notes.append("planned on the terrain of the mission alone, without its radar")
-    notes = Notes(report, chosen.frame, checks_area=mission is not None)
+    notes = Notes(report, chosen.frame)
     watching = Watch(chosen, log, look, notes, on_output)
-    shown = 0
     for record in log.records():
         watching.on_record(record)
-        if log.read_bytes - shown >= _SHOWN_BYTES:
-            shown = log.read_bytes
-            on_progress(shown, log.size_bytes)
     watching.finish()
-    on_progress(log.size_bytes, log.size_bytes)
     report.missing, report.log_findings = log.missing(), log.findings
-    report.could_not = list(_could_not(chosen, watching, notes))
-    report.took_s = time.perf_counter() - began_s
+    report.could_not = list(_could_not(chosen, watching, report))
     return report
 
 
@@ -150,8 +137,8 @@ def _look(log: Log) -> _Look:
     """
     heartbeat: Message | None = None
     autopilot: Autopilot | None = None
-    first: tuple[int, float, float] | None = None
-    place: tuple[int, float, float] | None = None
+    first: tuple[float, float] | None = None
+    place: tuple[float, float] | None = None
     fix = False
     for record in log.records():
         number, sender = number_of(record.frame), sender_of(record.frame)
@@ -165,10 +152,8 @@ def _look(log: Log) -> _Look:
         elif number == GPS:
             fix = message.fix_type >= wire.GPS_FIX_TYPE_3D_FIX
         elif number == POSITION and _is_a_place(deg(message.lat), deg(message.lon)):
-            here = record.time_us, deg(message.lat), deg(message.lon)
-            first = first or here
-            if fix or record.time_us - first[0] > _PATIENCE_US:
-                place = here if fix else first
+            here = deg(message.lat), deg(message.lon)
+            first, place = first or here, here if fix else place
         if autopilot is not None and place is not None:
             break
     place = place or first
@@ -179,7 +164,7 @@ def _look(log: Log) -> _Look:
         raise InputError("LOG", str(log.path), rule, f"It flies: {', '.join(NAMES)}.")
     if place is None:
         raise _of_no_use(log, "GLOBAL_POSITION_INT")
-    return _Look(heartbeat, autopilot, *place[1:])
+    return _Look(heartbeat, autopilot, *place)
 
 
 def _is_a_place(latitude_deg: float, longitude_deg: float) -> bool:
@@ -193,13 +178,10 @@ def _of_no_use(log: Log, name: str) -> InputError:
         ids = ids_in_words(sorted(log.elsewhere))
         rule = f"it has no HEARTBEAT of component 1, as autopilots are; it has that of {ids}"
         return InputError("LOG", str(log.path), rule, f"{TO_COMPONENT_1} Then record again.")
-    for missing in log.missing():
-        if name in missing.message:
-            losses = (Odd.GARBAGE, Odd.CHECKSUM, Odd.DAMAGED, Odd.WRONG_STAMP)  # may be why
-            lost = [each.said(count) for each in losses if (count := log.odd[each]) > 0]
-            lost += [each for each in log.substitutes if name in each]
-            rule = "; ".join([f"it has no {missing.message}: {missing.without}", *lost])
-            return InputError("LOG", str(log.path), rule, f"{missing.remedy}.")
+    for message, without in log.missing().items():
+        if name in message:  # what was odd about the log may be why
+            rule = "; ".join([f"it has no {message}: {without}", *log.findings])
+            return InputError("LOG", str(log.path), rule, f"{HOW_TO_RECORD}.")
     rule = "its vehicle never knew where it was: each position is 0, 0"
     return InputError("LOG", str(log.path), rule, "Give a log of a flight with a position.")
 
@@ -217,9 +199,7 @@ def _check_fits(mission: Mission, look: _Look) -> None:
     if not (south <= north_m <= north and west <= east_m <= east):
         rule = (
             f"the flight begins at {look.latitude_deg:.6f}, {look.longitude_deg:.6f}, "
-            f"{metres(north_m)} north and {metres(east_m)} east of the mission's origin, outside "
-            f"its [area] (north {metres(south)} to {metres(north)}, "
-            f"east {metres(west)} to {metres(east)})"
+            f"{metres(north_m)} north and {metres(east_m)} east of its origin, outside its [area]"
         )
         raise InputError("--mission", mission.name, rule, remedy)
 
@@ -271,40 +251,31 @@ class Watch:
         self._mission, self._log, self._notes, self._on_output = mission, log, notes, on_output
         self._modes = look.autopilot.modes
         self._vehicle = look.heartbeat.get_srcSystem(), AUTOPILOT_COMPONENT
-        self._radar = self._vehicle[0], mission.scanner_component_id
         self._session: Session | None = None
         self._clock = VehicleClock(0.0)
-        self._now_us = self._at_s = 0.0
-        """Of the newest record: since 1970, and since the first one."""
+        self._at_s = 0.0
+        """Of the newest record, since the first one."""
         self._heard_s: float | None = None
         self._clock_s = 0.0
         self._mode, self._armed = -1, False
-        self._first_position_s: float | None = None
         self._position_s: float | None = None
         self._periods: deque[float] = deque(maxlen=_PERIODS)
+        self._overdue_s = _FIRST_OVERDUE_S
         self._positions = 0
         self._positions_s = 0.0  # between all positions, without the gaps
-        self.slow_s = 0.0
-        """For how long positions came too seldom to tell in time that one is missing."""
-        self.slowest_s = 0.0
         self.stood_in_s: dict[str, float] = {}
         """Messages that were taken to be good because there are none, and since when."""
         self._stand_ins = _all_is_well(self._vehicle[0], look.autopilot)
-        self._stand_in_s = -math.inf
-        self.radar_is_heard = False
+        self._stand_in_due_s: float | None = None
 
     def on_record(self, record: Record) -> None:
         """The next frame of the log, of any sender."""
         frame, report = record.frame, self._notes.report
-        if not report.records:
+        if report.began_us is None:
             report.began_us = record.time_us
-        report.records += 1
-        self._now_us, self._at_s = record.time_us, (record.time_us - report.began_us) * 1e-6
-        sender, number = sender_of(frame), number_of(frame)
-        if sender == self._radar and number in _RADAR:
-            self.radar_is_heard |= number == wire.MAVLINK_MSG_ID_TERRAIN_DATA
-            self._feed(frame)
-        if sender != self._vehicle:
+        self._at_s = (record.time_us - report.began_us) * 1e-6
+        number = number_of(frame)
+        if sender_of(frame) != self._vehicle:
             return
         self._hear_again()
         if number == HEARTBEAT and payload_of(frame, 9)[_TYPE_AT] == wire.MAV_TYPE_GENERIC:
@@ -312,7 +283,7 @@ class Watch:
         boot_ms = boot_ms_of(frame, number)  # looked at also while no session could tell
         read = None if boot_ms is None else self._clock.read(boot_ms * 1e-3, self._at_s)
         if read is ClockReading.REBOOTED:
-            self._notes.rebooted(self._at_s)
+            self._notes.saw("the autopilot has rebooted", self._at_s, self._at_s)
         if number in LISTENED or (number in _CLOCKS and self._tells_time()):
             self._look_at(frame, number)
             if number == POSITION:
@@ -335,34 +306,26 @@ class Watch:
 
     def _tells_time(self) -> bool:
         """Whether a message that only tells the time is needed: positions tell it as well."""
-        overdue_s = _OVERDUE * self._period_s()
-        if self._position_s is not None and self._at_s - self._position_s < overdue_s:
+        if self._position_s is not None and self._at_s - self._position_s < self._overdue_s:
             return False
         if self._at_s - self._clock_s < _TICK_S:
             return False
         self._clock_s = self._at_s
         return True
 
-    def _period_s(self) -> float:
-        """Usual time between two positions of late."""
-        return median(self._periods) if len(self._periods) >= _FEW else _FIRST_PERIOD_S
-
     def _on_position(self) -> None:
         at_s, before_s = self._at_s, self._position_s
         self._position_s = self._clock_s = at_s
         self._positions += 1
-        if self._first_position_s is None:
-            self._first_position_s = at_s
         if before_s is not None and at_s - before_s < _LONGEST_PERIOD_S:
             self._periods.append(at_s - before_s)
             self._positions_s += at_s - before_s
-            period_s = self._period_s()
-            if period_s > _SLOW_S and len(self._periods) == _PERIODS:
-                self.slow_s += at_s - before_s
-                self.slowest_s = max(self.slowest_s, period_s)
-        since_s = at_s - self._first_position_s
-        if since_s >= _STAND_IN_AFTER_S and at_s - self._stand_in_s >= _STAND_IN_S:
-            self._stand_in_s = at_s
+            if len(self._periods) >= _FEW:
+                self._overdue_s = _OVERDUE * median(self._periods)
+        if self._stand_in_due_s is None:
+            self._stand_in_due_s = at_s + _STAND_IN_AFTER_S
+        if at_s >= self._stand_in_due_s:
+            self._stand_in_due_s = at_s + _STAND_IN_S
             for number, frame in self._stand_ins.items():
                 if number not in self._log.heard:
                     self.stood_in_s.setdefault(KINDS[number].msgname, at_s)
@@ -401,8 +364,7 @@ class Watch:
             session = Session(self._mission, seed=1, lockstep=False, shadow=True)
             self._session = session
             self._notes.begin_again()
-        self._notes.report.heard += 1
-        session.receive(frame, self._now_us * 1e-6)
+        session.receive(frame, self._at_s)
         self._run(session, self._at_s)
 
     def _run(self, session: Session, at_s: float) -> None:
@@ -428,7 +390,7 @@ class Watch:
             beat = decoded(strip_signature(frame), wire.MAVLink_heartbeat_message)
             if beat.custom_mode != self._mode:
                 self._mode = beat.custom_mode
-                self._notes.say(self._at_s, "mode", self._modes.name_of(self._mode))
+                self._notes.say(self._at_s, f"mode {self._modes.name_of(self._mode)}")
             armed = bool(beat.base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED)
             if armed is not self._armed:
                 self._notes.say(self._at_s, "armed" if armed else "disarmed")
@@ -436,7 +398,7 @@ class Watch:
         elif number == STATUSTEXT:
             text = decoded(strip_signature(frame), wire.MAVLink_statustext_message)
             if text.severity <= wire.MAV_SEVERITY_WARNING:
-                self._notes.say(self._at_s, "says", text.text)
+                self._notes.say(self._at_s, f"“{text.text}”")
 
 
 def _all_is_well(system_id: int, autopilot: Autopilot) -> dict[int, bytes]:
@@ -449,50 +411,26 @@ def _all_is_well(system_id: int, autopilot: Autopilot) -> dict[int, bytes]:
     return {each.get_msgId(): bytes(each.pack(codec)) for each in (fix, sure)}
 
 
-def _could_not(mission: Mission, watching: Watch, notes: Notes) -> Iterator[Limitation]:
-    """Limitations other than those of missing messages."""
-    report = notes.report
+def _could_not(mission: Mission, watching: Watch, report: ShadowReport) -> Iterator[str]:
+    """What shadow mode could not do on this log, beside that for which messages are missing."""
     if names := " and ".join(watching.stood_in_s):
-        yield Limitation(
-            what="tell whether the position is to be believed",
-            because=f"{names} missing: taken to be good from "
-            f"{min(watching.stood_in_s.values()):.0f} s on (in flight the companion would not "
-            "have begun)",
-            remedy="What to record, and how: docs/logs.md",
-            message=names,
+        since_s = min(watching.stood_in_s.values())
+        yield (
+            f"tell whether the position is to be believed: {names} missing: taken to be good from "
+            f"{since_s:.0f} s on (in flight it would not have begun). {HOW_TO_RECORD}"
         )
-    if watching.slow_s > 0.0:
-        yield Limitation(
-            what="tell in time that a position is missing",
-            because=f"GLOBAL_POSITION_INT comes at less than {1.0 / _SLOW_S:.1f} Hz for "
-            f"{math.ceil(watching.slow_s):,} s in all (at the slowest at "
-            f"{1.0 / watching.slowest_s:.1f} Hz): in flight the companion asks for "
-            f"{mission.position_rate_hz:g} Hz, and takes 0.5 s without one for a fault",
-            remedy="Record it at 6 Hz or more",
-            message="GLOBAL_POSITION_INT",
-        )
-    if report.watched_from_s is None:
-        yield Limitation(
-            what="begin",
-            because="the position was never one to be believed",
-            remedy="See what is missing, and the vehicle's health",
+    if report.position_rate_hz is not None and report.position_rate_hz < _SLOW_HZ:
+        yield (
+            "tell in time that a position is missing: GLOBAL_POSITION_INT comes at "
+            f"{report.position_rate_hz:.1f} Hz. Record it at {_SLOW_HZ:g} Hz or more"
         )
     if mission.targets_from_vehicle:
-        yield Limitation(
-            what="plan to the targets of the vehicle's own mission",
-            because="a log does not answer questions: MISSION_ITEM_INT is not heard",
-            remedy="Give a mission with [[targets]]",
-            message="MISSION_ITEM_INT",
+        yield (
+            "plan to the targets of the vehicle's own mission: a log does not answer questions: "
+            "MISSION_ITEM_INT is not heard. Give a mission with [[targets]]"
         )
-    if notes.unanswered_scans and mission.scanner_component_id is not None:
-        reasons = Counter(asked.reason for asked in report.plans)
-        refused = reasons["NOTHING_SEEN"] + reasons["START_NEAR_UNKNOWN"]
-        yield Limitation(
-            what=f"plan as it would ({notes.unanswered_scans} scans unanswered, "
-            f"{refused} plans refused for it)",
-            because="TERRAIN_DATA of the log answers other questions than the shadow has"
-            if watching.radar_is_heard
-            else "TERRAIN_DATA is missing: nothing is known of the ground",
-            remedy="Give the mission [terrain]: an elevation file, or highest_amsl_m",
-            message="TERRAIN_DATA",
+    if report.plans and (mission.known is None or not mission.known.surveyed.any()):
+        yield (
+            "plan as it would: a log does not answer scans: nothing is known of the ground. Give "
+            "the mission [terrain]: an elevation file, or highest_amsl_m"
         )

@@ -4,13 +4,11 @@ import math
 from typing import Final, final
 
 import numpy as np
-from msgspec.structs import replace
 
 from companion.geodesy import LocalFrame
 from companion.mission import journal
 from companion.mission.entries import Entry
 from companion.mission.events import Item, Landed, Vector
-from companion.mission.health import distrust
 from companion.mission.state import Phase, Reason, State, Vehicle
 from companion.planner.request import Refusal
 from companion.replay.shadow_report import (
@@ -28,6 +26,7 @@ from companion.telemetry.export.shapes import Chords
 
 _EVER: Final = -1e8  # before that: not heard of yet
 _BEGINS: Final = "it begins to watch"
+_SILENCE: Final = "silence"
 _AT_END_M: Final = 1.0
 _DOUBTS: Final = {
     Reason.POSITION_STALE: "no position",
@@ -45,17 +44,15 @@ plan's result is reported separately."""
 class Notes:
     """The notes of one flight in shadow mode."""
 
-    def __init__(self, report: ShadowReport, frame: LocalFrame, *, checks_area: bool) -> None:
-        """report: what is noted goes there; checks_area: there is a mission with an area."""
+    def __init__(self, report: ShadowReport, frame: LocalFrame) -> None:
+        """report: what is noted goes there."""
         self.report = report
-        self.unanswered_scans = 0
-        self._frame, self._checks_area = frame, checks_area
+        self._frame, self._has_mission = frame, report.mission is not None
         self._vehicle = Vehicle()
         self._spans: dict[str, Observed] = {}
         """What is observed now, by its kind."""
         self._outside: dict[str, float | None] = {}
         """Limits of the mission that it is beyond, by how much: at the last position believed."""
-        self._silence: Observed | None = None
         self._had_fix = False
         self._was_in_air: bool | None = None
         self._at_s: float | None = None
@@ -68,8 +65,8 @@ class Notes:
         """Why the next plan from rest is asked for."""
         self._path: tuple[PlanAttempt, Chords] | None = None
         """What the flown track is compared with."""
-        self._offs: dict[int, list[tuple[float, float, float]]] = {}
-        """Of each plan, by its identity: when, how far off and where along it."""
+        self._offs: dict[int, list[tuple[float, float]]] = {}
+        """Of each plan, by its identity: when, and how far off."""
         self._target = 0
         self._looked_at: Vehicle | None = None
         """The vehicle when it last had a new position."""
@@ -80,24 +77,40 @@ class Notes:
 
     def heard_again(self, at_s: float) -> None:
         """The vehicle was heard after a silence."""
-        if self._silence is not None:
-            self._silence.until_s = at_s
-        self._silence, self._at_s = None, at_s
+        if (silence := self._spans.pop(_SILENCE, None)) is not None:
+            silence.until_s = at_s
+        self._at_s = at_s
 
     def not_recorded(self, from_s: float, until_s: float) -> None:
         """The log has a gap, and another session begins: nothing in progress goes on."""
         self._end_all(from_s)
-        self._begin("not recorded", from_s).until_s = until_s
+        self.saw("not recorded", from_s, until_s)
         self._at_s, self._was_in_air, self._hold, self._is_ready = until_s, None, None, False
         self._cause = _BEGINS
 
-    def rebooted(self, at_s: float) -> None:
-        """The vehicle's clock has begun again."""
-        self._begin("the autopilot has rebooted", at_s).until_s = at_s
+    def saw(
+        self,
+        kind: str,
+        from_s: float,
+        until_s: float | None = None,
+        worst_m: float | None = None,
+        to: list[Observed] | None = None,
+    ) -> Observed:
+        """Note something where the vehicle is now.  to: a list of the report, else its health."""
+        seen = Observed(
+            kind=kind,
+            from_s=from_s,
+            until_s=until_s,
+            in_air=is_in_air(self._vehicle),
+            worst_m=worst_m,
+            place=self._place(self._vehicle.position_nea_m),
+        )
+        (self.report.health if to is None else to).append(seen)
+        return seen
 
-    def say(self, at_s: float, what: str, text: str = "") -> None:
+    def say(self, at_s: float, text: str) -> None:
         """The vehicle has done or said something."""
-        self.report.said.append(VehicleReport(at_s=at_s, what=what, text=text))
+        self.report.said.append(VehicleReport(at_s=at_s, text=text))
 
     def on_output(self, at_s: float, session: Session, entries: list[Entry]) -> None:
         """The session has been run.  at_s: of the log."""
@@ -105,8 +118,8 @@ class Notes:
         self._vehicle = vehicle = state.vehicle
         for values in entries:
             self._on_entry(at_s, journal.entry_of(values), session)
-        if self._silence is not None:  # what it was when it was last heard is not known to go on
-            self._on_hold(at_s, state, None)
+        if _SILENCE in self._spans:  # what it was when it was last heard is not known to go on
+            self._on_hold(at_s, state)
             return
         in_air = is_in_air(vehicle)
         if self._at_s is not None and in_air:
@@ -116,33 +129,28 @@ class Notes:
             if self._was_in_air is not None or in_air:
                 self.say(at_s, "in the air" if in_air else "on the ground")
             self._was_in_air = in_air
-        doubt = distrust(vehicle, state.now_s, state.task.limits)
-        self._on_hold(at_s, state, doubt)
+        self._on_hold(at_s, state)
         before = self._looked_at
         if self._is_ready and (before is None or vehicle.position_at_s != before.position_at_s):
             self._looked_at = vehicle
-            self._on_position(at_s, before, state, doubt)
-        self._observe(at_s, doubt)
+            self._on_position(at_s, before, state)
+        self._observe(at_s)
 
     def finish(self) -> None:
         """The log has ended: put together what was noted piece by piece."""
         report = self.report
-        positions, flown_m = list[tuple[float, float, float]](), 0.0
         for asked in report.plans:
             if rows := self._offs.get(id(asked)):
                 asked.off = TrackDeviation.of(rows)
-                positions += rows
-                flown_m += asked.off.until_m - asked.off.from_m
-        if positions:
-            whole = TrackDeviation.of(positions)
-            report.own_path = replace(whole, from_m=0.0, until_m=flown_m)
+        if all_rows := [row for rows in self._offs.values() for row in rows]:
+            report.own_path = TrackDeviation.of(all_rows)
         for seen in (report.health, report.outside):
             seen.sort(key=lambda each: each.from_s)
 
     # --- what it would have done
 
-    def _on_hold(self, at_s: float, state: State, doubt: Reason | None) -> None:
-        """Note where a hold begins and ends.  doubt: why the position is not believed now."""
+    def _on_hold(self, at_s: float, state: State) -> None:
+        """Note where a hold begins and ends."""
         watching, hold = state.phase is Phase.SHADOW, self._hold
         reason = state.reason if watching and state.reason in _DISTRUST else None
         if not self._is_ready:
@@ -150,7 +158,8 @@ class Notes:
             if self._is_ready and self.report.watched_from_s is None:
                 self.report.watched_from_s = at_s
             return
-        if self._silence is not None:
+        silent = _SILENCE in self._spans
+        if silent:
             reason = Reason.LINK_LOST
         elif not watching:  # it prepares again, or another session does
             reason = state.reason or Reason.REBOOTED
@@ -162,38 +171,31 @@ class Notes:
                 self._hold, self._cause = None, f"it goes on after: {hold.why[0].text}"
             return
         if hold is None:
-            hold = self._hold = self._let_go(at_s, state)
+            for asked in self._plans.values():
+                if asked.outcome == "unanswered":
+                    asked.outcome = "given up"
+            self._plans, self._path = {}, None
+            hold = self._hold = Hold(
+                let_go_s=at_s,
+                vehicle_s=state.now_s,
+                why=[],
+                place=self._place(state.vehicle.position_nea_m),
+                in_air=is_in_air(state.vehicle),
+            )
+            self.report.holds.append(hold)
         if not hold.why or hold.why[-1].code != reason.name:
             why = HoldReason(at_s=at_s, code=reason.name, text=reason.text, remedy=reason.remedy)
             hold.why.append(why)
-        trusted = doubt is None and self._silence is None and watching
+        trusted = watching and not silent and state.vehicle.distrust is None
         hold.trusted_s = (hold.trusted_s or at_s) if trusted else None
-
-    def _let_go(self, at_s: float, state: State) -> Hold:
-        for asked in self._plans.values():
-            if asked.outcome == "unanswered":
-                asked.outcome = "given up"
-        self._plans, self._path = {}, None
-        hold = Hold(
-            let_go_s=at_s,
-            vehicle_s=state.now_s,
-            why=[],
-            place=self._place(state.vehicle.position_nea_m),
-            in_air=is_in_air(state.vehicle),
-        )
-        self.report.holds.append(hold)
-        return hold
 
     def _on_entry(self, at_s: float, entry: journal.Entry, session: Session) -> None:
         match entry:
             case journal.PlanAsked(plan_id=plan_id, from_rest=from_rest):
-                place = self._place(entry.scan_nea_m)
-                assert place is not None
                 asked = self._plans[plan_id] = PlanAttempt(
                     plan_id=plan_id,
                     at_s=at_s,
-                    vehicle_s=session.state.now_s,
-                    place=place,
+                    place=self._place(entry.scan_nea_m),
                     why=self._cause if from_rest else "the next subpath",
                     goes_on=not from_rest,
                 )
@@ -214,11 +216,9 @@ class Notes:
                     asked.remedy = Refusal[reason].value
                     if not asked.goes_on:  # the vehicle had left the last path long before
                         self._path = None
-            case journal.ScanDone(blocks_asked=asked_for, blocks_answered=answered):
-                self.unanswered_scans += asked_for > 0 == answered
-            case journal.LinkLost(silent_s=silent_s) if self._silence is None:
+            case journal.LinkLost(silent_s=silent_s) if _SILENCE not in self._spans:
                 self._end_all(at_s - silent_s)
-                self._silence = self._begin("silence", at_s - silent_s)
+                self._spans[_SILENCE] = self.saw(_SILENCE, at_s - silent_s)
             case journal.Prepared(item=item, refusal=refusal):
                 if item is not Item.PARAMETERS and refusal:
                     self._judge(f"would have refused the flight: {refusal}")
@@ -228,7 +228,7 @@ class Notes:
 
     def _judge_parameters(self, session: Session) -> None:
         """Those that are known: of the others the log says nothing, and nobody can be asked."""
-        if session.vehicle is None or not self._checks_area:
+        if session.vehicle is None or not self._has_mission:
             return
         for finding in session.vehicle.findings:
             if finding.value is not None and finding.set_to is not None:
@@ -242,23 +242,21 @@ class Notes:
 
     # --- what it has seen
 
-    def _on_position(
-        self, at_s: float, before: Vehicle | None, state: State, doubt: Reason | None
-    ) -> None:
+    def _on_position(self, at_s: float, before: Vehicle | None, state: State) -> None:
         vehicle, here = state.vehicle, state.vehicle.position_nea_m
         if here is None:  # it has rebooted
             return
         was = None if before is None else before.position_nea_m
         if was is not None and vehicle.jumped_at_s == vehicle.position_at_s:
-            self._begin("position jumped", at_s, math.dist(was, here)).until_s = at_s
+            self.saw("position jumped", at_s, at_s, math.dist(was, here))
         in_air = is_in_air(vehicle)
         if not in_air:
             self._path = None
-        if self._checks_area and (doubt is None or not in_air):
+        if self._has_mission and (vehicle.distrust is None or not in_air):
             beyond = _beyond_m(here, state) if in_air else {}
             self._outside = {kind: off_m for kind, off_m in beyond.items() if off_m > 0.0}
-        trusted = state.phase is Phase.SHADOW and state.reason not in _DISTRUST
-        if doubt is None and in_air and trusted:
+        is_led = state.phase is Phase.SHADOW and state.reason not in _DISTRUST
+        if in_air and is_led and vehicle.distrust is None:
             self._on_way(at_s, here, state)
 
     def _on_way(self, at_s: float, here: Vector, state: State) -> None:
@@ -271,7 +269,7 @@ class Notes:
             return
         asked, chords = self._path
         off_m, along_m = chords.nearest(here)
-        self._offs.setdefault(id(asked), []).append((at_s, off_m, along_m))
+        self._offs.setdefault(id(asked), []).append((at_s, off_m))
         if leg is not None:
             return
         if flight.target != self._target:
@@ -283,7 +281,7 @@ class Notes:
 
     # --- spans of time
 
-    def _observe(self, at_s: float, doubt: Reason | None) -> None:
+    def _observe(self, at_s: float) -> None:
         """Begin and end the spans of what is so now, and of what no longer is."""
         vehicle, ready = self._vehicle, self._is_ready  # before that, only a fix is waited for
         without_fix = vehicle.fix_at_s > _EVER and not vehicle.fix_good
@@ -294,30 +292,17 @@ class Notes:
             "GPS fix lost": without_fix and self._had_fix,
             "estimator not to be believed": ready and unsure,
             "the autopilot's own failsafe": ready and vehicle.failsafe,
-            **{kind: ready and doubt is reason for reason, kind in _DOUBTS.items()},
+            **{kind: ready and vehicle.distrust is reason for reason, kind in _DOUBTS.items()},
         }
         now = {kind: None for kind, is_so in health.items() if is_so} | self._outside
         for kind in self._spans.keys() - now.keys():
             self._spans.pop(kind).until_s = at_s
         for kind, worst_m in now.items():
             if (span := self._spans.get(kind)) is None:
-                self._spans[kind] = self._begin(kind, at_s, worst_m, outside=worst_m is not None)
+                to = self.report.health if worst_m is None else self.report.outside
+                self._spans[kind] = self.saw(kind, at_s, None, worst_m, to)
             elif worst_m is not None:
                 span.worst_m = max(span.worst_m or 0.0, worst_m)
-
-    def _begin(
-        self, kind: str, at_s: float, worst_m: float | None = None, *, outside: bool = False
-    ) -> Observed:
-        """Something begins.  outside: it is of the mission's limits, else of health."""
-        seen = Observed(
-            kind=kind,
-            from_s=at_s,
-            in_air=is_in_air(self._vehicle),
-            worst_m=worst_m,
-            place=self._place(self._vehicle.position_nea_m),
-        )
-        (self.report.outside if outside else self.report.health).append(seen)
-        return seen
 
     def _end_all(self, at_s: float) -> None:
         """End everything in progress."""
@@ -330,13 +315,7 @@ class Notes:
             return None
         north_m, east_m, altitude_m = point_nea_m
         latitude, longitude = self._frame.to_geodetic_deg(north_m, east_m)
-        return Place(
-            latitude_deg=latitude,
-            longitude_deg=longitude,
-            altitude_amsl_m=altitude_m,
-            north_m=north_m,
-            east_m=east_m,
-        )
+        return Place(latitude_deg=latitude, longitude_deg=longitude, altitude_amsl_m=altitude_m)
 
 
 def is_in_air(vehicle: Vehicle) -> bool:

@@ -4,22 +4,16 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
-from typing import Any, Final, final
+from typing import Final, Literal, final
 
-import msgspec
 import numpy as np
 from msgspec import Struct
 from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from companion.telemetry.logs import Missing
+from companion.telemetry.logs import HOW_TO_RECORD
 
-SCHEMA: Final = 1
-"""Of `ShadowReport.as_json`."""
-_MAX_ROWS: Final = 30
-_MAX_SAID: Final = 8
-_MAX_REASONS: Final = 3
 _MOMENT_S: Final = 1.0  # before it let go: what the vehicle said then may be why
 _NEAR_S: Final = 60.0  # after it let go for good: what the vehicle said so long belongs to it
 
@@ -31,9 +25,6 @@ class Place(Struct, frozen=True, kw_only=True):
     latitude_deg: float
     longitude_deg: float
     altitude_amsl_m: float
-    north_m: float
-    """Of the mission's origin; without a mission, of the first position."""
-    east_m: float
 
 
 @final
@@ -88,14 +79,11 @@ class TrackDeviation(Struct, frozen=True, kw_only=True):
     max_at_s: float
     rms_m: float
     """Root mean square over the positions."""
-    from_m: float
-    """The part of the subpath that the track was nearest to, as lengths along it."""
-    until_m: float
 
     @staticmethod
-    def of(positions: Sequence[tuple[float, float, float]]) -> "TrackDeviation":
-        """Of positions: when each was, how far off, and where along the subpath it was nearest."""
-        at_s, off_m, along_m = np.array(positions).T
+    def of(positions: Sequence[tuple[float, float]]) -> "TrackDeviation":
+        """Of positions: when each was, and how far off."""
+        at_s, off_m = np.array(positions).T
         farthest = int(np.argmax(off_m))
         return TrackDeviation(
             from_s=float(at_s[0]),
@@ -104,8 +92,6 @@ class TrackDeviation(Struct, frozen=True, kw_only=True):
             max_m=float(off_m[farthest]),
             max_at_s=float(at_s[farthest]),
             rms_m=float(np.sqrt(np.mean(off_m**2))),
-            from_m=float(along_m.min()),
-            until_m=float(along_m.max()),
         )
 
 
@@ -115,8 +101,7 @@ class PlanAttempt(Struct, kw_only=True):
 
     plan_id: int
     at_s: float
-    vehicle_s: float
-    place: Place
+    place: Place | None
     """Where it would have begun."""
     why: str
     goes_on: bool
@@ -139,49 +124,31 @@ class VehicleReport(Struct, frozen=True, kw_only=True):
     """What the vehicle did, or said, by itself."""
 
     at_s: float
-    what: str
-    """"mode", "armed", "disarmed", "in the air", "on the ground" or "says"."""
-    text: str = ""
+    text: str
+    """A mode, "armed", "disarmed", "in the air", "on the ground", or what it said, quoted."""
 
     def __str__(self) -> str:
-        did = f"“{self.text}”" if self.what == "says" else f"{self.what} {self.text}".rstrip()
-        return f"{self.at_s:,.1f} s {did}"
-
-
-@final
-class Limitation(Struct, frozen=True, kw_only=True):
-    """What shadow mode could not do on this log, and most often which message it lacks."""
-
-    what: str
-    because: str
-    remedy: str
-    message: str | None = None
-
-    def __str__(self) -> str:
-        return f"{self.what}: {self.because}. {self.remedy}"
+        return f"{self.at_s:,.1f} s {self.text}"
 
 
 @final
 class ShadowReport(Struct, kw_only=True):
     """All of it.  Times are seconds after the log's first record unless they are said otherwise."""
 
+    schema: Literal[1] = 1
+    """Version of these fields, for readers of `--json`."""
     file: str
-    kind: str
-    """"tlog", "bin" or "ulg"."""
     system_id: int
     vehicle: str
     """The autopilot and kind, in words."""
     mission: str | None
     """Its name; None: health alone."""
-    began_us: int = 0
+    began_us: int | None = None
     """Time of the first record, microseconds since 1970."""
     length_s: float = 0.0
     in_air_s: float = 0.0
     watched_from_s: float | None = None
     """When the companion would have been ready; None: never."""
-    records: int = 0
-    heard: int = 0
-    """Records that were used."""
     position_rate_hz: float | None = None
     holds: list[Hold] = []
     health: list[Observed] = []
@@ -191,16 +158,12 @@ class ShadowReport(Struct, kw_only=True):
     own_path: TrackDeviation | None = None
     """How far the flown track was from all planned subpaths together."""
     said: list[VehicleReport] = []
-    could_not: list[Limitation] = []
-    missing: tuple[Missing, ...] = ()
+    could_not: list[str] = []
+    """What shadow mode could not do on this log, why, and what to do about it."""
+    missing: dict[str, str] = {}
+    """Messages that the log lacks, and what is impossible without each."""
     log_findings: tuple[str, ...] = ()
     notes: list[str] = []
-    took_s: float = 0.0
-
-    def as_json(self) -> dict[str, Any]:
-        """For `--json`: plain values, units in the names."""
-        values: dict[str, Any] = msgspec.to_builtins(self)
-        return {"schema": SCHEMA, **values}
 
 
 # --- for people
@@ -230,16 +193,14 @@ def renderables(report: ShadowReport) -> list[RenderableType]:
 
 def _table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     table = Table(*headings, title=title, title_justify="left")
-    for row in rows[:_MAX_ROWS]:
+    for row in rows:
         table.add_row(*map(Text, row))
-    if len(rows) > _MAX_ROWS:
-        table.caption = f"{len(rows) - _MAX_ROWS} more: --json has them"
     return table
 
 
 def _head(report: ShadowReport) -> Iterator[str]:
     air = f", {report.in_air_s:,.0f} s of it in the air" if report.in_air_s else ""
-    began = datetime.fromtimestamp(report.began_us * 1e-6, UTC)
+    began = datetime.fromtimestamp((report.began_us or 0) * 1e-6, UTC)
     date = f"{began:%Y-%m-%d %H:%M:%S}Z, " if began.year > 1970 else ""
     yield (
         f"{report.file}: {report.vehicle}, system {report.system_id}; {date}"
@@ -262,21 +223,18 @@ def _head(report: ShadowReport) -> Iterator[str]:
 
 def _hold_row(hold: Hold, report: ShadowReport) -> list[str]:
     """When it would have held and why, and what the vehicle did and said by itself meanwhile."""
-    first, *later = hold.why
-    begins = {first.text: ""}
-    for why in later:
-        begins.setdefault(why.text, f"{why.at_s:,.1f} s: {why.text}")
-    reasons = [text for text in begins.values() if text][:_MAX_REASONS]
+    first, reasons = hold.why[0], dict[str, str]()
+    for why in hold.why:
+        reasons.setdefault(why.text, f"{why.at_s:,.1f} s: {why.text}")
+    _, *later = reasons.values()
     until_s = hold.let_go_s + _NEAR_S if hold.went_on_s is None else hold.went_on_s
     from_s = hold.let_go_s - _MOMENT_S
     said = [str(each) for each in report.said if from_s <= each.at_s <= until_s] or ["nothing"]
-    if len(said) > _MAX_SAID:
-        said[_MAX_SAID:] = [f"{len(said) - _MAX_SAID} more"]
     good, on = (
         "never" if at_s is None else f"{at_s:,.1f} s" for at_s in (hold.trusted_s, hold.went_on_s)
     )
     ground = "" if hold.in_air else "\n(on the ground)"
-    why_text = "\n".join([first.text, *reasons, f"-> {first.remedy}"])
+    why_text = "\n".join([first.text, *later, f"-> {first.remedy}"])
     return [f"{hold.let_go_s:,.2f} s{ground}", why_text, good, on, "\n".join(said)]
 
 
@@ -309,17 +267,15 @@ def _tail(report: ShadowReport) -> Iterator[str]:
     if (own := report.own_path) is not None:
         yield (
             f"flown track off its own paths: {own.max_m:,.1f} m at most (at {own.max_at_s:,.1f} "
-            f"s), {own.rms_m:,.1f} m rms, over {own.positions:,} positions and "
-            f"{own.until_m:,.0f} m of path"
+            f"s), {own.rms_m:,.1f} m rms, over {own.positions:,} positions"
         )
-    told = " ".join(each.message or "" for each in report.could_not)
-    missing = sorted(report.missing, key=lambda each: not each.vital)
     yield from (f"could not {each}" for each in report.could_not)
-    yield from (str(each) for each in missing if each.message not in told)
+    told = " ".join(report.could_not)
+    for message, without in report.missing.items():
+        if message not in told:
+            yield f"{message} is missing: {without}. {HOW_TO_RECORD}"
     yield from (f"note: {note}" for note in report.notes)
     yield from (f"log: {finding}" for finding in report.log_findings)
-    speed = report.length_s / report.took_s if report.took_s > 0.0 else math.inf
-    yield f"{report.heard:,} of {report.records:,} messages were of use; {speed:,.0f}x real time"
 
 
 def _words(name: str) -> str:

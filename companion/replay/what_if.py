@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from companion.mission.mission import Mission
-from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest
+from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest
 from companion.planner.rules import newly_broken
 from companion.planner.settings import Task
 from companion.planning import plan
@@ -23,10 +23,10 @@ from companion.replay.feed import MissionOf, answer_of, outputs
 
 @final
 class Figures(Struct, frozen=True, kw_only=True):
-    """The figures of one answer."""
+    """The figures of one answer; those of a subpath are None if there is none."""
 
     cost: float | None = None
-    """Eq. 5; None: there is no subpath."""
+    """Eq. 5."""
     terms: dict[str, float] = {}
     """Of the cost, unweighted."""
     clearance_m: float | None = None
@@ -40,10 +40,9 @@ class Figures(Struct, frozen=True, kw_only=True):
     @staticmethod
     def of(outcome: PlanOutcome, speed_m_s: float) -> "Figures":
         """The figures of an answer."""
-        if isinstance(outcome, Backtrack):
-            return Figures()
-        if isinstance(outcome, NotPlanned):
-            return Figures(refusal=outcome.refusal.name)
+        if not isinstance(outcome, Planned):
+            why = outcome.refusal.name if isinstance(outcome, NotPlanned) else ""
+            return Figures(refusal=why)
         length_m = outcome.subpath.length_m
         return Figures(
             cost=outcome.cost,
@@ -141,16 +140,12 @@ def what_if_table(found: Sequence[WhatIf]) -> RenderableType:
             was, now = (f"{side.terms.get(name, 0.0):.2f}" for side in (each.flown, each.now))
             terms += [f"{name} {was} -> {now}"] if was != now else []
         table.add_row(f"{each.plan_id}", f"{each.t_s:,.0f} s", *cells, ", ".join(terms))
-    there = [(each.flown.cost is not None, each.now.cost is not None) for each in found]
-    both = [each for each, is_there in zip(found, there, strict=True) if all(is_there)]
-    lines = [
-        f"{len(both)} subpaths as flown: {_sums([each.flown for each in both])}",
-        f"now: {_sums([each.now for each in both])}",
-    ]
-    lost, gained = there.count((True, False)), there.count((False, True))
-    if lost or gained:
-        lines.append(f"{lost} that were flown would not be found; {gained} the other way round")
-    return Group(table, *map(Text, lines))
+    both = [each for each in found if None not in (each.flown.cost, each.now.cost)]
+    return Group(
+        table,
+        Text(f"{len(both)} subpaths as flown: {_sums([each.flown for each in both])}"),
+        Text(f"now: {_sums([each.now for each in both])}"),
+    )
 
 
 def _sums(figures: Sequence[Figures]) -> str:

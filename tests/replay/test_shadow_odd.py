@@ -3,7 +3,6 @@
 Times are seconds after the first record.
 """
 
-import re
 import struct
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -212,7 +211,6 @@ def test_a_bin_that_records_only_while_armed_is_not_silent_in_between(tmp_path: 
     gap_us = round((one.length_s + 300.0) * 1e6)
     path.write_bytes(flight + again(flight[len(fmt_entries()) :], gap_us))
     report = alone(path)
-    assert report.kind == "bin"
     assert of(report, "silence") == gave_up(report) == []
     ends = [(each.from_s, each.until_s or 0.0) for each in of(report, "not recorded")]
     gaps = [end for end in ends if end[1] - end[0] > 60.0]  # the log that was made has one of 3 s
@@ -273,11 +271,11 @@ def test_without_a_word_of_gps_or_estimator_the_rest_is_still_told(
     written: Write, number: int, expected: list[tuple[str, float]]
 ) -> None:
     report = alone(written(few(ARDUPILOT, number, until_s=195.0)))
+    name = wire.mavlink_map[number].msgname
     [said] = report.could_not
-    assert said.message == wire.mavlink_map[number].msgname
-    assert "taken to be good" in said.because
-    assert "docs/logs.md" in said.remedy
-    assert [each.message for each in report.missing] == [said.message]
+    assert f"{name} missing: taken to be good" in said
+    assert said.endswith("docs/logs.md")
+    assert list(report.missing) == [name]
     assert [(code, at_s) for at_s, _, code in holds(report)] == [
         (code, pytest.approx(at_s, abs=0.5)) for code, at_s in expected
     ]
@@ -293,26 +291,7 @@ def test_a_log_with_few_positions_is_not_taken_for_a_fault(
     assert report.holds == []
     assert report.position_rate_hz == pytest.approx(rate_hz, rel=0.05)
     [said] = report.could_not
-    assert said.message == "GLOBAL_POSITION_INT"
-    assert f"{rate_hz:.1f} Hz" in said.because
-
-
-def test_how_long_positions_came_too_seldom_is_told_with_the_bar(written: Write) -> None:
-    """At 4 Hz for most of it, and at 1 Hz for some seconds: not 1 Hz for all of it."""
-    records, kept, last_s = list(recorded(HEALTHY, until_s=60.0)), [], -1.0
-    for record in records:
-        at_s = (record.time_us - records[0].time_us) * 1e-6
-        if number_of(record.frame) == POSITION:
-            if at_s - last_s < (0.95 if 20.0 < at_s < 40.0 else 0.2):
-                continue
-            last_s = at_s
-        kept.append(record)
-    [told] = [str(each) for each in alone(written(kept)).could_not if "in time" in each.what]
-    found = re.search(r"less than ([\d.]+) Hz for (\d+) s in all .*slowest at ([\d.]+) Hz", told)
-    assert found is not None, told
-    bar_hz, span_s, slowest_hz = map(float, found.groups())
-    assert slowest_hz < 1.5 < 4.0 < bar_hz < 6.0
-    assert 40.0 < span_s <= 60.0
+    assert f"GLOBAL_POSITION_INT comes at {rate_hz:.1f} Hz" in said
 
 
 @pytest.mark.parametrize(
@@ -389,26 +368,19 @@ def test_what_is_known_of_the_ground_stands_in_for_a_radar_if_any_is(written: Wr
     assert "ready" in {asked.outcome for asked in report.plans}
     assert any("terrain of the mission alone" in note for note in report.notes)
     [said] = blind.could_not
-    assert said.message == "TERRAIN_DATA"
-    assert "[terrain]" in said.remedy
+    assert "nothing is known of the ground" in said
+    assert "[terrain]" in said
     assert "ready" not in {asked.outcome for asked in blind.plans}
     refused = {asked.reason for asked in blind.plans if asked.outcome == "refused"}
     assert refused <= {"NOTHING_SEEN", "START_NEAR_UNKNOWN"}
     assert holds(blind) == holds(alone(path))
 
 
-def test_targets_that_only_the_vehicle_knows_are_missed_and_progress_only_rises(
-    written: Write,
-) -> None:
-    path, shown = written(recorded(PX4, until_s=30.0)), list[tuple[int, int]]()
+def test_targets_that_only_the_vehicle_knows_are_missed(written: Write) -> None:
     chosen = replace(mission("copter-zurich"), targets_ne_m=(), targets_from_vehicle=True)
-    report = watch(path, chosen, on_progress=lambda read, size: shown.append((read, size)))
-    assert "MISSION_ITEM_INT" in {each.message for each in report.could_not}
+    report = watch(written(recorded(PX4, until_s=30.0)), chosen)
+    assert "MISSION_ITEM_INT is not heard" in " ".join(report.could_not)
     assert report.plans == []
-    size = path.stat().st_size
-    assert shown == sorted(shown)
-    assert shown[-1] == (size, size)
-    assert len(shown) > 1
 
 
 def test_a_planner_that_breaks_ends_the_watch_and_not_the_program(

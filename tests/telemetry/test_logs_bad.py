@@ -51,7 +51,7 @@ def refused(path: Path, rule: str) -> None:
 
 NOTHING = "nothing that can be read is in it"
 NO_LOGS = {
-    "empty.tlog": (b"", r"it is empty\. Give a \.tlog"),
+    "empty.tlog": (b"", NOTHING),
     "noise.tlog": (random.Random(1).randbytes(50_000), NOTHING),
     "zeros.bin": (bytes(100_000), NOTHING),
     "ones.ulg": (b"\xff" * 100_000, NOTHING),
@@ -73,14 +73,13 @@ def test_what_is_no_log_is_refused_in_one_line(tmp_path: Path, name: str) -> Non
 
 
 def test_what_is_no_file_is_refused_in_one_line(tmp_path: Path) -> None:
-    refused(tmp_path / "nowhere.tlog", "there is no such file")
-    refused(tmp_path, r"it is a directory\. Give a file in it")
     os.mkfifo(tmp_path / "pipe")
-    refused(tmp_path / "pipe", "it is no ordinary file")
+    for none in (tmp_path / "nowhere.tlog", tmp_path, tmp_path / "pipe"):
+        refused(none, r"there is no file of that name\. Give a \.tlog")
     loop = tmp_path / "loop"
     loop.symlink_to(loop)
     for impossible in (tmp_path / ("x" * 400), Path("a\0b"), loop):
-        refused(impossible, "it cannot be read|there is no such file")  # as Python's version says
+        refused(impossible, "it cannot be read|there is no file of that name")  # by version
 
 
 def test_a_log_goes_by_what_is_in_it_not_by_its_name(
@@ -88,7 +87,7 @@ def test_a_log_goes_by_what_is_in_it_not_by_its_name(
 ) -> None:
     """And of a .tlog also with its beginning cut off: long enough for chance to strike."""
     long = recording("arducopter-gps-loss.tlog").read_bytes()[:400_000]
-    kinds = {"tlog": [long, long[1:], long[300:], logs[".raw"], logs[".raw"][1:]]}
+    kinds = {"tlog": [long, long[1:], long[300:]]}
     kinds |= {"bin": [logs[".bin"]], "ulg": [logs[".ulg"]]}
     for kind, contents in kinds.items():
         for content in contents:
@@ -143,15 +142,15 @@ STAMPS = st.one_of(
 )
 
 
-@given(stamps=st.lists(STAMPS, max_size=60), start_us=st.sampled_from([None, EPOCH_US]))
-def test_time_never_falls_whatever_the_stamps(stamps: list[int], start_us: int | None) -> None:
+@given(stamps=st.lists(STAMPS, max_size=60))
+def test_time_never_falls_whatever_the_stamps(stamps: list[int]) -> None:
     odd = Counter[Odd]()
-    clock = Clock(odd, first_us=YEAR_2000_US, last_us=YEAR_2100_US, start_us=start_us)
+    clock = Clock(odd, start_us=EPOCH_US, last_us=YEAR_2100_US)
     before_us = clock.now_us
     for stamp in stamps:
         believed = clock.read(stamp)
         assert before_us <= clock.now_us <= YEAR_2100_US + len(stamps) * 600_000_000
-        assert not believed or YEAR_2000_US <= stamp < YEAR_2100_US
+        assert not believed or stamp < YEAR_2100_US
         before_us = clock.now_us
     assert min(odd.values(), default=0) >= 0
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from log_files import FORMATS, bin_of, counts, entry, fmt_entries, messages_of, of, opened, told
+from log_files import bin_of, counts, entry, fmt_entries, messages_of, of, opened, told
 from recordings import recording
 from told_alike import both_at, changes, late_s, of_kind, table
 
@@ -21,7 +21,6 @@ COPTER_START = b"".join(
         fmt_entries(),
         entry("MSG", 1000, b"ArduCopter V4.5.7"),
         entry("PARM", 1000, b"SYSID_THISMAV", 7, 1),
-        entry("PARM", 1000, b"FRAME_CLASS", 2, 1),
         entry("MODE", 2000, 4, 4, 1),
     )
 )
@@ -80,19 +79,18 @@ def test_the_same_flight_is_told_as_in_its_tlog(name: str, tmp_path: Path) -> No
 def test_whose_log_it_is_stands_in_its_parameters(tmp_path: Path) -> None:
     log = opened(tmp_path, COPTER_START)
     (beat,) = of(told(log), "HEARTBEAT")
-    assert (beat.get_srcSystem(), log.system_id, beat.type) == (7, 7, wire.MAV_TYPE_HEXAROTOR)
+    assert (beat.get_srcSystem(), log.system_id, beat.type) == (7, 7, wire.MAV_TYPE_QUADROTOR)
     assert not beat.base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED
-    with pytest.raises(InputError, match=r"--system = 3: there is no such vehicle.*is system 7"):
+    with pytest.raises(InputError, match=r"--system = 3: there is no such.*Its vehicles: 7"):
         opened(tmp_path, COPTER_START, system_id=3)
 
 
-def test_an_unknown_date_unknown_arming_and_what_is_missing_are_told(tmp_path: Path) -> None:
+def test_an_unknown_date_and_what_is_missing_are_told(tmp_path: Path) -> None:
     log = opened(tmp_path, COPTER_START)
     told(log)
     assert set(counts(log)) == {Odd.NO_DATE}
-    assert any("taken for disarmed" in each for each in log.findings)
-    missing = {each.message: each for each in log.missing()}
-    assert missing["EKF_STATUS_REPORT"].vital
+    missing = log.missing().keys()
+    assert "EKF_STATUS_REPORT" in missing
     assert {"HEARTBEAT", "PARAM_VALUE", "STATUSTEXT", "ESTIMATOR_STATUS"}.isdisjoint(missing)
 
 
@@ -124,25 +122,6 @@ def test_who_nobody_knows_is_refused_with_what_was_looked_for(tmp_path: Path) ->
         watch(log.path, None)
 
 
-# --- what stands in for what
-
-
-def test_without_an_estimator_the_gps_is_told_and_said_so(tmp_path: Path) -> None:
-    log = opened(tmp_path, bin_of(recording(COPTER), without=("POS", "XKF1", "XKF4")))
-    messages = told(log)
-    fixes = [m for m in of(messages, "GPS_RAW_INT") if m.fix_type >= 3]
-    positions = of(messages, "GLOBAL_POSITION_INT")
-    assert [(m.lat, m.lon, m.alt) for m in positions] == [(m.lat, m.lon, m.alt) for m in fixes]
-    (home, *_) = of(messages, "HOME_POSITION")
-    assert positions[-1].relative_alt == pytest.approx(positions[-1].alt - home.altitude, abs=20)
-    for mine, fix in zip(positions, fixes, strict=True):
-        assert math.hypot(mine.vx, mine.vy) == pytest.approx(fix.vel, abs=1.5)
-    said = "\n".join(str(each) for each in log.findings)
-    assert "positions are those of the GPS" in said
-    assert "velocities are those of the GPS" in said
-    assert "EKF_STATUS_REPORT" in [each.message for each in log.missing()]
-
-
 def test_a_position_without_a_velocity_is_not_told(tmp_path: Path) -> None:
     """Nor one whose velocity is older than a second."""
     content = COPTER_START + entry("POS", 1_000_000, *PLACE) + entry("XKF1", 2_000_000, *VELOCITY)
@@ -155,20 +134,6 @@ def test_positions_are_thinned_to_fifty_a_second(tmp_path: Path) -> None:
     content = COPTER_START + entry("XKF1", 5000, *VELOCITY)
     content += b"".join(entry("POS", 10_000 + 2500 * k, *PLACE) for k in range(400))
     assert len(of(told(opened(tmp_path, content)), "GLOBAL_POSITION_INT")) == 50
-
-
-@pytest.mark.parametrize(("capacity_mah", "percents"), [(4000, [75, 50, 0]), (0, [-1, -1, -1])])
-def test_what_is_left_in_a_battery_of_4_0_is_reckoned_as_ardupilot_does(
-    capacity_mah: float, percents: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its BAT has no RemPct yet."""
-    columns = "TimeUS,Instance,Volt,VoltR,Curr,CurrTot,EnrgTot,Temp,Res"
-    monkeypatch.setitem(FORMATS, "BAT", (76, "QBfffffcf", columns))
-    content = fmt_entries() + entry("PARM", 2000, b"BATT_CAPACITY", capacity_mah, 1)
-    for k, used_mah in enumerate((1000, 2000, 5000), start=1):
-        content += entry("BAT", 1_000_000 * k, 0, 16, 16, 10, used_mah, 0, 20, 0)
-    batteries = of(told(opened(tmp_path, content)), "SYS_STATUS")
-    assert [m.battery_remaining for m in batteries] == percents
 
 
 # --- damage
@@ -218,4 +183,3 @@ def test_what_is_damaged_is_left_out_and_counted_and_the_rest_is_kept(
         assert [m.text for m in of(messages, "STATUSTEXT")] == ["ArduCopter V4.5.7", *texts]
     assert not of(messages, "GLOBAL_POSITION_INT")
     assert counts(log) == found | {Odd.NO_DATE: 1}
-    assert log.read_bytes == log.size_bytes

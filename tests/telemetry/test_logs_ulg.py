@@ -147,7 +147,7 @@ def test_the_estimator_made_of_other_topics_agrees_with_the_one_that_was_sent(bo
         "ESTIMATOR_STATUS is made of vehicle_local_position and estimator_status_flags: "
         "there is no estimator_status"
     ]
-    assert both[2].missing() == ()
+    assert both[2].missing() == {}
 
 
 def test_parameters_and_the_date_are_those_that_were_sent(both: Both) -> None:
@@ -189,7 +189,7 @@ def test_a_small_log_is_told(tmp_path: Path) -> None:
     assert "".join(m.text for m in long) == "x" * 120
     assert [m.chunk_seq for m in long] == [0, 1, 2]
     assert counts(log) == {Odd.NO_DATE: 1, Odd.LOST_TIME: 250}
-    assert "ESTIMATOR_STATUS" in {each.message for each in log.missing()}
+    assert "ESTIMATOR_STATUS" in log.missing()
 
 
 def test_a_mode_that_is_none_costs_the_heartbeat_alone(tmp_path: Path) -> None:
@@ -218,7 +218,6 @@ def test_damage_costs_what_comes_before_a_mark(tmp_path: Path) -> None:
     texts = {m.text for m in of(told(log), "STATUSTEXT")}
     assert {"before", "after 0", "after 1", "after 2"} <= texts
     assert counts(log)[Odd.CORRUPT] == 1
-    assert log.read_bytes == log.size_bytes
 
 
 def test_a_log_of_a_later_format_is_refused_and_one_that_was_appended_to_is_read(
@@ -262,8 +261,7 @@ def test_a_clock_that_is_a_date_is_told_from_the_logs_beginning(
     assert [time_us for time_us, _ in found] == [DATE_US + 100_000 * k for k in range(FIXES)]
     assert found[-1][1].time_boot_ms - found[0][1].time_boot_ms == 100 * (FIXES - 1)
     assert found[0][1].time_boot_ms < 10_000
-    assert not counts(log)
-    assert any("clock is a date" in finding for finding in log.findings)
+    assert counts(log) == {Odd.CLOCK_IS_DATE: 1, Odd.MADE_ESTIMATOR: 1}
 
 
 def test_a_vehicle_that_is_up_for_months_is_read_and_a_wrong_start_not_believed(

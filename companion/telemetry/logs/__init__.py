@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Final
 
 from companion.errors import InputError
-from companion.telemetry.logs.log import Kind, Log, Missing, Odd, Record
+from companion.telemetry.logs.log import HOW_TO_RECORD, Kind, Log, Odd, Record
 
-__all__ = ["Kind", "Log", "Missing", "Odd", "Record", "open_log"]
+__all__ = ["HOW_TO_RECORD", "Kind", "Log", "Odd", "Record", "open_log"]
 
 _KINDS: Final = "Give a .tlog of MAVLink frames, an ArduPilot .bin or a PX4 .ulg."
 _OTHERS: Final = {
@@ -31,24 +31,15 @@ def open_log(path: Path, *, system_id: int | None = None) -> Log:
     is.  The whole file is scanned once.
     """
     try:
-        log = _opened(path, system_id)
-        log.size_bytes = path.stat().st_size
+        return _opened(path, system_id)
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the path
         why = getattr(error, "strerror", None) or str(error)
         raise InputError("log", str(path), f"it cannot be read: {why}", "Look at it.") from error
-    return log
 
 
 def _opened(path: Path, system_id: int | None) -> Log:
-    if not path.exists():
-        raise InputError("log", str(path), "there is no such file", "Give the path of a log.")
-    if path.is_dir():
-        remedy = "Give a file in it, for instance its flight.tlog."
-        raise InputError("log", str(path), "it is a directory", remedy)
     if not path.is_file():
-        raise InputError("log", str(path), "it is no ordinary file", _KINDS)
-    if path.stat().st_size == 0:
-        raise InputError("log", str(path), "it is empty", _KINDS)
+        raise InputError("log", str(path), "there is no file of that name", _KINDS)
     with path.open("rb") as file:
         head = file.read(8)
     log = None

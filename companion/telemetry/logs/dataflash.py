@@ -26,15 +26,15 @@ from companion.telemetry.logs.log import (
     chosen,
     earliest,
 )
-from companion.telemetry.logs.made import Row, Values, direction, thousandths, whole, wired
+from companion.telemetry.logs.made import Row, Values, direction, whole, wired
 
-ROWS: Final = frozenset(
+_ROWS: Final = frozenset(
     (
-        *("ARM", "ATT", "BAT", "ERR", "EV", "GPA", "GPS", "MODE", "MSG"),
+        *("ARM", "ATT", "BAT", "DSF", "ERR", "EV", "GPS", "MODE", "MSG"),
         *("ORGN", "PARM", "POS", "STAT", "XKF1", "XKF4"),
     )
 )
-"""Names of the entries that are translated."""
+"""Names of the entries that are translated, and of the one that tells what was lost."""
 _MAGIC: Final = b"\xa3\x95"
 _LONGEST: Final = 255
 """Bytes of an entry."""
@@ -57,14 +57,6 @@ _VEHICLES: Final = {
     "AntennaTracker": wire.MAV_TYPE_ANTENNA_TRACKER,
 }
 """What VER.FWS, and the greeting in MSG, begin with."""
-_ROTORS: Final = (
-    *(wire.MAV_TYPE_QUADROTOR, wire.MAV_TYPE_QUADROTOR, wire.MAV_TYPE_HEXAROTOR),
-    *(wire.MAV_TYPE_OCTOROTOR, wire.MAV_TYPE_OCTOROTOR, wire.MAV_TYPE_HEXAROTOR),
-    *(wire.MAV_TYPE_HELICOPTER, wire.MAV_TYPE_TRICOPTER, wire.MAV_TYPE_COAXIAL),
-    *(wire.MAV_TYPE_COAXIAL, wire.MAV_TYPE_QUADROTOR, wire.MAV_TYPE_HELICOPTER),
-    *(wire.MAV_TYPE_DODECAROTOR, wire.MAV_TYPE_HELICOPTER, wire.MAV_TYPE_DECAROTOR),
-)
-"""MAV_TYPE of a copter by its FRAME_CLASS."""
 _MODE_FLAGS: Final = wire.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | wire.MAV_MODE_FLAG_STABILIZE_ENABLED
 _IN_AIR, _ON_GROUND = wire.MAV_LANDED_STATE_IN_AIR, wire.MAV_LANDED_STATE_ON_GROUND
 _ARMING: Final = {10: True, 11: False, 15: True}
@@ -75,17 +67,9 @@ _FAILSAFES: Final = frozenset({5, 6, 8, 17, 20, 23, 31})
 terrain, dead reckoning."""
 _FRESH_US: Final = 1_000_000
 """A velocity of longer ago is not that of the position."""
-_GPS: Final = -1
-"""In place of an estimator's core."""
-_FLAGS: Final = (
-    *((1 << bit, 1 << bit) for bit in range(6)),
-    (1 << 6, wire.EKF_POS_VERT_AGL),
-    (1 << 7, wire.EKF_CONST_POS_MODE),
-    (1 << 8, wire.EKF_PRED_POS_HORIZ_REL),
-    (1 << 9, wire.EKF_PRED_POS_HORIZ_ABS),
-    (1 << 14, wire.EKF_GPS_GLITCHING),
-)
-"""Bits of the filter status (XKF4.SS), and what EKF_STATUS_REPORT has for them."""
+_SAME: Final = 0x3FF
+"""Bits of the filter status (XKF4.SS) that EKF_STATUS_REPORT has, too."""
+_GLITCHING: Final = 1 << 14
 _INITIALISED: Final = 1 << 16
 """In XKF4.SS; a status of 16 bits, as logged before 4.3, does not say it."""
 
@@ -104,10 +88,8 @@ class _Entries(DFReader.DFReader_binary):  # type: ignore[misc]  # it has no typ
     init_arrays = init_arrays_fast = init_clock = _add_msg = _nothing
 
 
-def _rows(
-    path: Path, odd: Counter[Odd], wanted: Collection[str], counts: Counter[str]
-) -> Iterator[Row]:
-    """The entries of the kinds that are wanted; all are counted, by kind."""
+def _rows(path: Path, odd: Counter[Odd], wanted: Collection[str]) -> Iterator[Row]:
+    """The entries of the kinds that are wanted."""
     log = _Entries(str(path))
     end, size = 0, log.data_len
     with made.silent(DFReader):
@@ -126,7 +108,6 @@ def _rows(
                     odd[Odd.DAMAGED] += 1
                     log.offset = end = begin + len(_MAGIC)
                     continue
-                counts[name] += 1
                 if name in wanted:
                     try:
                         values = entry.to_dict()
@@ -134,7 +115,7 @@ def _rows(
                         odd[Odd.DAMAGED] += 1
                         continue
                     time_us = values.get("TimeUS")
-                    yield Row(name, time_us if type(time_us) is int else None, values, end)
+                    yield Row(name, time_us if type(time_us) is int else None, values)
             odd[Odd.CUT_SHORT if size - end < _LONGEST else Odd.GARBAGE] += size - end
         finally:
             log.close()
@@ -148,7 +129,6 @@ class _Look:
     """What one pass through the file tells of the whole log."""
 
     def __init__(self, path: Path) -> None:
-        self.counts: Counter[str] = Counter()
         self.system_id = 1
         """ArduPilot's default, until a parameter says otherwise."""
         self.epoch_us: int | None = None
@@ -157,14 +137,11 @@ class _Look:
         """None: nothing tells."""
         self.times_us: list[int] = []
         """Of the first entries."""
-        self._rotors = int(wire.MAV_TYPE_QUADROTOR)
-        for row in _rows(path, Counter(), {"GPS", "MSG", "PARM", "VER"}, self.counts):
+        for row in _rows(path, Counter(), {"GPS", "MSG", "PARM", "VER"}):
             if row.time_us is not None and len(self.times_us) < _SAMPLE:
                 self.times_us.append(row.time_us)
             with suppress(KeyError, TypeError, ValueError, OverflowError):
                 self._at_row(row)  # the second pass counts what is damaged
-        if self.mav_type == wire.MAV_TYPE_QUADROTOR:
-            self.mav_type = self._rotors
 
     def _at_row(self, row: Row) -> None:
         values = row.values
@@ -174,9 +151,6 @@ class _Look:
             case "PARM" if values["Name"] in ("MAV_SYSID", "SYSID_THISMAV"):
                 if 1 <= values["Value"] <= 255:
                     self.system_id = int(values["Value"])
-            case "PARM" if values["Name"] == "FRAME_CLASS":
-                known = 0 <= values["Value"] < len(_ROTORS)
-                self._rotors = int(_ROTORS[int(values["Value"]) if known else 0])
             case "VER" | "MSG" if self.mav_type is None:
                 text = values["FWS" if row.name == "VER" else "Message"]
                 if self.version is None and (found := _VERSION.match(text)) is not None:
@@ -184,20 +158,6 @@ class _Look:
                 self.mav_type = next(
                     (mav for word, mav in _VEHICLES.items() if text.startswith(word)), None
                 )
-
-    def substitutes(self) -> Iterator[str]:
-        """What of the usual it has not, and what is told instead."""
-        counts = self.counts
-        if self.mav_type is None:
-            yield "no entry (VER, MSG) tells which kind of vehicle it is: no HEARTBEAT is made"
-        if counts["GPS"] and not self.times_us:
-            yield "no entry tells the time since boot: all of it is told at one time"
-        if not counts["ARM"] and not counts["EV"] and not counts["STAT"]:
-            yield "no entry (ARM, EV, STAT) tells whether it is armed: taken for disarmed"
-        if counts["GPS"] and not counts["POS"]:
-            yield "positions are those of the GPS: there is no POS"
-        if counts["GPS"] and not counts["XKF1"]:
-            yield "velocities are those of the GPS: there is no XKF1"
 
 
 def _epoch_us(row: Row) -> int | None:
@@ -214,7 +174,7 @@ def opened(path: Path, system_id: int | None) -> Log | None:
     """A .bin; None: nothing of use is in it.  InputError: of firmware before 4.0, or not whose."""
     look = _Look(path)
     made.refuse_older(path, "ArduPilot", look.version, _OLDEST)
-    if ROWS.isdisjoint(look.counts):
+    if not look.times_us:
         return None
     return Log(
         kind="bin",
@@ -223,7 +183,6 @@ def opened(path: Path, system_id: int | None) -> Log | None:
         system_id=chosen(path, (look.system_id,), system_id),
         autopilot=int(wire.MAV_AUTOPILOT_ARDUPILOTMEGA),
         read=partial(_records, look),
-        substitutes=tuple(look.substitutes()),
     )
 
 
@@ -231,18 +190,19 @@ def opened(path: Path, system_id: int | None) -> Log | None:
 
 
 def _records(look: _Look, log: Log) -> Iterator[Record]:
+    log.odd[Odd.NO_KIND] = int(look.mav_type is None)
     return made.made(
         log,
         _told(log),
         _Messages(look).of,
         epoch_us=look.epoch_us,
-        start_us=earliest(look.times_us) if look.times_us else 0,
+        start_us=earliest(look.times_us),
     )
 
 
 def _told(log: Log) -> Iterator[Row]:
     """What is translated; what the logger could not write (DSF.Dp) is counted."""
-    for row in _rows(log.path, log.odd, {*ROWS, "DSF"}, Counter()):
+    for row in _rows(log.path, log.odd, _ROWS):
         lost = row.values.get("Dp")
         if row.name != "DSF":
             yield row
@@ -256,9 +216,7 @@ class _Messages:
 
     def __init__(self, look: _Look) -> None:
         self._mav_type, self._epoch_us = look.mav_type, look.epoch_us
-        self._has_position = look.counts["POS"] > 0
-        self._velocity_of_gps = look.counts["XKF1"] == 0
-        self._pace = made.Pace()
+        self._is_due = made.Pace().is_due
         self._mode: int | None = None
         self._armed, self._landed = False, wire.MAV_LANDED_STATE_UNDEFINED
         self._failsafes: set[int] = set()
@@ -266,9 +224,6 @@ class _Messages:
         """By estimator core: when, and north, east, down, m/s."""
         self._core = 0
         self._yaw_deg = math.nan
-        self._home_alt_m: float | None = None
-        self._accuracy: Values = {}
-        self._capacity_mah = 0.0
         self._texts = 0
 
     def of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
@@ -276,9 +231,9 @@ class _Messages:
         before = self._mode, self._armed, bool(self._failsafes), self._landed
         yield from self._of(name, values, boot_us)
         changed = before != (self._mode, self._armed, bool(self._failsafes), self._landed)
-        if self._pace.is_due("heartbeat", boot_us) or changed:
+        if self._is_due("heartbeat", boot_us) or changed:
             yield from self._state()
-        if self._pace.is_due("clock", boot_us):
+        if self._is_due("clock", boot_us):
             yield made.system_time(self._epoch_us, boot_us)
 
     def _of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
@@ -304,18 +259,21 @@ class _Messages:
             case "ATT":
                 self._yaw_deg = values["Yaw"]
             case "POS":
-                yield from self._position(values, values.get("RelHomeAlt", 0.0), boot_us)
-            case "ORGN":
-                yield from self._origin(values, boot_us)
-            case "GPA" if values.get("I", 0) == 0:
-                self._accuracy = values
+                yield from self._position(values, boot_us)
+            case "ORGN" if values["Type"] == 0:
+                yield wire.MAVLink_gps_global_origin_message(*wired(_place(values)), boot_us)
+            case "ORGN" if values["Type"] == 1:
+                level = [1.0, 0.0, 0.0, 0.0]
+                told = (*wired(_place(values)), 0, 0, 0, level, 0, 0, 0, boot_us)
+                yield wire.MAVLink_home_position_message(*told)
             case "GPS" if values.get("I", 0) == 0:
-                yield from self._gps(values, boot_us)
+                yield self._gps(values, boot_us)
             case "BAT" if values.get("Inst", values.get("Instance", values.get("I", 0))) == 0:
-                yield from self._battery(values, boot_us)
+                if self._is_due("battery", boot_us):
+                    percent = values.get("RemPct", -1)
+                    percent = percent if 0 <= percent <= 100 else -1
+                    yield made.battery(values["Volt"], values.get("Curr", 0.0), percent)
             case "PARM":
-                if values["Name"] == "BATT_CAPACITY" and math.isfinite(values["Value"]):
-                    self._capacity_mah = values["Value"]
                 yield made.parameter(values["Name"], values["Value"])
             case "MSG":
                 self._texts = self._texts % 0xFFFF + 1
@@ -337,76 +295,40 @@ class _Messages:
         if self._landed != wire.MAV_LANDED_STATE_UNDEFINED:
             yield made.ground(self._landed)
 
-    def _position(self, values: Values, above_m: float, boot_us: int) -> Iterator[Message]:
-        """GLOBAL_POSITION_INT of POS, or of GPS; none without a velocity of the same moment."""
-        velocity = self._velocities.get(_GPS if self._velocity_of_gps else self._core)
+    def _position(self, values: Values, boot_us: int) -> Iterator[Message]:
+        """GLOBAL_POSITION_INT; none without a velocity of the same moment."""
+        velocity = self._velocities.get(self._core)
         if velocity is None or boot_us - velocity[0] > _FRESH_US:
             return
-        if self._pace.is_due("position", boot_us):
+        if self._is_due("position", boot_us):
             yield wire.MAVLink_global_position_int_message(
                 made.boot_ms(boot_us),
-                *(*wired(_place(values)), round(above_m * 1e3)),
+                *(*wired(_place(values)), round(values.get("RelHomeAlt", 0.0) * 1e3)),
                 *(round(each * 100) for each in velocity[1:]),
                 direction(self._yaw_deg),
             )
 
-    def _origin(self, values: Values, boot_us: int) -> Iterator[Message]:
-        """GPS_GLOBAL_ORIGIN, or HOME_POSITION."""
-        place = wired(_place(values))
-        if values["Type"] == 0:
-            yield wire.MAVLink_gps_global_origin_message(*place, boot_us)
-        elif values["Type"] == 1:
-            self._home_alt_m = values["Alt"]
-            level = [1.0, 0.0, 0.0, 0.0]
-            yield wire.MAVLink_home_position_message(*place, 0, 0, 0, level, 0, 0, 0, boot_us)
-
-    def _gps(self, values: Values, boot_us: int) -> Iterator[Message]:
-        """GPS_RAW_INT, and without POS the position."""
-        speed_mps, course_deg, accuracy = values["Spd"], values["GCrs"], self._accuracy
-        vertical, ellipsoid_m = accuracy.get("VDop"), accuracy.get("AEl", accuracy.get("AE", 0.0))
-        yield wire.MAVLink_gps_raw_int_message(
+    def _gps(self, values: Values, boot_us: int) -> Message:
+        """GPS_RAW_INT."""
+        speed_cm_s = whole(values["Spd"] * 100, 0, 65535)
+        return wire.MAVLink_gps_raw_int_message(
             *(boot_us, values["Status"], *wired(_place(values))),
-            whole(values["HDop"] * 100, 0, 65535),
-            65535 if vertical is None else whole(vertical * 100, 0, 65535),
-            *(whole(speed_mps * 100, 0, 65535), direction(course_deg), values["NSats"]),
-            alt_ellipsoid=round(ellipsoid_m * 1e3),
-            h_acc=thousandths(accuracy.get("HAcc", 0.0)),
-            v_acc=thousandths(accuracy.get("VAcc", 0.0)),
-            vel_acc=thousandths(accuracy.get("SAcc", 0.0)),
+            *(whole(values["HDop"] * 100, 0, 65535), 65535),
+            *(speed_cm_s, direction(values["GCrs"]), values["NSats"]),
         )
-        if values["Status"] < wire.GPS_FIX_TYPE_3D_FIX:
-            return
-        angle = math.radians(course_deg)
-        velocity = (speed_mps * math.cos(angle), speed_mps * math.sin(angle), values.get("VZ", 0.0))
-        self._velocities[_GPS] = (boot_us, *velocity)
-        if not self._has_position:
-            above_m = 0.0 if self._home_alt_m is None else values["Alt"] - self._home_alt_m
-            yield from self._position(values, above_m, boot_us)
 
     def _estimator(self, values: Values, boot_us: int) -> Iterator[Message]:
         """EKF_STATUS_REPORT of the primary core's XKF4."""
         self._core = max(values.get("PI", 0), 0)
-        if values.get("C", 0) != self._core or not self._pace.is_due("estimator", boot_us):
+        if values.get("C", 0) != self._core or not self._is_due("estimator", boot_us):
             return
         status = values["SS"]
-        flags = sum(flag for bit, flag in _FLAGS if status & bit)
+        flags = status & _SAME | (wire.EKF_GPS_GLITCHING if status & _GLITCHING else 0)
         if not status & (_INITIALISED if status >= _INITIALISED else wire.EKF_ATTITUDE):
             flags |= wire.EKF_UNINITIALIZED
         variances = (values["SV"], values["SP"], values["SH"], values["SM"], 0.0)
         airspeed = values["SVT"]
         yield wire.MAVLink_ekf_status_report_message(flags, *variances, airspeed_variance=airspeed)
-
-    def _battery(self, values: Values, boot_us: int) -> Iterator[Message]:
-        """SYS_STATUS; without RemPct, of what was used and BATT_CAPACITY, as ArduPilot reckons."""
-        if not self._pace.is_due("battery", boot_us):
-            return
-        percent, full_mah = values.get("RemPct"), self._capacity_mah
-        if percent is None and full_mah > 0:
-            left_mah = full_mah - values.get("CurrTot", 0.0)
-            percent = whole(100 * left_mah / full_mah, 0, 100)
-        elif percent is None or not 0 <= percent <= 100:
-            percent = -1
-        yield made.battery(values["Volt"], values.get("Curr", 0.0), percent)
 
 
 def _place(values: Values) -> tuple[float, float, float]:

@@ -3,7 +3,7 @@
 import enum
 import itertools
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal, NamedTuple, final
@@ -20,8 +20,6 @@ _BACK_US: Final = 1_000_000
 """A clock that falls by more was set, or replaced."""
 _GAP_US: Final = 600_000_000
 """A step ahead by more is doubted."""
-_JITTER_US: Final = 1_000
-"""Programs that log in several threads, or a link's number in the last bits, make less."""
 
 
 @final
@@ -46,17 +44,20 @@ class Odd(enum.StrEnum):
     UNREADABLE = "the file could not be read on"
     SECRET = "{} messages with a key or password were left out"
     SIGNED = "{} messages are signed: no signature was checked"
-    MAVLINK_1 = "{} messages are of MAVLink 1"
     OTHER_VEHICLE = "{} messages of other vehicles were left out"
-    NO_STAMPS = "no time stamps that are dates: time is the vehicle's clock, as if booted in 1970"
     NO_STAMP = "{} messages without a time stamp: each has the time of the one before"
     WRONG_STAMP = "{} time stamps make no sense: not believed"
     NO_DATE = "nothing tells the date: time counts from the vehicle's boot, as if in 1970"
     TIME_BACK = "time falls back by more than a second, {} in all: read on without a step"
-    TIME_JITTER = "{} time stamps are up to a second before the one before"
     TIME_GAP = "{} gaps of more than ten minutes"
     LOST_TIME = "the vehicle says that it could not write its log for {} milliseconds"
     LOST_ENTRIES = "the vehicle says that it could not write {} entries of its log"
+    NO_KIND = "no entry (VER, MSG) tells which kind of vehicle it is: no HEARTBEAT is made"
+    CLOCK_IS_DATE = "the vehicle's clock is a date: its boot is taken to be the log's beginning"
+    MADE_ESTIMATOR = (
+        "ESTIMATOR_STATUS is made of vehicle_local_position and estimator_status_flags: there is "
+        "no estimator_status"
+    )
 
     def said(self, count: int) -> str:
         """The text."""
@@ -67,15 +68,12 @@ class Odd(enum.StrEnum):
 
 Kind = Literal["tlog", "bin", "ulg"]
 _ESTIMATOR: Final = "whether its estimator may be believed"
-_VITAL: Final = {
+_NEEDED: Final = {
     "HEARTBEAT": "which autopilot it is, its mode and whether it is armed",
     "GLOBAL_POSITION_INT": "where the vehicle is: nothing is planned",
     "GPS_RAW_INT": "whether its GPS has a fix",
     "EKF_STATUS_REPORT": _ESTIMATOR,
     "ESTIMATOR_STATUS": _ESTIMATOR,
-}
-"""What is impossible without a message; without these it does not fly."""
-_USEFUL: Final = {
     "EXTENDED_SYS_STATE": "whether it stands on the ground",
     "HOME_POSITION": "where home is, and how high",
     "GPS_GLOBAL_ORIGIN": "what its local frame is measured from",
@@ -83,39 +81,8 @@ _USEFUL: Final = {
     "PARAM_VALUE": "its parameters: they are not judged",
     "STATUSTEXT": "what it said",
 }
-_REMEDY: Final = "What to record, and how: docs/logs.md"
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class Missing:
-    """A message that the companion needs and a log lacks."""
-
-    message: str
-    """Its MAVLink name; of several that serve alike, joined by "or"."""
-    without: str
-    """What is impossible without it."""
-    vital: bool
-    """Whether the companion needs it to fly."""
-    remedy: str = _REMEDY
-
-    def __str__(self) -> str:
-        return f"{self.message} is missing: {self.without}. {self.remedy}"
-
-
-def missing_of(autopilot: int | None, heard: Collection[str]) -> tuple[Missing, ...]:
-    """What of all that is missing from a log.
-
-    autopilot: MAV_AUTOPILOT, None if it is not known; heard: MAVLink names that the log has.
-    """
-    ways = [each for each in ALL if autopilot in (None, each.firmware.number)]
-    decoded = {wire.mavlink_map[number].msgname for each in ways for number in each.decoders}
-    return tuple(
-        Missing(message, without, message in _VITAL)
-        for message, without in (_VITAL | _USEFUL).items()
-        if not any(each in heard for each in message.split(" or "))
-        and (without is not _ESTIMATOR or message in decoded)
-    )
+"""What is impossible without a message; without the first five it does not fly."""
+HOW_TO_RECORD: Final = "What to record, and how: docs/logs.md"
 
 
 # --- a log, opened
@@ -137,14 +104,8 @@ class Log:
     """MAV_AUTOPILOT; None: nothing tells."""
     read: Callable[["Log"], Iterator[Record]]
     """One pass through it: notes in the log how far it is, what is odd and what it heard."""
-    substitutes: tuple[str, ...] = ()
-    """What is made of something else than usual, in words."""
     elsewhere: frozenset[tuple[int, int]] = frozenset()
     """System and component of what sends an autopilot's heartbeat and is not component 1."""
-    size_bytes: int = 0
-    """Of the file, when it was opened."""
-    read_bytes: int = 0
-    """How far `records` has come."""
     odd: Counter[Odd] = field(default_factory=Counter)
     """How often each oddity was met, as far as `records` has come."""
     heard: set[int] = field(default_factory=set)
@@ -153,12 +114,22 @@ class Log:
     @property
     def findings(self) -> tuple[str, ...]:
         """What is odd about it, as far as `records` has come."""
-        return (*self.substitutes, *(odd.said(n) for odd, n in self.odd.items() if n > 0))
+        return tuple(odd.said(n) for odd, n in self.odd.items() if n > 0)
 
-    def missing(self) -> tuple[Missing, ...]:
-        """What the companion listens to and never came; once `records` has come to the end."""
-        names = {KINDS[each].msgname for each in self.heard if each in wire.mavlink_map}
-        return missing_of(self.autopilot, names)
+    def missing(self) -> dict[str, str]:
+        """What never came of what the companion listens to, once `records` has come to the end.
+
+        MAVLink names (of several that serve alike, joined by "or"), and what is impossible without.
+        """
+        heard = {KINDS[each].msgname for each in self.heard if each in wire.mavlink_map}
+        ways = [each for each in ALL if self.autopilot in (None, each.firmware.number)]
+        decoded = {wire.mavlink_map[number].msgname for each in ways for number in each.decoders}
+        return {
+            message: without
+            for message, without in _NEEDED.items()
+            if heard.isdisjoint(message.split(" or "))
+            and (without is not _ESTIMATOR or message in decoded)
+        }
 
     def records(self) -> Iterator[Record]:
         """All of it, in order; each call begins again, and so do the findings.
@@ -167,7 +138,6 @@ class Log:
         """
         self.odd.clear()
         self.heard.clear()
-        self.read_bytes = 0
         try:
             yield from self.read(self)
         except OSError:
@@ -182,20 +152,17 @@ def chosen(
 ) -> int | None:
     """The selected vehicle; InputError if it is ambiguous.  elsewhere: as of `Log`."""
     those = ", ".join(str(each) for each in systems)
-    if asked is not None:
-        if asked not in systems:
-            rule = f"there is no such vehicle in {path.name}"
-            if those_elsewhere := sorted(each for each in elsewhere if each[0] == asked):
-                rule += f": its autopilot is {ids_in_words(those_elsewhere)}, not component 1"
-                raise InputError("--system", asked, rule, TO_COMPONENT_1)
-            there = f"There is system {those}" if len(systems) == 1 else f"There are {those}"
-            none = "There is no autopilot's heartbeat in it: leave --system out"
-            raise InputError("--system", asked, rule, f"{there if systems else none}.")
-        return asked
-    if len(systems) > 1:
+    if asked is None and len(systems) > 1:
         rule = f"several vehicles are in it, systems {those}"
         raise InputError("log", str(path), rule, "Choose one with --system.")
-    return systems[0] if systems else None
+    if asked is None or asked in systems:
+        return asked or next(iter(systems), None)
+    rule = f"there is no such vehicle in {path.name}"
+    if of_it := sorted(each for each in elsewhere if each[0] == asked):
+        rule += f": its autopilot is {ids_in_words(of_it)}, not component 1"
+        raise InputError("--system", asked, rule, TO_COMPONENT_1)
+    none = "There is no autopilot's heartbeat in it: leave --system out."
+    raise InputError("--system", asked, rule, f"Its vehicles: {those}." if systems else none)
 
 
 @final
@@ -206,32 +173,19 @@ class Clock:
     goes on.  After a fall time continues from where it was.
     """
 
-    def __init__(
-        self,
-        odd: Counter[Odd],
-        *,
-        first_us: int,
-        last_us: int,
-        start_us: int | None = None,
-        jitter_us: int = _JITTER_US,
-    ) -> None:
-        """first_us, last_us: the stamps that make sense at all.
-
-        start_us: the first one, from which others are doubted; None: the first that makes sense.
-        jitter_us: a step back by less is not worth a word.
-        """
-        self._odd, self._first_us, self._last_us = odd, first_us, last_us
-        self._jitter_us = jitter_us
-        self._stamp_us, self._shift_us = start_us, 0
+    def __init__(self, odd: Counter[Odd], *, start_us: int, last_us: int) -> None:
+        """start_us: the first stamp, from which others are doubted; none is beyond last_us."""
+        self._odd, self._last_us = odd, last_us
+        self._stamp_us = self.now_us = start_us
+        self._shift_us = 0
         self._doubted_us: int | None = None
-        self.now_us = first_us if start_us is None else start_us
 
     def read(self, stamp_us: int) -> bool:
         """Go on to a stamp, in microseconds; whether it is believed."""
-        if not self._first_us <= stamp_us < self._last_us:
+        if stamp_us >= self._last_us:
             self._odd[Odd.WRONG_STAMP] += 1
             return False
-        step_us = 0 if self._stamp_us is None else stamp_us - self._stamp_us
+        step_us = stamp_us - self._stamp_us
         if not -_BACK_US <= step_us <= _GAP_US:
             if self._doubted_us is None or not agree(self._doubted_us, stamp_us):
                 self._doubted_us = stamp_us
@@ -241,8 +195,6 @@ class Clock:
             self._odd[Odd.TIME_BACK if step_us < 0 else Odd.TIME_GAP] += 1
             # no more of a shift than keeps it from falling: what leaps on and on stays bounded
             self._shift_us = max(self.now_us - stamp_us, 0)
-        elif step_us < -self._jitter_us:
-            self._odd[Odd.TIME_JITTER] += 1
         self._stamp_us, self._doubted_us = stamp_us, None
         self.now_us = max(self.now_us, stamp_us + self._shift_us)
         return True
@@ -256,4 +208,4 @@ def agree(stamp_us: int, next_us: int) -> bool:
 def earliest(stamps_us: list[int]) -> int:
     """Where a log begins, by its first stamps: the first that the one after it agrees with."""
     pairs = itertools.pairwise(stamps_us)
-    return next((now for now, after in pairs if agree(now, after)), stamps_us[0])
+    return next((now for now, after in pairs if agree(now, after)), next(iter(stamps_us), 0))

@@ -18,8 +18,6 @@ from companion.telemetry.logs.log import Clock, Log, Odd, Record
 
 LONGEST_US: Final = 366 * 86_400 * 1_000_000
 """No vehicle is up for longer than a year."""
-_JITTER_US: Final = 1_000_000
-"""Entries are written by several tasks: a step back by less is not worth a word."""
 _TEXT_BYTES: Final = 50
 _MAX_CHUNKS: Final = 6
 _PERIODS_US: Final = {
@@ -49,8 +47,6 @@ class Row(NamedTuple):
     time_us: int | None
     """Microseconds since boot; None: that of the entry before."""
     values: Values
-    byte: int
-    """How far the file has been read."""
 
 
 def made(
@@ -65,12 +61,9 @@ def made(
         log.odd[Odd.NO_DATE] = 1
     boot_us = epoch_us or 0
     last_us, start_us = boot_us + LONGEST_US, boot_us + start_us
-    clock = Clock(
-        log.odd, first_us=boot_us, last_us=last_us, start_us=start_us, jitter_us=_JITTER_US
-    )
+    clock = Clock(log.odd, start_us=start_us, last_us=last_us)
     codec = wire.MAVLink(None, srcSystem=log.system_id, srcComponent=AUTOPILOT_COMPONENT)
     for row in rows:
-        log.read_bytes = row.byte
         if row.time_us is not None and not clock.read(boot_us + row.time_us):
             continue
         try:
@@ -83,7 +76,6 @@ def made(
         log.heard.update(message.get_msgId() for message in messages)
         for frame in frames:
             yield Record(clock.now_us, frame)
-    log.read_bytes = log.path.stat().st_size
 
 
 @contextmanager

@@ -1,9 +1,8 @@
-"""MAVLink frames as ground stations, routers and companions log them: .tlog, .raw, .rlog.
+"""MAVLink frames as ground stations, routers and companions log them: .tlog.
 
-A .tlog has 8 bytes before each frame: microseconds since 1970, big-endian (MAVProxy and pymavlink
-keep the number of a link in the last two bits; Mission Planner's are out of order by some
-microseconds).  MAVProxy's .raw and Mission Planner's .rlog have none.  Where there are no stamps,
-or they are no dates, time is the vehicle's clock.
+It has 8 bytes before each frame: microseconds since 1970, big-endian (MAVProxy and pymavlink keep
+the number of a link in the last two bits; Mission Planner's are out of order by some microseconds).
+Of a computer that does not know the date they count from 1970 all the same.
 """
 
 import re
@@ -12,14 +11,12 @@ from collections.abc import Iterator
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
+from companion.errors import InputError
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, KINDS, wire
 from companion.mavlink.frames import (
     LONGEST,
-    V1,
-    V2,
-    boot_ms_of,
     find_marker,
     frame_extent,
     intact_end,
@@ -29,7 +26,6 @@ from companion.mavlink.frames import (
 )
 from companion.mavlink.signing import SECRETS, is_signed
 from companion.telemetry.logs.log import (
-    YEAR_2000_US,
     YEAR_2100_US,
     Clock,
     Log,
@@ -45,7 +41,7 @@ _STAMP: Final = 8
 _AHEAD: Final = 2 * (_STAMP + LONGEST)
 """A record, and the one after it."""
 _SAMPLE: Final = 200
-"""Frames that tell what the stamps are."""
+"""Frames that tell whether there are stamps, and the first of them."""
 _HEARTBEAT: Final = re.compile(
     rb"\xfd[\x06-\x09][\x00\x01]..[^\x00].\x00\x00\x00|\xfe\x09.[^\x00].\x00", re.DOTALL
 )
@@ -56,43 +52,29 @@ _NO_AUTOPILOTS: Final = (wire.MAV_TYPE_GCS, wire.MAV_TYPE_ONBOARD_CONTROLLER)
 def opened(path: Path, system_id: int | None) -> Log | None:
     """A log of MAVLink frames; None: there is none in it.
 
-    InputError if it is not clear which vehicle is meant.
+    InputError if they have no time stamps, or it is not clear which vehicle is meant.
     """
-    stamp_bytes, start_us = _stamps_of(path)
-    if stamp_bytes is None:
+    framed = (each for each in _framed(path, Counter()) if number_of(each[1]) in KINDS)
+    stamps = [stamp for stamp, _ in islice(framed, _SAMPLE)]
+    times_us = [int.from_bytes(each) for each in stamps if len(each) == _STAMP]
+    if not stamps:
         return None
+    if 2 * len(times_us) < len(stamps):
+        remedy = "Give the .tlog that was written beside it."
+        raise InputError("log", str(path), "its messages have no time stamps", remedy)
     autopilots, elsewhere = _autopilots_of(path)
     systems = tuple(sorted(autopilots))
     vehicle = chosen(path, systems, system_id, elsewhere)
+    start_us = earliest([each for each in times_us if each < YEAR_2100_US])
     return Log(
         kind="tlog",
         path=path,
         systems=systems,
         system_id=vehicle,
         autopilot=autopilots.get(vehicle or 0),
-        read=partial(_records, stamp_bytes, start_us),
+        read=partial(_records, start_us),
         elsewhere=elsewhere,
     )
-
-
-# --- the first look
-
-
-def _stamps_of(path: Path) -> tuple[int | None, int | None]:
-    """How many bytes a stamp has, and the earliest; None, None: there is no intact frame.
-
-    None for the earliest: they are no dates.
-    """
-    frames = (each for each in _framed(path, 0, Counter()) if each.is_known)
-    stamps = [each.stamp for each in islice(frames, _SAMPLE)]
-    if not stamps:
-        return None, None
-    if stamps.count(b"") > sum(len(each) == _STAMP for each in stamps):
-        return 0, None
-    times_us = [int.from_bytes(each) for each in stamps if len(each) == _STAMP]
-    dates_us = [each for each in times_us if YEAR_2000_US <= each < YEAR_2100_US]
-    is_dated = bool(dates_us) and 2 * len(dates_us) >= sum(each > 0 for each in times_us)
-    return _STAMP, earliest(dates_us) if is_dated else None
 
 
 def _autopilots_of(path: Path) -> tuple[dict[int, int], frozenset[tuple[int, int]]]:
@@ -119,61 +101,47 @@ def _autopilots_of(path: Path) -> tuple[dict[int, int], frozenset[tuple[int, int
 # --- frames in the bytes of a file
 
 
-class _Framed(NamedTuple):
-    """A frame of a file, and what stands around it."""
+def _framed(path: Path, odd: Counter[Odd]) -> Iterator[tuple[bytes, bytes]]:
+    """Stamps and frames of a file in order, in bounded memory; what is passed over is counted.
 
-    stamp: bytes
-    """What is before it, since the last frame: the last 8 bytes at most."""
-    frame: bytes
-    end: int
-    """Where it ends in the file."""
-    is_known: bool = True
-    """Else its kind is not, and so neither whether its checksum is right."""
-
-
-def _framed(path: Path, stamp_bytes: int, odd: Counter[Odd]) -> Iterator[_Framed]:
-    """The frames of a file in order, in bounded memory; what is passed over is counted.
-
-    stamp_bytes: before each frame.  One wrong byte costs two frames at most.
+    A stamp is what stands before a frame, since the last one: 8 bytes at most.  Of frames whose
+    kind is not known the checksum is not, either.  One wrong byte costs two frames at most.
     """
-    data, base, at, more = b"", 0, 0, True
+    data, at, more = b"", 0, True
     with path.open("rb") as file:
         while more or at < len(data):
             if more and at + _AHEAD > len(data):
                 portion = file.read(_PORTION)
-                data, base, at, more = data[at:] + portion, base + at, 0, bool(portion)
+                data, at, more = data[at:] + portion, 0, bool(portion)
                 continue
-            begin = at + stamp_bytes
-            end = intact_end(data, begin)
-            if end:
-                yield _Framed(data[at:begin], data[begin:end], base + end)
+            begin = at + _STAMP
+            if end := intact_end(data, begin) or _unknown_end(data, begin):
+                yield data[at:begin], data[begin:end]
                 at = end
                 continue
-            end, number = frame_extent(data, begin) if _may_begin(data, begin) else (0, None)
-            is_whole, is_last = number is not None and end <= len(data), end == len(data)
-            after = end + stamp_bytes
-            if is_whole and number not in KINDS and (is_last or _may_begin(data, after)):
-                yield _Framed(data[at:begin], data[begin:end], base + end, is_known=False)
-                at = end
-            elif is_whole and number in KINDS and (is_last or intact_end(data, after)):
+            until = len(data) - LONGEST if more else len(data)  # beyond, more may be needed
+            found, end = _next_intact(data, at, until)
+            stamp = data[max(at, found - _STAMP) : found] if end else b""
+            after = found - (_STAMP if len(stamp) == _STAMP else 0)
+            if more and not end:
+                after -= _STAMP  # the stamp of the next one may be among the last bytes
+            if _may_begin(data, begin) and frame_extent(data, begin)[0] == after:
                 odd[Odd.CHECKSUM] += 1
-                at = end
             else:
-                is_cut = not is_whole and (end > len(data) or begin >= len(data))
-                until = len(data) - LONGEST if more else len(data)  # beyond, more may be needed
-                begin, end = _next_intact(data, at, until)
-                stamp = data[max(at, begin - _STAMP) : begin]
-                passed = begin - at - (stamp_bytes if len(stamp) == _STAMP else 0)
-                if end:
-                    odd[Odd.GARBAGE] += passed
-                    yield _Framed(stamp, data[begin:end], base + end)
-                    at = end
-                elif more:  # the stamp of the next one may be among the last bytes
-                    odd[Odd.GARBAGE] += until - _STAMP - at
-                    at = until - _STAMP
-                else:
-                    odd[Odd.CUT_SHORT if is_cut else Odd.GARBAGE] += until - at
-                    at = until
+                is_cut = not (more or end) and after - at < _STAMP + LONGEST
+                odd[Odd.CUT_SHORT if is_cut else Odd.GARBAGE] += after - at
+            if end:
+                yield stamp, data[found:end]
+            at = end or after
+
+
+def _unknown_end(data: bytes, at: int) -> int:
+    """End of what may be a frame of an unknown kind, if another seems to follow it; else 0."""
+    if not _may_begin(data, at):
+        return 0
+    end, number = frame_extent(data, at)
+    is_one = number is not None and number not in KINDS and end <= len(data)
+    return end if is_one and (end == len(data) or _may_begin(data, end + _STAMP)) else 0
 
 
 def _next_intact(data: bytes, at: int, until: int) -> tuple[int, int]:
@@ -188,47 +156,28 @@ def _next_intact(data: bytes, at: int, until: int) -> tuple[int, int]:
 
 def _may_begin(data: bytes, at: int) -> bool:
     """Whether there is what a frame can begin with, as far as it can be told."""
-    if at >= len(data):
-        return False
-    if data[at] == V2:
-        return at + 2 >= len(data) or data[at + 2] <= 1
-    return data[at] == V1
+    found = find_marker(data, at, at + 3)
+    return found is not None and found.start() == at
 
 
-def _records(stamp_bytes: int, start_us: int | None, log: Log) -> Iterator[Record]:
-    """All frames, but those of other vehicles and those with secrets.
-
-    start_us: the earliest stamp; None: stamps are no dates, and time is the vehicle's.
-    """
-    odd, first_us = log.odd, 0 if start_us is None else YEAR_2000_US
-    clock = Clock(odd, first_us=first_us, last_us=YEAR_2100_US, start_us=start_us)
-    if start_us is None:
-        odd[Odd.NO_STAMPS] = 1
+def _records(start_us: int, log: Log) -> Iterator[Record]:
+    """All frames, but those of other vehicles and those with secrets; start_us: the first stamp."""
+    odd = log.odd
+    clock = Clock(odd, start_us=start_us, last_us=YEAR_2100_US)
     others = frozenset(log.systems) - {log.system_id}
-    for stamp, frame, end, is_known in _framed(log.path, stamp_bytes, odd):
-        log.read_bytes = end
+    for stamp, frame in _framed(log.path, odd):
         number, (system, component) = number_of(frame), sender_of(frame)
-        is_ours = component == AUTOPILOT_COMPONENT and log.system_id in (None, system)
-        if start_us is None:
-            boot_ms = boot_ms_of(frame, number) if is_ours else None
-            if boot_ms is not None:
-                clock.read(boot_ms * 1000)
-        elif len(stamp) == _STAMP:
+        if len(stamp) == _STAMP:
             clock.read(int.from_bytes(stamp))
         else:
             odd[Odd.NO_STAMP] += 1
-        if not is_known:
-            odd[Odd.UNKNOWN] += 1
+        odd[Odd.UNKNOWN] += number not in KINDS
         if system in others:
             odd[Odd.OTHER_VEHICLE] += 1
         elif number in SECRETS:
             odd[Odd.SECRET] += 1
         else:
-            if frame[0] == V1:
-                odd[Odd.MAVLINK_1] += 1
-            elif is_signed(frame):
-                odd[Odd.SIGNED] += 1
-            if is_ours:
+            odd[Odd.SIGNED] += is_signed(frame)
+            if component == AUTOPILOT_COMPONENT and log.system_id in (None, system):
                 log.heard.add(number)
             yield Record(clock.now_us, frame)
-    log.read_bytes = log.path.stat().st_size

@@ -6,9 +6,9 @@ import math
 import re
 from collections.abc import Iterator
 from functools import partial
-from operator import itemgetter
+from operator import attrgetter
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 from pyulog import ULog, core
@@ -63,6 +63,7 @@ _LEAVING: Final = {
 }
 """nav_state -> MAV_LANDED_STATE, off the ground; else in the air."""
 _PLACE: Final = ("latitude_deg", "longitude_deg", "altitude_msl_m")
+_TIME: Final = attrgetter("time_us")
 _COLOURS: Final = re.compile(r"\x1b\[[0-9;]*m")
 
 
@@ -97,36 +98,29 @@ def _topics(log: ULog) -> dict[str, ULog.Data]:
     return {name: found[name] for name in sorted(found, reverse=True)}
 
 
-def _rows(log: ULog, size: int) -> Iterator[Row]:
-    """Parameters, texts and data, by time; size: of the file."""
+def _rows(log: ULog) -> Iterator[Row]:
+    """Parameters, texts and data, by time."""
     texts = (*log.logged_messages, *itertools.chain(*log.logged_messages_tagged.values()))
-    rows: list[_Timed] = [
-        (each.timestamp, "text", {"level": each.log_level, "text": each.message}) for each in texts
+    rows = [
+        Row("text", each.timestamp, {"level": each.log_level, "text": each.message})
+        for each in texts
     ]
     for time_us, key, value in log.changed_parameters:
-        rows.append((time_us, "parameter", {"key": key, "value": value}))
+        rows.append(Row("parameter", time_us, {"key": key, "value": value}))
     rows.sort(key=_TIME)
-    topics = _topics(log).values()
-    count = max(len(rows) + sum(len(each.data["timestamp"]) for each in topics), 1)
     for key, value in log.initial_parameters.items():
-        yield Row("parameter", None, {"key": key, "value": value}, 0)
-    merged = heapq.merge(rows, *map(_data, topics), key=_TIME)
-    for number, (time_us, name, values) in enumerate(merged):
-        yield Row(name, time_us, values, size * number // count)
+        yield Row("parameter", None, {"key": key, "value": value})
+    yield from heapq.merge(rows, *map(_data, _topics(log).values()), key=_TIME)
 
 
-_Timed = tuple[int, str, dict[str, Any]]
-_TIME: Final = itemgetter(0)
-
-
-def _data(topic: ULog.Data) -> Iterator[_Timed]:
+def _data(topic: ULog.Data) -> Iterator[Row]:
     """The messages of a topic by time."""
     order = np.argsort(topic.data["timestamp"], kind="stable")
     for some in np.split(order, range(_CHUNK, len(order), _CHUNK)):
         columns = [column[some].tolist() for column in topic.data.values()]
         for row in zip(*columns, strict=True):
             values = dict(zip(topic.data, row, strict=True))
-            yield values["timestamp"], topic.name, values
+            yield Row(topic.name, values["timestamp"], values)
 
 
 # --- the first look
@@ -143,15 +137,16 @@ def opened(path: Path, system_id: int | None) -> Log | None:
     release = log.msg_info_dict.get("ver_sw_release")
     if isinstance(release, int) and release >= 1 << 24:  # else built from no release
         made.refuse_older(path, "PX4", (release >> 24, release >> 16 & 0xFF), _OLDEST)
-    stamps = (row.time_us for row in _rows(log, 0) if row.time_us is not None)
+    stamps = (row.time_us for row in _rows(log) if row.time_us is not None)
     known_us = list(itertools.islice(stamps, _SAMPLE))
     if not known_us and not log.initial_parameters:
         return None
-    start_us, begun_us = earliest(known_us) if known_us else 0, log.start_timestamp
+    start_us, begun_us = earliest(known_us), log.start_timestamp
     if known_us and 0 <= known_us[len(known_us) // 2] - begun_us < made.LONGEST_US:
         start_us = begun_us
-    system = _parameters(log).get("MAV_SYS_ID", 1)
-    systems = (int(system) if 1 <= system <= 255 else 1,)
+    changed = {name: value for _, name, value in log.changed_parameters}
+    system = (log.initial_parameters | changed).get("MAV_SYS_ID", 1)
+    systems = (system if isinstance(system, int) and 1 <= system <= 255 else 1,)
     return Log(
         kind="ulg",
         path=path,
@@ -159,26 +154,7 @@ def opened(path: Path, system_id: int | None) -> Log | None:
         system_id=chosen(path, systems, system_id),
         autopilot=int(wire.MAV_AUTOPILOT_PX4),
         read=partial(_records, log, start_us),
-        substitutes=tuple(_substitutes(log, is_dated=start_us >= YEAR_2000_US)),
     )
-
-
-def _parameters(log: ULog) -> dict[str, float]:
-    """By name, as they were in the end."""
-    changed = {name: value for _, name, value in log.changed_parameters}
-    everything = log.initial_parameters | changed
-    return {name: value for name, value in everything.items() if isinstance(value, int | float)}
-
-
-def _substitutes(log: ULog, *, is_dated: bool) -> Iterator[str]:
-    if is_dated:
-        yield "the vehicle's clock is a date: its boot is taken to be the log's beginning"
-    topics = _topics(log)
-    if "vehicle_local_position" in topics and "estimator_status" not in topics:
-        yield (
-            "ESTIMATOR_STATUS is made of vehicle_local_position and "
-            "estimator_status_flags: there is no estimator_status"
-        )
 
 
 def _epoch_us(log: ULog) -> int | None:
@@ -197,13 +173,16 @@ def _epoch_us(log: ULog) -> int | None:
 def _records(ulog: ULog, start_us: int, log: Log) -> Iterator[Record]:
     """start_us: when the log begins, by the vehicle's clock, which may be a date."""
     zero_us = start_us if start_us >= YEAR_2000_US else 0  # then that is taken for its boot
-    if ulog.file_corruption:
-        log.odd[Odd.CORRUPT] = 1
-    if ulog.dropouts:
-        log.odd[Odd.LOST_TIME] = sum(lost.duration for lost in ulog.dropouts)
+    topics = _topics(ulog)
+    log.odd[Odd.CORRUPT] = int(ulog.file_corruption)
+    log.odd[Odd.LOST_TIME] = sum(lost.duration for lost in ulog.dropouts)
+    log.odd[Odd.CLOCK_IS_DATE] = int(zero_us > 0)
+    log.odd[Odd.MADE_ESTIMATOR] = int(
+        "vehicle_local_position" in topics and "estimator_status" not in topics
+    )
     epoch_us = _epoch_us(ulog) or zero_us or None
-    rows = (_begun(row, start_us, zero_us) for row in _rows(ulog, log.size_bytes))
-    messages = _Messages(epoch_us, has_estimator="estimator_status" in _topics(ulog))
+    rows = (_begun(row, start_us, zero_us) for row in _rows(ulog))
+    messages = _Messages(epoch_us, has_estimator="estimator_status" in topics)
     return made.made(log, rows, messages.of, epoch_us=epoch_us, start_us=start_us - zero_us)
 
 
@@ -220,7 +199,7 @@ class _Messages:
 
     def __init__(self, epoch_us: int | None, *, has_estimator: bool) -> None:
         self._epoch_us, self._has_estimator = epoch_us, has_estimator
-        self._pace = made.Pace()
+        self._is_due = made.Pace().is_due
         self._status: Values = {}
         self._landed: bool | None = None
         self._local: Values = {}
@@ -232,9 +211,9 @@ class _Messages:
     def of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
         """Messages of one row."""
         yield from self._of(name, values, boot_us)
-        if self._status and self._pace.is_due("heartbeat", boot_us):
+        if self._status and self._is_due("heartbeat", boot_us):
             yield from self._state()
-        if self._status and self._pace.is_due("clock", boot_us):
+        if self._status and self._is_due("clock", boot_us):
             yield made.system_time(self._epoch_us, boot_us)
 
     def _of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
@@ -285,9 +264,6 @@ class _Messages:
             case _:
                 return  # not due, or of nothing that is known
 
-    def _is_due(self, what: str, boot_us: int) -> bool:
-        return self._pace.is_due(what, boot_us)
-
     def _state(self) -> Iterator[Message]:
         """HEARTBEAT and EXTENDED_SYS_STATE."""
         values, mode = self._status, self._status["nav_state"]
@@ -300,7 +276,7 @@ class _Messages:
                 state = wire.MAV_STATE_CRITICAL if values.get("failsafe") else wire.MAV_STATE_ACTIVE
             flags = wire.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
             flags |= wire.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
-            whose, (main, sub) = (_mav_type(values), wire.MAV_AUTOPILOT_PX4), _MODES[mode]
+            whose, (main, sub) = (values["system_type"], wire.MAV_AUTOPILOT_PX4), _MODES[mode]
             yield wire.MAVLink_heartbeat_message(*whose, flags, main << 16 | sub << 24, state, 3)
         if self._landed:
             yield made.ground(wire.MAV_LANDED_STATE_ON_GROUND)
@@ -391,13 +367,3 @@ def _made_estimator(values: Values, flags: Values, boot_us: int) -> Message:
         *(1.0 if each else math.nan for each in rejected),
         *(math.nan, math.nan, math.nan, values["eph"], values["epv"]),
     )
-
-
-def _mav_type(status: Values) -> int:
-    """MAV_TYPE of a vehicle_status."""
-    if status.get("system_type"):
-        return int(status["system_type"])
-    if status.get("is_vtol"):
-        return int(wire.MAV_TYPE_VTOL_RESERVED5)
-    is_rotary = status.get("vehicle_type") == 1
-    return int(wire.MAV_TYPE_QUADROTOR if is_rotary else wire.MAV_TYPE_FIXED_WING)
