@@ -11,14 +11,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
-from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, enum_word, wire
 from companion.mavlink.frames import payload_as_sent
 
-MESSAGES: Final = (
-    wire.MAVLINK_MSG_ID_PARAM_VALUE,
-    wire.MAVLINK_MSG_ID_PARAM_ERROR,
-    wire.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
-)
+MESSAGES: Final = (wire.MAVLINK_MSG_ID_PARAM_VALUE, wire.MAVLINK_MSG_ID_PARAM_ERROR)
 ANSWER_S: Final = 0.5
 """Time-out of a request before it is repeated."""
 _MAX_TRIES: Final = 5
@@ -36,11 +32,11 @@ _FORMATS: Final = {
 }
 """Of whole numbers; everything else is a float."""
 _LARGEST_FLOAT: Final = 3.4028234663852886e38
-_ERRORS: Final = {
-    wire.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE: "it says that the value is out of range",
-    wire.MAV_PARAM_ERROR_PERMISSION_DENIED: "it does not allow that",
-    wire.MAV_PARAM_ERROR_READ_ONLY: "it can only be read",
-}
+_REFUSALS: Final = (
+    wire.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE,
+    wire.MAV_PARAM_ERROR_PERMISSION_DENIED,
+    wire.MAV_PARAM_ERROR_READ_ONLY,
+)
 
 
 @final
@@ -159,8 +155,6 @@ class ParameterClient:
                     self._on_value(message)
             case wire.MAVLINK_MSG_ID_PARAM_ERROR:
                 self._on_error(message.param_id, message.error)
-            case wire.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
-                self._on_version(message.capabilities)
             case _:
                 return []
         return self.on_time(now_s)
@@ -183,39 +177,22 @@ class ParameterClient:
             self._lossy = self._lossy or request.tries > 1
             if request.value is not None:
                 self._open[name] = _Request(request.value, 0)
-        elif not (
-            request.tries and request.value is not None and self._is_kept(name, request.value)
-        ):
+            return
+        asked = request.value or 0.0
+        asked = float(round(asked)) if message.param_type in _FORMATS else asked
+        if not (request.tries and _same(asked, value)):
             self._open[name] = request
         elif request.echoes == 0:  # it says so, but does it keep it?
             self._open[name] = _Request(request.value, 1)
-
-    def _is_kept(self, name: str, asked: float) -> bool:
-        asked = float(round(asked)) if self._types[name] in _FORMATS else asked
-        return _same(asked, self.values[name])
 
     def _on_error(self, name: str, error: int) -> None:
         request = self._open.get(name)
         if request is None:
             return
-        if error == wire.MAV_PARAM_ERROR_DOES_NOT_EXIST:
-            if request.echoes is None:
-                self._give_up(name, request)
-        elif request.value is not None and error in _ERRORS:
-            self._fail(name, _ERRORS[error])
-
-    def _on_version(self, capabilities: int) -> None:
-        """If integers are encoded differently than assumed, request everything again."""
-        as_bytes = capabilities & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
-        cast = capabilities & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
-        bytewise = bool(as_bytes) or (self._bytewise and not cast)
-        if bytewise != self._bytewise:
-            self._bytewise = bytewise
-            before = self._open
-            self.restart()
-            for name, request in before.items():
-                if request.value is not None:
-                    self.set(name, request.value)
+        if error == wire.MAV_PARAM_ERROR_DOES_NOT_EXIST and request.echoes is None:
+            self._give_up(name, request)
+        elif request.value is not None and error in _REFUSALS:
+            self._fail(name, f"it answers {enum_word('MAV_PARAM_ERROR', error)}")
 
     # --- out ----------------------------------------------------------------------------------
 
