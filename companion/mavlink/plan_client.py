@@ -7,7 +7,7 @@ mavlink.md 2.3 and 2.5, px4.md 7.
 
 import math
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, final
 
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
@@ -78,6 +78,8 @@ class Plan:
     """Rises with every change; 0: not read yet."""
     supported: bool = True
     """Whether the autopilot supports this kind of list."""
+    key: bytes = b""
+    """Those of its items, in a row: of thousands at once they would take too long."""
 
 
 @final
@@ -94,7 +96,6 @@ class _Transfer:
     count: int = 0
     items: list[PlanItem] = field(default_factory=list)
     key: bytes = b""
-    """Of the items, as they arrive: that of thousands at once would take too long."""
     opaque_id: int = 0
     item_s: float = _ITEM_S
     smooth: bool = True
@@ -110,8 +111,6 @@ class _Watch:
     read_s: float = -math.inf
     """When all of it was read last; -inf: it has to be."""
     opaque_id: int = 0
-    key: bytes = b""
-    """Of the items that are known."""
     candidate: bytes | None = None
     """A new list that was read with gaps, or found empty after a reboot: it replaces another when
     it has been read twice."""
@@ -158,10 +157,9 @@ class PlanClient:
         """Download everything again now, after a reboot or on request."""
         self._transfer = None
         self.changing.clear()
-        self._watches = {k: _Watch(key=v.key, rebooted=True) for k, v in self._watches.items()}
+        self._watches = {kind: _Watch(rebooted=True) for kind in KINDS}
         for kind, plan in self.plans.items():
-            if not plan.supported:
-                self.plans[kind] = Plan(version=plan.version)
+            self.plans[kind] = replace(plan, supported=True)
 
     def rebase_time(self, shift_s: float) -> None:
         """Shift all stored times by this much: the clock was replaced."""
@@ -187,10 +185,9 @@ class PlanClient:
             return []
         if number == _ACK:
             return self._on_ack(transfer, message.type, now_s)
-        if transfer.reads != (number == _ITEM):
-            return []
-        answer = self._on_item if transfer.reads else self._on_count
-        return answer(transfer, message, now_s)
+        if number == _ITEM and transfer.reads:
+            return self._on_item(transfer, message, now_s)
+        return [] if number == _ITEM or transfer.reads else self._on_count(transfer, message, now_s)
 
     def _on_ids(self, message: Message) -> None:
         """PX4 reports the ids of its lists once a second: download a list whose id is new."""
@@ -207,8 +204,7 @@ class PlanClient:
             transfer.item_s = min(max(2.0 * waited_s, _ITEM_S), _LIST_S)
             self._list_s = min(max(4.0 * waited_s, 2.0 * _ITEM_S), _LIST_S)
         if message.count > _LONGEST:
-            why = f"{message.count} items are too many"
-            return self._end(transfer, now_s, _LATER_S, why=why)
+            return self._failed(transfer, now_s, f"{message.count} items are too many")
         plan, watch = self.plans[transfer.kind], self._watches[transfer.kind]
         known, as_many = plan.version > 0 and plan.supported, message.count == len(plan.items)
         if known and as_many and opaque_id == watch.opaque_id and transfer.only_look:
@@ -252,11 +248,10 @@ class PlanClient:
             return []  # of something that we did not ask for
         if result != wire.MAV_MISSION_UNSUPPORTED:
             why = _REFUSED.get(result, f"refused with MAV_MISSION_RESULT {result}")
-            return self._end(transfer, now_s, _LATER_S, why=why)
+            return self._failed(transfer, now_s, why)
         plan = self.plans[transfer.kind]
         if plan.supported:
             self.plans[transfer.kind] = Plan(version=plan.version + 1, supported=False)
-            self._watches[transfer.kind].key = b""
         return self._end(transfer, now_s, READ_ALL_S)
 
     # --- how a transfer ends ------------------------------------------------------------------
@@ -267,11 +262,10 @@ class PlanClient:
         # An autopilot may answer before it has loaded its lists: then they look empty.
         early = watch.rebooted and not transfer.items and bool(plan.items)
         sure = transfer.key == watch.candidate or (transfer.smooth and not early)
-        new = transfer.key != watch.key or not plan.version or not plan.supported
+        new = transfer.key != plan.key or not plan.version or not plan.supported
         if new and (sure or not plan.version):  # the first is better than none
-            items = tuple(transfer.items)
-            self.plans[transfer.kind] = Plan(items=items, version=plan.version + 1)
-            watch.key = transfer.key
+            items, version = tuple(transfer.items), plan.version + 1
+            self.plans[transfer.kind] = Plan(items=items, version=version, key=transfer.key)
         if new and not sure:  # in the gaps it may have become half of one and half of another
             watch.candidate, watch.read_s = transfer.key, -math.inf
             pause_s = LOOK_S if early else 0.0
@@ -280,23 +274,23 @@ class PlanClient:
             self.changing.pop(transfer.kind, None)
         return self._end(transfer, now_s, pause_s, wire.MAV_MISSION_ACCEPTED)
 
+    def _failed(
+        self, transfer: _Transfer, now_s: float, why: str, ack: int | None = None
+    ) -> list[Message]:
+        """The known list is kept, and this one is read again soon."""
+        asked = self._end(transfer, now_s, _LATER_S, ack)
+        self.trouble[transfer.kind] = why
+        return asked
+
     def _end(
-        self,
-        transfer: _Transfer,
-        now_s: float,
-        pause_s: float,
-        ack: int | None = None,
-        why: str = "",
+        self, transfer: _Transfer, now_s: float, pause_s: float, ack: int | None = None
     ) -> list[Message]:
         """Look at this list again after a pause; returns what is due now.
 
-        ack: what ends the transfer for the autopilot, too.  why: it has failed; the known list is
-        kept.
+        ack: what ends the transfer for the autopilot, too.
         """
         self._transfer = None
         self.trouble.pop(transfer.kind, None)
-        if why:
-            self.trouble[transfer.kind] = why
         self._watches[transfer.kind].due_s = now_s + pause_s
         asked = self.on_time(now_s)
         if ack is None:
@@ -317,7 +311,7 @@ class PlanClient:
         if transfer.tries < (_MAX_ITEM_TRIES if transfer.reads else _MAX_LIST_TRIES):
             return [self._ask(transfer, now_s)]
         over = wire.MAV_MISSION_OPERATION_CANCELLED
-        return self._end(transfer, now_s, _LATER_S, over, "no answer")
+        return self._failed(transfer, now_s, "no answer", over)
 
     @property
     def due_s(self) -> float:
