@@ -68,8 +68,6 @@ _NO_VEHICLE_S = 10.0
 _SILENT_S = 3.0
 
 
-_SENSED: Final = frozenset({*near_sensing.MESSAGES.values(), wire.MAVLINK_MSG_ID_TERRAIN_DATA})
-"""Messages of sensors, which are chosen by their ids: to say who else sends them."""
 _frame_of: Final = attrgetter("frame")
 
 
@@ -160,8 +158,6 @@ class Session:
             self._listeners[near_sensing.SECTORS].append(self.rangefinder.on_message)
         if self._listeners:
             self._listeners[near_scanner.ATTITUDE].append(self._poses.on_attitude)
-        self.sensed: dict[int, set[tuple[int, int]]] = {}
-        """Messages of sensors by number: system and component of who sends them."""
         self._silence_told_s = 0.0
         self._at_s: float | None = None
         start = Start.of(self.context, resume, version=version)
@@ -357,8 +353,6 @@ class Session:
                 handle = self._on_position
             else:
                 counts = self._on_clock(heard)
-        if number in _SENSED:
-            self.sensed.setdefault(number, set()).add((heard.system, component))
         self._out.record.append((self.clock.now_s, heard.frame))
         if component == COMPANION_COMPONENT:  # another process with our ids may have sent it
             found = self._outbox.duplicates.heard(heard.frame, self.selector.system_id, self.now_s)
