@@ -8,7 +8,9 @@ off is part of the answer (design section 4).
 """
 
 import math
+from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple, final
 
 import numpy as np
@@ -71,17 +73,20 @@ def _mask(
     """Bits of the blocks that are on the map, within range and not seen entirely."""
     window = slice(row, row + ROWS), slice(column, column + COLUMNS)
     north, east = known.middles_m(window)
-    apart_m = np.hypot(north - centre_ne_m[0], east - centre_ne_m[1])
-    wanted = apart_m <= range_m + _ALIKE_M
-    rows, columns = known.seen.shape
-    row_index, column_index = np.arange(row, row + ROWS), np.arange(column, column + COLUMNS)
-    wanted &= ((row_index >= 0) & (row_index < rows))[:, None]
-    wanted &= ((column_index >= 0) & (column_index < columns))[None, :]
-    seen = known.seen[
-        np.clip(row_index, 0, rows - 1)[:, None], np.clip(column_index, 0, columns - 1)[None, :]
-    ]
-    blocks = (wanted & ~seen).reshape(BLOCK_ROWS, BLOCK, BLOCK_COLUMNS, BLOCK).any(axis=(1, 3))
+    wanted = np.hypot(north - centre_ne_m[0], east - centre_ne_m[1]) <= range_m + _ALIKE_M
+    rows, in_rows = _on_map(row, ROWS, known.seen.shape[0])
+    columns, in_columns = _on_map(column, COLUMNS, known.seen.shape[1])
+    unseen = np.zeros((ROWS, COLUMNS), dtype=bool)
+    unseen[in_rows, in_columns] = ~known.seen[rows, columns]
+    blocks = (wanted & unseen).reshape(BLOCK_ROWS, BLOCK, BLOCK_COLUMNS, BLOCK).any(axis=(1, 3))
     return sum(1 << int(bit) for bit in np.flatnonzero(blocks.ravel()))
+
+
+def _on_map(first: int, count: int, size: int) -> tuple[slice, slice]:
+    """Those of so many rows or columns that are on the map: as it counts, and from the first."""
+    begin = max(first, 0)
+    end = max(min(first + count, size), begin)
+    return slice(begin, end), slice(begin - first, end - first)
 
 
 def _placed(known: KnownMap, row: int, column: int, mask: int, frame: LocalFrame) -> Area:
@@ -118,41 +123,35 @@ def _order(known: KnownMap, area: Area, point_ne_m: tuple[float, float]) -> int:
 
 
 @final
+@dataclass(kw_only=True, eq=False)
 class TerrainDownload:
     """Requests a scan area by area and collects the answers.  Pure: time is an argument."""
 
-    def __init__(
-        self,
-        known: KnownMap,
-        *,
-        centre_ne_m: tuple[float, float],
-        towards_ne_m: tuple[float, float],
-        range_m: float,
-        deadline_s: float,
-        drift_m: float,
-        frame: LocalFrame,
-        complete: bool = True,
-    ) -> None:
-        """towards_ne_m: where the vehicle is going: that direction is requested first.
+    known: KnownMap
+    centre_ne_m: tuple[float, float]
+    towards_ne_m: tuple[float, float]
+    """Where the vehicle is going: that direction is requested first."""
+    range_m: float
+    deadline_s: float
+    drift_m: float
+    frame: LocalFrame
+    complete: bool = True
+    """What the radar promises, as in `Scan`."""
 
-        complete: what the radar promises, as in `Scan`.
-        """
-        self._known = known
-        ahead_ne_m = _ahead_ne_m(centre_ne_m, towards_ne_m, 0.5 * range_m)
-        self._range_m = range_m
-        self._deadline_s = deadline_s
-        self._drift_m = drift_m
-        self._complete = complete
+    def __post_init__(self) -> None:
+        """Nothing has been asked for yet."""
+        ahead_ne_m = _ahead_ne_m(self.centre_ne_m, self.towards_ne_m, 0.5 * self.range_m)
         self._waiting = sorted(
-            areas(known, centre_ne_m, range_m, frame),
-            key=lambda area: _order(known, area, ahead_ne_m),
+            areas(self.known, self.centre_ne_m, self.range_m, self.frame),
+            key=lambda area: _order(self.known, area, ahead_ne_m),
         )
+        self._cell_m = round(self.known.cell_m)
         self._registration_m = max((area.registration_m for area in self._waiting), default=0.0)
-        self._tries: dict[tuple[int, int], int] = {}
+        self._tries = Counter[tuple[int, int]]()
         self._area: Area | None = None
         self._left = self._left_before = 0
         self._heard_at_s = self._looked_s = -math.inf  # heard, or asked
-        shape = known.upper_m.shape
+        shape = self.known.upper_m.shape
         self._heights_m = np.full(shape, NO_ANSWER)
         self._radar_nea_m = np.zeros((*shape, 3))
         self.asked = sum(area.mask.bit_count() for area in self._waiting)
@@ -168,7 +167,7 @@ class TerrainDownload:
         task, flight = state.task, state.flight
         has_radar = mission.scanner_component_id is not None
         return TerrainDownload(
-            flight.known,
+            known=flight.known,
             centre_ne_m=centre_nea_m[:2],
             towards_ne_m=state.targets_ne_m[flight.target],
             range_m=task.settings.scan_range_m if has_radar else 0.0,
@@ -180,7 +179,7 @@ class TerrainDownload:
 
     def is_over(self, now_s: float) -> bool:
         """Whether every request was answered or given up, or the deadline has passed."""
-        return (self._area is None and not self._waiting) or now_s >= self._deadline_s
+        return (self._area is None and not self._waiting) or now_s >= self.deadline_s
 
     def on_time(self, now_s: float) -> Message | None:
         """The next request, if it is time for one: the last was answered, or took too long."""
@@ -188,14 +187,14 @@ class TerrainDownload:
             if self._is_answering(now_s):
                 return None
             self._requeue()
-        if not self._waiting or now_s >= self._deadline_s:
+        if not self._waiting or now_s >= self.deadline_s:
             return None
         area = self._waiting.pop(0)
         self._area, self._heard_at_s, self._looked_s = area, now_s, now_s
         self._left = self._left_before = area.mask
-        self._tries[area.row, area.column] = self._tries.get((area.row, area.column), 0) + 1
+        self._tries[area.row, area.column] += 1
         return wire.MAVLink_terrain_request_message(
-            area.latitude_e7, area.longitude_e7, round(self._known.cell_m), area.mask
+            area.latitude_e7, area.longitude_e7, self._cell_m, area.mask
         )
 
     def _is_answering(self, now_s: float) -> bool:
@@ -217,9 +216,7 @@ class TerrainDownload:
         if message.get_type() == "TERRAIN_REPORT":
             if message.pending == 0:
                 self._requeue()
-        elif self._left >> message.gridbit & 1 and message.grid_spacing == round(
-            self._known.cell_m
-        ):
+        elif self._left >> message.gridbit & 1 and message.grid_spacing == self._cell_m:
             self._store(area, message, radar_nea_m)
 
     def _store(self, area: Area, message: Message, radar_nea_m: Vector) -> None:
@@ -229,13 +226,10 @@ class TerrainDownload:
         column = area.column + message.gridbit % BLOCK_COLUMNS * BLOCK
         heights = np.array(message.data, dtype=float).reshape(BLOCK, BLOCK)
         heights[heights == _UNSEEN_WIRE] = NOT_SEEN
-        rows, columns = self._known.upper_m.shape
-        south, west = max(row, 0), max(column, 0)
-        north, east = min(row + BLOCK, rows), min(column + BLOCK, columns)
-        self._heights_m[south:north, west:east] = heights[
-            south - row : north - row, west - column : east - column
-        ]
-        self._radar_nea_m[south:north, west:east] = radar_nea_m
+        rows, in_rows = _on_map(row, BLOCK, self.known.seen.shape[0])
+        columns, in_columns = _on_map(column, BLOCK, self.known.seen.shape[1])
+        self._heights_m[rows, columns] = heights[in_rows, in_columns]
+        self._radar_nea_m[rows, columns] = radar_nea_m
 
     def _requeue(self) -> None:
         """End the outstanding request and queue its missing blocks again."""
@@ -262,8 +256,8 @@ class TerrainDownload:
             column=int(columns.min()),
             heights_m=self._heights_m[window].copy(),
             radar_nea_m=self._radar_nea_m[window].copy(),
-            range_m=self._range_m,
-            drift_m=self._drift_m,
+            range_m=self.range_m,
+            drift_m=self.drift_m,
             registration_m=self._registration_m,
-            complete=self._complete,
+            complete=self.complete,
         )

@@ -35,13 +35,8 @@ POSITION = 3576
 _E7 = 1e-7  # degrees in the wire's unit of them
 _NO_HEADING = 65535
 _NOTHING = (0.0, 0.0, 0.0)
-_LANDED = {
-    wire.MAV_LANDED_STATE_UNDEFINED: events.Landed.UNKNOWN,
-    wire.MAV_LANDED_STATE_ON_GROUND: events.Landed.ON_GROUND,
-    wire.MAV_LANDED_STATE_IN_AIR: events.Landed.IN_AIR,
-    wire.MAV_LANDED_STATE_TAKEOFF: events.Landed.TAKING_OFF,
-    wire.MAV_LANDED_STATE_LANDING: events.Landed.LANDING,
-}
+_LANDED: Final = dict(enumerate(events.Landed))
+"""By MAV_LANDED_STATE, which has the same order."""
 
 Decoder = Callable[[Message, float, LocalFrame, events.Vector | None], events.Event | None]
 """(message, now_s, frame, origin_nea_m) -> event; arguments as in `Autopilot.event_of`."""
@@ -129,7 +124,7 @@ def place_of(
     latitude_deg: float, longitude_deg: float, altitude_m: float, frame: LocalFrame
 ) -> events.Vector | None:
     """A position from the wire; None if there is none yet, or it is nowhere on Earth."""
-    if max(abs(latitude_deg), abs(longitude_deg)) < _NOWHERE_DEG or not abs(longitude_deg) <= 180.0:
+    if is_nowhere(latitude_deg, longitude_deg) or not abs(longitude_deg) <= 180.0:
         return None
     place = (*frame.to_local_m(latitude_deg, longitude_deg), altitude_m)
     return place if all(map(math.isfinite, place)) else None  # beyond a pole it is not
@@ -150,8 +145,7 @@ def wire_place(position_nea_m: events.Vector, frame: LocalFrame) -> tuple[int, i
     if not in_band or not math.hypot(north_m, east_m) <= _FURTHEST_M:
         return None
     latitude, longitude = frame.to_geodetic_deg(north_m, east_m)
-    far_deg = max(abs(latitude), abs(longitude))
-    if not math.isfinite(latitude + longitude) or far_deg < _NOWHERE_DEG:
+    if not math.isfinite(latitude + longitude) or is_nowhere(latitude, longitude):
         return None
     return round(latitude * 1e7), round(longitude * 1e7)
 
@@ -180,9 +174,8 @@ def position_target(
         return None
     over_ground = complex(velocity[0], velocity[1]) * cmath.rect(1.0, turn_rad)  # north + east j
     yaw_rad = math.remainder(setpoint.yaw_rad + turn_rad, math.tau)
-    velocity_ned_m_s = over_ground.real, over_ground.imag, -velocity[2]
-    if setpoint.stay and type_mask == POSITION_VELOCITY_YAW:
-        velocity_ned_m_s = _NOTHING
+    holds = setpoint.stay and type_mask == POSITION_VELOCITY_YAW
+    velocity_ned_m_s = _NOTHING if holds else (over_ground.real, over_ground.imag, -velocity[2])
     to = system_id, AUTOPILOT_COMPONENT, wire.MAV_FRAME_GLOBAL_INT, type_mask
     return [
         wire.MAVLink_set_position_target_global_int_message(

@@ -176,21 +176,17 @@ def _misread(items: Sequence[PlanItem], who: str) -> str:
     After the first circle PX4's `geofence.cpp` takes each corner of a polygon for the beginning of
     another one, so that it keeps the vehicle out of places that no zone covers (px4.md 7).
     """
-    circle, after = "", list[str]()
+    circle = ""
     for number, (first, *_) in enumerate(fence.shapes_of(items), start=1):
         side = "inclusion" if first.command in (fence.POLYGON_IN, fence.CIRCLE_IN) else "exclusion"
         if first.command in (fence.CIRCLE_IN, fence.CIRCLE_OUT):
             circle = circle or f"{side} {number}"
         elif first.command in (fence.POLYGON_IN, fence.POLYGON_OUT) and circle:
-            after.append(f"{side} {number}")
-    if not after:
-        return ""
-    named = ", ".join(after[:3]) + (f" and {len(after) - 3} more" if len(after) > 3 else "")
-    polygons = "polygons come" if len(after) > 1 else "polygon comes"
-    return (
-        f"{who} misreads its fence, and may stop where no zone is: {polygons} after a circle "
-        f"({named} after {circle}). Upload polygons before circles"
-    )
+            return (
+                f"{who} misreads its fence, and may stop where no zone is: polygons come after a "
+                f"circle ({side} {number} after {circle}). Upload polygons before circles"
+            )
+    return ""
 
 
 def event_id(name: str) -> int:
