@@ -677,7 +677,7 @@ class Session:
                 self._end = command
             case events.RequestStreams():
                 if self.vehicle is not None:
-                    self._send_all(self.vehicle.begin(self.now_s))
+                    self._send_all(self.vehicle.streams.begin(self.now_s))
             case SetMode() | Disarm() | events.SetSpeed() | events.Arm() | events.TakeOff():
                 if not self.context.shadow:
                     self._command(command)

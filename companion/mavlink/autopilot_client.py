@@ -13,12 +13,12 @@ from companion.mavlink import parameter_client, plan_client
 from companion.mavlink.autopilots import Autopilot, autopilot_of
 from companion.mavlink.autopilots.messages import command_long, position
 from companion.mavlink.dialect import COMPANION_COMPONENT, EventMessage, Message, wire
-from companion.mavlink.fence import Fence, OwnFence
+from companion.mavlink.fence import OwnFence
 from companion.mavlink.mission_items import targets_of
 from companion.mavlink.near_scanner import streams_hz
 from companion.mavlink.parameter_client import ParameterClient
 from companion.mavlink.plan_client import MISSION, PlanClient
-from companion.mavlink.rules import Finding, findings_of, names_of
+from companion.mavlink.rules import Finding, findings_of
 from companion.mission import events
 from companion.mission.decisions import Context
 from companion.mission.mission import Mission
@@ -126,19 +126,13 @@ class StreamRequests:
 class AutopilotClient:
     """The protocols of one autopilot: streams, parameters, plans, time synchronisation."""
 
-    def __init__(
-        self,
-        mission: Mission,
-        system_id: int,
-        autopilot: Autopilot,
-        *,
-        lockstep: bool,
-        sets_parameters: bool,
-    ) -> None:
-        """sets_parameters: False only reports what to set."""
+    def __init__(self, context: Context, system_id: int, autopilot: Autopilot) -> None:
+        """context: in shadow it only reports what parameters to set."""
+        self._mission = mission = context.mission
+        self._lockstep, self._sets_parameters = context.lockstep, not context.shadow
         self.system_id, self.autopilot = system_id, autopilot
         self.streams = StreamRequests(mission, system_id, autopilot)
-        wanted = names_of(rule for rule in autopilot.rules if rule.matters(mission))
+        wanted = [rule.names for rule in autopilot.rules if rule.matters(mission)]
         bytewise = autopilot.firmware.is_bytewise
         self.parameters = ParameterClient(system_id, wanted, bytewise=bytewise)
         self.plans = PlanClient(system_id, (system_id, COMPANION_COMPONENT))
@@ -151,12 +145,10 @@ class AutopilotClient:
         self.said: tuple[float, str] = (-math.inf, "")
         """When it last sent a text, and what."""
         self.here_ne_m: tuple[float, float] | None = None
-        self._own_fence = OwnFence(mission, autopilot, self.plans)
-        self.notes, self.warnings = self._own_fence.notes, self._own_fence.warnings
+        self.own_fence = OwnFence(mission, autopilot, self.plans)
+        self.notes, self.warnings = self.own_fence.notes, self.own_fence.warnings
         """What a person should hear of, since last looked at; warnings: of what is grave.  The
         fence says what it has to say into the same lists."""
-        self._mission, self._lockstep = mission, lockstep
-        self._sets_parameters = sets_parameters
         self._home_nea_m: events.Vector | None = None
         self._breaches = self._targets_version = 0
         self._judged = -1
@@ -173,28 +165,12 @@ class AutopilotClient:
     @staticmethod
     def found(heartbeat: Message, context: Context) -> "AutopilotClient | None":
         """The client for the sender of this heartbeat; None if the mission is not for it."""
-        mission = context.mission
-        autopilot = autopilot_of(heartbeat)
+        mission, autopilot = context.mission, autopilot_of(heartbeat)
         if autopilot is None or autopilot.traits.kind != mission.kind:
             return None
         if mission.autopilot not in (None, autopilot.firmware.name):
             return None
-        return AutopilotClient(
-            mission,
-            heartbeat.get_srcSystem(),
-            autopilot,
-            lockstep=context.lockstep,
-            sets_parameters=not context.shadow,
-        )
-
-    @property
-    def fence(self) -> Fence | None:
-        """Its own fence, once it was read."""
-        return self._own_fence.fence
-
-    def begin(self, now_s: float) -> list[Message]:
-        """Begin all requests."""
-        return self.streams.begin(now_s)
+        return AutopilotClient(context, heartbeat.get_srcSystem(), autopilot)
 
     def rebase_time(self, shift_s: float) -> None:
         """Shift all stored times by this much: the clock was replaced."""
@@ -206,7 +182,7 @@ class AutopilotClient:
         self.streams.forget()
         self.parameters.restart()
         self.plans.refresh()
-        self._own_fence.rebooted()
+        self.own_fence.rebooted()
         self._plans_told = False
         self.origin_nea_m = self._home_nea_m = None
         self._sets.clear()
@@ -381,8 +357,8 @@ class AutopilotClient:
             return []
         told = [*self._checked_parameters(now_s), *self._read_plans(now_s)]
         if self._mission.fence_from_vehicle and self._plans_told:
-            told += self._own_fence.reading(now_s)
-        self.is_news = self._own_fence.is_drawing  # some of a fence with each message
+            told += self.own_fence.reading(now_s)
+        self.is_news = self.own_fence.is_drawing  # some of a fence with each message
         return told
 
     def _checked_parameters(self, now_s: float) -> list[events.Event]:
@@ -425,7 +401,7 @@ class AutopilotClient:
         return str(finding)
 
     def _read_plans(self, now_s: float) -> list[events.Event]:
-        plans, mission, own = self.plans, self._mission, self._own_fence
+        plans, mission, own = self.plans, self._mission, self.own_fence
         if not plans.is_done or not self.parameters.is_done:
             return []
         told, refusal = list[events.Event](), ""

@@ -79,16 +79,6 @@ class Fence:
     misread: str = ""
     """Which shapes the autopilot itself misreads, and the remedy; empty: none."""
 
-    def changed(self, time_s: float) -> FenceChanged:
-        """The event that tells the mission."""
-        return FenceChanged(
-            time_s=time_s,
-            zones=self.zones,
-            floor_amsl_m=self.floor_amsl_m,
-            ceiling_amsl_m=self.ceiling_amsl_m,
-            misread=bool(self.misread),
-        )
-
 
 # --- fence ----------------------------------------------------------------------------------------
 
@@ -427,7 +417,14 @@ class OwnFence:
         self.notes += [each for each in whole.notes if each not in self._said]
         self.warnings += [whole.misread] if whole.misread not in ("", *self._said) else []
         self._said = (*whole.notes, whole.misread)
-        against, told = conflicts(whole, mission.task, mission.targets_ne_m), whole.changed(now_s)
+        told = FenceChanged(
+            time_s=now_s,
+            zones=whole.zones,
+            floor_amsl_m=whole.floor_amsl_m,
+            ceiling_amsl_m=whole.ceiling_amsl_m,
+            misread=bool(whole.misread),
+        )
+        against = conflicts(whole, mission.task, mission.targets_ne_m)
         before, same = self._told, structs.replace(told, time_s=0.0)
         is_news = same != before and not whole.needs_home
         self._told = before if whole.needs_home else same

@@ -279,7 +279,7 @@ def _fence(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check
     elif items := vehicle.plans.changing.get(FENCE):
         what = f"the fence has changed: reading {items:,} items"
         yield _check("fence", False, what, "Wait until it is read.")
-    elif (drawn := vehicle.fence) is not None:
+    elif (drawn := vehicle.own_fence.fence) is not None:
         against = fence.conflicts(drawn, mission.task, state.targets_ne_m)
         yield from (_check("fence", False, *_parted(line)) for line in against)
         yield from (_remark("fence", line) for line in drawn.notes)

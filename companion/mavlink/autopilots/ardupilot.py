@@ -101,7 +101,7 @@ def _offset_deg(
 
 
 _GROUND_STATION: Final = rules.when(  # its heartbeats must not count as a ground station's
-    lambda value, case: value == case.value("MAV_SYSID", -1.0),
+    lambda value, case: value == case.values.get("MAV_SYSID"),
     "the companion has the vehicle's system id, so its heartbeats would hide the loss of the "
     "ground station",
     "Set it to the ground station's own, 255",
