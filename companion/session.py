@@ -615,7 +615,7 @@ class Session:
             return
         if isinstance(event, VehicleStatus):
             self._status = event
-        before, frame = self.state, self.mission.frame
+        before = self.state
         after, commands = machine.step(before, event, self.context)
         self.state, path = after, getattr(after.stage, "path", None)  # if it has one
         if type(event) is not events.Position:
@@ -633,7 +633,7 @@ class Session:
                 self._carry_out(command)
             elif (vehicle := self.vehicle) is not None and not self.context.shadow:
                 circle_m = after.task.limits.loiter_radius_m
-                messages = vehicle.autopilot.setpoint(command, frame, vehicle.system_id, circle_m)
+                messages = vehicle.autopilot.setpoint(command, vehicle.to, circle_m)
                 if messages is None:
                     self._refuse(command)
                 else:

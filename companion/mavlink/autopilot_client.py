@@ -11,7 +11,7 @@ from typing import Any, Final, final
 
 from companion.mavlink import parameter_client, plan_client
 from companion.mavlink.autopilots import Autopilot, autopilot_of
-from companion.mavlink.autopilots.messages import command_long, position
+from companion.mavlink.autopilots.messages import To, command_long, position
 from companion.mavlink.dialect import COMPANION_COMPONENT, EventMessage, Message, wire
 from companion.mavlink.fence import OwnFence
 from companion.mavlink.mission_items import targets_of
@@ -130,7 +130,7 @@ class AutopilotClient:
         """context: in shadow it only reports what parameters to set."""
         self._mission = mission = context.mission
         self._lockstep, self._sets_parameters = context.lockstep, not context.shadow
-        self.system_id, self.autopilot = system_id, autopilot
+        self.system_id, self.autopilot, self.to = system_id, autopilot, To(system_id, mission.frame)
         self.streams = StreamRequests(mission, system_id, autopilot)
         wanted = [rule.names for rule in autopilot.rules if rule.matters(mission)]
         bytewise = autopilot.firmware.is_bytewise
@@ -292,23 +292,23 @@ class AutopilotClient:
 
     def command_messages(self, command: AutopilotCommand, state: State) -> list[Message]:
         """The messages of a command."""
-        autopilot, system, frame = self.autopilot, self.system_id, self._mission.frame
+        autopilot, arms = self.autopilot, wire.MAV_CMD_COMPONENT_ARM_DISARM
         match command:
             case events.SetMode():
-                return autopilot.set_mode(command, frame, system)
+                return autopilot.set_mode(command, self.to)
             case events.SetSpeed(speed_m_s=speed):
-                self._speed = autopilot.set_speed(speed, system)
+                self._speed = autopilot.set_speed(speed, self.system_id)
                 self._speed_told_s = state.now_s
                 return self._speed
-            case events.Arm():
-                return autopilot.arm(system)
-            case events.Disarm():
-                return autopilot.disarm(system)
+            case events.Arm():  # without force: its own checks stay on
+                return [command_long(self.system_id, arms, 1.0)]
+            case events.Disarm():  # without force: in the air it refuses
+                return [command_long(self.system_id, arms, 0.0)]
             case events.TakeOff():
                 here, heading_rad = state.vehicle.position_nea_m, state.vehicle.heading_rad or 0.0
                 if here is None:
                     return []
-                return autopilot.take_off(command, here, heading_rad, frame, system)
+                return autopilot.take_off(command, here, heading_rad, self.to)
 
     @property
     def due_s(self) -> float:

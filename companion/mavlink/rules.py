@@ -120,8 +120,8 @@ def findings_of(
     """
     found = {rule: rule.found(values) for rule in rules if rule.matters(mission)}
     if found and not any(found.values()):
-        rule = "the autopilot has answered no request for a parameter"
-        return [Finding(rule, "Check that the link carries both ways", name="parameters")]
+        silent = "the autopilot has answered no request for a parameter"
+        return [Finding(silent, "Check that the link carries both ways", name="parameters")]
     in_si = {rule.name: known[1] for rule, known in found.items() if known is not None}
     case = Case(mission=mission, home_amsl_m=home_amsl_m, values=in_si)
     findings = list[Finding]()

@@ -16,6 +16,8 @@ from companion.mavlink.frames import Receiver
 from companion.mission import checkpoint
 from companion.mission.decisions import Context
 from companion.mission.events import (
+    Arm,
+    Disarm,
     FenceBreach,
     FenceChanged,
     FenceReading,
@@ -282,6 +284,17 @@ def test_a_plane_is_told_its_speed_until_it_answers_or_somebody_else_flies_it() 
         side.event_of(ends, 0.5)
         assert times_told(side, 1.0) == 0
         assert side.notes == notes
+
+
+def test_it_is_armed_and_disarmed_without_force() -> None:
+    context = Context(mission=load_mission("sitl-px4"), seed=1, lockstep=True)
+    side = AutopilotClient(context, 7, PX4_MULTICOPTER)
+    state = State.of(context.mission, checkpoint.blank_map(context.mission))
+    for command, value in ((Arm(), 1.0), (Disarm(), 0.0)):
+        [message] = side.command_messages(command, state)
+        sent = over_the_wire(message)
+        assert (sent.command, sent.target_system, sent.target_component) == (400, 7, 1)
+        assert [getattr(sent, f"param{n}") for n in range(1, 8)] == [value] + [0.0] * 6
 
 
 @pytest.mark.parametrize(

@@ -88,14 +88,10 @@ MODES: Final = Modes(  # the failsafe DESCEND is told as LAND
 )
 
 
-def take_off(to_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Message]:
+def take_off(to: messages.To, place_nea_m: Vector) -> list[Message]:
     """NAV_TAKEOFF to a place, its altitude AMSL; empty if it is not finite or out of range."""
-    place = messages.wire_place(to_nea_m, frame)
-    if place is None:
-        return []
     parameters = (0.0, 0.0, 0.0, KEEP_YAW)
-    number = wire.MAV_CMD_NAV_TAKEOFF
-    return [messages.command_int(system_id, number, parameters, place, to_nea_m[2])]
+    return messages.command_at(to, wire.MAV_CMD_NAV_TAKEOFF, parameters, place_nea_m)
 
 
 def estimator(message: Message, now_s: float, *_: object) -> Estimator:
