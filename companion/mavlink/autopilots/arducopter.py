@@ -9,7 +9,7 @@ from typing import Final
 
 from companion.mavlink import rules
 from companion.mavlink.autopilots import ardupilot, messages
-from companion.mavlink.autopilots.common import Autopilot
+from companion.mavlink.autopilots.common import Autopilot, Modes
 from companion.mavlink.autopilots.messages import To
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.rules import CENTI, Case, Finding, Rule, only_read
@@ -108,18 +108,18 @@ ARDUCOPTER = Autopilot(
         "WPNAV_ACCEL": 100.0 * limits.acceleration_m_s2,
         "PSC_JERK_XY": 4.0 * limits.acceleration_m_s2,
     },
-    modes=ardupilot.modes_of(
-        "COPTER_MODE",
-        {
+    modes=Modes(
+        asked={
             Mode.GUIDED: (wire.COPTER_MODE_GUIDED,),
             Mode.HOLD: (wire.COPTER_MODE_BRAKE,),
             Mode.LAND: (wire.COPTER_MODE_LAND,),
-            Mode.RETURN: (
-                wire.COPTER_MODE_RTL,
-                wire.COPTER_MODE_SMART_RTL,
-                wire.COPTER_MODE_AUTO_RTL,
-            ),
+            Mode.RETURN: (wire.COPTER_MODE_RTL,),
         },
+        also={
+            (wire.COPTER_MODE_SMART_RTL,): Mode.RETURN,
+            (wire.COPTER_MODE_AUTO_RTL,): Mode.RETURN,
+        },
+        names=ardupilot.names_of("COPTER_MODE"),
     ),
     streams_hz=ardupilot.streams_hz(_ECHO, 5.0),
     intermittent=ardupilot.INTERMITTENT | {_ECHO},  # it comes only in GUIDED

@@ -11,7 +11,7 @@ from typing import Final
 from companion.geodesy import LocalFrame, deg
 from companion.mavlink import rules
 from companion.mavlink.autopilots import ardupilot, messages
-from companion.mavlink.autopilots.common import Autopilot
+from companion.mavlink.autopilots.common import Autopilot, Modes
 from companion.mavlink.autopilots.messages import To
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.rules import CENTI, Case, Finding, Rule, only_read
@@ -114,14 +114,14 @@ ARDUPLANE = Autopilot(
     ),
     rules=_RULES,
     parameters_for=lambda limits: {"AIRSPEED_CRUISE": limits.speed_m_s},
-    modes=ardupilot.modes_of(
-        "PLANE_MODE",
-        {
+    modes=Modes(
+        asked={
             Mode.GUIDED: (wire.PLANE_MODE_GUIDED,),
             Mode.HOLD: (wire.PLANE_MODE_LOITER,),
             Mode.RETURN: (wire.PLANE_MODE_RTL,),
             Mode.TAKE_OFF: (wire.PLANE_MODE_TAKEOFF,),
         },
+        names=ardupilot.names_of("PLANE_MODE"),
     ),
     streams_hz=ardupilot.streams_hz(_ECHO, 4.0),
     intermittent=ardupilot.INTERMITTENT | {_ECHO},  # it does not come in MANUAL

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import final
 
 from companion.geodesy import LocalFrame
@@ -33,12 +33,25 @@ _FAILSAFE = (wire.MAV_STATE_CRITICAL, wire.MAV_STATE_EMERGENCY)
 class Modes:
     """Modes of a firmware, or of a vehicle type where they differ within it."""
 
-    mode_of: Callable[[int], events.Mode]
-    """The mode that a heartbeat reports as custom_mode."""
-    name_of: Callable[[int], str]
-    """The autopilot's own name of it."""
     asked: Mapping[events.Mode, tuple[int, ...]]
     """Parameters of DO_SET_MODE: mode, or main and sub mode; the others are not supported."""
+    names: Mapping[tuple[int, ...], str]
+    """The autopilot's own."""
+    also: Mapping[tuple[int, ...], events.Mode] = field(default_factory=dict)
+    """What else the autopilot reports for one of these modes."""
+    numbers: Callable[[int], tuple[int, ...]] = lambda custom_mode: (custom_mode,)
+    """Of what a heartbeat reports as custom_mode."""
+
+    def mode_of(self, custom_mode: int) -> events.Mode:
+        """The mode that a heartbeat reports."""
+        numbers = self.numbers(custom_mode)
+        asked = (mode for mode, each in self.asked.items() if each == numbers)
+        return self.also.get(numbers) or next(asked, events.Mode.OTHER)
+
+    def name_of(self, custom_mode: int) -> str:
+        """The autopilot's own name of it."""
+        numbers = self.numbers(custom_mode)
+        return self.names.get(numbers) or f"mode {'.'.join(map(str, numbers))}"
 
 
 @final

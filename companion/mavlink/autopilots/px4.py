@@ -32,7 +32,6 @@ _MODES: Mapping[Mode, tuple[int, int]] = {
 }
 """Main and sub mode; custom_mode is main << 16 | sub << 24."""
 _PRECISION_LAND = (_AUTO, 9)
-_BY_NUMBER = {numbers: mode for mode, numbers in _MODES.items()} | {_PRECISION_LAND: Mode.LAND}
 _MAIN_NAMES: Final = (
     *("", "Manual", "Altitude", "Position", "", "Acro", "Offboard", "Stabilized", "Rattitude"),
 )
@@ -40,7 +39,7 @@ _AUTO_NAMES: Final = (
     *("", "Ready", "Takeoff", "Hold", "Mission", "Return", "Land", "", "Follow Target"),
     *("Precision Land", "VTOL Takeoff"),
 )
-"""By number; empty: there is none."""
+"""By number, as PX4's ground stations call them; empty: there is none."""
 _NEEDED = (
     wire.ESTIMATOR_ATTITUDE
     | wire.ESTIMATOR_VELOCITY_HORIZ
@@ -74,17 +73,14 @@ def _numbers(custom_mode: int) -> tuple[int, int]:
     return main, sub if main == _AUTO else 0
 
 
-def _name_of(custom_mode: int) -> str:
-    """As PX4's ground stations call it."""
-    main, sub = _numbers(custom_mode)
-    names, number = (_AUTO_NAMES, sub) if main == _AUTO else (_MAIN_NAMES, main)
-    return "".join(names[number : number + 1]) or f"mode {main}.{sub}"
-
-
 MODES: Final = Modes(  # the failsafe DESCEND is told as LAND
-    mode_of=lambda custom_mode: _BY_NUMBER.get(_numbers(custom_mode), Mode.OTHER),
-    name_of=_name_of,
     asked=_MODES,
+    also={_PRECISION_LAND: Mode.LAND},
+    numbers=_numbers,
+    names={
+        **{(main, 0): name for main, name in enumerate(_MAIN_NAMES)},
+        **{(_AUTO, sub): name for sub, name in enumerate(_AUTO_NAMES)},
+    },
 )
 
 
