@@ -13,7 +13,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 from companion.geodesy import deg
 from companion.mavlink.dialect import (
@@ -88,9 +88,7 @@ class _RefusedError(Exception):
         self.text, self.result = text, result
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Reply:
+class Reply(NamedTuple):
     """The companion's reaction to a command."""
 
     replies: Sequence[Message] = ()

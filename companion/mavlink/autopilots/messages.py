@@ -70,17 +70,15 @@ def _gps(message: Message, now_s: float, *_: object) -> events.GpsFix:
     return events.GpsFix(time_s=now_s, good=message.fix_type >= wire.GPS_FIX_TYPE_3D_FIX)
 
 
-def _placed(kind: type[events.Home | events.Origin]) -> Decoder:
+def _placed(
+    message: Message, now_s: float, frame: LocalFrame, *_: object
+) -> events.Home | events.Origin | None:
     """HOME_POSITION or GPS_GLOBAL_ORIGIN, once there is one."""
-
-    def decode(
-        message: Message, now_s: float, frame: LocalFrame, *_: object
-    ) -> events.Home | events.Origin | None:
-        latitude, longitude = message.latitude * _E7, message.longitude * _E7
-        place = place_of(latitude, longitude, message.altitude * 1e-3, frame)
-        return None if place is None else kind(time_s=now_s, position_nea_m=place)
-
-    return decode
+    latitude, longitude = message.latitude * _E7, message.longitude * _E7
+    place = place_of(latitude, longitude, message.altitude * 1e-3, frame)
+    is_home = message.get_msgId() == wire.MAVLINK_MSG_ID_HOME_POSITION
+    kind = events.Home if is_home else events.Origin
+    return None if place is None else kind(time_s=now_s, position_nea_m=place)
 
 
 def _battery(message: Message, now_s: float, *_: object) -> events.Battery | None:
@@ -98,8 +96,8 @@ DECODERS: Final[Mapping[int, Decoder]] = {
     wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: position,
     wire.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _landed,
     wire.MAVLINK_MSG_ID_GPS_RAW_INT: _gps,
-    wire.MAVLINK_MSG_ID_HOME_POSITION: _placed(events.Home),
-    wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _placed(events.Origin),
+    wire.MAVLINK_MSG_ID_HOME_POSITION: _placed,
+    wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _placed,
     wire.MAVLINK_MSG_ID_SYS_STATUS: _battery,
     wire.MAVLINK_MSG_ID_BATTERY_STATUS: _one_battery,
 }
