@@ -600,9 +600,7 @@ class Session:
 
     def _start_scan(self, centre_nea_m: Vector) -> None:
         of = centre_nea_m, self.state, self.now_s
-        scan = (
-            TerrainDownload.begun(self.mission, *of) if self.near is None else self.near.begun(*of)
-        )
+        scan = TerrainDownload(self.mission, *of) if self.near is None else self.near.begun(*of)
         self._scan = scan
         self._note("scan", centre_nea_m=list(centre_nea_m), blocks=scan.asked)
         self._scan_on()

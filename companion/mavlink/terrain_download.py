@@ -10,7 +10,6 @@ off is part of the answer (design section 4).
 import math
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import NamedTuple, final
 
 import numpy as np
@@ -123,63 +122,41 @@ def _order(known: KnownMap, area: Area, point_ne_m: tuple[float, float]) -> int:
 
 
 @final
-@dataclass(kw_only=True, eq=False)
 class TerrainDownload:
-    """Requests a scan area by area and collects the answers.  Pure: time is an argument."""
+    """Requests a scan around a point, area by area, and collects the answers.
 
-    known: KnownMap
-    centre_ne_m: tuple[float, float]
-    towards_ne_m: tuple[float, float]
-    """Where the vehicle is going: that direction is requested first."""
-    range_m: float
-    deadline_s: float
-    drift_m: float
-    frame: LocalFrame
-    complete: bool = True
-    """What the radar promises, as in `Scan`."""
+    Pure: time is an argument.  Of a vehicle without a radar it is over at once.
+    """
 
-    def __post_init__(self) -> None:
-        """Nothing has been asked for yet."""
-        ahead_ne_m = _ahead_ne_m(self.centre_ne_m, self.towards_ne_m, 0.5 * self.range_m)
+    def __init__(self, mission: Mission, centre_nea_m: Vector, state: State, now_s: float) -> None:
+        known, settings, centre_ne_m = state.flight.known, state.task.settings, centre_nea_m[:2]
+        self._known, self._cell_m = known, round(known.cell_m)
+        has_radar = mission.scanner_component_id is not None
+        self._range_m = range_m = settings.scan_range_m if has_radar else 0.0
+        self._deadline_s = now_s + settings.scan_time_s
+        self._drift_m = _TICKS / mission.position_rate_hz * state.task.limits.speed_m_s
+        self._complete = mission.scanner_complete
+        goes_to_ne_m = state.targets_ne_m[state.flight.target]  # that direction comes first
+        ahead_ne_m = _ahead_ne_m(centre_ne_m, goes_to_ne_m, 0.5 * range_m)
         self._waiting = sorted(
-            areas(self.known, self.centre_ne_m, self.range_m, self.frame),
-            key=lambda area: _order(self.known, area, ahead_ne_m),
+            areas(known, centre_ne_m, range_m, mission.frame),
+            key=lambda area: _order(known, area, ahead_ne_m),
         )
-        self._cell_m = round(self.known.cell_m)
         self._registration_m = max((area.registration_m for area in self._waiting), default=0.0)
         self._tries = Counter[tuple[int, int]]()
         self._area: Area | None = None
         self._left = self._left_before = 0
         self._heard_at_s = self._looked_s = -math.inf  # heard, or asked
-        shape = self.known.upper_m.shape
-        self._heights_m = np.full(shape, NO_ANSWER)
-        self._radar_nea_m = np.zeros((*shape, 3))
+        self._heights_m = np.full(known.upper_m.shape, NO_ANSWER)
+        self._radar_nea_m = np.zeros((*known.upper_m.shape, 3))
         self.asked = sum(area.mask.bit_count() for area in self._waiting)
         """Blocks asked for."""
         self.answered = 0
         """Blocks answered."""
 
-    @staticmethod
-    def begun(
-        mission: Mission, centre_nea_m: Vector, state: State, now_s: float
-    ) -> "TerrainDownload":
-        """A scan around a point; of a vehicle without a radar, one that is over at once."""
-        task, flight = state.task, state.flight
-        has_radar = mission.scanner_component_id is not None
-        return TerrainDownload(
-            known=flight.known,
-            centre_ne_m=centre_nea_m[:2],
-            towards_ne_m=state.targets_ne_m[flight.target],
-            range_m=task.settings.scan_range_m if has_radar else 0.0,
-            deadline_s=now_s + task.settings.scan_time_s,
-            drift_m=_TICKS / mission.position_rate_hz * task.limits.speed_m_s,
-            frame=mission.frame,
-            complete=mission.scanner_complete,
-        )
-
     def is_over(self, now_s: float) -> bool:
         """Whether every request was answered or given up, or the deadline has passed."""
-        return (self._area is None and not self._waiting) or now_s >= self.deadline_s
+        return (self._area is None and not self._waiting) or now_s >= self._deadline_s
 
     def on_time(self, now_s: float) -> Message | None:
         """The next request, if it is time for one: the last was answered, or took too long."""
@@ -187,7 +164,7 @@ class TerrainDownload:
             if self._is_answering(now_s):
                 return None
             self._requeue()
-        if not self._waiting or now_s >= self.deadline_s:
+        if not self._waiting or now_s >= self._deadline_s:
             return None
         area = self._waiting.pop(0)
         self._area, self._heard_at_s, self._looked_s = area, now_s, now_s
@@ -226,8 +203,8 @@ class TerrainDownload:
         column = area.column + message.gridbit % BLOCK_COLUMNS * BLOCK
         heights = np.array(message.data, dtype=float).reshape(BLOCK, BLOCK)
         heights[heights == _UNSEEN_WIRE] = NOT_SEEN
-        rows, in_rows = _on_map(row, BLOCK, self.known.seen.shape[0])
-        columns, in_columns = _on_map(column, BLOCK, self.known.seen.shape[1])
+        rows, in_rows = _on_map(row, BLOCK, self._known.seen.shape[0])
+        columns, in_columns = _on_map(column, BLOCK, self._known.seen.shape[1])
         self._heights_m[rows, columns] = heights[in_rows, in_columns]
         self._radar_nea_m[rows, columns] = radar_nea_m
 
@@ -256,8 +233,8 @@ class TerrainDownload:
             column=int(columns.min()),
             heights_m=self._heights_m[window].copy(),
             radar_nea_m=self._radar_nea_m[window].copy(),
-            range_m=self.range_m,
-            drift_m=self.drift_m,
+            range_m=self._range_m,
+            drift_m=self._drift_m,
             registration_m=self._registration_m,
-            complete=self.complete,
+            complete=self._complete,
         )
