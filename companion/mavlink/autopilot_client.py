@@ -12,7 +12,7 @@ from typing import Any, Final, final
 from companion.mavlink import parameter_client, plan_client
 from companion.mavlink.autopilots import Autopilot, autopilot_of
 from companion.mavlink.autopilots.messages import To, command_long, position
-from companion.mavlink.dialect import COMPANION_COMPONENT, EventMessage, Message, wire
+from companion.mavlink.dialect import EventMessage, Message, wire
 from companion.mavlink.fence import OwnFence
 from companion.mavlink.mission_items import targets_of
 from companion.mavlink.near_scanner import streams_hz
@@ -135,7 +135,7 @@ class AutopilotClient:
         wanted = [rule.names for rule in autopilot.rules if rule.matters(mission)]
         bytewise = autopilot.firmware.is_bytewise
         self.parameters = ParameterClient(system_id, wanted, bytewise=bytewise)
-        self.plans = PlanClient(system_id, (system_id, COMPANION_COMPONENT))
+        self.plans = PlanClient(system_id)
         self.is_news = True
         """Whether something was read since the parameters and lists were last looked at."""
         self.findings: list[Finding] = []

@@ -10,7 +10,7 @@ import struct
 from dataclasses import dataclass, field, replace
 from typing import Final, final
 
-from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
 from companion.mavlink.frames import payload_as_sent
 
 MISSION: Final = wire.MAV_MISSION_TYPE_MISSION
@@ -126,9 +126,8 @@ class PlanClient:
     us count: other clients may transfer on the same link.  An incomplete download changes nothing.
     """
 
-    def __init__(self, system_id: int, ours: tuple[int, int]) -> None:
-        """ours: the system and component that we send as."""
-        self._to, self._ours = (system_id, AUTOPILOT_COMPONENT), ours
+    def __init__(self, system_id: int) -> None:
+        self._to, self._ours = (system_id, AUTOPILOT_COMPONENT), (system_id, COMPANION_COMPONENT)
         self.plans: dict[int, Plan] = {kind: Plan() for kind in KINDS}
         """By MAV_MISSION_TYPE."""
         self.trouble: dict[int, str] = {}
