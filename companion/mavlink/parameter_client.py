@@ -136,15 +136,16 @@ class ParameterClient:
         if (message.get_srcSystem(), message.get_srcComponent()) != self._to:
             return []
         self.heard_s = now_s
-        match message.get_msgId():
-            case wire.MAVLINK_MSG_ID_PARAM_VALUE if message.param_id in self._group_of:
-                self._on_value(message)
-            case wire.MAVLINK_MSG_ID_PARAM_ERROR:
-                request = self._open.get(message.param_id)
-                there_is_none = message.error == wire.MAV_PARAM_ERROR_DOES_NOT_EXIST
-                if there_is_none and request is not None and request.set_to is None:
-                    del self._open[message.param_id]
-        return self.on_time(now_s) if message.get_msgId() in MESSAGES else []
+        if (number := message.get_msgId()) not in MESSAGES:
+            return []
+        if number == wire.MAVLINK_MSG_ID_PARAM_ERROR:
+            request = self._open.get(message.param_id)
+            there_is_none = message.error == wire.MAV_PARAM_ERROR_DOES_NOT_EXIST
+            if there_is_none and request is not None and request.set_to is None:
+                del self._open[message.param_id]
+        elif message.param_id in self._group_of:
+            self._on_value(message)
+        return self.on_time(now_s)
 
     def _on_value(self, message: Message) -> None:
         name, value = message.param_id, decoded(message, bytewise=self._bytewise)
