@@ -100,10 +100,10 @@ class NearSensing:
         """By its last word, at `_health_s`."""
 
     @property
-    def limits_m(self) -> tuple[float, float] | None:
-        """Least and greatest distance that it measures in all directions; None: it told of none."""
+    def limits_m(self) -> tuple[float, float]:
+        """Least and greatest distance that it measures in all directions; 0 and inf until told."""
         if not self._limits_cm:
-            return None
+            return 0.0, math.inf
         least_cm, most_cm = zip(*self._limits_cm.values(), strict=True)
         return max(least_cm) * 0.01, min(most_cm) * 0.01
 
@@ -235,8 +235,7 @@ class NearSensing:
         well = message.onboard_control_sensors_enabled & message.onboard_control_sensors_health
         self._health_s, self._well = now_s, bool(well & wire.MAV_SYS_STATUS_SENSOR_PROXIMITY)
         if self._well and was_well and now_s - self._heard_s > _EMPTY_AFTER_S:
-            range_m = self._sensor.range_m
-            range_m = range_m if self.limits_m is None else min(range_m, self.limits_m[1])
+            range_m = min(self._sensor.range_m, self.limits_m[1])
             clear_m, nothing = np.full(_SECTORS, range_m), np.full(_SECTORS, np.inf)
             at_s, first_rad = now_s - self._sensor.latency_s, -0.5 * _SECTOR_RAD
             self._looks.append(_Look(at_s, first_rad, _SECTOR_RAD, True, clear_m, nothing))

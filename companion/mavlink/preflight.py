@@ -381,11 +381,11 @@ def _near_sensor(session: PreflightInputs, sensor: NearSensor) -> Iterator[Check
     yield _check("sensor", not sight.is_blind, what, Reason.SENSOR_SILENT.remedy)
     if session.near is None:
         return
-    if session.near.limits_m is None:
+    least_m, most_m = session.near.sensing.limits_m
+    if math.isinf(most_m):
         what = f"it has not told how far it sees: R = {range_m:g} m is believed"
         yield _remark("sensor range", what, "Show it something within its reach.")
         return
-    least_m, most_m = session.near.limits_m
     what = f"it sees {most_m:g} m, and planner.scan_range_m is {range_m:g} m"
     remedy = f"Set planner.scan_range_m to {most_m:g} or less, or use a sensor that sees farther."
     yield _check("sensor range", most_m >= range_m - _RANGE_ROUNDED_M, what, remedy)
