@@ -116,6 +116,8 @@ class _Watch:
     it has been read twice."""
     rebooted: bool = False
     """Whether it has not been read since the autopilot rebooted."""
+    trouble: str = "no answer yet"
+    """Why the last transfer did not succeed, if it did not."""
 
 
 @final
@@ -130,8 +132,6 @@ class PlanClient:
         self._to, self._ours = (system_id, AUTOPILOT_COMPONENT), (system_id, COMPANION_COMPONENT)
         self.plans: dict[int, Plan] = {kind: Plan() for kind in KINDS}
         """By MAV_MISSION_TYPE."""
-        self.trouble: dict[int, str] = {}
-        """Kinds whose last transfer did not succeed, and why, in words."""
         self.changing: dict[int, int] = {}
         """Kinds that have changed and are being read, and how many items they have now."""
         self._watches = {kind: _Watch() for kind in KINDS}
@@ -147,7 +147,7 @@ class PlanClient:
     def waiting(self) -> tuple[str, ...]:
         """What has not been read once, with the reason if one is known, for people."""
         return tuple(
-            f"{_NAMES[kind]} ({self.trouble.get(kind, 'no answer yet')})"
+            f"{_NAMES[kind]} ({self._watches[kind].trouble})"
             for kind, plan in self.plans.items()
             if plan.supported and not plan.version
         )
@@ -203,12 +203,13 @@ class PlanClient:
             transfer.item_s = min(max(2.0 * waited_s, _ITEM_S), _LIST_S)
             self._list_s = min(max(4.0 * waited_s, 2.0 * _ITEM_S), _LIST_S)
         if message.count > _LONGEST:
-            return self._failed(transfer, now_s, f"{message.count} items are too many")
+            why = f"{message.count} items are too many"
+            return self._end(transfer.kind, now_s, _LATER_S, why=why)
         plan, watch = self.plans[transfer.kind], self._watches[transfer.kind]
         known, as_many = plan.version > 0 and plan.supported, message.count == len(plan.items)
         if known and as_many and opaque_id == watch.opaque_id and transfer.only_look:
             self.changing.pop(transfer.kind, None)  # no change, and no items are requested
-            return self._end(transfer, now_s, LOOK_S, wire.MAV_MISSION_OPERATION_CANCELLED)
+            return self._end(transfer.kind, now_s, LOOK_S, wire.MAV_MISSION_OPERATION_CANCELLED)
         transfer.count, transfer.opaque_id = message.count, opaque_id
         if known and message.count and not (as_many and watch.opaque_id in (0, opaque_id)):
             self.changing[transfer.kind] = message.count
@@ -247,11 +248,11 @@ class PlanClient:
             return []  # of something that we did not ask for
         if result != wire.MAV_MISSION_UNSUPPORTED:
             why = _REFUSED.get(result, f"refused with MAV_MISSION_RESULT {result}")
-            return self._failed(transfer, now_s, why)
+            return self._end(transfer.kind, now_s, _LATER_S, why=why)
         plan = self.plans[transfer.kind]
         if plan.supported:
             self.plans[transfer.kind] = Plan(version=plan.version + 1, supported=False)
-        return self._end(transfer, now_s, READ_ALL_S)
+        return self._end(transfer.kind, now_s, READ_ALL_S)
 
     # --- how a transfer ends ------------------------------------------------------------------
 
@@ -271,30 +272,22 @@ class PlanClient:
         else:
             watch.candidate, watch.rebooted = None, False
             self.changing.pop(transfer.kind, None)
-        return self._end(transfer, now_s, pause_s, wire.MAV_MISSION_ACCEPTED)
-
-    def _failed(
-        self, transfer: _Transfer, now_s: float, why: str, ack: int | None = None
-    ) -> list[Message]:
-        """The known list is kept, and this one is read again soon."""
-        asked = self._end(transfer, now_s, _LATER_S, ack)
-        self.trouble[transfer.kind] = why
-        return asked
+        return self._end(transfer.kind, now_s, pause_s, wire.MAV_MISSION_ACCEPTED)
 
     def _end(
-        self, transfer: _Transfer, now_s: float, pause_s: float, ack: int | None = None
+        self, kind: int, now_s: float, pause_s: float, ack: int | None = None, why: str = ""
     ) -> list[Message]:
         """Look at this list again after a pause; returns what is due now.
 
-        ack: what ends the transfer for the autopilot, too.
+        ack: what ends the transfer for the autopilot, too.  why: it has failed; the known list is
+        kept.
         """
-        self._transfer = None
-        self.trouble.pop(transfer.kind, None)
-        self._watches[transfer.kind].due_s = now_s + pause_s
+        self._transfer, watch = None, self._watches[kind]
+        watch.due_s, watch.trouble = now_s + pause_s, why
         asked = self.on_time(now_s)
         if ack is None:
             return asked
-        return [wire.MAVLink_mission_ack_message(*self._to, ack, transfer.kind), *asked]
+        return [wire.MAVLink_mission_ack_message(*self._to, ack, kind), *asked]
 
     # --- out ----------------------------------------------------------------------------------
 
@@ -310,7 +303,7 @@ class PlanClient:
         if transfer.tries < (_MAX_ITEM_TRIES if transfer.reads else _MAX_LIST_TRIES):
             return [self._ask(transfer, now_s)]
         over = wire.MAV_MISSION_OPERATION_CANCELLED
-        return self._failed(transfer, now_s, "no answer", over)
+        return self._end(transfer.kind, now_s, _LATER_S, over, "no answer")
 
     @property
     def due_s(self) -> float:
