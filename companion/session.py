@@ -68,8 +68,6 @@ _NO_VEHICLE_S = 10.0
 _SILENT_S = 3.0
 
 
-_SENSED: Final = frozenset({*near_sensing.MESSAGES.values(), wire.MAVLINK_MSG_ID_TERRAIN_DATA})
-"""Messages of sensors, which are chosen by their ids: to say who else sends them."""
 _frame_of: Final = attrgetter("frame")
 
 
@@ -160,8 +158,6 @@ class Session:
             self._listeners[near_sensing.SECTORS].append(self.rangefinder.on_message)
         if self._listeners:
             self._listeners[near_scanner.ATTITUDE].append(self._poses.on_attitude)
-        self.sensed: dict[int, set[tuple[int, int]]] = {}
-        """Messages of sensors by number: system and component of who sends them."""
         self._silence_told_s = 0.0
         self._at_s: float | None = None
         start = Start.of(self.context, resume, version=version)
@@ -357,8 +353,6 @@ class Session:
                 handle = self._on_position
             else:
                 counts = self._on_clock(heard)
-        if number in _SENSED:
-            self.sensed.setdefault(number, set()).add((heard.system, component))
         self._out.record.append((self.clock.now_s, heard.frame))
         if component == COMPANION_COMPONENT:  # another process with our ids may have sent it
             found = self._outbox.duplicates.heard(heard.frame, self.selector.system_id, self.now_s)
@@ -606,9 +600,7 @@ class Session:
 
     def _start_scan(self, centre_nea_m: Vector) -> None:
         of = centre_nea_m, self.state, self.now_s
-        scan = (
-            TerrainDownload.begun(self.mission, *of) if self.near is None else self.near.begun(*of)
-        )
+        scan = TerrainDownload(self.mission, *of) if self.near is None else self.near.begun(*of)
         self._scan = scan
         self._note("scan", centre_nea_m=list(centre_nea_m), blocks=scan.asked)
         self._scan_on()
@@ -621,7 +613,7 @@ class Session:
             return
         if isinstance(event, VehicleStatus):
             self._status = event
-        before, frame = self.state, self.mission.frame
+        before = self.state
         after, commands = machine.step(before, event, self.context)
         self.state, path = after, getattr(after.stage, "path", None)  # if it has one
         if type(event) is not events.Position:
@@ -639,7 +631,7 @@ class Session:
                 self._carry_out(command)
             elif (vehicle := self.vehicle) is not None and not self.context.shadow:
                 circle_m = after.task.limits.loiter_radius_m
-                messages = vehicle.autopilot.setpoint(command, frame, vehicle.system_id, circle_m)
+                messages = vehicle.autopilot.setpoint(command, vehicle.to, circle_m)
                 if messages is None:
                     self._refuse(command)
                 else:
@@ -683,7 +675,7 @@ class Session:
                 self._end = command
             case events.RequestStreams():
                 if self.vehicle is not None:
-                    self._send_all(self.vehicle.begin(self.now_s))
+                    self._send_all(self.vehicle.streams.begin(self.now_s))
             case SetMode() | Disarm() | events.SetSpeed() | events.Arm() | events.TakeOff():
                 if not self.context.shadow:
                     self._command(command)

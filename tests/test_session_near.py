@@ -87,7 +87,7 @@ def range_check(reach_cm: int) -> Check:
     vehicle = Seeing()
     vehicle.reach_cm = reach_cm
     it = Pair(Session(load_mission("forest"), seed=1, lockstep=True), vehicle)
-    it.run_until(lambda it: it.session.near is not None and it.session.near.limits_m is not None)
+    it.run_until(lambda it: it.session.near.sensing.limits_m[0] > 0.0)
     [check] = [each for each in checks_of(it.session) if each.name == "sensor range"]
     return check
 

@@ -5,19 +5,20 @@ messages and events out.
 """
 
 import math
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable
 from typing import Any, Final, final
 
 from companion.mavlink import parameter_client, plan_client
 from companion.mavlink.autopilots import Autopilot, autopilot_of
-from companion.mavlink.autopilots.messages import command_long, position
-from companion.mavlink.dialect import COMPANION_COMPONENT, EventMessage, Message, wire
-from companion.mavlink.fence import Fence, OwnFence
+from companion.mavlink.autopilots.messages import To, command_long, position
+from companion.mavlink.dialect import EventMessage, Message, wire
+from companion.mavlink.fence import OwnFence
 from companion.mavlink.mission_items import targets_of
 from companion.mavlink.near_scanner import streams_hz
 from companion.mavlink.parameter_client import ParameterClient
 from companion.mavlink.plan_client import MISSION, PlanClient
-from companion.mavlink.rules import Finding, findings_of, names_of
+from companion.mavlink.rules import Finding, findings_of
 from companion.mission import events
 from companion.mission.decisions import Context
 from companion.mission.mission import Mission
@@ -50,38 +51,31 @@ class StreamRequests:
     of the message counts.
     """
 
-    def __init__(
-        self,
-        system_id: int,
-        autopilot: Autopilot,
-        position_rate_hz: float,
-        more_hz: Mapping[int, float],
-    ) -> None:
-        """more_hz: what else the mission needs, by message number."""
-        self._system_id, self._autopilot = system_id, autopilot
+    def __init__(self, mission: Mission, system_id: int, autopilot: Autopilot) -> None:
+        self._system_id, self._once = system_id, autopilot.requested_once
         self._wanted_hz = {
-            wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: position_rate_hz,
+            _POSITION: mission.position_rate_hz,
             **autopilot.streams_hz,
-            **more_hz,
+            **streams_hz(mission),
         }
         self._quiet = autopilot.intermittent | {wire.MAVLINK_MSG_ID_DISTANCE_SENSOR}
-        self.count: dict[int, int] = {}
-        """How often each message was received since the autopilot booted; counted by the caller."""
-        self._before: dict[int, int] = {}
-        """The same when it was last looked at."""
-        self._asked_s: dict[int, float] = {}
-        self._looked_s = -math.inf
-        self._wanted = False
-
-    def begin(self, now_s: float) -> list[Message]:
-        """Request everything that is not streamed by default."""
-        self._wanted, self._looked_s, self._before = True, now_s, dict(self.count)
-        self._asked_s = dict.fromkeys(self._wanted_hz, now_s)
-        return [*map(self._rate, self._wanted_hz), *self._once()]
+        self.begun = False
+        """Whether they have been requested."""
+        self.forget()
 
     def forget(self) -> None:
         """The autopilot has rebooted: all requests are void."""
-        self.count, self._before, self._asked_s, self._looked_s = {}, {}, {}, -math.inf
+        self.count = Counter[int]()
+        """How often each message was received since the autopilot booted; counted by the caller."""
+        self._before = Counter[int]()
+        """The same when it was last looked at."""
+        self._asked_s: dict[int, float] = {}
+        self._looked_s = -math.inf
+
+    def begin(self, now_s: float) -> list[Message]:
+        """Request everything that is not streamed by default."""
+        self.begun = True
+        return self._request(self._wanted_hz, now_s)
 
     def rebase_time(self, shift_s: float) -> None:
         """Shift all stored times by this much: the clock was replaced."""
@@ -91,47 +85,40 @@ class StreamRequests:
     @property
     def due_s(self) -> float:
         """When they are looked at again, at the latest."""
-        return self._looked_s + _LOOK_S if self._wanted else math.inf
+        return self._looked_s + _LOOK_S if self.begun else math.inf
 
     def on_time(self, now_s: float) -> list[Message]:
         """Requests for messages that are missing or too slow, every two seconds."""
         since_s = now_s - self._looked_s
-        if not self._wanted or since_s < _LOOK_S:
+        if not self.begun or since_s < _LOOK_S:
             return []
-        self._looked_s = now_s
         late = [number for number in self._wanted_hz if self._is_late(number, since_s, now_s)]
-        self._asked_s |= dict.fromkeys(late, now_s)
-        self._before = dict(self.count)
-        return [*map(self._rate, late), *self._once()]
+        return self._request(late, now_s)
 
     @property
     def missing(self) -> list[str]:
         """Names of requested messages that never came."""
-        return [
-            wire.mavlink_map[number].msgname
-            for number in self._wanted_hz
-            if number not in self.count and number not in self._quiet
-        ]
+        lacking = self._wanted_hz.keys() - self.count.keys() - self._quiet
+        return [wire.mavlink_map[each].msgname for each in self._wanted_hz if each in lacking]
 
     def _is_late(self, number: int, since_s: float, now_s: float) -> bool:
         """Whether too few have come, and enough time has passed since it was asked for."""
         expected = _ENOUGH * self._wanted_hz[number] * min(since_s, _LOOK_S)
-        came = self.count.get(number, 0) - self._before.get(number, 0)
+        came = self.count[number] - self._before[number]
         again_s = _QUIET_S if number in self._quiet else _LOOK_S
         asked_s = self._asked_s.get(number, -math.inf)
         return came < max(expected, 1.0) and now_s - asked_s >= again_s
 
-    def _rate(self, number: int) -> Message:
-        interval_us = 1e6 / self._wanted_hz[number]
-        command = wire.MAV_CMD_SET_MESSAGE_INTERVAL
-        return command_long(self._system_id, command, number, interval_us)
-
-    def _once(self) -> list[Message]:
-        """Requests for what is never streamed, until it has come."""
+    def _request(self, numbers: Iterable[int], now_s: float) -> list[Message]:
+        """Streams, and whatever is never streamed and has not come yet."""
+        self._looked_s, self._before = now_s, Counter(self.count)
+        self._asked_s |= dict.fromkeys(numbers, now_s)
+        rates = [(number, 1e6 / self._wanted_hz[number]) for number in numbers]
+        once = [number for number in self._once if number not in self.count]
+        to, interval = self._system_id, wire.MAV_CMD_SET_MESSAGE_INTERVAL
         return [
-            command_long(self._system_id, wire.MAV_CMD_REQUEST_MESSAGE, number)
-            for number in self._autopilot.requested_once
-            if number not in self.count
+            *(command_long(to, interval, number, every_us) for number, every_us in rates),
+            *(command_long(to, wire.MAV_CMD_REQUEST_MESSAGE, number) for number in once),
         ]
 
 
@@ -139,23 +126,16 @@ class StreamRequests:
 class AutopilotClient:
     """The protocols of one autopilot: streams, parameters, plans, time synchronisation."""
 
-    def __init__(
-        self,
-        mission: Mission,
-        system_id: int,
-        autopilot: Autopilot,
-        *,
-        lockstep: bool,
-        sets_parameters: bool,
-    ) -> None:
-        """sets_parameters: False only reports what to set."""
-        self.system_id, self.autopilot = system_id, autopilot
-        rate_hz, more_hz = mission.position_rate_hz, streams_hz(mission)
-        self.streams = StreamRequests(system_id, autopilot, rate_hz, more_hz)
-        wanted = names_of(rule for rule in autopilot.rules if rule.matters(mission))
+    def __init__(self, context: Context, system_id: int, autopilot: Autopilot) -> None:
+        """context: in shadow it only reports what parameters to set."""
+        self._mission = mission = context.mission
+        self._lockstep, self._sets_parameters = context.lockstep, not context.shadow
+        self.system_id, self.autopilot, self.to = system_id, autopilot, To(system_id, mission.frame)
+        self.streams = StreamRequests(mission, system_id, autopilot)
+        wanted = [rule.names for rule in autopilot.rules if rule.matters(mission)]
         bytewise = autopilot.firmware.is_bytewise
         self.parameters = ParameterClient(system_id, wanted, bytewise=bytewise)
-        self.plans = PlanClient(system_id, (system_id, COMPANION_COMPONENT))
+        self.plans = PlanClient(system_id)
         self.is_news = True
         """Whether something was read since the parameters and lists were last looked at."""
         self.findings: list[Finding] = []
@@ -165,19 +145,17 @@ class AutopilotClient:
         self.said: tuple[float, str] = (-math.inf, "")
         """When it last sent a text, and what."""
         self.here_ne_m: tuple[float, float] | None = None
-        self._own_fence = OwnFence(mission, autopilot, self.plans)
-        self.notes, self.warnings = self._own_fence.notes, self._own_fence.warnings
+        self.own_fence = OwnFence(mission, autopilot, self.plans)
+        self.notes, self.warnings = self.own_fence.notes, self.own_fence.warnings
         """What a person should hear of, since last looked at; warnings: of what is grave.  The
         fence says what it has to say into the same lists."""
-        self._mission, self._lockstep = mission, lockstep
-        self._sets_parameters = sets_parameters
         self._home_nea_m: events.Vector | None = None
         self._breaches = self._targets_version = 0
         self._judged = -1
-        self._sets: dict[str, int] = {}
+        self._sets = Counter[str]()
         """How often each parameter was set."""
         self._refusal_told = ""
-        self._plans_told = self._began = False
+        self._plans_told = False
         self._asked_time_s = self._told_round_trip_s = -1e9
         self._outstanding: dict[int, float] = {}
         self._speed: list[Message] = []
@@ -187,29 +165,12 @@ class AutopilotClient:
     @staticmethod
     def found(heartbeat: Message, context: Context) -> "AutopilotClient | None":
         """The client for the sender of this heartbeat; None if the mission is not for it."""
-        mission = context.mission
-        autopilot = autopilot_of(heartbeat)
+        mission, autopilot = context.mission, autopilot_of(heartbeat)
         if autopilot is None or autopilot.traits.kind != mission.kind:
             return None
         if mission.autopilot not in (None, autopilot.firmware.name):
             return None
-        return AutopilotClient(
-            mission,
-            heartbeat.get_srcSystem(),
-            autopilot,
-            lockstep=context.lockstep,
-            sets_parameters=not context.shadow,
-        )
-
-    @property
-    def fence(self) -> Fence | None:
-        """Its own fence, once it was read."""
-        return self._own_fence.fence
-
-    def begin(self, now_s: float) -> list[Message]:
-        """Begin all requests."""
-        self._began = True
-        return self.streams.begin(now_s)
+        return AutopilotClient(context, heartbeat.get_srcSystem(), autopilot)
 
     def rebase_time(self, shift_s: float) -> None:
         """Shift all stored times by this much: the clock was replaced."""
@@ -221,7 +182,7 @@ class AutopilotClient:
         self.streams.forget()
         self.parameters.restart()
         self.plans.refresh()
-        self._own_fence.rebooted()
+        self.own_fence.rebooted()
         self._plans_told = False
         self.origin_nea_m = self._home_nea_m = None
         self._sets.clear()
@@ -243,15 +204,12 @@ class AutopilotClient:
 
     def count(self, number: int, now_s: float) -> None:
         """It has sent a message of this kind."""
-        count = self.streams.count
-        count[number] = count.get(number, 0) + 1
+        self.streams.count[number] += 1
         self.parameters.heard_s = now_s
 
     def on_position(self, message: Message, now_s: float) -> events.Position | None:
         """Decode GLOBAL_POSITION_INT: a fast path of `on_message` and `event_of`."""
-        count = self.streams.count
-        count[_POSITION] = count.get(_POSITION, 0) + 1
-        self.parameters.heard_s = now_s
+        self.count(_POSITION, now_s)
         event = position(message, now_s, self._mission.frame)
         if event is not None:
             self.here_ne_m = event.position_nea_m[:2]
@@ -261,8 +219,6 @@ class AutopilotClient:
         """The mission event of one of its messages; None if there is none."""
         firmware, breached = self.autopilot.firmware, False
         match message.get_msgId():
-            case wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
-                return self.on_position(message, now_s)
             case wire.MAVLINK_MSG_ID_COMMAND_ACK:
                 return self._on_command_ack(message.command, message.result, now_s)
             case wire.MAVLINK_MSG_ID_STATUSTEXT:
@@ -336,29 +292,28 @@ class AutopilotClient:
 
     def command_messages(self, command: AutopilotCommand, state: State) -> list[Message]:
         """The messages of a command."""
-        autopilot, system, frame = self.autopilot, self.system_id, self._mission.frame
+        autopilot, arms = self.autopilot, wire.MAV_CMD_COMPONENT_ARM_DISARM
         match command:
             case events.SetMode():
-                return autopilot.set_mode(command, frame, system)
+                return autopilot.set_mode(command, self.to)
             case events.SetSpeed(speed_m_s=speed):
-                self._speed = autopilot.set_speed(speed, system)
+                self._speed = autopilot.set_speed(speed, self.system_id)
                 self._speed_told_s = state.now_s
                 return self._speed
-            case events.Arm():
-                return autopilot.arm(system)
-            case events.Disarm():
-                return autopilot.disarm(system)
+            case events.Arm():  # without force: its own checks stay on
+                return [command_long(self.system_id, arms, 1.0)]
+            case events.Disarm():  # without force: in the air it refuses
+                return [command_long(self.system_id, arms, 0.0)]
             case events.TakeOff():
-                here = state.vehicle.position_nea_m
+                here, heading_rad = state.vehicle.position_nea_m, state.vehicle.heading_rad or 0.0
                 if here is None:
                     return []
-                heading_rad = state.vehicle.heading_rad or 0.0
-                return autopilot.take_off(command, here, heading_rad, frame, system)
+                return autopilot.take_off(command, here, heading_rad, self.to)
 
     @property
     def due_s(self) -> float:
         """When `on_time` has something to do, at the latest; -inf: at any time."""
-        if not self._began:
+        if not self.streams.begun:
             return math.inf
         if self.notes or self.warnings or not self.parameters.is_done:
             return -math.inf
@@ -368,12 +323,12 @@ class AutopilotClient:
     @property
     def due_at_s(self) -> float:
         """When the next TIMESYNC is due, by the runtime's clock."""
-        asks = self._began and not self._lockstep
+        asks = self.streams.begun and not self._lockstep
         return self._asked_time_s + _ASK_TIME_S if asks else math.inf
 
     def on_time(self, now_s: float, at_s: float | None) -> list[Message]:
         """The messages that are due; at_s: the runtime's clock, None in lockstep."""
-        if not self._began:
+        if not self.streams.begun:
             return []
         asked = self.streams.on_time(now_s)
         if self._speed and now_s - self._speed_told_s >= _TELL_SPEED_S:
@@ -398,12 +353,12 @@ class AutopilotClient:
 
     def news(self, now_s: float) -> list[events.Event]:
         """New events since the last call."""
-        if not (self._began and self.is_news):
+        if not (self.streams.begun and self.is_news):
             return []
         told = [*self._checked_parameters(now_s), *self._read_plans(now_s)]
         if self._mission.fence_from_vehicle and self._plans_told:
-            told += self._own_fence.reading(now_s)
-        self.is_news = self._own_fence.is_drawing  # some of a fence with each message
+            told += self.own_fence.reading(now_s)
+        self.is_news = self.own_fence.is_drawing  # some of a fence with each message
         return told
 
     def _checked_parameters(self, now_s: float) -> list[events.Event]:
@@ -418,11 +373,8 @@ class AutopilotClient:
         refused = [each for each in self.findings if each.set_to is None or self._sets_parameters]
         refusal = self._in_words(refused[0]) if refused else ""
         again, self._refusal_told = refusal == self._refusal_told != "", refusal
-        return (
-            []
-            if again
-            else [events.Prepared(time_s=now_s, item=events.Item.PARAMETERS, refusal=refusal)]
-        )
+        told = events.Prepared(time_s=now_s, item=events.Item.PARAMETERS, refusal=refusal)
+        return [] if again else [told]
 
     def _set(self, findings: list[Finding]) -> bool:
         """Set parameters as the checks demand, with a text for each; whether there was any.
@@ -431,24 +383,25 @@ class AutopilotClient:
         """
         client, any_set = self.parameters, False
         for finding in findings:
-            name, times = finding.name, self._sets.get(finding.name, 0)
+            name, times = finding.name, self._sets[finding.name]
             if finding.set_to is None or name in client.failed_sets or times >= _MAX_SETS:
                 continue
             client.set(name, finding.set_to)
-            self._sets[name], any_set = times + 1, True
+            self._sets[name] += 1
+            any_set = True
             if times == 0:
                 self.notes.append(f"set {name} to {finding.set_to:g}")
         return any_set
 
     def _in_words(self, finding: Finding) -> str:
         """Text of a result that prevents the flight."""
-        if finding.set_to is not None and self._sets.get(finding.name, 0) >= _MAX_SETS:
+        if finding.set_to is not None and self._sets[finding.name] >= _MAX_SETS:
             what = f"{finding.name} = {finding.value:g}: somebody keeps setting it back"
             return f"{what}. End that: {finding.rule}"
         return str(finding)
 
     def _read_plans(self, now_s: float) -> list[events.Event]:
-        plans, mission, own = self.plans, self._mission, self._own_fence
+        plans, mission, own = self.plans, self._mission, self.own_fence
         if not plans.is_done or not self.parameters.is_done:
             return []
         told, refusal = list[events.Event](), ""
@@ -457,8 +410,8 @@ class AutopilotClient:
             news = own.update(values, home, here, now_s)
             if news is None:
                 return []
-            told += news[0]
-            refusal = news[1]
+            changed, refusal = news
+            told += changed
         plan = plans.plans[MISSION]
         if mission.targets_from_vehicle and plan.version != self._targets_version:
             self._targets_version = plan.version

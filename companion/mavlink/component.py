@@ -9,12 +9,11 @@ No order takes long, so COMMAND_CANCEL is not supported.  Parameters that an ord
 ignored; those that it uses must be finite and in range, else it is denied with a text.  Sans-IO.
 """
 
-import enum
 import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 from companion.geodesy import deg
 from companion.mavlink.dialect import (
@@ -52,6 +51,7 @@ _CAPABILITIES: Final = (
     wire.MAV_PROTOCOL_CAPABILITY_MAVLINK2 | wire.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
 )
 """No parameters, mission, fence or rally points: those are the autopilot's; no files."""
+_VERSION_FORM: Final = re.compile(r"(\d+)(?:\.(\d+))?(?:\.(\d+))?\.?(.*?)\d*")
 _RELEASES: Final = {
     "a": wire.FIRMWARE_VERSION_TYPE_ALPHA,
     "b": wire.FIRMWARE_VERSION_TYPE_BETA,
@@ -64,37 +64,31 @@ Point = tuple[float, float]
 """North and east, metres."""
 
 
-class _Result(enum.IntEnum):
-    """MAV_RESULT, as far as the companion uses it."""
-
-    ACCEPTED = 0
-    TEMPORARILY_REJECTED = 1
-    DENIED = 2
-    UNSUPPORTED = 3
-    IN_PROGRESS = 5
-    UNSUPPORTED_MAV_FRAME = 9
-    """Newer than the dialect."""
-
-
+_UNSUPPORTED_FRAME: Final = 9
+"""MAV_RESULT_COMMAND_UNSUPPORTED_MAV_FRAME, newer than the dialect."""
+_RESULT_WORDS: Final = {
+    wire.MAV_RESULT_DENIED: "denied",
+    wire.MAV_RESULT_UNSUPPORTED: "unsupported",
+    _UNSUPPORTED_FRAME: "unsupported_mav_frame",
+}
+"""Of what is refused, as the journal has it."""
 _RESULTS: Final = {
-    OrderResult.ACCEPTED: _Result.ACCEPTED,
-    OrderResult.INVALID: _Result.DENIED,
-    OrderResult.NOT_NOW: _Result.TEMPORARILY_REJECTED,
+    OrderResult.ACCEPTED: wire.MAV_RESULT_ACCEPTED,
+    OrderResult.INVALID: wire.MAV_RESULT_DENIED,
+    OrderResult.NOT_NOW: wire.MAV_RESULT_TEMPORARILY_REJECTED,
 }
 
 
 class _RefusedError(Exception):
     """A command that is not carried out."""
 
-    def __init__(self, text: str, result: _Result = _Result.DENIED) -> None:
+    def __init__(self, text: str, result: int = wire.MAV_RESULT_DENIED) -> None:
         """text: why not, for the operator."""
         super().__init__(text)
         self.text, self.result = text, result
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Reply:
+class Reply(NamedTuple):
     """The companion's reaction to a command."""
 
     replies: Sequence[Message] = ()
@@ -114,7 +108,7 @@ class _Given:
 
     message: Message
     order: Order
-    result: _Result = _Result.IN_PROGRESS
+    result: int = wire.MAV_RESULT_IN_PROGRESS
 
     def is_repeated_by(self, message: Message, now_s: float) -> bool:
         """Whether a command repeats this order because its ACK was lost.
@@ -127,7 +121,7 @@ class _Given:
             return False
         if not _is_int(message):
             return bool(message.confirmation > 0)
-        return self.result in (_Result.ACCEPTED, _Result.IN_PROGRESS)
+        return self.result in (wire.MAV_RESULT_ACCEPTED, wire.MAV_RESULT_IN_PROGRESS)
 
 
 @final
@@ -159,11 +153,11 @@ class Component:
         except _RefusedError as refused:
             if target != self._ours:
                 return Reply()
-            note |= {"result": refused.result.name.lower(), "why": refused.text}
+            note |= {"result": _RESULT_WORDS[refused.result], "why": refused.text}
             return Reply(replies=(_ack(message, refused.result),), note=note, text=refused.text)
         if kind is None:
             note |= {"result": "accepted", "why": ""}
-            answer = (_ack(message, _Result.ACCEPTED),)
+            answer = (_ack(message, wire.MAV_RESULT_ACCEPTED),)
             return Reply(replies=answer, note=note if target == self._ours else None)
         if target != self._ours:  # of broadcasts no order is carried out
             return Reply()
@@ -177,7 +171,7 @@ class Component:
     def order_done(self, order: Order, verdict: OrderResult) -> Sequence[Message]:
         """The ACK of an order that the mission machine has decided; empty if none is waited for."""
         for given in self._given.values():
-            if given.order is order and given.result is _Result.IN_PROGRESS:
+            if given.order is order and given.result == wire.MAV_RESULT_IN_PROGRESS:
                 given.result = _RESULTS[verdict]
                 return (_ack(given.message, given.result),)
         return ()
@@ -213,7 +207,7 @@ class Component:
             case wire.MAV_CMD_DO_REPOSITION:
                 return OrderKind.REPOSITION, self._place_ne_m(message)
             case _:
-                raise _RefusedError("", _Result.UNSUPPORTED)
+                raise _RefusedError("", wire.MAV_RESULT_UNSUPPORTED)
 
     def _place_ne_m(self, message: Message) -> Point:
         """Where a reposition goes; a height or speed that is given is ignored."""
@@ -221,11 +215,9 @@ class Component:
         if _is_int(message):
             if message.frame not in _AMSL_OR_HOME:
                 text = f"reposition: frame {message.frame} is not one of 0, 3, 5, 6"
-                raise _RefusedError(text, _Result.UNSUPPORTED_MAV_FRAME)
+                raise _RefusedError(text, _UNSUPPORTED_FRAME)
             latitude, longitude = deg(message.x), deg(message.y)
-        on_earth = (
-            abs(latitude) <= 90.0 and abs(longitude) <= 180.0
-        )  # not NaN, nor what is not given
+        on_earth = abs(latitude) <= 90.0 and abs(longitude) <= 180.0  # NaN is not
         if on_earth and not latitude == longitude == 0.0:
             north_m, east_m = self._mission.frame.to_local_m(latitude, longitude)
             limits = self._mission.task.limits
@@ -278,7 +270,7 @@ def _values(message: Message) -> str:
 def _ack(message: Message, result: int) -> Message:
     """The ACK of a command, for who gave it."""
     to = message.get_srcSystem(), message.get_srcComponent()
-    return wire.MAVLink_command_ack_message(message.command, int(result), 0, 0, *to)
+    return wire.MAVLink_command_ack_message(message.command, result, 0, 0, *to)
 
 
 def heartbeat(status: int) -> Message:
@@ -304,10 +296,8 @@ def version_number(version: str) -> int:
 
     version: as Python's packages write it, "1.2.3rc1".
     """
-    found = re.match(r"(\d+)(?:\.(\d+))?(?:\.(\d+))?\.?(.*)", version)
-    if found is None:
-        return int(wire.FIRMWARE_VERSION_TYPE_DEV)
-    *numbers, rest = found.groups()
-    release = _RELEASES.get(re.sub(r"\d*$", "", rest), wire.FIRMWARE_VERSION_TYPE_DEV)
+    found = _VERSION_FORM.fullmatch(version)
+    *numbers, release = ("0", "0", "0", "unknown") if found is None else found.groups()
     major, minor, patch = (min(int(number or 0), 255) for number in numbers)
-    return int(major << 24 | minor << 16 | patch << 8 | release)
+    kind = _RELEASES.get(release, wire.FIRMWARE_VERSION_TYPE_DEV)
+    return int(major << 24 | minor << 16 | patch << 8 | kind)

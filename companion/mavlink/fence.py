@@ -79,16 +79,6 @@ class Fence:
     misread: str = ""
     """Which shapes the autopilot itself misreads, and the remedy; empty: none."""
 
-    def changed(self, time_s: float) -> FenceChanged:
-        """The event that tells the mission."""
-        return FenceChanged(
-            time_s=time_s,
-            zones=self.zones,
-            floor_amsl_m=self.floor_amsl_m,
-            ceiling_amsl_m=self.ceiling_amsl_m,
-            misread=bool(self.misread),
-        )
-
 
 # --- fence ----------------------------------------------------------------------------------------
 
@@ -105,14 +95,39 @@ def in_force(
     home_nea_m: the vehicle's home; without it nothing is drawn about it.  here_ne_m: where the
     vehicle is: of inclusion zones of which one is enough, those that it is in.
     """
-    found = _one_is_enough(drawn, settings, here_ne_m)
-    if settings.note and (drawn.zones or drawn.refusal):
-        found = _with_notes(found, settings.note)
-    return _about_home(found, settings, home_nea_m)
-
-
-def _with_notes(fence: Fence, *what: str) -> Fence:
-    return replace(fence, notes=(*fence.notes, *what))
+    zones, notes, refusal = list(drawn.zones), list(drawn.notes), drawn.refusal
+    inside = kept = [zone for zone in zones if zone.keep_in]
+    if len(inside) > 1:
+        if settings.union and here_ne_m is not None:  # their intersection lies inside the union
+            kept = [zone for zone in inside if _distance_m(zone, here_ne_m) > 0.0] or inside
+        zones = [zone for zone in zones if not zone.keep_in or zone in kept]
+        names = ", ".join(zone.name for zone in kept)
+        several = f"of {len(inside)} inclusion zones the vehicle stays inside of all of"
+        notes.append(f"{several}: {names}")
+    if settings.note and (drawn.zones or refusal):
+        notes.append(settings.note)
+    radius_m, above_m, below_m = settings.radius_m, settings.above_m, settings.below_m
+    needs_home = home_nea_m is None and (radius_m, above_m, below_m) != (None, None, None)
+    if needs_home:
+        notes.append("fence about home: home is not known yet, so it is not drawn yet")
+        radius_m = above_m = below_m = None
+    north_m, east_m, up_m = home_nea_m or (0.0, 0.0, 0.0)
+    margin_m = settings.margin_m
+    if radius_m is not None and radius_m <= margin_m:
+        wide = f"a radius of {radius_m:g} m, no more than its margin"
+        refusal = refusal or f"fence about home has {wide}. Widen it"
+    elif radius_m is not None:
+        name = f"fence about home (radius {radius_m:g} m)"
+        zones.append(_circle(name, (north_m, east_m), radius_m - margin_m, keep_in=True))
+    return replace(
+        drawn,
+        zones=tuple(zones),
+        notes=tuple(notes),
+        refusal=refusal,
+        needs_home=needs_home,
+        ceiling_amsl_m=None if above_m is None else up_m + above_m - margin_m,
+        floor_amsl_m=None if below_m is None else up_m + below_m + margin_m,
+    )
 
 
 def drawn(items: Sequence[PlanItem], frame: LocalFrame, margin_m: float) -> Iterator[Fence | None]:
@@ -275,51 +290,9 @@ def _straight(corners_deg: list[Point]) -> list[Point]:
     return [(latitude, longitude) for latitude, longitude in places.tolist()]
 
 
-def _one_is_enough(fence: Fence, settings: FenceSettings, here_ne_m: Point | None) -> Fence:
-    """With a union of inclusion zones, keep to those that the vehicle is in.
-
-    Their intersection lies inside the union.
-    """
-    inside = [zone for zone in fence.zones if zone.keep_in]
-    if len(inside) < 2:
-        return fence
-    kept = inside
-    if settings.union and here_ne_m is not None:
-        kept = [zone for zone in inside if _distance_m(zone, here_ne_m) > 0.0] or inside
-    names = ", ".join(zone.name for zone in kept)
-    zones = tuple(zone for zone in fence.zones if not zone.keep_in or zone in kept)
-    word = f"of {len(inside)} inclusion zones the vehicle stays inside of all of: {names}"
-    return _with_notes(replace(fence, zones=zones), word)
-
-
 def _distance_m(zone: Zone, place_ne_m: Point) -> float:
     north, east = (np.asarray(value) for value in place_ne_m)
     return float(zone.distance_m(north, east))
-
-
-def _about_home(fence: Fence, settings: FenceSettings, home_nea_m: Vector | None) -> Fence:
-    """With the cylinder that parameters draw."""
-    margin_m, radius_m = settings.margin_m, settings.radius_m
-    above_m, below_m = settings.above_m, settings.below_m
-    if radius_m is None and above_m is None and below_m is None:
-        return fence
-    name = "fence about home"
-    if home_nea_m is None:
-        word = f"{name}: home is not known yet, so it is not drawn yet"
-        return replace(_with_notes(fence, word), needs_home=True)
-    north_m, east_m, up_m = home_nea_m
-    if radius_m is not None:
-        if radius_m <= margin_m:
-            wrong = f"{name} has a radius of {radius_m:g} m, no more than its margin. Widen it"
-            return replace(fence, refusal=fence.refusal or wrong)
-        named = f"{name} (radius {radius_m:g} m)"
-        circle = _circle(named, (north_m, east_m), radius_m - margin_m, keep_in=True)
-        fence = replace(fence, zones=(*fence.zones, circle))
-    return replace(
-        fence,
-        ceiling_amsl_m=None if above_m is None else up_m + above_m - margin_m,
-        floor_amsl_m=None if below_m is None else up_m + below_m + margin_m,
-    )
 
 
 def conflicts(fence: Fence, task: Task, targets_ne_m: Sequence[Point]) -> tuple[str, ...]:
@@ -427,7 +400,14 @@ class OwnFence:
         self.notes += [each for each in whole.notes if each not in self._said]
         self.warnings += [whole.misread] if whole.misread not in ("", *self._said) else []
         self._said = (*whole.notes, whole.misread)
-        against, told = conflicts(whole, mission.task, mission.targets_ne_m), whole.changed(now_s)
+        told = FenceChanged(
+            time_s=now_s,
+            zones=whole.zones,
+            floor_amsl_m=whole.floor_amsl_m,
+            ceiling_amsl_m=whole.ceiling_amsl_m,
+            misread=bool(whole.misread),
+        )
+        against = conflicts(whole, mission.task, mission.targets_ne_m)
         before, same = self._told, structs.replace(told, time_s=0.0)
         is_news = same != before and not whole.needs_home
         self._told = before if whole.needs_home else same

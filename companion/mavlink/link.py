@@ -1,7 +1,8 @@
 """A session's link: what was received, which vehicle it is of, its time, and what is sent."""
 
 import enum
-from collections import deque
+import math
+from collections import Counter, deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Final, final
@@ -66,21 +67,23 @@ class VehicleSelector:
         """Systems with an autopilot that are not ours, or may not be."""
         self.elsewhere: set[tuple[int, int]] = set()
         """System and component of what sends an autopilot's heartbeat and is not component 1."""
-        self._heard: dict[int, int] = {}
+        self._heard = Counter[int]()
 
     @property
     def ambiguity(self) -> str:
         """A warning once several autopilots have been heard for a while; empty: unambiguous."""
-        if self.system_id is not None or sum(self._heard.values()) < _ENOUGH:
+        if self.system_id is not None or self._heard.total() < _ENOUGH:
             return ""
         names = ", ".join(str(system) for system in sorted(self.others))
         return f"systems {names} are heard, choose one with --system"
 
     def is_ours(self, heard: Incoming) -> bool:
         """Whether our autopilot sent this; before one is selected: whether any autopilot did."""
-        if self.system_id is None:
-            return heard.component == AUTOPILOT_COMPONENT and _is_an_autopilots(heard)
-        return heard.system == self.system_id and heard.component == AUTOPILOT_COMPONENT
+        if heard.component != AUTOPILOT_COMPONENT:
+            return False
+        return heard.system == self.system_id or (
+            self.system_id is None and _is_an_autopilots(heard)
+        )
 
     def on_heartbeat(self, heard: Incoming) -> bool:
         """Whether this heartbeat completes the selection."""
@@ -89,18 +92,14 @@ class VehicleSelector:
             return False
         if heard.component != AUTOPILOT_COMPONENT:
             self.elsewhere.add((system, heard.component))
-            return False
-        if system == self.system_id:
-            return False
-        self.others.add(system)
-        if self.system_id is not None:
-            return False
-        self._heard[system] = self._heard.get(system, 0) + 1
-        if len(self._heard) > 1 or self._heard[system] < _HEARTBEATS:
-            return False
-        self.system_id = system
-        self.others.clear()
-        return True
+        elif system != self.system_id:
+            self.others.add(system)
+            self._heard[system] += 1
+            if self.system_id is None and [*self._heard.values()] == [_HEARTBEATS]:
+                self.system_id = system
+                self.others.clear()
+                return True
+        return False
 
 
 def _is_an_autopilots(heard: Incoming) -> bool:
@@ -128,7 +127,7 @@ class _Stranger:
     first_s: float
     last_s: float
     count: int = 0
-    told_s: float | None = None
+    told_s: float = -math.inf
     certain: bool = False
 
 
@@ -166,11 +165,9 @@ class DuplicateIdDetector:
         it.last_s, it.count = now_s, it.count + 1
         news = not it.certain and it.count >= _STRANGE and now_s - it.first_s >= _SPAN_S
         it.certain = it.certain or news
-        lately = it.told_s is not None and now_s - it.told_s < _TELL_S
-        if system != system_id or (lately and not news):
+        if system != system_id or (now_s - it.told_s < _TELL_S and not news):
             return None
-        first = it.told_s is None or news
-        it.told_s = now_s
+        first, it.told_s = news or math.isinf(it.told_s), now_s
         return DuplicateId(time_s=now_s, certain=it.certain, news=first and it.certain)
 
 
@@ -201,11 +198,11 @@ class VehicleClock:
         self.is_known = False
         self.passed_s = 0.0
         """How long it has been known, all boots together."""
-        self._doubted_s: float | None = None
+        self._doubted_s = math.nan
         """The time stamp just before, if it was doubted."""
         self._read_at_s: float | None = None
         """When the newest time stamp arrived."""
-        self._beat: tuple[float, float, int] | None = None
+        self._beat = math.nan, math.nan, -1
         """Time, time with the silence and sequence number at the last heartbeat."""
         self._told_ms: dict[int, int] = {}
 
@@ -233,7 +230,7 @@ class VehicleClock:
         if self.now_s - _REBOOT_S <= time_s <= latest_s:
             return True
         # Two messages of one stamp, or two copies of one, are one mistake.
-        return self._doubted_s is not None and 0.0 < time_s - self._doubted_s < _REBOOT_S
+        return 0.0 < time_s - self._doubted_s < _REBOOT_S
 
     def read(self, time_s: float, at_s: float | None = None) -> ClockReading:
         """Take a time stamp of the vehicle; at_s: of its arrival, by any monotonic clock."""
@@ -241,8 +238,7 @@ class VehicleClock:
         if not goes_on and not self.believes(time_s, at_s):
             self._doubted_s = time_s
             return ClockReading.DOUBTED
-        self._doubted_s = None
-        before_s = self.now_s
+        self._doubted_s, before_s = math.nan, self.now_s
         if self.is_known and before_s - _REBOOT_S <= time_s <= before_s:
             return ClockReading.SAME
         self._read_at_s = at_s
@@ -261,13 +257,13 @@ class VehicleClock:
         Two heartbeats without a time in between are a second apart, if no more is known; a copy
         has the sequence number of the first.
         """
-        before, number = self._beat, heartbeat.get_seq()
-        if before is not None and before[2] == number:
+        before_s, going_on_s, before = self._beat
+        if (number := heartbeat.get_seq()) == before:
             return False
-        stands = self.is_known and before is not None and before[0] == self.now_s
-        if stands and before is not None:
-            self.going_on_s = max(self.going_on_s, before[1] + _BEAT_S)
-        self._beat = (self.now_s, self.going_on_s, number)
+        stands = self.is_known and before_s == self.now_s
+        if stands:
+            self.going_on_s = max(self.going_on_s, going_on_s + _BEAT_S)
+        self._beat = self.now_s, self.going_on_s, number
         return stands
 
     def on_silence(self, more_s: float, *, counts: bool) -> ClockReading:

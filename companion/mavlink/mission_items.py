@@ -11,23 +11,14 @@ from companion.mavlink.fence import Point, places_of
 from companion.mavlink.plan_client import PlanItem
 from companion.mission.mission import EndAction
 
-PLACES: Final = (
-    wire.MAV_CMD_NAV_WAYPOINT,
-    wire.MAV_CMD_NAV_SPLINE_WAYPOINT,
-    wire.MAV_CMD_NAV_LOITER_UNLIM,
+_WAYPOINTS: Final = (wire.MAV_CMD_NAV_WAYPOINT, wire.MAV_CMD_NAV_SPLINE_WAYPOINT)
+_LOITERS: Final = (
     wire.MAV_CMD_NAV_LOITER_TURNS,
     wire.MAV_CMD_NAV_LOITER_TIME,
     wire.MAV_CMD_NAV_LOITER_TO_ALT,
 )
+PLACES: Final = (*_WAYPOINTS, wire.MAV_CMD_NAV_LOITER_UNLIM, *_LOITERS)
 """Commands that go to a place."""
-_LOITER: Final = "loiter at a waypoint"
-_INSTEAD: Final = {
-    wire.MAV_CMD_NAV_SPLINE_WAYPOINT: "spline at a waypoint",
-    wire.MAV_CMD_NAV_LOITER_TURNS: _LOITER,
-    wire.MAV_CMD_NAV_LOITER_TIME: _LOITER,
-    wire.MAV_CMD_NAV_LOITER_TO_ALT: _LOITER,
-}
-"""Commands that go to a place, and what of them is not done."""
 _OF_WAYPOINTS: Final = (
     "waiting at a waypoint",
     "acceptance radius of a waypoint",
@@ -40,9 +31,11 @@ for nothing in most files)."""
 
 def not_done(command: int, parameters: Sequence[float | None]) -> Iterator[str]:
     """What of an item that goes to a place is left out, in words; parameters: 1 to 4."""
-    if command in _INSTEAD:
-        yield _INSTEAD[command]
-    if command in (wire.MAV_CMD_NAV_WAYPOINT, wire.MAV_CMD_NAV_SPLINE_WAYPOINT):
+    if command == wire.MAV_CMD_NAV_SPLINE_WAYPOINT:
+        yield "spline at a waypoint"
+    if command in _LOITERS:
+        yield "loiter at a waypoint"
+    if command in _WAYPOINTS:
         for value, words in zip(parameters, _OF_WAYPOINTS, strict=False):
             if value is not None and abs(value) > 0.0:  # not what is no number
                 yield words

@@ -51,7 +51,7 @@ class NearScanner:
         assert blank is not None
         assert blank.guess_m is not None
         self._component = sensor.component_id
-        self._sensing = NearSensing(sensor, poses, self._ground_at_m)
+        self.sensing = NearSensing(sensor, poses, self._ground_at_m)
         free_for_s = sensor.free_for_s(mission.task.limits.navigation_error_m)
         self._near = NearMap(blank.bare(), free_for_s)
         self._known, self._ground_m = blank, blank.guess_m
@@ -65,11 +65,6 @@ class NearScanner:
         """The map of the mission before it."""
         self._sight = Sight.NEVER_HEARD
 
-    @property
-    def limits_m(self) -> tuple[float, float] | None:
-        """As the sensor says (`NearSensing.limits_m`)."""
-        return self._sensing.limits_m
-
     def _ground_at_m(self, north_m: float, east_m: float) -> float:
         row, column = self._known.cell_of(north_m, east_m)
         rows, columns = self._ground_m.shape
@@ -80,19 +75,18 @@ class NearScanner:
     def on_message(self, message: Message, now_s: float) -> None:
         """A message of the sensor, or SYS_STATUS of the autopilot."""
         if message.get_msgId() == HEALTH or message.get_srcComponent() == self._component:
-            self._sensing.on_message(message, now_s)
+            self.sensing.on_message(message, now_s)
 
     def seen(self, now_s: float) -> NearSeen | None:
         """What is new: sweeps, or what the silence means; None: nothing."""
-        sweeps, sight = self._sensing.sweeps(), self._sensing.sight(now_s)
+        sweeps, sight = self.sensing.sweeps(), self.sensing.sight(now_s)
         for sweep in sweeps:
             self._near.add(sweep)
             self._swept_s = now_s
         if not sweeps and sight is self._sight:
             return None
         self._sight = sight
-        limits_m = self.limits_m
-        sees_m = math.inf if limits_m is None else limits_m[1]
+        _, sees_m = self.sensing.limits_m
         return NearSeen(time_s=now_s, sight=sight, near=self._near, sees_m=sees_m)
 
     # --- scans

@@ -100,10 +100,10 @@ class NearSensing:
         """By its last word, at `_health_s`."""
 
     @property
-    def limits_m(self) -> tuple[float, float] | None:
-        """Least and greatest distance that it measures in all directions; None: it told of none."""
+    def limits_m(self) -> tuple[float, float]:
+        """Least and greatest distance that it measures in all directions; 0 and inf until told."""
         if not self._limits_cm:
-            return None
+            return 0.0, math.inf
         least_cm, most_cm = zip(*self._limits_cm.values(), strict=True)
         return max(least_cm) * 0.01, min(most_cm) * 0.01
 
@@ -146,17 +146,10 @@ class NearSensing:
 
     def on_obstacle_distance(self, message: Message, now_s: float) -> None:
         """OBSTACLE_DISTANCE of the sensor's component, at vehicle time now_s."""
-        width_deg, offset_deg = (
-            message.increment_f or float(message.increment),
-            message.angle_offset,
-        )
+        width_deg, offset_deg = message.increment_f or message.increment, message.angle_offset
         least, most = message.min_distance, message.max_distance
-        if not (
-            math.isfinite(width_deg + offset_deg)
-            and 0.0 < abs(width_deg) <= 360.0
-            and message.frame in (*_BODY, *_NORTH)
-            and 0 <= least < most
-        ):
+        is_fit = 0.0 < abs(width_deg) <= 360.0 and math.isfinite(offset_deg) and 0 <= least < most
+        if not is_fit or message.frame not in (*_BODY, *_NORTH):
             return
         count = min(len(message.distances), math.floor(360.0 / abs(width_deg) + 1e-6))
         told_cm = np.array(message.distances[:count], dtype=np.float64)
@@ -238,16 +231,11 @@ class NearSensing:
 
         While it is well and says nothing, nothing is in its reach: R, or less by its own word.
         """
-        of_sensor = wire.MAV_SYS_STATUS_SENSOR_PROXIMITY
-        enabled, health = (
-            message.onboard_control_sensors_enabled,
-            message.onboard_control_sensors_health,
-        )
         was_well = self._well and self._health_s > self._heard_s
-        self._health_s, self._well = now_s, bool(enabled & health & of_sensor)
+        well = message.onboard_control_sensors_enabled & message.onboard_control_sensors_health
+        self._health_s, self._well = now_s, bool(well & wire.MAV_SYS_STATUS_SENSOR_PROXIMITY)
         if self._well and was_well and now_s - self._heard_s > _EMPTY_AFTER_S:
-            range_m = self._sensor.range_m
-            range_m = range_m if self.limits_m is None else min(range_m, self.limits_m[1])
+            range_m = min(self._sensor.range_m, self.limits_m[1])
             clear_m, nothing = np.full(_SECTORS, range_m), np.full(_SECTORS, np.inf)
             at_s, first_rad = now_s - self._sensor.latency_s, -0.5 * _SECTOR_RAD
             self._looks.append(_Look(at_s, first_rad, _SECTOR_RAD, True, clear_m, nothing))

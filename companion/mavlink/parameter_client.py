@@ -14,11 +14,7 @@ from typing import Final, final
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.frames import payload_as_sent
 
-MESSAGES: Final = (
-    wire.MAVLINK_MSG_ID_PARAM_VALUE,
-    wire.MAVLINK_MSG_ID_PARAM_ERROR,
-    wire.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
-)
+MESSAGES: Final = (wire.MAVLINK_MSG_ID_PARAM_VALUE, wire.MAVLINK_MSG_ID_PARAM_ERROR)
 ANSWER_S: Final = 0.5
 """Time-out of a request before it is repeated."""
 _MAX_TRIES: Final = 5
@@ -35,23 +31,18 @@ _FORMATS: Final = {
     wire.MAV_PARAM_TYPE_INT32: "<i",
 }
 """Of whole numbers; everything else is a float."""
-_LARGEST_FLOAT: Final = 3.4028234663852886e38
-_ERRORS: Final = {
-    wire.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE: "it says that the value is out of range",
-    wire.MAV_PARAM_ERROR_PERMISSION_DENIED: "it does not allow that",
-    wire.MAV_PARAM_ERROR_READ_ONLY: "it can only be read",
-}
 
 
 @final
 @dataclass(slots=True)
 class _Request:
-    """A request without an answer yet: of the value, and of what it is to be set to."""
+    """A request without an answer yet: of a value, or to set it."""
 
-    value: float | None = None
-    """To be set, once it has been read."""
-    echoes: int | None = None
-    """How often it has said that it keeps what it was told; None: it has not been told yet."""
+    set_to: float | None = None
+    on_wire: tuple[float, int] = (0.0, 0)
+    """What it is set to as PARAM_SET has it, and its type."""
+    is_echoed: bool = False
+    """Whether it has said that it keeps what it was told: then the value is read back."""
     tries: int = 0
     """Without those during which the whole autopilot was silent."""
     asked_s: float = -math.inf
@@ -67,20 +58,12 @@ def decoded(message: Message, *, bytewise: bool) -> float:
 
 
 def encoded(value: float, kind: int, *, bytewise: bool) -> float:
-    """What goes into param_value for a parameter of this type.
-
-    OverflowError or ValueError if the type cannot hold it.
-    """
+    """What goes into param_value for a parameter of this type; struct.error: it does not fit."""
     form = _FORMATS.get(kind)
     if form is None:
         return value
-    try:
-        raw = struct.pack(form, round(value))
-    except struct.error as error:
-        raise OverflowError(str(error)) from error
-    if not bytewise:
-        return float(round(value))
-    return float(struct.unpack("<f", raw.ljust(4, b"\0"))[0])
+    raw = struct.pack(form, round(value))
+    return float(struct.unpack("<f", raw.ljust(4, b"\0"))[0]) if bytewise else float(round(value))
 
 
 @final
@@ -134,17 +117,17 @@ class ParameterClient:
             request.asked_s += shift_s
 
     def set(self, name: str, value: float) -> None:
-        """Set a parameter; the value is read back and compared.
+        """Set a parameter that was read; the value is read back and compared.
 
         Failures are listed in `failed_sets` when `is_done`.
         """
         self.failed_sets.pop(name, None)
-        if not (math.isfinite(value) and abs(value) <= _LARGEST_FLOAT):
-            self.failed_sets[name] = f"{value} is no number that a parameter can have"
-        elif name in self._open and self._open[name].echoes is None:
-            self._open[name].value = value
-        else:  # one that was read has a type
-            self._open[name] = _Request(value, 0 if name in self._types else None)
+        kind = self._types[name]
+        try:
+            on_wire = encoded(value, kind, bytewise=self._bytewise), kind
+            self._open[name] = _Request(value, on_wire)
+        except struct.error:
+            self.failed_sets[name] = f"{value:g} does not fit into its type"
 
     # --- in -----------------------------------------------------------------------------------
 
@@ -153,16 +136,15 @@ class ParameterClient:
         if (message.get_srcSystem(), message.get_srcComponent()) != self._to:
             return []
         self.heard_s = now_s
-        match message.get_msgId():
-            case wire.MAVLINK_MSG_ID_PARAM_VALUE:
-                if message.param_id in self._group_of or message.param_id in self._open:
-                    self._on_value(message)
-            case wire.MAVLINK_MSG_ID_PARAM_ERROR:
-                self._on_error(message.param_id, message.error)
-            case wire.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
-                self._on_version(message.capabilities)
-            case _:
-                return []
+        if (number := message.get_msgId()) not in MESSAGES:
+            return []
+        if number == wire.MAVLINK_MSG_ID_PARAM_ERROR:
+            request = self._open.get(message.param_id)
+            there_is_none = message.error == wire.MAV_PARAM_ERROR_DOES_NOT_EXIST
+            if there_is_none and request is not None and request.set_to is None:
+                del self._open[message.param_id]
+        elif message.param_id in self._group_of:
+            self._on_value(message)
         return self.on_time(now_s)
 
     def _on_value(self, message: Message) -> None:
@@ -173,100 +155,55 @@ class ParameterClient:
         self._types[name] = message.param_type
         self.version += not _same(self.values.get(name), value)
         self.values[name] = value
-        for other in self._group_of.get(name, ()):
-            if other != name and other in self._open and self._open[other].echoes is None:
+        for other in self._group_of[name]:
+            if other != name and other in self._open and self._open[other].set_to is None:
                 del self._open[other]
         request = self._open.pop(name, None)
         if request is None:
             return
-        if request.echoes is None:
+        if request.set_to is None:
             self._lossy = self._lossy or request.tries > 1
-            if request.value is not None:
-                self._open[name] = _Request(request.value, 0)
-        elif not (
-            request.tries and request.value is not None and self._is_kept(name, request.value)
-        ):
+        elif not (request.tries and _same(self._as_kept(name, request.set_to), value)):
             self._open[name] = request
-        elif request.echoes == 0:  # it says so, but does it keep it?
-            self._open[name] = _Request(request.value, 1)
+        elif not request.is_echoed:  # it says so, but does it keep it?
+            self._open[name] = _Request(request.set_to, is_echoed=True)
 
-    def _is_kept(self, name: str, asked: float) -> bool:
-        asked = float(round(asked)) if self._types[name] in _FORMATS else asked
-        return _same(asked, self.values[name])
-
-    def _on_error(self, name: str, error: int) -> None:
-        request = self._open.get(name)
-        if request is None:
-            return
-        if error == wire.MAV_PARAM_ERROR_DOES_NOT_EXIST:
-            if request.echoes is None:
-                self._give_up(name, request)
-        elif request.value is not None and error in _ERRORS:
-            self._fail(name, _ERRORS[error])
-
-    def _on_version(self, capabilities: int) -> None:
-        """If integers are encoded differently than assumed, request everything again."""
-        as_bytes = capabilities & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
-        cast = capabilities & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
-        bytewise = bool(as_bytes) or (self._bytewise and not cast)
-        if bytewise != self._bytewise:
-            self._bytewise = bytewise
-            before = self._open
-            self.restart()
-            for name, request in before.items():
-                if request.value is not None:
-                    self.set(name, request.value)
+    def _as_kept(self, name: str, value: float) -> float:
+        return float(round(value)) if self._types[name] in _FORMATS else value
 
     # --- out ----------------------------------------------------------------------------------
 
     def on_time(self, now_s: float) -> list[Message]:
         """The requests that are due: new ones, and those whose answer has not come.
 
-        What was asked for often enough is given up; but while no parameter at all has been
-        answered the link is down, and only what was to be set is.
+        What was asked for often enough is given up; but not while no parameter at all has been
+        answered: then the link is down.
         """
         most = _MAX_TRIES_LOSSY if self._lossy else _MAX_TRIES
         due = []
         for name, request in list(self._open.items()):
             if now_s - request.asked_s < ANSWER_S:
                 continue
-            may_end = bool(self._types) or request.echoes is not None
-            if may_end and request.tries >= most and self.heard_s > request.asked_s:
-                self._give_up(name, request)
+            if self._types and request.tries >= most and self.heard_s > request.asked_s:
+                del self._open[name]
+                if request.set_to is not None:
+                    was, value = f"{request.set_to:g}", f"{self.values[name]:g}"
+                    self.failed_sets[name] = f"it was told {was} and says {value}"
             else:
                 due.append((name, request))
         free = _OUTSTANDING - (len(self._open) - len(due))
         due.sort(key=lambda each: each[1].tries)
-        asked = []
-        for name, request in due[: max(free, 0)]:
+        asked = due[: max(free, 0)]
+        for _, request in asked:
             request.tries = max(request.tries + int(self.heard_s > request.asked_s), 1)
             request.asked_s = now_s
-            asked += self._messages(name, request)
-        return asked
+        return [self._message(name, request) for name, request in asked]
 
-    def _messages(self, name: str, request: _Request) -> list[Message]:
+    def _message(self, name: str, request: _Request) -> Message:
         key = name.encode("ascii", "replace")
-        if request.echoes != 0 or request.value is None:
-            return [wire.MAVLink_param_request_read_message(*self._to, key, -1)]
-        kind = self._types[name]
-        try:
-            value = encoded(request.value, kind, bytewise=self._bytewise)
-        except (OverflowError, ValueError):
-            self._fail(name, f"{request.value:g} does not fit into its type")
-            return []
-        return [wire.MAVLink_param_set_message(*self._to, key, value, kind)]
-
-    def _give_up(self, name: str, request: _Request) -> None:
-        if request.echoes is not None:
-            self._fail(name, f"it was told {request.value:g} and says {self.values[name]:g}")
-            return
-        del self._open[name]
-        if request.value is not None:
-            self._fail(name, "the autopilot does not have it")
-
-    def _fail(self, name: str, why: str) -> None:
-        self._open.pop(name, None)
-        self.failed_sets[name] = why
+        if request.set_to is None or request.is_echoed:
+            return wire.MAVLink_param_request_read_message(*self._to, key, -1)
+        return wire.MAVLink_param_set_message(*self._to, key, *request.on_wire)
 
 
 def _same(one: float | None, other: float) -> bool:

@@ -7,10 +7,10 @@ mavlink.md 2.3 and 2.5, px4.md 7.
 
 import math
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, final
 
-from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
 from companion.mavlink.frames import payload_as_sent
 
 MISSION: Final = wire.MAV_MISSION_TYPE_MISSION
@@ -78,6 +78,8 @@ class Plan:
     """Rises with every change; 0: not read yet."""
     supported: bool = True
     """Whether the autopilot supports this kind of list."""
+    key: bytes = b""
+    """Those of its items, in a row: of thousands at once they would take too long."""
 
 
 @final
@@ -94,7 +96,6 @@ class _Transfer:
     count: int = 0
     items: list[PlanItem] = field(default_factory=list)
     key: bytes = b""
-    """Of the items, as they arrive: that of thousands at once would take too long."""
     opaque_id: int = 0
     item_s: float = _ITEM_S
     smooth: bool = True
@@ -110,13 +111,13 @@ class _Watch:
     read_s: float = -math.inf
     """When all of it was read last; -inf: it has to be."""
     opaque_id: int = 0
-    key: bytes = b""
-    """Of the items that are known."""
     candidate: bytes | None = None
     """A new list that was read with gaps, or found empty after a reboot: it replaces another when
     it has been read twice."""
     rebooted: bool = False
     """Whether it has not been read since the autopilot rebooted."""
+    trouble: str = "no answer yet"
+    """Why the last transfer did not succeed, if it did not."""
 
 
 @final
@@ -127,13 +128,10 @@ class PlanClient:
     us count: other clients may transfer on the same link.  An incomplete download changes nothing.
     """
 
-    def __init__(self, system_id: int, ours: tuple[int, int]) -> None:
-        """ours: the system and component that we send as."""
-        self._to, self._ours = (system_id, AUTOPILOT_COMPONENT), ours
+    def __init__(self, system_id: int) -> None:
+        self._to, self._ours = (system_id, AUTOPILOT_COMPONENT), (system_id, COMPANION_COMPONENT)
         self.plans: dict[int, Plan] = {kind: Plan() for kind in KINDS}
         """By MAV_MISSION_TYPE."""
-        self.trouble: dict[int, str] = {}
-        """Kinds whose last transfer did not succeed, and why, in words."""
         self.changing: dict[int, int] = {}
         """Kinds that have changed and are being read, and how many items they have now."""
         self._watches = {kind: _Watch() for kind in KINDS}
@@ -149,7 +147,7 @@ class PlanClient:
     def waiting(self) -> tuple[str, ...]:
         """What has not been read once, with the reason if one is known, for people."""
         return tuple(
-            f"{_NAMES[kind]} ({self.trouble.get(kind, 'no answer yet')})"
+            f"{_NAMES[kind]} ({self._watches[kind].trouble})"
             for kind, plan in self.plans.items()
             if plan.supported and not plan.version
         )
@@ -158,10 +156,9 @@ class PlanClient:
         """Download everything again now, after a reboot or on request."""
         self._transfer = None
         self.changing.clear()
-        self._watches = {k: _Watch(key=v.key, rebooted=True) for k, v in self._watches.items()}
+        self._watches = {kind: _Watch(rebooted=True) for kind in KINDS}
         for kind, plan in self.plans.items():
-            if not plan.supported:
-                self.plans[kind] = Plan(version=plan.version)
+            self.plans[kind] = replace(plan, supported=True)
 
     def rebase_time(self, shift_s: float) -> None:
         """Shift all stored times by this much: the clock was replaced."""
@@ -187,10 +184,9 @@ class PlanClient:
             return []
         if number == _ACK:
             return self._on_ack(transfer, message.type, now_s)
-        if transfer.reads != (number == _ITEM):
-            return []
-        answer = self._on_item if transfer.reads else self._on_count
-        return answer(transfer, message, now_s)
+        if number == _ITEM and transfer.reads:
+            return self._on_item(transfer, message, now_s)
+        return [] if number == _ITEM or transfer.reads else self._on_count(transfer, message, now_s)
 
     def _on_ids(self, message: Message) -> None:
         """PX4 reports the ids of its lists once a second: download a list whose id is new."""
@@ -208,12 +204,12 @@ class PlanClient:
             self._list_s = min(max(4.0 * waited_s, 2.0 * _ITEM_S), _LIST_S)
         if message.count > _LONGEST:
             why = f"{message.count} items are too many"
-            return self._end(transfer, now_s, _LATER_S, why=why)
+            return self._end(transfer.kind, now_s, _LATER_S, why=why)
         plan, watch = self.plans[transfer.kind], self._watches[transfer.kind]
         known, as_many = plan.version > 0 and plan.supported, message.count == len(plan.items)
         if known and as_many and opaque_id == watch.opaque_id and transfer.only_look:
             self.changing.pop(transfer.kind, None)  # no change, and no items are requested
-            return self._end(transfer, now_s, LOOK_S, wire.MAV_MISSION_OPERATION_CANCELLED)
+            return self._end(transfer.kind, now_s, LOOK_S, wire.MAV_MISSION_OPERATION_CANCELLED)
         transfer.count, transfer.opaque_id = message.count, opaque_id
         if known and message.count and not (as_many and watch.opaque_id in (0, opaque_id)):
             self.changing[transfer.kind] = message.count
@@ -252,12 +248,11 @@ class PlanClient:
             return []  # of something that we did not ask for
         if result != wire.MAV_MISSION_UNSUPPORTED:
             why = _REFUSED.get(result, f"refused with MAV_MISSION_RESULT {result}")
-            return self._end(transfer, now_s, _LATER_S, why=why)
+            return self._end(transfer.kind, now_s, _LATER_S, why=why)
         plan = self.plans[transfer.kind]
         if plan.supported:
             self.plans[transfer.kind] = Plan(version=plan.version + 1, supported=False)
-            self._watches[transfer.kind].key = b""
-        return self._end(transfer, now_s, READ_ALL_S)
+        return self._end(transfer.kind, now_s, READ_ALL_S)
 
     # --- how a transfer ends ------------------------------------------------------------------
 
@@ -267,41 +262,32 @@ class PlanClient:
         # An autopilot may answer before it has loaded its lists: then they look empty.
         early = watch.rebooted and not transfer.items and bool(plan.items)
         sure = transfer.key == watch.candidate or (transfer.smooth and not early)
-        new = transfer.key != watch.key or not plan.version or not plan.supported
+        new = transfer.key != plan.key or not plan.version or not plan.supported
         if new and (sure or not plan.version):  # the first is better than none
-            items = tuple(transfer.items)
-            self.plans[transfer.kind] = Plan(items=items, version=plan.version + 1)
-            watch.key = transfer.key
+            items, version = tuple(transfer.items), plan.version + 1
+            self.plans[transfer.kind] = Plan(items=items, version=version, key=transfer.key)
         if new and not sure:  # in the gaps it may have become half of one and half of another
             watch.candidate, watch.read_s = transfer.key, -math.inf
             pause_s = LOOK_S if early else 0.0
         else:
             watch.candidate, watch.rebooted = None, False
             self.changing.pop(transfer.kind, None)
-        return self._end(transfer, now_s, pause_s, wire.MAV_MISSION_ACCEPTED)
+        return self._end(transfer.kind, now_s, pause_s, wire.MAV_MISSION_ACCEPTED)
 
     def _end(
-        self,
-        transfer: _Transfer,
-        now_s: float,
-        pause_s: float,
-        ack: int | None = None,
-        why: str = "",
+        self, kind: int, now_s: float, pause_s: float, ack: int | None = None, why: str = ""
     ) -> list[Message]:
         """Look at this list again after a pause; returns what is due now.
 
         ack: what ends the transfer for the autopilot, too.  why: it has failed; the known list is
         kept.
         """
-        self._transfer = None
-        self.trouble.pop(transfer.kind, None)
-        if why:
-            self.trouble[transfer.kind] = why
-        self._watches[transfer.kind].due_s = now_s + pause_s
+        self._transfer, watch = None, self._watches[kind]
+        watch.due_s, watch.trouble = now_s + pause_s, why
         asked = self.on_time(now_s)
         if ack is None:
             return asked
-        return [wire.MAVLink_mission_ack_message(*self._to, ack, transfer.kind), *asked]
+        return [wire.MAVLink_mission_ack_message(*self._to, ack, kind), *asked]
 
     # --- out ----------------------------------------------------------------------------------
 
@@ -317,7 +303,7 @@ class PlanClient:
         if transfer.tries < (_MAX_ITEM_TRIES if transfer.reads else _MAX_LIST_TRIES):
             return [self._ask(transfer, now_s)]
         over = wire.MAV_MISSION_OPERATION_CANCELLED
-        return self._end(transfer, now_s, _LATER_S, over, "no answer")
+        return self._end(transfer.kind, now_s, _LATER_S, over, "no answer")
 
     @property
     def due_s(self) -> float:

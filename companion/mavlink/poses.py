@@ -77,37 +77,33 @@ class _Track:
 
     def __init__(self, *, angles: bool) -> None:
         self._angles = angles
-        self._times: list[float] = []
-        self._values: list[tuple[float, ...]] = []
+        self._kept: list[tuple[float, tuple[float, ...]]] = []
 
     @property
     def newest_s(self) -> float:
-        return self._times[-1] if self._times else -math.inf
+        return self._kept[-1][0] if self._kept else -math.inf
 
     def keep(self, time_s: float, values: tuple[float, ...]) -> None:
         """In order of time: what is overtaken is left out, a clock that fell begins anew."""
         if time_s < self.newest_s - _KEPT_S:
-            self._times, self._values = [], []
-        if time_s <= self.newest_s or not all(map(math.isfinite, values)):
-            return
-        self._times.append(time_s)
-        self._values.append(values)
-        old = bisect.bisect_left(self._times, time_s - _KEPT_S)
-        del self._times[:old], self._values[:old]
+            self._kept.clear()
+        if time_s > self.newest_s and all(map(math.isfinite, values)):
+            self._kept.append((time_s, values))
+            del self._kept[: bisect.bisect_left(self._kept, (time_s - _KEPT_S,))]
 
     def at(self, time_s: float) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
         """The values at a time, and how fast they changed."""
-        after = bisect.bisect_left(self._times, time_s)
-        if after == len(self._times) or (after == 0 and self._times[0] != time_s):
+        after = bisect.bisect_left(self._kept, (time_s,))
+        if after == len(self._kept):
             return None
-        before = max(after - 1, 0)
-        span_s = self._times[after] - self._times[before]
+        (before_s, was), (after_s, is_then) = self._kept[max(after - 1, 0)], self._kept[after]
+        span_s = after_s - before_s
+        if time_s != after_s and not 0.0 < span_s <= _GAP_S:
+            return None
         if span_s > _GAP_S:
-            if self._times[after] != time_s:
-                return None
-            before, span_s = after, 0.0
-        since_s, was = time_s - self._times[before], self._values[before]
-        steps = [b - a for a, b in zip(was, self._values[after], strict=True)]
+            before_s, was, span_s = after_s, is_then, 0.0
+        since_s = time_s - before_s
+        steps = [b - a for a, b in zip(was, is_then, strict=True)]
         steps = [wrap_rad(step) for step in steps] if self._angles else steps
         rates = tuple(step / span_s if span_s > 0.0 else 0.0 for step in steps)
         return tuple(a + since_s * rate for a, rate in zip(was, rates, strict=True)), rates

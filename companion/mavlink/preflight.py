@@ -7,12 +7,11 @@ passed (`Preflight`).
 import enum
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Protocol, final
+from typing import NamedTuple, Protocol, final
 
-from companion.mavlink import fence, near_sensing
+from companion.mavlink import fence
 from companion.mavlink.autopilot_client import AutopilotClient
-from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
+from companion.mavlink.dialect import COMPANION_COMPONENT
 from companion.mavlink.frames import Receiver
 from companion.mavlink.link import TO_COMPONENT_1, VehicleSelector, ids_in_words
 from companion.mavlink.near_scanner import NearScanner
@@ -32,7 +31,6 @@ _MAX_LOOKS = 3
 _PATIENCE_S = 5.0  # for rates and delays that have not come yet
 _CHECK_S = 1.0  # between two looks at a vehicle that waits
 _LONG_DELAY_S = 0.5
-_FEWEST_ANSWERS = 0.9
 _NO_RADAR = (
     "Start it, or correct vehicle.scanner_component_id. Where there is none, say so in a "
     "mission.toml, which may name a .plan: vehicle.scanner = false, and [terrain] with an "
@@ -51,9 +49,7 @@ class CheckStatus(enum.Enum):
     REFUSED = "refused"
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class Check:
+class Check(NamedTuple):
     """One check of the list."""
 
     name: str
@@ -77,7 +73,6 @@ class PreflightInputs(Protocol):
     near: NearScanner | None
     rangefinder: Rangefinder | None
     last_scan: ScanDone | None
-    sensed: dict[int, set[tuple[int, int]]]
 
     @property
     def senders(self) -> list[tuple[int, int]]:
@@ -93,11 +88,15 @@ class Preflight:
     """
 
     def __init__(self) -> None:
-        self._preparing_since_s: float | None = None
-        self._looked, self._looks = False, 0
-        self._failing_s: float | None = None
-        """Since when it does not pass."""
         self._looked_s = self._checked_s = -math.inf
+        self._begin(math.nan)
+
+    def _begin(self, preparing_since_s: float) -> None:
+        """The vehicle is prepared, or prepared anew."""
+        self._preparing_since_s = preparing_since_s
+        self._looked, self._looks = False, 0
+        self._failing_s = math.inf
+        """Since when it does not pass."""
         self._told = ""
 
     def scan_position(self, heard: PreflightInputs) -> Vector | None:
@@ -108,17 +107,15 @@ class Preflight:
         if state.phase is Phase.READY:
             if heard.mission.near or _is_within(_LOOK_AGAIN_S, self._looked_s, state.now_s):
                 return None
-            self._looked_s = state.now_s
-            return here  # what the last scan saw counts till this one is over
-        if state.stage.since_s != self._preparing_since_s:  # prepared anew
-            self._preparing_since_s, self._failing_s = state.stage.since_s, None
-            self._looked, self._looks, self._told = False, 0, ""
-        if self._looked or state.airborne or not state.targets_ne_m or heard.context.shadow:
-            return None
-        if distrust(state.vehicle, state.now_s, state.task.limits) is not None:
-            return None
-        self._looked, heard.last_scan = True, None
-        self._looks += 1
+        else:
+            if state.stage.since_s != self._preparing_since_s:
+                self._begin(state.stage.since_s)
+            if self._looked or state.airborne or not state.targets_ne_m or heard.context.shadow:
+                return None
+            if distrust(state.vehicle, state.now_s, state.task.limits) is not None:
+                return None
+            heard.last_scan = None  # of one that is ready, what the last scan saw counts till then
+            self._looked, self._looks = True, self._looks + 1
         self._looked_s = state.now_s
         return here
 
@@ -132,29 +129,26 @@ class Preflight:
         ready = state.phase is Phase.READY
         asked = self._looked and heard.last_scan is not None and Item.CHECKS not in state.prepared
         prepares = state.phase is Phase.PREPARING and asked and not waiting_for(heard)
-        if not (ready or prepares):
-            return None
         seldom = (ready or bool(self._told)) and not at_once
-        if seldom and _is_within(_CHECK_S, self._checked_s, now_s):
+        waits = seldom and _is_within(_CHECK_S, self._checked_s, now_s)
+        if waits or not (ready or prepares):
             return None
         self._checked_s = now_s
         refused = (each for each in checks_of(heard) if each.status is CheckStatus.REFUSED)
         if (first := next(refused, None)) is None:
-            self._failing_s = None
+            self._failing_s = math.inf
             return None if ready else Prepared(time_s=now_s, item=Item.CHECKS)
         waited = bool(state.unready) and now_s - self._looked_s > _LOOK_AGAIN_S
         if not ready and first.name == "radar" and (self._looks < _MAX_LOOKS or waited):
             self._looked = False
             return None
-        if self._failing_s is None:
-            self._failing_s = now_s
+        self._failing_s = min(self._failing_s, now_s)
         if not at_once and now_s - self._failing_s < _PATIENCE_S:
             return None
         refusal = f"{first.name}: {first.what}"
         again, self._told = refusal == self._told and not ready, refusal
-        if again:
-            return None
-        return Prepared(time_s=now_s, item=Item.CHECKS, refusal=refusal, remedy=first.remedy)
+        told = Prepared(time_s=now_s, item=Item.CHECKS, refusal=refusal, remedy=first.remedy)
+        return None if again else told
 
 
 def _is_within(period_s: float, since_s: float, now_s: float) -> bool:
@@ -171,8 +165,7 @@ def waiting_for(heard: PreflightInputs) -> str:
     waits = [item.value for item, done in answered.items() if not done]  # refused or not
     if state.vehicle.home_nea_m is None:
         waits.append("home")
-    distrusted = distrust(state.vehicle, state.now_s, state.task.limits)
-    if distrusted is not None:
+    if distrusted := distrust(state.vehicle, state.now_s, state.task.limits):
         waits.append(f"its position ({distrusted.text})")
     return ", ".join(waits)
 
@@ -180,10 +173,6 @@ def waiting_for(heard: PreflightInputs) -> str:
 def checks_of(session: PreflightInputs) -> list[Check]:
     """All checks, in the order of a manual checklist."""
     vehicle = session.vehicle
-    if vehicle is None and session.found:
-        what = f"{session.found}: none that this mission is for"
-        remedy = "Check vehicle.kind and vehicle.autopilot of the mission."
-        return [_check("vehicle", False, what, remedy)]
     if vehicle is None:
         return [_check("vehicle", False, *not_heard(session))]
     return [
@@ -212,6 +201,9 @@ def _remark(name: str, what: str, remedy: str = "") -> Check:
 
 def not_heard(session: PreflightInputs) -> tuple[str, str]:
     """Why there is no vehicle: what is heard instead; and what to do about it."""
+    if session.found:
+        what = f"{session.found}: none that this mission is for"
+        return what, "Check vehicle.kind and vehicle.autopilot of the mission."
     selector, wanted = session.selector, session.mission.system_id
     others, elsewhere = sorted(selector.others), sorted(selector.elsewhere)
     names = ", ".join(map(str, others))
@@ -237,9 +229,10 @@ def not_heard(session: PreflightInputs) -> tuple[str, str]:
 
 def _link(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check]:
     state = session.state
-    others = ", ".join(map(str, sorted(session.selector.others)))
     what = f"{vehicle.autopilot.name}, system {vehicle.system_id}"
-    yield _check("vehicle", True, f"{what}; also heard: {others}" if others else what)
+    if others := ", ".join(map(str, sorted(session.selector.others))):
+        what += f"; also heard: {others}"
+    yield _check("vehicle", True, what)
     if state.reason is Reason.LINK_LOST:
         yield _check("link", False, Reason.LINK_LOST.text, Reason.LINK_LOST.remedy)
     missing = vehicle.streams.missing
@@ -261,8 +254,7 @@ def _link(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check]
 
 def _parameters(vehicle: AutopilotClient) -> Iterator[Check]:
     if not vehicle.parameters.is_done:
-        waiting = ", ".join(vehicle.parameters.waiting) or "no answer"
-        yield _check("parameters", False, f"not read: {waiting}", "Check the link.")
+        yield _check("parameters", False, _not_read(vehicle.parameters.waiting), "Check the link.")
         return
     for finding in vehicle.findings:
         name = f"{finding.name} = " + ("missing" if finding.value is None else f"{finding.value:g}")
@@ -279,27 +271,31 @@ def _parameters(vehicle: AutopilotClient) -> Iterator[Check]:
 def _fence(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check]:
     state, mission = session.state, session.mission
     if Item.PLANS not in state.prepared and not vehicle.plans.is_done:
-        waiting = ", ".join(vehicle.plans.waiting)
-        yield _check("fence", False, f"not read: {waiting}", "Check the link.")
+        yield _check("fence", False, _not_read(vehicle.plans.waiting), "Check the link.")
         return
     if not mission.fence_from_vehicle:
         yield _remark("fence", "the vehicle's own fence is left out, as the mission says")
     elif items := vehicle.plans.changing.get(FENCE):
         what = f"the fence has changed: reading {items:,} items"
         yield _check("fence", False, what, "Wait until it is read.")
-    elif (drawn := vehicle.fence) is not None:
+    elif (drawn := vehicle.own_fence.fence) is not None:
         against = fence.conflicts(drawn, mission.task, state.targets_ne_m)
         yield from (_check("fence", False, *_parted(line)) for line in against)
         yield from (_remark("fence", line) for line in drawn.notes)
         if drawn.misread:
             yield _remark("fence", *_parted(drawn.misread))
         if not against:
-            what = f"{len(drawn.zones)} zones of the vehicle's own are kept to"
-            yield _check("fence", True, what)
+            yield _check(
+                "fence", True, f"{len(drawn.zones)} zones of the vehicle's own are kept to"
+            )
     targets = len(state.targets_ne_m)
     yield _check("targets", targets > 0, f"{targets} targets", "Upload a mission with waypoints.")
     if landing := stopped.landing_words(state, session.context):
         yield _remark("landing", landing)
+
+
+def _not_read(waiting: tuple[str, ...]) -> str:
+    return f"not read: {', '.join(waiting)}"
 
 
 def _parted(line: str) -> tuple[str, str]:
@@ -313,18 +309,17 @@ def _parted(line: str) -> tuple[str, str]:
 
 def _position(session: PreflightInputs) -> Iterator[Check]:
     state, vehicle = session.state, session.state.vehicle
-    on_ground = vehicle.landed is Landed.ON_GROUND
+    on_ground, here = vehicle.landed is Landed.ON_GROUND, vehicle.position_nea_m
     if vehicle.armed and on_ground and not state.armed_by_us:
         yield _check("armed", False, Reason.ARMED_ALREADY.text, Reason.ARMED_ALREADY.remedy)
-    distrusted = distrust(vehicle, state.now_s, state.task.limits)
-    if distrusted is not None:
+    if distrusted := distrust(vehicle, state.now_s, state.task.limits):
         yield _check("position", False, distrusted.text, distrusted.remedy)
-    if (here := vehicle.position_nea_m) is None:
-        return
-    if distrusted is None:
+    elif here is not None:
         error = "" if vehicle.error_m is None else f", to {vehicle.error_m:.1f} m"
         north_m, east_m = (round(value) + 0 for value in here[:2])
         yield _check("position", True, f"{north_m} m north, {east_m} m east{error}")
+    if here is None:
+        return
     if vehicle.home_nea_m is not None:
         height_m = ground.height_m(state)
         what = f"the climb ends {height_m:.0f} m above home"
@@ -368,36 +363,24 @@ def _scanner(session: PreflightInputs) -> Iterator[Check]:
         yield _remark("radar", "not asked: where from and where to is not known")
     elif scan is None or not scan.answered:
         what = f"the terrain radar, component {component}, did not answer TERRAIN_REQUEST"
-        others = _instead(session, (wire.MAVLINK_MSG_ID_TERRAIN_DATA,), component)
-        remedy = "Write the one that it is into vehicle.scanner_component_id."
-        yield _check("radar", False, what + others, remedy if others else _NO_RADAR)
+        yield _check("radar", False, what + _heard(session), _NO_RADAR)
     else:
-        what = f"{scan.answered} of {scan.asked} blocks answered"
-        if scan.answered >= _FEWEST_ANSWERS * scan.asked:
-            yield _check("radar", True, what)
-        else:  # what is left out stays unknown, and is asked for again in flight
-            remedy = "Give its link more bandwidth, or raise planner.scan_time_s."
-            yield _remark("radar", f"{what} in time: it sees less at once", remedy)
+        # what is left out stays unknown, and is asked for again in flight
+        yield _check("radar", True, f"{scan.answered} of {scan.asked} blocks answered in time")
 
 
 def _near_sensor(session: PreflightInputs, sensor: NearSensor) -> Iterator[Check]:
-    sight = session.state.vehicle.sight
+    sight, range_m = session.state.vehicle.sight, session.mission.task.settings.scan_range_m
     what = f"{sensor.kind.upper()} of component {sensor.component_id}: {sight.value}"
-    remedy = Reason.SENSOR_SILENT.remedy
-    sender = session.selector.system_id or 0, sensor.component_id
-    if sight.is_blind and sender not in session.sensed.get(near_sensing.MESSAGES[sensor.kind], ()):
-        others = _instead(session, tuple(near_sensing.MESSAGES.values()), None)
-        what += others
-        remedy = "Write those that it is into scanner.kind and component." if others else remedy
-    yield _check("sensor", not sight.is_blind, what, remedy)
+    what += _heard(session) if sight.is_blind else ""
+    yield _check("sensor", not sight.is_blind, what, Reason.SENSOR_SILENT.remedy)
     if session.near is None:
         return
-    range_m = session.mission.task.settings.scan_range_m
-    if session.near.limits_m is None:
+    least_m, most_m = session.near.sensing.limits_m
+    if math.isinf(most_m):
         what = f"it has not told how far it sees: R = {range_m:g} m is believed"
         yield _remark("sensor range", what, "Show it something within its reach.")
         return
-    least_m, most_m = session.near.limits_m
     what = f"it sees {most_m:g} m, and planner.scan_range_m is {range_m:g} m"
     remedy = f"Set planner.scan_range_m to {most_m:g} or less, or use a sensor that sees farther."
     yield _check("sensor range", most_m >= range_m - _RANGE_ROUNDED_M, what, remedy)
@@ -409,21 +392,14 @@ def _near_sensor(session: PreflightInputs, sensor: NearSensor) -> Iterator[Check
 def _rangefinder(session: PreflightInputs) -> Iterator[Check]:
     if session.rangefinder is not None:
         heard = session.state.now_s - session.rangefinder.heard_s <= _PATIENCE_S
-        what = "the one that faces down, of component 1: " + ("heard" if heard else "not heard")
-        what += "" if heard else _instead(session, (near_sensing.SECTORS,), AUTOPILOT_COMPONENT)
+        what = f"the one that faces down, of component 1: {'' if heard else 'not '}heard"
         remedy = "Set RNGFND1_TYPE and RNGFND1_ORIENT 25, or leave rangefinder_error_m out."
         yield _check("rangefinder", heard, what, remedy)
 
 
-def _instead(session: PreflightInputs, numbers: tuple[int, ...], component: int | None) -> str:
-    """Who else sends these messages, as text; component: of who should, None: nobody."""
-    should = session.selector.system_id or 0, component or 0
-    found = [
-        f"{wire.mavlink_map[number].msgname} of {ids_in_words(senders)}"
-        for number in numbers
-        if (senders := sorted(session.sensed.get(number, set()) - {should}))
-    ]
-    return f"; heard: {'; '.join(found)}" if found else ""
+def _heard(session: PreflightInputs) -> str:
+    """Who is heard at all, where a sensor may only have other ids than the mission says."""
+    return f"; heard: {ids_in_words(session.senders)}"
 
 
 def _signing(session: PreflightInputs) -> Iterator[Check]:

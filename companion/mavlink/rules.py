@@ -51,13 +51,8 @@ class Case:
 
     mission: Mission
     home_amsl_m: float | None
-    read: Callable[[str], float | None]
-    """The value of another parameter of the same table by its usual name, in SI."""
-
-    def value(self, name: str, otherwise: float) -> float:
-        """The value of another parameter, or this where the autopilot has none."""
-        value = self.read(name)
-        return otherwise if value is None else value
+    values: Mapping[str, float]
+    """Of the same table, as far as they are known, by their usual names, in SI."""
 
     @property
     def limits(self) -> Limits:
@@ -112,11 +107,6 @@ def only_read(names: str) -> tuple[Rule, ...]:
     return tuple(Rule(name, also=also) for name, _, also in pairs)
 
 
-def names_of(rules: Iterable[Rule]) -> tuple[tuple[str, ...], ...]:
-    """All names of each parameter of a table: what `ParameterClient` asks for."""
-    return tuple(rule.names for rule in rules)
-
-
 def findings_of(
     rules: Iterable[Rule],
     values: Mapping[str, float],
@@ -130,33 +120,31 @@ def findings_of(
     """
     found = {rule: rule.found(values) for rule in rules if rule.matters(mission)}
     if found and not any(found.values()):
-        rule = "the autopilot has answered no request for a parameter"
-        return [Finding(rule, "Check that the link carries both ways", name="parameters")]
+        silent = "the autopilot has answered no request for a parameter"
+        return [Finding(silent, "Check that the link carries both ways", name="parameters")]
     in_si = {rule.name: known[1] for rule, known in found.items() if known is not None}
-    case = Case(mission=mission, home_amsl_m=home_amsl_m, read=in_si.get)
-    findings = [_judged(rule, known, values, case) for rule, known in found.items()]
-    return sorted(
-        (each for each in findings if each is not None), key=lambda each: each.set_to is not None
-    )
+    case = Case(mission=mission, home_amsl_m=home_amsl_m, values=in_si)
+    findings = list[Finding]()
+    for rule, known in found.items():
+        if known is None and rule.essential:
+            missing = f"the autopilot does not tell it; {rule.essential}"
+            findings.append(Finding(missing, "Fly a firmware that has it", name=rule.name))
+        elif known is not None and rule.check is not None:
+            name, value, scale = known
+            if (verdict := rule.check(value, case)) is not None:
+                told = replace(verdict, name=name, value=values[name])
+                findings.append(_to_be_set(told, scale, mission))
+    return sorted(findings, key=lambda each: each.set_to is not None)
 
 
-def _judged(
-    rule: Rule, found: tuple[str, float, float] | None, values: Mapping[str, float], case: Case
-) -> Finding | None:
-    if found is None:
-        missing = f"the autopilot does not tell it; {rule.essential}"
-        unknown = Finding(missing, "Fly a firmware that has it", name=rule.name)
-        return unknown if rule.essential else None
-    name, value, scale = found
-    verdict = None if rule.check is None else rule.check(value, case)
-    if verdict is None:
-        return None
-    if verdict.set_to is not None:  # without the noise of the conversion between units
-        set_to = float(f"{verdict.set_to / scale:.6g}")
-        verdict = replace(verdict, remedy=f"It is set to {set_to:g}", set_to=set_to)
-        if not case.mission.sets_parameters:
-            verdict = replace(verdict, remedy=f"Set it to {set_to:g}", set_to=None)
-    return replace(verdict, name=name, value=values[name])
+def _to_be_set(finding: Finding, scale: float, mission: Mission) -> Finding:
+    """With what it is set to in the autopilot's unit, or should be, if the mission sets nothing."""
+    if finding.set_to is None:
+        return finding
+    set_to = float(f"{finding.set_to / scale:.6g}")  # without the noise of the conversion
+    if mission.sets_parameters:
+        return replace(finding, remedy=f"It is set to {set_to:g}", set_to=set_to)
+    return replace(finding, remedy=f"Set it to {set_to:g}", set_to=None)
 
 
 def when(wrong: Callable[[float, Case], object], rule: str, remedy: str) -> Check:
@@ -197,8 +185,8 @@ def begins_to_brake_s(case: Case, braking: str, jerk: str, usual: tuple[float, f
     0.25 s to notice, and half the time in which the acceleration builds up (jerk-limited): 0.5 s
     with ArduCopter's defaults, which is what was measured (ardupilot.md 3, "Stream stops").
     """
-    acceleration = max(case.value(braking, usual[0]), 0.1)
-    return 0.25 + 0.5 * acceleration / max(case.value(jerk, usual[1]), 0.1)
+    acceleration = max(case.values.get(braking, usual[0]), 0.1)
+    return 0.25 + 0.5 * acceleration / max(case.values.get(jerk, usual[1]), 0.1)
 
 
 def timeout(
@@ -275,7 +263,7 @@ def circles(wider_m: float, bank: str) -> Check:
             f"vehicle.loiter_radius_m = {limits.loiter_radius_m:g} clear"
         )
         fits_m = math.floor(limits.loiter_radius_m - wider_m)
-        if fits_m < _EASY * _tightest_circle_m(limits.speed_m_s, case.value(bank, 45.0)):
+        if fits_m < _EASY * _tightest_circle_m(limits.speed_m_s, case.values.get(bank, 45.0)):
             return Finding(rule, f"Set vehicle.loiter_radius_m to {flown_m:g} or more")
         return Finding(rule, set_to=math.copysign(fits_m, value))
 

@@ -8,6 +8,7 @@ off is part of the answer (design section 4).
 """
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from typing import NamedTuple, final
 
@@ -71,17 +72,20 @@ def _mask(
     """Bits of the blocks that are on the map, within range and not seen entirely."""
     window = slice(row, row + ROWS), slice(column, column + COLUMNS)
     north, east = known.middles_m(window)
-    apart_m = np.hypot(north - centre_ne_m[0], east - centre_ne_m[1])
-    wanted = apart_m <= range_m + _ALIKE_M
-    rows, columns = known.seen.shape
-    row_index, column_index = np.arange(row, row + ROWS), np.arange(column, column + COLUMNS)
-    wanted &= ((row_index >= 0) & (row_index < rows))[:, None]
-    wanted &= ((column_index >= 0) & (column_index < columns))[None, :]
-    seen = known.seen[
-        np.clip(row_index, 0, rows - 1)[:, None], np.clip(column_index, 0, columns - 1)[None, :]
-    ]
-    blocks = (wanted & ~seen).reshape(BLOCK_ROWS, BLOCK, BLOCK_COLUMNS, BLOCK).any(axis=(1, 3))
+    wanted = np.hypot(north - centre_ne_m[0], east - centre_ne_m[1]) <= range_m + _ALIKE_M
+    rows, in_rows = _on_map(row, ROWS, known.seen.shape[0])
+    columns, in_columns = _on_map(column, COLUMNS, known.seen.shape[1])
+    unseen = np.zeros((ROWS, COLUMNS), dtype=bool)
+    unseen[in_rows, in_columns] = ~known.seen[rows, columns]
+    blocks = (wanted & unseen).reshape(BLOCK_ROWS, BLOCK, BLOCK_COLUMNS, BLOCK).any(axis=(1, 3))
     return sum(1 << int(bit) for bit in np.flatnonzero(blocks.ravel()))
+
+
+def _on_map(first: int, count: int, size: int) -> tuple[slice, slice]:
+    """Those of so many rows or columns that are on the map: as it counts, and from the first."""
+    begin = max(first, 0)
+    end = max(min(first + count, size), begin)
+    return slice(begin, end), slice(begin - first, end - first)
 
 
 def _placed(known: KnownMap, row: int, column: int, mask: int, frame: LocalFrame) -> Area:
@@ -119,64 +123,36 @@ def _order(known: KnownMap, area: Area, point_ne_m: tuple[float, float]) -> int:
 
 @final
 class TerrainDownload:
-    """Requests a scan area by area and collects the answers.  Pure: time is an argument."""
+    """Requests a scan around a point, area by area, and collects the answers.
 
-    def __init__(
-        self,
-        known: KnownMap,
-        *,
-        centre_ne_m: tuple[float, float],
-        towards_ne_m: tuple[float, float],
-        range_m: float,
-        deadline_s: float,
-        drift_m: float,
-        frame: LocalFrame,
-        complete: bool = True,
-    ) -> None:
-        """towards_ne_m: where the vehicle is going: that direction is requested first.
+    Pure: time is an argument.  Of a vehicle without a radar it is over at once.
+    """
 
-        complete: what the radar promises, as in `Scan`.
-        """
-        self._known = known
-        ahead_ne_m = _ahead_ne_m(centre_ne_m, towards_ne_m, 0.5 * range_m)
-        self._range_m = range_m
-        self._deadline_s = deadline_s
-        self._drift_m = drift_m
-        self._complete = complete
+    def __init__(self, mission: Mission, centre_nea_m: Vector, state: State, now_s: float) -> None:
+        known, settings, centre_ne_m = state.flight.known, state.task.settings, centre_nea_m[:2]
+        self._known, self._cell_m = known, round(known.cell_m)
+        has_radar = mission.scanner_component_id is not None
+        self._range_m = range_m = settings.scan_range_m if has_radar else 0.0
+        self._deadline_s = now_s + settings.scan_time_s
+        self._drift_m = _TICKS / mission.position_rate_hz * state.task.limits.speed_m_s
+        self._complete = mission.scanner_complete
+        goes_to_ne_m = state.targets_ne_m[state.flight.target]  # that direction comes first
+        ahead_ne_m = _ahead_ne_m(centre_ne_m, goes_to_ne_m, 0.5 * range_m)
         self._waiting = sorted(
-            areas(known, centre_ne_m, range_m, frame),
+            areas(known, centre_ne_m, range_m, mission.frame),
             key=lambda area: _order(known, area, ahead_ne_m),
         )
         self._registration_m = max((area.registration_m for area in self._waiting), default=0.0)
-        self._tries: dict[tuple[int, int], int] = {}
+        self._tries = Counter[tuple[int, int]]()
         self._area: Area | None = None
         self._left = self._left_before = 0
         self._heard_at_s = self._looked_s = -math.inf  # heard, or asked
-        shape = known.upper_m.shape
-        self._heights_m = np.full(shape, NO_ANSWER)
-        self._radar_nea_m = np.zeros((*shape, 3))
+        self._heights_m = np.full(known.upper_m.shape, NO_ANSWER)
+        self._radar_nea_m = np.zeros((*known.upper_m.shape, 3))
         self.asked = sum(area.mask.bit_count() for area in self._waiting)
         """Blocks asked for."""
         self.answered = 0
         """Blocks answered."""
-
-    @staticmethod
-    def begun(
-        mission: Mission, centre_nea_m: Vector, state: State, now_s: float
-    ) -> "TerrainDownload":
-        """A scan around a point; of a vehicle without a radar, one that is over at once."""
-        task, flight = state.task, state.flight
-        has_radar = mission.scanner_component_id is not None
-        return TerrainDownload(
-            flight.known,
-            centre_ne_m=centre_nea_m[:2],
-            towards_ne_m=state.targets_ne_m[flight.target],
-            range_m=task.settings.scan_range_m if has_radar else 0.0,
-            deadline_s=now_s + task.settings.scan_time_s,
-            drift_m=_TICKS / mission.position_rate_hz * task.limits.speed_m_s,
-            frame=mission.frame,
-            complete=mission.scanner_complete,
-        )
 
     def is_over(self, now_s: float) -> bool:
         """Whether every request was answered or given up, or the deadline has passed."""
@@ -193,9 +169,9 @@ class TerrainDownload:
         area = self._waiting.pop(0)
         self._area, self._heard_at_s, self._looked_s = area, now_s, now_s
         self._left = self._left_before = area.mask
-        self._tries[area.row, area.column] = self._tries.get((area.row, area.column), 0) + 1
+        self._tries[area.row, area.column] += 1
         return wire.MAVLink_terrain_request_message(
-            area.latitude_e7, area.longitude_e7, round(self._known.cell_m), area.mask
+            area.latitude_e7, area.longitude_e7, self._cell_m, area.mask
         )
 
     def _is_answering(self, now_s: float) -> bool:
@@ -217,9 +193,7 @@ class TerrainDownload:
         if message.get_type() == "TERRAIN_REPORT":
             if message.pending == 0:
                 self._requeue()
-        elif self._left >> message.gridbit & 1 and message.grid_spacing == round(
-            self._known.cell_m
-        ):
+        elif self._left >> message.gridbit & 1 and message.grid_spacing == self._cell_m:
             self._store(area, message, radar_nea_m)
 
     def _store(self, area: Area, message: Message, radar_nea_m: Vector) -> None:
@@ -229,13 +203,10 @@ class TerrainDownload:
         column = area.column + message.gridbit % BLOCK_COLUMNS * BLOCK
         heights = np.array(message.data, dtype=float).reshape(BLOCK, BLOCK)
         heights[heights == _UNSEEN_WIRE] = NOT_SEEN
-        rows, columns = self._known.upper_m.shape
-        south, west = max(row, 0), max(column, 0)
-        north, east = min(row + BLOCK, rows), min(column + BLOCK, columns)
-        self._heights_m[south:north, west:east] = heights[
-            south - row : north - row, west - column : east - column
-        ]
-        self._radar_nea_m[south:north, west:east] = radar_nea_m
+        rows, in_rows = _on_map(row, BLOCK, self._known.seen.shape[0])
+        columns, in_columns = _on_map(column, BLOCK, self._known.seen.shape[1])
+        self._heights_m[rows, columns] = heights[in_rows, in_columns]
+        self._radar_nea_m[rows, columns] = radar_nea_m
 
     def _requeue(self) -> None:
         """End the outstanding request and queue its missing blocks again."""

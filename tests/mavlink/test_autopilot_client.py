@@ -16,6 +16,8 @@ from companion.mavlink.frames import Receiver
 from companion.mission import checkpoint
 from companion.mission.decisions import Context
 from companion.mission.events import (
+    Arm,
+    Disarm,
     FenceBreach,
     FenceChanged,
     FenceReading,
@@ -42,9 +44,8 @@ class Side:
     ) -> None:
         mission = mission or load_mission(NAMES[firmware])
         self.held, self.hears_home = Held(firmware), True
-        self.client = AutopilotClient(
-            mission, 1, AUTOPILOTS[firmware], lockstep=True, sets_parameters=sets
-        )
+        context = Context(mission=mission, seed=1, lockstep=True, shadow=not sets)
+        self.client = AutopilotClient(context, 1, AUTOPILOTS[firmware])
         self.events: list[Any] = []
         self._has_begun = False
 
@@ -58,7 +59,7 @@ class Side:
         return replies
 
     def on_time(self, now_s: float) -> list[Any]:
-        begin = [] if self._has_begun else self.client.begin(now_s)
+        begin = [] if self._has_begun else self.client.streams.begin(now_s)
         self._has_begun = True
         return begin + self.client.on_time(now_s, None)
 
@@ -148,9 +149,8 @@ def test_the_fence_that_is_known_stays_in_force_while_it_is_read_again_after_a_r
 
 
 def heard(message: Any, autopilot: Autopilot) -> Any:
-    mission = load_mission("sitl-px4")
-    side = AutopilotClient(mission, 1, autopilot, lockstep=True, sets_parameters=False)
-    return side.event_of(message, 7.0)
+    context = Context(mission=load_mission("sitl-px4"), seed=1, lockstep=True, shadow=True)
+    return AutopilotClient(context, 1, autopilot).event_of(message, 7.0)
 
 
 def px4_event(name: str) -> Any:
@@ -187,8 +187,8 @@ def test_what_autopilots_say_of_a_breach(autopilot: Autopilot, message: Any, bre
 
 
 def test_fence_status_tells_of_each_breach_once() -> None:
-    mission = load_mission("sitl-arducopter")
-    side = AutopilotClient(mission, 1, ARDUCOPTER, lockstep=True, sets_parameters=False)
+    context = Context(mission=load_mission("sitl-arducopter"), seed=1, lockstep=True, shadow=True)
+    side = AutopilotClient(context, 1, ARDUCOPTER)
     states = [(0, 0), (1, 1), (1, 1), (0, 1), (1, 2)]
     messages = [wire.MAVLink_fence_status_message(*state, 3, 0, 0) for state in states]
     told = [side.event_of(message, 1.0) is not None for message in messages]
@@ -255,7 +255,7 @@ def plane_told_its_speed() -> tuple[AutopilotClient, Any]:
     mission = load_mission("sitl-arduplane")
     context = Context(mission=mission, seed=1, lockstep=True, shadow=True)
     side = AutopilotClient.found(beat(), context)
-    side.begin(0.0)
+    side.streams.begin(0.0)
     state = State.of(mission, checkpoint.blank_map(mission))
     [told] = side.command_messages(SetSpeed(speed_m_s=22.0), state) or [None]
     return side, told
@@ -284,6 +284,17 @@ def test_a_plane_is_told_its_speed_until_it_answers_or_somebody_else_flies_it() 
         side.event_of(ends, 0.5)
         assert times_told(side, 1.0) == 0
         assert side.notes == notes
+
+
+def test_it_is_armed_and_disarmed_without_force() -> None:
+    context = Context(mission=load_mission("sitl-px4"), seed=1, lockstep=True)
+    side = AutopilotClient(context, 7, PX4_MULTICOPTER)
+    state = State.of(context.mission, checkpoint.blank_map(context.mission))
+    for command, value in ((Arm(), 1.0), (Disarm(), 0.0)):
+        [message] = side.command_messages(command, state)
+        sent = over_the_wire(message)
+        assert (sent.command, sent.target_system, sent.target_component) == (400, 7, 1)
+        assert [getattr(sent, f"param{n}") for n in range(1, 8)] == [value] + [0.0] * 6
 
 
 @pytest.mark.parametrize(

@@ -19,10 +19,12 @@ from companion.mavlink.autopilots import (
     autopilot_of,
     described,
 )
+from companion.mavlink.autopilots.messages import To
 from companion.mission.events import Estimator, Mode, SetMode, TakeOff
 from companion.mission.mission import AutopilotName
 
 PX4 = (PX4_MULTICOPTER, PX4_FIXED_WING)
+TO = To(SYSTEM, FRAME)
 # Streams that ArduPilot denies (ardupilot.md 1).
 DENIED = (230, 331, 64, 111, 330, 231)
 each = pytest.mark.parametrize("autopilot", ALL, ids=lambda a: a.name)
@@ -98,7 +100,7 @@ def test_modes_are_recognised(autopilot: Autopilot, number: int, name: str, mode
 @pytest.mark.parametrize("mode", Mode)
 def test_a_mode_is_asked_for_by_number_or_not_at_all(autopilot: Autopilot, mode: Mode) -> None:
     numbers = [number for one, number, _, asked in ASKED if one is autopilot and asked is mode]
-    messages = [over_the_wire(m) for m in autopilot.set_mode(SetMode(mode=mode), FRAME, SYSTEM)]
+    messages = [over_the_wire(m) for m in autopilot.set_mode(SetMode(mode=mode), TO)]
     assert len(messages) == len(numbers)
     for sent, number in zip(messages, numbers, strict=True):
         assert (sent.get_type(), sent.command) == ("COMMAND_LONG", 176)
@@ -113,7 +115,7 @@ def test_a_mode_is_asked_for_by_number_or_not_at_all(autopilot: Autopilot, mode:
 def test_only_px4s_plane_holds_about_a_point(autopilot: Autopilot) -> None:
     places = (None, (math.nan, 0.0, 100.0), CORNER)
     here, nowhere, there = (
-        [over_the_wire(message) for message in autopilot.set_mode(command, FRAME, SYSTEM)]
+        [over_the_wire(message) for message in autopilot.set_mode(command, TO)]
         for command in (SetMode(mode=Mode.HOLD, at_nea_m=place) for place in places)
     )
     assert [m.to_dict() for m in nowhere] == [m.to_dict() for m in here]
@@ -130,20 +132,12 @@ def test_only_px4s_plane_holds_about_a_point(autopilot: Autopilot) -> None:
 # --- arming, take-off and speed
 
 
-@each
-def test_it_is_armed_without_force(autopilot: Autopilot) -> None:
-    [message] = autopilot.arm(SYSTEM)
-    sent = over_the_wire(message)
-    assert (sent.command, sent.target_system, sent.target_component) == (400, SYSTEM, 1)
-    assert [getattr(sent, f"param{n}") for n in range(1, 8)] == [1.0] + [0.0] * 6
-
-
 CLIMB = TakeOff(above_home_m=60.0, altitude_amsl_m=548.0)
 
 
 def take_off(autopilot: Autopilot, heading_rad: float, command: TakeOff = CLIMB) -> Any:
     heading_rad -= FRAME.grid_north_rad(*CORNER[:2])
-    messages = autopilot.take_off(command, CORNER, heading_rad, FRAME, SYSTEM)
+    messages = autopilot.take_off(command, CORNER, heading_rad, TO)
     return over_the_wire(messages[0]) if messages else None
 
 

@@ -294,8 +294,6 @@ def test_px4s_cylinder() -> None:
     assert (wide.floor_amsl_m, wide.ceiling_amsl_m) == (None, None)
     high = zones_of((), {"GF_MAX_VER_DIST": 120.0}, home_nea_m=HOME)
     assert (high.zones, high.ceiling_amsl_m) == ((), HOME_M + 120.0)
-    event = high.changed(7.0)
-    assert (event.time_s, event.ceiling_amsl_m) == (7.0, HOME_M + 120.0)
 
 
 # --- against the mission

@@ -305,7 +305,7 @@ def test_of_a_driver_other_than_the_autopilot_silence_says_nothing() -> None:
 
 def test_how_far_it_sees_is_the_least_that_its_newest_messages_say() -> None:
     sensing = NearSensing(LIDAR, standing())
-    assert sensing.limits_m is None
+    assert sensing.limits_m == (0.0, math.inf)
     for most_cm, now_s in ((4000, NOW_S), (1200, NOW_S + 0.1), (2500, NOW_S + 0.2)):
         sensing.on_obstacle_distance(obstacle_distance([500], max_distance=most_cm), now_s)
         assert sensing.limits_m == pytest.approx((0.2, 0.01 * most_cm))

@@ -16,7 +16,7 @@ from companion.config import bundled, load_mission
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots import ALL
 from companion.mavlink.parameter_client import ParameterClient
-from companion.mavlink.rules import Finding, findings_of, names_of
+from companion.mavlink.rules import Finding, findings_of
 from companion.mission.mission import EndAction, Mission
 from companion.path.envelope import flown_on_m
 from companion.planner.settings import PlannerSettings, Task
@@ -92,7 +92,7 @@ def test_the_bundled_missions_fit_the_vehicles_that_fly_them(name: str) -> None:
 
 @ALL_FOUR
 def test_every_rule_can_be_read_and_every_name_is_one(way: Way) -> None:
-    names = [name for group in names_of(TABLES[way]) for name in group]
+    names = [name for rule in TABLES[way] for name in rule.names]
     assert len(names) == len(set(names))
     assert all(0 < len(name) <= 16 and name.isascii() for name in names)
     usual = {rule.name for rule in TABLES[way] if rule.found(DEFAULTS[way]) is None}
@@ -113,7 +113,7 @@ def test_what_is_set_is_taken_and_then_nothing_is_left(way: Way) -> None:
     held = Held(*way)
     for name, value in WORST[way].items():
         held.simulation.parameters[name] = value
-    client = ParameterClient(1, names_of(TABLES[way]), bytewise=way[0] == "px4")
+    client = ParameterClient(1, [rule.names for rule in TABLES[way]], bytewise=way[0] == "px4")
     held.run(10.0, client, lambda: client.is_done)
     to_set = {name: each.set_to for name, each in found(way, client.values).items() if each.set_to}
     assert set(to_set) >= set(WORST[way])

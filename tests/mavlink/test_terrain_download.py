@@ -7,6 +7,7 @@ mask", "terrain data MSL"; data[x * 4 + y] with x north and y east (ArduPilot's 
 
 import math
 from collections import Counter
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,10 @@ import pytest
 from nudge import nudged
 from wires import FRAME, GEOD, wire
 
+from companion.config import load_mission
 from companion.mavlink.terrain_download import TerrainDownload, areas
-from companion.world.known_map import NOT_SEEN, Scan, empty_map
+from companion.mission.state import State
+from companion.world.known_map import NOT_SEEN, KnownMap, Scan, empty_map
 
 CELL_M = 250.0
 RANGE_M = 6000.0
@@ -23,6 +26,12 @@ CORNER = (100_000.0, 100_000.0)
 HERE = (100_000.0, 100_000.0, 3000.0)
 MAP = empty_map(CELL_M, (-5000.0, 105_000.0), (-5000.0, 105_000.0))
 DEADLINE_S = 4.0
+VALLEY = load_mission("valley")
+MISSION = replace(
+    VALLEY,
+    frame=FRAME,
+    position_rate_hz=VALLEY.task.limits.speed_m_s / 15.0,  # drift: 30 m
+)
 
 
 def local(latitude: float, longitude: float) -> tuple[float, float]:
@@ -87,12 +96,18 @@ def answers(request: Any, data: Any = level, lost: Any = nothing_lost) -> list[A
 
 
 def download(
-    centre: tuple[float, ...] = CORNER, range_m: float = RANGE_M, **how: Any
+    centre: tuple[float, ...] = CORNER,
+    range_m: float = RANGE_M,
+    towards_ne_m: tuple[float, float] | None = None,
+    known: KnownMap = MAP,
 ) -> TerrainDownload:
     """To the north, if nothing else is said."""
-    usual = {"towards_ne_m": (centre[0] + 1e5, centre[1]), "deadline_s": DEADLINE_S}
-    values = {"known": MAP, "drift_m": 30.0, "frame": FRAME, **usual, **how}
-    return TerrainDownload(centre_ne_m=(centre[0], centre[1]), range_m=range_m, **values)
+    settings = replace(MISSION.task.settings, scan_range_m=range_m, scan_time_s=DEADLINE_S)
+    task = replace(MISSION.task, settings=settings)
+    targets = (towards_ne_m or (centre[0] + 1e5, centre[1]),)
+    mission = replace(MISSION, task=task, targets_ne_m=targets)
+    state = State.of(mission, known)
+    return TerrainDownload(mission, (centre[0], centre[1], 0.0), state, now_s=0.0)
 
 
 def run(task: TerrainDownload, data: Any = level, lost: Any = nothing_lost) -> list[Any]:

@@ -29,6 +29,7 @@ from companion.mavlink.autopilots import (
     PX4_MULTICOPTER,
     Autopilot,
 )
+from companion.mavlink.autopilots.messages import To
 from companion.mission import events
 from companion.mission.events import Echo, Event, Landed, Position, Setpoint, Vector
 from vehicle_sim.autopilot.earth import FlatEarth, Projection
@@ -54,7 +55,7 @@ def made(**changes: Any) -> Setpoint:
 
 
 def sent(autopilot: Autopilot, setpoint: Setpoint, loiter_radius_m: float = 0.0) -> Any:
-    messages = autopilot.setpoint(setpoint, FRAME, SYSTEM, loiter_radius_m)
+    messages = autopilot.setpoint(setpoint, To(SYSTEM, FRAME), loiter_radius_m)
     [message] = messages
     return over_the_wire(message)
 
@@ -142,7 +143,7 @@ GULF = LocalFrame(latitude_deg=0.0, longitude_deg=0.0)
 def test_nothing_that_is_not_finite_and_in_range_is_ever_sent(
     autopilot: Autopilot, setpoint: Setpoint, radius_m: float, frame: LocalFrame
 ) -> None:
-    messages = autopilot.setpoint(setpoint, frame, SYSTEM, radius_m)
+    messages = autopilot.setpoint(setpoint, To(SYSTEM, frame), radius_m)
     if messages is None:
         return
     [message] = map(over_the_wire, messages)
@@ -184,16 +185,16 @@ def test_one_bad_value_is_refused(autopilot: Autopilot, field: str, values: Any)
     for stay in (False, True):
         for bad in values:
             told = made(stay=stay, **{field: bad})
-            assert autopilot.setpoint(told, FRAME, SYSTEM, 0.0) is None, bad
+            assert autopilot.setpoint(told, To(SYSTEM, FRAME), 0.0) is None, bad
 
 
 @each
 def test_a_setpoint_about_latitude_and_longitude_0_is_refused(autopilot: Autopilot) -> None:
     for off_m in (0.0, 0.001, 500.0):
         there = made(position_nea_m=(off_m, off_m, 100.0))
-        assert autopilot.setpoint(there, GULF, SYSTEM, 0.0) is None
+        assert autopilot.setpoint(there, To(SYSTEM, GULF), 0.0) is None
     for radius_m in (math.nan, math.inf):
-        assert ARDUPLANE.setpoint(made(stay=True), FRAME, SYSTEM, radius_m) is None
+        assert ARDUPLANE.setpoint(made(stay=True), To(SYSTEM, FRAME), radius_m) is None
 
 
 # --- positions

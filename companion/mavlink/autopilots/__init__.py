@@ -24,8 +24,7 @@ def autopilot_of(heartbeat: Message) -> Autopilot | None:
 
 def named(firmware: str, kind: str) -> Autopilot:
     """The strategy for a mission's `autopilot` and `kind`."""
-    ways = (each for each in ALL if each.firmware.name == firmware)
-    return next(each for each in ways if each.traits.kind == kind)
+    return next(each for each in ALL if (each.firmware.name, each.traits.kind) == (firmware, kind))
 
 
 def described(heartbeat: Message) -> str:

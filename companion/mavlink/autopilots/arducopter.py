@@ -7,10 +7,10 @@ setpoints, which it does not acknowledge: the echo tells.  Measured: ardupilot.m
 
 from typing import Final
 
-from companion.geodesy import LocalFrame
 from companion.mavlink import rules
 from companion.mavlink.autopilots import ardupilot, messages
-from companion.mavlink.autopilots.common import Autopilot
+from companion.mavlink.autopilots.common import Autopilot, Modes
+from companion.mavlink.autopilots.messages import To
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.rules import CENTI, Case, Finding, Rule, only_read
 from companion.mission.events import Mode, TakeOff, Vector
@@ -21,9 +21,7 @@ from companion.path.envelope import Handling
 _ECHO = wire.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED
 
 
-def _take_off(
-    command: TakeOff, _here: Vector, _heading_rad: float, _frame: LocalFrame, system_id: int
-) -> list[Message]:
+def _take_off(command: TakeOff, _here: Vector, _heading_rad: float, to: To) -> list[Message]:
     """NAV_TAKEOFF to a height above home, in GUIDED and armed.
 
     Any setpoint before EXTENDED_SYS_STATE says `in air` abandons it.
@@ -31,7 +29,8 @@ def _take_off(
     height_m = command.above_home_m
     if not 0.0 < height_m < messages.HIGHEST_AMSL_M:
         return []
-    return [messages.command_long(system_id, wire.MAV_CMD_NAV_TAKEOFF, *([0.0] * 6), height_m)]
+    parameters = (*[0.0] * 6, height_m)
+    return [messages.command_long(to.system_id, wire.MAV_CMD_NAV_TAKEOFF, *parameters)]
 
 
 def _guid_timeout(value: float, case: Case) -> Finding | None:
@@ -109,18 +108,18 @@ ARDUCOPTER = Autopilot(
         "WPNAV_ACCEL": 100.0 * limits.acceleration_m_s2,
         "PSC_JERK_XY": 4.0 * limits.acceleration_m_s2,
     },
-    modes=ardupilot.modes_of(
-        "COPTER_MODE",
-        {
+    modes=Modes(
+        asked={
             Mode.GUIDED: (wire.COPTER_MODE_GUIDED,),
             Mode.HOLD: (wire.COPTER_MODE_BRAKE,),
             Mode.LAND: (wire.COPTER_MODE_LAND,),
-            Mode.RETURN: (
-                wire.COPTER_MODE_RTL,
-                wire.COPTER_MODE_SMART_RTL,
-                wire.COPTER_MODE_AUTO_RTL,
-            ),
+            Mode.RETURN: (wire.COPTER_MODE_RTL,),
         },
+        also={
+            (wire.COPTER_MODE_SMART_RTL,): Mode.RETURN,
+            (wire.COPTER_MODE_AUTO_RTL,): Mode.RETURN,
+        },
+        names=ardupilot.names_of("COPTER_MODE"),
     ),
     streams_hz=ardupilot.streams_hz(_ECHO, 5.0),
     intermittent=ardupilot.INTERMITTENT | {_ECHO},  # it comes only in GUIDED

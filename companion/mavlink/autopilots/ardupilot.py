@@ -7,12 +7,12 @@ from typing import Final
 
 from companion.geodesy import LocalFrame
 from companion.mavlink import rules
-from companion.mavlink.autopilots.common import Firmware, Modes
+from companion.mavlink.autopilots.common import Firmware
 from companion.mavlink.autopilots.messages import echo_at
-from companion.mavlink.dialect import Message, wire
+from companion.mavlink.dialect import Message, enum_word, wire
 from companion.mavlink.fence import FenceSettings
 from companion.mavlink.rules import Rule, only_read
-from companion.mission.events import Echo, Estimator, Mode, Vector
+from companion.mission.events import Echo, Estimator, Vector
 
 INTERMITTENT = frozenset({wire.MAVLINK_MSG_ID_HOME_POSITION, wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN})
 """Until there is one."""
@@ -48,23 +48,10 @@ def streams_hz(echo: int, echo_hz: float) -> Mapping[int, float]:
     }
 
 
-def modes_of(enum: str, numbers: Mapping[Mode, tuple[int, ...]]) -> Modes:
-    """One number each, named as in the dialect.
-
-    enum: COPTER_MODE or PLANE_MODE.  numbers: what each mode may be reported as; the first is the
-    one that is asked for.
-    """
-    names = {
-        number: entry.name.removeprefix(f"{enum}_").replace("_", " ")
-        for number, entry in wire.enums[enum].items()
-        if not entry.name.endswith("ENUM_END")
-    }
-    modes = {number: mode for mode, reported in numbers.items() for number in reported}
-    return Modes(
-        mode_of=lambda custom_mode: modes.get(custom_mode, Mode.OTHER),
-        asked={mode: reported[:1] for mode, reported in numbers.items()},
-        name_of=lambda custom_mode: names.get(custom_mode, f"mode {custom_mode}"),
-    )
+def names_of(enum: str) -> Mapping[tuple[int, ...], str]:
+    """Names of modes as in the dialect; enum: COPTER_MODE or PLANE_MODE."""
+    numbers = [number for number, each in wire.enums[enum].items() if "ENUM_END" not in each.name]
+    return {(number,): enum_word(enum, number).replace("_", " ") for number in numbers}
 
 
 def estimator(message: Message, now_s: float, *_: object) -> Estimator:
@@ -101,7 +88,7 @@ def _offset_deg(
 
 
 _GROUND_STATION: Final = rules.when(  # its heartbeats must not count as a ground station's
-    lambda value, case: value == case.value("MAV_SYSID", -1.0),
+    lambda value, case: value == case.values.get("MAV_SYSID"),
     "the companion has the vehicle's system id, so its heartbeats would hide the loss of the "
     "ground station",
     "Set it to the ground station's own, 255",

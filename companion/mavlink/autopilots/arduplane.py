@@ -11,7 +11,8 @@ from typing import Final
 from companion.geodesy import LocalFrame, deg
 from companion.mavlink import rules
 from companion.mavlink.autopilots import ardupilot, messages
-from companion.mavlink.autopilots.common import Autopilot
+from companion.mavlink.autopilots.common import Autopilot, Modes
+from companion.mavlink.autopilots.messages import To
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.rules import CENTI, Case, Finding, Rule, only_read
 from companion.mission.events import Echo, Mode, Setpoint, TakeOff, Vector
@@ -29,39 +30,34 @@ _FASTEST_M_S = 300.0
 _CLOCKWISE = 0.0
 
 
-def _take_off(
-    _command: TakeOff, _here: Vector, _heading_rad: float, _frame: LocalFrame, system_id: int
-) -> list[Message]:
+def _take_off(_command: TakeOff, _here: Vector, _heading_rad: float, to: To) -> list[Message]:
     """Mode TAKEOFF, which climbs to its parameter TKOFF_ALT straight ahead, then circles.
 
     It starts rolling as soon as it is armed, and takes no height.  The rest of the climb to the
     mission's height is flown in GUIDED, on a circle.
     """
-    return [messages.set_mode(system_id, wire.PLANE_MODE_TAKEOFF)]
+    return [messages.set_mode(to.system_id, wire.PLANE_MODE_TAKEOFF)]
 
 
 def _set_speed(speed_m_s: float, system_id: int) -> list[Message]:
     """GUIDED_CHANGE_SPEED, an airspeed; forgotten whenever the mode changes."""
     if not 0.0 < speed_m_s < _FASTEST_M_S:
         return []
-    parameters = (float(wire.SPEED_TYPE_AIRSPEED), speed_m_s, 0.0, 0.0)
-    return [messages.command_int(system_id, wire.MAV_CMD_GUIDED_CHANGE_SPEED, parameters)]
+    values = wire.SPEED_TYPE_AIRSPEED, speed_m_s, 0.0, 0.0, 0, 0, 0.0
+    return [messages.command_int(system_id, wire.MAV_CMD_GUIDED_CHANGE_SPEED, *values)]
 
 
-def _setpoint(
-    setpoint: Setpoint, frame: LocalFrame, system_id: int, loiter_radius_m: float
-) -> list[Message] | None:
+def _setpoint(setpoint: Setpoint, to: To, loiter_radius_m: float) -> list[Message] | None:
     """DO_REPOSITION without the change to GUIDED: a pilot who took over keeps control."""
-    whole = messages.position_target(setpoint, frame, system_id)  # None: no number of it is sent
+    whole = messages.position_target(setpoint, to)  # None: no number of it is sent
     if whole is None or not math.isfinite(loiter_radius_m):
         return None
     radius_m = _FOLLOWING_RADIUS_M
     if setpoint.stay:
         narrower_m = max(loiter_radius_m - _WIDER_M, 0.5 * loiter_radius_m)
         radius_m = narrower_m if loiter_radius_m > 0.0 else _CIRCLE_M
-    place_e7 = whole[0].lat_int, whole[0].lon_int
-    to = system_id, place_e7, setpoint.position_nea_m[2]
-    return [messages.reposition(*to, switch=False, radius_m=radius_m, yaw_rad=_CLOCKWISE)]
+    there = setpoint.position_nea_m
+    return messages.reposition(to, there, switch=False, radius_m=radius_m, yaw_rad=_CLOCKWISE)
 
 
 def _echo(message: Message, now_s: float, frame: LocalFrame, *_: object) -> Echo | None:
@@ -118,14 +114,14 @@ ARDUPLANE = Autopilot(
     ),
     rules=_RULES,
     parameters_for=lambda limits: {"AIRSPEED_CRUISE": limits.speed_m_s},
-    modes=ardupilot.modes_of(
-        "PLANE_MODE",
-        {
+    modes=Modes(
+        asked={
             Mode.GUIDED: (wire.PLANE_MODE_GUIDED,),
             Mode.HOLD: (wire.PLANE_MODE_LOITER,),
             Mode.RETURN: (wire.PLANE_MODE_RTL,),
             Mode.TAKE_OFF: (wire.PLANE_MODE_TAKEOFF,),
         },
+        names=ardupilot.names_of("PLANE_MODE"),
     ),
     streams_hz=ardupilot.streams_hz(_ECHO, 4.0),
     intermittent=ardupilot.INTERMITTENT | {_ECHO},  # it does not come in MANUAL

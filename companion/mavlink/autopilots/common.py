@@ -2,11 +2,11 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import final
 
 from companion.geodesy import LocalFrame
-from companion.mavlink.autopilots.messages import DECODERS, Decoder, command_long, set_mode
+from companion.mavlink.autopilots.messages import DECODERS, Decoder, To, set_mode
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.fence import FenceSettings
 from companion.mavlink.plan_client import PlanItem
@@ -33,12 +33,25 @@ _FAILSAFE = (wire.MAV_STATE_CRITICAL, wire.MAV_STATE_EMERGENCY)
 class Modes:
     """Modes of a firmware, or of a vehicle type where they differ within it."""
 
-    mode_of: Callable[[int], events.Mode]
-    """The mode that a heartbeat reports as custom_mode."""
-    name_of: Callable[[int], str]
-    """The autopilot's own name of it."""
     asked: Mapping[events.Mode, tuple[int, ...]]
     """Parameters of DO_SET_MODE: mode, or main and sub mode; the others are not supported."""
+    names: Mapping[tuple[int, ...], str]
+    """The autopilot's own."""
+    also: Mapping[tuple[int, ...], events.Mode] = field(default_factory=dict)
+    """What else the autopilot reports for one of these modes."""
+    numbers: Callable[[int], tuple[int, ...]] = lambda custom_mode: (custom_mode,)
+    """Of what a heartbeat reports as custom_mode."""
+
+    def mode_of(self, custom_mode: int) -> events.Mode:
+        """The mode that a heartbeat reports."""
+        numbers = self.numbers(custom_mode)
+        asked = (mode for mode, each in self.asked.items() if each == numbers)
+        return self.also.get(numbers) or next(asked, events.Mode.OTHER)
+
+    def name_of(self, custom_mode: int) -> str:
+        """The autopilot's own name of it."""
+        numbers = self.numbers(custom_mode)
+        return self.names.get(numbers) or f"mode {'.'.join(map(str, numbers))}"
 
 
 @final
@@ -68,13 +81,6 @@ class Firmware:
     """Whether item 0 of its mission is home and no target."""
     asks_time_often: bool = False
     """Whether it sends TIMESYNC at 10 Hz by itself."""
-
-
-SetpointEncoder = Callable[[events.Setpoint, LocalFrame, int, float], list[Message] | None]
-"""(setpoint, frame, system_id, the largest circle that a plane may hold on, metres) -> messages.
-
-None if any value is not finite or out of range: a NaN would abort ArduPilot's process, and 0, 0
-would be flown to."""
 
 
 def _no_messages(*_: object) -> list[Message]:
@@ -107,18 +113,22 @@ class Autopilot:
     """Message ids to ask for by REQUEST_MESSAGE until they have come: never streamed."""
     decoders: Mapping[int, Decoder]
     """Message id -> decoder, for messages that differ between autopilots."""
-    take_off: Callable[[events.TakeOff, events.Vector, float, LocalFrame, int], list[Message]]
+    take_off: Callable[[events.TakeOff, events.Vector, float, To], list[Message]]
     """Take-off command; the sequence of mode, arming and this is `traits.take_off`.
 
-    (command, where it stands, where its nose points in the frame, frame, system_id); empty if a
-    value is not finite or out of range.
+    (command, where it stands, where its nose points in the frame, to whom); empty if a value is not
+    finite or out of range.
     """
-    setpoint: SetpointEncoder
-    """The only function that encodes setpoints."""
+    setpoint: Callable[[events.Setpoint, To, float], list[Message] | None]
+    """(setpoint, to whom, the largest circle that a plane may hold on, metres) -> messages.
+
+    The only function that encodes setpoints.  None if any value is not finite or out of range: a
+    NaN would abort ArduPilot's process, and 0, 0 would be flown to.
+    """
     set_speed: Callable[[float, int], list[Message]] = _no_messages
     """Speed command for an autopilot that controls its own speed: (speed_m_s, system_id)."""
-    hold_about: Callable[[events.Vector, LocalFrame, int], list[Message]] = _no_messages
-    """Hold at a point, if the autopilot supports it: (at_nea_m, frame, system_id)."""
+    hold_about: Callable[[events.Vector, To], list[Message]] = _no_messages
+    """Hold at a point, if the autopilot supports it: (at_nea_m, to whom)."""
     refuses_setpoint: Callable[[Message], bool] = lambda _: False
     """Whether a message says that a setpoint was not taken.
 
@@ -130,22 +140,14 @@ class Autopilot:
         """Display name: ArduCopter, ArduPlane, PX4 multicopter, PX4 fixed wing."""
         return self.traits.name
 
-    def set_mode(self, command: events.SetMode, frame: LocalFrame, system_id: int) -> list[Message]:
+    def set_mode(self, command: events.SetMode, to: To) -> list[Message]:
         """Request a mode; empty if unsupported.  Only the heartbeat confirms it."""
         if command.mode is events.Mode.HOLD and command.at_nea_m is not None:
-            about = self.hold_about(command.at_nea_m, frame, system_id)
+            about = self.hold_about(command.at_nea_m, to)
             if about:
                 return about
         numbers = self.modes.asked.get(command.mode)
-        return [] if numbers is None else [set_mode(system_id, *numbers)]
-
-    def arm(self, system_id: int) -> list[Message]:
-        """Ask it to arm, without force: its own checks stay on."""
-        return [command_long(system_id, wire.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)]
-
-    def disarm(self, system_id: int) -> list[Message]:
-        """Ask it to disarm, without force: in the air it refuses."""
-        return [command_long(system_id, wire.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)]
+        return [] if numbers is None else [set_mode(to.system_id, *numbers)]
 
     def event_of(
         self,

@@ -8,7 +8,7 @@ range are never sent.
 import cmath
 import math
 from collections.abc import Callable, Mapping
-from typing import Final
+from typing import Final, NamedTuple
 
 from companion.geodesy import LocalFrame
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
@@ -35,13 +35,8 @@ POSITION = 3576
 _E7 = 1e-7  # degrees in the wire's unit of them
 _NO_HEADING = 65535
 _NOTHING = (0.0, 0.0, 0.0)
-_LANDED = {
-    wire.MAV_LANDED_STATE_UNDEFINED: events.Landed.UNKNOWN,
-    wire.MAV_LANDED_STATE_ON_GROUND: events.Landed.ON_GROUND,
-    wire.MAV_LANDED_STATE_IN_AIR: events.Landed.IN_AIR,
-    wire.MAV_LANDED_STATE_TAKEOFF: events.Landed.TAKING_OFF,
-    wire.MAV_LANDED_STATE_LANDING: events.Landed.LANDING,
-}
+_LANDED: Final = dict(enumerate(events.Landed))
+"""By MAV_LANDED_STATE, which has the same order."""
 
 Decoder = Callable[[Message, float, LocalFrame, events.Vector | None], events.Event | None]
 """(message, now_s, frame, origin_nea_m) -> event; arguments as in `Autopilot.event_of`."""
@@ -75,17 +70,15 @@ def _gps(message: Message, now_s: float, *_: object) -> events.GpsFix:
     return events.GpsFix(time_s=now_s, good=message.fix_type >= wire.GPS_FIX_TYPE_3D_FIX)
 
 
-def _placed(kind: type[events.Home | events.Origin]) -> Decoder:
+def _placed(
+    message: Message, now_s: float, frame: LocalFrame, *_: object
+) -> events.Home | events.Origin | None:
     """HOME_POSITION or GPS_GLOBAL_ORIGIN, once there is one."""
-
-    def decode(
-        message: Message, now_s: float, frame: LocalFrame, *_: object
-    ) -> events.Home | events.Origin | None:
-        latitude, longitude = message.latitude * _E7, message.longitude * _E7
-        place = place_of(latitude, longitude, message.altitude * 1e-3, frame)
-        return None if place is None else kind(time_s=now_s, position_nea_m=place)
-
-    return decode
+    latitude, longitude = message.latitude * _E7, message.longitude * _E7
+    place = place_of(latitude, longitude, message.altitude * 1e-3, frame)
+    is_home = message.get_msgId() == wire.MAVLINK_MSG_ID_HOME_POSITION
+    kind = events.Home if is_home else events.Origin
+    return None if place is None else kind(time_s=now_s, position_nea_m=place)
 
 
 def _battery(message: Message, now_s: float, *_: object) -> events.Battery | None:
@@ -103,8 +96,8 @@ DECODERS: Final[Mapping[int, Decoder]] = {
     wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: position,
     wire.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _landed,
     wire.MAVLINK_MSG_ID_GPS_RAW_INT: _gps,
-    wire.MAVLINK_MSG_ID_HOME_POSITION: _placed(events.Home),
-    wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _placed(events.Origin),
+    wire.MAVLINK_MSG_ID_HOME_POSITION: _placed,
+    wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _placed,
     wire.MAVLINK_MSG_ID_SYS_STATUS: _battery,
     wire.MAVLINK_MSG_ID_BATTERY_STATUS: _one_battery,
 }
@@ -129,7 +122,7 @@ def place_of(
     latitude_deg: float, longitude_deg: float, altitude_m: float, frame: LocalFrame
 ) -> events.Vector | None:
     """A position from the wire; None if there is none yet, or it is nowhere on Earth."""
-    if max(abs(latitude_deg), abs(longitude_deg)) < _NOWHERE_DEG or not abs(longitude_deg) <= 180.0:
+    if is_nowhere(latitude_deg, longitude_deg) or not abs(longitude_deg) <= 180.0:
         return None
     place = (*frame.to_local_m(latitude_deg, longitude_deg), altitude_m)
     return place if all(map(math.isfinite, place)) else None  # beyond a pole it is not
@@ -143,23 +136,28 @@ def is_nowhere(latitude_deg: float, longitude_deg: float) -> bool:
 # --- out
 
 
-def wire_place(position_nea_m: events.Vector, frame: LocalFrame) -> tuple[int, int] | None:
+class To(NamedTuple):
+    """Whom a message is for, and the frame in which its places are given."""
+
+    system_id: int
+    frame: LocalFrame
+
+
+def _wire_place(position_nea_m: events.Vector, frame: LocalFrame) -> tuple[int, int] | None:
     """Latitude and longitude, 1e-7 degrees; None for an invalid destination."""
     north_m, east_m, altitude_m = position_nea_m
     in_band = _LOWEST_AMSL_M <= altitude_m <= HIGHEST_AMSL_M  # NaN is not
     if not in_band or not math.hypot(north_m, east_m) <= _FURTHEST_M:
         return None
     latitude, longitude = frame.to_geodetic_deg(north_m, east_m)
-    far_deg = max(abs(latitude), abs(longitude))
-    if not math.isfinite(latitude + longitude) or far_deg < _NOWHERE_DEG:
+    if not math.isfinite(latitude + longitude) or is_nowhere(latitude, longitude):
         return None
     return round(latitude * 1e7), round(longitude * 1e7)
 
 
 def position_target(
     setpoint: events.Setpoint,
-    frame: LocalFrame,
-    system_id: int,
+    to: To,
     _loiter_radius_m: float = 0.0,
     type_mask: int = POSITION_VELOCITY_YAW,
 ) -> list[Message] | None:
@@ -172,21 +170,20 @@ def position_target(
     numbers = math.isfinite(setpoint.yaw_rad) and 0.0 <= setpoint.time_s < _LATEST_S
     if not (numbers and math.hypot(*velocity) <= _FASTEST_M_S):  # NaN is not
         return None
-    place_e7 = wire_place(position, frame)
+    place_e7 = _wire_place(position, to.frame)
     if place_e7 is None:
         return None
-    turn_rad = frame.grid_north_rad(position[0], position[1])
+    turn_rad = to.frame.grid_north_rad(position[0], position[1])
     if not math.isfinite(turn_rad):
         return None
     over_ground = complex(velocity[0], velocity[1]) * cmath.rect(1.0, turn_rad)  # north + east j
     yaw_rad = math.remainder(setpoint.yaw_rad + turn_rad, math.tau)
-    velocity_ned_m_s = over_ground.real, over_ground.imag, -velocity[2]
-    if setpoint.stay and type_mask == POSITION_VELOCITY_YAW:
-        velocity_ned_m_s = _NOTHING
-    to = system_id, AUTOPILOT_COMPONENT, wire.MAV_FRAME_GLOBAL_INT, type_mask
+    holds = setpoint.stay and type_mask == POSITION_VELOCITY_YAW
+    velocity_ned_m_s = _NOTHING if holds else (over_ground.real, over_ground.imag, -velocity[2])
+    head = to.system_id, AUTOPILOT_COMPONENT, wire.MAV_FRAME_GLOBAL_INT, type_mask
     return [
         wire.MAVLink_set_position_target_global_int_message(
-            *(round(setpoint.time_s * 1e3), *to, *place_e7, position[2]),
+            *(round(setpoint.time_s * 1e3), *head, *place_e7, position[2]),
             *(*velocity_ned_m_s, *_NOTHING, yaw_rad, 0.0),
         )
     ]
@@ -198,16 +195,23 @@ def command_long(system_id: int, command: int, *parameters: float) -> Message:
     return wire.MAVLink_command_long_message(system_id, AUTOPILOT_COMPONENT, command, 0, *padded)
 
 
-def command_int(
-    system_id: int,
+def command_int(system_id: int, command: int, *values: float) -> Message:
+    """COMMAND_INT to the autopilot, in frame 5 (AMSL): four parameters, and a place on the wire."""
+    head = system_id, AUTOPILOT_COMPONENT, wire.MAV_FRAME_GLOBAL_INT, command, 0, 0
+    return wire.MAVLink_command_int_message(*head, *values)
+
+
+def command_at(
+    to: To,
     command: int,
     parameters: tuple[float, float, float, float],
-    place_e7: tuple[int, int] = (0, 0),
-    altitude_amsl_m: float = 0.0,
-) -> Message:
-    """COMMAND_INT to the autopilot, in frame 5 (AMSL); place_e7: latitude, longitude."""
-    head = system_id, AUTOPILOT_COMPONENT, wire.MAV_FRAME_GLOBAL_INT, command, 0, 0
-    return wire.MAVLink_command_int_message(*head, *parameters, *place_e7, altitude_amsl_m)
+    place_nea_m: events.Vector,
+) -> list[Message]:
+    """COMMAND_INT with a place; empty if that is not finite or out of range."""
+    place_e7 = _wire_place(place_nea_m, to.frame)
+    if place_e7 is None:
+        return []
+    return [command_int(to.system_id, command, *parameters, *place_e7, place_nea_m[2])]
 
 
 def set_mode(system_id: int, *numbers: int) -> Message:
@@ -217,19 +221,12 @@ def set_mode(system_id: int, *numbers: int) -> Message:
 
 
 def reposition(
-    system_id: int,
-    place_e7: tuple[int, int],
-    altitude_amsl_m: float,
-    *,
-    switch: bool,
-    radius_m: float,
-    yaw_rad: float,
-) -> Message:
-    """DO_REPOSITION at the current speed.
+    to: To, place_nea_m: events.Vector, *, switch: bool, radius_m: float, yaw_rad: float
+) -> list[Message]:
+    """DO_REPOSITION at the current speed; empty if it is not finite or out of range.
 
     switch: whether it is to go into the mode for this; yaw_rad: to a plane of ArduPilot's the sense
     of its circles, 0 clockwise.
     """
     parameters = (-1.0, float(switch), radius_m, yaw_rad)  # -1: the speed that it has
-    number = wire.MAV_CMD_DO_REPOSITION
-    return command_int(system_id, number, parameters, place_e7, altitude_amsl_m)
+    return command_at(to, wire.MAV_CMD_DO_REPOSITION, parameters, place_nea_m)

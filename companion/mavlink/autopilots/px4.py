@@ -32,7 +32,6 @@ _MODES: Mapping[Mode, tuple[int, int]] = {
 }
 """Main and sub mode; custom_mode is main << 16 | sub << 24."""
 _PRECISION_LAND = (_AUTO, 9)
-_BY_NUMBER = {numbers: mode for mode, numbers in _MODES.items()} | {_PRECISION_LAND: Mode.LAND}
 _MAIN_NAMES: Final = (
     *("", "Manual", "Altitude", "Position", "", "Acro", "Offboard", "Stabilized", "Rattitude"),
 )
@@ -40,7 +39,7 @@ _AUTO_NAMES: Final = (
     *("", "Ready", "Takeoff", "Hold", "Mission", "Return", "Land", "", "Follow Target"),
     *("Precision Land", "VTOL Takeoff"),
 )
-"""By number; empty: there is none."""
+"""By number, as PX4's ground stations call them; empty: there is none."""
 _NEEDED = (
     wire.ESTIMATOR_ATTITUDE
     | wire.ESTIMATOR_VELOCITY_HORIZ
@@ -74,28 +73,21 @@ def _numbers(custom_mode: int) -> tuple[int, int]:
     return main, sub if main == _AUTO else 0
 
 
-def _name_of(custom_mode: int) -> str:
-    """As PX4's ground stations call it."""
-    main, sub = _numbers(custom_mode)
-    names, number = (_AUTO_NAMES, sub) if main == _AUTO else (_MAIN_NAMES, main)
-    return "".join(names[number : number + 1]) or f"mode {main}.{sub}"
-
-
 MODES: Final = Modes(  # the failsafe DESCEND is told as LAND
-    mode_of=lambda custom_mode: _BY_NUMBER.get(_numbers(custom_mode), Mode.OTHER),
-    name_of=_name_of,
     asked=_MODES,
+    also={_PRECISION_LAND: Mode.LAND},
+    numbers=_numbers,
+    names={
+        **{(main, 0): name for main, name in enumerate(_MAIN_NAMES)},
+        **{(_AUTO, sub): name for sub, name in enumerate(_AUTO_NAMES)},
+    },
 )
 
 
-def take_off(to_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Message]:
+def take_off(to: messages.To, place_nea_m: Vector) -> list[Message]:
     """NAV_TAKEOFF to a place, its altitude AMSL; empty if it is not finite or out of range."""
-    place = messages.wire_place(to_nea_m, frame)
-    if place is None:
-        return []
     parameters = (0.0, 0.0, 0.0, KEEP_YAW)
-    number = wire.MAV_CMD_NAV_TAKEOFF
-    return [messages.command_int(system_id, number, parameters, place, to_nea_m[2])]
+    return messages.command_at(to, wire.MAV_CMD_NAV_TAKEOFF, parameters, place_nea_m)
 
 
 def estimator(message: Message, now_s: float, *_: object) -> Estimator:
@@ -176,21 +168,17 @@ def _misread(items: Sequence[PlanItem], who: str) -> str:
     After the first circle PX4's `geofence.cpp` takes each corner of a polygon for the beginning of
     another one, so that it keeps the vehicle out of places that no zone covers (px4.md 7).
     """
-    circle, after = "", list[str]()
+    circle = ""
     for number, (first, *_) in enumerate(fence.shapes_of(items), start=1):
         side = "inclusion" if first.command in (fence.POLYGON_IN, fence.CIRCLE_IN) else "exclusion"
         if first.command in (fence.CIRCLE_IN, fence.CIRCLE_OUT):
             circle = circle or f"{side} {number}"
         elif first.command in (fence.POLYGON_IN, fence.POLYGON_OUT) and circle:
-            after.append(f"{side} {number}")
-    if not after:
-        return ""
-    named = ", ".join(after[:3]) + (f" and {len(after) - 3} more" if len(after) > 3 else "")
-    polygons = "polygons come" if len(after) > 1 else "polygon comes"
-    return (
-        f"{who} misreads its fence, and may stop where no zone is: {polygons} after a circle "
-        f"({named} after {circle}). Upload polygons before circles"
-    )
+            return (
+                f"{who} misreads its fence, and may stop where no zone is: polygons come after a "
+                f"circle ({side} {number} after {circle}). Upload polygons before circles"
+            )
+    return ""
 
 
 def event_id(name: str) -> int:

@@ -8,10 +8,10 @@ import math
 from dataclasses import replace
 from typing import Final
 
-from companion.geodesy import LocalFrame
 from companion.mavlink import rules
 from companion.mavlink.autopilots import messages, px4
 from companion.mavlink.autopilots.common import Autopilot
+from companion.mavlink.autopilots.messages import To
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.rules import Case, Finding, Rule
 from companion.mission.events import Setpoint, TakeOff, Vector
@@ -27,18 +27,12 @@ within the tube, and what preflight asks NAV_LOITER_RAD to be less than the miss
 steady_m is of its altitude: in gusts it is up to 9 m high, and in Hold rises as much again."""
 
 
-def _hold_about(at_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Message]:
+def _hold_about(at_nea_m: Vector, to: To) -> list[Message]:
     """DO_REPOSITION with the switch to AUTO.LOITER, on the circle that it has set."""
-    place, altitude_m = messages.wire_place(at_nea_m, frame), at_nea_m[2]
-    if place is None:
-        return []
-    to, yaw_rad = (system_id, place, altitude_m), px4.KEEP_YAW
-    return [messages.reposition(*to, switch=True, radius_m=0.0, yaw_rad=yaw_rad)]
+    return messages.reposition(to, at_nea_m, switch=True, radius_m=0.0, yaw_rad=px4.KEEP_YAW)
 
 
-def _take_off(
-    command: TakeOff, here_nea_m: Vector, heading_rad: float, frame: LocalFrame, system_id: int
-) -> list[Message]:
+def _take_off(command: TakeOff, here_nea_m: Vector, heading_rad: float, to: To) -> list[Message]:
     """NAV_TAKEOFF to a point 300 m ahead at an altitude AMSL; ends in AUTO.LOITER about it.
 
     Without a point it stays in AUTO.TAKEOFF.
@@ -51,18 +45,16 @@ def _take_off(
         east_m + _RUNWAY_M * math.sin(heading_rad),
         command.altitude_amsl_m,
     )
-    return px4.take_off(ahead, frame, system_id)
+    return px4.take_off(to, ahead)
 
 
-def _setpoint(
-    setpoint: Setpoint, frame: LocalFrame, system_id: int, _loiter_radius_m: float
-) -> list[Message] | None:
+def _setpoint(setpoint: Setpoint, to: To, _loiter_radius_m: float) -> list[Message] | None:
     """A point of the path and the tangent there; to stay, the point alone, to be circled.
 
     Never an acceleration: its sign is wrong there (px4.md 1, item 7).
     """
     mask = messages.POSITION if setpoint.stay else messages.POSITION_VELOCITY
-    return messages.position_target(setpoint, frame, system_id, type_mask=mask)
+    return messages.position_target(setpoint, to, type_mask=mask)
 
 
 _ONLY_SPEED: Final = rules.at_least(  # px4.md 10

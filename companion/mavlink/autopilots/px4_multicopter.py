@@ -6,10 +6,10 @@ It flies at the velocity of its setpoints.  10 s on the ground disarm it again.
 from dataclasses import replace
 from typing import Final
 
-from companion.geodesy import LocalFrame
 from companion.mavlink import rules
 from companion.mavlink.autopilots import messages, px4
 from companion.mavlink.autopilots.common import Autopilot
+from companion.mavlink.autopilots.messages import To
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.rules import Case, Finding, Rule, only_read
 from companion.mission.events import TakeOff, Vector
@@ -17,12 +17,10 @@ from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 from companion.path.envelope import COPTER
 
 
-def _take_off(
-    command: TakeOff, here_nea_m: Vector, _heading_rad: float, frame: LocalFrame, system_id: int
-) -> list[Message]:
+def _take_off(command: TakeOff, here_nea_m: Vector, _heading_rad: float, to: To) -> list[Message]:
     """NAV_TAKEOFF to an altitude AMSL, straight up, nose as it stands; ends in AUTO.LOITER."""
     north_m, east_m, _ = here_nea_m
-    return px4.take_off((north_m, east_m, command.altitude_amsl_m), frame, system_id)
+    return px4.take_off(to, (north_m, east_m, command.altitude_amsl_m))
 
 
 def _offboard_timeout(value: float, case: Case) -> Finding | None:
