@@ -221,7 +221,7 @@ class Simulation:
     @property
     def mode_name(self) -> str:
         """The autopilot's mode."""
-        return self._controller.autopilot.mode_name
+        return self._controller.autopilot.mode.name
 
     @property
     def _is_down(self) -> bool:
@@ -366,7 +366,7 @@ class Simulation:
         )
         match name:
             case "estimator_reset":
-                controller.answer(autopilot.reset_estimate(*values[:2]))
+                autopilot.estimator.shift(*values[:2])
             case "origin_move":
                 controller.answer(autopilot.move_origin(*values))
             case "pilot":

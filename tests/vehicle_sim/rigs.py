@@ -92,7 +92,7 @@ class Rig:
     @property
     def mode(self) -> str:
         """By its name."""
-        return str(self.autopilot.mode_name)
+        return str(self.autopilot.mode.name)
 
     @property
     def armed(self) -> bool:

@@ -110,7 +110,7 @@ def test_a_reset_moves_the_position_and_a_moved_origin_local_positions_only() ->
     assert it.autopilot.estimate.place == place
     assert np.subtract(it.ned_m, local) == pytest.approx([-10.0, -5.0, 1.0], abs=0.01)
     it = hovering()
-    it.autopilot.reset_estimate(20.0, 0.0)
+    it.autopilot.estimator.shift(20.0, 0.0)
     it.step()
     assert it.ned_m[0] - local[0] == pytest.approx(20.0, abs=0.1)
     fly_on(it, 30.0)

@@ -163,15 +163,16 @@ class ArduCopter(ArduPilot):
     def _stop_target(self) -> None:
         """No take-off, no yaw, zero velocity: mode_guided.init."""
         self._end_takeoff()
-        self._yaw_rad: float | None = None
-        """Where the nose is told to point to, or how fast to turn; None: along the way."""
-        self._yaw_rate_rad_s: float | None = None
+        self._yaw_rad = self._yaw_rate_rad_s = math.nan
+        """Where the nose is told to point to, or how fast to turn; NaN: along the way."""
         self._restart(Kind.VELOCITY)
 
     def _end_takeoff(self) -> None:
         """In GUIDED; the mission's is a leg of it."""
         if self.mode.name == "GUIDED":
             self.route.stop()
+
+    on_disarmed = _end_takeoff
 
     def _restart(self, kind: Kind) -> None:
         """Another submode: from what the vehicle does now, with the parameters' speeds."""
@@ -255,7 +256,7 @@ class ArduCopter(ArduPilot):
         angle_rad = math.radians(angle_deg)
         if relative == 1.0:
             angle_rad = self.copter.heading_rad + (angle_rad if direction >= 0.0 else -angle_rad)
-        self._yaw_rad, self._yaw_rate_rad_s = angle_rad, None
+        self._yaw_rad = angle_rad
         return Result.ACCEPTED
 
     def _change_speed(self, command: Command) -> Result:
@@ -276,8 +277,8 @@ class ArduCopter(ArduPilot):
             return Result.DENIED
         return self.done(self.set_mode("GUIDED") and self.take(Target(), place))
 
-    def _start_mission(self, command: Command) -> Result:
-        return self.to_mode("AUTO")(command) if self.armed else Result.FAILED
+    def _start_mission(self, _: Command) -> Result:
+        return self.done(self.set_mode("AUTO")) if self.armed else Result.FAILED
 
     # --- setpoints ----------------------------------------------------------------------------
 
@@ -292,8 +293,7 @@ class ArduCopter(ArduPilot):
                 self.say(2, target.text)
             self._refused_text = target.text
             return self.taken()
-        x, y, z = target.position
-        place: Place | None = None
+        (x, y, z), place = target.position, None
         if target.is_global and given(target.position):
             height_m = values.height_amsl_m(target.frame, z, self.home.altitude_amsl_m)
             assert height_m is not None
@@ -321,10 +321,7 @@ class ArduCopter(ArduPilot):
             self._restart(kind)
         self._moves, self._feed = _order(target.velocity), _order(target.acceleration)
         self._heard_s = self.now_s
-        yaw_rad, rate_rad_s = target.yaw_rad, target.yaw_rate_rad_s
-        self._yaw_rad = None if yaw_rad != yaw_rad else yaw_rad
-        turns = self._yaw_rad is None and rate_rad_s == rate_rad_s
-        self._yaw_rate_rad_s = rate_rad_s if turns else None
+        self._yaw_rad, self._yaw_rate_rad_s = target.yaw_rad, target.yaw_rate_rad_s
         return True
 
     def steer(self) -> None:
@@ -381,11 +378,6 @@ class ArduCopter(ArduPilot):
         if self.lands() and self.landed_s is not None:
             return _DISARMS_S
         return self.parameters["DISARM_DELAY"] or None
-
-    def on_disarmed(self) -> None:
-        """A take-off that was going on is over."""
-        super().on_disarmed()
-        self._end_takeoff()
 
     # --- flying -------------------------------------------------------------------------------
 
@@ -534,11 +526,11 @@ class ArduCopter(ArduPilot):
 
     def _heading_rad(self) -> float:
         """One step on, from 0 to 2 pi."""
-        copter, wanted_rad = self.copter, self._yaw_rad
+        copter, wanted_rad, rate = self.copter, self._yaw_rad, self._yaw_rate_rad_s
         now_rad = copter.heading_rad
-        if wanted_rad is None and self._yaw_rate_rad_s is not None:
-            return (now_rad + self._yaw_rate_rad_s * self.step_s) % math.tau
-        if wanted_rad is None:
+        if wanted_rad != wanted_rad and rate == rate:
+            return (now_rad + rate * self.step_s) % math.tau
+        if wanted_rad != wanted_rad:
             way = self.level.velocity
             if self.nose_follows_motion:
                 way = complex(copter.velocity_north_m_s, copter.velocity_east_m_s)

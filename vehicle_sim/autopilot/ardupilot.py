@@ -84,8 +84,6 @@ EKF3: Final = Timing(
     drift_m_s2=0.01,
     velocity_ratio=0.012,
 )
-_FOR_THE_FLIGHT, _FROM_TAKE_OFF, _ONLY_WHEN_ARMED = 1.0, 2.0, 3.0
-"""FENCE_AUTOENABLE: from an automatic take-off to the landing, from it on, or while armed."""
 _RECOVERY_S: Final = 10.0
 """How long a breached fence is left alone after a mode was chosen inside the breach."""
 _GCS_EARLY_S: Final = 0.1  # the failsafe comes after 4.9 s where 5 is set (measured)
@@ -115,9 +113,8 @@ class ArduPilot(Autopilot):
             176: self._set_mode_number,
             179: self._set_home,
             207: self._fence_enable,
-            401: self._run_prearm_checks,
             410: self._get_home,
-            520: self.answer(core.AUTOPILOT_VERSION),
+            520: self.tell,
         }
 
     # --- where the two kinds differ -----------------------------------------------------------
@@ -135,11 +132,6 @@ class ArduPilot(Autopilot):
         return None
 
     # --- each step ----------------------------------------------------------------------------
-
-    def on_origin(self) -> None:
-        """The estimator's origin is set, and home with it."""
-        self.home = self.estimator.origin
-        self.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
 
     def check(self) -> None:
         """Ten times a second: failsafes, fence."""
@@ -159,10 +151,8 @@ class ArduPilot(Autopilot):
 
     def _check_battery(self) -> None:
         battery, p = self.battery, self.parameters
-        left_mah = p["BATT_CAPACITY"] - battery.consumed_mah
         for level, name, how in ((2, "CRT", "critical"), (1, "LOW", "low")):
-            volts, mah = p[f"BATT_{name}_VOLT"], p[f"BATT_{name}_MAH"]
-            is_low = (volts > 0.0 and battery.voltage_v < volts) or (mah > 0.0 and left_mah < mah)
+            is_low = battery.voltage_v < p[f"BATT_{name}_VOLT"]
             if not (is_low and p["BATT_MONITOR"] and level > self.battery_acted):
                 continue
             if self._battery_low_s is None:
@@ -176,22 +166,15 @@ class ArduPilot(Autopilot):
             return
         self._battery_low_s = None
 
-    def took_off(self) -> None:
-        """An automatic take-off is over (AC_Fence::auto_enable_fence_after_takeoff)."""
-        if self.parameters["FENCE_AUTOENABLE"] in (_FOR_THE_FLIGHT, _FROM_TAKE_OFF):
-            self.fence.enabled = self.fence.has_floor = True  # whatever its height
-
     def _check_fence(self) -> None:
-        fence, home, lands = self.fence, self.home, self.lands()
-        down = not self.armed or self.landed
-        if self.parameters["FENCE_AUTOENABLE"] == _FOR_THE_FLIGHT and (down or lands):
-            fence.enabled = False
-        if not fence.enabled or home is None or down:
+        fence, home = self.fence, self.home
+        if not fence.enabled or home is None or not self.armed or self.landed:
             fence.breached, fence.has_floor = 0, False
         elif not self.estimator.ok:
             fence.breached = 0
         else:
-            new = fence.check(self.estimate.place, home, self.frame, self.now_s, lands=lands)
+            here, lands = self.estimate.place, self.lands()
+            new = fence.check(here, home, self.frame, self.now_s, lands=lands)
             if new and self.now_s >= self._fence_left_alone_s:
                 self.say(5, f"{named(new)} fence breached")
                 if action := int(self.parameters["FENCE_ACTION"]):
@@ -242,16 +225,9 @@ class ArduPilot(Autopilot):
 
     def on_armed(self) -> None:
         """Home is told; a mission begins where it stands."""
-        if self.parameters["FENCE_AUTOENABLE"] == _ONLY_WHEN_ARMED:
-            self.fence.enabled = True
         self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
         if self.mode.name == self.firmware.missions:
             self.seek(self.firmware.first_item)
-
-    def on_disarmed(self) -> None:
-        """The motors have stopped."""
-        if self.parameters["FENCE_AUTOENABLE"] == _ONLY_WHEN_ARMED:
-            self.fence.enabled = False
 
     # --- commands -----------------------------------------------------------------------------
 
@@ -288,13 +264,6 @@ class ArduPilot(Autopilot):
         if self.home is not None:
             self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
         return self.done(self.home is not None)
-
-    def _run_prearm_checks(self, _: Command) -> Result:
-        if self.armed:
-            return Result.TEMPORARILY_REJECTED
-        if (refusal := self.refusal()) is not None:
-            self.say(2, f"PreArm: {refusal}")
-        return Result.ACCEPTED
 
     # --- the rest of the protocol -------------------------------------------------------------
 

@@ -3,7 +3,6 @@
 Whatever it flies to by itself is a point that it circles in the end, or passes in a mission.
 """
 
-import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,7 +10,7 @@ from typing import Final, final
 
 from vehicle_sim.autopilot import values
 from vehicle_sim.autopilot.ardupilot import EKF3, ArduPilot, firmware
-from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HEARTBEAT, HOME_POSITION, Boot, Mode
+from vehicle_sim.autopilot.core import HEARTBEAT, HOME_POSITION, Boot, Mode
 from vehicle_sim.autopilot.earth import FlatEarth, way_m
 from vehicle_sim.autopilot.estimator import State as Estimates
 from vehicle_sim.autopilot.legs import WAYPOINT, Does, Leg
@@ -25,7 +24,6 @@ from vehicle_sim.autopilot.plane_control import (
     true_airspeed_m_s,
 )
 from vehicle_sim.autopilot.values import Command, Place, Reply, Result, Waypoint
-from vehicle_sim.dynamics import GRAVITY_M_S2
 
 _BY_HAND, _BY_ITSELF = 0x51, 0x59
 """base_mode: stabilised, with manual override; guided as well where it navigates."""
@@ -77,10 +75,8 @@ _SLOWING_M_S2: Final = 2.2  # how fast it loses speed with the throttle slewing 
 _GLIDE_M_S: Final = 2.5
 _LANDING_SINK_M_S: Final = 1.5
 """Wings level from the place of a landing on: no approach and no flare."""
-_HEADING_GAIN: Final = math.radians(50.0)
-"""Bank for each radian of course error: GUIDED_P 5000 hundredths of a degree."""
 _RUNWAY_AHEAD_M: Final = 1000.0  # a mission's take-off climbs straight on at a point so far ahead
-_DO_CHANGE_SPEED, _GUIDED_CHANGE_SPEED = 178, 43000
+_GUIDED_CHANGE_SPEED: Final = 43000
 _NO_HEIGHT = "SIM: NaN height in {} stops the real autopilot"
 
 
@@ -110,29 +106,24 @@ class ArduPlane(Wheels, ArduPilot):
         self._straight = False  # along the way between the two, and not to circle at once
         self._radius_m, self._left = 0.0, False  # asked for, 0: WP_LOITER_RAD; counter-clockwise
         self._arrived = False
-        self._course: tuple[float, float] | None = None
-        """GUIDED_CHANGE_HEADING, instead of the point: course and most bank, in radians."""
-        self._speeds_m_s: dict[int, float] = {}  # by the command that asked for them
+        self._asked_m_s: float | None = None  # by a command, until there is another mode
         self._demand_m_s = 22.0  # airspeed as a pitot tube measures it
         self._climbing = False  # after lifting off, at full throttle
         self.handlers |= {
             22: lambda _: Result.FAILED,  # there is the mode TAKEOFF for that
-            _DO_CHANGE_SPEED: self._change_speed,
+            178: self._change_speed,
             192: self._reposition,
             300: self._start_mission,
             _GUIDED_CHANGE_SPEED: self._change_speed,
-            43002: self._change_heading,
         }
 
     # --- where to -----------------------------------------------------------------------------
 
     def begin(self) -> None:
         """What was told before is forgotten; without anything new it circles here."""
-        here = self.estimate.place
-        self._speeds_m_s, self._course = {}, None
+        here, self._asked_m_s = self.estimate.place, None
         self.route.stop()
-        if self._climbing:
-            self._end_climb()
+        self._end_climb()
         self._go(here)
         self.control.height_amsl_m = here.altitude_amsl_m
         if self.mode.flies == "returns":
@@ -163,21 +154,19 @@ class ArduPlane(Wheels, ArduPilot):
     def begin_leg(self, speed_m_s: float | None) -> None:
         """Another item."""
         leg, here_m = self.route.leg, self.estimate.altitude_amsl_m
-        if speed_m_s:
-            self._speeds_m_s[_DO_CHANGE_SPEED] = speed_m_s
+        self._asked_m_s = speed_m_s or self._asked_m_s
         if leg is None:
             return
-        match leg.does:
-            case Does.RETURN:
-                self._return()
-            case Does.CLIMB:
-                self._aim_ahead(_RUNWAY_AHEAD_M, leg.place.altitude_amsl_m - here_m)
-            case Does.LAND:
-                self._go(leg.place.at(here_m), straight=True)
-            case Does.GO:
-                straight = leg.command == WAYPOINT
-                self.route.leg = leg._replace(hold_s=0.0 if straight else leg.hold_s)
-                self._go(leg.place, straight=straight)
+        if leg.does is Does.RETURN:
+            self._return()
+        elif leg.does is Does.CLIMB:
+            self._aim_ahead(_RUNWAY_AHEAD_M, leg.place.altitude_amsl_m - here_m)
+        elif leg.does is Does.LAND:
+            self._go(leg.place.at(here_m), straight=True)
+        else:
+            straight = leg.command == WAYPOINT
+            self.route.leg = leg._replace(hold_s=0.0 if straight else leg.hold_s)
+            self._go(leg.place, straight=straight)
 
     def is_there(self, leg: Leg) -> bool:
         """At its height, on its circle, or near enough; a landing ends on the ground."""
@@ -212,7 +201,7 @@ class ArduPlane(Wheels, ArduPilot):
     # --- commands -----------------------------------------------------------------------------
 
     def _reposition(self, command: Command) -> Result:
-        """DO_REPOSITION: a point to circle; without a radius the one before is kept."""
+        """DO_REPOSITION: a point to circle."""
         _, flags, radius_m, left, *at, height_m = command.parameters
         if command.frame is None:
             return Result.UNSUPPORTED
@@ -225,38 +214,26 @@ class ArduPlane(Wheels, ArduPilot):
         if self.mode.name != "GUIDED" and not (math.isfinite(flags) and int(flags) & 1):
             return Result.FAILED
         self.set_mode("GUIDED")
-        asked_m = min(float(int(radius_m)), 65535.0) if 0.0 < radius_m < math.inf else None
-        turns_left = math.isfinite(left) and left != 0.0
-        self._go(place, radius_m=self._radius_m if asked_m is None else asked_m, left=turns_left)
-        self._course = None
+        asked_m = min(float(int(radius_m)), 65535.0) if 0.0 < radius_m < math.inf else 0.0
+        self._go(place, radius_m=asked_m, left=math.isfinite(left) and left != 0.0)
         # until navigation has run again the height to be at is the present one
         self.control.height_amsl_m = self.estimate.altitude_amsl_m
         return Result.ACCEPTED
 
     def _start_mission(self, command: Command) -> Result:
         asks_for_items = command.parameters[:2] != (0.0, 0.0)
-        return Result.DENIED if asks_for_items else self.to_mode("AUTO")(command)
+        return Result.DENIED if asks_for_items else self.done(self.set_mode("AUTO"))
 
     def _change_speed(self, command: Command) -> Result:
-        """DO_CHANGE_SPEED, which takes speeds over the ground without effect; and the other."""
+        """DO_CHANGE_SPEED, which takes speeds over the ground without effect; and GUIDED's own."""
         p, (kind, speed_m_s) = self.parameters, command.parameters[:2]
         is_other, mode = command.number == _GUIDED_CHANGE_SPEED, self.mode.name
         if mode != "GUIDED" and (is_other or mode != "AUTO"):
             return Result.FAILED
         if kind == 0.0 and p["AIRSPEED_MIN"] <= speed_m_s <= p["AIRSPEED_MAX"]:
-            self._speeds_m_s[command.number] = speed_m_s
+            self._asked_m_s = speed_m_s
         elif is_other or kind != 1.0:
             return Result.DENIED if is_other else Result.FAILED
-        return Result.ACCEPTED
-
-    def _change_heading(self, command: Command) -> Result:
-        """GUIDED_CHANGE_HEADING: a course over the ground, until there is a new point."""
-        kind, course_deg, lateral_m_s2 = command.parameters[:3]
-        if self.mode.name != "GUIDED":
-            return Result.FAILED
-        if kind != 0.0 or not (0.0 <= course_deg < 360.0 and 0.0 < lateral_m_s2 < math.inf):
-            return Result.DENIED
-        self._course = math.radians(course_deg), math.atan(lateral_m_s2 / GRAVITY_M_S2)
         return Result.ACCEPTED
 
     def on_setpoint(self, setpoint: values.Setpoint) -> Sequence[Reply]:
@@ -295,10 +272,6 @@ class ArduPlane(Wheels, ArduPilot):
             self.home = Place(fix.latitude_deg, fix.longitude_deg, fix.altitude_amsl_m)
             self.send(HOME_POSITION)
 
-    def on_origin(self) -> None:
-        """It is told, and home again."""
-        self.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
-
     def check(self) -> None:
         """How fast and how high, where to, and how to bank for it."""
         super().check()
@@ -312,8 +285,7 @@ class ArduPlane(Wheels, ArduPilot):
         """Airspeed, and the climb where that is no matter of height."""
         p, control, flies = self.parameters, self.control, self.mode.flies
         usual_m_s = p["AIRSPEED_MIN" if flies in ("glides", "cruises") else "AIRSPEED_CRUISE"]
-        cruise_m_s = self._speeds_m_s.get(_DO_CHANGE_SPEED, usual_m_s)
-        asked_m_s = self._speeds_m_s.get(_GUIDED_CHANGE_SPEED, cruise_m_s)
+        asked_m_s = self._asked_m_s or usual_m_s
         self._demand_m_s = min(max(asked_m_s, p["AIRSPEED_MIN"]), p["AIRSPEED_MAX"])
         altitude_m = self.estimate.altitude_amsl_m
         control.airspeed_m_s = true_airspeed_m_s(self._demand_m_s, altitude_m)
@@ -348,10 +320,6 @@ class ArduPlane(Wheels, ArduPilot):
             if self.mode.name == "GUIDED" and not self.landed:
                 self.reached(0)
         control.height_amsl_m = self._place.altitude_amsl_m
-        if self._course is not None:
-            course_rad, most_rad = self._course
-            error_rad = math.remainder(course_rad - cmath.phase(control.velocity), math.tau)
-            control.bank_rad = min(max(_HEADING_GAIN * error_rad, -most_rad), most_rad)
         if self._climbing:
             self._watch_climb()
         elif control.climb_m_s is not None:
@@ -402,21 +370,18 @@ class ArduPlane(Wheels, ArduPilot):
             over = climbed_m >= p["TKOFF_ALT"] - _REACHED_M or away_m >= p["TKOFF_DIST"]
         if over:
             self._end_climb()
-            self.took_off()
 
     def _end_climb(self) -> None:
-        self._climbing = False
-        self._choose_speed()
+        if self._climbing:
+            self._climbing = False
+            self._choose_speed()
+
+    on_disarmed = _end_climb
 
     def touch_down(self) -> None:
         """A climb is over, too."""
         super().touch_down()
-        self._climbing = False
-
-    def on_disarmed(self) -> None:
-        """A take-off is abandoned."""
-        super().on_disarmed()
-        self._climbing = False
+        self._end_climb()
 
     # --- telling ------------------------------------------------------------------------------
 

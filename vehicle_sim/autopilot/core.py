@@ -4,7 +4,6 @@ A `Firmware` is a value: all that differs as data.  Two families answer and deci
 px4.py); a kind of vehicle is a class of one of them that says how it is flown.
 """
 
-import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from vehicle_sim.autopilot import values
 from vehicle_sim.autopilot.earth import Frame
 from vehicle_sim.autopilot.estimator import Estimator, Timing
-from vehicle_sim.autopilot.legs import RETURN, TAKEOFF, Does, Leg, Route, leg_of
+from vehicle_sim.autopilot.legs import RETURN, Does, Leg, Route
 from vehicle_sim.autopilot.values import Command, Place, Reply, Result, Sender
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
@@ -33,6 +32,8 @@ _MAX_RAD_S: Final = 10.0
 """Beyond what a gyroscope is told to feel: a heading that is set anew jumps."""
 _GROUND_STATION: Final = 6  # MAV_TYPE
 Handler = Callable[[Command], Result]
+_TELLS: Final = {410: HOME_POSITION, 519: 300, 520: AUTOPILOT_VERSION}
+"""Old commands that ask for one message."""
 
 
 @final
@@ -119,7 +120,6 @@ class Autopilot:
     lies_below_m_s = math.inf  # speed on the ground at which it may be taken to have landed
 
     # How it decides, by a family (ardupilot.py, px4.py).
-    on_origin: Callable[[], None]  # the estimator's origin is set
     check: Callable[[], None]  # ten times a second: whatever may end the flight
     set_mode: Callable[[str], bool]  # fly in this mode from now on, if it can be
     refusal: Callable[[], str | None]  # why it may not be armed now
@@ -163,12 +163,8 @@ class Autopilot:
             400: self._arm_or_disarm,
         }
         """What answers which MAV_CMD; families and kinds add theirs."""
-        self.handlers |= {number: self.to_mode(name) for number, name in firmware.orders.items()}
 
     # --- what not every one does --------------------------------------------------------------
-
-    def took_off(self) -> None:
-        """An automatic take-off is over."""
 
     def steer(self) -> None:
         """Look where to go, on the ground too."""
@@ -211,7 +207,8 @@ class Autopilot:
         estimator.step(self.now_s, dt_s, fix)
         if estimator.origin is not None and not had_origin:
             self.frame = self.firmware.frame(estimator.origin)
-            self.on_origin()
+            self.home = self.home or estimator.origin
+            self.send(GPS_GLOBAL_ORIGIN, *(() if self.is_px4 else (HOME_POSITION,)))
         if self.parameters.version != self._version:
             self._version = self.parameters.version
             self.read_parameters()
@@ -286,18 +283,6 @@ class Autopilot:
 
     # --- modes and arming ---------------------------------------------------------------------
 
-    @property
-    def mode_name(self) -> str:
-        """Name of the flight mode."""
-        return self.mode.name
-
-    def to_mode(self, name: str) -> Handler:
-        """The answer to a command that asks for a mode."""
-        return functools.partial(self._enter, name)
-
-    def _enter(self, name: str, _: Command) -> Result:
-        return self.done(self.set_mode(name))
-
     def done(self, it_is: object) -> Result:
         """The answer to what either is done now or cannot be."""
         return Result.ACCEPTED if it_is else self.firmware.refused
@@ -348,10 +333,8 @@ class Autopilot:
     def seek(self, number: int) -> None:
         """Fly the mission from this item on; what is above terrain is above the ground below."""
         items, here = self.plans[PlanKind.MISSION], self.estimate.place
-        leg_at = functools.partial(
-            leg_of, here=here, home=self.home or here, ground_amsl_m=self.ground_m
-        )
-        self.begin_leg(self.route.seek(items, number, leg_at, self.now_s))
+        about = (here, self.home or here, self.ground_m)
+        self.begin_leg(self.route.seek(items, number, about, self.now_s))
 
     def is_at(self, does: Does) -> bool:
         """Whether it flies a leg of this kind."""
@@ -369,8 +352,6 @@ class Autopilot:
         is_item = route.number is not None and leg.command != RETURN
         if is_item and (arrives if self.is_px4 else leaves):
             self.reached(route.current)
-        if leaves and leg.command == TAKEOFF:
-            self.took_off()
         if leaves and is_item:
             self.seek(route.current + 1)
         elif leaves:
@@ -417,11 +398,14 @@ class Autopilot:
         PX4 answers for whatever component it is; it accepts DO_SET_MODE whatever that asks for,
         and lets the real result follow (px4.md 1, item 1).
         """
-        handler, result = self.handlers.get(command.number), Result.UNSUPPORTED
-        if handler is not None and (self.is_px4 or command.target_component in (0, 1)):
-            result = handler(command)
-        ack = values.Ack(to=command.sender, command=command.number, result=result)
-        if command.number != _DO_SET_MODE or not self.is_px4:
+        number, result = command.number, Result.UNSUPPORTED
+        if self.is_px4 or command.target_component in (0, 1):
+            if (mode := self.firmware.orders.get(number)) is not None:
+                result = self.done(self.set_mode(mode))
+            elif (handler := self.handlers.get(number)) is not None:
+                result = handler(command)
+        ack = values.Ack(to=command.sender, command=number, result=result)
+        if number != _DO_SET_MODE or not self.is_px4:
             return [ack, *self.taken()]
         self._said.insert(0, ack)
         return [ack._replace(result=Result.ACCEPTED)]
@@ -442,12 +426,9 @@ class Autopilot:
         self.send(HOME_POSITION)
         return Result.ACCEPTED
 
-    def answer(self, message: int) -> Handler:
-        """An old command that asks for one message."""
-        return functools.partial(self._answer, message)
-
-    def _answer(self, message: int, command: Command) -> Result:
-        self._said.append(values.SendTelemetry(message=message, to=command.sender))
+    def tell(self, command: Command) -> Result:
+        """The answer to an old command that asks for one message."""
+        self._said.append(values.SendTelemetry(_TELLS[command.number], command.sender))
         return Result.ACCEPTED
 
     def _reboot(self, command: Command) -> Result:
@@ -465,11 +446,6 @@ class Autopilot:
         """The pilot changes to the mode that pilots of this firmware hold the vehicle in."""
         self.set_mode(self.firmware.pilot)
         return self.taken()
-
-    def reset_estimate(self, north_m: float, east_m: float) -> Sequence[Reply]:
-        """The estimator resets and its position jumps by this much."""
-        self.estimator.shift(north_m, east_m)
-        return ()
 
     def move_origin(self, north_m: float, east_m: float, up_m: float) -> Sequence[Reply]:
         """The origin moves: local positions change, global ones do not."""

@@ -5,7 +5,7 @@ A return is some of them; a mission gives them item by item, and does what is no
 
 import enum
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Final, NamedTuple, final
 
 from vehicle_sim.autopilot.values import Place, height_amsl_m
@@ -119,17 +119,20 @@ class Route:
         self,
         items: tuple[PlanItem, ...],
         number: int,
-        leg_at: Callable[[PlanItem], Leg | None],
+        about: tuple[Place, Place, float],
         now_s: float,
     ) -> float | None:
-        """Fly the mission from this item on; returns the speed that was asked for on the way."""
+        """Fly the mission from this item on; returns the speed that was asked for on the way.
+
+        about: where the vehicle is, home, and how high the ground is.
+        """
         speed_m_s: float | None = None
         self.stop()
         self.began_s, self.arrived_s, self.complete = now_s, None, False
         for at, item in self._jumps.walk(items, number, _WALKS_MOST):
             if item.command == _CHANGE_SPEED and 0.0 < item.parameters[1] < math.inf:
                 speed_m_s = item.parameters[1]
-            self.leg = leg_at(item)
+            self.leg = leg_of(item, *about)
             if self.leg is not None:
                 self.current = self.number = at
                 return speed_m_s

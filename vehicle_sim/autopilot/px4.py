@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from vehicle_sim.autopilot import core, values
-from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HOME_POSITION, Mode
+from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, Mode
 from vehicle_sim.autopilot.earth import Projection
 from vehicle_sim.autopilot.estimator import Timing, told
 from vehicle_sim.autopilot.guards import Zones
@@ -150,12 +150,14 @@ _STILL_S: Final = 2.0  # disarmed to the estimator's constant-position mode
 _LOW_M: Final = 1.2
 """Below this, in the air, there is no height above ground: flags 0x33f in the logs."""
 _STILL_FLAG, _HEIGHT_FLAG = 0x080, 0x040
+_NAV_LAND: Final = 21
 _TEXTS: Final = {
     "fence": (4, "Geofence: approaching or outside geofence\t"),
     "battery": (2, "Critical battery level, land now\t"),
 }
 """What is said when one of these begins or gets worse."""
 _HIGHEST_M: Final = 1e5  # altitudes beyond count as not given: they do not fit into any answer
+NOWHERE: Final = Place(_NAN, _NAN, _NAN)
 
 
 class Px4(core.Autopilot):
@@ -172,8 +174,7 @@ class Px4(core.Autopilot):
         """The estimate in the local frame: north, east, down."""
         self.target: Target | None = None
         """The newest one that OFFBOARD flies, in the local frame; None: none since it began."""
-        self.asked: Place | None = None
-        self.asked_yaw_rad = _NAN
+        self.asked, self.asked_yaw_rad = NOWHERE, _NAN
         """Where the command that brought about the mode wants it; NaN: not given."""
         self.speed_m_s: float | None = None
         """DO_CHANGE_SPEED, in AUTO modes."""
@@ -189,25 +190,17 @@ class Px4(core.Autopilot):
         self._after_disarming = self.mode
         self._disarmed_s = -_STILL_S
         self.handlers |= {
-            21: self._land,
-            22: self._take_off,
+            21: self._land_or_take_off,
+            22: self._land_or_take_off,
             176: self._set_mode_number,
             178: self._change_speed,
             179: self._set_home,
             192: self._reposition,
             300: self._start_mission,
             401: lambda _: Result.ACCEPTED,
-            410: self.answer(HOME_POSITION),
-            519: self.answer(300),
-            520: self.answer(core.AUTOPILOT_VERSION),
-        }
+        } | dict.fromkeys((410, 519, 520), self.tell)
 
     # --- each step ----------------------------------------------------------------------------
-
-    def on_origin(self) -> None:
-        """With the first GPS that is fused: origin and home; the origin is told once."""
-        self.home = self.estimator.origin
-        self.send(GPS_GLOBAL_ORIGIN)
 
     def look(self) -> None:
         """In every step, before the checks."""
@@ -353,16 +346,15 @@ class Px4(core.Autopilot):
             self.begin()
         self._select()
 
-    def command_mode(self, name: str, asked: Place | None = None, yaw_rad: float = _NAN) -> Result:
+    def command_mode(self, name: str, asked: Place = NOWHERE, yaw_rad: float = _NAN) -> Result:
         """Request a mode.  On the ground, disarmed, every mode is accepted."""
         able = self.estimator.precise or not self.modes[name].needs_position
         if name == "Offboard":
             able = self.offboard_signal and self.estimator.precise
-        if self.armed and not able:
-            return Result.TEMPORARILY_REJECTED
-        self.asked, self.asked_yaw_rad = asked, yaw_rad
-        self.intend(name)
-        return Result.ACCEPTED
+        if able or not self.armed:
+            self.asked, self.asked_yaw_rad = asked, yaw_rad
+            self.intend(name)
+        return self.done(able or not self.armed)
 
     def set_mode(self, name: str) -> bool:
         """Fly in this mode from now on, if it can be."""
@@ -421,22 +413,18 @@ class Px4(core.Autopilot):
 
     def asked_or(self, here: Place) -> Place:
         """What of a place was asked for, and here what was not."""
-        asked = self.asked or here
-        height_m = asked.altitude_amsl_m
-        place = asked if given(asked) else here
+        height_m = self.asked.altitude_amsl_m
+        place = self.asked if given(self.asked) else here
         return place.at(here.altitude_amsl_m if height_m != height_m else height_m)
 
-    def _land(self, command: Command) -> Result:
-        asked = self._asked_by(command)
-        return self.command_mode("Land", asked if given(asked) else None)
-
-    def _take_off(self, command: Command) -> Result:
-        return self.command_mode("Takeoff", self._asked_by(command))
+    def _land_or_take_off(self, command: Command) -> Result:
+        name = "Land" if command.number == _NAV_LAND else "Takeoff"
+        return self.command_mode(name, self._asked_by(command))
 
     @property
     def takeoff_altitude_m(self) -> float:
         """AMSL: NAV_TAKEOFF's, but never down, or MIS_TAKEOFF_ALT above home."""
-        if self.asked is not None and math.isfinite(self.asked.altitude_amsl_m):
+        if math.isfinite(self.asked.altitude_amsl_m):
             return max(self.asked.altitude_amsl_m, self.estimate.altitude_amsl_m)
         return self.base.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
 
@@ -458,10 +446,10 @@ class Px4(core.Autopilot):
         return Result.ACCEPTED
 
     def _set_home(self, command: Command) -> Result:
-        if command.parameters[0] == 1.0:
-            ok = self.estimator.ok
-            return self.set_home(self.estimate.place) if ok else Result.TEMPORARILY_REJECTED
-        place = self._asked_by(command)
+        here = command.parameters[0] == 1.0
+        if here and not self.estimator.ok:
+            return Result.TEMPORARILY_REJECTED
+        place = self.estimate.place if here else self._asked_by(command)
         return self.set_home(place) if all(map(math.isfinite, place)) else Result.DENIED
 
     # --- missions -----------------------------------------------------------------------------

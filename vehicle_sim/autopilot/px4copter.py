@@ -5,7 +5,7 @@ from typing import Final, final
 
 from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.legs import RETURN, Does, Leg, back
-from vehicle_sim.autopilot.px4 import MODES, NAVIGATED, RATES_HZ, Px4, firmware
+from vehicle_sim.autopilot.px4 import MODES, NAVIGATED, NOWHERE, RATES_HZ, Px4, firmware
 from vehicle_sim.autopilot.px4_control import NONE, STANDS_M_S, Control, Point, State, given
 from vehicle_sim.autopilot.setpoints import NOTHING, Target, is_flyable
 from vehicle_sim.autopilot.values import Place, TargetEcho, Waypoint
@@ -98,16 +98,16 @@ class Px4Copter(Px4):
         self._began_in, self._began, self._began_down = name, flown.place, flown.down
         self._goal, self._goal_down = NONE, _NAN
         self._yaw_rad, self._aim_yaw_rad = self.copter.heading_rad, _NAN
-        here, asked = self.estimate.place, self.asked
+        here = self.estimate.place
         if name == "Takeoff":
             self._goal, self._goal_down = self._local(here.at(self.takeoff_altitude_m))
-        elif name == "Hold" and asked is None:
+        elif name == "Hold" and all(map(math.isnan, self.asked)):
             self._began = self._goal = flown.place + self._point.stopping_m(flown.velocity)
             self._goal_down = flown.down
-        elif name == "Hold" and asked is not None:
+        elif name == "Hold":
             self._aim_yaw_rad = self.asked_yaw_rad
             self._goal, self._goal_down = self._local(self.asked_or(here))
-        elif name == "Land" and asked is not None:
+        elif name == "Land" and given(self.asked[0]):
             self._goal, _ = self._local(self.asked_or(here))
         elif name == "Return":
             height_m = self.base.altitude_amsl_m + self._return_height_m()
@@ -263,7 +263,7 @@ class Px4Copter(Px4):
         elif self._up_s is None:
             self._up_s = self.now_s
         elif self.now_s - self._up_s >= _TAKEN_OFF_S:
-            self.asked = None  # it holds where it is
+            self.asked = NOWHERE  # it holds where it is
             self.intend("Hold")
         return at
 

@@ -275,7 +275,7 @@ class Px4Plane(Wheels, Px4):
         if here.altitude_amsl_m >= goal_m:
             goal = self._goal or here
             self._goal, control.climb_m_s = goal.at(goal_m + _CLEARED_M), None
-            if self.asked is not None and given(self.asked):
+            if given(self.asked):
                 self.intend("Hold")
 
     def _return(self) -> None:
