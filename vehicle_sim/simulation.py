@@ -366,7 +366,7 @@ class Simulation:
         )
         match name:
             case "estimator_reset":
-                autopilot.estimator.shift(*values[:2])
+                autopilot.estimate.shift(*values[:2])
             case "origin_move":
                 controller.answer(autopilot.move_origin(*values))
             case "pilot":

@@ -138,7 +138,7 @@ class ArduCopter(ArduPilot):
         """Checks are only made in flight, as the real one does."""
         if not self.armed:
             return None
-        if self.modes[name].needs_position and not self.estimator.ok:
+        if self.modes[name].needs_position and not self.estimate.position_ok:
             return "requires position"
         no_mission = name == "AUTO" and len(self.plans[PlanKind.MISSION]) < 2
         nowhere = name == "RTL" and self.home is None
@@ -151,7 +151,7 @@ class ArduCopter(ArduPilot):
         self._stop_target()
         route.stop()
         if name == "LAND":
-            self._lands_with_position = self.estimator.ok
+            self._lands_with_position = self.estimate.position_ok
         elif name == "RTL":
             self._begin_return()
         elif name == "AUTO":
@@ -191,12 +191,12 @@ class ArduCopter(ArduPilot):
     def check(self) -> None:
         """Ten times a second: it cannot fly without a position."""
         super().check()
-        estimator = self.estimator
-        if estimator.glitching is not self._was_glitching:
-            self._was_glitching = estimator.glitching
+        estimate = self.estimate
+        if estimate.glitching is not self._was_glitching:
+            self._was_glitching = estimate.glitching
             glitches = self._was_glitching
             self.say(2, "GPS Glitch or Compass error" if glitches else "Glitch cleared")
-        is_bad = self.armed and estimator.origin is not None and not estimator.ok
+        is_bad = self.armed and estimate.origin is not None and not estimate.position_ok
         before = self._ekf_failures
         self._ekf_failures = min(max(before + (1 if is_bad else -1), 0), _EKF_CHECKS)
         if self._ekf_failures == _EKF_CHECKS > before:
@@ -236,8 +236,8 @@ class ArduCopter(ArduPilot):
         """Straight up, in GUIDED."""
         if command.frame not in (None, _TAKE_OFF_FRAME):
             return Result.DENIED
-        ready = self.armed and self.landed and self.mode.name == "GUIDED" and self.estimator.ok
-        if not ready or self.home is None or self.climbs_out():
+        ready = self.armed and self.landed and self.mode.name == "GUIDED"
+        if not (ready and self.estimate.position_ok) or self.home is None or self.climbs_out():
             return Result.FAILED
         altitude_m = self.home.altitude_amsl_m + command.parameters[6]
         if not self.estimate.altitude_amsl_m < altitude_m < math.inf:
@@ -370,7 +370,7 @@ class ArduCopter(ArduPilot):
         self.copter.stand(self.ground_m)
         self._end_takeoff()
         self.level.rest()
-        self.estimator.follow()
+        self.estimate.follow()
         self._restart(Kind.VELOCITY)
 
     def disarms_after_s(self) -> float | None:
@@ -418,7 +418,7 @@ class ArduCopter(ArduPilot):
         """GUIDED."""
         if self.route.leg is not None:
             return self.fly_legs()  # a take-off
-        if not self.estimator.aiding:
+        if not self.estimate.aiding:
             return self._hold(0.0, level=True)
         if self.kind in (Kind.TAKEOFF, Kind.POSITION):
             return self._go(self._place_deg, self._altitude_m)
@@ -439,11 +439,11 @@ class ArduCopter(ArduPilot):
 
     def brake(self) -> Order:
         """BRAKE."""
-        speed = abs(self.level.flown)
+        speed = abs(self.estimate.velocity_m_s)
         if speed < 0.5:
             return self._hold(0.0)
         most = min(_BRAKE_M_S2, self.copter.limits.acceleration_m_s2, 4.0 * speed)
-        asked = self.level.flown * (self.copter.drag_1_s - most / speed)
+        asked = self.estimate.velocity_m_s * (self.copter.drag_1_s - most / speed)
         self.level.follow(asked)
         return asked, self.up.towards(0.0, 0.0, self.step_s)
 
@@ -463,7 +463,7 @@ class ArduCopter(ArduPilot):
         rate = min(max(rate, -max(tuning.speed_down_m_s, slow)), -slow)
         if self.now_s < self._pauses_until_s:
             rate = 0.0
-        self._lands_with_position &= self.estimator.aiding
+        self._lands_with_position &= self.estimate.aiding
         return self._hold(rate, level=not self._lands_with_position)
 
     # --- legs ---------------------------------------------------------------------------------
@@ -495,7 +495,7 @@ class ArduCopter(ArduPilot):
     def fly_legs(self) -> Order:
         """AUTO, RTL, a take-off: a place after the other."""
         leg = self.route.leg
-        if leg is None or not self.estimator.aiding:
+        if leg is None or not self.estimate.aiding:
             return self._hold(0.0, level=leg is not None)
         if self.route.lands:
             return self.land()
@@ -554,7 +554,7 @@ class ArduCopter(ArduPilot):
 
     def target_echo(self) -> values.TargetEcho | None:
         """What GUIDED steers for; in other modes nothing is sent."""
-        if self.mode.name != "GUIDED" or self.estimator.origin is None:
+        if self.mode.name != "GUIDED" or self.estimate.origin is None:
             return None
         position = None
         if self.kind is Kind.TAKEOFF:

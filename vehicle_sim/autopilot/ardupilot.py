@@ -135,8 +135,8 @@ class ArduPilot(Autopilot):
 
     def check(self) -> None:
         """Ten times a second: failsafes, fence."""
-        if self.estimator.aiding is not self._was_aiding:
-            self._was_aiding = self.estimator.aiding
+        if self.estimate.aiding is not self._was_aiding:
+            self._was_aiding = self.estimate.aiding
             self.say(6, f"EKF3 IMU0 {'is using GPS' if self._was_aiding else 'stopped aiding'}")
         self._check_fence()
         enabled, timeout_s = (self.parameters[name] for name in self.gcs_failsafe)
@@ -170,7 +170,7 @@ class ArduPilot(Autopilot):
         fence, home = self.fence, self.home
         if not fence.enabled or home is None or not self.armed or self.landed:
             fence.breached, fence.has_floor = 0, False
-        elif not self.estimator.ok:
+        elif not self.estimate.position_ok:
             fence.breached = 0
         else:
             here, lands = self.estimate.place, self.lands()
@@ -216,11 +216,11 @@ class ArduPilot(Autopilot):
         """Why it may not be armed now."""
         if not self.mode.armable:
             return f"{self.mode.name} mode not armable"
-        if self.mode.needs_position and not self.estimator.ok:
+        if self.mode.needs_position and not self.estimate.position_ok:
             return "Need Position Estimate"
         if self.now_s < self.firmware.prearm_s:
             return "AHRS: waiting for home"
-        outside = self.outside_fence(self.estimate.place) if self.estimator.ok else 0
+        outside = self.outside_fence(self.estimate.place) if self.estimate.position_ok else 0
         return f"Vehicle breaching {named(outside)}" if outside else None
 
     def on_armed(self) -> None:
@@ -244,10 +244,10 @@ class ArduPilot(Autopilot):
         return Place(latitude_deg, longitude_deg, height_m)
 
     def _set_home(self, command: Command) -> Result:
-        if self.estimator.origin is None:
+        if self.estimate.origin is None:
             return Result.FAILED
         p = command.parameters
-        place: Place | Result = self.estimate.place if self.estimator.ok else Result.FAILED
+        place: Place | Result = self.estimate.place if self.estimate.position_ok else Result.FAILED
         if p[0] != 1.0 and p[4:] != (0.0, 0.0, 0.0):
             place = self.place_of(command)
         if isinstance(place, Result):
@@ -283,13 +283,13 @@ class ArduPilot(Autopilot):
 
     def local_ned_m(self) -> values.Vector | None:
         """Position in the estimator's frame, while it has one."""
-        if self.estimator.origin is None or not self.estimator.aiding:
+        if self.estimate.origin is None or not self.estimate.aiding:
             return None
         return super().local_ned_m()
 
     def status(self) -> values.Status:
         """The status for telemetry."""
-        fence, landed, state = self.fence, Landed.IN_AIR, State.ACTIVE
+        landed, state = Landed.IN_AIR, State.ACTIVE
         if self.landed:
             landed, state = Landed.ON_GROUND, State.STANDBY
         elif self.lands():
@@ -307,16 +307,11 @@ class ArduPilot(Autopilot):
             system_status=state,
             landed_state=landed,
             prearm_ok=self.now_s >= self.firmware.prearm_s,
-            origin=self.estimator.origin,
             waypoint=self.waypoint(),
             mission_current=self.route.current,
             mission_state=self.mission_state(),
             mission_total=max(len(self.plans[PlanKind.MISSION]) - 1, 0),
-            fence_breached=bool(fence.breached),
-            fence_breaches=fence.breaches,
-            fence_present=fence.present,
-            fence_breach_type=fence.breach_type,
-            fence_breach_ms=round(fence.breach_s * 1e3),
+            fence=self.fence.told,
             failsafe=self.failsafe,
             airspeed_m_s=self.airspeed_m_s(),
         )

@@ -276,7 +276,7 @@ class ArduPlane(Wheels, ArduPilot):
         """How fast and how high, where to, and how to bank for it."""
         super().check()
         self._choose_speed()
-        if not self.estimator.ok or self.mode.flies in ("glides", "cruises"):
+        if not self.estimate.position_ok or self.mode.flies in ("glides", "cruises"):
             self.control.bank_rad = 0.0
         else:
             self._navigate()
@@ -340,7 +340,7 @@ class ArduPlane(Wheels, ArduPilot):
 
     def wants_up(self) -> bool:
         """Whether it is to take off now."""
-        return self._takes_off and self.armed and self.estimator.ok
+        return self._takes_off and self.armed and self.estimate.position_ok
 
     def lift_off_m_s(self) -> float:
         """Less than it cruises with."""
@@ -400,7 +400,7 @@ class ArduPlane(Wheels, ArduPilot):
 
     def local_ned_m(self) -> values.Vector | None:
         """About home, by another estimator, until this one flies for the first time."""
-        if self.estimator.state is Estimates.START and self.home is not None:
+        if self.estimate.state is Estimates.START and self.home is not None:
             return 0.0, 0.0, self.home.altitude_amsl_m - self.estimate.altitude_amsl_m
         return super().local_ned_m()
 

@@ -16,7 +16,7 @@ import math
 from dataclasses import dataclass
 from typing import Final, final
 
-from vehicle_sim.autopilot.values import Estimate
+from vehicle_sim.autopilot.estimator import Estimator
 from vehicle_sim.geodesy import degrees_east, metres_per_degree
 
 POSITION_P, VELOCITY_P, VELOCITY_I, VELOCITY_D = 1.0, 2.0, 1.0, 0.25
@@ -85,7 +85,7 @@ class Horizontal:
 
     tuning: Tuning
 
-    def __init__(self, estimate: Estimate) -> None:
+    def __init__(self, estimate: Estimator) -> None:
         self._estimate = estimate
         self.scale = (1.0, 1.0)
         """Metres of a degree, of latitude and longitude, where it flies."""
@@ -97,14 +97,10 @@ class Horizontal:
         """Where it believes to be."""
         return complex(self._estimate.latitude_deg, self._estimate.longitude_deg)
 
-    @property
-    def flown(self) -> complex:
-        """Velocity over the ground."""
-        return complex(self._estimate.velocity_north_m_s, self._estimate.velocity_east_m_s)
-
     def start(self) -> None:
         """From what the vehicle does now: the integrator takes over all of the present lean."""
-        self.place_deg, self.velocity, self.acceleration = self.here_deg, self.flown, 0j
+        self.place_deg, self.velocity = self.here_deg, self._estimate.velocity_m_s
+        self.acceleration = 0j
         self._integral, self._derivative, self._limited = self._asked, 0j, 0j
         self._error: complex | None = None
 
@@ -177,12 +173,11 @@ class Horizontal:
 
     def lean(self, dt_s: float) -> complex:
         """The acceleration that the lean gives, one step on."""
-        e = self._estimate
-        off = self.metres(complex(e.latitude_deg, e.longitude_deg), self.place_deg)
+        off = self.metres(self.here_deg, self.place_deg)
         away = abs(off)
         if away > 1e-9:
             off *= rate_for(away, POSITION_P, self.tuning.acceleration_m_s2, dt_s) / away
-        error = off + self.velocity - complex(e.velocity_north_m_s, e.velocity_east_m_s)
+        error = off + self.velocity - self._estimate.velocity_m_s
         if self._error is not None:
             blend = dt_s / (FILTER_S + dt_s)
             step = blend * (error - self._error)
@@ -218,7 +213,7 @@ class Vertical:
 
     tuning: Tuning
 
-    def __init__(self, estimate: Estimate) -> None:
+    def __init__(self, estimate: Estimator) -> None:
         self._estimate = estimate
         self.start()
 

@@ -136,8 +136,7 @@ class Autopilot:
         self.parameters = Parameters(firmware.table, boot.parameters)
         self.battery, self.fix = Battery(), Fix()
         """What the power module and the receiver say; the simulation puts its own here."""
-        self.estimator = Estimator(boot.vehicle, firmware.timing, boot.rng)
-        self.estimate = self.estimator.estimate
+        self.estimate = Estimator(boot.vehicle, firmware.timing, boot.rng)
         self.frame = firmware.frame(self.estimate.place)
         """Its local frame: about the origin, once there is one."""
         self.modes = {mode.name: mode for mode in firmware.modes}
@@ -202,12 +201,12 @@ class Autopilot:
         """Fly on to now_us, over ground of this height, with the newest GPS fix."""
         self.now_s, self.step_s = now_us * 1e-6, dt_s
         self.ground_m, self.fix = ground_amsl_m, fix
-        estimator, vehicle = self.estimator, self.vehicle
-        had_origin = estimator.origin is not None
-        estimator.step(self.now_s, dt_s, fix)
-        if estimator.origin is not None and not had_origin:
-            self.frame = self.firmware.frame(estimator.origin)
-            self.home = self.home or estimator.origin
+        estimate, vehicle = self.estimate, self.vehicle
+        had_origin = estimate.origin is not None
+        estimate.step(self.now_s, dt_s, fix)
+        if estimate.origin is not None and not had_origin:
+            self.frame = self.firmware.frame(estimate.origin)
+            self.home = self.home or estimate.origin
             self.send(GPS_GLOBAL_ORIGIN, *(() if self.is_px4 else (HOME_POSITION,)))
         if self.parameters.version != self._version:
             self._version = self.parameters.version
@@ -231,7 +230,7 @@ class Autopilot:
                 vehicle.fall(dt_s)
             if vehicle.altitude_amsl_m <= ground_amsl_m:
                 self._come_to_ground()
-        estimator.follow()
+        estimate.follow()
         attitude_rad = (vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad)
         self._attitudes_rad = (self._attitudes_rad[1], attitude_rad)
         return self.taken() if self._said else ()
@@ -296,7 +295,7 @@ class Autopilot:
             self.say(2, self.firmware.cannot_arm.format(why))
             return self.firmware.refused
         self.armed, self.armed_s, self.landed_s = True, self.now_s, None
-        if self.estimator.ok:
+        if self.estimate.position_ok:
             self.home = self.estimate.place
         self.say(6, self.firmware.arms)
         self.on_armed()
@@ -449,8 +448,8 @@ class Autopilot:
 
     def move_origin(self, north_m: float, east_m: float, up_m: float) -> Sequence[Reply]:
         """The origin moves: local positions change, global ones do not."""
-        if self.estimator.origin is not None:
-            self.estimator.origin = origin = self.frame.place(north_m, east_m, -up_m)
+        if self.estimate.origin is not None:
+            self.estimate.origin = origin = self.frame.place(north_m, east_m, -up_m)
             self.frame = self.firmware.frame(origin)
             self.send(GPS_GLOBAL_ORIGIN)
         return self.taken()

@@ -61,10 +61,9 @@ class Fence:
         self.enabled = bool(parameters["FENCE_ENABLE"])
         self.breached = 0
         """Bits of FENCE_TYPE."""
-        self.breaches = 0
-        self.breach_type = 0
+        self._breaches = self._breach_type = 0
         """FENCE_BREACH: 1 too low, 2 too high, 3 over the edge."""
-        self.breach_s = 0.0
+        self._breach_s = 0.0
         self.has_floor = False
         """FENCE_ALT_MIN counts: it has been above it by the margin since it took off, and does not
         land (AC_Fence::auto_enable_fence_floor, get_auto_disable_fences)."""
@@ -75,9 +74,12 @@ class Fence:
         self._looks_s = now_s + _LOADING_S
 
     @property
-    def present(self) -> bool:
-        """Whether there is anything that FENCE_STATUS could tell of."""
-        return self.enabled or bool(self._plans[PlanKind.FENCE])
+    def told(self) -> tuple[int, ...] | None:
+        """FENCE_STATUS, if there is a fence: breached, how often, the last FENCE_BREACH, when."""
+        if not (self.enabled or self._plans[PlanKind.FENCE]):
+            return None
+        last = (self._breaches, self._breach_type, round(self._breach_s * 1e3))
+        return (int(bool(self.breached)), *last)
 
     def outside(self, place: Place, home: Place | None, frame: Frame) -> int:
         """Which kinds of fence this place would breach: bits of FENCE_TYPE."""
@@ -105,9 +107,9 @@ class Fence:
         found = self.outside(place, home, frame)
         new = found & ~self.breached
         if new:
-            self.breaches += not self.breached
+            self._breaches += not self.breached
             over_the_edge = new & (CIRCLE | POLYGON)
-            self.breach_type = 3 if over_the_edge else 2 if new & ALTITUDE_MAX else 1
-            self.breach_s = now_s
+            self._breach_type = 3 if over_the_edge else 2 if new & ALTITUDE_MAX else 1
+            self._breach_s = now_s
         self.breached = found
         return new

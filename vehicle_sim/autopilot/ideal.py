@@ -69,7 +69,7 @@ class Ideal(ArduCopter):
 
     def fly_target(self) -> Order:
         """GUIDED."""
-        if self.estimator.aiding:
+        if self.estimate.aiding:
             if self.kind is Kind.PATH and self.now_s - self._heard_s <= self._timeout_s:
                 return self._track()
             if self._tracks:
@@ -87,7 +87,7 @@ class Ideal(ArduCopter):
         off_m = self.level.metres(here_deg, self._place_deg)
         rise_m = self._altitude_m - estimate.altitude_amsl_m
         (velocity, climb_m_s), (feed, feed_up) = self._moves, self._feed
-        late, late_up = velocity - self.level.flown, climb_m_s - estimate.velocity_up_m_s
+        late, late_up = velocity - self.estimate.velocity_m_s, climb_m_s - estimate.velocity_up_m_s
         level = clipped(off_m * KP_1_S2, KV_1_S * tuning.speed_m_s)
         most_up = KV_1_S * tuning.speed_up_m_s
         up = min(max(rise_m * KP_1_S2, -most_up), most_up)

@@ -16,7 +16,8 @@ import numpy as np
 
 from vehicle_sim.autopilot.core import Autopilot, Boot
 from vehicle_sim.autopilot.earth import way_m
-from vehicle_sim.autopilot.values import Estimate, Place
+from vehicle_sim.autopilot.estimator import Estimator
+from vehicle_sim.autopilot.values import Place
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane
 
@@ -182,7 +183,7 @@ class Way(NamedTuple):
 class PlaneControl:
     """Where to, how high and how fast; and the plane's commands for that.  Mutable."""
 
-    def __init__(self, plane: Plane, estimate: Estimate) -> None:
+    def __init__(self, plane: Plane, estimate: Estimator) -> None:
         self._plane, self._estimate = plane, estimate
         self.l1, self.heights = L1(), HeightControl()
         self.height_amsl_m = 0.0
@@ -198,8 +199,7 @@ class PlaneControl:
     @property
     def velocity(self) -> complex:
         """Over the ground; who stands is about to go where the nose points."""
-        e = self._estimate
-        velocity = complex(e.velocity_north_m_s, e.velocity_east_m_s)
+        velocity = self._estimate.velocity_m_s
         return velocity if abs(velocity) > 1.0 else cmath.rect(1.0, self._plane.heading_rad)
 
     def off_m(self, place: Place) -> complex:

@@ -181,7 +181,7 @@ class Px4(core.Autopilot):
         self.offboard_signal = False
         self._signal_s = -math.inf
         """A setpoint was seen within COM_OF_LOSS_T, as of the last check; and when it was."""
-        self.fence_breached, self.fence_breaches = False, 0
+        self._breached = False  # the fence, when it last knew where it was
         self.zones = Zones(self.plans)
         self._ill: dict[str, Action] = {}  # what fence, ground station and battery ask for now
         self._incidents: dict[str, Action] = {}
@@ -204,7 +204,7 @@ class Px4(core.Autopilot):
 
     def look(self) -> None:
         """In every step, before the checks."""
-        if self.estimator.origin is not None:
+        if self.estimate.origin is not None:
             self.local_m = self.frame.ned_m(self.estimate)
 
     @property
@@ -215,7 +215,7 @@ class Px4(core.Autopilot):
     @property
     def reference(self) -> Place:
         """The origin, or where it is before there is one."""
-        return self.estimator.origin or self.estimate.place
+        return self.estimate.origin or self.estimate.place
 
     @property
     def base(self) -> Place:
@@ -244,34 +244,32 @@ class Px4(core.Autopilot):
 
     def _check_estimate(self) -> None:
         """Flags and accuracies."""
-        estimator, estimate, now_s = self.estimator, self.estimate, self.now_s
-        estimator.lag_s = self.parameters["EKF2_GPS_DELAY"] * 1e-3
-        estimator.still = not self.armed and now_s - self._disarmed_s >= _STILL_S
-        flags = _TIMING.flags.get(estimator.state, _TIMING.stages[0][1])
+        estimate, now_s = self.estimate, self.now_s
+        estimate.lag_s = self.parameters["EKF2_GPS_DELAY"] * 1e-3
+        estimate.still = not self.armed and now_s - self._disarmed_s >= _STILL_S
+        flags = _TIMING.flags.get(estimate.state, _TIMING.stages[0][1])
         if flags == _GOOD:
             low = self.height_m < _LOW_M and not self.landed and self.mode.name != "Takeoff"
-            flags |= _STILL_FLAG if estimator.still else 0
+            flags |= _STILL_FLAG if estimate.still else 0
             flags &= ~_HEIGHT_FLAG if low else -1
         estimate.flags = flags
-        silent_s, returned_s = max(now_s - estimator.used_s - 0.2, 0.0), estimator.returned_s
+        silent_s, returned_s = max(now_s - estimate.used_s - 0.2, 0.0), estimate.returned_s
         settled_m = 0.29 * min(now_s / 8.0, 1.0)
         if returned_s is not None:
             settled_m = 0.29 + 0.73 * math.exp((returned_s - now_s) / 0.7)
         estimate.horizontal_accuracy_m = settled_m + silent_s * (0.06 + 0.0335 * silent_s)
-        if not estimator.aiding:
+        if not estimate.aiding:
             estimate.velocity_variance = estimate.horizontal_variance = _NAN
 
     def _breaches(self) -> bool:
         """Whether it is outside of the fence, as far as it knows where it is."""
         home, p, here = self.home, self.parameters, self.estimate.place
-        if home is not None and self.estimator.ok:
+        if home is not None and self.estimate.position_ok:
             away_m = math.dist(self.local_m[:2], self.frame.ned_m(home)[:2])
             above_m = here.altitude_amsl_m - home.altitude_amsl_m
-            breached = 0.0 < p["GF_MAX_HOR_DIST"] < away_m or self.forbidden(here)
-            breached = breached or 0.0 < p["GF_MAX_VER_DIST"] < above_m
-            self.fence_breaches += breached and not self.fence_breached
-            self.fence_breached = breached
-        return self.fence_breached
+            beyond = 0.0 < p["GF_MAX_HOR_DIST"] < away_m or 0.0 < p["GF_MAX_VER_DIST"] < above_m
+            self._breached = beyond or self.forbidden(here)
+        return self._breached
 
     def forbidden(self, place: Place) -> bool:
         """Whether the fence forbids it; setpoints are never checked, but DO_REPOSITION's place."""
@@ -293,7 +291,7 @@ class Px4(core.Autopilot):
 
     def _failsafe(self) -> Action:
         """What is to be done instead of the wanted mode; NONE while that can be flown."""
-        intended, ok, precise = self.intended, self.estimator.ok, self.estimator.precise
+        intended, ok, precise = self.intended, self.estimate.position_ok, self.estimate.precise
         action = max(self._incidents.values(), default=Action.NONE)
         action = action if action > Action.WARN else Action.NONE
         if intended.name == "Offboard":
@@ -348,9 +346,9 @@ class Px4(core.Autopilot):
 
     def command_mode(self, name: str, asked: Place = NOWHERE, yaw_rad: float = _NAN) -> Result:
         """Request a mode.  On the ground, disarmed, every mode is accepted."""
-        able = self.estimator.precise or not self.modes[name].needs_position
+        able = self.estimate.precise or not self.modes[name].needs_position
         if name == "Offboard":
-            able = self.offboard_signal and self.estimator.precise
+            able = self.offboard_signal and self.estimate.precise
         if able or not self.armed:
             self.asked, self.asked_yaw_rad = asked, yaw_rad
             self.intend(name)
@@ -370,7 +368,7 @@ class Px4(core.Autopilot):
 
     def refusal(self) -> str | None:
         """Why it may not be armed now, in the mode that is flown; by hand it has no pilot."""
-        mode, able = self.mode, self.estimator.ok and self.now_s >= ARMABLE_S
+        mode, able = self.mode, self.estimate.position_ok and self.now_s >= ARMABLE_S
         if mode.name == "Offboard":
             able = able and self.offboard_signal
         elif mode.name == "Mission":
@@ -447,7 +445,7 @@ class Px4(core.Autopilot):
 
     def _set_home(self, command: Command) -> Result:
         here = command.parameters[0] == 1.0
-        if here and not self.estimator.ok:
+        if here and not self.estimate.position_ok:
             return Result.TEMPORARILY_REJECTED
         place = self.estimate.place if here else self._asked_by(command)
         return self.set_home(place) if all(map(math.isfinite, place)) else Result.DENIED
@@ -485,7 +483,7 @@ class Px4(core.Autopilot):
 
     def on_setpoint(self, setpoint: values.Setpoint) -> Sequence[Reply]:
         """Take a setpoint as a sign of life, and in OFFBOARD as what to fly."""
-        if self.estimator.origin is None and setpoint.is_global:
+        if self.estimate.origin is None and setpoint.is_global:
             return ()
         target = read_by_px4(setpoint, self.vehicle.heading_rad)
         if target is not None:
@@ -521,15 +519,11 @@ class Px4(core.Autopilot):
             system_status=state,
             landed_state=Landed.ON_GROUND if self.landed else in_air,
             prearm_ok=armable,
-            origin=self.estimator.origin,
             waypoint=self.waypoint() if armed and mode.name in NAVIGATED else None,
             intended_mode=self.intended.number,
             mission_current=self.route.current,
             mission_state=self.mission_state(),
             mission_total=len(self.plans[PlanKind.MISSION]) or 65535,
             above_ground_m=self.height_m,
-            fusing=self.estimator.aiding,
-            fence_breached=self.fence_breached,
-            fence_breaches=self.fence_breaches,
             failsafe=fails,
         )

@@ -72,11 +72,10 @@ class Px4Copter(Px4):
     def _flown(self) -> State:
         """Where it believes to be, and what it does."""
         e, copter = self.estimate, self.copter
-        velocity = complex(e.velocity_north_m_s, e.velocity_east_m_s)
         push = complex(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2)
         north_m, east_m, down_m = self.local_m
         place = complex(north_m, east_m)
-        return State(place, down_m, velocity, -e.velocity_up_m_s, push)
+        return State(place, down_m, e.velocity_m_s, -e.velocity_up_m_s, push)
 
     @property
     def _here(self) -> complex:

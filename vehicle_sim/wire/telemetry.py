@@ -93,8 +93,8 @@ def _quaternion(now: Report) -> tuple[float, float, float, float]:
 
 def _velocity_ned_m_s(now: Report) -> tuple[float, float, float]:
     """The estimate's."""
-    estimate = now.estimate
-    return estimate.velocity_north_m_s, estimate.velocity_east_m_s, -estimate.velocity_up_m_s
+    level = now.estimate.velocity_m_s
+    return level.real, level.imag, -now.estimate.velocity_up_m_s
 
 
 def _altitude_amsl_m(now: Report) -> float:
@@ -150,7 +150,7 @@ def _autopilot_version(now: Report) -> Fields:
 def _sys_status(now: Report) -> Fields:
     prearm, battery = _PREARM_BIT if now.status.prearm_ok else 0, _gauge(now)
     if _is_px4(now):
-        there = _PX4_SENSORS | (_GPS_BIT if now.status.fusing else 0)
+        there = _PX4_SENSORS | (_GPS_BIT if now.estimate.aiding else 0)
         well = there | prearm | (_POSITION_BIT if now.estimate.position_ok else 0)
         wanted = there | _POSITION_BIT | _PREARM_BIT
         battery = (*battery[:2], math.ceil(_per_cent_left(now)))
@@ -202,7 +202,7 @@ def _odometry(now: Report) -> Fields | None:
 def _global_position_int(now: Report) -> Fields | None:
     """Of PX4 once it has an origin."""
     home = now.autopilot.home
-    if _is_px4(now) and now.status.origin is None:
+    if _is_px4(now) and now.estimate.origin is None:
         return None
     above_home_m = 0.0 if home is None else now.estimate.altitude_amsl_m - home.altitude_amsl_m
     mm = whole(_altitude_amsl_m(now) * 1e3), whole(above_home_m * 1e3)
@@ -244,7 +244,7 @@ def _vfr_hud(now: Report) -> Fields:
 
 def _altitude(now: Report) -> Fields:
     """Above the sea, the origin, home and the ground's own height; and above the ground."""
-    amsl_m, origin, home = now.estimate.altitude_amsl_m, now.status.origin, now.autopilot.home
+    amsl_m, origin, home = now.estimate.altitude_amsl_m, now.estimate.origin, now.autopilot.home
     above_m = _NAN if now.status.above_ground_m is None else now.status.above_ground_m
     known_m, local_m = (_NAN, _NAN) if origin is None else (amsl_m, amsl_m - origin.altitude_amsl_m)
     above_home_m = _NAN if home is None else amsl_m - home.altitude_amsl_m
@@ -270,13 +270,13 @@ def _estimator_status(now: Report) -> Fields:
 
 
 def _gps_global_origin(now: Report) -> Fields | None:
-    origin = now.status.origin
+    origin = now.estimate.origin
     return origin and (*_e7_mm(origin), now.time_us)
 
 
 def _home_position(now: Report) -> Fields | None:
     """Seen from the origin; ArduPilot knows no attitude of the surface."""
-    home, origin, ned_m = now.autopilot.home, now.status.origin, _NO_VECTOR
+    home, origin, ned_m = now.autopilot.home, now.estimate.origin, _NO_VECTOR
     if home is None or (_is_px4(now) and origin is None):
         return None
     if origin is not None:
@@ -359,10 +359,7 @@ def _mission_current(now: Report) -> Fields:
 
 
 def _fence_status(now: Report) -> Fields | None:
-    status = now.status
-    breach = (status.fence_breach_type, status.fence_breach_ms)
-    told = (int(status.fence_breached), status.fence_breaches, *breach)
-    return told if status.fence_present else None
+    return now.status.fence
 
 
 # --- who says what --------------------------------------------------------------------------------
