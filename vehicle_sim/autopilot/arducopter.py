@@ -155,10 +155,9 @@ class ArduCopter(ArduPilot):
         elif name == "RTL":
             self._begin_return()
         elif name == "AUTO":
-            count = len(self.plans[PlanKind.MISSION])
-            again = self.parameters["MIS_RESTART"] or not 1 <= route.current < count
             route.forget_jumps()
-            self.seek(1 if again else route.current)
+            goes_on = 1 <= route.current < len(self.plans[PlanKind.MISSION])
+            self.seek(route.current if goes_on else 1)
 
     def _stop_target(self) -> None:
         """No take-off, no yaw, zero velocity: mode_guided.init."""

@@ -275,10 +275,8 @@ class ArduPilot(Autopilot):
 
     def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
         """A mission, fence or rally list was replaced by a client."""
-        names = {PlanKind.MISSION: "MIS_TOTAL", PlanKind.FENCE: "FENCE_TOTAL"}
         if kind is PlanKind.FENCE:
             self.fence.load(self.now_s)
-        self.parameters[names.get(kind, "RALLY_TOTAL")] = len(self.plans[kind])
         return ()
 
     def local_ned_m(self) -> values.Vector | None:

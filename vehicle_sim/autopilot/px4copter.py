@@ -3,6 +3,7 @@
 import math
 from typing import Final, final
 
+from vehicle_sim.autopilot import px4_control
 from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.legs import RETURN, Does, Leg, back
 from vehicle_sim.autopilot.px4 import MODES, NAVIGATED, NOWHERE, RATES_HZ, Px4, firmware
@@ -64,9 +65,8 @@ class Px4Copter(Px4):
         p, copter = self.parameters, self.copter
         self._control.read(p)
         self._point.read(p)
-        copter.drag_1_m, copter.response_s = 0.0, _RESPONSE_S
-        copter.drag_1_s = p["SIH_KDV"] / max(p["SIH_MASS"], 0.1)
-        copter.hover_throttle = p["MPC_THR_HOVER"]
+        copter.drag_1_m, copter.response_s, copter.drag_1_s = 0.0, _RESPONSE_S, p["SIH_KDV"]
+        copter.hover_throttle = px4_control.HOVER_THROTTLE
 
     @property
     def _flown(self) -> State:

@@ -2,8 +2,9 @@
 
 OFFBOARD takes from SET_POSITION_TARGET what FixedWingModeManager takes: a position alone is flown
 at, straight, and circled tightly when there; a position with a velocity is a point of a path and
-its direction there; an acceleration with them bends that path, to the wrong side; without a
-position nothing is steered and the last commands stay.  The speed is always FW_AIRSPD_TRIM.
+its direction there (an acceleration, which bends that path to the wrong side, is not flown);
+without a position nothing is steered and the last commands stay.  The speed is always
+FW_AIRSPD_TRIM.
 
 The law is that of both planes (plane_control.py), the modes and speeds are PX4's.  The recorded
 aeroplane sank to the ground after its take-off (px4-fixedwing-offboard.tlog, 25 to 150 s), and
@@ -64,11 +65,10 @@ _ECHO_MASK: Final = 3576
 
 @final
 class Line(NamedTuple):
-    """Through a place in a direction (of unit length), or bent there (positive: to the right)."""
+    """Through a place in a direction (of unit length)."""
 
     place: Place
     way: complex
-    curvature_1_m: float = 0.0
 
 
 @final
@@ -107,8 +107,6 @@ class Px4Plane(Wheels, Px4):
         control.bank_most_rad = math.radians(p["FW_R_LIM"])
         control.heights.climb_most_m_s = min(p["FW_T_CLMB_R_SP"], p["FW_T_CLMB_MAX"])
         control.heights.sink_most_m_s = min(p["FW_T_SINK_R_SP"], p["FW_T_SINK_MAX"])
-        if isinstance(self._aim, Circle):
-            self._aim = self._aim._replace(radius_m=self._radius_m)
         if self._sink_m_s is None:
             control.airspeed_m_s = self._cruise_m_s
 
@@ -236,7 +234,7 @@ class Px4Plane(Wheels, Px4):
         if isinstance(aim, Line):
             off_m = control.off_m(aim.place)
             self._nearest = aim.place, (off_m.conjugate() * aim.way).real * aim.way
-            control.follow(off_m, aim.way, aim.curvature_1_m)
+            control.follow(off_m, aim.way)
         elif isinstance(aim, Way) and self.mode.flies == "fly_target":
             control.steer(aim._replace(start=self.estimate.place))  # straight there, from anywhere
         elif isinstance(aim, Way):
@@ -262,7 +260,7 @@ class Px4Plane(Wheels, Px4):
         speed_m_s = math.hypot(v_n, v_e)
         aim: Way | Line = Way(self.estimate.place, place)
         if speed_m_s > 1e-6:  # not NaN
-            aim = Line(place, complex(v_n, v_e) / speed_m_s, _bend(target))
+            aim = Line(place, complex(v_n, v_e) / speed_m_s)
         self._fly(aim, place)
         self.control.airspeed_m_s = self._cruise_m_s
         if down_m != down_m:
@@ -339,15 +337,3 @@ class Px4Plane(Wheels, Px4):
         """The place flown to, or the middle of a circle; of height 0 in a landing (recorded)."""
         goal, lands = self._goal, self._sink_m_s is not None
         return goal and Waypoint(place=goal.at(0.0) if lands else goal)
-
-
-def _bend(target: Target) -> float:
-    """Curvature that an acceleration asks for, 1/m, with the sign that PX4 gives it: the wrong one.
-
-    FixedWingModeManager.cpp:2074 against :2641-2644 (px4.md 1, item 7).
-    """
-    v_n, v_e, _ = target.velocity
-    a_n, a_e, a_d = target.acceleration
-    if math.isnan(a_n + a_e + a_d):
-        return 0.0
-    return -(v_n * a_e - v_e * a_n) / math.hypot(v_n, v_e) ** 3
