@@ -210,7 +210,7 @@ def test_on_its_way_home_the_nose_looks_where_the_parameter_says(
 
 def test_brake_stops_and_ignores_setpoints() -> None:
     it = hovering(height_m=60.0)
-    it.vehicle.velocity_north_m_s = 15.0
+    it.vehicle.velocity_m_s = 15.0 + 0j
     it.set_mode(BRAKE)
     it.aim((5000.0, 0.0, -60.0), (10.0, 0.0, 0.0))
     north_m = it.run(8.0).ned_m[0]
@@ -323,9 +323,9 @@ def test_a_setpoint_of_nothing_stops_it_from_5_m_s_as_measured() -> None:
 
 def test_an_acceleration_alone_is_flown_until_the_time_out() -> None:
     it = stream(in_air(), 3.0, None, None, (1.0, 0.0, 0.0))
-    assert it.vehicle.velocity_north_m_s == approx(2.6, abs=0.4)
+    assert it.vehicle.velocity_m_s.real == approx(2.6, abs=0.4)
     assert it.autopilot.target_echo().type_mask == 0xC3F
-    assert it.run(12.0).vehicle.velocity_north_m_s == approx(0.0, abs=0.1)
+    assert it.run(12.0).vehicle.velocity_m_s.real == approx(0.0, abs=0.1)
 
 
 def test_up_down_and_along_have_speeds_of_their_own_and_the_slower_sets_the_pace() -> None:
@@ -440,8 +440,8 @@ def test_a_turn_of_9_m_s2_at_150_m_s_is_entered_without_overshoot_and_followed(
             azimuth_rad = math.radians(azimuth_deg)
             is_n, is_e = away_m * math.cos(azimuth_rad), away_m * math.sin(azimuth_rad)
             worst_m = max(worst_m, math.hypot(is_n - north, is_e - east))
-            cross = copter.acceleration_east_m_s2 * copter.velocity_north_m_s
-            cross -= copter.acceleration_north_m_s2 * copter.velocity_east_m_s
+            cross = copter.acceleration_m_s2.imag * copter.velocity_m_s.real
+            cross -= copter.acceleration_m_s2.real * copter.velocity_m_s.imag
             most_m_s2 = max(most_m_s2, cross / it.speed_m_s)
         if k % every_steps == 0:
             velocity = (v * math.cos(turn_rad), v * math.sin(turn_rad), 0.0)

@@ -49,7 +49,7 @@ def test_a_world_names_it_and_it_flies_as_its_data_say(monkeypatch: pytest.Monke
     assert (beat.custom_mode, beat.autopilot) == (40, 0)
     flown.go(0.0, 0.0, at_m=(200.0, 0.0, -10.0))
     speeds_m_s = list[float]()
-    flown.run(20.0, lambda: speeds_m_s.append(flown.simulation.vehicle.velocity_north_m_s))
+    flown.run(20.0, lambda: speeds_m_s.append(flown.simulation.vehicle.velocity_m_s.real))
     assert flown.simulation.mode_name == "GUIDED"
     assert max(speeds_m_s) == pytest.approx(3.0, abs=0.5)
     flown.command(176, 1, 41)

@@ -532,7 +532,7 @@ class ArduCopter(ArduPilot):
         if wanted_rad != wanted_rad:
             way = self.level.velocity
             if self.nose_follows_motion:
-                way = complex(copter.velocity_north_m_s, copter.velocity_east_m_s)
+                way = copter.velocity_m_s
             if not self._looks_ahead or abs(way) < _MOVING_SHARE * self.tuning.speed_m_s:
                 return now_rad
             wanted_rad = math.atan2(way.imag, way.real)

@@ -265,7 +265,7 @@ class Autopilot:
     @property
     def rolling_m_s(self) -> float:
         """Speed over the ground, by its wheels."""
-        return math.hypot(self.vehicle.velocity_north_m_s, self.vehicle.velocity_east_m_s)
+        return math.hypot(*self.vehicle.velocity_neu_m_s[:2])
 
     @property
     def rates_rad_s(self) -> tuple[float, ...]:

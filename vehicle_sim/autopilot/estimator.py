@@ -183,8 +183,7 @@ class Estimator:
             off, rate = self._error + self._held, self._rate
             self.latitude_deg = vehicle.latitude_deg + off.real / self._scale[0]
             self.longitude_deg = around(vehicle.longitude_deg + off.imag / self._scale[1])
-            flown = complex(vehicle.velocity_north_m_s, vehicle.velocity_east_m_s)
-            self.velocity_m_s = flown + rate
+            self.velocity_m_s = vehicle.velocity_m_s + rate
         elif self.state is State.START and self._seen_s is None:
             self.altitude_amsl_m = 0.0
 
@@ -224,10 +223,8 @@ class Estimator:
         north_m = (fix.latitude_deg - vehicle.latitude_deg) * self._scale[0]
         east_m = degrees_east(vehicle.longitude_deg, fix.longitude_deg) * self._scale[1]
         # half of what the velocity changed by since
-        half_s = 0.5 * lag_s
-        north_m += lag_s * (vehicle.velocity_north_m_s - half_s * vehicle.acceleration_north_m_s2)
-        east_m += lag_s * (vehicle.velocity_east_m_s - half_s * vehicle.acceleration_east_m_s2)
-        return complex(north_m, east_m) + self._bias - self._error
+        since_m = lag_s * (vehicle.velocity_m_s - 0.5 * lag_s * vehicle.acceleration_m_s2)
+        return complex(north_m, east_m) + since_m + self._bias - self._error
 
     def _accept(self, shift: complex) -> None:
         """Believe it, and move by this much."""

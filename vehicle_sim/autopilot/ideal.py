@@ -44,8 +44,7 @@ class Ideal(ArduCopter):
         self._go_on()
 
     def _go_on(self) -> None:
-        copter = self.copter
-        self.level.follow(complex(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2))
+        self.level.follow(self.copter.acceleration_m_s2)
 
     def take(self, target: Target, place: Place | None) -> bool:
         """Steer for it, and see how the velocity has changed since the one before."""

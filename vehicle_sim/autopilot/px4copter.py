@@ -72,10 +72,9 @@ class Px4Copter(Px4):
     def _flown(self) -> State:
         """Where it believes to be, and what it does."""
         e, copter = self.estimate, self.copter
-        push = complex(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2)
         north_m, east_m, down_m = self.local_m
         place = complex(north_m, east_m)
-        return State(place, down_m, e.velocity_m_s, -e.velocity_up_m_s, push)
+        return State(place, down_m, e.velocity_m_s, -e.velocity_up_m_s, copter.acceleration_m_s2)
 
     @property
     def _here(self) -> complex:

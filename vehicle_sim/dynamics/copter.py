@@ -59,7 +59,7 @@ class Copter(Vehicle):
 
         Attitude and throttle are those that this thrust takes.
         """
-        limits, wind = self.limits, complex(self.wind_north_m_s, self.wind_east_m_s)
+        limits, velocity, wind = self.limits, self.velocity_m_s, self.wind_m_s
         response = dt_s / (self.response_s + dt_s)
         thrust = self._thrust_m_s2
         thrust += (complex(north_m_s2, east_m_s2) - thrust) * response
@@ -76,7 +76,7 @@ class Copter(Vehicle):
         whole = math.sqrt(ahead.real * ahead.real + ahead.imag * ahead.imag + lift * lift)
         self.throttle = min(self.hover_throttle * whole / GRAVITY_M_S2, 1.0)
 
-        velocity, rising = complex(self.velocity_north_m_s, self.velocity_east_m_s), up
+        rising = up
         if self.drag_1_s or self.drag_1_m:
             past = velocity - wind
             thrust -= (self.drag_1_s + self.drag_1_m * math.hypot(past.real, past.imag)) * past
@@ -87,7 +87,6 @@ class Copter(Vehicle):
             velocity *= limits.speed_m_s / size
         most = limits.speed_vertical_m_s
         up_m_s = min(max(self.velocity_up_m_s + rising * dt_s, -most), most)
-        self._move(velocity.real, velocity.imag, up_m_s, dt_s)
-        self.acceleration_north_m_s2, self.acceleration_east_m_s2 = thrust.real, thrust.imag
-        self.acceleration_up_m_s2 = up
+        self._move(velocity, up_m_s, dt_s)
+        self.acceleration_m_s2, self.acceleration_up_m_s2 = thrust, up
         self.airspeed_m_s = math.hypot((velocity - wind).real, (velocity - wind).imag)

@@ -4,6 +4,7 @@ It is told a bank angle, a climb rate and an airspeed, and follows each within i
 air carries it: ground velocity is air velocity plus wind.  A climb costs no airspeed.
 """
 
+import cmath
 import math
 from dataclasses import dataclass, field
 from typing import final
@@ -62,10 +63,8 @@ class Plane(Vehicle):
 
     def _flow_along_the_nose_m_s(self) -> float:
         """What a pitot tube would measure on the ground."""
-        north = self.velocity_north_m_s - self.wind_north_m_s
-        east = self.velocity_east_m_s - self.wind_east_m_s
-        along = north * math.cos(self.heading_rad) + east * math.sin(self.heading_rad)
-        return max(along, 0.0)
+        flow = (self.velocity_m_s - self.wind_m_s) * cmath.rect(1.0, -self.heading_rad)
+        return max(flow.real, 0.0)
 
     def fall(self, dt_s: float) -> None:
         """One step without motor and control: it glides straight ahead, if it can."""
@@ -105,40 +104,31 @@ class Plane(Vehicle):
         self.throttle = min(max(CRUISE_THROTTLE + (1.0 - CRUISE_THROTTLE) * effort, 0.0), 1.0)
         slip = self._slip_m_s = self._slip_m_s * (SLIP_S / (SLIP_S + dt_s))
         flat_m_s = airspeed * math.sqrt(1.0 - steepness * steepness)
-        self._accelerate(
-            flat_m_s * math.cos(self.heading_rad) + self.wind_north_m_s + slip.real,
-            flat_m_s * math.sin(self.heading_rad) + self.wind_east_m_s + slip.imag,
-            climb + self.wind_up_m_s,
-            dt_s,
-        )
+        flown = flat_m_s * cmath.rect(1.0, self.heading_rad) + self.wind_m_s + slip
+        self._accelerate(flown, climb + self.wind_up_m_s, dt_s)
 
     def roll_on_ground(self, acceleration_m_s2: float, dt_s: float) -> None:
         """One step on the wheels, where the nose points; negative acceleration: to a halt."""
-        cosine, sine = math.cos(self.heading_rad), math.sin(self.heading_rad)
-        speed = self.velocity_north_m_s * cosine + self.velocity_east_m_s * sine
+        nose = cmath.rect(1.0, self.heading_rad)
+        speed = (self.velocity_m_s * nose.conjugate()).real
         speed = max(speed + acceleration_m_s2 * dt_s, 0.0)
-        self._accelerate(speed * cosine, speed * sine, 0.0, dt_s)
+        self._accelerate(speed * nose, 0.0, dt_s)
         self.velocity_up_m_s = self.acceleration_up_m_s2 = 0.0
         self.roll_rad = self.pitch_rad = self._climb_m_s = 0.0
         self.airspeed_m_s = self._flow_along_the_nose_m_s()
         # what the air does not carry along the nose stays as slip when the wheels leave the ground
-        slip = speed - self.airspeed_m_s
-        self._slip_m_s = slip * complex(cosine, sine) - complex(
-            self.wind_north_m_s, self.wind_east_m_s
-        )
+        self._slip_m_s = (speed - self.airspeed_m_s) * nose - self.wind_m_s
 
     def touch_down(self, altitude_amsl_m: float) -> None:
         """Put the wheels on the ground: the nose turns into the direction of travel."""
         self.altitude_amsl_m = altitude_amsl_m
-        if self.velocity_north_m_s != 0.0 or self.velocity_east_m_s != 0.0:
-            course = math.atan2(self.velocity_east_m_s, self.velocity_north_m_s)
-            self.heading_rad = course % math.tau
+        if self.velocity_m_s:
+            self.heading_rad = cmath.phase(self.velocity_m_s) % math.tau
         self.stands = True
         self.throttle = self.velocity_up_m_s = 0.0
 
-    def _accelerate(self, north_m_s: float, east_m_s: float, up_m_s: float, dt_s: float) -> None:
+    def _accelerate(self, level_m_s: complex, up_m_s: float, dt_s: float) -> None:
         """One step to this velocity."""
-        self.acceleration_north_m_s2 = (north_m_s - self.velocity_north_m_s) / dt_s
-        self.acceleration_east_m_s2 = (east_m_s - self.velocity_east_m_s) / dt_s
+        self.acceleration_m_s2 = (level_m_s - self.velocity_m_s) / dt_s
         self.acceleration_up_m_s2 = (up_m_s - self.velocity_up_m_s) / dt_s
-        self._move(north_m_s, east_m_s, up_m_s, dt_s)
+        self._move(level_m_s, up_m_s, dt_s)

@@ -296,7 +296,7 @@ def _simstate(now: Report) -> Fields:
 
 def _wind(now: Report) -> Fields:
     """The air as it is, as a direction that it comes from."""
-    north, east = now.vehicle.wind_north_m_s, now.vehicle.wind_east_m_s
+    north, east = now.vehicle.wind_m_s.real, now.vehicle.wind_m_s.imag
     direction_deg = math.degrees(math.atan2(-east, -north)) if north or east else -180.0
     return direction_deg, math.hypot(north, east)
 
@@ -305,7 +305,7 @@ def _wind_cov(now: Report) -> Fields | None:
     """Of a plane, once in the air."""
     if not _is_plane(now) or now.status.landed_state == Landed.ON_GROUND:
         return None
-    wind = (now.vehicle.wind_north_m_s, now.vehicle.wind_east_m_s)
+    wind = (now.vehicle.wind_m_s.real, now.vehicle.wind_m_s.imag)
     return now.time_us, *wind, 0.0, 0.0, 0.0, now.estimate.altitude_amsl_m
 
 
