@@ -13,7 +13,7 @@ from vehicle_sim.autopilot.ardupilot import EKF3, ArduPilot, firmware
 from vehicle_sim.autopilot.copter_control import Horizontal, Tuning, Vertical, rate_for
 from vehicle_sim.autopilot.core import Boot, Mode
 from vehicle_sim.autopilot.earth import FlatEarth, way_m
-from vehicle_sim.autopilot.legs import RETURN, TAKEOFF, Does, Leg, back
+from vehicle_sim.autopilot.legs import RETURN, Does, Leg, back
 from vehicle_sim.autopilot.setpoints import Stop, Target, given, read_by_arducopter
 from vehicle_sim.autopilot.values import Command, Place, Reply, Result
 from vehicle_sim.dynamics import GRAVITY_M_S2
@@ -155,7 +155,7 @@ class ArduCopter(ArduPilot):
         elif name == "RTL":
             self._begin_return()
         elif name == "AUTO":
-            route.forget_jumps()
+            route.jumps.forget()
             goes_on = 1 <= route.current < len(self.plans[PlanKind.MISSION])
             self.seek(route.current if goes_on else 1)
 
@@ -244,7 +244,7 @@ class ArduCopter(ArduPilot):
         self._restart(Kind.TAKEOFF)
         self._place_deg, self._altitude_m = self.level.here_deg, altitude_m
         place = self.estimate.place.at(altitude_m)
-        self.route.fly([Leg(Does.CLIMB, place, _REACHED_S, TAKEOFF)], self.now_s)
+        self.route.fly([Leg(Does.CLIMB, place, _REACHED_S, 0)], self.now_s)
         return Result.ACCEPTED
 
     def _turn(self, command: Command) -> Result:
@@ -469,11 +469,11 @@ class ArduCopter(ArduPilot):
 
     def _begin_return(self) -> None:
         """Home, first up to RTL_ALT."""
-        p, here, route = self.parameters, self.estimate.place, self.route
-        home, number = self.home or here, route.number
+        p, here = self.parameters, self.estimate.place
+        home = self.home or here
         height_m = max(here.altitude_amsl_m, home.altitude_amsl_m + p["RTL_ALT"] / 100.0)
-        route.fly(back(here, home, height_m, p["RTL_LOIT_TIME"] / 1000.0), self.now_s)
-        route.number, self._lands_with_position = number, True
+        self.route.fly(back(here, home, height_m, p["RTL_LOIT_TIME"] / 1000.0), self.now_s)
+        self._lands_with_position = True
 
     def begin_leg(self, speed_m_s: float | None) -> None:
         """Another item of the mission, or none any more."""

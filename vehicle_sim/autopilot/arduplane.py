@@ -16,9 +16,9 @@ from vehicle_sim.autopilot.estimator import State as Estimates
 from vehicle_sim.autopilot.legs import WAYPOINT, Does, Leg
 from vehicle_sim.autopilot.plane_control import (
     Circle,
+    FixedWing,
     Runway,
     Way,
-    Wheels,
     eas_to_tas,
     indicated_airspeed_m_s,
     true_airspeed_m_s,
@@ -71,7 +71,6 @@ _REACHED_M: Final = 2.0  # a take-off is over so much below its height
 _TURN_EFFICIENCY: Final = 0.745
 """Lateral acceleration over g tan(bank) of the recorded airframe, which slips in turns (measured:
 0.745 +- 0.01 over 240 s); that is why its circles are wider than asked."""
-_SLOWING_M_S2: Final = 2.2  # how fast it loses speed with the throttle slewing down
 _GLIDE_M_S: Final = 2.5
 _LANDING_SINK_M_S: Final = 1.5
 """Wings level from the place of a landing on: no approach and no flare."""
@@ -81,10 +80,11 @@ _NO_HEIGHT = "SIM: NaN height in {} stops the real autopilot"
 
 
 @final
-class ArduPlane(Wheels, ArduPilot):
+class ArduPlane(FixedWing, ArduPilot):
     """Modes, GUIDED's points and take-off."""
 
     gcs_failsafe = ("FS_GCS_ENABL", "FS_LONG_TIMEOUT")
+    slowing_m_s2 = 2.2
     runway = Runway(
         # arduplane-guided-reposition.tlog, 26 to 35 s; TKOFF_THR_DELAY, THR_SLEWRATE
         full_m_s2=14.5,
@@ -101,7 +101,6 @@ class ArduPlane(Wheels, ArduPilot):
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
         self.plane.turn_efficiency = _TURN_EFFICIENCY
-        self.control.slowing_m_s2 = _SLOWING_M_S2
         self._start = self._place = self.estimate.place  # where it goes, and where from
         self._straight = False  # along the way between the two, and not to circle at once
         self._radius_m, self._left = 0.0, False  # asked for, 0: WP_LOITER_RAD; counter-clockwise
@@ -125,7 +124,7 @@ class ArduPlane(Wheels, ArduPilot):
         self.route.stop()
         self._end_climb()
         self._go(here)
-        self.control.height_amsl_m = here.altitude_amsl_m
+        self.wanted_height_m = here.altitude_amsl_m
         if self.mode.flies == "returns":
             self._return()
         elif self.mode.flies == "flies a mission":
@@ -141,7 +140,7 @@ class ArduPlane(Wheels, ArduPilot):
 
     def _aim_ahead(self, away_m: float, up_m: float) -> None:
         """To the point so far ahead and so much higher."""
-        way = self.control.velocity / abs(self.control.velocity) * away_m
+        way = self.velocity / abs(self.velocity) * away_m
         self._go(FlatEarth(self.estimate.place).place(way.real, way.imag, -up_m))
 
     def _return(self) -> None:
@@ -174,12 +173,12 @@ class ArduPlane(Wheels, ArduPilot):
             return self.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m
         if leg.does is not Does.GO:
             return False
-        l1, velocity = self.control.l1, self.control.velocity
+        l1, velocity = self.l1, self.velocity
         if not self._straight:
             return self._arrived and l1.circling
         near_m = min(self.parameters["WP_RADIUS"], l1.length_m(abs(velocity)))
         near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else near_m
-        return abs(self.control.off_m(self._place)) <= near_m or self._along() >= 1.0
+        return abs(self.off_m(self._place)) <= near_m or self._along() >= 1.0
 
     def lands(self) -> bool:
         """Where AUTO does."""
@@ -217,7 +216,7 @@ class ArduPlane(Wheels, ArduPilot):
         asked_m = min(float(int(radius_m)), 65535.0) if 0.0 < radius_m < math.inf else 0.0
         self._go(place, radius_m=asked_m, left=math.isfinite(left) and left != 0.0)
         # until navigation has run again the height to be at is the present one
-        self.control.height_amsl_m = self.estimate.altitude_amsl_m
+        self.wanted_height_m = self.estimate.altitude_amsl_m
         return Result.ACCEPTED
 
     def _start_mission(self, command: Command) -> Result:
@@ -277,32 +276,32 @@ class ArduPlane(Wheels, ArduPilot):
         super().check()
         self._choose_speed()
         if not self.estimate.position_ok or self.mode.flies in ("glides", "cruises"):
-            self.control.bank_rad = 0.0
+            self.bank_rad = 0.0
         else:
             self._navigate()
 
     def _choose_speed(self) -> None:
         """Airspeed, and the climb where that is no matter of height."""
-        p, control, flies = self.parameters, self.control, self.mode.flies
+        p, flies = self.parameters, self.mode.flies
         usual_m_s = p["AIRSPEED_MIN" if flies in ("glides", "cruises") else "AIRSPEED_CRUISE"]
         asked_m_s = self._asked_m_s or usual_m_s
         self._demand_m_s = min(max(asked_m_s, p["AIRSPEED_MIN"]), p["AIRSPEED_MAX"])
         altitude_m = self.estimate.altitude_amsl_m
-        control.airspeed_m_s = true_airspeed_m_s(self._demand_m_s, altitude_m)
-        control.climb_m_s = None
+        self.wanted_airspeed_m_s = true_airspeed_m_s(self._demand_m_s, altitude_m)
+        self.wanted_climb_m_s = None
         if flies == "glides":
-            control.climb_m_s = -_GLIDE_M_S
+            self.wanted_climb_m_s = -_GLIDE_M_S
         elif self._climbing:
-            control.airspeed_m_s *= _CLIMB_AIRSPEED
-            control.climb_m_s = _CLIMB_M_S
+            self.wanted_airspeed_m_s *= _CLIMB_AIRSPEED
+            self.wanted_climb_m_s = _CLIMB_M_S
         elif self.lands() and self._along() >= 1.0:
-            control.climb_m_s = -_LANDING_SINK_M_S
+            self.wanted_climb_m_s = -_LANDING_SINK_M_S
 
     def _navigate(self) -> None:
         """By itself: to its point, along the way or around it."""
-        p, control = self.parameters, self.control
+        p = self.parameters
         if self.mode.flies == "takes off" and self.plane.stands and self.armed:
-            if abs(control.velocity) < _AIMED_M_S:
+            if abs(self.velocity) < _AIMED_M_S:
                 self._aim_ahead(p["TKOFF_DIST"], p["TKOFF_ALT"])
         elif self.mode.flies == "flies a mission":
             self.follow_route()
@@ -313,21 +312,21 @@ class ArduPlane(Wheels, ArduPilot):
         radius_m *= eas_to_tas(self.estimate.altitude_amsl_m) ** 2  # wider where the air is thin
         left = self._left or usual_m < 0.0
         circle = Circle(self._place, -radius_m if left else radius_m)
-        control.steer(Way(self._start, self._place) if self._straight else circle)
-        there = control.l1.circling or self._along() > 1.0
+        self.bank_for(Way(self._start, self._place) if self._straight else circle)
+        there = self.l1.circling or self._along() > 1.0
         if there and not self._arrived and not self._straight:
             self._arrived = True
             if self.mode.name == "GUIDED" and not self.landed:
                 self.reached(0)
-        control.height_amsl_m = self._place.altitude_amsl_m
+        self.wanted_height_m = self._place.altitude_amsl_m
         if self._climbing:
             self._watch_climb()
-        elif control.climb_m_s is not None:
-            control.bank_rad = 0.0  # it lands
+        elif self.wanted_climb_m_s is not None:
+            self.bank_rad = 0.0  # it lands
 
     def _along(self) -> float:
         """Share of the way from where it came from to where it goes; may be over 1."""
-        leg_m, off_m = way_m(self._place, self._start), self.control.off_m(self._start)
+        leg_m, off_m = way_m(self._place, self._start), self.off_m(self._start)
         square = abs(leg_m) ** 2
         return 1.0 if square < 1e-3 else -(off_m.conjugate() * leg_m).real / square
 
@@ -344,7 +343,7 @@ class ArduPlane(Wheels, ArduPilot):
 
     def lift_off_m_s(self) -> float:
         """Less than it cruises with."""
-        return _LIFT_OFF_SHARE * self.control.airspeed_m_s
+        return _LIFT_OFF_SHARE * self.wanted_airspeed_m_s
 
     def climbs_out(self) -> bool:
         """Whether a take-off goes on."""
@@ -359,14 +358,14 @@ class ArduPlane(Wheels, ArduPilot):
 
     def _watch_climb(self) -> None:
         """Level near the ground; over at its height, or far enough away."""
-        control, p = self.control, self.parameters
+        p = self.parameters
         climbed_m = self.estimate.altitude_amsl_m - self._start.altitude_amsl_m
         share = min(max((climbed_m - _LEVEL_M) / (_FREE_M - _LEVEL_M), 0.0), 1.0)
-        most_rad = _LEVEL_RAD + share * (control.bank_most_rad - _LEVEL_RAD)
-        control.bank_rad = min(max(control.bank_rad, -most_rad), most_rad)
+        most_rad = _LEVEL_RAD + share * (self.bank_most_rad - _LEVEL_RAD)
+        self.bank_rad = min(max(self.bank_rad, -most_rad), most_rad)
         over = not self._takes_off
         if self.mode.flies == "takes off":
-            away_m = abs(control.off_m(self._start))
+            away_m = abs(self.off_m(self._start))
             over = climbed_m >= p["TKOFF_ALT"] - _REACHED_M or away_m >= p["TKOFF_DIST"]
         if over:
             self._end_climb()
@@ -387,12 +386,12 @@ class ArduPlane(Wheels, ArduPilot):
 
     def read_parameters(self) -> None:
         """Some parameter has changed."""
-        p, control = self.parameters, self.control
-        control.l1.period_s = max(p["NAVL1_PERIOD"], 1.0)
-        control.l1.damping = max(p["NAVL1_DAMPING"], 0.1)
-        control.heights.climb_most_m_s = max(p["TECS_CLMB_MAX"], 0.1)
-        control.heights.sink_most_m_s = max(p["TECS_SINK_MAX"], 0.1)
-        control.bank_most_rad = math.radians(min(abs(p["ROLL_LIMIT_DEG"]), 80.0))
+        p = self.parameters
+        self.l1.period_s = max(p["NAVL1_PERIOD"], 1.0)
+        self.l1.damping = max(p["NAVL1_DAMPING"], 0.1)
+        self.heights.climb_most_m_s = max(p["TECS_CLMB_MAX"], 0.1)
+        self.heights.sink_most_m_s = max(p["TECS_SINK_MAX"], 0.1)
+        self.bank_most_rad = math.radians(min(abs(p["ROLL_LIMIT_DEG"]), 80.0))
 
     def airspeed_m_s(self) -> float:
         """What the pitot tube measures: less than the true airspeed, as it is calibrated."""
@@ -408,12 +407,11 @@ class ArduPlane(Wheels, ArduPilot):
         """Where it goes; MANUAL says nothing."""
         if self.mode.name in ("MANUAL", "INITIALISING"):
             return None
-        control = self.control
         return Waypoint(
             place=self._place,
-            distance_m=abs(control.off_m(self._place)),
-            bearing_rad=control.l1.bearing_rad,
-            altitude_error_m=control.height_amsl_m - self.estimate.altitude_amsl_m,
-            cross_track_m=control.l1.cross_track_m,
+            distance_m=abs(self.off_m(self._place)),
+            bearing_rad=self.l1.bearing_rad,
+            altitude_error_m=self.wanted_height_m - self.estimate.altitude_amsl_m,
+            cross_track_m=self.l1.cross_track_m,
             airspeed_error_m_s=self._demand_m_s - self.airspeed_m_s(),
         )

@@ -347,8 +347,9 @@ class Autopilot:
         route, leg, arrives = self.route, self.route.leg, self.route.arrived_s is None
         if leg is None or (arrives and not self.is_there(leg)):
             return
-        leaves = route.has_waited(self.now_s, leg.hold_s) and leg.does is not Does.LAND
-        is_item = route.number is not None and leg.command != RETURN
+        route.arrived_s = self.now_s if route.arrived_s is None else route.arrived_s
+        leaves = self.now_s - route.arrived_s >= leg.hold_s and leg.does is not Does.LAND
+        is_item = leg.command not in (0, RETURN)
         if is_item and (arrives if self.is_px4 else leaves):
             self.reached(route.current)
         if leaves and is_item:
@@ -362,7 +363,7 @@ class Autopilot:
             return False
         self.route.current, self.route.complete = number, False
         if self.mode.name == self.firmware.missions:
-            self.route.forget_jumps()
+            self.route.jumps.forget()
             self.seek(max(number, self.firmware.first_item))
         return True
 

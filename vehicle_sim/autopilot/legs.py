@@ -34,7 +34,7 @@ class Leg(NamedTuple):
     hold_s: float = 0.0
     """To stay; infinite: for good."""
     command: int = WAYPOINT
-    """Of the item that it is made of."""
+    """Of the item that it is made of; RETURN or 0: it is of none."""
     acceptance_m: float = math.nan
     """How near is there; NaN: by the vehicle's own parameter."""
     yaw_rad: float = math.nan
@@ -78,8 +78,6 @@ class Route:
     def __init__(self, jumps_from: int) -> None:
         self.leg: Leg | None = None
         """None: nothing; hold."""
-        self.number: int | None = None
-        """Item of the mission that it belongs to; None: it is no mission's."""
         self.current = 0
         """Item of the mission that is flown, or would be."""
         self.complete = False
@@ -87,16 +85,16 @@ class Route:
         """When the leg did."""
         self.arrived_s: float | None = None
         self._next: list[Leg] = []
-        self._jumps = Jumps(jumps_from)
+        self.jumps = Jumps(jumps_from)
 
     def fly(self, legs: Iterable[Leg], now_s: float) -> None:
         """These, and no mission."""
-        self._next, self.number = list(legs), None
+        self._next = list(legs)
         self.go_on(now_s)
 
     def stop(self) -> None:
         """Nothing any more."""
-        self.leg, self.number, self._next = None, None, []
+        self.leg, self._next = None, []
 
     @property
     def lands(self) -> bool:
@@ -110,10 +108,6 @@ class Route:
         """The next leg of those begins."""
         self.leg = self._next.pop(0) if self._next else None
         self.began_s, self.arrived_s = now_s, None
-
-    def forget_jumps(self) -> None:
-        """They count from 0 again."""
-        self._jumps.forget()
 
     def seek(
         self,
@@ -129,18 +123,12 @@ class Route:
         speed_m_s: float | None = None
         self.stop()
         self.began_s, self.arrived_s, self.complete = now_s, None, False
-        for at, item in self._jumps.walk(items, number, _WALKS_MOST):
+        for at, item in self.jumps.walk(items, number, _WALKS_MOST):
             if item.command == _CHANGE_SPEED and 0.0 < item.parameters[1] < math.inf:
                 speed_m_s = item.parameters[1]
             self.leg = leg_of(item, *about)
             if self.leg is not None:
-                self.current = self.number = at
+                self.current = at
                 return speed_m_s
         self.current, self.complete = max(len(items) - 1, 0), bool(items)
         return speed_m_s
-
-    def has_waited(self, now_s: float, seconds: float) -> bool:
-        """Call it in every step at the leg's place: whether it has been there for so long."""
-        if self.arrived_s is None:
-            self.arrived_s = now_s
-        return now_s - self.arrived_s >= seconds

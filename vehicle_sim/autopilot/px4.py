@@ -473,7 +473,7 @@ class Px4(core.Autopilot):
     def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
         """A mission is flown from its beginning."""
         if kind is PlanKind.MISSION:
-            self.route.forget_jumps()
+            self.route.jumps.forget()
             self.route.current, self.route.complete = 0, False
             if self.mode.name == "Mission":
                 self.seek(0)

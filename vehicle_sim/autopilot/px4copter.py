@@ -94,7 +94,7 @@ class Px4Copter(Px4):
         if name != self._began_in or not self._flying:
             self._point.start(flown)
         self._began_in, self._began, self._began_down = name, flown.place, flown.down
-        self._goal, self._goal_down = NONE, _NAN
+        self._goal, self._goal_down, self._leg = NONE, _NAN, None
         self._yaw_rad, self._aim_yaw_rad = self.copter.heading_rad, _NAN
         here = self.estimate.place
         if name == "Takeoff":
@@ -111,9 +111,6 @@ class Px4Copter(Px4):
             height_m = self.base.altitude_amsl_m + self._return_height_m()
             height_m = max(height_m, here.altitude_amsl_m)
             self.route.fly(back(here, self.base, height_m, 0.0), self.now_s)
-            self.fly_leg()
-        elif name == "Mission":
-            self.fly_leg()
 
     def _return_height_m(self) -> float:
         """Above home: RTL_RETURN_ALT, less within the cone about it."""

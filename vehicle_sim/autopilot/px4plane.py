@@ -18,7 +18,7 @@ from typing import Final, NamedTuple, final
 from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.legs import Does, Leg
-from vehicle_sim.autopilot.plane_control import Circle, Runway, Way, Wheels, eas_to_tas
+from vehicle_sim.autopilot.plane_control import Circle, FixedWing, Runway, Way, eas_to_tas
 from vehicle_sim.autopilot.px4 import RATES_HZ, Px4, firmware
 from vehicle_sim.autopilot.setpoints import NOTHING, Target, given
 from vehicle_sim.autopilot.values import Place, TargetEcho, Waypoint
@@ -72,7 +72,7 @@ class Line(NamedTuple):
 
 
 @final
-class Px4Plane(Wheels, Px4):
+class Px4Plane(FixedWing, Px4):
     """The aeroplane of PX4's SIH simulator, or one with other limits."""
 
     runway = Runway(
@@ -91,7 +91,7 @@ class Px4Plane(Wheels, Px4):
 
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
-        self.control.l1.upright = True
+        self.l1.upright = True
         self._aim: Circle | Way | Line | None = None  # none: the bank stays
         self._goal: Place | None = None  # the place flown to; the middle of a circle
         self._nearest = self.estimate.place, 0j  # of circle or line: a place and how far from it
@@ -102,13 +102,13 @@ class Px4Plane(Wheels, Px4):
 
     def read_parameters(self) -> None:
         """Some parameter has changed."""
-        p, control = self.parameters, self.control
-        control.l1.period_s, control.l1.damping = p["NPFG_PERIOD"], p["NPFG_DAMPING"]
-        control.bank_most_rad = math.radians(p["FW_R_LIM"])
-        control.heights.climb_most_m_s = min(p["FW_T_CLMB_R_SP"], p["FW_T_CLMB_MAX"])
-        control.heights.sink_most_m_s = min(p["FW_T_SINK_R_SP"], p["FW_T_SINK_MAX"])
+        p = self.parameters
+        self.l1.period_s, self.l1.damping = p["NPFG_PERIOD"], p["NPFG_DAMPING"]
+        self.bank_most_rad = math.radians(p["FW_R_LIM"])
+        self.heights.climb_most_m_s = min(p["FW_T_CLMB_R_SP"], p["FW_T_CLMB_MAX"])
+        self.heights.sink_most_m_s = min(p["FW_T_SINK_R_SP"], p["FW_T_SINK_MAX"])
         if self._sink_m_s is None:
-            control.airspeed_m_s = self._cruise_m_s
+            self.wanted_airspeed_m_s = self._cruise_m_s
 
     @property
     def _radius_m(self) -> float:
@@ -138,7 +138,7 @@ class Px4Plane(Wheels, Px4):
     def _fly(self, aim: Circle | Way | Line, goal: Place) -> None:
         """Along this, at the goal's height."""
         self._aim, self._goal = aim, goal
-        self.control.climb_m_s = self._sink_m_s = None
+        self.wanted_climb_m_s = self._sink_m_s = None
 
     def _circle(self, place: Place) -> None:
         """About a place, at its height."""
@@ -153,16 +153,16 @@ class Px4Plane(Wheels, Px4):
         """Down in a circle.  NAV_LAND's own place is ignored, as recorded."""
         slow_m_s, slope_deg = self._slow_m_s("FW_LND_AIRSPD"), self.parameters["FW_LND_ANG"]
         self._circle(place)
-        self.control.airspeed_m_s = self._true(slow_m_s) + _LANDS_FASTER_M_S
+        self.wanted_airspeed_m_s = self._true(slow_m_s) + _LANDS_FASTER_M_S
         self._sink_m_s = slow_m_s * _SLOPE_FLOWN * math.sin(math.radians(slope_deg))
 
     def begin(self) -> None:
         """What the mode makes it fly; in the air, and for a take-off on the ground."""
-        here, control = self.estimate.place, self.control
+        here = self.estimate.place
         self._began_s, self._seen = self.now_s, None
         if self.mode.flies == "fly_target":
             return  # the last commands stay until a setpoint comes
-        control.airspeed_m_s = self._cruise_m_s
+        self.wanted_airspeed_m_s = self._cruise_m_s
         match self.mode.flies:
             case "climb":
                 self._ahead(self.takeoff_altitude_m)
@@ -177,8 +177,8 @@ class Px4Plane(Wheels, Px4):
             case "fly_mission":
                 self.fly_leg()
             case "descend":
-                self._aim, self._sink_m_s, control.climb_m_s = None, None, 0.0
-                control.bank_rad = math.radians(self.parameters["NAV_GPSF_R"])
+                self._aim, self._sink_m_s, self.wanted_climb_m_s = None, None, 0.0
+                self.bank_rad = math.radians(self.parameters["NAV_GPSF_R"])
             case _:
                 self._ahead(here.altitude_amsl_m)
 
@@ -189,7 +189,7 @@ class Px4Plane(Wheels, Px4):
             self._circle(here)
         elif leg.does is Does.CLIMB:
             self._ahead(leg.place.altitude_amsl_m)
-            self.control.climb_m_s = _CLIMB_OUT_M_S
+            self.wanted_climb_m_s = _CLIMB_OUT_M_S
         elif leg.does is Does.LAND:
             self._descend_about(leg.place)
         elif leg.hold_s:
@@ -204,48 +204,45 @@ class Px4Plane(Wheels, Px4):
         self._steps += 1
         if self._steps % _STEER_EVERY or self.plane.stands:
             return
-        control, plane = self.control, self.plane
-        match self.mode.flies:
-            case "fly_target" if self.target is not self._seen:
-                self._take(self.target)
-            case "climb":
-                self._climb_out()
-            case "fly_mission":
-                self.follow_route()
-            case "fly_back":
-                self._return()
-            case "descend":
-                late = self.now_s - self._began_s > self.parameters["NAV_GPSF_LT"]
-                control.climb_m_s = -_DESCEND_M_S if late else 0.0
-            case _:
-                pass
+        flies = self.mode.flies
+        if flies == "fly_target" and self.target is not self._seen:
+            self._take(self.target)
+        elif flies == "climb":
+            self._climb_out()
+        elif flies == "fly_mission":
+            self.follow_route()
+        elif flies == "fly_back":
+            self._return()
+        elif flies == "descend":
+            late = self.now_s - self._began_s > self.parameters["NAV_GPSF_LT"]
+            self.wanted_climb_m_s = -_DESCEND_M_S if late else 0.0
         if self._sink_m_s is not None:
-            excess_m_s = max(plane.airspeed_m_s - control.airspeed_m_s, 0.0)
-            control.climb_m_s = -self._sink_m_s - _SINKS_FASTER_1_S * excess_m_s
+            excess_m_s = max(self.plane.airspeed_m_s - self.wanted_airspeed_m_s, 0.0)
+            self.wanted_climb_m_s = -self._sink_m_s - _SINKS_FASTER_1_S * excess_m_s
         if self._goal is not None:
-            energy = plane.airspeed_m_s**2 - control.airspeed_m_s**2
+            energy = self.plane.airspeed_m_s**2 - self.wanted_airspeed_m_s**2
             more_m = min(max(energy / (2.0 * GRAVITY_M_S2), -_TRADED_M), _TRADED_M)
-            control.height_amsl_m = self._goal.altitude_amsl_m + more_m
+            self.wanted_height_m = self._goal.altitude_amsl_m + more_m
         self._bank()
 
     def _bank(self) -> None:
         """For what it aims at."""
-        aim, control = self._aim, self.control
+        aim = self._aim
         if isinstance(aim, Line):
-            off_m = control.off_m(aim.place)
+            off_m = self.off_m(aim.place)
             self._nearest = aim.place, (off_m.conjugate() * aim.way).real * aim.way
-            control.follow(off_m, aim.way)
+            self.bank_along(off_m, aim.way)
         elif isinstance(aim, Way) and self.mode.flies == "fly_target":
-            control.steer(aim._replace(start=self.estimate.place))  # straight there, from anywhere
+            self.bank_for(aim._replace(start=self.estimate.place))  # straight there, from anywhere
         elif isinstance(aim, Way):
-            control.steer(aim)
+            self.bank_for(aim)
         elif aim is not None:
-            off_m, radius_m = control.off_m(aim.centre), aim.radius_m
-            out = off_m if abs(off_m) > 0.1 else control.velocity
+            off_m, radius_m = self.off_m(aim.centre), aim.radius_m
+            out = off_m if abs(off_m) > 0.1 else self.velocity
             out /= abs(out)
             nearest_m, way = abs(radius_m) * out, math.copysign(1.0, radius_m) * 1j * out
             self._nearest = aim.centre, nearest_m
-            control.follow(off_m - nearest_m, way, 1.0 / radius_m)
+            self.bank_along(off_m - nearest_m, way, 1.0 / radius_m)
 
     def _take(self, target: Target | None) -> None:
         """A setpoint of OFFBOARD (px4.md 10)."""
@@ -262,17 +259,17 @@ class Px4Plane(Wheels, Px4):
         if speed_m_s > 1e-6:  # not NaN
             aim = Line(place, complex(v_n, v_e) / speed_m_s)
         self._fly(aim, place)
-        self.control.airspeed_m_s = self._cruise_m_s
+        self.wanted_airspeed_m_s = self._cruise_m_s
         if down_m != down_m:
-            self.control.climb_m_s = 0.0 if v_d == v_d else -_GLIDE_M_S
+            self.wanted_climb_m_s = 0.0 if v_d == v_d else -_GLIDE_M_S
 
     def _climb_out(self) -> None:
         """Up to the take-off's height, then Hold; for good if it was not told where to."""
-        control, goal_m, here = self.control, self.takeoff_altitude_m, self.estimate.place
-        control.climb_m_s, control.airspeed_m_s = _CLIMB_OUT_M_S, self._cruise_m_s
+        goal_m, here = self.takeoff_altitude_m, self.estimate.place
+        self.wanted_climb_m_s, self.wanted_airspeed_m_s = _CLIMB_OUT_M_S, self._cruise_m_s
         if here.altitude_amsl_m >= goal_m:
             goal = self._goal or here
-            self._goal, control.climb_m_s = goal.at(goal_m + _CLEARED_M), None
+            self._goal, self.wanted_climb_m_s = goal.at(goal_m + _CLEARED_M), None
             if given(self.asked):
                 self.intend("Hold")
 
@@ -280,7 +277,7 @@ class Px4Plane(Wheels, Px4):
         """Circling at home: down to RTL_DESCEND_ALT, and land after RTL_LAND_DELAY if not < 0."""
         p, aim = self.parameters, self._aim
         assert isinstance(aim, Circle)
-        off_m = abs(self.control.off_m(aim.centre)) - abs(aim.radius_m)
+        off_m = abs(self.off_m(aim.centre)) - abs(aim.radius_m)
         if self._sink_m_s is not None or abs(off_m) > _ON_CIRCLE_M:
             return
         self._goal = goal = self.base.at(self.base.altitude_amsl_m + p["RTL_DESCEND_ALT"])
@@ -291,14 +288,14 @@ class Px4Plane(Wheels, Px4):
 
     def is_there(self, leg: Leg) -> bool:
         """Where PX4 switches to the next one: 31 m before its end at 13.9 m/s."""
-        control, aim, away_m = self.control, self._aim, abs(self.control.off_m(leg.place))
+        aim, away_m = self._aim, abs(self.off_m(leg.place))
         if leg.does is Does.LAND:
             return False
         if leg.does is Does.CLIMB:
             return self.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m
         if isinstance(aim, Circle):
             return abs(away_m - abs(aim.radius_m)) < _ON_CIRCLE_M
-        near_m = control.l1.length_m(abs(control.velocity))
+        near_m = self.l1.length_m(abs(self.velocity))
         return away_m < (leg.acceptance_m if leg.acceptance_m > near_m else near_m)
 
     # --- on its wheels ------------------------------------------------------------------------
@@ -315,7 +312,7 @@ class Px4Plane(Wheels, Px4):
         """Fast enough on the runway: straight up from here on."""
         fast = super().lifts_off()
         if fast:
-            self.control.bank_rad, self.control.climb_m_s = 0.0, _CLIMB_OUT_M_S
+            self.bank_rad, self.wanted_climb_m_s = 0.0, _CLIMB_OUT_M_S
         return fast
 
     # --- to tell ------------------------------------------------------------------------------
