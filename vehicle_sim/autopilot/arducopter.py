@@ -63,6 +63,8 @@ _RETURN_STAGE_S: Final = 1.55
 _CLIMBED_M, _OVER_LANDING_M = 2.0, 1.0
 """From its height, and from over the place, a return goes home and a mission lands."""
 _BRAKE_M_S2: Final = 7.5
+_SINK_M_S, _LAND_LOW_M = 2.5, 10.0
+"""PILOT_SPEED_UP; and LAND_ALT_LOW, below which a landing is slow."""
 _SLEW_RAD_S: Final = math.radians(60.0)  # ATC_SLEW_YAW
 _TURN_1_S: Final = 4.5  # ATC_ANG_YAW_P
 _MOVING_SHARE: Final = 0.05  # of WPNAV_SPEED: slower, the way has no direction
@@ -83,7 +85,7 @@ _STILL: Final[Order] = (0j, 0.0)
 class ArduCopter(ArduPilot):
     """Its modes, on the position controller."""
 
-    gcs_failsafe = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
+    gcs_failsafe = "FS_GCS_ENABLE"
     nose_follows_motion: ClassVar[bool] = False
     """Ahead is where it flies, and not where the controller wants to fly."""
 
@@ -130,7 +132,6 @@ class ArduCopter(ArduPilot):
             lean_m_s2=min(GRAVITY_M_S2 * math.tan(lean_rad), limits.acceleration_m_s2),
         )
         self._timeout_s = max(p["GUID_TIMEOUT"], _MIN_TIMEOUT_S)
-        self._look_ahead()
 
     # --- modes --------------------------------------------------------------------------------
 
@@ -147,7 +148,6 @@ class ArduCopter(ArduPilot):
     def begin(self) -> None:
         """Fly the mode from now on."""
         route, name = self.route, self.mode.name
-        self._look_ahead()
         self._stop_target()
         route.stop()
         if name == "LAND":
@@ -448,17 +448,14 @@ class ArduCopter(ArduPilot):
 
     def sink(self) -> Order:
         """The modes that a pilot holds it in: the stick is at its lower end."""
-        p = self.parameters
-        climb_m_s = -(p["PILOT_SPEED_DN"] or p["PILOT_SPEED_UP"]) / 100.0
-        return self._hold(climb_m_s, level=not self.mode.needs_position)
+        return self._hold(-_SINK_M_S, level=not self.mode.needs_position)
 
     def land(self) -> Order:
-        """Down at WPNAV_SPEED_DN, the last LAND_ALT_LOW at LAND_SPEED."""
+        """Down at WPNAV_SPEED_DN, the last metres at LAND_SPEED."""
         p, tuning = self.parameters, self.tuning
         height_m = self.copter.altitude_amsl_m - self.ground_m  # by a rangefinder
         slow = max(p["LAND_SPEED"], 20.0) / 100.0
-        low_m = max(p["LAND_ALT_LOW"], 100.0) / 100.0
-        rate = rate_for(low_m - height_m, 1.0, tuning.acceleration_up_m_s2, self.step_s)
+        rate = rate_for(_LAND_LOW_M - height_m, 1.0, tuning.acceleration_up_m_s2, self.step_s)
         rate = min(max(rate, -max(tuning.speed_down_m_s, slow)), -slow)
         if self.now_s < self._pauses_until_s:
             rate = 0.0
@@ -517,14 +514,8 @@ class ArduCopter(ArduPilot):
 
     # --- the nose -----------------------------------------------------------------------------
 
-    def _look_ahead(self) -> None:
-        """WP_YAW_BEHAVIOR 2: ahead except in RTL."""
-        behaviour, name = int(self.parameters["WP_YAW_BEHAVIOR"]), self.mode.name
-        ahead = behaviour in (1, 3) if name == "RTL" else behaviour != 0
-        self._looks_ahead = ahead and name in ("GUIDED", "AUTO", "RTL")
-
     def _heading_rad(self) -> float:
-        """One step on, from 0 to 2 pi."""
+        """One step on, from 0 to 2 pi: ahead, but in RTL (WP_YAW_BEHAVIOR 2)."""
         copter, wanted_rad, rate = self.copter, self._yaw_rad, self._yaw_rate_rad_s
         now_rad = copter.heading_rad
         if wanted_rad != wanted_rad and rate == rate:
@@ -533,7 +524,8 @@ class ArduCopter(ArduPilot):
             way = self.level.velocity
             if self.nose_follows_motion:
                 way = copter.velocity_m_s
-            if not self._looks_ahead or abs(way) < _MOVING_SHARE * self.tuning.speed_m_s:
+            is_slow = abs(way) < _MOVING_SHARE * self.tuning.speed_m_s
+            if is_slow or self.mode.name not in ("GUIDED", "AUTO"):
                 return now_rad
             wanted_rad = math.atan2(way.imag, way.real)
         rate = _TURN_1_S * math.remainder(wanted_rad - now_rad, math.tau)

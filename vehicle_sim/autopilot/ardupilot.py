@@ -86,14 +86,14 @@ EKF3: Final = Timing(
 )
 _RECOVERY_S: Final = 10.0
 """How long a breached fence is left alone after a mode was chosen inside the breach."""
-_GCS_EARLY_S: Final = 0.1  # the failsafe comes after 4.9 s where 5 is set (measured)
+_GCS_LOST_S: Final = 4.9  # FS_GCS_TIMEOUT and FS_LONG_TIMEOUT 5, as measured
 
 
 class ArduPilot(Autopilot):
     """One vehicle's autopilot."""
 
-    gcs_failsafe: ClassVar[tuple[str, str]]
-    """The parameters that say whether a lost ground station matters, and after how long."""
+    gcs_failsafe: ClassVar[str]
+    """The parameter that says whether a lost ground station matters."""
     lands: Callable[[], bool]  # it comes down to land: the fence has no floor then
     climbs_out: Callable[[], bool]  # a take-off goes on
     on_failsafe: Callable[[str, int], None]  # of "GCS", "Battery" or "Fence", its parameter's value
@@ -139,8 +139,8 @@ class ArduPilot(Autopilot):
             self._was_aiding = self.estimate.aiding
             self.say(6, f"EKF3 IMU0 {'is using GPS' if self._was_aiding else 'stopped aiding'}")
         self._check_fence()
-        enabled, timeout_s = (self.parameters[name] for name in self.gcs_failsafe)
-        lost = timeout_s - _GCS_EARLY_S <= self.now_s - self.station_s < math.inf
+        enabled = self.parameters[self.gcs_failsafe]
+        lost = _GCS_LOST_S <= self.now_s - self.station_s < math.inf
         if self.gcs_lost and not lost:
             self.gcs_lost = False
             self.say(4, "GCS Failsafe Cleared")

@@ -72,6 +72,7 @@ _TURN_EFFICIENCY: Final = 0.745
 """Lateral acceleration over g tan(bank) of the recorded airframe, which slips in turns (measured:
 0.745 +- 0.01 over 240 s); that is why its circles are wider than asked."""
 _GLIDE_M_S: Final = 2.5
+_DISARMS_S: Final = 20.0  # LAND_DISARMDELAY
 _LANDING_SINK_M_S: Final = 1.5
 """Wings level from the place of a landing on: no approach and no flare."""
 _RUNWAY_AHEAD_M: Final = 1000.0  # a mission's take-off climbs straight on at a point so far ahead
@@ -83,7 +84,7 @@ _NO_HEIGHT = "SIM: NaN height in {} stops the real autopilot"
 class ArduPlane(FixedWing, ArduPilot):
     """Modes, GUIDED's points and take-off."""
 
-    gcs_failsafe = ("FS_GCS_ENABL", "FS_LONG_TIMEOUT")
+    gcs_failsafe = "FS_GCS_ENABL"
     slowing_m_s2 = 2.2
     runway = Runway(
         # arduplane-guided-reposition.tlog, 26 to 35 s; TKOFF_THR_DELAY, THR_SLEWRATE
@@ -185,11 +186,10 @@ class ArduPlane(FixedWing, ArduPilot):
         return self.is_at(Does.LAND)
 
     def on_failsafe(self, cause: str, action: int) -> None:
-        """It returns, but for FS_LONG_ACTN 0 in AUTO, BATT_FS_*_ACT 2 in a landing, and MANUAL."""
+        """It returns, but not from MANUAL, nor from AUTO for GCS, nor from a landing for power."""
         returns = self.mode.name != "MANUAL"
         if cause == "GCS":
-            goes_on = self.parameters["FS_LONG_ACTN"] == 0.0 and self.mode.name == "AUTO"
-            returns = not (self.landed or goes_on)
+            returns = not (self.landed or self.mode.name == "AUTO")
         elif cause == "Battery":
             returns = action in (1, 2) and not self.lands()
         if returns:
@@ -254,8 +254,7 @@ class ArduPlane(FixedWing, ArduPilot):
 
     def disarms_after_s(self) -> float | None:
         """After a landing of a mission."""
-        wait_s: float = self.parameters["LAND_DISARMDELAY"]
-        return wait_s if self.lands() and wait_s > 0.0 else None
+        return _DISARMS_S if self.lands() else None
 
     # --- ten times a second -------------------------------------------------------------------
 
@@ -388,7 +387,6 @@ class ArduPlane(FixedWing, ArduPilot):
         """Some parameter has changed."""
         p = self.parameters
         self.l1.period_s = max(p["NAVL1_PERIOD"], 1.0)
-        self.l1.damping = max(p["NAVL1_DAMPING"], 0.1)
         self.heights.climb_most_m_s = max(p["TECS_CLMB_MAX"], 0.1)
         self.heights.sink_most_m_s = max(p["TECS_SINK_MAX"], 0.1)
         self.bank_most_rad = math.radians(min(abs(p["ROLL_LIMIT_DEG"]), 80.0))

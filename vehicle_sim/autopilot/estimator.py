@@ -99,7 +99,7 @@ class Estimator:
     """Where it believes to be; horizontal errors are north + east j in metres.  Mutable."""
 
     def __init__(self, vehicle: Vehicle, timing: Timing, rng: np.random.Generator) -> None:
-        self.timing, self.lag_s = timing, timing.lag_s
+        self.timing = timing
         self.state = State.START
         self.origin: Place | None = None
         self.aiding = False
@@ -212,14 +212,14 @@ class Estimator:
         else:
             self._accept(timing.follows * off)
             if timing.noise_m_s:
-                up_m = fix.altitude_amsl_m + fix.velocity_up_m_s * self.lag_s
+                up_m = fix.altitude_amsl_m + fix.velocity_up_m_s * self.timing.lag_s
                 self._up_m += timing.follows * (up_m - self._vehicle.altitude_amsl_m - self._up_m)
         if self.position_ok:
             self._stir()
 
     def _innovation(self, fix: Fix) -> complex:
         """What the fix says beyond what is believed, allowing for its age."""
-        vehicle, lag_s = self._vehicle, self.lag_s
+        vehicle, lag_s = self._vehicle, self.timing.lag_s
         north_m = (fix.latitude_deg - vehicle.latitude_deg) * self._scale[0]
         east_m = degrees_east(vehicle.longitude_deg, fix.longitude_deg) * self._scale[1]
         # half of what the velocity changed by since

@@ -245,7 +245,6 @@ class Px4(core.Autopilot):
     def _check_estimate(self) -> None:
         """Flags and accuracies."""
         estimate, now_s = self.estimate, self.now_s
-        estimate.lag_s = self.parameters["EKF2_GPS_DELAY"] * 1e-3
         estimate.still = not self.armed and now_s - self._disarmed_s >= _STILL_S
         flags = _TIMING.flags.get(estimate.state, _TIMING.stages[0][1])
         if flags == _GOOD:
@@ -344,19 +343,15 @@ class Px4(core.Autopilot):
             self.begin()
         self._select()
 
-    def command_mode(self, name: str, asked: Place = NOWHERE, yaw_rad: float = _NAN) -> Result:
-        """Request a mode.  On the ground, disarmed, every mode is accepted."""
+    def set_mode(self, name: str, asked: Place = NOWHERE, yaw_rad: float = _NAN) -> bool:
+        """Request a mode, at a place.  On the ground, disarmed, every mode is accepted."""
         able = self.estimate.precise or not self.modes[name].needs_position
         if name == "Offboard":
             able = self.offboard_signal and self.estimate.precise
         if able or not self.armed:
             self.asked, self.asked_yaw_rad = asked, yaw_rad
             self.intend(name)
-        return self.done(able or not self.armed)
-
-    def set_mode(self, name: str) -> bool:
-        """Fly in this mode from now on, if it can be."""
-        return self.command_mode(name) is Result.ACCEPTED
+        return able or not self.armed
 
     def _set_mode_number(self, command: Command) -> Result:
         """p1 bit 0 says that p2 and p3 are PX4's own numbers; of other modes than AUTO p3 is 0."""
@@ -364,7 +359,7 @@ class Px4(core.Autopilot):
         if not all(map(math.isfinite, (flags, main, sub))) or not int(flags) & 1:
             return Result.TEMPORARILY_REJECTED
         name = _NAMES.get(int(main) << 16 | (int(sub) << 24 if int(main) == 4 else 0))
-        return Result.TEMPORARILY_REJECTED if name is None else self.command_mode(name)
+        return self.done(name is not None and self.set_mode(name))
 
     def refusal(self) -> str | None:
         """Why it may not be armed now, in the mode that is flown; by hand it has no pilot."""
@@ -417,7 +412,7 @@ class Px4(core.Autopilot):
 
     def _land_or_take_off(self, command: Command) -> Result:
         name = "Land" if command.number == _NAV_LAND else "Takeoff"
-        return self.command_mode(name, self._asked_by(command))
+        return self.done(self.set_mode(name, self._asked_by(command)))
 
     @property
     def takeoff_altitude_m(self) -> float:
@@ -434,7 +429,7 @@ class Px4(core.Autopilot):
             return Result.DENIED
         if self.mode.name != "Hold" and not (math.isfinite(flags) and int(flags) & 1):
             return Result.UNSUPPORTED
-        return self.command_mode("Hold", asked, yaw_rad)
+        return self.done(self.set_mode("Hold", asked, yaw_rad))
 
     def _change_speed(self, command: Command) -> Result:
         """Accepted always, of effect in AUTO modes only (px4.md 3)."""
@@ -467,8 +462,7 @@ class Px4(core.Autopilot):
             return Result.DENIED
         if math.isfinite(first) and first >= 1.0:
             self.jump(int(first))
-        result = self.command_mode("Mission")
-        return self.arm() if result is Result.ACCEPTED else result
+        return self.arm() if self.set_mode("Mission") else Result.TEMPORARILY_REJECTED
 
     def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
         """A mission is flown from its beginning."""

@@ -45,6 +45,7 @@ _CLIMB_OUT_M_S: Final = 2.63  # climb rate at FW_TKO_PITCH_MIN 10 degrees and fu
 _LIFTS_OFF_AT: Final = 1.1
 """Share of the take-off airspeed at which it leaves the ground: 11.3 m/s (RunwayTakeoff.cpp)."""
 _LANDS_FASTER_M_S: Final = 0.5  # flown 10.8 m/s through the air where FW_AIRSPD_MIN is 10.3
+_SLOPE_RAD: Final = math.radians(5.0)  # FW_LND_ANG
 _SLOPE_FLOWN: Final = 0.98
 """Share of the sink of FW_LND_ANG that is flown: 0.85 m/s in the mean of the recorded landing."""
 _SINKS_FASTER_1_S: Final = 0.15
@@ -92,6 +93,7 @@ class Px4Plane(FixedWing, Px4):
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
         self.l1.upright = True
+        self.l1.period_s, self.l1.damping = 10.0, 0.7  # NPFG_PERIOD, NPFG_DAMPING
         self._aim: Circle | Way | Line | None = None  # none: the bank stays
         self._goal: Place | None = None  # the place flown to; the middle of a circle
         self._nearest = self.estimate.place, 0j  # of circle or line: a place and how far from it
@@ -103,10 +105,9 @@ class Px4Plane(FixedWing, Px4):
     def read_parameters(self) -> None:
         """Some parameter has changed."""
         p = self.parameters
-        self.l1.period_s, self.l1.damping = p["NPFG_PERIOD"], p["NPFG_DAMPING"]
         self.bank_most_rad = math.radians(p["FW_R_LIM"])
-        self.heights.climb_most_m_s = min(p["FW_T_CLMB_R_SP"], p["FW_T_CLMB_MAX"])
-        self.heights.sink_most_m_s = min(p["FW_T_SINK_R_SP"], p["FW_T_SINK_MAX"])
+        self.heights.climb_most_m_s = p["FW_T_CLMB_R_SP"]
+        self.heights.sink_most_m_s = p["FW_T_SINK_R_SP"]
         if self._sink_m_s is None:
             self.wanted_airspeed_m_s = self._cruise_m_s
 
@@ -118,11 +119,6 @@ class Px4Plane(FixedWing, Px4):
 
     def _true(self, equivalent_m_s: float) -> float:
         return equivalent_m_s * eas_to_tas(self.estimate.altitude_amsl_m)
-
-    def _slow_m_s(self, name: str) -> float:
-        """The airspeed of this parameter, if it is set; else FW_AIRSPD_MIN."""
-        p = self.parameters
-        return p[name] if p[name] > 0.0 else p["FW_AIRSPD_MIN"]
 
     @property
     def _cruise_m_s(self) -> float:
@@ -151,10 +147,10 @@ class Px4Plane(FixedWing, Px4):
 
     def _descend_about(self, place: Place) -> None:
         """Down in a circle.  NAV_LAND's own place is ignored, as recorded."""
-        slow_m_s, slope_deg = self._slow_m_s("FW_LND_AIRSPD"), self.parameters["FW_LND_ANG"]
+        slow_m_s = self.parameters["FW_AIRSPD_MIN"]
         self._circle(place)
         self.wanted_airspeed_m_s = self._true(slow_m_s) + _LANDS_FASTER_M_S
-        self._sink_m_s = slow_m_s * _SLOPE_FLOWN * math.sin(math.radians(slope_deg))
+        self._sink_m_s = slow_m_s * _SLOPE_FLOWN * math.sin(_SLOPE_RAD)
 
     def begin(self) -> None:
         """What the mode makes it fly; in the air, and for a take-off on the ground."""
@@ -274,17 +270,13 @@ class Px4Plane(FixedWing, Px4):
                 self.intend("Hold")
 
     def _return(self) -> None:
-        """Circling at home: down to RTL_DESCEND_ALT, and land after RTL_LAND_DELAY if not < 0."""
-        p, aim = self.parameters, self._aim
+        """Circling at home: down to RTL_DESCEND_ALT."""
+        aim = self._aim
         assert isinstance(aim, Circle)
         off_m = abs(self.off_m(aim.centre)) - abs(aim.radius_m)
-        if self._sink_m_s is not None or abs(off_m) > _ON_CIRCLE_M:
-            return
-        self._goal = goal = self.base.at(self.base.altitude_amsl_m + p["RTL_DESCEND_ALT"])
-        high_m = abs(self.estimate.altitude_amsl_m - goal.altitude_amsl_m)
-        waited = 0.0 <= p["RTL_LAND_DELAY"] < self.now_s - self._began_s
-        if waited and high_m < p["NAV_FW_ALT_RAD"]:
-            self._descend_about(self.base)
+        if abs(off_m) <= _ON_CIRCLE_M:
+            above_m = self.parameters["RTL_DESCEND_ALT"]
+            self._goal = self.base.at(self.base.altitude_amsl_m + above_m)
 
     def is_there(self, leg: Leg) -> bool:
         """Where PX4 switches to the next one: 31 m before its end at 13.9 m/s."""
@@ -305,8 +297,8 @@ class Px4Plane(FixedWing, Px4):
         return self.armed and (self.mode.flies == "climb" or self.is_at(Does.CLIMB))
 
     def lift_off_m_s(self) -> float:
-        """By FW_TKO_AIRSPD."""
-        return _LIFTS_OFF_AT * self._true(self._slow_m_s("FW_TKO_AIRSPD"))
+        """By FW_AIRSPD_MIN."""
+        return _LIFTS_OFF_AT * self._true(self.parameters["FW_AIRSPD_MIN"])
 
     def lifts_off(self) -> bool:
         """Fast enough on the runway: straight up from here on."""
