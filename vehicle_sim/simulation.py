@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Final, final
 
 from vehicle_sim import ground_station, truth
-from vehicle_sim.autopilot.core import Autopilot
+from vehicle_sim.autopilot.core import Autopilot, Boot
 from vehicle_sim.autopilot.factory import (
     ids_of,
     make_vehicle,
@@ -161,7 +161,8 @@ class Simulation:
     def _make_autopilot(self, overrides: Mapping[str, float]) -> Autopilot:
         self._boots += 1
         rng = generator(self._seed, f"autopilot {self._boots}")
-        autopilot = self._personality.boot(self.vehicle, overrides, self.plans, rng)
+        boot = Boot(self._personality.firmware, self.vehicle, overrides, self.plans, rng)
+        autopilot = self._personality.make(boot)
         autopilot.battery = self._battery
         return autopilot
 

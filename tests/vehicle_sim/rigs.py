@@ -23,6 +23,7 @@ from harness import (
     placed,
 )
 
+from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.autopilot.px4plane import SIH_AIRPLANE
 from vehicle_sim.autopilot.values import Ack, Command, Reply, Sender, SendMessage, Setpoint, Text
@@ -54,8 +55,8 @@ class Rig:
     ) -> None:
         self.vehicle, self.plans = vehicle, Plans()
         self.ground_amsl_m = vehicle.altitude_amsl_m
-        boot = PERSONALITIES[personality].boot
-        self.autopilot: Any = boot(vehicle, parameters, self.plans, np.random.default_rng(seed))
+        kind, rng = PERSONALITIES[personality], np.random.default_rng(seed)
+        self.autopilot: Any = kind.make(Boot(kind.firmware, vehicle, parameters, self.plans, rng))
         self.gps, self.gps_conditions = gps, conditions or GpsConditions()
         self.now_us, self.fix = 0, Fix()
         self.said: list[tuple[float, Reply]] = []

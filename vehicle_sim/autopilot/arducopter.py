@@ -128,7 +128,6 @@ class ArduCopter(ArduPilot):
             speed_up_m_s=metres("WPNAV_SPEED_UP", limits.speed_vertical_m_s),
             speed_down_m_s=metres("WPNAV_SPEED_DN", limits.speed_vertical_m_s),
             acceleration_up_m_s2=metres("WPNAV_ACCEL_Z", limits.acceleration_vertical_m_s2),
-            jerk_up_m_s3=max(p["PSC_JERK_Z"], 1.0),
             lean_m_s2=min(GRAVITY_M_S2 * math.tan(lean_rad), limits.acceleration_m_s2),
         )
         self._timeout_s = max(p["GUID_TIMEOUT"], _MIN_TIMEOUT_S)

@@ -86,6 +86,7 @@ EKF3: Final = Timing(
 )
 _RECOVERY_S: Final = 10.0
 """How long a breached fence is left alone after a mode was chosen inside the breach."""
+_BATTERY_LOW_S: Final = 10.0  # BATT_LOW_TIMER
 _GCS_LOST_S: Final = 4.9  # FS_GCS_TIMEOUT and FS_LONG_TIMEOUT 5, as measured
 
 
@@ -104,8 +105,7 @@ class ArduPilot(Autopilot):
         self.failsafe = False
         """For which the heartbeat says CRITICAL."""
         self.gcs_lost = False
-        self.battery_acted = 0
-        """1: of a low battery, 2: of a critical one."""
+        self.battery_acted = False
         self._was_aiding = False
         self._battery_low_s: float | None = None
         self._fence_left_alone_s = 0.0
@@ -151,20 +151,17 @@ class ArduPilot(Autopilot):
 
     def _check_battery(self) -> None:
         battery, p = self.battery, self.parameters
-        for level, name, how in ((2, "CRT", "critical"), (1, "LOW", "low")):
-            is_low = battery.voltage_v < p[f"BATT_{name}_VOLT"]
-            if not (is_low and p["BATT_MONITOR"] and level > self.battery_acted):
-                continue
-            if self._battery_low_s is None:
-                self._battery_low_s = self.now_s
-            if self.now_s - self._battery_low_s >= p["BATT_LOW_TIMER"]:
-                self.battery_acted, action = level, int(p[f"BATT_FS_{name}_ACT"])
-                used = f"{battery.voltage_v:.2f}V used {battery.consumed_mah:.0f} mAh"
-                self.say(4, f"Battery 1 is {how} {used}")
-                if self.armed and action:
-                    self.on_failsafe("Battery", action)
+        if battery.voltage_v >= p["BATT_LOW_VOLT"] or self.battery_acted:
+            self._battery_low_s = None
             return
-        self._battery_low_s = None
+        if self._battery_low_s is None:
+            self._battery_low_s = self.now_s
+        if self.now_s - self._battery_low_s >= _BATTERY_LOW_S:
+            self.battery_acted, action = True, int(p["BATT_FS_LOW_ACT"])
+            used = f"{battery.voltage_v:.2f}V used {battery.consumed_mah:.0f} mAh"
+            self.say(4, f"Battery 1 is low {used}")
+            if self.armed and action:
+                self.on_failsafe("Battery", action)
 
     def _check_fence(self) -> None:
         fence, home = self.fence, self.home

@@ -27,7 +27,8 @@ FILTER_S: Final = 1.0 / (math.tau * 5.0)
 """PSC_VELXY_FLTE and _FLTD, 5 Hz."""
 LEAN_S: Final = 0.12
 """Time constant from a commanded lean to a flown one."""
-VELOCITY_UP_P: Final = 5.0
+VELOCITY_UP_P, JERK_UP_M_S3 = 5.0, 5.0
+"""The latter is PSC_JERK_Z."""
 _CORNER_SHARE: Final = 1.0 / math.sqrt(2.0)
 _APPROACH: Final = 0.5
 """Share of acceleration and gain for approaching a position: leaves some for cornering."""
@@ -44,7 +45,6 @@ class Tuning:
     speed_up_m_s: float
     speed_down_m_s: float
     acceleration_up_m_s2: float
-    jerk_up_m_s3: float
     lean_m_s2: float
     """Horizontal acceleration at the steepest lean."""
 
@@ -234,7 +234,7 @@ class Vertical:
 
         altitude_amsl_m: a height that changes like that, and no faster there than up_down_m_s.
         """
-        most, jerk = self.tuning.acceleration_up_m_s2, self.tuning.jerk_up_m_s3
+        most, jerk = self.tuning.acceleration_up_m_s2, JERK_UP_M_S3
         pushed, e = self.acceleration_m_s2, self._estimate
         if altitude_amsl_m is not None:
             error_m, (up_m_s, down_m_s) = altitude_amsl_m - self.altitude_amsl_m, up_down_m_s

@@ -88,7 +88,7 @@ class Firmware:
 
 @final
 class Boot(NamedTuple):
-    """What an autopilot boots with."""
+    """What an autopilot boots with.  InputError names a parameter that it does not have."""
 
     firmware: Firmware
     vehicle: Vehicle
@@ -420,7 +420,7 @@ class Autopilot:
 
     def set_home(self, place: Place) -> Result:
         """DO_SET_HOME, once it is known where to."""
-        if not abs(place.altitude_amsl_m) <= values.HIGHEST_HOME_M:
+        if not abs(place.altitude_amsl_m) <= values.HIGHEST_M:
             return self.firmware.refused
         self.home = place
         self.send(HOME_POSITION)

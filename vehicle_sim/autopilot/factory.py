@@ -5,21 +5,17 @@ new (simulator.md).
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
-import numpy as np
-
 from vehicle_sim.autopilot import arducopter, arduplane, ideal, px4copter, px4plane
 from vehicle_sim.autopilot.core import Autopilot, Boot, Firmware
-from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Model
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.dynamics.plane import Plane, PlaneLimits
 from vehicle_sim.errors import InputError
 from vehicle_sim.parameters import Readable
-from vehicle_sim.plans import Plans
 from vehicle_sim.sensors import gps
 from vehicle_sim.sensors.gps import Receiver
 from vehicle_sim.world import LIMITS
@@ -49,16 +45,6 @@ class Personality:
     limits: Limits | PlaneLimits
     drag: tuple[float, float] = (0.0, 0.0)
     """Of a copter: 1/s, and 1/m for the square of the speed.  PX4's is a parameter (SIH_KDV)."""
-
-    def boot(
-        self,
-        vehicle: Vehicle,
-        parameters: Mapping[str, float],
-        plans: Plans,
-        rng: np.random.Generator,
-    ) -> Autopilot:
-        """One that boots now.  InputError names a parameter that it does not have."""
-        return self.make(Boot(self.firmware, vehicle, parameters, plans, rng))
 
     @property
     def is_px4(self) -> bool:

@@ -8,13 +8,12 @@ import math
 from collections.abc import Iterable
 from typing import Final, NamedTuple, final
 
-from vehicle_sim.autopilot.values import Place, height_amsl_m
+from vehicle_sim.autopilot.values import HIGHEST_M, Place, height_amsl_m
 from vehicle_sim.plans import Jumps, PlanItem
 
 WAYPOINT, LOITER_UNLIM, _, LOITER_TIME, RETURN, LAND, TAKEOFF = range(16, 23)
 _CHANGE_SPEED: Final = 178
 _WALKS_MOST: Final = 1000  # items at once, so that a mission of jumps alone ends
-_HIGHEST_M: Final = 1e5
 _E7_MOST: Final = 900_000_000
 
 Does = enum.Enum("Does", "CLIMB GO LAND RETURN")
@@ -53,7 +52,7 @@ def leg_of(item: PlanItem, here: Place, home: Place, ground_amsl_m: float) -> Le
     command, (first, second, _, yaw_deg) = item.command, item.parameters
     if command not in _DOES:
         return None
-    z_m = item.z_m if abs(item.z_m) <= _HIGHEST_M else math.nan
+    z_m = item.z_m if abs(item.z_m) <= HIGHEST_M else math.nan
     height_m = height_amsl_m(item.frame, z_m, home.altitude_amsl_m, ground_amsl_m)
     if height_m is None or height_m != height_m:
         height_m = here.altitude_amsl_m

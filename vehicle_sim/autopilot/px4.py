@@ -156,7 +156,6 @@ _TEXTS: Final = {
     "battery": (2, "Critical battery level, land now\t"),
 }
 """What is said when one of these begins or gets worse."""
-_HIGHEST_M: Final = 1e5  # altitudes beyond count as not given: they do not fit into any answer
 NOWHERE: Final = Place(_NAN, _NAN, _NAN)
 
 
@@ -397,7 +396,7 @@ class Px4(core.Autopilot):
         known = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0  # NaN is not
         if not known or latitude_deg == longitude_deg == 0.0:
             latitude_deg = longitude_deg = _NAN
-        altitude_m = altitude_m if abs(altitude_m) <= _HIGHEST_M else _NAN
+        altitude_m = altitude_m if abs(altitude_m) <= values.HIGHEST_M else _NAN
         if self.home is not None and altitude_m == altitude_m:
             home_m, frame = self.home.altitude_amsl_m, command.frame or 0
             height_m = values.height_amsl_m(frame, altitude_m, home_m, self.ground_m)

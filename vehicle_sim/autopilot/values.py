@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from vehicle_sim.autopilot.core import Autopilot
     from vehicle_sim.autopilot.estimator import Estimator
 
-HIGHEST_HOME_M = 1e5
-"""Limit of home's altitude, up and down: HOME_POSITION could not encode more."""
+HIGHEST_M = 1e5
+"""Limit of altitudes that are told, up and down: HOME_POSITION could not encode more."""
 Vector = tuple[float, float, float]
 Result = enum.IntEnum(
     "Result",
