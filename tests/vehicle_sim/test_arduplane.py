@@ -14,7 +14,7 @@ from vehicle_sim.plans import PlanItem, PlanKind
 
 item = partial(harness.item, PLANE_HOME)
 MANUAL, FBWA, CRUISE = 0, 5, 7
-REPOSITION, CHANGE_SPEED = 192, 43000
+REPOSITION, CHANGE_SPEED, CHANGE_HEADING = 192, 43000, 43002
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = (
     *(Result.ACCEPTED, Result.DENIED),
     *(Result.UNSUPPORTED, Result.FAILED),
@@ -105,7 +105,7 @@ def test_a_stream_of_points_that_ends_leaves_it_on_the_last_one_without_a_word()
     assert len(rig.texts) == texts
 
 
-# --- GUIDED: speed, height ------------------------------------------------------------------------
+# --- GUIDED: speed, height, course ----------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("asked_m_s", "flown_m_s"), [(18.0, 18.9), (20.0, 21.0), (25.0, 27.7)])
@@ -121,12 +121,14 @@ def test_a_speed_is_flown_as_measured(asked_m_s: float, flown_m_s: float) -> Non
     assert rig.run(30.0).speed_m_s == pytest.approx(23.45, abs=0.3)
 
 
-def test_speeds_out_of_range_or_out_of_guided_are_denied() -> None:
-    rig = circling()
+def test_speeds_and_courses_out_of_range_or_out_of_guided_are_denied() -> None:
+    rig, guided = circling(), ((CHANGE_SPEED, 20.0), (178, 20.0), (CHANGE_HEADING, 90.0))
     for wrong in ((1.0, 20.0), (0.0, 9.0), (0.0, 31.0), (0.0, math.nan)):
         assert rig.command(CHANGE_SPEED, *wrong) == DENIED
+    for wrong in ((0.0, 360.0), (3.0, 90.0), (0.0, math.nan)):
+        assert rig.command(CHANGE_HEADING, *wrong, 3.0) == DENIED
     rig.set_mode(PLANE_RTL)
-    assert {rig.command(number, 0.0, 20.0) for number in (CHANGE_SPEED, 178)} == {FAILED}
+    assert {rig.command(number, 0.0, value, 3.0) for number, value in guided} == {FAILED}
 
 
 def test_of_setpoints_only_heights_are_taken_and_increments_add_up() -> None:
@@ -142,6 +144,31 @@ def test_of_setpoints_only_heights_are_taken_and_increments_add_up() -> None:
     rig.aim((*place, math.nan), frame=5, is_global=True)
     assert rig.texts[-1].startswith("SIM:")
     assert rig.run(20.0).height_m == pytest.approx(95.0, abs=1.0)
+
+
+def test_a_course_is_followed_until_something_else_is_asked_for() -> None:
+    rig = circling()
+    rig.reposition(3000.0, 0.0, 80.0)
+    rig.run(30.0)
+
+    def course_deg() -> float:
+        north, east, _ = rig.vehicle.velocity_neu_m_s
+        return math.degrees(math.atan2(east, north)) % 360.0
+
+    wanted_deg = (course_deg() + 90.0) % 360.0
+
+    def off_deg() -> float:
+        return abs(math.remainder(course_deg() - wanted_deg, 360.0))
+
+    assert rig.command(CHANGE_HEADING, 0.0, wanted_deg, 3.0) == ACCEPTED
+    took_s = rig.until(lambda: off_deg() < 45.0)
+    # at the bank of 3 m/s2 and what the airframe makes of it: 0.745 * 3 m/s2 sideways
+    assert took_s == pytest.approx(math.radians(45.0) * 23.45 / (0.745 * 3.0), rel=0.15)
+    rig.run(60.0)
+    assert off_deg() < 0.5
+    assert rig.reposition(0.0, 0.0, 80.0) == ACCEPTED  # which ends it
+    rig.run(30.0)
+    assert off_deg() > 5.0
 
 
 # --- other modes ----------------------------------------------------------------------------------
@@ -226,9 +253,7 @@ def test_the_current_item_may_be_set_and_after_the_last_it_returns() -> None:
 def test_a_breached_fence_sends_it_home_and_a_point_outside_is_denied() -> None:
     rig = circling(FENCE_ENABLE=1.0, FENCE_TYPE=2.0, FENCE_RADIUS=400.0)
     assert rig.reposition(900.0, 0.0, 80.0) == DENIED
-    rig.command(207, 0)
-    assert rig.reposition(900.0, 0.0, 80.0) == ACCEPTED
-    rig.command(207, 1)
+    assert rig.command(CHANGE_HEADING, 0.0, 0.0, 3.0) == ACCEPTED
     rig.until(lambda: rig.mode == "RTL")
     assert from_home_m(rig) == pytest.approx(400.0, abs=5.0)
     assert "Circle fence breached" in rig.texts

@@ -3,6 +3,7 @@
 Whatever it flies to by itself is a point that it circles in the end, or passes in a mission.
 """
 
+import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,6 +25,7 @@ from vehicle_sim.autopilot.plane_control import (
     true_airspeed_m_s,
 )
 from vehicle_sim.autopilot.values import Command, Place, Reply, Result, Waypoint
+from vehicle_sim.dynamics import GRAVITY_M_S2
 
 _BY_HAND, _BY_ITSELF = 0x51, 0x59
 """base_mode: stabilised, with manual override; guided as well where it navigates."""
@@ -48,7 +50,7 @@ FIRMWARE: Final = firmware(
         Mode("TAKEOFF", 13, "takes off", base=_BY_ITSELF),
         Mode("AUTO", 10, "flies a mission", base=_BY_ITSELF),
     ),
-    orders={17: "LOITER", 20: "RTL"},
+    orders={17: "LOITER", 20: "RTL", 300: "AUTO"},
     pilot="FBWA",
     timing=replace(
         EKF3, stages=((0.0, 0x400), (11.1, 0x000), (12.3, 0x0A7)), origin_s=10.22, good_s=11.24
@@ -75,6 +77,8 @@ _GLIDE_M_S: Final = 2.5
 _DISARMS_S: Final = 20.0  # LAND_DISARMDELAY
 _LANDING_SINK_M_S: Final = 1.5
 """Wings level from the place of a landing on: no approach and no flare."""
+_HEADING_GAIN: Final = math.radians(50.0)
+"""Bank for each radian of course error: GUIDED_P 5000 hundredths of a degree."""
 _RUNWAY_AHEAD_M: Final = 1000.0  # a mission's take-off climbs straight on at a point so far ahead
 _GUIDED_CHANGE_SPEED: Final = 43000
 _NO_HEIGHT = "SIM: NaN height in {} stops the real autopilot"
@@ -106,6 +110,8 @@ class ArduPlane(FixedWing, ArduPilot):
         self._straight = False  # along the way between the two, and not to circle at once
         self._radius_m, self._left = 0.0, False  # asked for, 0: WP_LOITER_RAD; counter-clockwise
         self._arrived = False
+        self._course: tuple[float, float] | None = None
+        """GUIDED_CHANGE_HEADING, instead of the point: course and most bank, in radians."""
         self._asked_m_s: float | None = None  # by a command, until there is another mode
         self._demand_m_s = 22.0  # airspeed as a pitot tube measures it
         self._climbing = False  # after lifting off, at full throttle
@@ -113,15 +119,15 @@ class ArduPlane(FixedWing, ArduPilot):
             22: lambda _: Result.FAILED,  # there is the mode TAKEOFF for that
             178: self._change_speed,
             192: self._reposition,
-            300: self._start_mission,
             _GUIDED_CHANGE_SPEED: self._change_speed,
+            43002: self._change_heading,
         }
 
     # --- where to -----------------------------------------------------------------------------
 
     def begin(self) -> None:
         """What was told before is forgotten; without anything new it circles here."""
-        here, self._asked_m_s = self.estimate.place, None
+        here, self._asked_m_s, self._course = self.estimate.place, None, None
         self.route.stop()
         self._end_climb()
         self._go(here)
@@ -215,13 +221,10 @@ class ArduPlane(FixedWing, ArduPilot):
         self.set_mode("GUIDED")
         asked_m = min(float(int(radius_m)), 65535.0) if 0.0 < radius_m < math.inf else 0.0
         self._go(place, radius_m=asked_m, left=math.isfinite(left) and left != 0.0)
+        self._course = None
         # until navigation has run again the height to be at is the present one
         self.wanted_height_m = self.estimate.altitude_amsl_m
         return Result.ACCEPTED
-
-    def _start_mission(self, command: Command) -> Result:
-        asks_for_items = command.parameters[:2] != (0.0, 0.0)
-        return Result.DENIED if asks_for_items else self.done(self.set_mode("AUTO"))
 
     def _change_speed(self, command: Command) -> Result:
         """DO_CHANGE_SPEED, which takes speeds over the ground without effect; and GUIDED's own."""
@@ -233,6 +236,16 @@ class ArduPlane(FixedWing, ArduPilot):
             self._asked_m_s = speed_m_s
         elif is_other or kind != 1.0:
             return Result.DENIED if is_other else Result.FAILED
+        return Result.ACCEPTED
+
+    def _change_heading(self, command: Command) -> Result:
+        """GUIDED_CHANGE_HEADING: a course over the ground, until there is a new point."""
+        kind, course_deg, lateral_m_s2 = command.parameters[:3]
+        if self.mode.name != "GUIDED":
+            return Result.FAILED
+        if kind != 0.0 or not (0.0 <= course_deg < 360.0 and 0.0 < lateral_m_s2 < math.inf):
+            return Result.DENIED
+        self._course = math.radians(course_deg), math.atan(lateral_m_s2 / GRAVITY_M_S2)
         return Result.ACCEPTED
 
     def on_setpoint(self, setpoint: values.Setpoint) -> Sequence[Reply]:
@@ -318,6 +331,10 @@ class ArduPlane(FixedWing, ArduPilot):
             if self.mode.name == "GUIDED" and not self.landed:
                 self.reached(0)
         self.wanted_height_m = self._place.altitude_amsl_m
+        if self._course is not None:
+            course_rad, most_rad = self._course
+            error_rad = math.remainder(course_rad - cmath.phase(self.velocity), math.tau)
+            self.bank_rad = min(max(_HEADING_GAIN * error_rad, -most_rad), most_rad)
         if self._climbing:
             self._watch_climb()
         elif self.wanted_climb_m_s is not None:

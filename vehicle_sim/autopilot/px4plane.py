@@ -2,9 +2,8 @@
 
 OFFBOARD takes from SET_POSITION_TARGET what FixedWingModeManager takes: a position alone is flown
 at, straight, and circled tightly when there; a position with a velocity is a point of a path and
-its direction there (an acceleration, which bends that path to the wrong side, is not flown);
-without a position nothing is steered and the last commands stay.  The speed is always
-FW_AIRSPD_TRIM.
+its direction there; an acceleration with them bends that path, to the wrong side; without a
+position nothing is steered and the last commands stay.  The speed is always FW_AIRSPD_TRIM.
 
 The law is that of both planes (plane_control.py), the modes and speeds are PX4's.  The recorded
 aeroplane sank to the ground after its take-off (px4-fixedwing-offboard.tlog, 25 to 150 s), and
@@ -66,10 +65,11 @@ _ECHO_MASK: Final = 3576
 
 @final
 class Line(NamedTuple):
-    """Through a place in a direction (of unit length)."""
+    """Through a place in a direction (of unit length), or bent there (positive: to the right)."""
 
     place: Place
     way: complex
+    curvature_1_m: float = 0.0
 
 
 @final
@@ -111,12 +111,6 @@ class Px4Plane(FixedWing, Px4):
         if self._sink_m_s is None:
             self.wanted_airspeed_m_s = self._cruise_m_s
 
-    @property
-    def _radius_m(self) -> float:
-        """NAV_LOITER_RAD; a negative one turns left."""
-        radius_m = self.parameters["NAV_LOITER_RAD"]
-        return radius_m if abs(radius_m) > 1.0 else math.copysign(1.0, radius_m)
-
     def _true(self, equivalent_m_s: float) -> float:
         return equivalent_m_s * eas_to_tas(self.estimate.altitude_amsl_m)
 
@@ -137,8 +131,10 @@ class Px4Plane(FixedWing, Px4):
         self.wanted_climb_m_s = self._sink_m_s = None
 
     def _circle(self, place: Place) -> None:
-        """About a place, at its height."""
-        self._fly(Circle(place, self._radius_m), place)
+        """About a place, at its height; with a negative radius to the left."""
+        radius_m = self.parameters["NAV_LOITER_RAD"]
+        radius_m = radius_m if abs(radius_m) > 1.0 else math.copysign(1.0, radius_m)
+        self._fly(Circle(place, radius_m), place)
 
     def _ahead(self, altitude_amsl_m: float) -> None:
         """Straight on where the nose points."""
@@ -227,7 +223,7 @@ class Px4Plane(FixedWing, Px4):
         if isinstance(aim, Line):
             off_m = self.off_m(aim.place)
             self._nearest = aim.place, (off_m.conjugate() * aim.way).real * aim.way
-            self.bank_along(off_m, aim.way)
+            self.bank_along(off_m, aim.way, aim.curvature_1_m)
         elif isinstance(aim, Way) and self.mode.flies == "fly_target":
             self.bank_for(aim._replace(start=self.estimate.place))  # straight there, from anywhere
         elif isinstance(aim, Way):
@@ -253,7 +249,7 @@ class Px4Plane(FixedWing, Px4):
         speed_m_s = math.hypot(v_n, v_e)
         aim: Way | Line = Way(self.estimate.place, place)
         if speed_m_s > 1e-6:  # not NaN
-            aim = Line(place, complex(v_n, v_e) / speed_m_s)
+            aim = Line(place, complex(v_n, v_e) / speed_m_s, _bend(target))
         self._fly(aim, place)
         self.wanted_airspeed_m_s = self._cruise_m_s
         if down_m != down_m:
@@ -326,3 +322,14 @@ class Px4Plane(FixedWing, Px4):
         """The place flown to, or the middle of a circle; of height 0 in a landing (recorded)."""
         goal, lands = self._goal, self._sink_m_s is not None
         return goal and Waypoint(place=goal.at(0.0) if lands else goal)
+
+
+def _bend(target: Target) -> float:
+    """Curvature that an acceleration asks for, 1/m, with the sign that PX4 gives it: the wrong one.
+
+    FixedWingModeManager.cpp:2074 against :2641-2644 (px4.md 1, item 7).
+    """
+    (v_n, v_e, _), (a_n, a_e, a_d) = target.velocity, target.acceleration
+    if math.isnan(a_n + a_e + a_d):
+        return 0.0
+    return -(v_n * a_e - v_e * a_n) / math.hypot(v_n, v_e) ** 3
