@@ -64,7 +64,7 @@ class Plane(Vehicle):
     def _flow_along_the_nose_m_s(self) -> float:
         """What a pitot tube would measure on the ground."""
         flow = (self.velocity_m_s - self.wind_m_s) * cmath.rect(1.0, -self.heading_rad)
-        return max(flow.real, 0.0)
+        return max(0.0, flow.real)
 
     def fall(self, dt_s: float) -> None:
         """One step without motor and control: it glides straight ahead, if it can."""
