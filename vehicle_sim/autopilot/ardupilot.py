@@ -270,12 +270,6 @@ class ArduPilot(Autopilot):
             self.fence.enabled = bool(self.parameters[name])
         return ()
 
-    def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
-        """A mission, fence or rally list was replaced by a client."""
-        if kind is PlanKind.FENCE:
-            self.fence.load(self.now_s)
-        return ()
-
     def local_ned_m(self) -> values.Vector | None:
         """Position in the estimator's frame, while it has one."""
         if self.estimate.origin is None or not self.estimate.aiding:

@@ -126,7 +126,6 @@ class Autopilot:
     on_armed: Callable[[], None]  # the motors turn
     on_disarmed: Callable[[], None]  # they have stopped
     on_setpoint: Callable[[values.Setpoint], Sequence[Reply]]
-    on_plan: Callable[[PlanKind], Sequence[Reply]]  # a list was replaced by a client
     status: Callable[[], values.Status]  # what else there is to tell
 
     def __init__(self, boot: Boot) -> None:
@@ -178,6 +177,10 @@ class Autopilot:
 
     def on_parameter(self, name: str) -> Sequence[Reply]:  # noqa: ARG002 - they are read live
         """A parameter was set by a client."""
+        return ()
+
+    def on_plan(self, kind: PlanKind) -> Sequence[Reply]:  # noqa: ARG002 - lists are read live
+        """A list was replaced by a client."""
         return ()
 
     # --- saying -------------------------------------------------------------------------------

@@ -40,8 +40,6 @@ class Zones:
 ALTITUDE_MAX, CIRCLE, POLYGON, ALTITUDE_MIN = 1, 2, 4, 8
 _NAMES: Final = {1: "Max Alt", 2: "Circle", 4: "Polygon", 8: "Min Alt"}
 """By the bits of FENCE_TYPE, as the texts call them."""
-_LOADING_S: Final = 0.45
-"""A fence uploaded around the vehicle is breached after half a second (ardupilot.md 4)."""
 
 
 def named(kinds: int) -> str:
@@ -67,11 +65,6 @@ class Fence:
         self.has_floor = False
         """FENCE_ALT_MIN counts: it has been above it by the margin since it took off, and does not
         land (AC_Fence::auto_enable_fence_floor, get_auto_disable_fences)."""
-        self._looks_s = 0.0
-
-    def load(self, now_s: float) -> None:
-        """Another list: checks pause for a moment."""
-        self._looks_s = now_s + _LOADING_S
 
     @property
     def told(self) -> tuple[int, ...] | None:
@@ -102,8 +95,6 @@ class Fence:
         p, above_m = self._parameters, place.altitude_amsl_m - home.altitude_amsl_m
         is_safe = above_m >= p["FENCE_ALT_MIN"] + p["FENCE_MARGIN"]
         self.has_floor = not lands and (self.has_floor or is_safe)
-        if now_s < self._looks_s:
-            return 0
         found = self.outside(place, home, frame)
         new = found & ~self.breached
         if new:
