@@ -343,8 +343,6 @@ class Simulation:
     def set_parameter(self, name: str, value: float) -> None:
         """As PARAM_SET does it; KeyError if the autopilot has no such parameter."""
         self.parameters[name] = value
-        if not self._is_down:
-            self._controller.answer(self._controller.autopilot.on_parameter(name))
 
     def _refresh(self) -> None:
         """A parameter or a fault is another one: so may the weather be, and the links."""

@@ -4,7 +4,7 @@ Sources: ardupilot.md 1, 2, 4, 5 and the recorded flights (4.7).
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Final
 
 from vehicle_sim.autopilot import core, values
@@ -12,7 +12,7 @@ from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HOME_POSITION, Autopil
 from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.estimator import Timing, told
 from vehicle_sim.autopilot.guards import Fence, named
-from vehicle_sim.autopilot.values import Command, Landed, Place, Reply, Result, State
+from vehicle_sim.autopilot.values import Command, Landed, Place, Result, State
 from vehicle_sim.faults import SIM_PARAMETERS
 from vehicle_sim.parameters import table
 from vehicle_sim.plans import PlanKind
@@ -254,7 +254,7 @@ class ArduPilot(Autopilot):
     def _fence_enable(self, command: Command) -> Result:
         if command.parameters[0] not in (0.0, 1.0):
             return Result.FAILED
-        self.fence.enabled = command.parameters[0] == 1.0
+        self.parameters["FENCE_ENABLE"] = command.parameters[0]
         return Result.ACCEPTED
 
     def _get_home(self, _: Command) -> Result:
@@ -263,12 +263,6 @@ class ArduPilot(Autopilot):
         return self.done(self.home is not None)
 
     # --- the rest of the protocol -------------------------------------------------------------
-
-    def on_parameter(self, name: str) -> Sequence[Reply]:
-        """A parameter has been set from outside."""
-        if name == "FENCE_ENABLE":
-            self.fence.enabled = bool(self.parameters[name])
-        return ()
 
     def local_ned_m(self) -> values.Vector | None:
         """Position in the estimator's frame, while it has one."""

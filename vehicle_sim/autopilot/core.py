@@ -175,10 +175,6 @@ class Autopilot:
         """Its target, if that is told."""
         return None
 
-    def on_parameter(self, name: str) -> Sequence[Reply]:  # noqa: ARG002 - they are read live
-        """A parameter was set by a client."""
-        return ()
-
     def on_plan(self, kind: PlanKind) -> Sequence[Reply]:  # noqa: ARG002 - lists are read live
         """A list was replaced by a client."""
         return ()

@@ -56,7 +56,6 @@ class Fence:
 
     def __init__(self, parameters: Readable, plans: Plans) -> None:
         self._parameters, self._plans, self._zones = parameters, plans, Zones(plans)
-        self.enabled = bool(parameters["FENCE_ENABLE"])
         self.breached = 0
         """Bits of FENCE_TYPE."""
         self._breaches = self._breach_type = 0
@@ -65,6 +64,11 @@ class Fence:
         self.has_floor = False
         """FENCE_ALT_MIN counts: it has been above it by the margin since it took off, and does not
         land (AC_Fence::auto_enable_fence_floor, get_auto_disable_fences)."""
+
+    @property
+    def enabled(self) -> bool:
+        """Whether it is switched on."""
+        return bool(self._parameters["FENCE_ENABLE"])
 
     @property
     def told(self) -> tuple[int, ...] | None:

@@ -26,7 +26,7 @@ class ParameterProtocol:
     """
 
     def __init__(self, autopilot: Autopilot) -> None:
-        self._autopilot, self._parameters = autopilot, autopilot.parameters
+        self._parameters = autopilot.parameters
         self._is_px4 = autopilot.profile.firmware == "px4"
         self._names = list(self._parameters)
         self._listings: dict[int, tuple[Sender, int, int]] = {}
@@ -88,5 +88,4 @@ class ParameterProtocol:
         elif kind is not Kind.REAL32:  # AP_Param::set_float
             value = math.trunc(value + math.copysign(0.01, value))
         self._parameters[name] = value  # the nearest of its type; NaN changes nothing
-        told = SendMessage(message=self._named(name))
-        return [told, *self._autopilot.on_parameter(name)] if math.isfinite(value) else [told]
+        return [SendMessage(message=self._named(name))]
