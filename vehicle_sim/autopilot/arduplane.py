@@ -80,7 +80,7 @@ _LANDING_SINK_M_S: Final = 1.5
 _HEADING_GAIN: Final = math.radians(50.0)
 """Bank for each radian of course error: GUIDED_P 5000 hundredths of a degree."""
 _RUNWAY_AHEAD_M: Final = 1000.0  # a mission's take-off climbs straight on at a point so far ahead
-_GUIDED_CHANGE_SPEED: Final = 43000
+_DO_CHANGE_SPEED, _GUIDED_CHANGE_SPEED = 178, 43000
 _NO_HEIGHT = "SIM: NaN height in {} stops the real autopilot"
 
 
@@ -112,12 +112,12 @@ class ArduPlane(FixedWing, ArduPilot):
         self._arrived = False
         self._course: tuple[float, float] | None = None
         """GUIDED_CHANGE_HEADING, instead of the point: course and most bank, in radians."""
-        self._asked_m_s: float | None = None  # by a command, until there is another mode
+        self._speeds_m_s: dict[int, float] = {}  # by the command that asked for them
         self._demand_m_s = 22.0  # airspeed as a pitot tube measures it
         self._climbing = False  # after lifting off, at full throttle
         self.handlers |= {
             22: lambda _: Result.FAILED,  # there is the mode TAKEOFF for that
-            178: self._change_speed,
+            _DO_CHANGE_SPEED: self._change_speed,
             192: self._reposition,
             _GUIDED_CHANGE_SPEED: self._change_speed,
             43002: self._change_heading,
@@ -127,7 +127,7 @@ class ArduPlane(FixedWing, ArduPilot):
 
     def begin(self) -> None:
         """What was told before is forgotten; without anything new it circles here."""
-        here, self._asked_m_s, self._course = self.estimate.place, None, None
+        here, self._speeds_m_s, self._course = self.estimate.place, {}, None
         self.route.stop()
         self._end_climb()
         self._go(here)
@@ -160,7 +160,7 @@ class ArduPlane(FixedWing, ArduPilot):
     def begin_leg(self, speed_m_s: float | None) -> None:
         """Another item."""
         leg, here_m = self.route.leg, self.estimate.altitude_amsl_m
-        self._asked_m_s = speed_m_s or self._asked_m_s
+        self._speeds_m_s |= {_DO_CHANGE_SPEED: speed_m_s} if speed_m_s else {}
         if leg is None:
             return
         if leg.does is Does.RETURN:
@@ -206,7 +206,7 @@ class ArduPlane(FixedWing, ArduPilot):
     # --- commands -----------------------------------------------------------------------------
 
     def _reposition(self, command: Command) -> Result:
-        """DO_REPOSITION: a point to circle."""
+        """DO_REPOSITION: a point to circle; without a radius the one before is kept."""
         _, flags, radius_m, left, *at, height_m = command.parameters
         if command.frame is None:
             return Result.UNSUPPORTED
@@ -219,7 +219,9 @@ class ArduPlane(FixedWing, ArduPilot):
         if self.mode.name != "GUIDED" and not (math.isfinite(flags) and int(flags) & 1):
             return Result.FAILED
         self.set_mode("GUIDED")
-        asked_m = min(float(int(radius_m)), 65535.0) if 0.0 < radius_m < math.inf else 0.0
+        asked_m = (
+            min(float(int(radius_m)), 65535.0) if 0.0 < radius_m < math.inf else self._radius_m
+        )
         self._go(place, radius_m=asked_m, left=math.isfinite(left) and left != 0.0)
         self._course = None
         # until navigation has run again the height to be at is the present one
@@ -233,7 +235,7 @@ class ArduPlane(FixedWing, ArduPilot):
         if mode != "GUIDED" and (is_other or mode != "AUTO"):
             return Result.FAILED
         if kind == 0.0 and p["AIRSPEED_MIN"] <= speed_m_s <= p["AIRSPEED_MAX"]:
-            self._asked_m_s = speed_m_s
+            self._speeds_m_s[command.number] = speed_m_s
         elif is_other or kind != 1.0:
             return Result.DENIED if is_other else Result.FAILED
         return Result.ACCEPTED
@@ -296,7 +298,8 @@ class ArduPlane(FixedWing, ArduPilot):
         """Airspeed, and the climb where that is no matter of height."""
         p, flies = self.parameters, self.mode.flies
         usual_m_s = p["AIRSPEED_MIN" if flies in ("glides", "cruises") else "AIRSPEED_CRUISE"]
-        asked_m_s = self._asked_m_s or usual_m_s
+        usual_m_s = self._speeds_m_s.get(_DO_CHANGE_SPEED, usual_m_s)
+        asked_m_s = self._speeds_m_s.get(_GUIDED_CHANGE_SPEED, usual_m_s)
         self._demand_m_s = min(max(asked_m_s, p["AIRSPEED_MIN"]), p["AIRSPEED_MAX"])
         altitude_m = self.estimate.altitude_amsl_m
         self.wanted_airspeed_m_s = true_airspeed_m_s(self._demand_m_s, altitude_m)

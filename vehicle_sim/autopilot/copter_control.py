@@ -173,11 +173,12 @@ class Horizontal:
 
     def lean(self, dt_s: float) -> complex:
         """The acceleration that the lean gives, one step on."""
-        off = self.metres(self.here_deg, self.place_deg)
+        e = self._estimate
+        off = self.metres(complex(e.latitude_deg, e.longitude_deg), self.place_deg)
         away = abs(off)
         if away > 1e-9:
             off *= rate_for(away, POSITION_P, self.tuning.acceleration_m_s2, dt_s) / away
-        error = off + self.velocity - self._estimate.velocity_m_s
+        error = off + self.velocity - e.velocity_m_s
         if self._error is not None:
             blend = dt_s / (FILTER_S + dt_s)
             step = blend * (error - self._error)
