@@ -219,10 +219,10 @@ class ArduPlane(FixedWing, ArduPilot):
         if self.mode.name != "GUIDED" and not (math.isfinite(flags) and int(flags) & 1):
             return Result.FAILED
         self.set_mode("GUIDED")
-        asked_m = (
-            min(float(int(radius_m)), 65535.0) if 0.0 < radius_m < math.inf else self._radius_m
-        )
-        self._go(place, radius_m=asked_m, left=math.isfinite(left) and left != 0.0)
+        if not 0.0 < radius_m < math.inf:
+            radius_m = self._radius_m
+        radius_m = min(float(int(radius_m)), 65535.0)
+        self._go(place, radius_m=radius_m, left=math.isfinite(left) and left != 0.0)
         self._course = None
         # until navigation has run again the height to be at is the present one
         self.wanted_height_m = self.estimate.altitude_amsl_m
