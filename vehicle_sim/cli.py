@@ -245,7 +245,7 @@ def _timeline(file: Path, world: World) -> str:
     except (OSError, UnicodeDecodeError) as error:
         rule = f"cannot be read ({getattr(error, 'strerror', None) or 'not a text file'})"
         raise InputError("--faults", str(file), rule, "Name a file with a fault a line.") from None
-    firmware = personality_of(world.vehicle).firmware.profile.firmware
+    firmware = personality_of(world.vehicle).firmware.family
     Timeline.parse(text, name=str(file), firmware=firmware)
     return text
 

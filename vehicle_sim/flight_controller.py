@@ -69,14 +69,14 @@ class FlightController:
         ranging: RangeSensors,
     ) -> None:
         self.autopilot, self.radio, self.ranging = autopilot, radio, ranging
-        self.firmware = autopilot.profile.firmware
+        self.firmware = autopilot.firmware.family
         self.boot_us = self.now_us = boot_us
         self.wants_reboot = self.setpoints_ignored = False
         self.transfers = False
         """Parameters or a plan may be on their way."""
         self.parameter_protocol = ParameterProtocol(autopilot)
         self.missions = Missions(autopilot)
-        self.streams = Streams(autopilot.profile, autopilot.parameters, radio.links, boot_us)
+        self.streams = Streams(autopilot.firmware, autopilot.parameters, radio.links, boot_us)
         self.report = Report(
             autopilot=autopilot, fix=Fix(), battery=battery, hardware_id=hardware_id
         )

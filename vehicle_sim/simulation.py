@@ -105,7 +105,7 @@ class Simulation:
         self._power = PowerModule(self._battery, self._personality.battery)
         self.plans = Plans()
         """Mission, fence and rally points as the autopilot stores them."""
-        firmware = self._personality.firmware.profile.firmware
+        firmware = self._personality.firmware.family
         self._timeline = Timeline.parse(faults, name="faults", firmware=firmware)
         self._boots, self._down_until_us, self._port_change = 0, 0, False
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
@@ -151,7 +151,7 @@ class Simulation:
             component=component,
             radar_component=scanner.component_id if scanner else None,
             lidar_component=lidar.component_id if lidar and lidar.output != "autopilot" else None,
-            firmware=self._personality.firmware.profile.firmware,
+            firmware=self._personality.firmware.family,
             links=links,
             byte_streams=byte_streams,
             forwards_all=forwards_all,

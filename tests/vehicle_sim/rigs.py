@@ -175,7 +175,7 @@ class Rig:
     def set_mode(self, *mode: float) -> int:
         """The result of DO_SET_MODE; PX4's second answer, as the first is always yes."""
         result = self.command(176, 1.0, *mode)
-        if self.autopilot.firmware.profile.firmware == "px4":
+        if self.autopilot.firmware.family == "px4":
             assert result == 0
             self.step()
             result = [r.result for _, r in self.said if isinstance(r, Ack)][-1]

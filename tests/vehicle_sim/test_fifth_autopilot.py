@@ -24,7 +24,8 @@ _NUMBERS = {"GUIDED": 40, "LAND": 41, "RTL": 42}
 """custom_mode of its own."""
 SPARROW = replace(
     FIRMWARE,
-    profile=replace(FIRMWARE.profile, rates_hz={0: 2.0}, autopilot=0),  # MAV_AUTOPILOT_GENERIC
+    rates_hz={0: 2.0},
+    autopilot=0,  # MAV_AUTOPILOT_GENERIC
     modes=tuple(replace(m, number=_NUMBERS.get(m.name, m.number)) for m in FIRMWARE.modes),
     table=tuple(
         Parameter(name="WPNAV_SPEED", default=300.0) if row.name == "WPNAV_SPEED" else row

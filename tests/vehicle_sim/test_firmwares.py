@@ -44,8 +44,8 @@ def test_defaults_and_capabilities_are_those_of_the_documents(
     }
     assert all(len(name) <= 16 for name in rows)
     assert not rows.keys() & {"SYSID_THISMAV", "SYSID_MYGCS", "SR0_POSITION"}
-    assert firmware.profile.capabilities == CAPABILITIES[KINDS.index(kind)]
-    assert firmware.profile.software_version == VERSIONS[kind[0]]
+    assert firmware.capabilities == CAPABILITIES[KINDS.index(kind)]
+    assert firmware.software_version == VERSIONS[kind[0]]
     if kind[0] == "px4":  # in the order that it numbers them in
         own = [name for name in rows if not name.startswith("SIM_")]
         assert own == sorted(own)
@@ -71,7 +71,7 @@ def test_what_can_be_streamed_and_asked_for(
     not_streamed: tuple[int, ...],
     not_requested: tuple[int, ...],
 ) -> None:
-    profile = PERSONALITIES[firmware, "copter"].firmware.profile
+    profile = PERSONALITIES[firmware, "copter"].firmware
     assert profile.streamable >= set(streamed)
     assert not profile.streamable & set(not_streamed)
     assert profile.requestable >= {148, 242, 49}

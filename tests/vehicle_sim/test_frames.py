@@ -292,7 +292,7 @@ def test_every_message_can_be_packed_and_read_again() -> None:
         for number, build in MESSAGES[firmware].items():  # type: ignore[index]
             for said in filter(None, (build(report_of(rig)) for rig in rigs)):
                 assert number_of(Packer(1, 1).frame(said)) == read(said).get_msgId() == number
-    assert {*px4plane.FIRMWARE.profile.rates_hz, 49, 148} <= set(MESSAGES["px4"])
+    assert {*px4plane.FIRMWARE.rates_hz, 49, 148} <= set(MESSAGES["px4"])
 
 
 @pytest.mark.parametrize("firmware", ["ardupilot", "px4"])

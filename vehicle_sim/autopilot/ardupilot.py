@@ -40,8 +40,8 @@ def firmware(
     name: str, *, vehicle_type: int, capabilities: int, rates_hz: Mapping[int, float], **own: Any
 ) -> core.Firmware:
     """ArduPilot 4.7 for one kind of vehicle: ardupilot.md 1 and the recorded flights."""
-    profile = values.FirmwareProfile(
-        firmware="ardupilot",
+    return core.Firmware(
+        family="ardupilot",
         vehicle_type=vehicle_type,
         autopilot=3,
         capabilities=capabilities,
@@ -52,9 +52,6 @@ def firmware(
         streamable=STREAMABLE,
         requestable=TOLD,
         data_streams=_DATA_STREAMS,
-    )
-    return core.Firmware(
-        profile=profile,
         table=(*table("ardupilot", name), *SIM_PARAMETERS),
         missions="AUTO",
         first_item=1,
@@ -279,7 +276,7 @@ class ArduPilot(Autopilot):
             landed = Landed.LANDING
         elif self.climbs_out():
             landed = Landed.TAKEOFF
-        is_plane = self.profile.vehicle_type == 1
+        is_plane = self.firmware.vehicle_type == 1
         if self.failsafe or (is_plane and (self.gcs_lost or self.battery_acted)):
             state = State.CRITICAL
         if self.now_s < self.firmware.ready_s:

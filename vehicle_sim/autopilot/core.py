@@ -6,8 +6,8 @@ px4.py); a kind of vehicle is a class of one of them that says how it is flown.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Final, NamedTuple, final
+from dataclasses import dataclass, field
+from typing import Final, Literal, NamedTuple, final
 
 import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
@@ -57,7 +57,22 @@ class Mode:
 class Firmware:
     """All that differs between autopilots as data; times in seconds since boot."""
 
-    profile: values.FirmwareProfile
+    family: Literal["ardupilot", "px4"]
+    vehicle_type: int
+    autopilot: int
+    """MAV_TYPE and MAV_AUTOPILOT."""
+    capabilities: int
+    software_version: int
+    custom_version: bytes
+    rates_hz: Mapping[int, float]
+    """Default rates of a new link, by message number."""
+    first_heartbeat_us: int
+    """Since boot; then at its rate."""
+    streamable: frozenset[int]
+    requestable: frozenset[int]
+    """What SET_MESSAGE_INTERVAL and REQUEST_MESSAGE accept."""
+    data_streams: Mapping[int, Sequence[int]] = field(default_factory=dict)
+    """REQUEST_DATA_STREAM: group -> message numbers."""
     table: tuple[Parameter, ...]
     modes: tuple[Mode, ...]
     """The first one of them is that which it boots in."""
@@ -130,8 +145,7 @@ class Autopilot:
 
     def __init__(self, boot: Boot) -> None:
         self.firmware = firmware = boot.firmware
-        self.profile, self.vehicle, self.plans = firmware.profile, boot.vehicle, boot.plans
-        self.is_px4 = firmware.profile.firmware == "px4"
+        self.vehicle, self.plans, self.is_px4 = boot.vehicle, boot.plans, firmware.family == "px4"
         self.parameters = Parameters(firmware.table, boot.parameters)
         self.battery, self.fix = Battery(), Fix()
         """What the power module and the receiver say; the simulation puts its own here."""

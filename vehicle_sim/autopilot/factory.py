@@ -49,7 +49,7 @@ class Personality:
     @property
     def is_px4(self) -> bool:
         """Whether it is a PX4; else it is an ArduPilot."""
-        return self.firmware.profile.firmware == "px4"
+        return self.firmware.family == "px4"
 
     @property
     def id_parameters(self) -> tuple[str, ...]:

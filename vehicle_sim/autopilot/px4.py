@@ -98,8 +98,8 @@ _TIMING: Final = Timing(
 def firmware(parameters: str, *, vehicle_type: int, rates_hz: dict[int, float]) -> core.Firmware:
     """PX4 on its onboard link (px4.md 2), for one kind of vehicle."""
     told, rows = frozenset(rates_hz) | {231}, table("px4", parameters)
-    profile = values.FirmwareProfile(
-        firmware="px4",
+    return core.Firmware(
+        family="px4",
         vehicle_type=vehicle_type,
         autopilot=12,
         capabilities=0xE8FF,
@@ -109,9 +109,6 @@ def firmware(parameters: str, *, vehicle_type: int, rates_hz: dict[int, float]) 
         rates_hz=rates_hz,
         streamable=(told | _NOT_TOLD | {GPS_GLOBAL_ORIGIN, 77}) - _NOT_STREAMABLE,
         requestable=told | {42, 46, GPS_GLOBAL_ORIGIN, 77, core.AUTOPILOT_VERSION},
-    )
-    return core.Firmware(
-        profile=profile,
         # in the alphabetic order that PX4 numbers them in, then the faults'
         table=(*sorted(rows, key=lambda row: row.name), *SIM_PARAMETERS_PX4),
         modes=MODES,

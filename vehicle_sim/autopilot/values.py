@@ -4,16 +4,15 @@ wire/ converts frames to these and back.  Parameters are data: *.parm.
 """
 
 import enum
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.sensors.gps import Fix
 
 if TYPE_CHECKING:
-    from vehicle_sim.autopilot.core import Autopilot
+    from vehicle_sim.autopilot.core import Autopilot, Firmware
     from vehicle_sim.autopilot.estimator import Estimator
 
 HIGHEST_M = 1e5
@@ -226,12 +225,12 @@ class Report:
     vehicle: Vehicle = field(init=False)
     """For attitude and airspeed only: position and velocity are the estimate's."""
     estimate: "Estimator" = field(init=False)
-    profile: "FirmwareProfile" = field(init=False)
+    firmware: "Firmware" = field(init=False)
     _status: Status | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         it = self.autopilot
-        self.vehicle, self.estimate, self.profile = it.vehicle, it.estimate, it.profile
+        self.vehicle, self.estimate, self.firmware = it.vehicle, it.estimate, it.firmware
 
     def renew(self, time_us: int, unix_us: int) -> None:
         """Advance the time: the status is requested again when needed."""
@@ -243,26 +242,3 @@ class Report:
         if self._status is None:
             self._status = self.autopilot.status()
         return self._status
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FirmwareProfile:
-    """A firmware's MAVLink behaviour, for wire/.  Constant per autopilot."""
-
-    firmware: Literal["ardupilot", "px4"]
-    vehicle_type: int
-    autopilot: int
-    """MAV_TYPE and MAV_AUTOPILOT."""
-    capabilities: int
-    software_version: int
-    custom_version: bytes = bytes(8)
-    rates_hz: Mapping[int, float]
-    """Default rates of a new link, by message number."""
-    first_heartbeat_us: int = 1_000_000
-    """Since boot; then at its rate."""
-    streamable: frozenset[int]
-    requestable: frozenset[int]
-    """What SET_MESSAGE_INTERVAL and REQUEST_MESSAGE accept."""
-    data_streams: Mapping[int, Sequence[int]] = field(default_factory=dict)
-    """REQUEST_DATA_STREAM: group -> message numbers."""

@@ -27,7 +27,7 @@ class ParameterProtocol:
 
     def __init__(self, autopilot: Autopilot) -> None:
         self._parameters = autopilot.parameters
-        self._is_px4 = autopilot.profile.firmware == "px4"
+        self._is_px4 = autopilot.firmware.family == "px4"
         self._names = list(self._parameters)
         self._listings: dict[int, tuple[Sender, int, int]] = {}
         """By link: to whom, since when, and how many have been sent."""

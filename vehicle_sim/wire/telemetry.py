@@ -61,11 +61,11 @@ def _e7_mm(place: Any) -> tuple[int, int, int]:
 
 
 def _is_px4(now: Report) -> bool:
-    return now.profile.firmware == "px4"
+    return now.firmware.family == "px4"
 
 
 def _is_plane(now: Report) -> bool:
-    return now.profile.vehicle_type == _FIXED_WING
+    return now.firmware.vehicle_type == _FIXED_WING
 
 
 def _boot_ms(now: Report) -> int:
@@ -112,9 +112,9 @@ def _per_cent_left(now: Report) -> float:
 
 
 def _heartbeat(now: Report) -> Fields:
-    profile, status = now.profile, now.status
+    firmware, status = now.firmware, now.status
     modes = (status.base_mode, status.mode, status.system_status)
-    return profile.vehicle_type, profile.autopilot, *modes, 3
+    return firmware.vehicle_type, firmware.autopilot, *modes, 3
 
 
 def _current_mode(now: Report) -> Fields:
@@ -139,8 +139,8 @@ def _timesync(now: Report) -> Fields:
 
 
 def _autopilot_version(now: Report) -> Fields:
-    version, custom = now.profile.software_version, list(now.profile.custom_version)
-    head = (now.profile.capabilities, version)
+    version, custom = now.firmware.software_version, list(now.firmware.custom_version)
+    head = (now.firmware.capabilities, version)
     if _is_px4(now):
         return *head, version, 101854463, 1, custom, custom, [0] * 8, 0, 0, now.hardware_id
     uid = list(now.hardware_id.to_bytes(18, "little"))
