@@ -134,7 +134,7 @@ class Simulation:
     def _own_lidar(self) -> dict[str, float]:
         """The parameter of an autopilot that reads a lidar itself."""
         reads = [each for each in self._world.lidars if each.output == "autopilot"]
-        if reads and self._personality.is_px4:
+        if reads and self._personality.firmware.family == "px4":
             name = "lidar" if reads[0] is self._world.lidar else "second_lidar"
             rule = f"{self._world.vehicle.autopilot} has no driver for it"
             raise InputError(f"{name}.output", "autopilot", rule, "Write driver.")
