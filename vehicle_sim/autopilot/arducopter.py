@@ -14,7 +14,7 @@ from vehicle_sim.autopilot.copter_control import Horizontal, Tuning, Vertical, r
 from vehicle_sim.autopilot.core import Boot, Mode
 from vehicle_sim.autopilot.earth import FlatEarth, way_m
 from vehicle_sim.autopilot.legs import RETURN, Does, Leg, back
-from vehicle_sim.autopilot.setpoints import Stop, Target, given, read_by_arducopter
+from vehicle_sim.autopilot.setpoints import LOCAL_NED, Stop, Target, given, read_by_arducopter
 from vehicle_sim.autopilot.values import Command, Place, Reply, Result
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.copter import Copter
@@ -297,7 +297,7 @@ class ArduCopter(ArduPilot):
             assert height_m is not None
             place = Place(x, y, height_m)
         elif given(target.position):
-            about = FlatEarth(self.estimate.place) if target.is_offset else self.frame
+            about = self.frame if target.frame == LOCAL_NED else FlatEarth(self.estimate.place)
             place = about.place(x, y, z)
         if self.take(target, place):
             self._refused_text = ""
