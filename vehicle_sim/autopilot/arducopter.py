@@ -93,7 +93,6 @@ class ArduCopter(ArduPilot):
         super().__init__(boot)
         assert isinstance(boot.vehicle, Copter)
         self.copter = boot.vehicle
-        self._flown_in = {mode.name: getattr(self, mode.flies) for mode in self.firmware.modes}
         self.level, self.up = Horizontal(self.estimate), Vertical(self.estimate)
         self._place_deg, self._altitude_m, self._heard_s = 0j, 0.0, 0.0
         """Of the newest setpoint its place, as it has run on since, and when it came; its velocity
@@ -367,7 +366,6 @@ class ArduCopter(ArduPilot):
         """Come to rest on the terrain, or in it."""
         self.copter.stand(self.ground_m)
         self._end_takeoff()
-        self.level.rest()
         self.estimate.follow()
         self._restart(Kind.VELOCITY)
 
@@ -381,7 +379,7 @@ class ArduCopter(ArduPilot):
 
     def move(self) -> None:
         """Thrust, and turn the nose."""
-        level, up = self._flown_in[self.mode.name]()
+        level, up = getattr(self, self.mode.flies)()
         self.copter.advance(level.real, level.imag, up, self.step_s)
         self.copter.heading_rad = self._heading_rad()
 

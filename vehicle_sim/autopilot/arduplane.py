@@ -360,17 +360,14 @@ class ArduPlane(FixedWing, ArduPilot):
         """Whether it is to take off now."""
         return self._takes_off and self.armed and self.estimate.position_ok
 
-    def lift_off_m_s(self) -> float:
-        """Less than it cruises with."""
-        return _LIFT_OFF_SHARE * self.wanted_airspeed_m_s
-
     def climbs_out(self) -> bool:
         """Whether a take-off goes on."""
         return self._climbing or (self.plane.stands and self.plane.throttle > 0.0)
 
     def lifts_off(self) -> bool:
         """Fast enough on the runway: at full throttle from here on."""
-        self._climbing = super().lifts_off()
+        fast_m_s = _LIFT_OFF_SHARE * self.wanted_airspeed_m_s
+        self._climbing = self.wants_up() and self.plane.airspeed_m_s >= fast_m_s
         if self._climbing:
             self._choose_speed()
         return self._climbing

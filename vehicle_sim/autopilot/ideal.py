@@ -41,9 +41,6 @@ class Ideal(ArduCopter):
         """Another submode: level, with the acceleration that there is."""
         super()._restart(kind)
         self._slope, self._interval_s = (0j, 0.0), 0.0
-        self._go_on()
-
-    def _go_on(self) -> None:
         self.level.follow(self.copter.acceleration_m_s2)
 
     def take(self, target: Target, place: Place | None) -> bool:
@@ -69,7 +66,7 @@ class Ideal(ArduCopter):
             if self._tracks:
                 self._tracks = False
                 self.up.start()
-                self._go_on()
+                self.level.follow(self.copter.acceleration_m_s2)
         return super().fly_target()
 
     def _track(self) -> Order:

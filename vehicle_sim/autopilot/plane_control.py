@@ -9,7 +9,6 @@ is PX4's own law (NPFG), which is not imitated further.
 
 import cmath
 import math
-from collections.abc import Callable
 from typing import ClassVar, Final, NamedTuple, final
 
 import numpy as np
@@ -204,7 +203,6 @@ class FixedWing(Autopilot):
 
     runway: ClassVar[Runway]
     slowing_m_s2: ClassVar[float] = math.inf  # how fast it loses speed with the throttle closing
-    lift_off_m_s: Callable[[], float]  # true airspeed at which it leaves the ground
 
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
@@ -264,10 +262,6 @@ class FixedWing(Autopilot):
         plane.advance(bank_rad, climb, self._speed_m_s, self.step_s)
         if self.wanted_climb_m_s is not None:
             plane.throttle = 1.0 if self.wanted_climb_m_s > 0.0 else 0.0
-
-    def lifts_off(self) -> bool:
-        """Fast enough on the runway."""
-        return self.wants_up() and self.plane.airspeed_m_s >= self.lift_off_m_s()
 
     def stand(self) -> None:
         """On the runway: up to speed, or to a halt."""

@@ -178,7 +178,7 @@ class Px4(core.Autopilot):
         self._signal_s = -math.inf
         """A setpoint was seen within COM_OF_LOSS_T, as of the last check; and when it was."""
         self._breached = False  # the fence, when it last knew where it was
-        self.zones = Zones(self.plans)
+        self._zones = Zones(self.plans)
         self._ill: dict[str, Action] = {}  # what fence, ground station and battery ask for now
         self._incidents: dict[str, Action] = {}
         """What they have brought about: it stays when they are well again, until another mode is
@@ -263,12 +263,8 @@ class Px4(core.Autopilot):
             away_m = math.dist(self.local_m[:2], self.frame.ned_m(home)[:2])
             above_m = here.altitude_amsl_m - home.altitude_amsl_m
             beyond = 0.0 < p["GF_MAX_HOR_DIST"] < away_m or 0.0 < p["GF_MAX_VER_DIST"] < above_m
-            self._breached = beyond or self.forbidden(here)
+            self._breached = beyond or self._zones.forbid(self.frame, here, union=True)
         return self._breached
-
-    def forbidden(self, place: Place) -> bool:
-        """Whether the fence forbids it; setpoints are never checked, but DO_REPOSITION's place."""
-        return self.zones.forbid(self.frame, place, union=True)
 
     def _battery_action(self) -> Action:
         """COM_LOW_BAT_ACT: 0 warn, 2 land, 3 return, then land when critical turns emergency."""
@@ -421,7 +417,8 @@ class Px4(core.Autopilot):
         """p2 bit 0 changes to Hold; a place outside of the fence is refused."""
         _, flags, _, yaw_rad = command.parameters[:4]
         asked = self._asked_by(command)
-        if given(asked) and self.forbidden(asked.at(0.0)):
+        # of setpoints none is checked
+        if given(asked) and self._zones.forbid(self.frame, asked.at(0.0), union=True):
             return Result.DENIED
         if self.mode.name != "Hold" and not (math.isfinite(flags) and int(flags) & 1):
             return Result.UNSUPPORTED

@@ -6,7 +6,7 @@ from typing import Final, final
 from vehicle_sim.autopilot import px4_control
 from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.legs import RETURN, Does, Leg, back
-from vehicle_sim.autopilot.px4 import MODES, NAVIGATED, NOWHERE, RATES_HZ, Px4, firmware
+from vehicle_sim.autopilot.px4 import NAVIGATED, NOWHERE, RATES_HZ, Px4, firmware
 from vehicle_sim.autopilot.px4_control import NONE, STANDS_M_S, Control, Point, State, given
 from vehicle_sim.autopilot.setpoints import NOTHING, Target, is_flyable
 from vehicle_sim.autopilot.values import Place, TargetEcho, Waypoint
@@ -51,7 +51,6 @@ class Px4Copter(Px4):
         assert isinstance(boot.vehicle, Copter)
         self.copter = boot.vehicle
         self._control, self._point = Control(self.parameters), Point()
-        self._ways = {mode.name: getattr(self, mode.flies) for mode in MODES}
         self._goal, self._goal_down = NONE, _NAN
         """Of the AUTO modes, in the local frame; NaN: still braking."""
         self._began_in, self._began, self._began_down = "", 0j, 0.0
@@ -156,16 +155,14 @@ class Px4Copter(Px4):
         """In the take-off ramp."""
         return self._ramp_s is not None
 
-    def stand(self) -> None:
-        """It stands, even if the motors turn."""
-        self.touch_down()
-
     def touch_down(self) -> None:
         """It comes to rest, and forgets what held against the air."""
         self.copter.stand(self.ground_m)
         if self._ramp_s is None:
             self._control.integral = 0j
             self._flying = self._flying and not self.landed
+
+    stand = touch_down  # even if the motors turn
 
     def _starts(self) -> bool:
         """Whether the take-off ramp begins: motors spun up and a climb demanded."""
@@ -198,7 +195,7 @@ class Px4Copter(Px4):
 
     def steer(self) -> None:
         """The mode says what it wants, the position controller what that takes."""
-        self._wanted = self._ways[self.mode.name]()
+        self._wanted = getattr(self, self.mode.flies)()
         if not self.armed or not (self._flying or self._starts()):
             return
         most_up_m_s = self._most_up_m_s()

@@ -292,13 +292,10 @@ class Px4Plane(FixedWing, Px4):
         """Take-off, by mode or by a mission that begins with one."""
         return self.armed and (self.mode.flies == "climb" or self.is_at(Does.CLIMB))
 
-    def lift_off_m_s(self) -> float:
-        """By FW_AIRSPD_MIN."""
-        return _LIFTS_OFF_AT * self._true(self.parameters["FW_AIRSPD_MIN"])
-
     def lifts_off(self) -> bool:
         """Fast enough on the runway: straight up from here on."""
-        fast = super().lifts_off()
+        fast_m_s = _LIFTS_OFF_AT * self._true(self.parameters["FW_AIRSPD_MIN"])
+        fast = self.wants_up() and self.plane.airspeed_m_s >= fast_m_s
         if fast:
             self.bank_rad, self.wanted_climb_m_s = 0.0, _CLIMB_OUT_M_S
         return fast
