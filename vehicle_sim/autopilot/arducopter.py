@@ -49,7 +49,6 @@ FIRMWARE: Final = firmware(
     believes_landing_s=1.57,
     arms="Arming motors",
     disarms="Disarming motors",
-    crashes="Crash: Disarming: AngErr=90>30, Accel=0.5<3.0",
 )
 
 _EKF_CHECKS: Final = 10  # in a row, ten a second, before the failsafe acts

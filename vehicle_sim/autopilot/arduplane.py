@@ -60,7 +60,6 @@ FIRMWARE: Final = firmware(
     believes_landing_s=0.0,
     arms="Throttle armed",
     disarms="Throttle disarmed",
-    crashes="Crash detected",
 )
 
 _LIFT_OFF_SHARE: Final = 0.86  # of the cruising airspeed

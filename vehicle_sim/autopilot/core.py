@@ -85,8 +85,8 @@ class Firmware:
     """Of a mission: ArduPilot keeps home as item 0."""
     timing: Timing
     frame: Callable[[Place], Frame]
-    ready_s: float
-    """It has booted: heartbeats say so."""
+    ready_s: float = 0.0
+    """It has booted: heartbeats of an ArduPilot say so."""
     prearm_s: float
     """From here on it may be armed."""
     first_check_s: float = 0.1
@@ -97,7 +97,6 @@ class Firmware:
     arms: str
     disarms: str
     cannot_arm: str
-    crashes: str = ""
     """Texts; with a gap for what it is disarmed by, or why it cannot be armed."""
 
 
@@ -335,8 +334,6 @@ class Autopilot:
     def crash(self) -> Sequence[Reply]:
         """It has hit something; who lies on the ground need not wait to believe it."""
         self.landed = self.landed or self.vehicle.stands
-        if self.armed and self.firmware.crashes:
-            self.say(0, self.firmware.crashes)
         self.disarm("failure detector")
         return self.taken()
 

@@ -68,8 +68,6 @@ _NAMES: Final = {mode.number: mode.name for mode in reversed(MODES)}
 NAVIGATED: Final = frozenset({"Takeoff", "Hold", "Mission", "Return", "Land"})
 """Modes in which the navigator has a place to go to."""
 
-ARMABLE_S: Final = 3.5
-"""Boot to the first time that it can be armed: heartbeat 0 at 2.6 s, 3 at 3.6 s of the log."""
 _GOOD: Final = 0x37F
 _TIMING: Final = Timing(
     # px4-gps-loss.tlog and px4.md 8
@@ -118,8 +116,7 @@ def firmware(parameters: str, *, vehicle_type: int, rates_hz: dict[int, float]) 
         first_item=0,
         timing=_TIMING,
         frame=Projection,
-        ready_s=ARMABLE_S,
-        prearm_s=ARMABLE_S,
+        prearm_s=3.5,  # heartbeat 0 at 2.6 s, 3 at 3.6 s of the log
         first_check_s=0.06,  # events at x.06 s in the logs
         believes_landing_s=1.8,  # contact to "landing detected": 54.6 to 56.4 s of offboard-short
         refused=Result.TEMPORARILY_REJECTED,
@@ -355,7 +352,7 @@ class Px4(core.Autopilot):
 
     def refusal(self) -> str | None:
         """Why it may not be armed now, in the mode that is flown; by hand it has no pilot."""
-        mode, able = self.mode, self.estimate.position_ok and self.now_s >= ARMABLE_S
+        mode, able = self.mode, self.estimate.position_ok and self.now_s >= self.firmware.prearm_s
         if mode.name == "Offboard":
             able = able and self.offboard_signal
         elif mode.name == "Mission":
