@@ -76,17 +76,17 @@ class Copter(Vehicle):
         whole = math.sqrt(ahead.real * ahead.real + ahead.imag * ahead.imag + lift * lift)
         self.throttle = min(self.hover_throttle * whole / GRAVITY_M_S2, 1.0)
 
-        rising = up
+        level, rising = thrust, up
         if self.drag_1_s or self.drag_1_m:
             past = velocity - wind
-            thrust -= (self.drag_1_s + self.drag_1_m * math.hypot(past.real, past.imag)) * past
+            level -= (self.drag_1_s + self.drag_1_m * math.hypot(past.real, past.imag)) * past
             # Going up and down the thrust has enough in hand; only moving air is felt.
             rising += self.drag_1_s * self.wind_up_m_s
-        velocity += thrust * dt_s
+        velocity += level * dt_s
         if (size := math.hypot(velocity.real, velocity.imag)) > limits.speed_m_s:
             velocity *= limits.speed_m_s / size
         most = limits.speed_vertical_m_s
         up_m_s = min(max(self.velocity_up_m_s + rising * dt_s, -most), most)
         self._move(velocity, up_m_s, dt_s)
-        self.acceleration_m_s2, self.acceleration_up_m_s2 = thrust, up
+        self.acceleration_m_s2, self.acceleration_up_m_s2 = level, up
         self.airspeed_m_s = math.hypot((velocity - wind).real, (velocity - wind).imag)
