@@ -187,10 +187,9 @@ class ArduCopter(ArduPilot):
     def check(self) -> None:
         """Ten times a second: it cannot fly without a position."""
         super().check()
-        estimate = self.estimate
-        if estimate.glitching is not self._was_glitching:
-            self._was_glitching = estimate.glitching
-            glitches = self._was_glitching
+        estimate, glitches = self.estimate, self.estimate.glitching
+        if glitches is not self._was_glitching:
+            self._was_glitching = glitches
             self.say(2, "GPS Glitch or Compass error" if glitches else "Glitch cleared")
         is_bad = self.armed and estimate.origin is not None and not estimate.position_ok
         before = self._ekf_failures
@@ -297,8 +296,8 @@ class ArduCopter(ArduPilot):
         elif given(target.position):
             about = self.frame if target.frame == LOCAL_NED else FlatEarth(self.estimate.place)
             place = about.place(x, y, z)
-        if self.take(target, place):
-            self._refused_text = ""
+        self._refused_text = ""
+        self.take(target, place)
         return ()
 
     def take(self, target: Target, place: Place | None) -> bool:
