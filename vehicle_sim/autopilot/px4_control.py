@@ -156,17 +156,6 @@ class Point:
         """It has come to rest horizontally."""
         return abs(self.at.velocity) < STANDS_M_S
 
-    def towards_velocity(self, velocity: complex, sink_m_s: float, dt_s: float) -> None:
-        """One step towards this velocity."""
-        at, most, step = self.at, self._most, self._jerk * dt_s
-        gain = 1.2 * self._jerk / most
-        push = at.push + clipped(clipped(gain * (velocity - at.velocity), most) - at.push, step)
-        wanted = min(max(gain * (sink_m_s - at.sink), -_ACCELERATION_UP_M_S2), most)
-        push_down = at.push_down + min(max(wanted - at.push_down, -step), step)
-        velocity, sink_m_s = at.velocity + push * dt_s, at.sink + push_down * dt_s
-        place, down = at.place + velocity * dt_s, at.down + sink_m_s * dt_s
-        self.at = State(place, down, velocity, sink_m_s, push, push_down)
-
     def towards_place(
         self,
         goal: complex,
@@ -179,7 +168,7 @@ class Point:
 
         sink_m_s: descend at this speed, regardless of the height.
         """
-        velocity, off, off_down = 0j, goal - self.at.place, down - self.at.down
+        at, velocity, off, off_down = self.at, 0j, goal - self.at.place, down - self.at.down
         most = 0.7 * self._most
         if given(off) and abs(off) > 1e-6:
             speed = min(speeds_m_s[0], braking_speed_m_s(abs(off), most, self._jerk))
@@ -189,4 +178,10 @@ class Point:
             speed = braking_speed_m_s(abs(off_down), most, self._jerk)
             sink_m_s = min(max(math.copysign(speed, off_down), -up_m_s), down_m_s)
             sink_m_s = 0.0 if off_down != off_down else sink_m_s
-        self.towards_velocity(velocity, sink_m_s, dt_s)
+        most, step, gain = self._most, self._jerk * dt_s, 1.2 * self._jerk / self._most
+        push = at.push + clipped(clipped(gain * (velocity - at.velocity), most) - at.push, step)
+        wanted = min(max(gain * (sink_m_s - at.sink), -_ACCELERATION_UP_M_S2), most)
+        push_down = at.push_down + min(max(wanted - at.push_down, -step), step)
+        velocity, sink_m_s = at.velocity + push * dt_s, at.sink + push_down * dt_s
+        place, down = at.place + velocity * dt_s, at.down + sink_m_s * dt_s
+        self.at = State(place, down, velocity, sink_m_s, push, push_down)
