@@ -175,7 +175,6 @@ class Simulation:
         self._controller = FlightController(
             autopilot,
             self._radio,
-            self._battery,
             boot_us=self.now_us,
             hardware_id=self._hardware_id,
             on_text=self._on_text,
@@ -432,7 +431,7 @@ class Simulation:
         since_boot_us = now_us - controller.boot_us
         if since_boot_us >= gps.due_us:
             gps.step(since_boot_us, vehicle, conditions.gps)
-        controller.now_us, controller.report.fix = now_us, gps.fix
+        controller.now_us = now_us
         replies = controller.autopilot.step(since_boot_us, _STEP_S, ground_amsl_m, gps.fix)
         if replies or controller.transfers:
             controller.go_on(replies)

@@ -14,7 +14,8 @@ from harness import AUTO, BRAKE, COPTER_HOME, GUIDED, NAN, RTL, Vector, copied, 
 from pyproj import Geod
 from rigs import ArduCopter, hovering
 
-from vehicle_sim.autopilot.values import Battery, Sender
+from vehicle_sim.autopilot.values import Sender
+from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.plans import Jumps, PlanItem, PlanKind
 
 ACCEPTED, _, DENIED, UNSUPPORTED, FAILED = range(5)

@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from vehicle_sim.autopilot.values import Battery
 from vehicle_sim.dynamics import GRAVITY_M_S2
-from vehicle_sim.dynamics.battery import Model, PowerModule
+from vehicle_sim.dynamics.battery import Battery, Model, PowerModule
 from vehicle_sim.dynamics.copter import HOVER_THROTTLE, RESPONSE_S, Copter, Limits
 from vehicle_sim.dynamics.plane import Plane, PlaneLimits
 from vehicle_sim.dynamics.wind import LEVEL_M, VERTICAL_M, VERTICAL_SHARE, Wind

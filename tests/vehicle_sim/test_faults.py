@@ -10,8 +10,7 @@ from harness import GENTLE, placed
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vehicle_sim.autopilot.values import Battery
-from vehicle_sim.dynamics.battery import PowerModule
+from vehicle_sim.dynamics.battery import Battery, PowerModule
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.wind import Wind
 from vehicle_sim.errors import InputError

@@ -16,7 +16,7 @@ from pymavlink.quaternion import QuaternionBase as Quaternion
 from rigs import ArduCopter, Px4Copter, Rig, hovering
 
 from vehicle_sim.autopilot import px4plane
-from vehicle_sim.autopilot.values import Ack, Battery, Report, Sender, Text
+from vehicle_sim.autopilot.values import Ack, Report, Sender, Text
 from vehicle_sim.flight_controller import HANDLERS, ack, command, mode_command, texts
 from vehicle_sim.links import datagrams
 from vehicle_sim.wire import frames
@@ -266,8 +266,7 @@ def test_there_are_no_files(opcode: int, data: bytes, answer: tuple[int, ...] | 
 
 
 def report_of(rig: Rig) -> Report:
-    told: Any = {"autopilot": rig.autopilot, "time_us": rig.now_us, "fix": rig.fix}
-    return Report(**told, hardware_id=7, battery=Battery())
+    return Report(autopilot=rig.autopilot, time_us=rig.now_us, hardware_id=7)
 
 
 @copied

@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 from vehicle_sim.dynamics import Vehicle
-from vehicle_sim.dynamics.battery import Battery
-from vehicle_sim.sensors.gps import Fix
 
 if TYPE_CHECKING:
     from vehicle_sim.autopilot.core import Autopilot, Firmware
@@ -214,8 +212,6 @@ class Report:
     """The data of all telemetry; refers to live objects, to be read at once."""
 
     autopilot: "Autopilot"
-    fix: Fix
-    battery: Battery
     time_us: int = 0
     unix_us: int = 0
     """Since boot; and GPS time, 0 while there is none."""

@@ -105,7 +105,7 @@ def _altitude_amsl_m(now: Report) -> float:
 
 def _per_cent_left(now: Report) -> float:
     """Of the battery's charge."""
-    return min(max(now.battery.remaining, 0.0), 1.0) * 100.0
+    return min(max(now.autopilot.battery.remaining, 0.0), 1.0) * 100.0
 
 
 # --- what and how it is ---------------------------------------------------------------------------
@@ -156,14 +156,14 @@ def _sys_status(now: Report) -> Fields:
         battery = (*battery[:2], math.ceil(_per_cent_left(now)))
         return wanted, wanted, well, 0, *battery, *[0] * 8, 1
     there, lost = now.range_sensors
-    there |= _ARDUPILOT_SENSORS | (_GPS_BIT if now.fix.fix_type > 0 else 0)
+    there |= _ARDUPILOT_SENSORS | (_GPS_BIT if now.autopilot.fix.fix_type > 0 else 0)
     wanted, well = there | _PREARM_BIT, there & ~lost | prearm
     return wanted, wanted, well, 0, *battery
 
 
 def _gauge(now: Report) -> tuple[int, int, int]:
     """Millivolts, centiamperes and per cent."""
-    battery, left = now.battery, math.floor(_per_cent_left(now) + 1e-9)
+    battery, left = now.autopilot.battery, math.floor(_per_cent_left(now) + 1e-9)
     amperes = _CENTIAMPERES_UNKNOWN if _is_px4(now) else whole(battery.current_a * 100.0)
     return whole(battery.voltage_v * 1e3), amperes, left
 
@@ -171,7 +171,7 @@ def _gauge(now: Report) -> tuple[int, int, int]:
 def _battery_status(now: Report) -> Fields:
     volts, amperes, left = _gauge(now)
     kind, energy = ((0, 1, 1), -1) if _is_px4(now) else ((0, 0, 0), 0)
-    cells, consumed = [volts, *[_NO_CELL] * 9], whole(now.battery.consumed_mah)
+    cells, consumed = [volts, *[_NO_CELL] * 9], whole(now.autopilot.battery.consumed_mah)
     return *kind, _NO_TEMPERATURE, cells, amperes, consumed, energy, left, 0, 1
 
 
@@ -212,7 +212,7 @@ def _global_position_int(now: Report) -> Fields | None:
 
 def _gps_raw_int(now: Report) -> Fields | None:
     """Before the receiver speaks ArduPilot knows nothing, and PX4 says nothing."""
-    fix = now.fix
+    fix = now.autopilot.fix
     if _is_px4(now) and not fix.time_us:
         return None
     solution: Fields = (0, 0, 0, 0, _NO_DILUTION, _NO_DILUTION, 0, 0)
@@ -233,7 +233,10 @@ def _vfr_hud(now: Report) -> Fields:
     if _is_px4(now):
         airspeed_m_s = airspeed_m_s if _is_plane(now) else _NAN
     else:
-        indicated_m_s, known = now.status.airspeed_m_s, now.fix.fix_type or now.time_us > 10_000_000
+        indicated_m_s, known = (
+            now.status.airspeed_m_s,
+            now.autopilot.fix.fix_type or now.time_us > 10_000_000,
+        )
         airspeed_m_s = airspeed_m_s if indicated_m_s is None else indicated_m_s
         altitude_m = round(_altitude_amsl_m(now), 2) if known else 0.0
     north, east, down = _velocity_ned_m_s(now)
