@@ -104,7 +104,7 @@ class Plane(Vehicle):
         self.throttle = min(max(CRUISE_THROTTLE + (1.0 - CRUISE_THROTTLE) * effort, 0.0), 1.0)
         slip = self._slip_m_s = self._slip_m_s * (SLIP_S / (SLIP_S + dt_s))
         flat_m_s = airspeed * math.sqrt(1.0 - steepness * steepness)
-        flown = flat_m_s * cmath.rect(1.0, self.heading_rad) + self.wind_m_s + slip
+        flown = cmath.rect(flat_m_s, self.heading_rad) + self.wind_m_s + slip
         self._accelerate(flown, climb + self.wind_up_m_s, dt_s)
 
     def roll_on_ground(self, acceleration_m_s2: float, dt_s: float) -> None:
@@ -112,7 +112,7 @@ class Plane(Vehicle):
         nose = cmath.rect(1.0, self.heading_rad)
         speed = (self.velocity_m_s * nose.conjugate()).real
         speed = max(speed + acceleration_m_s2 * dt_s, 0.0)
-        self._accelerate(speed * nose, 0.0, dt_s)
+        self._accelerate(cmath.rect(speed, self.heading_rad), 0.0, dt_s)
         self.velocity_up_m_s = self.acceleration_up_m_s2 = 0.0
         self.roll_rad = self.pitch_rad = self._climb_m_s = 0.0
         self.airspeed_m_s = self._flow_along_the_nose_m_s()
