@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from vehicle_sim.autopilot.factory import personality_of, with_own_ids
+from vehicle_sim.autopilot.factory import HIGHEST_ID, personality_of, with_own_ids
 from vehicle_sim.errors import InputError, SimulatorError
 from vehicle_sim.faults import Timeline
 from vehicle_sim.links import Link, open_link, parse_endpoint
@@ -217,7 +217,7 @@ def _with_parameters(world: World, assignments: list[str], speedup: float) -> Wo
             rule = "must be NAME=VALUE with a finite number"
             raise InputError("--param", text, rule, "Try GUID_TIMEOUT=1.")
     longer = dict[str, float]()
-    if speedup != 1.0 and personality_of(vehicle).is_px4:
+    if speedup != 1.0 and personality_of(vehicle).firmware.family == "px4":
         # as PX4's start script does it: a client's wall time counts
         longer = {name: speedup * seconds for name, seconds in _PX4_TIME_OUTS_S.items()}
     parameters = longer | vehicle.parameters | added
@@ -226,7 +226,7 @@ def _with_parameters(world: World, assignments: list[str], speedup: float) -> Wo
 
 def _row(world: World, count: int, port_step: int) -> list[World]:
     """The same world for each of so many vehicles, standing side by side."""
-    vehicle, highest = world.vehicle, personality_of(world.vehicle).highest_id
+    vehicle, highest = world.vehicle, HIGHEST_ID
     most = min(_MAX_VEHICLES, highest - vehicle.system_id + 1)
     why = f": there are system ids from {vehicle.system_id} to {highest}"
     _must_lie("--count", count, 1, most, f"Try {min(most, 5)}.", why)
@@ -245,7 +245,7 @@ def _timeline(file: Path, world: World) -> str:
     except (OSError, UnicodeDecodeError) as error:
         rule = f"cannot be read ({getattr(error, 'strerror', None) or 'not a text file'})"
         raise InputError("--faults", str(file), rule, "Name a file with a fault a line.") from None
-    firmware = personality_of(world.vehicle).firmware.profile.firmware
+    firmware = personality_of(world.vehicle).firmware.family
     Timeline.parse(text, name=str(file), firmware=firmware)
     return text
 

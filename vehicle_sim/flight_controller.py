@@ -26,10 +26,8 @@ from vehicle_sim.autopilot.values import (
     Setpoint,
     Text,
 )
-from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.plans import PlanItem, PlanKind
-from vehicle_sim.sensors.gps import Fix
 from vehicle_sim.wire import telemetry
 from vehicle_sim.wire.frames import Prepared, make
 from vehicle_sim.wire.missions import Missions, store
@@ -61,7 +59,6 @@ class FlightController:
         self,
         autopilot: Autopilot,
         radio: Radio,
-        battery: Battery,
         *,
         boot_us: int,
         hardware_id: int,
@@ -69,17 +66,15 @@ class FlightController:
         ranging: RangeSensors,
     ) -> None:
         self.autopilot, self.radio, self.ranging = autopilot, radio, ranging
-        self.firmware = autopilot.profile.firmware
+        self.firmware = autopilot.firmware.family
         self.boot_us = self.now_us = boot_us
         self.wants_reboot = self.setpoints_ignored = False
         self.transfers = False
         """Parameters or a plan may be on their way."""
         self.parameter_protocol = ParameterProtocol(autopilot)
         self.missions = Missions(autopilot)
-        self.streams = Streams(autopilot.profile, autopilot.parameters, radio.links, boot_us)
-        self.report = Report(
-            autopilot=autopilot, fix=Fix(), battery=battery, hardware_id=hardware_id
-        )
+        self.streams = Streams(autopilot.firmware, autopilot.parameters, radio.links, boot_us)
+        self.report = Report(autopilot=autopilot, hardware_id=hardware_id)
         self.ground_stations = set[int]()
         """Links on which one was heard."""
         self._builders = telemetry.MESSAGES[self.firmware]
@@ -137,7 +132,7 @@ class FlightController:
 
     def _renew_report(self) -> None:
         report, us = self.report, self.since_boot_us
-        report.renew(us, _EPOCH_US + self.now_us if report.fix.usable else 0)
+        report.renew(us, _EPOCH_US + self.now_us if self.autopilot.fix.usable else 0)
         report.range_sensors = self.ranging.bits(us)
 
     def send_heartbeat(self) -> None:

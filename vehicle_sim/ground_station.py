@@ -37,7 +37,7 @@ def target(values: Sequence[float], vehicle: Vehicle, system: int, component: in
 
 def new_fence(vehicle: Vehicle, radius_m: float, ahead_m: float) -> PlanItem:
     """A circle to stay out of, so far ahead of the vehicle (true course) or about it."""
-    north, east = vehicle.velocity_north_m_s, vehicle.velocity_east_m_s
+    north, east, _ = vehicle.velocity_neu_m_s
     share = ahead_m / max(math.hypot(north, east), 1e-6)
     x, y = _beside(vehicle, share * north, share * east)
     return PlanItem(frame=0, command=CIRCLE_OUT, parameters=(radius_m, 0.0, 0.0, 0.0), x=x, y=y)

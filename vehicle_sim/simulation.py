@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Final, final
 
 from vehicle_sim import ground_station, truth
-from vehicle_sim.autopilot.core import Autopilot
+from vehicle_sim.autopilot.core import Autopilot, Boot
 from vehicle_sim.autopilot.factory import (
     ids_of,
     make_vehicle,
@@ -105,7 +105,7 @@ class Simulation:
         self._power = PowerModule(self._battery, self._personality.battery)
         self.plans = Plans()
         """Mission, fence and rally points as the autopilot stores them."""
-        firmware = self._personality.firmware.profile.firmware
+        firmware = self._personality.firmware.family
         self._timeline = Timeline.parse(faults, name="faults", firmware=firmware)
         self._boots, self._down_until_us, self._port_change = 0, 0, False
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
@@ -134,7 +134,7 @@ class Simulation:
     def _own_lidar(self) -> dict[str, float]:
         """The parameter of an autopilot that reads a lidar itself."""
         reads = [each for each in self._world.lidars if each.output == "autopilot"]
-        if reads and self._personality.is_px4:
+        if reads and self._personality.firmware.family == "px4":
             name = "lidar" if reads[0] is self._world.lidar else "second_lidar"
             rule = f"{self._world.vehicle.autopilot} has no driver for it"
             raise InputError(f"{name}.output", "autopilot", rule, "Write driver.")
@@ -151,7 +151,7 @@ class Simulation:
             component=component,
             radar_component=scanner.component_id if scanner else None,
             lidar_component=lidar.component_id if lidar and lidar.output != "autopilot" else None,
-            firmware=self._personality.firmware.profile.firmware,
+            firmware=self._personality.firmware.family,
             links=links,
             byte_streams=byte_streams,
             forwards_all=forwards_all,
@@ -161,7 +161,8 @@ class Simulation:
     def _make_autopilot(self, overrides: Mapping[str, float]) -> Autopilot:
         self._boots += 1
         rng = generator(self._seed, f"autopilot {self._boots}")
-        autopilot = self._personality.boot(self.vehicle, overrides, self.plans, rng)
+        boot = Boot(self._personality.firmware, self.vehicle, overrides, self.plans, rng)
+        autopilot = self._personality.make(boot)
         autopilot.battery = self._battery
         return autopilot
 
@@ -174,7 +175,6 @@ class Simulation:
         self._controller = FlightController(
             autopilot,
             self._radio,
-            self._battery,
             boot_us=self.now_us,
             hardware_id=self._hardware_id,
             on_text=self._on_text,
@@ -221,7 +221,7 @@ class Simulation:
     @property
     def mode_name(self) -> str:
         """The autopilot's mode."""
-        return self._controller.autopilot.mode_name
+        return self._controller.autopilot.mode.name
 
     @property
     def _is_down(self) -> bool:
@@ -342,8 +342,6 @@ class Simulation:
     def set_parameter(self, name: str, value: float) -> None:
         """As PARAM_SET does it; KeyError if the autopilot has no such parameter."""
         self.parameters[name] = value
-        if not self._is_down:
-            self._controller.answer(self._controller.autopilot.on_parameter(name))
 
     def _refresh(self) -> None:
         """A parameter or a fault is another one: so may the weather be, and the links."""
@@ -366,7 +364,7 @@ class Simulation:
         )
         match name:
             case "estimator_reset":
-                controller.answer(autopilot.reset_estimate(*values[:2]))
+                autopilot.estimate.shift(*values[:2])
             case "origin_move":
                 controller.answer(autopilot.move_origin(*values))
             case "pilot":
@@ -433,7 +431,7 @@ class Simulation:
         since_boot_us = now_us - controller.boot_us
         if since_boot_us >= gps.due_us:
             gps.step(since_boot_us, vehicle, conditions.gps)
-        controller.now_us, controller.report.fix = now_us, gps.fix
+        controller.now_us = now_us
         replies = controller.autopilot.step(since_boot_us, _STEP_S, ground_amsl_m, gps.fix)
         if replies or controller.transfers:
             controller.go_on(replies)

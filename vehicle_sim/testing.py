@@ -178,7 +178,7 @@ class Simulator:
             vehicle.latitude_deg,
             vehicle.longitude_deg,
             vehicle.altitude_amsl_m,
-            math.hypot(vehicle.velocity_north_m_s, vehicle.velocity_east_m_s),
+            math.hypot(*vehicle.velocity_neu_m_s[:2]),
             vehicle.altitude_amsl_m - simulation.ground_amsl_m,
             simulation.mode_name,
             simulation.armed,

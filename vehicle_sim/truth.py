@@ -46,8 +46,8 @@ def line(
         f'{{"t_s": {now_us * 1e-6:.2f}, "north_m": {north_m:.4f}, "east_m": {east_m:.4f}, '
         f'"altitude_amsl_m": {vehicle.altitude_amsl_m:.4f}, '
         f'"lat_deg": {vehicle.latitude_deg:.10f}, "lon_deg": {vehicle.longitude_deg:.10f}, '
-        f'"velocity_north_m_s": {vehicle.velocity_north_m_s:.4f}, '
-        f'"velocity_east_m_s": {vehicle.velocity_east_m_s:.4f}, '
+        f'"velocity_north_m_s": {vehicle.velocity_m_s.real:.4f}, '
+        f'"velocity_east_m_s": {vehicle.velocity_m_s.imag:.4f}, '
         f'"velocity_up_m_s": {vehicle.velocity_up_m_s:.4f}, '
         f'"mode": "{mode}", "armed": {str(armed).lower()}, "landed": {str(landed).lower()}'
         + ("" if near_m is None else f', "near_m": {near_m:.3f}')

@@ -38,7 +38,7 @@ class Flight:
     def speed_m_s(self) -> float:
         """Over ground, of the vehicle."""
         vehicle = self.simulation.vehicle
-        return math.hypot(vehicle.velocity_north_m_s, vehicle.velocity_east_m_s)
+        return math.hypot(*vehicle.velocity_neu_m_s[:2])
 
     def step(self) -> None:
         """One step of the simulator, and all that the companion says to it."""

@@ -84,7 +84,7 @@ def test_defaults_are_safe_but_for_what_was_measured(way: Way) -> None:
 def test_the_bundled_missions_fit_the_vehicles_that_fly_them(name: str) -> None:
     file = resources.files("companion") / "environments" / name / "world.toml"
     loaded, world = load_mission(name), read_world(Path(str(file)))
-    way = personality_of(world.vehicle).firmware.profile.firmware, world.vehicle.kind
+    way = personality_of(world.vehicle).firmware.family, world.vehicle.kind
     assert (loaded.autopilot, loaded.kind) == way
     values = Simulation(world, seed=0).parameters.kept()
     assert set(found(way, values, loaded)) == set(STAYS_WITHOUT_RC if way[0] == "px4" else ())

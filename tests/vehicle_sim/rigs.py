@@ -1,5 +1,6 @@
 """Autopilots alone over level ground, told by values: what tracking is measured with."""
 
+import cmath
 import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -22,6 +23,7 @@ from harness import (
     placed,
 )
 
+from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.autopilot.px4plane import SIH_AIRPLANE
 from vehicle_sim.autopilot.values import Ack, Command, Reply, Sender, SendMessage, Setpoint, Text
@@ -53,8 +55,8 @@ class Rig:
     ) -> None:
         self.vehicle, self.plans = vehicle, Plans()
         self.ground_amsl_m = vehicle.altitude_amsl_m
-        boot = PERSONALITIES[personality].boot
-        self.autopilot: Any = boot(vehicle, parameters, self.plans, np.random.default_rng(seed))
+        kind, rng = PERSONALITIES[personality], np.random.default_rng(seed)
+        self.autopilot: Any = kind.make(Boot(kind.firmware, vehicle, parameters, self.plans, rng))
         self.gps, self.gps_conditions = gps, conditions or GpsConditions()
         self.now_us, self.fix = 0, Fix()
         self.said: list[tuple[float, Reply]] = []
@@ -77,7 +79,7 @@ class Rig:
     @property
     def speed_m_s(self) -> float:
         """Over the ground, truly."""
-        return math.hypot(self.vehicle.velocity_north_m_s, self.vehicle.velocity_east_m_s)
+        return math.hypot(*self.vehicle.velocity_neu_m_s[:2])
 
     @property
     def ned_m(self) -> Vector:
@@ -92,7 +94,7 @@ class Rig:
     @property
     def mode(self) -> str:
         """By its name."""
-        return str(self.autopilot.mode_name)
+        return str(self.autopilot.mode.name)
 
     @property
     def armed(self) -> bool:
@@ -173,7 +175,7 @@ class Rig:
     def set_mode(self, *mode: float) -> int:
         """The result of DO_SET_MODE; PX4's second answer, as the first is always yes."""
         result = self.command(176, 1.0, *mode)
-        if self.autopilot.firmware.profile.firmware == "px4":
+        if self.autopilot.firmware.family == "px4":
             assert result == 0
             self.step()
             result = [r.result for _, r in self.said if isinstance(r, Ack)][-1]
@@ -227,13 +229,12 @@ def fix_of(copter: Copter, now_us: int) -> Fix:
         return Fix(time_us=now_us, fix_type=0)
     metres_north, metres_east = metres_per_degree(copter.latitude_deg)
     late_s, (north_m_s, east_m_s, up_m_s) = 0.1, copter.velocity_neu_m_s
-    north_m = late_s * (north_m_s - 0.5 * late_s * copter.acceleration_north_m_s2)
-    east_m = late_s * (east_m_s - 0.5 * late_s * copter.acceleration_east_m_s2)
+    late_m = late_s * (copter.velocity_m_s - 0.5 * late_s * copter.acceleration_m_s2)
     return Fix(
         time_us=now_us,
         fix_type=6,
-        latitude_deg=copter.latitude_deg - north_m / metres_north,
-        longitude_deg=copter.longitude_deg - east_m / metres_east,
+        latitude_deg=copter.latitude_deg - late_m.real / metres_north,
+        longitude_deg=copter.longitude_deg - late_m.imag / metres_east,
         altitude_amsl_m=copter.altitude_amsl_m,
         velocity_north_m_s=north_m_s,
         velocity_east_m_s=east_m_s,
@@ -275,7 +276,7 @@ class ArduCopter(Rig):
         return fix._replace(latitude_deg=fix.latitude_deg + shift_deg)
 
     def step(self) -> None:
-        self.vehicle.wind_north_m_s, self.vehicle.wind_east_m_s = self.wind_m_s
+        self.vehicle.wind_m_s = complex(*self.wind_m_s)
         super().step()
 
     def take_off(self, height_m: float) -> int:
@@ -402,7 +403,6 @@ def cruising(
     place = rig.place(north_m, east_m, height_m)
     plane.latitude_deg, plane.longitude_deg, plane.altitude_amsl_m = place
     plane.heading_rad, plane.roll_rad, plane.airspeed_m_s = heading_rad, 0.0, speed_m_s
-    plane.velocity_north_m_s = speed_m_s * math.cos(heading_rad)
-    plane.velocity_east_m_s = speed_m_s * math.sin(heading_rad)
+    plane.velocity_m_s = cmath.rect(speed_m_s, heading_rad)
     rig.step()
     return rig

@@ -110,7 +110,7 @@ def test_a_reset_moves_the_position_and_a_moved_origin_local_positions_only() ->
     assert it.autopilot.estimate.place == place
     assert np.subtract(it.ned_m, local) == pytest.approx([-10.0, -5.0, 1.0], abs=0.01)
     it = hovering()
-    it.autopilot.reset_estimate(20.0, 0.0)
+    it.autopilot.estimate.shift(20.0, 0.0)
     it.step()
     assert it.ned_m[0] - local[0] == pytest.approx(20.0, abs=0.1)
     fly_on(it, 30.0)
@@ -121,7 +121,7 @@ def test_a_reset_moves_the_position_and_a_moved_origin_local_positions_only() ->
 def test_a_receiver_that_is_late_makes_everything_late() -> None:
     it, there = ArduCopter(), list[tuple[bool, bool]]()
     for it.gps_silent, seconds in ((True, 30.0), (False, 9.5), *((False, s) for s in (1, 21, 1))):
-        estimator = it.run(seconds).autopilot.estimator
+        estimator = it.run(seconds).autopilot.estimate
         there.append((estimator.origin is not None, estimator.aiding))
     assert there[1:] == [(False, False), (True, False), (True, False), (True, True)]
 
@@ -174,7 +174,7 @@ def sample(since_s: float, seed: int = 1) -> Sample:
 def test_it_comes_back_and_flies_on_by_itself() -> None:
     """px4.md 8: fusion after 1.2 s, OFFBOARD after 2.4 s, by way of Land."""
     rig, lost_s, samples = loss()
-    used_s = rig.autopilot.estimator.returned_s
+    used_s = rig.autopilot.estimate.returned_s
     assert used_s - lost_s == pytest.approx(LOST_S + 1.3, abs=0.3)
     for mode, after_s, wanted_s in (("Offboard", 6.0, 2.5), ("Land", 0.0, 2.3)):
         found_s = next(one[0] for one in samples if one[0] >= after_s and one[2] == mode)

@@ -24,7 +24,8 @@ _NUMBERS = {"GUIDED": 40, "LAND": 41, "RTL": 42}
 """custom_mode of its own."""
 SPARROW = replace(
     FIRMWARE,
-    profile=replace(FIRMWARE.profile, rates_hz={0: 2.0}, autopilot=0),  # MAV_AUTOPILOT_GENERIC
+    rates_hz={0: 2.0},
+    autopilot=0,  # MAV_AUTOPILOT_GENERIC
     modes=tuple(replace(m, number=_NUMBERS.get(m.name, m.number)) for m in FIRMWARE.modes),
     table=tuple(
         Parameter(name="WPNAV_SPEED", default=300.0) if row.name == "WPNAV_SPEED" else row
@@ -49,7 +50,7 @@ def test_a_world_names_it_and_it_flies_as_its_data_say(monkeypatch: pytest.Monke
     assert (beat.custom_mode, beat.autopilot) == (40, 0)
     flown.go(0.0, 0.0, at_m=(200.0, 0.0, -10.0))
     speeds_m_s = list[float]()
-    flown.run(20.0, lambda: speeds_m_s.append(flown.simulation.vehicle.velocity_north_m_s))
+    flown.run(20.0, lambda: speeds_m_s.append(flown.simulation.vehicle.velocity_m_s.real))
     assert flown.simulation.mode_name == "GUIDED"
     assert max(speeds_m_s) == pytest.approx(3.0, abs=0.5)
     flown.command(176, 1, 41)

@@ -16,16 +16,16 @@ from vehicle_sim.world import VehicleKind
 
 DEFAULTS = {
     ("ardupilot", "copter"): """ANGLE_MAX 3000 WPNAV_SPEED 1000 WPNAV_ACCEL 250 PSC_JERK_XY 5
-        GUID_TIMEOUT 3 FS_GCS_ENABLE 0 WP_YAW_BEHAVIOR 2 DISARM_DELAY 10 FENCE_ENABLE 0
+        GUID_TIMEOUT 3 FS_GCS_ENABLE 0 DISARM_DELAY 10 FENCE_ENABLE 0
         FENCE_TYPE 7 FENCE_ACTION 1 FENCE_RADIUS 150 FENCE_ALT_MAX 100 FENCE_MARGIN 2
         MAV_SYSID 1 MAV_GCS_SYSID 255 MAV1_POSITION 0 MAV_OPTIONS 0""",
     ("ardupilot", "plane"): "AIRSPEED_CRUISE 22 WP_LOITER_RAD 80 NAVL1_PERIOD 15",
     ("px4", "copter"): """COM_OF_LOSS_T 1 COM_OBL_RC_ACT 0 MPC_LAND_SPEED 0.7 SIH_KDV 1
         COM_OBC_LOSS_T 5 NAV_DLL_ACT 0 COM_RC_IN_MODE 1 COM_LOW_BAT_ACT 3 MIS_TAKEOFF_ALT 2.5
         COM_DISARM_PRFLT 10 COM_DISARM_LAND 2 MPC_XY_VEL_MAX 12 MPC_Z_VEL_MAX_UP 3
-        MPC_Z_VEL_MAX_DN 1.5 MPC_TILTMAX_AIR 45 MPC_XY_P 0.95 COM_RC_OVERRIDE 1
+        MPC_Z_VEL_MAX_DN 1.5 MPC_TILTMAX_AIR 45 COM_RC_OVERRIDE 1
         COM_RCL_EXCEPT 0 RTL_RETURN_ALT 30 GF_ACTION 2 SIM_GPS_USED 10""",
-    ("px4", "plane"): "FW_AIRSPD_TRIM 15 NAV_LOITER_RAD 80 NAV_FW_ALT_RAD 10",
+    ("px4", "plane"): "FW_AIRSPD_TRIM 15 NAV_LOITER_RAD 80",
 }
 CAPABILITIES = (64495, 62319, 59647, 59647)
 VERSIONS = {"ardupilot": 0x04070000, "px4": 17891392}
@@ -44,8 +44,8 @@ def test_defaults_and_capabilities_are_those_of_the_documents(
     }
     assert all(len(name) <= 16 for name in rows)
     assert not rows.keys() & {"SYSID_THISMAV", "SYSID_MYGCS", "SR0_POSITION"}
-    assert firmware.profile.capabilities == CAPABILITIES[KINDS.index(kind)]
-    assert firmware.profile.software_version == VERSIONS[kind[0]]
+    assert firmware.capabilities == CAPABILITIES[KINDS.index(kind)]
+    assert firmware.software_version == VERSIONS[kind[0]]
     if kind[0] == "px4":  # in the order that it numbers them in
         own = [name for name in rows if not name.startswith("SIM_")]
         assert own == sorted(own)
@@ -71,7 +71,7 @@ def test_what_can_be_streamed_and_asked_for(
     not_streamed: tuple[int, ...],
     not_requested: tuple[int, ...],
 ) -> None:
-    profile = PERSONALITIES[firmware, "copter"].firmware.profile
+    profile = PERSONALITIES[firmware, "copter"].firmware
     assert profile.streamable >= set(streamed)
     assert not profile.streamable & set(not_streamed)
     assert profile.requestable >= {148, 242, 49}

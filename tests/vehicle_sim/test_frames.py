@@ -16,7 +16,7 @@ from pymavlink.quaternion import QuaternionBase as Quaternion
 from rigs import ArduCopter, Px4Copter, Rig, hovering
 
 from vehicle_sim.autopilot import px4plane
-from vehicle_sim.autopilot.values import Ack, Battery, Report, Sender, Text
+from vehicle_sim.autopilot.values import Ack, Report, Sender, Text
 from vehicle_sim.flight_controller import HANDLERS, ack, command, mode_command, texts
 from vehicle_sim.links import datagrams
 from vehicle_sim.wire import frames
@@ -266,8 +266,7 @@ def test_there_are_no_files(opcode: int, data: bytes, answer: tuple[int, ...] | 
 
 
 def report_of(rig: Rig) -> Report:
-    told: Any = {"autopilot": rig.autopilot, "time_us": rig.now_us, "fix": rig.fix}
-    return Report(**told, hardware_id=7, battery=Battery())
+    return Report(autopilot=rig.autopilot, time_us=rig.now_us, hardware_id=7)
 
 
 @copied
@@ -292,7 +291,7 @@ def test_every_message_can_be_packed_and_read_again() -> None:
         for number, build in MESSAGES[firmware].items():  # type: ignore[index]
             for said in filter(None, (build(report_of(rig)) for rig in rigs)):
                 assert number_of(Packer(1, 1).frame(said)) == read(said).get_msgId() == number
-    assert {*px4plane.FIRMWARE.profile.rates_hz, 49, 148} <= set(MESSAGES["px4"])
+    assert {*px4plane.FIRMWARE.rates_hz, 49, 148} <= set(MESSAGES["px4"])
 
 
 @pytest.mark.parametrize("firmware", ["ardupilot", "px4"])

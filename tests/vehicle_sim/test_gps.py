@@ -143,7 +143,7 @@ def test_px4s_noise_is_that_of_the_recorded_receiver() -> None:
 @pytest.mark.parametrize("lag_s", [0.0, 0.1, 0.25, 1.0])
 def test_the_position_is_as_old_as_the_lag_says(lag_s: float) -> None:
     copter = Copter(**placed(PLANE_HOME), limits=GENTLE)
-    copter.velocity_north_m_s = 10.0
+    copter.velocity_m_s = 10.0 + 0j
     found = solutions(ARDUCOPTER, 30.0, GpsConditions(lag_s=lag_s), copter=copter)[15:]
     expected = [10.0 * (fix.time_us * 1e-6 - lag_s) for fix in found]
     assert offsets_m(found)[:, 0] == pytest.approx(np.array(expected), abs=0.005)

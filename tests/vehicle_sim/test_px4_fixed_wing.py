@@ -89,8 +89,8 @@ def test_loiter_radius_is_held(radius_m: float) -> None:
     place = rig.place(200.0, 100.0, 70.0)
     assert rig.command(192, -1.0, 1.0, asked_m, NAN, *place, frame=5) == 0
     assert off_circle_m(rig.run(60.0), 200.0, 100.0, abs(radius_m)) < 0.6
-    (north_m, east_m), v_n = rig.ne_m, rig.vehicle.velocity_north_m_s
-    turns = (north_m - 200.0) * rig.vehicle.velocity_east_m_s - (east_m - 100.0) * v_n
+    (north_m, east_m), v_n = rig.ne_m, rig.vehicle.velocity_m_s.real
+    turns = (north_m - 200.0) * rig.vehicle.velocity_m_s.imag - (east_m - 100.0) * v_n
     assert turns * radius_m > 0.0
 
 

@@ -198,7 +198,7 @@ def test_what_becomes_of_a_setpoint(
 def test_frames_of_global_int(frame: int, z_m: float, above_origin_m: float) -> None:
     rig = Px4Copter().run(4.0)
     pilot = rig.autopilot
-    origin = pilot.estimator.origin = pilot.estimate.place.at(488.0)
+    origin = pilot.estimate.origin = pilot.estimate.place.at(488.0)
     pilot.frame = pilot.firmware.frame(origin)
     pilot.home, pilot.ground_m = origin.at(493.0), 480.0
     rig.command(176, 1.0, *OFFBOARD)
@@ -366,7 +366,7 @@ def test_beyond_the_cylinder_about_home_it_does_what_gf_action_says(
     rig = hover(GF_ACTION=3.0, **{limit: 20.0})
     assert rig.stream(3.0, UP).mode == "Offboard"
     assert rig.stream(8.0, None, velocity).mode == "Return"
-    assert rig.status.fence_breaches == 1
+    assert rig.texts.count("Geofence: approaching or outside geofence\t") == 1
 
 
 # --- 3, 7: places, mission and fence --------------------------------------------------------------

@@ -3,13 +3,15 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import pytest
 from harness import COMPANION, GCS, Ids
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot.values import Ack, Command, FirmwareProfile, Sender, SendTelemetry, Text
+from vehicle_sim.autopilot.factory import PERSONALITIES
+from vehicle_sim.autopilot.values import Ack, Command, Sender, SendTelemetry, Text
 from vehicle_sim.parameters import Firmware, Parameters
 from vehicle_sim.wire.frames import StreamParser
 from vehicle_sim.wire.routing import Route, Router
@@ -178,13 +180,10 @@ ACCEPTED, DENIED, FAILED = 0, 2, 4
 
 def fresh(firmware: Firmware, *, links: int = 2, rates_hz: Any = ()) -> Streams:
     is_px4, known = firmware == "px4", frozenset({POSITION, ATTITUDE, LOCAL})
-    profile = FirmwareProfile(
-        firmware=firmware,
-        vehicle_type=2,
-        autopilot=12 if is_px4 else 3,
-        capabilities=0,
-        software_version=0,
+    profile = replace(
+        PERSONALITIES[firmware, "copter"].firmware,
         rates_hz={HEARTBEAT: 1.0, **dict(rates_hz)},
+        first_heartbeat_us=S,
         streamable=known if is_px4 else known | {HEARTBEAT},
         requestable=known | {ORIGIN},
         data_streams={} if is_px4 else {6: (POSITION, LOCAL), 10: (ATTITUDE,)},

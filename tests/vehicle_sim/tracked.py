@@ -274,7 +274,7 @@ def end_stream(row: Stop) -> Stop:
         it.step()
         furthest_m = max(furthest_m, it.ned_m[0] - begun_m)
         for speed_m_s in (9.5, 0.1):
-            if it.vehicle.velocity_north_m_s < speed_m_s:
+            if it.vehicle.velocity_m_s.real < speed_m_s:
                 slower_s.setdefault(speed_m_s, it.now_s - last_s)
     return row._replace(
         brakes_s=slower_s[9.5],
@@ -339,7 +339,7 @@ def jump(row: Jump) -> Jump:
             left_s = it.now_s
         copter = it.vehicle
         peak = max(peak, abs(copter.velocity_up_m_s) if row.ned_m[2] else it.speed_m_s)
-        lateral = max(lateral, abs(copter.velocity_east_m_s))
+        lateral = max(lateral, abs(copter.velocity_m_s.imag))
         tilt_deg = max(tilt_deg, lean_deg(it))
     return row._replace(
         peak_m_s=peak,

@@ -13,8 +13,8 @@ from vehicle_sim.autopilot.ardupilot import EKF3, ArduPilot, firmware
 from vehicle_sim.autopilot.copter_control import Horizontal, Tuning, Vertical, rate_for
 from vehicle_sim.autopilot.core import Boot, Mode
 from vehicle_sim.autopilot.earth import FlatEarth, way_m
-from vehicle_sim.autopilot.legs import RETURN, TAKEOFF, Does, Leg, back
-from vehicle_sim.autopilot.setpoints import Stop, Target, given, read_by_arducopter
+from vehicle_sim.autopilot.legs import RETURN, Does, Leg, back
+from vehicle_sim.autopilot.setpoints import LOCAL_NED, Stop, Target, given, read_by_arducopter
 from vehicle_sim.autopilot.values import Command, Place, Reply, Result
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.copter import Copter
@@ -49,7 +49,6 @@ FIRMWARE: Final = firmware(
     believes_landing_s=1.57,
     arms="Arming motors",
     disarms="Disarming motors",
-    crashes="Crash: Disarming: AngErr=90>30, Accel=0.5<3.0",
 )
 
 _EKF_CHECKS: Final = 10  # in a row, ten a second, before the failsafe acts
@@ -63,6 +62,8 @@ _RETURN_STAGE_S: Final = 1.55
 _CLIMBED_M, _OVER_LANDING_M = 2.0, 1.0
 """From its height, and from over the place, a return goes home and a mission lands."""
 _BRAKE_M_S2: Final = 7.5
+_SINK_M_S, _LAND_LOW_M = 2.5, 10.0
+"""PILOT_SPEED_UP; and LAND_ALT_LOW, below which a landing is slow."""
 _SLEW_RAD_S: Final = math.radians(60.0)  # ATC_SLEW_YAW
 _TURN_1_S: Final = 4.5  # ATC_ANG_YAW_P
 _MOVING_SHARE: Final = 0.05  # of WPNAV_SPEED: slower, the way has no direction
@@ -83,7 +84,7 @@ _STILL: Final[Order] = (0j, 0.0)
 class ArduCopter(ArduPilot):
     """Its modes, on the position controller."""
 
-    gcs_failsafe = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
+    gcs_failsafe = "FS_GCS_ENABLE"
     nose_follows_motion: ClassVar[bool] = False
     """Ahead is where it flies, and not where the controller wants to fly."""
 
@@ -91,7 +92,6 @@ class ArduCopter(ArduPilot):
         super().__init__(boot)
         assert isinstance(boot.vehicle, Copter)
         self.copter = boot.vehicle
-        self._flown_in = {mode.name: getattr(self, mode.flies) for mode in self.firmware.modes}
         self.level, self.up = Horizontal(self.estimate), Vertical(self.estimate)
         self._place_deg, self._altitude_m, self._heard_s = 0j, 0.0, 0.0
         """Of the newest setpoint its place, as it has run on since, and when it came; its velocity
@@ -126,11 +126,9 @@ class ArduCopter(ArduPilot):
             speed_up_m_s=metres("WPNAV_SPEED_UP", limits.speed_vertical_m_s),
             speed_down_m_s=metres("WPNAV_SPEED_DN", limits.speed_vertical_m_s),
             acceleration_up_m_s2=metres("WPNAV_ACCEL_Z", limits.acceleration_vertical_m_s2),
-            jerk_up_m_s3=max(p["PSC_JERK_Z"], 1.0),
             lean_m_s2=min(GRAVITY_M_S2 * math.tan(lean_rad), limits.acceleration_m_s2),
         )
         self._timeout_s = max(p["GUID_TIMEOUT"], _MIN_TIMEOUT_S)
-        self._look_ahead()
 
     # --- modes --------------------------------------------------------------------------------
 
@@ -138,7 +136,7 @@ class ArduCopter(ArduPilot):
         """Checks are only made in flight, as the real one does."""
         if not self.armed:
             return None
-        if self.modes[name].needs_position and not self.estimator.ok:
+        if self.modes[name].needs_position and not self.estimate.position_ok:
             return "requires position"
         no_mission = name == "AUTO" and len(self.plans[PlanKind.MISSION]) < 2
         nowhere = name == "RTL" and self.home is None
@@ -147,31 +145,30 @@ class ArduCopter(ArduPilot):
     def begin(self) -> None:
         """Fly the mode from now on."""
         route, name = self.route, self.mode.name
-        self._look_ahead()
         self._stop_target()
         route.stop()
         if name == "LAND":
-            self._lands_with_position = self.estimator.ok
+            self._lands_with_position = self.estimate.position_ok
         elif name == "RTL":
             self._begin_return()
         elif name == "AUTO":
-            count = len(self.plans[PlanKind.MISSION])
-            again = self.parameters["MIS_RESTART"] or not 1 <= route.current < count
-            route.forget_jumps()
-            self.seek(1 if again else route.current)
+            route.jumps.forget()
+            goes_on = 1 <= route.current < len(self.plans[PlanKind.MISSION])
+            self.seek(route.current if goes_on else 1)
 
     def _stop_target(self) -> None:
         """No take-off, no yaw, zero velocity: mode_guided.init."""
         self._end_takeoff()
-        self._yaw_rad: float | None = None
-        """Where the nose is told to point to, or how fast to turn; None: along the way."""
-        self._yaw_rate_rad_s: float | None = None
+        self._yaw_rad = self._yaw_rate_rad_s = math.nan
+        """Where the nose is told to point to, or how fast to turn; NaN: along the way."""
         self._restart(Kind.VELOCITY)
 
     def _end_takeoff(self) -> None:
         """In GUIDED; the mission's is a leg of it."""
         if self.mode.name == "GUIDED":
             self.route.stop()
+
+    on_disarmed = _end_takeoff
 
     def _restart(self, kind: Kind) -> None:
         """Another submode: from what the vehicle does now, with the parameters' speeds."""
@@ -190,12 +187,11 @@ class ArduCopter(ArduPilot):
     def check(self) -> None:
         """Ten times a second: it cannot fly without a position."""
         super().check()
-        estimator = self.estimator
-        if estimator.glitching is not self._was_glitching:
-            self._was_glitching = estimator.glitching
-            glitches = self._was_glitching
+        estimate, glitches = self.estimate, self.estimate.glitching
+        if glitches is not self._was_glitching:
+            self._was_glitching = glitches
             self.say(2, "GPS Glitch or Compass error" if glitches else "Glitch cleared")
-        is_bad = self.armed and estimator.origin is not None and not estimator.ok
+        is_bad = self.armed and estimate.origin is not None and not estimate.position_ok
         before = self._ekf_failures
         self._ekf_failures = min(max(before + (1 if is_bad else -1), 0), _EKF_CHECKS)
         if self._ekf_failures == _EKF_CHECKS > before:
@@ -235,8 +231,8 @@ class ArduCopter(ArduPilot):
         """Straight up, in GUIDED."""
         if command.frame not in (None, _TAKE_OFF_FRAME):
             return Result.DENIED
-        ready = self.armed and self.landed and self.mode.name == "GUIDED" and self.estimator.ok
-        if not ready or self.home is None or self.climbs_out():
+        ready = self.armed and self.landed and self.mode.name == "GUIDED"
+        if not (ready and self.estimate.position_ok) or self.home is None or self.climbs_out():
             return Result.FAILED
         altitude_m = self.home.altitude_amsl_m + command.parameters[6]
         if not self.estimate.altitude_amsl_m < altitude_m < math.inf:
@@ -244,7 +240,7 @@ class ArduCopter(ArduPilot):
         self._restart(Kind.TAKEOFF)
         self._place_deg, self._altitude_m = self.level.here_deg, altitude_m
         place = self.estimate.place.at(altitude_m)
-        self.route.fly([Leg(Does.CLIMB, place, _REACHED_S, TAKEOFF)], self.now_s)
+        self.route.fly([Leg(Does.CLIMB, place, _REACHED_S, 0)], self.now_s)
         return Result.ACCEPTED
 
     def _turn(self, command: Command) -> Result:
@@ -255,7 +251,7 @@ class ArduCopter(ArduPilot):
         angle_rad = math.radians(angle_deg)
         if relative == 1.0:
             angle_rad = self.copter.heading_rad + (angle_rad if direction >= 0.0 else -angle_rad)
-        self._yaw_rad, self._yaw_rate_rad_s = angle_rad, None
+        self._yaw_rad = angle_rad
         return Result.ACCEPTED
 
     def _change_speed(self, command: Command) -> Result:
@@ -276,8 +272,8 @@ class ArduCopter(ArduPilot):
             return Result.DENIED
         return self.done(self.set_mode("GUIDED") and self.take(Target(), place))
 
-    def _start_mission(self, command: Command) -> Result:
-        return self.to_mode("AUTO")(command) if self.armed else Result.FAILED
+    def _start_mission(self, _: Command) -> Result:
+        return self.done(self.set_mode("AUTO")) if self.armed else Result.FAILED
 
     # --- setpoints ----------------------------------------------------------------------------
 
@@ -292,17 +288,16 @@ class ArduCopter(ArduPilot):
                 self.say(2, target.text)
             self._refused_text = target.text
             return self.taken()
-        x, y, z = target.position
-        place: Place | None = None
+        (x, y, z), place = target.position, None
         if target.is_global and given(target.position):
             height_m = values.height_amsl_m(target.frame, z, self.home.altitude_amsl_m)
             assert height_m is not None
             place = Place(x, y, height_m)
         elif given(target.position):
-            about = FlatEarth(self.estimate.place) if target.is_offset else self.frame
+            about = self.frame if target.frame == LOCAL_NED else FlatEarth(self.estimate.place)
             place = about.place(x, y, z)
-        if self.take(target, place):
-            self._refused_text = ""
+        self._refused_text = ""
+        self.take(target, place)
         return ()
 
     def take(self, target: Target, place: Place | None) -> bool:
@@ -321,10 +316,7 @@ class ArduCopter(ArduPilot):
             self._restart(kind)
         self._moves, self._feed = _order(target.velocity), _order(target.acceleration)
         self._heard_s = self.now_s
-        yaw_rad, rate_rad_s = target.yaw_rad, target.yaw_rate_rad_s
-        self._yaw_rad = None if yaw_rad != yaw_rad else yaw_rad
-        turns = self._yaw_rad is None and rate_rad_s == rate_rad_s
-        self._yaw_rate_rad_s = rate_rad_s if turns else None
+        self._yaw_rad, self._yaw_rate_rad_s = target.yaw_rad, target.yaw_rate_rad_s
         return True
 
     def steer(self) -> None:
@@ -372,8 +364,7 @@ class ArduCopter(ArduPilot):
         """Come to rest on the terrain, or in it."""
         self.copter.stand(self.ground_m)
         self._end_takeoff()
-        self.level.rest()
-        self.estimator.follow()
+        self.estimate.follow()
         self._restart(Kind.VELOCITY)
 
     def disarms_after_s(self) -> float | None:
@@ -382,16 +373,11 @@ class ArduCopter(ArduPilot):
             return _DISARMS_S
         return self.parameters["DISARM_DELAY"] or None
 
-    def on_disarmed(self) -> None:
-        """A take-off that was going on is over."""
-        super().on_disarmed()
-        self._end_takeoff()
-
     # --- flying -------------------------------------------------------------------------------
 
     def move(self) -> None:
         """Thrust, and turn the nose."""
-        level, up = self._flown_in[self.mode.name]()
+        level, up = getattr(self, self.mode.flies)()
         self.copter.advance(level.real, level.imag, up, self.step_s)
         self.copter.heading_rad = self._heading_rad()
 
@@ -426,7 +412,7 @@ class ArduCopter(ArduPilot):
         """GUIDED."""
         if self.route.leg is not None:
             return self.fly_legs()  # a take-off
-        if not self.estimator.aiding:
+        if not self.estimate.aiding:
             return self._hold(0.0, level=True)
         if self.kind in (Kind.TAKEOFF, Kind.POSITION):
             return self._go(self._place_deg, self._altitude_m)
@@ -447,42 +433,39 @@ class ArduCopter(ArduPilot):
 
     def brake(self) -> Order:
         """BRAKE."""
-        speed = abs(self.level.flown)
+        speed = abs(self.estimate.velocity_m_s)
         if speed < 0.5:
             return self._hold(0.0)
         most = min(_BRAKE_M_S2, self.copter.limits.acceleration_m_s2, 4.0 * speed)
-        asked = self.level.flown * (self.copter.drag_1_s - most / speed)
+        asked = self.estimate.velocity_m_s * (self.copter.drag_1_s - most / speed)
         self.level.follow(asked)
         return asked, self.up.towards(0.0, 0.0, self.step_s)
 
     def sink(self) -> Order:
         """The modes that a pilot holds it in: the stick is at its lower end."""
-        p = self.parameters
-        climb_m_s = -(p["PILOT_SPEED_DN"] or p["PILOT_SPEED_UP"]) / 100.0
-        return self._hold(climb_m_s, level=not self.mode.needs_position)
+        return self._hold(-_SINK_M_S, level=not self.mode.needs_position)
 
     def land(self) -> Order:
-        """Down at WPNAV_SPEED_DN, the last LAND_ALT_LOW at LAND_SPEED."""
+        """Down at WPNAV_SPEED_DN, the last metres at LAND_SPEED."""
         p, tuning = self.parameters, self.tuning
         height_m = self.copter.altitude_amsl_m - self.ground_m  # by a rangefinder
         slow = max(p["LAND_SPEED"], 20.0) / 100.0
-        low_m = max(p["LAND_ALT_LOW"], 100.0) / 100.0
-        rate = rate_for(low_m - height_m, 1.0, tuning.acceleration_up_m_s2, self.step_s)
+        rate = rate_for(_LAND_LOW_M - height_m, 1.0, tuning.acceleration_up_m_s2, self.step_s)
         rate = min(max(rate, -max(tuning.speed_down_m_s, slow)), -slow)
         if self.now_s < self._pauses_until_s:
             rate = 0.0
-        self._lands_with_position &= self.estimator.aiding
+        self._lands_with_position &= self.estimate.aiding
         return self._hold(rate, level=not self._lands_with_position)
 
     # --- legs ---------------------------------------------------------------------------------
 
     def _begin_return(self) -> None:
         """Home, first up to RTL_ALT."""
-        p, here, route = self.parameters, self.estimate.place, self.route
-        home, number = self.home or here, route.number
+        p, here = self.parameters, self.estimate.place
+        home = self.home or here
         height_m = max(here.altitude_amsl_m, home.altitude_amsl_m + p["RTL_ALT"] / 100.0)
-        route.fly(back(here, home, height_m, p["RTL_LOIT_TIME"] / 1000.0), self.now_s)
-        route.number, self._lands_with_position = number, True
+        self.route.fly(back(here, home, height_m, p["RTL_LOIT_TIME"] / 1000.0), self.now_s)
+        self._lands_with_position = True
 
     def begin_leg(self, speed_m_s: float | None) -> None:
         """Another item of the mission, or none any more."""
@@ -503,7 +486,7 @@ class ArduCopter(ArduPilot):
     def fly_legs(self) -> Order:
         """AUTO, RTL, a take-off: a place after the other."""
         leg = self.route.leg
-        if leg is None or not self.estimator.aiding:
+        if leg is None or not self.estimate.aiding:
             return self._hold(0.0, level=leg is not None)
         if self.route.lands:
             return self.land()
@@ -526,23 +509,18 @@ class ArduCopter(ArduPilot):
 
     # --- the nose -----------------------------------------------------------------------------
 
-    def _look_ahead(self) -> None:
-        """WP_YAW_BEHAVIOR 2: ahead except in RTL."""
-        behaviour, name = int(self.parameters["WP_YAW_BEHAVIOR"]), self.mode.name
-        ahead = behaviour in (1, 3) if name == "RTL" else behaviour != 0
-        self._looks_ahead = ahead and name in ("GUIDED", "AUTO", "RTL")
-
     def _heading_rad(self) -> float:
-        """One step on, from 0 to 2 pi."""
-        copter, wanted_rad = self.copter, self._yaw_rad
+        """One step on, from 0 to 2 pi: ahead, but in RTL (WP_YAW_BEHAVIOR 2)."""
+        copter, wanted_rad, rate = self.copter, self._yaw_rad, self._yaw_rate_rad_s
         now_rad = copter.heading_rad
-        if wanted_rad is None and self._yaw_rate_rad_s is not None:
-            return (now_rad + self._yaw_rate_rad_s * self.step_s) % math.tau
-        if wanted_rad is None:
+        if wanted_rad != wanted_rad and rate == rate:
+            return (now_rad + rate * self.step_s) % math.tau
+        if wanted_rad != wanted_rad:
             way = self.level.velocity
             if self.nose_follows_motion:
-                way = complex(copter.velocity_north_m_s, copter.velocity_east_m_s)
-            if not self._looks_ahead or abs(way) < _MOVING_SHARE * self.tuning.speed_m_s:
+                way = copter.velocity_m_s
+            is_slow = abs(way) < _MOVING_SHARE * self.tuning.speed_m_s
+            if is_slow or self.mode.name not in ("GUIDED", "AUTO"):
                 return now_rad
             wanted_rad = math.atan2(way.imag, way.real)
         rate = _TURN_1_S * math.remainder(wanted_rad - now_rad, math.tau)
@@ -562,7 +540,7 @@ class ArduCopter(ArduPilot):
 
     def target_echo(self) -> values.TargetEcho | None:
         """What GUIDED steers for; in other modes nothing is sent."""
-        if self.mode.name != "GUIDED" or self.estimator.origin is None:
+        if self.mode.name != "GUIDED" or self.estimate.origin is None:
             return None
         position = None
         if self.kind is Kind.TAKEOFF:

@@ -4,7 +4,7 @@ Sources: ardupilot.md 1, 2, 4, 5 and the recorded flights (4.7).
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Final
 
 from vehicle_sim.autopilot import core, values
@@ -12,7 +12,7 @@ from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HOME_POSITION, Autopil
 from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.estimator import Timing, told
 from vehicle_sim.autopilot.guards import Fence, named
-from vehicle_sim.autopilot.values import Command, Landed, Place, Reply, Result, State
+from vehicle_sim.autopilot.values import Command, Landed, Place, Result, State
 from vehicle_sim.faults import SIM_PARAMETERS
 from vehicle_sim.parameters import table
 from vehicle_sim.plans import PlanKind
@@ -40,8 +40,8 @@ def firmware(
     name: str, *, vehicle_type: int, capabilities: int, rates_hz: Mapping[int, float], **own: Any
 ) -> core.Firmware:
     """ArduPilot 4.7 for one kind of vehicle: ardupilot.md 1 and the recorded flights."""
-    profile = values.FirmwareProfile(
-        firmware="ardupilot",
+    return core.Firmware(
+        family="ardupilot",
         vehicle_type=vehicle_type,
         autopilot=3,
         capabilities=capabilities,
@@ -52,9 +52,6 @@ def firmware(
         streamable=STREAMABLE,
         requestable=TOLD,
         data_streams=_DATA_STREAMS,
-    )
-    return core.Firmware(
-        profile=profile,
         table=(*table("ardupilot", name), *SIM_PARAMETERS),
         missions="AUTO",
         first_item=1,
@@ -84,18 +81,17 @@ EKF3: Final = Timing(
     drift_m_s2=0.01,
     velocity_ratio=0.012,
 )
-_FOR_THE_FLIGHT, _FROM_TAKE_OFF, _ONLY_WHEN_ARMED = 1.0, 2.0, 3.0
-"""FENCE_AUTOENABLE: from an automatic take-off to the landing, from it on, or while armed."""
 _RECOVERY_S: Final = 10.0
 """How long a breached fence is left alone after a mode was chosen inside the breach."""
-_GCS_EARLY_S: Final = 0.1  # the failsafe comes after 4.9 s where 5 is set (measured)
+_BATTERY_LOW_S: Final = 10.0  # BATT_LOW_TIMER
+_GCS_LOST_S: Final = 4.9  # FS_GCS_TIMEOUT and FS_LONG_TIMEOUT 5, as measured
 
 
 class ArduPilot(Autopilot):
     """One vehicle's autopilot."""
 
-    gcs_failsafe: ClassVar[tuple[str, str]]
-    """The parameters that say whether a lost ground station matters, and after how long."""
+    gcs_failsafe: ClassVar[str]
+    """The parameter that says whether a lost ground station matters."""
     lands: Callable[[], bool]  # it comes down to land: the fence has no floor then
     climbs_out: Callable[[], bool]  # a take-off goes on
     on_failsafe: Callable[[str, int], None]  # of "GCS", "Battery" or "Fence", its parameter's value
@@ -106,8 +102,7 @@ class ArduPilot(Autopilot):
         self.failsafe = False
         """For which the heartbeat says CRITICAL."""
         self.gcs_lost = False
-        self.battery_acted = 0
-        """1: of a low battery, 2: of a critical one."""
+        self.battery_acted = False
         self._was_aiding = False
         self._battery_low_s: float | None = None
         self._fence_left_alone_s = 0.0
@@ -115,9 +110,8 @@ class ArduPilot(Autopilot):
             176: self._set_mode_number,
             179: self._set_home,
             207: self._fence_enable,
-            401: self._run_prearm_checks,
             410: self._get_home,
-            520: self.answer(core.AUTOPILOT_VERSION),
+            520: self.tell,
         }
 
     # --- where the two kinds differ -----------------------------------------------------------
@@ -136,19 +130,14 @@ class ArduPilot(Autopilot):
 
     # --- each step ----------------------------------------------------------------------------
 
-    def on_origin(self) -> None:
-        """The estimator's origin is set, and home with it."""
-        self.home = self.estimator.origin
-        self.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
-
     def check(self) -> None:
         """Ten times a second: failsafes, fence."""
-        if self.estimator.aiding is not self._was_aiding:
-            self._was_aiding = self.estimator.aiding
+        if self.estimate.aiding is not self._was_aiding:
+            self._was_aiding = self.estimate.aiding
             self.say(6, f"EKF3 IMU0 {'is using GPS' if self._was_aiding else 'stopped aiding'}")
         self._check_fence()
-        enabled, timeout_s = (self.parameters[name] for name in self.gcs_failsafe)
-        lost = timeout_s - _GCS_EARLY_S <= self.now_s - self.station_s < math.inf
+        enabled = self.parameters[self.gcs_failsafe]
+        lost = _GCS_LOST_S <= self.now_s - self.station_s < math.inf
         if self.gcs_lost and not lost:
             self.gcs_lost = False
             self.say(4, "GCS Failsafe Cleared")
@@ -159,39 +148,27 @@ class ArduPilot(Autopilot):
 
     def _check_battery(self) -> None:
         battery, p = self.battery, self.parameters
-        left_mah = p["BATT_CAPACITY"] - battery.consumed_mah
-        for level, name, how in ((2, "CRT", "critical"), (1, "LOW", "low")):
-            volts, mah = p[f"BATT_{name}_VOLT"], p[f"BATT_{name}_MAH"]
-            is_low = (volts > 0.0 and battery.voltage_v < volts) or (mah > 0.0 and left_mah < mah)
-            if not (is_low and p["BATT_MONITOR"] and level > self.battery_acted):
-                continue
-            if self._battery_low_s is None:
-                self._battery_low_s = self.now_s
-            if self.now_s - self._battery_low_s >= p["BATT_LOW_TIMER"]:
-                self.battery_acted, action = level, int(p[f"BATT_FS_{name}_ACT"])
-                used = f"{battery.voltage_v:.2f}V used {battery.consumed_mah:.0f} mAh"
-                self.say(4, f"Battery 1 is {how} {used}")
-                if self.armed and action:
-                    self.on_failsafe("Battery", action)
+        if battery.voltage_v >= p["BATT_LOW_VOLT"] or self.battery_acted:
+            self._battery_low_s = None
             return
-        self._battery_low_s = None
-
-    def took_off(self) -> None:
-        """An automatic take-off is over (AC_Fence::auto_enable_fence_after_takeoff)."""
-        if self.parameters["FENCE_AUTOENABLE"] in (_FOR_THE_FLIGHT, _FROM_TAKE_OFF):
-            self.fence.enabled = self.fence.has_floor = True  # whatever its height
+        if self._battery_low_s is None:
+            self._battery_low_s = self.now_s
+        if self.now_s - self._battery_low_s >= _BATTERY_LOW_S:
+            self.battery_acted, action = True, int(p["BATT_FS_LOW_ACT"])
+            used = f"{battery.voltage_v:.2f}V used {battery.consumed_mah:.0f} mAh"
+            self.say(4, f"Battery 1 is low {used}")
+            if self.armed and action:
+                self.on_failsafe("Battery", action)
 
     def _check_fence(self) -> None:
-        fence, home, lands = self.fence, self.home, self.lands()
-        down = not self.armed or self.landed
-        if self.parameters["FENCE_AUTOENABLE"] == _FOR_THE_FLIGHT and (down or lands):
-            fence.enabled = False
-        if not fence.enabled or home is None or down:
+        fence, home = self.fence, self.home
+        if not fence.enabled or home is None or not self.armed or self.landed:
             fence.breached, fence.has_floor = 0, False
-        elif not self.estimator.ok:
+        elif not self.estimate.position_ok:
             fence.breached = 0
         else:
-            new = fence.check(self.estimate.place, home, self.frame, self.now_s, lands=lands)
+            here, lands = self.estimate.place, self.lands()
+            new = fence.check(here, home, self.frame, self.now_s, lands=lands)
             if new and self.now_s >= self._fence_left_alone_s:
                 self.say(5, f"{named(new)} fence breached")
                 if action := int(self.parameters["FENCE_ACTION"]):
@@ -233,25 +210,18 @@ class ArduPilot(Autopilot):
         """Why it may not be armed now."""
         if not self.mode.armable:
             return f"{self.mode.name} mode not armable"
-        if self.mode.needs_position and not self.estimator.ok:
+        if self.mode.needs_position and not self.estimate.position_ok:
             return "Need Position Estimate"
         if self.now_s < self.firmware.prearm_s:
             return "AHRS: waiting for home"
-        outside = self.outside_fence(self.estimate.place) if self.estimator.ok else 0
+        outside = self.outside_fence(self.estimate.place) if self.estimate.position_ok else 0
         return f"Vehicle breaching {named(outside)}" if outside else None
 
     def on_armed(self) -> None:
         """Home is told; a mission begins where it stands."""
-        if self.parameters["FENCE_AUTOENABLE"] == _ONLY_WHEN_ARMED:
-            self.fence.enabled = True
         self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
         if self.mode.name == self.firmware.missions:
             self.seek(self.firmware.first_item)
-
-    def on_disarmed(self) -> None:
-        """The motors have stopped."""
-        if self.parameters["FENCE_AUTOENABLE"] == _ONLY_WHEN_ARMED:
-            self.fence.enabled = False
 
     # --- commands -----------------------------------------------------------------------------
 
@@ -268,10 +238,10 @@ class ArduPilot(Autopilot):
         return Place(latitude_deg, longitude_deg, height_m)
 
     def _set_home(self, command: Command) -> Result:
-        if self.estimator.origin is None:
+        if self.estimate.origin is None:
             return Result.FAILED
         p = command.parameters
-        place: Place | Result = self.estimate.place if self.estimator.ok else Result.FAILED
+        place: Place | Result = self.estimate.place if self.estimate.position_ok else Result.FAILED
         if p[0] != 1.0 and p[4:] != (0.0, 0.0, 0.0):
             place = self.place_of(command)
         if isinstance(place, Result):
@@ -281,7 +251,7 @@ class ArduPilot(Autopilot):
     def _fence_enable(self, command: Command) -> Result:
         if command.parameters[0] not in (0.0, 1.0):
             return Result.FAILED
-        self.fence.enabled = command.parameters[0] == 1.0
+        self.parameters["FENCE_ENABLE"] = command.parameters[0]
         return Result.ACCEPTED
 
     def _get_home(self, _: Command) -> Result:
@@ -289,45 +259,24 @@ class ArduPilot(Autopilot):
             self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
         return self.done(self.home is not None)
 
-    def _run_prearm_checks(self, _: Command) -> Result:
-        if self.armed:
-            return Result.TEMPORARILY_REJECTED
-        if (refusal := self.refusal()) is not None:
-            self.say(2, f"PreArm: {refusal}")
-        return Result.ACCEPTED
-
     # --- the rest of the protocol -------------------------------------------------------------
-
-    def on_parameter(self, name: str) -> Sequence[Reply]:
-        """A parameter has been set from outside."""
-        if name == "FENCE_ENABLE":
-            self.fence.enabled = bool(self.parameters[name])
-        return ()
-
-    def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
-        """A mission, fence or rally list was replaced by a client."""
-        names = {PlanKind.MISSION: "MIS_TOTAL", PlanKind.FENCE: "FENCE_TOTAL"}
-        if kind is PlanKind.FENCE:
-            self.fence.load(self.now_s)
-        self.parameters[names.get(kind, "RALLY_TOTAL")] = len(self.plans[kind])
-        return ()
 
     def local_ned_m(self) -> values.Vector | None:
         """Position in the estimator's frame, while it has one."""
-        if self.estimator.origin is None or not self.estimator.aiding:
+        if self.estimate.origin is None or not self.estimate.aiding:
             return None
         return super().local_ned_m()
 
     def status(self) -> values.Status:
         """The status for telemetry."""
-        fence, landed, state = self.fence, Landed.IN_AIR, State.ACTIVE
+        landed, state = Landed.IN_AIR, State.ACTIVE
         if self.landed:
             landed, state = Landed.ON_GROUND, State.STANDBY
         elif self.lands():
             landed = Landed.LANDING
         elif self.climbs_out():
             landed = Landed.TAKEOFF
-        is_plane = self.profile.vehicle_type == 1
+        is_plane = self.firmware.vehicle_type == 1
         if self.failsafe or (is_plane and (self.gcs_lost or self.battery_acted)):
             state = State.CRITICAL
         if self.now_s < self.firmware.ready_s:
@@ -338,16 +287,11 @@ class ArduPilot(Autopilot):
             system_status=state,
             landed_state=landed,
             prearm_ok=self.now_s >= self.firmware.prearm_s,
-            origin=self.estimator.origin,
             waypoint=self.waypoint(),
             mission_current=self.route.current,
             mission_state=self.mission_state(),
             mission_total=max(len(self.plans[PlanKind.MISSION]) - 1, 0),
-            fence_breached=bool(fence.breached),
-            fence_breaches=fence.breaches,
-            fence_present=fence.present,
-            fence_breach_type=fence.breach_type,
-            fence_breach_ms=round(fence.breach_s * 1e3),
+            fence=self.fence.told,
             failsafe=self.failsafe,
             airspeed_m_s=self.airspeed_m_s(),
         )

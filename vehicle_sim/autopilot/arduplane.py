@@ -11,15 +11,15 @@ from typing import Final, final
 
 from vehicle_sim.autopilot import values
 from vehicle_sim.autopilot.ardupilot import EKF3, ArduPilot, firmware
-from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HEARTBEAT, HOME_POSITION, Boot, Mode
+from vehicle_sim.autopilot.core import HEARTBEAT, HOME_POSITION, Boot, Mode
 from vehicle_sim.autopilot.earth import FlatEarth, way_m
 from vehicle_sim.autopilot.estimator import State as Estimates
 from vehicle_sim.autopilot.legs import WAYPOINT, Does, Leg
 from vehicle_sim.autopilot.plane_control import (
     Circle,
+    FixedWing,
     Runway,
     Way,
-    Wheels,
     eas_to_tas,
     indicated_airspeed_m_s,
     true_airspeed_m_s,
@@ -50,7 +50,7 @@ FIRMWARE: Final = firmware(
         Mode("TAKEOFF", 13, "takes off", base=_BY_ITSELF),
         Mode("AUTO", 10, "flies a mission", base=_BY_ITSELF),
     ),
-    orders={17: "LOITER", 20: "RTL"},
+    orders={17: "LOITER", 20: "RTL", 300: "AUTO"},
     pilot="FBWA",
     timing=replace(
         EKF3, stages=((0.0, 0x400), (11.1, 0x000), (12.3, 0x0A7)), origin_s=10.22, good_s=11.24
@@ -60,7 +60,6 @@ FIRMWARE: Final = firmware(
     believes_landing_s=0.0,
     arms="Throttle armed",
     disarms="Throttle disarmed",
-    crashes="Crash detected",
 )
 
 _LIFT_OFF_SHARE: Final = 0.86  # of the cruising airspeed
@@ -73,8 +72,8 @@ _REACHED_M: Final = 2.0  # a take-off is over so much below its height
 _TURN_EFFICIENCY: Final = 0.745
 """Lateral acceleration over g tan(bank) of the recorded airframe, which slips in turns (measured:
 0.745 +- 0.01 over 240 s); that is why its circles are wider than asked."""
-_SLOWING_M_S2: Final = 2.2  # how fast it loses speed with the throttle slewing down
 _GLIDE_M_S: Final = 2.5
+_DISARMS_S: Final = 20.0  # LAND_DISARMDELAY
 _LANDING_SINK_M_S: Final = 1.5
 """Wings level from the place of a landing on: no approach and no flare."""
 _HEADING_GAIN: Final = math.radians(50.0)
@@ -85,10 +84,11 @@ _NO_HEIGHT = "SIM: NaN height in {} stops the real autopilot"
 
 
 @final
-class ArduPlane(Wheels, ArduPilot):
+class ArduPlane(FixedWing, ArduPilot):
     """Modes, GUIDED's points and take-off."""
 
-    gcs_failsafe = ("FS_GCS_ENABL", "FS_LONG_TIMEOUT")
+    gcs_failsafe = "FS_GCS_ENABL"
+    slowing_m_s2 = 2.2
     runway = Runway(
         # arduplane-guided-reposition.tlog, 26 to 35 s; TKOFF_THR_DELAY, THR_SLEWRATE
         full_m_s2=14.5,
@@ -105,7 +105,6 @@ class ArduPlane(Wheels, ArduPilot):
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
         self.plane.turn_efficiency = _TURN_EFFICIENCY
-        self.control.slowing_m_s2 = _SLOWING_M_S2
         self._start = self._place = self.estimate.place  # where it goes, and where from
         self._straight = False  # along the way between the two, and not to circle at once
         self._radius_m, self._left = 0.0, False  # asked for, 0: WP_LOITER_RAD; counter-clockwise
@@ -119,7 +118,6 @@ class ArduPlane(Wheels, ArduPilot):
             22: lambda _: Result.FAILED,  # there is the mode TAKEOFF for that
             _DO_CHANGE_SPEED: self._change_speed,
             192: self._reposition,
-            300: self._start_mission,
             _GUIDED_CHANGE_SPEED: self._change_speed,
             43002: self._change_heading,
         }
@@ -128,13 +126,11 @@ class ArduPlane(Wheels, ArduPilot):
 
     def begin(self) -> None:
         """What was told before is forgotten; without anything new it circles here."""
-        here = self.estimate.place
-        self._speeds_m_s, self._course = {}, None
+        here, self._speeds_m_s, self._course = self.estimate.place, {}, None
         self.route.stop()
-        if self._climbing:
-            self._end_climb()
+        self._end_climb()
         self._go(here)
-        self.control.height_amsl_m = here.altitude_amsl_m
+        self.wanted_height_m = here.altitude_amsl_m
         if self.mode.flies == "returns":
             self._return()
         elif self.mode.flies == "flies a mission":
@@ -150,7 +146,7 @@ class ArduPlane(Wheels, ArduPilot):
 
     def _aim_ahead(self, away_m: float, up_m: float) -> None:
         """To the point so far ahead and so much higher."""
-        way = self.control.velocity / abs(self.control.velocity) * away_m
+        way = self.velocity / abs(self.velocity) * away_m
         self._go(FlatEarth(self.estimate.place).place(way.real, way.imag, -up_m))
 
     def _return(self) -> None:
@@ -163,21 +159,19 @@ class ArduPlane(Wheels, ArduPilot):
     def begin_leg(self, speed_m_s: float | None) -> None:
         """Another item."""
         leg, here_m = self.route.leg, self.estimate.altitude_amsl_m
-        if speed_m_s:
-            self._speeds_m_s[_DO_CHANGE_SPEED] = speed_m_s
+        self._speeds_m_s |= {_DO_CHANGE_SPEED: speed_m_s} if speed_m_s else {}
         if leg is None:
             return
-        match leg.does:
-            case Does.RETURN:
-                self._return()
-            case Does.CLIMB:
-                self._aim_ahead(_RUNWAY_AHEAD_M, leg.place.altitude_amsl_m - here_m)
-            case Does.LAND:
-                self._go(leg.place.at(here_m), straight=True)
-            case Does.GO:
-                straight = leg.command == WAYPOINT
-                self.route.leg = leg._replace(hold_s=0.0 if straight else leg.hold_s)
-                self._go(leg.place, straight=straight)
+        if leg.does is Does.RETURN:
+            self._return()
+        elif leg.does is Does.CLIMB:
+            self._aim_ahead(_RUNWAY_AHEAD_M, leg.place.altitude_amsl_m - here_m)
+        elif leg.does is Does.LAND:
+            self._go(leg.place.at(here_m), straight=True)
+        else:
+            straight = leg.command == WAYPOINT
+            self.route.leg = leg._replace(hold_s=0.0 if straight else leg.hold_s)
+            self._go(leg.place, straight=straight)
 
     def is_there(self, leg: Leg) -> bool:
         """At its height, on its circle, or near enough; a landing ends on the ground."""
@@ -185,23 +179,22 @@ class ArduPlane(Wheels, ArduPilot):
             return self.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m
         if leg.does is not Does.GO:
             return False
-        l1, velocity = self.control.l1, self.control.velocity
+        l1, velocity = self.l1, self.velocity
         if not self._straight:
             return self._arrived and l1.circling
         near_m = min(self.parameters["WP_RADIUS"], l1.length_m(abs(velocity)))
         near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else near_m
-        return abs(self.control.off_m(self._place)) <= near_m or self._along() >= 1.0
+        return abs(self.off_m(self._place)) <= near_m or self._along() >= 1.0
 
     def lands(self) -> bool:
         """Where AUTO does."""
         return self.is_at(Does.LAND)
 
     def on_failsafe(self, cause: str, action: int) -> None:
-        """It returns, but for FS_LONG_ACTN 0 in AUTO, BATT_FS_*_ACT 2 in a landing, and MANUAL."""
+        """It returns, but not from MANUAL, nor from AUTO for GCS, nor from a landing for power."""
         returns = self.mode.name != "MANUAL"
         if cause == "GCS":
-            goes_on = self.parameters["FS_LONG_ACTN"] == 0.0 and self.mode.name == "AUTO"
-            returns = not (self.landed or goes_on)
+            returns = not (self.landed or self.mode.name == "AUTO")
         elif cause == "Battery":
             returns = action in (1, 2) and not self.lands()
         if returns:
@@ -225,20 +218,17 @@ class ArduPlane(Wheels, ArduPilot):
         if self.mode.name != "GUIDED" and not (math.isfinite(flags) and int(flags) & 1):
             return Result.FAILED
         self.set_mode("GUIDED")
-        asked_m = min(float(int(radius_m)), 65535.0) if 0.0 < radius_m < math.inf else None
-        turns_left = math.isfinite(left) and left != 0.0
-        self._go(place, radius_m=self._radius_m if asked_m is None else asked_m, left=turns_left)
+        if not 0.0 < radius_m < math.inf:
+            radius_m = self._radius_m
+        radius_m = min(float(int(radius_m)), 65535.0)
+        self._go(place, radius_m=radius_m, left=math.isfinite(left) and left != 0.0)
         self._course = None
         # until navigation has run again the height to be at is the present one
-        self.control.height_amsl_m = self.estimate.altitude_amsl_m
+        self.wanted_height_m = self.estimate.altitude_amsl_m
         return Result.ACCEPTED
 
-    def _start_mission(self, command: Command) -> Result:
-        asks_for_items = command.parameters[:2] != (0.0, 0.0)
-        return Result.DENIED if asks_for_items else self.to_mode("AUTO")(command)
-
     def _change_speed(self, command: Command) -> Result:
-        """DO_CHANGE_SPEED, which takes speeds over the ground without effect; and the other."""
+        """DO_CHANGE_SPEED, which takes speeds over the ground without effect; and GUIDED's own."""
         p, (kind, speed_m_s) = self.parameters, command.parameters[:2]
         is_other, mode = command.number == _GUIDED_CHANGE_SPEED, self.mode.name
         if mode != "GUIDED" and (is_other or mode != "AUTO"):
@@ -278,8 +268,7 @@ class ArduPlane(Wheels, ArduPilot):
 
     def disarms_after_s(self) -> float | None:
         """After a landing of a mission."""
-        wait_s: float = self.parameters["LAND_DISARMDELAY"]
-        return wait_s if self.lands() and wait_s > 0.0 else None
+        return _DISARMS_S if self.lands() else None
 
     # --- ten times a second -------------------------------------------------------------------
 
@@ -295,42 +284,38 @@ class ArduPlane(Wheels, ArduPilot):
             self.home = Place(fix.latitude_deg, fix.longitude_deg, fix.altitude_amsl_m)
             self.send(HOME_POSITION)
 
-    def on_origin(self) -> None:
-        """It is told, and home again."""
-        self.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
-
     def check(self) -> None:
         """How fast and how high, where to, and how to bank for it."""
         super().check()
         self._choose_speed()
-        if not self.estimator.ok or self.mode.flies in ("glides", "cruises"):
-            self.control.bank_rad = 0.0
+        if not self.estimate.position_ok or self.mode.flies in ("glides", "cruises"):
+            self.bank_rad = 0.0
         else:
             self._navigate()
 
     def _choose_speed(self) -> None:
         """Airspeed, and the climb where that is no matter of height."""
-        p, control, flies = self.parameters, self.control, self.mode.flies
+        p, flies = self.parameters, self.mode.flies
         usual_m_s = p["AIRSPEED_MIN" if flies in ("glides", "cruises") else "AIRSPEED_CRUISE"]
-        cruise_m_s = self._speeds_m_s.get(_DO_CHANGE_SPEED, usual_m_s)
-        asked_m_s = self._speeds_m_s.get(_GUIDED_CHANGE_SPEED, cruise_m_s)
+        usual_m_s = self._speeds_m_s.get(_DO_CHANGE_SPEED, usual_m_s)
+        asked_m_s = self._speeds_m_s.get(_GUIDED_CHANGE_SPEED, usual_m_s)
         self._demand_m_s = min(max(asked_m_s, p["AIRSPEED_MIN"]), p["AIRSPEED_MAX"])
         altitude_m = self.estimate.altitude_amsl_m
-        control.airspeed_m_s = true_airspeed_m_s(self._demand_m_s, altitude_m)
-        control.climb_m_s = None
+        self.wanted_airspeed_m_s = true_airspeed_m_s(self._demand_m_s, altitude_m)
+        self.wanted_climb_m_s = None
         if flies == "glides":
-            control.climb_m_s = -_GLIDE_M_S
+            self.wanted_climb_m_s = -_GLIDE_M_S
         elif self._climbing:
-            control.airspeed_m_s *= _CLIMB_AIRSPEED
-            control.climb_m_s = _CLIMB_M_S
+            self.wanted_airspeed_m_s *= _CLIMB_AIRSPEED
+            self.wanted_climb_m_s = _CLIMB_M_S
         elif self.lands() and self._along() >= 1.0:
-            control.climb_m_s = -_LANDING_SINK_M_S
+            self.wanted_climb_m_s = -_LANDING_SINK_M_S
 
     def _navigate(self) -> None:
         """By itself: to its point, along the way or around it."""
-        p, control = self.parameters, self.control
+        p = self.parameters
         if self.mode.flies == "takes off" and self.plane.stands and self.armed:
-            if abs(control.velocity) < _AIMED_M_S:
+            if abs(self.velocity) < _AIMED_M_S:
                 self._aim_ahead(p["TKOFF_DIST"], p["TKOFF_ALT"])
         elif self.mode.flies == "flies a mission":
             self.follow_route()
@@ -341,25 +326,25 @@ class ArduPlane(Wheels, ArduPilot):
         radius_m *= eas_to_tas(self.estimate.altitude_amsl_m) ** 2  # wider where the air is thin
         left = self._left or usual_m < 0.0
         circle = Circle(self._place, -radius_m if left else radius_m)
-        control.steer(Way(self._start, self._place) if self._straight else circle)
-        there = control.l1.circling or self._along() > 1.0
+        self.bank_for(Way(self._start, self._place) if self._straight else circle)
+        there = self.l1.circling or self._along() > 1.0
         if there and not self._arrived and not self._straight:
             self._arrived = True
             if self.mode.name == "GUIDED" and not self.landed:
                 self.reached(0)
-        control.height_amsl_m = self._place.altitude_amsl_m
+        self.wanted_height_m = self._place.altitude_amsl_m
         if self._course is not None:
             course_rad, most_rad = self._course
-            error_rad = math.remainder(course_rad - cmath.phase(control.velocity), math.tau)
-            control.bank_rad = min(max(_HEADING_GAIN * error_rad, -most_rad), most_rad)
+            error_rad = math.remainder(course_rad - cmath.phase(self.velocity), math.tau)
+            self.bank_rad = min(max(_HEADING_GAIN * error_rad, -most_rad), most_rad)
         if self._climbing:
             self._watch_climb()
-        elif control.climb_m_s is not None:
-            control.bank_rad = 0.0  # it lands
+        elif self.wanted_climb_m_s is not None:
+            self.bank_rad = 0.0  # it lands
 
     def _along(self) -> float:
         """Share of the way from where it came from to where it goes; may be over 1."""
-        leg_m, off_m = way_m(self._place, self._start), self.control.off_m(self._start)
+        leg_m, off_m = way_m(self._place, self._start), self.off_m(self._start)
         square = abs(leg_m) ** 2
         return 1.0 if square < 1e-3 else -(off_m.conjugate() * leg_m).real / square
 
@@ -372,11 +357,7 @@ class ArduPlane(Wheels, ArduPilot):
 
     def wants_up(self) -> bool:
         """Whether it is to take off now."""
-        return self._takes_off and self.armed and self.estimator.ok
-
-    def lift_off_m_s(self) -> float:
-        """Less than it cruises with."""
-        return _LIFT_OFF_SHARE * self.control.airspeed_m_s
+        return self._takes_off and self.armed and self.estimate.position_ok
 
     def climbs_out(self) -> bool:
         """Whether a take-off goes on."""
@@ -384,50 +365,47 @@ class ArduPlane(Wheels, ArduPilot):
 
     def lifts_off(self) -> bool:
         """Fast enough on the runway: at full throttle from here on."""
-        self._climbing = super().lifts_off()
+        fast_m_s = _LIFT_OFF_SHARE * self.wanted_airspeed_m_s
+        self._climbing = self.wants_up() and self.plane.airspeed_m_s >= fast_m_s
         if self._climbing:
             self._choose_speed()
         return self._climbing
 
     def _watch_climb(self) -> None:
         """Level near the ground; over at its height, or far enough away."""
-        control, p = self.control, self.parameters
+        p = self.parameters
         climbed_m = self.estimate.altitude_amsl_m - self._start.altitude_amsl_m
         share = min(max((climbed_m - _LEVEL_M) / (_FREE_M - _LEVEL_M), 0.0), 1.0)
-        most_rad = _LEVEL_RAD + share * (control.bank_most_rad - _LEVEL_RAD)
-        control.bank_rad = min(max(control.bank_rad, -most_rad), most_rad)
+        most_rad = _LEVEL_RAD + share * (self.bank_most_rad - _LEVEL_RAD)
+        self.bank_rad = min(max(self.bank_rad, -most_rad), most_rad)
         over = not self._takes_off
         if self.mode.flies == "takes off":
-            away_m = abs(control.off_m(self._start))
+            away_m = abs(self.off_m(self._start))
             over = climbed_m >= p["TKOFF_ALT"] - _REACHED_M or away_m >= p["TKOFF_DIST"]
         if over:
             self._end_climb()
-            self.took_off()
 
     def _end_climb(self) -> None:
-        self._climbing = False
-        self._choose_speed()
+        if self._climbing:
+            self._climbing = False
+            self._choose_speed()
+
+    on_disarmed = _end_climb
 
     def touch_down(self) -> None:
         """A climb is over, too."""
         super().touch_down()
-        self._climbing = False
-
-    def on_disarmed(self) -> None:
-        """A take-off is abandoned."""
-        super().on_disarmed()
-        self._climbing = False
+        self._end_climb()
 
     # --- telling ------------------------------------------------------------------------------
 
     def read_parameters(self) -> None:
         """Some parameter has changed."""
-        p, control = self.parameters, self.control
-        control.l1.period_s = max(p["NAVL1_PERIOD"], 1.0)
-        control.l1.damping = max(p["NAVL1_DAMPING"], 0.1)
-        control.heights.climb_most_m_s = max(p["TECS_CLMB_MAX"], 0.1)
-        control.heights.sink_most_m_s = max(p["TECS_SINK_MAX"], 0.1)
-        control.bank_most_rad = math.radians(min(abs(p["ROLL_LIMIT_DEG"]), 80.0))
+        p = self.parameters
+        self.l1.period_s = max(p["NAVL1_PERIOD"], 1.0)
+        self.heights.climb_most_m_s = max(p["TECS_CLMB_MAX"], 0.1)
+        self.heights.sink_most_m_s = max(p["TECS_SINK_MAX"], 0.1)
+        self.bank_most_rad = math.radians(min(abs(p["ROLL_LIMIT_DEG"]), 80.0))
 
     def airspeed_m_s(self) -> float:
         """What the pitot tube measures: less than the true airspeed, as it is calibrated."""
@@ -435,7 +413,7 @@ class ArduPlane(Wheels, ArduPilot):
 
     def local_ned_m(self) -> values.Vector | None:
         """About home, by another estimator, until this one flies for the first time."""
-        if self.estimator.state is Estimates.START and self.home is not None:
+        if self.estimate.state is Estimates.START and self.home is not None:
             return 0.0, 0.0, self.home.altitude_amsl_m - self.estimate.altitude_amsl_m
         return super().local_ned_m()
 
@@ -443,12 +421,11 @@ class ArduPlane(Wheels, ArduPilot):
         """Where it goes; MANUAL says nothing."""
         if self.mode.name in ("MANUAL", "INITIALISING"):
             return None
-        control = self.control
         return Waypoint(
             place=self._place,
-            distance_m=abs(control.off_m(self._place)),
-            bearing_rad=control.l1.bearing_rad,
-            altitude_error_m=control.height_amsl_m - self.estimate.altitude_amsl_m,
-            cross_track_m=control.l1.cross_track_m,
+            distance_m=abs(self.off_m(self._place)),
+            bearing_rad=self.l1.bearing_rad,
+            altitude_error_m=self.wanted_height_m - self.estimate.altitude_amsl_m,
+            cross_track_m=self.l1.cross_track_m,
             airspeed_error_m_s=self._demand_m_s - self.airspeed_m_s(),
         )

@@ -16,7 +16,7 @@ import math
 from dataclasses import dataclass
 from typing import Final, final
 
-from vehicle_sim.autopilot.values import Estimate
+from vehicle_sim.autopilot.estimator import Estimator
 from vehicle_sim.geodesy import degrees_east, metres_per_degree
 
 POSITION_P, VELOCITY_P, VELOCITY_I, VELOCITY_D = 1.0, 2.0, 1.0, 0.25
@@ -27,7 +27,8 @@ FILTER_S: Final = 1.0 / (math.tau * 5.0)
 """PSC_VELXY_FLTE and _FLTD, 5 Hz."""
 LEAN_S: Final = 0.12
 """Time constant from a commanded lean to a flown one."""
-VELOCITY_UP_P: Final = 5.0
+VELOCITY_UP_P, JERK_UP_M_S3 = 5.0, 5.0
+"""The latter is PSC_JERK_Z."""
 _CORNER_SHARE: Final = 1.0 / math.sqrt(2.0)
 _APPROACH: Final = 0.5
 """Share of acceleration and gain for approaching a position: leaves some for cornering."""
@@ -44,7 +45,6 @@ class Tuning:
     speed_up_m_s: float
     speed_down_m_s: float
     acceleration_up_m_s2: float
-    jerk_up_m_s3: float
     lean_m_s2: float
     """Horizontal acceleration at the steepest lean."""
 
@@ -85,7 +85,7 @@ class Horizontal:
 
     tuning: Tuning
 
-    def __init__(self, estimate: Estimate) -> None:
+    def __init__(self, estimate: Estimator) -> None:
         self._estimate = estimate
         self.scale = (1.0, 1.0)
         """Metres of a degree, of latitude and longitude, where it flies."""
@@ -97,14 +97,10 @@ class Horizontal:
         """Where it believes to be."""
         return complex(self._estimate.latitude_deg, self._estimate.longitude_deg)
 
-    @property
-    def flown(self) -> complex:
-        """Velocity over the ground."""
-        return complex(self._estimate.velocity_north_m_s, self._estimate.velocity_east_m_s)
-
     def start(self) -> None:
         """From what the vehicle does now: the integrator takes over all of the present lean."""
-        self.place_deg, self.velocity, self.acceleration = self.here_deg, self.flown, 0j
+        self.place_deg, self.velocity = self.here_deg, self._estimate.velocity_m_s
+        self.acceleration = 0j
         self._integral, self._derivative, self._limited = self._asked, 0j, 0j
         self._error: complex | None = None
 
@@ -182,7 +178,7 @@ class Horizontal:
         away = abs(off)
         if away > 1e-9:
             off *= rate_for(away, POSITION_P, self.tuning.acceleration_m_s2, dt_s) / away
-        error = off + self.velocity - complex(e.velocity_north_m_s, e.velocity_east_m_s)
+        error = off + self.velocity - e.velocity_m_s
         if self._error is not None:
             blend = dt_s / (FILTER_S + dt_s)
             step = blend * (error - self._error)
@@ -218,7 +214,7 @@ class Vertical:
 
     tuning: Tuning
 
-    def __init__(self, estimate: Estimate) -> None:
+    def __init__(self, estimate: Estimator) -> None:
         self._estimate = estimate
         self.start()
 
@@ -239,7 +235,7 @@ class Vertical:
 
         altitude_amsl_m: a height that changes like that, and no faster there than up_down_m_s.
         """
-        most, jerk = self.tuning.acceleration_up_m_s2, self.tuning.jerk_up_m_s3
+        most, jerk = self.tuning.acceleration_up_m_s2, JERK_UP_M_S3
         pushed, e = self.acceleration_m_s2, self._estimate
         if altitude_amsl_m is not None:
             error_m, (up_m_s, down_m_s) = altitude_amsl_m - self.altitude_amsl_m, up_down_m_s

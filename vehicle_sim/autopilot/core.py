@@ -4,11 +4,10 @@ A `Firmware` is a value: all that differs as data.  Two families answer and deci
 px4.py); a kind of vehicle is a class of one of them that says how it is flown.
 """
 
-import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Final, NamedTuple, final
+from dataclasses import dataclass, field
+from typing import Final, Literal, NamedTuple, final
 
 import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
@@ -16,7 +15,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from vehicle_sim.autopilot import values
 from vehicle_sim.autopilot.earth import Frame
 from vehicle_sim.autopilot.estimator import Estimator, Timing
-from vehicle_sim.autopilot.legs import RETURN, TAKEOFF, Does, Leg, Route, leg_of
+from vehicle_sim.autopilot.legs import RETURN, Does, Leg, Route
 from vehicle_sim.autopilot.values import Command, Place, Reply, Result, Sender
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
@@ -33,6 +32,8 @@ _MAX_RAD_S: Final = 10.0
 """Beyond what a gyroscope is told to feel: a heading that is set anew jumps."""
 _GROUND_STATION: Final = 6  # MAV_TYPE
 Handler = Callable[[Command], Result]
+_TELLS: Final = {410: HOME_POSITION, 519: 300, 520: AUTOPILOT_VERSION}
+"""Old commands that ask for one message."""
 
 
 @final
@@ -56,7 +57,22 @@ class Mode:
 class Firmware:
     """All that differs between autopilots as data; times in seconds since boot."""
 
-    profile: values.FirmwareProfile
+    family: Literal["ardupilot", "px4"]
+    vehicle_type: int
+    autopilot: int
+    """MAV_TYPE and MAV_AUTOPILOT."""
+    capabilities: int
+    software_version: int
+    custom_version: bytes
+    rates_hz: Mapping[int, float]
+    """Default rates of a new link, by message number."""
+    first_heartbeat_us: int
+    """Since boot; then at its rate."""
+    streamable: frozenset[int]
+    requestable: frozenset[int]
+    """What SET_MESSAGE_INTERVAL and REQUEST_MESSAGE accept."""
+    data_streams: Mapping[int, Sequence[int]] = field(default_factory=dict)
+    """REQUEST_DATA_STREAM: group -> message numbers."""
     table: tuple[Parameter, ...]
     modes: tuple[Mode, ...]
     """The first one of them is that which it boots in."""
@@ -69,8 +85,8 @@ class Firmware:
     """Of a mission: ArduPilot keeps home as item 0."""
     timing: Timing
     frame: Callable[[Place], Frame]
-    ready_s: float
-    """It has booted: heartbeats say so."""
+    ready_s: float = 0.0
+    """It has booted: heartbeats of an ArduPilot say so."""
     prearm_s: float
     """From here on it may be armed."""
     first_check_s: float = 0.1
@@ -81,13 +97,12 @@ class Firmware:
     arms: str
     disarms: str
     cannot_arm: str
-    crashes: str = ""
     """Texts; with a gap for what it is disarmed by, or why it cannot be armed."""
 
 
 @final
 class Boot(NamedTuple):
-    """What an autopilot boots with."""
+    """What an autopilot boots with.  InputError names a parameter that it does not have."""
 
     firmware: Firmware
     vehicle: Vehicle
@@ -119,25 +134,21 @@ class Autopilot:
     lies_below_m_s = math.inf  # speed on the ground at which it may be taken to have landed
 
     # How it decides, by a family (ardupilot.py, px4.py).
-    on_origin: Callable[[], None]  # the estimator's origin is set
     check: Callable[[], None]  # ten times a second: whatever may end the flight
     set_mode: Callable[[str], bool]  # fly in this mode from now on, if it can be
     refusal: Callable[[], str | None]  # why it may not be armed now
     on_armed: Callable[[], None]  # the motors turn
     on_disarmed: Callable[[], None]  # they have stopped
     on_setpoint: Callable[[values.Setpoint], Sequence[Reply]]
-    on_plan: Callable[[PlanKind], Sequence[Reply]]  # a list was replaced by a client
     status: Callable[[], values.Status]  # what else there is to tell
 
     def __init__(self, boot: Boot) -> None:
         self.firmware = firmware = boot.firmware
-        self.profile, self.vehicle, self.plans = firmware.profile, boot.vehicle, boot.plans
-        self.is_px4 = firmware.profile.firmware == "px4"
+        self.vehicle, self.plans, self.is_px4 = boot.vehicle, boot.plans, firmware.family == "px4"
         self.parameters = Parameters(firmware.table, boot.parameters)
         self.battery, self.fix = Battery(), Fix()
         """What the power module and the receiver say; the simulation puts its own here."""
-        self.estimator = Estimator(boot.vehicle, firmware.timing, boot.rng)
-        self.estimate = self.estimator.estimate
+        self.estimate = Estimator(boot.vehicle, firmware.timing, boot.rng)
         self.frame = firmware.frame(self.estimate.place)
         """Its local frame: about the origin, once there is one."""
         self.modes = {mode.name: mode for mode in firmware.modes}
@@ -163,12 +174,8 @@ class Autopilot:
             400: self._arm_or_disarm,
         }
         """What answers which MAV_CMD; families and kinds add theirs."""
-        self.handlers |= {number: self.to_mode(name) for number, name in firmware.orders.items()}
 
     # --- what not every one does --------------------------------------------------------------
-
-    def took_off(self) -> None:
-        """An automatic take-off is over."""
 
     def steer(self) -> None:
         """Look where to go, on the ground too."""
@@ -181,8 +188,8 @@ class Autopilot:
         """Its target, if that is told."""
         return None
 
-    def on_parameter(self, name: str) -> Sequence[Reply]:  # noqa: ARG002 - they are read live
-        """A parameter was set by a client."""
+    def on_plan(self, kind: PlanKind) -> Sequence[Reply]:  # noqa: ARG002 - lists are read live
+        """A list was replaced by a client."""
         return ()
 
     # --- saying -------------------------------------------------------------------------------
@@ -206,12 +213,13 @@ class Autopilot:
         """Fly on to now_us, over ground of this height, with the newest GPS fix."""
         self.now_s, self.step_s = now_us * 1e-6, dt_s
         self.ground_m, self.fix = ground_amsl_m, fix
-        estimator, vehicle = self.estimator, self.vehicle
-        had_origin = estimator.origin is not None
-        estimator.step(self.now_s, dt_s, fix)
-        if estimator.origin is not None and not had_origin:
-            self.frame = self.firmware.frame(estimator.origin)
-            self.on_origin()
+        estimate, vehicle = self.estimate, self.vehicle
+        had_origin = estimate.origin is not None
+        estimate.step(self.now_s, dt_s, fix)
+        if estimate.origin is not None and not had_origin:
+            self.frame = self.firmware.frame(estimate.origin)
+            self.home = self.home or estimate.origin
+            self.send(GPS_GLOBAL_ORIGIN, *(() if self.is_px4 else (HOME_POSITION,)))
         if self.parameters.version != self._version:
             self._version = self.parameters.version
             self.read_parameters()
@@ -234,7 +242,7 @@ class Autopilot:
                 vehicle.fall(dt_s)
             if vehicle.altitude_amsl_m <= ground_amsl_m:
                 self._come_to_ground()
-        estimator.follow()
+        estimate.follow()
         attitude_rad = (vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad)
         self._attitudes_rad = (self._attitudes_rad[1], attitude_rad)
         return self.taken() if self._said else ()
@@ -269,7 +277,7 @@ class Autopilot:
     @property
     def rolling_m_s(self) -> float:
         """Speed over the ground, by its wheels."""
-        return math.hypot(self.vehicle.velocity_north_m_s, self.vehicle.velocity_east_m_s)
+        return math.hypot(*self.vehicle.velocity_neu_m_s[:2])
 
     @property
     def rates_rad_s(self) -> tuple[float, ...]:
@@ -286,18 +294,6 @@ class Autopilot:
 
     # --- modes and arming ---------------------------------------------------------------------
 
-    @property
-    def mode_name(self) -> str:
-        """Name of the flight mode."""
-        return self.mode.name
-
-    def to_mode(self, name: str) -> Handler:
-        """The answer to a command that asks for a mode."""
-        return functools.partial(self._enter, name)
-
-    def _enter(self, name: str, _: Command) -> Result:
-        return self.done(self.set_mode(name))
-
     def done(self, it_is: object) -> Result:
         """The answer to what either is done now or cannot be."""
         return Result.ACCEPTED if it_is else self.firmware.refused
@@ -311,7 +307,7 @@ class Autopilot:
             self.say(2, self.firmware.cannot_arm.format(why))
             return self.firmware.refused
         self.armed, self.armed_s, self.landed_s = True, self.now_s, None
-        if self.estimator.ok:
+        if self.estimate.position_ok:
             self.home = self.estimate.place
         self.say(6, self.firmware.arms)
         self.on_armed()
@@ -338,8 +334,6 @@ class Autopilot:
     def crash(self) -> Sequence[Reply]:
         """It has hit something; who lies on the ground need not wait to believe it."""
         self.landed = self.landed or self.vehicle.stands
-        if self.armed and self.firmware.crashes:
-            self.say(0, self.firmware.crashes)
         self.disarm("failure detector")
         return self.taken()
 
@@ -348,10 +342,8 @@ class Autopilot:
     def seek(self, number: int) -> None:
         """Fly the mission from this item on; what is above terrain is above the ground below."""
         items, here = self.plans[PlanKind.MISSION], self.estimate.place
-        leg_at = functools.partial(
-            leg_of, here=here, home=self.home or here, ground_amsl_m=self.ground_m
-        )
-        self.begin_leg(self.route.seek(items, number, leg_at, self.now_s))
+        about = (here, self.home or here, self.ground_m)
+        self.begin_leg(self.route.seek(items, number, about, self.now_s))
 
     def is_at(self, does: Does) -> bool:
         """Whether it flies a leg of this kind."""
@@ -365,12 +357,11 @@ class Autopilot:
         route, leg, arrives = self.route, self.route.leg, self.route.arrived_s is None
         if leg is None or (arrives and not self.is_there(leg)):
             return
-        leaves = route.has_waited(self.now_s, leg.hold_s) and leg.does is not Does.LAND
-        is_item = route.number is not None and leg.command != RETURN
+        route.arrived_s = self.now_s if route.arrived_s is None else route.arrived_s
+        leaves = self.now_s - route.arrived_s >= leg.hold_s and leg.does is not Does.LAND
+        is_item = leg.command not in (0, RETURN)
         if is_item and (arrives if self.is_px4 else leaves):
             self.reached(route.current)
-        if leaves and leg.command == TAKEOFF:
-            self.took_off()
         if leaves and is_item:
             self.seek(route.current + 1)
         elif leaves:
@@ -382,7 +373,7 @@ class Autopilot:
             return False
         self.route.current, self.route.complete = number, False
         if self.mode.name == self.firmware.missions:
-            self.route.forget_jumps()
+            self.route.jumps.forget()
             self.seek(max(number, self.firmware.first_item))
         return True
 
@@ -417,11 +408,14 @@ class Autopilot:
         PX4 answers for whatever component it is; it accepts DO_SET_MODE whatever that asks for,
         and lets the real result follow (px4.md 1, item 1).
         """
-        handler, result = self.handlers.get(command.number), Result.UNSUPPORTED
-        if handler is not None and (self.is_px4 or command.target_component in (0, 1)):
-            result = handler(command)
-        ack = values.Ack(to=command.sender, command=command.number, result=result)
-        if command.number != _DO_SET_MODE or not self.is_px4:
+        number, result = command.number, Result.UNSUPPORTED
+        if self.is_px4 or command.target_component in (0, 1):
+            if (mode := self.firmware.orders.get(number)) is not None:
+                result = self.done(self.set_mode(mode))
+            elif (handler := self.handlers.get(number)) is not None:
+                result = handler(command)
+        ack = values.Ack(to=command.sender, command=number, result=result)
+        if number != _DO_SET_MODE or not self.is_px4:
             return [ack, *self.taken()]
         self._said.insert(0, ack)
         return [ack._replace(result=Result.ACCEPTED)]
@@ -436,18 +430,15 @@ class Autopilot:
 
     def set_home(self, place: Place) -> Result:
         """DO_SET_HOME, once it is known where to."""
-        if not abs(place.altitude_amsl_m) <= values.HIGHEST_HOME_M:
+        if not abs(place.altitude_amsl_m) <= values.HIGHEST_M:
             return self.firmware.refused
         self.home = place
         self.send(HOME_POSITION)
         return Result.ACCEPTED
 
-    def answer(self, message: int) -> Handler:
-        """An old command that asks for one message."""
-        return functools.partial(self._answer, message)
-
-    def _answer(self, message: int, command: Command) -> Result:
-        self._said.append(values.SendTelemetry(message=message, to=command.sender))
+    def tell(self, command: Command) -> Result:
+        """The answer to an old command that asks for one message."""
+        self._said.append(values.SendTelemetry(_TELLS[command.number], command.sender))
         return Result.ACCEPTED
 
     def _reboot(self, command: Command) -> Result:
@@ -466,15 +457,10 @@ class Autopilot:
         self.set_mode(self.firmware.pilot)
         return self.taken()
 
-    def reset_estimate(self, north_m: float, east_m: float) -> Sequence[Reply]:
-        """The estimator resets and its position jumps by this much."""
-        self.estimator.shift(north_m, east_m)
-        return ()
-
     def move_origin(self, north_m: float, east_m: float, up_m: float) -> Sequence[Reply]:
         """The origin moves: local positions change, global ones do not."""
-        if self.estimator.origin is not None:
-            self.estimator.origin = origin = self.frame.place(north_m, east_m, -up_m)
+        if self.estimate.origin is not None:
+            self.estimate.origin = origin = self.frame.place(north_m, east_m, -up_m)
             self.frame = self.firmware.frame(origin)
             self.send(GPS_GLOBAL_ORIGIN)
         return self.taken()

@@ -3,7 +3,8 @@
 import math
 from typing import Final, final
 
-from vehicle_sim.autopilot.values import Estimate, Place, Vector
+from vehicle_sim.autopilot.estimator import Estimator
+from vehicle_sim.autopilot.values import Place, Vector
 from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, around, degrees_east
 
 
@@ -14,7 +15,7 @@ class FlatEarth:
     def __init__(self, origin: Place) -> None:
         self.origin = origin
 
-    def ned_m(self, place: Place | Estimate) -> Vector:
+    def ned_m(self, place: Place | Estimator) -> Vector:
         """Where it is, as Location::get_distance_NED says it."""
         origin = self.origin
         north_deg = place.latitude_deg - origin.latitude_deg
@@ -57,7 +58,7 @@ class Projection:
         self._longitude_rad = math.radians(origin.longitude_deg)
         self._sine, self._cosine = math.sin(self._latitude_rad), math.cos(self._latitude_rad)
 
-    def ned_m(self, place: Place | Estimate) -> Vector:
+    def ned_m(self, place: Place | Estimator) -> Vector:
         """Where it is, as MapProjection::project says it."""
         latitude_rad = place.latitude_deg * 0.017453292519943295
         east_rad = place.longitude_deg * 0.017453292519943295 - self._longitude_rad

@@ -15,7 +15,7 @@ from typing import Final, final
 
 import numpy as np
 
-from vehicle_sim.autopilot.values import Estimate, Place
+from vehicle_sim.autopilot.values import Place
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.geodesy import around, degrees_east, metres_per_degree
 from vehicle_sim.sensors.gps import Fix
@@ -96,10 +96,10 @@ class Timing:
 
 @final
 class Estimator:
-    """Steps an Estimate along with the truth; horizontal errors are north + east j in metres."""
+    """Where it believes to be; horizontal errors are north + east j in metres.  Mutable."""
 
     def __init__(self, vehicle: Vehicle, timing: Timing, rng: np.random.Generator) -> None:
-        self.timing, self.lag_s = timing, timing.lag_s
+        self.timing = timing
         self.state = State.START
         self.origin: Place | None = None
         self.aiding = False
@@ -110,13 +110,17 @@ class Estimator:
         self.returned_s: float | None = None
         """When GPS was used last, and when again after it had been lost."""
         self._vehicle, self._rng = vehicle, rng
-        knows = 0.0 if timing.freezes else 1.0
-        self.estimate = Estimate(
-            latitude_deg=vehicle.latitude_deg * knows,
-            longitude_deg=vehicle.longitude_deg * knows,
-            altitude_amsl_m=vehicle.altitude_amsl_m * knows,
-            flags=timing.stages[0][1],
-        )
+        knows = not timing.freezes
+        self.latitude_deg = vehicle.latitude_deg * knows
+        self.longitude_deg = vehicle.longitude_deg * knows
+        self.altitude_amsl_m = vehicle.altitude_amsl_m * knows
+        self.velocity_m_s, self.velocity_up_m_s = 0j, 0.0
+        self.position_ok, self.flags = False, timing.stages[0][1]
+        """Whether there is a position to fly by."""
+        self.velocity_variance = self.horizontal_variance = self.horizontal_accuracy_m = 0.0
+        """Of EKF_STATUS_REPORT or ESTIMATOR_STATUS, whichever the autopilot sends: test ratios."""
+        self.frozen_altitude_amsl_m: float | None = None
+        """Reported altitude AMSL while the position is lost; None: what it believes."""
         self._fix: Fix | None = None
         self._now_s = self._trusted_s = self._precise_s = self._calm_s = 0.0
         self._seen_s: float | None = None
@@ -131,14 +135,14 @@ class Estimator:
         self._scale = metres_per_degree(vehicle.latitude_deg)
 
     @property
-    def ok(self) -> bool:
-        """Whether there is a position to fly by."""
-        return self.estimate.position_ok
+    def place(self) -> Place:
+        """A copy of the position."""
+        return Place(self.latitude_deg, self.longitude_deg, self.altitude_amsl_m)
 
     @property
     def precise(self) -> bool:
         """Whether it is good enough for all modes, and not for landing only."""
-        return self.estimate.position_ok and self._now_s >= self._precise_s
+        return self.position_ok and self._now_s >= self._precise_s
 
     @property
     def glitching(self) -> bool:
@@ -167,33 +171,32 @@ class Estimator:
         if self._held:
             self._held *= math.exp(-dt_s / self.timing.jump_s)
             self._held = 0j if abs(self._held) < 1e-3 else self._held
-        if not self.estimate.position_ok:
-            self.estimate.position_ok = self.state in _FLYING and now_s >= self._trusted_s
+        if not self.position_ok:
+            self.position_ok = self.state in _FLYING and now_s >= self._trusted_s
 
     def follow(self) -> None:
         """The estimate once the vehicle has moved."""
-        e, vehicle = self.estimate, self._vehicle
-        e.altitude_amsl_m = vehicle.altitude_amsl_m + self._up_m
-        e.velocity_up_m_s = vehicle.velocity_up_m_s + self._climb_m_s
+        vehicle = self._vehicle
+        self.altitude_amsl_m = vehicle.altitude_amsl_m + self._up_m
+        self.velocity_up_m_s = vehicle.velocity_up_m_s + self._climb_m_s
         if self.aiding or not self.timing.freezes:
             off, rate = self._error + self._held, self._rate
-            e.latitude_deg = vehicle.latitude_deg + off.real / self._scale[0]
-            e.longitude_deg = around(vehicle.longitude_deg + off.imag / self._scale[1])
-            e.velocity_north_m_s = vehicle.velocity_north_m_s + rate.real
-            e.velocity_east_m_s = vehicle.velocity_east_m_s + rate.imag
+            self.latitude_deg = vehicle.latitude_deg + off.real / self._scale[0]
+            self.longitude_deg = around(vehicle.longitude_deg + off.imag / self._scale[1])
+            self.velocity_m_s = vehicle.velocity_m_s + rate
         elif self.state is State.START and self._seen_s is None:
-            e.altitude_amsl_m = 0.0
+            self.altitude_amsl_m = 0.0
 
     # --- GPS ----------------------------------------------------------------------------------
 
     def _take(self, fix: Fix) -> None:
         """A new fix with a position."""
-        timing, estimate, now_s = self.timing, self.estimate, self._now_s
+        timing, now_s = self.timing, self._now_s
         self._scale = metres_per_degree(self._vehicle.latitude_deg)
         if self.state not in _FLYING:
             self._seen_s = now_s if self._seen_s is None else self._seen_s
             if self.state is State.START and timing.freezes:
-                estimate.latitude_deg, estimate.longitude_deg = fix.latitude_deg, fix.longitude_deg
+                self.latitude_deg, self.longitude_deg = fix.latitude_deg, fix.longitude_deg
             return
         gap_s, self.used_s = now_s - self.used_s, now_s
         off, gate_m = self._innovation(fix), timing.gate_m
@@ -209,21 +212,19 @@ class Estimator:
         else:
             self._accept(timing.follows * off)
             if timing.noise_m_s:
-                up_m = fix.altitude_amsl_m + fix.velocity_up_m_s * self.lag_s
+                up_m = fix.altitude_amsl_m + fix.velocity_up_m_s * self.timing.lag_s
                 self._up_m += timing.follows * (up_m - self._vehicle.altitude_amsl_m - self._up_m)
-        if estimate.position_ok:
+        if self.position_ok:
             self._stir()
 
     def _innovation(self, fix: Fix) -> complex:
         """What the fix says beyond what is believed, allowing for its age."""
-        vehicle, lag_s = self._vehicle, self.lag_s
+        vehicle, lag_s = self._vehicle, self.timing.lag_s
         north_m = (fix.latitude_deg - vehicle.latitude_deg) * self._scale[0]
         east_m = degrees_east(vehicle.longitude_deg, fix.longitude_deg) * self._scale[1]
         # half of what the velocity changed by since
-        half_s = 0.5 * lag_s
-        north_m += lag_s * (vehicle.velocity_north_m_s - half_s * vehicle.acceleration_north_m_s2)
-        east_m += lag_s * (vehicle.velocity_east_m_s - half_s * vehicle.acceleration_east_m_s2)
-        return complex(north_m, east_m) + self._bias - self._error
+        since_m = lag_s * (vehicle.velocity_m_s - 0.5 * lag_s * vehicle.acceleration_m_s2)
+        return complex(north_m, east_m) + since_m + self._bias - self._error
 
     def _accept(self, shift: complex) -> None:
         """Believe it, and move by this much."""
@@ -242,8 +243,8 @@ class Estimator:
     def _tell(self, ratio: float) -> None:
         """The test ratios: of the velocity's what noise makes of it."""
         errs = abs(self._rate.real) + abs(self._rate.imag)
-        self.estimate.velocity_variance = self.timing.velocity_ratio + 0.5 * errs
-        self.estimate.horizontal_variance = ratio
+        self.velocity_variance = self.timing.velocity_ratio + 0.5 * errs
+        self.horizontal_variance = ratio
 
     def _stir(self) -> None:
         """The errors that are always there: velocities wander, and the position with them."""
@@ -261,9 +262,9 @@ class Estimator:
 
     def _watch(self, silent_s: float, fix: Fix) -> None:
         """Starting, refusing GPS, or without it."""
-        timing, state, now_s, e = self.timing, self.state, self._now_s, self.estimate
+        timing, state, now_s = self.timing, self.state, self._now_s
         if state is State.START:
-            e.flags = next(flags for at_s, flags in reversed(timing.stages) if now_s >= at_s)
+            self.flags = next(flags for at_s, flags in reversed(timing.stages) if now_s >= at_s)
         if state not in _FLYING:
             if self._seen_s is not None:
                 self._come_back(now_s - self._seen_s, fix)
@@ -271,12 +272,12 @@ class Estimator:
                 self._be(State.STOPPED)
                 self.aiding = False
                 if timing.freezes:
-                    e.frozen_altitude_amsl_m = e.altitude_amsl_m
-                    e.velocity_north_m_s = e.velocity_east_m_s = 0.0
+                    self.frozen_altitude_amsl_m = self.altitude_amsl_m
+                    self.velocity_m_s = 0j
         elif silent_s >= timing.lost_s:
             self._be(State.LOST)
             self._refused_s = self.returned_s = None
-            e.position_ok = False
+            self.position_ok = False
         elif self._refused_s is not None:
             refused_s = now_s - self._refused_s
             if refused_s >= timing.yields_s:
@@ -303,7 +304,7 @@ class Estimator:
         """There are fixes again, for so long: some are wanted before one is believed."""
         timing, now_s, first = self.timing, self._now_s, self.state is State.START
         if self.origin is None and since_s >= timing.origin_s:
-            self.origin = self.estimate.place
+            self.origin = self.place
         if self.origin is None or since_s < (timing.good_s if first else timing.back_s):
             return
         if first:
@@ -319,8 +320,8 @@ class Estimator:
 
     def _be(self, state: State) -> None:
         self.state = state
-        self.estimate.flags = self.timing.flags[state]
-        self.estimate.frozen_altitude_amsl_m = None
+        self.flags = self.timing.flags[state]
+        self.frozen_altitude_amsl_m = None
 
     def shift(self, north_m: float, east_m: float) -> None:
         """A fault: the position jumps by this much at once."""

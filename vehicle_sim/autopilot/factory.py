@@ -5,21 +5,17 @@ new (simulator.md).
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
-import numpy as np
-
 from vehicle_sim.autopilot import arducopter, arduplane, ideal, px4copter, px4plane
 from vehicle_sim.autopilot.core import Autopilot, Boot, Firmware
-from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Model
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.dynamics.plane import Plane, PlaneLimits
 from vehicle_sim.errors import InputError
 from vehicle_sim.parameters import Readable
-from vehicle_sim.plans import Plans
 from vehicle_sim.sensors import gps
 from vehicle_sim.sensors.gps import Receiver
 from vehicle_sim.world import LIMITS
@@ -35,6 +31,8 @@ _COPTER: Final = Limits(
 _ARDUCOPTER_DRAG: Final = (0.340, 0.0193)
 """10.05 m/s at 28.7 degrees of tilt and 15.4 m/s at 45, as in the recorded flights."""
 _STEEPEST_CDEG: Final = 8000.0
+HIGHEST_ID: Final = 254
+"""Of system and component; the least is 1.  255 is a ground station's."""
 
 
 @final
@@ -50,30 +48,11 @@ class Personality:
     drag: tuple[float, float] = (0.0, 0.0)
     """Of a copter: 1/s, and 1/m for the square of the speed.  PX4's is a parameter (SIH_KDV)."""
 
-    def boot(
-        self,
-        vehicle: Vehicle,
-        parameters: Mapping[str, float],
-        plans: Plans,
-        rng: np.random.Generator,
-    ) -> Autopilot:
-        """One that boots now.  InputError names a parameter that it does not have."""
-        return self.make(Boot(self.firmware, vehicle, parameters, plans, rng))
-
-    @property
-    def is_px4(self) -> bool:
-        """Whether it is a PX4; else it is an ArduPilot."""
-        return self.firmware.profile.firmware == "px4"
-
     @property
     def id_parameters(self) -> tuple[str, ...]:
         """Which hold the system, and of PX4 the component, which otherwise is 1."""
-        return ("MAV_SYS_ID", "MAV_COMP_ID") if self.is_px4 else ("MAV_SYSID",)
-
-    @property
-    def highest_id(self) -> int:
-        """Of both; the least is 1.  Of PX4 as Mavlink::set_system_id has it."""
-        return 254 if self.is_px4 else 255
+        is_px4 = self.firmware.family == "px4"
+        return ("MAV_SYS_ID", "MAV_COMP_ID") if is_px4 else ("MAV_SYSID",)
 
 
 _ARDUCOPTER: Final = Personality(
@@ -109,7 +88,7 @@ def personality_of(vehicle: VehicleTable) -> Personality:
 def ids_of(personality: Personality, parameters: Readable) -> tuple[int, int]:
     """System and component that an autopilot boots as; what is out of range counts as 1."""
     ids = [int(parameters[name]) for name in personality.id_parameters]
-    system, component, *_ = (i if 1 <= i <= personality.highest_id else 1 for i in (*ids, 1))
+    system, component, *_ = (i if 1 <= i <= HIGHEST_ID else 1 for i in (*ids, 1))
     return system, component
 
 
@@ -119,17 +98,16 @@ def with_own_ids(vehicle: VehicleTable) -> VehicleTable:
     InputError for a system or component id that there cannot be, or that another part has.
     """
     personality, parameters = personality_of(vehicle), dict(vehicle.parameters)
-    most = personality.highest_id
     for name in personality.id_parameters:
         value = parameters.get(name, 1.0)
-        if not (1 <= value <= most and value == int(value)):
-            rule = f"must be a whole number from 1 to {most}"
+        if not (1 <= value <= HIGHEST_ID and value == int(value)):
+            rule = f"must be a whole number from 1 to {HIGHEST_ID}"
             raise InputError(f"parameter {name}", value, rule, "Try 2.")
     given = parameters.pop(personality.id_parameters[0], None)
     if given is not None:
         return replace(vehicle, system_id=int(given), parameters=parameters)
-    if vehicle.system_id > most:
-        rule = f"must be from 1 to {most} with {vehicle.autopilot}"
+    if vehicle.system_id > HIGHEST_ID:
+        rule = f"must be from 1 to {HIGHEST_ID}"
         raise InputError("vehicle.system_id", vehicle.system_id, rule, "Give a smaller one.")
     return vehicle
 

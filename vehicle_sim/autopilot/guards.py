@@ -40,8 +40,6 @@ class Zones:
 ALTITUDE_MAX, CIRCLE, POLYGON, ALTITUDE_MIN = 1, 2, 4, 8
 _NAMES: Final = {1: "Max Alt", 2: "Circle", 4: "Polygon", 8: "Min Alt"}
 """By the bits of FENCE_TYPE, as the texts call them."""
-_LOADING_S: Final = 0.45
-"""A fence uploaded around the vehicle is breached after half a second (ardupilot.md 4)."""
 
 
 def named(kinds: int) -> str:
@@ -58,26 +56,27 @@ class Fence:
 
     def __init__(self, parameters: Readable, plans: Plans) -> None:
         self._parameters, self._plans, self._zones = parameters, plans, Zones(plans)
-        self.enabled = bool(parameters["FENCE_ENABLE"])
         self.breached = 0
         """Bits of FENCE_TYPE."""
-        self.breaches = 0
-        self.breach_type = 0
+        self._breaches = self._breach_type = 0
         """FENCE_BREACH: 1 too low, 2 too high, 3 over the edge."""
-        self.breach_s = 0.0
+        self._breach_s = 0.0
         self.has_floor = False
         """FENCE_ALT_MIN counts: it has been above it by the margin since it took off, and does not
         land (AC_Fence::auto_enable_fence_floor, get_auto_disable_fences)."""
-        self._looks_s = 0.0
-
-    def load(self, now_s: float) -> None:
-        """Another list: checks pause for a moment."""
-        self._looks_s = now_s + _LOADING_S
 
     @property
-    def present(self) -> bool:
-        """Whether there is anything that FENCE_STATUS could tell of."""
-        return self.enabled or bool(self._plans[PlanKind.FENCE])
+    def enabled(self) -> bool:
+        """Whether it is switched on."""
+        return bool(self._parameters["FENCE_ENABLE"])
+
+    @property
+    def told(self) -> tuple[int, ...] | None:
+        """FENCE_STATUS, if there is a fence: breached, how often, the last FENCE_BREACH, when."""
+        if not (self.enabled or self._plans[PlanKind.FENCE]):
+            return None
+        last = (self._breaches, self._breach_type, round(self._breach_s * 1e3))
+        return (int(bool(self.breached)), *last)
 
     def outside(self, place: Place, home: Place | None, frame: Frame) -> int:
         """Which kinds of fence this place would breach: bits of FENCE_TYPE."""
@@ -100,14 +99,12 @@ class Fence:
         p, above_m = self._parameters, place.altitude_amsl_m - home.altitude_amsl_m
         is_safe = above_m >= p["FENCE_ALT_MIN"] + p["FENCE_MARGIN"]
         self.has_floor = not lands and (self.has_floor or is_safe)
-        if now_s < self._looks_s:
-            return 0
         found = self.outside(place, home, frame)
         new = found & ~self.breached
         if new:
-            self.breaches += not self.breached
+            self._breaches += not self.breached
             over_the_edge = new & (CIRCLE | POLYGON)
-            self.breach_type = 3 if over_the_edge else 2 if new & ALTITUDE_MAX else 1
-            self.breach_s = now_s
+            self._breach_type = 3 if over_the_edge else 2 if new & ALTITUDE_MAX else 1
+            self._breach_s = now_s
         self.breached = found
         return new

@@ -41,12 +41,7 @@ class Ideal(ArduCopter):
         """Another submode: level, with the acceleration that there is."""
         super()._restart(kind)
         self._slope, self._interval_s = (0j, 0.0), 0.0
-        self._go_on()
-
-    def _go_on(self) -> None:
-        copter = self.copter
-        felt = complex(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2)
-        self.level.follow(felt)
+        self.level.follow(self.copter.acceleration_m_s2)
 
     def take(self, target: Target, place: Place | None) -> bool:
         """Steer for it, and see how the velocity has changed since the one before."""
@@ -54,42 +49,37 @@ class Ideal(ArduCopter):
         if not super().take(target, place):
             return False
         if gap_s >= 1e-3:
-            slope, slope_up = (
-                (self._moves[0] - velocity) / gap_s,
-                (self._moves[1] - climb_m_s) / gap_s,
-            )
-            limits = self.copter.limits
-            streams = kind is self.kind is Kind.PATH and not any(self._feed)
-            is_steady = abs(slope) <= limits.acceleration_m_s2
-            is_steady = is_steady and abs(slope_up) <= limits.acceleration_vertical_m_s2
-            self._slope, self._interval_s = (0j, 0.0), 0.0
-            if streams and is_steady and gap_s <= _STREAM_GAP_S:
-                self._slope, self._interval_s = (slope, slope_up), gap_s
+            limits, (now, now_up) = self.copter.limits, self._moves
+            slope, slope_up = (now - velocity) / gap_s, (now_up - climb_m_s) / gap_s
+            knows = kind is self.kind is Kind.PATH and gap_s <= _STREAM_GAP_S
+            knows = knows and not any(self._feed) and abs(slope) <= limits.acceleration_m_s2
+            knows = knows and abs(slope_up) <= limits.acceleration_vertical_m_s2
+            self._slope = (slope, slope_up) if knows else (0j, 0.0)
+            self._interval_s = gap_s if knows else 0.0
         return True
 
     def fly_target(self) -> Order:
         """GUIDED."""
-        if self.estimator.aiding:
+        if self.estimate.aiding:
             if self.kind is Kind.PATH and self.now_s - self._heard_s <= self._timeout_s:
                 return self._track()
             if self._tracks:
                 self._tracks = False
                 self.up.start()
-                self._go_on()
+                self.level.follow(self.copter.acceleration_m_s2)
         return super().fly_target()
 
     def _track(self) -> Order:
         """Acceleration by the errors of position and velocity."""
-        estimate, here_deg, tuning = self.estimate, self.level.here_deg, self.tuning
-        age_s = self.now_s - self._heard_s
+        estimate, here_deg, age_s = self.estimate, self.level.here_deg, self.now_s - self._heard_s
         self._tracks, self.level.scale = True, metres_per_degree(here_deg.real)
         ahead_s = age_s if age_s <= 2.0 * self._interval_s else 0.0
         off_m = self.level.metres(here_deg, self._place_deg)
         rise_m = self._altitude_m - estimate.altitude_amsl_m
         (velocity, climb_m_s), (feed, feed_up) = self._moves, self._feed
-        late, late_up = velocity - self.level.flown, climb_m_s - estimate.velocity_up_m_s
-        level = clipped(off_m * KP_1_S2, KV_1_S * tuning.speed_m_s)
-        most_up = KV_1_S * tuning.speed_up_m_s
+        late, late_up = velocity - estimate.velocity_m_s, climb_m_s - estimate.velocity_up_m_s
+        level = clipped(off_m * KP_1_S2, KV_1_S * self.tuning.speed_m_s)
+        most_up = KV_1_S * self.tuning.speed_up_m_s
         up = min(max(rise_m * KP_1_S2, -most_up), most_up)
         return (
             level + KV_1_S * (late + self._slope[0] * ahead_s) + feed,

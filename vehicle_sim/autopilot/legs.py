@@ -5,16 +5,15 @@ A return is some of them; a mission gives them item by item, and does what is no
 
 import enum
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Final, NamedTuple, final
 
-from vehicle_sim.autopilot.values import Place, height_amsl_m
+from vehicle_sim.autopilot.values import HIGHEST_M, Place, height_amsl_m
 from vehicle_sim.plans import Jumps, PlanItem
 
 WAYPOINT, LOITER_UNLIM, _, LOITER_TIME, RETURN, LAND, TAKEOFF = range(16, 23)
 _CHANGE_SPEED: Final = 178
 _WALKS_MOST: Final = 1000  # items at once, so that a mission of jumps alone ends
-_HIGHEST_M: Final = 1e5
 _E7_MOST: Final = 900_000_000
 
 Does = enum.Enum("Does", "CLIMB GO LAND RETURN")
@@ -34,7 +33,7 @@ class Leg(NamedTuple):
     hold_s: float = 0.0
     """To stay; infinite: for good."""
     command: int = WAYPOINT
-    """Of the item that it is made of."""
+    """Of the item that it is made of; RETURN or 0: it is of none."""
     acceptance_m: float = math.nan
     """How near is there; NaN: by the vehicle's own parameter."""
     yaw_rad: float = math.nan
@@ -53,7 +52,7 @@ def leg_of(item: PlanItem, here: Place, home: Place, ground_amsl_m: float) -> Le
     command, (first, second, _, yaw_deg) = item.command, item.parameters
     if command not in _DOES:
         return None
-    z_m = item.z_m if abs(item.z_m) <= _HIGHEST_M else math.nan
+    z_m = item.z_m if abs(item.z_m) <= HIGHEST_M else math.nan
     height_m = height_amsl_m(item.frame, z_m, home.altitude_amsl_m, ground_amsl_m)
     if height_m is None or height_m != height_m:
         height_m = here.altitude_amsl_m
@@ -78,8 +77,6 @@ class Route:
     def __init__(self, jumps_from: int) -> None:
         self.leg: Leg | None = None
         """None: nothing; hold."""
-        self.number: int | None = None
-        """Item of the mission that it belongs to; None: it is no mission's."""
         self.current = 0
         """Item of the mission that is flown, or would be."""
         self.complete = False
@@ -87,16 +84,16 @@ class Route:
         """When the leg did."""
         self.arrived_s: float | None = None
         self._next: list[Leg] = []
-        self._jumps = Jumps(jumps_from)
+        self.jumps = Jumps(jumps_from)
 
     def fly(self, legs: Iterable[Leg], now_s: float) -> None:
         """These, and no mission."""
-        self._next, self.number = list(legs), None
+        self._next = list(legs)
         self.go_on(now_s)
 
     def stop(self) -> None:
         """Nothing any more."""
-        self.leg, self.number, self._next = None, None, []
+        self.leg, self._next = None, []
 
     @property
     def lands(self) -> bool:
@@ -111,33 +108,26 @@ class Route:
         self.leg = self._next.pop(0) if self._next else None
         self.began_s, self.arrived_s = now_s, None
 
-    def forget_jumps(self) -> None:
-        """They count from 0 again."""
-        self._jumps.forget()
-
     def seek(
         self,
         items: tuple[PlanItem, ...],
         number: int,
-        leg_at: Callable[[PlanItem], Leg | None],
+        about: tuple[Place, Place, float],
         now_s: float,
     ) -> float | None:
-        """Fly the mission from this item on; returns the speed that was asked for on the way."""
+        """Fly the mission from this item on; returns the speed that was asked for on the way.
+
+        about: where the vehicle is, home, and how high the ground is.
+        """
         speed_m_s: float | None = None
         self.stop()
         self.began_s, self.arrived_s, self.complete = now_s, None, False
-        for at, item in self._jumps.walk(items, number, _WALKS_MOST):
+        for at, item in self.jumps.walk(items, number, _WALKS_MOST):
             if item.command == _CHANGE_SPEED and 0.0 < item.parameters[1] < math.inf:
                 speed_m_s = item.parameters[1]
-            self.leg = leg_at(item)
+            self.leg = leg_of(item, *about)
             if self.leg is not None:
-                self.current = self.number = at
+                self.current = at
                 return speed_m_s
         self.current, self.complete = max(len(items) - 1, 0), bool(items)
         return speed_m_s
-
-    def has_waited(self, now_s: float, seconds: float) -> bool:
-        """Call it in every step at the leg's place: whether it has been there for so long."""
-        if self.arrived_s is None:
-            self.arrived_s = now_s
-        return now_s - self.arrived_s >= seconds

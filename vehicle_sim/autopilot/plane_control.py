@@ -9,14 +9,13 @@ is PX4's own law (NPFG), which is not imitated further.
 
 import cmath
 import math
-from collections.abc import Callable
 from typing import ClassVar, Final, NamedTuple, final
 
 import numpy as np
 
 from vehicle_sim.autopilot.core import Autopilot, Boot
 from vehicle_sim.autopilot.earth import way_m
-from vehicle_sim.autopilot.values import Estimate, Place
+from vehicle_sim.autopilot.values import Place
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane
 
@@ -179,68 +178,6 @@ class Way(NamedTuple):
 
 
 @final
-class PlaneControl:
-    """Where to, how high and how fast; and the plane's commands for that.  Mutable."""
-
-    def __init__(self, plane: Plane, estimate: Estimate) -> None:
-        self._plane, self._estimate = plane, estimate
-        self.l1, self.heights = L1(), HeightControl()
-        self.height_amsl_m = 0.0
-        self.climb_m_s: float | None = None
-        """Instead of going to the height."""
-        self.airspeed_m_s = 0.0
-        """True airspeed to aim at."""
-        self.bank_rad, self.bank_most_rad = 0.0, 1.0
-        self.slowing_m_s2 = math.inf
-        """How fast it loses speed with the throttle closing."""
-        self._speed_m_s = 0.0
-
-    @property
-    def velocity(self) -> complex:
-        """Over the ground; who stands is about to go where the nose points."""
-        e = self._estimate
-        velocity = complex(e.velocity_north_m_s, e.velocity_east_m_s)
-        return velocity if abs(velocity) > 1.0 else cmath.rect(1.0, self._plane.heading_rad)
-
-    def off_m(self, place: Place) -> complex:
-        """How far it is from a place."""
-        return way_m(place, self._estimate.place)
-
-    def steer(self, aim: Circle | Way) -> None:
-        """Bank for where it is to go."""
-        if isinstance(aim, Circle):
-            self._turn(self.l1.circle(self.off_m(aim.centre), aim.radius_m, self.velocity))
-        else:
-            off_m = self.off_m(aim.start)
-            self._turn(self.l1.leg(off_m, off_m - self.off_m(aim.end), self.velocity))
-
-    def follow(self, off_m: complex, way: complex, curvature_1_m: float = 0.0) -> None:
-        """Bank for a line in a direction (of unit length), or bent there: so far off its point."""
-        velocity = self.velocity
-        lateral = self.l1.line(off_m, way, velocity)
-        self._turn(lateral + abs(velocity) ** 2 * curvature_1_m)
-
-    def _turn(self, lateral_m_s2: float) -> None:
-        self.bank_rad = math.atan(lateral_m_s2 / (GRAVITY_M_S2 * math.cos(self._plane.pitch_rad)))
-
-    def advance(self, dt_s: float) -> None:
-        """One step in the air."""
-        plane, height_m, climb = self._plane, self._estimate.altitude_amsl_m, self.climb_m_s
-        if climb is None:
-            climb = self.heights.climb_m_s(self.height_amsl_m, height_m, dt_s)
-        else:
-            self.heights.begin(height_m)
-        self._speed_m_s = max(self.airspeed_m_s, self._speed_m_s - self.slowing_m_s2 * dt_s)
-        bank_rad = min(max(self.bank_rad, -self.bank_most_rad), self.bank_most_rad)
-        plane.advance(bank_rad, climb, self._speed_m_s, dt_s)
-        if self.climb_m_s is not None:
-            plane.throttle = 1.0 if self.climb_m_s > 0.0 else 0.0
-
-
-# --- on its wheels --------------------------------------------------------------------------------
-
-
-@final
 class Runway(NamedTuple):
     """How a plane rolls; speeds over the ground."""
 
@@ -261,23 +198,70 @@ class Runway(NamedTuple):
     """Without throttle it loses this, or its speed with this time constant if that is more."""
 
 
-class Wheels(Autopilot):
-    """A plane: on its wheels until it is fast enough, then by its control."""
+class FixedWing(Autopilot):
+    """A plane: on its wheels until it is fast enough, then banked, and climbing, as it is told."""
 
     runway: ClassVar[Runway]
-    lift_off_m_s: Callable[[], float]  # true airspeed at which it leaves the ground
+    slowing_m_s2: ClassVar[float] = math.inf  # how fast it loses speed with the throttle closing
 
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
         assert isinstance(boot.vehicle, Plane)
         self.plane = boot.vehicle
-        self.control = PlaneControl(self.plane, self.estimate)
         self.lies_below_m_s = self.runway.landed_m_s
+        self.l1, self.heights = L1(), HeightControl()
+        self.wanted_height_m, self.wanted_airspeed_m_s = 0.0, 0.0
+        """Above the sea; and a true airspeed."""
+        self.wanted_climb_m_s: float | None = None
+        """Instead of going to the height."""
+        self.bank_rad, self.bank_most_rad = 0.0, 1.0
+        self._speed_m_s = 0.0
         self._waited_s = 0.0  # when it was not yet to take off
 
-    def lifts_off(self) -> bool:
-        """Fast enough on the runway."""
-        return self.wants_up() and self.plane.airspeed_m_s >= self.lift_off_m_s()
+    # --- where to -----------------------------------------------------------------------------
+
+    @property
+    def velocity(self) -> complex:
+        """Over the ground; who stands is about to go where the nose points."""
+        velocity = self.estimate.velocity_m_s
+        return velocity if abs(velocity) > 1.0 else cmath.rect(1.0, self.plane.heading_rad)
+
+    def off_m(self, place: Place) -> complex:
+        """How far it is from a place."""
+        return way_m(place, self.estimate.place)
+
+    def bank_for(self, aim: Circle | Way) -> None:
+        """Bank for where it is to go."""
+        if isinstance(aim, Circle):
+            self._turn(self.l1.circle(self.off_m(aim.centre), aim.radius_m, self.velocity))
+        else:
+            off_m = self.off_m(aim.start)
+            self._turn(self.l1.leg(off_m, off_m - self.off_m(aim.end), self.velocity))
+
+    def bank_along(self, off_m: complex, way: complex, curvature_1_m: float = 0.0) -> None:
+        """Bank for a line in a direction (of unit length), or bent there: so far off its point."""
+        velocity = self.velocity
+        lateral = self.l1.line(off_m, way, velocity)
+        self._turn(lateral + abs(velocity) ** 2 * curvature_1_m)
+
+    def _turn(self, lateral_m_s2: float) -> None:
+        self.bank_rad = math.atan(lateral_m_s2 / (GRAVITY_M_S2 * math.cos(self.plane.pitch_rad)))
+
+    # --- in the air, and on its wheels --------------------------------------------------------
+
+    def move(self) -> None:
+        """In the air, as it was steered."""
+        plane, height_m, climb = self.plane, self.estimate.altitude_amsl_m, self.wanted_climb_m_s
+        if climb is None:
+            climb = self.heights.climb_m_s(self.wanted_height_m, height_m, self.step_s)
+        else:
+            self.heights.begin(height_m)
+        slowed_m_s = self._speed_m_s - self.slowing_m_s2 * self.step_s
+        self._speed_m_s = max(self.wanted_airspeed_m_s, slowed_m_s)
+        bank_rad = min(max(self.bank_rad, -self.bank_most_rad), self.bank_most_rad)
+        plane.advance(bank_rad, climb, self._speed_m_s, self.step_s)
+        if self.wanted_climb_m_s is not None:
+            plane.throttle = 1.0 if self.wanted_climb_m_s > 0.0 else 0.0
 
     def stand(self) -> None:
         """On the runway: up to speed, or to a halt."""
@@ -298,7 +282,3 @@ class Wheels(Autopilot):
         """Wheels or nose on the ground."""
         self.plane.touch_down(self.ground_m)
         self._waited_s = self.now_s
-
-    def move(self) -> None:
-        """In the air, as it was steered."""
-        self.control.advance(self.step_s)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from vehicle_sim.autopilot import core, values
-from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HOME_POSITION, Mode
+from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, Mode
 from vehicle_sim.autopilot.earth import Projection
 from vehicle_sim.autopilot.estimator import Timing, told
 from vehicle_sim.autopilot.guards import Zones
@@ -68,8 +68,6 @@ _NAMES: Final = {mode.number: mode.name for mode in reversed(MODES)}
 NAVIGATED: Final = frozenset({"Takeoff", "Hold", "Mission", "Return", "Land"})
 """Modes in which the navigator has a place to go to."""
 
-ARMABLE_S: Final = 3.5
-"""Boot to the first time that it can be armed: heartbeat 0 at 2.6 s, 3 at 3.6 s of the log."""
 _GOOD: Final = 0x37F
 _TIMING: Final = Timing(
     # px4-gps-loss.tlog and px4.md 8
@@ -98,8 +96,8 @@ _TIMING: Final = Timing(
 def firmware(parameters: str, *, vehicle_type: int, rates_hz: dict[int, float]) -> core.Firmware:
     """PX4 on its onboard link (px4.md 2), for one kind of vehicle."""
     told, rows = frozenset(rates_hz) | {231}, table("px4", parameters)
-    profile = values.FirmwareProfile(
-        firmware="px4",
+    return core.Firmware(
+        family="px4",
         vehicle_type=vehicle_type,
         autopilot=12,
         capabilities=0xE8FF,
@@ -109,9 +107,6 @@ def firmware(parameters: str, *, vehicle_type: int, rates_hz: dict[int, float]) 
         rates_hz=rates_hz,
         streamable=(told | _NOT_TOLD | {GPS_GLOBAL_ORIGIN, 77}) - _NOT_STREAMABLE,
         requestable=told | {42, 46, GPS_GLOBAL_ORIGIN, 77, core.AUTOPILOT_VERSION},
-    )
-    return core.Firmware(
-        profile=profile,
         # in the alphabetic order that PX4 numbers them in, then the faults'
         table=(*sorted(rows, key=lambda row: row.name), *SIM_PARAMETERS_PX4),
         modes=MODES,
@@ -121,8 +116,7 @@ def firmware(parameters: str, *, vehicle_type: int, rates_hz: dict[int, float]) 
         first_item=0,
         timing=_TIMING,
         frame=Projection,
-        ready_s=ARMABLE_S,
-        prearm_s=ARMABLE_S,
+        prearm_s=3.5,  # heartbeat 0 at 2.6 s, 3 at 3.6 s of the log
         first_check_s=0.06,  # events at x.06 s in the logs
         believes_landing_s=1.8,  # contact to "landing detected": 54.6 to 56.4 s of offboard-short
         refused=Result.TEMPORARILY_REJECTED,
@@ -150,12 +144,13 @@ _STILL_S: Final = 2.0  # disarmed to the estimator's constant-position mode
 _LOW_M: Final = 1.2
 """Below this, in the air, there is no height above ground: flags 0x33f in the logs."""
 _STILL_FLAG, _HEIGHT_FLAG = 0x080, 0x040
+_NAV_LAND: Final = 21
 _TEXTS: Final = {
     "fence": (4, "Geofence: approaching or outside geofence\t"),
     "battery": (2, "Critical battery level, land now\t"),
 }
 """What is said when one of these begins or gets worse."""
-_HIGHEST_M: Final = 1e5  # altitudes beyond count as not given: they do not fit into any answer
+NOWHERE: Final = Place(_NAN, _NAN, _NAN)
 
 
 class Px4(core.Autopilot):
@@ -172,16 +167,15 @@ class Px4(core.Autopilot):
         """The estimate in the local frame: north, east, down."""
         self.target: Target | None = None
         """The newest one that OFFBOARD flies, in the local frame; None: none since it began."""
-        self.asked: Place | None = None
-        self.asked_yaw_rad = _NAN
+        self.asked, self.asked_yaw_rad = NOWHERE, _NAN
         """Where the command that brought about the mode wants it; NaN: not given."""
         self.speed_m_s: float | None = None
         """DO_CHANGE_SPEED, in AUTO modes."""
         self.offboard_signal = False
         self._signal_s = -math.inf
         """A setpoint was seen within COM_OF_LOSS_T, as of the last check; and when it was."""
-        self.fence_breached, self.fence_breaches = False, 0
-        self.zones = Zones(self.plans)
+        self._breached = False  # the fence, when it last knew where it was
+        self._zones = Zones(self.plans)
         self._ill: dict[str, Action] = {}  # what fence, ground station and battery ask for now
         self._incidents: dict[str, Action] = {}
         """What they have brought about: it stays when they are well again, until another mode is
@@ -189,29 +183,21 @@ class Px4(core.Autopilot):
         self._after_disarming = self.mode
         self._disarmed_s = -_STILL_S
         self.handlers |= {
-            21: self._land,
-            22: self._take_off,
+            21: self._land_or_take_off,
+            22: self._land_or_take_off,
             176: self._set_mode_number,
             178: self._change_speed,
             179: self._set_home,
             192: self._reposition,
             300: self._start_mission,
             401: lambda _: Result.ACCEPTED,
-            410: self.answer(HOME_POSITION),
-            519: self.answer(300),
-            520: self.answer(core.AUTOPILOT_VERSION),
-        }
+        } | dict.fromkeys((410, 519, 520), self.tell)
 
     # --- each step ----------------------------------------------------------------------------
 
-    def on_origin(self) -> None:
-        """With the first GPS that is fused: origin and home; the origin is told once."""
-        self.home = self.estimator.origin
-        self.send(GPS_GLOBAL_ORIGIN)
-
     def look(self) -> None:
         """In every step, before the checks."""
-        if self.estimator.origin is not None:
+        if self.estimate.origin is not None:
             self.local_m = self.frame.ned_m(self.estimate)
 
     @property
@@ -222,7 +208,7 @@ class Px4(core.Autopilot):
     @property
     def reference(self) -> Place:
         """The origin, or where it is before there is one."""
-        return self.estimator.origin or self.estimate.place
+        return self.estimate.origin or self.estimate.place
 
     @property
     def base(self) -> Place:
@@ -251,38 +237,31 @@ class Px4(core.Autopilot):
 
     def _check_estimate(self) -> None:
         """Flags and accuracies."""
-        estimator, estimate, now_s = self.estimator, self.estimate, self.now_s
-        estimator.lag_s = self.parameters["EKF2_GPS_DELAY"] * 1e-3
-        estimator.still = not self.armed and now_s - self._disarmed_s >= _STILL_S
-        flags = _TIMING.flags.get(estimator.state, _TIMING.stages[0][1])
+        estimate, now_s = self.estimate, self.now_s
+        estimate.still = not self.armed and now_s - self._disarmed_s >= _STILL_S
+        flags = _TIMING.flags.get(estimate.state, _TIMING.stages[0][1])
         if flags == _GOOD:
             low = self.height_m < _LOW_M and not self.landed and self.mode.name != "Takeoff"
-            flags |= _STILL_FLAG if estimator.still else 0
+            flags |= _STILL_FLAG if estimate.still else 0
             flags &= ~_HEIGHT_FLAG if low else -1
         estimate.flags = flags
-        silent_s, returned_s = max(now_s - estimator.used_s - 0.2, 0.0), estimator.returned_s
+        silent_s, returned_s = max(now_s - estimate.used_s - 0.2, 0.0), estimate.returned_s
         settled_m = 0.29 * min(now_s / 8.0, 1.0)
         if returned_s is not None:
             settled_m = 0.29 + 0.73 * math.exp((returned_s - now_s) / 0.7)
         estimate.horizontal_accuracy_m = settled_m + silent_s * (0.06 + 0.0335 * silent_s)
-        if not estimator.aiding:
+        if not estimate.aiding:
             estimate.velocity_variance = estimate.horizontal_variance = _NAN
 
     def _breaches(self) -> bool:
         """Whether it is outside of the fence, as far as it knows where it is."""
         home, p, here = self.home, self.parameters, self.estimate.place
-        if home is not None and self.estimator.ok:
+        if home is not None and self.estimate.position_ok:
             away_m = math.dist(self.local_m[:2], self.frame.ned_m(home)[:2])
             above_m = here.altitude_amsl_m - home.altitude_amsl_m
-            breached = 0.0 < p["GF_MAX_HOR_DIST"] < away_m or self.forbidden(here)
-            breached = breached or 0.0 < p["GF_MAX_VER_DIST"] < above_m
-            self.fence_breaches += breached and not self.fence_breached
-            self.fence_breached = breached
-        return self.fence_breached
-
-    def forbidden(self, place: Place) -> bool:
-        """Whether the fence forbids it; setpoints are never checked, but DO_REPOSITION's place."""
-        return self.zones.forbid(self.frame, place, union=True)
+            beyond = 0.0 < p["GF_MAX_HOR_DIST"] < away_m or 0.0 < p["GF_MAX_VER_DIST"] < above_m
+            self._breached = beyond or self._zones.forbid(self.frame, here, union=True)
+        return self._breached
 
     def _battery_action(self) -> Action:
         """COM_LOW_BAT_ACT: 0 warn, 2 land, 3 return, then land when critical turns emergency."""
@@ -300,7 +279,7 @@ class Px4(core.Autopilot):
 
     def _failsafe(self) -> Action:
         """What is to be done instead of the wanted mode; NONE while that can be flown."""
-        intended, ok, precise = self.intended, self.estimator.ok, self.estimator.precise
+        intended, ok, precise = self.intended, self.estimate.position_ok, self.estimate.precise
         action = max(self._incidents.values(), default=Action.NONE)
         action = action if action > Action.WARN else Action.NONE
         if intended.name == "Offboard":
@@ -353,20 +332,15 @@ class Px4(core.Autopilot):
             self.begin()
         self._select()
 
-    def command_mode(self, name: str, asked: Place | None = None, yaw_rad: float = _NAN) -> Result:
-        """Request a mode.  On the ground, disarmed, every mode is accepted."""
-        able = self.estimator.precise or not self.modes[name].needs_position
+    def set_mode(self, name: str, asked: Place = NOWHERE, yaw_rad: float = _NAN) -> bool:
+        """Request a mode, at a place.  On the ground, disarmed, every mode is accepted."""
+        able = self.estimate.precise or not self.modes[name].needs_position
         if name == "Offboard":
-            able = self.offboard_signal and self.estimator.precise
-        if self.armed and not able:
-            return Result.TEMPORARILY_REJECTED
-        self.asked, self.asked_yaw_rad = asked, yaw_rad
-        self.intend(name)
-        return Result.ACCEPTED
-
-    def set_mode(self, name: str) -> bool:
-        """Fly in this mode from now on, if it can be."""
-        return self.command_mode(name) is Result.ACCEPTED
+            able = self.offboard_signal and self.estimate.precise
+        if able or not self.armed:
+            self.asked, self.asked_yaw_rad = asked, yaw_rad
+            self.intend(name)
+        return able or not self.armed
 
     def _set_mode_number(self, command: Command) -> Result:
         """p1 bit 0 says that p2 and p3 are PX4's own numbers; of other modes than AUTO p3 is 0."""
@@ -374,11 +348,11 @@ class Px4(core.Autopilot):
         if not all(map(math.isfinite, (flags, main, sub))) or not int(flags) & 1:
             return Result.TEMPORARILY_REJECTED
         name = _NAMES.get(int(main) << 16 | (int(sub) << 24 if int(main) == 4 else 0))
-        return Result.TEMPORARILY_REJECTED if name is None else self.command_mode(name)
+        return self.done(name is not None and self.set_mode(name))
 
     def refusal(self) -> str | None:
         """Why it may not be armed now, in the mode that is flown; by hand it has no pilot."""
-        mode, able = self.mode, self.estimator.ok and self.now_s >= ARMABLE_S
+        mode, able = self.mode, self.estimate.position_ok and self.now_s >= self.firmware.prearm_s
         if mode.name == "Offboard":
             able = able and self.offboard_signal
         elif mode.name == "Mission":
@@ -412,7 +386,7 @@ class Px4(core.Autopilot):
         known = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0  # NaN is not
         if not known or latitude_deg == longitude_deg == 0.0:
             latitude_deg = longitude_deg = _NAN
-        altitude_m = altitude_m if abs(altitude_m) <= _HIGHEST_M else _NAN
+        altitude_m = altitude_m if abs(altitude_m) <= values.HIGHEST_M else _NAN
         if self.home is not None and altitude_m == altitude_m:
             home_m, frame = self.home.altitude_amsl_m, command.frame or 0
             height_m = values.height_amsl_m(frame, altitude_m, home_m, self.ground_m)
@@ -421,22 +395,18 @@ class Px4(core.Autopilot):
 
     def asked_or(self, here: Place) -> Place:
         """What of a place was asked for, and here what was not."""
-        asked = self.asked or here
-        height_m = asked.altitude_amsl_m
-        place = asked if given(asked) else here
+        height_m = self.asked.altitude_amsl_m
+        place = self.asked if given(self.asked) else here
         return place.at(here.altitude_amsl_m if height_m != height_m else height_m)
 
-    def _land(self, command: Command) -> Result:
-        asked = self._asked_by(command)
-        return self.command_mode("Land", asked if given(asked) else None)
-
-    def _take_off(self, command: Command) -> Result:
-        return self.command_mode("Takeoff", self._asked_by(command))
+    def _land_or_take_off(self, command: Command) -> Result:
+        name = "Land" if command.number == _NAV_LAND else "Takeoff"
+        return self.done(self.set_mode(name, self._asked_by(command)))
 
     @property
     def takeoff_altitude_m(self) -> float:
         """AMSL: NAV_TAKEOFF's, but never down, or MIS_TAKEOFF_ALT above home."""
-        if self.asked is not None and math.isfinite(self.asked.altitude_amsl_m):
+        if math.isfinite(self.asked.altitude_amsl_m):
             return max(self.asked.altitude_amsl_m, self.estimate.altitude_amsl_m)
         return self.base.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
 
@@ -444,11 +414,12 @@ class Px4(core.Autopilot):
         """p2 bit 0 changes to Hold; a place outside of the fence is refused."""
         _, flags, _, yaw_rad = command.parameters[:4]
         asked = self._asked_by(command)
-        if given(asked) and self.forbidden(asked.at(0.0)):
+        # of setpoints none is checked
+        if given(asked) and self._zones.forbid(self.frame, asked.at(0.0), union=True):
             return Result.DENIED
         if self.mode.name != "Hold" and not (math.isfinite(flags) and int(flags) & 1):
             return Result.UNSUPPORTED
-        return self.command_mode("Hold", asked, yaw_rad)
+        return self.done(self.set_mode("Hold", asked, yaw_rad))
 
     def _change_speed(self, command: Command) -> Result:
         """Accepted always, of effect in AUTO modes only (px4.md 3)."""
@@ -458,10 +429,10 @@ class Px4(core.Autopilot):
         return Result.ACCEPTED
 
     def _set_home(self, command: Command) -> Result:
-        if command.parameters[0] == 1.0:
-            ok = self.estimator.ok
-            return self.set_home(self.estimate.place) if ok else Result.TEMPORARILY_REJECTED
-        place = self._asked_by(command)
+        here = command.parameters[0] == 1.0
+        if here and not self.estimate.position_ok:
+            return Result.TEMPORARILY_REJECTED
+        place = self.estimate.place if here else self._asked_by(command)
         return self.set_home(place) if all(map(math.isfinite, place)) else Result.DENIED
 
     # --- missions -----------------------------------------------------------------------------
@@ -481,13 +452,12 @@ class Px4(core.Autopilot):
             return Result.DENIED
         if math.isfinite(first) and first >= 1.0:
             self.jump(int(first))
-        result = self.command_mode("Mission")
-        return self.arm() if result is Result.ACCEPTED else result
+        return self.arm() if self.set_mode("Mission") else Result.TEMPORARILY_REJECTED
 
     def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
         """A mission is flown from its beginning."""
         if kind is PlanKind.MISSION:
-            self.route.forget_jumps()
+            self.route.jumps.forget()
             self.route.current, self.route.complete = 0, False
             if self.mode.name == "Mission":
                 self.seek(0)
@@ -497,7 +467,7 @@ class Px4(core.Autopilot):
 
     def on_setpoint(self, setpoint: values.Setpoint) -> Sequence[Reply]:
         """Take a setpoint as a sign of life, and in OFFBOARD as what to fly."""
-        if self.estimator.origin is None and setpoint.is_global:
+        if self.estimate.origin is None and setpoint.is_global:
             return ()
         target = read_by_px4(setpoint, self.vehicle.heading_rad)
         if target is not None:
@@ -533,15 +503,11 @@ class Px4(core.Autopilot):
             system_status=state,
             landed_state=Landed.ON_GROUND if self.landed else in_air,
             prearm_ok=armable,
-            origin=self.estimator.origin,
             waypoint=self.waypoint() if armed and mode.name in NAVIGATED else None,
             intended_mode=self.intended.number,
             mission_current=self.route.current,
             mission_state=self.mission_state(),
             mission_total=len(self.plans[PlanKind.MISSION]) or 65535,
             above_ground_m=self.height_m,
-            fusing=self.estimator.aiding,
-            fence_breached=self.fence_breached,
-            fence_breaches=self.fence_breaches,
             failsafe=fails,
         )

@@ -15,6 +15,17 @@ _NAN: Final = math.nan
 NONE: Final = complex(_NAN, _NAN)
 _ATTITUDE_S: Final = 0.15  # wanted to actual tilt (1 / MC_ROLL_P), on top of Copter's own response
 STANDS_M_S: Final = 0.05
+_ACCELERATION_UP_M_S2: Final = 4.0  # MPC_ACC_UP_MAX
+_P, _P_DOWN = 0.95, 1.0
+"""MPC_XY_P, MPC_Z_P."""
+_GAIN, _INTEGRATES, _DAMPS = 1.8, 0.4, 0.2
+"""MPC_XY_VEL_P_ACC, _I_ACC, _D_ACC."""
+_GAIN_DOWN, _INTEGRATES_DOWN = 4.0, 2.0
+"""MPC_Z_VEL_P_ACC, _I_ACC."""
+HOVER_THROTTLE, _LEAST_THROTTLE = 0.5, 0.12
+"""MPC_THR_HOVER, MPC_THR_MIN; the most is 1."""
+_MOST_UP_M_S2: Final = GRAVITY_M_S2 * (1.0 / HOVER_THROTTLE - 1.0)
+_MOST_DOWN_M_S2: Final = GRAVITY_M_S2 * (1.0 - _LEAST_THROTTLE / HOVER_THROTTLE)
 
 
 @final
@@ -45,20 +56,12 @@ class Control:
         self.reset()
 
     def read(self, parameters: Parameters) -> None:
-        """Take the gains and limits as they stand."""
+        """Take the limits as they stand."""
         p = parameters
-        self._p, self._p_down = p["MPC_XY_P"], p["MPC_Z_P"]
-        self._gain = max(p["MPC_XY_VEL_P_ACC"], 0.1)
-        self._gain_down = max(p["MPC_Z_VEL_P_ACC"], 0.1)
-        self._integrates, self._integrates_down = p["MPC_XY_VEL_I_ACC"], p["MPC_Z_VEL_I_ACC"]
-        self._damping = p["MPC_XY_VEL_D_ACC"]
         self._fastest, self._fastest_down = p["MPC_XY_VEL_MAX"], p["MPC_Z_VEL_MAX_DN"]
         self.fastest_up_m_s = p["MPC_Z_VEL_MAX_UP"]
         tilt_rad = math.radians(min(max(p["MPC_TILTMAX_AIR"], 5.0), 85.0))
         self._tilt_m_s2 = GRAVITY_M_S2 * math.tan(tilt_rad)
-        hover = min(max(p["MPC_THR_HOVER"], 0.1), 0.8)
-        self._most_up_m_s2 = GRAVITY_M_S2 * (p["MPC_THR_MAX"] / hover - 1.0)
-        self._most_down_m_s2 = GRAVITY_M_S2 * (1.0 - p["MPC_THR_MIN"] / hover)
 
     def reset(self, down_m_s2: float = 0.0) -> None:
         """Start afresh, with this much of a downward push left over."""
@@ -69,7 +72,7 @@ class Control:
     ) -> tuple[complex, float]:
         """Acceleration of the thrust, level and down."""
         velocity = self._wanted_velocity(wanted.place - flown.place, wanted.velocity)
-        sink = (wanted.down - flown.down) * self._p_down
+        sink = (wanted.down - flown.down) * _P_DOWN
         if sink != sink:  # the one that is given, or both
             sink = wanted.sink
         elif wanted.sink == wanted.sink:
@@ -79,31 +82,31 @@ class Control:
 
         asked, error = 0j, velocity - flown.velocity
         if given(error):
-            asked = self._gain * error + self.integral - self._damping * flown.push
+            asked = _GAIN * error + self.integral - _DAMPS * flown.push
         else:  # no horizontal control: upright, and what held against the air is forgotten
             error = self.integral = 0j
         asked += wanted.push if given(wanted.push) else 0j
         if abs(asked) > self._tilt_m_s2:
             # anti-windup: the error less what the tilt limit does not let through
             over = asked - clipped(asked, self._tilt_m_s2)
-            error, asked = error - 2.0 / self._gain * over, asked - over
-        self.integral += self._integrates * dt_s * error
+            error, asked = error - 2.0 / _GAIN * over, asked - over
+        self.integral += _INTEGRATES * dt_s * error
 
         drop = wanted.push_down if wanted.push_down == wanted.push_down else 0.0
         off = sink - flown.sink
         if off == off:
-            drop += self._gain_down * off + self._integral_down
-            if -self._most_up_m_s2 < drop < self._most_down_m_s2 or drop * off < 0.0:
-                grown = self._integral_down + self._integrates_down * off * dt_s
+            drop += _GAIN_DOWN * off + self._integral_down
+            if -_MOST_UP_M_S2 < drop < _MOST_DOWN_M_S2 or drop * off < 0.0:
+                grown = self._integral_down + _INTEGRATES_DOWN * off * dt_s
                 self._integral_down = min(max(grown, -GRAVITY_M_S2), GRAVITY_M_S2)
-        drop = min(max(drop, -self._most_up_m_s2), self._most_down_m_s2)
+        drop = min(max(drop, -_MOST_UP_M_S2), _MOST_DOWN_M_S2)
         self.velocity, self.sink, self.asked, self.asked_down = velocity, sink, asked, drop
         self._lean += (asked - self._lean) * (dt_s / (_ATTITUDE_S + dt_s))
         return self._lean, drop
 
     def _wanted_velocity(self, off: complex, velocity: complex) -> complex:
         """The position's share first, then as much of the feed-forward as reaches the limit."""
-        most, share = self._fastest, off * self._p
+        most, share = self._fastest, off * _P
         if not given(share):
             return clipped(velocity, most) if given(velocity) else velocity
         size = abs(share)
@@ -138,7 +141,6 @@ class Point:
     def read(self, parameters: Parameters) -> None:
         """Take the limits as they stand."""
         self._most = max(parameters["MPC_ACC_HOR"], 0.5)
-        self._most_up = max(parameters["MPC_ACC_UP_MAX"], 0.5)
         self._jerk = max(parameters["MPC_JERK_AUTO"], 0.5)
 
     def start(self, flown: State) -> None:
@@ -154,17 +156,6 @@ class Point:
         """It has come to rest horizontally."""
         return abs(self.at.velocity) < STANDS_M_S
 
-    def towards_velocity(self, velocity: complex, sink_m_s: float, dt_s: float) -> None:
-        """One step towards this velocity."""
-        at, most, step = self.at, self._most, self._jerk * dt_s
-        gain = 1.2 * self._jerk / most
-        push = at.push + clipped(clipped(gain * (velocity - at.velocity), most) - at.push, step)
-        wanted = min(max(gain * (sink_m_s - at.sink), -self._most_up), most)
-        push_down = at.push_down + min(max(wanted - at.push_down, -step), step)
-        velocity, sink_m_s = at.velocity + push * dt_s, at.sink + push_down * dt_s
-        place, down = at.place + velocity * dt_s, at.down + sink_m_s * dt_s
-        self.at = State(place, down, velocity, sink_m_s, push, push_down)
-
     def towards_place(
         self,
         goal: complex,
@@ -177,7 +168,7 @@ class Point:
 
         sink_m_s: descend at this speed, regardless of the height.
         """
-        velocity, off, off_down = 0j, goal - self.at.place, down - self.at.down
+        at, velocity, off, off_down = self.at, 0j, goal - self.at.place, down - self.at.down
         most = 0.7 * self._most
         if given(off) and abs(off) > 1e-6:
             speed = min(speeds_m_s[0], braking_speed_m_s(abs(off), most, self._jerk))
@@ -187,4 +178,10 @@ class Point:
             speed = braking_speed_m_s(abs(off_down), most, self._jerk)
             sink_m_s = min(max(math.copysign(speed, off_down), -up_m_s), down_m_s)
             sink_m_s = 0.0 if off_down != off_down else sink_m_s
-        self.towards_velocity(velocity, sink_m_s, dt_s)
+        most, step, gain = self._most, self._jerk * dt_s, 1.2 * self._jerk / self._most
+        push = at.push + clipped(clipped(gain * (velocity - at.velocity), most) - at.push, step)
+        wanted = min(max(gain * (sink_m_s - at.sink), -_ACCELERATION_UP_M_S2), most)
+        push_down = at.push_down + min(max(wanted - at.push_down, -step), step)
+        velocity, sink_m_s = at.velocity + push * dt_s, at.sink + push_down * dt_s
+        place, down = at.place + velocity * dt_s, at.down + sink_m_s * dt_s
+        self.at = State(place, down, velocity, sink_m_s, push, push_down)

@@ -3,9 +3,10 @@
 import math
 from typing import Final, final
 
+from vehicle_sim.autopilot import px4_control
 from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.legs import RETURN, Does, Leg, back
-from vehicle_sim.autopilot.px4 import MODES, NAVIGATED, RATES_HZ, Px4, firmware
+from vehicle_sim.autopilot.px4 import NAVIGATED, NOWHERE, RATES_HZ, Px4, firmware
 from vehicle_sim.autopilot.px4_control import NONE, STANDS_M_S, Control, Point, State, given
 from vehicle_sim.autopilot.setpoints import NOTHING, Target, is_flyable
 from vehicle_sim.autopilot.values import Place, TargetEcho, Waypoint
@@ -15,6 +16,12 @@ FIRMWARE: Final = firmware("px4copter", vehicle_type=2, rates_hz=RATES_HZ)
 
 _NAN: Final = math.nan
 _STOPS: Final = State(velocity=0j, sink=0.0)
+_SPOOLS_UP_S, _RAMP_S = 1.0, 3.0
+"""COM_SPOOLUP_TIME, MPC_TKO_RAMP_T."""
+_CONE, _NEAR_HOME_M = math.tan(math.radians(45.0)), 10.0
+"""RTL_CONE_ANG, RTL_MIN_DIST."""
+_TURN_1_S, _SLEW_RAD_S = 2.8, (math.radians(60.0), math.radians(200.0))
+"""MC_YAW_P; MPC_YAWRAUTO_MAX, and in OFFBOARD MC_YAWRATE_MAX."""
 _RAMP_FROM_M_S: Final = 2.47
 """Downward speed limit that the take-off ramp begins with: z of POSITION_TARGET in the log."""
 _DETECTED_S: Final = 0.85
@@ -23,6 +30,8 @@ _HEAVY_M_S2: Final = 1.5  # what the integral pushes down with when the ramp beg
 _LIES_S: Final = 1.1  # contact to idling: 54.6 to 55.75 s of px4-offboard-short.tlog
 _ARRIVED_M: Final = 0.5
 _WANTS_UP: Final = 0.1  # metres, m/s or m/s2 of a demand that count as one to climb
+_SLOWS_AT_M, _SLOW_AT_M, _CRAWLS_AT_M, _CRAWL_M_S = 10.0, 5.0, 1.0, 0.3
+"""MPC_LAND_ALT1, _ALT2, _ALT3 and MPC_LAND_CRWL."""
 _NEAR_M: Final = 2.0  # of its goal: nearer, the nose does not turn to it
 _RESPONSE_S: Final = 0.1
 """Of the attitude: 12 m/s and then "position here" overshoots by 10 m (px4.md 4)."""
@@ -42,7 +51,6 @@ class Px4Copter(Px4):
         assert isinstance(boot.vehicle, Copter)
         self.copter = boot.vehicle
         self._control, self._point = Control(self.parameters), Point()
-        self._ways = {mode.name: getattr(self, mode.flies) for mode in MODES}
         self._goal, self._goal_down = NONE, _NAN
         """Of the AUTO modes, in the local frame; NaN: still braking."""
         self._began_in, self._began, self._began_down = "", 0j, 0.0
@@ -64,19 +72,16 @@ class Px4Copter(Px4):
         p, copter = self.parameters, self.copter
         self._control.read(p)
         self._point.read(p)
-        copter.drag_1_m, copter.response_s = 0.0, _RESPONSE_S
-        copter.drag_1_s = p["SIH_KDV"] / max(p["SIH_MASS"], 0.1)
-        copter.hover_throttle = p["MPC_THR_HOVER"]
+        copter.drag_1_m, copter.response_s, copter.drag_1_s = 0.0, _RESPONSE_S, p["SIH_KDV"]
+        copter.hover_throttle = px4_control.HOVER_THROTTLE
 
     @property
     def _flown(self) -> State:
         """Where it believes to be, and what it does."""
         e, copter = self.estimate, self.copter
-        velocity = complex(e.velocity_north_m_s, e.velocity_east_m_s)
-        push = complex(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2)
         north_m, east_m, down_m = self.local_m
         place = complex(north_m, east_m)
-        return State(place, down_m, velocity, -e.velocity_up_m_s, push)
+        return State(place, down_m, e.velocity_m_s, -e.velocity_up_m_s, copter.acceleration_m_s2)
 
     @property
     def _here(self) -> complex:
@@ -96,37 +101,31 @@ class Px4Copter(Px4):
         if name != self._began_in or not self._flying:
             self._point.start(flown)
         self._began_in, self._began, self._began_down = name, flown.place, flown.down
-        self._goal, self._goal_down = NONE, _NAN
+        self._goal, self._goal_down, self._leg = NONE, _NAN, None
         self._yaw_rad, self._aim_yaw_rad = self.copter.heading_rad, _NAN
-        here, asked = self.estimate.place, self.asked
+        here = self.estimate.place
         if name == "Takeoff":
             self._goal, self._goal_down = self._local(here.at(self.takeoff_altitude_m))
-        elif name == "Hold" and asked is None:
+        elif name == "Hold" and all(map(math.isnan, self.asked)):
             self._began = self._goal = flown.place + self._point.stopping_m(flown.velocity)
             self._goal_down = flown.down
-        elif name == "Hold" and asked is not None:
+        elif name == "Hold":
             self._aim_yaw_rad = self.asked_yaw_rad
             self._goal, self._goal_down = self._local(self.asked_or(here))
-        elif name == "Land" and asked is not None:
+        elif name == "Land" and given(self.asked[0]):
             self._goal, _ = self._local(self.asked_or(here))
         elif name == "Return":
             height_m = self.base.altitude_amsl_m + self._return_height_m()
             height_m = max(height_m, here.altitude_amsl_m)
             self.route.fly(back(here, self.base, height_m, 0.0), self.now_s)
-            self.fly_leg()
-        elif name == "Mission":
-            self.fly_leg()
 
     def _return_height_m(self) -> float:
         """Above home: RTL_RETURN_ALT, less within the cone about it."""
         p, away_m = self.parameters, abs(self._here - self._local(self.base)[0])
         height_m = p["RTL_RETURN_ALT"]
-        if away_m < p["RTL_MIN_DIST"]:
+        if away_m < _NEAR_HOME_M:
             return min(height_m, p["RTL_DESCEND_ALT"])
-        if p["RTL_CONE_ANG"] > 0.0:
-            cone_rad = math.radians(min(p["RTL_CONE_ANG"], 89.0))
-            return min(height_m, max(away_m / math.tan(cone_rad), 10.0))
-        return height_m
+        return min(height_m, max(away_m / _CONE, 10.0))
 
     def fly_leg(self) -> None:
         """Another leg of the mission, or none any more."""
@@ -156,10 +155,6 @@ class Px4Copter(Px4):
         """In the take-off ramp."""
         return self._ramp_s is not None
 
-    def stand(self) -> None:
-        """It stands, even if the motors turn."""
-        self.touch_down()
-
     def touch_down(self) -> None:
         """It comes to rest, and forgets what held against the air."""
         self.copter.stand(self.ground_m)
@@ -167,10 +162,12 @@ class Px4Copter(Px4):
             self._control.integral = 0j
             self._flying = self._flying and not self.landed
 
+    stand = touch_down  # even if the motors turn
+
     def _starts(self) -> bool:
         """Whether the take-off ramp begins: motors spun up and a climb demanded."""
         wanted = self._wanted
-        if self.now_s - self.armed_s < self.parameters["COM_SPOOLUP_TIME"]:
+        if self.now_s - self.armed_s < _SPOOLS_UP_S:
             return False
         climbs = wanted.down < self.local_m[2] - _WANTS_UP or wanted.sink < -_WANTS_UP
         climbs = climbs or wanted.push_down < -_WANTS_UP
@@ -189,17 +186,16 @@ class Px4Copter(Px4):
         since_s = self.now_s - self._ramp_s
         if since_s >= _DETECTED_S:
             self.take_to_the_air()
-        ramp_s = max(self.parameters["MPC_TKO_RAMP_T"], 0.1)
-        if since_s >= ramp_s:
+        if since_s >= _RAMP_S:
             self._ramp_s = None
             return most
-        return (most + _RAMP_FROM_M_S) * since_s / ramp_s - _RAMP_FROM_M_S
+        return (most + _RAMP_FROM_M_S) * since_s / _RAMP_S - _RAMP_FROM_M_S
 
     # --- one step -----------------------------------------------------------------------------
 
     def steer(self) -> None:
         """The mode says what it wants, the position controller what that takes."""
-        self._wanted = self._ways[self.mode.name]()
+        self._wanted = getattr(self, self.mode.flies)()
         if not self.armed or not (self._flying or self._starts()):
             return
         most_up_m_s = self._most_up_m_s()
@@ -263,7 +259,7 @@ class Px4Copter(Px4):
         elif self._up_s is None:
             self._up_s = self.now_s
         elif self.now_s - self._up_s >= _TAKEN_OFF_S:
-            self.asked = None  # it holds where it is
+            self.asked = NOWHERE  # it holds where it is
             self.intend("Hold")
         return at
 
@@ -272,12 +268,9 @@ class Px4Copter(Px4):
         p, height_m, slow = self.parameters, self.height_m, self.parameters["MPC_LAND_SPEED"]
         if not given(self._goal) and self._point.stands:
             self._goal = self._point.at.place
-        upper_m, lower_m = p["MPC_LAND_ALT1"], p["MPC_LAND_ALT2"]
-        share = min(max((height_m - lower_m) / max(upper_m - lower_m, 0.1), 0.0), 1.0)
+        share = min(max((height_m - _SLOW_AT_M) / (_SLOWS_AT_M - _SLOW_AT_M), 0.0), 1.0)
         sink_m_s = slow + (p["MPC_Z_V_AUTO_DN"] - slow) * share
-        if height_m < p["MPC_LAND_ALT3"]:
-            sink_m_s = min(slow, p["MPC_LAND_CRWL"])
-        return self._move_point(sink_m_s)
+        return self._move_point(min(slow, _CRAWL_M_S) if height_m < _CRAWLS_AT_M else sink_m_s)
 
     def fly_mission(self) -> State:
         """Leg by leg; of a return too."""
@@ -304,22 +297,20 @@ class Px4Copter(Px4):
 
     def _turn(self) -> None:
         """Turn the nose: to the setpoint's yaw, or along the way."""
-        p, copter, name, target = self.parameters, self.copter, self.mode.name, self.target
-        fastest_deg_s, gain_1_s = p["MPC_YAWRAUTO_MAX"], p["MC_YAW_P"]
+        copter, name, target = self.copter, self.mode.name, self.target
         if name == "Offboard":
-            fastest_deg_s = p["MC_YAWRATE_MAX"]
             if target is not None and target.yaw_rad == target.yaw_rad:
                 self._yaw_rad = target.yaw_rad
             elif target is not None and target.yaw_rate_rad_s == target.yaw_rate_rad_s:
-                self._yaw_rad = copter.heading_rad + target.yaw_rate_rad_s / gain_1_s
+                self._yaw_rad = copter.heading_rad + target.yaw_rate_rad_s / _TURN_1_S
         elif name in NAVIGATED and name != "Land":
             way = self._aim[0] - self._here
             if self._aim_yaw_rad == self._aim_yaw_rad:
                 self._yaw_rad = self._aim_yaw_rad
             elif abs(way) > _NEAR_M:
                 self._yaw_rad = math.atan2(way.imag, way.real)
-        most, off_rad = math.radians(fastest_deg_s), self._yaw_rad - copter.heading_rad
-        self._turn_rad_s = min(max(gain_1_s * math.remainder(off_rad, math.tau), -most), most)
+        most, off_rad = _SLEW_RAD_S[name == "Offboard"], self._yaw_rad - copter.heading_rad
+        self._turn_rad_s = min(max(_TURN_1_S * math.remainder(off_rad, math.tau), -most), most)
         turned_rad = copter.heading_rad + self._turn_rad_s * self.step_s
         copter.heading_rad = math.remainder(turned_rad, math.tau)
 

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple, final
 from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.legs import Does, Leg
-from vehicle_sim.autopilot.plane_control import Circle, Runway, Way, Wheels, eas_to_tas
+from vehicle_sim.autopilot.plane_control import Circle, FixedWing, Runway, Way, eas_to_tas
 from vehicle_sim.autopilot.px4 import RATES_HZ, Px4, firmware
 from vehicle_sim.autopilot.setpoints import NOTHING, Target, given
 from vehicle_sim.autopilot.values import Place, TargetEcho, Waypoint
@@ -44,6 +44,7 @@ _CLIMB_OUT_M_S: Final = 2.63  # climb rate at FW_TKO_PITCH_MIN 10 degrees and fu
 _LIFTS_OFF_AT: Final = 1.1
 """Share of the take-off airspeed at which it leaves the ground: 11.3 m/s (RunwayTakeoff.cpp)."""
 _LANDS_FASTER_M_S: Final = 0.5  # flown 10.8 m/s through the air where FW_AIRSPD_MIN is 10.3
+_SLOPE_RAD: Final = math.radians(5.0)  # FW_LND_ANG
 _SLOPE_FLOWN: Final = 0.98
 """Share of the sink of FW_LND_ANG that is flown: 0.85 m/s in the mean of the recorded landing."""
 _SINKS_FASTER_1_S: Final = 0.15
@@ -72,7 +73,7 @@ class Line(NamedTuple):
 
 
 @final
-class Px4Plane(Wheels, Px4):
+class Px4Plane(FixedWing, Px4):
     """The aeroplane of PX4's SIH simulator, or one with other limits."""
 
     runway = Runway(
@@ -91,7 +92,8 @@ class Px4Plane(Wheels, Px4):
 
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
-        self.control.l1.upright = True
+        self.l1.upright = True
+        self.l1.period_s, self.l1.damping = 10.0, 0.7  # NPFG_PERIOD, NPFG_DAMPING
         self._aim: Circle | Way | Line | None = None  # none: the bank stays
         self._goal: Place | None = None  # the place flown to; the middle of a circle
         self._nearest = self.estimate.place, 0j  # of circle or line: a place and how far from it
@@ -102,29 +104,15 @@ class Px4Plane(Wheels, Px4):
 
     def read_parameters(self) -> None:
         """Some parameter has changed."""
-        p, control = self.parameters, self.control
-        control.l1.period_s, control.l1.damping = p["NPFG_PERIOD"], p["NPFG_DAMPING"]
-        control.bank_most_rad = math.radians(p["FW_R_LIM"])
-        control.heights.climb_most_m_s = min(p["FW_T_CLMB_R_SP"], p["FW_T_CLMB_MAX"])
-        control.heights.sink_most_m_s = min(p["FW_T_SINK_R_SP"], p["FW_T_SINK_MAX"])
-        if isinstance(self._aim, Circle):
-            self._aim = self._aim._replace(radius_m=self._radius_m)
+        p = self.parameters
+        self.bank_most_rad = math.radians(p["FW_R_LIM"])
+        self.heights.climb_most_m_s = p["FW_T_CLMB_R_SP"]
+        self.heights.sink_most_m_s = p["FW_T_SINK_R_SP"]
         if self._sink_m_s is None:
-            control.airspeed_m_s = self._cruise_m_s
-
-    @property
-    def _radius_m(self) -> float:
-        """NAV_LOITER_RAD; a negative one turns left."""
-        radius_m = self.parameters["NAV_LOITER_RAD"]
-        return radius_m if abs(radius_m) > 1.0 else math.copysign(1.0, radius_m)
+            self.wanted_airspeed_m_s = self._cruise_m_s
 
     def _true(self, equivalent_m_s: float) -> float:
         return equivalent_m_s * eas_to_tas(self.estimate.altitude_amsl_m)
-
-    def _slow_m_s(self, name: str) -> float:
-        """The airspeed of this parameter, if it is set; else FW_AIRSPD_MIN."""
-        p = self.parameters
-        return p[name] if p[name] > 0.0 else p["FW_AIRSPD_MIN"]
 
     @property
     def _cruise_m_s(self) -> float:
@@ -140,11 +128,13 @@ class Px4Plane(Wheels, Px4):
     def _fly(self, aim: Circle | Way | Line, goal: Place) -> None:
         """Along this, at the goal's height."""
         self._aim, self._goal = aim, goal
-        self.control.climb_m_s = self._sink_m_s = None
+        self.wanted_climb_m_s = self._sink_m_s = None
 
     def _circle(self, place: Place) -> None:
-        """About a place, at its height."""
-        self._fly(Circle(place, self._radius_m), place)
+        """About a place, at its height; with a negative radius to the left."""
+        radius_m = self.parameters["NAV_LOITER_RAD"]
+        radius_m = radius_m if abs(radius_m) > 1.0 else math.copysign(1.0, radius_m)
+        self._fly(Circle(place, radius_m), place)
 
     def _ahead(self, altitude_amsl_m: float) -> None:
         """Straight on where the nose points."""
@@ -153,18 +143,18 @@ class Px4Plane(Wheels, Px4):
 
     def _descend_about(self, place: Place) -> None:
         """Down in a circle.  NAV_LAND's own place is ignored, as recorded."""
-        slow_m_s, slope_deg = self._slow_m_s("FW_LND_AIRSPD"), self.parameters["FW_LND_ANG"]
+        slow_m_s = self.parameters["FW_AIRSPD_MIN"]
         self._circle(place)
-        self.control.airspeed_m_s = self._true(slow_m_s) + _LANDS_FASTER_M_S
-        self._sink_m_s = slow_m_s * _SLOPE_FLOWN * math.sin(math.radians(slope_deg))
+        self.wanted_airspeed_m_s = self._true(slow_m_s) + _LANDS_FASTER_M_S
+        self._sink_m_s = slow_m_s * _SLOPE_FLOWN * math.sin(_SLOPE_RAD)
 
     def begin(self) -> None:
         """What the mode makes it fly; in the air, and for a take-off on the ground."""
-        here, control = self.estimate.place, self.control
+        here = self.estimate.place
         self._began_s, self._seen = self.now_s, None
         if self.mode.flies == "fly_target":
             return  # the last commands stay until a setpoint comes
-        control.airspeed_m_s = self._cruise_m_s
+        self.wanted_airspeed_m_s = self._cruise_m_s
         match self.mode.flies:
             case "climb":
                 self._ahead(self.takeoff_altitude_m)
@@ -179,8 +169,8 @@ class Px4Plane(Wheels, Px4):
             case "fly_mission":
                 self.fly_leg()
             case "descend":
-                self._aim, self._sink_m_s, control.climb_m_s = None, None, 0.0
-                control.bank_rad = math.radians(self.parameters["NAV_GPSF_R"])
+                self._aim, self._sink_m_s, self.wanted_climb_m_s = None, None, 0.0
+                self.bank_rad = math.radians(self.parameters["NAV_GPSF_R"])
             case _:
                 self._ahead(here.altitude_amsl_m)
 
@@ -191,7 +181,7 @@ class Px4Plane(Wheels, Px4):
             self._circle(here)
         elif leg.does is Does.CLIMB:
             self._ahead(leg.place.altitude_amsl_m)
-            self.control.climb_m_s = _CLIMB_OUT_M_S
+            self.wanted_climb_m_s = _CLIMB_OUT_M_S
         elif leg.does is Does.LAND:
             self._descend_about(leg.place)
         elif leg.hold_s:
@@ -206,48 +196,45 @@ class Px4Plane(Wheels, Px4):
         self._steps += 1
         if self._steps % _STEER_EVERY or self.plane.stands:
             return
-        control, plane = self.control, self.plane
-        match self.mode.flies:
-            case "fly_target" if self.target is not self._seen:
-                self._take(self.target)
-            case "climb":
-                self._climb_out()
-            case "fly_mission":
-                self.follow_route()
-            case "fly_back":
-                self._return()
-            case "descend":
-                late = self.now_s - self._began_s > self.parameters["NAV_GPSF_LT"]
-                control.climb_m_s = -_DESCEND_M_S if late else 0.0
-            case _:
-                pass
+        flies = self.mode.flies
+        if flies == "fly_target" and self.target is not self._seen:
+            self._take(self.target)
+        elif flies == "climb":
+            self._climb_out()
+        elif flies == "fly_mission":
+            self.follow_route()
+        elif flies == "fly_back":
+            self._return()
+        elif flies == "descend":
+            late = self.now_s - self._began_s > self.parameters["NAV_GPSF_LT"]
+            self.wanted_climb_m_s = -_DESCEND_M_S if late else 0.0
         if self._sink_m_s is not None:
-            excess_m_s = max(plane.airspeed_m_s - control.airspeed_m_s, 0.0)
-            control.climb_m_s = -self._sink_m_s - _SINKS_FASTER_1_S * excess_m_s
+            excess_m_s = max(self.plane.airspeed_m_s - self.wanted_airspeed_m_s, 0.0)
+            self.wanted_climb_m_s = -self._sink_m_s - _SINKS_FASTER_1_S * excess_m_s
         if self._goal is not None:
-            energy = plane.airspeed_m_s**2 - control.airspeed_m_s**2
+            energy = self.plane.airspeed_m_s**2 - self.wanted_airspeed_m_s**2
             more_m = min(max(energy / (2.0 * GRAVITY_M_S2), -_TRADED_M), _TRADED_M)
-            control.height_amsl_m = self._goal.altitude_amsl_m + more_m
+            self.wanted_height_m = self._goal.altitude_amsl_m + more_m
         self._bank()
 
     def _bank(self) -> None:
         """For what it aims at."""
-        aim, control = self._aim, self.control
+        aim = self._aim
         if isinstance(aim, Line):
-            off_m = control.off_m(aim.place)
+            off_m = self.off_m(aim.place)
             self._nearest = aim.place, (off_m.conjugate() * aim.way).real * aim.way
-            control.follow(off_m, aim.way, aim.curvature_1_m)
+            self.bank_along(off_m, aim.way, aim.curvature_1_m)
         elif isinstance(aim, Way) and self.mode.flies == "fly_target":
-            control.steer(aim._replace(start=self.estimate.place))  # straight there, from anywhere
+            self.bank_for(aim._replace(start=self.estimate.place))  # straight there, from anywhere
         elif isinstance(aim, Way):
-            control.steer(aim)
+            self.bank_for(aim)
         elif aim is not None:
-            off_m, radius_m = control.off_m(aim.centre), aim.radius_m
-            out = off_m if abs(off_m) > 0.1 else control.velocity
+            off_m, radius_m = self.off_m(aim.centre), aim.radius_m
+            out = off_m if abs(off_m) > 0.1 else self.velocity
             out /= abs(out)
             nearest_m, way = abs(radius_m) * out, math.copysign(1.0, radius_m) * 1j * out
             self._nearest = aim.centre, nearest_m
-            control.follow(off_m - nearest_m, way, 1.0 / radius_m)
+            self.bank_along(off_m - nearest_m, way, 1.0 / radius_m)
 
     def _take(self, target: Target | None) -> None:
         """A setpoint of OFFBOARD (px4.md 10)."""
@@ -264,43 +251,39 @@ class Px4Plane(Wheels, Px4):
         if speed_m_s > 1e-6:  # not NaN
             aim = Line(place, complex(v_n, v_e) / speed_m_s, _bend(target))
         self._fly(aim, place)
-        self.control.airspeed_m_s = self._cruise_m_s
+        self.wanted_airspeed_m_s = self._cruise_m_s
         if down_m != down_m:
-            self.control.climb_m_s = 0.0 if v_d == v_d else -_GLIDE_M_S
+            self.wanted_climb_m_s = 0.0 if v_d == v_d else -_GLIDE_M_S
 
     def _climb_out(self) -> None:
         """Up to the take-off's height, then Hold; for good if it was not told where to."""
-        control, goal_m, here = self.control, self.takeoff_altitude_m, self.estimate.place
-        control.climb_m_s, control.airspeed_m_s = _CLIMB_OUT_M_S, self._cruise_m_s
+        goal_m, here = self.takeoff_altitude_m, self.estimate.place
+        self.wanted_climb_m_s, self.wanted_airspeed_m_s = _CLIMB_OUT_M_S, self._cruise_m_s
         if here.altitude_amsl_m >= goal_m:
             goal = self._goal or here
-            self._goal, control.climb_m_s = goal.at(goal_m + _CLEARED_M), None
-            if self.asked is not None and given(self.asked):
+            self._goal, self.wanted_climb_m_s = goal.at(goal_m + _CLEARED_M), None
+            if given(self.asked):
                 self.intend("Hold")
 
     def _return(self) -> None:
-        """Circling at home: down to RTL_DESCEND_ALT, and land after RTL_LAND_DELAY if not < 0."""
-        p, aim = self.parameters, self._aim
+        """Circling at home: down to RTL_DESCEND_ALT."""
+        aim = self._aim
         assert isinstance(aim, Circle)
-        off_m = abs(self.control.off_m(aim.centre)) - abs(aim.radius_m)
-        if self._sink_m_s is not None or abs(off_m) > _ON_CIRCLE_M:
-            return
-        self._goal = goal = self.base.at(self.base.altitude_amsl_m + p["RTL_DESCEND_ALT"])
-        high_m = abs(self.estimate.altitude_amsl_m - goal.altitude_amsl_m)
-        waited = 0.0 <= p["RTL_LAND_DELAY"] < self.now_s - self._began_s
-        if waited and high_m < p["NAV_FW_ALT_RAD"]:
-            self._descend_about(self.base)
+        off_m = abs(self.off_m(aim.centre)) - abs(aim.radius_m)
+        if abs(off_m) <= _ON_CIRCLE_M:
+            above_m = self.parameters["RTL_DESCEND_ALT"]
+            self._goal = self.base.at(self.base.altitude_amsl_m + above_m)
 
     def is_there(self, leg: Leg) -> bool:
         """Where PX4 switches to the next one: 31 m before its end at 13.9 m/s."""
-        control, aim, away_m = self.control, self._aim, abs(self.control.off_m(leg.place))
+        aim, away_m = self._aim, abs(self.off_m(leg.place))
         if leg.does is Does.LAND:
             return False
         if leg.does is Does.CLIMB:
             return self.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m
         if isinstance(aim, Circle):
             return abs(away_m - abs(aim.radius_m)) < _ON_CIRCLE_M
-        near_m = control.l1.length_m(abs(control.velocity))
+        near_m = self.l1.length_m(abs(self.velocity))
         return away_m < (leg.acceptance_m if leg.acceptance_m > near_m else near_m)
 
     # --- on its wheels ------------------------------------------------------------------------
@@ -309,15 +292,12 @@ class Px4Plane(Wheels, Px4):
         """Take-off, by mode or by a mission that begins with one."""
         return self.armed and (self.mode.flies == "climb" or self.is_at(Does.CLIMB))
 
-    def lift_off_m_s(self) -> float:
-        """By FW_TKO_AIRSPD."""
-        return _LIFTS_OFF_AT * self._true(self._slow_m_s("FW_TKO_AIRSPD"))
-
     def lifts_off(self) -> bool:
         """Fast enough on the runway: straight up from here on."""
-        fast = super().lifts_off()
+        fast_m_s = _LIFTS_OFF_AT * self._true(self.parameters["FW_AIRSPD_MIN"])
+        fast = self.wants_up() and self.plane.airspeed_m_s >= fast_m_s
         if fast:
-            self.control.bank_rad, self.control.climb_m_s = 0.0, _CLIMB_OUT_M_S
+            self.bank_rad, self.wanted_climb_m_s = 0.0, _CLIMB_OUT_M_S
         return fast
 
     # --- to tell ------------------------------------------------------------------------------
@@ -346,8 +326,7 @@ def _bend(target: Target) -> float:
 
     FixedWingModeManager.cpp:2074 against :2641-2644 (px4.md 1, item 7).
     """
-    v_n, v_e, _ = target.velocity
-    a_n, a_e, a_d = target.acceleration
+    (v_n, v_e, _), (a_n, a_e, a_d) = target.velocity, target.acceleration
     if math.isnan(a_n + a_e + a_d):
         return 0.0
     return -(v_n * a_e - v_e * a_n) / math.hypot(v_n, v_e) ** 3

@@ -13,7 +13,7 @@ from vehicle_sim.autopilot.values import FRAMES_ABOVE_TERRAIN, Setpoint, Vector,
 IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_ACCELERATION = 0x007, 0x038, 0x1C0
 IGNORE_YAW, IGNORE_YAW_RATE = 0x400, 0x800
 _FORCE: Final = 0x200
-_LOCAL_NED, _LOCAL_OFFSET_NED, _BODY_NED, _BODY_OFFSET_NED = 1, 7, 8, 9
+LOCAL_NED, _LOCAL_OFFSET_NED, _BODY_NED, _BODY_OFFSET_NED = 1, 7, 8, 9
 _GLOBAL_INT: Final = (5, 6, 11)
 _NAN: Final = math.nan
 NOTHING: Final = (_NAN, _NAN, _NAN)
@@ -33,12 +33,8 @@ class Target(NamedTuple):
     yaw_rad: float = _NAN
     yaw_rate_rad_s: float = _NAN
     is_global: bool = False
-    frame: int = _LOCAL_NED
-
-    @property
-    def is_offset(self) -> bool:
-        """Its position is measured from the vehicle."""
-        return not self.is_global and self.frame != _LOCAL_NED
+    frame: int = LOCAL_NED
+    """MAV_FRAME; of a local one that is another, the place is measured from the vehicle."""
 
 
 @final
@@ -76,7 +72,7 @@ def read_by_arducopter(setpoint: Setpoint, heading_rad: float) -> Target | Stop:
         (asked and (mask & _FORCE or (has_place and not moves)))
         or (moves and not all(abs(v) <= _FASTEST_M_S for v in velocity))
         or not (has_place or moves or pushes)
-        or not (is_global or frame in (_LOCAL_NED, _LOCAL_OFFSET_NED, _BODY_NED, _BODY_OFFSET_NED))
+        or not (is_global or frame in (LOCAL_NED, _LOCAL_OFFSET_NED, _BODY_NED, _BODY_OFFSET_NED))
     ):
         return Stop()
     used = [*(position if has_place else ()), *(push if pushes else ())]
@@ -114,7 +110,7 @@ def read_by_px4(setpoint: Setpoint, heading_rad: float) -> Target | None:
             position = NOTHING
     elif frame == _BODY_NED and not any(map(math.isfinite, position)):
         velocity, acceleration = turned(velocity, heading_rad), turned(acceleration, heading_rad)
-    elif frame != _LOCAL_NED:
+    elif frame != LOCAL_NED:
         return None
     if not any(map(math.isfinite, position + velocity + acceleration)):
         return None

@@ -4,19 +4,17 @@ wire/ converts frames to these and back.  Parameters are data: *.parm.
 """
 
 import enum
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 from vehicle_sim.dynamics import Vehicle
-from vehicle_sim.dynamics.battery import Battery
-from vehicle_sim.sensors.gps import Fix
 
 if TYPE_CHECKING:
-    from vehicle_sim.autopilot.core import Autopilot
+    from vehicle_sim.autopilot.core import Autopilot, Firmware
+    from vehicle_sim.autopilot.estimator import Estimator
 
-HIGHEST_HOME_M = 1e5
-"""Limit of home's altitude, up and down: HOME_POSITION could not encode more."""
+HIGHEST_M = 1e5
+"""Limit of altitudes that are told, up and down: HOME_POSITION could not encode more."""
 Vector = tuple[float, float, float]
 Result = enum.IntEnum(
     "Result",
@@ -156,33 +154,6 @@ def height_amsl_m(
 
 
 @final
-@dataclass(slots=True, kw_only=True)
-class Estimate:
-    """The autopilot's position estimate, used for control and telemetry.  Mutable."""
-
-    latitude_deg: float
-    longitude_deg: float
-    altitude_amsl_m: float
-    velocity_north_m_s: float = 0.0
-    velocity_east_m_s: float = 0.0
-    velocity_up_m_s: float = 0.0
-    position_ok: bool = False
-    """Whether there is a horizontal position."""
-    flags: int = 0
-    velocity_variance: float = 0.0
-    horizontal_variance: float = 0.0
-    """Of EKF_STATUS_REPORT or ESTIMATOR_STATUS, whichever the autopilot sends: test ratios."""
-    frozen_altitude_amsl_m: float | None = None
-    """Reported altitude AMSL while the position is lost; None: the estimate."""
-    horizontal_accuracy_m: float = 0.0
-
-    @property
-    def place(self) -> Place:
-        """A copy of the position."""
-        return Place(self.latitude_deg, self.longitude_deg, self.altitude_amsl_m)
-
-
-@final
 class TargetEcho(NamedTuple):
     """The autopilot's target in the estimator's local frame: POSITION_TARGET_LOCAL_NED."""
 
@@ -219,8 +190,6 @@ class Status(NamedTuple):
     landed_state: int
     prearm_ok: bool
     """The PREARM_CHECK bit of SYS_STATUS."""
-    origin: Place | None = None
-    """Of the estimator; its local frame is the autopilot's own flat earth about this point."""
     waypoint: Waypoint | None = None
     intended_mode: int | None = None
     """CURRENT_MODE of PX4; None: the mode itself."""
@@ -230,15 +199,8 @@ class Status(NamedTuple):
     """Items of the mission, as MISSION_CURRENT of PX4 says it; 65535: there is none."""
     above_ground_m: float | None = None
     """By a distance sensor; None: there is none."""
-    fusing: bool = True
-    """The estimator uses GPS (PX4)."""
-    fence_breached: bool = False
-    fence_breaches: int = 0
-    fence_present: bool = False
-    """There is something that FENCE_STATUS could tell of."""
-    fence_breach_type: int = 0
-    fence_breach_ms: int = 0
-    """FENCE_BREACH of the last one, and when it was, in milliseconds since boot."""
+    fence: tuple[int, ...] | None = None
+    """FENCE_STATUS; None: there is nothing to tell."""
     failsafe: bool = False
     airspeed_m_s: float | None = None
     """Indicated, as a pitot tube measures it; None: there is none."""
@@ -250,8 +212,6 @@ class Report:
     """The data of all telemetry; refers to live objects, to be read at once."""
 
     autopilot: "Autopilot"
-    fix: Fix
-    battery: Battery
     time_us: int = 0
     unix_us: int = 0
     """Since boot; and GPS time, 0 while there is none."""
@@ -260,13 +220,13 @@ class Report:
     """Bits of SYS_STATUS: proximity and rangefinder, and those of them that are not well."""
     vehicle: Vehicle = field(init=False)
     """For attitude and airspeed only: position and velocity are the estimate's."""
-    estimate: Estimate = field(init=False)
-    profile: "FirmwareProfile" = field(init=False)
+    estimate: "Estimator" = field(init=False)
+    firmware: "Firmware" = field(init=False)
     _status: Status | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         it = self.autopilot
-        self.vehicle, self.estimate, self.profile = it.vehicle, it.estimate, it.profile
+        self.vehicle, self.estimate, self.firmware = it.vehicle, it.estimate, it.firmware
 
     def renew(self, time_us: int, unix_us: int) -> None:
         """Advance the time: the status is requested again when needed."""
@@ -278,26 +238,3 @@ class Report:
         if self._status is None:
             self._status = self.autopilot.status()
         return self._status
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FirmwareProfile:
-    """A firmware's MAVLink behaviour, for wire/.  Constant per autopilot."""
-
-    firmware: Literal["ardupilot", "px4"]
-    vehicle_type: int
-    autopilot: int
-    """MAV_TYPE and MAV_AUTOPILOT."""
-    capabilities: int
-    software_version: int
-    custom_version: bytes = bytes(8)
-    rates_hz: Mapping[int, float]
-    """Default rates of a new link, by message number."""
-    first_heartbeat_us: int = 1_000_000
-    """Since boot; then at its rate."""
-    streamable: frozenset[int]
-    requestable: frozenset[int]
-    """What SET_MESSAGE_INTERVAL and REQUEST_MESSAGE accept."""
-    data_streams: Mapping[int, Sequence[int]] = field(default_factory=dict)
-    """REQUEST_DATA_STREAM: group -> message numbers."""

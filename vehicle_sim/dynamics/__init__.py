@@ -21,20 +21,18 @@ class Vehicle:
     longitude_deg: float
     altitude_amsl_m: float
     heading_rad: float = 0.0
-    velocity_north_m_s: float = field(init=False, default=0.0)
-    velocity_east_m_s: float = field(init=False, default=0.0)
+    velocity_m_s: complex = field(init=False, default=0j)
+    """North + east j, as are acceleration and wind."""
     velocity_up_m_s: float = field(init=False, default=0.0)
-    acceleration_north_m_s2: float = field(init=False, default=0.0)
-    acceleration_east_m_s2: float = field(init=False, default=0.0)
+    acceleration_m_s2: complex = field(init=False, default=0j)
     acceleration_up_m_s2: float = field(init=False, default=0.0)
     roll_rad: float = field(init=False, default=0.0)
     pitch_rad: float = field(init=False, default=0.0)
     airspeed_m_s: float = field(init=False, default=0.0)
     throttle: float = field(init=False, default=0.0)
     """0 to 1."""
-    wind_north_m_s: float = field(init=False, default=0.0)
-    """Where the air goes to; set from outside before each step, as are the other two."""
-    wind_east_m_s: float = field(init=False, default=0.0)
+    wind_m_s: complex = field(init=False, default=0j)
+    """Where the air goes to; set from outside before each step, as is the other one."""
     wind_up_m_s: float = field(init=False, default=0.0)
     stands: bool = field(init=False, default=True)
     """The ground carries it: at rest, or rolling on its wheels."""
@@ -44,35 +42,30 @@ class Vehicle:
     @property
     def velocity_neu_m_s(self) -> tuple[float, float, float]:
         """North, east, up."""
-        return self.velocity_north_m_s, self.velocity_east_m_s, self.velocity_up_m_s
+        return self.velocity_m_s.real, self.velocity_m_s.imag, self.velocity_up_m_s
 
     def stand(self, altitude_amsl_m: float) -> None:
         """Come to rest at this height, level and without motion."""
         self.altitude_amsl_m = altitude_amsl_m
-        self.velocity_north_m_s = self.velocity_east_m_s = self.velocity_up_m_s = 0.0
-        self.acceleration_north_m_s2 = self.acceleration_east_m_s2 = 0.0
-        self.acceleration_up_m_s2 = 0.0
+        self.velocity_m_s = self.acceleration_m_s2 = 0j
+        self.velocity_up_m_s = self.acceleration_up_m_s2 = 0.0
         self.roll_rad = self.pitch_rad = self.throttle = self.airspeed_m_s = 0.0
         self.stands, self.broken = True, False
 
     def hit(self) -> None:
         """Something stops it in the air."""
-        self.broken = True
-        self.velocity_north_m_s = self.velocity_east_m_s = 0.0
+        self.broken, self.velocity_m_s = True, 0j
 
     def fall(self, dt_s: float) -> None:
         """One step without motors: free fall."""
-        up_m_s = self.velocity_up_m_s - GRAVITY_M_S2 * dt_s
-        self._move(self.velocity_north_m_s, self.velocity_east_m_s, up_m_s, dt_s)
+        self._move(self.velocity_m_s, self.velocity_up_m_s - GRAVITY_M_S2 * dt_s, dt_s)
 
-    def _move(self, north_m_s: float, east_m_s: float, up_m_s: float, dt_s: float) -> None:
+    def _move(self, level_m_s: complex, up_m_s: float, dt_s: float) -> None:
         """Take on this velocity; the position advances by the mean of the old and the new."""
         metres_north, metres_east = metres_per_degree(self.latitude_deg)
         half_s = 0.5 * dt_s
-        self.latitude_deg += (self.velocity_north_m_s + north_m_s) * half_s / metres_north
-        east_deg = (self.velocity_east_m_s + east_m_s) * half_s / metres_east
-        self.longitude_deg = around(self.longitude_deg + east_deg)
+        step_m = (self.velocity_m_s + level_m_s) * half_s
+        self.latitude_deg += step_m.real / metres_north
+        self.longitude_deg = around(self.longitude_deg + step_m.imag / metres_east)
         self.altitude_amsl_m += (self.velocity_up_m_s + up_m_s) * half_s
-        self.velocity_north_m_s = north_m_s
-        self.velocity_east_m_s = east_m_s
-        self.velocity_up_m_s = up_m_s
+        self.velocity_m_s, self.velocity_up_m_s = level_m_s, up_m_s

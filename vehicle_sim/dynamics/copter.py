@@ -5,6 +5,7 @@ them as a real one does.  Without drag, and with no limit on the tilt, the vehic
 told.
 """
 
+import cmath
 import math
 from dataclasses import dataclass, field
 from typing import final
@@ -45,68 +46,47 @@ class Copter(Vehicle):
     hover_throttle: float = HOVER_THROTTLE
     response_s: float = field(init=False, default=RESPONSE_S)
     """Time constant from commanded to actual acceleration."""
-    _thrust_north_m_s2: float = field(init=False, default=0.0)
-    _thrust_east_m_s2: float = field(init=False, default=0.0)
+    _thrust_m_s2: complex = field(init=False, default=0j)
+    """North + east j."""
 
     def stand(self, altitude_amsl_m: float) -> None:
         """Come to rest at this height."""
         Vehicle.stand(self, altitude_amsl_m)
-        self._thrust_north_m_s2 = self._thrust_east_m_s2 = 0.0
+        self._thrust_m_s2 = 0j
 
     def advance(self, north_m_s2: float, east_m_s2: float, up_m_s2: float, dt_s: float) -> None:
         """One step under a commanded acceleration of the thrust, gravity made up for.
 
         Attitude and throttle are those that this thrust takes.
         """
-        limits = self.limits
+        limits, velocity, wind = self.limits, self.velocity_m_s, self.wind_m_s
         response = dt_s / (self.response_s + dt_s)
-        before_n, before_e = self.velocity_north_m_s, self.velocity_east_m_s
-        before_u = self.velocity_up_m_s
+        thrust = self._thrust_m_s2
+        thrust += (complex(north_m_s2, east_m_s2) - thrust) * response
+        if (size := math.hypot(thrust.real, thrust.imag)) > limits.acceleration_m_s2:
+            thrust *= limits.acceleration_m_s2 / size
+        self._thrust_m_s2 = thrust
+        most, up = limits.acceleration_vertical_m_s2, self.acceleration_up_m_s2
+        up = min(max(up + (up_m_s2 - up) * response, -most), most)
 
-        a_n = self._thrust_north_m_s2
-        a_e = self._thrust_east_m_s2
-        a_n += (north_m_s2 - a_n) * response
-        a_e += (east_m_s2 - a_e) * response
-        size = math.hypot(a_n, a_e)
-        most = limits.acceleration_m_s2
-        if size > most:
-            a_n *= most / size
-            a_e *= most / size
-        self._thrust_north_m_s2, self._thrust_east_m_s2 = a_n, a_e
+        ahead = thrust * cmath.rect(1.0, -self.heading_rad)
+        lift = GRAVITY_M_S2 + up
+        self.pitch_rad = -math.atan2(ahead.real, lift)
+        self.roll_rad = math.atan2(ahead.imag, math.hypot(ahead.real, lift))
+        whole = math.sqrt(ahead.real * ahead.real + ahead.imag * ahead.imag + lift * lift)
+        self.throttle = min(self.hover_throttle * whole / GRAVITY_M_S2, 1.0)
 
-        a_u = self.acceleration_up_m_s2
-        a_u += (up_m_s2 - a_u) * response
-        most = limits.acceleration_vertical_m_s2
-        a_u = -most if a_u < -most else most if a_u > most else a_u
-        cosine, sine = math.cos(self.heading_rad), math.sin(self.heading_rad)
-        forward = a_n * cosine + a_e * sine
-        right = a_e * cosine - a_n * sine
-        lift = GRAVITY_M_S2 + a_u
-        self.pitch_rad = -math.atan2(forward, lift)
-        self.roll_rad = math.atan2(right, math.hypot(forward, lift))
-        thrust = math.sqrt(forward * forward + right * right + lift * lift)
-        throttle = self.hover_throttle * thrust / GRAVITY_M_S2
-        self.throttle = throttle if throttle < 1.0 else 1.0
-
-        lift_m_s2 = a_u
+        level, rising = thrust, up
         if self.drag_1_s or self.drag_1_m:
-            past_n, past_e = before_n - self.wind_north_m_s, before_e - self.wind_east_m_s
-            drag_1_s = self.drag_1_s + self.drag_1_m * math.hypot(past_n, past_e)
-            a_n -= drag_1_s * past_n
-            a_e -= drag_1_s * past_e
+            past = velocity - wind
+            level -= (self.drag_1_s + self.drag_1_m * math.hypot(past.real, past.imag)) * past
             # Going up and down the thrust has enough in hand; only moving air is felt.
-            lift_m_s2 += self.drag_1_s * self.wind_up_m_s
-        v_n, v_e = before_n + a_n * dt_s, before_e + a_e * dt_s
-        speed = math.hypot(v_n, v_e)
-        if speed > limits.speed_m_s:
-            v_n *= limits.speed_m_s / speed
-            v_e *= limits.speed_m_s / speed
-
-        fastest = limits.speed_vertical_m_s
-        v_u = before_u + lift_m_s2 * dt_s
-        v_u = -fastest if v_u < -fastest else fastest if v_u > fastest else v_u
-
-        self._move(v_n, v_e, v_u, dt_s)
-        self.acceleration_north_m_s2, self.acceleration_east_m_s2 = a_n, a_e
-        self.acceleration_up_m_s2 = a_u
-        self.airspeed_m_s = math.hypot(v_n - self.wind_north_m_s, v_e - self.wind_east_m_s)
+            rising += self.drag_1_s * self.wind_up_m_s
+        velocity += level * dt_s
+        if (size := math.hypot(velocity.real, velocity.imag)) > limits.speed_m_s:
+            velocity *= limits.speed_m_s / size
+        most = limits.speed_vertical_m_s
+        up_m_s = min(max(self.velocity_up_m_s + rising * dt_s, -most), most)
+        self._move(velocity, up_m_s, dt_s)
+        self.acceleration_m_s2, self.acceleration_up_m_s2 = level, up
+        self.airspeed_m_s = math.hypot((velocity - wind).real, (velocity - wind).imag)

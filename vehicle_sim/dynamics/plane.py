@@ -4,6 +4,7 @@ It is told a bank angle, a climb rate and an airspeed, and follows each within i
 air carries it: ground velocity is air velocity plus wind.  A climb costs no airspeed.
 """
 
+import cmath
 import math
 from dataclasses import dataclass, field
 from typing import final
@@ -48,8 +49,8 @@ class Plane(Vehicle):
     turn_efficiency: float = field(init=False, default=1.0)
     """Lateral acceleration over g tan(bank); less than 1 of an airframe that slips in turns."""
     _climb_m_s: float = field(init=False, default=0.0)
-    _slip_north_m_s: float = field(init=False, default=0.0)
-    _slip_east_m_s: float = field(init=False, default=0.0)
+    _slip_m_s: complex = field(init=False, default=0j)
+    """North + east j."""
 
     def __post_init__(self) -> None:
         self.heading_rad %= math.tau
@@ -57,15 +58,13 @@ class Plane(Vehicle):
     def stand(self, altitude_amsl_m: float) -> None:
         """Come to rest at this height."""
         Vehicle.stand(self, altitude_amsl_m)
-        self._climb_m_s = self._slip_north_m_s = self._slip_east_m_s = 0.0
+        self._climb_m_s, self._slip_m_s = 0.0, 0j
         self.airspeed_m_s = self._flow_along_the_nose_m_s()
 
     def _flow_along_the_nose_m_s(self) -> float:
         """What a pitot tube would measure on the ground."""
-        north = self.velocity_north_m_s - self.wind_north_m_s
-        east = self.velocity_east_m_s - self.wind_east_m_s
-        along = north * math.cos(self.heading_rad) + east * math.sin(self.heading_rad)
-        return along if along > 0.0 else 0.0
+        flow = (self.velocity_m_s - self.wind_m_s) * cmath.rect(1.0, -self.heading_rad)
+        return max(0.0, flow.real)
 
     def fall(self, dt_s: float) -> None:
         """One step without motor and control: it glides straight ahead, if it can."""
@@ -77,31 +76,23 @@ class Plane(Vehicle):
 
     def advance(self, bank_rad: float, climb_m_s: float, airspeed_m_s: float, dt_s: float) -> None:
         """One step in the air under a commanded bank (right positive), climb and airspeed."""
-        limits = self.limits
-        most = limits.bank_max_rad
-        bank_rad = -most if bank_rad < -most else most if bank_rad > most else bank_rad
-        step = (bank_rad - self.roll_rad) * dt_s / (ROLL_RESPONSE_S + dt_s)
+        limits, before_rad, before_m_s = self.limits, self.roll_rad, self.airspeed_m_s
+        bank_rad = min(max(bank_rad, -limits.bank_max_rad), limits.bank_max_rad)
+        step = (bank_rad - before_rad) * dt_s / (ROLL_RESPONSE_S + dt_s)
         most = limits.roll_rate_rad_s * dt_s
-        before_rad = self.roll_rad
-        self.roll_rad += -most if step < -most else most if step > most else step
+        self.roll_rad += min(max(step, -most), most)
 
-        before_m_s = self.airspeed_m_s
-        most = limits.airspeed_max_m_s
-        least = limits.airspeed_min_m_s
-        wanted = most if airspeed_m_s > most else least if airspeed_m_s < least else airspeed_m_s
+        wanted = min(max(airspeed_m_s, limits.airspeed_min_m_s), limits.airspeed_max_m_s)
         step = (wanted - before_m_s) * dt_s / (AIRSPEED_RESPONSE_S + dt_s)
         most = limits.acceleration_m_s2 * dt_s
-        step = -most if step < -most else most if step > most else step
+        step = min(max(step, -most), most)
         airspeed = self.airspeed_m_s = before_m_s + step
 
         climb = self._climb_m_s
-        most = limits.climb_max_m_s
-        least = -limits.sink_max_m_s
-        wanted = most if climb_m_s > most else least if climb_m_s < least else climb_m_s
+        wanted = min(max(climb_m_s, -limits.sink_max_m_s), limits.climb_max_m_s)
         climb += (wanted - climb) * dt_s / (CLIMB_RESPONSE_S + dt_s)
-        if abs(climb) > 0.7 * airspeed:  # no steeper than 45 degrees
-            climb = math.copysign(0.7 * airspeed, climb)
-        self._climb_m_s = climb
+        most = 0.7 * airspeed  # no steeper than 45 degrees
+        climb = self._climb_m_s = min(max(climb, -most), most)
 
         mean_m_s = 0.5 * (before_m_s + airspeed)
         lateral = GRAVITY_M_S2 * math.tan(0.5 * (before_rad + self.roll_rad))
@@ -110,44 +101,34 @@ class Plane(Vehicle):
         steepness = climb / airspeed if airspeed > 0.0 else 0.0
         self.pitch_rad = math.asin(steepness) + PITCH_AT_CRUISE_RAD
         effort = climb / limits.climb_max_m_s + step / (limits.acceleration_m_s2 * dt_s)
-        effort = CRUISE_THROTTLE + (1.0 - CRUISE_THROTTLE) * effort
-        self.throttle = 0.0 if effort < 0.0 else 1.0 if effort > 1.0 else effort
-        fading = SLIP_S / (SLIP_S + dt_s)
-        self._slip_north_m_s *= fading
-        self._slip_east_m_s *= fading
+        self.throttle = min(max(CRUISE_THROTTLE + (1.0 - CRUISE_THROTTLE) * effort, 0.0), 1.0)
+        slip = self._slip_m_s = self._slip_m_s * (SLIP_S / (SLIP_S + dt_s))
         flat_m_s = airspeed * math.sqrt(1.0 - steepness * steepness)
-        self._accelerate(
-            flat_m_s * math.cos(self.heading_rad) + self.wind_north_m_s + self._slip_north_m_s,
-            flat_m_s * math.sin(self.heading_rad) + self.wind_east_m_s + self._slip_east_m_s,
-            climb + self.wind_up_m_s,
-            dt_s,
-        )
+        flown = cmath.rect(flat_m_s, self.heading_rad) + self.wind_m_s + slip
+        self._accelerate(flown, climb + self.wind_up_m_s, dt_s)
 
     def roll_on_ground(self, acceleration_m_s2: float, dt_s: float) -> None:
         """One step on the wheels, where the nose points; negative acceleration: to a halt."""
-        cosine, sine = math.cos(self.heading_rad), math.sin(self.heading_rad)
-        speed = self.velocity_north_m_s * cosine + self.velocity_east_m_s * sine
+        nose = cmath.rect(1.0, self.heading_rad)
+        speed = (self.velocity_m_s * nose.conjugate()).real
         speed = max(speed + acceleration_m_s2 * dt_s, 0.0)
-        self._accelerate(speed * cosine, speed * sine, 0.0, dt_s)
+        self._accelerate(cmath.rect(speed, self.heading_rad), 0.0, dt_s)
         self.velocity_up_m_s = self.acceleration_up_m_s2 = 0.0
         self.roll_rad = self.pitch_rad = self._climb_m_s = 0.0
         self.airspeed_m_s = self._flow_along_the_nose_m_s()
         # what the air does not carry along the nose stays as slip when the wheels leave the ground
-        self._slip_north_m_s = (speed - self.airspeed_m_s) * cosine - self.wind_north_m_s
-        self._slip_east_m_s = (speed - self.airspeed_m_s) * sine - self.wind_east_m_s
+        self._slip_m_s = (speed - self.airspeed_m_s) * nose - self.wind_m_s
 
     def touch_down(self, altitude_amsl_m: float) -> None:
         """Put the wheels on the ground: the nose turns into the direction of travel."""
         self.altitude_amsl_m = altitude_amsl_m
-        if self.velocity_north_m_s != 0.0 or self.velocity_east_m_s != 0.0:
-            course = math.atan2(self.velocity_east_m_s, self.velocity_north_m_s)
-            self.heading_rad = course % math.tau
+        if self.velocity_m_s:
+            self.heading_rad = cmath.phase(self.velocity_m_s) % math.tau
         self.stands = True
         self.throttle = self.velocity_up_m_s = 0.0
 
-    def _accelerate(self, north_m_s: float, east_m_s: float, up_m_s: float, dt_s: float) -> None:
+    def _accelerate(self, level_m_s: complex, up_m_s: float, dt_s: float) -> None:
         """One step to this velocity."""
-        self.acceleration_north_m_s2 = (north_m_s - self.velocity_north_m_s) / dt_s
-        self.acceleration_east_m_s2 = (east_m_s - self.velocity_east_m_s) / dt_s
+        self.acceleration_m_s2 = (level_m_s - self.velocity_m_s) / dt_s
         self.acceleration_up_m_s2 = (up_m_s - self.velocity_up_m_s) / dt_s
-        self._move(north_m_s, east_m_s, up_m_s, dt_s)
+        self._move(level_m_s, up_m_s, dt_s)

@@ -70,7 +70,7 @@ class Wind:
             up += turbulence * VERTICAL_SHARE * rising
         else:
             self.still = self._mean_m_s == self._target_m_s == (0.0, 0.0, 0.0)
-        vehicle.wind_north_m_s, vehicle.wind_east_m_s, vehicle.wind_up_m_s = north, east, up
+        vehicle.wind_m_s, vehicle.wind_up_m_s = complex(north, east), up
 
     def _gust(self, passed_m: float) -> tuple[float, float, float]:
         """What blows when so much more air has passed."""

@@ -96,7 +96,7 @@ class Missions:
 
     def __init__(self, autopilot: Autopilot) -> None:
         self._autopilot, self._plans = autopilot, autopilot.plans
-        self._rules = _RULES[autopilot.profile.firmware]
+        self._rules = _RULES[autopilot.firmware.family]
         self._upload: _Upload | None = None
         self._done: tuple[Sender, PlanKind, int] | None = None
         """Of the newest item if a list ended well with it: the acknowledgement may get lost."""

@@ -26,8 +26,8 @@ class ParameterProtocol:
     """
 
     def __init__(self, autopilot: Autopilot) -> None:
-        self._autopilot, self._parameters = autopilot, autopilot.parameters
-        self._is_px4 = autopilot.profile.firmware == "px4"
+        self._parameters = autopilot.parameters
+        self._is_px4 = autopilot.firmware.family == "px4"
         self._names = list(self._parameters)
         self._listings: dict[int, tuple[Sender, int, int]] = {}
         """By link: to whom, since when, and how many have been sent."""
@@ -88,5 +88,4 @@ class ParameterProtocol:
         elif kind is not Kind.REAL32:  # AP_Param::set_float
             value = math.trunc(value + math.copysign(0.01, value))
         self._parameters[name] = value  # the nearest of its type; NaN changes nothing
-        told = SendMessage(message=self._named(name))
-        return [told, *self._autopilot.on_parameter(name)] if math.isfinite(value) else [told]
+        return [SendMessage(message=self._named(name))]

@@ -9,10 +9,10 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any, Final, final
 
+from vehicle_sim.autopilot.core import Firmware
 from vehicle_sim.autopilot.values import (
     Ack,
     Command,
-    FirmwareProfile,
     Reply,
     Result,
     SendTelemetry,
@@ -39,12 +39,12 @@ class Streams:
     """
 
     def __init__(
-        self, profile: FirmwareProfile, parameters: Parameters, links: Iterable[int], now_us: int
+        self, profile: Firmware, parameters: Parameters, links: Iterable[int], now_us: int
     ) -> None:
         self.soonest_us = NEVER_US
         """Nothing is due before."""
         self._profile, self._parameters = profile, parameters
-        self._is_px4 = profile.firmware == "px4"
+        self._is_px4 = profile.family == "px4"
         self._usual_us: dict[tuple[int, int], int] = {}
         """By link and message number: of a link that was not asked for anything."""
         self._intervals_us: dict[tuple[int, int], int] = {}

@@ -61,11 +61,11 @@ def _e7_mm(place: Any) -> tuple[int, int, int]:
 
 
 def _is_px4(now: Report) -> bool:
-    return now.profile.firmware == "px4"
+    return now.firmware.family == "px4"
 
 
 def _is_plane(now: Report) -> bool:
-    return now.profile.vehicle_type == _FIXED_WING
+    return now.firmware.vehicle_type == _FIXED_WING
 
 
 def _boot_ms(now: Report) -> int:
@@ -93,8 +93,8 @@ def _quaternion(now: Report) -> tuple[float, float, float, float]:
 
 def _velocity_ned_m_s(now: Report) -> tuple[float, float, float]:
     """The estimate's."""
-    estimate = now.estimate
-    return estimate.velocity_north_m_s, estimate.velocity_east_m_s, -estimate.velocity_up_m_s
+    level = now.estimate.velocity_m_s
+    return level.real, level.imag, -now.estimate.velocity_up_m_s
 
 
 def _altitude_amsl_m(now: Report) -> float:
@@ -105,16 +105,16 @@ def _altitude_amsl_m(now: Report) -> float:
 
 def _per_cent_left(now: Report) -> float:
     """Of the battery's charge."""
-    return min(max(now.battery.remaining, 0.0), 1.0) * 100.0
+    return min(max(now.autopilot.battery.remaining, 0.0), 1.0) * 100.0
 
 
 # --- what and how it is ---------------------------------------------------------------------------
 
 
 def _heartbeat(now: Report) -> Fields:
-    profile, status = now.profile, now.status
+    firmware, status = now.firmware, now.status
     modes = (status.base_mode, status.mode, status.system_status)
-    return profile.vehicle_type, profile.autopilot, *modes, 3
+    return firmware.vehicle_type, firmware.autopilot, *modes, 3
 
 
 def _current_mode(now: Report) -> Fields:
@@ -139,8 +139,8 @@ def _timesync(now: Report) -> Fields:
 
 
 def _autopilot_version(now: Report) -> Fields:
-    version, custom = now.profile.software_version, list(now.profile.custom_version)
-    head = (now.profile.capabilities, version)
+    version, custom = now.firmware.software_version, list(now.firmware.custom_version)
+    head = (now.firmware.capabilities, version)
     if _is_px4(now):
         return *head, version, 101854463, 1, custom, custom, [0] * 8, 0, 0, now.hardware_id
     uid = list(now.hardware_id.to_bytes(18, "little"))
@@ -150,20 +150,20 @@ def _autopilot_version(now: Report) -> Fields:
 def _sys_status(now: Report) -> Fields:
     prearm, battery = _PREARM_BIT if now.status.prearm_ok else 0, _gauge(now)
     if _is_px4(now):
-        there = _PX4_SENSORS | (_GPS_BIT if now.status.fusing else 0)
+        there = _PX4_SENSORS | (_GPS_BIT if now.estimate.aiding else 0)
         well = there | prearm | (_POSITION_BIT if now.estimate.position_ok else 0)
         wanted = there | _POSITION_BIT | _PREARM_BIT
         battery = (*battery[:2], math.ceil(_per_cent_left(now)))
         return wanted, wanted, well, 0, *battery, *[0] * 8, 1
     there, lost = now.range_sensors
-    there |= _ARDUPILOT_SENSORS | (_GPS_BIT if now.fix.fix_type > 0 else 0)
+    there |= _ARDUPILOT_SENSORS | (_GPS_BIT if now.autopilot.fix.fix_type > 0 else 0)
     wanted, well = there | _PREARM_BIT, there & ~lost | prearm
     return wanted, wanted, well, 0, *battery
 
 
 def _gauge(now: Report) -> tuple[int, int, int]:
     """Millivolts, centiamperes and per cent."""
-    battery, left = now.battery, math.floor(_per_cent_left(now) + 1e-9)
+    battery, left = now.autopilot.battery, math.floor(_per_cent_left(now) + 1e-9)
     amperes = _CENTIAMPERES_UNKNOWN if _is_px4(now) else whole(battery.current_a * 100.0)
     return whole(battery.voltage_v * 1e3), amperes, left
 
@@ -171,7 +171,7 @@ def _gauge(now: Report) -> tuple[int, int, int]:
 def _battery_status(now: Report) -> Fields:
     volts, amperes, left = _gauge(now)
     kind, energy = ((0, 1, 1), -1) if _is_px4(now) else ((0, 0, 0), 0)
-    cells, consumed = [volts, *[_NO_CELL] * 9], whole(now.battery.consumed_mah)
+    cells, consumed = [volts, *[_NO_CELL] * 9], whole(now.autopilot.battery.consumed_mah)
     return *kind, _NO_TEMPERATURE, cells, amperes, consumed, energy, left, 0, 1
 
 
@@ -202,7 +202,7 @@ def _odometry(now: Report) -> Fields | None:
 def _global_position_int(now: Report) -> Fields | None:
     """Of PX4 once it has an origin."""
     home = now.autopilot.home
-    if _is_px4(now) and now.status.origin is None:
+    if _is_px4(now) and now.estimate.origin is None:
         return None
     above_home_m = 0.0 if home is None else now.estimate.altitude_amsl_m - home.altitude_amsl_m
     mm = whole(_altitude_amsl_m(now) * 1e3), whole(above_home_m * 1e3)
@@ -212,7 +212,7 @@ def _global_position_int(now: Report) -> Fields | None:
 
 def _gps_raw_int(now: Report) -> Fields | None:
     """Before the receiver speaks ArduPilot knows nothing, and PX4 says nothing."""
-    fix = now.fix
+    fix = now.autopilot.fix
     if _is_px4(now) and not fix.time_us:
         return None
     solution: Fields = (0, 0, 0, 0, _NO_DILUTION, _NO_DILUTION, 0, 0)
@@ -233,7 +233,10 @@ def _vfr_hud(now: Report) -> Fields:
     if _is_px4(now):
         airspeed_m_s = airspeed_m_s if _is_plane(now) else _NAN
     else:
-        indicated_m_s, known = now.status.airspeed_m_s, now.fix.fix_type or now.time_us > 10_000_000
+        indicated_m_s, known = (
+            now.status.airspeed_m_s,
+            now.autopilot.fix.fix_type or now.time_us > 10_000_000,
+        )
         airspeed_m_s = airspeed_m_s if indicated_m_s is None else indicated_m_s
         altitude_m = round(_altitude_amsl_m(now), 2) if known else 0.0
     north, east, down = _velocity_ned_m_s(now)
@@ -244,7 +247,7 @@ def _vfr_hud(now: Report) -> Fields:
 
 def _altitude(now: Report) -> Fields:
     """Above the sea, the origin, home and the ground's own height; and above the ground."""
-    amsl_m, origin, home = now.estimate.altitude_amsl_m, now.status.origin, now.autopilot.home
+    amsl_m, origin, home = now.estimate.altitude_amsl_m, now.estimate.origin, now.autopilot.home
     above_m = _NAN if now.status.above_ground_m is None else now.status.above_ground_m
     known_m, local_m = (_NAN, _NAN) if origin is None else (amsl_m, amsl_m - origin.altitude_amsl_m)
     above_home_m = _NAN if home is None else amsl_m - home.altitude_amsl_m
@@ -270,13 +273,13 @@ def _estimator_status(now: Report) -> Fields:
 
 
 def _gps_global_origin(now: Report) -> Fields | None:
-    origin = now.status.origin
+    origin = now.estimate.origin
     return origin and (*_e7_mm(origin), now.time_us)
 
 
 def _home_position(now: Report) -> Fields | None:
     """Seen from the origin; ArduPilot knows no attitude of the surface."""
-    home, origin, ned_m = now.autopilot.home, now.status.origin, _NO_VECTOR
+    home, origin, ned_m = now.autopilot.home, now.estimate.origin, _NO_VECTOR
     if home is None or (_is_px4(now) and origin is None):
         return None
     if origin is not None:
@@ -296,7 +299,7 @@ def _simstate(now: Report) -> Fields:
 
 def _wind(now: Report) -> Fields:
     """The air as it is, as a direction that it comes from."""
-    north, east = now.vehicle.wind_north_m_s, now.vehicle.wind_east_m_s
+    north, east = now.vehicle.wind_m_s.real, now.vehicle.wind_m_s.imag
     direction_deg = math.degrees(math.atan2(-east, -north)) if north or east else -180.0
     return direction_deg, math.hypot(north, east)
 
@@ -305,7 +308,7 @@ def _wind_cov(now: Report) -> Fields | None:
     """Of a plane, once in the air."""
     if not _is_plane(now) or now.status.landed_state == Landed.ON_GROUND:
         return None
-    wind = (now.vehicle.wind_north_m_s, now.vehicle.wind_east_m_s)
+    wind = (now.vehicle.wind_m_s.real, now.vehicle.wind_m_s.imag)
     return now.time_us, *wind, 0.0, 0.0, 0.0, now.estimate.altitude_amsl_m
 
 
@@ -359,10 +362,7 @@ def _mission_current(now: Report) -> Fields:
 
 
 def _fence_status(now: Report) -> Fields | None:
-    status = now.status
-    breach = (status.fence_breach_type, status.fence_breach_ms)
-    told = (int(status.fence_breached), status.fence_breaches, *breach)
-    return told if status.fence_present else None
+    return now.status.fence
 
 
 # --- who says what --------------------------------------------------------------------------------

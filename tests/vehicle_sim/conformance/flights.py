@@ -358,7 +358,7 @@ def _place(vehicle: Vehicle, recording: Recording, flight: Flight, at_s: float) 
     position, attitude = decoded(newest[_GLOBAL]), decoded(newest[_ATTITUDE])
     vehicle.latitude_deg, vehicle.longitude_deg = position.lat / 1e7, position.lon / 1e7
     vehicle.altitude_amsl_m = flight.home.altitude_amsl_m + position.relative_alt / 1e3
-    vehicle.velocity_north_m_s, vehicle.velocity_east_m_s = position.vx / 1e2, position.vy / 1e2
+    vehicle.velocity_m_s = complex(position.vx / 1e2, position.vy / 1e2)
     vehicle.velocity_up_m_s = -position.vz / 1e2
     vehicle.airspeed_m_s = math.hypot(position.vx, position.vy) / 1e2
     vehicle.heading_rad = math.atan2(position.vy, position.vx) % math.tau
