@@ -1,7 +1,7 @@
 """Events and decisions as journal entries: plain values of the types declared in `journal`."""
 
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Any
 
 import msgspec
 
@@ -11,15 +11,6 @@ from companion.mission.state import State
 from companion.planner.request import NotPlanned, Planned, PlanRequest
 
 Entry = dict[str, Any]
-
-_ASKED: Final[dict[type, type[journal.Entry]]] = {
-    events.SetMode: journal.ModeAsked,
-    events.Arm: journal.ArmAsked,
-    events.Disarm: journal.DisarmAsked,
-    events.TakeOff: journal.TakeOffAsked,
-}
-"""Commands, and their entries, which have some of their fields."""
-
 
 def of_event(event: Event, state: State) -> Entry | None:
     """The entry of an event, None for those only in the telemetry log; state: after the event."""
@@ -76,9 +67,8 @@ def of_change(before: State, after: State) -> Iterator[Entry]:
 
 
 def of_command(command: Command) -> Entry | None:
-    """The entry of a command; None for setpoints, which are in the telemetry log."""
-    kind = _ASKED.get(type(command))
-    return None if kind is None else _entry(kind, command)
+    """The entry of a command; None for those that are only in the telemetry log."""
+    return _told(command) if command.kind in journal.KINDS else None
 
 
 def of_request(request: PlanRequest, due_s: float) -> Entry:

@@ -1,7 +1,7 @@
 """The events of a mission, derived from `Event`, and its commands, from `Command`: all are final.
 
 Times are the vehicle's (seconds since its boot); positions and velocities are north, east,
-up in the local frame, altitudes AMSL.
+up in the local frame, altitudes AMSL.  Those with a tag are entries of the journal as they are.
 """
 
 import enum
@@ -323,35 +323,40 @@ class Outcome(enum.Enum):
     STOPPED = "stopped"
 
 
-class Command(Struct, frozen=True, kw_only=True):
+class Command(Entry, frozen=True, kw_only=True):
     """What is to be done: by the vehicle, the radar, the planner, or for people."""
+
+    time_s: float = field(name="t_s", default=0.0)
+    """When it was asked, as it stands in the journal."""
 
 
 class RequestStreams(Command, frozen=True, kw_only=True):
     """Request the message streams that the mission needs."""
 
 
-class SetMode(Command, frozen=True, kw_only=True):
-    """Ask for a flight mode."""
+class SetMode(Command, frozen=True, kw_only=True, tag="set mode"):
+    """A mode change was requested from the autopilot."""
 
     mode: Mode
+    """The companion's name of it."""
     at_nea_m: Vector | None = None
     """Where to hold, for autopilots that support it."""
 
 
-class Arm(Command, frozen=True, kw_only=True):
-    """Ask the autopilot to arm."""
+class Arm(Command, frozen=True, kw_only=True, tag="arm"):
+    """Arming was requested from the autopilot."""
 
 
-class Disarm(Command, frozen=True, kw_only=True):
-    """Ask the autopilot to disarm; in the air it refuses."""
+class Disarm(Command, frozen=True, kw_only=True, tag="disarm"):
+    """Disarming was requested from the autopilot, which refuses in the air."""
 
 
-class TakeOff(Command, frozen=True, kw_only=True):
-    """Ask for a climb, from where the vehicle stands, by its autopilot's own take-off."""
+class TakeOff(Command, frozen=True, kw_only=True, tag="take off"):
+    """A take-off was requested from the autopilot: a climb from where the vehicle stands."""
 
     above_home_m: float
-    altitude_amsl_m: float
+    """To this height."""
+    altitude_amsl_m: float = 0.0
 
 
 class SetSpeed(Command, frozen=True, kw_only=True):
@@ -376,7 +381,6 @@ class Plan(Command, frozen=True, kw_only=True):
 class Setpoint(Command, frozen=True, kw_only=True):
     """Position and velocity for now, with this yaw."""
 
-    time_s: float
     position_nea_m: Vector
     velocity_nea_m_s: Vector
     yaw_rad: float
@@ -384,11 +388,13 @@ class Setpoint(Command, frozen=True, kw_only=True):
     """Hold here: a plane loiters; for multicopters the velocity is zero."""
 
 
-class StatusText(Command, frozen=True, kw_only=True):
-    """A short text to ground stations and the terminal."""
+class StatusText(Command, frozen=True, kw_only=True, tag="say"):
+    """A text to ground stations and the terminal."""
 
     text: str
+    """In words."""
     warning: bool = False
+    """Whether it is a warning."""
     about: str = ""
     """Topic: a newer text replaces a queued one of the same topic."""
 

@@ -1,6 +1,6 @@
 """Entry types of journal.jsonl: these declarations are its schema (docs/reference/journal.md).
 
-Some events are entries as they are.  The writer takes its fields from these classes (`entries`),
+Some events and commands are entries as they are.  The writer takes its fields from these classes (`entries`),
 the reader checks lines against them (`telemetry.journal`), and the page is generated from them,
 with the attribute docstrings.  JSON has no infinite numbers: where one may come up, it is null.
 """
@@ -47,7 +47,7 @@ class Header(Struct, frozen=True, kw_only=True):
     """How often it had been started again; left out of the first header."""
 
 
-# Events that are entries as they are, by their names here
+# Events and commands that are entries as they are, by their names here
 Fence = events.FenceChanged
 LinkDelay = events.LinkDelay
 LinkLost = events.LinkLost
@@ -57,7 +57,9 @@ Prepared = events.Prepared
 StopAsked = events.StopAsked
 Targets = events.TargetsChanged
 VehicleRebooted = events.Rebooted
-UNTOLD: Final = ("misread", "remedy")
+ModeAsked, ArmAsked, DisarmAsked = events.SetMode, events.Arm, events.Disarm
+TakeOffAsked, Said = events.TakeOff, events.StatusText
+UNTOLD: Final = ("misread", "remedy", "at_nea_m", "altitude_amsl_m", "about")
 """Their fields that are not written."""
 
 
@@ -289,28 +291,6 @@ class MessagesDropped(Entry, frozen=True, kw_only=True, tag="messages dropped"):
 # --- what the companion does
 
 
-class ModeAsked(Entry, frozen=True, kw_only=True, tag="set mode"):
-    """A mode change was requested from the autopilot."""
-
-    mode: str
-    """The companion's name of it: guided, hold, land, return, take off."""
-
-
-class ArmAsked(Entry, frozen=True, kw_only=True, tag="arm"):
-    """Arming was requested from the autopilot."""
-
-
-class DisarmAsked(Entry, frozen=True, kw_only=True, tag="disarm"):
-    """Disarming was requested from the autopilot, which refuses in the air."""
-
-
-class TakeOffAsked(Entry, frozen=True, kw_only=True, tag="take off"):
-    """A take-off was requested from the autopilot."""
-
-    above_home_m: float
-    """To this height."""
-
-
 class SetpointRefused(Entry, frozen=True, kw_only=True, tag="setpoint refused"):
     """A setpoint was out of range and not sent."""
 
@@ -318,19 +298,12 @@ class SetpointRefused(Entry, frozen=True, kw_only=True, tag="setpoint refused"):
     """All of it, as Python prints it."""
 
 
-class Said(Entry, frozen=True, kw_only=True, tag="say"):
-    """A text to ground stations and the terminal."""
-
-    text: str
-    """In words."""
-    warning: bool
-    """Whether it is a warning."""
-
-
 KINDS: Final[dict[str, type[Entry]]] = {
-    str(kind.__struct_config__.tag): kind for kind in Entry.__subclasses__()
+    str(tag): kind
+    for kind in (*Entry.__subclasses__(), *events.Command.__subclasses__())
+    if (tag := kind.__struct_config__.tag) != kind.__name__
 }
-"""By their names in the file, in the order of docs/reference/journal.md."""
+"""Those with a tag by that, their name in the file, in the order of docs/reference/journal.md."""
 
 
 def plain(value: Any) -> Any:

@@ -27,7 +27,7 @@ _WORDS: Final[dict[type[Entry], str]] = {
     noted.LinkLost: "link lost: nothing was heard for {0.silent_s:g} s",
     noted.AnotherCompanion: "another companion uses the same ids",
     noted.MessagesDropped: "{0.count} messages dropped: they arrived faster than they are handled",
-    noted.ModeAsked: "asks for the mode {0.mode}",
+    noted.ModeAsked: "asks for the mode {0.mode.value}",
     noted.ArmAsked: "arms the vehicle",
     noted.DisarmAsked: "disarms the vehicle",
     noted.TakeOffAsked: "takes off, to {0.above_home_m:.0f} m above home",
