@@ -45,7 +45,7 @@ from companion.mavlink.signing import Signing
 from companion.mavlink.statustext import StatusTexts, final_text
 from companion.mavlink.terrain_download import MESSAGES as TERRAIN
 from companion.mavlink.terrain_download import TerrainDownload
-from companion.mission import changes, checkpoint, entries, events, machine
+from companion.mission import changes, checkpoint, events, journal, machine
 from companion.mission.checkpoint import PERIOD_S
 from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context
 from companion.mission.events import Disarm, End, Mode, SetMode, Vector, VehicleStatus
@@ -163,7 +163,8 @@ class Session:
         start = Start.of(self.context, resume, version=version)
         self._out.inputs.append(("start", start.values()))
         if resume is not None:
-            self._note("resumed", **checkpoint.resumed_entry(resume[0]))
+            kept = {key: resume[0][key] for key in checkpoint.LOST if key in resume[0]}
+            self._note("resumed", phase=resume[0].get("phase"), **kept)
 
     @property
     def now_s(self) -> float:
@@ -617,14 +618,14 @@ class Session:
         after, commands = machine.step(before, event, self.context)
         self.state, path = after, getattr(after.stage, "path", None)  # if it has one
         if type(event) is not events.Position:
-            self._note_entries(entries.of_event(event, after))
+            self._note_entries(journal.of_event(event, after))
         if (
             after.stage.phase is not before.stage.phase
             or after.reason is not before.reason
             or after.flight.legs_flown != before.flight.legs_flown
             or (path is not None and path.outside_m)
         ):
-            self._note_entries(*entries.of_change(before, after))
+            self._note_entries(*journal.of_change(before, after))
         ends = End in map(type, commands)
         for command in commands:
             if type(command) is not events.Setpoint:
@@ -650,7 +651,7 @@ class Session:
             self._note("say", text=text, warning=not arrived)
             self._send_all(messages)
 
-    def _note_entries(self, *noted: entries.Entry | None) -> None:
+    def _note_entries(self, *noted: journal.Told | None) -> None:
         for entry in filter(None, noted):
             self._note(**entry)
 
@@ -667,7 +668,7 @@ class Session:
             case events.Plan(request=request, due_s=due_s):
                 self._plan.ask(due_s)
                 self._out.plan = request
-                self._note(**entries.of_request(request, due_s))
+                self._note(**journal.of_request(request, due_s))
             case events.StatusText(text=text, warning=warning, about=about):
                 self._send_text(text, warning=warning, about=about)
             case End():
@@ -683,12 +684,10 @@ class Session:
                 pass
 
     def _command(self, command: AutopilotCommand) -> None:
-        """What the autopilot is told to do."""
         assert self.vehicle is not None
         if isinstance(command, SetMode):
             self._mode_asked_at_s = self.clock.going_on_s
-        if (noted := entries.of_command(command)) is not None:
-            self._note(**noted)
+        self._note_entries(journal.of_command(command))
         self._send_all(self.vehicle.command_messages(command, self.state))
 
     def _send_text(self, text: str, *, warning: bool, about: str = "") -> None:

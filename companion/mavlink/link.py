@@ -18,8 +18,8 @@ from companion.mavlink.frames import (
 )
 from companion.mavlink.signing import Signing, strip_signature
 from companion.mission.checkpoint import Values
-from companion.mission.entries import Entry
 from companion.mission.events import DuplicateId, End
+from companion.mission.journal import Told
 from companion.planner.request import PlanRequest
 from companion.world.known_map import KnownMap
 
@@ -286,7 +286,7 @@ class Output:
     """To be sent, in order."""
     record: list[Stamped] = field(default_factory=list)
     """Vehicle time and frame, both directions, for the telemetry log."""
-    journal: list[Entry] = field(default_factory=list)
+    journal: list[Told] = field(default_factory=list)
     inputs: list[Input] = field(default_factory=list)
     """All inputs of the run, in order: replayed to an equal session they give the same output."""
     plan: PlanRequest | None = None

@@ -31,7 +31,8 @@ Values = dict[str, Any]
 DECODE_ERRORS = (ArithmeticError, LookupError, RecursionError, TypeError, ValueError, MsgspecError)
 """Exceptions that restoring invalid values may raise."""
 PERIOD_S, LONGEST_S = 1.0, 10.0
-_LOST = {"lost": "taking over without memory of the flight", "map_lost": "scanning anew"}
+LOST: Final = {"lost": "taking over without memory of the flight", "map_lost": "scanning anew"}
+"""What could not be read, by its key in a checkpoint, and what follows."""
 _AS_THEY_ARE: Final = ("airborne", "taken", "armed_by_us", "targets_ne_m")
 """Of the state, what is saved under its own name; and of the flight:"""
 _OF_FLIGHT: Final = ("target", "plan_id", "legs_flown", "stops", "departures", "route_ne_m")
@@ -136,19 +137,17 @@ def _name(value: Reason | Refusal | None) -> str | None:
 
 def initial_state(mission: Mission, resume: tuple[Values, KnownMap | None] | None) -> State:
     """The initial state of a mission: blank, or from a checkpoint."""
+    state = State.of(mission, blank_map(mission))
     if resume is None:
-        return State.of(mission, blank_map(mission))
+        return state
     values, kept = resume
-    known = blank_map(mission)
     if "lost" in values:
-        state = State.of(mission, known)
         state.now_s, state.airborne = float(values["t_s"]), True
         state.flight.plan_id = int(values["plan_id"])
     else:
-        state = restored(mission, kept or known, values)
-    left = state.stage
-    assert isinstance(left, phases.Preparing)
-    left.since_s, left.news = state.now_s, ". ".join(restore_notes(values))
+        state = restored(mission, kept or state.flight.known, values)
+    assert isinstance(state.stage, phases.Preparing)
+    state.stage.since_s, state.stage.news = state.now_s, ". ".join(restore_notes(values))
     return state
 
 
@@ -176,12 +175,7 @@ def without_map(values: Values, why: str) -> Values:
 
 def restore_notes(values: Values) -> list[str]:
     """What could not be restored, as text for the operator."""
-    return [f"{text}: {values[key]}" for key, text in _LOST.items() if key in values]
-
-
-def resumed_entry(values: Values) -> Values:
-    """The journal entry of a resumed flight."""
-    return {"phase": values.get("phase")} | {key: values[key] for key in _LOST if key in values}
+    return [f"{text}: {values[key]}" for key, text in LOST.items() if key in values]
 
 
 def restored(mission: Mission, known: KnownMap, values: Values) -> State:

@@ -1,11 +1,13 @@
 """Entry types of journal.jsonl: these declarations are its schema (docs/reference/journal.md).
 
-Some events and commands are entries as they are.  The writer takes its fields from these classes (`entries`),
-the reader checks lines against them (`telemetry.journal`), and the page is generated from them,
-with the attribute docstrings.  JSON has no infinite numbers: where one may come up, it is null.
+Some events and commands are entries as they are.  The writer takes its fields from these classes
+(`of_event` and its like), the reader checks lines against them (`telemetry.journal`), and the page
+is generated from them, with the attribute docstrings.  JSON has no infinite numbers: where one may
+come up, it is null.
 """
 
 import math
+from collections.abc import Iterator
 from typing import Annotated, Any, Final, Literal, final
 
 import msgspec
@@ -13,16 +15,20 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from companion.mission import events
+from companion.mission.events import Command, Event
 from companion.mission.events import Entry as Entry
+from companion.mission.state import State
 from companion.path.certificate import Certificate
 from companion.path.subpath import Subpath
-from companion.planner.request import Rest
+from companion.planner.request import NotPlanned, Planned, PlanRequest, Rest
 from companion.world.zones import CircleZone, PolygonZone, Zone
 
 SCHEMA: Final = "companion-journal"
 VERSION: Final = 3
 """The only one that is read; 1 and 2 were written by companions before 0.2.0."""
 
+Told = dict[str, Any]
+"""An entry as plain values."""
 NorthEast = tuple[float, float]
 NorthEastAltitude = tuple[float, float, float]
 
@@ -327,3 +333,72 @@ def zone_of(_: type, values: Any) -> Zone:
     if isinstance(values, dict) and "vertices_ne_m" in values:
         return msgspec.convert(values, PolygonZone)
     return msgspec.convert(values, CircleZone)
+
+
+# --- what is written: the fields of an entry, as plain values
+
+
+def of_event(event: Event, state: State) -> Told | None:
+    """The entry of an event, None for those only in the telemetry log; state: after the event."""
+    if isinstance(event, Entry):
+        return _told(event)
+    match event:
+        case events.ScanDone():
+            return _entry(
+                ScanDone,
+                event.scan,
+                blocks_asked=event.asked,
+                blocks_answered=event.answered,
+                cells_seen=int(state.flight.known.seen.sum()),
+            )
+        case events.PlanReady(outcome=Planned() as planned):
+            late = planned.stopped_after is not None
+            return _entry(PlanReady, planned, planned.subpath, out_of_time=late)
+        case events.PlanReady(outcome=NotPlanned() as refused):
+            late, reason = refused.stopped_after is not None, refused.refusal.name
+            return _entry(PlanRefused, refused, reason=reason, out_of_time=late)
+        case events.DuplicateId(certain=True, news=True):
+            return _entry(AnotherCompanion)
+        case events.Order():
+            return _entry(OrderGiven, event, order=event.kind.name)
+        case _:
+            return None
+
+
+def of_change(before: State, after: State) -> Iterator[Told]:
+    """The entries of the mission's progress."""
+    if after.phase is not before.phase or after.reason is not before.reason:
+        reason = after.reason
+        text, code = (None, None) if reason is None else (reason.text, reason.name)
+        yield _entry(Phase, phase=after.phase, was=before.phase, reason=text, code=code)
+    path, was_on = after.path, before.path
+    if path is not None and path.outside_m and not (was_on is not None and was_on.outside_m):
+        yield _entry(PathLeft, left_path_m=path.outside_m)
+    if after.flight.legs_flown != before.flight.legs_flown:
+        yield _entry(LegBegun, number=after.flight.legs_flown)
+
+
+def of_command(command: Command) -> Told | None:
+    """The entry of a command; None for those that are only in the telemetry log."""
+    return _told(command) if command.kind in KINDS else None
+
+
+def of_request(request: PlanRequest, due_s: float) -> Told:
+    """The entry of a plan request."""
+    start, start_nea_m = request.start, request.start.position_nea_m
+    return _entry(PlanAsked, request, start, due_s=due_s, start_nea_m=start_nea_m)
+
+
+def _entry(kind: type[Entry], *sources: object, **others: Any) -> Told:
+    """An entry without its time: fields are others, or of that name in one of the sources."""
+    names = kind.__struct_fields__
+    values = {name: getattr(of, name) for of in sources for name in names if hasattr(of, name)}
+    return _told(kind(**{"time_s": 0.0, **values, **others}))
+
+
+def _told(entry: Entry) -> Told:
+    """Its fields, but for the time, which is added where it is noted."""
+    told: Told = msgspec.to_builtins(entry, enc_hook=plain)
+    for name in ("t_s", *UNTOLD):
+        told.pop(name, None)
+    return told

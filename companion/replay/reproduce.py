@@ -21,7 +21,7 @@ from companion.errors import InputError
 from companion.mavlink.dialect import COMPANION_COMPONENT
 from companion.mavlink.frames import sender_of
 from companion.mavlink.link import Input, Output, Stamped
-from companion.mission.entries import Entry
+from companion.mission.journal import Told
 from companion.mission.mission import Mission
 from companion.planner import kernels
 from companion.planner.request import PlanOutcome, PlanRequest, values_of
@@ -214,7 +214,7 @@ class _Recording:
         self._log.close()
         self._lines.close()
 
-    def first_difference(self, record: list[Stamped], journal: list[Entry]) -> Difference | None:
+    def first_difference(self, record: list[Stamped], journal: list[Told]) -> Difference | None:
         """Compare the output of one run with the next records."""
         found = chain(starmap(self._frame_differs, record), map(self._entry_differs, journal))
         return next((each for each in found if each is not None), None)
@@ -249,7 +249,7 @@ class _Recording:
         what = f"{left:,} bytes that are no frames"
         return Difference(time_s, "flight.tlog", "", what, name_of(frame))
 
-    def _entry_differs(self, entry: Entry) -> Difference | None:
+    def _entry_differs(self, entry: Told) -> Difference | None:
         if (held := next(self._lines, None)) is None:
             self._found.unrecorded += 1
             return None

@@ -7,7 +7,6 @@ import numpy as np
 
 from companion.geodesy import LocalFrame
 from companion.mission import journal
-from companion.mission.entries import Entry
 from companion.mission.events import Item, Landed, Vector
 from companion.mission.state import Phase, Reason, State, Vehicle
 from companion.planner.request import Refusal
@@ -112,7 +111,7 @@ class Notes:
         """The vehicle has done or said something."""
         self.report.said.append(VehicleReport(at_s=at_s, text=text))
 
-    def on_output(self, at_s: float, session: Session, entries: list[Entry]) -> None:
+    def on_output(self, at_s: float, session: Session, entries: list[journal.Told]) -> None:
         """The session has been run.  at_s: of the log."""
         state = session.state
         self._vehicle = vehicle = state.vehicle

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from made_up import MISSION, certificate, fresh, planned, position, scan_done, status
 
-from companion.mission import entries, events, journal
+from companion.mission import events, journal
 from companion.mission.events import Event, PlanReady
 from companion.path.certificate import Certificate, certify
 from companion.path.subpath import Pose, Subpath
@@ -53,7 +53,7 @@ def proof(subpath: Subpath) -> Certificate:
 
 def told(event: Event) -> dict[str, Any]:
     """The entry, as it comes back from a file."""
-    back: dict[str, Any] = json.loads(json.dumps(entries.of_event(event, STATE)))
+    back: dict[str, Any] = json.loads(json.dumps(journal.of_event(event, STATE)))
     return back
 
 
@@ -80,7 +80,7 @@ def test_the_certificate_is_told_whole_and_can_be_made_again_from_the_control_po
 
 
 def test_a_request_is_told_with_all_of_the_pose_that_the_next_leg_joins() -> None:
-    entry = json.loads(json.dumps(entries.of_request(ASKED, due_s=12.5)))
+    entry = json.loads(json.dumps(journal.of_request(ASKED, due_s=12.5)))
     start = ASKED.start
     assert (entry["kind"], entry["plan_id"], entry["attempt"]) == ("plan asked", 7, 2)
     assert (entry["due_s"], entry["from_rest"]) == (12.5, False)
@@ -115,5 +115,5 @@ def test_whether_time_was_up_and_where_a_way_is_closed_is_told_as_the_journal_re
 
 @pytest.mark.parametrize("event", [events.Tick(time_s=1.0), status(1.0), position(1.0)])
 def test_what_is_in_the_telemetry_log_is_not_told_again(event: Event) -> None:
-    assert entries.of_event(event, STATE) is None
+    assert journal.of_event(event, STATE) is None
     assert told(scan_done(1.0))["kind"] == "scan done"

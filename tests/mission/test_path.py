@@ -12,9 +12,9 @@ from renewed import deep, replace
 
 from companion.mission import events
 from companion.mission.decisions import Turn
-from companion.mission.entries import of_change
 from companion.mission.events import Mode, Setpoint
 from companion.mission.following import is_on_path, joined, left_path, outside_m
+from companion.mission.journal import of_change
 from companion.mission.phases import Answered, OnPath, Phase, Reason
 from companion.mission.state import State
 from companion.path.subpath import Subpath

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
 from companion.mavlink.link import Output
-from companion.mission.entries import Entry
+from companion.mission.journal import Told
 from companion.path.certificate import Certificate
 from companion.path.subpath import Subpath
 from companion.planner.request import Planned, PlanOutcome, PlanRequest
@@ -245,7 +245,7 @@ class Pair:
     vehicle: Vehicle
     planner: Callable[[PlanRequest], PlanOutcome] = straight_plan
     frames: list[bytes] = field(default_factory=list)
-    journal: list[Entry] = field(default_factory=list)
+    journal: list[Told] = field(default_factory=list)
     record: list[tuple[float, bytes]] = field(default_factory=list)
     inputs: list[tuple[Any, ...]] = field(default_factory=list)
     asked: PlanRequest | None = None
