@@ -672,7 +672,7 @@ class Session:
             case events.StatusText(text=text, warning=warning, about=about):
                 self._send_text(text, warning=warning, about=about)
             case End():
-                self._note("end", outcome=command.outcome.value, reason=command.reason)
+                self._note_entries(journal.of_command(command))
                 self._end = command
             case events.RequestStreams():
                 if self.vehicle is not None:

@@ -399,9 +399,11 @@ class StatusText(Command, frozen=True, kw_only=True, tag="say"):
     """Topic: a newer text replaces a queued one of the same topic."""
 
 
-class End(Command, frozen=True, kw_only=True):
+class End(Command, frozen=True, kw_only=True, tag="end"):
     """The mission is over."""
 
     outcome: Outcome
+    """How it has ended."""
     reason: str
-    remedy: str
+    """Why."""
+    remedy: str = ""

@@ -54,6 +54,7 @@ class Header(Struct, frozen=True, kw_only=True):
 
 
 # Events and commands that are entries as they are, by their names here
+End = events.End
 Fence = events.FenceChanged
 LinkDelay = events.LinkDelay
 LinkLost = events.LinkLost
@@ -108,15 +109,6 @@ class Resumed(Entry, frozen=True, kw_only=True, tag="resumed"):
     """Why the checkpoint could not be read; omitted if it could."""
     map_lost: str | None = None
     """Why the known map could not be read; omitted if it could."""
-
-
-class End(Entry, frozen=True, kw_only=True, tag="end"):
-    """The mission is over."""
-
-    outcome: Literal["arrived", "failed", "stopped"]
-    """How it has ended."""
-    reason: str
-    """Why."""
 
 
 # --- scans and subpaths

@@ -45,7 +45,7 @@ _MOMENTS: Final[dict[type[Entry], tuple[str, str]]] = {
     noted.PartDied: ("part died", "{0.error}"),
     noted.StopAsked: ("stop asked", "a person asked for the end"),
     noted.Resumed: ("resumed", "the companion was started again"),
-    noted.End: ("end", "{0.outcome}: {0.reason}"),
+    noted.End: ("end", "{0.outcome.value}: {0.reason}"),
 }
 """What else is worth a point on the map, and why it happened, or how."""
 

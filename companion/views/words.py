@@ -13,7 +13,7 @@ _WORDS: Final[dict[type[Entry], str]] = {
     noted.PathLeft: "beside its path, {0.left_path_m:.2g} m more than its tracking error",
     noted.Resumed: "the companion was started again",
     noted.StopAsked: "a person asked for the end",
-    noted.End: "{0.outcome}: {0.reason}",
+    noted.End: "{0.outcome.value}: {0.reason}",
     noted.ScanDone: "scan: {0.blocks_answered} of {0.blocks_asked} blocks answered",
     noted.PlanReady: "plan {0.plan_id}: {0.length_m:,.0f} m, {0.evaluations:,} candidates",
     noted.PlanRefused: "plan {0.plan_id} refused: {0.reason}",
@@ -56,7 +56,7 @@ def entry_words(entry: Entry) -> tuple[str, bool] | None:
         case noted.Said(warning=is_bad):
             pass
         case noted.End(outcome=outcome):
-            is_bad = outcome != "arrived"
+            is_bad = outcome.value != "arrived"
         case _:
             is_bad = isinstance(entry, _BAD)
     words = _WORDS.get(type(entry))
