@@ -62,9 +62,9 @@ def test_every_kind_that_the_code_can_write_is_documented_and_no_other() -> None
             found |= set(re.findall(r'"kind": "([^"]+)"', text))
             found |= set(re.findall(r'_note\(\s*"([^"]+)"', text))
             if file.stem == "events":
-                found |= set(re.findall(r'\(Entry, .*tag="([^"]+)"', text))
-            names = re.findall(r"journal\.([A-Z][a-z]\w+)", text) if file.stem == "entries" else ()
-            found |= {getattr(noted, name).__struct_config__.tag for name in {*names} - {"Entry"}}
+                found |= set(re.findall(r'\((?:Entry|Command), .*tag="([^"]+)"', text))
+            names = re.findall(r"_entry\(\s*([A-Z]\w+)", text) if file.stem == "journal" else ()
+            found |= {getattr(noted, name).__struct_config__.tag for name in names}
     assert found == KINDS.keys()
 
 
