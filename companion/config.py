@@ -29,7 +29,7 @@ from companion.sources.files import (
 )
 from companion.sources.mission_file import MissionFile, complete, explained, mission_of
 from companion.sources.mission_schema import MissionTable
-from companion.sources.schema import FileWorldTable, WorldTable, removed_key, validated
+from companion.sources.schema import FileWorldTable, WorldTable, validated
 from companion.world.terrain import Peak, PeakTerrain, Terrain
 
 _OF_MISSIONS = {"targets", "planner", "altitude", "plan", "from_vehicle"}
@@ -102,17 +102,11 @@ def refuse_older(run_dir: Path) -> None:
 
     Whatever else may be wrong with it is found by those who read it.
     """
-    by = ""
     with suppress(OSError), (run_dir / "journal.jsonl").open("rb") as file:
-        found = _OLDER.match(file.readline(_HEADER_BYTES))
-        if found is not None:
-            by = f"its journal is of version {found[1].decode()}"
-    with suppress(InputError):
-        if gone := removed_key(toml_table(read_text(run_dir / "mission.toml", "RUN_DIR", ""), "")):
-            by = by or f"its mission.toml has {gone}, which was removed"
-    if by:
-        rule, remedy = f"an older companion has recorded it: {by}", "Use companion 0.2.0 for it."
-        raise InputError("RUN_DIR", str(run_dir), rule, remedy)
+        if found := _OLDER.match(file.readline(_HEADER_BYTES)):
+            version = found[1].decode()
+            rule = f"an older companion has recorded it: its journal is of version {version}"
+            raise InputError("RUN_DIR", str(run_dir), rule, "Use companion 0.2.0 for it.")
 
 
 def _whole(name_or_path: str) -> MissionFile:

@@ -22,14 +22,13 @@ from pydantic import (
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from companion.errors import InputError
+from companion.planner.rules import Broken
 from companion.ranges import Longitude, Positive
 from companion.sources.elevation import VerticalDatum
 
 Horizontal = Annotated[float, Field(ge=-1e6, le=1e6)]
 Altitude = Annotated[float, Field(ge=-500.0, le=50_000.0)]
 Nodata = Literal["sea"] | Altitude
-Broken = tuple[str, object, str, str]
-"""A rule that a table breaks: the field in it ("": all of it), its value, the rule, the remedy."""
 FileName = Annotated[str, Field(min_length=1, max_length=1000)]
 
 
@@ -45,7 +44,7 @@ class Table(BaseModel):
         return {name: value for name, value in values.items() if value is not None}
 
     def broken(self) -> Iterator[Broken]:
-        """The rules between its keys that it breaks."""
+        """The rules between its keys that it breaks; field "": all of it."""
         yield from ()
 
     @model_validator(mode="after")
@@ -54,6 +53,13 @@ class Table(BaseModel):
             told = {"field": field, "value": value, "rule": rule, "remedy": remedy}
             raise PydanticCustomError("broken", "{rule}", told)
         return self
+
+
+def broken_of(*rules: tuple[bool, str, object, str, str]) -> Iterator[Broken]:
+    """Those that are broken, of rules that each begin with whether they are."""
+    return (
+        (field, value, rule, remedy) for is_broken, field, value, rule, remedy in rules if is_broken
+    )
 
 
 def keys_of(kind: type, *names: str, **keys_by_name: str) -> Any:
@@ -122,31 +128,23 @@ class FileTerrainTable(Table):
     """What lies where the file has no height: the sea, or ground AMSL.  Left out: an error."""
 
 
-class WorldVehicleTable(BaseModel):
-    """Of the simulator's vehicle, only where it stands concerns the companion."""
+class WorldVehicleTable(Table):
+    """Where the simulator's vehicle stands."""
 
-    model_config = ConfigDict(extra="ignore", frozen=True)
+    model_config = ConfigDict(extra="ignore")
     north_m: Horizontal = 0.0
     east_m: Horizontal = 0.0
 
 
 class WorldTable(Table):
-    """A world.toml."""
+    """Of a world.toml what concerns the companion; vehicle-sim reads and checks the rest."""
 
+    model_config = ConfigDict(extra="ignore")
     schema_: Literal[1] = Field(alias="schema")
     name: str
     origin: OriginTable
     terrain: TerrainTable
-    radars: list[dict[str, Any]] = []
     vehicle: WorldVehicleTable
-    scanner: dict[str, Any] = {}
-    trees: list[dict[str, Any]] = []
-    woods: list[dict[str, Any]] = []
-    buildings: list[dict[str, Any]] = []
-    walls: list[dict[str, Any]] = []
-    wires: list[dict[str, Any]] = []
-    lidar: dict[str, Any] = {}
-    second_lidar: dict[str, Any] = {}
 
 
 class FileWorldTable(WorldTable):
@@ -156,42 +154,8 @@ class FileWorldTable(WorldTable):
     area: AreaTable
 
 
-REMOVED: Final = {
-    "traffic": "Leave it out: keep vehicles apart by fences or altitudes of their own.",
-    "link.obstacle_distance": "Leave it out: companion view shows what the planner knows.",
-    "scanner.beam_deg": "Leave it out: sectors say how wide they are.",
-    "scanner.kind = obstacle_distance_3d": (
-        'Write kind = "obstacle_distance", and let the driver send OBSTACLE_DISTANCE.'
-    ),
-}
-"""Keys and values ("table.key = value") of files for versions before, and what to do instead."""
-NAME, SENDER = r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$", r"^\d{1,3}/\d{1,3}$"
-_IN_WORDS: Final = {
-    NAME: "it must be up to 64 of A-Z, a-z, 0-9, space and _.-, beginning with a letter or digit",
-    SENDER: "it must be SYSTEM/COMPONENT",
-}
-_UNITS: Final = {
-    "_m_s2": " in metres per second squared",
-    "_m_s": " in metres per second",
-    "_amsl_m": " in metres above mean sea level",
-    "_m": " in metres",
-    "_s": " in seconds",
-    "_deg": " in degrees",
-    "_hz": " in hertz",
-}
 _MOST_SHOWN: Final = 4  # of the items of a value
 Model = TypeVar("Model", bound=BaseModel)
-
-
-def removed_key(table: Any, path: tuple[str, ...] = ()) -> str:
-    """The first key or value of a file that was removed; "": there is none."""
-    here = ".".join(path)
-    if here in REMOVED or f"{here} = {table}" in REMOVED:
-        return here
-    inner = [(path, each) for each in table] if isinstance(table, list) else []
-    if isinstance(table, dict):
-        inner = [((*path, key), each) for key, each in table.items()]
-    return next(filter(None, (removed_key(each, at) for at, each in inner)), "")
 
 
 def validated(model: type[Model], table: dict[str, Any], where: str) -> Model:
@@ -210,24 +174,18 @@ def _input_error(model: type[BaseModel], detail: ErrorDetails, where: str) -> In
         value, place = told["value"], (*place, *filter(None, [told["field"]]))
     field = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place)
     field = f"{where}: {field.lstrip('.')}"
-    path = ".".join(step for step in place if isinstance(step, str))
-    shown = value
-    if isinstance(value, dict | list) and len(value) > _MOST_SHOWN:
-        shown = f"{len(value)} items"
-    if remedy := REMOVED.get(path) or REMOVED.get(f"{path} = {value}"):
-        return InputError(field, shown, "it was removed in this version", remedy)
-    if kind == "broken":
-        return InputError(field, shown, told["rule"], told["remedy"])
     if kind == "extra_forbidden":
         return InputError(field, value, *_about_unknown_key(model, place))
     if kind == "missing":
         return InputError(field, None, "it is missing", f"Add {place[-1]}; see docs/files.md.")
+    if isinstance(value, dict | list) and len(value) > _MOST_SHOWN:
+        value = f"{len(value)} items"
+    if kind == "broken":
+        return InputError(field, value, told["rule"], told["remedy"])
     rule = detail["msg"].replace("Input should be", "it must be")
-    rule = _IN_WORDS.get(told.get("pattern", ""), rule)
     if kind == "union_tag_invalid":
         rule = f"its type must be one of {told['expected_tags']}"
-    unit = next((unit for ending, unit in _UNITS.items() if field.endswith(ending)), "")
-    return InputError(field, shown, rule, f"Give a valid value{unit}.")
+    return InputError(field, value, rule, "Give a valid value; see docs/files.md.")
 
 
 def _about_unknown_key(model: type[BaseModel], place: tuple[int | str, ...]) -> tuple[str, str]:
@@ -238,14 +196,10 @@ def _about_unknown_key(model: type[BaseModel], place: tuple[int | str, ...]) -> 
             keys = {info.alias or name: info for name, info in here.model_fields.items()}
             here = _table_in(keys[step].annotation)
     known = sorted(info.alias or name for name, info in here.model_fields.items())
-    key = str(place[-1])
-    nearest = difflib.get_close_matches(key, known, n=1, cutoff=0.0)
-    rule = "no such key (units are part of keys)"
-    about_altitude = any(word in key for word in ("altitude", "floor", "ceiling", "height"))
-    if about_altitude and nearest and nearest[0].endswith("_amsl_m"):
-        rule = "an altitude must name its datum and unit, and only AMSL metres are known here"
+    nearest = difflib.get_close_matches(str(place[-1]), known, n=1, cutoff=0.0)
     first = f"Did you mean {nearest[0]}?" if nearest else "Remove it."
-    return rule, f"{first} Known here: {', '.join(known)}."
+    remedy = f"{first} Known here: {', '.join(known)}."
+    return "no such key (units are part of keys)", remedy
 
 
 def _table_in(annotation: Any) -> Any:
