@@ -12,7 +12,7 @@ from companion.planner.rules import MAX_CELLS
 from companion.planner.settings import CELLS_PER_RANGE
 from companion.profiles import FLIGHT
 from companion.sources.files import RawTable
-from companion.sources.plan_file import Plan, listing
+from companion.sources.plan_file import Plan
 
 _GRAVITY_M_S2: Final = 9.81
 _LOITER_BANK_RAD: Final = math.radians(35.0)
@@ -154,63 +154,34 @@ def _band(
 
 
 def _area(table: RawTable, plan: Plan, sight_m: float) -> RawTable | None:
-    """The box around launch and targets, as far beyond them as the radar sees.
+    """The box around launch and waypoints, as far beyond them as the radar sees.
 
-    None: the schema refuses what it would be drawn about.  InputError about the waypoint that makes
-    it too large for a map.
+    None: the schema refuses the origin.  InputError about the waypoint that makes it too large for
+    a map.
     """
-    latitude, longitude = (
-        _number(table, f"origin.{key}", math.nan) for key in ("latitude_deg", "longitude_deg")
-    )
-    if not (abs(latitude) <= 85.0 and abs(longitude) <= 180.0):
+    origin = [_number(table, f"origin.{axis}_deg", math.nan) for axis in ("latitude", "longitude")]
+    if not (abs(origin[0]) <= 85.0 and abs(origin[1]) <= 180.0):
         return None
-    frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
-    places = [frame.to_local_m(*plan.home_deg), *_targets_ne_m(table, frame)]
-    if not all(math.isfinite(value) for place in places for value in place):
-        return None
+    frame = LocalFrame(latitude_deg=origin[0], longitude_deg=origin[1])
+    degrees = [plan.home_deg, *((t["latitude_deg"], t["longitude_deg"]) for t in plan.targets)]
+    places_m = [frame.to_local_m(*place) for place in degrees]
     area = {}
-    for axis, values in zip(("north", "east"), zip(*places, strict=True), strict=True):
+    for axis, values in zip(("north", "east"), zip(*places_m, strict=True), strict=True):
         area[f"{axis}_min_m"] = float(math.floor(min(values) - sight_m))
         area[f"{axis}_max_m"] = float(math.ceil(max(values) + sight_m))
     sides_m = (area[f"{axis}_max_m"] - area[f"{axis}_min_m"] for axis in ("north", "east"))
     cells = math.prod(sides_m) / max(round(sight_m / CELLS_PER_RANGE), 1) ** 2
     by_radar = _at(table, "scanner.kind") in (None, "terrain_radar")
     if max(map(abs, area.values())) >= _FARTHEST_M or (by_radar and cells > MAX_CELLS):
-        _refuse_farthest(table, plan)
+        far_m = [math.dist(place, places_m[0]) for place in places_m]
+        index = far_m.index(max(far_m))
+        if index > 0:
+            far = f"{max(far_m) / 1000.0:,.0f} km from launch"
+            rule = f"it lies {far} {plan.home_deg}, too far for one map"
+            remedy = "Correct it or launch, or raise planner.scan_range_m in a mission.toml."
+            name = f"{plan.name}: {plan.targets[index - 1]['name']}"
+            raise InputError(name, list(degrees[index]), rule, remedy)
     return area
-
-
-def _refuse_farthest(table: RawTable, plan: Plan) -> None:
-    latitude, longitude = plan.home_deg
-    frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
-    far_m = [math.hypot(*place) for place in _targets_ne_m(table, frame)]
-    if not far_m:
-        return
-    index = far_m.index(max(far_m))
-    target = table["targets"][index]
-    name = f"{plan.name}: {target.get('name') or f'targets[{index}]'}"
-    shown = [target.get("latitude_deg"), target.get("longitude_deg")]
-    rule = (
-        f"it lies {max(far_m) / 1000.0:,.0f} km from launch ({latitude:g}, {longitude:g}), too far "
-        "for one map"
-    )
-    remedy = (
-        "Correct it or launch; if both are right, name the plan in a mission.toml with a larger "
-        "planner.scan_range_m."
-    )
-    raise InputError(name, shown, rule, remedy)
-
-
-def _targets_ne_m(table: RawTable, frame: LocalFrame) -> list[tuple[float, float]]:
-    """Where the targets lie; nan for what the schema refuses."""
-    targets, found = table.get("targets"), []
-    for target in targets if isinstance(targets, list) else []:
-        lat, lon, north_m, east_m = (
-            _number({"at": target}, f"at.{key}", math.nan)
-            for key in ("latitude_deg", "longitude_deg", "north_m", "east_m")
-        )
-        found.append((north_m, east_m) if math.isnan(lat) else frame.to_local_m(lat, lon))
-    return found
 
 
 def _about_altitude(plan: Plan, band: RawTable, *, is_blind: bool) -> str:
@@ -238,9 +209,8 @@ def _about_unknown_altitudes(plan: Plan, *, is_blind: bool) -> str:
     if is_blind:
         rule = "it is above terrain, and how high the ground is there is not known"
         raise InputError(f"{where}: altitude", height_m, rule, remedy)
-    names = [label.removeprefix(f"{plan.name}: ") for label, _ in plan.unknown_altitudes]
     what = "altitude above terrain, where the ground is not known"
-    return f"left out: {len(names)} x {what} ({listing(names)}). {remedy}"
+    return f"left out: {len(plan.unknown_altitudes)} x {what}. {remedy}"
 
 
 def _merged(assumed: RawTable, given: RawTable) -> RawTable:
