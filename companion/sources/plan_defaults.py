@@ -6,12 +6,16 @@ A mission.toml that names the plan overrides any of them.  Each assumption is re
 import math
 from typing import Any, Final
 
+import numpy as np
+from pydantic import ValidationError
+
 from companion.errors import InputError
 from companion.geodesy import LocalFrame
 from companion.planner.rules import MAX_CELLS
 from companion.planner.settings import CELLS_PER_RANGE
 from companion.profiles import FLIGHT
 from companion.sources.files import RawTable
+from companion.sources.mission_schema import TargetTable
 from companion.sources.plan_file import Plan
 
 _GRAVITY_M_S2: Final = 9.81
@@ -154,17 +158,25 @@ def _band(
 
 
 def _area(table: RawTable, plan: Plan, sight_m: float) -> RawTable | None:
-    """The box around launch and waypoints, as far beyond them as the radar sees.
+    """The box around launch and targets, as far beyond them as the radar sees.
 
-    None: the schema refuses the origin.  InputError about the waypoint that makes it too large for
-    a map.
+    None: the schema refuses what it would be drawn about.  InputError about the waypoint that makes
+    it too large for a map.
     """
     origin = [_number(table, f"origin.{axis}_deg", math.nan) for axis in ("latitude", "longitude")]
     if not (abs(origin[0]) <= 85.0 and abs(origin[1]) <= 180.0):
         return None
     frame = LocalFrame(latitude_deg=origin[0], longitude_deg=origin[1])
-    degrees = [plan.home_deg, *((t["latitude_deg"], t["longitude_deg"]) for t in plan.targets)]
-    places_m = [frame.to_local_m(*place) for place in degrees]
+    try:
+        targets = [TargetTable.model_validate(each) for each in table.get("targets", ())]
+    except (TypeError, ValidationError):
+        return None
+    own_m = ((each.north_m or 0.0, each.east_m or 0.0) for each in targets if not each.degrees)
+    waypoints = [(each.name, each.degrees) for each in targets if each.degrees]
+    degrees = [plan.home_deg, *(place for _, place in waypoints)]
+    places_m = [*(frame.to_local_m(*place) for place in degrees), *own_m]
+    if not np.isfinite(places_m).all():
+        return None
     area = {}
     for axis, values in zip(("north", "east"), zip(*places_m, strict=True), strict=True):
         area[f"{axis}_min_m"] = float(math.floor(min(values) - sight_m))
@@ -173,13 +185,13 @@ def _area(table: RawTable, plan: Plan, sight_m: float) -> RawTable | None:
     cells = math.prod(sides_m) / max(round(sight_m / CELLS_PER_RANGE), 1) ** 2
     by_radar = _at(table, "scanner.kind") in (None, "terrain_radar")
     if max(map(abs, area.values())) >= _FARTHEST_M or (by_radar and cells > MAX_CELLS):
-        far_m = [math.dist(place, places_m[0]) for place in places_m]
+        far_m = [math.dist(place, places_m[0]) for place in places_m[: len(degrees)]]
         index = far_m.index(max(far_m))
         if index > 0:
-            far = f"{max(far_m) / 1000.0:,.0f} km from launch"
-            rule = f"it lies {far} {plan.home_deg}, too far for one map"
+            far = f"{max(far_m) / 1000.0:,.0f} km from launch {plan.home_deg}"
             remedy = "Correct it or launch, or raise planner.scan_range_m in a mission.toml."
-            name = f"{plan.name}: {plan.targets[index - 1]['name']}"
+            name = f"{plan.name}: {waypoints[index - 1][0]}"
+            rule = f"it lies {far}, too far for one map"
             raise InputError(name, list(degrees[index]), rule, remedy)
     return area
 
