@@ -54,7 +54,7 @@ from companion.runtime.planner_process import PlannerEndedError, PlannerProcess
 from companion.runtime.preflight import run_preflight
 from companion.runtime.terminal import Terminal, stop_signals
 from companion.session import Session
-from companion.sources.files import picture_file, remove_torn, writing
+from companion.sources.files import picture_file, writing
 from companion.telemetry.flight_status import SCHEMA, VERSION, FlightBegun, flight_status
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.resume import ResumeData, load_resume_data
@@ -515,10 +515,10 @@ def _show(flown: FlightSummary, folder: RunFolder, console: Console, *, draws: b
         console.print(flight_table(flown))
     try:
         if flown.heard and draws:
-            draw_flown(flown, picture)
-    except OSError as error:
-        remove_torn(picture, error)
-        lines.insert(0, f"no picture: {error.strerror or error}")
+            with writing("picture", picture):
+                draw_flown(flown, picture)
+    except InputError as error:
+        lines.insert(0, f"no picture: {error.rule}")
     with contextlib.suppress(OSError):
         for line in lines:
             console.out(line, highlight=False)

@@ -27,7 +27,7 @@ from companion.sources.files import (
     toml_text,
     with_settings,
 )
-from companion.sources.mission_file import MissionFile, complete, explained, mission_of
+from companion.sources.mission_file import MissionFile, complete, mission_of
 from companion.sources.mission_schema import MissionTable
 from companion.sources.schema import FileWorldTable, WorldTable, validated
 from companion.world.terrain import Peak, PeakTerrain, Terrain
@@ -94,7 +94,12 @@ def load_mission(
         model = validated(MissionTable, table, name_or_path)
         return mission_of(model, profile, name_or_path, whole.notes)
     except InputError as error:
-        raise explained(error, whole.assumed, name_or_path) from None
+        if not _is_plan(name_or_path):
+            raise
+        remedy = (
+            f"{error.remedy} What a plan lacks is assumed: name it in a mission.toml to say it."
+        )
+        raise InputError(error.field, error.value, error.rule, remedy) from None
 
 
 def refuse_older(run_dir: Path) -> None:
@@ -111,16 +116,21 @@ def refuse_older(run_dir: Path) -> None:
 
 def _whole(name_or_path: str) -> MissionFile:
     """A mission with what the files that it names hold; a plan by itself names no other."""
-    path, is_bundled = Path(name_or_path), name_or_path in bundled()
-    is_plan = path.suffix.lower() == ".plan" and answer(path.is_file)
-    if not is_bundled and (is_plan or begins_as(path, PLAN, WAYPOINTS)):
-        table: RawTable = {"plan": path.name}
+    if _is_plan(name_or_path):
+        table: RawTable = {"plan": Path(name_or_path).name}
     else:
         table = toml_table(_read(name_or_path, "mission"), name_or_path)
     if "terrain" in table and not _OF_MISSIONS & table.keys():
         rule = "this is a world, not a mission"
         raise InputError("MISSION", name_or_path, rule, "Give its mission.toml.")
     return complete(table, folder_of(name_or_path), name_or_path)
+
+
+def _is_plan(name_or_path: str) -> bool:
+    """Whether it is a plan or a waypoint list by itself."""
+    path = Path(name_or_path)
+    is_named_so = path.suffix.lower() == ".plan" and answer(path.is_file)
+    return name_or_path not in bundled() and (is_named_so or begins_as(path, PLAN, WAYPOINTS))
 
 
 def world_table(name_or_path: str) -> RawTable:

@@ -19,7 +19,7 @@ import pyproj
 
 from companion.errors import InputError
 from companion.geodesy import BoolArray, FloatArray, LocalFrame, wrap_deg
-from companion.sources.files import answer, told_path
+from companion.sources.files import answer
 from companion.world.known_map import KnownMap
 from companion.world.simulated import true_map
 from companion.world.terrain import GridTerrain
@@ -69,11 +69,7 @@ class ElevationFile:
         with self._opened() as source:
             part = _part(source, frame, area_m)
             if part.beyond.any():
-                at, (height, width) = source.transform, source.shape
-                south, west = at.f + (height - 0.5) * at.e, at.c + 0.5 * at.a
-                has = _reach(south, at.f + 0.5 * at.e, west, at.c + (width - 0.5) * at.a)
-                rule = f"[area] reaches beyond the middles of its outer cells, {has}: to "
-                rule += part.reach
+                rule = "[area] reaches beyond the middles of its outer cells"
                 raise _RefusedError(rule, "Make [area] smaller, or name another file.")
             return part.terrain(frame, part.filled(self.nodata))
 
@@ -127,22 +123,16 @@ class ElevationFile:
         except ImportError as error:
             rule = f"elevation files need the package rasterio ({error})"
             raise InputError(field, str(path), rule, "Install rasterio.") from None
-        if not answer(path.is_file):
-            raise InputError(field, str(path), "no such file", _NAME_ONE)
+        if not (answer(path.is_file) and str(path).isprintable()):  # GDAL takes UTF-8 alone
+            raise InputError(field, str(path), "no such file, or of an odd name", _NAME_ONE)
+        driver = "SRTMHGT" if path.suffix.lower() == ".hgt" else "GTiff"
         try:
-            with contextlib.ExitStack() as stack:
-                stack.enter_context(warnings.catch_warnings())
+            with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of files without coordinates: refused below
-                name: Any = path
-                if told_path(path) != str(path):  # no UTF-8, which GDAL does not take
-                    plain = path.name.encode(errors="replace").decode()
-                    memory = rasterio.MemoryFile(path.read_bytes(), filename=plain)
-                    name = stack.enter_context(memory).name
-                driver = "SRTMHGT" if path.suffix.lower() == ".hgt" else "GTiff"
-                source = stack.enter_context(rasterio.open(name, driver=driver))
-                for refusal in _refusals(source, self.vertical_datum):
-                    raise refusal
-                yield source
+                with rasterio.open(path, driver=driver) as source:
+                    for refusal in _refusals(source, self.vertical_datum):
+                        raise refusal
+                    yield source
         except _RefusedError as error:
             raise InputError(field, str(path), *error.args) from None
         except rasterio.errors.RasterioError as error:
@@ -200,8 +190,6 @@ class _Part:
     south_west_deg: tuple[float, float]
     """Of the middle of the cell in this corner."""
     step_deg: tuple[float, float]
-    reach: str
-    """What the area reaches, in words."""
 
     def filled(self, nodata: Nodata) -> npt.NDArray[Any]:
         """The heights without holes, all of them of this earth."""
@@ -267,12 +255,7 @@ def _part(source: Any, frame: LocalFrame, area_m: _Area) -> _Part:
         beyond=beyond,
         south_west_deg=(at.f + at.e * (bottom - 0.5), at.c + at.a * (left + 0.5)),
         step_deg=(-at.e, at.a),
-        reach=_reach(latitude.min(), latitude.max(), longitude.min(), longitude.max()),
     )
-
-
-def _reach(south: float, north: float, west: float, east: float) -> str:
-    return f"{south:.5f} to {north:.5f} N, {west:.5f} to {east:.5f} E"
 
 
 def _highest_m(terrain: GridTerrain, blank: KnownMap) -> FloatArray:

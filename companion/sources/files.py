@@ -2,14 +2,12 @@
 
 import errno
 import json
-import os
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
-from urllib.parse import unquote_to_bytes
+from typing import Any
 
 from companion.errors import InputError
 from companion.printable import with_printable_texts
@@ -54,22 +52,6 @@ def begins_as(path: Path, *kinds: re.Pattern[bytes]) -> bool:
     return answer(begins)
 
 
-def told_path(path: Path) -> str:
-    """A path as a text that TOML can hold: as a URI, if it is no UTF-8."""
-    try:
-        str(path).encode()
-    except UnicodeEncodeError:
-        return path.as_uri()
-    return str(path)
-
-
-def path_of(text: str) -> Path:
-    """The path that such a text stands for."""
-    if text.startswith("file:///"):
-        return Path(os.fsdecode(unquote_to_bytes(text.removeprefix("file://"))))
-    return Path(text)
-
-
 def answer(question: Callable[[], bool]) -> bool:
     """The answer, no for a name that the file system does not take."""
     try:
@@ -105,19 +87,17 @@ def writable(option: str, path: Path) -> Path:
 
 @contextmanager
 def writing(option: str, path: Path) -> Iterator[None]:
-    """Raise InputError about the option if what is done meanwhile cannot be written."""
+    """Raise InputError about the option if what is done meanwhile cannot be written.
+
+    A file that a full disk took only a part of is removed.
+    """
     try:
         yield
     except OSError as error:
-        remove_torn(path, error)
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG) and answer(path.is_file):
+            path.unlink()
         rule = f"not written ({error.strerror or error})"
         raise InputError(option, str(path), rule, "Give a file that can be written.") from error
-
-
-def remove_torn(path: Path, error: OSError) -> None:
-    """Remove the file that a full disk took only a part of."""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG) and answer(path.is_file):
-        path.unlink()
 
 
 def picture_file(option: str, path: Path) -> Path:
@@ -132,12 +112,9 @@ def toml_table(text: str, where: str) -> RawTable:
     """The table of a TOML text.  Raises InputError about the file."""
     try:
         return {**with_printable_texts(tomllib.loads(text))}
-    except tomllib.TOMLDecodeError as error:
-        rule = f"not TOML: {_one_line(error)}"
-        raise InputError("file", where, rule, "Mend that place; see docs/files.md.") from error
-    except (RecursionError, ValueError) as error:  # brackets in brackets, numbers without end
-        rule = f"not TOML that anybody writes ({_one_line(error)})"
-        raise InputError("file", where, rule, "Mend it; see docs/files.md.") from None
+    except (RecursionError, ValueError) as error:  # brackets in brackets, numbers without end, too
+        rule, remedy = f"not TOML: {_one_line(error)}", "Mend that place; see docs/files.md."
+        raise InputError("file", where, rule, remedy) from None
 
 
 def json_table(path: Path, field: str, remedy: str, *, nan_is_null: bool = False) -> RawTable:
@@ -145,9 +122,13 @@ def json_table(path: Path, field: str, remedy: str, *, nan_is_null: bool = False
 
     nan_is_null: NaN, which JSON does not know, is taken for null.
     """
+
+    def constant(name: str) -> None:
+        if not (nan_is_null and name == "NaN"):
+            raise ValueError(f"{name} is no number")
+
     text = read_text(path, field, remedy)
     try:
-        constant = _null_or_no_number if nan_is_null else _no_number
         found = with_printable_texts(json.loads(text, parse_constant=constant))
     except (RecursionError, ValueError) as error:
         raise InputError(field, str(path), f"not JSON: {_one_line(error)}", remedy) from None
@@ -209,7 +190,7 @@ def _pairs(table: RawTable) -> list[str]:
 
 
 def _key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _string(key)
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _value(key)
 
 
 def _value(value: object) -> str:
@@ -217,27 +198,14 @@ def _value(value: object) -> str:
         case bool():
             return "true" if value else "false"
         case str():
-            return _string(value)
+            fit = value.encode("utf-8", "replace").decode()  # half a surrogate is no character
+            return json.dumps(fit, ensure_ascii=False).replace("\x7f", "\\u007f")
         case list() | tuple():
             return f"[{', '.join(map(_value, value))}]"
         case dict():
             return f"{{{', '.join(_pairs(value))}}}"
         case _:
             return str(value)
-
-
-def _string(text: str) -> str:
-    fit = text.encode("utf-8", "replace").decode()  # half a surrogate is no character
-    return json.dumps(fit, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _no_number(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no number")
-
-
-def _null_or_no_number(name: str) -> None:
-    if name != "NaN":
-        _no_number(name)
 
 
 def _one_line(error: Exception) -> str:

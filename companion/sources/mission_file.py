@@ -20,7 +20,7 @@ from companion.path.limits import Limits
 from companion.planner import rules
 from companion.planner.settings import PlannerSettings, Task
 from companion.profiles import PROFILES, Weights
-from companion.sources.files import WAYPOINTS, RawTable, begins_as, path_of, plain, told_path
+from companion.sources.files import WAYPOINTS, RawTable, begins_as, plain
 from companion.sources.geojson import NoZone, read_geojson
 from companion.sources.mission_schema import (
     KnownTerrainTable,
@@ -58,16 +58,13 @@ class MissionFile:
     """What was assumed and what was left out, for people."""
     is_whole: bool
     """Whether it was so from the beginning: it names no other file."""
-    assumed: frozenset[str]
-    """Keys, with dots, that nobody wrote: what a plan lacks."""
 
 
 def complete(given: RawTable, folder: Path, where: str) -> MissionFile:
     """Take into a table what other files hold that it names.  Raises InputError about them."""
-    table, notes, assumed = given, list[str](), frozenset[str]()
+    table, notes = given, list[str]()
     if isinstance(given.get("plan"), str):
         table, notes = _with_plan(given, folder, where)
-        assumed = _keys(table) - _keys(given)
     asked, terrain = given.get("threats"), given.get("terrain")
     if isinstance(asked, str | dict):
         asked = {"file": asked} if isinstance(asked, str) else asked
@@ -80,9 +77,9 @@ def complete(given: RawTable, folder: Path, where: str) -> MissionFile:
             if found and isinstance(table.get(key, []), list):
                 table[key] = [*table.get(key, []), *found]
     if isinstance(terrain, dict) and isinstance(terrain.get("file"), str):
-        file = told_path(_absolute(folder / path_of(terrain["file"])))
+        file = str((folder / terrain["file"]).absolute())
         table = table | {"terrain": terrain | {"file": file}}
-    return MissionFile(table=table, notes=tuple(notes), is_whole=table is given, assumed=assumed)
+    return MissionFile(table=table, notes=tuple(notes), is_whole=table is given)
 
 
 def _threats(path: Path, where: str, leave_out: Collection[NoZone]) -> Zones:
@@ -95,25 +92,6 @@ def _threats(path: Path, where: str, leave_out: Collection[NoZone]) -> Zones:
     if not (threats.keep_outs or threats.keep_ins):
         threats.notes.append(f"{path.name}: it holds no zone")
     return threats
-
-
-def _keys(table: RawTable, above: str = "") -> frozenset[str]:
-    """With dots, those of tables in it too; lists say by themselves where they are from."""
-    found = set[str]()
-    for key, value in table.items():
-        if isinstance(value, dict):
-            found |= _keys(value, f"{above}{key}.")
-        if not isinstance(value, list):
-            found.add(f"{above}{key}")
-    return frozenset(found)
-
-
-def explained(error: InputError, assumed: frozenset[str], where: str) -> InputError:
-    """The error, where it is about a key that nobody wrote, with the word that it was assumed."""
-    if error.field.removeprefix(f"{where}: ") not in assumed:
-        return error
-    said = "It was assumed for the plan: name the plan in a mission.toml to say it."
-    return InputError(error.field, error.value, error.rule, f"{said} {error.remedy}")
 
 
 def _with_plan(table: RawTable, folder: Path, where: str) -> tuple[RawTable, list[str]]:
@@ -135,23 +113,12 @@ def _with_plan(table: RawTable, folder: Path, where: str) -> tuple[RawTable, lis
 
 def _ground(table: RawTable, folder: Path, where: str) -> Ground | None:
     """The ground that [terrain] knows, for altitudes above it; None: it says nothing."""
-    said = table.get("terrain")
-    if not isinstance(said, dict):
+    if not isinstance(said := table.get("terrain"), dict):
         return None
-
-    def at(latitude_deg: float, longitude_deg: float) -> float | None:
-        terrain = validated(KnownTerrainTable, said, f"{where}: terrain")
-        file = terrain.elevation(folder, where)
-        return file.height_m(latitude_deg, longitude_deg) if file else terrain.highest_amsl_m
-
-    return at
-
-
-def _absolute(path: Path) -> Path:
-    try:
-        return path.resolve()
-    except (OSError, RuntimeError, ValueError):  # refused when it is opened
-        return path
+    terrain = validated(KnownTerrainTable, said, f"{where}: terrain")
+    if (file := terrain.elevation(folder, where)) is not None:
+        return file.height_m
+    return lambda *_: terrain.highest_amsl_m
 
 
 def mission_of(

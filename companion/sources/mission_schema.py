@@ -25,7 +25,6 @@ from companion.planner.settings import PlannerSettings
 from companion.profiles import Weights
 from companion.ranges import Latitude, Longitude, NotNegative, Positive
 from companion.sources.elevation import ElevationFile, VerticalDatum
-from companion.sources.files import path_of
 from companion.sources.geojson import NoZone
 from companion.sources.schema import (
     Altitude,
@@ -299,7 +298,7 @@ class KnownTerrainTable(Table):
         if self.file is None or self.vertical_datum is None:
             return None
         return ElevationFile(
-            path=folder / path_of(self.file),
+            path=folder / self.file,
             vertical_datum=self.vertical_datum,
             nodata=self.nodata,
             field=f"{where}: terrain.file",

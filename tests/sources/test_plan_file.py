@@ -342,7 +342,7 @@ def test_a_far_waypoint_is_named(path: Path, place: tuple[float, float], far_km:
 def test_an_error_about_an_assumed_key_says_so(path: Path, mission: dict[str, Any]) -> None:
     latitude = mission.get("plannedHomePosition", [47.4])[0] + 0.01
     path.write_text(json.dumps(plan(item(16, 0, 0, 0, None, latitude, 8.55, 50), **mission)))
-    assert "assumed for the plan" in alone_refused(path)
+    assert "What a plan lacks is assumed" in alone_refused(path)
     own = path.with_name("own.toml")
     own.write_text('plan = "x.plan"\n[altitude]\nfloor_amsl_m = 900.0\nceiling_amsl_m = 1.0\n')
     told = alone_refused(own)
