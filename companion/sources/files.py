@@ -117,15 +117,11 @@ def toml_table(text: str, where: str) -> RawTable:
         raise InputError("file", where, rule, remedy) from None
 
 
-def json_table(path: Path, field: str, remedy: str, *, nan_is_null: bool = False) -> RawTable:
-    """The object in a JSON file.  Raises InputError about the field.
-
-    nan_is_null: NaN, which JSON does not know, is taken for null.
-    """
+def json_table(path: Path, field: str, remedy: str) -> RawTable:
+    """The object in a JSON file.  Raises InputError about the field."""
 
     def constant(name: str) -> None:
-        if not (nan_is_null and name == "NaN"):
-            raise ValueError(f"{name} is no number")
+        raise ValueError(f"{name} is no number")
 
     text = read_text(path, field, remedy)
     try:

@@ -85,12 +85,10 @@ def _counted(kinds: Mapping[NoZone, int]) -> str:
 
 def _take(raw: RawTable, index: int, label: str, zones: Zones, no_zones: Counter[NoZone]) -> None:
     """Add the zones of a feature; label: how it is called in errors."""
-    given = raw.get("properties") if isinstance(raw.get("properties"), dict) else {}
-    name, has_radius = (
-        plain(given.get("name"), f"feature {index}"),
-        given.get("radius_m") is not None,
-    )
-    label = f"{label} ({name})"
+    properties = raw.get("properties")
+    given: RawTable = properties if isinstance(properties, dict) else {}
+    name = plain(given.get("name"), f"feature {index}")
+    label, has_radius = f"{label} ({name})", given.get("radius_m") is not None
     polygons, points = list[shapely.Polygon](), list[shapely.Point]()
     for part in _parts(raw.get("geometry"), label):
         if part is None or part.is_empty:
@@ -103,12 +101,12 @@ def _take(raw: RawTable, index: int, label: str, zones: Zones, no_zones: Counter
             no_zones["points" if isinstance(part, shapely.Point) else "lines"] += 1
     if not polygons and not points:
         return
-    properties = validated(_Properties, given, f"{label}.properties")
-    is_keep_in = properties.kind == "keep_in"
+    said = validated(_Properties, given, f"{label}.properties")
+    is_keep_in = said.kind == "keep_in"
     for point in points:
         [(latitude, longitude)] = _corners(point, label)
         place = {"latitude_deg": latitude, "longitude_deg": longitude}
-        zones.add({"name": name, **place, "radius_m": properties.radius_m}, inside=is_keep_in)
+        zones.add({"name": name, **place, "radius_m": said.radius_m}, inside=is_keep_in)
     if is_keep_in and len(polygons) > 1:
         rule = "the vehicle cannot keep inside of several polygons at once"
         raise InputError(f"{label}.geometry.type", "MultiPolygon", rule, "Keep one polygon of it.")
@@ -133,7 +131,7 @@ def _parts(raw: Any, label: str) -> Iterator[BaseGeometry | None]:
         raise InputError(f"{label}.geometry", raw, rule, "Remove or correct it.") from None
     while inner:
         geometry = inner.pop(0)
-        if hasattr(geometry, "geoms") and not geometry.is_empty:
+        if geometry is not None and hasattr(geometry, "geoms") and not geometry.is_empty:
             inner[:0] = geometry.geoms
         else:
             yield geometry

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, final
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from companion.errors import InputError
 from companion.mavlink import fence
@@ -47,14 +47,10 @@ class _Json(BaseModel):
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
 
 
-def _given(value: Any) -> Any:
-    """MAVLink says "not given" by no number, JSON by null; some programs write it as a text."""
-    return None if isinstance(value, str) and value.lower() in ("nan", "null") else value
-
-
-_Number = Annotated[float | None, BeforeValidator(_given)]
+_Number = float | None
+"""JSON's null for what MAVLink says by no number: it is not given."""
 _Corner = Annotated[list[Longitude], Field(min_length=2, max_length=3)]
-_Version = Literal[1, 2]
+_Version = Literal[2]
 
 
 class Item(_Json):
@@ -64,8 +60,6 @@ class Item(_Json):
     command: int | None = None
     frame: int = 0
     params: list[_Number] = []
-    coordinate: list[_Number] | None = None
-    """Latitude, longitude and altitude in old files; in others they are parameters 5 to 7."""
     altitude_mode: int | None = Field(None, alias="AltitudeMode")
     altitude_m: _Number = Field(None, alias="Altitude")
     above_terrain_amsl_m: _Number = Field(None, alias="AMSLAltAboveTerrain")
@@ -75,14 +69,7 @@ class Item(_Json):
     @property
     def place(self) -> list[float | None]:
         """Latitude, longitude, altitude; None for what is not given."""
-        given = self.params[4:7] if self.coordinate is None else self.coordinate[:3]
-        return [*given, None, None, None][:3]
-
-    @property
-    def is_placed(self) -> bool:
-        """Whether it says where: many programs write two zeros where they do not."""
-        latitude, longitude, _ = self.place
-        return None not in (latitude, longitude) and bool(latitude or longitude)
+        return [*self.params[4:7], None, None, None][:3]
 
     def is_with(self, other: "Item") -> bool:
         """Whether they are corners of one polygon."""
@@ -194,13 +181,12 @@ def read_plan(path: Path, where: str, ground: Ground | None = None) -> Plan:
     Raises InputError about the field (where) if it cannot be read as a .plan, or naming the item
     that cannot be flown: jumps, take-off or landing as a VTOL, places without a known datum.
     """
-    found = json_table(path, where, _REMEDY, nan_is_null=True)
+    found = json_table(path, where, _REMEDY)
     if found.get("fileType") != "Plan":
         raise InputError(where, str(path), "it is no QGroundControl plan", _REMEDY)
     content, name = validated(_Plan, found, path.name), path.name
     mission, remedy = content.mission, "Set it in QGroundControl (Mission Start)."
-    launch = Item(coordinate=mission.home)
-    plan = launched(name, launch, f"{name}: mission.plannedHomePosition", remedy)
+    plan = launched(name, mission.home, f"{name}: mission.plannedHomePosition", remedy)
     plan.kind = _kind(mission.vehicle_type, name)
     plan.speed_m_s = {"copter": mission.hover_speed_m_s, "plane": mission.cruise_speed_m_s}
     for k, each in enumerate(content.fence.circles):
@@ -219,16 +205,21 @@ def read_plan(path: Path, where: str, ground: Ground | None = None) -> Plan:
     return plan
 
 
-def launched(name: str, launch: Item, where: str, remedy: str) -> Plan:
+def launched(name: str, home: list[float | None], where: str, remedy: str) -> Plan:
     """An empty plan with its launch; InputError (where) if there is no such place."""
-    altitude = launch.place[2]
-    if not launch.is_placed:
-        raise InputError(where, launch.place, "launch has no latitude and longitude", remedy)
-    home_deg = place_deg(launch.place, where)
+    if not is_place(home):
+        raise InputError(where, home, "launch has no latitude and longitude", remedy)
+    place, altitude = place_deg(home, where), home[2]
     if altitude is None:
         rule = "the altitude of launch is missing, and the plan's altitudes are measured from it"
-        raise InputError(where, launch.place, rule, f"{remedy} Or write its metres AMSL there.")
-    return Plan(name=name, home_deg=tuple(home_deg.values()), home_amsl_m=altitude)
+        raise InputError(where, home, rule, f"{remedy} Or write its metres AMSL there.")
+    home_deg = place["latitude_deg"], place["longitude_deg"]
+    return Plan(name=name, home_deg=home_deg, home_amsl_m=altitude)
+
+
+def is_place(place: Sequence[float | None]) -> bool:
+    """Whether it says where: many programs write two zeros where they do not."""
+    return None not in place[:2] and any(place[:2])
 
 
 def place_deg(place: Sequence[float | None], where: str) -> RawTable:
@@ -269,14 +260,14 @@ class _Items:
         if command is None:
             raise InputError(f"{where}.command", None, "it is missing", _REMEDY)
         if command in PLACES:
-            if not item.is_placed:
+            if not is_place(item.place):
                 rule = "it has no latitude and longitude"
                 raise InputError(f"{where}.params", item.place[:2], rule, "Put it on the map.")
             self._add_target(item, self._altitude_amsl_m(item, where), where)
             self.left_out.update(not_done(command, item.params[:4]))
         elif command in _TAKE_OFFS and not self._plan.targets:
             self._altitude_amsl_m(item, where)
-        elif command == wire.MAV_CMD_NAV_LAND and item.is_placed:
+        elif command == wire.MAV_CMD_NAV_LAND and is_place(item.place):
             self._add_target(item, None, where)
         elif command == wire.MAV_CMD_DO_JUMP or (
             command <= wire.MAV_CMD_NAV_LAST and command not in (*_ENDS, *_NOT_FLOWN, *_TAKE_OFFS)
@@ -375,7 +366,7 @@ def read_waypoint_list(path: Path, where: str, ground: Ground | None = None) -> 
         rule = "launch, its first item, has no latitude and longitude"
         raise InputError(where, path.name, rule, remedy)
     label, home = items.popleft()
-    plan = launched(path.name, home, f"{label} (launch)", remedy)
+    plan = launched(path.name, home.place, f"{label} (launch)", remedy)
     if home.frame not in AMSL_FRAMES:
         said = f"of frame {home.frame}, is taken to be above mean sea level"
         plan.notes.append(f"launch: its altitude, {plan.home_amsl_m:g} m {said}")
@@ -416,7 +407,8 @@ def _items(path: Path, where: str) -> deque[Labelled]:
         if any(map(math.isinf, numbers)):
             raise InputError(label, numbers, "it is made of finite numbers", _SAVE_AGAIN)
         given = [None if math.isnan(each) else each for each in numbers]
-        found.append((label, Item(command=item.command, frame=item.frame, params=given)))
+        table = {"command": item.command, "frame": item.frame, "params": given}
+        found.append((label, Item.model_validate(table)))
     return found
 
 
