@@ -5,9 +5,10 @@ table itself (`complete`), so that a run folder holds all that was flown.
 """
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import accumulate
 from pathlib import Path
-from typing import Final, final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -48,9 +49,7 @@ _MENTIONED_M = 1.0  # a smaller difference is worth no mention
 _STEP_M = 5.0
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MissionFile:
+class MissionFile(NamedTuple):
     """A mission file with what the files that it names hold."""
 
     table: RawTable
@@ -72,8 +71,7 @@ def complete(given: RawTable, folder: Path, where: str) -> MissionFile:
         threats = _threats(folder / chosen.file, f"{where}: threats", chosen.leave_out)
         notes += threats.notes
         table = {key: value for key, value in table.items() if key != "threats"}
-        for key in ("keep_outs", "keep_ins"):
-            found = getattr(threats, key)
+        for key, found in (("keep_outs", threats.keep_outs), ("keep_ins", threats.keep_ins)):
             if found and isinstance(table.get(key, []), list):
                 table[key] = [*table.get(key, []), *found]
     if isinstance(terrain, dict) and isinstance(terrain.get("file"), str):
@@ -84,11 +82,8 @@ def complete(given: RawTable, folder: Path, where: str) -> MissionFile:
 
 def _threats(path: Path, where: str, leave_out: Collection[NoZone]) -> Zones:
     """What a GeoJSON file or a list of QGC WPL 110 holds; leave_out: as for `read_geojson`."""
-    threats: Zones
-    if begins_as(path, WAYPOINTS):
-        threats = read_waypoint_fence(path, where)
-    else:
-        threats = read_geojson(path, where, leave_out)
+    is_list = begins_as(path, WAYPOINTS)
+    threats = read_waypoint_fence(path, where) if is_list else read_geojson(path, where, leave_out)
     if not (threats.keep_outs or threats.keep_ins):
         threats.notes.append(f"{path.name}: it holds no zone")
     return threats
@@ -104,9 +99,7 @@ def _with_plan(table: RawTable, folder: Path, where: str) -> tuple[RawTable, lis
     stem = "".join(c if c.isascii() and (c.isalnum() or c in "_-.") else " " for c in path.stem)
     given = {key: value for key, value in table.items() if key != "plan"}
     whole, notes = with_plan(given, plan, plain(stem, "").lstrip(" _-.") or "plan")
-    from_vehicle = given.get("from_vehicle")
-    elsewhere = isinstance(from_vehicle, dict) and from_vehicle.get("targets") is True
-    if not whole.get("targets") and not elsewhere:
+    if "targets" in whole and not whole["targets"]:
         raise InputError(field, plan.name, "it has no waypoints", "Add a waypoint.")
     return whole, notes
 
@@ -150,7 +143,11 @@ def mission_of(
         ),
         stated_ground_amsl_m=None if model.scans_ground else stated_m,
     )
-    task, slower = _slowed_to_sight(task)
+    task, slower = rules.slowed_to_sight(task), ""
+    asked_m_s, flown_m_s = limits.speed_m_s, task.limits.speed_m_s
+    if flown_m_s < asked_m_s:
+        slower = f"R = {settings.scan_range_m:g} m is too short for V = {asked_m_s:g} m/s (eq. 4): "
+        slower += f"it is flown at {flown_m_s:g} m/s; raise planner.scan_range_m to fly faster"
     rules.refuse(rules.of_task(task), f"{where}: ")
     zones, far = zones_of(model, task, frame, where)
     task = replace(task, zones=zones)
@@ -158,9 +155,9 @@ def mission_of(
     as_written = {key: each for table in said for key, each in table.of(Mission).items()}
     if not model.scans_ground:
         as_written["scanner_component_id"] = None
+    about_ground, targets = "", model.targets or []
     if stated_m is not None:  # a person should be told once more before it is flown by
         about_ground = f"the ground is taken to be nowhere higher than {stated_m:g} m AMSL"
-    targets = model.targets or []
     mission = Mission(
         name=model.name,
         frame=frame,
@@ -174,30 +171,25 @@ def mission_of(
             place_of(point, frame, f"{where}: rally_points[{index}]")
             for index, point in enumerate(model.rally_points)
         ),
-        notes=tuple(filter(None, (*notes, slower, far, "" if stated_m is None else about_ground))),
+        notes=tuple(filter(None, (*notes, slower, far, about_ground))),
         **as_written,
     )
     return replace(mission, notes=(*mission.notes, *_about_altitudes(mission, targets, where)))
 
 
-def _slowed_to_sight(task: Task) -> tuple[Task, str]:
-    """The task as `rules.slowed_to_sight` has it, and what a person should know of it."""
-    slowed = rules.slowed_to_sight(task)
-    asked, flown = task.limits.speed_m_s, slowed.limits.speed_m_s
-    if slowed is task:
-        return task, ""
-    rule = f"R = {task.settings.scan_range_m:g} m is too short for V = {asked:g} m/s (eq. 4)"
-    return slowed, f"{rule}: it is flown at {flown:g} m/s; raise planner.scan_range_m to fly faster"
-
-
 def _targets(model: MissionTable, task: Task, frame: LocalFrame, where: str) -> tuple[Place, ...]:
     found = []
     for index, target in enumerate(model.targets or []):
-        field = f"{where}: targets[{index}]" + (f" ({target.name})" if target.name else "")
+        field = _field(where, index, target)
         place = place_of(target, frame, field)
         rules.refuse(rules.of_target(task, place, field))
         found.append(place)
     return tuple(found)
+
+
+def _field(where: str, index: int, target: TargetTable) -> str:
+    """How a target is called in errors."""
+    return f"{where}: targets[{index}]" + (f" ({target.name})" if target.name else "")
 
 
 def _limits(model: MissionTable) -> Limits:
@@ -244,11 +236,10 @@ def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -
 
 def _carried_on(altitudes_amsl_m: list[float | None]) -> tuple[float | None, ...]:
     """Each target's altitude, of one that has none that of the target before; () if none has."""
-    carried: list[float | None] = []
-    for altitude in altitudes_amsl_m:
-        before = carried[-1] if carried else None
-        carried.append(before if altitude is None else altitude)
-    return tuple(carried) if carried and carried[-1] is not None else ()
+    carried = tuple(
+        accumulate(altitudes_amsl_m, lambda before, own: before if own is None else own)
+    )
+    return carried if carried and carried[-1] is not None else ()
 
 
 def _about_altitudes(mission: Mission, targets: list[TargetTable], where: str) -> Iterator[str]:
@@ -270,7 +261,7 @@ def _about_altitudes(mission: Mission, targets: list[TargetTable], where: str) -
     altitudes = mission.altitudes_amsl_m or (None,) * len(targets)
     places = zip(mission.targets_ne_m, altitudes, targets, strict=False)
     for number, (place, wanted_m, table) in enumerate(places):
-        field = f"{where}: targets[{number}]" + (f" ({table.name})" if table.name else "")
+        field = _field(where, number, table)
         least_m = lowest_m if wanted_m is None else max(wanted_m, lowest_m)
         flown_m = _clear_from_m(mission, place, least_m)
         if flown_m is None:
