@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from importlib import resources
 from pathlib import Path
-from typing import NamedTuple, final
+from typing import NamedTuple
 
 from companion.errors import InputError
 from companion.geodesy import LocalFrame
@@ -38,7 +38,6 @@ _OLDER = re.compile(rb'\{"schema":"companion-journal","version":([12])[,}]')
 _HEADER_BYTES = 100
 
 
-@final
 class World(NamedTuple):
     """A world as `companion plan` needs it."""
 

@@ -32,6 +32,9 @@ Nodata = Literal["sea"] | Altitude
 FileName = Annotated[str, Field(min_length=1, max_length=1000)]
 
 
+_UNKNOWN, _BROKEN = "unknown_key", "broken_rule"
+
+
 class Table(BaseModel):
     """A table of a file: its keys and no others, each of its own type."""
 
@@ -47,12 +50,31 @@ class Table(BaseModel):
         """The rules between its keys that it breaks; field "": all of it."""
         yield from ()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _has_no_other_key(cls, table: Any) -> Any:
+        known = sorted(info.alias or name for name, info in cls.model_fields.items())
+        for key in (
+            table if isinstance(table, dict) and cls.model_config["extra"] == "forbid" else ()
+        ):
+            if key not in known:
+                nearest = difflib.get_close_matches(key, known, n=1, cutoff=0.0)
+                first = f"Did you mean {nearest[0]}?" if nearest else "Remove it."
+                remedy = f"{first} Known here: {', '.join(known)}."
+                rule = "no such key (units are part of keys)"
+                raise _refusal(_UNKNOWN, key, table[key], rule, remedy)
+        return table
+
     @model_validator(mode="after")
     def _breaks_no_rule(self) -> Self:
-        for field, value, rule, remedy in self.broken():
-            told = {"field": field, "value": value, "rule": rule, "remedy": remedy}
-            raise PydanticCustomError("broken", "{rule}", told)
+        for broken in self.broken():
+            raise _refusal(_BROKEN, *broken)
         return self
+
+
+def _refusal(kind: str, field: str, value: object, rule: str, remedy: str) -> PydanticCustomError:
+    told = {"field": field, "value": value, "rule": rule, "remedy": remedy}
+    return PydanticCustomError(kind, "{rule}", told)
 
 
 def broken_of(*rules: tuple[bool, str, object, str, str]) -> Iterator[Broken]:
@@ -164,46 +186,19 @@ def validated(model: type[Model], table: dict[str, Any], where: str) -> Model:
         return model.model_validate(table)
     except ValidationError as error:
         details = error.errors()
-    unknown = [detail for detail in details if detail["type"] == "extra_forbidden"]
-    raise _input_error(model, (unknown or details)[0], where)
+    unknown = [detail for detail in details if detail["type"] == _UNKNOWN]
+    raise _input_error((unknown or details)[0], where)
 
 
-def _input_error(model: type[BaseModel], detail: ErrorDetails, where: str) -> InputError:
+def _input_error(detail: ErrorDetails, where: str) -> InputError:
     kind, place, value, told = detail["type"], detail["loc"], detail["input"], detail.get("ctx", {})
-    if kind == "broken":
-        value, place = told["value"], (*place, *filter(None, [told["field"]]))
+    rule, remedy = detail["msg"], "Give a valid value; see docs/files.md."
+    if kind in (_UNKNOWN, _BROKEN):
+        value, remedy, place = told["value"], told["remedy"], (*place, told["field"])
+    elif kind == "missing":
+        value, rule, remedy = None, "it is missing", f"Add {place[-1]}; see docs/files.md."
     field = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place)
-    field = f"{where}: {field.lstrip('.')}"
-    if kind == "extra_forbidden":
-        return InputError(field, value, *_about_unknown_key(model, place))
-    if kind == "missing":
-        return InputError(field, None, "it is missing", f"Add {place[-1]}; see docs/files.md.")
     if isinstance(value, dict | list) and len(value) > _MOST_SHOWN:
         value = f"{len(value)} items"
-    if kind == "broken":
-        return InputError(field, value, told["rule"], told["remedy"])
-    rule = detail["msg"].replace("Input should be", "it must be")
-    if kind == "union_tag_invalid":
-        rule = f"its type must be one of {told['expected_tags']}"
-    return InputError(field, value, rule, "Give a valid value; see docs/files.md.")
-
-
-def _about_unknown_key(model: type[BaseModel], place: tuple[int | str, ...]) -> tuple[str, str]:
-    """The rule that it breaks, and the known keys of its table as a remedy."""
-    here: Any = model
-    for step in place[:-1]:
-        if isinstance(step, str):
-            keys = {info.alias or name: info for name, info in here.model_fields.items()}
-            here = _table_in(keys[step].annotation)
-    known = sorted(info.alias or name for name, info in here.model_fields.items())
-    nearest = difflib.get_close_matches(str(place[-1]), known, n=1, cutoff=0.0)
-    first = f"Did you mean {nearest[0]}?" if nearest else "Remove it."
-    remedy = f"{first} Known here: {', '.join(known)}."
-    return "no such key (units are part of keys)", remedy
-
-
-def _table_in(annotation: Any) -> Any:
-    """The table in list[Table], Table | None and the like."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    return next(filter(None, map(_table_in, typing.get_args(annotation))), None)
+    rule = rule.replace("Input should be", "it must be")
+    return InputError(f"{where}: {field.strip('.')}", value, rule, remedy)
