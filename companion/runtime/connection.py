@@ -49,9 +49,9 @@ class Connection:
         family, *_, address = min(found, key=lambda each: each[0] is not socket.AF_INET)
         return family, (str(address[0]), self.number)
 
-    def refused(self, error: OSError) -> InputError:
+    def refused(self, error: Exception) -> InputError:
         """The error about a port or device that cannot be opened."""
-        rule = f"it cannot be opened ({error.strerror or error})"
+        rule = f"it cannot be opened ({getattr(error, 'strerror', None) or error})"
         return InputError(_OPTION, self.text, rule, _NOT_OPENED)
 
 
