@@ -5,7 +5,7 @@ import json
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -25,19 +25,19 @@ WAYPOINTS = re.compile(rb"QGC WPL")
 
 def read_text(path: Path, field: str, remedy: str) -> str:
     """The text of a file.  Raises InputError about the field if there is none to be read."""
-    if not answer(path.is_file):
-        rule = "it is a folder" if answer(path.is_dir) else "no such file"
-        raise InputError(field, str(path), rule, remedy)
     try:
-        if path.stat().st_size > MAX_BYTES:
-            rule = f"it is larger than {MAX_BYTES / 1e6:g} MB"
-            raise InputError(field, str(path), rule, remedy)
-        return path.read_text(encoding="utf-8-sig")
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+        rule = f"it is larger than {MAX_BYTES / 1e6:g} MB"
+        if len(data) <= MAX_BYTES:
+            return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         rule = f"it cannot be read: it is no text in UTF-8, from byte {error.start}"
-        raise InputError(field, str(path), rule, remedy) from error
-    except OSError as error:
-        raise InputError(field, str(path), f"it cannot be read ({error})", remedy) from error
+    except (OSError, ValueError) as error:
+        rule = f"it cannot be read ({error})"
+        if not answer(path.is_file):
+            rule = "it is a folder" if answer(path.is_dir) else "no such file"
+    raise InputError(field, str(path), rule, remedy)
 
 
 def begins_as(path: Path, *kinds: re.Pattern[bytes]) -> bool:
@@ -147,24 +147,30 @@ def with_settings(table: RawTable, settings: Sequence[str]) -> RawTable:
     Raises InputError for what is not of that form; whether there is such a key is not checked.
     """
     for setting in settings:
-        path, sign, text = setting.partition("=")
-        *above, last = [key.strip() for key in path.split(".")]
-        if not sign or not all([*above, last]):
+        key, sign, value = setting.partition("=")
+        told = None
+        for each in (value, _value(value.strip())):  # a string: people leave out the quotes
+            with suppress(RecursionError, ValueError):
+                told = told or tomllib.loads(f"{key} = {each}")
+        if not sign or told is None:
             remedy = "Write it like planner.safety_distance_m=300."
             raise InputError("--set", setting, "it is not a key, an = and a value", remedy)
-        table = here = dict(table)
-        for key in above:
-            if not isinstance(below := here.get(key, {}), dict):
-                rule = f"{key} is not a table of the mission"
-                raise InputError("--set", setting, rule, "See docs/files.md for its keys.")
-            below = dict(below)
-            here[key] = below
-            here = below
-        try:
-            here[last] = tomllib.loads(f"value = {text}")["value"]
-        except (tomllib.TOMLDecodeError, RecursionError, ValueError):
-            here[last] = text.strip()  # a string: people leave out the quotes
+        table = merged(table, told)
     return table
+
+
+def merged(table: RawTable, over: RawTable, joined: Sequence[str] = ()) -> RawTable:
+    """A table with what is over it, table by table; joined: lists of which both count."""
+    result = dict(table)
+    for key, value in over.items():
+        below = result.get(key)
+        if isinstance(value, dict) and isinstance(below, dict):
+            result[key] = merged(below, value, joined)
+        elif key in joined and isinstance(value, list):
+            result[key] = [*value, *(below or [])]
+        else:
+            result[key] = value
+    return result
 
 
 def toml_text(table: RawTable) -> str:

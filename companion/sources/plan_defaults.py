@@ -14,7 +14,7 @@ from companion.geodesy import LocalFrame
 from companion.planner.rules import MAX_CELLS
 from companion.planner.settings import CELLS_PER_RANGE
 from companion.profiles import FLIGHT
-from companion.sources.files import RawTable
+from companion.sources.files import RawTable, merged
 from companion.sources.mission_schema import TargetTable
 from companion.sources.plan_file import Plan
 
@@ -94,7 +94,7 @@ def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[st
         ]
     if "altitude" not in given:
         notes.append(_about_altitude(plan, band, is_blind=is_blind))
-    table = _merged(assumed, given)
+    table = merged(assumed, given, ("keep_outs", "keep_ins", "rally_points"))
     if "area" not in given and (area := _area(table, plan, range_m)):
         table["area"] = area
         notes.append(f"map assumed: {range_m:g} m around launch and targets")
@@ -223,20 +223,6 @@ def _about_unknown_altitudes(plan: Plan, *, is_blind: bool) -> str:
         raise InputError(f"{where}: altitude", height_m, rule, remedy)
     what = "altitude above terrain, where the ground is not known"
     return f"left out: {len(plan.unknown_altitudes)} x {what}. {remedy}"
-
-
-def _merged(assumed: RawTable, given: RawTable) -> RawTable:
-    """What is given over what is assumed; lists of zones and points one after the other."""
-    result = dict(assumed)
-    for key, value in given.items():
-        below = result.get(key)
-        if isinstance(value, dict) and isinstance(below, dict):
-            result[key] = _merged(below, value)
-        elif key in ("keep_outs", "keep_ins", "rally_points") and isinstance(value, list):
-            result[key] = [*value, *(below or [])]
-        else:
-            result[key] = value
-    return result
 
 
 def _at(table: RawTable, path: str) -> Any:
