@@ -69,7 +69,8 @@ from companion.world.simulated import true_map
 _INTERRUPTED, _CRASHED = 130, 70
 _NO_OUTPUT = (errno.ENOSPC, errno.EPIPE, errno.EIO)
 _LOADING = "loading the planner (compiled the first time, in some fifteen seconds)"
-_USAGE_ERROR = typer.BadParameter.__bases__  # typer has no name for the class of all of them
+_USAGE_ERROR = cast("tuple[type[Exception], ...]", typer.BadParameter.__bases__)
+"""The class of all of them, for which typer has no name."""
 
 _CONNECT = "udpin:127.0.0.1:14540"
 

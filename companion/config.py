@@ -14,7 +14,6 @@ from companion.errors import InputError
 from companion.geodesy import LocalFrame
 from companion.mission.mission import Mission
 from companion.planner import rules
-from companion.sources.elevation import ElevationFile
 from companion.sources.files import (
     PLAN,
     WAYPOINTS,
@@ -162,9 +161,7 @@ def _terrain(model: WorldTable | FileWorldTable, name_or_path: str) -> Terrain:
         )
     origin, area = model.origin, model.area
     rules.refuse(rules.of_area(*area.sides_m), f"{name_or_path}: ")
-    told = {key: value for key, value in model.terrain if key != "file"}
-    path, field = folder_of(name_or_path) / model.terrain.file, f"{name_or_path}: terrain.file"
-    file = ElevationFile(path=path, field=field, **told)
+    file = model.terrain.elevation(folder_of(name_or_path), name_or_path)
     return file.terrain(LocalFrame(**dict(origin)), area.sides_m)
 
 

@@ -5,7 +5,7 @@ import json
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -147,15 +147,19 @@ def with_settings(table: RawTable, settings: Sequence[str]) -> RawTable:
     Raises InputError for what is not of that form; whether there is such a key is not checked.
     """
     for setting in settings:
-        key, sign, value = setting.partition("=")
-        told = None
-        for each in (value, _value(value.strip())):  # a string: people leave out the quotes
-            with suppress(RecursionError, ValueError):
-                told = told or tomllib.loads(f"{key} = {each}")
-        if not sign or told is None:
+        path, sign, text = setting.partition("=")
+        *above, last = [key.strip() for key in path.split(".")]
+        if not sign or not all([*above, last]):
             remedy = "Write it like planner.safety_distance_m=300."
             raise InputError("--set", setting, "it is not a key, an = and a value", remedy)
-        table = merged(table, told)
+        table = here = dict(table)
+        for key in above:
+            below = here.get(key)
+            here[key] = here = dict(below) if isinstance(below, dict) else {}
+        try:
+            here[last] = tomllib.loads(f"value = {text}")["value"]
+        except (RecursionError, ValueError):
+            here[last] = text.strip()  # a string: people leave out the quotes
     return table
 
 

@@ -6,9 +6,8 @@ table itself (`complete`), so that a run folder holds all that was flown.
 
 from collections.abc import Collection, Iterator
 from dataclasses import replace
-from itertools import accumulate
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,8 +23,9 @@ from companion.profiles import PROFILES, Weights
 from companion.sources.files import WAYPOINTS, RawTable, begins_as, plain
 from companion.sources.geojson import NoZone, read_geojson
 from companion.sources.mission_schema import (
-    KnownTerrainTable,
+    KnownElevationTable,
     MissionTable,
+    StatedTable,
     TargetTable,
     ThreatsTable,
 )
@@ -43,8 +43,6 @@ from companion.world.columns import distance_to_terrain_m
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.near_map import cell_for_m
 
-_DATUM_ERROR_M: Final = 5.0
-"""Of an elevation file that says nothing of it."""
 _MENTIONED_M = 1.0  # a smaller difference is worth no mention
 _STEP_M = 5.0
 
@@ -108,10 +106,12 @@ def _ground(table: RawTable, folder: Path, where: str) -> Ground | None:
     """The ground that [terrain] knows, for altitudes above it; None: it says nothing."""
     if not isinstance(said := table.get("terrain"), dict):
         return None
-    terrain = validated(KnownTerrainTable, said, f"{where}: terrain")
-    if (file := terrain.elevation(folder, where)) is not None:
-        return file.height_m
-    return lambda *_: terrain.highest_amsl_m
+    if "highest_amsl_m" in said:
+        stated_m = validated(StatedTable, said, f"{where}: terrain").highest_amsl_m
+        return lambda *_: stated_m
+    return (
+        validated(KnownElevationTable, said, f"{where}: terrain").elevation(folder, where).height_m
+    )
 
 
 def mission_of(
@@ -124,7 +124,7 @@ def mission_of(
     vehicle, terrain = model.vehicle, model.terrain
     frame = LocalFrame(**dict(model.origin))
     near = model.scanner.sensor(model.planner.scan_range_m)
-    stated_m = None if terrain is None else terrain.highest_amsl_m
+    stated_m = terrain.highest_amsl_m if isinstance(terrain, StatedTable) else None
     limits, settings = _limits(model), _settings(model, profile)
     if near is not None:
         settings = replace(settings, cell_m=cell_for_m(near.range_m, limits.north_m, limits.east_m))
@@ -214,9 +214,10 @@ def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -
         return None
     blank = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
     may_be_scanned, shape = model.vehicle.scanner, blank.upper_m.shape
-    if (file := table.elevation(Path(), where)) is not None:
-        error_m = _DATUM_ERROR_M if table.datum_error_m is None else table.datum_error_m
-        told = file.known_map(frame, blank, datum_error_m=error_m, may_be_scanned=may_be_scanned)
+    if isinstance(table, KnownElevationTable):
+        told = table.elevation(Path(), where).known_map(
+            frame, blank, datum_error_m=table.datum_error_m, may_be_scanned=may_be_scanned
+        )
     else:  # a radar, if there is one, may see it lower
         told = replace(
             blank,
@@ -226,7 +227,7 @@ def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -
         )
     if task.settings.is_near:  # known is the ground, and nothing of what stands on it
         return replace(blank, guess_m=told.upper_m)
-    if table.trust == "guidance":
+    if isinstance(table, KnownElevationTable) and table.trust == "guidance":
         return replace(blank, guess_m=np.where(told.surveyed, told.upper_m, np.nan))
     return told
 
@@ -236,9 +237,9 @@ def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -
 
 def _carried_on(altitudes_amsl_m: list[float | None]) -> tuple[float | None, ...]:
     """Each target's altitude, of one that has none that of the target before; () if none has."""
-    carried = tuple(
-        accumulate(altitudes_amsl_m, lambda before, own: before if own is None else own)
-    )
+    carried: tuple[float | None, ...] = ()
+    for altitude in altitudes_amsl_m:
+        carried += (altitude if altitude is not None or not carried else carried[-1],)
     return carried if carried and carried[-1] is not None else ()
 
 

@@ -8,10 +8,9 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import fields
-from pathlib import Path
-from typing import Annotated, Final, Literal, get_args
+from typing import Annotated, Any, Final, Literal, get_args
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Discriminator, Field, Tag
 from pydantic_core import PydanticCustomError
 
 from companion.geodesy import wrap_rad
@@ -24,14 +23,13 @@ from companion.planner.rules import Broken
 from companion.planner.settings import PlannerSettings
 from companion.profiles import Weights
 from companion.ranges import Latitude, Longitude, NotNegative, Positive
-from companion.sources.elevation import ElevationFile, VerticalDatum
 from companion.sources.geojson import NoZone
 from companion.sources.schema import (
     Altitude,
     AreaTable,
+    ElevationTable,
     FileName,
     Horizontal,
-    Nodata,
     OriginTable,
     Table,
     broken_of,
@@ -279,44 +277,30 @@ class ThreatsTable(Table):
     leave_out: list[NoZone] = Field(default_factory=list)
 
 
-class KnownTerrainTable(Table):
-    """Terrain known in advance: from an elevation file, or one statement about all of the map."""
+class StatedTable(Table):
+    """Terrain known in advance by one statement about all of the map."""
 
-    highest_amsl_m: Altitude | None = None
+    highest_amsl_m: Altitude
     """The ground is nowhere higher than this."""
-    file: FileName | None = None
-    """Relative to the mission's folder."""
-    vertical_datum: VerticalDatum | None = None
-    nodata: Nodata | None = None
-    """What lies where the file has no height.  Left out: unknown until it has been scanned."""
-    datum_error_m: NotNegative | None = None
-    trust: Literal["proof", "guidance"] | None = None
-    """What reads the file: certificates too, or only the choice of the way; left out: proof."""
 
-    def elevation(self, folder: Path, where: str) -> ElevationFile | None:
-        """The file of it, named from a folder; None: it is a statement."""
-        if self.file is None or self.vertical_datum is None:
-            return None
-        return ElevationFile(
-            path=folder / self.file,
-            vertical_datum=self.vertical_datum,
-            nodata=self.nodata,
-            field=f"{where}: terrain.file",
-        )
 
-    def broken(self) -> Iterator[Broken]:
-        """It is a file and what its heights mean, or one height and nothing else."""
-        of_files = {key: value for key, value in self if key != "highest_amsl_m"}
-        if self.highest_amsl_m is None:
-            for key in ("file", "vertical_datum"):
-                if of_files[key] is None:
-                    remedy = f"Add {key}, or give highest_amsl_m alone; see docs/files.md."
-                    yield key, None, "it is missing", remedy
-        else:
-            for key, value in of_files.items():
-                if value is not None:
-                    rule = "highest_amsl_m speaks of all of the map, and of no file"
-                    yield key, value, rule, _REMOVE_ONE
+class KnownElevationTable(ElevationTable):
+    """Terrain known in advance from a file; where that has no height it is not."""
+
+    datum_error_m: NotNegative = 5.0
+    trust: Literal["proof", "guidance"] = "proof"
+    """What reads the file: certificates too, or only the choice of the way."""
+
+
+def _kind_of_terrain(table: Any) -> str:
+    says_height = isinstance(table, dict) and any(key.startswith("highest") for key in table)
+    return "(stated)" if says_height else "(file)"
+
+
+KnownTerrain = Annotated[
+    Annotated[StatedTable, Tag("(stated)")] | Annotated[KnownElevationTable, Tag("(file)")],
+    Discriminator(_kind_of_terrain),
+]
 
 
 def _folder_name(name: str) -> str:
@@ -347,7 +331,7 @@ class MissionTable(Table):
     battery: BatteryTable = BatteryTable()
     link: LinkTable = LinkTable()
     from_vehicle: FromVehicleTable = FromVehicleTable()
-    terrain: KnownTerrainTable | None = None
+    terrain: KnownTerrain | None = None
     radars: list[MissionRadarTable] = Field(default_factory=list)
     keep_outs: list[ZoneTable] = Field(default_factory=list)
     keep_ins: list[ZoneTable] = Field(default_factory=list)
@@ -362,7 +346,7 @@ class MissionTable(Table):
         """Its tables fit one another."""
         vehicle, terrain, targets = self.vehicle, self.terrain, self.targets
         from_vehicle = self.from_vehicle.targets_from_vehicle
-        trust = None if terrain is None else terrain.trust
+        trust = terrain.trust if isinstance(terrain, KnownElevationTable) else None
         if vehicle.kind == "plane" and vehicle.autopilot is not None:
             strategy = named(vehicle.autopilot, vehicle.kind)
             ends = {"end.action": self.end.end_action, "fallback.action": self.fallback.fallback}

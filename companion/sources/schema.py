@@ -9,6 +9,7 @@ import difflib
 import typing
 from collections.abc import Iterator
 from dataclasses import MISSING, fields
+from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
 from pydantic import (
@@ -24,7 +25,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from companion.errors import InputError
 from companion.planner.rules import Broken
 from companion.ranges import Longitude, Positive
-from companion.sources.elevation import VerticalDatum
+from companion.sources.elevation import ElevationFile, VerticalDatum
 
 Horizontal = Annotated[float, Field(ge=-1e6, le=1e6)]
 Altitude = Annotated[float, Field(ge=-500.0, le=50_000.0)]
@@ -140,14 +141,23 @@ class TerrainTable(Table):
     peaks: list[PeakTable] = []
 
 
-class FileTerrainTable(Table):
-    """The true terrain of a world, from an elevation file."""
+class ElevationTable(Table):
+    """Terrain from an elevation file."""
 
     file: FileName
-    """Relative to the world file's folder."""
+    """Relative to the folder of the file that names it."""
     vertical_datum: VerticalDatum
     nodata: Nodata | None = None
-    """What lies where the file has no height: the sea, or ground AMSL.  Left out: an error."""
+    """What lies where the file has no height: the sea, or ground AMSL."""
+
+    def elevation(self, folder: Path, where: str) -> ElevationFile:
+        """The file of it, named from a folder."""
+        return ElevationFile(
+            path=folder / self.file,
+            vertical_datum=self.vertical_datum,
+            nodata=self.nodata,
+            field=f"{where}: terrain.file",
+        )
 
 
 class WorldVehicleTable(Table):
@@ -172,7 +182,7 @@ class WorldTable(Table):
 class FileWorldTable(WorldTable):
     """A world.toml whose terrain is an elevation file: it says how much of it is needed."""
 
-    terrain: FileTerrainTable  # type: ignore[assignment]
+    terrain: ElevationTable  # type: ignore[assignment]
     area: AreaTable
 
 
@@ -191,7 +201,8 @@ def validated(model: type[Model], table: dict[str, Any], where: str) -> Model:
 
 
 def _input_error(detail: ErrorDetails, where: str) -> InputError:
-    kind, place, value, told = detail["type"], detail["loc"], detail["input"], detail.get("ctx", {})
+    kind, value, told = detail["type"], detail["input"], detail.get("ctx", {})
+    place = tuple(step for step in detail["loc"] if not str(step).startswith("("))  # not a tag
     rule, remedy = detail["msg"], "Give a valid value; see docs/files.md."
     if kind in (_UNKNOWN, _BROKEN):
         value, remedy, place = told["value"], told["remedy"], (*place, told["field"])

@@ -467,6 +467,7 @@ REFUSED: list[tuple[str, str]] = [
     (BLIND + GUIDES, "guidance proves nothing"),
     (STATED + GUIDES, "mission.toml: terrain.trust = 'guidance'"),
     (KNOWN + 'trust = "hope"\n', "terrain.trust"),
+    ("terrain = 7\n" + COPTER, "terrain = 7: it must be a valid dictionary"),
     (
         KNOWN.replace("longitude_deg = 8.0", "longitude_deg = 18.0"),
         "terrain.file.*no height anywhere on the map",
@@ -477,13 +478,13 @@ REFUSED: list[tuple[str, str]] = [
     (KNOWN + "datum_error_m = -1.0\n", "greater than or equal to 0"),
     (KNOWN + "datum_m = 1.0\n", "Did you mean datum_error_m?"),
     # a statement about the ground stands alone
-    (STATED + 'file = "dem.tif"\n', "dem.tif': highest_amsl_m speaks of all"),
+    (STATED + 'file = "dem.tif"\n', r"terrain\.file = .*: no such key"),
     (STATED + 'vertical_datum = "AMSL"\n', "terrain.vertical_datum = 'AMSL'"),
     (STATED + 'nodata = "sea"\n', "terrain.nodata = 'sea'"),
     (STATED + "datum_error_m = 5.0\n", "terrain.datum_error_m = 5.0"),
     (STATED.replace("840.0", "inf"), "terrain.highest_amsl_m = inf"),
     (STATED.replace("840.0", '"low"'), "terrain.highest_amsl_m = 'low'"),
-    (COPTER + "[terrain]\n", "terrain.file = None: it is missing. Add file, or give highest"),
+    (COPTER + "[terrain]\n", "terrain.file = None: it is missing. Add file"),
     (STATED.replace("highest_amsl_m", "highest_m"), "Did you mean highest_amsl_m?"),
 ]
 
