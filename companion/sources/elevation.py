@@ -118,11 +118,7 @@ class ElevationFile:
     def _opened(self) -> Iterator[Any]:
         """The file, that has been checked; InputError for what is refused meanwhile, too."""
         path, field = self.path, self.field
-        try:
-            rasterio = importlib.import_module("rasterio")  # 0.2 s and 100 MB that few worlds need
-        except ImportError as error:
-            rule = f"elevation files need the package rasterio ({error})"
-            raise InputError(field, str(path), rule, "Install rasterio.") from None
+        rasterio = importlib.import_module("rasterio")  # 0.2 s and 100 MB that few worlds need
         if not (answer(path.is_file) and str(path).isprintable()):  # GDAL takes UTF-8 alone
             raise InputError(field, str(path), "no such file, or of an odd name", _NAME_ONE)
         driver = "SRTMHGT" if path.suffix.lower() == ".hgt" else "GTiff"
@@ -148,27 +144,29 @@ def _refusals(source: Any, vertical_datum: str) -> Iterator[_RefusedError]:
     flat = crs.sub_crs_list[0] if crs.is_compound else crs
     ellipsoid = flat.ellipsoid.name if flat.ellipsoid else "none"
     meridian = flat.prime_meridian.longitude if flat.prime_meridian else 0.0
-    if not flat.is_geographic or ellipsoid not in _ELLIPSOIDS or meridian != 0.0:
-        rule = f"its coordinates are {flat.name}, not latitude and longitude of WGS84"
-        yield _RefusedError(rule, _WARP)
-    if len(flat.axis_info) == 3:
-        rule, remedy = "its heights are above the ellipsoid", "Convert them to a vertical datum."
-        yield _RefusedError(rule, remedy)
-    if crs.is_compound and not _same_datum(crs.sub_crs_list[1].name, vertical_datum):
-        rule = f"it says that its heights are {crs.sub_crs_list[1].name}, not {vertical_datum}"
-        yield _RefusedError(rule, "Correct terrain.vertical_datum.")
-    at = source.transform
-    if at.b or at.d or at.a <= 0.0 or at.e >= 0.0:
-        yield _RefusedError("its rows do not run from north to south", _WARP)
-    if max(at.a, -at.e) * _DEG_M > _COARSEST_M:
-        rule = f"its cells of {-at.e * _DEG_M:.0f} m are coarser than {_COARSEST_M:.0f} m"
-        yield _RefusedError(rule, "Name a finer file.")
-    if source.count != 1 or np.dtype(source.dtypes[0]).kind not in "iuf":
-        yield _RefusedError("it is not one band of heights", "Name a file of elevations.")
-    if source.scales[0] != 1.0 or source.offsets[0] != 0.0:
-        yield _RefusedError("its heights are scaled", "Convert it (gdal_translate -unscale).")
-    if (source.units[0] or "m").lower() not in ("m", "metre", "meter", "metres", "meters"):
-        yield _RefusedError(f"its heights are in {source.units[0]}", "Convert them to metres.")
+    at, unit = source.transform, (source.units[0] or "m").lower()
+    datum = crs.sub_crs_list[1].name if crs.is_compound else vertical_datum
+    rules = (
+        (not flat.is_geographic or ellipsoid not in _ELLIPSOIDS or meridian != 0.0,
+         f"its coordinates are {flat.name}, not latitude and longitude of WGS84", _WARP),
+        (len(flat.axis_info) == 3,
+         "its heights are above the ellipsoid", "Convert them to a vertical datum."),
+        (not _same_datum(datum, vertical_datum),
+         f"it says that its heights are {datum}, not {vertical_datum}",
+         "Correct terrain.vertical_datum."),
+        (at.b or at.d or at.a <= 0.0 or at.e >= 0.0,
+         "its rows do not run from north to south", _WARP),
+        (max(at.a, -at.e) * _DEG_M > _COARSEST_M,
+         f"its cells of {-at.e * _DEG_M:.0f} m are coarser than {_COARSEST_M:.0f} m",
+         "Name a finer file."),
+        (source.count != 1 or np.dtype(source.dtypes[0]).kind not in "iuf",
+         "it is not one band of heights", "Name a file of elevations."),
+        (source.scales[0] != 1.0 or source.offsets[0] != 0.0,
+         "its heights are scaled", "Convert it (gdal_translate -unscale)."),
+        (unit not in ("m", "metre", "meter", "metres", "meters"),
+         f"its heights are in {unit}", "Convert them to metres."),
+    )  # fmt: skip
+    yield from (_RefusedError(rule, remedy) for is_broken, rule, remedy in rules if is_broken)
 
 
 def _same_datum(name: str, vertical_datum: str) -> bool:
