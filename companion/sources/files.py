@@ -18,38 +18,35 @@ PICTURES = (".png", ".svg", ".pdf")
 """How files of pictures end."""
 
 MAX_BYTES = 64_000_000
-PLAN = re.compile(rb'\{.*?"fileType"\s*:\s*"Plan"', re.DOTALL)
-WAYPOINTS = re.compile(rb"QGC WPL")
+PLAN, WAYPOINTS = b"{", b"QGC WPL"
 """How the content of these files begins, behind white space."""
+_BEGINNING_BYTES = 4096
 
 
 def read_text(path: Path, field: str, remedy: str) -> str:
     """The text of a file.  Raises InputError about the field if there is none to be read."""
+    rule = "it is a folder" if answer(path.is_dir) else "no such file"
     try:
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
-        rule = f"it is larger than {MAX_BYTES / 1e6:g} MB"
-        if len(data) <= MAX_BYTES:
-            return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+        if answer(path.is_file):
+            rule = f"it is larger than {MAX_BYTES / 1e6:g} MB"
+            if path.stat().st_size <= MAX_BYTES:
+                return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         rule = f"it cannot be read: it is no text in UTF-8, from byte {error.start}"
-    except (OSError, ValueError) as error:
+    except OSError as error:
         rule = f"it cannot be read ({error})"
-        if not answer(path.is_file):
-            rule = "it is a folder" if answer(path.is_dir) else "no such file"
     raise InputError(field, str(path), rule, remedy)
 
 
-def begins_as(path: Path, *kinds: re.Pattern[bytes]) -> bool:
-    """Whether a file is of one of these kinds, by its content; no, if it cannot be read."""
+def begins_as(path: Path, *beginnings: bytes) -> bool:
+    """Whether the content of a file begins so, behind white space; no, if it cannot be read."""
 
     def begins() -> bool:
-        if not path.is_file() or path.stat().st_size > MAX_BYTES:
-            return False
-        content = path.read_bytes().removeprefix(b"\xef\xbb\xbf").lstrip()
-        return any(kind.match(content) is not None for kind in kinds)
+        with path.open("rb") as file:
+            content = file.read(_BEGINNING_BYTES).removeprefix(b"\xef\xbb\xbf").lstrip()
+        return content.startswith(beginnings)
 
-    return answer(begins)
+    return answer(path.is_file) and answer(begins)
 
 
 def answer(question: Callable[[], bool]) -> bool:

@@ -136,7 +136,7 @@ def test_a_plan_is_a_plan_under_any_name(tmp_path: Path, name: bytes) -> None:
     [
         (b"", "it is missing"),
         (b"<!DOCTYPE html><html>", "not TOML"),
-        (b'{"type": "FeatureCollection", "features": []}', "not TOML"),
+        (b'{"type": "FeatureCollection", "features": []}', "not TOML|no QGroundControl plan"),
         ('schema = 1\nname = "x"\n'.encode("utf-16"), "no text in UTF-8"),
         (gzip.compress(b"QGC WPL 110\n", mtime=0), "no text in UTF-8"),
         (BEGINNING_OF_A_ULG, "no text in UTF-8"),
