@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, final
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AliasPath, BaseModel, ConfigDict, Field
 
 from companion.errors import InputError
 from companion.mavlink import fence
@@ -64,7 +64,9 @@ class Item(_Json):
     altitude_m: _Number = Field(None, alias="Altitude")
     above_terrain_amsl_m: _Number = Field(None, alias="AMSLAltAboveTerrain")
     complex_type: str = Field("", alias="complexItemType")
-    survey: "_Survey | None" = Field(None, alias="TransectStyleComplexItem")
+    survey: list["Item"] = Field(
+        default_factory=list, validation_alias=AliasPath("TransectStyleComplexItem", "Items")
+    )
 
     @property
     def place(self) -> list[float | None]:
@@ -76,10 +78,6 @@ class Item(_Json):
         return (self.command, self.params[:1]) == (other.command, other.params[:1])
 
 
-class _Survey(_Json):
-    items: list[Item] = Field(default_factory=list, alias="Items")
-
-
 class _Mission(_Json):
     version: _Version = 2
     hover_speed_m_s: _Number = Field(None, alias="hoverSpeed")
@@ -89,14 +87,10 @@ class _Mission(_Json):
     items: list[Item] = []
 
 
-class _Circle(_Json):
-    center: _Corner
-    radius: Positive
-
-
 class _FenceCircle(_Json):
     inclusion: bool
-    circle: _Circle
+    center: _Corner = Field(validation_alias=AliasPath("circle", "center"))
+    radius: Positive = Field(validation_alias=AliasPath("circle", "radius"))
 
 
 class _FencePolygon(_Json):
@@ -189,10 +183,9 @@ def read_plan(path: Path, where: str, ground: Ground | None = None) -> Plan:
     plan = launched(name, mission.home, f"{name}: mission.plannedHomePosition", remedy)
     plan.kind = _kind(mission.vehicle_type, name)
     plan.speed_m_s = {"copter": mission.hover_speed_m_s, "plane": mission.cruise_speed_m_s}
-    for k, each in enumerate(content.fence.circles):
-        at, circle = f"{name}: geoFence.circles[{k}]", each.circle
-        radius_m = circle.radius
-        plan.add_zone(f"fence circle {k + 1}", at, each.inclusion, circle.center, radius_m=radius_m)
+    for k, circle in enumerate(content.fence.circles):
+        at, inside, radius_m = f"{name}: geoFence.circles[{k}]", circle.inclusion, circle.radius
+        plan.add_zone(f"fence circle {k + 1}", at, inside, circle.center, radius_m=radius_m)
     for k, polygon in enumerate(content.fence.polygons):
         at = f"{name}: geoFence.polygons[{k}]"
         plan.add_zone(f"fence polygon {k + 1}", at, polygon.inclusion, *polygon.polygon)
@@ -247,8 +240,8 @@ class _Items:
             self._take_simple(item, where)
         elif item.complex_type.endswith("LandingPattern"):
             self.left_out[item.complex_type] += 1
-        elif item.survey is not None and item.survey.items:
-            for number, inner in enumerate(item.survey.items):
+        elif item.survey:
+            for number, inner in enumerate(item.survey):
                 self.take(inner, f"{where}.TransectStyleComplexItem.Items[{number}]")
         else:
             rule = "it holds no waypoints"
