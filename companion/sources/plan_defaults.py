@@ -23,7 +23,6 @@ _LOITER_BANK_RAD: Final = math.radians(35.0)
 _MIN_LOITER_M: Final = 100.0  # both autopilots ask for 80, ArduPlane flies 17 more
 _SEARCH_ERRORS: Final = 1.1  # of the vehicle's errors: kept besides d_s (`Task.band_amsl_m`)
 _BAND_ERRORS: Final = 8.0
-_ERROR_M: Final = 5.0  # tracking and navigation, each, where a mission says nonsense
 _MAX_M_S: Final = 500.0
 _FARTHEST_M: Final = 1e6  # from the origin, as for any place (`sources.zones`)
 
@@ -50,13 +49,13 @@ def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[st
     too far from launch for any map, or whose altitude without a radar is not known.
     """
     said = _at(given, "vehicle.kind")
-    kind = said if said in _SPEED_M_S else plan.kind or "copter"
+    kind = said if said in ("copter", "plane") else plan.kind or "copter"
     is_blind = _at(given, "vehicle.scanner") is False
     ground_m = max(_number(given, "terrain.highest_amsl_m", plan.home_amsl_m), plan.home_amsl_m)
     own_targets = not _at(given, "from_vehicle.targets")
     vehicle, notes = _vehicle(given, plan, kind)
     errors_m = sum(
-        _number(given, f"vehicle.{key}", vehicle.get(key, _ERROR_M), above=0.0)
+        _number(given, f"vehicle.{key}", vehicle[key], above=0.0)
         for key in ("tracking_error_m", "navigation_error_m")
     )
     if plan.unknown_altitudes and own_targets:

@@ -242,6 +242,11 @@ def test_a_mission_overrides_what_is_assumed_of_its_plan(tmp_path: Path) -> None
     assert "speed of the plan" not in said
 
 
+def test_a_kind_that_is_none_is_refused_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"vehicle\.kind = \['copter'\]: it must be"):
+        naming(tmp_path, FENCED, 'vehicle.kind = ["copter"]\n')
+
+
 def test_targets_are_those_of_the_mission_or_of_its_plan(tmp_path: Path) -> None:
     own = "[[targets]]\nnorth_m = 1000.0\neast_m = 300.0\n"
     with pytest.raises(InputError, match=r"x\.plan has waypoints too"):
