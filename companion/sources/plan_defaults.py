@@ -17,6 +17,7 @@ from companion.profiles import FLIGHT
 from companion.sources.files import RawTable, merged
 from companion.sources.mission_schema import TargetTable
 from companion.sources.plan_file import Plan
+from companion.sources.schema import OriginTable
 
 _GRAVITY_M_S2: Final = 9.81
 _LOITER_BANK_RAD: Final = math.radians(35.0)
@@ -162,11 +163,8 @@ def _area(table: RawTable, plan: Plan, sight_m: float) -> RawTable | None:
     None: the schema refuses what it would be drawn about.  InputError about the waypoint that makes
     it too large for a map.
     """
-    origin = [_number(table, f"origin.{axis}_deg", math.nan) for axis in ("latitude", "longitude")]
-    if not (abs(origin[0]) <= 85.0 and abs(origin[1]) <= 180.0):
-        return None
-    frame = LocalFrame(latitude_deg=origin[0], longitude_deg=origin[1])
     try:
+        frame = LocalFrame(**dict(OriginTable.model_validate(table["origin"])))
         targets = [TargetTable.model_validate(each) for each in table.get("targets", ())]
     except (TypeError, ValidationError):
         return None
