@@ -109,9 +109,8 @@ def _ground(table: RawTable, folder: Path, where: str) -> Ground | None:
     if "highest_amsl_m" in said:
         stated_m = validated(StatedTable, said, f"{where}: terrain").highest_amsl_m
         return lambda *_: stated_m
-    return (
-        validated(KnownElevationTable, said, f"{where}: terrain").elevation(folder, where).height_m
-    )
+    terrain = validated(KnownElevationTable, said, f"{where}: terrain")
+    return terrain.elevation(folder, where).height_m
 
 
 def mission_of(

@@ -176,9 +176,8 @@ class ScannerTable(
     def broken(self) -> Iterator[Broken]:
         """It says what its kind has."""
         is_radar, component, keys = self.kind == _RADAR, self.component_id, type(self).model_fields
-        for name in (
-            sorted(self.model_fields_set - {"kind", "scanner_complete"}) if is_radar else ()
-        ):
+        of_others = self.model_fields_set - {"kind", "scanner_complete"} if is_radar else set()
+        for name in sorted(of_others):
             rule = "a terrain radar has no such key: it is of the other kinds"
             remedy = f"Remove it, or write one of these kinds: {', '.join(get_args(Kind))}."
             yield keys[name].alias or name, getattr(self, name), rule, remedy

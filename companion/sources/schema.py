@@ -31,8 +31,6 @@ Horizontal = Annotated[float, Field(ge=-1e6, le=1e6)]
 Altitude = Annotated[float, Field(ge=-500.0, le=50_000.0)]
 Nodata = Literal["sea"] | Altitude
 FileName = Annotated[str, Field(min_length=1, max_length=1000)]
-
-
 _UNKNOWN, _BROKEN = "unknown_key", "broken_rule"
 
 
@@ -55,15 +53,13 @@ class Table(BaseModel):
     @classmethod
     def _has_no_other_key(cls, table: Any) -> Any:
         known = sorted(info.alias or name for name, info in cls.model_fields.items())
-        for key in (
-            table if isinstance(table, dict) and cls.model_config["extra"] == "forbid" else ()
-        ):
-            if key not in known:
-                nearest = difflib.get_close_matches(key, known, n=1, cutoff=0.0)
-                first = f"Did you mean {nearest[0]}?" if nearest else "Remove it."
-                remedy = f"{first} Known here: {', '.join(known)}."
-                rule = "no such key (units are part of keys)"
-                raise _refusal(_UNKNOWN, key, table[key], rule, remedy)
+        unknown = [key for key in table if key not in known] if isinstance(table, dict) else []
+        if unknown and cls.model_config["extra"] == "forbid":
+            nearest = difflib.get_close_matches(unknown[0], known, n=1, cutoff=0.0)
+            first = f"Did you mean {nearest[0]}?" if nearest else "Remove it."
+            remedy = f"{first} Known here: {', '.join(known)}."
+            rule = "no such key (units are part of keys)"
+            raise _refusal(_UNKNOWN, unknown[0], table[unknown[0]], rule, remedy)
         return table
 
     @model_validator(mode="after")
