@@ -53,7 +53,7 @@ from companion.runtime.loop import fly
 from companion.runtime.preflight import run_preflight
 from companion.runtime.terminal import Terminal, stop_signals
 from companion.session import Session
-from companion.sources.files import picture_file, remove_torn, writing
+from companion.sources.files import picture_file, writing
 from companion.telemetry.flight_status import LOADS, SCHEMA, VERSION, FlightBegun, flight_status
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.resume import ResumeData, load_resume_data
@@ -67,7 +67,8 @@ from companion.world.simulated import true_map
 
 _INTERRUPTED, _CRASHED = 130, 70
 _NO_OUTPUT = (errno.ENOSPC, errno.EPIPE, errno.EIO)
-_USAGE_ERROR = typer.BadParameter.__bases__  # typer has no name for the class of all of them
+_USAGE_ERROR = cast("tuple[type[Exception], ...]", typer.BadParameter.__bases__)
+"""The class of all of them, for which typer has no name."""
 
 _CONNECT = "udpin:127.0.0.1:14540"
 
@@ -100,41 +101,32 @@ MissionArgument = Annotated[
     ),
 ]
 _PROFILE_HELP = (
-    "*flight*: made safe, checked before it is flown (the default). "
-    "*paper*: literally as published, for comparison; not safe to fly."
+    "*flight*: checked before it is flown (the default). *paper*: as published; not safe."
 )
 _SEED_HELP = "Seed of the search: the same seed plans the same path."
 _CONNECT_HELP = (
-    "Where the vehicle is: udpin:HOST:PORT waits for it, udpout:HOST:PORT calls it, "
-    "tcp:HOST:PORT, or a serial device and its baud rate: /dev/ttyACM0,57600."
+    "Where the vehicle is: udpin:HOST:PORT waits for it, udpout:HOST:PORT and tcp:HOST:PORT call "
+    "it; or a serial device and its baud rate: /dev/ttyACM0,57600."
 )
 _SYSTEM_HELP = "MAVLink system id of the vehicle; by default the mission's, or the only one heard."
-_KEY_HELP = (
-    "File with the key of a signed link: a phrase, or 64 hexadecimal digits; "
-    "readable by nobody else."
-)
+_KEY_HELP = "File with the key of a signed link: a phrase or 64 hexadecimal digits, for you alone."
 _LOCKSTEP_HELP = "Let a simulator that was started with --lockstep run as fast as both can."
-_START_HELP = (
-    "Take off as soon as the vehicle is ready, without waiting for a go: for "
-    "simulators and scripts. --lockstep implies it."
-)
+_START_HELP = "Take off once ready, without a go: for scripts. --lockstep implies it."
 _SHADOW_HELP = "Plan and say what would be done, never command."
 _OUT_HELP = "Run folder to write; by default runs/DATE-MISSION."
 _RESUME_HELP = "Go on with the flight in the run folder --out, if one was interrupted there."
 _JSON_HELP = (
-    "Print lines of JSON for machines, how the flight stands and at last how it "
-    "ended; what is for people goes to standard error."
+    "Print how the flight stands as lines of JSON; what is for people goes to standard error."
 )
 _VIEW_HELP = "Show the flight in the browser while it is flown."
-_FIGURE_HELP = "Picture to write: .png, .svg or .pdf."
-_RUN_HELP = "The run folder of a flight, ended or not."
-_PAGE_HELP = "Page to write; by default RUN_DIR/report.html."
 ProfileOption = Annotated[ProfileName | None, typer.Option(help=_PROFILE_HELP)]
 SeedOption = Annotated[int, typer.Option(min=0, help=_SEED_HELP)]
 ConnectOption = Annotated[str, typer.Option(help=_CONNECT_HELP)]
 SystemOption = Annotated[int | None, typer.Option(min=1, max=255, help=_SYSTEM_HELP)]
 KeyOption = Annotated[Path | None, typer.Option(help=_KEY_HELP)]
-FigureOption = Annotated[Path, typer.Option("--figure", "--out", metavar="FILE", help=_FIGURE_HELP)]
+FigureOption = Annotated[
+    Path, typer.Option("--figure", "--out", metavar="FILE", help="A .png, .svg or .pdf.")
+]
 
 
 @app.command("fly")
@@ -221,11 +213,7 @@ def preflight_command(
     key = None if signing_key is None else SigningKey(signing_key)
     signing = None if key is None else key.signing(clock_s=_clock_s())
     session = Session(chosen, seed=1, lockstep=False, shadow=True, signing=signing)
-    with (
-        open_link(connect) as link,
-        console.status("asking the vehicle") as status,
-        stop_signals() as stop_asked,
-    ):
+    with open_link(connect) as link, console.status("") as status, stop_signals() as stop_asked:
         run_preflight(
             session,
             link,
@@ -290,8 +278,10 @@ def plan_command(
 
 @app.command("report")
 def report_command(
-    run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help=_RUN_HELP)],
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help=_PAGE_HELP)] = None,
+    run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="Of a flight, ended or not.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="By default RUN_DIR/report.html.")
+    ] = None,
 ) -> None:
     """Explain a flight on one page: how it went and why, maps, plans, health, events.
 
@@ -351,19 +341,19 @@ def main() -> None:
         sys.exit(error.exit_code)
     except typer.Abort:
         sys.exit(_INTERRUPTED)
-    except Exception as error:  # noqa: BLE001 - whatever it is, a crash has a code of its own
-        if isinstance(error, OSError) and error.filename is None and error.errno in _NO_OUTPUT:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for what is not yet written
-            sys.stderr.write(f"error: the output cannot be written ({error.strerror})\n")
-            sys.exit(InputError.exit_code)
-        if not isinstance(error, _USAGE_ERROR):
-            traceback.print_exc()
-            sys.exit(_CRASHED)
+    except _USAGE_ERROR as error:
         said = str(getattr(error, "format_message", error.__str__)())
         text = printable(" ".join(said.split()))
         if text:  # without: the help has been shown
             sys.stderr.write(f"error: {text.rstrip('.')}. See companion --help.\n")
         sys.exit(InputError.exit_code)
+    except Exception as error:  # noqa: BLE001 - whatever it is, a crash has a code of its own
+        if isinstance(error, OSError) and error.filename is None and error.errno in _NO_OUTPUT:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for what is not yet written
+            sys.stderr.write(f"error: the output cannot be written ({error.strerror})\n")
+            sys.exit(InputError.exit_code)
+        traceback.print_exc()
+        sys.exit(_CRASHED)
     sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -509,10 +499,10 @@ def _show(flown: FlightSummary, folder: RunFolder, console: Console, *, draws: b
         console.print(flight_table(flown))
     try:
         if flown.heard and draws:
-            draw_flown(flown, picture)
-    except OSError as error:
-        remove_torn(picture, error)
-        lines.insert(0, f"no picture: {error.strerror or error}")
+            with writing("picture", picture):
+                draw_flown(flown, picture)
+    except InputError as error:
+        lines.insert(0, f"no picture: {error.rule}")
     with contextlib.suppress(OSError):
         for line in lines:
             console.out(line, highlight=False)
@@ -533,8 +523,8 @@ def _exit_as_it_ended(flown: FlightSummary, connect: str) -> None:
 def _not_heard(session: Session, connect: str) -> tuple[str, str]:
     """Why there is no vehicle, and what to do about it."""
     refused = 0 if session.signing is None else session.signing.refused
-    if not session.senders and not session.receiver.passed + refused:
-        reason = f"--connect = {connect!r}: no vehicle was heard within 10 s"
-        return reason, "Start the vehicle, or give the address that it sends to."
-    reason, remedy = not_heard(session)
-    return reason.replace("none was", "no vehicle was"), remedy
+    if session.senders or session.receiver.passed + refused:
+        reason, remedy = not_heard(session)
+        return reason.replace("none was", "no vehicle was"), remedy
+    reason = f"--connect = {connect!r}: no vehicle was heard within 10 s"
+    return reason, "Start the vehicle, or give the address that it sends to."

@@ -8,13 +8,12 @@ from collections.abc import Sequence
 from contextlib import suppress
 from importlib import resources
 from pathlib import Path
-from typing import NamedTuple, final
+from typing import NamedTuple
 
 from companion.errors import InputError
 from companion.geodesy import LocalFrame
 from companion.mission.mission import Mission
 from companion.planner import rules
-from companion.sources.elevation import ElevationFile
 from companion.sources.files import (
     PLAN,
     WAYPOINTS,
@@ -27,9 +26,9 @@ from companion.sources.files import (
     toml_text,
     with_settings,
 )
-from companion.sources.mission_file import MissionFile, complete, explained, mission_of
+from companion.sources.mission_file import MissionFile, complete, mission_of
 from companion.sources.mission_schema import MissionTable
-from companion.sources.schema import FileWorldTable, WorldTable, removed_key, validated
+from companion.sources.schema import FileWorldTable, WorldTable, validated
 from companion.world.terrain import Peak, PeakTerrain, Terrain
 
 _OF_MISSIONS = {"targets", "planner", "altitude", "plan", "from_vehicle"}
@@ -38,7 +37,6 @@ _OLDER = re.compile(rb'\{"schema":"companion-journal","version":([12])[,}]')
 _HEADER_BYTES = 100
 
 
-@final
 class World(NamedTuple):
     """A world as `companion plan` needs it."""
 
@@ -94,7 +92,12 @@ def load_mission(
         model = validated(MissionTable, table, name_or_path)
         return mission_of(model, profile, name_or_path, whole.notes)
     except InputError as error:
-        raise explained(error, whole.assumed, name_or_path) from None
+        if not _is_plan(name_or_path):
+            raise
+        remedy = (
+            f"{error.remedy} What a plan lacks is assumed: name it in a mission.toml to say it."
+        )
+        raise InputError(error.field, error.value, error.rule, remedy) from None
 
 
 def refuse_older(run_dir: Path) -> None:
@@ -102,31 +105,30 @@ def refuse_older(run_dir: Path) -> None:
 
     Whatever else may be wrong with it is found by those who read it.
     """
-    by = ""
     with suppress(OSError), (run_dir / "journal.jsonl").open("rb") as file:
-        found = _OLDER.match(file.readline(_HEADER_BYTES))
-        if found is not None:
-            by = f"its journal is of version {found[1].decode()}"
-    with suppress(InputError):
-        if gone := removed_key(toml_table(read_text(run_dir / "mission.toml", "RUN_DIR", ""), "")):
-            by = by or f"its mission.toml has {gone}, which was removed"
-    if by:
-        rule, remedy = f"an older companion has recorded it: {by}", "Use companion 0.2.0 for it."
-        raise InputError("RUN_DIR", str(run_dir), rule, remedy)
+        if found := _OLDER.match(file.readline(_HEADER_BYTES)):
+            version = found[1].decode()
+            rule = f"an older companion has recorded it: its journal is of version {version}"
+            raise InputError("RUN_DIR", str(run_dir), rule, "Use companion 0.2.0 for it.")
 
 
 def _whole(name_or_path: str) -> MissionFile:
     """A mission with what the files that it names hold; a plan by itself names no other."""
-    path, is_bundled = Path(name_or_path), name_or_path in bundled()
-    is_plan = path.suffix.lower() == ".plan" and answer(path.is_file)
-    if not is_bundled and (is_plan or begins_as(path, PLAN, WAYPOINTS)):
-        table: RawTable = {"plan": path.name}
+    if _is_plan(name_or_path):
+        table: RawTable = {"plan": Path(name_or_path).name}
     else:
         table = toml_table(_read(name_or_path, "mission"), name_or_path)
     if "terrain" in table and not _OF_MISSIONS & table.keys():
         rule = "this is a world, not a mission"
         raise InputError("MISSION", name_or_path, rule, "Give its mission.toml.")
     return complete(table, folder_of(name_or_path), name_or_path)
+
+
+def _is_plan(name_or_path: str) -> bool:
+    """Whether it is a plan or a waypoint list by itself."""
+    path = Path(name_or_path)
+    is_named_so = path.suffix.lower() == ".plan" and answer(path.is_file)
+    return name_or_path not in bundled() and (is_named_so or begins_as(path, PLAN, WAYPOINTS))
 
 
 def world_table(name_or_path: str) -> RawTable:
@@ -159,9 +161,7 @@ def _terrain(model: WorldTable | FileWorldTable, name_or_path: str) -> Terrain:
         )
     origin, area = model.origin, model.area
     rules.refuse(rules.of_area(*area.sides_m), f"{name_or_path}: ")
-    told = {key: value for key, value in model.terrain if key != "file"}
-    path, field = folder_of(name_or_path) / model.terrain.file, f"{name_or_path}: terrain.file"
-    file = ElevationFile(path=path, field=field, **told)
+    file = model.terrain.elevation(folder_of(name_or_path), name_or_path)
     return file.terrain(LocalFrame(**dict(origin)), area.sides_m)
 
 
@@ -179,9 +179,5 @@ def _read(name_or_path: str, kind: str) -> str:
     if name_or_path in bundled():
         file = resources.files("companion") / "environments" / name_or_path / f"{kind}.toml"
         return file.read_text(encoding="utf-8")
-    path, names = Path(name_or_path), ", ".join(bundled())
-    if not answer(path.is_file):
-        rule = "it is a folder" if answer(path.is_dir) else "no such file, and no bundled name"
-        remedy = f"Give a {kind}.toml, or one of: {names}."
-        raise InputError(kind.upper(), name_or_path, rule, remedy)
-    return read_text(path, kind.upper(), f"Give a readable {kind}.toml, or one of: {names}.")
+    remedy = f"Give a {kind}.toml, or one of: {', '.join(bundled())}."
+    return read_text(Path(name_or_path), kind.upper(), remedy)

@@ -1,9 +1,10 @@
 """Parts by name: ours, and those that other distributions bring by their entry points."""
 
-from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from collections import UserDict
+from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import TypeVar, cast, final
+from typing import TypeVar, final
 
 from companion.errors import InputError
 
@@ -11,7 +12,7 @@ Part = TypeVar("Part")
 
 
 @final
-class Parts(MutableMapping[str, Part]):
+class Parts(UserDict[str, Part]):
     """Parts by name: our own, and those of the entry points of a group.
 
     Own names win; their parts may be told as an entry point tells them ("module:name").  What is
@@ -28,33 +29,31 @@ class Parts(MutableMapping[str, Part]):
         check: Callable[[Part], str | None],
     ) -> None:
         """check: what is wrong with a part, in a few words; None: nothing.  what: as people say."""
+        super().__init__({name: part for name, part in own.items() if not isinstance(part, str)})
         self._group, self._what, self._check = group, what, check
-        self._parts: dict[str, Part | str] = dict(own)
+        self._own = {
+            name: EntryPoint(name, part, group)
+            for name, part in own.items()
+            if isinstance(part, str)
+        }
 
-    def __getitem__(self, name: str) -> Part:
-        """The part.  Raises KeyError if there is none, InputError if it is broken."""
-        part = self._parts.get(name)
-        if part is None:
-            part = self._loaded(_found(self._group)[name])
-        elif isinstance(part, str):
-            part = cast("Part", EntryPoint(name, part, self._group).load())
-        self._parts[name] = part
+    def __missing__(self, name: str) -> Part:
+        """Load it.  Raises KeyError if there is none, InputError if it is broken."""
+        if name in self._own:
+            part: Part = self._own[name].load()
+        else:
+            part = self._checked(_found(self._group)[name])
+        self.data[name] = part
         return part
 
-    def __setitem__(self, name: str, part: Part) -> None:
-        self._parts[name] = part
-
-    def __delitem__(self, name: str) -> None:
-        del self._parts[name]
-
     def __contains__(self, name: object) -> bool:
-        return name in self._parts or name in _found(self._group)
+        return name in (*self._own, *self.data, *_found(self._group))
 
     def __iter__(self) -> Iterator[str]:
-        return iter(dict.fromkeys([*self._parts, *_found(self._group)]))
+        return iter(dict.fromkeys([*self._own, *self.data, *_found(self._group)]))
 
     def __len__(self) -> int:
-        return len(list(iter(self)))
+        return len([*iter(self)])
 
     def chosen(self, name: str, field: str) -> Part:
         """The part of this name; InputError about a field if there is none, or it is broken."""
@@ -63,7 +62,7 @@ class Parts(MutableMapping[str, Part]):
             raise InputError(field, name, f"there is no such {self._what}", f"One of: {known}.")
         return self[name]
 
-    def _loaded(self, point: EntryPoint) -> Part:
+    def _checked(self, point: EntryPoint) -> Part:
         whose = point.dist.name if point.dist is not None else "an unknown distribution"
         try:
             part: Part = point.load()

@@ -6,12 +6,8 @@ CompanionError
 └── FlightInterrupted   it is not over: a companion started again may go on: exit code 75
 """
 
-import re
 from typing import final
 
-_BYTE, _BYTE_IN_REPR = re.compile("[\udc80-\udcff]"), re.compile(r"\\udc([89a-f][0-9a-f])")
-"""How Python keeps bytes of file names that are no UTF-8: told as shells write them, \\xe9."""
-_as_byte = r"\\x\1"
 _MAX_SHOWN = 200
 """Characters of a value: it may be a whole file."""
 
@@ -35,9 +31,8 @@ class InputError(CompanionError):
         shown = repr(value)
         if len(shown) > _MAX_SHOWN:
             shown = f"{shown[:_MAX_SHOWN]}..."
-        message = f"{field} = {_BYTE_IN_REPR.sub(_as_byte, shown)}: {rule}. {remedy}"
-        message = _BYTE.sub(lambda found: f"\\x{ord(found[0]) - 0xDC00:02x}", message)
-        super().__init__(message)
+        message = f"{field} = {shown}: {rule}. {remedy}"
+        super().__init__(message.encode(errors="backslashreplace").decode())  # odd names of files
         self.field, self.value, self.rule, self.remedy = field, value, rule, remedy
 
 

@@ -20,13 +20,8 @@ def missing(extra: str) -> list[str]:
     return [package for package in PACKAGES[extra] if find_spec(package) is None]
 
 
-def hint(extra: str) -> str:
-    """How to install an extra."""
-    return f"In a checkout: scripts/setup.sh {extra}. Else: pip install 'companion[{extra}]'."
-
-
 def need(extra: str, field: str, value: object = True) -> None:
     """InputError if an extra is not installed that this option, or this value of it, needs."""
-    if absent := missing(extra):
-        rule = f"{' and '.join(absent)} {'is' if len(absent) == 1 else 'are'} not installed"
-        raise InputError(field, value, rule, hint(extra))
+    if absent := " and ".join(missing(extra)):
+        remedy = f"In a checkout: scripts/setup.sh {extra}. Else: pip install 'companion[{extra}]'."
+        raise InputError(field, value, f"not installed: {absent}", remedy)

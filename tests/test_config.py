@@ -13,8 +13,6 @@ from companion.errors import InputError
 from companion.mission.mission import EndAction, Mission
 from companion.optimise.registry import OPTIMISERS
 from companion.path.envelope import flown_on_m
-from companion.sources.files import toml_text
-from companion.sources.schema import REMOVED
 
 ENVIRONMENTS = Path(__file__).parents[1] / "companion" / "environments"
 TEXT = (ENVIRONMENTS / "environment-1" / "mission.toml").read_text(encoding="utf-8")
@@ -134,28 +132,7 @@ def test_the_optimiser_is_the_profiles_unless_the_mission_names_one(file: Path, 
     assert load(file, TEXT).task.settings.optimiser is None
     message = refused(file, naming("magic"))
     assert "planner.optimiser = 'magic'" in message
-    assert f"'{name}'" in message
-
-
-@pytest.mark.parametrize("gone", REMOVED)
-def test_a_key_or_value_that_is_gone_says_so_and_what_to_do(file: Path, gone: str) -> None:
-    path, _, value = gone.partition(" = ")
-    *tables, key = path.split(".")
-    text = (ENVIRONMENTS / "forest" / "mission.toml").read_text(encoding="utf-8")
-    table = tomllib.loads(text)
-    place = functools.reduce(lambda at, name: at.setdefault(name, {}), tables, table)
-    place[key] = value or 1.0
-    said = refused(file, toml_text(table))
-    assert said.endswith(
-        f"{path} = {place[key]!r}: it was removed in this version. {REMOVED[gone]}"
-    )
-
-
-def test_a_world_of_before_says_what_of_it_is_gone(tmp_path: Path) -> None:
-    path = tmp_path / "world.toml"
-    path.write_text(f"{WORLD_TEXT}\n[[traffic]]\nicao_address = 7\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"traffic = .*: it was removed in this version\. Leave"):
-        load_world(str(path))
+    assert name in message
 
 
 # --- files
@@ -214,8 +191,6 @@ def test_a_wrong_key_is_named_with_its_value_and_the_nearest_known_one(
     assert value[1].strip().strip('"') in message
     assert f"Did you mean {key}?" in message
     assert "Known here: " in message
-    if key == "floor_amsl_m":
-        assert "an altitude must name its datum" in message
 
 
 @pytest.mark.parametrize(
@@ -256,7 +231,7 @@ def test_a_key_that_is_deleted_or_renamed_is_an_input_error_and_nothing_else(
     else:
         message = refused(file, without)
         assert key in message
-        assert "it is missing" in message
+        assert "it is missing" in message or "a place is given by" in message
     lines[number] = lines[number].replace(f"{key} =", f"{key}{suffix} =", 1)
     assert f"{key}{suffix}" in refused(file, "\n".join(lines))
 

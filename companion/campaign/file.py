@@ -21,12 +21,13 @@ from companion.config import bundled
 from companion.errors import InputError
 from companion.optimise.registry import OPTIMISERS
 from companion.paper.rivals import PLANNERS
+from companion.planner.rules import Broken
 from companion.planning import OURS
 from companion.profiles import PROFILES
 from companion.ranges import Positive
 from companion.sources.files import answer, read_text, toml_table
 from companion.sources.mission_schema import Name
-from companion.sources.schema import Broken, Table, validated
+from companion.sources.schema import Table, validated
 
 Over = Literal["process", "planner"]
 Knowledge = Literal["scans", "full"]

@@ -22,10 +22,8 @@ _NETWORK: Final = re.compile(
     r"(?:udp:|(udpin|udpout|tcp):(?://)?)(\[[^\s/@\[\]]+\]|[^\s/@:\[\]]+):(\d{1,5})", re.ASCII
 )
 """As MAVSDK has it, with slashes; its udp:// may mean either way."""
-_SERIAL: Final = re.compile(r"(/[^,?]+)(?:,(\d{1,8}))?", re.ASCII)
-_SERIAL_OF_OTHERS: Final = re.compile(r"serial:(?://)?(/[^,?]+?)(?:[,:](\d{4,8}))?", re.ASCII)
-_RATE_BEHIND: Final = re.compile(r".*[ :]\d{4,8}")
-"""As others write the baud rate; no path of a device ends so."""
+_SERIAL: Final = re.compile(r"(?:serial:(?://)?)?(/[^,?]+?)(?:[,:](\d{4,8}))?", re.ASCII)
+"""As pymavlink and as MAVSDK have it."""
 
 
 @final
@@ -51,9 +49,9 @@ class Connection:
         family, *_, address = min(found, key=lambda each: each[0] is not socket.AF_INET)
         return family, (str(address[0]), self.number)
 
-    def refused(self, error: OSError) -> InputError:
+    def refused(self, error: Exception) -> InputError:
         """The error about a port or device that cannot be opened."""
-        rule = f"it cannot be opened ({error.strerror or error})"
+        rule = f"it cannot be opened ({getattr(error, 'strerror', None) or error})"
         return InputError(_OPTION, self.text, rule, _NOT_OPENED)
 
 
@@ -64,11 +62,8 @@ def parsed(text: str) -> Connection:
         if not 1 <= int(port) <= 65535:  # 0 would be one that nobody else knows
             raise _wrong(text, "a port is a number from 1 to 65535")
         return Connection(text, kind or "udpin", host.strip("[]"), int(port))
-    others = _SERIAL_OF_OTHERS.fullmatch(text)
-    if device := others or _SERIAL.fullmatch(text):
+    if device := _SERIAL.fullmatch(text):
         name, baud = device[1], int(device[2] or DEFAULT_BAUD)
-        if not others and _RATE_BEHIND.fullmatch(name):
-            raise _wrong(text, "the baud rate of a serial port comes after a comma")
         if not 1 <= baud <= _MAX_BAUD:
             raise _wrong(text, f"a baud rate is a number from 1 to {_MAX_BAUD}")
         return Connection(text, "serial", name, baud)

@@ -60,9 +60,8 @@ class SimulatedVehicle(Protocol):
 class VehicleLink(Link):
     """A link to a vehicle in this process: with nothing left to receive, it flies on by a tick."""
 
-    def __init__(self, vehicle: SimulatedVehicle, on_step: Callable[[], None] | None) -> None:
-        """on_step: called after each step of the vehicle."""
-        self._vehicle, self._on_step = vehicle, on_step
+    def __init__(self, vehicle: SimulatedVehicle) -> None:
+        self._vehicle = vehicle
         self._waiting: deque[bytes] = deque()
         self._began = False
 
@@ -88,11 +87,8 @@ class VehicleLink(Link):
             if not self._began:
                 self._began = True
                 vehicle.begin()
-            complete = False
-            while not complete:
-                complete = vehicle.step()
-                if self._on_step is not None:
-                    self._on_step()
+            while not vehicle.step():
+                pass
             vehicle.ask_for_sync()
         self._waiting.extend(datagrams([frame for _, frame in vehicle.take_frames()]))
 
@@ -103,16 +99,15 @@ def loop_in_process(
     *,
     planner: PlanFunction,
     stop_asked: Callable[[], bool] = lambda: False,
-    on_step: Callable[[], None] | None = None,
 ) -> ControlLoop:
     """The loop of a flight in lockstep, for callers that fly it turn by turn.
 
-    They say who is to `record` it, if anybody.  stop_asked: ends the mission, as
-    Ctrl-C does.  on_step: called after each step of the vehicle, to look at it or to change it.
+    They say who is to `record` it, if anybody.  stop_asked: ends the mission, as Ctrl-C does; it is
+    asked in each turn.
     """
     loop = ControlLoop(
         session,
-        VehicleLink(vehicle, on_step),
+        VehicleLink(vehicle),
         lockstep=True,
         clock=lambda: vehicle.now_us * 1e-6,
         stop_asked=stop_asked,
@@ -134,16 +129,13 @@ def fly_in_process(
     planner: PlanFunction,
     folder: RunFolder | None = None,
     stop_asked: Callable[[], bool] = lambda: False,
-    on_step: Callable[[], None] | None = None,
 ) -> FlightSummary:
     """Fly a session until its mission ends; errors of session and planner are raised.
 
     folder: where it is recorded.
     """
     began_s = time.perf_counter()
-    loop = loop_in_process(
-        session, vehicle, planner=planner, stop_asked=stop_asked, on_step=on_step
-    )
+    loop = loop_in_process(session, vehicle, planner=planner, stop_asked=stop_asked)
     with contextlib.ExitStack() as stack:
         if folder is not None:
             recorder = Recorder(folder, loop.clock, loop.lost, portion=_PORTION)

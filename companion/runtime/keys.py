@@ -91,11 +91,8 @@ def _phrase(path: Path) -> str:
     if mode & (stat.S_IRWXG | stat.S_IRWXO):
         rule = f"others may read or change it (mode {stat.S_IMODE(mode):04o})"
         raise _wrong(path, rule, f"Run: chmod 600 {path}")
-    try:
-        text = content.decode().removesuffix("\n").removesuffix("\r")
-    except UnicodeDecodeError:
-        text = ""
-    if not text.strip() or len(content) > _LARGEST or "\n" in text:
+    text = content.decode(errors="replace").removesuffix("\n").removesuffix("\r")
+    if not text.strip() or len(content) > _LARGEST or "\n" in text or "\ufffd" in text:
         raise _wrong(path, "a key is one line of text", _ONE_LINE)
     return text
 
@@ -106,14 +103,14 @@ def _kept(path: Path) -> StoredTimestamp | None:
         timestamp, clock_us = (int(word) for word in path.read_bytes()[:_LARGEST].split())
     except FileNotFoundError:
         return None
-    except OSError as error:
-        rule = f"it cannot be read ({error.strerror})"
-        raise _wrong(path, rule, "Make it readable for you.") from None
-    except ValueError:
+    except (OSError, ValueError):
         timestamp = clock_us = -1
     if not (0 <= timestamp <= _LAST and 0 <= clock_us <= 1 << 62):
-        rule = "it does not hold a time stamp and a clock"
-        raise _wrong(path, rule, "Delete it if this computer's clock is right.")
+        rule, remedy = (
+            "no time stamp and clock can be read",
+            "Delete it if the clock here is right.",
+        )
+        raise _wrong(path, rule, remedy)
     return timestamp, clock_us * 1e-6
 
 

@@ -22,8 +22,7 @@ import sys
 import termios
 import threading
 import time
-from abc import abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final, Protocol, Self, final
 
 import serial
@@ -119,8 +118,7 @@ class Link(Protocol):
 def open_link(connection: str) -> Link:
     """The link that a connection string names; InputError, about --connect, if it cannot be."""
     place = parsed(connection)
-    kinds: dict[str, Callable[[Connection], Link]] = {"serial": SerialLink, "tcp": TcpLink}
-    return kinds.get(place.kind, UdpLink)(place)
+    return StreamLink(place) if place.kind in ("serial", "tcp") else UdpLink(place)
 
 
 def datagrams(frames: Sequence[bytes]) -> Iterator[bytes]:
@@ -182,14 +180,18 @@ class UdpLink(Link):
         self._socket.close()
 
 
-class _StreamLink(Link):
-    """A link over a stream, as a file descriptor; while there is none, receive() opens it."""
+@final
+class StreamLink(Link):
+    """A link over TCP or a serial port; while there is none, receive() opens it again."""
 
     is_stream = True
 
-    def __init__(self, stream: socket.socket | serial.Serial | None = None) -> None:
-        self._stream = stream
-        self._is_answered = stream is not None
+    def __init__(self, place: Connection) -> None:
+        """InputError if a serial port cannot be opened, or there is no such host."""
+        self._place = place
+        self._network = place.resolved() if place.kind == "tcp" else None
+        self._stream: socket.socket | serial.Serial | None = None
+        self._is_answered = False
         """Whether it carries what is sent: of TCP, once the call was answered."""
         self._begun = b""
         """The rest of a frame of which a part is sent."""
@@ -199,10 +201,24 @@ class _StreamLink(Link):
         """Held while bytes are written: a stream that is closed under it is not written to."""
         self._next_s = -math.inf
         self._is_closed = False
+        if self._network is None:
+            try:
+                self._stream, self._is_answered = self._opened(), True
+            except _LOST as error:
+                raise place.refused(error) from error
 
-    @abstractmethod
-    def _open(self) -> socket.socket | serial.Serial:
+    def _opened(self) -> socket.socket | serial.Serial:
         """A new stream, that does not block; one of _LOST if there is none."""
+        if self._network is None:  # with nothing left in it from before
+            name, baud = self._place.name, self._place.number
+            return serial.Serial(name, baud, timeout=0.0, write_timeout=0.0, exclusive=True)
+        family, address = self._network
+        stream = socket.socket(family, socket.SOCK_STREAM)
+        stream.setblocking(False)
+        stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNANSWERED_MS)
+        stream.connect_ex(address)
+        return stream
 
     def receive(self, timeout_s: float) -> bytes | None:
         """What has arrived, as soon as anything has; None if nothing came in time."""
@@ -211,9 +227,9 @@ class _StreamLink(Link):
             self._reopen(timeout_s)
             return None
         if self._begun or self._waiting:
+            timeout_s = min(timeout_s, _PUSH_S)
             with self._lock:
                 self._flush(stream)
-            timeout_s = min(timeout_s, _PUSH_S) if self._begun or self._waiting else timeout_s
         try:
             if not self._is_answered:  # a call that is refused can be written to as well
                 self._is_answered = bool(select.select((), [stream], (), timeout_s)[1])
@@ -297,7 +313,7 @@ class _StreamLink(Link):
             return
         self._next_s = time.monotonic() + _AGAIN_S
         with contextlib.suppress(*_LOST):
-            self._stream = self._open()
+            self._stream = self._opened()
         if self._is_closed:  # meanwhile
             self._drop()
 
@@ -309,42 +325,3 @@ def _under_way(stream: socket.socket | serial.Serial) -> int:
     except BlockingIOError:
         return 0
     return int.from_bytes(held, sys.byteorder)
-
-
-@final
-class TcpLink(_StreamLink):
-    """tcp:HOST:PORT.  Connects again and again while the peer is absent."""
-
-    def __init__(self, place: Connection) -> None:
-        super().__init__()
-        self._family, self._address = place.resolved()
-
-    def _open(self) -> socket.socket:
-        stream = socket.socket(self._family, socket.SOCK_STREAM)
-        stream.setblocking(False)
-        stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        if hasattr(socket, "TCP_USER_TIMEOUT"):
-            stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNANSWERED_MS)
-        stream.connect_ex(self._address)
-        return stream
-
-
-@final
-class SerialLink(_StreamLink):
-    """A serial port.  Reopened after it vanished (a cable, a rebooting autopilot)."""
-
-    def __init__(self, place: Connection) -> None:
-        """InputError if it cannot be opened."""
-        self._place = place
-        try:
-            super().__init__(self._open())
-        except _LOST as error:  # SerialException is an OSError
-            inner = error.__context__  # the words of the operating system, not pyserial's
-            plain = inner if isinstance(inner, OSError) and inner.strerror else error
-            numbered = plain if isinstance(plain, OSError) else OSError(*plain.args[-2:])
-            raise place.refused(numbered) from error
-
-    def _open(self) -> serial.Serial:
-        """The port, with nothing left in it from before."""
-        name, baud = self._place.name, self._place.number
-        return serial.Serial(name, baud, timeout=0.0, write_timeout=0.0, exclusive=True)

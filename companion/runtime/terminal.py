@@ -58,11 +58,8 @@ def stop_signals() -> Iterator[list[int]]:
     def note(number: int, _frame: FrameType | None) -> None:
         received.append(number)
 
-    before = {
-        each: signal.signal(each, note)
-        for name in ("SIGINT", "SIGTERM", "SIGHUP")
-        if (each := getattr(signal, name, None)) is not None
-    }
+    numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+    before = {each: signal.signal(each, note) for each in numbers}
     try:
         yield received
     finally:

@@ -162,10 +162,17 @@ class Watchdog:
 
     def watch(self, part: Worker, work: Callable[[], None]) -> None:
         """Start a worker in a thread of its own, whose end is detected."""
+
+        def guarded() -> None:
+            try:
+                work()
+            except BaseException as error:  # noqa: BLE001 - whatever it was, the worker is dead
+                self.died(part, f"{type(error).__name__}: {error}")
+            else:
+                self._forget(part)
+
         self._parts.append(part)
-        threading.Thread(
-            target=self._guarded, args=(part, work), name=part.name, daemon=True
-        ).start()
+        threading.Thread(target=guarded, name=part.name, daemon=True).start()
 
     def reserve(self, frames: list[bytes]) -> None:
         """Store hold frames, sent if none can be made when needed."""
@@ -201,14 +208,6 @@ class Watchdog:
             self._hold()
 
     # --- its thread
-
-    def _guarded(self, part: Worker, work: Callable[[], None]) -> None:
-        try:
-            work()
-        except BaseException as error:  # noqa: BLE001 - whatever it was, the worker is dead
-            self.died(part, f"{type(error).__name__}: {error}")
-        else:
-            self._forget(part)
 
     def _forget(self, part: Worker) -> None:
         if part in self._parts:

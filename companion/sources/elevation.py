@@ -19,7 +19,7 @@ import pyproj
 
 from companion.errors import InputError
 from companion.geodesy import BoolArray, FloatArray, LocalFrame, wrap_deg
-from companion.sources.files import answer, told_path
+from companion.sources.files import answer
 from companion.world.known_map import KnownMap
 from companion.world.simulated import true_map
 from companion.world.terrain import GridTerrain
@@ -69,11 +69,7 @@ class ElevationFile:
         with self._opened() as source:
             part = _part(source, frame, area_m)
             if part.beyond.any():
-                at, (height, width) = source.transform, source.shape
-                south, west = at.f + (height - 0.5) * at.e, at.c + 0.5 * at.a
-                has = _reach(south, at.f + 0.5 * at.e, west, at.c + (width - 0.5) * at.a)
-                rule = f"[area] reaches beyond the middles of its outer cells, {has}: to "
-                rule += part.reach
+                rule = "[area] reaches beyond the middles of its outer cells"
                 raise _RefusedError(rule, "Make [area] smaller, or name another file.")
             return part.terrain(frame, part.filled(self.nodata))
 
@@ -122,27 +118,17 @@ class ElevationFile:
     def _opened(self) -> Iterator[Any]:
         """The file, that has been checked; InputError for what is refused meanwhile, too."""
         path, field = self.path, self.field
+        rasterio = importlib.import_module("rasterio")  # 0.2 s and 100 MB that few worlds need
+        if not (answer(path.is_file) and str(path).isprintable()):  # GDAL takes UTF-8 alone
+            raise InputError(field, str(path), "no such file, or of an odd name", _NAME_ONE)
+        driver = "SRTMHGT" if path.suffix.lower() == ".hgt" else "GTiff"
         try:
-            rasterio = importlib.import_module("rasterio")  # 0.2 s and 100 MB that few worlds need
-        except ImportError as error:
-            rule = f"elevation files need the package rasterio ({error})"
-            raise InputError(field, str(path), rule, "Install rasterio.") from None
-        if not answer(path.is_file):
-            raise InputError(field, str(path), "no such file", _NAME_ONE)
-        try:
-            with contextlib.ExitStack() as stack:
-                stack.enter_context(warnings.catch_warnings())
+            with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of files without coordinates: refused below
-                name: Any = path
-                if told_path(path) != str(path):  # no UTF-8, which GDAL does not take
-                    plain = path.name.encode(errors="replace").decode()
-                    memory = rasterio.MemoryFile(path.read_bytes(), filename=plain)
-                    name = stack.enter_context(memory).name
-                driver = "SRTMHGT" if path.suffix.lower() == ".hgt" else "GTiff"
-                source = stack.enter_context(rasterio.open(name, driver=driver))
-                for refusal in _refusals(source, self.vertical_datum):
-                    raise refusal
-                yield source
+                with rasterio.open(path, driver=driver) as source:
+                    for refusal in _refusals(source, self.vertical_datum):
+                        raise refusal
+                    yield source
         except _RefusedError as error:
             raise InputError(field, str(path), *error.args) from None
         except rasterio.errors.RasterioError as error:
@@ -158,27 +144,29 @@ def _refusals(source: Any, vertical_datum: str) -> Iterator[_RefusedError]:
     flat = crs.sub_crs_list[0] if crs.is_compound else crs
     ellipsoid = flat.ellipsoid.name if flat.ellipsoid else "none"
     meridian = flat.prime_meridian.longitude if flat.prime_meridian else 0.0
-    if not flat.is_geographic or ellipsoid not in _ELLIPSOIDS or meridian != 0.0:
-        rule = f"its coordinates are {flat.name}, not latitude and longitude of WGS84"
-        yield _RefusedError(rule, _WARP)
-    if len(flat.axis_info) == 3:
-        rule, remedy = "its heights are above the ellipsoid", "Convert them to a vertical datum."
-        yield _RefusedError(rule, remedy)
-    if crs.is_compound and not _same_datum(crs.sub_crs_list[1].name, vertical_datum):
-        rule = f"it says that its heights are {crs.sub_crs_list[1].name}, not {vertical_datum}"
-        yield _RefusedError(rule, "Correct terrain.vertical_datum.")
-    at = source.transform
-    if at.b or at.d or at.a <= 0.0 or at.e >= 0.0:
-        yield _RefusedError("its rows do not run from north to south", _WARP)
-    if max(at.a, -at.e) * _DEG_M > _COARSEST_M:
-        rule = f"its cells of {-at.e * _DEG_M:.0f} m are coarser than {_COARSEST_M:.0f} m"
-        yield _RefusedError(rule, "Name a finer file.")
-    if source.count != 1 or np.dtype(source.dtypes[0]).kind not in "iuf":
-        yield _RefusedError("it is not one band of heights", "Name a file of elevations.")
-    if source.scales[0] != 1.0 or source.offsets[0] != 0.0:
-        yield _RefusedError("its heights are scaled", "Convert it (gdal_translate -unscale).")
-    if (source.units[0] or "m").lower() not in ("m", "metre", "meter", "metres", "meters"):
-        yield _RefusedError(f"its heights are in {source.units[0]}", "Convert them to metres.")
+    at, unit = source.transform, (source.units[0] or "m").lower()
+    datum = crs.sub_crs_list[1].name if crs.is_compound else vertical_datum
+    rules = (
+        (not flat.is_geographic or ellipsoid not in _ELLIPSOIDS or meridian != 0.0,
+         f"its coordinates are {flat.name}, not latitude and longitude of WGS84", _WARP),
+        (len(flat.axis_info) == 3,
+         "its heights are above the ellipsoid", "Convert them to a vertical datum."),
+        (not _same_datum(datum, vertical_datum),
+         f"it says that its heights are {datum}, not {vertical_datum}",
+         "Correct terrain.vertical_datum."),
+        (at.b or at.d or at.a <= 0.0 or at.e >= 0.0,
+         "its rows do not run from north to south", _WARP),
+        (max(at.a, -at.e) * _DEG_M > _COARSEST_M,
+         f"its cells of {-at.e * _DEG_M:.0f} m are coarser than {_COARSEST_M:.0f} m",
+         "Name a finer file."),
+        (source.count != 1 or np.dtype(source.dtypes[0]).kind not in "iuf",
+         "it is not one band of heights", "Name a file of elevations."),
+        (source.scales[0] != 1.0 or source.offsets[0] != 0.0,
+         "its heights are scaled", "Convert it (gdal_translate -unscale)."),
+        (unit not in ("m", "metre", "meter", "metres", "meters"),
+         f"its heights are in {unit}", "Convert them to metres."),
+    )  # fmt: skip
+    yield from (_RefusedError(rule, remedy) for is_broken, rule, remedy in rules if is_broken)
 
 
 def _same_datum(name: str, vertical_datum: str) -> bool:
@@ -200,8 +188,6 @@ class _Part:
     south_west_deg: tuple[float, float]
     """Of the middle of the cell in this corner."""
     step_deg: tuple[float, float]
-    reach: str
-    """What the area reaches, in words."""
 
     def filled(self, nodata: Nodata) -> npt.NDArray[Any]:
         """The heights without holes, all of them of this earth."""
@@ -267,12 +253,7 @@ def _part(source: Any, frame: LocalFrame, area_m: _Area) -> _Part:
         beyond=beyond,
         south_west_deg=(at.f + at.e * (bottom - 0.5), at.c + at.a * (left + 0.5)),
         step_deg=(-at.e, at.a),
-        reach=_reach(latitude.min(), latitude.max(), longitude.min(), longitude.max()),
     )
-
-
-def _reach(south: float, north: float, west: float, east: float) -> str:
-    return f"{south:.5f} to {north:.5f} N, {west:.5f} to {east:.5f} E"
 
 
 def _highest_m(terrain: GridTerrain, blank: KnownMap) -> FloatArray:

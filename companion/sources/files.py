@@ -2,14 +2,12 @@
 
 import errno
 import json
-import os
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
-from urllib.parse import unquote_to_bytes
+from typing import Any
 
 from companion.errors import InputError
 from companion.printable import with_printable_texts
@@ -20,54 +18,35 @@ PICTURES = (".png", ".svg", ".pdf")
 """How files of pictures end."""
 
 MAX_BYTES = 64_000_000
-PLAN = re.compile(rb'\{.*?"fileType"\s*:\s*"Plan"', re.DOTALL)
-WAYPOINTS = re.compile(rb"QGC WPL")
+PLAN, WAYPOINTS = b"{", b"QGC WPL"
 """How the content of these files begins, behind white space."""
+_BEGINNING_BYTES = 4096
 
 
 def read_text(path: Path, field: str, remedy: str) -> str:
     """The text of a file.  Raises InputError about the field if there is none to be read."""
-    if not answer(path.is_file):
-        rule = "it is a folder" if answer(path.is_dir) else "no such file"
-        raise InputError(field, str(path), rule, remedy)
+    rule = "it is a folder" if answer(path.is_dir) else "no such file"
     try:
-        if path.stat().st_size > MAX_BYTES:
+        if answer(path.is_file):
             rule = f"it is larger than {MAX_BYTES / 1e6:g} MB"
-            raise InputError(field, str(path), rule, remedy)
-        return path.read_text(encoding="utf-8-sig")
+            if path.stat().st_size <= MAX_BYTES:
+                return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         rule = f"it cannot be read: it is no text in UTF-8, from byte {error.start}"
-        raise InputError(field, str(path), rule, remedy) from error
     except OSError as error:
-        raise InputError(field, str(path), f"it cannot be read ({error})", remedy) from error
+        rule = f"it cannot be read ({error})"
+    raise InputError(field, str(path), rule, remedy)
 
 
-def begins_as(path: Path, *kinds: re.Pattern[bytes]) -> bool:
-    """Whether a file is of one of these kinds, by its content; no, if it cannot be read."""
+def begins_as(path: Path, *beginnings: bytes) -> bool:
+    """Whether the content of a file begins so, behind white space; no, if it cannot be read."""
 
     def begins() -> bool:
-        if not path.is_file() or path.stat().st_size > MAX_BYTES:
-            return False
-        content = path.read_bytes().removeprefix(b"\xef\xbb\xbf").lstrip()
-        return any(kind.match(content) is not None for kind in kinds)
+        with path.open("rb") as file:
+            content = file.read(_BEGINNING_BYTES).removeprefix(b"\xef\xbb\xbf").lstrip()
+        return content.startswith(beginnings)
 
-    return answer(begins)
-
-
-def told_path(path: Path) -> str:
-    """A path as a text that TOML can hold: as a URI, if it is no UTF-8."""
-    try:
-        str(path).encode()
-    except UnicodeEncodeError:
-        return path.as_uri()
-    return str(path)
-
-
-def path_of(text: str) -> Path:
-    """The path that such a text stands for."""
-    if text.startswith("file:///"):
-        return Path(os.fsdecode(unquote_to_bytes(text.removeprefix("file://"))))
-    return Path(text)
+    return answer(path.is_file) and answer(begins)
 
 
 def answer(question: Callable[[], bool]) -> bool:
@@ -105,19 +84,17 @@ def writable(option: str, path: Path) -> Path:
 
 @contextmanager
 def writing(option: str, path: Path) -> Iterator[None]:
-    """Raise InputError about the option if what is done meanwhile cannot be written."""
+    """Raise InputError about the option if what is done meanwhile cannot be written.
+
+    A file that a full disk took only a part of is removed.
+    """
     try:
         yield
     except OSError as error:
-        remove_torn(path, error)
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG) and answer(path.is_file):
+            path.unlink()
         rule = f"not written ({error.strerror or error})"
         raise InputError(option, str(path), rule, "Give a file that can be written.") from error
-
-
-def remove_torn(path: Path, error: OSError) -> None:
-    """Remove the file that a full disk took only a part of."""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG) and answer(path.is_file):
-        path.unlink()
 
 
 def picture_file(option: str, path: Path) -> Path:
@@ -132,22 +109,19 @@ def toml_table(text: str, where: str) -> RawTable:
     """The table of a TOML text.  Raises InputError about the file."""
     try:
         return {**with_printable_texts(tomllib.loads(text))}
-    except tomllib.TOMLDecodeError as error:
-        rule = f"not TOML: {_one_line(error)}"
-        raise InputError("file", where, rule, "Mend that place; see docs/files.md.") from error
-    except (RecursionError, ValueError) as error:  # brackets in brackets, numbers without end
-        rule = f"not TOML that anybody writes ({_one_line(error)})"
-        raise InputError("file", where, rule, "Mend it; see docs/files.md.") from None
+    except (RecursionError, ValueError) as error:  # brackets in brackets, numbers without end, too
+        rule, remedy = f"not TOML: {_one_line(error)}", "Mend that place; see docs/files.md."
+        raise InputError("file", where, rule, remedy) from None
 
 
-def json_table(path: Path, field: str, remedy: str, *, nan_is_null: bool = False) -> RawTable:
-    """The object in a JSON file.  Raises InputError about the field.
+def json_table(path: Path, field: str, remedy: str) -> RawTable:
+    """The object in a JSON file.  Raises InputError about the field."""
 
-    nan_is_null: NaN, which JSON does not know, is taken for null.
-    """
+    def constant(name: str) -> None:
+        raise ValueError(f"{name} is no number")
+
     text = read_text(path, field, remedy)
     try:
-        constant = _null_or_no_number if nan_is_null else _no_number
         found = with_printable_texts(json.loads(text, parse_constant=constant))
     except (RecursionError, ValueError) as error:
         raise InputError(field, str(path), f"not JSON: {_one_line(error)}", remedy) from None
@@ -177,17 +151,27 @@ def with_settings(table: RawTable, settings: Sequence[str]) -> RawTable:
             raise InputError("--set", setting, "it is not a key, an = and a value", remedy)
         table = here = dict(table)
         for key in above:
-            if not isinstance(below := here.get(key, {}), dict):
-                rule = f"{key} is not a table of the mission"
-                raise InputError("--set", setting, rule, "See docs/files.md for its keys.")
-            below = dict(below)
-            here[key] = below
-            here = below
+            below = here.get(key)
+            here[key] = here = dict(below) if isinstance(below, dict) else {}
         try:
             here[last] = tomllib.loads(f"value = {text}")["value"]
-        except (tomllib.TOMLDecodeError, RecursionError, ValueError):
+        except (RecursionError, ValueError):
             here[last] = text.strip()  # a string: people leave out the quotes
     return table
+
+
+def merged(table: RawTable, over: RawTable, joined: Sequence[str] = ()) -> RawTable:
+    """A table with what is over it, table by table; joined: lists of which both count."""
+    result = dict(table)
+    for key, value in over.items():
+        below = result.get(key)
+        if isinstance(value, dict) and isinstance(below, dict):
+            result[key] = merged(below, value, joined)
+        elif key in joined and isinstance(value, list):
+            result[key] = [*value, *(below or [])]
+        else:
+            result[key] = value
+    return result
 
 
 def toml_text(table: RawTable) -> str:
@@ -209,7 +193,7 @@ def _pairs(table: RawTable) -> list[str]:
 
 
 def _key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _string(key)
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _value(key)
 
 
 def _value(value: object) -> str:
@@ -217,27 +201,14 @@ def _value(value: object) -> str:
         case bool():
             return "true" if value else "false"
         case str():
-            return _string(value)
+            fit = value.encode("utf-8", "replace").decode()  # half a surrogate is no character
+            return json.dumps(fit, ensure_ascii=False).replace("\x7f", "\\u007f")
         case list() | tuple():
             return f"[{', '.join(map(_value, value))}]"
         case dict():
             return f"{{{', '.join(_pairs(value))}}}"
         case _:
             return str(value)
-
-
-def _string(text: str) -> str:
-    fit = text.encode("utf-8", "replace").decode()  # half a surrogate is no character
-    return json.dumps(fit, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _no_number(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no number")
-
-
-def _null_or_no_number(name: str) -> None:
-    if name != "NaN":
-        _no_number(name)
 
 
 def _one_line(error: Exception) -> str:

@@ -1,12 +1,14 @@
-"""Zones from a GeoJSON file (RFC 7946: longitude before latitude, WGS84)."""
+"""Zones from a GeoJSON file (RFC 7946: longitude before latitude, WGS84), its shapes by shapely."""
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Any, Final, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
-from pydantic_core import PydanticCustomError
+import shapely
+from pydantic import BaseModel, ConfigDict
+from shapely.geometry import shape
+from shapely.geometry.base import BaseGeometry
 
 from companion.errors import InputError
 from companion.sources.files import RawTable, json_table, plain
@@ -16,66 +18,26 @@ from companion.sources.schema import validated
 _REMEDY: Final = "Give a GeoJSON FeatureCollection of polygons and points; see docs/files.md."
 _WGS84: Final = ("CRS84", "4326")
 _MAX_FEATURES: Final = 100_000
-_SEVERAL: Final = ("MultiPoint", "MultiPolygon")
-_LINES: Final = ("LineString", "MultiLineString")
-_ALONE: Final = ("Point", "Polygon", *_SEVERAL, "GeometryCollection")
-_DEEPEST: Final = 8  # collections in collections
+_GEOMETRIES: Final = ("Point", "Polygon", "MultiPoint", "MultiPolygon", "GeometryCollection")
+_BROKEN: Final = (
+    *(ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError),
+    shapely.errors.ShapelyError,
+)
+"""What shapely raises about a geometry that is none."""
 
 NoZone = Literal["points", "lines", "empty"]
 """Kinds of features that maps have beside zones."""
-_NO_ZONES: Final[dict[NoZone, tuple[str, str]]] = {
-    "points": ("point without radius_m", "points without radius_m"),
-    "lines": ("line", "lines"),
-    "empty": ("without a geometry", "without a geometry"),
+_NO_ZONES: Final[dict[NoZone, str]] = {
+    "points": "point without radius_m",
+    "lines": "line",
+    "empty": "feature without a geometry",
 }
-"""One, and several."""
 
 
-def _latitude_first(place: list[float]) -> list[float]:
-    longitude, latitude = place[:2]
-    if not -180.0 <= longitude <= 180.0 or not -90.0 <= latitude <= 90.0:
-        rule = "out of range: longitude comes first, -180 to 180, then latitude, -90 to 90"
-        raise PydanticCustomError("place", rule)
-    return [latitude, longitude]
-
-
-def _corners(ring: list[list[float]]) -> list[list[float]]:
-    """RFC 7946 says the first corner twice."""
-    corners = ring[:-1] if len(ring) > 1 and ring[0] == ring[-1] else ring
-    if len(corners) < 3:
-        raise PydanticCustomError("ring", "a ring has three or more corners")
-    return corners
-
-
-class _Json(BaseModel):
-    model_config = ConfigDict(extra="ignore", frozen=True, strict=True, allow_inf_nan=False)
-
-
-_Place = Annotated[list[float], Field(min_length=2, max_length=4), AfterValidator(_latitude_first)]
-_Ring = Annotated[list[_Place], AfterValidator(_corners)]
-
-
-class _Point(_Json):
-    type: Literal["Point"]
-    coordinates: _Place
-
-
-class _Polygon(_Json):
-    type: Literal["Polygon"]
-    coordinates: list[_Ring] = Field(min_length=1)
-
-
-class _Properties(_Json):
+class _Properties(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
     kind: Literal["keep_out", "keep_in"] = "keep_out"
     radius_m: float | None = None
-
-
-class _Feature(_Json):
-    """A feature of which only one geometry is left, with its parts taken apart."""
-
-    type: Literal["Feature"]
-    properties: _Properties | None = None
-    geometry: _Point | _Polygon = Field(discriminator="type")
 
 
 def read_geojson(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> Zones:
@@ -90,7 +52,7 @@ def read_geojson(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> 
         rule = "its coordinates (crs) are not longitude and latitude of WGS84"
         remedy = "Convert it (ogr2ogr -t_srs EPSG:4326 -lco RFC7946=YES)."
         raise InputError(where, str(path), rule, remedy)
-    if found.get("type") in _ALONE:
+    if found.get("type") in _GEOMETRIES:
         found = {"type": "Feature", "geometry": found}
     features = found.get("features") if found.get("type") == "FeatureCollection" else [found]
     if found.get("type") not in ("FeatureCollection", "Feature") or not isinstance(features, list):
@@ -101,8 +63,8 @@ def read_geojson(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> 
     zones, no_zones = Zones(), Counter[NoZone]()
     for index, feature in enumerate(features):
         label = f"{path.name}: features[{index}]"
-        if not isinstance(feature, dict):
-            raise InputError(label, feature, "a feature is a JSON object", "Remove or complete it.")
+        if not isinstance(feature, dict) or feature.get("type") != "Feature":
+            raise InputError(label, feature, 'it has no type "Feature"', "Remove or complete it.")
         _take(feature, index, label, zones, no_zones)
     if unasked := {kind: count for kind, count in no_zones.items() if kind not in leave_out}:
         rule = "a zone is a polygon, or a point with radius_m"
@@ -118,73 +80,70 @@ def read_geojson(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> 
 
 
 def _counted(kinds: Mapping[NoZone, int]) -> str:
-    return ", ".join(f"{count:,} {_NO_ZONES[kind][count > 1]}" for kind, count in kinds.items())
+    return ", ".join(f"{count:,} x {_NO_ZONES[kind]}" for kind, count in kinds.items())
 
 
 def _take(raw: RawTable, index: int, label: str, zones: Zones, no_zones: Counter[NoZone]) -> None:
     """Add the zones of a feature; label: how it is called in errors."""
-    given = raw.get("properties")
-    given = given if isinstance(given, dict) else {}
+    properties = raw.get("properties")
+    given: RawTable = properties if isinstance(properties, dict) else {}
     name = plain(given.get("name"), f"feature {index}")
-    label, polygons, is_keep_in = f"{label} ({name})", list[_Polygon](), False
-    if given.get("kind") == "radar":
-        rule, remedy = "it was removed in this version", "Write it as [[radars]] in a mission.toml."
-        raise InputError(f"{label}.properties.kind", "radar", rule, remedy)
-    for geometry in _taken_apart(raw.get("geometry")):
-        no_zone = _no_zone(geometry, given) if raw.get("type") == "Feature" else None
-        if no_zone is not None:
-            no_zones[no_zone] += 1
-            continue
-        feature = validated(_Feature, raw | {"geometry": geometry}, label)
-        properties = feature.properties or _Properties()
-        is_keep_in = properties.kind == "keep_in"
-        if isinstance(feature.geometry, _Polygon):
-            polygons.append(feature.geometry)
-            continue
-        latitude, longitude = feature.geometry.coordinates
+    label, has_radius = f"{label} ({name})", given.get("radius_m") is not None
+    polygons, points = list[shapely.Polygon](), list[shapely.Point]()
+    for part in _parts(raw.get("geometry"), label):
+        if part is None or part.is_empty:
+            no_zones["empty"] += 1
+        elif isinstance(part, shapely.Polygon):
+            polygons.append(part)
+        elif isinstance(part, shapely.Point) and has_radius:
+            points.append(part)
+        else:
+            no_zones["points" if isinstance(part, shapely.Point) else "lines"] += 1
+    if not polygons and not points:
+        return
+    said = validated(_Properties, given, f"{label}.properties")
+    is_keep_in = said.kind == "keep_in"
+    for point in points:
+        [(latitude, longitude)] = _corners(point, label)
         place = {"latitude_deg": latitude, "longitude_deg": longitude}
-        circle = {"name": name, **place, "radius_m": properties.radius_m}
-        zones.add(circle, inside=is_keep_in)
+        zones.add({"name": name, **place, "radius_m": said.radius_m}, inside=is_keep_in)
     if is_keep_in and len(polygons) > 1:
         rule = "the vehicle cannot keep inside of several polygons at once"
         raise InputError(f"{label}.geometry.type", "MultiPolygon", rule, "Keep one polygon of it.")
     for number, polygon in enumerate(polygons, start=1):
-        part = name if len(polygons) == 1 else f"{name} part {number}"
-        outer, *holes = polygon.coordinates
-        zone = {"name": part, "vertices_deg": outer}
+        of_several = name if len(polygons) == 1 else f"{name} part {number}"
+        zone = {"name": of_several, "vertices_deg": _corners(polygon.exterior, label)}
         zones.add(zone, inside=is_keep_in)
         if is_keep_in:
-            for hole, ring in enumerate(holes, start=1):
-                zones.keep_outs.append({"name": f"{part} hole {hole}", "vertices_deg": ring})
-        elif holes:
-            zones.notes.append(f"keep-out {part!r}: its holes are kept out of as well")
+            for hole, ring in enumerate(polygon.interiors, start=1):
+                corners = _corners(ring, label)
+                zones.keep_outs.append({"name": f"{name} hole {hole}", "vertices_deg": corners})
+        elif polygon.interiors:
+            zones.notes.append(f"keep-out {of_several!r}: its holes are kept out of as well")
 
 
-def _taken_apart(geometry: Any, deepest: int = _DEEPEST) -> Iterator[Any]:
-    """The geometries of collections, the points and the polygons of what has several."""
-    kind = geometry.get("type") if isinstance(geometry, dict) else None
-    inner = None
-    if kind == "GeometryCollection":
-        inner = geometry.get("geometries")
-    elif kind in _SEVERAL and isinstance(several := geometry.get("coordinates"), list):
-        inner = [{"type": kind.removeprefix("Multi"), "coordinates": each} for each in several]
-    if not isinstance(inner, list) or deepest == 0:
-        yield geometry
-    for each in inner or [None] if isinstance(inner, list) and deepest else ():
-        yield from _taken_apart(each, deepest - 1)
+def _parts(raw: Any, label: str) -> Iterator[BaseGeometry | None]:
+    """The points, lines and polygons of a geometry; itself, if it is empty."""
+    try:
+        inner = [None if raw is None else shape(raw)]
+    except _BROKEN:
+        rule = "it is no geometry as RFC 7946 has it"
+        raise InputError(f"{label}.geometry", raw, rule, "Remove or correct it.") from None
+    while inner:
+        geometry = inner.pop(0)
+        if geometry is not None and hasattr(geometry, "geoms") and not geometry.is_empty:
+            inner[:0] = geometry.geoms
+        else:
+            yield geometry
 
 
-def _no_zone(geometry: Any, properties: RawTable) -> NoZone | None:
-    """What a geometry is that can be no zone, whatever was meant by it; None: it may be one."""
-    if geometry is None:
-        return "empty"
-    kind = geometry.get("type") if isinstance(geometry, dict) else None
-    if kind in (*_ALONE, *_LINES) and _is_empty(geometry.get("coordinates")):
-        return "empty"
-    if kind in _LINES:
-        return "lines"
-    return "points" if kind == "Point" and properties.get("radius_m") is None else None
-
-
-def _is_empty(coordinates: Any) -> bool:
-    return isinstance(coordinates, list) and all(map(_is_empty, coordinates))
+def _corners(outline: BaseGeometry, label: str) -> list[list[float]]:
+    """Latitude and longitude of each corner, of a ring's first, which it says twice, once."""
+    corners = []
+    for longitude, latitude in shapely.get_coordinates(outline).tolist():
+        if not (abs(longitude) <= 180.0 and abs(latitude) <= 90.0):
+            rule = "out of range: longitude comes first, -180 to 180, then latitude, -90 to 90"
+            place = f"{label}.geometry.coordinates"
+            raise InputError(place, [longitude, latitude], rule, "Swap or correct them.")
+        corners.append([latitude, longitude])
+    return corners[:-1] if isinstance(outline, shapely.LinearRing) else corners

@@ -5,9 +5,9 @@ table itself (`complete`), so that a run folder holds all that was flown.
 """
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Final, final
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,11 +20,12 @@ from companion.path.limits import Limits
 from companion.planner import rules
 from companion.planner.settings import PlannerSettings, Task
 from companion.profiles import PROFILES, Weights
-from companion.sources.files import WAYPOINTS, RawTable, begins_as, path_of, plain, told_path
+from companion.sources.files import WAYPOINTS, RawTable, begins_as, plain
 from companion.sources.geojson import NoZone, read_geojson
 from companion.sources.mission_schema import (
-    KnownTerrainTable,
+    KnownElevationTable,
     MissionTable,
+    StatedTable,
     TargetTable,
     ThreatsTable,
 )
@@ -42,15 +43,11 @@ from companion.world.columns import distance_to_terrain_m
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.near_map import cell_for_m
 
-_DATUM_ERROR_M: Final = 5.0
-"""Of an elevation file that says nothing of it."""
 _MENTIONED_M = 1.0  # a smaller difference is worth no mention
 _STEP_M = 5.0
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MissionFile:
+class MissionFile(NamedTuple):
     """A mission file with what the files that it names hold."""
 
     table: RawTable
@@ -58,16 +55,13 @@ class MissionFile:
     """What was assumed and what was left out, for people."""
     is_whole: bool
     """Whether it was so from the beginning: it names no other file."""
-    assumed: frozenset[str]
-    """Keys, with dots, that nobody wrote: what a plan lacks."""
 
 
 def complete(given: RawTable, folder: Path, where: str) -> MissionFile:
     """Take into a table what other files hold that it names.  Raises InputError about them."""
-    table, notes, assumed = given, list[str](), frozenset[str]()
+    table, notes = given, list[str]()
     if isinstance(given.get("plan"), str):
         table, notes = _with_plan(given, folder, where)
-        assumed = _keys(table) - _keys(given)
     asked, terrain = given.get("threats"), given.get("terrain")
     if isinstance(asked, str | dict):
         asked = {"file": asked} if isinstance(asked, str) else asked
@@ -75,45 +69,22 @@ def complete(given: RawTable, folder: Path, where: str) -> MissionFile:
         threats = _threats(folder / chosen.file, f"{where}: threats", chosen.leave_out)
         notes += threats.notes
         table = {key: value for key, value in table.items() if key != "threats"}
-        for key in ("keep_outs", "keep_ins"):
-            found = getattr(threats, key)
+        for key, found in (("keep_outs", threats.keep_outs), ("keep_ins", threats.keep_ins)):
             if found and isinstance(table.get(key, []), list):
                 table[key] = [*table.get(key, []), *found]
     if isinstance(terrain, dict) and isinstance(terrain.get("file"), str):
-        file = told_path(_absolute(folder / path_of(terrain["file"])))
+        file = str((folder / terrain["file"]).absolute())
         table = table | {"terrain": terrain | {"file": file}}
-    return MissionFile(table=table, notes=tuple(notes), is_whole=table is given, assumed=assumed)
+    return MissionFile(table=table, notes=tuple(notes), is_whole=table is given)
 
 
 def _threats(path: Path, where: str, leave_out: Collection[NoZone]) -> Zones:
     """What a GeoJSON file or a list of QGC WPL 110 holds; leave_out: as for `read_geojson`."""
-    threats: Zones
-    if begins_as(path, WAYPOINTS):
-        threats = read_waypoint_fence(path, where)
-    else:
-        threats = read_geojson(path, where, leave_out)
+    is_list = begins_as(path, WAYPOINTS)
+    threats = read_waypoint_fence(path, where) if is_list else read_geojson(path, where, leave_out)
     if not (threats.keep_outs or threats.keep_ins):
         threats.notes.append(f"{path.name}: it holds no zone")
     return threats
-
-
-def _keys(table: RawTable, above: str = "") -> frozenset[str]:
-    """With dots, those of tables in it too; lists say by themselves where they are from."""
-    found = set[str]()
-    for key, value in table.items():
-        if isinstance(value, dict):
-            found |= _keys(value, f"{above}{key}.")
-        if not isinstance(value, list):
-            found.add(f"{above}{key}")
-    return frozenset(found)
-
-
-def explained(error: InputError, assumed: frozenset[str], where: str) -> InputError:
-    """The error, where it is about a key that nobody wrote, with the word that it was assumed."""
-    if error.field.removeprefix(f"{where}: ") not in assumed:
-        return error
-    said = "It was assumed for the plan: name the plan in a mission.toml to say it."
-    return InputError(error.field, error.value, error.rule, f"{said} {error.remedy}")
 
 
 def _with_plan(table: RawTable, folder: Path, where: str) -> tuple[RawTable, list[str]]:
@@ -126,32 +97,20 @@ def _with_plan(table: RawTable, folder: Path, where: str) -> tuple[RawTable, lis
     stem = "".join(c if c.isascii() and (c.isalnum() or c in "_-.") else " " for c in path.stem)
     given = {key: value for key, value in table.items() if key != "plan"}
     whole, notes = with_plan(given, plan, plain(stem, "").lstrip(" _-.") or "plan")
-    from_vehicle = given.get("from_vehicle")
-    elsewhere = isinstance(from_vehicle, dict) and from_vehicle.get("targets") is True
-    if not whole.get("targets") and not elsewhere:
+    if "targets" in whole and not whole["targets"]:
         raise InputError(field, plan.name, "it has no waypoints", "Add a waypoint.")
     return whole, notes
 
 
 def _ground(table: RawTable, folder: Path, where: str) -> Ground | None:
     """The ground that [terrain] knows, for altitudes above it; None: it says nothing."""
-    said = table.get("terrain")
-    if not isinstance(said, dict):
+    if not isinstance(said := table.get("terrain"), dict):
         return None
-
-    def at(latitude_deg: float, longitude_deg: float) -> float | None:
-        terrain = validated(KnownTerrainTable, said, f"{where}: terrain")
-        file = terrain.elevation(folder, where)
-        return file.height_m(latitude_deg, longitude_deg) if file else terrain.highest_amsl_m
-
-    return at
-
-
-def _absolute(path: Path) -> Path:
-    try:
-        return path.resolve()
-    except (OSError, RuntimeError, ValueError):  # refused when it is opened
-        return path
+    if "highest_amsl_m" in said:
+        stated_m = validated(StatedTable, said, f"{where}: terrain").highest_amsl_m
+        return lambda *_: stated_m
+    terrain = validated(KnownElevationTable, said, f"{where}: terrain")
+    return terrain.elevation(folder, where).height_m
 
 
 def mission_of(
@@ -164,7 +123,7 @@ def mission_of(
     vehicle, terrain = model.vehicle, model.terrain
     frame = LocalFrame(**dict(model.origin))
     near = model.scanner.sensor(model.planner.scan_range_m)
-    stated_m = None if terrain is None else terrain.highest_amsl_m
+    stated_m = terrain.highest_amsl_m if isinstance(terrain, StatedTable) else None
     limits, settings = _limits(model), _settings(model, profile)
     if near is not None:
         settings = replace(settings, cell_m=cell_for_m(near.range_m, limits.north_m, limits.east_m))
@@ -183,7 +142,11 @@ def mission_of(
         ),
         stated_ground_amsl_m=None if model.scans_ground else stated_m,
     )
-    task, slower = _slowed_to_sight(task)
+    task, slower = rules.slowed_to_sight(task), ""
+    asked_m_s, flown_m_s = limits.speed_m_s, task.limits.speed_m_s
+    if flown_m_s < asked_m_s:
+        slower = f"R = {settings.scan_range_m:g} m is too short for V = {asked_m_s:g} m/s (eq. 4): "
+        slower += f"it is flown at {flown_m_s:g} m/s; raise planner.scan_range_m to fly faster"
     rules.refuse(rules.of_task(task), f"{where}: ")
     zones, far = zones_of(model, task, frame, where)
     task = replace(task, zones=zones)
@@ -191,9 +154,9 @@ def mission_of(
     as_written = {key: each for table in said for key, each in table.of(Mission).items()}
     if not model.scans_ground:
         as_written["scanner_component_id"] = None
+    about_ground, targets = "", model.targets or []
     if stated_m is not None:  # a person should be told once more before it is flown by
         about_ground = f"the ground is taken to be nowhere higher than {stated_m:g} m AMSL"
-    targets = model.targets or []
     mission = Mission(
         name=model.name,
         frame=frame,
@@ -207,30 +170,25 @@ def mission_of(
             place_of(point, frame, f"{where}: rally_points[{index}]")
             for index, point in enumerate(model.rally_points)
         ),
-        notes=tuple(filter(None, (*notes, slower, far, "" if stated_m is None else about_ground))),
+        notes=tuple(filter(None, (*notes, slower, far, about_ground))),
         **as_written,
     )
     return replace(mission, notes=(*mission.notes, *_about_altitudes(mission, targets, where)))
 
 
-def _slowed_to_sight(task: Task) -> tuple[Task, str]:
-    """The task as `rules.slowed_to_sight` has it, and what a person should know of it."""
-    slowed = rules.slowed_to_sight(task)
-    asked, flown = task.limits.speed_m_s, slowed.limits.speed_m_s
-    if slowed is task:
-        return task, ""
-    rule = f"R = {task.settings.scan_range_m:g} m is too short for V = {asked:g} m/s (eq. 4)"
-    return slowed, f"{rule}: it is flown at {flown:g} m/s; raise planner.scan_range_m to fly faster"
-
-
 def _targets(model: MissionTable, task: Task, frame: LocalFrame, where: str) -> tuple[Place, ...]:
     found = []
     for index, target in enumerate(model.targets or []):
-        field = f"{where}: targets[{index}]" + (f" ({target.name})" if target.name else "")
+        field = _field(where, index, target)
         place = place_of(target, frame, field)
         rules.refuse(rules.of_target(task, place, field))
         found.append(place)
     return tuple(found)
+
+
+def _field(where: str, index: int, target: TargetTable) -> str:
+    """How a target is called in errors."""
+    return f"{where}: targets[{index}]" + (f" ({target.name})" if target.name else "")
 
 
 def _limits(model: MissionTable) -> Limits:
@@ -255,9 +213,10 @@ def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -
         return None
     blank = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
     may_be_scanned, shape = model.vehicle.scanner, blank.upper_m.shape
-    if (file := table.elevation(Path(), where)) is not None:
-        error_m = _DATUM_ERROR_M if table.datum_error_m is None else table.datum_error_m
-        told = file.known_map(frame, blank, datum_error_m=error_m, may_be_scanned=may_be_scanned)
+    if isinstance(table, KnownElevationTable):
+        told = table.elevation(Path(), where).known_map(
+            frame, blank, datum_error_m=table.datum_error_m, may_be_scanned=may_be_scanned
+        )
     else:  # a radar, if there is one, may see it lower
         told = replace(
             blank,
@@ -267,7 +226,7 @@ def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -
         )
     if task.settings.is_near:  # known is the ground, and nothing of what stands on it
         return replace(blank, guess_m=told.upper_m)
-    if table.trust == "guidance":
+    if isinstance(table, KnownElevationTable) and table.trust == "guidance":
         return replace(blank, guess_m=np.where(told.surveyed, told.upper_m, np.nan))
     return told
 
@@ -277,11 +236,10 @@ def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -
 
 def _carried_on(altitudes_amsl_m: list[float | None]) -> tuple[float | None, ...]:
     """Each target's altitude, of one that has none that of the target before; () if none has."""
-    carried: list[float | None] = []
+    carried: tuple[float | None, ...] = ()
     for altitude in altitudes_amsl_m:
-        before = carried[-1] if carried else None
-        carried.append(before if altitude is None else altitude)
-    return tuple(carried) if carried and carried[-1] is not None else ()
+        carried += (altitude if altitude is not None or not carried else carried[-1],)
+    return carried if carried and carried[-1] is not None else ()
 
 
 def _about_altitudes(mission: Mission, targets: list[TargetTable], where: str) -> Iterator[str]:
@@ -303,7 +261,7 @@ def _about_altitudes(mission: Mission, targets: list[TargetTable], where: str) -
     altitudes = mission.altitudes_amsl_m or (None,) * len(targets)
     places = zip(mission.targets_ne_m, altitudes, targets, strict=False)
     for number, (place, wanted_m, table) in enumerate(places):
-        field = f"{where}: targets[{number}]" + (f" ({table.name})" if table.name else "")
+        field = _field(where, number, table)
         least_m = lowest_m if wanted_m is None else max(wanted_m, lowest_m)
         flown_m = _clear_from_m(mission, place, least_m)
         if flown_m is None:

@@ -5,12 +5,12 @@ that it becomes; where the file has another unit or name for it, that is its ali
 """
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import fields
-from pathlib import Path
 from typing import Annotated, Any, Final, Literal, get_args
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Discriminator, Field, Tag
 from pydantic_core import PydanticCustomError
 
 from companion.geodesy import wrap_rad
@@ -19,29 +19,25 @@ from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, 
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.optimise.registry import OPTIMISERS
 from companion.path.limits import Limits, VehicleKind
+from companion.planner.rules import Broken
 from companion.planner.settings import PlannerSettings
 from companion.profiles import Weights
 from companion.ranges import Latitude, Longitude, NotNegative, Positive
-from companion.sources.elevation import ElevationFile, VerticalDatum
-from companion.sources.files import path_of
 from companion.sources.geojson import NoZone
 from companion.sources.schema import (
-    NAME,
-    SENDER,
     Altitude,
     AreaTable,
-    Broken,
+    ElevationTable,
     FileName,
     Horizontal,
-    Nodata,
     OriginTable,
     Table,
+    broken_of,
     keys_of,
 )
 from companion.world.near_map import Kind, NearSensor
 
 Name = Annotated[str, Field(min_length=1, max_length=100)]
-Sender = Annotated[str, Field(pattern=SENDER)]
 _Slope = Annotated[float, Field(gt=0.0, lt=90.0), AfterValidator(math.radians)]
 _Bearing = Annotated[float, Field(ge=-360.0, le=360.0), AfterValidator(math.radians)]
 _REMOVE_ONE: Final = "Remove one of them."
@@ -72,21 +68,15 @@ class PlaceTable(Table):
         return self.latitude_deg, self.longitude_deg
 
     @property
-    def is_placed(self) -> bool:
-        """Whether any of them is given."""
-        return any(getattr(self, key) is not None for key in PlaceTable.model_fields)
+    def given(self) -> list[str]:
+        """Which of them are given."""
+        return [key for key in PlaceTable.model_fields if getattr(self, key) is not None]
 
     def broken(self) -> Iterator[Broken]:
         """It is given by one of the pairs, and by all of that."""
-        metres = {"north_m": self.north_m, "east_m": self.east_m}
-        degrees = {"latitude_deg": self.latitude_deg, "longitude_deg": self.longitude_deg}
-        given = [pair for pair in (metres, degrees) if set(pair.values()) != {None}]
-        if len(given) == 2:
+        if self.given not in (["north_m", "east_m"], ["latitude_deg", "longitude_deg"]):
             rule = "a place is given by north_m and east_m, or by latitude_deg and longitude_deg"
-            yield "", [*metres.values(), *degrees.values()], rule, "Remove one pair."
-        for key, value in (given or [metres])[0].items():
-            if value is None:
-                yield key, None, "it is missing", f"Add {key}; see docs/files.md."
+            yield "", self.given, rule, "Give one of these pairs."
 
 
 class TargetTable(PlaceTable):
@@ -116,14 +106,10 @@ class ZoneTable(PlaceTable):
     def broken(self) -> Iterator[Broken]:
         """It is a circle about a place, or a polygon."""
         shapes = [self.radius_m, self.vertices_m, self.vertices_deg]
-        if shapes.count(None) != 2 or self.is_placed != (self.radius_m is not None):
-            remedy = (
-                "Give a place (north_m and east_m, or latitude_deg and longitude_deg) and "
-                "radius_m, or three or more corners: vertices_m [north, east] or vertices_deg "
-                "[latitude, longitude]."
-            )
+        if shapes.count(None) != 2 or bool(self.given) != (self.radius_m is not None):
+            remedy = "Give a place and radius_m, or three or more corners; see docs/files.md."
             yield "", self.name, "a zone is a circle or a polygon", remedy
-        elif self.is_placed:
+        elif self.given:
             yield from super().broken()
         for number, (latitude, longitude) in enumerate(self.vertices_deg or []):
             if abs(latitude) > 90.0:
@@ -152,19 +138,18 @@ class MissionVehicleTable(
     def broken(self) -> Iterator[Broken]:
         """It has what its kind needs, and nothing of another kind."""
         component, loiter_m = self.scanner_component_id, self.loiter_radius_m
-        if not self.scanner and component is not None:
-            rule = "scanner = false says that there is no terrain radar"
-            yield "scanner_component_id", component, rule, _REMOVE_ONE
-        if self.kind == "copter" and loiter_m is not None:
-            rule = "a copter stops where it holds: it needs no circle"
-            yield "loiter_radius_m", loiter_m, rule, "Remove it."
-        if self.kind == "plane" and loiter_m is None:
-            rule = "it is missing: a plane cannot stop, it holds on circles"
-            remedy = "Add loiter_radius_m, as the autopilot has it (WP_LOITER_RAD, NAV_LOITER_RAD)."
-            yield "loiter_radius_m", None, rule, remedy
-        if self.kind == "plane" and self.yaw_rad is not None:
-            rule, value = "a plane's nose points where it flies", math.degrees(self.yaw_rad)
-            yield "yaw_deg", value, rule, "Remove it."
+        is_plane, yaw_deg = self.kind == "plane", math.degrees(self.yaw_rad or 0.0)
+        yield from broken_of(
+            (not self.scanner and component is not None, "scanner_component_id", component,
+             "scanner = false says that there is no terrain radar", _REMOVE_ONE),
+            (not is_plane and loiter_m is not None, "loiter_radius_m", loiter_m,
+             "a copter stops where it holds: it needs no circle", "Remove it."),
+            (is_plane and loiter_m is None, "loiter_radius_m", None,
+             "it is missing: a plane cannot stop, it holds on circles",
+             "Add loiter_radius_m, as the autopilot has it (WP_LOITER_RAD, NAV_LOITER_RAD)."),
+            (is_plane and self.yaw_rad is not None, "yaw_deg", yaw_deg,
+             "a plane's nose points where it flies", "Remove it."),
+        )  # fmt: skip
 
 
 _MOUNTING = ("forward_m", "right_m", "blind_m", "latency_s", "latency_error_s")
@@ -190,20 +175,19 @@ class ScannerTable(
 
     def broken(self) -> Iterator[Broken]:
         """It says what its kind has."""
-        said = {
-            (type(self).model_fields[each].alias or each): each for each in self.model_fields_set
-        }
-        if self.kind == _RADAR:
-            for key in sorted(said.keys() - {"kind", "complete"}):
-                rule = "a terrain radar has no such key: it is of the other kinds"
-                remedy = f"Remove it, or write one of these kinds: {', '.join(get_args(Kind))}."
-                yield key, getattr(self, said[key]), rule, remedy
-        elif "complete" in said:
-            remedy = 'Remove it, or write kind = "terrain_radar".'
-            yield "complete", self.scanner_complete, "it is a radar's", remedy
-        if self.component_id == COMPANION_COMPONENT:
-            rule, remedy = "that is the companion itself", "Give the driver another, as 196."
-            yield "component", self.component_id, rule, remedy
+        is_radar, component, keys = self.kind == _RADAR, self.component_id, type(self).model_fields
+        of_others = self.model_fields_set - {"kind", "scanner_complete"} if is_radar else set()
+        for name in sorted(of_others):
+            rule = "a terrain radar has no such key: it is of the other kinds"
+            remedy = f"Remove it, or write one of these kinds: {', '.join(get_args(Kind))}."
+            yield keys[name].alias or name, getattr(self, name), rule, remedy
+        yield from broken_of(
+            (not is_radar and "scanner_complete" in self.model_fields_set, "complete",
+             self.scanner_complete, "it is a radar's",
+             'Remove it, or write kind = "terrain_radar".'),
+            (component == COMPANION_COMPONENT, "component", component,
+             "that is the companion itself", "Give the driver another, as 196."),
+        )  # fmt: skip
 
     def sensor(self, range_m: float) -> NearSensor | None:
         """The sensor of near things, where that is the scanner."""
@@ -223,10 +207,7 @@ _TIMES = ("planning_time_s", "scan_time_s")
 
 def _known_optimiser(name: str) -> str:
     """One of ours, or of another distribution's, which is loaded here to be sure of it."""
-    if name not in OPTIMISERS:
-        known = " or ".join(repr(each) for each in OPTIMISERS)
-        raise PydanticCustomError("optimiser", "Input should be {known}", {"known": known})
-    OPTIMISERS[name]
+    OPTIMISERS.chosen(name, "planner.optimiser")
     return name
 
 
@@ -239,22 +220,16 @@ class PlannerTable(keys_of(PlannerSettings, *_DISTANCES, *_TIMES, "evaluations")
     weights: WeightsTable = WeightsTable()
 
 
-def _action(kind: type[EndAction | Fallback], **default: Any) -> Any:
-    """The key that chooses one of them."""
-    names = Literal[tuple(each.value for each in kind)]  # type: ignore[valid-type]
-    return Annotated[names, AfterValidator(kind), Field(alias="action", **default)]
-
-
 class EndTable(Table):
     """What to do at the last target."""
 
-    end_action: _action(EndAction)  # type: ignore[valid-type]
+    end_action: EndAction = Field(alias="action", strict=False)
 
 
 class FallbackTable(keys_of(Mission, "attempts")):  # type: ignore[misc]
     """What to do when no way on is found, or the battery will not last."""
 
-    fallback: _action(Fallback, default="return", validate_default=True)  # type: ignore[valid-type]
+    fallback: Fallback = Field(Fallback.RETURN, alias="action", strict=False)
 
 
 class BatteryTable(keys_of(Mission, "endurance_s")):  # type: ignore[misc]
@@ -267,8 +242,9 @@ class BatteryTable(keys_of(Mission, "endurance_s")):  # type: ignore[misc]
 
 def _identified(sender: str) -> tuple[int, int]:
     """System and component of "SYSTEM/COMPONENT"."""
-    system, component = (int(part) for part in sender.split("/"))
-    if not 1 <= system <= 255 or component > 255:
+    parts = re.fullmatch(r"(\d{1,3})/(\d{1,3})", sender, re.ASCII)
+    system, component = map(int, parts.groups()) if parts else (0, 0)
+    if not (1 <= system <= 255 and component <= 255):
         rule = 'it must be "SYSTEM/COMPONENT", 1 to 255 and 0 (any) to 255'
         raise PydanticCustomError("sender", rule)
     return system, component
@@ -278,8 +254,7 @@ class LinkTable(keys_of(Mission, "sets_parameters")):  # type: ignore[misc]
     """Who may command the companion, and what it may say to the autopilot."""
 
     commanders: (
-        Annotated[list[Annotated[Sender, AfterValidator(_identified)]], AfterValidator(tuple)]
-        | None
+        Annotated[list[Annotated[str, AfterValidator(_identified)]], AfterValidator(tuple)] | None
     ) = None
 
 
@@ -301,51 +276,46 @@ class ThreatsTable(Table):
     leave_out: list[NoZone] = Field(default_factory=list)
 
 
-class KnownTerrainTable(Table):
-    """Terrain known in advance: from an elevation file, or one statement about all of the map."""
+class StatedTable(Table):
+    """Terrain known in advance by one statement about all of the map."""
 
-    highest_amsl_m: Altitude | None = None
+    highest_amsl_m: Altitude
     """The ground is nowhere higher than this."""
-    file: FileName | None = None
-    """Relative to the mission's folder."""
-    vertical_datum: VerticalDatum | None = None
-    nodata: Nodata | None = None
-    """What lies where the file has no height.  Left out: unknown until it has been scanned."""
-    datum_error_m: NotNegative | None = None
-    trust: Literal["proof", "guidance"] | None = None
-    """What reads the file: certificates too, or only the choice of the way; left out: proof."""
 
-    def elevation(self, folder: Path, where: str) -> ElevationFile | None:
-        """The file of it, named from a folder; None: it is a statement."""
-        if self.file is None or self.vertical_datum is None:
-            return None
-        return ElevationFile(
-            path=folder / path_of(self.file),
-            vertical_datum=self.vertical_datum,
-            nodata=self.nodata,
-            field=f"{where}: terrain.file",
+
+class KnownElevationTable(ElevationTable):
+    """Terrain known in advance from a file; where that has no height it is not."""
+
+    datum_error_m: NotNegative = 5.0
+    trust: Literal["proof", "guidance"] = "proof"
+    """What reads the file: certificates too, or only the choice of the way."""
+
+
+def _kind_of_terrain(table: Any) -> str:
+    says_height = isinstance(table, dict) and any(key.startswith("highest") for key in table)
+    return "(stated)" if says_height else "(file)"
+
+
+KnownTerrain = Annotated[
+    Annotated[StatedTable, Tag("(stated)")] | Annotated[KnownElevationTable, Tag("(file)")],
+    Discriminator(_kind_of_terrain),
+]
+
+
+def _folder_name(name: str) -> str:
+    if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}", name) is None:
+        rule = (
+            "it must be up to 64 of A-Z, a-z, 0-9, space and _.-, and begin with one of the first"
         )
-
-    def broken(self) -> Iterator[Broken]:
-        """It is a file and what its heights mean, or one height and nothing else."""
-        of_files = {key: value for key, value in self if key != "highest_amsl_m"}
-        if self.highest_amsl_m is None:
-            for key in ("file", "vertical_datum"):
-                if of_files[key] is None:
-                    remedy = f"Add {key}, or give highest_amsl_m alone; see docs/files.md."
-                    yield key, None, "it is missing", remedy
-        else:
-            for key, value in of_files.items():
-                if value is not None:
-                    rule = "highest_amsl_m speaks of all of the map, and of no file"
-                    yield key, value, rule, _REMOVE_ONE
+        raise PydanticCustomError("name", rule)
+    return name
 
 
 class MissionTable(Table):
     """A mission.toml, with what other files that it names hold."""
 
     schema_: Literal[1] = Field(alias="schema")
-    name: Annotated[str, Field(pattern=NAME)]
+    name: Annotated[str, AfterValidator(_folder_name)]
     plan: FileName | None = None
     threats: FileName | None = None
     origin: OriginTable
@@ -360,7 +330,7 @@ class MissionTable(Table):
     battery: BatteryTable = BatteryTable()
     link: LinkTable = LinkTable()
     from_vehicle: FromVehicleTable = FromVehicleTable()
-    terrain: KnownTerrainTable | None = None
+    terrain: KnownTerrain | None = None
     radars: list[MissionRadarTable] = Field(default_factory=list)
     keep_outs: list[ZoneTable] = Field(default_factory=list)
     keep_ins: list[ZoneTable] = Field(default_factory=list)
@@ -373,11 +343,9 @@ class MissionTable(Table):
 
     def broken(self) -> Iterator[Broken]:
         """Its tables fit one another."""
-        vehicle, terrain = self.vehicle, self.terrain
-        if not vehicle.scanner and self.scanner != ScannerTable():
-            rule = "vehicle.scanner = false says that there is no terrain radar"
-            promised = self.scanner.model_dump(by_alias=True)
-            yield "scanner", promised, rule, _REMOVE_ONE
+        vehicle, terrain, targets = self.vehicle, self.terrain, self.targets
+        from_vehicle = self.from_vehicle.targets_from_vehicle
+        trust = terrain.trust if isinstance(terrain, KnownElevationTable) else None
         if vehicle.kind == "plane" and vehicle.autopilot is not None:
             strategy = named(vehicle.autopilot, vehicle.kind)
             ends = {"end.action": self.end.end_action, "fallback.action": self.fallback.fallback}
@@ -386,42 +354,37 @@ class MissionTable(Table):
                     rule = f"{strategy.name} cannot be told to land where it is"
                     yield key, action.value, rule, 'Write "hold" or "return".'
         if self.scanner.kind != _RADAR:
-            yield from self._broken_of_near_sensor()
-        if terrain is None and not vehicle.scanner:
-            rule = "without a terrain radar nothing is known of the ground"
-            remedy = (
-                "Add [terrain] with an elevation file or highest_amsl_m, or remove scanner = false."
-            )
-            yield "vehicle.scanner", False, rule, remedy
-        if terrain is not None and terrain.trust == "guidance" and not vehicle.scanner:
-            rule = "without a terrain radar nothing would be proven, as guidance proves nothing"
-            remedy = 'Write terrain.trust = "proof", or remove scanner = false.'
-            yield "terrain.trust", terrain.trust, rule, remedy
-        if self.from_vehicle.targets_from_vehicle and self.targets is not None:
-            rule = "the targets come from the vehicle (from_vehicle.targets)"
-            yield "targets", len(self.targets), rule, _REMOVE_ONE
-        if not self.from_vehicle.targets_from_vehicle and self.targets is None:
-            remedy = "Add [[targets]], or from_vehicle.targets = true; see docs/files.md."
-            yield "targets", None, "it is missing", remedy
+            yield from self._broken_of_near_sensor(trust)
+        yield from broken_of(
+            (not vehicle.scanner and self.scanner != ScannerTable(), "scanner",
+             self.scanner.model_dump(by_alias=True),
+             "vehicle.scanner = false says that there is no terrain radar", _REMOVE_ONE),
+            (not vehicle.scanner and terrain is None, "vehicle.scanner", False,
+             "without a terrain radar nothing is known of the ground",
+             "Add [terrain] with a file or highest_amsl_m, or remove scanner = false."),
+            (not vehicle.scanner and trust == "guidance", "terrain.trust", trust,
+             "without a terrain radar nothing would be proven, as guidance proves nothing",
+             'Write terrain.trust = "proof", or remove scanner = false.'),
+            (from_vehicle and targets is not None, "targets", len(targets or ()),
+             "the targets come from the vehicle (from_vehicle.targets)", _REMOVE_ONE),
+            (not from_vehicle and targets is None, "targets", None, "it is missing",
+             "Add [[targets]], or from_vehicle.targets = true; see docs/files.md."),
+        )  # fmt: skip
 
-    def _broken_of_near_sensor(self) -> Iterator[Broken]:
+    def _broken_of_near_sensor(self, trust: str | None) -> Iterator[Broken]:
         """Who flies by such a sensor stops, in a band that it sees, over known ground."""
-        table, band = self.scanner, self.altitude
-        if (component := self.vehicle.scanner_component_id) is not None:
-            rule, name = "it is the terrain radar's", "vehicle.scanner_component_id"
-            yield name, component, rule, "Write scanner.component."
-        if self.vehicle.kind != "copter":
-            rule = "only what can stop may fly by a sensor of near things"
-            yield "scanner.kind", table.kind, rule, "Use a terrain radar for a plane."
-        height_m = band.ceiling_amsl_m - band.floor_amsl_m
-        if table.speaks_for_m < height_m:
-            rule = f"its beams are flat, and altitude's band is {height_m:g} m high"
-            remedy = (
-                f"Raise it to {height_m:g} if what stands there is so tall, or narrow the band."
-            )
-            yield "scanner.speaks_for_m", table.speaks_for_m, rule, remedy
-        trust = self.terrain and self.terrain.trust
-        if self.terrain is None or trust == "guidance":
-            rule = "a sensor of near things does not see the ground"
-            remedy = "Add [terrain] with highest_amsl_m, or with an elevation file that is trusted."
-            yield "terrain.trust" if trust else "terrain", trust, rule, remedy
+        component, speaks_m = self.vehicle.scanner_component_id, self.scanner.speaks_for_m
+        height_m = self.altitude.ceiling_amsl_m - self.altitude.floor_amsl_m
+        return broken_of(
+            (component is not None, "vehicle.scanner_component_id", component,
+             "it is the terrain radar's", "Write scanner.component."),
+            (self.vehicle.kind != "copter", "scanner.kind", self.scanner.kind,
+             "only what can stop may fly by a sensor of near things",
+             "Use a terrain radar for a plane."),
+            (speaks_m < height_m, "scanner.speaks_for_m", speaks_m,
+             f"its beams are flat, and altitude's band is {height_m:g} m high",
+             f"Raise it to {height_m:g} if what stands there is so tall, or narrow the band."),
+            (self.terrain is None or trust == "guidance", "terrain.trust" if trust else "terrain",
+             trust, "a sensor of near things does not see the ground",
+             "Add [terrain] with highest_amsl_m, or with an elevation file that is trusted."),
+        )  # fmt: skip

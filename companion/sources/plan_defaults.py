@@ -6,20 +6,24 @@ A mission.toml that names the plan overrides any of them.  Each assumption is re
 import math
 from typing import Any, Final
 
+import numpy as np
+from pydantic import ValidationError
+
 from companion.errors import InputError
 from companion.geodesy import LocalFrame
 from companion.planner.rules import MAX_CELLS
 from companion.planner.settings import CELLS_PER_RANGE
 from companion.profiles import FLIGHT
-from companion.sources.files import RawTable
-from companion.sources.plan_file import Plan, listing
+from companion.sources.files import RawTable, merged
+from companion.sources.mission_schema import TargetTable
+from companion.sources.plan_file import Plan
+from companion.sources.schema import OriginTable
 
 _GRAVITY_M_S2: Final = 9.81
 _LOITER_BANK_RAD: Final = math.radians(35.0)
 _MIN_LOITER_M: Final = 100.0  # both autopilots ask for 80, ArduPlane flies 17 more
 _SEARCH_ERRORS: Final = 1.1  # of the vehicle's errors: kept besides d_s (`Task.band_amsl_m`)
 _BAND_ERRORS: Final = 8.0
-_ERROR_M: Final = 5.0  # tracking and navigation, each, where a mission says nonsense
 _MAX_M_S: Final = 500.0
 _FARTHEST_M: Final = 1e6  # from the origin, as for any place (`sources.zones`)
 
@@ -46,13 +50,13 @@ def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[st
     too far from launch for any map, or whose altitude without a radar is not known.
     """
     said = _at(given, "vehicle.kind")
-    kind = said if said in _SPEED_M_S else plan.kind or "copter"
+    kind = said if said in ("copter", "plane") else plan.kind or "copter"
     is_blind = _at(given, "vehicle.scanner") is False
     ground_m = max(_number(given, "terrain.highest_amsl_m", plan.home_amsl_m), plan.home_amsl_m)
     own_targets = not _at(given, "from_vehicle.targets")
     vehicle, notes = _vehicle(given, plan, kind)
     errors_m = sum(
-        _number(given, f"vehicle.{key}", vehicle.get(key, _ERROR_M), above=0.0)
+        _number(given, f"vehicle.{key}", vehicle[key], above=0.0)
         for key in ("tracking_error_m", "navigation_error_m")
     )
     if plan.unknown_altitudes and own_targets:
@@ -90,7 +94,7 @@ def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[st
         ]
     if "altitude" not in given:
         notes.append(_about_altitude(plan, band, is_blind=is_blind))
-    table = _merged(assumed, given)
+    table = merged(assumed, given, ("keep_outs", "keep_ins", "rally_points"))
     if "area" not in given and (area := _area(table, plan, range_m)):
         table["area"] = area
         notes.append(f"map assumed: {range_m:g} m around launch and targets")
@@ -159,58 +163,34 @@ def _area(table: RawTable, plan: Plan, sight_m: float) -> RawTable | None:
     None: the schema refuses what it would be drawn about.  InputError about the waypoint that makes
     it too large for a map.
     """
-    latitude, longitude = (
-        _number(table, f"origin.{key}", math.nan) for key in ("latitude_deg", "longitude_deg")
-    )
-    if not (abs(latitude) <= 85.0 and abs(longitude) <= 180.0):
+    try:
+        frame = LocalFrame(**dict(OriginTable.model_validate(table["origin"])))
+        targets = [TargetTable.model_validate(each) for each in table.get("targets", ())]
+    except (TypeError, ValidationError):
         return None
-    frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
-    places = [frame.to_local_m(*plan.home_deg), *_targets_ne_m(table, frame)]
-    if not all(math.isfinite(value) for place in places for value in place):
+    own_m = ((each.north_m or 0.0, each.east_m or 0.0) for each in targets if not each.degrees)
+    waypoints = [(each.name, each.degrees) for each in targets if each.degrees]
+    degrees = [plan.home_deg, *(place for _, place in waypoints)]
+    places_m = [*(frame.to_local_m(*place) for place in degrees), *own_m]
+    if not np.isfinite(places_m).all():
         return None
     area = {}
-    for axis, values in zip(("north", "east"), zip(*places, strict=True), strict=True):
+    for axis, values in zip(("north", "east"), zip(*places_m, strict=True), strict=True):
         area[f"{axis}_min_m"] = float(math.floor(min(values) - sight_m))
         area[f"{axis}_max_m"] = float(math.ceil(max(values) + sight_m))
     sides_m = (area[f"{axis}_max_m"] - area[f"{axis}_min_m"] for axis in ("north", "east"))
     cells = math.prod(sides_m) / max(round(sight_m / CELLS_PER_RANGE), 1) ** 2
     by_radar = _at(table, "scanner.kind") in (None, "terrain_radar")
     if max(map(abs, area.values())) >= _FARTHEST_M or (by_radar and cells > MAX_CELLS):
-        _refuse_farthest(table, plan)
+        far_m = [math.dist(place, places_m[0]) for place in places_m[: len(degrees)]]
+        index = far_m.index(max(far_m))
+        if index > 0:
+            far = f"{max(far_m) / 1000.0:,.0f} km from launch {plan.home_deg}"
+            remedy = "Correct it or launch, or raise planner.scan_range_m in a mission.toml."
+            name = f"{plan.name}: {waypoints[index - 1][0]}"
+            rule = f"it lies {far}, too far for one map"
+            raise InputError(name, list(degrees[index]), rule, remedy)
     return area
-
-
-def _refuse_farthest(table: RawTable, plan: Plan) -> None:
-    latitude, longitude = plan.home_deg
-    frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
-    far_m = [math.hypot(*place) for place in _targets_ne_m(table, frame)]
-    if not far_m:
-        return
-    index = far_m.index(max(far_m))
-    target = table["targets"][index]
-    name = f"{plan.name}: {target.get('name') or f'targets[{index}]'}"
-    shown = [target.get("latitude_deg"), target.get("longitude_deg")]
-    rule = (
-        f"it lies {max(far_m) / 1000.0:,.0f} km from launch ({latitude:g}, {longitude:g}), too far "
-        "for one map"
-    )
-    remedy = (
-        "Correct it or launch; if both are right, name the plan in a mission.toml with a larger "
-        "planner.scan_range_m."
-    )
-    raise InputError(name, shown, rule, remedy)
-
-
-def _targets_ne_m(table: RawTable, frame: LocalFrame) -> list[tuple[float, float]]:
-    """Where the targets lie; nan for what the schema refuses."""
-    targets, found = table.get("targets"), []
-    for target in targets if isinstance(targets, list) else []:
-        lat, lon, north_m, east_m = (
-            _number({"at": target}, f"at.{key}", math.nan)
-            for key in ("latitude_deg", "longitude_deg", "north_m", "east_m")
-        )
-        found.append((north_m, east_m) if math.isnan(lat) else frame.to_local_m(lat, lon))
-    return found
 
 
 def _about_altitude(plan: Plan, band: RawTable, *, is_blind: bool) -> str:
@@ -238,23 +218,8 @@ def _about_unknown_altitudes(plan: Plan, *, is_blind: bool) -> str:
     if is_blind:
         rule = "it is above terrain, and how high the ground is there is not known"
         raise InputError(f"{where}: altitude", height_m, rule, remedy)
-    names = [label.removeprefix(f"{plan.name}: ") for label, _ in plan.unknown_altitudes]
     what = "altitude above terrain, where the ground is not known"
-    return f"left out: {len(names)} x {what} ({listing(names)}). {remedy}"
-
-
-def _merged(assumed: RawTable, given: RawTable) -> RawTable:
-    """What is given over what is assumed; lists of zones and points one after the other."""
-    result = dict(assumed)
-    for key, value in given.items():
-        below = result.get(key)
-        if isinstance(value, dict) and isinstance(below, dict):
-            result[key] = _merged(below, value)
-        elif key in ("keep_outs", "keep_ins", "rally_points") and isinstance(value, list):
-            result[key] = [*value, *(below or [])]
-        else:
-            result[key] = value
-    return result
+    return f"left out: {len(plan.unknown_altitudes)} x {what}. {remedy}"
 
 
 def _at(table: RawTable, path: str) -> Any:

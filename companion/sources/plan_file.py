@@ -6,13 +6,13 @@ companion chooses its own within a band.
 """
 
 import math
-from collections import Counter, defaultdict, deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, final
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AliasPath, BaseModel, ConfigDict, Field
 
 from companion.errors import InputError
 from companion.mavlink import fence
@@ -26,33 +26,31 @@ from companion.sources.schema import validated
 _TERRAIN_MODES: Final = (3, 4)
 """AltitudeMode of QGroundControl: above terrain, sent as AMSL (3) or as it is (4)."""
 _TAKE_OFFS: Final = (wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_CMD_NAV_TAKEOFF_LOCAL)
+_ENDS: Final = {
+    wire.MAV_CMD_NAV_LOITER_UNLIM: "hold",
+    wire.MAV_CMD_NAV_RETURN_TO_LAUNCH: "return",
+    wire.MAV_CMD_NAV_LAND: "land",
+}
+"""Commands that end a mission, and how."""
+_NO_ALTITUDE: Final = "waypoint without an altitude (that of the one before is taken)"
 _NOT_FLOWN: Final = (wire.MAV_CMD_NAV_DELAY, wire.MAV_CMD_NAV_ROI)
 """Of the commands up to MAV_CMD_NAV_LAST, those that may be left out."""
 _REMEDY: Final = "Give a .plan that QGroundControl has saved."
-_MAX_TARGETS: Final = 1000
-_NAMED: Final = 3
-"""So many items of a kind are named, of the others only the number is said."""
 
 Ground = Callable[[float, float], float | None]
 """How high the ground is known to be, AMSL, at a latitude and a longitude; None: it is not."""
+Labelled = tuple[str, "Item"]
+"""How an item is called in errors, and the item."""
 
 
 class _Json(BaseModel):
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
 
 
-def _given(value: Any) -> Any:
-    """MAVLink says "not given" by no number, JSON by null; some programs write it as a text."""
-    return None if isinstance(value, str) and value.lower() in ("nan", "null") else value
-
-
-_Number = Annotated[float | None, BeforeValidator(_given)]
+_Number = float | None
+"""JSON's null for what MAVLink says by no number: it is not given."""
 _Corner = Annotated[list[Longitude], Field(min_length=2, max_length=3)]
-_Version = Literal[1, 2]
-
-
-class _Survey(_Json):
-    items: list["Item"] = Field(default_factory=list, alias="Items")
+_Version = Literal[2]
 
 
 class Item(_Json):
@@ -62,20 +60,22 @@ class Item(_Json):
     command: int | None = None
     frame: int = 0
     params: list[_Number] = []
-    coordinate: list[_Number] | None = None
-    """Latitude, longitude and altitude in old files; in others they are parameters 5 to 7."""
     altitude_mode: int | None = Field(None, alias="AltitudeMode")
     altitude_m: _Number = Field(None, alias="Altitude")
     above_terrain_amsl_m: _Number = Field(None, alias="AMSLAltAboveTerrain")
-    goes_on: bool = Field(default=True, alias="autoContinue")
     complex_type: str = Field("", alias="complexItemType")
-    survey: _Survey | None = Field(None, alias="TransectStyleComplexItem")
+    survey: list["Item"] = Field(
+        default_factory=list, validation_alias=AliasPath("TransectStyleComplexItem", "Items")
+    )
 
     @property
     def place(self) -> list[float | None]:
         """Latitude, longitude, altitude; None for what is not given."""
-        given = self.params[4:7] if self.coordinate is None else self.coordinate[:3]
-        return [*given, None, None, None][:3]
+        return [*self.params[4:7], None, None, None][:3]
+
+    def is_with(self, other: "Item") -> bool:
+        """Whether they are corners of one polygon."""
+        return (self.command, self.params[:1]) == (other.command, other.params[:1])
 
 
 class _Mission(_Json):
@@ -87,14 +87,10 @@ class _Mission(_Json):
     items: list[Item] = []
 
 
-class _Circle(_Json):
-    center: _Corner
-    radius: Positive
-
-
 class _FenceCircle(_Json):
     inclusion: bool
-    circle: _Circle
+    center: _Corner = Field(validation_alias=AliasPath("circle", "center"))
+    radius: Positive = Field(validation_alias=AliasPath("circle", "radius"))
 
 
 class _FencePolygon(_Json):
@@ -164,12 +160,13 @@ class Plan(Zones):
         zone |= places[0] | shape if shape else {"vertices_deg": [[*p.values()] for p in places]}
         self.add(zone, inside=inside)
 
-    def add_items(self, items: Iterator[tuple[str, Item]], ground: Ground | None) -> None:
-        """Add items with what they are called in errors; ground: as for `read_plan`."""
+    def add_items(self, items: Iterator[Labelled], ground: Ground | None) -> None:
+        """Add items; ground: as for `read_plan`."""
         reader = _Items(self, ground)
         for where, item in items:
             reader.take(item, where)
-        self.notes += reader.notes()
+        if left_out := reader.left_out.items():
+            self.notes.append("left out: " + ", ".join(f"{n} x {what}" for what, n in left_out))
 
 
 def read_plan(path: Path, where: str, ground: Ground | None = None) -> Plan:
@@ -178,20 +175,18 @@ def read_plan(path: Path, where: str, ground: Ground | None = None) -> Plan:
     Raises InputError about the field (where) if it cannot be read as a .plan, or naming the item
     that cannot be flown: jumps, take-off or landing as a VTOL, places without a known datum.
     """
-    found = json_table(path, where, _REMEDY, nan_is_null=True)
+    found = json_table(path, where, _REMEDY)
     if found.get("fileType") != "Plan":
         raise InputError(where, str(path), "it is no QGroundControl plan", _REMEDY)
     content, name = validated(_Plan, found, path.name), path.name
-    mission, zones = content.mission, content.fence
-    remedy = "Set it in QGroundControl (Mission Start)."
+    mission, remedy = content.mission, "Set it in QGroundControl (Mission Start)."
     plan = launched(name, mission.home, f"{name}: mission.plannedHomePosition", remedy)
     plan.kind = _kind(mission.vehicle_type, name)
     plan.speed_m_s = {"copter": mission.hover_speed_m_s, "plane": mission.cruise_speed_m_s}
-    for k, circle in enumerate(zones.circles):
-        at, shape = f"{name}: geoFence.circles[{k}]", circle.circle
-        zone = f"fence circle {k + 1}"
-        plan.add_zone(zone, at, circle.inclusion, shape.center, radius_m=shape.radius)
-    for k, polygon in enumerate(zones.polygons):
+    for k, circle in enumerate(content.fence.circles):
+        at, inside, radius_m = f"{name}: geoFence.circles[{k}]", circle.inclusion, circle.radius
+        plan.add_zone(f"fence circle {k + 1}", at, inside, circle.center, radius_m=radius_m)
+    for k, polygon in enumerate(content.fence.polygons):
         at = f"{name}: geoFence.polygons[{k}]"
         plan.add_zone(f"fence polygon {k + 1}", at, polygon.inclusion, *polygon.polygon)
     if len(plan.keep_ins) > 1:
@@ -205,15 +200,19 @@ def read_plan(path: Path, where: str, ground: Ground | None = None) -> Plan:
 
 def launched(name: str, home: list[float | None], where: str, remedy: str) -> Plan:
     """An empty plan with its launch; InputError (where) if there is no such place."""
-    latitude, longitude, altitude = home
-    if None in (latitude, longitude) or (latitude == 0.0 and longitude == 0.0):
+    if not is_place(home):
         raise InputError(where, home, "launch has no latitude and longitude", remedy)
-    place = place_deg(home, where)
+    place, altitude = place_deg(home, where), home[2]
     if altitude is None:
         rule = "the altitude of launch is missing, and the plan's altitudes are measured from it"
         raise InputError(where, home, rule, f"{remedy} Or write its metres AMSL there.")
     home_deg = place["latitude_deg"], place["longitude_deg"]
     return Plan(name=name, home_deg=home_deg, home_amsl_m=altitude)
+
+
+def is_place(place: Sequence[float | None]) -> bool:
+    """Whether it says where: many programs write two zeros where they do not."""
+    return None not in place[:2] and any(place[:2])
 
 
 def place_deg(place: Sequence[float | None], where: str) -> RawTable:
@@ -225,12 +224,6 @@ def place_deg(place: Sequence[float | None], where: str) -> RawTable:
     return {"latitude_deg": latitude, "longitude_deg": longitude}
 
 
-def listing(names: list[str]) -> str:
-    """Some of them by name, and how many there are."""
-    more = len(names) - _NAMED
-    return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
-
-
 @final
 class _Items:
     """Takes the mission items of a plan, one after the other."""
@@ -238,25 +231,17 @@ class _Items:
     def __init__(self, plan: Plan, ground: Ground | None) -> None:
         self._plan, self._ground = plan, ground
         self._ended_by, self._home_moves = "", False
-        self._left_out = Counter[str]()
-        self._noted = defaultdict[str, list[str]](list)
-        """Items by what is to be said of their altitudes."""
-
-    def notes(self) -> Iterator[str]:
-        """What was left out, or taken otherwise than it may be meant."""
-        if self._left_out:
-            yield "left out: " + ", ".join(f"{n} x {what}" for what, n in self._left_out.items())
-        for words, names in self._noted.items():
-            yield f"{words}: {listing(names)}"
+        self.left_out = Counter[str]()
+        """How often what of an item is not done, in words."""
 
     def take(self, item: Item, where: str) -> None:
         """Add an item to the plan.  Raises InputError naming it if it cannot be flown."""
         if item.type != "ComplexItem":
             self._take_simple(item, where)
         elif item.complex_type.endswith("LandingPattern"):
-            self._left_out[item.complex_type] += 1
-        elif item.survey is not None and item.survey.items:
-            for number, inner in enumerate(item.survey.items):
+            self.left_out[item.complex_type] += 1
+        elif item.survey:
+            for number, inner in enumerate(item.survey):
                 self.take(inner, f"{where}.TransectStyleComplexItem.Items[{number}]")
         else:
             rule = "it holds no waypoints"
@@ -264,74 +249,58 @@ class _Items:
             raise InputError(f"{where}.complexItemType", item.complex_type, rule, remedy)
 
     def _take_simple(self, item: Item, where: str) -> None:
-        command, (latitude, longitude, _) = item.command, item.place
-        name = _word("MAV_CMD", command)
+        command, name = item.command, _word("MAV_CMD", item.command)
         if command is None:
             raise InputError(f"{where}.command", None, "it is missing", _REMEDY)
         if command in PLACES:
-            self._take_place(item, command, where)
-            if command == wire.MAV_CMD_NAV_LOITER_UNLIM:
-                self._plan.end_action, self._ended_by = "hold", name
+            if not is_place(item.place):
+                rule = "it has no latitude and longitude"
+                raise InputError(f"{where}.params", item.place[:2], rule, "Put it on the map.")
+            self._add_target(item, self._altitude_amsl_m(item, where), where)
+            self.left_out.update(not_done(command, item.params[:4]))
         elif command in _TAKE_OFFS and not self._plan.targets:
-            self._note_altitude(item, where)
-        elif command == wire.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-            self._plan.end_action, self._ended_by = "return", name
-        elif command == wire.MAV_CMD_NAV_LAND:
-            if latitude or longitude:
-                self._add_target(item.place, None, where)
-            self._plan.end_action, self._ended_by = "land", name
-        elif (
-            command <= wire.MAV_CMD_NAV_LAST and command not in (*_NOT_FLOWN, *_TAKE_OFFS)
-        ) or command == wire.MAV_CMD_DO_JUMP:
+            self._altitude_amsl_m(item, where)
+        elif command == wire.MAV_CMD_NAV_LAND and is_place(item.place):
+            self._add_target(item, None, where)
+        elif command == wire.MAV_CMD_DO_JUMP or (
+            command <= wire.MAV_CMD_NAV_LAST and command not in (*_ENDS, *_NOT_FLOWN, *_TAKE_OFFS)
+        ):
             rule = f"{name} cannot be flown by the companion"
             raise InputError(f"{where}.command", command, rule, "Replace it by waypoints.")
-        else:  # a take-off too, of what is in the air already
+        elif command not in _ENDS:  # a take-off too, of what is in the air already
             self._home_moves |= command == wire.MAV_CMD_DO_SET_HOME
-            self._left_out[name] += 1
+            self.left_out[name] += 1
+        if command in _ENDS:
+            self._plan.end_action, self._ended_by = _ENDS[command], name
 
-    def _take_place(self, item: Item, command: int, where: str) -> None:
-        latitude, longitude, _ = item.place
-        if None in (latitude, longitude) or (latitude == 0.0 and longitude == 0.0):
-            rule = "it has no latitude and longitude"
-            raise InputError(f"{where}.params", [latitude, longitude], rule, "Put it on the map.")
-        self._add_target(item.place, self._note_altitude(item, where), where)
-        self._left_out.update(not_done(command, item.params[:4]))
-        if not item.goes_on:
-            self._left_out["stop at a waypoint (autocontinue 0)"] += 1
-
-    def _add_target(
-        self, place: Sequence[float | None], altitude_amsl_m: float | None, where: str
-    ) -> None:
+    def _add_target(self, item: Item, altitude_amsl_m: float | None, where: str) -> None:
         if self._ended_by:
             rule = "the mission ends before this item"
             remedy = "Remove what comes after it, or move it to the end."
             raise InputError(where, self._ended_by, rule, remedy)
-        target = {"name": self._short(where), **place_deg(place, where)}
+        name = where.removeprefix(f"{self._plan.name}: ").removeprefix("mission.")
+        target = {"name": name, **place_deg(item.place, where)}
         if altitude_amsl_m is not None:
             target["altitude_amsl_m"] = altitude_amsl_m
         self._plan.targets.append(target)
-        if (count := len(self._plan.targets)) > _MAX_TARGETS:
-            rule = f"it has more than {_MAX_TARGETS} waypoints"
-            raise InputError(where, count, rule, "Divide the plan.")
 
-    def _note_altitude(self, item: Item, where: str) -> float | None:
-        """How high an item was meant to be, AMSL, if that can be known: remembered."""
-        *_, given = item.place
+    def _altitude_amsl_m(self, item: Item, where: str) -> float | None:
+        """How high an item was meant to be, if that can be known: remembered."""
+        given, above_home = item.place[2], item.frame in HOME_FRAMES
         if item.frame in TERRAIN_FRAMES or item.altitude_mode in _TERRAIN_MODES:
             altitude = self._above_terrain(item, given, where)
-        elif item.frame not in (*HOME_FRAMES, *AMSL_FRAMES):
-            rule = "what its altitude is above is not known"
-            remedy = "Give altitudes above launch or above mean sea level."
-            raise InputError(f"{where}.frame", item.frame, rule, remedy)
-        elif self._home_moves and item.frame in HOME_FRAMES:
-            rule = "do set home comes before it, so what its altitude is above is not known"
-            remedy = "Remove that, or give altitudes above mean sea level."
+        elif not (above_home or item.frame in AMSL_FRAMES) or (self._home_moves and above_home):
+            why = ", as do set home comes before it" if above_home else ""
+            rule, remedy = (
+                f"what its altitude is above is not known{why}",
+                "Give it above sea level.",
+            )
             raise InputError(f"{where}.frame", item.frame, rule, remedy)
         else:
-            above_m = self._plan.home_amsl_m if item.frame in HOME_FRAMES else 0.0
+            above_m = self._plan.home_amsl_m if above_home else 0.0
             altitude = None if given is None else above_m + given
             if altitude is None and item.command not in _TAKE_OFFS:
-                self._note("without an altitude, so that of the one before", where)
+                self.left_out[_NO_ALTITUDE] += 1
         if altitude is not None:
             self._plan.altitudes_amsl_m.append(altitude)
         return altitude
@@ -344,25 +313,18 @@ class _Items:
             return given  # AltitudeMode 3: this is what is sent
         height_m = given if item.altitude_m is None else item.altitude_m
         if height_m is None:
-            self._note("without an altitude, so that of the one before", where)
+            self.left_out[_NO_ALTITUDE] += 1
             return None
         if item.command in _TAKE_OFFS:  # at launch, which stands on the ground
             return self._plan.home_amsl_m + height_m
         latitude, longitude, _ = item.place
-        ground_m = None
-        if self._ground is not None and latitude is not None and longitude is not None:
-            ground_m = self._ground(latitude, longitude)
+        assert latitude is not None
+        assert longitude is not None
+        ground_m = None if self._ground is None else self._ground(latitude, longitude)
         if ground_m is None:
             self._plan.unknown_altitudes.append((where, height_m))
             return None
-        self._note("above terrain, taken above the ground of [terrain]", where)
         return ground_m + height_m
-
-    def _note(self, what: str, where: str) -> None:
-        self._noted[what].append(self._short(where))
-
-    def _short(self, where: str) -> str:
-        return where.removeprefix(f"{self._plan.name}: ").removeprefix("mission.")
 
 
 def _kind(vehicle_type: int, name: str) -> str | None:
@@ -384,8 +346,6 @@ def _word(enum: str, number: int | None) -> str:
 _HEAD: Final = "QGC WPL"
 _SAVE_AGAIN: Final = "Save it again with Mission Planner, MAVProxy or QGroundControl."
 _RALLY = wire.MAV_CMD_NAV_RALLY_POINT
-_Labelled = tuple[str, Item]
-"""How an item is called in errors, and the item."""
 
 
 def read_waypoint_list(path: Path, where: str, ground: Ground | None = None) -> Plan:
@@ -419,7 +379,7 @@ def read_waypoint_fence(path: Path, where: str) -> Plan:
     return plan
 
 
-def _items(path: Path, where: str) -> deque[_Labelled]:
+def _items(path: Path, where: str) -> deque[Labelled]:
     """By pymavlink, line by line: its `load` names no line, and takes the locale's encoding."""
     from pymavlink import mavwp  # it is not needed by most missions
 
@@ -433,17 +393,15 @@ def _items(path: Path, where: str) -> deque[_Labelled]:
         except (mavwp.MAVWPError, ValueError) as error:
             label = f"{path.name}: line {number}"
             raise InputError(label, line.strip()[:60], str(error)[:100], _SAVE_AGAIN) from None
-    found = deque[_Labelled]()
+    found = deque[Labelled]()
     for number, item in enumerate(loader.wpoints):
         label = f"{path.name}: item {number}"
         numbers = [item.param1, item.param2, item.param3, item.param4, item.x, item.y, item.z]
         if any(map(math.isinf, numbers)):
             raise InputError(label, numbers, "it is made of finite numbers", _SAVE_AGAIN)
         given = [None if math.isnan(each) else each for each in numbers]
-        goes_on, table = item.autocontinue != 0, {"command": item.command, "frame": item.frame}
-        found.append(
-            (label, Item.model_validate(table | {"params": given, "autoContinue": goes_on}))
-        )
+        table = {"command": item.command, "frame": item.frame, "params": given}
+        found.append((label, Item.model_validate(table)))
     return found
 
 
@@ -452,7 +410,7 @@ def _is_of_zones(item: Item) -> bool:
     return fence.RETURN_POINT <= (item.command or 0) <= _RALLY
 
 
-def _without_zones(items: deque[_Labelled], plan: Plan) -> Iterator[_Labelled]:
+def _without_zones(items: deque[Labelled], plan: Plan) -> Iterator[Labelled]:
     """Add circles, polygons, whose corners follow one another, and rally points; other items."""
     while items:
         label, item = items.popleft()
@@ -461,11 +419,7 @@ def _without_zones(items: deque[_Labelled], plan: Plan) -> Iterator[_Labelled]:
         inside = command in (fence.POLYGON_IN, fence.CIRCLE_IN)
         if command in (fence.POLYGON_IN, fence.POLYGON_OUT):
             corners = [item.place]
-            while (
-                items
-                and len(corners) < size
-                and (items[0][1].command, items[0][1].params[0]) == (command, size)
-            ):
+            while items and len(corners) < size and items[0][1].is_with(item):
                 corners.append(items.popleft()[1].place)
             if len(corners) != size or size < 3:
                 rule = f"its polygon has {len(corners)} of {size:g} corners"

@@ -9,6 +9,7 @@ import difflib
 import typing
 from collections.abc import Iterator
 from dataclasses import MISSING, fields
+from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
 from pydantic import (
@@ -22,15 +23,15 @@ from pydantic import (
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from companion.errors import InputError
+from companion.planner.rules import Broken
 from companion.ranges import Longitude, Positive
-from companion.sources.elevation import VerticalDatum
+from companion.sources.elevation import ElevationFile, VerticalDatum
 
 Horizontal = Annotated[float, Field(ge=-1e6, le=1e6)]
 Altitude = Annotated[float, Field(ge=-500.0, le=50_000.0)]
 Nodata = Literal["sea"] | Altitude
-Broken = tuple[str, object, str, str]
-"""A rule that a table breaks: the field in it ("": all of it), its value, the rule, the remedy."""
 FileName = Annotated[str, Field(min_length=1, max_length=1000)]
+_UNKNOWN, _BROKEN = "unknown_key", "broken_rule"
 
 
 class Table(BaseModel):
@@ -45,15 +46,39 @@ class Table(BaseModel):
         return {name: value for name, value in values.items() if value is not None}
 
     def broken(self) -> Iterator[Broken]:
-        """The rules between its keys that it breaks."""
+        """The rules between its keys that it breaks; field "": all of it."""
         yield from ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_no_other_key(cls, table: Any) -> Any:
+        known = sorted(info.alias or name for name, info in cls.model_fields.items())
+        unknown = [key for key in table if key not in known] if isinstance(table, dict) else []
+        if unknown and cls.model_config["extra"] == "forbid":
+            nearest = difflib.get_close_matches(unknown[0], known, n=1, cutoff=0.0)
+            first = f"Did you mean {nearest[0]}?" if nearest else "Remove it."
+            remedy = f"{first} Known here: {', '.join(known)}."
+            rule = "no such key (units are part of keys)"
+            raise _refusal(_UNKNOWN, unknown[0], table[unknown[0]], rule, remedy)
+        return table
 
     @model_validator(mode="after")
     def _breaks_no_rule(self) -> Self:
-        for field, value, rule, remedy in self.broken():
-            told = {"field": field, "value": value, "rule": rule, "remedy": remedy}
-            raise PydanticCustomError("broken", "{rule}", told)
+        for broken in self.broken():
+            raise _refusal(_BROKEN, *broken)
         return self
+
+
+def _refusal(kind: str, field: str, value: object, rule: str, remedy: str) -> PydanticCustomError:
+    told = {"field": field, "value": value, "rule": rule, "remedy": remedy}
+    return PydanticCustomError(kind, "{rule}", told)
+
+
+def broken_of(*rules: tuple[bool, str, object, str, str]) -> Iterator[Broken]:
+    """Those that are broken, of rules that each begin with whether they are."""
+    return (
+        (field, value, rule, remedy) for is_broken, field, value, rule, remedy in rules if is_broken
+    )
 
 
 def keys_of(kind: type, *names: str, **keys_by_name: str) -> Any:
@@ -112,86 +137,53 @@ class TerrainTable(Table):
     peaks: list[PeakTable] = []
 
 
-class FileTerrainTable(Table):
-    """The true terrain of a world, from an elevation file."""
+class ElevationTable(Table):
+    """Terrain from an elevation file."""
 
     file: FileName
-    """Relative to the world file's folder."""
+    """Relative to the folder of the file that names it."""
     vertical_datum: VerticalDatum
     nodata: Nodata | None = None
-    """What lies where the file has no height: the sea, or ground AMSL.  Left out: an error."""
+    """What lies where the file has no height: the sea, or ground AMSL."""
+
+    def elevation(self, folder: Path, where: str) -> ElevationFile:
+        """The file of it, named from a folder."""
+        return ElevationFile(
+            path=folder / self.file,
+            vertical_datum=self.vertical_datum,
+            nodata=self.nodata,
+            field=f"{where}: terrain.file",
+        )
 
 
-class WorldVehicleTable(BaseModel):
-    """Of the simulator's vehicle, only where it stands concerns the companion."""
+class WorldVehicleTable(Table):
+    """Where the simulator's vehicle stands."""
 
-    model_config = ConfigDict(extra="ignore", frozen=True)
+    model_config = ConfigDict(extra="ignore")
     north_m: Horizontal = 0.0
     east_m: Horizontal = 0.0
 
 
 class WorldTable(Table):
-    """A world.toml."""
+    """Of a world.toml what concerns the companion; vehicle-sim reads and checks the rest."""
 
+    model_config = ConfigDict(extra="ignore")
     schema_: Literal[1] = Field(alias="schema")
     name: str
     origin: OriginTable
     terrain: TerrainTable
-    radars: list[dict[str, Any]] = []
     vehicle: WorldVehicleTable
-    scanner: dict[str, Any] = {}
-    trees: list[dict[str, Any]] = []
-    woods: list[dict[str, Any]] = []
-    buildings: list[dict[str, Any]] = []
-    walls: list[dict[str, Any]] = []
-    wires: list[dict[str, Any]] = []
-    lidar: dict[str, Any] = {}
-    second_lidar: dict[str, Any] = {}
 
 
 class FileWorldTable(WorldTable):
     """A world.toml whose terrain is an elevation file: it says how much of it is needed."""
 
-    terrain: FileTerrainTable  # type: ignore[assignment]
+    terrain: ElevationTable  # type: ignore[assignment]
     area: AreaTable
 
 
-REMOVED: Final = {
-    "traffic": "Leave it out: keep vehicles apart by fences or altitudes of their own.",
-    "link.obstacle_distance": "Leave it out: companion view shows what the planner knows.",
-    "scanner.beam_deg": "Leave it out: sectors say how wide they are.",
-    "scanner.kind = obstacle_distance_3d": (
-        'Write kind = "obstacle_distance", and let the driver send OBSTACLE_DISTANCE.'
-    ),
-}
-"""Keys and values ("table.key = value") of files for versions before, and what to do instead."""
-NAME, SENDER = r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$", r"^\d{1,3}/\d{1,3}$"
-_IN_WORDS: Final = {
-    NAME: "it must be up to 64 of A-Z, a-z, 0-9, space and _.-, beginning with a letter or digit",
-    SENDER: "it must be SYSTEM/COMPONENT",
-}
-_UNITS: Final = {
-    "_m_s2": " in metres per second squared",
-    "_m_s": " in metres per second",
-    "_amsl_m": " in metres above mean sea level",
-    "_m": " in metres",
-    "_s": " in seconds",
-    "_deg": " in degrees",
-    "_hz": " in hertz",
-}
 _MOST_SHOWN: Final = 4  # of the items of a value
 Model = TypeVar("Model", bound=BaseModel)
-
-
-def removed_key(table: Any, path: tuple[str, ...] = ()) -> str:
-    """The first key or value of a file that was removed; "": there is none."""
-    here = ".".join(path)
-    if here in REMOVED or f"{here} = {table}" in REMOVED:
-        return here
-    inner = [(path, each) for each in table] if isinstance(table, list) else []
-    if isinstance(table, dict):
-        inner = [((*path, key), each) for key, each in table.items()]
-    return next(filter(None, (removed_key(each, at) for at, each in inner)), "")
 
 
 def validated(model: type[Model], table: dict[str, Any], where: str) -> Model:
@@ -200,56 +192,20 @@ def validated(model: type[Model], table: dict[str, Any], where: str) -> Model:
         return model.model_validate(table)
     except ValidationError as error:
         details = error.errors()
-    unknown = [detail for detail in details if detail["type"] == "extra_forbidden"]
-    raise _input_error(model, (unknown or details)[0], where)
+    unknown = [detail for detail in details if detail["type"] == _UNKNOWN]
+    raise _input_error((unknown or details)[0], where)
 
 
-def _input_error(model: type[BaseModel], detail: ErrorDetails, where: str) -> InputError:
-    kind, place, value, told = detail["type"], detail["loc"], detail["input"], detail.get("ctx", {})
-    if kind == "broken":
-        value, place = told["value"], (*place, *filter(None, [told["field"]]))
+def _input_error(detail: ErrorDetails, where: str) -> InputError:
+    kind, value, told = detail["type"], detail["input"], detail.get("ctx", {})
+    place = tuple(step for step in detail["loc"] if not str(step).startswith("("))  # not a tag
+    rule, remedy = detail["msg"], "Give a valid value; see docs/files.md."
+    if kind in (_UNKNOWN, _BROKEN):
+        value, remedy, place = told["value"], told["remedy"], (*place, told["field"])
+    elif kind == "missing":
+        value, rule, remedy = None, "it is missing", f"Add {place[-1]}; see docs/files.md."
     field = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place)
-    field = f"{where}: {field.lstrip('.')}"
-    path = ".".join(step for step in place if isinstance(step, str))
-    shown = value
     if isinstance(value, dict | list) and len(value) > _MOST_SHOWN:
-        shown = f"{len(value)} items"
-    if remedy := REMOVED.get(path) or REMOVED.get(f"{path} = {value}"):
-        return InputError(field, shown, "it was removed in this version", remedy)
-    if kind == "broken":
-        return InputError(field, shown, told["rule"], told["remedy"])
-    if kind == "extra_forbidden":
-        return InputError(field, value, *_about_unknown_key(model, place))
-    if kind == "missing":
-        return InputError(field, None, "it is missing", f"Add {place[-1]}; see docs/files.md.")
-    rule = detail["msg"].replace("Input should be", "it must be")
-    rule = _IN_WORDS.get(told.get("pattern", ""), rule)
-    if kind == "union_tag_invalid":
-        rule = f"its type must be one of {told['expected_tags']}"
-    unit = next((unit for ending, unit in _UNITS.items() if field.endswith(ending)), "")
-    return InputError(field, shown, rule, f"Give a valid value{unit}.")
-
-
-def _about_unknown_key(model: type[BaseModel], place: tuple[int | str, ...]) -> tuple[str, str]:
-    """The rule that it breaks, and the known keys of its table as a remedy."""
-    here: Any = model
-    for step in place[:-1]:
-        if isinstance(step, str):
-            keys = {info.alias or name: info for name, info in here.model_fields.items()}
-            here = _table_in(keys[step].annotation)
-    known = sorted(info.alias or name for name, info in here.model_fields.items())
-    key = str(place[-1])
-    nearest = difflib.get_close_matches(key, known, n=1, cutoff=0.0)
-    rule = "no such key (units are part of keys)"
-    about_altitude = any(word in key for word in ("altitude", "floor", "ceiling", "height"))
-    if about_altitude and nearest and nearest[0].endswith("_amsl_m"):
-        rule = "an altitude must name its datum and unit, and only AMSL metres are known here"
-    first = f"Did you mean {nearest[0]}?" if nearest else "Remove it."
-    return rule, f"{first} Known here: {', '.join(known)}."
-
-
-def _table_in(annotation: Any) -> Any:
-    """The table in list[Table], Table | None and the like."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    return next(filter(None, map(_table_in, typing.get_args(annotation))), None)
+        value = f"{len(value)} items"
+    rule = rule.replace("Input should be", "it must be")
+    return InputError(f"{where}: {field.strip('.')}", value, rule, remedy)

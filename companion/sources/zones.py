@@ -21,11 +21,6 @@ _Span = tuple[float, float]
 
 _FARTHEST_M: Final = 1e6
 """From the origin: beyond, the local frame is too far from a map."""
-_AROUND_M: Final = 50e3
-"""Of what is drawn on a larger scale, the part within this of the map: farther than any distance
-that is asked of a zone."""
-_PER_DEGREE_M: Final = 111e3
-_MAP_DEG: Final = 5.0  # more than any map reaches from its origin
 _STRAIGHT_M: Final = 2000.0
 """An edge that is straight in degrees is, at 60 degrees of latitude, 0.15 m off over this."""
 
@@ -56,19 +51,17 @@ def zones_of(
     limits, reach_m = task.limits, task.zone_search_clearance_m
     spans = _wider(limits.north_m, reach_m), _wider(limits.east_m, reach_m)
     found, far = list[Zone](), 0
-    for number, table in enumerate(model.keep_outs):
-        zone = _zone(table, frame, spans, f"{where}: keep_outs[{number}]", keep_in=False)
-        if zone is None or not _touches(zone, spans):
-            far += 1
-        else:
-            found.append(zone)
-    for number, table in enumerate(model.keep_ins):
-        field = f"{where}: keep_ins[{number}]"
-        zone = _zone(table, frame, spans, field, keep_in=True)
-        if zone is None:
-            rule = "all of the map lies outside of it, more than 1,000 km from its corners"
-            raise InputError(field, table.name, rule, "Remove it, or correct it.")
-        found.append(zone)
+    for kind, tables in (("keep_outs", model.keep_outs), ("keep_ins", model.keep_ins)):
+        for number, table in enumerate(tables):
+            field, keep_in = f"{where}: {kind}[{number}]", kind == "keep_ins"
+            zone = _zone(table, frame, spans, field, keep_in=keep_in)
+            if keep_in and zone is None:
+                rule = "all of the map lies outside of it, more than 1,000 km from its corners"
+                raise InputError(field, table.name, rule, "Remove it, or correct it.")
+            if zone is not None and (keep_in or _touches(zone, spans)):
+                found.append(zone)
+            else:
+                far += 1
     note = f"{far} of {len(model.keep_outs)} keep-outs lie away from the map" if far else ""
     return tuple(found), note
 
@@ -76,7 +69,7 @@ def zones_of(
 def _zone(
     table: ZoneTable, frame: LocalFrame, spans: tuple[_Span, _Span], field: str, *, keep_in: bool
 ) -> Zone | None:
-    """The zone, or None if nothing of it comes near the map, and it is far away."""
+    """The zone, or None if some of it is far away, and nothing of it comes near the map."""
     if table.radius_m is not None:
         if table.degrees is not None and not _is_near(place := frame.to_local_m(*table.degrees)):
             farthest_m = math.hypot(*(max(map(abs, span)) for span in spans))
@@ -90,25 +83,20 @@ def _zone(
             name=table.name, north_m=north, east_m=east, radius_m=table.radius_m, keep_in=keep_in
         )
     if table.vertices_m is not None:
-        corners = checked = tuple((north, east) for north, east in table.vertices_m)
+        corners = drawn = tuple((north, east) for north, east in table.vertices_m)
     else:
         degrees = [(latitude, longitude) for latitude, longitude in table.vertices_deg or []]
-        checked = tuple(frame.to_local_m(*place) for place in degrees)
-        are_near = [_is_near(place) for place in checked]
-        if not all(are_near):
-            part = _part_near(degrees, frame, spans, table.name, field)
-            if part is None:
+        corners = tuple(frame.to_local_m(*place) for place in degrees)
+        if not all(map(_is_near, corners)):
+            ways = [each for each in (short_way(degrees), degrees) if each]  # around the Earth
+            if len(ways) == 2 and not any(parts_within(each, frame, *spans) for each in ways):
                 return None
-            if any(are_near):
-                rule = "some of it lies more than 1,000 km from the origin"
-                raise InputError(field, table.name, rule, "Give only the part near the mission.")
-            drawn = short_way(degrees) or []
-            checked = tuple((a * _PER_DEGREE_M, b * _PER_DEGREE_M) for a, b in drawn)
-            degrees = part
-        corners = _straight_in_degrees(degrees, frame)
-    zone = PolygonZone(name=table.name, vertices_ne_m=corners, keep_in=keep_in)
+            rule = "it may reach the map, and some of it lies more than 1,000 km from the origin"
+            raise InputError(field, table.name, rule, "Give only the part near the mission.")
+        drawn = _straight_in_degrees(degrees, frame)
+    zone = PolygonZone(name=table.name, vertices_ne_m=drawn, keep_in=keep_in)
     if keep_in or _touches(zone, spans):
-        rules.refuse(rules.of_polygon(checked, field, zone.name))
+        rules.refuse(rules.of_polygon(corners, field, zone.name))
     return zone
 
 
@@ -118,39 +106,6 @@ def _is_near(place_ne_m: Place) -> bool:
 
 def _wider(span_m: _Span, by_m: float) -> _Span:
     return span_m[0] - by_m, span_m[1] + by_m
-
-
-def _part_near(
-    degrees: list[Place], frame: LocalFrame, spans: tuple[_Span, _Span], name: str, field: str
-) -> list[Place] | None:
-    """Of a polygon with corners far away, the part about the map; None if it does not touch it.
-
-    An edge goes the short way around the Earth, unless the other way is the one that touches the
-    map: then nobody can tell.
-    """
-    drawn = short_way(degrees)
-    if drawn is not None and parts_within(drawn, frame, *spans):
-        parts = parts_within(drawn, frame, *(_wider(span, _AROUND_M) for span in spans))
-        if len(parts) == 1:
-            return parts[0]
-        rule = "it goes all around the Earth, to both sides of the map"
-        raise InputError(field, name, rule, "Give only the part near the mission.")
-    edges = zip(degrees, [*degrees[1:], *degrees[:1]], strict=True)
-    jumps = [abs(b[1] - a[1]) > 180.0 for a, b in edges]
-    if any(jumps) and (
-        parts_within(degrees, frame, *spans) or (drawn is None and _is_poleward(degrees, frame))
-    ):
-        k = jumps.index(True)
-        rule = f"the edge from its corner {k} (from 0) may go either way around the Earth"
-        raise InputError(field, name, rule, "Give only the part near the mission.")
-    return None
-
-
-def _is_poleward(degrees: list[Place], frame: LocalFrame) -> bool:
-    """Whether the origin may lie on the pole's side of what goes around one."""
-    side = math.copysign(1.0, sum(latitude for latitude, _ in degrees))
-    lowest_deg = min(side * latitude for latitude, _ in degrees)
-    return side * frame.latitude_deg >= lowest_deg - _MAP_DEG
 
 
 def _straight_in_degrees(degrees: list[Place], frame: LocalFrame) -> tuple[Place, ...]:

@@ -77,15 +77,16 @@ def test_the_true_track_keeps_away_from_what_is_drawn_before_and_in_flight(
             items.append(PlanItem(frame=0, command=command, parameters=values, x=x, y=y))
         vehicle.plans[PlanKind.FENCE] = tuple(items)
 
-    def look() -> None:
+    def look() -> bool:
         here = session.state.vehicle.position_nea_m
         is_near = here is not None and math.dist(here[:2], mission.targets_ne_m[0]) < near_m
         if is_near and not drawn_s:
             drawn_s.append(vehicle.now_us * 1e-6)
             draw(before, later)
+        return False
 
     draw(before)
-    flight = flown_with(tmp_path, session, vehicle, on_step=look)
+    flight = flown_with(tmp_path, session, vehicle, stop_asked=look)
     assert flight.outcome == "arrived"
     assert flight.says.count("target reached") == 3
     [known_s] = [e["t_s"] for e in flight.journal if len(e.get("zones", ())) == 3][:1]

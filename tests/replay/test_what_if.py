@@ -85,7 +85,7 @@ def test_a_setting_that_is_none_is_refused_in_one_line() -> None:
     for setting, words in {
         "planner": "it is not a key, an = and a value",
         "=3": "it is not a key, an = and a value",
-        "name.of=3": "name is not a table of the mission",
+        "name.of=3": "name = {'of': 3}: it must be a valid string",
         "planner.safty_distance_m=3": "no such key",
         "planner.safety_distance_m=many": "safety_distance_m",
         "planner.safety_distance_m=-3": "safety_distance_m",

@@ -195,7 +195,7 @@ def test_what_is_no_elevation_file_of_this_earth_is_refused(make: Make, tmp_path
         ("[terrain]", "[terrain]\nground_amsl_m = 1.0", ["ground_amsl_m", "no such key"]),
         ("north_max_m = 5200.0", "north_max_m = -6000.0", ["area.north_max_m", "Swap"]),
         ("north_max_m = 5200.0", "north_max_m = 55000.0", ["terrain.file", "[area] reaches"]),
-        ("[area]", "[region]", ["region", "no such key"]),
+        ("[area]", "[region]", ["area", "it is missing"]),
     ],
 )
 def test_open_worlds_are_refused(tmp_path: Path, was: str, becomes: str, words: list[str]) -> None:

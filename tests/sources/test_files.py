@@ -7,13 +7,12 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from answers import answered
-from geotiff import write_elevation
 from hypothesis import given
 from hypothesis import strategies as st
 
+import companion
 from companion.config import load_mission, load_world, mission_text
 from companion.errors import InputError
 from companion.sources.files import json_table, plain, read_text, toml_table, toml_text, writing
@@ -137,7 +136,7 @@ def test_a_plan_is_a_plan_under_any_name(tmp_path: Path, name: bytes) -> None:
     [
         (b"", "it is missing"),
         (b"<!DOCTYPE html><html>", "not TOML"),
-        (b'{"type": "FeatureCollection", "features": []}', "not TOML"),
+        (b'{"type": "FeatureCollection", "features": []}', "not TOML|no QGroundControl plan"),
         ('schema = 1\nname = "x"\n'.encode("utf-16"), "no text in UTF-8"),
         (gzip.compress(b"QGC WPL 110\n", mtime=0), "no text in UTF-8"),
         (BEGINNING_OF_A_ULG, "no text in UTF-8"),
@@ -159,22 +158,20 @@ def test_what_is_none_of_them_is_refused(tmp_path: Path, content: bytes, what: s
                 load_mission(str(toml))
 
 
-def test_an_elevation_file_may_have_any_name_and_the_run_folder_names_it(tmp_path: Path) -> None:
+def test_an_elevation_file_of_a_name_that_is_no_text_is_refused(tmp_path: Path) -> None:
     folder = tmp_path / os.fsdecode(b"h\xf6he")
     folder.mkdir()
-    heights_m = np.arange(200.0)[:, None] + np.zeros((200, 200))
-    write_elevation(tmp_path / "h.tif", heights_m, (47.05, 7.95), 0.0005)
-    (tmp_path / "h.tif").replace(folder / "h.tif")
     (folder / "x.txt").write_bytes(LIST)
-    mission, again = folder / "mission.toml", tmp_path / "again.toml"
+    mission = folder / "mission.toml"
     mission.write_text('plan = "x.txt"\n[terrain]\nfile = "h.tif"\nvertical_datum = "EGM96"\n')
-    again.write_text(mission_text(str(mission)), encoding="utf-8")
-    first, second = load_mission(str(mission)).known, load_mission(str(again)).known
-    assert np.isfinite(first.upper_m).any()
-    assert np.array_equal(first.upper_m, second.upper_m)
-    (folder / "h.tif").unlink()
-    with pytest.raises(InputError, match="no such file"):
-        load_mission(str(again))
+    with pytest.raises(InputError, match=r"terrain\.file = .*must be a valid string") as caught:
+        load_mission(str(mission))
+    line(caught)
+    world = (Path(companion.__file__).parent / "environments" / "valley" / "world.toml").read_text()
+    (folder / "world.toml").write_text(world)
+    (folder / "terrain.tif").write_bytes(b"")
+    with pytest.raises(InputError, match=r"terrain\.file = .*of an odd name"):
+        load_world(str(folder / "world.toml"))
 
 
 @pytest.mark.parametrize("command", [["report"], ["export", "--format", "kml"]])

@@ -168,15 +168,11 @@ def test_line_0_is_launch_whatever_its_command(path: Path, command: int) -> None
     assert not read_waypoint_fence(saved(path, home), "threats").targets
 
 
-def test_a_launch_not_said_to_be_amsl_and_a_stop_at_a_line_are_pointed_out(path: Path) -> None:
+def test_a_launch_that_is_not_said_to_be_amsl_is_pointed_out(path: Path) -> None:
     home = (3, 22, (0.0, 0.0, 0.0, 0.0), 47.4, 8.55, 40.0)
     [said] = read_waypoint_list(saved(path, home, waypoint(0.01)), "MISSION").notes
     assert "launch" in said
     assert "above mean sea level" in said
-    text = saved(path, HOME, waypoint(0.01), waypoint(0.02)).read_text().rstrip()
-    assert text.endswith("1")
-    stop = "left out: 1 x stop at a waypoint (autocontinue 0)"
-    assert of_text(path, f"{text[:-1]}0").notes == [stop]
 
 
 # --- fences
