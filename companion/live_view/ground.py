@@ -25,7 +25,6 @@ from companion.replay.feed import RUNTIME_RECORDS, DamagedInputError, Feeder, fl
 from companion.sources.files import answer
 from companion.telemetry.flight import Flight
 from companion.telemetry.inputs import FILE, Input, InputsFile
-from companion.telemetry.run_folder import known_map
 from companion.world.columns import distance_to_terrain_m
 from companion.world.guess import guessed_m
 from companion.world.known_map import KnownMap
@@ -83,17 +82,6 @@ def ground_of(known: KnownMap, here_ne_m: tuple[float, float], mission: Mission)
     )
 
 
-def last_ground(folder: Path, mission: Mission) -> Ground | None:
-    """What was known when it was saved last, if a run folder has it: before all is replayed."""
-    try:
-        known = known_map(folder)
-    except (OSError, ValueError):
-        return None
-    if mission.known is not None:
-        known = known.with_what_was_given(mission.known)
-    return ground_of(known, (mission.targets_ne_m or ((0.0, 0.0),))[0], mission)
-
-
 def _highest(values: NDArray[_Number], step: int) -> NDArray[_Number]:
     """The highest value of each block of step x step cells."""
     rows, columns = (np.arange(0, count, step) for count in values.shape)
@@ -117,7 +105,6 @@ class Replica:
         """Boot and vehicle time that it has come to."""
         self._grounds: list[tuple[int, float, bytes]] = []
         """Boot, vehicle time, and what was known from then on, packed: an hour has thousands."""
-        self._unpacked: tuple[int, Ground | None] = (-1, None)
         self.samples: list[tuple[int, float, float, float]] = []
         """Boot, vehicle time, clearance to what was known of the terrain then, and its altitude
         under the vehicle; NaN: not known, or farther than it is looked for."""
@@ -134,14 +121,16 @@ class Replica:
             self.ended = f"{type(error).__name__}: {error}"
         return more and self.ended is None
 
-    def ground_at(self, flight: Flight, time_s: float) -> tuple[int, Ground | None]:
-        """The newest ground at a time of the flight, and its number; -1 and None: none yet."""
+    def number_at(self, flight: Flight, time_s: float) -> int:
+        """The number of the newest ground at a time of the flight; -1: there is none yet."""
         times_s = [flight.time_of(boot, t_s) for boot, t_s, _ in self._grounds]
-        number = bisect_right(times_s, time_s) - 1
-        if number != self._unpacked[0]:
-            packed = b"" if number < 0 else self._grounds[number][2]
-            self._unpacked = number, pickle.loads(zlib.decompress(packed)) if packed else None
-        return self._unpacked
+        return bisect_right(times_s, time_s) - 1
+
+    def ground(self, number: int) -> Ground:
+        """A ground by its number."""
+        found = pickle.loads(zlib.decompress(self._grounds[number][2]))
+        assert isinstance(found, Ground)
+        return found
 
     def _read_some(self) -> bool:
         """Take a few inputs; whether there were any."""
@@ -177,8 +166,7 @@ def _nearness_m(known: KnownMap, here_nea_m: Vector) -> tuple[float, float]:
     """The distance of the vehicle to proven terrain, and how high that is under it; NaN: none."""
     most_m = _MOST_APART * known.cell_m
     away_m = distance_to_terrain_m(known, np.array(here_nea_m), most_m, seen_only=True)
-    row, column = known.cell_of(*here_nea_m[:2])
-    rows, columns = known.upper_m.shape
-    is_firm = 0 <= row < rows and 0 <= column < columns and bool(known.surveyed[row, column])
-    under_m = float(known.upper_m[row, column]) if is_firm else math.nan
+    cell = known.cell_of(*here_nea_m[:2])
+    is_firm = known.is_known(*here_nea_m[:2]) and bool(known.surveyed[cell])
+    under_m = float(known.upper_m[cell]) if is_firm else math.nan
     return math.nan if away_m >= most_m else away_m, under_m

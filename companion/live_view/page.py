@@ -7,7 +7,7 @@ import math
 import queue
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, Final, final
 
 import numpy as np
@@ -16,8 +16,8 @@ from viser import uplot
 
 from companion.geodesy import FloatArray
 from companion.live_view import panel
-from companion.live_view.ground import Ground, Replica, last_ground
-from companion.live_view.recording import Recording
+from companion.live_view.ground import Replica
+from companion.live_view.recording import Event, Recording
 from companion.live_view.scene import Scene
 from companion.views.words import clock_text
 
@@ -25,7 +25,7 @@ _PERIOD_S: Final = 0.1
 _READ_S: Final = 0.3
 _CHARTS_S: Final = 1.5
 _REPLAY_S: Final = 0.06  # of processor time in a period, for what was known of the ground
-_BEHIND_S: Final = 2.0  # between two grounds while it is read: a browser draws each anew
+_GROUND_S: Final = 1.0  # between two grounds: a browser draws each anew
 _SPEEDS: Final = ("1x", "5x", "20x", "60x", "300x")
 _VIEWS: Final = ("overview", "follow", "top")
 _NEAR, _FAR = 0.05, 2000.0
@@ -38,12 +38,8 @@ class Page:
     def __init__(self, server: viser.ViserServer, recording: Recording) -> None:
         """recording: read as far as there is something."""
         self._server, self._recording = server, recording
-        self.replica: Replica | None = None
+        self.replica = Replica(recording.path) if recording.flight.has_mission else None
         """What was known of the ground; of a log alone nothing."""
-        self._last: Ground | None = None
-        if recording.flight.has_mission:
-            self.replica = Replica(recording.path)
-            self._last = last_ground(recording.path, recording.flight.mission)
         self._jobs: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
         self._scene: Scene | None = None
         self._time_s, self._speed, self._plays = 0.0, 1.0, False
@@ -86,27 +82,26 @@ class Page:
             self._events.on_click(self._when_chosen(self.go_to_event))
         charts = gui.add_panel()
         with charts.add_tab("charts"):
-            self._charts = [_chart(gui, *each) for each in panel.CHARTS]
+            self._charts = [_chart(gui, title, lines) for title, lines in panel.CHARTS.items()]
         charts.dock_left()
         charts.set_width(300)
 
     # --- what people do
 
-    def _when_chosen(self, job: Callable[[str], None]) -> Callable[[Any], None]:
+    def _when_chosen(self, job: Callable[[Any], None]) -> Callable[[Any], None]:
         def chosen(event: Any) -> None:
-            value = event.target.value  # now: it may be another one once the job is done
+            value = event.target.value  # now: a step that is under way may set it back
             self._jobs.put(lambda: job(value))
 
         return chosen
 
     def _when_moved(self, event: Any) -> None:
         if event.client is not None:  # else it was moved from here
-            time_s = float(event.target.value)  # now: a step that is under way sets it back
-            self._jobs.put(lambda: self.go_to(time_s))
+            self._when_chosen(self.go_to)(event)
 
     def _when_viewed(self, event: Any) -> None:
         if event.client is not None:
-            self._jobs.put(lambda: self._view(event.client, event.target.value))
+            self._when_chosen(lambda view: self._view(event.client, view))(event)
 
     @property
     def status(self) -> str:
@@ -131,17 +126,16 @@ class Page:
             self._newest = True
             return
         kind, after_s = where.removeprefix("next "), self._time_s + 0.05
-        later = (e for e in self._recording.events if e.kind == kind and e.time_s > after_s)
-        self._go_to_first(event.time_s for event in later)
+        self._go_to_first(lambda each: each.kind == kind and each.time_s > after_s)
 
     def go_to_event(self, line: str) -> None:
         """Go to where an event of the list happened."""
-        events = self._recording.events
-        self._go_to_first(each.time_s for each in events if panel.event_line(each) == line)
+        self._go_to_first(lambda each: panel.event_line(each) == line)
 
-    def _go_to_first(self, times_s: Iterator[float]) -> None:
-        if (time_s := next(times_s, None)) is not None:
-            self.go_to(time_s)
+    def _go_to_first(self, is_it: Callable[[Event], bool]) -> None:
+        for event in self._recording.events:
+            if is_it(event):
+                return self.go_to(event.time_s)
 
     def _view(self, client: viser.ClientHandle, view: str) -> None:
         self._views[client.client_id] = view
@@ -217,19 +211,15 @@ class Page:
         replica, flight = self.replica, self._recording.flight
         if replica is None:
             return ""
-        reached_s = flight.time_of(*replica.now)
-        is_behind = reached_s + 1.0 < self._time_s and replica.ended is None
-        number, ground = replica.ground_at(flight, self._time_s)
-        if is_behind and self._last is not None:
-            number, ground = -2, self._last
-        is_due = not is_behind or now_s - self._ground_at_s >= _BEHIND_S
-        if ground is not None and number != self._ground_shown and is_due:
+        number = replica.number_at(flight, self._time_s)
+        if number not in (-1, self._ground_shown) and now_s - self._ground_at_s >= _GROUND_S:
             self._ground_at_s, self._ground_shown = now_s, number
-            scene.show_ground(ground)
+            scene.show_ground(replica.ground(number))
         if replica.ended is not None:
             return f"ground: {replica.ended}"
-        behind = f"the ground is read until {clock_text(reached_s)}" if is_behind else ""
-        return f"{behind}; shown as at the end" if number == -2 else behind
+        reached_s = flight.time_of(*replica.now)
+        is_behind = reached_s + 1.0 < self._time_s
+        return f"the ground is read until {clock_text(reached_s)}" if is_behind else ""
 
     def _show(self, scene: Scene, behind: str) -> None:
         recording, before = self._recording, self._here

@@ -3,8 +3,8 @@
 import html
 import math
 from bisect import bisect_right
-from collections.abc import Mapping
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Final
 
 import numpy as np
 
@@ -14,20 +14,20 @@ from companion.live_view.recording import BATTERY, Event, Recording
 from companion.mission.state import Phase
 from companion.objective import TERMS
 from companion.telemetry.export.shapes import Chords
-from companion.telemetry.flight import Decided, Flight
+from companion.telemetry.flight import Decided, Flight, IntArray
 from companion.views.words import clock_text, metres, metres_at_least
 
 _CHART_POINTS: Final = 600
 _DOWN: Final = (Phase.LANDING.value, Phase.DONE.value)
 _BARS: Final = TERMS[:-1]
-_SOUND, _ALARM = "#00705a", "#b3261e"
 _STYLE: Final = (
     "<style>.fl{font:13px/1.45 system-ui,sans-serif;padding:2px 8px 6px}"
     ".fl table{width:100%;border-collapse:collapse}.fl td{padding:1px 0;vertical-align:top}"
     ".fl td+td{text-align:right;font-variant-numeric:tabular-nums;font-weight:600}"
     ".fl .p{font-size:17px;font-weight:700}.fl .r{color:#b3261e;font-weight:600}"
     ".fl i{display:inline-block;height:9px;background:#0050b5;border-radius:2px}"
-    ".fl .h{color:#667;margin-top:6px;font-weight:600}.fl .n{color:#667}</style>"
+    ".fl .h{color:#667;margin-top:6px;font-weight:600}.fl .n{color:#667}"
+    ".fl .s{color:#00705a}</style>"
 )
 _EVENTS_BEFORE, _EVENTS_AFTER = 30, 10
 _LIST: Final = "div:has(>.ev)+div"  # the button group after it
@@ -47,7 +47,7 @@ def status_html(
     behind: what of it is not up to date; stretch: how much higher heights are drawn.
     """
     flight, track = recording.flight, recording.flight.track
-    decided = flight.decided_at(time_s)
+    [decided] = flight.decided_at(np.array([time_s]))
     [clearance_m], [under_m] = near_ground(recording, replica, np.array([time_s]))
     row = flight.row_at(time_s)
     north_m, east_m, altitude_m = flight.places_nea_m[row].tolist()
@@ -65,58 +65,58 @@ def status_html(
         rows["target"] = f"{metres(target[0])} N, {metres(target[1])} E"
         time_left = clock_text(to_go_m / speed_m_s) if speed_m_s > 0.5 else "standing"
         rows["to go"] = f"{metres(to_go_m)}, {time_left}"
-    link = f"{recording.rate_hz(time_s):.0f} positions/s"
-    if decided.round_trip_s is not None:
-        link += f", {decided.round_trip_s * 1e3:.0f} ms round trip"
-    rows["link"] = link
+    rows["link"] = f"{recording.rate_hz(time_s):.0f} positions/s"
     battery = flight.newest(BATTERY, time_s)
     if battery is not None and battery[1].battery_remaining >= 0:
         rows["battery"] = f"{battery[1].battery_remaining} %"
-    reason = f"<div class=r>{html.escape(decided.reason)}</div>" if decided.reason else ""
-    warned = f"<div class=n>{html.escape(decided.warning)}</div>" if decided.warning else ""
-    late = f"<div class=n>{html.escape(behind)}</div>" if behind else ""
     drawn = "" if stretch == 1.0 else f"; heights drawn {stretch:g} times"
-    head = f"<div class=n>{html.escape(recording.name)}{drawn}</div>"
-    phase = "" if not flight.has_mission else f"<div class=p>{html.escape(decided.phase)}</div>"
-    plan = _plan_html(decided, recording.planning_s)
-    return f"{_STYLE}<div class=fl>{head}{phase}{reason}{_table(rows)}{plan}{warned}{late}</div>"
+    parts = [
+        _line("n", f"{recording.name}{drawn}"),
+        _line("p", decided.phase if flight.has_mission else ""),
+        _line("r", decided.reason),
+        _table(rows),
+        *_plan(decided),
+        _line("n", decided.warning),
+        _line("n", behind),
+    ]
+    return f"{_STYLE}<div class=fl>{''.join(parts)}</div>"
 
 
 def waiting_html(recording: Recording) -> str:
     """Before there is a position."""
-    waits = "<div class=p>waiting for the vehicle</div>"
+    waits = _line("p", "waiting for the vehicle")
     return f"{_STYLE}<div class=fl>{html.escape(recording.name)}{waits}</div>"
 
 
-def _plan_html(decided: Decided, took_s: Mapping[int, float]) -> str:
+def _plan(decided: Decided) -> Iterator[str]:
+    """What is known of the newest plan."""
     plan = decided.ready
     if plan is None:
-        return ""
-    certificate = plan.certificate
-    proven = f'<span style="color:{_SOUND}">proven, {certificate.pieces} pieces</span>'
-    if certificate.broken:
-        broken = html.escape(", ".join(certificate.broken))
-        proven = f'<span style="color:{_ALARM}">not proven: {broken}</span>'
-    planning_s = took_s.get(plan.plan_id)
+        return
+    broken = ", ".join(plan.certificate.broken)
     rows = {
         "flying subpath": f"{decided.leg_number}",
         "length": metres(plan.length_m),
         "cost, and to go from its end": f"{plan.cost or 0.0:.2f} + {plan.to_go or 0.0:.2f}",
         "candidates": f"{plan.evaluations:,}",
-        "planning took": "-" if planning_s is None else f"{planning_s * 1e3:,.0f} ms",
-        "certificate": proven,
-        "proven clearance": metres_at_least(certificate.clearance_m),
+        "proven clearance": metres_at_least(plan.certificate.clearance_m),
     }
-    terms = {name: plan.terms.get(name) or 0.0 for name in _BARS}
-    bars = "".join(
-        f"<tr><td>{name}</td><td style='width:62%;text-align:left'>"
-        f"<i style='width:{min(max(value, 0.0), 100.0) * 0.72:.1f}%'></i> {value:.1f}</td></tr>"
-        for name, value in terms.items()
+    yield _line("h", f"newest plan (number {plan.plan_id})")
+    yield _line("r", f"not proven: {broken}") if broken else _line("s", "proven")
+    yield _table(rows)
+    yield _line("h", "its cost terms, 0 to 100")
+    values = {name: plan.terms.get(name) or 0.0 for name in _BARS}
+    yield _table(
+        {
+            name: f"<i style='width:{min(max(value, 0.0), 100.0):.1f}px'></i> {value:.1f}"
+            for name, value in values.items()
+        }
     )
-    return (
-        f"<div class=h>newest plan (number {plan.plan_id})</div>{_table(rows)}"
-        f"<div class=h>its cost terms, 0 to 100</div><table>{bars}</table>"
-    )
+
+
+def _line(kind: str, text: str) -> str:
+    """Text in one of the styles of the panel; nothing of none."""
+    return f"<div class={kind}>{html.escape(text)}</div>" if text else ""
 
 
 def _table(rows: Mapping[str, str]) -> str:
@@ -144,17 +144,11 @@ def event_list(events: list[Event], time_s: float) -> tuple[tuple[str, ...], str
 # --- charts
 
 
-class Chart(NamedTuple):
-    """One chart: its title, and each of its lines by name and colour."""
-
-    title: str
-    lines: dict[str, str]
-
-
-CHARTS: Final = (
-    Chart("altitude and known ground, m AMSL", {"altitude": "#0050b5", "ground": "#8a6a3a"}),
-    Chart("off the path, m", {"off the path": "#c2389b"}),
-)
+CHARTS: Final = {
+    "altitude and known ground, m AMSL": {"altitude": "#0050b5", "ground": "#8a6a3a"},
+    "off the path, m": {"off the path": "#c2389b"},
+}
+"""Their titles, and of each the lines by name and colour."""
 
 
 def charts_of(recording: Recording, replica: Replica | None) -> tuple[tuple[FloatArray, ...], ...]:
@@ -185,18 +179,17 @@ def near_ground(
     return np.where(told, sampled[at, 1], np.nan), np.where(told, sampled[at, 2], np.nan)
 
 
-def _aside_m(flight: Flight, rows: Any) -> FloatArray:
+def _aside_m(flight: Flight, rows: IntArray) -> FloatArray:
     """Distance from the path that was flown, metres; NaN: there was none, or it lands.  (N,).
 
     The vehicle is behind the point that it is led by, so the subpath before counts too.
     """
     aside, chords = np.full(len(rows), np.nan), dict[int, Chords]()
-    for at, row in enumerate(rows):
-        decided = flight.decided_at(float(flight.times_s[row]))
+    for at, decided in enumerate(flight.decided_at(flight.times_s[rows])):
         for plan in (decided.leg, decided.leg_before):
             if plan is not None and decided.phase not in _DOWN:
                 if plan.plan_id not in chords:
                     chords[plan.plan_id] = Chords(plan.subpath)
-                away_m, _ = chords[plan.plan_id].nearest(flight.places_nea_m[row])
+                away_m, _ = chords[plan.plan_id].nearest(flight.places_nea_m[rows[at]])
                 aside[at] = np.fmin(aside[at], away_m)
     return aside

@@ -30,6 +30,7 @@ _UNKNOWN: Final[Rgb] = (196, 200, 205)
 _GUESSED: Final[Rgb] = (110, 140, 175)
 _KEEP_IN: Final[Rgb] = (120, 120, 120)
 _GRID: Final[Rgb] = (168, 172, 178)
+_FAR: Final = 2000.0
 _TRACK_POINTS: Final = 1500
 _CURVE_POINTS: Final = 80
 _BALL_POINTS: Final = 64
@@ -44,8 +45,6 @@ class Scene:
     def __init__(self, server: viser.ViserServer, flight: Flight) -> None:
         self._server, self._scene, self._flight = server, server.scene, flight
         self.area = Area.of(flight)
-        self._tiles: dict[str, int] = {}
-        """What each piece of the proven ground was drawn from, as a hash."""
         self._drawn: dict[str, Any] = {}
         """What each part was drawn from."""
         scene = self._scene
@@ -62,14 +61,18 @@ class Scene:
         self._vehicle = self._mesh("/vehicle", shapes.dart(), _VEHICLE, flat_shading=True)
         self._drop = self._lines("/drop", _NOTHING, _VEHICLE, 1.5)
         self._track = self._lines("/track", _NOTHING, _TRACK, 2.5)
-        for name in ("/scan", "/proven"):
-            self._group(name)
+        self._group("/scan")
 
     def _draw_plate(self) -> None:
         """The whole map, of which nothing is known yet, with a grid and where north is."""
         area, low_m = self.area, self.area.low_m
-        self._mesh("/unknown", area.plate(), _UNKNOWN)
-        self._lines("/grid", area.grid_lines(), _GRID, 1.0)
+        north_m, east_m = np.ptp(area.north_m), np.ptp(area.east_m)
+        scale, below = shapes.WIDTH / area.width_m, (0.0, 0.0, -shapes.BELOW)
+        step = scale * area.grid_step_m
+        lines: dict[str, Any] = {"cell_size": step, "section_size": step, "fade_distance": _FAR}
+        lines |= {"cell_color": _GRID, "section_color": _GRID, "plane_color": _UNKNOWN}
+        sides = float(scale * east_m), float(scale * north_m)
+        self._scene.add_grid("/unknown", *sides, position=below, plane_opacity=1.0, **lines)
         corner = area.scene(np.array([area.north_m[0], area.east_m[0], low_m]))
         self._label("/legend/grid", f"grid {metres(area.grid_step_m)}", corner, "top-left")
         north = np.array([area.north_m[1], sum(area.east_m) / 2, low_m])
@@ -78,7 +81,7 @@ class Scene:
     def show(self, time_s: float) -> FloatArray:
         """Draw the flight as it was; where the vehicle is in the scene.  -> (3,)."""
         flight = self._flight
-        row, decided = flight.row_at(time_s), flight.decided_at(time_s)
+        row, [decided] = flight.row_at(time_s), flight.decided_at(np.array([time_s]))
         here = self.area.scene(flight.places_nea_m[row])
         with self._server.atomic():
             self._show_vehicle(row, here)
@@ -96,21 +99,15 @@ class Scene:
         return here
 
     def show_ground(self, ground: Ground) -> None:
-        """Draw the terrain as it is known: the pieces that differ."""
-        tiles = dict[str, int]()
+        """Draw the terrain as it is known."""
         with self._server.atomic():
-            for part, mesh in shapes.proven_tiles(ground, self.area):
-                name = f"/proven/{part}"
-                tiles[name] = hash(tuple(each.tobytes() for each in mesh if each is not None))
-                if self._tiles.get(name) != tiles[name]:
-                    self._scene.add_glb(name, mesh.painted_glb(), **_NO_SHADOWS)
-            for name in self._tiles.keys() - tiles.keys():
-                self._scene.remove_by_name(name)
-            self._tiles = tiles
+            self._group("/ground")
+            proven = shapes.proven_mesh(ground, self.area)
             guessed = shapes.guessed_mesh(ground, self.area)
-            self._group("/guessed")
+            if proven is not None:
+                self._scene.add_mesh_trimesh("/ground/proven", proven, **_NO_SHADOWS)
             if guessed is not None:
-                self._mesh("/guessed/ground", guessed, _GUESSED, opacity=0.38)
+                self._mesh("/ground/guessed", guessed, _GUESSED, opacity=0.38)
 
     # --- the parts
 
