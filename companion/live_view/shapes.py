@@ -9,6 +9,9 @@ from typing import Final, NamedTuple
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from PIL import Image
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
 
 from companion.geodesy import FloatArray
 from companion.live_view.ground import GUESSED, PROVEN, Ground
@@ -19,8 +22,11 @@ _HEIGHT: Final = 0.11  # of the range of altitudes that matters, in widths: moun
 _NEAR_M: Final = 1000.0  # wide: a map of near things
 _STRETCHES: Final = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 8.0)
 BELOW: Final = 0.25  # of the ground: there lies what is not known
-_TINTS: Final = np.array(
-    [[231, 226, 190], [214, 198, 146], [188, 158, 104], [152, 120, 76], [116, 88, 58]]
+_TINTS: Final = Image.fromarray(
+    np.array(
+        [[(231, 226, 190), (214, 198, 146), (188, 158, 104), (152, 120, 76), (116, 88, 58)]],
+        dtype=np.uint8,
+    )
 )
 """Altitudes in colours: darker is higher, whatever colours the reader sees."""
 IndexArray = NDArray[np.uint32]
@@ -101,9 +107,13 @@ def proven_mesh(ground: Ground, area: Area) -> trimesh.Trimesh | None:
     mesh = _cells_mesh(ground, area, proven)
     top = area.high_m + 0.1 * (area.high_m - area.low_m)
     share = mesh.vertices[:, 2] / max(area.scene(np.array([0.0, 0.0, top]))[2], 1e-3)
-    tints = [np.interp(share, np.linspace(0.0, 1.0, len(_TINTS)), tint) for tint in _TINTS.T]
-    colours = np.stack(tints, axis=-1).astype(np.uint8)
-    return trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=colours, process=False)
+    painted = TextureVisuals(
+        uv=np.stack([share.clip(0.01, 0.99), np.full(len(share), 0.5)], axis=-1),
+        material=PBRMaterial(baseColorTexture=_TINTS, metallicFactor=0.0, doubleSided=True),
+    )
+    ground = trimesh.Trimesh(mesh.vertices, mesh.faces, visual=painted, process=False)
+    assert ground.vertex_normals is not None  # asked for, it is kept, and drawn smooth
+    return ground
 
 
 def guessed_mesh(ground: Ground, area: Area) -> Mesh | None:
