@@ -1,12 +1,11 @@
 """The page: a server on this computer that shows recordings, and what people do there.
 
-Callbacks of the page only put jobs into a queue; one thread does all of them, reads and draws.
+What people do comes from threads of the server; one thread reads and draws, ten times a second.
 """
 
 import math
-import queue
+import threading
 import time
-import traceback
 from collections.abc import Callable
 from typing import Any, Final, final
 
@@ -17,7 +16,7 @@ from viser import uplot
 from companion.geodesy import FloatArray
 from companion.live_view import panel
 from companion.live_view.ground import Replica
-from companion.live_view.recording import Event, Recording
+from companion.live_view.recording import Recording
 from companion.live_view.scene import Scene
 from companion.views.words import clock_text
 
@@ -27,7 +26,8 @@ _CHARTS_S: Final = 1.5
 _REPLAY_S: Final = 0.06  # of processor time in a period, for what was known of the ground
 _GROUND_S: Final = 1.0  # between two grounds: a browser draws each anew
 _SPEEDS: Final = ("1x", "5x", "20x", "60x", "300x")
-_VIEWS: Final = ("overview", "follow", "top")
+_OVERVIEW: Final = (np.array([-40.0, -76.0, 50.0]), np.array([2.0, -9.0, 0.0]))
+"""All of the map, from the south-west: where the camera is, and what it looks at."""
 _NEAR, _FAR = 0.05, 2000.0
 
 
@@ -40,16 +40,16 @@ class Page:
         self._server, self._recording = server, recording
         self.replica = Replica(recording.path) if recording.flight.has_mission else None
         """What was known of the ground; of a log alone nothing."""
-        self._jobs: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
+        self._lock = threading.Lock()
         self._scene: Scene | None = None
         self._time_s, self._speed, self._plays = 0.0, 1.0, False
         self._newest = True  # until somebody goes elsewhere
-        self._views: dict[int, str] = {}
+        self._followers: set[int] = set()
         self._here: FloatArray = np.zeros(3)
-        self._shown: tuple[float, int, str] | None = None
         self._ground_at_s = self._read_at_s = self._charted_at_s = -math.inf
         self._ground_shown, self._slid_to_s = -1, 0.0
-        self._charted: tuple[int, int] | None = None
+        self._shown: tuple[object, ...] = ()
+        self._charted: tuple[object, ...] = ()
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(0, 80, 181))
         gui.set_panel_label("companion view")
@@ -58,28 +58,26 @@ class Page:
         self._build(gui)
         camera = server.initial_camera
         camera.near, camera.far = _NEAR, _FAR
-        camera.position, camera.look_at = self._camera("overview")
-        jobs, views = self._jobs, self._views
-        server.on_client_connect(lambda one: jobs.put(lambda: self._view(one, "overview")))
-        server.on_client_disconnect(lambda one: jobs.put(lambda: views.pop(one.client_id, None)))
+        camera.position, camera.look_at = _OVERVIEW
 
     def _build(self, gui: viser.GuiApi) -> None:
         self._slider: Any = gui.add_slider("time, s", 0.0, 1.0, 0.1, 0.0)
-        self._slider.on_update(self._when_moved)
+        self._slider.on_update(self._doing(lambda event: self.go_to(event.target.value)))
         self._play = gui.add_button("play")
-        self._play.on_click(lambda _: self._jobs.put(self._toggle))
+        self._play.on_click(self._doing(lambda _: self._toggle()))
         speeds = gui.add_dropdown("speed", _SPEEDS, initial_value=_SPEEDS[0])
-        speeds.on_update(self._when_chosen(self._set_speed))
-        places = gui.add_button_group("go to", ("next plan", "next hold", "newest"))
-        places.on_click(self._when_chosen(self.jump))
-        gui.add_button_group("camera", _VIEWS).on_click(self._when_viewed)
+        speeds.on_update(self._doing(self._set_speed))
+        newest = gui.add_button("newest")
+        newest.on_click(self._doing(lambda _: self.go_to(None)))
+        cameras = gui.add_button_group("camera", ("overview", "follow"))
+        cameras.on_click(self._doing(self._set_camera))
         tabs = gui.add_tab_group()
         with tabs.add_tab("flight"):
             self._status = gui.add_html("")
         with tabs.add_tab("events"):
             self._events_style = gui.add_html("")
             self._events = gui.add_button_group("", ("none yet",))
-            self._events.on_click(self._when_chosen(self.go_to_event))
+            self._events.on_click(self._doing(lambda event: self.go_to_event(event.target.value)))
         charts = gui.add_panel()
         with charts.add_tab("charts"):
             self._charts = [_chart(gui, title, lines) for title, lines in panel.CHARTS.items()]
@@ -88,70 +86,50 @@ class Page:
 
     # --- what people do
 
-    def _when_chosen(self, job: Callable[[Any], None]) -> Callable[[Any], None]:
-        def chosen(event: Any) -> None:
-            value = event.target.value  # now: a step that is under way may set it back
-            self._jobs.put(lambda: job(value))
+    def _doing(self, job: Callable[[Any], None]) -> Callable[[Any], None]:
+        """What is done about an event of a browser, and not while the page is drawn."""
 
-        return chosen
+        def done(event: Any) -> None:
+            if event.client is not None:  # else it was changed from here
+                with self._lock:
+                    job(event)
 
-    def _when_moved(self, event: Any) -> None:
-        if event.client is not None:  # else it was moved from here
-            self._when_chosen(self.go_to)(event)
-
-    def _when_viewed(self, event: Any) -> None:
-        if event.client is not None:
-            self._when_chosen(lambda view: self._view(event.client, view))(event)
+        return done
 
     @property
     def status(self) -> str:
         """What the panel says, as HTML."""
         return self._status.content
 
-    def go_to(self, time_s: float) -> None:
-        """Show the flight as it was then.  In the page's own thread, as all that has no _."""
-        self._newest, self._time_s = False, time_s
+    def go_to(self, time_s: float | None) -> None:
+        """Show the flight as it was then; None: as it is now."""
+        self._newest, self._time_s = time_s is None, time_s or 0.0
+
+    def go_to_event(self, line: str) -> None:
+        """Go to where an event of the list happened."""
+        for event in self._recording.events:
+            if panel.event_line(event) == line:
+                return self.go_to(event.time_s)
 
     def _toggle(self) -> None:
         self._plays = not self._plays
         self._newest = False
         self._play.label = "pause" if self._plays else "play"
 
-    def _set_speed(self, text: str) -> None:
-        self._speed = float(text.rstrip("x"))
+    def _set_speed(self, event: Any) -> None:
+        self._speed = float(event.target.value.rstrip("x"))
 
-    def jump(self, where: str) -> None:
-        """Go to the next plan, the next hold, or to what is newest."""
-        if where == "newest":
-            self._newest = True
-            return
-        kind, after_s = where.removeprefix("next "), self._time_s + 0.05
-        self._go_to_first(lambda each: each.kind == kind and each.time_s > after_s)
-
-    def go_to_event(self, line: str) -> None:
-        """Go to where an event of the list happened."""
-        self._go_to_first(lambda each: panel.event_line(each) == line)
-
-    def _go_to_first(self, is_it: Callable[[Event], bool]) -> None:
-        for event in self._recording.events:
-            if is_it(event):
-                return self.go_to(event.time_s)
-
-    def _view(self, client: viser.ClientHandle, view: str) -> None:
-        self._views[client.client_id] = view
+    def _set_camera(self, event: Any) -> None:
+        client, place = event.client, _OVERVIEW
+        self._followers.discard(client.client_id)
+        if event.target.value == "follow":
+            self._followers.add(client.client_id)
+            flight = self._recording.flight
+            heading_rad = flight.heading_rad(flight.row_at(self._time_s))
+            ahead = np.array([math.sin(heading_rad), math.cos(heading_rad), 0.0])
+            place = self._here - 11.0 * ahead + [0.0, 0.0, 5.5], self._here + 4.0 * ahead
         with client.atomic():
-            client.camera.position, client.camera.look_at = self._camera(view)
-
-    def _camera(self, view: str) -> tuple[FloatArray, FloatArray]:
-        """Where the camera is, and what it looks at."""
-        if view == "overview":  # all of the map, from the south-west
-            return np.array([-40.0, -76.0, 50.0]), np.array([2.0, -9.0, 0.0])
-        if view == "top":
-            return np.array([0.0, -0.5, 108.0]), np.zeros(3)
-        flight = self._recording.flight
-        heading_rad = flight.heading_rad(flight.row_at(self._time_s))
-        ahead = np.array([math.sin(heading_rad), math.cos(heading_rad), 0.0])
-        return self._here - 11.0 * ahead + [0.0, 0.0, 5.5], self._here + 4.0 * ahead
+            client.camera.position, client.camera.look_at = place
 
     # --- what is shown
 
@@ -160,21 +138,10 @@ class Page:
         before_s = time.monotonic()
         while not stopped():
             began_s = time.monotonic()
-            self.step(began_s, began_s - before_s)
+            with self._lock:
+                self.step(began_s, began_s - before_s)
             before_s = began_s
-            self._wait(began_s + _PERIOD_S)
-
-    def _wait(self, until_s: float) -> None:
-        """Do the jobs that come; a person does not wait for the next period."""
-        while True:
-            try:
-                job = self._jobs.get(timeout=max(until_s - time.monotonic(), 0.001))
-            except queue.Empty:
-                return
-            try:
-                job()
-            except Exception:  # noqa: BLE001 - of one browser, which may be gone: others look on
-                traceback.print_exc()
+            time.sleep(max(began_s + _PERIOD_S - time.monotonic(), 0.001))
 
     def step(self, now_s: float, passed_s: float) -> None:
         """One look at what there is."""
@@ -196,11 +163,11 @@ class Page:
             self._time_s = min(self._time_s + passed_s * self._speed, recording.ends_s)
         behind = self._show_ground(self._scene, now_s)
         samples = 0 if self.replica is None else len(self.replica.samples)
-        if self._shown != (self._time_s, samples, behind):
-            self._shown = self._time_s, samples, behind
+        shown, charted = (self._time_s, samples, behind), (recording.ends_s, samples)
+        if shown != self._shown:
+            self._shown = shown
             self._show(self._scene, behind)
-        charted = len(recording.flight.times_s), samples
-        if now_s - self._charted_at_s >= _CHARTS_S and charted != self._charted:
+        if charted != self._charted and now_s - self._charted_at_s >= _CHARTS_S:
             self._charted_at_s, self._charted = now_s, charted
             charts = panel.charts_of(recording, self.replica)
             for chart, data in zip(self._charts, charts, strict=True):
@@ -225,7 +192,7 @@ class Page:
         recording, before = self._recording, self._here
         self._here = scene.show(self._time_s)
         for client in self._server.get_clients().values():
-            if self._views.get(client.client_id) == "follow":
+            if client.client_id in self._followers:
                 client.camera.position = client.camera.position + (self._here - before)
         self._status.content = panel.status_html(
             recording, self.replica, self._time_s, behind, scene.area.stretch

@@ -10,8 +10,6 @@ import numpy as np
 
 from companion.errors import InputError
 from companion.mavlink.dialect import wire
-from companion.mission import journal as noted
-from companion.mission.journal import Entry
 from companion.replay.exporting import mission_of
 from companion.sources.files import answer, file_of_run
 from companion.telemetry.flight import Flight
@@ -31,8 +29,6 @@ class Event(NamedTuple):
     """Something worth a line in the list of events; seconds since the first position."""
 
     time_s: float
-    kind: str
-    """plan, hold, or empty: neither."""
     text: str
 
 
@@ -61,7 +57,7 @@ class Recording:
         if not len(self.flight.track):
             rule, remedy = "there is no position in it", "Give the log of a flight."
             raise InputError("RUN_DIR|LOG", str(path), rule, remedy)
-        self.events = [Event(at_s, "", m.text) for at_s, m in self.flight.kept(_TEXT)]
+        self.events = [Event(at_s, m.text) for at_s, m in self.flight.kept(_TEXT)]
 
     def close(self) -> None:
         """Close its files."""
@@ -83,12 +79,8 @@ class Recording:
             more = True
         if more:
             flight.settle()
-            said = ((time_s, entry, entry_words(entry)) for time_s, entry in flight.entries)
-            self.events = [
-                Event(time_s, _kind(entry), words[0])
-                for time_s, entry, words in said
-                if words is not None
-            ]
+            said = ((time_s, entry_words(entry)) for time_s, entry in flight.entries)
+            self.events = [Event(time_s, words[0]) for time_s, words in said if words is not None]
 
     @property
     def ends_s(self) -> float:
@@ -100,13 +92,3 @@ class Recording:
         times_s = [time_s - _RATE_OVER_S, time_s]
         after, until = np.searchsorted(self.flight.times_s, times_s, "right")
         return float(until - after) / _RATE_OVER_S
-
-
-def _kind(entry: Entry) -> str:
-    match entry:
-        case noted.Phase(phase="holding" | "faulted"):
-            return "hold"
-        case noted.PlanReady():
-            return "plan"
-        case _:
-            return ""

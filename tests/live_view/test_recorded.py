@@ -180,11 +180,12 @@ def test_the_scene_and_the_panel_follow_the_time(shown: tuple[viser.ViserServer,
     """Before the first plan there is none in it."""
     server, page = shown
     statuses, places = [], []
-    for now_s, moment in ((90.0, "began"), (91.0, "newest"), (92.0, "began"), (93.0, "next hold")):
-        page.go_to(0.0) if moment == "began" else page.jump(moment)
+    for now_s, moment in ((90.0, "began"), (91.0, "newest"), (92.0, "began"), (93.0, "held")):
+        held = next(each for each in page._recording.events if "paused by" in each.text)
+        page.go_to({"began": 0.0, "newest": None, "held": held.time_s}[moment])
         page.step(now_s, 0.1)
         names = set(server.scene._handle_from_node_name)
-        if moment != "next hold":
+        if moment != "held":
             there = moment == "newest"
             assert ({"/plan/leg", "/plan/guide", "/scan/reach/ring"} <= names) is there
             assert ("/plan/control" in names) is there
@@ -198,15 +199,17 @@ def test_the_scene_and_the_panel_follow_the_time(shown: tuple[viser.ViserServer,
 def test_the_time_that_somebody_moves_to_holds_though_the_page_moves_on(
     shown: tuple[viser.ViserServer, Page],
 ) -> None:
+    """What is told from here, and not by a browser, is nothing that somebody does."""
     _, page = shown
-    page.jump("newest")
+    page.go_to(None)
     page.step(102.0, 0.1)
-    slider = page._slider
-    newest_s, slider.value = slider.value, 7.0  # as viser has it, once a browser has said so
-    page._when_moved(SimpleNamespace(client=object(), target=slider))
-    slider.value = newest_s  # a step was under way
-    page._wait(0.0)
+    slider, told = page._slider, page._doing(lambda event: page.go_to(event.target.value))
+    newest_s = slider.value
+    told(SimpleNamespace(client=object(), target=SimpleNamespace(value=7.0)))
     page.step(103.0, 0.1)
+    assert slider.value == 7.0
+    told(SimpleNamespace(client=None, target=SimpleNamespace(value=newest_s)))
+    page.step(104.0, 0.1)
     assert slider.value == 7.0
 
 
