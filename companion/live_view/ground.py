@@ -12,7 +12,7 @@ from bisect import bisect_right
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
-from typing import Final, NamedTuple, TypeVar, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 import scipy.ndimage
@@ -23,6 +23,7 @@ from companion.mission.events import Vector
 from companion.mission.mission import Mission
 from companion.replay.feed import RUNTIME_RECORDS, DamagedInputError, Feeder, flown_mission
 from companion.sources.files import answer
+from companion.telemetry.export.shapes import highest
 from companion.telemetry.flight import Flight
 from companion.telemetry.inputs import FILE, Input, InputsFile
 from companion.world.columns import distance_to_terrain_m
@@ -30,7 +31,6 @@ from companion.world.guess import guessed_m
 from companion.world.known_map import KnownMap
 
 UNKNOWN, GUESSED, PROVEN = range(3)
-_Number = TypeVar("_Number", bound=np.generic)
 _BEGUN_AGAIN_S: Final = 2.0
 _CONTINUED: Final = 0.25
 """Of R beyond what was seen: farther away, a guess is a plain (decision 0021)."""
@@ -72,7 +72,7 @@ def ground_of(known: KnownMap, here_ne_m: tuple[float, float], mission: Mission)
     kind[firm] = PROVEN
     step = -(-max(kind.shape) // _MOST_CELLS)
     if step > 1:  # of each block the highest, and the least sure: no more is proven than is
-        height_m, kind = _highest(height_m, step), PROVEN - _highest(PROVEN - kind, step)
+        height_m, kind = highest(height_m, step), PROVEN - highest(PROVEN - kind, step)
     return Ground(
         cell_m=known.cell_m * step,
         north_min_m=known.north_min_m,
@@ -80,14 +80,6 @@ def ground_of(known: KnownMap, here_ne_m: tuple[float, float], mission: Mission)
         height_m=np.where(kind == UNKNOWN, 0.0, height_m).astype(np.float32),
         kind=kind,
     )
-
-
-def _highest(values: NDArray[_Number], step: int) -> NDArray[_Number]:
-    """The highest value of each block of step x step cells."""
-    rows, columns = (np.arange(0, count, step) for count in values.shape)
-    of_rows = np.maximum.reduceat(values, rows, 0)
-    highest: NDArray[_Number] = np.maximum.reduceat(of_rows, columns, 1)
-    return highest
 
 
 @final

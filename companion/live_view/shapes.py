@@ -107,13 +107,12 @@ def proven_mesh(ground: Ground, area: Area) -> trimesh.Trimesh | None:
     mesh = _cells_mesh(ground, area, proven)
     top = area.high_m + 0.1 * (area.high_m - area.low_m)
     share = mesh.vertices[:, 2] / max(area.scene(np.array([0.0, 0.0, top]))[2], 1e-3)
-    painted = TextureVisuals(
-        uv=np.stack([share.clip(0.01, 0.99), np.full(len(share), 0.5)], axis=-1),
-        material=PBRMaterial(baseColorTexture=_TINTS, metallicFactor=0.0, doubleSided=True),
-    )
-    ground = trimesh.Trimesh(mesh.vertices, mesh.faces, visual=painted, process=False)
-    assert ground.vertex_normals is not None  # asked for, it is kept, and drawn smooth
-    return ground
+    uv = np.stack([share.clip(0.01, 0.99), np.full(len(share), 0.5)], axis=-1)
+    matt = PBRMaterial(baseColorTexture=_TINTS, metallicFactor=0.0, doubleSided=True)  # type: ignore[no-untyped-call]
+    painted = TextureVisuals(uv=uv, material=matt)  # type: ignore[no-untyped-call]
+    drawn = trimesh.Trimesh(mesh.vertices, mesh.faces, visual=painted, process=False)
+    assert drawn.vertex_normals is not None  # asked for, they are kept, and it is drawn smooth
+    return drawn
 
 
 def guessed_mesh(ground: Ground, area: Area) -> Mesh | None:

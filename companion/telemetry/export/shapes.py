@@ -2,9 +2,10 @@
 
 import math
 from datetime import UTC, datetime, timedelta
-from typing import final
+from typing import Final, TypeVar, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.geodesy import FloatArray, LocalFrame
 from companion.mission.events import Vector
@@ -12,7 +13,8 @@ from companion.path.subpath import Subpath
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone, Zone
 
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+Number = TypeVar("Number", bound=np.generic)
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _CURVE_POINTS = 2000
 _CURVE_ERROR_M = 0.25  # a hand's breadth off the curve, which nobody sees
 _CHORD_M, _MAX_CHORDS = 5.0, 400
@@ -73,6 +75,14 @@ def ball_nea_m(radar: Radar, band_m: tuple[float, float], points: int) -> FloatA
     turn = np.linspace(0.0, 2.0 * np.pi, points + 1)
     ball = [np.cos(lift) * np.cos(turn), np.cos(lift) * np.sin(turn), np.sin(lift) + 0.0 * turn]
     return np.stack(ball, axis=-1) * radar.range_m + [north_m, east_m, altitude_m]
+
+
+def highest(values: NDArray[Number], step: int) -> NDArray[Number]:
+    """The highest value of each block of step x step cells."""
+    rows, columns = (np.arange(0, count, step) for count in values.shape)
+    of_rows = np.maximum.reduceat(values, rows, 0)
+    blocks: NDArray[Number] = np.maximum.reduceat(of_rows, columns, 1)
+    return blocks
 
 
 @final
