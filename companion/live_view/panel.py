@@ -66,9 +66,9 @@ def status_html(
         time_left = clock_text(to_go_m / speed_m_s) if speed_m_s > 0.5 else "standing"
         rows["to go"] = f"{metres(to_go_m)}, {time_left}"
     rows["link"] = f"{recording.rate_hz(time_s):.0f} positions/s"
-    battery = flight.newest(BATTERY, time_s)
-    if battery is not None and battery[1].battery_remaining >= 0:
-        rows["battery"] = f"{battery[1].battery_remaining} %"
+    battery = flight.newest(BATTERY, row)
+    if battery is not None and battery.battery_remaining >= 0:
+        rows["battery"] = f"{battery.battery_remaining} %"
     drawn = "" if stretch == 1.0 else f"; heights drawn {stretch:g} times"
     parts = [
         _line("n", f"{recording.name}{drawn}"),

@@ -224,12 +224,12 @@ class Flight:
         """The next frame of the log, and when it was logged."""
         number, (system, component) = number_of(frame), sender_of(frame)
         is_ours = component == AUTOPILOT_COMPONENT and self.system_id in (None, system)
-        if number in self._kept and (is_ours or number == wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE):
-            self._kept[number].append((time_us, frame))
         if component == COMPANION_COMPONENT and number == _SETPOINT:
             self.setpoints_us.append(time_us)
         if not is_ours:
             return
+        if number in self._kept:
+            self._kept[number].append((time_us, frame))
         self.heard.extend((time_us, frame[4] if frame[0] == V2 else frame[2]))
         if number == _GPS.id:
             told = dict(zip(_GPS.ordered_fieldnames, _unpacked(_GPS, frame), strict=True))
@@ -324,21 +324,17 @@ class Flight:
             return math.atan2(float(track.east_m_s[row]), float(track.north_m_s[row]))
         return heading_rad
 
-    def newest(self, number: int, time_s: float) -> tuple[float, Message] | None:
-        """The newest message of a kind that is kept, and how old it was then, seconds."""
-        row = self.row_at(time_s)
-        now_us = int(self.track.time_us[row]) + round((time_s - float(self.times_s[row])) * 1e6)
-        at = bisect_right(self._kept[number], now_us, key=lambda each: each[0]) - 1
-        if at < 0:
-            return None
-        time_us, frame = self._kept[number][at]
-        return (now_us - time_us) * 1e-6, decoded(frame, wire.mavlink_map[number])
-
     def kept(self, number: int) -> Iterator[tuple[float, Message]]:
         """All messages of a kind that is kept, with the log's seconds since the first position."""
         for time_us, frame in self._kept[number]:
             began_us = int(self.track.time_us[0])
             yield max(time_us - began_us, 0) * 1e-6, decoded(frame, wire.mavlink_map[number])
+
+    def newest(self, number: int, row: int) -> Message | None:
+        """The newest message of a kind that is kept, at a position."""
+        time_us = int(self.track.time_us[row])
+        at = bisect_right(self._kept[number], time_us, key=lambda each: each[0]) - 1
+        return decoded(self._kept[number][at][1], wire.mavlink_map[number]) if at >= 0 else None
 
     # --- what was decided
 

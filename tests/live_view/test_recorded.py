@@ -169,9 +169,10 @@ def shown(run_dir: Path) -> Iterator[tuple[viser.ViserServer, Page]]:
 
 def test_all_of_a_flight_is_in_the_scene(shown: tuple[viser.ViserServer, Page]) -> None:
     handles = shown[0].scene._handle_from_node_name
-    of_world = {"/vehicle", "/track", "/unknown", "/ground/guessed", "/targets/1"}
-    of_plan = {f"/plan/{name}" for name in ("p_scan", "p_prog", "leg", "control", "guide")}
-    assert of_world | of_plan | {"/scan/reach/ring", "/ground/proven"} <= set(handles)
+    of_world = {"/vehicle", "/track", "/unknown", "/ground/guessed", "/decided/target_1"}
+    of_plan = {"p_scan", "p_prog", "leg", "control", "guide", "reach"}
+    assert of_world | {f"/decided/{name}" for name in of_plan} <= set(handles)
+    assert "/ground/proven" in handles
     labels = {handles[name].text for name in handles if name.endswith("/label")}  # type: ignore[attr-defined]
     assert {"target", 'keep-out tower <&> "mast"', "keep-out village", "keep-in county"} <= labels
 
@@ -187,8 +188,8 @@ def test_the_scene_and_the_panel_follow_the_time(shown: tuple[viser.ViserServer,
         names = set(server.scene._handle_from_node_name)
         if moment != "held":
             there = moment == "newest"
-            assert ({"/plan/leg", "/plan/guide", "/scan/reach/ring"} <= names) is there
-            assert ("/plan/control" in names) is there
+            assert ({"/decided/leg", "/decided/guide", "/decided/reach"} <= names) is there
+            assert ("/decided/control" in names) is there
         statuses.append(page.status)
         places.append(server.scene.get_handle_by_name("/vehicle").position.copy())  # type: ignore[union-attr]
     assert statuses[-1] != statuses[0]
