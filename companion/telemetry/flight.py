@@ -8,7 +8,7 @@ reboots, so the flight has a clock of its own: seconds since the first position,
 import math
 from array import array
 from bisect import bisect_right
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Final, final
@@ -23,6 +23,7 @@ from companion.mission import journal as noted
 from companion.mission.journal import Entry, Header, PlanReady
 from companion.mission.mission import Mission
 from companion.mission.state import Phase as MissionPhase
+from companion.path.subpath import Subpath
 from companion.world.zones import Zone
 
 IntArray = npt.NDArray[np.int64]
@@ -362,12 +363,16 @@ class Flight:
 
     def legs_nea_m(self) -> list[FloatArray]:
         """The subpaths that were begun, each up to where the next one begins.  -> (S, 3) each."""
-        begun = [each.plan.subpath for each in self.planned if each.leg is not None]
-        lines = [b.points_nea_m(np.linspace(0.0, b.length_m, _LEG_POINTS)) for b in begun]
-        for at, successor in enumerate(lines[1:]):
-            nearest = int(np.argmin(np.linalg.norm(lines[at] - successor[0], axis=1)))
-            lines[at] = lines[at][: nearest + 1]
-        return lines
+        return joined_nea_m([each.plan.subpath for each in self.planned if each.leg is not None])
+
+
+def joined_nea_m(subpaths: Iterable[Subpath]) -> list[FloatArray]:
+    """Subpaths, each up to where the next one begins.  -> (S, 3) each."""
+    lines = [b.points_nea_m(np.linspace(0.0, b.length_m, _LEG_POINTS)) for b in subpaths]
+    for at, successor in enumerate(lines[1:]):
+        nearest = int(np.argmin(np.linalg.norm(lines[at] - successor[0], axis=1)))
+        lines[at] = lines[at][: nearest + 1]
+    return lines
 
 
 def _moments(entries: Sequence[tuple[float, Entry]]) -> Iterator[Moment]:
