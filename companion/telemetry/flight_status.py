@@ -97,8 +97,6 @@ class FlightStatus(Struct, frozen=True, kw_only=True, tag_field="kind", tag="sta
     """What the mission wants to be left at the target."""
     link_age_s: float | None
     """Since the autopilot's clock was last heard; null: never."""
-    link_round_trip_s: float | None
-    """To the vehicle and back; null: not measured."""
     frames_heard: int
     """From the autopilot since the start."""
     frames_lost: int
@@ -175,7 +173,6 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
         battery_left=vehicle.battery,
         battery_reserve=session.mission.reserve,
         link_age_s=now_s - clock.now_s if clock.is_known else None,
-        link_round_trip_s=None if autopilot is None else autopilot.round_trip_s,
         frames_heard=heard,
         frames_lost=lost,
         subpaths_flown=flight.legs_flown,

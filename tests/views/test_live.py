@@ -26,7 +26,7 @@ LONGEST = json.loads("""{
     "altitude_amsl_m": -1234.5, "above_ground_m": -1234.5, "clearance_m": 9e3, "looked_m": 9e3,
     "speed_m_s": 150.0, "course_rad": 6.0, "climb_m_s": -10.0, "safety_distance_m": 1e3,
     "to_go_m": 1.5e5, "time_left_s": 36e3, "t_s": 86400.0,
-    "link_age_s": 599.9, "link_round_trip_s": 1.999, "times_real_time": 187.0,
+    "link_age_s": 599.9, "times_real_time": 187.0,
     "plan_cost": 1234.56, "plan_took_s": 29.999, "plan_clearance_m": 9e3
 }""")
 """The longest values that a table has to hold."""
