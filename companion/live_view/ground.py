@@ -4,7 +4,6 @@ It decides nothing and sends nothing: the answers of the planner are taken as re
 at hundreds of times real time, behind a flight as well as after it.
 """
 
-import math
 import pickle
 import time
 import zlib
@@ -19,14 +18,12 @@ import scipy.ndimage
 from numpy.typing import NDArray
 
 from companion.errors import InputError
-from companion.mission.events import Vector
 from companion.mission.mission import Mission
 from companion.replay.feed import RUNTIME_RECORDS, DamagedInputError, Feeder, flown_mission
 from companion.sources.files import answer
 from companion.telemetry.export.shapes import highest
 from companion.telemetry.flight import Flight
 from companion.telemetry.inputs import FILE, Input, InputsFile
-from companion.world.columns import distance_to_terrain_m
 from companion.world.guess import guessed_m
 from companion.world.known_map import KnownMap
 
@@ -36,8 +33,6 @@ _CONTINUED: Final = 0.25
 """Of R beyond what was seen: farther away, a guess is a plain (decision 0021)."""
 _MOST_CELLS: Final = 240
 """Along a side, of what is drawn; 480 are one frame a second without a graphics processor."""
-_MOST_APART: Final = 20  # cells: farther away from terrain a clearance is not told
-_SAMPLE_S: Final = 0.5
 _STEPS: Final = 50  # inputs between two looks at the clock
 
 
@@ -95,11 +90,8 @@ class Replica:
         """Why nothing follows from more inputs."""
         self.now: tuple[int, float] = (0, 0.0)
         """Boot and vehicle time that it has come to."""
-        self._grounds: list[tuple[int, float, bytes]] = []
+        self._maps: list[tuple[int, float, bytes]] = []
         """Boot, vehicle time, and what was known from then on, packed: an hour has thousands."""
-        self.samples: list[tuple[int, float, float, float]] = []
-        """Boot, vehicle time, clearance to what was known of the terrain then, and its altitude
-        under the vehicle; NaN: not known, or farther than it is looked for."""
 
     def advance(self, seconds: float, clock: Callable[[], float] = time.thread_time) -> bool:
         """Go on for so long, of processor time; whether there is more to read at once."""
@@ -114,15 +106,14 @@ class Replica:
         return more and self.ended is None
 
     def number_at(self, flight: Flight, time_s: float) -> int:
-        """The number of the newest ground at a time of the flight; -1: there is none yet."""
-        times_s = [flight.time_of(boot, t_s) for boot, t_s, _ in self._grounds]
+        """The number of the newest map at a time of the flight; -1: there is none yet."""
+        times_s = [flight.time_of(boot, t_s) for boot, t_s, _ in self._maps]
         return bisect_right(times_s, time_s) - 1
 
-    def ground(self, number: int) -> Ground:
-        """A ground by its number."""
-        found = pickle.loads(zlib.decompress(self._grounds[number][2]))
-        assert isinstance(found, Ground)
-        return found
+    def known(self, number: int) -> tuple[KnownMap, tuple[float, float]]:
+        """A map by its number, and north and east of the vehicle then."""
+        known, here_ne_m = pickle.loads(zlib.decompress(self._maps[number][2]))
+        return known, here_ne_m
 
     def _read_some(self) -> bool:
         """Take a few inputs; whether there were any."""
@@ -147,18 +138,5 @@ class Replica:
         known, here = session.state.flight.known, session.state.vehicle.position_nea_m
         if known is not self._known:
             self._known = known
-            ground = ground_of(known, (0.0, 0.0) if here is None else here[:2], session.mission)
-            self._grounds.append((*self.now, zlib.compress(pickle.dumps(ground), 1)))
-        sampled = self.samples[-1][:2] if self.samples else (-1, 0.0)
-        if here is not None and self.now >= (sampled[0], sampled[1] + _SAMPLE_S):
-            self.samples.append((*self.now, *_nearness_m(known, here)))
-
-
-def _nearness_m(known: KnownMap, here_nea_m: Vector) -> tuple[float, float]:
-    """The distance of the vehicle to proven terrain, and how high that is under it; NaN: none."""
-    most_m = _MOST_APART * known.cell_m
-    away_m = distance_to_terrain_m(known, np.array(here_nea_m), most_m, seen_only=True)
-    cell = known.cell_of(*here_nea_m[:2])
-    is_firm = known.is_known(*here_nea_m[:2]) and bool(known.surveyed[cell])
-    under_m = float(known.upper_m[cell]) if is_firm else math.nan
-    return math.nan if away_m >= most_m else away_m, under_m
+            now = known, (0.0, 0.0) if here is None else here[:2]
+            self._maps.append((*self.now, zlib.compress(pickle.dumps(now), 1)))

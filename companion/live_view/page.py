@@ -15,10 +15,11 @@ from viser import uplot
 
 from companion.geodesy import FloatArray
 from companion.live_view import panel
-from companion.live_view.ground import Replica
+from companion.live_view.ground import Replica, ground_of
 from companion.live_view.recording import Recording
 from companion.live_view.scene import Scene
 from companion.views.words import clock_text
+from companion.world.known_map import KnownMap
 
 _PERIOD_S: Final = 0.1
 _READ_S: Final = 0.3
@@ -47,7 +48,8 @@ class Page:
         self._followers: set[int] = set()
         self._here: FloatArray = np.zeros(3)
         self._ground_at_s = self._read_at_s = self._charted_at_s = -math.inf
-        self._ground_shown, self._slid_to_s = -1, 0.0
+        self._map_shown, self._slid_to_s = -1, 0.0
+        self._known: KnownMap | None = None
         self._shown: tuple[object, ...] = ()
         self._charted: tuple[object, ...] = ()
         gui = server.gui
@@ -162,14 +164,14 @@ class Page:
         elif self._plays:
             self._time_s = min(self._time_s + passed_s * self._speed, recording.ends_s)
         behind = self._show_ground(self._scene, now_s)
-        samples = 0 if self.replica is None else len(self.replica.samples)
-        shown, charted = (self._time_s, samples, behind), (recording.ends_s, samples)
+        shown = (self._time_s, self._map_shown, behind)
+        charted = (recording.ends_s, self._map_shown)
         if shown != self._shown:
             self._shown = shown
             self._show(self._scene, behind)
         if charted != self._charted and now_s - self._charted_at_s >= _CHARTS_S:
             self._charted_at_s, self._charted = now_s, charted
-            charts = panel.charts_of(recording, self.replica)
+            charts = panel.charts_of(recording, self._known)
             for chart, data in zip(self._charts, charts, strict=True):
                 chart.scales, chart.data = _scales(data), data
 
@@ -179,9 +181,10 @@ class Page:
         if replica is None:
             return ""
         number = replica.number_at(flight, self._time_s)
-        if number not in (-1, self._ground_shown) and now_s - self._ground_at_s >= _GROUND_S:
-            self._ground_at_s, self._ground_shown = now_s, number
-            scene.show_ground(replica.ground(number))
+        if number not in (-1, self._map_shown) and now_s - self._ground_at_s >= _GROUND_S:
+            self._ground_at_s, self._map_shown = now_s, number
+            self._known, here_ne_m = replica.known(number)
+            scene.show_ground(ground_of(self._known, here_ne_m, flight.mission))
         if replica.ended is not None:
             return f"ground: {replica.ended}"
         reached_s = flight.time_of(*replica.now)
@@ -194,8 +197,9 @@ class Page:
         for client in self._server.get_clients().values():
             if client.client_id in self._followers:
                 client.camera.position = client.camera.position + (self._here - before)
+        known = None if behind else self._known
         self._status.content = panel.status_html(
-            recording, self.replica, self._time_s, behind, scene.area.stretch
+            recording, known, self._time_s, behind, scene.area.stretch
         )
         lines, self._events_style.content = panel.event_list(recording.events, self._time_s)
         self._events.options = lines or ("none yet",)

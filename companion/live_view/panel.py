@@ -9,15 +9,17 @@ from typing import Final
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.live_view.ground import Replica
 from companion.live_view.recording import BATTERY, Event, Recording
 from companion.mission.state import Phase
 from companion.objective import TERMS
-from companion.telemetry.export.shapes import Chords
+from companion.telemetry.export.shapes import Chords, under_m
 from companion.telemetry.flight import Decided, Flight, IntArray
 from companion.views.words import clock_text, metres, metres_at_least
+from companion.world.columns import distance_to_terrain_m
+from companion.world.known_map import KnownMap
 
 _CHART_POINTS: Final = 600
+_MOST_APART: Final = 20  # cells: farther away from terrain a clearance is not told
 _DOWN: Final = (Phase.LANDING.value, Phase.DONE.value)
 _BARS: Final = TERMS[:-1]
 _STYLE: Final = (
@@ -40,23 +42,25 @@ _LIST_STYLE: Final = (
 
 
 def status_html(
-    recording: Recording, replica: Replica | None, time_s: float, behind: str, stretch: float
+    recording: Recording, known: KnownMap | None, time_s: float, behind: str, stretch: float
 ) -> str:
     """Phase and reason, target, speed, altitude, clearance, the last plan and the link at a time.
 
-    behind: what of it is not up to date; stretch: how much higher heights are drawn.
+    known: the terrain as it was then, None: not known; behind: what of it is not up to date;
+    stretch: how much higher heights are drawn.
     """
     flight, track = recording.flight, recording.flight.track
     [decided] = flight.decided_at(np.array([time_s]))
-    [clearance_m], [under_m] = near_ground(recording, replica, np.array([time_s]))
     row = flight.row_at(time_s)
-    north_m, east_m, altitude_m = flight.places_nea_m[row].tolist()
+    here = flight.places_nea_m[row]
+    north_m, east_m, altitude_m = here.tolist()
+    [above_m] = altitude_m - _under_m(known, here[None])
     speed_m_s = math.hypot(float(track.north_m_s[row]), float(track.east_m_s[row]))
     rows = {
         "time": clock_text(time_s),
         "altitude": f"{altitude_m:,.0f} m AMSL",
-        "over known ground": metres_at_least(altitude_m - float(under_m)),
-        "clearance": metres_at_least(float(clearance_m)),
+        "over known ground": metres_at_least(float(above_m)),
+        "clearance": metres_at_least(_clearance_m(known, here)),
         "speed": f"{speed_m_s:.1f} m/s, {float(track.up_m_s[row]):+.1f} up",
     }
     if decided.targets_ne_m and flight.has_mission:
@@ -151,32 +155,31 @@ CHARTS: Final = {
 """Their titles, and of each the lines by name and colour."""
 
 
-def charts_of(recording: Recording, replica: Replica | None) -> tuple[tuple[FloatArray, ...], ...]:
+def charts_of(recording: Recording, known: KnownMap | None) -> tuple[tuple[FloatArray, ...], ...]:
     """All of a flight so far, at a few hundred points: of each chart the times, then its lines."""
     flight = recording.flight
     count = len(flight.times_s)
-    rows = np.unique(np.linspace(0, count - 1, min(count, _CHART_POINTS)).astype(np.intp))
-    times_s = flight.times_s[rows]
-    _, under_m = near_ground(recording, replica, times_s)
+    rows = np.unique(np.linspace(0, count - 1, min(count, _CHART_POINTS)).astype(np.int64))
+    times_s, places = flight.times_s[rows], flight.places_nea_m[rows]
     return (
-        (times_s, flight.places_nea_m[rows, 2], under_m),
+        (times_s, places[:, 2], _under_m(known, places)),
         (times_s, _aside_m(flight, rows)),
     )
 
 
-def near_ground(
-    recording: Recording, replica: Replica | None, times_s: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Clearance, and altitude of the known ground under the vehicle; NaN: not known.  (N,) each."""
-    none = np.full(len(times_s), np.nan)
-    if replica is None or not replica.samples:
-        return none, none
-    sampled = np.array(
-        [(recording.flight.time_of(boot, t_s), c, u) for boot, t_s, c, u in replica.samples]
-    )
-    at = np.searchsorted(sampled[:, 0], times_s, "right") - 1
-    told = (at >= 0) & (times_s - sampled[np.maximum(at, 0), 0] < 2.0)
-    return np.where(told, sampled[at, 1], np.nan), np.where(told, sampled[at, 2], np.nan)
+def _clearance_m(known: KnownMap | None, here_nea_m: FloatArray) -> float:
+    """Distance to known terrain; NaN: there is none within some cells."""
+    if known is None:
+        return math.nan
+    most_m = _MOST_APART * known.cell_m
+    away_m = distance_to_terrain_m(known, here_nea_m, most_m, seen_only=True)
+    return math.nan if away_m >= most_m else away_m
+
+
+def _under_m(known: KnownMap | None, places_nea_m: FloatArray) -> FloatArray:
+    """Altitude of the known ground under places, NaN: not known.  (N, 3) -> (N,)."""
+    none = np.full(len(places_nea_m), np.nan)
+    return none if known is None else under_m(known, places_nea_m[:, :2])
 
 
 def _aside_m(flight: Flight, rows: IntArray) -> FloatArray:

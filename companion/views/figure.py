@@ -89,25 +89,11 @@ class FlightFigure:
         return cls(**(of_mission | shown))
 
     @property
-    def heights_m(self) -> FloatArray:
-        """Of the terrain, AMSL; NaN where it is not known.  (rows, columns), to north and east."""
-        upper_m = self.known.upper_m
-        return np.where(self.known.surveyed & np.isfinite(upper_m), upper_m, np.nan)
-
-    @property
     def edges_m(self) -> tuple[FloatArray, FloatArray]:
         """Of the cells, north (rows + 1,) and east (columns + 1,)."""
         known = self.known
         rows, columns = (np.arange(count + 1) * known.cell_m for count in known.upper_m.shape)
         return known.north_min_m + rows, known.east_min_m + columns
-
-    def under_m(self, points_ne_m: FloatArray) -> FloatArray:
-        """Height of the cell that holds each point, NaN where unknown.  (N, 2) -> (N,)."""
-        low_m = (self.known.north_min_m, self.known.east_min_m)
-        cells = np.floor((points_ne_m - low_m) / self.known.cell_m).astype(np.intp)
-        shape = np.array(self.known.upper_m.shape)
-        heights = self.heights_m[tuple(np.clip(cells, 0, shape - 1).T)]
-        return np.where(((cells >= 0) & (cells < shape)).all(axis=-1), heights, np.nan)
 
     @property
     def path_nea_m(self) -> FloatArray:
@@ -124,7 +110,7 @@ class FlightFigure:
     @property
     def altitudes_m(self) -> tuple[float, float]:
         """Least and greatest altitude to show; terrain far above the ceiling is cut off."""
-        known = self.heights_m[np.isfinite(self.heights_m)]
+        known = self.known.upper_m[np.isfinite(shapes.heights_m(self.known))]
         flown = [line_nea_m[:, 2] for line_nea_m, _ in _lines(self)]
         band = [self.floor_amsl_m, self.ceiling_amsl_m, self.start_nea_m[2]]
         values = np.concatenate([*flown, band])
@@ -198,7 +184,7 @@ def draw_plan(axes: Axes, figure: FlightFigure) -> None:
     """From above: terrain, radars, keep-outs and the path."""
     unit_m, unit = figure.unit
     north, east = (edges_m / unit_m for edges_m in figure.edges_m)
-    heights = np.ma.masked_invalid(figure.heights_m / unit_m)
+    heights = np.ma.masked_invalid(shapes.heights_m(figure.known) / unit_m)
     low, high = (altitude / unit_m for altitude in figure.altitudes_m)
     span: _Style = {"vmin": low, "vmax": high}
     colours = axes.pcolormesh(east, north, heights, cmap=_TINTS, rasterized=True, **span)
@@ -252,7 +238,7 @@ def draw_profile(axes: Axes, figure: FlightFigure) -> None:
     low, high = (altitude / unit_m for altitude in figure.altitudes_m)
     steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
     along = np.concatenate([[0.0], np.cumsum(steps)])[: len(path)] / unit_m
-    under = figure.under_m(path[:, :2]) / unit_m
+    under = shapes.under_m(figure.known, path[:, :2]) / unit_m
     axes.fill_between(along, low, under, color="#cdb78c", lw=0.0)
     axes.plot(along, under, color="#6b5433", lw=1.2, label="terrain under the path")
     if np.isnan(under).any():
@@ -290,7 +276,7 @@ def draw_oblique(axes: Any, figure: FlightFigure) -> None:
     least, most = np.array([west, south, low]), np.array([east_m, north_m, high])
     spans = most - least
     stretch = _HEIGHT * spans[:2].max() / spans[2]
-    cells = np.nan_to_num(figure.heights_m, nan=-np.inf)
+    cells = np.nan_to_num(shapes.heights_m(figure.known), nan=-np.inf)
     heights = shapes.highest(cells, math.ceil(max(cells.shape) / _BLOCKS))
     known = np.isfinite(heights)
     heights = np.where(known, heights, low).clip(max=high)

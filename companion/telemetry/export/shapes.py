@@ -7,9 +7,10 @@ from typing import Final, TypeVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.geodesy import FloatArray, LocalFrame
+from companion.geodesy import BoolArray, FloatArray, LocalFrame
 from companion.mission.events import Vector
 from companion.path.subpath import Subpath
+from companion.world.known_map import KnownMap
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone, Zone
 
@@ -75,6 +76,19 @@ def ball_nea_m(radar: Radar, band_m: tuple[float, float], points: int) -> FloatA
     turn = np.linspace(0.0, 2.0 * np.pi, points + 1)
     ball = [np.cos(lift) * np.cos(turn), np.cos(lift) * np.sin(turn), np.sin(lift) + 0.0 * turn]
     return np.stack(ball, axis=-1) * radar.range_m + [north_m, east_m, altitude_m]
+
+
+def heights_m(known: KnownMap) -> FloatArray:
+    """Of the terrain that was seen or known in advance, AMSL; NaN of other cells."""
+    return np.where(known.surveyed & np.isfinite(known.upper_m), known.upper_m, np.nan)
+
+
+def under_m(known: KnownMap, points_ne_m: FloatArray) -> FloatArray:
+    """That of the cell that holds each point, NaN outside.  (N, 2) -> (N,)."""
+    cells = np.floor((points_ne_m - (known.north_min_m, known.east_min_m)) / known.cell_m)
+    is_inside: BoolArray = np.all((cells >= 0) & (cells < known.shape), axis=-1)
+    rows, columns = np.where(is_inside[:, None], cells, 0).astype(np.intp).T
+    return np.where(is_inside, heights_m(known)[rows, columns], np.nan)
 
 
 def highest(values: NDArray[Number], step: int) -> NDArray[Number]:
