@@ -32,9 +32,9 @@ def serve(
     port: 0: any that is free.  on_ready: told the address.  system_id: of the vehicle, of several
     in a log.  is_flown: the flight is flown now: it may not have begun to be recorded.
     """
-    recording = None if is_flown else Recording(path, system_id)
     server = _server(port)
     try:
+        recording = None if is_flown else Recording(path, system_id)
         on_ready(f"http://{_HOST}:{server.get_port()}/")
         while recording is None:
             if all(answer((path / name).is_file) for name in ("mission.toml", "flight.tlog")):
