@@ -9,6 +9,7 @@ import time
 import zlib
 from bisect import bisect_right
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Final, NamedTuple, final
@@ -113,7 +114,8 @@ class Replica:
     def known(self, number: int) -> tuple[KnownMap, tuple[float, float]]:
         """A map by its number, and north and east of the vehicle then."""
         known, here_ne_m = pickle.loads(zlib.decompress(self._maps[number][2]))
-        return known, here_ne_m
+        newest = self._known or known
+        return replace(known, given=newest.given, guess_m=newest.guess_m), here_ne_m
 
     def _read_some(self) -> bool:
         """Take a few inputs; whether there were any."""
@@ -130,13 +132,12 @@ class Replica:
     def _take(self, told: Input) -> None:
         self._feeder.take(told)
         session, (boot, before_s) = self._feeder.session, self.now
-        if told[0] == "start":
-            self._known = None
         if told[0] == "start" or told[0] in RUNTIME_RECORDS:
             return
         self.now = boot + (session.now_s < before_s - _BEGUN_AGAIN_S), session.now_s
         known, here = session.state.flight.known, session.state.vehicle.position_nea_m
         if known is not self._known:
             self._known = known
-            now = known, (0.0, 0.0) if here is None else here[:2]
+            alone = replace(known, given=None, guess_m=None)  # these are always the same
+            now = alone, (0.0, 0.0) if here is None else here[:2]
             self._maps.append((*self.now, zlib.compress(pickle.dumps(now), 1)))
