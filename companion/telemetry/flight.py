@@ -33,6 +33,8 @@ _COLUMNS: Final = ("time_us", *_POSITION.ordered_fieldnames)
 _GPS: Final = wire.MAVLink_gps_raw_int_message
 _SETPOINT: Final = wire.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
 _NO_HEADING: Final = 65535
+_POLE: Final = 900_000_000
+"""The greatest latitude, as the wire has it."""
 _REBOOT_S: Final = 2.0  # as the companion's own clock has it
 _RESTARTED_S: Final = 60.0
 """An autopilot that was restarted while no companion ran has a clock that fell by more."""
@@ -80,6 +82,7 @@ class Track:
         """Of the log's stamps and the wire's integers, (N, 10).
 
         A time that falls and is at once followed by one that has not is a mistake, no reboot.
+        What was sent without a fix tells of reboots, too, and is left out then.
         """
         t_s = np.asarray(positions[:, 1] * 1e-3, dtype=np.float64)
         strays = np.zeros(len(t_s), dtype=bool)
@@ -87,11 +90,14 @@ class Track:
             before, here, after = t_s[:-2], t_s[1:-1], t_s[2:]
             strays[1:-1] = (here < before - _REBOOT_S) & (after >= before - _REBOOT_S)
         positions, t_s = positions[~strays], t_s[~strays]
-        wired = dict(zip(_COLUMNS, positions.T, strict=True))
+        boot: IntArray = np.cumsum(np.diff(t_s, prepend=t_s[:1]) < -_REBOOT_S, dtype=np.int64)
+        places = positions[:, _COLUMNS.index("lat") : _COLUMNS.index("lon") + 1]
+        has_fix = places.any(axis=1) & (abs(places[:, 0]) <= _POLE)
+        wired = dict(zip(_COLUMNS, positions[has_fix].T, strict=True))
         return Track(
             time_us=wired["time_us"],
-            boot=np.cumsum(np.diff(t_s, prepend=t_s[:1]) < -_REBOOT_S),
-            t_s=t_s,
+            boot=boot[has_fix],
+            t_s=t_s[has_fix],
             latitude_deg=wired["lat"] * 1e-7,
             longitude_deg=wired["lon"] * 1e-7,
             altitude_amsl_m=wired["alt"] * 1e-3,
@@ -200,7 +206,6 @@ class Flight:
         self.setpoints_us = array("q")
         """When the companion sent setpoints, microseconds since 1970."""
         self._positions = array("q")
-        self._without_fix = 0
         self._kept: dict[int, list[tuple[int, bytes]]] = {each: [] for each in keeps}
         self._timed: list[tuple[int, Entry]] = []
         """Each entry of the journal, and how often the autopilot had rebooted then."""
@@ -236,17 +241,13 @@ class Flight:
             told = dict(zip(_GPS.ordered_fieldnames, _unpacked(_GPS, frame), strict=True))
             self.gps.extend((time_us, told["fix_type"], told["satellites_visible"]))
         elif number == _POSITION.id:
-            values = _unpacked(_POSITION, frame)
-            if values[1] == values[2] == 0 or abs(values[1]) > 900_000_000:
-                self._without_fix += 1
-            else:
-                self._positions.extend((time_us, *values))
+            self._positions.extend((time_us, *_unpacked(_POSITION, frame)))
 
     def settle(self) -> None:
         """Bring all that is derived up to date."""
         positions = np.array(self._positions, dtype=np.int64).reshape(-1, len(_COLUMNS))
         track = self.track = Track.of(positions)
-        self.left_out = self._without_fix + len(positions) - len(track)
+        self.left_out = len(positions) - len(track)
         self._begins_s = self._begins_of_boots_s()
         self.times_s: FloatArray = track.t_s + np.array(self._begins_s)[track.boot]
         """Of each position since the first one; it goes on across reboots.  (N,)"""
@@ -273,11 +274,13 @@ class Flight:
 
     def _begins_of_boots_s(self) -> list[float]:
         """Of each boot, when its clock began; one without positions follows the one before it."""
-        begins, end_s, track = list[float](), -_NEW_BOOT_S, self.track
+        begins, next_s, track = list[float](), -math.inf, self.track
         for boot in range(max(self._boot, *track.boot[-1:].tolist(), 0) + 1):
             t_s = track.t_s[track.boot == boot]
-            begins.append(end_s + _NEW_BOOT_S - float(t_s[0] if len(t_s) else 0.0))
-            end_s = begins[-1] + float(t_s[-1]) if len(t_s) else end_s
+            begins.append(next_s)
+            if len(t_s):
+                begins[-1] = max(next_s, 0.0) - float(t_s[0])
+                next_s = begins[-1] + float(t_s[-1]) + _NEW_BOOT_S
         return begins
 
     def _with_rising_times(self) -> list[tuple[float, Entry]]:

@@ -154,6 +154,18 @@ def test_phases_are_those_of_their_times(times_s: Any, entries: list[Any], expec
     assert phases(at(*times_s, entries=entries)) == expected.split()
 
 
+def test_a_reboot_before_the_first_fix_is_a_reboot() -> None:
+    """As after a change of parameters; what was said before it is before the first position."""
+    frames = [position(t, lat=0, lon=0) for t in (99.0, 101.0, 0.2)] + [
+        position(0.5),
+        position(2.0),
+    ]
+    found = flight(*frames, entries=REBOOTED)
+    assert phases(found) == ["preparing", "holding"]
+    assert [time_s for time_s, _ in found.entries] == pytest.approx([0.0, 0.0, 0.0, 0.1])
+    assert (found.left_out, found.times_s.tolist()) == (3, [0.0, 1.5])
+
+
 def test_moments_and_segments_are_those_of_their_boots() -> None:
     found = at(99.0, 100.0, 101.0, 0.5, 0.6, entries=REBOOTED)
     rows = [(m.what, found.row_at(m.time_s)) for m in found.moments]
