@@ -28,14 +28,7 @@ from companion.config import (
     refuse_older,
 )
 from companion.errors import CompanionError, FlightFailed, FlightInterrupted, InputError
-from companion.live_view.command import (
-    VIEW_PORT,
-    Asked,
-    PortOption,
-    started_view,
-    stay,
-    view_command,
-)
+from companion.live_view.command import VIEW_PORT, PortOption, started_view, stay, view_command
 from companion.mavlink.preflight import CheckStatus, checks_of, not_heard
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
@@ -186,8 +179,7 @@ def fly_command(
             version=version("companion"),
         )
         if view:
-            asked = Asked(path=str(folder_path), port=view_port, live=True)
-            stack.enter_context(started_view(asked, console))
+            stack.enter_context(started_view(folder_path, view_port, console))
         flown = _flown(session, connect, folder_path, mission, key, recalled, shows)
         stopped = flown.end is not None and flown.end.outcome is Outcome.STOPPED
         if view and console.is_terminal and not stopped:

@@ -34,7 +34,12 @@ def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_check_says_in_words_what_a_mission_will_do() -> None:
     code, shown, said = answered("check", "environment-1")
     assert (code, said) == (0, "")
-    for fact in ("100 km north, 100 km east", "150 m/s", "3 km and 5 km AMSL", "500 m (d_s)"):
+    for fact in (
+        "100.0 km north, 100.0 km east",
+        "150 m/s",
+        "3,000 m and 5,000 m AMSL",
+        "500 m (d_s)",
+    ):
         assert fact in shown
 
 

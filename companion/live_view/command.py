@@ -1,44 +1,29 @@
 """`companion view`, and the view that `companion fly --view` starts."""
 
 import contextlib
-import json
+import os
+import select
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, final
+from typing import Annotated
 
-import msgspec
 import typer
 from rich.console import Console
 
 from companion import extras
 from companion.errors import InputError
 from companion.runtime.terminal import stop_signals
-from companion.views.output import plain_console
 
 VIEW_PORT = 8080
 PortOption = Annotated[
     int, typer.Option(min=0, max=65535, help="Port of the page; 0: any that is free.")
 ]
 _END_S, _POLL_S = 5.0, 0.2
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Asked:
-    """What is to be served, and how."""
-
-    path: str
-    port: int = VIEW_PORT
-    """0: any that is free."""
-    system_id: int | None = None
-    """Of the vehicle, of several in a log."""
-    live: bool = False
-    """Whether the flight is flown now: it may not have begun to be recorded."""
+_NICE = 5
+_PROGRAM = "from companion.cli import main; main()"
 
 
 def view_command(
@@ -50,6 +35,7 @@ def view_command(
         int | None,
         typer.Option(min=1, max=255, help="System id of the vehicle, of several in a log."),
     ] = None,
+    live: Annotated[bool, typer.Option("--live", hidden=True)] = False,
 ) -> None:
     """Show a flight in the browser: the ground as it was known, plans, charts and events over time.
 
@@ -58,22 +44,30 @@ def view_command(
     extras.need("view", "companion view")
     from companion.live_view.server import serve  # slow to import
 
-    asked = Asked(path=str(flight), port=view_port, system_id=system)
+    def on_ready(address: str) -> None:
+        print(f"view: {address}", flush=True)  # noqa: T201 - `started_view` reads it
+
     with stop_signals() as stop_asked:
-        serve(asked, partial(_say_address, plain_console()), lambda: bool(stop_asked))
+        if live:  # whoever has started it flies: it ends with its input
+            os.nice(_NICE)
 
+        def stopped() -> bool:
+            is_left = live and bool(select.select([sys.stdin], [], [], 0.0)[0])
+            return is_left or bool(stop_asked)
 
-def _say_address(console: Console, address: str) -> None:
-    console.print(f"view: {address}", highlight=False, soft_wrap=True, markup=False)
+        serve(flight, view_port, on_ready, stopped, system_id=system, is_flown=live)
 
 
 @contextlib.contextmanager
-def started_view(asked: Asked, console: Console) -> Iterator[None]:
-    """Show a flight from a process of its own.  InputError if it cannot be shown."""
+def started_view(folder: Path, port: int, console: Console) -> Iterator[None]:
+    """Show a flight that is about to begin, from a process of its own: it cannot slow it down.
+
+    InputError if it cannot be shown.
+    """
     extras.need("view", "--view")
-    command = [sys.executable, "-m", "companion.live_view.server"]
+    asked = ("view", str(folder), "--view-port", str(port), "--live")
     with subprocess.Popen(
-        command,
+        [sys.executable, "-c", _PROGRAM, *asked],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -82,17 +76,13 @@ def started_view(asked: Asked, console: Console) -> Iterator[None]:
         assert process.stdin is not None
         assert process.stdout is not None
         try:
-            process.stdin.write(f"{msgspec.json.encode(asked).decode()}\n")
-            process.stdin.flush()
-            said: dict[str, Any] = json.loads(process.stdout.readline() or "{}")
-            if "address" not in said:
-                nothing = ("--view", True, "it did not start", "Look above for the reason.")
-                raise InputError(*said.get("error", nothing))
-            _say_address(console, said["address"])
+            said = process.stdout.readline()
+            if not said:
+                raise InputError("--view", True, "it did not start", "Look above for the reason.")
+            console.print(said.rstrip(), highlight=False, soft_wrap=True, markup=False)
             yield
         finally:
-            with contextlib.suppress(OSError):
-                process.stdin.close()
+            process.stdin.close()
             try:
                 process.wait(_END_S)
             except subprocess.TimeoutExpired:

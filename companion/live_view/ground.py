@@ -4,41 +4,36 @@ It decides nothing and sends nothing: the answers of the planner are taken as re
 at hundreds of times real time, behind a flight as well as after it.
 """
 
-import math
 import pickle
 import time
 import zlib
 from bisect import bisect_right
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import Final, NamedTuple, TypeVar, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 import scipy.ndimage
 from numpy.typing import NDArray
 
 from companion.errors import InputError
-from companion.mission.events import Vector
 from companion.mission.mission import Mission
 from companion.replay.feed import RUNTIME_RECORDS, DamagedInputError, Feeder, flown_mission
 from companion.sources.files import answer
+from companion.telemetry.export.shapes import highest
 from companion.telemetry.flight import Flight
 from companion.telemetry.inputs import FILE, Input, InputsFile
-from companion.telemetry.run_folder import known_map
-from companion.world.columns import distance_to_terrain_m
 from companion.world.guess import guessed_m
 from companion.world.known_map import KnownMap
 
 UNKNOWN, GUESSED, PROVEN = range(3)
-_Number = TypeVar("_Number", bound=np.generic)
 _BEGUN_AGAIN_S: Final = 2.0
 _CONTINUED: Final = 0.25
 """Of R beyond what was seen: farther away, a guess is a plain (decision 0021)."""
 _MOST_CELLS: Final = 240
 """Along a side, of what is drawn; 480 are one frame a second without a graphics processor."""
-_MOST_APART: Final = 20  # cells: farther away from terrain a clearance is not told
-_SAMPLE_S: Final = 0.5
 _STEPS: Final = 50  # inputs between two looks at the clock
 
 
@@ -73,7 +68,7 @@ def ground_of(known: KnownMap, here_ne_m: tuple[float, float], mission: Mission)
     kind[firm] = PROVEN
     step = -(-max(kind.shape) // _MOST_CELLS)
     if step > 1:  # of each block the highest, and the least sure: no more is proven than is
-        height_m, kind = _highest(height_m, step), PROVEN - _highest(PROVEN - kind, step)
+        height_m, kind = highest(height_m, step), PROVEN - highest(PROVEN - kind, step)
     return Ground(
         cell_m=known.cell_m * step,
         north_min_m=known.north_min_m,
@@ -81,25 +76,6 @@ def ground_of(known: KnownMap, here_ne_m: tuple[float, float], mission: Mission)
         height_m=np.where(kind == UNKNOWN, 0.0, height_m).astype(np.float32),
         kind=kind,
     )
-
-
-def last_ground(folder: Path, mission: Mission) -> Ground | None:
-    """What was known when it was saved last, if a run folder has it: before all is replayed."""
-    try:
-        known = known_map(folder)
-    except (OSError, ValueError):
-        return None
-    if mission.known is not None:
-        known = known.with_what_was_given(mission.known)
-    return ground_of(known, (mission.targets_ne_m or ((0.0, 0.0),))[0], mission)
-
-
-def _highest(values: NDArray[_Number], step: int) -> NDArray[_Number]:
-    """The highest value of each block of step x step cells."""
-    rows, columns = (np.arange(0, count, step) for count in values.shape)
-    of_rows = np.maximum.reduceat(values, rows, 0)
-    highest: NDArray[_Number] = np.maximum.reduceat(of_rows, columns, 1)
-    return highest
 
 
 @final
@@ -115,12 +91,8 @@ class Replica:
         """Why nothing follows from more inputs."""
         self.now: tuple[int, float] = (0, 0.0)
         """Boot and vehicle time that it has come to."""
-        self._grounds: list[tuple[int, float, bytes]] = []
+        self._maps: list[tuple[int, float, bytes]] = []
         """Boot, vehicle time, and what was known from then on, packed: an hour has thousands."""
-        self._unpacked: tuple[int, Ground | None] = (-1, None)
-        self.samples: list[tuple[int, float, float, float]] = []
-        """Boot, vehicle time, clearance to what was known of the terrain then, and its altitude
-        under the vehicle; NaN: not known, or farther than it is looked for."""
 
     def advance(self, seconds: float, clock: Callable[[], float] = time.thread_time) -> bool:
         """Go on for so long, of processor time; whether there is more to read at once."""
@@ -134,14 +106,16 @@ class Replica:
             self.ended = f"{type(error).__name__}: {error}"
         return more and self.ended is None
 
-    def ground_at(self, flight: Flight, time_s: float) -> tuple[int, Ground | None]:
-        """The newest ground at a time of the flight, and its number; -1 and None: none yet."""
-        times_s = [flight.time_of(boot, t_s) for boot, t_s, _ in self._grounds]
-        number = bisect_right(times_s, time_s) - 1
-        if number != self._unpacked[0]:
-            packed = b"" if number < 0 else self._grounds[number][2]
-            self._unpacked = number, pickle.loads(zlib.decompress(packed)) if packed else None
-        return self._unpacked
+    def number_at(self, flight: Flight, time_s: float) -> int:
+        """The number of the newest map at a time of the flight; -1: there is none yet."""
+        times_s = [flight.time_of(boot, t_s) for boot, t_s, _ in self._maps]
+        return bisect_right(times_s, time_s) - 1
+
+    def known(self, number: int) -> tuple[KnownMap, tuple[float, float]]:
+        """A map by its number, and north and east of the vehicle then."""
+        known, here_ne_m = pickle.loads(zlib.decompress(self._maps[number][2]))
+        newest = self._known or known
+        return replace(known, given=newest.given, guess_m=newest.guess_m), here_ne_m
 
     def _read_some(self) -> bool:
         """Take a few inputs; whether there were any."""
@@ -158,27 +132,12 @@ class Replica:
     def _take(self, told: Input) -> None:
         self._feeder.take(told)
         session, (boot, before_s) = self._feeder.session, self.now
-        if told[0] == "start":
-            self._known = None
         if told[0] == "start" or told[0] in RUNTIME_RECORDS:
             return
         self.now = boot + (session.now_s < before_s - _BEGUN_AGAIN_S), session.now_s
         known, here = session.state.flight.known, session.state.vehicle.position_nea_m
         if known is not self._known:
             self._known = known
-            ground = ground_of(known, (0.0, 0.0) if here is None else here[:2], session.mission)
-            self._grounds.append((*self.now, zlib.compress(pickle.dumps(ground), 1)))
-        sampled = self.samples[-1][:2] if self.samples else (-1, 0.0)
-        if here is not None and self.now >= (sampled[0], sampled[1] + _SAMPLE_S):
-            self.samples.append((*self.now, *_nearness_m(known, here)))
-
-
-def _nearness_m(known: KnownMap, here_nea_m: Vector) -> tuple[float, float]:
-    """The distance of the vehicle to proven terrain, and how high that is under it; NaN: none."""
-    most_m = _MOST_APART * known.cell_m
-    away_m = distance_to_terrain_m(known, np.array(here_nea_m), most_m, seen_only=True)
-    row, column = known.cell_of(*here_nea_m[:2])
-    rows, columns = known.upper_m.shape
-    is_firm = 0 <= row < rows and 0 <= column < columns and bool(known.surveyed[row, column])
-    under_m = float(known.upper_m[row, column]) if is_firm else math.nan
-    return math.nan if away_m >= most_m else away_m, under_m
+            alone = replace(known, given=None, guess_m=None)  # these are always the same
+            now = alone, (0.0, 0.0) if here is None else here[:2]
+            self._maps.append((*self.now, zlib.compress(pickle.dumps(now), 1)))

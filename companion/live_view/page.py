@@ -1,13 +1,12 @@
 """The page: a server on this computer that shows recordings, and what people do there.
 
-Callbacks of the page only put jobs into a queue; one thread does all of them, reads and draws.
+What people do comes from threads of the server; one thread reads and draws, ten times a second.
 """
 
 import math
-import queue
+import threading
 import time
-import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, Final, final
 
 import numpy as np
@@ -16,18 +15,20 @@ from viser import uplot
 
 from companion.geodesy import FloatArray
 from companion.live_view import panel
-from companion.live_view.ground import Ground, Replica, last_ground
+from companion.live_view.ground import Replica, ground_of
 from companion.live_view.recording import Recording
 from companion.live_view.scene import Scene
 from companion.views.words import clock_text
+from companion.world.known_map import KnownMap
 
 _PERIOD_S: Final = 0.1
 _READ_S: Final = 0.3
 _CHARTS_S: Final = 1.5
 _REPLAY_S: Final = 0.06  # of processor time in a period, for what was known of the ground
-_BEHIND_S: Final = 2.0  # between two grounds while it is read: a browser draws each anew
+_GROUND_S: Final = 1.0  # between two grounds: a browser draws each anew
 _SPEEDS: Final = ("1x", "5x", "20x", "60x", "300x")
-_VIEWS: Final = ("overview", "follow", "top")
+_OVERVIEW: Final = (np.array([-40.0, -76.0, 50.0]), np.array([2.0, -9.0, 0.0]))
+"""All of the map, from the south-west: where the camera is, and what it looks at."""
 _NEAR, _FAR = 0.05, 2000.0
 
 
@@ -38,22 +39,19 @@ class Page:
     def __init__(self, server: viser.ViserServer, recording: Recording) -> None:
         """recording: read as far as there is something."""
         self._server, self._recording = server, recording
-        self.replica: Replica | None = None
+        self.replica = Replica(recording.path) if recording.flight.has_mission else None
         """What was known of the ground; of a log alone nothing."""
-        self._last: Ground | None = None
-        if recording.flight.has_mission:
-            self.replica = Replica(recording.path)
-            self._last = last_ground(recording.path, recording.flight.mission)
-        self._jobs: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
+        self._lock = threading.Lock()
         self._scene: Scene | None = None
         self._time_s, self._speed, self._plays = 0.0, 1.0, False
         self._newest = True  # until somebody goes elsewhere
-        self._views: dict[int, str] = {}
+        self._followers: set[int] = set()
         self._here: FloatArray = np.zeros(3)
-        self._shown: tuple[float, int, str] | None = None
         self._ground_at_s = self._read_at_s = self._charted_at_s = -math.inf
-        self._ground_shown, self._slid_to_s = -1, 0.0
-        self._charted: tuple[int, int] | None = None
+        self._map_shown, self._slid_to_s = -1, 0.0
+        self._known: KnownMap | None = None
+        self._shown: tuple[object, ...] = ()
+        self._charted: tuple[object, ...] = ()
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(0, 80, 181))
         gui.set_panel_label("companion view")
@@ -62,102 +60,78 @@ class Page:
         self._build(gui)
         camera = server.initial_camera
         camera.near, camera.far = _NEAR, _FAR
-        camera.position, camera.look_at = self._camera("overview")
-        jobs, views = self._jobs, self._views
-        server.on_client_connect(lambda one: jobs.put(lambda: self._view(one, "overview")))
-        server.on_client_disconnect(lambda one: jobs.put(lambda: views.pop(one.client_id, None)))
+        camera.position, camera.look_at = _OVERVIEW
 
     def _build(self, gui: viser.GuiApi) -> None:
         self._slider: Any = gui.add_slider("time, s", 0.0, 1.0, 0.1, 0.0)
-        self._slider.on_update(self._when_moved)
+        self._slider.on_update(self._doing(lambda event: self.go_to(event.target.value)))
         self._play = gui.add_button("play")
-        self._play.on_click(lambda _: self._jobs.put(self._toggle))
+        self._play.on_click(self._doing(lambda _: self._toggle()))
         speeds = gui.add_dropdown("speed", _SPEEDS, initial_value=_SPEEDS[0])
-        speeds.on_update(self._when_chosen(self._set_speed))
-        places = gui.add_button_group("go to", ("next plan", "next hold", "newest"))
-        places.on_click(self._when_chosen(self.jump))
-        gui.add_button_group("camera", _VIEWS).on_click(self._when_viewed)
+        speeds.on_update(self._doing(self._set_speed))
+        newest = gui.add_button("newest")
+        newest.on_click(self._doing(lambda _: self.go_to(None)))
+        cameras = gui.add_button_group("camera", ("overview", "follow"))
+        cameras.on_click(self._doing(self._set_camera))
         tabs = gui.add_tab_group()
         with tabs.add_tab("flight"):
             self._status = gui.add_html("")
         with tabs.add_tab("events"):
             self._events_style = gui.add_html("")
             self._events = gui.add_button_group("", ("none yet",))
-            self._events.on_click(self._when_chosen(self.go_to_event))
+            self._events.on_click(self._doing(lambda event: self.go_to_event(event.target.value)))
         charts = gui.add_panel()
         with charts.add_tab("charts"):
-            self._charts = [_chart(gui, *each) for each in panel.CHARTS]
+            self._charts = [_chart(gui, title, lines) for title, lines in panel.CHARTS.items()]
         charts.dock_left()
         charts.set_width(300)
 
     # --- what people do
 
-    def _when_chosen(self, job: Callable[[str], None]) -> Callable[[Any], None]:
-        def chosen(event: Any) -> None:
-            value = event.target.value  # now: it may be another one once the job is done
-            self._jobs.put(lambda: job(value))
+    def _doing(self, job: Callable[[Any], None]) -> Callable[[Any], None]:
+        """What is done about an event of a browser, and not while the page is drawn."""
 
-        return chosen
+        def done(event: Any) -> None:
+            if event.client is not None:  # else it was changed from here
+                with self._lock:
+                    job(event)
 
-    def _when_moved(self, event: Any) -> None:
-        if event.client is not None:  # else it was moved from here
-            time_s = float(event.target.value)  # now: a step that is under way sets it back
-            self._jobs.put(lambda: self.go_to(time_s))
-
-    def _when_viewed(self, event: Any) -> None:
-        if event.client is not None:
-            self._jobs.put(lambda: self._view(event.client, event.target.value))
+        return done
 
     @property
     def status(self) -> str:
         """What the panel says, as HTML."""
         return self._status.content
 
-    def go_to(self, time_s: float) -> None:
-        """Show the flight as it was then.  In the page's own thread, as all that has no _."""
-        self._newest, self._time_s = False, time_s
+    def go_to(self, time_s: float | None) -> None:
+        """Show the flight as it was then; None: as it is now."""
+        self._newest, self._time_s = time_s is None, time_s or 0.0
+
+    def go_to_event(self, line: str) -> None:
+        """Go to where an event of the list happened."""
+        for event in self._recording.events:
+            if panel.event_line(event) == line:
+                return self.go_to(event.time_s)
 
     def _toggle(self) -> None:
         self._plays = not self._plays
         self._newest = False
         self._play.label = "pause" if self._plays else "play"
 
-    def _set_speed(self, text: str) -> None:
-        self._speed = float(text.rstrip("x"))
+    def _set_speed(self, event: Any) -> None:
+        self._speed = float(event.target.value.rstrip("x"))
 
-    def jump(self, where: str) -> None:
-        """Go to the next plan, the next hold, or to what is newest."""
-        if where == "newest":
-            self._newest = True
-            return
-        kind, after_s = where.removeprefix("next "), self._time_s + 0.05
-        later = (e for e in self._recording.events if e.kind == kind and e.time_s > after_s)
-        self._go_to_first(event.time_s for event in later)
-
-    def go_to_event(self, line: str) -> None:
-        """Go to where an event of the list happened."""
-        events = self._recording.events
-        self._go_to_first(each.time_s for each in events if panel.event_line(each) == line)
-
-    def _go_to_first(self, times_s: Iterator[float]) -> None:
-        if (time_s := next(times_s, None)) is not None:
-            self.go_to(time_s)
-
-    def _view(self, client: viser.ClientHandle, view: str) -> None:
-        self._views[client.client_id] = view
+    def _set_camera(self, event: Any) -> None:
+        client, place = event.client, _OVERVIEW
+        self._followers.discard(client.client_id)
+        if event.target.value == "follow":
+            self._followers.add(client.client_id)
+            flight = self._recording.flight
+            heading_rad = flight.heading_rad(flight.row_at(self._time_s))
+            ahead = np.array([math.sin(heading_rad), math.cos(heading_rad), 0.0])
+            place = self._here - 11.0 * ahead + [0.0, 0.0, 5.5], self._here + 4.0 * ahead
         with client.atomic():
-            client.camera.position, client.camera.look_at = self._camera(view)
-
-    def _camera(self, view: str) -> tuple[FloatArray, FloatArray]:
-        """Where the camera is, and what it looks at."""
-        if view == "overview":  # all of the map, from the south-west
-            return np.array([-40.0, -76.0, 50.0]), np.array([2.0, -9.0, 0.0])
-        if view == "top":
-            return np.array([0.0, -0.5, 108.0]), np.zeros(3)
-        flight = self._recording.flight
-        heading_rad = flight.heading_rad(flight.row_at(self._time_s))
-        ahead = np.array([math.sin(heading_rad), math.cos(heading_rad), 0.0])
-        return self._here - 11.0 * ahead + [0.0, 0.0, 5.5], self._here + 4.0 * ahead
+            client.camera.position, client.camera.look_at = place
 
     # --- what is shown
 
@@ -166,21 +140,10 @@ class Page:
         before_s = time.monotonic()
         while not stopped():
             began_s = time.monotonic()
-            self.step(began_s, began_s - before_s)
+            with self._lock:
+                self.step(began_s, began_s - before_s)
             before_s = began_s
-            self._wait(began_s + _PERIOD_S)
-
-    def _wait(self, until_s: float) -> None:
-        """Do the jobs that come; a person does not wait for the next period."""
-        while True:
-            try:
-                job = self._jobs.get(timeout=max(until_s - time.monotonic(), 0.001))
-            except queue.Empty:
-                return
-            try:
-                job()
-            except Exception:  # noqa: BLE001 - of one browser, which may be gone: others look on
-                traceback.print_exc()
+            time.sleep(max(began_s + _PERIOD_S - time.monotonic(), 0.001))
 
     def step(self, now_s: float, passed_s: float) -> None:
         """One look at what there is."""
@@ -201,14 +164,14 @@ class Page:
         elif self._plays:
             self._time_s = min(self._time_s + passed_s * self._speed, recording.ends_s)
         behind = self._show_ground(self._scene, now_s)
-        samples = 0 if self.replica is None else len(self.replica.samples)
-        if self._shown != (self._time_s, samples, behind):
-            self._shown = self._time_s, samples, behind
+        shown = (self._time_s, self._map_shown, behind)
+        charted = (recording.ends_s, self._map_shown)
+        if shown != self._shown:
+            self._shown = shown
             self._show(self._scene, behind)
-        charted = len(recording.flight.times_s), samples
-        if now_s - self._charted_at_s >= _CHARTS_S and charted != self._charted:
+        if charted != self._charted and now_s - self._charted_at_s >= _CHARTS_S:
             self._charted_at_s, self._charted = now_s, charted
-            charts = panel.charts_of(recording, self.replica)
+            charts = panel.charts_of(recording, self._known)
             for chart, data in zip(self._charts, charts, strict=True):
                 chart.scales, chart.data = _scales(data), data
 
@@ -217,28 +180,26 @@ class Page:
         replica, flight = self.replica, self._recording.flight
         if replica is None:
             return ""
-        reached_s = flight.time_of(*replica.now)
-        is_behind = reached_s + 1.0 < self._time_s and replica.ended is None
-        number, ground = replica.ground_at(flight, self._time_s)
-        if is_behind and self._last is not None:
-            number, ground = -2, self._last
-        is_due = not is_behind or now_s - self._ground_at_s >= _BEHIND_S
-        if ground is not None and number != self._ground_shown and is_due:
-            self._ground_at_s, self._ground_shown = now_s, number
-            scene.show_ground(ground)
+        number = replica.number_at(flight, self._time_s)
+        if number not in (-1, self._map_shown) and now_s - self._ground_at_s >= _GROUND_S:
+            self._ground_at_s, self._map_shown = now_s, number
+            self._known, here_ne_m = replica.known(number)
+            scene.show_ground(ground_of(self._known, here_ne_m, flight.mission))
         if replica.ended is not None:
             return f"ground: {replica.ended}"
-        behind = f"the ground is read until {clock_text(reached_s)}" if is_behind else ""
-        return f"{behind}; shown as at the end" if number == -2 else behind
+        reached_s = flight.time_of(*replica.now)
+        is_behind = reached_s + 1.0 < self._time_s
+        return f"the ground is read until {clock_text(reached_s)}" if is_behind else ""
 
     def _show(self, scene: Scene, behind: str) -> None:
         recording, before = self._recording, self._here
         self._here = scene.show(self._time_s)
         for client in self._server.get_clients().values():
-            if self._views.get(client.client_id) == "follow":
+            if client.client_id in self._followers:
                 client.camera.position = client.camera.position + (self._here - before)
+        known = None if behind else self._known
         self._status.content = panel.status_html(
-            recording, self.replica, self._time_s, behind, scene.area.stretch
+            recording, known, self._time_s, behind, scene.area.stretch
         )
         lines, self._events_style.content = panel.event_list(recording.events, self._time_s)
         self._events.options = lines or ("none yet",)

@@ -3,31 +3,33 @@
 import html
 import math
 from bisect import bisect_right
-from collections.abc import Mapping
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Final
 
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.live_view.ground import Replica
 from companion.live_view.recording import BATTERY, Event, Recording
 from companion.mission.state import Phase
 from companion.objective import TERMS
-from companion.telemetry.export.shapes import Chords
-from companion.telemetry.flight import Decided, Flight
+from companion.telemetry.export.shapes import Chords, under_m
+from companion.telemetry.flight import Decided, Flight, IntArray
 from companion.views.words import clock_text, metres, metres_at_least
+from companion.world.columns import distance_to_terrain_m
+from companion.world.known_map import KnownMap
 
 _CHART_POINTS: Final = 600
+_MOST_APART: Final = 20  # cells: farther away from terrain a clearance is not told
 _DOWN: Final = (Phase.LANDING.value, Phase.DONE.value)
 _BARS: Final = TERMS[:-1]
-_SOUND, _ALARM = "#00705a", "#b3261e"
 _STYLE: Final = (
     "<style>.fl{font:13px/1.45 system-ui,sans-serif;padding:2px 8px 6px}"
     ".fl table{width:100%;border-collapse:collapse}.fl td{padding:1px 0;vertical-align:top}"
     ".fl td+td{text-align:right;font-variant-numeric:tabular-nums;font-weight:600}"
     ".fl .p{font-size:17px;font-weight:700}.fl .r{color:#b3261e;font-weight:600}"
     ".fl i{display:inline-block;height:9px;background:#0050b5;border-radius:2px}"
-    ".fl .h{color:#667;margin-top:6px;font-weight:600}.fl .n{color:#667}</style>"
+    ".fl .h{color:#667;margin-top:6px;font-weight:600}.fl .n{color:#667}"
+    ".fl .s{color:#00705a}</style>"
 )
 _EVENTS_BEFORE, _EVENTS_AFTER = 30, 10
 _LIST: Final = "div:has(>.ev)+div"  # the button group after it
@@ -40,23 +42,25 @@ _LIST_STYLE: Final = (
 
 
 def status_html(
-    recording: Recording, replica: Replica | None, time_s: float, behind: str, stretch: float
+    recording: Recording, known: KnownMap | None, time_s: float, behind: str, stretch: float
 ) -> str:
     """Phase and reason, target, speed, altitude, clearance, the last plan and the link at a time.
 
-    behind: what of it is not up to date; stretch: how much higher heights are drawn.
+    known: the terrain as it was then, None: not known; behind: what of it is not up to date;
+    stretch: how much higher heights are drawn.
     """
     flight, track = recording.flight, recording.flight.track
-    decided = flight.decided_at(time_s)
-    [clearance_m], [under_m] = near_ground(recording, replica, np.array([time_s]))
+    [decided] = flight.decided_at(np.array([time_s]))
     row = flight.row_at(time_s)
-    north_m, east_m, altitude_m = flight.places_nea_m[row].tolist()
+    here = flight.places_nea_m[row]
+    north_m, east_m, altitude_m = here.tolist()
+    [above_m] = altitude_m - _under_m(known, here[None])
     speed_m_s = math.hypot(float(track.north_m_s[row]), float(track.east_m_s[row]))
     rows = {
         "time": clock_text(time_s),
         "altitude": f"{altitude_m:,.0f} m AMSL",
-        "over known ground": metres_at_least(altitude_m - float(under_m)),
-        "clearance": metres_at_least(float(clearance_m)),
+        "over known ground": metres_at_least(float(above_m)),
+        "clearance": metres_at_least(_clearance_m(known, here)),
         "speed": f"{speed_m_s:.1f} m/s, {float(track.up_m_s[row]):+.1f} up",
     }
     if decided.targets_ne_m and flight.has_mission:
@@ -65,58 +69,58 @@ def status_html(
         rows["target"] = f"{metres(target[0])} N, {metres(target[1])} E"
         time_left = clock_text(to_go_m / speed_m_s) if speed_m_s > 0.5 else "standing"
         rows["to go"] = f"{metres(to_go_m)}, {time_left}"
-    link = f"{recording.rate_hz(time_s):.0f} positions/s"
-    if decided.round_trip_s is not None:
-        link += f", {decided.round_trip_s * 1e3:.0f} ms round trip"
-    rows["link"] = link
-    battery = flight.newest(BATTERY, time_s)
-    if battery is not None and battery[1].battery_remaining >= 0:
-        rows["battery"] = f"{battery[1].battery_remaining} %"
-    reason = f"<div class=r>{html.escape(decided.reason)}</div>" if decided.reason else ""
-    warned = f"<div class=n>{html.escape(decided.warning)}</div>" if decided.warning else ""
-    late = f"<div class=n>{html.escape(behind)}</div>" if behind else ""
+    rows["link"] = f"{recording.rate_hz(time_s):.0f} positions/s"
+    battery = flight.newest(BATTERY, row)
+    if battery is not None and battery.battery_remaining >= 0:
+        rows["battery"] = f"{battery.battery_remaining} %"
     drawn = "" if stretch == 1.0 else f"; heights drawn {stretch:g} times"
-    head = f"<div class=n>{html.escape(recording.name)}{drawn}</div>"
-    phase = "" if not flight.has_mission else f"<div class=p>{html.escape(decided.phase)}</div>"
-    plan = _plan_html(decided, recording.planning_s)
-    return f"{_STYLE}<div class=fl>{head}{phase}{reason}{_table(rows)}{plan}{warned}{late}</div>"
+    parts = [
+        _line("n", f"{recording.name}{drawn}"),
+        _line("p", decided.phase if flight.has_mission else ""),
+        _line("r", decided.reason),
+        _table(rows),
+        *_plan(decided),
+        _line("n", decided.warning),
+        _line("n", behind),
+    ]
+    return f"{_STYLE}<div class=fl>{''.join(parts)}</div>"
 
 
 def waiting_html(recording: Recording) -> str:
     """Before there is a position."""
-    waits = "<div class=p>waiting for the vehicle</div>"
+    waits = _line("p", "waiting for the vehicle")
     return f"{_STYLE}<div class=fl>{html.escape(recording.name)}{waits}</div>"
 
 
-def _plan_html(decided: Decided, took_s: Mapping[int, float]) -> str:
+def _plan(decided: Decided) -> Iterator[str]:
+    """What is known of the newest plan."""
     plan = decided.ready
     if plan is None:
-        return ""
-    certificate = plan.certificate
-    proven = f'<span style="color:{_SOUND}">proven, {certificate.pieces} pieces</span>'
-    if certificate.broken:
-        broken = html.escape(", ".join(certificate.broken))
-        proven = f'<span style="color:{_ALARM}">not proven: {broken}</span>'
-    planning_s = took_s.get(plan.plan_id)
+        return
+    broken = ", ".join(plan.certificate.broken)
     rows = {
         "flying subpath": f"{decided.leg_number}",
         "length": metres(plan.length_m),
         "cost, and to go from its end": f"{plan.cost or 0.0:.2f} + {plan.to_go or 0.0:.2f}",
         "candidates": f"{plan.evaluations:,}",
-        "planning took": "-" if planning_s is None else f"{planning_s * 1e3:,.0f} ms",
-        "certificate": proven,
-        "proven clearance": metres_at_least(certificate.clearance_m),
+        "proven clearance": metres_at_least(plan.certificate.clearance_m),
     }
-    terms = {name: plan.terms.get(name) or 0.0 for name in _BARS}
-    bars = "".join(
-        f"<tr><td>{name}</td><td style='width:62%;text-align:left'>"
-        f"<i style='width:{min(max(value, 0.0), 100.0) * 0.72:.1f}%'></i> {value:.1f}</td></tr>"
-        for name, value in terms.items()
+    yield _line("h", f"newest plan (number {plan.plan_id})")
+    yield _line("r", f"not proven: {broken}") if broken else _line("s", "proven")
+    yield _table(rows)
+    yield _line("h", "its cost terms, 0 to 100")
+    values = {name: plan.terms.get(name) or 0.0 for name in _BARS}
+    yield _table(
+        {
+            name: f"<i style='width:{min(max(value, 0.0), 100.0):.1f}px'></i> {value:.1f}"
+            for name, value in values.items()
+        }
     )
-    return (
-        f"<div class=h>newest plan (number {plan.plan_id})</div>{_table(rows)}"
-        f"<div class=h>its cost terms, 0 to 100</div><table>{bars}</table>"
-    )
+
+
+def _line(kind: str, text: str) -> str:
+    """Text in one of the styles of the panel; nothing of none."""
+    return f"<div class={kind}>{html.escape(text)}</div>" if text else ""
 
 
 def _table(rows: Mapping[str, str]) -> str:
@@ -144,59 +148,51 @@ def event_list(events: list[Event], time_s: float) -> tuple[tuple[str, ...], str
 # --- charts
 
 
-class Chart(NamedTuple):
-    """One chart: its title, and each of its lines by name and colour."""
-
-    title: str
-    lines: dict[str, str]
-
-
-CHARTS: Final = (
-    Chart("altitude and known ground, m AMSL", {"altitude": "#0050b5", "ground": "#8a6a3a"}),
-    Chart("off the path, m", {"off the path": "#c2389b"}),
-)
+CHARTS: Final = {
+    "altitude and known ground, m AMSL": {"altitude": "#0050b5", "ground": "#8a6a3a"},
+    "off the path, m": {"off the path": "#c2389b"},
+}
+"""Their titles, and of each the lines by name and colour."""
 
 
-def charts_of(recording: Recording, replica: Replica | None) -> tuple[tuple[FloatArray, ...], ...]:
+def charts_of(recording: Recording, known: KnownMap | None) -> tuple[tuple[FloatArray, ...], ...]:
     """All of a flight so far, at a few hundred points: of each chart the times, then its lines."""
     flight = recording.flight
     count = len(flight.times_s)
-    rows = np.unique(np.linspace(0, count - 1, min(count, _CHART_POINTS)).astype(np.intp))
-    times_s = flight.times_s[rows]
-    _, under_m = near_ground(recording, replica, times_s)
+    rows = np.unique(np.linspace(0, count - 1, min(count, _CHART_POINTS)).astype(np.int64))
+    times_s, places = flight.times_s[rows], flight.places_nea_m[rows]
     return (
-        (times_s, flight.places_nea_m[rows, 2], under_m),
+        (times_s, places[:, 2], _under_m(known, places)),
         (times_s, _aside_m(flight, rows)),
     )
 
 
-def near_ground(
-    recording: Recording, replica: Replica | None, times_s: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Clearance, and altitude of the known ground under the vehicle; NaN: not known.  (N,) each."""
-    none = np.full(len(times_s), np.nan)
-    if replica is None or not replica.samples:
-        return none, none
-    sampled = np.array(
-        [(recording.flight.time_of(boot, t_s), c, u) for boot, t_s, c, u in replica.samples]
-    )
-    at = np.searchsorted(sampled[:, 0], times_s, "right") - 1
-    told = (at >= 0) & (times_s - sampled[np.maximum(at, 0), 0] < 2.0)
-    return np.where(told, sampled[at, 1], np.nan), np.where(told, sampled[at, 2], np.nan)
+def _clearance_m(known: KnownMap | None, here_nea_m: FloatArray) -> float:
+    """Distance to known terrain; NaN: there is none within some cells."""
+    if known is None:
+        return math.nan
+    most_m = _MOST_APART * known.cell_m
+    away_m = distance_to_terrain_m(known, here_nea_m, most_m, seen_only=True)
+    return math.nan if away_m >= most_m else away_m
 
 
-def _aside_m(flight: Flight, rows: Any) -> FloatArray:
+def _under_m(known: KnownMap | None, places_nea_m: FloatArray) -> FloatArray:
+    """Altitude of the known ground under places, NaN: not known.  (N, 3) -> (N,)."""
+    none = np.full(len(places_nea_m), np.nan)
+    return none if known is None else under_m(known, places_nea_m[:, :2])
+
+
+def _aside_m(flight: Flight, rows: IntArray) -> FloatArray:
     """Distance from the path that was flown, metres; NaN: there was none, or it lands.  (N,).
 
     The vehicle is behind the point that it is led by, so the subpath before counts too.
     """
     aside, chords = np.full(len(rows), np.nan), dict[int, Chords]()
-    for at, row in enumerate(rows):
-        decided = flight.decided_at(float(flight.times_s[row]))
+    for at, decided in enumerate(flight.decided_at(flight.times_s[rows])):
         for plan in (decided.leg, decided.leg_before):
             if plan is not None and decided.phase not in _DOWN:
                 if plan.plan_id not in chords:
                     chords[plan.plan_id] = Chords(plan.subpath)
-                away_m, _ = chords[plan.plan_id].nearest(flight.places_nea_m[row])
+                away_m, _ = chords[plan.plan_id].nearest(flight.places_nea_m[rows[at]])
                 aside[at] = np.fmin(aside[at], away_m)
     return aside

@@ -9,8 +9,8 @@ import viser
 from companion.geodesy import FloatArray
 from companion.live_view import shapes
 from companion.live_view.ground import Ground
-from companion.live_view.recording import SECTORS
 from companion.live_view.shapes import Area, Mesh
+from companion.mission.journal import PlanAsked, PlanReady
 from companion.telemetry.export.shapes import ball_nea_m, circle_ne_m, outline_ne_m, walls_nea_m
 from companion.telemetry.flight import Decided, Flight
 from companion.views.words import metres
@@ -30,6 +30,7 @@ _UNKNOWN: Final[Rgb] = (196, 200, 205)
 _GUESSED: Final[Rgb] = (110, 140, 175)
 _KEEP_IN: Final[Rgb] = (120, 120, 120)
 _GRID: Final[Rgb] = (168, 172, 178)
+_FAR: Final = 2000.0
 _TRACK_POINTS: Final = 1500
 _CURVE_POINTS: Final = 80
 _BALL_POINTS: Final = 64
@@ -44,10 +45,8 @@ class Scene:
     def __init__(self, server: viser.ViserServer, flight: Flight) -> None:
         self._server, self._scene, self._flight = server, server.scene, flight
         self.area = Area.of(flight)
-        self._tiles: dict[str, int] = {}
-        """What each piece of the proven ground was drawn from, as a hash."""
-        self._drawn: dict[str, Any] = {}
-        """What each part was drawn from."""
+        self._decided: Decided | None = None
+        """What is drawn of what was decided."""
         scene = self._scene
         scene.set_up_direction("+z")
         scene.world_axes.visible = False
@@ -62,14 +61,17 @@ class Scene:
         self._vehicle = self._mesh("/vehicle", shapes.dart(), _VEHICLE, flat_shading=True)
         self._drop = self._lines("/drop", _NOTHING, _VEHICLE, 1.5)
         self._track = self._lines("/track", _NOTHING, _TRACK, 2.5)
-        for name in ("/scan", "/proven"):
-            self._group(name)
 
     def _draw_plate(self) -> None:
         """The whole map, of which nothing is known yet, with a grid and where north is."""
         area, low_m = self.area, self.area.low_m
-        self._mesh("/unknown", area.plate(), _UNKNOWN)
-        self._lines("/grid", area.grid_lines(), _GRID, 1.0)
+        north_m, east_m = np.ptp(area.north_m), np.ptp(area.east_m)
+        scale, below = shapes.WIDTH / area.width_m, (0.0, 0.0, -shapes.BELOW)
+        step = scale * area.grid_step_m
+        lines: dict[str, Any] = {"cell_size": step, "section_size": step, "fade_distance": _FAR}
+        lines |= {"cell_color": _GRID, "section_color": _GRID, "plane_color": _UNKNOWN}
+        sides = float(scale * east_m), float(scale * north_m)
+        self._scene.add_grid("/unknown", *sides, position=below, plane_opacity=1.0, **lines)
         corner = area.scene(np.array([area.north_m[0], area.east_m[0], low_m]))
         self._label("/legend/grid", f"grid {metres(area.grid_step_m)}", corner, "top-left")
         north = np.array([area.north_m[1], sum(area.east_m) / 2, low_m])
@@ -78,39 +80,34 @@ class Scene:
     def show(self, time_s: float) -> FloatArray:
         """Draw the flight as it was; where the vehicle is in the scene.  -> (3,)."""
         flight = self._flight
-        row, decided = flight.row_at(time_s), flight.decided_at(time_s)
+        row, [decided] = flight.row_at(time_s), flight.decided_at(np.array([time_s]))
         here = self.area.scene(flight.places_nea_m[row])
         with self._server.atomic():
             self._show_vehicle(row, here)
-            radars = flight.mission.task.radars if flight.has_mission else ()
-            if self._changes("/threats", (radars, flight.zones_of(decided))):
+            if decided is not self._decided:
+                self._decided = decided
+                self._group("/decided")
+                radars = flight.mission.task.radars if flight.has_mission else ()
                 for number, radar in enumerate(radars):
-                    self._draw_radar(f"/threats/radar_{number}", radar)
+                    self._draw_radar(f"/decided/radar_{number}", radar)
                 for number, zone in enumerate(flight.zones_of(decided)):
-                    self._draw_zone(f"/threats/zone_{number}", zone)
-            if self._changes("/targets", decided.targets_ne_m):
+                    self._draw_zone(f"/decided/zone_{number}", zone)
                 self._draw_targets(decided.targets_ne_m)
-            if self._changes("/plan", (decided.leg, decided.ready, decided.asked)):
-                self._draw_plan(decided)
-            self._show_sight(time_s, row, decided)
+                self._draw_subpaths(decided)
+                if decided.asked is not None:
+                    self._draw_asked(decided.asked, decided.ready)
         return here
 
     def show_ground(self, ground: Ground) -> None:
-        """Draw the terrain as it is known: the pieces that differ."""
-        tiles = dict[str, int]()
+        """Draw the terrain as it is known."""
         with self._server.atomic():
-            for part, mesh in shapes.proven_tiles(ground, self.area):
-                name = f"/proven/{part}"
-                tiles[name] = hash(tuple(each.tobytes() for each in mesh if each is not None))
-                if self._tiles.get(name) != tiles[name]:
-                    self._scene.add_glb(name, mesh.painted_glb(), **_NO_SHADOWS)
-            for name in self._tiles.keys() - tiles.keys():
-                self._scene.remove_by_name(name)
-            self._tiles = tiles
+            self._group("/ground")
+            proven = shapes.proven_mesh(ground, self.area)
             guessed = shapes.guessed_mesh(ground, self.area)
-            self._group("/guessed")
+            if proven is not None:
+                self._scene.add_mesh_trimesh("/ground/proven", proven, **_NO_SHADOWS)
             if guessed is not None:
-                self._mesh("/guessed/ground", guessed, _GUESSED, opacity=0.38)
+                self._mesh("/ground/guessed", guessed, _GUESSED, opacity=0.38)
 
     # --- the parts
 
@@ -144,7 +141,7 @@ class Scene:
 
     def _draw_targets(self, targets_ne_m: tuple[tuple[float, float], ...]) -> None:
         for number, target_ne_m in enumerate(targets_ne_m, 1):
-            name = f"/targets/{number}"
+            name = f"/decided/target_{number}"
             foot = self.area.scene(np.array([*target_ne_m, self.area.low_m]))
             head = foot + np.array([0.0, 0.0, 0.14 * shapes.WIDTH])
             self._lines(name, np.array([[foot, head]]), _KEEP_OUT, 3.0)
@@ -152,22 +149,22 @@ class Scene:
             text = "target" if len(targets_ne_m) == 1 else f"target {number}"
             self._label(f"{name}/label", text, head + np.array([0.0, 0.0, 0.6]))
 
-    def _draw_plan(self, decided: Decided) -> None:
-        """The subpath that is flown, the next one, what spans it, and what it was asked for."""
-        leg, ready, asked = decided.leg, decided.ready, decided.asked
+    def _draw_subpaths(self, decided: Decided) -> None:
+        """The subpath that is flown, the next one, and what spans it."""
+        leg, ready = decided.leg, decided.ready
         for name, plan, width in (("leg", leg, 6.0), ("next", ready, 3.0)):
             if plan is not None and (name == "leg" or plan is not leg):
                 lengths_m = np.linspace(0.0, plan.subpath.length_m, _CURVE_POINTS)
                 curve = self.area.scene(plan.subpath.points_nea_m(lengths_m))
-                self._lines(f"/plan/{name}", shapes.segments(curve), _PATH, width)
-        shown = ready or leg
-        if shown is not None:
-            control = self.area.scene(np.array(shown.control_nea_m))
-            self._lines("/plan/control", shapes.segments(control), _PATH, 1.0)
+                self._lines(f"/decided/{name}", shapes.segments(curve), _PATH, width)
+        if ready is not None:
+            control = self.area.scene(np.array(ready.control_nea_m))
+            self._lines("/decided/control", shapes.segments(control), _PATH, 1.0)
             for number, point in enumerate(control):
-                self._ball(f"/plan/control/{number}", point, 0.2, _WHITE)
-        if asked is None:
-            return
+                self._ball(f"/decided/control/{number}", point, 0.2, _WHITE)
+
+    def _draw_asked(self, asked: PlanAsked, ready: PlanReady | None) -> None:
+        """What the newest plan was asked for, its guide, and how far the terrain radar looked."""
         scan, start = (
             self.area.scene(np.array(each)) for each in (asked.scan_nea_m, asked.start_nea_m)
         )
@@ -175,52 +172,20 @@ class Scene:
             ("p_scan", scan, _SCAN, "bottom-right"),
             ("p_prog", start, _PATH, "bottom-left"),
         ):
-            self._ball(f"/plan/{name}", place, 0.3, colour)
-            self._label(f"/plan/{name}/label", name, np.array([0.0, 0.0, 0.5]), anchor)
-        if shown is not None and shown.plan_id == asked.plan_id:
-            ahead = np.array([math.sin(shown.guide_rad), math.cos(shown.guide_rad), 0.0])
+            self._ball(f"/decided/{name}", place, 0.3, colour)
+            self._label(f"/decided/{name}/label", name, np.array([0.0, 0.0, 0.5]), anchor)
+        if ready is not None and ready.plan_id == asked.plan_id:
+            ahead = np.array([math.sin(ready.guide_rad), math.cos(ready.guide_rad), 0.0])
             arrow = np.array([[scan, scan + 9.0 * ahead]], dtype=np.float32)
             sizes: dict[str, Any] = {"shaft_radius": 0.05, "head_radius": 0.2, "head_length": 0.7}
-            self._scene.add_arrows("/plan/guide", arrow, _GUIDE, **sizes)
-
-    def _show_sight(self, time_s: float, row: int, decided: Decided) -> None:
-        """What a lidar sees now; how far the terrain radar looked for the newest plan."""
-        flight, asked = self._flight, decided.asked
-        swept = flight.newest(SECTORS, time_s)
-        now = None if swept is None or swept[0] >= 1.0 else swept[1]
-        if self._changes("/scan/fan", (now and now.distances, row)) and now is not None:
-            fan = self._fan(flight.places_nea_m[row], now, flight.heading_rad(row))
-            self._mesh("/scan/fan/sectors", fan, _SCAN, opacity=0.22)
-        is_radar = asked is not None and flight.mission.near is None
-        looked = asked.scan_nea_m if asked is not None and is_radar else None
-        if self._changes("/scan/reach", looked) and looked is not None:
-            ring = circle_ne_m(looked[:2], flight.mission.task.settings.scan_range_m)
-            points = self.area.scene(np.insert(ring, 2, looked[2], axis=1))
-            self._lines("/scan/reach/ring", shapes.segments(points), _SCAN, 2.0)
-
-    def _fan(self, here_nea_m: FloatArray, message: Any, heading_rad: float) -> Mesh:
-        """What a horizontal lidar passed over: a fan of its sectors, in centimetres on the wire."""
-        width_rad = math.radians(message.increment_f or message.increment)
-        first_rad = heading_rad + math.radians(message.angle_offset)
-        told = np.array(message.distances) != 65535
-        reach_m = np.minimum(np.array(message.distances, float), message.max_distance) / 100.0
-        bearings = first_rad + (np.arange(len(told))[:, None] + [-0.5, 0.5]) * width_rad
-        rim = np.stack([np.cos(bearings), np.sin(bearings), 0.0 * bearings], -1)
-        rim = (rim * np.where(told, reach_m, 0.0)[:, None, None] + here_nea_m).reshape(-1, 3)
-        first = 1 + 2 * np.flatnonzero(told)
-        faces = np.stack([0 * first, first, first + 1], axis=-1)
-        points = self.area.scene(np.concatenate([here_nea_m[None], rim]))
-        return Mesh(points, faces.astype(np.uint32))
+            self._scene.add_arrows("/decided/guide", arrow, _GUIDE, **sizes)
+        mission = self._flight.mission
+        if mission.near is None:
+            ring = circle_ne_m(asked.scan_nea_m[:2], mission.task.settings.scan_range_m)
+            points = self.area.scene(np.insert(ring, 2, asked.scan_nea_m[2], axis=1))
+            self._lines("/decided/reach", shapes.segments(points), _SCAN, 2.0)
 
     # --- nodes
-
-    def _changes(self, part: str, source: Any) -> bool:
-        """Whether a part was drawn from anything else; then it is emptied, to be drawn anew."""
-        if part in self._drawn and self._drawn[part] == source:
-            return False
-        self._drawn[part] = source
-        self._group(part)
-        return True
 
     def _group(self, name: str) -> None:
         """An empty node to put others under."""

@@ -4,13 +4,14 @@ The scene is as wide whatever the flight: a forest of 300 m or a map of 110 km.
 """
 
 import math
-from collections.abc import Iterator
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-import scipy.ndimage
 import trimesh
 from numpy.typing import NDArray
+from PIL import Image
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
 
 from companion.geodesy import FloatArray
 from companion.live_view.ground import GUESSED, PROVEN, Ground
@@ -20,11 +21,12 @@ WIDTH: Final = 100.0  # of the scene
 _HEIGHT: Final = 0.11  # of the range of altitudes that matters, in widths: mountains are seen
 _NEAR_M: Final = 1000.0  # wide: a map of near things
 _STRETCHES: Final = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 8.0)
-_TILE_CELLS: Final = 60
-_BELOW: Final = 0.25  # of the ground: there lies what is not known
-_LIGHT: Final = np.array([-0.55, 0.45, 0.70])  # from the north-west, as on maps
-_TINTS: Final = np.array(
-    [[231, 226, 190], [214, 198, 146], [188, 158, 104], [152, 120, 76], [116, 88, 58]]
+BELOW: Final = 0.25  # of the ground: there lies what is not known
+_TINTS: Final = Image.fromarray(
+    np.array(
+        [[(231, 226, 190), (214, 198, 146), (188, 158, 104), (152, 120, 76), (116, 88, 58)]],
+        dtype=np.uint8,
+    )
 )
 """Altitudes in colours: darker is higher, whatever colours the reader sees."""
 IndexArray = NDArray[np.uint32]
@@ -35,7 +37,6 @@ class Mesh(NamedTuple):
 
     vertices: FloatArray  # (V, 3)
     faces: IndexArray  # (F, 3)
-    colours: NDArray[np.uint8] | None = None  # (V, 3)
 
     @staticmethod
     def grid(points: FloatArray) -> "Mesh":
@@ -45,22 +46,6 @@ class Mesh(NamedTuple):
         a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
         faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
         return Mesh(points.reshape(-1, 3), faces.astype(np.uint32))
-
-    def painted_glb(self) -> bytes:
-        """As binary glTF 2.0, to be drawn in its own colours as painted: without light."""
-
-        def paint(tree: dict[str, Any]) -> None:
-            unlit = "KHR_materials_unlit"
-            tree["extensionsUsed"] = [unlit]
-            tree["materials"] = [{"extensions": {unlit: {}}, "doubleSided": True}]
-            tree["meshes"][0]["primitives"][0]["material"] = 0
-
-        painted = trimesh.Trimesh(
-            self.vertices, self.faces, vertex_colors=self.colours, process=False
-        )
-        glb = painted.export(file_type="glb", tree_postprocessor=paint)
-        assert isinstance(glb, bytes)
-        return glb
 
 
 class Area(NamedTuple):
@@ -103,12 +88,6 @@ class Area(NamedTuple):
         points = np.stack([*aside, (altitude - self.low_m) * self.stretch], axis=-1)
         return points * (WIDTH / self.width_m)
 
-    def plate(self) -> Mesh:
-        """What nothing is known of: the whole map, flat."""
-        north, east = np.meshgrid(self.north_m, self.east_m, indexing="ij")
-        corners = np.stack([north, east, np.full((2, 2), self.low_m)], axis=-1)
-        return Mesh.grid(self.scene(corners) - [0.0, 0.0, _BELOW])
-
     @property
     def grid_step_m(self) -> float:
         """A round length: some ten of them across the map."""
@@ -116,42 +95,24 @@ class Area(NamedTuple):
         power = 10.0 ** math.floor(math.log10(about_m))
         return max(each * power for each in (1.0, 2.0, 5.0) if each * power <= about_m)
 
-    def grid_lines(self) -> FloatArray:
-        """Lines on the plate, a step apart.  -> (L, 2, 3)."""
-        (south, north), (west, east), low, step_m = (*self[:3], self.grid_step_m)
-        rows = np.arange(math.ceil(south / step_m), north / step_m) * step_m
-        columns = np.arange(math.ceil(west / step_m), east / step_m) * step_m
-        lines = [[[at, west, low], [at, east, low]] for at in rows]
-        lines += [[[south, at, low], [north, at, low]] for at in columns]
-        return self.scene(np.array(lines)) - [0.0, 0.0, _BELOW / 2.0]
-
 
 # --- the ground
 
 
-def proven_tiles(ground: Ground, area: Area) -> Iterator[tuple[str, Mesh]]:
-    """The proven ground in square pieces, each with its name.
-
-    Colours are by altitude, darkest a little above the area, lit from the north-west.
-    """
+def proven_mesh(ground: Ground, area: Area) -> trimesh.Trimesh | None:
+    """The proven ground in colours by altitude, darkest a little above the area; None: nothing."""
     proven = ground.kind == PROVEN
-    corners_m = _corner_heights_m(ground, proven)
-    top_m = area.high_m + 0.1 * (area.high_m - area.low_m)
-    share = (corners_m - area.low_m) / max(top_m - area.low_m, 1.0)
-    tints = [np.interp(share, np.linspace(0.0, 1.0, len(_TINTS)), tint) for tint in _TINTS.T]
-    smooth = scipy.ndimage.uniform_filter(corners_m, 3)
-    north, east = np.gradient(smooth * area.stretch, ground.cell_m)
-    normal = np.stack([-east, -north, np.ones_like(east)], axis=-1)
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    light = 0.62 + 0.48 * np.clip(normal @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
-    colours = np.clip(np.stack(tints, axis=-1) * light[..., None], 0, 255).astype(np.uint8)
-    for row in range(0, proven.shape[0], _TILE_CELLS):
-        for column in range(0, proven.shape[1], _TILE_CELLS):
-            cells = slice(row, row + _TILE_CELLS), slice(column, column + _TILE_CELLS)
-            here = np.zeros_like(proven)
-            here[cells] = proven[cells]
-            if here.any():
-                yield f"{row}_{column}", _cells_mesh(ground, area, here, corners_m, colours)
+    if not proven.any():
+        return None
+    mesh = _cells_mesh(ground, area, proven)
+    top = area.high_m + 0.1 * (area.high_m - area.low_m)
+    share = mesh.vertices[:, 2] / max(area.scene(np.array([0.0, 0.0, top]))[2], 1e-3)
+    uv = np.stack([share.clip(0.01, 0.99), np.full(len(share), 0.5)], axis=-1)
+    matt = PBRMaterial(baseColorTexture=_TINTS, metallicFactor=0.0, doubleSided=True)  # type: ignore[no-untyped-call]
+    painted = TextureVisuals(uv=uv, material=matt)  # type: ignore[no-untyped-call]
+    drawn = trimesh.Trimesh(mesh.vertices, mesh.faces, visual=painted, process=False)
+    assert drawn.vertex_normals is not None  # asked for, they are kept, and it is drawn smooth
+    return drawn
 
 
 def guessed_mesh(ground: Ground, area: Area) -> Mesh | None:
@@ -159,38 +120,26 @@ def guessed_mesh(ground: Ground, area: Area) -> Mesh | None:
     guessed = ground.kind == GUESSED
     if not guessed.any():
         return None
-    return _cells_mesh(ground, area, guessed, _corner_heights_m(ground, guessed))
+    return _cells_mesh(ground, area, guessed)
 
 
-def _corner_heights_m(ground: Ground, drawn: NDArray[np.bool_]) -> FloatArray:
-    """Heights of the corners of cells: the mean of those drawn about them.  (rows+1, columns+1)."""
+def _cells_mesh(ground: Ground, area: Area, drawn: NDArray[np.bool_]) -> Mesh:
+    """A quad for each drawn cell; corners are as high as the drawn cells about them in the mean."""
     height = np.pad(np.where(drawn, ground.height_m, 0.0).astype(np.float64), 1)
-    count = np.pad(drawn.astype(np.float64), 1)
     total, number = (
-        each[:-1, :-1] + each[1:, :-1] + each[:-1, 1:] + each[1:, 1:] for each in (height, count)
+        each[:-1, :-1] + each[1:, :-1] + each[:-1, 1:] + each[1:, 1:]
+        for each in (height, np.pad(drawn.astype(np.float64), 1))
     )
-    return total / np.maximum(number, 1.0)
-
-
-def _cells_mesh(
-    ground: Ground,
-    area: Area,
-    drawn: NDArray[np.bool_],
-    corners_m: FloatArray,
-    colours: NDArray[np.uint8] | None = None,
-) -> Mesh:
-    """A quad for each drawn cell; vertices are shared."""
-    corners = np.arange(corners_m.size).reshape(corners_m.shape)
+    corners = np.arange(total.size).reshape(total.shape)
     sw, se = corners[:-1, :-1][drawn], corners[:-1, 1:][drawn]
     nw, ne = corners[1:, :-1][drawn], corners[1:, 1:][drawn]
     faces = np.concatenate([np.stack([sw, se, ne], -1), np.stack([sw, ne, nw], -1)])
     used, faces = np.unique(faces, return_inverse=True)
-    row, column = np.unravel_index(used, corners_m.shape)
+    row, column = np.unravel_index(used, total.shape)
     north_m = ground.north_min_m + row * ground.cell_m
     east_m = ground.east_min_m + column * ground.cell_m
-    places = np.stack([north_m, east_m, corners_m[row, column]], axis=-1)
-    painted = None if colours is None else colours[row, column]
-    return Mesh(area.scene(places), faces.reshape(-1, 3).astype(np.uint32), painted)
+    places = np.stack([north_m, east_m, (total / np.maximum(number, 1.0))[row, column]], axis=-1)
+    return Mesh(area.scene(places), faces.reshape(-1, 3).astype(np.uint32))
 
 
 # --- lines, and the vehicle

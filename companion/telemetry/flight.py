@@ -2,14 +2,14 @@
 
 The journal says what was decided and when by the vehicle's clock, the log where the vehicle was
 then: each entry gets its place by its time.  The vehicle's clock begins again when its autopilot
-reboots: a moment is a boot and the seconds since then.
+reboots, so the flight has a clock of its own: seconds since the first position, which go on.
 """
 
 import math
 from array import array
 from bisect import bisect_right
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass, fields, replace
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Final, final
 
@@ -23,6 +23,7 @@ from companion.mission import journal as noted
 from companion.mission.journal import Entry, Header, PlanReady
 from companion.mission.mission import Mission
 from companion.mission.state import Phase as MissionPhase
+from companion.path.subpath import Subpath
 from companion.world.zones import Zone
 
 IntArray = npt.NDArray[np.int64]
@@ -32,11 +33,15 @@ _COLUMNS: Final = ("time_us", *_POSITION.ordered_fieldnames)
 _GPS: Final = wire.MAVLink_gps_raw_int_message
 _SETPOINT: Final = wire.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
 _NO_HEADING: Final = 65535
+_POLE: Final = 900_000_000
+"""The greatest latitude, as the wire has it."""
 _REBOOT_S: Final = 2.0  # as the companion's own clock has it
 _RESTARTED_S: Final = 60.0
 """An autopilot that was restarted while no companion ran has a clock that fell by more."""
 _NEW_BOOT_S: Final = 1.0
 """Shown between the last position before a reboot and the first after it."""
+_SAME_S: Final = 1e-6
+"""Times that are no farther apart are one."""
 _LEG_POINTS: Final = 2001
 _HELD: Final = {MissionPhase.HOLDING.value: "hold", MissionPhase.FAULTED.value: "fault"}
 _MOMENTS: Final[dict[type[Entry], tuple[str, str]]] = {
@@ -77,6 +82,7 @@ class Track:
         """Of the log's stamps and the wire's integers, (N, 10).
 
         A time that falls and is at once followed by one that has not is a mistake, no reboot.
+        What was sent without a fix tells of reboots, too, and is left out then.
         """
         t_s = np.asarray(positions[:, 1] * 1e-3, dtype=np.float64)
         strays = np.zeros(len(t_s), dtype=bool)
@@ -84,11 +90,14 @@ class Track:
             before, here, after = t_s[:-2], t_s[1:-1], t_s[2:]
             strays[1:-1] = (here < before - _REBOOT_S) & (after >= before - _REBOOT_S)
         positions, t_s = positions[~strays], t_s[~strays]
-        wired = dict(zip(_COLUMNS, positions.T, strict=True))
+        boot: IntArray = np.cumsum(np.diff(t_s, prepend=t_s[:1]) < -_REBOOT_S, dtype=np.int64)
+        places = positions[:, _COLUMNS.index("lat") : _COLUMNS.index("lon") + 1]
+        has_fix = places.any(axis=1) & (abs(places[:, 0]) <= _POLE)
+        wired = dict(zip(_COLUMNS, positions[has_fix].T, strict=True))
         return Track(
             time_us=wired["time_us"],
-            boot=np.cumsum(np.diff(t_s, prepend=t_s[:1]) < -_REBOOT_S),
-            t_s=t_s,
+            boot=boot[has_fix],
+            t_s=t_s[has_fix],
             latitude_deg=wired["lat"] * 1e-7,
             longitude_deg=wired["lon"] * 1e-7,
             altitude_amsl_m=wired["alt"] * 1e-3,
@@ -102,10 +111,6 @@ class Track:
     def __len__(self) -> int:
         return len(self.t_s)
 
-    def part(self, chosen: slice | IntArray) -> "Track":
-        """Some of the positions."""
-        return Track(**{each.name: getattr(self, each.name)[chosen] for each in fields(Track)})
-
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,11 +121,13 @@ class Moment:
     """hold, fault, link lost, reboot, part died, stop asked, resumed or end."""
     why: str
     t_s: float
-    boot: int
+    """Vehicle time."""
+    time_s: float
+    """Since the first position."""
     code: str | None = None
     """The reason's name, if it has one."""
     until_s: float | None = None
-    """When a hold was over; None: with the flight."""
+    """Vehicle time when a hold or fault was over; None: with the flight."""
 
 
 @final
@@ -152,7 +159,6 @@ class Decided:
     """and its newest answer."""
     targets_ne_m: tuple[tuple[float, float], ...] = ()
     vehicle_zones: tuple[Zone, ...] = ()
-    round_trip_s: float | None = None
     warning: str = ""
 
     def after(self, entry: Entry) -> "Decided":
@@ -172,8 +178,6 @@ class Decided:
                 return replace(self, targets_ne_m=entry.targets_ne_m)
             case noted.OrderGiven(target_ne_m=(north_m, east_m)):
                 return replace(self, targets_ne_m=((north_m, east_m),))
-            case noted.LinkDelay():
-                return replace(self, round_trip_s=entry.round_trip_s)
             case noted.Said(warning=True) | noted.VehicleSays():
                 return replace(self, warning=entry.text)
             case _:
@@ -185,10 +189,7 @@ class Flight:
     """A flight as far as it is recorded; `settle` brings up to date what follows from that."""
 
     def __init__(
-        self,
-        mission: Mission | None,
-        system_id: int | None = None,
-        keeps: Collection[int] = (),
+        self, mission: Mission | None, system_id: int | None = None, keeps: Collection[int] = ()
     ) -> None:
         """mission: as flown; None: of a log alone.  system_id: of the vehicle; None: any.
 
@@ -196,7 +197,6 @@ class Flight:
         """
         self._mission = mission
         self.system_id = system_id
-        self.track = Track.of(np.empty((0, len(_COLUMNS)), dtype=np.int64))
         self.left_out = 0
         """Positions before there was a fix, or that stand alone in time."""
         self.heard = array("q")
@@ -205,22 +205,10 @@ class Flight:
         """Of each GPS_RAW_INT: microseconds since 1970, GPS_FIX_TYPE and satellites."""
         self.setpoints_us = array("q")
         """When the companion sent setpoints, microseconds since 1970."""
-        self.entries: list[tuple[int, float, Entry]] = []
-        """Boot, vehicle time and content of each line of the journal."""
-        self.planned: list[PlannedSubpath] = []
-        self.moments: list[Moment] = []
-        self.states: list[tuple[int, float, Decided]] = []
-        """Boot and vehicle time from which on something was decided, and what; there is one."""
-        self.times_s: FloatArray = np.empty(0)
-        """Of each position since the first one; it goes on across reboots.  (N,)"""
-        self._places_nea_m: FloatArray = np.empty((0, 3))
-        self._begins_s: FloatArray = np.zeros(1)
-        """Of each boot, what its clock is behind."""
-        self._state_times_s: list[float] = []
         self._positions = array("q")
-        self._without_fix = 0
-        self._kept: dict[int, tuple[list[float], list[bytes]]] = {each: ([], []) for each in keeps}
-        self._timed: list[tuple[int, float, Entry]] = []
+        self._kept: dict[int, list[tuple[int, bytes]]] = {each: [] for each in keeps}
+        self._timed: list[tuple[int, Entry]] = []
+        """Each entry of the journal, and how often the autopilot had rebooted then."""
         self._boot, self._last_s, self._restarted = 0, -math.inf, False
         self.settle()
 
@@ -236,84 +224,72 @@ class Flight:
         self._restarted, self._last_s = False, line.t_s
         if isinstance(line, noted.VehicleFound):
             self.system_id = line.system_id
-        self._timed.append((self._boot, line.t_s, line))
+        self._timed.append((self._boot, line))
 
     def look(self, time_us: int, frame: bytes) -> None:
         """The next frame of the log, and when it was logged."""
         number, (system, component) = number_of(frame), sender_of(frame)
         is_ours = component == AUTOPILOT_COMPONENT and self.system_id in (None, system)
-        if number in self._kept and (is_ours or number == wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE):
-            stamps, frames = self._kept[number]
-            stamps.append(time_us * 1e-6)
-            frames.append(frame)
-        if is_ours:
-            self.heard.extend((time_us, frame[4] if frame[0] == V2 else frame[2]))
-        elif component == COMPANION_COMPONENT and number == _SETPOINT:
+        if component == COMPANION_COMPONENT and number == _SETPOINT:
             self.setpoints_us.append(time_us)
-        if is_ours and number == _GPS.id:
+        if not is_ours:
+            return
+        if number in self._kept:
+            self._kept[number].append((time_us, frame))
+        self.heard.extend((time_us, frame[4] if frame[0] == V2 else frame[2]))
+        if number == _GPS.id:
             told = dict(zip(_GPS.ordered_fieldnames, _unpacked(_GPS, frame), strict=True))
             self.gps.extend((time_us, told["fix_type"], told["satellites_visible"]))
-        elif is_ours and number == _POSITION.id:
-            values = _unpacked(_POSITION, frame)
-            if values[1] == values[2] == 0 or abs(values[1]) > 900_000_000:
-                self._without_fix += 1
-            else:
-                self._positions.extend((time_us, *values))
+        elif number == _POSITION.id:
+            self._positions.extend((time_us, *_unpacked(_POSITION, frame)))
 
     def settle(self) -> None:
         """Bring all that is derived up to date."""
         positions = np.array(self._positions, dtype=np.int64).reshape(-1, len(_COLUMNS))
-        before, self.track = len(self.track), Track.of(positions)
-        self.left_out = self._without_fix + len(positions) - len(self.track)
-        # of the last ones one may have been a stray
-        self._places_nea_m = self._places_nea_m[: max(min(before, len(self.track)) - 2, 0)]
-        t_s, boots = self.track.t_s, np.flatnonzero(np.diff(self.track.boot, prepend=-1))
-        begins = [-float(t_s[0])] if len(t_s) else [0.0]
-        for row in boots[1:].tolist():
-            begins.append(float(t_s[row - 1]) + begins[-1] + _NEW_BOOT_S - float(t_s[row]))
-        self._begins_s = np.array(begins)
-        self.times_s = t_s + self._begins_s[self.track.boot]
-        known = Decided(targets_ne_m=self.mission.targets_ne_m if self.has_mission else ())
-        self.states, self.planned, self.moments = [(0, -math.inf, known)], [], []
+        track = self.track = Track.of(positions)
+        self.left_out = len(positions) - len(track)
+        self._begins_s = self._begins_of_boots_s()
+        self.times_s: FloatArray = track.t_s + np.array(self._begins_s)[track.boot]
+        """Of each position since the first one; it goes on across reboots.  (N,)"""
+        places = (track.latitude_deg, track.longitude_deg)
+        ne_m = self.frame.to_local_m(*places) if len(track) else places
+        self.places_nea_m: FloatArray = np.column_stack([*ne_m, track.altitude_amsl_m])
+        """All positions in the local frame.  (N, 3) north, east, altitude AMSL."""
         self.entries = self._with_rising_times()
-        for boot, t, entry in self.entries:
+        """Each entry of the journal, and its time since the first position."""
+        known = Decided(targets_ne_m=self.mission.targets_ne_m if self.has_mission else ())
+        self.states = [(0.0, known)]
+        """Times from which on something was decided, and what; there is one."""
+        self.planned: list[PlannedSubpath] = []
+        for time_s, entry in self.entries:
             if (after := known.after(entry)) is not known:
                 known = after
-                self.states.append((boot, t, known))
-            self._note(boot, t, entry)
-        self._state_times_s = [self.time_of(boot, t) for boot, t, _ in self.states]
-
-    def _with_rising_times(self) -> list[tuple[int, float, Entry]]:
-        """Entries with times that never fall within a boot: the first may be another clock's."""
-        least, risen = dict[int, float](), list[tuple[int, float, Entry]]()
-        for boot, t_s, entry in reversed(self._timed):
-            least[boot] = min(t_s, least.get(boot, math.inf))
-            risen.append((boot, least[boot], entry))
-        return risen[::-1]
-
-    def _note(self, boot: int, t_s: float, entry: Entry) -> None:
-        match entry:
-            case noted.Phase():
-                self._end_hold(boot, t_s)
-                if (what := _HELD.get(entry.phase)) is not None:
-                    why, code = entry.reason or "", entry.code
-                    self.moments.append(Moment(what=what, why=why, code=code, t_s=t_s, boot=boot))
-            case noted.LegBegun():
-                if self.planned and self.planned[-1].leg is None:
-                    self.planned[-1] = replace(self.planned[-1], leg=entry.number, begun_s=t_s)
-            case PlanReady():
+                self.states.append((time_s, known))
+            if isinstance(entry, PlanReady):
                 self.planned.append(PlannedSubpath(plan=entry))
-            case _:
-                if (words := _MOMENTS.get(type(entry))) is not None:
-                    what, why = words[0], words[1].format(entry)
-                    self.moments.append(Moment(what=what, why=why, t_s=t_s, boot=boot))
+            elif isinstance(entry, noted.LegBegun) and known.ready is not None:
+                begun = PlannedSubpath(plan=known.ready, leg=entry.number, begun_s=entry.t_s)
+                self.planned[-1] = begun
+        self.moments = sorted(_moments(self.entries), key=lambda moment: moment.time_s)
 
-    def _end_hold(self, boot: int, t_s: float) -> None:
-        """Note until when the last hold has lasted, if it still does."""
-        holds = [at for at, moment in enumerate(self.moments) if moment.what == "hold"]
-        last = self.moments[holds[-1]] if holds else None
-        if last is not None and last.until_s is None and last.boot == boot:
-            self.moments[holds[-1]] = replace(last, until_s=t_s)
+    def _begins_of_boots_s(self) -> list[float]:
+        """Of each boot, when its clock began; one without positions follows the one before it."""
+        begins, next_s, track = list[float](), -math.inf, self.track
+        for boot in range(max(self._boot, *track.boot[-1:].tolist(), 0) + 1):
+            t_s = track.t_s[track.boot == boot]
+            begins.append(next_s)
+            if len(t_s):
+                begins[-1] = max(next_s, 0.0) - float(t_s[0])
+                next_s = begins[-1] + float(t_s[-1]) + _NEW_BOOT_S
+        return begins
+
+    def _with_rising_times(self) -> list[tuple[float, Entry]]:
+        """Entries with times that never fall within a boot: the first may be another clock's."""
+        least, risen = dict[int, float](), list[tuple[float, Entry]]()
+        for boot, entry in reversed(self._timed):
+            least[boot] = min(entry.t_s, least.get(boot, math.inf))
+            risen.append((self.time_of(boot, least[boot]), entry))
+        return risen[::-1]
 
     # --- where it was
 
@@ -337,33 +313,13 @@ class Flight:
         first = (self.track.latitude_deg[0], self.track.longitude_deg[0])
         return LocalFrame(latitude_deg=float(first[0]), longitude_deg=float(first[1]))
 
-    @property
-    def places_nea_m(self) -> FloatArray:
-        """All positions in the local frame.  -> (N, 3) north, east, altitude AMSL."""
-        if len(self._places_nea_m) < len(self.track):
-            frame, fresh = self.frame, self.track.part(slice(len(self._places_nea_m), None))
-            degrees = zip(fresh.latitude_deg.tolist(), fresh.longitude_deg.tolist(), strict=True)
-            ne_m = np.array([frame.to_local_m(*each) for each in degrees]).reshape(-1, 2)
-            places = np.column_stack([ne_m, fresh.altitude_amsl_m])
-            self._places_nea_m = np.concatenate([self._places_nea_m, places])
-        return self._places_nea_m
-
-    def index_at(self, boot: int, t_s: float) -> int | None:
-        """The position of the track that is nearest in vehicle time; None without any."""
-        if not len(self.track):
-            return None
-        of_boot = np.flatnonzero(self.track.boot == boot)
-        if not len(of_boot):
-            return 0 if boot < self.track.boot[0] else len(self.track) - 1
-        return int(of_boot[np.argmin(np.abs(self.track.t_s[of_boot] - t_s))])
-
     def time_of(self, boot: int, t_s: float) -> float:
-        """A vehicle time as seconds since the first position."""
-        return max(t_s + float(self._begins_s[min(boot, len(self._begins_s) - 1)]), 0.0)
+        """A vehicle time as seconds since the first position; 0 before that."""
+        return max(t_s + self._begins_s[min(boot, len(self._begins_s) - 1)], 0.0)
 
     def row_at(self, time_s: float) -> int:
         """The position that was the newest, so many seconds after the first; there is one."""
-        return max(int(np.searchsorted(self.times_s, time_s, "right")) - 1, 0)
+        return max(int(np.searchsorted(self.times_s, time_s + _SAME_S, "right")) - 1, 0)
 
     def heading_rad(self, row: int) -> float:
         """Where the nose points at a position, or it moves to, clockwise from true north."""
@@ -372,63 +328,69 @@ class Flight:
             return math.atan2(float(track.east_m_s[row]), float(track.north_m_s[row]))
         return heading_rad
 
-    def newest(self, number: int, time_s: float) -> tuple[float, Message] | None:
-        """The newest message of a kind that is kept, and how old it was then, seconds."""
-        stamps, frames = self._kept[number]
-        row = self.row_at(time_s)
-        now_s = self.track.time_us[row] * 1e-6 + (time_s - self.times_s[row])
-        at = bisect_right(stamps, now_s) - 1
-        if at < 0:
-            return None
-        return now_s - stamps[at], decoded(frames[at], wire.mavlink_map[number])
-
     def kept(self, number: int) -> Iterator[tuple[float, Message]]:
         """All messages of a kind that is kept, with the log's seconds since the first position."""
-        began_s = self.track.time_us[0] * 1e-6
-        for at_s, frame in zip(*self._kept[number], strict=True):
-            yield max(at_s - began_s, 0.0), decoded(frame, wire.mavlink_map[number])
+        for time_us, frame in self._kept[number]:
+            began_us = int(self.track.time_us[0])
+            yield max(time_us - began_us, 0) * 1e-6, decoded(frame, wire.mavlink_map[number])
+
+    def newest(self, number: int, row: int) -> Message | None:
+        """The newest message of a kind that is kept, at a position."""
+        time_us = int(self.track.time_us[row])
+        at = bisect_right(self._kept[number], time_us, key=lambda each: each[0]) - 1
+        return decoded(self._kept[number][at][1], wire.mavlink_map[number]) if at >= 0 else None
 
     # --- what was decided
 
     @property
-    def targets_ne_m(self) -> tuple[tuple[float, float], ...]:
-        """The newest: the mission's, the vehicle's own, or where it was sent."""
-        return self.states[-1][2].targets_ne_m
-
-    @property
-    def zones(self) -> tuple[Zone, ...]:
-        """The mission's, and the vehicle's own."""
-        return self.zones_of(self.states[-1][2])
+    def decided(self) -> Decided:
+        """What is decided in the end."""
+        return self.states[-1][1]
 
     def zones_of(self, decided: Decided) -> tuple[Zone, ...]:
-        """Likewise at some moment."""
+        """The mission's, and the vehicle's own at some moment."""
         own = self.mission.task.zones if self.has_mission else ()
         return (*own, *decided.vehicle_zones)
 
-    def decided_at(self, time_s: float) -> Decided:
-        """What was decided so many seconds after the first position."""
-        return self.states[max(bisect_right(self._state_times_s, time_s) - 1, 0)][2]
-
-    def decided_at_positions(self) -> list[Decided]:
-        """What was decided at each position of the track."""
-        begins = np.array([boot * 1e9 + t_s for boot, t_s, _ in self.states])
-        places = self.track.boot * 1e9 + self.track.t_s
-        return [self.states[at - 1][2] for at in np.searchsorted(begins, places, "right")]
+    def decided_at(self, times_s: FloatArray) -> list[Decided]:
+        """What was decided so many seconds after the first position.  (N,)."""
+        begins_s = [begin_s for begin_s, _ in self.states]
+        found = np.searchsorted(begins_s, times_s + _SAME_S, "right")
+        return [self.states[max(at - 1, 0)][1] for at in found.tolist()]
 
     def segments(self) -> list[tuple[str, slice]]:
         """Phases, and the positions in each."""
-        names = [each.phase for each in self.decided_at_positions()]
+        names = [each.phase for each in self.decided_at(self.times_s)]
         starts = [at for at, name in enumerate(names) if at == 0 or names[at - 1] != name]
         return [(names[a], slice(a, b)) for a, b in pairwise([*starts, len(names)])]
 
     def legs_nea_m(self) -> list[FloatArray]:
         """The subpaths that were begun, each up to where the next one begins.  -> (S, 3) each."""
-        begun = [each.plan.subpath for each in self.planned if each.leg is not None]
-        lines = [b.points_nea_m(np.linspace(0.0, b.length_m, _LEG_POINTS)) for b in begun]
-        for at, successor in enumerate(lines[1:]):
-            nearest = int(np.argmin(np.linalg.norm(lines[at] - successor[0], axis=1)))
-            lines[at] = lines[at][: nearest + 1]
-        return lines
+        return joined_nea_m([each.plan.subpath for each in self.planned if each.leg is not None])
+
+
+def joined_nea_m(subpaths: Iterable[Subpath]) -> list[FloatArray]:
+    """Subpaths, each up to where the next one begins.  -> (S, 3) each."""
+    lines = [b.points_nea_m(np.linspace(0.0, b.length_m, _LEG_POINTS)) for b in subpaths]
+    for at, successor in enumerate(lines[1:]):
+        nearest = int(np.argmin(np.linalg.norm(lines[at] - successor[0], axis=1)))
+        lines[at] = lines[at][: nearest + 1]
+    return lines
+
+
+def _moments(entries: Sequence[tuple[float, Entry]]) -> Iterator[Moment]:
+    """Holds, each up to the next phase, and what else is worth a point on the map."""
+    phases = [(time_s, each) for time_s, each in entries if isinstance(each, noted.Phase)]
+    ends_s = [*(after.t_s for _, after in phases[1:]), None]
+    for (time_s, held), until_s in zip(phases, ends_s, strict=False):
+        if (what := _HELD.get(held.phase)) is not None:
+            why, t_s = held.reason or "", held.t_s
+            moment = Moment(what=what, why=why, code=held.code, t_s=t_s, time_s=time_s)
+            yield replace(moment, until_s=until_s)
+    for time_s, entry in entries:
+        if (words := _MOMENTS.get(type(entry))) is not None:
+            what, why = words[0], words[1].format(entry)
+            yield Moment(what=what, why=why, t_s=entry.t_s, time_s=time_s)
 
 
 def _unpacked(kind: Any, frame: bytes) -> tuple[Any, ...]:

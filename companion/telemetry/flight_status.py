@@ -12,19 +12,24 @@ from msgspec import Struct
 
 from companion.mission.battery import way_left_m
 from companion.mission.decisions import reason_text
-from companion.mission.events import Outcome, Vector
+from companion.mission.events import Outcome
 from companion.mission.phases import IN_AIR, ON_PATH, Holding, Phase, Reason
 from companion.mission.state import State
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.planner.procedure import off_path_m
 from companion.telemetry.flight_summary import FlightSummary
 from companion.world.columns import distance_to_terrain_m
-from companion.world.known_map import KnownMap
 
 LOADS: Final = "loads the planner: compiled the first time, in some fifteen seconds"
 _LOOKS = 0.5  # of the scan range R: what is farther away is not looked for
 _WARNED_S = 60.0  # for how long a warning or a text stands
 _MOVES_M_S = 0.2
+_WAITS_FOR: Final = (
+    "waits for go: send MISSION_START from a ground station (no terminal is here for a yes, and "
+    "--start was not given)",
+    "waits for go: type yes here, or send MISSION_START from a ground station",
+)
+"""How to say go: there is no terminal for it in a service or a script."""
 
 
 @final
@@ -33,10 +38,8 @@ class FlightStatus(Struct, frozen=True, kw_only=True, tag_field="kind", tag="sta
 
     t_s: float
     """Vehicle time: seconds since its boot (until its clock is known, since the start)."""
-    wall_s: float
-    """Since the vehicle was first heard."""
     times_real_time: float | None
-    """Vehicle time over wall time since then; null before."""
+    """Vehicle time over wall time since the vehicle was first heard; null before."""
     phase: str
     """Of the mission (docs/reference/mission-states.md)."""
     reason: str | None
@@ -49,8 +52,6 @@ class FlightStatus(Struct, frozen=True, kw_only=True, tag_field="kind", tag="sta
     """What it waits for before it takes off: its planner, or a person's go; null: neither."""
     warning: str | None
     """The companion's latest warning of this phase, for a minute."""
-    vehicle: str
-    """What the vehicle says that it is; empty before it was heard."""
     vehicle_text: str | None
     """The autopilot's latest STATUSTEXT, for a minute."""
     mode: str | None
@@ -65,16 +66,12 @@ class FlightStatus(Struct, frozen=True, kw_only=True, tag_field="kind", tag="sta
     """How many there are."""
     to_go_m: float | None
     """From the vehicle to that target, straight, horizontally."""
-    way_left_m: float | None
-    """To the last target along the newest plan's route, or what is left of the way back."""
     time_left_s: float | None
-    """That at the speed that is flown with; null while nothing is flown."""
+    """To the last target, or what is left of the way back; null while nothing is flown."""
     latitude_deg: float | None
     """Of the vehicle, WGS84."""
     longitude_deg: float | None
     """Of the vehicle, WGS84."""
-    position_nea_m: Vector | None
-    """Of the vehicle in the mission's local frame."""
     position_age_s: float | None
     """How old that is."""
     altitude_amsl_m: float | None
@@ -95,16 +92,12 @@ class FlightStatus(Struct, frozen=True, kw_only=True, tag_field="kind", tag="sta
     """Upwards."""
     off_path_m: float | None
     """Distance from the path, across it; null: there is none."""
-    tracking_error_m: float
-    """How far off the path the mission allows for."""
     battery_left: float | None
     """Share, 0 to 1; null: the autopilot does not say."""
     battery_reserve: float
     """What the mission wants to be left at the target."""
     link_age_s: float | None
     """Since the autopilot's clock was last heard; null: never."""
-    link_round_trip_s: float | None
-    """To the vehicle and back; null: not measured."""
     frames_heard: int
     """From the autopilot since the start."""
     frames_lost: int
@@ -119,12 +112,8 @@ class FlightStatus(Struct, frozen=True, kw_only=True, tag_field="kind", tag="sta
     """Of the newest plan (eq. 5)."""
     plan_took_s: float | None
     """How long the newest answer took."""
-    plan_length_m: float | None
-    """Of the newest plan."""
     plan_clearance_m: float | None
-    """What is proven for all of it; as far as known if it is not proven."""
-    plan_broken: tuple[str, ...]
-    """The bounds that could not be proven for it; empty: it is proven safe."""
+    """Distance to terrain that is proven for all of it; null: it is not proven."""
 
 
 def flight_status(flown: FlightSummary) -> FlightStatus:
@@ -136,22 +125,25 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
     reason, remedy = _reason(state)
     warned_at_s, warning = session.warned
     said_at_s, said = (-math.inf, "") if autopilot is None else autopilot.said
-    latitude = longitude = None
+    looked_m = _LOOKS * task.settings.scan_range_m
+    latitude = longitude = above_m = clear_m = None
     if here is not None:
         latitude, longitude = map(float, session.mission.frame.to_geodetic_deg(*here[:2]))
+        known = flight.known
+        if known.is_known(*here[:2]):
+            above_m = here[2] - float(known.upper_m[known.cell_of(*here[:2])])
+        clear_m = distance_to_terrain_m(known, np.asarray(here), looked_m, seen_only=True)
     north_m_s, east_m_s, up_m_s = vehicle.velocity_nea_m_s
     speed_m_s = math.hypot(north_m_s, east_m_s)
-    left_m = way_left_m(state) if here is not None and state.targets_ne_m else None
-    flies, cruise_m_s = state.phase in ON_PATH, task.limits.speed_m_s
+    has_way = state.phase in ON_PATH and here is not None and len(state.targets_ne_m) > 0
     path, off_m = state.path, None
     if path is not None and here is not None:
         off_m = off_path_m(path.reference, path.leg, np.asarray(here))
     plan = flown.plans[-1] if flown.plans else None
+    proof = None if plan is None else plan.certificate
     heard, lost = session.frames_heard
-    looked_m = _LOOKS * task.settings.scan_range_m
     return FlightStatus(
         t_s=round(now_s, 6),
-        wall_s=flown.elapsed_s,
         times_real_time=flown.times_real_time if flown.elapsed_s > 0.0 else None,
         phase=state.phase.value,
         reason=reason,
@@ -159,7 +151,6 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
         remedy=remedy,
         waits_for=_waits_for(flown),
         warning=warning if _stands(warned_at_s, now_s, state.stage.since_s) else None,
-        vehicle=session.found,
         vehicle_text=said if _stands(said_at_s, now_s) else None,
         mode=None if vehicle.mode is None else vehicle.mode.value,
         armed=vehicle.armed,
@@ -167,26 +158,22 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
         target=min(flight.target + 1, len(state.targets_ne_m)),
         targets=len(state.targets_ne_m),
         to_go_m=flown.to_go_m,
-        way_left_m=left_m,
-        time_left_s=left_m / cruise_m_s if flies and left_m is not None else None,
+        time_left_s=way_left_m(state) / task.limits.speed_m_s if has_way else None,
         latitude_deg=latitude,
         longitude_deg=longitude,
-        position_nea_m=here,
         position_age_s=None if here is None else now_s - vehicle.position_at_s,
         altitude_amsl_m=None if here is None else here[2],
-        above_ground_m=None if here is None else _above_ground_m(flight.known, here),
-        clearance_m=None if here is None else _clearance_m(state, here, looked_m),
+        above_ground_m=above_m,
+        clearance_m=clear_m,
         looked_m=looked_m,
         safety_distance_m=task.settings.safety_distance_m,
         speed_m_s=speed_m_s,
         course_rad=math.atan2(east_m_s, north_m_s) % math.tau if speed_m_s >= _MOVES_M_S else None,
         climb_m_s=up_m_s,
         off_path_m=off_m,
-        tracking_error_m=task.limits.tracking_error_m,
         battery_left=vehicle.battery,
         battery_reserve=session.mission.reserve,
         link_age_s=now_s - clock.now_s if clock.is_known else None,
-        link_round_trip_s=None if autopilot is None else autopilot.round_trip_s,
         frames_heard=heard,
         frames_lost=lost,
         subpaths_flown=flight.legs_flown,
@@ -194,22 +181,14 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
         refusal=None if flight.refusal is None else flight.refusal.value,
         plan_cost=None if plan is None else plan.cost,
         plan_took_s=flown.plans_s[-1] if flown.plans_s else None,
-        plan_length_m=None if plan is None else plan.subpath.length_m,
-        plan_clearance_m=None if plan is None else plan.certificate.clearance_m,
-        plan_broken=() if plan is None else plan.certificate.broken,
+        plan_clearance_m=proof.clearance_m if proof is not None and proof.proven else None,
     )
 
 
 def _waits_for(flown: FlightSummary) -> str | None:
-    """The planner, or how to say go; there is no terminal for it in a service or a script."""
     if flown.loads:
         return LOADS
-    if flown.session.state.phase is not Phase.READY:
-        return None
-    if flown.asks_here:
-        return "waits for go: type yes here, or send MISSION_START from a ground station"
-    here = "no terminal is here for a yes, and --start was not given"
-    return f"waits for go: send MISSION_START from a ground station ({here})"
+    return _WAITS_FOR[flown.asks_here] if flown.session.state.phase is Phase.READY else None
 
 
 def _reason(state: State) -> tuple[str | None, str | None]:
@@ -228,22 +207,11 @@ def _stands(said_at_s: float, now_s: float, since_s: float = -math.inf) -> bool:
     return said_at_s >= since_s and 0.0 <= now_s - said_at_s < _WARNED_S
 
 
-def _above_ground_m(known: KnownMap, here_nea_m: Vector) -> float | None:
-    if not known.is_known(*here_nea_m[:2]):
-        return None
-    return here_nea_m[2] - float(known.upper_m[known.cell_of(*here_nea_m[:2])])
-
-
-def _clearance_m(state: State, here_nea_m: Vector, most_m: float) -> float:
-    here = np.asarray(here_nea_m)
-    return distance_to_terrain_m(state.flight.known, here, most_m, seen_only=True)
-
-
 # --- the lines of `fly --json`
 
 
 SCHEMA: Final = "companion-flight"
-VERSION: Final = 1
+VERSION: Final = 2
 """Of the lines.  What may come without a new one: more fields, more kinds of lines."""
 
 

@@ -16,11 +16,11 @@ session: its name, then its arguments.
 It ends with the last whole record, however the flight ended.
 """
 
+import os
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, BinaryIO, Final, final
 
 import msgpack
 
@@ -31,6 +31,7 @@ VERSION: Final = 1
 HEADER: Final = (SCHEMA, VERSION)
 FILE: Final = "inputs.msgpack"
 _PORTION: Final = 2**20
+_READ: Final = 2**16  # at once: who asks for a few more each time reads it again
 _LONGEST: Final = 64 * 2**20  # a start with a large map
 _UNREADABLE: Final = (ValueError, TypeError, RecursionError, msgpack.exceptions.UnpackException)
 
@@ -54,7 +55,6 @@ class InputsFile:
         self.path = path
         self.size_bytes = self.read_bytes = 0
         """Of the file, as far as it was seen; how much of it was read."""
-        self._unpacker = msgpack.Unpacker(max_buffer_size=_LONGEST)
         self._is_broken = False
         try:
             head = next(iter(self), ())
@@ -81,28 +81,29 @@ class InputsFile:
 
     def __iter__(self) -> Iterator[Input]:
         """The next ones, up to the last whole one."""
-        while not self._is_broken:
-            try:
-                told = next(self._unpacker, None)
-                if told is None and not self._seen_more():
-                    return
-            except _UNREADABLE:
-                self._is_broken = True
-                return
-            if told is None:
-                continue
-            self._is_broken = not (isinstance(told, list) and told and type(told[0]) is str)
-            if not self._is_broken:
-                self.read_bytes = self._unpacker.tell()
-                yield tuple(told)
-
-    def _seen_more(self) -> bool:
         with self.path.open("rb") as file:
-            file.seek(self.size_bytes)
-            portion = file.read(_PORTION)
-        self.size_bytes += len(portion)
-        self._unpacker.feed(portion)
-        return bool(portion)
+            self.size_bytes = file.seek(0, os.SEEK_END)
+            for end, told in () if self._is_broken else _records(file, self.read_bytes):
+                if told is None:
+                    self._is_broken = True
+                    return
+                self.read_bytes = end
+                yield told
+            self.size_bytes = max(file.tell(), self.read_bytes)
+
+
+def _records(file: BinaryIO, start: int) -> Iterator[tuple[int, Input | None]]:
+    """Records from an offset on, each after where it ends; None: what follows is no input."""
+    file.seek(start)
+    unpacker = msgpack.Unpacker(file, read_size=_READ, max_buffer_size=_LONGEST)
+    try:
+        for told in unpacker:
+            is_one = isinstance(told, list) and len(told) > 0 and type(told[0]) is str
+            yield start + unpacker.tell(), tuple(told) if is_one else None
+            if not is_one:
+                return
+    except _UNREADABLE:
+        yield start, None
 
 
 def whole_inputs(path: Path, start: int = 0) -> int:
@@ -110,15 +111,9 @@ def whole_inputs(path: Path, start: int = 0) -> int:
 
     start: the beginning of some record, to search from; 0 if the file is shorter.
     """
-    at = start if start <= path.stat().st_size else 0
     with path.open("rb") as file:
-        file.seek(at)
-        unpacker = msgpack.Unpacker(file, read_size=_PORTION, max_buffer_size=_LONGEST)
-        end = 0
-        with suppress(*_UNREADABLE):
-            for _ in unpacker:
-                end = unpacker.tell()
-    return at + end
+        at = start if start <= file.seek(0, os.SEEK_END) else 0
+        return max((end for end, told in _records(file, at) if told is not None), default=at)
 
 
 def is_hole(path: Path, start: int) -> bool:

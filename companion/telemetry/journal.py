@@ -27,6 +27,7 @@ from companion.printable import with_printable_texts
 _NOT_PLAIN = re.compile(rb"\\|[^\x20-\x7e\n]").search
 """What may have to be cleaned: escapes, and more than ASCII."""
 _HEADER = b'{"schema":'
+_SHOWN_BYTES = 80  # of a line that is refused
 _MAX_BYTES = 64 * 2**20  # of a line: a fence of 100,000 corners takes 4 MB
 _AS_WRITTEN = "Give the journal as the companion has written it."
 
@@ -66,12 +67,11 @@ class Journal:
             self._read_lines += 1
             where = f"{self.path.name} line {self._read_lines}"
             if text.startswith(_HEADER):
-                self.headers.append(_header_of(_decoded(text, where), where))
+                self.headers.append(_header(text, where))
                 yield self.headers[-1]
             elif not self.headers:
                 rule = f'a journal begins with a header, {{"schema":"{SCHEMA}",...}}'
-                shown = text[:80].decode(errors="replace")
-                raise InputError(where, shown, rule, _AS_WRITTEN)
+                raise _refused(text, ValidationError(rule), where)
             elif (entry := self._entry(text, where)) is not None:
                 yield entry
 
@@ -104,46 +104,35 @@ class Journal:
             if isinstance(kind, str) and kind not in KINDS:
                 self._unknown[kind] += 1
                 return None
-            raise _refused(raw, error, where) from None
+            raise _refused(text, error, where) from None
 
 
-def _header_of(raw: Any, where: str) -> Header:
+def _header(text: bytes, where: str) -> Header:
     """The header in a line."""
-    if raw["schema"] != SCHEMA:
-        rule = f"only {SCHEMA!r} can be read"
-        raise InputError(f"{where}: schema", raw["schema"], rule, _AS_WRITTEN)
-    if raw.get("version") != VERSION:
-        rule = f"only {VERSION} can be read"
-        remedy = "Read it with the companion that has written it."
-        raise InputError(f"{where}: version", raw.get("version"), rule, remedy)
+    raw = _decoded(text, where)
+    for field, only in (("schema", SCHEMA), ("version", VERSION)):
+        found = raw.get(field)
+        if type(found) is not type(only) or found != only:
+            remedy = "Read it with the companion that has written it."
+            raise InputError(f"{where}: {field}", found, f"only {only!r} can be read", remedy)
     try:
         return msgspec.convert(raw, Header)
     except ValidationError as error:
-        raise _refused(raw, error, where) from None
+        raise _refused(text, error, where) from None
 
 
-def _refused(raw: Any, error: Exception, where: str) -> InputError:
+def _refused(text: bytes, error: Exception, where: str) -> InputError:
     """The error about the first rule that a line breaks."""
-    if isinstance(raw, dict) and "kind" not in raw and "schema" not in raw:
-        return InputError(f"{where}: kind", None, "it is missing", _AS_WRITTEN)
-    words, _, path = str(error).partition(" - at `$")
-    names = re.findall(r"\w+", path)
-    if missing := re.search("missing required field `(.*)`", words):
-        field = ".".join([*names, missing[1]])
-        return InputError(f"{where}: {field}", None, "it is missing", _AS_WRITTEN)
-    value = raw
-    for name in names:
-        value = value[int(name) if isinstance(value, list) else name]
-    if not isinstance(error, ValidationError):
-        words = "an entry is an object with a kind"
-    rule = words[:1].lower() + words[1:]
-    return InputError(f"{where}: {'.'.join(names) or 'kind'}", value, rule, _AS_WRITTEN)
+    words = str(error) if isinstance(error, ValidationError) else "an entry has a known kind"
+    rule, _, path = words.partition(" - at `$")
+    field = path.strip("`.")
+    shown = text[:_SHOWN_BYTES].decode(errors="replace").rstrip("\n")
+    return InputError(f"{where}{field and ': '}{field}", shown, rule, _AS_WRITTEN)
 
 
 def _decoded(text: bytes, where: str) -> Any:
     try:
         values = msgspec.json.decode(text)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        shown = text[:80].decode(errors="replace").rstrip("\n")
-        raise InputError(where, shown, f"it is not JSON ({error})", _AS_WRITTEN) from None
+        raise _refused(text, ValidationError(f"it is not JSON ({error})"), where) from None
     return values if _NOT_PLAIN(text) is None else with_printable_texts(values)

@@ -71,11 +71,9 @@ def _values(folder: Path, mission: Mission) -> checkpoint.Values:
 
 def _must_fit(known: KnownMap, blank: KnownMap) -> None:
     """ValueError for a map with other cells, or invalid heights."""
-    for name in ("cell_m", "north_min_m", "east_min_m"):
-        if getattr(known, name) != getattr(blank, name):
-            raise ValueError("its cells are not those of the mission")
-    shapes = {known.upper_m.shape, known.seen.shape}
-    if shapes != {blank.upper_m.shape} or known.seen.dtype != np.bool_:
+    lattice = ("cell_m", "north_min_m", "east_min_m", "shape")
+    is_alike = all(getattr(known, name) == getattr(blank, name) for name in lattice)
+    if not is_alike or known.seen.shape != blank.shape or known.seen.dtype != np.bool_:
         raise ValueError("its cells are not those of the mission")
     bounds = known.upper_m
     if bounds.dtype != np.float64 or np.isnan(bounds).any() or not known.registration_m >= 0.0:

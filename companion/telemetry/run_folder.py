@@ -18,9 +18,10 @@ so that a power cut does not take them, except where the vehicle is simulated an
 
 import fcntl
 import io
+import mmap
 import os
 import struct
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from itertools import accumulate
 from pathlib import Path
@@ -194,22 +195,22 @@ class RunFolder:
             inputs_bytes=self._size(inputs.FILE),
             values=dict(values),
         )
-        error = self._replace("resume.json", lambda: journal_line(head))
-        self.unsaved = self.unsaved or error
+        self.unsaved = self.unsaved or self._replace("resume.json", journal_line(head))
 
     def known_map(self, known: KnownMap) -> None:
         """Replace the known map.  A full disk leaves the previous one."""
-        self._replace("known.npz", lambda: packed_map(known))
+        self._replace("known.npz", packed_map(known))
 
     def run_json(self, values: Mapping[str, Any]) -> None:
         """What differs from run to run."""
         text = msgspec.json.format(journal_line(values), indent=2) + b"\n"
         if self.failure is None:
-            self.failure = self._replace("run.json", lambda: text)
+            self.failure = self._replace("run.json", text)
 
-    def _replace(self, name: str, content: Callable[[], bytes]) -> str | None:
+    def _replace(self, name: str, content: bytes) -> str | None:
+        """Replace a file; why it could not be."""
         try:
-            replace_whole(self.path / name, content(), durable=self._durable)
+            replace_whole(self.path / name, content, durable=self._durable)
         except OSError as error:
             return error.strerror or str(error)
         return None
@@ -257,8 +258,8 @@ def whole_records(path: Path, start: int = 0) -> int:
 
 def _first_stamp_us(tlog: Path) -> int | None:
     """The stamp of a log's first record: where vehicle time began, when that cannot be read."""
-    with suppress(OSError), Records(tlog) as records:
-        stamp_us, _ = records.take() or (0, b"")
+    with suppress(OSError, struct.error), tlog.open("rb") as file:
+        (stamp_us,) = _STAMP.unpack(file.read(_STAMP.size))
         return stamp_us if 0 < stamp_us < _MOST else None
     return None
 
@@ -305,16 +306,10 @@ class Records:
 
 def _whole_lines(path: Path) -> int:
     """Where the last whole line ends."""
-    with path.open("rb") as file:
-        end = file.seek(0, os.SEEK_END)
-        while end > 0:
-            begin = max(end - 65536, 0)
-            file.seek(begin)
-            found = file.read(end - begin).rfind(b"\n")
-            if found >= 0:
-                return begin + found + 1
-            end = begin
-    return 0
+    if not path.stat().st_size:
+        return 0
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as lines:
+        return lines.rfind(b"\n") + 1
 
 
 def known_map(path: Path) -> KnownMap:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, final
+from typing import Any, final
 
 import numpy as np
 import scipy.spatial
@@ -53,52 +53,12 @@ _HATCHED: _Style = {"fc": _UNKNOWN, "hatch": "////", "ec": "#aeb3ba", "lw": 0.0}
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TerrainPicture:
-    """Heights AMSL of the cells of a lattice; not finite where the ground is unknown."""
-
-    north_edges_m: FloatArray  # (rows + 1,)
-    east_edges_m: FloatArray  # (columns + 1,)
-    heights_m: FloatArray  # (rows, columns), rows to the north, columns to the east
-
-    @classmethod
-    def of(cls, known: KnownMap) -> "TerrainPicture":
-        """The terrain that was seen, or known in advance."""
-        rows, columns = known.upper_m.shape
-        return cls(
-            north_edges_m=known.north_min_m + np.arange(rows + 1) * known.cell_m,
-            east_edges_m=known.east_min_m + np.arange(columns + 1) * known.cell_m,
-            heights_m=np.where(known.surveyed, known.upper_m, np.nan),
-        )
-
-    def under_m(self, points_ne_m: FloatArray) -> FloatArray:
-        """Height of the cell that holds each point, nan where unknown.  (..., 2) -> (...)."""
-        row = np.searchsorted(self.north_edges_m, points_ne_m[..., 0], side="right") - 1
-        column = np.searchsorted(self.east_edges_m, points_ne_m[..., 1], side="right") - 1
-        rows, columns = self.heights_m.shape
-        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        height = self.heights_m[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
-        return np.where(inside & np.isfinite(height), height, np.nan)
-
-    def coarser(self) -> "TerrainPicture":
-        """The highest known height of each block of cells: few enough to draw one by one."""
-        step = math.ceil(max(self.heights_m.shape) / _BLOCKS)
-        rows, columns = (np.arange(0, cells, step) for cells in self.heights_m.shape)
-        known = np.where(np.isfinite(self.heights_m), self.heights_m, -np.inf)
-        highest = np.maximum.reduceat(np.maximum.reduceat(known, rows, 0), columns, 1)
-        return TerrainPicture(
-            north_edges_m=self.north_edges_m[[*rows, -1]],
-            east_edges_m=self.east_edges_m[[*columns, -1]],
-            heights_m=np.where(np.isfinite(highest), highest, np.nan),
-        )
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FlightFigure:
     """What is drawn of a flight: metres in the local frame, altitudes AMSL."""
 
     title: str
-    terrain: TerrainPicture
+    known: KnownMap
+    """The terrain, as far as it was seen or known in advance."""
     floor_amsl_m: float
     ceiling_amsl_m: float
     start_nea_m: tuple[float, float, float]
@@ -112,8 +72,6 @@ class FlightFigure:
     track_nea_m: FloatArray | None = None  # (N, 3)
     """Where the vehicle was."""
     caption: str = ""
-    altitudes_shown_m: tuple[float, float] | None = None
-    """Least and greatest altitude to show; None: as far as is needed (`altitudes_m`)."""
 
     @classmethod
     def of(cls, mission: Mission, known: KnownMap, **shown: Any) -> "FlightFigure":
@@ -121,7 +79,7 @@ class FlightFigure:
         task = mission.task
         of_mission: dict[str, Any] = {
             "title": f"{mission.name}, profile {task.settings.profile.name}",
-            "terrain": TerrainPicture.of(known),
+            "known": known,
             "radars": task.radars,
             "zones": task.zones,
             "floor_amsl_m": task.limits.floor_amsl_m,
@@ -129,6 +87,13 @@ class FlightFigure:
             "targets_ne_m": mission.targets_ne_m,
         }
         return cls(**(of_mission | shown))
+
+    @property
+    def edges_m(self) -> tuple[FloatArray, FloatArray]:
+        """Of the cells, north (rows + 1,) and east (columns + 1,)."""
+        known = self.known
+        rows, columns = (np.arange(count + 1) * known.cell_m for count in known.upper_m.shape)
+        return known.north_min_m + rows, known.east_min_m + columns
 
     @property
     def path_nea_m(self) -> FloatArray:
@@ -139,16 +104,13 @@ class FlightFigure:
     @property
     def unit(self) -> tuple[float, str]:
         """What lengths are shown in: how many metres, and its name."""
-        terrain = self.terrain
-        widest_m = max(np.ptp(terrain.north_edges_m), np.ptp(terrain.east_edges_m))
+        widest_m = max(np.ptp(edges_m) for edges_m in self.edges_m)
         return (1e3, "km") if widest_m >= _SHOWN_IN_KM_M else (1.0, "m")
 
     @property
     def altitudes_m(self) -> tuple[float, float]:
         """Least and greatest altitude to show; terrain far above the ceiling is cut off."""
-        if self.altitudes_shown_m is not None:
-            return self.altitudes_shown_m
-        known = self.terrain.heights_m[np.isfinite(self.terrain.heights_m)]
+        known = self.known.upper_m[np.isfinite(shapes.heights_m(self.known))]
         flown = [line_nea_m[:, 2] for line_nea_m, _ in _lines(self)]
         band = [self.floor_amsl_m, self.ceiling_amsl_m, self.start_nea_m[2]]
         values = np.concatenate([*flown, band])
@@ -161,9 +123,9 @@ class FlightFigure:
 def save(canvas: Figure, path: Path) -> None:
     """Write a figure as what its name ends with; the same figure gives the same bytes."""
     kind = path.suffix.lower().removeprefix(".")
-    dateless = {} if kind == "png" else {"svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
+    dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
     with rc_context({"svg.hashsalt": "companion"}):
-        canvas.savefig(path, format=kind, dpi=DPI, metadata=dateless)
+        canvas.savefig(path, format=kind, dpi=DPI, metadata=dates.get(kind))
 
 
 def draw(figure: FlightFigure, path: Path) -> None:
@@ -221,16 +183,15 @@ def _marks(figure: FlightFigure) -> list[tuple[FloatArray, _Style]]:
 def draw_plan(axes: Axes, figure: FlightFigure) -> None:
     """From above: terrain, radars, keep-outs and the path."""
     unit_m, unit = figure.unit
-    north, east = figure.terrain.north_edges_m / unit_m, figure.terrain.east_edges_m / unit_m
-    heights = np.ma.masked_invalid(figure.terrain.heights_m / unit_m)
+    north, east = (edges_m / unit_m for edges_m in figure.edges_m)
+    heights = np.ma.masked_invalid(shapes.heights_m(figure.known) / unit_m)
     low, high = (altitude / unit_m for altitude in figure.altitudes_m)
     span: _Style = {"vmin": low, "vmax": high}
     colours = axes.pcolormesh(east, north, heights, cmap=_TINTS, rasterized=True, **span)
     scale = axes.inset_axes((1.03, 0.0, 0.03, 1.0))
-    over: Literal["max", "neither"] = (
-        "max" if heights.count() and heights.max() > high else "neither"
-    )
-    Colorbar(scale, colours, extend=over, label=f"terrain, {unit} AMSL")
+    is_cut = heights.count() > 0 and heights.max() > high
+    label = f"terrain, {unit} AMSL"
+    Colorbar(scale, colours, extend="max" if is_cut else "neither", label=label)
     for level_m, style in ((figure.floor_amsl_m, _FLOOR), (figure.ceiling_amsl_m, _CEILING)):
         scale.axhline(level_m / unit_m, **style)
         if heights.count() and heights.min() < level_m / unit_m < heights.max():
@@ -264,7 +225,7 @@ def _draw_radar(axes: Axes, radar: Radar, figure: FlightFigure) -> None:
     axes.add_patch(Circle(centre, widest_m / unit_m, **fill))
     rim: _Style = {"fill": False, "ec": _RADAR, "ls": ":", "label": "radar, full range"}
     axes.add_patch(Circle(centre, radar.range_m / unit_m, **rim))
-    if 0.014 * np.ptp(figure.terrain.east_edges_m) * len(radar.name) < 2.0 * widest_m:
+    if 0.014 * np.ptp(figure.edges_m[1]) * len(radar.name) < 2.0 * widest_m:
         style: _Style = {"fontsize": 7, "ha": "center", "va": "center", "color": "#5c0f46"}
         style["path_effects"] = [withStroke(linewidth=1.5, foreground="white", alpha=0.6)]
         axes.text(*centre, radar.name, clip_on=True, parse_math=False, **style)
@@ -277,7 +238,7 @@ def draw_profile(axes: Axes, figure: FlightFigure) -> None:
     low, high = (altitude / unit_m for altitude in figure.altitudes_m)
     steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
     along = np.concatenate([[0.0], np.cumsum(steps)])[: len(path)] / unit_m
-    under = figure.terrain.under_m(path[:, :2]) / unit_m
+    under = shapes.under_m(figure.known, path[:, :2]) / unit_m
     axes.fill_between(along, low, under, color="#cdb78c", lw=0.0)
     axes.plot(along, under, color="#6b5433", lw=1.2, label="terrain under the path")
     if np.isnan(under).any():
@@ -310,20 +271,17 @@ def draw_profile(axes: Axes, figure: FlightFigure) -> None:
 def draw_oblique(axes: Any, figure: FlightFigure) -> None:
     """Terrain, radars and keep-outs as surfaces, and the path over them, wherever it is hidden."""
     unit_m, unit = figure.unit
-    terrain = figure.terrain.coarser()
     low, high = figure.altitudes_m
-    least = np.array([terrain.east_edges_m[0], terrain.north_edges_m[0], low])
-    most = np.array([terrain.east_edges_m[-1], terrain.north_edges_m[-1], high])
+    (south, *_, north_m), (west, *_, east_m) = figure.edges_m
+    least, most = np.array([west, south, low]), np.array([east_m, north_m, high])
     spans = most - least
     stretch = _HEIGHT * spans[:2].max() / spans[2]
-    known = np.isfinite(terrain.heights_m)
-    heights = np.where(known, terrain.heights_m, low).clip(max=high)
-    north, east = (
-        np.linspace(edges[0], edges[-1], count)  # the outermost cells reach to the edge
-        for edges, count in zip(
-            (terrain.north_edges_m, terrain.east_edges_m), heights.shape, strict=True
-        )
-    )
+    cells = np.nan_to_num(shapes.heights_m(figure.known), nan=-np.inf)
+    heights = shapes.highest(cells, math.ceil(max(cells.shape) / _BLOCKS))
+    known = np.isfinite(heights)
+    heights = np.where(known, heights, low).clip(max=high)
+    rows, columns = heights.shape  # the outermost cells reach to the edge
+    north, east = np.linspace(south, north_m, rows), np.linspace(west, east_m, columns)
     steps = {"dx": np.ptp(east) / len(east), "dy": np.ptp(north) / len(north)}
     colours = _SUN.shade(
         heights, _TINTS, blend_mode="soft", vmin=low, vmax=high, vert_exag=stretch, **steps

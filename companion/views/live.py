@@ -2,7 +2,6 @@
 
 import math
 import time
-from collections import deque
 from collections.abc import Iterator
 from types import TracebackType
 from typing import Final, Self, final
@@ -21,9 +20,7 @@ from companion.views.output import PatientOutput
 from companion.views.words import clock_text, metres, metres_at_least, rounded_down
 
 _SHOWN_S = 0.25  # between two pictures of a flight in which nothing happens
-_LOSS_S = 10.0  # of which the share of lost frames is told
 _CRASHED, _INTERRUPTED = 70, 130
-
 _CELLS, _HEADING = 2, 9  # values in a row of 80 columns, and columns of what each is
 _SEVERE, _NOTABLE = "bold red", "yellow"
 _PHASES: Final = {
@@ -51,7 +48,6 @@ class Progress:
         self._told: tuple[object, ...] = ()
         self._said: str | None = None
         self._shown_s = -math.inf
-        self._frames: deque[tuple[int, int]] = deque(maxlen=round(_LOSS_S / _SHOWN_S))
 
     def show(self, status: FlightStatus) -> None:
         """Show the flight as it stands now; to be called often."""
@@ -64,9 +60,8 @@ class Progress:
         if not lines and now_s - self._shown_s < _SHOWN_S:
             return
         self._shown_s = now_s
-        self._frames.append((status.frames_heard, status.frames_lost))
         if redraws and not self._output.is_behind:
-            self._live.update(status_table(status, self._lost()), refresh=True)
+            self._live.update(status_table(status), refresh=True)
 
     def _lines(self, status: FlightStatus) -> Iterator[str]:
         """What is new, in lines that stay."""
@@ -75,13 +70,7 @@ class Progress:
             yield f"t {status.t_s:7.1f} s  vehicle: {self._said}"
         told, self._told = self._told, _news(status, legs=not self._redraws)
         if self._told != told:
-            yield event_line(status) if self._redraws else progress_line(status)
-
-    def _lost(self) -> float:
-        """Share of the autopilot's frames that were lost of late."""
-        (heard_before, lost_before), (heard, lost) = self._frames[0], self._frames[-1]
-        lately = lost - lost_before
-        return lately / max(heard - heard_before + lately, 1)
+            yield progress_line(status)
 
     def __enter__(self) -> Self:
         if self._redraws:
@@ -153,37 +142,20 @@ def _notice(status: FlightStatus) -> str:
     return status.waits_for or status.reason or failsafe or status.warning or ""
 
 
-def event_line(status: FlightStatus) -> str:
-    """What has just happened."""
-    notice = _notice(status)
-    return f"t {status.t_s:7.1f} s  {status.phase}{notice and ': '}{notice}"
-
-
 def progress_line(status: FlightStatus) -> str:
-    """The same with how the flight stands: for a log."""
+    """What has just happened, and how the flight stands."""
     parts = [f"t {status.t_s:7.1f} s", f"{status.phase:<10}"]
-    if status.to_go_m is not None:
-        parts.append(f"to go {metres(status.to_go_m):>8}")
-    if status.altitude_amsl_m is not None:
-        parts.append(f"altitude {status.altitude_amsl_m:5.0f} m")
+    if status.to_go_m is not None and status.altitude_amsl_m is not None:
+        parts.append(f"to go {metres(status.to_go_m):>8}  {status.altitude_amsl_m:5.0f} m AMSL")
     if status.plan_cost is not None:
-        parts.append(f"subpath {status.subpaths_flown:2d}")
-        parts.append(f"cost {status.plan_cost:5.2f}")
-        parts.append(f"clearance {_proof(status):>10}")
-    if status.plan_took_s is not None:
-        parts.append(f"planned in {status.plan_took_s * 1e3:4.0f} ms")
-    if status.times_real_time is not None:
-        parts.append(f"{status.times_real_time:4.0f}x real time")
+        parts.append(f"subpath {status.subpaths_flown:2d}  cost {status.plan_cost:5.2f}")
     if notice := _notice(status):
         parts.append(f"({notice})")
     return "  ".join(parts)
 
 
-def status_table(status: FlightStatus, lost: float) -> Group:
-    """All that a person flies by, in a terminal of 80 columns or more.
-
-    lost: share of the autopilot's frames that were lost of late.
-    """
+def status_table(status: FlightStatus) -> Group:
+    """All that a person flies by, in a terminal of 80 columns or more."""
     title = Text.assemble(
         (status.phase.upper(), _PHASES.get(status.phase, "bold")),
         f"  to target {status.target} of {status.targets}" if status.targets else "",
@@ -194,31 +166,23 @@ def status_table(status: FlightStatus, lost: float) -> Group:
         table.add_column(style="dim", width=_HEADING, no_wrap=True)
         table.add_column(ratio=1, no_wrap=True, overflow="ellipsis")
     cells = list[str | Text]()
-    for heading, text, style in _values(status, lost):
-        cells += [heading, Text(text, style)]
+    for heading, text, style in _values(status):
+        # what is wrong can be told without colours
+        cells += [heading, Text(f"! {text}" if style else text, style)]
     for first in range(0, len(cells), 2 * _CELLS):
         table.add_row(*cells[first : first + 2 * _CELLS])
-    head = Rule(title, style="dim", align="left")
-    return Group(head, table, *_notes(status))
+    return Group(Rule(title, style="dim", align="left"), table, *_notes(status))
 
 
-_Value = tuple[str, str, str]
-"""Heading, at most 9 characters; text, at most 28; style."""
-
-
-def _values(status: FlightStatus, lost: float) -> Iterator[_Value]:
-    """The most important first."""
-    to_go = "-" if status.to_go_m is None else metres(status.to_go_m)
-    if status.to_go_m is not None and status.time_left_s is not None:
-        to_go += f", in {clock_text(round(status.time_left_s))}"
-    yield "to go", to_go, ""
-    altitude = "-" if status.altitude_amsl_m is None else f"{status.altitude_amsl_m:.0f} m AMSL"
-    if status.altitude_amsl_m is not None and status.above_ground_m is not None:
-        altitude += f", {status.above_ground_m:.0f} m AGL"
-    yield "altitude", altitude, ""
-    course = ""
-    if status.course_rad is not None:
-        course = f" to {round(math.degrees(status.course_rad)) % 360:03d}"
+def _values(status: FlightStatus) -> Iterator[tuple[str, str, str]]:
+    """Heading, at most 9 characters, text, at most 28, and style; the most important first."""
+    left = "" if status.time_left_s is None else f", in {clock_text(status.time_left_s)}"
+    yield "to go", "-" if status.to_go_m is None else f"{metres(status.to_go_m)}{left}", ""
+    above = "" if status.above_ground_m is None else f", {status.above_ground_m:.0f} m AGL"
+    altitude_m = status.altitude_amsl_m
+    yield "altitude", "-" if altitude_m is None else f"{altitude_m:.0f} m AMSL{above}", ""
+    course_rad = status.course_rad
+    course = "" if course_rad is None else f" to {round(math.degrees(course_rad)) % 360:03d}"
     speed = f"{status.speed_m_s:.{0 if status.speed_m_s > 99.0 else 1}f} m/s"
     yield "speed", f"{speed}{course}, climb {status.climb_m_s:+.1f}", ""
     clear_m, least_m = status.clearance_m, status.safety_distance_m
@@ -226,47 +190,39 @@ def _values(status: FlightStatus, lost: float) -> Iterator[_Value]:
         yield "clearance", "-", ""
     else:
         more = "> " if clear_m >= status.looked_m else ""
+        is_near = clear_m < least_m and status.subpaths_flown > 0
         text = f"{more}{metres_at_least(clear_m)} (d_s {metres(least_m)})"
-        near = clear_m < least_m and status.subpaths_flown > 0
-        yield "clearance", *_marked(text, _SEVERE if near else "")
-    off_m = status.off_path_m
-    is_off = off_m is not None and off_m > status.tracking_error_m
-    yield "off path", "-" if off_m is None else f"{off_m:.1f} m", _NOTABLE if is_off else ""
-    left, reserve = status.battery_left, status.battery_reserve
-    if left is None:
+        yield "clearance", text, _SEVERE if is_near else ""
+    yield "off path", "-" if status.off_path_m is None else f"{status.off_path_m:.1f} m", ""
+    share, reserve = status.battery_left, status.battery_reserve
+    if share is None:
         yield "battery", "not told", ""
     else:
-        style = _SEVERE if left <= reserve else _NOTABLE if left <= reserve + _LOW else ""
-        text = f"{rounded_down(100.0 * left):.0f}% (reserve {100.0 * reserve:g}%)"
-        yield "battery", *_marked(text, style)
-    yield _link(status, lost)
+        style = _SEVERE if share <= reserve else _NOTABLE if share <= reserve + _LOW else ""
+        text = f"{rounded_down(100.0 * share):.0f}% (reserve {100.0 * reserve:g}%)"
+        yield "battery", text, style
+    age_s, lost = status.link_age_s, status.frames_lost
+    if age_s is None:
+        yield "link", "nothing heard", _NOTABLE
+    else:
+        share = lost / max(status.frames_heard + lost, 1)
+        is_bad = age_s > _SLOW_S or share > _LOSSY
+        text = f"{age_s:.1f} s old, {math.ceil(100.0 * share - 1e-6)}% lost"
+        yield "link", text, _SEVERE if age_s > _SILENT_S else _NOTABLE if is_bad else ""
     mode = f"{status.mode or '-'}, {'armed' if status.armed else 'disarmed'}"
     yield "mode", *((f"{mode}, FAILSAFE", _SEVERE) if status.failsafe else (mode, ""))
-    plan = "-" if status.plan_took_s is None else f"took {status.plan_took_s * 1e3:.0f} ms"
-    if status.plan_cost is not None:
-        plan = f"cost {status.plan_cost:.2f}, {plan}"
-    yield "last plan", plan, ""
+    took = "-" if status.plan_took_s is None else f"took {status.plan_took_s * 1e3:.0f} ms"
+    cost = "" if status.plan_cost is None else f"cost {status.plan_cost:.2f}, "
+    yield "last plan", f"{cost}{took}", ""
+    proven_m = status.plan_clearance_m
     if status.plans_failed:
-        yield "proof", *_marked(f"failed {status.plans_failed} times", _NOTABLE)
-    elif status.plan_cost is not None:
-        yield "proof", f"{_proof(status)} to terrain", _SEVERE if status.plan_broken else ""
+        yield "proof", f"failed {status.plans_failed} times", _NOTABLE
+    elif status.plan_cost is not None and proven_m is None:
+        yield "proof", "not proven", _SEVERE
+    elif proven_m is not None:
+        yield "proof", f"{metres_at_least(proven_m)} to terrain", ""
     pace = status.times_real_time
     yield "time", f"{status.t_s:.0f} s{'' if pace is None else f', {pace:.0f}x real time'}", ""
-
-
-def _link(status: FlightStatus, lost: float) -> _Value:
-    age_s, trip_s = status.link_age_s, status.link_round_trip_s
-    if age_s is None:
-        return "link", "nothing heard", _NOTABLE
-    trip = "" if trip_s is None or age_s > _SLOW_S else f", {trip_s * 1e3:.0f} ms"
-    style = _SEVERE if age_s > _SILENT_S else _NOTABLE if age_s > _SLOW_S or lost > _LOSSY else ""
-    text = f"{age_s:.1f} s old, {math.ceil(100.0 * lost - 1e-6)}% lost{trip}"
-    return "link", *_marked(text, style)
-
-
-def _marked(text: str, style: str) -> tuple[str, str]:
-    """What is wrong can be told without colours."""
-    return (f"! {text}" if style else text), style
 
 
 def _notes(status: FlightStatus) -> Iterator[Text]:
@@ -281,9 +237,3 @@ def _notes(status: FlightStatus) -> Iterator[Text]:
     age_s = status.position_age_s
     if age_s is not None and age_s > _SLOW_S:
         yield Text(f"! position and speed are {age_s:.0f} s old", _SEVERE)
-
-
-def _proof(status: FlightStatus) -> str:
-    """The clearance that is proven for the newest plan."""
-    clear_m = status.plan_clearance_m
-    return "not proven" if status.plan_broken or clear_m is None else metres_at_least(clear_m)

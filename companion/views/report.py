@@ -7,7 +7,8 @@ import math
 from collections.abc import Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
-from typing import Any, Final
+from itertools import groupby
+from typing import Final
 
 import numpy as np
 from markupsafe import Markup
@@ -15,7 +16,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from companion.geodesy import BoolArray, FloatArray
+from companion.geodesy import FloatArray
 from companion.mission.journal import ScanAsked
 from companion.profiles import Weights
 from companion.telemetry.export.shapes import utc_text
@@ -65,11 +66,9 @@ def _weighed(facts: FlightFacts, planned: PlannedSubpath) -> list[tuple[float, f
 
 def _events(facts: FlightFacts) -> Iterator[tuple[float, str, bool]]:
     """Vehicle time, what happened, and whether it is bad; what is said twice in a row once."""
-    before = ""
-    for _, t_s, entry in facts.flight.entries:
-        if (said := entry_words(entry)) is not None and said[0] != before:
-            before = said[0]
-            yield t_s, *said
+    said = ((entry.t_s, entry_words(entry)) for _, entry in facts.flight.entries)
+    told = ((t_s, *words) for t_s, words in said if words is not None)
+    return (next(alike) for _, alike in groupby(told, key=lambda each: each[1]))
 
 
 # --- figures: SVG that stands in the page
@@ -91,21 +90,21 @@ def flight_figure(facts: FlightFacts) -> FlightFigure | None:
     """What is drawn of a flight; None: neither a position nor a subpath was recorded."""
     flight, track = facts.flight, facts.flight.places_nea_m
     task = flight.mission.task
-    if not len(track) and not facts.legs_nea_m:
+    lines = [line for line in (track, *facts.legs_nea_m) if len(line)]
+    if not lines:
         return None
-    start = track[0] if len(track) else facts.legs_nea_m[0][0]
-    scans = (each.centre_nea_m for _, _, each in flight.entries if isinstance(each, ScanAsked))
-    limits, legs_points = task.limits, sum(map(len, facts.legs_nea_m))
-    blank = empty_map(task.cell_m, limits.north_m, limits.east_m)
+    scans = (each.centre_nea_m for _, each in flight.entries if isinstance(each, ScanAsked))
+    points = sum(map(len, facts.legs_nea_m))
+    blank = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
     return FlightFigure.of(
         flight.mission,
         blank if facts.known is None else facts.known,
         title="",
-        start_nea_m=(float(start[0]), float(start[1]), float(start[2])),
-        targets_ne_m=flight.targets_ne_m,
-        legs_nea_m=tuple(_thinned(leg, legs_points) for leg in facts.legs_nea_m),
+        start_nea_m=tuple(lines[0][0].tolist()),
+        targets_ne_m=flight.decided.targets_ne_m,
+        legs_nea_m=tuple(_thinned(leg, points) for leg in facts.legs_nea_m),
         scans_nea_m=() if flight.mission.near else tuple(scans),  # a lidar's is there all the time
-        zones=flight.zones,
+        zones=flight.zones_of(flight.decided),
         track_nea_m=_thinned(track, len(track)) if len(track) > 1 else None,
     )
 
@@ -120,21 +119,22 @@ def _charts(facts: FlightFacts) -> Figure:
     """Over time: clearance, speed, satellites; holds are hatched."""
     canvas = Figure(figsize=(14.0, 7.0), layout="constrained")
     clearance, speed, satellites = canvas.subplots(3, 1, sharex=True)
-    task, way = facts.flight.mission.task, facts.on_the_way
-    _line(clearance, facts.times_s[way], facts.clearances_m, np.minimum)
-    required_m = task.settings.safety_distance_m
-    clearance.axhline(required_m, color="black", lw=1.2, ls="--", label="$d_s$")
+    task, track = facts.flight.mission.task, facts.flight.track
+    _line(clearance, facts.times_s[facts.way], facts.clearances_m, np.minimum)
+    clearance.axhline(task.settings.safety_distance_m, color="black", lw=1.2, ls="--")
     clearance.set(ylabel="clearance of known\nterrain, m", ylim=(0.0, None))
-    speeds_m_s = np.hypot(facts.flight.track.north_m_s, facts.flight.track.east_m_s)
-    _line(speed, facts.times_s, speeds_m_s, np.maximum)
+    _line(speed, facts.times_s, np.hypot(track.north_m_s, track.east_m_s), np.maximum)
     speed.axhline(task.limits.speed_m_s, color="black", lw=1.2, ls="--")
     speed.set(ylabel="ground speed,\nm/s", ylim=(0.0, None))
     satellites.step(facts.gps_s, facts.satellites, where="post", color=views.PATH, lw=1.4)
-    _shade(satellites, facts.gps_s, facts.fixes < 3, fc=_NO_FIX, alpha=0.45)
+    changes = np.flatnonzero(np.diff(~facts.has_fix, prepend=False, append=False))
+    for first, end in changes.reshape(-1, 2).tolist():
+        until_s = facts.gps_s[min(end, len(facts.gps_s) - 1)]
+        satellites.axvspan(facts.gps_s[first], until_s, fc=_NO_FIX, alpha=0.45, lw=0.0)
     satellites.set(ylabel="satellites", ylim=(0.0, None), xlabel="vehicle time, s")
     for axes in (clearance, speed, satellites):
-        for hold in facts.holds:
-            begin_s = facts.time_s(hold)
+        for hold in facts.holds if len(track) else ():
+            begin_s = facts.times_s[0] + hold.time_s
             end_s = facts.times_s[-1] if hold.until_s is None else begin_s + hold.until_s - hold.t_s
             axes.axvspan(begin_s, end_s, fc="none", ec="#888888", hatch="////", lw=0.0)
         axes.grid(color="#888888", alpha=0.3, lw=0.6)
@@ -145,14 +145,6 @@ def _charts(facts: FlightFacts) -> Figure:
 
 def _line(axes: Axes, times_s: FloatArray, values: FloatArray, worst: np.ufunc) -> None:
     """A line of not too many points, which keeps the worst of those that it stands for."""
-    if not len(times_s):
-        return
-    firsts = np.arange(0, len(times_s), -(-len(times_s) // _CHART_POINTS))
-    axes.plot(times_s[firsts], worst.reduceat(values, firsts), color=views.PATH, lw=1.4)
-
-
-def _shade(axes: Axes, times_s: FloatArray, where: BoolArray, **style: Any) -> None:
-    """Shade the times from which on something holds, up to where it no longer does."""
-    changes = np.flatnonzero(np.diff(where, prepend=False, append=False))
-    for first, end in changes.reshape(-1, 2).tolist():
-        axes.axvspan(times_s[first], times_s[min(end, len(times_s) - 1)], lw=0.0, **style)
+    if len(times_s):
+        firsts = np.arange(0, len(times_s), -(-len(times_s) // _CHART_POINTS))
+        axes.plot(times_s[firsts], worst.reduceat(values, firsts), color=views.PATH, lw=1.4)

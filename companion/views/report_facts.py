@@ -4,7 +4,6 @@ import itertools
 import math
 import statistics
 from collections import Counter
-from collections.abc import Sequence
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
@@ -12,20 +11,19 @@ import numpy as np
 from companion.geodesy import BoolArray, FloatArray
 from companion.mission import journal as noted
 from companion.mission.state import IN_AIR, Phase, Reason
-from companion.telemetry.flight import Flight, IntArray, Moment
+from companion.telemetry.flight import Flight, IntArray
 from companion.world.columns import distances_to_terrain_m
 from companion.world.known_map import KnownMap
 from companion.world.radars import detection_probability
 
-_ON_THE_WAY = {
+_ON_THE_WAY: Final = {
     phase.value
     for phase in (*IN_AIR, Phase.SHADOW)
     if phase not in (Phase.TAKING_OFF, Phase.LANDING)
 }
-_REMEDIES = {reason.text: reason.remedy for reason in Reason}
-_STEP_S = 1.0  # between the points of a route: finer, and the noise of a hover adds up
-_MOST_CELLS = 16  # about a position, in which terrain is looked for
-_AT_ONCE = 4000  # positions
+_REMEDIES: Final = {reason.text: reason.remedy for reason in Reason}
+_MOST_CELLS: Final = 16  # about a position, in which terrain is looked for
+_AT_ONCE: Final = 4000  # positions
 _OLD: Final = 128  # a sequence number so far ahead is one that comes late, or twice
 _UNKNOWN: Final = 255
 
@@ -34,8 +32,6 @@ class Nearest(NamedTuple):
     """Where the vehicle, by its own word, was nearest to terrain on its way."""
 
     distance_m: float
-    is_bound: bool
-    """Whether it is farther than that."""
     time_s: float
     place_nea_m: list[float]
     place_deg: tuple[float, float]
@@ -55,9 +51,9 @@ class Exposure(NamedTuple):
 
 @final
 class FlightFacts:
-    """A recorded flight, and what it comes to; times are the vehicle's, seconds since its boot.
+    """A recorded flight, and what it comes to.
 
-    After a reboot they continue as the log's do.
+    Times are the vehicle's, seconds since its boot; after a reboot they go on.
     """
 
     def __init__(
@@ -76,41 +72,26 @@ class FlightFacts:
         """
         self.flight, self.known, self.run = flight, known, run
         self.mission_toml, self.notes = mission_toml, notes
-        self.times_s = self.log_s(flight.track.time_us)
+        self.times_s: FloatArray = flight.times_s + (
+            flight.track.t_s[0] if len(flight.track) else 0
+        )
         """When the vehicle was at each position.  (N,)"""
-        known_then = flight.decided_at_positions()
-        self.on_the_way: BoolArray = np.array([d.phase in _ON_THE_WAY for d in known_then], bool)
-        """Which positions are in flight, after take-off and before landing.  (N,)"""
-        way_s = self.times_s[self.on_the_way]
-        self.duration_s = float(np.ptp(way_s)) if len(way_s) else 0.0
+        phases = [decided.phase for decided in flight.decided_at(flight.times_s)]
+        self.way: IntArray = np.flatnonzero([phase in _ON_THE_WAY for phase in phases])
+        """The positions in flight, after take-off and before landing.  (K,)"""
+        self.duration_s = float(np.ptp(self.times_s[self.way])) if len(self.way) else 0.0
         """From the first to the last position on the way."""
         self.legs_nea_m = tuple(flight.legs_nea_m())
         """The subpaths that were begun, each as far as its successor.  (S, 3) each."""
-        self._tell_what_happened([entry for _, _, entry in flight.entries])
+        self._tell_what_happened([entry for _, entry in flight.entries])
         self._tell_the_route()
         self._tell_of_terrain()
-        self.exposure = self._exposure()
-        """Within radar ranges, on the way."""
         self._tell_of_link_and_gps()
 
-    def time_s(self, moment: Moment) -> float:
-        """The time of the report of something that happened."""
-        at = self.flight.index_at(moment.boot, moment.t_s)
-        return moment.t_s if at is None else float(self.times_s[at])
-
-    def log_s(self, time_us: IntArray) -> FloatArray:
-        """The time of the report of times of the log.  (N,) -> (N,)."""
-        track = self.flight.track
-        first_us, first_s = (track.time_us[0], track.t_s[0]) if len(track) else (0, 0.0)
-        return np.asarray((time_us - first_us) * 1e-6 + first_s, dtype=np.float64)
-
-    def _tell_what_happened(self, entries: Sequence[noted.Entry]) -> None:
-        found = [entry.name for entry in entries if isinstance(entry, noted.VehicleFound)]
-        ends = [entry for entry in entries if isinstance(entry, noted.End)]
-        plans = (e for e in entries if isinstance(e, noted.PlanReady | noted.PlanRefused))
-        self.vehicle = found[0] if found else ""
+    def _tell_what_happened(self, entries: list[noted.Entry]) -> None:
+        self.vehicle = next((e.name for e in entries if isinstance(e, noted.VehicleFound)), "")
         """What was flown."""
-        self.end = ends[-1] if ends else None
+        self.end = next((e for e in reversed(entries) if isinstance(e, noted.End)), None)
         """The end of the mission; None: the record ends before."""
         reason = "" if self.end is None else self.end.reason
         self.remedy = next((_REMEDIES[text] for text in _REMEDIES if reason.startswith(text)), "")
@@ -118,11 +99,12 @@ class FlightFacts:
         self.holds = [moment for moment in self.flight.moments if moment.what == "hold"]
         """When it was held, and why."""
         last_s = float(self.times_s[-1]) if len(self.times_s) else 0.0
-        ends_s = [last_s if each.until_s is None else each.until_s for each in self.holds]
-        self.held_s = sum(max(s - h.t_s, 0.0) for h, s in zip(self.holds, ends_s, strict=True))
+        lasted_s = ((last_s if h.until_s is None else h.until_s) - h.t_s for h in self.holds)
+        self.held_s = sum(max(each, 0.0) for each in lasted_s)
         """For how long in all, as far as it was recorded."""
         self.counts = Counter(entry.kind for entry in entries)
         """How many entries of each kind the journal has."""
+        plans = (e for e in entries if isinstance(e, noted.PlanReady | noted.PlanRefused))
         self.out_of_time = sum(plan.out_of_time for plan in plans)
         """How many plans were cut by time, found or not."""
         told = self.run.get("planning_s")
@@ -131,23 +113,35 @@ class FlightFacts:
         """How long plans took, median and longest, wall time; None: that was not recorded."""
 
     def _tell_the_route(self) -> None:
-        chosen = np.flatnonzero(self.on_the_way)
-        seconds = np.floor(self.times_s[chosen] / _STEP_S)
-        rows = np.union1d(np.flatnonzero(np.diff(seconds, prepend=-1.0)), [len(chosen) - 1])
-        route_ne_m = self.flight.places_nea_m[chosen[rows] if len(chosen) else chosen, :2]
+        seconds = np.floor(self.times_s[self.way])  # finer, and the noise of a hover adds up
+        rows = np.union1d(np.flatnonzero(np.diff(seconds, prepend=-1.0)), [len(self.way) - 1])
+        route_ne_m = self.flight.places_nea_m[self.way[rows] if len(self.way) else self.way, :2]
         self.flown_m = float(np.hypot(*np.diff(route_ne_m, axis=0).T).sum())
         """How far it flew over ground, by where it was once a second."""
-        starts = [(north_m, east_m) for north_m, east_m in route_ne_m[:1].tolist()]
-        self.stations_ne_m = [*starts, *self.flight.targets_ne_m] if starts else []
-        """The start of its way, and the targets; none without a way."""
-        self.straight_m = sum(math.dist(a, b) for a, b in itertools.pairwise(self.stations_ne_m))
-        """From the start of its way straight from target to target."""
-        self.left_m = math.dist(route_ne_m[-1], self.stations_ne_m[-1]) if starts else 0.0
-        """Straight from where it was last to the last target."""
+        self.stations_ne_m = [*route_ne_m[:1].tolist(), *self.flight.decided.targets_ne_m]
+        """The start of its way, and the targets."""
+        self.straight_m = self.left_m = 0.0
+        """From the start of its way straight from target to target; from where it was last."""
+        if len(route_ne_m):
+            pairs = itertools.pairwise(self.stations_ne_m)
+            self.straight_m = sum(math.dist(a, b) for a, b in pairs)
+            self.left_m = math.dist(route_ne_m[-1], self.stations_ne_m[-1])
+        points_nea_m, inside = self.flight.places_nea_m[self.way], np.zeros(len(self.way), bool)
+        highest, whose = 0.0, ""
+        for radar in self.flight.mission.task.radars:
+            distances_m = radar.distance_m(points_nea_m)
+            inside |= distances_m <= radar.range_m
+            detection = detection_probability(distances_m, radar.range_m)
+            if (most := float(detection.max(initial=0.0))) > highest:
+                highest, whose = most, radar.name
+        steps_m = np.linalg.norm(np.diff(points_nea_m, axis=0), axis=1)[inside[:-1]]
+        steps_s = np.diff(self.times_s[self.way])[inside[:-1]]
+        self.exposure = Exposure(float(steps_m.sum()), float(steps_s.sum()), highest, whose)
+        """Within radar ranges, on the way."""
 
     def _tell_of_terrain(self) -> None:
-        flight, known = self.flight, self.known
-        task, points = flight.mission.task, flight.places_nea_m[self.on_the_way]
+        flight, known, way = self.flight, self.known, self.way
+        task, points = flight.mission.task, flight.places_nea_m[way]
         cell_m = task.cell_m if known is None else known.cell_m
         reach_m = max(min(8.0 * task.required_clearance_m, _MOST_CELLS * cell_m), 2.0 * cell_m)
         self.clearance_reach_m = reach_m
@@ -164,32 +158,11 @@ class FlightFacts:
             [distances_to_terrain_m(known, part, reach_m, seen_only=True) for part in parts]
         )
         least = int(np.argmin(self.clearances_m))
-        distance_m = float(self.clearances_m[least])
-        at = int(np.flatnonzero(self.on_the_way)[least])
         self.nearest = Nearest(
-            distance_m=distance_m,
-            is_bound=distance_m >= reach_m,
-            time_s=float(self.times_s[at]),
+            distance_m=float(self.clearances_m[least]),
+            time_s=float(self.times_s[way[least]]),
             place_nea_m=points[least].tolist(),
-            place_deg=(float(flight.track.latitude_deg[at]), float(flight.track.longitude_deg[at])),
-        )
-
-    def _exposure(self) -> Exposure:
-        points, inside = self.flight.places_nea_m, np.zeros(len(self.times_s), dtype=bool)
-        highest, whose = 0.0, ""
-        for radar in self.flight.mission.task.radars:
-            distances_m = radar.distance_m(points)
-            inside |= distances_m <= radar.range_m
-            detection = detection_probability(distances_m, radar.range_m)[self.on_the_way]
-            if (most := float(detection.max(initial=0.0))) > highest:
-                highest, whose = most, radar.name
-        counts = (inside & self.on_the_way)[:-1] & self.on_the_way[1:]
-        steps_m = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        return Exposure(
-            length_m=float(steps_m[counts].sum()),
-            duration_s=float(np.diff(self.times_s)[counts].sum()),
-            detection=highest,
-            radar=whose,
+            place_deg=flight.frame.to_geodetic_deg(*points[least, :2].tolist()),
         )
 
     def _tell_of_link_and_gps(self) -> None:
@@ -203,19 +176,24 @@ class FlightFacts:
         self.silence_s = int(np.diff(heard_us).max(initial=0)) * 1e-6
         """The longest time without a frame of the autopilot."""
         sent_us, positions_us = np.array(flight.setpoints_us, np.int64), flight.track.time_us
-        for phase, part in flight.segments() if len(positions_us) else ():
+        for phase, part in flight.segments():
             if phase == Phase.FLYING.value:
                 begin, end = np.searchsorted(sent_us, positions_us[[part.start, part.stop - 1]])
                 longest_us = max(longest_us, int(np.diff(sent_us[begin:end]).max(initial=0)))
         self.setpoint_gap_s = longest_us * 1e-6
         """The longest time between two setpoints in one stretch of flying; 0: there are none."""
-        time_us, self.fixes, seen = np.array(flight.gps, dtype=np.int64).reshape(-1, 3).T
-        """GPS_FIX_TYPE each time that the GPS spoke, 3 and more: in three dimensions.  (M,)"""
-        self.gps_s, self.satellites = self.log_s(time_us), np.where(seen == _UNKNOWN, np.nan, seen)
-        """When that was, and how many it saw; NaN: not known.  (M,) each"""
-        has_had_one = np.cumsum(self.fixes >= 3) > 0
-        lasted_s = np.diff(self.gps_s, append=self.gps_s[-1:])
-        self.without_fix_s = float(lasted_s[(self.fixes < 3) & has_had_one].sum())
+        gps_us, fixes, seen = np.array(flight.gps, dtype=np.int64).reshape(-1, 3).T
+        self.gps_s: FloatArray = np.zeros(len(gps_us))
+        if len(positions_us):
+            self.gps_s = np.interp(gps_us, positions_us, self.times_s)
+        """Each time that the GPS spoke,"""
+        self.has_fix: BoolArray = fixes >= 3
+        """whether it had a fix in three dimensions,"""
+        self.satellites: FloatArray = np.where(seen == _UNKNOWN, np.nan, seen)
+        """and how many satellites it saw; NaN: not known.  (M,) each"""
+        has_had_one = np.cumsum(self.has_fix) > 0
+        lasted_s = np.diff(gps_us, append=gps_us[-1:]) * 1e-6
+        self.without_fix_s = float(lasted_s[~self.has_fix & has_had_one].sum())
         """How long the GPS said that it had no fix in three dimensions, after its first one."""
         self.fewest_satellites = float(np.fmin.reduce(self.satellites[has_had_one], initial=np.nan))
         """That the GPS saw after its first fix; NaN: it did not say."""

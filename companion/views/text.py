@@ -13,123 +13,91 @@ from companion.mission.events import Outcome
 from companion.mission.mission import EndAction, Mission
 from companion.path.certificate import Certificate
 from companion.planner.request import Planned
-from companion.planner.settings import Task
 from companion.telemetry.flight_summary import FlightSummary
-from companion.views.words import rounded_down, share_of
-from companion.world.near_map import NearSensor
+from companion.views.words import metres, rounded_down, share_of
+
+_COLOURS = {CheckStatus.PASSED: "green", CheckStatus.NOTED: "yellow", CheckStatus.REFUSED: "red"}
+_LAST = {
+    EndAction.HOLD: "hold there",
+    EndAction.LAND: "land there",
+    EndAction.RETURN: "come back along the flown path",
+}
 
 
 def mission_summary(mission: Mission) -> str:
     """Summary of a mission, as text for the operator."""
-    limits, settings = mission.task.limits, mission.task.settings
-    profile, upwards = settings.profile, "straight up to" if limits.hovers else "to"
+    task, limits, settings = mission.task, mission.task.limits, mission.task.settings
+    who = ", ".join(f"{system}/{component}" for system, component in mission.commanders)
+    circles = "" if limits.hovers else f", holding on circles of {metres(limits.loiter_radius_m)}"
+    passed = "" if limits.hovers else "; each is passed, then circled"
+    inner = sum(zone.keep_in for zone in task.zones)
+    own = " and the vehicle's own fence" if mission.fence_from_vehicle else ""
+    proven = "proven safe before it is flown" if settings.profile.verified else "flown unproven"
     lines = [
-        f"{mission.name}: profile {profile.name}",
-        f"  {_vehicle(mission)}",
-        f"  Take off, climb {upwards} {_m(mission.task.take_off_amsl_m)} AMSL, "
-        f"then fly at {limits.speed_m_s:g} m/s between {_m(limits.floor_amsl_m)} and "
-        f"{_m(limits.ceiling_amsl_m)} AMSL.",
-        f"  {_targets(mission)}",
-        f"  Turns no tighter than {_m(limits.turn_radius_m)}, climbs to "
+        f"{mission.name}: profile {settings.profile.name}",
+        f"{mission.kind}, {mission.autopilot or 'whichever autopilot is found'}{circles}; "
+        f"obeys {who or 'nobody'} (0: any component).",
+        f"Take off, climb to {metres(task.take_off_amsl_m)} AMSL, then fly at "
+        f"{limits.speed_m_s:g} m/s between {metres(limits.floor_amsl_m)} and "
+        f"{metres(limits.ceiling_amsl_m)} AMSL.",
+        f"Go to {_targets(mission)}, and {_LAST[mission.end_action]}{passed}.",
+        f"Turns no tighter than {metres(limits.turn_radius_m)}, climbs to "
         f"{math.degrees(limits.climb_angle_rad):g}, dives to "
         f"{math.degrees(limits.dive_angle_rad):g} degrees.",
-        f"  {_sight(mission)}",
-        f"  Kept from terrain and keep-outs: {_m(settings.safety_distance_m)} (d_s). "
-        f"{_threats(mission)}",
-        f"  Each subpath: {settings.evaluations} candidates at {profile.samples} points; "
-        + ("proven safe before it is flown." if profile.verified else "flown unproven."),
-        "  If no safe subpath is found it flies the last one to its end, stops there and tries "
+        _sight(mission),
+        f"Kept from terrain and keep-outs: {metres(settings.safety_distance_m)} (d_s). "
+        f"Known: {len(task.radars)} radars, {len(task.zones) - inner} keep-outs, "
+        f"{inner} keep-ins{own}.",
+        f"Each subpath: {settings.evaluations} candidates at {settings.profile.samples} points; "
+        f"{proven}.",
+        "If no safe subpath is found it flies the last one to its end, stops there and tries "
         f"again; after {mission.attempts} attempts: {mission.fallback.value}.",
     ]
-    return "\n".join(lines)
+    return "\n  ".join(lines)
 
 
 def _targets(mission: Mission) -> str:
-    last = {
-        EndAction.HOLD: "hold there",
-        EndAction.LAND: "land there",
-        EndAction.RETURN: "come back along the flown path",
-    }[mission.end_action]
-    limits = mission.task.limits
-    if not limits.hovers:
-        last += f"; each is passed within {_m(limits.tracking_error_m)}, then circled"
     if mission.targets_from_vehicle:
-        return f"Go to the waypoints of the vehicle's own mission, and {last}."
+        return "the waypoints of the vehicle's own mission"
     places = [
-        f"{_m(abs(north))} {'south' if north < 0.0 else 'north'}, "
-        f"{_m(abs(east))} {'west' if east < 0.0 else 'east'}"
+        f"{metres(abs(north))} {'south' if north < 0.0 else 'north'}, "
+        f"{metres(abs(east))} {'west' if east < 0.0 else 'east'}"
         for north, east in mission.targets_ne_m
     ]
-    route = " then ".join(places)
     ends = [(0.0, 0.0), *mission.targets_ne_m]
-    straight = sum(math.dist(a, b) for a, b in itertools.pairwise(ends))
-    return f"Go to {route} of the origin ({_m(straight)} straight from there), and {last}."
-
-
-def _threats(mission: Mission) -> str:
-    task = mission.task
-    radars = f"{len(task.radars)} radars are known and avoided where possible"
-    inner = sum(zone.keep_in for zone in task.zones)
-    outer = len(task.zones) - inner
-    zones = f"{outer} keep-outs are never entered" if outer else "no keep-outs"
-    kept = f"; {inner} keep-ins are never left" if inner else ""
-    own = "; and the vehicle's own fence" if mission.fence_from_vehicle else ""
-    return f"{radars}; {zones}{kept}{own}."
+    straight_m = sum(math.dist(a, b) for a, b in itertools.pairwise(ends))
+    return f"{' then '.join(places)} of the origin ({metres(straight_m)} straight from there)"
 
 
 def _sight(mission: Mission) -> str:
-    """What is known of the terrain, and how more becomes known."""
+    """What is known of the terrain, how more becomes known, and where it is planned with."""
     task, settings = mission.task, mission.task.settings
-    known = ""
+    known, sensor, scans = "", mission.near, ""
     if mission.known is not None:
-        known_m = np.isfinite(mission.known.upper_m)
-        hole_ha = float(np.count_nonzero(~known_m)) * mission.known.cell_m**2 / 1e4
-        hole = f" (all but {max(math.ceil(hole_ha), 1):,} ha)" if hole_ha else ""
-        known = f" Terrain of {share_of(known_m.mean())} of the map is known in advance{hole}."
+        share = float(np.isfinite(mission.known.upper_m).mean())
+        known = f" Terrain of {share_of(share)} of the map is known in advance."
         if mission.known.guess_m is not None:
             share = float(np.isfinite(mission.known.guess_m).mean())
             known = f" A file guides over {share_of(share)} of the map, and proves nothing."
-    if mission.near is not None:
-        return _near_sight(mission, mission.near)
-    if mission.scanner_component_id is None:
+    if sensor is not None:
+        seen = (
+            f"{sensor.kind.upper()} of component {sensor.component_id} shows what stands within "
+            f"{metres(sensor.range_m)} (R); what it has not passed is unknown. What stands in the "
+            "way stops the vehicle at once."
+        )
+        known = ""
+    elif mission.scanner_component_id is None:
         return f"There is no terrain radar: only known terrain is flown over.{known}"
-    gaps = ""
-    if not mission.scanner_complete:
-        gaps = " It may miss ground in its sight: nothing bounds what it does not show."
+    else:
+        scans = f"scans for up to {settings.scan_time_s:g} s, "
+        seen = f"The radar sees {metres(settings.scan_range_m)} (R)."
+        if not mission.scanner_complete:
+            seen += " It may miss ground in its sight: nothing bounds what it does not show."
     return (
-        f"The radar sees {_m(settings.scan_range_m)} (R).{gaps} "
-        f"{_handover(task, f'scans for up to {settings.scan_time_s:g} s, ')}{known}"
+        f"{seen} {metres(task.scan_distance_m)} (L) before the end of each subpath it {scans}plans "
+        f"for {settings.planning_time_s:g} s (T), and goes over to the next subpath "
+        f"{metres(task.tail_m)} before the end.{known}"
     )
-
-
-def _handover(task: Task, scans: str = "") -> str:
-    """Where on a subpath the next one is planned and taken, p_scan and p_prog (`Leg.scan_at_m`)."""
-    begins = f"{_m(task.scan_distance_m)} (L) before the end of each subpath it {scans}plans"
-    plans = f"for {task.settings.planning_time_s:g} s (T)"
-    return f"{begins} {plans}, and goes over to the next subpath {_m(task.tail_m)} before the end."
-
-
-def _near_sight(mission: Mission, sensor: NearSensor) -> str:
-    """What looks about, and what that proves."""
-    return (
-        f"{sensor.kind.upper()} of component {sensor.component_id} shows what stands within "
-        f"{_m(sensor.range_m)} (R) at the height of flight; what it has not passed is unknown. "
-        f"{_handover(mission.task)} What stands in the way stops the vehicle at once."
-    )
-
-
-def _vehicle(mission: Mission) -> str:
-    """The vehicle, and who may command it."""
-    limits = mission.task.limits
-    kind = f"{mission.kind}, {mission.autopilot or 'whichever autopilot is found'}"
-    if not limits.hovers:
-        kind += f", holding on circles of {_m(limits.loiter_radius_m)}"
-    who = ", ".join(f"{system}/{component}" for system, component in mission.commanders)
-    return f"{kind}; obeys {who or 'nobody'} (0: any component)."
-
-
-def _m(value_m: float) -> str:
-    return f"{value_m / 1000:.4g} km" if abs(value_m) >= 1000.0 else f"{value_m:g} m"
 
 
 def flight_table(flown: FlightSummary) -> Table:
@@ -139,31 +107,29 @@ def flight_table(flown: FlightSummary) -> Table:
     table = Table(title=title, show_header=False)
     table.add_column()
     table.add_column(justify="right")
-    rows = [("outcome", "none" if flown.end is None else flown.end.outcome.value)]
+    table.add_row("outcome", "none" if flown.end is None else flown.end.outcome.value)
     arrived = flown.end is not None and flown.end.outcome is Outcome.ARRIVED
     if arrived and not session.mission.task.limits.hovers and flown.passed_m < math.inf:
-        rows.append(("passed the target at", f"{flown.passed_m:,.1f} m"))
+        table.add_row("passed the target at", f"{flown.passed_m:,.1f} m")
     elif flown.to_go_m is not None:
-        rows.append(("distance to target", f"{flown.to_go_m:,.1f} m"))
+        table.add_row("distance to target", f"{flown.to_go_m:,.1f} m")
     since = " since it was resumed" if flown.resumed else ""
-    rows.append((f"vehicle time{since}", f"{session.clock.passed_s:,.1f} s"))
-    rows.append((f"wall time{since}", f"{flown.elapsed_s:,.1f} s"))
-    rows.append(("times real time", f"{flown.times_real_time:,.0f}x"))
-    rows.append(("subpaths flown", f"{session.state.flight.legs_flown}"))
+    table.add_row(f"vehicle time{since}", f"{session.clock.passed_s:,.1f} s")
+    table.add_row(f"wall time{since}", f"{flown.elapsed_s:,.1f} s")
+    table.add_row("times real time", f"{flown.times_real_time:,.0f}x")
+    table.add_row("subpaths flown", f"{session.state.flight.legs_flown}")
     if flown.plans:
-        rows.append(("cost of all subpaths", f"{sum(plan.cost for plan in flown.plans):.1f}"))
+        table.add_row("cost of all subpaths", f"{sum(plan.cost for plan in flown.plans):.1f}")
         nearest = min((plan.certificate for plan in flown.plans), key=lambda each: each.clearance_m)
-        rows.append(("least proven clearance", clearance_text(nearest)))
-        inside = sum(plan.certificate.radar_m for plan in flown.plans)
-        rows.append(("planned inside radar ranges", f"{inside:,.0f} m"))
+        table.add_row("least proven clearance", clearance_text(nearest))
+        inside_m = sum(plan.certificate.radar_m for plan in flown.plans)
+        table.add_row("planned inside radar ranges", f"{inside_m:,.0f} m")
     if flown.plans_s:
         median, worst = statistics.median(flown.plans_s), max(flown.plans_s)
-        rows.append(("planning, median / longest", f"{median * 1e3:,.0f} / {worst * 1e3:,.0f} ms"))
+        table.add_row("planning, median / longest", f"{median * 1e3:,.0f} / {worst * 1e3:,.0f} ms")
     if flown.out_of_time:
         remedy = "raise planner.planning_time_s, or use a faster computer"
-        rows.append(("plans cut by time", f"{flown.out_of_time}: {remedy}"))
-    for name, value in rows:
-        table.add_row(name, value)
+        table.add_row("plans cut by time", f"{flown.out_of_time}: {remedy}")
     return table
 
 
@@ -190,9 +156,6 @@ def clearance_text(certificate: Certificate) -> str:
     """The clearance that is proven for a subpath, or which bounds are not."""
     proven = certificate.proven
     return f"{rounded_down(certificate.clearance_m):,.0f} m" if proven else "not proven"
-
-
-_COLOURS = {CheckStatus.PASSED: "green", CheckStatus.NOTED: "yellow", CheckStatus.REFUSED: "red"}
 
 
 def checks_table(checks: list[Check]) -> Table:

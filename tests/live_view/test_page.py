@@ -18,7 +18,6 @@ from PIL import Image
 from playwright.sync_api import Page, expect, sync_playwright
 
 from companion.geodesy import FloatArray
-from companion.live_view.command import Asked
 from companion.live_view.server import serve
 
 _OPTIONS = (
@@ -141,10 +140,8 @@ def test_an_event_that_is_clicked_is_shown_where_it_happened_though_it_flies_on(
 def served(folder: Path, port: int) -> Iterator[None]:
     """The page of a run folder, from this process."""
     over, ready = threading.Event(), threading.Event()
-    asked = Asked(path=str(folder), port=port)
-    serving = threading.Thread(
-        target=serve, args=(asked, lambda _: ready.set(), over.is_set), daemon=True
-    )
+    asked = (folder, port, lambda _: ready.set(), over.is_set)
+    serving = threading.Thread(target=serve, args=asked, daemon=True)
     serving.start()
     assert ready.wait(_PATIENCE_MS / 1e3)
     yield
@@ -167,7 +164,6 @@ def test_its_run_folder_is_shown_again_and_the_page_comes_back(
         expect(slider).not_to_have_attribute("aria-valuenow", "0")  # it is where the flight ended
         slider.press("Home")
         expect(clock).to_have_text("time0:00")
-        page.get_by_role("button", name="next plan").click()
-        expect(clock).not_to_have_text("time0:00")
+        slider.press("End")
         expect(page.get_by_text("newest plan")).to_be_visible()
         shows_clicked_event(page)

@@ -1,10 +1,9 @@
 """What the page shows of a flight that was recorded, without a browser."""
 
 import math
-import re
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,15 +16,13 @@ from recorded import flown, mission_file, record
 
 from companion.config import load_mission
 from companion.errors import InputError
-from companion.live_view.command import Asked
-from companion.live_view.ground import PROVEN, UNKNOWN, Ground, Replica, ground_of, last_ground
+from companion.live_view.ground import PROVEN, UNKNOWN, Ground, Replica, ground_of
 from companion.live_view.page import Page
-from companion.live_view.panel import charts_of, near_ground
+from companion.live_view.panel import charts_of
 from companion.live_view.recording import Recording
 from companion.live_view.server import serve
 from companion.session import Session
 from companion.telemetry.inputs import HEADER, packed
-from companion.world.known_map import packed_map
 
 GROWING = ("flight.tlog", "journal.jsonl", "inputs.msgpack")
 PIECES = 5
@@ -53,12 +50,15 @@ def session(flight: tuple[Path, Session]) -> Session:
     return flight[1]
 
 
-@contextmanager
-def read(folder: Path) -> Iterator[Recording]:
+def read(folder: Path) -> closing[Recording]:
     """What was recorded, all of it."""
-    with Recording(folder) as recording:
-        recording.read()
-        yield recording
+    return closing(Recording(folder))
+
+
+def newest(replica: Replica, recording: Recording, time_s: float) -> Ground | None:
+    """What was known of the ground at a time of the flight."""
+    number = replica.number_at(recording.flight, time_s)
+    return None if number < 0 else ground_of(*replica.known(number), recording.flight.mission)
 
 
 def advanced(replica: Replica) -> Replica:
@@ -90,7 +90,7 @@ def test_a_flight_that_grows_is_read_like_one_that_is_over(run_dir: Path, tmp_pa
     for name in GROWING:
         (tmp_path / name).touch()
     replica, at_once = Replica(tmp_path), advanced(Replica(run_dir))
-    with Recording(tmp_path) as growing, read(run_dir) as whole:
+    with read(tmp_path) as growing, read(run_dir) as whole:
         for piece in range(PIECES + 1):
             for name in GROWING:
                 (tmp_path / name).write_bytes(data[name][: len(data[name]) * piece // PIECES])
@@ -100,12 +100,8 @@ def test_a_flight_that_grows_is_read_like_one_that_is_over(run_dir: Path, tmp_pa
         for name in ("times_s", "places_nea_m"):
             assert np.array_equal(getattr(growing.flight, name), getattr(whole.flight, name))
         assert replica.ended is None
-        assert np.array_equal(replica.samples, at_once.samples, equal_nan=True)
-        for time_s in whole.flight.times_s[:: len(whole.flight.times_s) // 50]:
-            (number, ground), (other, same) = (
-                each.ground_at(whole.flight, float(time_s)) for each in (replica, at_once)
-            )
-            assert number == other
+        for time_s in whole.flight.times_s[:: len(whole.flight.times_s) // 50].tolist():
+            ground, same = newest(replica, growing, time_s), newest(at_once, whole, time_s)
             assert (ground and ground.height_m.tobytes()) == (same and same.height_m.tobytes())
 
 
@@ -113,8 +109,7 @@ def test_the_ground_is_what_the_flight_knew(run_dir: Path, session: Session) -> 
     """Drawn by blocks of 2 x 2 cells, by the least sure of them."""
     replica = advanced(Replica(run_dir))
     with read(run_dir) as recording:
-        grounds = [replica.ground_at(recording.flight, at_s)[1] for at_s in (0.0, math.inf)]
-    first, last = grounds
+        first, last = (newest(replica, recording, at_s) for at_s in (0.0, math.inf))
     assert first is not None
     assert last is not None
     assert (first.kind == UNKNOWN).all()
@@ -131,23 +126,6 @@ def test_the_ground_is_what_the_flight_knew(run_dir: Path, session: Session) -> 
     assert (drawn_aside.kind == PROVEN).sum() < (last.kind == PROVEN).sum()
 
 
-def test_what_was_known_in_the_end_is_there_before_the_flight_is_replayed(
-    run_dir: Path, session: Session, tmp_path: Path
-) -> None:
-    known, shown = session.state.flight.known, list[Ground]()
-    assert last_ground(tmp_path, session.mission) is None
-    shutil.copytree(run_dir, tmp_path / "run")
-    (tmp_path / "run" / "known.npz").write_bytes(packed_map(known))
-    scene = SimpleNamespace(show_ground=shown.append)
-    with page_of(tmp_path / "run") as (_, page):
-        page._time_s = page._recording.ends_s
-        said = page._show_ground(scene, 0.0)  # type: ignore[arg-type]
-    assert said.endswith("shown as at the end")
-    [ground] = shown
-    whole = ground_of(known, ORIGIN, session.mission)
-    assert np.array_equal(ground.kind == PROVEN, whole.kind == PROVEN)
-
-
 def test_trees_hide_no_vehicle_that_flies_between_them() -> None:
     """A flat beam does not see how high they are: so high as paths may be is all that matters."""
     mission = load_mission("forest")
@@ -161,20 +139,22 @@ def test_trees_hide_no_vehicle_that_flies_between_them() -> None:
     assert (ground.kind == UNKNOWN).sum() + len(drawn_m) == ground.kind.size
 
 
-def test_charts_tell_the_known_ground_and_the_way_off_the_path(run_dir: Path) -> None:
-    replica = advanced(Replica(run_dir))
+def test_charts_tell_the_known_ground_and_the_way_off_the_path(
+    run_dir: Path, session: Session
+) -> None:
+    known = session.state.flight.known
     with read(run_dir) as recording:
-        height, aside = charts_of(recording, replica)
-        phases = [recording.flight.decided_at(float(t)).phase for t in aside[0]]
-        clear_m, under_m = near_ground(recording, replica, height[0])
+        height, aside = charts_of(recording, known)
+        phases = [decided.phase for decided in recording.flight.decided_at(aside[0])]
+        rows = [recording.flight.row_at(time_s) for time_s in height[0].tolist()]
+        places = recording.flight.places_nea_m[rows]
     down = np.array([phase in ("landing", "done") for phase in phases])
     assert down.any()
     assert np.isnan(aside[1][down]).all()
-    told = np.isfinite(clear_m)
-    assert told.any()
-    assert np.array_equal(height[2], under_m, equal_nan=True)
-    assert (clear_m[told] <= (height[1] - height[2])[told] + 1e-6).all()  # straight down is one way
-    assert np.nanmax(aside[1]) < recording.flight.mission.task.limits.tracking_error_m
+    assert np.nanmax(aside[1]) < session.mission.task.limits.tracking_error_m
+    ground_m = [known.upper_m[known.cell_of(*place[:2])] for place in places.tolist()]
+    assert height[2] == pytest.approx(ground_m)
+    assert np.array_equal(height[1], places[:, 2])
 
 
 # --- the page
@@ -190,10 +170,10 @@ def shown(run_dir: Path) -> Iterator[tuple[viser.ViserServer, Page]]:
 
 def test_all_of_a_flight_is_in_the_scene(shown: tuple[viser.ViserServer, Page]) -> None:
     handles = shown[0].scene._handle_from_node_name
-    of_world = {"/vehicle", "/track", "/unknown", "/guessed/ground", "/targets/1"}
-    of_plan = {f"/plan/{name}" for name in ("p_scan", "p_prog", "leg", "control", "guide")}
-    assert of_world | of_plan | {"/scan/reach/ring"} <= set(handles)
-    assert [name for name in handles if re.fullmatch(r"/proven/\d+_\d+", name)]
+    of_world = {"/vehicle", "/track", "/unknown", "/ground/guessed", "/decided/target_1"}
+    of_plan = {"p_scan", "p_prog", "leg", "control", "guide", "reach"}
+    assert of_world | {f"/decided/{name}" for name in of_plan} <= set(handles)
+    assert "/ground/proven" in handles
     labels = {handles[name].text for name in handles if name.endswith("/label")}  # type: ignore[attr-defined]
     assert {"target", 'keep-out tower <&> "mast"', "keep-out village", "keep-in county"} <= labels
 
@@ -202,14 +182,15 @@ def test_the_scene_and_the_panel_follow_the_time(shown: tuple[viser.ViserServer,
     """Before the first plan there is none in it."""
     server, page = shown
     statuses, places = [], []
-    for now_s, moment in ((90.0, "began"), (91.0, "newest"), (92.0, "began"), (93.0, "next hold")):
-        page.go_to(0.0) if moment == "began" else page.jump(moment)
+    for now_s, moment in ((90.0, "began"), (91.0, "newest"), (92.0, "began"), (93.0, "held")):
+        held = next(each for each in page._recording.events if "paused by" in each.text)
+        page.go_to({"began": 0.0, "newest": None, "held": held.time_s}[moment])
         page.step(now_s, 0.1)
         names = set(server.scene._handle_from_node_name)
-        if moment != "next hold":
+        if moment != "held":
             there = moment == "newest"
-            assert ({"/plan/leg", "/plan/guide", "/scan/reach/ring"} <= names) is there
-            assert ("/plan/control" in names) is there
+            assert ({"/decided/leg", "/decided/guide", "/decided/reach"} <= names) is there
+            assert ("/decided/control" in names) is there
         statuses.append(page.status)
         places.append(server.scene.get_handle_by_name("/vehicle").position.copy())  # type: ignore[union-attr]
     assert statuses[-1] != statuses[0]
@@ -220,15 +201,17 @@ def test_the_scene_and_the_panel_follow_the_time(shown: tuple[viser.ViserServer,
 def test_the_time_that_somebody_moves_to_holds_though_the_page_moves_on(
     shown: tuple[viser.ViserServer, Page],
 ) -> None:
+    """What is told from here, and not by a browser, is nothing that somebody does."""
     _, page = shown
-    page.jump("newest")
+    page.go_to(None)
     page.step(102.0, 0.1)
-    slider = page._slider
-    newest_s, slider.value = slider.value, 7.0  # as viser has it, once a browser has said so
-    page._when_moved(SimpleNamespace(client=object(), target=slider))
-    slider.value = newest_s  # a step was under way
-    page._wait(0.0)
+    slider, told = page._slider, page._doing(lambda event: page.go_to(event.target.value))
+    newest_s = slider.value
+    told(SimpleNamespace(client=object(), target=SimpleNamespace(value=7.0)))
     page.step(103.0, 0.1)
+    assert slider.value == 7.0
+    told(SimpleNamespace(client=None, target=SimpleNamespace(value=newest_s)))
+    page.step(104.0, 0.1)
     assert slider.value == 7.0
 
 
@@ -245,12 +228,13 @@ def test_while_the_ground_is_read_browsers_are_not_sent_each_state_of_it(
             page.step(now_s, 0.1)
             now_s += 0.01
         assert page.replica is not None
-        _, newest = page.replica.ground_at(page._recording.flight, math.inf)
-    assert newest is not None
-    assert 2 <= len(sent) <= now_s / 2.0 + 2.0
-    assert np.array_equal(sent[-1].kind, newest.kind)
+        page.step(now_s + 1.0, 0.1)
+        last = newest(page.replica, page._recording, math.inf)
+    assert last is not None
+    assert 2 <= len(sent) <= now_s + 2.0
+    assert np.array_equal(sent[-1].kind, last.kind)
 
 
 def test_a_folder_without_a_flight_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="it holds no mission"):
-        serve(Asked(path=str(tmp_path), port=0), lambda _: None, lambda: True)
+        serve(tmp_path, 0, lambda _: None, lambda: True)

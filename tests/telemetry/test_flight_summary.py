@@ -57,7 +57,7 @@ def test_it_is_what_the_messages_say_and_whole_as_json(name: str) -> None:
     for flown, newest in flights(name):
         it, position = flight_status(flown), newest.get("GLOBAL_POSITION_INT")
         assert msgspec.json.decode(msgspec.json.encode(it), type=FlightStatus) == it
-        if position is None or it.position_nea_m is None or not newest.get("SYS_STATUS"):
+        if position is None or it.latitude_deg is None or not newest.get("SYS_STATUS"):
             continue
         state = flown.session.state
         if state.vehicle.position_at_s * 1e3 != pytest.approx(position.time_boot_ms):
@@ -73,11 +73,9 @@ def test_it_is_what_the_messages_say_and_whole_as_json(name: str) -> None:
         assert percent in [pytest.approx(each.battery_remaining) for each in said]
         assert it.armed == bool(newest["HEARTBEAT"].base_mode & 128)
         assert it.to_go_m == pytest.approx(to_target_m(flown, position), rel=1e-4, abs=0.1)
-        assert it.way_left_m is not None
         if state.phase is Phase.FLYING and it.time_left_s is not None:
-            assert it.way_left_m > 0.999 * it.to_go_m
             way_m = it.time_left_s * flown.session.mission.task.limits.speed_m_s
-            assert way_m == pytest.approx(it.way_left_m)
+            assert way_m > 0.999 * it.to_go_m
         seen.append(it)
     assert len(seen) > 50
     assert {each.phase for each in seen} >= {"flying", "holding"}

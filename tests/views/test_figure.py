@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 from companion.geodesy import FloatArray
+from companion.telemetry.export.shapes import highest
 from companion.views import figure as views
-from companion.views.figure import DPI, SIZE_IN, FlightFigure, TerrainPicture, compose, draw
+from companion.views.figure import DPI, SIZE_IN, FlightFigure, compose, draw
+from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone, PolygonZone
 
@@ -25,11 +27,11 @@ def hill(north_m: FloatArray, east_m: FloatArray) -> FloatArray:
     return 100.0 + 400.0 * np.exp(-(((north_m - 2500) / 900) ** 2) - ((east_m - 2000) / 600) ** 2)
 
 
-def terrain_of(extent_m: float, cells: int, stretch: float = 1.0) -> TerrainPicture:
-    edges = np.linspace(0.0, extent_m, cells + 1)
-    middles = (edges[1:] + edges[:-1]) / 2 / stretch
+def terrain_of(extent_m: float, cells: int, stretch: float = 1.0) -> KnownMap:
+    known = empty_map(extent_m / cells, (0.0, extent_m), (0.0, extent_m))
+    middles = (np.arange(cells) + 0.5) * known.cell_m / stretch
     heights = hill(middles[:, None], middles[None, :])
-    return TerrainPicture(north_edges_m=edges, east_edges_m=edges, heights_m=heights)
+    return replace(known, upper_m=heights, seen=np.ones_like(heights, dtype=bool))
 
 
 def a_flight() -> FlightFigure:
@@ -40,7 +42,7 @@ def a_flight() -> FlightFigure:
     return FlightFigure(
         title="a flight of $5 worth_of words",
         caption="one line",
-        terrain=terrain_of(5000.0, 200),
+        known=terrain_of(5000.0, 200),
         floor_amsl_m=450.0,
         ceiling_amsl_m=700.0,
         start_nea_m=(500.0, 500.0, 520.0),
@@ -59,9 +61,9 @@ PATH = np.concatenate(a_flight().legs_nea_m)
 
 
 def unknown(flight: FlightFigure, where: Any, value: float = math.nan) -> FlightFigure:
-    heights = flight.terrain.heights_m.copy()
+    heights = flight.known.upper_m.copy()
     heights[where] = value
-    return replace(flight, terrain=replace(flight.terrain, heights_m=heights))
+    return replace(flight, known=replace(flight.known, upper_m=heights))
 
 
 def axes_of(flight: FlightFigure) -> dict[str, Any]:
@@ -195,16 +197,14 @@ def test_a_high_wall_of_terrain_does_not_flatten_the_band() -> None:
 # --- size
 
 
-def test_coarser_terrain_is_nowhere_lower_and_has_the_same_extent() -> None:
-    fine = unknown(replace(a_flight(), terrain=terrain_of(5000.0, 333)), np.s_[:50, 90:]).terrain
-    coarse = fine.coarser()
-    assert max(coarse.heights_m.shape) <= 120
-    assert coarse.north_edges_m[[0, -1]] == pytest.approx(fine.north_edges_m[[0, -1]])
-    middles = (fine.north_edges_m[1:] + fine.north_edges_m[:-1]) / 2
-    points = np.stack(np.meshgrid(middles, middles, indexing="ij"), axis=-1)
-    known = np.isfinite(fine.heights_m)
-    assert ((coarse.under_m(points) - fine.heights_m)[known] >= 0.0).all()
-    assert np.nanmax(coarse.heights_m) == fine.heights_m[known].max()
+@pytest.mark.parametrize("step", [1, 3, 7, 40])
+def test_of_a_block_of_cells_the_highest_is_drawn(step: int) -> None:
+    fine = np.random.default_rng(step).random((33, 40))
+    blocks = highest(fine, step)
+    for (row, column), value in np.ndenumerate(blocks):
+        cells = np.s_[row * step : (row + 1) * step, column * step : (column + 1) * step]
+        assert value == fine[cells].max()
+    assert blocks.shape == tuple(-(-count // step) for count in fine.shape)
 
 
 @pytest.mark.usefixtures("coarse")
@@ -214,8 +214,8 @@ def test_worlds_of_any_size_are_drawn_with_their_own_extent(
 ) -> None:
     scale = extent_m / 5000.0
     legs = tuple(leg * [scale, scale, 1.0] for leg in a_flight().legs_nea_m)
-    terrain = terrain_of(extent_m, 440, stretch=scale)
-    sized = replace(a_flight(), terrain=terrain, legs_nea_m=legs)
+    known = terrain_of(extent_m, 440, stretch=scale)
+    sized = replace(a_flight(), known=known, legs_nea_m=legs)
     draw(sized, tmp_path / "flight.png")
     axes = axes_of(sized)
     assert axes["plan"].get_xlim() == pytest.approx((0.0, extent_m / unit_m))

@@ -25,8 +25,8 @@ FLIES = {"phase": Phase.FLYING, "reason": None}
 LONGEST = json.loads("""{
     "altitude_amsl_m": -1234.5, "above_ground_m": -1234.5, "clearance_m": 9e3, "looked_m": 9e3,
     "speed_m_s": 150.0, "course_rad": 6.0, "climb_m_s": -10.0, "safety_distance_m": 1e3,
-    "way_left_m": 1.5e5, "to_go_m": 1.5e5, "time_left_s": 36e3, "t_s": 86400.0,
-    "link_age_s": 599.9, "link_round_trip_s": 1.999, "times_real_time": 187.0,
+    "to_go_m": 1.5e5, "time_left_s": 36e3, "t_s": 86400.0,
+    "link_age_s": 599.9, "times_real_time": 187.0,
     "plan_cost": 1234.56, "plan_took_s": 29.999, "plan_clearance_m": 9e3
 }""")
 """The longest values that a table has to hold."""
@@ -54,7 +54,7 @@ class Terminal:
 
     def table(self) -> str:
         """What stands in the table now."""
-        self.console.print(status_table(flight_status(self.flown), 0.0))
+        self.console.print(status_table(flight_status(self.flown)))
         return self.console.export_text()
 
     def warn(self, text: str) -> None:
@@ -110,8 +110,8 @@ def test_a_vehicle_that_was_up_for_long_is_flown_at_the_pace_of_the_clock() -> N
     terminal = Terminal()
     terminal.show(3_000.0, **FLIES)
     terminal.flown.elapsed_s = 30.0
-    [line] = terminal.show(3_030.0, phase=Phase.RETURNING)
-    assert "   1x real time" in line
+    terminal.show(3_030.0, phase=Phase.RETURNING)
+    assert " 1x real time" in terminal.table()
 
 
 # --- the table
@@ -121,7 +121,7 @@ def shown(status: FlightStatus, width: int, **options: Any) -> str:
     """The table as it stands in a terminal of so many columns."""
     file = io.StringIO()
     console = Console(width=width, file=file, legacy_windows=False, **options)
-    console.print(status_table(status, 0.0))
+    console.print(status_table(status))
     return file.getvalue()
 
 

@@ -14,7 +14,7 @@ from companion.campaign.families import unseen
 from companion.paper.compare.comparisons import Comparison, by_heading
 from companion.paper.compare.missions import Outcome
 from companion.views import figure as views
-from companion.views.figure import FlightFigure, TerrainPicture
+from companion.views.figure import FlightFigure
 from companion.world.simulated import true_map
 
 _OURS, _PAPERS = "#0050b5", "#8a6d3b"
@@ -112,7 +112,7 @@ def _flight(outcome: Outcome) -> FlightFigure:
     world, run, limits = outcome.case.world, outcome.shown, outcome.case.world.task.limits
     return FlightFigure(
         title="",
-        terrain=TerrainPicture.of(true_map(world.terrain, unseen(world))),
+        known=true_map(world.terrain, unseen(world)),
         floor_amsl_m=limits.floor_amsl_m,
         ceiling_amsl_m=limits.ceiling_amsl_m,
         start_nea_m=world.start_nea_m,

@@ -17,20 +17,21 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from companion.geodesy import FloatArray
-from companion.mission.state import Phase
 from companion.telemetry.export import shapes
 from companion.telemetry.flight import Flight, IntArray
 from companion.world.zones import CircleZone
 
 Facts = dict[str, str | int | float | bool | None]
 """For people who click on it: names with units, plain values; None: not known, or none."""
-_NO_FACTS: Final[Facts] = {}
 _OF_PLAN: Final = ("length_m", "cost", "evaluations", "reaches_target")
-_OF_PROOF: Final = (
-    *("clearance_m", "keep_out_m", "dead_man_m", "turn_radius_m", "climb_angle_rad"),
-    *("dive_angle_rad", "lowest_amsl_m", "highest_amsl_m", "radar_m"),
-)
+_GEOMETRIES: Final = {
+    **dict.fromkeys(("track", "subpath"), "LineString"),
+    **dict.fromkeys(("target", "rally", "event"), "Point"),
+}
+"""Of kinds in GeoJSON; the others are areas."""
 _OF_MOMENT: Final = ("what", "why", "code", "t_s", "until_s")
+MAX_POINTS: Final = 50_000
+"""Of all tracks about: more than that, and map programs become slow."""
 
 
 class Feature(NamedTuple):
@@ -41,30 +42,33 @@ class Feature(NamedTuple):
     name: str
     points: FloatArray
     """(N, 3) longitude, latitude, altitude AMSL; (1, 2) of a place on the ground.  Of an area its
-    edge, anticlockwise, the first point not repeated; a zone's is at the mission's ceiling."""
+    edge, anticlockwise and closed, at the mission's ceiling or the radar's altitude."""
     facts: Facts
-    times_us: IntArray | None = None
+    times_us: IntArray = np.empty(0, dtype=np.int64)
     """When the vehicle was at each point, microseconds since 1970; of tracks and events."""
 
 
 def features_of(flight: Flight) -> Iterator[Feature]:
     """The features of a flight, kind by kind."""
-    whole, frame, task = flight.track, flight.mission.frame, flight.mission.task
+    track, frame, task = flight.track, flight.mission.frame, flight.mission.task
+    lon_lat_up = np.column_stack([track.longitude_deg, track.latitude_deg, track.altitude_amsl_m])
     facts: Facts
     for phase, part in flight.segments():  # each up to where the next one begins
-        drawn = slice(part.start, min(part.stop + 1, len(whole)))
-        piece = whole.part(shapes.thinned(drawn, len(whole)))
+        first, last = part.start, min(part.stop, len(track) - 1)
+        count = min(last - first, math.ceil(MAX_POINTS * (last - first) / len(track)))
+        rows = np.unique(np.linspace(first, last, count + 1).astype(np.intp))
         facts = {
-            "from_utc": shapes.utc_text(whole.time_us[part.start]),
-            "until_utc": shapes.utc_text(whole.time_us[part.stop - 1]),
-            "from_s": float(whole.t_s[part.start]),
-            "until_s": float(whole.t_s[part.stop - 1]),
+            "phase": phase,
+            "from_utc": shapes.utc_text(track.time_us[first]),
+            "until_utc": shapes.utc_text(track.time_us[part.stop - 1]),
+            "from_s": float(track.t_s[first]),
+            "until_s": float(track.t_s[part.stop - 1]),
             "positions": part.stop - part.start,
         }
-        line, times_us = shapes.of_track(piece), piece.time_us
-        yield Feature(kind="track", name=phase, points=line, facts=facts, times_us=times_us)
+        yield Feature("track", phase, lon_lat_up[rows], facts, track.time_us[rows])
     for planned in flight.planned:
         plan, proven = planned.plan, planned.plan.certificate
+        is_bounded = proven.clearance_m is not None and math.isfinite(proven.clearance_m)
         facts = {
             "plan_id": plan.plan_id,
             "leg": planned.leg,
@@ -72,37 +76,32 @@ def features_of(flight: Flight) -> Iterator[Feature]:
             "ready_s": plan.t_s,
             "begun_s": planned.begun_s,
             **{name: getattr(plan, name) for name in _OF_PLAN},
-            **{name: _bounded(getattr(proven, name)) for name in _OF_PROOF},
+            "clearance_m": proven.clearance_m if is_bounded else None,  # JSON has no infinity
             "broken": ", ".join(proven.broken),
         }
         line = shapes.of_subpath(plan.subpath, frame)
-        yield Feature(kind="subpath", name=f"plan {plan.plan_id}", points=line, facts=facts)
-    for kind, places in {"target": flight.targets_ne_m, "rally": flight.mission.rally_ne_m}.items():
+        yield Feature("subpath", f"plan {plan.plan_id}", line, facts)
+    targets_ne_m = flight.decided.targets_ne_m
+    for kind, places in {"target": targets_ne_m, "rally": flight.mission.rally_ne_m}.items():
         for number, place_ne_m in enumerate(places, start=1):
             place = np.array([frame.to_geodetic_deg(*place_ne_m)[::-1]])
-            yield Feature(kind=kind, name=f"{kind} {number}", points=place, facts=_NO_FACTS)
-    for zone in flight.zones:
-        kind = "keep_in" if zone.keep_in else "keep_out"
-        radius_m = zone.radius_m if isinstance(zone, CircleZone) else None
-        facts = {"keep_in": zone.keep_in, "radius_m": radius_m}
-        edge = shapes.of_zone(zone, frame, task.limits.ceiling_amsl_m)
-        yield Feature(kind=kind, name=zone.name, points=edge, facts=facts)
+            yield Feature(kind, f"{kind} {number}", place, {})
+    for zone in flight.zones_of(flight.decided):
+        edge_ne_m, ceiling_m = shapes.outline_ne_m(zone), task.limits.ceiling_amsl_m
+        facts = {"radius_m": zone.radius_m if isinstance(zone, CircleZone) else None}
+        edge = shapes.of_points(np.insert(edge_ne_m, 2, ceiling_m, axis=1), frame)
+        yield Feature("keep_in" if zone.keep_in else "keep_out", zone.name, edge, facts)
     for radar in task.radars:
-        facts = {"range_m": radar.range_m, "altitude_amsl_m": radar.centre_nea_m[2]}
-        edge = shapes.of_radar(radar, frame)
-        yield Feature(kind="radar", name=radar.name, points=edge, facts=facts)
-    for moment in flight.moments:  # where the vehicle was then
-        if (at := flight.index_at(moment.boot, moment.t_s)) is not None:
-            here = whole.part(slice(at, at + 1))
-            facts = {name: getattr(moment, name) for name in _OF_MOMENT}
-            place, time_us = shapes.of_track(here), here.time_us
-            name = moment.what
-            yield Feature(kind="event", name=name, points=place, facts=facts, times_us=time_us)
-
-
-def _bounded(number: float | None) -> float | None:
-    """JSON has no infinity."""
-    return number if number is not None and math.isfinite(number) else None
+        north_m, east_m, altitude_m = radar.centre_nea_m
+        facts = {"range_m": radar.range_m, "altitude_amsl_m": altitude_m}
+        edge_ne_m = shapes.circle_ne_m((north_m, east_m), radar.range_m)
+        edge = shapes.of_points(np.insert(edge_ne_m, 2, altitude_m, axis=1), frame)
+        yield Feature("radar", radar.name, edge, facts)
+    for moment in flight.moments if len(track) else ():  # where the vehicle was then
+        at = flight.row_at(moment.time_s)
+        facts = {name: getattr(moment, name) for name in _OF_MOMENT}
+        facts["utc"] = shapes.utc_text(track.time_us[at])
+        yield Feature("event", moment.what, lon_lat_up[[at]], facts, track.time_us[[at]])
 
 
 # --- GeoJSON
@@ -111,59 +110,46 @@ def _bounded(number: float | None) -> float | None:
 def write_geojson(flight: Flight, file: Path) -> None:
     """Write a flight, one feature a line.  Raises OSError if that cannot be done."""
     head = {"type": "FeatureCollection", "name": flight.mission.name, "altitude_datum": "AMSL"}
+    lines = (
+        json.dumps(_geojson(each), ensure_ascii=False, allow_nan=False)
+        for each in features_of(flight)
+    )
     with file.open("w", encoding="utf-8") as out:
         out.write(json.dumps(head, ensure_ascii=False)[:-1] + ', "features": [')
-        for number, each in enumerate(features_of(flight)):
-            text = json.dumps(_geojson(each), ensure_ascii=False, allow_nan=False)
-            out.write(",\n" * (number > 0) + text)
-        out.write("\n]}\n")
+        out.write(",\n".join(lines) + "\n]}\n")
 
 
 def _geojson(each: Feature) -> dict[str, Any]:
     """As the standard has it; property `kind` says what each is."""
-    properties: dict[str, Any] = {"kind": each.kind, "name": each.name}
-    if each.kind == "track":
-        properties["phase"] = each.name
-    properties |= each.facts
-    if each.kind == "event" and each.times_us is not None:
-        properties["utc"] = shapes.utc_text(each.times_us[0])
-    is_zone = each.kind in ("keep_in", "keep_out")
-    rows = [
-        [round(longitude, 7), round(latitude, 7), *(round(up, 3) for up in height)]
-        for longitude, latitude, *height in each.points[:, : 2 if is_zone else 3].tolist()
-    ]
-    if is_zone or each.kind == "radar":
-        geometry: dict[str, Any] = {"type": "Polygon", "coordinates": [[*rows, rows[0]]]}
-    else:
-        rows = [row for row, _ in groupby(rows)]  # none that repeats the one before
-        is_line = len(rows) > 1
-        geometry = {"type": "LineString", "coordinates": rows}
-        geometry = geometry if is_line else {"type": "Point", "coordinates": rows[0]}
+    rows = [[round(value, 7) for value in row] for row in each.points.tolist()]
+    rows = [row for row, _ in groupby(rows)]  # none that repeats the one before
+    kind = _GEOMETRIES.get(each.kind, "Polygon")
+    if kind == "LineString" and len(rows) == 1:
+        rows *= 2
+    coordinates = {"Point": rows[0], "LineString": rows, "Polygon": [rows]}[kind]
+    properties = {"kind": each.kind, "name": each.name, **each.facts}
+    geometry = {"type": kind, "coordinates": coordinates}
     return {"type": "Feature", "properties": properties, "geometry": geometry}
 
 
 # --- KML 2.2 with Google's gx:Track: the flight in Google Earth, with its time slider
 
-_PHASES: Final = {
-    Phase.TAKING_OFF.value: "ffb4771f",
-    Phase.FLYING.value: "ff2ca02c",
-    Phase.HOLDING.value: "ff2827d6",
-    Phase.ARRIVED.value: "ffcfbe17",
-    Phase.RETURNING.value: "ff0e7fff",
-    Phase.LANDING.value: "ffbd6794",
-    Phase.SHADOW.value: "ff4b568c",
-    Phase.FAULTED.value: "ffc277e3",
-}
-"""Colours as KML has them: opacity, blue, green, red; phases on the ground are grey."""
 _STYLES: Final = {
-    **{f"phase-{name.replace(' ', '-')}": (colour, 3, None) for name, colour in _PHASES.items()},
-    "phase-other": ("ff7f7f7f", 3, None),
+    "phase-flying": ("ff2ca02c", 3, None),
+    "phase-holding": ("ff2827d6", 3, None),
+    "phase-returning": ("ff0e7fff", 3, None),
+    "phase-landing": ("ffbd6794", 3, None),
+    "phase-faulted": ("ffc277e3", 3, None),
+    "track": ("ff7f7f7f", 3, None),
     "subpath": ("a000ffff", 2, None),
     "keep_out": ("ff0000ff", 1, "300000ff"),
     "radar": ("ff0000ff", 1, "300000ff"),
     "keep_in": ("ff00ff00", 1, "0000ff00"),
 }
-"""Of phases and kinds of features: colour and width of lines, and what fills areas."""
+"""Of phases and kinds of features: colour and width of lines, and what fills areas.
+
+Colours are opacity, blue, green, red; phases in which nothing is flown are grey.
+"""
 _FOLDERS: Final = {
     "flown track": ("track",),
     "planned subpaths": ("subpath",),
@@ -190,7 +176,6 @@ def write_kml(flight: Flight, file: Path) -> None:
         features=list(features_of(flight)),
         name_of=_name,
         style_of=_style,
-        tuple=tuple,
     )
     with file.open("w", encoding="utf-8") as out:
         out.writelines(parts)
@@ -201,8 +186,6 @@ def _name(each: Feature) -> str:
     match each.kind:
         case "subpath":
             return f"{each.name}, leg {facts['leg']}" if facts["leg"] else f"{each.name}, not flown"
-        case "rally":
-            return each.name.replace("rally", "rally point")
         case "event":
             return f"{facts['what']}: {facts['why']}"
         case _:
@@ -211,19 +194,17 @@ def _name(each: Feature) -> str:
 
 def _style(each: Feature) -> str:
     """Its name among `_STYLES`; empty: Google Earth's own."""
-    if each.kind == "track":
-        return f"phase-{each.name.replace(' ', '-') if each.name in _PHASES else 'other'}"
-    return each.kind if each.kind in _STYLES else ""
+    names = (f"phase-{each.name}", each.kind) if each.kind == "track" else (each.kind,)
+    return next((name for name in names if name in _STYLES), "")
 
 
 def _printable(text: object) -> str:
     return "".join(c if c.isprintable() or c in "\n\t" else " " for c in str(text))
 
 
-def _rows(points: FloatArray) -> str:
-    """(N, 3), or (N, 2) of places on the ground, however high that is."""
-    rows = ((*point, 0.0)[:3] for point in points.tolist())
-    return " ".join(f"{east:.7f},{north:.7f},{up:.3f}" for east, north, up in rows)
+def _rows(points: FloatArray, between: str = ",") -> list[str]:
+    """Places, (N, 3) or (N, 2), as KML has them."""
+    return [between.join(f"{value:.7f}" for value in point) for point in points.tolist()]
 
 
 # --- CSV: one row for each position that the vehicle has reported
@@ -250,7 +231,7 @@ COLUMNS: Final = {
 
 def write_csv(flight: Flight, file: Path) -> None:
     """Write the track.  Raises OSError if that cannot be done."""
-    track, known = flight.track, flight.decided_at_positions()
+    track, known = flight.track, flight.decided_at(flight.times_s)
     north_m, east_m, _ = flight.places_nea_m.T
     values: dict[str, Any] = {
         "utc": [shapes.utc_text(time_us) for time_us in track.time_us],

@@ -2,35 +2,30 @@
 
 import math
 from datetime import UTC, datetime, timedelta
-from typing import final
+from typing import Final, TypeVar, final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from companion.geodesy import FloatArray, LocalFrame
+from companion.geodesy import BoolArray, FloatArray, LocalFrame
 from companion.mission.events import Vector
 from companion.path.subpath import Subpath
-from companion.telemetry.flight import IntArray, Track
+from companion.world.known_map import KnownMap
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone, Zone
 
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+Number = TypeVar("Number", bound=np.generic)
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _CURVE_POINTS = 2000
 _CURVE_ERROR_M = 0.25  # a hand's breadth off the curve, which nobody sees
 _CHORD_M, _MAX_CHORDS = 5.0, 400
 _CIRCLE_POINTS, _BALL_RINGS = 72, 13
-MAX_POINTS = 50_000
-"""Of a drawn track: more than that, and map programs become slow."""
 
 
 def utc_text(time_us: int) -> str:
     """The time of microseconds since 1970 as ISO 8601, as xsd:dateTime has it."""
     time = _EPOCH + timedelta(microseconds=int(time_us))
     return time.isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
-def of_track(track: Track) -> FloatArray:
-    """Its positions.  -> (N, 3)."""
-    return np.column_stack([track.longitude_deg, track.latitude_deg, track.altitude_amsl_m])
 
 
 def of_points(points_nea_m: FloatArray, frame: LocalFrame) -> FloatArray:
@@ -50,18 +45,6 @@ def of_subpath(subpath: Subpath, frame: LocalFrame) -> FloatArray:
     steps = math.sqrt(8.0 * _CURVE_ERROR_M / max(float(bends_m.max()), 1e-6))
     chosen = np.arange(0, _CURVE_POINTS, max(int(steps), 1))
     return of_points(points_nea_m[[*chosen, _CURVE_POINTS]], frame)
-
-
-def of_zone(zone: Zone, frame: LocalFrame, altitude_amsl_m: float) -> FloatArray:
-    """Its edge, anticlockwise as seen from above, the first point not repeated.  -> (N, 3)."""
-    return of_points(np.insert(outline_ne_m(zone)[:-1], 2, altitude_amsl_m, axis=1), frame)
-
-
-def of_radar(radar: Radar, frame: LocalFrame) -> FloatArray:
-    """The circle in which its range reaches, at its own altitude, likewise.  -> (N, 3)."""
-    north_m, east_m, altitude_amsl_m = radar.centre_nea_m
-    ring_ne_m = circle_ne_m((north_m, east_m), radar.range_m)[:-1]
-    return of_points(np.insert(ring_ne_m, 2, altitude_amsl_m, axis=1), frame)
 
 
 def circle_ne_m(centre_ne_m: tuple[float, float], radius_m: float) -> FloatArray:
@@ -95,14 +78,25 @@ def ball_nea_m(radar: Radar, band_m: tuple[float, float], points: int) -> FloatA
     return np.stack(ball, axis=-1) * radar.range_m + [north_m, east_m, altitude_m]
 
 
-def thinned(part: slice, total: int) -> IntArray:
-    """Indices of a part of a track, so many of them that all parts together are not too many.
+def heights_m(known: KnownMap) -> FloatArray:
+    """Of the terrain that was seen or known in advance, AMSL; NaN of other cells."""
+    return np.where(known.surveyed & np.isfinite(known.upper_m), known.upper_m, np.nan)
 
-    The first and the last one stay.  total: positions of the whole track.
-    """
-    step = -(-total // MAX_POINTS)
-    indices = np.arange(part.start, part.stop, step)
-    return indices if indices[-1] == part.stop - 1 else np.append(indices, part.stop - 1)
+
+def under_m(known: KnownMap, points_ne_m: FloatArray) -> FloatArray:
+    """That of the cell that holds each point, NaN outside.  (N, 2) -> (N,)."""
+    cells = np.floor((points_ne_m - (known.north_min_m, known.east_min_m)) / known.cell_m)
+    is_inside: BoolArray = np.all((cells >= 0) & (cells < known.shape), axis=-1)
+    rows, columns = np.where(is_inside[:, None], cells, 0).astype(np.intp).T
+    return np.where(is_inside, heights_m(known)[rows, columns], np.nan)
+
+
+def highest(values: NDArray[Number], step: int) -> NDArray[Number]:
+    """The highest value of each block of step x step cells."""
+    rows, columns = (np.arange(0, count, step) for count in values.shape)
+    of_rows = np.maximum.reduceat(values, rows, 0)
+    blocks: NDArray[Number] = np.maximum.reduceat(of_rows, columns, 1)
+    return blocks
 
 
 @final

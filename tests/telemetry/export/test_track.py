@@ -13,8 +13,8 @@ from companion.config import load_mission
 from companion.mission import journal as noted
 from companion.mission.journal import Header
 from companion.path.subpath import Subpath
-from companion.telemetry.export import shapes
-from companion.telemetry.export.formats import write_csv, write_kml
+from companion.telemetry.export import formats, shapes
+from companion.telemetry.export.formats import features_of, write_csv, write_kml
 from companion.telemetry.flight import Flight
 
 EPOCH_US = 1_790_000_000_000_000
@@ -48,7 +48,7 @@ def at(*times_s: float, entries: Any = ()) -> Flight:
 
 
 def phases(flight: Flight) -> list[str]:
-    return [each.phase for each in flight.decided_at_positions()]
+    return [each.phase for each in flight.decided_at(flight.times_s)]
 
 
 def phase(time_s: float, name: str, reason: str | None = None) -> Any:
@@ -154,10 +154,23 @@ def test_phases_are_those_of_their_times(times_s: Any, entries: list[Any], expec
     assert phases(at(*times_s, entries=entries)) == expected.split()
 
 
+def test_a_reboot_before_the_first_fix_is_a_reboot() -> None:
+    """As after a change of parameters; what was said before it is before the first position."""
+    frames = [position(t, lat=0, lon=0) for t in (99.0, 101.0, 0.2)] + [
+        position(0.5),
+        position(2.0),
+    ]
+    found = flight(*frames, entries=REBOOTED)
+    assert phases(found) == ["preparing", "holding"]
+    assert [time_s for time_s, _ in found.entries] == pytest.approx([0.0, 0.0, 0.0, 0.1])
+    assert (found.left_out, found.times_s.tolist()) == (3, [0.0, 1.5])
+
+
 def test_moments_and_segments_are_those_of_their_boots() -> None:
     found = at(99.0, 100.0, 101.0, 0.5, 0.6, entries=REBOOTED)
-    assert [(m.what, m.boot) for m in found.moments] == [("reboot", 1), ("hold", 1)]
-    assert [found.index_at(boot, 0.6) for boot in (1, 0)] == [4, 0]
+    rows = [(m.what, found.row_at(m.time_s)) for m in found.moments]
+    assert rows == [("reboot", 2), ("hold", 4)]
+    assert [found.row_at(found.time_of(boot, 0.6)) for boot in (1, 0)] == [4, 0]
     expected = [("waiting", 0, 1), ("flying", 1, 3), ("preparing", 3, 4), ("holding", 4, 5)]
     assert [(name, part.start, part.stop) for name, part in found.segments()] == expected
 
@@ -165,8 +178,8 @@ def test_moments_and_segments_are_those_of_their_boots() -> None:
 def test_without_positions_nothing_has_a_place() -> None:
     found = flight(entries=[phase(1.0, "holding", "x")])
     assert (len(found.track), found.left_out, found.segments()) == (0, 0, [])
-    assert shapes.of_track(found.track).shape == (0, 3)
-    assert found.index_at(0, 1.0) is None
+    assert found.places_nea_m.shape == (0, 3)
+    assert {each.kind for each in features_of(found)} <= {"target", "radar"}
 
 
 def test_the_newest_targets_count_and_the_fence_is_there_once() -> None:
@@ -176,11 +189,11 @@ def test_the_newest_targets_count_and_the_fence_is_there_once() -> None:
     fences = [noted.entry_of({**fence, "zones": [circle] * count}) for count in (2, 1)]
     targets = noted.Targets(time_s=1.0, targets_ne_m=((5.0, 6.0), (7.0, 8.0)))
     found = at(1.0, entries=[*fences, targets])
-    assert found.targets_ne_m == ((5.0, 6.0), (7.0, 8.0))
-    assert len(found.zones) == 1
+    assert found.decided.targets_ne_m == ((5.0, 6.0), (7.0, 8.0))
+    assert len(found.zones_of(found.decided)) == 1
     there = noted.entry_of({**order, "order": "REPOSITION", "target_ne_m": [9.0, 10.0]})
     pause = noted.entry_of({**order, "order": "PAUSE", "target_ne_m": None})
-    assert at(1.0, entries=[there, pause]).targets_ne_m == ((9.0, 10.0),)
+    assert at(1.0, entries=[there, pause]).decided.targets_ne_m == ((9.0, 10.0),)
 
 
 # --- shapes
@@ -189,15 +202,17 @@ def test_the_newest_targets_count_and_the_fence_is_there_once() -> None:
 def test_a_long_track_is_thinned_evenly_and_keeps_its_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(shapes, "MAX_POINTS", 500)
-    count = 3 * shapes.MAX_POINTS - 7
-    frames = [position(0.1 * k, lat=470_000_000 + 10 * k) for k in range(count)]
-    kept = shapes.thinned(slice(0, count), count)
-    assert len(kept) <= shapes.MAX_POINTS + 1
-    assert (kept[0], kept[-1]) == (0, count - 1)
-    assert set(np.diff(kept)[:-1]) == {3}
-    write_kml(flight(*frames, entries=[phase(0.0, "flying")]), tmp_path / "long.kml")
-    assert (tmp_path / "long.kml").read_text(encoding="utf-8").count("<when>") == len(kept)
+    monkeypatch.setattr(formats, "MAX_POINTS", 500)
+    frames = [position(0.1 * k, lat=470_000_000 + 10 * k) for k in range(1493)]
+    found = flight(*frames, entries=[phase(0.0, "flying")])
+    [track] = [each for each in features_of(found) if each.kind == "track"]
+    steps = np.diff(track.points[:, 1] * 1e6).round()
+    assert len(steps) <= formats.MAX_POINTS
+    assert set(steps) == {2.0, 3.0}
+    assert track.points[[0, -1], 1] == pytest.approx(found.track.latitude_deg[[0, -1]])
+    write_kml(found, tmp_path / "long.kml")
+    written = (tmp_path / "long.kml").read_text(encoding="utf-8")
+    assert written.count("<when>") == len(track.points)
 
 
 def test_a_place_beside_a_subpath_is_told_how_far_it_is_and_where_it_is_nearest() -> None:
