@@ -117,11 +117,7 @@ class LidarConditions(NamedTuple):
     stuck: bool = False
     turned_rad: float = 0.0
     clock_us: int = 0
-    clock_jump_us: int = 0
     rate_hz: float = 0.0
-    frame: int = 12
-    junk: float = 0.0
-    mirrored: bool = False
 
 
 class AutopilotConditions(NamedTuple):
@@ -422,16 +418,9 @@ FAULTS: Final = (
     Fault("lidar", "lidar_stuck", "The same distances for ever, with new stamps.", "stuck"),
     Fault("lidar", "lidar_turned {turned_rad:-360:360} deg",
         "It is mounted turned by this, and nobody knows."),
-    Fault("lidar", "lidar_clock {clock_us:-1e9:1e9} ms [jumping {clock_jump_us:60000} ms]",
-        "The driver's clock is ahead by this, and each stamp wrong by up to so much more, either "
-        "way."),
+    Fault("lidar", "lidar_clock {clock_us:-1e9:1e9} ms", "The driver's clock is ahead by this."),
     Fault("lidar", "lidar_rate {rate_hz:1000} Hz",
         "Of the driver's messages; else as in the world.  200: a flood."),
-    Fault("lidar", "lidar_frame {frame:255}", "The driver claims this MAV_FRAME."),
-    Fault("lidar", "lidar_junk {junk} %", "Share of the distances that are 0, 65535 or beyond the "
-        "limits, and of messages whose increment or offset is NaN."),
-    Fault("lidar", "lidar_mirror", "What a client says of obstacles comes back to it, and all that "
-        "the driver says is said in the companion's name too.", "mirrored"),
     Fault("autopilot", "rangefinder_off", "RANGEFINDER says 0, DISTANCE_SENSOR nothing.",
         "rangefinder_off"),
     Fault("autopilot", "setpoints_ignored", "The autopilot takes no setpoint, without a word.",

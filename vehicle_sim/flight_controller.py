@@ -330,11 +330,6 @@ def _files(_: FlightController, message: Any, sender: Sender) -> Replies:
         yield SendMessage(message=make("FILE_TRANSFER_PROTOCOL", *to, payload), to=sender)
 
 
-def _obstacles(it: FlightController, message: Any, _: Sender) -> Replies:
-    it.ranging.proximity.on_obstacle_distance(message, it.since_boot_us)
-    return ()
-
-
 HANDLERS: Final[dict[str, Callable[[FlightController, Any, Sender], Replies]]] = {
     "HEARTBEAT": _heartbeat,
     **dict.fromkeys(("COMMAND_LONG", "COMMAND_INT"), _command),
@@ -349,6 +344,5 @@ HANDLERS: Final[dict[str, Callable[[FlightController, Any, Sender], Replies]]] =
     "TIMESYNC": _time_sync,
     "SETUP_SIGNING": _setup_signing,
     "FILE_TRANSFER_PROTOCOL": _files,
-    "OBSTACLE_DISTANCE": _obstacles,
 }
 """Who handles which message."""

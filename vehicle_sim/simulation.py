@@ -50,7 +50,6 @@ _NOT_SURVIVED: Final = "SIM:"
 _DOWN_US: Final = 1_100_000
 """Without power: until the first heartbeat after it there is a gap of 2.1 s (ardupilot.md 5)."""
 _FARTHEST_DOWN_M: Final = 655.0
-_OF_OBSTACLES: Final = ("OBSTACLE_DISTANCE", "DISTANCE_SENSOR")
 
 
 @final
@@ -449,17 +448,11 @@ class Simulation:
         wrong, since_boot_us = self._conditions.lidar, self.now_us - controller.boot_us
         north_m, east_m, _ = self.place_nea_m()
         fired = lidar.step(self.now_us, self.vehicle, (north_m, east_m), wrong)
-        proximity, hears = controller.ranging.proximity, not self._is_down
-        if driver is None:
-            if hears and not wrong.silent:
-                angles_rad, distances_m = lidar.angles_rad[fired], lidar.distances_m[fired]
-                proximity.on_beams(angles_rad, distances_m, since_boot_us)
-            return
-        for message in driver.step(self.now_us, controller.boot_us, wrong):
-            if hears:
-                proximity.on_obstacle_distance(message, since_boot_us)
-            if wrong.mirrored and self.companion is not None:
-                self._radio.send_as(message, self.companion.system, self.companion.component)
+        if driver is not None:
+            driver.step(self.now_us, controller.boot_us, wrong)
+        elif controller.ranging.sectors and not (self._is_down or wrong.silent):
+            angles_rad, distances_m = lidar.angles_rad[fired], lidar.distances_m[fired]
+            controller.ranging.sectors.on_beams(angles_rad, distances_m, since_boot_us)
 
     def _go_down(self) -> None:
         """The flight controller loses power."""
@@ -508,8 +501,6 @@ class Simulation:
                 self._notice(f"heard {sender.system}/{sender.component}")
             if sender == self.companion and message.system_status == _POWEROFF:
                 self.companion_ended = True
-        if self._conditions.lidar.mirrored and kind in _OF_OBSTACLES:
-            self._radio.send_back(received)
         self._controller.receive(message, sender, self.now_us)
         if self.on_message is not None:
             self.on_message(kind)

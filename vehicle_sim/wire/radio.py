@@ -162,10 +162,6 @@ class Radio:
         """Send a message in somebody's name, on every link."""
         self._outbox += [self._frame(message, link, system, component) for link in self.links]
 
-    def send_back(self, received: Received) -> None:
-        """Send a client its own frame."""
-        self._outbox.append((received.sender.link, bytes(received.message.get_msgbuf())))
-
     def send_last(self, message: Any, link: int) -> None:
         """Queue a question of lockstep: after all else, and past what is wrong with the link."""
         self._question = self._frame(message, link, *self._ids)
