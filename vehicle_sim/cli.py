@@ -18,7 +18,7 @@ from vehicle_sim.errors import InputError, SimulatorError
 from vehicle_sim.faults import Timeline
 from vehicle_sim.links import Link, open_link, parse_endpoint
 from vehicle_sim.parameters import Firmware
-from vehicle_sim.server import Server, Settings, Station, stopping_on_signals, truth_files
+from vehicle_sim.server import Server, Settings, Station, stopping_on_signals, truth_file
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import VehicleKind, World, flat_world, read_world
 
@@ -48,6 +48,7 @@ Faults are one line each, such as "at 120 s for 30 s: gps_off": see docs/simulat
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 _CONNECT: Final = "udpout:127.0.0.1:14540"
 _HOME: Final = "47.397742,8.545594,488,0"
+_HOME_FIELDS: Final = ("latitude_deg", "longitude_deg", "altitude_amsl_m", "heading_deg")
 _MAX_VEHICLES: Final = 250
 _PX4_TIME_OUTS_S: Final = {"COM_OF_LOSS_T": 1.0, "COM_DL_LOSS_T": 10.0, "COM_OBC_LOSS_T": 5.0}
 _ROW_M: Final = 10.0
@@ -137,7 +138,7 @@ def fly(
     names = ["truth.jsonl", *(f"truth-{k}.jsonl" for k in range(2, count + 1))]
     with ExitStack() as stack:
         stop = stack.enter_context(stopping_on_signals())
-        truths = stack.enter_context(truth_files(out, names))
+        truths = [stack.enter_context(truth_file(out, name)) for name in names]
         opened = list[list[Link]]()
         for k in range(count if port_step else 1):
             opened.append([open_link(each.shifted(k * port_step)) for each in endpoints])
@@ -186,24 +187,12 @@ def _must_lie(
 
 def _flat(firmware: Firmware, kind: VehicleKind, home: str, scan_range_m: float | None) -> World:
     """Level ground at the height of --home."""
-    rule = "must be LAT,LON,ALT,HEADING within 85 deg, 180 deg, -1000 to 20000 m, 360 deg"
-    wrong = InputError("--home", home, rule, f"Try {_HOME}.")
     try:
-        latitude_deg, longitude_deg, altitude_m, heading_deg = map(float, home.split(","))
-    except ValueError:
-        raise wrong from None
-    in_range = abs(latitude_deg) <= 85.0 and abs(longitude_deg) <= 180.0
-    if not (in_range and -1000.0 <= altitude_m <= 20000.0 and abs(heading_deg) <= 360.0):
-        raise wrong
-    return flat_world(
-        kind,
-        firmware,
-        latitude_deg=latitude_deg,
-        longitude_deg=longitude_deg,
-        altitude_amsl_m=altitude_m,
-        heading_deg=heading_deg,
-        scan_range_m=scan_range_m,
-    )
+        place = dict(zip(_HOME_FIELDS, map(float, home.split(",")), strict=True))
+        return flat_world(kind, firmware, **place, scan_range_m=scan_range_m)
+    except ValueError:  # also pydantic's, of a place that is not on earth
+        rule = "must be LAT,LON,ALT,HEADING within 85 deg, 180 deg, -1000 to 20000 m, 360 deg"
+        raise InputError("--home", home, rule, f"Try {_HOME}.") from None
 
 
 def _with_parameters(world: World, assignments: list[str], speedup: float) -> World:
@@ -231,11 +220,11 @@ def _row(world: World, count: int, port_step: int) -> list[World]:
     why = f": there are system ids from {vehicle.system_id} to {highest}"
     _must_lie("--count", count, 1, most, f"Try {min(most, 5)}.", why)
     _must_lie("--port-step", port_step, 0, 1000, "Try 10.")
-    places = [(vehicle.system_id + k, vehicle.east_m + k * _ROW_M) for k in range(count)]
-    return [
-        replace(world, vehicle=replace(vehicle, system_id=system_id, east_m=east_m))
-        for system_id, east_m in places
-    ]
+    vehicles = (
+        replace(vehicle, system_id=vehicle.system_id + k, east_m=vehicle.east_m + k * _ROW_M)
+        for k in range(count)
+    )
+    return [replace(world, vehicle=each) for each in vehicles]
 
 
 def _timeline(file: Path, world: World) -> str:
@@ -303,7 +292,3 @@ def run(app: typer.Typer, program: str) -> None:
 def main() -> None:
     """Entry of the console script."""
     run(app, "vehicle-sim")
-
-
-if __name__ == "__main__":
-    main()

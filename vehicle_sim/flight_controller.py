@@ -172,7 +172,7 @@ class FlightController:
         """PX4 says it on links with a ground station, ArduPilot where anybody was heard."""
         self._texts, is_px4 = self._texts % 0xFFFF + 1, self.firmware == "px4"
         for link in self.radio.links:
-            if link in self.ground_stations if is_px4 else self.radio.router.heard(link):
+            if link in self.ground_stations if is_px4 else link in self.radio.router.heard_on:
                 for message in texts(text, self._texts):
                     self.radio.send(message, link)
         self._on_text(text)

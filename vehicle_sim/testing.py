@@ -179,7 +179,7 @@ class Simulator:
             vehicle.longitude_deg,
             vehicle.altitude_amsl_m,
             math.hypot(vehicle.velocity_north_m_s, vehicle.velocity_east_m_s),
-            vehicle.altitude_amsl_m - simulation.ground_amsl_m,
+            vehicle.altitude_amsl_m - simulation.contact.ground_amsl_m,
             simulation.mode_name,
             simulation.armed,
             simulation.landed,
@@ -192,13 +192,14 @@ class Simulator:
         """What is to go out goes out; what has come in is handled; in lockstep, wait for it."""
         simulation = self.simulation
         waits = self._lockstep and simulation.companion is not None
-        question_ns = simulation.ask_for_sync() if waits else -1
+        if waits:
+            simulation.ask_for_sync()
         start_s = again_s = time.monotonic()
         while True:
             self._send_and_receive()
             meanwhile()
             self._send_and_receive()
-            if not waits or simulation.answered_ns == question_ns:
+            if not waits or not simulation.waits:
                 return
             select.select(self._link.sockets, [], [], _POLL_S)
             now_s = time.monotonic()

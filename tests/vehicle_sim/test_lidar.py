@@ -250,7 +250,7 @@ def flown_at(autopilot: str, **near: Any) -> tuple[Simulation, Sequence[dict[str
 )
 def test_who_touches_something_thin_crashes(autopilot: str, thing: dict[str, Any]) -> None:
     simulation, truth = flown_at(autopilot, **thing)
-    assert simulation.nearest_m == min(row["near_m"] for row in truth) == 0.0
+    assert simulation.contact.nearest_m == min(row["near_m"] for row in truth) == 0.0
     assert (simulation.armed, simulation.landed) == (False, True)
     assert truth[-1]["north_m"] < 12.3
 
@@ -262,4 +262,4 @@ def test_who_passes_has_the_least_distance_in_the_truth() -> None:
     east_m = [row["east_m"] for row in truth if abs(row["north_m"] - 12.0) < 0.5]
     least_m = min(row["near_m"] for row in truth)
     assert least_m == pytest.approx(3.0 - 0.5 - float(np.mean(east_m)), abs=0.02)
-    assert least_m == pytest.approx(simulation.nearest_m, abs=1e-3)
+    assert least_m == pytest.approx(simulation.contact.nearest_m, abs=1e-3)

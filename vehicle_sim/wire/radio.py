@@ -5,7 +5,7 @@ not.  Frames for another link are forwarded unchanged.
 """
 
 from collections.abc import Container, Iterable
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -40,11 +40,11 @@ class Radio:
 
     def __init__(
         self,
-        *,
         system: int,
         component: int,
-        radar_component: int | None,
-        lidar_component: int | None,
+        *,
+        radar: int | None,
+        drivers: set[int],
         firmware: Firmware,
         links: int,
         byte_streams: Container[int],
@@ -53,8 +53,8 @@ class Radio:
     ) -> None:
         self.links = range(links)
         self.signing = None if firmware == "px4" else Signing()
-        self._firmware, self._forwards_all = firmware, forwards_all
-        self._radar, self._lidar = radar_component, lidar_component
+        self._forwards_all = forwards_all
+        self._make_router = partial(Router, radar=radar, drivers=drivers, firmware=firmware)
         self._parsers = [StreamParser(datagrams=link not in byte_streams) for link in self.links]
         self._in = [Impairments(rng, link=link, to_vehicle=True) for link in self.links]
         self._out = [Impairments(rng, link=link, to_vehicle=False) for link in self.links]
@@ -63,28 +63,15 @@ class Radio:
         self._outbox: list[tuple[int, bytes]] = []
         self._past: list[tuple[int, bytes]] = []
         """Questions of lockstep: they go after all else."""
-        self._question: tuple[int, bytes] | None = None
+        self._question: list[tuple[int, bytes]] = []
         self._packers: dict[tuple[int, int, int], Packer] = {}
         """By link, system and component."""
-        self._ids = (0, 0)
         self.boot_as(system, component)
 
     def boot_as(self, system: int, component: int) -> None:
-        """The autopilot has booted with these ids, and its radar and lidar with it."""
-        if self._ids != (system, component):
-            self._ids = (system, component)
-            self.router = Router(
-                system=system,
-                component=component,
-                radar=self._radar,
-                lidar=self._lidar,
-                firmware=self._firmware,
-            )
-            self.begin()
-
-    def restart(self) -> None:
-        """The autopilot boots: routes are forgotten; the signing key is not."""
-        self.router.restart()
+        """The autopilot boots with these ids: routes are forgotten; the signing key is not."""
+        self._ids = (system, component)
+        self.router = self._make_router(system=system, component=component)
         if self.signing is not None:
             self.signing.restart()
 
@@ -156,21 +143,20 @@ class Radio:
 
     def broadcast(self, message: Any, component: int) -> None:
         """The same, on every link."""
-        self.send_as(message, self._ids[0], component)
+        self.broadcast_as(message, self._ids[0], component)
 
-    def send_as(self, message: Any, system: int, component: int) -> None:
+    def broadcast_as(self, message: Any, system: int, component: int) -> None:
         """Send a message in somebody's name, on every link."""
         self._outbox += [self._frame(message, link, system, component) for link in self.links]
 
-    def send_last(self, message: Any, link: int) -> None:
+    def ask(self, message: Any, link: int) -> None:
         """Queue a question of lockstep: after all else, and past what is wrong with the link."""
-        self._question = self._frame(message, link, *self._ids)
-        self.send_last_again()
+        self._question = [self._frame(message, link, *self._ids)]
+        self.ask_again()
 
-    def send_last_again(self) -> None:
-        """Send the same frame again: another client may be listening now."""
-        if self._question is not None:
-            self._past.append(self._question)
+    def ask_again(self) -> None:
+        """Queue the same frame again: another client may be listening now."""
+        self._past += self._question
 
     def reopen(self, link: int) -> None:
         """Another client has connected: what the last one began to say is not continued."""
