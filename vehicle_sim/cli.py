@@ -122,7 +122,7 @@ def fly(
         lockstep=lockstep, speedup=speedup or 1.0, duration_s=duration or math.inf, strict=strict
     )
     worlds = _row(_with_parameters(flown, param or [], settings.speedup), count, port_step)
-    timeline = "" if faults is None else _timeline(faults, worlds[0])
+    timeline = "" if faults is None else _timeline(faults)
     simulations = [
         Simulation(
             each,
@@ -227,15 +227,14 @@ def _row(world: World, count: int, port_step: int) -> list[World]:
     return [replace(world, vehicle=each) for each in vehicles]
 
 
-def _timeline(file: Path, world: World) -> str:
+def _timeline(file: Path) -> str:
     """The text of a file of faults, which has been read through once."""
     try:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         rule = f"cannot be read ({getattr(error, 'strerror', None) or 'not a text file'})"
         raise InputError("--faults", str(file), rule, "Name a file with a fault a line.") from None
-    firmware = personality_of(world.vehicle).firmware.profile.firmware
-    Timeline.parse(text, name=str(file), firmware=firmware)
+    Timeline.parse(text, name=str(file))
     return text
 
 

@@ -32,7 +32,6 @@ from vehicle_sim.rng import generator
 from vehicle_sim.sensors.gps import Gps
 from vehicle_sim.sensors.lidar import Lidar, body_axes_neu
 from vehicle_sim.sensors.terrain_radar import ScanRequest, TerrainRadar, Viewpoint
-from vehicle_sim.terrain import FloatArray
 from vehicle_sim.wire.components import LidarDriver, RadarComponent
 from vehicle_sim.wire.frames import make
 from vehicle_sim.wire.proximity import RPLIDAR, RangeSensors
@@ -106,8 +105,7 @@ class Simulation:
         self._power = PowerModule(self._battery, self._personality.battery)
         self.plans = Plans()
         """Mission, fence and rally points as the autopilot stores them."""
-        firmware = self._personality.firmware.profile.firmware
-        self._timeline = Timeline.parse(faults, name="faults", firmware=firmware)
+        self._timeline = Timeline.parse(faults, name="faults")
         self._boots, self._down_until_us, self._port_change = 0, 0, False
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
         autopilot = self._make_autopilot(self._own_lidar() | overrides_of(table))
@@ -119,7 +117,7 @@ class Simulation:
             *self._ids,
             radar=scanner and scanner.component_id,
             drivers=drivers,
-            firmware=firmware,
+            firmware=self._personality.firmware.profile.firmware,
             links=links,
             byte_streams=byte_streams,
             forwards_all=forwards_all,
@@ -461,7 +459,7 @@ class Simulation:
         if vehicle.altitude_amsl_m <= contact.ground_amsl_m:
             vehicle.stand(contact.ground_amsl_m)
         if self.now_us + STEP_US >= self._down_until_us:
-            autopilot = self._make_autopilot(self.parameters.kept())
+            autopilot = self._make_autopilot(self.parameters)
             self._ids = ids_of(self._personality, autopilot.parameters)
             self._radio.boot_as(*self._ids)
             self._boot(autopilot)

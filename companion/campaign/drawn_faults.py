@@ -230,7 +230,7 @@ ROWS: Final[dict[str, Draw]] = {
     "origin_move": _fault(_moves_origin),
     "pilot": _fault("pilot"),
     "reboot": _fault("reboot"),
-    "set": _fault("set SIM_GPS1_NUMSATS {3..9}", (2.0, 25.0)),
+    "few satellites": _fault("gps_satellites {3..9}", (2.0, 25.0)),
     "nothing": lambda *_: [],
     "pilot, and back": _pilot_and_back,
     "station selects return": _fault(lambda _, s: _mode(s, Mode.RETURN)),

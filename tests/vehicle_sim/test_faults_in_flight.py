@@ -220,7 +220,6 @@ SEES: dict[str, Callable[[Seen, Seen], object]] = {
     "ground_fence 20 m 60 m ahead": lambda a, b: (
         len(b.fence) == 1 > len(a.fence) and b.fence_ahead_m() == approx((60.0, 0.0), abs=3.0)
     ),
-    "set SIM_GPS1_ALT_OFS 30": lambda a, b: (b.gps_m() - a.gps_m())[6, 2] == approx(30.0, abs=2.0),
 }
 
 

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from harness import Flown, Link
-from pymavlink.dialects.v20 import all as mavlink
 from test_near_scene import GROUND_M
 
 from vehicle_sim.simulation import Simulation
