@@ -78,8 +78,6 @@ class LinkConditions(NamedTuple):
     delay_us: int = 0
     jitter_us: int = 0
     duplicated: float = 0.0
-    reordered: float = 0.0
-    corrupted: float = 0.0
     to_vehicle: bool = True
     """Whether frames to the vehicle are concerned, and those from it."""
     from_vehicle: bool = True
@@ -89,7 +87,7 @@ class LinkConditions(NamedTuple):
     @property
     def any(self) -> bool:
         """Something is wrong."""
-        return any(self[:7])
+        return any(self[:5])
 
 
 class RadarConditions(NamedTuple):
@@ -374,10 +372,6 @@ FAULTS: Final = (
     _link("link_delay {delay_us:60000} ms [jitter {jitter_us:60000} ms]", "Every frame is late by "
         "the delay and up to the jitter more; a frame may overtake another so."),
     _link("link_duplication {duplicated} %", "This share of the frames arrives twice."),
-    _link("link_reordering {reordered} %",
-        "This share of the frames is overtaken by those after it."),
-    _link("link_corruption {corrupted} %",
-        "This share of the frames arrives with a few bits wrong."),
     Fault("radar", "radar_off", "The radar falls silent: no answers, no heartbeat.", "silent"),
     Fault("radar", "radar_blind", "The radar answers and sees nothing.", "blind"),
     Fault("radar", "radar_drop {cells_missed} %",

@@ -54,8 +54,6 @@ ASKS: dict[str, tuple[str, dict[str, Any]]] = {
         {"delay_us": 300_000, "jitter_us": 50_000, "to_vehicle": False, "only": 1},
     ),
     "link_duplication 20 %": ("link", {"duplicated": 0.2}),
-    "link_reordering 20 %": ("link", {"reordered": 0.2}),
-    "link_corruption 20 %": ("link", {"corrupted": 0.2}),
     "radar_off": ("radar", {"silent": True}),
     "radar_blind": ("radar", {"blind": True}),
     "radar_drop 30 %": ("radar", {"cells_missed": 0.3}),

@@ -237,9 +237,7 @@ def test_over_tcp_a_client_that_was_cut_off_connects_again_and_it_goes_on(
 BAD_LINKS = {
     "lossy and late": """at 0 s: link_duplication 30 %
         at 0 s: link_loss 20 %
-        at 0 s: link_corruption 20 %
-        at 0 s: link_reordering 30 %
-        at 0 s: link_delay 50 ms""",
+        at 0 s: link_delay 50 ms jitter 30 ms""",
     "off": "at 0 s: link_off",
 }
 
