@@ -1,11 +1,10 @@
 """The true terrain of an elevation file: GeoTIFF or SRTM .hgt, bilinear between its points.
 
-rasterio is loaded only if a file is named.  The companion, which plans by the same file, makes the
+The companion, which plans by the same file, makes the
 finer checks of it.  Positions come in the local frame: geodesics are exact and slow, so the way
 from there to the grid is tabulated once, at places so close that it is straight between them.
 """
 
-import importlib
 import math
 import warnings
 from pathlib import Path
@@ -190,10 +189,8 @@ def read_grid(
     """The terrain of an area; InputError says what is wrong with the file."""
     if not path.is_file():
         raise _refusal(path, "there is no such file", "Name a GeoTIFF or an SRTM .hgt.")
-    try:
-        rasterio = importlib.import_module("rasterio")
-    except ImportError:
-        raise _refusal(path, "rasterio is not installed", "Install it.") from None
+    import rasterio  # only if a file is named: it takes a while
+
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

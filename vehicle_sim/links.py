@@ -145,10 +145,6 @@ class Link:
                     del self._peers[next(iter(self._peers))]
             return datagram
 
-    def take_reopened(self) -> bool:
-        """Whether another client has connected."""
-        return False
-
     def move(self) -> None:
         """Send from another port from now on: what a rebooted ArduPilot does.
 
@@ -171,7 +167,7 @@ class _TcpIn(Link):
 
     def _attach(self, address: Any) -> None:
         self._client: socket.socket | None = None
-        self._pending, self._reopened = b"", False
+        self._pending = b""
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self._socket.bind(address)
         self._socket.listen(1)
@@ -199,7 +195,6 @@ class _TcpIn(Link):
                 self._client, _ = self._socket.accept()
                 self._client.setblocking(False)
                 self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                self._reopened = True
             data = self._client.recv(_LARGEST_DATAGRAM_BYTES)
         except BlockingIOError:
             return None
@@ -208,10 +203,6 @@ class _TcpIn(Link):
         if not data:
             self.move()
         return data or None
-
-    def take_reopened(self) -> bool:
-        reopened, self._reopened = self._reopened, False
-        return reopened
 
     def move(self) -> None:
         """The client sees the connection end."""

@@ -177,11 +177,6 @@ class Server:
         for link, hearers in self._heard.items():
             for _ in range(_MAX_DATAGRAMS):
                 datagram = link.receive()
-                if link.take_reopened():
-                    if link in self._shared:
-                        self._shared[link].forget()
-                    for simulation, number in hearers:
-                        simulation.reopen(number)
                 if datagram is None:
                     break
                 any_came = True

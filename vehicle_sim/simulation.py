@@ -296,10 +296,6 @@ class Simulation:
             self.send_heartbeat()
         self._radio.ask_again()
 
-    def reopen(self, link: int) -> None:
-        """Another client has connected to this link."""
-        self._radio.reopen(link)
-
     def _notice(self, what: str) -> None:
         self._notices.append(f"{self.now_us * 1e-6:9.1f} s  {what}")
 

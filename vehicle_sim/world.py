@@ -1,11 +1,9 @@
 """The world file: the truth that the simulator flies in.  Parsed once, at the door.
 
-Every class is one table of world.toml.  Unknown keys are refused with the nearest known one named,
-and so is an altitude whose key does not say what it is measured from.
+Every class is one table of world.toml.  Unknown keys are refused with the nearest known one named.
 """
 
 import dataclasses
-import difflib
 import itertools
 import math
 import tomllib
@@ -467,28 +465,17 @@ def flat_world(
     )
 
 
-_ALTITUDES: Final = ("altitude", "height", "ground", "elevation")
-"""Words of keys that measure from something."""
-_CALLED: Final = {"terrain": "a table", "float_type": "a number", "int_type": "a whole number"}
-
-
 def _explained(problem: Any) -> InputError:
     """What pydantic found, in words."""
-    kind, value, rule = problem["type"], problem["input"], problem["msg"]
-    field = ".".join(map(str, problem["loc"]))
-    key = field.rpartition(".")[2]
-    if kind == "missing":
-        return InputError(field, None, *_MISSING)
-    if kind == "value_error":
-        key, value, rule, remedy = problem["ctx"]["error"].args
-        return InputError(".".join(filter(None, (field, key))), value, rule, remedy)
-    if kind == "unexpected_keyword_argument":
-        datums = [known for known in _KEYS if known.endswith("_amsl_m")]
-        if any(word in key for word in _ALTITUDES) and key not in _KEYS:
-            nearest = difflib.get_close_matches(key, datums, n=1, cutoff=0.0)[0]
-            rule = "an altitude names its datum, and here it is above mean sea level (amsl)"
-            return InputError(field, value, rule, f"Write {nearest}.")
-        remedy = did_you_mean(key, _KEYS, "Leave it out.")
-        return InputError(field, value, "no such key", remedy)
-    rule = _CALLED.get(kind, rule.removeprefix("Input should be "))
+    field, value = ".".join(map(str, problem["loc"])), problem["input"]
+    match problem["type"]:
+        case "missing":
+            return InputError(field, None, *_MISSING)
+        case "value_error":
+            key, *rest = problem["ctx"]["error"].args
+            return InputError(".".join(filter(None, (field, key))), *rest)
+        case "unexpected_keyword_argument":
+            remedy = did_you_mean(field.rpartition(".")[2], _KEYS, "Leave it out.")
+            return InputError(field, value, "no such key", remedy)
+    rule = problem["msg"].removeprefix("Input should be ")
     return InputError(field, value, f"must be {rule}", "Correct the world file.")

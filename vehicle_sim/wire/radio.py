@@ -158,10 +158,6 @@ class Radio:
         """Queue the same frame again: another client may be listening now."""
         self._past += self._question
 
-    def reopen(self, link: int) -> None:
-        """Another client has connected: what the last one began to say is not continued."""
-        self._parsers[link].forget()
-
     def take(self, now_us: int) -> list[tuple[int, bytes]]:
         """What goes out now: link and frame, in order."""
         frames, self._outbox = self._outbox, []
