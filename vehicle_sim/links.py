@@ -79,11 +79,7 @@ class Link:
 
     def __init__(self, endpoint: Endpoint) -> None:
         self._endpoint = endpoint
-        self._open()
-
-    def _open(self) -> None:
-        wanted = self._endpoint
-        found = socket.getaddrinfo(wanted.host, wanted.port, type=self._type)[0]
+        found = socket.getaddrinfo(endpoint.host, endpoint.port, type=self._type)[0]
         self._socket = socket.socket(*found[:3])
         self._socket.setblocking(False)
         try:
@@ -145,15 +141,6 @@ class Link:
                     del self._peers[next(iter(self._peers))]
             return datagram
 
-    def move(self) -> None:
-        """Send from another port from now on: what a rebooted ArduPilot does.
-
-        A port that others were told of stays.
-        """
-        if not self._listens:
-            self._socket.close()
-            self._open()
-
     def close(self) -> None:
         """Close the sockets."""
         self._socket.close()
@@ -187,7 +174,7 @@ class _TcpIn(Link):
         except BlockingIOError:
             return
         except OSError:
-            self.move()
+            self._hang_up()
 
     def receive(self) -> bytes | None:
         try:
@@ -201,17 +188,16 @@ class _TcpIn(Link):
         except OSError:
             data = b""
         if not data:
-            self.move()
+            self._hang_up()
         return data or None
 
-    def move(self) -> None:
-        """The client sees the connection end."""
+    def _hang_up(self) -> None:
         if self._client is not None:
             self._client.close()
         self._client, self._pending = None, b""
 
     def close(self) -> None:
-        self.move()
+        self._hang_up()
         super().close()
 
 

@@ -5,7 +5,7 @@ import math
 import select
 import signal
 import time
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,12 +69,8 @@ class Station:
     links: Sequence[Link]
     truth: TextIO | None = None
 
-    def send(self, shared: Container[Link]) -> None:
-        """What is due; after a reboot from other ports, except where others are that have none."""
-        if self.simulation.take_port_change():
-            for link in self.links:
-                if link not in shared:
-                    link.move()
+    def send(self) -> None:
+        """What is due."""
         by_link: dict[int, list[bytes]] = {}
         for number, frame in self.simulation.take_frames():
             by_link.setdefault(number, []).append(frame)
@@ -150,7 +146,7 @@ class Server:
 
     def _send(self) -> None:
         for station in self._stations:
-            station.send(self._shared)
+            station.send()
 
     def _write(self) -> None:
         """Truth to its files, notices to the terminal."""

@@ -106,7 +106,7 @@ class Simulation:
         self.plans = Plans()
         """Mission, fence and rally points as the autopilot stores them."""
         self._timeline = Timeline.parse(faults, name="faults")
-        self._boots, self._down_until_us, self._port_change = 0, 0, False
+        self._boots = self._down_until_us = 0
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
         autopilot = self._make_autopilot(self._own_lidar() | overrides_of(table))
         self._ids = ids_of(self._personality, autopilot.parameters)
@@ -258,11 +258,6 @@ class Simulation:
         """What a person watching would want to know."""
         notices, self._notices = self._notices, []
         return notices
-
-    def take_port_change(self) -> bool:
-        """Whether the autopilot has rebooted, so that it sends from another port now."""
-        changed, self._port_change = self._port_change, False
-        return changed
 
     def send_heartbeat(self) -> None:
         """Send all heartbeats now: time stands still until somebody answers."""
@@ -459,7 +454,6 @@ class Simulation:
             self._ids = ids_of(self._personality, autopilot.parameters)
             self._radio.boot_as(*self._ids)
             self._boot(autopilot)
-            self._port_change = True
 
     # --- in -----------------------------------------------------------------------------------
 

@@ -94,21 +94,6 @@ def test_of_a_crowd_the_newest_sixteen_are_answered(opened: Open) -> None:
         client.close()
 
 
-def test_udpout_sends_from_another_port_after_it_has_moved(opened: Open) -> None:
-    with udp_client() as client:
-        client.bind(("127.0.0.1", 0))
-        link = opened(f"udpout:127.0.0.1:{client.getsockname()[1]}")
-        link.send([b"before"])
-        data, before = client.recvfrom(100)
-        link.move()
-        link.send([b"after"])
-        data, after = client.recvfrom(100)
-        assert data == b"after"
-        assert after != before
-        client.sendto(b"answer", after)
-        assert received(link) == b"answer"
-
-
 def test_what_is_sent_after_a_refusal_is_not_lost_with_it(opened: Open) -> None:
     with udp_client() as probe:
         probe.bind(("127.0.0.1", 0))

@@ -224,8 +224,8 @@ def simulators_scan(place: Ground, radar_nea_m: Point) -> Scan:
                 spacing_m=round(CELL_M),
                 mask=(1 << 56) - 1,
             )
-            for block in radar.answer(request, view):
-                i, j = row + block.gridbit // 8 * 4, column + block.gridbit % 8 * 4
-                heights[i : i + 4, j : j + 4] = np.reshape(block.heights_amsl_m, (4, 4))
+            for bit, cells_m in radar.answer(request, view).items():
+                i, j = row + bit // 8 * 4, column + bit % 8 * 4
+                heights[i : i + 4, j : j + 4] = np.reshape(cells_m, (4, 4))
     seen = heights != UNSEEN_M
     return replace(scan_of(heights, seen, radar_nea_m), registration_m=1.0)

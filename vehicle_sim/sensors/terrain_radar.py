@@ -18,8 +18,7 @@ nothing.
 """
 
 import math
-from dataclasses import dataclass
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +42,7 @@ Eye = tuple[float, float, float]
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class ScanRequest:
+class ScanRequest(NamedTuple):
     """A TERRAIN_REQUEST: an area of 28 x 32 cells, and which of its 56 blocks are wanted."""
 
     latitude_deg: float
@@ -53,19 +51,14 @@ class ScanRequest:
     spacing_m: int
     mask: int
 
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ScanBlock:
-    """The 4 x 4 cells of one bit of the mask, from the south-west, east running fastest."""
-
-    gridbit: int
-    heights_amsl_m: tuple[int, ...]
+    @property
+    def frame(self) -> LocalFrame:
+        """North and east from the corner."""
+        return LocalFrame(latitude_deg=self.latitude_deg, longitude_deg=self.longitude_deg)
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class Viewpoint:
+class Viewpoint(NamedTuple):
     """Where the radar looks from."""
 
     latitude_deg: float
@@ -119,14 +112,22 @@ class TerrainRadar:
         self._range_m = range_m
         self._grid: _Grid | None = None
 
-    def answer(self, request: ScanRequest, view: Viewpoint) -> tuple[ScanBlock, ...]:
-        """The wanted blocks, by rising bit."""
+    def answer(self, request: ScanRequest, view: Viewpoint) -> dict[int, list[int]]:
+        """The wanted blocks, by rising bit of the mask.
+
+        Heights of their 4 x 4 cells from the south-west, east running fastest; UNSEEN_M: not seen.
+        """
         bits = [bit for bit in range(ROWS * COLUMNS) if request.mask >> bit & 1]
         if not bits or request.spacing_m <= 0 or abs(request.latitude_deg) >= 90.0:
-            return ()
+            return {}
         north, east = _cells_of(np.array(bits))
         heights = np.full(len(north), UNSEEN_M, dtype=np.int64)
-        near = np.flatnonzero(self._within_range(request, view, north, east))
+        view_ne_m = request.frame.to_local(view.latitude_deg, view.longitude_deg)
+        off_north_m, off_east_m = (
+            (cells + 0.5) * request.spacing_m - own_m
+            for cells, own_m in zip((north, east), view_ne_m, strict=True)
+        )
+        near = np.flatnonzero(np.hypot(off_north_m, off_east_m) <= self._range_m)
         if len(near):
             corners_ne_m = self._corners_ne_m(request, north[near], east[near])
             highest, place_ne_m = self._terrain.highest_in_quads_amsl_m(corners_ne_m)
@@ -134,10 +135,7 @@ class TerrainRadar:
             rounded = np.clip(np.ceil(highest[seen]), _LOWEST_M, _HIGHEST_M)
             heights[near[seen]] = rounded.astype(np.int64)
         blocks = heights.reshape(len(bits), BLOCK_CELLS * BLOCK_CELLS).tolist()
-        return tuple(
-            ScanBlock(gridbit=bit, heights_amsl_m=tuple(block))
-            for bit, block in zip(bits, blocks, strict=True)
-        )
+        return dict(zip(bits, blocks, strict=True))
 
     def height_amsl_m(self, latitude_deg: float, longitude_deg: float) -> float:
         """The true height of the terrain at a point."""
@@ -156,26 +154,10 @@ class TerrainRadar:
         wanted = np.zeros(corners_ne_m.shape[:2], dtype=bool)
         wanted[rows, columns] = True  # each once: cells share them
         north_m, east_m = (each * np.float64(request.spacing_m) for each in np.nonzero(wanted))
-        corner = LocalFrame(latitude_deg=request.latitude_deg, longitude_deg=request.longitude_deg)
-        local = self._frame.to_local_many(*corner.to_geographic_many(north_m, east_m))
+        places = request.frame.to_geographic_many(north_m, east_m)
+        local = self._frame.to_local_many(*places)
         corners_ne_m[wanted] = np.stack(local, axis=-1)
         return corners_ne_m[rows, columns]
-
-    def _within_range(
-        self,
-        request: ScanRequest,
-        view: Viewpoint,
-        north: NDArray[np.intp],
-        east: NDArray[np.intp],
-    ) -> NDArray[np.bool_]:
-        """Whether the middle of each cell is in range.  (C,), (C,) -> (C,)."""
-        corner = LocalFrame(latitude_deg=request.latitude_deg, longitude_deg=request.longitude_deg)
-        view_north_m, view_east_m = corner.to_local(view.latitude_deg, view.longitude_deg)
-        away_m = np.hypot(
-            (north + 0.5) * request.spacing_m - view_north_m,
-            (east + 0.5) * request.spacing_m - view_east_m,
-        )
-        return away_m <= self._range_m
 
     def _seen(
         self,

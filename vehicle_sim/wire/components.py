@@ -109,10 +109,8 @@ class RadarComponent:
         blocks = radar.answer(ScanRequest(*place, spacing_m, asked.mask), view)
         head = (asked.lat, asked.lon, spacing_m)
         told = [
-            make(
-                "TERRAIN_DATA", *head, block.gridbit, self._spoilt(block.heights_amsl_m, conditions)
-            )
-            for block in blocks
+            make("TERRAIN_DATA", *head, bit, self._spoilt(heights_m, conditions))
+            for bit, heights_m in blocks.items()
         ]
         if conditions.frames_lost:
             kept = self._rng.random(len(blocks)) >= conditions.frames_lost
@@ -121,10 +119,10 @@ class RadarComponent:
         report = make("TERRAIN_REPORT", *head, ground_m, height_m - ground_m, 0, len(blocks))
         return [*told, report]
 
-    def _spoilt(self, heights_amsl_m: Sequence[int], conditions: RadarConditions) -> list[int]:
+    def _spoilt(self, heights_amsl_m: list[int], conditions: RadarConditions) -> list[int]:
         """The heights as a radar in this state has them."""
         if not (conditions.blind or conditions.cells_missed or conditions.noise_m):
-            return list(heights_amsl_m)
+            return heights_amsl_m
         heights = np.array(heights_amsl_m)
         seen = (heights != UNSEEN_M) & (not conditions.blind)
         if conditions.cells_missed:
