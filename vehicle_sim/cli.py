@@ -48,7 +48,6 @@ Faults are one line each, such as "at 120 s for 30 s: gps_off": see docs/simulat
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 _CONNECT: Final = "udpout:127.0.0.1:14540"
 _HOME: Final = "47.397742,8.545594,488,0"
-_HOME_FIELDS: Final = ("latitude_deg", "longitude_deg", "altitude_amsl_m", "heading_deg")
 _MAX_VEHICLES: Final = 250
 _PX4_TIME_OUTS_S: Final = {"COM_OF_LOSS_T": 1.0, "COM_DL_LOSS_T": 10.0, "COM_OBC_LOSS_T": 5.0}
 _ROW_M: Final = 10.0
@@ -188,8 +187,16 @@ def _must_lie(
 def _flat(firmware: Firmware, kind: VehicleKind, home: str, scan_range_m: float | None) -> World:
     """Level ground at the height of --home."""
     try:
-        place = dict(zip(_HOME_FIELDS, map(float, home.split(",")), strict=True))
-        return flat_world(kind, firmware, **place, scan_range_m=scan_range_m)
+        latitude_deg, longitude_deg, altitude_m, heading_deg = map(float, home.split(","))
+        return flat_world(
+            kind,
+            firmware,
+            latitude_deg=latitude_deg,
+            longitude_deg=longitude_deg,
+            altitude_amsl_m=altitude_m,
+            heading_deg=heading_deg,
+            scan_range_m=scan_range_m,
+        )
     except ValueError:  # also pydantic's, of a place that is not on earth
         rule = "must be LAT,LON,ALT,HEADING within 85 deg, 180 deg, -1000 to 20000 m, 360 deg"
         raise InputError("--home", home, rule, f"Try {_HOME}.") from None

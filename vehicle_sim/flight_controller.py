@@ -26,7 +26,6 @@ from vehicle_sim.autopilot.values import (
     Setpoint,
     Text,
 )
-from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.sensors.gps import Fix
@@ -61,7 +60,6 @@ class FlightController:
         self,
         autopilot: Autopilot,
         radio: Radio,
-        battery: Battery,
         *,
         boot_us: int,
         hardware_id: int,
@@ -72,13 +70,11 @@ class FlightController:
         self.firmware = autopilot.profile.firmware
         self.boot_us = self.now_us = boot_us
         self.wants_reboot = self.setpoints_ignored = False
-        self.transfers = False
-        """Parameters or a plan may be on their way."""
         self.parameter_protocol = ParameterProtocol(autopilot)
         self.missions = Missions(autopilot)
         self.streams = Streams(autopilot.profile, autopilot.parameters, radio.links, boot_us)
         self.report = Report(
-            autopilot=autopilot, fix=Fix(), battery=battery, hardware_id=hardware_id
+            autopilot=autopilot, fix=Fix(), battery=autopilot.battery, hardware_id=hardware_id
         )
         self.ground_stations = set[int]()
         """Links on which one was heard."""
@@ -98,10 +94,10 @@ class FlightController:
     def go_on(self, replies: Iterable[Reply]) -> None:
         """After a step of the autopilot: what that brings, and what the protocols have to say."""
         self.answer(replies)
-        if self.transfers:
+        if self.parameter_protocol.busy:
             self.answer(self.parameter_protocol.step(self.now_us))
+        if self.missions.busy:
             self.answer(self.missions.step(self.now_us))
-            self.transfers = self.parameter_protocol.busy or self.missions.busy
 
     def stream(self, now_us: int) -> bool:
         """Queue all telemetry that is due; returns whether that included a position on link 0."""
@@ -286,21 +282,6 @@ def _setpoint(it: FlightController, message: Any, _: Sender) -> Replies:
     return it.autopilot.on_setpoint(setpoint)
 
 
-def _parameters(it: FlightController, message: Any, sender: Sender) -> Replies:
-    it.transfers = True
-    return it.parameter_protocol.on_message(message, sender, it.now_us)
-
-
-def _missions(it: FlightController, message: Any, sender: Sender) -> Replies:
-    it.transfers = True
-    return it.missions.on_message(message, sender, it.now_us)
-
-
-def _data_stream(it: FlightController, message: Any, sender: Sender) -> Replies:
-    it.streams.on_data_stream(message, sender.link, it.now_us)
-    return ()
-
-
 def _time_sync(it: FlightController, message: Any, sender: Sender) -> Replies:
     """A question has a tc1 of 0."""
     if message.tc1 == 0:
@@ -328,6 +309,19 @@ def _files(_: FlightController, message: Any, sender: Sender) -> Replies:
         payload = [*number, session, answer, size, opcode, *bytes(6), reason, *bytes(238)]
         to = (0, sender.system, sender.component)
         yield SendMessage(message=make("FILE_TRANSFER_PROTOCOL", *to, payload), to=sender)
+
+
+def _parameters(it: FlightController, message: Any, sender: Sender) -> Replies:
+    return it.parameter_protocol.on_message(message, sender, it.now_us)
+
+
+def _missions(it: FlightController, message: Any, sender: Sender) -> Replies:
+    return it.missions.on_message(message, sender, it.now_us)
+
+
+def _data_stream(it: FlightController, message: Any, sender: Sender) -> Replies:
+    it.streams.on_data_stream(message, sender.link, it.now_us)
+    return ()
 
 
 HANDLERS: Final[dict[str, Callable[[FlightController, Any, Sender], Replies]]] = {

@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import Final, final
 
 from vehicle_sim import ground_station, truth
-from vehicle_sim.autopilot.core import Autopilot
 from vehicle_sim.autopilot.factory import (
     ids_of,
     make_vehicle,
@@ -101,40 +100,36 @@ class Simulation:
             self.vehicle, terrain, scene, world.frame, rolls=rolls, on_crash=self._on_crash
         )
         """Where it is in the world, and how near to the ground and to things."""
-        self._battery, self._wind = Battery(), Wind(generator(seed, "wind"))
-        self._power = PowerModule(self._battery, self._personality.battery)
+        self._wind = Wind(generator(seed, "wind"))
+        self._power = PowerModule(Battery(), self._personality.battery)
         self.plans = Plans()
         """Mission, fence and rally points as the autopilot stores them."""
         self._timeline = Timeline.parse(faults, name="faults")
         self._boots = self._down_until_us = 0
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
-        autopilot = self._make_autopilot(self._own_lidar() | overrides_of(table))
-        self._ids = ids_of(self._personality, autopilot.parameters)
-        self._check_components()
         scanner, lidars = world.scanner, world.lidars
-        drivers = {each.component_id for each in lidars if each.output == "driver"}
         self._radio = Radio(
-            *self._ids,
-            radar=scanner and scanner.component_id,
-            drivers=drivers,
+            radar=scanner.component_id if scanner else None,
+            drivers={each.component_id for each in lidars if each.output == "driver"},
             firmware=self._personality.firmware.profile.firmware,
             links=links,
             byte_streams=byte_streams,
             forwards_all=forwards_all,
             rng=generator(seed, "links"),
         )
-        self._radar = self._scanner = None
+        self._scanner: RadarComponent | None = None
         if scanner:
-            self._radar = TerrainRadar(terrain, world.frame, range_m=scanner.range_m)
+            radar = TerrainRadar(terrain, world.frame, range_m=scanner.range_m)
             rng = generator(seed, "radar")
-            self._scanner = RadarComponent(self._radar, rng, self._radio, scanner.component_id)
+            self._scanner = RadarComponent(radar, rng, self._radio, scanner.component_id)
         self._lidars = list[tuple[Lidar, LidarDriver | None]]()
         for each, name in zip(lidars, ("lidar", "second lidar"), strict=False):
             lidar, driver = Lidar(scene, each, generator(seed, name)), None
             if each.output == "driver":
                 driver = LidarDriver(lidar, each, generator(seed, f"{name} driver"), self._radio)
             self._lidars.append((lidar, driver))
-        self._boot(autopilot)
+        self._boot(self._own_lidar() | overrides_of(table))
+        self._check_components()
         self._shown = (self.mode_name, False)
         self._look()
         if self.contact.nearest_m == 0.0:
@@ -158,23 +153,21 @@ class Simulation:
                 rule = "is the autopilot's own"
                 raise InputError(f"{name}.component_id", self._ids[1], rule, "Give another one.")
 
-    def _make_autopilot(self, overrides: Mapping[str, float]) -> Autopilot:
+    def _boot(self, overrides: Mapping[str, float]) -> None:
+        """The flight controller and its receiver start, now, with these parameters."""
         self._boots += 1
         rng = generator(self._seed, f"autopilot {self._boots}")
         autopilot = self._personality.boot(self.vehicle, overrides, self.plans, rng)
-        autopilot.battery = self._battery
-        return autopilot
-
-    def _boot(self, autopilot: Autopilot) -> None:
-        """The flight controller and its receiver start, now."""
+        autopilot.battery = self._power.battery
         self.parameters: Parameters = autopilot.parameters
         """The autopilot's; a reboot makes new ones."""
+        self._ids = ids_of(self._personality, self.parameters)
+        self._radio.boot_as(*self._ids)
         lidars = self._world.lidars
         limits_m = (lidars[-1].min_m, lidars[-1].range_m) if lidars else (0.0, 0.0)
         self._controller = FlightController(
             autopilot,
             self._radio,
-            self._battery,
             boot_us=self.now_us,
             hardware_id=self._hardware_id,
             on_text=self._on_text,
@@ -186,10 +179,10 @@ class Simulation:
     def warm_up(self) -> None:
         """Look once with every sensor, so that nobody waits for a compiler in flight."""
         self._range_down_m()
-        if self._radar is not None:
+        if self._scanner is not None:
             place = self.vehicle.latitude_deg, self.vehicle.longitude_deg
             view = Viewpoint(*place, self.vehicle.altitude_amsl_m)
-            self._radar.answer(ScanRequest(*place, 1, 1), view)
+            self._scanner.radar.answer(ScanRequest(*place, 1, 1), view)
 
     # --- to look at ---------------------------------------------------------------------------
 
@@ -415,8 +408,7 @@ class Simulation:
             gps.step(since_boot_us, vehicle, conditions.gps)
         controller.now_us, controller.report.fix = now_us, gps.fix
         replies = controller.autopilot.step(since_boot_us, _STEP_S, ground_amsl_m, gps.fix)
-        if replies or controller.transfers:
-            controller.go_on(replies)
+        controller.go_on(replies)
         if looks:
             armed = controller.autopilot.armed
             self._power.step(POWER_STEP_S, vehicle, armed, conditions.battery)
@@ -450,10 +442,7 @@ class Simulation:
         if vehicle.altitude_amsl_m <= contact.ground_amsl_m:
             vehicle.stand(contact.ground_amsl_m)
         if self.now_us + STEP_US >= self._down_until_us:
-            autopilot = self._make_autopilot(self.parameters)
-            self._ids = ids_of(self._personality, autopilot.parameters)
-            self._radio.boot_as(*self._ids)
-            self._boot(autopilot)
+            self._boot(self.parameters)
 
     # --- in -----------------------------------------------------------------------------------
 

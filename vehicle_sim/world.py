@@ -467,15 +467,15 @@ def flat_world(
 
 def _explained(problem: Any) -> InputError:
     """What pydantic found, in words."""
-    field, value = ".".join(map(str, problem["loc"])), problem["input"]
-    match problem["type"]:
-        case "missing":
-            return InputError(field, None, *_MISSING)
-        case "value_error":
-            key, *rest = problem["ctx"]["error"].args
-            return InputError(".".join(filter(None, (field, key))), *rest)
-        case "unexpected_keyword_argument":
-            remedy = did_you_mean(field.rpartition(".")[2], _KEYS, "Leave it out.")
-            return InputError(field, value, "no such key", remedy)
+    kind, value = problem["type"], problem["input"]
+    field = ".".join(map(str, problem["loc"]))
+    if kind == "missing":
+        return InputError(field, None, *_MISSING)
+    if kind == "value_error":
+        key, *rest = problem["ctx"]["error"].args
+        return InputError(".".join(filter(None, (field, key))), *rest)
+    if kind == "unexpected_keyword_argument":
+        remedy = did_you_mean(field.rpartition(".")[2], _KEYS, "Leave it out.")
+        return InputError(field, value, "no such key", remedy)
     rule = problem["msg"].removeprefix("Input should be ")
     return InputError(field, value, f"must be {rule}", "Correct the world file.")

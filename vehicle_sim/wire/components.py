@@ -44,7 +44,7 @@ class RadarComponent:
     def __init__(
         self, radar: TerrainRadar, rng: np.random.Generator, radio: Radio, component_id: int
     ) -> None:
-        self._radar, self._rng = radar, rng
+        self.radar, self._rng = radar, rng
         self._radio, self._id = radio, component_id
         self._asked: tuple[Any, int] | None = None
         """The request, and by which link."""
@@ -103,7 +103,7 @@ class RadarComponent:
 
         The report counts the blocks that get lost, too.
         """
-        radar, height_m = self._radar, vehicle.altitude_amsl_m
+        radar, height_m = self.radar, vehicle.altitude_amsl_m
         place, spacing_m = (asked.lat / 1e7, asked.lon / 1e7), asked.grid_spacing
         view = Viewpoint(vehicle.latitude_deg, vehicle.longitude_deg, height_m)
         blocks = radar.answer(ScanRequest(*place, spacing_m, asked.mask), view)

@@ -40,8 +40,6 @@ class Radio:
 
     def __init__(
         self,
-        system: int,
-        component: int,
         *,
         radar: int | None,
         drivers: set[int],
@@ -66,12 +64,11 @@ class Radio:
         self._question: list[tuple[int, bytes]] = []
         self._packers: dict[tuple[int, int, int], Packer] = {}
         """By link, system and component."""
-        self.boot_as(system, component)
 
     def boot_as(self, system: int, component: int) -> None:
         """The autopilot boots with these ids: routes are forgotten; the signing key is not."""
         self._ids = (system, component)
-        self.router = self._make_router(system=system, component=component)
+        self.router: Router = self._make_router(system=system, component=component)
         if self.signing is not None:
             self.signing.restart()
 
