@@ -201,7 +201,7 @@ def simulators_scan(place: Ground, radar_nea_m: Point) -> Scan:
     """Four requests to the simulator's radar, on the equator, where a map is hardly bent."""
     step_m = CELL_M * ROWS / (len(place.nodes_m) - 1)
     steps_deg = tuple(step_m / each for each in metres_per_degree(0.0))
-    terrain = GridTerrain.of(
+    terrain = GridTerrain(
         place.nodes_m[::-1],
         north_deg=steps_deg[0] * (len(place.nodes_m) - 1),
         west_deg=0.0,
