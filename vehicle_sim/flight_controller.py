@@ -29,7 +29,6 @@ from vehicle_sim.autopilot.values import (
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.sensors.gps import Fix
-from vehicle_sim.wire import telemetry
 from vehicle_sim.wire.frames import Prepared, make
 from vehicle_sim.wire.missions import Missions, store
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
@@ -37,6 +36,7 @@ from vehicle_sim.wire.proximity import DISTANCE_SENSOR, RangeSensors
 from vehicle_sim.wire.radio import Radio
 from vehicle_sim.wire.streams import COMMANDS as STREAM_COMMANDS
 from vehicle_sim.wire.streams import Streams
+from vehicle_sim.wire.telemetry import message_of
 
 _HEARTBEAT, _POSITION, _CURRENT_MODE = 0, 33, 436
 _CURRENT_MODE_US = 500_000
@@ -78,7 +78,6 @@ class FlightController:
         )
         self.ground_stations = set[int]()
         """Links on which one was heard."""
-        self._builders = telemetry.MESSAGES[self.firmware]
         self._mode_told: dict[int, tuple[Any, int]] = {}
         """Newest CURRENT_MODE of each link, and when that was."""
         self._on_text, self._texts = on_text, 0
@@ -127,8 +126,7 @@ class FlightController:
             return self.ranging.messages(number, self.since_boot_us)
         if number == DISTANCE_SENSOR and self.ranging.rangefinder_off:
             return ()
-        build = self._builders.get(number)
-        message = build(self.report) if build else None
+        message = message_of(self.report, number)
         return () if message is None else (message,)
 
     def _renew_report(self) -> None:

@@ -136,13 +136,13 @@ def frame(number: int) -> bytes:
     return number.to_bytes(4, "big") * 8
 
 
-def link(conditions: LinkConditions, seed: int = 1, **which: int) -> Impairments:
+def link(conditions: LinkConditions, seed: int = 1, **which: int) -> Impairments[bytes]:
     made = Impairments(np.random.default_rng(seed), **which)  # type: ignore[arg-type]
     made.impair(conditions)
     return made
 
 
-def carried(made: Impairments, count: int) -> list[tuple[int, bytes]]:
+def carried(made: Impairments[bytes], count: int) -> list[tuple[int, bytes]]:
     """When each frame that came out did so; one frame goes in each step."""
     out = []
     for now_us in range(0, count * STEP_US + 5 * S, STEP_US):

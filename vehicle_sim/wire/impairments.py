@@ -4,7 +4,7 @@ One object for each link and direction, in the time of the simulation, seeded.
 """
 
 import heapq
-from typing import final
+from typing import Generic, TypeVar, final
 
 import numpy as np
 
@@ -14,14 +14,17 @@ MAX_FRAMES = 20_000
 """Waiting at once; what comes on top is lost."""
 
 
+_Frame = TypeVar("_Frame")
+
+
 @final
-class Impairments:
+class Impairments(Generic[_Frame]):
     """One direction of one link."""
 
     def __init__(self, rng: np.random.Generator, *, link: int = 0, to_vehicle: bool = True) -> None:
         self._rng, self._link, self._to_vehicle = rng, link, to_vehicle
         self._conditions = LinkConditions()
-        self._waiting: list[tuple[int, int, bytes]] = []
+        self._waiting: list[tuple[int, int, _Frame]] = []
         """Heap of time, number, frame."""
         self._number = self._last_us = 0
 
@@ -31,7 +34,7 @@ class Impairments:
         concerned = way and conditions.only in (-1, self._link)
         self._conditions = conditions if concerned else LinkConditions()
 
-    def push(self, now_us: int, frame: bytes) -> None:
+    def push(self, now_us: int, frame: _Frame) -> None:
         """A frame sets out: it arrives in order, unless the jitter lets one overtake another."""
         wrong = self._conditions
         if wrong.off or self._happens(wrong.lost):
@@ -47,9 +50,9 @@ class Impairments:
             self._number += 1
             heapq.heappush(self._waiting, (time_us, self._number, frame))
 
-    def pop(self, now_us: int) -> list[bytes]:
+    def pop(self, now_us: int) -> list[_Frame]:
         """What has arrived by now, in order."""
-        frames = list[bytes]()
+        frames = list[_Frame]()
         while self._waiting and self._waiting[0][0] <= now_us:
             frames.append(heapq.heappop(self._waiting)[2])
         return frames

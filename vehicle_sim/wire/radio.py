@@ -5,7 +5,7 @@ not.  Frames for another link are forwarded unchanged.
 """
 
 from collections.abc import Container, Iterable
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -17,11 +17,6 @@ from vehicle_sim.wire.frames import Packer, StreamParser
 from vehicle_sim.wire.impairments import Impairments
 from vehicle_sim.wire.routing import Router, targets
 from vehicle_sim.wire.signing import Signing
-
-_sender = lru_cache(maxsize=64)(Sender)
-"""The same few speak all the time."""
-_frames_of = StreamParser(datagrams=True).feed
-"""Of whole ones; it remembers nothing."""
 
 
 @final
@@ -54,8 +49,8 @@ class Radio:
         self._forwards_all = forwards_all
         self._make_router = partial(Router, radar=radar, drivers=drivers, firmware=firmware)
         self._parsers = [StreamParser(datagrams=link not in byte_streams) for link in self.links]
-        self._in = [Impairments(rng, link=link, to_vehicle=True) for link in self.links]
-        self._out = [Impairments(rng, link=link, to_vehicle=False) for link in self.links]
+        self._in = [Impairments[Any](rng, link=link, to_vehicle=True) for link in self.links]
+        self._out = [Impairments[bytes](rng, link=link, to_vehicle=False) for link in self.links]
         self.impaired = False
         """Links are bad, or were: something may be held back."""
         self._outbox: list[tuple[int, bytes]] = []
@@ -89,21 +84,22 @@ class Radio:
         frames = self._parsers[link].feed(data)
         if not self.impaired or now_us == 0:  # hellos depend on wall time: chance leaves them be
             return self._let_in(link, frames)
-        received = []
+        let_in = list[tuple[bytes, Any]]()
         for frame, message in frames:
             if message.get_type() == "TIMESYNC" and message.tc1 == message.ts1 != 0:
                 # an answer to lockstep's question: if a bad link ate it, time would stand still
-                received += self._let_in(link, [(frame, message)])
+                let_in.append((frame, message))
             else:
-                self._in[link].push(now_us, frame)
-        return received + self._late(now_us, link)
+                self._in[link].push(now_us, (frame, message))
+        return self._let_in(link, [*let_in, *self._in[link].pop(now_us)])
 
     def late(self, now_us: int) -> list[Received]:
         """What came earlier and was held back until now."""
-        return [each for link in self.links for each in self._late(now_us, link)]
-
-    def _late(self, now_us: int, link: int) -> list[Received]:
-        return self._let_in(link, _frames_of(b"".join(self._in[link].pop(now_us))))
+        return [
+            received
+            for link in self.links
+            for received in self._let_in(link, self._in[link].pop(now_us))
+        ]
 
     def _let_in(self, link: int, frames: Iterable[tuple[bytes, Any]]) -> list[Received]:
         """Intact frames: those that are signed as they must be go to whom they are for."""
@@ -116,7 +112,7 @@ class Radio:
                 self._outbox += [(other, frame) for other in links if other in self.links]
             if any(to):
                 by = message.get_header()
-                sender = _sender(system=by.srcSystem, component=by.srcComponent, link=link)
+                sender = Sender(by.srcSystem, by.srcComponent, link)
                 received.append(Received(sender, message, *to))
         return received
 
