@@ -179,8 +179,8 @@ def read_grid(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            is_hgt = path.suffix.lower() == ".hgt"
-            dataset = rasterio.open(path, driver="SRTMHGT" if is_hgt else "GTiff")
+            driver = "SRTMHGT" if path.suffix.lower() == ".hgt" else "GTiff"
+            dataset = rasterio.open(path, driver=driver)
         with dataset:
             a, turned, west_deg, _, e, north_deg = dataset.transform[:6]
             if dataset.crs is None or not dataset.crs.is_geographic or turned or not a > 0.0 > e:

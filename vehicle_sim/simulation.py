@@ -128,30 +128,14 @@ class Simulation:
             if each.output == "driver":
                 driver = LidarDriver(lidar, each, generator(seed, f"{name} driver"), self._radio)
             self._lidars.append((lidar, driver))
-        self._boot(self._own_lidar() | overrides_of(table))
-        self._check_components()
+        own_lidar = {"PRX1_TYPE": RPLIDAR} if any(d is None for _, d in self._lidars) else {}
+        self._boot(own_lidar | overrides_of(table))
         self._shown = (self.mode_name, False)
         self._look()
         if self.contact.nearest_m == 0.0:
             rule = "stands inside a tree, wall, building or wire"
             at = (table.north_m, table.east_m)
             raise InputError("vehicle.north_m, east_m", at, rule, "Move it, or clear the place.")
-
-    def _own_lidar(self) -> dict[str, float]:
-        """The parameter of an autopilot that reads a lidar itself."""
-        reads = [each for each in self._world.lidars if each.output == "autopilot"]
-        if reads and self._personality.is_px4:
-            name = "lidar" if reads[0] is self._world.lidar else "second_lidar"
-            rule = f"{self._world.vehicle.autopilot} has no driver for it"
-            raise InputError(f"{name}.output", "autopilot", rule, "Write driver.")
-        return {"PRX1_TYPE": RPLIDAR} if reads else {}
-
-    def _check_components(self) -> None:
-        """What is beside the autopilot has a number of its own."""
-        for name, beside in (("scanner", self._world.scanner), ("lidar", self._world.lidar)):
-            if beside is not None and beside.component_id == self._ids[1]:
-                rule = "is the autopilot's own"
-                raise InputError(f"{name}.component_id", self._ids[1], rule, "Give another one.")
 
     def _boot(self, overrides: Mapping[str, float]) -> None:
         """The flight controller and its receiver start, now, with these parameters."""

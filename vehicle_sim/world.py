@@ -342,6 +342,10 @@ class World:
             rule = "is an autopilot's, beside a [lidar] that is not"
             remedy = 'Write second_lidar.output = "autopilot", or leave the table out.'
             _must(well, "second_lidar.output", second.output, rule, remedy)
+        reads = any(each.output == "autopilot" for each in self.lidars)
+        has_driver, rule = self.vehicle.autopilot != "px4", "px4 has no driver for it"
+        key = "second_lidar.output" if second else "lidar.output"
+        _must(has_driver or not reads, key, "autopilot", rule, "Write driver.")
         if lidar and self.scanner:
             own, key = lidar.component_id != self.scanner.component_id, "lidar.component_id"
             _must(own, key, lidar.component_id, "is the terrain radar's too", "Choose another.")

@@ -78,6 +78,7 @@ class _Grid:
         tiles = 2 * math.ceil(range_m * (1.0 + 2.0 * _GRID_MARGIN) / tile_m)
         # Whole multiples of the tile: the same ground has the same bounds wherever one looks from.
         self.south_m, self.west_m = ((round(x / tile_m) - tiles // 2) * tile_m for x in near_ne_m)
+        self.place = (self.south_m, self.west_m, self.cell_m)
         self.middle_ne_m = np.array([self.south_m, self.west_m]) + 0.5 * tiles * tile_m
         self.lowest_amsl_m = np.full((tiles * _TILE_CELLS,) * 2, -np.inf)
         self._found = np.zeros((tiles, tiles), dtype=bool)
@@ -205,15 +206,14 @@ class TerrainRadar:
         Taken to be as high as its highest all over the circle around it.
         """
         grid = self._grid_about(eye, corners_ne_m.reshape(-1, 2))
-        place = (grid.south_m, grid.west_m, grid.cell_m)
-        return _may_be_seen(eye, corners_ne_m, highest_amsl_m, grid.lowest_amsl_m, place)
+        return _may_be_seen(eye, corners_ne_m, highest_amsl_m, grid.lowest_amsl_m, grid.place)
 
     def _in_sight(self, eye: Eye, points_ne_m: FloatArray) -> NDArray[np.bool_]:
         """Whether each point of the surface has a free line to the eye.  (K, 2) -> (K,)."""
         grid = self._grid_about(eye, points_ne_m)
         top_m = self._terrain.height_amsl_m(points_ne_m[:, 0], points_ne_m[:, 1])
-        place = (grid.south_m, grid.west_m, grid.cell_m)
-        return _in_sight(eye, np.column_stack([points_ne_m, top_m]), grid.lowest_amsl_m, place)
+        points_nea_m = np.column_stack([points_ne_m, top_m])
+        return _in_sight(eye, points_nea_m, grid.lowest_amsl_m, grid.place)
 
     def _grid_about(self, eye: Eye, points_ne_m: FloatArray | None = None) -> _Grid:
         """A grid beyond the range on all sides of the eye, with what is between it and points."""
