@@ -38,8 +38,7 @@ from vehicle_sim.wire.streams import COMMANDS as STREAM_COMMANDS
 from vehicle_sim.wire.streams import Streams
 from vehicle_sim.wire.telemetry import message_of
 
-_HEARTBEAT, _POSITION, _CURRENT_MODE = 0, 33, 436
-_CURRENT_MODE_US = 500_000
+_HEARTBEAT, _POSITION = 0, 33
 _SET_MODE, _DO_SET_MODE = 11, 176
 _EPOCH_US = 1_795_000_000_000_000
 """UTC at the start of every run: the same seed gives the same bytes."""
@@ -49,7 +48,7 @@ _LOCAL_FRAMES = frozenset({1, 2, 4, 7, 8, 9, 12, 20, 21})
 """MAV_FRAME in which x and y are 1e-4 metres."""
 _TEXT_BYTES = 50
 _FILE_NOT_FOUND = 10
-Replies = Iterable[Reply | None]
+Replies = Iterable[Reply]
 
 
 @final
@@ -78,8 +77,6 @@ class FlightController:
         )
         self.ground_stations = set[int]()
         """Links on which one was heard."""
-        self._mode_told: dict[int, tuple[Any, int]] = {}
-        """Newest CURRENT_MODE of each link, and when that was."""
         self._on_text, self._texts = on_text, 0
         """So many have been said: the number of one that takes several messages."""
 
@@ -98,27 +95,16 @@ class FlightController:
         if self.missions.busy:
             self.answer(self.missions.step(self.now_us))
 
-    def stream(self, now_us: int) -> bool:
+    def stream(self) -> bool:
         """Queue all telemetry that is due; returns whether that included a position on link 0."""
         self._renew_report()
-        positioned, built = False, dict[int, Sequence[Any]]()
-        for link, number in self.streams.due(now_us):
-            positioned = positioned or (number == _POSITION and link == 0)
-            said = built.get(number)
-            if said is None:
-                said = built[number] = self._said(number)
-            if number != _CURRENT_MODE or self._is_news(said, link):
-                for message in said:
-                    self.radio.send(message, link)
-        return positioned
-
-    def _is_news(self, mode: Any, link: int) -> bool:
-        """CURRENT_MODE is sent at 2 Hz and at once on a change, however often it is asked for."""
-        told, told_us = self._mode_told.get(link, (None, 0))
-        if told == mode and self.now_us - told_us < _CURRENT_MODE_US:
-            return False
-        self._mode_told[link] = mode, self.now_us
-        return True
+        due, built = self.streams.due(self.now_us), dict[int, Sequence[Any]]()
+        for link, number in due:
+            if number not in built:
+                built[number] = self._said(number)
+            for message in built[number]:
+                self.radio.send(message, link)
+        return (0, _POSITION) in due
 
     def _said(self, number: int) -> Sequence[Any]:
         """What there is to say by this number now."""
@@ -153,8 +139,6 @@ class FlightController:
                     self._deliver((reply.message,), reply.to)
                 case Reboot():
                     self.wants_reboot = True
-                case None:
-                    pass
 
     def _deliver(self, said: Sequence[Any], to: Sender | None) -> None:
         """To the link of one client; None: to all links."""
@@ -164,11 +148,11 @@ class FlightController:
 
     def _say(self, text: Text) -> None:
         """PX4 says it on links with a ground station, ArduPilot where anybody was heard."""
-        self._texts, is_px4 = self._texts % 0xFFFF + 1, self.firmware == "px4"
-        for link in self.radio.links:
-            if link in self.ground_stations if is_px4 else link in self.radio.router.heard_on:
-                for message in texts(text, self._texts):
-                    self.radio.send(message, link)
+        self._texts = self._texts % 0xFFFF + 1
+        heard_on = self.radio.router.heard_on
+        for link in sorted(self.ground_stations if self.firmware == "px4" else heard_on):
+            for message in texts(text, self._texts):
+                self.radio.send(message, link)
         self._on_text(text)
 
     # --- in -----------------------------------------------------------------------------------
@@ -289,7 +273,7 @@ def _time_sync(it: FlightController, message: Any, sender: Sender) -> Replies:
 
 def _setup_signing(it: FlightController, message: Any, _: Sender) -> Replies:
     signing = it.radio.signing
-    return (signing and signing.setup(message, armed=it.autopilot.armed),)
+    return () if signing is None else signing.setup(message, armed=it.autopilot.armed)
 
 
 def _files(_: FlightController, message: Any, sender: Sender) -> Replies:

@@ -373,7 +373,7 @@ class Simulation:
             self._step_lidar(lidar, driver)
         if now_us >= self._down_until_us:
             streams = self._controller.streams
-            complete = now_us >= streams.soonest_us and self._controller.stream(now_us)
+            complete = now_us >= streams.soonest_us and self._controller.stream()
             if looks and not complete:  # without positions there are ticks all the same
                 complete = streams.interval_us(0, _POSITION) is None
         # the radar has its own power and its own computer

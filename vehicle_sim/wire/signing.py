@@ -39,17 +39,17 @@ class Signing:
         """Boot: who spoke before is forgotten, and the time that was reached is not."""
         self._streams.clear()
 
-    def setup(self, message: Any, *, armed: bool) -> Text | None:
+    def setup(self, message: Any, *, armed: bool) -> list[Text]:
         """SETUP_SIGNING; it is never acknowledged.  A text if it is refused.
 
         All zero: signing is not in use.
         """
         if armed:
-            return Text(severity=6, text="ERROR: Won't setup signing when armed")
+            return [Text(severity=6, text="ERROR: Won't setup signing when armed")]
         secret, timestamp = bytes(message.secret_key), message.initial_timestamp & _TIME_MASK
         self.secret = secret if timestamp or any(secret) else b""
         self._timestamp = timestamp + AHEAD
-        return None
+        return []
 
     def signature(self, frame: bytes, link: int) -> bytes:
         """Link id, time and hash: the 13 bytes after a frame."""
