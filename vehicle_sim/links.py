@@ -21,6 +21,8 @@ _MAX_PEERS = 16
 _PENDING_BYTES = 262_144
 """What a TCP client may leave unread before frames for it are dropped."""
 _SOCKET_BYTES = 4 * 1024 * 1024
+_LONGEST_FRAME = 280
+"""Bytes of a frame of MAVLink 2."""
 
 _FORM = re.compile(
     r"(udpout|udpin|tcpin):(?://)?(\[[^\[\]/@?]+\]|[^:\[\]/@?]+):(\d{1,5})", re.ASCII
@@ -182,6 +184,7 @@ class _TcpIn(Link):
                 self._client, _ = self._socket.accept()
                 self._client.setblocking(False)
                 self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                return bytes(_LONGEST_FRAME)  # so ends what the last client began to say
             data = self._client.recv(_LARGEST_DATAGRAM_BYTES)
         except BlockingIOError:
             return None

@@ -15,8 +15,6 @@ from typing import TextIO, final
 from vehicle_sim.errors import CompanionSilent, InputError, NotSurvived
 from vehicle_sim.links import Link
 from vehicle_sim.simulation import STEP_US, Simulation
-from vehicle_sim.wire.frames import StreamParser
-from vehicle_sim.wire.routing import targets
 
 _HELLO_S = 0.05
 _PATIENCE_S = 0.1
@@ -113,12 +111,6 @@ class Server:
         for station in stations:
             for number, link in enumerate(station.links):
                 self._heard.setdefault(link, []).append((station.simulation, number))
-        self._shared = {
-            link: StreamParser(datagrams=link.endpoint.kind != "tcpin")
-            for link, hearers in self._heard.items()
-            if len(hearers) > 1
-        }
-        """Links of several vehicles, and what finds the frames in what comes by them."""
 
     def run(self) -> float:
         """Fly; returns the wall time that the flying took, in seconds."""
@@ -176,14 +168,8 @@ class Server:
                 if datagram is None:
                     break
                 any_came = True
-                if link not in self._shared:
-                    hearers[0][0].receive(hearers[0][1], datagram)
-                    continue
-                for frame, message in self._shared[link].feed(datagram):
-                    system, _ = targets(message)  # each vehicle gets what is for it, or for all
-                    for simulation, number in hearers:
-                        if not system or system == simulation.system_id:
-                            simulation.receive(number, frame)
+                for simulation, number in hearers:
+                    simulation.receive(number, datagram)
         return any_came
 
     # --- lockstep -----------------------------------------------------------------------------
