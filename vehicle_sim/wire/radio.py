@@ -61,11 +61,9 @@ class Radio:
         """By link, system and component."""
 
     def boot_as(self, system: int, component: int) -> None:
-        """The autopilot boots with these ids: routes are forgotten; the signing key is not."""
+        """The autopilot boots with these ids: routes are forgotten; what is signed goes on."""
         self._ids = (system, component)
         self.router: Router = self._make_router(system=system, component=component)
-        if self.signing is not None:
-            self.signing.restart()
 
     def begin(self) -> None:
         """Count frames from here."""

@@ -25,7 +25,7 @@ _TRUSTED_LINK: Final = 0
 
 @final
 class Signing:
-    """The key of one vehicle, on all its links; it is kept over a reboot."""
+    """The key of one vehicle, on all its links; that and what was heard are kept over a reboot."""
 
     def __init__(self) -> None:
         self.secret = b""
@@ -34,10 +34,6 @@ class Signing:
         """Of the next frame."""
         self._streams: dict[bytes, int] = {}
         """Newest time of each stream, by link id, system and component."""
-
-    def restart(self) -> None:
-        """Boot: who spoke before is forgotten, and the time that was reached is not."""
-        self._streams.clear()
 
     def setup(self, message: Any, *, armed: bool) -> list[Text]:
         """SETUP_SIGNING; it is never acknowledged.  A text if it is refused.
