@@ -139,6 +139,7 @@ class Conditions(NamedTuple):
 _USUAL: Final = Conditions()
 Changes = Mapping[str, Mapping[str, Any]]
 """New values of fields, by group of the conditions and name."""
+_UNITS: Final = {"deg": math.pi / 180.0, "%": 0.01}
 
 
 def _meant(group: str, key: str, value: float, unit: str) -> Any:
@@ -149,9 +150,6 @@ def _meant(group: str, key: str, value: float, unit: str) -> Any:
         value *= _UNITS[unit]
     kind = type(getattr(getattr(_USUAL, group), key))
     return round(value) if kind is int else kind(value)
-
-
-_UNITS: Final = {"deg": math.pi / 180.0, "%": 0.01}
 
 
 # --- parameters that ask for them: those of ArduPilot's (libraries/SITL) and PX4's simulations ----

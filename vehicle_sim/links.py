@@ -8,6 +8,7 @@ of them ever blocks: what cannot be sent now is lost, as on a radio.
 import re
 import socket
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Literal, final
 
@@ -92,13 +93,10 @@ class Link:
 
     def _attach(self, address: Any) -> None:
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BYTES)
-        self._peers: dict[Any, None] = {}
         self._listens = self._endpoint.kind == "udpin"
+        self._peers: dict[Any, None] = {} if self._listens else {address: None}
         if self._listens:
             self._socket.bind(address)
-        else:
-            self._socket.connect(address)
-            self._peers[address] = None
 
     @property
     def sockets(self) -> Sequence[socket.socket]:
@@ -116,32 +114,21 @@ class Link:
         """Send these frames, or lose them."""
         for datagram in datagrams(frames):
             for peer in self._peers:
-                for _ in range(2):  # a refusal is about an earlier one, but it keeps this one back
-                    try:
-                        if self._listens:
-                            self._socket.sendto(datagram, peer)
-                        else:
-                            self._socket.send(datagram)
-                    except ConnectionRefusedError:
-                        continue
-                    except OSError:
-                        pass  # no route or no room for the moment: as good as a lost datagram
-                    break
+                with suppress(OSError):  # no route or no room for the moment: as good as lost
+                    self._socket.sendto(datagram, peer)
 
     def receive(self) -> bytes | None:
         """The next datagram or piece of stream, None if there is none now."""
-        while True:
-            try:
+        with suppress(OSError):
+            while True:
                 datagram, peer = self._socket.recvfrom(_LARGEST_DATAGRAM_BYTES)
-            except ConnectionRefusedError:
-                continue
-            except OSError:
-                return None
-            if self._listens and peer not in self._peers:
-                self._peers[peer] = None
-                if len(self._peers) > _MAX_PEERS:
-                    del self._peers[next(iter(self._peers))]
-            return datagram
+                if self._listens:
+                    self._peers.setdefault(peer)
+                    if len(self._peers) > _MAX_PEERS:
+                        del self._peers[next(iter(self._peers))]
+                if peer in self._peers:
+                    return datagram
+        return None
 
     def close(self) -> None:
         """Close the sockets."""

@@ -370,10 +370,7 @@ class World:
             return read_grid(Path(table.file), self.frame, area.edges_m, table.nodata)
         assert table.combine is not None
         assert table.ground_amsl_m is not None
-        rows = [
-            (p.north_m, p.east_m, p.height_amsl_m, p.spread_north_m, p.spread_east_m)
-            for p in table.peaks
-        ]
+        rows = [dataclasses.astuple(peak) for peak in table.peaks]  # its fields are in this order
         return PeakTerrain(rows, combine=table.combine, ground_amsl_m=table.ground_amsl_m)
 
     def scene(self, terrain: Terrain | None = None) -> Scene:
