@@ -154,29 +154,26 @@ class Server:
 
     # --- in -----------------------------------------------------------------------------------
 
-    def _listen(self, wait_s: float) -> bool:
-        """Handle what is there, waiting so long for the first; tell whether anything was."""
+    def _listen(self, wait_s: float) -> None:
+        """Handle what is there, waiting so long for the first."""
         sockets = [each for link in self._heard for each in link.sockets]
         ready, _, _ = select.select(sockets, [], [], max(wait_s, 0.0))
-        return bool(ready) and self._receive()
+        if ready:
+            self._receive()
 
-    def _receive(self) -> bool:
-        any_came = False
+    def _receive(self) -> None:
         for link, hearers in self._heard.items():
             for _ in range(_MAX_DATAGRAMS):
-                datagram = link.receive()
-                if datagram is None:
+                if (datagram := link.receive()) is None:
                     break
-                any_came = True
                 for simulation, number in hearers:
                     simulation.receive(number, datagram)
-        return any_came
 
     # --- lockstep -----------------------------------------------------------------------------
 
     def _lockstep(self) -> float:
         self._ask(self._simulations)
-        self._await_companions(_HELLO_S, self._settings.first_heartbeat_s)
+        self._await(_HELLO_S, self._settings.first_heartbeat_s)
         for simulation in self._simulations:
             simulation.begin()
         start_s = time.monotonic()
@@ -189,18 +186,17 @@ class Server:
                         asked = True
             self._send()
             self._write()
-            self._await_companions(_AGAIN_S, self._settings.silence_s)
+            self._await(_AGAIN_S, self._settings.silence_s)
         return time.monotonic() - start_s
 
-    def _await_companions(self, every_s: float, patience_s: float) -> None:
-        """Handle messages until no vehicle waits; vehicle time is stopped."""
+    def _await(self, every_s: float, patience_s: float) -> None:
+        """Handle messages until no vehicle waits for its companion; vehicle time is stopped."""
         begun_s = asked_s = time.monotonic()
         while not self._stop.is_set():
             waiting = [each for each in self._simulations if each.waits]
             if not waiting:
                 return
-            if self._listen(min(every_s, _PATIENCE_S)):
-                continue
+            self._listen(min(every_s, _PATIENCE_S))
             now_s = time.monotonic()
             if now_s - begun_s >= patience_s:
                 raise CompanionSilent(_silence(waiting[0], patience_s))
