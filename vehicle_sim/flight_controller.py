@@ -38,7 +38,8 @@ from vehicle_sim.wire.streams import COMMANDS as STREAM_COMMANDS
 from vehicle_sim.wire.streams import Streams
 from vehicle_sim.wire.telemetry import message_of
 
-_HEARTBEAT, _POSITION = 0, 33
+_HEARTBEAT, _POSITION, _CURRENT_MODE = 0, 33, 436
+_CURRENT_MODE_US = 500_000
 _SET_MODE, _DO_SET_MODE = 11, 176
 _EPOCH_US = 1_795_000_000_000_000
 """UTC at the start of every run: the same seed gives the same bytes."""
@@ -77,6 +78,8 @@ class FlightController:
         )
         self.ground_stations = set[int]()
         """Links on which one was heard."""
+        self._mode_told: dict[int, tuple[Any, int]] = {}
+        """Newest CURRENT_MODE of each link, and when that was."""
         self._on_text, self._texts = on_text, 0
         """So many have been said: the number of one that takes several messages."""
 
@@ -102,9 +105,17 @@ class FlightController:
         for link, number in due:
             if number not in built:
                 built[number] = self._said(number)
-            for message in built[number]:
-                self.radio.send(message, link)
+            if number != _CURRENT_MODE or self._is_news(built[number], link):
+                self._deliver(built[number], (link,))
         return (0, _POSITION) in due
+
+    def _is_news(self, mode: Any, link: int) -> bool:
+        """CURRENT_MODE is sent at 2 Hz and at once on a change, however often it is asked for."""
+        told, told_us = self._mode_told.get(link, (None, 0))
+        if told == mode and self.now_us - told_us < _CURRENT_MODE_US:
+            return False
+        self._mode_told[link] = mode, self.now_us
+        return True
 
     def _said(self, number: int) -> Sequence[Any]:
         """What there is to say by this number now."""
@@ -134,15 +145,18 @@ class FlightController:
                     self._say(reply)
                 case SendTelemetry():
                     self._renew_report()
-                    self._deliver(self._said(reply.message), reply.to)
+                    self._deliver(self._said(reply.message), self._links_to(reply.to))
                 case SendMessage():
-                    self._deliver((reply.message,), reply.to)
+                    self._deliver((reply.message,), self._links_to(reply.to))
                 case Reboot():
                     self.wants_reboot = True
 
-    def _deliver(self, said: Sequence[Any], to: Sender | None) -> None:
-        """To the link of one client; None: to all links."""
-        for link in self.radio.links if to is None else (to.link,):
+    def _links_to(self, to: Sender | None) -> Iterable[int]:
+        """That of one client; None: all."""
+        return self.radio.links if to is None else (to.link,)
+
+    def _deliver(self, said: Sequence[Any], links: Iterable[int]) -> None:
+        for link in links:
             for message in said:
                 self.radio.send(message, link)
 
@@ -150,9 +164,8 @@ class FlightController:
         """PX4 says it on links with a ground station, ArduPilot where anybody was heard."""
         self._texts = self._texts % 0xFFFF + 1
         heard_on = self.radio.router.heard_on
-        for link in sorted(self.ground_stations if self.firmware == "px4" else heard_on):
-            for message in texts(text, self._texts):
-                self.radio.send(message, link)
+        links = sorted(self.ground_stations if self.firmware == "px4" else heard_on)
+        self._deliver(texts(text, self._texts), links)
         self._on_text(text)
 
     # --- in -----------------------------------------------------------------------------------

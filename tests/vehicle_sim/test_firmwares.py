@@ -6,7 +6,7 @@ ardupilot.md (head, 1), px4.md (1 to 3, 10).
 from typing import Any
 
 import pytest
-from harness import GCS, KINDS, PLACE, Link, flying, heartbeat, ready
+from harness import GCS, KINDS, MISSION, PLACE, Link, flying, heartbeat, ready
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot import core
@@ -95,6 +95,17 @@ def test_ardupilot_tells_texts_where_anybody_was_heard_and_px4_to_ground_station
     vehicle.run(1.0)
     assert vehicle.texts() == []
     assert vehicle.texts(link=1)
+
+
+def test_px4_tells_its_mode_twice_a_second_and_at_once_when_it_changes() -> None:
+    vehicle = ready("px4", "copter")
+    vehicle.command(511, 436, 50_000)
+    since_s = vehicle.now_s
+    vehicle.run(10.0)
+    assert len(vehicle.all("CURRENT_MODE", since_s=since_s)) == pytest.approx(20, abs=1)
+    mission = MISSION[0] << 16 | MISSION[1] << 24
+    vehicle.set_mode(mission)
+    assert vehicle.last("CURRENT_MODE").custom_mode == mission
 
 
 def test_px4_takes_what_is_signed_and_what_is_not_and_never_signs() -> None:
