@@ -18,7 +18,7 @@ from vehicle_sim.errors import InputError, SimulatorError
 from vehicle_sim.faults import Timeline
 from vehicle_sim.links import Link, open_link, parse_endpoint
 from vehicle_sim.parameters import Firmware
-from vehicle_sim.server import Server, Settings, Station, stopping_on_signals, truth_files
+from vehicle_sim.server import Server, Settings, Station, stopping_on_signals, truth_file
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import VehicleKind, World, flat_world, read_world
 
@@ -121,7 +121,7 @@ def fly(
         lockstep=lockstep, speedup=speedup or 1.0, duration_s=duration or math.inf, strict=strict
     )
     worlds = _row(_with_parameters(flown, param or [], settings.speedup), count, port_step)
-    timeline = "" if faults is None else _timeline(faults, worlds[0])
+    timeline = "" if faults is None else _timeline(faults)
     simulations = [
         Simulation(
             each,
@@ -137,7 +137,7 @@ def fly(
     names = ["truth.jsonl", *(f"truth-{k}.jsonl" for k in range(2, count + 1))]
     with ExitStack() as stack:
         stop = stack.enter_context(stopping_on_signals())
-        truths = stack.enter_context(truth_files(out, names))
+        truths = [stack.enter_context(truth_file(out, name)) for name in names]
         opened = list[list[Link]]()
         for k in range(count if port_step else 1):
             opened.append([open_link(each.shifted(k * port_step)) for each in endpoints])
@@ -186,24 +186,20 @@ def _must_lie(
 
 def _flat(firmware: Firmware, kind: VehicleKind, home: str, scan_range_m: float | None) -> World:
     """Level ground at the height of --home."""
-    rule = "must be LAT,LON,ALT,HEADING within 85 deg, 180 deg, -1000 to 20000 m, 360 deg"
-    wrong = InputError("--home", home, rule, f"Try {_HOME}.")
     try:
         latitude_deg, longitude_deg, altitude_m, heading_deg = map(float, home.split(","))
-    except ValueError:
-        raise wrong from None
-    in_range = abs(latitude_deg) <= 85.0 and abs(longitude_deg) <= 180.0
-    if not (in_range and -1000.0 <= altitude_m <= 20000.0 and abs(heading_deg) <= 360.0):
-        raise wrong
-    return flat_world(
-        kind,
-        firmware,
-        latitude_deg=latitude_deg,
-        longitude_deg=longitude_deg,
-        altitude_amsl_m=altitude_m,
-        heading_deg=heading_deg,
-        scan_range_m=scan_range_m,
-    )
+        return flat_world(
+            kind,
+            firmware,
+            latitude_deg=latitude_deg,
+            longitude_deg=longitude_deg,
+            altitude_amsl_m=altitude_m,
+            heading_deg=heading_deg,
+            scan_range_m=scan_range_m,
+        )
+    except ValueError:  # also pydantic's, of a place that is not on earth
+        rule = "must be LAT,LON,ALT,HEADING within 85 deg, 180 deg, -1000 to 20000 m, 360 deg"
+        raise InputError("--home", home, rule, f"Try {_HOME}.") from None
 
 
 def _with_parameters(world: World, assignments: list[str], speedup: float) -> World:
@@ -231,22 +227,21 @@ def _row(world: World, count: int, port_step: int) -> list[World]:
     why = f": there are system ids from {vehicle.system_id} to {highest}"
     _must_lie("--count", count, 1, most, f"Try {min(most, 5)}.", why)
     _must_lie("--port-step", port_step, 0, 1000, "Try 10.")
-    places = [(vehicle.system_id + k, vehicle.east_m + k * _ROW_M) for k in range(count)]
-    return [
-        replace(world, vehicle=replace(vehicle, system_id=system_id, east_m=east_m))
-        for system_id, east_m in places
-    ]
+    vehicles = (
+        replace(vehicle, system_id=vehicle.system_id + k, east_m=vehicle.east_m + k * _ROW_M)
+        for k in range(count)
+    )
+    return [replace(world, vehicle=each) for each in vehicles]
 
 
-def _timeline(file: Path, world: World) -> str:
+def _timeline(file: Path) -> str:
     """The text of a file of faults, which has been read through once."""
     try:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         rule = f"cannot be read ({getattr(error, 'strerror', None) or 'not a text file'})"
         raise InputError("--faults", str(file), rule, "Name a file with a fault a line.") from None
-    firmware = personality_of(world.vehicle).firmware.family
-    Timeline.parse(text, name=str(file), firmware=firmware)
+    Timeline.parse(text, name=str(file))
     return text
 
 
@@ -303,7 +298,3 @@ def run(app: typer.Typer, program: str) -> None:
 def main() -> None:
     """Entry of the console script."""
     run(app, "vehicle-sim")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,15 +1,14 @@
 """The true terrain of an elevation file: GeoTIFF or SRTM .hgt, bilinear between its points.
 
-rasterio is loaded only if a file is named.  The companion, which plans by the same file, makes the
+The companion, which plans by the same file, makes the
 finer checks of it.  Positions come in the local frame: geodesics are exact and slow, so the way
 from there to the grid is tabulated once, at places so close that it is straight between them.
 """
 
-import importlib
 import math
 import warnings
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple, Self, final
+from typing import Any, Final, Literal, final
 
 import numpy as np
 import scipy
@@ -34,23 +33,11 @@ _SAMPLE_M: Final = 5.0
 
 
 @final
-class GridTerrain(NamedTuple):
+class GridTerrain:
     """Heights of points in rows from north to south; as at its edge beyond it."""
 
-    heights_m: NDArray[Any]
-    """(rows, columns) AMSL, of the file's own type."""
-    low_ne_m: tuple[float, float]
-    spacing_ne_m: tuple[float, float]
-    """Of the places in the tables."""
-    row_at: FloatArray
-    """(N, E): which row of the grid each place lies in; and which column."""
-    column_at: FloatArray
-    steps_m: tuple[float, float]
-    """From row to row, and the least from column to column."""
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         heights_m: NDArray[Any],
         *,
         north_deg: float,
@@ -58,10 +45,16 @@ class GridTerrain(NamedTuple):
         step_deg: tuple[float, float],
         frame: LocalFrame,
         area_m: Area,
-    ) -> Self:
-        """The terrain of an area.  north_deg, west_deg: of the first point.  Steps: positive."""
+    ) -> None:
+        """The terrain of an area.  north_deg, west_deg: of the first point.  Steps: positive.
+
+        heights_m: (rows, columns) AMSL, of the file's own type.
+        """
+        self.heights_m = heights_m
         sizes = [max(high - low, 1.0) for low, high in (area_m[:2], area_m[2:])]
         counts = [min(math.ceil(size / _TABLE_M), _TABLE_PLACES) + 1 for size in sizes]
+        self._low_ne_m = area_m[0], area_m[2]
+        self._spacing_ne_m = [size / (count - 1) for size, count in zip(sizes, counts, strict=True)]
         north, east = np.meshgrid(
             area_m[0] + np.linspace(0.0, sizes[0], counts[0]),
             area_m[2] + np.linspace(0.0, sizes[1], counts[1]),
@@ -70,26 +63,20 @@ class GridTerrain(NamedTuple):
         latitude, longitude = frame.to_geographic_many(north.ravel(), east.ravel())
         half = 0.5 * step_deg[1] * (heights_m.shape[1] - 1)
         off_middle = (longitude - west_deg - half + 180.0) % 360.0 - 180.0
-        steps_m = [
-            step * length
-            for step, length in zip(step_deg, metres_per_degree(north_deg), strict=True)
-        ]
-        southmost = north_deg - step_deg[0] * heights_m.shape[0]
-        steps_m[1] = min(steps_m[1], step_deg[1] * metres_per_degree(southmost)[1])
-        return cls(
-            heights_m=heights_m,
-            low_ne_m=(area_m[0], area_m[2]),
-            spacing_ne_m=(sizes[0] / (counts[0] - 1), sizes[1] / (counts[1] - 1)),
-            row_at=((north_deg - latitude) / step_deg[0]).reshape(north.shape),
-            column_at=((off_middle + half) / step_deg[1]).reshape(north.shape),
-            steps_m=(steps_m[0], steps_m[1]),
-        )
+        self._row_at = ((north_deg - latitude) / step_deg[0]).reshape(north.shape)
+        self._column_at = ((off_middle + half) / step_deg[1]).reshape(north.shape)
+        """(N, E): which row of the grid each place of the table lies in; and which column."""
+        southmost_deg = north_deg - step_deg[0] * heights_m.shape[0]
+        northward_m, eastward_m = metres_per_degree(north_deg)
+        eastward_m = min(eastward_m, metres_per_degree(southmost_deg)[1])
+        self._steps_m = step_deg[0] * northward_m, step_deg[1] * eastward_m
+        """From row to row, and the least from column to column."""
 
     def _rows_columns(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """Where points of the local frame lie in the grid.  (...) x2 -> (2, ...)."""
-        north = (north_m - self.low_ne_m[0]) / self.spacing_ne_m[0]
-        places = np.stack([north, (east_m - self.low_ne_m[1]) / self.spacing_ne_m[1]])
-        return np.stack([_between(self.row_at, places), _between(self.column_at, places)])
+        north = (north_m - self._low_ne_m[0]) / self._spacing_ne_m[0]
+        places = np.stack([north, (east_m - self._low_ne_m[1]) / self._spacing_ne_m[1]])
+        return np.stack([_between(self._row_at, places), _between(self._column_at, places)])
 
     def height_amsl_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """Height of the terrain.  (...), (...) -> (...)."""
@@ -110,12 +97,9 @@ class GridTerrain(NamedTuple):
         high = np.clip(np.ceil(grid.reshape(2, -1).max(axis=1)).astype(np.intp) + 3, 0, last)
         part = self.heights_m[low[0] : high[0] + 1, low[1] : high[1] + 1].astype(np.float64)
         part = np.pad(part, ((0, 1), (0, 1)), mode="edge")
-        along_north = (
-            scipy.ndimage.maximum_filter(np.abs(np.diff(part, axis=0))[:, :-1], 5) / self.steps_m[0]
-        )
-        along_east = (
-            scipy.ndimage.maximum_filter(np.abs(np.diff(part, axis=1))[:-1], 5) / self.steps_m[1]
-        )
+        steepest = scipy.ndimage.maximum_filter
+        along_north = steepest(np.abs(np.diff(part, axis=0))[:, :-1], 5) / self._steps_m[0]
+        along_east = steepest(np.abs(np.diff(part, axis=1))[:-1], 5) / self._steps_m[1]
         return np.asarray(_STRETCH * np.hypot(along_north, along_east)), low
 
     def highest_in_quads_amsl_m(self, corners_ne_m: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -190,15 +174,13 @@ def read_grid(
     """The terrain of an area; InputError says what is wrong with the file."""
     if not path.is_file():
         raise _refusal(path, "there is no such file", "Name a GeoTIFF or an SRTM .hgt.")
-    try:
-        rasterio = importlib.import_module("rasterio")
-    except ImportError:
-        raise _refusal(path, "rasterio is not installed", "Install it.") from None
+    import rasterio  # only if a file is named: it takes a while
+
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            is_hgt = path.suffix.lower() == ".hgt"
-            dataset = rasterio.open(path, driver="SRTMHGT" if is_hgt else "GTiff")
+            driver = "SRTMHGT" if path.suffix.lower() == ".hgt" else "GTiff"
+            dataset = rasterio.open(path, driver=driver)
         with dataset:
             a, turned, west_deg, _, e, north_deg = dataset.transform[:6]
             if dataset.crs is None or not dataset.crs.is_geographic or turned or not a > 0.0 > e:
@@ -209,7 +191,7 @@ def read_grid(
     except rasterio.errors.RasterioError as error:
         reason = " ".join(str(error).split())
         raise _refusal(path, f"cannot be read ({reason})", "Name a GeoTIFF.") from None
-    return GridTerrain.of(
+    return GridTerrain(
         _without_holes(raw, nodata, path),
         north_deg=north_deg + (top + 0.5) * e,
         west_deg=west_deg + (left + 0.5) * a,

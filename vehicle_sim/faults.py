@@ -17,7 +17,6 @@ import functools
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any, Final, NamedTuple, Self, final
 
 from vehicle_sim.errors import InputError, did_you_mean
@@ -79,8 +78,6 @@ class LinkConditions(NamedTuple):
     delay_us: int = 0
     jitter_us: int = 0
     duplicated: float = 0.0
-    reordered: float = 0.0
-    corrupted: float = 0.0
     to_vehicle: bool = True
     """Whether frames to the vehicle are concerned, and those from it."""
     from_vehicle: bool = True
@@ -90,7 +87,7 @@ class LinkConditions(NamedTuple):
     @property
     def any(self) -> bool:
         """Something is wrong."""
-        return any(self[:7])
+        return any(self[:5])
 
 
 class RadarConditions(NamedTuple):
@@ -117,11 +114,7 @@ class LidarConditions(NamedTuple):
     stuck: bool = False
     turned_rad: float = 0.0
     clock_us: int = 0
-    clock_jump_us: int = 0
     rate_hz: float = 0.0
-    frame: int = 12
-    junk: float = 0.0
-    mirrored: bool = False
 
 
 class AutopilotConditions(NamedTuple):
@@ -146,18 +139,16 @@ class Conditions(NamedTuple):
 _USUAL: Final = Conditions()
 Changes = Mapping[str, Mapping[str, Any]]
 """New values of fields, by group of the conditions and name."""
+_UNITS: Final = {"deg": math.pi / 180.0, "%": 0.01}
 
 
 def _meant(group: str, key: str, value: float, unit: str) -> Any:
     """A number of a line or a parameter, in this unit, as the field has it."""
-    if unit == "deg":
-        return math.radians(value)
-    if unit == "%":
-        return value * 0.01
-    if unit == "ms" and key.endswith("_s"):
-        return value * 1e-3
+    if unit == "ms":
+        value *= 1e-3 if key.endswith("_s") else 1e3
+    elif unit in _UNITS:
+        value *= _UNITS[unit]
     kind = type(getattr(getattr(_USUAL, group), key))
-    value = value * 1e3 if unit == "ms" else value
     return round(value) if kind is int else kind(value)
 
 
@@ -168,90 +159,75 @@ def _meant(group: str, key: str, value: float, unit: str) -> Any:
 class Asking(NamedTuple):
     """A parameter, and the field that it is the value of."""
 
-    row: Parameter
+    name: str
     group: str
     key: str
-    unit: str
+    usual: float
+    least: float
+    most: float
+    unit: str = ""
+    kind: Kind = Kind.REAL32
 
-    def changes(self, value: float) -> Changes:
-        """What it asks for with this value."""
-        return {self.group: {self.key: _meant(self.group, self.key, value, self.unit)}}
-
-
-def _sim(
-    name: str, at: str, usual: float, least: float, most: float, unit: str = "", kind: str = ""
-) -> Asking:
-    """At: group and field.  Kind: a float, if it is left out."""
-    row = Parameter(
-        name=f"SIM_{name}",
-        default=usual,
-        kind=Kind[kind or "REAL32"],
-        least=least,
-        most=most,
-    )
-    group, _, key = at.partition(".")
-    return Asking(row, group, key, unit)
+    def row(self, firmware: Firmware) -> Parameter:
+        """PX4 knows INT32 and FLOAT only, and its simulated receiver is never late."""
+        kind, usual = self.kind, self.usual
+        if firmware == "px4":
+            kind = kind if kind is Kind.REAL32 else Kind.INT32
+            usual = 0.0 if self.key == "lag_s" else usual
+        return Parameter(name=self.name, default=usual, kind=kind, least=self.least, most=self.most)
 
 
 _FAR_M: Final = 1e5
-ASKING: Final = (
-    _sim("GPS_USED", "gps.satellites", 10, 0, 50, kind="INT32"),
-    _sim("GPS1_ENABLE", "gps.enabled", 1, 0, 1, kind="INT8"),
-    _sim("GPS1_GLTCH_X", "gps.glitch_latitude_deg", 0, -90, 90),
-    _sim("GPS1_GLTCH_Y", "gps.glitch_longitude_deg", 0, -180, 180),
-    _sim("GPS1_GLTCH_Z", "gps.glitch_up_m", 0, -_FAR_M, _FAR_M),
-    _sim("GPS1_ALT_OFS", "gps.offset_up_m", 0, -32_768, 32_767, kind="INT16"),
-    _sim("GPS1_JAM", "gps.jammed", 0, 0, 1, kind="INT8"),
-    _sim("GPS1_LAG_MS", "gps.lag_s", 100, 0, 5000, "ms", "INT16"),
-    _sim("GPS1_NUMSATS", "gps.satellites", 10, 0, 50, kind="INT8"),
-    _sim("WIND_SPD", "wind.speed_m_s", 0, 0, 100),
-    _sim("WIND_DIR", "wind.from_rad", 180, -360, 360, "deg"),
-    _sim("WIND_TURB", "wind.turbulence_m_s", 0, 0, 50),
-    _sim("WIND_DIR_Z", "wind.rising_rad", 0, -90, 90, "deg"),
-    _sim("BATT_VOLTAGE", "battery.voltage_v", 12.6, 0, 60),
-    _sim("BATT_CAP_AH", "battery.capacity_ah", 0, 0, 1000),
-    _sim("BAT_DRAIN", "battery.drain_s", 60, 1, 86_400),
-    _sim("BAT_MIN_PCT", "battery.least", 50, 0, 100, "%"),
+_OF_PX4: Final = (
+    Asking("SIM_GPS_USED", "gps", "satellites", 10, 0, 50, kind=Kind.INT32),
+    Asking("SIM_BAT_DRAIN", "battery", "drain_s", 60, 1, 86_400),
+    Asking("SIM_BAT_MIN_PCT", "battery", "least", 50, 0, 100, "%"),
 )
-"""SIM_BATT_ are ArduPilot's, SIM_BAT_ and SIM_GPS_USED are PX4's, the others are of both."""
-_OF_PX4: Final = ("SIM_GPS_USED", "SIM_BAT_DRAIN", "SIM_BAT_MIN_PCT")
+_OF_BOTH: Final = (
+    Asking("SIM_GPS1_ENABLE", "gps", "enabled", 1, 0, 1, kind=Kind.INT8),
+    Asking("SIM_GPS1_GLTCH_X", "gps", "glitch_latitude_deg", 0, -90, 90),
+    Asking("SIM_GPS1_GLTCH_Y", "gps", "glitch_longitude_deg", 0, -180, 180),
+    Asking("SIM_GPS1_GLTCH_Z", "gps", "glitch_up_m", 0, -_FAR_M, _FAR_M),
+    Asking("SIM_GPS1_ALT_OFS", "gps", "offset_up_m", 0, -32_768, 32_767, kind=Kind.INT16),
+    Asking("SIM_GPS1_JAM", "gps", "jammed", 0, 0, 1, kind=Kind.INT8),
+    Asking("SIM_GPS1_LAG_MS", "gps", "lag_s", 100, 0, 5000, "ms", Kind.INT16),
+    Asking("SIM_GPS1_NUMSATS", "gps", "satellites", 10, 0, 50, kind=Kind.INT8),
+    Asking("SIM_WIND_SPD", "wind", "speed_m_s", 0, 0, 100),
+    Asking("SIM_WIND_DIR", "wind", "from_rad", 180, -360, 360, "deg"),
+    Asking("SIM_WIND_TURB", "wind", "turbulence_m_s", 0, 0, 50),
+    Asking("SIM_WIND_DIR_Z", "wind", "rising_rad", 0, -90, 90, "deg"),
+)
+_OF_ARDUPILOT: Final = (
+    Asking("SIM_BATT_VOLTAGE", "battery", "voltage_v", 12.6, 0, 60),
+    Asking("SIM_BATT_CAP_AH", "battery", "capacity_ah", 0, 0, 1000),
+)
+_GAUGE: Final = Asking("BATT_CAPACITY", "battery", "gauge_mah", 3300, 0, math.inf)
+"""A parameter of an ArduPilot proper."""
+ASKING: Final = (*_OF_BOTH, *_OF_ARDUPILOT, _GAUGE, *_OF_PX4)
+"""Of two for one field the later counts."""
+SIM_PARAMETERS: Final = tuple(each.row("ardupilot") for each in (*_OF_BOTH, *_OF_ARDUPILOT))
+"""What both ArduPilots' tables end with."""
+SIM_PARAMETERS_PX4: Final = tuple(each.row("px4") for each in (_OF_PX4[0], *_OF_BOTH, *_OF_PX4[1:]))
+"""What both PX4s' tables end with."""
 _PX4_MIN_SATELLITES: Final = 4
 """With fewer PX4's simulated receiver has no fix (px4.md 8)."""
-
-
-def _as_px4(row: Parameter) -> Parameter:
-    """PX4 knows INT32 and FLOAT only, and its simulated receiver is never late."""
-    default = 0.0 if row.name == "SIM_GPS1_LAG_MS" else row.default
-    return replace(row, kind=row.kind if row.kind is Kind.REAL32 else Kind.INT32, default=default)
-
-
-SIM_PARAMETERS: Final = tuple(each.row for each in ASKING if each.row.name not in _OF_PX4)
-"""What both ArduPilots' tables end with."""
-SIM_PARAMETERS_PX4: Final = tuple(
-    _as_px4(each.row) for each in ASKING if not each.row.name.startswith("SIM_BATT_")
-)
-"""What both PX4s' tables end with."""
 
 
 def conditions_of(parameters: Readable, faults: Iterable[Changes] = ()) -> Conditions:
     """What the parameters ask for, and over them each of these faults; the last one counts.
 
-    A parameter that the table lacks, or that is not a number, has its usual value.  On PX4
-    SIM_GPS_USED counts, and not SIM_GPS1_NUMSATS.
+    A parameter that the table lacks, or that is not a number, has its usual value.
     """
-    asked, is_px4 = list[Changes](), "SIM_GPS_USED" in parameters
-    for each in (*ASKING[1:], ASKING[0]):
-        if each.row.name in parameters and math.isfinite(value := parameters[each.row.name]):
-            asked.append(each.changes(value))
-    if "BATT_CAPACITY" in parameters:
-        asked.append({"battery": {"gauge_mah": parameters["BATT_CAPACITY"]}})
     values: dict[str, dict[str, Any]] = {}
-    for changes in (*asked, *faults):
+    for name, group, key, *_, unit, _ in ASKING:
+        if name in parameters and math.isfinite(value := parameters[name]):
+            values.setdefault(group, {})[key] = _meant(group, key, value, unit)
+    for changes in faults:
         for group, changed in changes.items():
             values.setdefault(group, {}).update(changed)
     groups = {group: getattr(_USUAL, group)._replace(**new) for group, new in values.items()}
     made = _USUAL._replace(**groups)
-    if not is_px4:
+    if "SIM_GPS_USED" not in parameters:
         return made
     seen = made.gps.satellites if made.gps.enabled else 0
     gps = made.gps._replace(satellites=seen, enabled=seen >= _PX4_MIN_SATELLITES)
@@ -272,7 +248,6 @@ _PATTERNS: Final = {
     "N": r"[-+]?(?:\d+\.?\d*|\.\d+)",
     "WHERE": "|".join(_WAYS),
     "SIDE": "north|east|south|west",
-    "PARAMETER": r"\w+",
 }
 _NUMBER: Final = re.compile(r"\{(\w*):?([^:}]*):?([^:}]*)\}(?: (ms|deg|%))?")
 
@@ -304,7 +279,7 @@ class Fault:
         self.usage = re.sub(r"\{.*?\}", "N", line)
         """The line for people."""
         self.name = line.split()[0]
-        self.once = not group and self.name != "set"
+        self.once = not group
         """It happens at a moment and has no length."""
         self._numbers = [
             _Number(key, float(first) if last else 0.0, float(last or first or 100.0), unit)
@@ -395,10 +370,6 @@ FAULTS: Final = (
     _link("link_delay {delay_us:60000} ms [jitter {jitter_us:60000} ms]", "Every frame is late by "
         "the delay and up to the jitter more; a frame may overtake another so."),
     _link("link_duplication {duplicated} %", "This share of the frames arrives twice."),
-    _link("link_reordering {reordered} %",
-        "This share of the frames is overtaken by those after it."),
-    _link("link_corruption {corrupted} %",
-        "This share of the frames arrives with a few bits wrong."),
     Fault("radar", "radar_off", "The radar falls silent: no answers, no heartbeat.", "silent"),
     Fault("radar", "radar_blind", "The radar answers and sees nothing.", "blind"),
     Fault("radar", "radar_drop {cells_missed} %",
@@ -422,16 +393,9 @@ FAULTS: Final = (
     Fault("lidar", "lidar_stuck", "The same distances for ever, with new stamps.", "stuck"),
     Fault("lidar", "lidar_turned {turned_rad:-360:360} deg",
         "It is mounted turned by this, and nobody knows."),
-    Fault("lidar", "lidar_clock {clock_us:-1e9:1e9} ms [jumping {clock_jump_us:60000} ms]",
-        "The driver's clock is ahead by this, and each stamp wrong by up to so much more, either "
-        "way."),
+    Fault("lidar", "lidar_clock {clock_us:-1e9:1e9} ms", "The driver's clock is ahead by this."),
     Fault("lidar", "lidar_rate {rate_hz:1000} Hz",
         "Of the driver's messages; else as in the world.  200: a flood."),
-    Fault("lidar", "lidar_frame {frame:255}", "The driver claims this MAV_FRAME."),
-    Fault("lidar", "lidar_junk {junk} %", "Share of the distances that are 0, 65535 or beyond the "
-        "limits, and of messages whose increment or offset is NaN."),
-    Fault("lidar", "lidar_mirror", "What a client says of obstacles comes back to it, and all that "
-        "the driver says is said in the companion's name too.", "mirrored"),
     Fault("autopilot", "rangefinder_off", "RANGEFINDER says 0, DISTANCE_SENSOR nothing.",
         "rangefinder_off"),
     Fault("autopilot", "setpoints_ignored", "The autopilot takes no setpoint, without a word.",
@@ -450,8 +414,6 @@ FAULTS: Final = (
         "A ground station gives the companion a target so far from where the vehicle is."),
     Fault("", "ground_fence {:0.1:1e5} m [{:1e5} m ahead]",
         "The vehicle's fence gets one more circle to stay out of, so far ahead of where it is."),
-    Fault("", "set PARAMETER {:-1e9:1e9}",
-        "Any parameter whose name begins with SIM_, as if it had this value."),
 )
 # fmt: on
 """In the order of the documentation."""
@@ -460,7 +422,7 @@ BY_NAME: Final = {fault.name: fault for fault in FAULTS}
 
 def faults_page() -> str:
     """The table of docs/reference/faults.md."""
-    same = {(each.group, each.key): f"`{each.row.name}`" for each in ASKING}
+    same = {(each.group, each.key): f"`{each.name}`" for each in reversed(ASKING)}
     rows = ["| fault | parameters that do the same | what it does |\n|---|---|---|\n"]
     for fault in FAULTS:
         names = [same[at] for key in fault.fields if (at := (fault.group, key)) in same]
@@ -497,8 +459,7 @@ class Entry(NamedTuple):
 class Timeline:
     """Faults to come; one for each vehicle, for it remembers where it is."""
 
-    def __init__(self, firmware: Firmware = "ardupilot") -> None:
-        self._firmware = firmware
+    def __init__(self) -> None:
         self.entries: list[Entry] = []
         """Those that have not begun yet, in order of time."""
         self._lasting: list[Entry] = []
@@ -506,18 +467,18 @@ class Timeline:
         """When something is due next: nothing is before."""
 
     @classmethod
-    def parse(cls, text: str, *, name: str = "timeline", firmware: Firmware = "ardupilot") -> Self:
+    def parse(cls, text: str, *, name: str = "timeline") -> Self:
         """The timeline of this text; InputError names file (`name`), line and what is wrong."""
-        timeline = cls(firmware)
+        timeline = cls()
         for number, raw in enumerate(text.splitlines(), start=1):
             if line := raw.partition("#")[0].strip():
-                timeline._add(timeline._entry(line, f"{name}:{number}"))
+                timeline._add(_entry(line, f"{name}:{number}"))
         return timeline
 
     def add(self, line: str, now_us: int) -> None:
         """A fault from now on: a line without its time, as "gps_off" or "for 30 s: gps_off"."""
         length, colon, what = line.strip().rpartition(":")
-        self._add(self._entry(f"at {now_us} us {length}{colon or ':'} {what}", "fault"))
+        self._add(_entry(f"at {now_us} us {length}{colon or ':'} {what}", "fault"))
 
     def _add(self, entry: Entry) -> None:
         bisect.insort(self.entries, entry, key=lambda each: each.at_us)
@@ -538,44 +499,27 @@ class Timeline:
         """Of the conditions, now: by each fault that lasts, the last begun last."""
         return [each.changes for each in self._lasting]
 
-    def _entry(self, line: str, where: str) -> Entry:
-        match = _LINE.fullmatch(line)
-        if match is None:
-            rule = 'reads "at TIME: FAULT" or "at TIME for TIME: FAULT"'
-            raise InputError(where, line, rule, "Write for example: at 120 s for 30 s: gps_off.")
-        at_us, length_us = _time_us(match["at"], where), NEVER_US
-        if match["length"] is not None:
-            length_us = _time_us(match["length"], where)
-        what = match["what"].strip()
-        name = what.split()[0].lower()
-        if (fault := BY_NAME.get(name)) is None:
-            remedy = did_you_mean(name, BY_NAME, f"Choose from: {', '.join(BY_NAME)}.")
-            raise InputError(where, name, "no such fault", remedy)
-        if match["length"] is not None and fault.once:
-            raise InputError(where, line, f"{name} happens once", 'Leave out "for".')
-        if length_us == 0:
-            raise InputError(where, line, "lasts no time", "Write a longer time.")
-        if (name, self._firmware) == ("battery_voltage", "px4"):
-            rule = "battery_voltage is for ardupilot, and this is px4"
-            raise InputError(where, line, rule, "Leave it out.")
-        changes, values = fault.read(what, where)
-        if name == "set":
-            changes = self._set(what.split()[1].upper(), values[0], where)
-        return Entry(at_us, min(at_us + length_us, NEVER_US), name, changes, values)
 
-    def _set(self, name: str, value: float, where: str) -> Changes:
-        """What a parameter asks for that has this value."""
-        table = SIM_PARAMETERS if self._firmware == "ardupilot" else SIM_PARAMETERS_PX4
-        rows = {row.name: row for row in table}
-        if (row := rows.get(name)) is None:
-            remedy = did_you_mean(name, rows, "Choose one that begins with SIM_.")
-            raise InputError(where, name, f"{self._firmware} has no such parameter", remedy)
-        if not row.least <= value <= row.most:
-            rule = f"must lie from {row.least:g} to {row.most:g}"
-            raise InputError(where, f"{name} {value:g}", rule, "Correct the number.")
-        if (name, self._firmware) == ("SIM_GPS1_NUMSATS", "px4"):
-            return {"gps": {}}  # SIM_GPS_USED counts
-        return next(each.changes(value) for each in ASKING if each.row.name == name)
+def _entry(line: str, where: str) -> Entry:
+    """One line of a timeline; `where` it stands, for errors."""
+    match = _LINE.fullmatch(line)
+    if match is None:
+        rule = 'reads "at TIME: FAULT" or "at TIME for TIME: FAULT"'
+        raise InputError(where, line, rule, "Write for example: at 120 s for 30 s: gps_off.")
+    at_us, length_us = _time_us(match["at"], where), NEVER_US
+    if match["length"] is not None:
+        length_us = _time_us(match["length"], where)
+    what = match["what"].strip()
+    name = what.split()[0].lower()
+    if (fault := BY_NAME.get(name)) is None:
+        remedy = did_you_mean(name, BY_NAME, f"Choose from: {', '.join(BY_NAME)}.")
+        raise InputError(where, name, "no such fault", remedy)
+    if match["length"] is not None and fault.once:
+        raise InputError(where, line, f"{name} happens once", 'Leave out "for".')
+    if length_us == 0:
+        raise InputError(where, line, "lasts no time", "Write a longer time.")
+    changes, values = fault.read(what, where)
+    return Entry(at_us, min(at_us + length_us, NEVER_US), name, changes, values)
 
 
 def _time_us(text: str, where: str) -> int:

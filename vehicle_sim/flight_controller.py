@@ -28,7 +28,6 @@ from vehicle_sim.autopilot.values import (
 )
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.plans import PlanItem, PlanKind
-from vehicle_sim.wire import telemetry
 from vehicle_sim.wire.frames import Prepared, make
 from vehicle_sim.wire.missions import Missions, store
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
@@ -36,6 +35,7 @@ from vehicle_sim.wire.proximity import DISTANCE_SENSOR, RangeSensors
 from vehicle_sim.wire.radio import Radio
 from vehicle_sim.wire.streams import COMMANDS as STREAM_COMMANDS
 from vehicle_sim.wire.streams import Streams
+from vehicle_sim.wire.telemetry import message_of
 
 _HEARTBEAT, _POSITION, _CURRENT_MODE = 0, 33, 436
 _CURRENT_MODE_US = 500_000
@@ -48,7 +48,7 @@ _LOCAL_FRAMES = frozenset({1, 2, 4, 7, 8, 9, 12, 20, 21})
 """MAV_FRAME in which x and y are 1e-4 metres."""
 _TEXT_BYTES = 50
 _FILE_NOT_FOUND = 10
-Replies = Iterable[Reply | None]
+Replies = Iterable[Reply]
 
 
 @final
@@ -69,15 +69,12 @@ class FlightController:
         self.firmware = autopilot.firmware.family
         self.boot_us = self.now_us = boot_us
         self.wants_reboot = self.setpoints_ignored = False
-        self.transfers = False
-        """Parameters or a plan may be on their way."""
         self.parameter_protocol = ParameterProtocol(autopilot)
         self.missions = Missions(autopilot)
         self.streams = Streams(autopilot.firmware, autopilot.parameters, radio.links, boot_us)
         self.report = Report(autopilot=autopilot, hardware_id=hardware_id)
         self.ground_stations = set[int]()
         """Links on which one was heard."""
-        self._builders = telemetry.MESSAGES[self.firmware]
         self._mode_told: dict[int, tuple[Any, int]] = {}
         """Newest CURRENT_MODE of each link, and when that was."""
         self._on_text, self._texts = on_text, 0
@@ -93,24 +90,21 @@ class FlightController:
     def go_on(self, replies: Iterable[Reply]) -> None:
         """After a step of the autopilot: what that brings, and what the protocols have to say."""
         self.answer(replies)
-        if self.transfers:
+        if self.parameter_protocol.busy:
             self.answer(self.parameter_protocol.step(self.now_us))
+        if self.missions.busy:
             self.answer(self.missions.step(self.now_us))
-            self.transfers = self.parameter_protocol.busy or self.missions.busy
 
-    def stream(self, now_us: int) -> bool:
+    def stream(self) -> bool:
         """Queue all telemetry that is due; returns whether that included a position on link 0."""
         self._renew_report()
-        positioned, built = False, dict[int, Sequence[Any]]()
-        for link, number in self.streams.due(now_us):
-            positioned = positioned or (number == _POSITION and link == 0)
-            said = built.get(number)
-            if said is None:
-                said = built[number] = self._said(number)
-            if number != _CURRENT_MODE or self._is_news(said, link):
-                for message in said:
-                    self.radio.send(message, link)
-        return positioned
+        due, built = self.streams.due(self.now_us), dict[int, Sequence[Any]]()
+        for link, number in due:
+            if number not in built:
+                built[number] = self._said(number)
+            if number != _CURRENT_MODE or self._is_news(built[number], link):
+                self._deliver(built[number], (link,))
+        return (0, _POSITION) in due
 
     def _is_news(self, mode: Any, link: int) -> bool:
         """CURRENT_MODE is sent at 2 Hz and at once on a change, however often it is asked for."""
@@ -126,8 +120,7 @@ class FlightController:
             return self.ranging.messages(number, self.since_boot_us)
         if number == DISTANCE_SENSOR and self.ranging.rangefinder_off:
             return ()
-        build = self._builders.get(number)
-        message = build(self.report) if build else None
+        message = message_of(self.report, number)
         return () if message is None else (message,)
 
     def _renew_report(self) -> None:
@@ -149,27 +142,27 @@ class FlightController:
                     self._say(reply)
                 case SendTelemetry():
                     self._renew_report()
-                    self._deliver(self._said(reply.message), reply.to)
+                    self._deliver(self._said(reply.message), self._links_to(reply.to))
                 case SendMessage():
-                    self._deliver((reply.message,), reply.to)
+                    self._deliver((reply.message,), self._links_to(reply.to))
                 case Reboot():
                     self.wants_reboot = True
-                case None:
-                    pass
 
-    def _deliver(self, said: Sequence[Any], to: Sender | None) -> None:
-        """To the link of one client; None: to all links."""
-        for link in self.radio.links if to is None else (to.link,):
+    def _links_to(self, to: Sender | None) -> Iterable[int]:
+        """That of one client; None: all."""
+        return self.radio.links if to is None else (to.link,)
+
+    def _deliver(self, said: Sequence[Any], links: Iterable[int]) -> None:
+        for link in links:
             for message in said:
                 self.radio.send(message, link)
 
     def _say(self, text: Text) -> None:
         """PX4 says it on links with a ground station, ArduPilot where anybody was heard."""
-        self._texts, is_px4 = self._texts % 0xFFFF + 1, self.firmware == "px4"
-        for link in self.radio.links:
-            if link in self.ground_stations if is_px4 else self.radio.router.heard(link):
-                for message in texts(text, self._texts):
-                    self.radio.send(message, link)
+        self._texts = self._texts % 0xFFFF + 1
+        heard_on = self.radio.router.heard_on
+        links = sorted(self.ground_stations if self.firmware == "px4" else heard_on)
+        self._deliver(texts(text, self._texts), links)
         self._on_text(text)
 
     # --- in -----------------------------------------------------------------------------------
@@ -281,21 +274,6 @@ def _setpoint(it: FlightController, message: Any, _: Sender) -> Replies:
     return it.autopilot.on_setpoint(setpoint)
 
 
-def _parameters(it: FlightController, message: Any, sender: Sender) -> Replies:
-    it.transfers = True
-    return it.parameter_protocol.on_message(message, sender, it.now_us)
-
-
-def _missions(it: FlightController, message: Any, sender: Sender) -> Replies:
-    it.transfers = True
-    return it.missions.on_message(message, sender, it.now_us)
-
-
-def _data_stream(it: FlightController, message: Any, sender: Sender) -> Replies:
-    it.streams.on_data_stream(message, sender.link, it.now_us)
-    return ()
-
-
 def _time_sync(it: FlightController, message: Any, sender: Sender) -> Replies:
     """A question has a tc1 of 0."""
     if message.tc1 == 0:
@@ -305,7 +283,7 @@ def _time_sync(it: FlightController, message: Any, sender: Sender) -> Replies:
 
 def _setup_signing(it: FlightController, message: Any, _: Sender) -> Replies:
     signing = it.radio.signing
-    return (signing and signing.setup(message, armed=it.autopilot.armed),)
+    return () if signing is None else signing.setup(message, armed=it.autopilot.armed)
 
 
 def _files(_: FlightController, message: Any, sender: Sender) -> Replies:
@@ -325,8 +303,16 @@ def _files(_: FlightController, message: Any, sender: Sender) -> Replies:
         yield SendMessage(message=make("FILE_TRANSFER_PROTOCOL", *to, payload), to=sender)
 
 
-def _obstacles(it: FlightController, message: Any, _: Sender) -> Replies:
-    it.ranging.proximity.on_obstacle_distance(message, it.since_boot_us)
+def _parameters(it: FlightController, message: Any, sender: Sender) -> Replies:
+    return it.parameter_protocol.on_message(message, sender, it.now_us)
+
+
+def _missions(it: FlightController, message: Any, sender: Sender) -> Replies:
+    return it.missions.on_message(message, sender, it.now_us)
+
+
+def _data_stream(it: FlightController, message: Any, sender: Sender) -> Replies:
+    it.streams.on_data_stream(message, sender.link, it.now_us)
     return ()
 
 
@@ -344,6 +330,5 @@ HANDLERS: Final[dict[str, Callable[[FlightController, Any, Sender], Replies]]] =
     "TIMESYNC": _time_sync,
     "SETUP_SIGNING": _setup_signing,
     "FILE_TRANSFER_PROTOCOL": _files,
-    "OBSTACLE_DISTANCE": _obstacles,
 }
 """Who handles which message."""

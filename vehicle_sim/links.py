@@ -8,6 +8,7 @@ of them ever blocks: what cannot be sent now is lost, as on a radio.
 import re
 import socket
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Literal, final
 
@@ -21,6 +22,8 @@ _MAX_PEERS = 16
 _PENDING_BYTES = 262_144
 """What a TCP client may leave unread before frames for it are dropped."""
 _SOCKET_BYTES = 4 * 1024 * 1024
+_LONGEST_FRAME = 280
+"""Bytes of a frame of MAVLink 2."""
 
 _FORM = re.compile(
     r"(udpout|udpin|tcpin):(?://)?(\[[^\[\]/@?]+\]|[^:\[\]/@?]+):(\d{1,5})", re.ASCII
@@ -79,11 +82,7 @@ class Link:
 
     def __init__(self, endpoint: Endpoint) -> None:
         self._endpoint = endpoint
-        self._open()
-
-    def _open(self) -> None:
-        wanted = self._endpoint
-        found = socket.getaddrinfo(wanted.host, wanted.port, type=self._type)[0]
+        found = socket.getaddrinfo(endpoint.host, endpoint.port, type=self._type)[0]
         self._socket = socket.socket(*found[:3])
         self._socket.setblocking(False)
         try:
@@ -94,13 +93,10 @@ class Link:
 
     def _attach(self, address: Any) -> None:
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BYTES)
-        self._peers: dict[Any, None] = {}
         self._listens = self._endpoint.kind == "udpin"
+        self._peers: dict[Any, None] = {} if self._listens else {address: None}
         if self._listens:
             self._socket.bind(address)
-        else:
-            self._socket.connect(address)
-            self._peers[address] = None
 
     @property
     def sockets(self) -> Sequence[socket.socket]:
@@ -118,45 +114,21 @@ class Link:
         """Send these frames, or lose them."""
         for datagram in datagrams(frames):
             for peer in self._peers:
-                for _ in range(2):  # a refusal is about an earlier one, but it keeps this one back
-                    try:
-                        if self._listens:
-                            self._socket.sendto(datagram, peer)
-                        else:
-                            self._socket.send(datagram)
-                    except ConnectionRefusedError:
-                        continue
-                    except OSError:
-                        pass  # no route or no room for the moment: as good as a lost datagram
-                    break
+                with suppress(OSError):  # no route or no room for the moment: as good as lost
+                    self._socket.sendto(datagram, peer)
 
     def receive(self) -> bytes | None:
         """The next datagram or piece of stream, None if there is none now."""
-        while True:
-            try:
+        with suppress(OSError):
+            while True:
                 datagram, peer = self._socket.recvfrom(_LARGEST_DATAGRAM_BYTES)
-            except ConnectionRefusedError:
-                continue
-            except OSError:
-                return None
-            if self._listens and peer not in self._peers:
-                self._peers[peer] = None
-                if len(self._peers) > _MAX_PEERS:
-                    del self._peers[next(iter(self._peers))]
-            return datagram
-
-    def take_reopened(self) -> bool:
-        """Whether another client has connected."""
-        return False
-
-    def move(self) -> None:
-        """Send from another port from now on: what a rebooted ArduPilot does.
-
-        A port that others were told of stays.
-        """
-        if not self._listens:
-            self._socket.close()
-            self._open()
+                if self._listens:
+                    self._peers.setdefault(peer)
+                    if len(self._peers) > _MAX_PEERS:
+                        del self._peers[next(iter(self._peers))]
+                if peer in self._peers:
+                    return datagram
+        return None
 
     def close(self) -> None:
         """Close the sockets."""
@@ -171,7 +143,7 @@ class _TcpIn(Link):
 
     def _attach(self, address: Any) -> None:
         self._client: socket.socket | None = None
-        self._pending, self._reopened = b"", False
+        self._pending = b""
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self._socket.bind(address)
         self._socket.listen(1)
@@ -191,7 +163,7 @@ class _TcpIn(Link):
         except BlockingIOError:
             return
         except OSError:
-            self.move()
+            self._hang_up()
 
     def receive(self) -> bytes | None:
         try:
@@ -199,28 +171,23 @@ class _TcpIn(Link):
                 self._client, _ = self._socket.accept()
                 self._client.setblocking(False)
                 self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                self._reopened = True
+                return bytes(_LONGEST_FRAME)  # so ends what the last client began to say
             data = self._client.recv(_LARGEST_DATAGRAM_BYTES)
         except BlockingIOError:
             return None
         except OSError:
             data = b""
         if not data:
-            self.move()
+            self._hang_up()
         return data or None
 
-    def take_reopened(self) -> bool:
-        reopened, self._reopened = self._reopened, False
-        return reopened
-
-    def move(self) -> None:
-        """The client sees the connection end."""
+    def _hang_up(self) -> None:
         if self._client is not None:
             self._client.close()
         self._client, self._pending = None, b""
 
     def close(self) -> None:
-        self.move()
+        self._hang_up()
         super().close()
 
 

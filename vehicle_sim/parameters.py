@@ -23,16 +23,12 @@ class Kind(enum.IntEnum):
     REAL32 = 9
 
     @property
-    def bits(self) -> int:
-        """That a value has."""
-        return {Kind.INT8: 8, Kind.INT16: 16}.get(self, 32)
-
-    @property
     def range(self) -> tuple[float, float]:
         """Least and greatest value."""
-        half = 1 << self.bits - 1
-        is_real = self is Kind.REAL32
-        return (-_LARGEST_FLOAT, _LARGEST_FLOAT) if is_real else (-half, half - 1)
+        if self is Kind.REAL32:
+            return -_LARGEST_FLOAT, _LARGEST_FLOAT
+        half = 1 << {Kind.INT8: 7, Kind.INT16: 15, Kind.INT32: 31}[self]
+        return -half, half - 1
 
 
 @final
@@ -58,8 +54,6 @@ class Parameters(UserDict[str, float]):
     def __init__(self, table: Iterable[Parameter], overrides: Mapping[str, float]) -> None:
         self.rows = {row.name: row for row in table}
         self.data = {name: row.default for name, row in self.rows.items()}
-        self._saved: dict[str, float] = {}
-        """Of those that have another value until the next boot."""
         self.version = 0
         """Increases with every change, to invalidate derived values."""
         for name, value in overrides.items():
@@ -67,10 +61,9 @@ class Parameters(UserDict[str, float]):
                 rule = "this autopilot has no such one"
                 remedy = did_you_mean(name, self.rows, "Leave it out.")
                 raise InputError(f"parameter {name}", value, rule, remedy)
-            kind = self.rows[name].kind
-            least, most = kind.range
+            least, most = self.rows[name].kind.range
             if not least <= value <= most:  # nor is NaN
-                rule = f"must be a number from {least:.8g} to {most:.10g}: it has {kind.bits} bits"
+                rule = f"must be a number from {least:.8g} to {most:.10g}"
                 raise InputError(f"parameter {name}", value, rule, "Give another one.")
             self[name] = value
 
@@ -83,21 +76,10 @@ class Parameters(UserDict[str, float]):
         row = self.rows[name]
         if not math.isfinite(value):
             return
-        self._saved.pop(name, None)
         least, most = row.kind.range
         value = min(max(value, row.least, least), row.most, most)
         self.data[name] = value if row.kind is Kind.REAL32 else float(round(value))
         self.version += 1
-
-    def set_until_reboot(self, name: str, value: float) -> None:
-        """The same, of a change that is not saved."""
-        saved = self._saved.get(name, self[name])
-        self[name] = value
-        self._saved[name] = saved
-
-    def kept(self) -> dict[str, float]:
-        """What a reboot keeps, by name."""
-        return self.data | self._saved
 
 
 Readable = Mapping[str, float]
@@ -107,17 +89,22 @@ Readable = Mapping[str, float]
 _KINDS = {"i8": Kind.INT8, "i16": Kind.INT16, "i32": Kind.INT32, "real": Kind.REAL32}
 
 
-def _row_of(name: str, default: str, kind: str = "real", *limits: str) -> Parameter:
-    """The row that a line is: name, default, type (a float without one), least and most."""
-    bounds = dict(zip(("least", "most"), map(float, limits), strict=False))
-    return Parameter(name=name, default=float(default), kind=_KINDS[kind], **bounds)
-
-
 def table(*names: str) -> tuple[Parameter, ...]:
-    """The rows of these files; a later one replaces an earlier one of its name in its place."""
-    folder = resources.files("vehicle_sim.autopilot")
-    texts = [folder.joinpath(f"{name}.parm").read_text("utf-8") for name in names]
-    lines = [
-        line.split() for text in texts for line in text.splitlines() if not line.startswith("#")
-    ]
-    return tuple({words[0]: _row_of(*words) for words in lines}.values())
+    """The rows of these files; a later one replaces an earlier one of its name in its place.
+
+    A line: name, default, type (a float without one), least and most.
+    """
+    folder, rows = resources.files("vehicle_sim.autopilot"), dict[str, Parameter]()
+    for file in names:
+        for line in folder.joinpath(f"{file}.parm").read_text("utf-8").splitlines():
+            if not line.startswith("#"):
+                name, default, *rest = line.split()
+                kind, least, most = (*rest, *("real", "-inf", "inf")[len(rest) :])
+                rows[name] = Parameter(
+                    name=name,
+                    default=float(default),
+                    kind=_KINDS[kind],
+                    least=float(least),
+                    most=float(most),
+                )
+    return tuple(rows.values())

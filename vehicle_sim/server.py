@@ -5,8 +5,8 @@ import math
 import select
 import signal
 import time
-from collections.abc import Callable, Container, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
@@ -15,8 +15,6 @@ from typing import TextIO, final
 from vehicle_sim.errors import CompanionSilent, InputError, NotSurvived
 from vehicle_sim.links import Link
 from vehicle_sim.simulation import STEP_US, Simulation
-from vehicle_sim.wire.frames import StreamParser
-from vehicle_sim.wire.routing import targets
 
 _HELLO_S = 0.05
 _PATIENCE_S = 0.1
@@ -69,12 +67,8 @@ class Station:
     links: Sequence[Link]
     truth: TextIO | None = None
 
-    def send(self, shared: Container[Link]) -> None:
-        """What is due; after a reboot from other ports, except where others are that have none."""
-        if self.simulation.take_port_change():
-            for link in self.links:
-                if link not in shared:
-                    link.move()
+    def send(self) -> None:
+        """What is due."""
         by_link: dict[int, list[bytes]] = {}
         for number, frame in self.simulation.take_frames():
             by_link.setdefault(number, []).append(frame)
@@ -117,12 +111,6 @@ class Server:
         for station in stations:
             for number, link in enumerate(station.links):
                 self._heard.setdefault(link, []).append((station.simulation, number))
-        self._shared = {
-            link: StreamParser(datagrams=link.endpoint.kind != "tcpin")
-            for link, hearers in self._heard.items()
-            if len(hearers) > 1
-        }
-        """Links of several vehicles, and what finds the frames in what comes by them."""
 
     def run(self) -> float:
         """Fly; returns the wall time that the flying took, in seconds."""
@@ -150,7 +138,7 @@ class Server:
 
     def _send(self) -> None:
         for station in self._stations:
-            station.send(self._shared)
+            station.send()
 
     def _write(self) -> None:
         """Truth to its files, notices to the terminal."""
@@ -166,97 +154,60 @@ class Server:
 
     # --- in -----------------------------------------------------------------------------------
 
-    def _listen(self, wait_s: float) -> bool:
-        """Handle what is there, waiting so long for the first; tell whether anything was."""
+    def _listen(self, wait_s: float) -> None:
+        """Handle what is there, waiting so long for the first."""
         sockets = [each for link in self._heard for each in link.sockets]
         ready, _, _ = select.select(sockets, [], [], max(wait_s, 0.0))
-        return bool(ready) and self._receive()
+        if ready:
+            self._receive()
 
-    def _receive(self) -> bool:
-        any_came = False
+    def _receive(self) -> None:
         for link, hearers in self._heard.items():
             for _ in range(_MAX_DATAGRAMS):
-                datagram = link.receive()
-                if link.take_reopened():
-                    if link in self._shared:
-                        self._shared[link].forget()
-                    for simulation, number in hearers:
-                        simulation.reopen(number)
-                if datagram is None:
+                if (datagram := link.receive()) is None:
                     break
-                any_came = True
-                if link not in self._shared:
-                    hearers[0][0].receive(hearers[0][1], datagram)
-                    continue
-                for frame, message in self._shared[link].feed(datagram):
-                    system, _ = targets(message)  # each vehicle gets what is for it, or for all
-                    for simulation, number in hearers:
-                        if not system or system == simulation.system_id:
-                            simulation.receive(number, frame)
-        return any_came
+                for simulation, number in hearers:
+                    simulation.receive(number, datagram)
 
     # --- lockstep -----------------------------------------------------------------------------
 
     def _lockstep(self) -> float:
-        self._await_companions()
+        self._ask(self._simulations)
+        self._await(_HELLO_S, self._settings.first_heartbeat_s)
         for simulation in self._simulations:
             simulation.begin()
         start_s = time.monotonic()
         while not self._stop.is_set() and self._flying():
-            asked: dict[Simulation, int] = {}
+            asked = False
             while not asked and not self._stop.is_set() and (flying := self._flying()):
                 for number, simulation in enumerate(flying):
                     if simulation.step():
-                        asked[simulation] = simulation.ask_for_sync(number)
+                        simulation.ask_for_sync(number)
+                        asked = True
             self._send()
             self._write()
-            self._await_answers(asked)
+            self._await(_AGAIN_S, self._settings.silence_s)
         return time.monotonic() - start_s
 
-    def _await_companions(self) -> None:
-        """Send heartbeats until one is received; vehicle time is stopped."""
-        hello_s, waits_s = 0.0, self._settings.first_heartbeat_s
-        give_up_s = time.monotonic() + waits_s
+    def _await(self, every_s: float, patience_s: float) -> None:
+        """Handle messages until no vehicle waits for its companion; vehicle time is stopped."""
+        begun_s = asked_s = time.monotonic()
         while not self._stop.is_set():
-            alone = [each for each in self._simulations if each.companion is None]
-            if not alone:
-                return
-            now_s = time.monotonic()
-            if now_s >= give_up_s:
-                raise CompanionSilent(f"no heartbeat from a companion within {waits_s:.0f} s")
-            if now_s >= hello_s:
-                hello_s = now_s + _HELLO_S
-                for simulation in alone:
-                    simulation.send_heartbeat()
-                self._send()
-            self._listen(_PATIENCE_S)
-
-    def _await_answers(self, asked: dict[Simulation, int]) -> None:
-        """Handle messages until all these TIMESYNC requests are answered."""
-        asked_s = again_s = time.monotonic()
-        while not self._stop.is_set():
-            waiting = [
-                each
-                for each, question_ns in asked.items()
-                if each.answered_ns != question_ns and not each.companion_ended
-            ]
+            waiting = [each for each in self._simulations if each.waits]
             if not waiting:
                 return
-            if self._listen(_PATIENCE_S):
-                continue
-            now_s, silence_s = time.monotonic(), self._settings.silence_s
-            if now_s - asked_s >= silence_s:
-                at_s, why = waiting[0].now_us * 1e-6, ""
-                if waiting[0].mistaken_ns == asked[waiting[0]]:
-                    why = "; it answered TIMESYNC with a time of its own: in lockstep tc1 must "
-                    why += "echo ts1"
-                what = f"was silent for {silence_s:.0f} s at {at_s:.1f} s vehicle time"
-                raise CompanionSilent(f"the companion {what}{why}")
-            if now_s - again_s >= _AGAIN_S:  # it may have been lost, or its client has changed
-                again_s = now_s
-                for each in waiting:
-                    each.ask_again()
-                self._send()
+            self._listen(min(every_s, _PATIENCE_S))
+            now_s = time.monotonic()
+            if now_s - begun_s >= patience_s:
+                raise CompanionSilent(_silence(waiting[0], patience_s))
+            if now_s - asked_s >= every_s:  # it may have been lost, or its client has changed
+                asked_s = now_s
+                self._ask(waiting)
+
+    def _ask(self, simulations: Sequence[Simulation]) -> None:
+        for each in simulations:
+            each.ask_again()
+        self._send()
 
     # --- real time ----------------------------------------------------------------------------
 
@@ -284,30 +235,33 @@ class Server:
         return time.monotonic() - start_s
 
 
-def _close(file: TextIO) -> None:
-    """Close it; of a full disk it has been told."""
-    with suppress(OSError):
-        file.close()
+def _silence(simulation: Simulation, waited_s: float) -> str:
+    """What is said of a companion that keeps a vehicle waiting."""
+    if simulation.companion is None:
+        return f"no heartbeat from a companion within {waited_s:.0f} s"
+    at_s, why = simulation.now_us * 1e-6, ""
+    if simulation.mistaken:
+        why = "; it answered TIMESYNC with a time of its own: in lockstep tc1 must echo ts1"
+    return f"the companion was silent for {waited_s:.0f} s at {at_s:.1f} s vehicle time{why}"
 
 
 @contextmanager
-def truth_files(folder: Path | None, names: Sequence[str]) -> Iterator[list[TextIO | None]]:
-    """FOLDER/NAME for each name, empty; None for each without a folder.  Raises InputError."""
+def truth_file(folder: Path | None, name: str) -> Iterator[TextIO | None]:
+    """FOLDER/NAME, empty; None without a folder.  Raises InputError."""
     if folder is None:
-        yield [None] * len(names)
+        yield None
         return
-    with ExitStack() as stack:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            files: list[TextIO | None] = []
-            for name in names:
-                file = (folder / name).open("a", encoding="utf-8", newline="\n")
-                stack.callback(_close, file)
-                files.append(file)
-                if file.tell():
-                    rule = f"has the {name} of another flight"
-                    raise InputError("--out", str(folder), rule, "Name another folder.")
-        except OSError as error:
-            rule = f"cannot be written to ({error.strerror})"
-            raise InputError("--out", str(folder), rule, "Name another folder.") from None
-        yield files
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file = (folder / name).open("a", encoding="utf-8", newline="\n")
+    except OSError as error:
+        rule = f"cannot be written to ({error.strerror})"
+        raise InputError("--out", str(folder), rule, "Name another folder.") from None
+    try:
+        if file.tell():
+            rule = f"has the {name} of another flight"
+            raise InputError("--out", str(folder), rule, "Name another folder.")
+        yield file
+    finally:
+        with suppress(OSError):  # of a full disk it has been told
+            file.close()

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Final, final
 
 from vehicle_sim import ground_station, truth
-from vehicle_sim.autopilot.core import Autopilot, Boot
+from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.factory import (
     ids_of,
     make_vehicle,
@@ -32,7 +32,6 @@ from vehicle_sim.rng import generator
 from vehicle_sim.sensors.gps import Gps
 from vehicle_sim.sensors.lidar import Lidar, body_axes_neu
 from vehicle_sim.sensors.terrain_radar import ScanRequest, TerrainRadar, Viewpoint
-from vehicle_sim.terrain import FloatArray
 from vehicle_sim.wire.components import LidarDriver, RadarComponent
 from vehicle_sim.wire.frames import make
 from vehicle_sim.wire.proximity import RPLIDAR, RangeSensors
@@ -50,7 +49,6 @@ _NOT_SURVIVED: Final = "SIM:"
 _DOWN_US: Final = 1_100_000
 """Without power: until the first heartbeat after it there is a gap of 2.1 s (ardupilot.md 5)."""
 _FARTHEST_DOWN_M: Final = 655.0
-_OF_OBSTACLES: Final = ("OBSTACLE_DISTANCE", "DISTANCE_SENSOR")
 
 
 @final
@@ -82,9 +80,10 @@ class Simulation:
         self.companion: Sender | None = None
         """The first one on link 0 whose heartbeat was heard."""
         self.companion_ended = False
-        self._question_ns = self.answered_ns = self.mistaken_ns = -1
-        """Times of the newest lockstep question; of the newest that was answered; and of the newest
-        that was answered with another tc1 than ts1."""
+        self._question_ns = -1
+        """Time of lockstep's question until it is answered."""
+        self.mistaken = False
+        """It was answered with another tc1 than ts1."""
         self.not_survived: str | None = None
         """What came in that the real autopilot does not survive: the first of it."""
         self.on_message: Callable[[str], None] | None = None
@@ -98,78 +97,58 @@ class Simulation:
         self.vehicle: Copter | Plane = make_vehicle(table, *place, ground_amsl_m)
         """The truth: where it really is, and how it moves."""
         rolls, scene = table.kind == "plane", world.scene(terrain)
-        self._contact = Contact(
+        self.contact = Contact(
             self.vehicle, terrain, scene, world.frame, rolls=rolls, on_crash=self._on_crash
         )
-        self._battery, self._wind = Battery(), Wind(generator(seed, "wind"))
-        self._power = PowerModule(self._battery, self._personality.battery)
+        """Where it is in the world, and how near to the ground and to things."""
+        self._wind = Wind(generator(seed, "wind"))
+        self._power = PowerModule(Battery(), self._personality.battery)
         self.plans = Plans()
         """Mission, fence and rally points as the autopilot stores them."""
-        firmware = self._personality.firmware.family
-        self._timeline = Timeline.parse(faults, name="faults", firmware=firmware)
-        self._boots, self._down_until_us, self._port_change = 0, 0, False
+        self._timeline = Timeline.parse(faults, name="faults")
+        self._boots = self._down_until_us = 0
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
-        autopilot = self._make_autopilot(self._own_lidar() | overrides_of(table))
-        self._ids = ids_of(self._personality, autopilot.parameters)
-        self._radio = self._make_radio(links, byte_streams, forwards_all=forwards_all)
-        self._radar = self._scanner = None
-        if scanner := world.scanner:
-            self._radar = TerrainRadar(terrain, world.frame, range_m=scanner.range_m)
-            rng = generator(seed, "radar")
-            self._scanner = RadarComponent(self._radar, rng, self._radio, scanner.component_id)
-        self._lidars = list[tuple[Lidar, LidarDriver | None]]()
-        for each, name in zip(world.lidars, ("lidar", "second lidar"), strict=False):
-            lidar, driver = Lidar(scene, each, generator(seed, name)), None
-            if each.output != "autopilot":
-                driver = LidarDriver(lidar, each, generator(seed, f"{name} driver"), self._radio)
-            self._lidars.append((lidar, driver))
-        self._boot(autopilot)
-        self._shown = (self.mode_name, False)
-        self._look()
-        if self.nearest_m == 0.0:
-            rule = "stands inside a tree, wall, building or wire"
-            at = (table.north_m, table.east_m)
-            raise InputError("vehicle.north_m, east_m", at, rule, "Move it, or clear the place.")
-
-    def _own_lidar(self) -> dict[str, float]:
-        """The parameter of an autopilot that reads a lidar itself."""
-        reads = [each for each in self._world.lidars if each.output == "autopilot"]
-        if reads and self._personality.firmware.family == "px4":
-            name = "lidar" if reads[0] is self._world.lidar else "second_lidar"
-            rule = f"{self._world.vehicle.autopilot} has no driver for it"
-            raise InputError(f"{name}.output", "autopilot", rule, "Write driver.")
-        return {"PRX1_TYPE": RPLIDAR} if reads else {}
-
-    def _make_radio(self, links: int, byte_streams: Container[int], *, forwards_all: bool) -> Radio:
-        (system, component), scanner, lidar = self._ids, self._world.scanner, self._world.lidar
-        for name, beside in (("scanner", scanner), ("lidar", lidar)):
-            if beside is not None and beside.component_id == component:
-                rule = "is the autopilot's own"
-                raise InputError(f"{name}.component_id", component, rule, "Give another one.")
-        return Radio(
-            system=system,
-            component=component,
-            radar_component=scanner.component_id if scanner else None,
-            lidar_component=lidar.component_id if lidar and lidar.output != "autopilot" else None,
+        scanner, lidars = world.scanner, world.lidars
+        self._radio = Radio(
+            radar=scanner.component_id if scanner else None,
+            drivers={each.component_id for each in lidars if each.output == "driver"},
             firmware=self._personality.firmware.family,
             links=links,
             byte_streams=byte_streams,
             forwards_all=forwards_all,
-            rng=generator(self._seed, "links"),
+            rng=generator(seed, "links"),
         )
+        self._scanner: RadarComponent | None = None
+        if scanner:
+            radar = TerrainRadar(terrain, world.frame, range_m=scanner.range_m)
+            rng = generator(seed, "radar")
+            self._scanner = RadarComponent(radar, rng, self._radio, scanner.component_id)
+        self._lidars = list[tuple[Lidar, LidarDriver | None]]()
+        for each, name in zip(lidars, ("lidar", "second lidar"), strict=False):
+            lidar, driver = Lidar(scene, each, generator(seed, name)), None
+            if each.output == "driver":
+                driver = LidarDriver(lidar, each, generator(seed, f"{name} driver"), self._radio)
+            self._lidars.append((lidar, driver))
+        own_lidar = {"PRX1_TYPE": RPLIDAR} if any(d is None for _, d in self._lidars) else {}
+        self._boot(own_lidar | overrides_of(table))
+        self._shown = (self.mode_name, False)
+        self._look()
+        if self.contact.nearest_m == 0.0:
+            rule = "stands inside a tree, wall, building or wire"
+            at = (table.north_m, table.east_m)
+            raise InputError("vehicle.north_m, east_m", at, rule, "Move it, or clear the place.")
 
-    def _make_autopilot(self, overrides: Mapping[str, float]) -> Autopilot:
+    def _boot(self, overrides: Mapping[str, float]) -> None:
+        """The flight controller and its receiver start, now, with these parameters."""
         self._boots += 1
         rng = generator(self._seed, f"autopilot {self._boots}")
         boot = Boot(self._personality.firmware, self.vehicle, overrides, self.plans, rng)
         autopilot = self._personality.make(boot)
-        autopilot.battery = self._battery
-        return autopilot
-
-    def _boot(self, autopilot: Autopilot) -> None:
-        """The flight controller and its receiver start, now."""
+        autopilot.battery = self._power.battery
         self.parameters: Parameters = autopilot.parameters
         """The autopilot's; a reboot makes new ones."""
+        self._ids = ids_of(self._personality, self.parameters)
+        self._radio.boot_as(*self._ids)
         lidars = self._world.lidars
         limits_m = (lidars[-1].min_m, lidars[-1].range_m) if lidars else (0.0, 0.0)
         self._controller = FlightController(
@@ -186,32 +165,18 @@ class Simulation:
     def warm_up(self) -> None:
         """Look once with every sensor, so that nobody waits for a compiler in flight."""
         self._range_down_m()
-        if self._radar is not None:
+        if self._scanner is not None:
             place = self.vehicle.latitude_deg, self.vehicle.longitude_deg
             view = Viewpoint(*place, self.vehicle.altitude_amsl_m)
-            self._radar.answer(ScanRequest(*place, 1, 1), view)
+            self._scanner.radar.answer(ScanRequest(*place, 1, 1), view)
 
     # --- to look at ---------------------------------------------------------------------------
 
-    def place_nea_m(self) -> FloatArray:
-        """The truth: north, east of the world's local frame, and AMSL.  -> (3,)."""
-        return self._contact.place_nea_m()
-
     def _range_down_m(self) -> float:
         """Along the body's downward axis, to whatever is there."""
-        down, scene = body_axes_neu(self.vehicle)[2:], self._contact.scene
-        met_m = scene.ray_lengths_m(self.place_nea_m(), down, _FARTHEST_DOWN_M)
+        down, scene = body_axes_neu(self.vehicle)[2:], self.contact.scene
+        met_m = scene.ray_lengths_m(self.contact.place_nea_m(), down, _FARTHEST_DOWN_M)
         return min(float(met_m[0]), _FARTHEST_DOWN_M)
-
-    @property
-    def ground_amsl_m(self) -> float:
-        """Height of the ground below, as of the last look."""
-        return self._contact.ground_amsl_m
-
-    @property
-    def nearest_m(self) -> float:
-        """To a tree, wall, building or wire: the least of the whole flight."""
-        return self._contact.nearest_m
 
     @property
     def system_id(self) -> int:
@@ -246,7 +211,7 @@ class Simulation:
 
     def outcome(self) -> str:
         """Where it is and what it does, in a few words."""
-        (north_m, east_m), crash = self._contact.local_m, self.crash
+        (north_m, east_m), crash = self.contact.local_m, self.crash
         said = (
             f"{round(north_m)} m north, {round(east_m)} m east, "
             f"{self.vehicle.altitude_amsl_m:.0f} m AMSL, {self.mode_name}, "
@@ -273,11 +238,6 @@ class Simulation:
         notices, self._notices = self._notices, []
         return notices
 
-    def take_port_change(self) -> bool:
-        """Whether the autopilot has rebooted, so that it sends from another port now."""
-        changed, self._port_change = self._port_change, False
-        return changed
-
     def send_heartbeat(self) -> None:
         """Send all heartbeats now: time stands still until somebody answers."""
         for each in (self._controller, self._scanner, *(driver for _, driver in self._lidars)):
@@ -295,17 +255,20 @@ class Simulation:
         has its own number, so that their questions differ.
         """
         question_ns = max(self.now_us - self._controller.boot_us, 1) * 1000 + number
-        self._question_ns = question_ns
-        self._radio.send_last(make("TIMESYNC", 0, question_ns), 0)
+        self._question_ns, self.mistaken = question_ns, False
+        self._radio.ask(make("TIMESYNC", 0, question_ns), 0)
         return question_ns
 
-    def ask_again(self) -> None:
-        """Queue the last question once more, to the byte."""
-        self._radio.send_last_again()
+    @property
+    def waits(self) -> bool:
+        """Lockstep: no companion was heard yet, or the last question is not answered."""
+        return self.companion is None or (self._question_ns > 0 and not self.companion_ended)
 
-    def reopen(self, link: int) -> None:
-        """Another client has connected to this link."""
-        self._radio.reopen(link)
+    def ask_again(self) -> None:
+        """Queue what it waits for once more: heartbeats, or the last question to the byte."""
+        if self.companion is None:
+            self.send_heartbeat()
+        self._radio.ask_again()
 
     def _notice(self, what: str) -> None:
         self._notices.append(f"{self.now_us * 1e-6:9.1f} s  {what}")
@@ -324,9 +287,9 @@ class Simulation:
 
     def _look(self) -> None:
         """Where it is in the world, how high the ground is there; one line of truth."""
-        near_m = self._contact.look(self.now_us)
+        near_m = self.contact.look(self.now_us)
         mode, armed = shown = self.mode_name, self.armed
-        state, local_m = (mode, armed, self.landed), self._contact.local_m
+        state, local_m = (mode, armed, self.landed), self.contact.local_m
         line = truth.line(self.now_us, local_m, self.vehicle, state, near_m, self.crash)
         self._truth.append(line)
         if shown != self._shown:
@@ -352,16 +315,12 @@ class Simulation:
         controller.ranging.rangefinder_off = now.autopilot.rangefinder_off
         self._radio.impair(now.link)
         if "MAV_OPTIONS" in parameters:
-            router.enforce = bool(int(parameters["MAV_OPTIONS"]) & 1)
-            router.ground_system = int(parameters["MAV_GCS_SYSID"])
+            allowed = frozenset({self.system_id, int(parameters["MAV_GCS_SYSID"])})
+            router.commanders = allowed if int(parameters["MAV_OPTIONS"]) & 1 else None
 
     def _happens(self, name: str, values: Sequence[float]) -> None:
         """A fault that happens once."""
-        controller, autopilot, radio = self._controller, self._controller.autopilot, self._radio
-        station, companion = (
-            ground_station.STATION,
-            self.companion.component if self.companion else 0,
-        )
+        controller, autopilot = self._controller, self._controller.autopilot
         match name:
             case "estimator_reset":
                 autopilot.estimate.shift(*values[:2])
@@ -374,15 +333,15 @@ class Simulation:
             case "ground_fence":
                 controller.add_to_fence(ground_station.new_fence(self.vehicle, *values))
             case "ground_command" if len(values) > 4:  # to_autopilot
-                message = ground_station.command(values[:4], *self._ids)
-                controller.receive(message, station, self.now_us)
-            case "ground_command":
-                message = ground_station.command(values, self.system_id, companion)
-                radio.send_as(message, station.system, station.component)
-            case _:  # ground_target
-                to = (self.system_id, companion)
-                message = ground_station.target(values, self.vehicle, *to)
-                radio.send_as(message, station.system, station.component)
+                order = ground_station.command(values[:4], *self._ids)
+                controller.receive(order, ground_station.STATION, self.now_us)
+            case _:  # of a ground station to the companion
+                to = self.system_id, self.companion.component if self.companion else 0
+                if name == "ground_command":
+                    order = ground_station.command(values, *to)
+                else:
+                    order = ground_station.target(values, self.vehicle, *to)
+                self._radio.broadcast_as(order, *ground_station.STATION[:2])
 
     # --- time ---------------------------------------------------------------------------------
 
@@ -399,7 +358,7 @@ class Simulation:
         if self._radio.impaired:
             for received in self._radio.late(now_us):
                 self._receive(received)
-        looks, contact = now_us % LOOK_US == 0, self._contact
+        looks, contact = now_us % LOOK_US == 0, self.contact
         if looks:
             self._look()
         contact.prepare(now_us)
@@ -414,7 +373,7 @@ class Simulation:
             self._step_lidar(lidar, driver)
         if now_us >= self._down_until_us:
             streams = self._controller.streams
-            complete = now_us >= streams.soonest_us and self._controller.stream(now_us)
+            complete = now_us >= streams.soonest_us and self._controller.stream()
             if looks and not complete:  # without positions there are ticks all the same
                 complete = streams.interval_us(0, _POSITION) is None
         # the radar has its own power and its own computer
@@ -425,7 +384,7 @@ class Simulation:
     def _fly(self, now_us: int, looks: bool) -> None:
         """One step of the air, the receiver, the autopilot and what it drives."""
         controller, conditions, vehicle = self._controller, self._conditions, self.vehicle
-        wind, gps, ground_amsl_m = self._wind, self._gps, self._contact.ground_amsl_m
+        wind, gps, ground_amsl_m = self._wind, self._gps, self.contact.ground_amsl_m
         if not wind.still or conditions.wind is not wind.conditions:
             wind.step(_STEP_S, vehicle, conditions.wind, ground_amsl_m)
         since_boot_us = now_us - controller.boot_us
@@ -433,8 +392,7 @@ class Simulation:
             gps.step(since_boot_us, vehicle, conditions.gps)
         controller.now_us = now_us
         replies = controller.autopilot.step(since_boot_us, _STEP_S, ground_amsl_m, gps.fix)
-        if replies or controller.transfers:
-            controller.go_on(replies)
+        controller.go_on(replies)
         if looks:
             armed = controller.autopilot.armed
             self._power.step(POWER_STEP_S, vehicle, armed, conditions.battery)
@@ -445,29 +403,22 @@ class Simulation:
         """Measure; what the autopilot gets of it, it gets at once."""
         controller = self._controller
         wrong, since_boot_us = self._conditions.lidar, self.now_us - controller.boot_us
-        north_m, east_m, _ = self.place_nea_m()
+        north_m, east_m, _ = self.contact.place_nea_m()
         fired = lidar.step(self.now_us, self.vehicle, (north_m, east_m), wrong)
-        proximity, hears = controller.ranging.proximity, not self._is_down
-        if driver is None:
-            if hears and not wrong.silent:
-                angles_rad, distances_m = lidar.angles_rad[fired], lidar.distances_m[fired]
-                proximity.on_beams(angles_rad, distances_m, since_boot_us)
-            return
-        for message in driver.step(self.now_us, controller.boot_us, wrong):
-            if hears:
-                proximity.on_obstacle_distance(message, since_boot_us)
-            if wrong.mirrored and self.companion is not None:
-                self._radio.send_as(message, self.companion.system, self.companion.component)
+        if driver is not None:
+            driver.step(self.now_us, controller.boot_us, wrong)
+        elif controller.ranging.sectors and not (self._is_down or wrong.silent):
+            angles_rad, distances_m = lidar.angles_rad[fired], lidar.distances_m[fired]
+            controller.ranging.sectors.on_beams(angles_rad, distances_m, since_boot_us)
 
     def _go_down(self) -> None:
         """The flight controller loses power."""
         self._notice("the autopilot reboots")
         self._down_until_us = self.now_us + _DOWN_US
-        self._radio.restart()
 
     def _fall(self) -> None:
         """One step without an autopilot: in the air it falls, and is back when it lies."""
-        vehicle, contact = self.vehicle, self._contact
+        vehicle, contact = self.vehicle, self.contact
         if vehicle.altitude_amsl_m > contact.ground_amsl_m:
             vehicle.fall(_STEP_S)
             self._down_until_us = max(self._down_until_us, self.now_us + 2 * STEP_US)
@@ -475,11 +426,7 @@ class Simulation:
         if vehicle.altitude_amsl_m <= contact.ground_amsl_m:
             vehicle.stand(contact.ground_amsl_m)
         if self.now_us + STEP_US >= self._down_until_us:
-            autopilot = self._make_autopilot(self.parameters.kept())
-            self._ids = ids_of(self._personality, autopilot.parameters)
-            self._radio.boot_as(*self._ids)
-            self._boot(autopilot)
-            self._port_change = True
+            self._boot(self.parameters)
 
     # --- in -----------------------------------------------------------------------------------
 
@@ -495,9 +442,9 @@ class Simulation:
         kind = message.get_type()
         if kind == "TIMESYNC" and message.ts1 == self._question_ns and sender.link == 0:
             if message.tc1 == message.ts1:
-                self.answered_ns = message.ts1
+                self._question_ns = -1
             elif message.tc1 != 0:
-                self.mistaken_ns = message.ts1
+                self.mistaken = True
         if not received.to_autopilot or self._is_down:
             return
         if kind == "HEARTBEAT" and sender.link == 0:
@@ -506,8 +453,6 @@ class Simulation:
                 self._notice(f"heard {sender.system}/{sender.component}")
             if sender == self.companion and message.system_status == _POWEROFF:
                 self.companion_ended = True
-        if self._conditions.lidar.mirrored and kind in _OF_OBSTACLES:
-            self._radio.send_back(received)
         self._controller.receive(message, sender, self.now_us)
         if self.on_message is not None:
             self.on_message(kind)

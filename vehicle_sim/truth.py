@@ -7,14 +7,13 @@ from vehicle_sim.dynamics.contact import Crash
 from vehicle_sim.world import World
 
 INTERVAL_US = 100_000
-_SCHEMA = 1
 
 
 def header(world: World, seed: int) -> str:
     """The first line: what the others are, and where their frame lies."""
     return json.dumps(
         {
-            "schema": _SCHEMA,
+            "schema": 1,
             "kind": "vehicle_sim truth",
             "world": world.name,
             "seed": seed,
@@ -42,6 +41,10 @@ def line(
     Written by hand: json.dumps would take longer than the flying.
     """
     (north_m, east_m), (mode, armed, landed) = local_m, state
+    rest = "" if near_m is None else f', "near_m": {near_m:.3f}'
+    if crash is not None:
+        rounded = [round(v, 4) if isinstance(v, float) else v for v in crash]
+        rest += f', "crash": {json.dumps(dict(zip(crash._fields, rounded, strict=True)))}'
     return (
         f'{{"t_s": {now_us * 1e-6:.2f}, "north_m": {north_m:.4f}, "east_m": {east_m:.4f}, '
         f'"altitude_amsl_m": {vehicle.altitude_amsl_m:.4f}, '
@@ -49,14 +52,5 @@ def line(
         f'"velocity_north_m_s": {vehicle.velocity_m_s.real:.4f}, '
         f'"velocity_east_m_s": {vehicle.velocity_m_s.imag:.4f}, '
         f'"velocity_up_m_s": {vehicle.velocity_up_m_s:.4f}, '
-        f'"mode": "{mode}", "armed": {str(armed).lower()}, "landed": {str(landed).lower()}'
-        + ("" if near_m is None else f', "near_m": {near_m:.3f}')
-        + ("" if crash is None else f', "crash": {_crash(crash)}')
-        + "}"
-    )
-
-
-def _crash(crash: Crash) -> str:
-    return json.dumps(
-        {k: round(v, 4) if isinstance(v, float) else v for k, v in crash._asdict().items()}
+        f'"mode": "{mode}", "armed": {str(armed).lower()}, "landed": {str(landed).lower()}{rest}}}'
     )

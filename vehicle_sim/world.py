@@ -1,11 +1,9 @@
 """The world file: the truth that the simulator flies in.  Parsed once, at the door.
 
-Every class is one table of world.toml.  Unknown keys are refused with the nearest known one named,
-and so is an altitude whose key does not say what it is measured from.
+Every class is one table of world.toml.  Unknown keys are refused with the nearest known one named.
 """
 
 import dataclasses
-import difflib
 import itertools
 import math
 import tomllib
@@ -344,6 +342,10 @@ class World:
             rule = "is an autopilot's, beside a [lidar] that is not"
             remedy = 'Write second_lidar.output = "autopilot", or leave the table out.'
             _must(well, "second_lidar.output", second.output, rule, remedy)
+        reads = any(each.output == "autopilot" for each in self.lidars)
+        has_driver, rule = self.vehicle.autopilot != "px4", "px4 has no driver for it"
+        key = "second_lidar.output" if second else "lidar.output"
+        _must(has_driver or not reads, key, "autopilot", rule, "Write driver.")
         if lidar and self.scanner:
             own, key = lidar.component_id != self.scanner.component_id, "lidar.component_id"
             _must(own, key, lidar.component_id, "is the terrain radar's too", "Choose another.")
@@ -368,10 +370,7 @@ class World:
             return read_grid(Path(table.file), self.frame, area.edges_m, table.nodata)
         assert table.combine is not None
         assert table.ground_amsl_m is not None
-        rows = [
-            (p.north_m, p.east_m, p.height_amsl_m, p.spread_north_m, p.spread_east_m)
-            for p in table.peaks
-        ]
+        rows = [dataclasses.astuple(peak) for peak in table.peaks]  # its fields are in this order
         return PeakTerrain(rows, combine=table.combine, ground_amsl_m=table.ground_amsl_m)
 
     def scene(self, terrain: Terrain | None = None) -> Scene:
@@ -467,28 +466,17 @@ def flat_world(
     )
 
 
-_ALTITUDES: Final = ("altitude", "height", "ground", "elevation")
-"""Words of keys that measure from something."""
-_CALLED: Final = {"terrain": "a table", "float_type": "a number", "int_type": "a whole number"}
-
-
 def _explained(problem: Any) -> InputError:
     """What pydantic found, in words."""
-    kind, value, rule = problem["type"], problem["input"], problem["msg"]
+    kind, value = problem["type"], problem["input"]
     field = ".".join(map(str, problem["loc"]))
-    key = field.rpartition(".")[2]
     if kind == "missing":
         return InputError(field, None, *_MISSING)
     if kind == "value_error":
-        key, value, rule, remedy = problem["ctx"]["error"].args
-        return InputError(".".join(filter(None, (field, key))), value, rule, remedy)
+        key, *rest = problem["ctx"]["error"].args
+        return InputError(".".join(filter(None, (field, key))), *rest)
     if kind == "unexpected_keyword_argument":
-        datums = [known for known in _KEYS if known.endswith("_amsl_m")]
-        if any(word in key for word in _ALTITUDES) and key not in _KEYS:
-            nearest = difflib.get_close_matches(key, datums, n=1, cutoff=0.0)[0]
-            rule = "an altitude names its datum, and here it is above mean sea level (amsl)"
-            return InputError(field, value, rule, f"Write {nearest}.")
-        remedy = did_you_mean(key, _KEYS, "Leave it out.")
+        remedy = did_you_mean(field.rpartition(".")[2], _KEYS, "Leave it out.")
         return InputError(field, value, "no such key", remedy)
-    rule = _CALLED.get(kind, rule.removeprefix("Input should be "))
+    rule = problem["msg"].removeprefix("Input should be ")
     return InputError(field, value, f"must be {rule}", "Correct the world file.")

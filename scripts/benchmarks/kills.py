@@ -150,13 +150,13 @@ class KilledFlight(Flight):
         began_s, begin_m_s = self.now_s, self.speed_m_s
         simulation._lidars, simulation._scanner = [], None
         simulation._controller.streams.soonest_us = sys.maxsize  # nobody listens
-        track, vehicle = [simulation.place_nea_m()], simulation.vehicle
+        track, vehicle = [simulation.contact.place_nea_m()], simulation.vehicle
         longest_s = limits.dead_man_s + 4.0 * limits.speed_m_s / limits.acceleration_m_s2 + 8.0
         steps_left = 100.0 * (longest_s if limits.hovers else _ROUND_S)
         stood_s, turned_rad, heading_rad = 0.0, 0.0, vehicle.heading_rad
         while steps_left > 0.0 and stood_s <= _STANDS_FOR_S and turned_rad < _ROUND_RAD:
             simulation.step()
-            track.append(simulation.place_nea_m())
+            track.append(simulation.contact.place_nea_m())
             steps_left -= 1.0
             if limits.hovers:
                 stood_s = stood_s + 0.01 if self.speed_m_s < _STANDS_M_S else 0.0

@@ -168,7 +168,7 @@ def _on_simulator(name: str, seed: int) -> tuple[float, FloatArray, float, int, 
         if it.phase is not phases[-1]:
             phases.append(it.phase)
         if track or it.phase is Phase.FLYING:
-            track.append(it.simulation.place_nea_m())
+            track.append(it.simulation.contact.place_nea_m())
             began_s = min(began_s, it.now_s)
     way, reason = np.array(track), it.session.state.reason
     seconds = it.now_s - began_s if it.phase is Phase.ARRIVED else math.inf

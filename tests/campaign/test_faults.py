@@ -45,10 +45,9 @@ def test_a_script_can_be_flown_and_is_the_same_again(family: str, vehicle: str) 
     scripts = [FaultScript(family=family, seed=3, index=index) for index in range(60)]
     drawn = [drawn_faults.drawn(script, subject(vehicle)) for script in scripts]
     assert drawn == [drawn_faults.drawn(script, subject(vehicle)) for script in scripts]
-    firmware: Any = vehicle.partition("-")[0]
     for _, timeline in drawn:
         ours, killed = drawn_faults.split(timeline)
-        Timeline.parse(ours, firmware=firmware)
+        Timeline.parse(ours)
         assert len(ours.splitlines()) + len(killed) == len(timeline.splitlines())
     assert len({timeline for _, timeline in drawn}) > 50
     assert all(each.what == drawn_faults.KILLED for each in killed)

@@ -31,7 +31,7 @@ def fly(programs: Callable[..., Program], tmp_path: Path) -> Iterator[Callable[.
 
     def start(*arguments: object, speedup: float) -> Vehicle:
         home = ",".join(f"{value:.6f}" for value in (*HOME, 0.0))
-        command = [sys.executable, "-m", "vehicle_sim.cli", "--home", home, "--speedup", speedup]
+        command = [sys.executable, "-m", "vehicle_sim", "--home", home, "--speedup", speedup]
         program = programs(
             "vehicle-sim", *command, "--out", tmp_path / "truth", *arguments, folder=ROOT
         )

@@ -29,7 +29,7 @@ Way = tuple[Firmware, Kind]
 Values = dict[str, float]
 COPTER, PLANE, QUAD, WING = FOUR
 TABLES = {way: each.rules for way, each in zip(FOUR, ALL, strict=True)}
-DEFAULTS = {way: Held(*way).simulation.parameters.kept() for way in FOUR}
+DEFAULTS = {way: dict(Held(*way).simulation.parameters) for way in FOUR}
 STAYS_WITHOUT_RC = {"COM_OBL_RC_ACT": 5.0}
 """px4.md 6: without RC a PX4 sinks when the stream stops, by default."""
 USUAL = {way: DEFAULTS[way] | (STAYS_WITHOUT_RC if way[0] == "px4" else {}) for way in FOUR}
@@ -86,7 +86,7 @@ def test_the_bundled_missions_fit_the_vehicles_that_fly_them(name: str) -> None:
     loaded, world = load_mission(name), read_world(Path(str(file)))
     way = personality_of(world.vehicle).firmware.family, world.vehicle.kind
     assert (loaded.autopilot, loaded.kind) == way
-    values = Simulation(world, seed=0).parameters.kept()
+    values = dict(Simulation(world, seed=0).parameters)
     assert set(found(way, values, loaded)) == set(STAYS_WITHOUT_RC if way[0] == "px4" else ())
 
 

@@ -118,7 +118,7 @@ class Process(subprocess.Popen[str]):
     """vehicle-sim with these arguments."""
 
     def __init__(self, *arguments: object, **keywords: Any) -> None:
-        command = [sys.executable, "-m", "vehicle_sim.cli", *map(str, arguments)]
+        command = [sys.executable, "-m", "vehicle_sim", *map(str, arguments)]
         pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         super().__init__(command, text=True, cwd=ROOT, **pipes | keywords)
 

@@ -145,7 +145,7 @@ def test_a_flight_survives_whatever_comes_and_tells_finite_things(
         assert math.isfinite(angles + vehicle.airspeed_m_s + sum(vehicle.velocity_neu_m_s))
         assert abs(vehicle.latitude_deg) <= 90.0
         assert abs(vehicle.longitude_deg) <= 180.0
-        assert simulation.ground_amsl_m - 41.0 <= vehicle.altitude_amsl_m < 2e6
+        assert simulation.contact.ground_amsl_m - 41.0 <= vehicle.altitude_amsl_m < 2e6
         assert 0.0 <= vehicle.throttle <= 1.0
         for each in client.heard[begun:]:
             if each.kind in ("LOCAL_POSITION_NED", "ATTITUDE"):

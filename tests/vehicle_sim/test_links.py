@@ -29,7 +29,7 @@ def received(link: Link) -> bytes:
     """What comes next, within a deadline."""
     for _ in range(200):
         data = link.receive()
-        if data is not None:
+        if data is not None and any(data):  # zeros come first, of a new client
             return data
         threading.Event().wait(0.01)
     pytest.fail("nothing came")
@@ -92,21 +92,6 @@ def test_of_a_crowd_the_newest_sixteen_are_answered(opened: Open) -> None:
             client.recv(100)
     for client in clients:
         client.close()
-
-
-def test_udpout_sends_from_another_port_after_it_has_moved(opened: Open) -> None:
-    with udp_client() as client:
-        client.bind(("127.0.0.1", 0))
-        link = opened(f"udpout:127.0.0.1:{client.getsockname()[1]}")
-        link.send([b"before"])
-        data, before = client.recvfrom(100)
-        link.move()
-        link.send([b"after"])
-        data, after = client.recvfrom(100)
-        assert data == b"after"
-        assert after != before
-        client.sendto(b"answer", after)
-        assert received(link) == b"answer"
 
 
 def test_what_is_sent_after_a_refusal_is_not_lost_with_it(opened: Open) -> None:

@@ -131,21 +131,16 @@ def test_a_table_takes_only_what_its_types_hold(kind: Kind, value: float) -> Non
         kept = min(max(round(value), -half), half - 1)
     assert parameters["IT"] == kept
     if not math.isfinite(value) or not (kind is Kind.REAL32 or -half <= value <= half - 1):
-        with pytest.raises(InputError, match=f"must be a number from .*it has {bits} bits"):
+        with pytest.raises(InputError, match="must be a number from "):
             Parameters(table, {"IT": value})
 
 
-def test_a_value_is_kept_within_the_limits_of_its_row_and_until_a_reboot_or_for_good() -> None:
+def test_a_value_is_kept_within_the_limits_of_its_row() -> None:
     row = Parameter(name="RATE", default=4.0, kind=Kind.INT16, least=0.0, most=50.0)
     table = Parameters([row], {})
     for value, nearest in ((60.0, 50.0), (-3.0, 0.0), (math.nan, 0.0), (7.4, 7.0)):
         table["RATE"] = value
-        assert table["RATE"] == table.kept()["RATE"] == nearest
-    for value in (9.0, 10.0):
-        table.set_until_reboot("RATE", value)
-    assert (table["RATE"], table.kept()["RATE"]) == (10.0, 7.0)
-    table["RATE"] = 11.0
-    assert (table["RATE"], table.kept()["RATE"]) == (11.0, 11.0)
+        assert table["RATE"] == nearest
 
 
 # --- what a parameter does ------------------------------------------------------------------------
@@ -190,7 +185,7 @@ def test_the_parameters_of_ids_are_what_it_boots_as(
 def test_the_rates_of_streams_are_parameters_that_count_from_the_boot(
     kind: VehicleKind, unasked_hz: int
 ) -> None:
-    """SRn_ before 4.7.  A reboot loses what REQUEST_DATA_STREAM set, but of a plane."""
+    """SRn_ before 4.7.  A reboot loses what REQUEST_DATA_STREAM set."""
     vehicle = fresh("ardupilot", kind, MAV1_POSITION=10.0)
 
     def rates_hz() -> list[float]:
@@ -202,6 +197,5 @@ def test_the_rates_of_streams_are_parameters_that_count_from_the_boot(
     assert rates_hz() == [10.0, unasked_hz, unasked_hz]
     vehicle.send(mavlink.MAVLink_request_data_stream_message(*VEHICLE, 11, 5, 1))  # EXTRA2
     assert rates_hz() == [10.0, unasked_hz, 5.0]
-    assert vehicle.simulation.parameters["MAV1_EXTRA2"] == 5.0
     reboot(vehicle)
-    assert rates_hz() == [10.0, 4.0, 5.0 if kind == "plane" else 0.0]
+    assert rates_hz() == [10.0, 4.0, unasked_hz]

@@ -93,7 +93,7 @@ def test_enforcing_lets_only_the_own_system_and_the_ground_station_command(
     source: Ids, *, taken: bool
 ) -> None:
     vehicle = Vehicle()
-    vehicle.router.enforce = True
+    vehicle.router.commanders = frozenset({1, 255})
     assert vehicle.get(source, setpoint((1, 1))).to_autopilot is taken
     assert vehicle.get(source, command((1, 0))).links == TO_COMPANION
     assert vehicle.get(source, BEAT).to_autopilot
@@ -136,9 +136,9 @@ def test_some_are_never_passed_on(message: Any) -> None:
 
 def test_nothing_goes_to_a_component_before_it_has_spoken_and_routes_are_bounded() -> None:
     vehicle = Vehicle()
-    vehicle.router.restart()
+    vehicle.router = Router(system=1, radar=RADAR, firmware="ardupilot")
     for spoken in (False, True):
-        assert vehicle.router.heard(ON_COMPANION_LINK) is spoken
+        assert (ON_COMPANION_LINK in vehicle.router.heard_on) is spoken
         route = Route(TO_COMPANION) if spoken else Route(to_autopilot=True)
         assert vehicle.get(GCS, command((1, 191))) == route
         vehicle.get(COMPANION, BEAT, ON_COMPANION_LINK)
@@ -155,7 +155,7 @@ def test_nothing_goes_to_a_component_before_it_has_spoken_and_routes_are_bounded
         *((command((0, 1)), False, TO_COMPANION), (command((1, 50)), False, ())),
         *((command((0, 0), 512), True, TO_COMPANION), (command((1, 77), 512), True, ())),
         *((command((2, 1), 512), False, ()), (command((1, 191)), False, TO_COMPANION)),
-        *((mission((1, 190)), True, ()), (mission((1, 191)), False, TO_COMPANION)),
+        *((mission((1, 190)), False, ()), (mission((1, 191)), False, TO_COMPANION)),
         (mission((0, 1)), False, TO_COMPANION),
         (mavlink.MAVLink_param_request_list_message(1, 0), True, TO_COMPANION),
         (mavlink.MAVLink_param_request_list_message(0, 0), False, TO_COMPANION),

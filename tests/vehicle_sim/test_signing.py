@@ -34,7 +34,7 @@ def setup(secret: bytes = KEY, timestamp: int = NOW) -> Any:
 
 def signed_vehicle() -> Signing:
     signing = Signing()
-    assert signing.setup(setup(), armed=False) is None
+    assert signing.setup(setup(), armed=False) == []
     return signing
 
 
@@ -61,8 +61,7 @@ def test_without_a_key_everything_comes_in_and_nothing_is_signed() -> None:
     for signing in (Signing(), taken_back):
         assert Packer(1, 1, signing).frame(ARM)[2] == 0
         assert all(signing.accepts(client.frame(), SIGNED) for client in (UNSIGNED, LIAR))
-    refused = signing.setup(setup(), armed=True)
-    assert refused is not None
+    (refused,) = signing.setup(setup(), armed=True)
     assert refused.text == "ERROR: Won't setup signing when armed"
     assert not signing.secret
 
@@ -118,15 +117,13 @@ def test_of_each_stream_only_what_is_newer_comes_in_and_streams_are_bounded() ->
     assert signing.accepts(Client(link=13, late=9).frame(), SIGNED)
 
 
-def test_the_vehicle_keeps_up_with_what_it_hears_and_keeps_its_key_over_a_reboot() -> None:
+def test_the_vehicle_keeps_up_with_what_it_hears() -> None:
     signing, later = signed_vehicle(), 200 * SECOND
     assert signing.accepts(Client(late=later).frame(), SIGNED)
     assert not signing.accepts(Client(link=6, late=20 * SECOND).frame(), SIGNED)
-    signing.restart()
     assert Packer(1, 1, signing).frame(ARM)[2] == 1
     assert not signing.accepts(UNSIGNED.frame(), SIGNED)
     assert not signing.accepts(Client(link=9, late=130 * SECOND).frame(), SIGNED)
-    assert signing.accepts(Client(late=later).frame(), SIGNED)
 
 
 # --- what gets lost -------------------------------------------------------------------------------
@@ -136,13 +133,13 @@ def frame(number: int) -> bytes:
     return number.to_bytes(4, "big") * 8
 
 
-def link(conditions: LinkConditions, seed: int = 1, **which: int) -> Impairments:
+def link(conditions: LinkConditions, seed: int = 1, **which: int) -> Impairments[bytes]:
     made = Impairments(np.random.default_rng(seed), **which)  # type: ignore[arg-type]
     made.impair(conditions)
     return made
 
 
-def carried(made: Impairments, count: int) -> list[tuple[int, bytes]]:
+def carried(made: Impairments[bytes], count: int) -> list[tuple[int, bytes]]:
     """When each frame that came out did so; one frame goes in each step."""
     out = []
     for now_us in range(0, count * STEP_US + 5 * S, STEP_US):
@@ -181,29 +178,11 @@ def test_jitter_lets_frames_overtake_and_is_never_longer_than_it_says() -> None:
     assert order != sorted(order) == list(range(2000))
 
 
-def test_duplicates_come_right_behind_and_what_is_reordered_is_overtaken_by_the_next() -> None:
+def test_duplicates_come_right_behind() -> None:
     twice = numbers(3000, duplicated=0.3)
     assert twice == sorted(twice)
     assert len(twice) / 3000 == pytest.approx(1.3, abs=0.03)
     assert max(len(list(run)) for _, run in itertools.groupby(twice)) == 2
-    out = numbers(5000, reordered=0.1)
-    assert sorted(out) == list(range(5000))
-    assert np.mean(np.diff(out) < 0) == pytest.approx(0.1 * 0.9, abs=0.02)
-    last = link(LinkConditions(reordered=1.0))
-    last.push(0, frame(7))
-    assert [last.pop(at) for at in (499_999, 500_000)] == [[], [frame(7)]]  # not held for ever
-
-
-def test_corrupted_frames_differ_in_up_to_three_bits() -> None:
-    wrong = [
-        (int.from_bytes(data, "big") ^ int.from_bytes(frame(k), "big")).bit_count()
-        for k, (_, data) in enumerate(carried(link(LinkConditions(corrupted=0.25)), 4000))
-    ]
-    assert np.mean(np.array(wrong) > 0) == pytest.approx(0.25, abs=0.03)
-    assert max(wrong) == 3
-    made = link(LinkConditions(corrupted=1.0))
-    made.push(0, b"")
-    assert made.pop(0) == [b""]
 
 
 @pytest.mark.parametrize(
@@ -245,8 +224,6 @@ def test_what_is_on_its_way_comes_before_what_follows_and_a_full_queue_loses_the
         delay_us=st.integers(0, 300_000),
         jitter_us=st.integers(0, 300_000),
         duplicated=st.floats(0, 1),
-        reordered=st.floats(0, 1),
-        corrupted=st.floats(0, 1),
     ),
     seed=st.integers(0, 1000),
 )

@@ -33,7 +33,7 @@ Kind = str | tuple[float, float]
 def drawn(rng: np.random.Generator, kind: Kind) -> tuple[Terrain, list[PeakRow]]:
     """Peaks; or about a place rough ground: steps of up to 120 m between points of about 90 m."""
     if isinstance(kind, tuple):
-        grid = GridTerrain.of(
+        grid = GridTerrain(
             rng.integers(200, 320, (ROWS, COLUMNS)).astype(np.int16),
             north_deg=kind[0] + 0.5 * ROWS * STEP[0],
             west_deg=kind[1] - 0.5 * COLUMNS * STEP[1],

@@ -80,7 +80,6 @@ def test_the_assertions_say_when_and_by_how_much(sim: Simulator) -> None:
     sim.assert_arrived(*there, within_m=101.0, within_s=3.0)
     with pytest.raises(AssertionError, match=r"not nearer than (100|99)\.. m by 3 s"):
         sim.assert_arrived(*there, within_m=50.0, within_s=3.0)
-    sim.assert_clear_of_ground(10.0)  # it has not flown
 
 
 def test_faults_and_parameters_can_be_set_on_the_way(vehicle_sim: Start) -> None:  # noqa: F811
@@ -172,8 +171,6 @@ def test_a_crash_is_seen_however_short_it_is(vehicle_sim: Start) -> None:  # noq
     sim.assert_not_crashed()
     sim.fault("reboot")  # in the air: it falls
     sim.advance(10.0)
-    where = r"hit the ground at 2\d\.\d m/s at .* s, 0 m north, 0 m east, 488 m AMSL"
+    where = r"0 m north, 0 m east, 488 m AMSL.* hit the ground at 2\d\.\d m/s"
     with pytest.raises(AssertionError, match=where):
         sim.assert_not_crashed()
-    with pytest.raises(AssertionError, match="hit the ground"):
-        sim.assert_clear_of_ground(1.0)

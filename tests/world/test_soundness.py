@@ -201,7 +201,7 @@ def simulators_scan(place: Ground, radar_nea_m: Point) -> Scan:
     """Four requests to the simulator's radar, on the equator, where a map is hardly bent."""
     step_m = CELL_M * ROWS / (len(place.nodes_m) - 1)
     steps_deg = tuple(step_m / each for each in metres_per_degree(0.0))
-    terrain = GridTerrain.of(
+    terrain = GridTerrain(
         place.nodes_m[::-1],
         north_deg=steps_deg[0] * (len(place.nodes_m) - 1),
         west_deg=0.0,
@@ -224,8 +224,8 @@ def simulators_scan(place: Ground, radar_nea_m: Point) -> Scan:
                 spacing_m=round(CELL_M),
                 mask=(1 << 56) - 1,
             )
-            for block in radar.answer(request, view):
-                i, j = row + block.gridbit // 8 * 4, column + block.gridbit % 8 * 4
-                heights[i : i + 4, j : j + 4] = np.reshape(block.heights_amsl_m, (4, 4))
+            for bit, cells_m in radar.answer(request, view).items():
+                i, j = row + bit // 8 * 4, column + bit % 8 * 4
+                heights[i : i + 4, j : j + 4] = np.reshape(cells_m, (4, 4))
     seen = heights != UNSEEN_M
     return replace(scan_of(heights, seen, radar_nea_m), registration_m=1.0)

@@ -14,7 +14,7 @@ import numpy as np
 
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.faults import GpsConditions, Vector
-from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, around, degrees_east, metres_per_degree
+from vehicle_sim.geodesy import around, degrees_east, metres_per_degree
 
 _ZERO: Final = (0.0, 0.0, 0.0)
 
@@ -104,6 +104,10 @@ _HISTORY: Final = 50
 _WANDER_S: Final = 5.0
 """Correlation time of GpsConditions.sigma_m."""
 _VERTICAL: Final = 1.5
+_LEAST_SATELLITES: Final = 4
+_JAM_CHANGES_HZ: Final = 0.3
+_JAM_RANGES: Final = ((0.0, -200.0, -200.0, *[-400.0] * 3), (11.0, 200.0, 200.0, *[400.0] * 3))
+"""Satellites, metres and metres a second, as far as ArduPilot's simulated jammer goes."""
 
 
 @final
@@ -135,7 +139,8 @@ class Gps:
         self._locked_us = 0
         self._wander = rng.standard_normal(3).tolist()
         self._drift_m = [0.0, 0.0, 0.0]
-        self._jamming = _Jamming(rng, receiver.interval_us * 1e-6)
+        self._jam: list[float] | None = None
+        """While a jammer is near: satellites, and what is wrong with place and velocity."""
 
     def step(self, now_us: int, vehicle: Vehicle, conditions: GpsConditions) -> Fix:
         """The newest solution at now_us (since boot); the same object until there is another."""
@@ -188,12 +193,28 @@ class Gps:
                 return _Sample(old.time_us, old.locked, *moved)
         return self._history[0]
 
+    def _jammed(self, sample: _Sample) -> tuple[_Sample, int]:
+        """Near a jammer there is no fix at first, then wild ones that come and go."""
+        if self._jam is None:
+            self._jam = [0.0] * 6
+        elif self._rng.random() < _JAM_CHANGES_HZ * self._receiver.interval_us * 1e-6:
+            self._jam = self._rng.uniform(*_JAM_RANGES).tolist()
+        satellites, north_m, east_m, *speeds = self._jam
+        per_north_m, per_east_m = metres_per_degree(sample.latitude_deg)
+        latitude_deg = sample.latitude_deg + north_m / per_north_m
+        longitude_deg = sample.longitude_deg + east_m / per_east_m
+        wild = (latitude_deg, longitude_deg, sample.altitude_amsl_m, *speeds)
+        return _Sample(sample.time_us, sample.locked, *wild), int(satellites)
+
     def _solution(self, due_us: int, conditions: GpsConditions) -> Fix:
         receiver, satellites = self._receiver, conditions.satellites
         sample = self._late(due_us - round(conditions.lag_s * 1e6))
         locked = sample.locked if receiver.late_lock else self._history[-1].locked
         if conditions.jammed:
-            sample, locked, satellites = self._jamming.spoil(due_us, sample, satellites)
+            sample, satellites = self._jammed(sample)
+            locked = satellites >= _LEAST_SATELLITES
+        else:
+            self._jam = None
         if locked or not receiver.late_lock:
             self._locked_us = due_us
         if not locked and receiver.satellites_lost is not None:
@@ -217,46 +238,3 @@ class Gps:
             satellites,
             *(receiver.quality if locked else receiver.quality_lost),
         )
-
-
-_SILENT_S: Final = (1.0, 6.0)
-_WILD_M_S, _WILD_M = 400.0, 200.0
-_CHANGE_HZ: Final = 1.1
-"""How often fix, satellites, velocity and position become others."""
-_FORGOTTEN_US: Final = 1_000_000
-"""A jamming that has paused for longer begins again."""
-
-
-@final
-class _Jamming:
-    """A jammer near by, as ArduPilot's simulation has it: nothing for a while, then wild values."""
-
-    def __init__(self, rng: np.random.Generator, interval_s: float) -> None:
-        self._rng, self._share = rng, _CHANGE_HZ * interval_s
-        self._last_us, self._silent_until_us = -_FORGOTTEN_US - 1, 0
-        self._place_deg = (0.0, 0.0)
-
-    def spoil(self, now_us: int, sample: _Sample, satellites: int) -> tuple[_Sample, bool, int]:
-        """The sample as the jammed receiver has it, whether it has a fix, and the satellites."""
-        rng, locked = self._rng, sample.locked
-        if now_us - self._last_us > _FORGOTTEN_US:
-            self._silent_until_us = now_us + round(1e6 * rng.uniform(*_SILENT_S))
-            self._place_deg = (sample.latitude_deg, sample.longitude_deg)
-        self._last_us = now_us
-        if now_us < self._silent_until_us:
-            return sample, False, 0
-        fix, velocity, place = (rng.random(3) < self._share).tolist()
-        if fix:
-            satellites = 2 + int(rng.integers(15))
-            locked = satellites >= 4 and bool(rng.integers(2))
-        if velocity:
-            north, east, up = rng.uniform(-_WILD_M_S, _WILD_M_S, 3).tolist()
-            sample = sample._replace(north_m_s=north, east_m_s=east, up_m_s=up)
-        if place:
-            north_deg, east_deg = rng.uniform(-_WILD_M, _WILD_M, 2).tolist()
-            latitude_deg = self._place_deg[0] + north_deg / ARDUPILOT_M_PER_DEG
-            longitude_deg = around(self._place_deg[1] + east_deg / ARDUPILOT_M_PER_DEG)
-            self._place_deg = (min(max(latitude_deg, -90.0), 90.0), longitude_deg)
-        latitude_deg, longitude_deg = self._place_deg
-        moved = sample._replace(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
-        return moved, locked, satellites

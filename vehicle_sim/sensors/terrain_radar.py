@@ -18,8 +18,7 @@ nothing.
 """
 
 import math
-from dataclasses import dataclass
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +42,7 @@ Eye = tuple[float, float, float]
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class ScanRequest:
+class ScanRequest(NamedTuple):
     """A TERRAIN_REQUEST: an area of 28 x 32 cells, and which of its 56 blocks are wanted."""
 
     latitude_deg: float
@@ -53,19 +51,14 @@ class ScanRequest:
     spacing_m: int
     mask: int
 
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ScanBlock:
-    """The 4 x 4 cells of one bit of the mask, from the south-west, east running fastest."""
-
-    gridbit: int
-    heights_amsl_m: tuple[int, ...]
+    @property
+    def frame(self) -> LocalFrame:
+        """North and east from the corner."""
+        return LocalFrame(latitude_deg=self.latitude_deg, longitude_deg=self.longitude_deg)
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class Viewpoint:
+class Viewpoint(NamedTuple):
     """Where the radar looks from."""
 
     latitude_deg: float
@@ -85,6 +78,7 @@ class _Grid:
         tiles = 2 * math.ceil(range_m * (1.0 + 2.0 * _GRID_MARGIN) / tile_m)
         # Whole multiples of the tile: the same ground has the same bounds wherever one looks from.
         self.south_m, self.west_m = ((round(x / tile_m) - tiles // 2) * tile_m for x in near_ne_m)
+        self.place = (self.south_m, self.west_m, self.cell_m)
         self.middle_ne_m = np.array([self.south_m, self.west_m]) + 0.5 * tiles * tile_m
         self.lowest_amsl_m = np.full((tiles * _TILE_CELLS,) * 2, -np.inf)
         self._found = np.zeros((tiles, tiles), dtype=bool)
@@ -119,14 +113,22 @@ class TerrainRadar:
         self._range_m = range_m
         self._grid: _Grid | None = None
 
-    def answer(self, request: ScanRequest, view: Viewpoint) -> tuple[ScanBlock, ...]:
-        """The wanted blocks, by rising bit."""
+    def answer(self, request: ScanRequest, view: Viewpoint) -> dict[int, list[int]]:
+        """The wanted blocks, by rising bit of the mask.
+
+        Heights of their 4 x 4 cells from the south-west, east running fastest; UNSEEN_M: not seen.
+        """
         bits = [bit for bit in range(ROWS * COLUMNS) if request.mask >> bit & 1]
         if not bits or request.spacing_m <= 0 or abs(request.latitude_deg) >= 90.0:
-            return ()
+            return {}
         north, east = _cells_of(np.array(bits))
         heights = np.full(len(north), UNSEEN_M, dtype=np.int64)
-        near = np.flatnonzero(self._within_range(request, view, north, east))
+        view_ne_m = request.frame.to_local(view.latitude_deg, view.longitude_deg)
+        off_north_m, off_east_m = (
+            (cells + 0.5) * request.spacing_m - own_m
+            for cells, own_m in zip((north, east), view_ne_m, strict=True)
+        )
+        near = np.flatnonzero(np.hypot(off_north_m, off_east_m) <= self._range_m)
         if len(near):
             corners_ne_m = self._corners_ne_m(request, north[near], east[near])
             highest, place_ne_m = self._terrain.highest_in_quads_amsl_m(corners_ne_m)
@@ -134,10 +136,7 @@ class TerrainRadar:
             rounded = np.clip(np.ceil(highest[seen]), _LOWEST_M, _HIGHEST_M)
             heights[near[seen]] = rounded.astype(np.int64)
         blocks = heights.reshape(len(bits), BLOCK_CELLS * BLOCK_CELLS).tolist()
-        return tuple(
-            ScanBlock(gridbit=bit, heights_amsl_m=tuple(block))
-            for bit, block in zip(bits, blocks, strict=True)
-        )
+        return dict(zip(bits, blocks, strict=True))
 
     def height_amsl_m(self, latitude_deg: float, longitude_deg: float) -> float:
         """The true height of the terrain at a point."""
@@ -156,26 +155,10 @@ class TerrainRadar:
         wanted = np.zeros(corners_ne_m.shape[:2], dtype=bool)
         wanted[rows, columns] = True  # each once: cells share them
         north_m, east_m = (each * np.float64(request.spacing_m) for each in np.nonzero(wanted))
-        corner = LocalFrame(latitude_deg=request.latitude_deg, longitude_deg=request.longitude_deg)
-        local = self._frame.to_local_many(*corner.to_geographic_many(north_m, east_m))
+        places = request.frame.to_geographic_many(north_m, east_m)
+        local = self._frame.to_local_many(*places)
         corners_ne_m[wanted] = np.stack(local, axis=-1)
         return corners_ne_m[rows, columns]
-
-    def _within_range(
-        self,
-        request: ScanRequest,
-        view: Viewpoint,
-        north: NDArray[np.intp],
-        east: NDArray[np.intp],
-    ) -> NDArray[np.bool_]:
-        """Whether the middle of each cell is in range.  (C,), (C,) -> (C,)."""
-        corner = LocalFrame(latitude_deg=request.latitude_deg, longitude_deg=request.longitude_deg)
-        view_north_m, view_east_m = corner.to_local(view.latitude_deg, view.longitude_deg)
-        away_m = np.hypot(
-            (north + 0.5) * request.spacing_m - view_north_m,
-            (east + 0.5) * request.spacing_m - view_east_m,
-        )
-        return away_m <= self._range_m
 
     def _seen(
         self,
@@ -223,15 +206,14 @@ class TerrainRadar:
         Taken to be as high as its highest all over the circle around it.
         """
         grid = self._grid_about(eye, corners_ne_m.reshape(-1, 2))
-        place = (grid.south_m, grid.west_m, grid.cell_m)
-        return _may_be_seen(eye, corners_ne_m, highest_amsl_m, grid.lowest_amsl_m, place)
+        return _may_be_seen(eye, corners_ne_m, highest_amsl_m, grid.lowest_amsl_m, grid.place)
 
     def _in_sight(self, eye: Eye, points_ne_m: FloatArray) -> NDArray[np.bool_]:
         """Whether each point of the surface has a free line to the eye.  (K, 2) -> (K,)."""
         grid = self._grid_about(eye, points_ne_m)
         top_m = self._terrain.height_amsl_m(points_ne_m[:, 0], points_ne_m[:, 1])
-        place = (grid.south_m, grid.west_m, grid.cell_m)
-        return _in_sight(eye, np.column_stack([points_ne_m, top_m]), grid.lowest_amsl_m, place)
+        points_nea_m = np.column_stack([points_ne_m, top_m])
+        return _in_sight(eye, points_nea_m, grid.lowest_amsl_m, grid.place)
 
     def _grid_about(self, eye: Eye, points_ne_m: FloatArray | None = None) -> _Grid:
         """A grid beyond the range on all sides of the eye, with what is between it and points."""

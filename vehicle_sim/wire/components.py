@@ -9,13 +9,11 @@ clockwise from there; max_distance + 1 is "nothing there", 65535 is "not known";
 middle of the sweep, in the autopilot's clock.
 """
 
-import math
 from collections import deque
 from collections.abc import Sequence
 from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.values import Result, Sender
@@ -46,7 +44,7 @@ class RadarComponent:
     def __init__(
         self, radar: TerrainRadar, rng: np.random.Generator, radio: Radio, component_id: int
     ) -> None:
-        self._radar, self._rng = radar, rng
+        self.radar, self._rng = radar, rng
         self._radio, self._id = radio, component_id
         self._asked: tuple[Any, int] | None = None
         """The request, and by which link."""
@@ -105,16 +103,14 @@ class RadarComponent:
 
         The report counts the blocks that get lost, too.
         """
-        radar, height_m = self._radar, vehicle.altitude_amsl_m
+        radar, height_m = self.radar, vehicle.altitude_amsl_m
         place, spacing_m = (asked.lat / 1e7, asked.lon / 1e7), asked.grid_spacing
         view = Viewpoint(vehicle.latitude_deg, vehicle.longitude_deg, height_m)
         blocks = radar.answer(ScanRequest(*place, spacing_m, asked.mask), view)
         head = (asked.lat, asked.lon, spacing_m)
         told = [
-            make(
-                "TERRAIN_DATA", *head, block.gridbit, self._spoilt(block.heights_amsl_m, conditions)
-            )
-            for block in blocks
+            make("TERRAIN_DATA", *head, bit, self._spoilt(heights_m, conditions))
+            for bit, heights_m in blocks.items()
         ]
         if conditions.frames_lost:
             kept = self._rng.random(len(blocks)) >= conditions.frames_lost
@@ -123,10 +119,10 @@ class RadarComponent:
         report = make("TERRAIN_REPORT", *head, ground_m, height_m - ground_m, 0, len(blocks))
         return [*told, report]
 
-    def _spoilt(self, heights_amsl_m: Sequence[int], conditions: RadarConditions) -> list[int]:
+    def _spoilt(self, heights_amsl_m: list[int], conditions: RadarConditions) -> list[int]:
         """The heights as a radar in this state has them."""
         if not (conditions.blind or conditions.cells_missed or conditions.noise_m):
-            return list(heights_amsl_m)
+            return heights_amsl_m
         heights = np.array(heights_amsl_m)
         seen = (heights != UNSEEN_M) & (not conditions.blind)
         if conditions.cells_missed:
@@ -152,15 +148,15 @@ class LidarDriver:
         self._lidar, self._settings, self._rng, self._radio = lidar, settings, rng, radio
         off_edge_deg = np.degrees(lidar.angles_rad) + 0.5 * _WIDTH_DEG
         self._element = np.floor(np.remainder(off_edge_deg + 1e-9, 360.0) / _WIDTH_DEG).astype(int)
-        self._waiting = deque[tuple[int, Any]]()
+        self._waiting = deque[tuple[int, Prepared]]()
         self._due_us, self._beat_us = 0, HEARTBEAT_US
 
     def send_heartbeat(self) -> None:
         """Send a heartbeat now."""
         self._radio.broadcast(_BEAT, self._settings.component_id)
 
-    def step(self, now_us: int, boot_us: int, conditions: LidarConditions) -> list[Any]:
-        """Send what is due; returns the messages that the autopilot hears."""
+    def step(self, now_us: int, boot_us: int, conditions: LidarConditions) -> None:
+        """Send what is due."""
         if now_us >= self._beat_us:
             self._beat_us = now_us + HEARTBEAT_US
             if not conditions.silent:
@@ -171,41 +167,25 @@ class LidarDriver:
             self._due_us += interval_us
             if not (conditions.dead or conditions.silent):
                 late_us = self._lidar.middle_us + round(self._settings.latency_s * 1e6)
-                message = self._message(self._lidar.middle_us - boot_us, conditions)
-                self._waiting.append((max(late_us, now_us), message))
-        heard = []
+                stamp_us = self._lidar.middle_us - boot_us + conditions.clock_us
+                self._waiting.append((max(late_us, now_us), self._message(stamp_us)))
         while self._waiting and self._waiting[0][0] <= now_us:
             message = self._waiting.popleft()[1]
             if not conditions.frames_lost or self._rng.random() >= conditions.frames_lost:
                 self._radio.broadcast(message, self._settings.component_id)
-                heard.append(message)
-        return heard
 
-    def _message(self, measured_us: int, wrong: LidarConditions) -> Any:
-        settings, rng = self._settings, self._rng
-        least_cm, most_cm = round(settings.min_m * 100.0), round(settings.range_m * 100.0)
-        increment_deg, offset_deg = _WIDTH_DEG, 0.0
-        told_cm = self._told_cm(most_cm)
-        if wrong.junk:
-            spoilt = rng.random(_ELEMENTS) < wrong.junk
-            values = np.array([0, 1, most_cm + 2, _UNKNOWN - 1, _UNKNOWN])
-            told_cm[spoilt] = values[rng.integers(len(values), size=int(spoilt.sum()))]
-            if rng.random() < wrong.junk:
-                pairs = ((math.nan, offset_deg), (increment_deg, math.nan))
-                increment_deg, offset_deg = pairs[rng.integers(2)]
-        stamp_us, most_us = measured_us + wrong.clock_us, wrong.clock_jump_us
-        stamp_us += int(rng.integers(-most_us, most_us + 1)) if most_us else 0
-        return mavlink.MAVLink_obstacle_distance_message(
-            *(max(stamp_us, 0), mavlink.MAV_DISTANCE_SENSOR_LASER, told_cm.tolist()),
-            *(int(_WIDTH_DEG), least_cm, most_cm, increment_deg, offset_deg, wrong.frame),
+    def _message(self, stamp_us: int) -> Prepared:
+        """The nearest echo of each element, "nothing there" or "not known"."""
+        least_cm, most_cm = (
+            round(m * 100.0) for m in (self._settings.min_m, self._settings.range_m)
         )
-
-    def _told_cm(self, most_cm: int) -> NDArray[np.int64]:
-        """The nearest echo of each element, "nothing there" or "not known".  -> (72,)."""
         nearest_m = np.full(_ELEMENTS, np.inf)
         known = np.zeros(_ELEMENTS, dtype=bool)
         use = ~np.isnan(self._lidar.distances_m)
         np.minimum.at(nearest_m, self._element[use], self._lidar.distances_m[use])
         known[self._element[use]] = True
         cm = np.where(np.isfinite(nearest_m), np.round(nearest_m * 100.0), most_cm + 1.0)
-        return np.where(known, cm, _UNKNOWN).astype(np.int64)
+        told_cm = np.where(known, cm, _UNKNOWN).astype(np.int64).tolist()
+        what = (max(stamp_us, 0), mavlink.MAV_DISTANCE_SENSOR_LASER, told_cm)
+        scale = (int(_WIDTH_DEG), least_cm, most_cm, _WIDTH_DEG, 0.0, mavlink.MAV_FRAME_BODY_FRD)
+        return make("OBSTACLE_DISTANCE", *what, *scale)

@@ -44,10 +44,6 @@ class StreamParser:
         self._datagrams = datagrams
         self._rest = b""
 
-    def forget(self) -> None:
-        """Whoever spoke is gone: half a frame of theirs is none."""
-        self._rest = b""
-
     def feed(self, data: bytes) -> list[tuple[bytes, Any]]:
         """Every intact frame with its message, in order."""
         data, self._rest = self._rest + data, b""

@@ -10,7 +10,7 @@ import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
@@ -19,23 +19,6 @@ from vehicle_sim.autopilot.values import Ack, Command, Reply, Sender, SendMessag
 from vehicle_sim.plans import DO_JUMP, FENCE_COMMANDS, PlanItem, PlanKind, is_whole_fence
 from vehicle_sim.wire.frames import make
 
-
-@final
-class Rules(NamedTuple):
-    """Of the firmwares' own ways what clients rely on."""
-
-    asks_by: str
-    """Which message asks for an item of an upload."""
-    home_is_first: bool
-    """Item 0 of a mission is home, whatever was uploaded."""
-    has_ids: bool
-    """Each list has an opaque id."""
-
-
-_RULES: Final = {
-    "ardupilot": Rules("MISSION_REQUEST", home_is_first=True, has_ids=False),
-    "px4": Rules("MISSION_REQUEST_INT", home_is_first=False, has_ids=True),
-}
 _FLOWN: Final = frozenset({16, 17, 19, 20, 21, 22})
 """What missions may do: WAYPOINT, LOITER_UNLIM and _TIME, RETURN_TO_LAUNCH, LAND, TAKEOFF.  Of what
 takes no time (from DO_JUMP on) the rest is skipped."""
@@ -96,7 +79,7 @@ class Missions:
 
     def __init__(self, autopilot: Autopilot) -> None:
         self._autopilot, self._plans = autopilot, autopilot.plans
-        self._rules = _RULES[autopilot.firmware.family]
+        self._is_px4 = autopilot.firmware.family == "px4"
         self._upload: _Upload | None = None
         self._done: tuple[Sender, PlanKind, int] | None = None
         """Of the newest item if a list ended well with it: the acknowledgement may get lost."""
@@ -157,7 +140,8 @@ class Missions:
     def _ask(self, upload: _Upload, now_us: int) -> list[Reply]:
         """Ask for the next item."""
         upload.asked_us = now_us
-        return [_said(upload.sender, self._rules.asks_by, len(upload.items), upload.kind)]
+        asks = "MISSION_REQUEST_INT" if self._is_px4 else "MISSION_REQUEST"
+        return [_said(upload.sender, asks, len(upload.items), upload.kind)]
 
     def _fail(self, upload: _Upload, why: int) -> list[Reply]:
         """The old list stays."""
@@ -193,14 +177,17 @@ class Missions:
 
     def _id_of(self, kind: PlanKind) -> tuple[int, int]:
         """A list's kind and id."""
-        return kind, opaque_id(self._plans[kind]) if self._rules.has_ids else 0
+        return kind, opaque_id(self._plans[kind]) if self._is_px4 else 0
 
     # --- download, and what is not for a list -------------------------------------------------
 
     def _on_request(self, message: Any, kind: PlanKind, to: Sender) -> Reply:
-        """Any item at any time, in integers or degrees as it is asked for."""
+        """Any item at any time, in integers or degrees as it is asked for.
+
+        Item 0 of an ArduPilot's mission is home, whatever was uploaded.
+        """
         seq, items, is_mission = message.seq, self._plans[kind], kind is PlanKind.MISSION
-        if is_mission and self._rules.home_is_first and seq == 0:
+        if is_mission and not self._is_px4 and seq == 0:
             items = (self._home(),)
         if seq >= len(items):
             return _ack(to, mavlink.MAV_MISSION_INVALID_SEQUENCE, kind)

@@ -9,7 +9,7 @@ of sending.
 
 import math
 from collections.abc import Callable, Iterable
-from typing import Any, Final, final
+from typing import Final, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
@@ -17,24 +17,24 @@ from vehicle_sim.parameters import Parameters
 from vehicle_sim.wire.frames import Prepared, make
 
 DISTANCE_SENSOR, RANGEFINDER = 132, 173
-RPLIDAR, BY_MAVLINK = 5, 2
-"""PRX1_TYPE, as far as there are such sensors here."""
+RPLIDAR: Final = 5
+"""PRX1_TYPE of the one sensor that there is here."""
 _FIRST_ID: Final = 10
 _TIMEOUT_US, _CHECK_US = 1_000_000, 750_000
 """An echo is forgotten at the first check after its time-out."""
-_LOST_AFTER_US: Final = {RPLIDAR: 200_000, BY_MAVLINK: 500_000}
+_LOST_AFTER_US: Final = 200_000
 _UNKNOWN: Final = 65535
 _DOWN, _LASER = 25, mavlink.MAV_DISTANCE_SENSOR_LASER
 _PROXIMITY_BIT: Final = mavlink.MAV_SYS_STATUS_SENSOR_PROXIMITY
 _DOWN_BIT: Final = mavlink.MAV_SYS_STATUS_SENSOR_LASER_POSITION
+_NAMES: Final = ("PRX1_TYPE", "RNGFND1_MIN", "RNGFND1_MAX", "RNGFND1_TYPE", "RNGFND1_ORIENT")
 
 
 @final
-class Proximity:
-    """One sensor since the autopilot's boot: PRX1_TYPE is read then.  Times are since boot."""
+class Sectors:
+    """What an RPLidar on ArduPilot has told since the autopilot's boot.  Times are since boot."""
 
-    def __init__(self, kind: int, min_m: float = 0.0, max_m: float = 0.0) -> None:
-        self.kind = kind
+    def __init__(self, min_m: float, max_m: float) -> None:
         self._limits_cm = round(min_m * 100.0), round(max_m * 100.0)
         self._echoes: dict[int, tuple[float, int]] = {}
         """By sector: how far, in centimetres, and when."""
@@ -46,16 +46,15 @@ class Proximity:
 
     def healthy(self, now_us: int) -> bool:
         """Whether anything came from the sensor lately."""
-        return now_us - self._input_us < _LOST_AFTER_US.get(self.kind, 0)
+        return now_us - self._input_us < _LOST_AFTER_US
 
     def on_beams(
         self, angles_rad: Iterable[float], distances_m: Iterable[float], now_us: int
     ) -> None:
-        """Beams of an RPLidar in the order in which they were measured."""
-        if self.kind != RPLIDAR:
-            return
+        """Beams in the order in which they were measured."""
         for angle_rad, distance_m in zip(angles_rad, distances_m, strict=True):
-            self._input_us, sector = now_us, _sector_of(math.degrees(angle_rad))
+            self._input_us = now_us
+            sector = int((math.degrees(angle_rad) + 22.5) % 360.0 / 45.0) % 8
             if sector != self._sector:
                 if self._nearest_m < math.inf:
                     self._echoes[self._sector] = self._nearest_m * 100.0, now_us
@@ -65,27 +64,13 @@ class Proximity:
             if distance_m < self._nearest_m:
                 self._nearest_m = distance_m
 
-    def on_obstacle_distance(self, message: Any, now_us: int) -> None:
-        """OBSTACLE_DISTANCE of anybody: its frame is not read, nor what it says of nothing."""
-        step_deg = message.increment_f or float(message.increment)
-        if self.kind != BY_MAVLINK or not math.isfinite(step_deg + message.angle_offset):
-            return
-        self._input_us, self._limits_cm = now_us, (message.min_distance, message.max_distance)
-        count, nearest_cm = round(360.0 / abs(step_deg)) if step_deg else 0, dict[int, float]()
-        for k, cm in enumerate(message.distances[:count]):
-            if cm not in (0, _UNKNOWN) and message.min_distance <= cm <= message.max_distance:
-                sector = _sector_of(k * step_deg + message.angle_offset)
-                nearest_cm[sector] = min(cm, nearest_cm.get(sector, cm))
-        self._echoes |= {sector: (cm, now_us) for sector, cm in nearest_cm.items()}
-
     def messages(self, now_us: int) -> list[Prepared]:
         """DISTANCE_SENSOR of all sectors, while any of them has an echo."""
         if now_us - self._checked_us >= _CHECK_US:
             self._checked_us = now_us
-            new = {
-                k: (cm, us) for k, (cm, us) in self._echoes.items() if now_us - us <= _TIMEOUT_US
-            }
-            self._echoes = new
+            late = [k for k, (_, us) in self._echoes.items() if now_us - us > _TIMEOUT_US]
+            for sector in late:
+                del self._echoes[sector]
         if not self._echoes or not self.healthy(now_us):
             return []
         self._told |= self._echoes.keys()
@@ -96,7 +81,7 @@ class Proximity:
 
 @final
 class RangeSensors:
-    """What an ArduPilot has of them since its boot: proximity, and a rangefinder.
+    """What an ArduPilot has of them since its boot: eight sectors, and a rangefinder.
 
     PX4, which has none of these parameters, has only the one that looks down, of telemetry.py.
     limits_m: of a lidar of its own.  look_down: how far it is to the ground along the body's
@@ -110,36 +95,33 @@ class RangeSensors:
         look_down: Callable[[], float],
     ) -> None:
         self._look_down, self.rangefinder_off = look_down, False
-        known = {name: parameters[name] for name in _NAMES if name in parameters}
+        known = [parameters[name] for name in _NAMES if name in parameters]
         self.numbers = (DISTANCE_SENSOR, RANGEFINDER) if known else ()
         """The messages that come from here."""
-        kind, *limits, there, orientation = known.values() if known else (0.0,) * 5
-        self.proximity = Proximity(int(kind), *limits_m)
+        kind, *limits, there, orientation = known or (0.0,) * 5
+        self.sectors = Sectors(*limits_m) if kind == RPLIDAR else None
         self._limits_cm = [round(limit_m * 100.0) for limit_m in limits]
         self._has_rangefinder = bool(there) and orientation == _DOWN
 
     def bits(self, now_us: int) -> tuple[int, int]:
         """Of SYS_STATUS: what is there, and what of it is not well."""
-        there = _PROXIMITY_BIT if self.proximity.kind else 0
-        there |= _DOWN_BIT if self._has_rangefinder else 0
-        lost = 0 if self.proximity.healthy(now_us) else _PROXIMITY_BIT
-        return there, there & (lost | (_DOWN_BIT if self.rangefinder_off else 0))
+        there = lost = 0
+        if self.sectors is not None:
+            there = _PROXIMITY_BIT
+            lost = 0 if self.sectors.healthy(now_us) else _PROXIMITY_BIT
+        if self._has_rangefinder:
+            there |= _DOWN_BIT
+            lost |= _DOWN_BIT if self.rangefinder_off else 0
+        return there, lost
 
     def messages(self, number: int, now_us: int) -> list[Prepared]:
         """All DISTANCE_SENSOR of now, or the RANGEFINDER; one that is off goes on with 0."""
         has_one, is_off = self._has_rangefinder, self.rangefinder_off
         if number == RANGEFINDER:
             return [make("RANGEFINDER", 0.0 if is_off else self._look_down())] if has_one else []
-        found = self.proximity.messages(now_us)
+        found = list[Prepared]() if self.sectors is None else self.sectors.messages(now_us)
         if has_one and not is_off:
             range_cm = min(int(self._look_down() * 100.0), _UNKNOWN)
             rest = (range_cm, mavlink.MAV_DISTANCE_SENSOR_UNKNOWN, 0, _DOWN)
             found.insert(0, make("DISTANCE_SENSOR", now_us // 1000, *self._limits_cm, *rest))
         return found
-
-
-_NAMES: Final = ("PRX1_TYPE", "RNGFND1_MIN", "RNGFND1_MAX", "RNGFND1_TYPE", "RNGFND1_ORIENT")
-
-
-def _sector_of(angle_deg: float) -> int:
-    return int((angle_deg + 22.5) % 360.0 / 45.0) % 8

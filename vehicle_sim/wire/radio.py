@@ -5,7 +5,7 @@ not.  Frames for another link are forwarded unchanged.
 """
 
 from collections.abc import Container, Iterable
-from functools import lru_cache
+from functools import partial
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -17,11 +17,6 @@ from vehicle_sim.wire.frames import Packer, StreamParser
 from vehicle_sim.wire.impairments import Impairments
 from vehicle_sim.wire.routing import Router, targets
 from vehicle_sim.wire.signing import Signing
-
-_sender = lru_cache(maxsize=64)(Sender)
-"""The same few speak all the time."""
-_frames_of = StreamParser(datagrams=True).feed
-"""Of whole ones; it remembers nothing."""
 
 
 @final
@@ -41,10 +36,8 @@ class Radio:
     def __init__(
         self,
         *,
-        system: int,
-        component: int,
-        radar_component: int | None,
-        lidar_component: int | None,
+        radar: int | None,
+        drivers: set[int],
         firmware: Firmware,
         links: int,
         byte_streams: Container[int],
@@ -53,40 +46,24 @@ class Radio:
     ) -> None:
         self.links = range(links)
         self.signing = None if firmware == "px4" else Signing()
-        self._firmware, self._forwards_all = firmware, forwards_all
-        self._radar, self._lidar = radar_component, lidar_component
+        self._forwards_all = forwards_all
+        self._make_router = partial(Router, radar=radar, drivers=drivers, firmware=firmware)
         self._parsers = [StreamParser(datagrams=link not in byte_streams) for link in self.links]
-        self._in = [Impairments(rng, link=link, to_vehicle=True) for link in self.links]
-        self._out = [Impairments(rng, link=link, to_vehicle=False) for link in self.links]
+        self._in = [Impairments[Any](rng, link=link, to_vehicle=True) for link in self.links]
+        self._out = [Impairments[bytes](rng, link=link, to_vehicle=False) for link in self.links]
         self.impaired = False
         """Links are bad, or were: something may be held back."""
         self._outbox: list[tuple[int, bytes]] = []
         self._past: list[tuple[int, bytes]] = []
         """Questions of lockstep: they go after all else."""
-        self._question: tuple[int, bytes] | None = None
+        self._question: list[tuple[int, bytes]] = []
         self._packers: dict[tuple[int, int, int], Packer] = {}
         """By link, system and component."""
-        self._ids = (0, 0)
-        self.boot_as(system, component)
 
     def boot_as(self, system: int, component: int) -> None:
-        """The autopilot has booted with these ids, and its radar and lidar with it."""
-        if self._ids != (system, component):
-            self._ids = (system, component)
-            self.router = Router(
-                system=system,
-                component=component,
-                radar=self._radar,
-                lidar=self._lidar,
-                firmware=self._firmware,
-            )
-            self.begin()
-
-    def restart(self) -> None:
-        """The autopilot boots: routes are forgotten; the signing key is not."""
-        self.router.restart()
-        if self.signing is not None:
-            self.signing.restart()
+        """The autopilot boots with these ids: routes are forgotten; what is signed goes on."""
+        self._ids = (system, component)
+        self.router: Router = self._make_router(system=system, component=component)
 
     def begin(self) -> None:
         """Count frames from here."""
@@ -105,21 +82,22 @@ class Radio:
         frames = self._parsers[link].feed(data)
         if not self.impaired or now_us == 0:  # hellos depend on wall time: chance leaves them be
             return self._let_in(link, frames)
-        received = []
+        let_in = list[tuple[bytes, Any]]()
         for frame, message in frames:
             if message.get_type() == "TIMESYNC" and message.tc1 == message.ts1 != 0:
                 # an answer to lockstep's question: if a bad link ate it, time would stand still
-                received += self._let_in(link, [(frame, message)])
+                let_in.append((frame, message))
             else:
-                self._in[link].push(now_us, frame)
-        return received + self._late(now_us, link)
+                self._in[link].push(now_us, (frame, message))
+        return self._let_in(link, [*let_in, *self._in[link].pop(now_us)])
 
     def late(self, now_us: int) -> list[Received]:
         """What came earlier and was held back until now."""
-        return [each for link in self.links for each in self._late(now_us, link)]
-
-    def _late(self, now_us: int, link: int) -> list[Received]:
-        return self._let_in(link, _frames_of(b"".join(self._in[link].pop(now_us))))
+        return [
+            received
+            for link in self.links
+            for received in self._let_in(link, self._in[link].pop(now_us))
+        ]
 
     def _let_in(self, link: int, frames: Iterable[tuple[bytes, Any]]) -> list[Received]:
         """Intact frames: those that are signed as they must be go to whom they are for."""
@@ -132,7 +110,7 @@ class Radio:
                 self._outbox += [(other, frame) for other in links if other in self.links]
             if any(to):
                 by = message.get_header()
-                sender = _sender(system=by.srcSystem, component=by.srcComponent, link=link)
+                sender = Sender(by.srcSystem, by.srcComponent, link)
                 received.append(Received(sender, message, *to))
         return received
 
@@ -156,29 +134,20 @@ class Radio:
 
     def broadcast(self, message: Any, component: int) -> None:
         """The same, on every link."""
-        self.send_as(message, self._ids[0], component)
+        self.broadcast_as(message, self._ids[0], component)
 
-    def send_as(self, message: Any, system: int, component: int) -> None:
+    def broadcast_as(self, message: Any, system: int, component: int) -> None:
         """Send a message in somebody's name, on every link."""
         self._outbox += [self._frame(message, link, system, component) for link in self.links]
 
-    def send_back(self, received: Received) -> None:
-        """Send a client its own frame."""
-        self._outbox.append((received.sender.link, bytes(received.message.get_msgbuf())))
-
-    def send_last(self, message: Any, link: int) -> None:
+    def ask(self, message: Any, link: int) -> None:
         """Queue a question of lockstep: after all else, and past what is wrong with the link."""
-        self._question = self._frame(message, link, *self._ids)
-        self.send_last_again()
+        self._question = [self._frame(message, link, *self._ids)]
+        self.ask_again()
 
-    def send_last_again(self) -> None:
-        """Send the same frame again: another client may be listening now."""
-        if self._question is not None:
-            self._past.append(self._question)
-
-    def reopen(self, link: int) -> None:
-        """Another client has connected: what the last one began to say is not continued."""
-        self._parsers[link].forget()
+    def ask_again(self) -> None:
+        """Queue the same frame again: another client may be listening now."""
+        self._past += self._question
 
     def take(self, now_us: int) -> list[tuple[int, bytes]]:
         """What goes out now: link and frame, in order."""

@@ -4,6 +4,7 @@ Measured in ardupilot.md 3 ("Who may send") and 5, and in px4.md 2; PX4 forwards
 were started with forwarding, as those of its simulator are.
 """
 
+from collections.abc import Iterable
 from typing import Any, Final, NamedTuple, final
 
 from vehicle_sim.parameters import Firmware
@@ -14,8 +15,6 @@ _ADDRESSED: Final = ("COMMAND_", "MISSION_", "PARAM_")
 """PX4 accepts what begins so only with its system id, not as broadcasts."""
 _FOR_EVERY_COMPONENT: Final = frozenset({512, 519})
 """Commands that PX4 accepts for any component: requests for messages and versions."""
-_MISSION_PLANNER: Final = 190
-"""PX4 takes missions that are addressed to this component too."""
 _MAX_ROUTES: Final = 20
 """MAVLINK_MAX_ROUTES of ArduPilot: who comes later is not learnt."""
 
@@ -37,10 +36,10 @@ def targets(message: Any) -> tuple[int | None, int | None]:
 
 @final
 class Router:
-    """Learns on which link each component is.
+    """Learns on which link each component is, from the boot of the autopilot on.
 
     The radar is a component of its own, on a link inside the vehicle that never needs learning;
-    the lidar's driver is another, which listens to nobody.
+    drivers of lidars are others, which listen to nobody.
     """
 
     def __init__(
@@ -49,29 +48,19 @@ class Router:
         system: int,
         component: int = 1,
         radar: int | None = None,
-        lidar: int | None = None,
+        drivers: Iterable[int] = (),
         firmware: Firmware,
     ) -> None:
-        self.enforce = False
-        """MAV_OPTIONS bit 0: only the own system and the ground station may command."""
-        self.ground_system = 255
-        """MAV_GCS_SYSID."""
+        self.commanders: frozenset[int] | None = None
+        """The systems that may command, if not all may (MAV_OPTIONS bit 0)."""
         self._system, self._component, self._radar = system, component, radar
         self._is_px4 = firmware == "px4"
-        self._inside = {radar, lidar} | (set() if self._is_px4 else {component})
+        self._inside = {radar, *drivers} | (set() if self._is_px4 else {component})
         """Whose frames, if they come back, are passed over: ardupilot.md 3, "Who may send"."""
         self._routes = set[tuple[int, int, int]]()
         """System, component and link of everybody who was heard."""
-        self._links = set[int]()
-
-    def restart(self) -> None:
-        """The autopilot boots: what it has learnt is gone."""
-        self._routes.clear()
-        self._links.clear()
-
-    def heard(self, link: int) -> bool:
-        """Whether any sender was heard on this link since the boot."""
-        return link in self._links
+        self.heard_on = set[int]()
+        """Links on which any sender was heard."""
 
     def route(self, message: Any, link: int) -> Route:
         """Where this message goes that came by this link."""
@@ -79,7 +68,7 @@ class Router:
         source = (header.srcSystem, header.srcComponent)
         if source[0] == self._system and source[1] in self._inside:
             return Route()
-        self._links.add(link)
+        self.heard_on.add(link)
         if source[0] and len(self._routes) < _MAX_ROUTES:
             self._routes.add((*source, link))
         system, component = targets(message)
@@ -92,24 +81,25 @@ class Router:
             # what is for a component that lives nowhere else, ArduPilot takes for its own
             elsewhere = links or (to_radar and component == self._radar)
             to_autopilot = ours and (component in (None, 0, self._component) or not elsewhere)
-            may_command = name == "HEARTBEAT" or source[0] in (self._system, self.ground_system)
-            to_autopilot = to_autopilot and (may_command or not self.enforce)
+            if name != "HEARTBEAT" and self.commanders is not None:
+                to_autopilot = to_autopilot and source[0] in self.commanders
         return Route(tuple(sorted(links)), to_autopilot, to_radar)
 
     def _onwards(
         self, name: str, source: tuple[int, int], system: int | None, component: int | None
     ) -> set[int]:
         """The links with a target of a message; of another system any component will do."""
-        here = (system, component) == (self._system, self._component)
-        if len(self._links) == 1 or here or name in _NEVER_FORWARDED:
+        if (system, component) == (self._system, self._component) or name in _NEVER_FORWARDED:
             return set()
         if name == "HEARTBEAT":
-            return self._links - {at for *who, at in self._routes if tuple(who) == source}
+            return self.heard_on - {at for *who, at in self._routes if tuple(who) == source}
+        if not system:
+            return set(self.heard_on)
         anybody = not component or system != self._system
         return {
             at
             for its_system, its_component, at in self._routes
-            if not system or (its_system == system and (anybody or its_component == component))
+            if its_system == system and (anybody or its_component == component)
         }
 
     def _px4_takes(
@@ -119,5 +109,4 @@ class Router:
             return system in (0, self._system)
         if system != self._system and (system or name.startswith(_ADDRESSED)):
             return False
-        planned = name.startswith("MISSION_") and component == _MISSION_PLANNER
-        return component in (None, 0, self._component) or planned
+        return component in (None, 0, self._component)

@@ -25,7 +25,7 @@ _TRUSTED_LINK: Final = 0
 
 @final
 class Signing:
-    """The key of one vehicle, on all its links; it is kept over a reboot."""
+    """The key of one vehicle, on all its links; that and what was heard are kept over a reboot."""
 
     def __init__(self) -> None:
         self.secret = b""
@@ -35,21 +35,17 @@ class Signing:
         self._streams: dict[bytes, int] = {}
         """Newest time of each stream, by link id, system and component."""
 
-    def restart(self) -> None:
-        """Boot: who spoke before is forgotten, and the time that was reached is not."""
-        self._streams.clear()
-
-    def setup(self, message: Any, *, armed: bool) -> Text | None:
+    def setup(self, message: Any, *, armed: bool) -> list[Text]:
         """SETUP_SIGNING; it is never acknowledged.  A text if it is refused.
 
         All zero: signing is not in use.
         """
         if armed:
-            return Text(severity=6, text="ERROR: Won't setup signing when armed")
+            return [Text(severity=6, text="ERROR: Won't setup signing when armed")]
         secret, timestamp = bytes(message.secret_key), message.initial_timestamp & _TIME_MASK
         self.secret = secret if timestamp or any(secret) else b""
         self._timestamp = timestamp + AHEAD
-        return None
+        return []
 
     def signature(self, frame: bytes, link: int) -> bytes:
         """Link id, time and hash: the 13 bytes after a frame."""

@@ -24,7 +24,7 @@ _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
 COMMANDS = frozenset({_SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE})
 """These are answered here and never reach the autopilot."""
 NEVER_US = 1 << 62
-_HEARTBEAT, _FIXED_WING = 0, 1
+_HEARTBEAT: Final = 0
 _LONGEST_MS: Final = 60_000
 """Of an interval on ArduPilot (GCS_Common.cpp: kept in 16 bits of milliseconds)."""
 _PARAMETERS = {2: "EXT_STAT", 6: "POSITION", 10: "EXTRA1", 11: "EXTRA2", 12: "EXTRA3"}
@@ -43,7 +43,7 @@ class Streams:
     ) -> None:
         self.soonest_us = NEVER_US
         """Nothing is due before."""
-        self._profile, self._parameters = profile, parameters
+        self._profile = profile
         self._is_px4 = profile.family == "px4"
         self._usual_us: dict[tuple[int, int], int] = {}
         """By link and message number: of a link that was not asked for anything."""
@@ -53,8 +53,9 @@ class Streams:
         """A heap of time, message number and link."""
         for link in links:
             usual_us = {number: _interval_us(hz) for number, hz in profile.rates_hz.items()}
-            for group, name in self._rates_of(link).items():
-                if parameters[name] != parameters.rows[name].default:
+            for group, part in _PARAMETERS.items():
+                name = f"MAV{link + 1}_{part}"
+                if name in parameters and parameters[name] != parameters.rows[name].default:
                     members = profile.data_streams[group]
                     usual_us |= dict.fromkeys(members, _interval_us(parameters[name]))
             self._usual_us |= {(link, number): us for number, us in usual_us.items()}
@@ -105,24 +106,11 @@ class Streams:
         return [accepted]
 
     def on_data_stream(self, message: Any, link: int, now_us: int) -> None:
-        """REQUEST_DATA_STREAM: a rate for a whole group, or for all.  It is not acknowledged.
-
-        ArduPilot keeps the rate as a parameter; a plane over a reboot too.  Source:
-        GCS_MAVLINK::handle_request_data_stream, persist_streamrates().
-        """
-        members, parameters = self._profile.data_streams, self._parameters
+        """REQUEST_DATA_STREAM: a rate for a whole group, or for all.  It is not acknowledged."""
         rate_hz = message.req_message_rate if message.start_stop else 0
-        groups = members.keys() & ({message.req_stream_id} if message.req_stream_id else members)
-        for group in sorted(groups):
-            self._set(link, dict.fromkeys(members[group], _interval_us(rate_hz)), now_us)
-            if name := self._rates_of(link).get(group):
-                persists = self._profile.vehicle_type == _FIXED_WING
-                (parameters.__setitem__ if persists else parameters.set_until_reboot)(name, rate_hz)
-
-    def _rates_of(self, link: int) -> dict[int, str]:
-        """The parameter that has the default rate of each group on this link."""
-        names = {group: f"MAV{link + 1}_{part}" for group, part in _PARAMETERS.items()}
-        return {group: name for group, name in names.items() if name in self._parameters}
+        for group, members in sorted(self._profile.data_streams.items()):
+            if message.req_stream_id in (0, group):
+                self._set(link, dict.fromkeys(members, _interval_us(rate_hz)), now_us)
 
     # --- the table ----------------------------------------------------------------------------
 

@@ -13,11 +13,11 @@ from pymavlink.dialects.v20 import all as mavlink
 from vehicle_sim.autopilot.values import Landed, Report
 from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, degrees_east
 from vehicle_sim.parameters import Firmware
-from vehicle_sim.wire.frames import Prepared, filled, layout_of
+from vehicle_sim.wire.frames import Layout, Prepared, filled, layout_of
 
 Fields = tuple[Any, ...]
 """Of a message in MAVLink's order; those at the end that are left out are zero."""
-Builder = Callable[[Report], Prepared | None]
+Builder = tuple[Layout, Callable[[Report], Fields | None]]
 
 _FIXED_WING: Final = 1
 _NAN: Final = math.nan
@@ -373,17 +373,7 @@ def _messages(*functions: Callable[[Report], Fields | None]) -> dict[int, Builde
     numbers = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
     names = [each.__name__.strip("_").upper() for each in functions]
     pairs = zip(names, functions, strict=True)
-    return {numbers[name]: _builder(name, fields) for name, fields in pairs}
-
-
-def _builder(name: str, fields: Callable[[Report], Fields | None]) -> Builder:
-    layout = layout_of(name)
-
-    def build(now: Report) -> Prepared | None:
-        said = fields(now)
-        return None if said is None else filled(layout, said)
-
-    return build
+    return {numbers[name]: (layout_of(name), fields) for name, fields in pairs}
 
 
 _BOTH: Final = _messages(
@@ -401,3 +391,10 @@ MESSAGES: Final[dict[Firmware, dict[int, Builder]]] = {
     ),
 }
 """What can be said, by message number."""
+
+
+def message_of(now: Report, number: int) -> Prepared | None:
+    """The message of this number; None: there is nothing to say now, or no such message."""
+    layout, fields = MESSAGES[now.firmware.family].get(number, (None, None))
+    values = fields(now) if fields else None
+    return None if layout is None or values is None else filled(layout, values)
