@@ -14,6 +14,7 @@ import numpy as np
 from watch_orders import WatchOrders
 
 from companion.mavlink.autopilots import Autopilot
+from companion.mavlink.autopilots.messages import To
 from companion.mission import events
 from companion.mission.decisions import Context
 from companion.mission.events import Command, Event, Landed, Mode, OrderKind, Position, Setpoint
@@ -260,7 +261,7 @@ class Watch:
         speed = math.hypot(*sent.velocity_nea_m_s)
         assert speed <= self.limits.speed_m_s + self._joining(after, 1), f"{speed} m/s"
         if self.setpoints % 7 == 0:
-            told = self.autopilot.setpoint(sent, self.mission.frame, 1, 80.0)
+            told = self.autopilot.setpoint(sent, To(1, self.mission.frame), 80.0)
             assert told, "out of range"
         at = sent.position_nea_m
         assert self.position is not None
