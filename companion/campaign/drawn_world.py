@@ -24,17 +24,15 @@ from companion.mission.mission import AutopilotName, EndAction, Mission
 from companion.path.limits import Limits
 from companion.planner.settings import Task
 from companion.sources.files import toml_text
-from companion.sources.mission_schema import MissionVehicleTable, PlannerTable
+from companion.sources.mission_schema import MissionVehicleTable, PlannerTable, ZoneTable
+from companion.sources.schema import OriginTable
 from companion.world.radars import Radar
 from companion.world.terrain import ArrayTerrain, GridTerrain, PeakTerrain, Terrain
-from companion.world.zones import CircleZone, Zone
 
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
 """Where drawn worlds lie: with the environments."""
 _USUAL_SCAN_S = 3.3  # of a scan at 10 positions a second: each lets one request go out
 
-BAND_INSET = 1.1
-"""How far inside the band plans keep, in tracking and navigation errors (`Task.band_amsl_m`)."""
 _CELLS_PER_RANGE = 80
 _SPARE = 0.0375  # of R: half the width of the way through, beside the clearance
 _HALF_DEG_M, _MOST_CELLS = 55_597.0, 5_000
@@ -54,13 +52,13 @@ class DrawnWorld:
 
     @property
     def floor_amsl_m(self) -> float:
-        """Lowest altitude to plan for in profile `flight`."""
-        return self.task.limits.floor_amsl_m + BAND_INSET * self.task.error_m
+        """Lowest altitude to plan for."""
+        return self.task.band_amsl_m[0]
 
     @property
     def ceiling_amsl_m(self) -> float:
-        """Highest altitude to plan for in profile `flight`."""
-        return self.task.limits.ceiling_amsl_m - BAND_INSET * self.task.error_m
+        """Highest altitude to plan for."""
+        return self.task.band_amsl_m[1]
 
     @property
     def fingerprint(self) -> str:
@@ -213,7 +211,8 @@ def write(
 ) -> tuple[Path, Path]:
     """Write world.toml and mission.toml -> their paths; what is read back is the same world.
 
-    vehicle: overrides keys of the vehicle's table of mission.toml.
+    Of a drawn one: of peaks, with circles to stay out of.  vehicle: overrides keys of the vehicle's
+    table of mission.toml.
     """
     folder.mkdir(parents=True, exist_ok=True)
     world, mission = folder / "world.toml", folder / "mission.toml"
@@ -240,7 +239,7 @@ def mission_of(drawn: DrawnWorld, autopilot: AutopilotName = "ardupilot") -> Mis
 def _mission_table(mission: Mission, vehicle: Mapping[str, Any]) -> dict[str, Any]:
     """A mission as its file has it; `vehicle` overrides keys of the vehicle's table."""
     task = mission.task
-    limits, settings, frame = task.limits, task.settings, mission.frame
+    limits, settings = task.limits, task.settings
     of_vehicle = _keys(MissionVehicleTable, mission, limits) | {
         "climb_angle_deg": math.degrees(limits.climb_angle_rad),
         "dive_angle_deg": math.degrees(limits.dive_angle_rad),
@@ -250,7 +249,7 @@ def _mission_table(mission: Mission, vehicle: Mapping[str, Any]) -> dict[str, An
     return {
         "schema": 1,
         "name": mission.name,
-        "origin": {"latitude_deg": frame.latitude_deg, "longitude_deg": frame.longitude_deg},
+        "origin": _keys(OriginTable, FRAME),
         "area": {
             **dict(zip(("north_min_m", "north_max_m"), limits.north_m, strict=True)),
             **dict(zip(("east_min_m", "east_max_m"), limits.east_m, strict=True)),
@@ -262,13 +261,13 @@ def _mission_table(mission: Mission, vehicle: Mapping[str, Any]) -> dict[str, An
         | {"profile": settings.profile.name, "weights": asdict(settings.weights)},
         "end": {"action": mission.end_action.value},
         "radars": [_radar(radar) for radar in task.radars],
-        "keep_outs": [_zone(zone) for zone in task.zones if not zone.keep_in],
-        "keep_ins": [_zone(zone) for zone in task.zones if zone.keep_in],
+        "keep_outs": [_keys(ZoneTable, zone) for zone in task.zones],
+        "keep_ins": [],
     }
 
 
 def _keys(table: type[BaseModel], *holders: Any) -> dict[str, Any]:
-    """Of a table of mission.toml, what these have under the same name."""
+    """Of a table of a file, what these have under the same name."""
     return {
         name: getattr(holder, name)
         for holder in holders
@@ -283,13 +282,6 @@ def _radar(radar: Radar) -> dict[str, Any]:
     return {"name": radar.name, **place, "range_m": radar.range_m}
 
 
-def _zone(zone: Zone) -> dict[str, Any]:
-    if not isinstance(zone, CircleZone):
-        return {"name": zone.name, "vertices_m": [list(corner) for corner in zone.vertices_ne_m]}
-    place = {"north_m": zone.north_m, "east_m": zone.east_m, "radius_m": zone.radius_m}
-    return {"name": zone.name, **place}
-
-
 def _world_table(drawn: DrawnWorld, autopilot: AutopilotName) -> dict[str, Any]:
     """The truth, and a vehicle that can do what the mission asks of it."""
     task, terrain, kind = drawn.task, drawn.terrain, drawn.task.limits.kind
@@ -301,7 +293,7 @@ def _world_table(drawn: DrawnWorld, autopilot: AutopilotName) -> dict[str, Any]:
     return {
         "schema": 1,
         "name": drawn.name,
-        "origin": {"latitude_deg": FRAME.latitude_deg, "longitude_deg": FRAME.longitude_deg},
+        "origin": _keys(OriginTable, FRAME),
         "terrain": {
             "combine": "maximum",
             "ground_amsl_m": terrain.ground_amsl_m,

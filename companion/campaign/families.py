@@ -127,7 +127,7 @@ def _peaks_in(ring: _Ring, rng: Rng, count: int, ends: _Places) -> list[Peak]:
         height = float(np.round(rng.uniform(3_600.0, 6_000.0), -1))
         spreads = [float(v) for v in np.round(rng.uniform(3_000.0, 5_500.0, 2), -1)]
         if all(math.hypot(north - n, east - e) >= far + max(spreads) for n, e, far in ends):
-            result.append(mountain(north, east, height, *spreads))
+            result.append(Peak(north, east, height, *spreads))
     return result
 
 
@@ -161,7 +161,7 @@ def _gathered(rng: Rng) -> DrawnWorld:
         height = float(rng.uniform(3_400.0, 6_000.0))
         spreads = rng.uniform(4_000.0, 8_000.0, 2).tolist()
         if _leaves_ends(base, (north, east), max(spreads) * math.sqrt(math.log(height / 2_400.0))):
-            peaks.append(mountain(north, east, height, *spreads))
+            peaks.append(Peak(north, east, height, *spreads))
     radars = _radars(rng, base, 10, (6_000.0, 11_000.0), 20_000.0)
     return _with_obstacles(base, peaks, radars)
 
@@ -198,7 +198,7 @@ def _ridge(base: DrawnWorld, line_m: FloatArray, top_m: FloatArray) -> list[Peak
     """Mountains in a row: (N, 2) metres along the straight line and aside of it."""
     places = [_at(base, along, aside) for along, aside in line_m.tolist()]
     return [
-        mountain(*place, top, 3_000.0, 3_000.0)
+        Peak(*place, top, 3_000.0, 3_000.0)
         for place, top in zip(places, top_m.tolist(), strict=True)
         if _leaves_ends(base, place, 6_000.0)
     ]
@@ -316,7 +316,7 @@ def _small(family: str, rng: Rng) -> DrawnWorld:
         if _leaves_ends(base, at, foot):
             high = ground + float(rng.uniform(*of.tops_m))
             spread = foot / math.sqrt(math.log(high / ground))
-            peaks.append(mountain(*at, high, spread, spread))
+            peaks.append(Peak(*at, high, spread, spread))
     zones = list[CircleZone]()
     while len(zones) < 3:
         (n, e), radius = _beside_the_line(rng, base, range_m), rng.uniform(0.1, 0.3) * range_m
@@ -339,17 +339,6 @@ def _touches_map(zone: CircleZone, limits: Limits) -> bool:
 
 
 # --- what they are made of
-
-
-def mountain(north: float, east: float, top: float, wide_n: float, wide_e: float) -> Peak:
-    """A mountain of eq. 1: its place, its height AMSL, and how wide it is to the north and east."""
-    return Peak(
-        north_m=north,
-        east_m=east,
-        height_amsl_m=top,
-        spread_north_m=wide_n,
-        spread_east_m=wide_e,
-    )
 
 
 def _with_obstacles(base: DrawnWorld, peaks: Sequence[Peak], radars: Sequence[Radar]) -> DrawnWorld:

@@ -6,15 +6,13 @@ It leaves a run folder and the truth, and only these are looked at afterwards.
 import errno
 import json
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import version
+from importlib.metadata import entry_points, version
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, final
 
 from companion.campaign.drawn_faults import split
 from companion.config import load_mission, mission_text
-from companion.entry_points import Parts
 from companion.errors import InputError
 from companion.mission.mission import Mission
 from companion.planning import plan
@@ -61,18 +59,10 @@ class Vehicle(SimulatedVehicle, Protocol):
         ...
 
 
-def _wrong_with(maker: Callable[..., Vehicle]) -> str | None:
-    return None if callable(maker) else "it cannot be called"
-
-
-_VEHICLES: Parts[Callable[..., Vehicle]] = Parts(
-    "companion.vehicles", {}, what="vehicle", check=_wrong_with
-)
-
-
 def _vehicle(files: FlightFiles, seed: int) -> Vehicle:
-    for make in _VEHICLES.values():
-        return make(files.world, seed=seed, faults=split(files.faults)[0])
+    for point in entry_points(group="companion.vehicles"):
+        made: Vehicle = point.load()(files.world, seed=seed, faults=split(files.faults)[0])
+        return made
     rule, remedy = "no package brings one", "Install the project again: pip install ."
     raise InputError("companion.vehicles", None, rule, remedy)
 
@@ -97,11 +87,11 @@ class Flying:
 
     def _begin(self, *, again: bool = False) -> None:
         """One life of the companion."""
-        resume = load_resume_data(self._files.folder, self._mission).resume if again else None
+        mission, folder = self._mission, self._files.folder
+        resume = load_resume_data(folder, mission).resume if again else None
         session = Session(
-            self._mission, seed=self._seed, lockstep=True, version=version("companion"),
-            resume=resume,
-        )  # fmt: skip
+            mission, seed=self._seed, lockstep=True, version=version("companion"), resume=resume
+        )
         self.loop = loop_in_process(
             session,
             self._vehicle,
@@ -110,14 +100,11 @@ class Flying:
         )
         text = mission_text(str(self._files.mission))
         self._folder = RunFolder(
-            self._files.folder, mission_toml=text, epoch_us=_EPOCH_US, resume=again, durable=False
+            folder, mission_toml=text, epoch_us=_EPOCH_US, resume=again, durable=False
         )
-        facts = {
-            "mission": self._mission.name,
-            "seed": self._seed,
-            "profile": self._mission.task.settings.profile.name,
-        }
-        self._folder.header(facts | {"lockstep": True})
+        profile = mission.task.settings.profile.name
+        facts = {"mission": mission.name, "seed": self._seed, "profile": profile, "lockstep": True}
+        self._folder.header(facts)
         self._recorder = Recorder(self._folder, self.loop.clock, self.loop.lost)
         self.loop.record = self._recorder.put
         self._turns = self.loop.turns()

@@ -18,12 +18,10 @@ unless no command could reach it then: a copter that hears nothing hovers.
 
 import bisect
 import math
-from collections.abc import Container, Iterator, Sequence
-from contextlib import nullcontext
+from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
@@ -39,7 +37,7 @@ from companion.mission.state import Reason
 from companion.planner.settings import Task
 from companion.telemetry.run_folder import Records
 from companion.world.terrain import PeakTerrain
-from companion.world.zones import CircleZone, Zone
+from companion.world.zones import CircleZone
 
 GUIDED: Final = frozenset({"GUIDED", "Offboard"})
 HOLDS: Final = frozenset({"BRAKE", "Hold", "LOITER"})
@@ -57,29 +55,9 @@ _OF_SHAPE: Final = ("turn radius", "climb angle", "dive angle")
 _OVER: Final = ("landing", "handing over", "done", "faulted")
 """Phases in which no subpath is flown any more."""
 _LET_GO: Final = (Reason.MODE_TAKEN.text, Reason.FAILSAFE.text, Reason.FENCE_BREACHED.text)
-_DEG_M: Final = 111_195.0
 _POSITION: Final = wire.MAVLink_global_position_int_message
-_COMMAND: Final = wire.MAVLink_command_long_message
-_SET_MODE: Final = wire.MAV_CMD_DO_SET_MODE
 _THERE: Final = ("arrived", "held and resumed")
 """Endings at the target."""
-_SETPOINTS: Final = (
-    wire.MAVLINK_MSG_ID_COMMAND_INT,
-    wire.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
-    wire.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
-)
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Table:
-    """A flight in arrays, one row for each moment of truth while the mission flew in the air."""
-
-    rows: list[dict[str, Any]]
-    t_s: FloatArray
-    points_nea_m: FloatArray
-    ours: BoolArray
-    """Whether the companion had a say."""
 
 
 def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str, Any]:
@@ -90,24 +68,23 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
     done, is_cut = happenings(timeline or ""), False
     if timeline is not None:
         flight, is_cut = _until_stopped(flight)
-    table, known, excused = _table(flight, drawn), list[str](), list[str]()
-    told = _told(flight.folder / "flight.tlog" if timeline is not None else None)
-    off_m = _off_m(flight, table.t_s, told)
-    excuses = {} if timeline is None else _excuses(table, off_m, done, drawn)
-    is_excused = np.any([np.zeros(len(table.t_s), dtype=bool), *excuses.values()], axis=0)
+    track, told = _in_the_air(flight, drawn), _told(flight) if timeline is not None else _UNTOLD
+    known, excused = list[str](), list[str]()
+    excuses = {} if timeline is None else _excuses(flight, track, told, done, drawn)
+    is_excused = np.any([np.zeros(len(track.t_s), dtype=bool), *excuses.values()], axis=0)
 
     def tell(what: str, at: int) -> None:
-        """Against the companion, or excused by what is so at a row of the table."""
+        """Against the companion, or excused by what is so at a row of the track."""
         why = ", ".join(name for name, when in excuses.items() if when[at])
         (excused if why else known).append(f"{what} ({why})" if why else what)
 
-    for what, gap_m in _gaps_m(table, flight, drawn, done):
+    for what, gap_m in _gaps_m(track, flight, drawn, done):
         bad = gap_m < drawn.task.settings.safety_distance_m - _SLACK_M
         for where in (bad & ~is_excused, bad & is_excused):
             if where.any():
                 first = int(np.argmax(where))
-                tell(f"{what} {gap_m[where].min():.1f} m from {table.t_s[first]:.1f} s", first)
-    if hit := _hit(flight, table, but_landing=timeline is not None):
+                tell(f"{what} {gap_m[where].min():.1f} m from {track.t_s[first]:.1f} s", first)
+    if hit := _hit(flight, track, but_landing=timeline is not None):
         tell(*hit)
     if timeline is not None:
         ending, reason = _ending(flight, drawn, done, told, is_cut=is_cut)
@@ -119,8 +96,6 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
             "ending": ending,
             "reason": None if ending == "arrived" else reason or None,
             "excused": "; ".join(excused) or None,
-            "position_off_m": float(off_m.max()) if len(off_m) else None,
-            "silent_s": _silent_s(table, told, _outages_s(done), _end_s(flight)),
         }
     count = len(known)
     if flight.mission.near is None:
@@ -136,37 +111,47 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
 
 
 def _came_to(flight: Flight, drawn: DrawnWorld) -> dict[str, Any]:
-    """How it ended, and what was flown."""
-    ends = [entry for entry in flight.journal if entry["kind"] == "end"]
-    outcome = ends[-1]["outcome"] if ends else "not ended"
-    reason = ends[-1]["reason"] if ends else "the companion has not said how it ended"
+    """How it ended, and what was flown while subpaths were: until it lands or is let go.
+
+    Of a flight whose vehicle's clock began again, the whole time in the air.
+    """
+    end = next((e for e in reversed(flight.journal) if e["kind"] == "end"), _NO_END)
     kinds = [entry["kind"] for entry in flight.journal]
     found = of_task(flight.mission.task, drawn, flight.plans_s) | {
-        "outcome": outcome,
-        "reason": None if outcome == "arrived" else reason,
-        "arrived": outcome == "arrived",
+        "outcome": end["outcome"],
+        "reason": None if end["outcome"] == "arrived" else end["reason"],
+        "arrived": end["outcome"] == "arrived",
         "plans": kinds.count("plan ready") + kinds.count("plan refused"),
-        "subpaths": kinds.count("leg"),
         "holds": sum(
             entry.get("phase") == "holding" and entry["code"] not in ("TAKING_OVER", "TAKEN_OFF")
             for entry in flight.journal
         ),
     }
-    rows = _in_the_air(flight)
-    if len(rows) < 2:
+    begun_s = next((e["t_s"] for e in flight.journal if e["kind"] == "leg"), math.inf)
+    over = (e["t_s"] for e in flight.journal if e.get("phase") in _OVER and e["t_s"] >= begun_s)
+    until_s = next(over, math.inf)
+    if until_s == math.inf:
+        begun_s = -math.inf
+    track = _Track.of(
+        row for row in flight.truth if not row["landed"] and begun_s <= row["t_s"] <= until_s
+    )
+    if len(track.t_s) < 2:
         return found
-    t_s, points = [row["t_s"] for row in rows], _points(rows)
-    if flight.mission.near is not None:
-        away_m = np.array([row.get("near_m", math.inf) for row in rows])
-    else:
+    away_m = track.near_m
+    if flight.mission.near is None:
         up_to_m = 2.0 * drawn.task.required_clearance_m
-        away_m = truth.terrain_distance_m(points, drawn.terrain, up_to_m)
-    away_m = np.where([row["mode"] in LANDS | RETURNS for row in rows], np.inf, away_m)
+        away_m = truth.terrain_distance_m(track.points_nea_m, drawn.terrain, up_to_m)
+    away_m = np.where(track.lands, np.inf, away_m)
     least = int(np.argmin(away_m))
-    found |= of_track(points, drawn) | {"flight_s": t_s[-1] - t_s[0]}
+    found |= of_track(track.points_nea_m, drawn)
+    found["flight_s"] = float(track.t_s[-1] - track.t_s[0])
     if math.isfinite(away_m[least]):
-        found |= {"clearance_least_m": float(away_m[least]), "clearance_least_t_s": t_s[least]}
+        found["clearance_least_m"] = float(away_m[least])
+        found["clearance_least_t_s"] = float(track.t_s[least])
     return found
+
+
+_NO_END: Final = {"outcome": "not ended", "reason": "the companion has not said how it ended"}
 
 
 def _until_stopped(flight: Flight) -> tuple[Flight, bool]:
@@ -177,27 +162,6 @@ def _until_stopped(flight: Flight) -> tuple[Flight, bool]:
     until_s = flight.journal[stop]["t_s"]
     rows = [row for row in flight.truth if row["t_s"] <= until_s]
     return replace(flight, journal=flight.journal[:stop], truth=rows), True
-
-
-def _in_the_air(flight: Flight) -> list[dict[str, Any]]:
-    """The truth while subpaths were flown.
-
-    Until the vehicle is told to land or is let go.  Of a flight whose vehicle's clock began again,
-    the whole time in the air.
-    """
-    rows = [row for row in flight.truth if not row["landed"]]
-    begun_s = next((e["t_s"] for e in flight.journal if e["kind"] == "leg"), math.inf)
-    over = (e["t_s"] for e in flight.journal if e.get("phase") in _OVER and e["t_s"] >= begun_s)
-    until_s = next(over, math.inf)
-    if until_s < math.inf:
-        rows = [row for row in rows if begun_s <= row["t_s"] <= until_s]
-    return rows
-
-
-def _points(rows: Sequence[dict[str, Any]]) -> FloatArray:
-    """North, east, altitude of rows of truth; (N, 3)."""
-    keys = ("north_m", "east_m", "altitude_amsl_m")
-    return np.array([[row[key] for key in keys] for row in rows]).reshape(-1, 3)
 
 
 # --- what was planned, and what was flown
@@ -217,13 +181,11 @@ def of_task(task: Task, drawn: DrawnWorld, plans_s: Sequence[float]) -> dict[str
 
 
 def of_track(track_nea_m: FloatArray, drawn: DrawnWorld) -> dict[str, Any]:
-    """Length, cost and radars along what was flown."""
-    length_m = float(np.linalg.norm(np.diff(track_nea_m, axis=0), axis=-1).sum())
+    """Length and cost of what was flown."""
     terms = route_terms(track_nea_m, drawn.task)
     return {
-        "length_m": length_m,
+        "length_m": float(np.linalg.norm(np.diff(track_nea_m, axis=0), axis=-1).sum()),
         "cost": sum(terms.values()),
-        "radar_m": truth.radar_m(track_nea_m, drawn.task.radars, length_m),
         **{f"cost_{name}": value for name, value in terms.items()},
     }
 
@@ -264,96 +226,108 @@ def checked(
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Told:
-    """Of flight.tlog, in vehicle time."""
+class _Track:
+    """Where the vehicle truly was; one row for each moment."""
+
+    rows: list[dict[str, Any]]
+    t_s: FloatArray
+    points_nea_m: FloatArray
+    near_m: FloatArray
+    """To the nearest thing of a lidar's scene; infinite: there is none."""
+    lands: BoolArray
+    """Whether it lands or returns by itself: the ground may be near then."""
+
+    @staticmethod
+    def of(chosen: Iterable[dict[str, Any]]) -> "_Track":
+        """The track of rows of truth."""
+        rows, keys = list(chosen), ("north_m", "east_m", "altitude_amsl_m")
+        return _Track(
+            rows=rows,
+            t_s=np.array([row["t_s"] for row in rows]),
+            points_nea_m=np.array([[row[key] for key in keys] for row in rows]).reshape(-1, 3),
+            near_m=np.array([row.get("near_m", math.inf) for row in rows]),
+            lands=np.array([row["mode"] in LANDS | RETURNS for row in rows], dtype=bool),
+        )
+
+
+def _in_the_air(flight: Flight, drawn: DrawnWorld) -> _Track:
+    """The truth from when the mission first flew."""
+    terrain, airborne_s = drawn.terrain, _airborne_s(flight)
+    ground_m = terrain.ground_amsl_m if isinstance(terrain, PeakTerrain) else -math.inf
+    return _Track.of(
+        row
+        for row in flight.truth
+        if row["t_s"] >= airborne_s and not row["landed"] and row["altitude_amsl_m"] > ground_m
+    )
+
+
+def _airborne_s(flight: Flight) -> float:
+    phases = (e for e in flight.journal if e.get("phase") == "flying")
+    return next((e["t_s"] for e in phases), math.inf)
+
+
+class _Told(NamedTuple):
+    """Positions that the companion was told, in vehicle time."""
 
     at_s: FloatArray
-    """When the companion was told a position, (K,)."""
+    """When, (K,)."""
     of_s: FloatArray
-    """What time that is of, (K,)."""
-    deg_m: FloatArray
-    """Latitude, longitude, degrees, and altitude, metres AMSL; (K, 3)."""
-    sent_s: FloatArray
-    """When setpoints and modes went out."""
+    """What time each is of, (K,)."""
+    nea_m: FloatArray
+    """(K, 3)."""
 
 
-def _told(log: Path | None) -> _Told:
-    """What the companion and its vehicle said to each other; None: nothing is known of it."""
-    at_us, places, sent_us = list[int](), list[tuple[float, ...]](), list[int]()
-    with Records(log) if log else nullcontext() as records:
-        while records is not None and (record := records.take()) is not None:
+_UNTOLD: Final = _Told(np.empty(0), np.empty(0), np.empty((0, 3)))
+
+
+def _told(flight: Flight) -> _Told:
+    """What its vehicle said of its place, by flight.tlog."""
+    at_us, places = list[int](), list[tuple[float, ...]]()
+    with Records(flight.folder / "flight.tlog") as records:
+        while (record := records.take()) is not None:
             us, frame = record
-            number, (_, component) = number_of(frame), sender_of(frame)
-            from_vehicle = component == AUTOPILOT_COMPONENT
-            if number == _POSITION.id and from_vehicle:
+            if number_of(frame) == _POSITION.id and sender_of(frame)[1] == AUTOPILOT_COMPONENT:
                 told = decoded(frame, _POSITION)
                 at_us.append(us)
                 places.append(
                     (told.time_boot_ms * 1e-3, told.lat * 1e-7, told.lon * 1e-7, told.alt * 1e-3)
                 )
-            elif not from_vehicle and (
-                number in _SETPOINTS
-                or (number == _COMMAND.id and decoded(frame, _COMMAND).command == _SET_MODE)
-            ):
-                sent_us.append(us)
-    of = np.array(places).reshape(-1, 4)
+    if not places:
+        return _UNTOLD
+    of_s, lat_deg, lon_deg, altitude_m = np.array(places).T
     # stamps count from an epoch of their own, positions from the vehicle's boot
-    first_us, first_s = (at_us[0], of[0, 0]) if at_us else (0, 0.0)
-    at_s, sent_s = (
-        1e-6 * (np.array(us, dtype=float) - first_us) + first_s for us in (at_us, sent_us)
-    )
-    return _Told(at_s=at_s, of_s=of[:, 0], deg_m=of[:, 1:], sent_s=np.sort(sent_s))
+    at_s = 1e-6 * (np.array(at_us, dtype=float) - at_us[0]) + of_s[0]
+    place = flight.mission.frame.to_local_m(lat_deg, lon_deg)
+    return _Told(at_s, of_s, np.stack([*place, altitude_m], axis=-1))
 
 
-def _table(flight: Flight, drawn: DrawnWorld) -> _Table:
-    terrain, airborne_s = drawn.terrain, _airborne_s(flight)
-    ground_m = terrain.ground_amsl_m if isinstance(terrain, PeakTerrain) else -math.inf
-    rows = [
-        row
-        for row in flight.truth
-        if row["t_s"] >= airborne_s and not row["landed"] and row["altitude_amsl_m"] > ground_m
-    ]
-    t_s = np.array([row["t_s"] for row in rows])
-    return _Table(rows=rows, t_s=t_s, points_nea_m=_points(rows), ours=_ours(rows, flight))
+# --- what the companion could not know or had no say in
 
 
 def _excuses(
-    table: _Table, off_m: FloatArray, done: Sequence[Happening], drawn: DrawnWorld
+    flight: Flight, track: _Track, told: _Told, done: Sequence[Happening], drawn: DrawnWorld
 ) -> dict[str, BoolArray]:
-    """What the companion could not know or had no say in, and when; (N,) each."""
-    t_s, error_m = table.t_s, drawn.task.limits.navigation_error_m
+    """Why something does not count against it, and when; (N,) each."""
+    t_s, error_m = track.t_s, drawn.task.limits.navigation_error_m
     rebooted, lied = (
         t_s >= min((each.at_s for each in done if word in each.what), default=math.inf)
         for word in ("reboot", "either_way")
     )
     return {
-        "the position was wrong": _lasting(t_s, (off_m > error_m) & ~rebooted),
-        "somebody else flew": _lasting(t_s, ~table.ours),
+        "the position was wrong": _lasting(t_s, (_off_m(flight, t_s, told) > error_m) & ~rebooted),
+        "somebody else flew": _lasting(t_s, ~_ours(track.rows, flight)),
         "the autopilot rebooted": rebooted,
         "the radar told too low heights": lied,
     }
-
-
-def _airborne_s(flight: Flight) -> float:
-    """When the mission first flew."""
-    phases = (e for e in flight.journal if e.get("phase") == "flying")
-    return next((e["t_s"] for e in phases), math.inf)
-
-
-def _end_s(flight: Flight) -> float:
-    return next((e["t_s"] for e in flight.journal if e["kind"] == "end"), math.inf)
 
 
 def _off_m(flight: Flight, t_s: FloatArray, told: _Told) -> FloatArray:
     """By the position that was told last, against the truth at the time that it is of."""
     if not len(t_s) or not len(told.at_s):
         return np.zeros(len(t_s))
-    times = np.array([row["t_s"] for row in flight.truth])
-    names = ("lat_deg", "lon_deg", "altitude_amsl_m")
-    true = [np.interp(told.of_s, times, [row[name] for row in flight.truth]) for name in names]
-    aside = told.deg_m - np.stack(true, axis=-1)
-    east = _DEG_M * math.cos(math.radians(flight.mission.frame.latitude_deg))
-    off_m = np.linalg.norm(aside * (_DEG_M, east, 1.0), axis=-1)
+    true = _Track.of(flight.truth)
+    there = [np.interp(told.of_s, true.t_s, column) for column in true.points_nea_m.T]
+    off_m = np.linalg.norm(told.nea_m - np.stack(there, axis=-1), axis=-1)
     newest = np.searchsorted(np.maximum.accumulate(told.at_s), t_s, side="right") - 1
     return np.asarray(off_m[np.maximum(newest, 0)])
 
@@ -386,46 +360,41 @@ def _lasting(t_s: FloatArray, bad: BoolArray) -> BoolArray:
 
 
 def _gaps_m(
-    table: _Table, flight: Flight, drawn: DrawnWorld, done: Sequence[Happening]
+    track: _Track, flight: Flight, drawn: DrawnWorld, done: Sequence[Happening]
 ) -> Iterator[tuple[str, FloatArray]]:
     """True distances that must be d_s or more, (N,); infinite where they do not count."""
-    if flight.mission.near is not None or not len(table.t_s):
+    if flight.mission.near is not None or not len(track.t_s):
         return
-    up_to_m = 4.0 * drawn.task.settings.safety_distance_m
-    gap_m = truth.terrain_distance_m(table.points_nea_m, drawn.terrain, up_to_m)
-    lands = np.array([row["mode"] in LANDS | RETURNS for row in table.rows])
-    yield "terrain", np.where(lands, np.inf, gap_m)
+    points, safety_m = track.points_nea_m, drawn.task.settings.safety_distance_m
+    gap_m = truth.terrain_distance_m(points, drawn.terrain, 4.0 * safety_m)
+    yield "terrain", np.where(track.lands, np.inf, gap_m)
     for zone in drawn.task.zones:
-        yield zone.name, _zone_gap_m(table.points_nea_m, zone)
-    for fence, known_s in _new_fences(flight, done):
-        gap_m = _zone_gap_m(table.points_nea_m, fence)
-        counts = table.t_s >= _left_s(gap_m, table.t_s, known_s, drawn)
+        gap_m = truth.keep_out_distance_m(points, zone)
+        yield zone.name, -gap_m if zone.keep_in else gap_m
+    for fence, begun_s in _new_fences(flight, done):
+        gap_m = truth.keep_out_distance_m(points, fence)
+        counts = track.t_s >= _left_s(gap_m, track.t_s, begun_s + _KNOWN_AFTER_S, drawn)
         yield fence.name, np.where(counts, gap_m, np.inf)
 
 
-def _zone_gap_m(points_nea_m: FloatArray, zone: Zone) -> FloatArray:
-    """Horizontal distance to where the vehicle must not be; negative there."""
-    gap_m = truth.keep_out_distance_m(points_nea_m, zone)
-    return -gap_m if zone.keep_in else gap_m
-
-
-def _new_fences(flight: Flight, done: Sequence[Happening]) -> Iterator[tuple[Zone, float]]:
-    """Fences that come during a flight, and when each can be known."""
+def _new_fences(flight: Flight, done: Sequence[Happening]) -> Iterator[tuple[CircleZone, float]]:
+    """Fences that come during a flight, so far ahead of the vehicle, and when."""
     for each in done:
         name, *words = each.what.split()
         row = _row_at(flight, each.at_s)
         if name == "ground_fence" and row is not None:
-            ahead_m = float(words[2]) if len(words) > 2 else 0.0
-            speed = math.hypot(row["velocity_north_m_s"], row["velocity_east_m_s"])
-            share = ahead_m / max(speed, 1e-6)
-            north_m = row["north_m"] + share * row["velocity_north_m_s"]
-            east_m = row["east_m"] + share * row["velocity_east_m_s"]
-            yield (
-                CircleZone(
-                    name="new fence", north_m=north_m, east_m=east_m, radius_m=float(words[0])
-                ),
-                each.at_s + _KNOWN_AFTER_S,
+            north_m_s, east_m_s = row["velocity_north_m_s"], row["velocity_east_m_s"]
+            ahead_s = (
+                float(words[2]) / max(math.hypot(north_m_s, east_m_s), 1e-6) if words[2:] else 0.0
             )
+            north_m, east_m = (
+                row["north_m"] + ahead_s * north_m_s,
+                row["east_m"] + ahead_s * east_m_s,
+            )
+            fence = CircleZone(
+                name="new fence", north_m=north_m, east_m=east_m, radius_m=float(words[0])
+            )
+            yield fence, each.at_s
 
 
 def _left_s(gap_m: FloatArray, t_s: FloatArray, known_s: float, drawn: DrawnWorld) -> float:
@@ -446,46 +415,25 @@ def _row_at(flight: Flight, time_s: float) -> dict[str, Any] | None:
     return next((row for row in flight.truth if row["t_s"] >= time_s - 1e-3), None)
 
 
-def _hit(flight: Flight, table: _Table, *, but_landing: bool) -> tuple[str, int] | None:
-    """The first touch of a near thing, else the first crash: what, and the row of the table before.
+def _hit(flight: Flight, track: _Track, *, but_landing: bool) -> tuple[str, int] | None:
+    """The first touch of a near thing, else the first crash: what, and the row of the track before.
 
     A crash is a contact that nobody survives, as the simulator judged it.
     """
-    over = LANDS | RETURNS
-    for at, row in enumerate(table.rows):
-        if row.get("near_m", math.inf) <= 0.0 and row["mode"] not in over:
-            return f"touched something at {row['t_s']:.1f} s", at
+    touches = (track.near_m <= 0.0) & ~track.lands
+    if touches.any():
+        first = int(np.argmax(touches))
+        return f"touched something at {track.t_s[first]:.1f} s", first
     crash = next((row["crash"] for row in flight.truth if "crash" in row), None)
     if crash is None:
         return None
-    last = int(np.searchsorted(table.t_s, crash["t_s"])) - 1
-    if but_landing and (last < 0 or table.rows[last]["mode"] in over):
+    last = int(np.searchsorted(track.t_s, crash["t_s"])) - 1
+    if but_landing and (last < 0 or track.lands[last]):
         return None
     return f"hit {crash['into']} at {crash['speed_m_s']:.1f} m/s, {crash['t_s']:.1f} s", last
 
 
-# --- commands and endings
-
-
-def _outages_s(done: Sequence[Happening]) -> list[tuple[float, float]]:
-    """When no command could have reached the autopilot, or nobody was there to send one."""
-    ends = [(e.at_s, e.until_s) for e in done if e.what.startswith(("link_off", KILLED))]
-    return [*ends, *((e.at_s, math.inf) for e in done if e.what == "reboot")]
-
-
-def _silent_s(
-    table: _Table, told: _Told, outages_s: Sequence[tuple[float, float]], until_s: float
-) -> float:
-    """Longest time in guided mode in the air, before the end, without a command to the vehicle."""
-    t_s = table.t_s
-    speaks = np.array([row["armed"] and row["mode"] in GUIDED for row in table.rows], dtype=bool)
-    for begin_s, end_s in outages_s:
-        speaks &= (t_s < begin_s) | (t_s >= end_s)
-    quiet_s = np.maximum.accumulate(np.where(speaks, t_s[:1], t_s))  # when it last had no say
-    sent_s = np.append(-math.inf, told.sent_s)
-    newest_s = sent_s[np.searchsorted(told.sent_s, t_s + 1e-6, side="right")]
-    silent_s = t_s - np.maximum(quiet_s, newest_s)
-    return float(silent_s[speaks & (t_s <= until_s)].max(initial=0.0))
+# --- endings
 
 
 def _ending(
@@ -517,13 +465,18 @@ def _ending(
         return "unexplained: flies on", f"{phase}: {reason}"
     if not reason:
         return "unexplained: no reason", f"{phase}, {mode}"
+    reboots_s = [each.at_s for each in done if each.what == "reboot"]
     if last["landed"] or not last["armed"]:
-        return ("fell" if any(e.what == "reboot" for e in done) else "landed"), reason
+        return ("fell" if reboots_s else "landed"), reason
     if mode in LANDS | RETURNS:
         return ("landed" if mode in LANDS else "returned"), reason
     if any(text in reason for text in _LET_GO) or mode not in GUIDED | HOLDS:
         return "let go", reason
-    out_of_reach = any(begin_s <= _end_s(flight) < end_s for begin_s, end_s in _outages_s(done))
+    # when no command could have reached the autopilot, or nobody was there to send one
+    end_s = end["t_s"] if end else math.inf
+    outages = [each for each in done if each.what.startswith(("link_off", KILLED))]
+    out_of_reach = any(each.at_s <= end_s < each.until_s for each in outages)
+    out_of_reach |= any(at_s <= end_s < math.inf for at_s in reboots_s)
     held = mode in HOLDS or is_cut or out_of_reach or not drawn.task.limits.hovers
     return ("held for good" if held else "unexplained: left in guided mode"), reason
 
@@ -538,8 +491,6 @@ def _miss_m(flight: Flight, done: Sequence[Happening], told: _Told) -> float:
             north, east = (-1.0 if word in ("south", "west") else 1.0 for word in words[2::3])
             place = row["north_m"] + north * float(words[0]), row["east_m"] + east * float(words[3])
             targets.append(place)
-    if not len(told.deg_m):
+    if not len(told.nea_m):
         return math.inf
-    north_m, east_m = flight.mission.frame.to_local_m(told.deg_m[-1:, 0], told.deg_m[-1:, 1])
-    believed = float(north_m[0]), float(east_m[0])
-    return min(math.dist(believed, target) for target in targets)
+    return min(math.dist(told.nea_m[-1, :2], target) for target in targets)

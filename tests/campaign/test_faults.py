@@ -77,8 +77,6 @@ def flight(
     *,
     told_off_m: float = 0.0,
     mode: str = "GUIDED",
-    quiet_s: tuple[float, float] = (0.0, 0.0),
-    asks_s: float | None = None,
     **end: Any,
 ) -> Flight:
     """A second at each place, at a height where there is no ground in the way."""
@@ -97,10 +95,6 @@ def flight(
         )
         stamp = struct.pack(">Q", 10**15 + round(t_s * 1e6))
         log += stamp + frame(33, 1, body.ljust(28, b"\1"))
-        if not quiet_s[0] < t_s < quiet_s[1]:
-            log += stamp + frame(86, 195, b"\1" * 53)
-        if t_s == asks_s:  # DO_SET_MODE
-            log += stamp + frame(76, 195, bytes(28) + struct.pack("<HBBB", 176, 1, 1, 0))
     (folder / "flight.tlog").write_bytes(log)
     journal = [{"t_s": 0.0, "kind": "phase", "phase": "flying", "code": None, "reason": None}]
     ended = {"t_s": truth[-1]["t_s"], "kind": "end", "outcome": "arrived", "reason": "there"}
@@ -248,19 +242,6 @@ def test_a_crash_violates_unless_somebody_else_flew_or_it_was_landing(
     assert len(after := violated(flown)) - len(before) == count
     assert (said in after) == bool(count)
     assert said in str(judge.judged(flown, DRAWN, None)["violated"])
-
-
-def test_a_silence_is_counted_in_guided_mode_and_when_somebody_could_speak(tmp_path: Path) -> None:
-    flown = flight(tmp_path, [TARGET] * 10, quiet_s=(3.0, 7.0))
-    assert judge.judged(flown, DRAWN, "")["silent_s"] == pytest.approx(3.9)
-    asked = flight(tmp_path, [TARGET] * 10, quiet_s=(3.0, 7.0), asks_s=5.0)
-    assert judge.judged(asked, DRAWN, "")["silent_s"] == pytest.approx(1.9)
-    flown = flight(tmp_path, [TARGET] * 10, quiet_s=(3.0, 7.0))
-    lost = judge.judged(flown, DRAWN, "at 3.0 s for 3.5 s: link_off")
-    assert lost["silent_s"] < 1.0
-    for row in flown.truth:
-        row["mode"] = "BRAKE"
-    assert judge.judged(flown, DRAWN, "")["silent_s"] == 0.0
 
 
 def test_faults_are_judged_in_lidar_missions_too(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What is compared: Table 1, Fig. 3 and Fig. 4 (4.1, 4.2), and planners of whole routes."""
+"""What is compared: Table 1, Fig. 3 and Fig. 4 (4.1, 4.2)."""
 
 import itertools
 import math
@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, final
 
-from companion import extras
-from companion.campaign.drawn_world import DrawnWorld, bundled
+from companion.campaign.drawn_world import DrawnWorld
 from companion.paper.compare import PER_SECOND
 from companion.paper.compare.missions import (
     KINDS,
@@ -19,9 +18,7 @@ from companion.paper.compare.missions import (
     as_published,
     with_settings,
 )
-from companion.paper.rivals import PLANNERS
-from companion.planning import OURS, planner_of
-from companion.profiles import PAPER, Weights
+from companion.profiles import Weights
 from companion.world.radars import Radar
 from companion.world.terrain import Peak, PeakTerrain
 
@@ -36,11 +33,6 @@ class Comparison:
     cases: Sequence[Case]
     tables: Mapping[str, Row]  # by their titles
     remarks: Callable[[Sequence[Outcome]], list[str]]  # what the tables cannot say by themselves
-
-
-def by_heading(found: Sequence[Outcome]) -> list[list[Outcome]]:
-    """Outcomes in parts of the same heading, as they follow each other."""
-    return [list(part) for _, part in itertools.groupby(found, lambda each: each.case.heading)]
 
 
 def _with_budget(environment: str, optimiser: str, time_s: float, per_second: int) -> DrawnWorld:
@@ -115,14 +107,15 @@ def _orders(found: Sequence[Outcome], per_second: int) -> list[str]:
         "No result depends on the speed of this machine.",
         "<: surely less (Mann-Whitney, 5 %, medians half a percent apart); ~: not surely.",
     ]
-    for row in by_heading(found):
+    for heading, outcomes in itertools.groupby(found, lambda each: each.case.heading):
+        row = list(outcomes)
         by_the_paper = sorted(row, key=lambda outcome: outcome.case.papers_cost)
         papers_order = " < ".join(outcome.case.label for outcome in by_the_paper)
         pairs = list(itertools.combinations(by_the_paper, 2))
         agree = sum(surely_less(a, b) for a, b in pairs)
         against = [f"{b.case.label} < {a.case.label}" for a, b in pairs if surely_less(b, a)]
         lines.append(
-            f"{row[0].case.heading}: {order(row)}. The paper: {papers_order}. "
+            f"{heading}: {order(row)}. The paper: {papers_order}. "
             f"{agree} of its {len(pairs)} pairs are surely so here"
             f"{'; against it: ' * bool(against)}{', '.join(against)}."
         )
@@ -250,46 +243,6 @@ def _ways(outcome: Outcome) -> dict[str, str]:
         "arrived": outcome.arrivals,
         "cost": f"{shown.cost:.1f}",
         "length": f"{shown.length_m / 1000:.1f} km",
-        "highest": f"{shown.highest_amsl_m / 1000:.2f} km",
+        "highest": f"{shown.route_nea_m[:, 2].max() / 1000:.2f} km",
         "seen": f"{shown.violations['radar'] / 1000:.1f} km",
-    }
-
-
-# --- planners of whole routes, ours and the paper's
-
-ENVIRONMENTS = ("environment-1", "environment-2")
-_ROUTES = (
-    "J: length, height and radar of eq. 5 along what was flown; below d_s: metres nearer to the "
-    "ground than d_s. All scan as they go; the rivals turn on the spot and climb without limit."
-)
-
-
-def routes(names: Sequence[str] = ()) -> Comparison:
-    """Environment by environment, planner by planner; L as a flight needs it, for all alike.
-
-    names: of planners; none: ours, the paper's, and all rivals that are installed.
-    """
-    ompl = ("rrt-star", "bit-star") if extras.missing("compare") else ()
-    installed = [OURS, PAPER.name, *(name for name in PLANNERS if name not in ompl)]
-    cases = []
-    for environment in ENVIRONMENTS:
-        for name in dict.fromkeys(names or installed):
-            planner, world = name, bundled(environment)
-            if name == PAPER.name:
-                planner, world = OURS, with_settings(world, profile=PAPER)
-            planner_of(planner, "--planner")  # or says why not
-            cases.append(Case(heading=environment, label=name, world=world, planner=planner))
-    title = "Planners of whole routes, and planners of subpaths"
-    return Comparison(cases=cases, tables={title: _means}, remarks=lambda _: [_ROUTES])
-
-
-def _means(outcome: Outcome) -> dict[str, str]:
-    """Over the runs that arrived."""
-    return {
-        "J": f"{outcome.mean('j'):.2f}",
-        "length": f"{outcome.mean('length_m') / 1000:.1f} km",
-        "below d_s": f"{outcome.violations['clearance']['mean_m']:,.0f}",
-        "legs": f"{outcome.mean('legs'):.0f}",
-        "arrived": outcome.arrivals,
-        "processor": f"{outcome.mean('plan_s'):.1f} s",
     }
