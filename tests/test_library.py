@@ -61,14 +61,14 @@ def test_the_cost_is_that_of_the_benchmarks(page: dict[str, Any]) -> None:
     world = drawn_world.bundled("environment-1")
     flown: Flown = page["swarm"]
     curves = [
-        (truth.sampled(leg.subpath.control_nea_m, 5.0), far_m)
+        (truth.sampled(leg.subpath.control_nea_m, 1.0), far_m)
         for leg, far_m in zip(flown.details.legs, flown.details.flown_m, strict=True)
     ]
     whole = sum(
         sum(library.route_terms(curve.points_nea_m[curve.length_m <= far_m], world.task).values())
         for curve, far_m in curves
     )
-    assert flown.cost == pytest.approx(whole, rel=3e-4)
+    assert flown.cost == pytest.approx(whole, rel=1e-4)
     assert set(flown.terms) == {"length", "height", "radar"}
 
 

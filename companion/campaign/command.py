@@ -41,7 +41,7 @@ _BY = (
     "Group by this factor; may be repeated, for groups by several together. By default by each "
     "that varies."
 )
-_CSV = "Write all figures to FILE, and all rows beside it, to NAME-rows.csv."
+_CSV = "Write all figures to FILE; the rows are in the folder, as Parquet."
 
 
 @campaign_app.command("run")
@@ -182,14 +182,11 @@ def report_command(
     console = plain_console(soft_wrap=True)
     with plain_console(stderr=True).status("reading the campaign"):
         report = campaign.report_of(campaign.read_campaign(folder), by or ())
-        texts = {("--html", html or folder / "report.html"): campaign.report_html(report)}
-        if csv is not None:
-            rows = csv.with_name(f"{csv.stem}-rows.csv")
-            texts["--csv", csv] = campaign.summary_csv(report)
-            texts["--csv", rows] = campaign.rows_csv(report.campaign.rows)
+        files = [("--html", html or folder / "report.html", campaign.report_html(report))]
+        files += [("--csv", csv, campaign.figures_csv(report))] if csv is not None else []
     for shown in campaign.terminal_tables(report):
         console.print(shown)
-    for (option, path), text in texts.items():
+    for option, path, text in files:
         with writing(option, path):
             path.write_text(text, encoding="utf-8")
         console.out(f"written: {path}", highlight=False)

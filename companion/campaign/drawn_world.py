@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel
 from scipy.ndimage import distance_transform_edt, grey_dilation, label
 
@@ -159,22 +160,27 @@ def lowest_safe_m(
 def free_at_floor(world: DrawnWorld) -> BoolArray:
     """Lattice points that are clear of terrain, radars and keep-outs at the floor of the band."""
     cell = _cell_m(world)
-    north, east = (axis.reshape(shape) for axis, shape in
-                   zip(axes_m(world, cell), ((-1, 1), (1, -1)), strict=True))  # fmt: skip
+    north, east = np.meshgrid(*axes_m(world, cell), indexing="ij")
     clearance, aside = world.task.required_clearance_m, world.task.limits.loiter_radius_m
-    need = lowest_safe_m(world, cell, clearance + 0.5 * cell, aside)
-    free = need <= world.floor_amsl_m
+    free = lowest_safe_m(world, cell, clearance + 0.5 * cell, aside) <= world.floor_amsl_m
     for radar in world.task.radars:
         n, e, altitude = radar.centre_nea_m
         squared = (north - n) ** 2 + (east - e) ** 2 + (world.floor_amsl_m - altitude) ** 2
         free &= squared > radar.range_m**2
     for zone in world.task.zones:
-        free &= zone.distance_m(*np.broadcast_arrays(north, east)) > clearance + aside
+        free &= zone.distance_m(north, east) > clearance + aside
     return free
 
 
 def _cell_m(world: DrawnWorld) -> float:
     return world.task.settings.scan_range_m / _CELLS_PER_RANGE
+
+
+def _points_at(world: DrawnWorld, places_ne_m: ArrayLike) -> tuple[NDArray[np.intp], ...]:
+    """Rows and columns of the lattice points next to places, (N, 2)."""
+    corner = world.task.limits.north_m[0], world.task.limits.east_m[0]
+    index = np.round((np.asarray(places_ne_m) - corner) / _cell_m(world)).astype(np.intp)
+    return tuple(index.T)
 
 
 def has_way_through(world: DrawnWorld) -> bool:
@@ -183,21 +189,14 @@ def has_way_through(world: DrawnWorld) -> bool:
     spare_m = _SPARE * world.task.settings.scan_range_m
     wide = distance_transform_edt(np.pad(free, 1), sampling=cell)[1:-1, 1:-1] > spare_m
     pools, _ = label(wide, structure=np.ones((3, 3)))
-    ends = [world.start_nea_m[:2], *world.targets_ne_m]
-    corner = (world.task.limits.north_m[0], world.task.limits.east_m[0])
-    found = {
-        int(pools[tuple(round((p - c) / cell) for p, c in zip(end, corner, strict=True))])
-        for end in ends
-    }
-    return len(found) == 1 and found != {0}
+    first, *others = pools[_points_at(world, [world.start_nea_m[:2], *world.targets_ne_m])]
+    return first > 0 and all(other == first for other in others)
 
 
 def is_straight_line_free(world: DrawnWorld) -> bool:
     """Whether the line from start to target is free at the floor."""
-    corner = (world.task.limits.north_m[0], world.task.limits.east_m[0])
     line = np.linspace(world.start_nea_m[:2], world.targets_ne_m[0], 2_000)
-    rows, columns = np.round((line - corner) / _cell_m(world)).astype(np.intp).T
-    return bool(free_at_floor(world)[rows, columns].all())
+    return bool(free_at_floor(world)[_points_at(world, line)].all())
 
 
 # --- as the files that both programs read: world.toml and mission.toml

@@ -48,6 +48,8 @@ class Flight:
     truth: list[dict[str, Any]]
     """Where the vehicle really was."""
     plans_s: list[float]
+    believed_nea_m: tuple[float, float, float] | None
+    """Where the companion took the vehicle to be in the end."""
     folder: Path
 
 
@@ -148,6 +150,7 @@ class Flying:
             journal=_lines_with("kind", folder / "journal.jsonl"),
             truth=_lines_with("t_s", folder / "truth.jsonl"),
             plans_s=self.loop.flown.plans_s,
+            believed_nea_m=self.loop.session.state.vehicle.position_nea_m,
             folder=folder,
         )
 

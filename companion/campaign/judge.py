@@ -3,12 +3,10 @@
 Every metre of every subpath is measured against the true world, and so is what was flown: nearer to
 the ground or to a zone than d_s violates, among near things only what is touched.  Where something
 goes wrong, that counts against the companion unless, at that moment or in the ten seconds before,
-
-- the vehicle was not where its autopilot said: the position that the companion was told last lay
-  off the true one by more than the mission's navigation_error_m;
-- somebody else flew: the mode was not one that the companion had asked for (a pilot, a ground
-  station, the autopilot's own failsafe, or what it went back to by itself when that was over: the
-  companion has let go, design 7), or the autopilot had rebooted and the vehicle fell.
+somebody else flew: the mode was not one that the companion had asked for (a pilot, a ground
+station, the autopilot's own failsafe, or what it went back to by itself when that was over: the
+companion has let go, design 7); and unless the autopilot had rebooted and the vehicle fell, or the
+radar told too low heights.  Who was told a wrong position is not excused: a person looks at it.
 
 A fence that comes during the flight is known ten seconds later (issue 5), and whoever is in it
 then, or nearer than d_s, has the time to leave it once, by half the mission's speed.
@@ -18,10 +16,10 @@ unless no command could reach it then: a copter that hears nothing hovers.
 
 import bisect
 import math
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -31,11 +29,8 @@ from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.in_process import Flight
 from companion.geodesy import BoolArray, FloatArray
 from companion.library import route_terms
-from companion.mavlink.dialect import AUTOPILOT_COMPONENT, wire
-from companion.mavlink.frames import decoded, number_of, sender_of
 from companion.mission.state import Reason
 from companion.planner.settings import Task
-from companion.telemetry.run_folder import Records
 from companion.world.terrain import PeakTerrain
 from companion.world.zones import CircleZone
 
@@ -55,22 +50,23 @@ _OF_SHAPE: Final = ("turn radius", "climb angle", "dive angle")
 _OVER: Final = ("landing", "handing over", "done", "faulted")
 """Phases in which no subpath is flown any more."""
 _LET_GO: Final = (Reason.MODE_TAKEN.text, Reason.FAILSAFE.text, Reason.FENCE_BREACHED.text)
-_POSITION: Final = wire.MAVLink_global_position_int_message
 _THERE: Final = ("arrived", "held and resumed")
 """Endings at the target."""
+_NO_END: Final = {"outcome": "not ended", "reason": "the companion has not said how it ended"}
 
 
 def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str, Any]:
     """The columns of a row.  timeline: what goes wrong in the flight; None: nothing does."""
-    found = _came_to(flight, drawn)
-    if timeline is None and "length_m" not in found:
-        return found
-    done, is_cut = happenings(timeline or ""), False
+    found, done, is_cut = _came_to(flight, drawn), happenings(timeline or ""), False
     if timeline is not None:
         flight, is_cut = _until_stopped(flight)
-    track, told = _in_the_air(flight, drawn), _told(flight) if timeline is not None else _UNTOLD
+    track = _in_the_air(flight, drawn)
+    if (flown := _flown(track, flight)).sum() > 1:
+        found |= _of_flight(track, flown, drawn)
+    if timeline is None and not len(track.t_s):
+        return found
     known, excused = list[str](), list[str]()
-    excuses = {} if timeline is None else _excuses(flight, track, told, done, drawn)
+    excuses = {} if timeline is None else _excuses(flight, track, done)
     is_excused = np.any([np.zeros(len(track.t_s), dtype=bool), *excuses.values()], axis=0)
 
     def tell(what: str, at: int) -> None:
@@ -87,19 +83,16 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
     if hit := _hit(flight, track, but_landing=timeline is not None):
         tell(*hit)
     if timeline is not None:
-        ending, reason = _ending(flight, drawn, done, told, is_cut=is_cut)
+        ending, reason = _ending(flight, drawn, done, is_cut=is_cut)
         if ending.startswith("unexplained"):
             known.append(f"{ending}: {reason}")
         elif not done and ending not in _THERE:
             known.append(f"{ending} with nothing wrong: {reason}")
-        found |= {
-            "ending": ending,
-            "reason": None if ending == "arrived" else reason or None,
-            "excused": "; ".join(excused) or None,
-        }
+        found["ending"], found["excused"] = ending, "; ".join(excused) or None
+        found["reason"] = None if ending == "arrived" else reason or None
     count = len(known)
     if flight.mission.near is None:
-        # planned in a wrong place, a subpath is right in its shape only
+        # where the radar lied, or somebody else flew to, a subpath is right in its shape only
         bounds = _OF_SHAPE if is_excused.any() else None
         ready = (e for e in flight.journal if e["kind"] == "plan ready")
         subpaths = [np.array(e["control_nea_m"]) for e in ready]
@@ -111,13 +104,10 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
 
 
 def _came_to(flight: Flight, drawn: DrawnWorld) -> dict[str, Any]:
-    """How it ended, and what was flown while subpaths were: until it lands or is let go.
-
-    Of a flight whose vehicle's clock began again, the whole time in the air.
-    """
+    """How it ended."""
     end = next((e for e in reversed(flight.journal) if e["kind"] == "end"), _NO_END)
     kinds = [entry["kind"] for entry in flight.journal]
-    found = of_task(flight.mission.task, drawn, flight.plans_s) | {
+    return of_task(flight.mission.task, drawn, flight.plans_s) | {
         "outcome": end["outcome"],
         "reason": None if end["outcome"] == "arrived" else end["reason"],
         "arrived": end["outcome"] == "arrived",
@@ -127,31 +117,6 @@ def _came_to(flight: Flight, drawn: DrawnWorld) -> dict[str, Any]:
             for entry in flight.journal
         ),
     }
-    begun_s = next((e["t_s"] for e in flight.journal if e["kind"] == "leg"), math.inf)
-    over = (e["t_s"] for e in flight.journal if e.get("phase") in _OVER and e["t_s"] >= begun_s)
-    until_s = next(over, math.inf)
-    if until_s == math.inf:
-        begun_s = -math.inf
-    track = _Track.of(
-        row for row in flight.truth if not row["landed"] and begun_s <= row["t_s"] <= until_s
-    )
-    if len(track.t_s) < 2:
-        return found
-    away_m = track.near_m
-    if flight.mission.near is None:
-        up_to_m = 2.0 * drawn.task.required_clearance_m
-        away_m = truth.terrain_distance_m(track.points_nea_m, drawn.terrain, up_to_m)
-    away_m = np.where(track.lands, np.inf, away_m)
-    least = int(np.argmin(away_m))
-    found |= of_track(track.points_nea_m, drawn)
-    found["flight_s"] = float(track.t_s[-1] - track.t_s[0])
-    if math.isfinite(away_m[least]):
-        found["clearance_least_m"] = float(away_m[least])
-        found["clearance_least_t_s"] = float(track.t_s[least])
-    return found
-
-
-_NO_END: Final = {"outcome": "not ended", "reason": "the companion has not said how it ended"}
 
 
 def _until_stopped(flight: Flight) -> tuple[Flight, bool]:
@@ -162,6 +127,17 @@ def _until_stopped(flight: Flight) -> tuple[Flight, bool]:
     until_s = flight.journal[stop]["t_s"]
     rows = [row for row in flight.truth if row["t_s"] <= until_s]
     return replace(flight, journal=flight.journal[:stop], truth=rows), True
+
+
+def _of_flight(track: "_Track", flown: BoolArray, drawn: DrawnWorld) -> dict[str, Any]:
+    """What was flown; (N,): when."""
+    t_s, away_m = track.t_s[flown], track.away_m[flown]
+    found = of_track(track.points_nea_m[flown], drawn) | {"flight_s": float(t_s[-1] - t_s[0])}
+    least = int(np.argmin(away_m))
+    if math.isfinite(away_m[least]):
+        found["clearance_least_m"] = float(away_m[least])
+        found["clearance_least_t_s"] = float(t_s[least])
+    return found
 
 
 # --- what was planned, and what was flown
@@ -227,38 +203,43 @@ def checked(
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Track:
-    """Where the vehicle truly was; one row for each moment."""
+    """Where the vehicle truly was in the air, from when its mission first flew; N moments."""
 
     rows: list[dict[str, Any]]
     t_s: FloatArray
     points_nea_m: FloatArray
-    near_m: FloatArray
-    """To the nearest thing of a lidar's scene; infinite: there is none."""
     lands: BoolArray
     """Whether it lands or returns by itself: the ground may be near then."""
-
-    @staticmethod
-    def of(chosen: Iterable[dict[str, Any]]) -> "_Track":
-        """The track of rows of truth."""
-        rows, keys = list(chosen), ("north_m", "east_m", "altitude_amsl_m")
-        return _Track(
-            rows=rows,
-            t_s=np.array([row["t_s"] for row in rows]),
-            points_nea_m=np.array([[row[key] for key in keys] for row in rows]).reshape(-1, 3),
-            near_m=np.array([row.get("near_m", math.inf) for row in rows]),
-            lands=np.array([row["mode"] in LANDS | RETURNS for row in rows], dtype=bool),
-        )
+    away_m: FloatArray
+    """To the ground, or to the nearest of near things; infinite while it lands."""
 
 
 def _in_the_air(flight: Flight, drawn: DrawnWorld) -> _Track:
-    """The truth from when the mission first flew."""
     terrain, airborne_s = drawn.terrain, _airborne_s(flight)
     ground_m = terrain.ground_amsl_m if isinstance(terrain, PeakTerrain) else -math.inf
-    return _Track.of(
+    rows = [
         row
         for row in flight.truth
         if row["t_s"] >= airborne_s and not row["landed"] and row["altitude_amsl_m"] > ground_m
+    ]
+    points, lands = _points(rows), np.array([row["mode"] in LANDS | RETURNS for row in rows], bool)
+    if flight.mission.near is not None or not rows:
+        away_m = np.array([row.get("near_m", math.inf) for row in rows])
+    else:
+        away_m = truth.terrain_distance_m(points, terrain, 2.0 * drawn.task.required_clearance_m)
+    return _Track(
+        rows=rows,
+        t_s=np.array([row["t_s"] for row in rows]),
+        points_nea_m=points,
+        lands=lands,
+        away_m=np.where(lands, np.inf, away_m),
     )
+
+
+def _points(rows: Sequence[dict[str, Any]]) -> FloatArray:
+    """North, east, altitude of rows of truth; (N, 3)."""
+    keys = ("north_m", "east_m", "altitude_amsl_m")
+    return np.array([[row[key] for key in keys] for row in rows]).reshape(-1, 3)
 
 
 def _airborne_s(flight: Flight) -> float:
@@ -266,70 +247,29 @@ def _airborne_s(flight: Flight) -> float:
     return next((e["t_s"] for e in phases), math.inf)
 
 
-class _Told(NamedTuple):
-    """Positions that the companion was told, in vehicle time."""
-
-    at_s: FloatArray
-    """When, (K,)."""
-    of_s: FloatArray
-    """What time each is of, (K,)."""
-    nea_m: FloatArray
-    """(K, 3)."""
-
-
-_UNTOLD: Final = _Told(np.empty(0), np.empty(0), np.empty((0, 3)))
-
-
-def _told(flight: Flight) -> _Told:
-    """What its vehicle said of its place, by flight.tlog."""
-    at_us, places = list[int](), list[tuple[float, ...]]()
-    with Records(flight.folder / "flight.tlog") as records:
-        while (record := records.take()) is not None:
-            us, frame = record
-            if number_of(frame) == _POSITION.id and sender_of(frame)[1] == AUTOPILOT_COMPONENT:
-                told = decoded(frame, _POSITION)
-                at_us.append(us)
-                places.append(
-                    (told.time_boot_ms * 1e-3, told.lat * 1e-7, told.lon * 1e-7, told.alt * 1e-3)
-                )
-    if not places:
-        return _UNTOLD
-    of_s, lat_deg, lon_deg, altitude_m = np.array(places).T
-    # stamps count from an epoch of their own, positions from the vehicle's boot
-    at_s = 1e-6 * (np.array(at_us, dtype=float) - at_us[0]) + of_s[0]
-    place = flight.mission.frame.to_local_m(lat_deg, lon_deg)
-    return _Told(at_s, of_s, np.stack([*place, altitude_m], axis=-1))
+def _flown(track: _Track, flight: Flight) -> BoolArray:
+    """When subpaths were flown: until it is told to land or is let go; (N,)."""
+    begun_s = next((e["t_s"] for e in flight.journal if e["kind"] == "leg"), -math.inf)
+    over = (e["t_s"] for e in flight.journal if e.get("phase") in _OVER and e["t_s"] >= begun_s)
+    return (track.t_s >= begun_s) & (track.t_s <= next(over, math.inf))
 
 
 # --- what the companion could not know or had no say in
 
 
-def _excuses(
-    flight: Flight, track: _Track, told: _Told, done: Sequence[Happening], drawn: DrawnWorld
-) -> dict[str, BoolArray]:
+def _excuses(flight: Flight, track: _Track, done: Sequence[Happening]) -> dict[str, BoolArray]:
     """Why something does not count against it, and when; (N,) each."""
-    t_s, error_m = track.t_s, drawn.task.limits.navigation_error_m
+    t_s = track.t_s
     rebooted, lied = (
         t_s >= min((each.at_s for each in done if word in each.what), default=math.inf)
         for word in ("reboot", "either_way")
     )
+    other_s = np.maximum.accumulate(np.where(_ours(track.rows, flight), -math.inf, t_s))
     return {
-        "the position was wrong": _lasting(t_s, (_off_m(flight, t_s, told) > error_m) & ~rebooted),
-        "somebody else flew": _lasting(t_s, ~_ours(track.rows, flight)),
+        "somebody else flew": t_s - other_s < _GRACE_S,
         "the autopilot rebooted": rebooted,
         "the radar told too low heights": lied,
     }
-
-
-def _off_m(flight: Flight, t_s: FloatArray, told: _Told) -> FloatArray:
-    """By the position that was told last, against the truth at the time that it is of."""
-    if not len(t_s) or not len(told.at_s):
-        return np.zeros(len(t_s))
-    true = _Track.of(flight.truth)
-    there = [np.interp(told.of_s, true.t_s, column) for column in true.points_nea_m.T]
-    off_m = np.linalg.norm(told.nea_m - np.stack(there, axis=-1), axis=-1)
-    newest = np.searchsorted(np.maximum.accumulate(told.at_s), t_s, side="right") - 1
-    return np.asarray(off_m[np.maximum(newest, 0)])
 
 
 def _ours(rows: Sequence[dict[str, Any]], flight: Flight) -> BoolArray:
@@ -350,12 +290,6 @@ def _ours(rows: Sequence[dict[str, Any]], flight: Flight) -> BoolArray:
     return np.array(ours, dtype=bool)
 
 
-def _lasting(t_s: FloatArray, bad: BoolArray) -> BoolArray:
-    """Bad now, or less than the grace ago."""
-    last_s = np.maximum.accumulate(np.where(bad, t_s, -math.inf))
-    return np.asarray(t_s - last_s < _GRACE_S)
-
-
 # --- too near
 
 
@@ -365,9 +299,8 @@ def _gaps_m(
     """True distances that must be d_s or more, (N,); infinite where they do not count."""
     if flight.mission.near is not None or not len(track.t_s):
         return
-    points, safety_m = track.points_nea_m, drawn.task.settings.safety_distance_m
-    gap_m = truth.terrain_distance_m(points, drawn.terrain, 4.0 * safety_m)
-    yield "terrain", np.where(track.lands, np.inf, gap_m)
+    points = track.points_nea_m
+    yield "terrain", track.away_m
     for zone in drawn.task.zones:
         gap_m = truth.keep_out_distance_m(points, zone)
         yield zone.name, -gap_m if zone.keep_in else gap_m
@@ -420,8 +353,8 @@ def _hit(flight: Flight, track: _Track, *, but_landing: bool) -> tuple[str, int]
 
     A crash is a contact that nobody survives, as the simulator judged it.
     """
-    touches = (track.near_m <= 0.0) & ~track.lands
-    if touches.any():
+    touches = track.away_m <= 0.0
+    if flight.mission.near is not None and touches.any():
         first = int(np.argmax(touches))
         return f"touched something at {track.t_s[first]:.1f} s", first
     crash = next((row["crash"] for row in flight.truth if "crash" in row), None)
@@ -437,12 +370,7 @@ def _hit(flight: Flight, track: _Track, *, but_landing: bool) -> tuple[str, int]
 
 
 def _ending(
-    flight: Flight,
-    drawn: DrawnWorld,
-    done: Sequence[Happening],
-    told: _Told,
-    *,
-    is_cut: bool,
+    flight: Flight, drawn: DrawnWorld, done: Sequence[Happening], *, is_cut: bool
 ) -> tuple[str, str]:
     """How it ended, and the reason in words."""
     end = next((e for e in flight.journal if e["kind"] == "end"), None)
@@ -456,7 +384,7 @@ def _ending(
     last, mode = flight.truth[-1], flight.truth[-1]["mode"]
     if end is not None and end["outcome"] == "arrived":
         circle_m = drawn.task.limits.loiter_radius_m
-        if (miss_m := _miss_m(flight, done, told)) > _ARRIVED_M + 1.3 * circle_m:
+        if (miss_m := _miss_m(flight, done)) > _ARRIVED_M + 1.3 * circle_m:
             return "unexplained: arrived elsewhere", f"{miss_m:.0f} m off"
         airborne_s = _airborne_s(flight)
         held = any(e["phase"] == "holding" and e["t_s"] > airborne_s for e in said)
@@ -481,8 +409,8 @@ def _ending(
     return ("held for good" if held else "unexplained: left in guided mode"), reason
 
 
-def _miss_m(flight: Flight, done: Sequence[Happening], told: _Told) -> float:
-    """Where it came to, beside the target; as the companion believed if it was told wrong."""
+def _miss_m(flight: Flight, done: Sequence[Happening]) -> float:
+    """Where it believed to be in the end, beside the target."""
     targets = [flight.mission.targets_ne_m[-1]]
     for each in done:
         name, *words = each.what.split()
@@ -491,6 +419,6 @@ def _miss_m(flight: Flight, done: Sequence[Happening], told: _Told) -> float:
             north, east = (-1.0 if word in ("south", "west") else 1.0 for word in words[2::3])
             place = row["north_m"] + north * float(words[0]), row["east_m"] + east * float(words[3])
             targets.append(place)
-    if not len(told.nea_m):
+    if flight.believed_nea_m is None:
         return math.inf
-    return min(math.dist(told.nea_m[-1, :2], target) for target in targets)
+    return min(math.dist(flight.believed_nea_m[:2], target) for target in targets)

@@ -3,11 +3,11 @@
 import csv
 import io
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from statistics import median
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from rich.table import Table
 from rich.text import Text
@@ -270,20 +270,10 @@ def report_html(report: Report) -> str:
     return page("campaign.html.j2", "campaign", report=report)
 
 
-def rows_csv(rows: Iterable[Row]) -> str:
-    """All columns of all rows."""
-    return _csv([each.name for each in fields(Row)], map(asdict, rows))
-
-
-def summary_csv(report: Report) -> str:
+def figures_csv(report: Report) -> str:
     """Every figure of the report: rates, medians, and differences in pairs."""
-    lines = (asdict(f) | {"measure": f.measure.name} for f in report.figures)
-    return _csv([each.name for each in fields(Figure)], lines)
-
-
-def _csv(names: Sequence[str], lines: Iterable[Mapping[str, Any]]) -> str:
     file = io.StringIO()
-    writer = csv.DictWriter(file, names, extrasaction="ignore", lineterminator="\n")
+    writer = csv.DictWriter(file, [each.name for each in fields(Figure)], lineterminator="\n")
     writer.writeheader()
-    writer.writerows(lines)
+    writer.writerows(asdict(f) | {"measure": f.measure.name} for f in report.figures)
     return file.getvalue()

@@ -34,9 +34,8 @@ _PART = 4_000
 
 
 class Curve(NamedTuple):
-    """Samples of a curve: parameter and length (S,), the rest (S, 3)."""
+    """Samples of a curve: length (S,), the rest (S, 3)."""
 
-    u: FloatArray
     length_m: FloatArray
     points_nea_m: FloatArray
     first: FloatArray
@@ -71,13 +70,7 @@ def sampled(control_nea_m: FloatArray, spacing_m: float) -> Curve:
     count = max(math.ceil(along[-1] / spacing_m), 2)
     length = np.linspace(0.0, along[-1], count + 1)
     u = np.interp(length, along, table)
-    return Curve(
-        u=u,
-        length_m=length,
-        points_nea_m=curve(u),
-        first=curve.derivative()(u),
-        second=curve.derivative(2)(u),
-    )
+    return Curve(length, curve(u), curve.derivative()(u), curve.derivative(2)(u))
 
 
 # --- joins

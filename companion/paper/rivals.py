@@ -176,7 +176,7 @@ def _flown(
     may_be &= surface.altitude_m(*problem.place_m(nodes).T) <= ceiling
     may_be &= known.surveyed[tuple(np.clip(cells, 0, np.array(known.surveyed.shape) - 1).T)]
     may_be |= (nodes == nodes[0]).all(axis=1)  # it is there
-    may_be |= binary_closing(may_be, np.ones(_SHORTEST + 1))  # so little is within the spare
+    may_be |= binary_closing(may_be, np.ones(_SHORTEST + 1, dtype=bool))  # within the spare
     may_be &= np.hypot(*(points - scan_ne_m).T) < range_m
     arrives = bool(may_be.all())
     points = points if arrives else points[: np.argmin(may_be)]

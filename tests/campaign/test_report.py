@@ -5,7 +5,7 @@ import html
 import json
 import re
 import shlex
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import pyarrow as pa
@@ -121,15 +121,9 @@ def test_some_are_never_none_and_nearly_all_never_all(tmp_path: Path) -> None:
     assert report.tables[0].rows[0][2:4] == ("100.0 [99.9, 100.0]", "0.1 [0.0, 0.1]")
 
 
-def test_csv_has_every_row_and_every_figure(tmp_path: Path) -> None:
-    rows = paired_rows()
-    rows[0] = replace(rows[0], violated='a "quoted", odd\nvalue')
-    folder, out = campaign(tmp_path / "c", rows), tmp_path / "all.csv"
+def test_csv_has_every_figure(tmp_path: Path) -> None:
+    folder, out = campaign(tmp_path / "c", paired_rows()), tmp_path / "all.csv"
     assert answered("campaign", "report", folder, "--csv", out)[0] == 0
-    with (tmp_path / "all-rows.csv").open(newline="") as file:
-        read = list(csv.DictReader(file))
-    assert [int(each["run"]) for each in read] == [each.run for each in rows]
-    assert read[0]["violated"] == rows[0].violated
     with out.open(newline="") as file:
         figures = list(csv.DictReader(file))
     (arrived,) = (f for f in figures if not f["by"] and f["measure"] == "arrived")

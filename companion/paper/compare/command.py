@@ -1,15 +1,12 @@
 """`companion compare`: the paper's table and figures, computed again."""
 
 import json
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
-from rich import box
 from rich.progress import track
-from rich.table import Table
 
 from companion import extras
 from companion.errors import InputError
@@ -17,10 +14,6 @@ from companion.paper.compare import PER_SECOND
 from companion.runtime.processes import processors
 from companion.sources.files import picture_file, writable, writing
 from companion.views.output import plain_console
-
-if TYPE_CHECKING:
-    from companion.paper.compare.comparisons import Row
-    from companion.paper.compare.missions import Outcome
 
 Option = typer.Option
 What = Literal["table-1", "figure-3", "figure-4"]
@@ -70,7 +63,7 @@ def compare_command(
     shown = partial(track, description="flying", total=total, console=bar, transient=True)
     found = fly_all(comparison.cases, runs, seed, jobs, shown)
     for title, row in comparison.tables.items():
-        console.print(table(title, row, found))
+        console.print(comparisons.table(title, row, found))
     for remark in comparison.remarks(found):
         console.print(remark, highlight=False)
     if picture is not None:
@@ -85,20 +78,3 @@ def compare_command(
         with writing("--json", json_file):
             json_file.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
         console.out(f"numbers: {json_file}", highlight=False)
-
-
-def table(title: str, row: "Row", found: "Sequence[Outcome]") -> Table:
-    """A row for each outcome, and one for each heading if there are several.
-
-    Its cells stay whole in a terminal of 80 columns.
-    """
-    result = Table(title=title, box=box.SIMPLE_HEAD, padding=0)
-    result.add_column("", no_wrap=True)
-    for name in row(found[0]):
-        result.add_column(name, justify="right")
-    heading, several = "", len({outcome.case.heading for outcome in found}) > 1
-    for outcome in found:
-        if several and outcome.case.heading != heading:
-            result.add_row(heading := outcome.case.heading)
-        result.add_row("  " * several + outcome.case.label, *row(outcome).values())
-    return result

@@ -8,6 +8,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, final
 
+from rich import box
+from rich.table import Table
+
 from companion.campaign.drawn_world import DrawnWorld
 from companion.paper.compare import PER_SECOND
 from companion.paper.compare.missions import (
@@ -33,6 +36,19 @@ class Comparison:
     cases: Sequence[Case]
     tables: Mapping[str, Row]  # by their titles
     remarks: Callable[[Sequence[Outcome]], list[str]]  # what the tables cannot say by themselves
+
+
+def table(title: str, row: Row, found: Sequence[Outcome]) -> Table:
+    """A row for each outcome, under its heading; cells stay whole in a terminal of 80 columns."""
+    result, heading = Table(title=title, box=box.SIMPLE_HEAD, padding=0), ""
+    result.add_column("", no_wrap=True)
+    for name in row(found[0]):
+        result.add_column(name, justify="right")
+    for outcome in found:
+        if outcome.case.heading != heading:
+            result.add_row(heading := outcome.case.heading)
+        result.add_row(f"  {outcome.case.label}", *row(outcome).values())
+    return result
 
 
 def _with_budget(environment: str, optimiser: str, time_s: float, per_second: int) -> DrawnWorld:
@@ -80,8 +96,9 @@ def table_1(per_second: int = PER_SECOND) -> Comparison:
 
 
 def _costs(outcome: Outcome) -> dict[str, str]:
+    deviation = statistics.stdev(outcome.costs) if len(outcome.costs) > 1 else math.nan
     return {
-        "cost": f"{outcome.mean():.2f} ± {outcome.deviation:.2f}",
+        "cost": f"{outcome.mean():.2f} ± {deviation:.2f}",
         "paper": "{:.1f} ± {:.1f}".format(*outcome.case.papers_cost),
         "arrived": outcome.arrivals,
         "length": f"{outcome.mean('length_m') / 1000:.1f} km",

@@ -179,11 +179,6 @@ class Outcome:
         values = [getattr(run, measure) for run in self.runs if run.arrived]
         return statistics.fmean(values) if values else math.nan
 
-    @property
-    def deviation(self) -> float:
-        """Standard deviation of the costs; not a number with fewer than two."""
-        return statistics.stdev(self.costs) if len(self.costs) > 1 else math.nan
-
     def facts(self) -> dict[str, Any]:
         """All its numbers and the paper's, for --json."""
         case, names = self.case, ("paper_mean_cost", "paper_st_dev_cost")
