@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 from scipy.stats import binomtest, bootstrap, wilcoxon
 
+from companion.campaign.file import FactorsTable
 from companion.campaign.store import Row
 from companion.geodesy import FloatArray
 
@@ -21,10 +22,7 @@ FEWEST: Final = 6
 """Values for an interval: the range of five holds the median in 93.75 % of draws only."""
 TASK: Final = ("world", "family", "family_seed", "family_index", "mission")
 """The factors that say what is to be flown; the others say how."""
-FACTORS: Final = (
-    *(*TASK, "planner", "knowledge", "optimiser", "profile", "budget", "vehicle", "sensor"),
-    *("faults", "wind", "noise"),
-)
+FACTORS: Final = (*TASK, *FactorsTable.model_fields)
 _RESAMPLES: Final = 2000
 _AT_ONCE: Final = 1_000_000  # values that are drawn
 _SAME: Final = 1e-9  # relative: a tie
