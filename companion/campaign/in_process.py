@@ -11,9 +11,12 @@ from importlib.metadata import entry_points, version
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, final
 
+import numpy as np
+
 from companion.campaign.drawn_faults import split
 from companion.config import load_mission, mission_text
 from companion.errors import InputError
+from companion.geodesy import FloatArray
 from companion.mission.mission import Mission
 from companion.planning import plan
 from companion.runtime.in_process import SimulatedVehicle, loop_in_process
@@ -48,8 +51,8 @@ class Flight:
     truth: list[dict[str, Any]]
     """Where the vehicle really was."""
     plans_s: list[float]
-    believed_nea_m: tuple[float, float, float] | None
-    """Where the companion took the vehicle to be in the end."""
+    told: FloatArray
+    """Positions that the companion was told: when, of what time, north, east, altitude; (K, 5)."""
     folder: Path
 
 
@@ -85,6 +88,7 @@ class Flying:
         self._seed, self._limit_s = seed, limit_s
         self.flies = True
         """Whether its mission has not ended."""
+        self._told = list[tuple[float, ...]]()
         self._begin()
 
     def _begin(self, *, again: bool = False) -> None:
@@ -129,6 +133,10 @@ class Flying:
         """To a time of the vehicle, or to the mission's end."""
         while self.flies and self._vehicle.now_us < until_us:
             self.flies = next(self._turns, self) is not self
+            vehicle = self.loop.session.state.vehicle
+            is_news = not self._told or vehicle.position_at_s != self._told[-1][1]
+            if vehicle.position_nea_m is not None and is_news:
+                self._told.append((self.now_s, vehicle.position_at_s, *vehicle.position_nea_m))
             if self.loop.clock() > 2.0 * self._limit_s:
                 text = f"the flight did not end when it was stopped after {self._limit_s:g} s"
                 raise TimeoutError(text)
@@ -150,7 +158,7 @@ class Flying:
             journal=_lines_with("kind", folder / "journal.jsonl"),
             truth=_lines_with("t_s", folder / "truth.jsonl"),
             plans_s=self.loop.flown.plans_s,
-            believed_nea_m=self.loop.session.state.vehicle.position_nea_m,
+            told=np.array(self._told).reshape(-1, 5),
             folder=folder,
         )
 

@@ -3,10 +3,14 @@
 Every metre of every subpath is measured against the true world, and so is what was flown: nearer to
 the ground or to a zone than d_s violates, among near things only what is touched.  Where something
 goes wrong, that counts against the companion unless, at that moment or in the ten seconds before,
-somebody else flew: the mode was not one that the companion had asked for (a pilot, a ground
-station, the autopilot's own failsafe, or what it went back to by itself when that was over: the
-companion has let go, design 7); and unless the autopilot had rebooted and the vehicle fell, or the
-radar told too low heights.  Who was told a wrong position is not excused: a person looks at it.
+
+- the vehicle was not where its autopilot said: the position that the companion was told last lay
+  off the true one by more than the mission's navigation_error_m;
+- somebody else flew: the mode was not one that the companion had asked for (a pilot, a ground
+  station, the autopilot's own failsafe, or what it went back to by itself when that was over: the
+  companion has let go, design 7);
+
+and unless the autopilot had rebooted and the vehicle fell, or the radar told too low heights.
 
 A fence that comes during the flight is known ten seconds later (issue 5), and whoever is in it
 then, or nearer than d_s, has the time to leave it once, by half the mission's speed.
@@ -66,7 +70,7 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
     if timeline is None and not len(track.t_s):
         return found
     known, excused = list[str](), list[str]()
-    excuses = {} if timeline is None else _excuses(flight, track, done)
+    excuses = {} if timeline is None else _excuses(flight, track, drawn, done)
     is_excused = np.any([np.zeros(len(track.t_s), dtype=bool), *excuses.values()], axis=0)
 
     def tell(what: str, at: int) -> None:
@@ -92,7 +96,7 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
         found["reason"] = None if ending == "arrived" else reason or None
     count = len(known)
     if flight.mission.near is None:
-        # where the radar lied, or somebody else flew to, a subpath is right in its shape only
+        # planned in a wrong place, or where the radar lied, a subpath is right in its shape only
         bounds = _OF_SHAPE if is_excused.any() else None
         ready = (e for e in flight.journal if e["kind"] == "plan ready")
         subpaths = [np.array(e["control_nea_m"]) for e in ready]
@@ -257,19 +261,39 @@ def _flown(track: _Track, flight: Flight) -> BoolArray:
 # --- what the companion could not know or had no say in
 
 
-def _excuses(flight: Flight, track: _Track, done: Sequence[Happening]) -> dict[str, BoolArray]:
+def _excuses(
+    flight: Flight, track: _Track, drawn: DrawnWorld, done: Sequence[Happening]
+) -> dict[str, BoolArray]:
     """Why something does not count against it, and when; (N,) each."""
     t_s = track.t_s
     rebooted, lied = (
         t_s >= min((each.at_s for each in done if word in each.what), default=math.inf)
         for word in ("reboot", "either_way")
     )
-    other_s = np.maximum.accumulate(np.where(_ours(track.rows, flight), -math.inf, t_s))
+    is_off = _off_m(flight, t_s) > drawn.task.limits.navigation_error_m
     return {
-        "somebody else flew": t_s - other_s < _GRACE_S,
+        "the position was wrong": _lately(t_s, is_off),
+        "somebody else flew": _lately(t_s, ~_ours(track.rows, flight)),
         "the autopilot rebooted": rebooted,
         "the radar told too low heights": lied,
     }
+
+
+def _lately(t_s: FloatArray, is_so: BoolArray) -> BoolArray:
+    """When something is so, or was less than the grace ago; (N,)."""
+    last_s = np.maximum.accumulate(np.where(is_so, t_s, -math.inf))
+    return np.asarray(t_s - last_s < _GRACE_S)
+
+
+def _off_m(flight: Flight, t_s: FloatArray) -> FloatArray:
+    """How far the position that was told last lay off the truth of its own time; (N,)."""
+    if not len(flight.told):
+        return np.zeros(len(t_s))
+    told_s, of_s, *told = flight.told.T
+    times = [row["t_s"] for row in flight.truth]
+    true = [np.interp(of_s, times, values) for values in _points(flight.truth).T]
+    newest = np.searchsorted(told_s, t_s, side="right") - 1
+    return np.linalg.norm(np.subtract(told, true), axis=0)[np.maximum(newest, 0)]
 
 
 def _ours(rows: Sequence[dict[str, Any]], flight: Flight) -> BoolArray:
@@ -410,7 +434,7 @@ def _ending(
 
 
 def _miss_m(flight: Flight, done: Sequence[Happening]) -> float:
-    """Where it believed to be in the end, beside the target."""
+    """Where it was told to be in the end, beside the target."""
     targets = [flight.mission.targets_ne_m[-1]]
     for each in done:
         name, *words = each.what.split()
@@ -419,6 +443,6 @@ def _miss_m(flight: Flight, done: Sequence[Happening]) -> float:
             north, east = (-1.0 if word in ("south", "west") else 1.0 for word in words[2::3])
             place = row["north_m"] + north * float(words[0]), row["east_m"] + east * float(words[3])
             targets.append(place)
-    if flight.believed_nea_m is None:
+    if not len(flight.told):
         return math.inf
-    return min(math.dist(flight.believed_nea_m[:2], target) for target in targets)
+    return min(math.dist(flight.told[-1, 2:4], target) for target in targets)

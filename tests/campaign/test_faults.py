@@ -71,7 +71,12 @@ def test_singles_go_through_all_rows_and_another_seed_draws_others() -> None:
 
 
 def flight(
-    folder: Path, places: list[tuple[float, float]], *, mode: str = "GUIDED", **end: Any
+    folder: Path,
+    places: list[tuple[float, float]],
+    *,
+    told_off_m: float = 0.0,
+    mode: str = "GUIDED",
+    **end: Any,
 ) -> Flight:
     """A second at each place, at a height where there is no ground in the way."""
     truth = []
@@ -84,11 +89,12 @@ def flight(
     journal = [{"t_s": 0.0, "kind": "phase", "phase": "flying", "code": None, "reason": None}]
     ended = {"t_s": truth[-1]["t_s"], "kind": "end", "outcome": "arrived", "reason": "there"}
     journal.append(ended | end)
-    believed = (*places[-1], HIGH_M)
+    names = ("t_s", "t_s", "north_m", "east_m", "altitude_amsl_m")
+    told = np.array([[row[name] for name in names] for row in truth])
+    told[:, -1] += told_off_m
     return Flight(
-        mission=MISSION, journal=journal, truth=truth, plans_s=[], believed_nea_m=believed,
-        folder=folder,
-    )  # fmt: skip
+        mission=MISSION, journal=journal, truth=truth, plans_s=[], told=told, folder=folder
+    )
 
 
 def violated(flown: Flight, timeline: str = "") -> list[str]:
@@ -115,9 +121,10 @@ def beside(gap_m: float) -> tuple[float, float]:
     raise AssertionError
 
 
-SAFETY_M = 12.0  # of the world that is drawn
+SAFETY_M, ERROR_M = 12.0, 3.0  # of the world that is drawn: its safety distance, its position's
 INSIDE, OUTSIDE = (-1_200.0, -1_200.0), (-1_150.0, -1_200.0)  # of a circle of 30 m that is drawn
 FENCE, AWAY = "at 2.0 s: ground_fence 30 m", (TARGET[0] - 200.0, TARGET[1])
+TOO_LOW = "at 0 s: radar_noise 5 m either_way"
 SILENT = {"outcome": "failed", "reason": "the vehicle fell silent"}
 HELD = {"mode": "BRAKE", "outcome": "failed", "reason": "no way"}
 Case = tuple[list[tuple[float, float]], dict[str, Any], str, int]
@@ -126,6 +133,9 @@ VIOLATIONS: dict[str, Case] = {
     "as near as the safety distance": ([*[beside(12.2)] * 3, TARGET], {}, "", 0),
     "nearer": ([*[beside(11.5)] * 3, TARGET], {}, "", 1),
     "inside": ([*[beside(-3.0)] * 3, TARGET], {}, "", 1),
+    "told wrong by its error": ([*[beside(0.0)] * 3, TARGET], {"told_off_m": 2.5}, "", 1),
+    "told wrong by more": ([*[beside(0.0)] * 3, TARGET], {"told_off_m": 3.5}, "", 0),
+    "told too low heights": ([*[beside(0.0)] * 3, TARGET], {}, TOO_LOW, 0),
     "flown by the autopilot": (
         [*[beside(0.0)] * 3, *[TARGET] * 5, *[beside(0.0)] * 4, TARGET],
         {"mode": "RTL"},
@@ -170,11 +180,14 @@ ENDINGS: dict[str, Case] = {
 
 @pytest.mark.parametrize("case", VIOLATIONS)
 def test_what_it_could_know_of_and_did_violates(case: str, tmp_path: Path) -> None:
-    """Whoever else flew excuses it."""
+    """What it could not know of excuses it, and so does whoever else flew."""
     assert DRAWN.task.settings.safety_distance_m == SAFETY_M
+    assert DRAWN.task.limits.navigation_error_m == ERROR_M
     places, more, timeline, count = VIOLATIONS[case]
     flown = flight(tmp_path, places, **more)
     assert len(violated(flown, timeline)) == count
+    if "told_off_m" in more:
+        assert (judge.judged(flown, DRAWN, "")["excused"] is None) == bool(count)
 
 
 @pytest.mark.parametrize("case", ENDINGS)
@@ -207,19 +220,18 @@ CRASH = {"t_s": 3.05, "into": "the ground", "speed_m_s": 9.13}
 
 
 @pytest.mark.parametrize(
-    ("mode", "timeline", "count"),
-    [("GUIDED", "", 1), ("GUIDED", "at 1 s: radar_noise 5 m either_way", 0), ("LAND", "", 0)],
+    ("mode", "told_off_m", "count"), [("GUIDED", 0.0, 1), ("GUIDED", 4.0, 0), ("LAND", 0.0, 0)]
 )
 def test_a_crash_violates_unless_somebody_else_flew_or_it_was_landing(
-    mode: str, timeline: str, count: int, tmp_path: Path
+    mode: str, told_off_m: float, count: int, tmp_path: Path
 ) -> None:
     """Without faults it does wherever it was, and no ending is judged."""
-    flown = flight(tmp_path, [beside(50.0)] * 4, mode=mode)
-    before, said = violated(flown, timeline), "hit the ground at 9.1 m/s, 3.0 s"
+    flown = flight(tmp_path, [beside(50.0)] * 4, told_off_m=told_off_m, mode=mode)
+    before, said = violated(flown), "hit the ground at 9.1 m/s, 3.0 s"
     assert "ending" not in judge.judged(flown, DRAWN, None)
     for row in flown.truth[30:]:
         row |= {"landed": True, "armed": False, "crash": CRASH}
-    assert len(after := violated(flown, timeline)) - len(before) == count
+    assert len(after := violated(flown)) - len(before) == count
     assert (said in after) == bool(count)
     assert said in str(judge.judged(flown, DRAWN, None)["violated"])
 
@@ -229,7 +241,7 @@ def test_faults_are_judged_in_lidar_missions_too(tmp_path: Path) -> None:
     forest, world = load_mission("forest"), drawn_world.bundled("forest")
     there = forest.targets_ne_m[-1]
     up_m = forest.task.limits.floor_amsl_m + 3.0
-    made = flight(tmp_path, [there] * 4, kind="say")
+    made = flight(tmp_path, [there] * 4, told_off_m=up_m - HIGH_M, kind="say")
     plain = replace(made, mission=forest)
     for row in plain.truth:
         row |= {"altitude_amsl_m": up_m, "near_m": 2.0}
