@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 
-from companion.errors import InputError
 from companion.paper.plan import plan_as_published
 from companion.planner import plan as flight
 from companion.planner.request import PlanOutcome, PlanRequest
@@ -27,7 +26,4 @@ def planner_of(name: str, field: str = "planner") -> Planner:
         return plan
     from companion.paper.rivals import PLANNERS, leg_by_leg  # slow to import, and seldom needed
 
-    if name not in PLANNERS:
-        known = ", ".join([OURS, *PLANNERS])
-        raise InputError(field, name, "there is no such planner", f"One of: {known}.")
-    return leg_by_leg(PLANNERS[name])
+    return leg_by_leg(PLANNERS.chosen(name, field))

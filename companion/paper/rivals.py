@@ -6,14 +6,17 @@ free for it; what it flies of its route ends with what was seen, or at the end o
 
 A* over a grid, and over a roadmap of Voronoi edges between obstacles; an ant colony (a max-min ant
 system) on a grid, whose ants walk from node to node, drawn by pheromone and, as what an ant may
-know, by the cost of a step and how much nearer it brings the target.
+know, by the cost of a step and how much nearer it brings the target; RRT* of OMPL.
 """
 
+import inspect
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +25,9 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import Voronoi
 
+from companion import extras
+from companion.entry_points import Parts
+from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.paper.plan import reported
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
@@ -36,7 +42,9 @@ _CONTROL = 121  # points of a subpath: R / 120 apart, less than a cell
 _SPARE = 0.5  # of a cell, kept beside the clearance: the curve lies between points of the lattice
 _AHEAD = 2.0  # of R: how far ahead a route is pulled straight; beyond, it will be planned again
 _HIGH_M = 1e6  # above every ceiling
+_AT_M = 0.01  # an end of a route is there
 _SHORTEST = 4  # points of half a spacing: what is shorter is no way on
+_LINES = 7  # lines for each evaluation of ours: 20,000 for 3,000, about a second by RRT*
 
 
 @final
@@ -51,6 +59,7 @@ class RouteProblem:
     rate: FloatArray
     """(rows, columns): what a metre costs at the lowest safe altitude, in metres of level flight at
     the floor, so never below 1; infinite: no one may be there."""
+    lines: int  # how many lines may be costed; a planner that does not sample needs no limit
     ahead_m: float  # flown before the next question: further on, details do not count
 
     def place_m(self, index: IntArray) -> FloatArray:
@@ -90,7 +99,8 @@ class RouteProblem:
 
 
 RoutePlanner = Callable[[RouteProblem, np.random.Generator], FloatArray | None]
-"""Answers with points (N, 2) from the start to the target; None: there is no route."""
+"""Answers with points (N, 2) from the start to the target; None: there is no route.  Also what an
+entry point `companion.planners` names."""
 
 
 # --- a route, asked for and flown
@@ -101,9 +111,10 @@ def leg_by_leg(route_planner: RoutePlanner) -> Callable[[PlanRequest], Planned |
 
     def plan(request: PlanRequest) -> Planned | NotPlanned:
         problem = problem_of(request)
-        route = route_planner(problem, request.rng(0))
-        if route is not None:
-            control, arrives = _flown(problem.straight(route), problem, request)
+        answer = route_planner(problem, request.rng(0))
+        if answer is not None:
+            route = problem.straight(_checked(answer, problem))
+            control, arrives = _flown(route, problem, request)
             if len(control):
                 return reported(request, control, reaches_target=arrives)
         return NotPlanned(plan_id=request.plan_id, refusal=Refusal.NOTHING_SAFE)
@@ -125,7 +136,7 @@ def problem_of(request: PlanRequest) -> RouteProblem:
     axes = []
     for first, size, (low, high) in zip(surface[:2], surface.vertex_m.shape, sides, strict=True):
         axis = first + surface.cell_m * np.arange(size)
-        axes.append(axis[(axis >= low - 0.01) & (axis <= high + 0.01)])
+        axes.append(axis[(axis >= low - _AT_M) & (axis <= high + _AT_M)])
     north, east = np.meshgrid(*axes, indexing="ij")
     need_m = surface.altitude_m(north, east)
     floor, ceiling = task.band_amsl_m
@@ -145,6 +156,7 @@ def problem_of(request: PlanRequest) -> RouteProblem:
         corner_ne_m=np.array([axis[0] for axis in axes]),
         spacing_m=surface.cell_m,
         rate=rate,
+        lines=_LINES * task.settings.evaluations,
         ahead_m=_AHEAD * task.settings.scan_range_m,
     )
     rate[tuple(problem.index(problem.start_ne_m))] = 1.0 + high  # it is there
@@ -153,6 +165,21 @@ def problem_of(request: PlanRequest) -> RouteProblem:
 
 def _clear_m(request: PlanRequest) -> float:
     return request.task.required_clearance_m + _SPARE * request.known.cell_m
+
+
+def _checked(answer: FloatArray, problem: RouteProblem) -> FloatArray:
+    """The answer, (N, 2); InputError if it is no route from the start to the target."""
+    ends = problem.start_ne_m, problem.target_ne_m
+    try:
+        route = np.asarray(answer, dtype=np.float64)
+    except (TypeError, ValueError):  # no numbers
+        route = np.empty(0)
+    is_line = route.shape[1:] == (2,) and len(route) > 1 and np.isfinite(route).all()
+    if not is_line or not np.allclose(route[[0, -1]], ends, rtol=0.0, atol=_AT_M):
+        rule = "a route is (N, 2), finite, from the start to the target"
+        answered = f"an answer of shape {route.shape}"
+        raise InputError("planner", answered, rule, "Correct the planner.")
+    return route
 
 
 def _flown(
@@ -346,5 +373,91 @@ def _walks(graph: csr_array, total: FloatArray, rng: np.random.Generator) -> lis
     return [walk[walk >= 0] for walk in came]
 
 
-PLANNERS: dict[str, RoutePlanner] = {"a-star": a_star, "voronoi": voronoi, "ants": ants}
-"""Every planner of whole routes by its name."""
+# --- RRT* of OMPL
+
+
+def rrt_star(problem: RouteProblem, rng: np.random.Generator) -> FloatArray | None:
+    """The best route of OMPL's RRT*, with its own defaults, in the plane and by our objective.
+
+    It stops when so many lines have been costed, or asked for without being costed.  OMPL's own
+    generator is seeded before each plan, so a plan is a function of problem and seed.
+    """
+    extras.need("compare", "planner", "rrt-star")
+    from ompl import base, geometric, util  # an extra, and slow to import
+
+    corner, asked = problem.corner_ne_m, itertools.count(1)
+
+    @cache
+    def known(*ends: float) -> float:
+        return problem.line_cost(corner + ends[:2], corner + ends[2:])
+
+    def cost(a: Any, b: Any) -> float:
+        return known(a[0], a[1], b[0], b[1])
+
+    def is_free(state: Any) -> bool:
+        row, column = problem.index(corner + np.array([state[0], state[1]]))
+        return bool(np.isfinite(problem.rate[row, column]))
+
+    def is_spent() -> bool:
+        return max(known.cache_info().currsize, next(asked)) >= problem.lines
+
+    class Validator(base.MotionValidator):  # type: ignore[misc]
+        def checkMotion(self, a: Any, b: Any, _last: Any = None) -> bool:
+            return cost(a, b) < np.inf
+
+    class Objective(base.OptimizationObjective):  # type: ignore[misc]
+        def stateCost(self, _state: Any) -> Any:
+            return base.Cost(1.0)
+
+        def motionCost(self, a: Any, b: Any) -> Any:
+            return base.Cost(cost(a, b))
+
+        def motionCostHeuristic(self, a: Any, b: Any) -> Any:
+            return base.Cost(math.hypot(a[0] - b[0], a[1] - b[1]))
+
+    util.noOutputHandler()
+    util.RNG.setSeed(int(rng.integers(1, 2**31)))
+    space, bounds = base.RealVectorStateSpace(2), base.RealVectorBounds(2)
+    bounds.setLow(0.0)
+    for axis, size in enumerate(problem.rate.shape):
+        bounds.setHigh(axis, (size - 1) * problem.spacing_m)
+    space.setBounds(bounds)
+    ends = [space.allocState(), space.allocState()]
+    for state, place in zip(ends, (problem.start_ne_m, problem.target_ne_m), strict=True):
+        state[0], state[1] = (place - corner).tolist()
+    setup = geometric.SimpleSetup(space)
+    information = setup.getSpaceInformation()
+    validator, objective = Validator(information), Objective(information)  # OMPL does not keep them
+    information.setMotionValidator(validator)
+    setup.setStateValidityChecker(is_free)
+    setup.setOptimizationObjective(objective)
+    setup.setStartAndGoalStates(*ends)
+    setup.setPlanner(geometric.RRTstar(information))
+    setup.solve(base.PlannerTerminationCondition(is_spent))
+    if not setup.haveExactSolutionPath():
+        return None
+    states = setup.getSolutionPath().getStates()
+    route = corner + np.array([[state[0], state[1]] for state in states])
+    route[0], route[-1] = problem.start_ne_m, problem.target_ne_m
+    return route
+
+
+# --- all of them
+
+
+def _wrong_with(planner: RoutePlanner) -> str | None:
+    """Why it cannot be asked; None: it can."""
+    try:
+        inspect.signature(planner).bind(None, None)
+    except TypeError as error:
+        return f"it does not take a problem and a random generator: {error}"
+    return None
+
+
+PLANNERS = Parts[RoutePlanner](
+    "companion.planners",
+    {"a-star": a_star, "voronoi": voronoi, "ants": ants, "rrt-star": rrt_star},
+    what="planner",
+    check=_wrong_with,
+)
+"""Every planner of whole routes by its name; other distributions add theirs."""

@@ -1,4 +1,4 @@
-"""A stranger's distribution brings an optimiser, and we fly with it."""
+"""A stranger's distribution brings an optimiser and a planner, and we fly with both."""
 
 import importlib
 import importlib.resources
@@ -10,9 +10,12 @@ from pathlib import Path
 import pytest
 
 from companion import entry_points, library
+from companion.campaign import families
+from companion.campaign.run import fly_alone
 from companion.config import load_mission
 from companion.errors import InputError
 from companion.optimise.registry import OPTIMISERS
+from companion.paper.rivals import PLANNERS
 
 CODE = '''
 import numpy as np
@@ -41,6 +44,14 @@ class Scatter:
 class Flat(Scatter):
     def ask(self):
         return self.rng.random(7)
+
+
+def straight(problem, rng):
+    return np.array([problem.start_ne_m, problem.target_ne_m])
+
+
+def of_nothing():
+    return None
 '''
 PROJECT = """
 [build-system]
@@ -54,6 +65,9 @@ scatter = "strangers_search:Scatter"
 flat = "strangers_search:Flat"
 gone = "strangers_search:Gone"
 pso = "strangers_search:Flat"
+[project.entry-points."companion.planners"]
+straight = "strangers_search:straight"
+of-nothing = "strangers_search:of_nothing"
 [tool.hatch.build.targets.wheel]
 packages = ["strangers_search"]
 """
@@ -72,14 +86,15 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         check=True,
         capture_output=True,
     )
-    known = set(OPTIMISERS)
+    known = set(OPTIMISERS), set(PLANNERS)
     with pytest.MonkeyPatch.context() as patched:
         patched.syspath_prepend(str(target))
         importlib.invalidate_caches()
         entry_points._found.cache_clear()
         yield
-        for name in set(OPTIMISERS._parts) - known:
-            del OPTIMISERS[name]
+        for registry, before in zip((OPTIMISERS, PLANNERS), known, strict=True):
+            for name in set(registry._parts) - before:
+                del registry[name]
     entry_points._found.cache_clear()
 
 
@@ -94,6 +109,7 @@ def mission_with(folder: Path, optimiser: str) -> str:
 def test_its_names_stand_beside_ours_and_ours_win() -> None:
     assert {"scatter", "flat", "gone", "refined-de"} <= set(OPTIMISERS)
     assert "scatter" in library.OPTIMISERS
+    assert {"straight", "a-star"} <= set(PLANNERS)
     assert OPTIMISERS["pso"].__module__ == "companion.paper.optimisers"
 
 
@@ -131,3 +147,11 @@ def test_a_broken_optimiser_is_one_line_with_its_distribution(
 def test_an_unknown_optimiser_is_told_the_strangers_names_too(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"'ga' or 'scatter'|'scatter'"):
         load_mission(mission_with(tmp_path, "magic"))
+
+
+def test_its_planner_flies_and_a_wrong_one_is_refused() -> None:
+    world = families.world("copter", 5, 1)
+    found = fly_alone(world, "straight", knowledge="full")
+    assert len(found.points_nea_m) > 1  # the straight line is barred in every drawn world
+    with pytest.raises(InputError, match=r"a-strangers-search.*does not take a problem"):
+        PLANNERS["of-nothing"]

@@ -43,6 +43,8 @@ def run(cost: float, aside_m: float = 0.0, **changes: Any) -> Run:
         "cost": cost,
         "legs": 8,
         "length_m": 150_000.0,
+        "j": 30.0,
+        "plan_s": 1.0,
         "route_nea_m": np.stack([1e5 * at + bend, 1e5 * at - bend, 3_500.0 + 0.0 * at], axis=-1),
         "scans_nea_m": ((0.0, 0.0, 3_500.0),),
         "violations": CLEAN,
@@ -231,6 +233,21 @@ def test_each_panel_shows_the_route_of_median_cost_and_says_where_most_runs_go(
         assert any(line.shape == shown.shape and np.allclose(line, shown) for line in lines)
 
 
+def test_routes_flies_whoever_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("companion.paper.compare.comparisons.ENVIRONMENTS", ("environment-1",))
+    words = ["routes", "--jobs", "1", "--planner", "paper", "--planner", "a-star"]
+    shown = called(*words, "--json", str(tmp_path / "routes.json"))
+    results = json.loads((tmp_path / "routes.json").read_text())["results"]
+    assert [each["label"] for each in results] == ["paper", "a-star"]
+    for each in results:
+        assert each["arrived"] == [True]
+        assert f"{each['j'][0]:.2f}" in shown
+    with pytest.raises(InputError, match=r"--planner = 'magic': there is no such planner"):
+        called("routes", "--planner", "magic")
+    with pytest.raises(InputError, match=r"--planner = 'a-star': it has no effect on figure-3"):
+        called("figure-3", "--planner", "a-star")
+
+
 def test_without_dask_one_process_flies_and_more_name_the_extra(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -253,6 +270,6 @@ def test_a_file_that_cannot_be_written_is_refused_before_anything_is_flown(tmp_p
                 called(command, option, str(path))
     with pytest.raises(InputError, match=r"--figure = 'x.jpg': .* \.png, \.svg or \.pdf"):
         called("figure-3", "--figure", "x.jpg")
-    with pytest.raises(InputError, match=r"--figure = 'x.png': table-1 has no picture"):
+    with pytest.raises(InputError, match=r"--figure = 'x.png': it has no effect on table-1"):
         called("table-1", "--figure", "x.png")
     assert list(tmp_path.iterdir()) == []

@@ -5,6 +5,7 @@ import itertools
 import math
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +14,11 @@ from planning import ask, column_distance_m
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import shortest_path
 
+from companion import extras
 from companion.campaign import drawn_world, families, truth
 from companion.campaign.file import Knowledge
 from companion.campaign.run import fly_alone
+from companion.errors import InputError
 from companion.paper import rivals
 from companion.paper.rivals import PLANNERS, RouteProblem
 from companion.planner.request import NotPlanned, PlanRequest
@@ -38,6 +41,7 @@ def problem_in(rate: FloatArray) -> RouteProblem:
         rate=rate,
         start_ne_m=corner + np.array([103.0, 98.0]),
         target_ne_m=corner + np.array([1_480.0, 1_512.0]),
+        lines=5_000,
         ahead_m=math.inf,
     )
 
@@ -115,6 +119,18 @@ def test_steps_of_a_grid_cost_its_rate_along_them_and_the_cheapest_way_the_least
     assert paid == pytest.approx(least)
     line = csr_array(([1.0, 1.0], ([0, 1], [1, 2])), shape=(4, 4))
     assert [rivals.cheapest(line, 0, end) for end in (2, 3)] == [[0, 1, 2], []]
+
+
+def test_rrt_star_costs_as_many_lines_as_it_may(monkeypatch: pytest.MonkeyPatch) -> None:
+    costed, line_cost = list[float](), RouteProblem.line_cost
+
+    def counted(*line: Any) -> float:
+        costed.append(line_cost(*line))
+        return costed[-1]
+
+    monkeypatch.setattr(RouteProblem, "line_cost", counted)
+    PLANNERS["rrt-star"](problem_in(with_discs(0)), np.random.default_rng(1))
+    assert 5_000 <= len(costed) < 5_200
 
 
 # --- flown
@@ -209,3 +225,19 @@ def test_a_leg_keeps_its_clearance_over_rough_ground_and_from_zones(seed: int) -
     assert zone.distance_m(points[:, 0], points[:, 1]).min() >= need
     assert column_distance_m(known, points[100:], 2.0 * need).min() >= need
     assert math.dist(points[-1, :2], start) > 0.8 * task.settings.scan_range_m
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [np.zeros((3, 3)), np.full((4, 2), np.nan), np.zeros((4, 2)), np.zeros((1, 2)), "no way"],
+)
+def test_an_answer_that_is_no_route_is_refused(answer: Any) -> None:
+    plan = rivals.leg_by_leg(lambda _problem, _rng: answer)
+    with pytest.raises(InputError, match="a route is"):
+        plan(asked())
+
+
+def test_without_ompl_its_planner_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(extras, "find_spec", lambda _name: None)
+    with pytest.raises(InputError, match=r"rrt-star.*ompl.*companion\[compare\]"):
+        PLANNERS["rrt-star"](problem_in(np.ones((SIZE, SIZE))), np.random.default_rng(1))

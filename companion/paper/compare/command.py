@@ -1,4 +1,4 @@
-"""`companion compare`: the paper's table and figures, computed again."""
+"""`companion compare`: the paper's table and figures again, and rivals for whole routes."""
 
 import json
 from functools import partial
@@ -16,21 +16,23 @@ from companion.sources.files import picture_file, writable, writing
 from companion.views.output import plain_console
 
 Option = typer.Option
-What = Literal["table-1", "figure-3", "figure-4"]
+What = Literal["table-1", "figure-3", "figure-4", "routes"]
 _WHAT = (
     "*table-1*: improved DE, classical DE, PSO and GA on two environments, two budgets. "
     "*figure-3*: climb over a ridge or go round it, by the weights of height and guide. "
-    "*figure-4*: fly between two overlapping radars or round both, by d_overlap."
+    "*figure-4*: fly between two overlapping radars or round both, by d_overlap. "
+    "*routes*: the planners that the paper's introduction names, beside ours, in both environments."
 )
+_RUNS = "Missions for each setting, each with a seed; by default 20, of routes 1."
 _JOBS = "Processes to fly them in; by default one per processor, one without the extra campaign."
 _FIGURE = "Picture to write, of a figure: .png, .svg or .pdf; by default FIGURE.png."
+_PER_SECOND = f"Evaluations that stand for a second of T, but of routes; by default {PER_SECOND}."
+_PLANNERS = "Of routes only these; by default ours and all that are installed.  May be repeated."
 
 
 def compare_command(
     what: Annotated[What, typer.Argument(help=_WHAT)],
-    runs: Annotated[
-        int, Option(min=1, max=1000, help="Missions for each setting, each with a seed.")
-    ] = 20,
+    runs: Annotated[int | None, Option(min=1, max=1000, help=_RUNS)] = None,
     jobs: Annotated[int | None, Option(min=1, help=_JOBS)] = None,
     seed: Annotated[
         int, Option(min=0, help="Seed of the first mission; the others count on from it.")
@@ -41,23 +43,32 @@ def compare_command(
     figure: Annotated[
         Path | None, Option("--figure", "--out", metavar="FILE", help=_FIGURE)
     ] = None,
-    per_second: Annotated[
-        int, Option(min=1, help="Evaluations that stand for a second of T.")
-    ] = PER_SECOND,
+    per_second: Annotated[int | None, Option(min=1, help=_PER_SECOND)] = None,
+    planners: Annotated[list[str] | None, Option("--planner", help=_PLANNERS)] = None,
 ) -> None:
-    """Compute the paper's Table 1, Fig. 3 or Fig. 4 again.
+    """Compute the paper's Table 1, Fig. 3 or Fig. 4 again; fly the planners that it names.
 
     A file that cannot be written is refused before anything is flown.
     """
     from companion.paper.compare import comparisons  # slow to import
     from companion.paper.compare.missions import fly_all
 
-    picture = None if what == "table-1" else picture_file("--figure", figure or Path(f"{what}.png"))
-    if figure is not None and picture is None:
-        raise InputError("--figure", str(figure), "table-1 has no picture", "Leave it out.")
+    is_figure, is_routes = what.startswith("figure"), what == "routes"
+    for option, value, fits in (
+        ("--figure", figure and str(figure), is_figure),
+        ("--per-second", per_second, not is_routes),
+        ("--planner", planners and planners[0], is_routes),
+    ):
+        if value and not fits:
+            raise InputError(option, value, f"it has no effect on {what}", "Leave it out.")
+    picture = picture_file("--figure", figure or Path(f"{what}.png")) if is_figure else None
     json_file = json_file and writable("--json", json_file)
     jobs = jobs or (1 if extras.missing("campaign") else processors())
-    comparison = getattr(comparisons, what.replace("-", "_"))(per_second)
+    if is_routes:
+        comparison = comparisons.routes(planners or ())
+    else:
+        comparison = getattr(comparisons, what.replace("-", "_"))(per_second or PER_SECOND)
+    runs = runs or (1 if is_routes else 20)
     console, bar = plain_console(), plain_console(stderr=True)
     total = runs * len(comparison.cases)
     shown = partial(track, description="flying", total=total, console=bar, transient=True)

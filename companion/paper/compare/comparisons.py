@@ -1,4 +1,4 @@
-"""What is compared: Table 1, Fig. 3 and Fig. 4 (4.1, 4.2)."""
+"""What is compared: Table 1, Fig. 3 and Fig. 4 (4.1, 4.2), and planners of whole routes."""
 
 import itertools
 import math
@@ -11,7 +11,8 @@ from typing import Any, final
 from rich import box
 from rich.table import Table
 
-from companion.campaign.drawn_world import DrawnWorld
+from companion import extras
+from companion.campaign.drawn_world import DrawnWorld, bundled
 from companion.paper.compare import PER_SECOND
 from companion.paper.compare.missions import (
     KINDS,
@@ -21,7 +22,9 @@ from companion.paper.compare.missions import (
     as_published,
     with_settings,
 )
-from companion.profiles import Weights
+from companion.paper.rivals import PLANNERS
+from companion.planning import OURS, planner_of
+from companion.profiles import PAPER, Weights
 from companion.world.radars import Radar
 from companion.world.terrain import Peak, PeakTerrain
 
@@ -262,4 +265,44 @@ def _ways(outcome: Outcome) -> dict[str, str]:
         "length": f"{shown.length_m / 1000:.1f} km",
         "highest": f"{shown.route_nea_m[:, 2].max() / 1000:.2f} km",
         "seen": f"{shown.violations['radar'] / 1000:.1f} km",
+    }
+
+
+# --- planners of whole routes, ours and the paper's
+
+ENVIRONMENTS = ("environment-1", "environment-2")
+_ROUTES = (
+    "J: length, height and radar of eq. 5 along what was flown; below d_s: metres nearer to the "
+    "ground than d_s. All scan as they go; the rivals turn on the spot and climb without limit."
+)
+
+
+def routes(names: Sequence[str] = ()) -> Comparison:
+    """Environment by environment, planner by planner; L as a flight needs it, for all alike.
+
+    names: of planners; none: ours, the paper's, and all rivals that are installed.
+    """
+    absent = {"rrt-star"} if extras.missing("compare") else set()
+    installed = [OURS, PAPER.name, *(name for name in PLANNERS if name not in absent)]
+    cases = []
+    for environment in ENVIRONMENTS:
+        for name in dict.fromkeys(names or installed):
+            planner, world = name, bundled(environment)
+            if name == PAPER.name:
+                planner, world = OURS, with_settings(world, profile=PAPER)
+            planner_of(planner, "--planner")  # or says why not
+            cases.append(Case(heading=environment, label=name, world=world, planner=planner))
+    title = "Planners of whole routes, and planners of subpaths"
+    return Comparison(cases=cases, tables={title: _means}, remarks=lambda _: [_ROUTES])
+
+
+def _means(outcome: Outcome) -> dict[str, str]:
+    """Over the runs that arrived."""
+    return {
+        "J": f"{outcome.mean('j'):.2f}",
+        "length": f"{outcome.mean('length_m') / 1000:.1f} km",
+        "below d_s": f"{outcome.violations['clearance']['mean_m']:,.0f}",
+        "legs": f"{outcome.mean('legs'):.0f}",
+        "arrived": outcome.arrivals,
+        "processor": f"{outcome.mean('plan_s'):.1f} s",
     }

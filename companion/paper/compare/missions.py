@@ -19,6 +19,8 @@ from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.execute import worked
 from companion.campaign.run import fly_alone
 from companion.geodesy import FloatArray
+from companion.library import route_terms
+from companion.planning import OURS
 from companion.profiles import PAPER
 
 _ROUTE_SPACING_M, _DENSE_M = 100.0, 10.0
@@ -40,11 +42,12 @@ Line = tuple[str, Point, Point]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """A mission to fly; tables call it by its label under its heading."""
+    """A mission to fly, and who plans it; tables call it by its label under its heading."""
 
     heading: str
     label: str
     world: DrawnWorld
+    planner: str = OURS  # ours plans by the task's profile, others as `planning.planner_of` says
     papers_cost: tuple[float, ...] = ()  # mean and standard deviation (Table 1)
     papers_way: str = ""  # which way the paper's route goes (Fig. 3, Fig. 4)
     line: Line | None = None
@@ -75,6 +78,8 @@ class Run:
     cost: float  # sum of the subpaths' f: the "fitness from start to target" (row 24)
     legs: int
     length_m: float
+    j: float  # length, height and radar of eq. 5 along what was flown (`library.route_terms`)
+    plan_s: float  # processor time of all plans
     route_nea_m: FloatArray  # (S, 3); the path as flown, every 100 m
     scans_nea_m: tuple[tuple[float, float, float], ...]
     violations: dict[str, float]  # metres of each kind
@@ -82,14 +87,17 @@ class Run:
 
 def fly(case: Case, seed: int) -> Run:
     """Fly a case: simulated scans and perfect tracking."""
-    flight = fly_alone(case.world, seed=seed).whole
+    alone = fly_alone(case.world, case.planner, seed=seed)
+    flight, route = alone.whole, alone.whole.route_nea_m(_ROUTE_SPACING_M)
     curves = (leg.subpath.control_nea_m for leg in flight.legs)
     return Run(
         arrived=flight.failure is None,
         cost=sum(planned.cost for planned in flight.plans),
         legs=len(flight.legs),
         length_m=sum(flight.flown_m),
-        route_nea_m=flight.route_nea_m(_ROUTE_SPACING_M),
+        j=sum(route_terms(route, case.world.task).values()),
+        plan_s=sum(alone.plan_s),
+        route_nea_m=route,
         scans_nea_m=tuple(flight.scans_nea_m),
         violations=violations(zip(curves, flight.flown_m, strict=True), case.world),
     )
@@ -194,6 +202,7 @@ class Outcome:
             "costs": [run.cost if run.arrived else None for run in self.runs],
             "lengths_m": [run.length_m for run in self.runs],
             "highest_amsl_m": [float(run.route_nea_m[:, 2].max()) for run in self.runs],
+            "j": [run.j for run in self.runs],
             "violations": self.violations,
             **paper,
         }
