@@ -33,7 +33,7 @@ from companion.mavlink.preflight import CheckStatus, checks_of, not_heard
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
 from companion.mission.mission import Mission
-from companion.paper.compare.command import compare_app
+from companion.paper.compare.command import compare_command
 from companion.path.certificate import bounds_text
 from companion.planner.offline import fly_offline
 from companion.planning import plan
@@ -80,7 +80,7 @@ app = typer.Typer(
 )
 
 app.add_typer(campaign_app, name="campaign")
-app.add_typer(compare_app, name="compare")
+app.command("compare", no_args_is_help=True)(compare_command)
 app.command("replay")(replay_command)
 app.command("export")(export)
 app.command("view")(view_command)

@@ -190,14 +190,14 @@ def _terrain(
 
 def route_terms(points_nea_m: FloatArray, task: Task) -> dict[str, float]:
     """Eq. 5 to 7 and 10 as integrals along a path, scaled as of subpaths (planner-numbers A)."""
-    weights, unit = task.settings.weights, 100.0 / task.settings.scan_range_m
+    length, height, radar = task.settings.weights.per_metre(task.settings.scan_range_m)
     middle = 0.5 * (points_nea_m[1:] + points_nea_m[:-1])
     step = np.linalg.norm(np.diff(points_nea_m, axis=0), axis=-1)
     floor, ceiling = task.band_amsl_m
     seen = (detection_probability(each.distance_m(middle), each.range_m) for each in task.radars)
     high = step @ (middle[:, 2] - floor)
     return {
-        "length": float(weights.length * unit / 2.4 * step.sum()),
-        "height": float(weights.height * unit * high / (ceiling - floor)),
-        "radar": float(weights.radar * 3.0 * unit * (step @ sum(seen, np.zeros(len(middle))))),
+        "length": float(length * step.sum()),
+        "height": float(height * high / (ceiling - floor)),
+        "radar": float(radar * (step @ sum(seen, np.zeros(len(middle))))),
     }

@@ -24,6 +24,14 @@ class Weights:
     constraints: NotNegative = 1.0
     """f6: curvature, steepness, zones and bounds of the map that it breaks."""
 
+    def per_metre(self, scan_range_m: float) -> tuple[float, float, float]:
+        """What a metre of a route adds to J (planner-numbers A).
+
+        By its length; by its height, at the ceiling; and to radars, where one surely sees it.
+        """
+        unit = 100.0 / scan_range_m
+        return self.length * unit / 2.4, self.height * unit, 3.0 * self.radar * unit
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,14 +4,13 @@ import contextlib
 import hashlib
 import time
 from collections import Counter
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from typer.core import TyperGroup
 
 from companion.campaign import bundled_campaigns
 from companion.campaign.store import Row, Store
@@ -28,64 +27,40 @@ _WRITE_S = 2.0
 """Rows are written when so much time has passed, or so many are there."""
 _WRITE_ROWS = 500
 
-
-class _RunIsDefault(TyperGroup):
-    """`companion campaign FILE` is `companion campaign run FILE`."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        if args and args[0] not in self.commands and not args[0].startswith("-"):
-            args = ["run", *args]
-        return super().parse_args(ctx, args)
-
-
 campaign_app = typer.Typer(
-    cls=_RunIsDefault,
     no_args_is_help=True,
     rich_markup_mode="markdown",
     help="Thousands of missions from one file, on all cores or on a cluster.",
 )
+Option = typer.Option
+_BUNDLED = f"A campaign file, or a bundled name: {', '.join(bundled_campaigns())}."
+_OUT = "Folder to write; by default campaigns/NAME.  What is there is gone on with."
+_JOBS = "Runs at a time; by default as many as cores."
+_SCHEDULER = "A Dask scheduler, tcp://host:8786, to fly on its workers."
+_BY = (
+    "Group by this factor; may be repeated, for groups by several together. By default by each "
+    "that varies."
+)
+_CSV = "Write all figures to FILE; the rows are in the folder, as Parquet."
 
 
 @campaign_app.command("run")
 def run_command(
-    campaign: Annotated[
-        str,
-        typer.Argument(
-            metavar="CAMPAIGN",
-            help=f"A campaign file, or a bundled name: {', '.join(bundled_campaigns())}.",
-        ),
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder to write; by default campaigns/NAME.  What is there is gone on with."
-        ),
-    ] = None,
-    jobs: Annotated[
-        int | None, typer.Option(min=1, help="Runs at a time; by default as many as cores.")
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS", help="A Dask scheduler, tcp://host:8786, to fly on its workers."
-        ),
-    ] = None,
-    over: Annotated[
-        str | None,
-        typer.Option(help="*process* or *planner*, in place of the file's."),
-    ] = None,
+    campaign: Annotated[str, typer.Argument(metavar="CAMPAIGN", help=_BUNDLED)],
+    out: Annotated[Path | None, Option(help=_OUT)] = None,
+    jobs: Annotated[int | None, Option(min=1, help=_JOBS)] = None,
+    scheduler: Annotated[str | None, Option(metavar="ADDRESS", help=_SCHEDULER)] = None,
     keep: Annotated[
-        str | None, typer.Option(help="Run folders to keep: *all*, *failures* or *none*.")
+        str | None, Option(help="Run folders to keep: *all*, *failures* or *none*.")
     ] = None,
     seeds: Annotated[
-        int | None, typer.Option(min=1, help="Runs of each combination, in place of the file's.")
+        int | None, Option(min=1, help="Runs of each combination, in place of the file's.")
     ] = None,
     most: Annotated[
-        int | None, typer.Option(min=1, help="At most so many of the runs, evenly chosen.")
+        int | None, Option(min=1, help="At most so many of the runs, evenly chosen.")
     ] = None,
     only: Annotated[
-        list[int] | None,
-        typer.Option(min=0, help="This run alone, by its number.  May be repeated."),
+        list[int] | None, Option(min=0, help="This run alone, by its number.  May be repeated.")
     ] = None,
 ) -> None:
     """Fly all runs of a campaign; rows are written to a Parquet data set as they come.
@@ -101,7 +76,7 @@ def run_command(
     if scheduler is not None and jobs is not None:
         rule = "how many runs are flown at a time, the workers of --scheduler say"
         raise InputError("--jobs", jobs, rule, "Leave out one of them.")
-    options = {"over": over, "keep": keep, "seeds": seeds}
+    options = {"keep": keep, "seeds": seeds}
     given = {key: value for key, value in options.items() if value is not None}
     table, text, folder = file.load_campaign(campaign, given)
     runs = _chosen(file.runs_of(table, folder), most, only)
@@ -110,15 +85,18 @@ def run_command(
     path = (out or Path("campaigns") / table.name).absolute()
     digest = hashlib.sha256("\n".join(map(repr, runs)).encode()).hexdigest()
     source = [campaign if campaign in bundled_campaigns() else str(Path(campaign).absolute())]
-    if seeds is not None:
-        source += ["--seeds", str(seeds)]
+    source += [] if seeds is None else ["--seeds", str(seeds)]
     with Store(path, text=text, digest=digest, count=len(runs), source=source) as store:
         todo = [each for each in runs if each.number not in store.done]
         if len(todo) < len(runs):
             console.print(f"{len(runs) - len(todo)} of {len(runs)} runs are there already")
-        rows = execute.fly(todo, path, scheduler=scheduler, jobs=jobs or processors())
+        rows, counts = execute.fly(todo, path, scheduler, jobs or processors()), Counter[str]()
+        written, bar = _in_batches(rows, store), _bar(table.name, len(runs), console)
         try:
-            counts = _collect(rows, store, table.name, len(runs), console)
+            with contextlib.closing(rows), contextlib.closing(written), bar:
+                for some in written:
+                    counts.update(map(_what, some))
+                    bar.update(bar.task_ids[0], completed=len(store.done), said=_said(counts))
         except KeyboardInterrupt:
             console.print(
                 f"stopped: {len(store.done)} of {len(runs)} runs are there. "
@@ -126,8 +104,7 @@ def run_command(
             )
             raise typer.Exit(_INTERRUPTED) from None
         except OSError as error:
-            where = error.filename or path
-            rule = f"{where} cannot be written to ({error.strerror or error})"
+            rule = f"{error.filename or path} cannot be written to ({error.strerror or error})"
             remedy = (
                 f"Make room: the same command goes on from {len(store.done)} of {len(runs)} runs."
             )
@@ -144,33 +121,32 @@ def _chosen(runs: list["Run"], most: int | None, only: list[int] | None) -> list
             rule = f"the campaign has runs 0 to {len(runs) - 1}"
             raise InputError("--only", beyond[0], rule, "Give one of them.")
         return [runs[number] for number in sorted(set(only))]
-    if most is None or most >= len(runs):
-        return runs
+    most = min(most or len(runs), len(runs))
     return [runs[k * len(runs) // most] for k in range(most)]
 
 
-def _collect(
-    rows: "Generator[Row]", store: Store, campaign: str, count: int, console: Console
-) -> Counter[str]:
-    """Write rows as they come, and show how far it is -> how many came to what."""
-    counts, waiting, written_s = Counter[str](), list[Row](), time.monotonic()
+def _bar(campaign: str, count: int, console: Console) -> Progress:
+    """How far a campaign is."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
                TimeRemainingColumn(), TextColumn("{task.fields[said]}"))  # fmt: skip
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task(campaign, total=count, completed=len(store.done), said="")
-        try:
-            with contextlib.closing(rows):
-                for row in rows:
-                    waiting.append(row)
-                    counts[_what(row)] += 1
-                    progress.update(task, advance=1, said=_said(counts))
-                    now_s = time.monotonic()
-                    if now_s - written_s >= _WRITE_S or len(waiting) >= _WRITE_ROWS:
-                        store.add(waiting)
-                        waiting, written_s = [], now_s
-        finally:
-            store.add(waiting)
-    return counts
+    bar = Progress(*columns, console=console, transient=True)
+    bar.add_task(campaign, total=count, said="")
+    return bar
+
+
+def _in_batches(rows: Iterator[Row], store: Store) -> Generator[list[Row]]:
+    """Rows as they come, once they are written; before something that goes wrong, too."""
+    waiting, written_s = list[Row](), time.monotonic()
+    try:
+        for row in rows:
+            waiting.append(row)
+            if time.monotonic() - written_s >= _WRITE_S or len(waiting) >= _WRITE_ROWS:
+                store.add(waiting)
+                yield waiting
+                waiting, written_s = [], time.monotonic()
+    finally:
+        store.add(waiting)
+    yield waiting
 
 
 def _what(row: Row) -> str:
@@ -190,25 +166,11 @@ def report_command(
     folder: Annotated[
         Path, typer.Argument(metavar="FOLDER", help="The folder of a campaign, ended or not.")
     ],
-    by: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="FACTOR",
-            help="Group by this factor; may be repeated, for groups by several together. "
-            "By default by each that varies.",
-        ),
-    ] = None,
+    by: Annotated[list[str] | None, Option(metavar="FACTOR", help=_BY)] = None,
     html: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Page to write; by default FOLDER/report.html."),
+        Path | None, Option(metavar="FILE", help="Page to write; by default FOLDER/report.html.")
     ] = None,
-    csv: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Write all figures to FILE, and all rows beside it, to NAME-rows.csv.",
-        ),
-    ] = None,
+    csv: Annotated[Path | None, Option(metavar="FILE", help=_CSV)] = None,
 ) -> None:
     """Say what a campaign came to: rates, costs, comparisons in pairs, the worst runs.
 
@@ -220,17 +182,11 @@ def report_command(
     console = plain_console(soft_wrap=True)
     with plain_console(stderr=True).status("reading the campaign"):
         report = campaign.report_of(campaign.read_campaign(folder), by or ())
-        files = {"--html": {html or folder / "report.html": campaign.report_html(report)}}
-        if csv is not None:
-            rows = csv.with_name(f"{csv.stem}-rows.csv")
-            files["--csv"] = {
-                csv: campaign.summary_csv(report),
-                rows: campaign.rows_csv(report.campaign.rows),
-            }
+        files = [("--html", html or folder / "report.html", campaign.report_html(report))]
+        files += [("--csv", csv, campaign.figures_csv(report))] if csv is not None else []
     for shown in campaign.terminal_tables(report):
         console.print(shown)
-    for option, texts in files.items():
-        for path, text in texts.items():
-            with writing(option, path):
-                path.write_text(text, encoding="utf-8")
-            console.out(f"written: {path}", highlight=False)
+    for option, path, text in files:
+        with writing(option, path):
+            path.write_text(text, encoding="utf-8")
+        console.out(f"written: {path}", highlight=False)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel
 from scipy.ndimage import distance_transform_edt, grey_dilation, label
 
@@ -24,17 +25,15 @@ from companion.mission.mission import AutopilotName, EndAction, Mission
 from companion.path.limits import Limits
 from companion.planner.settings import Task
 from companion.sources.files import toml_text
-from companion.sources.mission_schema import MissionVehicleTable, PlannerTable
+from companion.sources.mission_schema import MissionVehicleTable, PlannerTable, ZoneTable
+from companion.sources.schema import OriginTable
 from companion.world.radars import Radar
 from companion.world.terrain import ArrayTerrain, GridTerrain, PeakTerrain, Terrain
-from companion.world.zones import CircleZone, Zone
 
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
 """Where drawn worlds lie: with the environments."""
 _USUAL_SCAN_S = 3.3  # of a scan at 10 positions a second: each lets one request go out
 
-BAND_INSET = 1.1
-"""How far inside the band plans keep, in tracking and navigation errors (`Task.band_amsl_m`)."""
 _CELLS_PER_RANGE = 80
 _SPARE = 0.0375  # of R: half the width of the way through, beside the clearance
 _HALF_DEG_M, _MOST_CELLS = 55_597.0, 5_000
@@ -54,13 +53,13 @@ class DrawnWorld:
 
     @property
     def floor_amsl_m(self) -> float:
-        """Lowest altitude to plan for in profile `flight`."""
-        return self.task.limits.floor_amsl_m + BAND_INSET * self.task.error_m
+        """Lowest altitude to plan for."""
+        return self.task.band_amsl_m[0]
 
     @property
     def ceiling_amsl_m(self) -> float:
-        """Highest altitude to plan for in profile `flight`."""
-        return self.task.limits.ceiling_amsl_m - BAND_INSET * self.task.error_m
+        """Highest altitude to plan for."""
+        return self.task.band_amsl_m[1]
 
     @property
     def fingerprint(self) -> str:
@@ -161,22 +160,27 @@ def lowest_safe_m(
 def free_at_floor(world: DrawnWorld) -> BoolArray:
     """Lattice points that are clear of terrain, radars and keep-outs at the floor of the band."""
     cell = _cell_m(world)
-    north, east = (axis.reshape(shape) for axis, shape in
-                   zip(axes_m(world, cell), ((-1, 1), (1, -1)), strict=True))  # fmt: skip
+    north, east = np.meshgrid(*axes_m(world, cell), indexing="ij")
     clearance, aside = world.task.required_clearance_m, world.task.limits.loiter_radius_m
-    need = lowest_safe_m(world, cell, clearance + 0.5 * cell, aside)
-    free = need <= world.floor_amsl_m
+    free = lowest_safe_m(world, cell, clearance + 0.5 * cell, aside) <= world.floor_amsl_m
     for radar in world.task.radars:
         n, e, altitude = radar.centre_nea_m
         squared = (north - n) ** 2 + (east - e) ** 2 + (world.floor_amsl_m - altitude) ** 2
         free &= squared > radar.range_m**2
     for zone in world.task.zones:
-        free &= zone.distance_m(*np.broadcast_arrays(north, east)) > clearance + aside
+        free &= zone.distance_m(north, east) > clearance + aside
     return free
 
 
 def _cell_m(world: DrawnWorld) -> float:
     return world.task.settings.scan_range_m / _CELLS_PER_RANGE
+
+
+def _points_at(world: DrawnWorld, places_ne_m: ArrayLike) -> tuple[NDArray[np.intp], ...]:
+    """Rows and columns of the lattice points next to places, (N, 2)."""
+    corner = world.task.limits.north_m[0], world.task.limits.east_m[0]
+    index = np.round((np.asarray(places_ne_m) - corner) / _cell_m(world)).astype(np.intp)
+    return tuple(index.T)
 
 
 def has_way_through(world: DrawnWorld) -> bool:
@@ -185,21 +189,14 @@ def has_way_through(world: DrawnWorld) -> bool:
     spare_m = _SPARE * world.task.settings.scan_range_m
     wide = distance_transform_edt(np.pad(free, 1), sampling=cell)[1:-1, 1:-1] > spare_m
     pools, _ = label(wide, structure=np.ones((3, 3)))
-    ends = [world.start_nea_m[:2], *world.targets_ne_m]
-    corner = (world.task.limits.north_m[0], world.task.limits.east_m[0])
-    found = {
-        int(pools[tuple(round((p - c) / cell) for p, c in zip(end, corner, strict=True))])
-        for end in ends
-    }
-    return len(found) == 1 and found != {0}
+    first, *others = pools[_points_at(world, [world.start_nea_m[:2], *world.targets_ne_m])]
+    return first > 0 and all(other == first for other in others)
 
 
 def is_straight_line_free(world: DrawnWorld) -> bool:
     """Whether the line from start to target is free at the floor."""
-    corner = (world.task.limits.north_m[0], world.task.limits.east_m[0])
     line = np.linspace(world.start_nea_m[:2], world.targets_ne_m[0], 2_000)
-    rows, columns = np.round((line - corner) / _cell_m(world)).astype(np.intp).T
-    return bool(free_at_floor(world)[rows, columns].all())
+    return bool(free_at_floor(world)[_points_at(world, line)].all())
 
 
 # --- as the files that both programs read: world.toml and mission.toml
@@ -213,7 +210,8 @@ def write(
 ) -> tuple[Path, Path]:
     """Write world.toml and mission.toml -> their paths; what is read back is the same world.
 
-    vehicle: overrides keys of the vehicle's table of mission.toml.
+    Of a drawn one: of peaks, with circles to stay out of.  vehicle: overrides keys of the vehicle's
+    table of mission.toml.
     """
     folder.mkdir(parents=True, exist_ok=True)
     world, mission = folder / "world.toml", folder / "mission.toml"
@@ -240,7 +238,7 @@ def mission_of(drawn: DrawnWorld, autopilot: AutopilotName = "ardupilot") -> Mis
 def _mission_table(mission: Mission, vehicle: Mapping[str, Any]) -> dict[str, Any]:
     """A mission as its file has it; `vehicle` overrides keys of the vehicle's table."""
     task = mission.task
-    limits, settings, frame = task.limits, task.settings, mission.frame
+    limits, settings = task.limits, task.settings
     of_vehicle = _keys(MissionVehicleTable, mission, limits) | {
         "climb_angle_deg": math.degrees(limits.climb_angle_rad),
         "dive_angle_deg": math.degrees(limits.dive_angle_rad),
@@ -250,7 +248,7 @@ def _mission_table(mission: Mission, vehicle: Mapping[str, Any]) -> dict[str, An
     return {
         "schema": 1,
         "name": mission.name,
-        "origin": {"latitude_deg": frame.latitude_deg, "longitude_deg": frame.longitude_deg},
+        "origin": _keys(OriginTable, FRAME),
         "area": {
             **dict(zip(("north_min_m", "north_max_m"), limits.north_m, strict=True)),
             **dict(zip(("east_min_m", "east_max_m"), limits.east_m, strict=True)),
@@ -262,13 +260,13 @@ def _mission_table(mission: Mission, vehicle: Mapping[str, Any]) -> dict[str, An
         | {"profile": settings.profile.name, "weights": asdict(settings.weights)},
         "end": {"action": mission.end_action.value},
         "radars": [_radar(radar) for radar in task.radars],
-        "keep_outs": [_zone(zone) for zone in task.zones if not zone.keep_in],
-        "keep_ins": [_zone(zone) for zone in task.zones if zone.keep_in],
+        "keep_outs": [_keys(ZoneTable, zone) for zone in task.zones],
+        "keep_ins": [],
     }
 
 
 def _keys(table: type[BaseModel], *holders: Any) -> dict[str, Any]:
-    """Of a table of mission.toml, what these have under the same name."""
+    """Of a table of a file, what these have under the same name."""
     return {
         name: getattr(holder, name)
         for holder in holders
@@ -283,13 +281,6 @@ def _radar(radar: Radar) -> dict[str, Any]:
     return {"name": radar.name, **place, "range_m": radar.range_m}
 
 
-def _zone(zone: Zone) -> dict[str, Any]:
-    if not isinstance(zone, CircleZone):
-        return {"name": zone.name, "vertices_m": [list(corner) for corner in zone.vertices_ne_m]}
-    place = {"north_m": zone.north_m, "east_m": zone.east_m, "radius_m": zone.radius_m}
-    return {"name": zone.name, **place}
-
-
 def _world_table(drawn: DrawnWorld, autopilot: AutopilotName) -> dict[str, Any]:
     """The truth, and a vehicle that can do what the mission asks of it."""
     task, terrain, kind = drawn.task, drawn.terrain, drawn.task.limits.kind
@@ -301,7 +292,7 @@ def _world_table(drawn: DrawnWorld, autopilot: AutopilotName) -> dict[str, Any]:
     return {
         "schema": 1,
         "name": drawn.name,
-        "origin": {"latitude_deg": FRAME.latitude_deg, "longitude_deg": FRAME.longitude_deg},
+        "origin": _keys(OriginTable, FRAME),
         "terrain": {
             "combine": "maximum",
             "ground_amsl_m": terrain.ground_amsl_m,

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.campaign.file import Run
-from companion.campaign.run import fly_run, lost_run
+from companion.campaign.run import fly_run, row_of
 from companion.campaign.store import Row
 from companion.errors import CompanionError, FlightInterrupted, InputError
 from companion.runtime.compiler import load_kernel
@@ -21,7 +21,7 @@ from companion.runtime.compiler import load_kernel
 _RETRIES = 3  # how often a run may lose its worker until that is held against it, as Dask has it
 
 
-def fly(runs: Sequence[Run], out: Path, *, scheduler: str | None, jobs: int) -> Generator[Row]:
+def fly(runs: Sequence[Run], out: Path, scheduler: str | None, jobs: int) -> Generator[Row]:
     """Fly runs on a scheduler's workers; None: on so many processes of this machine.
 
     OSError: there is no room for a folder.  InputError: no scheduler answers there.
@@ -32,7 +32,7 @@ def fly(runs: Sequence[Run], out: Path, *, scheduler: str | None, jobs: int) -> 
                 raise row  # no room for its folder: no result of the run
             if isinstance(row, Exception):
                 text = str(row) if isinstance(row, CompanionError) else repr(row)
-                row = lost_run(runs[number], text)
+                row = row_of(runs[number], {"error": text})
             yield row
 
 

@@ -28,7 +28,7 @@ SPREAD = "spread"
 """A family whose index is how many obstacles there are, always as densely."""
 _MOST_DRAWS = 2_000
 _DENSITY_1_KM2 = 0.004
-_SPREAD_STREAM = 3
+_SPREAD_STREAM, _WITHOUT_SEEDS = 3, (1, 2)
 _MOST_EDGE_M = 620_000.0
 Rng = np.random.Generator
 _Between = tuple[float, float]
@@ -47,7 +47,7 @@ def world(family: str, seed: int, index: int) -> DrawnWorld:
     stream, draw = _FAMILIES[family]
     key: tuple[int, ...] = (stream, seed, index)
     name = f"{family}-{seed}-{index}"
-    if family in _ANYWHERE:  # as they were drawn before there were seeds
+    if stream in _WITHOUT_SEEDS:  # as they were drawn before there were seeds
         key = (stream, index, seed)
         if seed == 0:
             key, name = key[:2], f"{family}-{index}"
@@ -68,16 +68,10 @@ def unseen(world: DrawnWorld) -> KnownMap:
 # --- 100 km x 100 km, the mission of environment-2
 
 
-_ANYWHERE: Final = {
-    "dense": ((12, 28), (10, 14), (6_000.0, 11_000.0)),
-    "sparse": ((4, 8), (3, 5), (9_000.0, 15_000.0)),
-}
-"""How many mountains, how many radars, and their ranges: as environment-2 and environment-1 are."""
-
-
-def _anywhere(family: str, rng: Rng) -> DrawnWorld:
-    """Mountains and radars anywhere in the square."""
-    mountains, radars, range_m = _ANYWHERE[family]
+def _anywhere(
+    mountains: tuple[int, int], radars: tuple[int, int], range_m: _Between, rng: Rng
+) -> DrawnWorld:
+    """So many mountains, and radars of such ranges, anywhere in the square."""
     base = drawn_world.bundled("environment-2")
     ends = [(*base.start_nea_m[:2], 6_000.0), (*base.targets_ne_m[0], 6_000.0)]
     peaks = _peaks_in(_SQUARE, rng, int(rng.integers(*mountains, endpoint=True)), ends)
@@ -127,7 +121,7 @@ def _peaks_in(ring: _Ring, rng: Rng, count: int, ends: _Places) -> list[Peak]:
         height = float(np.round(rng.uniform(3_600.0, 6_000.0), -1))
         spreads = [float(v) for v in np.round(rng.uniform(3_000.0, 5_500.0, 2), -1)]
         if all(math.hypot(north - n, east - e) >= far + max(spreads) for n, e, far in ends):
-            result.append(mountain(north, east, height, *spreads))
+            result.append(Peak(north, east, height, *spreads))
     return result
 
 
@@ -161,7 +155,7 @@ def _gathered(rng: Rng) -> DrawnWorld:
         height = float(rng.uniform(3_400.0, 6_000.0))
         spreads = rng.uniform(4_000.0, 8_000.0, 2).tolist()
         if _leaves_ends(base, (north, east), max(spreads) * math.sqrt(math.log(height / 2_400.0))):
-            peaks.append(mountain(north, east, height, *spreads))
+            peaks.append(Peak(north, east, height, *spreads))
     radars = _radars(rng, base, 10, (6_000.0, 11_000.0), 20_000.0)
     return _with_obstacles(base, peaks, radars)
 
@@ -198,7 +192,7 @@ def _ridge(base: DrawnWorld, line_m: FloatArray, top_m: FloatArray) -> list[Peak
     """Mountains in a row: (N, 2) metres along the straight line and aside of it."""
     places = [_at(base, along, aside) for along, aside in line_m.tolist()]
     return [
-        mountain(*place, top, 3_000.0, 3_000.0)
+        Peak(*place, top, 3_000.0, 3_000.0)
         for place, top in zip(places, top_m.tolist(), strict=True)
         if _leaves_ends(base, place, 6_000.0)
     ]
@@ -235,43 +229,40 @@ class _Small:
     """Without keep-outs that lie off the map: a mission file drops them."""
 
 
-_SMALL: Final = {
-    "copter": _Small(
-        scan_range_m=(300.0, 1_500.0), speed_m_s=(8.0, 12.0), turn_radius_m=(20.0, 40.0),
-        away_m=(4_000.0, 10_000.0), safety_m=(5.0, 10.0), most_ranges=14.0,
-        climb_deg=12.0, dive_deg=12.0, band_m=(40.0, 110.0), tops_m=(50.0, 190.0),
-        towers_m=(12.0, 25.0), times_s=(1.0, 2.0),
-        limits={"acceleration_m_s2": 2.5, "climb_rate_m_s": 2.0, "tracking_error_m": 1.5,
-                "navigation_error_m": 2.0},
-    ),
-    "plane": _Small(
-        scan_range_m=(3_000.0, 5_000.0), speed_m_s=22.0, turn_radius_m=(110.0, 150.0),
-        away_m=(15_000.0, 30_000.0), safety_m=(30.0, 50.0),
-        climb_deg=7.0, dive_deg=5.0, band_m=(120.0, 350.0), tops_m=(150.0, 700.0),
-        towers_m=(60.0, 120.0), times_s=(3.0, 4.0),
-        limits={"acceleration_m_s2": 3.0, "climb_rate_m_s": 2.5, "loiter_radius_m": 100.0},
-    ),
-    "short-copter": _Small(  # a flight of one to two minutes
-        scan_range_m=280.0, speed_m_s=8.0, turn_radius_m=25.0, away_m=560.0, safety_m=12.0,
-        climb_deg=12.0, dive_deg=10.0, band_m=(16.0, 75.0), tops_m=(30.0, 120.0),
-        towers_m=(5.0, 15.0), times_s=(1.0, 4.0),
-        limits={"acceleration_m_s2": 2.0, "climb_rate_m_s": 1.5, "tracking_error_m": 4.0,
-                "navigation_error_m": 3.0},
-        on_the_map=True,
-    ),
-    "short-plane": _Small(  # of two to three minutes
-        scan_range_m=1_400.0, speed_m_s=15.0, turn_radius_m=100.0, away_m=2_400.0, safety_m=30.0,
-        climb_deg=6.0, dive_deg=6.0, band_m=(70.0, 190.0), tops_m=(100.0, 260.0),
-        towers_m=(30.0, 60.0), times_s=(1.0, 4.0),
-        limits={"acceleration_m_s2": 2.0, "climb_rate_m_s": 3.0, "tracking_error_m": 15.0,
-                "navigation_error_m": 4.0, "loiter_radius_m": 100.0},
-        on_the_map=True,
-    ),
-}  # fmt: skip
+_COPTER: Final = _Small(
+    scan_range_m=(300.0, 1_500.0), speed_m_s=(8.0, 12.0), turn_radius_m=(20.0, 40.0),
+    away_m=(4_000.0, 10_000.0), safety_m=(5.0, 10.0), most_ranges=14.0,
+    climb_deg=12.0, dive_deg=12.0, band_m=(40.0, 110.0), tops_m=(50.0, 190.0),
+    towers_m=(12.0, 25.0), times_s=(1.0, 2.0),
+    limits={"acceleration_m_s2": 2.5, "climb_rate_m_s": 2.0, "tracking_error_m": 1.5,
+            "navigation_error_m": 2.0},
+)  # fmt: skip
+_PLANE: Final = _Small(
+    scan_range_m=(3_000.0, 5_000.0), speed_m_s=22.0, turn_radius_m=(110.0, 150.0),
+    away_m=(15_000.0, 30_000.0), safety_m=(30.0, 50.0),
+    climb_deg=7.0, dive_deg=5.0, band_m=(120.0, 350.0), tops_m=(150.0, 700.0),
+    towers_m=(60.0, 120.0), times_s=(3.0, 4.0),
+    limits={"acceleration_m_s2": 3.0, "climb_rate_m_s": 2.5, "loiter_radius_m": 100.0},
+)  # fmt: skip
+_SHORT_COPTER: Final = _Small(  # a flight of one to two minutes
+    scan_range_m=280.0, speed_m_s=8.0, turn_radius_m=25.0, away_m=560.0, safety_m=12.0,
+    climb_deg=12.0, dive_deg=10.0, band_m=(16.0, 75.0), tops_m=(30.0, 120.0),
+    towers_m=(5.0, 15.0), times_s=(1.0, 4.0),
+    limits={"acceleration_m_s2": 2.0, "climb_rate_m_s": 1.5, "tracking_error_m": 4.0,
+            "navigation_error_m": 3.0},
+    on_the_map=True,
+)  # fmt: skip
+_SHORT_PLANE: Final = _Small(  # of two to three minutes
+    scan_range_m=1_400.0, speed_m_s=15.0, turn_radius_m=100.0, away_m=2_400.0, safety_m=30.0,
+    climb_deg=6.0, dive_deg=6.0, band_m=(70.0, 190.0), tops_m=(100.0, 260.0),
+    towers_m=(30.0, 60.0), times_s=(1.0, 4.0),
+    limits={"acceleration_m_s2": 2.0, "climb_rate_m_s": 3.0, "tracking_error_m": 15.0,
+            "navigation_error_m": 4.0, "loiter_radius_m": 100.0},
+    on_the_map=True,
+)  # fmt: skip
 
 
-def _small(family: str, rng: Rng) -> DrawnWorld:
-    of = _SMALL[family]
+def _small(of: _Small, rng: Rng) -> DrawnWorld:
     range_m, speed_m_s, turn_radius_m, away_m, safety_m = (
         float(rng.uniform(*value)) if isinstance(value, tuple) else value
         for value in (of.scan_range_m, of.speed_m_s, of.turn_radius_m, of.away_m, of.safety_m)
@@ -299,7 +290,7 @@ def _small(family: str, rng: Rng) -> DrawnWorld:
         overlap_m=0.1 * range_m,
     )
     base = DrawnWorld(
-        name=family,
+        name="",
         terrain=PeakTerrain(peaks=(), ground_amsl_m=ground),
         task=Task(limits=limits, settings=settings),
         start_nea_m=(margin, margin, 0.0),
@@ -316,7 +307,7 @@ def _small(family: str, rng: Rng) -> DrawnWorld:
         if _leaves_ends(base, at, foot):
             high = ground + float(rng.uniform(*of.tops_m))
             spread = foot / math.sqrt(math.log(high / ground))
-            peaks.append(mountain(*at, high, spread, spread))
+            peaks.append(Peak(*at, high, spread, spread))
     zones = list[CircleZone]()
     while len(zones) < 3:
         (n, e), radius = _beside_the_line(rng, base, range_m), rng.uniform(0.1, 0.3) * range_m
@@ -339,17 +330,6 @@ def _touches_map(zone: CircleZone, limits: Limits) -> bool:
 
 
 # --- what they are made of
-
-
-def mountain(north: float, east: float, top: float, wide_n: float, wide_e: float) -> Peak:
-    """A mountain of eq. 1: its place, its height AMSL, and how wide it is to the north and east."""
-    return Peak(
-        north_m=north,
-        east_m=east,
-        height_amsl_m=top,
-        spread_north_m=wide_n,
-        spread_east_m=wide_e,
-    )
 
 
 def _with_obstacles(base: DrawnWorld, peaks: Sequence[Peak], radars: Sequence[Radar]) -> DrawnWorld:
@@ -395,14 +375,15 @@ def _leaves_ends(base: DrawnWorld, at_ne_m: tuple[float, float], reach_m: float)
 
 
 _FAMILIES: dict[str, tuple[int, Callable[[Rng], DrawnWorld]]] = {
-    "dense": (1, functools.partial(_anywhere, "dense")),
-    "sparse": (2, functools.partial(_anywhere, "sparse")),
+    # as environment-2 and environment-1 are
+    "dense": (1, functools.partial(_anywhere, (12, 28), (10, 14), (6_000.0, 11_000.0))),
+    "sparse": (2, functools.partial(_anywhere, (4, 8), (3, 5), (9_000.0, 15_000.0))),
     "gathered": (11, _gathered),
     "walls": (12, _walls),
-    "copter": (14, functools.partial(_small, "copter")),
-    "plane": (15, functools.partial(_small, "plane")),
-    "short-copter": (16, functools.partial(_small, "short-copter")),
-    "short-plane": (17, functools.partial(_small, "short-plane")),
+    "copter": (14, functools.partial(_small, _COPTER)),
+    "plane": (15, functools.partial(_small, _PLANE)),
+    "short-copter": (16, functools.partial(_small, _SHORT_COPTER)),
+    "short-plane": (17, functools.partial(_small, _SHORT_PLANE)),
 }
 """Each with the stream of chance that is its own."""
 FAMILIES = tuple(_FAMILIES)

@@ -38,11 +38,12 @@ Vehicle = Literal["ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plan
 _NONE = "none"
 _MOST_RUNS = 1_000_000
 _CHOSEN = ("sensor", "faults", "wind", "noise")
-_OF_FAMILIES = ("seed", "first", "count", "indices")
+_OF_FLIGHTS = ("limit_s", "faults", "factors.vehicle", *(f"factors.{name}" for name in _CHOSEN))
+_OF_PLANNERS = ("factors.planner", "factors.knowledge")
 _LEAVE_OUT = "Leave it out."
-_Index = Annotated[int, Field(ge=0, le=10_000_000)]
 _Count = Annotated[int, Field(ge=1, le=1_000_000)]
 _Seed = Annotated[int, Field(ge=0, le=2**31)]
+_Indices = Annotated[list[Annotated[int, Field(ge=0, le=10_000_000)]], Field(min_length=1)]
 _Names = Annotated[list[Name], Field(min_length=1)]
 
 
@@ -55,10 +56,10 @@ class PlaceTable(Table):
     family: Literal[(*FAMILIES, SPREAD)] | None = None  # type: ignore[valid-type]
     seed: _Seed = 0
     """Of the family: which worlds are drawn."""
-    first: _Index = 0
     count: _Count = 1
-    indices: Annotated[list[_Index], Field(min_length=1)] | None = None
-    """In place of `first` and `count`."""
+    """The first so many of them."""
+    indices: _Indices | None = None
+    """These, in place of the first."""
     vehicle: Vehicle | None = None
     """The only one that flies there, where there is no factor `vehicle`."""
 
@@ -67,12 +68,10 @@ class PlaceTable(Table):
         if (self.world is None) == (self.family is None):
             rule = "a place has either a world or a family"
             yield "world", self.world, rule, "Leave out the other."
-        idle: tuple[str, ...] = ("mission",) if self.family is not None else _OF_FAMILIES
-        if self.indices is not None:
-            idle += ("first", "count")
-        for key in idle:
-            if key in self.model_fields_set:
-                yield key, getattr(self, key), "it has no effect beside the others", _LEAVE_OUT
+        idle = {"mission"} if self.family is not None else {"seed", "count", "indices"}
+        idle |= {"count"} if self.indices is not None else set()
+        for key in sorted(idle & self.model_fields_set):
+            yield key, getattr(self, key), "it has no effect beside the others", _LEAVE_OUT
 
 
 class FactorsTable(Table):
@@ -97,7 +96,6 @@ class FaultsTable(Table):
 
     family: Literal[drawn_faults.FAMILIES]  # type: ignore[valid-type]
     seed: _Seed = 0
-    first: _Index = 0
     count: _Count = 1
 
 
@@ -131,39 +129,26 @@ class CampaignTable(Table):
     def broken(self) -> Iterator[Broken]:
         """Every name is known, and everything that is said has an effect."""
         factors, names = self.factors, [choice.name for choice in self.choices]
-        yield from _unknown("optimiser", factors.optimiser, [*OPTIMISERS])
-        yield from _unknown("planner", factors.planner, [OURS, *PLANNERS])
+        known = {"optimiser": [*OPTIMISERS], "planner": [OURS, *PLANNERS]}
+        for factor, choices in (known | {key: [_NONE, *names] for key in _CHOSEN}).items():
+            yield from _unknown(factor, getattr(factors, factor), choices)
         asked = [name for factor in _CHOSEN for name in getattr(factors, factor) or ()]
-        for factor in _CHOSEN:
-            yield from _unknown(factor, getattr(factors, factor), [_NONE, *names])
         for k, name in enumerate(names):
             if name in names[:k] or name == _NONE:
                 yield f"choices[{k}].name", name, "it stands for another already", "Rename it."
             if name not in asked:
                 rule = f"no factor ({', '.join(_CHOSEN)}) asks for it"
                 yield f"choices[{k}].name", name, rule, _LEAVE_OUT
-        yield from self._without_effect()
-
-    def _without_effect(self) -> Iterator[Broken]:
-        factors, alone = self.factors, self.over == "planner"
+        alone = self.over == "planner"
         rule = "the planner alone has no vehicle" if alone else "it is of the planner alone"
-        idle: list[tuple[str, Table, str]] = (
-            [("", self, "limit_s"), ("", self, "faults")]
-            + [("factors.", factors, name) for name in ("vehicle", *_CHOSEN)]
-            + [(f"places[{k}].", place, "vehicle") for k, place in enumerate(self.places)]
-            if alone
-            else [("factors.", factors, name) for name in ("planner", "knowledge")]
-        )
-        for where, table, key in idle:
-            if key in table.model_fields_set:
-                yield where + key, getattr(table, key), rule, _LEAVE_OUT
+        for key in _OF_FLIGHTS if alone else _OF_PLANNERS:
+            table, name = (factors if "." in key else self), key.rpartition(".")[2]
+            if name in table.model_fields_set:
+                yield key, getattr(table, name), rule, _LEAVE_OUT
+        rule = rule if alone else "the factor vehicle says which fly, at all places"
         for k, place in enumerate(self.places):
-            if place.vehicle is not None and factors.vehicle:
-                rule = "the factor vehicle says which fly, at all places"
+            if place.vehicle is not None and (alone or factors.vehicle):
                 yield f"places[{k}].vehicle", place.vehicle, rule, _LEAVE_OUT
-        for name in ("optimiser", "profile"):
-            if getattr(factors, name) and OURS not in (factors.planner or [OURS]):
-                yield f"factors.{name}", factors.planner, "rivals have none", _LEAVE_OUT
 
 
 def _unknown(factor: str, values: list[str] | None, known: list[str]) -> Iterator[Broken]:
@@ -201,16 +186,9 @@ class Run:
     limit_s: float
     factors: dict[str, Any]
     """One value of each factor that is given; what is left out is as the mission has it."""
-    timeline: str = ""
     script: FaultScript | None = None
-    """Drawn when vehicle and mission are known, and added to the timeline."""
-    world_settings: tuple[str, ...] = ()
-    mission_settings: tuple[str, ...] = ()
-
-    @property
-    def with_faults(self) -> bool:
-        """Whether something may go wrong in it."""
-        return self.script is not None or bool(self.timeline)
+    """Drawn when vehicle and mission are known."""
+    choices: tuple[ChoiceTable, ...] = ()
 
 
 def load_campaign(
@@ -244,7 +222,7 @@ def runs_of(campaign: CampaignTable, folder: Path) -> list[Run]:
     scripts = [
         FaultScript(family=table.family, seed=table.seed, index=index)
         for table in campaign.faults
-        for index in range(table.first, table.first + table.count)
+        for index in range(table.count)
     ]
     if scripts:
         factors["faults"] = [*(campaign.factors.faults or ()), *scripts]
@@ -262,15 +240,10 @@ def runs_of(campaign: CampaignTable, folder: Path) -> list[Run]:
 def _run(
     campaign: CampaignTable, number: int, seed: int, place: Place, values: Mapping[str, Any]
 ) -> Run:
+    script = values["faults"] if isinstance(values["faults"], FaultScript) else None
     given = {name: value for name, value in values.items() if value is not None}
-    script = given.get("faults")
-    if not isinstance(script, FaultScript):
-        script = None
-    else:
-        given["faults"] = str(script)
-    if place.vehicle is not None:
-        given.setdefault("vehicle", place.vehicle)
-    chosen = [c for k in _CHOSEN for c in campaign.choices if c.name == given.get(k)]
+    given |= {"faults": str(script)} if script is not None else {}
+    given |= {"vehicle": place.vehicle} if place.vehicle is not None else {}
     return Run(
         number=number,
         key="/".join([place.label, *map(str, given.values()), f"seed-{seed}"]),
@@ -279,11 +252,9 @@ def _run(
         over=campaign.over,
         keep=campaign.keep,
         limit_s=campaign.limit_s,
-        timeline="\n".join(choice.faults.strip() for choice in chosen if choice.faults),
-        script=script,
-        world_settings=tuple(setting for choice in chosen for setting in choice.world),
-        mission_settings=tuple(setting for choice in chosen for setting in choice.mission),
         factors=given,
+        script=script,
+        choices=tuple(c for k in _CHOSEN for c in campaign.choices if c.name == given.get(k)),
     )
 
 
@@ -298,13 +269,14 @@ def _places(table: PlaceTable, folder: Path) -> list[Place]:
                 family_index=index,
                 vehicle=table.vehicle,
             )
-            for index in table.indices or range(table.first, table.first + table.count)
+            for index in table.indices or range(table.count)
         ]
-    world, mission = str(table.world), table.mission
+    label = world = mission = str(table.world)
     if world not in bundled():
         path = folder / world
-        world, mission = str(path), mission or str(path.with_name("mission.toml"))
-    if mission is not None and mission not in bundled():
-        mission = str(folder / mission)
-    label = world if world in bundled() else Path(world).parent.name or Path(world).stem
-    return [Place(label=label, world=world, mission=mission or world, vehicle=table.vehicle)]
+        world, mission = str(path), str(path.with_name("mission.toml"))
+        label = path.parent.name or path.stem
+    if table.mission is not None:
+        is_bundled = table.mission in bundled()
+        mission = table.mission if is_bundled else str(folder / table.mission)
+    return [Place(label=label, world=world, mission=mission, vehicle=table.vehicle)]

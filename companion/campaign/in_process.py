@@ -6,16 +6,17 @@ It leaves a run folder and the truth, and only these are looked at afterwards.
 import errno
 import json
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import version
+from importlib.metadata import entry_points, version
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, final
 
+import numpy as np
+
 from companion.campaign.drawn_faults import split
 from companion.config import load_mission, mission_text
-from companion.entry_points import Parts
 from companion.errors import InputError
+from companion.geodesy import FloatArray
 from companion.mission.mission import Mission
 from companion.planning import plan
 from companion.runtime.in_process import SimulatedVehicle, loop_in_process
@@ -50,6 +51,8 @@ class Flight:
     truth: list[dict[str, Any]]
     """Where the vehicle really was."""
     plans_s: list[float]
+    told: FloatArray
+    """Positions that the companion was told: when, of what time, north, east, altitude; (K, 5)."""
     folder: Path
 
 
@@ -61,18 +64,10 @@ class Vehicle(SimulatedVehicle, Protocol):
         ...
 
 
-def _wrong_with(maker: Callable[..., Vehicle]) -> str | None:
-    return None if callable(maker) else "it cannot be called"
-
-
-_VEHICLES: Parts[Callable[..., Vehicle]] = Parts(
-    "companion.vehicles", {}, what="vehicle", check=_wrong_with
-)
-
-
 def _vehicle(files: FlightFiles, seed: int) -> Vehicle:
-    for make in _VEHICLES.values():
-        return make(files.world, seed=seed, faults=split(files.faults)[0])
+    for point in entry_points(group="companion.vehicles"):
+        made: Vehicle = point.load()(files.world, seed=seed, faults=split(files.faults)[0])
+        return made
     rule, remedy = "no package brings one", "Install the project again: pip install ."
     raise InputError("companion.vehicles", None, rule, remedy)
 
@@ -93,15 +88,16 @@ class Flying:
         self._seed, self._limit_s = seed, limit_s
         self.flies = True
         """Whether its mission has not ended."""
+        self._told = list[tuple[float, ...]]()
         self._begin()
 
     def _begin(self, *, again: bool = False) -> None:
         """One life of the companion."""
-        resume = load_resume_data(self._files.folder, self._mission).resume if again else None
+        mission, folder = self._mission, self._files.folder
+        resume = load_resume_data(folder, mission).resume if again else None
         session = Session(
-            self._mission, seed=self._seed, lockstep=True, version=version("companion"),
-            resume=resume,
-        )  # fmt: skip
+            mission, seed=self._seed, lockstep=True, version=version("companion"), resume=resume
+        )
         self.loop = loop_in_process(
             session,
             self._vehicle,
@@ -110,14 +106,11 @@ class Flying:
         )
         text = mission_text(str(self._files.mission))
         self._folder = RunFolder(
-            self._files.folder, mission_toml=text, epoch_us=_EPOCH_US, resume=again, durable=False
+            folder, mission_toml=text, epoch_us=_EPOCH_US, resume=again, durable=False
         )
-        facts = {
-            "mission": self._mission.name,
-            "seed": self._seed,
-            "profile": self._mission.task.settings.profile.name,
-        }
-        self._folder.header(facts | {"lockstep": True})
+        profile = mission.task.settings.profile.name
+        facts = {"mission": mission.name, "seed": self._seed, "profile": profile, "lockstep": True}
+        self._folder.header(facts)
         self._recorder = Recorder(self._folder, self.loop.clock, self.loop.lost)
         self.loop.record = self._recorder.put
         self._turns = self.loop.turns()
@@ -140,6 +133,10 @@ class Flying:
         """To a time of the vehicle, or to the mission's end."""
         while self.flies and self._vehicle.now_us < until_us:
             self.flies = next(self._turns, self) is not self
+            vehicle = self.loop.session.state.vehicle
+            is_news = not self._told or vehicle.position_at_s != self._told[-1][1]
+            if vehicle.position_nea_m is not None and is_news:
+                self._told.append((self.now_s, vehicle.position_at_s, *vehicle.position_nea_m))
             if self.loop.clock() > 2.0 * self._limit_s:
                 text = f"the flight did not end when it was stopped after {self._limit_s:g} s"
                 raise TimeoutError(text)
@@ -161,6 +158,7 @@ class Flying:
             journal=_lines_with("kind", folder / "journal.jsonl"),
             truth=_lines_with("t_s", folder / "truth.jsonl"),
             plans_s=self.loop.flown.plans_s,
+            told=np.array(self._told).reshape(-1, 5),
             folder=folder,
         )
 

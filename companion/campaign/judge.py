@@ -8,7 +8,9 @@ goes wrong, that counts against the companion unless, at that moment or in the t
   off the true one by more than the mission's navigation_error_m;
 - somebody else flew: the mode was not one that the companion had asked for (a pilot, a ground
   station, the autopilot's own failsafe, or what it went back to by itself when that was over: the
-  companion has let go, design 7), or the autopilot had rebooted and the vehicle fell.
+  companion has let go, design 7);
+
+and unless the autopilot had rebooted and the vehicle fell, or the radar told too low heights.
 
 A fence that comes during the flight is known ten seconds later (issue 5), and whoever is in it
 then, or nearer than d_s, has the time to leave it once, by half the mission's speed.
@@ -19,10 +21,8 @@ unless no command could reach it then: a copter that hears nothing hovers.
 import bisect
 import math
 from collections.abc import Container, Iterator, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, Final, final
 
 import numpy as np
@@ -33,13 +33,10 @@ from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.in_process import Flight
 from companion.geodesy import BoolArray, FloatArray
 from companion.library import route_terms
-from companion.mavlink.dialect import AUTOPILOT_COMPONENT, wire
-from companion.mavlink.frames import decoded, number_of, sender_of
 from companion.mission.state import Reason
 from companion.planner.settings import Task
-from companion.telemetry.run_folder import Records
 from companion.world.terrain import PeakTerrain
-from companion.world.zones import CircleZone, Zone
+from companion.world.zones import CircleZone
 
 GUIDED: Final = frozenset({"GUIDED", "Offboard"})
 HOLDS: Final = frozenset({"BRAKE", "Hold", "LOITER"})
@@ -57,74 +54,49 @@ _OF_SHAPE: Final = ("turn radius", "climb angle", "dive angle")
 _OVER: Final = ("landing", "handing over", "done", "faulted")
 """Phases in which no subpath is flown any more."""
 _LET_GO: Final = (Reason.MODE_TAKEN.text, Reason.FAILSAFE.text, Reason.FENCE_BREACHED.text)
-_DEG_M: Final = 111_195.0
-_POSITION: Final = wire.MAVLink_global_position_int_message
-_COMMAND: Final = wire.MAVLink_command_long_message
-_SET_MODE: Final = wire.MAV_CMD_DO_SET_MODE
 _THERE: Final = ("arrived", "held and resumed")
 """Endings at the target."""
-_SETPOINTS: Final = (
-    wire.MAVLINK_MSG_ID_COMMAND_INT,
-    wire.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
-    wire.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
-)
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Table:
-    """A flight in arrays, one row for each moment of truth while the mission flew in the air."""
-
-    rows: list[dict[str, Any]]
-    t_s: FloatArray
-    points_nea_m: FloatArray
-    ours: BoolArray
-    """Whether the companion had a say."""
+_NO_END: Final = {"outcome": "not ended", "reason": "the companion has not said how it ended"}
 
 
 def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str, Any]:
     """The columns of a row.  timeline: what goes wrong in the flight; None: nothing does."""
-    found = _came_to(flight, drawn)
-    if timeline is None and "length_m" not in found:
-        return found
-    done, is_cut = happenings(timeline or ""), False
+    found, done, is_cut = _came_to(flight, drawn), happenings(timeline or ""), False
     if timeline is not None:
         flight, is_cut = _until_stopped(flight)
-    table, known, excused = _table(flight, drawn), list[str](), list[str]()
-    told = _told(flight.folder / "flight.tlog" if timeline is not None else None)
-    off_m = _off_m(flight, table.t_s, told)
-    excuses = {} if timeline is None else _excuses(table, off_m, done, drawn)
-    is_excused = np.any([np.zeros(len(table.t_s), dtype=bool), *excuses.values()], axis=0)
+    track = _in_the_air(flight, drawn)
+    if (flown := _flown(track, flight)).sum() > 1:
+        found |= _of_flight(track, flown, drawn)
+    if timeline is None and not len(track.t_s):
+        return found
+    known, excused = list[str](), list[str]()
+    excuses = {} if timeline is None else _excuses(flight, track, drawn, done)
+    is_excused = np.any([np.zeros(len(track.t_s), dtype=bool), *excuses.values()], axis=0)
 
     def tell(what: str, at: int) -> None:
-        """Against the companion, or excused by what is so at a row of the table."""
+        """Against the companion, or excused by what is so at a row of the track."""
         why = ", ".join(name for name, when in excuses.items() if when[at])
         (excused if why else known).append(f"{what} ({why})" if why else what)
 
-    for what, gap_m in _gaps_m(table, flight, drawn, done):
+    for what, gap_m in _gaps_m(track, flight, drawn, done):
         bad = gap_m < drawn.task.settings.safety_distance_m - _SLACK_M
         for where in (bad & ~is_excused, bad & is_excused):
             if where.any():
                 first = int(np.argmax(where))
-                tell(f"{what} {gap_m[where].min():.1f} m from {table.t_s[first]:.1f} s", first)
-    if hit := _hit(flight, table, but_landing=timeline is not None):
+                tell(f"{what} {gap_m[where].min():.1f} m from {track.t_s[first]:.1f} s", first)
+    if hit := _hit(flight, track, but_landing=timeline is not None):
         tell(*hit)
     if timeline is not None:
-        ending, reason = _ending(flight, drawn, done, told, is_cut=is_cut)
+        ending, reason = _ending(flight, drawn, done, is_cut=is_cut)
         if ending.startswith("unexplained"):
             known.append(f"{ending}: {reason}")
         elif not done and ending not in _THERE:
             known.append(f"{ending} with nothing wrong: {reason}")
-        found |= {
-            "ending": ending,
-            "reason": None if ending == "arrived" else reason or None,
-            "excused": "; ".join(excused) or None,
-            "position_off_m": float(off_m.max()) if len(off_m) else None,
-            "silent_s": _silent_s(table, told, _outages_s(done), _end_s(flight)),
-        }
+        found["ending"], found["excused"] = ending, "; ".join(excused) or None
+        found["reason"] = None if ending == "arrived" else reason or None
     count = len(known)
     if flight.mission.near is None:
-        # planned in a wrong place, a subpath is right in its shape only
+        # planned in a wrong place, or where the radar lied, a subpath is right in its shape only
         bounds = _OF_SHAPE if is_excused.any() else None
         ready = (e for e in flight.journal if e["kind"] == "plan ready")
         subpaths = [np.array(e["control_nea_m"]) for e in ready]
@@ -136,37 +108,19 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
 
 
 def _came_to(flight: Flight, drawn: DrawnWorld) -> dict[str, Any]:
-    """How it ended, and what was flown."""
-    ends = [entry for entry in flight.journal if entry["kind"] == "end"]
-    outcome = ends[-1]["outcome"] if ends else "not ended"
-    reason = ends[-1]["reason"] if ends else "the companion has not said how it ended"
+    """How it ended."""
+    end = next((e for e in reversed(flight.journal) if e["kind"] == "end"), _NO_END)
     kinds = [entry["kind"] for entry in flight.journal]
-    found = of_task(flight.mission.task, drawn, flight.plans_s) | {
-        "outcome": outcome,
-        "reason": None if outcome == "arrived" else reason,
-        "arrived": outcome == "arrived",
+    return of_task(flight.mission.task, drawn, flight.plans_s) | {
+        "outcome": end["outcome"],
+        "reason": None if end["outcome"] == "arrived" else end["reason"],
+        "arrived": end["outcome"] == "arrived",
         "plans": kinds.count("plan ready") + kinds.count("plan refused"),
-        "subpaths": kinds.count("leg"),
         "holds": sum(
             entry.get("phase") == "holding" and entry["code"] not in ("TAKING_OVER", "TAKEN_OFF")
             for entry in flight.journal
         ),
     }
-    rows = _in_the_air(flight)
-    if len(rows) < 2:
-        return found
-    t_s, points = [row["t_s"] for row in rows], _points(rows)
-    if flight.mission.near is not None:
-        away_m = np.array([row.get("near_m", math.inf) for row in rows])
-    else:
-        up_to_m = 2.0 * drawn.task.required_clearance_m
-        away_m = truth.terrain_distance_m(points, drawn.terrain, up_to_m)
-    away_m = np.where([row["mode"] in LANDS | RETURNS for row in rows], np.inf, away_m)
-    least = int(np.argmin(away_m))
-    found |= of_track(points, drawn) | {"flight_s": t_s[-1] - t_s[0]}
-    if math.isfinite(away_m[least]):
-        found |= {"clearance_least_m": float(away_m[least]), "clearance_least_t_s": t_s[least]}
-    return found
 
 
 def _until_stopped(flight: Flight) -> tuple[Flight, bool]:
@@ -179,25 +133,15 @@ def _until_stopped(flight: Flight) -> tuple[Flight, bool]:
     return replace(flight, journal=flight.journal[:stop], truth=rows), True
 
 
-def _in_the_air(flight: Flight) -> list[dict[str, Any]]:
-    """The truth while subpaths were flown.
-
-    Until the vehicle is told to land or is let go.  Of a flight whose vehicle's clock began again,
-    the whole time in the air.
-    """
-    rows = [row for row in flight.truth if not row["landed"]]
-    begun_s = next((e["t_s"] for e in flight.journal if e["kind"] == "leg"), math.inf)
-    over = (e["t_s"] for e in flight.journal if e.get("phase") in _OVER and e["t_s"] >= begun_s)
-    until_s = next(over, math.inf)
-    if until_s < math.inf:
-        rows = [row for row in rows if begun_s <= row["t_s"] <= until_s]
-    return rows
-
-
-def _points(rows: Sequence[dict[str, Any]]) -> FloatArray:
-    """North, east, altitude of rows of truth; (N, 3)."""
-    keys = ("north_m", "east_m", "altitude_amsl_m")
-    return np.array([[row[key] for key in keys] for row in rows]).reshape(-1, 3)
+def _of_flight(track: "_Track", flown: BoolArray, drawn: DrawnWorld) -> dict[str, Any]:
+    """What was flown; (N,): when."""
+    t_s, away_m = track.t_s[flown], track.away_m[flown]
+    found = of_track(track.points_nea_m[flown], drawn) | {"flight_s": float(t_s[-1] - t_s[0])}
+    least = int(np.argmin(away_m))
+    if math.isfinite(away_m[least]):
+        found["clearance_least_m"] = float(away_m[least])
+        found["clearance_least_t_s"] = float(t_s[least])
+    return found
 
 
 # --- what was planned, and what was flown
@@ -217,13 +161,11 @@ def of_task(task: Task, drawn: DrawnWorld, plans_s: Sequence[float]) -> dict[str
 
 
 def of_track(track_nea_m: FloatArray, drawn: DrawnWorld) -> dict[str, Any]:
-    """Length, cost and radars along what was flown."""
-    length_m = float(np.linalg.norm(np.diff(track_nea_m, axis=0), axis=-1).sum())
+    """Length and cost of what was flown."""
     terms = route_terms(track_nea_m, drawn.task)
     return {
-        "length_m": length_m,
+        "length_m": float(np.linalg.norm(np.diff(track_nea_m, axis=0), axis=-1).sum()),
         "cost": sum(terms.values()),
-        "radar_m": truth.radar_m(track_nea_m, drawn.task.radars, length_m),
         **{f"cost_{name}": value for name, value in terms.items()},
     }
 
@@ -264,48 +206,19 @@ def checked(
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Told:
-    """Of flight.tlog, in vehicle time."""
+class _Track:
+    """Where the vehicle truly was in the air, from when its mission first flew; N moments."""
 
-    at_s: FloatArray
-    """When the companion was told a position, (K,)."""
-    of_s: FloatArray
-    """What time that is of, (K,)."""
-    deg_m: FloatArray
-    """Latitude, longitude, degrees, and altitude, metres AMSL; (K, 3)."""
-    sent_s: FloatArray
-    """When setpoints and modes went out."""
-
-
-def _told(log: Path | None) -> _Told:
-    """What the companion and its vehicle said to each other; None: nothing is known of it."""
-    at_us, places, sent_us = list[int](), list[tuple[float, ...]](), list[int]()
-    with Records(log) if log else nullcontext() as records:
-        while records is not None and (record := records.take()) is not None:
-            us, frame = record
-            number, (_, component) = number_of(frame), sender_of(frame)
-            from_vehicle = component == AUTOPILOT_COMPONENT
-            if number == _POSITION.id and from_vehicle:
-                told = decoded(frame, _POSITION)
-                at_us.append(us)
-                places.append(
-                    (told.time_boot_ms * 1e-3, told.lat * 1e-7, told.lon * 1e-7, told.alt * 1e-3)
-                )
-            elif not from_vehicle and (
-                number in _SETPOINTS
-                or (number == _COMMAND.id and decoded(frame, _COMMAND).command == _SET_MODE)
-            ):
-                sent_us.append(us)
-    of = np.array(places).reshape(-1, 4)
-    # stamps count from an epoch of their own, positions from the vehicle's boot
-    first_us, first_s = (at_us[0], of[0, 0]) if at_us else (0, 0.0)
-    at_s, sent_s = (
-        1e-6 * (np.array(us, dtype=float) - first_us) + first_s for us in (at_us, sent_us)
-    )
-    return _Told(at_s=at_s, of_s=of[:, 0], deg_m=of[:, 1:], sent_s=np.sort(sent_s))
+    rows: list[dict[str, Any]]
+    t_s: FloatArray
+    points_nea_m: FloatArray
+    lands: BoolArray
+    """Whether it lands or returns by itself: the ground may be near then."""
+    away_m: FloatArray
+    """To the ground, or to the nearest of near things; infinite while it lands."""
 
 
-def _table(flight: Flight, drawn: DrawnWorld) -> _Table:
+def _in_the_air(flight: Flight, drawn: DrawnWorld) -> _Track:
     terrain, airborne_s = drawn.terrain, _airborne_s(flight)
     ground_m = terrain.ground_amsl_m if isinstance(terrain, PeakTerrain) else -math.inf
     rows = [
@@ -313,49 +226,74 @@ def _table(flight: Flight, drawn: DrawnWorld) -> _Table:
         for row in flight.truth
         if row["t_s"] >= airborne_s and not row["landed"] and row["altitude_amsl_m"] > ground_m
     ]
-    t_s = np.array([row["t_s"] for row in rows])
-    return _Table(rows=rows, t_s=t_s, points_nea_m=_points(rows), ours=_ours(rows, flight))
+    points, lands = _points(rows), np.array([row["mode"] in LANDS | RETURNS for row in rows], bool)
+    if flight.mission.near is not None or not rows:
+        away_m = np.array([row.get("near_m", math.inf) for row in rows])
+    else:
+        away_m = truth.terrain_distance_m(points, terrain, 2.0 * drawn.task.required_clearance_m)
+    return _Track(
+        rows=rows,
+        t_s=np.array([row["t_s"] for row in rows]),
+        points_nea_m=points,
+        lands=lands,
+        away_m=np.where(lands, np.inf, away_m),
+    )
+
+
+def _points(rows: Sequence[dict[str, Any]]) -> FloatArray:
+    """North, east, altitude of rows of truth; (N, 3)."""
+    keys = ("north_m", "east_m", "altitude_amsl_m")
+    return np.array([[row[key] for key in keys] for row in rows]).reshape(-1, 3)
+
+
+def _airborne_s(flight: Flight) -> float:
+    phases = (e for e in flight.journal if e.get("phase") == "flying")
+    return next((e["t_s"] for e in phases), math.inf)
+
+
+def _flown(track: _Track, flight: Flight) -> BoolArray:
+    """When subpaths were flown: until it is told to land or is let go; (N,)."""
+    begun_s = next((e["t_s"] for e in flight.journal if e["kind"] == "leg"), -math.inf)
+    over = (e["t_s"] for e in flight.journal if e.get("phase") in _OVER and e["t_s"] >= begun_s)
+    return (track.t_s >= begun_s) & (track.t_s <= next(over, math.inf))
+
+
+# --- what the companion could not know or had no say in
 
 
 def _excuses(
-    table: _Table, off_m: FloatArray, done: Sequence[Happening], drawn: DrawnWorld
+    flight: Flight, track: _Track, drawn: DrawnWorld, done: Sequence[Happening]
 ) -> dict[str, BoolArray]:
-    """What the companion could not know or had no say in, and when; (N,) each."""
-    t_s, error_m = table.t_s, drawn.task.limits.navigation_error_m
+    """Why something does not count against it, and when; (N,) each."""
+    t_s = track.t_s
     rebooted, lied = (
         t_s >= min((each.at_s for each in done if word in each.what), default=math.inf)
         for word in ("reboot", "either_way")
     )
+    is_off = _off_m(flight, t_s) > drawn.task.limits.navigation_error_m
     return {
-        "the position was wrong": _lasting(t_s, (off_m > error_m) & ~rebooted),
-        "somebody else flew": _lasting(t_s, ~table.ours),
+        "the position was wrong": _lately(t_s, is_off),
+        "somebody else flew": _lately(t_s, ~_ours(track.rows, flight)),
         "the autopilot rebooted": rebooted,
         "the radar told too low heights": lied,
     }
 
 
-def _airborne_s(flight: Flight) -> float:
-    """When the mission first flew."""
-    phases = (e for e in flight.journal if e.get("phase") == "flying")
-    return next((e["t_s"] for e in phases), math.inf)
+def _lately(t_s: FloatArray, is_so: BoolArray) -> BoolArray:
+    """When something is so, or was less than the grace ago; (N,)."""
+    last_s = np.maximum.accumulate(np.where(is_so, t_s, -math.inf))
+    return np.asarray(t_s - last_s < _GRACE_S)
 
 
-def _end_s(flight: Flight) -> float:
-    return next((e["t_s"] for e in flight.journal if e["kind"] == "end"), math.inf)
-
-
-def _off_m(flight: Flight, t_s: FloatArray, told: _Told) -> FloatArray:
-    """By the position that was told last, against the truth at the time that it is of."""
-    if not len(t_s) or not len(told.at_s):
+def _off_m(flight: Flight, t_s: FloatArray) -> FloatArray:
+    """How far the position that was told last lay off the truth of its own time; (N,)."""
+    if not len(flight.told):
         return np.zeros(len(t_s))
-    times = np.array([row["t_s"] for row in flight.truth])
-    names = ("lat_deg", "lon_deg", "altitude_amsl_m")
-    true = [np.interp(told.of_s, times, [row[name] for row in flight.truth]) for name in names]
-    aside = told.deg_m - np.stack(true, axis=-1)
-    east = _DEG_M * math.cos(math.radians(flight.mission.frame.latitude_deg))
-    off_m = np.linalg.norm(aside * (_DEG_M, east, 1.0), axis=-1)
-    newest = np.searchsorted(np.maximum.accumulate(told.at_s), t_s, side="right") - 1
-    return np.asarray(off_m[np.maximum(newest, 0)])
+    told_s, of_s, *told = flight.told.T
+    times = [row["t_s"] for row in flight.truth]
+    true = [np.interp(of_s, times, values) for values in _points(flight.truth).T]
+    newest = np.searchsorted(told_s, t_s, side="right") - 1
+    return np.linalg.norm(np.subtract(told, true), axis=0)[np.maximum(newest, 0)]
 
 
 def _ours(rows: Sequence[dict[str, Any]], flight: Flight) -> BoolArray:
@@ -376,56 +314,44 @@ def _ours(rows: Sequence[dict[str, Any]], flight: Flight) -> BoolArray:
     return np.array(ours, dtype=bool)
 
 
-def _lasting(t_s: FloatArray, bad: BoolArray) -> BoolArray:
-    """Bad now, or less than the grace ago."""
-    last_s = np.maximum.accumulate(np.where(bad, t_s, -math.inf))
-    return np.asarray(t_s - last_s < _GRACE_S)
-
-
 # --- too near
 
 
 def _gaps_m(
-    table: _Table, flight: Flight, drawn: DrawnWorld, done: Sequence[Happening]
+    track: _Track, flight: Flight, drawn: DrawnWorld, done: Sequence[Happening]
 ) -> Iterator[tuple[str, FloatArray]]:
     """True distances that must be d_s or more, (N,); infinite where they do not count."""
-    if flight.mission.near is not None or not len(table.t_s):
+    if flight.mission.near is not None or not len(track.t_s):
         return
-    up_to_m = 4.0 * drawn.task.settings.safety_distance_m
-    gap_m = truth.terrain_distance_m(table.points_nea_m, drawn.terrain, up_to_m)
-    lands = np.array([row["mode"] in LANDS | RETURNS for row in table.rows])
-    yield "terrain", np.where(lands, np.inf, gap_m)
+    points = track.points_nea_m
+    yield "terrain", track.away_m
     for zone in drawn.task.zones:
-        yield zone.name, _zone_gap_m(table.points_nea_m, zone)
-    for fence, known_s in _new_fences(flight, done):
-        gap_m = _zone_gap_m(table.points_nea_m, fence)
-        counts = table.t_s >= _left_s(gap_m, table.t_s, known_s, drawn)
+        gap_m = truth.keep_out_distance_m(points, zone)
+        yield zone.name, -gap_m if zone.keep_in else gap_m
+    for fence, begun_s in _new_fences(flight, done):
+        gap_m = truth.keep_out_distance_m(points, fence)
+        counts = track.t_s >= _left_s(gap_m, track.t_s, begun_s + _KNOWN_AFTER_S, drawn)
         yield fence.name, np.where(counts, gap_m, np.inf)
 
 
-def _zone_gap_m(points_nea_m: FloatArray, zone: Zone) -> FloatArray:
-    """Horizontal distance to where the vehicle must not be; negative there."""
-    gap_m = truth.keep_out_distance_m(points_nea_m, zone)
-    return -gap_m if zone.keep_in else gap_m
-
-
-def _new_fences(flight: Flight, done: Sequence[Happening]) -> Iterator[tuple[Zone, float]]:
-    """Fences that come during a flight, and when each can be known."""
+def _new_fences(flight: Flight, done: Sequence[Happening]) -> Iterator[tuple[CircleZone, float]]:
+    """Fences that come during a flight, so far ahead of the vehicle, and when."""
     for each in done:
         name, *words = each.what.split()
         row = _row_at(flight, each.at_s)
         if name == "ground_fence" and row is not None:
-            ahead_m = float(words[2]) if len(words) > 2 else 0.0
-            speed = math.hypot(row["velocity_north_m_s"], row["velocity_east_m_s"])
-            share = ahead_m / max(speed, 1e-6)
-            north_m = row["north_m"] + share * row["velocity_north_m_s"]
-            east_m = row["east_m"] + share * row["velocity_east_m_s"]
-            yield (
-                CircleZone(
-                    name="new fence", north_m=north_m, east_m=east_m, radius_m=float(words[0])
-                ),
-                each.at_s + _KNOWN_AFTER_S,
+            north_m_s, east_m_s = row["velocity_north_m_s"], row["velocity_east_m_s"]
+            ahead_s = (
+                float(words[2]) / max(math.hypot(north_m_s, east_m_s), 1e-6) if words[2:] else 0.0
             )
+            north_m, east_m = (
+                row["north_m"] + ahead_s * north_m_s,
+                row["east_m"] + ahead_s * east_m_s,
+            )
+            fence = CircleZone(
+                name="new fence", north_m=north_m, east_m=east_m, radius_m=float(words[0])
+            )
+            yield fence, each.at_s
 
 
 def _left_s(gap_m: FloatArray, t_s: FloatArray, known_s: float, drawn: DrawnWorld) -> float:
@@ -446,55 +372,29 @@ def _row_at(flight: Flight, time_s: float) -> dict[str, Any] | None:
     return next((row for row in flight.truth if row["t_s"] >= time_s - 1e-3), None)
 
 
-def _hit(flight: Flight, table: _Table, *, but_landing: bool) -> tuple[str, int] | None:
-    """The first touch of a near thing, else the first crash: what, and the row of the table before.
+def _hit(flight: Flight, track: _Track, *, but_landing: bool) -> tuple[str, int] | None:
+    """The first touch of a near thing, else the first crash: what, and the row of the track before.
 
     A crash is a contact that nobody survives, as the simulator judged it.
     """
-    over = LANDS | RETURNS
-    for at, row in enumerate(table.rows):
-        if row.get("near_m", math.inf) <= 0.0 and row["mode"] not in over:
-            return f"touched something at {row['t_s']:.1f} s", at
+    touches = track.away_m <= 0.0
+    if flight.mission.near is not None and touches.any():
+        first = int(np.argmax(touches))
+        return f"touched something at {track.t_s[first]:.1f} s", first
     crash = next((row["crash"] for row in flight.truth if "crash" in row), None)
     if crash is None:
         return None
-    last = int(np.searchsorted(table.t_s, crash["t_s"])) - 1
-    if but_landing and (last < 0 or table.rows[last]["mode"] in over):
+    last = int(np.searchsorted(track.t_s, crash["t_s"])) - 1
+    if but_landing and (last < 0 or track.lands[last]):
         return None
     return f"hit {crash['into']} at {crash['speed_m_s']:.1f} m/s, {crash['t_s']:.1f} s", last
 
 
-# --- commands and endings
-
-
-def _outages_s(done: Sequence[Happening]) -> list[tuple[float, float]]:
-    """When no command could have reached the autopilot, or nobody was there to send one."""
-    ends = [(e.at_s, e.until_s) for e in done if e.what.startswith(("link_off", KILLED))]
-    return [*ends, *((e.at_s, math.inf) for e in done if e.what == "reboot")]
-
-
-def _silent_s(
-    table: _Table, told: _Told, outages_s: Sequence[tuple[float, float]], until_s: float
-) -> float:
-    """Longest time in guided mode in the air, before the end, without a command to the vehicle."""
-    t_s = table.t_s
-    speaks = np.array([row["armed"] and row["mode"] in GUIDED for row in table.rows], dtype=bool)
-    for begin_s, end_s in outages_s:
-        speaks &= (t_s < begin_s) | (t_s >= end_s)
-    quiet_s = np.maximum.accumulate(np.where(speaks, t_s[:1], t_s))  # when it last had no say
-    sent_s = np.append(-math.inf, told.sent_s)
-    newest_s = sent_s[np.searchsorted(told.sent_s, t_s + 1e-6, side="right")]
-    silent_s = t_s - np.maximum(quiet_s, newest_s)
-    return float(silent_s[speaks & (t_s <= until_s)].max(initial=0.0))
+# --- endings
 
 
 def _ending(
-    flight: Flight,
-    drawn: DrawnWorld,
-    done: Sequence[Happening],
-    told: _Told,
-    *,
-    is_cut: bool,
+    flight: Flight, drawn: DrawnWorld, done: Sequence[Happening], *, is_cut: bool
 ) -> tuple[str, str]:
     """How it ended, and the reason in words."""
     end = next((e for e in flight.journal if e["kind"] == "end"), None)
@@ -508,7 +408,7 @@ def _ending(
     last, mode = flight.truth[-1], flight.truth[-1]["mode"]
     if end is not None and end["outcome"] == "arrived":
         circle_m = drawn.task.limits.loiter_radius_m
-        if (miss_m := _miss_m(flight, done, told)) > _ARRIVED_M + 1.3 * circle_m:
+        if (miss_m := _miss_m(flight, done)) > _ARRIVED_M + 1.3 * circle_m:
             return "unexplained: arrived elsewhere", f"{miss_m:.0f} m off"
         airborne_s = _airborne_s(flight)
         held = any(e["phase"] == "holding" and e["t_s"] > airborne_s for e in said)
@@ -517,19 +417,24 @@ def _ending(
         return "unexplained: flies on", f"{phase}: {reason}"
     if not reason:
         return "unexplained: no reason", f"{phase}, {mode}"
+    reboots_s = [each.at_s for each in done if each.what == "reboot"]
     if last["landed"] or not last["armed"]:
-        return ("fell" if any(e.what == "reboot" for e in done) else "landed"), reason
+        return ("fell" if reboots_s else "landed"), reason
     if mode in LANDS | RETURNS:
         return ("landed" if mode in LANDS else "returned"), reason
     if any(text in reason for text in _LET_GO) or mode not in GUIDED | HOLDS:
         return "let go", reason
-    out_of_reach = any(begin_s <= _end_s(flight) < end_s for begin_s, end_s in _outages_s(done))
+    # when no command could have reached the autopilot, or nobody was there to send one
+    end_s = end["t_s"] if end else math.inf
+    outages = [each for each in done if each.what.startswith(("link_off", KILLED))]
+    out_of_reach = any(each.at_s <= end_s < each.until_s for each in outages)
+    out_of_reach |= any(at_s <= end_s < math.inf for at_s in reboots_s)
     held = mode in HOLDS or is_cut or out_of_reach or not drawn.task.limits.hovers
     return ("held for good" if held else "unexplained: left in guided mode"), reason
 
 
-def _miss_m(flight: Flight, done: Sequence[Happening], told: _Told) -> float:
-    """Where it came to, beside the target; as the companion believed if it was told wrong."""
+def _miss_m(flight: Flight, done: Sequence[Happening]) -> float:
+    """Where it was told to be in the end, beside the target."""
     targets = [flight.mission.targets_ne_m[-1]]
     for each in done:
         name, *words = each.what.split()
@@ -538,8 +443,6 @@ def _miss_m(flight: Flight, done: Sequence[Happening], told: _Told) -> float:
             north, east = (-1.0 if word in ("south", "west") else 1.0 for word in words[2::3])
             place = row["north_m"] + north * float(words[0]), row["east_m"] + east * float(words[3])
             targets.append(place)
-    if not len(told.deg_m):
+    if not len(flight.told):
         return math.inf
-    north_m, east_m = flight.mission.frame.to_local_m(told.deg_m[-1:, 0], told.deg_m[-1:, 1])
-    believed = float(north_m[0]), float(east_m[0])
-    return min(math.dist(believed, target) for target in targets)
+    return min(math.dist(flight.told[-1, 2:4], target) for target in targets)

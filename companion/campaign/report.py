@@ -3,12 +3,11 @@
 import csv
 import io
 import shlex
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from statistics import median
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from rich.table import Table
 from rich.text import Text
@@ -35,8 +34,9 @@ _MOST_VALUES: Final = 24
 _WORST: Final = 10
 _FEW: Final = 20
 _DRAWN_BY: Final = ("family_seed", "family_index")
+_WHY: Final = ("outcome", "reason")
 _PAIRS_HEAD: Final = (
-    *("group", "against", "measure", "pairs", "difference", "%"),
+    *("group", "against", "measure", "pairs", "difference"),
     *("better", "alike", "worse", "p", "p, Holm"),
 )
 
@@ -49,8 +49,6 @@ class Campaign(NamedTuple):
     """By their numbers."""
     expected: int | None
     """Runs that it has in all; None: that is not known."""
-    repeated: int
-    """Rows that were left out: their run has one already."""
     source: tuple[str, ...]
     """What the command is asked for to fly one of these runs again."""
 
@@ -70,12 +68,10 @@ class Report(NamedTuple):
     """What there is to say of a campaign."""
 
     campaign: Campaign
-    notes: tuple[str, ...]
-    figures: tuple[Figure, ...]
-    page: tuple[Sheet, ...]
-    terminal: tuple[Sheet, ...]
-    """The same with fewer measures."""
-    worst: tuple[Sheet, ...]
+    notes: Sequence[str]
+    figures: Sequence[Figure]
+    tables: Sequence[Sheet]
+    worst: Sequence[Sheet]
 
 
 def read_campaign(folder: Path) -> Campaign:
@@ -87,12 +83,10 @@ def read_campaign(folder: Path) -> Campaign:
     if not found and expected is None:
         remedy = "Give the folder that companion campaign has written."
         raise InputError("FOLDER", str(folder), "it holds no campaign", remedy)
-    rows = {row["run"]: Row(**row) for row in reversed(found)}
     return Campaign(
         folder=folder,
-        rows=tuple(rows[run] for run in sorted(rows)),
+        rows=tuple(sorted((Row(**row) for row in found), key=lambda row: row.run)),
         expected=expected if isinstance(expected, int) else None,
-        repeated=len(found) - len(rows),
         source=tuple(map(str, facts.get("source") or [folder / "campaign.toml"])),
     )
 
@@ -113,97 +107,75 @@ def report_of(campaign: Campaign, by: Sequence[str] = ()) -> Report:
         else:
             notes.append(f"{factor} has {count} values; a table by it: --by {factor}.")
     figures = groups(rows, ())
-    page, terminal = [_of_groups(figures)], [_of_groups(figures, in_short=True)]
+    tables = [_of_groups(figures)]
     for each in chosen:
         of_groups, (of_pairs, said) = groups(rows, each), pairs(rows, each)
         figures += [*of_groups, *of_pairs]
-        page.append(_of_groups(of_groups))
-        terminal.append(_of_groups(of_groups, in_short=True))
+        tables.append(_of_groups(of_groups))
         if of_pairs or said:
-            page.append(_of_pairs(of_pairs, said))
-            terminal.append(page[-1])
-    return Report(
-        campaign=campaign,
-        notes=tuple(notes),
-        figures=tuple(figures),
-        page=tuple(page),
-        terminal=tuple(terminal),
-        worst=tuple(_of_worst(kind, bad, campaign) for kind, bad in worst(rows).items()),
-    )
+            tables.append(_of_pairs(of_pairs, said))
+    bad = [_of_worst(kind, runs, campaign) for kind, runs in worst(rows).items()]
+    return Report(campaign, notes, figures, tables, bad)
 
 
 def _notes(campaign: Campaign) -> list[str]:
-    notes, rows = [], campaign.rows
-    if missing := max((campaign.expected or 0) - len(rows), 0):
-        notes.append(
-            f"Not finished: {missing:,} of {campaign.expected:,} runs have no row yet. What is "
-            "missing may differ from what is here; the command that began the campaign goes on."
-        )
-    if campaign.repeated:
-        notes.append(f"{campaign.repeated:,} rows repeat a run that has one, and were left out.")
-    if 0 < len(rows) < _FEW:
-        notes.append(f"{len(rows)} runs are few: intervals by bootstrap are then too narrow.")
-    if errors := sum(row.error is not None for row in rows):
-        notes.append(f"{errors:,} runs raised an error; they count as not arrived.")
-    if unchecked := sum(row.violations is None for row in rows):
-        notes.append(f"{unchecked:,} runs were not checked for violations: in no rate of them.")
-    if len(versions := {row.version for row in rows}) > 1:
-        notes.append(f"Flown by several versions: {', '.join(sorted(versions))}.")
-    return notes
+    rows = campaign.rows
+    missing = max((campaign.expected or 0) - len(rows), 0)
+    errors = sum(row.error is not None for row in rows)
+    unchecked = sum(row.violations is None for row in rows)
+    versions = sorted({row.version for row in rows})
+    told = {
+        f"Not finished: {missing:,} of {campaign.expected or 0:,} runs have no row yet. What is "
+        "missing may differ from what is here; the command that began it goes on.": missing,
+        f"{len(rows)} runs are few: intervals by bootstrap are then too narrow.": (
+            0 < len(rows) < _FEW
+        ),
+        f"{errors:,} runs raised an error; they count as not arrived.": errors,
+        f"{unchecked:,} runs were not checked for violations: in no rate of them.": unchecked,
+        f"Flown by several versions: {', '.join(versions)}.": len(versions) > 1,
+    }
+    return [note for note, applies in told.items() if applies]
 
 
 # --- tables
 
 
-def _of_groups(figures: Sequence[Figure], *, in_short: bool = False) -> Sheet:
-    """One row for each group; a group has all its figures one after the other."""
+def _of_groups(figures: Sequence[Figure]) -> Sheet:
+    """One row for each group, with all its measures."""
     shown = {figure.measure.name for figure in figures}
-    measures = [m for m in MEASURES if m.name in shown and (m.in_short or not in_short)]
+    measures = [measure for measure in MEASURES if measure.name in shown]
     table = dict[str, dict[str, Figure]]()
     for figure in figures:
         table.setdefault(figure.group, {})[figure.measure.name] = figure
     rows = []
     for group, found in table.items():
         count = found["arrived"].n  # every run has one
-        cells = [_cell(found.get(m.name), count, in_short=in_short) for m in measures]
+        cells = [_cell(found.get(measure.name), count) for measure in measures]
         rows.append((group, f"{count:,}", *cells))
     by = figures[0].by if figures else ""
-    names = map(_head, measures)
     title = f"By {by}" if by else "All runs" if rows else "No run has a row yet"
-    return Sheet(title=title, head=(by, "runs", *names), rows=rows)
+    return Sheet(title=title, head=(by, "runs", *map(_head, measures)), rows=rows)
 
 
-def _cell(figure: Figure | None, runs: int, *, in_short: bool) -> str:
+def _cell(figure: Figure | None, runs: int) -> str:
     if figure is None:
         return "–"
-    said = value_text(figure)
-    if figure.n != runs and figure.measure.is_rate:
-        said += f" of {figure.n:,}"
-    if figure.tenth is None or figure.ninetieth is None or in_short:
-        return said
-    digits = figure.measure.digits
-    return f"{said}; {figure.tenth:,.{digits}f} to {figure.ninetieth:,.{digits}f}"
+    of = f" of {figure.n:,}" if figure.measure.is_rate and figure.n != runs else ""
+    return value_text(figure) + of
 
 
 def value_text(figure: Figure) -> str:
     """A figure with its interval; a rate in per cent, of some never 0, of nearly all not 100."""
-    ends, digits = (figure.value, figure.low, figure.high), figure.measure.digits
-    if not figure.measure.is_rate:
-        return _ranged(digits, *ends)
-    value, low, high = (None if end is None else 100.0 * end for end in ends)
-    least = 10.0**-digits
-    if 0.0 < figure.value < 1.0:
-        value = min(max(100.0 * figure.value, least), 100.0 - least)
-    return _ranged(digits, value, low, high)
-
-
-def _ranged(digits: int, value: float | None, low: float | None, high: float | None) -> str:
-    if value is None:
-        return ""
-    said = f"{value + 0.0:,.{digits}f}"
-    if low is None or high is None:
-        return said
-    return f"{said} [{low + 0.0:,.{digits}f}, {high + 0.0:,.{digits}f}]"
+    digits, measure = figure.measure.digits, figure.measure
+    ends = [figure.value, figure.low, figure.high]
+    if measure.is_rate:
+        ends = [None if end is None else 100.0 * end for end in ends]
+        if 0.0 < figure.value < 1.0:
+            ends[0] = min(max(100.0 * figure.value, 10.0**-digits), 100.0 - 10.0**-digits)
+    elif figure.against and measure.in_percent:
+        digits = 1
+    value, *interval = (f"{end + 0.0:,.{digits}f}" for end in ends if end is not None)
+    return f"{value} [{', '.join(interval)}]" if interval else value
 
 
 def _head(measure: Measure) -> str:
@@ -213,9 +185,8 @@ def _head(measure: Measure) -> str:
 def _of_pairs(figures: Sequence[Figure], notes: Sequence[str]) -> Sheet:
     rows = [
         (
-            *(figure.group, figure.against or "", _head(figure.measure)),
-            *(f"{figure.n:,}", value_text(figure)),
-            _ranged(1, figure.percent, figure.percent_low, figure.percent_high),
+            *(figure.group, figure.against or "", figure.measure.words, f"{figure.n:,}"),
+            f"{value_text(figure)} {'%' if figure.measure.in_percent else figure.measure.unit}",
             *(f"{figure.wins:,}", f"{figure.ties:,}", f"{figure.losses:,}", f"{figure.p:.2g}"),
             f"{figure.p_holm:.2g}{' ●' if (figure.p_holm or 0.0) < 1.0 - CONFIDENCE else ''}",
         )
@@ -231,38 +202,29 @@ _Bad = list[tuple[Row, str]]
 def worst(rows: Sequence[Row]) -> dict[str, _Bad]:
     """The worst runs of each kind; no kind of which there is none."""
     violated = sorted((r for r in rows if r.violations), key=lambda r: -(r.violations or 0))
-    low = [(r.clearance_least_m, r) for r in rows if r.clearance_least_m is not None]
+    low = [(r.clearance_least_m, r.clearance_least_t_s, r)
+           for r in rows if r.clearance_least_m is not None]  # fmt: skip
     tasks = split((row for row in rows if row.arrived and row.cost), TASK).values()
     dear = [(r.cost / median(e.cost or 0.0 for e in runs), len(runs), r)
             for runs in tasks if len(runs) > 1 for r in runs if r.cost]  # fmt: skip
+    lost = split((row for row in rows if not row.arrived and row.error is None), _WHY)
     found = {
         "Violations": [(r, f"{r.violations}: {r.violated or 'not said which'}") for r in violated],
         "Errors": [(row, row.error) for row in rows if row.error is not None],
-        "Not arrived": _by_turns([r for r in rows if not r.arrived and r.error is None]),
+        "Not arrived": [
+            (runs[0], f"{outcome}: {reason or 'no reason given'} ({len(runs):,} runs)")
+            for (outcome, reason), runs in sorted(lost.items(), key=lambda each: -len(each[1]))
+        ],
         "Dearest": [
             (row, f"{ratio:.3f} times the median of {count} runs")
             for ratio, count, row in sorted(dear, key=lambda each: -each[0])
         ],
         "Least clearance": [
-            (row, f"{metres:.1f} m{_at(row.clearance_least_t_s)}")
-            for metres, row in sorted(low, key=lambda each: each[0])
+            (row, f"{metres:.1f} m" + (f" at {at_s:,.0f} s" if at_s is not None else ""))
+            for metres, at_s, row in sorted(low, key=lambda each: each[0])
         ],
     }
     return {kind: runs for kind, runs in found.items() if runs}
-
-
-def _at(time_s: float | None) -> str:
-    return "" if time_s is None else f" at {time_s:,.0f} s"
-
-
-def _by_turns(rows: Iterable[Row]) -> _Bad:
-    """One run of each reason, the commonest first, then another of each."""
-    why = [(f"{row.outcome}: {row.reason or 'no reason given'}", row) for row in rows]
-    times, seen, turns = Counter(reason for reason, _ in why), Counter[str](), []
-    for reason, row in why:
-        turns.append((seen[reason], -times[reason], row, f"{reason} ({times[reason]:,} runs)"))
-        seen[reason] += 1
-    return [(row, said) for _, _, row, said in sorted(turns, key=lambda turn: turn[:2])]
 
 
 def _of_worst(kind: str, found: _Bad, campaign: Campaign) -> Sheet:
@@ -275,10 +237,10 @@ def _of_worst(kind: str, found: _Bad, campaign: Campaign) -> Sheet:
 
 def replay_command(campaign: Campaign, row: Row) -> str:
     """The command that shows a run again: its folder replayed, or the run flown again."""
-    if row.folder:
+    if row.folder and row.over == "process":
         return shlex.join(["companion", "replay", str(campaign.folder / row.folder)])
     again = f"{campaign.folder}-run-{row.run}"
-    asked = ["--only", str(row.run), "--over", row.over, "--keep", "all", "--out", again]
+    asked = ["--only", str(row.run), "--keep", "all", "--out", again]
     return shlex.join(["companion", "campaign", "run", *campaign.source, *asked])
 
 
@@ -286,9 +248,9 @@ def replay_command(campaign: Campaign, row: Row) -> str:
 
 
 def terminal_tables(report: Report) -> list[Table | str]:
-    """The report in short: tables, and between them lines."""
+    """The report: tables, and between them lines; of the worst runs the first of each kind."""
     shown: list[Table | str] = [f"note: {note}" for note in report.notes]
-    for sheet in report.terminal:
+    for sheet in report.tables:
         table = Table(title=Text(sheet.title), title_justify="left")
         for at, name in enumerate(sheet.head):
             table.add_column(Text(name), justify="left" if at < sheet.words else "right")
@@ -308,20 +270,10 @@ def report_html(report: Report) -> str:
     return page("campaign.html.j2", "campaign", report=report)
 
 
-def rows_csv(rows: Iterable[Row]) -> str:
-    """All columns of all rows."""
-    return _csv([each.name for each in fields(Row)], map(asdict, rows))
-
-
-def summary_csv(report: Report) -> str:
+def figures_csv(report: Report) -> str:
     """Every figure of the report: rates, medians, and differences in pairs."""
-    lines = (asdict(f) | {"measure": f.measure.name} for f in report.figures)
-    return _csv([each.name for each in fields(Figure)], lines)
-
-
-def _csv(names: Sequence[str], lines: Iterable[Mapping[str, Any]]) -> str:
     file = io.StringIO()
-    writer = csv.DictWriter(file, names, extrasaction="ignore", lineterminator="\n")
+    writer = csv.DictWriter(file, [each.name for each in fields(Figure)], lineterminator="\n")
     writer.writeheader()
-    writer.writerows(lines)
+    writer.writerows(asdict(f) | {"measure": f.measure.name} for f in report.figures)
     return file.getvalue()

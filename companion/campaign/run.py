@@ -1,13 +1,12 @@
 """One run of a campaign: it is flown, judged against the true world, and becomes a row.
 
 A run is a function of its values: wherever and however often it is flown, the row is the same
-but for the columns of `row.TIMING`.
+but for the columns of `store.TIMING`.
 """
 
 import errno
 import os
 import platform
-import resource
 import shutil
 import tempfile
 import time
@@ -47,75 +46,63 @@ def fly_run(run: Run, out: Path) -> Row:
 
     OSError if there is no room for its folder: that is no result of the run.
     """
-    began_s, cpu_s = time.perf_counter(), _cpu_s()
-    kept = run.keep != "none"
-    room = out / _ROOT if kept else Path(tempfile.gettempdir())
+    began_s, cpu_s = time.perf_counter(), time.process_time()
+    room = out / _ROOT if run.keep != "none" else Path(tempfile.gettempdir())
     room.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(prefix=".new-", dir=room))
     try:
         found = _flown(run, folder)
-    except Exception as error:  # noqa: BLE001 - one run does not end a campaign
-        cause = error.__cause__ or error
-        if isinstance(cause, OSError) and cause.errno in _FULL:
-            shutil.rmtree(folder, ignore_errors=True)
-            raise OSError(cause.errno, cause.strerror, str(room)) from None
-        text = " ".join(f"{type(error).__name__}: {error}".split())
-        found = {"outcome": "error", "arrived": False, "error": text}
-    failed = not found["arrived"] or bool(found.get("violations"))
-    name = ""
-    if run.keep == "all" or (run.keep == "failures" and failed):
-        name = f"{_ROOT}/{run.number:06d}"
-        shutil.rmtree(out / name, ignore_errors=True)  # of a worker that was lost
-        folder.replace(out / name)
-        folder = out / name
-        folder.chmod(0o755)
-    else:
+        if run.keep == "all" or (run.keep == "failures" and _failed(found)):
+            found["folder"] = f"{_ROOT}/{run.number:06d}"
+            kept = out / found["folder"]
+            shutil.rmtree(kept, ignore_errors=True)  # of a worker that was lost
+            folder.replace(kept)
+            kept.chmod(0o755)
+    finally:
         shutil.rmtree(folder, ignore_errors=True)
-    return _row(
-        run, found, folder=name, took_s=time.perf_counter() - began_s, cpu_s=_cpu_s() - cpu_s
-    )
+    found |= {"took_s": time.perf_counter() - began_s, "cpu_s": time.process_time() - cpu_s}
+    return row_of(run, found)
 
 
-def lost_run(run: Run, error: str) -> Row:
-    """The row of a run of which nothing came back."""
-    found = {"outcome": "error", "arrived": False, "error": error}
-    return _row(run, found, folder="", took_s=0.0, cpu_s=0.0)
+def _failed(found: dict[str, Any]) -> bool:
+    return not found["arrived"] or bool(found.get("violations"))
 
 
-def _row(run: Run, found: dict[str, Any], *, folder: str, took_s: float, cpu_s: float) -> Row:
+def row_of(run: Run, found: dict[str, Any]) -> Row:
+    """The row of a run, with what was found of it; `error` alone if nothing came back."""
     place = run.place
     known: dict[str, Any] = {"profile": "", "optimiser": "", "budget": 0, **run.factors}
+    known |= {name: getattr(place, name) for name in _OF_PLACE}
+    known |= {"outcome": "error", "arrived": False, "took_s": 0.0, "cpu_s": 0.0, "folder": ""}
     return Row(
         run=run.number,
         key=run.key,
         seed=run.seed,
         world=Path(place.world).parent.name if place.world.endswith(".toml") else place.world,
         over=run.over,
-        folder=folder,
         version=version("companion"),
-        took_s=took_s,
-        cpu_s=cpu_s,
         worker=f"{platform.node()}/{os.getpid()}",
-        **(known | {name: getattr(place, name) for name in _OF_PLACE} | found),
+        **(known | found),
     )
-
-
-def _cpu_s() -> float:
-    ours, children = (
-        resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-    )
-    return ours.ru_utime + ours.ru_stime + children.ru_utime + children.ru_stime
 
 
 def _flown(run: Run, folder: Path) -> dict[str, Any]:
-    if run.over == "planner":
-        return _planned(run, folder)
-    files = _files(run, folder)
-    flown = in_process.fly_here(files, seed=run.seed, limit_s=run.limit_s)
-    drawn = of_files(str(files.world), str(files.mission))
-    found = judge.judged(flown, drawn, files.faults if run.with_faults else None)
-    found |= {"timeline": files.faults or None}
-    return found | ({"faults": files.drawn} if run.script is not None else {})
+    try:
+        if run.over == "planner":
+            return _planned(run, folder)
+        files = _files(run, folder)
+        flown = in_process.fly_here(files, seed=run.seed, limit_s=run.limit_s)
+        drawn = of_files(str(files.world), str(files.mission))
+        is_drawn = run.script is not None
+        found = judge.judged(flown, drawn, files.faults if is_drawn or files.faults else None)
+        found |= {"timeline": files.faults or None}
+        return found | ({"faults": files.drawn} if is_drawn else {})
+    except Exception as error:  # noqa: BLE001 - one run does not end a campaign
+        cause = error.__cause__ or error
+        if isinstance(cause, OSError) and cause.errno in _FULL:
+            raise OSError(cause.errno, cause.strerror, str(folder.parent)) from None
+        text = " ".join(f"{type(error).__name__}: {error}".split())
+        return {"outcome": "error", "arrived": False, "error": text}
 
 
 # --- the planner alone
@@ -127,14 +114,10 @@ class AloneFlight(NamedTuple):
     whole: OfflineFlight
     points_nea_m: FloatArray
     """(S, 3), from the start as far as it came."""
-    plan_s: tuple[float, ...]
+    plan_s: list[float]
     """Processor time of each plan."""
-
-    @property
-    def why(self) -> str:
-        """Why it did not arrive; empty if it did."""
-        failure = self.whole.failure
-        return "" if failure is None else f"{failure.refusal.name}: {failure.refusal.value}"
+    why: str
+    """Why it did not arrive; empty if it did."""
 
 
 def fly_alone(
@@ -167,7 +150,9 @@ def fly_alone(
         planner=timed,
     )
     points = flight.route_nea_m(world.task.settings.scan_range_m / _POINTS_PER_RANGE)
-    return AloneFlight(whole=flight, points_nea_m=points, plan_s=tuple(plan_s))
+    failure = flight.failure
+    why = "" if failure is None else f"{failure.refusal.name}: {failure.refusal.value}"
+    return AloneFlight(flight, points, plan_s, why)
 
 
 def _planned(run: Run, folder: Path) -> dict[str, Any]:
@@ -176,9 +161,7 @@ def _planned(run: Run, folder: Path) -> dict[str, Any]:
         changes["profile"] = PROFILES[changes["profile"]]
     settings = replace(drawn.task.settings, **changes)
     drawn = replace(drawn, task=replace(drawn.task, settings=settings))
-    if run.keep != "none" and run.place.family is not None:
-        write(drawn, folder)
-    elif run.keep != "none":
+    if run.keep != "none":
         _files(run, folder)
     planner, knowledge = (run.factors.get(name) for name in ("planner", "knowledge"))
     flown = fly_alone(drawn, planner or OURS, knowledge=knowledge or "scans", seed=run.seed)
@@ -192,7 +175,7 @@ def _planned(run: Run, folder: Path) -> dict[str, Any]:
     subpaths = [leg.subpath.control_nea_m for leg in flown.whole.legs]  # tails included
     is_ours = planner in (None, OURS)
     if subpaths:
-        found |= {"subpaths": len(subpaths)} | judge.of_track(flown.points_nea_m, drawn)
+        found |= judge.of_track(flown.points_nea_m, drawn)
     bounds = None if is_ours else _OF_PLACES  # rivals turn on the spot
     return found | judge.checked(subpaths, drawn, joined=is_ours, bounds=bounds)
 
@@ -235,16 +218,17 @@ def _files(run: Run, folder: Path) -> FlightFiles:
         for table, name in ((world, "ideal" if is_ideal else autopilot), (mission, autopilot)):
             table["vehicle"] = table["vehicle"] | {"autopilot": name, "kind": kind}
     mission["planner"] = mission.get("planner", {}) | _of_planner(run)
-    world = with_settings(world, run.world_settings)
-    mission = with_settings(mission, run.mission_settings)
-    name, timeline = "", run.timeline
+    for choice in run.choices:
+        world = with_settings(world, choice.world)
+        mission = with_settings(mission, choice.mission)
+    name, lines = "", [choice.faults.strip() for choice in run.choices]
     if run.script is not None:
         of = mission["vehicle"]
         autopilot = of.get("autopilot") or world["vehicle"]["autopilot"]
         vehicle = f"{autopilot}-{of['kind']}".replace("ideal", "ardupilot")
         subject = drawn_faults.Subject(vehicle=vehicle, speed_m_s=of["speed_m_s"])
         name, more = drawn_faults.drawn(run.script, subject)
-        timeline = "\n".join(filter(None, (timeline, more)))
+        lines.append(more)
     given = folder / "asked"  # mission.toml of a run folder is written by who flies
     given.mkdir()
     (folder / "mission.toml").unlink(missing_ok=True)
@@ -253,7 +237,7 @@ def _files(run: Run, folder: Path) -> FlightFiles:
     return FlightFiles(
         world=folder / "world.toml",
         mission=given / "mission.toml",
-        faults=timeline,
+        faults="\n".join(filter(None, lines)),
         folder=folder,
         drawn=name,
     )
@@ -270,9 +254,8 @@ def check_runs(runs: Sequence[Run], where: str) -> None:
     kinds = dict[Any, Run]()
     for run in runs:
         place = run.place.family or (run.place.world, run.place.mission)
-        vehicle = run.factors.get("vehicle")
-        settings = (run.world_settings, run.mission_settings, vehicle, run.timeline)
-        kinds.setdefault((place, settings), run)
+        names = tuple(choice.name for choice in run.choices)
+        kinds.setdefault((place, names, run.factors.get("vehicle")), run)
     for run in kinds.values():
         try:
             with tempfile.TemporaryDirectory() as folder:

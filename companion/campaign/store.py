@@ -85,10 +85,6 @@ class Row:
     `refused`, `fell`, or `unexplained: ...`."""
     excused: str | None = None
     """With faults: what was too near, and why it could not know."""
-    position_off_m: float | None = None
-    """With faults: the largest error of the position that it was told."""
-    silent_s: float | None = None
-    """With faults: longest time without a command in guided mode, while somebody could send one."""
     length_m: float | None = None
     """Of what was flown."""
     straight_m: float | None = None
@@ -102,9 +98,6 @@ class Row:
     """True distance to the ground, at most twice what is required."""
     clearance_least_t_s: float | None = None
     """When, in vehicle time."""
-    radar_m: float | None = None
-    """Flown inside radar ranges."""
-    subpaths: int | None = None
     subpaths_checked: int | None = None
     plans: int | None = None
     """Answers of the planner, refusals too."""
@@ -121,7 +114,7 @@ class Row:
     # timing
     took_s: float
     cpu_s: float
-    """Processor time, children included."""
+    """Processor time."""
     plan_ms_median: float | None = None
     plan_ms_p99: float | None = None
     worker: str
@@ -167,13 +160,15 @@ class Store:
                 (folder / ROWS).mkdir(parents=True, exist_ok=True)
                 self._lock = broken.enter_context((folder / _LOCK).open("w"))
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if not (folder / _RUNS).exists():
-                    self._begin(text, {"digest": digest, "runs": count, "source": [*source]})
+                if not (folder / _RUNS).exists() and not any((folder / ROWS).iterdir()):
+                    facts = {"digest": digest, "runs": count, "source": [*source]}
+                    replace_whole(folder / _FILE, text.encode())
+                    replace_whole(folder / _RUNS, json.dumps(facts).encode())
                 elif facts_of(folder).get("digest") != digest:
-                    known = "digest" in facts_of(folder)
-                    rule = "it holds another campaign, or the same with other options"
-                    raise self._refused(rule if known else f"its {_RUNS} cannot be read")
-                self._remove_unfinished()
+                    raise self._refused("it holds another campaign, or the same with other options")
+                # what a killed process was writing: it has the lock no more
+                for path in (*folder.glob(f"{ROWS}/.*.new"), *folder.glob("runs/.new-*")):
+                    shutil.rmtree(path) if path.is_dir() else path.unlink()
                 self.done = {row["run"] for row in read_rows("--out", folder, ["run"])}
                 """The runs whose rows are there."""
             except BlockingIOError:
@@ -181,23 +176,9 @@ class Store:
             except OSError as error:
                 raise self._refused(f"it cannot be written to ({error.strerror})") from error
             broken.pop_all()
-        self._parts = len(list((folder / ROWS).glob("*.parquet")))
 
     def _refused(self, rule: str) -> InputError:
         return InputError("--out", str(self.folder), rule, "Give another folder.")
-
-    def _begin(self, text: str, facts: dict[str, Any]) -> None:
-        if any((self.folder / ROWS).iterdir()):
-            raise self._refused("it holds rows of something else")
-        replace_whole(self.folder / _FILE, text.encode())
-        replace_whole(self.folder / _RUNS, json.dumps(facts).encode())
-
-    def _remove_unfinished(self) -> None:
-        """What a killed process was writing: it has the lock no more."""
-        for path in (self.folder / ROWS).glob(".*.new"):
-            path.unlink()
-        for path in (self.folder / "runs").glob(".new-*"):
-            shutil.rmtree(path, ignore_errors=True)
 
     def add(self, rows: Sequence[Row]) -> None:
         """Add rows, in a part of their own; those that are there already are left out."""
@@ -207,12 +188,10 @@ class Store:
         fresh = {row.run: row for row in rows if row.run not in self.done}
         if not fresh:
             return
-        table = pa.Table.from_pylist([asdict(row) for row in fresh.values()], schema())
         sink = pa.BufferOutputStream()
-        pq.write_table(table, sink)
-        path = self.folder / ROWS / f"part-{self._parts:06d}-{min(fresh):07d}.parquet"
+        pq.write_table(pa.Table.from_pylist([*map(asdict, fresh.values())], schema()), sink)
+        path = self.folder / ROWS / f"part-{min(fresh):07d}.parquet"
         replace_whole(path, sink.getvalue().to_pybytes())
-        self._parts += 1
         self.done |= fresh.keys()
 
     def __enter__(self) -> Self:

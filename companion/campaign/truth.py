@@ -18,7 +18,6 @@ from scipy.spatial import cKDTree
 
 from companion.geodesy import FloatArray
 from companion.planner.settings import Task
-from companion.world.radars import Radar
 from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
 from companion.world.zones import CircleZone, Zone
 
@@ -35,9 +34,8 @@ _PART = 4_000
 
 
 class Curve(NamedTuple):
-    """Samples of a curve: parameter and length (S,), the rest (S, 3)."""
+    """Samples of a curve: length (S,), the rest (S, 3)."""
 
-    u: FloatArray
     length_m: FloatArray
     points_nea_m: FloatArray
     first: FloatArray
@@ -72,13 +70,7 @@ def sampled(control_nea_m: FloatArray, spacing_m: float) -> Curve:
     count = max(math.ceil(along[-1] / spacing_m), 2)
     length = np.linspace(0.0, along[-1], count + 1)
     u = np.interp(length, along, table)
-    return Curve(
-        u=u,
-        length_m=length,
-        points_nea_m=curve(u),
-        first=curve.derivative()(u),
-        second=curve.derivative(2)(u),
-    )
+    return Curve(length, curve(u), curve.derivative()(u), curve.derivative(2)(u))
 
 
 # --- joins
@@ -137,8 +129,6 @@ def height_m(
         at = np.broadcast_arrays(rows, columns)
         heights = terrain.heights_m.astype(np.float64)
         return np.asarray(map_coordinates(heights, at, order=1, mode="nearest"))
-    if terrain.sum_of_peaks:
-        raise ValueError("drawn worlds take the highest of the peaks, not their sum")
     result = np.full(np.broadcast_shapes(north_m.shape, east_m.shape), terrain.ground_amsl_m)
     for peak in terrain.peaks:
         x = (north_m - peak.north_m) / peak.spread_north_m
@@ -244,15 +234,6 @@ def keep_out_distance_m(points_nea_m: FloatArray, zone: Zone) -> FloatArray:
     area, points = shapely.Polygon(zone.vertices_ne_m), shapely.points(at)
     away_m = np.asarray(shapely.distance(points, area.exterior), dtype=np.float64)
     return np.where(shapely.contains(area, points), -away_m, away_m)
-
-
-def radar_m(points_nea_m: FloatArray, radars: tuple[Radar, ...], length_m: float) -> float:
-    """Length of a curve inside radar ranges."""
-    inside = np.zeros(len(points_nea_m), dtype=bool)
-    for radar in radars:
-        offset = points_nea_m - np.asarray(radar.centre_nea_m)
-        inside |= np.einsum("sk,sk->s", offset, offset) < radar.range_m**2
-    return float(inside.mean()) * length_m
 
 
 class Measures(NamedTuple):

@@ -6,7 +6,7 @@ free for it; what it flies of its route ends with what was seen, or at the end o
 
 A* over a grid, and over a roadmap of Voronoi edges between obstacles; an ant colony (a max-min ant
 system) on a grid, whose ants walk from node to node, drawn by pheromone and, as what an ant may
-know, by the cost of a step and how much nearer it brings the target; RRT* and BIT* of OMPL.
+know, by the cost of a step and how much nearer it brings the target; RRT* of OMPL.
 """
 
 import inspect
@@ -14,7 +14,8 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
+from itertools import pairwise
 from typing import Any, final
 
 import numpy as np
@@ -43,7 +44,6 @@ _AHEAD = 2.0  # of R: how far ahead a route is pulled straight; beyond, it will 
 _HIGH_M = 1e6  # above every ceiling
 _AT_M = 0.01  # an end of a route is there
 _SHORTEST = 4  # points of half a spacing: what is shorter is no way on
-_GRAZE = np.ones(_SHORTEST + 1, dtype=bool)  # so little of what is closed is within the spare
 _LINES = 7  # lines for each evaluation of ours: 20,000 for 3,000, about a second by RRT*
 
 
@@ -60,8 +60,7 @@ class RouteProblem:
     """(rows, columns): what a metre costs at the lowest safe altitude, in metres of level flight at
     the floor, so never below 1; infinite: no one may be there."""
     lines: int  # how many lines may be costed; a planner that does not sample needs no limit
-    ahead_m: float
-    """How far ahead it will be flown before the next question: further on, details do not count."""
+    ahead_m: float  # flown before the next question: further on, details do not count
 
     def place_m(self, index: IntArray) -> FloatArray:
         """North and east of points of the lattice.  (..., 2) -> (..., 2)."""
@@ -72,26 +71,21 @@ class RouteProblem:
         index = np.rint((at_ne_m - self.corner_ne_m) / self.spacing_m).astype(np.intp)
         return np.clip(index, 0, np.array(self.rate.shape) - 1)
 
-    def rate_at(self, at_ne_m: FloatArray) -> FloatArray:
-        """The rate at the nearest points.  (..., 2) -> (...)."""
-        row, column = np.moveaxis(self.index(at_ne_m), -1, 0)
-        return self.rate[row, column]
-
     def line_cost(self, a_ne_m: FloatArray, b_ne_m: FloatArray) -> float:
         """Cost of a straight line, in metres of level flight; infinite: it is not free."""
         length_m = math.dist(a_ne_m, b_ne_m)
         share = np.linspace(0.0, 1.0, max(math.ceil(2.0 * length_m / self.spacing_m), 2) + 1)
-        return length_m * float(self.rate_at(a_ne_m + share[:, None] * (b_ne_m - a_ne_m)).mean())
+        row, column = self.index(a_ne_m + share[:, None] * (b_ne_m - a_ne_m)).T
+        return length_m * float(self.rate[row, column].mean())
 
     def straight(self, route_ne_m: FloatArray) -> FloatArray:
         """A route with lines in place of its bends where they cost no more, as far as ahead_m.
 
         A piece that a grid took for free, and that is not quite, counts double its length.
         """
-        pieces = list(itertools.pairwise(route_ne_m))
-        along_m = np.cumsum([math.dist(*ends) for ends in pieces])
-        costs = np.array([self.line_cost(*ends) for ends in pieces])
-        lengths_m = np.diff(along_m, prepend=0.0)
+        lengths_m = np.hypot(*np.diff(route_ne_m, axis=0).T)
+        along_m = np.cumsum(lengths_m)
+        costs = np.array([self.line_cost(*ends) for ends in pairwise(route_ne_m)])
         cost = np.append(0.0, np.cumsum(np.where(np.isfinite(costs), costs, 2.0 * lengths_m)))
         last, kept = int(np.sum(along_m <= self.ahead_m)), [0]
         while (here := kept[-1]) < last:
@@ -104,9 +98,9 @@ class RouteProblem:
         return np.concatenate([route_ne_m[kept], route_ne_m[here + 1 :]])
 
 
-RoutePlanner = Callable[[RouteProblem, np.random.Generator], FloatArray | str]
-"""Answers with points (N, 2) from the start to the target, or with why there is no route; also what
-an entry point `companion.planners` names."""
+RoutePlanner = Callable[[RouteProblem, np.random.Generator], FloatArray | None]
+"""Answers with points (N, 2) from the start to the target; None: there is no route.  Also what an
+entry point `companion.planners` names."""
 
 
 # --- a route, asked for and flown
@@ -118,8 +112,9 @@ def leg_by_leg(route_planner: RoutePlanner) -> Callable[[PlanRequest], Planned |
     def plan(request: PlanRequest) -> Planned | NotPlanned:
         problem = problem_of(request)
         answer = route_planner(problem, request.rng(0))
-        if not isinstance(answer, str):
-            control, arrives = _flown(_checked(answer, problem), problem, request)
+        if answer is not None:
+            route = problem.straight(_checked(answer, problem))
+            control, arrives = _flown(route, problem, request)
             if len(control):
                 return reported(request, control, reaches_target=arrives)
         return NotPlanned(plan_id=request.plan_id, refusal=Refusal.NOTHING_SAFE)
@@ -144,10 +139,10 @@ def problem_of(request: PlanRequest) -> RouteProblem:
         axes.append(axis[(axis >= low - _AT_M) & (axis <= high + _AT_M)])
     north, east = np.meshgrid(*axes, indexing="ij")
     need_m = surface.altitude_m(north, east)
-    (floor, ceiling), weights = task.band_amsl_m, task.settings.weights
+    floor, ceiling = task.band_amsl_m
     altitude_m = np.clip(need_m, floor, ceiling)
-    # eq. 5 to 7 and 10 a metre, as in `library.route_terms`, in metres of level flight
-    high, seen = (2.4 * weight / weights.length for weight in (weights.height, 3.0 * weights.radar))
+    level, *others = task.settings.weights.per_metre(task.settings.scan_range_m)
+    high, seen = (each / level for each in others)  # in metres of level flight
     rate = 1.0 + high * (altitude_m - floor) / (ceiling - floor)
     for radar in task.radars:
         points = np.stack([north, east, altitude_m], axis=-1)
@@ -158,7 +153,7 @@ def problem_of(request: PlanRequest) -> RouteProblem:
     problem = RouteProblem(
         start_ne_m=np.array(request.start.point_nea_m[:2]),
         target_ne_m=np.array(request.target_ne_m),
-        corner_ne_m=np.array([axes[0][0], axes[1][0]]),
+        corner_ne_m=np.array([axis[0] for axis in axes]),
         spacing_m=surface.cell_m,
         rate=rate,
         lines=_LINES * task.settings.evaluations,
@@ -174,7 +169,11 @@ def _clear_m(request: PlanRequest) -> float:
 
 def _checked(answer: FloatArray, problem: RouteProblem) -> FloatArray:
     """The answer, (N, 2); InputError if it is no route from the start to the target."""
-    route, ends = np.asarray(answer, dtype=np.float64), (problem.start_ne_m, problem.target_ne_m)
+    ends = problem.start_ne_m, problem.target_ne_m
+    try:
+        route = np.asarray(answer, dtype=np.float64)
+    except (TypeError, ValueError):  # no numbers
+        route = np.empty(0)
     is_line = route.shape[1:] == (2,) and len(route) > 1 and np.isfinite(route).all()
     if not is_line or not np.allclose(route[[0, -1]], ends, rtol=0.0, atol=_AT_M):
         rule = "a route is (N, 2), finite, from the start to the target"
@@ -204,7 +203,7 @@ def _flown(
     may_be &= surface.altitude_m(*problem.place_m(nodes).T) <= ceiling
     may_be &= known.surveyed[tuple(np.clip(cells, 0, np.array(known.surveyed.shape) - 1).T)]
     may_be |= (nodes == nodes[0]).all(axis=1)  # it is there
-    may_be |= binary_closing(may_be, _GRAZE)
+    may_be |= binary_closing(may_be, np.ones(_SHORTEST + 1, dtype=bool))  # within the spare
     may_be &= np.hypot(*(points - scan_ne_m).T) < range_m
     arrives = bool(may_be.all())
     points = points if arrives else points[: np.argmin(may_be)]
@@ -223,29 +222,21 @@ def _evenly(route: FloatArray, count: int) -> FloatArray:
     return np.stack([np.interp(at_m, along_m, column) for column in route.T], axis=-1)
 
 
-# --- the cheapest ways over graphs, pulled straight
+# --- the cheapest ways over graphs
 
-EIGHT = ((0, 1), (1, 0), (1, 1), (1, -1))  # and back
-SIXTEEN = (*EIGHT, (1, 2), (2, 1), (2, -1), (1, -2))
+SIXTEEN = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (2, -1), (1, -2))  # and back
 _STRIDE, _ANTS_STRIDE = 4, 10  # points of the lattice to a step of the grid: R / 40, R / 16
 _THREAT = 2.5  # what a metre costs where ground is taken for an obstacle: within a radar's range
 _APART = 4  # points of the lattice between sites of the diagram, at least
 _JOINED = 25  # corners of a roadmap that start and target are joined to
 
 
-def a_star(problem: RouteProblem, _rng: np.random.Generator) -> FloatArray | str:
+def a_star(problem: RouteProblem, _rng: np.random.Generator) -> FloatArray | None:
     """The cheapest way over a grid."""
-    graph, places_m = _with_ends(problem, *_grid(problem, _STRIDE))
-    return _straight(problem, places_m, cheapest(graph, len(places_m) - 2, len(places_m) - 1))
+    return _cheapest(problem, *_grid(problem, _STRIDE))
 
 
-def ants(problem: RouteProblem, rng: np.random.Generator) -> FloatArray | str:
-    """The best way over a coarser grid that the colony has found."""
-    graph, places_m = _with_ends(problem, *_grid(problem, _ANTS_STRIDE))
-    return _straight(problem, places_m, _best_walk(graph, places_m, rng))
-
-
-def voronoi(problem: RouteProblem, _rng: np.random.Generator) -> FloatArray | str:
+def voronoi(problem: RouteProblem, _rng: np.random.Generator) -> FloatArray | None:
     """The cheapest way over a roadmap as far as can be from obstacles.
 
     The diagram is that of the edges of what is closed or costs much, and of the map, thinned.
@@ -259,19 +250,17 @@ def voronoi(problem: RouteProblem, _rng: np.random.Generator) -> FloatArray | st
     inside = np.append(np.all((corners >= low) & (corners <= high), axis=1), False)  # -1: far away
     lines = np.array(diagram.ridge_vertices)
     lines = lines[inside[lines].all(axis=1)]
-    graph, places_m = _with_ends(problem, corners, _free(problem, corners, lines))
-    return _straight(problem, places_m, cheapest(graph, len(places_m) - 2, len(places_m) - 1))
+    return _cheapest(problem, corners, _free(problem, corners, lines))
 
 
-def _straight(problem: RouteProblem, places_m: FloatArray, way: list[int]) -> FloatArray | str:
-    return problem.straight(places_m[way]) if way else "there is no way over its map"
+def _cheapest(problem: RouteProblem, places_m: FloatArray, lines: Edges) -> FloatArray | None:
+    graph, every_m = _with_ends(problem, places_m, lines)
+    way = cheapest(graph, len(every_m) - 2, len(every_m) - 1)
+    return every_m[way] if way else None
 
 
 def _grid(problem: RouteProblem, stride: int) -> tuple[FloatArray, Edges]:
-    """A grid with 16 directions, whose nodes are every stride-th point of the rate: places, lines.
-
-    -> (K, 2), and the lines between them.
-    """
+    """Every stride-th point of the rate, (K, 2), and lines between them in 16 directions."""
     nodes = np.indices(problem.rate[::stride, ::stride].shape).reshape(2, -1).T
     a, b, cost = grid_edges(problem.rate, stride, SIXTEEN)
     return problem.place_m(stride * nodes), (a, b, cost * problem.spacing_m)
@@ -338,8 +327,9 @@ _GREED = 4.0  # how strongly what lies in the target's direction draws, beside t
 _LEAST = 0.01  # of the most pheromone
 
 
-def _best_walk(graph: csr_array, places_m: FloatArray, rng: np.random.Generator) -> list[int]:
-    """The cheapest walk of a colony from the last place but one to the last; none: []."""
+def ants(problem: RouteProblem, rng: np.random.Generator) -> FloatArray | None:
+    """The cheapest walk over a coarser grid that a colony has found."""
+    graph, places_m = _with_ends(problem, *_grid(problem, _ANTS_STRIDE))
     graph = graph.maximum(graph.T).tocsr()  # a step is an index of its data
     here, there = np.repeat(np.arange(len(places_m)), np.diff(graph.indptr)), graph.indices
     left_m = np.linalg.norm(places_m - places_m[-1], axis=-1)
@@ -360,7 +350,7 @@ def _best_walk(graph: csr_array, places_m: FloatArray, rng: np.random.Generator)
         pheromone *= 1.0 - _EVAPORATES
         pheromone[best] += _EVAPORATES
         pheromone = np.clip(pheromone, _LEAST, 1.0)
-    return [*here[best].tolist(), len(places_m) - 1] if best else []
+    return places_m[[*here[best].tolist(), -1]] if best else None
 
 
 def _walks(graph: csr_array, total: FloatArray, rng: np.random.Generator) -> list[IntArray]:
@@ -383,16 +373,16 @@ def _walks(graph: csr_array, total: FloatArray, rng: np.random.Generator) -> lis
     return [walk[walk >= 0] for walk in came]
 
 
-# --- OMPL's
+# --- RRT* of OMPL
 
 
-def _sampled(problem: RouteProblem, rng: np.random.Generator, *, planner: str) -> FloatArray | str:
-    """The best route of one of OMPL's planners, pulled straight: in the plane, by our objective.
+def rrt_star(problem: RouteProblem, rng: np.random.Generator) -> FloatArray | None:
+    """The best route of OMPL's RRT*, with its own defaults, in the plane and by our objective.
 
     It stops when so many lines have been costed, or asked for without being costed.  OMPL's own
     generator is seeded before each plan, so a plan is a function of problem and seed.
     """
-    extras.need("compare", "planner", planner)
+    extras.need("compare", "planner", "rrt-star")
     from ompl import base, geometric, util  # an extra, and slow to import
 
     corner, asked = problem.corner_ne_m, itertools.count(1)
@@ -402,11 +392,11 @@ def _sampled(problem: RouteProblem, rng: np.random.Generator, *, planner: str) -
         return problem.line_cost(corner + ends[:2], corner + ends[2:])
 
     def cost(a: Any, b: Any) -> float:
-        """Of the line between two states; infinite: it is not free."""
         return known(a[0], a[1], b[0], b[1])
 
     def is_free(state: Any) -> bool:
-        return bool(np.isfinite(problem.rate_at(corner + np.array([state[0], state[1]]))))
+        row, column = problem.index(corner + np.array([state[0], state[1]]))
+        return bool(np.isfinite(problem.rate[row, column]))
 
     def is_spent() -> bool:
         return max(known.cache_info().currsize, next(asked)) >= problem.lines
@@ -423,7 +413,7 @@ def _sampled(problem: RouteProblem, rng: np.random.Generator, *, planner: str) -
             return base.Cost(cost(a, b))
 
         def motionCostHeuristic(self, a: Any, b: Any) -> Any:
-            return base.Cost(float(np.hypot(a[0] - b[0], a[1] - b[1])))
+            return base.Cost(math.hypot(a[0] - b[0], a[1] - b[1]))
 
     util.noOutputHandler()
     util.RNG.setSeed(int(rng.integers(1, 2**31)))
@@ -432,27 +422,24 @@ def _sampled(problem: RouteProblem, rng: np.random.Generator, *, planner: str) -
     for axis, size in enumerate(problem.rate.shape):
         bounds.setHigh(axis, (size - 1) * problem.spacing_m)
     space.setBounds(bounds)
-    information = base.SpaceInformation(space)
-    validator, objective = Validator(information), Objective(information)  # OMPL does not keep them
-    information.setStateValidityChecker(is_free)
-    information.setMotionValidator(validator)
-    information.setup()
     ends = [space.allocState(), space.allocState()]
     for state, place in zip(ends, (problem.start_ne_m, problem.target_ne_m), strict=True):
-        state[0], state[1] = (float(value) for value in place - corner)
-    definition = base.ProblemDefinition(information)
-    definition.setStartAndGoalStates(*ends)
-    definition.setOptimizationObjective(objective)
-    searching = getattr(geometric, planner)(information)
-    searching.setProblemDefinition(definition)
-    searching.setup()
-    searching.solve(base.PlannerTerminationCondition(is_spent))
-    if not definition.hasExactSolution():
-        return f"none found with {problem.lines} lines"
-    states = definition.getSolutionPath().getStates()
+        state[0], state[1] = (place - corner).tolist()
+    setup = geometric.SimpleSetup(space)
+    information = setup.getSpaceInformation()
+    validator, objective = Validator(information), Objective(information)  # OMPL does not keep them
+    information.setMotionValidator(validator)
+    setup.setStateValidityChecker(is_free)
+    setup.setOptimizationObjective(objective)
+    setup.setStartAndGoalStates(*ends)
+    setup.setPlanner(geometric.RRTstar(information))
+    setup.solve(base.PlannerTerminationCondition(is_spent))
+    if not setup.haveExactSolutionPath():
+        return None
+    states = setup.getSolutionPath().getStates()
     route = corner + np.array([[state[0], state[1]] for state in states])
     route[0], route[-1] = problem.start_ne_m, problem.target_ne_m
-    return problem.straight(route)
+    return route
 
 
 # --- all of them
@@ -469,13 +456,7 @@ def _wrong_with(planner: RoutePlanner) -> str | None:
 
 PLANNERS = Parts[RoutePlanner](
     "companion.planners",
-    {
-        "a-star": a_star,
-        "voronoi": voronoi,
-        "ants": ants,
-        "rrt-star": partial(_sampled, planner="RRTstar"),
-        "bit-star": partial(_sampled, planner="BITstar"),
-    },
+    {"a-star": a_star, "voronoi": voronoi, "ants": ants, "rrt-star": rrt_star},
     what="planner",
     check=_wrong_with,
 )

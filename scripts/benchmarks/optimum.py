@@ -36,11 +36,11 @@ from scipy.optimize import minimize
 from scipy.sparse import csr_array
 from tapped import fly_campaign
 
-from companion.campaign import drawn_world, route_cost, truth
+from companion import library
+from companion.campaign import drawn_world, truth
 from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.file import Place
 from companion.campaign.report import read_campaign
-from companion.campaign.route_cost import Rates, curve_cost
 from companion.campaign.run import drawn_of
 from companion.campaign.store import Row
 from companion.geodesy import FloatArray
@@ -68,13 +68,13 @@ class Grid:
     """A world's points 125 m apart; ways are over every fourth, or fewer where it is large."""
 
     def __init__(self, world: DrawnWorld) -> None:
-        self.world = world
+        self.world, task = world, world.task
+        self.unit, high, seen = task.settings.weights.per_metre(task.settings.scan_range_m)
+        self.high, self.seen = high / self.unit, seen / self.unit  # in metres of level flight
         self.north_m, self.east_m = drawn_world.axes_m(world, _SURFACE_M)
-        required_m = world.task.required_clearance_m
-        self.need_m = drawn_world.lowest_safe_m(world, _SURFACE_M, required_m)
+        self.need_m = drawn_world.lowest_safe_m(world, _SURFACE_M, task.required_clearance_m)
         self._spline = spline_filter(self.need_m, order=3, mode="nearest")
-        side_m = max(np.ptp(self.north_m), np.ptp(self.east_m))
-        self._stride = round(_GRID_M / _SURFACE_M) * max(round(side_m / _LARGE_SIDE_M), 1)
+        self._stride = round(_GRID_M / _SURFACE_M * max(round(_side_m(world) / _LARGE_SIDE_M), 1))
 
     def need_at_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """The lowest altitude that keeps the clearance, by a cubic spline: smooth."""
@@ -84,16 +84,16 @@ class Grid:
 
     def rate(self, *, over: bool, radar_free: bool) -> FloatArray:
         """Cost per metre; infinite: closed."""
-        world, rates = self.world, Rates.of(self.world)
+        world = self.world
         band = world.ceiling_amsl_m - world.floor_amsl_m
         altitude = np.clip(self.need_m, world.floor_amsl_m, world.ceiling_amsl_m)
-        result = 1.0 + rates.height * (altitude - world.floor_amsl_m) / band
+        result = 1.0 + self.high * (altitude - world.floor_amsl_m) / band
         result[self.need_m > (world.ceiling_amsl_m if over else world.floor_amsl_m + 15.0)] = np.inf
         north, east = np.meshgrid(self.north_m, self.east_m, indexing="ij")
         for radar in world.task.radars:
             n, e, z = radar.centre_nea_m
             ratio2 = ((north - n) ** 2 + (east - e) ** 2 + (altitude - z) ** 2) / radar.range_m**2
-            inside = np.inf if radar_free else rates.radar / (1.0 + ratio2**2)
+            inside = np.inf if radar_free else self.seen / (1.0 + ratio2**2)
             result += np.where(ratio2 <= 1.0, inside, 0.0)
         for zone in world.task.zones:
             result[zone.distance_m(north, east) < world.task.required_clearance_m] = np.inf
@@ -176,12 +176,12 @@ class Descent:
 
         state: north, east, altitude, their first derivatives, and the second of the first two.
         """
-        world, limits, rates = self.world, self.world.task.limits, Rates.of(self.world)
+        world, limits = self.world, self.world.task.limits
         north, east, up, v_n, v_e, v_up, a_n, a_e = state
         flat2 = v_n**2 + v_e**2 + 1e-12
         flat, speed = np.sqrt(flat2), np.sqrt(flat2 + v_up**2)
         band_m = world.ceiling_amsl_m - world.floor_amsl_m
-        rate = 1.0 + rates.height * (up - world.floor_amsl_m) / band_m
+        rate = 1.0 + self.grid.high * (up - world.floor_amsl_m) / band_m
         at, ahead = np.array([north.real[0], east.real[0]]), _NEXT_M * np.eye(3)[:, :2, None]
         by_n, by_e, here = self.grid.need_at_m(*np.moveaxis(at + ahead, 1, 0))
         slope_n, slope_e = (by_n - here) / _NEXT_M, (by_e - here) / _NEXT_M
@@ -193,7 +193,7 @@ class Descent:
             if radar in self.soft:
                 beyond = (np.sqrt(distance2) - radar.range_m) / 30.0 - 3.0
                 edge = 1.0 / (1.0 + np.exp(np.where(beyond.real > 50.0, 50.0, beyond)))
-                rate = rate + rates.radar * edge / (1.0 + (distance2 / radar.range_m**2) ** 2)
+                rate = rate + self.grid.seen * edge / (1.0 + (distance2 / radar.range_m**2) ** 2)
             else:
                 bounds.append(_outside(distance2, radar.range_m + self.margins.radar_m))
         for zone in world.task.zones:
@@ -320,7 +320,7 @@ class Solver:
             found = truth.measure(curve, self.world.terrain, task)
             into = max((_depth_m(curve.points_nea_m, radar) for radar in hard), default=-math.inf)
             if not found.violations(task) and into <= 0.0:
-                return curve_cost(curve, self.world), control
+                return sum(library.route_terms(curve.points_nea_m, task).values()), control
             steepest = max(
                 math.tan(found.climb_rad) / math.tan(limits.climb_angle_rad),
                 math.tan(found.dive_rad) / math.tan(limits.dive_angle_rad),
@@ -353,16 +353,16 @@ def optimum(world: DrawnWorld) -> tuple[float, FloatArray]:
     A way's cost over the grid is within 0.4 % of what its curve costs, or below it where the curve
     cannot follow: ways that are dearer than that need no curve.
     """
-    solver, unit = Solver(world), Rates.of(world).unit
-    finer = max(1.0, _side_m(world) / _USUAL_SIDE_M)
+    solver, finer = Solver(world), max(1.0, _side_m(world) / _USUAL_SIDE_M)
     best = math.inf, np.empty((0, 3))
     for grid_m, route in solver.candidates():
-        if unit * grid_m * _OF_GRID > best[0]:
+        if solver.grid.unit * grid_m * _OF_GRID > best[0]:
             break
         for soft in {(), solver.entered(route)}:
             few = solver.improved(solver.curve(route, round(30 * finer)), soft, 100)
             many = solver.improved(refined(few, round(60 * finer)), soft, 120)
-            if curve_cost(truth.sampled(many, 50.0), world) <= 1.01 * best[0]:
+            points = truth.sampled(many, 50.0).points_nea_m
+            if sum(library.route_terms(points, world.task).values()) <= 1.01 * best[0]:
                 best = min(best, solver.mended(many, soft), key=lambda found: found[0])
     if not math.isfinite(best[0]):
         raise ValueError(f"{world.name}: no feasible route was found")
@@ -403,7 +403,7 @@ def best_of(world: DrawnWorld) -> float | None:
 
     It is the same at every size.
     """
-    digest = hashlib.sha256(b"".join(Path(it.__file__).read_bytes() for it in (truth, route_cost)))
+    digest = hashlib.sha256(b"".join(Path(it.__file__).read_bytes() for it in (truth, library)))
     digest.update(Path(__file__).read_bytes())
     store = Path(user_cache_dir("companion")) / f"optima-{digest.hexdigest()[:16]}"
     file = store / f"{world.fingerprint}.txt"
@@ -449,7 +449,7 @@ def ratios(rows: Sequence[Row], known: dict[Place, float | None]) -> FloatArray:
 
 def beside(
     campaign: str = "",
-    family: Literal["dense", "gathered", "walls", "relief", "copter", "plane"] = "gathered",
+    family: Literal["dense", "gathered", "walls", "copter", "plane"] = "gathered",
     seed: int = 1,
     worlds: int = 60,
     jobs: int = 2,

@@ -1,7 +1,6 @@
 """What is drawn to go wrong, and how flights with it are judged."""
 
 import json
-import struct
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -76,40 +75,25 @@ def flight(
     *,
     told_off_m: float = 0.0,
     mode: str = "GUIDED",
-    quiet_s: tuple[float, float] = (0.0, 0.0),
-    asks_s: float | None = None,
     **end: Any,
 ) -> Flight:
     """A second at each place, at a height where there is no ground in the way."""
-    truth, log = [], b""
+    truth = []
     for k in range(10 * len(places)):
-        t_s = round(0.1 * (k + 1), 1)
         north_m, east_m = places[k // 10]
-        latitude, longitude = MISSION.frame.to_geodetic_deg(north_m, east_m)
-        row = {"t_s": t_s, "north_m": north_m, "east_m": east_m, "altitude_amsl_m": HIGH_M}
-        row |= {"lat_deg": latitude, "lon_deg": longitude, "mode": mode}
+        row = {"t_s": round(0.1 * (k + 1), 1), "north_m": north_m, "east_m": east_m}
+        row |= {"altitude_amsl_m": HIGH_M, "mode": mode}
         row |= {"velocity_north_m_s": 0.0, "velocity_east_m_s": 0.0}
         truth.append(row | {"armed": True, "landed": False})
-        places_e7 = round(latitude * 1e7), round(longitude * 1e7)
-        body = struct.pack(
-            "<Iiiii", round(t_s * 1e3), *places_e7, round(1e3 * (HIGH_M + told_off_m)), 0
-        )
-        stamp = struct.pack(">Q", 10**15 + round(t_s * 1e6))
-        log += stamp + frame(33, 1, body.ljust(28, b"\1"))
-        if not quiet_s[0] < t_s < quiet_s[1]:
-            log += stamp + frame(86, 195, b"\1" * 53)
-        if t_s == asks_s:  # DO_SET_MODE
-            log += stamp + frame(76, 195, bytes(28) + struct.pack("<HBBB", 176, 1, 1, 0))
-    (folder / "flight.tlog").write_bytes(log)
     journal = [{"t_s": 0.0, "kind": "phase", "phase": "flying", "code": None, "reason": None}]
     ended = {"t_s": truth[-1]["t_s"], "kind": "end", "outcome": "arrived", "reason": "there"}
     journal.append(ended | end)
-    return Flight(mission=MISSION, journal=journal, truth=truth, plans_s=[], folder=folder)
-
-
-def frame(number: int, component: int, body: bytes) -> bytes:
-    head = bytes([0xFD, len(body), 0, 0, 0, 1, component]) + number.to_bytes(3, "little")
-    return head + body + b"\0\0"
+    names = ("t_s", "t_s", "north_m", "east_m", "altitude_amsl_m")
+    told = np.array([[row[name] for name in names] for row in truth])
+    told[:, -1] += told_off_m
+    return Flight(
+        mission=MISSION, journal=journal, truth=truth, plans_s=[], told=told, folder=folder
+    )
 
 
 def violated(flown: Flight, timeline: str = "") -> list[str]:
@@ -139,6 +123,7 @@ def beside(gap_m: float) -> tuple[float, float]:
 SAFETY_M, ERROR_M = 12.0, 3.0  # of the world that is drawn: its safety distance, its position's
 INSIDE, OUTSIDE = (-1_200.0, -1_200.0), (-1_150.0, -1_200.0)  # of a circle of 30 m that is drawn
 FENCE, AWAY = "at 2.0 s: ground_fence 30 m", (TARGET[0] - 200.0, TARGET[1])
+TOO_LOW = "at 0 s: radar_noise 5 m either_way"
 SILENT = {"outcome": "failed", "reason": "the vehicle fell silent"}
 HELD = {"mode": "BRAKE", "outcome": "failed", "reason": "no way"}
 Case = tuple[list[tuple[float, float]], dict[str, Any], str, int]
@@ -149,6 +134,7 @@ VIOLATIONS: dict[str, Case] = {
     "inside": ([*[beside(-3.0)] * 3, TARGET], {}, "", 1),
     "told wrong by its error": ([*[beside(0.0)] * 3, TARGET], {"told_off_m": 2.5}, "", 1),
     "told wrong by more": ([*[beside(0.0)] * 3, TARGET], {"told_off_m": 3.5}, "", 0),
+    "told too low heights": ([*[beside(0.0)] * 3, TARGET], {}, TOO_LOW, 0),
     "flown by the autopilot": (
         [*[beside(0.0)] * 3, *[TARGET] * 5, *[beside(0.0)] * 4, TARGET],
         {"mode": "RTL"},
@@ -247,19 +233,6 @@ def test_a_crash_violates_unless_somebody_else_flew_or_it_was_landing(
     assert len(after := violated(flown)) - len(before) == count
     assert (said in after) == bool(count)
     assert said in str(judge.judged(flown, DRAWN, None)["violated"])
-
-
-def test_a_silence_is_counted_in_guided_mode_and_when_somebody_could_speak(tmp_path: Path) -> None:
-    flown = flight(tmp_path, [TARGET] * 10, quiet_s=(3.0, 7.0))
-    assert judge.judged(flown, DRAWN, "")["silent_s"] == pytest.approx(3.9)
-    asked = flight(tmp_path, [TARGET] * 10, quiet_s=(3.0, 7.0), asks_s=5.0)
-    assert judge.judged(asked, DRAWN, "")["silent_s"] == pytest.approx(1.9)
-    flown = flight(tmp_path, [TARGET] * 10, quiet_s=(3.0, 7.0))
-    lost = judge.judged(flown, DRAWN, "at 3.0 s for 3.5 s: link_off")
-    assert lost["silent_s"] < 1.0
-    for row in flown.truth:
-        row["mode"] = "BRAKE"
-    assert judge.judged(flown, DRAWN, "")["silent_s"] == 0.0
 
 
 def test_faults_are_judged_in_lidar_missions_too(tmp_path: Path) -> None:

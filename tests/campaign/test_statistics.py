@@ -73,13 +73,7 @@ def test_of_few_values_and_of_equal_ones(
     assert bootstrapped(np.median, values) == expected
 
 
-def test_pairs_are_drawn_together() -> None:
-    first = np.random.default_rng(2).normal(size=30)
-    found = bootstrapped(lambda a, b, axis=-1: np.mean(b - a, axis=axis), first, first - 1.0)
-    assert found == pytest.approx((-1.0, -1.0, -1.0))
-
-
-def test_a_group_has_its_rates_its_medians_and_the_middle_of_its_runs() -> None:
+def test_a_group_has_its_rates_and_its_medians() -> None:
     values = np.random.default_rng(1).normal(10.0, size=4000)
     rows = [row(n, cost=float(v), arrived=n >= 40) for n, v in enumerate(values)]
     figures = groups(shuffled(rows), ())
@@ -87,7 +81,6 @@ def test_a_group_has_its_rates_its_medians_and_the_middle_of_its_runs() -> None:
     cost, arrived = of(figures, "cost"), of(figures, "arrived")
     assert (cost.group, cost.n, arrived.n, arrived.value) == ("all", 3960, 4000, 0.99)
     assert cost.value == np.median(values[40:])
-    assert (cost.tenth, cost.ninetieth) == pytest.approx((10.0 - 1.2816, 10.0 + 1.2816), abs=0.1)
     assert cost.low is not None
     assert cost.high is not None
     width = 1.2533 / math.sqrt(4000) * 2 * 1.96  # of a normal median, asymptotically
@@ -96,13 +89,13 @@ def test_a_group_has_its_rates_its_medians_and_the_middle_of_its_runs() -> None:
 
 def test_a_measure_that_no_run_has_is_no_figure() -> None:
     names = {figure.measure.name for figure in groups([row(0, violations=None, cost=None)], ())}
-    assert names == {"arrived", "error", "detour", "length_m", "clearance_least_m"}
+    assert names == {"arrived", "detour", "clearance_least_m"}
 
 
 # --- pairs
 
 
-def test_pairs_are_counted_and_the_difference_is_that_of_their_medians() -> None:
+def test_pairs_are_counted_and_the_difference_is_their_median_in_per_cent() -> None:
     rows = paired_rows()
     figures, notes = pairs(shuffled(rows), ["optimiser"])
     assert (figures, notes) == pairs(rows, ["optimiser"])
@@ -110,14 +103,13 @@ def test_pairs_are_counted_and_the_difference_is_that_of_their_medians() -> None
     assert (cost.group, cost.against, cost.n, arrived.n) == ("l-shade", "refined-de", 37, 40)
     first, second = np.array([(a.cost, b.cost) for a, b in zip(rows[::2], rows[1::2], strict=True)
                               if b.cost is not None]).T  # fmt: skip
-    assert cost.value == pytest.approx(np.median(second) - np.median(first))
-    assert cost.percent == pytest.approx(100.0 * np.median(second / first - 1.0))
+    assert cost.value == pytest.approx(100.0 * np.median(second / first - 1.0))
     assert (cost.wins, cost.ties, cost.losses) == (sum(second < first), 0, sum(second > first))
     assert cost.p_holm is not None
     assert cost.p_holm < 0.05
-    assert cost.percent_low is not None
-    assert cost.percent_high is not None
-    assert cost.percent_low < cost.percent < cost.percent_high < 0.0
+    assert cost.low is not None
+    assert cost.high is not None
+    assert cost.low < cost.value < cost.high < 0.0
     assert arrived.value == pytest.approx(-3 / 40)
     assert (arrived.wins, arrived.ties, arrived.losses) == (0, 37, 3)
     assert arrived.p == pytest.approx(2 * 0.5**3)

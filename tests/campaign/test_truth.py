@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 from planning import LARGE, zone_distance_m
 
 from companion.campaign import drawn_world, judge, truth
-from companion.world.radars import Radar
 from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
 from companion.world.zones import CircleZone, PolygonZone
 
@@ -76,14 +75,6 @@ def test_keep_out_distances_are_those_of_shapely_and_winding_numbers() -> None:
         expected = zone_distance_m(zone, points[:, 0], points[:, 1])
         assert truth.keep_out_distance_m(points, zone) == pytest.approx(expected, abs=1e-6)
         assert (expected < 0.0).any()
-
-
-def test_radar_metres_are_the_chord_through_the_sphere() -> None:
-    control = np.array([[x, 600.0, 800.0] for x in np.linspace(-5_000.0, 5_000.0, 4)])
-    curve = truth.sampled(control, 1.0)
-    radar = Radar(name="r", centre_nea_m=(0.0, 0.0, 0.0), range_m=2_000.0)
-    chord = 2.0 * math.sqrt(2_000.0**2 - 1_000.0**2)
-    assert truth.radar_m(curve.points_nea_m, (radar,), 10_000.0) == pytest.approx(chord, abs=3.0)
 
 
 def level(altitude_m: float, *, bend_m: float = 0.0, climb_m: float = 0.0) -> FloatArray:

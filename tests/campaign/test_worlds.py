@@ -10,8 +10,8 @@ from scipy.ndimage import distance_transform_edt, label
 
 from companion.campaign import drawn_world, families, truth
 from companion.campaign.drawn_world import DrawnWorld, write
-from companion.campaign.route_cost import Rates, curve_cost
 from companion.config import bundled, load_mission, load_world
+from companion.library import route_terms
 from companion.world.radars import Radar
 from companion.world.terrain import Peak
 from vehicle_sim.world import read_world
@@ -61,7 +61,7 @@ def ridge(gap_m: float) -> tuple[Peak, ...]:
     """A wall across the map, open over about gap_m in the middle."""
     away = 0.5 * gap_m + 4_000.0 * math.sqrt(math.log(6_000.0 / 2_500.0)) + 515.0
     return tuple(
-        families.mountain(50_000.0, 50_000.0 + side * (away + step), 6_000.0, 4e3, 4e3)
+        Peak(50_000.0, 50_000.0 + side * (away + step), 6_000.0, 4e3, 4e3)
         for side in (-1, 1)
         for step in np.arange(0.0, 60_000.0, 2_000.0)
     )
@@ -80,7 +80,7 @@ def test_there_is_a_way_through_a_wall_when_its_gap_is_wide_enough(
 
 
 def test_the_lowest_safe_altitude_over_a_summit_is_the_clearance_above_it() -> None:
-    summit = families.mountain(50_000.0, 50_000.0, 4_000.0, 5e3, 5e3)
+    summit = Peak(50_000.0, 50_000.0, 4_000.0, 5e3, 5e3)
     world = replace(BASE, terrain=replace(BASE.terrain, peaks=(summit,)))
     need = drawn_world.lowest_safe_m(world, 250.0, 500.0)
     assert need[220, 220] == 4_500.0  # -5 km + 220 cells: the summit, the centre of curvature below
@@ -141,8 +141,11 @@ def test_a_world_at_another_size_costs_the_same() -> None:
     larger = drawn_world.scaled(world, 7.0)
     line = np.linspace(world.start_nea_m, (*world.targets_ne_m[0], world.ceiling_amsl_m), 4)
     small, large = (truth.sampled(control, 0.5 * k) for control, k in ((line, 1), (7 * line, 7)))
-    assert curve_cost(large, larger) == pytest.approx(curve_cost(small, world), rel=1e-9)
-    assert Rates.of(world).unit == pytest.approx(7.0 * Rates.of(larger).unit)
+    costs = [
+        sum(route_terms(curve.points_nea_m, of.task).values())
+        for curve, of in ((small, world), (large, larger))
+    ]
+    assert costs[1] == pytest.approx(costs[0], rel=1e-9)
     at = np.array([[1_000.0, 2_000.0]])
     assert truth.height_m(larger.terrain, 7 * at[:, 0], 7 * at[:, 1]) == pytest.approx(
         7.0 * truth.height_m(world.terrain, at[:, 0], at[:, 1])

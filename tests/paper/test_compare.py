@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from companion import extras
+from companion.cli import app
 from companion.errors import InputError
 from companion.paper.compare import missions
-from companion.paper.compare.command import compare_app
 from companion.paper.compare.comparisons import (
     ALGORITHMS,
     Comparison,
@@ -26,7 +26,7 @@ from companion.paper.compare.comparisons import (
     table_1,
 )
 from companion.paper.compare.missions import KINDS, Case, Outcome, Point, Run, crosses
-from companion.paper.compare.pictures import compose_effect
+from companion.paper.compare.pictures import composed
 
 TABLE = table_1()
 EFFECTS = [figure_3(), figure_4()]
@@ -61,7 +61,7 @@ def row(*costs: list[float]) -> list[Outcome]:
 def called(*words: str) -> str:
     """What a command prints."""
     runner = CliRunner(env={"COLUMNS": "80"})
-    result = runner.invoke(compare_app, list(words), standalone_mode=False)
+    result = runner.invoke(app, ["compare", *words], standalone_mode=False)
     if result.exception is not None:
         raise result.exception
     return result.stdout
@@ -91,12 +91,10 @@ def test_the_command_tells_of_the_runs_that_arrived_what_numpy_does(
         return run(cost, arrived=seed <= arrive, violations=bad if seed == 1 else CLEAN)
 
     monkeypatch.setattr(missions, "fly", flown)
-    files = tmp_path / "p.png", tmp_path / "numbers.json"
-    words = ["--runs", "5", "--jobs", "1", "--figure", str(files[0]), "--json", str(files[1])]
-    shown = called("table-1", *words)
+    numbers = tmp_path / "numbers.json"
+    shown = called("table-1", "--runs", "5", "--jobs", "1", "--json", str(numbers))
     assert "…" not in shown  # no cell is cut in 80 columns
-    assert files[0].read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
-    written = json.loads(files[1].read_text(), parse_constant=pytest.fail)  # NaN is no JSON
+    written = json.loads(numbers.read_text(), parse_constant=pytest.fail)  # NaN is no JSON
     assert (written["runs"], written["seed"]) == (5, 1)
     lines = [" ".join(line.split()) for line in shown.splitlines()]
     for case, each in zip(TABLE.cases, written["results"], strict=True):
@@ -214,7 +212,7 @@ def test_each_panel_shows_the_route_of_median_cost_and_says_where_most_runs_go(
 ) -> None:
     runs = [(run(30.0), run(20.0), run(40.0, 4e4)), (run(1.0, 4e4), run(9.0, 4e4), run(5.0, 4e4))]
     found = [Outcome(case=c, runs=each) for c, each in zip(effect.cases, runs, strict=True)]
-    figure = compose_effect(effect, found)
+    figure = composed(effect, found)
     words = [text.get_text() for text in figure.texts]
     across = "climbs over" if effect is EFFECTS[0] else "flies between"
     for case, letter, most in zip(
@@ -246,30 +244,32 @@ def test_routes_flies_whoever_is_asked_for(tmp_path: Path, monkeypatch: pytest.M
         assert f"{each['j'][0]:.2f}" in shown
     with pytest.raises(InputError, match=r"--planner = 'magic': there is no such planner"):
         called("routes", "--planner", "magic")
+    with pytest.raises(InputError, match=r"--planner = 'a-star': it has no effect on figure-3"):
+        called("figure-3", "--planner", "a-star")
 
 
 def test_without_dask_one_process_flies_and_more_name_the_extra(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(extras, "find_spec", lambda _name: None)
     monkeypatch.setattr(missions, "fly", lambda case, _seed: run(sum(case.papers_cost)))
-    words = ["table-1", "--figure", str(tmp_path / "p.svg"), "--runs", "1"]
+    words = ["table-1", "--runs", "1"]
     with pytest.raises(InputError, match=r"--jobs = 2: dask.*companion\[campaign\]"):
         called(*words, "--jobs", "2")
     assert "improved DE" in called(*words)
 
 
-@pytest.mark.parametrize("command", ["table-1", "figure-3", "figure-4"])
-def test_a_file_that_cannot_be_written_is_refused_before_anything_is_flown(
-    command: str, tmp_path: Path
-) -> None:
-    for option in ("--figure", "--json"):
+def test_a_file_that_cannot_be_written_is_refused_before_anything_is_flown(tmp_path: Path) -> None:
+    for command, option in (
+        ("table-1", "--json"),
+        ("figure-3", "--json"),
+        ("figure-3", "--figure"),
+    ):
         for path in (tmp_path, tmp_path / "nowhere" / "file.png"):
             with pytest.raises(InputError, match=f"{option} = .*{path.name}"):
                 called(command, option, str(path))
     with pytest.raises(InputError, match=r"--figure = 'x.jpg': .* \.png, \.svg or \.pdf"):
-        called(command, "--figure", "x.jpg")
-    same = str(tmp_path / "figure.png")
-    with pytest.raises(InputError, match=r"--json = .*the picture goes there"):
-        called(command, "--figure", same, "--json", same)
+        called("figure-3", "--figure", "x.jpg")
+    with pytest.raises(InputError, match=r"--figure = 'x.png': it has no effect on table-1"):
+        called("table-1", "--figure", "x.png")
     assert list(tmp_path.iterdir()) == []

@@ -8,6 +8,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, final
 
+from rich import box
+from rich.table import Table
+
 from companion import extras
 from companion.campaign.drawn_world import DrawnWorld, bundled
 from companion.paper.compare import PER_SECOND
@@ -38,9 +41,17 @@ class Comparison:
     remarks: Callable[[Sequence[Outcome]], list[str]]  # what the tables cannot say by themselves
 
 
-def by_heading(found: Sequence[Outcome]) -> list[list[Outcome]]:
-    """Outcomes in parts of the same heading, as they follow each other."""
-    return [list(part) for _, part in itertools.groupby(found, lambda each: each.case.heading)]
+def table(title: str, row: Row, found: Sequence[Outcome]) -> Table:
+    """A row for each outcome, under its heading; cells stay whole in a terminal of 80 columns."""
+    result, heading = Table(title=title, box=box.SIMPLE_HEAD, padding=0), ""
+    result.add_column("", no_wrap=True)
+    for name in row(found[0]):
+        result.add_column(name, justify="right")
+    for outcome in found:
+        if outcome.case.heading != heading:
+            result.add_row(heading := outcome.case.heading)
+        result.add_row(f"  {outcome.case.label}", *row(outcome).values())
+    return result
 
 
 def _with_budget(environment: str, optimiser: str, time_s: float, per_second: int) -> DrawnWorld:
@@ -88,8 +99,9 @@ def table_1(per_second: int = PER_SECOND) -> Comparison:
 
 
 def _costs(outcome: Outcome) -> dict[str, str]:
+    deviation = statistics.stdev(outcome.costs) if len(outcome.costs) > 1 else math.nan
     return {
-        "cost": f"{outcome.mean():.2f} ± {outcome.deviation:.2f}",
+        "cost": f"{outcome.mean():.2f} ± {deviation:.2f}",
         "paper": "{:.1f} ± {:.1f}".format(*outcome.case.papers_cost),
         "arrived": outcome.arrivals,
         "length": f"{outcome.mean('length_m') / 1000:.1f} km",
@@ -115,14 +127,15 @@ def _orders(found: Sequence[Outcome], per_second: int) -> list[str]:
         "No result depends on the speed of this machine.",
         "<: surely less (Mann-Whitney, 5 %, medians half a percent apart); ~: not surely.",
     ]
-    for row in by_heading(found):
+    for heading, outcomes in itertools.groupby(found, lambda each: each.case.heading):
+        row = list(outcomes)
         by_the_paper = sorted(row, key=lambda outcome: outcome.case.papers_cost)
         papers_order = " < ".join(outcome.case.label for outcome in by_the_paper)
         pairs = list(itertools.combinations(by_the_paper, 2))
         agree = sum(surely_less(a, b) for a, b in pairs)
         against = [f"{b.case.label} < {a.case.label}" for a, b in pairs if surely_less(b, a)]
         lines.append(
-            f"{row[0].case.heading}: {order(row)}. The paper: {papers_order}. "
+            f"{heading}: {order(row)}. The paper: {papers_order}. "
             f"{agree} of its {len(pairs)} pairs are surely so here"
             f"{'; against it: ' * bool(against)}{', '.join(against)}."
         )
@@ -250,7 +263,7 @@ def _ways(outcome: Outcome) -> dict[str, str]:
         "arrived": outcome.arrivals,
         "cost": f"{shown.cost:.1f}",
         "length": f"{shown.length_m / 1000:.1f} km",
-        "highest": f"{shown.highest_amsl_m / 1000:.2f} km",
+        "highest": f"{shown.route_nea_m[:, 2].max() / 1000:.2f} km",
         "seen": f"{shown.violations['radar'] / 1000:.1f} km",
     }
 
@@ -269,8 +282,8 @@ def routes(names: Sequence[str] = ()) -> Comparison:
 
     names: of planners; none: ours, the paper's, and all rivals that are installed.
     """
-    ompl = ("rrt-star", "bit-star") if extras.missing("compare") else ()
-    installed = [OURS, PAPER.name, *(name for name in PLANNERS if name not in ompl)]
+    absent = {"rrt-star"} if extras.missing("compare") else set()
+    installed = [OURS, PAPER.name, *(name for name in PLANNERS if name not in absent)]
     cases = []
     for environment in ENVIRONMENTS:
         for name in dict.fromkeys(names or installed):

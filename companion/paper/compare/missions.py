@@ -84,11 +84,6 @@ class Run:
     scans_nea_m: tuple[tuple[float, float, float], ...]
     violations: dict[str, float]  # metres of each kind
 
-    @property
-    def highest_amsl_m(self) -> float:
-        """Of the path as flown."""
-        return float(self.route_nea_m[:, 2].max())
-
 
 def fly(case: Case, seed: int) -> Run:
     """Fly a case: simulated scans and perfect tracking."""
@@ -192,11 +187,6 @@ class Outcome:
         values = [getattr(run, measure) for run in self.runs if run.arrived]
         return statistics.fmean(values) if values else math.nan
 
-    @property
-    def deviation(self) -> float:
-        """Standard deviation of the costs; not a number with fewer than two."""
-        return statistics.stdev(self.costs) if len(self.costs) > 1 else math.nan
-
     def facts(self) -> dict[str, Any]:
         """All its numbers and the paper's, for --json."""
         case, names = self.case, ("paper_mean_cost", "paper_st_dev_cost")
@@ -211,7 +201,7 @@ class Outcome:
             "arrived": [run.arrived for run in self.runs],
             "costs": [run.cost if run.arrived else None for run in self.runs],
             "lengths_m": [run.length_m for run in self.runs],
-            "highest_amsl_m": [run.highest_amsl_m for run in self.runs],
+            "highest_amsl_m": [float(run.route_nea_m[:, 2].max()) for run in self.runs],
             "j": [run.j for run in self.runs],
             "violations": self.violations,
             **paper,
