@@ -209,7 +209,8 @@ class AutopilotClient:
 
     def on_position(self, message: Message, now_s: float) -> events.Position | None:
         """Decode GLOBAL_POSITION_INT: a fast path of `on_message` and `event_of`."""
-        self.count(_POSITION, now_s)
+        self.streams.count[_POSITION] += 1
+        self.parameters.heard_s = now_s
         event = position(message, now_s, self._mission.frame)
         if event is not None:
             self.here_ne_m = event.position_nea_m[:2]

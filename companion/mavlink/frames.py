@@ -73,13 +73,9 @@ def intact_end(data: bytes, at: int) -> int:
         return 0
     if data[at] == V1 and data[at + 1] > kind.unpacker.size:
         return 0
-    return end if _has_its_checksum(data[at:end], kind) else 0
-
-
-def _has_its_checksum(frame: bytes, kind: Any) -> bool:
-    end = (_HEADER_2 if frame[0] == V2 else _HEADER_1) + frame[1]
-    covered = frame[1:end] + bytes((kind.crc_extra,))
-    return mcrf4xx(covered) == frame[end] | frame[end + 1] << 8
+    last = at + (_HEADER_2 if data[at] == V2 else _HEADER_1) + data[at + 1]
+    covered = data[at + 1 : last] + bytes((kind.crc_extra,))
+    return end if mcrf4xx(covered) == data[last] | data[last + 1] << 8 else 0
 
 
 def number_of(frame: bytes) -> int:
@@ -168,8 +164,9 @@ def decoded(frame: bytes, kind: Any) -> Message:
             if isinstance(text := getattr(message, name), str):
                 setattr(message, name, printable(text))
         return message
-    size = kind.unpacker.size
-    message = kind(*in_order(kind.unpacker.unpack(payload_of(frame, size)[:size])))
+    size, head = kind.unpacker.size, _HEADER_2 if frame[0] == V2 else _HEADER_1
+    payload = frame[head : head + frame[1]].ljust(size, b"\0")
+    message = kind(*in_order(kind.unpacker.unpack(payload[:size])))
     message._msgbuf = bytearray(frame)
     message._payload = message._msgbuf[6:-2]
     (message._crc,) = _CRC.unpack_from(frame, len(frame) - 2)
@@ -270,7 +267,9 @@ class Receiver:
         if kind is None:
             self.passed += 1
             return True
-        if not _has_its_checksum(frame, kind):
+        end = (_HEADER_2 if frame[0] == V2 else _HEADER_1) + frame[1]
+        covered = frame[1:end] + bytes((kind.crc_extra,))
+        if mcrf4xx(covered) != frame[end] | frame[end + 1] << 8:
             self.passed += 1
             return False
         signed = frame[0] == V2 and frame[2] & _SIGNED

@@ -18,7 +18,7 @@ from typing import Final, NamedTuple, final
 from companion.errors import InputError
 from companion.geodesy import LocalFrame, deg
 from companion.mavlink.autopilots import FIRMWARES, NAMES, Autopilot, autopilot_of, described
-from companion.mavlink.autopilots.messages import is_nowhere
+from companion.mavlink.autopilots.messages import NOWHERE_DEG
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, KINDS, Message, wire
 from companion.mavlink.frames import boot_ms_of, decoded, number_of, payload_of, sender_of
 from companion.mavlink.link import TO_COMPONENT_1, ClockReading, Output, VehicleClock, ids_in_words
@@ -169,7 +169,7 @@ def _look(log: Log) -> _Look:
 
 def _is_a_place(latitude_deg: float, longitude_deg: float) -> bool:
     is_on_earth = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0
-    return is_on_earth and not is_nowhere(latitude_deg, longitude_deg)
+    return is_on_earth and max(abs(latitude_deg), abs(longitude_deg)) >= NOWHERE_DEG
 
 
 def _of_no_use(log: Log, name: str) -> InputError:

@@ -254,7 +254,7 @@ def test_without_dask_one_process_flies_and_more_name_the_extra(
     monkeypatch.setattr(extras, "find_spec", lambda _name: None)
     monkeypatch.setattr(missions, "fly", lambda case, _seed: run(sum(case.papers_cost)))
     words = ["table-1", "--runs", "1"]
-    with pytest.raises(InputError, match=r"--jobs = 2: dask.*companion\[campaign\]"):
+    with pytest.raises(InputError, match=r"--jobs = 2: not installed: dask.*companion\[campaign\]"):
         called(*words, "--jobs", "2")
     assert "improved DE" in called(*words)
 

@@ -20,7 +20,7 @@ _FASTEST_M_S = 1000.0
 """ArduCopter treats more as an error and stops (ardupilot.md 3)."""
 _FURTHEST_M = 2.0e7
 """Half way round: no local frame reaches further."""
-_NOWHERE_DEG = 0.01
+NOWHERE_DEG = 0.01
 """Treat (0, 0) +- 0.01 degrees as "no position": autopilots report it before they have one, and an
 ArduPlane drifts about there by some metres (recorded)."""
 _LATEST_S = 4.29e6
@@ -122,15 +122,10 @@ def place_of(
     latitude_deg: float, longitude_deg: float, altitude_m: float, frame: LocalFrame
 ) -> events.Vector | None:
     """A position from the wire; None if there is none yet, or it is nowhere on Earth."""
-    if is_nowhere(latitude_deg, longitude_deg) or not abs(longitude_deg) <= 180.0:
+    if max(abs(latitude_deg), abs(longitude_deg)) < NOWHERE_DEG or not abs(longitude_deg) <= 180.0:
         return None
     place = (*frame.to_local_m(latitude_deg, longitude_deg), altitude_m)
     return place if all(map(math.isfinite, place)) else None  # beyond a pole it is not
-
-
-def is_nowhere(latitude_deg: float, longitude_deg: float) -> bool:
-    """Whether these coordinates mean "no position"."""
-    return max(abs(latitude_deg), abs(longitude_deg)) < _NOWHERE_DEG
 
 
 # --- out
@@ -150,7 +145,8 @@ def _wire_place(position_nea_m: events.Vector, frame: LocalFrame) -> tuple[int, 
     if not in_band or not math.hypot(north_m, east_m) <= _FURTHEST_M:
         return None
     latitude, longitude = frame.to_geodetic_deg(north_m, east_m)
-    if not math.isfinite(latitude + longitude) or is_nowhere(latitude, longitude):
+    is_nowhere = max(abs(latitude), abs(longitude)) < NOWHERE_DEG
+    if is_nowhere or not math.isfinite(latitude + longitude):
         return None
     return round(latitude * 1e7), round(longitude * 1e7)
 
