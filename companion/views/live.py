@@ -149,6 +149,11 @@ def progress_line(status: FlightStatus) -> str:
         parts.append(f"to go {metres(status.to_go_m):>8}  {status.altitude_amsl_m:5.0f} m AMSL")
     if status.plan_cost is not None:
         parts.append(f"subpath {status.subpaths_flown:2d}  cost {status.plan_cost:5.2f}")
+        parts.append(f"clearance {_proof(status):>10}")
+    if status.plan_took_s is not None:
+        parts.append(f"planned in {status.plan_took_s * 1e3:4.0f} ms")
+    if status.times_real_time is not None:
+        parts.append(f"{status.times_real_time:4.0f}x real time")
     if notice := _notice(status):
         parts.append(f"({notice})")
     return "  ".join(parts)
@@ -214,15 +219,19 @@ def _values(status: FlightStatus) -> Iterator[tuple[str, str, str]]:
     took = "-" if status.plan_took_s is None else f"took {status.plan_took_s * 1e3:.0f} ms"
     cost = "" if status.plan_cost is None else f"cost {status.plan_cost:.2f}, "
     yield "last plan", f"{cost}{took}", ""
-    proven_m = status.plan_clearance_m
     if status.plans_failed:
         yield "proof", f"failed {status.plans_failed} times", _NOTABLE
-    elif status.plan_cost is not None and proven_m is None:
-        yield "proof", "not proven", _SEVERE
-    elif proven_m is not None:
-        yield "proof", f"{metres_at_least(proven_m)} to terrain", ""
+    elif status.plan_cost is not None:
+        style = _SEVERE if status.plan_clearance_m is None else ""
+        yield "proof", f"{_proof(status)} to terrain", style
     pace = status.times_real_time
     yield "time", f"{status.t_s:.0f} s{'' if pace is None else f', {pace:.0f}x real time'}", ""
+
+
+def _proof(status: FlightStatus) -> str:
+    """The clearance that is proven for the newest plan."""
+    clear_m = status.plan_clearance_m
+    return "not proven" if clear_m is None else metres_at_least(clear_m)
 
 
 def _notes(status: FlightStatus) -> Iterator[Text]:
