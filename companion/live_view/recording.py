@@ -19,8 +19,9 @@ from companion.telemetry.run_folder import Records
 from companion.views.words import entry_words
 
 BATTERY: Final = wire.MAVLINK_MSG_ID_SYS_STATUS
+SECTORS: Final = wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE
 _TEXT: Final = wire.MAVLINK_MSG_ID_STATUSTEXT
-_KEPT: Final = (BATTERY, _TEXT)
+_KEPT: Final = (BATTERY, SECTORS, _TEXT)
 _RATE_OVER_S: Final = 5.0
 
 

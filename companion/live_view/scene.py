@@ -9,6 +9,7 @@ import viser
 from companion.geodesy import FloatArray
 from companion.live_view import shapes
 from companion.live_view.ground import Ground
+from companion.live_view.recording import SECTORS
 from companion.live_view.shapes import Area, Mesh
 from companion.mission.journal import PlanAsked, PlanReady
 from companion.telemetry.export.shapes import ball_nea_m, circle_ne_m, outline_ne_m, walls_nea_m
@@ -31,6 +32,7 @@ _GUESSED: Final[Rgb] = (110, 140, 175)
 _KEEP_IN: Final[Rgb] = (120, 120, 120)
 _GRID: Final[Rgb] = (168, 172, 178)
 _FAR: Final = 2000.0
+_SWEPT_S: Final = 1.0  # a sweep that is older is no longer what a lidar sees
 _TRACK_POINTS: Final = 1500
 _CURVE_POINTS: Final = 80
 _BALL_POINTS: Final = 64
@@ -47,6 +49,8 @@ class Scene:
         self.area = Area.of(flight)
         self._decided: Decided | None = None
         """What is drawn of what was decided."""
+        self._swept: tuple[int, Any] | None = None
+        """The position, and the distances of the sectors that are drawn about it."""
         scene = self._scene
         scene.set_up_direction("+z")
         scene.world_axes.visible = False
@@ -84,6 +88,7 @@ class Scene:
         here = self.area.scene(flight.places_nea_m[row])
         with self._server.atomic():
             self._show_vehicle(row, here)
+            self._show_sweep(row)
             if decided is not self._decided:
                 self._decided = decided
                 self._group("/decided")
@@ -119,6 +124,33 @@ class Scene:
         rows = np.unique(np.linspace(0, row, min(row + 1, _TRACK_POINTS)).astype(np.intp))
         points = self.area.scene(self._flight.places_nea_m[rows])
         self._track.points = (shapes.segments(points) if row else _NOTHING).astype(np.float32)
+
+    def _show_sweep(self, row: int) -> None:
+        """What a lidar passed over just now."""
+        message = self._flight.newest(SECTORS, row, _SWEPT_S)
+        swept = row, message and message.distances
+        if swept == self._swept:
+            return
+        self._swept = swept
+        self._group("/sweep")
+        if message is not None:
+            here_nea_m = self._flight.places_nea_m[row]
+            fan = self._fan(here_nea_m, message, self._flight.heading_rad(row))
+            self._mesh("/sweep/sectors", fan, _SCAN, opacity=0.22)
+
+    def _fan(self, here_nea_m: FloatArray, message: Any, heading_rad: float) -> Mesh:
+        """The sectors of OBSTACLE_DISTANCE, in centimetres on the wire."""
+        width_rad = math.radians(message.increment_f or message.increment)
+        first_rad = heading_rad + math.radians(message.angle_offset)
+        told = np.array(message.distances) != 65535
+        reach_m = np.minimum(np.array(message.distances, float), message.max_distance) / 100.0
+        bearings = first_rad + (np.arange(len(told))[:, None] + [-0.5, 0.5]) * width_rad
+        rim = np.stack([np.cos(bearings), np.sin(bearings), 0.0 * bearings], -1)
+        rim = (rim * np.where(told, reach_m, 0.0)[:, None, None] + here_nea_m).reshape(-1, 3)
+        first = 1 + 2 * np.flatnonzero(told)
+        faces = np.stack([0 * first, first, first + 1], axis=-1)
+        points = self.area.scene(np.concatenate([here_nea_m[None], rim]))
+        return Mesh(points, faces.astype(np.uint32))
 
     def _draw_radar(self, name: str, radar: Radar) -> None:
         """The sphere in which it sees between the ground and the ceiling."""

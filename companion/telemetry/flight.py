@@ -232,10 +232,10 @@ class Flight:
         is_ours = component == AUTOPILOT_COMPONENT and self.system_id in (None, system)
         if component == COMPANION_COMPONENT and number == _SETPOINT:
             self.setpoints_us.append(time_us)
+        if number in self._kept and (is_ours or number == wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE):
+            self._kept[number].append((time_us, frame))  # a lidar speaks for itself
         if not is_ours:
             return
-        if number in self._kept:
-            self._kept[number].append((time_us, frame))
         self.heard.extend((time_us, frame[4] if frame[0] == V2 else frame[2]))
         if number == _GPS.id:
             told = dict(zip(_GPS.ordered_fieldnames, _unpacked(_GPS, frame), strict=True))
@@ -334,11 +334,13 @@ class Flight:
             began_us = int(self.track.time_us[0])
             yield max(time_us - began_us, 0) * 1e-6, decoded(frame, wire.mavlink_map[number])
 
-    def newest(self, number: int, row: int) -> Message | None:
-        """The newest message of a kind that is kept, at a position."""
-        time_us = int(self.track.time_us[row])
-        at = bisect_right(self._kept[number], time_us, key=lambda each: each[0]) - 1
-        return decoded(self._kept[number][at][1], wire.mavlink_map[number]) if at >= 0 else None
+    def newest(self, number: int, row: int, within_s: float = math.inf) -> Message | None:
+        """The newest message of a kind that is kept, at a position; none if it is older."""
+        time_us, kept = int(self.track.time_us[row]), self._kept[number]
+        at = bisect_right(kept, time_us, key=lambda each: each[0]) - 1
+        if at < 0 or time_us - kept[at][0] > 1e6 * within_s:
+            return None
+        return decoded(kept[at][1], wire.mavlink_map[number])
 
     # --- what was decided
 

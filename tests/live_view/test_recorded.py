@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import rich
 import viser
+from pymavlink.dialects.v20 import all as wire
 from recorded import flown, mission_file, record
 
 from companion.config import load_mission
@@ -20,7 +21,9 @@ from companion.live_view.ground import PROVEN, UNKNOWN, Ground, Replica, ground_
 from companion.live_view.page import Page
 from companion.live_view.panel import charts_of
 from companion.live_view.recording import Recording
+from companion.live_view.scene import Scene
 from companion.live_view.server import serve
+from companion.live_view.shapes import WIDTH
 from companion.session import Session
 from companion.telemetry.inputs import HEADER, packed
 
@@ -176,6 +179,29 @@ def test_all_of_a_flight_is_in_the_scene(shown: tuple[viser.ViserServer, Page]) 
     assert "/ground/proven" in handles
     labels = {handles[name].text for name in handles if name.endswith("/label")}  # type: ignore[attr-defined]
     assert {"target", 'keep-out tower <&> "mast"', "keep-out village", "keep-in county"} <= labels
+
+
+def test_what_a_lidar_passed_over_is_shown_for_a_second(run_dir: Path) -> None:
+    """72 sectors of 5 degrees and 50 m, one of which says nothing; a driver sends them."""
+    told = [65_535, *[5_000] * 71]
+    message = wire.MAVLink_obstacle_distance_message(0, 0, told, 5, 20, 16_000, 5.0, 0.0, 12)
+    frame = bytes(message.pack(wire.MAVLink(None, srcSystem=1, srcComponent=196)))
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    try:
+        with read(run_dir) as recording:
+            flight = recording.flight
+            flight.look(int(flight.track.time_us[-1]) - 900_000, frame)
+            scene = Scene(server, flight)
+            scene.show(recording.ends_s)
+            fan = server.scene._handle_from_node_name["/sweep/sectors"]
+            middle, *rim = np.asarray(fan.vertices, dtype=float)  # type: ignore[attr-defined]
+            away = np.linalg.norm(np.array(rim) - middle, axis=1)
+            assert len(fan.faces) == 71  # type: ignore[attr-defined]
+            assert away[2:] == pytest.approx(50.0 * WIDTH / scene.area.width_m, rel=1e-3)
+            scene.show(recording.ends_s - 1.0)
+            assert "/sweep/sectors" not in server.scene._handle_from_node_name
+    finally:
+        server.stop()
 
 
 def test_the_scene_and_the_panel_follow_the_time(shown: tuple[viser.ViserServer, Page]) -> None:
