@@ -418,7 +418,8 @@ def _ending(
     if not reason:
         return "unexplained: no reason", f"{phase}, {mode}"
     reboots_s = [each.at_s for each in done if each.what == "reboot"]
-    if last["landed"] or not last["armed"]:
+    disarmed = reason == Reason.DISARMED.text  # in the last tick: no truth came after it
+    if last["landed"] or not last["armed"] or disarmed:
         return ("fell" if reboots_s else "landed"), reason
     if mode in LANDS | RETURNS:
         return ("landed" if mode in LANDS else "returned"), reason

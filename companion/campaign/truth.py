@@ -29,6 +29,7 @@ _FINEST_M = 0.01
 """Half a side: then the distance is right to a tenth of a millimetre."""
 _STOPPED_M = 1.0
 _JUMP = 1e-6
+_STILL = 1e-6  # of the fastest: far above rounding, and the next sample is a metre away
 _PART = 4_000
 """Points that are looked at together."""
 
@@ -43,9 +44,14 @@ class Curve(NamedTuple):
 
     @property
     def curvature_1_m(self) -> FloatArray:
-        """Horizontal, signed: positive turns from north to east."""
+        """Horizontal, signed: positive turns from north to east; 0 where the curve stands still.
+
+        It does where control points coincide; a real corner there shows at the samples beside it.
+        """
         (n1, e1), (n2, e2) = self.first[:, :2].T, self.second[:, :2].T
-        return (n1 * e2 - e1 * n2) / np.maximum(np.hypot(n1, e1), 1e-12) ** 3
+        speed = np.hypot(n1, e1)
+        stands = speed <= _STILL * speed.max()
+        return np.where(stands, 0.0, (n1 * e2 - e1 * n2) / np.where(stands, 1.0, speed) ** 3)
 
     @property
     def climb_rad(self) -> FloatArray:

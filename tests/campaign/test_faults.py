@@ -163,6 +163,12 @@ ENDINGS: dict[str, Case] = {
         "at 0.1 s for 0.1 s: link_off",
         1,
     ),
+    "landed, as it disarmed in the last tick": (
+        [TARGET] * 3,
+        {"outcome": "failed", "reason": "the vehicle disarmed"},
+        "at 0.1 s: turbulence 1 m/s",
+        0,
+    ),
     "unexplained: no end": ([TARGET] * 3, {"kind": "say"}, "", 1),
     "unexplained: arrived elsewhere": ([AWAY] * 3, {}, "", 1),
     "arrived, its target was moved": (

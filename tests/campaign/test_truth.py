@@ -65,6 +65,8 @@ def test_a_sampled_curve_is_its_bezier_curve_evenly_spaced_with_its_curvature() 
     bent = np.array([[0.0, 0, 0], [R2_M, 0, 0], [5_000, H_M, 0], [9_000, 4_000, 0]])
     curvature_1_m = truth.sampled(bent, 10.0).curvature_1_m[0]
     assert curvature_1_m == pytest.approx(BEND_1_M, rel=1e-9)
+    twice = np.array([[0.0, 0, 0], [R2_M, 0, 0], [9_000, 0, 0], [9_000, 1e-13, 0]])
+    assert np.abs(truth.sampled(twice, 10.0).curvature_1_m).max() < 1e-9
 
 
 def test_keep_out_distances_are_those_of_shapely_and_winding_numbers() -> None:
