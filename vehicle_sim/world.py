@@ -154,7 +154,7 @@ class Vehicle:
     kind: VehicleKind
     autopilot: _Name
     """"ardupilot" or "px4"; of a copter also "ideal", a law that no autopilot has."""
-    system_id: Annotated[int, Field(strict=True, ge=1, le=255)] = 1
+    system_id: Annotated[int, Field(strict=True, ge=1, le=254)] = 1
     north_m: _Local = 0.0
     east_m: _Local = 0.0
     heading_deg: _Turn = 0.0

@@ -96,11 +96,12 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
         found["reason"] = None if ending == "arrived" else reason or None
     count = len(known)
     if flight.mission.near is None:
-        # planned in a wrong place, or where the radar lied, a subpath is right in its shape only
-        bounds = _OF_SHAPE if is_excused.any() else None
-        ready = (e for e in flight.journal if e["kind"] == "plan ready")
+        ready = [e for e in flight.journal if e["kind"] == "plan ready"]
         subpaths = [np.array(e["control_nea_m"]) for e in ready]
-        of_subpaths = checked(subpaths, drawn, bounds=bounds)
+        # planned since then, in a wrong place or where the radar lied, one is right in shape only
+        since_s = track.t_s[np.argmax(is_excused)] if is_excused.any() else math.inf
+        before = sum(e["t_s"] < since_s for e in ready)
+        of_subpaths = checked(subpaths, drawn, bounds=_OF_SHAPE, whole=before)
         count += of_subpaths["violations"]
         known += filter(None, [of_subpaths["violated"]])
         found = of_subpaths | found
@@ -176,10 +177,12 @@ def checked(
     *,
     joined: bool = False,
     bounds: Container[str] | None = None,
+    whole: int = 0,
 ) -> dict[str, Any]:
     """Every metre of every subpath, its tail included, against the true world.
 
-    joined: each begins on the one before, or at its end, from rest.  bounds: only these.
+    joined: each begins on the one before, or at its end, from rest.  bounds: only these, but for
+    the first so many subpaths (`whole`).
     """
     task, violated, bad, least_m = drawn.task, list[str](), 0, math.inf
     for number, control_nea_m in enumerate(subpaths, 1):
@@ -189,7 +192,8 @@ def checked(
         broken = [*measures.violations(task)]
         if joined and number > 1 and not truth.goes_over(subpaths[number - 2], control_nea_m, task):
             broken.append("join")
-        broken = [name for name in broken if bounds is None or name in bounds]
+        if bounds is not None and number > whole:
+            broken = [name for name in broken if name in bounds]
         bad += bool(broken)
         violated += [f"leg {number}: {name}" for name in broken]
         least_m = min(least_m, measures.clearance_m)

@@ -174,6 +174,7 @@ class AutopilotClient:
 
     def rebase_time(self, shift_s: float) -> None:
         """Shift all stored times by this much: the clock was replaced."""
+        self._speed_told_s += shift_s
         for client in (self.streams, self.parameters, self.plans):
             client.rebase_time(shift_s)
 

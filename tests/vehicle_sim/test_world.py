@@ -56,7 +56,7 @@ NAN = float("nan")
         ("radars.0.altitude_m", 0.0, "altitude_amsl_m", "radars.0 ... altitude_amsl_m"),
         ("vehicle.speed_max_m_s", -1.0, "", "speed_max_m_s = -1.0 ... greater than 0"),
         ("vehicle.speed_max_m_s", "fast", "", "speed_max_m_s = 'fast' ... number"),
-        ("vehicle.system_id", 256, "", "system_id = 256 ... 255"),
+        ("vehicle.system_id", 255, "", "system_id = 255 ... 254"),
         ("vehicle.kind", "balloon", "", "kind = 'balloon' ... 'copter'"),
         ("origin.latitude_deg", NAN, "", "latitude_deg ... finite"),
         ("terrain.combine", "mean", "", "combine = 'mean' ... 'maximum' or 'sum'"),
