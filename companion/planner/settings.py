@@ -149,29 +149,22 @@ class Task:
         centre_ne_m: Place,
         reach_m: float,
         *,
-        motion: Envelope | None = None,
         clearance_m: float | None = None,
-        contact_m: float | None = None,
-        zones: tuple[Zone, ...] | None = None,
-        radars: tuple[Radar, ...] | None = None,
-        stops: bool = True,
     ) -> Surroundings:
         """What certificates of its paths are about; made once per plan.
 
-        The curves keep a clearance from terrain and zones, and so much of the altitude band that
-        the vehicle stays in it; the dead-man stretches keep contact_m (None: what the vehicle may
-        be off).  They stay within reach of a place (their straight dead-man stretches may leave
-        it): what lies farther out counts as terrain without a top.  stops: the vehicle stops at the
-        end of a curve; else it may go on from there at full speed.
+        The curves keep a clearance (None: the required one) from terrain and zones, and so much of
+        the altitude band that the vehicle stays in it.  They stay within reach of a place (their
+        straight dead-man stretches may leave it): what lies farther out counts as terrain without a
+        top.  The vehicle stops at the end of a curve.
         """
-        limits, motion = self.limits, motion or self.envelope
+        limits, motion = self.limits, self.envelope
         clearance_m = self.required_clearance_m if clearance_m is None else clearance_m
         farther_m = moves.flown_on_m(motion, motion.speed_m_s) + 3.0 * clearance_m
         registration_m = known.registration_m + motion.loiter_m
         (south_m, north_m), (west_m, east_m) = limits.north_m, limits.east_m
         low_m, high_m = limits.inner_band_amsl_m(motion.error_m)
-        radars = self.radars if radars is None else radars
-        circles = [(*radar.centre_nea_m, radar.range_m) for radar in radars]
+        circles = [(*radar.centre_nea_m, radar.range_m) for radar in self.radars]
         return Surroundings(
             columns=pack_columns(
                 known,
@@ -180,12 +173,12 @@ class Task:
                 block=max(2, min(16, round(0.75 * clearance_m / known.cell_m))),
                 registration_m=registration_m,
             ),
-            zones=packed(self.zones if zones is None else zones),
+            zones=packed(self.zones),
             radars=np.array(circles, dtype=np.float64).reshape(-1, 4),
             clearance_m=float(clearance_m),
-            contact_m=float(motion.contact_m if contact_m is None else contact_m),
+            contact_m=float(motion.contact_m),
             motion=motion,
-            stops=stops,
+            stops=True,
             lowest_nea_m=(float(south_m), float(west_m), float(low_m)),
             highest_nea_m=(float(north_m), float(east_m), float(high_m)),
         )
