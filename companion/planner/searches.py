@@ -161,14 +161,17 @@ class Searches:
         self.tries += 1
         rng = request.rng(self.tries)
         evaluations = (1 + request.attempt) * settings.evaluations
-        name = settings.optimiser or settings.profile.optimiser
+        optimiser = settings.optimiser or settings.profile.optimiser
         tail = None if request.rest is None else request.rest.end_nea_m
         route_ne_m = self.prices.field.route_ne_m
         seeds = seeds_of(scene, ways_of(scene, route_ne_m, request.known.cell_m, tail))
-        if name != "refined-de":
-            optimiser = OPTIMISERS[name](scene.variables, evaluations, rng, seeds)
-            costs = jit.compiled(kernels.costs)
-            ranked = minimise(optimiser, lambda x: costs(x, scene), evaluations, self._is_time_up)
+        if optimiser != "refined-de":
+            make = OPTIMISERS[optimiser] if isinstance(optimiser, str) else optimiser
+            asked, costs = (
+                make(scene.variables, evaluations, rng, seeds),
+                jit.compiled(kernels.costs),
+            )
+            ranked = minimise(asked, lambda x: costs(x, scene), evaluations, self._is_time_up)
             self.evaluations += ranked.evaluations
             self.is_cut |= ranked.evaluations < evaluations
             return ranked.x

@@ -9,6 +9,7 @@ from typing import Annotated, final
 import numpy as np
 from annotated_types import Ge, Le
 
+from companion.optimise.registry import Maker
 from companion.path import envelope as moves
 from companion.path.envelope import COPTER, PLANE, Envelope, Handling
 from companion.path.limits import Limits
@@ -48,8 +49,8 @@ class PlannerSettings:
     """Candidates evaluated for one subpath."""
     profile: Profile = FLIGHT
     weights: Weights = field(default_factory=Weights)
-    optimiser: str | None = None
-    """What searches, by its name in `optimise.registry`; None: the profile's."""
+    optimiser: str | Maker | None = None
+    """What searches, or its name in `optimise.registry`; None: the profile's."""
     cell_m: Positive | None = None
     """Size of the cells of the known map; None: R / 80, in the whole metres of TERRAIN_REQUEST."""
 
