@@ -62,23 +62,15 @@ def plan(request: PlanRequest, stop: Callable[[], bool] = lambda: False) -> Plan
 
 def _impossible(request: PlanRequest) -> Refusal | None:
     """Why the request itself, or its start, is invalid; None if it is not."""
-    task, limits, settings = request.task, request.task.limits, request.task.settings
-    (low, high), range_m = task.band_amsl_m, settings.scan_range_m
+    task, limits, (low, high) = request.task, request.task.limits, request.task.band_amsl_m
     numbers = *request.scan_nea_m, *request.target_ne_m, *rows_of(request.start).ravel()
-    positive = (
-        *(high - low, settings.safety_distance_m, range_m, limits.turn_radius_m),
-        *(limits.speed_m_s, limits.acceleration_m_s2),
-        *(limits.climb_angle_rad, limits.dive_angle_rad),
-    )
-    if not (np.isfinite((*numbers, *positive)).all() and min(positive) > 0.0):
+    if not np.isfinite(numbers).all() or low >= high:
         return Refusal.NO_QUESTION
-    if 2.0 * limits.turn_radius_m > range_m:
-        return Refusal.NO_ROOM_TO_TURN
     bounds = limits.north_m, limits.east_m, limits.inner_band_amsl_m(task.error_m)
     start = zip(request.start.point_nea_m, bounds, strict=True)
     if not all(least <= at <= most for at, (least, most) in start):
         return Refusal.START_OUTSIDE
-    if not sees_anything(request.known, request.scan_nea_m[:2], range_m):
+    if not sees_anything(request.known, request.scan_nea_m[:2], task.settings.scan_range_m):
         return Refusal.NOTHING_SEEN
     return None
 
