@@ -163,7 +163,7 @@ def test_a_thing_that_comes_into_the_way_is_stopped_for(
     )  # fmt: skip
     assert flight.failure is None
     assert flight.holds
-    assert flight.flown_m[1] < flight.legs[1].successor_at_m(task)
+    assert flight.flown_m[1] < flight.legs[1].successor_at_m
     end = flight.legs[1].subpath.pose(flight.flown_m[1]).point_nea_m
     assert flight.scans_nea_m.count(end) == 1
     gaps_m = on_board._scene.gaps_m(flight.route_nea_m(0.1)[:, :2])

@@ -53,9 +53,8 @@ class Prices:
 
     def after_m(self, planned: Planned) -> float:
         """What is predicted from where the next subpath starts: p_prog, or the end."""
-        leg = Leg.of(planned, number=1)
-        can_be_left = leg.can_be_left(self.task)
-        at_m = leg.successor_at_m(self.task) if can_be_left else leg.subpath.length_m
+        leg = Leg.of(planned, 1, self.task)
+        at_m = leg.successor_at_m if leg.can_be_left else leg.subpath.length_m
         return self.promised_m(leg.subpath.pose(at_m).point_nea_m)
 
     def cost_m(self, planned: Planned) -> float:
@@ -78,7 +77,7 @@ class Prices:
         if planned.speed_m_s is not None:
             slower = task.limits.speed_m_s / planned.speed_m_s - 1.0
             price_m += slower * planned.subpath.length_m
-        if not planned.reaches_target and not Leg.of(planned, number=1).can_be_left(task):
+        if not planned.reaches_target and not Leg.of(planned, 1, task).can_be_left:
             price_m += task.stop_m
         return price_m
 

@@ -257,6 +257,11 @@ class Task:
             known[speed_m_s] = replace(self, limits=slow)
         return known[speed_m_s]
 
+    def unruled(self) -> "Task":
+        """The task without zones and band: of a leg of which nobody knows what it was held to."""
+        limits = replace(self.limits, floor_amsl_m=-math.inf, ceiling_amsl_m=math.inf)
+        return replace(self, limits=limits, zones=())
+
     def no_lower_than(self, amsl_m: float) -> "Task":
         """The task with this, if it is higher, as the lowest altitude to plan for."""
         raised_m = self.limits.floor_amsl_m + max(amsl_m - self.band_amsl_m[0], 0.0)

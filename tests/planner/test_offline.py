@@ -105,7 +105,7 @@ def test_a_flight_that_runs_out_of_legs_stops_and_says_so_and_how_to_go_on(
     assert cut.failure.refusal is Refusal.TOO_MANY_LEGS
     assert "most_legs" in cut.failure.refusal.value
     assert (len(cut.legs), len(cut.scans_nea_m), cut.holds) == (2, 2, 1)
-    lengths_m = cut.legs[0].successor_at_m(TASK), cut.legs[1].subpath.length_m
+    lengths_m = cut.legs[0].successor_at_m, cut.legs[1].subpath.length_m
     assert cut.flown_m == pytest.approx(lengths_m)
     assert len(flight.legs) < usual_most_legs(TASK, START, (TARGET,))
     far, least = ((TARGET[0] + 1e6, TARGET[1]), TARGET), 2e6 / TASK.settings.scan_range_m

@@ -309,10 +309,10 @@ def test_no_vehicle_circles_a_target_that_its_turns_are_too_wide_for(beside_m: f
             continue
         if outcome.reaches_target:
             return
-        leg = Leg.of(outcome, number)
+        leg = Leg.of(outcome, number, TASK)
         end = leg.subpath.pose(leg.subpath.length_m).point_nea_m
-        scan_nea_m = leg.subpath.pose(leg.scan_at_m(TASK)).point_nea_m
-        prog, rest = leg.subpath.pose(leg.successor_at_m(TASK)), leg.rest(TASK)
+        scan_nea_m = leg.subpath.pose(leg.scan_at_m).point_nea_m
+        prog, rest = leg.subpath.pose(leg.successor_at_m), leg.rest
         request = replace(request, start=prog, scan_nea_m=scan_nea_m, from_rest=False, rest=rest)
     pytest.fail("it does not arrive")
 
