@@ -94,8 +94,8 @@ def looks_at_circle(state: State, turn: Turn) -> bool:
 def _lead(state: State, stage: phases.Led, path: OnPath, event: Position, turn: Turn) -> None:
     """Advance the reference point and send it; on the way out scan at p_scan."""
     leg, hovers, velocity = path.leg, state.vehicle.traits.hovers, event.velocity_nea_m_s
-    along = path.reference.length_m, event.position_nea_m, velocity, state.task.limits
-    if path.circling and not may_leave(leg, *along):
+    at_m = path.reference.length_m
+    if path.circling and not may_leave(leg, at_m, event.position_nea_m, velocity):
         return _circle(state, stage, event, turn)
     returns = state.flight.way is Way.BACK
     following.advance_reference(state, stage, path, event)

@@ -64,24 +64,22 @@ def advance_reference(state: State, stage: phases.Led, path: OnPath, event: Posi
     if leg.subpath.length_m < task.shortest_scan_distance_m and not state.flight.returning:
         slows_to_m_s = leg.slows_to_m_s
     if vehicle.traits.hovers:
-        motion = task.envelope
         if path.next_leg is not None:  # for its first bends, too
-            pace_m_s = procedure.paced_m_s(path.next_leg.subpath, motion, 0.0)
+            pace_m_s = procedure.paced_m_s(path.next_leg.subpath, leg.motion, 0.0)
             room_m = max(leaves_at_m - before.length_m, 0.0)
-            pace_m_s = math.sqrt(pace_m_s**2 + 2.0 * motion.gaining_m_s2 * room_m)
+            pace_m_s = math.sqrt(pace_m_s**2 + 2.0 * leg.motion.gaining_m_s2 * room_m)
             slows_to_m_s = min(slows_to_m_s, pace_m_s)
         path.reference = procedure.advance(
             before,
             leg,
             vehicle.position_step_s,
             here,
-            motion,
             goes_on=path.next_leg is not None,
             until_m=math.inf if path.stop is None else path.stop.at_m,
             slows_to_m_s=slows_to_m_s,
         )
     else:
-        path.reference = procedure.follow(before, leg, here, task.limits)
+        path.reference = procedure.follow(before, leg, here)
     if path.reference.length_m > before.length_m or path.circling:
         stage.progress_at_s = state.now_s
     path.circling = False

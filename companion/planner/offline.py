@@ -193,7 +193,7 @@ class OnBoard:
         while self._reference.length_m < until_m and not procedure.is_at_end(self._reference, leg):
             here = leg.subpath.pose(self._reference.length_m).position_nea_m
             self._reference = procedure.advance(
-                self._reference, leg, step_s, here, motion, goes_on=goes_on, slows_to_m_s=slow
+                self._reference, leg, step_s, here, goes_on=goes_on, slows_to_m_s=slow
             )
             at_m, speed_m_s = self._reference.length_m, self._reference.speed_m_s
             pose = leg.subpath.pose(at_m)

@@ -234,7 +234,6 @@ def advance(
     leg: Leg,
     elapsed_s: float,
     vehicle_nea_m: FloatArray,
-    motion: Envelope,
     *,
     goes_on: bool,
     until_m: float = math.inf,
@@ -247,8 +246,8 @@ def advance(
     ready, so there is no stop at the end of this one.  until_m: the length at which to stop, with
     all that the vehicle brakes with, if that is before the end.
     """
-    at_m, speed, length_m = reference.length_m, reference.speed_m_s, leg.subpath.length_m
-    pose = leg.subpath.pose(at_m)
+    at_m, speed, motion = reference.length_m, reference.speed_m_s, leg.motion
+    pose, length_m = leg.subpath.pose(at_m), leg.subpath.length_m
     lead = float((pose.position_nea_m - vehicle_nea_m) @ pose.tangent_nea)
     if lead > motion.lag_m:
         return Reference(length_m=at_m, speed_m_s=0.0)
@@ -330,12 +329,13 @@ def off_path_m(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray) -> flo
 # --- of a plane
 
 
-def follow(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray, limits: Limits) -> Reference:
+def follow(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray) -> Reference:
     """Reference point of a plane: the nearest point of the path, seen from above.
 
     It never moves back, nor farther ahead than the plane can have flown, so that a path that comes
     near to itself is not short-cut.
     """
+    limits = leg.task.limits
     window_m = max(_WINDOW_S * limits.speed_m_s, limits.turn_radius_m)
     until_m = min(reference.length_m + window_m, leg.subpath.length_m)
     lengths = np.linspace(reference.length_m, max(until_m, reference.length_m), _CHORDS + 1)
@@ -372,9 +372,7 @@ def is_on_circle(centre_nea_m: Vector, position_nea_m: Vector, limits: Limits) -
     return off_m <= limits.tracking_error_m
 
 
-def may_leave(
-    leg: Leg, at_m: float, position_nea_m: Vector, velocity_nea_m_s: Vector, limits: Limits
-) -> bool:
+def may_leave(leg: Leg, at_m: float, position_nea_m: Vector, velocity_nea_m_s: Vector) -> bool:
     """Whether a plane that circles a point of a leg is on that circle and flies the leg's way.
 
     It does so once in each turn, and is then no farther aside than its circle: what it flies until
@@ -384,7 +382,7 @@ def may_leave(
     ahead_n, ahead_e = pose.tangent_nea[:2].tolist()
     least = _LEAVES * math.hypot(ahead_n, ahead_e) * math.hypot(north, east)
     flies_along = north * ahead_n + east * ahead_e >= least > 0.0
-    return flies_along and is_on_circle(pose.point_nea_m, position_nea_m, limits)
+    return flies_along and is_on_circle(pose.point_nea_m, position_nea_m, leg.task.limits)
 
 
 # --- joining the path

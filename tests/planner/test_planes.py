@@ -125,7 +125,7 @@ def test_the_reference_is_the_nearest_point_of_the_path(
     pose = leg.subpath.pose(length_m)
     across = np.array([-pose.tangent_nea[1], pose.tangent_nea[0], 0.0])
     vehicle = pose.position_nea_m + aside_m * across / np.linalg.norm(across)
-    reference = follow(Reference(length_m=max(length_m - 40.0, 0.0)), leg, vehicle, LIMITS)
+    reference = follow(Reference(length_m=max(length_m - 40.0, 0.0)), leg, vehicle)
     assert reference.length_m == pytest.approx(length_m, abs=0.5)
     assert off_path_m(reference, leg, vehicle) == pytest.approx(abs(aside_m), abs=0.5)
 
@@ -136,16 +136,17 @@ def test_the_reference_never_goes_back_nor_jumps_and_comes_to_the_end() -> None:
     for at_m in np.arange(-30.0, length_m + 60.0, 4.0):
         pose, on_leg_m, last_m = leg.subpath.pose(at_m), np.clip(at_m, 0.0, length_m), reference
         beyond = (at_m - on_leg_m) * pose.tangent_nea + rng.normal(0.0, 6.0, 3)
-        reference = follow(reference, leg, pose.position_nea_m + beyond, LIMITS)
+        reference = follow(reference, leg, pose.position_nea_m + beyond)
         assert reference.length_m >= last_m.length_m
         assert reference.length_m == pytest.approx(on_leg_m, abs=45.0)
         assert reference.speed_m_s == V
     assert reference.length_m == length_m
-    hairpin = leg_of([[0, 0, 400.0], [1_500, 0, 400], [1_500, 60, 400], [0, 60, 400]])
+    control = [[0, 0, 400.0], [1_500, 0, 400], [1_500, 60, 400], [0, 60, 400]]
+    hairpin = leg_of(control, rules=TASK)
     reference = Reference(length_m=200.0)
     for at_m in np.arange(200.0, 700.0, 2.0):  # where the path comes near to itself
         other_side = hairpin.subpath.pose(at_m).position_nea_m + np.array([0.0, 35.0, 0.0])
-        reference = follow(reference, hairpin, other_side, LIMITS)
+        reference = follow(reference, hairpin, other_side)
         assert reference.length_m <= at_m + LIMITS.turn_radius_m + 5.0 * V
 
 
@@ -187,13 +188,13 @@ def widest_m(leg: Leg, at_m: float, sense: float, angle: float) -> float:
         here = start + LOITER * np.array([math.cos(angle), math.sin(angle), 0.0])
         course = angle + sense * math.pi / 2.0
         velocity = (V * math.cos(course), V * math.sin(course), 0.0)
-        if may_leave(leg, at_m, (here[0], here[1], here[2]), velocity, LIMITS):
+        if may_leave(leg, at_m, (here[0], here[1], here[2]), velocity):
             break
     else:
         pytest.fail("it never left its circle")
     reference, widest = Reference(length_m=at_m), 0.0
     for _ in range(400):
-        reference = follow(reference, leg, here, LIMITS)
+        reference = follow(reference, leg, here)
         if leg.subpath.length_m - reference.length_m < 1.2 * LOITER:
             break  # it circles the end
         aim = sent_pose(reference, leg, None, TASK.envelope.lead_m).position_nea_m - here
@@ -213,4 +214,4 @@ def test_a_plane_that_is_not_on_its_circle_does_not_leave_it(off_m: float, leave
     pose = leg.subpath.pose(0.0)
     (north, east, _), (n, e, up) = pose.tangent_nea.tolist(), pose.point_nea_m
     place, velocity = (n - off_m * east, e + off_m * north, up), (V * north, V * east, 0.0)
-    assert may_leave(leg, 0.0, place, velocity, LIMITS) is leaves
+    assert may_leave(leg, 0.0, place, velocity) is leaves

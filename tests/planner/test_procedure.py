@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from planning import PLANE_TASK, leg_of, limits
 
-from companion.path.envelope import Envelope, slowing_m
+from companion.path.envelope import slowing_m
 from companion.path.subpath import Pose
 from companion.planner.procedure import (
     Leg,
@@ -44,15 +44,14 @@ def leg_to(*end: float, rules: Task = TASK) -> Leg:
 
 
 def bent_leg() -> Leg:
-    return leg_of([[0, 0, 500], [600, 0, 500], [900, 700, 560], [1_500, 900, 520.0]])
+    control = [[0, 0, 500], [600, 0, 500], [900, 700, 560], [1_500, 900, 520.0]]
+    return leg_of(control, rules=TASK)
 
 
-def step(
-    reference: Reference, leg: Leg, tick_s: float, motion: Envelope = MOTION, **keywords: Any
-) -> Reference:
+def step(reference: Reference, leg: Leg, tick_s: float, **keywords: Any) -> Reference:
     """One tick of a vehicle that is always on its reference point."""
     here = leg.subpath.pose(reference.length_m).position_nea_m
-    return advance(reference, leg, tick_s, here, motion, **keywords)
+    return advance(reference, leg, tick_s, here, **keywords)
 
 
 def flown(leg: Leg, tick_s: float, *, goes_on: bool = False) -> list[Reference]:
@@ -111,17 +110,17 @@ def test_it_waits_for_a_vehicle_that_does_not_follow_and_goes_on_with_it(tick_s:
     leg, reference = leg_to(2_000.0, 0.0, 0.0), Reference()
     bound = max(V * 1.0, 2.0 * LIMITS.tracking_error_m)
     for _ in range(int(60.0 / tick_s)):
-        reference = advance(reference, leg, tick_s, np.zeros(3), MOTION, goes_on=False)
+        reference = advance(reference, leg, tick_s, np.zeros(3), goes_on=False)
         assert reference.length_m <= bound + V * tick_s
     waiting_at = reference.length_m
     assert reference.speed_m_s == 0.0
     vehicle = np.array([1_000.0, 0.0, 0.0])
     for _ in range(5):
-        reference = advance(reference, leg, tick_s, vehicle, MOTION, goes_on=False)
+        reference = advance(reference, leg, tick_s, vehicle, goes_on=False)
     assert reference.length_m > waiting_at
     assert reference.speed_m_s > 0.0
     before = Reference(length_m=100.0, speed_m_s=V)  # and is not pulled along by one ahead
-    ahead = advance(before, leg, 0.1, np.array([900.0, 0.0, 0.0]), MOTION, goes_on=False)
+    ahead = advance(before, leg, 0.1, np.array([900.0, 0.0, 0.0]), goes_on=False)
     assert ahead == Reference(length_m=pytest.approx(100.0 + V * 0.1), speed_m_s=V)
 
 
@@ -131,21 +130,21 @@ def test_it_gains_speed_the_more_slowly_the_farther_behind_the_vehicle_is() -> N
     gained = []
     for share in (0.0, 0.3, 0.6, 0.9):
         vehicle = np.array([100.0 - share * MOTION.lag_m, 0.0, 0.0])
-        gained.append(advance(before, leg, 0.1, vehicle, MOTION, goes_on=True).speed_m_s)
+        gained.append(advance(before, leg, 0.1, vehicle, goes_on=True).speed_m_s)
     most = 0.1 * MOTION.gaining_m_s2
     assert gained == pytest.approx([most, 0.5 * most, 0.0, 0.0], abs=1e-5)
 
 
 @settings(max_examples=12)
-@given(tick_s=ticks, motion=st.sampled_from([MOTION, SHORT.envelope]))
+@given(tick_s=ticks, task=st.sampled_from([TASK, SHORT]))
 def test_towards_its_end_it_is_never_faster_than_the_certificate_takes_it_to_be(
-    tick_s: float, motion: Envelope
+    tick_s: float, task: Task
 ) -> None:
-    leg, reference, seconds = leg_to(600.0, 0.0, 0.0), Reference(), 0.0
+    leg, reference, seconds = leg_to(600.0, 0.0, 0.0, rules=task), Reference(), 0.0
     while not is_at_end(reference, leg):
         before_m = 600.0 - reference.length_m
-        reference = step(reference, leg, tick_s, motion, goes_on=False)
-        assert reference.speed_m_s <= fastest_m_s(motion, np.array([before_m]))[0] + 1e-6
+        reference = step(reference, leg, tick_s, goes_on=False)
+        assert reference.speed_m_s <= fastest_m_s(leg.motion, np.array([before_m]))[0] + 1e-6
         seconds += tick_s
         assert seconds < 120.0
 
@@ -165,7 +164,7 @@ def test_a_short_leg_is_flown_so_slowly_that_its_successor_comes_while_it_can_st
     at_m = leg.successor_at_m
     reference, seconds = Reference(speed_m_s=0.0 if from_rest else V), 0.0
     while reference.length_m < at_m:
-        reference = step(reference, leg, tick_s, SHORT.envelope, goes_on=True, slows_to_m_s=slow)
+        reference = step(reference, leg, tick_s, goes_on=True, slows_to_m_s=slow)
         seconds += tick_s
     assert seconds >= SETTINGS.planning_time_s + SETTINGS.scan_time_s
     speed, left_m = reference.speed_m_s, length_m - reference.length_m
