@@ -55,6 +55,8 @@ def test_every_flight_of_the_page_arrives_proven_along_points_that_keep_their_di
             assert steps.sum() == pytest.approx(flown.length_m, rel=1e-5)
             assert truth.terrain_distance_m(points, terrain, 2.0 * need_m).min() >= need_m
     assert page["asked"] == list(range(1, len(page["quick"].details.legs) + 1))
+    for name, optimiser in (("swarm", "pso"), ("random", page["RandomSearch"])):
+        assert page[name].task.settings.optimiser == optimiser
 
 
 def test_the_cost_is_that_of_the_benchmarks(page: dict[str, Any]) -> None:
