@@ -21,7 +21,6 @@ from companion.planner.procedure import hover_pose
 from companion.planner.progress import BELIEVED, Progress
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal, Rest
 from companion.planner.searches import Searches
-from companion.planner.settings import Task
 from companion.planner.way_out import blocked_at, escape, way_out
 from companion.world.columns import distance_to_terrain_m, sees_anything
 
@@ -109,6 +108,7 @@ def _best_proven(
         if closed is not None:
             return refused(Refusal.NO_WAY, closed)
     best = searches.best()
+    # standing, against a straight piece
     if request.from_rest and (best is None or guidance.goes_round(best)):
         owes = progress.owed_m > allowed_m
         out = way_out(request, prices, searches.straight, looks=best is None, strays=not owes)
@@ -125,6 +125,7 @@ def _best_proven(
             return _best_proven(request, disbelieving, searches)
     if best is None:
         return refused(Refusal.OUT_OF_TIME if searches.is_cut else Refusal.NOTHING_SAFE)
+    # in flight, against a stop
     if rest is not None and (guidance.goes_round(best) or _is_better_to_stop(rest, best, searches)):
         return refused(Refusal.BETTER_TO_STOP)
     owed_m = guidance.owed_m(best)
@@ -155,25 +156,24 @@ def _is_better_to_stop(rest: Rest, best: Planned, searches: Searches) -> bool:
 class _Guidance:
     """What the way to the target costs, and whether the mission gets on."""
 
-    task: Task
     prices: Prices
     progress: Progress
 
     @property
     def allowed_m(self) -> float:
         """What may be owed."""
-        share = _OWED_NEAR if self.task.settings.is_near else _OWED
-        return max(self.task.stop_m, share * self.task.settings.scan_range_m)
+        task = self.prices.task
+        share = _OWED_NEAR if task.settings.is_near else _OWED
+        return max(task.stop_m, share * task.settings.scan_range_m)
 
     def owed_m(self, planned: Planned) -> float:
         """What the mission owes with this subpath; a straight piece only if more is left then."""
-        prices, owed_m = self.prices, self.progress.owed_m
+        prices, task = self.prices, self.prices.task
         if not planned.is_escape:
-            range_m = self.task.settings.scan_range_m
-            return self.progress.owing(prices.excess_m(planned), range_m)
+            return self.progress.owing(prices.excess_m(planned), task.settings.scan_range_m)
         here_nea_m, end_nea_m = planned.subpath.control_nea_m[[0, -1]].tolist()
         more_m = prices.promised_m(end_nea_m) - prices.promised_m(here_nea_m)
-        return owed_m + max(more_m, 0.0) + (self.task.stop_m if more_m > 0.0 else 0.0)
+        return self.progress.owed_m + max(more_m, 0.0) + (task.stop_m if more_m > 0.0 else 0.0)
 
     def goes_round(self, planned: Planned) -> bool:
         """Whether the mission would owe more than a stop costs."""
@@ -198,10 +198,10 @@ def _guidance(request: PlanRequest, before: Progress) -> _Guidance:
             before = Progress(seen=before.seen)
         before = before.at(left_m, known.cell_m, seen=seen, few=few_cells)
         if before.doubt_m <= BELIEVED * range_m:
-            return _Guidance(task, prices, before)
+            return _Guidance(prices, before)
         before = before.disbelieving(left_m, known.cell_m)
     prices = prices_by(Belief.BOUNDED)
     if prices.field.is_barred:  # perhaps by what is hidden only: it is looked at
         prices = prices_by(Belief.FREE)
     left_m = prices.promised_m(request.start.point_nea_m)
-    return _Guidance(task, prices, before.at(left_m, known.cell_m, seen=seen, few=few_cells))
+    return _Guidance(prices, before.at(left_m, known.cell_m, seen=seen, few=few_cells))
