@@ -18,6 +18,7 @@ from typing import Annotated, NamedTuple, TextIO, cast, final
 import typer
 from rich.console import Console
 
+from companion import library
 from companion.campaign.command import campaign_app
 from companion.config import (
     bundled,
@@ -34,9 +35,6 @@ from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
 from companion.mission.mission import Mission
 from companion.paper.compare.command import compare_command
-from companion.path.certificate import bounds_text
-from companion.planner.offline import fly_offline
-from companion.planning import plan
 from companion.printable import printable
 from companion.replay.command import ProfileName, export, replay_command
 from companion.runtime.compiler import load_kernel
@@ -55,7 +53,6 @@ from companion.views.live import MachineLines, Progress
 from companion.views.output import PatientOutput, plain_console
 from companion.views.pictures import draw_flown, draw_offline
 from companion.views.text import checks_table, flight_table, mission_summary, plans_table
-from companion.world.known_map import empty_map
 from companion.world.simulated import true_map
 
 _INTERRUPTED, _CRASHED = 130, 70
@@ -242,30 +239,22 @@ def plan_command(
     if chosen.near is not None:
         rule = "its scanner is a sensor of near things, and only a terrain radar is simulated here"
         raise InputError("MISSION", mission, rule, f"Fly it: scripts/fly {mission}.")
-    task, limits = chosen.task, chosen.task.limits
-    blank = chosen.known or empty_map(task.cell_m, limits.north_m, limits.east_m)
-    truth = true_map(place.terrain, blank)
     with console.status(LOADS):
         load_kernel()
-    began_s = time.perf_counter()
-    flight = fly_offline(
-        task,
-        blank=blank,
-        truth=truth,
-        start_nea_m=(*place.start_ne_m, chosen.task.take_off_amsl_m),
-        targets_ne_m=chosen.targets_ne_m,
-        seed=seed,
-        planner=plan,
-    )
-    took_s = time.perf_counter() - began_s
+    began_s, task = time.perf_counter(), chosen.task
+    start_nea_m, targets_ne_m = (*place.start_ne_m, task.take_off_amsl_m), chosen.targets_ne_m
+    flown = library.fly(
+        place.terrain, task, start_nea_m=start_nea_m, targets_ne_m=targets_ne_m,
+        known=chosen.known, seed=seed,
+    )  # fmt: skip
+    flight, took_s = flown.details, time.perf_counter() - began_s
     console.print(plans_table(tuple(flight.plans)))
     with writing("--figure", picture):
-        length_m = draw_offline(flight, chosen, truth, picture)
+        length_m = draw_offline(flight, chosen, true_map(place.terrain, flight.known), picture)
     said = f"{len(flight.legs)} subpaths, {length_m / 1000:.1f} km, planned in {took_s:.1f} s"
     console.out(f"{said}; picture: {picture}", highlight=False)
-    if (failure := flight.failure) is not None:
-        broken = f" (broken: {bounds_text(failure.broken)})" if failure.broken else ""
-        raise FlightFailed(f"{failure.refusal.value}{broken}", "")
+    if flown.why:
+        raise FlightFailed(flown.why, "")
 
 
 @app.command("report")

@@ -4,7 +4,6 @@ See docs/library.md.  Deterministic: the same arguments, the same flight.
 """
 
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from typing import final
 
@@ -13,7 +12,7 @@ import numpy as np
 from companion.config import load_mission, load_world
 from companion.errors import InputError
 from companion.geodesy import FloatArray
-from companion.optimise.registry import OPTIMISERS, Maker, temporarily_registered
+from companion.optimise.registry import OPTIMISERS, Maker
 from companion.path.certificate import Certificate, bounds_text
 from companion.path.limits import Limits
 from companion.planner import rules
@@ -39,7 +38,7 @@ __all__ = [
 ]  # fmt: skip
 
 _SPACING = 400  # points of the flown path to a scan range
-_NO_NUMBERS = {"overrun_m", "profile", "weights"}  # may be infinite, or are objects
+_NO_NUMBERS = {"overrun_m", "profile", "weights", "optimiser"}  # may be infinite, or are objects
 
 
 @final
@@ -112,24 +111,22 @@ def fly(
     if (near is None) is not (scene is None):
         rule = "a near sensor and the scene that it sees belong together"
         raise InputError("scene", scene, rule, "Give both: NearSensor and NearScene.")
+    if isinstance(optimiser, str):
+        OPTIMISERS.chosen(optimiser, "optimiser")
+    if optimiser is not None:
+        task = replace(task, settings=replace(task.settings, optimiser=optimiser))
     blank = known or empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
     truth, on_board = true_map(_terrain(world, task, spacing_m, corner_ne_m), blank), None
     if near is not None and scene is not None:
-        blank = replace(blank, guess_m=truth.upper_m) if blank.guess_m is None else blank
+        if blank.guess_m is None:
+            blank = replace(blank, guess_m=truth.upper_m)
         on_board = OnBoard(near, scene, task, blank)
     load_kernel()  # once: ten seconds the first time ever
-    with ExitStack() as lent:
-        if callable(optimiser):
-            optimiser = lent.enter_context(temporarily_registered(optimiser))
-        elif optimiser is not None:
-            OPTIMISERS.chosen(optimiser, "optimiser")
-        if optimiser is not None:
-            task = replace(task, settings=replace(task.settings, optimiser=optimiser))
-        flight = fly_offline(
-            task, blank=blank, truth=truth, start_nea_m=(north_m, east_m, altitude_m),
-            targets_ne_m=targets, seed=seed, planner=planner, scanner=scanner, on_board=on_board,
-            most_legs=most_legs,
-        )  # fmt: skip
+    flight = fly_offline(
+        task, blank=blank, truth=truth, start_nea_m=(north_m, east_m, altitude_m),
+        targets_ne_m=targets, seed=seed, planner=planner, scanner=scanner, on_board=on_board,
+        most_legs=most_legs,
+    )  # fmt: skip
     points, why = flight.route_nea_m(task.settings.scan_range_m / _SPACING), ""
     if (failure := flight.failure) is not None:
         broken = f" ({bounds_text(failure.broken)})" if failure.broken else ""
@@ -165,7 +162,7 @@ def _checked(task: Task, *, is_near: bool) -> Task:
         plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in told.items()}
         validated(keys_of(type(held), *plain), plain, where)
     rules.refuse(rules.of_task(task))
-    if settings.optimiser is not None:
+    if isinstance(settings.optimiser, str):
         OPTIMISERS.chosen(settings.optimiser, "settings.optimiser")
     return task
 

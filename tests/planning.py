@@ -157,9 +157,10 @@ TRUTH = true_map(TERRAIN, BLANK)
 
 
 def leg_of(control_nea_m: Any, **changes: Any) -> Leg:
-    """A leg along a spline that does not reach the target, but for some changes."""
+    """A leg along a spline that does not reach the target, under `TASK`, but for some changes."""
     subpath = Subpath(control_nea_m=np.asarray(control_nea_m, dtype=float))
-    return replace(Leg(number=1, plan_id=1, subpath=subpath, reaches_target=False), **changes)
+    leg = Leg(number=1, plan_id=1, subpath=subpath, reaches_target=False, rules=TASK)
+    return replace(leg, **changes)
 
 
 def spline(control_nea_m: FloatArray) -> Any:

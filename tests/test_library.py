@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy
 
 from companion import library
 from companion.campaign import drawn_world, truth
 from companion.config import load_mission
 from companion.errors import InputError
-from companion.library import OPTIMISERS, Flown, NearScene, Task, Thing, fly
+from companion.library import Flown, NearScene, Task, Thing, fly
 from companion.planner.offline import OnBoard, fly_offline
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg
@@ -43,7 +42,7 @@ def test_every_flight_of_the_page_arrives_proven_along_points_that_keep_their_di
 ) -> None:
     terrain = library.ArrayTerrain(heights_m=page["heights"], spacing_m=50.0)
     need_m = page["task"].required_clearance_m
-    for name in ("flown", "short_sighted", "half_blind", "swarm", "random"):
+    for name in ("flown", "short_sighted", "half_blind", "swarm", "random", "among", "quick"):
         flown: Flown = page[name]
         assert (flown.arrived, flown.why) == (True, ""), name
         assert [each.proven for each in flown.certificates] == [True] * len(flown.details.legs)
@@ -55,19 +54,18 @@ def test_every_flight_of_the_page_arrives_proven_along_points_that_keep_their_di
             assert steps.max() <= 1.001 * 2_500.0 / 400.0
             assert steps.sum() == pytest.approx(flown.length_m, rel=1e-5)
             assert truth.terrain_distance_m(points, terrain, 2.0 * need_m).min() >= need_m
+    assert page["asked"] == list(range(1, len(page["quick"].details.legs) + 1))
+    for name, optimiser in (("swarm", "pso"), ("random", page["RandomSearch"])):
+        assert page[name].task.settings.optimiser == optimiser
 
 
 def test_the_cost_is_that_of_the_benchmarks(page: dict[str, Any]) -> None:
-    world = drawn_world.bundled("environment-1")
-    flown: Flown = page["swarm"]
-    curves = [
-        (truth.sampled(leg.subpath.control_nea_m, 1.0), far_m)
-        for leg, far_m in zip(flown.details.legs, flown.details.flown_m, strict=True)
-    ]
-    whole = sum(
-        sum(library.route_terms(curve.points_nea_m[curve.length_m <= far_m], world.task).values())
-        for curve, far_m in curves
-    )
+    task, flown = drawn_world.bundled("environment-1").task, page["swarm"]
+    whole = 0.0
+    for leg, far_m in zip(flown.details.legs, flown.details.flown_m, strict=True):
+        curve = truth.sampled(leg.subpath.control_nea_m, 1.0)
+        part_nea_m = curve.points_nea_m[curve.length_m <= far_m]
+        whole += sum(library.route_terms(part_nea_m, task).values())
     assert flown.cost == pytest.approx(whole, rel=1e-4)
     assert set(flown.terms) == {"length", "height", "radar"}
 
@@ -75,9 +73,14 @@ def test_the_cost_is_that_of_the_benchmarks(page: dict[str, Any]) -> None:
 def test_the_same_arguments_fly_the_same_flight_and_another_seed_another(
     page: dict[str, Any],
 ) -> None:
-    again, other = (fly(page["heights"], page["task"], seed=seed, **WHERE) for seed in (1, 2))
-    assert again.points_nea_m.tobytes() == page["flown"].points_nea_m.tobytes()
-    assert other.points_nea_m.tobytes() != again.points_nea_m.tobytes()
+    """As far as two legs go, and the limit of legs is told."""
+    keywords = WHERE | {"most_legs": 2}
+    one, same, other = (fly(page["heights"], page["task"], seed=s, **keywords) for s in (1, 1, 2))
+    assert one.points_nea_m.tobytes() == same.points_nea_m.tobytes()
+    assert one.points_nea_m.tobytes() != other.points_nea_m.tobytes()
+    assert not one.arrived
+    assert one.why.startswith("TOO_MANY_LEGS: ")
+    assert len(one.certificates) == 2
 
 
 def test_a_scanner_is_asked_once_for_each_scan_and_nothing_else_is_seen(
@@ -85,81 +88,39 @@ def test_a_scanner_is_asked_once_for_each_scan_and_nothing_else_is_seen(
 ) -> None:
     asked = []
 
-    def noted(there: KnownMap, at: tuple[float, float, float], range_m: float) -> Scan:
+    def blind(there: KnownMap, at: tuple[float, float, float], range_m: float) -> Scan:
         asked.append((at, range_m))
-        return library.simulated_scan(there, at, range_m)
+        scan = library.simulated_scan(there, at, range_m)
+        return replace(scan, heights_m=np.full_like(scan.heights_m, library.NO_ANSWER))
 
-    flown = fly(page["heights"], page["task"], scanner=noted, **WHERE)
-    assert [at for at, _ in asked] == flown.details.scans_nea_m
-    assert {range_m for _, range_m in asked} == {2_500.0}
-    blind = fly(page["heights"], page["task"], scanner=nothing, **WHERE)
-    assert not blind.arrived
-    assert blind.why.startswith("START_NEAR_UNKNOWN") or blind.why.startswith("NOTHING_SEEN")
-    assert len(blind.points_nea_m) == 1
-    assert blind.length_m == blind.cost == 0.0
-
-
-def nothing(there: KnownMap, at: tuple[float, float, float], range_m: float) -> Scan:
-    scan = library.simulated_scan(there, at, range_m)
-    return replace(scan, heights_m=np.full_like(scan.heights_m, library.NO_ANSWER))
+    flown = fly(page["heights"], page["task"], scanner=blind, **WHERE)
+    assert asked == [(at, 2_500.0) for at in flown.details.scans_nea_m]
+    assert not flown.arrived
+    assert flown.why.startswith(("START_NEAR_UNKNOWN", "NOTHING_SEEN"))
+    assert len(flown.points_nea_m) == 1
+    assert flown.length_m == flown.cost == 0.0
 
 
-def test_an_own_optimiser_is_lent_to_one_flight_only_and_no_limit_is_silent(
-    page: dict[str, Any],
-) -> None:
-    before, made = dict(OPTIMISERS), []
-
-    def make(*given: Any) -> Any:
-        made.append(given)
-        return page["RandomSearch"](*given)
-
-    cut = fly("environment-1", "environment-1", optimiser=make, most_legs=1)
-    assert made
-    assert before == OPTIMISERS
-    assert not cut.arrived
-    assert cut.why.startswith("TOO_MANY_LEGS: ")
-    assert len(cut.certificates) == 1
-
-
-def test_the_flight_among_near_things_arrives_proven_and_keeps_its_distance(
-    page: dict[str, Any],
-) -> None:
+def test_among_near_things_it_goes_round_and_keeps_its_distance(page: dict[str, Any]) -> None:
     among: Flown = page["among"]
-    assert among.arrived, among.why
-    assert all(certificate.proven for certificate in among.certificates)
     assert among.length_m > 1.3 * math.dist((0.0, 0.0), (42.0, 42.0))  # round the wall
     gaps_m = NearScene(page["things"]).gaps_m(among.points_nea_m[:, :2])
     assert gaps_m.min() >= among.task.required_clearance_m
 
 
-def maze(seed: int, cells: int, cell_m: float) -> NearScene:
-    """Walls between square cells, but where the least tree of drawn weights leads through."""
-    number = np.arange(cells**2).reshape(cells, cells)
-    one = np.concatenate([number[1:].ravel(), number[:, 1:].ravel()])
-    other = np.concatenate([number[:-1].ravel(), number[:, :-1].ravel()])
-    weights = np.random.default_rng(seed).uniform(1.0, 2.0, len(one))
-    graph = scipy.sparse.csr_array((weights, (other, one)), shape=(cells**2, cells**2))
-    open_ways = set(zip(*scipy.sparse.csgraph.minimum_spanning_tree(graph).nonzero(), strict=True))
-    size_m = cells * cell_m
-    ring = [(0.0, 0.0), (0.0, size_m), (size_m, size_m), (size_m, 0.0)]
-    things = [Thing(corners_ne_m=[*ring, ring[0]], half_width_m=0.15)]
-    for a, b in zip(other.tolist(), one.tolist(), strict=True):
-        if (a, b) not in open_ways:
-            row, column = divmod(b, cells)
-            along = (0, 1) if b - a == cells else (1, 0)
-            corner = cell_m * row, cell_m * column
-            end = corner[0] + cell_m * along[0], corner[1] + cell_m * along[1]
-            things.append(Thing(corners_ne_m=[corner, end], half_width_m=0.15))
-    return NearScene(things)
-
-
 def test_a_lidar_finds_the_way_out_of_a_maze() -> None:
     """Of which it knows nothing: dead ends are left again, and nothing is touched."""
-    cells, cell_m = 4, 8.0
-    scene, task = maze(6, cells, cell_m), load_mission("forest").task
-    start_nea_m = (0.5 * cell_m, 0.5 * cell_m, task.take_off_amsl_m)
-    target = ((cells - 0.5) * cell_m,) * 2
-    flown = fly("forest", "forest", scene=scene, start_nea_m=start_nea_m, targets_ne_m=[target])
+    walls = (  # between cells of 8 m, in cells
+        *([(0, 0), (0, 4), (4, 4), (4, 0), (0, 0)], [(2, 0), (2, 3)], [(3, 3), (3, 4)]),
+        *([(0, 2), (1, 2)], [(0, 3), (1, 3)], [(1, 1), (3, 1)], [(2, 2), (3, 2)]),
+    )
+    corners_ne_m = ([(8.0 * north, 8.0 * east) for north, east in wall] for wall in walls)
+    scene = NearScene([Thing(corners_ne_m=each, half_width_m=0.15) for each in corners_ne_m])
+    task = load_mission("forest").task
+    start_nea_m, target_ne_m = (4.0, 4.0, task.take_off_amsl_m), (28.0, 28.0)
+    flown = fly(
+        "forest", "forest", scene=scene, start_nea_m=start_nea_m, targets_ne_m=[target_ne_m]
+    )
     assert flown.arrived, flown.why
     assert flown.details.holds > 3  # it has been in dead ends
     nearest_m = scene.gaps_m(flown.points_nea_m[:, :2]).min()
@@ -204,17 +165,11 @@ def test_a_thing_that_comes_into_the_way_is_stopped_for(
     )  # fmt: skip
     assert flight.failure is None
     assert flight.holds
-    assert flight.flown_m[1] < flight.legs[1].successor_at_m(task)
+    assert flight.flown_m[1] < flight.legs[1].successor_at_m
     end = flight.legs[1].subpath.pose(flight.flown_m[1]).point_nea_m
     assert flight.scans_nea_m.count(end) == 1
     gaps_m = on_board._scene.gaps_m(flight.route_nea_m(0.1)[:, :2])
     assert gaps_m.min() >= task.settings.safety_distance_m
-
-
-def test_an_own_planner_answers_every_request(page: dict[str, Any]) -> None:
-    quick: Flown = page["quick"]
-    assert quick.arrived
-    assert page["asked"] == list(range(1, len(quick.details.legs) + 1))
 
 
 @pytest.mark.parametrize(

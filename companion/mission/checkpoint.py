@@ -48,7 +48,7 @@ class _Leg(Struct):
     speed_m_s: float | None
     reaches_target: bool
     through: bool
-    rules: str | None
+    rules: str
     control_nea_m: FloatArray
 
     @staticmethod
@@ -56,7 +56,7 @@ class _Leg(Struct):
         """What is saved of a leg."""
         return _Leg(
             **{name: getattr(leg, name) for name in _OF_LEG},
-            rules=None if leg.rules is None else leg.rules.digest,
+            rules=leg.rules.digest,
             control_nea_m=leg.subpath.control_nea_m,
         )
 
@@ -64,7 +64,7 @@ class _Leg(Struct):
         """The leg; task: the one in force: its digest tells whether it was proven under that."""
         return Leg(
             **{name: getattr(self, name) for name in _OF_LEG},
-            rules=task if self.rules == task.digest else None,
+            rules=task if self.rules == task.digest else task.unruled(),
             subpath=Subpath(control_nea_m=self.control_nea_m),
         )
 

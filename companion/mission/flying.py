@@ -94,8 +94,8 @@ def looks_at_circle(state: State, turn: Turn) -> bool:
 def _lead(state: State, stage: phases.Led, path: OnPath, event: Position, turn: Turn) -> None:
     """Advance the reference point and send it; on the way out scan at p_scan."""
     leg, hovers, velocity = path.leg, state.vehicle.traits.hovers, event.velocity_nea_m_s
-    along = path.reference.length_m, event.position_nea_m, velocity, state.task.limits
-    if path.circling and not may_leave(leg, *along):
+    at_m = path.reference.length_m
+    if path.circling and not may_leave(leg, at_m, event.position_nea_m, velocity):
         return _circle(state, stage, event, turn)
     returns = state.flight.way is Way.BACK
     following.advance_reference(state, stage, path, event)
@@ -118,7 +118,7 @@ def _lead(state: State, stage: phases.Led, path: OnPath, event: Position, turn: 
         speed = math.hypot(*velocity[:2])
     if path.stop is not None or returns or not isinstance(stage, phases.Flying):
         return
-    if stage.search is None and path.leg.wants_successor(at_m, state.task, speed):
+    if stage.search is None and path.leg.wants_successor(at_m, speed):
         start_scan(stage, path.leg.subpath.pose(at_m).point_nea_m, turn)
 
 
@@ -209,7 +209,7 @@ def _on_scan(state: State, stage: phases.Flying, event: events.ScanDone, turn: T
     _warn_of_scan(state, event, turn)
     task, start, rest = state.task, hover_pose(scanning.from_nea_m), None
     if path is not None:
-        start, rest = path.leg.subpath.pose(path.leg.successor_at_m(task)), path.leg.rest(task)
+        start, rest = path.leg.subpath.pose(path.leg.successor_at_m), path.leg.rest
     flight.plan_id += 1
     request = PlanRequest(
         plan_id=flight.plan_id,
@@ -260,7 +260,7 @@ def _on_plan(state: State, stage: phases.Flying, event: events.PlanReady, turn: 
         return _no_successor(state, stage, Reason.RADAR_SILENT if silent else Reason.NO_PLAN, turn)
     if (path := stage.path) is not None:
         soonest_m = path.reference.length_m + following.lead_m(state, path.reference)
-        if soonest_m > path.leg.successor_at_m(state.task):
+        if soonest_m > path.leg.successor_at_m:
             return _no_successor(state, stage, Reason.PLAN_LATE, turn)
         if path.stop is not None:
             return None  # it was asked for a way that the vehicle no longer goes
@@ -416,13 +416,12 @@ def _watch(state: State, stage: phases.Flying, event: Position, turn: Turn) -> N
 
 def _watch_leg(state: State, stage: phases.Flying, path: OnPath, at_m: float, turn: Turn) -> None:
     """The vehicle is on the leg: scan at p_scan, go over at p_prog."""
-    task, leg = state.task, path.leg
-    length_m = max(path.reference.length_m, at_m)
+    leg, length_m = path.leg, max(path.reference.length_m, at_m)
     speed_m_s = math.hypot(*state.vehicle.velocity_nea_m_s)
     path.reference = Reference(length_m=length_m, speed_m_s=speed_m_s)
-    if path.next_leg is not None and length_m >= leg.successor_at_m(task):
-        following.switch_to_next_leg(state, path, task)
+    if path.next_leg is not None and length_m >= leg.successor_at_m:
+        following.switch_to_next_leg(state, path)
     elif leg.subpath.length_m - length_m < 1.0:
         come_to_rest(state)
-    elif stage.search is None and leg.wants_successor(length_m, task):
+    elif stage.search is None and leg.wants_successor(length_m):
         start_scan(stage, leg.subpath.pose(length_m).point_nea_m, turn)

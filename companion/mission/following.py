@@ -19,7 +19,6 @@ from companion.planner import procedure
 from companion.planner.loiter_search import loiter_point
 from companion.planner.procedure import Leg, Offset, Reference
 from companion.planner.request import FlownSegment
-from companion.planner.settings import Task
 
 _NOT_TAKEN_S = 2.0
 _FARTHEST = 1.0  # tubes beyond the first: there it is told to hold at once, half of d_s at most
@@ -59,38 +58,35 @@ def advance_reference(state: State, stage: phases.Led, path: OnPath, event: Posi
     """Advance the reference point by one position; at p_prog switch to the next leg."""
     vehicle, leg, before = state.vehicle, path.leg, path.reference
     here = np.asarray(event.position_nea_m)
-    task = state.task if leg.speed_m_s is None else state.task.at_speed(leg.speed_m_s)
-    slows_to_m_s = leaves_at_m = math.inf
+    task, slows_to_m_s, leaves_at_m = leg.task, math.inf, math.inf
     if path.next_leg is not None:
-        leaves_at_m = leg.successor_at_m(task)
+        leaves_at_m = leg.successor_at_m
     if leg.subpath.length_m < task.shortest_scan_distance_m and not state.flight.returning:
-        slows_to_m_s = leg.slows_to_m_s(task)
+        slows_to_m_s = leg.slows_to_m_s
     if vehicle.traits.hovers:
-        motion = task.envelope
         if path.next_leg is not None:  # for its first bends, too
-            pace_m_s = procedure.paced_m_s(path.next_leg.subpath, motion, 0.0)
+            pace_m_s = procedure.paced_m_s(path.next_leg.subpath, leg.motion, 0.0)
             room_m = max(leaves_at_m - before.length_m, 0.0)
-            pace_m_s = math.sqrt(pace_m_s**2 + 2.0 * motion.gaining_m_s2 * room_m)
+            pace_m_s = math.sqrt(pace_m_s**2 + 2.0 * leg.motion.gaining_m_s2 * room_m)
             slows_to_m_s = min(slows_to_m_s, pace_m_s)
         path.reference = procedure.advance(
             before,
             leg,
             vehicle.position_step_s,
             here,
-            motion,
             goes_on=path.next_leg is not None,
             until_m=math.inf if path.stop is None else path.stop.at_m,
             slows_to_m_s=slows_to_m_s,
         )
     else:
-        path.reference = procedure.follow(before, leg, here, task.limits)
+        path.reference = procedure.follow(before, leg, here)
     if path.reference.length_m > before.length_m or path.circling:
         stage.progress_at_s = state.now_s
     path.circling = False
     if path.offset is not None:
         path.offset = path.offset.after(vehicle.position_step_s, task.limits)
     if path.next_leg is not None and path.reference.length_m >= leaves_at_m - _ROUNDING_M:
-        switch_to_next_leg(state, path, task)
+        switch_to_next_leg(state, path)
 
 
 def is_on_path(state: State, path: OnPath, event: Position, unechoed_s: float = 0.0) -> bool:
@@ -108,8 +104,7 @@ def is_on_path(state: State, path: OnPath, event: Position, unechoed_s: float = 
     off = np.array((north, east, up)) - pose.position_nea_m
     along_m, error_m = float(off @ pose.tangent_nea), state.task.envelope.tube_m
     across_m = math.sqrt(max(float(off @ off) - along_m**2, 0.0))
-    task = state.task if leg.speed_m_s is None else state.task.at_speed(leg.speed_m_s)
-    bends_m = along_m**2 / task.limits.turn_radius_m
+    bends_m = along_m**2 / leg.task.limits.turn_radius_m
     return -2.0 * error_m <= along_m <= error_m and across_m + bends_m <= error_m
 
 
@@ -123,7 +118,7 @@ def outside_m(state: State, path: OnPath, event: Position) -> tuple[float, float
     leg, reference, here = path.leg, path.reference, np.asarray(event.position_nea_m)
     if not (state.task.settings.profile.verified or state.flight.returning):
         return 0.0, 0.0, 0.0
-    motion = leg.motion(state.task)
+    motion = leg.motion
     allowed_m = motion.tube_m
     if not state.vehicle.traits.hovers:
         centre = leg.subpath.pose(reference.length_m).point_nea_m
@@ -147,8 +142,7 @@ def left_path(state: State, path: OnPath, event: Position, turn: Turn) -> Reason
     to hold at once, as it is farther outside than the safety distance allows for, does not come
     back, or is a plane.
     """
-    now_s, task = state.now_s, state.task.at_speed(path.leg.speed_m_s)
-    limits, motion = task.limits, task.envelope
+    now_s, limits, motion = state.now_s, path.leg.task.limits, path.leg.motion
     across_m, before_m, far_m = outside_m(state, path, event)
     outside = max(across_m, before_m, far_m)
     if outside == 0.0:
@@ -216,7 +210,7 @@ def send_setpoint(state: State, path: OnPath, event: Position, turn: Turn) -> No
     if traits.hovers and path.stop is not None:
         next_leg, end_m = None, min(leg.subpath.length_m, path.stop.at_m)
         ahead_m = min(ahead_m, max(end_m - reference.length_m, 0.0))
-    pose = procedure.sent_pose(reference, leg, next_leg, ahead_m, state.task)
+    pose = procedure.sent_pose(reference, leg, next_leg, ahead_m)
     speed = min(reference.speed_m_s, procedure.allowed_speed_m_s(pose, state.task.limits))
     beyond_m = reference.length_m + ahead_m - leg.subpath.length_m
     stays = not traits.hovers and next_leg is None and beyond_m >= 0.0
@@ -272,7 +266,7 @@ def stop(state: State, reason: Reason, turn: Turn) -> None:
     leg, reference = path.leg, path.reference
     if not state.vehicle.traits.hovers:
         ahead_m = lead_m(state, reference)
-        point = procedure.sent_pose(reference, leg, path.next_leg, ahead_m, state.task).point_nea_m
+        point = procedure.sent_pose(reference, leg, path.next_leg, ahead_m).point_nea_m
         if reason in (Reason.NEW_THREAT, Reason.FENCE_UNREAD):
             here = state.vehicle.position_nea_m or point
             velocity = state.vehicle.velocity_nea_m_s
@@ -385,17 +379,17 @@ def joined(state: State, path: OnPath | None) -> OnPath | None:
         next_off_m, next_at_m = nearest(path.next_leg, led)
         if next_off_m < off_m - 1e-6:
             leg, off_m, at_m = path.next_leg, next_off_m, next_at_m
-    limits = state.task.at_speed(leg.speed_m_s).limits
+    limits = leg.task.limits
     if off_m > limits.tracking_error_m + _ON_CIRCLE * limits.loiter_radius_m:
         return None
     if leg is path.next_leg:
-        switch_to_next_leg(state, path, state.task)
+        switch_to_next_leg(state, path)
     pose, hovers = path.leg.subpath.pose(at_m), vehicle.traits.hovers
     speed = max(float(np.dot(velocity, pose.tangent_nea)), 0.0)
     speed = min(speed, limits.speed_m_s)
     if hovers and path.next_leg is None:  # what it cannot brake from is offset
         left_m = path.leg.subpath.length_m - at_m
-        speed = min(speed, ending_m_s(path.leg.motion(state.task), left_m))
+        speed = min(speed, ending_m_s(path.leg.motion, left_m))
     path.circling = not hovers and off_m > limits.tracking_error_m
     if hovers:
         path.offset = Offset.of(led, velocity, pose, speed)
@@ -405,10 +399,10 @@ def joined(state: State, path: OnPath | None) -> OnPath | None:
     return path
 
 
-def switch_to_next_leg(state: State, path: OnPath, task: Task) -> None:
+def switch_to_next_leg(state: State, path: OnPath) -> None:
     """On to the next leg: the reference point has reached p_prog of this one."""
     assert path.next_leg is not None
-    over_at_m, reference = path.leg.successor_at_m(task), path.reference
+    over_at_m, reference = path.leg.successor_at_m, path.reference
     note_flown(state, path, over_at_m)
     path.leg, path.next_leg, path.joined_m = path.next_leg, None, 0.0
     length_m = max(reference.length_m - over_at_m, 0.0)

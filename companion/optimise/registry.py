@@ -3,8 +3,7 @@
 Other distributions add theirs by an entry point `companion.optimisers`.
 """
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 
 import numpy as np
 
@@ -43,14 +42,3 @@ OPTIMISERS = Parts[Maker](
     check=_wrong_with,
 )
 """Each is loaded when it is asked for: who flies never meets the paper's."""
-
-
-@contextmanager
-def temporarily_registered(make: Maker) -> Iterator[str]:
-    """Register an optimiser temporarily.  -> its name for a task."""
-    name = f"own {id(make):x}"
-    OPTIMISERS[name] = make
-    try:
-        yield name
-    finally:
-        OPTIMISERS.pop(name, None)

@@ -22,7 +22,8 @@ from companion.world.columns import terrain_surface
 def plan_as_published(request: PlanRequest) -> Planned:
     """The best candidate of one search."""
     settings, scene = request.task.settings, scene_of(request)
-    make = OPTIMISERS[settings.optimiser or settings.profile.optimiser]
+    chosen = settings.optimiser or settings.profile.optimiser
+    make = OPTIMISERS[chosen] if isinstance(chosen, str) else chosen
     optimiser = make(VARIABLES, settings.evaluations, request.rng(0), None)
     ranked = minimise(optimiser, lambda x: cost(x, scene), settings.evaluations)
     best, reaches_target = ranked.x[:1], scene.final_ne_m is not None

@@ -103,5 +103,5 @@ def _is_proven(
     centre = 0.5 * (control.min(axis=0) + control.max(axis=0))
     reach_m = float(np.linalg.norm(control - centre, axis=-1).max())
     place = float(centre[0]), float(centre[1])
-    surroundings = task.surroundings(known, place, reach_m, motion=motion, radars=(), stops=stops)
-    return certify(subpath, surroundings, from_rest=from_rest).proven
+    around = task.surroundings(known, place, reach_m)._replace(motion=motion, stops=stops)
+    return certify(subpath, around, from_rest=from_rest).proven

@@ -85,7 +85,7 @@ def fly_offline(
         """
         leg, from_m = flight.legs[-1], flight.flown_m[-1]
         end_m = until_m = min(until_m, leg.subpath.length_m)
-        took_s = (end_m - from_m) * procedure.paced_s_m(leg.subpath, leg.motion(task))
+        took_s = (end_m - from_m) * procedure.paced_s_m(leg.subpath, leg.motion)
         if on_board is not None:
             end_m, took_s = on_board.flies(leg, from_m, until_m, goes_on=goes_on)
         flight.seconds += took_s
@@ -113,17 +113,17 @@ def fly_offline(
         flight.failure = None
         if isinstance(outcome, Planned):  # to p_prog of the leg under way, then to the next p_scan
             ask = replace(ask, attempt=0, progress=outcome.progress)
-            if ask.from_rest or flies(flight.legs[-1].successor_at_m(task), goes_on=True):
-                leg = Leg.of(outcome, len(flight.legs) + 1)
+            if ask.from_rest or flies(flight.legs[-1].successor_at_m, goes_on=True):
+                leg = Leg.of(outcome, len(flight.legs) + 1, task)
                 flight.plans.append(outcome)
                 flight.legs.append(leg)
                 flight.flown_m.append(0.0)
-                scan_at_m = leg.scan_at_m(task) if leg.wants_successor(math.inf, task) else math.inf
+                scan_at_m = leg.scan_at_m if leg.wants_successor(math.inf) else math.inf
                 if flies(scan_at_m):
                     scan_nea_m = leg.subpath.pose(scan_at_m).point_nea_m
-                    prog = leg.subpath.pose(leg.successor_at_m(task))
+                    prog = leg.subpath.pose(leg.successor_at_m)
                     ask = replace(
-                        ask, scan_nea_m=scan_nea_m, start=prog, from_rest=False, rest=leg.rest(task)
+                        ask, scan_nea_m=scan_nea_m, start=prog, from_rest=False, rest=leg.rest
                     )
                     continue
         else:
@@ -189,11 +189,11 @@ class OnBoard:
             self._reference = Reference(speed_m_s=self._reference.speed_m_s)
         task, step_s, began_s = self._task, 1.0 / self._scene.rate_hz, self._now_s
         kept_m = task.settings.safety_distance_m + task.limits.tracking_error_m
-        motion, slow = leg.motion(task), leg.slows_to_m_s(task)
+        motion, slow = leg.motion, leg.slows_to_m_s
         while self._reference.length_m < until_m and not procedure.is_at_end(self._reference, leg):
             here = leg.subpath.pose(self._reference.length_m).position_nea_m
             self._reference = procedure.advance(
-                self._reference, leg, step_s, here, motion, goes_on=goes_on, slows_to_m_s=slow
+                self._reference, leg, step_s, here, goes_on=goes_on, slows_to_m_s=slow
             )
             at_m, speed_m_s = self._reference.length_m, self._reference.speed_m_s
             pose = leg.subpath.pose(at_m)

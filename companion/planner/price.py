@@ -28,7 +28,7 @@ class Prices:
     """The prices of one plan."""
 
     def __init__(self, task: Task, field: CostToGo) -> None:
-        self._task, self.field = task, field
+        self.task, self.field = task, field
         settings = task.settings
         cost_of_r = max(settings.weights.length * PER_LENGTH, _LEAST)
         self._per_cost_m = settings.scan_range_m / cost_of_r
@@ -40,7 +40,7 @@ class Prices:
     def to_go_m(self, places_nea_m: FloatArray) -> FloatArray:
         """The same from many: the way, coming down and climbing included.  (..., 3) -> (...)."""
         north, east, altitude = np.moveaxis(places_nea_m, -1, 0)
-        task, needed_m = self._task, self.field.needed.altitude_m(north, east)
+        task, needed_m = self.task, self.field.needed.altitude_m(north, east)
         down_m = np.maximum(descent_m(altitude, task) - descent_m(needed_m, task), 0.0)
         level_m = self.field.value.altitude_m(north, east)
         return np.asarray(level_m + down_m + self.climb_m(places_nea_m))
@@ -49,20 +49,19 @@ class Prices:
         """The way that it takes to come up to where the way on can be climbed, likewise."""
         north, east, altitude = np.moveaxis(places_nea_m, -1, 0)
         short_m = self.field.needed.altitude_m(north, east) - altitude
-        return np.maximum(short_m, 0.0) / math.tan(self._task.limits.climb_angle_rad)
+        return np.maximum(short_m, 0.0) / math.tan(self.task.limits.climb_angle_rad)
 
     def after_m(self, planned: Planned) -> float:
         """What is predicted from where the next subpath starts: p_prog, or the end."""
-        leg = Leg.of(planned, number=1)
-        can_be_left = leg.can_be_left(self._task)
-        at_m = leg.successor_at_m(self._task) if can_be_left else leg.subpath.length_m
+        leg = Leg.of(planned, 1, self.task)
+        at_m = leg.successor_at_m if leg.can_be_left else leg.subpath.length_m
         return self.promised_m(leg.subpath.pose(at_m).point_nea_m)
 
     def cost_m(self, planned: Planned) -> float:
         """A subpath and what follows; where none does, the mean of its radar term stands for R."""
         if planned.is_escape:
             return self._straight_m(planned)
-        cost, settings = planned.cost + planned.to_go, self._task.settings
+        cost, settings = planned.cost + planned.to_go, self.task.settings
         if planned.reaches_target:
             share = min(planned.subpath.length_m / settings.scan_range_m, 1.0)
             cost -= (1.0 - share) * settings.weights.radar * planned.terms["radar"]
@@ -74,11 +73,11 @@ class Prices:
 
     def price_m(self, planned: Planned) -> float:
         """The cost, the time that a slow subpath takes longer, and a stop where it ends in one."""
-        task, price_m = self._task, self.cost_m(planned)
+        task, price_m = self.task, self.cost_m(planned)
         if planned.speed_m_s is not None:
             slower = task.limits.speed_m_s / planned.speed_m_s - 1.0
             price_m += slower * planned.subpath.length_m
-        if not planned.reaches_target and not Leg.of(planned, number=1).can_be_left(task):
+        if not planned.reaches_target and not Leg.of(planned, 1, task).can_be_left:
             price_m += task.stop_m
         return price_m
 
@@ -89,11 +88,11 @@ class Prices:
 
     def _straight_m(self, planned: Planned) -> float:
         """A straight piece, which no search has made, and what follows."""
-        weights, (low, high) = self._task.settings.weights, self._task.band_amsl_m
+        weights, (low, high) = self.task.settings.weights, self.task.band_amsl_m
         begin, end = planned.subpath.control_nea_m[[0, -1]]
         places = begin + np.linspace(0.0, 1.0, _LOOKS)[:, None] * (end - begin)
         seen = np.zeros(_LOOKS)
-        for radar in self._task.radars:
+        for radar in self.task.radars:
             seen += detection_probability(radar.distance_m(places), radar.range_m)
         height = 100.0 * weights.height * float((places[:, 2].mean() - low) / (high - low))
         radars = PER_SAMPLE * RADAR_SCALE * weights.radar * float(seen.mean())

@@ -14,7 +14,7 @@ path, after a restart, joins it without a jump (`Offset`).
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import final
 
 import numpy as np
@@ -50,7 +50,7 @@ Vector = tuple[float, float, float]
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)  # no slots: what is asked for often is kept
 class Leg:
     """A subpath in flight."""
 
@@ -61,38 +61,45 @@ class Leg:
     through: bool = False
     """Whether it may be flown to its end at full speed, into the leg that begins there (only for
     the backtrack, which is known in advance)."""
-    rules: Task | None = None  # the task it was proven under; None if unknown
+    rules: Task  # the task that it was proven under
     speed_m_s: float | None = None  # the highest speed that it is proven for; None: V
 
     @staticmethod
-    def of(planned: Planned, number: int, rules: Task | None = None) -> "Leg":
+    def of(planned: Planned, number: int, rules: Task) -> "Leg":
         """The leg that a plan becomes."""
         return Leg(
             number=number, rules=rules, plan_id=planned.plan_id, subpath=planned.subpath,
             reaches_target=planned.reaches_target, speed_m_s=planned.speed_m_s,
         )  # fmt: skip
 
-    def motion(self, task: Task) -> Envelope:
-        """How the vehicle moves on it: it may have been proven for a lower speed than V."""
-        return (self.rules or task).at_speed(self.speed_m_s).envelope
+    @cached_property
+    def task(self) -> Task:
+        """The task at the highest speed that it is proven for."""
+        return self.rules.at_speed(self.speed_m_s)
 
-    def scan_at_m(self, task: Task) -> float:
+    @property
+    def motion(self) -> Envelope:
+        """How the vehicle moves on it."""
+        return self.task.envelope
+
+    @property
+    def scan_at_m(self) -> float:
         """Length flown at p_scan: L before the end, or at once on a short leg (paper 2.3)."""
-        task = task if self.speed_m_s is None else task.at_speed(self.speed_m_s)
-        return max(self.subpath.length_m - task.scan_distance_m, 0.0)
+        return max(self.subpath.length_m - self.task.scan_distance_m, 0.0)
 
-    def wants_successor(self, at_m: float, task: Task, speed_m_s: float = 0.0) -> bool:
+    def wants_successor(self, at_m: float, speed_m_s: float = 0.0) -> bool:
         """Whether to scan and plan for the next leg, at this length flown: from p_scan on.
 
         speed_m_s: over ground.  A plane that the wind makes faster than V begins sooner: until the
         plan is there it comes the farther.
         """
-        gains = max(speed_m_s / task.limits.speed_m_s - 1.0, 0.0)
-        sooner_m = gains * (task.shortest_scan_distance_m - task.tail_m)
-        is_past_scan = at_m + sooner_m >= self.scan_at_m(task)
-        return is_past_scan and not self.reaches_target and self.can_be_left(task)
+        gains = max(speed_m_s / self.rules.limits.speed_m_s - 1.0, 0.0)
+        sooner_m = gains * (self.rules.shortest_scan_distance_m - self.rules.tail_m)
+        is_past_scan = at_m + sooner_m >= self.scan_at_m
+        return is_past_scan and not self.reaches_target and self.can_be_left
 
-    def leaving(self, task: Task) -> tuple[float, float]:
+    @cached_property
+    def leaving(self) -> tuple[float, float]:
         r"""Length flown at p_prog, the tail before the end, and the speed there.
 
         Among near things a leg shorter than L is flown so slowly that scan and plan, begun at its
@@ -107,13 +114,12 @@ class Leg:
         In the time T of scan and plan it comes v T + (V - v)^2 / 2a far, to p_prog, and needs
         v d + v^2 / 2a from there on: together v^2 / a + v (T + d - V/a) + V^2 / 2a.
         """
-        motion, length_m = self.motion(task), self.subpath.length_m
-        task, full_m_s = task.at_speed(self.speed_m_s), motion.speed_m_s
+        task, motion, length_m = self.task, self.motion, self.subpath.length_m
+        full_m_s, least_m = motion.speed_m_s, task.shortest_scan_distance_m
         if self.through:
             return length_m, full_m_s
-        least_m = task.shortest_scan_distance_m
         if length_m >= least_m or not task.settings.is_near:
-            earliest_m = self.scan_at_m(task) + least_m - task.tail_m
+            earliest_m = self.scan_at_m + least_m - task.tail_m
             return min(max(length_m - task.tail_m, earliest_m), length_m), full_m_s
         brake_m_s2, time_s = motion.braking_m_s2, (least_m - task.tail_m) / full_m_s
         brakes_m, brakes_s = 0.5 * full_m_s**2 / brake_m_s2, full_m_s / brake_m_s2
@@ -126,34 +132,36 @@ class Leg:
         at_m = slow_m_s * time_s + 0.5 * (full_m_s - slow_m_s) ** 2 / brake_m_s2
         return min(at_m, length_m), slow_m_s
 
-    def slows_to_m_s(self, task: Task) -> float:
-        """The speed that it is flown at from its start on; infinite: as fast as it may."""
-        if self.reaches_target or not self.can_be_left(task):
-            return math.inf
-        return self.leaving(task)[1]
-
-    def successor_at_m(self, task: Task) -> float:
+    @property
+    def successor_at_m(self) -> float:
         """Length flown at p_prog."""
-        return self.leaving(task)[0]
+        return self.leaving[0]
 
-    def rest(self, task: Task) -> Rest:
+    @property
+    def slows_to_m_s(self) -> float:
+        """The speed that it is flown at from its start on; infinite: as fast as it may."""
+        return math.inf if self.reaches_target or not self.can_be_left else self.leaving[1]
+
+    @property
+    def rest(self) -> Rest:
         """What is left of it beyond p_prog."""
-        length_m, (at_m, speed_m_s) = self.subpath.length_m, self.leaving(task)
+        length_m, (at_m, speed_m_s) = self.subpath.length_m, self.leaving
         end_nea_m = self.subpath.pose(length_m).point_nea_m
         return Rest(length_m=length_m - at_m, end_nea_m=end_nea_m, speed_m_s=speed_m_s)
 
-    def can_be_left(self, task: Task) -> bool:
+    @property
+    def can_be_left(self) -> bool:
         """Whether a successor may take over in flight: p_prog is far enough before the end.
 
         The certificate assumes a vehicle that can stop there, and a plane is sent to no point
         beyond it.  Else the leg is flown to its end, and the next begins at rest.
         """
-        if not task.settings.profile.verified:
+        if not self.task.settings.profile.verified:
             return True
-        motion, (at_m, speed_m_s) = self.motion(task), self.leaving(task)
+        at_m, speed_m_s = self.leaving
         left_m = self.subpath.length_m - at_m + _ROUNDING_M
-        slows_m = max(slowing_m(motion, speed_m_s), motion.lead_m)
-        return left_m >= slows_m and speed_m_s >= _SLOWEST * motion.speed_m_s
+        slows_m = max(slowing_m(self.motion, speed_m_s), self.motion.lead_m)
+        return left_m >= slows_m and speed_m_s >= _SLOWEST * self.motion.speed_m_s
 
     # --- what bars the rest of it: what was proven stays proven, but for what is new or stricter
 
@@ -162,11 +170,9 @@ class Leg:
 
         task: the rules now.
         """
-        before, zones = self.rules, task.zones
-        was_low_m, was_high_m = -math.inf, math.inf
-        if before is not None:
-            was_low_m, was_high_m = before.limits.inner_band_amsl_m(before.error_m)
-            zones = tuple(zone for zone in zones if zone not in before.zones)
+        before = self.rules
+        zones = tuple(zone for zone in task.zones if zone not in before.zones)
+        was_low_m, was_high_m = before.limits.inner_band_amsl_m(before.error_m)
         low_m, high_m = task.limits.inner_band_amsl_m(task.error_m)
         lengths = np.linspace(from_m, self.subpath.length_m, _BAND_SAMPLES)
         heights = self.subpath.points_nea_m(lengths)[:, 2]
@@ -228,7 +234,6 @@ def advance(
     leg: Leg,
     elapsed_s: float,
     vehicle_nea_m: FloatArray,
-    motion: Envelope,
     *,
     goes_on: bool,
     until_m: float = math.inf,
@@ -241,8 +246,8 @@ def advance(
     ready, so there is no stop at the end of this one.  until_m: the length at which to stop, with
     all that the vehicle brakes with, if that is before the end.
     """
-    at_m, speed, length_m = reference.length_m, reference.speed_m_s, leg.subpath.length_m
-    pose = leg.subpath.pose(at_m)
+    at_m, speed, motion = reference.length_m, reference.speed_m_s, leg.motion
+    pose, length_m = leg.subpath.pose(at_m), leg.subpath.length_m
     lead = float((pose.position_nea_m - vehicle_nea_m) @ pose.tangent_nea)
     if lead > motion.lag_m:
         return Reference(length_m=at_m, speed_m_s=0.0)
@@ -324,12 +329,13 @@ def off_path_m(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray) -> flo
 # --- of a plane
 
 
-def follow(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray, limits: Limits) -> Reference:
+def follow(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray) -> Reference:
     """Reference point of a plane: the nearest point of the path, seen from above.
 
     It never moves back, nor farther ahead than the plane can have flown, so that a path that comes
     near to itself is not short-cut.
     """
+    limits = leg.task.limits
     window_m = max(_WINDOW_S * limits.speed_m_s, limits.turn_radius_m)
     until_m = min(reference.length_m + window_m, leg.subpath.length_m)
     lengths = np.linspace(reference.length_m, max(until_m, reference.length_m), _CHORDS + 1)
@@ -342,16 +348,14 @@ def follow(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray, limits: Li
     return Reference(length_m=at_m, speed_m_s=limits.speed_m_s)
 
 
-def sent_pose(
-    reference: Reference, leg: Leg, next_leg: Leg | None, lead_m: float, task: Task
-) -> Pose:
+def sent_pose(reference: Reference, leg: Leg, next_leg: Leg | None, lead_m: float) -> Pose:
     """The point that a plane is sent to: so far ahead of where it is along the path.
 
     Beyond p_prog it lies on the next leg, if there is one; else it stays at the end of this one,
     and the plane circles there.
     """
     at_m = reference.length_m + lead_m
-    if next_leg is not None and at_m > (over_at_m := leg.successor_at_m(task)):
+    if next_leg is not None and at_m > (over_at_m := leg.successor_at_m):
         return next_leg.subpath.pose(at_m - over_at_m)
     return leg.subpath.pose(at_m)
 
@@ -368,9 +372,7 @@ def is_on_circle(centre_nea_m: Vector, position_nea_m: Vector, limits: Limits) -
     return off_m <= limits.tracking_error_m
 
 
-def may_leave(
-    leg: Leg, at_m: float, position_nea_m: Vector, velocity_nea_m_s: Vector, limits: Limits
-) -> bool:
+def may_leave(leg: Leg, at_m: float, position_nea_m: Vector, velocity_nea_m_s: Vector) -> bool:
     """Whether a plane that circles a point of a leg is on that circle and flies the leg's way.
 
     It does so once in each turn, and is then no farther aside than its circle: what it flies until
@@ -380,7 +382,7 @@ def may_leave(
     ahead_n, ahead_e = pose.tangent_nea[:2].tolist()
     least = _LEAVES * math.hypot(ahead_n, ahead_e) * math.hypot(north, east)
     flies_along = north * ahead_n + east * ahead_e >= least > 0.0
-    return flies_along and is_on_circle(pose.point_nea_m, position_nea_m, limits)
+    return flies_along and is_on_circle(pose.point_nea_m, position_nea_m, leg.task.limits)
 
 
 # --- joining the path

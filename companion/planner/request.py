@@ -151,12 +151,10 @@ class Refusal(enum.Enum):
         it to where its radar sees, or widen [area]""")
     TARGET_AT_EDGE = _said("""the target is off the map, or nearer to its edge than the required
         clearance; move the target, or widen [area]""")
-    NO_QUESTION = _said("""the request holds a number that is not finite, or a limit that leaves
-        nothing to plan; check the mission's limits and the vehicle's position""")
+    NO_QUESTION = _said("""the request holds a number that is not finite, or a band that leaves
+        nothing to plan; check [altitude] and the vehicle's position""")
     NOTHING_SEEN = _said("""nothing around the vehicle has been seen; check that the radar answers,
         or climb to where it sees""")
-    NO_ROOM_TO_TURN = _said("""a turn of vehicle.turn_radius_m does not fit into
-        planner.scan_range_m; lower the one or raise the other""")
     TOO_MANY_LEGS = _said("""the target was not reached with as many legs as are allowed without a
         vehicle; look at its path for a trap, or allow more (most_legs)""")
 

@@ -36,9 +36,7 @@ _MIN_BAND_ERRORS = 4.0
 again is left to climb in."""
 _MIN_AREA_M2 = 1.0
 """Corners of a line have that much by the rounding of degrees to 1e-7 (1 cm) over 100 m."""
-_MAX_CORNERS = 2000
-"""Of a polygon: crossings are looked for between all pairs of its edges, 0.1 s; a border of more is
-of no use at the scale of a flight."""
+_MAX_CORNERS = 2000  # of a polygon: a border of more is of no use at the scale of a flight
 
 
 def refuse(broken: Iterable[Broken], where: str = "") -> None:
@@ -201,20 +199,12 @@ def of_polygon(vertices_ne_m: tuple[Place, ...], field: str, name: str) -> Itera
 
 
 def first_crossing(corners_ne_m: FloatArray) -> tuple[int, int] | None:
-    """The first two edges of a closed polygon that cross, if any do.
+    """The corners that the first two edges of a closed polygon begin at that cross, if any do.
 
-    (corners, 2) -> the corners that they begin at, or None.  Edges that only touch do not cross.
+    (corners, 2).  Edges that only touch do not cross.
     """
-    ends = np.roll(corners_ne_m, -1, axis=0)
-    for k, (a, b) in enumerate(zip(corners_ne_m, ends, strict=True)):
-        c, d = corners_ne_m[k + 2 :], ends[k + 2 :]
-        crosses = (_side(a, b, c) * _side(a, b, d) < 0.0) & (_side(c, d, a) * _side(c, d, b) < 0.0)
-        if crosses.any():
-            return k, k + 2 + int(crosses.argmax())
-    return None
+    import shapely  # no plan needs it
 
-
-def _side(a: FloatArray, b: FloatArray, points: FloatArray) -> FloatArray:
-    """On which side of the line from a to b points lie: the sign.  (..., 2) x3 -> (...)."""
-    along, off = b - a, points - a
-    return np.sign(along[..., 0] * off[..., 1] - along[..., 1] * off[..., 0])
+    edges = shapely.linestrings(np.stack([corners_ne_m, np.roll(corners_ne_m, -1, axis=0)], axis=1))
+    pairs = shapely.STRtree(edges).query(edges, predicate="crosses").T.tolist()
+    return min(((one, other) for one, other in pairs), default=None)

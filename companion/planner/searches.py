@@ -6,6 +6,7 @@ the map and the task, and in what order the kinds are searched.
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import final
 
 from companion import jit
@@ -32,6 +33,7 @@ _CHUNK = 300  # evaluations between two looks at the clock
 _CERTIFIED = 16  # candidates of a search that are tried
 _RADAR_MARGIN = 1.0 / 800.0  # of R, for what lies between samples
 _DEARER = 0.05  # of the cost of R: what a first answer may cost more than was promised
+_MUCH_DEARER = 0.5  # likewise: then it is planned more slowly, too
 _SLOWER = (1.0, 0.5, 0.25)  # of V: turns of a quarter of the radius, and of a sixteenth
 _ROOM = 0.35  # of the circle's radius: from ends to a target that is not the end
 _STRICTER = 100.0  # times, when nothing was proven
@@ -55,102 +57,100 @@ class Searches:
 
     def guided_by(self, prices: Prices) -> None:
         """From now on, by this guidance."""
-        self._prices, self.scene = prices, scene_of(self._request, prices.field)
+        self.prices, self._scene = prices, _scene_of(self._request, prices.field)
         self.broken = ()
 
-    def _stop(self) -> bool:
-        """Whether time is up: once it is, it stays so."""
-        if self.stopped_after is None:
-            if not self._asked():
-                self._went_on += 1
-                return False
-            self.stopped_after = self._went_on
-        return True
+    def best(self) -> Planned | None:
+        """The best of all speeds; slower ones count where nothing, or only a long way, is found."""
+        best: Planned | None = None
+        enough_m = math.inf  # from rest among near things a slow leg may beat a long way round
+        if self._request.task.settings.is_near and self._request.from_rest:
+            enough_m = _MUCH_DEARER * self._scene.scan_range_m
+        for speed_m_s in self._speeds_m_s:
+            if best is None or self.prices.excess_m(best) > enough_m:
+                best = self.prices.cheaper(best, self._at_speed(speed_m_s))
+        return best
 
     @property
-    def speeds_m_s(self) -> tuple[float, ...]:
+    def _speeds_m_s(self) -> list[float]:
         """The speeds at which a subpath may be flown, the fastest first.
 
         A copter turns the tighter the slower it is, and stops within less.  In flight it is no
         slower than it comes.
         """
-        limits, rest = self._request.task.limits, self._request.rest
-        fastest, comes_m_s = limits.speed_m_s, None if rest is None else rest.speed_m_s
-        least = fastest if comes_m_s is None else min(comes_m_s, fastest)
-        least = 0.0 if self._request.from_rest else least
-        speeds = (share * fastest for share in (_SLOWER if limits.hovers else (1.0,)))
-        return tuple(speed for speed in speeds if speed >= least)
+        limits, rest, least = self._request.task.limits, self._request.rest, 0.0
+        if not self._request.from_rest:
+            comes_m_s = None if rest is None else rest.speed_m_s
+            least = limits.speed_m_s if comes_m_s is None else min(comes_m_s, limits.speed_m_s)
+        speeds = (share * limits.speed_m_s for share in (_SLOWER if limits.hovers else (1.0,)))
+        return [speed for speed in speeds if speed >= least]
 
-    def at_speed(self, speed_m_s: float) -> Planned | None:
+    def _at_speed(self, speed_m_s: float) -> Planned | None:
         """The cheapest subpath, until one costs hardly more than was hoped or time is up.
 
         Where none is proven, what breaks a bound counts more, so that it is not traded for way.
         """
         motion = self._request.task.at_speed(speed_m_s).envelope
-        scene = self.scene._replace(motion=motion)
+        scene = self._scene._replace(motion=motion)
         if not scene.from_rest:
             shortest_m = max(slowing_m(motion, motion.speed_m_s), motion.lead_m)
             scene = scene._replace(shortest_m=float(shortest_m))
-        kinds = [(scene, _DEARER), (_strict(scene), math.inf)]
         best: Planned | None = None
-        for kind, enough in kinds:
+        for kind, enough in (scene, _DEARER * scene.scan_range_m), (_strict(scene), math.inf):
             for points in _POINTS:
-                range_m = scene.scan_range_m
-                if best is not None and self._prices.excess_m(best) <= enough * range_m:
+                if best is not None and self.prices.excess_m(best) <= enough:
                     return best
-                if self.tries and self._stop():
+                if self.tries and self._is_time_up():
                     self.is_cut = True
                     return best
-                best = self._prices.cheaper(best, self.found(kind.with_points(points)))
+                best = self.prices.cheaper(best, self._found(kind.with_points(points)))
         return best
 
     def leaving(self, start: Pose) -> Planned | None:
         """The cheapest subpath that leaves from rest, at V, by one search if there is time."""
-        if self._stop():
+        if self._is_time_up():
             return None
-        return self.found(self.scene._replace(start=rows_of(start), from_rest=True))
+        return self._found(self._scene._replace(start=rows_of(start), from_rest=True))
 
     def straight(self, subpath: Subpath) -> Planned | None:
         """A straight piece from rest, at the highest speed for which it is proven."""
-        for speed_m_s in self.speeds_m_s:
-            certificate = self.certified(subpath, speed_m_s, from_rest=True)
+        for speed_m_s in self._speeds_m_s:
+            certificate = self._certified(subpath, speed_m_s, from_rest=True)
             if certificate.proven:
-                route = self._prices.field.route_ne_m
-                return straight_plan(self._request, subpath, certificate, route)
+                route = self.prices.field.route_ne_m
+                return plan_of(self._request, subpath, certificate, route)
         return None
 
-    def certified(self, subpath: Subpath, speed_m_s: float, *, from_rest: bool) -> Certificate:
+    def _certified(self, subpath: Subpath, speed_m_s: float, *, from_rest: bool) -> Certificate:
         """What is proven of a subpath that is flown no faster than this."""
-        if (here := self._surroundings.get(speed_m_s)) is None:
-            here = self._surroundings[speed_m_s] = surroundings_of(self._request, speed_m_s)
-        return certify(subpath, here, from_rest=from_rest)
+        request, task = self._request, self._request.task.at_speed(speed_m_s)
+        if speed_m_s not in self._surroundings:
+            reach_m = REACH * task.settings.scan_range_m
+            around = task.surroundings(request.known, request.scan_nea_m[:2], reach_m)
+            self._surroundings[speed_m_s] = around
+        return certify(subpath, self._surroundings[speed_m_s], from_rest=from_rest)
 
-    def found(self, scene: Scene) -> Planned | None:
+    def _found(self, scene: Scene) -> Planned | None:
         """Of one search, the best of its candidates that has a certificate."""
-        request, speed_m_s = self._request, scene.motion.speed_m_s
         for rank, x in enumerate(self._ranked(scene)[:_CERTIFIED]):
             subpath = Subpath(control_nea_m=scene.control_points(x))
             if not subpath.is_longer_than(scene.shortest_m):
                 continue  # the certificate is about a vehicle that can stop (or hold) at the end
-            certificate = self.certified(subpath, speed_m_s, from_rest=scene.from_rest)
+            speed_m_s = scene.motion.speed_m_s
+            certificate = self._certified(subpath, speed_m_s, from_rest=scene.from_rest)
             if certificate.proven:
                 jit.compiled(kernels.costs)(x[None], scene)
                 terms = dict(zip(TERMS, scene.at.terms.tolist(), strict=True))
-                weights = zip(TERMS, self.scene.weights, strict=True)
+                weights = zip(TERMS, self._scene.weights, strict=True)
                 costs = {name: a * terms[name] for name, a in weights}
-                return Planned(
-                    plan_id=request.plan_id,
-                    kernel=kernels.signature(),
-                    subpath=subpath,
-                    reaches_target=scene.is_final,
+                route_ne_m = self.prices.field.route_ne_m
+                return replace(
+                    plan_of(self._request, subpath, certificate, route_ne_m),
                     cost=sum(costs.values()) - costs["to_go"],
                     to_go=costs["to_go"],
                     terms=terms,
-                    certificate=certificate,
                     guide_rad=scene.guide_rad,
-                    route_ne_m=self._prices.field.route_ne_m,
                     rank=rank,
-                    speed_m_s=_told_m_s(request, speed_m_s),
                 )
             self.broken = self.broken or certificate.broken
         return None
@@ -161,35 +161,48 @@ class Searches:
         self.tries += 1
         rng = request.rng(self.tries)
         evaluations = (1 + request.attempt) * settings.evaluations
-        name = settings.optimiser or settings.profile.optimiser
+        optimiser = settings.optimiser or settings.profile.optimiser
         tail = None if request.rest is None else request.rest.end_nea_m
-        route_ne_m = self._prices.field.route_ne_m
+        route_ne_m = self.prices.field.route_ne_m
         seeds = seeds_of(scene, ways_of(scene, route_ne_m, request.known.cell_m, tail))
-        if name != "refined-de":
-            optimiser = OPTIMISERS[name](scene.variables, evaluations, rng, seeds)
-            costs = jit.compiled(kernels.costs)
-            ranked = minimise(optimiser, lambda x: costs(x, scene), evaluations, self._stop)
+        if optimiser != "refined-de":
+            make = OPTIMISERS[optimiser] if isinstance(optimiser, str) else optimiser
+            asked, costs = (
+                make(scene.variables, evaluations, rng, seeds),
+                jit.compiled(kernels.costs),
+            )
+            ranked = minimise(asked, lambda x: costs(x, scene), evaluations, self._is_time_up)
             self.evaluations += ranked.evaluations
             self.is_cut |= ranked.evaluations < evaluations
             return ranked.x
         state = refined_de.begin(scene.variables, evaluations, seeds, refined_de.Settings(), rng)
         for until in range(_CHUNK, evaluations + _CHUNK, _CHUNK):
             jit.compiled(kernels.search)(state, scene, min(until, evaluations))
-            if self._stop():
+            if self._is_time_up():
                 self.is_cut |= until < evaluations
                 break
         self.evaluations += refined_de.spent(state)
         return refined_de.ranked(state)[0]
 
+    def _is_time_up(self) -> bool:
+        """Once it is, it stays so."""
+        if self.stopped_after is None:
+            if not self._asked():
+                self._went_on += 1
+                return False
+            self.stopped_after = self._went_on
+        return True
 
-def straight_plan(
+
+def plan_of(
     request: PlanRequest,
     subpath: Subpath,
     certificate: Certificate,
     route_ne_m: tuple[tuple[float, float], ...] = (),
 ) -> Planned:
-    """A plan that no search has made: it has no cost."""
+    """The plan of a subpath, but for what a search knows of it; who was in debt still is."""
     tangent, end = subpath.pose(0.0).tangent_nea, subpath.control_nea_m[-1]
+    speed_m_s = certificate.speed_m_s
     return Planned(
         plan_id=request.plan_id,
         kernel=kernels.signature(),
@@ -198,19 +211,15 @@ def straight_plan(
         certificate=certificate,
         guide_rad=math.atan2(tangent[1], tangent[0]),
         route_ne_m=route_ne_m,
-        speed_m_s=_told_m_s(request, certificate.speed_m_s),
+        progress=request.progress,
+        speed_m_s=None if speed_m_s >= request.task.limits.speed_m_s else speed_m_s,
     )
-
-
-def _told_m_s(request: PlanRequest, speed_m_s: float) -> float | None:
-    """The speed of a plan; None if it is V."""
-    return None if speed_m_s >= request.task.limits.speed_m_s else speed_m_s
 
 
 # --- what subpaths are planned in
 
 
-def scene_of(request: PlanRequest, field: CostToGo) -> Scene:
+def _scene_of(request: PlanRequest, field: CostToGo) -> Scene:
     """What the costs of subpaths at V depend on, of five control points."""
     task, limits, settings = request.task, request.task.limits, request.task.settings
     scan_ne, range_m = request.scan_nea_m[:2], settings.scan_range_m
@@ -218,7 +227,18 @@ def scene_of(request: PlanRequest, field: CostToGo) -> Scene:
     zones, clearance_m = packed(task.zones), task.zone_search_clearance_m
     polygons = tuple(zone for zone in task.zones if isinstance(zone, PolygonZone))
     radars = task.radars_near(scan_ne, _IN_REACH * range_m)
-    surface = _surface(request, task.search_clearance_m)
+
+    def lowest_that_keeps(kept_m: float) -> Surface:
+        return safe_surface(
+            request.around,
+            centre_ne_m=scan_ne,
+            reach_m=REACH * range_m,
+            clearance_m=kept_m,
+            unknown_m=limits.ceiling_amsl_m,
+            floor_m=limits.floor_amsl_m,
+        )
+
+    surface = lowest_that_keeps(task.search_clearance_m)
     return Scene(
         weights=weights_of(settings.weights),
         motion=task.envelope,
@@ -238,7 +258,7 @@ def scene_of(request: PlanRequest, field: CostToGo) -> Scene:
         safety_distance_m=float(settings.safety_distance_m),
         clearance_m=float(clearance_m),
         surface=surface,
-        contact=_surface(request, task.envelope.contact_m) if limits.hovers else surface,
+        contact=lowest_that_keeps(task.envelope.contact_m) if limits.hovers else surface,
         band_amsl_m=task.band_amsl_m,
         north_m=limits.north_m,
         east_m=limits.east_m,
@@ -266,23 +286,3 @@ def _strict(scene: Scene) -> Scene:
     """The scene in which what breaks a bound counts more, so that it is not traded for way."""
     times = (_STRICTER if name in ("crash", "constraints") else 1.0 for name in TERMS)
     return scene._replace(weights=tuple(a * b for a, b in zip(scene.weights, times, strict=True)))
-
-
-def _surface(request: PlanRequest, clearance_m: float) -> Surface:
-    """The lowest altitudes that keep a clearance."""
-    return safe_surface(
-        request.around,
-        centre_ne_m=request.scan_nea_m[:2],
-        reach_m=REACH * request.task.settings.scan_range_m,
-        clearance_m=clearance_m,
-        unknown_m=request.task.limits.ceiling_amsl_m,
-        floor_m=request.task.limits.floor_amsl_m,
-    )
-
-
-def surroundings_of(request: PlanRequest, speed_m_s: float) -> Surroundings:
-    """What subpaths that are flown no faster than this are proven against."""
-    task, scan_ne_m = request.task.at_speed(speed_m_s), request.scan_nea_m[:2]
-    range_m = task.settings.scan_range_m
-    radars = task.radars_near(scan_ne_m, _IN_REACH * range_m)
-    return task.surroundings(request.known, scan_ne_m, REACH * range_m, radars=radars)

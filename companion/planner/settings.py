@@ -9,6 +9,7 @@ from typing import Annotated, final
 import numpy as np
 from annotated_types import Ge, Le
 
+from companion.optimise.registry import Maker
 from companion.path import envelope as moves
 from companion.path.envelope import COPTER, PLANE, Envelope, Handling
 from companion.path.limits import Limits
@@ -48,8 +49,8 @@ class PlannerSettings:
     """Candidates evaluated for one subpath."""
     profile: Profile = FLIGHT
     weights: Weights = field(default_factory=Weights)
-    optimiser: str | None = None
-    """What searches, by its name in `optimise.registry`; None: the profile's."""
+    optimiser: str | Maker | None = None
+    """What searches, or its name in `optimise.registry`; None: the profile's."""
     cell_m: Positive | None = None
     """Size of the cells of the known map; None: R / 80, in the whole metres of TERRAIN_REQUEST."""
 
@@ -149,29 +150,22 @@ class Task:
         centre_ne_m: Place,
         reach_m: float,
         *,
-        motion: Envelope | None = None,
         clearance_m: float | None = None,
-        contact_m: float | None = None,
-        zones: tuple[Zone, ...] | None = None,
-        radars: tuple[Radar, ...] | None = None,
-        stops: bool = True,
     ) -> Surroundings:
         """What certificates of its paths are about; made once per plan.
 
-        The curves keep a clearance from terrain and zones, and so much of the altitude band that
-        the vehicle stays in it; the dead-man stretches keep contact_m (None: what the vehicle may
-        be off).  They stay within reach of a place (their straight dead-man stretches may leave
-        it): what lies farther out counts as terrain without a top.  stops: the vehicle stops at the
-        end of a curve; else it may go on from there at full speed.
+        The curves keep a clearance (None: the required one) from terrain and zones, and so much of
+        the altitude band that the vehicle stays in it.  They stay within reach of a place (their
+        straight dead-man stretches may leave it): what lies farther out counts as terrain without a
+        top.  The vehicle stops at the end of a curve.
         """
-        limits, motion = self.limits, motion or self.envelope
+        limits, motion = self.limits, self.envelope
         clearance_m = self.required_clearance_m if clearance_m is None else clearance_m
         farther_m = moves.flown_on_m(motion, motion.speed_m_s) + 3.0 * clearance_m
         registration_m = known.registration_m + motion.loiter_m
         (south_m, north_m), (west_m, east_m) = limits.north_m, limits.east_m
         low_m, high_m = limits.inner_band_amsl_m(motion.error_m)
-        radars = self.radars if radars is None else radars
-        circles = [(*radar.centre_nea_m, radar.range_m) for radar in radars]
+        circles = [(*radar.centre_nea_m, radar.range_m) for radar in self.radars]
         return Surroundings(
             columns=pack_columns(
                 known,
@@ -180,12 +174,12 @@ class Task:
                 block=max(2, min(16, round(0.75 * clearance_m / known.cell_m))),
                 registration_m=registration_m,
             ),
-            zones=packed(self.zones if zones is None else zones),
+            zones=packed(self.zones),
             radars=np.array(circles, dtype=np.float64).reshape(-1, 4),
             clearance_m=float(clearance_m),
-            contact_m=float(motion.contact_m if contact_m is None else contact_m),
+            contact_m=float(motion.contact_m),
             motion=motion,
-            stops=stops,
+            stops=True,
             lowest_nea_m=(float(south_m), float(west_m), float(low_m)),
             highest_nea_m=(float(north_m), float(east_m), float(high_m)),
         )
@@ -262,6 +256,11 @@ class Task:
             slow = replace(limits, speed_m_s=speed_m_s, turn_radius_m=radius_m)
             known[speed_m_s] = replace(self, limits=slow)
         return known[speed_m_s]
+
+    def unruled(self) -> "Task":
+        """The task without zones and band: of a leg of which nobody knows what it was held to."""
+        limits = replace(self.limits, floor_amsl_m=-math.inf, ceiling_amsl_m=math.inf)
+        return replace(self, limits=limits, zones=())
 
     def no_lower_than(self, amsl_m: float) -> "Task":
         """The task with this, if it is higher, as the lowest altitude to plan for."""

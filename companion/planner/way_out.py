@@ -27,7 +27,7 @@ from companion.planner.cost_grid import Place, sampled
 from companion.planner.field import CostToGo
 from companion.planner.price import Prices
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
-from companion.planner.searches import straight_plan
+from companion.planner.searches import plan_of
 from companion.planner.settings import Task
 from companion.world.columns import (
     dilated_m,
@@ -80,7 +80,7 @@ def escape(request: PlanRequest) -> Planned | NotPlanned | None:
         seen = (end for end in ends if distance_to_terrain_m(around, end, least_m) >= least_m)
         for end in islice(seen, _CERTIFIED):
             if (certificate := proven(end)) is not None:
-                return straight_plan(request, straight(start, end), certificate)
+                return plan_of(request, straight(start, end), certificate)
     refusal = Refusal.START_NEAR_TERRAIN
     if zones:
         refusal = Refusal.START_IN_KEEP_OUT
@@ -104,9 +104,8 @@ def _proofs(
     def keeping(keep_m: float, known: KnownMap, zones: tuple[Zone, ...] = ()) -> Surroundings:
         here_ne_m, range_m = request.start.point_nea_m[:2], task.settings.scan_range_m
         contact_m = min(task.envelope.contact_m, keep_m)
-        return task.surroundings(
-            known, here_ne_m, range_m, clearance_m=keep_m, contact_m=contact_m, zones=zones
-        )
+        around = task.surroundings(known, here_ne_m, range_m, clearance_m=keep_m)
+        return around._replace(contact_m=float(contact_m), zones=packed(zones))
 
     gap_m = float(_gaps_m(request, *others))
     air = replace(known, upper_m=np.full(known.upper_m.shape, _NO_GROUND_M))

@@ -34,7 +34,6 @@ from companion.mission.state import Phase
 from companion.path.envelope import Envelope, ending_m_s, flown_on_m, rising_m_s
 from companion.planner.procedure import Leg
 from companion.planner.request import PlanOutcome, PlanRequest
-from companion.planner.settings import Task
 from vehicle_sim.world import World, read_world
 
 FloatArray = NDArray[np.float64]
@@ -93,9 +92,9 @@ class Proven(NamedTuple):
         return np.asarray(gaps.min(axis=1) - self.motion.error_m)
 
 
-def proven(leg: Leg, task: Task, *, from_rest: bool, near_m: float = 0.0) -> Proven:
+def proven(leg: Leg, *, from_rest: bool, near_m: float = 0.0) -> Proven:
     """What the certificate of a leg speaks of; more samples near a length: stretches fan out."""
-    motion, length_m = leg.motion(task), leg.subpath.length_m
+    motion, length_m = leg.motion, leg.subpath.length_m
     near = np.clip(near_m + np.linspace(-motion.lag_m, motion.lag_m, _SAMPLES // 4), 0.0, length_m)
     at_m = np.union1d(np.linspace(0.0, length_m, _SAMPLES), near)
     points = leg.subpath.points_nea_m(at_m)
@@ -164,21 +163,21 @@ class KilledFlight(Flight):
                 turned_rad += abs(math.remainder(vehicle.heading_rad - heading_rad, math.tau))
                 heading_rad = vehicle.heading_rad
         where = np.array([*track[:: max(len(track) // 150, 1)], track[-1]])
-        state, task, legs = self.session.state, self.mission.task, self._legs
+        state, legs = self.session.state, self._legs
         path, at_m = state.path, state.reference.length_m
         points_m = at_m + lead_m(state, state.reference)
-        if path and path.next_leg and points_m > path.leg.successor_at_m(task):
+        if path and path.next_leg and points_m > path.leg.successor_at_m:
             legs = [path.next_leg, *legs]
         outside = np.full(len(where), math.inf)
         for leg in legs:
-            told = proven(leg, task, from_rest=self._from_rest.get(leg.plan_id, False), near_m=at_m)
+            told = proven(leg, from_rest=self._from_rest.get(leg.plan_id, False), near_m=at_m)
             outside = np.minimum(outside, told.outside_m(where))
         return {
             "at_s": began_s,
             "outside_m": float(outside.max()),
             "speed_m_s": begin_m_s,
             "left_m": leg.subpath.length_m - at_m,
-            "leg_m_s": leg.motion(task).speed_m_s,
+            "leg_m_s": leg.motion.speed_m_s,
             "stands": steps_left > 0.0,
         }
 

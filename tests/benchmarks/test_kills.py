@@ -16,8 +16,8 @@ from companion.planner.procedure import Leg
 def test_what_a_straight_leg_promises_is_a_tube_that_ends_so_far_beyond_it(aside_m: float) -> None:
     task = load_mission("forest").task
     subpath = Subpath(control_nea_m=np.outer([0.0, 0.3, 0.6, 1.0], [12.0, 0.0, 0.0]))
-    leg = Leg(number=1, plan_id=1, subpath=subpath, reaches_target=False)
-    told = kills.proven(leg, task, from_rest=False)
+    leg = Leg(number=1, plan_id=1, subpath=subpath, reaches_target=False, rules=task)
+    told = kills.proven(leg, from_rest=False)
     tube_m = task.envelope.contact_m
     places = np.array([[6.0, aside_m, 0.0], [15.0, 0.0, aside_m], [-1.0, 0.0, 0.0]])
     end_m = 12.0 + beyond_m(task.envelope)

@@ -190,7 +190,7 @@ def told_nothing(state: State, at: Any, velocity: Any, echo: events.Echo | None)
 def test_it_rejoins_the_leg_that_is_the_nearer_one_and_has_flown_the_other(share: float) -> None:
     """The next leg turns off to the right from p_prog of this one."""
     state, path = cruising().state, deep(cruising().state).path
-    over_at_m = path.leg.successor_at_m(state.task)
+    over_at_m = path.leg.successor_at_m
     begins = path.leg.subpath.pose(over_at_m).position_nea_m
     aside = begins + np.linspace(0.0, LEG_M, 4)[:, None] * np.array(ASIDE)
     path.next_leg = replace(path.leg, subpath=Subpath(control_nea_m=aside))

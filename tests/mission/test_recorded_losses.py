@@ -188,7 +188,8 @@ def on_route(fault: Fault) -> Session:
     known = mission.known
     assert known is not None
     control = route(fault.of, mission.frame, fault.from_s, fault.path_to_s)
-    leg = Leg(number=1, plan_id=1, subpath=Subpath(control_nea_m=control), reaches_target=False)
+    subpath = Subpath(control_nea_m=control)
+    leg = Leg(number=1, plan_id=1, subpath=subpath, reaches_target=False, rules=mission.task)
     state = State.of(mission, known)
     flight = replace(state.flight, plan_id=1, legs_flown=1)
     state = replace(state, stage=Flying(path=OnPath(leg=leg)), airborne=True, flight=flight)

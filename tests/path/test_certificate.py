@@ -49,11 +49,10 @@ def certified(
     stops: bool = True,
 ) -> Certificate:
     task = Task(limits=limits, settings=SETTINGS, handling=ARDUCOPTER, radars=radars, zones=zones)
-    surroundings = task.surroundings(
-        known or a_map(), (2_000.0, 2_000.0), reach_m, clearance_m=clearance_m, stops=stops
-    )
+    place, known = (2_000.0, 2_000.0), known or a_map()
+    around = task.surroundings(known, place, reach_m, clearance_m=clearance_m)
     subpath = Subpath(control_nea_m=np.array(corners, dtype=float))
-    return certify(subpath, surroundings, from_rest=from_rest)
+    return certify(subpath, around._replace(stops=stops), from_rest=from_rest)
 
 
 def level(altitude_m: float = 400.0, east_m: float = 2_000.0) -> list[tuple[float, float, float]]:

@@ -1,5 +1,4 @@
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from companion.planner.offline import OfflineFlight, usual_most_legs
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg, Vector
 from companion.planner.progress import NO_PROGRESS
-from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
+from companion.planner.request import NotPlanned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, Scan
 from companion.world.simulated import simulated_scan
@@ -23,16 +22,16 @@ class Refusing:
     """The planner itself, but for some of the requests; remembers them all."""
 
     def __init__(self, *numbers: int) -> None:
-        self.numbers = numbers
-        self.requests: list[PlanRequest] = []
-        self.outcomes: list[PlanOutcome] = []
+        self.numbers, self.requests = numbers, list[PlanRequest]()
 
     def __call__(self, request: PlanRequest) -> PlanOutcome:
         self.requests.append(request)
-        refused = NotPlanned(plan_id=request.plan_id, refusal=Refusal.NOTHING_SAFE, broken=("x",))
-        outcome = refused if len(self.requests) in self.numbers else plan(request)
-        self.outcomes.append(outcome)
-        return outcome
+        if len(self.requests) in self.numbers:
+            return NotPlanned(plan_id=request.plan_id, refusal=Refusal.NOTHING_SAFE, broken=("x",))
+        return plan(request)
+
+    def told(self, what: str, count: int) -> list[object]:
+        return [getattr(request, what) for request in self.requests[:count]]
 
 
 @pytest.fixture(scope="module")
@@ -63,18 +62,16 @@ def test_it_scans_at_p_scan_of_each_leg_and_goes_on_at_p_prog(
 ) -> None:
     assert flight.scans_nea_m[0] == START
     assert flight.flown_m[-1] == flight.legs[-1].subpath.length_m
-    legs = zip(flight.legs, flight.flown_m, pairwise(planner.requests), strict=False)
-    for k, (leg, flown_m, (before, request)) in enumerate(legs):
-        outcome, length_m = planner.outcomes[k], leg.subpath.length_m
-        there = leg.subpath.pose(flown_m)
+    legs = zip(flight.legs, flight.flown_m, planner.requests[1:], strict=False)
+    for k, (leg, flown_m, request) in enumerate(legs, 1):
+        length_m, there = leg.subpath.length_m, leg.subpath.pose(flown_m)
         assert length_m - flown_m == pytest.approx(TASK.tail_m)
         scan = leg.subpath.pose(max(length_m - TASK.scan_distance_m, 0.0)).point_nea_m
-        assert flight.scans_nea_m[k + 1] == request.scan_nea_m == pytest.approx(scan)
-        assert there.position_nea_m == pytest.approx(flight.legs[k + 1].subpath.control_nea_m[0])
+        assert flight.scans_nea_m[k] == request.scan_nea_m == pytest.approx(scan)
+        assert there.position_nea_m == pytest.approx(flight.legs[k].subpath.control_nea_m[0])
         np.testing.assert_array_equal(request.start.tangent_nea, there.tangent_nea)
         np.testing.assert_array_equal(request.start.curvature_nea_1_m, there.curvature_nea_1_m)
-        assert isinstance(outcome, Planned)
-        assert request.plan_id == before.plan_id + 1
+    assert [request.plan_id for request in planner.requests] == [*range(1, len(flight.legs) + 1)]
 
 
 def test_it_plans_on_what_its_scans_have_shown_only(flight: OfflineFlight) -> None:
@@ -92,27 +89,26 @@ def test_it_plans_on_what_its_scans_have_shown_only(flight: OfflineFlight) -> No
 def test_a_flight_that_finds_no_way_gives_up_after_four_attempts_each_wider() -> None:
     planner = Refusing(*range(1, 100))
     flight = fly(TASK, TRUTH, START, TARGET, seed=3, planner=planner)
-    assert flight.failure is planner.outcomes[-1]
+    assert flight.failure is not None
+    assert flight.failure.broken == ("x",)
     assert flight.legs == flight.plans == flight.flown_m == []
     assert flight.scans_nea_m == [START] * 4
-    assert [request.attempt for request in planner.requests] == [0, 1, 2, 3]
-    assert len({request.plan_id for request in planner.requests}) == 4
+    assert planner.told("attempt", 9) == [0, 1, 2, 3]
+    assert len({*planner.told("plan_id", 4)}) == 4
 
 
 def test_a_flight_that_runs_out_of_legs_stops_and_says_so_and_how_to_go_on(
     flight: OfflineFlight,
 ) -> None:
-    planner = Refusing()
-    cut = fly(TASK, TRUTH, START, TARGET, seed=3, planner=planner, most_legs=2)
+    cut = fly(TASK, TRUTH, START, TARGET, seed=3, most_legs=2)
     assert cut.failure is not None
     assert cut.failure.refusal is Refusal.TOO_MANY_LEGS
     assert "most_legs" in cut.failure.refusal.value
-    assert (len(cut.legs), len(planner.requests), cut.holds) == (2, 2, 1)
-    lengths_m = cut.legs[0].successor_at_m(TASK), cut.legs[1].subpath.length_m
+    assert (len(cut.legs), len(cut.scans_nea_m), cut.holds) == (2, 2, 1)
+    lengths_m = cut.legs[0].successor_at_m, cut.legs[1].subpath.length_m
     assert cut.flown_m == pytest.approx(lengths_m)
     assert len(flight.legs) < usual_most_legs(TASK, START, (TARGET,))
-    far = ((TARGET[0] + 1e6, TARGET[1]), TARGET)
-    least = 2e6 / TASK.settings.scan_range_m
+    far, least = ((TARGET[0] + 1e6, TARGET[1]), TARGET), 2e6 / TASK.settings.scan_range_m
     assert least < usual_most_legs(TASK, START, far) < 20.0 * least
 
 
@@ -121,10 +117,8 @@ def test_a_leg_without_a_successor_is_flown_to_its_end_where_attempts_are_counte
     flight = fly(TASK, TRUTH, START, TARGET, seed=3, planner=planner)
     assert flight.legs[-1].reaches_target
     # twice from the start; in flight, which ends it in a hover; twice from there
-    assert [request.attempt for request in planner.requests[:7]] == [0, 1, 2, 0, 0, 1, 2]
-    assert [request.from_rest for request in planner.requests[:7]] == [*[True] * 3, False] + [
-        True
-    ] * 3
+    assert planner.told("attempt", 7) == [0, 1, 2, 0, 0, 1, 2]
+    assert planner.told("from_rest", 7) == [True, True, True, False, True, True, True]
     assert flight.holds >= 1
     held = flight.legs[0].subpath
     end = held.pose(held.length_m).point_nea_m

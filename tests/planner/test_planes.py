@@ -79,11 +79,11 @@ def test_a_leg_is_long_enough_for_the_point_that_the_plane_is_sent_to(
     assert stopping_m(TASK.envelope, V) == 0.0
     assert flown_on_m(TASK.envelope, V) == lead_m
     for leg in flight.legs:
-        if leg.can_be_left(TASK):
-            sent_m = leg.scan_at_m(TASK) + V * time_s + lead_m
-            assert sent_m <= leg.successor_at_m(TASK) + 1e-6
-            assert leg.subpath.length_m - leg.successor_at_m(TASK) >= lead_m
-    assert not leg_of(np.outer([0.0, 0.3, 0.6, 1.0], [200.0, 0.0, 0.0])).can_be_left(TASK)
+        if leg.can_be_left:
+            sent_m = leg.scan_at_m + V * time_s + lead_m
+            assert sent_m <= leg.successor_at_m + 1e-6
+            assert leg.subpath.length_m - leg.successor_at_m >= lead_m
+    assert not leg_of(np.outer([0.0, 0.3, 0.6, 1.0], [200.0, 0.0, 0.0]), rules=TASK).can_be_left
 
 
 @pytest.mark.parametrize("aside_m", [0.0, 350.0, 450.0])
@@ -113,7 +113,7 @@ def a_leg(turn_rad: float = 1.2) -> Leg:
     bearing = turn_rad * np.linspace(0.25, 1.0, 4)
     steps = np.stack([np.cos(bearing), np.sin(bearing), np.full(4, 0.02)], axis=-1)
     control = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]) * 375.0
-    return leg_of(control + np.array([1_000.0, 1_000.0, 400.0]))
+    return leg_of(control + np.array([1_000.0, 1_000.0, 400.0]), rules=TASK)
 
 
 @given(at=st.floats(0.05, 0.95), aside_m=st.floats(-90.0, 90.0), turn=st.floats(-2.0, 2.0))
@@ -125,7 +125,7 @@ def test_the_reference_is_the_nearest_point_of_the_path(
     pose = leg.subpath.pose(length_m)
     across = np.array([-pose.tangent_nea[1], pose.tangent_nea[0], 0.0])
     vehicle = pose.position_nea_m + aside_m * across / np.linalg.norm(across)
-    reference = follow(Reference(length_m=max(length_m - 40.0, 0.0)), leg, vehicle, LIMITS)
+    reference = follow(Reference(length_m=max(length_m - 40.0, 0.0)), leg, vehicle)
     assert reference.length_m == pytest.approx(length_m, abs=0.5)
     assert off_path_m(reference, leg, vehicle) == pytest.approx(abs(aside_m), abs=0.5)
 
@@ -136,31 +136,32 @@ def test_the_reference_never_goes_back_nor_jumps_and_comes_to_the_end() -> None:
     for at_m in np.arange(-30.0, length_m + 60.0, 4.0):
         pose, on_leg_m, last_m = leg.subpath.pose(at_m), np.clip(at_m, 0.0, length_m), reference
         beyond = (at_m - on_leg_m) * pose.tangent_nea + rng.normal(0.0, 6.0, 3)
-        reference = follow(reference, leg, pose.position_nea_m + beyond, LIMITS)
+        reference = follow(reference, leg, pose.position_nea_m + beyond)
         assert reference.length_m >= last_m.length_m
         assert reference.length_m == pytest.approx(on_leg_m, abs=45.0)
         assert reference.speed_m_s == V
     assert reference.length_m == length_m
-    hairpin = leg_of([[0, 0, 400.0], [1_500, 0, 400], [1_500, 60, 400], [0, 60, 400]])
+    control = [[0, 0, 400.0], [1_500, 0, 400], [1_500, 60, 400], [0, 60, 400]]
+    hairpin = leg_of(control, rules=TASK)
     reference = Reference(length_m=200.0)
     for at_m in np.arange(200.0, 700.0, 2.0):  # where the path comes near to itself
         other_side = hairpin.subpath.pose(at_m).position_nea_m + np.array([0.0, 35.0, 0.0])
-        reference = follow(reference, hairpin, other_side, LIMITS)
+        reference = follow(reference, hairpin, other_side)
         assert reference.length_m <= at_m + LIMITS.turn_radius_m + 5.0 * V
 
 
 def test_the_point_that_is_sent_runs_over_onto_the_next_leg_and_stays_at_an_end() -> None:
     leg = a_leg()
-    over_m, end_m = leg.successor_at_m(TASK), leg.subpath.length_m
+    over_m, end_m = leg.successor_at_m, leg.subpath.length_m
     over = leg.subpath.pose(over_m)
     control = over.position_nea_m + np.outer([0.0, 0.3, 0.6, 1.0], 900.0 * over.tangent_nea)
-    next_leg = leg_of(control, number=2)
+    next_leg = leg_of(control, number=2, rules=TASK)
     for from_m, then, lead_m, place in (
         (over_m - 60.0, next_leg, 110.0, next_leg.subpath.pose(50.0)),
         (over_m - 60.0, next_leg, 40.0, leg.subpath.pose(over_m - 20.0)),
         (end_m - 20.0, None, 110.0, leg.subpath.pose(end_m)),
     ):
-        sent = sent_pose(Reference(length_m=from_m), leg, then, lead_m, TASK)
+        sent = sent_pose(Reference(length_m=from_m), leg, then, lead_m)
         assert sent.point_nea_m == pytest.approx(place.point_nea_m)
 
 
@@ -187,16 +188,16 @@ def widest_m(leg: Leg, at_m: float, sense: float, angle: float) -> float:
         here = start + LOITER * np.array([math.cos(angle), math.sin(angle), 0.0])
         course = angle + sense * math.pi / 2.0
         velocity = (V * math.cos(course), V * math.sin(course), 0.0)
-        if may_leave(leg, at_m, (here[0], here[1], here[2]), velocity, LIMITS):
+        if may_leave(leg, at_m, (here[0], here[1], here[2]), velocity):
             break
     else:
         pytest.fail("it never left its circle")
     reference, widest = Reference(length_m=at_m), 0.0
     for _ in range(400):
-        reference = follow(reference, leg, here, LIMITS)
+        reference = follow(reference, leg, here)
         if leg.subpath.length_m - reference.length_m < 1.2 * LOITER:
             break  # it circles the end
-        aim = sent_pose(reference, leg, None, TASK.envelope.lead_m, TASK).position_nea_m - here
+        aim = sent_pose(reference, leg, None, TASK.envelope.lead_m).position_nea_m - here
         error = math.remainder(math.atan2(aim[1], aim[0]) - course, math.tau)
         most = V / (LOITER / 2.0) * step_s
         course += min(max(error, -most), most)
@@ -213,4 +214,4 @@ def test_a_plane_that_is_not_on_its_circle_does_not_leave_it(off_m: float, leave
     pose = leg.subpath.pose(0.0)
     (north, east, _), (n, e, up) = pose.tangent_nea.tolist(), pose.point_nea_m
     place, velocity = (n - off_m * east, e + off_m * north, up), (V * north, V * east, 0.0)
-    assert may_leave(leg, 0.0, place, velocity, LIMITS) is leaves
+    assert may_leave(leg, 0.0, place, velocity) is leaves

@@ -104,7 +104,7 @@ LOW_M = 300.0 + 10.0  # of the floor, and tracking and navigation error
 ACROSS = CircleZone(name="new", north_m=4_000.0, east_m=500.0, radius_m=100.0)
 
 
-def low_leg(rules: Task | None, below_m: float = 0.0) -> Leg:
+def low_leg(rules: Task, below_m: float = 0.0) -> Leg:
     """Across the map, as low as it is proven, or lower."""
     control = np.linspace((1_000.0, 500.0, LOW_M - below_m), (7_000.0, 500.0, LOW_M + 90.0), 4)
     return leg_of(control, rules=rules)
@@ -136,9 +136,10 @@ def test_a_rule_that_is_new_is_held_against_what_is_left_of_a_leg() -> None:
     ):
         assert leg.is_touched(from_m, now) is touched
     # of one whose rules nobody knows all rules count
-    assert not low_leg(None).is_touched(0.0, TASK)
-    assert low_leg(None, below_m=0.7).is_touched(0.0, TASK)
-    assert low_leg(None).is_touched(0.0, but(TASK, ACROSS))
+    unruled = TASK.unruled()
+    assert not low_leg(unruled).is_touched(0.0, TASK)
+    assert low_leg(unruled, below_m=0.7).is_touched(0.0, TASK)
+    assert low_leg(unruled).is_touched(0.0, but(TASK, ACROSS))
 
 
 # --- near things

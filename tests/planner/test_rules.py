@@ -1,10 +1,10 @@
 import math
 from dataclasses import replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 import pytest
-import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from planning import limits
@@ -142,21 +142,22 @@ def test_a_target_must_lie_on_the_map_outside_keep_outs_and_inside_keep_ins() ->
 
 @settings(max_examples=200)
 @given(st.lists(st.tuples(st.integers(-3, 3), st.integers(-3, 3)), min_size=4, max_size=7))
-def test_edges_that_cross_are_found_as_a_search_of_all_pairs_finds_them(
+def test_edges_that_cross_are_found_as_signs_of_areas_of_all_pairs_tell_them(
     places: list[tuple[int, int]],
 ) -> None:
-    edges = list(zip(places, places[1:] + places[:1], strict=True))
-    lines = [shapely.LineString(edge) for edge in edges if edge[0] != edge[1]]
-    crosses = any(a.crosses(b) and not touches(a, b) for a in lines for b in lines)
-    assert (rules.first_crossing(np.array(places, dtype=float)) is not None) == crosses
+    ends = np.roll(corners := np.array(places, dtype=float), -1, axis=0)
+    crosses = any(
+        sides(a, b, c, d) < 0 and sides(c, d, a, b) < 0
+        for (a, b), (c, d) in combinations(zip(corners, ends, strict=True), 2)
+    )
+    assert (rules.first_crossing(corners) is not None) == crosses
 
 
-def touches(a: shapely.LineString, b: shapely.LineString) -> bool:
-    """Whether an end of one lies on the other."""
-    ends = [(a, shapely.Point(end)) for end in b.coords] + [
-        (b, shapely.Point(end)) for end in a.coords
-    ]
-    return any(line.intersects(end) for line, end in ends)
+def sides(a: Any, b: Any, *points: Any) -> float:
+    """Negative if two points lie on different sides of the line from a to b."""
+    (n, e), offs = b - a, [point - a for point in points]
+    one, other = (n * off[1] - e * off[0] for off in offs)
+    return float(one * other)
 
 
 @pytest.mark.parametrize(
