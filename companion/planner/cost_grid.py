@@ -94,7 +94,7 @@ class CostGrid:
             extra=np.zeros(self.shape),
             changed=np.zeros(self.lattice_shape, dtype=bool),
         )
-        self._lattice, self._scale = _lattice_of(known), _scale(task, known, every)
+        self._kind, self._scale = _kind_of(known, task), _scale(task, known, every)
         # what the costs are of, to be compared with: copies that nobody else changes
         self._upper_m = np.full(known.shape, np.inf)
         self._surveyed = np.zeros(known.shape, dtype=bool)
@@ -121,7 +121,7 @@ class CostGrid:
 
     def fits(self, known: KnownMap, task: Task) -> bool:
         """Whether it can be brought up to date with a map; else a new one is to be made."""
-        return self.task == task and self._lattice == _lattice_of(known)
+        return self._kind == _kind_of(known, task)
 
     def update(self, known: KnownMap, here_ne_m: Place) -> BoolArray:
         """Costs as they are now.  -> the lattice points with an edge whose cost has changed.
@@ -176,7 +176,7 @@ class CostGrid:
         before_m, self._told_m = self._told_m, guess_m
         if guess_m is None or guess_m is before_m:
             return False
-        if before_m is not None and np.array_equal(guess_m.view(int), before_m.view(int)):
+        if before_m is not None and np.array_equal(guess_m.view(np.int64), before_m.view(np.int64)):
             return False
         row, column = (
             np.minimum(self._scale.every * np.arange(count), cut - 1)
@@ -276,8 +276,8 @@ def _scale(task: Task, known: KnownMap, every: int) -> Scale:
     )
 
 
-def _lattice_of(known: KnownMap) -> tuple[Lattice, float, bool]:
-    return known.bare(), known.registration_m, known.guess_m is None
+def _kind_of(known: KnownMap, task: Task) -> tuple[Task, Lattice, float, bool]:
+    return task, known.bare(), known.registration_m, known.guess_m is None
 
 
 def zones_on_lattice(

@@ -98,7 +98,8 @@ def cost_to_go(
     """
     mine = memory if memory is not None else _idle.pop() if _idle else Memory()
     grid, costs, window = _solved(mine, known, task, belief, here_ne_m, target_ne_m)
-    most_m = _most_m(grid, costs, here_ne_m)
+    beyond_m = _BEYOND_RANGES * task.settings.scan_range_m
+    most_m = float(costs.cost[grid.around(here_ne_m)].min()) + beyond_m  # so far costs are right
     route = _route_ne_m(grid, costs, (here_ne_m, target_ne_m), most_m)
     value, needed = _surfaces(grid, costs, window, target_ne_m, most_m)
     is_barred = grid.bars(np.array(route))
@@ -135,12 +136,6 @@ def _solved(
         grid.samples, costs, dirty, grid.around(here_ne_m), _BEYOND_RANGES * range_m, window
     )
     return grid, costs, window
-
-
-def _most_m(grid: CostGrid, costs: Costs, here_ne_m: Place) -> float:
-    """Costs are right as far as they are no more than this."""
-    beyond_m = _BEYOND_RANGES * grid.task.settings.scan_range_m
-    return float(costs.cost[grid.around(here_ne_m)].min()) + beyond_m
 
 
 def _route_ne_m(

@@ -180,7 +180,6 @@ def _gaps_m(request: PlanRequest, *zones: Zone, at_ne_m: FloatArray | None = Non
 
 _ENDS = 24  # of a straight piece that are tried, the farthest first
 _NEARER = 0.8  # each is so far away, of the one before
-_GAIN_CELLS = 1.0  # of way: a place from which not so much less is left to fly is no better
 _SEAM_CELLS = 3.0  # beyond the clearance, of places next to what is unknown
 _SEEN = 7.0  # steps: what one more costs that a radar sees from near (eq. 10, as guidance has it)
 _STOP = 0.25  # of R: what a stop costs at least, as another plan may turn back
@@ -251,7 +250,7 @@ class _Pieces:
         places_ne_m, way_m, before = self._reached()
         reached, left_m = np.isfinite(way_m), np.full(len(way_m), math.inf)
         left_m[reached] = self._prices.to_go_m(self._at(places_ne_m[reached], way_m[reached]))
-        is_nearer = left_m.min(initial=math.inf) <= self._left_here_m - _GAIN_CELLS * self._cell_m
+        is_nearer = left_m.min(initial=math.inf) <= self._left_here_m - self._cell_m  # by a cell
         goals = _least(left_m) if is_nearer else []
         if looks:
             goals += _least(np.where(self._sees_more(places_ne_m), left_m + way_m, math.inf))
@@ -375,7 +374,7 @@ class _Pieces:
 def _least(costs: FloatArray) -> list[int]:
     """Which places cost the least, a few of them, the best first.  (N,) -> indices."""
     best = np.argsort(costs, kind="stable")[:_AFTER]
-    return [int(each) for each in best[np.isfinite(costs[best])]]
+    return list(best[np.isfinite(costs[best])].tolist())
 
 
 # --- where there is no way

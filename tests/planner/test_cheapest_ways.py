@@ -190,3 +190,22 @@ def test_what_is_needed_is_the_most_that_the_way_asks_for_less_what_can_be_climb
             flown_m += STEP_M * math.dist(places[-1], target[:2])
             most = max(most, target[2] - steepness * flown_m)
             assert needed_m[row - 2, column] == pytest.approx(most, abs=1e-9)
+
+
+@given(seed=st.integers(0, 10**6))
+def test_costly_points_beside_free_ones_cost_what_these_do_and_on_a_thin_wall_the_dearest(
+    seed: int,
+) -> None:
+    """Else what costs less beyond the wall draws towards it, and it is flown along."""
+    rng = np.random.default_rng(seed)
+    before = rng.choice([10.0, 20.0, 300.0], (9, 7)) + rng.random((9, 7))
+    costly, after = rng.random((9, 7)) < 0.6, before.copy()
+    compiled(cheapest_ways.smooth_edges)(after, costly, 50.0)
+    assert (after[~costly] == before[~costly]).all()
+    for i, j in np.argwhere(costly).tolist():
+        near = slice(max(i - 1, 0), i + 2), slice(max(j - 1, 0), j + 2)
+        free = before[near][~costly[near]]
+        most = math.inf
+        if len(free):
+            most = free.max() if np.ptp(free) > 50.0 else free.mean()
+        assert after[i, j] == pytest.approx(min(before[i, j], most))

@@ -3,12 +3,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from brute_force import violations
 from planning import BLANK, TASK, TRUTH, ask, column_distance_m, spline, zone_distance_m
 
+from companion.path.subpath import Subpath
+from companion.planner.field import cost_to_go
 from companion.planner.plan import plan
+from companion.planner.price import Prices
 from companion.planner.request import NotPlanned, Planned, Refusal
 from companion.planner.settings import Task
-from companion.planner.way_out import escape
+from companion.planner.way_out import way_out
 from companion.world.known_map import KnownMap
 from companion.world.zones import CircleZone, PolygonZone, Zone
 
@@ -117,12 +121,9 @@ def bar(south: float, north: float, west: float = 700.0, east: float = 2_300.0) 
 def test_out_of_zones_the_way_is_short_and_leads_deeper_into_none_unless_it_is_much_shorter(
     zones: tuple[Zone, ...], shortest_m: float, deeper: bool
 ) -> None:
-    """From its end a plan begins."""
-    task = replace(TASK, zones=zones)
-    outcome = escaped(task, TRUTH, HERE)
+    outcome = escaped(replace(TASK, zones=zones), TRUTH, HERE)
     points = along(outcome)
     assert depth_m(zones, points)[-1] >= REQUIRED_M
-    assert escape(ask(task, TRUTH, outcome.subpath.pose(math.inf).point_nea_m)) is None
     assert outcome.subpath.length_m <= 1.1 * shortest_m + 70.0
     for zone in zones:
         gap_m = zone_distance_m(zone, *points[:, :2].T)
@@ -140,3 +141,25 @@ def test_out_of_a_zone_that_is_larger_than_sight_it_flies_on_towards_the_edge() 
     assert (np.diff(depths_m) >= -1e-6).all()
     outcome = escaped(replace(TASK, zones=()), TRUTH, (7_970.0, 1_500.0, 600.0))
     assert along(outcome)[-1, 0] <= 8_000.0 - REQUIRED_M
+
+
+def test_from_the_end_of_a_way_out_a_plan_begins() -> None:
+    end = escaped(TASK, TRUTH, (2_300.0, 4_600.0, 600.0)).subpath.pose(math.inf).point_nea_m
+    after = plan(ask(TASK, TRUTH, end))
+    assert isinstance(after, Planned)
+    assert after.evaluations > 0
+    assert violations(after.subpath.control_nea_m, TASK, TRUTH, from_rest=True) == []
+
+
+def test_of_straight_pieces_those_that_no_radar_sees_are_tried_first() -> None:
+    here, tried = (5_500.0, 3_300.0, 600.0), list[Subpath]()
+    request, (radar,) = ask(TASK, TRUTH, here), TASK.radars
+    prices = Prices(TASK, cost_to_go(TRUTH, TASK, here[:2], request.target_ne_m))
+    nothing = way_out(request, prices, tried.append, looks=True, strays=True)
+    ways = [spline(each.control_nea_m)(np.linspace(0.0, 1.0, 50)) for each in tried]
+    for climbs in (False, True):
+        some = [way for way in ways if bool(way[-1, 2] > here[2]) is climbs]
+        is_seen = [bool((radar.distance_m(way) < radar.range_m).any()) for way in some]
+        assert 0 < sum(is_seen) < len(is_seen)
+        assert is_seen == sorted(is_seen)
+    assert nothing is None  # is proven

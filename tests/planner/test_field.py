@@ -238,17 +238,6 @@ def a_scene(seed: int) -> tuple[Task, KnownMap]:
     return task, replace(known, guess_m=np.full_like(terrain, -np.inf))  # free beyond
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_along_the_route_the_cost_falls_all_the_way(seed: int) -> None:
-    task, known = a_scene(seed)
-    target = 58e3, 57e3
-    points = along(cost_to_go(known, task, (2e3, 2e3), target).route_ne_m, 1_000.0)
-    values = np.array([value(cost_to_go(known, task, (n, e), target), (n, e)) for n, e in points])
-    assert values[0] > 70e3
-    assert np.diff(values).max() <= 0.4 * CELL  # interpolation beside threats is not exact
-    assert (values - np.minimum.accumulate(values)).max() <= CELL
-
-
 @pytest.mark.parametrize("seed", range(12))
 def test_what_is_remembered_changes_no_answer(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Scans, other targets, zones and places; ground told or guessed; coarse; near things."""
