@@ -232,17 +232,13 @@ def _again(u: int, grid: Grid, costs: Costs, least_m: FloatArray) -> None:
     rows, columns = grid.rows, grid.columns
     row, column = u // columns, u % columns
     is_within = _is_within(row, rows) and _is_within(column, columns)
-    best, via, before = costs.seed[u], -1, costs.via[u]
-    if before >= 0:  # the one of before first: then most others need no look
-        best, via = costs.cost[u + grid.jump[before]] + edge_m(grid, row, column, before), before
-        if best >= costs.seed[u]:
-            best, via = costs.seed[u], -1
+    best, via = costs.seed[u], -1
     for k in range(len(DIRECTIONS)):
         if is_within or _leads_on(row, column, rows, columns, k):
             there = costs.cost[u + grid.jump[k]]
-            if there + least_m[k] <= best and k != before and there < math.inf:
+            if there + least_m[k] < best:  # else the edge needs no look
                 by_it = there + edge_m(grid, row, column, k)
-                if by_it < best or (by_it == best and k < via):
+                if by_it < best:
                     best, via = by_it, k
     costs.ahead[u], costs.via[u] = best, via
 
