@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from companion.geodesy import BoolArray, FloatArray
 
 IndexArray = NDArray[np.int64]
+Box = tuple[int, int, int, int]
+"""First row, the row behind the last; first column, the column behind the last."""
 
 _FARTHEST = 4  # lattice points north or east that an edge leads at most
 _ROUNDED = 1.0 - 1e-9  # a mean of costs, 1 or more, may be lower than that by so much
@@ -45,26 +47,23 @@ _LENGTHS = np.hypot(DIRECTIONS[:, 0], DIRECTIONS[:, 1])  # in cells of the latti
 _HALF = len(DIRECTIONS) // 2
 
 
-def _on_edges() -> tuple[IndexArray, FloatArray]:
-    """Where the edges of 24 directions cross rows or columns of samples.
+_PIECES = 2 * np.abs(DIRECTIONS[:_HALF]).max(axis=1)
+"""Of edges of 24 directions, between the rows or columns of samples that they cross: twice as many
+as the longer side has points of the lattice."""
 
-    One more than twice the length of the longer side.  -> for each the two samples beside it, from
-    the one at the edge's beginning, (24, 9, 4), and the share of the second, (24, 9).
+
+def _on_edges() -> tuple[IndexArray, IndexArray, FloatArray]:
+    """Where the edges of 24 directions cross rows or columns, from their beginnings on.
+
+    -> for each the rows and columns of the two samples beside it, (24, 9, 2) x2, and the share of
+    the second, (24, 9).  Beyond an edge's end they mean nothing.
     """
-    samples = np.zeros((_HALF, 2 * _FARTHEST + 1, 4), dtype=np.int64)
-    share = np.zeros(samples.shape[:2])
-    for k, (north, east) in enumerate(DIRECTIONS[:_HALF].tolist()):
-        pieces = 2 * max(north, abs(east))
-        for p in range(pieces + 1):
-            (i, u), (j, v) = divmod(2 * north * p, pieces), divmod(2 * east * p, pieces)
-            samples[k, p] = i, j, i + (u > 0), j + (v > 0)
-            share[k, p] = (u + v) / pieces  # one of them is 0
-    return samples, share
+    pieces, crossing = _PIECES[:, None, None], np.arange(2 * _FARTHEST + 1)[:, None]
+    first, rest = np.divmod(2 * DIRECTIONS[:_HALF, None] * crossing, pieces)
+    return first, first + (rest > 0), rest.sum(axis=-1) / pieces[..., 0]  # one rest of two is 0
 
 
-_SAMPLES, _SHARES = _on_edges()
-
-_PIECES = 2 * np.abs(DIRECTIONS[:_HALF]).max(axis=1)  # of edges, between those rows or columns
+_FIRST, _SECOND, _SHARES = _on_edges()
 
 
 class Grid(NamedTuple):
@@ -89,16 +88,17 @@ class Grid(NamedTuple):
 
     @staticmethod
     def empty(rows: int, columns: int, step_m: float) -> "Grid":
-        """Of so many samples, whose costs are not known yet."""
-        beside = _SAMPLES[:, :, 0::2] * columns + _SAMPLES[:, :, 1::2]
+        """Of so many lattice points, whose costs are not known yet."""
+        across = 2 * columns - 1
+        count = (2 * rows - 1) * across
         return Grid(
-            rows=(rows + 1) // 2,
-            columns=(columns + 1) // 2,
+            rows=rows,
+            columns=columns,
             step_m=step_m,
-            cost=np.zeros(rows * columns),
-            lowest_m=np.full(rows * columns, -np.inf),
-            beside=np.ascontiguousarray(beside),
-            jump=DIRECTIONS[:, 0] * ((columns + 1) // 2) + DIRECTIONS[:, 1],
+            cost=np.zeros(count),
+            lowest_m=np.full(count, -np.inf),
+            beside=np.stack([each @ (across, 1) for each in (_FIRST, _SECOND)], axis=-1),
+            jump=DIRECTIONS[:, 0] * columns + DIRECTIONS[:, 1],
         )
 
 
@@ -144,7 +144,7 @@ def repair(
     dirty: BoolArray,
     here: IndexArray,
     beyond_m: float,
-    window: tuple[int, int, int, int],
+    window: Box,
 ) -> int:
     """Make costs right again as far as they matter.  How often a point was looked at.
 
@@ -153,7 +153,6 @@ def repair(
     here, beyond_m, window: costs matter in a window, and on the ways on from there, up to so much
     more than the least of some points.  Others are left as they are until they do; what is stored
     of those in the window is more than that.
-    window: first and last row, first and last column, without the last.
     """
     rows, columns = grid.rows, grid.columns
     cost, ahead, via = costs.cost, costs.ahead, costs.via
@@ -209,9 +208,7 @@ def repair(
     return looked
 
 
-def _key(
-    u: int, costs: Costs, columns: int, window: tuple[int, int, int, int], step_m: float
-) -> float:
+def _key(u: int, costs: Costs, columns: int, window: Box, step_m: float) -> float:
     """No way from the window over a point costs less."""
     row, column = u // columns, u % columns
     north = max(max(window[0] - row, row - window[1] + 1), 0)
@@ -235,65 +232,47 @@ def _again(u: int, grid: Grid, costs: Costs, least_m: FloatArray) -> None:
     rows, columns = grid.rows, grid.columns
     row, column = u // columns, u % columns
     is_within = _is_within(row, rows) and _is_within(column, columns)
-    best, via, before = costs.seed[u], -1, costs.via[u]
-    if before >= 0:  # the one of before first: then most others need no look
-        best, via = costs.cost[u + grid.jump[before]] + edge_m(grid, row, column, before), before
-        if best >= costs.seed[u]:
-            best, via = costs.seed[u], -1
+    best, via = costs.seed[u], -1
     for k in range(len(DIRECTIONS)):
         if is_within or _leads_on(row, column, rows, columns, k):
             there = costs.cost[u + grid.jump[k]]
-            if there + least_m[k] <= best and k != before and there < math.inf:
+            if there + least_m[k] < best:  # else the edge needs no look
                 by_it = there + edge_m(grid, row, column, k)
-                if by_it < best or (by_it == best and k < via):
+                if by_it < best:
                     best, via = by_it, k
     costs.ahead[u], costs.via[u] = best, via
 
 
-def touch(changed: BoolArray, box: tuple[int, int, int, int], touched: BoolArray) -> None:
-    """Mark the lattice points, (rows, columns), that have an edge over a changed sample.
+def touch(changed: BoolArray, touched: BoolArray) -> None:
+    """Mark the lattice points that may have an edge over a changed sample, (rows, columns) both.
 
-    changed: all False again afterwards; box: first row, the row behind the last, first column, the
-    column behind the last, one more sample on each side may have changed.
+    changed: of the points whose own sample, or the next one to the north or east, has changed; all
+    False again afterwards.
     """
     rows, columns = touched.shape
-    first, last = max((box[0] - 1) // 2, 0), min((box[1] + 2) // 2, rows)
-    for row in range(first, last):
+    for row in range(rows):
         until = 0  # the column up to which points beside this row are marked
-        for j in range(max(box[2] - 1, 0), min(box[3] + 1, changed.shape[1])):
-            is_changed = changed[2 * row, j]
-            changed[2 * row, j] = False
-            if 2 * row + 1 < changed.shape[0]:
-                is_changed |= changed[2 * row + 1, j]
-                changed[2 * row + 1, j] = False
-            if is_changed:
-                begin, end = max(j // 2 - _FARTHEST, until, 0), min(j // 2 + _FARTHEST + 2, columns)
+        for column in range(columns):
+            if changed[row, column]:
+                changed[row, column] = False
+                begin = max(column - _FARTHEST, until)
+                until = min(column + _FARTHEST + 2, columns)
                 for i in range(max(row - _FARTHEST, 0), min(row + _FARTHEST + 2, rows)):
-                    touched[i, begin:end] = True
-                until = max(until, end)
-
-
-def next_of(grid: Grid, costs: Costs, u: int) -> int:
-    """The next point on the cheapest way from a point; -1 behind a seed."""
-    k = costs.via[u]
-    return int(u + grid.jump[k]) if k >= 0 else -1
+                    touched[i, begin:until] = True
 
 
 def way_from(grid: Grid, costs: Costs, u: int) -> IndexArray:
     """The points of the cheapest way from a point on."""
-    way = np.empty(len(costs.cost), dtype=np.int64)
-    count = 0
-    while u >= 0:
-        way[count] = u
-        count += 1
-        u = next_of(grid, costs, u)
-    return way[:count].copy()
+    way = [u]
+    while (k := costs.via[way[-1]]) >= 0:
+        way.append(int(way[-1] + grid.jump[k]))
+    return np.array(way)
 
 
 def needed_m(
     grid: Grid,
     costs: Costs,
-    window: tuple[int, int, int, int],
+    window: Box,
     most_m: float,
     steepness: float,
     target: tuple[float, float, float],
@@ -301,7 +280,6 @@ def needed_m(
     """The lowest altitude from which the cheapest way on can be climbed, of the points of a window.
 
     What the way asks for later, less what can be climbed until then.
-    window: first and last row, first and last column, without the last.
     most_m: of points that cost more, what is asked for there.
     target: row and column among the samples and the altitude that the terrain asks for there.
     """
@@ -318,7 +296,8 @@ def needed_m(
                 depth += 1
                 if costs.cost[u] > most_m:
                     break
-                u = next_of(grid, costs, u)
+                k = costs.via[u]
+                u = u + grid.jump[k] if k >= 0 else -1
             while depth:
                 depth -= 1
                 v = stack[depth]
@@ -342,13 +321,13 @@ def needed_m(
 
 
 def lines_m(grid: Grid, begin: FloatArray, end: FloatArray) -> FloatArray:
-    """Costs of straight lines between places, rows and columns among the samples.  (K, 2) x2.
+    """Costs of straight lines from a place, (2,), to others, (K, 2) -> (K,).
 
-    Places beside the grid count as the nearest on it.
+    Rows and columns among the samples.  Places beside the grid count as the nearest on it.
     """
     result = np.empty(len(end))
     for k in range(len(end)):
-        result[k] = _line_m(grid, begin[k], end[k], math.inf)
+        result[k] = _line_m(grid, begin, end[k], math.inf)
     return result
 
 
@@ -409,17 +388,12 @@ def smooth_edges(value: FloatArray, costly: BoolArray, one_side: float) -> None:
     Their mean, or their maximum where they differ by more than one_side: then they lie on two sides
     of something thin, and what costs less beyond a wall must not draw towards it.
     """
-    rows, columns = value.shape
-    for r in range(rows):
-        for c in range(columns):
-            if costly[r, c]:
-                count, total, lowest, highest = 0, 0.0, math.inf, -math.inf
-                for i in range(max(r - 1, 0), min(r + 2, rows)):
-                    for j in range(max(c - 1, 0), min(c + 2, columns)):
-                        if not costly[i, j]:
-                            count += 1
-                            total += value[i, j]
-                            lowest, highest = min(lowest, value[i, j]), max(highest, value[i, j])
-                if count:
-                    beside = total / count if highest - lowest < one_side else highest
-                    value[r, c] = min(value[r, c], beside)
+    for place, is_costly in np.ndenumerate(costly):
+        if is_costly:
+            south, west = max(place[0] - 1, 0), max(place[1] - 1, 0)
+            about = slice(south, place[0] + 2), slice(west, place[1] + 2)
+            beside = value[about].ravel()[~costly[about].ravel()]
+            if len(beside) > 0:
+                is_thin = beside.max() - beside.min() >= one_side
+                most = beside.max() if is_thin else beside.mean()
+                value[place] = min(value[place], most)

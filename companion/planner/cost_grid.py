@@ -23,13 +23,12 @@ import math
 from typing import final
 
 import numpy as np
-import scipy
 
 from companion import jit
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner import cheapest_ways, cost_samples
-from companion.planner.cheapest_ways import Grid, IndexArray
-from companion.planner.cost_samples import BLOCKED, Box, Ground, Scale
+from companion.planner.cheapest_ways import Box, Grid, IndexArray
+from companion.planner.cost_samples import BLOCKED, Ground, Scale
 from companion.planner.settings import Task
 from companion.world.guess import Blocks, believed_m
 from companion.world.known_map import KnownMap, Lattice
@@ -69,51 +68,68 @@ class CostGrid:
 
     def __init__(self, known: KnownMap, task: Task, belief: Belief = Belief.GUESSED) -> None:
         """Of a map of which nothing is known: `update` says what is."""
-        most = max(known.upper_m.shape)
         every = max(
             round(task.settings.scan_range_m / (_STEPS_PER_RANGE * known.cell_m)),
-            math.ceil(most / (2 * _MOST_CELLS)),
+            math.ceil(max(known.shape) / (2 * _MOST_CELLS)),
             1,
         )
-        rows, columns = (2 * max(size // (2 * every), 1) + 1 for size in known.upper_m.shape)
+        height, width = known.shape
+        rows, columns = max(height // (2 * every), 1) + 1, max(width // (2 * every), 1) + 1
         self.task, self.belief = task, belief
         self.corner_ne_m = known.north_min_m, known.east_min_m
         """Of the first sample."""
-        self.samples = Grid.empty(rows, columns, every * known.cell_m)
-        self._lattice = _lattice_of(known)
-        self._scale = _scale(task, known, every)
+        self.step_m = every * known.cell_m
+        """Distance between samples: half a cell of the lattice."""
+        self.shape = 2 * rows - 1, 2 * columns - 1
+        """Rows and columns of samples."""
+        self.lattice_shape = rows, columns
+        """Rows and columns of lattice points."""
+        self.samples = Grid.empty(rows, columns, self.step_m)
+        self.ground = Ground(
+            seen_m=np.full(self.shape, -np.inf),
+            guess_m=np.full(self.shape, task.limits.floor_amsl_m),
+            shut=self._shut(known),
+            costly=np.zeros(self.shape, dtype=bool),
+            beside=np.zeros(self.shape),
+            extra=np.zeros(self.shape),
+            changed=np.zeros(self.lattice_shape, dtype=bool),
+        )
+        self._kind, self._scale = _kind_of(known, task), _scale(task, known, every)
         # what the costs are of, to be compared with: copies that nobody else changes
-        self._upper_m = np.full(known.upper_m.shape, np.inf)
-        self._surveyed = np.zeros(known.upper_m.shape, dtype=bool)
+        self._upper_m = np.full(known.shape, np.inf)
+        self._surveyed = np.zeros(known.shape, dtype=bool)
         self._told_m: FloatArray | None = None
         self._blocks = Blocks(known.shape, 2 * every)
-        self._open = np.ones((rows, columns), dtype=bool)
+        self._open = np.ones(self.shape, dtype=bool)
         """The samples beside which nothing has been told: there it may be guessed."""
         self._everywhere = True
         """Whether all samples are to be looked at next time: at first, and after a guess."""
-        self._ground = Ground(
-            seen_m=np.full((rows, columns), -np.inf),
-            guess_m=np.full((rows, columns), self._scale.floor_m),
-            shut=_shut(task, known, self.step_m, (rows, columns)),
-            costly=np.zeros((rows, columns), dtype=bool),
-            beside=np.zeros((rows, columns)),
-            extra=np.zeros((rows, columns)),
-            changed=np.zeros((rows, columns), dtype=bool),
-        )
+
+    def _shut(self, known: KnownMap) -> BoolArray:
+        """Where zones forbid to be, or what is beyond the map, which may be terrain."""
+        task = self.task
+        shut = zones_on_lattice(
+            task, self.corner_ne_m, self.step_m, self.shape, task.zone_search_clearance_m
+        ).copy()
+        for axis, (low, cells) in enumerate(zip(self.corner_ne_m, known.shape, strict=True)):
+            at = low + self.step_m * np.arange(self.shape[axis])
+            inside_m = np.minimum(at - low, low + cells * known.cell_m - at)
+            shut |= np.expand_dims(inside_m < task.search_clearance_m, 1 - axis)
+        return shut
 
     # --- what is known
 
     def fits(self, known: KnownMap, task: Task) -> bool:
         """Whether it can be brought up to date with a map; else a new one is to be made."""
-        return self.task == task and self._lattice == _lattice_of(known)
+        return self._kind == _kind_of(known, task)
 
     def update(self, known: KnownMap, here_ne_m: Place) -> BoolArray:
         """Costs as they are now.  -> the lattice points with an edge whose cost has changed.
 
         here_ne_m: what was seen is continued about it where it was not; not without guesses.
         """
-        ground, box = self._ground, self._look_at(known)
-        guess_m = self._continued_m(known, here_ne_m) if self._is_guessed() else None
+        ground, box = self.ground, self._look_at(known)
+        guess_m = self._continued_m(known, here_ne_m) if self._is_guessed else None
         if guess_m is not None or self._everywhere:
             ground.guess_m[:] = self._scale.floor_m if guess_m is None else guess_m
             box = 0, self.shape[0], 0, self.shape[1]
@@ -127,59 +143,62 @@ class CostGrid:
 
     def _look_at(self, known: KnownMap) -> Box:
         """Take over what is known.  -> the samples that may ask for another altitude."""
-        scale, size, surveyed = self._scale, known.shape, known.surveyed
+        every, surveyed = self._scale.every, known.surveyed
         cells = jit.compiled(cost_samples.changed)(
             self._upper_m, self._surveyed, known.upper_m, surveyed
         )
-        told_m, self._told_m = self._told_m, known.guess_m  # the same one again is told by identity
-        if known.guess_m is not None and not _same(known.guess_m, told_m):
-            cells = 0, size[0], 0, size[1]
-            row, column = (
-                np.minimum(scale.every * np.arange(count), cut - 1)
-                for count, cut in zip(self.shape, size, strict=True)
-            )
-            self._open = np.isnan(known.guess_m[np.ix_(row, column)])
+        if self._is_told_anew(known.guess_m):
+            cells = 0, known.shape[0], 0, known.shape[1]
         if cells[0] >= cells[1]:
             return 0, 0, 0, 0
         window = slice(*cells[:2]), slice(*cells[2:])
         self._upper_m[window], self._surveyed[window] = known.upper_m[window], surveyed[window]
-        if self._is_guessed():
+        if self._is_guessed:
             self._blocks.update(known, window)
-        reach, box, about = len(scale.rises_m), list[int](), list[slice]()
-        for part, count, cut in zip(window, self.shape, size, strict=True):
-            low = max((part.start - reach) // scale.every, 0)
-            high = min((part.stop + reach) // scale.every + 1, count)
+        reach, box, about = len(self._scale.rises_m), list[int](), list[slice]()
+        for part, count, cut in zip(window, self.shape, known.shape, strict=True):
+            low = max((part.start - reach) // every, 0)
+            high = min((part.stop + reach) // every + 1, count)
             box += [low, high]
-            first, last = low * scale.every - reach, high * scale.every + reach
-            about.append(slice(max(first, 0), min(last, cut)))
+            about.append(slice(max(low * every - reach, 0), min(high * every + reach, cut)))
         tops_m = believed_m(known, *about)
         if self.belief is Belief.BOUNDED:
             bound_m = known.upper_m[*about]
             tops_m = np.where(np.isfinite(bound_m), bound_m, tops_m)
         first = about[0].start, about[1].start
-        jit.compiled(cost_samples.raise_to)(self._ground.seen_m, tuple(box), tops_m, first, scale)
+        jit.compiled(cost_samples.raise_to)(
+            self.ground.seen_m, tuple(box), tops_m, first, self._scale
+        )
         return self._gone_on((box[0], box[1], box[2], box[3]))
+
+    def _is_told_anew(self, guess_m: FloatArray | None) -> bool:
+        """Take over what is told for guidance; whether it is other than before, to the last bit."""
+        before_m, self._told_m = self._told_m, guess_m
+        if guess_m is None or guess_m is before_m:
+            return False
+        if before_m is not None and np.array_equal(guess_m.view(np.int64), before_m.view(np.int64)):
+            return False
+        row, column = (
+            np.minimum(self._scale.every * np.arange(count), cut - 1)
+            for count, cut in zip(self.shape, guess_m.shape, strict=True)
+        )
+        self._open = np.isnan(guess_m[np.ix_(row, column)])
+        return True
 
     def _gone_on(self, box: Box) -> Box:
         """How what stands near goes on, where samples have changed.  -> where that has."""
-        if not self.task.settings.is_near or self.belief is not Belief.GUESSED:
-            return box
-        far = _GOES_ON_RANGES * self.task.settings.scan_range_m / self.step_m
-        by, (rows, across) = math.ceil(far), self.shape
-        changed, looked = (
-            (max(box[0] - k, 0), min(box[1] + k, rows), max(box[2] - k, 0), min(box[3] + k, across))
-            for k in (by, 2 * by)
+        far, (rows, columns) = 0.0, self.shape
+        if self.task.settings.is_near and self.belief is Belief.GUESSED:
+            far = _GOES_ON_RANGES * self.task.settings.scan_range_m / self.step_m
+        by = math.ceil(far)
+        (south, north), (west, east) = box[:2], box[2:]
+        box = max(south - by, 0), min(north + by, rows), max(west - by, 0), min(east + by, columns)
+        jit.compiled(cost_samples.go_on)(
+            self.ground.seen_m, self._scale.highest_m, box, far, _GOES_ON, self.ground.beside
         )
-        stands = self._ground.seen_m[looked[0] : looked[1], looked[2] : looked[3]]
-        away = scipy.ndimage.distance_transform_edt(stands <= self._scale.highest_m)
-        inside = away[
-            changed[0] - looked[0] : changed[1] - looked[0],
-            changed[2] - looked[2] : changed[3] - looked[2],
-        ]
-        beside = (inside < far) & (stands > self._scale.highest_m).any()
-        self._ground.beside[changed[0] : changed[1], changed[2] : changed[3]] = _GOES_ON * beside
-        return changed
+        return box
 
+    @property
     def _is_guessed(self) -> bool:
         """Whether anything is."""
         return self.belief is Belief.GUESSED and bool(self._open.any())
@@ -199,57 +218,33 @@ class CostGrid:
 
     # --- places
 
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of samples."""
-        return 2 * self.samples.rows - 1, 2 * self.samples.columns - 1
-
-    @property
-    def lattice_shape(self) -> tuple[int, int]:
-        """Rows and columns of lattice points."""
-        return self.samples.rows, self.samples.columns
-
-    @property
-    def step_m(self) -> float:
-        """Distance between samples: half a cell of the lattice."""
-        return self.samples.step_m
-
-    @property
-    def costly(self) -> BoolArray:
-        """The samples that are blocked, or seen by a radar."""
-        return self._ground.costly
-
     def sample_of(self, points_ne_m: FloatArray) -> FloatArray:
         """Row and column among the samples, not rounded.  (..., 2) -> (..., 2)."""
         return (points_ne_m - self.corner_ne_m) / self.step_m
 
     def points_m(self, index: IndexArray) -> FloatArray:
         """North, east of lattice points.  (K,) -> (K, 2)."""
-        return self.corner_ne_m + 2.0 * self.step_m * np.stack(
-            np.divmod(index, self.samples.columns), axis=-1
-        )
+        row_column = np.stack(np.divmod(index, self.lattice_shape[1]), axis=-1)
+        return self.corner_ne_m + 2.0 * self.step_m * row_column
 
-    def box_about(self, place: Place, reach: int) -> tuple[slice, slice]:
-        """Rows and columns of the lattice points up to so many from the one nearest to a place."""
+    def box_about(self, place: Place, reach: int) -> Box:
+        """The lattice points up to so many rows and columns from the one nearest to a place."""
         last = np.array(self.lattice_shape) - 1
-        row, column = np.clip(np.rint(self.sample_of(np.array(place)) / 2.0), 0, last).tolist()
-        rows, columns = (
-            slice(max(int(m) - reach, 0), min(int(m) + reach, n) + 1)
-            for m, n in zip((row, column), last.tolist(), strict=True)
-        )
-        return rows, columns
+        middle = np.clip(np.rint(self.sample_of(np.array(place)) / 2.0), 0, last).astype(int)
+        (south, west), (north, east) = np.clip([middle - reach, middle + reach], 0, last).tolist()
+        return south, north + 1, west, east + 1
 
     def around(self, place: Place) -> IndexArray:
         """The lattice points that are joined to a place directly.  -> (K,)."""
-        rows, columns = self.box_about(place, _REACH_CELLS)
-        first = self.samples.columns * np.arange(rows.start, rows.stop)
-        return np.add.outer(first, np.arange(columns.start, columns.stop)).ravel()
+        south, north, west, east = self.box_about(place, _REACH_CELLS)
+        first = self.lattice_shape[1] * np.arange(south, north)
+        return np.add.outer(first, np.arange(west, east)).ravel()
 
     def lines_m(self, place: Place, to_ne_m: FloatArray) -> FloatArray:
         """Costs of straight lines from a place.  (K, 2) -> (K,)."""
-        end = self.sample_of(to_ne_m)
-        begin = np.tile(self.sample_of(np.array(place)), (len(end), 1))
-        costs: FloatArray = jit.compiled(cheapest_ways.lines_m)(self.samples, begin, end)
+        costs: FloatArray = jit.compiled(cheapest_ways.lines_m)(
+            self.samples, self.sample_of(np.array(place)), self.sample_of(to_ne_m)
+        )
         return costs
 
     def bars(self, route_ne_m: FloatArray) -> bool:
@@ -281,30 +276,19 @@ def _scale(task: Task, known: KnownMap, every: int) -> Scale:
     )
 
 
-def _shut(task: Task, known: KnownMap, step_m: float, shape: tuple[int, int]) -> BoolArray:
-    """Where zones forbid to be, or what is beyond the map, which may be terrain."""
-    corner_m = known.north_min_m, known.east_min_m
-    north, east = (low + step_m * np.arange(n) for low, n in zip(corner_m, shape, strict=True))
-    shut = np.zeros(shape, dtype=bool)
-    if task.zones:
-        places = tuple(north.tolist()), tuple(east.tolist())
-        shut |= too_near(task.zones, *places, task.zone_search_clearance_m)
-    for axis, at in enumerate((north, east)):
-        low, size_m = corner_m[axis], known.upper_m.shape[axis] * known.cell_m
-        is_near = np.minimum(at - low, low + size_m - at) < task.search_clearance_m
-        shut |= is_near[:, None] if axis == 0 else is_near
-    return shut
+def _kind_of(known: KnownMap, task: Task) -> tuple[Task, Lattice, float, bool]:
+    return task, known.bare(), known.registration_m, known.guess_m is None
 
 
-def _lattice_of(known: KnownMap) -> tuple[Lattice, float, bool]:
-    return known.bare(), known.registration_m, known.guess_m is None
+def zones_on_lattice(
+    task: Task, corner_ne_m: Place, step_m: float, shape: tuple[int, int], near_m: float
+) -> BoolArray:
+    """The points of a lattice that are nearer to zones than that, or forbidden by one; read-only.
 
-
-def _same(a: FloatArray | None, b: FloatArray | None) -> bool:
-    """To the last bit."""
-    if a is None or b is None or a is b:
-        return a is b
-    return np.array_equal(a.view(np.int64), b.view(np.int64))
+    corner_ne_m: of the first.
+    """
+    north, east = (low + step_m * np.arange(n) for low, n in zip(corner_ne_m, shape, strict=True))
+    return too_near(task.zones, tuple(north.tolist()), tuple(east.tolist()), near_m)
 
 
 def sampled(route_ne_m: FloatArray, step_m: float, most_m: float = math.inf) -> FloatArray:

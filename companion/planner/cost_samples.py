@@ -9,14 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.geodesy import BoolArray, FloatArray
-from companion.planner.cheapest_ways import Grid, touch
+from companion.planner.cheapest_ways import Box, Grid, touch
 
 BLOCKED = 300.0
 """Cost per metre where nothing may fly: a detour of 300 times as much is shorter on any map."""
 _GUESSED_BLOCKED = 30.0  # where that is only guessed: if all is blocked, it is looked at first
-
-Box = tuple[int, int, int, int]
-"""First row, the row behind the last; first column, the column behind the last."""
 
 
 class Scale(NamedTuple):
@@ -57,7 +54,7 @@ class Ground(NamedTuple):
     extra: FloatArray
     """What of that is in the costs."""
     changed: BoolArray
-    """Scratch of `fill`: all False."""
+    """(rows, columns), of lattice points; scratch of `fill`: all False."""
 
 
 def changed(
@@ -97,6 +94,20 @@ def raise_to(
                         aside = max(j * every - column - 1, column - j * every)
                         asked_m = tops_m[r, c] + scale.rises_m[gap, aside]
                         seen_m[i, j] = max(seen_m[i, j], asked_m)
+
+
+def go_on(
+    seen_m: FloatArray, highest_m: float, box: Box, far: float, more: float, beside: FloatArray
+) -> None:
+    """Note in a box which samples are less than so many from one where the way is blocked."""
+    (rows, columns), (south, north, west, east), by = seen_m.shape, box, math.ceil(far) - 1
+    beside[south:north, west:east] = 0.0
+    for i in range(max(south - by, 0), min(north + by, rows)):
+        for j in range(max(west - by, 0), min(east + by, columns)):
+            if seen_m[i, j] > highest_m:
+                for row in range(max(i - by, south), min(i + by + 1, north)):
+                    half = math.ceil(math.sqrt(far * far - (row - i) ** 2)) - 1
+                    beside[row, max(j - half, west) : min(j + half + 1, east)] = more
 
 
 def _bound_m(upper_m: FloatArray, row: int, column: int, scale: Scale) -> float:
@@ -183,5 +194,5 @@ def fill(
             grid.lowest_m[at], ground.costly[i, j] = altitude_m, is_blocked or seen > 0.0
             ground.extra[i, j] = extra
             if cost != grid.cost[at]:
-                grid.cost[at], ground.changed[i, j] = cost, True
-    touch(ground.changed, box, touched)
+                grid.cost[at], ground.changed[i // 2, j // 2] = cost, True
+    touch(ground.changed, touched)

@@ -13,9 +13,8 @@ import numpy as np
 import scipy
 
 from companion import jit
-from companion.geodesy import BoolArray, FloatArray
 from companion.planner import cheapest_ways
-from companion.planner.cheapest_ways import Costs
+from companion.planner.cheapest_ways import Box, Costs
 from companion.planner.cost_grid import Belief, CostGrid, Place
 from companion.planner.cost_samples import BLOCKED
 from companion.planner.settings import Task
@@ -31,6 +30,12 @@ R / 2: at the ceiling that costs as much as 6.9 R with the paper's weights."""
 _ONE_SIDE_CELLS = 4.0
 """Free neighbours of a point differ by less than so many cells of way if they lie on one side of
 it: they are two cells apart at most, and not on ground that costs more than twice the least."""
+Memory = dict[Belief, tuple[CostGrid, Costs]]
+"""What guidance keeps from one plan to the next, so that it looks at changes only.
+
+Answers do not depend on it, to the last digit.  One plan at a time."""
+_idle: list[Memory] = []
+"""What plans before have left.  It is taken out while it is used: by one plan, of one thread."""
 _MANY = 0.25  # of all points: if more are touched, solving anew is faster than repairing
 
 
@@ -55,10 +60,6 @@ class CostToGo:
     is_barred: bool
     """Whether even that leads through what may not be flown."""
 
-    def at_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
-        """Cost from points to the target.  (...) x2 -> (...)."""
-        return self.value.altitude_m(north_m, east_m)
-
     def leaving_rad(self, centre_ne_m: Place, radius_m: float) -> float:
         """Bearing, from the centre of a circle, of the point where the route first leaves it.
 
@@ -78,7 +79,7 @@ def cost_to_go(
     task: Task,
     here_ne_m: Place,
     target_ne_m: Place,
-    memory: "Memory | None" = None,
+    memory: Memory | None = None,
     *,
     belief: Belief = Belief.GUESSED,
 ) -> CostToGo:
@@ -95,139 +96,89 @@ def cost_to_go(
     belief
         What is taken to be where nothing was seen.
     """
-    mine = memory or (_idle.pop() if _idle else Memory())
-    field = mine.solve(known, task, here_ne_m, target_ne_m, belief)
-    route, (value, needed) = field.route_ne_m(), field.surfaces()
+    mine = memory if memory is not None else _idle.pop() if _idle else Memory()
+    grid, costs, window = _solved(mine, known, task, belief, here_ne_m, target_ne_m)
+    beyond_m = _BEYOND_RANGES * task.settings.scan_range_m
+    most_m = float(costs.cost[grid.around(here_ne_m)].min()) + beyond_m  # so far costs are right
+    route = _route_ne_m(grid, costs, (here_ne_m, target_ne_m), most_m)
+    value, needed = _surfaces(grid, costs, window, target_ne_m, most_m)
+    is_barred = grid.bars(np.array(route))
     if memory is None and not _idle:
         _idle.append(mine)
-    return CostToGo(
-        value=value,
-        needed=needed,
-        route_ne_m=route,
-        is_barred=field.grid.bars(np.array(route)),
+    return CostToGo(value=value, needed=needed, route_ne_m=route, is_barred=is_barred)
+
+
+def _solved(
+    memory: Memory,
+    known: KnownMap,
+    task: Task,
+    belief: Belief,
+    here_ne_m: Place,
+    target_ne_m: Place,
+) -> tuple[CostGrid, Costs, Box]:
+    """The costs of lattice points as they are now, and which points they are asked for."""
+    grid, costs = memory.get(belief, (None, None))
+    if grid is None or not grid.fits(known, task):
+        grid, costs = CostGrid(known, task, belief), None
+    dirty = grid.update(known, here_ne_m)
+    seed, about = np.full(dirty.size, np.inf), grid.around(target_ne_m)
+    seed[about] = grid.lines_m(target_ne_m, grid.points_m(about))
+    many = np.count_nonzero(dirty) > _MANY * dirty.size
+    if costs is None or many or not np.isfinite(costs.seed[about]).all():  # another target
+        costs, dirty = Costs.unknown(seed), np.isfinite(seed).reshape(dirty.shape)
+    else:
+        dirty |= (seed != costs.seed).reshape(dirty.shape)
+        costs.seed[:] = seed
+    memory[belief] = grid, costs
+    range_m = task.settings.scan_range_m
+    window = grid.box_about(here_ne_m, math.ceil(_GIVEN_RANGES * range_m / (2.0 * grid.step_m)))
+    jit.compiled(cheapest_ways.repair)(
+        grid.samples, costs, dirty, grid.around(here_ne_m), _BEYOND_RANGES * range_m, window
     )
+    return grid, costs, window
 
 
-@final
-class Memory:
-    """What guidance keeps from one plan to the next, so that it looks at changes only.
-
-    Answers do not depend on it, to the last digit.  One plan at a time.
-    """
-
-    def __init__(self) -> None:
-        self._kept: dict[Belief, tuple[CostGrid, Costs | None]] = {}
-
-    def solve(
-        self, known: KnownMap, task: Task, here_ne_m: Place, target_ne_m: Place, belief: Belief
-    ) -> "_Field":
-        """The costs of lattice points, as they are now."""
-        grid, costs = self._kept.get(belief, (None, None))
-        if grid is None or not grid.fits(known, task):
-            grid, costs = CostGrid(known, task, belief), None
-        dirty = grid.update(known, here_ne_m)
-        seed, about = np.full(dirty.size, np.inf), grid.around(target_ne_m)
-        seed[about] = grid.lines_m(target_ne_m, grid.points_m(about))
-        many = np.count_nonzero(dirty) > _MANY * dirty.size
-        if costs is None or many or not np.isfinite(costs.seed[about]).all():  # another target
-            costs, dirty = Costs.unknown(seed), np.isfinite(seed).reshape(dirty.shape)
-        elif not np.array_equal(seed, costs.seed):
-            dirty |= (seed != costs.seed).reshape(dirty.shape)
-            costs.seed[:] = seed
-        self._kept[belief] = grid, costs
-        ends_ne_m = here_ne_m, target_ne_m
-        field = _Field(grid=grid, costs=costs, task=task, ends_ne_m=ends_ne_m)
-        field.repair(dirty)
-        return field
+def _route_ne_m(
+    grid: CostGrid, costs: Costs, ends_ne_m: tuple[Place, Place], most_m: float
+) -> tuple[Place, ...]:
+    """The cheapest way from here to the target, straightened."""
+    (here, target), near = ends_ne_m, grid.around(ends_ne_m[0])
+    near = near[costs.cost[near] <= most_m]
+    start = near[np.argmin(grid.lines_m(here, grid.points_m(near)) + costs.cost[near])]
+    way = cheapest_ways.way_from(grid.samples, costs, int(start))
+    points = np.concatenate([[here], grid.points_m(way), [target]])
+    first_m, last_m = grid.lines_m(here, points[1:2]), grid.lines_m(target, points[-2:-1])
+    along_m = np.concatenate([[0.0], first_m, -np.diff(costs.cost[way]), last_m]).cumsum()
+    keep = jit.compiled(cheapest_ways.straightened)(grid.samples, grid.sample_of(points), along_m)
+    return tuple((float(north), float(east)) for north, east in points[keep])
 
 
-_idle: list[Memory] = []
-"""What plans before have left.  It is taken out while it is used: by one plan, of one thread."""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Field:
-    """The costs of lattice points."""
-
-    grid: CostGrid
-    costs: Costs
-    task: Task
-    ends_ne_m: tuple[Place, Place]
-    """Here, and the target."""
-
-    @property
-    def _range_m(self) -> float:
-        return self.task.settings.scan_range_m
-
-    def repair(self, dirty: BoolArray) -> None:
-        """Make costs right again; dirty: the points whose edges have changed."""
-        here, (rows, columns) = self.grid.around(self.ends_ne_m[0]), self._box()
-        window = rows.start, rows.stop, columns.start, columns.stop
-        jit.compiled(cheapest_ways.repair)(
-            self.grid.samples, self.costs, dirty, here, _BEYOND_RANGES * self._range_m, window
-        )
-
-    def _box(self) -> tuple[slice, slice]:
-        """Rows and columns of the lattice points whose costs are asked for."""
-        reach = math.ceil(_GIVEN_RANGES * self._range_m / (2.0 * self.grid.step_m))
-        return self.grid.box_about(self.ends_ne_m[0], reach)
-
-    @property
-    def most_m(self) -> float:
-        """Costs are right as far as they are no more than this."""
-        near = self.costs.cost[self.grid.around(self.ends_ne_m[0])]
-        return float(near.min()) + _BEYOND_RANGES * self._range_m
-
-    def route_ne_m(self) -> tuple[Place, ...]:
-        """The cheapest way from here to the target, straightened."""
-        (here, target), grid, cost = self.ends_ne_m, self.grid, self.costs.cost
-        near = grid.around(here)
-        near = near[cost[near] <= self.most_m]
-        start = near[np.argmin(grid.lines_m(here, grid.points_m(near)) + cost[near])]
-        way = jit.compiled(cheapest_ways.way_from)(self.grid.samples, self.costs, int(start))
-        points = np.concatenate([[here], grid.points_m(way), [target]])
-        first_m, last_m = grid.lines_m(here, points[1:2]), grid.lines_m(target, points[-2:-1])
-        along_m = np.concatenate([[0.0], first_m, -np.diff(cost[way]), last_m]).cumsum()
-        keep = jit.compiled(cheapest_ways.straightened)(
-            self.grid.samples, grid.sample_of(points), along_m
-        )
-        return tuple((float(north), float(east)) for north, east in points[keep])
-
-    def surfaces(self) -> tuple[Surface, Surface]:
-        """`CostToGo.value` and `needed` about here."""
-        target, grid, limits = self.ends_ne_m[1], self.grid, self.task.limits
-        rows, columns = box = self._box()
-        inside = (
-            slice(2 * rows.start, 2 * rows.stop - 1, 2),
-            slice(2 * columns.start, 2 * columns.stop - 1, 2),
-        )
-        most_m = self.most_m
-        row, column = grid.sample_of(np.array(target)).tolist()
-        asked_m = -np.inf
-        if 0.0 <= row <= grid.shape[0] - 1.0 and 0.0 <= column <= grid.shape[1] - 1.0:
-            asked_m = float(
-                self.grid.samples.lowest_m.reshape(grid.shape)[round(row), round(column)]
-            )
-        needed_m = jit.compiled(cheapest_ways.needed_m)(
-            self.grid.samples, self.costs, (rows.start, rows.stop, columns.start, columns.stop),
-            most_m, math.tan(limits.climb_angle_rad), (row, column, asked_m),
-        )  # fmt: skip
-        blocked = self.grid.samples.cost.reshape(grid.shape)[inside] >= BLOCKED
-        free_m = np.where(blocked, limits.ceiling_amsl_m, needed_m)
-        about_m = scipy.ndimage.minimum_filter(free_m, 3, mode="nearest")
-        value = np.minimum(self.costs.cost.reshape(grid.lattice_shape)[box], most_m)
-        jit.compiled(cheapest_ways.smooth_edges)(
-            value, grid.costly[inside].copy(), _ONE_SIDE_CELLS * 2.0 * grid.step_m
-        )
-        cell_m = 2.0 * grid.step_m
-        north_min_m, east_min_m = (
-            low + cell_m * part.start for low, part in zip(grid.corner_ne_m, box, strict=True)
-        )
-        value_m = Surface(
-            vertex_m=value, north_min_m=north_min_m, east_min_m=east_min_m, cell_m=cell_m
-        )
-        return value_m, value_m._replace(vertex_m=np.where(blocked, about_m, needed_m))
+def _surfaces(
+    grid: CostGrid, costs: Costs, window: Box, target_ne_m: Place, most_m: float
+) -> tuple[Surface, Surface]:
+    """`CostToGo.value` and `needed`, in a window of the lattice."""
+    limits, samples, cell_m = grid.task.limits, grid.samples, 2.0 * grid.step_m
+    south, north, west, east = window
+    inside = slice(2 * south, 2 * north - 1, 2), slice(2 * west, 2 * east - 1, 2)
+    row, column = grid.sample_of(np.array(target_ne_m)).tolist()
+    asked_m = -np.inf
+    if 0.0 <= row <= grid.shape[0] - 1.0 and 0.0 <= column <= grid.shape[1] - 1.0:
+        asked_m = float(samples.lowest_m.reshape(grid.shape)[round(row), round(column)])
+    needed_m = jit.compiled(cheapest_ways.needed_m)(
+        samples, costs, window, most_m, math.tan(limits.climb_angle_rad), (row, column, asked_m)
+    )
+    blocked = samples.cost.reshape(grid.shape)[inside] >= BLOCKED
+    free_m = np.where(blocked, limits.ceiling_amsl_m, needed_m)
+    about_m = scipy.ndimage.minimum_filter(free_m, 3, mode="nearest")
+    value_m = costs.cost.reshape(grid.lattice_shape)[south:north, west:east]
+    value_m = np.minimum(value_m, most_m)
+    one_side_m = _ONE_SIDE_CELLS * cell_m
+    jit.compiled(cheapest_ways.smooth_edges)(value_m, grid.ground.costly[inside].copy(), one_side_m)
+    north_m, east_m = (
+        low + cell_m * at for low, at in zip(grid.corner_ne_m, (south, west), strict=True)
+    )
+    value = Surface(north_min_m=north_m, east_min_m=east_m, cell_m=cell_m, vertex_m=value_m)
+    return value, value._replace(vertex_m=np.where(blocked, about_m, needed_m))
 
 
 def _leaves(a: Place, b: Place, centre: Place, radius_m: float) -> Place | None:

@@ -23,7 +23,7 @@ from companion.path.certificate import Certificate, certify
 from companion.path.proof import Surroundings
 from companion.path.subpath import Subpath, straight
 from companion.planner.cheapest_ways import IndexArray
-from companion.planner.cost_grid import Place, sampled
+from companion.planner.cost_grid import Place, sampled, zones_on_lattice
 from companion.planner.field import CostToGo
 from companion.planner.price import Prices
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
@@ -36,7 +36,7 @@ from companion.world.columns import (
     safe_surface,
 )
 from companion.world.known_map import KnownMap
-from companion.world.zones import Zone, gaps_m, packed, too_near
+from companion.world.zones import Zone, gaps_m, packed
 
 # --- where no certificate can begin
 
@@ -44,7 +44,7 @@ _BEARINGS = 72  # directions of ways, 5 degrees apart: a way out of a circle is 
 _NEAR, _LENGTHS, _LONGER = 0.4, 24, 12
 """Of R, within which all ground is usually seen; lengths of ways up to there, and lengths beyond,
 up to where subpaths end: a zone may be as large."""
-_STEEP = (0.0, 0.95, -0.95)  # of the climb or dive angle
+_STEEP = 0.95  # of the climb or dive angle; or level
 _CERTIFIED = 200  # ways that are proven, the shortest first: 1 ms each
 _DEEPER = 3.0  # metres of way that count as much as one metre deeper into a zone
 _SLACK_M = 0.5  # so much nearer than the vehicle is a way may come: a proof needs a little to spare
@@ -157,7 +157,7 @@ def _ends_nea_m(
         may_end &= gap_m > now_m + _WORTH_M
         rank_m = -gap_m
     climb, dive = task.limits.climb_angle_rad, task.limits.dive_angle_rad
-    steep = np.tan([share * (climb if share > 0.0 else dive) for share in _STEEP])
+    steep = np.tan([0.0, _STEEP * climb, -_STEEP * dive])
     up_m, (low, high) = start[2] + level_m[:, None] * steep, task.band_amsl_m  # (lengths, slopes)
     rank_m = rank_m[..., None] + level_m[:, None] * (np.hypot(1.0, steep) - 1.0)
     which = np.nonzero(may_end[..., None] & (up_m >= low) & (up_m <= high))
@@ -179,7 +179,6 @@ def _gaps_m(request: PlanRequest, *zones: Zone, at_ne_m: FloatArray | None = Non
 
 _ENDS = 24  # of a straight piece that are tried, the farthest first
 _NEARER = 0.8  # each is so far away, of the one before
-_GAIN_CELLS = 1.0  # of way: a place from which not so much less is left to fly is no better
 _SEAM_CELLS = 3.0  # beyond the clearance, of places next to what is unknown
 _SEEN = 7.0  # steps: what one more costs that a radar sees from near (eq. 10, as guidance has it)
 _STOP = 0.25  # of R: what a stop costs at least, as another plan may turn back
@@ -191,8 +190,6 @@ _AROUND, _SHARES = 24, (0.0625, 0.125, 0.25, 0.5, 1.0)  # climbs, for each share
 
 Prove = Callable[[Subpath], Planned | None]
 """The plan of a straight subpath, at the highest speed for which it is proven."""
-Way = tuple[FloatArray, float]
-"""Places (N, 2) from where the vehicle is, and what it costs to fly there and on."""
 
 
 @final
@@ -249,10 +246,22 @@ class _Pieces:
 
     def ends(self, *, looks: bool, strays: bool) -> list[_End]:
         """The best one first; those that no radar sees before the others."""
-        ways, reached_ne_m = self._ways(looks=looks)
-        ends = [end for way in ways for end in self._along(way)]
-        if self._climbs and ways:
-            ends = self._cheapest_first(ends + self._higher(reached_ne_m), strays=strays)
+        places_ne_m, way_m, before = self._reached()
+        reached, left_m = np.isfinite(way_m), np.full(len(way_m), math.inf)
+        left_m[reached] = self._prices.to_go_m(self._at(places_ne_m[reached], way_m[reached]))
+        is_nearer = left_m.min(initial=math.inf) <= self._left_here_m - self._cell_m  # by a cell
+        goals = _least(left_m) if is_nearer else []
+        if looks:
+            goals += _least(np.where(self._sees_more(places_ne_m), left_m + way_m, math.inf))
+        ends = list[_End]()
+        for goal in goals:
+            way = [goal]
+            while before[way[-1]] >= 0:
+                way.append(int(before[way[-1]]))
+            ends += self._along(places_ne_m[way[::-1]], float(left_m[goal]))
+        if self._climbs and goals:
+            ends += self._higher(places_ne_m[reached])
+            ends = self._cheapest_first(ends, strays=strays)
         return sorted(ends, key=lambda end: self._is_seen(end.place_nea_m))
 
     def _is_seen(self, end_nea_m: FloatArray) -> bool:
@@ -265,26 +274,29 @@ class _Pieces:
         altitude_m = np.minimum(self._start[2] + self._steepness * away_m, self._top_m)
         return np.column_stack([places_ne_m, altitude_m])
 
-    def _along(self, way: Way) -> list[_End]:
-        """Places of a way, the farthest along it first."""
-        way_ne_m, cost_m = way
+    def _away_m(self, places_ne_m: FloatArray) -> FloatArray:
+        """How far places are away, level.  (N, 2) -> (N,)."""
+        return np.asarray(np.linalg.norm(places_ne_m - self._start[:2], axis=-1))
+
+    def _along(self, way_ne_m: FloatArray, left_m: float) -> list[_End]:
+        """Places of a way, the farthest along it first; left_m: the way on from its end."""
         along = np.append(0.0, np.cumsum(np.hypot(*np.diff(way_ne_m, axis=0).T)))
-        away_m = np.linalg.norm(way_ne_m - self._start[:2], axis=-1)
-        places, left = self._at(way_ne_m, away_m), float(along[-1])
+        cost_m = float(along[-1]) + left_m + self._request.task.stop_m
+        away_m = self._away_m(way_ne_m)
+        places, at_m = self._at(way_ne_m, away_m), float(along[-1])
         result = list[_End]()
-        while left > 0.0 and len(result) < _ENDS:
-            k = int(np.searchsorted(along, left - 1e-9))
+        while at_m > 0.0 and len(result) < _ENDS:
+            k = int(np.searchsorted(along, at_m - 1e-9))
             if away_m[k] >= self._cell_m:
-                more = float(along[-1]) / left - 1.0  # such pieces
+                more = float(along[-1]) / at_m - 1.0  # such pieces
                 result.append(_End(places[k], more * self._stop_m, cost_m))
-            left = min(_NEARER * left, left - self._cell_m)
+            at_m = min(_NEARER * at_m, at_m - self._cell_m)
         return result
 
     def _higher(self, reached_ne_m: FloatArray) -> list[_End]:
         """Places to climb to before it goes on: of those that are reached, rings about here."""
-        away_m = np.hypot(*(reached_ne_m - self._start[:2]).T)
-        places, most_m = self._at(reached_ne_m, away_m), self._top_m - float(self._start[2])
-        result = list[_End]()
+        away_m, most_m = self._away_m(reached_ne_m), self._top_m - float(self._start[2])
+        places, result = self._at(reached_ne_m, away_m), list[_End]()
         for share in _SHARES:
             off_m = np.abs(away_m - share * most_m / self._steepness)
             ring = np.flatnonzero(off_m < 0.5 * self._cell_m)
@@ -308,43 +320,12 @@ class _Pieces:
         order = np.lexsort((-away_m, price_m, ~gets_on)).tolist()
         return [replace(ends[i], stops_m=float(stops_m[i])) for i in order if gets_on[i] or strays]
 
-    def _ways(self, *, looks: bool) -> tuple[list[Way], FloatArray]:
-        """Ways over free places to where less is left to fly, or more is seen.
+    def _reached(self) -> tuple[FloatArray, FloatArray, IndexArray]:
+        """All places, the way to each by a flood fill over free ones, and the one before it.
 
-        And all places that are reached, (M, 2).
+        (N, 2), (N,): infinite where none leads, as radars have it, and (N,): negative at its start.
+        Between its points the surface is bilinear, so nothing is higher between two of them.
         """
-        task, here_ne_m, cell_m = self._request.task, self._start[:2], self._cell_m
-        free, places_ne_m, step_m = self._free()
-        offset_m = np.linalg.norm(places_ne_m - here_ne_m, axis=-1)
-        begin = int(np.argmin(np.where(free.ravel(), offset_m, math.inf)))
-        if not free.ravel()[begin] or offset_m[begin] > 2.0 * cell_m:
-            return [], np.empty((0, 2))
-        at_top = np.insert(places_ne_m, 2, self._top_m, axis=-1)
-        price = np.ones(len(at_top))
-        for radar in self._radars:
-            price += _SEEN * (radar.distance_m(at_top) < radar.range_m)
-        steps, before = _flood(free, price, begin)
-        away_m, reached = steps * step_m, np.isfinite(steps)
-        left_m = np.full(len(steps), math.inf)
-        left_m[reached] = self._prices.to_go_m(self._at(places_ne_m[reached], away_m[reached]))
-        is_nearer = left_m.min() <= self._left_here_m - _GAIN_CELLS * cell_m
-        goals = _least(left_m) if is_nearer else []
-        if looks:
-            near_m = task.required_clearance_m + _SEAM_CELLS * cell_m
-            edge = _sees_more(self._request.around, places_ne_m, self._top_m, near_m)
-            goals += _least(np.where(edge & (offset_m >= cell_m), left_m + away_m, math.inf))
-        ways = list[Way]()
-        for goal in goals:
-            index = [goal]
-            while before[index[-1]] >= 0:
-                index.append(int(before[index[-1]]))
-            way = places_ne_m[index[::-1]]
-            along_m = float(np.hypot(*np.diff(way, axis=0).T).sum())
-            ways.append((way, along_m + float(left_m[goal]) + task.stop_m))
-        return ways, places_ne_m[reached]
-
-    def _free(self) -> tuple[BoolArray, FloatArray, float]:
-        """Whether places are free up to the top, (R, C); the places, (R C, 2); how far apart."""
         request, task = self._request, self._request.task
         surface = safe_surface(
             request.around,
@@ -353,59 +334,50 @@ class _Pieces:
             clearance_m=task.required_clearance_m,
             unknown_m=math.inf,
         )
+        corner, step_m = surface[:2], surface.cell_m
+        kept_m = task.zone_clearance_m + 0.5 * step_m
         free = surface.vertex_m <= self._top_m
-        north = surface.north_min_m + surface.cell_m * np.arange(float(free.shape[0]))
-        east = surface.east_min_m + surface.cell_m * np.arange(float(free.shape[1]))
-        if task.zones:
-            kept_m = task.zone_clearance_m + 0.5 * surface.cell_m
-            free &= ~too_near(task.zones, tuple(north), tuple(east), kept_m)
-        places_ne_m = np.stack(np.meshgrid(north, east, indexing="ij"), axis=-1)
-        return free, places_ne_m.reshape(-1, 2), surface.cell_m
+        free &= ~zones_on_lattice(task, corner, step_m, free.shape, kept_m)
+        places_ne_m = corner + step_m * np.indices(free.shape).reshape(2, -1).T
+        offset_m = np.where(free.ravel(), self._away_m(places_ne_m), math.inf)
+        begin = int(np.argmin(offset_m))
+        if offset_m[begin] > 2.0 * self._cell_m:
+            return np.empty((0, 2)), np.empty(0), np.empty(0, dtype=np.int64)
+        at_top, price = np.insert(places_ne_m, 2, self._top_m, axis=-1), np.ones(free.size)
+        for radar in self._radars:
+            price += _SEEN * (radar.distance_m(at_top) < radar.range_m)
+        number = np.arange(free.size, dtype=np.int32).reshape(free.shape)
+        both_n, both_e = free[1:] & free[:-1], free[:, 1:] & free[:, :-1]
+        a = np.concatenate([number[:-1][both_n], number[:, :-1][both_e]])
+        b = np.concatenate([number[1:][both_n], number[:, 1:][both_e]])
+        graph = scipy.sparse.csr_array((0.5 * (price[a] + price[b]), (a, b)), (free.size,) * 2)
+        steps, before = scipy.sparse.csgraph.dijkstra(
+            graph, directed=False, indices=[begin], return_predecessors=True
+        )
+        return places_ne_m, steps[0] * step_m, before[0]
+
+    def _sees_more(self, places_ne_m: FloatArray) -> BoolArray:
+        """Places from where unknown ground next to free ground is as near as may be.
+
+        (N, 2) -> (N,).  What is hidden behind a wall stays hidden.
+        """
+        known, cell_m = self._request.around, self._cell_m
+        seam = np.isinf(known.upper_m) & scipy.ndimage.binary_dilation(known.upper_m < self._top_m)
+        near_m = self._request.task.required_clearance_m + _SEAM_CELLS * cell_m
+        near = scipy.ndimage.distance_transform_edt(~seam, sampling=cell_m) <= near_m
+        corner = known.north_min_m, known.east_min_m
+        sees_more = _of_cells(near & seam.any(), places_ne_m, corner, cell_m)
+        return np.asarray(sees_more & (self._away_m(places_ne_m) >= cell_m))
 
 
 def _least(costs: FloatArray) -> list[int]:
     """Which places cost the least, a few of them, the best first.  (N,) -> indices."""
     best = np.argsort(costs, kind="stable")[:_AFTER]
-    return [int(each) for each in best[np.isfinite(costs[best])]]
-
-
-def _sees_more(
-    known: KnownMap, places_ne_m: FloatArray, altitude_m: float, near_m: float
-) -> BoolArray:
-    """Places from where unknown ground next to free ground is as near as may be.
-
-    (N, 2) -> (N,).  What is hidden behind a wall stays hidden.
-    """
-    free = known.upper_m < altitude_m
-    seam = np.isinf(known.upper_m) & scipy.ndimage.binary_dilation(free)
-    near = scipy.ndimage.distance_transform_edt(~seam, sampling=known.cell_m) <= near_m
-    corner = known.north_min_m, known.east_min_m
-    return _of_cells(near & seam.any(), places_ne_m, corner, known.cell_m)
-
-
-def _flood(free: BoolArray, price: FloatArray, begin: int) -> tuple[FloatArray, IndexArray]:
-    """Steps to each place from where it begins, infinite where none lead, and the one before.
-
-    (rows, columns) -> (rows columns,), as price has it, that of a step there.
-
-    Between its points the surface is bilinear, so nothing is higher between two of them.
-    """
-    number = np.arange(free.size, dtype=np.int32).reshape(free.shape)
-    both_n, both_e = free[1:] & free[:-1], free[:, 1:] & free[:, :-1]
-    a = np.concatenate([number[:-1][both_n], number[:, :-1][both_e]])
-    b = np.concatenate([number[1:][both_n], number[:, 1:][both_e]])
-    steps = 0.5 * (price[a] + price[b])
-    graph = scipy.sparse.csr_array((steps, (a, b)), shape=(free.size, free.size))
-    away, before = scipy.sparse.csgraph.dijkstra(
-        graph, directed=False, indices=[begin], return_predecessors=True
-    )
-    return away[0], before[0]
+    return list(best[np.isfinite(costs[best])].tolist())
 
 
 # --- where there is no way
 
-_EVERYWHERE = np.ones((3, 3), dtype=bool)
-"""A curve may go on from a part of a cell to any of the eight about it."""
 _MOST_PARTS, _MOST_ACROSS = 4e6, 8
 """Parts of cells in a map, and in a cell across: a fill of so many takes a quarter of a second."""
 
@@ -425,7 +397,7 @@ def blocked_at(
     across = int(min(max(math.sqrt(_MOST_PARTS / known.upper_m.size), 1.0), _MOST_ACROSS))
     part_m, corner_ne_m = known.cell_m / across, (known.north_min_m, known.east_min_m)
     barred = _barred(known, task, across)
-    regions = np.asarray(scipy.ndimage.label(~barred, structure=_EVERYWHERE)[0])
+    regions = np.asarray(scipy.ndimage.label(~barred, structure=np.ones((3, 3)))[0])
     here, target = _of_cells(regions, np.array(ends_ne_m), corner_ne_m, part_m).tolist()
     if 0 in (here, target) or here == target:
         return None
@@ -463,13 +435,6 @@ def _barred(known: KnownMap, task: Task, across: int) -> BoolArray:
     rises_m[away_m >= clearance_m] = -np.inf
     upper_m = np.where(known.surveyed, known.upper_m, -np.inf)
     barred = jit.compiled(dilated_m)(upper_m, rises_m, across, -np.inf) > ceiling_m
-    if task.zones:
-        north_m, east_m = (
-            low_m + (np.arange(count) + 0.5) * part_m
-            for low_m, count in zip(
-                (known.north_min_m, known.east_min_m), barred.shape, strict=True
-            )
-        )
-        deep_m = task.zone_clearance_m - half_m
-        barred |= too_near(task.zones, tuple(north_m), tuple(east_m), deep_m)
-    return np.asarray(barred)
+    corner_ne_m = known.north_min_m + 0.5 * part_m, known.east_min_m + 0.5 * part_m
+    deep_m = task.zone_clearance_m - half_m
+    return np.asarray(barred | zones_on_lattice(task, corner_ne_m, part_m, barred.shape, deep_m))

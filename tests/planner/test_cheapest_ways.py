@@ -12,17 +12,20 @@ from numpy.typing import NDArray
 
 from companion.jit import compiled
 from companion.planner import cheapest_ways
-from companion.planner.cheapest_ways import DIRECTIONS, Costs, Grid
+from companion.planner.cheapest_ways import Costs, Grid
 
 FloatArray = NDArray[np.float64]
 Window = tuple[int, int, int, int]
 HERE = np.array([0])
 STEP_M = 10.0
+NEIGHBOURS = [
+    (i, j) for i, j in itertools.product(range(-4, 5), repeat=2) if math.gcd(i, j) == 1
+]  # up to four points away, and no two in one direction
 
 
 def a_grid(rng: np.random.Generator, rows: int, columns: int) -> Grid:
     """Level ground, walls and hills."""
-    grid = Grid.empty(2 * rows - 1, 2 * columns - 1, STEP_M)
+    grid = Grid.empty(rows, columns, STEP_M)
     grid.cost[:] = 1.0
     change(grid, rng, len(grid.cost) // 20)
     return grid
@@ -51,7 +54,7 @@ def dijkstra(grid: Grid, seeds: dict[int, float]) -> FloatArray:
     graph = scipy.sparse.lil_array((count + 1, count + 1))
     for u in range(count):
         begin = divmod(u, grid.columns)
-        for north, east in DIRECTIONS.tolist():
+        for north, east in NEIGHBOURS:
             end = begin[0] + north, begin[1] + east
             if 0 <= end[0] < grid.rows and 0 <= end[1] < grid.columns:
                 graph[u, end[0] * grid.columns + end[1]] = edge_m(grid, begin, end)
@@ -92,12 +95,6 @@ def touched_by(grid: Grid, changed: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(near[::2, ::2])
 
 
-def test_the_directions_are_those_up_to_four_points_away_each_once() -> None:
-    expected = {(i, j) for i in range(-4, 5) for j in range(-4, 5) if math.gcd(i, j) == 1}
-    assert {(i, j) for i, j in DIRECTIONS.tolist()} == expected
-    assert len(DIRECTIONS) == len(expected)
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_costs_are_those_of_another_dijkstra_over_the_same_edges(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -106,7 +103,7 @@ def test_costs_are_those_of_another_dijkstra_over_the_same_edges(seed: int) -> N
     costs = solved(grid, seeds)
     np.testing.assert_allclose(costs.cost, dijkstra(grid, seeds), rtol=1e-12)
     for start in range(0, 9 * 13, 5):
-        way = compiled(cheapest_ways.way_from)(grid, costs, start).tolist()
+        way = cheapest_ways.way_from(grid, costs, start).tolist()
         total = costs.seed[way[-1]]
         for u, v in itertools.pairwise(way):
             total += edge_m(grid, divmod(u, 13), divmod(v, 13))
@@ -140,7 +137,7 @@ def test_what_is_repaired_is_what_is_found_anew_to_the_last_digit(
             inside[: window[1], : window[3]] = True
             right = inside.ravel() & (anew.cost <= anew.cost[HERE].min() + beyond_m)
             for u in np.flatnonzero(right).tolist():  # and so are the ways on, wherever they lead
-                right[compiled(cheapest_ways.way_from)(grid, anew, u)] = True
+                right[cheapest_ways.way_from(grid, anew, u)] = True
             assert costs.cost[right].tobytes() == anew.cost[right].tobytes()
             assert costs.via[right].tobytes() == anew.via[right].tobytes()
             dearer = costs.cost[inside.ravel() & ~right]
@@ -176,7 +173,7 @@ def test_what_is_needed_is_the_most_that_the_way_asks_for_less_what_can_be_climb
     lowest_m = grid.lowest_m.reshape(23, 19)
     for row in range(window[0], window[1]):
         for column in range(window[2], window[3]):
-            way = compiled(cheapest_ways.way_from)(grid, costs, row * 10 + column).tolist()
+            way = cheapest_ways.way_from(grid, costs, row * 10 + column).tolist()
             places = [(2 * (u // 10), 2 * (u % 10)) for u in way]
             most, flown_m = float(lowest_m[places[0]]), 0.0
             if costs.cost[row * 10 + column] > most_m:
@@ -193,3 +190,22 @@ def test_what_is_needed_is_the_most_that_the_way_asks_for_less_what_can_be_climb
             flown_m += STEP_M * math.dist(places[-1], target[:2])
             most = max(most, target[2] - steepness * flown_m)
             assert needed_m[row - 2, column] == pytest.approx(most, abs=1e-9)
+
+
+@given(seed=st.integers(0, 10**6))
+def test_costly_points_beside_free_ones_cost_what_these_do_and_on_a_thin_wall_the_dearest(
+    seed: int,
+) -> None:
+    """Else what costs less beyond the wall draws towards it, and it is flown along."""
+    rng = np.random.default_rng(seed)
+    before = rng.choice([10.0, 20.0, 300.0], (9, 7)) + rng.random((9, 7))
+    costly, after = rng.random((9, 7)) < 0.6, before.copy()
+    compiled(cheapest_ways.smooth_edges)(after, costly, 50.0)
+    assert (after[~costly] == before[~costly]).all()
+    for i, j in np.argwhere(costly).tolist():
+        near = slice(max(i - 1, 0), i + 2), slice(max(j - 1, 0), j + 2)
+        free = before[near][~costly[near]]
+        most = math.inf
+        if len(free):
+            most = free.max() if np.ptp(free) > 50.0 else free.mean()
+        assert after[i, j] == pytest.approx(min(before[i, j], most))

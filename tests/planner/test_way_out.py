@@ -57,22 +57,18 @@ def things(rng: np.random.Generator) -> BoolArray:
         for _ in range(rng.integers(20, 260)):
             n, e, radius = *rng.uniform(0, size, 2), rng.uniform(1.0, 5.0)
             full |= np.hypot(north - n, east - e) < radius
-    elif kind == 1:
+        return full
+    if kind == 1:
         for _ in range(rng.integers(4, 14)):
             at, gap, wide = rng.integers(0, size), rng.integers(0, size), rng.integers(6, 20)
             wall = full if rng.random() < 0.5 else full.T
-            kept = wall[:, gap : gap + wide].copy()
-            wall[at : at + 2] = True
-            wall[:, gap : gap + wide] = kept
-    else:
-        depth, wide = rng.integers(12, 60), rng.integers(6, 24)
-        low, high = HALF - wide, HALF + wide
-        full[HALF - 6 : HALF + depth, low - 2 : low] = True
-        full[HALF - 6 : HALF + depth, high : high + 2] = True
-        full[HALF + depth : HALF + depth + 2, low - 2 : high + 2] = True
-        turns = int(rng.integers(0, 4))
-        full = np.rot90(full, turns).copy()
-    return full
+            wall[at : at + 2, :gap] = wall[at : at + 2, gap + wide :] = True
+        return full
+    depth, wide = rng.integers(12, 60), rng.integers(6, 24)
+    begin, end, low, high = HALF - 6, HALF + depth + 2, HALF - wide - 2, HALF + wide + 2
+    full[begin:end, low:high] = True
+    full[begin : end - 2, low + 2 : high - 2] = False
+    return np.rot90(full, int(rng.integers(0, 4))).copy()
 
 
 def seen_from(full: BoolArray, row: float, column: float) -> BoolArray:

@@ -54,9 +54,8 @@ def test_what_is_loaded_is_all_that_a_plan_calls(monkeypatch: pytest.MonkeyPatch
     ways, samples = cheapest_ways, cost_samples
     assert called == {
         *(kernels.search, kernels.costs, prove, dilated_m, zones.near_on_lattice),
-        *(ways.repair, ways.way_from, ways.needed_m, ways.lines_m, ways.straightened),
-        ways.smooth_edges,
-        *(samples.changed, samples.raise_to, samples.fill),
+        *(ways.repair, ways.needed_m, ways.lines_m, ways.straightened, ways.smooth_edges),
+        *(samples.changed, samples.raise_to, samples.go_on, samples.fill),
     }
 
 
