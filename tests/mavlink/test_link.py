@@ -205,22 +205,6 @@ def test_what_nobody_reads_is_recorded_and_decides_nothing(said: list[bytes], se
     assert busy.receive(any_frame(wire.MAVLINK_MSG_ID_HIGHRES_IMU, rng))  # it is there all the same
 
 
-@pytest.mark.parametrize("behind_ms", [0, 10])
-def test_another_vehicles_time_does_not_hide_ours(said: list[bytes], behind_ms: int) -> None:
-    """Two in lockstep tell the same times; who listens to both still knows how late it is."""
-    session = Session(MISSION, seed=1, lockstep=False)
-    session.receive(b"".join(said))
-    session.run()
-    began_ms = round(session.now_s * 1000.0)
-    for at_ms in range(began_ms + 200, began_ms + 2_000, 200):
-        for system, told_ms in ((7, at_ms - behind_ms), (1, at_ms)):
-            sender = wire.MAVLink(None, srcSystem=system, srcComponent=1)
-            attitude = wire.MAVLink_attitude_message(told_ms, 0, 0, 0, 0, 0, 0)
-            session.receive(attitude.pack(sender))
-        session.run()
-        assert session.now_s == pytest.approx(at_ms * 1e-3)
-
-
 @pytest.mark.parametrize("autopilot", ALL, ids=lambda a: a.name)
 def test_nothing_that_is_asked_for_goes_unread(autopilot: Autopilot) -> None:
     wanted = {*autopilot.streams_hz, *autopilot.requested_once, *autopilot.intermittent}

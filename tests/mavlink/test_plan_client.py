@@ -83,16 +83,6 @@ def test_a_change_is_known_in_time(way: Any, waited_s: float) -> None:
     assert client.plans[FENCE].version == 4
 
 
-@BOTH
-def test_a_long_fence_that_is_changed_in_place_is_known_in_time(firmware: Firmware) -> None:
-    held, moved = Held(firmware), polygon(60, size_m=140.0)
-    held.upload(FENCE, polygon(60))
-    client = client_of(held, 7.0)
-    held.upload(FENCE, moved, client)
-    took_s = held.run(60.0, client, lambda: known(client) == placed(moved))
-    assert took_s < LONG_KNOWN_WITHIN_S
-
-
 @pytest.mark.sample(2)  # of both firmwares
 @ALL_FOUR
 def test_a_list_that_is_being_uploaded_is_never_seen_half(way: Any) -> None:
@@ -206,17 +196,6 @@ def test_the_transfers_of_others_are_none_of_ours() -> None:
     assert radii(client) == [50.0]
 
 
-def test_an_item_that_does_not_come_is_asked_for_again_then_given_up() -> None:
-    client, times_s = begun(count(2), item(0)), list[float]()
-    for at_s in (0.1 + 0.05 * k for k in range(400)):
-        if "fence (no answer yet)" in client.waiting:
-            times_s += [at_s for kind, _ in asked(client.on_time(at_s)) if kind == ITEM]
-    assert "fence (no answer)" in client.waiting
-    assert client.plans[FENCE] == Plan()
-    assert len(times_s) >= 5
-    assert all(0.24 < b - a < 0.31 for a, b in itertools.pairwise(times_s))
-
-
 def test_a_kind_that_is_not_supported_is_done_and_empty() -> None:
     client = begun()
     assert asked(client.on_message(ack(wire.MAV_MISSION_UNSUPPORTED), 0.1)) == [(LIST, RALLY)]
@@ -230,17 +209,6 @@ def test_a_kind_that_is_not_supported_is_done_and_empty() -> None:
     assert client.plans[FENCE].supported
 
 
-def test_somebody_elses_upload_is_waited_for() -> None:
-    client = begun()
-    assert asked(client.on_message(ack(wire.MAV_MISSION_DENIED), 0.1)) == [(LIST, RALLY)]
-    assert "fence (somebody else is transferring it)" in client.waiting
-    for kind in (RALLY, MISSION):
-        client.on_message(count(0, kind), 0.2)
-    assert not client.is_done
-    again = [each for tenth in range(30) for each in asked(client.on_time(0.1 * tenth))]
-    assert again[0] == (LIST, FENCE)
-
-
 def test_the_same_items_are_no_change_also_where_a_parameter_is_no_number() -> None:
     client = begun()
     for round_s in (0.0, 40.0, 80.0):
@@ -249,33 +217,6 @@ def test_the_same_items_are_no_change_also_where_a_parameter_is_no_number() -> N
             for message in (count(1, kind), item(0, kind)):
                 client.on_message(message, round_s + 0.1)
     assert client.plans[FENCE].version == 1
-
-
-def test_a_list_that_was_read_with_gaps_counts_when_it_is_read_twice_the_same() -> None:
-    """In a gap somebody may have replaced it: half old, half new."""
-    client = begun()
-
-    def read(at_s: float, *told: float, gap_s: float = 0.5) -> list[float]:
-        client.on_message(count(len(told)), at_s)
-        for seq, radius in enumerate(told):
-            at_s += 0.01 + gap_s
-            client.on_time(at_s)
-            client.on_message(item(seq, radius=radius), at_s)
-        return radii(client)
-
-    def others_are_empty(at_s: float) -> None:
-        for kind in (RALLY, MISSION):
-            client.on_message(count(0, kind), at_s)
-
-    assert read(0.1, 50.0, 60.0) == [50.0, 60.0]  # better than none, and is read again at once
-    others_are_empty(1.5)
-    assert read(2.0, 51.0, 60.0) == [50.0, 60.0]
-    assert read(4.0, 51.0, 61.0) == [50.0, 60.0]
-    assert read(6.0, 51.0, 61.0) == [51.0, 61.0]
-    assert client.on_time(8.0) == []
-    assert client.on_time(13.0)[0].mission_type != FENCE
-    others_are_empty(13.1)
-    assert read(13.2, 70.0, 80.0, gap_s=0.0) == [70.0, 80.0]
 
 
 def test_a_fence_that_is_empty_right_after_a_reboot_counts_when_it_is_still_empty_later() -> None:

@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 import pytest
-from fastcrc.crc16 import mcrf4xx
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -193,22 +192,6 @@ def test_refusals_are_told_once_a_minute_and_only_if_there_are_new_ones() -> Non
     assert said == [None, "1", None, "5", None, "1"]
     signing.refused += 9_999_999
     assert len(signing.complaint(900.0) or "") <= 50
-
-
-@given(
-    text=st.binary(max_size=50),
-    sequence=st.integers(0, 255),
-    number=st.integers(0, 2**24 - 1),
-    extra=st.integers(0, 255),
-)
-def test_a_stripped_frame_is_unsigned(text: bytes, sequence: int, number: int, extra: int) -> None:
-    def framed(flags: int) -> bytes:
-        head = bytes([len(text), flags, 0, sequence, 1, 1]) + number.to_bytes(3, "little")
-        checksum = mcrf4xx(head + text + bytes([extra]))
-        return b"\xfd" + head + text + checksum.to_bytes(2, "little")
-
-    assert strip_signature(framed(1) + bytes(range(13))) == framed(0)
-    assert strip_signature(framed(0)) == framed(0)
 
 
 def test_messages_with_keys_and_passwords_are_secret() -> None:

@@ -2,19 +2,14 @@
 
 import json
 import math
-from collections.abc import Callable
 
 import pytest
-from made_up import EACH, MISSION, Craft, flying, mission, texts, two_legs_away
+from made_up import MISSION, Craft, flying
 from renewed import deep, replace
-from wild import Wild
 
 from companion.mission import checkpoint, events
-from companion.mission.events import FenceChanged, FenceReading, OrderKind, Plan, Setpoint
+from companion.mission.events import FenceChanged, Plan
 from companion.mission.phases import Phase, Reason
-from companion.mission.state import Way
-from companion.mission.vehicle_traits import VehicleTraits
-from companion.path.envelope import flown_on_m
 from companion.world.zones import CircleZone
 
 AHEAD_M = 10_000.0 * math.sqrt(0.5)
@@ -49,20 +44,6 @@ def test_a_fence_across_the_path_or_around_it_stops_the_vehicle_and_plans_anew(
     assert not is_ahead or math.dist(craft.here[:2], place) > clear_m
     craft.run_until(lambda craft: len(craft.sent(Plan)) == 2)
     assert craft.sent(Plan)[-1].request.from_rest
-
-
-def test_a_fence_on_the_way_back_of_a_vehicle_that_is_paused_leaves_it_led() -> None:
-    """In guided mode silence is a lost stream, whatever has become of the way back."""
-    craft = flying()
-    leg = craft.state.leg
-    craft.order(OrderKind.PAUSE).fly_to(Phase.HOLDING)
-    flight = craft.state.flight
-    assert flight.hover_nea_m is not None
-    craft.state = replace(craft.state, flight=replace(flight, way=Way.BACK, back=(leg,)))
-    craft.take(fence(craft, AHEAD_M, AHEAD_M, 500.0))
-    assert craft.state.flight.hover_nea_m == flight.hover_nea_m
-    assert any(isinstance(command, Setpoint) for command in craft.during(2.0))
-    assert craft.state.reason is Reason.PAUSED
 
 
 def on_its_way_out() -> tuple[Craft, FenceChanged]:
@@ -102,88 +83,3 @@ def test_the_ceiling_of_the_fence_lowers_the_band() -> None:
     assert craft.state.task.limits.ceiling_amsl_m == 4_000.0
     craft.take(FenceChanged(time_s=craft.now_s, zones=()))
     assert craft.state.task.limits == MISSION.task.limits
-
-
-# --- while it is being read
-
-
-def changed(craft: Craft, items: int = 5010) -> list[str]:
-    return texts(craft.take(FenceReading(time_s=craft.now_s, items=items)))
-
-
-def is_read(craft: Craft) -> Craft:
-    craft.take(FenceChanged(time_s=craft.now_s, zones=()))
-    craft.take(FenceReading(time_s=craft.now_s, items=0))
-    return craft
-
-
-def held() -> Craft:
-    """For a changed fence, whose reading has just begun."""
-    craft = flying(two_legs_away())
-    assert changed(craft) == ["the fence has changed: reading 5,010 items"]
-    here, limits = craft.here, craft.state.task.limits
-    craft.run_until(lambda craft: craft.phase is Phase.HOLDING, 60.0)
-    assert math.dist(here, craft.here) <= flown_on_m(craft.state.task.envelope, limits.speed_m_s)
-    return craft
-
-
-def test_a_changed_fence_is_told_at_once_and_held_for_until_it_is_read() -> None:
-    craft = held().run_for(153.0)
-    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.FENCE_UNREAD)
-    assert craft.state.flight.failures == 0
-    is_read(craft).run_until(lambda craft: craft.phase is Phase.FLYING, 30.0)
-
-
-@pytest.mark.parametrize("returns", [False, True])
-def test_who_cannot_read_it_to_its_end_gives_up_the_mission_and_not_the_way_back(
-    returns: bool,
-) -> None:
-    """Who does not answer is asked for ever: the hold would never end.  A return waits, too."""
-    craft = held()
-    if returns:
-        told = craft.take(events.Order(time_s=craft.now_s, kind=OrderKind.RETURN))
-        assert "it returns once the changed fence is read" in " ".join(texts(told))
-        assert craft.run_for(100.0).phase is Phase.HOLDING
-    craft.run_until(lambda craft: craft.phase is not Phase.HOLDING, 320.0)
-    craft.fly_to(Phase.DONE)
-    assert returns or Reason.FENCE_UNREAD.text in craft.end().reason
-
-
-def few_items() -> Craft:
-    """They are read within seconds."""
-    craft = flying(two_legs_away())
-    changed(craft, 9)
-    return is_read(craft.run_for(2.0))
-
-
-def goes_on() -> Craft:
-    """As its mission says."""
-    craft = flying(two_legs_away(mission(goes_on_while_reading=True)))
-    assert changed(craft)
-    return craft
-
-
-def with_an_empty_battery() -> Craft:
-    craft = flying(two_legs_away())
-    low = replace(craft.state.orders, active=Reason.BATTERY_LOW)
-    craft.state = replace(craft.state, orders=low)
-    changed(craft)
-    return craft
-
-
-@pytest.mark.parametrize("made", [few_items, goes_on, with_an_empty_battery])
-def test_it_flies_on_meanwhile_where_that_takes_seconds_or_it_must_not_wait(
-    made: Callable[[], Craft],
-) -> None:
-    assert made().run_for(10.0).phase is Phase.FLYING
-
-
-@EACH
-def test_copters_hold_and_planes_circle_while_it_is_read(traits: VehicleTraits) -> None:
-    it = Wild.calmly(traits).run_until(lambda it: it.state.leg is not None)
-    it.run_for(2.0)
-    it.take(FenceReading(time_s=it.now_s, items=400))
-    it.run_for(60.0)
-    assert (it.state.phase, it.state.reason) == (Phase.HOLDING, Reason.FENCE_UNREAD)
-    it.take(FenceReading(time_s=it.now_s, items=0))
-    assert it.fly_to(Phase.DONE).sent(events.End)[0].outcome is events.Outcome.ARRIVED
