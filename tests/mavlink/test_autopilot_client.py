@@ -23,6 +23,7 @@ from companion.mission.events import (
     Item,
     Prepared,
     SetSpeed,
+    TakeOffTaken,
 )
 from companion.mission.mission import Mission
 from companion.mission.state import State
@@ -279,6 +280,14 @@ def test_it_is_armed_and_disarmed_without_force() -> None:
         sent = over_the_wire(message)
         assert (sent.command, sent.target_system, sent.target_component) == (400, 7, 1)
         assert [getattr(sent, f"param{n}") for n in range(1, 8)] == [value] + [0.0] * 6
+
+
+def test_a_take_off_is_taken_once_it_is_accepted() -> None:
+    side = plane_told_its_speed()[0]
+    for command in (wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_CMD_COMPONENT_ARM_DISARM):
+        told = [side.event_of(ack(command, result), 3.0) for result in range(6)]
+        taken = TakeOffTaken(time_s=3.0) if command == wire.MAV_CMD_NAV_TAKEOFF else None
+        assert told == [taken, *[None] * 5]  # MAV_RESULT_ACCEPTED is 0
 
 
 def test_how_the_vehicles_own_mission_ends_is_not_passed_over_in_silence() -> None:

@@ -219,6 +219,19 @@ def test_the_same_items_are_no_change_also_where_a_parameter_is_no_number() -> N
     assert client.plans[FENCE].version == 1
 
 
+def test_a_list_that_was_read_with_gaps_counts_when_it_is_read_twice_the_same() -> None:
+    """In a gap somebody may have replaced it: half old, half new; the first is better than none."""
+    client, known = begun(), []
+    for at_s, radius in ((0.1, 50.0), (2.0, 51.0), (4.0, 52.0), (6.0, 52.0)):
+        client.on_message(count(1), at_s)
+        client.on_time(at_s + 0.5)  # asked for again
+        client.on_message(item(0, radius=radius), at_s + 0.5)
+        known.append(radii(client))
+        for kind in (RALLY, MISSION):
+            client.on_message(count(0, kind), at_s + 0.6)
+    assert known == [[50.0], [50.0], [50.0], [52.0]]
+
+
 def test_a_fence_that_is_empty_right_after_a_reboot_counts_when_it_is_still_empty_later() -> None:
     """An autopilot may answer before it has loaded its lists."""
     client = begun(count(1), item(0), count(0, RALLY), count(0, MISSION))

@@ -257,8 +257,6 @@ class Craft(Program):
     here: Vector = (0.0, 0.0, HOME_AMSL_M)
     home_nea_m: Vector | None = here
     velocity: Vector = (0.0, 0.0, 0.0)
-    by_hand: Vector = (0.0, 0.0, 0.0)
-    """Velocity at which somebody else flies it."""
     climb_to_m: float | None = None
     obeys_modes = follows = fix = estimator = arms = takes_off = True
     accepts = failsafe = scan_asked = False
@@ -367,9 +365,8 @@ class Craft(Program):
             if height == HOME_AMSL_M:
                 self.landed, self.armed = Landed.ON_GROUND, False
         if self.mode is not Mode.GUIDED:
-            self.velocity = self.by_hand
-        north, east, _ = self.by_hand
-        self.here = (self.here[0] + TICK_S * north, self.here[1] + TICK_S * east, height)
+            self.velocity = (0.0, 0.0, 0.0)
+        self.here = (*self.here[:2], height)
 
     def says(self) -> list[Event]:
         """What the vehicle says at the next tick of its clock."""
@@ -421,13 +418,6 @@ class Craft(Program):
     def phases(self) -> set[Phase]:
         """All that it has come through."""
         return {after.phase for *_, after, _ in self.steps}
-
-    def fly_by_hand(self, velocity: Vector, seconds: float) -> "Craft":
-        """Somebody else flies it somewhere, level."""
-        self.by_hand = velocity
-        self.run_for(seconds)
-        self.by_hand = (0.0, 0.0, 0.0)
-        return self
 
     def copy(self) -> "Craft":
         """Another one that has come as far, and flies on by itself."""

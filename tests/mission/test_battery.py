@@ -12,32 +12,17 @@ from renewed import replace
 from companion.mission import changes
 from companion.mission.battery import battery_lasts
 from companion.mission.changes import OrderResult
-from companion.mission.events import Battery, Landed, Mode, OrderKind
+from companion.mission.events import Battery, Landed, OrderKind
 from companion.mission.mission import Fallback, Mission
 from companion.mission.phases import Phase, Reason
 
 LOW = Reason.BATTERY_LOW
-EACH_FALLBACK = pytest.mark.parametrize("how", Fallback)
-
-
-def paused(of: Mission = AWAY) -> Craft:
-    return flying(of).order(OrderKind.PAUSE).fly_to(Phase.HOLDING).run_for(5.0)
 
 
 def going_back(of: Mission = AWAY) -> Craft:
     """On the way back that a person has asked for."""
     craft = flying(of, plan=home_or_on).order(OrderKind.RETURN)
     return craft.fly_to(Phase.RETURNING).run_for(10.0)
-
-
-def drains(craft: Craft, by_1_s: float) -> list[str]:
-    """What is warned of while it says that it drains so fast."""
-    count = len(craft.commands)
-    for second in range(200):
-        left = max(0.9 - by_1_s * second, 0.0) if by_1_s else 0.21
-        craft.take(Battery(time_s=craft.now_s, remaining=left))
-        craft.run_for(1.0)
-    return warnings(craft.commands[count:])
 
 
 def test_one_word_of_an_empty_battery_ends_nothing() -> None:
@@ -64,20 +49,6 @@ def test_a_battery_below_its_reserve_is_believed_after_three_seconds_or_when_it_
 
 
 # --- in a pause, and on the way back
-
-
-@pytest.mark.parametrize(("by_1_s", "warned"), [(0.0, 0), (0.005, 2)], ids=["lasts", "will not"])
-def test_whoever_flies_it_or_pauses_it_is_warned_at_this_rate_and_at_the_reserve(
-    by_1_s: float, warned: int
-) -> None:
-    """While another has it that is all; a pause it ends."""
-    taken = flying(AWAY).is_taken(Mode.OTHER).fly_to(Phase.HOLDING)
-    assert drains(taken, by_1_s) == [LOW.text] * warned
-    assert (taken.phase, taken.state.reason) == (Phase.HOLDING, Reason.MODE_TAKEN)
-    craft = paused()
-    said = drains(craft, by_1_s)
-    assert said[:2] == [LOW.text, f"hold: {LOW.text}"][:warned]
-    assert (craft.state.reason is Reason.PAUSED) is (warned == 0)
 
 
 @pytest.mark.parametrize("made", [flying, going_back], ids=["stopping for it", "on the way back"])

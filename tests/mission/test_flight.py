@@ -18,7 +18,6 @@ from made_up import (
     flying,
     not_planned,
     once,
-    only_the_first,
     planned,
 )
 from renewed import replace
@@ -146,21 +145,6 @@ def test_without_a_plan_at_all_it_hovers_tries_four_times_and_lands_where_it_too
     assert craft.sent(SetMode)[-1].mode is Mode.LAND
     assert craft.end().reason == f"landed: {Reason.NO_PLAN.text}: it broke floor"
     assert len({setpoint.position_nea_m for setpoint in craft.sent(Setpoint)}) == 1
-
-
-def test_without_a_successor_a_leg_is_flown_to_its_end_and_then_held_with_zero_velocity() -> None:
-    craft = flying(plan=only_the_first)
-    leg = craft.state.leg
-    end_nea_m = leg.subpath.pose(leg.subpath.length_m).position_nea_m
-    assert craft.fly_to(Phase.HOLDING).state.reason is Reason.NO_PLAN
-    held = [s for s in craft.during(1.5) if isinstance(s, Setpoint)]
-    assert len(held) == 15
-    craft.run_until(lambda craft: craft.state.flight.failures == 2)  # refused from rest, too
-    for setpoint in [*held, *(s for s in craft.during(1.0) if isinstance(s, Setpoint))]:
-        np.testing.assert_allclose(setpoint.position_nea_m, end_nea_m, atol=1e-6)
-        assert setpoint.velocity_nea_m_s == (0.0, 0.0, 0.0)
-    craft.fly_to(Phase.DONE)
-    assert len(craft.sent(Plan)) == 2 + 4 + 1 + 4  # the way back, then one home
 
 
 @pytest.mark.parametrize(("plan_id", "why"), [(2, Reason.PLAN_LATE), (99, Reason.NO_PLAN)])

@@ -5,7 +5,7 @@ import math
 from itertools import pairwise
 
 import pytest
-from made_up import AWAY, EACH, PLANES, flying, warnings
+from made_up import AWAY, EACH, PLANES, flying
 from renewed import replace
 from wild import HOME_AMSL_M, Wild
 
@@ -240,22 +240,3 @@ def test_no_leg_is_planned_from_a_circle_that_the_plane_is_not_on(
         at_s = plane.now_s + later_s
         plane.take(events.Position(time_s=at_s, position_nea_m=plane.here, velocity_nea_m_s=speed))
     assert (len(plane.sent(events.StartScan)) > scans) is (beyond < 1.0)
-
-
-@PLANES
-@pytest.mark.parametrize("gap_m", [-0.6, 0.6])
-def test_a_fence_too_near_to_its_circle_is_said_once_and_it_stays(
-    traits: VehicleTraits, gap_m: float
-) -> None:
-    """Dense about the limit: the required clearance of the circle, less half a metre."""
-    plane = circling(traits)
-    task, hover = plane.mission.task, plane.state.flight.hover_nea_m
-    away_m = task.limits.loiter_radius_m + task.required_clearance_m - 0.5 + gap_m
-    zone = CircleZone(name="new", north_m=hover[0] + away_m + 70.0, east_m=hover[1], radius_m=70.0)
-    plane.take(events.FenceChanged(time_s=plane.now_s, zones=(zone,)))
-    count = len(plane.said_to)
-    later = plane.run_for(0.9).said_to[count:]  # and no plan is there yet
-    assert warnings(later) == (["circling too near to zone new"] if gap_m < 0.0 else [])
-    setpoints = [c for c in later if isinstance(c, Setpoint)]
-    assert setpoints
-    assert all(each.stay and each.position_nea_m == hover for each in setpoints)

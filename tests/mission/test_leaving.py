@@ -12,7 +12,6 @@ from made_up import (
     SITUATIONS,
     TICK_S,
     Craft,
-    arrived,
 )
 
 from companion.mission import changes, events
@@ -155,14 +154,3 @@ def test_every_wait_ends_with_a_reason_when_only_the_clock_goes_on_or_the_link_i
     if wait not in ENDLESS or not link:
         assert craft.over, f"still {craft.phase.value} after twelve minutes"
         assert craft.end().outcome is Outcome.FAILED
-
-
-def test_the_hold_about_the_target_is_asked_for_once_a_second_and_then_a_hold_anywhere() -> None:
-    """An autopilot may refuse to hold at a place."""
-    craft = arrived()
-    craft.obeys_modes = False
-    craft.run_for(5.0)
-    asked = [command.at_nea_m for command in craft.sent(SetMode) if command.mode is Mode.HOLD]
-    assert 4 <= len(asked) <= 6
-    assert None not in asked[:2]
-    assert set(asked[2:]) == {None}

@@ -141,21 +141,6 @@ def test_something_beside_behind_or_gone_stops_nobody() -> None:
     assert craft.state.path.stop is None
 
 
-def test_a_vehicle_that_swings_through_after_its_stop_is_waited_for() -> None:
-    """It would have left its next path at once: that begins where it is told to hold."""
-    craft = flying(MISSION)
-    craft.take(meets(craft))
-    craft.fly_to(Phase.HOLDING)
-    off_m, speed_m_s = 2.5 * LIMITS.tracking_error_m, 5.0
-    craft.follows, craft.velocity = False, (speed_m_s, 0.0, 0.0)
-    craft.fly_by_hand(craft.velocity, off_m / speed_m_s).velocity = (0.0, 0.0, 0.0)
-    assert craft.run_for(SETTINGS.planning_time_s + 10.0).phase is Phase.HOLDING
-    craft.follows = True
-    craft.fly_to(Phase.FLYING)
-    assert craft.run_for(SETTINGS.planning_time_s + 10.0).phase is Phase.FLYING
-    assert craft.state.flight.departures == 0
-
-
 def test_a_copter_behind_its_reference_stops_as_far_from_where_it_is_itself() -> None:
     """An old position is where it was: it has flown on since."""
     craft = flying(MISSION)

@@ -14,9 +14,9 @@ from made_up import (
     SITUATIONS,
     Craft,
     Step,
-    arrived,
     flying,
     home_or_on,
+    order_of,
     tell,
     texts,
     told,
@@ -24,6 +24,7 @@ from made_up import (
 from renewed import replace
 from wild import Wild
 
+from companion.mavlink.autopilots import ARDUPLANE
 from companion.mission import changes, events
 from companion.mission.changes import OrderResult
 from companion.mission.events import Mode, Order, OrderKind, Plan, SetMode, Setpoint
@@ -97,6 +98,17 @@ def test_a_target_that_cannot_be_one_is_invalid(target_ne_m: tuple[float, float]
     assert changes.order_result(craft.state, asked) is OrderResult.INVALID
     why = "it has no target" if target_ne_m is None else "the target: it lies outside the map"
     assert changes.why_not(craft.state, asked).startswith(f"reposition refused: {why}")
+
+
+def test_who_cannot_land_is_not_told_to_and_what_only_watches_obeys_nobody() -> None:
+    craft, shadow = flying(AWAY), Craft(shadow=True)
+    craft.state = replace(
+        craft.state, vehicle=replace(craft.state.vehicle, traits=ARDUPLANE.traits)
+    )
+    assert tell(craft, LAND) is OrderResult.INVALID
+    assert "send it back" in changes.why_not(craft.state, order_of(craft, LAND))
+    shadow.run_until(lambda craft: craft.phase is Phase.SHADOW)
+    assert {tell(shadow, kind) for kind in OrderKind} == {OrderResult.NOT_NOW}
 
 
 # --- one order after another
@@ -210,16 +222,3 @@ def test_no_stretch_of_the_way_back_is_lost_in_a_pause_or_a_restart(
 
 
 # --- how it is done
-
-
-@pytest.mark.parametrize("obeys", [True, False])
-def test_told_to_return_after_its_hold_was_asked_for_it_returns(obeys: bool) -> None:
-    """Its own hold may show in the next heartbeat: nobody has taken the vehicle."""
-    craft = arrived()
-    craft.plan, craft.obeys_modes = home_or_on, obeys
-    craft.run_until(lambda craft: any(c.mode is Mode.HOLD for c in craft.sent(SetMode)))
-    told(craft, RETURN)
-    craft.mode, craft.obeys_modes = Mode.HOLD, True
-    craft.run_until(lambda craft: craft.phase in (RETURNING, Phase.DONE), 60.0)
-    assert craft.phase is RETURNING
-    assert Reason.MODE_TAKEN not in {after.reason for _, _, after, _ in craft.steps}

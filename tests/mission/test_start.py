@@ -17,7 +17,7 @@ from made_up import (
 )
 from wild import Wild
 
-from companion.mavlink.autopilots import ALL, ARDUCOPTER
+from companion.mavlink.autopilots import ARDUCOPTER
 from companion.mission import changes, checkpoint, events
 from companion.mission.changes import OrderResult
 from companion.mission.decisions import Context
@@ -101,17 +101,6 @@ def test_a_check_that_fails_while_it_waits_is_told_and_a_go_refused_with_it(why:
     assert len(craft.sent(events.RequestStreams)) == 1
 
 
-def test_what_is_mended_is_ready_again_and_waits_again() -> None:
-    craft = ready()
-    craft.fix = False
-    craft.run_for(20.0).fix = True
-    assert craft.run_for(2.0).phase is Phase.PREPARING  # the checks are not over yet
-    craft.take(Prepared(time_s=craft.now_s, item=Item.CHECKS))
-    assert craft.run_for(2.0).phase is Phase.READY
-    assert sum("waits for go" in text for text in texts(craft.commands)) == 2
-    assert says_go(craft) is OrderResult.ACCEPTED
-
-
 # --- two companions of one vehicle
 
 
@@ -184,12 +173,6 @@ def test_one_that_hears_of_the_first_just_after_it_took_over_yields(
     assert not moving(it.said_to[count:])
     assert it.sent(End)[0].reason == Reason.NOT_ALONE.text
     assert it.mode is Mode.GUIDED  # the first has it
-
-
-def test_a_shadow_says_so_and_watches_on() -> None:
-    it = Wild.calmly(ALL[0].traits, shadow=True).aloft(Mode.GUIDED)
-    assert [text for text in warnings(shared(it, 10)) if "another" in text]
-    assert it.state.phase is Phase.SHADOW
 
 
 # --- a flight of which nothing can be read any more, or that falls in its restart

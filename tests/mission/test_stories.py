@@ -185,6 +185,11 @@ def is_led_level(craft: Craft) -> bool:
     return heights == {round(craft.here[2])} and craft.here[2] > HOME_AMSL_M
 
 
+def modes(craft: Craft) -> list[Mode]:
+    """All that it was asked for."""
+    return [each.mode for each in craft.sent(events.SetMode)]
+
+
 def told_nothing(craft: Craft) -> bool:
     return not moving(craft.commands)
 
@@ -263,6 +268,10 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         under_way(),
         *(now(plan=lambda r: not_planned(r) if r.flown is None else None), Reason.NO_PLAN, PAUSE),
         *(now(plan=planned), CONTINUE, FLYING, 20.0, LOW, Reason.BATTERY_LOW),
+    ),
+    "low while a pilot has it": (
+        under_way(),
+        *(TAKEN, HOLDING, LOW, 4.0, says(Reason.BATTERY_LOW.text), holds_for(Reason.MODE_TAKEN)),
     ),
     # home is where the vehicle has it, and not where it was taken over
     "told to return": (taken_over, LED_ON, RETURN, DONE, is_home, BACK),
@@ -377,6 +386,22 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         *(hears(events.TargetsChanged, targets_ne_m=()), Reason.NEW_TARGET, DONE),
         lambda it: math.dist(it.here[:2], ELSEWHERE[-1]) < 1.0,
     ),
+    "told to return, taken and given back where there is no way back": (
+        under_way(),
+        *(RETURN, HOLDING, now(mode=Mode.HOLD, obeys_modes=False), Reason.MODE_TAKEN),
+        *(now(obeys_modes=True), 10.0, START, Reason.RETURN_ASKED, now(plan=not_planned)),
+        Phase.HANDING_OVER,
+    ),
+    "told to return when its hold was asked for": (
+        arrived,
+        *(now(plan=home_or_on), until(lambda it: Mode.HOLD in modes(it)), RETURN),
+        *(now(mode=Mode.HOLD), RETURNING),
+    ),
+    "its autopilot does not hold about its target": (
+        arrived,
+        *(now(obeys_modes=False), 5.0),
+        lambda it: it.sent(events.SetMode)[-1] == events.SetMode(mode=Mode.HOLD),
+    ),
     "told to land": (
         under_way(),
         *(5.0, LANDS, is_flying, LANDING, lambda it: not any(it.velocity), DONE, is_down),
@@ -414,6 +439,7 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     ),
     # who says go, and to what
     "go was said": (lambda: Craft(NEAR), Phase.ARMING, lambda it: not says("waits for go")(it)),
+    # it is stopped
     "stopped before it was told anything": (Craft, hears(events.StopAsked), DONE, told_nothing),
     "stopped while it prepares": (preparing, hears(events.StopAsked), DONE, told_nothing),
     "stopped in a landing for want of plans": (
@@ -424,6 +450,11 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         ready,
         *(now(obeys_modes=False), START, Craft.reboot, READY, 30.0, now(fix=False)),
         *(Craft.reboot, 150.0, lambda it: it.phase is PREPARING),
+    ),
+    "what is mended is ready again once it has been checked": (
+        ready,
+        *(now(fix=False), 20.0, now(fix=True), 2.0, lambda it: it.phase is PREPARING),
+        *(hears(events.Prepared, item=events.Item.CHECKS), READY, START),
     ),
     "somebody arms what is ready": (
         ready,

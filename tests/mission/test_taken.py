@@ -11,7 +11,6 @@ from made_up import (
     Craft,
     flying,
     moving,
-    not_planned,
     position,
     status,
     texts,
@@ -92,29 +91,6 @@ def test_when_it_is_over_it_says_once_how_to_go_on_and_goes_on_only_then(
     craft.obeys_modes = True
     craft.order(OrderKind.START).fly_to(Phase.FLYING)
     assert not traits.hovers or craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
-
-
-@pytest.mark.parametrize("failsafe", [False, True])
-def test_what_was_given_back_is_ours_until_it_is_taken_again(failsafe: bool) -> None:
-    """Told to return and taken, given back by a word; without a way back its own return is left.
-
-    A word to go on counts for the hold that it was given in, and each failsafe's end is said.
-    """
-    craft = flying(AWAY).order(OrderKind.RETURN).fly_to(Phase.HOLDING)
-    mode = Mode.RETURN if failsafe else Mode.HOLD
-    craft.is_taken(mode, failsafe=failsafe).run_for(3.0)
-    craft.failsafe, craft.mode, craft.obeys_modes = False, Mode.HOLD, True
-    craft.run_for(10.0).order(OrderKind.START)
-    craft.run_until(lambda craft: craft.state.reason is Reason.RETURN_ASKED)
-    home = craft.copy()
-    home.plan = not_planned
-    home.fly_to(Phase.HANDING_OVER)
-    craft.is_taken(mode, failsafe=failsafe)
-    reason = Reason.FAILSAFE if failsafe else Reason.MODE_TAKEN
-    craft.run_until(lambda craft: craft.state.reason is reason)
-    craft.failsafe = False
-    assert not moving(craft.during(60.0))
-    assert texts(craft.commands).count(FAILSAFE_OVER) == (2 if failsafe else 0)
 
 
 # --- by its own fence
