@@ -16,22 +16,17 @@ from made_up import (
     TICK_S,
     Craft,
     flying,
-    not_planned,
     once,
-    planned,
 )
 from renewed import replace
 
 from companion.mission import events
 from companion.mission.events import (
-    Mode,
     Plan,
-    SetMode,
     Setpoint,
     StartScan,
 )
 from companion.mission.phases import Phase, Reason
-from companion.planner.request import Planned, PlanRequest
 
 # The distances of environment-1 by hand: V = 150 m/s, a = 5 m/s2, T = 5 s, t_scan = 4 s,
 # d_s = 500 m, R = 20 km: tail = max(0.15 R, V^2 / 2a + d_s), L = V (T + t_scan) + tail.
@@ -134,37 +129,6 @@ def test_the_reference_waits_for_a_vehicle_that_falls_behind_and_goes_on_when_it
     craft.follows = True
     assert math.hypot(*craft.run_for(70.0).velocity) == pytest.approx(SPEED_M_S)
     assert Phase.HOLDING not in craft.phases
-
-
-# --- no plan, late plans
-
-
-def test_without_a_plan_at_all_it_hovers_tries_four_times_and_lands_where_it_took_off() -> None:
-    craft = Craft(plan=not_planned).fly_to(Phase.DONE)
-    assert [plan.request.attempt for plan in craft.sent(Plan)] == [0, 1, 2, 3]
-    assert craft.sent(SetMode)[-1].mode is Mode.LAND
-    assert craft.end().reason == f"landed: {Reason.NO_PLAN.text}: it broke floor"
-    assert len({setpoint.position_nea_m for setpoint in craft.sent(Setpoint)}) == 1
-
-
-@pytest.mark.parametrize(("plan_id", "why"), [(2, Reason.PLAN_LATE), (99, Reason.NO_PLAN)])
-def test_a_plan_that_never_comes_is_a_late_plan_at_the_end_of_the_leg(
-    plan_id: int, why: Reason
-) -> None:
-    """News of another one is ignored, and so is the plan itself when it comes after p_prog."""
-    asked: list[PlanRequest] = []
-
-    def first_only(request: PlanRequest) -> Planned | None:
-        asked.append(request)
-        return planned(request) if request.plan_id == 1 else None
-
-    craft = flying(plan=first_only).run_until(lambda _: len(asked) == 2).run_for(6.0)
-    assert craft.take(events.PlanLate(time_s=craft.now_s, plan_id=plan_id)) == []
-    assert (craft.phase, craft.state.stage.shortfall) == (Phase.FLYING, why)
-    craft.run_until(lambda craft: craft.state.reference.length_m > LEG_M - TAIL_M)
-    craft.take(events.PlanReady(time_s=craft.now_s, outcome=planned(asked[1])))
-    assert craft.state.path.next_leg is None
-    assert craft.fly_to(Phase.HOLDING).state.reason is Reason.PLAN_LATE
 
 
 # --- a silent radar

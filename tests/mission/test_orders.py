@@ -4,7 +4,6 @@
 """
 
 import math
-from collections.abc import Callable
 
 import pytest
 from made_up import (
@@ -25,9 +24,9 @@ from renewed import replace
 from wild import Wild
 
 from companion.mavlink.autopilots import ARDUPLANE
-from companion.mission import changes, events
+from companion.mission import changes
 from companion.mission.changes import OrderResult
-from companion.mission.events import Mode, Order, OrderKind, Plan, SetMode, Setpoint
+from companion.mission.events import Mode, Order, OrderKind, Plan, SetMode
 from companion.mission.mission import Mission
 from companion.mission.phases import Phase, Reason
 from companion.mission.vehicle_traits import VehicleTraits
@@ -138,27 +137,6 @@ def test_the_last_order_counts_and_a_pause_gives_back_what_it_broke_off(
     craft.run_until(lambda craft: craft.phase is ends, 120.0)
     assert never not in {after.phase for *_, after, _ in craft.steps[count:]}
     assert craft.state.flight.returning is (ends is RETURNING)
-
-
-def answer(craft: Craft) -> Craft:
-    """The planner answers what it was asked last."""
-    outcome = home_or_on(craft.sent(Plan)[-1].request)
-    craft.obey(craft.take(events.PlanReady(time_s=craft.now_s, outcome=outcome)))
-    return craft
-
-
-@pytest.mark.parametrize("again", [answer, Craft.restart, Craft.reboot])
-def test_a_pause_on_a_return_outlives_an_old_plan_the_companion_and_the_autopilot(
-    again: Callable[[Craft], Craft],
-) -> None:
-    craft = told(under_way(), RETURN)
-    craft.plan = lambda _: None
-    craft.run_until(lambda craft: getattr(craft.state.stage, "backtrack", None))
-    told(craft, PAUSE).plan = home_or_on
-    later = again(craft.run_for(5.0)).during(300.0)
-    assert (craft.phase, craft.state.reason) == (HOLDING, Reason.PAUSED)
-    assert not [c for c in later if isinstance(c, Setpoint) and not c.stay]
-    told(craft, CONTINUE, RETURNING)
 
 
 @pytest.mark.parametrize("found_in", [Mode.GUIDED, Mode.HOLD])
