@@ -10,12 +10,9 @@ from hypothesis import strategies as st
 
 from companion.mavlink.dialect import codec, wire
 from companion.mavlink.frames import (
-    LONGEST,
     Receiver,
     decoded,
-    frame_extent,
     intact_end,
-    payload_of,
     sender_of,
 )
 from companion.mavlink.signing import SECRETS, Signing
@@ -152,13 +149,6 @@ def test_a_packed_frame_is_intact_and_no_longer_when_cut_or_bent(frame: bytes) -
     for at in range(len(frame)):
         assert intact_end(frame[:at], 0) == 0
         assert not intact_end(frame[:at] + bytes([frame[at] ^ 0x21]) + frame[at + 1 :], 0)
-
-
-def test_the_longest_frame_is_a_signed_one_with_all_of_its_payload() -> None:
-    frame = wire.MAVLink_file_transfer_protocol_message(0, 1, 1, [255] * 251).pack(signer())
-    assert len(frame) == LONGEST - 1  # no message of 255 bytes can be packed in this dialect
-    assert intact_end(frame, 0) == frame_extent(frame, 0)[0] == len(frame)
-    assert payload_of(frame, 254)[3:254] == bytes([255] * 251)
 
 
 def told(message: Any) -> dict[str, Any]:

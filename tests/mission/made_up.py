@@ -557,6 +557,21 @@ def tell(it: Any, kind: events.OrderKind) -> OrderResult:
     return verdict
 
 
+def now(**changes: object) -> Callable[[Craft], None]:
+    """From now on the vehicle, or its planner, is like that."""
+
+    def change(craft: Craft) -> None:
+        for name, value in changes.items():
+            setattr(craft, name, value)
+
+    return change
+
+
+def hears(kind: Callable[..., Event], **fields: object) -> Callable[[Craft], None]:
+    """The mission hears of this, too."""
+    return lambda craft: craft.obey(craft.take(kind(time_s=craft.now_s, **fields)))
+
+
 def told(craft: Craft, *script: Step) -> Craft:
     """Orders, each accepted; how long it flies on, or until which phase or reason; what else.
 

@@ -7,25 +7,11 @@ import math
 
 import numpy as np
 import pytest
-from made_up import (
-    AWAY,
-    LEG_M,
-    MISSION,
-    SPEED_M_S,
-    TAKE_OFF_AMSL_M,
-    TICK_S,
-    Craft,
-    flying,
-    once,
-)
+from made_up import AWAY, LEG_M, MISSION, SPEED_M_S, TAKE_OFF_AMSL_M, TICK_S, Craft, flying, once
 from renewed import replace
 
 from companion.mission import events
-from companion.mission.events import (
-    Plan,
-    Setpoint,
-    StartScan,
-)
+from companion.mission.events import Plan, Setpoint, StartScan
 from companion.mission.phases import Phase, Reason
 
 # The distances of environment-1 by hand: V = 150 m/s, a = 5 m/s2, T = 5 s, t_scan = 4 s,

@@ -12,14 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made_up import (
-    COPTERS,
-    MISSION,
-    Craft,
-    position,
-    shifted,
-    texts,
-)
+from made_up import COPTERS, MISSION, Craft, position, shifted, texts
 from renewed import replace
 
 from companion.mission.events import Landed, Mode, Plan, Position, Setpoint
@@ -56,6 +49,7 @@ class Track:
         self.vehicle = replace(GOOD, landed=Landed.IN_AIR)
         self.time_s = self.north_m = self.east_m = 0.0
         self.speed_m_s, self.step_s = 20.0, 0.1
+        self.course_rad, self.turn_rad_s = 0.5 * math.pi, 0.0
 
     @property
     def reason(self) -> Reason | None:
@@ -70,10 +64,16 @@ class Track:
     def fly(self, seconds: float, *, frozen: bool = False) -> "Track":
         """frozen: its position is, its speed is not."""
         for _ in range(round(seconds / self.step_s)):
-            self.east_m += 0.0 if frozen else self.step_s * self.speed_m_s
+            middle_rad = self.course_rad + 0.5 * self.step_s * self.turn_rad_s
+            self.course_rad += self.step_s * self.turn_rad_s
+            moved_m = 0.0 if frozen else self.step_s * self.speed_m_s
+            self.north_m += moved_m * math.cos(middle_rad)
+            self.east_m += moved_m * math.sin(middle_rad)
             self.time_s += self.step_s
             take_distrust(self.vehicle, self.reason, self.time_s)  # a gap is seen before it ends
-            here, velocity = (self.north_m, self.east_m, 3000.0), (0.0, self.speed_m_s, 0.0)
+            north, east = math.cos(self.course_rad), math.sin(self.course_rad)
+            velocity = (self.speed_m_s * north, self.speed_m_s * east, 0.0)
+            here = (self.north_m, self.east_m, 3000.0)
             self.vehicle = with_position(self.vehicle, position(self.time_s, here, velocity))
             take_distrust(self.vehicle, self.reason, self.time_s)
         return self
@@ -185,6 +185,11 @@ def landed(track: Track) -> None:
     track.vehicle, track.speed_m_s = replace(track.vehicle, landed=Landed.ON_GROUND), 0.0
 
 
+def circles(track: Track) -> None:
+    """A plane at 20 m/s with a radius of 80 m, which tells its position 2.5 times a second."""
+    track.turn_rad_s, track.step_s = 0.25, 0.4
+
+
 def doubted(track: Track) -> None:
     """Its estimator says that it does not know."""
     track.vouch(estimator=False)
@@ -221,6 +226,7 @@ GLITCH: tuple[Happening, ...] = (doubted, 10.0, jumps(50.0), 10.0, vouched)
         ((unseen, 1.0), True),
         ((frozen, 1.0), True),
         ((landed, 10.0, jumps(50.0), 1.0), True),
+        ((circles, doubted, 120.0, vouched, 0.8), True),  # what is flown meanwhile
     ],
 )
 def test_after_a_loss_or_a_glitch(happens: tuple[Happening, ...], believed: bool) -> None:

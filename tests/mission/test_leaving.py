@@ -3,16 +3,7 @@
 from collections.abc import Callable
 
 import pytest
-from made_up import (
-    COPTERS,
-    EACH,
-    HOME_AMSL_M,
-    LAND,
-    OVER,
-    SITUATIONS,
-    TICK_S,
-    Craft,
-)
+from made_up import COPTERS, EACH, HOME_AMSL_M, LAND, OVER, SITUATIONS, TICK_S, Craft
 
 from companion.mission import changes, events
 from companion.mission.events import Mode, OrderKind, Outcome, SetMode, Setpoint, Tick

@@ -8,10 +8,13 @@ from made_up import (
     HOME_AMSL_M,
     NEAR,
     Craft,
+    hears,
     mission,
     moving,
+    now,
     order_of,
     preparing,
+    tell,
     texts,
     warnings,
 )
@@ -21,17 +24,7 @@ from companion.mavlink.autopilots import ARDUCOPTER
 from companion.mission import changes, checkpoint, events
 from companion.mission.changes import OrderResult
 from companion.mission.decisions import Context
-from companion.mission.events import (
-    Command,
-    DuplicateId,
-    End,
-    FenceChanged,
-    Item,
-    Mode,
-    OrderKind,
-    Outcome,
-    Prepared,
-)
+from companion.mission.events import Command, End, Item, Mode, OrderKind, Outcome
 from companion.mission.phases import Phase, Reason
 from companion.mission.tables import is_under_control
 from companion.mission.vehicle_traits import VehicleTraits
@@ -44,26 +37,14 @@ def ready(traits: VehicleTraits = ARDUCOPTER.traits) -> Craft:
     return Craft(NEAR, traits=traits, go=False).fly_to(Phase.READY)
 
 
-def says_go(craft: Craft) -> OrderResult:
-    order = order_of(craft, OrderKind.START)
-    result = changes.order_result(craft.state, order)
-    if result is OrderResult.ACCEPTED:
-        craft.obey(craft.take(order))
-    return result
-
-
 @EACH
 def test_a_vehicle_that_is_ready_waits_for_as_long_as_it_takes(traits: VehicleTraits) -> None:
     craft = ready(traits).run_for(200.0)
     assert craft.phase is Phase.READY
     assert not moving(craft.commands)
     assert sum("waits for go" in text for text in texts(craft.commands)) == 1
-    assert says_go(craft) is OrderResult.ACCEPTED
+    assert tell(craft, OrderKind.START) is OrderResult.ACCEPTED
     assert craft.fly_to(Phase.TAKING_OFF).sent(events.Arm)
-
-
-def taking(made: Callable[[float], events.Event]) -> Callable[[Craft], object]:
-    return lambda craft: craft.take(made(craft.now_s))
 
 
 def drains(craft: Craft) -> None:
@@ -76,14 +57,14 @@ AROUND = CircleZone(name="z", north_m=0.0, east_m=0.0, radius_m=100.0)
 CHECK = {"item": Item.CHECKS, "refusal": "signing: none", "remedy": "x"}
 PARAMETER = {"item": Item.PARAMETERS, "refusal": "GUID_OPTIONS = 16"}
 LOSSES: dict[str, Callable[[Craft], object]] = {
-    Reason.NO_FIX.text: lambda craft: setattr(craft, "fix", False),
-    Reason.LINK_LOST.text: taking(lambda now_s: events.LinkLost(time_s=now_s, silent_s=3.0)),
+    Reason.NO_FIX.text: now(fix=False),
+    Reason.LINK_LOST.text: hears(events.LinkLost, silent_s=3.0),
     Reason.BATTERY_SHORT.text: drains,
-    Reason.POSITION_JUMPED.text: lambda it: setattr(it, "here", (1e6, 0.0, HOME_AMSL_M)),
-    Reason.OUTSIDE.text: taking(lambda now_s: FenceChanged(time_s=now_s, zones=(AROUND,))),
-    "signing: none": taking(lambda now_s: Prepared(time_s=now_s, **CHECK)),
-    "GUID_OPTIONS = 16": taking(lambda now_s: Prepared(time_s=now_s, **PARAMETER)),
-    Reason.NO_TARGETS.text: taking(lambda s: events.TargetsChanged(time_s=s, targets_ne_m=())),
+    Reason.POSITION_JUMPED.text: now(here=(1e6, 0.0, HOME_AMSL_M)),
+    Reason.OUTSIDE.text: hears(events.FenceChanged, zones=(AROUND,)),
+    "signing: none": hears(events.Prepared, **CHECK),
+    "GUID_OPTIONS = 16": hears(events.Prepared, **PARAMETER),
+    Reason.NO_TARGETS.text: hears(events.TargetsChanged, targets_ne_m=()),
 }
 
 
@@ -94,7 +75,7 @@ def test_a_check_that_fails_while_it_waits_is_told_and_a_go_refused_with_it(why:
     LOSSES[why](craft)
     craft.run_until(lambda craft: craft.phase is Phase.PREPARING, 5.0)
     assert f"not ready any more: {why}" in texts(craft.commands)
-    assert says_go(craft) is OrderResult.NOT_NOW
+    assert tell(craft, OrderKind.START) is OrderResult.NOT_NOW
     assert why in changes.why_not(craft.state, order_of(craft, OrderKind.START))
     assert craft.run_for(200.0).phase is Phase.PREPARING
     assert not moving(craft.commands)
@@ -106,7 +87,7 @@ def test_a_check_that_fails_while_it_waits_is_told_and_a_go_refused_with_it(why:
 
 def beat(it: Craft | Wild, number: int) -> None:
     """Another companion is heard, as from the wire: the third time is certain."""
-    it.take(DuplicateId(time_s=it.now_s, certain=number >= 2, news=number == 2))
+    it.take(events.DuplicateId(time_s=it.now_s, certain=number >= 2, news=number == 2))
 
 
 def shared(it: Craft | Wild, seconds: int, every_s: float = 1.0) -> list[Command]:

@@ -17,12 +17,14 @@ from made_up import (
     Step,
     arrived,
     flying,
+    hears,
     holding_mode_taken,
     holding_without_fix,
     home_or_on,
     landing,
     moving,
     not_planned,
+    now,
     only_the_first,
     planned,
     preparing,
@@ -90,20 +92,6 @@ def landing_begun() -> Craft:
 
 
 # --- what happens
-
-
-def now(**changes: object) -> Callable[[Craft], None]:
-    """From now on the vehicle, or its planner, is like that."""
-
-    def change(craft: Craft) -> None:
-        for name, value in changes.items():
-            setattr(craft, name, value)
-
-    return change
-
-
-def hears(kind: Callable[..., events.Event], **fields: object) -> Callable[[Craft], None]:
-    return lambda craft: craft.obey(craft.take(kind(time_s=craft.now_s, **fields)))
 
 
 def until(done: Callable[[Craft], object]) -> Callable[[Craft], Craft]:
@@ -309,6 +297,9 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         lambda it: it.end().reason.endswith(Reason.RADAR_SILENT.text)),
     "the radar is silent over known land": (lambda: flying(AWAY),
         now(answered=0), HOLDING, holds_for(Reason.RADAR_SILENT), DONE, arrives),
+    "in flight a radar that left something out is asked once": (lambda: flying(AWAY),
+        now(answered=1, asked=2), until(lambda it: len(it.sent(events.Plan)) == 2),
+        lambda it: len(it.sent(events.StartScan)) == 2),
     "the link comes back": (lambda: flying(NEAR),
         2.0, LOSES_LINK, Reason.LINK_LOST, PREPARING, DONE, arrives),
     "the link and the fix come back": (lambda: holding_without_fix(NEAR),

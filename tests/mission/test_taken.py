@@ -4,17 +4,7 @@ It is not fought for, and not taken back unasked.
 """
 
 import pytest
-from made_up import (
-    AWAY,
-    EACH,
-    HOLDS_FOR_SETPOINTS,
-    Craft,
-    flying,
-    moving,
-    position,
-    status,
-    texts,
-)
+from made_up import AWAY, EACH, HOLDS_FOR_SETPOINTS, Craft, flying, moving, position, status, texts
 from renewed import deep, replace
 
 from companion.mavlink.autopilots import ARDUCOPTER
