@@ -169,6 +169,20 @@ def test_a_fence_of_a_continent_is_in_place(latitude_deg: float, longitude_deg: 
     assert list(zone.distance_m(*beside) < 0.0) == [True, False, True, False]
 
 
+def test_out_of_a_polygon_that_crosses_itself_means_out_of_its_hull() -> None:
+    bow = ((-100.0, -100.0), (100.0, 100.0), (100.0, -100.0), (-100.0, 100.0))
+    fold = ((0.0, 0.0), (0.0, 100.0), (0.0, 50.0), (50.0, 50.0))
+    for corners in (fold, bow):
+        fence = zones_of(ring(OUT, *corners), ON)
+        assert "crosses itself" in fence.notes[0]
+    assert allowed_by_ardupilot(ring(OUT, *bow), ON, (0.0, 90.0))  # a hole by the even-odd rule
+    assert room_m(fence, (0.0, 90.0)) < -5.0
+    inside = zones_of(ring(IN, *bow), ON)
+    assert room_m(inside, (90.0, 0.0)) > 0.0
+    assert room_m(inside, (0.0, 90.0)) < 0.0
+    assert allowed_by_ardupilot(ring(IN, *bow), ON, (90.0, 0.0))
+
+
 def test_inclusions_of_which_one_is_enough_are_those_that_the_vehicle_is_in() -> None:
     items = [item(CIRCLE_IN, 0.0, 0.0, 100.0), item(CIRCLE_IN, 500.0, 0.0, 100.0)]
     for parameters in ({}, {**ON, "FENCE_OPTIONS": 2.0}):

@@ -169,6 +169,25 @@ def test_what_is_in_range_is_sent_to_where_it_is(place: Vector) -> None:
     assert message.alt == pytest.approx(place[2], abs=0.01)
 
 
+@each
+@pytest.mark.parametrize(
+    ("field", "values"),
+    [
+        ("time_s", (math.nan, -0.1, 2.0**32 / 1e3)),
+        ("position_nea_m", [(0.0, bad, 3000.0) for bad in (math.nan, math.inf, 1e9)]),
+        ("position_nea_m", [(0.0, 0.0, bad) for bad in (math.nan, 50_001.0, -501.0)]),
+        ("velocity_nea_m_s", [(bad, 0.0, 0.0) for bad in (math.nan, 1001.0)]),
+        ("velocity_nea_m_s", [(0.0, 0.0, -1001.0)]),
+        ("yaw_rad", (math.nan, math.inf)),
+    ],
+)
+def test_one_bad_value_is_refused(autopilot: Autopilot, field: str, values: Any) -> None:
+    for stay in (False, True):
+        for bad in values:
+            told = made(stay=stay, **{field: bad})
+            assert autopilot.setpoint(told, To(SYSTEM, FRAME), 0.0) is None, bad
+
+
 # --- positions
 
 
