@@ -205,6 +205,17 @@ def test_a_kind_that_is_not_supported_is_done_and_empty() -> None:
     assert client.plans[FENCE].supported
 
 
+def test_somebody_elses_upload_is_waited_for() -> None:
+    client = begun()
+    assert asked(client.on_message(ack(wire.MAV_MISSION_DENIED), 0.1)) == [(LIST, RALLY)]
+    assert "fence (somebody else is transferring it)" in client.waiting
+    for kind in (RALLY, MISSION):
+        client.on_message(count(0, kind), 0.2)
+    assert not client.is_done
+    again = [each for tenth in range(30) for each in asked(client.on_time(0.1 * tenth))]
+    assert again[0] == (LIST, FENCE)
+
+
 def test_the_same_items_are_no_change_also_where_a_parameter_is_no_number() -> None:
     client = begun()
     for round_s in (0.0, 40.0, 80.0):

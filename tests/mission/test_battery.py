@@ -1,6 +1,6 @@
 """The battery: believed when it is short for a while, and then it goes before a pause and a target.
 
-Laws at each step, whatever happens: `watch_orders`.
+Laws at each step, whatever happens: `watch_orders`; flights with too little of it: `test_stories`.
 """
 
 import math

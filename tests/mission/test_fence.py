@@ -1,4 +1,4 @@
-"""A fence that is changed in flight is kept to from then on, and held for while it is read."""
+"""A fence that is changed in flight is kept to from then on; while it is read: `test_stories`."""
 
 import json
 import math

@@ -1,6 +1,6 @@
 """A flight as it goes: each leg is scanned for, planned, led along and followed by the next.
 
-And what it does where a plan or the radar's answer does not come, or comes too late.
+Where a plan or the radar's answer does not come, or comes too late: `test_stories`.
 """
 
 import math
