@@ -369,8 +369,7 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "a mission that goes on meanwhile": (under_way(goes_on_while_reading=True),
         FENCE_CHANGES, says("reading 5,010 items"), 10.0, is_flying),
     "low, it does not wait for a fence": (under_way(),
-        LOW, until(lambda it: it.state.orders.active is Reason.BATTERY_LOW), FENCE_CHANGES,
-        DONE, is_home),
+        LOW, Reason.BATTERY_LOW, FENCE_CHANGES, 60.0, lambda it: it.phase is not HOLDING),
     # who says go, and to what
     "go was said": (lambda: Craft(NEAR), Phase.ARMING, lambda it: not says("waits for go")(it)),
     "a go is not kept over a reboot": (ready,
