@@ -105,7 +105,7 @@ def test_a_frame_that_was_kept_is_signed_as_pymavlink_would_sign_it_now() -> Non
             there = Speaker(int.from_bytes(signed[-12:-6], "little"), link=3, component=195)
             assert signed == there.frame(message)
             assert keeper.sign(signed) == signed
-            assert strip_signature(signed) == plain  # as a log keeps it
+            assert strip_signature(signed) == strip_signature(plain) == plain  # as a log keeps it
     first_protocol = BEAT.pack(codec(1), force_mavlink1=True)
     assert keeper.sign(first_protocol) == first_protocol  # it has no signatures
 

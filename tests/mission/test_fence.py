@@ -8,8 +8,9 @@ from made_up import MISSION, Craft, flying
 from renewed import deep, replace
 
 from companion.mission import checkpoint, events
-from companion.mission.events import FenceChanged, Plan
+from companion.mission.events import FenceChanged, OrderKind, Plan, Setpoint
 from companion.mission.phases import Phase, Reason
+from companion.mission.state import Way
 from companion.world.zones import CircleZone
 
 AHEAD_M = 10_000.0 * math.sqrt(0.5)
@@ -44,6 +45,20 @@ def test_a_fence_across_the_path_or_around_it_stops_the_vehicle_and_plans_anew(
     assert not is_ahead or math.dist(craft.here[:2], place) > clear_m
     craft.run_until(lambda craft: len(craft.sent(Plan)) == 2)
     assert craft.sent(Plan)[-1].request.from_rest
+
+
+def test_a_fence_on_the_way_back_of_a_vehicle_that_is_paused_leaves_it_led() -> None:
+    """In guided mode silence is a lost stream, whatever has become of the way back."""
+    craft = flying()
+    leg = craft.state.leg
+    craft.order(OrderKind.PAUSE).fly_to(Phase.HOLDING)
+    flight = craft.state.flight
+    assert flight.hover_nea_m is not None
+    craft.state = replace(craft.state, flight=replace(flight, way=Way.BACK, back=(leg,)))
+    craft.take(fence(craft, AHEAD_M, AHEAD_M, 500.0))
+    assert craft.state.flight.hover_nea_m == flight.hover_nea_m
+    assert any(isinstance(command, Setpoint) for command in craft.during(2.0))
+    assert craft.state.reason is Reason.PAUSED
 
 
 def on_its_way_out() -> tuple[Craft, FenceChanged]:

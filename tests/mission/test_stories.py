@@ -372,6 +372,10 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         LOW, Reason.BATTERY_LOW, FENCE_CHANGES, 60.0, lambda it: it.phase is not HOLDING),
     # who says go, and to what
     "go was said": (lambda: Craft(NEAR), Phase.ARMING, lambda it: not says("waits for go")(it)),
+    "its parameters are refused": (preparing,
+        hears(events.Prepared, item=events.Item.PARAMETERS, refusal="A = 1", remedy="Set it."),
+        DONE, lambda it: it.end().reason == f"{Reason.REFUSED.text}: A = 1",
+        lambda it: it.end().remedy == "Set it."),
     "a go is not kept over a reboot": (ready,
         now(obeys_modes=False), START, Craft.reboot, READY, 30.0, now(fix=False),
         Craft.reboot, 150.0, lambda it: it.phase is PREPARING),
