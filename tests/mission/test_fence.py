@@ -4,13 +4,15 @@ import json
 import math
 
 import pytest
-from made_up import MISSION, Craft, flying
+from made_up import EACH, MISSION, Craft, flying
 from renewed import deep, replace
+from wild import Wild
 
 from companion.mission import checkpoint, events
-from companion.mission.events import FenceChanged, OrderKind, Plan, Setpoint
+from companion.mission.events import FenceChanged, FenceReading, OrderKind, Plan, Setpoint
 from companion.mission.phases import Phase, Reason
 from companion.mission.state import Way
+from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.zones import CircleZone
 
 AHEAD_M = 10_000.0 * math.sqrt(0.5)
@@ -98,3 +100,14 @@ def test_the_ceiling_of_the_fence_lowers_the_band() -> None:
     assert craft.state.task.limits.ceiling_amsl_m == 4_000.0
     craft.take(FenceChanged(time_s=craft.now_s, zones=()))
     assert craft.state.task.limits == MISSION.task.limits
+
+
+@EACH
+def test_copters_hold_and_planes_circle_while_it_is_read(traits: VehicleTraits) -> None:
+    it = Wild.calmly(traits).run_until(lambda it: it.state.leg is not None)
+    it.run_for(2.0)
+    it.take(FenceReading(time_s=it.now_s, items=400))
+    it.run_for(60.0)
+    assert (it.state.phase, it.state.reason) == (Phase.HOLDING, Reason.FENCE_UNREAD)
+    it.take(FenceReading(time_s=it.now_s, items=0))
+    assert it.fly_to(Phase.DONE).sent(events.End)[0].outcome is events.Outcome.ARRIVED

@@ -139,6 +139,15 @@ def test_a_restart_at_any_moment_of_a_flight_goes_on_without_a_jump(
     assert outcome_of(wild) is Outcome.ARRIVED
 
 
+@EACH
+def test_a_restart_while_it_has_not_lifted_off_yet_goes_on(traits: VehicleTraits) -> None:
+    """Armed, and told to take off, an autopilot spins its motors up for a second or two."""
+    wild = Wild.calmly(traits).fly_to(Phase.TAKING_OFF)
+    wild.wrong["weak"], wild.landed = wild.now_s + 3.0, events.Landed.ON_GROUND
+    wild._restart()
+    assert outcome_of(wild) is Outcome.ARRIVED
+
+
 def test_what_is_restored_is_what_was_kept() -> None:
     """Under a fence, too."""
     craft = flying(AWAY)

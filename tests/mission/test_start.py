@@ -82,6 +82,17 @@ def test_a_check_that_fails_while_it_waits_is_told_and_a_go_refused_with_it(why:
     assert len(craft.sent(events.RequestStreams)) == 1
 
 
+def test_who_arms_it_after_a_reboot_on_the_ground_keeps_it() -> None:
+    it = Wild.calmly(ARDUCOPTER.traits)
+    it.fly_to(Phase.ARMING).run_until(lambda it: it.state.armed_by_us)
+    it.take(events.Rebooted(time_s=it.now_s))
+    it.armed, it.mode = True, Mode.OTHER
+    count = len(it.said_to)
+    it.run_until(lambda it: it.over, 30.0)
+    assert it.state.reason is Reason.ARMED_ALREADY
+    assert not moving(it.said_to[count:])
+
+
 # --- two companions of one vehicle
 
 
