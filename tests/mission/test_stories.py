@@ -94,8 +94,8 @@ def landing_begun() -> Craft:
 # --- what happens
 
 
-def until(done: Callable[[Craft], object]) -> Callable[[Craft], Craft]:
-    return lambda craft: craft.run_until(done)
+def until(done: Callable[[Craft], object], limit_s: float = 3600.0) -> Callable[[Craft], Craft]:
+    return lambda craft: craft.run_until(done, limit_s)
 
 
 LOW = now(battery=0.1)
@@ -359,8 +359,8 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         FENCE_CHANGES, says("reading 5,010 items"), HOLDING, 153.0, UNREAD,
         lambda it: it.state.flight.failures == 0, *FENCE_IS_READ, FLYING),
     "a fence is never read": (under_way(fallback=Fallback.HOLD),
-        FENCE_CHANGES, HOLDING, until(lambda it: it.phase is not HOLDING), DONE,
-        ends(Reason.FENCE_UNREAD)),
+        FENCE_CHANGES, HOLDING, until(lambda it: it.phase is not HOLDING, 320.0),
+        DONE, ends(Reason.FENCE_UNREAD)),
     "a fence that is read keeps it from its return": (under_way(),
         FENCE_CHANGES, HOLDING, RETURN, says("it returns once the changed fence is read"), 100.0,
         lambda it: it.phase is HOLDING, *FENCE_IS_READ, DONE, is_home),
