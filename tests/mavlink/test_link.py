@@ -115,16 +115,6 @@ def test_another_vehicles_companion_is_none_of_ours_once_it_is_clear_whose_we_ar
 # --- the vehicle's time
 
 
-@pytest.mark.parametrize(("rate_hz", "read"), [(100, 20), (50, 17), (20, 20), (4, 4), (1, 1)])
-def test_the_time_is_read_of_at_most_twenty_attitudes_a_second(rate_hz: int, read: int) -> None:
-    clock = VehicleClock(0.0)
-    times_ms = [round(k * 1000 / rate_hz) + 5000 for k in range(10 * rate_hz)]
-    needed = [at_ms for at_ms in times_ms if clock.is_newer(wire.MAVLINK_MSG_ID_ATTITUDE, at_ms)]
-    assert len(needed) == pytest.approx(10 * read, abs=4)
-    assert min((b - a for a, b in pairwise(needed)), default=1000) >= 50
-    assert clock.is_newer(wire.MAVLINK_MSG_ID_ATTITUDE, 10)  # it has begun again
-
-
 READ = ClockReading
 """Short, for the table below."""
 
@@ -203,22 +193,6 @@ def test_what_nobody_reads_is_recorded_and_decides_nothing(said: list[bytes], se
     sent = set(given_.frames)
     assert [frame for _, frame in given_.record if frame not in sent] == more
     assert busy.receive(any_frame(wire.MAVLINK_MSG_ID_HIGHRES_IMU, rng))  # it is there all the same
-
-
-@pytest.mark.parametrize("behind_ms", [0, 10])
-def test_another_vehicles_time_does_not_hide_ours(said: list[bytes], behind_ms: int) -> None:
-    """Two in lockstep tell the same times; who listens to both still knows how late it is."""
-    session = Session(MISSION, seed=1, lockstep=False)
-    session.receive(b"".join(said))
-    session.run()
-    began_ms = round(session.now_s * 1000.0)
-    for at_ms in range(began_ms + 200, began_ms + 2_000, 200):
-        for system, told_ms in ((7, at_ms - behind_ms), (1, at_ms)):
-            sender = wire.MAVLink(None, srcSystem=system, srcComponent=1)
-            attitude = wire.MAVLink_attitude_message(told_ms, 0, 0, 0, 0, 0, 0)
-            session.receive(attitude.pack(sender))
-        session.run()
-        assert session.now_s == pytest.approx(at_ms * 1e-3)
 
 
 @pytest.mark.parametrize("autopilot", ALL, ids=lambda a: a.name)

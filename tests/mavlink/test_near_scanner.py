@@ -158,20 +158,3 @@ def test_silence_is_told_once_and_so_is_the_return_of_sight(clock_s: float | Non
     assert [seen.sight for seen in told if seen] == [Sight.DEAD]
     seen = [it.tick() for _ in range(3)]
     assert all(each is not None and each.sight is Sight.SEES for each in seen)
-
-
-def test_a_flood_a_jump_of_clocks_and_junk_cost_no_more_than_what_is_kept() -> None:
-    """200 Hz is 20 messages in a tick; a stamp of another clock counts as now; NaN says nothing."""
-    it = Standing(0)
-    seen = [it.tick(*(sweep(it.now_s + 1e-4 * k) for k in range(20))) for _ in range(10)]
-    assert seen[-1] is not None
-    jumping = (sweep(time_s) for time_s in (0.0, 1e9, it.now_s - 50.0, it.now_s + 50.0))
-    assert it.tick(*jumping) is not None
-    junk: list[dict[str, Any]] = [
-        *({"increment_f": math.nan}, {"angle_offset": math.inf}, {"frame": 99}),
-        *({"max_distance": 10}, {"increment": 0, "increment_f": 0.0}),
-    ]
-    assert it.tick(*(sweep(it.now_s, **fields) for fields in junk)) is None
-    it.scan()
-    assert it.upper_m(22.0) == GROUND_AMSL_M
-    assert it.upper_m(20.0 + THING_M) > CEILING_AMSL_M

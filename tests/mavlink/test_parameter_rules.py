@@ -124,14 +124,6 @@ def test_what_is_set_is_taken_and_then_nothing_is_left(way: Way) -> None:
     assert found(way, client.values) == {}
 
 
-@ALL_FOUR
-def test_a_mission_that_sets_nothing_refuses_instead(way: Way) -> None:
-    values = DEFAULTS[way] | {"COM_OBL_RC_ACT": 0.0, "GUID_TIMEOUT": 5.0}
-    refused = found(way, values, mission(way[1], sets=False))
-    assert all(each.set_to is None for each in refused.values())
-    assert set(refused) == set(found(way, values))
-
-
 def test_a_line_names_parameter_value_rule_and_remedy_and_the_worst_comes_first() -> None:
     values = USUAL[QUAD] | {"COM_OBL_RC_ACT": 0.0}
     findings = findings_of(TABLES[QUAD], values, mission(speed_m_s=30.0))

@@ -14,11 +14,12 @@ from renewed import replace
 
 from companion.config import load_mission
 from companion.mavlink.autopilots import ALL, ARDUCOPTER
-from companion.mission import checkpoint, events, machine
+from companion.mission import changes, checkpoint, events, machine
+from companion.mission.changes import OrderResult
 from companion.mission.decisions import Context
 from companion.mission.events import Command, Event, Landed, Mode, ScanDone, Vector, VehicleStatus
 from companion.mission.mission import EndAction, Mission
-from companion.mission.state import Phase, State
+from companion.mission.state import Phase, Reason, State
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 from companion.path.certificate import Certificate
 from companion.path.subpath import Subpath
@@ -47,7 +48,11 @@ def mission(**changes: Any) -> Mission:
     return replace(MISSION, **changes)
 
 
-LAND = mission(end_action=EndAction.LAND)
+NEAR = mission(targets_ne_m=((5_000.0, 5_000.0),))
+"""One leg reaches its target."""
+AWAY = mission(targets_ne_m=((20_000.0, 20_000.0),))
+"""Two legs away."""
+LAND = replace(NEAR, end_action=EndAction.LAND)
 
 
 def each_of(*traits: VehicleTraits) -> pytest.MarkDecorator:
@@ -252,8 +257,6 @@ class Craft(Program):
     here: Vector = (0.0, 0.0, HOME_AMSL_M)
     home_nea_m: Vector | None = here
     velocity: Vector = (0.0, 0.0, 0.0)
-    by_hand: Vector = (0.0, 0.0, 0.0)
-    """Velocity at which somebody else flies it."""
     climb_to_m: float | None = None
     obeys_modes = follows = fix = estimator = arms = takes_off = True
     accepts = failsafe = scan_asked = False
@@ -362,9 +365,8 @@ class Craft(Program):
             if height == HOME_AMSL_M:
                 self.landed, self.armed = Landed.ON_GROUND, False
         if self.mode is not Mode.GUIDED:
-            self.velocity = self.by_hand
-        north, east, _ = self.by_hand
-        self.here = (self.here[0] + TICK_S * north, self.here[1] + TICK_S * east, height)
+            self.velocity = (0.0, 0.0, 0.0)
+        self.here = (*self.here[:2], height)
 
     def says(self) -> list[Event]:
         """What the vehicle says at the next tick of its clock."""
@@ -416,13 +418,6 @@ class Craft(Program):
     def phases(self) -> set[Phase]:
         """All that it has come through."""
         return {after.phase for *_, after, _ in self.steps}
-
-    def fly_by_hand(self, velocity: Vector, seconds: float) -> "Craft":
-        """Somebody else flies it somewhere, level."""
-        self.by_hand = velocity
-        self.run_for(seconds)
-        self.by_hand = (0.0, 0.0, 0.0)
-        return self
 
     def copy(self) -> "Craft":
         """Another one that has come as far, and flies on by itself."""
@@ -477,26 +472,12 @@ def once(fly: Callable[..., Craft]) -> Callable[..., Craft]:
     return again
 
 
-NEAR, TWO_LEGS = ((5000.0, 5000.0),), ((20_000.0, 20_000.0),)
-_NEAR, _TWO_LEGS = mission(targets_ne_m=NEAR), mission(targets_ne_m=TWO_LEGS)
-
-
-def near_target(of: Mission = MISSION) -> Mission:
-    """The same mission with a target that one leg reaches."""
-    return _NEAR if of is MISSION else replace(of, targets_ne_m=NEAR)
-
-
 @once
 def preparing() -> Craft:
     """Waiting for a fix on the ground."""
     craft = Craft()
     craft.fix = False
     return craft.fly_to(Phase.PREPARING)
-
-
-def two_legs_away(of: Mission = MISSION) -> Mission:
-    """The same mission with a target 28 km away."""
-    return _TWO_LEGS if of is MISSION else replace(of, targets_ne_m=TWO_LEGS)
 
 
 @once
@@ -526,13 +507,28 @@ def holding_without_fix(of: Mission = MISSION) -> Craft:
 
 
 @once
-def arrived(of: Mission = MISSION) -> Craft:
-    return Craft(near_target(of)).fly_to(Phase.ARRIVED)
+def arrived(of: Mission = NEAR) -> Craft:
+    return Craft(of).fly_to(Phase.ARRIVED)
 
 
 @once
 def landing() -> Craft:
     return arrived(LAND).fly_to(Phase.LANDING)
+
+
+SITUATIONS: dict[str, Callable[[], Craft]] = {
+    "waiting": Craft,
+    "preparing": preparing,
+    "ready": lambda: Craft(go=False).fly_to(Phase.READY),
+    "arming": lambda: Craft().fly_to(Phase.ARMING),
+    "taking off": lambda: Craft().fly_to(Phase.TAKING_OFF),
+    "flying": lambda: flying(AWAY),
+    "no plan": holding_without_plan,
+    "taken": holding_mode_taken,
+    "no fix": holding_without_fix,
+    "arrived": arrived,
+    "landing": landing,
+}
 
 
 def shifted(craft: Craft, north_m: float) -> Craft:
@@ -545,3 +541,51 @@ def order_of(craft: Any, kind: events.OrderKind) -> events.Order:
     """An order by a ground station, with a place if it is one that needs it."""
     target_ne_m = (6_000.0, 2_000.0) if kind is events.OrderKind.REPOSITION else None
     return events.Order(time_s=craft.now_s, kind=kind, target_ne_m=target_ne_m, sender="255/190")
+
+
+Step = events.OrderKind | Phase | Reason | float | Callable[[Craft], object]
+
+
+def tell(it: Any, kind: events.OrderKind) -> OrderResult:
+    """An order, as the session gives it: obeyed if it is accepted."""
+    order = order_of(it, kind)
+    verdict = changes.order_result(it.state, order)
+    if verdict is OrderResult.ACCEPTED:
+        commands = it.take(order)
+        if isinstance(it, Craft):
+            it.obey(commands)
+    return verdict
+
+
+def now(**changes: object) -> Callable[[Craft], None]:
+    """From now on the vehicle, or its planner, is like that."""
+
+    def change(craft: Craft) -> None:
+        for name, value in changes.items():
+            setattr(craft, name, value)
+
+    return change
+
+
+def hears(kind: Callable[..., Event], **fields: object) -> Callable[[Craft], None]:
+    """The mission hears of this, too."""
+    return lambda craft: craft.obey(craft.take(kind(time_s=craft.now_s, **fields)))
+
+
+def told(craft: Craft, *script: Step) -> Craft:
+    """Orders, each accepted; how long it flies on, or until which phase or reason; what else.
+
+    What says no has found a law that is broken.
+    """
+    for step in script:
+        if isinstance(step, events.OrderKind):
+            assert tell(craft, step) is OrderResult.ACCEPTED, step
+        elif isinstance(step, Phase):
+            craft.fly_to(step)
+        elif isinstance(step, Reason):
+            craft.run_until(lambda craft, reason=step: craft.state.reason is reason)
+        elif isinstance(step, float):
+            craft.run_for(step)
+        else:
+            assert step(craft) is not False, (step, craft.phase, craft.state.reason)
+    return craft

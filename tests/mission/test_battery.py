@@ -1,37 +1,22 @@
 """The battery: believed when it is short for a while, and then it goes before a pause and a target.
 
-Laws at each step, whatever happens: `watch_orders`.
+Laws at each step, whatever happens: `watch_orders`; flights with too little of it: `test_stories`.
 """
 
 import math
 
 import pytest
-from made_up import (
-    Craft,
-    flying,
-    home_or_on,
-    not_planned,
-    order_of,
-    planned,
-    two_legs_away,
-    warnings,
-)
+from made_up import AWAY, Craft, flying, home_or_on, order_of, warnings
 from renewed import replace
 
 from companion.mission import changes
 from companion.mission.battery import battery_lasts
 from companion.mission.changes import OrderResult
-from companion.mission.events import Arm, Battery, Landed, Mode, OrderKind, Outcome
+from companion.mission.events import Battery, Landed, OrderKind
 from companion.mission.mission import Fallback, Mission
 from companion.mission.phases import Phase, Reason
 
-AWAY = two_legs_away()
 LOW = Reason.BATTERY_LOW
-EACH_FALLBACK = pytest.mark.parametrize("how", Fallback)
-
-
-def paused(of: Mission = AWAY) -> Craft:
-    return flying(of).order(OrderKind.PAUSE).fly_to(Phase.HOLDING).run_for(5.0)
 
 
 def going_back(of: Mission = AWAY) -> Craft:
@@ -40,27 +25,9 @@ def going_back(of: Mission = AWAY) -> Craft:
     return craft.fly_to(Phase.RETURNING).run_for(10.0)
 
 
-def drains(craft: Craft, by_1_s: float) -> list[str]:
-    """What is warned of while it says that it drains so fast."""
-    count = len(craft.commands)
-    for second in range(200):
-        left = max(0.9 - by_1_s * second, 0.0) if by_1_s else 0.21
-        craft.take(Battery(time_s=craft.now_s, remaining=left))
-        craft.run_for(1.0)
-    return warnings(craft.commands[count:])
-
-
-def test_a_battery_that_does_not_reach_the_target_is_not_taken_off_with() -> None:
-    craft = Craft(replace(AWAY, endurance_s=100.0)).fly_to(Phase.PREPARING)  # 28 km at 150 m/s
-    craft.take(Battery(time_s=craft.now_s, remaining=1.0))
-    assert craft.fly_to(Phase.DONE).end().reason.startswith(Reason.BATTERY_SHORT.text)
-    assert not craft.sent(Arm)
-
-
-@EACH_FALLBACK
-def test_one_word_of_an_empty_battery_ends_nothing(how: Fallback) -> None:
+def test_one_word_of_an_empty_battery_ends_nothing() -> None:
     """A smart battery may say 0 % once; what two sources say in turns is no more than that."""
-    craft = flying(replace(AWAY, fallback=how))
+    craft = flying(AWAY)
     craft.battery = 0.8
     for _ in range(10):
         craft.take(Battery(time_s=craft.now_s, remaining=0.0))
@@ -81,70 +48,7 @@ def test_a_battery_below_its_reserve_is_believed_after_three_seconds_or_when_it_
     assert after_s[0] <= craft.now_s - since_s <= after_s[1]
 
 
-@pytest.mark.parametrize("after_s", [1.0, 3.0, 30.0])
-def test_it_is_short_for_a_companion_that_is_started_again(after_s: float) -> None:
-    craft = flying(replace(AWAY, fallback=Fallback.LAND))
-    craft.battery = 0.1
-    assert craft.run_for(after_s).restart().fly_to(Phase.DONE).landed is Landed.ON_GROUND
-
-
 # --- in a pause, and on the way back
-
-
-@EACH_FALLBACK
-def test_a_battery_that_runs_low_in_a_pause_ends_it_by_the_fallback(how: Fallback) -> None:
-    craft = paused(replace(AWAY, fallback=how))
-    craft.battery = 0.1
-    said = craft.during(4.0)
-    assert craft.state.reason is LOW
-    assert warnings(said) == [f"hold: {LOW.text}"]
-    end = craft.fly_to(Phase.DONE).end()
-    assert end.outcome is Outcome.FAILED
-    assert (craft.mode is Mode.HOLD) is (how is Fallback.HOLD)
-    assert (math.hypot(*craft.here[:2]) < 1.0) is (how is Fallback.RETURN)
-    assert how is not Fallback.HOLD or end.remedy == LOW.remedy
-
-
-@pytest.mark.parametrize(("by_1_s", "warned"), [(0.0, 0), (0.005, 2)], ids=["lasts", "will not"])
-def test_whoever_flies_it_or_pauses_it_is_warned_at_this_rate_and_at_the_reserve(
-    by_1_s: float, warned: int
-) -> None:
-    """While another has it that is all; a pause it ends."""
-    taken = flying(AWAY).is_taken(Mode.OTHER).fly_to(Phase.HOLDING)
-    assert drains(taken, by_1_s) == [LOW.text] * warned
-    assert (taken.phase, taken.state.reason) == (Phase.HOLDING, Reason.MODE_TAKEN)
-    craft = paused()
-    said = drains(craft, by_1_s)
-    assert said[:2] == [LOW.text, f"hold: {LOW.text}"][:warned]
-    assert (craft.state.reason is Reason.PAUSED) is (warned == 0)
-
-
-@EACH_FALLBACK
-def test_a_pause_on_the_way_back_ends_before_the_battery_does_and_it_goes_back(
-    how: Fallback,
-) -> None:
-    """Whatever the fallback: it was on its way there."""
-    craft = going_back(replace(AWAY, fallback=how)).order(OrderKind.PAUSE)
-    craft.fly_to(Phase.HOLDING).run_for(20.0)
-    assert craft.state.reason is Reason.PAUSED
-    craft.battery = 0.1
-    assert craft.fly_to(Phase.DONE).here[:2] == pytest.approx((0.0, 0.0), abs=1.0)
-    assert f"hold: {LOW.text}" in warnings(craft.commands)
-
-
-@EACH_FALLBACK
-@pytest.mark.parametrize("pauses", [False, True])
-def test_a_return_that_was_asked_for_goes_before_the_fallback_of_a_battery(
-    how: Fallback, pauses: bool
-) -> None:
-    """While it still stops for it, and out of a pause in which it waits."""
-    craft = flying(replace(AWAY, fallback=how), plan=home_or_on)
-    craft.battery = 0.1
-    craft.order(OrderKind.RETURN)
-    if pauses:
-        craft.order(OrderKind.PAUSE)
-    craft.fly_to(Phase.RETURNING)
-    assert craft.fly_to(Phase.DONE).here[:2] == pytest.approx((0.0, 0.0), abs=1.0)
 
 
 @pytest.mark.parametrize("made", [flying, going_back], ids=["stopping for it", "on the way back"])
@@ -171,27 +75,3 @@ def test_what_was_flown_of_the_way_back_before_a_pause_is_not_left_to_fly() -> N
     for share, lasts in ((0.98, False), (1.02, True)):
         mission = replace(AWAY, reserve=0.0, endurance_s=share * left_s)
         assert battery_lasts(state, mission) is lasts
-
-
-# --- and who goes on
-
-
-def test_given_back_below_the_reserve_it_does_not_fly_on() -> None:
-    craft = flying(AWAY).is_taken(Mode.OTHER).fly_to(Phase.HOLDING)
-    craft.battery = 0.1
-    craft.run_for(10.0).mode = Mode.GUIDED
-    craft.fly_to(Phase.DONE)
-    assert craft.here[:2] == pytest.approx((0.0, 0.0), abs=1.0)  # home, by a planned way
-    assert craft.state.flight.fallen_back is LOW
-
-
-def test_who_goes_on_towards_a_target_has_not_fallen_back_and_minds_the_battery() -> None:
-    """The way back was asked for, then a person said pause, and go on."""
-    craft = flying(AWAY)
-    craft.plan = lambda request: not_planned(request) if request.flown is None else None
-    craft.run_until(lambda craft: craft.state.flight.fallen_back is Reason.NO_PLAN)
-    craft.order(OrderKind.PAUSE)
-    craft.plan = planned
-    craft.order(OrderKind.CONTINUE).fly_to(Phase.FLYING).run_for(20.0)
-    craft.battery = 0.1
-    assert craft.fly_to(Phase.HOLDING).state.reason is LOW

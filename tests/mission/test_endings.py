@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 from made_up import (
+    AWAY,
     COPTERS,
-    HOME_AMSL_M,
     Craft,
     flying,
     holding_without_fix,
@@ -17,21 +17,15 @@ from made_up import (
     planned,
     straight,
     texts,
-    two_legs_away,
     warnings,
 )
-from wild import Wild
 
-from companion.config import load_mission
-from companion.mavlink.autopilots import ALL, Autopilot
-from companion.mission import events
-from companion.mission.events import Landed, Mode, OrderKind, Outcome, SetMode
-from companion.mission.mission import EndAction, Fallback, Mission
-from companion.mission.phases import Hold, Phase, Reason
+from companion.mission.events import Mode, OrderKind, Outcome, SetMode
+from companion.mission.mission import Fallback, Mission
+from companion.mission.phases import Phase, Reason
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest, Refusal
 
-AWAY = two_legs_away()
 HANDED, LANDS = "its autopilot returns by itself", "landed"
 
 
@@ -136,157 +130,11 @@ def test_an_accepted_return_that_cannot_be_flown_is_left_to_the_autopilots_own(
     assert craft.end().reason == "its autopilot returns by itself: told to return"
 
 
-# --- home is where the vehicle has it
-
-
-OUT_NEA_M = (3_000.0, -2_000.0, HOME_AMSL_M + 100.0)
-"""Where a pilot has flown it before the companion was started."""
-
-
-def back_as_flown(request: PlanRequest) -> PlanOutcome:
-    """A planner that finds every way; the way back ends where the flown path begins."""
-    if request.flown is None:
-        return planned(request)
-    back = straight(request.scan_nea_m, request.flown[0].control_nea_m[0])
-    return Backtrack(
-        plan_id=request.plan_id, subpaths=(back,), through=(False,), reaches_start=True
-    )
-
-
-def taken_over(of: Mission = AWAY) -> Craft:
-    """Started in the air, 3.6 km from home."""
-    craft = Craft(of, plan=back_as_flown)
-    craft.armed, craft.mode, craft.landed, craft.here = True, Mode.GUIDED, Landed.IN_AIR, OUT_NEA_M
-    return craft
-
-
-def led_on(craft: Craft) -> Craft:
-    """On its first leg, some kilometres on."""
-    return craft.run_until(lambda craft: craft.state.reference.length_m > 2_000.0)
-
-
-def told(craft: Craft) -> None:
-    craft.order(OrderKind.RETURN)
-
-
-def low(craft: Craft) -> None:
-    craft.battery = 0.1
-
-
-def no_way_on(craft: Craft) -> None:
-    """To the target; home there is one."""
-    there, plan = AWAY.targets_ne_m[0], craft.plan
-    craft.plan = lambda r: not_planned(r) if r.target_ne_m == there else plan(r)
-
-
-def is_home(craft: Craft) -> bool:
-    """Landed there; or its autopilot flies there by itself."""
-    return math.dist(craft.here[:2], craft.home_nea_m[:2]) < 100.0 and not craft.armed
-
-
-def ways_asked(craft: Craft) -> set[tuple[float, float]]:
-    """Where ways were asked for to, but for the way back."""
-    requests = [plan.request for plan in craft.sent(events.Plan)]
-    return {request.target_ne_m for request in requests if request.flown is None}
-
-
-@pytest.mark.parametrize(
-    ("why", "flown", "way"),
-    [
-        (told, True, "flying back, then home"),
-        (low, True, "flying back, then home"),
-        (no_way_on, True, "flying back, then home"),
-        (told, False, "planning a way home"),
-        (no_way_on, False, "planning a way home"),
-    ],
-)
-def test_taken_over_in_flight_it_returns_home_and_not_to_where_it_was_taken_over(
-    why: Callable[[Craft], None], flown: bool, way: str
-) -> None:
-    """With nothing flown yet, as after a restart without memory, from where it is."""
-    craft = taken_over()
-    if flown:
-        led_on(craft)
-    elif why is told:
-        craft.run_until(lambda craft: craft.state.hold in (Hold.TAKE_OVER, Hold.REPLAN))
-    why(craft)
-    assert is_home(craft.fly_to(Phase.DONE))
-    assert [text for text in warnings(craft.commands) if text.endswith(f": {way}")]
-
-
-@pytest.mark.parametrize("autopilot", ALL, ids=lambda each: each.name)
-def test_so_does_each_autopilot(autopilot: Autopilot) -> None:
-    """One that has no mode to land is led home, and then left to its own return."""
-    it = Wild.calmly(autopilot.traits, fallback=Fallback.RETURN).aloft(Mode.GUIDED)
-    it.here = (-250.0, 200.0, it.here[2])
-    it.run_until(lambda it: it.state.reference.length_m > 60.0)
-    it.take(events.Order(time_s=it.now_s, kind=OrderKind.RETURN))
-    it.fly_to(Phase.DONE)
-    limits = it.mission.task.limits
-    assert math.hypot(*it.here[:2]) < limits.tracking_error_m + 2.5 * limits.loiter_radius_m
-    assert it.mode is Mode.RETURN or not it.armed
-    assert (it.mode is Mode.RETURN) == (not autopilot.traits.lands)
-
-
-def test_at_the_last_target_too_and_that_is_an_arrival() -> None:
-    near = replace(AWAY, targets_ne_m=((8_000.0, -2_000.0),), end_action=EndAction.RETURN)
-    craft = taken_over(near).fly_to(Phase.DONE)
-    assert is_home(craft)
-    assert craft.end().outcome is Outcome.ARRIVED
-
-
-def test_from_where_nothing_leads_away_no_way_home_is_looked_for() -> None:
-    """What is too near to the terrain does not stay there for as many attempts again."""
-    craft = led_on(taken_over())
-    craft.plan = lambda r: refused(r, Refusal.START_NEAR_TERRAIN)
-    assert craft.fly_to(Phase.DONE).mode is Mode.RETURN
-    assert ways_asked(craft) == set(AWAY.targets_ne_m)
-
-
-@pytest.mark.parametrize(
-    ("home_nea_m", "why"),
-    [(None, "home is not known"), ((0.0, 1e6, HOME_AMSL_M), "home: it lies outside the map")],
-    ids=["unknown", "off the map"],
-)
-def test_where_no_way_home_can_be_asked_for_its_autopilot_returns_and_that_is_said_before(
-    home_nea_m: events.Vector | None, why: str
-) -> None:
-    """The origin of the map is nobody's home."""
-    craft = taken_over()
-    craft.home_nea_m = home_nea_m
-    told(led_on(craft))
-    assert craft.fly_to(Phase.DONE).mode is Mode.RETURN
-    assert math.dist(craft.here[:2], OUT_NEA_M[:2]) < 1.0  # so far a way was proven
-    said = texts(craft.commands[: craft.commands.index(SetMode(mode=Mode.RETURN))])
-    assert [text for text in said if text.startswith(why)]
-    assert "told to return: its autopilot is told to return" in said
-    assert (0.0, 0.0) not in ways_asked(craft)
-
-
-def test_what_an_autopilot_calls_home_after_a_reboot_in_the_air_is_not_flown_to() -> None:
-    craft = flying(AWAY, plan=back_as_flown).run_for(20.0)
-    craft.obey(craft.take(events.Rebooted(time_s=craft.now_s)))
-    craft.home_nea_m = craft.here
-    told(craft.fly_to(Phase.FLYING))
-    assert math.dist(craft.fly_to(Phase.DONE).here[:2], (0.0, 0.0)) < 1.0
-
-
-def test_told_to_return_on_its_planned_way_home_it_flies_on() -> None:
-    craft = taken_over().run_until(lambda craft: craft.state.hold is Hold.TAKE_OVER)
-    told(craft)
-    craft.run_until(lambda craft: craft.state.flight.homeward and craft.velocity[0] != 0.0)
-    told(craft)
-    assert is_home(craft.fly_to(Phase.DONE))
-
-
 # --- why there is no plan is said in the planner's own words, with its own remedy
 
 
 def refused(request: PlanRequest, refusal: Refusal = Refusal.TARGET_IN_KEEP_OUT) -> NotPlanned:
     return NotPlanned(plan_id=request.plan_id, refusal=refusal)
-
-
-IN_ZONE = Refusal.TARGET_IN_KEEP_OUT.value.partition("; ")[0]
 
 
 @pytest.mark.parametrize("restarts", [False, True])
@@ -303,35 +151,3 @@ def test_a_hold_for_want_of_a_plan_says_why_and_the_end_what_helps(
     assert f"hold: {said}" in warnings(craft.commands)
     assert (end.outcome, end.reason) == (Outcome.FAILED, f"landed: {said}")
     assert end.remedy.lower() == f"{remedy}.".lower() != Reason.NO_PLAN.remedy.lower()
-
-
-def test_a_target_in_a_fence_is_said_to_be_in_it_while_the_leg_before_it_is_flown() -> None:
-    craft = flying(AWAY)
-    craft.plan = refused
-    craft.run_until(lambda craft: any(IN_ZONE in text for text in warnings(craft.commands)))
-    assert craft.phase is Phase.FLYING
-    craft.fly_to(Phase.HOLDING)
-    assert any(text.startswith("hold: ") and IN_ZONE in text for text in warnings(craft.commands))
-
-
-def test_what_the_planner_said_of_an_old_target_explains_no_new_one_and_no_other_hold() -> None:
-    blind = Craft(plan=refused).fly_to(Phase.HOLDING)
-    craft = blind.copy()
-    blind.fix = False
-    blind.run_until(lambda craft: craft.state.reason is Reason.NO_FIX)
-    assert IN_ZONE not in " ".join(warnings(blind.during(30.0)))
-    craft.plan = planned
-    craft.order(OrderKind.REPOSITION)
-    assert craft.state.flight.refusal is None
-    craft.fly_to(Phase.FLYING).plan = lambda r: refused(r, Refusal.NOTHING_SAFE)
-    assert IN_ZONE not in " ".join(warnings(craft.during(60.0)))
-
-
-def test_why_it_fell_back_does_not_explain_the_end_that_a_person_wants_then() -> None:
-    craft = Craft(mission(fallback=Fallback.LAND), plan=refused).fly_to(Phase.LANDING)
-    craft.obey(craft.take(events.StopAsked(time_s=craft.now_s)))
-    assert (craft.end().reason, craft.end().remedy) == (Reason.STOPPED.text, Reason.STOPPED.remedy)
-
-
-def test_what_a_mission_falls_back_on_by_itself_is_to_return() -> None:
-    assert load_mission("environment-1").fallback is Fallback.RETURN

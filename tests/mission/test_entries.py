@@ -79,17 +79,6 @@ def test_the_certificate_is_told_whole_and_can_be_made_again_from_the_control_po
     assert ("terrain clearance" in back.broken) is not safe
 
 
-def test_a_request_is_told_with_all_of_the_pose_that_the_next_leg_joins() -> None:
-    entry = json.loads(json.dumps(journal.of_request(ASKED, due_s=12.5)))
-    start = ASKED.start
-    assert (entry["kind"], entry["plan_id"], entry["attempt"]) == ("plan asked", 7, 2)
-    assert (entry["due_s"], entry["from_rest"]) == (12.5, False)
-    assert entry["start_nea_m"] == start.position_nea_m.tolist()
-    assert entry["tangent_nea"] == start.tangent_nea.tolist()
-    assert entry["curvature_nea_1_m"] == start.curvature_nea_1_m.tolist()
-    assert entry["scan_nea_m"] == list(ASKED.scan_nea_m)
-
-
 @pytest.mark.parametrize("stopped_after", [None, 2])
 def test_whether_time_was_up_and_where_a_way_is_closed_is_told_as_the_journal_reads_it(
     stopped_after: int | None,

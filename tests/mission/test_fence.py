@@ -1,11 +1,10 @@
-"""A fence that is changed in flight is kept to from then on, and held for while it is read."""
+"""A fence that is changed in flight is kept to from then on; while it is read: `test_stories`."""
 
 import json
 import math
-from collections.abc import Callable
 
 import pytest
-from made_up import EACH, MISSION, Craft, flying, mission, texts, two_legs_away
+from made_up import EACH, MISSION, Craft, flying
 from renewed import deep, replace
 from wild import Wild
 
@@ -14,7 +13,6 @@ from companion.mission.events import FenceChanged, FenceReading, OrderKind, Plan
 from companion.mission.phases import Phase, Reason
 from companion.mission.state import Way
 from companion.mission.vehicle_traits import VehicleTraits
-from companion.path.envelope import flown_on_m
 from companion.world.zones import CircleZone
 
 AHEAD_M = 10_000.0 * math.sqrt(0.5)
@@ -102,80 +100,6 @@ def test_the_ceiling_of_the_fence_lowers_the_band() -> None:
     assert craft.state.task.limits.ceiling_amsl_m == 4_000.0
     craft.take(FenceChanged(time_s=craft.now_s, zones=()))
     assert craft.state.task.limits == MISSION.task.limits
-
-
-# --- while it is being read
-
-
-def changed(craft: Craft, items: int = 5010) -> list[str]:
-    return texts(craft.take(FenceReading(time_s=craft.now_s, items=items)))
-
-
-def is_read(craft: Craft) -> Craft:
-    craft.take(FenceChanged(time_s=craft.now_s, zones=()))
-    craft.take(FenceReading(time_s=craft.now_s, items=0))
-    return craft
-
-
-def held() -> Craft:
-    """For a changed fence, whose reading has just begun."""
-    craft = flying(two_legs_away())
-    assert changed(craft) == ["the fence has changed: reading 5,010 items"]
-    here, limits = craft.here, craft.state.task.limits
-    craft.run_until(lambda craft: craft.phase is Phase.HOLDING, 60.0)
-    assert math.dist(here, craft.here) <= flown_on_m(craft.state.task.envelope, limits.speed_m_s)
-    return craft
-
-
-def test_a_changed_fence_is_told_at_once_and_held_for_until_it_is_read() -> None:
-    craft = held().run_for(153.0)
-    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.FENCE_UNREAD)
-    assert craft.state.flight.failures == 0
-    is_read(craft).run_until(lambda craft: craft.phase is Phase.FLYING, 30.0)
-
-
-@pytest.mark.parametrize("returns", [False, True])
-def test_who_cannot_read_it_to_its_end_gives_up_the_mission_and_not_the_way_back(
-    returns: bool,
-) -> None:
-    """Who does not answer is asked for ever: the hold would never end.  A return waits, too."""
-    craft = held()
-    if returns:
-        told = craft.take(events.Order(time_s=craft.now_s, kind=OrderKind.RETURN))
-        assert "it returns once the changed fence is read" in " ".join(texts(told))
-        assert craft.run_for(100.0).phase is Phase.HOLDING
-    craft.run_until(lambda craft: craft.phase is not Phase.HOLDING, 320.0)
-    craft.fly_to(Phase.DONE)
-    assert returns or Reason.FENCE_UNREAD.text in craft.end().reason
-
-
-def few_items() -> Craft:
-    """They are read within seconds."""
-    craft = flying(two_legs_away())
-    changed(craft, 9)
-    return is_read(craft.run_for(2.0))
-
-
-def goes_on() -> Craft:
-    """As its mission says."""
-    craft = flying(two_legs_away(mission(goes_on_while_reading=True)))
-    assert changed(craft)
-    return craft
-
-
-def with_an_empty_battery() -> Craft:
-    craft = flying(two_legs_away())
-    low = replace(craft.state.orders, active=Reason.BATTERY_LOW)
-    craft.state = replace(craft.state, orders=low)
-    changed(craft)
-    return craft
-
-
-@pytest.mark.parametrize("made", [few_items, goes_on, with_an_empty_battery])
-def test_it_flies_on_meanwhile_where_that_takes_seconds_or_it_must_not_wait(
-    made: Callable[[], Craft],
-) -> None:
-    assert made().run_for(10.0).phase is Phase.FLYING
 
 
 @EACH

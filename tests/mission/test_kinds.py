@@ -5,12 +5,12 @@ import math
 from itertools import pairwise
 
 import pytest
-from made_up import EACH, LAND, PLANES, Craft, arrived, flying, landing, two_legs_away, warnings
+from made_up import AWAY, EACH, PLANES, flying
 from renewed import replace
 from wild import HOME_AMSL_M, Wild
 
-from companion.mavlink.autopilots import PX4_FIXED_WING, PX4_MULTICOPTER
-from companion.mission import checkpoint, events, machine, stopped
+from companion.mavlink.autopilots import PX4_FIXED_WING
+from companion.mission import checkpoint, events, stopped
 from companion.mission.decisions import Context, Turn
 from companion.mission.events import Arm, Landed, Mode, Outcome, SetMode, Setpoint, TakeOff
 from companion.mission.following import outside_m
@@ -150,7 +150,7 @@ def test_a_restart_while_it_has_not_lifted_off_yet_goes_on(traits: VehicleTraits
 
 def test_what_is_restored_is_what_was_kept() -> None:
     """Under a fence, too."""
-    craft = flying(two_legs_away())
+    craft = flying(AWAY)
     zone = CircleZone(name="drawn", north_m=4_000.0, east_m=-4_000.0, radius_m=500.0)
     craft.take(events.FenceChanged(time_s=craft.now_s, zones=(zone,)))
     craft.run_until(lambda craft: craft.state.flight.legs_flown == 2)
@@ -162,76 +162,15 @@ def test_what_is_restored_is_what_was_kept() -> None:
     assert state.airborne
 
 
-def test_its_own_hold_after_a_restart_is_not_taken_for_a_persons() -> None:
-    """Asked for while the position was bad, and good again before the heartbeat tells of it."""
-    craft = flying(two_legs_away()).restart()  # it says that it flies, and stands where it is
-    craft.run_until(lambda craft: craft.mode is Mode.HOLD)
-    craft.velocity = (0.0, 0.0, 0.0)
-    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
-
-
-@pytest.mark.parametrize("again", [Craft.reboot, Craft.restart])
-@pytest.mark.parametrize("broken_off", [False, True])
-def test_a_landing_goes_on_after_a_restart_or_a_reboot(broken_off: bool, again: object) -> None:
-    craft = landing().run_until(lambda craft: craft.mode is Mode.LAND).run_for(3.0)
-    craft = craft.reboot() if again is Craft.reboot else craft.restart()
-    craft.mode = Mode.GUIDED if broken_off else Mode.LAND
-    said = craft.during(15.0)
-    assert SetMode(mode=Mode.LAND) not in said
-    if broken_off:
-        assert (craft.phase, craft.state.orders.active) == (Phase.HOLDING, Reason.PAUSED)
-        assert [text for text in warnings(said) if "MISSION_START" in text]
-    else:
-        assert craft.fly_to(Phase.DONE).landed is Landed.ON_GROUND
-
-
-@pytest.mark.parametrize("meanwhile", [Mode.GUIDED, Mode.HOLD])
-def test_a_landing_that_was_never_begun_is_asked_for_again(meanwhile: Mode) -> None:
-    """Guided mode is what it is in until its autopilot obeys; without setpoints PX4 holds."""
-    craft = arrived(LAND)
-    craft.obeys_modes = False
-    craft.fly_to(Phase.LANDING).mode = meanwhile
-    assert craft.run_for(5.0).phase is Phase.LANDING
-    craft.obeys_modes = True
-    assert craft.fly_to(Phase.DONE).landed is Landed.ON_GROUND
-
-
-def test_a_vehicle_that_reboots_in_flight_and_flies_on_is_taken_over_with_what_was_known() -> None:
-    craft = arrived()
-    known = craft.state.flight.known
-    craft.reboot()
-    state = craft.state
-    assert (state.phase, state.vehicle.position_nea_m, state.leg) == (Phase.PREPARING, None, None)
-    assert state.flight.known is known
-    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
-
-
 def test_what_was_flown_of_a_leg_before_a_reboot_is_part_of_the_way_back() -> None:
-    craft = flying(two_legs_away()).run_for(20.0)
+    craft = flying(AWAY).run_for(20.0)
     leg, at_m = craft.state.leg, craft.state.path.reference.length_m
-    flown = craft.reboot().state.flight.flown[-1]
+    known, state = craft.state.flight.known, craft.reboot().state
+    assert (state.vehicle.position_nea_m, state.leg) == (None, None)
+    assert state.flight.known is known  # of the map all is kept
+    flown = state.flight.flown[-1]
     assert at_m > 10.0
     assert (flown.until_m, flown.control_nea_m) == (at_m, leg.subpath.control_nea_m)
-
-
-def test_a_mission_that_is_stopped_while_it_takes_over_a_climb_ends_in_a_hold() -> None:
-    wild = Wild.calmly(PX4_MULTICOPTER.traits).aloft(Mode.TAKE_OFF).fly_to(Phase.HOLDING)
-    assert (wild.state.reason, wild.mode) == (Reason.TAKING_OVER, Mode.TAKE_OFF)
-    wild.take(events.StopAsked(time_s=wild.now_s))
-    assert [each.mode for each in wild.sent(SetMode)] == [Mode.HOLD]
-
-
-@pytest.mark.parametrize("echoes", [True, False])
-def test_setpoints_that_the_autopilot_does_not_take_are_a_reasoned_hold(echoes: bool) -> None:
-    """One without an echo is not suspected."""
-    craft = flying()
-    while craft.phase is Phase.FLYING and craft.now_s < 100.0:
-        far = (craft.here[0] - 5_000.0, craft.here[1], craft.here[2])
-        if echoes:
-            craft.take(events.Echo(time_s=craft.now_s, position_nea_m=far))
-        craft.tick()
-    assert craft.state.reason is (Reason.NOT_TAKEN if echoes else None)
-    assert (craft.sent(SetMode)[-1].mode is Mode.HOLD) is echoes
 
 
 # --- planes
@@ -246,30 +185,6 @@ def test_a_plane_leaves_its_circle_when_it_flies_the_way_of_its_path(traits: Veh
     tangent = wild.state.leg.subpath.pose(0.0).tangent_nea
     along = sum(a * b for a, b in zip(wild.velocity[:2], tangent, strict=False))
     assert along > 0.85 * math.hypot(*wild.velocity[:2])
-
-
-@PLANES
-def test_a_plane_that_has_circled_for_long_is_not_taken_for_stuck_as_it_sets_out(
-    traits: VehicleTraits,
-) -> None:
-    """It may have had to fly to its circle first: the wait for its way there counts from there."""
-    wild = Wild.calmly(traits).run_until(lambda wild: wild.state.path and wild.state.path.circling)
-    start = wild.state.leg.subpath.pose(0.0)
-    north, east, up = (float(x) for x in start.position_nea_m - 30.0 * start.tangent_nea)
-    velocity = (20.0 * float(start.tangent_nea[0]), 20.0 * float(start.tangent_nea[1]), 0.0)
-    vehicle = replace(
-        wild.state.vehicle,
-        position_nea_m=(north - 0.1 * velocity[0], east - 0.1 * velocity[1], up),
-        velocity_nea_m_s=velocity,
-        position_at_s=wild.now_s,
-    )
-    circled = replace(wild.state, vehicle=vehicle, progress_at_s=wild.now_s - 40.0)
-    here = (north, east, up)
-    event = events.Position(time_s=wild.now_s + 0.1, position_nea_m=here, velocity_nea_m_s=velocity)
-    state, _ = machine.step(circled, event, wild.context)
-    assert not state.path.circling
-    assert state.reference.length_m == 0.0  # abeam of the start, or before it
-    assert state.phase is Phase.FLYING
 
 
 @PLANES
@@ -288,16 +203,6 @@ def test_a_plane_that_sinks_or_rises_out_of_its_tube_has_left_it(
             time_s=wild.now_s, position_nea_m=here, velocity_nea_m_s=(9.0, 0.0, 0.0)
         )
         assert outside_m(state, state.path, event)[0] == pytest.approx(out_m, abs=1e-6)
-
-
-@PLANES
-def test_a_plane_that_stops_circles_a_point_ahead_on_its_path(traits: VehicleTraits) -> None:
-    wild = led(traits)
-    wild.bad_plans = 1.0
-    wild.fly_to(Phase.HOLDING)
-    assert wild.state.reason in (Reason.NO_PLAN, Reason.PLAN_LATE)
-    assert wild.state.flight.hover_nea_m is not None
-    assert all(c.stay for c in wild.run_for(1.5).sent(Setpoint)[-3:])
 
 
 @pytest.mark.parametrize("far", [False, True])
@@ -344,22 +249,3 @@ def test_no_leg_is_planned_from_a_circle_that_the_plane_is_not_on(
         at_s = plane.now_s + later_s
         plane.take(events.Position(time_s=at_s, position_nea_m=plane.here, velocity_nea_m_s=speed))
     assert (len(plane.sent(events.StartScan)) > scans) is (beyond < 1.0)
-
-
-@PLANES
-@pytest.mark.parametrize("gap_m", [-0.6, 0.6])
-def test_a_fence_too_near_to_its_circle_is_said_once_and_it_stays(
-    traits: VehicleTraits, gap_m: float
-) -> None:
-    """Dense about the limit: the required clearance of the circle, less half a metre."""
-    plane = circling(traits)
-    task, hover = plane.mission.task, plane.state.flight.hover_nea_m
-    away_m = task.limits.loiter_radius_m + task.required_clearance_m - 0.5 + gap_m
-    zone = CircleZone(name="new", north_m=hover[0] + away_m + 70.0, east_m=hover[1], radius_m=70.0)
-    plane.take(events.FenceChanged(time_s=plane.now_s, zones=(zone,)))
-    count = len(plane.said_to)
-    later = plane.run_for(0.9).said_to[count:]  # and no plan is there yet
-    assert warnings(later) == (["circling too near to zone new"] if gap_m < 0.0 else [])
-    setpoints = [c for c in later if isinstance(c, Setpoint)]
-    assert setpoints
-    assert all(each.stay and each.position_nea_m == hover for each in setpoints)

@@ -3,28 +3,8 @@
 from collections.abc import Callable
 
 import pytest
-from made_up import (
-    COPTERS,
-    EACH,
-    HOME_AMSL_M,
-    LAND,
-    OVER,
-    TICK_S,
-    Craft,
-    arrived,
-    flying,
-    holding_mode_taken,
-    holding_without_fix,
-    holding_without_plan,
-    landing,
-    moving,
-    near_target,
-    preparing,
-    status,
-    texts,
-)
+from made_up import COPTERS, EACH, HOME_AMSL_M, LAND, OVER, SITUATIONS, TICK_S, Craft
 
-from companion.mavlink.autopilots import ARDUCOPTER
 from companion.mission import changes, events
 from companion.mission.events import Mode, OrderKind, Outcome, SetMode, Setpoint, Tick
 from companion.mission.phases import Phase, Reason
@@ -66,7 +46,7 @@ def test_whenever_it_goes_the_vehicle_is_left_holding_or_disarmed_on_the_ground(
     traits: VehicleTraits, goes: Callable[[Craft], list[events.Command]]
 ) -> None:
     """At each tick, in flight at each second; a landing goes on by itself."""
-    craft = Craft(near_target(LAND), traits=traits).fly_to(Phase.ARMING)
+    craft = Craft(LAND, traits=traits).fly_to(Phase.ARMING)
     while craft.phase not in OVER:
         craft.tick()
         if craft.phase in OVER or (craft.phase is Phase.FLYING and craft.now_s % 1.0 > TICK_S):
@@ -84,22 +64,6 @@ def test_whenever_it_goes_the_vehicle_is_left_holding_or_disarmed_on_the_ground(
         )
         assert safe or landed, f"{at}: {left.mode}, armed {left.armed}"
     assert craft.phases >= {Phase.ARMING, Phase.TAKING_OFF, Phase.FLYING}
-
-
-@pytest.mark.parametrize("made", [Craft, preparing])
-def test_a_vehicle_that_was_told_nothing_yet_is_told_nothing_in_the_end(
-    made: Callable[[], Craft],
-) -> None:
-    craft = made()
-    assert not moving(by_hand(craft))
-    assert craft.end().outcome is Outcome.STOPPED
-
-
-@EACH
-def test_a_pilot_who_takes_it_in_the_take_off_keeps_it(traits: VehicleTraits) -> None:
-    craft = Craft(traits=traits).fly_to(Phase.TAKING_OFF).run_for(1.0)
-    craft.take(status(craft.now_s, Mode.OTHER))
-    assert not moving(by_hand(craft))
 
 
 # --- the way up
@@ -134,13 +98,6 @@ def test_a_take_off_is_asked_for_once_a_second_and_after_it_was_accepted_if_it_d
         assert len(craft.run_for(seconds).sent(events.TakeOff)) == times
 
 
-@EACH
-def test_an_ordinary_take_off_is_called_nothing_else(traits: VehicleTraits) -> None:
-    said = texts(Craft(traits=traits).fly_to(Phase.FLYING).commands)
-    assert not [text for text in said if "hold" in text or "taking over" in text]
-    assert ("taken off" in said) == (traits is not ARDUCOPTER.traits)  # by itself
-
-
 @pytest.mark.parametrize("kind", [OrderKind.PAUSE, OrderKind.RETURN, OrderKind.LAND])
 @EACH
 def test_an_order_in_the_take_off_is_obeyed_at_once(traits: VehicleTraits, kind: OrderKind) -> None:
@@ -170,28 +127,16 @@ def test_an_order_in_the_take_off_is_obeyed_at_once(traits: VehicleTraits, kind:
 
 # --- nothing waits for ever
 
-WAITS: dict[str, Callable[[], Craft]] = {
-    "waiting": Craft,
-    "preparing": preparing,
-    "arming": lambda: Craft().fly_to(Phase.ARMING),
-    "taking off": lambda: Craft().fly_to(Phase.TAKING_OFF),
-    "flying": flying,
-    "holding without a plan": holding_without_plan,
-    "holding without a fix": holding_without_fix,
-    "holding for a person": holding_mode_taken,
-    "arrived": arrived,
-    "landing": landing,
-}
-ENDLESS = ("waiting", "holding for a person")
+ENDLESS = ("waiting", "ready", "taken")
 """As long as the link is there: they wait for somebody."""
 
 
 @pytest.mark.parametrize("link", [True, False], ids=["only the clock", "link lost"])
-@pytest.mark.parametrize("wait", WAITS)
+@pytest.mark.parametrize("wait", SITUATIONS)
 def test_every_wait_ends_with_a_reason_when_only_the_clock_goes_on_or_the_link_is_lost(
     wait: str, link: bool
 ) -> None:
-    craft = WAITS[wait]()
+    craft = SITUATIONS[wait]()
     if link:
         craft.take(*(Tick(time_s=craft.state.now_s + tick) for tick in range(1, 701)))
     else:
@@ -200,27 +145,3 @@ def test_every_wait_ends_with_a_reason_when_only_the_clock_goes_on_or_the_link_i
     if wait not in ENDLESS or not link:
         assert craft.over, f"still {craft.phase.value} after twelve minutes"
         assert craft.end().outcome is Outcome.FAILED
-
-
-@pytest.mark.parametrize("silent_s", [3.0, 30.0])
-@pytest.mark.parametrize("made", [flying, holding_without_fix])
-def test_a_link_that_comes_back_in_the_air_prepares_again_and_goes_on(
-    made: Callable[..., Craft], silent_s: float
-) -> None:
-    craft = made(near_target()).run_for(2.0)
-    craft.take(events.LinkLost(time_s=craft.now_s, silent_s=silent_s))
-    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.LINK_LOST)
-    craft.fix = True
-    craft.fly_to(Phase.PREPARING)
-    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
-
-
-def test_the_hold_about_the_target_is_asked_for_once_a_second_and_then_a_hold_anywhere() -> None:
-    """An autopilot may refuse to hold at a place."""
-    craft = arrived()
-    craft.obeys_modes = False
-    craft.run_for(5.0)
-    asked = [command.at_nea_m for command in craft.sent(SetMode) if command.mode is Mode.HOLD]
-    assert 4 <= len(asked) <= 6
-    assert None not in asked[:2]
-    assert set(asked[2:]) == {None}

@@ -4,20 +4,20 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from made_up import Craft, flying, home_or_on, mission, texts, two_legs_away
+from made_up import AWAY, Craft, flying, home_or_on, texts
 from renewed import deep, replace
+from watch import off_m
 
 from companion.mission import following
 from companion.mission.decisions import Turn
 from companion.mission.events import Event, GroundSeen, NearSeen, Setpoint
 from companion.mission.mission import Fallback
 from companion.mission.phases import Phase, Reason
-from companion.planner.procedure import Reference
 from companion.world.known_map import Lattice
 from companion.world.near_map import NearMap, NearSensor, Sight
 
 SENSOR = NearSensor(kind="obstacle_distance", component_id=196, range_m=20_000.0)
-MISSION = two_legs_away(mission(near=SENSOR, rangefinder_error_m=2.0, fallback=Fallback.RETURN))
+MISSION = replace(AWAY, near=SENSOR, rangefinder_error_m=2.0, fallback=Fallback.RETURN)
 LIMITS, SETTINGS = MISSION.task.limits, MISSION.task.settings
 CELL_M = 100.0
 PLACE = Lattice(cell_m=CELL_M, north_min_m=-1000.0, east_min_m=-1000.0, shape=(300, 300))
@@ -89,13 +89,9 @@ def test_what_is_not_seen_or_nearer_stops_it_on_its_path_until_that_is_over(
     brakes_m = 0.5 * reference.speed_m_s**2 / LIMITS.acceleration_m_s2
     stop = leg.subpath.pose(reference.length_m + brakes_m).point_nea_m
     assert np.linalg.norm(np.subtract(craft.here, stop)) < 15.0 + 0.01 * brakes_m
-    places = np.array([setpoint.position_nea_m for setpoint in craft.sent(Setpoint)[before:]])
+    places = [setpoint.position_nea_m for setpoint in craft.sent(Setpoint)[before:]]
     assert len(places) > 20
-    line = leg.subpath.control_nea_m
-    along = (line[-1] - line[0]) / np.linalg.norm(line[-1] - line[0])
-    apart = places - line[0]
-    aside_m = np.linalg.norm(apart - (apart @ along)[:, None] * along, axis=-1)
-    assert aside_m.max() < 0.1  # on its path
+    assert max(off_m(leg.subpath, place) for place in places) < 0.1  # on its path
     assert craft.run_for(5.0).phase is Phase.HOLDING
     craft.take(well(craft, wrong))
     craft.fly_to(Phase.FLYING).fly_to(Phase.ARRIVED)
@@ -145,21 +141,6 @@ def test_something_beside_behind_or_gone_stops_nobody() -> None:
     assert craft.state.path.stop is None
 
 
-def test_a_vehicle_that_swings_through_after_its_stop_is_waited_for() -> None:
-    """It would have left its next path at once: that begins where it is told to hold."""
-    craft = flying(MISSION)
-    craft.take(meets(craft))
-    craft.fly_to(Phase.HOLDING)
-    off_m, speed_m_s = 2.5 * LIMITS.tracking_error_m, 5.0
-    craft.follows, craft.velocity = False, (speed_m_s, 0.0, 0.0)
-    craft.fly_by_hand(craft.velocity, off_m / speed_m_s).velocity = (0.0, 0.0, 0.0)
-    assert craft.run_for(SETTINGS.planning_time_s + 10.0).phase is Phase.HOLDING
-    craft.follows = True
-    craft.fly_to(Phase.FLYING)
-    assert craft.run_for(SETTINGS.planning_time_s + 10.0).phase is Phase.FLYING
-    assert craft.state.flight.departures == 0
-
-
 def test_a_copter_behind_its_reference_stops_as_far_from_where_it_is_itself() -> None:
     """An old position is where it was: it has flown on since."""
     craft = flying(MISSION)
@@ -176,17 +157,3 @@ def test_a_copter_behind_its_reference_stops_as_far_from_where_it_is_itself() ->
     later = replace(behind, now_s=behind.now_s + age_s)
     gained_m = following.vehicle_at_m(later, path) - following.vehicle_at_m(behind, path)
     assert gained_m == pytest.approx(np.linalg.norm(vehicle.velocity_nea_m_s) * age_s, rel=1e-3)
-
-
-@pytest.mark.parametrize(("share", "stops"), [(0.0, True), (0.8, False)])
-def test_what_stands_between_a_copter_and_its_reference_stops_it(share: float, stops: bool) -> None:
-    """It is led at 0.8 of its leg, and the thing stands at a half."""
-    craft = flying(MISSION)
-    curve = craft.state.leg.subpath
-    here = curve.pose(share * curve.length_m).point_nea_m
-    thing = seen(craft, Sight.SEES, curve.pose(0.5 * curve.length_m).point_nea_m[:2])
-    path = replace(craft.state.path, reference=Reference(length_m=0.8 * curve.length_m))
-    vehicle = replace(craft.state.vehicle, position_nea_m=here)
-    craft.state = replace(craft.state, vehicle=vehicle, path=path)
-    craft.take(thing)
-    assert (craft.state.path.stop is not None) == stops

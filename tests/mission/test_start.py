@@ -6,35 +6,25 @@ import pytest
 from made_up import (
     EACH,
     HOME_AMSL_M,
+    NEAR,
     Craft,
-    flying,
+    hears,
     mission,
     moving,
-    near_target,
+    now,
     order_of,
     preparing,
-    status,
+    tell,
     texts,
-    two_legs_away,
     warnings,
 )
 from wild import Wild
 
-from companion.mavlink.autopilots import ALL, ARDUCOPTER
+from companion.mavlink.autopilots import ARDUCOPTER
 from companion.mission import changes, checkpoint, events
 from companion.mission.changes import OrderResult
 from companion.mission.decisions import Context
-from companion.mission.events import (
-    Command,
-    DuplicateId,
-    End,
-    FenceChanged,
-    Item,
-    Mode,
-    OrderKind,
-    Outcome,
-    Prepared,
-)
+from companion.mission.events import Command, End, Item, Mode, OrderKind, Outcome
 from companion.mission.phases import Phase, Reason
 from companion.mission.tables import is_under_control
 from companion.mission.vehicle_traits import VehicleTraits
@@ -44,15 +34,7 @@ from companion.world.zones import CircleZone
 
 
 def ready(traits: VehicleTraits = ARDUCOPTER.traits) -> Craft:
-    return Craft(near_target(), traits=traits, go=False).fly_to(Phase.READY)
-
-
-def says_go(craft: Craft) -> OrderResult:
-    order = order_of(craft, OrderKind.START)
-    result = changes.order_result(craft.state, order)
-    if result is OrderResult.ACCEPTED:
-        craft.obey(craft.take(order))
-    return result
+    return Craft(NEAR, traits=traits, go=False).fly_to(Phase.READY)
 
 
 @EACH
@@ -61,23 +43,12 @@ def test_a_vehicle_that_is_ready_waits_for_as_long_as_it_takes(traits: VehicleTr
     assert craft.phase is Phase.READY
     assert not moving(craft.commands)
     assert sum("waits for go" in text for text in texts(craft.commands)) == 1
-    assert says_go(craft) is OrderResult.ACCEPTED
+    assert tell(craft, OrderKind.START) is OrderResult.ACCEPTED
     assert craft.fly_to(Phase.TAKING_OFF).sent(events.Arm)
 
 
-def test_a_go_that_was_said_beforehand_is_not_waited_for() -> None:
-    craft = Craft(near_target(), go=True).fly_to(Phase.ARMING)
-    assert "waits for go" not in " ".join(texts(craft.commands))
-    order = order_of(craft, OrderKind.START)
-    assert changes.order_result(preparing().state, order, go=True) is OrderResult.ACCEPTED
-
-
-def taking(made: Callable[[float], events.Event]) -> Callable[[Craft], object]:
-    return lambda craft: craft.take(made(craft.now_s))
-
-
 def drains(craft: Craft) -> None:
-    short = mission(endurance_s=600.0, targets_ne_m=near_target().targets_ne_m)
+    short = mission(endurance_s=600.0, targets_ne_m=NEAR.targets_ne_m)
     craft.context = Context(mission=short, seed=1)
     craft.battery = 0.1
 
@@ -86,14 +57,14 @@ AROUND = CircleZone(name="z", north_m=0.0, east_m=0.0, radius_m=100.0)
 CHECK = {"item": Item.CHECKS, "refusal": "signing: none", "remedy": "x"}
 PARAMETER = {"item": Item.PARAMETERS, "refusal": "GUID_OPTIONS = 16"}
 LOSSES: dict[str, Callable[[Craft], object]] = {
-    Reason.NO_FIX.text: lambda craft: setattr(craft, "fix", False),
-    Reason.LINK_LOST.text: taking(lambda now_s: events.LinkLost(time_s=now_s, silent_s=3.0)),
+    Reason.NO_FIX.text: now(fix=False),
+    Reason.LINK_LOST.text: hears(events.LinkLost, silent_s=3.0),
     Reason.BATTERY_SHORT.text: drains,
-    Reason.POSITION_JUMPED.text: lambda it: setattr(it, "here", (1e6, 0.0, HOME_AMSL_M)),
-    Reason.OUTSIDE.text: taking(lambda now_s: FenceChanged(time_s=now_s, zones=(AROUND,))),
-    "signing: none": taking(lambda now_s: Prepared(time_s=now_s, **CHECK)),
-    "GUID_OPTIONS = 16": taking(lambda now_s: Prepared(time_s=now_s, **PARAMETER)),
-    Reason.NO_TARGETS.text: taking(lambda s: events.TargetsChanged(time_s=s, targets_ne_m=())),
+    Reason.POSITION_JUMPED.text: now(here=(1e6, 0.0, HOME_AMSL_M)),
+    Reason.OUTSIDE.text: hears(events.FenceChanged, zones=(AROUND,)),
+    "signing: none": hears(events.Prepared, **CHECK),
+    "GUID_OPTIONS = 16": hears(events.Prepared, **PARAMETER),
+    Reason.NO_TARGETS.text: hears(events.TargetsChanged, targets_ne_m=()),
 }
 
 
@@ -104,42 +75,11 @@ def test_a_check_that_fails_while_it_waits_is_told_and_a_go_refused_with_it(why:
     LOSSES[why](craft)
     craft.run_until(lambda craft: craft.phase is Phase.PREPARING, 5.0)
     assert f"not ready any more: {why}" in texts(craft.commands)
-    assert says_go(craft) is OrderResult.NOT_NOW
+    assert tell(craft, OrderKind.START) is OrderResult.NOT_NOW
     assert why in changes.why_not(craft.state, order_of(craft, OrderKind.START))
     assert craft.run_for(200.0).phase is Phase.PREPARING
     assert not moving(craft.commands)
     assert len(craft.sent(events.RequestStreams)) == 1
-
-
-def test_what_is_mended_is_ready_again_and_waits_again() -> None:
-    craft = ready()
-    craft.fix = False
-    craft.run_for(20.0).fix = True
-    assert craft.run_for(2.0).phase is Phase.PREPARING  # the checks are not over yet
-    craft.take(Prepared(time_s=craft.now_s, item=Item.CHECKS))
-    assert craft.run_for(2.0).phase is Phase.READY
-    assert sum("waits for go" in text for text in texts(craft.commands)) == 2
-    assert says_go(craft) is OrderResult.ACCEPTED
-
-
-def test_a_go_is_not_kept_over_a_reboot() -> None:
-    craft = ready()
-    craft.obeys_modes = False
-    assert says_go(craft) is OrderResult.ACCEPTED
-    craft.obey(craft.take(events.Rebooted(time_s=craft.now_s)))
-    craft.fly_to(Phase.READY).run_for(30.0).fix = False
-    craft.obey(craft.take(events.Rebooted(time_s=craft.now_s)))
-    assert craft.run_for(150.0).phase is Phase.PREPARING  # a person waits with it
-
-
-@pytest.mark.parametrize("is_ready", [True, False])
-def test_a_vehicle_that_somebody_else_arms_meanwhile_is_left_alone(is_ready: bool) -> None:
-    craft = ready()
-    craft.fix = is_ready
-    craft.run_for(3.0)
-    craft.armed, craft.mode = True, Mode.GUIDED
-    assert craft.fly_to(Phase.DONE).end().reason == Reason.ARMED_ALREADY.text
-    assert not moving(craft.commands)
 
 
 def test_who_arms_it_after_a_reboot_on_the_ground_keeps_it() -> None:
@@ -153,30 +93,12 @@ def test_who_arms_it_after_a_reboot_on_the_ground_keeps_it() -> None:
     assert not moving(it.said_to[count:])
 
 
-def test_a_mode_of_somebody_else_is_left_alone_when_a_take_off_is_broken_off() -> None:
-    """Random programs found it: told before the next heartbeat, it was asked to hold again."""
-    craft = Craft(near_target(), go=True).fly_to(Phase.ARMING)
-    craft.take(order_of(craft, OrderKind.LAND))
-    assert craft.state.reason is Reason.BROKEN_OFF
-    craft.take(status(craft.now_s, Mode.OTHER, armed=False))
-    ticks = [events.Tick(time_s=craft.now_s + seconds) for seconds in (1.0, 2.0, 3.0)]
-    assert not moving(craft.take(*ticks))
-
-
-def test_what_the_vehicle_is_refused_for_is_said_with_its_remedy() -> None:
-    craft = preparing()
-    refusal = {"refusal": "GUID_TIMEOUT = 60", "remedy": "Set."}
-    craft.take(Prepared(time_s=craft.now_s, item=Item.PARAMETERS, **refusal))
-    assert craft.end().reason == f"{Reason.REFUSED.text}: GUID_TIMEOUT = 60"
-    assert craft.end().remedy == "Set."
-
-
 # --- two companions of one vehicle
 
 
 def beat(it: Craft | Wild, number: int) -> None:
     """Another companion is heard, as from the wire: the third time is certain."""
-    it.take(DuplicateId(time_s=it.now_s, certain=number >= 2, news=number == 2))
+    it.take(events.DuplicateId(time_s=it.now_s, certain=number >= 2, news=number == 2))
 
 
 def shared(it: Craft | Wild, seconds: int, every_s: float = 1.0) -> list[Command]:
@@ -205,15 +127,6 @@ def test_on_the_ground_both_refuse(made: Callable[[], Craft]) -> None:
     assert (end.reason, end.remedy) == (Reason.NOT_ALONE.text, Reason.NOT_ALONE.remedy)
     assert not craft.sent(events.TakeOff)
     assert made is arming or not moving(craft.commands)
-
-
-def test_while_it_is_not_certain_nothing_is_begun_and_then_it_goes_on() -> None:
-    craft = preparing()
-    craft.fix = True
-    assert not moving(shared(craft, 1, every_s=2.0))
-    assert craft.phase is Phase.PREPARING
-    assert craft.run_for(2.0).phase is not Phase.PREPARING
-    assert not craft.sent(End)
 
 
 @EACH
@@ -254,19 +167,6 @@ def test_one_that_hears_of_the_first_just_after_it_took_over_yields(
     assert it.mode is Mode.GUIDED  # the first has it
 
 
-def test_one_that_was_silent_with_its_vehicle_is_still_the_first() -> None:
-    craft = flying(two_legs_away()).run_for(10.0)
-    shared(craft, 3)
-    assert craft.run_for(0.5).phase is Phase.FLYING
-    assert not craft.sent(End)
-
-
-def test_a_shadow_says_so_and_watches_on() -> None:
-    it = Wild.calmly(ALL[0].traits, shadow=True).aloft(Mode.GUIDED)
-    assert [text for text in warnings(shared(it, 10)) if "another" in text]
-    assert it.state.phase is Phase.SHADOW
-
-
 # --- a flight of which nothing can be read any more, or that falls in its restart
 
 
@@ -299,15 +199,3 @@ def test_what_was_armed_before_a_restart_is_put_down_and_not_left_armed() -> Non
     assert it.state.reason is Reason.NOT_READY
     assert it.sent(events.Disarm)
     assert not it.sent(events.TakeOff)
-
-
-@pytest.mark.parametrize(
-    "again", [Craft.reboot, Craft.restart, lambda craft: craft.reboot().restart()]
-)
-def test_what_falls_in_a_reboot_or_a_restart_is_never_armed_again(
-    again: Callable[[Craft], Craft],
-) -> None:
-    craft = again(flying(two_legs_away()))
-    craft.mode, craft.armed, craft.landed = Mode.OTHER, False, events.Landed.ON_GROUND
-    assert not moving(craft.during(150.0))
-    assert craft.phase is Phase.DONE

@@ -4,25 +4,11 @@ It is not fought for, and not taken back unasked.
 """
 
 import pytest
-from made_up import (
-    EACH,
-    HOLDS_FOR_SETPOINTS,
-    Craft,
-    flying,
-    landing,
-    moving,
-    not_planned,
-    position,
-    status,
-    texts,
-    two_legs_away,
-    warnings,
-)
+from made_up import AWAY, EACH, HOLDS_FOR_SETPOINTS, Craft, flying, moving, position, status, texts
 from renewed import deep, replace
 
-from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER
-from companion.mission import events
-from companion.mission.events import FenceBreach, FenceChanged, Mode, OrderKind, Outcome, Setpoint
+from companion.mavlink.autopilots import ARDUCOPTER
+from companion.mission.events import FenceBreach, FenceChanged, Mode, OrderKind, Outcome
 from companion.mission.phases import Phase, Reason
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.mission.tables import takeover_reason
@@ -36,8 +22,8 @@ BY_ITSELF = (Mode.HOLD, Mode.RETURN, Mode.LAND)
 def under_way(traits: VehicleTraits = ARDUCOPTER.traits) -> Craft:
     """A copter at speed; a plane about to set out (made-up ones only fly where they are told)."""
     if traits.hovers:
-        return flying(two_legs_away(), traits=traits)
-    return Craft(two_legs_away(), traits=traits).fly_to(Phase.FLYING)
+        return flying(AWAY, traits=traits)
+    return Craft(AWAY, traits=traits).fly_to(Phase.FLYING)
 
 
 def taken(traits: VehicleTraits = ARDUCOPTER.traits, mode: Mode = Mode.RETURN) -> Craft:
@@ -66,66 +52,7 @@ def test_a_mode_is_a_persons_unless_a_failsafe_may_have_selected_it(
     assert len(held) == 1 + (Reason.STREAM_LOST in {after.reason for *_, after, _ in craft.steps})
 
 
-@pytest.mark.parametrize(
-    ("mode", "failsafe"),
-    [(Mode.GUIDED, False), (Mode.OTHER, False), (Mode.HOLD, False), (Mode.RETURN, True)],
-)
-def test_a_landing_broken_off_is_held_where_it_is_until_told(mode: Mode, failsafe: bool) -> None:
-    """Into guided mode at once, or by a pilot or a failsafe that give it back later."""
-    craft = landing().run_until(lambda craft: craft.mode is Mode.LAND).run_for(3.0)
-    said, craft.mode, craft.failsafe = len(craft.commands), mode, failsafe
-    craft.run_for(20.0)
-    if mode is not Mode.GUIDED:
-        reason = Reason.FAILSAFE if failsafe else Reason.MODE_TAKEN
-        assert (craft.phase, craft.state.reason) == (Phase.HOLDING, reason)
-    craft.mode, craft.failsafe, here = Mode.GUIDED, False, craft.here
-    held = [c.position_nea_m for c in craft.during(120.0) if isinstance(c, Setpoint)]
-    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.PAUSED)
-    assert len(held) > 100
-    assert all(abs(there[2] - here[2]) < 5.0 for there in held)
-    assert not [c for c in craft.commands[said:] if isinstance(c, events.SetMode)]
-    assert [text for text in warnings(craft.commands[said:]) if "MISSION_START" in text]
-    craft.order(OrderKind.START)
-    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
-    assert craft.landed is events.Landed.ON_GROUND
-
-
-def test_a_landing_that_the_fence_breaks_off_is_no_flight_to_the_target_once_given_back() -> None:
-    """Told to land; its own fence makes it hold; somebody selects guided mode."""
-    craft = flying(two_legs_away()).order(OrderKind.LAND).fly_to(Phase.LANDING)
-    craft.run_until(lambda craft: craft.mode is Mode.LAND).run_for(3.0)
-    craft.take(FenceBreach(time_s=craft.now_s))
-    craft.is_taken(Mode.HOLD).run_until(lambda craft: craft.state.reason is Reason.FENCE_BREACHED)
-    craft.mode, craft.obeys_modes = Mode.GUIDED, True
-    craft.run_for(20.0)
-    assert craft.phase is not Phase.FLYING
-
-
 # --- by a failsafe
-
-
-def test_a_failsafe_that_takes_a_vehicle_held_for_its_position_is_said_so_too() -> None:
-    """As PX4 does without GPS: first our hold, then its own descent."""
-    craft = flying(two_legs_away(), traits=PX4_MULTICOPTER.traits)
-    craft.fix = False
-    craft.fly_to(Phase.HOLDING).run_for(2.0)
-    assert craft.state.reason is Reason.NO_FIX
-    said = craft.is_taken(Mode.LAND, failsafe=True).during(2.0)
-    assert texts(said) == [f"hold: {Reason.FAILSAFE.text}"]
-
-
-@pytest.mark.parametrize("seen_first", [False, True])
-def test_a_failsafe_that_landed_it_is_named_with_what_was_seen_before(seen_first: bool) -> None:
-    """Whether the autopilot acts before or after the companion has stopped it for that."""
-    craft = flying()
-    craft.take(events.Estimator(time_s=craft.now_s, good=False))
-    craft.estimator = False
-    if seen_first:
-        craft.fly_to(Phase.HOLDING)
-    craft.is_taken(Mode.LAND, failsafe=True).run_until(lambda craft: craft.over)
-    why = (Reason.DISARMED, Reason.FAILSAFE, Reason.ESTIMATOR)
-    assert craft.end().reason == ": ".join(reason.text for reason in why)
-    assert craft.end().remedy == Reason.ESTIMATOR.remedy
 
 
 @EACH
@@ -154,29 +81,6 @@ def test_when_it_is_over_it_says_once_how_to_go_on_and_goes_on_only_then(
     craft.obeys_modes = True
     craft.order(OrderKind.START).fly_to(Phase.FLYING)
     assert not traits.hovers or craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
-
-
-@pytest.mark.parametrize("failsafe", [False, True])
-def test_what_was_given_back_is_ours_until_it_is_taken_again(failsafe: bool) -> None:
-    """Told to return and taken, given back by a word; without a way back its own return is left.
-
-    A word to go on counts for the hold that it was given in, and each failsafe's end is said.
-    """
-    craft = flying(two_legs_away()).order(OrderKind.RETURN).fly_to(Phase.HOLDING)
-    mode = Mode.RETURN if failsafe else Mode.HOLD
-    craft.is_taken(mode, failsafe=failsafe).run_for(3.0)
-    craft.failsafe, craft.mode, craft.obeys_modes = False, Mode.HOLD, True
-    craft.run_for(10.0).order(OrderKind.START)
-    craft.run_until(lambda craft: craft.state.reason is Reason.RETURN_ASKED)
-    home = craft.copy()
-    home.plan = not_planned
-    home.fly_to(Phase.HANDING_OVER)
-    craft.is_taken(mode, failsafe=failsafe)
-    reason = Reason.FAILSAFE if failsafe else Reason.MODE_TAKEN
-    craft.run_until(lambda craft: craft.state.reason is reason)
-    craft.failsafe = False
-    assert not moving(craft.during(60.0))
-    assert texts(craft.commands).count(FAILSAFE_OVER) == (2 if failsafe else 0)
 
 
 # --- by its own fence

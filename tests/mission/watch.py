@@ -298,13 +298,13 @@ class Watch:
         The leg is that of the state before, too: this step may have ended it.
         """
         legs = [*_flown_by(before), *_flown_by(after)]
-        off_m = [_off_m(leg.subpath, sent.position_nea_m) for leg in legs if leg is not None]
+        beside_m = [off_m(leg.subpath, sent.position_nea_m) for leg in legs if leg is not None]
         allowed_m = max(self._joining(before, 0), self._joining(after, 0))
         if after.path is None:  # ended in this step, and with it the join
             allowed_m += 0.3 * self._joining(before, 1)
         if any(leg is not None and leg.reaches_target for leg in legs):
             allowed_m += 0.25 * before.task.limits.loiter_radius_m  # a plane passes its target
-        assert min(off_m, default=math.inf) <= allowed_m, "led beside every proven path"
+        assert min(beside_m, default=math.inf) <= allowed_m, "led beside every proven path"
 
     def _legs(self, before: State, event: Event, after: State) -> None:
         flight = after.flight
@@ -404,7 +404,7 @@ def _name(subpath: Subpath) -> bytes:
     return subpath.control_nea_m.tobytes()
 
 
-def _off_m(path: Subpath, point: tuple[float, float, float]) -> float:
+def off_m(path: Subpath, point: tuple[float, float, float]) -> float:
     """Distance from a straight path."""
     start, end = path.control_nea_m[0].tolist(), path.control_nea_m[-1].tolist()
     along = [b - a for a, b in zip(start, end, strict=True)]

@@ -11,16 +11,7 @@ from typing import Any
 
 import numpy as np
 from made_up import HOME_AMSL_M as HOME_AMSL_M
-from made_up import (
-    MISSION,
-    Program,
-    certificate,
-    not_planned,
-    planned,
-    scan,
-    straight,
-    within_band,
-)
+from made_up import MISSION, Program, certificate, not_planned, planned, scan, straight, within_band
 from renewed import replace
 from watch import Watch
 

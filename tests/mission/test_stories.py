@@ -1,0 +1,405 @@
+"""What users live through, a flight in a line: how it begins, what happens then, how it ends.
+
+Each step is an order, how long it flies on, until which phase or reason, or what else happens; one
+that says no is a law that is broken.  What holds at every step of any flight: `watch`.
+"""
+
+import math
+from collections.abc import Callable
+
+import pytest
+from made_up import (
+    AWAY,
+    HOME_AMSL_M,
+    LAND,
+    NEAR,
+    Craft,
+    Step,
+    arrived,
+    flying,
+    hears,
+    holding_mode_taken,
+    holding_without_fix,
+    home_or_on,
+    landing,
+    moving,
+    not_planned,
+    now,
+    only_the_first,
+    planned,
+    preparing,
+    straight,
+    texts,
+    told,
+)
+from renewed import replace
+
+from companion.mission import events
+from companion.mission.events import Landed, Mode, OrderKind, Outcome, Setpoint
+from companion.mission.mission import EndAction, Fallback, Mission
+from companion.mission.phases import Hold, Phase, Reason
+from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest, Refusal
+
+PAUSE, CONTINUE, RETURN = OrderKind.PAUSE, OrderKind.CONTINUE, OrderKind.RETURN
+START, LANDS = OrderKind.START, OrderKind.LAND
+READY, HOLDING, FLYING, DONE = Phase.READY, Phase.HOLDING, Phase.FLYING, Phase.DONE
+LANDING, RETURNING, PREPARING = Phase.LANDING, Phase.RETURNING, Phase.PREPARING
+ELSEWHERE = ((8_000.0, 2_000.0), (2_000.0, 8_000.0))
+OUT_NEA_M = (3_000.0, -2_000.0, HOME_AMSL_M + 100.0)
+"""Where a pilot has flown it before the companion was started."""
+
+# --- how it begins
+
+
+def under_way(**changes: object) -> Callable[[], Craft]:
+    """At speed, of a mission so changed; there is a way on, and back."""
+    of = replace(AWAY, **changes) if changes else AWAY
+    return lambda: flying(of, plan=home_or_on)
+
+
+def back_as_flown(request: PlanRequest) -> PlanOutcome:
+    """A planner that finds every way; the way back ends where the flown path begins."""
+    if request.flown is None:
+        return planned(request)
+    back = straight(request.scan_nea_m, request.flown[0].control_nea_m[0])
+    return Backtrack(
+        plan_id=request.plan_id, subpaths=(back,), through=(False,), reaches_start=True
+    )
+
+
+def taken_over(of: Mission = AWAY) -> Craft:
+    """Started in the air, 3.6 km from home."""
+    craft = Craft(of, plan=back_as_flown)
+    craft.armed, craft.mode, craft.landed, craft.here = True, Mode.GUIDED, Landed.IN_AIR, OUT_NEA_M
+    return craft
+
+
+def ready() -> Craft:
+    """It waits for somebody who says go."""
+    return Craft(NEAR, go=False).fly_to(READY)
+
+
+def closed_in(request: PlanRequest) -> NotPlanned:
+    return NotPlanned(plan_id=request.plan_id, refusal=Refusal.START_NEAR_TERRAIN)
+
+
+def lands_for_want_of_plans() -> Craft:
+    return Craft(replace(NEAR, fallback=Fallback.LAND), plan=closed_in).fly_to(LANDING)
+
+
+def landing_begun() -> Craft:
+    return landing().run_until(lambda craft: craft.mode is Mode.LAND).run_for(3.0)
+
+
+# --- what happens
+
+
+def until(done: Callable[[Craft], object], limit_s: float = 3600.0) -> Callable[[Craft], Craft]:
+    return lambda craft: craft.run_until(done, limit_s)
+
+
+LOW = now(battery=0.1)
+TAKEN = now(mode=Mode.OTHER, obeys_modes=False)
+GIVEN_BACK = now(mode=Mode.GUIDED, obeys_modes=True)
+FALLEN = now(mode=Mode.OTHER, armed=False, landed=Landed.ON_GROUND)
+LED_ON = until(lambda craft: craft.state.reference.length_m > 2_000.0)
+TAKES_OVER = until(lambda craft: craft.state.hold in (Hold.TAKE_OVER, Hold.REPLAN))
+FLIES_HOME = until(lambda craft: craft.state.flight.homeward and craft.velocity[0] != 0.0)
+
+
+def no_way_on(craft: Craft) -> None:
+    """To the target; home there is one."""
+    there, plan = AWAY.targets_ne_m[0], craft.plan
+    craft.plan = lambda r: not_planned(r) if r.target_ne_m == there else plan(r)
+
+
+def only_not_the_second(request: PlanRequest) -> PlanOutcome:
+    return not_planned(request) if request.plan_id == 2 else planned(request)
+
+
+def only_the_first_in_time(request: PlanRequest) -> PlanOutcome | None:
+    return planned(request) if request.plan_id == 1 else None
+
+
+def only_back(request: PlanRequest) -> PlanOutcome:
+    return not_planned(request) if request.flown is None else home_or_on(request)
+
+
+def answered(craft: Craft) -> None:
+    """The planner answers what it was asked last."""
+    outcome = home_or_on(craft.sent(events.Plan)[-1].request)
+    craft.obey(craft.take(events.PlanReady(time_s=craft.now_s, outcome=outcome)))
+
+
+def home_is_here(craft: Craft) -> None:
+    """So an autopilot may say after a reboot in the air."""
+    craft.home_nea_m = craft.here
+
+
+LOSES_LINK = hears(events.LinkLost, silent_s=30.0)
+LANDS_BY_ITSELF = now(mode=Mode.LAND, failsafe=True, obeys_modes=False)
+FENCE_CHANGES = hears(events.FenceReading, items=5010)
+FENCE_IS_READ = (hears(events.FenceChanged, zones=()), hears(events.FenceReading, items=0))
+
+
+# --- what must be so
+
+
+def arrives(craft: Craft) -> bool:
+    return craft.end().outcome is Outcome.ARRIVED
+
+
+def is_down(craft: Craft) -> bool:
+    return craft.landed is Landed.ON_GROUND and not craft.armed
+
+
+def at_its_start(craft: Craft) -> bool:
+    return math.hypot(*craft.here[:2]) < 1.0
+
+
+def is_home(craft: Craft) -> bool:
+    assert craft.home_nea_m is not None
+    return math.dist(craft.here[:2], craft.home_nea_m[:2]) < 100.0 and is_down(craft)
+
+
+def back_by_itself(craft: Craft) -> bool:
+    """Its autopilot returns, from where the way that was proven ends."""
+    return craft.mode is Mode.RETURN and math.dist(craft.here[:2], OUT_NEA_M[:2]) < 1.0
+
+
+def asked_for_no_way_home(craft: Craft) -> bool:
+    """But for the way back: the origin of the map is nobody's home."""
+    requests = [plan.request for plan in craft.sent(events.Plan)]
+    return {r.target_ne_m for r in requests if r.flown is None} == set(AWAY.targets_ne_m)
+
+
+def holds_for(reason: Reason) -> Callable[[Craft], bool]:
+    return lambda craft: (craft.phase, craft.state.reason) == (HOLDING, reason)
+
+
+def is_flying(craft: Craft) -> bool:
+    return craft.phase is FLYING
+
+
+def is_led_level(craft: Craft) -> bool:
+    """Where it was when its landing was broken off."""
+    heights = {round(each.position_nea_m[2]) for each in craft.sent(Setpoint)[-100:]}
+    return heights == {round(craft.here[2])} and craft.here[2] > HOME_AMSL_M
+
+
+def modes(craft: Craft) -> list[Mode]:
+    """All that it was asked for."""
+    return [each.mode for each in craft.sent(events.SetMode)]
+
+
+def told_nothing(craft: Craft) -> bool:
+    return not moving(craft.commands)
+
+
+def ends(*why: Reason) -> Callable[[Craft], bool]:
+    """For that, with what helps against the last of them."""
+
+    def check(craft: Craft) -> bool:
+        end = craft.end()
+        return (end.reason, end.remedy) == (": ".join(r.text for r in why), why[-1].remedy)
+
+    return check
+
+
+def left_alone(craft: Craft) -> bool:
+    """For a while from now on."""
+    return not moving(craft.during(150.0))
+
+
+def says(words: str) -> Callable[[Craft], bool]:
+    return lambda craft: words in " ".join(texts(craft.commands))
+
+
+IS_PAUSED, UNREAD = holds_for(Reason.PAUSED), holds_for(Reason.FENCE_UNREAD)
+BACK, PLANS = says(": flying back, then home"), says(": planning a way home")
+FALLS_BACK = (
+    *(Reason.BATTERY_LOW, says(f"hold: {Reason.BATTERY_LOW.text}"), DONE),
+    lambda it: it.end().outcome is Outcome.FAILED,
+)
+RETURNS_AGAIN = (
+    *(PAUSE, 2.0, CONTINUE, DONE, at_its_start),
+    lambda it: it.end().reason == f"landed: {Reason.RETURN_ASKED.text}",
+)
+ASKS_BACK = until(lambda craft: getattr(craft.state.stage, "backtrack", None))
+PAUSED_BEFORE = (RETURN, now(plan=lambda _: None), ASKS_BACK, PAUSE, now(plan=home_or_on), 5.0)
+STAYS_PAUSED = (300.0, IS_PAUSED, CONTINUE, RETURNING)
+LANDS_LATE = (5.0, lambda it: it.phase is LANDING, now(obeys_modes=True), DONE, is_down)
+BROKEN_OFF = (
+    *(now(mode=Mode.GUIDED, failsafe=False), 120.0, IS_PAUSED, is_led_level),
+    *(says("MISSION_START"), START, DONE, arrives, is_down),
+)
+STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
+    # a battery below its reserve
+    "low, and started again": (under_way(fallback=Fallback.LAND),
+        LOW, 3.0, Craft.restart, DONE, is_down),
+    "low when it is given back": (under_way(),
+        TAKEN, HOLDING, LOW, 10.0, GIVEN_BACK, DONE, is_home),
+    "low, and told to return": (under_way(fallback=Fallback.HOLD), LOW, RETURN, DONE, is_home),
+    "low, told to return, and paused": (under_way(fallback=Fallback.LAND),
+        LOW, RETURN, PAUSE, DONE, is_home),
+    "low in a pause on the way back": (under_way(fallback=Fallback.LAND),
+        RETURN, RETURNING, 10.0, PAUSE, HOLDING, 20.0, IS_PAUSED, LOW, DONE, is_home),
+    "low in a pause": (under_way(), PAUSE, HOLDING, 5.0, LOW, *FALLS_BACK, is_home),
+    "low in a pause, to land": (under_way(fallback=Fallback.LAND),
+        PAUSE, HOLDING, 5.0, LOW, *FALLS_BACK, is_down),
+    "low in a pause, to hold": (under_way(fallback=Fallback.HOLD),
+        PAUSE, HOLDING, 5.0, LOW, *FALLS_BACK, lambda it: it.mode is Mode.HOLD),
+    "low after it was told to go on": (under_way(),
+        now(plan=lambda r: not_planned(r) if r.flown is None else None), Reason.NO_PLAN, PAUSE,
+        now(plan=planned), CONTINUE, FLYING, 20.0, LOW, Reason.BATTERY_LOW),
+    "low while a pilot has it": (under_way(),
+        TAKEN, HOLDING, LOW, 4.0, says(Reason.BATTERY_LOW.text), holds_for(Reason.MODE_TAKEN)),
+    # home is where the vehicle has it, and not where it was taken over
+    "told to return": (taken_over, LED_ON, RETURN, DONE, is_home, BACK),
+    "low": (taken_over, LED_ON, LOW, DONE, is_home, BACK),
+    "no way on": (taken_over, LED_ON, no_way_on, DONE, is_home, BACK),
+    "told to return at once": (taken_over, TAKES_OVER, RETURN, DONE, is_home, PLANS),
+    "no way on from the beginning": (taken_over, no_way_on, DONE, is_home, PLANS),
+    "told again": (taken_over, TAKES_OVER, RETURN, FLIES_HOME, RETURN, DONE, is_home),
+    "at the last target": (lambda: taken_over(replace(NEAR, end_action=EndAction.RETURN)),
+        DONE, is_home, arrives),
+    "from where nothing leads away": (taken_over,
+        LED_ON, now(plan=closed_in), DONE, lambda it: it.mode is Mode.RETURN,
+        asked_for_no_way_home),
+    "no home is known": (taken_over,
+        now(home_nea_m=None), LED_ON, RETURN, DONE, back_by_itself, asked_for_no_way_home,
+        says("home is not known"), says("told to return: its autopilot is told to return")),
+    "home is off the map": (taken_over,
+        now(home_nea_m=(0.0, 1e6, HOME_AMSL_M)), LED_ON, RETURN, DONE, back_by_itself,
+        asked_for_no_way_home, says("home: it lies outside the map")),
+    "home is told anew after a reboot": (lambda: flying(AWAY, plan=back_as_flown),
+        20.0, Craft.reboot, home_is_here, FLYING, RETURN, DONE, at_its_start),
+    # a pause gives back what it broke off
+    "a return paused at once": (under_way(), RETURN, *RETURNS_AGAIN),
+    "a return paused as it brakes": (under_way(), RETURN, 1.0, *RETURNS_AGAIN),
+    "a return paused on its way": (under_way(), RETURN, 20.0, *RETURNS_AGAIN),
+    "a return paused before its answer": (under_way(), *PAUSED_BEFORE, answered, *STAYS_PAUSED),
+    "a return paused, and a restart": (under_way(), *PAUSED_BEFORE, Craft.restart, *STAYS_PAUSED),
+    "a return paused, and a reboot": (under_way(), *PAUSED_BEFORE, Craft.reboot, *STAYS_PAUSED),
+    "a return for want of plans, paused": (under_way(fallback=Fallback.RETURN),
+        now(plan=only_back), RETURNING, 10.0, PAUSE, 1.0, CONTINUE, DONE, at_its_start),
+    # plans, links, restarts and reboots
+    "there is no plan at all": (lambda: Craft(plan=not_planned),
+        DONE, is_down, lambda it: [p.request.attempt for p in it.sent(events.Plan)] == [0, 1, 2, 3],
+        says(f"{Reason.NO_PLAN.text}: it broke floor")),
+    "a plan is late": (lambda: flying(AWAY, plan=only_the_first_in_time),
+        until(lambda it: len(it.sent(events.Plan)) == 2), 6.0, hears(events.PlanLate, plan_id=2),
+        is_flying, HOLDING, holds_for(Reason.PLAN_LATE)),
+    "a second try succeeds": (lambda: flying(AWAY, plan=only_not_the_second),
+        HOLDING, DONE, arrives),
+    "the radar is silent over land that nobody knows": (lambda: flying(plan=only_the_first),
+        now(answered=0), HOLDING, Reason.RADAR_SILENT, DONE,
+        lambda it: it.end().reason.endswith(Reason.RADAR_SILENT.text)),
+    "the radar is silent over known land": (lambda: flying(AWAY),
+        now(answered=0), HOLDING, holds_for(Reason.RADAR_SILENT), DONE, arrives),
+    "in flight a radar that left something out is asked once": (lambda: flying(AWAY),
+        now(answered=1, asked=2), until(lambda it: len(it.sent(events.Plan)) == 2),
+        lambda it: len(it.sent(events.StartScan)) == 2),
+    "the link comes back": (lambda: flying(NEAR),
+        2.0, LOSES_LINK, Reason.LINK_LOST, PREPARING, DONE, arrives),
+    "the link and the fix come back": (lambda: holding_without_fix(NEAR),
+        2.0, LOSES_LINK, Reason.LINK_LOST, now(fix=True), PREPARING, DONE, arrives),
+    "its own hold is no person's after a restart": (under_way(),
+        Craft.restart, until(lambda it: it.mode is Mode.HOLD), now(velocity=(0.0, 0.0, 0.0)),
+        DONE, arrives),
+    "a reboot at its target": (arrived, Craft.reboot, PREPARING, DONE, arrives),
+    "a restart in its landing": (landing_begun, Craft.restart, DONE, is_down),
+    "a reboot in its landing": (landing_begun, Craft.reboot, DONE, is_down),
+    "a landing asked for in vain": (lambda: arrived(LAND),
+        now(obeys_modes=False), LANDING, now(mode=Mode.GUIDED), *LANDS_LATE),
+    "a landing asked for in vain in a hold": (lambda: arrived(LAND),
+        now(obeys_modes=False), LANDING, now(mode=Mode.HOLD), *LANDS_LATE),
+    # a landing that is broken off is held where it is until somebody says go on
+    "broken off": (landing_begun, *BROKEN_OFF),
+    "broken off after a restart": (landing_begun, Craft.restart, *BROKEN_OFF),
+    "broken off after a reboot": (landing_begun, Craft.reboot, *BROKEN_OFF),
+    "broken off by a pilot": (landing_begun, TAKEN, Reason.MODE_TAKEN, GIVEN_BACK, *BROKEN_OFF),
+    "broken off by a failsafe": (landing_begun,
+        now(mode=Mode.RETURN, failsafe=True), Reason.FAILSAFE, *BROKEN_OFF),
+    "broken off by its fence": (under_way(),
+        LANDS, LANDING, until(lambda it: it.mode is Mode.LAND), 3.0, hears(events.FenceBreach),
+        now(mode=Mode.HOLD, obeys_modes=False), Reason.FENCE_BREACHED, GIVEN_BACK, 20.0,
+        lambda it: it.phase is not FLYING),
+    "its failsafe lands it": (flying,
+        hears(events.Estimator, good=False), now(estimator=False), LANDS_BY_ITSELF, DONE,
+        ends(Reason.DISARMED, Reason.FAILSAFE, Reason.ESTIMATOR)),
+    "its failsafe lands it after it was held": (flying,
+        now(estimator=False), HOLDING, LANDS_BY_ITSELF, DONE,
+        ends(Reason.DISARMED, Reason.FAILSAFE, Reason.ESTIMATOR)),
+    # orders
+    "paused for as long as it takes": (under_way(),
+        PAUSE, HOLDING, 400.0, IS_PAUSED, CONTINUE, FLYING),
+    "started where a pilot had it": (holding_mode_taken,
+        5.0, now(obeys_modes=True), START, 3.0, lambda it: it.mode is Mode.GUIDED, FLYING),
+    "other targets, and then none": (under_way(),
+        hears(events.TargetsChanged, targets_ne_m=ELSEWHERE),
+        hears(events.TargetsChanged, targets_ne_m=()), Reason.NEW_TARGET, DONE,
+        lambda it: math.dist(it.here[:2], ELSEWHERE[-1]) < 1.0),
+    "told to return, taken and given back where there is no way back": (under_way(),
+        RETURN, HOLDING, now(mode=Mode.HOLD, obeys_modes=False), Reason.MODE_TAKEN,
+        now(obeys_modes=True), 10.0, START, Reason.RETURN_ASKED, now(plan=not_planned),
+        Phase.HANDING_OVER),
+    "told to return when its hold was asked for": (arrived,
+        now(plan=home_or_on), until(lambda it: Mode.HOLD in modes(it)), RETURN,
+        now(mode=Mode.HOLD), RETURNING),
+    "its autopilot does not hold about its target": (arrived,
+        now(obeys_modes=False), 5.0,
+        lambda it: it.sent(events.SetMode)[-1] == events.SetMode(mode=Mode.HOLD)),
+    "told to land": (under_way(),
+        5.0, LANDS, is_flying, LANDING, lambda it: not any(it.velocity), DONE, is_down,
+        lambda it: it.end().reason == "landed: told to land"),
+    "told to land without a position": (holding_without_fix, LANDS, LANDING),
+    # a fence that has changed is held for until it is read
+    "a fence is changed": (under_way(),
+        FENCE_CHANGES, says("reading 5,010 items"), HOLDING, 153.0, UNREAD,
+        lambda it: it.state.flight.failures == 0, *FENCE_IS_READ, FLYING),
+    "a fence is never read": (under_way(fallback=Fallback.HOLD),
+        FENCE_CHANGES, HOLDING, until(lambda it: it.phase is not HOLDING, 320.0),
+        DONE, ends(Reason.FENCE_UNREAD)),
+    "a fence that is read keeps it from its return": (under_way(),
+        FENCE_CHANGES, HOLDING, RETURN, says("it returns once the changed fence is read"), 100.0,
+        lambda it: it.phase is HOLDING, *FENCE_IS_READ, DONE, is_home),
+    "a fence is read within seconds": (under_way(),
+        hears(events.FenceReading, items=9), 2.0, *FENCE_IS_READ, 10.0, is_flying),
+    "a mission that goes on meanwhile": (under_way(goes_on_while_reading=True),
+        FENCE_CHANGES, says("reading 5,010 items"), 10.0, is_flying),
+    "low, it does not wait for a fence": (under_way(),
+        LOW, Reason.BATTERY_LOW, FENCE_CHANGES, 60.0, lambda it: it.phase is not HOLDING),
+    # who says go, and to what
+    "go was said": (lambda: Craft(NEAR), Phase.ARMING, lambda it: not says("waits for go")(it)),
+    "its parameters are refused": (preparing,
+        hears(events.Prepared, item=events.Item.PARAMETERS, refusal="A = 1", remedy="Set it."),
+        DONE, lambda it: it.end().reason == f"{Reason.REFUSED.text}: A = 1",
+        lambda it: it.end().remedy == "Set it."),
+    "a go is not kept over a reboot": (ready,
+        now(obeys_modes=False), START, Craft.reboot, READY, 30.0, now(fix=False),
+        Craft.reboot, 150.0, lambda it: it.phase is PREPARING),
+    "what is mended is ready again once it has been checked": (ready,
+        now(fix=False), 20.0, now(fix=True), 2.0, lambda it: it.phase is PREPARING,
+        hears(events.Prepared, item=events.Item.CHECKS), READY, START),
+    "somebody arms what is ready": (ready,
+        now(armed=True, mode=Mode.GUIDED), DONE, ends(Reason.ARMED_ALREADY), told_nothing),
+    "somebody arms what is not": (ready,
+        now(fix=False), 3.0, now(armed=True, mode=Mode.GUIDED), DONE,
+        ends(Reason.ARMED_ALREADY), told_nothing),
+    # it is stopped
+    "stopped before it was told anything": (Craft, hears(events.StopAsked), DONE, told_nothing),
+    "stopped while it prepares": (preparing, hears(events.StopAsked), DONE, told_nothing),
+    "stopped in a landing for want of plans": (lands_for_want_of_plans,
+        hears(events.StopAsked), DONE, ends(Reason.STOPPED)),
+    # what falls meanwhile is never armed again
+    "fallen in a reboot": (under_way(), Craft.reboot, FALLEN, left_alone, DONE),
+    "fallen in a restart": (under_way(), Craft.restart, FALLEN, left_alone, DONE),
+    "fallen in both": (under_way(), Craft.reboot, Craft.restart, FALLEN, left_alone, DONE),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("story", STORIES)
+def test_a_flight_ends_as_its_user_expects(story: str) -> None:
+    begins, *script = STORIES[story]
+    told(begins(), *script)
