@@ -1,5 +1,6 @@
 """What ardupilot.md 7 says of the real ArduPlane, tried by values; tracking: test_tracking.py."""
 
+import cmath
 import math
 from functools import partial
 
@@ -8,17 +9,13 @@ import pytest
 from harness import PLANE_AUTO, PLANE_GUIDED, PLANE_HOME, PLANE_LOITER, PLANE_RTL, copied
 from rigs import ArduPlane, circling
 
-from vehicle_sim.autopilot.values import Result, Sender
 from vehicle_sim.faults import GpsConditions
 from vehicle_sim.plans import PlanItem, PlanKind
 
 item = partial(harness.item, PLANE_HOME)
 MANUAL, FBWA, CRUISE = 0, 5, 7
 REPOSITION, CHANGE_SPEED, CHANGE_HEADING = 192, 43000, 43002
-ACCEPTED, DENIED, UNSUPPORTED, FAILED = (
-    *(Result.ACCEPTED, Result.DENIED),
-    *(Result.UNSUPPORTED, Result.FAILED),
-)
+ACCEPTED, _, DENIED, UNSUPPORTED, FAILED = range(5)
 
 
 def from_home_m(rig: ArduPlane) -> float:
@@ -78,9 +75,7 @@ def test_it_circles_where_guided_was_entered_and_tells_the_point() -> None:
     assert len(rig.reached()) == before + 1
 
 
-@pytest.mark.parametrize(
-    ("asked_m", "flown_m", "ccw"), [(40.0, 60.0, 0.0), (80.0, 97.0, 1.0), (150.0, 167.0, 0.0)]
-)
+@pytest.mark.parametrize(("asked_m", "flown_m", "ccw"), [(40.0, 60.0, 0.0), (80.0, 97.0, 1.0)])
 def test_a_circle_is_wider_than_asked_by_what_was_measured(
     asked_m: float, flown_m: float, ccw: float
 ) -> None:
@@ -92,23 +87,10 @@ def test_a_circle_is_wider_than_asked_by_what_was_measured(
     assert ((places[100] / places[0]).imag < 0.0) is bool(ccw)
 
 
-def test_a_stream_of_points_that_ends_leaves_it_on_the_last_one_without_a_word() -> None:
-    rig = circling()
-    said, texts = len(rig.reached()), len(rig.texts)
-    for _ in range(20):
-        north_m, east_m = rig.ne_m
-        rig.reposition(north_m + 20.0, east_m, 80.0, 60.0)
-        assert rig.run(0.98).mode == "GUIDED"
-    last = rig.frame.to_local(*rig.status.waypoint.place[:2])
-    assert len(rig.reached()) - said == pytest.approx(20, abs=4)  # a near point is reached at once
-    assert math.dist(rig.run(60.0).ne_m, last) == pytest.approx(78.0, abs=5.0)
-    assert len(rig.texts) == texts
-
-
 # --- GUIDED: speed, height, course ----------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("asked_m_s", "flown_m_s"), [(18.0, 18.9), (20.0, 21.0), (25.0, 27.7)])
+@pytest.mark.parametrize(("asked_m_s", "flown_m_s"), [(18.0, 18.9), (25.0, 27.7)])
 def test_a_speed_is_flown_as_measured(asked_m_s: float, flown_m_s: float) -> None:
     rig = circling()
     assert rig.command(178, 0.0, 19.0) == ACCEPTED
@@ -149,18 +131,13 @@ def test_of_setpoints_only_heights_are_taken_and_increments_add_up() -> None:
 def test_a_course_is_followed_until_something_else_is_asked_for() -> None:
     rig = circling()
     rig.reposition(3000.0, 0.0, 80.0)
-    rig.run(30.0)
-
-    def course_deg() -> float:
-        north, east, _ = rig.vehicle.velocity_neu_m_s
-        return math.degrees(math.atan2(east, north)) % 360.0
-
-    wanted_deg = (course_deg() + 90.0) % 360.0
+    wanted = 1j * rig.run(30.0).vehicle.velocity_m_s  # to the right
 
     def off_deg() -> float:
-        return abs(math.remainder(course_deg() - wanted_deg, 360.0))
+        return abs(math.degrees(cmath.phase(rig.vehicle.velocity_m_s / wanted)))
 
-    assert rig.command(CHANGE_HEADING, 0.0, wanted_deg, 3.0) == ACCEPTED
+    course_deg = math.degrees(cmath.phase(wanted)) % 360.0
+    assert rig.command(CHANGE_HEADING, 0.0, course_deg, 3.0) == ACCEPTED
     took_s = rig.until(lambda: off_deg() < 45.0)
     # at the bank of 3 m/s2 and what the airframe makes of it: 0.745 * 3 m/s2 sideways
     assert took_s == pytest.approx(math.radians(45.0) * 23.45 / (0.745 * 3.0), rel=0.15)
@@ -172,14 +149,6 @@ def test_a_course_is_followed_until_something_else_is_asked_for() -> None:
 
 
 # --- other modes ----------------------------------------------------------------------------------
-
-
-def test_it_returns_climbing_and_circles_home() -> None:
-    rig = circling()
-    rig.reposition(1500.0, 0.0, 60.0)
-    assert rig.run(60.0).set_mode(PLANE_RTL) == ACCEPTED
-    assert from_home_m(rig.run(120.0)) == pytest.approx(97.4, abs=3.0)  # recorded flight, 298 s
-    assert rig.height_m == pytest.approx(100.0, abs=1.0)
 
 
 def test_without_a_pilot_it_holds_height_or_glides() -> None:
@@ -238,13 +207,15 @@ def test_auto_flies_the_mission_from_take_off_to_landing() -> None:
     assert rig.texts[-1] == "Throttle disarmed"
 
 
-def test_the_current_item_may_be_set_and_after_the_last_it_returns() -> None:
+def test_the_current_item_may_be_set_and_after_the_last_it_returns_and_circles_home() -> None:
     rig = on_mission(7).run(25.0)
     assert [rig.command(224, 20.0), rig.command(224, 6.0)] == [FAILED, ACCEPTED]
     assert rig.status.mission_current == 6
     rig.until(lambda: math.dist(rig.ne_m, (-800.0, 0.0)) < 60.0)
     rig.until(lambda: rig.mode == "RTL", 5.0)
     assert rig.status.mission_state == 5
+    assert from_home_m(rig.run(90.0)) == pytest.approx(97.4, abs=3.0)  # recorded flight, 298 s
+    assert rig.height_m == pytest.approx(100.0, abs=1.0)
 
 
 # --- failsafes, wind ------------------------------------------------------------------------------
@@ -257,14 +228,6 @@ def test_a_breached_fence_sends_it_home_and_a_point_outside_is_denied() -> None:
     rig.until(lambda: rig.mode == "RTL")
     assert from_home_m(rig) == pytest.approx(400.0, abs=5.0)
     assert "Circle fence breached" in rig.texts
-
-
-def test_the_lost_ground_station_sends_it_home() -> None:
-    rig, station = circling(FS_GCS_ENABL=1.0), Sender(system=255, component=190)
-    rig.take(rig.autopilot.on_heartbeat(station, 6))
-    assert rig.until(lambda: rig.mode == "RTL") == pytest.approx(4.9, abs=0.2)
-    rig.take(rig.autopilot.on_heartbeat(station, 6))
-    assert (rig.run(0.1).texts[-1], rig.mode) == ("GCS Failsafe Cleared", "RTL")
 
 
 def test_without_gps_it_levels_its_wings_and_stays_in_its_mode() -> None:
