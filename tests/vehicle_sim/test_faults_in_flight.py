@@ -77,8 +77,9 @@ def lost(it: Link) -> float:
 
 def fence_ahead_m(it: Link) -> tuple[float, float]:
     """How far its first item lies to the north and east of where it was put."""
-    (there,), here = it.simulation.plans[PlanKind.FENCE], under_way(it.firmware).simulation.vehicle  # type: ignore[arg-type]
-    frame = LocalFrame(here.latitude_deg, here.longitude_deg)
+    here = under_way("px4" if it.firmware == "px4" else "ardupilot").simulation.vehicle
+    frame = LocalFrame(latitude_deg=here.latitude_deg, longitude_deg=here.longitude_deg)
+    (there,) = it.simulation.plans[PlanKind.FENCE]
     return frame.to_local(there.x / 1e7, there.y / 1e7)
 
 
