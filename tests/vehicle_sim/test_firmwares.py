@@ -150,7 +150,7 @@ def test_in_flight_it_is_disarmed_by_force_alone_and_falls(kind: Any) -> None:
     assert free_s - 0.1 < fell_s < (free_s + 0.1 if kind[1] == "copter" else 15.0)
 
 
-# --- another autopilot ------------------------------------------------------------------------------
+# --- another autopilot ----------------------------------------------------------------------------
 
 _NUMBERS = {"GUIDED": 40, "LAND": 41, "RTL": 42}
 """custom_mode of its own."""
