@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import pytest
@@ -25,34 +26,20 @@ BOTH = pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
 RADAR, OTHER = 100, (9, 1)
 
 
-def setpoint(*target: int) -> Any:
-    return mavlink.MAVLink_set_position_target_local_ned_message(0, *target, 1, 0, *[0.0] * 11)
+def message(kind: str, *target: int, **fields: Any) -> Any:
+    """To this target; what is not given is 0."""
+    made = getattr(mavlink, f"MAVLink_{kind}_message")
+    addressed = dict(zip(("target_system", "target_component"), target, strict=False))
+    return made(**dict.fromkeys(made.fieldnames, 0) | addressed | fields)
 
 
-def command(*target: int, number: int = 400) -> Any:
-    return mavlink.MAVLink_command_long_message(*target, number, 0, *[0.0] * 7)
-
-
-def mission(*target: int) -> Any:
-    return mavlink.MAVLink_mission_count_message(*target, 3)
-
-
-def parameters(*target: int) -> Any:
-    return mavlink.MAVLink_param_request_list_message(*target)
-
-
-def text(number: int = 5) -> Any:
-    return mavlink.MAVLink_statustext_message(4, b"hello", number, 0)
-
-
-def key(*target: int) -> Any:
-    return mavlink.MAVLink_setup_signing_message(*target, [7] * 32, 5)
-
-
+setpoint = partial(message, "set_position_target_local_ned")
+mission, parameters = partial(message, "mission_count"), partial(message, "param_request_list")
+command = partial(message, "command_long", command=400)
+key = partial(message, "setup_signing", secret_key=[7] * 32)
+text = partial(message, "statustext", text=b"hello")
 BEAT = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
-ACK = mavlink.MAVLink_command_ack_message(400, 0, 0, 0, *GCS)
-RADIO = mavlink.MAVLink_radio_status_message(1, 1, 1, 1, 1, 1, 1)
-SYNC = mavlink.MAVLink_timesync_message(0, 5)
+ACK, RADIO, SYNC = message("command_ack", *GCS), message("radio_status"), message("timesync")
 
 
 class Vehicle:
@@ -84,8 +71,8 @@ class Vehicle:
         (COMPANION, 1, setpoint(1, 191), "A"),
         (COMPANION, 1, ACK, "0"),
         (GCS, 0, command(9, 33), "2"),  # of others any component will do
-        (OTHER, 2, text(0), "01AR"),  # STATUSTEXT.id = 0 is not HEARTBEAT, nor repeated as one
-        (COMPANION, 1, text(), "02AR"),  # two on a link do not see each other
+        (OTHER, 2, text(), "01AR"),  # STATUSTEXT.id = 0 is not HEARTBEAT, nor repeated as one
+        (COMPANION, 1, text(id=5), "02AR"),  # two on a link do not see each other
         *((GCS, 0, BEAT, "12AR"), (GCS, 2, BEAT, "1AR")),  # heard on two links
         # never passed on
         *((GCS, 0, key(1, 1), "A"), (GCS, 0, key(0, 0), "AR"), (GCS, 0, key(2, 1), "")),
@@ -105,8 +92,8 @@ def test_where_ardupilot_lets_a_message_go(
         *((setpoint(1, 0), "1AR"), (setpoint(1, 191), "1"), (setpoint(1, 50), "")),
         *((setpoint(2, 1), ""), (command(1, 1), "A"), (command(1, 0), "1AR")),
         *((command(0, 1), "12"), (command(1, 50), ""), (command(1, RADAR), "R")),
-        *((command(0, 0, number=512), "12AR"), (command(1, 77, number=512), "A")),
-        *((command(2, 1, number=512), ""), (mission(1, 190), ""), (mission(1, 191), "1")),
+        *((command(0, 0, command=512), "12AR"), (command(1, 77, command=512), "A")),
+        *((command(2, 1, command=512), ""), (mission(1, 190), ""), (mission(1, 191), "1")),
         *((mission(0, 1), "12"), (parameters(1, 0), "1AR"), (parameters(0, 0), "12R")),
         *((SYNC, "12AR"), (BEAT, "12AR")),
     ],
@@ -235,20 +222,17 @@ def test_a_message_is_sent_once_after_ardupilots_answer_and_before_px4s() -> Non
     assert ask(fresh("px4"), 512, ORIGIN) == [send, ack]
 
 
-def group(number: int, rate_hz: int, *, start: int = 1) -> Any:
-    return mavlink.MAVLink_request_data_stream_message(1, 1, number, rate_hz, start)
-
-
 def test_a_data_stream_sets_its_whole_group_and_overrides_single_intervals() -> None:
     streams = fresh("ardupilot")
     ask(streams, 511, POSITION, 20_000)
-    streams.on_data_stream(group(6, 4), 0, S)
+    group = partial(mavlink.MAVLink_request_data_stream_message, 1, 1)
+    streams.on_data_stream(group(6, 4, 1), 0, S)
     seen = counts(streams, 10.0)
     told = [seen[0, number] for number in (POSITION, LOCAL, ATTITUDE)]
     assert told == pytest.approx([40, 40, 0], abs=1)
-    streams.on_data_stream(group(0, 2), 0, S)
+    streams.on_data_stream(group(0, 2, 1), 0, S)
     assert counts(streams, 10.0, 20 * S)[0, ATTITUDE] == pytest.approx(20, abs=1)
-    for stopped in (group(0, 2, start=0), group(77, 4)):
+    for stopped in (group(0, 2, 0), group(77, 4, 1)):
         streams.on_data_stream(stopped, 0, S)
     assert set(counts(streams, 3.0, 40 * S)) == {(0, HEARTBEAT), (1, HEARTBEAT)}
 
@@ -257,7 +241,8 @@ def test_the_same_request_again_and_again_does_not_hold_up_a_slow_message() -> N
     streams, seen = fresh("ardupilot", links=1), Counter[Any]()
     for now_us in range(S, 21 * S, STEP_US):
         if now_us % 500_000 == 0:  # faster than the message itself
-            streams.on_data_stream(group(6, 1), 0, now_us)
+            group = mavlink.MAVLink_request_data_stream_message(1, 1, 6, 1, 1)
+            streams.on_data_stream(group, 0, now_us)
             ask(streams, 511, LOCAL, S, now_us=now_us)
         seen.update(streams.due(now_us))
     assert seen[0, POSITION] == seen[0, LOCAL] == pytest.approx(20, abs=1)

@@ -157,7 +157,7 @@ def test_half_a_frame_of_a_client_that_has_gone_swallows_nothing_of_the_next(
             client.send(half)
 
 
-# --- as a process: lockstep against all that disturbs it ------------------------------------------
+# --- lockstep against all that disturbs it --------------------------------------------------------
 
 
 def follow(client: Client, for_s: float, newest_ns: int = 0) -> str:
@@ -174,57 +174,47 @@ def follow(client: Client, for_s: float, newest_ns: int = 0) -> str:
     return digest.hexdigest()
 
 
-def faults(folder: Path, text: str) -> tuple[str, str]:
-    (folder / "faults.txt").write_text(text, encoding="utf-8")
-    return "--faults", str(folder / "faults.txt")
-
-
-def test_it_goes_on_through_a_reboot_over_udp(
-    start: Start, companion: Client, tmp_path: Path
-) -> None:
-    process = start(
-        *("--autopilot", "px4", "--lockstep", *faults(tmp_path, "at 3 s: reboot")),
-        *("--connect", companion.endpoint, "--duration", 7),
-    )
+def test_it_goes_on_through_a_reboot_over_udp(serve: Serve, companion: Client) -> None:
+    run = serve(companion.endpoint, lockstep=True)
     companion.begin()
     follow(companion, 2.9)
+    run.simulation.add_fault("reboot")
     follow(companion, 3.5, newest_ns=2_900_000_000)
     # the question counts from the boot, as all stamps do
     assert companion.wait_for(is_question).ts1 < 5e9
     companion.send(companion.heartbeat(7))
-    assert process.result()[::2] == (0, "")
+    assert run.ended()
+    assert run.error is None
 
 
-def test_over_tcp_a_client_that_was_cut_off_connects_again_and_it_goes_on(start: Start) -> None:
-    process = start("--lockstep", "--connect", "tcpin:127.0.0.1:0", "--duration", 4)
-    port = process.port_of("tcpin")
-    with tcp_client(port) as first:
+def test_over_tcp_a_client_that_was_cut_off_connects_again_and_it_goes_on(serve: Serve) -> None:
+    run = serve("tcpin:127.0.0.1:0", lockstep=True)
+    with tcp_client(run.ports[0]) as first:
         first.send(first.heartbeat())
         follow(first, 1.0)
-    with tcp_client(port) as second:
+    with tcp_client(run.ports[0]) as second:
         follow(second, 2.0)
         second.send(second.heartbeat(7))
-        assert process.result()[::2] == (0, "")
+        assert run.ended()
+    assert run.error is None
 
 
-BAD_LINKS = (
-    "at 0 s: link_duplication 30 %\nat 0 s: link_loss 20 %\nat 0 s: link_delay 50 ms jitter 30 ms",
-    "at 0 s: link_off",
+@pytest.mark.parametrize(
+    "bad",
+    [
+        "link_duplication 30 %\nat 0 s: link_loss 20 %\nat 0 s: link_delay 50 ms jitter 30 ms",
+        pytest.param("link_off", marks=pytest.mark.nightly),
+    ],
 )
-
-
-@pytest.mark.sample(2)
-@pytest.mark.parametrize("bad", BAD_LINKS)
 def test_links_that_are_bad_from_the_start_neither_stop_it_nor_depend_on_when_one_comes(
     start: Start, bad: str, tmp_path: Path
 ) -> None:
-    told = set[str]()
+    told, faults = set[str](), tmp_path / "faults.txt"
+    faults.write_text(f"at 0 s: {bad}", encoding="utf-8")
     for wait_s in (0.0, 0.7):
         with udp_client() as client:
-            process = start(
-                *("--lockstep", "--connect", client.endpoint, "--duration", 4),
-                *faults(tmp_path, bad),
-            )
+            how = "--lockstep", "--duration", 4, "--faults", faults
+            process = start("--connect", client.endpoint, *how)
             client.datagram()
             threading.Event().wait(wait_s)
             client.send(client.heartbeat())
