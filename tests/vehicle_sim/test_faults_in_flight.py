@@ -133,6 +133,14 @@ def test_a_client_sees_the_fault(firmware: Firmware, line: str) -> None:
     assert SEES[line](without(firmware), flown(firmware, line))
 
 
+def test_a_radar_that_is_off_is_silent() -> None:
+    vehicle = Link("copter", "ardupilot", PLACE, scan_range_m=2000.0)
+    vehicle.run(3.0)
+    assert messages(vehicle, "HEARTBEAT", 1, RADAR)
+    vehicle.simulation.add_fault("radar_off")
+    assert not [heard for heard in vehicle.run(3.0) if heard.source == (1, RADAR)]
+
+
 OTHERS = """gps_off, gps_drift 2 m/s west, gps_jam, gps_noise 3 m, gps_delay 1000 ms
 gps_satellites 5, turbulence 4 m/s, link_off, link_delay 300 ms jitter 50 ms, link_duplication 20 %
 radar_blind, radar_drop 30 %, radar_loss 50 %, radar_noise 5 m, radar_delay 450 ms, radar_rate 1 Hz
