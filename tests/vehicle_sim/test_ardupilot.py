@@ -88,7 +88,7 @@ def echo_m(it: ArduCopter) -> Vector:
         *((176, (1, NAN), FAILED), (176, (NAN, 4), DENIED), (400, (7,), UNSUPPORTED)),
         (22, (0, 0, 0, 0, 0, 0, 30), FAILED),  # disarmed
         *((520, (1,), ACCEPTED), (410, (), FAILED), (179, (1,), FAILED)),  # there is no home yet
-        *((207, (1,), ACCEPTED), (207, (7,), FAILED), (246, (1,), ACCEPTED)),
+        *((207, (1,), ACCEPTED), (207, (7,), FAILED), (246, (1,), ACCEPTED), (224, (NAN,), DENIED)),
         (246, (0,), UNSUPPORTED),
         (20, (), ACCEPTED),  # a mode change, which is not checked while disarmed
         *((300, (), FAILED), (178, (1, 0), FAILED), (31000, (), UNSUPPORTED)),
@@ -230,11 +230,15 @@ def test_a_place_in_a_global_frame_and_what_the_echo_says_of_it(frame: int) -> N
 
 def test_local_places_are_about_the_origin_also_when_home_is_moved() -> None:
     it, home = hovering(), (47.001, 8.0, GROUND_M + 20.0)
-    assert it.command(179, 0, 0, 0, 0, *home, frame=0) == ACCEPTED
+    for place, answer in (((NAN, 8.0, 0.0), FAILED), (home, ACCEPTED)):
+        assert it.command(179, 0, 0, 0, 0, *place, frame=0) == answer
     it.aim((5.0, 0.0, -30.0))
     assert echo_m(it)[2] == approx(-30.0, abs=0.1)
     it.aim((47.0, 8.0, 30.0), frame=6, is_global=True)
     assert echo_m(it)[2] == approx(-50.0, abs=0.1)
+    assert it.command(179, 1) == ACCEPTED  # here
+    it.aim((47.0, 8.0, 30.0), frame=6, is_global=True)
+    assert echo_m(it)[2] == approx(-60.0, abs=1.0)
 
 
 def test_above_terrain_it_goes_down_without_data() -> None:
@@ -669,7 +673,8 @@ def test_each_kind_of_fence_is_where_its_parameters_say(
 
 @pytest.mark.parametrize(("action", "mode"), [(0, "GUIDED"), (1, "RTL"), (2, "LAND"), (4, "BRAKE")])
 def test_outside_of_an_inclusion_the_action_is_a_parameter(action: int, mode: str) -> None:
-    it = fenced(circle(70.0, 0.0, 20.0, 5003), FENCE_ACTION=float(action))
+    corners = ((50.0, 0.0), (90.0, 0.0), (90.0, 40.0))
+    it = fenced(*(item(HOME, 5001, *c, 0.0, 3.0, frame=0) for c in corners), FENCE_ACTION=action)
     begun_s = it.now_s
     assert it.run(1.0).mode == mode
     assert it.when(OUTSIDE) == [pytest.approx(begun_s + 0.1, abs=0.1)]

@@ -40,6 +40,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
         (["WORLD", "--seed", "-1"], ["--seed = -1"]),
         (["WORLD", "--out", "FILE/below"], ["--out", "cannot be written"]),
         (["WORLD", "--nonsense"], ["--nonsense"]),
+        (["WORLD", "--autopilot", "px4"], ["--autopilot = 'px4'", "Leave out one"]),
         (["--autopilot", "betaflight"], ["'--autopilot'", "'betaflight'", "'px4'"]),
         (["--home", "47,8"], ["--home = '47,8'", "LAT,LON,ALT,HEADING"]),
         (["--home", "97,8,0,0"], ["--home = '97,8,0,0'", "85 deg"]),

@@ -119,6 +119,14 @@ def test_px4_takes_what_is_signed_and_what_is_not_and_never_signs() -> None:
     assert not any(heard.frame[2] & 1 for heard in vehicle.heard)
 
 
+def test_ardupilot_with_a_key_hears_who_has_none_on_its_first_link_only() -> None:
+    vehicle = Link("copter", "ardupilot", PLACE, links=2)
+    vehicle.send(mavlink.MAVLink_setup_signing_message(1, 1, bytes([7]) * 32, 400_000_000_000))
+    vehicle.run(0.1)
+    answers = [vehicle.command(176, 1, 4, link=link) for link in (0, 1)]
+    assert answers == [0, None]
+
+
 @ALL_FOUR
 def test_every_mode_is_flown_or_refused_with_a_word(kind: Any) -> None:
     client, is_px4 = flying(*kind), kind[0] == "px4"

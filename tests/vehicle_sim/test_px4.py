@@ -172,7 +172,8 @@ def test_a_reposition_switches_to_hold_and_one_into_the_fence_is_refused() -> No
     assert rig.stream(20.0, None, ZERO).mode == "Hold"
     assert rig.ned_m == about((-30.0, 0.0, -20.0), 1.0)
     assert abs(rig.vehicle.heading_rad) == about(math.pi, 0.1)  # where it flew to
-    rig.command(178, 1.0, 2.0, -1.0)  # in AUTO modes it counts
+    for speed_m_s in (2.0, NAN):  # in AUTO modes it counts
+        assert rig.command(178, 1.0, speed_m_s, -1.0) == ACCEPTED
     reposition(-60.0, 20.0)
     assert rig.run(6.0).speed_m_s == about(2.0, 0.3)
     rig.command(192, -1.0, 1.0, 0.0, NAN, NAN, NAN, 503.0, frame=5)  # a height alone
