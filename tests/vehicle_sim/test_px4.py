@@ -207,6 +207,16 @@ def test_what_becomes_of_a_setpoint(
     assert flown_m_s is None or rig.vehicle.velocity_neu_m_s == about(flown_m_s, 0.4)
 
 
+def test_of_a_place_and_a_velocity_too_fast_together_the_place_has_its_share_first() -> None:
+    """MPC_XY_P times 8 m northwards; of the velocity as much as makes 12 m/s of both."""
+    rig, share_m_s = hover(), 0.95 * 8.0
+    for _ in range(160):
+        north_m, east_m, _ = rig.ned_m
+        rig.stream(0.05, (north_m + 8.0, east_m, -15.0), (0.0, 20.0, 0.0))
+    rest_m_s = math.sqrt(12.0**2 - share_m_s**2)
+    assert rig.vehicle.velocity_neu_m_s[:2] == about((share_m_s, rest_m_s), 0.5)
+
+
 @pytest.mark.parametrize(
     ("frame", "z_m", "above_origin_m"),
     [
