@@ -41,7 +41,8 @@ from vehicle_sim.faults import GpsConditions
 from vehicle_sim.plans import Jumps, PlanItem, PlanKind, Zone
 
 ACCEPTED, _, DENIED, UNSUPPORTED, FAILED = range(5)
-STABILIZE, LOITER, ON_GROUND, LANDING, GROUND_M = 0, 5, 1, 4, COPTER_HOME[2]
+STABILIZE, LOITER, GROUND_M = 0, 5, COPTER_HOME[2]
+ON_GROUND, IN_AIR, TAKEOFF, LANDING = 1, 2, 3, 4
 MANUAL, FBWA, CRUISE = 0, 5, 7
 REPOSITION, CHANGE_SPEED, CHANGE_HEADING = 192, 43000, 43002
 approx = pytest.approx
@@ -148,6 +149,15 @@ def test_take_off_fails_disarmed_in_stabilize_in_the_air_and_without_a_height() 
     it = booted()
     assert {climb(it, height_m) for height_m in (NAN, math.inf, 0.0, -5.0)} == {FAILED}
     assert [climb(it, 30.0, frame) for frame in (0, 5, 6, 3)] == [DENIED] * 3 + [ACCEPTED]
+
+
+def test_take_off_is_5_m_high_after_4_6_s_and_30_m_after_17_s_and_ends_a_second_later() -> None:
+    it = booted().run(4.0)
+    climb(it, 30.0)
+    assert it.until(lambda: it.height_m > 5.0) == approx(4.6, abs=0.4)
+    assert it.until(lambda: it.height_m > 29.7) == approx(17.0 - 4.6, abs=1.5)
+    assert it.status.landed_state == TAKEOFF
+    assert it.until(lambda: it.status.landed_state == IN_AIR) == approx(1.0, abs=0.5)
 
 
 def test_a_setpoint_is_echoed_while_landed_and_ends_a_take_off() -> None:

@@ -137,8 +137,16 @@ def test_a_commanded_take_off_ends_in_hold_at_its_height() -> None:
 
 
 def test_it_lands_disarms_two_seconds_later_and_can_be_flown_again() -> None:
-    rig = hover()
+    """px4-offboard-short.tlog: 1.4 m/s at 9 m, 0.7 below 5 m, 0.3 below 1 m."""
+    rig = hover(9.2)
     assert rig.command(21, 0.0, 0.0, 0.0, NAN) == ACCEPTED
+    for from_m, to_m, sink_m_s, within in (
+        *((8.0, 7.0, 1.15, 0.25), (4.5, 2.0, 0.7, 0.1)),
+        (0.75, 0.25, 0.4, 0.2),
+    ):
+        rig.until(lambda: rig.height_m < from_m)  # noqa: B023
+        took_s = rig.until(lambda: rig.height_m < to_m)  # noqa: B023
+        assert (from_m - to_m) / took_s == about(sink_m_s, within)
     rig.until(lambda: rig.landed)
     assert rig.until(lambda: not rig.armed) == about(2.0, 0.1)
     assert rig.status.landed_state == Landed.ON_GROUND
@@ -508,6 +516,13 @@ def test_lost_gps_flies_a_bank_then_descends() -> None:
     assert math.degrees(rig.vehicle.roll_rad) == about(15.0, 0.5)
     assert seen[12][1] == about(seen[6][1], 1.0)
     assert (seen[20][1] - seen[28][1]) / 8.0 == about(0.5, 0.05)
+
+
+def test_take_off_is_50_m_high_after_22_s() -> None:
+    """The recorded flight; Hold then, at the place that it was told."""
+    rig = Px4Plane().take_off(300.0, 50.0)
+    assert rig.now_s - rig.autopilot.armed_s == pytest.approx(22.0, abs=2.0)
+    assert off_circle_m(rig.run(60.0), 300.0, 0.0) < 0.6
 
 
 def test_take_off_without_a_place_never_ends_and_arming_alone_starts_nothing() -> None:
