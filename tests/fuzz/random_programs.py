@@ -4,6 +4,7 @@ What the fuzzers of both programs share.
 """
 
 import math
+import re
 import struct
 from typing import Any
 
@@ -96,19 +97,8 @@ def _place(kind: Any, field: str) -> tuple[str, int] | None:
     """Format and offset of a field in the payload; None if there is no such single number."""
     if field not in kind.ordered_fieldnames:
         return None
-    parts = _parts(kind.unpacker.format)
+    parts = re.findall(r"\d*\D", kind.unpacker.format[1:])
     at = kind.ordered_fieldnames.index(field)
-    form = parts[at]
-    return ("<" + form, struct.calcsize("<" + "".join(parts[:at]))) if len(form) == 1 else None
-
-
-def _parts(form: str) -> list[str]:
-    """The pieces of a struct format, one for each wire field."""
-    parts, digits = [], ""
-    for letter in form.lstrip("<"):
-        if letter.isdigit():
-            digits += letter
-            continue
-        parts.append(digits + letter)
-        digits = ""
-    return parts
+    if len(parts[at]) > 1:
+        return None
+    return "<" + parts[at], struct.calcsize("<" + "".join(parts[:at]))

@@ -1,16 +1,20 @@
-"""The simulator's receive path under arbitrary input: what both fuzzers call.
+"""The simulator's receive path under arbitrary input: what both fuzzers and tests call.
 
 Bytes are read as a small program: raw bytes on a link, intact frames with any payload and sender,
-and time that passes.  So the fuzzer gets past the checksums and into every handler.
+orders, setpoints, parameters, plans and faults, and time that passes.  So the fuzzer gets past the
+checksums and into every handler.
 """
 
 import math
 import time
+from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
-from random_programs import COMMANDS, MESSAGES, Reader, command, intact, message_numbers
+from random_programs import COMMANDS, MESSAGES, VALUES, Reader, command, intact, message_numbers
 
+from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.simulation import Simulation
+from vehicle_sim.wire.missions import store
 from vehicle_sim.world import flat_world
 
 PERSONALITIES = (
@@ -29,11 +33,18 @@ HANDLED = message_numbers(
     FILE_TRANSFER_PROTOCOL TERRAIN_REQUEST PING
     """
 )
+FAULTS = ("for 1 s: gps_off", "for 2 s: gps_glitch 30 m up", "pilot", "origin_move 300 m north")
+FAULTS += ("estimator_reset 300 m west", "for 2 s: wind 20 m/s from 90 deg turbulence 5")
+FRAMES = (0, 1, 2, 3, 5, 6, 7, 8, 9, 10, 11, 12, 21, 255)
+MASKS = (0, 0xDF8, 0xDC0, 0xC00, 0x9C0, 0xDC7)
+ITEMS = (16, 17, 18, 19, 20, 21, 22, 177, 178, 201, 5001, 5002, 5003, 5004, 5100, 0, 65535)
+EDGES_E7 = (0, 474_000_000, 85_000_000, -(2**31), 2**31 - 1)
 LINKS = 2
 SLOWEST_S = 5.0
 """An input that takes longer is called a hang: the longest honest ones take milliseconds."""
 _FRESH_AFTER = 2000
 _STATION = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+_READER = mavlink.MAVLink(None)
 
 
 class Target:
@@ -67,49 +78,94 @@ class Target:
             self._vehicles[which] = vehicle
         return self._vehicles[which]
 
-    def play(self, data: bytes) -> None:
-        """Let one input run; an exception or a hang is a finding."""
-        start_s = time.process_time()
-        reader = Reader(data)
-        vehicle = self.vehicle(reader.byte() % len(PERSONALITIES))
+    def play(self, data: bytes, vehicle: Simulation | None = None) -> None:
+        """Let one input run, on one of its own or another; an exception or a hang is a finding."""
+        start_s, reader = time.process_time(), Reader(data)
+        which = reader.byte() % len(PERSONALITIES)
+        vehicle, links = (self.vehicle(which), LINKS) if vehicle is None else (vehicle, 1)
         while reader.left:
-            match reader.byte() % 8:
+            link = reader.byte() % links
+            match reader.byte() % 12:
                 case 0:
-                    vehicle.receive(reader.byte() % LINKS, reader.bytes(reader.byte()))
-                case 1:
+                    vehicle.receive(link, reader.bytes(reader.byte()))
+                case 1 | 2:
                     for _ in range(reader.byte() % 50):
                         vehicle.step()
-                case 2:
-                    number = MESSAGES[(reader.byte() << 8 | reader.byte()) % len(MESSAGES)]
-                    vehicle.receive(reader.byte() % LINKS, _frame(number, reader))
+                    check(vehicle)
                 case 3:
-                    vehicle.receive(
-                        reader.byte() % LINKS, command(reader, COMMANDS, _STATION, (1, 1))
-                    )
+                    number = MESSAGES[(reader.byte() << 8 | reader.byte()) % len(MESSAGES)]
+                    vehicle.receive(link, _frame(number, reader))
                 case 4:
+                    vehicle.receive(link, command(reader, COMMANDS, _STATION, (1, 1)))
+                case 5:
+                    vehicle.receive(link, _setpoint(reader))
+                case 6:
                     names = list(vehicle.parameters)
                     name = names[(reader.byte() << 8 | reader.byte()) % len(names)]
                     vehicle.receive(0, _parameter(name, reader.value()))
+                case 7:
+                    autopilot, kind = vehicle._controller.autopilot, PlanKind(reader.byte() % 3)
+                    vehicle._controller.answer(store(autopilot, kind, _plan(reader)))
+                case 8:
+                    vehicle.add_fault(FAULTS[reader.byte() % len(FAULTS)])
                 case _:
                     number = HANDLED[reader.byte() % len(HANDLED)]
-                    vehicle.receive(reader.byte() % LINKS, _frame(number, reader))
+                    vehicle.receive(link, _frame(number, reader))
         for _ in range(10):
             vehicle.step()
-        self._check(vehicle)
+        check(vehicle)
         took_s = time.process_time() - start_s
-        if took_s > SLOWEST_S:
+        if took_s > SLOWEST_S + 1e-3 * len(data):
             raise TimeoutError(f"{took_s:.1f} s for {len(data)} bytes")
 
-    def _check(self, vehicle: Simulation) -> None:
-        """What goes out is intact, and the vehicle is somewhere."""
-        for _, frame in vehicle.take_frames():
-            assert 12 <= len(frame) <= 293
-        vehicle.take_truth()
-        vehicle.take_notices()
-        flown = vehicle.vehicle
-        for value in (flown.latitude_deg, flown.longitude_deg, flown.altitude_amsl_m):
-            assert math.isfinite(value)
-        assert abs(flown.latitude_deg) <= 90.0
+
+def check(vehicle: Simulation) -> None:
+    """What goes out is intact and in numbers, and the vehicle is somewhere."""
+    for _, frame in vehicle.take_frames():
+        assert 12 <= len(frame) <= 293
+        if frame[7] in (mavlink.MAVLINK_MSG_ID_ATTITUDE, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED):
+            fields = _READER.decode(bytearray(frame)).to_dict().values()
+            assert all(math.isfinite(field) for field in fields if isinstance(field, float))
+    vehicle.take_truth()
+    vehicle.take_notices()
+    flown = vehicle.vehicle
+    angles = flown.roll_rad + flown.pitch_rad + flown.heading_rad
+    assert math.isfinite(angles + flown.airspeed_m_s + sum(flown.velocity_neu_m_s))
+    assert abs(flown.latitude_deg) <= 90.0
+    assert abs(flown.longitude_deg) <= 180.0
+    assert vehicle.contact.ground_amsl_m - 41.0 <= flown.altitude_amsl_m < 2e6
+    assert 0.0 <= flown.throttle <= 1.0
+
+
+def _plan(reader: Reader) -> tuple[PlanItem, ...]:
+    """Up to six items, of any sense."""
+    return tuple(
+        PlanItem(
+            frame=FRAMES[reader.byte() % len(FRAMES)],
+            command=ITEMS[reader.byte() % len(ITEMS)],
+            parameters=(reader.value(), reader.value(), reader.value(), reader.value()),
+            x=EDGES_E7[reader.byte() % len(EDGES_E7)],
+            y=EDGES_E7[reader.byte() % len(EDGES_E7)],
+            z_m=(30.0, *VALUES)[reader.byte() % (len(VALUES) + 1)],
+        )
+        for _ in range(reader.byte() % 7)
+    )
+
+
+def _setpoint(reader: Reader) -> bytes:
+    """Of either kind."""
+    frame, mask = FRAMES[reader.byte() % len(FRAMES)], MASKS[reader.byte() % len(MASKS)]
+    values = [reader.value() for _ in range(11)]
+    message: Any = mavlink.MAVLink_set_position_target_local_ned_message(
+        0, 1, 1, frame, mask, *values
+    )
+    if reader.byte() % 2:
+        x, y = (EDGES_E7[reader.byte() % len(EDGES_E7)] for _ in range(2))
+        message = mavlink.MAVLink_set_position_target_global_int_message(
+            0, 1, 1, frame, mask, x, y, *values[2:]
+        )
+    packed: bytes = message.pack(_STATION)
+    return packed
 
 
 def _frame(number: int, reader: Reader) -> bytes:

@@ -32,31 +32,25 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
     ("arguments", "words"),
     [
         (["atlantis"], ["WORLD = 'atlantis'", "environment-1", "environment-2"]),
-        (["a" * 300], ["WORLD = 'aaa", "neither a bundled world nor a file"]),
         (["WORLD", "--connect", "tcp:1.2.3.4:5"], ["--connect = 'tcp:1.2.3.4:5'", "udpout:HOST"]),
         (["WORLD", "--connect", "udpout:no.such.host.invalid:5"], ["no.such.host.invalid"]),
         (["WORLD", "--lockstep", "--speedup", "2"], ["--speedup = 2.0", "Leave out one"]),
         (["WORLD", "--speedup", "0"], ["--speedup = 0.0", "0.01"]),
-        (["WORLD", "--speedup", "fast"], ["--speedup"]),
         (["WORLD", "--duration", "-1"], ["--duration = -1.0"]),
         (["WORLD", "--seed", "-1"], ["--seed = -1"]),
         (["WORLD", "--out", "FILE/below"], ["--out", "cannot be written"]),
         (["WORLD", "--nonsense"], ["--nonsense"]),
         (["WORLD", "--autopilot", "px4"], ["--autopilot = 'px4'", "Leave out one"]),
         (["--autopilot", "betaflight"], ["'--autopilot'", "'betaflight'", "'px4'"]),
-        (["--vehicle", "boat"], ["'--vehicle'", "'boat'", "'plane'"]),
         (["--home", "47,8"], ["--home = '47,8'", "LAT,LON,ALT,HEADING"]),
         (["--home", "97,8,0,0"], ["--home = '97,8,0,0'", "85 deg"]),
         (["--param", "GUID_TIMEOUT"], ["--param = 'GUID_TIMEOUT'", "NAME=VALUE"]),
         (["--param", "GUID_TIMEOUTS=1"], ["GUID_TIMEOUTS = 1.0", "Did you mean GUID_TIMEOUT?"]),
-        (["--param", "SYSID_THISMAV=5"], ["SYSID_THISMAV = 5.0", "no such one"]),
-        (["--param", "MAV_SYSID=0"], ["MAV_SYSID = 0.0", "1 to 254"]),
         (["--param", "MAV_SYSID=4.5"], ["MAV_SYSID = 4.5", "whole number"]),
         (["--autopilot", "px4", "--param", "MAV_COMP_ID=255"], ["MAV_COMP_ID = 255.0", "1 to 254"]),
         (["--param", "MAV_SYSID=200", "--count", "99"], ["--count = 99", "from 200 to 254"]),
         (["--param", "MAV_SYSID=253", "--count", "5"], ["must be from 1 to 2", "Try 2."]),
         (["--count", "0"], ["--count = 0"]),
-        (["--count", "251"], ["--count = 251"]),
         (["--port-step", "-1"], ["--port-step = -1"]),
         (["--faults", "no-such-file"], ["--faults = 'no-such-file'", "cannot be read"]),
         (["--faults", "WORLD"], ["world.toml:1", "Write for example"]),
@@ -76,21 +70,21 @@ def test_what_cannot_be_done_is_one_line_and_exit_code_2(
 
 
 def test_a_run_ends_after_its_duration_with_its_figures_and_its_truth(
-    start: Start, world_file: Path, companion: Client, tmp_path: Path
+    run: Callable[..., Any], world_file: Path, companion: Client, tmp_path: Path
 ) -> None:
     folder = tmp_path / "new" / "run"
-    code, out, err = start(
+    code, out, err = run(
         *(world_file, "--connect", companion.endpoint),
         *("--speedup", "50", "--duration", "5", "--out", folder, "--seed", "7"),
-    ).result()
+    )
     assert (code, err) == (0, "")
-    assert out.splitlines()[0].startswith("test: copter with ideal as system 1")
-    assert "5.0 s of vehicle time" in out.splitlines()[-1]
-    assert "STABILIZE, disarmed, on the ground" in out.splitlines()[-1]
+    first, *_, last = out.splitlines()
+    assert first.startswith("test: copter with ideal as system 1")
+    assert "5.0 s of vehicle time" in last
+    assert "STABILIZE, disarmed, on the ground" in last
     header, *rows = map(json.loads, (folder / "truth.jsonl").read_text("utf-8").splitlines())
-    assert header["seed"] == 7
-    assert (len(rows), rows[-1]["t_s"]) == (51, 5.0)
-    code, _, err = start(world_file, "--out", folder).result()  # nothing recorded is written over
+    assert (header["seed"], len(rows), rows[-1]["t_s"]) == (7, 51, 5.0)
+    code, _, err = run(world_file, "--out", folder)  # nothing recorded is written over
     assert (code, "truth.jsonl of another flight" in err) == (2, True)
 
 
@@ -129,16 +123,10 @@ def test_what_is_asked_for_and_cannot_be_printed_is_an_error_of_one_line(start: 
     ("number", "clock"), [(signal.SIGTERM, ["--lockstep"]), (signal.SIGINT, [])]
 )
 def test_a_signal_ends_it_cleanly_even_where_sigint_was_ignored(
-    start: Start,
-    world_file: Path,
-    companion: Client,
-    tmp_path: Path,
-    number: signal.Signals,
-    clock: list[str],
+    start: Start, world_file: Path, companion: Client, tmp_path: Path, number: int, clock: list[str]
 ) -> None:
     process = start(
-        *(world_file, "--connect", companion.endpoint),
-        *("--out", tmp_path, *clock),
+        *(world_file, "--connect", companion.endpoint, "--out", tmp_path, *clock),
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
     )
     companion.wait_for("HEARTBEAT")
@@ -147,5 +135,5 @@ def test_a_signal_ends_it_cleanly_even_where_sigint_was_ignored(
     assert (code, err) == (0, "")
     assert "x real time" in out.splitlines()[-1]
     lines = (tmp_path / "truth.jsonl").read_text(encoding="utf-8").splitlines()
-    assert all(json.loads(line) for line in lines)
     assert len(lines) >= 2
+    assert all(json.loads(line) for line in lines)

@@ -122,24 +122,13 @@ def test_what_happens_once_happens_once(line: str) -> None:
     assert timeline.changes == []
 
 
-@pytest.mark.parametrize(
-    ("line", "seen", "enabled"),
-    [
-        *(("gps_off", 0, False), ("gps_satellites 3", 3, False), ("gps_satellites 4", 4, True)),
-        ("turbulence 0 m/s", 10, True),
-    ],
-)
-def test_px4_has_no_fix_with_fewer_than_four_satellites(
-    line: str, seen: int, *, enabled: bool
-) -> None:
-    gps = asked(f"at 0 s: {line}", firmware="px4").gps
-    assert (gps.satellites, gps.enabled) == (seen, enabled)
-
-
-def test_of_px4s_two_numbers_of_satellites_its_own_counts() -> None:
+def test_px4_has_no_fix_with_fewer_than_four_satellites_by_its_own_parameter() -> None:
+    for line, seen, enabled in (("gps_off", 0, False), ("gps_satellites 4", 4, True)):
+        gps = asked(f"at 0 s: {line}", firmware="px4").gps
+        assert (gps.satellites, gps.enabled) == (seen, enabled)
     for name, seen in (("SIM_GPS_USED", 3), ("SIM_GPS1_NUMSATS", 10)):
-        table = Parameters(TABLES["px4"], {name: 3.0})
-        assert conditions_of(table).gps.satellites == seen
+        gps = conditions_of(Parameters(TABLES["px4"], {name: 3.0})).gps
+        assert (gps.satellites, gps.enabled) == (seen, seen > 3)
 
 
 @pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
@@ -222,15 +211,11 @@ def test_any_overlap_is_what_a_replay_from_the_start_says(
         ("at 5 s for 0 s: gps_off", "lasts no time"),
         *(("at 5 s: gps_of", "Did you mean gps_off"), ("at 5 s: zebra", "Choose from: gps_off")),
         ("at 5 s: wind 8 from 270 deg", 'reads "wind N m/s from N deg'),
-        ("at 5 s: wind 800 m/s from 270 deg", "800 must lie from 0 to 100"),
         ("at 5 s: wind 8 m/s from 400 deg", "400 must lie from -360 to 360"),
-        ("at 5 s: wind nan m/s from 270 deg", "reads"),
         ("at 5 s: link_loss 120 %", "120 must lie from 0 to 100"),
-        ("at 5 s: link_loss 20", 'reads "link_loss N %'),
         ("at 5 s: link_off on link 24", "24 must lie from 0 to 23"),
         ("at 5 s for 3 s: reboot", "happens once"),
         ("at 5 s: estimator_reset 20 m up", "reads"),
-        ("at 5 s: gps_glitch 20 m north 2e6 m up", "reads"),
         ("at 5 s: gps_glitch 20 m north 2000000 m up", "must lie from 0 to 100000"),
     ],
 )

@@ -130,12 +130,10 @@ def flagged(flags: int, crc_is_off_by: int = 0) -> bytes:
     return body + struct.pack("<H", crc)
 
 
-@pytest.mark.parametrize(
-    "datagram", [b"abc", flagged(0, 1), flagged(0)[:-1], flagged(2), flagged(3) + bytes(13)]
-)
-def test_what_is_no_frame_of_mavlink_is_passed_over(datagram: bytes) -> None:
-    assert StreamParser(datagrams=True).feed(datagram) == []
+def test_what_is_no_frame_of_mavlink_is_passed_over() -> None:
     assert len(StreamParser(datagrams=True).feed(flagged(0))) == 1
+    for datagram in (flagged(0, 1), flagged(0)[:-1], flagged(2), flagged(3) + bytes(13)):
+        assert StreamParser(datagrams=True).feed(datagram) == []
 
 
 def test_an_unknown_message_costs_only_itself() -> None:
@@ -147,39 +145,28 @@ def test_an_unknown_message_costs_only_itself() -> None:
 
 def test_the_work_is_linear_in_the_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     summed, checksum = list[int](), frames.mcrf4xx
-
-    def counted(data: bytes) -> int:
-        summed.append(len(data))
-        return int(checksum(data))
-
-    monkeypatch.setattr(frames, "mcrf4xx", counted)
+    monkeypatch.setattr(frames, "mcrf4xx", lambda data: summed.append(len(data)) or checksum(data))
     longest = 280  # of a frame: the most that one marker can have summed up
     beginning = b"\xfd\xff\0\0\0\x01\x01\x4c\0\0"  # of a command
-    for worst in (b"\xfe\xff\x00\x01\x01\x4c", beginning, b"x\xfd" * 3, b"\xfd" * 6):
+    for worst in (b"\xfe\xff\x00\x01\x01\x4c", beginning, b"\xfd" * 6):
         summed.clear()
         assert StreamParser(datagrams=False).feed(worst * 4_000) == []
         assert sum(summed) <= longest * len(worst) * 4_000, worst
         assert sum(summed) > len(worst) * 4_000 or b"\x4c" not in worst
 
 
-def test_a_value_that_does_not_fit_is_sent_as_the_nearest_that_does() -> None:
-    wild = mavlink.MAVLink_home_position_message(
-        2**40, -(2**40), 10**12, 1e300, -1e300, math.nan, [1e300, 1, 2, 3], 0, 0, math.inf
-    )
-    got = read(wild)
-    assert (got.latitude, got.longitude, got.altitude) == (2**31 - 1, -(2**31), 2**31 - 1)
-    assert (got.x, got.y, got.approach_z) == approx((LARGEST, -LARGEST, math.inf))
-    assert math.isnan(got.z)
-    assert got.q == approx([LARGEST, 1, 2, 3])
+@given(value=st.floats())
+def test_what_does_not_fit_is_sent_as_the_nearest_that_does(value: float) -> None:
+    told = read(make("GPS_GLOBAL_ORIGIN", whole(value))).latitude
+    assert told == (0 if math.isnan(value) else round(min(max(value, -(2**31)), 2**31 - 1)))
     got = read(mavlink.MAVLink_distance_sensor_message(1.5, -3, 70_000, 0, 300, -1, math.nan, 0))
     assert (got.time_boot_ms, got.min_distance, got.max_distance) == (1, 0, 65535)
     assert (got.current_distance, got.type, got.id, got.orientation) == (0, 255, 0, 0)
-
-
-@given(value=st.floats())
-def test_what_goes_into_a_field_of_whole_numbers_is_the_nearest(value: float) -> None:
-    told = read(make("GPS_GLOBAL_ORIGIN", whole(value))).latitude
-    assert told == (0 if math.isnan(value) else round(min(max(value, -(2**31)), 2**31 - 1)))
+    place = (2**40, -(2**40), 10**12, value, -value, value)
+    got = read(mavlink.MAVLink_home_position_message(*place, [value, 1, 2, 3], 0, 0, 0))
+    assert (got.latitude, got.longitude, got.altitude) == (2**31 - 1, -(2**31), 2**31 - 1)
+    kept = min(max(value, -LARGEST), LARGEST) if math.isfinite(value) else value
+    assert (got.x, got.y, got.z, got.q[0]) == approx((kept, -kept, kept, kept), nan_ok=True)
 
 
 @given(sizes=st.lists(st.integers(12, 300), max_size=80))
@@ -211,14 +198,13 @@ def test_the_place_of_a_command_int_is_in_degrees_or_metres(
     assert got.parameters == approx((9, 1, 2, 3, *place, 30), nan_ok=True)
 
 
-def test_set_mode_means_do_set_mode_in_either_firmware() -> None:
-    for firmware, base, mode, meant in (
-        ("ardupilot", 1, 4, (1, 4, 0)),
-        ("px4", 209, 4 << 16 | 3 << 24, (209, 4, 3)),
-    ):
-        message = sent(mavlink.MAVLink_set_mode_message(1, base, mode))
-        got = mode_command(message, ANYBODY, firmware)  # type: ignore[arg-type]
-        assert (got.number, got.parameters[:3]) == (176, meant)
+@pytest.mark.parametrize(
+    ("firmware", "base", "mode", "meant"),
+    [("ardupilot", 1, 4, (1, 4, 0)), ("px4", 209, 4 << 16 | 3 << 24, (209, 4, 3))],
+)
+def test_set_mode_means_do_set_mode(firmware: Any, base: int, mode: int, meant: Any) -> None:
+    got = mode_command(sent(mavlink.MAVLink_set_mode_message(1, base, mode)), ANYBODY, firmware)
+    assert (got.number, got.parameters[:3]) == (176, meant)
 
 
 def test_answers_carry_whom_they_are_for() -> None:
@@ -230,7 +216,7 @@ def test_answers_carry_whom_they_are_for() -> None:
     assert Packer(1, 1).frame(make("TIMESYNC", 0, 8))[1] <= 16  # a question has no target
 
 
-@pytest.mark.parametrize("length", [50, 51, 57, 100, 101, 149, 150])
+@pytest.mark.parametrize("length", [50, 51, 100, 149])
 def test_a_text_that_does_not_fit_goes_on_in_chunks_to_a_zero_byte(length: int) -> None:
     said = "å" + "".join(chr(ord("a") + k % 26) for k in range(length - 1))
     chunks = [sent(each) for each in texts(Text(severity=2, text=said), 7)]
@@ -245,7 +231,6 @@ def test_a_text_that_does_not_fit_goes_on_in_chunks_to_a_zero_byte(length: int) 
     ("opcode", "data", "answer"),
     [
         (4, b"@PARAM/param.pck?withdefaults=1", (8, 3, 129, 1, 4, 10)),  # not found
-        (15, b"", (8, 3, 129, 1, 15, 10)),
         (2, b"", (8, 3, 128, 0, 2, 0)),  # sessions can be ended
         (129, b"", None),  # that is an answer
     ],

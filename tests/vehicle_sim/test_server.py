@@ -62,18 +62,6 @@ def test_lockstep_waits_for_the_right_answer(serve: Serve, companion: Client) ->
     assert companion.wait_for(is_question).ts1 == 200_000_000
 
 
-def test_a_companion_that_has_ended_ends_the_run(serve: Serve, companion: Client) -> None:
-    run = serve(companion.endpoint, lockstep=True)
-    companion.begin()
-    companion.tick()
-    companion.wait_for(is_question)  # and it is not answered any more
-    companion.send(companion.heartbeat(7))
-    assert run.ended()
-    assert run.error is None
-    last = json.loads(run.truth.getvalue().splitlines()[-1])
-    assert last["t_s"] == pytest.approx(run.simulation.now_us * 1e-6)
-
-
 @pytest.mark.parametrize(
     ("ticks", "settings", "words"),
     [
@@ -91,23 +79,18 @@ def test_silence_in_lockstep_is_an_error_that_says_what_is_missing(
     for _ in range(ticks):
         companion.tick()
     if ticks < 0:
-        asked = companion.wait_for(is_question).ts1
-        own = mavlink.MAVLink_timesync_message(time.time_ns(), asked)
+        own = mavlink.MAVLink_timesync_message(1, companion.wait_for(is_question).ts1)
         companion.send(companion.frame(own))
     assert run.ended()
     assert words in str(run.error)
 
 
-@pytest.mark.parametrize("every_us", [100_000, 2e9])
-def test_lockstep_lasts_as_long_as_was_asked(
-    serve: Serve, companion: Client, every_us: float
+def test_lockstep_lasts_as_long_as_was_asked_also_if_positions_which_end_its_ticks_are_rare(
+    serve: Serve, companion: Client
 ) -> None:
-    """Also if positions, which end its ticks, are asked for once an hour only."""
     run = serve(companion.endpoint, lockstep=True, duration_s=1.0)
     companion.begin()
-    companion.tick(companion.command(511, 33, every_us))
-    for _ in range(9 if every_us < 1e6 else 0):
-        companion.tick()
+    companion.tick(companion.command(511, 33, 2e9))
     assert run.ended()
     assert run.simulation.now_us == 1_000_000
 
@@ -150,17 +133,15 @@ def test_each_of_several_vehicles_flies_its_own_time(serve: Serve, world_table: 
 # --- real time ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("speedup", [1.0, 20.0])
 def test_real_time_keeps_the_pace_whatever_the_companion_does(
-    serve: Serve, companion: Client, speedup: float
+    serve: Serve, companion: Client
 ) -> None:
-    run = serve(companion.endpoint, speedup=speedup)
+    run = serve(companion.endpoint, speedup=20.0)
     companion.datagram()  # heard once, never answered
     start_s, start_us = time.monotonic(), run.simulation.now_us
     assert not run.ended(0.6)
-    flown_s = (run.simulation.now_us - start_us) * 1e-6
-    share = flown_s / ((time.monotonic() - start_s) * speedup)
-    assert 0.5 < share < 1.1  # a busy computer may let time slip, but never gains any
+    flown_s, passed_s = (run.simulation.now_us - start_us) * 1e-6, time.monotonic() - start_s
+    assert 10.0 < flown_s / passed_s < 22.0  # a busy computer may let time slip, but gains none
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -176,7 +157,7 @@ def test_half_a_frame_of_a_client_that_has_gone_swallows_nothing_of_the_next(
             client.send(half)
 
 
-# --- as a process: lockstep against all that disturbs it ------------------------------------------
+# --- lockstep against all that disturbs it --------------------------------------------------------
 
 
 def follow(client: Client, for_s: float, newest_ns: int = 0) -> str:
@@ -193,61 +174,47 @@ def follow(client: Client, for_s: float, newest_ns: int = 0) -> str:
     return digest.hexdigest()
 
 
-def faults(folder: Path, text: str) -> tuple[str, str]:
-    (folder / "faults.txt").write_text(text, encoding="utf-8")
-    return "--faults", str(folder / "faults.txt")
-
-
-def test_it_goes_on_through_a_reboot_over_udp(
-    start: Start, companion: Client, tmp_path: Path
-) -> None:
-    process = start(
-        *("--autopilot", "px4", "--lockstep", *faults(tmp_path, "at 3 s: reboot")),
-        *("--connect", companion.endpoint, "--duration", 7),
-    )
+def test_it_goes_on_through_a_reboot_over_udp(serve: Serve, companion: Client) -> None:
+    run = serve(companion.endpoint, lockstep=True)
     companion.begin()
     follow(companion, 2.9)
+    run.simulation.add_fault("reboot")
     follow(companion, 3.5, newest_ns=2_900_000_000)
     # the question counts from the boot, as all stamps do
     assert companion.wait_for(is_question).ts1 < 5e9
     companion.send(companion.heartbeat(7))
-    assert process.result()[::2] == (0, "")
+    assert run.ended()
+    assert run.error is None
 
 
-def test_over_tcp_a_client_that_was_cut_off_connects_again_and_it_goes_on(start: Start) -> None:
-    process = start(
-        *("--lockstep", "--connect", "tcpin:127.0.0.1:0", "--duration", 4),
-    )
-    port = process.port_of("tcpin")
-    with tcp_client(port) as first:
+def test_over_tcp_a_client_that_was_cut_off_connects_again_and_it_goes_on(serve: Serve) -> None:
+    run = serve("tcpin:127.0.0.1:0", lockstep=True)
+    with tcp_client(run.ports[0]) as first:
         first.send(first.heartbeat())
         follow(first, 1.0)
-    with tcp_client(port) as second:
+    with tcp_client(run.ports[0]) as second:
         follow(second, 2.0)
         second.send(second.heartbeat(7))
-        assert process.result()[::2] == (0, "")
+        assert run.ended()
+    assert run.error is None
 
 
-BAD_LINKS = {
-    "lossy and late": """at 0 s: link_duplication 30 %
-        at 0 s: link_loss 20 %
-        at 0 s: link_delay 50 ms jitter 30 ms""",
-    "off": "at 0 s: link_off",
-}
-
-
-@pytest.mark.sample(2)
-@pytest.mark.parametrize("bad", BAD_LINKS)
+@pytest.mark.parametrize(
+    "bad",
+    [
+        "link_duplication 30 %\nat 0 s: link_loss 20 %\nat 0 s: link_delay 50 ms jitter 30 ms",
+        pytest.param("link_off", marks=pytest.mark.nightly),
+    ],
+)
 def test_links_that_are_bad_from_the_start_neither_stop_it_nor_depend_on_when_one_comes(
     start: Start, bad: str, tmp_path: Path
 ) -> None:
-    told = set[str]()
+    told, faults = set[str](), tmp_path / "faults.txt"
+    faults.write_text(f"at 0 s: {bad}", encoding="utf-8")
     for wait_s in (0.0, 0.7):
         with udp_client() as client:
-            process = start(
-                *("--lockstep", "--connect", client.endpoint, "--duration", 4),
-                *faults(tmp_path, BAD_LINKS[bad]),
-            )
+            how = "--lockstep", "--duration", 4, "--faults", faults
+            process = start("--connect", client.endpoint, *how)
             client.datagram()
             threading.Event().wait(wait_s)
             client.send(client.heartbeat())
@@ -268,12 +235,12 @@ def test_three_vehicles_on_one_port_are_told_apart_by_their_systems(
         *("--duration", 20, "--autopilot", "px4", "--out", tmp_path),
     )
     companion.datagram()
-    answered = None
-    while answered is None:  # until its estimator lets it
+    while True:  # until its estimator lets it
         companion.send(companion.command(400, 1, 21196, target=(2, 1)))
         accepted = [m for m in companion.messages() if getattr(m, "result", None) == 0]
-        answered = accepted[0] if accepted else None
-    assert answered.get_srcSystem() == 2
+        if accepted:
+            break
+    assert accepted[0].get_srcSystem() == 2
     code, out, err = process.result()
     assert (code, err) == (0, "")
     assert "as system 1 to 3" in out
@@ -324,15 +291,12 @@ def test_clients_on_shared_links_hear_each_other_once_through_the_vehicles(
 def test_strict_ends_the_run_at_what_the_real_one_does_not_survive(
     start: Start, companion: Client
 ) -> None:
-    process = start("--connect", companion.endpoint, "--lockstep", "--strict")
-    companion.begin()
-    for k in range(460):
-        frames = [companion.heartbeat()] if k % 10 == 0 else []
-        companion.tick(*frames, *([companion.command(176, 1, 4)] if k == 440 else []))
-    wild = mavlink.MAVLink_set_position_target_local_ned_message(
-        0, 1, 1, 1, 0xDF8, float("nan"), 0, -20, *[0.0] * 8
+    how = "--vehicle", "plane", "--lockstep", "--strict"
+    process = start("--connect", companion.endpoint, *how)
+    nowhere = mavlink.MAVLink_command_int_message(
+        *(1, 1, 3, 192, 0, 0), *(-1, 1, 0, 0), *(474_000_000, 85_000_000, float("nan"))
     )
-    companion.tick(companion.frame(wild))
+    companion.begin(companion.frame(nowhere))
     companion.tick()
     code, _, err = process.result()
     assert (code, err.count("\n")) == (1, 1)

@@ -1,6 +1,7 @@
 """What is signed, with pymavlink as the other side (ardupilot.md 5), and what a bad link loses."""
 
 import itertools
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -109,7 +110,7 @@ def test_how_old_a_new_stream_may_be(late: int, *, taken: bool) -> None:
 
 def test_of_each_stream_only_what_is_newer_comes_in_and_streams_are_bounded() -> None:
     signing, frame = signed_vehicle(), Client(late=5).frame()
-    assert [signing.accepts(frame, SIGNED) for _ in range(3)] == [True, False, False]
+    assert [signing.accepts(frame, SIGNED) for _ in range(2)] == [True, False]
     assert not signing.accepts(Client(late=4).frame(), SIGNED)
     assert signing.accepts(Client(component=191).frame(), SIGNED)  # another stream
     taken = [signing.accepts(Client(link=link).frame(), SIGNED) for link in range(10, 40)]
@@ -117,12 +118,11 @@ def test_of_each_stream_only_what_is_newer_comes_in_and_streams_are_bounded() ->
     assert signing.accepts(Client(link=13, late=9).frame(), SIGNED)
 
 
-def test_the_vehicle_keeps_up_with_what_it_hears() -> None:
-    signing, later = signed_vehicle(), 200 * SECOND
-    assert signing.accepts(Client(late=later).frame(), SIGNED)
+def test_the_vehicle_keeps_up_with_what_it_hears_also_once_it_has_signed_itself() -> None:
+    signing = signed_vehicle()
+    assert signing.accepts(Client(late=200 * SECOND).frame(), SIGNED)
     assert not signing.accepts(Client(link=6, late=20 * SECOND).frame(), SIGNED)
     assert Packer(1, 1, signing).frame(ARM)[2] == 1
-    assert not signing.accepts(UNSIGNED.frame(), SIGNED)
     assert not signing.accepts(Client(link=9, late=130 * SECOND).frame(), SIGNED)
 
 
@@ -154,11 +154,14 @@ def numbers(count: int, **conditions: Any) -> list[int]:
     return [int.from_bytes(data[:4], "big") for _, data in out]
 
 
-@pytest.mark.parametrize("share", [0.0, 0.05, 0.9])
-def test_the_share_that_is_lost_is_lost_for_good(share: float) -> None:
-    out = numbers(5000, lost=share)
-    assert out == sorted(out)
-    assert len(out) / 5000 == pytest.approx(1.0 - share, abs=0.025 if share else 0.0)
+def test_frames_are_lost_for_good_and_doubled_right_behind_in_their_shares() -> None:
+    out = numbers(5000, lost=0.2)
+    assert out == sorted(set(out))
+    assert len(out) / 5000 == pytest.approx(0.8, abs=0.025)
+    twice = numbers(5000, duplicated=0.3)
+    assert twice == sorted(twice)
+    assert len(twice) / 5000 == pytest.approx(1.3, abs=0.025)
+    assert max(Counter(twice).values()) == 2
 
 
 @given(delay_us=st.integers(0, 3 * S))
@@ -176,13 +179,6 @@ def test_jitter_lets_frames_overtake_and_is_never_longer_than_it_says() -> None:
     assert 100_000 <= late_us.min() <= late_us.max() <= 190_000
     assert late_us.mean() == pytest.approx(145_000, abs=3000)  # half a step more for the steps
     assert order != sorted(order) == list(range(2000))
-
-
-def test_duplicates_come_right_behind() -> None:
-    twice = numbers(3000, duplicated=0.3)
-    assert twice == sorted(twice)
-    assert len(twice) / 3000 == pytest.approx(1.3, abs=0.03)
-    assert max(len(list(run)) for _, run in itertools.groupby(twice)) == 2
 
 
 @pytest.mark.parametrize(

@@ -103,36 +103,27 @@ def begun(client: Client, sim: Simulator) -> Client:
     return client
 
 
-@pytest.mark.parametrize("own_thread", [False, True], ids=["meanwhile", "thread"])
 def test_in_lockstep_every_tick_waits_for_the_clients_answer(
     vehicle_sim: Start,  # noqa: F811
     companion: Client,
-    own_thread: bool,
 ) -> None:
     sim, asked, ended = vehicle_sim(lockstep=True), list[int](), threading.Event()
     client = begun(companion, sim)
 
-    def work() -> None:
-        """Read what is there, and answer the questions of lockstep."""
-        with suppress(BlockingIOError):
-            while True:
+    def run() -> None:
+        while not ended.wait(0.001):
+            with suppress(BlockingIOError):
                 for message in filter(is_question, client.messages()):
                     asked.append(message.ts1)
                     client.send(client.answer(message))
 
-    def run() -> None:
-        while not ended.wait(0.001):
-            work()
-
     thread = threading.Thread(target=run)
+    thread.start()
     try:
-        if own_thread:
-            thread.start()
-        sim.advance(3.0, meanwhile=None if own_thread else work)
+        sim.advance(3.0)
     finally:
         ended.set()
-        if own_thread:
-            thread.join()
+        thread.join()
     ticks = [each for each in asked if each % 50_000_000 == 0]
     assert sorted(set(ticks)) == [50_000_000 * k for k in range(2, 61)]  # heard in the first
 

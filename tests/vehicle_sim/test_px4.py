@@ -1,4 +1,4 @@
-"""What px4.md says of the real PX4 multicopter (1 to 7), tried by values.
+"""What px4.md says of the real PX4: multicopter (1 to 7) and aeroplane (10), tried by values.
 
 Tracking is in test_tracking.py, how setpoints are read in test_setpoints.py, the loss of GPS in
 test_estimator.py, what was recorded in conformance/.  Conditions: SIH_KDV 0.25 and COM_OBL_RC_ACT 5
@@ -18,15 +18,17 @@ from harness import (
     NAN,
     OFFBOARD,
     PLACE,
+    POSITION_VELOCITY,
     PX4_LAND,
     RETURN,
     TAKEOFF,
+    VELOCITY,
     ZERO,
     Vector,
     copied,
 )
-from rigs import Px4Copter
-from tracked import lean_deg
+from rigs import Px4Copter, Px4Plane, cruising
+from tracked import fixed_wing_route
 
 from vehicle_sim.autopilot.values import Ack, Landed, Reboot, Result, Sender
 from vehicle_sim.faults import GpsConditions
@@ -34,11 +36,14 @@ from vehicle_sim.plans import PlanKind
 
 ACCEPTED, REJECTED, DENIED = Result.ACCEPTED, Result.TEMPORARILY_REJECTED, Result.DENIED
 POSITION, ALTITUDE = (3, 0), (2, 0)
-STATION = Sender(system=255, component=190)
 UP: Vector = (0.0, 0.0, -15.0)
 item = functools.partial(harness.item, PLACE, frame=6)
 FENCE = item(5004, 60.0, 0.0, 0.0, 20.0)
 """An exclusion of 20 m, 60 m to the north."""
+
+
+def about(value: Any, within: float) -> Any:
+    return pytest.approx(value, abs=within)
 
 
 @copied
@@ -65,14 +70,10 @@ def cruise(speed_m_s: float = 5.0, **parameters: float) -> Px4Copter:
     return hover(**parameters).stream(7.0, None, (speed_m_s, 0.0, 0.0))
 
 
-def about(value: Any, within: float) -> Any:
-    return pytest.approx(value, abs=within)
+# --- multicopter: arming, modes, commands ---------------------------------------------------------
 
 
-# --- 1 and 3: arming, modes, commands -------------------------------------------------------------
-
-
-def test_when_it_may_be_armed_booted_again_and_disarmed() -> None:
+def test_when_it_may_be_armed_and_booted_again() -> None:
     rig = Px4Copter().run(1.0)  # it boots
     assert [rig.command(400, 1.0), rig.command(400, 1.0, 21196.0)] == [REJECTED, ACCEPTED]
     rig = on_ground()
@@ -81,10 +82,6 @@ def test_when_it_may_be_armed_booted_again_and_disarmed() -> None:
     rig.command(400, 1.0)
     assert rig.command(246, 1.0) == REJECTED
     assert rig.until(lambda: not rig.armed, 20.0) == about(10.5, 0.6)  # it has not flown
-    rig = hover()
-    assert [rig.command(400, 0.0), rig.command(400, 0.0, 21196.0)] == [REJECTED, ACCEPTED]
-    assert rig.run(3.0).height_m <= 0.0
-    assert rig.landed
 
 
 @pytest.mark.parametrize(
@@ -140,17 +137,16 @@ def test_a_commanded_take_off_ends_in_hold_at_its_height() -> None:
 
 
 def test_it_lands_disarms_two_seconds_later_and_can_be_flown_again() -> None:
-    """px4-offboard-short.tlog: 1.4 m/s at 9 m, 0.7 below 5 m, 0.3 below 1 m; disarms 2 s after."""
+    """px4-offboard-short.tlog: 1.4 m/s at 9 m, 0.7 below 5 m, 0.3 below 1 m."""
     rig = hover(9.2)
     assert rig.command(21, 0.0, 0.0, 0.0, NAN) == ACCEPTED
-    for upper_m, lower_m, sink_m_s, within in (
-        (8.0, 7.0, 1.15, 0.25),
-        (4.5, 2.0, 0.7, 0.1),
+    for from_m, to_m, sink_m_s, within in (
+        *((8.0, 7.0, 1.15, 0.25), (4.5, 2.0, 0.7, 0.1)),
         (0.75, 0.25, 0.4, 0.2),
     ):
-        rig.until(lambda: rig.height_m < upper_m)  # noqa: B023
-        took_s = rig.until(lambda: rig.height_m < lower_m)  # noqa: B023
-        assert (upper_m - lower_m) / took_s == about(sink_m_s, within)
+        rig.until(lambda: rig.height_m < from_m)  # noqa: B023
+        took_s = rig.until(lambda: rig.height_m < to_m)  # noqa: B023
+        assert (from_m - to_m) / took_s == about(sink_m_s, within)
     rig.until(lambda: rig.landed)
     assert rig.until(lambda: not rig.armed) == about(2.0, 0.1)
     assert rig.status.landed_state == Landed.ON_GROUND
@@ -160,7 +156,40 @@ def test_it_lands_disarms_two_seconds_later_and_can_be_flown_again() -> None:
     assert 3.0 < rig.stream(8.0, (0.0, 0.0, -6.0)).height_m < 6.7
 
 
-# --- 4: setpoints flown, limits, steps ------------------------------------------------------------
+@pytest.mark.parametrize(("north_m", "highest_m"), [(20.0, 20.0), (60.0, 30.0)])
+def test_a_return_climbs_no_higher_than_the_cone_of_45_degrees_and_comes_home(
+    north_m: float, highest_m: float
+) -> None:
+    rig, heights = hover().stream(20.0, (north_m, 0.0, -15.0)), list[float]()
+    rig.set_mode(*RETURN)
+    rig.run(30.0, lambda: heights.append(rig.height_m))
+    assert max(heights) == about(highest_m, 1.0)
+    assert math.hypot(*rig.ne_m) == about(0.0, 2.0)
+    assert not rig.landed
+
+
+def test_a_reposition_switches_to_hold_and_one_into_the_fence_is_refused() -> None:
+    rig = hover()
+    rig.plans[PlanKind.FENCE] = (FENCE,)
+
+    def reposition(north_m: float, up_m: float) -> int:
+        place = rig.place(north_m, 0.0, up_m)
+        return rig.command(192, -1.0, 1.0, 0.0, NAN, *place, frame=5)
+
+    assert [reposition(60.0, 15.0), reposition(-30.0, 20.0)] == [DENIED, ACCEPTED]
+    assert rig.stream(20.0, None, ZERO).mode == "Hold"
+    assert rig.ned_m == about((-30.0, 0.0, -20.0), 1.0)
+    assert abs(rig.vehicle.heading_rad) == about(math.pi, 0.1)  # where it flew to
+    for speed_m_s in (2.0, NAN):  # in AUTO modes it counts
+        assert rig.command(178, 1.0, speed_m_s, -1.0) == ACCEPTED
+    reposition(-60.0, 20.0)
+    assert rig.run(6.0).speed_m_s == about(2.0, 0.3)
+    rig.command(192, -1.0, 1.0, 0.0, NAN, NAN, NAN, 503.0, frame=5)  # a height alone
+    rig.run(8.0)
+    assert (rig.speed_m_s, rig.height_m) == (about(0.0, 0.5), about(15.0, 0.7))
+
+
+# --- multicopter: setpoints -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -184,6 +213,16 @@ def test_what_becomes_of_a_setpoint(
     assert rig.stream(15.0 if ends_m else 7.0, *setpoint, mask=mask).mode == "Offboard"
     assert ends_m is None or rig.ned_m == about(ends_m, 0.8)
     assert flown_m_s is None or rig.vehicle.velocity_neu_m_s == about(flown_m_s, 0.4)
+
+
+def test_of_a_place_and_a_velocity_too_fast_together_the_place_has_its_share_first() -> None:
+    """MPC_XY_P times 8 m northwards; of the velocity as much as makes 12 m/s of both."""
+    rig, share_m_s = hover(), 0.95 * 8.0
+    for _ in range(160):
+        north_m, east_m, _ = rig.ned_m
+        rig.stream(0.05, (north_m + 8.0, east_m, -15.0), (0.0, 20.0, 0.0))
+    rest_m_s = math.sqrt(12.0**2 - share_m_s**2)
+    assert rig.vehicle.velocity_neu_m_s[:2] == about((share_m_s, rest_m_s), 0.5)
 
 
 @pytest.mark.parametrize(
@@ -215,21 +254,6 @@ def test_the_nose_turns_to_the_yaw_that_is_told_and_frame_8_turns_with_it() -> N
     assert rig.vehicle.velocity_neu_m_s[:2] == about((0.0, 3.0), 0.3)
 
 
-def test_a_place_30_m_away_is_flown_to_with_all_the_tilt_there_is() -> None:
-    """With the stock drag.  Of 500 m: 9.7 m/s at last."""
-    rig, there_s = hover(drag=1.0), list[float]()
-    tilt_deg = fastest = farthest = 0.0
-    start_s = rig.now_s
-    for _ in range(240):
-        rig.stream(0.05, (30.0, 0.0, -15.0))
-        tilt_deg, fastest = max(tilt_deg, lean_deg(rig)), max(fastest, rig.speed_m_s)
-        farthest = max(farthest, rig.ned_m[0])
-        there_s += [rig.now_s - start_s] if rig.ned_m[0] > 29.0 else []
-    assert (tilt_deg, fastest) == (about(45.0, 2.0), about(8.8, 0.5))
-    assert (there_s[0], farthest) == (about(4.8, 0.4), about(31.4, 0.7))
-    assert rig.stream(25.0, (530.0, 0.0, -15.0)).speed_m_s == about(9.7, 0.3)
-
-
 @pytest.mark.parametrize(
     ("how", "expected"),
     [
@@ -241,7 +265,6 @@ def test_a_place_30_m_away_is_flown_to_with_all_the_tilt_there_is() -> None:
 def test_it_stops_from_12_m_s(how: str, expected: dict[str, float]) -> None:
     """15 %: 0.1 s of delay is 1.2 m."""
     rig = cruise(12.0).stream(2.0, None, (12.0, 0.0, 0.0))
-    assert rig.speed_m_s > 11.5
     here, start_s = rig.ned_m, rig.now_s
     setpoint = ((*here[:2], -15.0),) if how == "position" else (None, ZERO)
     if how == "hold":
@@ -256,7 +279,7 @@ def test_it_stops_from_12_m_s(how: str, expected: dict[str, float]) -> None:
     assert {name: seen[name] for name in expected} == pytest.approx(expected, rel=0.15)
 
 
-# --- 6: loss of the stream, failsafes -------------------------------------------------------------
+# --- failsafes ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -289,21 +312,9 @@ def test_a_lost_stream_is_acted_on_after_1_1_s_and_taken_up_when_it_is_back(
     assert rig.stream(0.3, None, (5.0, 0.0, 0.0)).mode == "Offboard"
 
 
-@pytest.mark.parametrize(("north_m", "highest_m"), [(20.0, 20.0), (60.0, 30.0)])
-def test_a_return_climbs_no_higher_than_the_cone_of_45_degrees_and_comes_home(
-    north_m: float, highest_m: float
-) -> None:
-    rig, heights = hover().stream(20.0, (north_m, 0.0, -15.0)), list[float]()
-    rig.set_mode(*RETURN)
-    rig.run(30.0, lambda: heights.append(rig.height_m))
-    assert max(heights) == about(highest_m, 1.0)
-    assert math.hypot(*rig.ne_m) == about(0.0, 2.0)
-    assert not rig.landed
-
-
 @pytest.mark.parametrize(
     ("rate_hz", "modes"),
-    [(5.0, ["Offboard"]), (1.2, ["Offboard"]), (0.8, ["Offboard", "Hold"] * 4)],
+    [(1.2, ["Offboard"]), (0.8, ["Offboard", "Hold"] * 4)],
 )
 def test_a_slow_stream_flips_between_the_modes(rate_hz: float, modes: list[str]) -> None:
     rig, seen = cruise(), list[str]()
@@ -315,27 +326,11 @@ def test_a_slow_stream_flips_between_the_modes(rate_hz: float, modes: list[str])
     assert seen[:8] == modes
 
 
-def test_a_stream_that_is_lost_on_the_ground_leaves_it_armed_in_hold() -> None:
-    rig = on_ground().stream(0.5, ZERO)
-    rig.set_mode(*OFFBOARD)
-    rig.command(400, 1.0)
-    rig.stream(1.0, ZERO)
-    assert rig.until(lambda: rig.mode == "Hold", 3.0) == about(1.1, 0.2)
-    assert rig.run(5.0).armed
-
-
 def test_hold_without_a_position_is_a_descent() -> None:
     rig = hover()
     rig.set_mode(*HOLD)
     rig.gps_conditions = GpsConditions(enabled=False)
     assert rig.until(lambda: rig.mode == "Descend", 10.0) == about(5.2, 0.4)
-
-
-@pytest.mark.parametrize(("mode", "name"), [(HOLD, "Hold"), (PX4_LAND, "Land")])
-def test_a_commanded_mode_is_not_undone_by_the_stream(mode: tuple[int, int], name: str) -> None:
-    rig = cruise()
-    rig.set_mode(*mode)
-    assert rig.stream(6.0, None, (5.0, 0.0, 0.0)).mode == name
 
 
 def test_the_battery_brings_it_home() -> None:
@@ -350,9 +345,9 @@ def test_the_battery_brings_it_home() -> None:
 
 def test_a_ground_station_is_missed_only_after_it_was_heard() -> None:
     rig = hover(NAV_DLL_ACT=3.0).stream(12.0, None, ZERO)
-    rig.autopilot.on_heartbeat(STATION, 18)  # of a companion
+    rig.autopilot.on_heartbeat(Sender(system=255, component=190), 18)  # of a companion
     rig.stream(12.0, None, ZERO)
-    rig.autopilot.on_heartbeat(STATION, 6)
+    rig.autopilot.on_heartbeat(Sender(system=255, component=190), 6)
     assert [rig.stream(s, None, ZERO).mode for s in (9.5, 1.0)] == ["Offboard", "Land"]
 
 
@@ -369,63 +364,8 @@ def test_beyond_the_cylinder_about_home_it_does_what_gf_action_says(
     assert rig.texts.count("Geofence: approaching or outside geofence\t") == 1
 
 
-# --- 3, 7: places, mission and fence --------------------------------------------------------------
-
-
-def test_a_reposition_switches_to_hold_and_one_into_the_fence_is_refused() -> None:
+def test_a_breach_holds_until_another_command() -> None:
     rig = hover()
-    rig.plans[PlanKind.FENCE] = (FENCE,)
-
-    def reposition(north_m: float, up_m: float) -> int:
-        place = rig.place(north_m, 0.0, up_m)
-        return rig.command(192, -1.0, 1.0, 0.0, NAN, *place, frame=5)
-
-    assert [reposition(60.0, 15.0), reposition(-30.0, 20.0)] == [DENIED, ACCEPTED]
-    assert rig.stream(20.0, None, ZERO).mode == "Hold"
-    assert rig.ned_m == about((-30.0, 0.0, -20.0), 1.0)
-    assert abs(rig.vehicle.heading_rad) == about(math.pi, 0.1)  # where it flew to
-    rig.command(178, 1.0, 2.0, -1.0)  # in AUTO modes it counts
-    reposition(-60.0, 20.0)
-    assert rig.run(6.0).speed_m_s == about(2.0, 0.3)
-    rig.command(192, -1.0, 1.0, 0.0, NAN, NAN, NAN, 503.0, frame=5)  # a height alone
-    rig.run(8.0)
-    assert (rig.speed_m_s, rig.height_m) == (about(0.0, 0.5), about(15.0, 0.7))
-
-
-def test_it_flies_a_mission() -> None:
-    rig, corners = on_ground(), ((40.0, 0.0), (40.0, 40.0))
-    rig.plan(
-        PlanKind.MISSION,
-        item(22, 0.0, 0.0, 10.0),
-        item(16, *corners[0], 10.0, 1.0),
-        item(16, *corners[1], 15.0),
-        item(20),
-    )
-    assert rig.status.mission_state == 2
-    assert rig.command(300, 0.0, 0.0) == ACCEPTED
-    began_s, nearest_m, modes = dict[int, float](), [math.inf, math.inf], list[str]()
-    while rig.armed and rig.now_s < 200.0:
-        rig.step()
-        modes.append(rig.mode)
-        began_s.setdefault(rig.autopilot.route.current, rig.now_s)
-        away_m = (math.dist(rig.ne_m, place) for place in corners)
-        nearest_m = list(map(min, nearest_m, away_m))
-    assert list(began_s) == [0, 1, 2, 3]
-    assert modes[-2] == "Return"  # as its last item says
-    told_s = {seq: at for at, seq in rig.reached()}
-    assert began_s[2] - told_s[1] == about(1.0, 0.05)  # when it comes there: then it waits
-    assert max(nearest_m) < 10.5  # NAV_ACC_RAD
-    assert rig.landed
-    assert math.hypot(*rig.ne_m) < 2.0
-
-
-def test_a_mission_is_left_for_offboard_and_a_breach_holds_until_another_command() -> None:
-    rig = hover()
-    rig.plan(PlanKind.MISSION, item(16, 40.0, 0.0, 15.0), item(16, 0.0, 40.0, 15.0))
-    rig.command(300, 0.0, 0.0)
-    assert rig.stream(3.0, None, ZERO).mode == "Mission"
-    assert rig.set_mode(*OFFBOARD) == ACCEPTED
-    rig.stream(3.0, UP)
     rig.plans[PlanKind.FENCE] = (FENCE,)
     while rig.ned_m[0] < 40.0:
         rig.stream(0.05, None, (4.0, 0.0, 0.0))
@@ -437,3 +377,192 @@ def test_a_mission_is_left_for_offboard_and_a_breach_holds_until_another_command
     assert rig.set_mode(*OFFBOARD) == ACCEPTED
     rig.stream(3.0, None, (8.0, 0.0, 0.0))
     assert 8.0 < rig.ned_m[0] - 40.0 - inside_m < 24.0
+
+
+# --- missions -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("make", "places", "last", "near_m", "home_m"),
+    [
+        # NAV_ACC_RAD of the one, NPFG's switch distance of the other
+        (Px4Copter, ((40.0, 0.0), (40.0, 40.0)), 20, (0.0, 10.5), 2.0),
+        (Px4Plane, ((500.0, 0.0), (500.0, 400.0), (100.0, 400.0)), 21, (10.0, 32.0), 110.0),
+    ],
+)
+def test_it_flies_a_mission(
+    make: Any, places: Any, last: int, near_m: tuple[float, float], home_m: float
+) -> None:
+    rig = make().run(7.0)
+    waits_s = 1.0 if make is Px4Copter else 0.0  # a plane would circle
+    way = [item(16, *place, 60.0, waits_s) for place in places]
+    rig.plan(PlanKind.MISSION, item(22, 300.0, 0.0, 40.0), *way, item(last))
+    assert rig.status.mission_state == 2
+    assert rig.command(300) == ACCEPTED
+    began_s, modes, nearest_m = dict[int, float](), list[str](), [math.inf] * len(places)
+    while rig.armed and rig.now_s < 300.0:
+        rig.step()
+        modes.append(rig.mode)
+        began_s.setdefault(rig.autopilot.route.current, rig.now_s)
+        away_m = (math.dist(rig.ne_m, place) for place in places)
+        nearest_m = list(map(min, nearest_m, away_m))
+    assert list(began_s) == [*range(len(places) + 2)]
+    assert near_m[0] <= min(nearest_m) <= max(nearest_m) < near_m[1]
+    assert rig.landed
+    assert math.hypot(*rig.ne_m) < home_m
+    if make is Px4Copter:
+        assert modes[-2] == "Return"  # as its last item says
+        told_s = {seq: at for at, seq in rig.reached()}
+        assert began_s[2] - told_s[1] == about(waits_s, 0.05)  # when it comes there: then it waits
+
+
+def test_a_mission_is_left_for_offboard() -> None:
+    rig = hover()
+    rig.plan(PlanKind.MISSION, item(16, 40.0, 0.0, 15.0), item(16, 0.0, 40.0, 15.0))
+    rig.command(300, 0.0, 0.0)
+    assert rig.stream(3.0, None, ZERO).mode == "Mission"
+    assert rig.set_mode(*OFFBOARD) == ACCEPTED
+    assert rig.stream(1.0, UP).mode == "Offboard"
+
+
+# --- aeroplane ------------------------------------------------------------------------------------
+
+
+def away_m(rig: Px4Plane, north_m: float = 0.0, east_m: float = 0.0) -> float:
+    return math.dist(rig.ne_m, (north_m, east_m))
+
+
+def off_circle_m(rig: Px4Plane, north_m: float, east_m: float, radius_m: float = 80.0) -> float:
+    """How far it leaves a circle about a place in half a minute, at most."""
+    off_m = list[float]()
+    rig.run(30.0, lambda: off_m.append(abs(away_m(rig, north_m, east_m) - radius_m)))
+    return max(off_m)
+
+
+def to_point(rig: Px4Plane, north_m: float, east_m: float, seconds: float) -> Px4Plane:
+    """A point 70 m up is sent at 10 Hz."""
+    return rig.stream(seconds, (north_m, east_m, -70.0), rate_hz=10.0)
+
+
+def offboard(to_north_m: float, to_east_m: float = 0.0, **more: float) -> Px4Plane:
+    """Cruising, in OFFBOARD with a point that has been sent for a second."""
+    rig = to_point(cruising(**more), to_north_m, to_east_m, 1.0)
+    assert (rig.set_mode(*OFFBOARD), rig.mode) == (0, "Offboard")
+    return rig
+
+
+@pytest.mark.parametrize("mask", [VELOCITY, 0xC3F], ids=["velocity", "acceleration"])
+def test_without_a_position_the_last_commands_stay(mask: int) -> None:
+    route, index = fixed_wing_route(), 2186  # the last are those of a straight stretch
+    north_m, east_m = route.point(index)
+    heading_rad = float(route.heading_rad[index])
+    rig, banks_rad = offboard(0.0, north_m=north_m, east_m=east_m, heading_rad=heading_rad), []
+    off_m = 0.0
+    for i in range(300):
+        index, off_m = route.nearest(rig.ne_m, index)
+        heading = float(route.heading_rad[index])
+        along = (14.0 * math.cos(heading), 14.0 * math.sin(heading), 0.0)
+        sent = POSITION_VELOCITY if i < 150 else mask
+        rig.aim((*route.point(index), -70.0), along, (0.1, 0.1, 0.0), mask=sent)
+        assert i != 150 or abs(off_m) < 6.0
+        banks_rad.append(rig.vehicle.roll_rad)
+        rig.run(0.1)
+    assert banks_rad[201:] == about([banks_rad[150]] * 99, 0.03)
+    assert 40.0 < abs(off_m) < 100.0  # px4.md 10: 83 m after 15 s, of a stretch that is not told
+    assert rig.mode == "Offboard"
+
+
+def test_speed_is_the_parameter_whatever_is_commanded() -> None:
+    rig = offboard(5000.0, FW_AIRSPD_TRIM=12.0)
+    assert rig.command(178, 0.0, 20.0, -1.0) == 0
+    to_point(rig, 5000.0, 0.0, 20.0)
+    assert rig.vehicle.airspeed_m_s == about(12.0 * 1.027, 0.1)  # at 550 m
+
+
+def test_a_point_is_circled_tightly_once_reached() -> None:
+    """px4.md 10: 8 to 30 m off."""
+    rig = to_point(offboard(300.0, north_m=-300.0), 300.0, 0.0, 55.0)
+    away = [away_m(to_point(rig, 300.0, 0.0, 0.1), 300.0) for _ in range(350)]
+    assert min(away) == about(13.0, 7.0)
+    assert max(away) == about(23.0, 9.0)
+    assert rig.mode == "Offboard"
+
+
+@pytest.mark.parametrize("radius_m", [150.0, -60.0])
+def test_loiter_radius_is_held(radius_m: float) -> None:
+    rig, asked_m = cruising(NAV_LOITER_RAD=radius_m), 200.0  # px4.md 10: ignored
+    place = rig.place(200.0, 100.0, 70.0)
+    assert rig.command(192, -1.0, 1.0, asked_m, NAN, *place, frame=5) == 0
+    assert off_circle_m(rig.run(60.0), 200.0, 100.0, abs(radius_m)) < 0.6
+    (north_m, east_m), v_n = rig.ne_m, rig.vehicle.velocity_m_s.real
+    turns = (north_m - 200.0) * rig.vehicle.velocity_m_s.imag - (east_m - 100.0) * v_n
+    assert turns * radius_m > 0.0
+
+
+def test_without_pilot_position_mode_flies_straight_on() -> None:
+    rig = offboard(5000.0, 5000.0, heading_rad=0.5, COM_OBL_RC_ACT=0.0)
+    rig.until(lambda: rig.mode == "Position", 5.0)
+    heading_rad, height_m = rig.vehicle.heading_rad, rig.height_m
+    rig.run(20.0)
+    assert rig.vehicle.heading_rad == about(heading_rad, 0.05)
+    assert rig.height_m == about(height_m, 3.5)
+
+
+def test_lost_gps_flies_a_bank_then_descends() -> None:
+    rig = offboard(5000.0, NAV_GPSF_LT=10.0)
+    rig.gps_conditions = GpsConditions(enabled=False)
+    seen = [(to_point(rig, 5000.0, 0.0, 1.0).mode, rig.height_m) for _ in range(30)]
+    assert (seen[3][0], seen[-1][0]) == ("Offboard", "Descend")
+    assert math.degrees(rig.vehicle.roll_rad) == about(15.0, 0.5)
+    assert seen[12][1] == about(seen[6][1], 1.0)
+    assert (seen[20][1] - seen[28][1]) / 8.0 == about(0.5, 0.05)
+
+
+def test_take_off_is_50_m_high_after_22_s() -> None:
+    """The recorded flight; Hold then, at the place that it was told."""
+    rig = Px4Plane().take_off(300.0, 50.0)
+    assert rig.now_s - rig.autopilot.armed_s == pytest.approx(22.0, abs=2.0)
+    assert off_circle_m(rig.run(60.0), 300.0, 0.0) < 0.6
+
+
+def test_take_off_without_a_place_never_ends_and_arming_alone_starts_nothing() -> None:
+    rig = Px4Plane().run(6.0)
+    assert rig.command(400, 1.0) == 0
+    rig.run(20.0)
+    assert (rig.armed, rig.landed, rig.speed_m_s) == (True, True, 0.0)
+    assert rig.command(22, 0.0, 0.0, NAN, NAN, NAN, NAN, NAN) == 0
+    assert rig.run(100.0).mode == "Takeoff"
+    assert rig.height_m == about(30.0 + 10.0 - 2.2, 1.5)
+
+
+def test_landing_circles_down_where_it_was_commanded_and_disarms() -> None:
+    rig = offboard(5000.0)
+    north_m, east_m = rig.ne_m
+    assert rig.command(21, 0.0, 0.0, 0.0, NAN, *rig.place(900.0, 0.0, 0.0), frame=5) == 0
+    assert rig.run(30.0).status.landed_state == Landed.LANDING
+    assert rig.vehicle.velocity_up_m_s == about(-0.87, 0.02)
+    assert rig.speed_m_s == about(10.8, 0.2)
+    assert off_circle_m(rig, north_m, east_m) < 0.6
+    rig.until(lambda: rig.landed)
+    assert rig.until(lambda: not rig.armed) == about(2.0, 0.1)
+    assert (rig.height_m, rig.mode) == (0.0, "Offboard")  # the one last commanded for flight
+
+
+@pytest.mark.parametrize("goes_on", [HOLD, OFFBOARD], ids=["Hold", "Offboard"])
+def test_a_landing_that_is_broken_off_ends(goes_on: tuple[int, int]) -> None:
+    rig = cruising()
+    assert rig.command(21) == 0
+    assert rig.run(20.0).height_m < 60.0
+    to_point(rig, 300.0, 0.0, 1.0)
+    assert [rig.set_mode(*mode) for mode in (OFFBOARD, goes_on)] == [0, 0]
+    height_m = rig.run(1.0).height_m if goes_on == HOLD else 70.0
+    assert to_point(rig, 300.0, 0.0, 20.0).height_m == about(height_m, 4.0)
+
+
+def test_return_circles_over_home_at_its_height() -> None:
+    rig = cruising(600.0, -200.0, RTL_RETURN_ALT=90.0, RTL_DESCEND_ALT=60.0)
+    assert rig.command(20) == 0
+    assert rig.run(45.0).mode == "Return"
+    assert rig.height_m > 80.0
+    assert off_circle_m(rig.run(60.0), 0.0, 0.0) < 0.6
+    assert rig.height_m == about(60.0 - 2.2, 1.0)

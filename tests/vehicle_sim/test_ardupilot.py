@@ -1,0 +1,735 @@
+"""What ardupilot.md says of ArduCopter (2 to 5) and ArduPlane (7), and the law `ideal`, by values.
+
+Tracking, stops and jumps are in test_tracking.py, how setpoints are read in test_setpoints.py, the
+loss of GPS in test_estimator.py, what was recorded in conformance/.
+"""
+
+import cmath
+import functools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from harness import (
+    AUTO,
+    BRAKE,
+    COPTER_HOME,
+    GUIDED,
+    LAND,
+    NAN,
+    PLANE_AUTO,
+    PLANE_GUIDED,
+    PLANE_HOME,
+    PLANE_LOITER,
+    PLANE_RTL,
+    RTL,
+    Vector,
+    copied,
+    item,
+    limits,
+)
+from hypothesis import given
+from hypothesis import strategies as st
+from rigs import ArduCopter, ArduPlane, Rig, circling, hovering
+
+from vehicle_sim.autopilot.earth import FlatEarth
+from vehicle_sim.autopilot.guards import Fence
+from vehicle_sim.autopilot.values import Place, Sender, Text
+from vehicle_sim.dynamics.battery import Battery
+from vehicle_sim.faults import GpsConditions
+from vehicle_sim.plans import Jumps, PlanItem, PlanKind, Zone
+
+ACCEPTED, _, DENIED, UNSUPPORTED, FAILED = range(5)
+STABILIZE, LOITER, GROUND_M = 0, 5, COPTER_HOME[2]
+ON_GROUND, IN_AIR, TAKEOFF, LANDING = 1, 2, 3, 4
+MANUAL, FBWA, CRUISE = 0, 5, 7
+REPOSITION, CHANGE_SPEED, CHANGE_HEADING = 192, 43000, 43002
+approx = pytest.approx
+
+# --- ArduCopter: commands and modes ---------------------------------------------------------------
+
+
+@copied
+def booted(*, armed: bool = True) -> ArduCopter:
+    """In GUIDED, or one that may be armed."""
+    it = ArduCopter().run(42.5)
+    if armed:
+        assert [it.set_mode(GUIDED), it.command(400, 1)] == [ACCEPTED, ACCEPTED]
+    return it
+
+
+def climb(it: ArduCopter, metres: float, frame: int | None = None) -> int:
+    return it.command(22, 0, 0, 0, 0, 0, 0, metres, frame=frame)
+
+
+def follow(it: ArduCopter, from_m: float, speed_m_s: float, seconds: float) -> None:
+    """A target that moves north, from there on, ten times a second."""
+    for k in range(round(seconds * 10)):
+        it.aim((from_m + 0.1 * k * speed_m_s, 0.0, -30.0), (speed_m_s, 0.0, 0.0))
+        it.run(0.1)
+
+
+def fastest_m_s(it: ArduCopter, seconds: float) -> float:
+    speeds = list[float]()
+    it.run(seconds, lambda: speeds.append(it.speed_m_s))
+    return max(speeds)
+
+
+def echo_m(it: ArduCopter) -> Vector:
+    """Where it says that it is told to go: north, east, down."""
+    place: Vector = it.autopilot.target_echo().position_ned_m
+    return place
+
+
+@pytest.mark.parametrize(
+    ("number", "parameters", "result"),
+    [
+        *((176, (1, STABILIZE), ACCEPTED), (176, (0, GUIDED), DENIED), (176, (1, 99), FAILED)),
+        *((176, (1, NAN), FAILED), (176, (NAN, 4), DENIED), (400, (7,), UNSUPPORTED)),
+        (22, (0, 0, 0, 0, 0, 0, 30), FAILED),  # disarmed
+        *((520, (1,), ACCEPTED), (410, (), FAILED), (179, (1,), FAILED)),  # there is no home yet
+        *((207, (1,), ACCEPTED), (207, (7,), FAILED), (246, (1,), ACCEPTED), (224, (NAN,), DENIED)),
+        (246, (0,), UNSUPPORTED),
+        (20, (), ACCEPTED),  # a mode change, which is not checked while disarmed
+        *((300, (), FAILED), (178, (1, 0), FAILED), (31000, (), UNSUPPORTED)),
+        (192, (), UNSUPPORTED),
+    ],
+)
+def test_every_command_is_answered_as_on_the_real_one(
+    number: int, parameters: tuple[float, ...], result: int
+) -> None:
+    assert ArduCopter().command(number, *parameters) == result
+    assert ArduCopter().command(400, 1, target_component=99) == UNSUPPORTED
+
+
+@pytest.mark.parametrize(
+    ("make", "answers"),
+    # the copter idles in GUIDED, for which it needs a position, and is disarmed
+    [
+        (ArduCopter, {30.0: FAILED, 42.0: ACCEPTED}),
+        (ArduPlane, {9.5: FAILED, 20.5: FAILED, 23.1: ACCEPTED}),
+    ],
+)
+def test_it_is_armed_once_its_estimator_flies(
+    make: Callable[[], Rig], answers: dict[float, int]
+) -> None:
+    it = make()
+    for at_s, answer in answers.items():
+        it.run(at_s - it.now_s)
+        assert it.set_mode(GUIDED if isinstance(it, ArduCopter) else MANUAL) == ACCEPTED
+        assert it.command(400, 1) == answer
+        assert answer == ACCEPTED or it.texts[-1].startswith("Arm: ")
+    if isinstance(it, ArduCopter):
+        assert it.status.base_mode == 217  # as ArduCopter's, armed in GUIDED
+        assert it.until(lambda: not it.armed, within_s=20) == approx(10, abs=0.1)
+
+
+def test_a_setpoint_that_is_not_survived_is_told_once_and_it_stays() -> None:
+    it = hovering()
+    before = len(it.texts)
+    assert len(it.stream(1.0, (NAN, 0.0, -30.0)).texts) == before + 1
+    assert it.texts[-1].startswith("SIM:")
+    assert it.run(5.0).ned_m == approx((0.0, 0.0, -30.0), abs=1.0)
+
+
+def test_reposition_is_taken_as_command_int_only() -> None:
+    it, there = hovering(), (-1, 1, 0, 0, 47.0005, 8.0, 50.0)
+    assert [it.command(192, *there), it.set_mode(BRAKE)] == [UNSUPPORTED, ACCEPTED]
+    assert it.command(192, -1, 0, *there[2:], frame=3) == DENIED
+    assert (it.command(192, *there, frame=3), it.mode) == (ACCEPTED, "GUIDED")
+    assert it.run(30.0).ned_m == approx((55.66, 0.0, -50.0), abs=0.5)
+
+
+def test_take_off_fails_disarmed_in_stabilize_in_the_air_and_without_a_height() -> None:
+    it = booted(armed=False)
+    results = [it.set_mode(GUIDED), climb(it, 30.0), it.set_mode(STABILIZE)]
+    results += [it.command(400, 1), climb(it, 30.0), climb(hovering(), 60.0)]
+    assert results == [ACCEPTED, FAILED, ACCEPTED, ACCEPTED, FAILED, FAILED]
+    it = booted()
+    assert {climb(it, height_m) for height_m in (NAN, math.inf, 0.0, -5.0)} == {FAILED}
+    assert [climb(it, 30.0, frame) for frame in (0, 5, 6, 3)] == [DENIED] * 3 + [ACCEPTED]
+
+
+def test_take_off_is_5_m_high_after_4_6_s_and_30_m_after_17_s_and_ends_a_second_later() -> None:
+    it = booted().run(4.0)
+    climb(it, 30.0)
+    assert it.until(lambda: it.height_m > 5.0) == approx(4.6, abs=0.4)
+    assert it.until(lambda: it.height_m > 29.7) == approx(17.0 - 4.6, abs=1.5)
+    assert it.status.landed_state == TAKEOFF
+    assert it.until(lambda: it.status.landed_state == IN_AIR) == approx(1.0, abs=0.5)
+
+
+def test_a_setpoint_is_echoed_while_landed_and_ends_a_take_off() -> None:
+    it = booted()
+    it.aim((10.0, 0.0, -20.0))
+    assert echo_m(it) == approx((10.0, 0.0, -20.0), abs=0.1)
+    assert (it.run(5.0).height_m, it.status.landed_state) == (0.0, ON_GROUND)
+    climb(it, 30.0)
+    height_m = it.run(8.0).height_m
+    assert 5.0 < height_m < 20.0
+    it.aim((20.0, 0.0, -height_m))
+    assert it.run(15.0).ned_m == approx((20.0, 0.0, -height_m), abs=0.5)
+
+
+@pytest.mark.parametrize("mode", [STABILIZE, LOITER])
+def test_without_a_pilot_the_modes_by_hand_come_down(mode: int) -> None:
+    it = hovering()
+    assert it.set_mode(mode) == ACCEPTED
+    assert it.run(8.0).vehicle.velocity_up_m_s == approx(-2.5, abs=0.05)
+
+
+def test_rtl_climbs_to_15_m_comes_home_tail_first_waits_and_lands() -> None:
+    it = booted()
+    climb(it, 5.0)
+    it.run(10.0).aim((0.0, 111.0, -5.0))
+    away_m, heading_rad = it.run(30.0).ned_m[1], it.vehicle.heading_rad
+    assert heading_rad == approx(math.pi / 2, abs=0.05)  # it looks where it flies
+    assert it.set_mode(RTL) == ACCEPTED
+    it.until(lambda: it.height_m > 14.0, within_s=20)
+    assert it.ned_m[1] == approx(away_m, abs=1.0)  # up first
+    assert it.autopilot.target_echo() is None
+    assert it.status.waypoint.place.altitude_amsl_m - GROUND_M == approx(15.0, abs=0.1)
+    it.until(lambda: it.status.landed_state == LANDING, within_s=60.0)
+    assert abs(it.ned_m[1]) < 2.0
+    assert it.vehicle.heading_rad == approx(heading_rad, abs=0.1)
+    it.until(lambda: not it.armed, within_s=60)
+    assert abs(it.ned_m[1]) < 0.5
+
+
+def test_brake_stops_and_ignores_setpoints() -> None:
+    it = hovering(height_m=60.0)
+    it.vehicle.velocity_m_s = 15.0 + 0j
+    it.set_mode(BRAKE)
+    it.aim((5000.0, 0.0, -60.0), (10.0, 0.0, 0.0))
+    north_m = it.run(8.0).ned_m[0]
+    assert north_m == approx(15.0**2 / (2 * 7.5), abs=3.0)
+    assert it.run(5.0).ned_m[0] == approx(north_m, abs=0.05)
+    assert it.autopilot.target_echo() is None
+
+
+# --- ArduCopter: GUIDED ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("frame", [1, 7, 8, 9])
+def test_a_place_in_a_local_frame(frame: int) -> None:
+    it = hovering()
+    it.aim((20.0, 10.0, -30.0))
+    (north, east, down), yaw_rad = it.run(14.0).ned_m, it.vehicle.heading_rad
+    assert abs(math.sin(2.0 * yaw_rad)) > 0.2
+    it.aim((12.0, 4.0, -3.0), frame=frame)
+    way = complex(12.0, 4.0)  # north and east
+    if frame in (8, 9):
+        way *= complex(math.cos(yaw_rad), math.sin(yaw_rad))
+    wanted = (north + way.real, east + way.imag, down - 3.0)
+    assert echo_m(it) == approx((12.0, 4.0, -3.0) if frame == 1 else wanted, abs=0.3)
+
+
+@pytest.mark.parametrize("frame", [0, 5, 3, 6])
+def test_a_place_in_a_global_frame_and_what_the_echo_says_of_it(frame: int) -> None:
+    """ArduPilot's flat earth about the origin; metres for each 1e-7 degree: its Location.cpp."""
+    it, scale, latitude_deg, longitude_deg = hovering(), 0.011131884502145034, 47.5, 8.6
+    z_m = 40.0 + (GROUND_M if frame in (0, 5) else 0.0)
+    it.aim((latitude_deg, longitude_deg, z_m), (1.0, 0.5, 0.0), frame=frame, is_global=True)
+    north = (latitude_deg - 47.0) * 1e7 * scale
+    east = (longitude_deg - 8.0) * 1e7 * scale * math.cos(math.radians((latitude_deg + 47.0) / 2))
+    assert echo_m(it)[:2] == approx((north, east), abs=1.0)
+    assert echo_m(it)[2] == approx(-40.0, abs=0.3)
+    assert it.autopilot.target_echo().velocity_ned_m_s == (1.0, 0.5, 0.0)
+
+
+def test_local_places_are_about_the_origin_also_when_home_is_moved() -> None:
+    it, home = hovering(), (47.001, 8.0, GROUND_M + 20.0)
+    for place, answer in (((NAN, 8.0, 0.0), FAILED), (home, ACCEPTED)):
+        assert it.command(179, 0, 0, 0, 0, *place, frame=0) == answer
+    it.aim((5.0, 0.0, -30.0))
+    assert echo_m(it)[2] == approx(-30.0, abs=0.1)
+    it.aim((47.0, 8.0, 30.0), frame=6, is_global=True)
+    assert echo_m(it)[2] == approx(-50.0, abs=0.1)
+    assert it.command(179, 1) == ACCEPTED  # here
+    it.aim((47.0, 8.0, 30.0), frame=6, is_global=True)
+    assert echo_m(it)[2] == approx(-60.0, abs=1.0)
+
+
+def test_above_terrain_it_goes_down_without_data() -> None:
+    it = hovering()
+    it.aim((47.0005, 8.0, 30.0), frame=11, is_global=True)
+    before_m = it.run(5.0).height_m
+    assert (before_m - it.run(5.0).height_m) / 5.0 == approx(1.5, abs=0.1)
+    assert it.ned_m[0] < 5.0
+
+
+def test_a_change_of_speed_limits_a_place_alone_and_is_forgotten_with_the_submode() -> None:
+    it = hovering()
+    it.aim((300.0, 0.0, -30.0))
+    assert it.command(178, 1, 3) == ACCEPTED
+    assert fastest_m_s(it, 10.0) == approx(3.06, abs=0.1)
+    follow(it, it.ned_m[0], 6.0, 8.0)
+    assert it.command(178, 1, 3) == ACCEPTED
+    follow(it, it.ned_m[0], 6.0, 5.0)
+    assert it.speed_m_s == approx(6.0, abs=0.2)
+    it.aim((300.0, 0.0, -30.0))
+    assert fastest_m_s(it, 12.0) == approx(10.0, abs=0.6)
+
+
+def test_an_acceleration_alone_is_flown_until_the_time_out() -> None:
+    it = hovering().stream(3.0, None, None, (1.0, 0.0, 0.0))
+    assert it.vehicle.velocity_m_s.real == approx(2.6, abs=0.4)
+    assert it.autopilot.target_echo().type_mask == 0xC3F
+    assert it.run(12.0).vehicle.velocity_m_s.real == approx(0.0, abs=0.1)
+
+
+def test_up_down_and_along_have_speeds_of_their_own_and_the_slower_sets_the_pace() -> None:
+    it = hovering()
+    it.aim((40.0, 0.0, -50.0))
+    it.until(lambda: it.height_m > 40.0)  # half of the way up at 2.5 m/s
+    assert it.ned_m[0] == approx(20.0, abs=4.0)
+    it.aim((140.0, 0.0, -56.0))
+    it.until(lambda: it.ned_m[0] > 90.0)  # at 10 m/s 70 m of 120, and of 16 m up
+    assert it.height_m == approx(40.0 + 16.0 * 70.0 / 120.0, abs=1.5)
+    for kind, speed_m_s, down_m in ((2, 1.0, -70.0), (3, 0.5, -10.0)):
+        it.aim((40.0, 0.0, down_m), (0.1, 0.0, 0.0))
+        it.aim((40.0, 0.0, down_m))
+        assert it.command(178, kind, speed_m_s) == ACCEPTED
+        assert abs(it.run(6.0).vehicle.velocity_up_m_s) == approx(speed_m_s, abs=0.05)
+
+
+def test_a_yaw_that_was_told_is_reset_by_a_setpoint_that_ignores_it() -> None:
+    it = hovering()
+    for asked, heading_deg in (((120, 0, 1, 0), 120.0), ((50, 0, -1, 1), 70.0)):
+        assert it.command(115, *asked) == ACCEPTED
+        assert math.degrees(it.run(5.0).vehicle.heading_rad) == approx(heading_deg, abs=1.0)
+    it.stream(8.0, None, (0.0, 5.0, 0.0))
+    assert math.degrees(it.vehicle.heading_rad) == approx(90.0, abs=3.0)
+
+
+def test_ideal_follows_a_turn_of_9_m_s2_at_150_m_s_without_overshoot() -> None:
+    """A straight line, then the turn: of 2.5 km, told ten times a second."""
+    given = {"ANGLE_MAX": 8000.0, "WPNAV_SPEED_UP": 2500.0, "WPNAV_SPEED_DN": 2500.0}
+    airframe = limits(170.0, 10.0, 25.0, 5.0)
+    it = ArduCopter(ground_amsl_m=0.0, airframe=airframe, drag=False, **given).airborne(1000.0)
+    speed, radius_m, straight_m = 150.0, 2500.0, 3000.0
+    it.vehicle.velocity_m_s, copter = speed + 0j, it.vehicle
+    turns_m_s2, off_m = list[float](), list[float]()
+    for k in range(6000):
+        flown_m = speed * k * 0.01
+        turn_rad = max(flown_m - straight_m, 0.0) / radius_m
+        way = cmath.rect(1.0, turn_rad)  # north + east j
+        place = min(flown_m, straight_m) - radius_m * 1j * (way - 1.0)
+        if k > 1000:
+            off_m.append(abs(complex(*it.ne_m) - place))
+            turn = copter.acceleration_m_s2 * copter.velocity_m_s.conjugate()
+            turns_m_s2.append(turn.imag / it.speed_m_s)
+        if k % 10 == 0:
+            it.aim((place.real, place.imag, -1000.0), (speed * way.real, speed * way.imag, 0.0))
+        it.step()
+    assert 8.5 < max(turns_m_s2) <= 9.0 * 1.05
+    assert 5.0 < max(off_m) <= 15.0
+
+
+# --- ArduPlane ------------------------------------------------------------------------------------
+
+
+def from_home_m(rig: ArduPlane) -> float:
+    return math.hypot(*rig.ne_m)
+
+
+def test_nothing_but_take_off_and_auto_leaves_the_ground() -> None:
+    rig = ArduPlane().run(24.0)
+    assert rig.command(400, 1.0) == ACCEPTED
+    assert {rig.set_mode(of_quadplanes) for of_quadplanes in (17, 19, 21, 99)} == {FAILED}
+    for mode in (MANUAL, FBWA, PLANE_LOITER, PLANE_RTL, PLANE_GUIDED):
+        assert rig.set_mode(mode) == ACCEPTED
+        assert rig.command(22, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 30.0) == FAILED
+        rig.run(5.0)
+    assert rig.reposition(500.0, 0.0, 50.0) == ACCEPTED
+    assert rig.run(10.0).speed_m_s == 0.0
+    assert rig.landed
+
+
+def test_reposition_is_a_command_int_with_a_place() -> None:
+    rig = circling()
+    place = (*rig.frame.to_geographic(300.0, 0.0), 90.0)
+    assert rig.command(REPOSITION, -1.0, 1.0, 0.0, 0.0, *place) == UNSUPPORTED
+    for frame, result in (*((f, ACCEPTED) for f in (0, 3, 5, 6, 10, 11)), (1, DENIED)):
+        assert rig.command(REPOSITION, 5.0, 0.0, 0.0, 0.0, *place, frame=frame) == result
+    for bad in ((95.0, 0.0, 90.0), (0.0, 190.0, 90.0), (0.0, 0.0, 90.0), (*place[:2], math.nan)):
+        assert rig.command(REPOSITION, -1.0, 1.0, 0.0, 0.0, *bad, frame=3) == DENIED
+    assert rig.texts[-1].startswith("SIM:")  # what the real one does not survive
+    assert rig.set_mode(PLANE_LOITER) == ACCEPTED
+    for changes_mode, result, mode in ((0.0, FAILED, "LOITER"), (1.0, ACCEPTED, "GUIDED")):
+        given = (-1.0, changes_mode, 0.0, 0.0, *place)
+        assert (rig.command(REPOSITION, *given, frame=3), rig.mode) == (result, mode)
+
+
+def test_it_circles_where_guided_was_entered_and_tells_the_point() -> None:
+    rig = circling()
+    rig.set_mode(PLANE_LOITER)
+    centre, height_m, before = rig.run(5.0).ne_m, rig.height_m, len(rig.reached())
+    rig.set_mode(PLANE_GUIDED)
+    assert math.dist(rig.run(80.0).ne_m, centre) == pytest.approx(97.0, abs=3.0)
+    assert rig.height_m == pytest.approx(height_m, abs=1.0)
+    waypoint = rig.status.waypoint
+    assert rig.frame.to_local(*waypoint.place[:2]) == pytest.approx(centre, abs=0.5)
+    assert waypoint.distance_m == pytest.approx(math.dist(rig.ne_m, centre), abs=3.0)
+    assert len(rig.reached()) == before + 1
+
+
+@pytest.mark.parametrize(("asked_m", "flown_m", "ccw"), [(40.0, 60.0, 0.0), (80.0, 97.0, 1.0)])
+def test_a_circle_is_wider_than_asked_by_what_was_measured(
+    asked_m: float, flown_m: float, ccw: float
+) -> None:
+    rig, places = circling(), list[complex]()
+    for radius_m in (asked_m, -40.0, math.nan):  # what is no radius leaves the one before
+        assert rig.reposition(0.0, 0.0, 80.0, radius_m, ccw) == ACCEPTED
+    rig.run(40.0).run(15.0, lambda: places.append(complex(*rig.ne_m)))
+    assert sum(map(abs, places)) / len(places) == pytest.approx(flown_m, abs=3.0)
+    assert ((places[100] / places[0]).imag < 0.0) is bool(ccw)
+
+
+@pytest.mark.parametrize(("asked_m_s", "flown_m_s"), [(18.0, 18.9), (25.0, 27.7)])
+def test_a_speed_is_flown_as_measured(asked_m_s: float, flown_m_s: float) -> None:
+    rig = circling()
+    assert rig.command(178, 0.0, 19.0) == ACCEPTED
+    assert rig.run(30.0).speed_m_s == pytest.approx(19.9, abs=0.3)
+    assert rig.command(CHANGE_SPEED, 0.0, asked_m_s) == ACCEPTED
+    assert rig.command(178, 0.0, 22.0) == ACCEPTED  # does not change that
+    assert rig.run(30.0).speed_m_s == pytest.approx(flown_m_s, abs=0.3)
+    assert rig.status.airspeed_m_s == pytest.approx(asked_m_s, abs=0.1)
+    rig.set_mode(PLANE_LOITER)
+    assert rig.run(30.0).speed_m_s == pytest.approx(23.45, abs=0.3)
+
+
+def test_speeds_and_courses_out_of_range_or_out_of_guided_are_denied() -> None:
+    rig, guided = circling(), ((CHANGE_SPEED, 20.0), (178, 20.0), (CHANGE_HEADING, 90.0))
+    for wrong in ((1.0, 20.0), (0.0, 9.0), (0.0, 31.0), (0.0, math.nan)):
+        assert rig.command(CHANGE_SPEED, *wrong) == DENIED
+    for wrong in ((0.0, 360.0), (3.0, 90.0), (0.0, math.nan)):
+        assert rig.command(CHANGE_HEADING, *wrong, 3.0) == DENIED
+    rig.set_mode(PLANE_RTL)
+    assert {rig.command(number, 0.0, value, 3.0) for number, value in guided} == {FAILED}
+
+
+def test_of_setpoints_only_heights_are_taken_and_increments_add_up() -> None:
+    rig, place = circling(90.0), (10.0, 10.0)
+    rig.aim((*place, 90.0), frame=6, is_global=True)
+    for _ in range(5):
+        rig.aim((0.0, 0.0, -1.0), frame=7)
+    assert rig.run(40.0).height_m == pytest.approx(95.0, abs=1.0)
+    assert from_home_m(rig) < 150.0
+    rig.aim((*place, 50.0), mask=0xDFC, frame=6, is_global=True)
+    rig.aim((*place, 50.0), frame=7, is_global=True)
+    rig.aim((3000.0, 0.0, -150.0))
+    rig.aim((*place, math.nan), frame=5, is_global=True)
+    assert rig.texts[-1].startswith("SIM:")
+    assert rig.run(20.0).height_m == pytest.approx(95.0, abs=1.0)
+
+
+def test_a_course_is_followed_until_something_else_is_asked_for() -> None:
+    rig = circling()
+    rig.reposition(3000.0, 0.0, 80.0)
+    wanted = 1j * rig.run(30.0).vehicle.velocity_m_s  # to the right
+
+    def off_deg() -> float:
+        return abs(math.degrees(cmath.phase(rig.vehicle.velocity_m_s / wanted)))
+
+    course_deg = math.degrees(cmath.phase(wanted)) % 360.0
+    assert rig.command(CHANGE_HEADING, 0.0, course_deg, 3.0) == ACCEPTED
+    took_s = rig.until(lambda: off_deg() < 45.0)
+    # at the bank of 3 m/s2 and what the airframe makes of it: 0.745 * 3 m/s2 sideways
+    assert took_s == pytest.approx(math.radians(45.0) * 23.45 / (0.745 * 3.0), rel=0.15)
+    rig.run(60.0)
+    assert off_deg() < 0.5
+    assert rig.reposition(0.0, 0.0, 80.0) == ACCEPTED  # which ends it
+    rig.run(30.0)
+    assert off_deg() > 5.0
+
+
+def test_without_a_pilot_it_holds_height_or_glides() -> None:
+    rig = circling()
+    rig.set_mode(CRUISE)
+    assert rig.run(20.0).height_m == pytest.approx(80.0, abs=5.0)
+    rig.set_mode(FBWA)
+    assert rig.run(10.0).height_m < 75.0
+    rig.until(lambda: rig.landed)
+    assert rig.run(20.0).speed_m_s == 0.0
+
+
+# --- missions -------------------------------------------------------------------------------------
+
+
+@copied
+def on_mission(make: Callable[[], Rig], *items: PlanItem) -> Any:
+    """Armed, in AUTO."""
+    it = make()
+    is_plane = isinstance(it, ArduPlane)
+    it.plan(PlanKind.MISSION, *items)
+    it.run(42.5)
+    it.set_mode(PLANE_AUTO if is_plane else GUIDED)
+    assert it.command(400, 1) == ACCEPTED
+    assert is_plane or it.command(300) == ACCEPTED
+    assert it.status.mode == (PLANE_AUTO if is_plane else AUTO)
+    return it
+
+
+at, plane_at = (functools.partial(item, home) for home in (COPTER_HOME, PLANE_HOME))
+
+
+def test_a_copter_flies_a_mission_from_take_off_to_landing() -> None:
+    it = on_mission(
+        ArduCopter,
+        at(16),
+        at(22, z_m=20.0),
+        at(178, 0, 0, 0, 1.0, 4.0),
+        at(16, 60.0, 0.0, 25.0),
+        at(16, 60.0, 40.0, 25.0, 3.0),
+        PlanItem(frame=0, command=177, parameters=(3.0, 1.0, 0.0, 0.0)),
+        at(20),
+    )
+    seen, speeds, since_s = list[int](), list[float](), it.now_s
+    while it.armed and it.now_s < since_s + 250.0:
+        it.step()
+        current = it.autopilot.route.current
+        seen += [current] if seen[-1:] != [current] else []
+        speeds += [it.speed_m_s] if current in (3, 4) else []
+    assert seen == [1, 3, 4, 3, 4, 6]
+    told = it.reached()
+    assert [seq for _, seq in told] == [1, 3, 4, 3, 4]  # when it leaves: after 3 s at item 4
+    assert told[2][0] - told[1][0] > 10.0 + 3.0  # 40 m at 4 m/s, and the wait
+    assert max(speeds) == approx(4.0, abs=0.2)
+    assert math.hypot(*it.ne_m) < 1.0
+
+
+def test_a_landing_item_comes_down_where_it_says_and_the_current_item_can_be_set() -> None:
+    it = on_mission(
+        ArduCopter, at(16), at(22, z_m=10.0), at(16, 300.0, 0.0, 10.0), at(21, 30.0, 20.0)
+    )
+    it.until(lambda: it.autopilot.route.current == 2, within_s=60.0)
+    assert [it.command(224, 9), it.command(224, 3)] == [FAILED, ACCEPTED]
+    it.until(lambda: it.status.landed_state == LANDING)
+    it.until(lambda: not it.armed, within_s=60.0)
+    assert it.ne_m == approx((30.0, 20.0), abs=1.0)
+
+
+def test_an_endless_jump_between_nothings_ends() -> None:
+    forever = PlanItem(frame=0, command=177, parameters=(1.0, -1.0, 0.0, 0.0))
+    assert len(list(Jumps(1).walk((at(16), forever), 1, 50))) == 50
+
+
+MISSION: tuple[PlanItem, ...] = (
+    plane_at(16),
+    plane_at(22, 0.0, 0.0, 50.0, 15.0),
+    plane_at(178, 0.0, 0.0, 0.0, 0.0, 20.0),
+    plane_at(16, 600.0, 0.0, 80.0),
+    plane_at(16, 600.0, 600.0, 100.0, 300.0),  # a wait that plane takes no notice of
+    plane_at(19, 0.0, 600.0, 80.0, 20.0),
+    plane_at(16, -800.0, 0.0, 60.0),
+    plane_at(16, -500.0, 0.0, 40.0),
+    plane_at(21),
+)
+
+
+def test_a_plane_flies_a_mission_from_take_off_to_landing() -> None:
+    rig, circles_s = on_mission(ArduPlane, *MISSION), 0.0
+    nearest_m = {(600.0, 0.0): math.inf, (600.0, 600.0): math.inf, (-800.0, 0.0): math.inf}
+
+    def watch() -> None:
+        nonlocal circles_s
+        circles_s += 0.01 * (rig.autopilot.route.current == 5)
+        for place in nearest_m:
+            nearest_m[place] = min(nearest_m[place], math.dist(rig.ne_m, place))
+
+    assert rig.run(40.0, watch).status.mission_state == 3
+    assert rig.speed_m_s == pytest.approx(21.0, abs=0.5)  # DO_CHANGE_SPEED of the mission
+    while rig.armed:
+        rig.run(0.5, watch)
+        assert rig.now_s < 400.0
+    assert max(nearest_m.values()) < 60.0  # WP_RADIUS 50 m
+    assert 40.0 < circles_s < 65.0  # 20 s of it on its circle, 500 m away
+    north, east = rig.ne_m
+    assert 0.0 < north < 800.0  # from 40 m above home it sinks wings level
+    assert abs(east) < 5.0
+    assert rig.texts[-1] == "Throttle disarmed"
+
+
+def test_the_current_item_may_be_set_and_after_the_last_it_returns_and_circles_home() -> None:
+    rig = on_mission(ArduPlane, *MISSION[:7]).run(25.0)
+    assert [rig.command(224, 20.0), rig.command(224, 6.0)] == [FAILED, ACCEPTED]
+    assert rig.status.mission_current == 6
+    rig.until(lambda: math.dist(rig.ne_m, (-800.0, 0.0)) < 60.0)
+    rig.until(lambda: rig.mode == "RTL", 5.0)
+    assert rig.status.mission_state == 5
+    assert from_home_m(rig.run(90.0)) == pytest.approx(97.4, abs=3.0)  # recorded flight, 298 s
+    assert rig.height_m == pytest.approx(100.0, abs=1.0)
+
+
+# --- failsafes ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("make", "parameter"), [(hovering, "FS_GCS_ENABLE"), (circling, "FS_GCS_ENABL")]
+)
+@pytest.mark.parametrize(("system", "acts"), [(254, True), (255, False)])
+def test_a_ground_station_that_is_not_heard_for_4_9_s_sends_copter_and_plane_home(
+    make: Callable[[], Rig], parameter: str, system: int, acts: bool
+) -> None:
+    """Whatever else is heard, and of whatever kind the one of its system id is."""
+    it, other, station = make(), Sender(system, component=77), Sender(255, component=190)
+    it.autopilot.parameters[parameter] = 1
+    it.take(it.autopilot.on_heartbeat(station, 6))
+    begun_s, before = it.now_s, len(it.texts)
+    for _ in range(80):
+        it.take(it.autopilot.on_heartbeat(other, 18))
+        it.run(0.1)
+    told = [at for at, reply in it.said if isinstance(reply, Text) and "GCS" in reply.text]
+    assert told == ([approx(begun_s + 4.9, abs=0.2)] if acts else [])
+    assert it.mode == ("RTL" if acts else "GUIDED")
+    it.take(it.autopilot.on_heartbeat(station, 6))
+    it.run(0.2)
+    assert it.texts[before + acts :] == ["GCS Failsafe Cleared"] * acts
+    assert it.mode == ("RTL" if acts else "GUIDED")
+
+
+def test_a_low_battery_is_told_and_acted_on_after_ten_seconds() -> None:
+    it = hovering()
+    it.autopilot.battery = Battery(voltage_v=10.4, consumed_mah=2000.0)
+    it.autopilot.parameters["BATT_LOW_VOLT"] = 10.5
+    it.autopilot.parameters["BATT_FS_LOW_ACT"] = 2
+    assert [it.run(seconds).mode for seconds in (9.8, 0.5)] == ["GUIDED", "RTL"]
+    assert "Battery 1 is low 10.40V used 2000 mAh" in it.texts
+
+
+def test_without_gps_it_levels_its_wings_and_stays_in_its_mode() -> None:
+    rig = circling()
+    rig.gps_conditions = GpsConditions(enabled=False)
+    assert (rig.run(30.0).mode, rig.autopilot.estimate.position_ok) == ("GUIDED", False)
+    assert abs(rig.vehicle.roll_rad) < 0.01
+    assert rig.height_m == pytest.approx(80.0, abs=3.0)
+    rig.gps_conditions = GpsConditions()
+    assert from_home_m(rig.run(60.0)) < 1000.0
+    assert rig.autopilot.estimate.position_ok
+
+
+def test_a_breached_fence_sends_it_home_and_a_point_outside_is_denied() -> None:
+    rig = circling(FENCE_ENABLE=1.0, FENCE_TYPE=2.0, FENCE_RADIUS=400.0)
+    assert rig.reposition(900.0, 0.0, 80.0) == DENIED
+    assert rig.command(CHANGE_HEADING, 0.0, 0.0, 3.0) == ACCEPTED
+    rig.until(lambda: rig.mode == "RTL")
+    assert from_home_m(rig) == pytest.approx(400.0, abs=5.0)
+    assert "Circle fence breached" in rig.texts
+
+
+# --- the fence ------------------------------------------------------------------------------------
+
+HOME = Place(*COPTER_HOME)
+EARTH = FlatEarth(HOME)
+BELOW, OUTSIDE = "Min Alt fence breached", "Polygon fence breached"
+
+
+def circle(north_m: float, east_m: float, radius_m: float, command: int = 5004) -> PlanItem:
+    return item(HOME, command, north_m, east_m, 0.0, radius_m, frame=0)
+
+
+def fenced(*items: PlanItem, kinds: float = 4.0, **parameters: float) -> ArduCopter:
+    """At 30 m, with a fence of polygons and circles."""
+    it = hovering(FENCE_ENABLE=1.0, FENCE_TYPE=kinds, **parameters)
+    it.plan(PlanKind.FENCE, *items)
+    return it
+
+
+@given(
+    angles=st.lists(st.floats(0.0, 6.28), min_size=3, max_size=8, unique=True),
+    north=st.floats(-1.5, 1.5),
+    east=st.floats(-1.5, 1.5),
+)
+def test_inside_is_a_winding_number_that_is_not_zero_for_convex_polygons(
+    angles: list[float], north: float, east: float
+) -> None:
+    corners, turned = [(math.cos(a), math.sin(a)) for a in sorted(angles)], 0.0
+    for (n0, e0), (n1, e1) in zip(corners, [*corners[1:], corners[0]], strict=True):
+        before = math.atan2(e0 - east, n0 - north)
+        turned += math.remainder(math.atan2(e1 - east, n1 - north) - before, math.tau)
+        if abs((n1 - n0) * (east - e0) - (e1 - e0) * (north - n0)) < 1e-6:
+            return  # on the line of an edge: either answer will do
+    fence = Zone(keeps_in=True, corners=tuple(corners))
+    assert fence.surrounds((north, east)) == (abs(turned) > math.pi)
+
+
+TWO_CIRCLES = (circle(0.0, 0.0, 10.0, 5003), circle(50.0, 0.0, 10.0, 5003))
+ONE_CIRCLE = (circle(100.0, 0.0, 10.0),)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "items", "options", "place", "found"),
+    [
+        *((1, ONE_CIRCLE, 0, (0.0, 0.0, 99.0), 0), (1, ONE_CIRCLE, 0, (0.0, 0.0, 101.0), 1)),
+        *((2, ONE_CIRCLE, 0, (149.0, 0.0, 0.0), 0), (2, ONE_CIRCLE, 0, (151.0, 0.0, 0.0), 2)),
+        (7, ONE_CIRCLE, 0, (151.0, 0.0, 101.0), 3),
+        *((4, ONE_CIRCLE, 0, (100.0, 0.0, 0.0), 4), (4, ONE_CIRCLE, 0, (110.5, 0.0, 0.0), 0)),
+        # of two inclusions it stays in both, or by an option in either
+        *((4, TWO_CIRCLES, 0, (50.0, 0.0, 9.0), 4), (4, TWO_CIRCLES, 2, (50.0, 0.0, 9.0), 0)),
+        (4, TWO_CIRCLES, 2, (25.0, 0.0, 9.0), 4),
+    ],
+)
+def test_each_kind_of_fence_is_where_its_parameters_say(
+    kinds: int, items: tuple[PlanItem, ...], options: int, place: Vector, found: int
+) -> None:
+    it = ArduCopter(FENCE_ENABLE=1.0, FENCE_TYPE=float(kinds), FENCE_OPTIONS=float(options))
+    it.plans[PlanKind.FENCE] = items
+    fence = Fence(it.autopilot.parameters, it.autopilot.plans)
+    there = EARTH.place(place[0], place[1], -place[2])
+    assert fence.outside(there, HOME, EARTH) == found
+
+
+@pytest.mark.parametrize(("action", "mode"), [(0, "GUIDED"), (1, "RTL"), (2, "LAND"), (4, "BRAKE")])
+def test_outside_of_an_inclusion_the_action_is_a_parameter(action: int, mode: str) -> None:
+    corners = ((50.0, 0.0), (90.0, 0.0), (90.0, 40.0))
+    it = fenced(*(item(HOME, 5001, *c, 0.0, 3.0, frame=0) for c in corners), FENCE_ACTION=action)
+    begun_s = it.now_s
+    assert it.run(1.0).mode == mode
+    assert it.when(OUTSIDE) == [pytest.approx(begun_s + 0.1, abs=0.1)]
+    assert it.set_mode(GUIDED) == 0  # it can be had again
+    assert (it.run(1.0).mode, it.status.fence[0]) == ("GUIDED", 1)
+    it.command(207, 0)  # off
+    assert not it.run(0.2).status.fence[0]
+
+
+def test_the_floor_comes_with_the_height_is_breached_from_above_and_goes_with_the_landing() -> None:
+    it = fenced(kinds=8.0, FENCE_ALT_MIN=15.0)
+    lands = it.copy()
+    while it.height_m > 15.0:
+        assert not it.status.fence[0]
+        it.aim(None, (0.0, 0.0, 1.5))
+        it.step()
+    status = it.run(0.2).status
+    assert (status.fence[0], status.fence[2]) == (1, 1)
+    assert (len(it.when(BELOW)), it.mode) == (1, "RTL")
+    lands.set_mode(LAND)
+    lands.until(lambda: lands.landed, 60.0)
+    lands.airborne(12.0)  # not yet 2 m above it
+    assert lands.when(BELOW) == []
+
+
+def test_a_target_beyond_it_is_dropped_without_a_word() -> None:
+    it = fenced(circle(80.0, 0.0, 15.0))
+    texts = len(it.texts)
+    for place in ((40.0, 0.0, -30.0), (80.0, 0.0, -30.0)):
+        it.aim(place)
+        taken = it.autopilot.target_echo().position_ned_m
+        assert taken == pytest.approx((40.0, 0.0, -30.0), abs=0.1)
+    assert len(it.texts) == texts
+
+
+@pytest.mark.parametrize(("east_m", "deep_m"), [(0.0, 14.5), (16.0, -1.0)])
+def test_streaming_at_8_m_s_through_an_exclusion_ends_14_5_m_deep_and_beside_it_does_not(
+    east_m: float, deep_m: float
+) -> None:
+    it, deepest_m = fenced(circle(80.0, east_m, 15.0)), -math.inf
+    for k in range(2200):
+        if k % 10 == 0:
+            north_m = 0.8 * (k * 0.01) ** 2 if k < 500 else 20.0 + 8.0 * (k * 0.01 - 5.0)
+            it.aim((north_m, 0.0, -30.0), (min(1.6 * k * 0.01, 8.0), 0.0, 0.0), (0.0, 0.0, 0.0))
+        it.step()
+        deepest_m = max(deepest_m, 15.0 - math.dist(it.ne_m, (80.0, east_m)))
+    assert deepest_m == pytest.approx(deep_m, abs=1.5 if deep_m > 0.0 else 0.1)
+    assert it.mode == ("RTL" if deep_m > 0.0 else "GUIDED")
