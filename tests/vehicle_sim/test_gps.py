@@ -140,7 +140,7 @@ def test_px4s_noise_is_that_of_the_recorded_receiver() -> None:
 # --- what the receiver does -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("lag_s", [0.0, 0.1, 0.25, 1.0])
+@pytest.mark.parametrize("lag_s", [0.0, 0.25])
 def test_the_position_is_as_old_as_the_lag_says(lag_s: float) -> None:
     copter = Copter(**placed(PLANE_HOME), limits=GENTLE)
     copter.velocity_m_s = 10.0 + 0j
@@ -150,7 +150,7 @@ def test_the_position_is_as_old_as_the_lag_says(lag_s: float) -> None:
     assert {round(fix.velocity_north_m_s, 6) for fix in found} == {10.0}
 
 
-@pytest.mark.parametrize("latitude_deg", [-35.4, 0.0, 60.0])
+@pytest.mark.parametrize("latitude_deg", [-35.4, 60.0])
 @pytest.mark.parametrize(
     ("glitch", "moved_m"),
     [
