@@ -113,9 +113,9 @@ HERE = (0.0, 0.0, -10.0)
 
 
 @functools.cache
-def loss(seed: int) -> dict[int, tuple[float, float]]:
+def loss(seed: int) -> dict[int, tuple[float, float, str]]:
     """A hover that loses its GPS for as long as the recorded flight: by twentieths of a second
-    since the loss the accuracy, and how far the estimate is off.
+    since the loss the accuracy, how far the estimate is off, and the mode.
     """
     rig, found = Px4Copter(seed).take_off(40.0, 30.0), {}
     for k in range(round((LOST_S + 5.0) * 20.0)):
@@ -126,8 +126,18 @@ def loss(seed: int) -> dict[int, tuple[float, float]]:
             (estimate.latitude_deg - copter.latitude_deg) * 111_200.0,
             (estimate.longitude_deg - copter.longitude_deg) * 75_300.0,
         )
-        found[k + 1] = estimate.horizontal_accuracy_m, off_m
+        found[k + 1] = estimate.horizontal_accuracy_m, off_m, rig.mode
     return found
+
+
+def test_it_comes_back_by_way_of_land_and_flies_on_by_itself() -> None:
+    """px4.md 8: OFFBOARD 2.4 s after the return."""
+    modes = {k / 20.0 - LOST_S: mode for k, (_, _, mode) in loss(1).items()}
+    assert min(s for s in modes if modes[s] == "Land") == pytest.approx(2.3, abs=0.3)
+    assert min(s for s in modes if s > 0.0 and modes[s] == "Offboard") == pytest.approx(
+        2.5, abs=0.3
+    )
+    assert modes[5.0] == "Offboard"
 
 
 def test_accuracy_grows_as_recorded_and_the_estimate_drifts_and_jumps_back() -> None:

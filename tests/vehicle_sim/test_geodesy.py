@@ -1,19 +1,25 @@
 """Metres and degrees are those of pyproj, and nothing changes where 180 becomes -180 degrees."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import pytest
-from harness import VEHICLES, Flown, heartbeat
+from harness import GENTLE, VEHICLES, Flown, heartbeat, placed
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 from pyproj import Geod, Transformer
 
+from vehicle_sim.autopilot import px4copter
 from vehicle_sim.autopilot.earth import Projection
+from vehicle_sim.autopilot.estimator import Estimator
 from vehicle_sim.autopilot.values import Place
+from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.geodesy import LocalFrame, metres_per_degree
 from vehicle_sim.plans import PlanItem, PlanKind
+from vehicle_sim.sensors.gps import Fix
 
 WGS84 = Geod(ellps="WGS84")
 ANYWHERE = {"latitude_deg": st.floats(-80.0, 80.0), "longitude_deg": st.floats(-179.0, 179.0)}
@@ -115,3 +121,18 @@ def test_a_flight_over_the_date_line_is_that_over_any_other_meridian(
         assert one == pytest.approx(other, abs=0.05)
     assert {lon > 0 for lon in places} == {True, False}
     assert max(map(abs, places)) <= 1_800_000_000
+
+
+def test_a_receiver_whose_noise_crosses_the_line_is_believed() -> None:
+    copter = Copter(**placed((47.0, 179.9999999, 400.0)), limits=GENTLE)
+    ekf = Estimator(copter, px4copter.FIRMWARE.timing, np.random.default_rng(1))
+    for k in range(1, 1000):
+        beyond, place = k // 13, {"latitude_deg": 47.0, "altitude_amsl_m": 400.0}
+        place["longitude_deg"] = around_deg(180.0 + (2e-6 if beyond % 2 else -2e-6))
+        ekf.step(k * 0.01, 0.01, Fix(time_us=beyond * 130_000, fix_type=3, **place))
+        ekf.follow()
+        assert abs(ekf.longitude_deg) <= 180.0
+        if ekf.position_ok and math.isfinite(ekf.horizontal_variance):
+            assert ekf.horizontal_variance < 1.0
+    assert ekf.position_ok
+    assert abs(around_deg(ekf.longitude_deg - 180.0)) < 1e-3

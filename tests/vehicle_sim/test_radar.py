@@ -5,13 +5,14 @@ called seen although it is hidden lies so little behind a ridge that the ridge h
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from itertools import product
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from harness import GENTLE
+from harness import GENTLE, placed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -223,14 +224,8 @@ FINE = RadarConditions()
 WALL = [(2000.0, float(e), 1000.0, 200.0, 400.0) for e in range(-6000, 6001, 250)]
 TERRAIN = PeakTerrain(WALL, combine="maximum", ground_amsl_m=100.25)
 RADAR = TerrainRadar(TERRAIN, FRAME, range_m=4000.0)
-Said = Sequence[tuple[int, int | None, Any]]
+Said = list[tuple[int, int | None, Any]]
 """When, on which link (None: on all), and what."""
-
-
-def vehicle(north_m: float = 0.0) -> Copter:
-    latitude_deg, longitude_deg = FRAME.to_geographic(north_m, 0.0)
-    place = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg}
-    return Copter(**place, altitude_amsl_m=500.0, limits=GENTLE)
 
 
 def request(mask: int = ALL_BLOCKS) -> Any:
@@ -239,43 +234,40 @@ def request(mask: int = ALL_BLOCKS) -> Any:
     return mavlink.MAVLink_terrain_request_message(*place, 200, mask)
 
 
-class Run:
-    """Steps of 10 ms, ticks of 50 ms; it is the radio too."""
+def told(
+    until_us: int,
+    *asked: tuple[int, Any],
+    link: int = 0,
+    conditions: RadarConditions = FINE,
+    fine_us: float = math.inf,
+    away_us: float = math.inf,
+) -> Said:
+    """What it says if it is asked at these times; when conditions are fine again, and when the
+    vehicle is 3 km away."""
+    said: Said = []
+    now_us = 0
 
-    def __init__(self, conditions: RadarConditions = FINE) -> None:
-        radio: Any = self
-        self.component = RadarComponent(RADAR, np.random.default_rng(1), radio, 100)
-        self.conditions, self.vehicle = conditions, vehicle()
-        self.now_us, self.said = 0, list[tuple[int, int | None, Any]]()
-
-    def send(self, message: Any, link: int | None, component: int) -> None:
+    def send(message: Any, to: int | None, component: int) -> None:
         assert component == 100
         ((_, heard),) = StreamParser(datagrams=True).feed(Packer(1, component).frame(message))
-        self.said.append((self.now_us, link, heard))
+        said.append((now_us, to, heard))
 
-    def broadcast(self, message: Any, component: int) -> None:
-        self.send(message, None, component)
+    radio: Any = SimpleNamespace(send=send, broadcast=lambda message, by: send(message, None, by))
+    component = RadarComponent(RADAR, np.random.default_rng(1), radio, 100)
+    for now_us in range(STEP_US, until_us + 1, STEP_US):
+        for _, message in (each for each in asked if each[0] == now_us - STEP_US):
+            component.receive(message, Sender(system=255, component=190, link=link))
+        place = FRAME.to_geographic(3000.0 if now_us >= away_us else 0.0, 0.0)
+        vehicle = Copter(**placed((*place, 500.0)), limits=GENTLE)
+        now = conditions if now_us < fine_us else FINE
+        component.step(now_us, vehicle, now, tick=now_us % TICK_US == 0)
+    return said
 
-    def ask(self, message: Any, link: int = 0) -> None:
-        self.component.receive(message, Sender(system=255, component=190, link=link))
 
-    def step(self, now_us: int) -> None:
-        self.now_us, tick = now_us, now_us % TICK_US == 0
-        self.component.step(now_us, self.vehicle, self.conditions, tick=tick)
-
-    def until(self, time_us: int) -> Said:
-        """What is said on the way."""
-        before = len(self.said)
-        while self.now_us < time_us:
-            self.step(self.now_us + STEP_US)
-        return self.said[before:]
-
-    def flooded(self, ticks: int) -> list[int]:
-        """When it reports, if it is asked for a block at each tick."""
-        for k in range(ticks):
-            self.ask(request(mask=1 << k % 56))
-            self.until((k + 1) * TICK_US)
-        return times_of(self.said, "TERRAIN_REPORT")
+def flooded(ticks: int, conditions: RadarConditions = FINE) -> Said:
+    """It is asked for a block at each tick."""
+    asked = [(k * TICK_US, request(mask=1 << k % 56)) for k in range(ticks)]
+    return told(ticks * TICK_US, *asked, conditions=conditions)
 
 
 def of(said: Said, name: str) -> list[Any]:
@@ -291,16 +283,12 @@ def heights(said: Said) -> Any:
 
 
 def answered(**conditions: Any) -> Said:
-    run = Run(RadarConditions(**conditions))
-    run.ask(request())
-    return run.until(500_000)
+    return told(500_000, (0, request()), conditions=RadarConditions(**conditions))
 
 
 def test_a_request_is_answered_once_at_the_end_of_its_tick_with_what_the_radar_sees() -> None:
-    run, asked = Run(), request()
-    run.until(20_000)
-    run.ask(asked, 3)
-    said = run.until(900_000)
+    asked = request()
+    said = told(900_000, (20_000, asked), link=3)
     assert {(time_us, link) for time_us, link, _ in said} == {(50_000, 3)}
     blocks, (report,) = of(said, "TERRAIN_DATA"), of(said, "TERRAIN_REPORT")
     for each in (*blocks, report):
@@ -314,54 +302,40 @@ def test_a_request_is_answered_once_at_the_end_of_its_tick_with_what_the_radar_s
 
 
 def test_a_newer_request_takes_the_place_of_one_not_yet_looked_at() -> None:
-    run = Run()
-    run.ask(request(mask=0b1))
-    run.ask(request(mask=0b110))
-    said = run.until(200_000)
+    said = told(200_000, (0, request(mask=0b1)), (0, request(mask=0b110)))
     assert [block.gridbit for block in of(said, "TERRAIN_DATA")] == [1, 2]
     assert len(of(said, "TERRAIN_REPORT")) == 1
 
 
-def test_its_heart_beats_once_a_second_and_late_beats_are_not_made_up_for() -> None:
-    run = Run()
-    run.flooded(41)
-    for now_us in (10 * S + STEP_US, 11 * S):
-        run.step(now_us)
-    assert times_of(run.said, "HEARTBEAT") == [S, 2 * S, 10 * S + STEP_US, 11 * S]
-
-
-def test_a_command_that_names_it_is_refused() -> None:
-    run = Run()
-    for target in (0, 100):
-        run.ask(mavlink.MAVLink_command_long_message(1, target, 400, 0, *[0.0] * 7), 2)
-    ((_, link, ack),) = run.said
+def test_its_heart_beats_once_a_second_and_it_obeys_nobody() -> None:
+    order = mavlink.MAVLink_command_long_message
+    asked = [(0, order(1, target, 400, 0, *[0.0] * 7)) for target in (0, 100, 1)]
+    said = told(3 * S, *asked, link=2)
+    assert times_of(said, "HEARTBEAT") == [S, 2 * S, 3 * S]
+    _, link, ack = said[0]
     assert (link, ack.command, ack.result, ack.target_system) == (2, 400, 3, 255)
+    assert len(said) == 4
 
 
 def test_silent_it_says_nothing_and_forgets_what_it_was_asked() -> None:
-    run = Run(RadarConditions(silent=True))
-    run.ask(request())
-    assert not run.until(3 * S)
-    run.conditions = FINE
-    assert [message.get_type() for _, _, message in run.until(4 * S)] == ["HEARTBEAT"]
+    silent = RadarConditions(silent=True)
+    said = told(4 * S, (0, request()), conditions=silent, fine_us=3 * S + STEP_US)
+    assert [(at_us, message.get_type()) for at_us, _, message in said] == [(4 * S, "HEARTBEAT")]
 
 
 @pytest.mark.parametrize("delay_s", [0.1, 0.77])
 def test_a_delay_delays_the_answer_and_not_the_look(delay_s: float) -> None:
-    run = Run(RadarConditions(delay_s=delay_s))
-    run.ask(request())
-    run.until(60_000)
-    run.vehicle = vehicle(north_m=3000.0)  # far away when the answer goes out
-    said = run.until(900_000)
+    late = RadarConditions(delay_s=delay_s)
+    said = told(900_000, (0, request()), conditions=late, away_us=60_000)
     assert {time_us for time_us, _, _ in said} == {50_000 + round(delay_s * S)}
     assert np.array_equal(heights(said), heights(answered()))
 
 
 def test_it_holds_one_answer_at_a_time_and_keeps_a_rate_to_the_beats_of_its_sweep() -> None:
-    reports = Run(RadarConditions(delay_s=1.0)).flooded(200)
+    reports = times_of(flooded(200, RadarConditions(delay_s=1.0)), "TERRAIN_REPORT")
     assert len(reports) == 9  # 10 s, one a second and a tick
     assert min(np.diff(reports)) >= S
-    reports = Run(RadarConditions(rate_hz=4.0)).flooded(100)
+    reports = times_of(flooded(100, RadarConditions(rate_hz=4.0)), "TERRAIN_REPORT")
     assert len(reports) == 21  # the first at once
     assert {time_us % 250_000 for time_us in reports[1:]} == {0}
 
