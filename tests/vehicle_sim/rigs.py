@@ -228,11 +228,6 @@ class ArduCopter(Rig):
         copter = Copter(**place, limits=airframe, **drags)
         gps = Gps(ARDUCOPTER, np.random.default_rng(1))
         super().__init__(("ardupilot" if drag else "ideal", "copter"), copter, parameters, gps)
-        self.wind_m_s = (0.0, 0.0)
-
-    def step(self) -> None:
-        self.vehicle.wind_m_s = complex(*self.wind_m_s)
-        super().step()
 
     def take_off(self, height_m: float) -> int:
         return self.command(22, 0, 0, 0, 0, 0, 0, height_m)

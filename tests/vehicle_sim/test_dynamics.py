@@ -184,11 +184,13 @@ def test_a_turn_is_coordinated_and_one_that_slips_wider(bank_deg: float, speed: 
     assert math.remainder(turned_rad, math.tau) == approx(0.75 * lateral / speed, rel=1e-3)
 
 
-def test_a_climb_costs_no_airspeed_and_counts_towards_it() -> None:
+def test_a_climb_costs_no_airspeed_and_counts_towards_it_and_rising_air_to_the_climb() -> None:
     it = cruised(steady(), 20.0, climb_m_s=4.0)
     assert it.airspeed_m_s == math.hypot(*it.velocity_neu_m_s) == approx(20.0, abs=1e-3)
     before_m = it.altitude_amsl_m
     assert cruised(it, 10.0, climb_m_s=4.0).altitude_amsl_m - before_m == approx(40.0, abs=0.01)
+    it.wind_up_m_s = 0.5
+    assert cruised(it, DT_S, climb_m_s=4.0).velocity_up_m_s == approx(4.5, abs=1e-3)
 
 
 def test_nothing_of_a_plane_exceeds_its_limit() -> None:

@@ -176,7 +176,7 @@ def fly_weave(
     """Stream a route and measure along and off it; late_s: how old setpoints are when sent."""
     speed_cm_s = max(row.speed_m_s, 10.0) * 100.0
     it = hovering(row.lean_deg, WPNAV_SPEED=speed_cm_s, GUID_TIMEOUT=3.0)
-    it.wind_m_s = (0.0, wind_east_m_s)
+    it.vehicle.wind_m_s = complex(0.0, wind_east_m_s)
     it.run(15.0 if wind_east_m_s else 0.0)
     route = position, velocity, _ = weave(row.speed_m_s, row.lateral_m_s2, seconds)
     late = round(late_s / STEP_S)
