@@ -115,20 +115,16 @@ def tcp_client(port: int, ids: Ids = (1, 195)) -> Iterator[Client]:
 
 
 class Process(subprocess.Popen[str]):
-    """vehicle-sim with these arguments."""
-
     def __init__(self, *arguments: object, **keywords: Any) -> None:
         command = [sys.executable, "-m", "vehicle_sim", *map(str, arguments)]
         pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         super().__init__(command, text=True, cwd=ROOT, **pipes | keywords)
 
     def port_of(self, kind: str) -> int:
-        """That it has found, as its first line says."""
         assert self.stdout is not None
         return int(self.stdout.readline().split(f"{kind}:127.0.0.1:")[1].split(",")[0])
 
     def result(self) -> tuple[int, str, str]:
-        """Exit code, stdout and stderr."""
         out, err = self.communicate(timeout=40)
         return self.returncode, out, err
 

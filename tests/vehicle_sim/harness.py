@@ -110,7 +110,6 @@ class Heard:
 
     @property
     def message(self) -> Any:
-        """As pymavlink reads it."""
         if self._message is None:
             self._message = _reader.decode(bytearray(self.frame))
         return self._message
@@ -127,7 +126,6 @@ def local(
 
 
 def heartbeat(kind: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER) -> Any:
-    """Of a client."""
     return mavlink.MAVLink_heartbeat_message(kind, 8, 0, 0, 4, 3)
 
 
@@ -232,7 +230,6 @@ class Link:
         return found[-1] if found else None
 
     def set_mode(self, custom: int) -> int | None:
-        """By the number that a heartbeat tells."""
         if self.firmware == "px4":
             return self.command(176, 1, custom >> 16 & 0xFF, custom >> 24)
         return self.command(176, 1, custom)
@@ -256,7 +253,6 @@ class Link:
         return None
 
     def download(self, kind: int, *, source: Ids | None = None, link: int = 0) -> list[Any]:
-        """Its items as MISSION_ITEM_INT."""
         asked = mavlink.MAVLink_mission_request_list_message(*VEHICLE, kind)
         self.send(asked, source=source, link=link)
         (count,) = [each.message.count for each in self.run(0.02) if each.kind == "MISSION_COUNT"]
@@ -324,7 +320,6 @@ class Link:
         raise AssertionError(f"no {kind} has come")
 
     def texts(self, since_s: float = 0.0, *, link: int = 0) -> list[str]:
-        """Every STATUSTEXT."""
         return [e.message.text for e in self.all("STATUSTEXT", since_s=since_s, link=link)]
 
 
@@ -396,18 +391,15 @@ class Flown(Link):
 
     @property
     def above_m(self) -> float:
-        """Above the plain."""
         return self.simulation.vehicle.altitude_amsl_m - GROUND_M
 
     def order(self, number: int, *values: float) -> None:
-        """A command; what is answered is not looked at."""
         padded = [*values, *[0.0] * (7 - len(values))]
         self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *padded))
 
     def go(
         self, north_m_s: float, down_m_s: float, east_m_s: float = 0.0, at_m: Vector | None = None
     ) -> None:
-        """A velocity, from where it is or through a place of the local frame."""
         self.send(local(at_m, (north_m_s, east_m_s, down_m_s)))
 
     def fly_until(self, reached: Callable[[], bool], within_s: float, *aim: float) -> None:

@@ -30,9 +30,9 @@ from vehicle_sim.autopilot.values import Ack, Command, Reply, Sender, SendMessag
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.faults import GpsConditions
-from vehicle_sim.geodesy import LocalFrame, metres_per_degree
+from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.plans import PlanItem, PlanKind, Plans
-from vehicle_sim.sensors.gps import ARDUPLANE, PX4, Fix, Gps
+from vehicle_sim.sensors.gps import ARDUCOPTER, ARDUPLANE, PX4, Gps
 from vehicle_sim.world import VehicleKind
 
 STEP_US, STEP_S = 10_000, 0.01
@@ -48,7 +48,7 @@ class Rig:
         personality: tuple[str, VehicleKind],
         vehicle: Any,
         parameters: Mapping[str, float],
-        gps: Gps | None = None,
+        gps: Gps,
         conditions: GpsConditions | None = None,
         *,
         seed: int = 1,
@@ -58,17 +58,15 @@ class Rig:
         kind, rng = PERSONALITIES[personality], np.random.default_rng(seed)
         self.autopilot: Any = kind.make(Boot(kind.firmware, vehicle, parameters, self.plans, rng))
         self.gps, self.gps_conditions = gps, conditions or GpsConditions()
-        self.now_us, self.fix = 0, Fix()
+        self.now_us = 0
         self.said: list[tuple[float, Reply]] = []
         """With the time in seconds."""
 
     def copy(self) -> Self:
-        """The same again from here."""
         return copy.deepcopy(self)
 
     @property
     def now_s(self) -> float:
-        """Since boot."""
         return self.now_us * 1e-6
 
     @property
@@ -93,7 +91,6 @@ class Rig:
 
     @property
     def mode(self) -> str:
-        """By its name."""
         return str(self.autopilot.mode.name)
 
     @property
@@ -106,7 +103,6 @@ class Rig:
 
     @property
     def status(self) -> Any:
-        """What telemetry says of it."""
         return self.autopilot.status()
 
     @property
@@ -124,20 +120,14 @@ class Rig:
 
     # --- time ---------------------------------------------------------------------------------
 
-    def receive(self) -> Fix:
-        """The newest fix."""
-        assert self.gps is not None
-        return self.gps.step(self.now_us, self.vehicle, self.gps_conditions)
-
     def take(self, replies: Sequence[Reply]) -> Sequence[Reply]:
         self.said.extend((self.now_s, reply) for reply in replies)
         return replies
 
     def step(self) -> None:
-        """One hundredth of a second."""
         self.now_us += STEP_US
-        self.fix = self.receive()
-        self.take(self.autopilot.step(self.now_us, STEP_S, self.ground_amsl_m, self.fix))
+        fix = self.gps.step(self.now_us, self.vehicle, self.gps_conditions)
+        self.take(self.autopilot.step(self.now_us, STEP_S, self.ground_amsl_m, fix))
 
     def run(self, seconds: float, each: Callable[[], object] | None = None) -> Self:
         """Fly on, with something to do before each step."""
@@ -168,7 +158,6 @@ class Rig:
         return [ack.result for ack in acks]
 
     def command(self, number: int, *p: float, **fields: Any) -> int:
-        """The only answer."""
         (answer,) = self.answers(number, *p, **fields)
         return answer
 
@@ -218,37 +207,12 @@ class Rig:
         return self
 
     def plan(self, kind: PlanKind, *items: PlanItem) -> None:
-        """Upload it."""
         self.plans[kind] = items
         self.autopilot.on_plan(kind)
 
 
-def fix_of(copter: Copter, now_us: int) -> Fix:
-    """A receiver without noise, 0.1 s late, as ArduPilot's estimator expects it."""
-    if now_us < 10_000_000:
-        return Fix(time_us=now_us, fix_type=0)
-    metres_north, metres_east = metres_per_degree(copter.latitude_deg)
-    late_s, (north_m_s, east_m_s, up_m_s) = 0.1, copter.velocity_neu_m_s
-    late_m = late_s * (copter.velocity_m_s - 0.5 * late_s * copter.acceleration_m_s2)
-    return Fix(
-        time_us=now_us,
-        fix_type=6,
-        latitude_deg=copter.latitude_deg - late_m.real / metres_north,
-        longitude_deg=copter.longitude_deg - late_m.imag / metres_east,
-        altitude_amsl_m=copter.altitude_amsl_m,
-        velocity_north_m_s=north_m_s,
-        velocity_east_m_s=east_m_s,
-        velocity_up_m_s=up_m_s,
-        satellites=10,
-    )
-
-
 class ArduCopter(Rig):
-    """An ArduCopter, or the law `ideal`, which is without drag; its receiver has no noise."""
-
-    gps_north_m = 0.0
-    """How far off the receiver is."""
-    gps_silent = False
+    """An ArduCopter, or the law `ideal`, which is without drag."""
 
     def __init__(
         self,
@@ -262,22 +226,8 @@ class ArduCopter(Rig):
         drags = {"drag_1_s": 0.340, "drag_1_m": 0.0193} if drag else {}
         place = placed((*COPTER_HOME[:2], ground_amsl_m))
         copter = Copter(**place, limits=airframe, **drags)
-        super().__init__(("ardupilot" if drag else "ideal", "copter"), copter, parameters)
-        self.wind_m_s = (0.0, 0.0)
-
-    def receive(self) -> Fix:
-        """Five fixes a second."""
-        if self.now_us % 200_000 != 0:
-            return self.fix
-        if self.gps_silent:
-            return Fix(time_us=self.now_us, fix_type=1)
-        fix = fix_of(self.vehicle, self.now_us)
-        shift_deg = self.gps_north_m / metres_per_degree(self.vehicle.latitude_deg)[0]
-        return fix._replace(latitude_deg=fix.latitude_deg + shift_deg)
-
-    def step(self) -> None:
-        self.vehicle.wind_m_s = complex(*self.wind_m_s)
-        super().step()
+        gps = Gps(ARDUCOPTER, np.random.default_rng(1))
+        super().__init__(("ardupilot" if drag else "ideal", "copter"), copter, parameters, gps)
 
     def take_off(self, height_m: float) -> int:
         return self.command(22, 0, 0, 0, 0, 0, 0, height_m)
@@ -326,7 +276,6 @@ class ArduPlane(Rig):
 
 @copied
 def circling(settle_s: float = 30.0, **parameters: float) -> ArduPlane:
-    """An ArduPlane that has been in the air for so long."""
     return ArduPlane(**parameters).take_off().run(settle_s)
 
 
@@ -351,8 +300,6 @@ class Px4Rig(Rig):
 
 
 class Px4Copter(Px4Rig):
-    """A PX4 multicopter."""
-
     def __init__(self, seed: int = 1, **parameters: float) -> None:
         copter = Copter(**placed(PLACE), limits=STRONG)
         super().__init__("copter", copter, seed, **{"SIH_KDV": 0.25} | parameters)
@@ -368,8 +315,6 @@ class Px4Copter(Px4Rig):
 
 
 class Px4Plane(Px4Rig):
-    """A PX4 aeroplane."""
-
     def __init__(self, seed: int = 1, **parameters: float) -> None:
         super().__init__("plane", Plane(**placed(PLACE), limits=SIH_AIRPLANE), seed, **parameters)
 

@@ -1,6 +1,7 @@
 """Who has landed and who has crashed: one law for all vehicles and autopilots."""
 
 import math
+from typing import Any
 
 import pytest
 from harness import GROUND_M, VEHICLES, Flown, item, placed
@@ -128,18 +129,49 @@ def test_who_comes_down_to_land_or_rolls_out_on_its_runway_has_not_crashed(autop
     assert "crash" not in flown.truth()[-1]
 
 
-@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
-def test_a_plane_that_hits_a_house_falls_and_does_not_fly_through(autopilot: str) -> None:
-    house = {"corners_ne_m": [[500, -99], [500, 99], [600, 99], [600, -99]], "height_m": 150.0}
-    flown = Flown("plane", autopilot, buildings=[house])
+HOUSE = {"corners_ne_m": [[500, -99], [500, 99], [600, 99], [600, -99]], "height_m": 150.0}
+TREE = {"north_m": 12.0, "east_m": 0.0, "radius_m": 0.05, "height_m": 50.0}
+WALL = {"points_ne_m": [[12.0, -9.0], [12.0, 9.0]], "thickness_m": 0.1, "height_m": 50.0}
+
+
+@pytest.mark.parametrize(
+    ("kind", "autopilot", "things", "at_north_m"),
+    [
+        ("plane", "ardupilot", {"buildings": [HOUSE]}, 500.0),
+        ("plane", "px4", {"buildings": [HOUSE]}, 500.0),
+        ("copter", "ardupilot", {"trees": [TREE]}, 12.0),
+        ("copter", "px4", {"walls": [WALL]}, 12.0),
+    ],
+)
+def test_who_hits_a_thing_however_thin_falls_and_does_not_fly_through(
+    kind: str, autopilot: str, things: Any, at_north_m: float
+) -> None:
+    flown = Flown(kind, autopilot, **things)
     simulation = flown.simulation
-    flown.into_the_air(15.0)
-    flown.fly_until(lambda: simulation.crash is not None, 100.0)
+    flown.into_the_air(15.0 if kind == "plane" else 5.0)
+    aim = (4.0, 0.0) if kind == "copter" else ()
+    flown.fly_until(lambda: simulation.crash is not None, 100.0, *aim)
     crash = simulation.crash
     assert crash is not None
     assert crash.into == "a tree, wall, building or wire"
-    assert crash.north_m == pytest.approx(500.0, abs=0.3)
+    assert crash.north_m == pytest.approx(at_north_m, abs=0.3)
     flown.fly_until(lambda: simulation.landed, 10.0)
     assert simulation.crash is crash  # the first counts
-    assert flown.truth()[-1]["north_m"] == pytest.approx(500.0, abs=0.3)
     assert not simulation.armed
+    truth = flown.truth()
+    assert truth[-1]["north_m"] == pytest.approx(at_north_m, abs=0.3)
+    assert min(row["near_m"] for row in truth) == simulation.contact.nearest_m == 0.0
+
+
+def test_who_passes_has_the_least_distance_in_the_truth() -> None:
+    flown = Flown("copter", "ardupilot", trees=[TREE | {"east_m": 3.0, "radius_m": 0.5}])
+    flown.into_the_air(5.0)
+    flown.fly_until(lambda: flown.simulation.vehicle.velocity_m_s.real > 3.9, 9.0, 4.0, 0.0)
+    until_s = flown.now_s + 5.0
+    flown.fly_until(lambda: flown.now_s > until_s, 6.0, 4.0, 0.0)
+    truth = flown.truth()
+    assert flown.simulation.armed
+    east_m = [row["east_m"] for row in truth if abs(row["north_m"] - 12.0) < 0.5]
+    least_m = min(row["near_m"] for row in truth)
+    assert least_m == pytest.approx(3.0 - 0.5 - sum(east_m) / len(east_m), abs=0.02)
+    assert least_m == pytest.approx(flown.simulation.contact.nearest_m, abs=1e-3)

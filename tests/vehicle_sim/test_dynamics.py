@@ -18,16 +18,13 @@ from vehicle_sim.dynamics.wind import LEVEL_M, VERTICAL_M, VERTICAL_SHARE, Wind
 from vehicle_sim.faults import BatteryConditions, WindConditions
 from vehicle_sim.geodesy import LocalFrame
 
-FloatArray = NDArray[np.float64]
 approx = pytest.approx
 DT_S, PLACE = 0.01, (47.0, 8.0, 500.0)
 LIMITS, FREE = limits(30.0, 4.0, 5.0, 2.0), limits(1e3, 1e3, 1e3, 1e3)
 
-# --- copter ---------------------------------------------------------------------------------------
+# --- copter: accelerations are ordered north, east, up --------------------------------------------
 
 DRAG_1_S = 0.6
-ORDER = st.tuples(*[st.floats(-1e3, 1e3)] * 3)
-"""Of an acceleration: north, east, up."""
 
 
 def copter(airframe: Limits = LIMITS, drag_1_s: float = 0.0, drag_1_m: float = 0.0) -> Copter:
@@ -40,7 +37,7 @@ def flown(it: Copter, seconds: float, *order: float) -> Copter:
     return it
 
 
-@given(orders=st.lists(ORDER, min_size=1, max_size=20))
+@given(orders=st.lists(st.tuples(*[st.floats(-1e3, 1e3)] * 3), min_size=1, max_size=20))
 def test_no_order_exceeds_a_limit(orders: list[tuple[float, float, float]]) -> None:
     it = copter()
     for order in orders:
@@ -53,16 +50,15 @@ def test_no_order_exceeds_a_limit(orders: list[tuple[float, float, float]]) -> N
             gained = math.hypot(north - before[0], east - before[1])
             assert gained <= LIMITS.acceleration_m_s2 * DT_S * (1 + 1e-9)
             assert abs(up - before[2]) <= LIMITS.acceleration_vertical_m_s2 * DT_S + 1e-12
-    it = flown(copter(), 20.0, 60.0, 80.0, -50.0)
-    assert it.velocity_neu_m_s == approx((18.0, 24.0, -5.0), abs=1e-6)  # as fast as they are
 
 
-def test_a_steady_order_is_flown_as_the_closed_form_says() -> None:
+def test_a_steady_order_is_flown_as_the_closed_form_says_up_to_the_fastest_speed() -> None:
     it, t, tau = flown(copter(), 5.0, 2.0, 0.0, 1.0), 5.0, RESPONSE_S
     # v(t) = a (t - tau) and s(t) = a (t^2 / 2 - tau t + tau^2) once the lag has settled
     assert it.velocity_m_s.real == approx(2.0 * (t - tau), abs=0.02)
-    climbed_m = t * t / 2 - tau * t + tau * tau
-    assert it.altitude_amsl_m - 500.0 == approx(climbed_m, abs=0.05)
+    assert it.altitude_amsl_m - 500.0 == approx(t * t / 2 - tau * t + tau * tau, abs=0.05)
+    it = flown(copter(), 20.0, 60.0, 80.0, -50.0)
+    assert it.velocity_neu_m_s == approx((18.0, 24.0, -5.0), abs=1e-6)
 
 
 def test_without_motors_it_falls_like_a_stone_and_standing_it_is_upright_and_idle() -> None:
@@ -89,22 +85,16 @@ def test_drag_and_tilt_hold_the_speeds_that_were_measured(
 ) -> None:
     most = GRAVITY_M_S2 * math.tan(math.radians(tilt_deg))  # no more holds the height
     it = flown(copter(limits(1e3, most, 1e3, 1e3), *drag), 30.0, 100.0, 0, 0)
-    assert it.velocity_m_s.real == approx(speed_m_s, rel=within)
-    drag_m_s2 = it.velocity_m_s.real * (drag[0] + drag[1] * it.velocity_m_s.real)
-    assert drag_m_s2 == approx(most, rel=1e-6)
+    steady_m_s = it.velocity_m_s.real
+    assert steady_m_s == approx(speed_m_s, rel=within)
+    assert steady_m_s * (drag[0] + drag[1] * steady_m_s) == approx(most, rel=1e-6)
     assert it.pitch_rad == approx(-math.radians(tilt_deg), rel=1e-6)
 
 
 def test_left_alone_it_drifts_with_the_wind_and_to_stand_still_it_leans_into_it() -> None:
-    it, without_drag = copter(FREE, DRAG_1_S), copter(FREE)
-    for each in (it, without_drag):
-        each.wind_m_s = -8.0 + 4.0j
-        flown(each, 20.0, 0.0, 0.0, 0.0)
-    assert without_drag.velocity_neu_m_s == (0.0, 0.0, 0.0)  # wind is not felt
-    without_drag.wind_up_m_s, in_calm = 2.0, copter(FREE)
-    for each in (without_drag, in_calm):
-        flown(each, 5.0, 3.0, -1.0, 0.5)
-    assert without_drag.velocity_neu_m_s == in_calm.velocity_neu_m_s
+    it = copter(FREE, DRAG_1_S)
+    it.wind_m_s = -8.0 + 4.0j
+    flown(it, 20.0, 0.0, 0.0, 0.0)
     assert it.velocity_neu_m_s == approx((-8.0, 4.0, 0.0), abs=1e-3)
     assert it.airspeed_m_s == approx(0.0, abs=2e-3)
     it.wind_m_s = complex(it.wind_m_s.real)
@@ -112,6 +102,14 @@ def test_left_alone_it_drifts_with_the_wind_and_to_stand_still_it_leans_into_it(
     assert it.velocity_neu_m_s == approx((0.0, 0.0, 0.0), abs=0.01)
     assert it.pitch_rad == approx(-math.atan(DRAG_1_S * 8.0 / GRAVITY_M_S2), abs=0.002)
     assert it.airspeed_m_s == approx(8.0, abs=0.01)
+
+
+def test_without_drag_no_wind_is_felt() -> None:
+    windy, calm = copter(FREE), copter(FREE)
+    windy.wind_m_s, windy.wind_up_m_s = -8.0 + 4.0j, 2.0
+    for it in (windy, calm):
+        flown(it, 5.0, 3.0, -1.0, 0.5)
+    assert windy.velocity_neu_m_s == calm.velocity_neu_m_s
 
 
 @given(
@@ -158,6 +156,12 @@ def cruised(
     return it
 
 
+def rolled(it: Plane, seconds: float, acceleration_m_s2: float) -> Plane:
+    for _ in range(round(seconds / DT_S)):
+        it.roll_on_ground(acceleration_m_s2, DT_S)
+    return it
+
+
 def steady(bank_deg: float = 0.0, speed: float = 20.0, heading_deg: float = 0.0) -> Plane:
     """One that has settled, put back to the start."""
     it = cruised(plane(heading_deg), 30.0, bank_deg, 0.0, speed)
@@ -165,9 +169,7 @@ def steady(bank_deg: float = 0.0, speed: float = 20.0, heading_deg: float = 0.0)
     return it
 
 
-@pytest.mark.parametrize(
-    ("bank_deg", "speed"), [(-55.0, 15.0), (-30.0, 25.0), (15.0, 15.0), (45.0, 25.0)]
-)
+@pytest.mark.parametrize(("bank_deg", "speed"), [(-55.0, 15.0), (45.0, 25.0)])
 def test_a_turn_is_coordinated_and_one_that_slips_wider(bank_deg: float, speed: float) -> None:
     it, lateral = steady(bank_deg, speed), GRAVITY_M_S2 * math.tan(math.radians(bank_deg))
     radius_m = speed**2 / lateral
@@ -175,30 +177,20 @@ def test_a_turn_is_coordinated_and_one_that_slips_wider(bank_deg: float, speed: 
     for _ in range(20):
         cruised(it, 0.5, bank_deg, 0.0, speed)
         assert math.dist(local_m(it), centre_m) == approx(abs(radius_m), rel=1e-3)
-    told = abs(it.acceleration_m_s2)
-    assert told == approx(abs(lateral), rel=1e-3)
+    assert abs(it.acceleration_m_s2) == approx(abs(lateral), rel=1e-3)
     it.turn_efficiency = 0.75
     before_rad = cruised(it, 30.0, bank_deg, 0.0, speed).heading_rad
     turned_rad = cruised(it, 1.0, bank_deg, 0.0, speed).heading_rad - before_rad
     assert math.remainder(turned_rad, math.tau) == approx(0.75 * lateral / speed, rel=1e-3)
 
 
-@pytest.mark.parametrize("heading_deg", [0.0, 90.0, 233.0])
-def test_wind_adds_to_the_air_velocity(heading_deg: float) -> None:
-    it, heading = steady(heading_deg=heading_deg), math.radians(heading_deg)
-    it.wind_m_s, it.wind_up_m_s = 3.0 - 4.0j, 0.5
-    cruised(it, DT_S)
-    expected = (20.0 * math.cos(heading) + 3.0, 20.0 * math.sin(heading) - 4.0, 0.5)
-    assert it.velocity_neu_m_s == approx(expected, abs=1e-3)
-    assert it.airspeed_m_s == approx(20.0, abs=1e-3)
-
-
-def test_a_climb_costs_no_airspeed_and_counts_towards_it() -> None:
+def test_a_climb_costs_no_airspeed_and_counts_towards_it_and_rising_air_to_the_climb() -> None:
     it = cruised(steady(), 20.0, climb_m_s=4.0)
     assert it.airspeed_m_s == math.hypot(*it.velocity_neu_m_s) == approx(20.0, abs=1e-3)
-    assert it.velocity_up_m_s == approx(4.0, abs=1e-3)
     before_m = it.altitude_amsl_m
     assert cruised(it, 10.0, climb_m_s=4.0).altitude_amsl_m - before_m == approx(40.0, abs=0.01)
+    it.wind_up_m_s = 0.5
+    assert cruised(it, DT_S, climb_m_s=4.0).velocity_up_m_s == approx(4.5, abs=1e-3)
 
 
 def test_nothing_of_a_plane_exceeds_its_limit() -> None:
@@ -228,67 +220,60 @@ def test_nothing_of_a_plane_exceeds_its_limit() -> None:
 def test_the_run_on_the_runway_is_that_of_constant_acceleration() -> None:
     it = plane(heading_deg=120.0)
     it.wind_m_s = -6.0 + 0j
-    for _ in range(500):
-        it.roll_on_ground(3.0, DT_S)
-    north, east = local_m(it)
+    north, east = local_m(rolled(it, 5.0, 3.0))
     assert math.hypot(north, east) == approx(0.5 * 3.0 * 5.0**2, rel=1e-3)
     assert math.degrees(math.atan2(east, north)) == approx(120.0, abs=0.01)
     headwind_m_s = 6.0 * math.cos(math.radians(120.0))
     assert it.airspeed_m_s == approx(15.0 + headwind_m_s, abs=0.01)
-    for _ in range(1000):
-        it.roll_on_ground(-3.0, DT_S)
-    assert it.velocity_m_s.real == it.velocity_m_s.imag == 0.0
+    assert rolled(it, 10.0, -3.0).velocity_m_s == 0.0
 
 
 def test_lifting_off_in_cross_wind_does_not_jump_and_touching_down_points_along_the_track() -> None:
     it = plane()
     it.wind_m_s = -4.0 + 7.0j
-    for _ in range(600):
-        it.roll_on_ground(3.0, DT_S)
+    rolled(it, 6.0, 3.0)
     for _ in range(1000):
         before = it.velocity_neu_m_s[:2]
-        it.advance(0.0, 2.0, 20.0, DT_S)
+        cruised(it, DT_S, climb_m_s=2.0)
         change = math.dist(before, it.velocity_neu_m_s[:2])
         assert change < 0.25  # 7 m/s that die away within half a second, and the climb
     assert it.velocity_m_s.imag == approx(7.0, abs=0.01)
-    track = complex(*it.velocity_neu_m_s[:2])
+    track = it.velocity_m_s
     it.touch_down(400.0)
-    it.roll_on_ground(0.0, DT_S)
+    rolled(it, DT_S, 0.0)
     assert it.altitude_amsl_m == 400.0
+    assert it.velocity_m_s == approx(track)
     assert it.heading_rad == approx(math.atan2(track.imag, track.real))
-    assert math.hypot(*it.velocity_neu_m_s[:2]) == approx(abs(track))
 
 
 # --- wind: gusts against the closed form of their correlation, and as a vehicle meets it ----------
 
 
 def blown(
-    conditions: WindConditions,
-    *,
+    *changes: tuple[int, WindConditions],
     height_m: float = 100.0,
     airspeed_m_s: float = 0.0,
-    steps: int = 1,
     dt_s: float = DT_S,
-    seed: int = 1,
-) -> FloatArray:
-    """North, east and up after each step."""
-    wind = Wind(np.random.default_rng(seed))
-    it = Copter(**placed((47.0, 8.0, height_m)), limits=GENTLE)
-    it.airspeed_m_s, rows = airspeed_m_s, []
-    for _ in range(steps):
-        wind.step(dt_s, it, conditions, 0.0)
-        rows.append((it.wind_m_s.real, it.wind_m_s.imag, it.wind_up_m_s))
+) -> NDArray[np.float64]:
+    """North, east and up after each of so many steps under these conditions."""
+    wind, it, rows = Wind(np.random.default_rng(5)), copter(GENTLE), []
+    it.altitude_amsl_m, it.airspeed_m_s = height_m, airspeed_m_s
+    for steps, conditions in changes:
+        for _ in range(steps):
+            wind.step(dt_s, it, conditions, 0.0)
+            rows.append((it.wind_m_s.real, it.wind_m_s.imag, it.wind_up_m_s))
     return np.array(rows)
 
 
 @pytest.mark.parametrize("dt_s", [0.01, 0.5])
 @pytest.mark.parametrize(("airspeed_m_s", "past_m_s"), [(100.0, 100.0), (0.0, 3.0)])
-def test_variance_and_correlation_are_as_the_docstring_says_whatever_the_step(
+def test_mean_variance_and_correlation_of_gusts_are_as_stated_whatever_the_step(
     dt_s: float, airspeed_m_s: float, past_m_s: float
 ) -> None:
-    conditions, how = WindConditions(turbulence_m_s=1.0, from_rad=0.5), {"steps": 100_000}
-    rows = blown(conditions, airspeed_m_s=airspeed_m_s, dt_s=dt_s, seed=5, **how)
-    gusts, error = rows[2000:] / [1.0, 1.0, VERTICAL_SHARE], 0.0
+    conditions = WindConditions(speed_m_s=10.0, from_rad=0.5, turbulence_m_s=2.0)
+    rows = blown((100_000, conditions), airspeed_m_s=airspeed_m_s, dt_s=dt_s)[2000:]
+    mean = (-10.0 * math.cos(0.5), -10.0 * math.sin(0.5), 0.0)
+    gusts, error = (rows - mean) / [2.0, 2.0, 2.0 * VERTICAL_SHARE], 0.0
     for column, length_m in enumerate((LEVEL_M, LEVEL_M, VERTICAL_M)):
         x, time_s = gusts[:, column], length_m / past_m_s
         error = 4.0 * math.sqrt(2.0 * time_s / (len(x) * dt_s))  # four sigma of such an average
@@ -305,96 +290,94 @@ def test_variance_and_correlation_are_as_the_docstring_says_whatever_the_step(
 @pytest.mark.parametrize(
     ("wind", "height_m", "expected"),
     [
-        *(({"from_rad": 0.0}, 100.0, (-8, 0, 0)), ({"from_rad": math.pi / 2}, 100.0, (0, -8, 0))),
-        *(({"from_rad": math.pi}, 100.0, (8, 0, 0)), ({"from_rad": -1.0}, 0.0, (0, 0, 0))),
-        ({"rising_rad": math.pi / 6}, 100.0, (math.sqrt(48.0), 0, 4)),  # it keeps its speed
-        # below sixty metres it falls with the root of the height
-        *(({"from_rad": 0.0}, h, (-8 * share, 0, 0)) for h, share in ((15, 0.5), (500, 1))),
+        ({"from_rad": 0.0}, 100.0, (-8, 0, 0)),
+        ({"from_rad": math.pi / 2}, 100.0, (0, -8, 0)),
+        ({"rising_rad": math.pi / 6}, 100.0, (-math.sqrt(48.0), 0, 4)),  # it keeps its speed
+        ({"from_rad": 0.0}, 15.0, (-4, 0, 0)),  # below sixty metres with the root of the height
+        ({"from_rad": -1.0}, 0.0, (0, 0, 0)),
+        ({"from_rad": -1.0}, -100.0, (0, 0, 0)),
+        ({"from_rad": 0.0}, 1e5, (-8, 0, 0)),
     ],
 )
 def test_a_wind_blows_away_from_where_it_comes_from(
     wind: Any, height_m: float, expected: tuple[float, ...]
 ) -> None:
-    (seen,) = blown(WindConditions(speed_m_s=8.0, **wind), height_m=height_m)
+    told = {"from_rad": 0.0, **wind}
+    (seen,) = blown((1, WindConditions(speed_m_s=8.0, **told)), height_m=height_m)
     assert seen == approx(expected, abs=1e-12)
-    for extreme_m in (-100.0, 1e5):
-        assert np.all(
-            np.isfinite(blown(WindConditions(8.0, turbulence_m_s=2.0), height_m=extreme_m))
-        )
 
 
 def test_a_change_sets_in_slowly_and_goes_again_without_a_trace() -> None:
-    wind, it = Wind(np.random.default_rng(1)), Copter(**placed((47.0, 8.0, 100.0)), limits=GENTLE)
-    windy, set_in = WindConditions(speed_m_s=10.0, rising_rad=math.asin(0.6)), 1.0 - math.exp(-1.0)
-    for steps, conditions, share in (
-        (1, WindConditions(), 0.0),
-        (500, windy, set_in),
-        (10_000, windy, 1.0),
-        (10_000, WindConditions(), 0.0),
-    ):
-        for _ in range(steps):
-            wind.step(DT_S, it, conditions, 0.0)
-        seen = (it.wind_m_s.real, it.wind_m_s.imag, it.wind_up_m_s)
-        within = 0.02 if share == set_in else 1e-9 * share
-        assert seen == approx((8.0 * share, 0.0, 6.0 * share), abs=within)
-
-
-def test_gusts_have_the_size_that_is_asked_for() -> None:
-    conditions = WindConditions(speed_m_s=10.0, from_rad=0.0, turbulence_m_s=2.0)
-    rows = blown(conditions, height_m=60.0, steps=400_000)
-    assert rows.mean(axis=0) == approx([-10.0, 0.0, 0.0], abs=0.5)
-    assert rows.std(axis=0) == approx([2.0, 2.0, 2.0 * VERTICAL_SHARE], rel=0.12)
+    calm, windy = WindConditions(), WindConditions(speed_m_s=10.0, rising_rad=math.asin(0.6))
+    rows = blown((1, calm), (10_000, windy), (10_000, calm))
+    full, set_in = np.array([8.0, 0.0, 6.0]), 1.0 - math.exp(-1.0)
+    assert rows[0] == approx(0.0 * full, abs=0.0)
+    assert rows[500] == approx(set_in * full, abs=0.02)
+    assert rows[10_000] == approx(full, abs=1e-9)
+    assert rows[-1] == approx(0.0 * full, abs=0.0)
 
 
 # --- battery: against what the recorded flights show, and sums by hand ----------------------------
 
-
-def drawn(
-    model: Model,
-    seconds: float,
-    *,
-    throttle: float = HOVER_THROTTLE,
-    armed: bool = True,
-    **conditions: float,
-) -> Battery:
-    it = Copter(**placed((47.0, 8.0, 0.0)), limits=GENTLE)
-    it.throttle, module = throttle, PowerModule(Battery(), model)
-    for _ in range(round(seconds / DT_S)):
-        module.step(DT_S, it, armed, BatteryConditions(**conditions))
-    return module.battery
-
-
-def test_a_hovering_copter_draws_what_the_recorded_one_draws() -> None:
-    """arducopter-guided-10mps.tlog at 61 s: 12.6 V, 27 A; 2,301 mAh in 277 s of flight."""
-    battery = drawn("ardupilot copter", 277.0)
-    assert battery.voltage_v == 12.6
-    assert battery.current_a == approx(27.4, abs=0.5)
-    assert battery.consumed_mah == approx(2301.0, rel=0.1)
-    assert battery.remaining == approx(1.0 - battery.consumed_mah / 3300.0)
+COPTER, PLANE, PX4 = "ardupilot copter", "ardupilot plane", "px4"
+EMPTY = {"least": 0.0, "drain_s": 10.0}
 
 
 @pytest.mark.parametrize(
-    ("throttle", "voltage_v", "current_a"), [(1.0, 11.9, 47.22), (0.485, 12.261, 11.4)]
+    ("model", "seconds", "conditions", "volts", "amperes", "drawn_mah", "left"),
+    [
+        # arducopter-guided-10mps.tlog: 12.6 V and 27 A at 61 s, 2,301 mAh in 277 s of flight
+        (COPTER, 277, {}, 12.6, 27.5, approx(2301.0, rel=0.1), 1.0 - 27.5 * 277 / 11_880),
+        # px4-offboard-8mps.tlog: 16.2 V full, 15.3 V at 50 % for ever, 33 s after arming; the
+        # gauge lags by 0.95 s
+        (PX4, 10, {}, 16.2 - 1.8 / 6.0, -1.0, -10.0 / 3.6, approx(1.0 - 9.05 / 60.0, abs=0.002)),
+        (PX4, 40, {}, 15.3, -1.0, -40.0 / 3.6, approx(0.5, abs=1e-3)),
+        # with a capacity it empties: to 76.85 %, at 0.9558 of its voltage at rest, and to nothing
+        (
+            COPTER,
+            100,
+            {"capacity_ah": 3.3},
+            approx(11.9496, abs=1e-4),
+            27.5,
+            None,
+            1 - 2750 / 11_880,
+        ),
+        (COPTER, 900, {"capacity_ah": 3.3}, 12.6 * 0.8 - 27.5 * 0.0034, 27.5, None, 0.0),
+        (PX4, 100, EMPTY, 14.4, None, None, approx(0.0, abs=1e-6)),
+        # no more is left than a fault says
+        (COPTER, 10, {"most": 0.15}, 12.6 * 0.895, 27.5, None, 0.15),
+        (PX4, 10, {"most": 0.15, "least": 0.0}, 14.67, None, None, approx(0.15, abs=1e-3)),
+        # and nothing is drawn on the ground
+        *((model, 100, None, 12.6, 0.0, 0.0, 1.0) for model in (COPTER, PLANE)),
+        (PX4, 100, None, 16.2, -1.0, None, 1.0),
+    ],
 )
-def test_a_plane_draws_what_the_recorded_one_draws(
-    throttle: float, voltage_v: float, current_a: float
+def test_a_battery_draws_what_the_recorded_ones_draw(
+    model: Model, seconds: int, conditions: Any, volts: Any, amperes: Any, drawn_mah: Any, left: Any
 ) -> None:
+    """Hovering; conditions None: it is not armed."""
+    it, module = copter(), PowerModule(Battery(), model)
+    it.throttle, told = HOVER_THROTTLE, BatteryConditions(**conditions or {})
+    for _ in range(round(seconds / DT_S)):
+        module.step(DT_S, it, conditions is not None, told)
+    battery = module.battery
+    for value, wanted in (
+        (battery.voltage_v, volts),
+        (battery.current_a, amperes),
+        (battery.consumed_mah, drawn_mah),
+        (battery.remaining, left),
+    ):
+        assert wanted is None or value == (approx(wanted) if isinstance(wanted, float) else wanted)
+
+
+def test_a_plane_draws_what_the_recorded_one_draws() -> None:
     """arduplane-guided-reposition.tlog: full throttle at 30 s, cruise at 60 s."""
-    battery = drawn("ardupilot plane", 1.0, throttle=throttle)
-    assert battery.voltage_v == approx(voltage_v, abs=0.01)
-    assert battery.current_a == approx(current_a, rel=0.02)
-
-
-def test_px4_falls_to_half_in_thirty_seconds_of_flight_and_stays_there() -> None:
-    """px4-offboard-8mps.tlog: 16.2 V full, 15.3 V at 50 %, 33 s after arming; -1 A throughout."""
-    ten, long = drawn("px4", 10.0), drawn("px4", 40.0)
-    assert ten.remaining == approx(1.0 - (10.0 - 0.95) / 60.0, abs=0.002)  # the gauge lags
-    assert ten.voltage_v == approx(16.2 - 1.8 * 10.0 / 60.0, abs=0.01)
-    assert long.voltage_v == approx(15.3)
-    assert math.ceil(100.0 * long.remaining) == 51  # as SYS_STATUS tells it, for ever
-    assert long.remaining == approx(0.5, abs=1e-3)
-    assert (long.current_a, long.consumed_mah) == (-1.0, approx(-40.0 / 3.6, abs=0.1))
-    assert drawn("px4", 40.0, armed=False).remaining == 1.0
+    it = plane()
+    for throttle, volts, amperes in ((1.0, 11.9, 47.22), (0.485, 12.261, 11.4)):
+        battery, it.throttle = Battery(), throttle
+        PowerModule(battery, "ardupilot plane").step(DT_S, it, True, BatteryConditions())
+        assert battery.voltage_v == approx(volts, abs=0.01)
+        assert battery.current_a == approx(amperes, rel=0.02)
 
 
 def test_px4s_battery_is_full_again_when_it_disarms_and_the_gauge_follows() -> None:
@@ -403,31 +386,9 @@ def test_px4s_battery_is_full_again_when_it_disarms_and_the_gauge_follows() -> N
     for k in range(6241):
         module.step(DT_S, it, k < 6000, BatteryConditions())
         if k >= 6000 and k % 20 == 0:
-            told.append(math.ceil(100.0 * module.battery.remaining))
+            told.append(math.ceil(100.0 * module.battery.remaining))  # as SYS_STATUS does
     assert module.battery.voltage_v == approx(16.2)
     recorded = [51, 53, 62, 69, 75, 79, 83, 86, 89, 91, 93, 94, 95]
+    assert told[0] == 51
     assert np.abs(np.array(told) - recorded).max() <= 7  # a fifth of a second is 9 at first
     assert told[-1] == approx(95, abs=2)
-
-
-def test_with_a_capacity_the_voltage_falls_as_it_empties_and_never_below_empty() -> None:
-    volts = [drawn("ardupilot copter", s, capacity_ah=3.3).voltage_v for s in (1, 100, 300)]
-    assert volts == sorted(volts, reverse=True)
-    assert volts[2] < 12.6 * 0.93
-    empty = drawn("ardupilot copter", 900.0, capacity_ah=3.3)
-    assert empty.remaining == 0.0
-    assert empty.voltage_v == approx(12.6 * 0.8 - 27.5 * 0.0034, abs=1e-6)
-    empty = drawn("px4", 100.0, least=0.0, drain_s=10.0)
-    assert (empty.remaining, empty.voltage_v) == (approx(0.0, abs=1e-6), approx(14.4))
-
-
-@pytest.mark.parametrize("model", ["ardupilot copter", "ardupilot plane", "px4"])
-def test_no_more_is_left_than_the_fault_says_and_nothing_is_drawn_on_the_ground(
-    model: Model,
-) -> None:
-    battery = drawn(model, 10.0, most=0.15, least=0.0)
-    assert battery.remaining == approx(0.15, abs=1e-3)
-    assert battery.voltage_v < drawn(model, 10.0).voltage_v
-    if model != "px4":
-        still = drawn(model, 100.0, armed=False)
-        assert (still.consumed_mah, still.remaining, still.voltage_v) == (0.0, 1.0, 12.6)

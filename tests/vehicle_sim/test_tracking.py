@@ -1,10 +1,8 @@
 """Setpoints are followed as the documents measured: ardupilot.md 3 and 7, px4.md 5 and 10.
 
-ArduCopter's tolerances: along the route 0.4 m and 15 %; off it 0.1 m and 20 % (rms), 0.2 m and 20 %
-(max): the document does not tell the wave length of its routes.  The two rows at the limit of the
-tilt are printed only: there the airframe decides, which is another simulation's; and not held are
-9.2 m/s of positions alone at 10 m/s (here 9.8: on such a route 9.2 m/s would fall back without end)
-and what is off the path at 0.5 Hz (here 1.7 m rms for 4.0).
+Not held: the two rows at the limit of the tilt, where the airframe decides, which is another
+simulation's; 9.2 m/s of positions alone at 10 m/s (here 9.8: on such a route 9.2 m/s would fall
+back without end); what is off the path at 0.5 Hz (here 1.7 m rms for 4.0).
 """
 
 import functools
@@ -46,6 +44,7 @@ LOOSER = {
     lambda row: f"{row.speed_m_s} m/s, {row.lateral_m_s2} m/s2, {row.kind}, {row.rate_hz} Hz",
 )
 def test_arducopter_follows_a_weaving_route_as_measured(row: tracked.Weave) -> None:
+    """The document does not tell the wave length of its routes."""
     got = fly_weave(row)
     if (row.speed_m_s, row.kind) in LOOSER:
         assert got.along_m == approx(row.along_m, rel=0.35)
@@ -71,10 +70,7 @@ def test_what_the_tilt_does_not_allow_is_not_flown_with_any_kind_of_setpoint(kin
     [
         (8, "pos+vel+acc", {"late_s": 0.3}, {"along_m": (-2.6, 0.4), "off_rms_m": (0.3, 0.15)}),
         (8, "pos+vel+acc", {"late_s": 0.6}, {"along_m": (-4.6, 0.5)}),
-        (
-            *(8, "pos+vel+acc", {"wind_east_m_s": -6.0}),
-            {"along_m": (-0.1, 0.4), "off_rms_m": (0.25, 0.15)},
-        ),
+        (8, "pos+vel+acc", {"wind_east_m_s": -6.0}, {"off_rms_m": (0.25, 0.15)}),
         (10, "pos+vel", {}, {"nose_deg": (3.0, 3.5)}),  # 2 to 4 degrees
         (10, "position", {}, {"nose_deg": (11.0, 3.5)}),
         (15, "pos+vel+acc", {}, {"flown_m_s": (15.0, 0.3)}),  # WPNAV_SPEED is 10
@@ -99,8 +95,7 @@ def test_a_steep_ramp_without_feed_forward_is_caught_up_with_at_12_m_s() -> None
             it.aim((north_m, 0.0, -30.0), (v, 0.0, 0.0))
         it.step()
         north_m += v * STEP_S
-        behind_m = max(behind_m, north_m - it.ned_m[0])
-        fastest = max(fastest, it.speed_m_s)
+        behind_m, fastest = max(behind_m, north_m - it.ned_m[0]), max(fastest, it.speed_m_s)
     assert 5.0 <= behind_m <= 12.0
     assert fastest == approx(12.0, abs=1.0)
 
@@ -146,15 +141,10 @@ def is_between(row: tracked.Eight) -> bool:
 @sparse(
     EIGHTS,
     is_between,
-    lambda row: (
-        f"{row.speed_m_s:.0f} m/s {row.kind} {row.rate_hz:.0f} Hz {row.lead_s} {row.carrot_m}"
-    ),
+    lambda row: f"{row.speed_m_s:.0f} {row.kind} {row.rate_hz:.0f} {row.lead_s} {row.carrot_m}",
 )
 def test_px4_tracks_a_curve_as_the_real_one_does(row: tracked.Eight) -> None:
-    """Tolerances: lag 0.3 m and 5 % of it (25 % at the speed limit, 2.5 m without position, and
-    1.3 m where the real one's own runs differ by as much), off the path 0.3 m rms (0.7 m without
-    position), speed 3 %.
-    """
+    """Without a position, and 0.15 s ahead, the real one's own runs differ by as much."""
     measured, real = fly_eight(row), row.real
     allowed_m, across_m = 0.3 + 0.05 * abs(real.along_mean_m), 0.3
     if row.speed_m_s >= SATURATED_M_S:
@@ -177,7 +167,7 @@ def test_velocity_removes_the_lag_and_acceleration_brings_it_nearer_to_the_path(
     assert all_three.cross_rms_m < both.cross_rms_m
 
 
-# --- ArduPlane ------------------------------------------------------------------------------------
+# --- planes ---------------------------------------------------------------------------------------
 
 LOOK_AHEADS = (1, 2, 3, 4, 6, 8, 9)
 
@@ -194,20 +184,16 @@ def flown_off_path_m(row: int) -> tuple[float, float]:
     lambda k: f"{PLANE_ROWS[k][0]}, {PLANE_ROWS[k][2]} m/s2, {PLANE_ROWS[k][3]} Hz",
 )
 def test_arduplane_follows_a_weaving_route_as_well_as_the_real_one(row: int) -> None:
-    """Within 40 % or 2 m of what was measured, rms and most."""
     assert flown_off_path_m(row) == approx(PLANE_ROWS[row][4], rel=0.4, abs=2.0)
 
 
 def test_the_best_look_ahead_is_the_measured_one_and_curvature_matters_more_than_rate() -> None:
     found = {PLANE_ROWS[k][0::3]: flown_off_path_m(k)[0] for k in LOOK_AHEADS}
     ahead = {int(name.split()[1]): rms for (name, hz), rms in found.items() if hz == 4.0}
-    assert min(ahead, key=lambda metres: ahead[metres]) == 115
     assert ahead[60] > ahead[80] > ahead[100] > ahead[115] < ahead[130] < ahead[160]
     at_1_hz = found["reposition 160 m ahead, radius 10 m", 1.0]
     assert abs(at_1_hz - ahead[160]) < 0.5 * (ahead[160] - ahead[115])
 
-
-# --- PX4's fixed wing -----------------------------------------------------------------------------
 
 WORSE = (
     "pos + vel - acc (negated)",

@@ -1,17 +1,19 @@
 """How the four autopilots follow setpoints: what the documents measured, and the same flown here.
 
-ardupilot.md 3 (ArduCopter: routes with a sinusoidal heading, streams that stop, targets that jump)
-and 7 (ArduPlane), px4.md 5 (multicopter) and 10 (fixed wing): their tables with their figures, and
-how it is measured there.  Lengths in metres, angles in radians unless named.
+ardupilot.md 3 (ArduCopter) and 7 (ArduPlane), px4.md 5 (multicopter) and 10 (fixed wing): their
+tables, and how it is measured there.  Lengths in metres, angles in radians unless named; vectors
+are north, east, down.
 """
 
+import cmath
 import functools
 import math
-from collections.abc import Callable, Iterator
-from typing import Any, Final, NamedTuple
+from collections import namedtuple
+from collections.abc import Callable
+from typing import Any, Final
 
 import numpy as np
-from harness import NAN, OFFBOARD, Vector
+from harness import NAN, OFFBOARD, ZERO, Vector
 from rigs import STEP_S, ArduCopter, ArduPlane, Px4Copter, Px4Plane, circling, cruising, hovering
 
 from vehicle_sim.geodesy import FloatArray
@@ -21,10 +23,7 @@ SWING_RAD: Final = 2.404825557695773
 
 
 class Sine:
-    """A route whose heading is a sine of the way along it: a point each so many metres.
-
-    It goes round: where it does not close it is to be longer than the flight.
-    """
+    """A route whose heading is a sine of the way along it, round and round: a point each step."""
 
     def __init__(
         self, swing_rad: float, wave_m: float, length_m: float, step_m: float, begins_rad: float = 0
@@ -46,62 +45,60 @@ class Sine:
         north_m, east_m = self.ne_m[index % len(self.ne_m)].tolist()
         return north_m, east_m
 
+    def bends(self, index: int) -> tuple[complex, float]:
+        """The unit vector of its heading, north + east j, and its curvature."""
+        return cmath.rect(1.0, self.heading_rad[index]), float(self.curvature_1_m[index])
+
     def nearest(self, ne_m: tuple[float, float], near: int) -> tuple[int, float]:
         """Index of the nearest point within 100 m of another, and how far right of it this is."""
         reach = round(100.0 / self.step_m)
         indices = (near + np.arange(-reach, reach + 1)) % len(self.ne_m)
         off = np.array(ne_m) - self.ne_m[indices]
         best = int(np.argmin((off * off).sum(axis=-1)))
-        heading = float(self.heading_rad[indices[best]])
-        right_m = off[best, 1] * math.cos(heading) - off[best, 0] * math.sin(heading)
-        return int(indices[best]), float(right_m)
+        way, _ = self.bends(int(indices[best]))
+        return int(indices[best]), float(off[best, 1] * way.real - off[best, 0] * way.imag)
 
 
-class Off(NamedTuple):
-    """How far off a route a plane flew, and how fast over the ground."""
-
-    rms_m: float
-    most_m: float
-    speed_m_s: float
+Off = namedtuple("Off", "rms_m most_m speed_m_s")
+"""How far off a route a plane flew, and how fast over the ground."""
 
 
 def _rms(values: Any) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _followed(
-    rig: ArduPlane | Px4Plane,
-    route: Sine,
-    aim: Callable[[int], object],
-    *,
-    hz: float,
+def _flat(level: complex, down: float) -> Vector:
+    return level.real, level.imag, down
+
+
+def lean_deg(it: ArduCopter | Px4Copter) -> float:
+    """How far a copter is inclined."""
+    return math.degrees(math.acos(math.cos(it.vehicle.roll_rad) * math.cos(it.vehicle.pitch_rad)))
+
+
+def _flown(
+    rig: Any,
     seconds: float,
-    counts: Callable[[float, int], bool],
-    begin: int = 0,
-    age_steps: int = 0,
-) -> Off:
-    """Aim from the point nearest to where the vehicle was, so old; measure ten times a second."""
-    every, index, known = round(1.0 / hz / STEP_S), begin, begin
-    flown = list[tuple[float, float]]()
+    hz: float,
+    send: Callable[[int], object],
+    look: Callable[[int], tuple[float, ...]],
+    since_s: float = 0.0,
+) -> FloatArray:
+    """Send at this rate, and what is seen twenty times a second.  -> (things, times)."""
+    every, seen = round(1.0 / hz / STEP_S), []
     for k in range(round(seconds / STEP_S)):
-        if k % 10 == 0 or k % every == 0:
-            index, right_m = route.nearest(rig.ne_m, index)
-            if k % 10 == 0 and counts(k * STEP_S, index):
-                flown.append((right_m, rig.speed_m_s))
-        known = index if k % every == 0 else known
-        if k % every == age_steps % every:
-            aim(known)
+        if k % every == 0:
+            send(k)
         rig.step()
-    off_m, speed_m_s = np.array(flown).T
-    return Off(_rms(off_m), float(np.abs(off_m).max()), float(speed_m_s.mean()))
+        if k % 5 == 0 and k * STEP_S >= since_s:
+            seen.append(look(k))
+    return np.array(seen).T
 
 
 # --- ArduCopter: ardupilot.md 3 -------------------------------------------------------------------
 
 PERIOD_S = 12.0
 """Of the weaving heading, which the document does not tell: this one agrees with it best."""
-Reference = tuple[Vector, Vector, Vector]
-"""Where the route is at one time, its velocity and acceleration: north, east, down."""
 
 
 def aim(it: ArduCopter, kind: str, position: Vector, *derivatives: Vector) -> None:
@@ -122,50 +119,27 @@ def smooth(ramp: float) -> float:
     return ramp * ramp * (3.0 - 2.0 * ramp)
 
 
-def weave(speed_m_s: float, lateral_m_s2: float, seconds: float) -> Iterator[Reference]:
-    """A sinusoidal heading of this lateral acceleration, speed ramped up smoothly at 1 m/s2."""
-    ramp_s, climb_m_s = 1.5 * speed_m_s, 1.0
-    w, climb_w = math.tau / PERIOD_S, math.tau / 40.0
-    swing_rad = lateral_m_s2 / (speed_m_s * w)
-    north = east = 0.0
-    for k in range(round(seconds / STEP_S)):
-        t = k * STEP_S
-        ramp = min(t / ramp_s, 1.0)
-        share, rising = smooth(ramp), 6.0 * ramp * (1.0 - ramp) / ramp_s
-        v, dv = speed_m_s * share, speed_m_s * rising
-        course = swing_rad * share * math.sin(w * t)
-        turn = swing_rad * (share * w * math.cos(w * t) + rising * math.sin(w * t))
-        cosine, sine = math.cos(course), math.sin(course)
-        climb = climb_m_s * share * math.sin(climb_w * t)
-        height = 30.0 + climb_m_s / climb_w * share * (1.0 - math.cos(climb_w * t))
-        yield (
-            (north, east, -height),
-            (v * cosine, v * sine, -climb),
-            (
-                dv * cosine - v * turn * sine,
-                dv * sine + v * turn * cosine,
-                -climb_m_s * share * climb_w * math.cos(climb_w * t),
-            ),
-        )
-        north += v * cosine * STEP_S
-        east += v * sine * STEP_S
+def weave(speed_m_s: float, lateral_m_s2: float, seconds: float) -> tuple[FloatArray, ...]:
+    """Position, velocity and acceleration of each step: a sinusoidal heading of this lateral
+    acceleration, speed ramped up smoothly at 1 m/s2, and climbs of 1 m/s.  -> three of (T, 3).
+    """
+    time_s, w = STEP_S * np.arange(round(seconds / STEP_S)), math.tau / PERIOD_S
+    share = np.array([smooth(t / (1.5 * speed_m_s)) for t in time_s])
+    course = lateral_m_s2 / (speed_m_s * w) * share * np.sin(w * time_s)
+    down_m_s = -share * np.sin(math.tau / 40.0 * time_s)
+    level_m_s = speed_m_s * share
+    velocity = np.stack([level_m_s * np.cos(course), level_m_s * np.sin(course), down_m_s], axis=-1)
+    position = (0.0, 0.0, -30.0) + (np.cumsum(velocity, axis=0) - velocity) * STEP_S
+    return position, velocity, np.gradient(velocity, STEP_S, axis=0)
 
 
-class Weave(NamedTuple):
-    """One row of the document's table, or how it was flown here."""
-
-    speed_m_s: float
-    lateral_m_s2: float
-    lean_deg: float
-    kind: str
-    rate_hz: float
-    along_m: float
-    """Mean; negative: behind."""
-    off_rms_m: float
-    off_max_m: float
-    flown_m_s: float = NAN
-    nose_deg: float = NAN
-    """Between the nose and the course of the route."""
+Weave = namedtuple(
+    "Weave",
+    "speed_m_s lateral_m_s2 lean_deg kind rate_hz along_m off_rms_m off_max_m flown_m_s nose_deg",
+    defaults=(NAN, NAN),
+)
+"""A row of the document's table, or how it was flown: along is a mean, negative behind; the nose
+is that between nose and course of the route."""
 
 
 WEAVES = (
@@ -199,49 +173,37 @@ WEAVES = (
 def fly_weave(
     row: Weave, *, seconds: float = 90.0, late_s: float = 0.0, wind_east_m_s: float = 0.0
 ) -> Weave:
-    """Stream a route and measure along and off it, as the document does.
-
-    late_s: how old the setpoints are when they are sent.
-    """
+    """Stream a route and measure along and off it; late_s: how old setpoints are when sent."""
     speed_cm_s = max(row.speed_m_s, 10.0) * 100.0
     it = hovering(row.lean_deg, WPNAV_SPEED=speed_cm_s, GUID_TIMEOUT=3.0)
-    it.wind_m_s = (0.0, wind_east_m_s)
+    it.vehicle.wind_m_s = complex(0.0, wind_east_m_s)
     it.run(15.0 if wind_east_m_s else 0.0)
-    every, late = round(1.0 / (row.rate_hz * STEP_S)), round(late_s / STEP_S)
-    path, flown = list[Reference](), list[tuple[float, ...]]()
-    for k, at in enumerate(weave(row.speed_m_s, row.lateral_m_s2, seconds)):
-        path.append(at)
-        if k % every == 0:
-            aim(it, row.kind, *path[max(k - late, 0)])
-        it.step()
-        if k * STEP_S >= 40.0 and k % 10 == 0:
-            (north, east, _), (there_n, there_e, _), (v_n, v_e, _) = it.ned_m, at[0], at[1]
-            speed = math.hypot(v_n, v_e)
-            ahead = ((north - there_n) * v_n + (east - there_e) * v_e) / speed
-            nose = math.remainder(it.vehicle.heading_rad - math.atan2(v_e, v_n), math.tau)
-            # the step has been flown by now
-            flown.append((north, east, ahead - speed * STEP_S, it.speed_m_s, abs(nose)))
-    points = np.array([at[0][:2] for at in path])
-    off = [float(np.hypot(points[:, 0] - n, points[:, 1] - e).min()) for n, e, *_ in flown]
-    _, _, along, speeds, noses = np.array(flown).T
+    route = position, velocity, _ = weave(row.speed_m_s, row.lateral_m_s2, seconds)
+    late = round(late_s / STEP_S)
+
+    def send(k: int) -> None:
+        aim(it, row.kind, *(each[max(k - late, 0)].tolist() for each in route))
+
+    def look(k: int) -> tuple[float, ...]:
+        there, way, here = (complex(*each[:2]) for each in (position[k], velocity[k], it.ne_m))
+        # the step has been flown by now
+        ahead_m = ((here - there) / way).real * abs(way) - abs(way) * STEP_S
+        nose_rad = math.remainder(it.vehicle.heading_rad - cmath.phase(way), math.tau)
+        off_m = np.hypot(*(position[:, :2] - it.ne_m).T).min()
+        return ahead_m, off_m, it.speed_m_s, abs(math.degrees(nose_rad))
+
+    along, off, speed, nose = _flown(it, seconds, row.rate_hz, send, look, since_s=40.0)
     return row._replace(
-        along_m=float(along.mean()),
+        along_m=along.mean(),
         off_rms_m=_rms(off),
-        off_max_m=max(off),
-        flown_m_s=float(speeds.mean()),
-        nose_deg=math.degrees(float(noses.mean())),
+        off_max_m=off.max(),
+        flown_m_s=speed.mean(),
+        nose_deg=nose.mean(),
     )
 
 
-class Stop(NamedTuple):
-    """A stream at 10 m/s that ends: seconds and metres from its last setpoint."""
-
-    kind: str
-    timeout_s: float
-    brakes_s: float | None
-    still_s: float
-    furthest_m: float
-    ends_m: float
+Stop = namedtuple("Stop", "kind timeout_s brakes_s still_s furthest_m ends_m")
+"""A stream at 10 m/s that ends: seconds and metres from its last setpoint."""
 
 
 STOPS = (
@@ -257,48 +219,31 @@ STOPS = (
 
 
 def end_stream(row: Stop) -> Stop:
-    """Fly straight at 10 m/s, end the stream, and measure."""
-    it = hovering(GUID_TIMEOUT=row.timeout_s, WPNAV_SPEED=1000.0)
-    north_m = begun_m = last_s = 0.0
-    for k in range(3500):
-        v = 10.0 * smooth(k * STEP_S / 15.0)
-        if k % 10 == 0:
-            begun_m, last_s = north_m, it.now_s
-            aim(it, row.kind, (north_m, 0.0, -30.0), (v, 0.0, 0.0), (0.0, 0.0, 0.0))
-        north_m += v * STEP_S
-        it.step()
-    slower_s = dict[float, float]()
-    """When it was slower than this first."""
-    furthest_m = -math.inf
-    while it.now_s - last_s < 30.0:
-        it.step()
-        furthest_m = max(furthest_m, it.ned_m[0] - begun_m)
-        for speed_m_s in (9.5, 0.1):
-            if it.vehicle.velocity_m_s.real < speed_m_s:
-                slower_s.setdefault(speed_m_s, it.now_s - last_s)
-    return row._replace(
-        brakes_s=slower_s[9.5],
-        still_s=slower_s[0.1],
-        furthest_m=furthest_m,
-        ends_m=it.ned_m[0] - begun_m,
-    )
+    """Fly straight at 10 m/s for 35 s, end the stream, and measure."""
+    it, last = hovering(GUID_TIMEOUT=row.timeout_s, WPNAV_SPEED=1000.0), 3490
+    speed = np.array([10.0 * smooth(k * STEP_S / 15.0) for k in range(last + 1)])
+    north = ((np.cumsum(speed) - speed) * STEP_S).tolist()
+
+    def send(k: int) -> None:
+        if k <= last:
+            aim(it, row.kind, (north[k], 0.0, -30.0), (float(speed[k]), 0.0, 0.0), ZERO)
+
+    def look(k: int) -> tuple[float, ...]:
+        after_s = (k + 1 - last) * STEP_S
+        return after_s, it.vehicle.velocity_m_s.real, it.ned_m[0] - north[last]
+
+    after_s, speed_m_s, ahead_m = _flown(it, 65.0, 10.0, send, look, since_s=last * STEP_S)
+    brakes_s, still_s = (after_s[speed_m_s < slow][0] for slow in (9.5, 0.1))
+    return Stop(row.kind, row.timeout_s, brakes_s, still_s, ahead_m.max(), ahead_m[-1])
 
 
-class Jump(NamedTuple):
-    """A jump of the target at 6 m/s, or from hover."""
-
-    what: str
-    kind: str
-    ned_m: Vector
-    speed_m_s: float
-    peak_m_s: float
-    """Of the speed: horizontal, or vertical for a vertical jump."""
-    within_s: float
-    """Until it is within 1 m for good."""
-    overshoot_m: float | None = None
-    tilt_deg: float | None = None
-    lateral_m_s: float | None = None
-    """Peak of the speed across."""
+Jump = namedtuple(
+    "Jump",
+    "what kind ned_m speed_m_s peak_m_s within_s overshoot_m tilt_deg lateral_m_s",
+    defaults=(None, None, None),
+)
+"""A jump of the target at this speed, or from hover: the peak of the speed, horizontal or for a
+vertical jump vertical; until it is within 1 m for good; the peak of the speed across."""
 
 
 JUMPS = (
@@ -315,44 +260,31 @@ JUMPS = (
 
 def jump(row: Jump) -> Jump:
     """Fly on for 30 s, move the target, and measure along the jump."""
-    it = hovering(height_m=60.0, GUID_TIMEOUT=3.0, WPNAV_SPEED=1000.0)
-    axis = max(range(3), key=lambda k: abs(row.ned_m[k]))
-    sign = math.copysign(1.0, row.ned_m[axis])
-    north_m = jumped_s = left_s = peak = over_m = tilt_deg = lateral = 0.0
-    for k in range(6500):
-        t = k * STEP_S
-        v = min(t, row.speed_m_s)
-        if t >= 30.0 and not jumped_s:
-            jumped_s = left_s = it.now_s
-        shift = row.ned_m if jumped_s else (0.0, 0.0, 0.0)
-        target = (north_m + shift[0], shift[1], -60.0 + shift[2])
-        if k % 10 == 0:
-            aim(it, row.kind, target, (v, 0.0, 0.0), (0.0, 0.0, 0.0))
-        it.step()
-        north_m += v * STEP_S
-        if not jumped_s:
-            continue
-        away = [there - here for there, here in zip(target, it.ned_m, strict=True)]
-        over_m = max(over_m, -sign * away[axis])
-        # a stream of positions alone is trailed: then only the way across counts
-        if (abs(away[axis]) if row.kind == "position" else math.hypot(*away)) > 1.0:
-            left_s = it.now_s
-        copter = it.vehicle
-        peak = max(peak, abs(copter.velocity_up_m_s) if row.ned_m[2] else it.speed_m_s)
-        lateral = max(lateral, abs(copter.velocity_m_s.imag))
-        tilt_deg = max(tilt_deg, lean_deg(it))
+    it, jumps_s = hovering(height_m=60.0, GUID_TIMEOUT=3.0, WPNAV_SPEED=1000.0), 30.0
+    speed = np.minimum(np.arange(6500) * STEP_S, row.speed_m_s)
+    targets = np.zeros((6500, 3))
+    targets[:, 0], targets[:, 2] = (np.cumsum(speed) - speed) * STEP_S, -60.0
+    targets[round(jumps_s / STEP_S) :] += row.ned_m
+
+    def send(k: int) -> None:
+        north, east, down = targets[k].tolist()
+        aim(it, row.kind, (north, east, down), (float(speed[k]), 0.0, 0.0), ZERO)
+
+    def look(k: int) -> tuple[float, ...]:
+        _, east_m_s, up_m_s = it.vehicle.velocity_neu_m_s
+        return (*(targets[k] - it.ned_m), it.speed_m_s, abs(up_m_s), abs(east_m_s), lean_deg(it))
+
+    *away, speeds, climbs, laterals, tilts = _flown(it, 65.0, 10.0, send, look, since_s=jumps_s)
+    axis = int(np.argmax(np.abs(row.ned_m)))
+    # a stream of positions alone is trailed: then only the way across counts
+    far = np.abs(away[axis]) if row.kind == "position" else np.linalg.norm(away, axis=0)
     return row._replace(
-        peak_m_s=peak,
-        within_s=left_s - jumped_s,
-        overshoot_m=over_m,
-        tilt_deg=tilt_deg,
-        lateral_m_s=lateral,
+        peak_m_s=(climbs if row.ned_m[2] else speeds).max(),
+        within_s=float(np.flatnonzero(far > 1.0)[-1] + 1) * 5 * STEP_S,
+        overshoot_m=max(0.0, (-np.sign(row.ned_m[axis]) * away[axis]).max()),
+        tilt_deg=tilts.max(),
+        lateral_m_s=laterals.max(),
     )
-
-
-def lean_deg(it: ArduCopter | Px4Copter) -> float:
-    """How far a copter is inclined."""
-    return math.degrees(math.acos(math.cos(it.vehicle.roll_rad) * math.cos(it.vehicle.pitch_rad)))
 
 
 # --- PX4's multicopter: px4.md 5 ------------------------------------------------------------------
@@ -362,61 +294,40 @@ LENGTH_M, _HEIGHT_M, _WAVE_M = 756.0, 20.0, 3.0
 _RUN_S, _RAMP_M_S2 = 42.0, 2.0
 
 
-class Curve:
+class Curve(Sine):
     """The figure eight, with heights and what the target does on it."""
 
     def __init__(self) -> None:
-        self._route = Sine(SWING_RAD, LENGTH_M, LENGTH_M, 0.25)
+        super().__init__(SWING_RAD, LENGTH_M, LENGTH_M, 0.02)
 
     def at(self, along_m: float, speed_m_s: float) -> tuple[Vector, Vector, Vector, float]:
-        """Position, velocity, acceleration (north, east, down) and yaw of the target there."""
-        phase, per_m = math.tau * along_m / LENGTH_M, math.tau / LENGTH_M
-        yaw_rad, turn = SWING_RAD * math.sin(phase), SWING_RAD * math.cos(phase) * per_m
-        index, share = divmod(along_m / self._route.step_m, 1.0)
-        here, there = (np.array(self._route.point(int(index) + k)) for k in (0, 1))
-        north, east = (here * (1.0 - share) + there * share).tolist()
-        sine, cosine = math.sin(yaw_rad), math.cos(yaw_rad)
-        lateral = speed_m_s * speed_m_s * turn
+        """Position, velocity, acceleration and yaw of the target there."""
+        index, phase = self.ahead(0, along_m), math.tau * along_m / LENGTH_M
+        way, curvature = self.bends(index)
+        slope = -_WAVE_M * math.tau / LENGTH_M * math.cos(phase)
         return (
-            (north, east, -_HEIGHT_M - _WAVE_M * math.sin(phase)),
-            (speed_m_s * cosine, speed_m_s * sine, -speed_m_s * _WAVE_M * per_m * math.cos(phase)),
-            (-lateral * sine, lateral * cosine, 0.0),
-            yaw_rad,
+            (*self.point(index), -_HEIGHT_M - _WAVE_M * math.sin(phase)),
+            _flat(speed_m_s * way, speed_m_s * slope),
+            _flat(1j * speed_m_s * speed_m_s * curvature * way, 0.0),
+            float(self.heading_rad[index]),
         )
 
-    def nearest(self, ne_m: tuple[float, float], near_m: float) -> tuple[float, float]:
+    def along(self, ne_m: tuple[float, float], near_m: float) -> tuple[float, float]:
         """Metres along the curve of the nearest point, and how far right of it this is."""
-        route = self._route
-        index, right_m = route.nearest(ne_m, round(near_m / route.step_m))
-        heading, (north_m, east_m) = float(route.heading_rad[index]), route.point(index)
-        ahead_m = (ne_m[0] - north_m) * math.cos(heading) + (ne_m[1] - east_m) * math.sin(heading)
-        laps = round((near_m - index * route.step_m) / LENGTH_M)
-        return index * route.step_m + laps * LENGTH_M + ahead_m, right_m
+        index, right_m = self.nearest(ne_m, self.ahead(0, near_m))
+        laps = round((near_m - index * self.step_m) / LENGTH_M)
+        return index * self.step_m + laps * LENGTH_M, right_m
 
 
-class Tracking(NamedTuple):
-    """One row of the table: metres and m/s."""
-
-    along_mean_m: float
-    along_max_m: float
-    cross_rms_m: float
-    cross_max_m: float
-    altitude_rms_m: float
-    speed_m_s: float
+Tracking = namedtuple(
+    "Tracking", "along_mean_m along_max_m cross_rms_m cross_max_m altitude_rms_m speed_m_s"
+)
+"""How well; along is NaN where it was not measured."""
 
 
-class Eight(NamedTuple):
-    """One row of px4.md 5: what was flown and what the real one did."""
-
-    kind: str
-    speed_m_s: float
-    rate_hz: float
-    real: Tracking
-    """Along is NaN where it was not measured."""
-    lead_s: float = 0.0
-    """How far ahead of its time the target is sent."""
-    carrot_m: float | None = None
-    """Position only, this far ahead of the nearest point, whatever the time is."""
+Eight = namedtuple("Eight", "kind speed_m_s rate_hz real lead_s carrot_m", defaults=(0.0, None))
+"""One row: a target sent so far ahead of its time, or positions alone so far ahead of the nearest
+point, whatever the time is."""
 
 
 def _moved(elapsed_s: float, speed_m_s: float) -> tuple[float, float]:
@@ -429,35 +340,33 @@ def _moved(elapsed_s: float, speed_m_s: float) -> tuple[float, float]:
 
 def fly_eight(row: Eight) -> Tracking:
     """One run of 42 s; measured 2 s after the target has gathered its speed, at 9 s at least."""
-    rig, curve = Px4Copter().take_off(), Curve()
+    rig, curve, reached_m = Px4Copter().take_off(), Curve(), 0.0
     begins_s = max(9.0, row.speed_m_s / _RAMP_M_S2 + 2.0)
-    every, samples, reached_m = round(1.0 / row.rate_hz / STEP_S), list[tuple[float, ...]](), 0.0
-    for index in range(round(_RUN_S / STEP_S)):
-        elapsed_s = index * STEP_S
-        if index % every == 0:
-            target_m, moving_m_s = _moved(elapsed_s, row.speed_m_s)
-            target_m += moving_m_s * row.lead_s
-            if row.carrot_m is not None:
-                target_m = reached_m + row.carrot_m
-            position, velocity, acceleration, yaw_rad = curve.at(target_m, moving_m_s)
-            rig.aim(
-                None if row.kind == "velocity" else position,
-                None if row.kind == "position" else velocity,
-                acceleration if row.kind == "pos + vel + acc" else None,
-                yaw_rad,
-            )
-        rig.step()
-        if index % 5 == 0:
-            north_m, east_m, down_m = rig.ned_m
-            reached_m, cross_m = curve.nearest((north_m, east_m), reached_m)
-            behind_m = _moved(elapsed_s + STEP_S, row.speed_m_s)[0] - reached_m
-            high_m = down_m - curve.at(reached_m, row.speed_m_s)[0][2]
-            if elapsed_s >= begins_s:
-                samples.append((behind_m, cross_m, high_m, rig.speed_m_s))
-    along, cross, height, speed = np.array(samples).T
-    most_m, aside_m = float(np.abs(along).max()), float(np.abs(cross).max())
-    mean = float(along.mean())
-    return Tracking(mean, most_m, _rms(cross), aside_m, _rms(height), float(speed.mean()))
+
+    def send(k: int) -> None:
+        target_m, moving_m_s = _moved(k * STEP_S, row.speed_m_s)
+        target_m += moving_m_s * row.lead_s
+        if row.carrot_m is not None:
+            target_m = reached_m + row.carrot_m
+        position, velocity, acceleration, yaw_rad = curve.at(target_m, moving_m_s)
+        rig.aim(
+            None if row.kind == "velocity" else position,
+            None if row.kind == "position" else velocity,
+            acceleration if row.kind == "pos + vel + acc" else None,
+            yaw_rad,
+        )
+
+    def look(k: int) -> tuple[float, ...]:
+        nonlocal reached_m
+        reached_m, cross_m = curve.along(rig.ne_m, reached_m)
+        behind_m = _moved((k + 1) * STEP_S, row.speed_m_s)[0] - reached_m
+        high_m = rig.ned_m[2] - curve.at(reached_m, row.speed_m_s)[0][2]
+        return behind_m, cross_m, high_m, rig.speed_m_s
+
+    seen = _flown(rig, _RUN_S, row.rate_hz, send, look)[:, round(begins_s * 20.0) :]
+    along, cross, high, speed = seen
+    most_m, aside_m = np.abs(along).max(), np.abs(cross).max()
+    return Tracking(along.mean(), most_m, _rms(cross), aside_m, _rms(high), speed.mean())
 
 
 def _eight(kind: str, speed: float, rate: float, figures: str, lead_s: float = 0.0) -> Eight:
@@ -500,6 +409,36 @@ EIGHTS = (
 )
 
 
+# --- planes: aimed from the point of the route nearest to where the vehicle was -------------------
+
+
+def _followed(
+    rig: ArduPlane | Px4Plane,
+    route: Sine,
+    aim: Callable[[int], object],
+    *,
+    hz: float,
+    seconds: float,
+    counts: Callable[[float, int], bool],
+    begin: int = 0,
+    age_steps: int = 0,
+) -> Off:
+    """Aim from the point nearest to where the vehicle was, so old; measure ten times a second."""
+    every, index, known = round(1.0 / hz / STEP_S), begin, begin
+    flown = list[tuple[float, float]]()
+    for k in range(round(seconds / STEP_S)):
+        if k % 10 == 0 or k % every == 0:
+            index, right_m = route.nearest(rig.ne_m, index)
+            if k % 10 == 0 and counts(k * STEP_S, index):
+                flown.append((right_m, rig.speed_m_s))
+        known = index if k % every == 0 else known
+        if k % every == age_steps % every:
+            aim(known)
+        rig.step()
+    off_m, speed_m_s = np.array(flown).T
+    return Off(_rms(off_m), float(np.abs(off_m).max()), float(speed_m_s.mean()))
+
+
 # --- ArduPlane: ardupilot.md 7 --------------------------------------------------------------------
 
 RADIUS_MOST_M = 600.0
@@ -521,13 +460,12 @@ def osculating(ahead_s: float, smaller_m: float = 17.0) -> Law:
     """DO_REPOSITION to the centre of curvature of the route some seconds ahead."""
 
     def send(rig: ArduPlane, route: Sine, nearest: int) -> object:
-        k = route.ahead(nearest, ahead_s * rig.speed_m_s)
-        curvature, heading = float(route.curvature_1_m[k]), float(route.heading_rad[k])
+        index = route.ahead(nearest, ahead_s * rig.speed_m_s)
+        way, curvature = route.bends(index)
         radius_m = min(1.0 / max(abs(curvature), 1e-6), RADIUS_MOST_M)
-        north, east = route.point(k)
-        aside_m = math.copysign(radius_m, curvature)
-        place = (north - aside_m * math.sin(heading), east + aside_m * math.cos(heading))
-        return rig.reposition(*place, 80.0, max(radius_m - smaller_m, 2.0), float(curvature < 0.0))
+        centre = complex(*route.point(index)) + 1j * math.copysign(radius_m, curvature) * way
+        radius_m = max(radius_m - smaller_m, 2.0)
+        return rig.reposition(centre.real, centre.imag, 80.0, radius_m, float(curvature < 0.0))
 
     return send
 
@@ -536,8 +474,8 @@ def heading_towards(ahead_m: float, lateral_m_s2: float = 6.0) -> Law:
     """GUIDED_CHANGE_HEADING, course over ground, towards a point ahead."""
 
     def send(rig: ArduPlane, route: Sine, nearest: int) -> object:
-        north, east = np.subtract(route.point(route.ahead(nearest, ahead_m)), rig.ne_m).tolist()
-        course_deg = math.degrees(math.atan2(east, north)) % 360.0
+        way = complex(*route.point(route.ahead(nearest, ahead_m))) - complex(*rig.ne_m)
+        course_deg = math.degrees(cmath.phase(way)) % 360.0
         return rig.command(43002, 0.0, course_deg, lateral_m_s2, frame=3)
 
     return send
@@ -611,17 +549,8 @@ def fixed_wing_route() -> Sine:
     return Sine(SWING_RAD, length_m, length_m, length_m / 6044, math.pi / 2.0)
 
 
-class FixedWing(NamedTuple):
-    """One line of the table of px4.md 10, and how near the simulator is to be."""
-
-    name: str
-    kind: str
-    lead_m: float
-    rate_hz: float
-    rms_m: float
-    most_m: float
-    within_m: float
-    """Of the rms."""
+FixedWing = namedtuple("FixedWing", "name kind lead_m rate_hz rms_m most_m within_m")
+"""One line of the table, and how near the rms of the simulator is to be."""
 
 
 FIXED_WING: Final = (
@@ -644,28 +573,24 @@ FIXED_WING: Final = (
 def fly_fixed(row: FixedWing) -> Off:
     """Fly a row: the last 70 of 95 s along the curve count."""
     route, sent = fixed_wing_route(), 0
-    north_m, east_m = route.point(_START)
     heading_rad = float(route.heading_rad[_START])
-    rig = cruising(north_m, east_m, _PLANE_HEIGHT_M - 2.0, heading_rad)
+    rig = cruising(*route.point(_START), _PLANE_HEIGHT_M - 2.0, heading_rad)
 
     def send(nearest: int) -> None:
         nonlocal sent
         sent += 1
-        if sent == 3 and row.kind != "reposition":
-            rig.command(176, 1.0, *OFFBOARD)
         index = route.ahead(nearest, row.lead_m)
-        ahead_n_m, ahead_e_m = route.point(index)
         if row.kind == "reposition":
-            place = rig.place(ahead_n_m, ahead_e_m, _PLANE_HEIGHT_M)
+            place = rig.place(*route.point(index), _PLANE_HEIGHT_M)
             rig.command(192, -1.0, 1.0, 0.0, NAN, *place, frame=5)
             return
-        heading, bend = float(route.heading_rad[index]), float(route.curvature_1_m[index])
-        way_n, way_e = math.cos(heading), math.sin(heading)
+        if sent == 3:
+            rig.command(176, 1.0, *OFFBOARD)
+        way, bend = route.bends(index)
         lateral = _ASKED_M_S**2 * bend * (-1.0 if row.kind == "pos + vel - acc" else 1.0)
-        velocity = (_ASKED_M_S * way_n, _ASKED_M_S * way_e, 0.0)
-        vectors = (velocity, (-lateral * way_e, lateral * way_n, 0.0))
+        vectors = _flat(_ASKED_M_S * way, 0.0), _flat(1j * lateral * way, 0.0)
         given = {"position": 0, "pos + vel": 1}.get(row.kind, 2)
-        rig.aim((ahead_n_m, ahead_e_m, -_PLANE_HEIGHT_M), *vectors[:given])
+        rig.aim((*route.point(index), -_PLANE_HEIGHT_M), *vectors[:given])
 
     return _followed(
         rig,

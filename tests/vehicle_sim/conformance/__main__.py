@@ -71,7 +71,6 @@ def tables(flown: dict[str, list[Row]]) -> str:
 
 
 def main() -> None:
-    """Entry of scripts/conformance."""
     run(app, "scripts/conformance")
 
 

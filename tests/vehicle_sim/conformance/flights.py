@@ -48,7 +48,6 @@ def heard(time_s: float, frame: bytes) -> TimedFrame:
 
 
 def decoded(one: TimedFrame) -> Any:
-    """The message; MAVLink_unknown for an unknown one."""
     return _DECODER.decode(bytearray(one.frame))
 
 
@@ -64,11 +63,9 @@ class Side:
 
     @property
     def numbers(self) -> set[int]:
-        """Of all messages that it said."""
         return set(self._frames)
 
     def heard(self, number: int) -> Sequence[TimedFrame]:
-        """Every frame of this message."""
         return self._frames.get(number, ())
 
     def _of(self, number: int) -> Sequence[tuple[float, Any]]:
@@ -96,11 +93,9 @@ class Clock:
         self._knots = (log, np.maximum.accumulate(told))
 
     def vehicle_s(self, log_s: float) -> float:
-        """Vehicle time at this log time."""
         return _along(log_s, *self._knots)
 
     def log_s(self, vehicle_s: float) -> float:
-        """Log time at this vehicle time."""
         return _along(vehicle_s, *reversed(self._knots))
 
 
@@ -123,8 +118,6 @@ class Place(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Recording:
-    """One flight.  All times are seconds since the autopilot's boot."""
-
     name: str
     """Of the file, without folder and .xz."""
     firmware: Firmware
@@ -141,7 +134,6 @@ class Recording:
 
     @functools.cached_property
     def side(self) -> Side:
-        """What the autopilot said, each message decoded once."""
         return Side(self.said)
 
 
@@ -270,7 +262,6 @@ class Reason(msgspec.Struct, frozen=True, kw_only=True):
     """It explains differences up to so many tolerances."""
 
     def explains(self, row: Any) -> bool:
-        """Whether such a row of its recordings is one of them."""
         told = ((self.kind, row.kind), (self.names, row.name), (self.shown, row.simulated))
         return row.difference <= self.most and all(re.fullmatch(*each) for each in told)
 

@@ -46,7 +46,6 @@ class Row:
 
     @property
     def agrees(self) -> bool:
-        """Whether a client could not tell."""
         return self.difference <= 1.0
 
 
@@ -56,6 +55,13 @@ def row(
     """One row; shown: of the real one and of the simulated one."""
     real, simulated = shown
     return Row(kind, name, real, simulated, difference, at_s)
+
+
+def apart(real: float | None, simulated: float | None, tolerance: float) -> float:
+    """How far, in tolerances; inf where one side has nothing."""
+    if real is None or simulated is None:
+        return math.inf
+    return abs(real - simulated) / tolerance
 
 
 class Comparison:
@@ -152,23 +158,20 @@ def timed_rows(
 
     interval_s: how often it can be seen at most.
     """
-    for real, simulated in matches:
-        at_s, name = real or simulated or (0.0, "")
-        difference = math.inf
-        if real and simulated:
-            difference = abs(simulated[0] - at_s) / comparison.patience_s(at_s, interval_s)
-        shown = (f"{each[0]:.2f} s" if each else NOTHING for each in (real, simulated))
+    for match in matches:
+        at_s, name = match[0] or match[1] or (0.0, "")
+        real_s, simulated_s = (each and each[0] for each in match)
+        difference = apart(real_s, simulated_s, comparison.patience_s(at_s, interval_s))
+        shown = (f"{each[0]:.2f} s" if each else NOTHING for each in match)
         yield row(kind, name, shown, difference, at_s)
 
 
 def interval_s(times: Sequence[float]) -> float:
-    """The usual time between two of these."""
     steps = sorted(after - before for before, after in itertools.pairwise(times))
     return steps[len(steps) // 2] if steps else 0.0
 
 
 def message_name(number: int) -> str:
-    """What the protocol calls it."""
     known = mavlink.mavlink_map.get(number)
     return known.msgname if known else f"message {number}"
 
@@ -250,7 +253,6 @@ _EXCHANGES = {
 
 
 def exchange_rows(comparison: Comparison) -> Iterator[Row]:
-    """A row for each message of a mission or fence exchange."""
     for number, fields in _EXCHANGES.items():
         said = (
             [

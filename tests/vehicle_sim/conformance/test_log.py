@@ -1,7 +1,6 @@
-"""Reading recordings, and the law of their clock.  That they are played into a vehicle as they were
-flown is seen by test_recordings.py: else they would not agree."""
+"""Recordings are read as they were made.  That they are played into a vehicle as they were flown is
+seen by test_recordings.py: else they would not agree."""
 
-import math
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -12,21 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
-from recordings import FOLDER
 
-from conformance.flights import (
-    Clock,
-    Recording,
-    decoded,
-    flight_of,
-    read_recording,
-    records,
-    world_of,
-)
+from conformance.flights import Clock, Recording, decoded, flight_of, read_recording, records
 from vehicle_sim.errors import InputError
 
 Recorded = Callable[[str], Recording]
-SHORT = "px4-offboard-short.tlog"
 
 
 def frame(message: Any, component: int = 1) -> bytes:
@@ -52,12 +41,10 @@ def test_a_log_that_was_cut_off_gives_what_is_complete() -> None:
     ("called", "content", "words"),
     [
         ("x.tlog", b"no log at all, but text", "does not begin a MAVLink 2 frame"),
-        ("x.tlog", bytes(100), "does not begin a MAVLink 2 frame"),
         ("x.tlog", b"\xfd" * 100, "no autopilot"),
         ("x.tlog", log(SYNC), "no autopilot"),
         ("x.tlog", None, "cannot be read"),
         ("x.tlog.xz", b"no archive at all", "cannot be read"),
-        ("x.tlog.xz", (FOLDER / f"{SHORT}.xz").read_bytes()[:5000], "cannot be read"),
     ],
 )
 def test_something_else_is_refused_in_words(
@@ -74,7 +61,6 @@ def test_a_recording_says_who_flew_and_who_said_what_at_which_vehicle_time(
     recorded: Recorded, name: str
 ) -> None:
     flight = recorded(name)
-    known = flight_of(flight)
     assert flight.firmware == ("px4" if name.startswith("px4") else "ardupilot")
     assert flight.kind == ("plane" if "plane" in name or "fixedwing" in name else "copter")
     assert {one[2:4] for one in flight.said} == {(1, 1)}
@@ -90,13 +76,7 @@ def test_a_recording_says_who_flew_and_who_said_what_at_which_vehicle_time(
     assert np.median(late) < 0.02  # a stamp is as old as the way took
     assert np.quantile(late, 0.001) > -0.03
     assert np.quantile(late, 0.9) < 0.1
-    told, world = flight.home, world_of(flight, known)
-    assert (world.vehicle.kind, world.vehicle.autopilot) == (flight.kind, flight.firmware)
-    home = (world.origin.latitude_deg, world.origin.longitude_deg)
-    assert home == pytest.approx((told.latitude_deg, told.longitude_deg), abs=1e-5)
-    assert abs(math.remainder(world.vehicle.heading_deg - told.heading_deg, 360.0)) < 3.0
-    assert known.reasons
-    for reason in known.reasons:  # they are narrow, and say something
+    for reason in flight_of(flight).reasons:  # they are narrow, and say something
         assert len(reason.why) > 20
         assert not reason.names == reason.shown == ".*"
 

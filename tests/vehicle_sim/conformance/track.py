@@ -134,14 +134,6 @@ def _apart(difference: float, tolerance: float, unit: str) -> Apart:
     return abs(difference) / tolerance, f"{abs(difference):.2f} {unit} apart"
 
 
-def _local_track(a: Any, b: Any, near: Tolerances) -> Apart:
-    return _apart(math.hypot(a.x - b.x, a.y - b.y), near.horizontal_m, "m")
-
-
-def _local_height(a: Any, b: Any, near: Tolerances) -> Apart:
-    return _apart(a.z - b.z, near.vertical_m, "m of height")
-
-
 def _global_height(a: Any, b: Any, near: Tolerances) -> Apart:
     """Above home and above mean sea level: the receiver's error is in both."""
     home_m, sea_m = (a.relative_alt - b.relative_alt) * 1e-3, (a.alt - b.alt) * 1e-3
@@ -151,10 +143,6 @@ def _global_height(a: Any, b: Any, near: Tolerances) -> Apart:
 
 def _speed(a: Any, b: Any, near: Tolerances) -> Apart:
     return _apart((math.hypot(a.vx, a.vy) - math.hypot(b.vx, b.vy)) / 100.0, near.speed_m_s, "m/s")
-
-
-def _climb(a: Any, b: Any, near: Tolerances) -> Apart:
-    return _apart((a.vz - b.vz) / 100.0, near.climb_m_s, "m/s of climb")
 
 
 def _heading(a: Any, b: Any, near: Tolerances) -> Apart:
@@ -188,29 +176,43 @@ def _echo(a: Any, b: Any, near: Tolerances) -> Apart:
 
 
 def track_rows(comparison: Comparison) -> Iterator[Row]:
-    """All rows of the flight itself."""
     north_m, east_m = metres_per_degree(comparison.flight.home.latitude_deg)
 
-    def away_m(latitude_e7: int, longitude_e7: int) -> float:
-        return math.hypot(latitude_e7 * 1e-7 * north_m, longitude_e7 * 1e-7 * east_m)
-
-    def horizontally(a: Any, b: Any, near: Tolerances) -> Apart:
-        return _apart(away_m(a.lat - b.lat, a.lon - b.lon), near.horizontal_m, "m")
-
-    def aimed(a: Any, b: Any, near: Tolerances) -> Apart:
-        apart_m = away_m(a.lat_int - b.lat_int, a.lon_int - b.lon_int)
-        level = _apart(apart_m, near.horizontal_m, "m")
-        return max(level, _apart(a.alt - b.alt, near.vertical_m, "m of height"))
+    def level(latitude_e7: int, longitude_e7: int, near: Tolerances) -> Apart:
+        away_m = math.hypot(latitude_e7 * 1e-7 * north_m, longitude_e7 * 1e-7 * east_m)
+        return _apart(away_m, near.horizontal_m, "m")
 
     looks: dict[str, list[tuple[int, Measure]]] = {
         # of these the worst second but one of each bin counts: a step of one side may come a
         # moment later on the other, which is a matter of times; of the others the middle one
         "track": [
-            *((_GLOBAL, horizontally), (_LOCAL, _local_track)),
-            *((_GLOBAL, _global_height), (_LOCAL, _local_height)),
+            (_GLOBAL, lambda a, b, near: level(a.lat - b.lat, a.lon - b.lon, near)),
+            (
+                _LOCAL,
+                lambda a, b, near: _apart(math.hypot(a.x - b.x, a.y - b.y), near.horizontal_m, "m"),
+            ),
+            (_GLOBAL, _global_height),
+            (_LOCAL, lambda a, b, near: _apart(a.z - b.z, near.vertical_m, "m of height")),
         ],
-        "motion": [(_GLOBAL, _speed), (_GLOBAL, _climb), (_GLOBAL, _heading), (_ATTITUDE, _tilt)],
-        "target": [(_LOCAL_TARGET, _echo), (_GLOBAL_TARGET, aimed)],
+        "motion": [
+            (_GLOBAL, _speed),
+            (
+                _GLOBAL,
+                lambda a, b, near: _apart((a.vz - b.vz) / 100.0, near.climb_m_s, "m/s of climb"),
+            ),
+            (_GLOBAL, _heading),
+            (_ATTITUDE, _tilt),
+        ],
+        "target": [
+            (_LOCAL_TARGET, _echo),
+            (
+                _GLOBAL_TARGET,
+                lambda a, b, near: max(
+                    level(a.lat_int - b.lat_int, a.lon_int - b.lon_int, near),
+                    _apart(a.alt - b.alt, near.vertical_m, "m of height"),
+                ),
+            ),
+        ],
     }
     phase_at = phases_of(comparison)
     for kind, measures in looks.items():
@@ -234,14 +236,13 @@ def _binned(
         found = list[tuple[Apart, str]]()
         for number, measure in looks:
             real, simulated = ([at(second) for second in seconds] for at in said[number])
-            apart = sorted(
-                measure(a, b, near)
+            pairs = [
+                (a, b, near)
                 for a, b, near in zip(real, simulated, nearness, strict=True)
                 if a is not None and b is not None
-            )
-            alone, without = (
-                sum(x is not None for x in side) - len(apart) for side in (real, simulated)
-            )
+            ]
+            apart = sorted(measure(*pair) for pair in pairs)
+            alone, without = (BIN_S - side.count(None) - len(apart) for side in (real, simulated))
             if max(alone, without) > _SILENT_S:
                 silent = f"silent for {alone} s" if alone > without else "the real one is silent"
                 found.append(((math.inf, silent), message_name(number)))
@@ -262,15 +263,15 @@ def _beside(said: Sequence[TimedFrame]) -> Callable[[float], Any]:
         place = bisect.bisect_left(times, time_s)
         near = said[max(place - 1, 0) : place + 1]
         best = min(near, key=lambda one: abs(one.time_s - time_s), default=None)
-        there = best is not None and abs(best.time_s - time_s) <= _BESIDE_S
-        return decoded(best) if best is not None and there else None
+        return decoded(best) if best and abs(best.time_s - time_s) <= _BESIDE_S else None
 
     return at
 
 
 # --- battery --------------------------------------------------------------------------------------
 
-_VOLTS, _PER_CENT, _AMPERES = 0.5, 8.0, 10.0
+_CHARGE = (0.5, 8.0, 10.0)
+"""Tolerances of volts, per cent, amperes."""
 
 
 def battery_rows(comparison: Comparison) -> Iterator[Row]:
@@ -278,22 +279,20 @@ def battery_rows(comparison: Comparison) -> Iterator[Row]:
     begin_s, end_s = comparison.recording.begin_s, comparison.recording.end_s
     for name, part in (("begin", 0.1), ("middle", 0.5), ("end", 0.9)):
         at_s = begin_s + part * (end_s - begin_s)
-        said = (
+        real, simulated = (
             min(side.of(_BATTERY), key=lambda each: abs(each[0] - at_s), default=None)
             for side in comparison.sides
         )
-        told = [each and _charge(each[1]) for each in said]
-        real, simulated = told
         if real:
+            told = [each and _charge(each[1]) for each in (real, simulated)]
             apart = math.inf
             if simulated:
-                pairs = zip(real, simulated, (_VOLTS, _PER_CENT, _AMPERES), strict=True)
+                pairs = zip(_charge(real[1]), _charge(simulated[1]), _CHARGE, strict=True)
                 apart = max(abs(a - b) / allowed for a, b, allowed in pairs)
             shown = (f"{e[0]:.2f} V, {e[1]} %, {e[2]:.1f} A" if e else NOTHING for e in told)
             yield row("battery", name, shown, apart, at_s)
 
 
 def _charge(message: Any) -> tuple[float, float, float]:
-    """Volts, per cent, amperes."""
     volts, amperes = message.voltages[0] / 1e3, message.current_battery / 1e2
     return volts, message.battery_remaining, amperes
