@@ -210,7 +210,9 @@ def test_after_a_stall_the_newest_setpoint_comes_and_not_those_that_waited(
     assert asked == [str(number) for number in range(60)]
 
 
-def test_an_order_is_given_to_the_computer_at_once(server: Server) -> None:
+def test_an_order_is_given_to_the_computer_at_once_and_never_dropped(
+    server: Server, terminal: Terminal
+) -> None:
     with open_link(server.name) as link:
         far = server.answers(link)
         link.send([question(number) for number in range(100)])  # more than is to be under way
@@ -218,6 +220,12 @@ def test_an_order_is_given_to_the_computer_at_once(server: Server) -> None:
         got = b""
         while HOLD not in got:  # nobody pushes any more
             got += os.read(far, 4096)
+    orders = [packed(wire.MAVLink_command_long_message(1, 1, 176, 0, *[k] * 7)) for k in range(20)]
+    with open_link(terminal.name) as link:
+        for number, order in enumerate(orders):  # this port takes no more after a while
+            link.send([*map(question, range(200 * number, 200 * number + 200)), order])
+        got = arriving(link, terminal.far, lambda data: orders[-1] in data)
+        assert all(order in got for order in orders)
 
 
 # --- TCP
