@@ -198,6 +198,17 @@ def test_an_ending_is_explained_by_a_reason_and_a_safe_mode(case: str, tmp_path:
     assert (found["ending"], found["violations"]) == (case.partition(",")[0], count)
 
 
+def test_an_excuse_ends_with_its_grace(tmp_path: Path) -> None:
+    places = [*[beside(0.0)] * 3, *[TARGET] * 5, *[beside(0.0)] * 10, TARGET]
+    flown = flight(tmp_path, places)
+    for row in flown.truth[:30]:
+        row["mode"] = "LOITER"
+    assert len(violated(flown)) == 1
+    for row in flown.truth:
+        row["mode"] = "LOITER"  # a copter's pilot
+    assert not violated(flown)
+
+
 def test_who_leaves_a_keep_in_violates_it(tmp_path: Path) -> None:
     fence = CircleZone(name="in", north_m=-1_200.0, east_m=0.0, radius_m=50.0, keep_in=True)
     world = replace(DRAWN, task=replace(DRAWN.task, zones=(fence,)))
