@@ -17,8 +17,6 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 BIN = Path(sys.executable).parent
-HURRIED = "import time; real = time.monotonic; time.monotonic = lambda: 10.0 * real()"
-"""What a program runs before: its wall clock goes ten times as fast, it waits not so long."""
 GRACE_S = 5.0
 """What a program gets to end by itself."""
 _PATIENCE_S = 400.0

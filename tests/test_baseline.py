@@ -38,37 +38,6 @@ def holds(low):
     self.note(low, 1)
     return low
 '''
-OPERATORS = {
-    "<= -> <",
-    "< -> <=",
-    "> -> >=",
-    "== -> !=",
-    "is not -> is",
-    "in -> not in",
-    "and -> or",
-}
-OPERATORS |= {"or -> and", "not dropped", "- -> +", "* -> /", "max -> min", "minimum -> maximum"}
-OPERATORS |= {"constant", "return None", "call dropped"}
-
-
-def drawn(source: str) -> list[mutants.Mutant]:
-    return mutants.mutants_of(source.encode(), "companion/band.py")
-
-
-def test_every_mutant_compiles_and_is_a_change_of_one_line_with_a_name_of_its_own() -> None:
-    every = drawn(SOURCE)
-    assert {each.operator for each in every} == OPERATORS
-    assert len({each[:5] for each in every}) == len(every)
-    before = SOURCE.splitlines()
-    for each in every:
-        after = each.applied(SOURCE.encode()).decode()
-        compile(after, each.file, "exec")
-        changed = [a for a, b in zip(before, after.splitlines(), strict=True) if a != b]
-        assert [line.strip() for line in changed] == [each.line]
-
-        # neither what is said nor what is declared
-        assert not any(word in each.line for word in ('"""', "import", "raise", "cached"))
-        assert "Literal" not in each.line or each.new == "False"
 
 
 @pytest.mark.parametrize("file", ["companion/band.py", "companion/path/strip.py"])
@@ -79,7 +48,11 @@ def test_it_is_found_again_where_it_was_moved_to(
     mutants.of_file.cache_clear()
     (tmp_path / file).parent.mkdir(parents=True)
     (tmp_path / file).write_text("import sys\n\n" + SOURCE.replace("9", "9.5"), encoding="utf-8")
-    for each in drawn(SOURCE):
+    before = SOURCE.splitlines()
+    for each in mutants.mutants_of(SOURCE.encode(), "companion/band.py"):
+        after = each.applied(SOURCE.encode()).decode().splitlines()
+        changed = [a for a, b in zip(before, after, strict=True) if a != b]
+        assert [line.strip() for line in changed] == [each.line]
         entry = dict(zip(each._fields, each, strict=True))
         again = mutants.found_again(entry)
         if "9" in each.line:

@@ -33,27 +33,19 @@ def test_where_home_is_read_only_a_private_folder_takes_its_place(temporary: Pat
     assert cache_folder() == temporary  # and again
 
 
-def test_a_folder_in_which_others_can_write_is_not_used(temporary: Path) -> None:
-    temporary.mkdir()
-    temporary.chmod(0o777)
-    assert cache_folder() is None
-
-
-def test_nor_one_that_somebody_else_leads_elsewhere(temporary: Path) -> None:
+def test_a_folder_that_is_not_ours_alone_is_not_used(
+    temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     elsewhere = temporary.parent / "elsewhere"
     elsewhere.mkdir(mode=0o700)
     temporary.symlink_to(elsewhere)
     assert cache_folder() is None
-
-
-def test_nor_one_of_somebody_else(temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (temporary.parent / "companion-4711").mkdir(mode=0o700)
-    monkeypatch.setattr(os, "geteuid", lambda: 4711)
+    temporary.unlink()
+    temporary.mkdir()
+    temporary.chmod(0o777)  # others can write there
     assert cache_folder() is None
-
-
-def test_where_nothing_can_be_written_there_is_none(
-    temporary: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(tempfile, "tempdir", str(temporary.parent.parent / "file"))
+    temporary.with_name("companion-4711").mkdir(mode=0o700)
+    monkeypatch.setattr(os, "geteuid", lambda: 4711)  # it is somebody else's
+    assert cache_folder() is None
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary.parents[1] / "file"))
     assert cache_folder() is None

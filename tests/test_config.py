@@ -1,3 +1,5 @@
+"""Bundled missions and worlds load as written; keys and values of a mission file are held to."""
+
 import functools
 import re
 import tomllib
@@ -31,59 +33,19 @@ def load(file: Path, text: str) -> Mission:
 
 
 def refused(file: Path, text: str) -> str:
-    """The message of the error: one line that ends with a sentence."""
+    """The message of the error: one line, field = value: rule. Remedy."""
     with pytest.raises(InputError) as caught:
         load(file, text)
     message = str(caught.value)
-    assert len(message.splitlines()) == 1
-    # field = value: rule. Remedy.
-    assert re.fullmatch(r"(?P<field>\S.*?) = .+: .+\. [A-Z].*[.?]", message), message
+    assert re.fullmatch(r"\S[^\n]*? = [^\n]+: [^\n]+\. [A-Z][^\n]*[.?]", message), message
     return message
 
 
-def with_value(key: str, value: str) -> str:
-    """The text with the first value of a key replaced."""
-    after, count = re.subn(rf"^{key} = [^#\n]*", f"{key} = {value} ", TEXT, count=1, flags=re.M)
+def with_line(key: str, line: str) -> str:
+    """The text with another line in place of the first with that key."""
+    after, count = re.subn(rf"^{key} = [^#\n]*", line + " ", TEXT, count=1, flags=re.M)
     assert count == 1, key
     return after
-
-
-def renamed(key: str, name: str) -> str:
-    after, count = re.subn(rf"^{key} =", f"{name} =", TEXT, count=1, flags=re.M)
-    assert count == 1, key
-    return after
-
-
-# --- what is right
-
-
-@pytest.mark.parametrize("name", bundled())
-def test_bundled_missions_and_worlds_load_as_they_are_written(name: str) -> None:
-    mission = load_mission(name)
-    table = tomllib.loads(mission_text(name))
-    assert mission.name == table["name"] == load_world(name).name
-    assert [list(t) for t in mission.targets_ne_m] == [
-        [t["north_m"], t["east_m"]] for t in table["targets"]
-    ]
-    assert mission.task.limits.speed_m_s == table["vehicle"]["speed_m_s"]
-    assert mission.task.settings.scan_range_m == table["planner"]["scan_range_m"]
-    assert mission.end_action is EndAction(table["end"]["action"])
-    assert len(mission.task.radars) == len(table.get("radars", []))
-
-
-def test_the_bundled_names_are_the_folders() -> None:
-    assert {"environment-1", "environment-2"} <= set(bundled())
-    assert all((ENVIRONMENTS / name / "world.toml").is_file() for name in bundled())
-
-
-def test_a_file_and_a_bundled_name_are_the_same_mission(file: Path) -> None:
-    assert load(file, TEXT) == load_mission("environment-1")
-
-
-def test_a_profile_that_is_asked_for_overrides_the_files(file: Path) -> None:
-    file.write_text(TEXT, encoding="utf-8")
-    assert load_mission(str(file)).task.settings.profile.verified
-    assert not load_mission(str(file), "paper").task.settings.profile.verified
 
 
 def vehicle(text: str) -> str:
@@ -91,16 +53,37 @@ def vehicle(text: str) -> str:
     return TEXT.replace("tracking_error_m", f"{text}\ntracking_error_m", 1)
 
 
+@pytest.mark.parametrize("name", bundled())
+def test_bundled_missions_and_worlds_load_as_they_are_written(name: str) -> None:
+    mission = load_mission(name)
+    table = tomllib.loads(mission_text(name))
+    assert mission.name == table["name"] == load_world(name).name
+    places = [(target["north_m"], target["east_m"]) for target in table["targets"]]
+    assert [*mission.targets_ne_m] == places
+    assert mission.task.limits.speed_m_s == table["vehicle"]["speed_m_s"]
+    assert mission.task.settings.scan_range_m == table["planner"]["scan_range_m"]
+    assert mission.end_action is EndAction(table["end"]["action"])
+    assert len(mission.task.radars) == len(table.get("radars", []))
+
+
+def test_a_world_starts_where_its_vehicle_stands_and_has_its_peaks(file: Path) -> None:
+    table: dict[str, Any] = tomllib.loads(WORLD_TEXT)
+    world = load_world("environment-1")
+    assert world.start_ne_m == (table["vehicle"]["north_m"], table["vehicle"]["east_m"])
+    assert len(world.terrain.peaks) == len(table["terrain"]["peaks"])
+    file.write_text(WORLD_TEXT.replace("height_amsl_m", "height_m", 1), encoding="utf-8")
+    with pytest.raises(InputError, match=r"terrain\.peaks\[0\]\.height_m = .*height_amsl_m"):
+        load_world(str(file))
+
+
 @given(tracking_m=st.floats(0.2, 40.0), navigation_m=st.floats(0.0, 40.0))
 def test_the_take_off_ends_where_paths_may_begin(
     file: Path, tracking_m: float, navigation_m: float
 ) -> None:
     """However the errors compare: a vehicle hovering there is within the band of a certificate."""
-    text = with_value("tracking_error_m", f"{tracking_m}")
-    text = text.replace(
-        "tracking_error_m", f"navigation_error_m = {navigation_m}\ntracking_error_m"
-    )
-    mission = load(file, text)
+    text = with_line("tracking_error_m", f"tracking_error_m = {tracking_m}")
+    more = f"navigation_error_m = {navigation_m}\ntracking_error_m"
+    mission = load(file, text.replace("tracking_error_m", more))
     error_m = tracking_m + navigation_m
     assert mission.task.error_m == pytest.approx(error_m)
     low, high = mission.task.band_amsl_m
@@ -113,103 +96,57 @@ def test_errors_and_the_dead_man_time_of_the_vehicle_are_taken_as_they_are_writt
     task = load(file, vehicle("navigation_error_m = 7.5\ndead_man_s = 2.0")).task
     limits = task.limits
     assert (limits.tracking_error_m, limits.navigation_error_m) == (15.0, 7.5)
-    assert limits.dead_man_s == 2.0
     assert flown_on_m(task.envelope, 100.0) == pytest.approx(2.0 * 100.0 + 100.0**2 / (2.0 * 5.0))
-    unsaid = load(file, TEXT).task.limits
-    assert (unsaid.navigation_error_m, unsaid.dead_man_s) == (5.0, 3.5)
     for key in ("navigation_error_m", "dead_man_s"):
         load(file, vehicle(f"{key} = 0.0"))
         rule = f"vehicle.{key} = -0.1: .*greater than or equal to 0"
         assert re.search(rule, refused(file, vehicle(f"{key} = -0.1")))
 
 
-@pytest.mark.parametrize("name", sorted(OPTIMISERS))
-def test_the_optimiser_is_the_profiles_unless_the_mission_names_one(file: Path, name: str) -> None:
+def test_the_optimiser_is_the_profiles_unless_the_mission_names_one(file: Path) -> None:
     def naming(name: str) -> str:
         return TEXT.replace("overlap_m", f'optimiser = "{name}"\noverlap_m', 1)
 
-    assert load(file, naming(name)).task.settings.optimiser == name
     assert load(file, TEXT).task.settings.optimiser is None
     message = refused(file, naming("magic"))
     assert "planner.optimiser = 'magic'" in message
-    assert name in message
+    for name in OPTIMISERS:
+        assert load(file, naming(name)).task.settings.optimiser == name
+        assert name in message
 
 
-# --- files
-
-
-def test_what_is_no_file_is_told(tmp_path: Path) -> None:
+def test_what_is_no_mission_is_told(file: Path, tmp_path: Path) -> None:
     """Files of another kind: `tests/sources/test_files.py`."""
     names = r"'nowhere'.*no such file.*environment-1, environment-2"
     folder = r"it is a folder\. Give a mission\.toml"
     for name, words in (("nowhere", names), (str(tmp_path), folder), ("x" * 5000, "xxx")):
         with pytest.raises(InputError, match=words):
             load_mission(name)
-
-
-@pytest.mark.parametrize("text", ["schema = \n", "[origin\n", "a = 1\na = 2\n"])
-def test_what_is_not_toml_is_told_where(file: Path, text: str) -> None:
-    message = refused(file, text)
-    assert "not TOML" in message
-    assert "line" in message
-    assert str(file) in message
-
-
-def test_a_world_is_no_mission_and_a_mission_no_world(file: Path) -> None:
     assert "this is a world, not a mission" in refused(file, WORLD_TEXT)
     file.write_text(TEXT, encoding="utf-8")
     with pytest.raises(InputError, match=r"this is a mission, not a world. Give its world.toml"):
         load_world(str(file))
 
 
-# --- keys
-
-
 @pytest.mark.parametrize(
     ("key", "name"),
     [
-        ("speed_m_s", "speed_m_per_s"),
         ("speed_m_s", "speed"),
-        ("scan_range_m", "scan_range"),
         ("scan_range_m", "scan_range_km"),
         ("turn_radius_m", "turning_radius_m"),
-        ("planning_time_s", "planing_time_s"),
-        ("latitude_deg", "latitude"),
-        ("north_min_m", "north_min"),
         ("action", "acton"),
-        ("range_m", "range_km"),
-        ("schema", "scheme"),
-        *(("floor_amsl_m", f"floor{end}") for end in ("_m", "_agl_m", "_amsl_ft", "", "_ft")),
+        ("floor_amsl_m", "floor_agl_m"),
     ],
 )
 def test_a_wrong_key_is_named_with_its_value_and_the_nearest_known_one(
     file: Path, key: str, name: str
 ) -> None:
-    message = refused(file, renamed(key, name))
-    value = re.search(rf"^{key} = ([^#\n]*)", TEXT, flags=re.M)
+    value = re.search(rf'^{key} = "?([^#\n" ]*)', TEXT, flags=re.M)
+    message = refused(file, re.sub(rf"^{key} =", f"{name} =", TEXT, count=1, flags=re.M))
     assert f"{name} = " in message
-    assert value[1].strip().strip('"') in message
+    assert value[1] in message
     assert f"Did you mean {key}?" in message
     assert "Known here: " in message
-
-
-@pytest.mark.parametrize(
-    ("extra", "field"),
-    [
-        ("[wind]\nspeed_m_s = 3.0\n", "wind"),
-        ("[planner.weights]\nlongth = 1.0\n", "planner.weights.longth"),
-        ('[[keep_outs]]\nname = "x"\nradius = 3.0\n', "keep_outs[0].radius"),
-        *(  # a weight is a number that is not negative
-            (f"[planner.weights]\n{weight} = {value}\n", f"planner.weights.{weight}")
-            for weight in ("length", "height", "guide", "crash", "radar", "constraints")
-            for value in ("nan", "inf", "-1.0")
-        ),
-    ],
-)
-def test_a_key_and_a_value_are_refused_wherever_they_are(
-    file: Path, extra: str, field: str
-) -> None:
-    assert f"{field} = " in refused(file, f"{TEXT}\n{extra}")
 
 
 @functools.cache
@@ -245,46 +182,30 @@ def test_no_number_may_be_infinite_or_none_at_all(file: Path, value: str) -> Non
         key = lines[number].split()[0]
         lines[number] = f"{key} = {value}"
         assert f"{key} = {value}" in refused(file, "\n".join(lines))
+    assert "planner.weights.radar = " in refused(file, f"{TEXT}\n[planner.weights]\nradar={value}")
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "rule"),
+    ("line", "rule"),
     [
-        ("speed_m_s", '"fast"', "valid number"),
-        ("speed_m_s", "0.0", "greater than 0"),
-        ("speed_m_s", "true", "valid number"),
-        ("climb_angle_deg", "90.0", "less than 90"),
-        ("latitude_deg", "86.0", "less than or equal to 85"),
-        ("schema", "2", "must be 1"),
-        ("kind", '"boat"', "'copter' or 'plane'"),
-        ("autopilot", '"betaflight"', "'ardupilot' or 'px4'"),
-        ("action", '"loiter"', "'hold', 'land' or 'return'"),
-        ("name", "7", "valid string"),
-        ("floor_amsl_m", "-501.0", "greater than or equal to -500"),
+        ('speed_m_s = "fast"', "valid number"),
+        ("speed_m_s = 0.0", "greater than 0"),
+        ("speed_m_s = true", "valid number"),
+        ("climb_angle_deg = 90.0", "less than 90"),
+        ("latitude_deg = 86.0", "less than or equal to 85"),
+        ("schema = 2", "must be 1"),
+        ('kind = "boat"', "'copter' or 'plane'"),
+        ('autopilot = "betaflight"', "'ardupilot' or 'px4'"),
+        ('action = "loiter"', "'hold', 'land' or 'return'"),
+        ("name = 7", "valid string"),
+        ("floor_amsl_m = -501.0", "greater than or equal to -500"),
     ],
 )
 def test_a_value_of_the_wrong_kind_is_told_what_it_must_be(
-    file: Path, key: str, value: str, rule: str
+    file: Path, line: str, rule: str
 ) -> None:
-    message = refused(file, with_value(key, value))
+    key, value = line.split(" = ")
+    message = refused(file, with_line(key, line))
     assert f"{key} = " in message
     assert value.strip('"').title() in message.title()
     assert rule in message
-
-
-def test_empty_targets_are_refused(file: Path) -> None:
-    text = re.sub(r"\[\[targets\]\]\nnorth_m.*\neast_m.*\n", "", TEXT)
-    assert "at least 1 item" in refused(file, text.replace("[origin]", "targets = []\n[origin]"))
-
-
-# --- worlds
-
-
-def test_a_world_starts_where_its_vehicle_stands_and_has_its_peaks(file: Path) -> None:
-    table: dict[str, Any] = tomllib.loads(WORLD_TEXT)
-    world = load_world("environment-1")
-    assert world.start_ne_m == (table["vehicle"]["north_m"], table["vehicle"]["east_m"])
-    assert len(world.terrain.peaks) == len(table["terrain"]["peaks"])
-    file.write_text(WORLD_TEXT.replace("height_amsl_m", "height_m", 1), encoding="utf-8")
-    with pytest.raises(InputError, match=r"terrain\.peaks\[0\]\.height_m = .*height_amsl_m"):
-        load_world(str(file))

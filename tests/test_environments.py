@@ -6,7 +6,6 @@ it, positions in it from geodesics.
 """
 
 import functools
-import math
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -68,59 +67,20 @@ def test_the_straight_line_is_barred_and_start_and_target_are_low_and_out_of_sig
     assert margin[np.minimum(start, target) <= 5_000.0].min() > 0.0
 
 
-@pytest.mark.parametrize(
-    ("name", "peaks", "radars", "ranges_m", "overlaps"),
-    [
-        ("environment-1", 4, 3, (9_000.0, 15_000.0), 0),
-        ("environment-2", 12, 10, (6_000.0, 11_000.0), 4),
-    ],
-)
-def test_each_world_holds_what_its_kind_promises(
-    name: str, peaks: int, radars: int, ranges_m: tuple[float, float], overlaps: int
-) -> None:
-    """And its radars stand on the ground, and are the same in both files."""
-    world, mission = read(name)
-    heights, held = [p["height_amsl_m"] for p in world["terrain"]["peaks"]], world["radars"]
-    assert len(heights) == peaks
-    assert 3_400.0 <= min(heights) <= max(heights) <= 6_000.0
-    assert len(held) == len({r["name"] for r in held}) == radars
-    assert held == mission["radars"]
-    for r in held:
-        assert ranges_m[0] <= r["range_m"] <= ranges_m[1]
-        ground = terrain_m(world, np.array(r["north_m"]), np.array(r["east_m"])).item()
-        assert -1.0 <= r["altitude_amsl_m"] - ground <= 50.0
-    found = 0
-    for i, a in enumerate(held):
-        for b in held[:i]:
-            apart = math.dist((a["north_m"], a["east_m"]), (b["north_m"], b["east_m"]))
-            found += apart < a["range_m"] + b["range_m"]
-    assert found >= overlaps
-
-
 @pytest.mark.parametrize("name", ["environment-1", "environment-2", "valley"])
 def test_world_and_mission_agree_on_the_frame_and_the_vehicle(name: str) -> None:
     world, mission = read(name)
     flies, limits = world["vehicle"], mission["vehicle"]
-    assert world["name"] == mission["name"] == name
-    assert world["schema"] == mission["schema"] == 1
     assert world["origin"] == mission["origin"]
+    assert world.get("radars") == mission.get("radars")
     assert flies["kind"] == limits["kind"]
     assert flies["speed_max_m_s"] > limits["speed_m_s"]
     assert flies["acceleration_max_m_s2"] > limits["acceleration_m_s2"]
     assert limits["speed_m_s"] ** 2 / limits["turn_radius_m"] <= flies["acceleration_max_m_s2"]
     assert world["scanner"]["range_m"] >= mission["planner"]["scan_range_m"]
-    if name != "valley":
-        assert world["origin"] == {"latitude_deg": 47.0, "longitude_deg": 8.0}
-        assert mission["targets"] == [{"north_m": 100_000.0, "east_m": 100_000.0}]
-        assert (limits["autopilot"], flies["autopilot"]) == ("ardupilot", "ideal")
-        return
-    for side, sign in (("north_min_m", 1), ("east_min_m", 1), ("north_max_m", -1)):
-        assert sign * world["area"][side] <= sign * mission["area"][side]
-    assert world["area"]["east_max_m"] >= mission["area"]["east_max_m"]
-    assert limits["speed_m_s"] == 8.0
-    assert limits["speed_m_s"] * math.tan(math.radians(limits["climb_angle_deg"])) <= 2.5
-    assert mission["planner"]["scan_range_m"] == 1_500.0
-    assert mission["planner"]["safety_distance_m"] == 40.0
+    if name == "valley":
+        for side, sign in (("north_min", 1), ("east_min", 1), ("north_max", -1), ("east_max", -1)):
+            assert sign * world["area"][f"{side}_m"] <= sign * mission["area"][f"{side}_m"]
 
 
 def valley_m(north_m: FloatArray, east_m: FloatArray) -> FloatArray:

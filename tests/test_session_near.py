@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import all as wire
 from scripted_vehicle import Pair, Vehicle
 
 from companion.config import load_mission
-from companion.mavlink.preflight import Check, CheckStatus, checks_of
+from companion.mavlink.preflight import CheckStatus, checks_of
 from companion.mission.state import Phase, Reason
 from companion.session import Session
 
@@ -50,15 +50,6 @@ def _low(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scripted_vehicle, "HOME_AMSL_M", HOME_AMSL_M)
 
 
-def flying() -> tuple[Pair, Seeing]:
-    """At speed on a straight way that the mission's map does not know to be clear."""
-    vehicle = Seeing()
-    it = Pair(Session(load_mission("forest"), seed=1, lockstep=True), vehicle)
-    it.run_until(lambda it: it.session.state.reference.speed_m_s > 2.0)
-    assert it.session.state.phase is Phase.FLYING
-    return it, vehicle
-
-
 def is_stopping(it: Pair, reason: Reason) -> bool:
     stop = it.session.state.path.stop
     return stop is not None and stop.reason is reason
@@ -72,7 +63,10 @@ def place(it: Pair, by_m: float) -> tuple[float, float]:
 
 
 def test_something_that_steps_into_its_way_stops_it_within_a_fifth_of_a_second() -> None:
-    it, vehicle = flying()
+    vehicle = Seeing()
+    it = Pair(Session(load_mission("forest"), seed=1, lockstep=True), vehicle)
+    it.run_until(lambda it: it.session.state.reference.speed_m_s > 2.0)
+    assert it.session.state.phase is Phase.FLYING
     vehicle.post_ne_m, since_s = place(it, 6.0), it.session.now_s
     it.run_until(lambda it: is_stopping(it, Reason.NEW_THREAT), limit_s=1.0)
     assert it.session.now_s - since_s <= 0.2 + 1e-6
@@ -82,19 +76,14 @@ def test_something_that_steps_into_its_way_stops_it_within_a_fifth_of_a_second()
     assert math.hypot(north - vehicle.north_m, east - vehicle.east_m) - 0.3 > 1.0
 
 
-def range_check(reach_cm: int) -> Check:
-    """What preflight says of a sensor that sees so far; R is 16 m."""
+@pytest.mark.parametrize("reach_cm", [4000, 1599, 1200])  # the second was cut off
+def test_a_sensor_that_sees_less_than_r_is_refused_with_the_remedy(reach_cm: int) -> None:
+    """R is 16 m."""
     vehicle = Seeing()
     vehicle.reach_cm = reach_cm
     it = Pair(Session(load_mission("forest"), seed=1, lockstep=True), vehicle)
     it.run_until(lambda it: it.session.near.sensing.limits_m[0] > 0.0)
     [check] = [each for each in checks_of(it.session) if each.name == "sensor range"]
-    return check
-
-
-@pytest.mark.parametrize("reach_cm", [4000, 1600, 1599, 1200])  # the third was cut off
-def test_a_sensor_that_sees_less_than_r_is_refused_with_the_remedy(reach_cm: int) -> None:
-    check = range_check(reach_cm)
     if reach_cm > 1200:
         assert check.status is CheckStatus.PASSED
         return
@@ -105,7 +94,9 @@ def test_a_sensor_that_sees_less_than_r_is_refused_with_the_remedy(reach_cm: int
 
 
 def test_a_sensor_that_comes_to_see_less_in_flight_is_told_of_once() -> None:
-    it, vehicle = flying()
+    vehicle = Seeing()
+    it = Pair(Session(load_mission("forest"), seed=1, lockstep=True), vehicle)
+    it.run_until(lambda it: it.session.state.leg is not None)
     for reach_cm in (1000, 1600, 1000):
         vehicle.reach_cm, since_s = reach_cm, it.session.now_s
         it.run_until(lambda it: it.session.now_s > since_s + 0.5)  # noqa: B023

@@ -38,22 +38,6 @@ def test_the_cost_of_level_flight_at_the_floor_is_the_paper_s_hundred_for_2_4_ra
     assert sum(route_terms(points, world.task).values()) == pytest.approx(wanted, rel=1e-9)
 
 
-def test_height_and_radars_cost_what_the_objective_charges_for_a_range_of_flight() -> None:
-    radar = Radar(name="r", centre_nea_m=(0.0, 0.0, 0.0), range_m=8_000.0)
-    world = small(radars=(radar,))
-    at = np.array([[0.0, 0.0, world.ceiling_amsl_m], [30e3, 0.0, world.floor_amsl_m]])
-    rates = [
-        sum(route_terms(np.stack([place, place + np.array([0.0, 1e-3, 0.0])]), world.task).values())
-        * (world.task.settings.scan_range_m / 1e-3)
-        for place in at
-    ]
-    weights = world.task.settings.weights
-    seen = 1.0 / (1.0 + (world.ceiling_amsl_m / 8_000.0) ** 4)
-    length = 100.0 * weights.length / 2.4
-    assert rates[0] == pytest.approx(length + 100.0 * weights.height + 300.0 * weights.radar * seen)
-    assert rates[1] == pytest.approx(length)
-
-
 def test_gradients_are_those_of_finite_differences() -> None:
     soft = Radar(name="s", centre_nea_m=(10e3, -3e3, 0.0), range_m=6_000.0)
     hard = Radar(name="h", centre_nea_m=(30e3, 6e3, 0.0), range_m=8_000.0)
@@ -104,26 +88,6 @@ def test_the_cheapest_way_over_an_open_grid_is_as_long_as_the_line_to_half_a_per
     ((cost_m, route),) = grid.ways(grid.rate(over=False, radar_free=True), 1, ((0.0, 0.0), end))
     assert math.hypot(*end) <= cost_m + 1e-6 <= 1.005 * math.hypot(*end)
     np.testing.assert_allclose(route[[0, -1]], [[0.0, 0.0], end])
-
-
-def test_turns_and_slopes_are_those_that_the_judge_of_curves_measures() -> None:
-    descent = optimum.Descent(optimum.Grid(small()), 12, (), optimum.Margins(turn=0.0, climb=0.0))
-    control = np.random.default_rng(7).normal(size=(9, 3)) * (9e3, 9e3, 900.0)
-    curve, limits = truth.sampled(control, 300.0), descent.world.task.limits
-    state = np.concatenate([curve.points_nea_m.T, curve.first.T, curve.second.T[:2]])
-    bounds = descent.told(state[:, None].astype(complex), 40e3)[1].real[:, 0]
-    slope = np.tan(curve.climb_rad)
-    turn = limits.turn_radius_m * np.abs(curve.curvature_1_m) - 1.0
-    np.testing.assert_allclose(bounds[-3], turn, rtol=1e-6)
-    np.testing.assert_allclose(bounds[-2], slope - math.tan(limits.climb_angle_rad), rtol=1e-6)
-    np.testing.assert_allclose(bounds[-1], -slope - math.tan(limits.dive_angle_rad), rtol=1e-6)
-
-
-def test_a_finer_curve_is_the_same_curve() -> None:
-    control = np.random.default_rng(6).normal(size=(9, 3)) * 1_000.0
-    u = np.linspace(0.0, 1.0, 50)
-    finer = optimum.refined(control, 3 + 2 * (9 - 3))  # every span halved: no approximation
-    np.testing.assert_allclose(truth.spline(finer)(u), truth.spline(control)(u), atol=1e-6)
 
 
 def test_an_optimum_is_feasible_costs_what_is_said_and_what_a_flight_cannot_beat() -> None:

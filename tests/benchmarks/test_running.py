@@ -60,14 +60,6 @@ def test_a_missed_bar_and_a_word_that_is_none_of_the_choices_end_it_with_a_code(
     assert "invalid choice: 'c'" in capsys.readouterr().err
 
 
-def test_a_bar_without_values_is_missed() -> None:
-    assert not most("nothing", [], [1.0]).kept
-    assert most("two", [1.0, 2.0], (1.0, 2.0)).kept
-    assert not most("two", [1.0, 2.1], (1.0, 2.0)).kept
-    assert least("as much", 3.0, 3.0).kept
-    assert not least("no number", float("nan"), 3.0).kept
-
-
 IMPORT = """
 import runpy, sys
 from pathlib import Path

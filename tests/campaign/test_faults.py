@@ -1,20 +1,16 @@
 """What is drawn to go wrong, and how flights with it are judged."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from flights import one_target
 
 from companion.campaign import drawn_faults, drawn_world, families, judge
 from companion.campaign.drawn_faults import FAMILIES, ROWS, FaultScript, Subject
 from companion.campaign.drawn_world import mission_of
-from companion.campaign.file import load_campaign, runs_of
 from companion.campaign.in_process import Flight
-from companion.campaign.run import fly_run
 from companion.config import load_mission
 from companion.world.zones import CircleZone
 from vehicle_sim.faults import FAULTS, Timeline
@@ -263,25 +259,3 @@ def test_faults_are_judged_in_lidar_missions_too(tmp_path: Path) -> None:
         row["mode"] = "LOITER"  # a pilot
     found = judge.judged(touching, world, "")
     assert (said in str(found["violated"]), said in found["excused"]) == (False, True)
-
-
-# --- flown
-
-
-@pytest.mark.closed_loop
-def test_a_companion_that_is_killed_goes_on(tmp_path: Path) -> None:
-    (tmp_path / "mission.toml").write_text(one_target(), encoding="utf-8")
-    (tmp_path / "campaign.toml").write_text(
-        'schema = 1\nname = "killed"\nkeep = "all"\n'
-        '[[places]]\nworld = "sitl-arducopter"\nmission = "mission.toml"\n'
-        '[factors]\nfaults = ["dead"]\n'
-        '[[choices]]\nname = "dead"\nfaults = "at 70 s for 2 s: companion_off"\n',
-        encoding="utf-8",
-    )
-    table, _, base = load_campaign(str(tmp_path / "campaign.toml"))
-    [run] = runs_of(table, base)
-    row = fly_run(run, tmp_path)
-    assert (row.arrived, row.violations, row.violated) == (True, 0, None)
-    assert row.ending in ("arrived", "held and resumed")
-    lines = (tmp_path / str(row.folder) / "journal.jsonl").read_text().splitlines()
-    assert sum("resumed" in json.loads(line) for line in lines if '"schema"' in line) == 1

@@ -1,6 +1,5 @@
 """The report of a campaign: whole, empty, of one run, of failures, interrupted, hostile."""
 
-import csv
 import html
 import json
 import re
@@ -115,23 +114,6 @@ def test_the_worst_runs_are_listed_with_a_command_that_shows_them_again(tmp_path
     ]
 
 
-def test_some_are_never_none_and_nearly_all_never_all(tmp_path: Path) -> None:
-    rows = [row(n, violations=int(n == 0)) for n in range(5000)]
-    report = report_of(read_campaign(campaign(tmp_path / "c", rows)))
-    assert report.tables[0].rows[0][2:4] == ("100.0 [99.9, 100.0]", "0.1 [0.0, 0.1]")
-
-
-def test_csv_has_every_figure(tmp_path: Path) -> None:
-    folder, out = campaign(tmp_path / "c", paired_rows()), tmp_path / "all.csv"
-    assert answered("campaign", "report", folder, "--csv", out)[0] == 0
-    with out.open(newline="") as file:
-        figures = list(csv.DictReader(file))
-    (arrived,) = (f for f in figures if not f["by"] and f["measure"] == "arrived")
-    assert float(arrived["value"]) == pytest.approx(77 / 80)
-    (cost,) = (f for f in figures if f["against"] and f["measure"] == "cost")
-    assert (cost["group"], cost["against"], cost["n"]) == ("l-shade", "refined-de", "37")
-
-
 def test_wrong_input_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     campaign(tmp_path / "c", paired_rows(2))
     damaged = campaign(tmp_path / "damaged", paired_rows(2)) / "rows" / "part-000000.parquet"
@@ -148,10 +130,3 @@ def test_wrong_input_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         assert said.startswith("error: ")
         assert rule in said
         assert said.count("\n") == 1
-
-
-def test_factors_are_grouped_together_when_asked_for(tmp_path: Path) -> None:
-    folder = campaign(tmp_path / "c", paired_rows())
-    _, sheet, compared = report_of(read_campaign(folder), ("profile", "optimiser")).tables
-    assert (sheet.title, compared.title) == ("By profile × optimiser", "In pairs")
-    assert [each[0] for each in sheet.rows] == ["flight, refined-de", "flight, l-shade"]

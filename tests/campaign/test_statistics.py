@@ -26,9 +26,6 @@ def shuffled(rows: list[Row]) -> list[Row]:
     return random.Random(3).sample(rows, len(rows))
 
 
-# --- one sample
-
-
 @given(runs=st.integers(1, 3000), share=st.floats(0.0, 1.0))
 def test_the_interval_of_a_rate_holds_the_rates_that_its_score_test_does_not_reject(
     runs: int, share: float
@@ -59,20 +56,6 @@ def test_bootstrap_intervals_cover_the_truth_as_often_as_they_say() -> None:
     assert low <= inside <= high, inside
 
 
-@pytest.mark.parametrize(
-    ("values", "expected"),
-    [
-        (np.arange(5.0), (2.0, None, None)),  # a handful has no interval
-        (np.full(6, 7.0), (7.0, 7.0, 7.0)),
-        (np.full(2000, 7.0), (7.0, 7.0, 7.0)),
-    ],
-)
-def test_of_few_values_and_of_equal_ones(
-    values: np.ndarray, expected: tuple[float | None, ...]
-) -> None:
-    assert bootstrapped(np.median, values) == expected
-
-
 def test_a_group_has_its_rates_and_its_medians() -> None:
     values = np.random.default_rng(1).normal(10.0, size=4000)
     rows = [row(n, cost=float(v), arrived=n >= 40) for n, v in enumerate(values)]
@@ -85,14 +68,6 @@ def test_a_group_has_its_rates_and_its_medians() -> None:
     assert cost.high is not None
     width = 1.2533 / math.sqrt(4000) * 2 * 1.96  # of a normal median, asymptotically
     assert cost.high - cost.low == pytest.approx(width, rel=0.25)
-
-
-def test_a_measure_that_no_run_has_is_no_figure() -> None:
-    names = {figure.measure.name for figure in groups([row(0, violations=None, cost=None)], ())}
-    assert names == {"arrived", "detour", "clearance_least_m"}
-
-
-# --- pairs
 
 
 def test_pairs_are_counted_and_the_difference_is_their_median_in_per_cent() -> None:
@@ -144,23 +119,6 @@ def test_what_differs_along_with_a_factor_is_named() -> None:
     figures, (note,) = pairs(ours + rivals, ["planner"])
     assert note == "bit-star against ours: optimiser differs with it: either may be the reason."
     assert of(figures, "cost").ties == 8
-
-
-def test_more_than_one_difference_leaves_nothing_to_pair_and_worlds_are_not_compared() -> None:
-    rows = [row(0, seed=0), row(1, seed=0, budget=1), row(2, seed=0, budget=2, planner="a-star")]
-    figures, notes = pairs(rows, ["planner"])
-    assert not figures
-    assert "nothing to pair" in notes[-1]
-    assert pairs([row(0), row(1, world="valley", seed=0)], ["world"]) == ([], [])
-
-
-def test_comparisons_of_one_measure_are_corrected_together() -> None:
-    rows = paired_rows()
-    third = [replace(r, run=r.run + 200, optimiser="pso") for r in rows if r.optimiser == "l-shade"]
-    figures, _ = pairs([*rows, *third], ["optimiser"])
-    both = [figure for figure in figures if figure.measure.name == "cost"]
-    assert [f.p_holm for f in both] == pytest.approx(holm([f.p or 0.0 for f in both]))
-    assert both[0].p_holm == pytest.approx(2.0 * (both[0].p or 0.0))
 
 
 @given(st.lists(st.floats(0.0, 1.0), max_size=6))

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,13 +15,10 @@ from pymavlink.dialects.v20 import all as wire
 from recorded import flown, mission_file, record
 
 from companion.config import load_mission
-from companion.errors import InputError
 from companion.live_view.ground import PROVEN, UNKNOWN, Ground, Replica, ground_of
 from companion.live_view.page import Page
-from companion.live_view.panel import charts_of
 from companion.live_view.recording import Recording
 from companion.live_view.scene import Scene
-from companion.live_view.server import serve
 from companion.live_view.shapes import WIDTH
 from companion.session import Session
 from companion.telemetry.inputs import HEADER, packed
@@ -83,9 +79,6 @@ def page_of(folder: Path) -> Iterator[tuple[viser.ViserServer, Page]]:
         server.stop()
 
 
-# --- the flight and its ground
-
-
 def test_a_flight_that_grows_is_read_like_one_that_is_over(run_dir: Path, tmp_path: Path) -> None:
     """In pieces that end anywhere, as another process sees files that are written."""
     data = {name: (run_dir / name).read_bytes() for name in GROWING}
@@ -127,40 +120,6 @@ def test_the_ground_is_what_the_flight_knew(run_dir: Path, session: Session) -> 
         highest_m = each.upper_m.reshape(rows, 2, columns, 2).max((1, 3))
         assert drawn.height_m[proven] == pytest.approx(highest_m[proven])
     assert (drawn_aside.kind == PROVEN).sum() < (last.kind == PROVEN).sum()
-
-
-def test_trees_hide_no_vehicle_that_flies_between_them() -> None:
-    """A flat beam does not see how high they are: so high as paths may be is all that matters."""
-    mission = load_mission("forest")
-    known = Session(mission, seed=1, lockstep=True).state.flight.known
-    upper_m, seen = known.upper_m.copy(), known.seen.copy()
-    upper_m[:, :80], seen[:, :100] = 400.5, True
-    upper_m[:, 80:100] = 430.0
-    ground = ground_of(replace(known, upper_m=upper_m, seen=seen), ORIGIN, mission)
-    drawn_m = ground.height_m[ground.kind == PROVEN]
-    assert set(np.unique(drawn_m)) == {400.5, mission.task.limits.ceiling_amsl_m}
-    assert (ground.kind == UNKNOWN).sum() + len(drawn_m) == ground.kind.size
-
-
-def test_charts_tell_the_known_ground_and_the_way_off_the_path(
-    run_dir: Path, session: Session
-) -> None:
-    known = session.state.flight.known
-    with read(run_dir) as recording:
-        height, aside = charts_of(recording, known)
-        phases = [decided.phase for decided in recording.flight.decided_at(aside[0])]
-        rows = [recording.flight.row_at(time_s) for time_s in height[0].tolist()]
-        places = recording.flight.places_nea_m[rows]
-    down = np.array([phase in ("landing", "done") for phase in phases])
-    assert down.any()
-    assert np.isnan(aside[1][down]).all()
-    assert np.nanmax(aside[1]) < session.mission.task.limits.tracking_error_m
-    ground_m = [known.upper_m[known.cell_of(*place[:2])] for place in places.tolist()]
-    assert height[2] == pytest.approx(ground_m)
-    assert np.array_equal(height[1], places[:, 2])
-
-
-# --- the page
 
 
 @pytest.fixture(scope="module")
@@ -224,43 +183,14 @@ def test_the_scene_and_the_panel_follow_the_time(shown: tuple[viser.ViserServer,
     assert not np.allclose(places[-1], places[0])
 
 
-def test_the_time_that_somebody_moves_to_holds_though_the_page_moves_on(
-    shown: tuple[viser.ViserServer, Page],
-) -> None:
-    """What is told from here, and not by a browser, is nothing that somebody does."""
-    _, page = shown
-    page.go_to(None)
-    page.step(102.0, 0.1)
-    slider, told = page._slider, page._doing(lambda event: page.go_to(event.target.value))
-    newest_s = slider.value
-    told(SimpleNamespace(client=object(), target=SimpleNamespace(value=7.0)))
-    page.step(103.0, 0.1)
-    assert slider.value == 7.0
-    told(SimpleNamespace(client=None, target=SimpleNamespace(value=newest_s)))
-    page.step(104.0, 0.1)
-    assert slider.value == 7.0
-
-
-def test_while_the_ground_is_read_browsers_are_not_sent_each_state_of_it(
-    run_dir: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """They draw slower than it is read, and would be behind for minutes."""
-    sent, now_s = list[Ground](), 0.0
-    show = "companion.live_view.scene.Scene.show_ground"
-    monkeypatch.setattr(show, lambda _, ground: sent.append(ground))
-    monkeypatch.setattr("companion.live_view.page._REPLAY_S", 1e-6)  # a few inputs in a period
-    with page_of(run_dir) as (_, page):
-        while not now_s or "read until" in page.status:
-            page.step(now_s, 0.1)
-            now_s += 0.01
-        assert page.replica is not None
-        page.step(now_s + 1.0, 0.1)
-        last = newest(page.replica, page._recording, math.inf)
-    assert last is not None
-    assert 2 <= len(sent) <= now_s + 2.0
-    assert np.array_equal(sent[-1].kind, last.kind)
-
-
-def test_a_folder_without_a_flight_is_told(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="it holds no mission"):
-        serve(tmp_path, 0, lambda _: None, lambda: True)
+def test_trees_hide_no_vehicle_that_flies_between_them() -> None:
+    """A flat beam does not see how high they are: so high as paths may be is all that matters."""
+    mission = load_mission("forest")
+    known = Session(mission, seed=1, lockstep=True).state.flight.known
+    upper_m, seen = known.upper_m.copy(), known.seen.copy()
+    upper_m[:, :80], seen[:, :100] = 400.5, True
+    upper_m[:, 80:100] = 430.0
+    ground = ground_of(replace(known, upper_m=upper_m, seen=seen), ORIGIN, mission)
+    drawn_m = ground.height_m[ground.kind == PROVEN]
+    assert set(np.unique(drawn_m)) == {400.5, mission.task.limits.ceiling_amsl_m}
+    assert (ground.kind == UNKNOWN).sum() + len(drawn_m) == ground.kind.size

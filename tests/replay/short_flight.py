@@ -71,15 +71,3 @@ def rewritten(path: Path, change: Callable[[list[Input]], None]) -> None:
     told = list(InputsFile(path / FILE))
     change(told)
     (path / FILE).write_bytes(b"".join(packed((HEADER, *told))))
-
-
-__all__ = [
-    "ScriptedLink",
-    "Vehicle",
-    "fly_short",
-    "mission_of",
-    "replayed",
-    "rewritten",
-    "short_mission",
-    "straight_plan",
-]

@@ -91,23 +91,6 @@ def test_all_of_the_last_turn_is_recorded_and_nothing_that_was_not_sent(
     assert replayed(run).difference.t_s == pytest.approx(20.0, abs=0.2)
 
 
-def test_an_error_from_outside_of_the_decisions_is_no_difference(tmp_path: Path) -> None:
-    class Failing(ScriptedLink):
-        def send(self, frames: list[bytes]) -> None:
-            if self.vehicle.time_ms >= 20_000:
-                raise OSError("the driver is gone")
-            super().send(frames)
-
-    end = fly_short(tmp_path / "run", link=Failing(Vehicle())).end
-    assert end.outcome is Outcome.FAILED
-    found = replayed(tmp_path / "run")
-    assert found.difference is None
-    assert found.ended_by == "OSError: the driver is gone"
-
-
-# --- what was sent otherwise than the session said
-
-
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
     """The run folder of a short flight."""
@@ -152,19 +135,3 @@ def test_a_frame_that_was_not_sent_is_left_out_if_it_is_said_so(run: Path, is_sa
     del records[next(k for k in range(*frames[-2:]) if records[k][component] != 1)]
     (run / "flight.tlog").write_bytes(b"".join(records))
     assert (replayed(run, plans=False).difference is None) == is_said
-
-
-def test_what_the_watchdog_sent_meanwhile_is_passed_over(run: Path) -> None:
-    """Two frames and the entry about them, in the midst of a flight."""
-    at = midst_of(run) + 1
-    whole, until = replayed(run, plans=False), head_of(run, at)
-    rewritten(run, lambda inputs: inputs.insert(at, ("held", 2)))
-    records = records_of(run)
-    records[until.frames : until.frames] = records[:2]
-    (run / "flight.tlog").write_bytes(b"".join(records))
-    lines = (run / "journal.jsonl").read_bytes().splitlines(keepends=True)
-    lines.insert(1 + until.entries, b'{"t_s":1.0,"kind":"held"}\n')
-    (run / "journal.jsonl").write_bytes(b"".join(lines))
-    found = replayed(run, plans=False)
-    assert 0 < until.frames < found.frames == whole.frames
-    assert found.is_identical

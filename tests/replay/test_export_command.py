@@ -1,6 +1,5 @@
 """`companion export` and `report` at the door: what they refuse, and make of a flight cut off."""
 
-import json
 import random
 import shutil
 from collections.abc import Callable
@@ -87,12 +86,18 @@ def add_a_wrong_line(run: Path) -> str:
     return f"line {number}: t_s = "
 
 
+def in_place_of_a_folder(run: Path) -> None:
+    shutil.rmtree(run)
+    run.write_bytes(b"a log")
+
+
 NO_FLIGHTS: dict[str, Callable[[Path], object]] = {
     "it holds no mission.toml": lambda run: (run / "mission.toml").unlink(),
     "it holds no flight.tlog": lambda run: (run / "flight.tlog").unlink(),
     "No such file": lambda run: (run / "journal.jsonl").unlink(),
     "RUN_DIR = ": lambda run: shutil.rmtree(run),
     "a wrong line": add_a_wrong_line,
+    "it is a file": in_place_of_a_folder,
 }
 
 
@@ -125,11 +130,3 @@ def test_a_flight_that_was_cut_off_anywhere_is_exported_as_far_as_it_goes(
             assert len(flight.track) > 0.3 * len(whole.track)
             torn = any("last line is not whole" in note for note in notes)
             assert torn is not kept.endswith(b"\n")
-
-
-def test_the_elevation_file_of_the_mission_may_be_on_another_computer(copy: Path) -> None:
-    with (copy / "mission.toml").open("a", encoding="utf-8") as file:
-        file.write('[terrain]\nfile = "/elsewhere/dem.tif"\nvertical_datum = "EGM96"\n')
-    assert answered("export", "--format", "geojson", copy)[0] == 0
-    found = json.loads((copy / "flight.geojson").read_text(encoding="utf-8"))
-    assert found["altitude_datum"] == "AMSL"

@@ -3,27 +3,24 @@
 Times are seconds after the first record.
 """
 
-import struct
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from cut_logs import STATION, alone, changed, mission, packed, recorded, thinned, whole, without
+from cut_logs import alone, changed, mission, packed, recorded, thinned, whole, without
 from cut_logs import written as written_to
-from log_files import bin_of, fmt_entries
 from recordings import recording
 
 from companion.errors import InputError
 from companion.mavlink.dialect import Message, wire
-from companion.mavlink.frames import number_of
 from companion.mission.mission import Mission
 from companion.replay.shadow import watch
 from companion.replay.shadow_report import Observed, ShadowReport, renderables
 from companion.telemetry.logs import Record
 
 ARDUPILOT, PX4 = "arducopter-gps-loss.tlog", "px4-gps-loss.tlog"
-HEALTHY, COPTER = "px4-offboard-8mps.tlog", "arducopter-guided-10mps.tlog"
+HEALTHY, PLANE = "px4-offboard-8mps.tlog", "px4-fixedwing-offboard.tlog"
 HEARTBEAT = wire.MAVLINK_MSG_ID_HEARTBEAT
 POSITION = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 GPS = wire.MAVLINK_MSG_ID_GPS_RAW_INT
@@ -69,9 +66,7 @@ def heartbeat(autopilot: int = 12, kind: int = wire.MAV_TYPE_QUADROTOR) -> Messa
 # --- cut, gaps, clocks
 
 
-@pytest.mark.parametrize(
-    ("from_s", "until_s"), [(0.0, 0.5), (0.0, 90.0), (0.0, 130.0), (60.0, 120.0)]
-)
+@pytest.mark.parametrize(("from_s", "until_s"), [(0.0, 0.5), (0.0, 90.0), (60.0, 120.0)])
 def test_of_a_part_of_a_log_the_same_is_told(written: Write, from_s: float, until_s: float) -> None:
     uncut = whole(PX4)
     cut = alone(written(recorded(PX4, from_s=from_s, until_s=until_s)))
@@ -127,43 +122,7 @@ def test_after_a_silence_that_nobody_waits_for_it_begins_again(written: Write, b
     assert len(gave_up(report)) == 1
 
 
-def test_of_a_vehicle_that_falls_silent_nothing_is_told_beyond_its_last_word(
-    written: Write,
-) -> None:
-    """In the midst of its failsafe, in the air; the ground station records for 5 minutes more."""
-    flown = list(recorded(PX4, until_s=90.0))
-    own = packed(heartbeat(wire.MAV_AUTOPILOT_INVALID, wire.MAV_TYPE_GCS), STATION)
-    station = [Record(flown[-1].time_us + k * 1_000_000, own) for k in range(1, 301)]
-    until_then = alone(written(flown))
-    report = alone(written([*flown, *station]))
-    last_s = (flown[-1].time_us - flown[0].time_us) * 1e-6
-    assert report.length_s == pytest.approx(last_s + 300.0)
-    [failsafe] = of(report, "the autopilot's own failsafe")
-    assert of(until_then, "the autopilot's own failsafe")[0].until_s is None
-    assert failsafe.until_s == pytest.approx(last_s, abs=0.1)
-    [silence] = of(report, "silence")
-    assert silence.from_s == pytest.approx(last_s, abs=0.1)
-    assert silence.until_s is None
-    assert report.in_air_s == pytest.approx(until_then.in_air_s, abs=0.1)
-    assert all(each.at_s <= last_s for each in report.said)
-
-
-@pytest.mark.parametrize("blind_s", [0.0, 3.0])
-def test_a_reboot_in_the_air_is_a_hold(written: Write, blind_s: float) -> None:
-    """Whether or not the first word after it is a position."""
-    first = list(recorded(HEALTHY, until_s=40.0))
-    began_us, gap_us = first[0].time_us, first[-1].time_us - first[0].time_us + 1_000_000
-    seen_us = began_us + blind_s * 1e6
-    again = [each for each in first if number_of(each.frame) != POSITION or each.time_us > seen_us]
-    report = alone(written([*first, *later(again, gap_us)]))
-    assert of(report, "the autopilot has rebooted")
-    [hold] = report.holds
-    assert hold.let_go_s == pytest.approx(41.0, abs=1.5)
-    assert hold.went_on_s is not None
-    assert hold.went_on_s < 50.0
-
-
-@pytest.mark.parametrize("silent_s", [1, 15, 700])
+@pytest.mark.parametrize("silent_s", [1, 700])
 def test_a_reboot_is_told_however_long_it_takes(written: Write, silent_s: int) -> None:
     """Before it the GPS has no fix; and while it boots it does not say what it is."""
     beats = iter(range(3))
@@ -191,35 +150,6 @@ def test_a_reboot_is_told_however_long_it_takes(written: Write, silent_s: int) -
     assert "this mission is for" not in said
 
 
-def again(content: bytes, by_us: int) -> bytes:
-    """The entries of a .bin once more, later by the vehicle's clock."""
-    described = fmt_entries()
-    sizes = {described[at + 3]: described[at + 4] for at in range(0, len(described), 89)}
-    out, at = bytearray(content), 0
-    while at < len(out):
-        (time_us,) = struct.unpack_from("<Q", out, at + 3)
-        struct.pack_into("<Q", out, at + 3, time_us + by_us)
-        at += sizes[out[at + 2]]
-    return bytes(out)
-
-
-def test_a_bin_that_records_only_while_armed_is_not_silent_in_between(tmp_path: Path) -> None:
-    """Two flights in one file, five minutes apart."""
-    flight, path = bin_of(recording(COPTER), most=5000), tmp_path / "armed.bin"
-    path.write_bytes(flight)
-    one = alone(path)
-    gap_us = round((one.length_s + 300.0) * 1e6)
-    path.write_bytes(flight + again(flight[len(fmt_entries()) :], gap_us))
-    report = alone(path)
-    assert of(report, "silence") == gave_up(report) == []
-    ends = [(each.from_s, each.until_s or 0.0) for each in of(report, "not recorded")]
-    gaps = [end for end in ends if end[1] - end[0] > 60.0]  # the log that was made has one of 3 s
-    assert gaps == [pytest.approx((one.length_s, gap_us * 1e-6), abs=1.0)]
-    assert "LINK_LOST" not in codes(report)
-    assert len(report.holds) == 2 * len(one.holds)
-    assert report.in_air_s == pytest.approx(2 * one.in_air_s, abs=2.0)
-
-
 # --- what is not in it
 
 
@@ -235,10 +165,6 @@ FIFTY = [Record(10**15 + 10**6 * k, packed(heartbeat(), (1, 50))) for k in range
 REFUSED: dict[str, tuple[Records, str]] = {
     "a submarine": (
         list(changed(few(ARDUPILOT), HEARTBEAT, submarine)),
-        r"which the companion does not fly. It flies: ",
-    ),
-    "one that lacks positions, too": (
-        list(changed(few(ARDUPILOT, POSITION), HEARTBEAT, submarine)),
         r"which the companion does not fly. It flies: ",
     ),
     "no position": (list(few(ARDUPILOT, POSITION, until_s=80.0)), "no GLOBAL_POSITION_INT.*ecord"),
@@ -281,83 +207,19 @@ def test_without_a_word_of_gps_or_estimator_the_rest_is_still_told(
     ]
 
 
-@pytest.mark.sample(3)
-@pytest.mark.parametrize(("every", "rate_hz"), [(10, 1.0), (5, 2.0), (20, 0.5)])
-def test_a_log_with_few_positions_is_not_taken_for_a_fault(
-    written: Write, every: int, rate_hz: float
-) -> None:
-    """As ground stations ask for them; and it is said."""
-    report = alone(written(thinned(recorded(HEALTHY, until_s=120.0), POSITION, every)))
-    assert report.holds == []
-    assert report.position_rate_hz == pytest.approx(rate_hz, rel=0.05)
-    [said] = report.could_not
-    assert f"GLOBAL_POSITION_INT comes at {rate_hz:.1f} Hz" in said
-
-
-@pytest.mark.parametrize(
-    ("every", "between_s"),
-    [(1, (40.4, 40.7)), (10, (40.0, 44.5))],  # half a second, as in flight, and one message more
-)
-def test_a_position_that_ends_is_missed_by_the_clock_that_goes_on(
-    written: Write, every: int, between_s: tuple[float, float]
-) -> None:
-    told = thinned(recorded(HEALTHY, from_s=60.0, until_s=100.0), POSITION, every)
+def test_a_log_with_few_positions_is_not_taken_for_a_fault_until_they_end(written: Write) -> None:
+    """One a second, as ground stations ask for them; and it is said."""
+    told = thinned(recorded(HEALTHY, from_s=60.0, until_s=100.0), POSITION, 10)
     ends = without(recorded(HEALTHY, from_s=100.0, until_s=120.0), POSITION)
-    [hold] = alone(written([*told, *ends])).holds
+    report = alone(written([*told, *ends]))
+    assert any("GLOBAL_POSITION_INT comes at 1.0 Hz" in each for each in report.could_not)
+    [hold] = report.holds
     assert hold.why[0].code == "POSITION_STALE"
-    assert between_s[0] < hold.let_go_s < between_s[1]
+    assert 40.0 < hold.let_go_s < 44.5
     assert hold.trusted_s is None
 
 
-def test_positions_that_stand_still_are_told(written: Write) -> None:
-    first = next(each for each in recorded(HEALTHY) if each.frame[7] == POSITION)
-    held_ms = wire.MAVLink(None).decode(bytearray(first.frame)).time_boot_ms + 80_000
-
-    def freeze(message: Message) -> None:
-        if message.time_boot_ms > held_ms:
-            message.lat, message.lon = 473_977_000, 85_456_000
-
-    report = alone(written(changed(recorded(HEALTHY, until_s=95.0), POSITION, freeze)))
-    assert of(report, "position stands still")
-    [hold] = report.holds
-    assert {"POSITION_FROZEN"} < codes(report)  # it jumps there first
-    assert hold.let_go_s == pytest.approx(80.0, abs=1.5)
-
-
 # --- missions
-
-
-@pytest.mark.sample(2)
-@pytest.mark.parametrize("every", [6, 12])
-def test_a_mission_adds_no_holds_to_those_of_the_vehicle(written: Write, every: int) -> None:
-    """Positions 0.6 s and 1.2 s apart are no loss of them, whenever a plan comes."""
-    path = written(thinned(recorded(HEALTHY, from_s=20.0, until_s=70.0), POSITION, every))
-    report = watch(path, mission("copter-zurich", evaluations=100))
-    assert len([each for each in report.plans if each.outcome == "ready"]) > 5
-    assert holds(report) == holds(alone(path))
-    assert len(report.holds) <= 1
-
-
-def test_a_mission_somewhere_else_is_refused_in_one_line() -> None:
-    with pytest.raises(InputError) as caught:
-        watch(recording(PX4), mission("copter-canberra"))
-    text = str(caught.value)
-    assert "\n" not in text
-    for words in ("47.397", "km north", "outside its [area]", "leave --mission out"):
-        assert words in text
-
-
-@pytest.mark.parametrize(
-    ("name", "chosen"),
-    [
-        (PX4, mission("plane-zurich")),
-        ("px4-fixedwing-offboard.tlog", mission("copter-zurich")),
-        (PX4, replace(mission("copter-zurich"), autopilot="ardupilot")),
-    ],
-)
-def test_a_mission_for_another_vehicle_is_refused(name: str, chosen: Mission) -> None:
-    with pytest.raises(InputError, match=r"it is for .*; the log is of PX4"):
-        watch(recording(name), chosen)
 
 
 def test_what_is_known_of_the_ground_stands_in_for_a_radar_if_any_is(written: Write) -> None:
@@ -376,13 +238,6 @@ def test_what_is_known_of_the_ground_stands_in_for_a_radar_if_any_is(written: Wr
     assert holds(blind) == holds(alone(path))
 
 
-def test_targets_that_only_the_vehicle_knows_are_missed(written: Write) -> None:
-    chosen = replace(mission("copter-zurich"), targets_ne_m=(), targets_from_vehicle=True)
-    report = watch(written(recorded(PX4, until_s=30.0)), chosen)
-    assert "MISSION_ITEM_INT is not heard" in " ".join(report.could_not)
-    assert report.plans == []
-
-
 def test_a_planner_that_breaks_ends_the_watch_and_not_the_program(
     written: Write, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -396,11 +251,18 @@ def test_a_planner_that_breaks_ends_the_watch_and_not_the_program(
     assert gave_up(report)
 
 
-def test_of_several_vehicles_the_missions_is_watched(written: Write) -> None:
-    flown = list(recorded(PX4, until_s=10.0))
-    others = (Record(each.time_us, packed(heartbeat(), (2, 1))) for each in flown[::100])
-    path = written(sorted([*flown, *others], key=lambda each: each.time_us))
-    chosen = replace(mission("copter-zurich"), system_id=1, targets_ne_m=())
-    for report in (watch(path, chosen), alone(path, system_id=1)):
-        assert report.system_id == 1
-        assert report.watched_from_s is not None
+@pytest.mark.parametrize(
+    ("name", "chosen", "words"),
+    [
+        (PX4, mission("plane-zurich"), r"it is for .*; the log is of PX4"),
+        (PLANE, mission("copter-zurich"), r"it is for .*; the log is of PX4"),
+        (PX4, replace(mission("copter-zurich"), autopilot="ardupilot"), r"the log is of PX4"),
+        (PX4, mission("copter-canberra"), r"km north.*outside its \[area\].*leave --mission out"),
+    ],
+)
+def test_a_mission_for_another_vehicle_or_place_is_refused_in_one_line(
+    name: str, chosen: Mission, words: str
+) -> None:
+    with pytest.raises(InputError, match=words) as refused:
+        watch(recording(name), chosen)
+    assert "\n" not in str(refused.value)

@@ -40,8 +40,6 @@ def command_int(command: int, **values: float) -> Any:
         (packed(command_int(176, param1=1.0)), False),
         (HEARTBEAT, False),
         (HOLD, False),
-        (b"", False),
-        (b"\xfd", False),
         (SETPOINT[:9], False),
     ],
 )

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from answers import answered
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -29,8 +28,6 @@ def line(caught: pytest.ExceptionInfo[InputError]) -> str:
     return message
 
 
-# --- texts and tables
-
 VALUES = st.recursive(
     st.booleans()
     | st.integers(-(2**63), 2**63 - 1)
@@ -50,8 +47,8 @@ def test_a_table_that_was_written_reads_back_as_it_was(table: dict[str, Any]) ->
 
 @pytest.mark.parametrize(
     "text",
-    ["a = " + "[" * 5000, "a = " + "9" * 10_000, "a.b = 1\na = 2", "= 1", "\x00", "a = 2020-99-99"],
-    ids=["deep", "long", "twice", "no key", "nul", "date"],
+    ["a = " + "[" * 5000, "a = " + "9" * 10_000, "a.b = 1\na = 2", "\x00", "a = 2020-99-99"],
+    ids=["deep", "long", "twice", "nul", "date"],
 )
 def test_what_is_no_toml_is_one_error_in_one_line(text: str) -> None:
     with pytest.raises(InputError, match=r"^file = 'x.toml': not TOML") as caught:
@@ -108,9 +105,6 @@ def test_a_plain_name_is_one_printable_line_that_is_not_long(name: object) -> No
     assert shown == shown.strip()
 
 
-# --- told by what is in them
-
-
 @pytest.mark.parametrize("name", [b"flight.plan.txt", b"flight.json", b"Flight.PLAN", b"pl\xe4n"])
 def test_a_plan_is_a_plan_under_any_name(tmp_path: Path, name: bytes) -> None:
     """Also under one that is no UTF-8; so is a list of waypoints, or an error that names it."""
@@ -135,9 +129,7 @@ def test_a_plan_is_a_plan_under_any_name(tmp_path: Path, name: bytes) -> None:
     ("content", "what"),
     [
         (b"", "it is missing"),
-        (b"<!DOCTYPE html><html>", "not TOML"),
         (b'{"type": "FeatureCollection", "features": []}', "not TOML|no QGroundControl plan"),
-        ('schema = 1\nname = "x"\n'.encode("utf-16"), "no text in UTF-8"),
         (gzip.compress(b"QGC WPL 110\n", mtime=0), "no text in UTF-8"),
         (BEGINNING_OF_A_ULG, "no text in UTF-8"),
         (b"x\0\1", "not TOML"),
@@ -172,14 +164,3 @@ def test_an_elevation_file_of_a_name_that_is_no_text_is_refused(tmp_path: Path) 
     (folder / "terrain.tif").write_bytes(b"")
     with pytest.raises(InputError, match=r"terrain\.file = .*of an odd name"):
         load_world(str(folder / "world.toml"))
-
-
-@pytest.mark.parametrize("command", [["report"], ["export", "--format", "kml"]])
-def test_a_file_in_place_of_a_run_folder_is_refused(tmp_path: Path, command: list[str]) -> None:
-    log = tmp_path / "any.tlog"
-    log.write_bytes(BEGINNING_OF_A_ULG)
-    code, _, said = answered(command[0], log, *command[1:])
-    assert code == 2
-    assert "no such folder" not in said
-    for words in ("it is a file", "companion replay LOG --shadow", "companion view LOG"):
-        assert words in said

@@ -7,8 +7,6 @@ import math
 import re
 import tomllib
 from collections.abc import Iterator
-from dataclasses import fields
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +19,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from spoiled import collection, feature, refusal, replace_somewhere
 
-from companion.config import bundled, load_mission, mission_text
+from companion.config import load_mission, mission_text
 from companion.errors import InputError
 from companion.geodesy import FloatArray, LocalFrame
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.sources.files import toml_text
 from companion.sources.mission_schema import MissionTable, ZoneTable
 from companion.sources.zones import zones_of
-from companion.world.zones import CircleZone, PolygonZone
+from companion.world.zones import CircleZone
 
 COPTER = """
 schema = 1
@@ -105,14 +103,6 @@ def zone(text: str, kind: str = "keep_outs") -> str:
 # --- what it says
 
 
-def test_what_is_left_out_is_what_a_mission_has_by_itself(folder: Path) -> None:
-    mission = load(folder, COPTER)
-    for field in fields(Mission):
-        if field.default is not field.default_factory:  # it has a default
-            assert getattr(mission, field.name) == field.default, field.name
-    assert mission.task.limits.hovers
-
-
 def test_all_that_can_be_said_of_the_flight_is_taken(folder: Path) -> None:
     of_vehicle = 'autopilot = "px4"\nsystem_id = 7\nscanner_component_id = 101\n'
     text = vehicle(of_vehicle + "position_rate_hz = 200.0\nyaw_deg = 270.0")
@@ -147,26 +137,6 @@ def test_a_copter_that_outruns_its_sight_is_flown_more_slowly_and_says_so() -> N
         load_mission("forest", settings=["vehicle.speed_m_s=50", "vehicle.turn_radius_m=500"])
 
 
-@pytest.mark.parametrize("autopilot", ['autopilot = "px4"', ""])
-def test_a_plane_holds_on_a_circle_and_some_may_land(folder: Path, autopilot: str) -> None:
-    mission = load(folder, vehicle(autopilot, PLANE).replace('"hold"', '"land"'))
-    assert (mission.kind, mission.end_action) == ("plane", EndAction.LAND)
-    assert mission.task.limits.loiter_radius_m == 80.0
-    assert not mission.task.limits.hovers
-
-
-def test_targets_and_commanders_may_be_left_to_the_vehicle(folder: Path) -> None:
-    mission = load(folder, NO_TARGETS + THEIRS + "[link]\ncommanders = []\n")
-    assert mission.targets_from_vehicle
-    assert mission.targets_ne_m == mission.commanders == ()
-
-
-@pytest.mark.parametrize("name", bundled())
-def test_a_mission_that_names_no_other_file_is_recorded_as_it_stands(name: str) -> None:
-    file = resources.files("companion") / "environments" / name / "mission.toml"
-    assert mission_text(name) == file.read_text(encoding="utf-8")
-
-
 # --- places and zones
 
 
@@ -177,9 +147,6 @@ def test_degrees_are_on_the_ellipsoid(folder: Path, azimuth_deg: float, distance
     azimuth = math.radians(azimuth_deg)
     expected = (distance_m * math.cos(azimuth), distance_m * math.sin(azimuth))
     assert mission.targets_ne_m[0] == pytest.approx(expected, abs=1e-3)
-
-
-# --- zones
 
 
 def test_zones_and_radars_in_degrees_are_those_in_metres(folder: Path) -> None:
@@ -208,18 +175,6 @@ def test_an_edge_in_degrees_is_straight_in_degrees(folder: Path) -> None:
     assert abs(found.distance_m(straight[:, 0], straight[:, 1])).max() > 400.0
 
 
-def test_an_edge_across_the_date_line_takes_the_short_way(folder: Path) -> None:
-    text = COPTER.replace("longitude_deg = 8.0", "longitude_deg = 179.999")
-    corners = [[47.02, 179.98], [47.02, -179.98], [47.021, -179.98], [47.021, 179.98]]
-    text += f'[[keep_outs]]\nname = "zone"\nvertices_deg = {corners}\n'
-    (found,) = load(folder, text).task.zones
-    assert isinstance(found, PolygonZone)
-    north_m, east_m = np.transpose(found.vertices_ne_m)  # some of them between the corners
-    assert len(north_m) > 4
-    assert (abs(east_m) < 2000.0).all()
-    assert ((north_m > 2000.0) & (north_m < 2500.0)).all()
-
-
 FAR_AWAY = {
     "north": [[48.0, 8.0], [48.001, 8.0], [48.0, 8.001]],
     "antipodes": [[-47.0, -172.0], [-46.999, -172.0], [-47.0, -171.999]],
@@ -227,27 +182,18 @@ FAR_AWAY = {
         *([-85.0, -180.0], [-90.0, -180.0], [-90.0, 180.0], [-85.0, 180.0], [-65.0, 60.0])
     ],
     "over the date line": [[60.0, 175.0], [60.0, -170.0], [50.0, -170.0], [50.0, 175.0]],
-    "next door": [[48.0, 9.0], [58.0, 9.0], [58.0, 40.0]],  # some of it is near, none at the map
+    "near": [[47.03, 8.0], [47.031, 8.0], [47.03, 8.001]],
 }
 
 
 def test_keep_outs_away_from_the_map_are_left_out_and_counted(folder: Path) -> None:
     """As in a file of a whole country; also those that the local frame cannot reach."""
-    text = COPTER
-    shapes = FAR_AWAY | {"near": [[47.03, 8.0], [47.031, 8.0], [47.03, 8.001]]}
-    for name, ring in shapes.items():
-        text += f'[[keep_outs]]\nname = "{name}"\nvertices_deg = {ring}\n'
-    longitude, latitude, _ = GEOD.fwd(8.0, 47.0, 30.0, 1_100e3)
-    for place, radius_m in (
-        ((47.03, 8.0), 30.0),
-        ((48.0, 8.0), 30.0),
-        ((latitude, longitude), 15e4),
-    ):
-        text += f'[[keep_outs]]\nname = "circle"\nlatitude_deg = {place[0]}\n'
-        text += f"longitude_deg = {place[1]}\nradius_m = {radius_m}\n"
-    mission = load(folder, text)
+    zones = [f'name = "{name}"\nvertices_deg = {ring}' for name, ring in FAR_AWAY.items()]
+    circle = 'name = "circle"\nlatitude_deg = {}\nlongitude_deg = 8.0\nradius_m = {}'
+    zones += [circle.format(*each) for each in ((47.03, 30.0), (48.0, 30.0), (56.9, 15e4))]
+    mission = load(folder, COPTER + "".join(f"[[keep_outs]]\n{zone}\n" for zone in zones))
     assert [found.name for found in mission.task.zones] == ["near", "circle"]
-    assert mission.notes == ("7 of 9 keep-outs lie away from the map",)
+    assert mission.notes == ("6 of 8 keep-outs lie away from the map",)
 
 
 def star(random: np.random.Generator) -> FloatArray:
@@ -290,13 +236,6 @@ def test_a_polygon_of_far_corners_is_refused_if_it_reaches_the_map(
             assert inside or kind == "keep_ins" or far_deg < 0.5
             refused += 1
     assert refused > 15
-
-
-def test_threats_of_a_file_count_beside_those_of_the_mission(folder: Path) -> None:
-    text = 'threats = "threats.geojson"\n' + zone("north_m = 1.0\neast_m = 1.0\nradius_m = 9.0")
-    mission = load(folder, text)
-    assert [found.name for found in mission.task.zones] == ["zone", "wood"]
-    assert mission.notes == ("keep-out 'wood': its holes are kept out of as well",)
 
 
 def test_a_run_folder_needs_no_other_file(folder: Path, tmp_path: Path) -> None:
@@ -400,14 +339,11 @@ NONE = [
     ("vertices_m = [[0.0, 0.0], [9.0, 9.0], [9.0, 0.0], [0.0, 9.0]]", "cross"),
     ("north_m = 1.0\neast_m = 1.0", SHAPE),
     ("radius_m = 1.0", SHAPE),
-    ("", SHAPE),
-    (f"north_m = 1.0\nvertices_m = {TRIANGLE}", SHAPE),
     (f"radius_m = 3.0\nvertices_m = {TRIANGLE}", SHAPE),
     (f"vertices_deg = {TRIANGLE}\nvertices_m = []", SHAPE),
 ]
 FAR = [
     [[36.0, -180.0], [36.0, 180.0], [58.0, 180.0], [58.0, -180.0]],
-    [[36.0, -100.0], [36.0, 100.0], [58.0, 100.0], [58.0, -100.0]],
     [[35.0, 0.0], [36.0, 120.0], [35.0, -120.0]],  # about the pole
     [[60.0, -20.0], [60.0, 40.0], [47.0, 40.0], [47.0, 8.01]],
 ]
@@ -420,7 +356,7 @@ REFUSED: list[tuple[str, str]] = [
     (COPTER.replace('name = "test"', 'name = "Über den Wald"'), NAME),
     *(
         (f'{COPTER}[link]\ncommanders = ["{who}"]\n', r"link\.commanders\[0\]")
-        for who in ("0/0", "256/0", "255/256", "255", "255/0/0", "a/b", "-1/0")
+        for who in ("0/0", "255/256", "255", "a/b")
     ),
     (COPTER + THEIRS, "the targets come from the vehicle"),
     (NO_TARGETS, "targets = None: it is missing"),
@@ -443,11 +379,8 @@ REFUSED: list[tuple[str, str]] = [
     (place("latitude_deg = -47.0\nlongitude_deg = -172.0"), "1,000 km from the origin"),
     (place("latitude_deg = 47.1\nlongitude_deg = 8.0"), "outside the map"),
     # zones
-    *(
-        (zone(text, kind), rf"{kind}\[0\].*{words}")
-        for text, words in NONE
-        for kind in ("keep_outs", "keep_ins")
-    ),
+    *((zone(text), rf"keep_outs\[0\].*{words}") for text, words in NONE),
+    (zone(NONE[0][0], "keep_ins"), r"keep_ins\[0\].*more than 1,000 km"),
     *((zone(f"vertices_deg = {corners}"), "some of it lies more than") for corners in FAR),
     (zone(FAR_CIRCLE), "Draw its edge near the mission as a polygon"),
     (
@@ -459,10 +392,7 @@ REFUSED: list[tuple[str, str]] = [
     (vehicle("scanner = false"), "vehicle.scanner = False: .*nothing is known of the ground"),
     (vehicle("scanner_component_id = 100", BLIND), "there is no terrain radar"),
     (f"{BLIND}[scanner]\ncomplete = false\n", "there is no terrain radar"),
-    *(
-        (f"{COPTER}[scanner]\ncomplete = {value}\n", "scanner.complete.*valid boolean")
-        for value in ("0", '"no"', "[]")
-    ),
+    (f"{COPTER}[scanner]\ncomplete = 0\n", "scanner.complete.*valid boolean"),
     # terrain
     (BLIND + GUIDES, "guidance proves nothing"),
     (STATED + GUIDES, "mission.toml: terrain.trust = 'guidance'"),
@@ -479,11 +409,8 @@ REFUSED: list[tuple[str, str]] = [
     (KNOWN + "datum_m = 1.0\n", "Did you mean datum_error_m?"),
     # a statement about the ground stands alone
     (STATED + 'file = "dem.tif"\n', r"terrain\.file = .*: no such key"),
-    (STATED + 'vertical_datum = "AMSL"\n', "terrain.vertical_datum = 'AMSL'"),
-    (STATED + 'nodata = "sea"\n', "terrain.nodata = 'sea'"),
     (STATED + "datum_error_m = 5.0\n", "terrain.datum_error_m = 5.0"),
     (STATED.replace("840.0", "inf"), "terrain.highest_amsl_m = inf"),
-    (STATED.replace("840.0", '"low"'), "terrain.highest_amsl_m = 'low'"),
     (COPTER + "[terrain]\n", "terrain.file = None: it is missing. Add file"),
     (STATED.replace("highest_amsl_m", "highest_m"), "Did you mean highest_amsl_m?"),
 ]

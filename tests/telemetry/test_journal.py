@@ -2,8 +2,6 @@
 
 import json
 import re
-import tracemalloc
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -94,22 +92,16 @@ def test_reading_stops_at_the_last_whole_line_wherever_it_was_cut(tmp_path: Path
 
 REFUSED: list[tuple[list[Any], str]] = [
     ([LEG], r"line 1 = .*: a journal begins with a header"),
-    ([b"\n"], r"line 1 = '': a journal begins with a header"),
     ([{**HEADER, "version": VERSION - 1}], r"line 1: version = 2: only 3 can be read"),
-    ([{**HEADER, "version": str(VERSION)}], r"line 1: version = '3': only 3 can be read"),
     ([{**HEADER, "version": True}], r"line 1: version = True: only 3 can be read"),
     ([{**HEADER, "schema": "x"}], r"schema = 'x': only 'companion-journal' can be read"),
-    ([{**HEADER, "seed": "a"}], r"line 1: seed = .*: Expected `int`, got `str`"),
     ([{"schema": HEADER["schema"], "version": VERSION}], r"1 = .* missing .* field `mission`"),
     ([b'{"schema":\n'], r"line 1 = '\{\"schema\":': it is not JSON"),
     ([HEADER, b"\xff\xfe\n"], r"line 2 = .*: it is not JSON"),
     ([HEADER, b'{"t_s":NaN,"kind":"arm"}\n'], "line 2"),
-    ([HEADER, b'{"t_s":1e999,"kind":"arm"}\n'], "line 2"),
     ([HEADER, LEG, [1]], r"line 3 = '\[1\]': an entry has a known kind"),
     ([HEADER, {"t_s": 1.0}], r"line 2 = .*: an entry has a known kind"),
-    ([HEADER, {**LEG, "number": "x"}], r"line 2: number = .*: Expected `int`, got `str`"),
     ([HEADER, {"kind": "leg", "number": 1}], r"line 2 = .* missing required field `t_s`"),
-    ([HEADER, {**LEG, "t_s": None}], r"line 2: t_s = .*: Expected `float`, got `null`"),
     (
         [HEADER, {"t_s": 1.0, "kind": "scan", "centre_nea_m": [1.0, 2.0], "blocks": 3}],
         r"line 2: centre_nea_m = .*: Expected `array` of length 3, got 2",
@@ -147,16 +139,3 @@ def test_kinds_that_are_not_known_are_counted_and_fields_passed_over(tmp_path: P
     assert [entry.kind for entry in journal.entries()] == ["leg"]
     left_out = "journal.jsonl: 2 x kind 'levitation', which is not known: left out"
     assert journal.findings == (left_out,)
-
-
-def test_a_long_journal_takes_no_memory(tmp_path: Path) -> None:
-    say = line({"t_s": 1.0, "kind": "say", "text": "x" * 200, "warning": False})
-    journal = written(tmp_path, HEADER, say * 40_000)  # of a day: 10 MB
-    tracemalloc.start()
-    try:
-        kinds = Counter(entry.kind for entry in journal.entries())
-        _, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert kinds == {"say": 40_000}
-    assert peak < 2_000_000

@@ -95,7 +95,6 @@ def test_an_unknown_date_and_what_is_missing_are_told(tmp_path: Path) -> None:
 
 
 GREETINGS = {
-    b"ArduCopter V3.1 (5c6503e2)": "3.1",
     b"APMrover2 V3.5.0": "3.5",
     b"ArduPlane V3.9.11": "3.9",
     b"ArduCopter V4.0.0 (0bb18a15)": None,
@@ -129,14 +128,6 @@ def test_a_position_without_a_velocity_is_not_told(tmp_path: Path) -> None:
     (position,) = of(told(opened(tmp_path, content)), "GLOBAL_POSITION_INT")
     assert (position.time_boot_ms, position.vx, position.vy) == (2100, 300, 400)
 
-
-def test_positions_are_thinned_to_fifty_a_second(tmp_path: Path) -> None:
-    content = COPTER_START + entry("XKF1", 5000, *VELOCITY)
-    content += b"".join(entry("POS", 10_000 + 2500 * k, *PLACE) for k in range(400))
-    assert len(of(told(opened(tmp_path, content)), "GLOBAL_POSITION_INT")) == 50
-
-
-# --- damage
 
 TEXTS = [entry("MSG", 3_000_000 + k * 1000, b"%d" % k) for k in range(6)]
 LEAPS = [3_000_000, 4_000_000, 1 << 60, 5_000_000, 4_000_000_000, 6_000_000]

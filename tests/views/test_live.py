@@ -61,9 +61,6 @@ class Terminal:
         self.flown.session._send_text(text, warning=True)
 
 
-# --- lines
-
-
 def test_each_change_is_a_line_that_says_why_it_holds_while_it_holds() -> None:
     """The autopilot's failsafe and its end, another reason, and no reason once it flies."""
     held = {"phase": Phase.HOLDING, "reason": Reason.FAILSAFE}
@@ -106,17 +103,6 @@ def test_a_warning_stands_for_a_minute_and_a_reason_to_hold_once(
     assert terminal.table().count(Reason.NO_FIX.text) == 1
 
 
-def test_a_vehicle_that_was_up_for_long_is_flown_at_the_pace_of_the_clock() -> None:
-    terminal = Terminal()
-    terminal.show(3_000.0, **FLIES)
-    terminal.flown.elapsed_s = 30.0
-    terminal.show(3_030.0, phase=Phase.RETURNING)
-    assert " 1x real time" in terminal.table()
-
-
-# --- the table
-
-
 def shown(status: FlightStatus, width: int, **options: Any) -> str:
     """The table as it stands in a terminal of so many columns."""
     file = io.StringIO()
@@ -129,7 +115,7 @@ def shown(status: FlightStatus, width: int, **options: Any) -> str:
 def statuses() -> list[FlightStatus]:
     """All kinds of things that happen, the last with the longest values."""
     found = []
-    for name in ("copter-loses-gps", "px4-plane-told-to-return", "plane-meets-new-fence"):
+    for name in ("copter-loses-gps", "plane-meets-new-fence"):
         for number, (flown, _) in enumerate(flights(name)):
             if number % 7 == 0:
                 found.append(flight_status(flown))
@@ -160,9 +146,6 @@ def test_what_is_wrong_is_told_without_colours_too(statuses: list[FlightStatus])
     assert "\x1b" not in plain
     assert plain.count("!") >= 4
     assert "\x1b[1;31m" in shown(bad, 80, force_terminal=True, color_system="standard")
-
-
-# --- for machines
 
 
 def lines_of(buffer: io.StringIO) -> list[dict[str, Any]]:

@@ -1,6 +1,6 @@
 """The report of a flight, held against what was recorded, read by parsers that are not ours."""
 
-import html.parser
+import html
 import itertools
 import json
 import math
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import lxml.etree
+import lxml.html
 import numpy as np
 import pyproj
 import pytest
@@ -171,18 +172,6 @@ def write_log(run: Path, records: list[Record]) -> None:
     (run / "flight.tlog").write_bytes(log)
 
 
-def test_missing_frames_and_silences_are_counted(copy: Path, facts: FlightFacts) -> None:
-    records = records_of(copy)
-    of_autopilot = [k for k, (_, m) in enumerate(records) if m.get_srcComponent() == 1]
-    dropped = set(of_autopilot[500:520]) | {of_autopilot[700]}
-    write_log(copy, [each for k, each in enumerate(records) if k not in dropped])
-    found = facts_of(copy)
-    assert found.lost - facts.lost == len(dropped)
-    assert found.heard == len(of_autopilot) - len(dropped)
-    left = np.array([records[k][0] for k in of_autopilot if k not in dropped])
-    assert found.silence_s == pytest.approx(1e-6 * np.diff(left).max())
-
-
 def test_times_without_a_fix_and_gaps_of_setpoints_are_those_of_the_log(copy: Path) -> None:
     codec, changed, sent_s = wire.MAVLink(None, srcSystem=1, srcComponent=1), [], list[float]()
     for at_us, m in records_of(copy):
@@ -224,42 +213,20 @@ def test_holds_plans_and_times_are_those_of_the_files(run_dir: Path, page: str) 
 # --- the page
 
 
-class Page(html.parser.HTMLParser):
-    """The elements of a page, and whether they are closed in order."""
-
-    VOID = frozenset({"meta", "br", "img", "input", "link", "hr"})
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open, self.ids, self.links = list[str](), list[str](), list[str]()
-        self.tags: set[str] = set()
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.add(tag)
-        for name, value in attrs:
-            assert not name.startswith("on"), name
-            if name == "id":
-                self.ids.append(value or "")
-            if name in ("src", "href", "xlink:href", "action", "srcset", "data", "poster"):
-                self.links.append(value or "")
-        if tag not in self.VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert tag in self.VOID or self.open.pop() == tag
-
-
 def test_the_page_is_whole_and_loads_nothing(page: str) -> None:
     """Each figure is XML, and holds what it refers to."""
-    read = Page(page)
-    assert not read.open
-    assert not read.tags & {"script", "link", "iframe", "object", "embed", "base", "form", "img"}
-    assert all(link.startswith(("#", "data:image/png;base64,")) for link in read.links)
+    read = lxml.html.fromstring(page)
+    loads = {"script", "link", "iframe", "object", "embed", "base", "form", "img"}
+    assert not loads & {each.tag for each in read.iter()}
+    assert not read.xpath("//@*[starts-with(name(), 'on')]")
+    links = {"src", "href", "xlink:href", "action", "srcset", "data", "poster"}
+    for link in (each.get(name) for each in read.iter() for name in links & {*each.keys()}):
+        assert link.startswith(("#", "data:image/png;base64,"))
     assert "@import" not in page
     assert all(url.startswith("#") for url in re.findall(r"url\(([^)]*)\)", page))
     assert "default-src 'none'" in page
-    assert len(read.ids) == len(set(read.ids))
+    ids = read.xpath("//@id")
+    assert len(ids) == len(set(ids))
     figures = re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL)
     assert len(figures) == 2
     for figure in figures:
@@ -280,18 +247,11 @@ def test_what_comes_from_the_flight_is_text_and_no_markup(copy: Path) -> None:
         file.writelines(json.dumps(each) + "\n" for each in evil)
     (copy / "run.json").write_text(json.dumps({"companion": EVIL, "began": EVIL}))
     page = report_of(copy)
-    read = Page(page)
-    assert not read.open
-    assert "script" not in read.tags
+    assert not lxml.html.fromstring(page).xpath("//script")
     assert words_of(page).count(EVIL) >= 5
     assert f"✘ Failed: {EVIL}" in words_of(page)  # by the last end
     for figure in re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL):
         lxml.etree.fromstring(figure.encode())
-
-
-def test_the_same_flight_gives_the_same_page(run_dir: Path, page: str, tmp_path: Path) -> None:
-    write_report(run_dir, tmp_path / "again.html")
-    assert (tmp_path / "again.html").read_text(encoding="utf-8") == page
 
 
 # --- what is not there, or otherwise
@@ -300,12 +260,6 @@ def test_the_same_flight_gives_the_same_page(run_dir: Path, page: str, tmp_path:
 def without_a_map(run: Path) -> None:
     (run / "known.npz").unlink()
     (run / "inputs.msgpack").unlink()
-
-
-def far_from_all_terrain(run: Path) -> None:
-    known = hill(run)
-    low = np.where(known.seen, -9000.0, np.inf)
-    (run / "known.npz").write_bytes(packed_map(replace(known, upper_m=low)))
 
 
 def with_odd_values(run: Path) -> None:
@@ -332,7 +286,6 @@ def failed(run: Path) -> None:
 
 ODD: dict[str, tuple[Callable[[Path], object], list[str]]] = {
     "no map": (without_a_map, ["the known map was not recorded"]),
-    "no terrain near": (far_from_all_terrain, ["more than"]),
     "a damaged run.json": (lambda run: (run / "run.json").write_bytes(b"\0{"), ["run.json: "]),
     "a damaged map": (lambda run: (run / "known.npz").write_bytes(b"\0{"), ["known.npz: "]),
     "odd values": (with_odd_values, ["Planning time, median not recorded"]),
@@ -364,18 +317,6 @@ def test_what_is_odd_about_a_flight_is_told(copy: Path, what: str) -> None:
     for each in expected:
         assert each in words
     assert ("Nearest to known terrain" in words) == (what not in ("no map", "a damaged map"))
-
-
-@pytest.mark.sample(2)
-@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.7, 0.97])
-def test_a_flight_that_was_cut_off_is_told_as_far_as_it_goes(copy: Path, share: float) -> None:
-    for name in ("journal.jsonl", "flight.tlog"):
-        data = (copy / name).read_bytes()
-        (copy / name).write_bytes(data[: int(share * len(data))])
-    words = words_of(report_of(copy))
-    assert "Not ended" in words
-    planned = b'"kind":"plan ready"' in (copy / "journal.jsonl").read_bytes()
-    assert ("None was planned" in words) is not planned
 
 
 def test_a_map_that_was_not_kept_grows_again_in_a_replay(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 import fastkml.validator
 import geopandas
 import numpy as np
-import pyogrio
 import pyproj
 import pytest
 from lxml import etree
@@ -30,7 +29,6 @@ SCHEMAS = Path(fastkml.validator.__file__).parent / "schema"
 KML = {"k": "http://www.opengis.net/kml/2.2", "gx": "http://www.google.com/kml/ext/2.2"}
 GEOD = pyproj.Geod(ellps="WGS84")
 PHASES = ["preparing", "arming", "taking off", "flying", "holding", "flying", "arrived", "done"]
-METRE_DEG = 1.0 / 111_000.0
 WRITERS = {"kml": write_kml, "geojson": write_geojson, "csv": write_csv}
 
 
@@ -77,9 +75,6 @@ def utc_ms(text: str) -> int:
     return int(np.datetime64(text[:-1]).astype("int64"))
 
 
-# --- KML
-
-
 def test_the_kml_is_valid_by_the_schemas_of_the_ogc_and_google(kml: Any) -> None:
     schema = etree.XMLSchema(etree.parse(SCHEMAS / "kml22gx.xsd"))
     assert schema.validate(kml), schema.error_log
@@ -109,24 +104,6 @@ def test_the_kml_has_a_track_for_each_phase_with_every_position_at_its_time(
         (round(at_us / 1000), pytest.approx(place_of(m), abs=1e-9)) for at_us, m in positions
     ]
     assert joined == expected
-
-
-def test_gdal_reads_every_layer_of_the_kml(exported: Path) -> None:
-    file = exported / "flight.kml"
-    layers = {name for name, _ in pyogrio.list_layers(file)}
-    drawn = {"flown track", "planned subpaths", "targets"}
-    assert layers == drawn | {"threats as known", "holds and events"}
-    threats = geopandas.read_file(file, layer="threats as known")
-    assert threats.geometry.is_valid.all()
-    assert {'tower <&> "mast"', "village", "county", "radar 1"} <= set(threats["Name"])
-    subpaths = geopandas.read_file(file, layer="planned subpaths")
-    assert list(subpaths["Name"]) == ["plan 1, leg 1", "plan 2, leg 2"]
-    events = geopandas.read_file(file, layer="holds and events")
-    assert list(events["code"].fillna("")) == ["PAUSED", ""]
-    assert list(events["Name"]) == ["hold: paused by a person", "end: arrived: target reached"]
-
-
-# --- GeoJSON
 
 
 def test_geopandas_reads_every_feature_in_wgs84(table: Any, mission: Mission) -> None:
@@ -191,29 +168,6 @@ def test_subpaths_follow_their_curves_and_bear_what_is_proven(
         assert (row["leg"], row["flown"]) == (plan.plan_id, True)
 
 
-def test_radars_and_targets_lie_where_the_mission_has_them(table: Any, mission: Mission) -> None:
-    for radar in mission.task.radars:
-        [shape] = table[(table["kind"] == "radar") & (table["name"] == radar.name)].geometry
-        latitude, longitude = mission.frame.to_geodetic_deg(*radar.centre_nea_m[:2])
-        edge = np.array(shape.exterior.coords)
-        count = len(edge)
-        _, _, metres = GEOD.inv([longitude] * count, [latitude] * count, edge[:, 0], edge[:, 1])
-        np.testing.assert_allclose(metres, radar.range_m, rtol=0.02)  # the frame's own stretch
-    [target] = table[table["kind"] == "target"].geometry
-    latitude, longitude = mission.frame.to_geodetic_deg(4000.0, 3000.0)
-    assert (target.x, target.y) == pytest.approx((longitude, latitude), abs=0.1 * METRE_DEG)
-
-
-def test_a_hold_lies_where_the_vehicle_was_then(
-    table: Any, positions: list[tuple[int, Any]]
-) -> None:
-    hold = table[table["what"] == "hold"].iloc[0]
-    [message] = [m for _, m in positions if m.time_boot_ms == round(hold["t_s"] * 1e3)]
-    assert hold.geometry.coords[0] == pytest.approx(place_of(message), abs=1e-7)
-    assert hold["why"] == "paused by a person"
-    assert 9.0 < hold["until_s"] - hold["t_s"] < 12.0
-
-
 def test_the_threats_of_an_export_are_threats_for_a_mission(exported: Path, tmp_path: Path) -> None:
     """The keep-outs and keep-ins alone, as a person would cut them out in QGIS."""
     found = json.loads((exported / "flight.geojson").read_text(encoding="utf-8"))
@@ -223,9 +177,6 @@ def test_the_threats_of_an_export_are_threats_for_a_mission(exported: Path, tmp_
     file.write_text(json.dumps(found), encoding="utf-8")
     threats = read_geojson(file, "threats")
     assert (len(threats.keep_outs), len(threats.keep_ins)) == (2, 1)
-
-
-# --- CSV, and all
 
 
 def test_the_csv_has_a_row_for_each_position_and_the_documented_columns(

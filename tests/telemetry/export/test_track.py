@@ -60,9 +60,6 @@ def header(**more: Any) -> Header:
     return Header(**{"schema": "companion-journal", **facts, **more})
 
 
-# --- frames
-
-
 FIRST = {
     "t_s": 12.3,
     "time_us": EPOCH_US,
@@ -120,8 +117,6 @@ def test_a_clock_that_begins_again_is_a_reboot_and_a_single_fall_is_a_mistake() 
     assert at(5.0, 4.5, 5.1).track.boot.tolist() == [0, 0, 0]  # in no order: no reboot
 
 
-# --- entries and positions meet by the vehicle's clock
-
 REBOOTED = [
     *(phase(100.0, "flying"), noted.VehicleRebooted(time_s=0.4)),
     *(phase(0.4, "preparing"), phase(0.6, "holding", "x")),
@@ -154,18 +149,6 @@ def test_phases_are_those_of_their_times(times_s: Any, entries: list[Any], expec
     assert phases(at(*times_s, entries=entries)) == expected.split()
 
 
-def test_a_reboot_before_the_first_fix_is_a_reboot() -> None:
-    """As after a change of parameters; what was said before it is before the first position."""
-    frames = [position(t, lat=0, lon=0) for t in (99.0, 101.0, 0.2)] + [
-        position(0.5),
-        position(2.0),
-    ]
-    found = flight(*frames, entries=REBOOTED)
-    assert phases(found) == ["preparing", "holding"]
-    assert [time_s for time_s, _ in found.entries] == pytest.approx([0.0, 0.0, 0.0, 0.1])
-    assert (found.left_out, found.times_s.tolist()) == (3, [0.0, 1.5])
-
-
 def test_moments_and_segments_are_those_of_their_boots() -> None:
     found = at(99.0, 100.0, 101.0, 0.5, 0.6, entries=REBOOTED)
     rows = [(m.what, found.row_at(m.time_s)) for m in found.moments]
@@ -194,9 +177,6 @@ def test_the_newest_targets_count_and_the_fence_is_there_once() -> None:
     there = noted.entry_of({**order, "order": "REPOSITION", "target_ne_m": [9.0, 10.0]})
     pause = noted.entry_of({**order, "order": "PAUSE", "target_ne_m": None})
     assert at(1.0, entries=[there, pause]).decided.targets_ne_m == ((9.0, 10.0),)
-
-
-# --- shapes
 
 
 def test_a_long_track_is_thinned_evenly_and_keeps_its_ends(
