@@ -128,31 +128,24 @@ def _outlines(zones: tuple[Zone, ...]) -> tuple[list[Row], Any, Any, BoolArray]:
 
 
 def gaps_m(
-    zones: tuple[Zone, ...],
-    north_m: FloatArray,
-    east_m: FloatArray,
-    within_m: float | FloatArray = math.inf,
+    zones: tuple[Zone, ...], north_m: FloatArray, east_m: FloatArray, within_m: float = math.inf
 ) -> FloatArray:
     """Distance of points to the nearest zone, negative where one forbids to be, metres.
 
-    (...) x2 or x3 -> (...).  within_m: farther ones count as so far away (inf without zones).
+    (...) x2 -> (...).  within_m: farther ones count as so far away (inf without zones).
     """
     shape = np.broadcast_shapes(np.shape(north_m), np.shape(east_m))
-    north, east, result = (
-        np.array(np.broadcast_to(part, shape), dtype=np.float64).reshape(-1)
-        for part in (north_m, east_m, within_m)
-    )
+    north, east = (np.broadcast_to(part, shape).reshape(-1) for part in (north_m, east_m))
+    result = within_m + 0.0 * (north + east)  # of no place it is no distance: NaN
     circles, tree, areas, keeps_out = _outlines(zones)
     for middle_n, middle_e, radius_m, sign in circles:
         away_m = np.hypot(north - middle_n, east - middle_e)
         np.minimum(result, sign * (away_m - radius_m), out=result)
     if len(areas) and len(result):
-        points, farthest_m = shapely.points(north, east), float(result.max())
+        points = shapely.points(north, east)
+        most_m = within_m if 0.0 < within_m < math.inf else None
         (which, _), away_m = tree.query_nearest(
-            points,
-            max_distance=farthest_m if 0.0 < farthest_m < math.inf else None,
-            return_distance=True,
-            all_matches=False,
+            points, max_distance=most_m, return_distance=True, all_matches=False
         )
         result[which] = np.minimum(result[which], away_m)
         forbidden = shapely.contains_xy(areas, north, east) == keeps_out

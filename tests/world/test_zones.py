@@ -67,16 +67,12 @@ def truth_m(zones: tuple[Zone, ...], points: FloatArray) -> FloatArray:
 def test_the_distance_of_points_is_that_to_the_nearest_edge_negative_inside(
     seed: int, within_m: float
 ) -> None:
-    rng, zones, points = drawn(seed, 60)
+    _, zones, points = drawn(seed, 60)
     truth, (north, east) = truth_m(zones, points), points.T
+    with np.errstate(invalid="ignore"):  # of no place it is none
+        assert np.isnan(gaps_m(zones, np.array([np.nan]), east[:1])[0])
     told = gaps_m(zones, north, east, within_m)
     assert told == pytest.approx(np.minimum(truth, within_m), abs=1e-6)
-    for k in range(0, 60, 4):  # of areas that zones lie outside of
-        two = gaps_m(zones, north[k : k + 2], east[k : k + 2], within_m)
-        assert (two == told[k : k + 2]).all()
-    each_m = rng.choice([0.0, 40.0, math.inf], len(points))
-    told = gaps_m(zones, north, east, each_m)
-    assert told == pytest.approx(np.minimum(truth, each_m), abs=1e-6)
     for zone in zones:
         expected = pytest.approx(truth_m((zone,), points), abs=1e-6)
         assert zone.distance_m(north, east) == expected
