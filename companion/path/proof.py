@@ -57,6 +57,7 @@ class Question(NamedTuple):
     around: Surroundings
     rows: FloatArray  # (N, 5), of `first_pieces`
     from_rest: bool
+    found: FloatArray  # scratch of `terrain_distance`
 
 
 class Piece(NamedTuple):
@@ -200,7 +201,7 @@ def part_distance(
     tolerance = 1e-3 * around.clearance_m
     lower, upper = limit, limit
     if what != _ZONES:
-        far = terrain_distance(around.columns, segment, limit + slack, tolerance)
+        far = terrain_distance(around.columns, segment, limit + slack, tolerance, asked.found)
         lower, upper = max(far - slack, 0.0), far + tolerance + slack
     if what != _TERRAIN:
         within = max(limit + slack + around.motion.loiter_m, 0.0)
@@ -289,8 +290,8 @@ def prove(cubics: FloatArray, around: Surroundings, from_rest: bool) -> Bounds:
     from_rest: the vehicle hovers at the curve's start, and is the slower for it.  A plane has no
     straight dead-man stretches: it circles wherever it is sent to last.
     """
-    rows = first_pieces(cubics)
-    asked = Question(cubics, around, rows, from_rest)
+    rows, found = first_pieces(cubics), np.empty((around.columns.blocks_m.size, 3))
+    asked = Question(cubics, around, rows, from_rest, found)
     far, steep, pieces = np.full(3, math.inf), np.empty(3), 0
     for what in range(3):  # terrain, zones, dead man; in a loop, so that it is compiled once
         cap = 2.0 * around.clearance_m

@@ -177,6 +177,7 @@ class Task:
                 known,
                 centre_ne_m=centre_ne_m,
                 reach_m=reach_m + farther_m + registration_m,
+                block=max(2, min(16, round(0.75 * clearance_m / known.cell_m))),
                 registration_m=registration_m,
             ),
             zones=packed(self.zones if zones is None else zones),

@@ -34,6 +34,8 @@ class Columns(NamedTuple):
     """A window of the known map.  What lies outside of it has no top."""
 
     heights_m: FloatArray  # (rows, columns), C order; inf where there is no top
+    blocks_m: FloatArray  # (block rows, block columns): highest of block x block cells
+    block: int
     south_m: float
     west_m: float
     cell_m: float
@@ -42,11 +44,26 @@ class Columns(NamedTuple):
 
 
 def pack_columns(
-    known: KnownMap, *, centre_ne_m: tuple[float, float], reach_m: float, registration_m: float
+    known: KnownMap,
+    *,
+    centre_ne_m: tuple[float, float],
+    reach_m: float,
+    block: int,
+    registration_m: float,
 ) -> Columns:
     """The columns within reach of a point; without a top beyond."""
     south_m, west_m, heights_m = known.square_m(centre_ne_m, reach_m)
-    return Columns(heights_m, south_m, west_m, known.cell_m, float(registration_m))
+    first = np.arange(0, len(heights_m), block)
+    highest_m = np.maximum.reduceat(np.maximum.reduceat(heights_m, first), first, axis=1)
+    return Columns(
+        heights_m=heights_m,
+        blocks_m=np.ascontiguousarray(highest_m),
+        block=block,
+        south_m=south_m,
+        west_m=west_m,
+        cell_m=known.cell_m,
+        registration_m=float(registration_m),
+    )
 
 
 # --- many points at once
@@ -148,43 +165,88 @@ def strip(
     return min(one, other) - wide, max(one, other) + wide
 
 
-def terrain_distance(here: Columns, segment: Segment, limit: float, tolerance: float) -> float:
-    """Least distance of a segment from the terrain, at most `limit` and `tolerance` too low."""
+def nearest_column(
+    tops: FloatArray,
+    part: tuple[int, int, int, int],
+    lattice: tuple[float, float, float, float],
+    segment: Segment,
+    limit: float,
+    tolerance: float,
+    found: FloatArray,
+) -> tuple[float, int]:
+    """Least distance of a segment from columns (rows from, to, columns from, to), at most `limit`.
+
+    lattice: its southern and western edge, the side of a column and the registration error, metres.
+    found: if it has room, the columns within `limit` are listed there (row, column, distance) and
+    the limit is not lowered.  -> the distance and how many were listed.
+    """
     n0, e0, z0, dn, de, dz = segment
-    rows, columns = here.heights_m.shape
-    south_m, west_m, cell, registration = (
-        here.south_m,
-        here.west_m,
-        here.cell_m,
-        here.registration_m,
-    )
-    inside_n = min(min(n0, n0 + dn) - south_m, south_m + rows * cell - max(n0, n0 + dn))
-    inside_e = min(min(e0, e0 + de) - west_m, west_m + columns * cell - max(e0, e0 + de))
-    best = min(limit, max(min(inside_n, inside_e) - registration, 0.0))
-    if best <= 0.0:
-        return min(best, limit)
-    lowest, flat = min(z0, z0 + dz), math.sqrt(dn * dn + de * de)
+    south_m, west_m, side, registration = lattice
+    lowest = min(z0, z0 + dz)
+    flat = math.sqrt(dn * dn + de * de)
     along_n, along_e = (dn / flat, de / flat) if flat > 0.0 else (0.0, 0.0)
-    half = 0.5 * cell * (abs(along_n) + abs(along_e))
-    wide = best + registration
-    first_row = max(math.floor((min(n0, n0 + dn) - wide - south_m) / cell), 0)
-    last_row = min(math.floor((max(n0, n0 + dn) + wide - south_m) / cell) + 1, rows)
-    for row in range(first_row, last_row):
-        south = south_m + row * cell
+    half = 0.5 * side * (abs(along_n) + abs(along_e))
+    best, count = limit, 0
+    for row in range(part[0], part[1]):
+        south = south_m + row * side
         wide = best + registration
-        west_most, east_most = strip(n0, e0, dn, de, south, south + cell, wide)
-        first = max(math.floor((west_most - west_m) / cell), 0)
-        last = min(math.floor((east_most - west_m) / cell) + 1, columns)
+        west_most, east_most = strip(n0, e0, dn, de, south, south + side, wide)
+        first = max(part[2], math.floor((west_most - west_m) / side))
+        last = min(part[3], math.floor((east_most - west_m) / side) + 1)
         for column in range(first, last):
-            top = float(here.heights_m[row, column])
+            top = float(tops[row, column])
             if lowest - top >= best:
                 continue
-            west = west_m + column * cell
-            aside = (south + 0.5 * cell - n0) * along_e - (west + 0.5 * cell - e0) * along_n
+            west = west_m + column * side
+            aside = (south + 0.5 * side - n0) * along_e - (west + 0.5 * side - e0) * along_n
             if abs(aside) - half >= best + registration:
                 continue
-            box = (south, south + cell, west, west + cell, top, registration)
-            best = min(best, column_distance(segment, box, best, tolerance))
+            box = (south, south + side, west, west + side, top, registration)
+            far = column_distance(segment, box, best, tolerance)
+            if far < best:
+                if len(found) > 0:
+                    found[count, 0], found[count, 1], found[count, 2] = row, column, far
+                    count += 1
+                else:
+                    best = far
+    return best, count
+
+
+def terrain_distance(
+    here: Columns, segment: Segment, limit: float, tolerance: float, found: FloatArray
+) -> float:
+    """Least distance of a segment from the terrain, at most `limit` and `tolerance` too low.
+
+    found (blocks, 3): scratch.
+    """
+    n0, e0, _, dn, de, _ = segment
+    rows, columns = here.heights_m.shape
+    south, west, cell = here.south_m, here.west_m, here.cell_m
+    north, east = south + rows * cell, west + columns * cell
+    inside_n = min(min(n0, n0 + dn) - south, north - max(n0, n0 + dn))
+    inside_e = min(min(e0, e0 + de) - west, east - max(e0, e0 + de))
+    best = min(limit, max(min(inside_n, inside_e) - here.registration_m, 0.0))
+    if best <= 0.0:
+        return min(best, limit)
+    wide, side = best + here.registration_m, cell * here.block
+    first = max(math.floor((min(n0, n0 + dn) - wide - south) / side), 0)
+    last = math.floor((max(n0, n0 + dn) + wide - south) / side) + 1
+    part = (first, min(last, here.blocks_m.shape[0]), 0, here.blocks_m.shape[1])
+    lattice = (south, west, side, here.registration_m)
+    _, count = nearest_column(here.blocks_m, part, lattice, segment, best, tolerance, found)
+    lattice = (south, west, cell, here.registration_m)
+    nearest = 0
+    for k in range(1, count):
+        if found[k, 2] < found[nearest, 2]:
+            nearest = k
+    for k in range(count):
+        other = nearest if k == 0 else (0 if k == nearest else k)
+        if float(found[other, 2]) >= best:
+            continue
+        row, column = int(found[other, 0]) * here.block, int(found[other, 1]) * here.block
+        part = (row, min(row + here.block, rows), column, min(column + here.block, columns))
+        none = found[:0]
+        best, _ = nearest_column(here.heights_m, part, lattice, segment, best, tolerance, none)
     return best
 
 

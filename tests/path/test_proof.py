@@ -71,15 +71,23 @@ def test_the_distance_from_a_column_is_that_of_the_nearest_point_of_the_segment(
         assert column_distance(segment, box, 10.0, 0.1) >= 10.0
 
 
-@given(seed=seeds, limit=st.floats(0.3, 3.0))
+@given(seed=seeds, block=st.sampled_from([1, 2, 3, 7, 16]), limit=st.floats(0.3, 3.0))
 def test_the_distance_from_the_terrain_is_that_of_the_nearest_column(
-    seed: int, limit: float
+    seed: int, block: int, limit: float
 ) -> None:
     case = a_case(seed)
     here = case.surroundings()
+    rows, columns = here.columns.heights_m.shape
+    tall, wide = -(-rows // block), -(-columns // block)
+    maxima = np.full((tall, wide), -np.inf)
+    for i in range(tall):
+        for j in range(wide):
+            part = slice(i * block, (i + 1) * block), slice(j * block, (j + 1) * block)
+            maxima[i, j] = here.columns.heights_m[part].max()
+    columns_ = here.columns._replace(block=block, blocks_m=maxima)
     segment, _, _, length = piece_of(cubics_of(case.control_nea_m), 0, 0.2, 0.7)
     limit *= here.clearance_m
-    told = terrain_distance(here.columns, segment, limit, 0.1)
+    told = terrain_distance(columns_, segment, limit, 0.1, np.empty((maxima.size, 3)))
     points = np.array(segment[:3]) + np.linspace(0, 1, 200)[:, None] * np.array(segment[3:])
     around = case.known.grown(case.task.limits.loiter_radius_m)
     brute = min(float(column_distance_m(around, points).min()), limit)

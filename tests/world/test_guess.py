@@ -123,7 +123,7 @@ def test_no_proof_reads_a_guess() -> None:
     for each in (known, guessed):
         safe = safe_surface(each, centre_ne_m=HERE, reach_m=R, clearance_m=500.0, unknown_m=5e3)
         columns = task.surroundings(each, HERE, R).columns
-        read.append([safe.vertex_m, columns.heights_m, each.surveyed])
+        read.append([safe.vertex_m, columns.heights_m, columns.blocks_m, each.surveyed])
     for one, other in zip(*read, strict=True):
         np.testing.assert_array_equal(one, other)
     assert not guessed.is_known(39e3, 39e3)
