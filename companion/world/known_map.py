@@ -346,8 +346,9 @@ def sight_line_m(
     """
     apart_m = np.array([_GROUP_CELLS, _GROUP_CELLS, _GROUP_CELLS_UP]) * lattice.cell_m
     bins = ((radars_nea_m - radars_nea_m.min(axis=0)) / apart_m).astype(np.intp)
-    each, group_of = np.unique(bins, axis=0, return_inverse=True)
-    groups = [np.flatnonzero(group_of.ravel() == k) for k in range(len(each))]
+    key = np.ravel_multi_index(tuple(bins.T), tuple(bins.max(axis=0) + 1))
+    order = np.argsort(key, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
     boxes = [(radars_nea_m[k].min(axis=0), radars_nea_m[k].max(axis=0)) for k in groups]
     slack = slack_m + max(
         0.5 * math.hypot(high[0] - low[0], high[1] - low[1]) for low, high in boxes
@@ -439,9 +440,12 @@ def _slope_over_near_cells(
         _circles_seen(away, math.sqrt(0.5) * cell + error_m)
         for away in (to_cells, points_ne_m - radar_ne_m)
     )
-    apart = np.abs(np.remainder(towards - azimuths[:, None] + math.pi, math.tau) - math.pi)
-    over = (apart <= halves[:, None] + wide) & (nearest[:, None] <= far)  # (cells, K)
-    return np.where(over, slopes[:, None], -np.inf).max(axis=0, initial=-np.inf)
+    result = np.full(len(points_ne_m), -np.inf)
+    for slope, near, azimuth, half in zip(slopes, nearest, azimuths, halves, strict=True):
+        turned = np.abs(np.remainder(towards - azimuth + math.pi, math.tau) - math.pi)
+        over = (turned <= half + wide) & (near <= far)
+        np.maximum(result, slope, out=result, where=over)
+    return result
 
 
 def _circles_seen(away_m: FloatArray, radius_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
