@@ -19,7 +19,7 @@ from companion.mavlink.plan_client import FENCE, PlanClient, PlanItem
 from companion.mission.events import FenceChanged, FenceReading, Vector
 from companion.mission.mission import Mission
 from companion.planner.settings import Task
-from companion.world.zones import CircleZone, PolygonZone, Zone, gaps_m, packed
+from companion.world.zones import CircleZone, PolygonZone, Zone, gaps_m
 
 if TYPE_CHECKING:  # it says of its fence what stands here
     from companion.mavlink.autopilots.common import Autopilot
@@ -300,7 +300,7 @@ def conflicts(fence: Fence, task: Task, targets_ne_m: Sequence[Point]) -> tuple[
     found = [fence.refusal] if fence.refusal else []
     for number, target in enumerate(targets_ne_m, start=1):
         north, east = (np.asarray(value) for value in target)
-        if gaps_m(packed(fence.zones), north, east, task.zone_clearance_m) >= task.zone_clearance_m:
+        if gaps_m(fence.zones, north, east, task.zone_clearance_m) >= task.zone_clearance_m:
             continue
         for zone in sorted(fence.zones, key=lambda zone: isinstance(zone, PolygonZone)):
             short_m = task.zone_clearance_m - _distance_m(zone, target)

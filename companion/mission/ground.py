@@ -19,7 +19,6 @@ from companion.mission.tables import takeover_reason
 from companion.mission.vehicle_traits import TakeoffSequence
 from companion.planner.procedure import Reference
 from companion.world.zones import gaps_m as zone_gaps_m
-from companion.world.zones import packed
 
 _PREPARE_S = 120.0
 _ASKED_FOR = (Item.PARAMETERS, Item.PLANS)  # of the autopilot itself, in the air as well
@@ -327,7 +326,7 @@ def may_take_off(state: State) -> bool:
         if not low <= value <= high:
             return False
     north, east = _climb_out_ne_m(state, here)
-    gaps_m = zone_gaps_m(packed(task.zones), north, east, 2.0 * task.zone_clearance_m)
+    gaps_m = zone_gaps_m(task.zones, north, east, 2.0 * task.zone_clearance_m)
     return bool(gaps_m.min() >= task.zone_clearance_m)
 
 

@@ -10,7 +10,7 @@ from companion.planner.procedure import Vector
 from companion.planner.settings import Task
 from companion.world.columns import distance_to_terrain_m, distances_to_terrain_m, sees_anything
 from companion.world.known_map import KnownMap
-from companion.world.zones import gaps_m, packed
+from companion.world.zones import gaps_m
 
 _BEARINGS, _LENGTHS = 36, 16
 """Places about the vehicle: 10 degrees and 2.5 % of R apart, about a turn radius at the rim."""
@@ -46,7 +46,7 @@ def loiter_point(
 
     Unknown ground is never clear.  None: there is no such place among the best.
     """
-    here, zones = np.array(here_nea_m), packed(task.zones)
+    here, zones = np.array(here_nea_m), task.zones
     error_m, required_m = task.error_m, task.required_clearance_m
     farthest_m, circle_m = _FARTHEST * task.settings.scan_range_m, task.limits.loiter_radius_m
     if not sees_anything(known, here_nea_m[:2], farthest_m):

@@ -26,7 +26,7 @@ from companion.path.subpath import Pose, Subpath
 from companion.planner.request import Planned, Rest
 from companion.planner.settings import Task
 from companion.world.near_map import NearMap
-from companion.world.zones import Zone, gaps_m, packed
+from companion.world.zones import Zone, gaps_m
 
 _GAINS = 0.6  # of the lag: so far ahead it gains no speed, else the vehicle catches up too fast
 _SLOWEST = 0.25  # of V: what would have to be left more slowly is flown to its end
@@ -189,7 +189,7 @@ class Leg:
         count = math.ceil(max(length_m - from_m, 0.0) / leeway_m) + 1
         lengths = np.linspace(min(from_m, length_m), length_m, count)
         north, east, _ = self.subpath.points_nea_m(lengths).T
-        told_m = gaps_m(packed(zones), north, east, required_m)
+        told_m = gaps_m(zones, north, east, required_m)
         return bool((told_m < required_m - 0.5 * leeway_m).any())
 
     def meets(self, near: NearMap, from_m: float, required_m: float) -> bool:

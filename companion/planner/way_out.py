@@ -36,7 +36,7 @@ from companion.world.columns import (
     safe_surface,
 )
 from companion.world.known_map import KnownMap
-from companion.world.zones import Zone, gaps_m, packed
+from companion.world.zones import Zone, gaps_m
 
 # --- where no certificate can begin
 
@@ -171,7 +171,7 @@ def _gaps_m(request: PlanRequest, *zones: Zone, at_ne_m: FloatArray | None = Non
     (..., 2) -> (...).
     """
     at_ne_m = request.start.position_nea_m[:2] if at_ne_m is None else at_ne_m
-    gaps = gaps_m(packed(zones), at_ne_m[..., 0], at_ne_m[..., 1])
+    gaps = gaps_m(zones, at_ne_m[..., 0], at_ne_m[..., 1])
     return np.asarray(gaps - request.task.limits.loiter_radius_m)
 
 

@@ -17,8 +17,8 @@ import numpy as np
 import scipy
 
 from companion import jit
-from companion.geodesy import BoolArray, FloatArray
-from companion.world.known_map import IntArray, KnownMap
+from companion.geodesy import FloatArray
+from companion.world.known_map import KnownMap
 
 _FAR_M = 1e12  # farther than anything on earth, and small enough to calculate with
 _BRACKETINGS = 60
@@ -86,28 +86,14 @@ def distances_to_terrain_m(
     registration error; unknown ones, and those off the map, as if they had no top.  seen_only: only
     what a scan has seen, or is known in advance, counts, not what may be there.
     """
-    half = math.ceil((most_m + known.registration_m) / known.cell_m) + 1
-    around = np.arange(-half, half + 1)
-
-    def along(at: FloatArray, least: float, count: int) -> tuple[IntArray, BoolArray, FloatArray]:
-        """Rows or columns about the points, whether they are on the map, and the gaps.  (N, K)."""
-        index = np.floor((at - least) / known.cell_m).astype(np.intp)[:, None] + around
-        first, here = least + index * known.cell_m, at[:, None]
-        gap = np.maximum(np.maximum(first - here, here - first - known.cell_m), 0.0)
-        return np.clip(index, 0, count - 1), (index >= 0) & (index < count), gap
-
-    north, east, up = points_nea_m.T
-    rows, in_rows, gap_n = along(north, known.north_min_m, known.shape[0])
-    columns, in_columns, gap_e = along(east, known.east_min_m, known.shape[1])
-    cells = rows[:, :, None], columns[:, None, :]
-    upper = known.upper_m[cells]
-    counts = in_rows[:, :, None] & in_columns[:, None, :] & np.isfinite(upper)
-    if seen_only:
-        counts &= known.surveyed[cells]
-    upper = np.where(counts, upper, -np.inf if seen_only else np.inf)
-    apart = np.hypot(gap_n[:, :, None], gap_e[:, None, :]) - known.registration_m
-    above = np.maximum(up[:, None, None] - upper, 0.0)
-    return np.minimum(np.hypot(np.maximum(apart, 0.0), above).min(axis=(1, 2)), most_m)
+    edges_m, upper_m = known.squares_m(
+        points_nea_m[:, :2], most_m + known.registration_m, seen_only=seen_only
+    )
+    here_m = points_nea_m[:, :2, None]
+    gaps_m = np.maximum(np.maximum(edges_m - here_m, here_m - edges_m - known.cell_m), 0.0)
+    apart_m = np.hypot(gaps_m[:, 0, :, None], gaps_m[:, 1, None, :]) - known.registration_m
+    above_m = np.maximum(points_nea_m[:, 2, None, None] - upper_m, 0.0)
+    return np.minimum(np.hypot(np.maximum(apart_m, 0.0), above_m).min(axis=(1, 2)), most_m)
 
 
 # --- a segment: compiled

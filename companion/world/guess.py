@@ -37,11 +37,6 @@ def believed_m(known: KnownMap, rows: slice, columns: slice) -> FloatArray:
     return np.where(part.surveyed, part.upper_m, told)
 
 
-def block_cells(known: KnownMap, range_m: float) -> int:
-    """Cells to a side of the squares over which what was seen is averaged; range_m is R."""
-    return max(round(range_m / (_BLOCKS_PER_RANGE * known.cell_m)), 1)
-
-
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Continued:
@@ -129,18 +124,19 @@ class Blocks:
 
 
 def guessed_m(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) -> FloatArray:
-    """The terrain of all cells as it was seen, told or guessed, metres AMSL; -inf: not at all."""
-    rows, columns = known.upper_m.shape
-    believed = believed_m(known, slice(0, rows), slice(0, columns))
-    blocks = Blocks(known.shape, block_cells(known, range_m))
-    blocks.update(known, (slice(0, rows), slice(0, columns)))
+    """The terrain of all cells as it was seen, told or guessed, metres AMSL; -inf: not at all.
+
+    range_m is R.
+    """
+    rows, columns = known.shape
+    whole = slice(0, rows), slice(0, columns)
+    size = max(round(range_m / (_BLOCKS_PER_RANGE * known.cell_m)), 1)
+    believed, blocks = believed_m(known, *whole), Blocks(known.shape, size)
+    blocks.update(known, whole)
     goes_on = blocks.continued(known.cell_of(*here_ne_m))
     if goes_on is not None:
         guess = goes_on.at_m(2 * np.arange(rows) + 1, 2 * np.arange(columns) + 1)
-        unseen = (
-            ~known.surveyed if known.guess_m is None else ~known.surveyed & np.isnan(known.guess_m)
-        )
-        np.copyto(believed, np.minimum(guess, known.upper_m), where=unseen)
+        np.copyto(believed, np.minimum(guess, known.upper_m), where=np.isneginf(believed))
     return believed
 
 

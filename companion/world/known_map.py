@@ -186,22 +186,34 @@ class KnownMap(Lattice):
             guess_m=None if self.guess_m is None else self.guess_m[rows, columns],
         )
 
+    def squares_m(
+        self, centres_ne_m: FloatArray, reach_m: float, *, seen_only: bool = False
+    ) -> tuple[FloatArray, FloatArray]:
+        """Squares of cells with all within reach of points; off the map nothing is known.
+
+        seen_only: what is not surveyed has a top of -inf, instead of what may be there.
+        (K, 2) -> southern and western edges of the rows and columns, metres, (K, 2, N); a copy of
+        the upper bounds, (K, N, N).
+        """
+        corner, half = [self.north_min_m, self.east_min_m], math.ceil(reach_m / self.cell_m) + 1
+        middle = np.floor((centres_ne_m - corner + _ON_EDGE_M) / self.cell_m).astype(np.intp)
+        index = middle[:, :, None] + np.arange(-half, half + 1)
+        rows, columns = (np.clip(index[:, k], 0, self.shape[k] - 1) for k in (0, 1))
+        on_map = index == np.stack([rows, columns], axis=1)
+        cells = rows[:, :, None], columns[:, None, :]
+        upper = self.upper_m[cells]
+        counts = on_map[:, 0, :, None] & on_map[:, 1, None, :] & np.isfinite(upper)
+        if seen_only:
+            counts &= self.surveyed[cells]
+        edges = np.reshape(corner, (2, 1)) + index * self.cell_m
+        return edges, np.where(counts, upper, -np.inf if seen_only else np.inf)
+
     def square_m(
         self, centre_ne_m: tuple[float, float], reach_m: float
     ) -> tuple[float, float, FloatArray]:
-        """A square of cells with all within reach of a point; off the map nothing is known.
-
-        -> its southern and western edge, metres, and a copy of its upper bounds (N, N).
-        """
-        row, column = self.cell_of(*centre_ne_m)
-        half = math.ceil(reach_m / self.cell_m) + 1
-        around, (height, width) = np.arange(-half, half + 1), self.shape
-        rows, columns = (row + around)[:, None], (column + around)[None, :]
-        on_map = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-        upper = self.upper_m[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
-        square = np.where(on_map & ~np.isnan(upper), upper, np.inf)
-        south_m = self.north_min_m + (row - half) * self.cell_m
-        return float(south_m), float(self.east_min_m + (column - half) * self.cell_m), square
+        """`squares_m` of one point -> its southern and western edge, metres, and the bounds."""
+        edges, upper = self.squares_m(np.array([centre_ne_m]), reach_m)
+        return float(edges[0, 0, 0]), float(edges[0, 1, 0]), upper[0]
 
 
 def empty_map(cell_m: float, north_m: tuple[float, float], east_m: tuple[float, float]) -> KnownMap:

@@ -46,6 +46,7 @@ FORGOTTEN_AFTER_S = 60.0
 Long enough to fly out of a dead end: what is unknown is an open way.
 """
 CELLS_PER_RANGE, _MOST_CELLS = 64, 4e6  # see `cell_for_m`; 28 MB, which a plan is sent
+_ALL: Window = slice(None), slice(None)
 Kind = Literal["obstacle_distance", "distance_sensor"]  # what the messages of a sensor are called
 
 
@@ -179,11 +180,11 @@ class NearMap:
         # when and where sweeps were that may have passed a cell last
         self._swept: collections.deque[tuple[float, Window]] = collections.deque()
 
-    def occupied(self, window: Window = (slice(None), slice(None))) -> BoolArray:
+    def occupied(self, window: Window = _ALL) -> BoolArray:
         """(rows, columns), where something stands, or stood just now."""
         return self.met_since_s[window] < np.inf
 
-    def free(self, window: Window = (slice(None), slice(None))) -> BoolArray:
+    def free(self, window: Window = _ALL) -> BoolArray:
         """(rows, columns), where nothing stands."""
         return (self.passes[window] >= SIGHTINGS) & ~self.occupied(window)
 
@@ -200,7 +201,7 @@ class NearMap:
         gaps_m = np.maximum(np.maximum(-over_m, over_m - lattice.cell_m), 0.0)  # (N, cells, 2)
         return np.sqrt((gaps_m * gaps_m).sum(axis=2).min(axis=1, initial=math.inf))
 
-    def closed(self, window: Window = (slice(None), slice(None))) -> BoolArray:
+    def closed(self, window: Window = _ALL) -> BoolArray:
         """(rows, columns), where something stands, or so near to it that no beam clears the cell.
 
         No way leads there: unknown cells elsewhere may turn out to be free, and so may those of a

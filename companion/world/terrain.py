@@ -6,7 +6,7 @@ point is, and how high a box is at most.  `companion.sources.elevation` reads el
 
 import abc
 import math
-from dataclasses import astuple, dataclass, field
+from dataclasses import astuple, dataclass
 from typing import Any, Protocol, final
 
 import numpy as np
@@ -57,12 +57,6 @@ class PeakTerrain:
     peaks: tuple[Peak, ...]
     ground_amsl_m: float
     sum_of_peaks: bool = False
-    _columns: FloatArray = field(init=False, repr=False, compare=False)
-    """(5, peaks), as the fields of `Peak`."""
-
-    def __post_init__(self) -> None:
-        rows = np.array([astuple(peak) for peak in self.peaks], dtype=np.float64)
-        object.__setattr__(self, "_columns", rows.reshape(-1, 5).T.copy())
 
     def height_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """Terrain height, metres AMSL.  (...) x2 -> (...)."""
@@ -81,7 +75,8 @@ class PeakTerrain:
         if 0 in shape:
             return np.empty(shape)
         adds = self.sum_of_peaks and bool(self.peaks)
-        peaks, result = self._columns, np.full(shape, 0.0 if adds else -np.inf)
+        peaks = np.array([astuple(peak) for peak in self.peaks]).reshape(-1, 5).T
+        result = np.full(shape, 0.0 if adds else -np.inf)
         if not adds:
             outline = np.min(south), np.max(north), np.min(west), np.max(east)
             peaks = peaks[:, _highest_of_peak_m(peaks, *outline) > self.ground_amsl_m]

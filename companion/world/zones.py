@@ -3,11 +3,10 @@
 A zone is a vertical cylinder or prism, as high as the sky.  Its distance is horizontal, to its
 edge, and negative where it forbids to be; that from several zones is the least of theirs.
 
-It is written down twice, over the same `ZoneTable`, and tests hold the two against each other:
-`gaps_m` for arrays of points, in numpy, for the part that decides; and for a point or a segment
-plain scalar code that is compiled (`companion.jit`), for search, guidance and proof.
-There edges of polygons lie in groups with a box about each: a fence of hundreds of edges costs
-little more than one of ten.
+It is written down twice, and tests hold the two against each other: `gaps_m` for arrays of points,
+by shapely, for the part that decides; and for a point or a segment plain scalar code that is
+compiled (`companion.jit`), for search, guidance and proof.  There edges of polygons lie in groups
+with a box about each: a fence of hundreds of edges costs little more than one of ten.
 """
 
 import math
@@ -16,16 +15,14 @@ from functools import lru_cache
 from typing import Any, NamedTuple, final
 
 import numpy as np
+import shapely
 
 from companion import jit
 from companion.geodesy import BoolArray, FloatArray
 from companion.world.columns import Segment
 
 _GROUP = 16  # edges to a box: 16 is faster than 8, with 50 x 100 corners and with 2,000 (measured)
-_AT_ONCE = 60_000
-"""Pairs of a point and an edge: arrays of 0.5 MB, twice as fast as of 3 MB (measured)."""
 _MOST_CELLS = 512  # cells of `near_cells` across: 0.25 MB, made in some 0.1 s
-_NO_LENGTH_M2 = 1e-12  # an edge shorter than a micrometre is a point
 _FAR_M = 1e12  # farther than anything on earth, and small enough to calculate with
 _TOUCHING_M = 1e-9
 """Looked for at least so far from a segment, so that edges that touch it are seen (rounding)."""
@@ -51,7 +48,7 @@ class CircleZone:
 
     def distance_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """`gaps_m` from this zone alone."""
-        return gaps_m(packed((self,)), north_m, east_m)
+        return gaps_m((self,), north_m, east_m)
 
 
 @final
@@ -68,7 +65,7 @@ class PolygonZone:
 
     def distance_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """`gaps_m` from this zone alone."""
-        return gaps_m(packed((self,)), north_m, east_m)
+        return gaps_m((self,), north_m, east_m)
 
 
 Zone = CircleZone | PolygonZone
@@ -117,62 +114,46 @@ def _box_of(points_ne_m: FloatArray) -> Box:
 # --- many points at once
 
 
+@lru_cache(maxsize=256)
+def _outlines(zones: tuple[Zone, ...]) -> tuple[list[Row], Any, Any, BoolArray]:
+    """`ZoneTable.circles`; all edges in a tree; polygons (Z, 1), and which are to stay out of."""
+    polygons = [zone for zone in zones if isinstance(zone, PolygonZone)]
+    areas = np.array([shapely.Polygon(zone.vertices_ne_m) for zone in polygons], dtype=object)
+    shapely.prepare(areas)
+    corners = [np.array(zone.vertices_ne_m) for zone in polygons]
+    edges = [np.stack([each, np.roll(each, -1, axis=0)], axis=1) for each in corners]
+    tree = shapely.STRtree(shapely.linestrings(np.concatenate([np.empty((0, 2, 2)), *edges])))
+    keeps_out = np.array([not zone.keep_in for zone in polygons], dtype=bool)
+    return packed(zones).circles.tolist(), tree, areas[:, None], keeps_out[:, None]
+
+
 def gaps_m(
-    zones: ZoneTable,
-    north_m: FloatArray,
-    east_m: FloatArray,
-    within_m: float | FloatArray = math.inf,
+    zones: tuple[Zone, ...], north_m: FloatArray, east_m: FloatArray, within_m: float = math.inf
 ) -> FloatArray:
     """Distance of points to the nearest zone, negative where one forbids to be, metres.
 
-    (...) x2 or x3 -> (...).  within_m: farther ones count as so far away (inf without zones).
+    (...) x2 -> (...).  within_m: farther ones count as so far away (inf without zones).
     """
     shape = np.broadcast_shapes(np.shape(north_m), np.shape(east_m))
-    north, east, result = (
-        np.array(np.broadcast_to(part, shape), dtype=np.float64).reshape(-1)
-        for part in (north_m, east_m, within_m)
-    )
-    for middle_n, middle_e, radius_m, sign in zones.circles.tolist():
+    north, east = (np.broadcast_to(part, shape).reshape(-1) for part in (north_m, east_m))
+    result = within_m + 0.0 * (north + east)  # of no place it is no distance: NaN
+    circles, tree, areas, keeps_out = _outlines(zones)
+    for middle_n, middle_e, radius_m, sign in circles:
         away_m = np.hypot(north - middle_n, east - middle_e)
         np.minimum(result, sign * (away_m - radius_m), out=result)
-    if not len(result):
-        return result.reshape(shape)
-    signs, boxes = zones.polygons[:, 2], tuple(zones.polygons[:, 3:].T)
-    area = (north.min(), north.max(), east.min(), east.max())
-    apart_m = _box_gaps_m(boxes, area) * (signs > 0.0)  # what keeps in may matter anywhere
-    for k in np.argsort(apart_m, kind="stable"):
-        if apart_m[k] > max(result.max(), 0.0):
-            break  # so are all others
-        first, last, sign, *box = zones.polygons[k].tolist()
-        edges = zones.edges[int(first) : int(last)].reshape(-1, 4)
-        away_m = _box_gaps_m(tuple(box), (north, north, east, east)) * (sign > 0.0)
-        some, step = np.flatnonzero(away_m <= np.maximum(result, 0.0)), _AT_ONCE // len(edges) + 1
-        for part in (some[j : j + step] for j in range(0, len(some), step)):
-            told_m = sign * _outside_m(edges, north[part], east[part])
-            result[part] = np.minimum(result[part], told_m)
+    if len(areas) and len(result):
+        points = shapely.points(north, east)
+        most_m = within_m if 0.0 < within_m < math.inf else None
+        (which, _), away_m = tree.query_nearest(
+            points, max_distance=most_m, return_distance=True, all_matches=False
+        )
+        result[which] = np.minimum(result[which], away_m)
+        forbidden = shapely.contains_xy(areas, north, east) == keeps_out
+        for k in np.flatnonzero(forbidden.any(axis=1)):
+            some = forbidden[k]
+            deep_m = shapely.distance(areas[k, 0].exterior, points[some])
+            result[some] = np.minimum(result[some], -deep_m)
     return result.reshape(shape)
-
-
-def _outside_m(edges: FloatArray, north: FloatArray, east: FloatArray) -> FloatArray:
-    """Distances to a polygon of these edges, negative inside.  (E, 4), (P,) x2 -> (P,)."""
-    n, e, (an, ae, bn, be) = north[:, None], east[:, None], edges.T
-    dn, de, n_of, e_of = bn - an, be - ae, n - an, e - ae
-    slope = dn / np.where(de == 0.0, 1.0, de)  # an edge that runs north crosses no line
-    crosses = ((ae > e) != (be > e)) & (n_of < e_of * slope)
-    along = (n_of * dn + e_of * de) / np.maximum(dn * dn + de * de, _NO_LENGTH_M2)
-    np.clip(along, 0.0, 1.0, out=along)
-    n_of -= along * dn
-    e_of -= along * de
-    nearest_m = np.sqrt((n_of * n_of + e_of * e_of).min(axis=1))
-    return np.where(np.count_nonzero(crosses, axis=1) % 2 == 1, -nearest_m, nearest_m)
-
-
-def _box_gaps_m(boxes: Box, others: Box) -> FloatArray:
-    """How far boxes, or points, are from others; 0 where they meet.  (...) -> (...)."""
-    south, north, west, east = boxes
-    gap_n = np.maximum(np.maximum(south - others[1], others[0] - north), 0.0)
-    gap_e = np.maximum(np.maximum(west - others[3], others[2] - east), 0.0)
-    return np.hypot(gap_n, gap_e)
 
 
 def nearest(zones: tuple[Zone, ...], north_m: float, east_m: float) -> tuple[Zone | None, float]:
@@ -180,7 +161,7 @@ def nearest(zones: tuple[Zone, ...], north_m: float, east_m: float) -> tuple[Zon
     found: tuple[Zone | None, float] = None, math.inf
     at = np.asarray(north_m), np.asarray(east_m)
     for zone in zones:
-        gap_m = float(gaps_m(packed((zone,)), *at, found[1]))
+        gap_m = float(gaps_m((zone,), *at, found[1]))
         found = (zone, gap_m) if gap_m < found[1] else found
     return found
 

