@@ -33,7 +33,6 @@ from platformdirs import user_cache_dir
 from running import Bar, Found, in_processes, main, most
 from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter
 from scipy.optimize import minimize
-from scipy.sparse import csr_array
 from tapped import fly_campaign
 
 from companion import library
@@ -44,7 +43,7 @@ from companion.campaign.report import read_campaign
 from companion.campaign.run import drawn_of
 from companion.campaign.store import Row
 from companion.geodesy import FloatArray
-from companion.paper.rivals import cheapest, grid_edges
+from companion.paper.rivals import cheapest, grid_graph
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone
 
@@ -104,7 +103,7 @@ class Grid:
     ) -> list[tuple[float, FloatArray]]:
         """The cheapest way and others that differ: cost in metres, (N, 2) points."""
         found: list[tuple[float, FloatArray]] = []
-        first = self._graph(rate)
+        first = grid_graph(rate, self._stride, _WAYS)
         columns, graph = len(self.east_m[:: self._stride]), first
         corner = np.array([self.north_m[0], self.east_m[0]])
         spacing_m = self._stride * _SURFACE_M
@@ -119,13 +118,8 @@ class Grid:
             route[[0, -1]] = ends_ne_m
             found.append((cost_m, route))
             rate = rate * self._dearer_near(route)
-            graph = self._graph(rate)
+            graph = grid_graph(rate, self._stride, _WAYS)
         return found
-
-    def _graph(self, rate: FloatArray) -> csr_array:
-        size = math.prod(rate[:: self._stride, :: self._stride].shape)
-        before, after, cost = grid_edges(rate, self._stride, _WAYS)
-        return csr_array((cost, (before, after)), shape=(size, size))
 
     def _dearer_near(self, route: FloatArray) -> FloatArray:
         """1.25 within 3 km of a way except near its ends, else 1."""
