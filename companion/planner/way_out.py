@@ -36,7 +36,7 @@ from companion.world.columns import (
     safe_surface,
 )
 from companion.world.known_map import KnownMap
-from companion.world.zones import Zone, gaps_m
+from companion.world.zones import Zone, gaps_m, packed
 
 # --- where no certificate can begin
 

@@ -54,7 +54,6 @@ def test_routes_lead_to_the_target_and_do_not_depend_on_the_number_of_processes(
             steps = np.linalg.norm(np.diff(run.route_nea_m, axis=0), axis=1)
             assert steps.max() < 110.0
             assert steps.sum() == pytest.approx(run.length_m, rel=1e-3)
-            assert len(run.scans_nea_m) == run.legs
             # a1 f1 = 0.1 x 100 for 2.4 R of control polygon, which is no shorter than its curve
             assert run.cost > 0.1 * 100.0 * run.length_m / (2.4 * 20_000.0)
     assert not multiprocessing.active_children()
@@ -103,7 +102,7 @@ def curve(*corners: Point) -> FloatArray:
 def broken(
     *flown: tuple[FloatArray, float], radars: tuple[Radar, ...] = (), terrain: PeakTerrain = FLAT
 ) -> dict[str, float]:
-    """With the limits of environment-1: 3 to 5 km, turns of 2.5 km, 10 degrees; d_s 500 m."""
+    """With the limits of environment-1: turns of 2.5 km; d_s 500 m."""
     world = as_published("environment-1")
     task = replace(world.task, radars=radars)
     return violations(flown, replace(world, task=task, terrain=terrain))
@@ -111,12 +110,6 @@ def broken(
 
 def radar(north_m: float, east_m: float, range_m: float) -> Radar:
     return Radar(name="r", centre_nea_m=(north_m, east_m, 0.0), range_m=range_m)
-
-
-def slope(angle_deg: float) -> FloatArray:
-    """5 km long in plan."""
-    rise_m = 5_000.0 * math.tan(math.radians(angle_deg))
-    return curve((0.0, 0.0, 4000.0), (5_000.0, 0.0, 4000.0 + rise_m))
 
 
 def turn(radius_m: float) -> FloatArray:
@@ -131,18 +124,12 @@ def chord_m(range_m: float, aside_m: float = 0.0) -> float:
 
 
 LEVEL = curve((0.0, 0.0, 3000.0), (20_000.0, 0.0, 3000.0))
-CLIMB_M = 5_000.0 / math.cos(math.radians(10.1))
 BREAKS: list[tuple[FloatArray, float, tuple[Radar, ...], str, float]] = [
     (LEVEL, 20e3, (), "", 0.0),
     (LEVEL, 20e3, (radar(10e3, 2e3, 6e3),), "radar", chord_m(6e3, 2e3)),
     (LEVEL, 20e3, (radar(10e3, 2e3, 6e3),) * 2, "radar", chord_m(6e3, 2e3)),  # once
     (LEVEL, 20e3, (radar(20e3, 0.0, 5e3),), "radar", 0.5 * chord_m(5e3)),
     (LEVEL, 15e3, (radar(20e3, 0.0, 5e3),), "", 0.0),  # it is not flown so far
-    (curve((0.0, 0.0, 2e3), (40e3, 0.0, 6e3)), 4.1e4, (), "band", 20e3 * math.hypot(1.0, 0.1)),
-    (slope(9.9), 1e4, (), "", 0.0),
-    (slope(-9.9), 1e4, (), "", 0.0),
-    (slope(10.1), 1e4, (), "climb", CLIMB_M),
-    (slope(-10.1), 1e4, (), "climb", CLIMB_M),
     (turn(2_700.0), 1e4, (), "", 0.0),
     (turn(2_300.0), 1e4, (), "turn", 2_300.0 * math.pi / 2.0),
 ]
@@ -163,9 +150,8 @@ def test_a_join_with_r2_of_0_is_a_corner_and_subpaths_add_up() -> None:
     straight = curve((0.0, 0.0, 3e3), (0.0, 0.0, 3e3), (9e3, 4e3, 3e3), (18e3, 8e3, 3e3))
     found = broken((straight, 20e3))  # its first sample, which stands for half a step
     assert found == pytest.approx(dict.fromkeys(KINDS, 0.0) | {"turn": 0.5 * STEP_M}, rel=1e-3)
-    one = curve((0.0, 0.0, 2900.0), (5_000.0, 0.0, 2900.0))
-    two = curve((5_000.0, 0.0, 3000.0), (9_000.0, 0.0, 3000.0))
-    assert broken((one, 4_000.0), (two, 4_000.0))["band"] == pytest.approx(4_000.0)
+    twice = broken((straight, 20e3), (straight, 20e3))
+    assert twice["turn"] == pytest.approx(STEP_M, rel=1e-3)
 
 
 def test_nearer_than_d_s_to_ground_and_peaks_is_what_lies_within_500_m_of_them() -> None:

@@ -40,9 +40,7 @@ def compare_command(
     json_file: Annotated[
         Path | None, Option("--json", metavar="FILE", help="Write all numbers to a JSON file.")
     ] = None,
-    figure: Annotated[
-        Path | None, Option("--figure", "--out", metavar="FILE", help=_FIGURE)
-    ] = None,
+    figure: Annotated[Path | None, Option(metavar="FILE", help=_FIGURE)] = None,
     per_second: Annotated[int | None, Option(min=1, help=_PER_SECOND)] = None,
     planners: Annotated[list[str] | None, Option("--planner", help=_PLANNERS)] = None,
 ) -> None:

@@ -8,10 +8,11 @@ import math
 import statistics
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, final
 
 import numpy as np
+import shapely
 
 from companion import extras
 from companion.campaign import drawn_world, truth
@@ -24,19 +25,17 @@ from companion.planning import OURS
 from companion.profiles import PAPER
 
 _ROUTE_SPACING_M, _DENSE_M = 100.0, 10.0
-_TOLERANCE = 1e-6  # relative: what lies on a bound has not crossed it
+_LESS = 1.0 - 1e-6  # what lies on a bound has not crossed it
+_STANDS = 1e-6  # of the fastest: r2 = 0, the join is a corner
 KINDS = {
     "clearance": "nearer than d_s",  # to the ground
     "radar": "seen by radars",  # within the range of one (eq. 3)
     "turn": "turn",  # more tightly than the vehicle can, joins included
-    "climb": "climb",  # or dive more steeply than it can
-    "band": "altitude",  # below the floor or above the ceiling
 }
 """What may be violated, and how tables say it."""
+ROUND = "goes round"
 
 Point = tuple[float, float]  # north and east, metres
-Line = tuple[str, Point, Point]
-"""What a route does that passes between two points; any other goes round."""
 
 
 @final
@@ -50,7 +49,8 @@ class Case:
     planner: str = OURS  # ours plans by the task's profile, others as `planning.planner_of` says
     papers_cost: tuple[float, ...] = ()  # mean and standard deviation (Table 1)
     papers_way: str = ""  # which way the paper's route goes (Fig. 3, Fig. 4)
-    line: Line | None = None
+    across: str = ""  # what a route does that passes between the two points; any other goes round
+    between_ne_m: tuple[Point, ...] = ()
 
 
 def as_published(name: str, **settings: Any) -> DrawnWorld:
@@ -76,13 +76,14 @@ class Run:
 
     arrived: bool
     cost: float  # sum of the subpaths' f: the "fitness from start to target" (row 24)
-    legs: int
     length_m: float
+    highest_amsl_m: float
     j: float  # length, height and radar of eq. 5 along what was flown (`library.route_terms`)
     plan_s: float  # processor time of all plans
+    way: str  # between the points of the case, or round them
+    violations_m: dict[str, float]  # metres of each kind
     route_nea_m: FloatArray  # (S, 3); the path as flown, every 100 m
     scans_nea_m: tuple[tuple[float, float, float], ...]
-    violations: dict[str, float]  # metres of each kind
 
 
 def fly(case: Case, seed: int) -> Run:
@@ -93,51 +94,42 @@ def fly(case: Case, seed: int) -> Run:
     return Run(
         arrived=flight.failure is None,
         cost=sum(planned.cost for planned in flight.plans),
-        legs=len(flight.legs),
         length_m=sum(flight.flown_m),
+        highest_amsl_m=float(route[:, 2].max()),
         j=sum(route_terms(route, case.world.task).values()),
         plan_s=sum(alone.plan_s),
+        way=case.across if crosses(route, case.between_ne_m) else ROUND,
+        violations_m=violations(zip(curves, flight.flown_m, strict=True), case.world),
         route_nea_m=route,
         scans_nea_m=tuple(flight.scans_nea_m),
-        violations=violations(zip(curves, flight.flown_m, strict=True), case.world),
     )
+
+
+def crosses(route_nea_m: FloatArray, between_ne_m: Sequence[Point]) -> bool:
+    """Whether a route, (S, 3), passes between two points, seen from above."""
+    route = shapely.LineString(np.repeat(route_nea_m[:, :2], 2, axis=0))  # one point is no line
+    return bool(route.intersects(shapely.LineString(between_ne_m)))
 
 
 def violations(flown: Iterable[tuple[FloatArray, float]], world: DrawnWorld) -> dict[str, float]:
     """Metres that break a bound, by kind, of curves (K, 3), each as far as it was flown, metres."""
-    task, limits, more, less = world.task, world.task.limits, 1.0 + _TOLERANCE, 1.0 - _TOLERANCE
-    slack_m = _TOLERANCE * (limits.ceiling_amsl_m - limits.floor_amsl_m)
-    d_s, total = task.settings.safety_distance_m, dict.fromkeys(KINDS, 0.0)
+    task, total = world.task, dict.fromkeys(KINDS, 0.0)
+    d_s, tightest_m = task.settings.safety_distance_m, task.limits.turn_radius_m * _LESS
     for control_nea_m, flown_m in flown:
         curve = truth.sampled(control_nea_m, _DENSE_M)
-        at_m, points, altitude_m = curve.length_m, curve.points_nea_m, curve.points_nea_m[:, 2]
+        at_m, points = curve.length_m, curve.points_nea_m
         edges_m = np.concatenate([[0.0], 0.5 * (at_m[1:] + at_m[:-1]), at_m[-1:]])
         speed = np.linalg.norm(curve.first, axis=1)
-        corner = speed < 1e-6 * speed.max()  # r2 = 0: the join is a corner, and has no direction
-        climb_rad = np.where(corner, 0.0, curve.climb_rad)
-        seen = [each.distance_m(points) < each.range_m * less for each in task.radars]
+        corner = speed < _STANDS * speed.max()
+        seen = [each.distance_m(points) < each.range_m * _LESS for each in task.radars]
         broken = {
-            "clearance": truth.terrain_distance_m(points, world.terrain, d_s) < d_s * less,
+            "clearance": truth.terrain_distance_m(points, world.terrain, d_s) < d_s * _LESS,
             "radar": np.any([*seen, np.zeros_like(corner)], axis=0),
-            "turn": corner | (np.abs(curve.curvature_1_m) * limits.turn_radius_m > more),
-            "climb": (climb_rad > limits.climb_angle_rad + _TOLERANCE)
-            | (climb_rad < -limits.dive_angle_rad - _TOLERANCE),
-            "band": (altitude_m < limits.floor_amsl_m - slack_m)
-            | (altitude_m > limits.ceiling_amsl_m + slack_m),
+            "turn": corner | (np.abs(curve.curvature_1_m) * tightest_m > 1.0),
         }
         for kind, where in broken.items():
             total[kind] += float(where @ np.diff(edges_m.clip(max=flown_m)))
     return total
-
-
-def crosses(route_nea_m: FloatArray, one_ne_m: Point, two_ne_m: Point) -> bool:
-    """Whether a route passes between two points, seen from above.  (S, 3)."""
-    one = complex(*one_ne_m)
-    place = (route_nea_m[:, 0] + 1j * route_nea_m[:, 1] - one) / (complex(*two_ne_m) - one)
-    before = np.nonzero(np.diff(place.imag < 0.0))[0]  # the points lie at 0 and 1
-    here, there = place[before], place[before + 1]
-    at = here.real + here.imag / (here.imag - there.imag) * (there.real - here.real)
-    return bool(np.any((at > 0.0) & (at < 1.0)))
 
 
 @final
@@ -158,53 +150,31 @@ class Outcome:
         """The run of median cost: the one in pictures."""
         return sorted(self.runs, key=lambda run: run.cost)[(len(self.runs) - 1) // 2]
 
-    @property
-    def ways(self) -> list[str]:
-        """Which way each run goes, where the case has a line."""
-        assert self.case.line is not None
-        across, one, two = self.case.line
-        crossed = (crosses(run.route_nea_m, one, two) for run in self.runs)
-        return [across if each else "goes round" for each in crossed]
-
-    @property
-    def violations(self) -> dict[str, dict[str, float]]:
-        """Of each kind the share of missions that break it, and the mean metres that do."""
-        return {
-            kind: {
-                "missions": statistics.fmean(run.violations[kind] > 0.0 for run in self.runs),
-                "mean_m": statistics.fmean(run.violations[kind] for run in self.runs),
-            }
-            for kind in KINDS
-        }
-
-    @property
-    def arrivals(self) -> str:
-        """How many arrived."""
-        return f"{len(self.costs)}/{len(self.runs)}"
+    def share(self, ways: str = "") -> str:
+        """How many arrived; of a figure: how many go such a way."""
+        counted = [run.way == ways if ways else run.arrived for run in self.runs]
+        return f"{sum(counted)}/{len(self.runs)}"
 
     def mean(self, measure: str = "cost") -> float:
         """Mean of a number of `Run` over the runs that arrived; not a number when none did."""
         values = [getattr(run, measure) for run in self.runs if run.arrived]
         return statistics.fmean(values) if values else math.nan
 
+    def violated(self, kind: str) -> tuple[float, float]:
+        """The share of missions with a violation, and the mean metres of it in all missions."""
+        found_m = [run.violations_m[kind] for run in self.runs]
+        return statistics.fmean(each_m > 0.0 for each_m in found_m), statistics.fmean(found_m)
+
     def facts(self) -> dict[str, Any]:
         """All its numbers and the paper's, for --json."""
-        case, names = self.case, ("paper_mean_cost", "paper_st_dev_cost")
-        paper: dict[str, Any] = dict(zip(names, case.papers_cost, strict=False))
-        if case.line is not None:
-            paper = {"papers_way": case.papers_way, "ways": self.ways}
-        return {
-            "heading": case.heading,
-            "label": case.label,
-            "world": case.world.name,
-            "evaluations": case.world.task.settings.evaluations,
-            "arrived": [run.arrived for run in self.runs],
-            "costs": [run.cost if run.arrived else None for run in self.runs],
-            "lengths_m": [run.length_m for run in self.runs],
-            "highest_amsl_m": [float(run.route_nea_m[:, 2].max()) for run in self.runs],
-            "j": [run.j for run in self.runs],
-            "violations": self.violations,
-            **paper,
+        case, runs = self.case, [asdict(run) for run in self.runs]
+        for run in runs:
+            del run["route_nea_m"], run["scans_nea_m"]
+        names = ("heading", "label", "papers_cost", "papers_way")
+        evaluations = case.world.task.settings.evaluations
+        return {each: getattr(case, each) for each in names} | {
+            "evaluations": evaluations,
+            "runs": runs,
         }
 
 
@@ -232,5 +202,6 @@ def fly_all(
                     raise run
                 found[number] = run
         flown = [found[number] for number in range(len(every))]
-    parts = (flown[k : k + runs] for k in range(0, len(flown), runs))
-    return [Outcome(case=case, runs=part) for case, part in zip(cases, parts, strict=True)]
+    return [
+        Outcome(case=case, runs=flown[k * runs : (k + 1) * runs]) for k, case in enumerate(cases)
+    ]

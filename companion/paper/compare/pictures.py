@@ -35,12 +35,10 @@ def composed(comparison: Comparison, found: Sequence[Outcome]) -> Figure:
     canvas.text(0.03, 0.012, lines, color="#333333", **style)
     lower, places = [], (("a", "c", 0.02), ("b", "d", 0.51))
     for outcome, (letter, below_letter, left) in zip(found, places, strict=True):
-        flight, ways = _flight(outcome), outcome.ways
+        flight, way = _flight(outcome), outcome.case.papers_way
         box = (left, 0.525, 0.47, 0.42)
         views.draw_oblique(canvas.add_axes(box, projection="3d", label="oblique"), flight)
-        way = max(sorted(set(ways)), key=ways.count)
-        most = f"{way} ({ways.count(way)} of {len(ways)} runs)"
-        heading = f"({letter}) {outcome.case.label}: {most}"
+        heading = f"({letter}) {outcome.case.label}: {way} ({outcome.share(way)} runs)"
         canvas.text(left + 0.02, 0.93, heading, fontsize=14, weight="bold", parse_math=False)
         if flight.radars:
             below = canvas.add_axes((left + 0.075, 0.165, 0.30, 0.33), label="below")
