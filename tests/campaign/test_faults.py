@@ -209,6 +209,18 @@ def test_an_excuse_ends_with_its_grace(tmp_path: Path) -> None:
     assert not violated(flown)
 
 
+def test_what_was_planned_before_an_excuse_is_checked_whole(tmp_path: Path) -> None:
+    """From then on a subpath may be in a wrong place, and is right in its shape only."""
+    flown = flight(tmp_path, [TARGET] * 4)
+    up_m = 0.5 * sum(DRAWN.task.band_amsl_m)
+    across = np.linspace((*beside(-40.0), up_m), (*beside(-1.0), up_m), 5).tolist()
+    ready = [{"t_s": t_s, "kind": "plan ready", "control_nea_m": across} for t_s in (1.0, 3.0)]
+    flown = replace(flown, journal=[*flown.journal[:1], *ready, *flown.journal[1:]])
+    assert violated(flown, TOO_LOW.replace("0 s", "2 s")) == ["leg 1: keep-out zone"]
+    assert violated(flown, TOO_LOW) == []
+    assert violated(flown) == ["leg 1: keep-out zone", "leg 2: keep-out zone"]
+
+
 def test_who_leaves_a_keep_in_violates_it(tmp_path: Path) -> None:
     fence = CircleZone(name="in", north_m=-1_200.0, east_m=0.0, radius_m=50.0, keep_in=True)
     world = replace(DRAWN, task=replace(DRAWN.task, zones=(fence,)))

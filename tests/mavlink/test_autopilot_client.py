@@ -259,6 +259,8 @@ def test_a_plane_is_told_its_speed_until_it_answers_or_somebody_else_flies_it() 
     for number, message in enumerate((ack(wire.MAV_CMD_DO_REPOSITION, 0), beat(), beat()), 1):
         side.event_of(message, 10.0 * number)
         assert times_told(side, 10.0 * number) == 10
+    side.rebase_time(-595.0)  # by another clock from now on
+    assert times_told(side, 40.0 - 595.0) == 10
     refused = ["the autopilot does not take the mission's speed"]
     for ends, notes in (
         (beat(wire.PLANE_MODE_LOITER), []),
