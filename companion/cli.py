@@ -239,6 +239,9 @@ def plan_command(
     if chosen.near is not None:
         rule = "its scanner is a sensor of near things, and only a terrain radar is simulated here"
         raise InputError("MISSION", mission, rule, f"Fly it: scripts/fly {mission}.")
+    if not chosen.targets_ne_m:
+        rule = "its targets come from the vehicle, and there is none here"
+        raise InputError("MISSION", mission, rule, "Give one with [[targets]].")
     with console.status(LOADS):
         load_kernel()
     began_s, task = time.perf_counter(), chosen.task
