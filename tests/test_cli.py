@@ -77,6 +77,14 @@ def test_wrong_input_is_one_line_and_exit_code_2(arguments: tuple[str, ...], wor
     assert words in refused(*arguments)
 
 
+def test_a_plan_without_a_vehicle_has_targets_of_its_own(tmp_path: Path) -> None:
+    before, _, after = (HILLS / "mission.toml").read_text(encoding="utf-8").partition("[[targets]]")
+    text = f"{before}[from_vehicle]\ntargets = true\n\n{after[after.index('[') :]}"
+    (tmp_path / "mission.toml").write_text(text, encoding="utf-8")
+    said = refused("plan", HILLS / "world.toml", tmp_path / "mission.toml")
+    assert "its targets come from the vehicle" in said
+
+
 @pytest.mark.parametrize("command", ["fly", "preflight"])
 @pytest.mark.parametrize(
     "option",
