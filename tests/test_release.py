@@ -5,7 +5,6 @@ import os
 import re
 import subprocess
 import sys
-import tarfile
 import tempfile
 import tomllib
 import venv
@@ -44,8 +43,8 @@ def built(folder: Path) -> Path:
     hatchling = [sys.executable, "-m", "hatchling", "build", "-d", str(folder / "dist"), "-t"]
     subprocess.run([*hatchling, "sdist"], cwd=ROOT, check=True, capture_output=True)
     [source] = (folder / "dist").glob("*.tar.gz")
-    with tarfile.open(source) as packed:
-        packed.extractall(folder / "source", filter="data")
+    (folder / "source").mkdir()
+    subprocess.run(["tar", "-xf", source, "-C", folder / "source"], check=True)
     [tree] = (folder / "source").iterdir()
     subprocess.run([*hatchling, "wheel"], cwd=tree, check=True, capture_output=True)
     return folder / "dist"
