@@ -5,14 +5,17 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import all as wire
-from scripted_vehicle import MISSION, Pair, Vehicle
+from scripted_vehicle import MISSION, Pair, Vehicle, messages
 
+from companion.mavlink.preflight import CheckStatus, checks_of
 from companion.mission import checkpoint
 from companion.mission.events import Outcome
 from companion.mission.state import Phase, Reason
 from companion.session import Session
 
 OURS = replace(MISSION, system_id=1)
+COMMANDS = ("COMMAND_LONG", "COMMAND_INT", "SET_POSITION_TARGET_GLOBAL_INT")
+ASKS = (wire.MAV_CMD_SET_MESSAGE_INTERVAL, wire.MAV_CMD_REQUEST_MESSAGE)
 
 
 def session(**keywords: Any) -> Session:
@@ -63,10 +66,20 @@ class Bus:
         raise AssertionError(first.session.state.phase)
 
 
-def warned(it: Pair) -> int:
-    """How often people were told."""
-    says = [entry["text"] for entry in it.journal if entry["kind"] == "say" and entry["warning"]]
-    return sum(Reason.NOT_ALONE.text in text for text in says)
+def warned(it: Pair, text: str = Reason.NOT_ALONE.text) -> list[float]:
+    """When people were told."""
+    says = [entry for entry in it.journal if entry["kind"] == "say" and entry["warning"]]
+    return [entry["t_s"] for entry in says if text in entry["text"]]
+
+
+def said(it: Pair) -> str:
+    return "".join(m.text for m in messages(it.frames) if m.get_type() == "STATUSTEXT")
+
+
+def commanded(it: Pair) -> list[Any]:
+    """What moves or changes the vehicle; not what only asks it."""
+    said = (message for message in messages(it.frames) if message.get_type() in COMMANDS)
+    return [each for each in said if getattr(each, "command", 0) not in ASKS]
 
 
 @pytest.mark.parametrize("reflects", [1, 2])
@@ -75,8 +88,9 @@ def test_a_link_that_sends_back_what_we_say_is_no_second_companion(reflects: int
     it = bus.flying()
     bus.run(20.0)
     assert it.session.state.phase is Phase.FLYING
-    assert not warned(it)
+    assert warned(it) == []
     assert not it.session.state.duplicate_id
+    assert len(messages(it.frames)) > 300
 
 
 @pytest.mark.parametrize("same_folder", [False, True])
@@ -92,11 +106,25 @@ def test_the_one_that_came_second_ends_in_the_air_and_the_first_flies_on(same_fo
     end = second.out.end
     assert end is not None
     assert (end.outcome, end.reason) == (Outcome.FAILED, Reason.NOT_ALONE.text)
-    assert second.sent("SET_POSITION_TARGET_GLOBAL_INT") == second.sent("COMMAND_INT") == []
-    commands = {m.command for m in second.sent("COMMAND_LONG")}  # it only asks
-    assert commands <= {wire.MAV_CMD_SET_MESSAGE_INTERVAL, wire.MAV_CMD_REQUEST_MESSAGE}
-    assert warned(first) == 1
+    assert commanded(second) == []
+    assert len(warned(first)) == 1
     assert "another companion" in [entry["kind"] for entry in first.journal]
-    assert Reason.NOT_ALONE.text in "".join(m.text for m in first.sent("STATUSTEXT"))
+    assert Reason.NOT_ALONE.text in said(first)
     assert first.session.warned[1].startswith(Reason.NOT_ALONE.text)
     assert first.session.state.phase is Phase.FLYING
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_what_fly_refuses_preflight_refuses(alone: bool) -> None:
+    bus = Bus(reflects=1 if alone else 0)
+    if not alone:
+        bus.flying()
+    looks = bus.joins(session(shadow=True))
+    bus.run(6.0)
+    [check] = [c for c in checks_of(looks.session) if c.name == "companion"]
+    if alone:
+        assert (check.status, check.what) == (CheckStatus.PASSED, "nobody else is 1/195")
+    else:
+        assert check.status is CheckStatus.REFUSED
+        assert check.what == f"1/195: {Reason.NOT_ALONE.text}"
+        assert check.remedy == Reason.NOT_ALONE.remedy

@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,9 +26,11 @@ HILLS = str(Path(__file__).parent / "hills" / "world.toml")
 HILLS_MISSION = str(Path(__file__).parent / "hills" / "mission.toml")
 BAD_LINK = ("--faults", str(Path(__file__).parent / "hills" / "faults.txt"))
 """Options of the simulator for the flight over the hills that all look at."""
+_SCENES: list[tempfile.TemporaryDirectory[str]] = []
+"""Gone when the tests end."""
 RUNNING: list[Program] = []
 """All that was started and not ended yet."""
-ENVIRONMENT = dict(os.environ)
+_ENVIRONMENT = dict(os.environ)
 """As it was before any test: a kernel that is loaded within the tests moves numba's cache."""
 
 
@@ -45,7 +48,7 @@ def each(*names: str, nightly: Container[str] = ()) -> pytest.MarkDecorator:
     )
 
 
-_NIGHTLY = ("valley", "environment-1", "environment-2")
+_NIGHTLY = ("upper-valley", "valley", "environment-1", "environment-2")
 EACH_SCENE = each("hills", *_NIGHTLY, nightly=_NIGHTLY)
 """The hills are of the same kind as the paper's environments, and a third as long."""
 NIGHTLY = pytest.mark.nightly
@@ -60,6 +63,11 @@ class Recorded:
     @property
     def journal(self) -> list[dict[str, Any]]:
         return journal_of(self.folder)
+
+    @property
+    def kinds(self) -> list[str]:
+        """Of the entries of the journal."""
+        return [entry["kind"] for entry in self.journal if "kind" in entry]
 
     @property
     def says(self) -> list[str]:
@@ -129,9 +137,21 @@ def flown_with(folder: Path, session: Session, vehicle: Simulation, **options: A
     return Recorded(folder=folder)
 
 
+@functools.cache
 def folder_of(scene: str) -> Path:
     """Where its world.toml and mission.toml are."""
-    return Path(HILLS).parent if scene == "hills" else ENVIRONMENTS / scene
+    if scene == "hills":
+        return Path(HILLS).parent
+    if scene != "upper-valley":
+        return ENVIRONMENTS / scene
+    _SCENES.append(tempfile.TemporaryDirectory())
+    folder, valley = Path(_SCENES[-1].name), ENVIRONMENTS / "valley"
+    for file in valley.iterdir():
+        if file.name != "mission.toml":
+            (folder / file.name).symlink_to(file)
+    past_the_village = ("north_m = -3850.0\neast_m = 800.0", "north_m = 675.0\neast_m = -1250.0")
+    edited(valley / "mission.toml", folder / "mission.toml", past_the_village)
+    return folder
 
 
 def flown_as(scene: str) -> tuple[str, ...]:
@@ -166,7 +186,7 @@ def run(program: str | Path, *arguments: object) -> Program:
     """Start a program in the environment in which the tests were started."""
     warm_up()
     name = Path(program).name
-    RUNNING.append(Program(name, program, *arguments, folder=ROOT, environment=ENVIRONMENT))
+    RUNNING.append(Program(name, program, *arguments, folder=ROOT, environment=_ENVIRONMENT))
     return RUNNING[-1]
 
 
@@ -192,7 +212,7 @@ def launch(
 def warm_up() -> None:
     """Fill the cache of compiled code: a simulator in lockstep has little patience."""
     load = "from companion.runtime.compiler import load_kernel; load_kernel()"
-    subprocess.run([sys.executable, "-c", load], check=True, env=ENVIRONMENT, timeout=600)
+    subprocess.run([sys.executable, "-c", load], check=True, env=_ENVIRONMENT, timeout=600)
 
 
 def edited(source: str | Path, target: Path, *changes: tuple[str, str]) -> Path:
@@ -205,8 +225,28 @@ def edited(source: str | Path, target: Path, *changes: tuple[str, str]) -> Path:
     return target
 
 
-def one_target(name: str = "sitl-arducopter") -> str:
-    """A bundled mission without its far targets."""
-    path = ENVIRONMENTS / name / "mission.toml"
+def one_target() -> str:
+    """The mission of sitl-arducopter without its far targets."""
+    path = ENVIRONMENTS / "sitl-arducopter" / "mission.toml"
     head, _, _, last = path.read_text(encoding="utf-8").split("[[targets]]")
     return f"{head}[[targets]]{last}"
+
+
+def short_mission(name: str, folder: Path) -> Path:
+    """A bundled mission with a battery that lasts; of a copter it is shorter, with more joins."""
+    changes = [("\n[end]\n", "\n[battery]\nreserve_percent = 2\n[end]\n")]
+    if "plane" not in name:
+        last = "[[targets]]\nnorth_m = 60.0\neast_m = 150.0\n"
+        changes += [
+            (f"{axis}_max_m = 1400.0", f"{axis}_max_m = 600.0") for axis in ("north", "east")
+        ]
+        changes += [
+            (f"{axis}_min_m = -800.0", f"{axis}_min_m = -100.0") for axis in ("north", "east")
+        ]
+        changes += [
+            ("scan_range_m = 800.0", "scan_range_m = 200.0"),
+            ("north_m = 600.0", "north_m = 300.0"),
+            ("north_m = 500.0\neast_m = 700.0", "north_m = 300.0\neast_m = 400.0"),
+            (last, ""),
+        ]
+    return edited(ENVIRONMENTS / name / "mission.toml", folder / f"{name}.toml", *changes)

@@ -9,14 +9,13 @@ from typing import Any
 import pytest
 from flights import BAD_LINK, flown_as, journal_of
 from pymavlink.dialects.v20 import all as wire
-from tlog import recorded_frames
 
 from companion.config import load_mission, mission_text
-from companion.mavlink.frames import number_of
 from companion.planner.plan import plan
 from companion.runtime.compiler import load_kernel
 from companion.runtime.in_process import fly_in_process
 from companion.session import Session
+from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.run_folder import RunFolder
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import read_world
@@ -26,17 +25,23 @@ WORLD, MISSION, _, SEED = flown_as("hills")
 EPOCH_US = 1_700_000_000_000_000
 
 
-@pytest.fixture(scope="module")
-def here(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def flown_here(folder: Path, **options: Any) -> FlightSummary:
     """The flight of the hills, over the same bad link."""
-    folder = tmp_path_factory.mktemp("here") / "run"
     mission, world = load_mission(MISSION), read_world(Path(WORLD))
     faults = Path(BAD_LINK[1]).read_text(encoding="utf-8")
     session = Session(mission, seed=int(SEED), lockstep=True, version=version("companion"))
     with RunFolder(
         folder, mission_toml=mission_text(MISSION), epoch_us=EPOCH_US, durable=False
     ) as run:
-        fly_in_process(session, Simulation(world, faults=faults), planner=plan, folder=run)
+        return fly_in_process(
+            session, Simulation(world, faults=faults), planner=plan, folder=run, **options
+        )
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("here") / "run"
+    flown_here(folder)
     return folder
 
 
@@ -45,8 +50,14 @@ def log_of(folder: Path) -> list[tuple[int, bytes]]:
 
     Before it the simulator sends heartbeats by the wall clock, until it is heard.
     """
-    found, sync = recorded_frames(folder / "flight.tlog"), wire.MAVLINK_MSG_ID_TIMESYNC
-    first = next(k for k, (_, frame) in enumerate(found) if number_of(frame) == sync)
+    data, at, found = (folder / "flight.tlog").read_bytes(), 0, list[tuple[int, bytes]]()
+    while at < len(data):
+        stamp_us = int.from_bytes(data[at : at + 8], "big")
+        end = at + 8 + 12 + data[at + 9]
+        found.append((stamp_us, data[at + 8 : end]))
+        at = end
+    sync = wire.MAVLINK_MSG_ID_TIMESYNC
+    first = next(i for i, (_, f) in enumerate(found) if int.from_bytes(f[7:10], "little") == sync)
     return [(stamp_us - found[first][0], frame) for stamp_us, frame in found[first:]]
 
 

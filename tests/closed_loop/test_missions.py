@@ -40,6 +40,8 @@ def test_a_plane_passes_its_target_and_ends_where_it_said_before_its_take_off(
     assert away_m[-1] <= 1.5 * limits.loiter_radius_m
     words = "lands on a circle: up to" if name == PX4_PLANE else "is not told to land: it circles"
     assert words in flight.says[1]  # after the mission's name
+    refused = [e for e in flight.journal if e.get("kind") == "acknowledged" and e["command"] == 192]
+    assert not refused  # DO_REPOSITION: one that is taken is not in the journal
 
 
 LAUNCH = (-35.3632621, 149.1652374, 584.0)

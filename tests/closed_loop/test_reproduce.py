@@ -1,29 +1,28 @@
 """A flight replayed decides the same; whatever was changed in its recording is found and named."""
 
 import json
+import random
 import shutil
 import struct
 from pathlib import Path
 from typing import Any
 
 import pytest
-import tlog
 from answers import answered
 from flights import HILLS_MISSION, flown_as
+from pymavlink import mavutil  # noqa: TID251 - counts the frames independently
 from pymavlink.dialects.v20 import all as wire
 from short_flight import replayed, rewritten
 from tlog import recorded_frames
 
 from companion.config import load_mission
 from companion.errors import InputError
-from companion.mavlink.frames import number_of
 from companion.replay.differences import Replayed, message_of
 from companion.replay.reproduce import LogReplay
 from companion.telemetry.inputs import FILE, Input, packed
 
 pytestmark = [pytest.mark.closed_loop, pytest.mark.xdist_group("hills")]
 SEED, COMPANION = 3, 195
-POSITION = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 EVER_US = 4_000_000_000_000_000
 Records = list[tuple[int, bytes]]
 """Stamp in microseconds, and frame."""
@@ -51,16 +50,43 @@ def is_ours(frame: bytes) -> bool:
     return frame[6] == COMPANION
 
 
+# --- the same
+
+
 def test_a_flight_is_replayed_to_the_last_frame_entry_and_plan(run_dir: Path) -> None:
     found = replayed(run_dir)
     assert found.is_identical
-    assert (found.torn, found.unrecorded) == ("", 0)
-    assert found.frames == len(tlog.messages(run_dir)) > 5_000
+    assert not found.plans_differ
+    assert not found.torn
+    assert found.unrecorded == 0
+    log = mavutil.mavlink_connection(str(run_dir / "flight.tlog"))
+    frames = sum(1 for _ in iter(log.recv_msg, None))
+    log.close()
+    assert found.frames == frames > 5_000
     header, *lines = (run_dir / "journal.jsonl").read_text(encoding="utf-8").splitlines()
     assert "schema" in header
     assert found.entries == len(lines)
     plans = [json.loads(line).get("kind") in ("plan ready", "plan refused") for line in lines]
     assert found.plans_computed == found.plans == sum(plans) > 2
+
+
+def test_a_recording_that_was_cut_anywhere_is_the_same_up_to_there(
+    run_dir: Path, tmp_path: Path
+) -> None:
+    rng = random.Random(1)
+    for number in range(4):
+        folder = Path(shutil.copytree(run_dir, tmp_path / f"{number}"))
+        for name, least in ((FILE, 40_000), ("flight.tlog", 0), ("journal.jsonl", 0)):
+            size = (folder / name).stat().st_size
+            if name == FILE or rng.random() < 0.5:
+                most = min(size, 120_000) if name == FILE else size
+                with (folder / name).open("r+b") as file:
+                    file.truncate(rng.randint(least, most))
+        found = replayed(folder)
+        assert found.is_identical, found
+
+
+# --- the telemetry log alone tells a flight in lockstep
 
 
 def of_log(log: Path, seed: int = SEED) -> Replayed:
@@ -77,9 +103,7 @@ def beginning(run_dir: Path) -> Records:
     return log[: next(k for k in range(8000, len(log)) if turns[k - 1] and not turns[k])]
 
 
-def test_a_log_is_told_again_to_its_end_and_another_seed_or_a_frame_more_is_found_out(
-    run_dir: Path, tmp_path: Path
-) -> None:
+def test_a_log_is_told_again_to_its_end_and_with_another_seed_is_found_out(run_dir: Path) -> None:
     log = run_dir / "flight.tlog"
     found = of_log(log)
     assert found.is_identical
@@ -87,10 +111,15 @@ def test_a_log_is_told_again_to_its_end_and_another_seed_or_a_frame_more_is_foun
     ours = sum(is_ours(frame) for _, frame in recorded_frames(log))
     assert found.frames > ours - version_and_farewell
     assert of_log(log, seed=4).difference.what == "SET_POSITION_TARGET_GLOBAL_INT"
-    records = recorded_frames(log)
-    beat = next(frame for _, frame in records if is_ours(frame) and frame[7] == 0)
-    more = of_log(written(tmp_path / "more.tlog", [*records, (EVER_US, beat)])).difference
-    assert str(more).endswith("frame.message: recorded 'HEARTBEAT', replayed nothing")
+
+
+def test_a_log_with_a_frame_more_than_the_companion_sends_is_found_out(
+    run_dir: Path, tmp_path: Path
+) -> None:
+    log = recorded_frames(run_dir / "flight.tlog")
+    beat = next(frame for _, frame in log if is_ours(frame) and frame[7] == 0)
+    difference = of_log(written(tmp_path / "more.tlog", [*log, (EVER_US, beat)])).difference
+    assert str(difference).endswith("frame.message: recorded 'HEARTBEAT', replayed nothing")
 
 
 def test_a_log_in_which_the_companion_falls_silent_is_found_out(
@@ -118,28 +147,53 @@ def test_a_log_in_which_the_companion_falls_silent_is_found_out(
         of_log(silent_from(0))
 
 
-def northwards(frame: bytes) -> bytes:
-    """The same position, but for its latitude."""
-    message: Any = message_of(frame)
-    message.lat += 1000
+# --- what was changed
+
+
+def changed_in(frame: bytes, field: str, by: float) -> bytes:
+    """The same frame with another value."""
+    message = message_of(frame)
+    setattr(message, field, getattr(message, field) + by)
     codec = wire.MAVLink(None, srcSystem=frame[5], srcComponent=frame[6])
     codec.seq = frame[4]
-    return bytes(message.pack(codec))
+    return bytes(message.pack(codec))  # type: ignore[union-attr]
+
+
+def named(frame: bytes, name: str) -> bool:
+    message = message_of(frame)
+    return message is not None and message.get_type() == name
 
 
 def test_another_position_is_found_at_its_time_and_field(copy: Path) -> None:
     log = recorded_frames(copy / "flight.tlog")
-    us, frame = next(each for each in log[5000:] if number_of(each[1]) == POSITION)
+    us, frame = next(each for each in log[5000:] if named(each[1], "GLOBAL_POSITION_INT"))
 
     def change(told: list[Input]) -> None:
-        for number, (name, *given) in enumerate(told):
-            if name == "receive" and frame in given[0]:
-                told[number] = (name, given[0].replace(frame, northwards(frame)), *given[1:])
+        for number, each in enumerate(told):
+            if each[0] == "receive" and frame in each[1]:
+                told[number] = (
+                    each[0],
+                    each[1].replace(frame, changed_in(frame, "lat", 1000)),
+                    *each[2:],
+                )
 
     rewritten(copy, change)
     difference = replayed(copy).difference
     assert (difference.what, difference.field) == ("GLOBAL_POSITION_INT", "lat")
     assert difference.replayed - difference.recorded == 1000
+    assert difference.t_s == pytest.approx((us - log[0][0]) * 1e-6, abs=0.2)
+
+
+def test_another_setpoint_in_the_log_is_found(copy: Path) -> None:
+    log = recorded_frames(copy / "flight.tlog")
+    name = "SET_POSITION_TARGET_GLOBAL_INT"
+    number = [k for k, each in enumerate(log) if named(each[1], name)][300]
+    us, frame = log[number]
+    log[number] = us, changed_in(frame, "vx", 0.5)
+    written(copy / "flight.tlog", log)
+    difference = replayed(copy).difference
+    assert (difference.what, difference.field) == (name, "vx")
+    assert difference.recorded == pytest.approx(difference.replayed + 0.5)
     assert difference.t_s == pytest.approx((us - log[0][0]) * 1e-6, abs=0.2)
 
 
@@ -164,6 +218,9 @@ def test_another_weight_changes_plans_and_not_what_is_flown_by_the_recorded_ones
     assert not found.is_identical
     assert found.plans_differ
     assert found.plans_excused == 0
+
+
+# --- what is refused
 
 
 @pytest.mark.parametrize(

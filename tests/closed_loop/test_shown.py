@@ -1,72 +1,17 @@
-"""A flight as it is shown while it is flown: on a terminal, and as JSON to a pipe."""
+"""A flight as it is shown while it is flown: on a terminal, as JSON, to readers that leave."""
 
-import fcntl
 import json
-import os
-import pty
 import re
-import struct
-import subprocess
-import termios
-import threading
-from pathlib import Path
 from typing import Any
 
 import pytest
-from flights import BAD_LINK, ENVIRONMENT, Flight, flown_as, simulator, warm_up
-from programs import BIN, ROOT, free_port
+from flights import Flight, flown_as
+from programs import ROOT
+from shown import WIDTH, Shown
 
 pytestmark = [pytest.mark.closed_loop, pytest.mark.xdist_group("hills")]
 PAGE = ROOT / "docs" / "reference" / "fly-json.md"
 TICK_S = 0.15  # a position, and its rounding
-WIDTH, ENDS_S = 80, 400.0
-
-
-class Shown:
-    """The flight of the hills, shown on a terminal, and as JSON to a pipe."""
-
-    def __init__(self, folder: Path) -> None:
-        world, mission, *options = flown_as("hills")
-        port, out = free_port(), os.pipe()
-        fcntl.fcntl(out[1], fcntl.F_SETPIPE_SZ, 4096)
-        us, them = pty.openpty()
-        fcntl.ioctl(them, termios.TIOCSWINSZ, struct.pack("HHHH", 24, WIDTH, 0, 0))
-        how = ("--lockstep", "--json", "--connect", f"udpin:127.0.0.1:{port}", "--out", folder)
-        warm_up()
-        process = subprocess.Popen(
-            [BIN / "companion", "fly", mission, *options, *how],
-            stdin=them,
-            stdout=out[1],
-            stderr=them,
-            cwd=ROOT,
-            env={**ENVIRONMENT, "TERM": "xterm-256color", "COLUMNS": f"{WIDTH}"},
-        )
-        os.close(them)
-        os.close(out[1])
-        read: dict[int, bytes] = {us: b"", out[0]: b""}
-
-        def follow(end: int) -> None:
-            try:
-                while part := os.read(end, 65536):
-                    read[end] += part
-            except OSError:  # Linux's end of a terminal
-                pass
-            os.close(end)
-
-        threads = [threading.Thread(target=follow, args=(end,)) for end in read]
-        for thread in threads:
-            thread.start()
-        try:
-            where = ("--connect", f"udpout:127.0.0.1:{port}", "--lockstep", *BAD_LINK)
-            vehicle = simulator(world, folder.parent / "truth", *where)
-            self.code = process.wait(ENDS_S)
-            vehicle.wait()
-        finally:
-            process.kill()
-        for thread in threads:
-            thread.join()
-        self.screen, self.json = read[us].decode(), read[out[0]]
-        self.text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", self.screen)  # as a person sees it
 
 
 @pytest.fixture
@@ -132,21 +77,42 @@ def test_the_lines_say_what_the_journal_says(
 ) -> None:
     header, *entries = flight.journal
     first, *statuses, ended = lines
-    for name in ("mission", "seed", "profile", "lockstep"):
-        assert first[name] == header[name]
+    assert {name: first[name] for name in ("mission", "seed", "profile", "lockstep")} == {
+        name: header[name] for name in ("mission", "seed", "profile", "lockstep")
+    }
     assert (ended["outcome"], ended["reason"]) == (flight.end["outcome"], flight.end["reason"])
     assert ended["exit_code"] == shown.code == 0
     phases = [(0.0, "waiting"), *((e["t_s"], e["phase"]) for e in entries if e["kind"] == "phase")]
+    legs = [entry["t_s"] for entry in entries if entry["kind"] == "leg"]
+    costs = {entry["cost"] for entry in entries if entry["kind"] == "plan ready"}
     for line in statuses:
         begun = [p for t, p in phases if abs(t - line["t_s"]) <= TICK_S]
         before = [p for t, p in phases if t <= max(line["t_s"] - TICK_S, 0.0)][-1]
         assert line["phase"] in (before, *begun), line
+        count = [sum(t <= line["t_s"] + by for t in legs) for by in (-TICK_S, TICK_S)]
+        assert count[0] <= line["subpaths_flown"] <= count[1]
+        assert line["plan_cost"] in {None, *costs}
     assert {"flying", "done"} <= {line["phase"] for line in statuses}
     assert [line["t_s"] for line in statuses] == sorted(line["t_s"] for line in statuses)
 
 
+def test_the_lines_say_where_the_vehicle_truly_is(
+    flight: Flight, lines: list[dict[str, Any]]
+) -> None:
+    truth = {round(row["t_s"], 1): row for row in flight.truth}
+    compared = 0
+    for line in lines[1:-1]:
+        row = truth.get(round(line["t_s"], 1))
+        if line["phase"] == "flying" and row is not None:
+            compared += 1
+            assert line["altitude_amsl_m"] == pytest.approx(row["altitude_amsl_m"], abs=10.0)
+            speed = (row["velocity_north_m_s"] ** 2 + row["velocity_east_m_s"] ** 2) ** 0.5
+            assert line["speed_m_s"] == pytest.approx(speed, abs=5.0)
+    assert compared > 3
+
+
 def test_on_a_terminal_a_table_is_drawn_and_the_cursor_is_given_back(shown: Shown) -> None:
-    text = shown.screen
+    text = shown.screen.decode()
     assert text.count("\x1b[?25l") == text.count("\x1b[?25h") > 0
     assert text.rindex("\x1b[?25h") < text.index("run folder: ")
     for word in ("FLYING", "to go", "AMSL", "clearance", "battery", "link", "proof"):

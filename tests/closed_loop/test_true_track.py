@@ -52,6 +52,9 @@ def helix(radius_m: float, speed_m_s: float, climb_deg: float, duration_s: float
     return t_s, np.stack([north, east, 4000.0 + up], axis=-1)
 
 
+# --- figures, against closed forms
+
+
 @settings(deadline=None, max_examples=20)
 @given(
     radius_m=st.floats(500, 20_000), speed_m_s=st.floats(25, 170), climb_deg=st.floats(-12.0, 12.0)
@@ -67,6 +70,15 @@ def test_a_helix_has_its_radius_and_climbs_at_its_angle_up_to_chord_over_arc(
     np.testing.assert_allclose(slopes, expected, rtol=1e-3, atol=1e-12)
 
 
+def test_a_slow_vehicle_is_judged_from_half_its_speed_on() -> None:
+    assert len(true_track.turns_and_slopes(*helix(30.0, 15.0, 20.0))[0]) == 0
+    slow = mission(vehicle=mission()["vehicle"] | {"speed_m_s": 8.0, "turn_radius_m": 25.0})
+    for radius_m, ok in ((25.0, True), (22.0, False)):
+        check = true_track.judge(world(), slow, *helix(radius_m, 8.0, 0.0))["turn radius"]
+        assert check.value == pytest.approx(radius_m, rel=0.01)
+        assert check.ok is ok
+
+
 @given(speed_m_s=st.floats(5, 170), offset_m=st.floats(0, 4_900), period_s=st.floats(1.0, 100.0))
 def test_time_inside_a_radar_is_the_chord_over_the_speed(
     speed_m_s: float, offset_m: float, period_s: float
@@ -77,6 +89,23 @@ def test_time_inside_a_radar_is_the_chord_over_the_speed(
     inside_s = true_track.seconds_inside(t_s, track, centre, 5_000.0).sum()
     chord_s = 2 * math.sqrt(5_000.0**2 - offset_m**2) / speed_m_s
     assert inside_s == pytest.approx(chord_s, rel=1e-6)
+    hovers = np.tile(track[:1], (len(t_s), 1))  # every second counts there, or none
+    for range_m, whole_s in ((12_000.0, t_s[-1]), (9_000.0, 0.0)):
+        inside_s = true_track.seconds_inside(t_s, hovers, centre, range_m).sum()
+        assert inside_s == pytest.approx(whole_s)
+
+
+def test_level_flight_over_a_plain_has_its_altitude_as_clearance() -> None:
+    track = true_track.judge(world(), mission(), *straight())
+    assert track.ok
+    for name, value in {
+        "distance to terrain": pytest.approx(3500.0, abs=1e-6),
+        "distance to keep-outs": math.inf,
+        "turn radius": math.inf,
+        "length flown": pytest.approx(20_000.0),
+        "duration": pytest.approx(20_000.0 / 150.0),
+    }.items():
+        assert track[name].value == value, name
 
 
 def test_clearance_agrees_with_brute_force_over_a_range_of_mountains() -> None:
@@ -89,12 +118,12 @@ def test_clearance_agrees_with_brute_force_over_a_range_of_mountains() -> None:
         terrain["terrain"]["combine"] = combine
         surface = true_track.surface_of(terrain)
         north = np.arange(0.0, 12_000.0, 400.0)
-        heights_m = surface(north, 0.0 * north)
+        heights_m = surface.height_m(north, 0.0 * north)
         points = np.stack([north, 0.0 * north, heights_m + rng.uniform(200, 2_000, 30)], axis=-1)
         for point, found in zip(points, true_track.clearances_m(points, surface), strict=True):
             around = np.arange(-abs(found), abs(found) + 10, 10.0)
             n, e = np.meshgrid(point[0] + around, point[1] + around)
-            up = surface(n, e) - point[2]
+            up = surface.height_m(n, e) - point[2]
             brute_m = np.sqrt((n - point[0]) ** 2 + (e - point[1]) ** 2 + up**2).min()
             assert found == pytest.approx(brute_m, abs=1.0)
         below = points - [0.0, 0.0, 4_000.0]
@@ -117,11 +146,14 @@ def test_an_elevation_file_has_its_heights_where_geodesics_find_its_points(tmp_p
     azimuth, _, away = Geod(ellps="WGS84").inv(*aside, longitude, latitude)
     north, east = away * np.cos(np.radians(azimuth)), away * np.sin(np.radians(azimuth))
     inner = (row > 0) & (row < 5) & (column > 0) & (column < 9)
-    found = surface(north[inner], east[inner])
+    found = surface.height_m(north[inner], east[inner])
     np.testing.assert_allclose(found, heights.ravel()[inner], atol=1e-4)
-    between = surface((north[11] + north[22]) / 2, (east[11] + east[22]) / 2)
+    between = surface.height_m((north[11] + north[22]) / 2, (east[11] + east[22]) / 2)
     assert between == pytest.approx(heights[1:3, 1:3].mean(), abs=0.01)
-    assert np.isnan(surface(np.array(9_000.0), np.array(0.0)))
+    assert np.isnan(surface.height_m(np.array(9_000.0), np.array(0.0)))
+
+
+# --- bounds
 
 
 @pytest.mark.parametrize(
@@ -131,8 +163,11 @@ def test_an_elevation_file_has_its_heights_where_geodesics_find_its_points(tmp_p
         ("turn radius", helix(2_350.0, 150.0, 0.0), False),
         ("climb angle", helix(9_000.0, 25.0, 10.4, 30.0), True),
         ("climb angle", helix(9_000.0, 25.0, 10.6, 30.0), False),
+        ("dive angle", helix(9_000.0, 25.0, -10.4, 30.0), True),
         ("dive angle", helix(9_000.0, 25.0, -10.6, 30.0), False),
+        ("highest altitude AMSL", straight(altitude_m=5024.0), True),
         ("highest altitude AMSL", straight(altitude_m=5026.0), False),
+        ("end to target", straight(length_m=20_049.0), True),
         ("end to target", straight(length_m=20_051.0), False),
         ("lowest altitude AMSL", straight(altitude_m=2000.0), False),  # never in the band
         ("distance to terrain", straight(altitude_m=3480.0), True),
@@ -174,6 +209,7 @@ def test_a_keep_out_is_as_far_as_its_edge_or_entered_as_deep_as_that_is_away(
 
 
 def test_the_climb_out_is_not_judged_but_a_later_dip_below_the_floor_is() -> None:
+    """A vehicle that never flew is an error and not a success."""
     t_s, cruise = straight()
     climb = np.stack([np.zeros(36), np.zeros(36), np.linspace(0, 3500, 36)], axis=-1)
     times, whole = np.concatenate([np.arange(36.0), 36.0 + t_s]), np.concatenate([climb, cruise])
@@ -183,6 +219,11 @@ def test_the_climb_out_is_not_judged_but_a_later_dip_below_the_floor_is() -> Non
     whole[700, 2] = 2900.0
     dipped = true_track.judge(world(), mission(), times, whole)["lowest altitude AMSL"]
     assert (dipped.value, dipped.ok) == (2900.0, False)
+    with pytest.raises(ValueError, match="never flew"):
+        true_track.judge(world(), mission(), np.arange(9.0), np.zeros((9, 3)))
+
+
+# --- files
 
 
 def test_the_command_reads_the_files_and_exits_1_on_a_violation(
@@ -204,3 +245,12 @@ def test_the_command_reads_the_files_and_exits_1_on_a_violation(
         said = capsys.readouterr().out
         assert ("VIOLATION" in said) == bool(code)
         assert not more or "speed of a crash [m/s]: 9.1 <= 0.0 (limit 0.0) at 0.0 s" in said
+
+
+def test_truth_that_is_not_finite_or_runs_backwards_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "truth.jsonl"
+    good = '{"t_s": 1.0, "north_m": 0.0, "east_m": 0.0, "altitude_amsl_m": 0.0}'
+    for bad in (good, good.replace("1.0", "NaN"), ""):
+        path.write_text("\n".join(["{}", good, bad]))
+        with pytest.raises(ValueError, match="rising t_s"):
+            true_track.read_truth(path)

@@ -24,7 +24,7 @@ import json
 import math
 import sys
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,8 +37,6 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 FloatArray = NDArray[np.float64]
-Surface = Callable[[FloatArray, FloatArray], FloatArray]
-"""The height AMSL of the true ground, by north and east: (...), (...) -> (...)."""
 
 TOLERANCE = 0.05
 """The part of a bound by which it may be missed; for altitudes, of the safety distance."""
@@ -94,67 +92,96 @@ class TrueTrack(dict[str, Check]):
         return not self.violations
 
 
-def surface_of(world: dict[str, Any], folder: Path = Path()) -> Surface:
-    """The true terrain of a parsed world.toml, which names files as seen from its folder."""
+class Surface(NamedTuple):
+    """The true terrain: mountains of eq. 1 on a plain."""
+
+    peaks: FloatArray
+    """(K, 5): north, east, height, spread north, spread east, in metres."""
+    ground_amsl_m: float
+    combine: str
+
+    def height_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
+        """Height AMSL of the surface. (...), (...) -> (...)."""
+        height = np.full(np.broadcast(north_m, east_m).shape, -np.inf)
+        if self.combine == "sum":
+            height = np.zeros_like(height)
+        for n, e, h, spread_n, spread_e in self.peaks:
+            peak = h * np.exp(-(((north_m - n) / spread_n) ** 2) - ((east_m - e) / spread_e) ** 2)
+            height = height + peak if self.combine == "sum" else np.maximum(height, peak)
+        surface: FloatArray = np.maximum(height, self.ground_amsl_m)
+        return surface
+
+
+class Elevations(NamedTuple):
+    """The true terrain: points of an elevation file, bilinear between them."""
+
+    heights_amsl_m: FloatArray
+    """(rows, columns), the first row in the north."""
+    north_west_deg: tuple[float, float]
+    """Latitude and longitude of the first."""
+    step_deg: tuple[float, float]
+    """From row to row, to the south, and from column to column."""
+    origin_deg: tuple[float, float]
+
+    def height_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
+        """Height AMSL of the surface; NaN beyond the file. (...), (...) -> (...)."""
+        shape = np.broadcast(north_m, east_m).shape
+        north, east = (np.ravel(each) for each in np.broadcast_arrays(north_m, east_m))
+        latitude, longitude = (np.full(north.shape, each) for each in self.origin_deg)
+        azimuth, distance = np.degrees(np.arctan2(east, north)), np.hypot(north, east)
+        longitude, latitude, _ = Geod(ellps="WGS84").fwd(longitude, latitude, azimuth, distance)
+        row = (self.north_west_deg[0] - latitude) / self.step_deg[0]
+        column = (longitude - self.north_west_deg[1]) / self.step_deg[1]
+        heights = map_coordinates(self.heights_amsl_m, [row, column], order=1, cval=np.nan)
+        return np.reshape(heights, shape)
+
+
+def surface_of(world: dict[str, Any], folder: Path = Path()) -> Surface | Elevations:
+    """Read the terrain of a parsed world.toml, which names files as seen from its folder."""
     terrain = world["terrain"]
     if "file" in terrain:
         return _elevations(folder / terrain["file"], world)
     keys = ("north_m", "east_m", "height_amsl_m", "spread_north_m", "spread_east_m")
-    peaks = [[float(peak[key]) for key in keys] for peak in terrain.get("peaks", [])]
-    is_sum = terrain["combine"] == "sum"
-
-    def height_m(north_m: FloatArray, east_m: FloatArray) -> FloatArray:
-        """Mountains of eq. 1 on a plain."""
-        shape = np.broadcast(north_m, east_m).shape
-        height = np.full(shape, 0.0 if is_sum else -np.inf)
-        for n, e, h, spread_n, spread_e in peaks:
-            peak = h * np.exp(-(((north_m - n) / spread_n) ** 2) - ((east_m - e) / spread_e) ** 2)
-            height = height + peak if is_sum else np.maximum(height, peak)
-        surface: FloatArray = np.maximum(height, float(terrain["ground_amsl_m"]))
-        return surface
-
-    return height_m
+    rows = [[float(peak[key]) for key in keys] for peak in terrain.get("peaks", [])]
+    if terrain["combine"] not in ("maximum", "sum"):
+        raise ValueError(f"terrain.combine = {terrain['combine']!r}: neither maximum nor sum")
+    return Surface(
+        peaks=np.array(rows, dtype=np.float64).reshape(-1, 5),
+        ground_amsl_m=float(terrain["ground_amsl_m"]),
+        combine=terrain["combine"],
+    )
 
 
-def _elevations(path: Path, world: dict[str, Any]) -> Surface:
-    """Points of an elevation file, bilinear between them; NaN beyond it."""
+def _elevations(path: Path, world: dict[str, Any]) -> Elevations:
     nodata = world["terrain"].get("nodata", math.nan)
     with rasterio.open(path) as file:
-        heights_m = file.read(1, masked=True).astype(np.float64)
-        at = file.transform
-    heights_m = heights_m.filled(0.0 if nodata == "sea" else nodata)
-
-    def height_m(north_m: FloatArray, east_m: FloatArray) -> FloatArray:
-        shape = np.broadcast(north_m, east_m).shape
-        north, east = (np.ravel(each) for each in np.broadcast_arrays(north_m, east_m))
-        origin = (
-            np.full(north.shape, world["origin"][f"{k}_deg"]) for k in ("longitude", "latitude")
-        )
-        azimuth, distance = np.degrees(np.arctan2(east, north)), np.hypot(north, east)
-        longitude, latitude, _ = Geod(ellps="WGS84").fwd(*origin, azimuth, distance)
-        cells = (latitude - at.f) / at.e - 0.5, (longitude - at.c) / at.a - 0.5
-        found = map_coordinates(heights_m, cells, order=1, cval=np.nan)
-        return np.reshape(found, shape)
-
-    return height_m
+        heights = file.read(1, masked=True).astype(np.float64)
+        north, west = file.transform.f, file.transform.c
+        down, right = -file.transform.e, file.transform.a
+    return Elevations(
+        heights_amsl_m=heights.filled(0.0 if nodata == "sea" else nodata),
+        north_west_deg=(north - down / 2, west + right / 2),  # of the middle of the pixel
+        step_deg=(down, right),
+        origin_deg=(world["origin"]["latitude_deg"], world["origin"]["longitude_deg"]),
+    )
 
 
-def clearances_m(points_nea_m: FloatArray, surface: Surface) -> FloatArray:
+def clearances_m(points_nea_m: FloatArray, surface: Surface | Elevations) -> FloatArray:
     """Euclidean distance of points to the surface, negative below it. (P, 3) -> (P,)."""
     north, east, altitude = points_nea_m.T
-    above = altitude - surface(north, east)
+    above = altitude - surface.height_m(north, east)
     # Nothing nearer than the ground straight below can lie further away than it, sideways.
     reach = float(np.abs(above).max()) + 200.0
     axes = [np.arange(a.min() - reach, a.max() + reach + 100.0, 100.0) for a in (north, east)]
     n, e = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
-    samples = np.stack([n, e, surface(n, e)], axis=-1)
+    samples = np.stack([n, e, surface.height_m(n, e)], axis=-1)
     _, nearest = cKDTree(samples, balanced_tree=False, compact_nodes=False).query(points_nea_m)
     distance = _refined_m(points_nea_m, samples[nearest, :2], 150.0, surface)
     distance = np.minimum(distance, _refined_m(points_nea_m, points_nea_m[:, :2], 150.0, surface))
     for worst in _spread_worst(distance, 10):
         around = np.arange(-distance[worst], distance[worst] + 20.0, 20.0)
         n, e = (a.ravel() for a in np.meshgrid(north[worst] + around, east[worst] + around))
-        offsets = np.stack([n, e, surface(n, e)], axis=-1) - points_nea_m[worst]
+        offsets = np.stack([n, e, surface.height_m(n, e)], axis=-1) - points_nea_m[worst]
         k = int(np.argmin(np.sum(offsets**2, axis=-1)))
         foot = np.array([[n[k], e[k]]])
         again = _refined_m(points_nea_m[worst : worst + 1], foot, 30.0, surface)[0]
@@ -163,7 +190,7 @@ def clearances_m(points_nea_m: FloatArray, surface: Surface) -> FloatArray:
 
 
 def _refined_m(
-    points_nea_m: FloatArray, feet_ne_m: FloatArray, half_m: float, surface: Surface
+    points_nea_m: FloatArray, feet_ne_m: FloatArray, half_m: float, surface: Surface | Elevations
 ) -> FloatArray:
     """Distance to the surface near given feet, by ever finer grids. (P, 3), (P, 2) -> (P,)."""
     grid = np.linspace(-1.0, 1.0, 7)
@@ -173,7 +200,7 @@ def _refined_m(
     feet = feet_ne_m
     while half_m > 0.1:
         tried = feet[:, None, :] + half_m * step  # (P, G, 2)
-        height = surface(tried[..., 0], tried[..., 1])
+        height = surface.height_m(tried[..., 0], tried[..., 1])
         ground = np.sum((tried - points_nea_m[:, None, :2]) ** 2, axis=-1)
         squared = ground + (height - points_nea_m[:, None, 2]) ** 2
         k = np.argmin(squared, axis=1)
@@ -319,38 +346,39 @@ def judge(
     def figure(name: str, value: float, unit: str, *bound: Any) -> None:
         track[name] = Check(name, float(value), unit, *bound)
 
-    def worst(name: str, values: FloatArray, times_s: FloatArray, unit: str, *kept: Any) -> None:
-        """kept: its relation to a bound, the bound, and its limit."""
-        sign = 1.0 if kept[0] == ">=" else -1.0
-        at = int(np.argmin(sign * values)) if len(values) else -1
-        nothing = math.inf if kept[0] == ">=" else 0.0
-        found = (values[at], *kept, float(times_s[at])) if len(values) else (nothing, *kept)
-        figure(name, found[0], unit, *found[1:])
+    def least(name: str, values: FloatArray, times: FloatArray, bound: float, limit: float) -> None:
+        worst = int(np.argmin(values)) if len(values) else -1
+        value, at_s = (values[worst], times[worst]) if len(values) else (math.inf, math.nan)
+        figure(name, value, "m", ">=", bound, limit, float(at_s))
 
-    clear_m = clearances_m(points, surface_of(world, folder))
-    far_enough = (">=", safety, low * safety)
-    worst("distance to terrain", clear_m, point_t_s, "m", *far_enough)
-    spent_s = {}
+    def most(name: str, values: FloatArray, times: FloatArray, unit: str, *bound: float) -> None:
+        worst = int(np.argmax(values)) if len(values) else -1
+        value, at_s = (values[worst], times[worst]) if len(values) else (0.0, math.nan)
+        figure(name, value, unit, "<=", *bound, float(at_s))
+
+    clearances = clearances_m(points, surface_of(world, folder))
+    least("distance to terrain", clearances, point_t_s, safety, low * safety)
+    total_s = 0.0
     for radar in world.get("radars", []):
         centre = np.array([radar["north_m"], radar["east_m"], radar["altitude_amsl_m"]])
-        inside_s = seconds_inside(t_s, track_nea_m, centre, radar["range_m"])
-        spent_s[f"time inside {radar['name']}"] = inside_s.sum()
-    for name, seconds in (spent_s | {"time inside radars": sum(spent_s.values())}).items():
-        figure(name, seconds, "s", "<=", 0.0, 0.0)
+        spent = seconds_inside(t_s, track_nea_m, centre, radar["range_m"])
+        total_s += spent.sum()
+        figure(f"time inside {radar['name']}", spent.sum(), "s", "<=", 0.0, 0.0)
+    figure("time inside radars", total_s, "s", "<=", 0.0, 0.0)
     zones = [keep_out_distances_m(points, zone) for zone in mission.get("keep_outs", [])]
     nearest = np.min(zones, axis=0) if zones else np.empty(0)
-    worst("distance to keep-outs", nearest, point_t_s, "m", *far_enough)
+    least("distance to keep-outs", nearest, point_t_s, safety, low * safety)
     slowest_m_s = min(SLOWEST_M_S, 0.5 * float(vehicle.get("speed_m_s", math.inf)))
     middle_s, radii, slopes = turns_and_slopes(t_s, track_nea_m, slowest_m_s)
     turn = float(vehicle["turn_radius_m"])
-    worst("turn radius", radii, middle_s, "m", ">=", turn, low * turn)
+    least("turn radius", radii, middle_s, turn, low * turn)
     for what, sign in (("climb", 1.0), ("dive", -1.0)):
         steepest, degrees = float(vehicle[f"{what}_angle_deg"]), sign * np.degrees(slopes)
-        bounds = "<=", steepest, high * steepest
-        worst(f"{what} angle", np.maximum(degrees, 0.0), middle_s, "deg", *bounds)
+        bounds = steepest, high * steepest
+        most(f"{what} angle", np.maximum(degrees, 0.0), middle_s, "deg", *bounds)
     heights = track_nea_m[:, 2]
-    worst("lowest altitude AMSL", heights, t_s, "m", ">=", floor, floor - slack)
-    worst("highest altitude AMSL", heights, t_s, "m", "<=", ceiling, ceiling + slack)
+    least("lowest altitude AMSL", heights, t_s, floor, floor - slack)
+    most("highest altitude AMSL", heights, t_s, "m", ceiling, ceiling + slack)
     target, end = mission["targets"][-1], track_nea_m[-1]
     miss_m = math.dist(end[:2], (target["north_m"], target["east_m"]))
     figure("end to target", miss_m, "m", "<=", ARRIVED_M, ARRIVED_M, float(t_s[-1]))

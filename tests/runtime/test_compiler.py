@@ -3,12 +3,14 @@
 import os
 import pickle
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from companion import jit
+from companion import caches, jit
 from companion.path.proof import prove
 from companion.planner import cheapest_ways, cost_samples, field, kernels
 from companion.runtime import compiler
@@ -76,6 +78,9 @@ def test_a_cache_that_cannot_be_read_is_made_anew_and_a_compiler_that_fails_says
     assert not (folder / "torn.nbi").exists()
 
 
+# --- the cache on disk
+
+
 @pytest.fixture
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
@@ -105,3 +110,42 @@ def test_the_same_sources_have_the_same_folder_and_a_change_in_any_has_another(
     with (home / "changed.py").open("a", encoding="utf-8") as file:
         file.write("# another comment\n")
     assert folder_of_cache(home, monkeypatch) != before
+
+
+def test_without_a_given_folder_the_users_own_cache_is_used_and_where_nothing_can_be_written_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(caches, "user_cache_dir", lambda name: str(tmp_path / name))
+    assert jit.cache_on_disk()
+    assert Path(os.environ["NUMBA_CACHE_DIR"]).parent == tmp_path / "companion"
+    (tmp_path / "file").write_text("not a folder")  # not even root can write below it
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file" / "cache"))
+    assert jit.cache_on_disk() is None
+
+
+UNCACHED = """
+import tempfile
+tempfile.tempdir = "{nowhere}"
+from companion import jit
+from companion.planner import kernels
+from companion.runtime import compiler
+assert jit.cache_on_disk() is None
+if {whole}:
+    compiler.load_kernel()
+else:
+    jit.compiled(kernels.search)
+"""
+
+
+@pytest.mark.xdist_group("compiled")
+def test_on_a_read_only_system_the_kernel_is_compiled_without_a_cache(tmp_path: Path) -> None:
+    """With COMPANION_DEEP_TESTS it is compiled to the end (some 30 s), else only begun."""
+    (tmp_path / "file").write_text("not a folder")
+    nowhere = str(tmp_path / "file" / "home")
+    environment = {**os.environ, "HOME": nowhere, "XDG_CACHE_HOME": nowhere, "NUMBA_OPT": "0"}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    whole = "COMPANION_DEEP_TESTS" in os.environ
+    program = UNCACHED.format(nowhere=nowhere, whole=whole)
+    subprocess.run([sys.executable, "-c", program], env=environment, timeout=300, check=True)
+    assert list(tmp_path.iterdir()) == [tmp_path / "file"]

@@ -16,7 +16,9 @@ BY_PATH = "/dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0"
         ("udpin://0.0.0.0:14540", "udpin", "0.0.0.0", 14540),
         ("udp:0.0.0.0:14540", "udpin", "0.0.0.0", 14540),  # as pymavlink has it
         ("udpout:192.168.1.10:14550", "udpout", "192.168.1.10", 14550),
+        ("udpout://192.168.1.10:14550", "udpout", "192.168.1.10", 14550),
         ("tcp:vehicle.local:5760", "tcp", "vehicle.local", 5760),
+        ("tcp://vehicle.local:5760", "tcp", "vehicle.local", 5760),
         *((f"{kind}:[fe80::1]:14540", kind, "fe80::1", 14540) for kind in ("udpin", "tcp")),
     ],
 )
@@ -29,10 +31,14 @@ def test_networks(text: str, kind: str, host: str, port: int) -> None:
     [
         ("/dev/ttyACM0", "/dev/ttyACM0", 57600),
         ("/dev/ttyAMA0,921600", "/dev/ttyAMA0", 921600),
+        ("/dev/ttyACM0:57600", "/dev/ttyACM0", 57600),
         ("serial:/dev/ttyUSB0:921600", "/dev/ttyUSB0", 921600),
         ("serial:///dev/ttyUSB0:921600", "/dev/ttyUSB0", 921600),
+        ("serial:/dev/ttyUSB0", "/dev/ttyUSB0", 57600),
+        ("serial:/dev/ttyUSB0,115200", "/dev/ttyUSB0", 115200),
         (BY_PATH, BY_PATH, 57600),
         (f"{BY_PATH},115200", BY_PATH, 115200),
+        (f"serial:{BY_PATH}", BY_PATH, 57600),
         (f"serial:{BY_PATH}:115200", BY_PATH, 115200),
     ],
 )
@@ -42,10 +48,12 @@ def test_serial_ports(text: str, name: str, baud: int) -> None:
 
 NONSENSE = (
     *("", "udpin", "udpin:127.0.0.1", "udpin::14540", "udpin:[::1]", "udpin:::1:14540"),
-    *(f"udpin:127.0.0.1:{port}" for port in ("", "x", "-1", "65536", "14540:1", "0", "9" * 5000)),
-    *("tcp:127.0.0.1:5760:1", "tcpin:127.0.0.1:5760", "127.0.0.1:14540", "mission.tlog"),
+    *(f"udpin:127.0.0.1:{port}" for port in ("", "x", "-1", "65536", "14540:1", " 1", "1e4", "0")),
+    *("udpin:127.0.0.1:" + "9" * 5000, "udpout:127.0.0.1:0", "tcp:127.0.0.1:0", "tcp:127.0.0.1"),
+    *("tcp:127.0.0.1:5760:1", "tcpin:127.0.0.1:5760", "udp:127.0.0.1", "UDPIN:127.0.0.1:14540"),
+    *("udpbcast:192.168.0.255:14550", "127.0.0.1:14540", "mission.tlog", "ttyACM0,57600"),
     *(f"/dev/ttyACM0,{baud}" for baud in ("", "fast", "0", "57600,1", "99999999")),
-    *("serial:", "serial:,57600", "COM3,-1", "ttyACM0,57600"),
+    *("serial:", "serial:,57600", "COM", "COM3,", "COM3,-1", "com3;57600"),
     *("udpin:a..b:14540", f"udpin:{'a' * 64}.example:14540"),  # there can be no such host
     # as MAVSDK, MAVROS, mavp2p and MAVProxy have it: some of them listen where others call
     *("serial:///dev/ttyACM0?baud=57600", "serial-hwfc:/dev/ttyACM0:921600", "udpin://:14540"),

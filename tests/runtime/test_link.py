@@ -1,5 +1,6 @@
 """Datagrams over real sockets on the loopback."""
 
+import contextlib
 import socket
 from collections.abc import Iterator
 
@@ -10,6 +11,7 @@ from companion.errors import InputError
 from companion.runtime.link import Link, open_link
 
 PATIENCE_S = 10.0
+FRAME = bytes(range(64))
 
 
 @pytest.fixture
@@ -63,7 +65,7 @@ def test_answers_go_to_the_sender_that_was_chosen_last(other: socket.socket) -> 
 
 @pytest.mark.parametrize(
     "sizes",
-    [[20] * 200, [1399, 1, 1], [1, 1400, 1], [2000, 10]],
+    [[20] * 200, [1400], [1399, 1, 1], [700, 700, 700], [280] * 11, [1, 1400, 1], [2000, 10]],
     ids=str,
 )
 def test_frames_are_batched_in_order_and_whole_into_as_few_datagrams_of_1400_bytes(
@@ -99,3 +101,20 @@ def test_a_port_in_use_is_an_input_error_with_its_remedy(other: socket.socket) -
     assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match="cannot be opened"):
         open_link("udpin:192.0.2.1:14540")  # of another machine
+
+
+def has_ipv6() -> bool:
+    with contextlib.suppress(OSError), socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as end:
+        end.bind(("::1", 0))
+        return True
+    return False
+
+
+@pytest.mark.skipif(not has_ipv6(), reason="this computer has no IPv6")
+def test_ipv6_is_a_network_like_any_other() -> None:
+    port = free_port()
+    with open_link(f"udpin:[::1]:{port}") as here, open_link(f"udpout:[::1]:{port}") as there:
+        for sends, hears in ((there, here), (here, there)):
+            sends.send([b"hello"])
+            assert hears.receive(PATIENCE_S) == b"hello"
+            hears.answer_to(hears.sender)

@@ -182,6 +182,29 @@ def test_while_its_planner_is_loaded_it_sends_heartbeats_and_listens_to_nobody()
     assert max(after - before for before, after in pairwise(beats_s)) < 2.0
 
 
+def test_ctrl_c_is_obeyed_while_the_planner_is_loaded() -> None:
+    link = QueueLink(time.monotonic)
+    control = ControlLoop(
+        Session(MISSION, seed=1, lockstep=False),
+        link,
+        lockstep=False,
+        clock=time.monotonic,
+        stop_asked=lambda: True,
+    )
+    control.planner_is_ready = lambda: False
+    control.run()
+    assert control.flown.end is not None
+    assert control.flown.end.outcome is Outcome.STOPPED
+
+
+def test_who_spoke_for_the_vehicle_is_answered(folder: RunFolder) -> None:
+    session, link = StubSession(), QueueLink(time.monotonic)
+    link.sender = ("10.0.0.7", 14551)
+    link.incoming.put(b"a word")
+    stream(session, link, folder, lambda: bool(link.answers))
+    assert link.answers == [("10.0.0.7", 14551)]
+
+
 def test_a_word_from_the_past_is_not_taken_for_news(folder: RunFolder) -> None:
     """The companion was held up: what waited meanwhile tells of where the vehicle was."""
 

@@ -119,6 +119,12 @@ def test_a_plan_that_raises_is_an_error_with_its_words_and_what_it_prints_is_no_
     assert capfd.readouterr().out == ""
 
 
+def test_a_process_that_does_not_come_up_is_an_error(odd: Made) -> None:
+    planner = odd("import sys\ndef prepare(): sys.exit(3)\nplan = prepare\n")
+    with pytest.raises(PlannerEndedError, match="exit code 3"):
+        planner.start()
+
+
 PARENT = """
 import os, signal
 from companion.runtime.planner_process import PlannerProcess

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import pty
+import select
 import socket
 import termios
 import threading
@@ -10,6 +11,7 @@ import time
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -70,6 +72,11 @@ class Server:
     def comes_back(self) -> None:
         """It has never stopped to listen."""
 
+    def assert_left_alone(self) -> None:
+        self.listener.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            self.listener.accept()
+
     def close(self) -> None:
         for each in (*self._peers, self.listener):
             each.close()
@@ -109,6 +116,9 @@ class Terminal:
             return os.read(self.far, 1000).endswith(b"?")
         return False
 
+    def assert_left_alone(self) -> None:
+        open_link(self.name).close()
+
     close = goes
 
 
@@ -122,6 +132,12 @@ def server() -> Iterator[Server]:
 def terminal(tmp_path: Path) -> Iterator[Terminal]:
     with contextlib.closing(Terminal(tmp_path)) as made:
         yield made
+
+
+@pytest.fixture
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is lost is reached for again without a wait."""
+    monkeypatch.setattr(links, "_AGAIN_S", 0.0)
 
 
 @pytest.fixture(params=["server", "terminal"])
@@ -168,6 +184,30 @@ def test_one_that_is_lost_is_reached_again_and_nothing_is_raised(end: Server | T
                 assert link.receive(0.02) is None
                 link.send([FRAME])
             end.comes_back()
+
+
+@pytest.mark.usefixtures("at_once")
+def test_a_link_that_was_closed_reaches_for_nobody(end: Server | Terminal) -> None:
+    link = open_link(end.name)
+    link.close()
+    for _ in range(3):
+        assert link.receive(0.01) is None
+    end.assert_left_alone()
+
+
+def test_who_does_not_read_loses_whole_frames_and_makes_nobody_wait(
+    end: Server | Terminal,
+) -> None:
+    with open_link(end.name) as link:
+        far = end.answers(link)
+        frames = [bytes([1 + number % 251]) * 100 for number in range(200)]
+        for _ in range(500):  # 10 MB, far more than all buffers hold
+            link.send(frames)
+        last = b"!" * 100
+        got = arriving(link, far, lambda data: data.endswith(last), last)
+    assert 0 < len(got) < 10_000_000
+    assert len(got) % 100 == 0
+    assert all(len(set(got[at : at + 100])) == 1 for at in range(0, len(got), 100))
 
 
 def setpoint(at_s: float) -> bytes:
@@ -243,6 +283,15 @@ def test_a_tcp_peer_that_is_not_there_yet_is_no_error_and_no_order_is_kept_for_i
             assert os.read(far, 100) == b"after"
 
 
+def test_an_order_that_was_given_before_the_call_is_answered_is_not_kept(server: Server) -> None:
+    with open_link(server.name) as link:
+        assert link.receive(0.0) is None  # it calls
+        link.send([HOLD])
+        far = server.answers(link)
+        link.send([b"after"])
+        assert os.read(far, 100) == b"after"
+
+
 def test_a_setpoint_that_has_waited_too_long_is_not_sent(
     server: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -260,6 +309,27 @@ def test_a_setpoint_that_has_waited_too_long_is_not_sent(
         assert newest not in arriving(link, far, lambda data: HOLD in data)
 
 
+@pytest.mark.parametrize("looked", [False, True])
+@pytest.mark.parametrize("kind", ["udpin", "tcp", "tcp, calling"])
+def test_a_link_that_is_closed_under_its_reader_ends_its_wait_with_nothing(
+    server: Server, monkeypatch: pytest.MonkeyPatch, kind: str, looked: bool
+) -> None:
+    """Just before the reader looks whether something has come in, or just after."""
+    link = open_link(f"udpin:127.0.0.1:{free_port()}" if kind == "udpin" else server.name)
+    if kind == "tcp":
+        os.write(server.answers(link), b"late")
+
+    def close_and_select(*arguments: Any) -> Any:
+        ready = select.select(*arguments) if looked else None
+        link.close()
+        return ready or select.select(*arguments)
+
+    monkeypatch.setattr(links, "select", SimpleNamespace(select=close_and_select))
+    for _ in range(3):
+        assert link.receive(0.02) is None
+        link.send([FRAME])
+
+
 # --- serial
 
 
@@ -269,6 +339,19 @@ def test_a_serial_port_is_opened_at_the_baud_rate_that_is_asked_for(terminal: Te
             assert termios.tcgetattr(terminal.far)[4:6] == [speed, speed]
 
 
+def in_the_middle(step: str, does: Callable[[], None], monkeypatch: pytest.MonkeyPatch) -> None:
+    """What happens while a port that is open already is set up: the next time, once."""
+    real = getattr(termios, step)
+
+    def meanwhile(*arguments: object) -> None:
+        monkeypatch.setattr(termios, step, real)
+        does()
+        real(*arguments)
+
+    monkeypatch.setattr(termios, step, meanwhile)
+
+
+@pytest.mark.usefixtures("at_once")
 @pytest.mark.parametrize("step", ["tcsetattr", "tcflush"])
 def test_a_device_that_vanishes_while_it_is_opened_again_is_opened_once_more(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch, step: str
@@ -277,19 +360,11 @@ def test_a_device_that_vanishes_while_it_is_opened_again_is_opened_once_more(
 
     Of a port that is gone what is done to it raises no OSError.
     """
-    monkeypatch.setattr(links, "_AGAIN_S", 0.0)
-    real = getattr(termios, step)
-
-    def goes_meanwhile(*arguments: object) -> None:
-        monkeypatch.setattr(termios, step, real)
-        terminal.goes()
-        real(*arguments)
-
     with open_link(terminal.name) as link:
         terminal.goes()
         assert link.receive(0.02) is None
         terminal.comes_back()
-        monkeypatch.setattr(termios, step, goes_meanwhile)
+        in_the_middle(step, terminal.goes, monkeypatch)
         assert link.receive(0.02) is None
         assert not terminal.path.exists()
         terminal.comes_back()
@@ -297,16 +372,25 @@ def test_a_device_that_vanishes_while_it_is_opened_again_is_opened_once_more(
         assert heard(link, 4) == b"back"
 
 
-def test_what_is_no_serial_port_or_in_use_is_an_input_error_with_its_remedy(
-    terminal: Terminal, tmp_path: Path
+@pytest.mark.usefixtures("at_once")
+def test_a_serial_link_that_is_closed_while_it_opens_its_device_again_leaves_it_to_others(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """One program at a time has it; what is no serial port is refused with its remedy, too."""
+    link = open_link(terminal.name)
+    with pytest.raises(InputError, match="end the program that uses it"):
+        open_link(terminal.name)
+    terminal.goes()
+    assert link.receive(0.02) is None
+    terminal.comes_back()
+    in_the_middle("tcsetattr", link.close, monkeypatch)
+    assert link.receive(0.02) is None
+    open_link(terminal.name).close()
+
+
+def test_what_is_no_serial_port_is_an_input_error_with_its_remedy(tmp_path: Path) -> None:
     (tmp_path / "a-file").write_text("", encoding="utf-8")
-    with open_link(terminal.name):
-        for path, remedy in (
-            (terminal.path, "end the program that uses it"),
-            (tmp_path / "nothing-here", r"No such file.*plug a device in"),
-            (tmp_path / "a-file", "Give"),
-        ):
-            with pytest.raises(InputError, match=remedy) as caught:
-                open_link(str(path))
-            assert "\n" not in str(caught.value)
+    for name, remedy in (("nothing-here", r"No such file.*plug a device in"), ("a-file", "Give")):
+        with pytest.raises(InputError, match=remedy) as caught:
+            open_link(str(tmp_path / name))
+        assert "\n" not in str(caught.value)

@@ -1,5 +1,6 @@
 """Parts of the companion are killed and blocked for real, in real time (design 7, last row)."""
 
+import ctypes
 import io
 import json
 import math
@@ -25,6 +26,7 @@ from stub_session import (
     request_of,
 )
 
+from companion.mavlink.link import Output
 from companion.mission.events import End, Outcome
 from companion.planner.request import PlanRequest
 from companion.runtime import loop, planner_process, recorder, watchdog
@@ -287,6 +289,22 @@ def test_a_slow_start_is_no_death_nor_is_anything_slow_in_lockstep(
     assert rig.end.outcome is Outcome.STOPPED
 
 
+def test_a_setpoint_that_took_too_long_is_not_sent(rig: Rig) -> None:
+    """The decider holds the interpreter for 0.7 s: nobody can stop it meanwhile, or tell."""
+
+    def hangs() -> None:
+        took_s.append(rig.session.arrived_s[-1])
+        ctypes.PyDLL(None).usleep(700_000)
+
+    took_s: list[float] = []
+    rig.at(BREAKS_AT, hangs)
+    with rig.flying():
+        rig.link.wait_until(lambda: len(rig.session.received) > 2 * BREAKS_AT)
+    assert rig.link.times_of(HOLD) == []
+    sent_s = next(at_s for at_s in rig.link.times_of(SETPOINT) if at_s > took_s[0])
+    assert any(took_s[0] < at_s <= sent_s for at_s in rig.session.arrived_s)  # it answers that one
+
+
 def test_of_two_plans_that_are_asked_for_only_the_newer_counts(rig: Rig) -> None:
     def named(request: PlanRequest, stop: Callable[[], bool]) -> Any:
         if request.plan_id == 1:
@@ -373,3 +391,43 @@ def test_a_disk_that_blocks_does_not_delay_the_stream_and_is_told_of_once(
     assert "stood still" in said
     assert rig.link.times_of(HOLD) == []
     assert rig.longest_gap_s < BAR_S
+
+
+def test_a_folder_that_is_moved_away_is_told_of_once_and_what_grows_is_recorded_there(
+    rig: Rig, tmp_path: Path
+) -> None:
+    def moves(session: StubSession, number: int) -> None:
+        if number == 10:
+            rig.folder.path.rename(tmp_path / "moved")
+        session.out.checkpoint = {"number": number}
+        session.out.journal.append({"t_s": session.now_s, "kind": "x"})
+
+    rig.session.on_datagram = moves
+    with rig.flying():
+        rig.link.wait_until(lambda: bool(rig.session.complaints))
+        size = (tmp_path / "moved" / "journal.jsonl").stat().st_size
+        rig.streams_on()
+    lost = "state for --resume is lost: No such file or directory"
+    assert rig.session.complaints == [lost]
+    assert rig.session.stopped == rig.link.times_of(HOLD) == []
+    assert (tmp_path / "moved" / "journal.jsonl").stat().st_size > size
+
+
+def test_what_waits_for_a_slow_disk_has_an_end(
+    folder: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder, "_MOST_WAITING", 100_000)
+    monkeypatch.setattr(recorder, "_LEAVE_S", 0.1)
+    released = threading.Event()
+    monkeypatch.setattr(folder, "frames", lambda _stamped: released.wait())
+    writes = recorder.Recorder(folder, time.monotonic, lambda _failure: None)
+    writer = recorder.WriterThread(writes)
+    thread = threading.Thread(target=writer.run)
+    thread.start()
+    for _ in range(1000):
+        writer.put(Output(record=[(0.0, bytes(1000))]))
+    assert folder.failure == "the disk is too slow"
+    assert writer._put_bytes <= 101_000
+    released.set()
+    writer.close()
+    thread.join(PATIENCE_S)

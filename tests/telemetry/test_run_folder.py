@@ -7,6 +7,7 @@ import struct
 import subprocess
 import sys
 import threading
+import tracemalloc
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from pymavlink.dialects.v20 import all as wire
 
 from companion.errors import InputError
 from companion.mission.journal import VERSION
+from companion.telemetry.inputs import InputsFile
 from companion.telemetry.run_folder import RunFolder, known_map, resume_head, whole_records
 from companion.world.known_map import KnownMap, empty_map
 
@@ -186,6 +188,13 @@ def test_restarts_are_counted_and_record_at_the_same_epoch(folder: RunFolder, ke
     assert (folder.path / "mission.toml").read_text("utf-8") == MISSION
 
 
+def test_to_resume_what_has_not_begun_is_to_begin_it(tmp_path: Path) -> None:
+    with RunFolder(tmp_path / "new", mission_toml="m", epoch_us=5, resume=True) as folder:
+        folder.header({})
+        assert folder.epoch_us == 5
+    assert "resumed" not in journal(tmp_path / "new")[0]
+
+
 def test_a_folder_that_another_companion_writes_to_is_left_as_it_is(folder: RunFolder) -> None:
     """Else both append to the same files, and neither flight can be replayed."""
     folder.frames(frames()[:3])
@@ -218,6 +227,36 @@ def test_records_of_all_kinds_of_frames_are_told_apart(tmp_path: Path) -> None:
     for rest in (bytes(3 * 2**20), b"garbage" * 2**19):  # more than is read at once
         path.write_bytes(log + rest)
         assert {whole_records(path, start) for start in [*ends, 2**23]} == {len(log)}
+
+
+def test_a_log_of_many_hours_is_looked_through_in_little_memory(tmp_path: Path) -> None:
+    """As when resume.json was lost: in flight, on a small computer."""
+    path = tmp_path / "flight.tlog"
+    record = struct.pack(">Q", EPOCH_US) + bytes([0xFD, 255]) + bytes(265)
+    with path.open("wb") as file:
+        for _ in range(12):
+            file.write(record * 5_000)  # 17 MB
+        end = file.tell()
+        file.write(b"\0" * 20_000_000)  # a hole that a power cut has left
+    tracemalloc.start()
+    try:
+        with RunFolder(tmp_path, mission_toml="", epoch_us=0, resume=True) as folder:
+            assert folder.epoch_us == EPOCH_US
+        peak_bytes = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert path.stat().st_size == end
+    assert peak_bytes < 10_000_000
+
+
+def test_inputs_that_grow_while_they_are_read_are_no_torn_ones(folder: RunFolder) -> None:
+    folder.inputs([("stop",)])
+    told = InputsFile(folder.path / "inputs.msgpack")
+    reading = iter(told)
+    assert next(reading) == ("stop",)
+    folder.inputs([("stop",)])
+    assert list(reading) == [("stop",)]
+    assert (told.torn_bytes, told.is_damaged) == (0, False)
 
 
 # --- kills, full disks, damage
