@@ -257,9 +257,14 @@ def _airborne_s(flight: Flight) -> float:
 
 def _flown(track: _Track, flight: Flight) -> BoolArray:
     """When subpaths were flown: until it is told to land or is let go; (N,)."""
-    begun_s = next((e["t_s"] for e in flight.journal if e["kind"] == "leg"), -math.inf)
+    begun_s = _first_leg_s(flight)
     over = (e["t_s"] for e in flight.journal if e.get("phase") in _OVER and e["t_s"] >= begun_s)
     return (track.t_s >= begun_s) & (track.t_s <= next(over, math.inf))
+
+
+def _first_leg_s(flight: Flight) -> float:
+    """When its first subpath was begun, by the journal; -inf: none was."""
+    return next((e["t_s"] for e in flight.journal if e["kind"] == "leg"), -math.inf)
 
 
 # --- what the companion could not know or had no say in
@@ -328,7 +333,8 @@ def _gaps_m(
     if flight.mission.near is not None or not len(track.t_s):
         return
     points = track.points_nea_m
-    yield "terrain", track.away_m
+    # before that it climbs out from where it stood, also when it goes on after a hold meanwhile
+    yield "terrain", np.where(track.t_s < _first_leg_s(flight), np.inf, track.away_m)
     for zone in drawn.task.zones:
         gap_m = truth.keep_out_distance_m(points, zone)
         yield zone.name, -gap_m if zone.keep_in else gap_m

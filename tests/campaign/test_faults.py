@@ -221,6 +221,18 @@ def test_what_was_planned_before_an_excuse_is_checked_whole(tmp_path: Path) -> N
     assert violated(flown) == ["leg 1: keep-out zone", "leg 2: keep-out zone"]
 
 
+def test_who_climbs_out_is_not_too_near_to_the_ground_and_who_flies_is(tmp_path: Path) -> None:
+    ground_m = float(DRAWN.terrain.height_m(np.array(TARGET[0]), np.array(TARGET[1])))
+    low_m = ground_m + 0.5 * SAFETY_M
+    flown = flight(tmp_path, [TARGET] * 4, told_off_m=low_m - HIGH_M)
+    for row in flown.truth:
+        row["altitude_amsl_m"] = low_m
+    for begins_s, count in ((1.0, 1), (9.0, 0)):
+        leg = {"t_s": begins_s, "kind": "leg"}
+        after = replace(flown, journal=[*flown.journal[:1], leg, *flown.journal[1:]])
+        assert [each.startswith("terrain ") for each in violated(after)] == [True] * count
+
+
 def test_who_leaves_a_keep_in_violates_it(tmp_path: Path) -> None:
     fence = CircleZone(name="in", north_m=-1_200.0, east_m=0.0, radius_m=50.0, keep_in=True)
     world = replace(DRAWN, task=replace(DRAWN.task, zones=(fence,)))
