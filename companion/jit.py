@@ -18,7 +18,7 @@ from companion.caches import cache_folder, is_writable
 SOURCES = (
     *("world/columns", "world/zones", "objective", "optimise/refined_de"),
     *("path/envelope", "path/proof", "path/proof_shape"),
-    *("planner/cheapest_ways", "planner/cost_samples", "planner/kernels"),
+    *("planner/cheapest_ways", "planner/cost_samples", "planner/kernels", "planner/seeds"),
 )
 """The modules whose code is compiled: a cache made from others is stale."""
 

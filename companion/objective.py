@@ -55,6 +55,7 @@ MAX_EXCESS = 10.0  # of curvature over its limit that counts
 DEAD_MAN_EVERY = 2  # samples
 BETWEEN = 3  # points a chord at which terrain and zones count: they are met at their corners
 _FAR = 1e12  # m: no zone is as far
+_SURELY = 1.0 + 1e-9  # times a bound: a sum beyond exceeds it however it is rounded
 
 
 class Workspace(NamedTuple):
@@ -183,10 +184,12 @@ def cost(x: FloatArray, bound: float, scene: Scene) -> float:
     total += scale * outside
     if total > bound:
         return math.inf
-    low_m = too_low_m(scene)
+    scale = each * CRASH_SCALE / scene.safety_distance_m
+    most_m = _SURELY * (bound - total) / max(a[CRASH] * scale, 1e-12)
+    low_m = too_low_m(scene, most_m)
     if scene.motion.loiter_m == 0.0:  # a plane circles, and its surface stands off by that
-        low_m += dead_man_m(scene)
-    terms[CRASH] = each * CRASH_SCALE / scene.safety_distance_m * low_m
+        low_m += dead_man_m(scene, most_m - low_m)
+    terms[CRASH] = scale * low_m
     total += a[CRASH] * terms[CRASH]
     return math.inf if total > bound else float(total)
 
@@ -313,10 +316,12 @@ def lattice_m(surface: Surface, north_m: float, east_m: float) -> float:
     return float(south + u * (north - south))
 
 
-def too_low_m(scene: Scene) -> float:
-    """How far points of the chords lie under the surface, metres in all."""
+def too_low_m(scene: Scene, most: float) -> float:
+    """How far points of the chords lie under the surface, metres in all; beyond `most` any sum."""
     points, total = scene.at.curve[0], 0.0
     for j in range(1, len(points)):
+        if total > most * BETWEEN:
+            break
         north, east, altitude = points[j - 1]
         dn, de, da = points[j, 0] - north, points[j, 1] - east, points[j, 2] - altitude
         for i in range(1, BETWEEN + 1):
@@ -326,8 +331,8 @@ def too_low_m(scene: Scene) -> float:
     return total / BETWEEN
 
 
-def dead_man_m(scene: Scene) -> float:
-    """How far points of the dead-man stretches lie too low, metres in all.
+def dead_man_m(scene: Scene, most: float) -> float:
+    """How far points of the dead-man stretches lie too low, metres in all; beyond `most` any sum.
 
     Towards its end the vehicle flies no faster than it can stop there, and from a hover no faster
     than it can have become; chords stand for the curve.
@@ -335,6 +340,8 @@ def dead_man_m(scene: Scene) -> float:
     points, ahead, flown_m = scene.at.curve[0], scene.at.curve[1], scene.at.flown_m
     total = 0.0
     for j in range(1, len(points), DEAD_MAN_EVERY):
+        if total > most:
+            break
         speed = ending_m_s(scene.motion, flown_m[-1] - flown_m[j])
         if scene.from_rest:
             speed = min(speed, rising_m_s(scene.motion, flown_m[j]))

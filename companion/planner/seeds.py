@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 
-from companion import objective
+from companion import jit, objective
 from companion.geodesy import FloatArray, wrap_rad
 from companion.objective import Scene
+from companion.planner.cheapest_ways import IndexArray
 from companion.planner.cost_grid import Place, sampled
 
 _BENDS_RAD = (0.0, 0.3, -0.3)  # of arcs to the guide
@@ -30,7 +31,7 @@ def ways_of(
     points = sampled(np.array(route_ne_m), cell_m, 2.0 * scene.end_radius_m)
     away = np.hypot(*(points - scene.scan_ne_m).T)
     out = int(np.argmax(np.append(away, math.inf) > scene.end_radius_m))
-    lowest = [objective.lattice_m(scene.surface, north, east) for north, east in points.tolist()]
+    lowest = scene.surface.altitude_m(*points.T)
     barred = int(np.argmax(np.append(lowest, math.inf) > scene.band_amsl_m[1]))
     ways = [points[:out], points[: min(out, barred)]]
     if tail_nea_m is not None:
@@ -46,7 +47,8 @@ def seeds_of(scene: Scene, ways_ne_m: list[FloatArray]) -> FloatArray:
     at, (low, high) = scene.start[0], scene.band_amsl_m
     level = (at[2] - low) / (high - low)
     ahead = math.atan2(scene.start[1, 1], scene.start[1, 0])
-    rows = [_along(scene, ahead, way, z) for way in ways_ne_m for z in (level, _safe(scene, way))]
+    ways = [(way, z) for way in ways_ne_m for z in (level, _safe(scene, way))]
+    arcs = list[tuple[float, ...]]()  # bearing at first, turn, bend, how far, share of the band
     for altitude, rho, bends in (
         (level, 1.0, _BENDS_RAD),
         (0.0, 1.0, _BENDS_RAD),
@@ -59,33 +61,61 @@ def seeds_of(scene: Scene, ways_ne_m: list[FloatArray]) -> FloatArray:
         elif not scene.from_rest and altitude == level and rho == 1.0:
             ends += [(ahead, 0.0), (ahead + 0.6 * wrap_rad(scene.guide_rad - ahead), 0.0)]
         for bearing, bend in ends:
-            first = bearing if scene.from_rest else ahead
-            share = np.linspace(0.0, 1.0, scene.points)[1:, None]
-            turned = first + share * wrap_rad(bearing - first) + bend * (share < 1.0)
-            far = rho * scene.end_radius_m * share
-            steps = np.hstack([np.cos(turned), np.sin(turned)])
-            rows.append(_along(scene, ahead, at[:2] + far * steps, altitude))
+            first, far_m = bearing if scene.from_rest else ahead, rho * scene.end_radius_m
+            arcs.append((first, wrap_rad(bearing - first), bend, far_m, altitude))
+    *drawn, levels = np.array(arcs).T
+    first_rad, turn_rad, bend_rad, far_m = (each[:, None] for each in drawn)
+    share = np.linspace(0.0, 1.0, scene.points)[1:]
+    turned = first_rad + share * turn_rad + bend_rad * (share < 1.0)
+    steps = (far_m * share)[..., None] * np.stack([np.cos(turned), np.sin(turned)], axis=-1)
+    ways += zip(at[:2] + steps, levels.tolist(), strict=True)
     if scene.shortest_m > 0.0:  # hardly longer than it must be, where nothing else has room
+        just_m = _JUST * scene.shortest_m
         for bend in _BENDS_RAD:
-            steps = np.array([[math.cos(ahead + bend), math.sin(ahead + bend)]])
-            rows.append(_along(scene, ahead, at[:2] + _JUST * scene.shortest_m * steps, level))
-    return np.clip(np.array(rows), 0.0, 1.0)
+            step = np.array([[math.cos(ahead + bend), math.sin(ahead + bend)]])
+            ways.append((at[:2] + just_m * step, level))
+    shares = np.append((np.arange(scene.points - 4) + 2.0) / (scene.points - 1), 1.0)
+    begins = np.cumsum([0] + [1 + len(way) for way, _ in ways])
+    steps_ne_m = np.concatenate([part for way, _ in ways for part in (at[None, :2], way)])
+    places = jit.compiled(places_along)(steps_ne_m, begins, shares)
+    pairs = zip(places, ways, strict=True)
+    return np.clip([_variables(scene, ahead, place, z) for place, (_, z) in pairs], 0.0, 1.0)
 
 
-def _along(scene: Scene, ahead_rad: float, way_ne_m: FloatArray, altitude: float) -> list[float]:
-    """The variables of a subpath along a way, at a share of the band.  (N, 2) -> (D,)."""
-    start, between = scene.start[0, :2], scene.points - 4
-    steps = np.vstack([start, way_ne_m])
-    flown = np.append(0.0, np.cumsum(np.hypot(*np.diff(steps, axis=0).T)))
-    shares = np.append((np.arange(between) + 2.0) / (scene.points - 1), 1.0)
-    places = np.stack([np.interp(shares * flown[-1], flown, steps[:, i]) for i in (0, 1)], axis=-1)
+def places_along(steps_ne_m: FloatArray, begins: IndexArray, shares: FloatArray) -> FloatArray:
+    """Places at shares of the lengths of ways, linear between their steps.  -> (K, S, 2).
+
+    Compiled.  begins: of each way the first of its steps, (N, 2), and the end of the last one.
+    """
+    places = np.empty((len(begins) - 1, len(shares), 2))
+    flown_m, steps = np.zeros(len(steps_ne_m)), steps_ne_m[1:] - steps_ne_m[:-1]
+    for way in range(len(places)):
+        k, last = begins[way], begins[way + 1] - 1
+        for i in range(k, last):
+            flown_m[i + 1] = flown_m[i] + np.hypot(steps[i, 0], steps[i, 1])
+        for i in range(len(shares)):
+            at_m = shares[i] * flown_m[last]
+            while k < last and flown_m[k + 1] <= at_m:
+                k += 1
+            places[way, i] = steps_ne_m[k]
+            if k < last:
+                rate = steps[k] / (flown_m[k + 1] - flown_m[k])
+                places[way, i] += rate * (at_m - flown_m[k])
+    return places
+
+
+def _variables(
+    scene: Scene, ahead_rad: float, places_ne_m: FloatArray, altitude: float
+) -> list[float]:
+    """The variables of a subpath through some places, at a share of the band.  (S, 2) -> (D,)."""
+    start = scene.start[0, :2]
     if scene.from_rest:
-        ahead_rad = math.atan2(places[0, 1] - start[1], places[0, 0] - start[0])
-    north, east = (places[-1] - scene.scan_ne_m).tolist()
+        ahead_rad = math.atan2(places_ne_m[0, 1] - start[1], places_ne_m[0, 0] - start[0])
+    north, east = (places_ne_m[-1] - scene.scan_ne_m).tolist()
     rho = math.hypot(north, east) / scene.end_radius_m
     unit = min(1.1 * max(rho * scene.end_radius_m, objective.SHORTEST_UNIT), scene.scan_range_m)
     row = [_FIRST, _FIRST]
-    for n, e in (places[:-1] - start).tolist():
+    for n, e in (places_ne_m[:-1] - start).tolist():
         r = (math.hypot(n, e) / unit - objective.SHORTEST_R) / (1.0 - objective.SHORTEST_R)
         row += [r, _azimuth(ahead_rad, math.atan2(e, n)), altitude]
     row.append(altitude)
@@ -100,7 +130,7 @@ def _along(scene: Scene, ahead_rad: float, way_ne_m: FloatArray, altitude: float
 def _safe(scene: Scene, way_ne_m: FloatArray) -> float:
     """The share of the band at which all of a way is clear of terrain."""
     low, high = scene.band_amsl_m
-    most = max(objective.lattice_m(scene.surface, n, e) for n, e in way_ne_m.tolist())
+    most = float(scene.surface.altitude_m(*way_ne_m.T).max())
     return (most - low) / (high - low)
 
 

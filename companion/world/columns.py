@@ -14,7 +14,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 
 from companion import jit
 from companion.geodesy import FloatArray
@@ -317,12 +316,13 @@ def safe_surface(
     rises_m = np.sqrt(np.maximum(clearance_m**2 - np.maximum(away_m, 0.0) ** 2, 0.0))
     rises_m[away_m >= clearance_m] = -np.inf
     wide = jit.compiled(dilated_m)(upper_m, rises_m, refine, floor_m - clearance_m)
-    vertices_m = scipy.ndimage.maximum_filter(np.pad(wide, 1, mode="edge"), size=2)[1:, 1:]
+    wide = np.pad(wide, 1, mode="edge")
+    across = np.maximum(wide[1:], wide[:-1])
     return Surface(
         north_min_m=south,
         east_min_m=west,
         cell_m=float(known.cell_m / refine),
-        vertex_m=np.ascontiguousarray(vertices_m),  # bilinear, it is below no square
+        vertex_m=np.maximum(across[:, 1:], across[:, :-1]),  # bilinear, it is below no square
     )
 
 

@@ -212,8 +212,24 @@ class KnownMap(Lattice):
         self, centre_ne_m: tuple[float, float], reach_m: float
     ) -> tuple[float, float, FloatArray]:
         """`squares_m` of one point -> its southern and western edge, metres, and the bounds."""
-        edges, upper = self.squares_m(np.array([centre_ne_m]), reach_m)
-        return float(edges[0, 0, 0]), float(edges[0, 1, 0]), upper[0]
+        half = math.ceil(reach_m / self.cell_m) + 1
+        south, west = (at - half for at in self.cell_of(*centre_ne_m))
+        upper = np.full((2 * half + 1, 2 * half + 1), np.inf)
+        here, there = zip(*map(_overlap, (south, west), upper.shape, self.shape), strict=True)
+        upper[here] = self.upper_m[there]
+        upper[~np.isfinite(upper)] = np.inf
+        return (
+            self.north_min_m + south * self.cell_m,
+            self.east_min_m + west * self.cell_m,
+            upper,
+        )
+
+
+def _overlap(first: int, count: int, cells: int) -> tuple[slice, slice]:
+    """Of so many rows from one on those that are on the map: among them, and of the map."""
+    low = min(max(first, 0), cells)
+    high = min(max(first + count, low), cells)
+    return slice(low - first, high - first), slice(low, high)
 
 
 def empty_map(cell_m: float, north_m: tuple[float, float], east_m: tuple[float, float]) -> KnownMap:
