@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from companion import extras
 from companion.paper.plan import plan_as_published
 from companion.planner import plan as flight
 from companion.planner.request import PlanOutcome, PlanRequest
@@ -21,9 +22,14 @@ def plan(request: PlanRequest, stop: Callable[[], bool] = lambda: False) -> Plan
 
 
 def planner_of(name: str, field: str = "planner") -> Planner:
-    """What plans under this name: ours, or a rival; InputError about a field if there is none."""
+    """What plans under this name: ours, or a rival.
+
+    InputError about a field if there is none, or what it needs is not installed.
+    """
     if name == OURS:
         return plan
+    if name == "rrt-star":  # of OMPL
+        extras.need("compare", field, name)
     from companion.paper.rivals import PLANNERS, leg_by_leg  # slow to import, and seldom needed
 
     return leg_by_leg(PLANNERS.chosen(name, field))

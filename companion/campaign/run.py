@@ -251,6 +251,8 @@ def check_runs(runs: Sequence[Run], where: str) -> None:
 
     One run of each kind is looked at; of a family, one world.
     """
+    for planner in {run.factors.get("planner") or OURS for run in runs}:
+        planner_of(planner, "factors.planner")
     kinds = dict[Any, Run]()
     for run in runs:
         place = run.place.family or (run.place.world, run.place.mission)

@@ -22,6 +22,7 @@ from companion.errors import InputError
 from companion.paper import rivals
 from companion.paper.rivals import PLANNERS, RouteProblem
 from companion.planner.request import NotPlanned, PlanRequest
+from companion.planning import planner_of
 from companion.world.radars import Radar
 from companion.world.simulated import true_map
 from companion.world.zones import CircleZone
@@ -239,5 +240,5 @@ def test_an_answer_that_is_no_route_is_refused(answer: Any) -> None:
 
 def test_without_ompl_its_planner_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(extras, "find_spec", lambda _name: None)
-    with pytest.raises(InputError, match=r"rrt-star.*ompl.*companion\[compare\]"):
-        PLANNERS["rrt-star"](problem_in(np.ones((SIZE, SIZE))), np.random.default_rng(1))
+    with pytest.raises(InputError, match=r"factors.planner.*rrt-star.*ompl.*companion\[compare\]"):
+        planner_of("rrt-star", "factors.planner")
