@@ -122,8 +122,8 @@ def of_file(file: str) -> list[Mutant]:
     return mutants_of((ROOT / file).read_bytes(), file)
 
 
-def _python(folder: str, pattern: str = "*.py") -> list[str]:
-    return sorted(str(path.relative_to(ROOT)) for path in (ROOT / folder).rglob(pattern))
+def _python(folder: str, pattern: str = "*") -> list[str]:
+    return sorted(str(path.relative_to(ROOT)) for path in (ROOT / folder).rglob(f"{pattern}.py"))
 
 
 def found_again(entry: dict[str, Any]) -> Mutant | None:
