@@ -79,17 +79,24 @@ def empty(*names: str) -> Damage:
     return lambda run: [(run / name).write_bytes(b"") for name in names]
 
 
-def midst_of(name: str, change: Callable[[list[bytes]], object]) -> Damage:
-    """A journal, a log or inputs with other bytes in their midst: of their first half, and rest."""
+def garbage_in_the_log(run: Path) -> None:
+    data = (run / "flight.tlog").read_bytes()
+    (run / "flight.tlog").write_bytes(data[:2000] + b"\0\1" * 1000 + data[4000:])
+
+
+def an_odd_line(run: Path) -> None:
+    lines = (run / "journal.jsonl").read_bytes().splitlines(keepends=True)
+    lines[5] = b"?\n"
+    (run / "journal.jsonl").write_bytes(b"".join(lines))
+
+
+def inputs_end_with(change: Callable[[bytes], bytes]) -> Damage:
+    """From an input in their midst on there is something else: made of what was there."""
 
     def damage(run: Path) -> None:
-        data = (run / name).read_bytes()
-        half = len(data) // 2
-        if name == FILE:
-            half = sum(map(len, packed((HEADER, *list(InputsFile(run / FILE))[:150]))))
-        parts = [data[:half], data[half:]]
-        change(parts)
-        (run / name).write_bytes(b"".join(parts))
+        data = (run / FILE).read_bytes()
+        whole = sum(map(len, packed((HEADER, *list(InputsFile(run / FILE))[:150]))))
+        (run / FILE).write_bytes(data[:whole] + change(data[whole:]))
 
     return damage
 
@@ -102,27 +109,15 @@ ENDS_EARLY = "the recording ends early: .*\nidentical\n"  # as a power cut or a 
 DAMAGES: dict[str, tuple[Damage, int, str]] = {
     "nothing": (empty("flight.tlog", "journal.jsonl"), 2, "it holds nothing to compare a replay"),
     "no frame": (empty("flight.tlog"), 0, "no frame was compared: flight.tlog holds none"),
-    "a line that is no JSON": (
-        midst_of("journal.jsonl", lambda parts: parts.insert(1, b"?\n?\n")),
-        1,
-        "journal.line: recorded b'.*?\\\\n'",
-    ),
-    "garbage in the log": (
-        midst_of("flight.tlog", lambda parts: parts.insert(1, b"\0\1" * 1000)),
-        1,
-        "recorded '.* bytes that are no frames'",
-    ),
+    "a line that is no JSON": (an_odd_line, 1, "journal.line: recorded b'.\\\\n'"),
+    "garbage in the log": (garbage_in_the_log, 1, "recorded '.* bytes that are no frames'"),
     "garbage in the inputs": (
-        midst_of(FILE, lambda parts: parts.insert(1, b"\xc1")),
+        inputs_end_with(lambda rest: b"\xc1" + rest),
         2,
         "identical up to there.*bytes that are no inputs",
     ),
-    "a hole": (midst_of(FILE, lambda parts: parts.__setitem__(1, bytes(5000))), 0, ENDS_EARLY),
-    "a torn input": (
-        midst_of(FILE, lambda parts: parts.__setitem__(1, parts[1][:9])),
-        0,
-        ENDS_EARLY,
-    ),
+    "a hole": (inputs_end_with(lambda _: bytes(5000)), 0, ENDS_EARLY),
+    "a torn input": (inputs_end_with(lambda rest: rest[:9]), 0, ENDS_EARLY),
     "a damaged input": (
         a_damaged_answer,
         2,

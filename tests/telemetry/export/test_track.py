@@ -126,7 +126,7 @@ RESTARTED = [header(), phase(1000.0, "flying"), header(resumed=1), phase(5.0, "p
             REBOOTED,
             "waiting flying flying preparing holding",
         ),
-        # a reboot while no companion ran is seen by the clock
+        # one while no companion ran is seen by the clock
         ((1000.0, 1001.0, 5.0), RESTARTED, "flying flying preparing"),
         # what it did before it knew the clock counts from the first position: it waited nine
         # seconds for a vehicle that had been on for two
