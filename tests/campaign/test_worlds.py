@@ -11,7 +11,6 @@ from scipy.ndimage import distance_transform_edt, label
 from companion.campaign import drawn_world, families, truth
 from companion.campaign.drawn_world import write
 from companion.config import bundled, load_mission, load_world
-from companion.library import route_terms
 from companion.world.radars import Radar
 from companion.world.terrain import Peak
 from vehicle_sim.world import read_world
@@ -111,13 +110,3 @@ def test_what_is_read_back_is_what_was_drawn(family: str, tmp_path: Path) -> Non
     theirs = read_world(world_path).truth().height_amsl_m(north, east)
     for heights in (world.terrain.height_m(north, east), theirs):
         np.testing.assert_allclose(heights, truth.height_m(drawn.terrain, north, east), atol=1e-3)
-
-
-def test_a_world_at_another_size_costs_the_same() -> None:
-    world = families.world("plane", 0, 0)
-    line = np.linspace(world.start_nea_m, (*world.targets_ne_m[0], world.ceiling_amsl_m), 4)
-    small, large = (
-        sum(route_terms(truth.sampled(size * line, 0.5 * size).points_nea_m, of.task).values())
-        for size, of in ((1.0, world), (7.0, drawn_world.scaled(world, 7.0)))
-    )
-    assert large == pytest.approx(small, rel=1e-9)

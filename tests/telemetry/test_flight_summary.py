@@ -12,7 +12,6 @@ from pymavlink.dialects.v20 import all as wire
 from renewed import replace
 
 from companion.config import load_mission
-from companion.mavlink.link import VehicleClock
 from companion.mission.state import Phase, Reason
 from companion.replay.feed import flown_mission, outputs
 from companion.session import Session
@@ -109,17 +108,6 @@ def test_a_plane_is_told_what_it_passed_its_last_target_at_not_where_it_circles(
         it.note_passing()
     assert it.passed_m == pytest.approx(9.8)
     assert it.to_go_m == pytest.approx(32.6)  # horizontal
-
-
-def test_the_factor_of_real_time_is_of_what_passed_while_it_was_heard() -> None:
-    """Neither of what its clock had shown before, nor of what a flight took that was resumed."""
-    it = FlightSummary(session=Session(MISSION, seed=1, lockstep=True))
-    clock = it.session.clock = VehicleClock(290.0)
-    assert it.times_real_time == 0.0
-    for time_s in (312.0, 312.0, 313.0, 314.0):
-        clock.read(time_s)
-    it.elapsed_s = 0.08
-    assert it.times_real_time == 25.0
 
 
 @pytest.mark.parametrize("airborne", [False, True])

@@ -7,7 +7,6 @@ from typing import Any
 
 import msgspec
 import pytest
-from pages import journal_page
 
 from companion.errors import InputError
 from companion.mission import journal as noted
@@ -64,14 +63,6 @@ def test_every_kind_that_the_code_can_write_is_documented_and_no_other() -> None
             names = re.findall(r"_entry\(\s*([A-Z]\w+)", text) if file.stem == "journal" else ()
             found |= {getattr(noted, name).__struct_config__.tag for name in names}
     assert found == KINDS.keys()
-
-
-def test_the_page_explains_every_kind_and_every_field() -> None:
-    page = journal_page()
-    assert re.findall(r"^## `(.+)`$", page, re.MULTILINE) == list(KINDS)
-    assert f"about version {VERSION}." in (ROOT / "docs/reference/journal.md").read_text("utf-8")
-    rows = [line for line in page.splitlines() if re.match(r"\| `", line)]
-    assert not [row for row in rows if re.search(r"\| +\|", row)]  # no words
 
 
 def test_reading_stops_at_the_last_whole_line_wherever_it_was_cut(tmp_path: Path) -> None:

@@ -168,7 +168,7 @@ def test_cut_at_any_byte_it_goes_on_after_the_last_whole_record_and_line(folder:
         line_ends.append(lines.stat().st_size)
     folder.close()
     whole_log, whole_lines = log.read_bytes(), lines.read_bytes()
-    for length in range(len(whole_log)):
+    for length in range(max(len(whole_log), len(whole_lines))):
         log.write_bytes(whole_log[:length])
         lines.write_bytes(whole_lines[:length])
         again(folder).close()

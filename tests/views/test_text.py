@@ -46,12 +46,8 @@ def rows(table: Table) -> list[str]:
     return [" ".join(line.split()) for line in captured.get().splitlines()]
 
 
-def row(table: Table, words: str) -> str:
-    return next(line for line in rows(table) if words in line)
-
-
-def flown(*plans: Planned, mission: str = "environment-1") -> FlightSummary:
-    flight = FlightSummary(session=Session(load_mission(mission), seed=1, lockstep=True))
+def flown(*plans: Planned) -> FlightSummary:
+    flight = FlightSummary(session=Session(HILLS, seed=1, lockstep=True))
     flight.plans += plans
     flight.end = End(outcome=Outcome.ARRIVED, reason="target reached", remedy="")
     return flight
@@ -108,20 +104,6 @@ def test_a_flight_is_as_near_to_the_terrain_as_its_nearest_leg_and_costs_the_sum
         assert "1,040 m" not in table
         for words in ("612 m", "6.8", "500 m", "arrived"):  # 3.25 + 3.5; 250 m in range, twice
             assert words in table
-
-
-def test_times_since_a_restart_plans_cut_by_time_and_a_plane_that_passes_have_rows() -> None:
-    flight = flown(mission="sitl-arduplane")
-    assert not [line for line in rows(flight_table(flight)) if "cost" in line or "cut by" in line]
-    flight.session.clock.read(900.0, 0.0)
-    flight.session.clock.read(1_020.0, 120.0)
-    flight.elapsed_s, flight.resumed, flight.out_of_time, flight.passed_m = 60.0, True, 93, 9.8
-    table = flight_table(flight)
-    told = [line.split()[-3] for line in rows(table) if "since it was" in line]
-    assert told == ["120.0", "60.0"]
-    remedy = "93: raise planner.planning_time_s, or use a faster computer"
-    assert remedy in row(table, "cut by time")
-    assert "9.8 m" in row(table, "passed the target at")
 
 
 def test_every_plan_has_a_row_with_its_clearance_if_it_is_proven() -> None:
