@@ -110,6 +110,7 @@ MAPS: dict[str, bytes | Callable[[Path], bytes] | None] = {
     "gone": None,
     "other cells": packed_map(replace(BLANK, cell_m=BLANK.cell_m * 2.0)),
     "smaller": packed_map(replace(BLANK, upper_m=BLANK.upper_m[:-1], seen=BLANK.seen[:-1])),
+    "less seen": packed_map(replace(BLANK, seen=BLANK.seen[:-1])),
     "no numbers": packed_map(replace(BLANK, upper_m=np.full_like(BLANK.upper_m, np.nan))),
     "registration": packed_map(replace(BLANK, registration_m=float("nan"))),
 }
