@@ -119,43 +119,37 @@ def message(kind: bytes, content: bytes) -> bytes:
     return struct.pack("<H", len(content)) + kind + content
 
 
-def ulg(begins_us: int = 1_000_000, flags: bytes = b"") -> bytes:
-    out = MAGIC + struct.pack("<Q", begins_us)
-    out += message(b"B", bytes(8) + flags + bytes(31)) if flags else b""
-    out += message(b"F", TOPICS[0])
-    out += message(b"P", b"\x12int32_t MAV_SYS_ID" + struct.pack("<i", 42))
-    return out + message(b"A", b"\x00\x03\x00vehicle_status")
-
-
-def status(time_us: int, nav_state: int, arming_state: int, failsafe: int = 0) -> bytes:
-    values = (time_us, nav_state, arming_state, failsafe, 13)
-    return message(b"D", struct.pack("<HQBBBB", STATUS, *values))
+def status(time_us: int, nav_state: int) -> bytes:
+    return message(b"D", struct.pack("<HQBBBB", STATUS, time_us, nav_state, 2, 0, 13))
 
 
 def text(time_us: int, said: bytes, level: bytes = b"4") -> bytes:
     return message(b"L", level + struct.pack("<Q", time_us) + said)
 
 
-def px4(
+def ulg(
     clock_us: int = 1_000_000,
     begins_us: int = 1_000_000,
+    *,
+    fixes: int = 0,
+    flags: bytes = b"\0",
     release: int = 0x010D00FF,
     east_deg: float = 8.0,
 ) -> bytes:
-    """A PX4 whose clock begins there, and says something else in the header, with positions."""
-    out = MAGIC + struct.pack("<Q", begins_us)
+    """Of a PX4 whose clock begins there, and says something else in the header."""
+    out = MAGIC + struct.pack("<Q", begins_us) + message(b"B", bytes(8) + flags + bytes(31))
     out += message(b"I", b"\x17uint32_t ver_sw_release" + struct.pack("<I", release))
     out += b"".join(message(b"F", topic) for topic in TOPICS)
     for number, topic in enumerate(TOPICS, start=STATUS):
         out += message(b"A", struct.pack("<BH", 0, number) + topic.split(b":")[0])
-    for k in range(FIXES):
+    for k in range(fixes):
         at_us = clock_us + 100_000 * k
         local = (47.0, east_deg, 500.0, 0.1 * k, *([0.0] * 6), 0.5, 0.5, *([True] * 6), False)
         place = (47.0 + 1e-6 * k, east_deg, 500.0)
-        out += status(at_us, 4, 2)
+        out += status(at_us, 4)
         out += message(b"D", struct.pack("<HQdd10f7?", LOCAL, at_us, *local))
         out += message(b"D", struct.pack("<HQddf", GLOBAL, at_us, *place))
-    return out + text(clock_us + 100_000 * FIXES, b"Armed")
+    return out + text(clock_us + 100_000 * fixes, b"Armed")
 
 
 MARK = message(b"S", b"\x2f\x73\x13\x20\x25\x0c\xbb\x12")  # PX4 writes one each half second
@@ -174,11 +168,14 @@ REFUSED: dict[str, tuple[bytes, str]] = {
     "a .raw of MAVProxy": (BEAT * 20, r"no time stamps\. Give the \.tlog that was written"),
     "two vehicles": (TWO, r"several vehicles are in it, systems 1, 3\. Choose one"),
     "an old plane": (greeted(b"ArduPlane V3.9.11"), "of ArduPilot 3.9, and logs are read from 4.0"),
-    "PX4 1.12": (px4(release=0x010C03FF), "of PX4 1.12, and logs are read from 1.13 on"),
+    "PX4 1.12": (ulg(release=0x010C03FF), "of PX4 1.12, and logs are read from 1.13 on"),
     "a later format": (ulg(flags=b"\x02"), "its flags say that it must not be read"),
     # whose log this is, nobody knows; and why nothing is left of that one
     "no firmware's": (greeted(b"HomeBrew 1.0"), r"no HEARTBEAT: .*; no entry \(VER, MSG\) tells"),
-    "nowhere": (px4(east_deg=math.nan), r"no GLOBAL_POSITION_INT: .*; [\d,]+ entries that cannot"),
+    "nowhere": (
+        ulg(fixes=FIXES, east_deg=math.nan),
+        r"no GLOBAL_POSITION_INT: .*; [\d,]+ entries that cannot",
+    ),
 }
 
 
@@ -211,9 +208,10 @@ SMALL = (
     ulg()
     + text(2_500_000, b"\x1b[32mReady\x1b[0m\t")
     + message(b"O", struct.pack("<H", 250))
-    + status(3_900_000, 99, 2)
+    + status(3_900_000, 99)
     + text(6_000_000, b"x" * 120, b"9")
 )
+LONG = ["x" * 50, "x" * 50, "x" * 20]
 LOST = {Odd.LOST_TIME: 250, Odd.DAMAGED: 1}
 NO_DATE, ON = {Odd.NO_DATE: 1}, ["ArduCopter V4.5.7"]
 CUT = {Odd.DAMAGED: 2, Odd.GARBAGE: 20 + len(TEXTS[2]) + len(b"noise") - 2 * 2, Odd.CUT_SHORT: 30}
@@ -261,9 +259,9 @@ ODD: dict[str, tuple[bytes, list[int] | list[str], dict[Odd, int]]] = {
     "a full disk": (BIN + b"".join(FULL), ON, {Odd.LOST_ENTRIES: 42} | NO_DATE),
     "ArduPilot 4.0": (greeted(b"ArduCopter V4.0.0"), ["ArduCopter V4.0.0"], NO_DATE),
     "ArduPilot 10.1": (greeted(b"ArduCopter V10.1"), ["ArduCopter V10.1"], NO_DATE),
-    "appended to": (ulg(flags=b"\x01") + text(2_000_000, b"on"), ["on"], NO_DATE),
+    "appended to": (ulg(flags=b"\x01") + text(2_000_000, b"on"), ["Armed", "on"], NO_DATE),
     # a mode that is none costs the heartbeat alone; a long text comes in parts
-    "a small .ulg": (SMALL, ["Ready", "x" * 50, "x" * 50, "x" * 20], LOST | NO_DATE),
+    "a small .ulg": (SMALL, ["Armed", "Ready", *LONG], LOST | NO_DATE),
 }
 
 
@@ -325,7 +323,7 @@ def test_a_position_without_a_velocity_of_its_last_second_is_not_told(tmp_path: 
 
 def test_damage_of_a_ulg_costs_what_comes_before_a_mark(tmp_path: Path) -> None:
     """A wrong length costs as many bytes, 64 kB at most."""
-    content = ulg() + status(2_000_000, 14, 2) + text(2_000_000, b"before")
+    content = ulg() + status(2_000_000, 14) + text(2_000_000, b"before")
     for k, damage in enumerate((text(0, b"one")[:-2], b"noise that is no message", bytes(99))):
         content += damage + (MARK + text(2_100_000 + k, b"after %d" % k)) * 4000
     log = opened(tmp_path, content + text(2_500_000, b"five")[:-1])
@@ -348,7 +346,7 @@ def test_damage_of_a_ulg_costs_what_comes_before_a_mark(tmp_path: Path) -> None:
 def test_a_clock_of_px4_may_be_a_date(
     tmp_path: Path, clock_us: int, begins_us: int, boot_ms: list[int], odd: set[Odd], release: int
 ) -> None:
-    log = opened(tmp_path, px4(clock_us, begins_us, release))
+    log = opened(tmp_path, ulg(clock_us, begins_us, fixes=FIXES, release=release))
     found = of(told(log), "GLOBAL_POSITION_INT")
     since_ms = [m.time_boot_ms - found[0].time_boot_ms for m in found]
     assert since_ms == [100 * k for k in range(FIXES)]
