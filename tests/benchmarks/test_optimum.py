@@ -7,27 +7,23 @@ import pytest
 from campaign_rows import row
 
 from companion.campaign import drawn_world, truth
+from companion.campaign.drawn_world import DrawnWorld
 from companion.library import route_terms
 from companion.world.radars import Radar
-from companion.world.terrain import Peak, PeakTerrain
+from companion.world.terrain import PeakTerrain
 
 
-def small(
-    *, radars: tuple[Radar, ...] = (), peaks: tuple[Peak, ...] = ()
-) -> drawn_world.DrawnWorld:
+def small(*radars: Radar, target_ne_m: tuple[float, float] = (40e3, 0.0)) -> DrawnWorld:
+    """A level world."""
     base = drawn_world.bundled("environment-2")
     limits = replace(base.task.limits, north_m=(-5e3, 45e3), east_m=(-20e3, 20e3))
-    world = replace(
-        base,
-        terrain=PeakTerrain(peaks=peaks, ground_amsl_m=0.0),
-        task=replace(base.task, limits=limits, radars=radars),
-    )
     return replace(
-        world, start_nea_m=(0.0, 0.0, world.floor_amsl_m), targets_ne_m=((40_000.0, 0.0),)
+        base,
+        terrain=PeakTerrain(peaks=(), ground_amsl_m=0.0),
+        task=replace(base.task, limits=limits, radars=radars),
+        start_nea_m=(0.0, 0.0, base.floor_amsl_m),
+        targets_ne_m=(target_ne_m,),
     )
-
-
-PEAK = Peak(north_m=20e3, east_m=1e3, height_amsl_m=4_500.0, spread_north_m=4e3, spread_east_m=3e3)
 
 
 def test_the_cost_of_level_flight_at_the_floor_is_the_paper_s_hundred_for_2_4_ranges() -> None:
@@ -38,36 +34,10 @@ def test_the_cost_of_level_flight_at_the_floor_is_the_paper_s_hundred_for_2_4_ra
     assert sum(route_terms(points, world.task).values()) == pytest.approx(wanted, rel=1e-9)
 
 
-def test_gradients_are_those_of_finite_differences() -> None:
-    soft = Radar(name="s", centre_nea_m=(10e3, -3e3, 0.0), range_m=6_000.0)
-    hard = Radar(name="h", centre_nea_m=(30e3, 6e3, 0.0), range_m=8_000.0)
-    grid = optimum.Grid(small(radars=(soft, hard), peaks=(PEAK,)))
-    descent = optimum.Descent(grid, 12, (soft,), optimum.Margins())
-    rng = np.random.default_rng(5)
-    state = rng.normal(size=(8, 200)) * np.array(
-        [[9e3], [9e3], [900.0], *[[2e4]] * 3, *[[1e4]] * 2]
-    )
-    state[0] += 20e3
-    state[3] += 40e3
-    for which, size in ((0, 1.0), (1, 1.0), (2, 1.0), (3, 1.0), (4, 1.0), (5, 1.0), (7, 1.0)):
-        step = np.zeros((8, 1))
-        step[which] = size
-        cost, bounds = descent.told((state + 1e-20j * step)[:, None], 40e3)
-        ends = [
-            descent.told((state + side * step)[:, None].astype(complex), 40e3) for side in (1, -1)
-        ]
-        for slope, above, below in (
-            (cost, *(end[0] for end in ends)),
-            (bounds, *(end[1] for end in ends)),
-        ):
-            wanted = (above - below).real / (2.0 * size)
-            np.testing.assert_allclose(slope.imag / 1e-20, wanted, rtol=2e-3, atol=1e-7)
-
-
 def test_the_way_round_one_radar_is_tangent_arc_tangent() -> None:
     aside = 2_000.0
     radar = Radar(name="r", centre_nea_m=(20e3, aside, 0.0), range_m=8_000.0)
-    world = small(radars=(radar,))
+    world = small(radar)
     round_m = math.sqrt(8_000.0**2 - world.floor_amsl_m**2)
     far_m = math.hypot(20e3, aside)
     angle = 2.0 * (math.acos(aside / far_m) - math.acos(round_m / far_m))
@@ -84,7 +54,7 @@ def test_the_way_round_one_radar_is_tangent_arc_tangent() -> None:
 def test_the_cheapest_way_over_an_open_grid_is_as_long_as_the_line_to_half_a_per_cent(
     end: tuple[float, float],
 ) -> None:
-    grid = optimum.Grid(replace(small(), targets_ne_m=(end,)))
+    grid = optimum.Grid(small(target_ne_m=end))
     ((cost_m, route),) = grid.ways(grid.rate(over=False, radar_free=True), 1, ((0.0, 0.0), end))
     assert math.hypot(*end) <= cost_m + 1e-6 <= 1.005 * math.hypot(*end)
     np.testing.assert_allclose(route[[0, -1]], [[0.0, 0.0], end])

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -22,10 +22,6 @@ HIGH_M = 1_500.0
 TARGET = DRAWN.targets_ne_m[-1]
 
 
-def subject(vehicle: str) -> Subject:
-    return Subject(vehicle=vehicle, speed_m_s=10.0)
-
-
 # --- draws
 
 
@@ -34,32 +30,31 @@ def test_every_fault_of_the_simulator_is_drawn() -> None:
     assert {fault.name for fault in FAULTS if not fault.name.startswith(near)} <= ROWS.keys()
 
 
+def drawn(family: str, seed: int, count: int, vehicle: str) -> list[tuple[str, str]]:
+    """Names and timelines of so many scripts."""
+    subject = Subject(vehicle=vehicle, speed_m_s=10.0)
+    scripts = [FaultScript(family=family, seed=seed, index=index) for index in range(count)]
+    return [drawn_faults.drawn(script, subject) for script in scripts]
+
+
 @pytest.mark.parametrize("vehicle", VEHICLES)
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_script_can_be_flown_and_is_the_same_again(family: str, vehicle: str) -> None:
-    scripts = [FaultScript(family=family, seed=3, index=index) for index in range(60)]
-    drawn = [drawn_faults.drawn(script, subject(vehicle)) for script in scripts]
-    assert drawn == [drawn_faults.drawn(script, subject(vehicle)) for script in scripts]
-    for _, timeline in drawn:
+    found = drawn(family, 3, 60, vehicle)
+    assert found == drawn(family, 3, 60, vehicle)
+    for _, timeline in found:
         ours, killed = drawn_faults.split(timeline)
         Timeline.parse(ours)
         assert len(ours.splitlines()) + len(killed) == len(timeline.splitlines())
-    assert len({timeline for _, timeline in drawn}) > 50
-    assert all(each.what == drawn_faults.KILLED for each in killed)
+        assert all(each.what == drawn_faults.KILLED for each in killed)
+    assert len({timeline for _, timeline in found}) > 50
 
 
 def test_singles_go_through_all_rows_and_another_seed_draws_others() -> None:
-    names = [
-        drawn_faults.drawn(FaultScript(family="single", seed=1, index=k), subject("px4-plane"))[0]
-        for k in range(len(ROWS) - 1)
-    ]
-    assert set(names) == ROWS.keys() - {"battery_voltage"}
-    one, other = (
-        drawn_faults.drawn(FaultScript(family="single", seed=seed, index=0), subject("px4-plane"))
-        for seed in (1, 2)
-    )
-    assert one[0] == other[0]
-    assert one[1] != other[1]
+    one, other = (drawn("single", seed, len(ROWS) - 1, "px4-plane") for seed in (1, 2))
+    assert {name for name, _ in one} == ROWS.keys() - {"battery_voltage"}
+    assert one[0][0] == other[0][0]
+    assert one[0][1] != other[0][1]
 
 
 # --- the judge
@@ -71,14 +66,18 @@ def flight(
     *,
     told_off_m: float = 0.0,
     mode: str = "GUIDED",
+    by_others: range = range(0),
     **end: Any,
 ) -> Flight:
-    """A second at each place, at a height where there is no ground in the way."""
+    """A second at each place, at a height where there is no ground in the way.
+
+    by_others: the places over which a copter's pilot flies it.
+    """
     truth = []
     for k in range(10 * len(places)):
         north_m, east_m = places[k // 10]
         row = {"t_s": round(0.1 * (k + 1), 1), "north_m": north_m, "east_m": east_m}
-        row |= {"altitude_amsl_m": HIGH_M, "mode": mode}
+        row |= {"altitude_amsl_m": HIGH_M, "mode": "LOITER" if k // 10 in by_others else mode}
         row |= {"velocity_north_m_s": 0.0, "velocity_east_m_s": 0.0}
         truth.append(row | {"armed": True, "landed": False})
     journal = [{"t_s": 0.0, "kind": "phase", "phase": "flying", "code": None, "reason": None}]
@@ -122,91 +121,85 @@ FENCE, AWAY = "at 2.0 s: ground_fence 30 m", (TARGET[0] - 200.0, TARGET[1])
 TOO_LOW = "at 0 s: radar_noise 5 m either_way"
 SILENT = {"outcome": "failed", "reason": "the vehicle fell silent"}
 HELD = {"mode": "BRAKE", "outcome": "failed", "reason": "no way"}
-Case = tuple[list[tuple[float, float]], dict[str, Any], str, int]
-"""Places, a second at each, and more of the flight; the faults; how many violations."""
-VIOLATIONS: dict[str, Case] = {
-    "as near as the safety distance": ([*[beside(12.2)] * 3, TARGET], {}, "", 0),
-    "nearer": ([*[beside(11.5)] * 3, TARGET], {}, "", 1),
-    "inside": ([*[beside(-3.0)] * 3, TARGET], {}, "", 1),
-    "told wrong by its error": ([*[beside(0.0)] * 3, TARGET], {"told_off_m": 2.5}, "", 1),
-    "told wrong by more": ([*[beside(0.0)] * 3, TARGET], {"told_off_m": 3.5}, "", 0),
-    "told too low heights": ([*[beside(0.0)] * 3, TARGET], {}, TOO_LOW, 0),
-    "flown by the autopilot": (
-        [*[beside(0.0)] * 3, *[TARGET] * 5, *[beside(0.0)] * 4, TARGET],
-        {"mode": "RTL"},
-        "",
-        0,
-    ),
+DISARMED = {"outcome": "failed", "reason": "the vehicle disarmed"}
+NEAR = [*[beside(0.0)] * 3, TARGET]
+TWICE = [*[beside(0.0)] * 3, *[TARGET] * 5, *[beside(0.0)] * 10, TARGET]
+
+
+class Judged(NamedTuple):
+    """A flight, what goes wrong in it, and what the judge says."""
+
+    places: list[tuple[float, float]]
+    """A second at each."""
+    violations: int
+    faults: str = ""
+    more: dict[str, Any] = {}  # noqa: RUF012 - read only
+    ending: str = ""
+
+
+THERE = [TARGET] * 3
+JUDGED = {
+    "as near as the safety distance": Judged([*[beside(12.2)] * 3, TARGET], 0),
+    "nearer": Judged([*[beside(11.5)] * 3, TARGET], 1),
+    "inside": Judged([*[beside(-3.0)] * 3, TARGET], 1),
+    # what it could not know of excuses it, and so does whoever else flew
+    "told wrong by its error": Judged(NEAR, 1, more={"told_off_m": 2.5}),
+    "told wrong by more": Judged(NEAR, 0, more={"told_off_m": 3.5}),
+    "told too low heights": Judged(NEAR, 0, TOO_LOW),
+    "flown by the autopilot": Judged(TWICE, 0, more={"mode": "RTL"}),
+    "flown by a pilot": Judged(TWICE, 0, more={"by_others": range(99)}),
+    "an excuse ends with its grace": Judged(TWICE, 1, more={"by_others": range(3)}),
     # what is new is known after ten seconds, and then has to be left once
-    "a new fence": ([*[INSIDE] * 11, TARGET], {}, FENCE, 0),
-    "a new fence that is not left": ([*[INSIDE] * 40, TARGET], {}, FENCE, 1),
-    "one that was left before it was known": (
-        [*[INSIDE] * 3, *[OUTSIDE] * 2, *[INSIDE] * 2, *[OUTSIDE] * 10, TARGET],
-        {},
-        FENCE,
-        0,
+    "a new fence": Judged([*[INSIDE] * 11, TARGET], 0, FENCE),
+    "a new fence that is not left": Judged([*[INSIDE] * 40, TARGET], 1, FENCE),
+    "one that was left before it was known": Judged(
+        [*[INSIDE] * 3, *[OUTSIDE] * 2, *[INSIDE] * 2, *[OUTSIDE] * 10, TARGET], 0, FENCE
     ),
-    "one that is left": ([*[INSIDE] * 16, *[OUTSIDE] * 10, TARGET], {}, FENCE, 0),
-    "and entered again": ([*[INSIDE] * 16, *[OUTSIDE] * 10, INSIDE, TARGET], {}, FENCE, 1),
-}
-ENDINGS: dict[str, Case] = {
-    "arrived": ([TARGET] * 3, {}, "", 0),
-    "unexplained: no reason": ([TARGET] * 3, {"outcome": "failed", "reason": ""}, "", 1),
-    "unexplained: left in guided mode": ([TARGET] * 3, SILENT, "", 1),
-    "unexplained: left in guided mode, once in reach again": (
-        [TARGET] * 3,
-        SILENT,
-        "at 0.1 s for 0.1 s: link_off",
+    "one that is left": Judged([*[INSIDE] * 16, *[OUTSIDE] * 10, TARGET], 0, FENCE),
+    "and entered again": Judged([*[INSIDE] * 16, *[OUTSIDE] * 10, INSIDE, TARGET], 1, FENCE),
+    # an ending is explained by a reason and a safe mode
+    "arrived": Judged(THERE, 0, ending="arrived"),
+    "without a reason": Judged(
+        THERE, 1, more={"outcome": "failed", "reason": ""}, ending="unexplained: no reason"
+    ),
+    "left alone": Judged(THERE, 1, more=SILENT, ending="unexplained: left in guided mode"),
+    "in reach again": Judged(
+        THERE,
         1,
+        "at 0.1 s for 0.1 s: link_off",
+        more=SILENT,
+        ending="unexplained: left in guided mode",
     ),
-    "landed, as it disarmed in the last tick": (
-        [TARGET] * 3,
-        {"outcome": "failed", "reason": "the vehicle disarmed"},
-        "at 0.1 s: turbulence 1 m/s",
-        0,
+    "out of reach": Judged(
+        THERE, 0, "at 0.1 s for 99 s: link_off", more=SILENT, ending="held for good"
     ),
-    "unexplained: no end": ([TARGET] * 3, {"kind": "say"}, "", 1),
-    "unexplained: arrived elsewhere": ([AWAY] * 3, {}, "", 1),
-    "arrived, its target was moved": (
-        [AWAY] * 3,
-        {},
-        "at 1.0 s: ground_target 1 m north 1 m east",
-        0,
+    "disarmed in the last tick": Judged(
+        THERE, 0, "at 0.1 s: turbulence 1 m/s", more=DISARMED, ending="landed"
     ),
-    "held for good, out of reach": ([TARGET] * 3, SILENT, "at 0.1 s for 99 s: link_off", 0),
-    "held for good, with nothing wrong": ([TARGET] * 3, HELD, "", 1),
-    "held for good, in wind": ([TARGET] * 3, HELD, "at 0.1 s: turbulence 1 m/s", 0),
+    "without an end": Judged(THERE, 1, more={"kind": "say"}, ending="unexplained: no end"),
+    "arrived elsewhere": Judged([AWAY] * 3, 1, ending="unexplained: arrived elsewhere"),
+    "where its target was moved to": Judged(
+        [AWAY] * 3, 0, "at 1.0 s: ground_target 1 m north 1 m east", ending="arrived"
+    ),
+    "held with nothing wrong": Judged(THERE, 1, more=HELD, ending="held for good"),
+    "held in wind": Judged(
+        THERE, 0, "at 0.1 s: turbulence 1 m/s", more=HELD, ending="held for good"
+    ),
 }
 
 
-@pytest.mark.parametrize("case", VIOLATIONS)
-def test_what_it_could_know_of_and_did_violates(case: str, tmp_path: Path) -> None:
-    """What it could not know of excuses it, and so does whoever else flew."""
+@pytest.mark.parametrize("case", JUDGED)
+def test_what_it_could_know_of_and_did_violates_and_so_does_an_unsafe_end(
+    case: str, tmp_path: Path
+) -> None:
     assert DRAWN.task.settings.safety_distance_m == SAFETY_M
     assert DRAWN.task.limits.navigation_error_m == ERROR_M
-    places, more, timeline, count = VIOLATIONS[case]
-    flown = flight(tmp_path, places, **more)
-    assert len(violated(flown, timeline)) == count
-    if "told_off_m" in more:
-        assert (judge.judged(flown, DRAWN, "")["excused"] is None) == bool(count)
-
-
-@pytest.mark.parametrize("case", ENDINGS)
-def test_an_ending_is_explained_by_a_reason_and_a_safe_mode(case: str, tmp_path: Path) -> None:
-    places, more, timeline, count = ENDINGS[case]
-    found = judge.judged(flight(tmp_path, places, **more), DRAWN, timeline)
-    assert (found["ending"], found["violations"]) == (case.partition(",")[0], count)
-
-
-def test_an_excuse_ends_with_its_grace(tmp_path: Path) -> None:
-    places = [*[beside(0.0)] * 3, *[TARGET] * 5, *[beside(0.0)] * 10, TARGET]
-    flown = flight(tmp_path, places)
-    for row in flown.truth[:30]:
-        row["mode"] = "LOITER"
-    assert len(violated(flown)) == 1
-    for row in flown.truth:
-        row["mode"] = "LOITER"  # a copter's pilot
-    assert not violated(flown)
+    expected = JUDGED[case]
+    row = judge.judged(flight(tmp_path, expected.places, **expected.more), DRAWN, expected.faults)
+    assert row["violations"] == expected.violations
+    assert expected.ending in ("", row["ending"])
+    if "told_off_m" in expected.more:
+        assert (row["excused"] is None) == bool(expected.violations)
 
 
 def test_what_was_planned_before_an_excuse_is_checked_whole(tmp_path: Path) -> None:

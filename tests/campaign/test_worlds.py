@@ -11,7 +11,6 @@ from scipy.ndimage import distance_transform_edt, label
 from companion.campaign import drawn_world, families, truth
 from companion.campaign.drawn_world import write
 from companion.config import bundled, load_mission, load_world
-from companion.library import route_terms
 from companion.world.radars import Radar
 from companion.world.terrain import Peak
 from vehicle_sim.world import read_world
@@ -79,26 +78,6 @@ def test_there_is_a_way_through_a_wall_when_its_gap_is_wide_enough(
     assert not drawn_world.has_way_through(closed)
 
 
-@pytest.mark.parametrize("number", range(3))
-def test_worlds_have_the_promised_obstacles_ranges_and_free_ends(number: int) -> None:
-    world = families.world("dense", 0, number)
-    assert 12 <= len(world.terrain.peaks) <= 28
-    assert 10 <= len(world.task.radars) <= 14
-    for end in (world.start_nea_m, (*world.targets_ne_m[0], world.floor_amsl_m)):
-        height = world.terrain.height_m(np.array([end[0]]), np.array([end[1]]))[0]
-        assert height < world.floor_amsl_m - 2.0 * world.task.required_clearance_m
-        assert all(math.dist(end, r.centre_nea_m) > r.range_m for r in world.task.radars)
-    task = families.world("copter", 5, number).task
-    assert 300.0 <= task.settings.scan_range_m <= 1_500.0
-    assert 8.0 <= task.limits.speed_m_s <= 12.0
-    assert task.required_clearance_m < 15.0
-    assert task.cell_m <= 19.0
-    plane = families.world("plane", 5, number).task
-    assert 3_000.0 <= plane.settings.scan_range_m <= 5_000.0
-    assert 110.0 <= plane.limits.turn_radius_m <= 150.0
-    assert not plane.limits.hovers
-
-
 @pytest.mark.parametrize("name", bundled())
 def test_every_bundled_world_is_judged_by_its_own_heights(name: str) -> None:
     drawn, terrain = drawn_world.bundled(name), load_world(name).terrain
@@ -131,13 +110,3 @@ def test_what_is_read_back_is_what_was_drawn(family: str, tmp_path: Path) -> Non
     theirs = read_world(world_path).truth().height_amsl_m(north, east)
     for heights in (world.terrain.height_m(north, east), theirs):
         np.testing.assert_allclose(heights, truth.height_m(drawn.terrain, north, east), atol=1e-3)
-
-
-def test_a_world_at_another_size_costs_the_same() -> None:
-    world = families.world("plane", 0, 0)
-    line = np.linspace(world.start_nea_m, (*world.targets_ne_m[0], world.ceiling_amsl_m), 4)
-    small, large = (
-        sum(route_terms(truth.sampled(size * line, 0.5 * size).points_nea_m, of.task).values())
-        for size, of in ((1.0, world), (7.0, drawn_world.scaled(world, 7.0)))
-    )
-    assert large == pytest.approx(small, rel=1e-9)

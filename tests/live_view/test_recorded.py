@@ -3,7 +3,7 @@
 import math
 import shutil
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,20 +44,19 @@ def run_dir(flight: tuple[Path, Session]) -> Path:
     return flight[0]
 
 
-@pytest.fixture(scope="module")
-def session(flight: tuple[Path, Session]) -> Session:
-    return flight[1]
-
-
-def read(folder: Path) -> closing[Recording]:
+@pytest.fixture
+def recording(run_dir: Path) -> Iterator[Recording]:
     """What was recorded, all of it."""
-    return closing(Recording(folder))
+    with closing(Recording(run_dir)) as found:
+        yield found
 
 
-def newest(replica: Replica, recording: Recording, time_s: float) -> Ground | None:
-    """What was known of the ground at a time of the flight."""
-    number = replica.number_at(recording.flight, time_s)
-    return None if number < 0 else ground_of(*replica.known(number), recording.flight.mission)
+@pytest.fixture(scope="module")
+def server() -> Iterator[viser.ViserServer]:
+    rich.get_console().quiet = True
+    found = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    yield found
+    found.stop()
 
 
 def advanced(replica: Replica) -> Replica:
@@ -67,47 +66,47 @@ def advanced(replica: Replica) -> Replica:
     return replica
 
 
-@contextmanager
-def page_of(folder: Path) -> Iterator[tuple[viser.ViserServer, Page]]:
-    """The page of a run folder."""
-    rich.get_console().quiet = True
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    try:
-        with read(folder) as recording:
-            yield server, Page(server, recording)
-    finally:
-        server.stop()
+def ground_at(replica: Replica, recording: Recording, time_s: float) -> Ground | None:
+    """What was known of the ground at a time of the flight."""
+    number = replica.number_at(recording.flight, time_s)
+    return None if number < 0 else ground_of(*replica.known(number), recording.flight.mission)
 
 
-def test_a_flight_that_grows_is_read_like_one_that_is_over(run_dir: Path, tmp_path: Path) -> None:
+def test_a_flight_that_grows_is_read_like_one_that_is_over(
+    run_dir: Path, recording: Recording, tmp_path: Path
+) -> None:
     """In pieces that end anywhere, as another process sees files that are written."""
     data = {name: (run_dir / name).read_bytes() for name in GROWING}
     shutil.copy(run_dir / "mission.toml", tmp_path)
     for name in GROWING:
         (tmp_path / name).touch()
     replica, at_once = Replica(tmp_path), advanced(Replica(run_dir))
-    with read(tmp_path) as growing, read(run_dir) as whole:
+    with closing(Recording(tmp_path)) as growing:
         for piece in range(PIECES + 1):
             for name in GROWING:
                 (tmp_path / name).write_bytes(data[name][: len(data[name]) * piece // PIECES])
             growing.read()
             advanced(replica)
-        assert growing.events == whole.events
+        assert growing.events == recording.events
         for name in ("times_s", "places_nea_m"):
-            assert np.array_equal(getattr(growing.flight, name), getattr(whole.flight, name))
+            same = getattr(recording.flight, name)
+            assert np.array_equal(getattr(growing.flight, name), same)
         assert replica.ended is None
-        for time_s in whole.flight.times_s[:: len(whole.flight.times_s) // 50].tolist():
-            ground, same = newest(replica, growing, time_s), newest(at_once, whole, time_s)
+        times_s = recording.flight.times_s
+        for time_s in times_s[:: len(times_s) // 50].tolist():
+            ground, same = (
+                ground_at(*each, time_s) for each in ((replica, growing), (at_once, recording))
+            )
             assert (ground and ground.height_m.tobytes()) == (same and same.height_m.tobytes())
 
 
-def test_the_ground_is_what_the_flight_knew(run_dir: Path, session: Session) -> None:
+def test_the_ground_is_what_the_flight_knew(
+    flight: tuple[Path, Session], recording: Recording
+) -> None:
     """Drawn by blocks of 2 x 2 cells, by the least sure of them."""
+    run_dir, session = flight
     replica = advanced(Replica(run_dir))
-    with read(run_dir) as recording:
-        first, last = (newest(replica, recording, at_s) for at_s in (0.0, math.inf))
-    assert first is not None
-    assert last is not None
+    first, last = (ground_at(replica, recording, at_s) for at_s in (0.0, math.inf))
     assert (first.kind == UNKNOWN).all()
     known = session.state.flight.known
     aside = replace(known, upper_m=np.roll(known.upper_m, 1, 0), seen=np.roll(known.seen, 1, 0))
@@ -122,65 +121,53 @@ def test_the_ground_is_what_the_flight_knew(run_dir: Path, session: Session) -> 
     assert (drawn_aside.kind == PROVEN).sum() < (last.kind == PROVEN).sum()
 
 
-@pytest.fixture(scope="module")
-def shown(run_dir: Path) -> Iterator[tuple[viser.ViserServer, Page]]:
-    with page_of(run_dir) as (server, page):
-        for second in range(40):  # of its clock: until all is read
-            page.step(float(second), 1.0)
-        yield server, page
-
-
-def test_all_of_a_flight_is_in_the_scene(shown: tuple[viser.ViserServer, Page]) -> None:
-    handles = shown[0].scene._handle_from_node_name
+def test_the_scene_and_the_panel_follow_the_time(
+    server: viser.ViserServer, recording: Recording
+) -> None:
+    """Once all is read, all of the flight is in it; before the first plan there is none."""
+    page, handles = Page(server, recording), server.scene._handle_from_node_name
+    for second in range(40):  # of its clock: until all is read
+        page.step(float(second), 1.0)
     of_world = {"/vehicle", "/track", "/unknown", "/ground/guessed", "/decided/target_1"}
-    of_plan = {"p_scan", "p_prog", "leg", "control", "guide", "reach"}
-    assert of_world | {f"/decided/{name}" for name in of_plan} <= set(handles)
-    assert "/ground/proven" in handles
-    labels = {handles[name].text for name in handles if name.endswith("/label")}  # type: ignore[attr-defined]
+    names = {"p_scan", "p_prog", "leg", "control", "guide", "reach"}
+    of_plan = {f"/decided/{name}" for name in names}
+    assert of_world | of_plan | {"/ground/proven"} <= handles.keys()
+    labels = {handles[name].text for name in handles if name.endswith("/label")}
     assert {"target", 'keep-out tower <&> "mast"', "keep-out village", "keep-in county"} <= labels
+    held = next(each for each in page._recording.events if "paused by" in each.text)
+    seen = []
+    for now_s, time_s in ((90.0, 0.0), (91.0, None), (92.0, 0.0), (93.0, held.time_s)):
+        page.go_to(time_s)
+        page.step(now_s, 0.1)
+        place = tuple(server.scene.get_handle_by_name("/vehicle").position)
+        seen.append((of_plan & handles.keys(), page.status, place))
+    began, newest, again, held_then = seen
+    assert "/decided/leg" not in began[0]
+    assert newest[0] >= {f"/decided/{name}" for name in ("leg", "guide", "reach", "control")}
+    assert again == began
+    assert "paused by a person" in held_then[1]
+    assert held_then[1:] != began[1:]
+    assert held_then[2] != began[2]
 
 
-def test_what_a_lidar_passed_over_is_shown_for_a_second(run_dir: Path) -> None:
+def test_what_a_lidar_passed_over_is_shown_for_a_second(
+    server: viser.ViserServer, recording: Recording
+) -> None:
     """72 sectors of 5 degrees and 50 m, one of which says nothing; a driver sends them."""
     told = [65_535, *[5_000] * 71]
     message = wire.MAVLink_obstacle_distance_message(0, 0, told, 5, 20, 16_000, 5.0, 0.0, 12)
     frame = bytes(message.pack(wire.MAVLink(None, srcSystem=1, srcComponent=196)))
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    try:
-        with read(run_dir) as recording:
-            flight = recording.flight
-            flight.look(int(flight.track.time_us[-1]) - 900_000, frame)
-            scene = Scene(server, flight)
-            scene.show(recording.ends_s)
-            fan = server.scene._handle_from_node_name["/sweep/sectors"]
-            middle, *rim = np.asarray(fan.vertices, dtype=float)  # type: ignore[attr-defined]
-            away = np.linalg.norm(np.array(rim) - middle, axis=1)
-            assert len(fan.faces) == 71  # type: ignore[attr-defined]
-            assert away[2:] == pytest.approx(50.0 * WIDTH / scene.area.width_m, rel=1e-3)
-            scene.show(recording.ends_s - 1.0)
-            assert "/sweep/sectors" not in server.scene._handle_from_node_name
-    finally:
-        server.stop()
-
-
-def test_the_scene_and_the_panel_follow_the_time(shown: tuple[viser.ViserServer, Page]) -> None:
-    """Before the first plan there is none in it."""
-    server, page = shown
-    statuses, places = [], []
-    for now_s, moment in ((90.0, "began"), (91.0, "newest"), (92.0, "began"), (93.0, "held")):
-        held = next(each for each in page._recording.events if "paused by" in each.text)
-        page.go_to({"began": 0.0, "newest": None, "held": held.time_s}[moment])
-        page.step(now_s, 0.1)
-        names = set(server.scene._handle_from_node_name)
-        if moment != "held":
-            there = moment == "newest"
-            assert ({"/decided/leg", "/decided/guide", "/decided/reach"} <= names) is there
-            assert ("/decided/control" in names) is there
-        statuses.append(page.status)
-        places.append(server.scene.get_handle_by_name("/vehicle").position.copy())  # type: ignore[union-attr]
-    assert statuses[-1] != statuses[0]
-    assert "paused by a person" in statuses[-1]
-    assert not np.allclose(places[-1], places[0])
+    flight, handles = recording.flight, server.scene._handle_from_node_name
+    flight.look(int(flight.track.time_us[-1]) - 900_000, frame)
+    scene = Scene(server, flight)
+    scene.show(recording.ends_s)
+    fan = handles["/sweep/sectors"]
+    middle, *rim = np.asarray(fan.vertices, dtype=float)
+    away = np.linalg.norm(np.array(rim) - middle, axis=1)
+    assert len(fan.faces) == 71
+    assert away[2:] == pytest.approx(50.0 * WIDTH / scene.area.width_m, rel=1e-3)
+    scene.show(recording.ends_s - 1.0)
+    assert "/sweep/sectors" not in handles
 
 
 def test_trees_hide_no_vehicle_that_flies_between_them() -> None:

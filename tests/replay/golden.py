@@ -16,6 +16,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterator
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Final
 
@@ -80,23 +81,14 @@ def expected(folder: Path) -> list[dict[str, Any]]:
 
 def differences(was: list[dict[str, Any]], now: list[dict[str, Any]]) -> str:
     """For people: how often each field differs, and the first place; "" if nothing does."""
-    counts: Counter[str] = Counter()
-    first = ""
-    for number, (old, new) in enumerate(zip(was, now, strict=False), start=1):
+    counts, first = Counter[str](), ""
+    for number, (old, new) in enumerate(zip_longest(was, now, fillvalue={}), start=1):
         for field in _fields_that_differ(old, new):
-            what = f"{_what(old)}.{field}"
-            counts[what] += 1
-            first = first or (
-                f"line {number}, t {old.get('t_s')}: {what}\n"
-                f"  was {json.dumps(old)}\n  now {json.dumps(new)}"
-            )
-    lines = [f"{count} x {what}" for what, count in counts.most_common(10)]
-    if len(was) != len(now):
-        lines.append(f"{len(was)} decisions before, {len(now)} now")
-        if not first:
-            more = (was if len(was) > len(now) else now)[min(len(was), len(now))]
-            first = f"the first one more: {json.dumps(more)}"
-    return "\n".join([*lines, first]) if lines else ""
+            counts[f"{_what(old or new)}.{field}"] += 1
+            place = f"line {number}, {field}:\n  was {json.dumps(old)}\n  now {json.dumps(new)}"
+            first = first or place
+    often = [f"{count} x {what}" for what, count in counts.most_common(10)]
+    return "\n".join([*often, first]) if often else ""
 
 
 def _what(line: dict[str, Any]) -> str:
@@ -106,16 +98,15 @@ def _what(line: dict[str, Any]) -> str:
 def _fields_that_differ(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
     if _what(old) != _what(new):
         return ["kind"]
-    keys = dict.fromkeys((*old, *new))
+    whole = ("lat_int", "lon_int")  # they stand for others, and so may be one apart
     return [
         key
-        for key in keys
-        if not _is_close(old.get(key), new.get(key), rounded=key in ("lat_int", "lon_int"))
+        for key in dict.fromkeys((*old, *new))
+        if not _is_close(old.get(key), new.get(key), rounded=key in whole)
     ]
 
 
 def _is_close(was: Any, now: Any, *, rounded: bool = False) -> bool:
-    """rounded: whole numbers that stand for others, and so may be one apart."""
     if rounded and isinstance(was, int) and isinstance(now, int):
         return abs(was - now) <= 1
     if isinstance(was, float) or isinstance(now, float):

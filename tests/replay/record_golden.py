@@ -1,18 +1,19 @@
 """Record golden flights anew, or decide them once more: `scripts/update-goldens`."""
 
-import contextlib
 import json
 import os
 import shutil
-import signal
-import socket
-import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "closed_loop"))
+from flights import launch
+from flights import run as program
 from golden import GOLDENS, NAMES, decisions_of, differences, expected
 from recordings import recording
 
@@ -25,8 +26,6 @@ from companion.replay.shadow import watch
 from companion.telemetry import inputs
 
 _ROOT = Path(__file__).parents[2]
-_BIN = Path(sys.executable).parent
-_PATIENCE_S = 300.0
 
 
 def main(arguments: list[str]) -> int:
@@ -114,53 +113,26 @@ def _try_out(how: dict[str, Any], scratch: Path, run: Path) -> None:
 
 
 def _fly(how: dict[str, Any], scratch: Path, run: Path) -> None:
-    """vehicle-sim and the companion, over UDP; killed once and started again if it says so."""
+    """Both programs, over UDP; the companion is killed once and started again if it says so."""
     (scratch / "faults.txt").write_text("\n".join(how["faults"]) + "\n", encoding="utf-8")
     killed_s = how.get("killed_after_wall_s")
-    clock = ["--lockstep"] if killed_s is None else ["--speedup", "10"]
-    link, faults = f"127.0.0.1:{_free_port()}", scratch / "faults.txt"
-    own = ["--lockstep"] if killed_s is None else ["--start"]
-    vehicle = _started(
-        "vehicle-sim",
+    flight = launch(
+        run,
         scratch / "world.toml",
-        "--faults",
-        faults,
-        *clock,
-        "--connect",
-        f"udpout:{link}",
+        scratch / "mission.toml",
+        clock=("--lockstep",) if killed_s is None else ("--speedup", "10"),
+        simulator_options=("--faults", scratch / "faults.txt"),
     )
-    fly = ("fly", scratch / "mission.toml", "--out", run, "--connect", f"udpin:{link}", *own)
-    companion = _started("companion", *fly)
     try:
         if killed_s is not None:
-            _let_fly(companion, float(killed_s))
-            companion.kill()
-            companion.wait()
-            companion = _started("companion", *fly, "--resume")
-            _let_fly(companion, float(killed_s))
-            companion.send_signal(signal.SIGINT)
-        companion.wait(timeout=_PATIENCE_S)
+            time.sleep(killed_s)
+            flight.companion.kill()
+            flight.companion = program(*flight.companion.process.args, "--resume")
+            time.sleep(killed_s)
+            flight.companion.interrupt(60.0)
+        flight.companion.wait()
     finally:
-        for each in (companion, vehicle):
-            each.kill()
-            each.wait()
-
-
-def _let_fly(companion: "subprocess.Popen[bytes]", for_s: float) -> None:
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        companion.wait(for_s)
-        raise RuntimeError("it has ended by itself")
-
-
-def _started(program: str, *arguments: Any) -> "subprocess.Popen[bytes]":
-    command = [str(_BIN / program), *map(str, arguments)]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT)
-
-
-def _free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+        flight.kill()
 
 
 def _cut(run: Path, to: Path, until_s: float) -> None:

@@ -1,18 +1,19 @@
 """A companion that dies of an error of its own leaves what it takes to see that error again."""
 
 import json
-import shutil
+import struct
 import threading
 from pathlib import Path
 from typing import Any
 
 import pytest
-from short_flight import ScriptedLink, Vehicle, fly_short, replayed, rewritten
+from short_flight import ScriptedLink, Vehicle, fly_short, mission_of, replayed, rewritten
 from tlog import recorded_frames
 
 from companion.config import load_mission
 from companion.mission import machine
 from companion.mission.events import Outcome
+from companion.replay.reproduce import Replay
 from companion.replay.what_if import what_if
 from companion.telemetry.inputs import FILE, InputsFile
 
@@ -57,13 +58,11 @@ def test_the_error_that_ended_a_flight_is_shown_again_at_its_place(
     tmp_path: Path, lockstep: bool
 ) -> None:
     found = replayed(flown_to_its_error(tmp_path / "run", lockstep=lockstep))
-    assert found.difference is None
-    assert found.is_identical
-    assert found.unrecorded == 0
+    assert (found.difference, found.is_identical, found.unrecorded) == (None, True, 0)
     assert found.ended_by.startswith(f"{ERROR} (test_ended.breaks, line ")
-    lines = str(found).splitlines()
-    assert lines[-1] == "identical"
-    assert any(ERROR in line for line in lines)
+    *said, last = str(found).splitlines()
+    assert last == "identical"
+    assert any(ERROR in line for line in said)
 
 
 @pytest.mark.usefixtures("bug")
@@ -91,47 +90,25 @@ def test_all_of_the_last_turn_is_recorded_and_nothing_that_was_not_sent(
     assert replayed(run).difference.t_s == pytest.approx(20.0, abs=0.2)
 
 
-@pytest.fixture
-def run(tmp_path: Path) -> Path:
-    """The run folder of a short flight."""
-    fly_short(tmp_path / "run", until_s=30.0)
-    return tmp_path / "run"
-
-
-def records_of(run: Path) -> list[bytes]:
-    """The frames of a log, each with its stamp."""
-    log, records, end = (run / "flight.tlog").read_bytes(), list[bytes](), 0
-    while end < len(log):
-        begin, end = end, end + 8 + 12 + log[end + 9]
-        records.append(log[begin:end])
-    return records
-
-
-def head_of(run: Path, count: int) -> Any:
-    """The replay of its first inputs alone."""
-    head = Path(shutil.copytree(run, run.with_name(f"head-{count}")))
-    rewritten(head, lambda inputs: inputs.__delitem__(slice(count, None)))
-    return replayed(head, plans=False)
-
-
-def midst_of(run: Path) -> int:
-    """The number of an input in the midst of its flight."""
-    runs = [number for number, each in enumerate(InputsFile(run / FILE)) if each == ("run",)]
-    return runs[200]
-
-
 @pytest.mark.parametrize("is_said", [True, False])
-def test_a_frame_that_was_not_sent_is_left_out_if_it_is_said_so(run: Path, is_said: bool) -> None:
-    begin, frames = midst_of(run), list[int]()
-    for at in range(begin, begin + 40):
-        frames.append(head_of(run, at).frames)
-        if frames[-1] > frames[0]:
-            break
-    assert frames[-1] > frames[-2]  # by the input before this one
+def test_a_frame_that_was_not_sent_is_left_out_if_it_is_said_so(
+    tmp_path: Path, is_said: bool
+) -> None:
+    run = tmp_path / "run"
+    fly_short(run, until_s=30.0)
+    replay = Replay(run, mission_of(run), plans=False)
+    frames = [replay.found.frames for _ in replay.steps()]  # after each input
+    records = recorded_frames(run / "flight.tlog")
+    sends = (  # the first frame that an input in the midst of the flight had it send
+        (number, k)
+        for number in range(len(frames) // 2, len(frames))
+        for k in range(frames[number - 1], frames[number])
+        if records[k][1][6] != 1  # the autopilot's component
+    )
+    number, unsent = next(sends)
     if is_said:
-        rewritten(run, lambda inputs: inputs.insert(at, ("unsent", [0])))
-    records = records_of(run)
-    component = 8 + 6  # where MAVLink 2 has it, behind the stamp: the autopilot's is 1
-    del records[next(k for k in range(*frames[-2:]) if records[k][component] != 1)]
-    (run / "flight.tlog").write_bytes(b"".join(records))
+        rewritten(run, lambda inputs: inputs.insert(number + 1, ("unsent", [0])))
+    del records[unsent]
+    log = b"".join(struct.pack(">Q", at_us) + frame for at_us, frame in records)
+    (run / "flight.tlog").write_bytes(log)
     assert (replayed(run, plans=False).difference is None) == is_said

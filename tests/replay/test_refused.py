@@ -12,11 +12,7 @@ import pytest
 import rasterio
 from answers import answered
 from rasterio.transform import Affine
-from short_flight import (
-    fly_short,
-    rewritten,
-    short_mission,
-)
+from short_flight import fly_short, rewritten, short_mission
 
 from companion.config import load_mission
 from companion.mission.journal import VERSION
@@ -83,31 +79,26 @@ def empty(*names: str) -> Damage:
     return lambda run: [(run / name).write_bytes(b"") for name in names]
 
 
-def with_line(line: bytes) -> Damage:
-    """A journal with another line in its midst."""
-
-    def change(run: Path) -> None:
-        lines = (run / "journal.jsonl").read_bytes().splitlines(keepends=True)
-        lines[5] = line
-        (run / "journal.jsonl").write_bytes(b"".join(lines))
-
-    return change
-
-
 def garbage_in_the_log(run: Path) -> None:
     data = (run / "flight.tlog").read_bytes()
     (run / "flight.tlog").write_bytes(data[:2000] + b"\0\1" * 1000 + data[4000:])
 
 
-def inputs_end_with(rest: Callable[[bytes], bytes]) -> Damage:
+def an_odd_line(run: Path) -> None:
+    lines = (run / "journal.jsonl").read_bytes().splitlines(keepends=True)
+    lines[5] = b"?\n"
+    (run / "journal.jsonl").write_bytes(b"".join(lines))
+
+
+def inputs_end_with(change: Callable[[bytes], bytes]) -> Damage:
     """From an input in their midst on there is something else: made of what was there."""
 
-    def change(run: Path) -> None:
+    def damage(run: Path) -> None:
         data = (run / FILE).read_bytes()
         whole = sum(map(len, packed((HEADER, *list(InputsFile(run / FILE))[:150]))))
-        (run / FILE).write_bytes(data[:whole] + rest(data[whole:]))
+        (run / FILE).write_bytes(data[:whole] + change(data[whole:]))
 
-    return change
+    return damage
 
 
 def a_damaged_answer(run: Path) -> None:
@@ -118,7 +109,7 @@ ENDS_EARLY = "the recording ends early: .*\nidentical\n"  # as a power cut or a 
 DAMAGES: dict[str, tuple[Damage, int, str]] = {
     "nothing": (empty("flight.tlog", "journal.jsonl"), 2, "it holds nothing to compare a replay"),
     "no frame": (empty("flight.tlog"), 0, "no frame was compared: flight.tlog holds none"),
-    "a line that is no JSON": (with_line(b"?\n"), 1, "journal.line: recorded b'.\\\\n'"),
+    "a line that is no JSON": (an_odd_line, 1, "journal.line: recorded b'.\\\\n'"),
     "garbage in the log": (garbage_in_the_log, 1, "recorded '.* bytes that are no frames'"),
     "garbage in the inputs": (
         inputs_end_with(lambda rest: b"\xc1" + rest),
@@ -150,11 +141,10 @@ def test_what_is_damaged_is_a_difference_or_an_error_of_one_line(run: Path, dama
     "told",
     [
         *[("deliver", each) for each in (None, {}, {"plan_id": 1, "kind": "?"})],
-        *[("silence", each) for each in (None, float("nan"), float("inf"), True)],
-        *[("receive", b"", each) for each in ("x", float("nan"))],
+        *[("silence", each) for each in (None, float("nan"), True)],
+        ("receive", b"", float("nan")),
         ("receive", "x", 1.0),
         ("run", 1),
-        ("complain", None),
         ("nothing of the kind",),
     ],
 )

@@ -12,7 +12,6 @@ from pymavlink.dialects.v20 import all as wire
 from renewed import replace
 
 from companion.config import load_mission
-from companion.mavlink.link import VehicleClock
 from companion.mission.state import Phase, Reason
 from companion.replay.feed import flown_mission, outputs
 from companion.session import Session
@@ -95,56 +94,32 @@ def test_frames_that_are_missing_are_counted() -> None:
     assert (it.frames_heard, it.frames_lost) == (sent - dropped, dropped)
 
 
-def flown(north_m: float = 0.0, east_m: float = 0.0, **options: Any) -> FlightSummary:
-    """A flight whose vehicle is there."""
-    it = FlightSummary(session=Session(MISSION, seed=1, lockstep=True, **options))
-    move(it, north_m, east_m)
-    return it
-
-
-def move(it: FlightSummary, north_m: float, east_m: float, **flight: Any) -> None:
-    state = it.session.state
-    here = replace(state.vehicle, position_nea_m=(north_m, east_m, 4_000.0))
-    it.session.state = replace(state, vehicle=here, flight=replace(state.flight, **flight))
-
-
-def test_the_distance_to_go_is_horizontal_and_there_is_none_without_a_position() -> None:
-    assert flown(100_000.0 - 300.0, 100_000.0 - 400.0).to_go_m == pytest.approx(500.0)
-    assert FlightSummary(session=Session(MISSION, seed=1, lockstep=True)).to_go_m is None
-
-
 def test_a_plane_is_told_what_it_passed_its_last_target_at_not_where_it_circles() -> None:
     """The nearest of all positions on the way to that target, and of no other."""
-    it = flown()
+    it = FlightSummary(session=Session(MISSION, seed=1, lockstep=True))
     it.session.state = replace(it.session.state, targets_ne_m=((0.0, 0.0), (1_000.0, 0.0)))
+    assert it.to_go_m is None
     on_the_way = [(0, 3.0, 0.0), (1, 990.2, 30.0), (1, 1_000.0, 9.8), (1, 1_000.0, 32.6)]
     for target, north_m, east_m in on_the_way:
-        move(it, north_m, east_m, target=target)
+        state = it.session.state
+        here = replace(state.vehicle, position_nea_m=(north_m, east_m, 4_000.0))
+        flight = replace(state.flight, target=target)
+        it.session.state = replace(state, vehicle=here, flight=flight)
         it.note_passing()
     assert it.passed_m == pytest.approx(9.8)
-
-
-def test_the_factor_of_real_time_is_of_what_passed_while_it_was_heard() -> None:
-    """Neither of what its clock had shown before, nor of what a flight took that was resumed."""
-    it = flown()
-    clock = it.session.clock = VehicleClock(290.0)
-    assert it.times_real_time == 0.0
-    for time_s in (312.0, 312.0, 313.0, 314.0):
-        clock.read(time_s)
-    it.elapsed_s = 0.08
-    assert it.times_real_time == 25.0
+    assert it.to_go_m == pytest.approx(32.6)  # horizontal
 
 
 @pytest.mark.parametrize("airborne", [False, True])
-def test_only_a_flight_that_nobody_has_decided_to_end_in_the_air_may_go_on(airborne: bool) -> None:
+@pytest.mark.parametrize("shadow", [False, True])
+def test_only_a_flight_that_nobody_has_decided_to_end_in_the_air_may_go_on(
+    airborne: bool, shadow: bool
+) -> None:
     """And none that was only watched."""
     for reason in Reason:
-        it = flown()
+        it = FlightSummary(session=Session(MISSION, seed=1, lockstep=True, shadow=shadow))
         it.session.state = replace(it.session.state, reason=reason, airborne=airborne)
-        assert it.may_go_on is (airborne and reason in LEFT_OVER)
+        in_flight = airborne and not shadow
+        assert it.may_go_on is (in_flight and reason in LEFT_OVER)
         it.died = True
-        assert it.may_go_on is airborne
-    watched = flown(shadow=True)
-    watched.session.state = replace(watched.session.state, airborne=airborne)
-    watched.died = True
-    assert not watched.may_go_on
+        assert it.may_go_on is in_flight

@@ -85,27 +85,21 @@ def assert_pymavlink_reads(path: Path, stamped: list[tuple[float, bytes]]) -> No
 # --- what is written
 
 
-def test_frames_are_there_at_once_as_pymavlink_reads_them(folder: RunFolder) -> None:
-    stamped = frames()
-    for until, part in ((7, stamped[:7]), (7, []), (200, stamped[7:200]), (400, stamped[200:])):
+def test_what_is_recorded_is_there_at_once_as_other_programs_read_it(folder: RunFolder) -> None:
+    """A certificate is infinitely far from keep-outs where there are none."""
+    stamped, size = frames(), 0
+    for part in (stamped[:7], [], stamped[7:200], stamped[200:]):
         folder.frames(part)
-        size = sum(STAMP + len(frame) for _, frame in stamped[:until])
+        size += sum(STAMP + len(frame) for _, frame in part)
         assert (folder.path / "flight.tlog").stat().st_size == size
     assert_pymavlink_reads(folder.path, stamped)
-
-
-def test_what_is_written_is_strict_json_and_the_mission_as_given(folder: RunFolder) -> None:
-    """A certificate is infinitely far from keep-outs where there are none."""
-    text = 'a "quoted"\nline, é'
-    folder.header({"seed": 1})
-    folder.entries([{"t_s": 0.1, "kind": "say", "text": text}])
-    folder.entries([])
-    head, entry = journal(folder.path)
-    assert (head["schema"], head["version"], head["seed"]) == ("companion-journal", VERSION, 1)
-    assert entry["text"] == text
+    entry = {"t_s": 0.1, "kind": "say", "text": 'a "quoted"\nline, é'}
     odd = {"certificate": {"keep_out_m": math.inf}, "values": [-math.inf, math.nan]}
-    folder.entries([{"t_s": 0.2, "kind": "x", **odd}, {"t_s": 0.3, "kind": "arm"}])
-    assert [line["t_s"] for line in journal(folder.path)[1:]] == [0.1, 0.2, 0.3]
+    folder.header({"seed": 1})
+    folder.entries([entry, {"t_s": 0.2, **odd}])
+    told = {"certificate": {"keep_out_m": None}, "values": [None, None]}
+    head = {"schema": "companion-journal", "version": VERSION, "seed": 1}
+    assert journal(folder.path) == [head, entry, {"t_s": 0.2, **told}]
     folder.run_json({"plans_s": [0.5]})
     assert strict_json((folder.path / "run.json").read_text("utf-8")) == {"plans_s": [0.5]}
     assert (folder.path / "mission.toml").read_text("utf-8") == MISSION
@@ -125,10 +119,13 @@ def test_a_checkpoint_and_the_known_map_come_back_as_they_were(folder: RunFolder
         np.testing.assert_array_equal(found, getattr(known, each.name))
 
 
-def test_a_folder_that_holds_a_flight_is_refused(tmp_path: Path) -> None:
-    """One with other files is taken."""
+def test_a_folder_of_another_flight_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
+    """One with other files is taken; to resume what has not begun is to begin it."""
     (tmp_path / "truth.jsonl").write_text("the simulator's\n")
-    RunFolder(tmp_path, mission_toml="", epoch_us=0).close()
+    with RunFolder(tmp_path, mission_toml="m", epoch_us=5, resume=True) as folder:
+        folder.header({})
+        assert folder.epoch_us == 5
+    assert "resumed" not in journal(tmp_path)[0]
     assert (tmp_path / "truth.jsonl").read_text() == "the simulator's\n"
     for name in ("journal.jsonl", "flight.tlog"):
         file = tmp_path / name.partition(".")[0] / name
@@ -140,59 +137,6 @@ def test_a_folder_that_holds_a_flight_is_refused(tmp_path: Path) -> None:
         assert file.read_bytes() == b"a flight"
     with pytest.raises(InputError, match=r"--out = .*cannot be written to.*Give a folder"):
         RunFolder(tmp_path / "truth.jsonl", mission_toml="", epoch_us=0)
-
-
-# --- a restart in flight
-
-
-def test_a_restart_goes_on_after_the_last_whole_record_and_line(folder: RunFolder) -> None:
-    """Whatever moment the first companion was killed at: here every length of its last record."""
-    log, lines = folder.path / "flight.tlog", folder.path / "journal.jsonl"
-    folder.header({"seed": 1})
-    folder.frames(frames()[:39])
-    folder.entries([{"t_s": 0.1, "kind": "x"}])
-    whole_log, whole_lines = log.read_bytes(), lines.read_bytes()
-    folder.frames(frames()[39:40])
-    folder.entries([{"t_s": 0.2, "kind": "torn"}])
-    longer_log, longer_lines = log.read_bytes(), lines.read_bytes()
-    folder.close()
-    for length in range(len(longer_log) - len(whole_log)):
-        log.write_bytes(longer_log[: len(whole_log) + length])
-        lines.write_bytes(longer_lines[: min(len(whole_lines) + length, len(longer_lines) - 1)])
-        again(folder).close()
-        assert (log.read_bytes(), lines.read_bytes()) == (whole_log, whole_lines)
-
-
-@pytest.mark.parametrize("kept", ["nothing", "a checkpoint", "a torn one"])
-def test_restarts_are_counted_and_record_at_the_same_epoch(folder: RunFolder, kept: str) -> None:
-    """Without a checkpoint the log goes on at the epoch that it began with."""
-    stamped = frames()
-    folder.header({"seed": 1})
-    folder.frames(stamped[:100])
-    if kept != "nothing":
-        folder.checkpoint({})
-    folder.frames(stamped[100:200])
-    folder.close()
-    if kept == "a torn one":
-        (folder.path / "resume.json").write_bytes(b'{"schema":')
-    with (folder.path / "flight.tlog").open("ab") as file:
-        file.write(b"\0\0\0\0\0\0\0\1\xfd\x1c\0")
-    for part in (stamped[200:300], stamped[300:]):
-        with again(folder, epoch_us=EPOCH_US + 600_000_000) as resumed:
-            resumed.header({"seed": 1})
-            resumed.frames(part)
-            resumed.entries([{"t_s": 12.0, "kind": "x"}])
-    assert_pymavlink_reads(folder.path, stamped)
-    heads = [line for line in journal(folder.path) if "schema" in line]
-    assert [head.get("resumed") for head in heads] == [None, 1, 2]
-    assert (folder.path / "mission.toml").read_text("utf-8") == MISSION
-
-
-def test_to_resume_what_has_not_begun_is_to_begin_it(tmp_path: Path) -> None:
-    with RunFolder(tmp_path / "new", mission_toml="m", epoch_us=5, resume=True) as folder:
-        folder.header({})
-        assert folder.epoch_us == 5
-    assert "resumed" not in journal(tmp_path / "new")[0]
 
 
 def test_a_folder_that_another_companion_writes_to_is_left_as_it_is(folder: RunFolder) -> None:
@@ -208,25 +152,52 @@ def test_a_folder_that_another_companion_writes_to_is_left_as_it_is(folder: RunF
     again(folder).close()
 
 
-# --- where the last whole record ends
+# --- a restart in flight
 
 
-def test_records_of_all_kinds_of_frames_are_told_apart(tmp_path: Path) -> None:
-    """MAVLink 1 and 2, signed and not: each ends where the next begins, whatever follows it."""
-    codec = wire.MAVLink(None, srcSystem=1, srcComponent=1)
-    log, ends, path = b"", [0], tmp_path / "log"
+def test_cut_at_any_byte_it_goes_on_after_the_last_whole_record_and_line(folder: RunFolder) -> None:
+    """Of all kinds of frames: MAVLink 1 and 2, signed and not."""
+    log, lines = folder.path / "flight.tlog", folder.path / "journal.jsonl"
+    codec, log_ends, line_ends = wire.MAVLink(None, srcSystem=1, srcComponent=1), [0], [0]
     for version_1, key in ((True, None), (False, None), (False, b"k" * 32)) * 3:
         codec.signing.secret_key, codec.signing.sign_outgoing = key, key is not None
         beat = wire.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
-        log += struct.pack(">Q", EPOCH_US) + beat.pack(codec, force_mavlink1=version_1)
-        ends.append(len(log))
-    assert len(set(np.diff(ends))) == 3
-    for length in range(len(log) + 1):
-        path.write_bytes(log[:length])
-        assert whole_records(path) == max(end for end in ends if end <= length)
+        folder.frames([(0.1, bytes(beat.pack(codec, force_mavlink1=version_1)))])
+        folder.entries([{"t_s": 0.1, "kind": "x" * len(log_ends)}])
+        log_ends.append(log.stat().st_size)
+        line_ends.append(lines.stat().st_size)
+    folder.close()
+    whole_log, whole_lines = log.read_bytes(), lines.read_bytes()
+    for length in range(max(len(whole_log), len(whole_lines))):
+        log.write_bytes(whole_log[:length])
+        lines.write_bytes(whole_lines[:length])
+        again(folder).close()
+        for ends, path in ((log_ends, log), (line_ends, lines)):
+            assert path.stat().st_size == max(end for end in ends if end <= length)
     for rest in (bytes(3 * 2**20), b"garbage" * 2**19):  # more than is read at once
-        path.write_bytes(log + rest)
-        assert {whole_records(path, start) for start in [*ends, 2**23]} == {len(log)}
+        log.write_bytes(whole_log + rest)
+        assert {whole_records(log, start) for start in [*log_ends, 2**23]} == {len(whole_log)}
+
+
+@pytest.mark.parametrize("kept", ["nothing", "a checkpoint", "a torn one"])
+def test_restarts_are_counted_and_record_at_the_same_epoch(folder: RunFolder, kept: str) -> None:
+    """Without a checkpoint the log goes on at the epoch that it began with."""
+    stamped = frames()
+    folder.header({"seed": 1})
+    folder.frames(stamped[:100])
+    if kept != "nothing":
+        folder.checkpoint({})
+    folder.frames(stamped[100:200])
+    folder.close()
+    if kept == "a torn one":
+        (folder.path / "resume.json").write_bytes(b'{"schema":')
+    for part in (stamped[200:300], stamped[300:]):
+        with again(folder, epoch_us=EPOCH_US + 600_000_000) as resumed:
+            resumed.header({"seed": 1})
+            resumed.frames(part)
+    assert_pymavlink_reads(folder.path, stamped)
+    assert [head.get("resumed") for head in journal(folder.path)] == [None, 1, 2]
+    assert (folder.path / "mission.toml").read_text("utf-8") == MISSION
 
 
 def test_a_log_of_many_hours_is_looked_through_in_little_memory(tmp_path: Path) -> None:

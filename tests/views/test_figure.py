@@ -26,11 +26,11 @@ def hill(north_m: FloatArray, east_m: FloatArray) -> FloatArray:
     return 100.0 + 400.0 * np.exp(-(((north_m - 2500) / 900) ** 2) - ((east_m - 2000) / 600) ** 2)
 
 
-def terrain_of(extent_m: float, cells: int, stretch: float = 1.0) -> KnownMap:
-    known = empty_map(extent_m / cells, (0.0, extent_m), (0.0, extent_m))
-    middles = (np.arange(cells) + 0.5) * known.cell_m / stretch
-    heights = hill(middles[:, None], middles[None, :])
-    return replace(known, upper_m=heights, seen=np.ones_like(heights, dtype=bool))
+def hilly() -> KnownMap:
+    known = empty_map(CELL_M, (0.0, 5000.0), (0.0, 5000.0))
+    middles_m = (np.arange(200) + 0.5) * CELL_M
+    heights_m = hill(middles_m[:, None], middles_m)
+    return replace(known, upper_m=heights_m, seen=np.ones_like(heights_m, dtype=bool))
 
 
 def a_flight() -> FlightFigure:
@@ -41,7 +41,7 @@ def a_flight() -> FlightFigure:
     return FlightFigure(
         title="a flight of $5 worth_of words",
         caption="one line",
-        known=terrain_of(5000.0, 200),
+        known=hilly(),
         floor_amsl_m=450.0,
         ceiling_amsl_m=700.0,
         start_nea_m=(500.0, 500.0, 520.0),
@@ -57,12 +57,6 @@ def a_flight() -> FlightFigure:
 
 
 PATH = np.concatenate(a_flight().legs_nea_m)
-
-
-def unknown(flight: FlightFigure, where: Any, value: float = math.nan) -> FlightFigure:
-    heights = flight.known.upper_m.copy()
-    heights[where] = value
-    return replace(flight, known=replace(flight.known, upper_m=heights))
 
 
 def axes_of(flight: FlightFigure) -> dict[str, Any]:
@@ -141,14 +135,16 @@ def test_the_flown_track_is_drawn_at_the_nearest_place_of_the_path_or_is_its_own
 def test_unknown_ground_is_shown_as_unknown_and_there_is_a_picture_of_nothing_else(
     tmp_path: Path,
 ) -> None:
-    flight = unknown(a_flight(), np.s_[:60, :60], math.inf)
+    flight = a_flight()
+    flight.known.upper_m[:60, :60] = math.inf
     axes = axes_of(flight)
     assert "unknown ground" in labels_of(axes["plan"])
     under = line_of(axes["profile"], "terrain under the path")
     in_corner = (PATH[:, :2] < 60 * CELL_M).all(axis=1)
     assert in_corner.any()
     np.testing.assert_array_equal(np.isnan(under[:, 1]), in_corner)
-    draw(replace(unknown(flight, np.s_[:], math.inf), legs_nea_m=()), tmp_path / "flight.png")
+    flight.known.upper_m[:] = math.inf
+    draw(replace(flight, legs_nea_m=()), tmp_path / "flight.png")
 
 
 @pytest.mark.parametrize("step", [1, 7, 40])

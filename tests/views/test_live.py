@@ -22,13 +22,24 @@ from companion.views.live import MachineLines, Progress, status_table
 from companion.views.output import PatientOutput
 
 FLIES = {"phase": Phase.FLYING, "reason": None}
-LONGEST = json.loads("""{
-    "altitude_amsl_m": -1234.5, "above_ground_m": -1234.5, "clearance_m": 9e3, "looked_m": 9e3,
-    "speed_m_s": 150.0, "course_rad": 6.0, "climb_m_s": -10.0, "safety_distance_m": 1e3,
-    "to_go_m": 1.5e5, "time_left_s": 36e3, "t_s": 86400.0,
-    "link_age_s": 599.9, "times_real_time": 187.0,
-    "plan_cost": 1234.56, "plan_took_s": 29.999, "plan_clearance_m": 9e3
-}""")
+LONGEST = {
+    "altitude_amsl_m": -1234.5,
+    "above_ground_m": -1234.5,
+    "clearance_m": 9e3,
+    "looked_m": 9e3,
+    "speed_m_s": 150.0,
+    "course_rad": 6.0,
+    "climb_m_s": -10.0,
+    "safety_distance_m": 1e3,
+    "to_go_m": 1.5e5,
+    "time_left_s": 36e3,
+    "t_s": 86400.0,
+    "link_age_s": 599.9,
+    "times_real_time": 187.0,
+    "plan_cost": 1234.56,
+    "plan_took_s": 29.999,
+    "plan_clearance_m": 9e3,
+}
 """The longest values that a table has to hold."""
 
 
@@ -106,19 +117,16 @@ def test_a_warning_stands_for_a_minute_and_a_reason_to_hold_once(
 def shown(status: FlightStatus, width: int, **options: Any) -> str:
     """The table as it stands in a terminal of so many columns."""
     file = io.StringIO()
-    console = Console(width=width, file=file, legacy_windows=False, **options)
-    console.print(status_table(status))
+    Console(width=width, file=file, legacy_windows=False, **options).print(status_table(status))
     return file.getvalue()
 
 
 @pytest.fixture(scope="module")
 def statuses() -> list[FlightStatus]:
     """All kinds of things that happen, the last with the longest values."""
-    found = []
-    for name in ("copter-loses-gps", "plane-meets-new-fence"):
-        for number, (flown, _) in enumerate(flights(name)):
-            if number % 7 == 0:
-                found.append(flight_status(flown))
+    names = ("copter-loses-gps", "plane-meets-new-fence")
+    all_of_them = (flown for name in names for flown, _ in flights(name))
+    found = [flight_status(flown) for number, flown in enumerate(all_of_them) if number % 7 == 0]
     return [*found, replace(found[-1], **LONGEST)]
 
 
@@ -148,51 +156,28 @@ def test_what_is_wrong_is_told_without_colours_too(statuses: list[FlightStatus])
     assert "\x1b[1;31m" in shown(bad, 80, force_terminal=True, color_system="standard")
 
 
-def lines_of(buffer: io.StringIO) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in buffer.getvalue().splitlines()]
-
-
-ENDS: dict[str, tuple[tuple[str, str] | None, BaseException | None, tuple[str, str, int]]] = {
-    "arrived": (("ARRIVED", "there"), None, ("arrived", "there", 0)),
-    "failed": (
-        ("FAILED", "silent"),
-        FlightFailed("silent", "Look."),
-        ("failed", "silent. Look.", 1),
-    ),
-    "wrong input": (
-        None,
-        InputError("a", 1, "no", "Give 2."),
-        ("failed", "a = 1: no. Give 2.", 2),
-    ),
+ENDS: dict[str, tuple[str | None, BaseException | None, tuple[str, str, int]]] = {
+    "arrived": ("ARRIVED", None, ("arrived", "there", 0)),
+    "failed": ("FAILED", FlightFailed("silent", "Look."), ("failed", "silent. Look.", 1)),
+    "wrong input": (None, InputError("a", 1, "no", "Give 2."), ("failed", "a = 1: no. Give 2.", 2)),
     "crashed": (None, ZeroDivisionError("division"), ("failed", "division", 70)),
-    "stopped again while it draws": (
-        ("STOPPED", "asked"),
-        KeyboardInterrupt(),
-        ("stopped", "stopped by a person", 130),
-    ),
+    "stopped again": ("STOPPED", KeyboardInterrupt(), ("stopped", "stopped by a person", 130)),
 }
 
 
 @pytest.mark.parametrize("how", ENDS)
-def test_the_last_line_is_how_it_ended(how: str) -> None:
-    end, error, expected = ENDS[how]
-    buffer = io.StringIO()
-    with PatientOutput(buffer) as output:
-        lines = MachineLines(output)
-        if end is not None:
-            lines.end = End(outcome=Outcome[end[0]], reason=end[1], remedy="")
-        lines.__exit__(None, error, None)
-    [last] = lines_of(buffer)
-    assert (last["outcome"], last["reason"], last["exit_code"]) == expected
-
-
-def test_a_line_is_for_news_or_after_a_while() -> None:
-    status = flight_status(Terminal().flown)
-    buffer = io.StringIO()
+def test_a_line_of_json_is_for_news_and_the_last_is_how_it_ended(how: str) -> None:
+    outcome, error, expected = ENDS[how]
+    status, buffer = flight_status(Terminal().flown), io.StringIO()
     with PatientOutput(buffer) as output:
         lines = MachineLines(output)
         for _ in range(3):
             lines.show(status)
             written(output)
         lines.show(replace(status, phase="holding"))
-    assert [line["phase"] for line in lines_of(buffer)] == [status.phase, "holding"]
+        if outcome is not None:
+            lines.end = End(outcome=Outcome[outcome], reason="there", remedy="")
+        lines.__exit__(None, error, None)
+    *told, last = map(json.loads, buffer.getvalue().splitlines())
+    assert [line["phase"] for line in told] == [status.phase, "holding"]
+    assert (last["outcome"], last["reason"], last["exit_code"]) == expected

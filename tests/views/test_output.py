@@ -1,8 +1,8 @@
 """Whoever prints never waits and never fails, whatever the reader does."""
 
 import os
-import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import TextIO
 
 import pytest
@@ -26,44 +26,28 @@ def written(output: PatientOutput) -> None:
         os.sched_yield()
 
 
-def read_all(descriptor: int) -> bytes:
-    found = b""
-    while part := os.read(descriptor, 65536):
-        found += part
-    os.close(descriptor)
-    return found
-
-
 def test_a_reader_gets_everything_in_its_order(pipe: tuple[int, TextIO]) -> None:
     reader, stream = pipe
-    found: list[bytes] = []
-    thread = threading.Thread(target=lambda: found.append(read_all(reader)))
-    thread.start()
-    with PatientOutput(stream) as output:
-        for number in range(500):
-            output.write(f"{number} ä {LONG}")
-        written(output)
-    stream.close()
-    thread.join()
-    assert found == ["".join(f"{number} ä {LONG}" for number in range(500)).encode()]
+    words = [f"{number} ä {LONG}" for number in range(500)]
+    with ThreadPoolExecutor() as pool, os.fdopen(reader, encoding="utf-8") as file:
+        found = pool.submit(file.read)
+        with PatientOutput(stream) as output:
+            for each in words:
+                output.write(each)
+            written(output)
+        stream.close()
+        assert found.result() == "".join(words)
 
 
-def test_a_reader_that_does_not_read_holds_up_nobody(pipe: tuple[int, TextIO]) -> None:
+def test_a_reader_that_does_not_read_holds_up_nobody_and_one_that_leaves_is_not_missed(
+    pipe: tuple[int, TextIO],
+) -> None:
     reader, stream = pipe
     with PatientOutput(stream) as output:
         for _ in range(5000):
             output.write(LONG)
         assert output.is_behind
-    assert os.read(reader, 1 << 20).startswith(LONG.encode())
-    os.close(reader)
-    written(output)
-    stream.close()
-
-
-def test_a_reader_that_leaves_is_not_missed(pipe: tuple[int, TextIO]) -> None:
-    reader, stream = pipe
-    with PatientOutput(stream) as output:
-        output.write(LONG)
+        assert os.read(reader, 1 << 20).startswith(LONG.encode())
         os.close(reader)
         for _ in range(100):
             output.write(LONG)

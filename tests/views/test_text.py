@@ -26,16 +26,16 @@ from companion.views.words import metres_at_least
 from companion.world.known_map import empty_map
 
 HILLS = load_mission("environment-1")
-NOTHING_KNOWN = empty_map(HILLS.task.cell_m, HILLS.task.limits.north_m, HILLS.task.limits.east_m)
-PROVEN = replace(certificate(), clearance_m=612.4, turn_radius_m=2_600.0, radar_m=250.0)
+PROVEN = replace(certificate(), clearance_m=612.4, turn_radius_m=math.inf, radar_m=250.0)
 UNPROVEN = replace(PROVEN, broken=("turn radius",))
-START_NEA_M, TARGET_NE_M, LENGTH_M = (0.0, 0.0, 3030.0), (9_000.0, 12_000.0), 15_000.0
 
 
 def planned(proof: Certificate, cost: float) -> Planned:
     """A straight plan, 15 km long."""
-    request = ask(HILLS.task, NOTHING_KNOWN, START_NEA_M, target_ne_m=TARGET_NE_M)
-    return replace(made_up.planned(request, LENGTH_M), certificate=proof, cost=cost)
+    limits = HILLS.task.limits
+    unknown = empty_map(HILLS.task.cell_m, limits.north_m, limits.east_m)
+    request = ask(HILLS.task, unknown, (0.0, 0.0, 3030.0), target_ne_m=(9_000.0, 12_000.0))
+    return replace(made_up.planned(request, 15_000.0), certificate=proof, cost=cost)
 
 
 def rows(table: Table) -> list[str]:
@@ -46,42 +46,42 @@ def rows(table: Table) -> list[str]:
     return [" ".join(line.split()) for line in captured.get().splitlines()]
 
 
-def flown(*plans: Planned, mission: str = "environment-1") -> FlightSummary:
-    flight = FlightSummary(session=Session(load_mission(mission), seed=1, lockstep=True))
+def flown(*plans: Planned) -> FlightSummary:
+    flight = FlightSummary(session=Session(HILLS, seed=1, lockstep=True))
     flight.plans += plans
     flight.end = End(outcome=Outcome.ARRIVED, reason="target reached", remedy="")
     return flight
+
+
+def known_but_for(cells: int) -> Mission:
+    """Of ten thousand."""
+    known = empty_map(50.0, (0.0, 5_000.0), (0.0, 5_000.0))
+    upper_m = np.full(known.upper_m.shape, 100.0)
+    upper_m.flat[:cells] = np.inf
+    return replace(load_mission("sitl-arducopter"), known=replace(known, upper_m=upper_m))
+
+
+SOUTH = "3,000 m south, 2,000 m west of the origin (3,606 m straight from there)"
 
 
 @pytest.mark.parametrize(
     ("mission", "words"),
     [
         (HILLS, "100.0 km north, 100.0 km east"),
-        (
-            replace(HILLS, targets_ne_m=((-3_000.0, -2_000.0),)),
-            "3,000 m south, 2,000 m west of the origin (3,606 m straight from there)",
-        ),
+        (replace(HILLS, targets_ne_m=((-3_000.0, -2_000.0),)), SOUTH),
         (HILLS, "proven safe before it is flown"),
         (load_mission("environment-1", "paper"), "flown unproven"),
         (replace(HILLS, scanner_complete=False), "nothing bounds"),
+        (known_but_for(0), "Terrain of 100% of the map"),
+        (known_but_for(1), "Terrain of 99.9% of the map"),
+        (known_but_for(9_999), "Terrain of 0% of the map"),
     ],
 )
-def test_a_mission_in_words_says_where_it_goes_and_what_is_proven(
+def test_a_mission_in_words_says_where_it_goes_and_what_is_known_and_proven(
     mission: Mission, words: str
 ) -> None:
     assert words in " ".join(mission_summary(mission).split())
     assert "nothing bounds" not in mission_summary(HILLS)
-
-
-@pytest.mark.parametrize(("holes", "share"), [(0, "100%"), (1, "99.9%"), (9_999, "0%")])
-def test_a_map_with_a_hole_is_not_known_whole(holes: int, share: str) -> None:
-    known = empty_map(50.0, (0.0, 5_000.0), (0.0, 5_000.0))
-    upper_m = np.full(known.upper_m.shape, 100.0)
-    assert upper_m.size == 10_000
-    upper_m.flat[:holes] = np.inf
-    mission = replace(load_mission("sitl-arducopter"), known=replace(known, upper_m=upper_m))
-    words = mission_summary(mission)
-    assert f"Terrain of {share} of the map" in words
 
 
 @given(st.floats(0.0, 30_000.0))
@@ -106,23 +106,9 @@ def test_a_flight_is_as_near_to_the_terrain_as_its_nearest_leg_and_costs_the_sum
             assert words in table
 
 
-def test_times_since_a_restart_plans_cut_by_time_and_a_plane_that_passes_have_rows() -> None:
-    flight = flown(mission="sitl-arduplane")
-    assert not [row for row in rows(flight_table(flight)) if "cost" in row or "cut by" in row]
-    flight.session.clock.read(900.0, 0.0)
-    flight.session.clock.read(1_020.0, 120.0)
-    flight.elapsed_s, flight.resumed, flight.out_of_time, flight.passed_m = 60.0, True, 93, 9.8
-    told = rows(flight_table(flight))
-    assert [row.split()[-3] for row in told if "since it was" in row] == ["120.0", "60.0"]
-    [cut] = [row for row in told if "cut by time" in row]
-    assert "93: raise planner.planning_time_s, or use a faster computer" in cut
-    [passed] = [row for row in told if "passed the target at" in row]
-    assert "9.8 m" in passed
-
-
 def test_every_plan_has_a_row_with_its_clearance_if_it_is_proven() -> None:
-    plans = planned(replace(PROVEN, turn_radius_m=math.inf), 1.0), planned(UNPROVEN, 2.0)
-    first, second = (row for row in rows(plans_table(plans)) if "15.0 km" in row)
+    table = plans_table((planned(PROVEN, 1.0), planned(UNPROVEN, 2.0)))
+    first, second = (line for line in rows(table) if "15.0 km" in line)
     assert "612 m" in first
     assert "straight" in first
     assert "not proven" in second

@@ -9,7 +9,6 @@ from typing import Any
 import fastkml.validator
 import geopandas
 import numpy as np
-import pyproj
 import pytest
 from lxml import etree
 from planning import spline
@@ -25,29 +24,31 @@ from companion.sources.geojson import read_geojson
 from companion.telemetry.export.formats import COLUMNS, write_csv, write_geojson, write_kml
 from companion.telemetry.journal import Journal
 
-SCHEMAS = Path(fastkml.validator.__file__).parent / "schema"
+SCHEMA = Path(fastkml.validator.__file__).parent / "schema" / "kml22gx.xsd"
 KML = {"k": "http://www.opengis.net/kml/2.2", "gx": "http://www.google.com/kml/ext/2.2"}
-GEOD = pyproj.Geod(ellps="WGS84")
 PHASES = ["preparing", "arming", "taking off", "flying", "holding", "flying", "arrived", "done"]
-WRITERS = {"kml": write_kml, "geojson": write_geojson, "csv": write_csv}
+Place = tuple[float, float, float]
+"""Longitude, latitude, altitude."""
 
 
 @pytest.fixture(scope="module")
 def exported(run_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the flight in every format."""
     folder = tmp_path_factory.mktemp("exported")
-    for suffix, write in WRITERS.items():
-        write(recorded(run_dir)[0], folder / f"flight.{suffix}")
+    flight, _ = recorded(run_dir)
+    write_kml(flight, folder / "flight.kml")
+    write_geojson(flight, folder / "flight.geojson")
+    write_csv(flight, folder / "flight.csv")
     return folder
 
 
 @pytest.fixture(scope="module")
-def positions(run_dir: Path) -> list[tuple[int, Any]]:
-    """Every position of the log with a fix and its stamp, read by pymavlink."""
+def positions(run_dir: Path) -> list[tuple[int, Any, Place]]:
+    """Every position of the log with a fix, its stamp and its place, read by pymavlink."""
     log = frames_of((run_dir / "flight.tlog").read_bytes())
     found = [(at, m) for at, m in log if m.get_type() == "GLOBAL_POSITION_INT" and m.lat]
     assert len(found) > 900
-    return found
+    return [(at, m, (m.lon * 1e-7, m.lat * 1e-7, m.alt * 1e-3)) for at, m in found]
 
 
 @pytest.fixture(scope="module")
@@ -56,18 +57,8 @@ def mission(run_dir: Path) -> Mission:
 
 
 @pytest.fixture(scope="module")
-def kml(exported: Path) -> Any:
-    return etree.parse(exported / "flight.kml")
-
-
-@pytest.fixture(scope="module")
 def table(exported: Path) -> Any:
     return geopandas.read_file(exported / "flight.geojson")
-
-
-def place_of(message: Any) -> tuple[float, float, float]:
-    """Longitude, latitude, altitude of a position."""
-    return message.lon * 1e-7, message.lat * 1e-7, message.alt * 1e-3
 
 
 def utc_ms(text: str) -> int:
@@ -75,15 +66,13 @@ def utc_ms(text: str) -> int:
     return int(np.datetime64(text[:-1]).astype("int64"))
 
 
-def test_the_kml_is_valid_by_the_schemas_of_the_ogc_and_google(kml: Any) -> None:
-    schema = etree.XMLSchema(etree.parse(SCHEMAS / "kml22gx.xsd"))
-    assert schema.validate(kml), schema.error_log
-
-
-def test_the_kml_has_a_track_for_each_phase_with_every_position_at_its_time(
-    kml: Any, positions: list[tuple[int, Any]]
+def test_the_kml_is_valid_and_has_every_position_at_its_time_in_a_track_for_each_phase(
+    exported: Path, positions: list[tuple[int, Any, Place]]
 ) -> None:
     """Each in its own colour; and each begins where the one before it ends."""
+    kml = etree.parse(exported / "flight.kml")
+    schema = etree.XMLSchema(etree.parse(SCHEMA))
+    assert schema.validate(kml), schema.error_log
     marks = kml.xpath("//k:Placemark[gx:Track]", namespaces=KML)
     assert [mark.findtext("k:name", namespaces=KML) for mark in marks] == PHASES
     styles = [mark.findtext("k:styleUrl", namespaces=KML) for mark in marks]
@@ -93,20 +82,21 @@ def test_the_kml_has_a_track_for_each_phase_with_every_position_at_its_time(
     assert set(kml.xpath("//gx:Track/k:altitudeMode/text()", namespaces=KML)) == {"absolute"}
     joined: list[tuple[int, list[float]]] = []
     for mark in marks:
-        whens = mark.xpath(".//k:when/text()", namespaces=KML)
+        times_ms = map(utc_ms, mark.xpath(".//k:when/text()", namespaces=KML))
         coords = mark.xpath(".//gx:coord/text()", namespaces=KML)
-        rows = [
-            (utc_ms(w), list(map(float, c.split()))) for w, c in zip(whens, coords, strict=True)
-        ]
+        places = [[float(word) for word in coord.split()] for coord in coords]
+        rows = list(zip(times_ms, places, strict=True))
         assert not joined or joined.pop() == rows[0]
         joined += rows
     expected = [
-        (round(at_us / 1000), pytest.approx(place_of(m), abs=1e-9)) for at_us, m in positions
+        (round(at_us / 1000), pytest.approx(place, abs=1e-9)) for at_us, _, place in positions
     ]
     assert joined == expected
 
 
-def test_geopandas_reads_every_feature_in_wgs84(table: Any, mission: Mission) -> None:
+def test_geopandas_reads_every_feature_and_position_of_the_geojson_in_wgs84(
+    table: Any, mission: Mission, positions: list[tuple[int, Any, Place]]
+) -> None:
     assert table.crs.to_epsg() == 4326
     extended = table.geometry.bounds.pipe(lambda box: box.maxx > box.minx)  # a climb is no line
     assert table.geometry[extended].is_valid.all()
@@ -114,11 +104,23 @@ def test_geopandas_reads_every_feature_in_wgs84(table: Any, mission: Mission) ->
     zones = {"target": 1, "rally": 1, "keep_in": 1, "keep_out": 2}
     flown = {"track": len(PHASES), "subpath": 2, "event": 2, "radar": len(mission.task.radars)}
     assert table["kind"].value_counts().to_dict().items() >= (zones | flown).items()
-    assert list(table[table["kind"] == "track"]["phase"]) == PHASES
+    tracks = table[table["kind"] == "track"]
+    assert list(tracks["phase"]) == PHASES
+    lines = tracks[tracks.geometry.geom_type == "LineString"].geometry
+    rows = {tuple(np.round(row, 7)) for line in lines for row in line.coords}
+    assert rows == {tuple(np.round(place, 7)) for *_, place in positions}
+    ends_s = [m.time_boot_ms / 1e3 for _, m, _ in (positions[0], positions[-1])]
+    assert [tracks["from_s"].iloc[0], tracks["until_s"].iloc[-1]] == ends_s
+    assert (tracks["from_s"] < tracks["until_s"]).any()
 
 
-def test_polygons_wind_as_the_standard_says(exported: Path) -> None:
-    """RFC 7946, 3.1.6: the outer ring anticlockwise, closed, the first position repeated."""
+def test_zones_wind_as_the_standard_says_and_are_threats_for_a_mission(
+    exported: Path, tmp_path: Path
+) -> None:
+    """RFC 7946, 3.1.6: the outer ring anticlockwise, closed, the first position repeated.
+
+    The keep-outs and keep-ins alone, as a person would cut them out in QGIS.
+    """
     found = json.loads((exported / "flight.geojson").read_text(encoding="utf-8"))
     polygons = [f["geometry"] for f in found["features"] if f["geometry"]["type"] == "Polygon"]
     assert len(polygons) > 3
@@ -127,18 +129,12 @@ def test_polygons_wind_as_the_standard_says(exported: Path) -> None:
         assert ring[0] == ring[-1]
         longitude, latitude = np.array(ring)[:, :2].T
         assert np.sum((longitude[1:] - longitude[:-1]) * (latitude[1:] + latitude[:-1])) < 0.0
-
-
-def test_the_track_of_the_geojson_is_that_of_the_log(
-    table: Any, positions: list[tuple[int, Any]]
-) -> None:
-    tracks = table[table["kind"] == "track"]
-    lines = tracks[tracks.geometry.geom_type == "LineString"].geometry
-    rows = {tuple(np.round(row, 7)) for line in lines for row in line.coords}
-    assert rows == {tuple(np.round(place_of(message), 7)) for _, message in positions}
-    ends_s = [m.time_boot_ms / 1e3 for _, m in (positions[0], positions[-1])]
-    assert [tracks["from_s"].iloc[0], tracks["until_s"].iloc[-1]] == ends_s
-    assert (tracks["from_s"] < tracks["until_s"]).any()
+    zones = ("keep_out", "keep_in")
+    found["features"] = [f for f in found["features"] if f["properties"]["kind"] in zones]
+    file = tmp_path / "zones.geojson"
+    file.write_text(json.dumps(found), encoding="utf-8")
+    threats = read_geojson(file, "threats")
+    assert (len(threats.keep_outs), len(threats.keep_ins)) == (2, 1)
 
 
 def away_from_chords_m(line: FloatArray, point: FloatArray) -> float:
@@ -157,38 +153,25 @@ def test_subpaths_follow_their_curves_and_bear_what_is_proven(
     plans = [entry for entry in entries if isinstance(entry, PlanReady)]
     rows = table[table["kind"] == "subpath"]
     for (_, row), plan in zip(rows.iterrows(), plans, strict=True):
-        line = np.array(row.geometry.coords)
-        places = [mission.frame.to_local_m(latitude, longitude) for longitude, latitude, _ in line]
-        line_nea_m = np.column_stack([places, line[:, 2]])
+        places = [(*mission.frame.to_local_m(lat, lon), up) for lon, lat, up in row.geometry.coords]
         curve = spline(plan.control_nea_m)(np.linspace(0.0, 1.0, 500))
-        assert max(away_from_chords_m(line_nea_m, point) for point in curve) < 0.25
-        assert cKDTree(curve).query(line_nea_m)[0].max() < plan.length_m / 500
-        np.testing.assert_allclose(line_nea_m[[0, -1]], curve[[0, -1]], atol=0.02)
+        assert max(away_from_chords_m(np.array(places), point) for point in curve) < 0.25
+        assert cKDTree(curve).query(places)[0].max() < plan.length_m / 500
+        np.testing.assert_allclose([places[0], places[-1]], curve[[0, -1]], atol=0.02)
         assert row["clearance_m"] == plan.certificate.clearance_m
         assert (row["leg"], row["flown"]) == (plan.plan_id, True)
 
 
-def test_the_threats_of_an_export_are_threats_for_a_mission(exported: Path, tmp_path: Path) -> None:
-    """The keep-outs and keep-ins alone, as a person would cut them out in QGIS."""
-    found = json.loads((exported / "flight.geojson").read_text(encoding="utf-8"))
-    zones = ("keep_out", "keep_in")
-    found["features"] = [f for f in found["features"] if f["properties"]["kind"] in zones]
-    file = tmp_path / "zones.geojson"
-    file.write_text(json.dumps(found), encoding="utf-8")
-    threats = read_geojson(file, "threats")
-    assert (len(threats.keep_outs), len(threats.keep_ins)) == (2, 1)
-
-
 def test_the_csv_has_a_row_for_each_position_and_the_documented_columns(
-    exported: Path, positions: list[tuple[int, Any]], mission: Mission
+    exported: Path, positions: list[tuple[int, Any, Place]], mission: Mission
 ) -> None:
     with (exported / "flight.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == list(COLUMNS)
-    for row, (stamp_us, message) in zip(rows, positions, strict=True):
+    for row, (stamp_us, message, expected) in zip(rows, positions, strict=True):
         assert utc_ms(row["utc"]) == round(stamp_us / 1000)
         place = [float(row[key]) for key in ("longitude_deg", "latitude_deg", "altitude_amsl_m")]
-        assert place == pytest.approx(place_of(message), abs=1e-9)
+        assert place == pytest.approx(expected, abs=1e-9)
         assert float(row["t_s"]) == message.time_boot_ms / 1000
         assert float(row["up_m_s"]) == -message.vz / 100
         north_east = mission.frame.to_local_m(message.lat * 1e-7, message.lon * 1e-7)
