@@ -17,6 +17,7 @@ from made_up import (
     flying,
     now,
     once,
+    position,
     told,
 )
 from made_up_plans import LEG_M
@@ -120,3 +121,16 @@ def test_the_reference_waits_for_a_vehicle_that_falls_behind_and_goes_on_when_it
     craft.follows = True
     assert math.hypot(*craft.run_for(70.0).velocity) == pytest.approx(SPEED_M_S)
     assert Phase.HOLDING not in craft.phases
+
+
+def test_a_datagram_that_was_overtaken_or_comes_twice_changes_nothing() -> None:
+    craft = flying()
+    was = position(craft.now_s, craft.here, craft.velocity)
+    assert craft.take(was) == []
+    craft.tick()
+    newest = craft.sent(Setpoint)[-1]
+    sent = [c for c in [*craft.take(was), *craft.tick()] if isinstance(c, Setpoint)]
+    assert sent
+    for setpoint in sent:
+        assert flown_m(setpoint) >= flown_m(newest)
+        assert setpoint.velocity_nea_m_s[0] >= 0.0

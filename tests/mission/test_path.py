@@ -11,6 +11,7 @@ from made_up import MISSION, SPEED_M_S, TICK_S, Craft, flying, position, texts
 from made_up_plans import LEG_M
 from renewed import deep, replace
 
+from companion.mission import events
 from companion.mission.decisions import Turn
 from companion.mission.events import Mode, Setpoint
 from companion.mission.following import is_on_path, joined, left_path, outside_m
@@ -169,11 +170,11 @@ def test_who_joins_a_path_near_its_end_comes_to_rest_without_a_jump(
     assert math.hypot(*sent[-1].velocity_nea_m_s) < 0.1
 
 
-def told_nothing(state: State, at: Any, velocity: Any) -> State:
-    """The state of a companion that finds its vehicle there, and hears of no target."""
+def told_nothing(state: State, at: Any, velocity: Any, echo: events.Echo | None = None) -> State:
+    """The state of a companion that finds its vehicle there, and what it says of its target."""
     state = deep(state)
     vehicle, state.flight.sent = state.vehicle, None
-    vehicle.position_nea_m, vehicle.velocity_nea_m_s, vehicle.echo = at, velocity, None
+    vehicle.position_nea_m, vehicle.velocity_nea_m_s, vehicle.echo = at, velocity, echo
     return state
 
 
@@ -193,3 +194,28 @@ def test_it_rejoins_the_leg_that_is_the_nearer_one_and_has_flown_the_other(share
         assert goes_on.reference.length_m == pytest.approx(at_m, abs=0.1)
         flown_m = [each.until_m for each in found.flight.flown[len(state.flight.flown) :]]
         assert flown_m == pytest.approx([at_m] if leg is path.leg else [over_at_m, at_m])
+
+
+@pytest.mark.parametrize(
+    ("age_s", "pace", "stands"),
+    [(0.0, 1.0, False), (0.1, 1.0, False), (0.4, 1.0, False), (0.4, 0.6, True)],
+)
+def test_it_goes_on_where_the_autopilots_target_has_moved_since_it_was_told(
+    age_s: float, pace: float, stands: bool
+) -> None:
+    """Age and speed of the target, of V; from one that stands as slowly as the target."""
+    state, flown_m = cruising().state, age_s * SPEED_M_S
+    curve, ahead_m = state.leg.subpath, 0.6 * SPEED_M_S if stands else 0.0
+    echo = events.Echo(
+        time_s=state.now_s - age_s,
+        position_nea_m=curve.pose(1_000.0 if stands else 1_000.0 - flown_m).point_nea_m,
+        velocity_nea_m_s=(0.0, 0.0, 0.0) if stands else None,
+    )
+    at = curve.pose(1_000.0 - ahead_m)
+    velocity = tuple((pace * SPEED_M_S * at.tangent_nea).tolist())
+    path = joined(told_nothing(state, at.point_nea_m, velocity, echo), state.path)
+    assert path is not None
+    assert path.reference.length_m == pytest.approx(1_000.0, abs=0.01 if stands else 0.1)
+    if stands:
+        assert path.reference.speed_m_s == 0.0
+        assert np.linalg.norm(path.offset.velocity_nea_m_s) == 0.0
