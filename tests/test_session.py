@@ -3,7 +3,6 @@
 from copy import deepcopy
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,12 +21,8 @@ def ended(it: Pair) -> bool:
     return it.out.end is not None
 
 
-def flying(**keywords: Any) -> Pair:
-    return pair(**keywords).run_until(lambda it: it.session.state.leg is not None)
-
-
-def kinds(it: Pair) -> list[str]:
-    return [entry["kind"] for entry in it.journal]
+def flying() -> Pair:
+    return pair().fly_out()
 
 
 def times(it: Pair, kind: str) -> list[float]:
@@ -43,8 +38,7 @@ def flown() -> Pair:
 
 
 def test_a_flight_ends_at_its_target_in_the_hold_mode(flown: Pair) -> None:
-    assert flown.out.end is not None
-    assert flown.out.end.outcome is Outcome.ARRIVED
+    assert flown.end.outcome is Outcome.ARRIVED
     assert (flown.vehicle.north_m, flown.vehicle.east_m) == pytest.approx((4000, 3000), abs=1.0)
     assert flown.vehicle.mode == BRAKE
     assert flown.out.settled
@@ -90,18 +84,15 @@ def test_every_position_in_flight_is_answered_by_one_setpoint_of_its_time(flown:
 
 
 def test_every_timesync_is_answered_once_after_everything_before_it_and_answers_are_not() -> None:
-    it = pair()
-    for _ in range(50):
-        it.tick()
+    it = pair().run_for(5.0)
     answered = [m.ts1 for m in it.sent("TIMESYNC") if m.tc1 != 0]
     assert answered == [tick * 100_000_000 for tick in range(round(LATCHED_S * 10), 51)]
     count = len(it.frames)
     it.feed(it.vehicle.pack(wire.MAVLink_timesync_message(77, 88)))
     assert it.frames[count:] == []
-    it.run_until(lambda it: it.session.state.leg is not None)
-    count = len(it.frames)
+    count = len(it.fly_out().frames)
     it.tick()
-    *before, last = messages(it.frames[count:])
+    *before, last = it.since(count)
     assert SETPOINT in [message.get_type() for message in before]
     assert (last.get_type(), last.tc1) == ("TIMESYNC", last.ts1)
     assert last.ts1 == it.vehicle.time_ms * 1_000_000
@@ -134,27 +125,23 @@ def test_in_lockstep_run_stops_before_the_position_at_which_the_plan_is_due() ->
     it.session.deliver(straight_plan(it.asked))
     assert not it.take(it.session.run()).awaits_plan
     assert it.sent("TIMESYNC")[-1].ts1 == it.vehicle.time_ms * 1_000_000
-    assert "plan late" not in kinds(it)
+    assert "plan late" not in it.kinds()
 
 
 def test_in_real_time_a_plan_that_is_due_is_late_once_and_taken_when_it_comes() -> None:
-    it = asked(lockstep=False)
-    for _ in range(80):
-        it.tick()
-    assert kinds(it).count("plan late") == 1
+    it = asked(lockstep=False).run_for(8.0)
+    assert it.kinds().count("plan late") == 1
     assert not it.out.awaits_plan
     it.session.deliver(straight_plan(it.asked))
     it.tick()
-    assert kinds(it).count("plan ready") == 1
+    assert it.kinds().count("plan ready") == 1
 
 
 @pytest.mark.parametrize("waits", [True, False])
 def test_a_simulator_in_lockstep_is_noticed_by_a_companion_that_is_not(waits: bool) -> None:
     it = pair(lockstep=False)
     it.vehicle.lockstep = it.vehicle.sends_synchronisation = waits
-    for _ in range(80):
-        it.tick()
-    assert ("lockstep" in it.session.warned[1]) is waits
+    assert ("lockstep" in it.run_for(8.0).session.warned[1]) is waits
 
 
 # --- who is listened to
@@ -180,7 +167,7 @@ def test_terrain_of_a_ground_station_is_not_believed() -> None:
     bit = next(bit for bit in range(56) if request.mask >> bit & 1)
     block = wire.MAVLink_terrain_data_message(request.lat, request.lon, 250, bit, [9] * 16)
     it.feed(block.pack(liar))
-    it.run_until(lambda it: "scan done" in kinds(it))
+    it.run_until(lambda it: "scan done" in it.kinds())
     assert 9.0 not in it.session.state.flight.known.upper_m
 
 
@@ -199,25 +186,21 @@ def test_the_only_vehicle_that_is_heard_three_times_is_ours_or_the_one_that_the_
 ) -> None:
     """Of two vehicles none is taken, and both are told of; no other vehicle is told anything."""
     session = Session(replace(MISSION, system_id=named), seed=1, lockstep=False)
-    vehicles = [Vehicle(lockstep=False) for _ in systems]
-    journal, frames = list[Any](), list[bytes]()
-    for vehicle, system in zip(vehicles, systems, strict=True):
-        vehicle.autopilot.srcSystem = system
+    pairs = [Pair(session, Vehicle(lockstep=False)) for _ in systems]
+    for it, system in zip(pairs, systems, strict=True):
+        it.vehicle.autopilot.srcSystem = system
     for _ in range(heartbeats):
-        for vehicle in vehicles:
-            session.receive(vehicle.heartbeat())
-            out = session.run()
-            journal, frames = journal + out.journal, frames + out.frames
+        for it in pairs:
+            it.feed(it.vehicle.heartbeat())
     assert session.state.phase is phase
+    told = [m for it in pairs for m in messages(it.frames) if hasattr(m, "target_system")]
     if phase is Phase.PREPARING:
-        assert {m.target_system for m in messages(frames) if hasattr(m, "target_system")} == {
-            systems[-1]
-        }
+        assert {m.target_system for m in told} == {systems[-1]}
         assert messages(session.farewell().frames)[0].get_srcSystem() == systems[-1]
         assert session.selector.others == {*systems[:-1]}
     elif phase is Phase.DONE:
         assert session.selector.others == {2, 3}
-        [end] = [entry for entry in journal if entry["kind"] == "end"]
+        [end] = [entry for it in pairs for entry in it.journal if entry["kind"] == "end"]
         assert "systems 2, 3 are heard, choose one with --system" in end["reason"]
 
 
@@ -231,13 +214,9 @@ def test_streams_that_do_not_arrive_are_asked_for_again_and_others_are_not(
     says = it.vehicle.telemetry
     monkeypatch.setattr(it.vehicle, "telemetry", lambda each: b"" if each in never else says(each))
     it.vehicle.deaf_to = (511,)
-    for _ in range(60):
-        it.tick()
+    count = len(it.run_for(6.0).frames)
     it.vehicle.deaf_to = ()
-    count = len(it.frames)
-    for _ in range(200):
-        it.tick()
-    later = [m for m in messages(it.frames[count:]) if m.get_type() == "COMMAND_LONG"]
+    later = [m for m in it.run_for(20.0).since(count) if m.get_type() == "COMMAND_LONG"]
     again = [int(m.param1) for m in later if m.command == 511]
     assert sorted(number for number in again if number in arrive) == sorted(arrive)  # each once
     assert len(again) > 15  # those that never arrive, every two seconds
@@ -269,16 +248,13 @@ def test_heartbeats_alone_do_not_make_time_stand_still(gaps_are_told: bool) -> N
             it.session.silence(tenth / 10)
         it.take(it.session.run())
         it.feed(it.vehicle.heartbeat())
-    assert it.session.state.phase is Phase.HOLDING
-    assert it.session.state.reason is Reason.POSITION_STALE
+    assert (it.phase, it.session.state.reason) == (Phase.HOLDING, Reason.POSITION_STALE)
     assert it.vehicle.mode == BRAKE
     it.vehicle.time_ms += 2000  # less than was guessed meanwhile
     it.vehicle.streams_ms = streams
     it.tick()
     assert it.session.state.now_s == it.session.now_s == it.vehicle.time_ms * 1e-3
-    it.run_until(ended)
-    assert it.out.end is not None
-    assert it.out.end.outcome is Outcome.ARRIVED
+    assert it.run_until(ended).end.outcome is Outcome.ARRIVED
 
 
 def test_copies_of_a_heartbeat_do_not_make_time_pass() -> None:
@@ -293,15 +269,11 @@ def test_copies_of_a_heartbeat_do_not_make_time_pass() -> None:
 def test_a_reboot_of_the_vehicle_on_the_ground_does_not_stop_the_companions_clock() -> None:
     it = pair(lockstep=False)
     it.vehicle.time_ms = 3_600_000
-    for _ in range(30):
-        it.tick()
+    count = len(it.run_for(3.0).frames)
     it.vehicle = Vehicle(lockstep=False)  # all intervals are gone, time begins again
     it.vehicle.autopilot.seq = 17
     it.vehicle.streams_ms = {33: 100}
-    count = len(it.frames)
-    for _ in range(100):
-        it.tick()
-    again = {m.get_type() for m in messages(it.frames[count:])}
+    again = {m.get_type() for m in it.run_for(10.0).since(count)}
     assert again >= {"HEARTBEAT", "COMMAND_LONG"}
 
 
@@ -322,12 +294,11 @@ def test_a_moment_with_a_wrong_time_stamp_changes_nothing_of_a_flight(
         wire.MAVLink_local_position_ned_message(stamp_ms, 0, 0, 0, 0, 0, 0),
     ):
         it.feed(copies * wrong.pack(sender))
-    for flight in (it, undisturbed):
-        flight.run_until(lambda it: it.vehicle.time_ms >= 60_000)
-    assert [m.to_dict() for m in it.sent(SETPOINT)] == [
-        m.to_dict() for m in undisturbed.sent(SETPOINT)
-    ]
-    assert it.session.state.phase is Phase.FLYING
+    for each in (it, undisturbed):
+        each.run_until(lambda it: it.vehicle.time_ms >= 60_000)
+    told = [[m.to_dict() for m in each.sent(SETPOINT)] for each in (it, undisturbed)]
+    assert told[0] == told[1]
+    assert it.phase is Phase.FLYING
 
 
 # --- silence, stop, death
@@ -339,7 +310,7 @@ def test_silence_in_flight_holds_after_3_s_and_ends_a_real_flight_only_after_10_
 ) -> None:
     it = asked(lockstep)
     it.session.silence(2.9)
-    assert it.session.state.phase is Phase.FLYING
+    assert it.phase is Phase.FLYING
     it.session.silence(3.0)
     assert it.session.state.reason is Reason.LINK_LOST
     it.session.silence(longest_s - 0.1)
@@ -357,13 +328,12 @@ def test_who_stops_it_or_dies_leaves_the_vehicle_holding_and_settled_when_it_say
         it.session.part_died(part, "OSError: made up")
     else:
         it.session.stop()
-    out = it.take(it.session.run())
-    assert out.end is not None
-    assert out.end.outcome is (Outcome.FAILED if part else Outcome.STOPPED)
+    it.take(it.session.run())
+    assert it.end.outcome is (Outcome.FAILED if part else Outcome.STOPPED)
     died = f"{Reason.PLANNER_DIED.text}: {part}: OSError: made up"
-    assert out.end.reason == (died if part else Reason.STOPPED.text)
-    assert ("part died" in kinds(it)) is bool(part)
-    assert not out.settled
+    assert it.end.reason == (died if part else Reason.STOPPED.text)
+    assert ("part died" in it.kinds()) is bool(part)
+    assert not it.out.settled
     assert it.run_until(lambda it: it.out.settled).vehicle.mode == BRAKE
 
 
@@ -379,8 +349,7 @@ def test_hold_frames_and_a_farewell_put_a_vehicle_that_flies_for_us_on_hold() ->
     assert text.text == "ended: the companion was stopped"
     assert heartbeat.get_type() == "HEARTBEAT"
     it.vehicle.mode = 5  # somebody takes it
-    it.run_until(lambda it: it.session.state.phase is Phase.HOLDING)
-    assert it.session.hold_frames() == []
+    assert it.fly_to(Phase.HOLDING).session.hold_frames() == []
 
 
 def test_a_refused_setpoint_is_followed_by_nothing_but_the_hold() -> None:
@@ -389,14 +358,12 @@ def test_a_refused_setpoint_is_followed_by_nothing_but_the_hold() -> None:
     it.vehicle.streams_ms, streams = {}, it.vehicle.streams_ms
     for _ in range(4):
         it.feed(it.vehicle.heartbeat())
-    assert it.session.state.phase is Phase.HOLDING
+    assert it.phase is Phase.HOLDING
     it.vehicle.streams_ms, it.vehicle.altitude_m = streams, 60_000.0
     count = len(it.frames)
-    for _ in range(100):
-        it.tick()
-    assert "setpoint refused" in kinds(it)
-    assert it.session.state.phase is Phase.FAULTED
-    said = messages(it.frames[count:])
+    said = it.run_for(10.0).since(count)
+    assert "setpoint refused" in it.kinds()
+    assert it.phase is Phase.FAULTED
     texts = "".join(m.text for m in said if m.get_type() == "STATUSTEXT")
     assert "setpoint out of range" in texts
     assert GUIDED not in [m.param2 for m in said if m.get_type() == "COMMAND_LONG"]

@@ -50,6 +50,12 @@ def _low(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scripted_vehicle, "HOME_AMSL_M", HOME_AMSL_M)
 
 
+def with_eyes(reach_cm: int = REACH_CM) -> Pair:
+    it = Pair(Session(load_mission("forest"), seed=1, lockstep=True), Seeing())
+    it.vehicle.reach_cm = reach_cm
+    return it
+
+
 def is_stopping(it: Pair, reason: Reason) -> bool:
     stop = it.session.state.path.stop
     return stop is not None and stop.reason is reason
@@ -63,15 +69,13 @@ def place(it: Pair, by_m: float) -> tuple[float, float]:
 
 
 def test_something_that_steps_into_its_way_stops_it_within_a_fifth_of_a_second() -> None:
-    vehicle = Seeing()
-    it = Pair(Session(load_mission("forest"), seed=1, lockstep=True), vehicle)
-    it.run_until(lambda it: it.session.state.reference.speed_m_s > 2.0)
-    assert it.session.state.phase is Phase.FLYING
+    it = with_eyes().run_until(lambda it: it.session.state.reference.speed_m_s > 2.0)
+    vehicle = it.vehicle
+    assert it.phase is Phase.FLYING
     vehicle.post_ne_m, since_s = place(it, 6.0), it.session.now_s
     it.run_until(lambda it: is_stopping(it, Reason.NEW_THREAT), limit_s=1.0)
     assert it.session.now_s - since_s <= 0.2 + 1e-6
-    it.run_until(lambda it: it.session.state.phase is Phase.HOLDING, limit_s=10.0)
-    assert it.session.state.reason is Reason.NEW_THREAT
+    assert it.fly_to(Phase.HOLDING, 10.0).session.state.reason is Reason.NEW_THREAT
     north, east = vehicle.post_ne_m
     assert math.hypot(north - vehicle.north_m, east - vehicle.east_m) - 0.3 > 1.0
 
@@ -79,26 +83,19 @@ def test_something_that_steps_into_its_way_stops_it_within_a_fifth_of_a_second()
 @pytest.mark.parametrize("reach_cm", [4000, 1599, 1200])  # the second was cut off
 def test_a_sensor_that_sees_less_than_r_is_refused_with_the_remedy(reach_cm: int) -> None:
     """R is 16 m."""
-    vehicle = Seeing()
-    vehicle.reach_cm = reach_cm
-    it = Pair(Session(load_mission("forest"), seed=1, lockstep=True), vehicle)
-    it.run_until(lambda it: it.session.near.sensing.limits_m[0] > 0.0)
+    it = with_eyes(reach_cm).run_until(lambda it: it.session.near.sensing.limits_m[0] > 0.0)
     [check] = [each for each in checks_of(it.session) if each.name == "sensor range"]
-    if reach_cm > 1200:
-        assert check.status is CheckStatus.PASSED
-        return
-    assert check.status is CheckStatus.REFUSED
-    assert "12 m" in check.what
-    assert "planner.scan_range_m is 16 m" in check.what
-    assert check.remedy.startswith("Set planner.scan_range_m to 12 or less")
+    assert (check.status is CheckStatus.REFUSED) is (reach_cm == 1200)
+    if reach_cm == 1200:
+        assert "12 m" in check.what
+        assert "planner.scan_range_m is 16 m" in check.what
+        assert check.remedy.startswith("Set planner.scan_range_m to 12 or less")
 
 
 def test_a_sensor_that_comes_to_see_less_in_flight_is_told_of_once() -> None:
-    vehicle = Seeing()
-    it = Pair(Session(load_mission("forest"), seed=1, lockstep=True), vehicle)
-    it.run_until(lambda it: it.session.state.leg is not None)
+    it = with_eyes().fly_out()
     for reach_cm in (1000, 1600, 1000):
-        vehicle.reach_cm, since_s = reach_cm, it.session.now_s
-        it.run_until(lambda it: it.session.now_s > since_s + 0.5)  # noqa: B023
+        it.vehicle.reach_cm = reach_cm
+        it.run_for(0.5)
     said = "".join(each.text for each in it.sent("STATUSTEXT"))
     assert said.count("sensor sees 10 m of R = 16 m") == 1

@@ -63,14 +63,3 @@ def test_what_comes_faster_than_it_is_handled_is_dropped(which: int) -> None:
         session.receive(portion, 1000.0)
     assert len(saved(session)) < before + 1_000 * len(portion) + INBOX
     Run(session, telemetry).run()
-
-
-def test_a_million_bytes_of_noise_leave_nothing_behind() -> None:
-    session, telemetry = in_flight(COPTER)
-    before = len(saved(session))
-    noise = bytes((k * k * 31 + k // 7) % 256 for k in range(1 << 20))
-    for at in range(0, len(noise), 1_000):
-        session.receive(noise[at : at + 1_000], 1000.0)
-        session.run()
-    assert len(saved(session)) < before + GROWTH
-    Run(session, telemetry).tick()

@@ -8,8 +8,10 @@ from collections.abc import Callable, Sequence
 from typing import Any, Self, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 import pytest
+from made_up_plans import certificate as certificate
+from made_up_plans import not_planned, straight
+from made_up_plans import planned as planned
 from renewed import replace
 
 from companion.config import load_mission
@@ -21,17 +23,7 @@ from companion.mission.events import Command, Event, Landed, Mode, ScanDone, Vec
 from companion.mission.mission import EndAction, Mission
 from companion.mission.state import Phase, Reason, State
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
-from companion.path.certificate import Certificate
-from companion.path.subpath import Subpath
-from companion.planner.request import (
-    Backtrack,
-    NotPlanned,
-    Planned,
-    PlanOutcome,
-    PlanRequest,
-    Refusal,
-)
-from companion.planner.settings import Task
+from companion.planner.request import Backtrack, PlanOutcome, PlanRequest
 from companion.world.known_map import NO_ANSWER, Scan, empty_map
 
 MISSION = load_mission("environment-1")
@@ -39,7 +31,6 @@ HOME_AMSL_M = 3000.0
 TAKE_OFF_AMSL_M = 3030.0  # floor 3000 m and twice the tracking error of 15 m
 TICK_S = 0.1
 SPEED_M_S = 150.0
-LEG_M = 17_000.0
 Kind = TypeVar("Kind", bound=Command)
 Step = tuple[State, Event, State, list[Command]]
 
@@ -94,74 +85,6 @@ def fresh(of: Mission = MISSION) -> State:
     return State.of(of, empty_map(of.task.cell_m, limits.north_m, limits.east_m))
 
 
-def straight(start_nea_m: npt.ArrayLike, end_nea_m: npt.ArrayLike) -> Subpath:
-    return Subpath(control_nea_m=np.linspace(np.asarray(start_nea_m), np.asarray(end_nea_m), 4))
-
-
-def certificate(
-    lowest_amsl_m: float = TAKE_OFF_AMSL_M,
-    highest_amsl_m: float = TAKE_OFF_AMSL_M,
-    broken: tuple[str, ...] = (),
-) -> Certificate:
-    """A straight subpath with nothing near it, level at the height of the take-off by default."""
-    return Certificate(
-        clearance_m=1e3,
-        keep_out_m=math.inf,
-        dead_man_m=150.0,
-        required_clearance_m=515.0,
-        required_contact_m=15.0,
-        speed_m_s=150.0,
-        turn_radius_m=math.inf,
-        climb_angle_rad=0.0,
-        dive_angle_rad=0.0,
-        lowest_amsl_m=lowest_amsl_m,
-        highest_amsl_m=highest_amsl_m,
-        off_map_m=0.0,
-        radar_m=0.0,
-        detection=0.0,
-        pieces=1,
-        broken=broken,
-    )
-
-
-def within_band(subpath: Subpath, task: Task) -> bool:
-    """Whether a planner could prove of a straight subpath that it keeps to the altitude band."""
-    heights, inset_m = subpath.control_nea_m[:, 2], task.error_m
-    lowest_m, highest_m = heights.min() - inset_m, heights.max() + inset_m
-    limits = task.limits
-    return bool(limits.floor_amsl_m <= lowest_m and highest_m <= limits.ceiling_amsl_m)
-
-
-def planned(request: PlanRequest, length_m: float = LEG_M, climb_m: float = 0.0) -> Planned:
-    """A straight subpath towards a point above the target, or to it if it is near enough.
-
-    climb_m: how much higher than its start that point is; it is level by default.  It is proven
-    as far as it keeps to the altitude band.
-    """
-    start = request.start.position_nea_m
-    target = np.array([*request.target_ne_m, start[2] + climb_m])
-    left_m = float(np.linalg.norm(target - start))
-    reaches = left_m <= length_m
-    end = target if reaches else start + (target - start) / left_m * length_m
-    subpath = straight(start, end)
-    broken = () if within_band(subpath, request.task) else ("altitude band",)
-    return Planned(
-        plan_id=request.plan_id,
-        kernel="made up",
-        subpath=subpath,
-        reaches_target=reaches,
-        cost=1.0,
-        to_go=0.0,
-        terms={"f1": 1.0},
-        certificate=certificate(*sorted((float(start[2]), float(end[2]))), broken=broken),
-        guide_rad=0.0,
-        route_ne_m=(request.target_ne_m,),
-        evaluations=60,
-        rank=0,
-        tries=1,
-    )
-
-
 def home_or_on(request: PlanRequest) -> PlanOutcome:
     """A planner that finds every way, the way back too."""
     if request.flown is None:
@@ -172,12 +95,6 @@ def home_or_on(request: PlanRequest) -> PlanOutcome:
         subpaths=(straight(here, (0.0, 0.0, here[2])),),
         through=(False,),
         reaches_start=True,
-    )
-
-
-def not_planned(request: PlanRequest) -> NotPlanned:
-    return NotPlanned(
-        plan_id=request.plan_id, refusal=Refusal.NOTHING_SAFE, broken=("floor",), evaluations=60
     )
 
 
@@ -480,6 +397,11 @@ def preparing() -> Craft:
     return craft.fly_to(Phase.PREPARING)
 
 
+def ready() -> Craft:
+    """It waits for somebody who says go."""
+    return Craft(NEAR, go=False).fly_to(Phase.READY)
+
+
 @once
 def flying(of: Mission = MISSION, **keywords: Any) -> Craft:
     """On its first leg, at speed."""
@@ -519,7 +441,7 @@ def landing() -> Craft:
 SITUATIONS: dict[str, Callable[[], Craft]] = {
     "waiting": Craft,
     "preparing": preparing,
-    "ready": lambda: Craft(go=False).fly_to(Phase.READY),
+    "ready": ready,
     "arming": lambda: Craft().fly_to(Phase.ARMING),
     "taking off": lambda: Craft().fly_to(Phase.TAKING_OFF),
     "flying": lambda: flying(AWAY),
@@ -529,12 +451,6 @@ SITUATIONS: dict[str, Callable[[], Craft]] = {
     "arrived": arrived,
     "landing": landing,
 }
-
-
-def shifted(craft: Craft, north_m: float) -> Craft:
-    """The vehicle is elsewhere all at once."""
-    craft.here = (craft.here[0] + north_m, *craft.here[1:])
-    return craft
 
 
 def order_of(craft: Any, kind: events.OrderKind) -> events.Order:

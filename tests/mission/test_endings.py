@@ -2,24 +2,26 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import pytest
 from made_up import (
     AWAY,
     COPTERS,
     Craft,
+    Step,
     flying,
     holding_without_fix,
-    mission,
-    not_planned,
+    home_or_on,
+    now,
     only_the_first,
-    planned,
-    straight,
     texts,
+    told,
     warnings,
 )
+from made_up_plans import not_planned, planned, straight
+from renewed import replace
 
+from companion.mission.battery import battery_lasts
 from companion.mission.events import Mode, OrderKind, Outcome, SetMode
 from companion.mission.mission import Fallback, Mission
 from companion.mission.phases import Phase, Reason
@@ -33,25 +35,18 @@ def no_plan(of: Mission) -> Craft:
     return flying(of, plan=only_the_first)
 
 
-def radar_silent(of: Mission) -> Craft:
-    craft = no_plan(of)
-    craft.answered = 0
-    return craft
+FAILURES: dict[str, tuple[Callable[[Mission], Craft], *tuple[Step, ...]]] = {
+    "no plan": (no_plan,),
+    "the radar is silent": (no_plan, now(answered=0)),
+    "the battery is empty": (no_plan, now(battery=0.1)),
+    "it does not follow": (flying, now(follows=False)),
+    "no fix": (holding_without_fix,),
+}
 
 
-def battery_empty(of: Mission) -> Craft:
-    craft = no_plan(of)
-    craft.battery = 0.1
-    return craft
-
-
-def does_not_follow(of: Mission) -> Craft:
-    craft = flying(of)
-    craft.follows = False
-    return craft
-
-
-FAILURES = [no_plan, radar_silent, battery_empty, does_not_follow, holding_without_fix]
+def fails(failure: str, fallback: Fallback) -> Craft:
+    begins, *script = FAILURES[failure]
+    return told(begins(replace(AWAY, fallback=fallback)), *script)
 
 
 def modes(craft: Craft) -> list[Mode]:
@@ -63,23 +58,22 @@ def modes(craft: Craft) -> list[Mode]:
 @pytest.mark.parametrize("failure", FAILURES)
 @pytest.mark.parametrize("fallback", Fallback)
 def test_a_flight_that_fails_ends_by_its_fallback_and_that_is_said_before_it_is_done(
-    failure: Callable[[Mission], Craft], fallback: Fallback
+    failure: str, fallback: Fallback
 ) -> None:
     """No way back is proven: its autopilot returns; but what does not know where it is lands."""
-    craft = failure(replace(AWAY, fallback=fallback)).fly_to(Phase.DONE)
+    craft = fails(failure, fallback).fly_to(Phase.DONE)
     assert craft.end().outcome is Outcome.FAILED
     if fallback is Fallback.HOLD:
         assert (craft.mode, craft.armed) == (Mode.HOLD, True)
         assert not {Mode.RETURN, Mode.LAND} & set(modes(craft))
         return
-    why = craft.state.flight.fallen_back.text + ": it broke floor" * (failure is no_plan)
-    hands_over = fallback is Fallback.RETURN and failure is not holding_without_fix
+    why = craft.state.flight.fallen_back.text + ": it broke floor" * (failure == "no plan")
     mode, how, end = Mode.LAND, "landing here", LANDS
-    if hands_over:
+    if fallback is Fallback.RETURN and failure != "no fix":
         mode, how, end = Mode.RETURN, "its autopilot is told to return", HANDED
     assert f"{why}: {how}" in texts(craft.commands[: craft.commands.index(SetMode(mode=mode))])
     handed = (Phase.HANDING_OVER in craft.phases, Mode.RETURN in modes(craft), craft.armed)
-    assert handed == (hands_over,) * 3
+    assert handed == (mode is Mode.RETURN,) * 3
     assert craft.mode is mode
     assert craft.end().reason == f"{end}: {why}"
 
@@ -91,11 +85,9 @@ def test_what_does_not_take_the_one_is_asked_for_the_other_or_to_hold_and_a_pers
 ) -> None:
     phases = [(Phase.HANDING_OVER, Mode.RETURN), (Phase.LANDING, Mode.LAND)]
     first, second = phases if how is Fallback.RETURN else reversed(phases)
-    craft = does_not_follow(replace(AWAY, fallback=how)).fly_to(first[0])
-    craft.obeys_modes = False
-    craft.fly_to(second[0])
-    craft.obeys_modes = obeys
-    end = craft.fly_to(Phase.DONE).end()
+    script = (first[0], now(obeys_modes=False), second[0], now(obeys_modes=obeys), Phase.DONE)
+    craft = told(fails("it does not follow", how), *script)
+    end = craft.end()
     if obeys:
         assert craft.mode is second[1]
         assert end.reason.partition(": ")[0] in (LANDS, HANDED)
@@ -116,38 +108,50 @@ def test_an_accepted_return_that_cannot_be_flown_is_left_to_the_autopilots_own(
         if request.flown is None:
             is_home = math.hypot(*request.target_ne_m) < 10.0
             return not_planned(request) if is_home else planned(request)
-        here = request.scan_nea_m
-        end = ((1.0 - share) * here[0], (1.0 - share) * here[1], here[2])
-        back = (straight(here, end),) if share else ()
+        north, east, up = request.scan_nea_m
+        end = ((1.0 - share) * north, (1.0 - share) * east, up)
+        back = (straight(request.scan_nea_m, end),) if share else ()
         some = {"subpaths": back, "through": (False,) * len(back), "reaches_start": False}
         return Backtrack(plan_id=request.plan_id, **some)
 
-    craft = flying(AWAY, plan=plan, traits=traits).run_for(20.0).order(OrderKind.RETURN)
-    craft.run_until(lambda craft: craft.over)
+    craft = told(flying(AWAY, plan=plan, traits=traits), 20.0, OrderKind.RETURN, Phase.DONE)
     assert (Phase.RETURNING in craft.phases) is (share > 0.0)
     assert craft.mode is craft.sent(SetMode)[-1].mode is Mode.RETURN
     assert craft.end().outcome is Outcome.STOPPED
     assert craft.end().reason == "its autopilot returns by itself: told to return"
 
 
-# --- why there is no plan is said in the planner's own words, with its own remedy
-
-
-def refused(request: PlanRequest, refusal: Refusal = Refusal.TARGET_IN_KEEP_OUT) -> NotPlanned:
+def refused(request: PlanRequest, refusal: Refusal) -> NotPlanned:
     return NotPlanned(plan_id=request.plan_id, refusal=refusal)
 
 
-@pytest.mark.parametrize("restarts", [False, True])
 @pytest.mark.parametrize("refusal", Refusal)
-def test_a_hold_for_want_of_a_plan_says_why_and_the_end_what_helps(
-    refusal: Refusal, restarts: bool
-) -> None:
-    """Also if the companion is started again in the landing."""
-    land = mission(fallback=Fallback.LAND)
-    craft = Craft(land, plan=lambda request: refused(request, refusal)).fly_to(Phase.LANDING)
-    end = (craft.restart() if restarts else craft).fly_to(Phase.DONE).end()
+def test_a_hold_for_want_of_a_plan_says_why_and_the_end_what_helps(refusal: Refusal) -> None:
+    """In the planner's own words, also if the companion is started again in the landing."""
+    land = replace(AWAY, fallback=Fallback.LAND)
+    craft = Craft(land, plan=lambda request: refused(request, refusal))
+    end = told(craft, Phase.LANDING, Craft.restart, Phase.DONE).end()
     why, _, remedy = refusal.value.partition("; ")
     said = Reason.NO_PLAN.text + (f": {why}" if refusal is not Refusal.NOTHING_SAFE else "")
     assert f"hold: {said}" in warnings(craft.commands)
     assert (end.outcome, end.reason) == (Outcome.FAILED, f"landed: {said}")
     assert end.remedy.lower() == f"{remedy}.".lower() != Reason.NO_PLAN.remedy.lower()
+
+
+def test_what_was_flown_of_the_way_back_before_a_pause_is_not_left_to_fly() -> None:
+    back = flying(AWAY, plan=home_or_on)
+    craft = told(back, OrderKind.RETURN, Phase.RETURNING, 10.0, OrderKind.PAUSE, Phase.HOLDING, 5.0)
+    left_s = math.dist(craft.here[:2], (0.0, 0.0)) / craft.state.task.limits.speed_m_s
+    state = replace(craft.state, vehicle=replace(craft.state.vehicle, battery=1.0))
+    for share, lasts in ((0.98, False), (1.02, True)):
+        mission = replace(AWAY, reserve=0.0, endurance_s=share * left_s)
+        assert battery_lasts(state, mission) is lasts
+
+
+def test_every_reason_says_what_happened_and_what_to_do_in_a_text_of_50_bytes() -> None:
+    texts = [reason.text for reason in Reason]
+    assert len(set(texts)) == len(texts)
+    for reason in Reason:
+        assert len(reason.text.encode()) + len("hold: ") <= 60
+        assert reason.remedy.endswith(".")
+        assert reason.text == reason.text.strip().rstrip(".")

@@ -9,21 +9,23 @@ import numpy as np
 import pytest
 from made_up import (
     AWAY,
-    LEG_M,
     MISSION,
     SPEED_M_S,
     TAKE_OFF_AMSL_M,
     TICK_S,
     Craft,
     flying,
+    now,
     once,
     position,
+    told,
 )
+from made_up_plans import LEG_M
 from renewed import replace
 
 from companion.mission import events
 from companion.mission.events import Plan, Setpoint, StartScan
-from companion.mission.phases import Phase, Reason
+from companion.mission.phases import Phase
 
 # The distances of environment-1 by hand: V = 150 m/s, a = 5 m/s2, T = 5 s, t_scan = 4 s,
 # d_s = 500 m, R = 20 km: tail = max(0.15 R, V^2 / 2a + d_s), L = V (T + t_scan) + tail.
@@ -92,7 +94,7 @@ def test_at_p_prog_the_reference_goes_over_to_the_next_leg_and_setpoints_are_con
     np.testing.assert_allclose(steps_m, SPEED_M_S * TICK_S, atol=1e-6)
 
 
-def test_setpoints_lie_on_the_leg_nose_ahead_and_keep_to_speed_and_acceleration_to_rest() -> None:
+def test_setpoints_lie_on_the_leg_and_lead_along_it_nose_ahead_to_rest_at_its_target() -> None:
     setpoints = Craft(AWAY).fly_to(Phase.DONE).sent(Setpoint)
     for setpoint in setpoints[100:]:
         north, east, altitude = setpoint.position_nea_m
@@ -102,19 +104,12 @@ def test_setpoints_lie_on_the_leg_nose_ahead_and_keep_to_speed_and_acceleration_
         along = [speed * NORTH_EAST, speed * NORTH_EAST, 0.0]
         np.testing.assert_allclose(setpoint.velocity_nea_m_s, along, atol=1e-6)
         assert setpoint.yaw_rad == pytest.approx(math.pi / 4, abs=0.02)  # at its target, too
-    speeds = np.array([math.hypot(*s.velocity_nea_m_s) for s in setpoints])
-    assert speeds.max() == pytest.approx(SPEED_M_S)
-    changes = np.diff(speeds) / TICK_S
-    assert changes.max() <= 5.0 + 1e-6
-    assert changes.min() >= -2.0 * 5.0 - 1e-6  # it may brake twice as hard
     assert setpoints[-1].velocity_nea_m_s == (0.0, 0.0, 0.0)
     np.testing.assert_allclose(setpoints[-1].position_nea_m[:2], (20_000.0, 20_000.0), atol=1.0)
 
 
 def test_the_reference_waits_for_a_vehicle_that_falls_behind_and_goes_on_when_it_follows() -> None:
-    craft = flying()
-    craft.follows = False
-    craft.velocity = (0.5, 0.5, 0.0)
+    craft = told(flying(), now(follows=False, velocity=(0.5, 0.5, 0.0)))
     ahead = [s for _ in range(100) for s in craft.tick() if isinstance(s, Setpoint)]
     leads = [math.dist(s.position_nea_m, craft.here) for s in ahead]
     assert max(leads) <= SPEED_M_S * 1.0 + SPEED_M_S * TICK_S
@@ -139,23 +134,3 @@ def test_a_datagram_that_was_overtaken_or_comes_twice_changes_nothing() -> None:
     for setpoint in sent:
         assert flown_m(setpoint) >= flown_m(newest)
         assert setpoint.velocity_nea_m_s[0] >= 0.0
-
-
-# --- a silent radar
-
-
-@pytest.mark.parametrize(
-    ("answers", "scans"), [((0,), 1), ((1,), 3), ((2,), 1), ((1, 0), 2), ((1, 1, 0), 3)]
-)
-def test_from_rest_a_radar_that_left_something_out_is_asked_twice_more(
-    answers: tuple[int, ...], scans: int
-) -> None:
-    """What another look does not show either is planned without."""
-    craft = Craft()
-    craft.asked = 2
-    while not craft.sent(Plan) and craft.phase is not Phase.HOLDING:
-        asked = len(craft.sent(StartScan))
-        craft.answered = answers[min(max(asked, 1), len(answers)) - 1]
-        craft.tick()
-    assert len(craft.sent(StartScan)) == scans
-    assert (answers == (0,)) == (craft.state.reason is Reason.RADAR_SILENT)

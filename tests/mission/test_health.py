@@ -1,7 +1,7 @@
 """Thresholds: 0.5 s without a position, 1 s frozen, a jump of 1.5 times what can be flown.
 
 Over a short time a jump is also what the speeds that were told cannot have made of the last one.
-In flight a position that is not believed is a hold, with what is wrong with it in words.
+In flight a position that is not believed is a hold: `test_stories`.
 """
 
 import copy
@@ -12,14 +12,13 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made_up import COPTERS, MISSION, Craft, position, shifted, texts
+from made_up import MISSION, position
 from renewed import replace
 
-from companion.mission.events import Landed, Mode, Plan, Position, Setpoint
+from companion.mission.events import Landed, Position
 from companion.mission.health import TRUST_S, distrust, take_distrust, take_position
-from companion.mission.phases import Phase, Reason
+from companion.mission.phases import Reason
 from companion.mission.state import Vehicle
-from companion.mission.vehicle_traits import VehicleTraits
 
 LIMITS = MISSION.task.limits
 GOOD = Vehicle(fix_good=True, estimator_good=True, fix_at_s=math.inf, estimator_at_s=math.inf)
@@ -170,6 +169,11 @@ def jumps(north_m: float) -> Callable[[Track], None]:
     return lambda track: setattr(track, "north_m", track.north_m + north_m)
 
 
+def speaks(**says: bool) -> Callable[[Track], object]:
+    """What vouches for its position says so, or does not."""
+    return lambda track: track.vouch(**says)
+
+
 def unseen(track: Track) -> None:
     """For ten seconds; in them it flies to where it can."""
     track.time_s += 10.0
@@ -190,19 +194,7 @@ def circles(track: Track) -> None:
     track.turn_rad_s, track.step_s = 0.25, 0.4
 
 
-def doubted(track: Track) -> None:
-    """Its estimator says that it does not know."""
-    track.vouch(estimator=False)
-
-
-def lost(track: Track) -> None:
-    track.vouch(fix=False, estimator=False)
-
-
-def vouched(track: Track) -> None:
-    track.vouch()
-
-
+doubted, lost, vouched = speaks(estimator=False), speaks(fix=False, estimator=False), speaks()
 GLITCH: tuple[Happening, ...] = (doubted, 10.0, jumps(50.0), 10.0, vouched)
 """What estimators give in to."""
 
@@ -234,30 +226,3 @@ def test_after_a_loss_or_a_glitch(happens: tuple[Happening, ...], believed: bool
     for each in happens:
         track.fly(each) if isinstance(each, float) else each(track)
     assert track.reason is (None if believed else Reason.POSITION_ELSEWHERE)
-
-
-# --- in flight
-
-
-@COPTERS
-@pytest.mark.parametrize("taken", [False, True])
-def test_it_holds_where_the_vehicle_cannot_be_says_how_far_off_and_goes_on_once_it_agrees(
-    traits: VehicleTraits, taken: bool
-) -> None:
-    """It gets a fix that is 50 m off; also while somebody else has it, who then gives it back."""
-    craft = Craft(traits=traits).fly_to(Phase.FLYING).run_for(10.0)
-    craft.mode = Mode.OTHER if taken else craft.mode
-    craft.fix = False
-    craft.run_for(3.0)
-    craft.fix = True
-    shifted(craft, 50.0).run_for(10.0)
-    craft.mode = Mode.GUIDED if taken else craft.mode
-    craft.run_for(5.0)
-    assert craft.state.reason is Reason.POSITION_ELSEWHERE
-    assert craft.mode is Mode.HOLD
-    said = texts(craft.commands)[-1].removeprefix(f"hold: {Reason.POSITION_ELSEWHERE.text}: ")
-    off_m, allowed_m = (float(each.split(" m ")[0]) for each in said.split(", "))
-    assert off_m == pytest.approx(50.0, abs=8.0)  # it stops within a tick
-    assert allowed_m < off_m
-    assert not [c for c in craft.during(30.0) if isinstance(c, Setpoint | Plan)]
-    assert shifted(craft, -50.0).run_for(10.0).phase is Phase.FLYING

@@ -5,13 +5,13 @@ import math
 from itertools import pairwise
 
 import pytest
-from made_up import AWAY, EACH, PLANES, flying
+from made_up import AWAY, EACH, PLANES, flying, position
 from renewed import replace
 from wild import HOME_AMSL_M, Wild
 
 from companion.mavlink.autopilots import PX4_FIXED_WING
 from companion.mission import checkpoint, events, stopped
-from companion.mission.decisions import Context, Turn
+from companion.mission.decisions import Context
 from companion.mission.events import Arm, Landed, Mode, Outcome, SetMode, Setpoint, TakeOff
 from companion.mission.following import outside_m
 from companion.mission.mission import EndAction
@@ -139,15 +139,6 @@ def test_a_restart_at_any_moment_of_a_flight_goes_on_without_a_jump(
     assert outcome_of(wild) is Outcome.ARRIVED
 
 
-@EACH
-def test_a_restart_while_it_has_not_lifted_off_yet_goes_on(traits: VehicleTraits) -> None:
-    """Armed, and told to take off, an autopilot spins its motors up for a second or two."""
-    wild = Wild.calmly(traits).fly_to(Phase.TAKING_OFF)
-    wild.wrong["weak"], wild.landed = wild.now_s + 3.0, events.Landed.ON_GROUND
-    wild._restart()
-    assert outcome_of(wild) is Outcome.ARRIVED
-
-
 def test_what_is_restored_is_what_was_kept() -> None:
     """Under a fence, too."""
     craft = flying(AWAY)
@@ -160,17 +151,6 @@ def test_what_is_restored_is_what_was_kept() -> None:
     assert again == {**checkpoint.values_of(craft.state), "phase": Phase.WAITING.name}
     assert state.task == craft.state.task
     assert state.airborne
-
-
-def test_what_was_flown_of_a_leg_before_a_reboot_is_part_of_the_way_back() -> None:
-    craft = flying(AWAY).run_for(20.0)
-    leg, at_m = craft.state.leg, craft.state.path.reference.length_m
-    known, state = craft.state.flight.known, craft.reboot().state
-    assert (state.vehicle.position_nea_m, state.leg) == (None, None)
-    assert state.flight.known is known  # of the map all is kept
-    flown = state.flight.flown[-1]
-    assert at_m > 10.0
-    assert (flown.until_m, flown.control_nea_m) == (at_m, leg.subpath.control_nea_m)
 
 
 # --- planes
@@ -199,38 +179,15 @@ def test_a_plane_that_sinks_or_rises_out_of_its_tube_has_left_it(
     aside_m, tube_m = 0.9 * task.limits.loiter_radius_m, task.envelope.tube_m
     for share, out_m in ((0.98, 0.0), (1.02, 0.02 * tube_m)):
         here = (north + aside_m, east, up + sign * share * tube_m)
-        event = events.Position(
-            time_s=wild.now_s, position_nea_m=here, velocity_nea_m_s=(9.0, 0.0, 0.0)
-        )
+        event = position(wild.now_s, here, (9.0, 0.0, 0.0))
         assert outside_m(state, state.path, event)[0] == pytest.approx(out_m, abs=1e-6)
 
 
-@pytest.mark.parametrize("far", [False, True])
-def test_a_plane_that_passes_or_lands_too_far_from_its_target_says_so(far: bool) -> None:
-    """It has not arrived where it was to land."""
-    wild = Wild.calmly(PX4_FIXED_WING.traits, end_action=EndAction.LAND).fly_to(Phase.ARRIVED)
-    turn, here = Turn(wild.state, wild.context), wild.state.vehicle.position_nea_m
-    off_m = (1.1 if far else 0.9) * wild.state.task.limits.tracking_error_m
-    wild.state.flight.hover_nea_m = (here[0] + off_m, *here[1:])
-    stopped.say_reached(wild.state, turn)
-    (said,) = turn.commands
-    assert said.text == "target reached" + f": passed {off_m:.0f} m away" * far
-    assert said.warning is far
-    if far:
-        wild.fly_to(Phase.LANDING)
-        within_m = stopped.lands_within_m(wild.state)
-        target = wild.here[0], wild.here[1] + 2.0 * within_m + 50.0
-        wild.state = replace(wild.state, targets_ne_m=(target,))
-        assert outcome_of(wild) is Outcome.FAILED
-        off_m = math.dist(wild.here[:2], target)
-        assert off_m > within_m
-        assert wild.sent(events.End)[0].reason == f"landed {off_m:.0f} m from where it was to land"
-
-
-def circling(traits: VehicleTraits) -> Wild:
-    """A plane in guided mode that has just been told where to wait for its first leg."""
-    plane = Wild.calmly(traits).aloft(Mode.GUIDED).fly_to(Phase.FLYING)
-    return plane.run_until(lambda plane: plane.state.flight.hover_nea_m is not None)
+def test_a_plane_that_lands_too_far_from_where_it_was_to_land_has_not_arrived() -> None:
+    wild = Wild.calmly(PX4_FIXED_WING.traits, end_action=EndAction.LAND).fly_to(Phase.LANDING)
+    off_m = 2.0 * stopped.lands_within_m(wild.state) + 50.0
+    wild.state = replace(wild.state, targets_ne_m=((wild.here[0], wild.here[1] + off_m),))
+    assert outcome_of(wild) is Outcome.FAILED
 
 
 @PLANES
@@ -238,14 +195,14 @@ def circling(traits: VehicleTraits) -> Wild:
 def test_no_leg_is_planned_from_a_circle_that_the_plane_is_not_on(
     traits: VehicleTraits, beyond: float
 ) -> None:
-    """Dense about the limit: a tracking error outside of the circle."""
-    plane = circling(traits)
+    """Dense about the limit, a tracking error outside of the circle that it was just told."""
+    plane = Wild.calmly(traits).aloft(Mode.GUIDED).fly_to(Phase.FLYING)
+    plane.run_until(lambda plane: plane.state.flight.hover_nea_m is not None)
     limits, (north, east, up) = plane.mission.task.limits, plane.here
     away_m = limits.loiter_radius_m + beyond * limits.tracking_error_m
     flight = replace(plane.state.flight, hover_nea_m=(north + away_m, east, up))
     plane.state = replace(plane.state, flight=flight, search=None)
     speed, scans = (limits.speed_m_s, 0.0, 0.0), len(plane.sent(events.StartScan))
     for later_s in (0.1, 0.2):
-        at_s = plane.now_s + later_s
-        plane.take(events.Position(time_s=at_s, position_nea_m=plane.here, velocity_nea_m_s=speed))
+        plane.take(position(plane.now_s + later_s, plane.here, speed))
     assert (len(plane.sent(events.StartScan)) > scans) is (beyond < 1.0)

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import pytest
-from made_up import COPTERS, EACH, HOME_AMSL_M, LAND, OVER, SITUATIONS, TICK_S, Craft
+from made_up import EACH, HOME_AMSL_M, LAND, OVER, SITUATIONS, TICK_S, Craft, now, told
 
 from companion.mission import changes, events
 from companion.mission.events import Mode, OrderKind, Outcome, SetMode, Setpoint, Tick
@@ -75,27 +75,21 @@ def test_a_vehicle_that_will_not_arm_is_left_out_of_its_take_off_mode(
     traits: VehicleTraits, arms_late: bool
 ) -> None:
     """Nor does it take off by an arming that comes through when it was given up."""
-    craft = Craft(traits=traits)
-    craft.arms = False
-    craft.fly_to(Phase.ARMING).run_until(lambda craft: bool(craft.sent(events.End)), 100.0)
+    craft = told(Craft(traits=traits), now(arms=False), Phase.ARMING)
+    craft.run_until(lambda craft: bool(craft.sent(events.End)), 100.0)
     assert craft.end().reason == Reason.NOT_ARMED.text
     ended = craft.steps[-1][3] or craft.commands[-3:]
     craft.armed = arms_late
     assert is_safe_alone(craft, ended)
 
 
-@COPTERS
-@pytest.mark.parametrize(
-    ("accepts", "asked"), [(True, {4.8: 1, 1.0: 2}), (False, {3.5: 4})], ids=["accepted", "refused"]
-)
-def test_a_take_off_is_asked_for_once_a_second_and_after_it_was_accepted_if_it_does_not_begin(
-    traits: VehicleTraits, accepts: bool, asked: dict[float, int]
+@pytest.mark.parametrize(("accepts", "asked"), [(True, 2), (False, 6)])
+def test_a_take_off_is_asked_for_each_second_or_again_if_one_that_was_accepted_does_not_begin(
+    accepts: bool, asked: int
 ) -> None:
-    craft = Craft(traits=traits)
-    craft.takes_off, craft.accepts = False, accepts
+    craft = told(Craft(), now(takes_off=False, accepts=accepts))
     craft.run_until(lambda craft: bool(craft.sent(events.TakeOff)))
-    for seconds, times in asked.items():
-        assert len(craft.run_for(seconds).sent(events.TakeOff)) == times
+    assert len(craft.run_for(5.8).sent(events.TakeOff)) == asked
 
 
 @pytest.mark.parametrize("kind", [OrderKind.PAUSE, OrderKind.RETURN, OrderKind.LAND])

@@ -36,18 +36,17 @@ def dead(craft: Craft) -> Event:
     return seen(craft, Sight.DEAD)
 
 
-def never_heard(craft: Craft) -> Event:
-    return seen(craft, Sight.NEVER_HEARD)
-
-
 def ground(craft: Craft, above_m: float = 5.0) -> Event:
     """So much higher than the map says."""
     return GroundSeen(time_s=craft.now_s, above_m=above_m)
 
 
-def well(craft: Craft, wrong: Sees) -> Event:
-    """That nothing is wrong any more."""
-    return ground(craft, 0.0) if wrong is ground else seen(craft)
+WRONG: dict[str, tuple[Sees, Sees, Reason]] = {
+    "dead": (dead, seen, Reason.SENSOR_SILENT),
+    "never heard": (lambda it: seen(it, Sight.NEVER_HEARD), seen, Reason.SENSOR_SILENT),
+    "nearer": (ground, lambda it: ground(it, 0.0), Reason.GROUND_NEARER),
+}
+"""What is wrong, that it is over, and what is said of it."""
 
 
 def on_path(craft: Craft, ahead_m: float) -> tuple[float, float]:
@@ -57,29 +56,17 @@ def on_path(craft: Craft, ahead_m: float) -> tuple[float, float]:
     return north, east
 
 
-def meets(craft: Craft) -> NearSeen:
-    """Something in its way, 6 km ahead."""
-    return seen(craft, Sight.SEES, on_path(craft, 6000.0))
-
-
 def told(craft: Craft, reason: Reason) -> int:
     return sum(text.startswith(reason.text) for text in texts(craft.commands))
 
 
-@pytest.mark.parametrize(
-    ("wrong", "reason"),
-    [
-        (dead, Reason.SENSOR_SILENT),
-        (never_heard, Reason.SENSOR_SILENT),
-        (ground, Reason.GROUND_NEARER),
-    ],
-)
+@pytest.mark.parametrize(("wrong", "well", "reason"), WRONG.values(), ids=[*WRONG])
 def test_what_is_not_seen_or_nearer_stops_it_on_its_path_until_that_is_over(
-    wrong: Sees, reason: Reason
+    wrong: Sees, well: Sees, reason: Reason
 ) -> None:
     craft = flying(MISSION)
     leg, reference = craft.state.leg, craft.state.reference
-    craft.take(well(craft, wrong))
+    craft.take(well(craft))
     assert craft.state.path.stop is None
     for _ in range(3):
         craft.take(wrong(craft))
@@ -93,7 +80,7 @@ def test_what_is_not_seen_or_nearer_stops_it_on_its_path_until_that_is_over(
     assert len(places) > 20
     assert max(off_m(leg.subpath, place) for place in places) < 0.1  # on its path
     assert craft.run_for(5.0).phase is Phase.HOLDING
-    craft.take(well(craft, wrong))
+    craft.take(well(craft))
     craft.fly_to(Phase.FLYING).fly_to(Phase.ARRIVED)
 
 
@@ -120,11 +107,12 @@ def test_something_in_its_way_stops_it_at_once(blind: bool) -> None:
     craft = flying(MISSION)
     if blind:
         craft.take(dead(craft))
-    craft.take(meets(craft))
+    meets = seen(craft, Sight.SEES, on_path(craft, 6000.0))
+    craft.take(meets)
     stop = craft.state.path.stop
     assert stop.reason is Reason.NEW_THREAT
     assert told(craft, Reason.SENSOR_SILENT) == blind
-    craft.take(meets(craft))
+    craft.take(meets)
     assert craft.state.path.stop is stop
     assert craft.fly_to(Phase.HOLDING).state.reason is Reason.NEW_THREAT
 
@@ -147,13 +135,11 @@ def test_a_copter_behind_its_reference_stops_as_far_from_where_it_is_itself() ->
     path, vehicle = craft.state.path, craft.state.vehicle
     at_m = 0.6 * path.reference.length_m
     place = path.leg.subpath.pose(at_m).point_nea_m
-    behind = replace(craft.state, vehicle=replace(vehicle, position_nea_m=place))
-    stopped = deep(behind)
-    following.stop(stopped, Reason.NEW_THREAT, Turn(stopped, craft.context))
-    brakes_m = path.reference.speed_m_s**2 / (2.0 * LIMITS.acceleration_m_s2)
-    stops_at_m = max(at_m + brakes_m, path.reference.length_m)
-    assert stopped.path.stop.at_m == pytest.approx(stops_at_m, rel=1e-3)
-    age_s = 1.0
-    later = replace(behind, now_s=behind.now_s + age_s)
-    gained_m = following.vehicle_at_m(later, path) - following.vehicle_at_m(behind, path)
-    assert gained_m == pytest.approx(np.linalg.norm(vehicle.velocity_nea_m_s) * age_s, rel=1e-3)
+    for age_s in (0.0, 1.0):
+        at_s, behind = craft.state.now_s + age_s, replace(vehicle, position_nea_m=place)
+        stopped = deep(replace(craft.state, now_s=at_s, vehicle=behind))
+        following.stop(stopped, Reason.NEW_THREAT, Turn(stopped, craft.context))
+        flown_m = at_m + age_s * np.linalg.norm(vehicle.velocity_nea_m_s)
+        brakes_m = path.reference.speed_m_s**2 / (2.0 * LIMITS.acceleration_m_s2)
+        stops_at_m = max(flown_m + brakes_m, path.reference.length_m)
+        assert stopped.path.stop.at_m == pytest.approx(stops_at_m, rel=1e-3)

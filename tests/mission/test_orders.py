@@ -15,7 +15,7 @@ from made_up import (
     Step,
     flying,
     home_or_on,
-    order_of,
+    now,
     tell,
     texts,
     told,
@@ -40,9 +40,6 @@ HOLDING, RETURNING, LANDING = Phase.HOLDING, Phase.RETURNING, Phase.LANDING
 
 def under_way(of: Mission | None = None) -> Craft:
     return flying(of or AWAY, plan=home_or_on)
-
-
-# --- which, and where
 
 
 GOING_UP = {"arming", "taking off"}
@@ -90,22 +87,21 @@ def test_an_order_is_accepted_where_it_is_carried_out_and_what_is_accepted_is_do
         assert carried_out(kind, craft)
 
 
-@pytest.mark.parametrize("target_ne_m", [(1e6, 0.0), (math.nan, 0.0), None], ids=str)
-def test_a_target_that_cannot_be_one_is_invalid(target_ne_m: tuple[float, float] | None) -> None:
-    craft = flying(AWAY)
-    asked = Order(time_s=craft.now_s, kind=REPOSITION, target_ne_m=target_ne_m)
-    assert changes.order_result(craft.state, asked) is OrderResult.INVALID
-    why = "it has no target" if target_ne_m is None else "the target: it lies outside the map"
-    assert changes.why_not(craft.state, asked).startswith(f"reposition refused: {why}")
-
-
-def test_who_cannot_land_is_not_told_to_and_what_only_watches_obeys_nobody() -> None:
+def test_an_order_that_can_never_be_carried_out_is_invalid_and_who_only_watches_obeys_nobody() -> (
+    None
+):
     craft, shadow = flying(AWAY), Craft(shadow=True)
-    craft.state = replace(
-        craft.state, vehicle=replace(craft.state.vehicle, traits=ARDUPLANE.traits)
-    )
-    assert tell(craft, LAND) is OrderResult.INVALID
-    assert "send it back" in changes.why_not(craft.state, order_of(craft, LAND))
+    vehicle = replace(craft.state.vehicle, traits=ARDUPLANE.traits)
+    craft.state = replace(craft.state, vehicle=vehicle)
+    for kind, target_ne_m, why in (
+        (REPOSITION, (1e6, 0.0), "reposition refused: the target: it lies outside the map"),
+        (REPOSITION, (math.nan, 0.0), "reposition refused: the target: it lies outside the map"),
+        (REPOSITION, None, "reposition refused: it has no target"),
+        (LAND, None, "send it back"),  # who cannot land is not told to
+    ):
+        asked = Order(time_s=craft.now_s, kind=kind, target_ne_m=target_ne_m)
+        assert changes.order_result(craft.state, asked) is OrderResult.INVALID
+        assert why in changes.why_not(craft.state, asked)
     shadow.run_until(lambda craft: craft.phase is Phase.SHADOW)
     assert {tell(shadow, kind) for kind in OrderKind} == {OrderResult.NOT_NOW}
 
@@ -140,25 +136,16 @@ def test_the_last_order_counts_and_a_pause_gives_back_what_it_broke_off(
 
 
 @pytest.mark.parametrize("found_in", [Mode.GUIDED, Mode.HOLD])
-def test_a_companion_started_again_in_flight_knows_the_whole_way_back(found_in: Mode) -> None:
-    craft = under_way().run_for(30.0).restart()
-    craft.mode = found_in
-    told(craft, 20.0, RETURN)
+@pytest.mark.parametrize("again", [Craft.restart, Craft.reboot])
+def test_after_a_restart_or_a_reboot_in_flight_the_whole_way_back_is_known(
+    found_in: Mode, again: Step
+) -> None:
+    craft = told(under_way(), 30.0, again, now(mode=found_in), 20.0, RETURN)
     craft.run_until(lambda craft: getattr(craft.state.stage, "backtrack", None))
     flown = craft.sent(Plan)[-1].request.flown
     assert flown is not None
     away_m = math.hypot(*craft.here[:2])
     assert sum(each.until_m - each.from_m for each in flown) == pytest.approx(away_m, rel=0.01)
-
-
-def on_its_way_back(traits: VehicleTraits) -> Wild:
-    """Along what it flew: more than one stretch."""
-    wild = Wild.calmly(traits, targets_ne_m=((400.0, 300.0), (-500.0, 200.0)))
-    wild.run_until(lambda wild: wild.state.flight.target == 1).run_for(12.0)
-    tell(wild, RETURN)
-    wild.fly_to(RETURNING).run_for(3.0)
-    assert len(ways_left(wild)) > 1
-    return wild
 
 
 def ways_left(wild: Wild) -> list[bytes]:
@@ -168,28 +155,24 @@ def ways_left(wild: Wild) -> list[bytes]:
     return [leg.subpath.control_nea_m.tobytes() for leg in legs if leg is not None]
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(2)
 @EACH
-@pytest.mark.parametrize("what", ["pause", "pause and at once on", "restart", "paused restart"])
-def test_no_stretch_of_the_way_back_is_lost_in_a_pause_or_a_restart(
-    traits: VehicleTraits, what: str
+@pytest.mark.parametrize("restarts", [False, True])
+def test_no_stretch_of_the_way_back_is_lost_in_a_pause_or_a_restart_in_it(
+    traits: VehicleTraits, restarts: bool
 ) -> None:
     """A plane circles at once; a copter brakes first, and flies it to its end, never on."""
-    wild = on_its_way_back(traits)
-    left, plans, pauses = ways_left(wild), len(wild.sent(Plan)), "pause" in what
-    if pauses:
-        tell(wild, PAUSE)
-    if "restart" in what:
+    wild = Wild.calmly(traits, targets_ne_m=((400.0, 300.0), (-500.0, 200.0)))
+    wild.run_until(lambda wild: wild.state.flight.target == 1).run_for(12.0)
+    tell(wild, RETURN)
+    left, plans = ways_left(wild.fly_to(RETURNING).run_for(3.0)), len(wild.sent(Plan))
+    assert len(left) > 1
+    tell(wild, PAUSE)
+    if restarts:
         wild._restart()
-    if "at once" in what:
-        wild.run_for(1.0)
-    else:
-        wild.fly_to(HOLDING)
-        assert ways_left(wild) == left
-        wild.run_until(lambda wild: not pauses or wild.state.reason is Reason.PAUSED)
-        wild.run_for(40.0 if pauses else 0.0)
-    if pauses:
-        tell(wild, CONTINUE)
+    assert ways_left(wild.fly_to(HOLDING)) == left
+    wild.run_until(lambda wild: wild.state.reason is Reason.PAUSED).run_for(40.0)
+    tell(wild, CONTINUE)
     wild.run_until(lambda wild: wild.state.phase not in (HOLDING, Phase.PREPARING))
     assert wild.state.phase is RETURNING or wild.state.flight.homeward
     if traits.hovers:
@@ -197,6 +180,3 @@ def test_no_stretch_of_the_way_back_is_lost_in_a_pause_or_a_restart(
         assert len(wild.sent(Plan)) == plans
         assert wild.here == pytest.approx((0.0, 0.0, HOME_AMSL_M), abs=1.0)
         assert f"hold: {Reason.OFF_PATH.text}" not in texts(wild.said_to)
-
-
-# --- how it is done

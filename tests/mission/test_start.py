@@ -13,7 +13,7 @@ from made_up import (
     moving,
     now,
     order_of,
-    preparing,
+    ready,
     tell,
     texts,
     warnings,
@@ -24,27 +24,13 @@ from companion.mavlink.autopilots import ARDUCOPTER
 from companion.mission import changes, checkpoint, events
 from companion.mission.changes import OrderResult
 from companion.mission.decisions import Context
-from companion.mission.events import Command, End, Item, Mode, OrderKind, Outcome
+from companion.mission.events import End, Item, Mode, OrderKind, Outcome
 from companion.mission.phases import Phase, Reason
 from companion.mission.tables import is_under_control
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.zones import CircleZone
 
 # --- go
-
-
-def ready(traits: VehicleTraits = ARDUCOPTER.traits) -> Craft:
-    return Craft(NEAR, traits=traits, go=False).fly_to(Phase.READY)
-
-
-@EACH
-def test_a_vehicle_that_is_ready_waits_for_as_long_as_it_takes(traits: VehicleTraits) -> None:
-    craft = ready(traits).run_for(200.0)
-    assert craft.phase is Phase.READY
-    assert not moving(craft.commands)
-    assert sum("waits for go" in text for text in texts(craft.commands)) == 1
-    assert tell(craft, OrderKind.START) is OrderResult.ACCEPTED
-    assert craft.fly_to(Phase.TAKING_OFF).sent(events.Arm)
 
 
 def drains(craft: Craft) -> None:
@@ -82,58 +68,12 @@ def test_a_check_that_fails_while_it_waits_is_told_and_a_go_refused_with_it(why:
     assert len(craft.sent(events.RequestStreams)) == 1
 
 
-def test_who_arms_it_after_a_reboot_on_the_ground_keeps_it() -> None:
-    it = Wild.calmly(ARDUCOPTER.traits)
-    it.fly_to(Phase.ARMING).run_until(lambda it: it.state.armed_by_us)
-    it.take(events.Rebooted(time_s=it.now_s))
-    it.armed, it.mode = True, Mode.OTHER
-    count = len(it.said_to)
-    it.run_until(lambda it: it.over, 30.0)
-    assert it.state.reason is Reason.ARMED_ALREADY
-    assert not moving(it.said_to[count:])
-
-
 # --- two companions of one vehicle
 
 
-def beat(it: Craft | Wild, number: int) -> None:
+def beat(it: Wild, number: int) -> None:
     """Another companion is heard, as from the wire: the third time is certain."""
     it.take(events.DuplicateId(time_s=it.now_s, certain=number >= 2, news=number == 2))
-
-
-def shared(it: Craft | Wild, seconds: int, every_s: float = 1.0) -> list[Command]:
-    """What it does while another companion is heard each second."""
-    count = len(it.said_to)
-    for number in range(seconds):
-        beat(it, number)
-        it.run_for(every_s)
-    return it.said_to[count:]
-
-
-def arming() -> Craft:
-    craft = Craft().fly_to(Phase.ARMING)
-    craft.arms = False
-    return craft.run_for(2.0)
-
-
-@pytest.mark.parametrize("made", [preparing, arming])
-def test_on_the_ground_both_refuse(made: Callable[[], Craft]) -> None:
-    """Before anything was said to the vehicle; and one that is to be armed is not."""
-    craft = made()
-    craft.fix = True
-    shared(craft, 3)
-    end = craft.end()
-    assert end.outcome is Outcome.FAILED
-    assert (end.reason, end.remedy) == (Reason.NOT_ALONE.text, Reason.NOT_ALONE.remedy)
-    assert not craft.sent(events.TakeOff)
-    assert made is arming or not moving(craft.commands)
-
-
-@EACH
-def test_the_one_that_flies_flies_on_and_says_so_once(traits: VehicleTraits) -> None:
-    it = Wild.calmly(traits).run_until(lambda it: it.state.leg is not None)
-    assert warnings(shared(it, 20)) == [f"{Reason.NOT_ALONE.text}: end it"]
-    assert it.fly_to(Phase.DONE).said_to[-1].outcome is Outcome.ARRIVED
 
 
 @EACH
@@ -143,7 +83,9 @@ def test_the_one_that_comes_second_ends_without_a_command(
 ) -> None:
     """The first streams, so in guided mode there is no second in which it is not heard."""
     it = Wild.calmly(traits).aloft(mode)
-    shared(it, 6)
+    for number in range(6):
+        beat(it, number)
+        it.run_for(1.0)
     assert it.state.phase is Phase.DONE
     assert it.sent(End)[0].reason == Reason.NOT_ALONE.text
     assert not moving(it.said_to)
@@ -159,7 +101,9 @@ def test_one_that_hears_of_the_first_just_after_it_took_over_yields(
     it = Wild.calmly(traits).run_until(lambda it: it.state.leg is not None).run_for(5.0)
     it._restart()
     it.run_for(first_heard_s)
-    shared(it, 2, every_s=0.75)
+    for number in range(2):
+        beat(it, number)
+        it.run_for(0.75)
     count = len(it.said_to)
     beat(it, 2)
     assert not moving(it.said_to[count:])
@@ -180,22 +124,16 @@ def test_without_its_memory_it_takes_over_in_flight_and_arrives(traits: VehicleT
     assert [text for text in said if "without memory" in text and "torn" in text]
 
 
-def test_without_its_memory_it_never_arms() -> None:
-    values = checkpoint.without_checkpoint("torn", system_id=1, time_s=100.0)
-    craft = Craft()
-    craft.state = checkpoint.initial_state(mission(), (values, None))
-    craft.now_s = 100.0
-    craft.run_until(lambda craft: bool(craft.sent(End)))
-    assert craft.end().reason == Reason.GROUNDED.text
-    assert not moving(craft.commands)
-
-
-def test_what_was_armed_before_a_restart_is_put_down_and_not_left_armed() -> None:
-    it = Wild.calmly(ARDUCOPTER.traits)
-    it.fly_to(Phase.ARMING).run_until(lambda it: it.armed)
+def test_without_its_memory_it_never_arms_and_what_was_armed_before_is_put_down() -> None:
+    it = Wild.calmly(ARDUCOPTER.traits).fly_to(Phase.ARMING).run_until(lambda it: it.armed)
     it.watch.context = it.context = Context(mission=it.mission, seed=1, go=False)
     it.resumes(checkpoint.values_of(it.state))
     it.run_until(lambda it: it.over, 30.0)
     assert it.state.reason is Reason.NOT_READY
     assert it.sent(events.Disarm)
     assert not it.sent(events.TakeOff)
+    craft = Craft()
+    torn = checkpoint.without_checkpoint("torn", system_id=1, time_s=0.0)
+    craft.state = checkpoint.initial_state(craft.context.mission, (torn, None))
+    assert craft.fly_to(Phase.DONE).end().reason == Reason.GROUNDED.text
+    assert not moving(craft.commands)

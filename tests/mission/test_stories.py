@@ -23,18 +23,18 @@ from made_up import (
     home_or_on,
     landing,
     moving,
-    not_planned,
     now,
     only_the_first,
-    planned,
+    order_of,
     preparing,
-    straight,
+    ready,
     texts,
     told,
 )
+from made_up_plans import not_planned, planned, straight
 from renewed import replace
 
-from companion.mission import events
+from companion.mission import changes, events
 from companion.mission.events import Landed, Mode, OrderKind, Outcome, Setpoint
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.mission.phases import Hold, Phase, Reason
@@ -72,11 +72,6 @@ def taken_over(of: Mission = AWAY) -> Craft:
     craft = Craft(of, plan=back_as_flown)
     craft.armed, craft.mode, craft.landed, craft.here = True, Mode.GUIDED, Landed.IN_AIR, OUT_NEA_M
     return craft
-
-
-def ready() -> Craft:
-    """It waits for somebody who says go."""
-    return Craft(NEAR, go=False).fly_to(READY)
 
 
 def closed_in(request: PlanRequest) -> NotPlanned:
@@ -136,6 +131,13 @@ def home_is_here(craft: Craft) -> None:
     craft.home_nea_m = craft.here
 
 
+def is_found(aside_m: float) -> Callable[[Craft], None]:
+    """So far to the north, all at once."""
+    return lambda craft: setattr(craft, "here", (craft.here[0] + aside_m, *craft.here[1:]))
+
+
+NAMESAKE = hears(events.DuplicateId, certain=True, news=True)
+GOES_ON = hears(events.DuplicateId, certain=True, news=False)
 LOSES_LINK = hears(events.LinkLost, silent_s=30.0)
 LANDS_BY_ITSELF = now(mode=Mode.LAND, failsafe=True, obeys_modes=False)
 FENCE_CHANGES = hears(events.FenceReading, items=5010)
@@ -211,12 +213,40 @@ def left_alone(craft: Craft) -> bool:
     return not moving(craft.during(150.0))
 
 
+def is_told_50_m_off(craft: Craft) -> bool:
+    """It stops within a tick."""
+    said = texts(craft.commands)[-1].rpartition(f"{Reason.POSITION_ELSEWHERE.text}: ")[2]
+    return 42.0 < float(said.split(" m ")[0]) < 58.0
+
+
+def is_led_nowhere(craft: Craft) -> bool:
+    """Nor does it plan."""
+    return not [c for c in craft.during(30.0) if isinstance(c, Setpoint | events.Plan)]
+
+
 def says(words: str) -> Callable[[Craft], bool]:
     return lambda craft: words in " ".join(texts(craft.commands))
 
 
+def refuses(kind: OrderKind, why: str) -> Callable[[Craft], bool]:
+    """Such an order, for now, and says why."""
+
+    def check(craft: Craft) -> bool:
+        order = order_of(craft, kind)
+        result, said = changes.order_result(craft.state, order), changes.why_not(craft.state, order)
+        return result is changes.OrderResult.NOT_NOW and why in said
+
+    return check
+
+
+def says_once(words: str) -> Callable[[Craft], bool]:
+    return lambda craft: sum(words in text for text in texts(craft.commands)) == 1
+
+
 IS_PAUSED, UNREAD = holds_for(Reason.PAUSED), holds_for(Reason.FENCE_UNREAD)
 BACK, PLANS = says(": flying back, then home"), says(": planning a way home")
+EMPTY_ONCE = (hears(events.Battery, remaining=0.0), 2.0, hears(events.Battery, remaining=0.0), 2.5)
+NO_PAUSE = refuses(PAUSE, f"pause refused: {Reason.BATTERY_LOW.text}")
 FALLS_BACK = (
     *(Reason.BATTERY_LOW, says(f"hold: {Reason.BATTERY_LOW.text}"), DONE),
     lambda it: it.end().outcome is Outcome.FAILED,
@@ -229,6 +259,7 @@ ASKS_BACK = until(lambda craft: getattr(craft.state.stage, "backtrack", None))
 PAUSED_BEFORE = (RETURN, now(plan=lambda _: None), ASKS_BACK, PAUSE, now(plan=home_or_on), 5.0)
 STAYS_PAUSED = (300.0, IS_PAUSED, CONTINUE, RETURNING)
 LANDS_LATE = (5.0, lambda it: it.phase is LANDING, now(obeys_modes=True), DONE, is_down)
+ELSEWHERE_FOUND = (holds_for(Reason.POSITION_ELSEWHERE), lambda it: it.mode is Mode.HOLD)
 BROKEN_OFF = (
     *(now(mode=Mode.GUIDED, failsafe=False), 120.0, IS_PAUSED, is_led_level),
     *(says("MISSION_START"), START, DONE, arrives, is_down),
@@ -254,6 +285,20 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         now(plan=planned), CONTINUE, FLYING, 20.0, LOW, Reason.BATTERY_LOW),
     "low while a pilot has it": (under_way(),
         TAKEN, HOLDING, LOW, 4.0, says(Reason.BATTERY_LOW.text), holds_for(Reason.MODE_TAKEN)),
+    "a battery may say once that it is empty": (lambda: flying(AWAY),
+        now(battery=0.8), *EMPTY_ONCE, *EMPTY_ONCE, is_flying,
+        lambda it: it.state.path.stop is None),
+    "what a battery says is believed after three seconds": (lambda: flying(AWAY),
+        now(battery=0.19), 3.0, is_flying, lambda it: it.state.flight.fallen_back is None,
+        until(lambda it: it.state.flight.fallen_back is Reason.BATTERY_LOW, 2.0)),
+    "one word of a battery that falls silent is believed after ten": (lambda: flying(AWAY),
+        hears(events.Battery, remaining=0.19), 9.5,
+        lambda it: it.state.flight.fallen_back is None,
+        until(lambda it: it.state.flight.fallen_back is Reason.BATTERY_LOW, 1.0)),
+    "a pause that the battery would end at once": (under_way(fallback=Fallback.LAND),
+        LOW, 5.0, NO_PAUSE, DONE, is_down),
+    "a pause on the way back that the battery would end": (under_way(fallback=Fallback.LAND),
+        RETURN, RETURNING, 10.0, LOW, 5.0, says(Reason.BATTERY_LOW.text), NO_PAUSE, DONE, is_down),
     # home is where the vehicle has it, and not where it was taken over
     "told to return": (taken_over, LED_ON, RETURN, DONE, is_home, BACK),
     "low": (taken_over, LED_ON, LOW, DONE, is_home, BACK),
@@ -300,6 +345,21 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "in flight a radar that left something out is asked once": (lambda: flying(AWAY),
         now(answered=1, asked=2), until(lambda it: len(it.sent(events.Plan)) == 2),
         lambda it: len(it.sent(events.StartScan)) == 2),
+    "from rest a radar that left something out is asked twice more": (Craft,
+        now(asked=2), until(lambda it: it.sent(events.Plan)),
+        lambda it: len(it.sent(events.StartScan)) == 3),
+    "and once it leaves nothing out no more": (Craft,
+        now(asked=2), until(lambda it: it.sent(events.StartScan)), now(answered=2),
+        until(lambda it: it.sent(events.Plan)), lambda it: len(it.sent(events.StartScan)) <= 2),
+    "a fix where it cannot be": (lambda: Craft().fly_to(FLYING).run_for(10.0),
+        now(fix=False), 3.0, now(fix=True), is_found(50.0), 15.0, *ELSEWHERE_FOUND,
+        is_told_50_m_off, is_led_nowhere,
+        is_found(-50.0), 10.0, is_flying),
+    "the same while a pilot has it, who then gives it back": (
+        lambda: Craft().fly_to(FLYING).run_for(10.0),
+        now(mode=Mode.OTHER, fix=False), 3.0, now(fix=True), is_found(50.0), 10.0,
+        now(mode=Mode.GUIDED), 5.0, *ELSEWHERE_FOUND, is_led_nowhere,
+        is_found(-50.0), 10.0, is_flying),
     "the link comes back": (lambda: flying(NEAR),
         2.0, LOSES_LINK, Reason.LINK_LOST, PREPARING, DONE, arrives),
     "the link and the fix come back": (lambda: holding_without_fix(NEAR),
@@ -308,6 +368,8 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         Craft.restart, until(lambda it: it.mode is Mode.HOLD), now(velocity=(0.0, 0.0, 0.0)),
         DONE, arrives),
     "a reboot at its target": (arrived, Craft.reboot, PREPARING, DONE, arrives),
+    "a restart before it has lifted off": (lambda: Craft(NEAR),
+        Phase.TAKING_OFF, Craft.restart, DONE, arrives),
     "a restart in its landing": (landing_begun, Craft.restart, DONE, is_down),
     "a reboot in its landing": (landing_begun, Craft.reboot, DONE, is_down),
     "a landing asked for in vain": (lambda: arrived(LAND),
@@ -371,6 +433,9 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "low, it does not wait for a fence": (under_way(),
         LOW, Reason.BATTERY_LOW, FENCE_CHANGES, 60.0, lambda it: it.phase is not HOLDING),
     # who says go, and to what
+    "it is ready for as long as it takes": (ready,
+        200.0, told_nothing, says_once("waits for go"), START, Phase.TAKING_OFF,
+        lambda it: len(it.sent(events.Arm)) > 0),
     "go was said": (lambda: Craft(NEAR), Phase.ARMING, lambda it: not says("waits for go")(it)),
     "its parameters are refused": (preparing,
         hears(events.Prepared, item=events.Item.PARAMETERS, refusal="A = 1", remedy="Set it."),
@@ -382,11 +447,23 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "what is mended is ready again once it has been checked": (ready,
         now(fix=False), 20.0, now(fix=True), 2.0, lambda it: it.phase is PREPARING,
         hears(events.Prepared, item=events.Item.CHECKS), READY, START),
+    "somebody arms it after a reboot, and keeps it": (lambda: Craft().fly_to(Phase.ARMING),
+        until(lambda it: it.state.armed_by_us), Craft.reboot, now(armed=True, mode=Mode.OTHER),
+        left_alone, DONE, ends(Reason.ARMED_ALREADY)),
     "somebody arms what is ready": (ready,
         now(armed=True, mode=Mode.GUIDED), DONE, ends(Reason.ARMED_ALREADY), told_nothing),
     "somebody arms what is not": (ready,
         now(fix=False), 3.0, now(armed=True, mode=Mode.GUIDED), DONE,
         ends(Reason.ARMED_ALREADY), told_nothing),
+    # another companion of the same vehicle is heard: on the ground both refuse
+    "another companion before it says anything": (preparing,
+        NAMESAKE, DONE, ends(Reason.NOT_ALONE), told_nothing),
+    "another companion before it is armed": (lambda: Craft().fly_to(Phase.ARMING),
+        now(arms=False), 2.0, NAMESAKE, DONE, ends(Reason.NOT_ALONE),
+        lambda it: not it.sent(events.TakeOff)),
+    "another companion in flight": (under_way(),
+        NAMESAKE, *20 * (1.0, GOES_ON), says_once(f"{Reason.NOT_ALONE.text}: end it"),
+        DONE, arrives),
     # it is stopped
     "stopped before it was told anything": (Craft, hears(events.StopAsked), DONE, told_nothing),
     "stopped while it prepares": (preparing, hears(events.StopAsked), DONE, told_nothing),

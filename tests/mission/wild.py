@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 from made_up import HOME_AMSL_M as HOME_AMSL_M
-from made_up import MISSION, Program, certificate, not_planned, planned, scan, straight, within_band
+from made_up import MISSION, Program, scan
+from made_up_plans import certificate, not_planned, planned, straight, within_band
 from renewed import replace
 from watch import Watch
 

@@ -2,19 +2,19 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
 import pyproj
+from made_up_plans import straight_plan as straight_plan
 from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
 from companion.mavlink.link import Output
+from companion.mission.events import End
 from companion.mission.journal import Told
-from companion.path.certificate import Certificate
-from companion.path.subpath import Subpath
-from companion.planner.request import Planned, PlanOutcome, PlanRequest
+from companion.mission.phases import Phase
+from companion.planner.request import PlanOutcome, PlanRequest
 from companion.session import Session
 
 MISSION = replace(load_mission("environment-1"), targets_ne_m=((4000.0, 3000.0),))
@@ -41,30 +41,6 @@ PARAMETERS = {  # ArduCopter's own names and units
     "WPNAV_SPEED_DN": 1500.0,
     "WPNAV_SPEED_UP": 2500.0,
 }
-
-
-def straight_plan(request: PlanRequest, _stop: object = None) -> Planned:
-    """A straight and level subpath of 17 km, or to the target."""
-    start = request.start.position_nea_m
-    target = np.array([*request.target_ne_m, start[2]])
-    left_m = float(np.linalg.norm(target - start))
-    share = min(17_000.0 / left_m, 1.0)
-    far = {"keep_out_m": math.inf, "turn_radius_m": math.inf, "pieces": 1, "broken": ()}
-    return Planned(
-        plan_id=request.plan_id,
-        kernel="none",
-        subpath=Subpath(control_nea_m=np.linspace(start, start + share * (target - start), 4)),
-        reaches_target=share == 1.0,
-        cost=1.0,
-        to_go=0.0,
-        terms={"length": 1.0},
-        certificate=Certificate(**{f.name: far.get(f.name, 0.0) for f in fields(Certificate)}),
-        guide_rad=0.0,
-        route_ne_m=(),
-        evaluations=60,
-        rank=0,
-        tries=1,
-    )
 
 
 class Vehicle:
@@ -285,7 +261,36 @@ class Pair:
             if done(self):
                 return self
             self.tick()
-        raise AssertionError(f"nothing after {limit_s} s: {self.session.state.phase}")
+        raise AssertionError(f"nothing after {limit_s} s: {self.phase}")
+
+    def run_for(self, seconds: float) -> "Pair":
+        for _ in range(round(seconds * 10)):
+            self.tick()
+        return self
+
+    def fly_to(self, phase: Phase, limit_s: float = 300.0) -> "Pair":
+        return self.run_until(lambda it: it.phase is phase, limit_s)
+
+    def fly_out(self) -> "Pair":
+        """Until it is on its first leg."""
+        return self.run_until(lambda it: it.session.state.leg is not None)
+
+    @property
+    def phase(self) -> Phase:
+        return self.session.state.phase
+
+    @property
+    def end(self) -> End:
+        assert self.out.end is not None, self.phase
+        return self.out.end
+
+    def kinds(self) -> list[str]:
+        """Of what the journal tells."""
+        return [entry["kind"] for entry in self.journal]
+
+    def since(self, count: int) -> list[Any]:
+        """What it has said after so many frames."""
+        return messages(self.frames[count:])
 
     def sent(self, kind: str) -> list[Any]:
         return [message for message in messages(self.frames) if message.get_type() == kind]

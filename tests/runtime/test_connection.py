@@ -9,41 +9,34 @@ from companion.runtime.link import open_link
 BY_PATH = "/dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0"
 
 
-@pytest.mark.parametrize(
-    ("text", "kind", "host", "port"),
-    [
-        ("udpin:0.0.0.0:14540", "udpin", "0.0.0.0", 14540),
-        ("udpin://0.0.0.0:14540", "udpin", "0.0.0.0", 14540),
-        ("udp:0.0.0.0:14540", "udpin", "0.0.0.0", 14540),  # as pymavlink has it
-        ("udpout:192.168.1.10:14550", "udpout", "192.168.1.10", 14550),
-        ("udpout://192.168.1.10:14550", "udpout", "192.168.1.10", 14550),
-        ("tcp:vehicle.local:5760", "tcp", "vehicle.local", 5760),
-        ("tcp://vehicle.local:5760", "tcp", "vehicle.local", 5760),
-        *((f"{kind}:[fe80::1]:14540", kind, "fe80::1", 14540) for kind in ("udpin", "tcp")),
-    ],
-)
-def test_networks(text: str, kind: str, host: str, port: int) -> None:
-    assert parsed(text) == Connection(text, kind, host, port)
+BY_PATH = "/dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0"
+MEANT: dict[str, tuple[str, str, int]] = {
+    "udpin:0.0.0.0:14540": ("udpin", "0.0.0.0", 14540),
+    "udpin://0.0.0.0:14540": ("udpin", "0.0.0.0", 14540),
+    "udp:0.0.0.0:14540": ("udpin", "0.0.0.0", 14540),  # as pymavlink has it
+    "udpout:192.168.1.10:14550": ("udpout", "192.168.1.10", 14550),
+    "tcp:vehicle.local:5760": ("tcp", "vehicle.local", 5760),
+    "tcp://vehicle.local:5760": ("tcp", "vehicle.local", 5760),
+    "udpin:[fe80::1]:14540": ("udpin", "fe80::1", 14540),
+    "tcp:[fe80::1]:14540": ("tcp", "fe80::1", 14540),
+    "/dev/ttyACM0": ("serial", "/dev/ttyACM0", 57600),
+    "/dev/ttyAMA0,921600": ("serial", "/dev/ttyAMA0", 921600),
+    "/dev/ttyACM0:57600": ("serial", "/dev/ttyACM0", 57600),
+    "serial:/dev/ttyUSB0": ("serial", "/dev/ttyUSB0", 57600),
+    "serial:/dev/ttyUSB0:921600": ("serial", "/dev/ttyUSB0", 921600),
+    "serial:///dev/ttyUSB0:921600": ("serial", "/dev/ttyUSB0", 921600),
+    "serial:/dev/ttyUSB0,115200": ("serial", "/dev/ttyUSB0", 115200),
+    BY_PATH: ("serial", BY_PATH, 57600),
+    f"{BY_PATH},115200": ("serial", BY_PATH, 115200),
+    f"serial:{BY_PATH}": ("serial", BY_PATH, 57600),
+    f"serial:{BY_PATH}:115200": ("serial", BY_PATH, 115200),
+}
+"""Kind, host or device, port or baud rate."""
 
 
-@pytest.mark.parametrize(
-    ("text", "name", "baud"),
-    [
-        ("/dev/ttyACM0", "/dev/ttyACM0", 57600),
-        ("/dev/ttyAMA0,921600", "/dev/ttyAMA0", 921600),
-        ("/dev/ttyACM0:57600", "/dev/ttyACM0", 57600),
-        ("serial:/dev/ttyUSB0:921600", "/dev/ttyUSB0", 921600),
-        ("serial:///dev/ttyUSB0:921600", "/dev/ttyUSB0", 921600),
-        ("serial:/dev/ttyUSB0", "/dev/ttyUSB0", 57600),
-        ("serial:/dev/ttyUSB0,115200", "/dev/ttyUSB0", 115200),
-        (BY_PATH, BY_PATH, 57600),
-        (f"{BY_PATH},115200", BY_PATH, 115200),
-        (f"serial:{BY_PATH}", BY_PATH, 57600),
-        (f"serial:{BY_PATH}:115200", BY_PATH, 115200),
-    ],
-)
-def test_serial_ports(text: str, name: str, baud: int) -> None:
-    assert parsed(text) == Connection(text, "serial", name, baud)
+@pytest.mark.parametrize("text", MEANT)
+def test_networks_and_serial_ports_are_written_as_other_programs_write_them(text: str) -> None:
+    assert parsed(text) == Connection(text, *MEANT[text])
 
 
 NONSENSE = (
@@ -63,19 +56,12 @@ NONSENSE = (
 IN_BRACKETS = tuple(f"{kind}:fe80::1:14540" for kind in ("udpin", "udpout", "tcp"))
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        *((text, "Write udpin:127.0.0.1:14540 (") for text in NONSENSE),
-        *((text, "stands in brackets") for text in IN_BRACKETS),
-    ],
-)
-def test_what_means_nothing_is_an_input_error_of_one_line_with_a_remedy(
-    text: str, words: str
-) -> None:
+@pytest.mark.parametrize("text", [*NONSENSE, *IN_BRACKETS])
+def test_what_means_nothing_is_an_input_error_of_one_line_with_a_remedy(text: str) -> None:
     with pytest.raises(InputError) as caught:
         open_link(text)
     message = str(caught.value)
     assert message.startswith(f"--connect = {text!r}: "[:200])
     assert "\n" not in message
-    assert words in message
+    assert "Write udpin:127.0.0.1:14540 (" in message or text in IN_BRACKETS
+    assert "stands in brackets" in message or text in NONSENSE

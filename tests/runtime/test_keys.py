@@ -37,19 +37,21 @@ def test_the_file_holds_a_phrase_or_hexadecimal_digits(
     assert frames_are_believed(key_file(tmp_path, text + ending), key_of(text))
 
 
-@pytest.mark.parametrize("mode", [0o644, 0o640, 0o604, 0o620, 0o602, 0o660])
-def test_a_file_that_others_can_read_is_refused(tmp_path: Path, mode: int) -> None:
-    path = key_file(tmp_path, mode=mode)
-    with pytest.raises(InputError, match=f"others may read or change it.*chmod 600 {path}"):
-        SigningKey(path)
+OTHERS_MAY = "others may read or change it.*chmod 600 .*vehicle.key"
+NO_KEY = "a key is one line of text"
+REFUSED = [
+    *((PHRASE, mode, OTHERS_MAY) for mode in (0o644, 0o640, 0o604, 0o620, 0o602, 0o660)),
+    *((content, 0o600, NO_KEY) for content in (b"", b"\n", b"  \n", b"\xff\xfe\n", b"a\nb\n")),
+    (b"k" * 5000, 0o600, NO_KEY),
+]
 
 
-@pytest.mark.parametrize("content", [b"", b"\n", b"  \n", b"\xff\xfe\n", b"a\nb\n", b"k" * 5000])
-def test_a_file_that_holds_no_key_is_refused_without_being_shown(
-    tmp_path: Path, content: bytes
+@pytest.mark.parametrize(("content", "mode", "why"), REFUSED)
+def test_a_file_that_others_can_read_or_that_holds_no_key_is_refused_without_being_shown(
+    tmp_path: Path, content: str | bytes, mode: int, why: str
 ) -> None:
-    with pytest.raises(InputError, match="a key is one line of text") as caught:
-        SigningKey(key_file(tmp_path, content))
+    with pytest.raises(InputError, match=why) as caught:
+        SigningKey(key_file(tmp_path, content, mode))
     assert "kkk" not in str(caught.value)
     assert "\n" not in str(caught.value)
     for path in (tmp_path / "absent", tmp_path):

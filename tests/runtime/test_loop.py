@@ -38,6 +38,10 @@ class ScriptedLink(Link):
         assert self.count < _MOST, "the flight does not end"
         return self.vehicle.tick() or None
 
+    def clock(self) -> float:
+        """A tenth of a second passes in each."""
+        return 0.1 * self.count
+
     def send(self, frames: list[bytes]) -> None:
         for frame in frames:
             self.vehicle.hear(frame)
@@ -50,16 +54,19 @@ def folder(tmp_path: Path) -> Iterator[RunFolder]:
 
 
 def fly(
-    link: ScriptedLink, folder: RunFolder, lockstep: bool = True, **keywords: Any
+    link: Link, folder: RunFolder, session: Session | None = None, **keywords: Any
 ) -> FlightSummary:
-    return loop.fly(
-        Session(MISSION, seed=1, lockstep=lockstep, go=True),
-        link,
-        folder,
-        lockstep=lockstep,
-        on_progress=lambda _: None,
-        **{"stop_asked": lambda: False, "planner": straight_plan, **keywords},
-    )
+    """Of the scripted vehicle in lockstep, or whatever else is said."""
+    session = session or Session(MISSION, seed=1, lockstep=True, go=True)
+    usual: dict[str, Any] = {"lockstep": True, "stop_asked": lambda: False}
+    usual |= {"on_progress": lambda _: None, "planner": straight_plan}
+    return loop.fly(session, link, folder, **usual | keywords)
+
+
+def stream(
+    session: StubSession, link: QueueLink, folder: RunFolder, until: Callable[[], bool]
+) -> FlightSummary:
+    return fly(link, folder, as_any(session), lockstep=False, stop_asked=until)
 
 
 def test_a_flight_in_lockstep_ends_at_its_target_and_its_folder_holds_all_that_was_said(
@@ -83,26 +90,12 @@ def test_a_flight_in_lockstep_ends_at_its_target_and_its_folder_holds_all_that_w
         assert bytes(message.get_msgbuf()) in log
 
 
-class SlowLink(ScriptedLink):
-    """Each receive takes a while, by a clock of its own."""
-
-    now_s = 0.0
-
-    def clock(self) -> float:
-        return self.now_s
-
-    def receive(self, timeout_s: float) -> bytes | None:
-        self.now_s += 0.1
-        assert self.now_s < 600.0
-        return super().receive(timeout_s)
-
-
 def test_a_vehicle_that_falls_silent_ends_the_flight_whoever_else_speaks(
     folder: RunFolder,
 ) -> None:
     vehicle = Vehicle()
 
-    class Failing(SlowLink):
+    class Failing(ScriptedLink):
         def receive(self, timeout_s: float) -> bytes | None:
             data = super().receive(timeout_s)
             if vehicle.north_m < 100.0:
@@ -113,20 +106,6 @@ def test_a_vehicle_that_falls_silent_ends_the_flight_whoever_else_speaks(
     flown = fly(link, folder, clock=link.clock)
     assert flown.end is not None
     assert flown.end.reason == Reason.LINK_LOST.text
-
-
-def stream(
-    session: StubSession, link: QueueLink, folder: RunFolder, until: Callable[[], bool]
-) -> FlightSummary:
-    return loop.fly(
-        as_any(session),
-        link,
-        folder,
-        lockstep=False,
-        planner=straight_plan,
-        on_progress=lambda _: None,
-        stop_asked=until,
-    )
 
 
 def test_a_silence_is_told_as_it_grows_and_ends_with_the_next_word(folder: RunFolder) -> None:
@@ -149,7 +128,10 @@ def test_a_silence_is_told_as_it_grows_and_ends_with_the_next_word(folder: RunFo
     assert told_s[turn - 1] >= 0.5 > told_s[turn]
 
 
-def test_while_its_planner_is_loaded_it_sends_heartbeats_and_listens_to_nobody() -> None:
+@pytest.mark.parametrize("stopped", [False, True])
+def test_while_its_planner_is_loaded_it_sends_heartbeats_and_listens_to_ctrl_c_alone(
+    stopped: bool,
+) -> None:
     """For as long as that takes: that no vehicle is heard of meanwhile is nobody's fault."""
     vehicle, link, waits_s, heard = Vehicle(), QueueLink(lambda: now_s), 30.0, list[bool]()
     now_s = 0.0
@@ -166,35 +148,21 @@ def test_while_its_planner_is_loaded_it_sends_heartbeats_and_listens_to_nobody()
 
     def stop_asked() -> bool:
         link.incoming.put(vehicle.tick())
-        return now_s > waits_s + 10.0
+        return now_s > waits_s + (-10.0 if stopped else 10.0)
 
     session = Session(MISSION, seed=1, lockstep=False)
     control = ControlLoop(session, link, lockstep=False, clock=clock, stop_asked=stop_asked)
     control.planner_is_ready = is_ready
     control.run()
     assert not any(heard)
-    assert control.flown.heard
+    assert control.flown.heard is not stopped
     assert control.flown.end is not None
     assert control.flown.end.outcome is Outcome.STOPPED
-    beats_s = [at_s for at_s, frame in link.sent if frame[7:10] == bytes(3) and at_s < waits_s]
-    assert beats_s[-1] > waits_s - 2.0
+    waited_s = waits_s - 10.0 * stopped
+    beats_s = [at_s for at_s, frame in link.sent if frame[7:10] == bytes(3) and at_s < waited_s]
+    assert beats_s[-1] > waited_s - 2.0
     assert beats_s[0] < 1.0
     assert max(after - before for before, after in pairwise(beats_s)) < 2.0
-
-
-def test_ctrl_c_is_obeyed_while_the_planner_is_loaded() -> None:
-    link = QueueLink(time.monotonic)
-    control = ControlLoop(
-        Session(MISSION, seed=1, lockstep=False),
-        link,
-        lockstep=False,
-        clock=time.monotonic,
-        stop_asked=lambda: True,
-    )
-    control.planner_is_ready = lambda: False
-    control.run()
-    assert control.flown.end is not None
-    assert control.flown.end.outcome is Outcome.STOPPED
 
 
 def test_who_spoke_for_the_vehicle_is_answered(folder: RunFolder) -> None:
@@ -226,19 +194,17 @@ def test_a_word_from_the_past_is_not_taken_for_news(folder: RunFolder) -> None:
 
 
 def test_of_setpoints_that_are_due_together_only_the_newest_is_sent() -> None:
-    frames = [SETPOINT, HEARTBEAT, SETPOINT[:-1] + b"x", HOLD]
-    assert newest_setpoint(frames) == [HEARTBEAT, SETPOINT[:-1] + b"x", HOLD]
+    newest = SETPOINT[:-1] + b"x"
+    assert newest_setpoint([SETPOINT, HEARTBEAT, newest, HOLD]) == [HEARTBEAT, newest, HOLD]
     assert newest_setpoint([HEARTBEAT, HOLD]) == [HEARTBEAT, HOLD]
-    assert newest_setpoint([SETPOINT]) == [SETPOINT]
-    assert newest_setpoint([]) == []
 
 
 def test_what_must_outlive_the_process_is_kept_now_and_then_and_at_the_end(
     folder: RunFolder,
 ) -> None:
     kept: list[float] = []
-    link = SlowLink(Vehicle())
-    fly(link, folder, clock=link.clock, persist=lambda: kept.append(link.now_s))
+    link = ScriptedLink(Vehicle())
+    fly(link, folder, clock=link.clock, persist=lambda: kept.append(link.clock()))
     assert kept[0] == pytest.approx(30.0, abs=1.0)
     assert all(after - before >= 30.0 for before, after in pairwise(kept[:-1]))
-    assert kept[-1] == link.now_s
+    assert kept[-1] == link.clock()

@@ -82,17 +82,6 @@ def test_arrays_arrive_as_they_were_whatever_their_order_in_memory(odd: Made) ->
         np.testing.assert_array_equal(echo.seen, known.seen)
 
 
-def test_a_process_that_is_killed_is_an_error_that_says_so(planner: PlannerProcess) -> None:
-    planner.start()
-    planner.check()
-    assert planner.pid is not None
-    os.kill(planner.pid, signal.SIGKILL)
-    with pytest.raises(PlannerEndedError, match="SIGKILL"):
-        planner(request_of(1), never)
-    with pytest.raises(PlannerEndedError, match="SIGKILL"):
-        planner.check()
-
-
 NOISY = """
 def plan(request, stop):
     if request.plan_id == 1: raise ZeroDivisionError("made up")

@@ -129,12 +129,16 @@ def rig(folder: RunFolder, monkeypatch: pytest.MonkeyPatch) -> Rig:
 # --- deaths: how each comes about in a flight; the part that has died, and what is said of it
 
 
-def planner_raises(rig: Rig) -> tuple[str, str]:
-    def broken(*_: object) -> Any:
+def broken(rig: Rig, error: Exception) -> Callable[..., Any]:
+    def breaks(*_: object) -> Any:
         rig.breaks_now()
-        raise ZeroDivisionError("made up")
+        raise error
 
-    rig.options["planner"] = broken
+    return breaks
+
+
+def planner_raises(rig: Rig) -> tuple[str, str]:
+    rig.options["planner"] = broken(rig, ZeroDivisionError("made up"))
     rig.at(10, lambda: rig.session.ask(request_of(1)))
     return "planner", "ZeroDivisionError: made up"
 
@@ -167,11 +171,7 @@ def planner_is_killed(rig: Rig) -> tuple[str, str]:
 
 
 def session_raises(rig: Rig) -> tuple[str, str]:
-    def breaks() -> None:
-        rig.breaks_now()
-        raise OSError("made up")
-
-    rig.at(BREAKS_AT, breaks)
+    rig.at(BREAKS_AT, broken(rig, OSError("made up")))
     return "decider", "OSError: made up"
 
 
@@ -186,8 +186,7 @@ def session_raises_and_cannot_even_say_hold(rig: Rig) -> tuple[str, str]:
 
     def breaks() -> None:
         rig.session.hold_frames = None  # type: ignore[assignment, method-assign]
-        rig.breaks_now()
-        raise KeyError("made up")
+        broken(rig, KeyError("made up"))()
 
     rig.at(BREAKS_AT, breaks)
     return "decider", "KeyError"
