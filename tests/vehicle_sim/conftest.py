@@ -77,14 +77,13 @@ def start() -> Iterator[Callable[..., Process]]:
 
 @pytest.fixture
 def serve(world_table: dict[str, Any]) -> Iterator[Callable[..., Running]]:
-    """Serve the world, or some, by a link or by one each ("A B"), until the test ends."""
+    """Serve the world, or some, until the test ends."""
     with ExitStack() as stack:
 
-        def begin(endpoints: str, *tables: dict[str, Any], **settings: Any) -> Running:
-            links = [open_link(parse_endpoint(each)) for each in endpoints.split()]
-            for link in links:
-                stack.callback(link.close)
-            running = Running(tables or [world_table], links, **settings)
+        def begin(endpoint: str, *tables: dict[str, Any], **settings: Any) -> Running:
+            link = open_link(parse_endpoint(endpoint))
+            stack.callback(link.close)
+            running = Running(tables or [world_table], link, **settings)
             stack.callback(running.ended)
             stack.callback(running.stop.set)
             return running
