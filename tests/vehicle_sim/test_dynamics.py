@@ -232,6 +232,16 @@ def test_a_wind_blows_away_from_where_it_comes_from(
     assert seen == approx(expected, abs=1e-12)
 
 
+def test_a_change_sets_in_slowly_and_goes_again_without_a_trace() -> None:
+    calm, windy = WindConditions(), WindConditions(speed_m_s=10.0, rising_rad=math.asin(0.6))
+    rows = blown((1, calm), (10_000, windy), (10_000, calm))
+    full, set_in = np.array([8.0, 0.0, 6.0]), 1.0 - math.exp(-1.0)
+    assert rows[0] == approx(0.0 * full, abs=0.0)
+    assert rows[500] == approx(set_in * full, abs=0.02)
+    assert rows[10_000] == approx(full, abs=1e-9)
+    assert rows[-1] == approx(0.0 * full, abs=0.0)
+
+
 # --- battery: against what the recorded flights show, and sums by hand ----------------------------
 
 COPTER, PLANE, PX4 = "ardupilot copter", "ardupilot plane", "px4"

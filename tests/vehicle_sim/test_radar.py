@@ -135,6 +135,16 @@ def test_nonsense_is_answered_with_nothing_and_cells_of_a_country_are_survived()
     assert np.all((got == UNSEEN_M) | (got >= 100))
 
 
+@given(mask=st.integers(0, ALL_BLOCKS))
+@settings(max_examples=10)
+def test_the_mask_picks_blocks_and_changes_nothing_in_them(mask: int) -> None:
+    radar, view = radar_over_hills(1)[1], viewpoint(HERE, 1000.0)
+    every = radar.answer(request_about(HERE, 100), view)
+    picked = radar.answer(request_about(HERE, 100, mask), view)
+    assert picked == {bit: heights for bit, heights in every.items() if mask >> bit & 1}
+    assert list(every) == list(range(56))
+
+
 # --- what is hidden: rays marched over the true ground in small steps -----------------------------
 
 EARTH_M, STEPS = 6_371_009.0, 400
