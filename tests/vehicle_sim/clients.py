@@ -25,10 +25,10 @@ ROOT = Path(__file__).parents[2]
 class Client:
     """The other end of a link: a few frames on a real socket, and nothing of our own code."""
 
-    def __init__(self, link: socket.socket) -> None:
+    def __init__(self, link: socket.socket, ids: tuple[int, int] = (1, 195)) -> None:
         self.link, self.address = link, cast(Any, None)
         self.link.settimeout(20.0)
-        self.mav, self.parser = mavlink.MAVLink(None, 1, 195), mavlink.MAVLink(None)
+        self.mav, self.parser = mavlink.MAVLink(None, *ids), mavlink.MAVLink(None)
         self.parser.robust_parsing = True
         self.port = link.getsockname()[1]
         self.endpoint = f"udpout:127.0.0.1:{self.port}"
@@ -91,16 +91,16 @@ def is_question(message: Any) -> bool:
 
 
 @contextmanager
-def udp_client(port: int = 0) -> Iterator[Client]:
+def udp_client(port: int = 0, ids: tuple[int, int] = (1, 195)) -> Iterator[Client]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.bind(("127.0.0.1", port))
-        yield Client(link)
+        yield Client(link, ids)
 
 
 @contextmanager
-def tcp_client(port: int) -> Iterator[Client]:
+def tcp_client(port: int, ids: tuple[int, int] = (1, 195)) -> Iterator[Client]:
     with socket.create_connection(("127.0.0.1", port), timeout=20.0) as link:
-        yield Client(link)
+        yield Client(link, ids)
 
 
 class Process(subprocess.Popen[str]):
@@ -115,14 +115,18 @@ class Process(subprocess.Popen[str]):
 
 
 class Running:
-    """A server of some vehicles on a link, in a thread of its own, and what became of it."""
+    """A server of some vehicles on a link, or one each, in a thread; and what became of it."""
 
-    def __init__(self, tables: Sequence[dict[str, Any]], link: Link, **settings: Any) -> None:
-        simulations = [Simulation(parse_world(table), seed=1) for table in tables]
-        self.simulation, self.stop = simulations[0], threading.Event()
-        self.port = link.endpoint.port
+    def __init__(
+        self, tables: Sequence[dict[str, Any]], links: Sequence[Link], **settings: Any
+    ) -> None:
+        self.simulations = [Simulation(parse_world(table), seed=1) for table in tables]
+        self.simulation, self.stop = self.simulations[0], threading.Event()
+        self.port = links[0].endpoint.port
         self.error: Exception | None = None
-        stations = [Station(simulation=each, links=[link]) for each in simulations]
+        of_each = links if len(links) > 1 else [*links] * len(tables)
+        pairs = zip(self.simulations, of_each, strict=True)
+        stations = [Station(simulation=each, links=[link]) for each, link in pairs]
         self._server = Server(stations, Settings(**settings), self.stop, say=lambda _: None)
         self.thread = threading.Thread(target=self._run, daemon=True)
         self.thread.start()

@@ -77,13 +77,14 @@ def start() -> Iterator[Callable[..., Process]]:
 
 @pytest.fixture
 def serve(world_table: dict[str, Any]) -> Iterator[Callable[..., Running]]:
-    """Serve the world, or some, until the test ends."""
+    """Serve the world, or some, by a link or by one each ("A B"), until the test ends."""
     with ExitStack() as stack:
 
-        def begin(endpoint: str, *tables: dict[str, Any], **settings: Any) -> Running:
-            link = open_link(parse_endpoint(endpoint))
-            stack.callback(link.close)
-            running = Running(tables or [world_table], link, **settings)
+        def begin(endpoints: str, *tables: dict[str, Any], **settings: Any) -> Running:
+            links = [open_link(parse_endpoint(each)) for each in endpoints.split()]
+            for link in links:
+                stack.callback(link.close)
+            running = Running(tables or [world_table], links, **settings)
             stack.callback(running.ended)
             stack.callback(running.stop.set)
             return running

@@ -175,6 +175,24 @@ def test_what_does_not_come_is_asked_for_again_and_given_up_in_the_end() -> None
     assert upload(vehicle, items, FENCE) == ACCEPTED
 
 
+def test_items_come_once_and_in_order_and_from_one_client_at_a_time() -> None:
+    vehicle = fresh("ardupilot")
+    say(vehicle, count(2, FENCE))
+    assert say(vehicle, circle(1)) == []
+    assert [message.seq for _, message in heard(vehicle, 0.6)] == [0]
+    assert say(vehicle, circle(0))[0].seq == 1
+    assert say(vehicle, circle(0)) == []  # once is enough
+    for message in (count(1, FENCE), circle(1), count(1, MISSION)):
+        (ack,) = say(vehicle, message, source=COMPANION, link=1)
+        assert (ack.get_type(), ack.type) == ("MISSION_ACK", DENIED)
+    # of the last once more: the acknowledgement was lost; then one for which nobody asked
+    results = [say(vehicle, circle(seq))[0].type for seq in (1, 1, 0)]
+    assert results == [ACCEPTED, ACCEPTED, ERROR]
+    say(vehicle, count(2, FENCE))
+    assert say(vehicle, count(1, FENCE))[0].seq == 0  # begun again
+    assert say(vehicle, circle(0))[0].type == ACCEPTED
+
+
 @given(lost=st.lists(st.booleans(), min_size=40, max_size=40))
 @settings(max_examples=30)
 def test_an_upload_over_a_lossy_link_ends_right_or_not_at_all(lost: list[bool]) -> None:

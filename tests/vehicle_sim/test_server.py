@@ -99,6 +99,27 @@ def test_vehicles_on_one_link_ask_different_questions_and_wait_for_all(
     assert [system for _, system in asked[:6]] == [1, 2, 3, 1, 2, 3]
 
 
+def test_each_of_several_vehicles_flies_its_own_time(serve: Serve, world_table: Table) -> None:
+    """The clock of the one whose companion ends first stands, and the other's goes on."""
+    with udp_client() as first, udp_client(ids=(2, 195)) as second:
+        both = f"{first.endpoint} {second.endpoint}"
+        run = serve(both, *numbered(world_table, 2), lockstep=True, duration_s=3.0)
+        first.begin()
+        second.begin()
+        last_ns = 0
+        while last_ns < 3_000_000_000:
+            if run.simulations[0].now_us < 1_000_000:
+                first.tick()
+            elif not run.simulations[0].companion_ended:
+                first.send(first.heartbeat(7))
+            for message in filter(asks, second.messages()):
+                last_ns = message.ts1
+                second.send(second.answer(message))
+        assert run.ended()
+    assert run.simulations[0].now_us <= 1_100_000
+    assert run.simulations[1].now_us == 3_000_000
+
+
 # --- real time ------------------------------------------------------------------------------------
 
 
@@ -140,6 +161,18 @@ def test_it_goes_on_through_a_reboot_over_udp(serve: Serve, companion: Client) -
     assert companion.wait_for(is_question).ts1 < 5e9
     companion.send(companion.heartbeat(7))
     assert run.ended()
+    assert run.error is None
+
+
+def test_over_tcp_a_client_that_was_cut_off_connects_again_and_it_goes_on(serve: Serve) -> None:
+    run = serve("tcpin:127.0.0.1:0", lockstep=True)
+    with tcp_client(run.port) as first:
+        first.send(first.heartbeat())
+        follow(first, 1.0)
+    with tcp_client(run.port) as second:
+        follow(second, 2.0)
+        second.send(second.heartbeat(7))
+        assert run.ended()
     assert run.error is None
 
 
@@ -205,6 +238,33 @@ def test_with_a_port_step_each_vehicle_has_its_own_ports(start: Start) -> None:
         for client, system in ((one, 1), (two, 2)):
             beats = [client.wait_for(lambda m: m.get_type() == "HEARTBEAT") for _ in range(3)]
             assert {beat.get_srcSystem() for beat in beats} == {system}
+
+
+def test_clients_on_shared_links_hear_each_other_once_through_the_vehicles(
+    start: Start, companion: Client
+) -> None:
+    process = start(
+        *("--count", 2, "--connect", companion.endpoint, "--connect", "tcpin:127.0.0.1:0")
+    )
+    assert process.stdout is not None
+    port = int(process.stdout.readline().split("tcpin:127.0.0.1:")[1].split(",")[0])
+    with tcp_client(port, (255, 190)) as ground:
+        companion.begin()
+        ground.send(ground.frame(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)))
+        assert companion.wait_for(lambda m: m.get_srcSystem() == 255).type == 6
+        ground.send(ground.command(42, 1, 2, 3, 4, 5, 6, 7, target=(1, 195)))
+        got = companion.wait_for(lambda m: m.get_type() == "COMMAND_LONG")
+        assert (got.command, got.param7, got.get_srcComponent()) == (42, 7.0, 190)
+        companion.send(companion.heartbeat(5))  # a status that nobody else here has
+        heard, until_s = 0, time.monotonic() + 10.0
+        while time.monotonic() < until_s:
+            found = sum(getattr(m, "system_status", 0) == 5 for m in ground.messages())
+            if found and not heard:
+                until_s = time.monotonic() + 1.5  # the vehicles' next heartbeats come after it
+            heard += found
+    assert heard == 1
+    process.terminate()
+    assert process.result()[::2] == (0, "")
 
 
 def test_strict_ends_the_run_at_what_the_real_one_does_not_survive(
