@@ -225,6 +225,13 @@ def test_a_change_of_speed_limits_a_place_alone_and_is_forgotten_with_the_submod
     assert fastest_m_s(it, 12.0) == approx(10.0, abs=0.6)
 
 
+def test_an_acceleration_alone_is_flown_until_the_time_out() -> None:
+    it = hovering().stream(3.0, None, None, (1.0, 0.0, 0.0))
+    assert it.vehicle.velocity_m_s.real == approx(2.6, abs=0.4)
+    assert it.autopilot.target_echo().type_mask == 0xC3F
+    assert it.run(12.0).vehicle.velocity_m_s.real == approx(0.0, abs=0.1)
+
+
 def test_a_yaw_that_was_told_is_reset_by_a_setpoint_that_ignores_it() -> None:
     it = hovering()
     for asked, heading_deg in (((120, 0, 1, 0), 120.0), ((50, 0, -1, 1), 70.0)):
@@ -296,6 +303,18 @@ def test_orders_that_are_no_place_speed_or_course_or_come_out_of_guided_are_deni
     for changes_mode, result, mode in ((0.0, FAILED, "LOITER"), (1.0, ACCEPTED, "GUIDED")):
         given = (-1.0, changes_mode, 0.0, 0.0, *place)
         assert (rig.command(REPOSITION, *given, frame=3), rig.mode) == (result, mode)
+
+
+@pytest.mark.parametrize(("asked_m", "flown_m", "ccw"), [(40.0, 60.0, 0.0), (80.0, 97.0, 1.0)])
+def test_a_circle_is_wider_than_asked_by_what_was_measured(
+    asked_m: float, flown_m: float, ccw: float
+) -> None:
+    rig, places = circling(), list[complex]()
+    for radius_m in (asked_m, -40.0, NAN):  # what is no radius leaves the one before
+        assert rig.reposition(0.0, 0.0, 80.0, radius_m, ccw) == ACCEPTED
+    rig.run(40.0).run(15.0, lambda: places.append(complex(*rig.ne_m)))
+    assert sum(map(abs, places)) / len(places) == approx(flown_m, abs=3.0)
+    assert ((places[100] / places[0]).imag < 0.0) is bool(ccw)
 
 
 @pytest.mark.parametrize(("asked_m_s", "flown_m_s"), [(18.0, 18.9), (25.0, 27.7)])

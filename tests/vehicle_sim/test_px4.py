@@ -18,9 +18,11 @@ from harness import (
     NAN,
     OFFBOARD,
     PLACE,
+    POSITION_VELOCITY,
     PX4_LAND,
     RETURN,
     TAKEOFF,
+    VELOCITY,
     ZERO,
     Px4Copter,
     Px4Plane,
@@ -28,6 +30,7 @@ from harness import (
     copied,
     cruising,
 )
+from tracked import fixed_wing_route
 
 from vehicle_sim.autopilot.values import Ack, Landed, Reboot, Result, Sender
 from vehicle_sim.faults import GpsConditions
@@ -414,6 +417,34 @@ def offboard(to_north_m: float, to_east_m: float = 0.0, **more: float) -> Px4Pla
     return rig
 
 
+@pytest.mark.parametrize("mask", [VELOCITY, 0xC3F], ids=["velocity", "acceleration"])
+def test_without_a_position_the_last_commands_stay(mask: int) -> None:
+    route, index = fixed_wing_route(), 2186  # the last are those of a straight stretch
+    north_m, east_m = route.point(index)
+    heading_rad = float(route.heading_rad[index])
+    rig, banks_rad = offboard(0.0, north_m=north_m, east_m=east_m, heading_rad=heading_rad), []
+    off_m = 0.0
+    for i in range(300):
+        index, off_m = route.nearest(rig.ne_m, index)
+        heading = float(route.heading_rad[index])
+        along = (14.0 * math.cos(heading), 14.0 * math.sin(heading), 0.0)
+        sent = POSITION_VELOCITY if i < 150 else mask
+        rig.aim((*route.point(index), -70.0), along, (0.1, 0.1, 0.0), mask=sent)
+        assert i != 150 or abs(off_m) < 6.0
+        banks_rad.append(rig.vehicle.roll_rad)
+        rig.run(0.1)
+    assert banks_rad[201:] == about([banks_rad[150]] * 99, 0.03)
+    assert 40.0 < abs(off_m) < 100.0  # px4.md 10: 83 m after 15 s, of a stretch that is not told
+    assert rig.mode == "Offboard"
+
+
+def test_speed_is_the_parameter_whatever_is_commanded() -> None:
+    rig = offboard(5000.0, FW_AIRSPD_TRIM=12.0)
+    assert rig.command(178, 0.0, 20.0, -1.0) == 0
+    to_point(rig, 5000.0, 0.0, 20.0)
+    assert rig.vehicle.airspeed_m_s == about(12.0 * 1.027, 0.1)  # at 550 m
+
+
 def test_a_point_is_circled_tightly_once_reached() -> None:
     """px4.md 10: 8 to 30 m off."""
     rig = to_point(offboard(300.0, north_m=-300.0), 300.0, 0.0, 55.0)
@@ -421,6 +452,17 @@ def test_a_point_is_circled_tightly_once_reached() -> None:
     assert min(away) == about(13.0, 7.0)
     assert max(away) == about(23.0, 9.0)
     assert rig.mode == "Offboard"
+
+
+@pytest.mark.parametrize("radius_m", [150.0, -60.0])
+def test_loiter_radius_is_held(radius_m: float) -> None:
+    rig, asked_m = cruising(NAV_LOITER_RAD=radius_m), 200.0  # px4.md 10: ignored
+    place = rig.place(200.0, 100.0, 70.0)
+    assert rig.command(192, -1.0, 1.0, asked_m, NAN, *place, frame=5) == 0
+    assert off_circle_m(rig.run(60.0), 200.0, 100.0, abs(radius_m)) < 0.6
+    (north_m, east_m), v_n = rig.ne_m, rig.vehicle.velocity_m_s.real
+    turns = (north_m - 200.0) * rig.vehicle.velocity_m_s.imag - (east_m - 100.0) * v_n
+    assert turns * radius_m > 0.0
 
 
 def test_lost_gps_flies_a_bank_then_descends() -> None:
