@@ -14,7 +14,7 @@ from recordings import recording
 
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.faults import GpsConditions
-from vehicle_sim.sensors.gps import ARDUCOPTER, Fix, Gps, Receiver
+from vehicle_sim.sensors.gps import ARDUCOPTER, PX4, Fix, Gps, Receiver
 
 FloatArray = NDArray[np.float64]
 WGS84 = Geod(ellps="WGS84")
@@ -90,6 +90,35 @@ def test_fixes_come_and_go_as_arducopters_did() -> None:
     ]
     assert len(asked) == 1626
     assert len(wrong) <= 3, wrong[:10]  # that came within a step of a new solution
+
+
+def test_fixes_come_and_go_as_px4s_did() -> None:
+    """px4-gps-loss.tlog, from 76.3 to 106.6 s; time stamps there are those of the vehicle."""
+    asked = [message for _, message in read_recording(recording(PX4_FLIGHT)).side.of(24)]
+    lost = [real.time_usec / S for real in asked if real.fix_type == 0]
+    off = PROMPT._replace(enabled=False, satellites=0)
+    changes = [(0.0, PROMPT), (lost[0] - 0.1, off), (lost[-1] + 0.03, PROMPT)]
+    fixes = newest(PX4, changes, [real.time_usec / S + 0.02 for real in asked])
+    for real, fix in zip(asked, fixes, strict=True):
+        assert (fix.fix_type, fix.satellites) == (real.fix_type, real.satellites_visible)
+        assert fix.horizontal_dilution == real.eph / 100.0
+        assert fix.vertical_accuracy_m == pytest.approx(real.v_acc * 1e-3)
+    assert np.diff([fix.time_us for fix in fixes]).min() > 0  # also without a fix
+
+
+def test_px4s_noise_is_that_of_the_recorded_receiver() -> None:
+    """px4-gps-loss.tlog against LOCAL_POSITION_NED of the same moment, 20 to 75 s."""
+    side = read_recording(recording(PX4_FLIGHT)).side
+    track = np.array([(m.time_boot_ms * 1e-3, m.x) for _, m in side.of(32)])
+    seen = np.array([(m.time_usec / S, m.lat / 1e7) for _, m in side.of(24)])
+    seen = seen[(seen[:, 0] > 25.0) & (seen[:, 0] < 80.0)]
+    measured = seen[:, 1] * 111_200.0 - np.interp(seen[:, 0], *track.T)
+    own = offsets_m(solutions(PX4, 200.0, PROMPT)[1:])[:, 0]
+    # the difference of two solutions: slow errors cancel
+    steps = [np.diff(values) for values in (own, measured)]
+    assert steps[0].std() == pytest.approx(steps[1].std(), rel=0.15)
+    for each in steps:  # what differences of white noise have
+        assert np.corrcoef(each[1:], each[:-1])[0, 1] == pytest.approx(-0.5, abs=0.1)
 
 
 # --- what the receiver does -----------------------------------------------------------------------

@@ -103,6 +103,22 @@ def test_a_leaning_vehicle_sees_the_ground() -> None:
     assert (told[0], told[36]) == (approx(1030, abs=3), NOT_THERE)  # 5.15 m / sin 30 deg
 
 
+def test_noise_and_lost_echoes_have_the_size_that_the_world_says_and_are_the_seeds() -> None:
+    lidar = AT_ONCE | {"noise_m": 0.1, "lost_share": 0.2, "step_deg": 5.0}
+
+    def ahead(seed: int, seconds: float) -> Any:
+        bench = Bench(seconds, trees=[POST | {"radius_m": 3.0}], lidar=lidar, seed=seed)
+        return np.array([m.distances[0] for m in bench.maps()])
+
+    told = ahead(3, 60.0)[5:]
+    assert np.mean(told == NOT_THERE) == approx(0.2, abs=0.06)
+    met = told[told != NOT_THERE] * 0.01
+    assert met.mean() == approx(7.0, abs=0.02)
+    assert met.std() == approx(0.1, abs=0.02)
+    assert np.array_equal(ahead(3, 4.0)[5:], told[: len(ahead(3, 4.0)) - 5])
+    assert not np.array_equal(ahead(4, 4.0), ahead(3, 4.0))
+
+
 # --- its faults -----------------------------------------------------------------------------------
 
 SEES: dict[str, Callable[[Any, Any, int], Any]] = {  # maps, their distances, beats
@@ -168,6 +184,14 @@ def test_nothing_in_reach_and_a_dead_lidar_are_both_silent_and_only_the_health_b
     status = bench.last("SYS_STATUS")
     assert status.onboard_control_sensors_present & PROXIMITY
     assert bool(status.onboard_control_sensors_health & PROXIMITY) is well
+
+
+def test_a_second_lidar_is_told_as_sectors_of_component_1_beside_the_drivers_own() -> None:
+    second = {"second_lidar": {"range_m": 12.0, "output": "autopilot"}}
+    bench = Bench(2.0, trees=[POST], lidar={"range_m": 40.0}, asks=(132,), **second)
+    assert (bench.maps()[-1].max_distance, min(bench.maps()[-1].distances)) == (4000, 900)
+    assert bench.sectors()[0] == approx(900, abs=2)
+    assert {m.max_distance for m in bench.of("DISTANCE_SENSOR", 1)} == {1200}
 
 
 def test_a_rangefinder_measures_slant_range_and_goes_on_beyond_its_maximum() -> None:
