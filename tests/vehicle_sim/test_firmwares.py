@@ -1,13 +1,35 @@
 """What every autopilot does alike, and what is told to whom; another autopilot is data."""
 
 import math
+import sys
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from statistics import median
 from typing import Any
 
 import pytest
-from harness import GCS, KINDS, PLACE, Link, armable, flying, heartbeat, local, ready
+from harness import (
+    GCS,
+    KINDS,
+    OFFBOARD,
+    PLACE,
+    ArduCopter,
+    Link,
+    Px4Copter,
+    Rig,
+    armable,
+    circling,
+    cruising,
+    flying,
+    heartbeat,
+    hovering,
+    local,
+    ready,
+)
 from pymavlink.dialects.v20 import all as mavlink
 
+from vehicle_sim.autopilot import factory
 from vehicle_sim.autopilot.arducopter import FIRMWARE
 from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.autopilot.values import Result
@@ -113,3 +135,37 @@ def test_a_world_names_another_autopilot_and_it_flies_as_its_data_say(
     speeds_m_s = list[float]()
     flown.run(20.0, lambda: speeds_m_s.append(flown.simulation.vehicle.velocity_m_s.real))
     assert max(speeds_m_s) == pytest.approx(3.0, abs=0.5)
+
+
+FLYING: dict[str, Callable[[], Rig]] = {
+    "arducopter": hovering,
+    "arduplane": circling,
+    "ideal": lambda: ArduCopter(drag=False).airborne(),
+    "px4copter": lambda: Px4Copter().take_off(),
+    "px4plane": cruising,
+}
+
+
+@pytest.mark.parametrize("name", FLYING)
+def test_a_step_that_follows_a_path_calls_at_most_15_functions_of_the_autopilots(name: str) -> None:
+    rig, called, counts = FLYING[name](), set[Any](), list[int]()
+    rig.aim((300.0, 0.0, -40.0), (5.0, 0.0, 0.0))
+    if name == "px4plane":
+        assert rig.command(176, 1.0, *OFFBOARD) == Result.ACCEPTED
+    where = str(Path(factory.__file__).parent)
+
+    def note(at: Any, event: str, _: Any) -> None:
+        if event == "call" and at.f_code.co_filename.startswith(where):
+            called.add(at.f_code)
+
+    for k in range(200):
+        if name == "arduplane":
+            rig.command(192, -1.0, 1.0, 0.0, 0.0, -35.36, 149.17, 80.0, frame=3)
+        elif k % 10 == 0:
+            rig.aim((300.0, 0.0, -40.0), (5.0, 0.0, 0.0))
+        called.clear()
+        sys.setprofile(note)
+        rig.step()
+        sys.setprofile(None)
+        counts.append(len(called))
+    assert 5 < median(counts) <= 15
