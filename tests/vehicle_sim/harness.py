@@ -1,10 +1,10 @@
-"""The one harness: whole vehicles, of which nothing is seen but their frames, and who flies them.
+"""The one harness: whole vehicles told by frames (`Link`), autopilots alone told by values (`Rig`).
 
-`Link` is a vehicle with a client at the other end of its links, `Flown` one that is flown into
-things.  Those that have booted or fly already are made once and handed out as copies.  Autopilots
-alone, told by values, are in rigs.py; sockets and processes in clients.py.
+Those that have booted or fly already are made once and handed out as copies.  Sockets and
+processes are in clients.py.
 """
 
+import cmath
 import copy
 import copyreg
 import functools
@@ -13,13 +13,20 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Self, TypeVar
 
+import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.dynamics.copter import Limits
+from vehicle_sim.autopilot.core import Boot
+from vehicle_sim.autopilot.factory import PERSONALITIES
+from vehicle_sim.autopilot.px4plane import SIH_AIRPLANE
+from vehicle_sim.autopilot.values import Ack, Command, Reply, Sender, SendMessage, Setpoint, Text
+from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.dynamics.plane import Plane
+from vehicle_sim.faults import GpsConditions
 from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.parameters import Firmware, Parameter
-from vehicle_sim.plans import PlanItem
+from vehicle_sim.plans import PlanItem, PlanKind, Plans
+from vehicle_sim.sensors.gps import ARDUCOPTER, ARDUPLANE, PX4, Gps
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import VehicleKind, parse_world
 
@@ -132,8 +139,8 @@ def heartbeat(kind: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER) -> Any:
 class Link:
     """A vehicle of any kind, and a client at the other end of its links.
 
-    ``aim`` makes the setpoint of a time in seconds, and is streamed at ``rate_hz`` unless it is
-    None; ``heartbeats`` are the MAV_TYPEs of which one is sent each second.
+    ``aim`` makes the setpoint of a time in seconds, and is streamed at 20 Hz unless it is None;
+    ``heartbeats`` are the MAV_TYPEs of which one is sent each second.
     """
 
     def __init__(
@@ -143,34 +150,29 @@ class Link:
         place: Vector,
         *,
         links: int = 1,
-        parameters: Mapping[str, float] | None = None,
-        scan_range_m: float | None = None,
-        north_m: float = 0.0,
-        heading_deg: float = 0.0,
-        peaks: Sequence[Mapping[str, float]] = (),
         faults: str = "",
         seed: int = 0,
+        peaks: Sequence[Mapping[str, float]] = (),
+        parameters: Mapping[str, float] | None = None,
+        north_m: float = 0.0,
+        heading_deg: float = 0.0,
         **tables: Any,
     ) -> None:
-        terrain = {"combine": "maximum", "ground_amsl_m": place[2], "peaks": list(peaks)}
         vehicle = {"kind": kind, "autopilot": autopilot, "parameters": dict(parameters or {})}
         table = {
             "schema": 1,
             "name": "flat",
             "origin": {"latitude_deg": place[0], "longitude_deg": place[1]},
-            "terrain": terrain,
+            "terrain": {"combine": "maximum", "ground_amsl_m": place[2], "peaks": list(peaks)},
             "vehicle": vehicle | {"north_m": north_m, "heading_deg": heading_deg},
         }
-        if scan_range_m is not None:
-            tables["scanner"] = {"component_id": 100, "range_m": scan_range_m}
         world = parse_world(table | tables)
         self.simulation = Simulation(world, links=links, faults=faults, seed=seed)
         self.kind, self.firmware, self.source = kind, autopilot, COMPANION
         self.heard: list[Heard] = []
         self.aim: Callable[[float], Any] | None = None
-        self.rate_hz = 20.0
         self.heartbeats: tuple[int, ...] = ()
-        self._steps = 0
+        self._steps, self._ground_m = 0, place[2]
         self._sequence: dict[Ids, int] = {}
 
     def copy(self) -> Self:
@@ -198,72 +200,36 @@ class Link:
         self.simulation.receive(link, data)
 
     def command(
-        self,
-        number: int,
-        *parameters: float,
-        frame: int | None = None,
-        target: Ids = VEHICLE,
-        source: Ids | None = None,
-        link: int = 0,
+        self, number: int, *parameters: float, frame: int | None = None, link: int = 0
     ) -> int | None:
         """COMMAND_LONG, or COMMAND_INT in this frame; its last result within 20 ms (PX4: 50)."""
         p = (*parameters, *[0.0] * (7 - len(parameters)))
-        message: Any
-        if frame is None:
-            message = mavlink.MAVLink_command_long_message(*target, number, 0, *p)
-        else:
-            x, y = round(p[4]), round(p[5])
-            message = mavlink.MAVLink_command_int_message(
-                *target, frame, number, 0, 0, *p[:4], x, y, p[6]
-            )
-        begun = len(self.heard)
-        self.send(message, source=source, link=link)
-        self.run(0.05 if self.firmware == "px4" else 0.02)
-        answers = [
-            each.message
-            for each in self.heard[begun:]
-            if each.kind == "COMMAND_ACK" and each.source == VEHICLE and each.link == link
-        ]
-        to = source or self.source
-        assert all((a.target_system, a.target_component) == to for a in answers)
+        message: Any = mavlink.MAVLink_command_long_message(*VEHICLE, number, 0, *p)
+        if frame is not None:
+            place = (round(p[4]), round(p[5]), p[6])
+            head = (*VEHICLE, frame, number, 0, 0)
+            message = mavlink.MAVLink_command_int_message(*head, *p[:4], *place)
+        self.send(message, link=link)
+        heard = self.run(0.05 if self.firmware == "px4" else 0.02)
+        answers = [e.message for e in heard if (e.kind, e.source) == ("COMMAND_ACK", VEHICLE)]
+        assert all((a.target_system, a.target_component) == self.source for a in answers)
         found = [int(answer.result) for answer in answers if answer.command == number]
         return found[-1] if found else None
+
+    def order(self, number: int, *values: float) -> None:
+        """COMMAND_LONG, not waited for."""
+        padded = [*values, *[0.0] * (7 - len(values))]
+        self.send(mavlink.MAVLink_command_long_message(*VEHICLE, number, 0, *padded))
+
+    def go(
+        self, north_m_s: float, down_m_s: float, east_m_s: float = 0.0, at_m: Vector | None = None
+    ) -> None:
+        self.send(local(at_m, (north_m_s, east_m_s, down_m_s)))
 
     def set_mode(self, custom: int) -> int | None:
         if self.firmware == "px4":
             return self.command(176, 1, custom >> 16 & 0xFF, custom >> 24)
         return self.command(176, 1, custom)
-
-    def upload(
-        self, items: list[Any], kind: int, *, source: Ids | None = None, link: int = 0
-    ) -> int | None:
-        """A mission (0), a fence (1) or rally points (2): the result; None: none within 5 s."""
-        count = mavlink.MAVLink_mission_count_message(*VEHICLE, len(items), kind)
-        self.send(count, source=source, link=link)
-        answered: set[int] = set()
-        for _ in range(5 * _STEPS_PER_S):
-            for each in [each for each in self.run(0.01) if each.link == link]:
-                if each.kind == "MISSION_ACK":
-                    return int(each.message.type)
-                if each.kind.startswith("MISSION_REQUEST") and each.message.seq not in answered:
-                    assert self.firmware == "px4" or each.kind == "MISSION_REQUEST"
-                    answered.add(each.message.seq)
-                    items[each.message.seq].seq = each.message.seq
-                    self.send(items[each.message.seq], source=source, link=link)
-        return None
-
-    def download(self, kind: int, *, source: Ids | None = None, link: int = 0) -> list[Any]:
-        asked = mavlink.MAVLink_mission_request_list_message(*VEHICLE, kind)
-        self.send(asked, source=source, link=link)
-        (count,) = [each.message.count for each in self.run(0.02) if each.kind == "MISSION_COUNT"]
-        for seq in range(count):
-            request = mavlink.MAVLink_mission_request_int_message(*VEHICLE, seq, kind)
-            self.send(request, source=source, link=link)
-            self.run(0.01)
-        done = mavlink.MAVLink_mission_ack_message(*VEHICLE, 0, kind)
-        self.send(done, source=source, link=link)
-        told = self.all("MISSION_ITEM_INT", link=link)
-        return [each.message for each in told[len(told) - count :]]
 
     # --- time ---------------------------------------------------------------------------------
 
@@ -275,7 +241,7 @@ class Link:
     def step(self) -> bool:
         """10 ms, and before them what is due to be sent; whether a lockstep tick is complete."""
         steps, self._steps = self._steps, self._steps + 1
-        if self.aim is not None and steps % round(_STEPS_PER_S / self.rate_hz) == 0:
+        if self.aim is not None and steps % 5 == 0:
             self.send(self.aim(self.now_s))
         if steps % _STEPS_PER_S == 0:
             for kind in self.heartbeats:
@@ -293,14 +259,16 @@ class Link:
             self.step()
         return self.heard[begun:]
 
-    def until(self, reached: Callable[[], bool], within_s: float) -> float:
-        """Seconds until it is so; NaN: never."""
-        start_s = self.now_s
-        while self.now_s - start_s < within_s:
+    def until(self, reached: Callable[[], bool], within_s: float, *aim: float) -> float:
+        """Seconds until it is so, with a velocity sent five times a second if one is given."""
+        begun_s, steps = self.now_s, 0
+        while not reached():
+            assert self.now_s - begun_s < within_s, self.simulation.outcome()
+            if aim and steps % 20 == 0:
+                self.go(*aim)
             self.step()
-            if reached():
-                return self.now_s - start_s
-        return math.nan
+            steps += 1
+        return self.now_s - begun_s
 
     # --- out ----------------------------------------------------------------------------------
 
@@ -319,26 +287,68 @@ class Link:
                 return each.message
         raise AssertionError(f"no {kind} has come")
 
+    @property
+    def above_m(self) -> float:
+        """Above the ground at the start, truly."""
+        return self.simulation.vehicle.altitude_amsl_m - self._ground_m
+
+    def truth(self) -> Sequence[dict[str, Any]]:
+        return [json.loads(line) for line in self.simulation.take_truth()][1:]
+
     def texts(self, since_s: float = 0.0, *, link: int = 0) -> list[str]:
         return [e.message.text for e in self.all("STATUSTEXT", since_s=since_s, link=link)]
 
 
-# --- one client for all four ----------------------------------------------------------------------
+def scanner(range_m: float) -> dict[str, float]:
+    """A terrain radar, as a world file has it."""
+    return {"component_id": 100, "range_m": range_m}
+
+
+# --- some that boot, may be armed, fly ------------------------------------------------------------
 
 KINDS: Final[tuple[tuple[Firmware, VehicleKind], ...]] = (
     *(("ardupilot", "copter"), ("ardupilot", "plane")),
     *(("px4", "copter"), ("px4", "plane")),
 )
-READY_S: Final = dict(zip(KINDS, (45.0, 25.0, 6.0, 6.0), strict=True))
-"""After which it may be armed."""
+GROUND_M = 400.0
+
+
+def armable(
+    kind: Any, autopilot: str, place: Vector = (47.0, 8.0, GROUND_M), **fields: Any
+) -> Link:
+    """One that may be armed."""
+    vehicle = Link(kind, autopilot, place, **fields)
+    vehicle.until(lambda: vehicle.simulation.armable, 60.0)
+    return vehicle
+
+
+def into_the_air(vehicle: Link, height_m: float) -> None:
+    """Up; planes fly straight on then, and PX4's copter is in OFFBOARD."""
+    aim: tuple[float, ...] = ()
+    orders: Sequence[tuple[float, ...]]
+    match vehicle.firmware, vehicle.kind:
+        case "px4", "plane":
+            orders = ((22, 0, 0, 0, *[NAN] * 4), (400, 1))  # for good straight on
+        case "px4", _:
+            vehicle.until(lambda: vehicle.simulation.now_us % 1_000_000 == 0, 1.1, 0.0, 0.0)
+            orders, aim = ((176, 1, *OFFBOARD), (400, 1)), (0.0, -2.0)
+        case _, "plane":
+            orders = ((176, 1, PLANE_TAKEOFF), (400, 1))
+        case _:
+            orders = ((176, 1, GUIDED), (400, 1), (22, *[0.0] * 6, height_m))
+    for number, *values in orders:
+        vehicle.order(int(number), *values)
+    vehicle.until(lambda: vehicle.above_m > height_m - 0.5, 60.0, *aim)
+    if vehicle.kind == "plane" and vehicle.firmware != "px4":
+        vehicle.order(176, 1, 7)  # CRUISE
 
 
 @copied
 def ready(firmware: Firmware, kind: VehicleKind) -> Link:
     """One that may be armed, with a ground station on link 0."""
-    vehicle = Link(kind, firmware, PLACE)
+    vehicle = armable(kind, firmware, PLACE)
     vehicle.source, vehicle.heartbeats = GCS, (mavlink.MAV_TYPE_GCS,)
-    vehicle.run(READY_S[firmware, kind])
+    vehicle.run(1.0)
     for number in QUIET if firmware == "px4" else ():
         vehicle.command(511, number, -1)
     for number in (24, 33, 30):
@@ -346,90 +356,332 @@ def ready(firmware: Firmware, kind: VehicleKind) -> Link:
     return vehicle
 
 
-def take_off(vehicle: Link) -> None:
-    """Into the air, to some 40 m, into the mode in which it takes setpoints (PX4: Hold)."""
-    climb = (22, 0, 0, 0, 0, 0, 0, 40.0)
-    orders: Sequence[tuple[float, ...]] = ((176, 1, PLANE_TAKEOFF), (400, 1))
-    if vehicle.firmware == "px4":
-        place = (round(PLACE[0] * 1e7), round(PLACE[1] * 1e7), PLACE[2] + 40.0)
-        assert vehicle.command(22, 0, 0, 0, 0, *place, frame=5) == 0
-        orders = ((400, 1),)
-    elif vehicle.kind == "copter":
-        orders = ((176, 1, GUIDED), (400, 1), climb)
-    for number, *parameters in orders:
-        assert vehicle.command(int(number), *parameters) == 0
-    vehicle.run(30.0)
-    if (vehicle.firmware, vehicle.kind) == ("ardupilot", "plane"):
-        assert vehicle.set_mode(PLANE_GUIDED) == 0
-
-
 @copied
 def flying(firmware: Firmware, kind: VehicleKind) -> Link:
     """Some 40 m up, in the mode in which it takes setpoints (PX4: Hold)."""
     vehicle = ready(firmware, kind)
-    take_off(vehicle)
+    if firmware == "px4":
+        place = (round(PLACE[0] * 1e7), round(PLACE[1] * 1e7), PLACE[2] + 40.0)
+        assert vehicle.command(22, 0, 0, 0, 0, *place, frame=5) == vehicle.command(400, 1) == 0
+        vehicle.run(30.0)
+        return vehicle
+    into_the_air(vehicle, 40.0)
+    assert kind == "copter" or vehicle.set_mode(PLANE_GUIDED) == 0
+    vehicle.run(5.0)
     return vehicle
 
 
-# --- into things ----------------------------------------------------------------------------------
+# --- by values ------------------------------------------------------------------------------------
 
-GROUND_M = 400.0
-VEHICLES = [(kind, autopilot) for kind in ("copter", "plane") for autopilot in ("ardupilot", "px4")]
+STEP_US, STEP_S = 10_000, 0.01
+_ASKER = Sender(system=1, component=191)
+PX4_GPS: Final = GpsConditions(lag_s=0.0)
 
 
-class Flown(Link):
-    """Ready to be armed, on a plain at GROUND_M; told what to do and not waited for."""
+class Rig:
+    """An autopilot of any kind over level ground; a vehicle's own adds how it gets into the air."""
 
     def __init__(
-        self, kind: VehicleKind, autopilot: str, *, longitude_deg: float = 8.0, **fields: Any
+        self,
+        personality: tuple[str, VehicleKind],
+        vehicle: Any,
+        parameters: Mapping[str, float],
+        gps: Gps,
+        conditions: GpsConditions | None = None,
+        *,
+        seed: int = 1,
     ) -> None:
-        super().__init__(kind, autopilot, (47.0, longitude_deg, GROUND_M), **fields)
-        self.is_px4 = autopilot == "px4"
-        self.source = (1, 195)
-        while not self.simulation.armable:
-            self.simulation.step()
+        self.vehicle, self.plans = vehicle, Plans()
+        self.ground_amsl_m = vehicle.altitude_amsl_m
+        kind, rng = PERSONALITIES[personality], np.random.default_rng(seed)
+        self.autopilot: Any = kind.make(Boot(kind.firmware, vehicle, parameters, self.plans, rng))
+        self.gps, self.gps_conditions = gps, conditions or GpsConditions()
+        self.now_us = 0
+        self.said: list[tuple[float, Reply]] = []
+        """With the time in seconds."""
+
+    def copy(self) -> Self:
+        return copy.deepcopy(self)
 
     @property
-    def above_m(self) -> float:
-        return self.simulation.vehicle.altitude_amsl_m - GROUND_M
+    def now_s(self) -> float:
+        return self.now_us * 1e-6
 
-    def order(self, number: int, *values: float) -> None:
-        padded = [*values, *[0.0] * (7 - len(values))]
-        self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *padded))
+    @property
+    def height_m(self) -> float:
+        """Above the ground, truly."""
+        return float(self.vehicle.altitude_amsl_m - self.ground_amsl_m)
 
-    def go(
-        self, north_m_s: float, down_m_s: float, east_m_s: float = 0.0, at_m: Vector | None = None
+    @property
+    def speed_m_s(self) -> float:
+        """Over the ground, truly."""
+        return math.hypot(*self.vehicle.velocity_neu_m_s[:2])
+
+    @property
+    def ned_m(self) -> Vector:
+        """Where it believes to be, in the frame that its setpoints are in."""
+        return self.autopilot.local_ned_m() or ZERO
+
+    @property
+    def ne_m(self) -> tuple[float, float]:
+        """The same without the height."""
+        return self.ned_m[:2]
+
+    @property
+    def mode(self) -> str:
+        return str(self.autopilot.mode.name)
+
+    @property
+    def armed(self) -> bool:
+        return bool(self.autopilot.armed)
+
+    @property
+    def landed(self) -> bool:
+        return bool(self.autopilot.landed)
+
+    @property
+    def status(self) -> Any:
+        return self.autopilot.status()
+
+    @property
+    def texts(self) -> list[str]:
+        return [reply.text for _, reply in self.said if isinstance(reply, Text)]
+
+    def when(self, text: str) -> list[float]:
+        """The times at which this was said."""
+        return [at for at, reply in self.said if isinstance(reply, Text) and reply.text == text]
+
+    def reached(self) -> list[tuple[float, int]]:
+        """When MISSION_ITEM_REACHED was said, and of which item."""
+        told = ((at, reply) for at, reply in self.said if isinstance(reply, SendMessage))
+        return [(at, reply.message.seq) for at, reply in told]
+
+    # --- time ---------------------------------------------------------------------------------
+
+    def take(self, replies: Sequence[Reply]) -> Sequence[Reply]:
+        self.said.extend((self.now_s, reply) for reply in replies)
+        return replies
+
+    def step(self) -> None:
+        self.now_us += STEP_US
+        fix = self.gps.step(self.now_us, self.vehicle, self.gps_conditions)
+        self.take(self.autopilot.step(self.now_us, STEP_S, self.ground_amsl_m, fix))
+
+    def run(self, seconds: float, each: Callable[[], object] | None = None) -> Self:
+        """Fly on, with something to do before each step."""
+        for _ in range(round(seconds / STEP_S)):
+            if each is not None:
+                each()
+            self.step()
+        return self
+
+    def until(self, reached: Callable[[], bool], within_s: float = 300.0) -> float:
+        """Fly until this is so; returns how long it took, in seconds."""
+        start_us = self.now_us
+        while not reached():
+            assert self.now_us - start_us < within_s * 1e6, "it never came to that"
+            self.step()
+        return (self.now_us - start_us) * 1e-6
+
+    # --- orders -------------------------------------------------------------------------------
+
+    def command(
+        self, number: int, *p: float, frame: int | None = None, target_component: int = 1
+    ) -> int:
+        """What it is answered at once."""
+        parameters: Any = (*p, *(0.0,) * (7 - len(p)))
+        command = Command(_ASKER, target_component, number, parameters, frame)
+        acks = [r for r in self.take(self.autopilot.on_command(command)) if isinstance(r, Ack)]
+        assert [(ack.to, ack.command) for ack in acks] == [(_ASKER, number)]
+        return acks[0].result
+
+    def set_mode(self, *mode: float) -> int:
+        """The result of DO_SET_MODE; PX4's second answer, as the first is always yes."""
+        result = self.command(176, 1.0, *mode)
+        if self.autopilot.firmware.family == "px4":
+            assert result == 0
+            self.step()
+            result = [r.result for _, r in self.said if isinstance(r, Ack)][-1]
+        return result
+
+    def aim(
+        self,
+        position: Vector | None = None,
+        velocity: Vector | None = None,
+        acceleration: Vector | None = None,
+        yaw_rad: float | None = None,
+        *,
+        mask: int | None = None,
+        frame: int = 1,
+        is_global: bool = False,
     ) -> None:
-        self.send(local(at_m, (north_m_s, east_m_s, down_m_s)))
+        """A setpoint; what is None is masked, unless a mask is given."""
+        given = zip(
+            (0x007, 0x038, 0x1C0, 0x400), (position, velocity, acceleration, yaw_rad), strict=True
+        )
+        masked = 0x800 | sum(bit for bit, what in given if what is None)
+        setpoint = Setpoint(
+            is_global=is_global,
+            frame=frame,
+            type_mask=masked if mask is None else mask,
+            position=position or ZERO,
+            velocity_ned_m_s=velocity or ZERO,
+            acceleration_ned_m_s2=acceleration or ZERO,
+            yaw_rad=yaw_rad or 0.0,
+        )
+        self.take(self.autopilot.on_setpoint(setpoint))
 
-    def fly_until(self, reached: Callable[[], bool], within_s: float, *aim: float) -> None:
-        """Until this is so, with a velocity sent five times a second if one is given."""
-        for k in range(round(within_s * 100.0)):
-            if reached():
-                return
-            if aim and k % 20 == 0:
-                self.go(*aim)
-            self.simulation.step()
-        raise AssertionError(f"it never came to that: {self.simulation.outcome()}")
+    def stream(self, seconds: float, *vectors: Any, rate_hz: float = 20.0, **fields: Any) -> Self:
+        """The same setpoint again and again."""
+        every = round(1.0 / rate_hz / STEP_S)
+        for index in range(round(seconds / STEP_S)):
+            if index % every == 0:
+                self.aim(*vectors, **fields)
+            self.step()
+        return self
 
-    def into_the_air(self, height_m: float) -> None:
-        """Up; planes fly straight on then, and PX4's copter is in OFFBOARD."""
-        is_plane = isinstance(self.simulation.vehicle, Plane)
-        aim: tuple[float, ...] = ()
-        orders: dict[tuple[bool, bool], tuple[tuple[float, ...], ...]] = {
-            (True, True): ((22, 0, 0, 0, *[math.nan] * 4), (400, 1)),  # for good straight on
-            (True, False): ((176, 1, PLANE_TAKEOFF), (400, 1)),
-            (False, True): ((176, 1, *OFFBOARD), (400, 1)),
-            (False, False): ((176, 1, GUIDED), (400, 1), (22, *[0.0] * 6, height_m)),
-        }
-        if not is_plane and self.is_px4:
-            self.fly_until(lambda: self.simulation.now_us % 1_000_000 == 0, 1.1, 0.0, 0.0)
-            aim = (0.0, -2.0)
-        for number, *values in orders[is_plane, self.is_px4]:
-            self.order(int(number), *values)
-        self.fly_until(lambda: self.above_m > height_m - 0.5, 60.0, *aim)
-        if is_plane and not self.is_px4:
-            self.order(176, 1, 7)  # CRUISE
+    def plan(self, kind: PlanKind, *items: PlanItem) -> None:
+        self.plans[kind] = items
+        self.autopilot.on_plan(kind)
 
-    def truth(self) -> Sequence[dict[str, Any]]:
-        return [json.loads(line) for line in self.simulation.take_truth()][1:]
+
+class ArduCopter(Rig):
+    """An ArduCopter, or the law `ideal`, which is without drag."""
+
+    def __init__(
+        self,
+        *,
+        ground_amsl_m: float = COPTER_HOME[2],
+        airframe: Limits = limits(60.0, 30.0, 10.0, 8.0),  # noqa: B008
+        drag: bool = True,
+        **parameters: float,
+    ) -> None:
+        # of the recorded airframe: 10.05 m/s at 28.7 degrees of tilt, 15.4 m/s at 45
+        drags = {"drag_1_s": 0.340, "drag_1_m": 0.0193} if drag else {}
+        place = placed((*COPTER_HOME[:2], ground_amsl_m))
+        copter = Copter(**place, limits=airframe, **drags)
+        gps = Gps(ARDUCOPTER, np.random.default_rng(1))
+        super().__init__(("ardupilot" if drag else "ideal", "copter"), copter, parameters, gps)
+
+    def take_off(self, height_m: float) -> int:
+        return self.command(22, 0, 0, 0, 0, 0, 0, height_m)
+
+    def airborne(self, height_m: float = 30.0) -> "ArduCopter":
+        """Boot, take off in GUIDED and hover."""
+        self.run(42.5)
+        assert [self.set_mode(GUIDED), self.command(400, 1), self.take_off(height_m)] == [0, 0, 0]
+        self.until(lambda: self.status.landed_state == 2, within_s=1000.0)
+        return self.run(3.0)
+
+
+@copied
+def hovering(lean_deg: float = 45.0, height_m: float = 30.0, **parameters: float) -> ArduCopter:
+    """An ArduCopter in GUIDED above home."""
+    return ArduCopter(ANGLE_MAX=lean_deg * 100.0, **parameters).airborne(height_m)
+
+
+class ArduPlane(Rig):
+    """An ArduPlane over flat ground at home."""
+
+    def __init__(self, **parameters: float) -> None:
+        self.frame = LocalFrame(**placed(PLANE_HOME, height=False))
+        plane, gps = Plane(**placed(PLANE_HOME)), Gps(ARDUPLANE, np.random.default_rng(1))
+        super().__init__(("ardupilot", "plane"), plane, parameters, gps)
+
+    @property
+    def ne_m(self) -> tuple[float, float]:
+        """Where it is, truly."""
+        return self.frame.to_local(self.vehicle.latitude_deg, self.vehicle.longitude_deg)
+
+    def reposition(
+        self, north_m: float, east_m: float, up_m: float, radius_m: float = 0.0, ccw: float = 0.0
+    ) -> int:
+        place = (*self.frame.to_geographic(north_m, east_m), up_m)
+        return self.command(192, -1.0, 1.0, radius_m, ccw, *place, frame=3)
+
+    def take_off(self) -> Self:
+        """By TAKEOFF, then GUIDED, on the way to 80 m above home."""
+        self.run(24.0)
+        assert [self.set_mode(PLANE_TAKEOFF), self.command(400, 1.0)] == [0, 0]
+        self.until(lambda: self.height_m > 48.0)
+        assert self.reposition(0.0, 0.0, 80.0) == 0
+        return self
+
+
+@copied
+def circling(settle_s: float = 30.0, **parameters: float) -> ArduPlane:
+    return ArduPlane(**parameters).take_off().run(settle_s)
+
+
+class Px4Rig(Rig):
+    """A PX4 vehicle in still air; COM_OBL_RC_ACT 5 is Hold."""
+
+    def __init__(self, kind: VehicleKind, vehicle: Any, seed: int, **parameters: float) -> None:
+        gps = Gps(PX4, np.random.default_rng(seed + 1000))
+        given = {"COM_OBL_RC_ACT": 5.0, **parameters}
+        super().__init__(("px4", kind), vehicle, given, gps, PX4_GPS, seed=seed)
+
+    @property
+    def ned_m(self) -> Vector:
+        """Where it last believed to be."""
+        north_m, east_m, down_m = self.autopilot.local_m
+        return north_m, east_m, down_m
+
+    def place(self, north_m: float, east_m: float, height_m: float) -> Vector:
+        """Latitude, longitude and altitude AMSL of a point of the local frame."""
+        place = self.autopilot.frame.place(north_m, east_m, 0.0)
+        return place.latitude_deg, place.longitude_deg, PLACE[2] + height_m
+
+
+class Px4Copter(Px4Rig):
+    def __init__(self, seed: int = 1, **parameters: float) -> None:
+        copter = Copter(**placed(PLACE), limits=STRONG)
+        super().__init__("copter", copter, seed, **{"SIH_KDV": 0.25} | parameters)
+
+    def take_off(self, height_m: float = 20.0, seconds: float = 16.0) -> Self:
+        """Boot, OFFBOARD, arm, climb above the origin."""
+        up = (0.0, 0.0, -height_m)
+        self.run(5.0).stream(2.5, up)
+        self.command(176, 1.0, *OFFBOARD)
+        self.stream(0.2, up)
+        self.command(400, 1.0)
+        return self.stream(seconds, up)
+
+
+class Px4Plane(Px4Rig):
+    def __init__(self, seed: int = 1, **parameters: float) -> None:
+        super().__init__("plane", Plane(**placed(PLACE), limits=SIH_AIRPLANE), seed, **parameters)
+
+    def take_off(self, north_m: float = 300.0, height_m: float = 50.0) -> Self:
+        """As in the recorded flight: NAV_TAKEOFF, arm, until Hold."""
+        self.run(6.0)
+        self.command(22, 0, 0, NAN, NAN, *self.place(north_m, 0.0, height_m), frame=5)
+        self.run(0.5)
+        self.command(400, 1.0)
+        self.until(lambda: self.mode == "Hold", 60.0)
+        return self
+
+
+@copied
+def _taken_off(**parameters: float) -> Px4Plane:
+    return Px4Plane(**parameters).take_off()
+
+
+def cruising(
+    north_m: float = 0.0,
+    east_m: float = 0.0,
+    height_m: float = 68.0,
+    heading_rad: float = 0.0,
+    **parameters: float,
+) -> Px4Plane:
+    """A PX4 aeroplane that has long been on its way, put there."""
+    rig = _taken_off(**parameters)
+    plane, speed_m_s = rig.vehicle, SIH_AIRPLANE.airspeed_max_m_s
+    plane.stand(PLACE[2])
+    plane.stands = False
+    place = rig.place(north_m, east_m, height_m)
+    plane.latitude_deg, plane.longitude_deg, plane.altitude_amsl_m = place
+    plane.heading_rad, plane.roll_rad, plane.airspeed_m_s = heading_rad, 0.0, speed_m_s
+    plane.velocity_m_s = cmath.rect(speed_m_s, heading_rad)
+    rig.step()
+    return rig

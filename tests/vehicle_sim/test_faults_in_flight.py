@@ -4,13 +4,12 @@ What each asks for is in test_faults.py, what a sensor or a link makes of it in 
 """
 
 import functools
-import re
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from harness import GCS, KINDS, PLACE, READY_S, Link, copied, flying, local, take_off
+from harness import GCS, KINDS, PLACE, Link, armable, copied, flying, into_the_air, local, scanner
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.faults import FAULTS
@@ -20,7 +19,6 @@ from vehicle_sim.plans import PlanKind
 from vehicle_sim.world import VehicleKind
 
 METRES_PER_DEG = (111_191.0, 75_470.0)
-RADAR = 100
 approx = pytest.approx
 
 
@@ -133,42 +131,30 @@ def test_a_client_sees_the_fault(firmware: Firmware, line: str) -> None:
     assert SEES[line](without(firmware), flown(firmware, line))
 
 
-def test_a_radar_that_is_off_is_silent() -> None:
-    vehicle = Link("copter", "ardupilot", PLACE, scan_range_m=2000.0)
-    vehicle.run(3.0)
-    assert messages(vehicle, "HEARTBEAT", 1, RADAR)
-    vehicle.simulation.add_fault("radar_off")
-    assert not [heard for heard in vehicle.run(3.0) if heard.source == (1, RADAR)]
-
-
-OTHERS = """gps_off, gps_drift 2 m/s west, gps_jam, gps_noise 3 m, gps_delay 1000 ms
-gps_satellites 5, turbulence 4 m/s, link_off, link_delay 300 ms jitter 50 ms, link_duplication 20 %
-radar_blind, radar_drop 30 %, radar_loss 50 %, radar_noise 5 m, radar_delay 450 ms, radar_rate 1 Hz
-radar_off"""
+OTHERS = (
+    *("gps_off", "gps_drift 2 m/s west", "gps_jam", "gps_noise 3 m", "gps_delay 1000 ms"),
+    *("gps_satellites 5", "turbulence 4 m/s", "link_off", "link_delay 300 ms jitter 50 ms"),
+    *("link_duplication 20 %", "radar_blind", "radar_drop 30 %", "radar_loss 50 %", "radar_off"),
+    *("radar_noise 5 m", "radar_delay 450 ms", "radar_rate 1 Hz"),
+)
 """Those of near sensing are in test_lidar.py: these vehicles have no lidar."""
 
 
-@pytest.mark.parametrize(
-    ("firmware", "kind"),
-    [*(pytest.param(*kind, marks=pytest.mark.nightly) for kind in KINDS[:3]), KINDS[3]],
-)
+@pytest.mark.sample(4)
+@pytest.mark.parametrize(("firmware", "kind"), KINDS[::-1])
 def test_two_runs_with_every_fault_say_the_same_bytes(
     firmware: Firmware, kind: VehicleKind
 ) -> None:
     """Every fault, half a second after one another, three seconds each; the reboot last."""
-    others = [*re.split(r"[,\n]\s*", OTHERS), "battery_voltage 10.5 V"]
-    lines = sorted([*others[: None if firmware == "ardupilot" else -1], *SEES], key="reboot".__eq__)
-    faults = {fault.name: fault for fault in FAULTS}
+    once = {fault.name for fault in FAULTS if fault.once}
     south_west = (round((PLACE[0] - 0.005) * 1e7), round((PLACE[1] - 0.008) * 1e7))
 
     def run() -> tuple[list[tuple[float, int, bytes]], list[str]]:
-        vehicle = Link(kind, firmware, PLACE, links=2, scan_range_m=2000.0, seed=7)
+        vehicle = armable(kind, firmware, PLACE, links=2, scanner=scanner(2000.0), seed=7)
         vehicle.source, vehicle.heartbeats = GCS, (mavlink.MAV_TYPE_GCS,)
-        vehicle.run(READY_S[firmware, kind])
-        take_off(vehicle)
-        for line in lines:
-            lasts = "" if faults[line.split()[0]].once else "for 3 s: "
-            vehicle.simulation.add_fault(lasts + line)
+        into_the_air(vehicle, 30.0)
+        for line in sorted([*OTHERS, *SEES], key="reboot".__eq__):
+            vehicle.simulation.add_fault(("" if line.split()[0] in once else "for 3 s: ") + line)
             vehicle.send(mavlink.MAVLink_terrain_request_message(*south_west, 30, 0xF0F))
             vehicle.run(0.5)
         assert vehicle.all("TERRAIN_DATA")

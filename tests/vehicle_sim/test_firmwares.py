@@ -1,8 +1,4 @@
-"""What a client meets first: defaults, capabilities, unasked rates, who is told texts.
-
-ardupilot.md (head, 1), px4.md (1 to 3, 10).  What every autopilot does alike; and that another one
-is data, and a step of one few functions.
-"""
+"""What every autopilot does alike, and what is told to whom; another autopilot is data."""
 
 import math
 import sys
@@ -16,63 +12,31 @@ import pytest
 from harness import (
     GCS,
     KINDS,
-    MISSION,
     OFFBOARD,
     PLACE,
-    Flown,
+    ArduCopter,
     Link,
+    Px4Copter,
+    Rig,
+    armable,
+    circling,
+    cruising,
     flying,
     heartbeat,
+    hovering,
+    local,
     ready,
 )
 from pymavlink.dialects.v20 import all as mavlink
-from rigs import ArduCopter, Px4Copter, Rig, circling, cruising, hovering
 
 from vehicle_sim.autopilot import factory
 from vehicle_sim.autopilot.arducopter import FIRMWARE
 from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.autopilot.values import Result
 from vehicle_sim.dynamics import GRAVITY_M_S2
-from vehicle_sim.parameters import Firmware, Kind, Parameter
+from vehicle_sim.parameters import Firmware, Parameter
 
 ALL_FOUR = pytest.mark.parametrize("kind", KINDS, ids="-".join)
-DEFAULTS = {
-    ("ardupilot", "copter"): """ANGLE_MAX 3000 WPNAV_SPEED 1000 WPNAV_ACCEL 250 PSC_JERK_XY 5
-        GUID_TIMEOUT 3 FS_GCS_ENABLE 0 DISARM_DELAY 10 FENCE_ENABLE 0
-        FENCE_TYPE 7 FENCE_ACTION 1 FENCE_RADIUS 150 FENCE_ALT_MAX 100 FENCE_MARGIN 2
-        MAV_SYSID 1 MAV_GCS_SYSID 255 MAV1_POSITION 0 MAV_OPTIONS 0""",
-    ("ardupilot", "plane"): "AIRSPEED_CRUISE 22 WP_LOITER_RAD 80 NAVL1_PERIOD 15",
-    ("px4", "copter"): """COM_OF_LOSS_T 1 COM_OBL_RC_ACT 0 MPC_LAND_SPEED 0.7 SIH_KDV 1
-        COM_OBC_LOSS_T 5 NAV_DLL_ACT 0 COM_RC_IN_MODE 1 COM_LOW_BAT_ACT 3 MIS_TAKEOFF_ALT 2.5
-        COM_DISARM_PRFLT 10 COM_DISARM_LAND 2 MPC_XY_VEL_MAX 12 MPC_Z_VEL_MAX_UP 3
-        MPC_Z_VEL_MAX_DN 1.5 MPC_TILTMAX_AIR 45 COM_RC_OVERRIDE 1
-        COM_RCL_EXCEPT 0 RTL_RETURN_ALT 30 GF_ACTION 2 SIM_GPS_USED 10""",
-    ("px4", "plane"): "FW_AIRSPD_TRIM 15 NAV_LOITER_RAD 80",
-}
-CAPABILITIES = (64495, 62319, 59647, 59647)
-VERSIONS = {"ardupilot": 0x04070000, "px4": 17891392}
-STREAMS = {
-    "ardupilot": ({33, 32, 30, 245, 85, 87, 162, 193}, {230, 331, 64, 111, 330, 231}, {230, 300}),
-    "px4": ({30, 32, 33, 436, 31}, {0, 42, 9999, 140}, {9999, 193}),
-}
-"""Which messages can be streamed, which cannot, and which cannot be asked for once."""
-
-
-@ALL_FOUR
-def test_defaults_capabilities_and_messages_are_those_of_the_documents(kind: Any) -> None:
-    firmware, words = PERSONALITIES[kind].firmware, DEFAULTS[kind].split()
-    rows = {row.name: row for row in firmware.table}
-    named = dict(zip(words[::2], map(float, words[1::2]), strict=True))
-    assert {name: rows[name].default for name in named} == named
-    assert firmware.capabilities == CAPABILITIES[KINDS.index(kind)]
-    assert firmware.software_version == VERSIONS[kind[0]]
-    streamed, not_streamed, not_asked = STREAMS[kind[0]]
-    assert firmware.streamable & (streamed | not_streamed) == streamed
-    assert firmware.requestable & ({148, 242, 49} | not_asked) == {148, 242, 49}
-    if kind[0] == "px4":  # in the order that it numbers them in
-        own = [name for name in rows if not name.startswith("SIM_")]
-        assert own == sorted(own)
-        assert rows["COM_OBL_RC_ACT"].kind is rows["GF_ACTION"].kind is Kind.INT32
 
 
 @pytest.mark.parametrize(("firmware", "boot_s"), [("ardupilot", 44.0), ("px4", 7.0)])
@@ -87,22 +51,10 @@ def test_ardupilot_tells_texts_where_anybody_was_heard_and_px4_to_ground_station
     else:
         vehicle.send(heartbeat(), link=1)
         vehicle.command(176, 1, 4, link=1)
-    assert vehicle.texts() == vehicle.texts(link=1) == []
     vehicle.command(400, 1, link=1)
     vehicle.run(1.0)
     assert vehicle.texts() == []
     assert vehicle.texts(link=1)
-
-
-def test_px4_tells_its_mode_twice_a_second_and_at_once_when_it_changes() -> None:
-    vehicle = ready("px4", "copter")
-    vehicle.command(511, 436, 50_000)
-    since_s = vehicle.now_s
-    vehicle.run(10.0)
-    assert len(vehicle.all("CURRENT_MODE", since_s=since_s)) == pytest.approx(20, abs=1)
-    mission = MISSION[0] << 16 | MISSION[1] << 24
-    vehicle.set_mode(mission)
-    assert vehicle.last("CURRENT_MODE").custom_mode == mission
 
 
 def test_px4_takes_what_is_signed_and_what_is_not_and_never_signs() -> None:
@@ -117,14 +69,6 @@ def test_px4_takes_what_is_signed_and_what_is_not_and_never_signs() -> None:
     vehicle.run(0.1)
     assert vehicle.command(400, 0) == 0
     assert not any(heard.frame[2] & 1 for heard in vehicle.heard)
-
-
-def test_ardupilot_with_a_key_hears_who_has_none_on_its_first_link_only() -> None:
-    vehicle = Link("copter", "ardupilot", PLACE, links=2)
-    vehicle.send(mavlink.MAVLink_setup_signing_message(1, 1, bytes([7]) * 32, 400_000_000_000))
-    vehicle.run(0.1)
-    answers = [vehicle.command(176, 1, 4, link=link) for link in (0, 1)]
-    assert answers == [0, None]
 
 
 @ALL_FOUR
@@ -152,16 +96,13 @@ def test_in_flight_it_is_disarmed_by_force_alone_and_falls(kind: Any) -> None:
     client = flying(*kind)
     assert client.command(400, 0) != 0
     assert client.command(400, 0, 21196) == 0
-    height_m = client.simulation.vehicle.altitude_amsl_m - PLACE[2]
-    free_s = math.sqrt(2.0 * height_m / GRAVITY_M_S2)
+    free_s = math.sqrt(2.0 * client.above_m / GRAVITY_M_S2)
     fell_s = client.until(lambda: client.simulation.landed, 20.0)
     assert free_s - 0.1 < fell_s < (free_s + 0.1 if kind[1] == "copter" else 15.0)
 
 
-# --- another autopilot ----------------------------------------------------------------------------
-
 _NUMBERS = {"GUIDED": 40, "LAND": 41, "RTL": 42}
-"""custom_mode of its own."""
+"""custom_mode of an autopilot that there is not."""
 SPARROW = replace(
     FIRMWARE,
     rates_hz={0: 2.0},
@@ -177,18 +118,20 @@ SPARROW = replace(
 )
 
 
-def test_a_world_names_it_and_it_flies_as_its_data_say(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_world_names_another_autopilot_and_it_flies_as_its_data_say(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     mine = replace(PERSONALITIES["ardupilot", "copter"], firmware=SPARROW)
     monkeypatch.setitem(PERSONALITIES, ("sparrow", "copter"), mine)
-    flown = Flown("copter", "sparrow")
+    flown = armable("copter", "sparrow")
     assert flown.command(224, 7) == Result.DENIED  # no such item: ArduPilot says FAILED
     assert [flown.command(176, 1, 40), flown.command(400, 1)] == [0, 0]
     assert flown.texts() == ["Off we go"]
-    flown.command(22, *[0.0] * 6, 10.0)
+    flown.order(22, *[0.0] * 6, 10.0)
     flown.until(lambda: flown.above_m > 9.5, 30.0)
     beat = flown.last("HEARTBEAT")
     assert (beat.custom_mode, beat.autopilot, flown.simulation.mode_name) == (40, 0, "GUIDED")
-    flown.go(0.0, 0.0, at_m=(200.0, 0.0, -10.0))
+    flown.send(local((200.0, 0.0, -10.0), (0.0, 0.0, 0.0)))
     speeds_m_s = list[float]()
     flown.run(20.0, lambda: speeds_m_s.append(flown.simulation.vehicle.velocity_m_s.real))
     assert max(speeds_m_s) == pytest.approx(3.0, abs=0.5)

@@ -13,24 +13,32 @@ POST = {"north_m": 10.0, "east_m": 0.0, "radius_m": 1.0, "height_m": 50.0}
 WALL = {"points_ne_m": [[-60.0, 8.0], [60.0, 8.0]], "thickness_m": 1.0, "height_m": 50.0}
 AT_ONCE = {"kind": "sectors"}
 """Takes a tenth of the time of beam after beam."""
+approx = pytest.approx
 
 
 class Bench(Link):
     """A vehicle that is held where the test wants it, and what it says."""
 
     def __init__(
-        self, *, lidar: Any = (), autopilot: str = "ardupilot", asks: Any = (), **fields: Any
+        self,
+        seconds: float,
+        *,
+        lidar: Any = (),
+        autopilot: str = "ardupilot",
+        asks: Any = (),
+        hold_m: float = 5.0,
+        turn_rad: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        **fields: Any,
     ) -> None:
         table = {"range_m": 16.0} | dict(lidar)
         super().__init__("copter", autopilot, (47.0, 8.0, GROUND_M), lidar=table, **fields)
-        self.source = (1, 195)
-        self.hold_m, self.turn_rad = 5.0, (0.0, 0.0, 0.0)
+        self.source, self.turn_rad = (1, 195), turn_rad
         pilot = self.simulation._controller.autopilot
         flies = pilot.step
 
         def held(*arguments: Any) -> Any:
             replies, vehicle = flies(*arguments), self.simulation.vehicle
-            vehicle.altitude_amsl_m = GROUND_M + self.hold_m
+            vehicle.altitude_amsl_m = GROUND_M + hold_m
             vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad = self.turn_rad
             return replies
 
@@ -38,14 +46,11 @@ class Bench(Link):
         self.run(0.1 if asks else 0.0)
         for number in asks:
             self.command(511, number, 100_000)
-
-    def fly(self, seconds: float) -> "Bench":
         self.run(seconds)
-        return self
 
-    def of(self, kind: str, component: int | None = None, **where: Any) -> list[Any]:
+    def of(self, kind: str, component: int, **where: Any) -> list[Any]:
         heard = self.all(kind, **where)
-        return [each.message for each in heard if component in (None, each.source[1])]
+        return [each.message for each in heard if each.source[1] == component]
 
     def maps(self, since_s: float = 0.0) -> list[Any]:
         return self.of("OBSTACLE_DISTANCE", 196, since_s=since_s)
@@ -61,37 +66,30 @@ class Bench(Link):
 
 
 @pytest.mark.parametrize("bearing_deg", [0.0, 200.0, 357.0])
-def test_a_post_is_in_the_sector_where_mavlink_puts_it(bearing_deg: float) -> None:
+def test_a_post_is_in_the_sector_where_mavlink_puts_it_and_is_told_on_every_link(
+    bearing_deg: float,
+) -> None:
     bearing = math.radians(bearing_deg)
     place = {"north_m": 10 * math.cos(bearing), "east_m": 10 * math.sin(bearing), "radius_m": 0.2}
-    told = Bench(lidar={"step_deg": 0.5}, trees=[POST | place]).fly(1.0).maps()[-1]
+    lidar = {"step_deg": 0.5, "latency_s": 0.06}
+    bench = Bench(2.0, lidar=lidar, trees=[POST | place], links=2)
+    maps = bench.all("OBSTACLE_DISTANCE")
+    assert len(bench.all("OBSTACLE_DISTANCE", link=1)) == len(maps) == approx(20, abs=2)
+    told = maps[-1].message
+    assert 0.059 <= maps[-1].at_s - told.time_usec * 1e-6 <= 0.08
+    assert (told.frame, told.increment, told.min_distance, told.max_distance) == (12, 5, 20, 1600)
     met = [k for k, cm in enumerate(told.distances) if cm < NOT_THERE]
     off_deg = [abs(math.remainder(told.angle_offset + 5.0 * k - bearing_deg, 360.0)) for k in met]
     assert min(off_deg) <= 2.5
     assert max(off_deg) <= 5.0
-    assert min(told.distances) == pytest.approx(980, abs=1)
-
-
-def test_what_the_driver_says_and_how_often_on_every_link() -> None:
-    bench = Bench(trees=[POST], lidar={"latency_s": 0.06}, links=2).fly(5.0)
-    maps = bench.all("OBSTACLE_DISTANCE")
-    assert len(maps) == pytest.approx(50, abs=2)
-    assert len(bench.all("OBSTACLE_DISTANCE", link=1)) == len(maps)
-    for heard in maps[5:]:
-        told = heard.message
-        assert (told.frame, told.increment, told.increment_f, told.angle_offset) == (12, 5, 5, 0)
-        assert (told.min_distance, told.max_distance) == (20, 1600)
-        assert {k for k, cm in enumerate(told.distances) if cm != NOT_THERE} == {0, 1, 71}
-        assert 0.059 <= heard.at_s - told.time_usec * 1e-6 <= 0.08
-    beats = bench.of("HEARTBEAT", 196)
-    assert len(beats) == pytest.approx(5, abs=1)
-    assert {(m.type, m.autopilot) for m in beats} == {(18, 8)}
+    assert min(told.distances) == approx(980, abs=1)
+    assert {(m.type, m.autopilot) for m in bench.of("HEARTBEAT", 196)} == {(18, 8)}
 
 
 def test_nearer_than_the_least_distance_nothing_is_known() -> None:
     near = POST | {"north_m": 1.3}
     told, known = (
-        Bench(trees=[near], lidar={"min_m": least_m}).fly(1.0).maps()[-1].distances
+        Bench(1.0, trees=[near], lidar={"min_m": least_m}).maps()[-1].distances
         for least_m in (0.5, 0.1)
     )
     unknown = {k for k, cm in enumerate(told) if cm == NOT_KNOWN}
@@ -100,24 +98,23 @@ def test_nearer_than_the_least_distance_nothing_is_known() -> None:
 
 
 def test_a_leaning_vehicle_sees_the_ground() -> None:
-    bench = Bench(autopilot="px4")
-    bench.turn_rad = (0.0, math.radians(-30.0), math.radians(90.0))
-    told = bench.fly(1.0).maps()[-1].distances
-    assert (told[0], told[36]) == (pytest.approx(1030, abs=3), NOT_THERE)  # 5.15 m / sin 30 deg
+    bench = Bench(1.0, autopilot="px4", turn_rad=(0.0, math.radians(-30.0), math.radians(90.0)))
+    told = bench.maps()[-1].distances
+    assert (told[0], told[36]) == (approx(1030, abs=3), NOT_THERE)  # 5.15 m / sin 30 deg
 
 
 def test_noise_and_lost_echoes_have_the_size_that_the_world_says_and_are_the_seeds() -> None:
     lidar = AT_ONCE | {"noise_m": 0.1, "lost_share": 0.2, "step_deg": 5.0}
 
     def ahead(seed: int, seconds: float) -> Any:
-        bench = Bench(trees=[POST | {"radius_m": 3.0}], lidar=lidar, seed=seed).fly(seconds)
+        bench = Bench(seconds, trees=[POST | {"radius_m": 3.0}], lidar=lidar, seed=seed)
         return np.array([m.distances[0] for m in bench.maps()])
 
     told = ahead(3, 60.0)[5:]
-    assert np.mean(told == NOT_THERE) == pytest.approx(0.2, abs=0.06)
+    assert np.mean(told == NOT_THERE) == approx(0.2, abs=0.06)
     met = told[told != NOT_THERE] * 0.01
-    assert met.mean() == pytest.approx(7.0, abs=0.02)
-    assert met.std() == pytest.approx(0.1, abs=0.02)
+    assert met.mean() == approx(7.0, abs=0.02)
+    assert met.std() == approx(0.1, abs=0.02)
     assert np.array_equal(ahead(3, 4.0)[5:], told[: len(ahead(3, 4.0)) - 5])
     assert not np.array_equal(ahead(4, 4.0), ahead(3, 4.0))
 
@@ -138,36 +135,36 @@ SEES: dict[str, Callable[[Any, Any, int], Any]] = {  # maps, their distances, be
 
 @pytest.mark.parametrize("line", SEES)
 def test_a_client_sees_the_fault(line: str) -> None:
-    bench = Bench(trees=[POST], lidar=AT_ONCE, faults=f"at 1 s: {line}").fly(4.0)
+    bench = Bench(4.0, trees=[POST], lidar=AT_ONCE, faults=f"at 1 s: {line}")
     maps, beats = bench.maps(1.15), bench.of("HEARTBEAT", 196, since_s=1.15)
     assert SEES[line](maps, np.array([m.distances for m in maps]), len(beats))
 
 
 def test_a_stuck_lidar_repeats_itself_with_new_stamps() -> None:
-    bench = Bench(trees=[POST], lidar=AT_ONCE, faults="at 1 s: lidar_stuck").fly(1.2)
+    bench = Bench(1.2, trees=[POST], lidar=AT_ONCE, faults="at 1 s: lidar_stuck")
     bench.turn_rad = (0.0, 0.0, 2.0)
-    maps = bench.fly(2.0).maps(1.15)
+    bench.run(2.0)
+    maps = bench.maps(1.15)
     assert len({tuple(m.distances) for m in maps}) == 1
     assert len({m.time_usec for m in maps}) == len(maps)
 
 
-# --- ArduPilot's eight sectors --------------------------------------------------------------------
+# --- ArduPilot's eight sectors, and its rangefinder -----------------------------------------------
 
 ITS_OWN: dict[str, Any] = {"lidar": {"output": "autopilot"}, "asks": (132, 1)}
 
 
 def test_each_sector_says_the_nearest_echo_of_its_45_degrees_and_the_time_of_sending() -> None:
-    bench = Bench(trees=[POST], walls=[WALL], **ITS_OWN).fly(5.0)
+    bench = Bench(5.0, trees=[POST], walls=[WALL], **ITS_OWN)
     assert bench.maps() == []
     now = bench.sectors()
-    assert now[0] == pytest.approx(900, abs=5)
-    assert now[2] == pytest.approx(750, abs=2)
-    assert now[1] == pytest.approx(750 / math.sin(math.radians(67.5)), abs=25)
+    assert (now[0], now[2]) == (approx(900, abs=5), approx(750, abs=2))
+    assert now[1] == approx(750 / math.sin(math.radians(67.5)), abs=25)
     assert set(now) <= {0, 1, 2, 3, 7}  # the others have never had an echo
     for heard in bench.all("DISTANCE_SENSOR"):
         m = heard.message
         assert (m.id, m.type, m.min_distance, m.max_distance) == (10 + m.orientation, 0, 20, 1600)
-        assert m.time_boot_ms == pytest.approx(heard.at_s * 1e3, abs=1)
+        assert m.time_boot_ms == approx(heard.at_s * 1e3, abs=1)
     assert bench.command(511, 330, 200_000) == 2  # it never sends OBSTACLE_DISTANCE
 
 
@@ -182,7 +179,7 @@ def test_each_sector_says_the_nearest_echo_of_its_45_degrees_and_the_time_of_sen
 def test_nothing_in_reach_and_a_dead_lidar_are_both_silent_and_only_the_health_bit_differs(
     things: Any, fault: str, *, silent: bool, well: bool
 ) -> None:
-    bench = Bench(faults=fault, **things, **ITS_OWN).fly(5.0)
+    bench = Bench(5.0, faults=fault, **things, **ITS_OWN)
     assert (bench.all("DISTANCE_SENSOR", since_s=3.35) == []) is silent
     status = bench.last("SYS_STATUS")
     assert status.onboard_control_sensors_present & PROXIMITY
@@ -191,27 +188,22 @@ def test_nothing_in_reach_and_a_dead_lidar_are_both_silent_and_only_the_health_b
 
 def test_a_second_lidar_is_told_as_sectors_of_component_1_beside_the_drivers_own() -> None:
     second = {"second_lidar": {"range_m": 12.0, "output": "autopilot"}}
-    bench = Bench(trees=[POST], lidar={"range_m": 40.0}, asks=(132,), **second).fly(2.0)
+    bench = Bench(2.0, trees=[POST], lidar={"range_m": 40.0}, asks=(132,), **second)
     assert (bench.maps()[-1].max_distance, min(bench.maps()[-1].distances)) == (4000, 900)
-    assert bench.sectors()[0] == pytest.approx(900, abs=2)
+    assert bench.sectors()[0] == approx(900, abs=2)
     assert {m.max_distance for m in bench.of("DISTANCE_SENSOR", 1)} == {1200}
-
-
-# --- the downward rangefinder ---------------------------------------------------------------------
 
 
 def test_a_rangefinder_measures_slant_range_and_goes_on_beyond_its_maximum() -> None:
     parameters = {"RNGFND1_TYPE": 100.0, "RNGFND1_MAX": 12.0}
-    bench = Bench(parameters=parameters, faults="at 3 s: rangefinder_off", asks=(132, 173))
-    bench.hold_m, bench.turn_rad = 16.0, (math.radians(20.0), math.radians(-10.0), 1.0)
-    bench.fly(2.0)
+    turn_rad = (math.radians(20.0), math.radians(-10.0), 1.0)
+    how: dict[str, Any] = {"asks": (132, 173), "hold_m": 16.0, "turn_rad": turn_rad}
+    bench = Bench(2.0, parameters=parameters, faults="at 3 s: rangefinder_off", **how)
     slant_m = 16.0 / (math.cos(math.radians(20.0)) * math.cos(math.radians(10.0)))
     m = bench.last("DISTANCE_SENSOR")
-    assert m.current_distance == pytest.approx(slant_m * 100, abs=1)
+    assert m.current_distance == approx(slant_m * 100, abs=1)
     assert (m.id, m.orientation, m.type, m.min_distance, m.max_distance) == (0, 25, 4, 20, 1200)
-    assert bench.last("RANGEFINDER").distance == pytest.approx(slant_m, abs=0.01)
-    bench.fly(2.0)
-    assert bench.of("DISTANCE_SENSOR", since_s=3.05) == []
-    assert {m.distance for m in bench.of("RANGEFINDER", since_s=3.05)} == {0.0}
-    without = Bench(asks=(132, 173)).fly(1.0)
-    assert without.of("DISTANCE_SENSOR") == without.of("RANGEFINDER") == []
+    assert bench.last("RANGEFINDER").distance == approx(slant_m, abs=0.01)
+    bench.run(2.0)
+    assert bench.of("DISTANCE_SENSOR", 1, since_s=3.05) == []
+    assert {m.distance for m in bench.of("RANGEFINDER", 1, since_s=3.05)} == {0.0}

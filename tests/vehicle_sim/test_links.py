@@ -78,22 +78,6 @@ def test_udpin_finds_a_port_and_answers_everybody_who_was_heard(opened: Open) ->
         assert one.recv(100) == two.recv(100) == b"for both"
 
 
-def test_of_a_crowd_the_newest_sixteen_are_answered(opened: Open) -> None:
-    link = opened("udpin:127.0.0.1:0")
-    clients = [udp_client() for _ in range(20)]
-    for client in clients:
-        client.sendto(b"x", ("127.0.0.1", link.endpoint.port))
-        received(link)
-    link.send([b"hello"])
-    assert [client.recv(100) for client in clients[4:]] == [b"hello"] * 16
-    for client in clients[:4]:
-        client.settimeout(0.05)
-        with pytest.raises(TimeoutError):
-            client.recv(100)
-    for client in clients:
-        client.close()
-
-
 def test_what_is_sent_after_a_refusal_is_not_lost_with_it(opened: Open) -> None:
     with udp_client() as probe:
         probe.bind(("127.0.0.1", 0))

@@ -24,10 +24,12 @@ from harness import (
     TAKEOFF,
     VELOCITY,
     ZERO,
+    Px4Copter,
+    Px4Plane,
     Vector,
     copied,
+    cruising,
 )
-from rigs import Px4Copter, Px4Plane, cruising
 from tracked import fixed_wing_route
 
 from vehicle_sim.autopilot.values import Ack, Landed, Reboot, Result, Sender
@@ -128,14 +130,6 @@ def test_home_can_be_moved_but_not_to_nowhere() -> None:
     assert (home.latitude_deg, home.altitude_amsl_m) == (47.4, 500.0)
 
 
-def test_a_commanded_take_off_ends_in_hold_at_its_height() -> None:
-    rig = on_ground()
-    assert rig.command(22, *(NAN,) * 7) == ACCEPTED
-    rig.command(400, 1.0)
-    assert rig.until(lambda: rig.mode == "Hold", 20.0) == about(7.8, 1.0)
-    assert rig.run(5.0).height_m == about(2.5, 0.7)
-
-
 def test_it_lands_disarms_two_seconds_later_and_can_be_flown_again() -> None:
     """px4-offboard-short.tlog: 1.4 m/s at 9 m, 0.7 below 5 m, 0.3 below 1 m."""
     rig = hover(9.2)
@@ -215,16 +209,6 @@ def test_what_becomes_of_a_setpoint(
     assert flown_m_s is None or rig.vehicle.velocity_neu_m_s == about(flown_m_s, 0.4)
 
 
-def test_of_a_place_and_a_velocity_too_fast_together_the_place_has_its_share_first() -> None:
-    """MPC_XY_P times 8 m northwards; of the velocity as much as makes 12 m/s of both."""
-    rig, share_m_s = hover(), 0.95 * 8.0
-    for _ in range(160):
-        north_m, east_m, _ = rig.ned_m
-        rig.stream(0.05, (north_m + 8.0, east_m, -15.0), (0.0, 20.0, 0.0))
-    rest_m_s = math.sqrt(12.0**2 - share_m_s**2)
-    assert rig.vehicle.velocity_neu_m_s[:2] == about((share_m_s, rest_m_s), 0.5)
-
-
 @pytest.mark.parametrize(
     ("frame", "z_m", "above_origin_m"),
     [
@@ -243,15 +227,6 @@ def test_frames_of_global_int(frame: int, z_m: float, above_origin_m: float) -> 
     rig.command(176, 1.0, *OFFBOARD)
     rig.aim((*origin[:2], z_m), frame=frame, is_global=True)
     assert pilot.target.position == about((0.0, 0.0, -above_origin_m), 1e-6)
-
-
-def test_the_nose_turns_to_the_yaw_that_is_told_and_frame_8_turns_with_it() -> None:
-    rig = hover()
-    for seconds, yaw_rad in ((6.0, math.pi / 2.0), (4.0, None)):
-        rig.stream(seconds, UP, None, None, yaw_rad)
-        assert math.degrees(rig.vehicle.heading_rad) == about(90.0, 3.0)
-    rig.stream(4.0, None, (3.0, 0.0, 0.0), frame=8)
-    assert rig.vehicle.velocity_neu_m_s[:2] == about((0.0, 3.0), 0.3)
 
 
 @pytest.mark.parametrize(
@@ -416,15 +391,6 @@ def test_it_flies_a_mission(
         assert began_s[2] - told_s[1] == about(waits_s, 0.05)  # when it comes there: then it waits
 
 
-def test_a_mission_is_left_for_offboard() -> None:
-    rig = hover()
-    rig.plan(PlanKind.MISSION, item(16, 40.0, 0.0, 15.0), item(16, 0.0, 40.0, 15.0))
-    rig.command(300, 0.0, 0.0)
-    assert rig.stream(3.0, None, ZERO).mode == "Mission"
-    assert rig.set_mode(*OFFBOARD) == ACCEPTED
-    assert rig.stream(1.0, UP).mode == "Offboard"
-
-
 # --- aeroplane ------------------------------------------------------------------------------------
 
 
@@ -499,15 +465,6 @@ def test_loiter_radius_is_held(radius_m: float) -> None:
     assert turns * radius_m > 0.0
 
 
-def test_without_pilot_position_mode_flies_straight_on() -> None:
-    rig = offboard(5000.0, 5000.0, heading_rad=0.5, COM_OBL_RC_ACT=0.0)
-    rig.until(lambda: rig.mode == "Position", 5.0)
-    heading_rad, height_m = rig.vehicle.heading_rad, rig.height_m
-    rig.run(20.0)
-    assert rig.vehicle.heading_rad == about(heading_rad, 0.05)
-    assert rig.height_m == about(height_m, 3.5)
-
-
 def test_lost_gps_flies_a_bank_then_descends() -> None:
     rig = offboard(5000.0, NAV_GPSF_LT=10.0)
     rig.gps_conditions = GpsConditions(enabled=False)
@@ -516,23 +473,6 @@ def test_lost_gps_flies_a_bank_then_descends() -> None:
     assert math.degrees(rig.vehicle.roll_rad) == about(15.0, 0.5)
     assert seen[12][1] == about(seen[6][1], 1.0)
     assert (seen[20][1] - seen[28][1]) / 8.0 == about(0.5, 0.05)
-
-
-def test_take_off_is_50_m_high_after_22_s() -> None:
-    """The recorded flight; Hold then, at the place that it was told."""
-    rig = Px4Plane().take_off(300.0, 50.0)
-    assert rig.now_s - rig.autopilot.armed_s == pytest.approx(22.0, abs=2.0)
-    assert off_circle_m(rig.run(60.0), 300.0, 0.0) < 0.6
-
-
-def test_take_off_without_a_place_never_ends_and_arming_alone_starts_nothing() -> None:
-    rig = Px4Plane().run(6.0)
-    assert rig.command(400, 1.0) == 0
-    rig.run(20.0)
-    assert (rig.armed, rig.landed, rig.speed_m_s) == (True, True, 0.0)
-    assert rig.command(22, 0.0, 0.0, NAN, NAN, NAN, NAN, NAN) == 0
-    assert rig.run(100.0).mode == "Takeoff"
-    assert rig.height_m == about(30.0 + 10.0 - 2.2, 1.5)
 
 
 def test_landing_circles_down_where_it_was_commanded_and_disarms() -> None:
@@ -546,17 +486,6 @@ def test_landing_circles_down_where_it_was_commanded_and_disarms() -> None:
     rig.until(lambda: rig.landed)
     assert rig.until(lambda: not rig.armed) == about(2.0, 0.1)
     assert (rig.height_m, rig.mode) == (0.0, "Offboard")  # the one last commanded for flight
-
-
-@pytest.mark.parametrize("goes_on", [HOLD, OFFBOARD], ids=["Hold", "Offboard"])
-def test_a_landing_that_is_broken_off_ends(goes_on: tuple[int, int]) -> None:
-    rig = cruising()
-    assert rig.command(21) == 0
-    assert rig.run(20.0).height_m < 60.0
-    to_point(rig, 300.0, 0.0, 1.0)
-    assert [rig.set_mode(*mode) for mode in (OFFBOARD, goes_on)] == [0, 0]
-    height_m = rig.run(1.0).height_m if goes_on == HOLD else 70.0
-    assert to_point(rig, 300.0, 0.0, 20.0).height_m == about(height_m, 4.0)
 
 
 def test_return_circles_over_home_at_its_height() -> None:

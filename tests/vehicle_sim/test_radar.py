@@ -6,7 +6,6 @@ called seen although it is hidden lies so little behind a ridge that the ridge h
 
 import math
 from collections.abc import Callable
-from itertools import product
 from types import SimpleNamespace
 from typing import Any
 
@@ -110,17 +109,6 @@ def test_a_seen_cell_is_its_highest_terrain_rounded_up(seed: int, centre: NE) ->
     assert np.mean(got <= brute + 2.0) > 0.5  # and mostly not more than the rounding
 
 
-@pytest.mark.parametrize("centre", [HERE, FAR])
-def test_what_is_out_of_range_is_unseen(centre: NE) -> None:
-    request = request_about(centre, 250)
-    got = cells(radar_over_hills(1, centre)[1], request, viewpoint(centre, 9000.0))
-    middle = (each.reshape(-1, 9)[:, 4] for each in to_local(request, *spots(250.0, 3)))
-    distance = np.hypot(*(at - start for at, start in zip(middle, centre, strict=True)))
-    unseen = got.ravel() == UNSEEN_M
-    assert np.all(unseen[distance > RANGE_M + 1.0])
-    assert not np.any(unseen[distance < RANGE_M - 200.0])
-
-
 @pytest.mark.parametrize("eye_m", [3.0, 25.0])
 @pytest.mark.parametrize("mast_m", [0.0, 12.0])
 def test_the_horizon_is_where_the_earth_curves_away(eye_m: float, mast_m: float) -> None:
@@ -138,6 +126,15 @@ def test_the_horizon_is_where_the_earth_curves_away(eye_m: float, mast_m: float)
         assert (heights[0] != UNSEEN_M) == seen
 
 
+def test_nonsense_is_answered_with_nothing_and_cells_of_a_country_are_survived() -> None:
+    radar, view = radar_over_hills(2)[1], viewpoint(HERE, 1000.0)
+    for spacing_m, latitude_deg in ((0, 47.0), (100, 91.0), (100, -214.0)):
+        place = {"latitude_deg": latitude_deg, "longitude_deg": 8.0}
+        assert radar.answer(ScanRequest(**place, spacing_m=spacing_m, mask=ALL_BLOCKS), view) == {}
+    got = cells(radar, request_about(HERE, 65535), view)
+    assert np.all((got == UNSEEN_M) | (got >= 100))
+
+
 @given(mask=st.integers(0, ALL_BLOCKS))
 @settings(max_examples=10)
 def test_the_mask_picks_blocks_and_changes_nothing_in_them(mask: int) -> None:
@@ -146,15 +143,6 @@ def test_the_mask_picks_blocks_and_changes_nothing_in_them(mask: int) -> None:
     picked = radar.answer(request_about(HERE, 100, mask), view)
     assert picked == {bit: heights for bit, heights in every.items() if mask >> bit & 1}
     assert list(every) == list(range(56))
-
-
-def test_nonsense_is_answered_with_nothing_and_cells_of_a_country_are_survived() -> None:
-    radar, view = radar_over_hills(2)[1], viewpoint(HERE, 1000.0)
-    for spacing_m, latitude_deg in ((0, 47.0), (100, 91.0), (100, -214.0)):
-        place = {"latitude_deg": latitude_deg, "longitude_deg": 8.0}
-        assert radar.answer(ScanRequest(**place, spacing_m=spacing_m, mask=ALL_BLOCKS), view) == {}
-    got = cells(radar, request_about(HERE, 65535), view)
-    assert np.all((got == UNSEEN_M) | (got >= 100))
 
 
 # --- what is hidden: rays marched over the true ground in small steps -----------------------------
@@ -220,7 +208,6 @@ def test_nothing_is_called_hidden_that_a_ray_reaches_and_little_is_seen_through_
 # --- its component --------------------------------------------------------------------------------
 
 TICK_US, STEP_US, S = 50_000, 10_000, 1_000_000
-FINE = RadarConditions()
 WALL = [(2000.0, float(e), 1000.0, 200.0, 400.0) for e in range(-6000, 6001, 250)]
 TERRAIN = PeakTerrain(WALL, combine="maximum", ground_amsl_m=100.25)
 RADAR = TerrainRadar(TERRAIN, FRAME, range_m=4000.0)
@@ -234,16 +221,8 @@ def request(mask: int = ALL_BLOCKS) -> Any:
     return mavlink.MAVLink_terrain_request_message(*place, 200, mask)
 
 
-def told(
-    until_us: int,
-    *asked: tuple[int, Any],
-    link: int = 0,
-    conditions: RadarConditions = FINE,
-    fine_us: float = math.inf,
-    away_us: float = math.inf,
-) -> Said:
-    """What it says if it is asked at these times; when conditions are fine again, and when the
-    vehicle is 3 km away."""
+def told(until_us: int, *asked: tuple[int, Any], link: int = 0, **conditions: Any) -> Said:
+    """What it says if it is asked at these times, of a vehicle that flies off after 60 ms."""
     said: Said = []
     now_us = 0
 
@@ -257,25 +236,14 @@ def told(
     for now_us in range(STEP_US, until_us + 1, STEP_US):
         for _, message in (each for each in asked if each[0] == now_us - STEP_US):
             component.receive(message, Sender(system=255, component=190, link=link))
-        place = FRAME.to_geographic(3000.0 if now_us >= away_us else 0.0, 0.0)
+        place = FRAME.to_geographic(3000.0 if now_us > 60_000 else 0.0, 0.0)
         vehicle = Copter(**placed((*place, 500.0)), limits=GENTLE)
-        now = conditions if now_us < fine_us else FINE
-        component.step(now_us, vehicle, now, tick=now_us % TICK_US == 0)
+        component.step(now_us, vehicle, RadarConditions(**conditions), tick=now_us % TICK_US == 0)
     return said
-
-
-def flooded(ticks: int, conditions: RadarConditions = FINE) -> Said:
-    """It is asked for a block at each tick."""
-    asked = [(k * TICK_US, request(mask=1 << k % 56)) for k in range(ticks)]
-    return told(ticks * TICK_US, *asked, conditions=conditions)
 
 
 def of(said: Said, name: str) -> list[Any]:
     return [message for _, _, message in said if message.get_type() == name]
-
-
-def times_of(said: Said, name: str) -> list[int]:
-    return [time_us for time_us, _, message in said if message.get_type() == name]
 
 
 def heights(said: Said) -> Any:
@@ -283,12 +251,12 @@ def heights(said: Said) -> Any:
 
 
 def answered(**conditions: Any) -> Said:
-    return told(500_000, (0, request()), conditions=RadarConditions(**conditions))
+    return told(900_000, (0, request()), **conditions)
 
 
 def test_a_request_is_answered_once_at_the_end_of_its_tick_with_what_the_radar_sees() -> None:
     asked = request()
-    said = told(900_000, (20_000, asked), link=3)
+    said = told(900_000, (20_000, request(mask=1)), (20_000, asked), link=3)  # the newest counts
     assert {(time_us, link) for time_us, link, _ in said} == {(50_000, 3)}
     blocks, (report,) = of(said, "TERRAIN_DATA"), of(said, "TERRAIN_REPORT")
     for each in (*blocks, report):
@@ -301,50 +269,43 @@ def test_a_request_is_answered_once_at_the_end_of_its_tick_with_what_the_radar_s
     assert {block.gridbit: list(block.data) for block in blocks} == truth
 
 
-def test_a_newer_request_takes_the_place_of_one_not_yet_looked_at() -> None:
-    said = told(200_000, (0, request(mask=0b1)), (0, request(mask=0b110)))
-    assert [block.gridbit for block in of(said, "TERRAIN_DATA")] == [1, 2]
-    assert len(of(said, "TERRAIN_REPORT")) == 1
-
-
 def test_its_heart_beats_once_a_second_and_it_obeys_nobody() -> None:
     order = mavlink.MAVLink_command_long_message
     asked = [(0, order(1, target, 400, 0, *[0.0] * 7)) for target in (0, 100, 1)]
-    said = told(3 * S, *asked, link=2)
-    assert times_of(said, "HEARTBEAT") == [S, 2 * S, 3 * S]
-    _, link, ack = said[0]
+    (first_us, link, ack), *beats = told(3 * S, *asked, link=2)
     assert (link, ack.command, ack.result, ack.target_system) == (2, 400, 3, 255)
-    assert len(said) == 4
-
-
-def test_silent_it_says_nothing_and_forgets_what_it_was_asked() -> None:
-    silent = RadarConditions(silent=True)
-    said = told(4 * S, (0, request()), conditions=silent, fine_us=3 * S + STEP_US)
-    assert [(at_us, message.get_type()) for at_us, _, message in said] == [(4 * S, "HEARTBEAT")]
+    assert [(at_us, each.get_type()) for at_us, _, each in beats] == [
+        (k * S, "HEARTBEAT") for k in (1, 2, 3)
+    ]
+    assert first_us < S
+    assert told(3 * S, (0, request()), silent=True) == []
 
 
 @pytest.mark.parametrize("delay_s", [0.1, 0.77])
 def test_a_delay_delays_the_answer_and_not_the_look(delay_s: float) -> None:
-    late = RadarConditions(delay_s=delay_s)
-    said = told(900_000, (0, request()), conditions=late, away_us=60_000)
+    said = answered(delay_s=delay_s)
     assert {time_us for time_us, _, _ in said} == {50_000 + round(delay_s * S)}
     assert np.array_equal(heights(said), heights(answered()))
 
 
-def test_it_holds_one_answer_at_a_time_and_keeps_a_rate_to_the_beats_of_its_sweep() -> None:
-    reports = times_of(flooded(200, RadarConditions(delay_s=1.0)), "TERRAIN_REPORT")
-    assert len(reports) == 9  # 10 s, one a second and a tick
-    assert min(np.diff(reports)) >= S
-    reports = times_of(flooded(100, RadarConditions(rate_hz=4.0)), "TERRAIN_REPORT")
-    assert len(reports) == 21  # the first at once
-    assert {time_us % 250_000 for time_us in reports[1:]} == {0}
+@pytest.mark.parametrize(
+    ("conditions", "reports", "apart_us"), [({"delay_s": 1.0}, 9, S), ({"rate_hz": 2.0}, 21, 5e5)]
+)
+def test_it_holds_one_answer_at_a_time_and_keeps_its_rate(
+    conditions: Any, reports: int, apart_us: float
+) -> None:
+    """It is asked for a block at each tick of 10 s."""
+    asked = [(k * TICK_US, request(mask=1 << k % 56)) for k in range(200)]
+    said = told(10 * S, *asked, **conditions)
+    times = [time_us for time_us, _, each in said if each.get_type() == "TERRAIN_REPORT"]
+    assert len(times) == reports
+    assert min(np.diff(times[1:])) >= apart_us
 
 
 def test_what_is_lost_or_missed_is_so_in_its_share_and_nothing_else_changes() -> None:
-    truth, blind = heights(answered()), answered(blind=True)
+    truth, blind, lossy = heights(answered()), answered(blind=True), answered(frames_lost=0.3)
     assert (len(blind), set(heights(blind))) == (57, {UNSEEN_M})
-    lossy, by_bit = answered(frames_lost=0.3), of(answered(), "TERRAIN_DATA")
-    blocks = of(lossy, "TERRAIN_DATA")
+    by_bit, blocks = of(answered(), "TERRAIN_DATA"), of(lossy, "TERRAIN_DATA")
     assert 56 * 0.5 < len(blocks) < 56 * 0.9
     assert lossy[-1][2].loaded == 56  # the report counts them
     assert all(by_bit[block.gridbit].data == block.data for block in blocks)
@@ -355,18 +316,18 @@ def test_what_is_lost_or_missed_is_so_in_its_share_and_nothing_else_changes() ->
     assert np.array_equal(got[~missed], truth[~missed])
 
 
-def test_noise_never_lowers_a_cell_unless_it_says_so() -> None:
+@pytest.mark.parametrize("noise_m", [5.0, 10_000.0])
+def test_noise_never_lowers_a_cell_unless_it_says_so(noise_m: float) -> None:
     truth = heights(answered())
     seen = truth != UNSEEN_M
-    assert seen.sum() > 500
-    for noise_m, either_way in product((5.0, 10_000.0), (False, True)):
-        got = heights(answered(noise_m=noise_m, either_way=either_way))
+    above, either = (
+        heights(answered(noise_m=noise_m, either_way=either_way)) for either_way in (False, True)
+    )
+    for got in (above, either):
         assert np.array_equal(got == UNSEEN_M, ~seen)
         assert np.all((got >= -32768) & (got <= 32767))
-        error_m = (got - truth)[seen]
-        assert either_way or error_m.min() >= 0
-        if (noise_m, either_way) == (5.0, False):
-            assert error_m.mean() == pytest.approx(5.0 * np.sqrt(2.0 / np.pi) + 0.5, abs=0.5)
-        elif noise_m == 5.0:
-            assert error_m.std() == pytest.approx(5.0, rel=0.1)
-            assert error_m.mean() == pytest.approx(0.0, abs=0.6)
+    assert (above - truth)[seen].min() >= 0
+    if noise_m == 5.0:
+        assert (above - truth)[seen].mean() == pytest.approx(5 * np.sqrt(2 / np.pi) + 0.5, abs=0.5)
+        assert (either - truth)[seen].std() == pytest.approx(5.0, rel=0.1)
+        assert (either - truth)[seen].mean() == pytest.approx(0.0, abs=0.6)

@@ -10,7 +10,6 @@ from harness import ALL, NAN, POSITION, POSITION_VELOCITY, VELOCITY, Vector
 from vehicle_sim.autopilot.setpoints import (
     Stop,
     Target,
-    is_flyable,
     read_by_arducopter,
     read_by_px4,
 )
@@ -137,17 +136,6 @@ def test_not_a_number_in_what_is_ignored_is_harmless_and_to_px4_is_an_axis_not_g
     assert told(read_by_px4(given(POSITION_VELOCITY, velocity=wild), 0.0)) == P
     assert read_by_px4(given(POSITION, wild), 0.0) is None
     assert told(read_by_px4(globally(POSITION_VELOCITY, (NAN, 8.5, 500.0)), 0.0)) == V
-
-
-@pytest.mark.parametrize(
-    ("mask", "can_be_flown"),
-    # of the last north is a place and east a velocity
-    [(0xDC0, True), (0xDE3, True), (0xDDC, True), (0xDFE, False), (0xDFC, False), (0xDEA, False)],
-)
-def test_half_of_a_place_cannot_be_flown(mask: int, *, can_be_flown: bool) -> None:
-    target = read_by_px4(given(mask), 0.0)
-    assert target is not None
-    assert is_flyable(target) is can_be_flown
 
 
 def test_frames_of_the_body_turn_with_it() -> None:

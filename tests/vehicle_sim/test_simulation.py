@@ -5,10 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from harness import PLACE, Flown, Link, heartbeat
+from harness import PLACE, Link, armable, heartbeat, into_the_air, scanner
 from pymavlink.dialects.v20 import all as mavlink
-
-from vehicle_sim.rng import generator
 
 DOWN_S = 1.1
 """The autopilot reboots for so long."""
@@ -16,7 +14,7 @@ DOWN_S = 1.1
 
 def fresh(seed: int = 0) -> Link:
     """With a radar, and a companion as the client."""
-    return Link("copter", "ideal", PLACE, scan_range_m=5000.0, seed=seed)
+    return Link("copter", "ideal", PLACE, scanner=scanner(5000.0), seed=seed)
 
 
 def tick(vehicle: Link) -> list[str]:
@@ -78,26 +76,17 @@ def test_the_truth_is_a_header_and_ten_lines_a_second() -> None:
     assert speeds == pytest.approx([row["velocity_up_m_s"] for row in rows[1:]], abs=0.3)
 
 
-def test_the_purposes_of_chance_do_not_share_numbers() -> None:
-    def draws(seed: int, purpose: str) -> list[float]:
-        return list(generator(seed, purpose).random(4))
-
-    assert draws(1, "gps") == draws(1, "gps")
-    assert draws(1, "gps") != draws(1, "wind")
-    assert draws(1, "gps") != draws(2, "gps")
-
-
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 def test_a_reboot_is_the_autopilots_alone(autopilot: str) -> None:
     """Radar and lidar have their own power, and who has no autopilot is not armed and falls."""
     lidar: dict[str, Any] = {}
     if autopilot == "px4":  # ArduPilot boots for 42 s
         lidar = {"lidar": {"range_m": 20.0, "rate_hz": 5.0, "component_id": 196}}
-    flown = Flown("copter", autopilot, scan_range_m=500.0, **lidar)
+    flown = armable("copter", autopilot, scanner=scanner(500.0), **lidar)
     simulation = flown.simulation
-    flown.into_the_air(4.0)
+    into_the_air(flown, 4.0)
     assert simulation.armed
-    simulation.take_truth()
+    flown.truth()
     simulation.add_fault("reboot")
     flown.run(0.1)
     flown.heard.clear()
@@ -109,7 +98,7 @@ def test_a_reboot_is_the_autopilots_alone(autopilot: str) -> None:
     assert 3 <= len(flown.all("OBSTACLE_DISTANCE")) <= 5 or not lidar
     assert {"TERRAIN_DATA", "TERRAIN_REPORT", "HEARTBEAT"} <= {each.kind for each in flown.heard}
     flown.run(0.2)
-    _, *rows = map(json.loads, simulation.take_truth())
+    rows = flown.truth()
     landed = [row["landed"] for row in rows]
     assert not any(row["armed"] for row in rows)
     assert landed == sorted(landed)
@@ -123,7 +112,7 @@ def test_who_waits_for_a_heartbeat_and_then_asks_gets_what_it_asked_for(
     kind: Any, autopilot: str, first_s: float
 ) -> None:
     """At once, as most scripts do: after the start, after a reboot (ardupilot.md 1, px4.md 3)."""
-    vehicle = Link(kind, autopilot, PLACE, scan_range_m=5000.0)
+    vehicle = Link(kind, autopilot, PLACE, scanner=scanner(5000.0))
     for began_s in (0.0, None):
         if began_s is None:
             vehicle.simulation.add_fault("reboot")

@@ -20,7 +20,6 @@ from vehicle_sim.elevation import GridTerrain, read_grid
 from vehicle_sim.errors import InputError
 from vehicle_sim.geodesy import FloatArray, LocalFrame
 from vehicle_sim.terrain import PeakRow, PeakTerrain, Terrain
-from vehicle_sim.world import parse_world
 
 WGS84 = Geod(ellps="WGS84")
 STEP, HALF_M = (1 / 1200, 1 / 1200), 3_000.0
@@ -190,22 +189,6 @@ def test_a_point_of_the_file_is_where_the_file_or_its_name_says(tmp_path: Path) 
     path.write_bytes(tile.tobytes())
     there = FRAME.to_local(47.0 - 615 / 1200, 8.0 + 580 / 1200)
     assert read(path).height_at_amsl_m(*there) == pytest.approx(tile[615, 580], abs=0.1)
-
-
-def test_a_file_lies_beside_its_world_and_as_much_as_its_area_is_read(tmp_path: Path) -> None:
-    edges = ("north_min_m", "north_max_m", "east_min_m", "east_max_m")
-    table = {
-        "schema": 1,
-        "name": "beside",
-        "origin": {"latitude_deg": 46.5, "longitude_deg": 8.5},
-        "terrain": {"file": "terrain.tif"},
-        "area": dict(zip(edges, AREA, strict=True)),
-        "vehicle": {"kind": "copter", "autopilot": "ideal"},
-    }
-    same = read(written(tmp_path / "terrain.tif"))
-    truth = parse_world(table, tmp_path).truth()
-    assert isinstance(truth, GridTerrain)
-    assert np.array_equal(truth.heights_m, same.heights_m)
 
 
 def test_holes_are_an_error_unless_the_world_says_what_lies_there(tmp_path: Path) -> None:

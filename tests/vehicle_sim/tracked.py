@@ -13,8 +13,20 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
-from harness import NAN, OFFBOARD, ZERO, Vector
-from rigs import STEP_S, ArduCopter, ArduPlane, Px4Copter, Px4Plane, circling, cruising, hovering
+from harness import (
+    NAN,
+    OFFBOARD,
+    STEP_S,
+    ZERO,
+    ArduCopter,
+    ArduPlane,
+    Px4Copter,
+    Px4Plane,
+    Vector,
+    circling,
+    cruising,
+    hovering,
+)
 
 from vehicle_sim.geodesy import FloatArray
 

@@ -1,20 +1,15 @@
 """A flight agrees with itself, not with another one, and each kind of row can fail."""
 
-import dataclasses
-import itertools
 import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
 from conformance import compare
-from conformance.__main__ import tables
-from conformance.flights import Reason, Recording, Side, TimedFrame, decoded, flight_of
-from conformance.rows import WINDOW_S, Event, Match, Row, paired
+from conformance.flights import Recording, Side, TimedFrame, decoded, flight_of
+from conformance.rows import Row
 
 Recorded = Callable[[str], Recording]
 Change = Callable[[TimedFrame], Iterable[TimedFrame]]
@@ -135,34 +130,4 @@ def test_every_kind_of_row_has_been_made_to_fail(recorded: Recorded) -> None:
     assert kinds == {kind for kind, *_ in CHANGES}
 
 
-def test_the_tables_tell_how_much_agrees_and_why_the_rest_does_not() -> None:
-    apart = Row("echo", "known", "1", "2", math.inf)
-    because = Reason(recordings="*", kind="echo", names="known", why="so")
-    rows = [Row("mode", "x", "1", "2", 0.0), dataclasses.replace(apart, reason=because), apart]
-    told = tables({"a": rows})
-    assert "| a | 3 | 1 | 33.3 % | 0.00 of the tolerance (mode: x) | 2 echo |" in told
-    assert "| a | 1 | echo (known) | so |" in told
-    assert "| a | 1 | echo (known) | none is known |" in told
-
-
 # --- pairing --------------------------------------------------------------------------------------
-
-EVENTS = st.lists(
-    st.tuples(st.floats(0.0, 60.0), st.sampled_from("abc")), max_size=6, unique_by=lambda e: e[0]
-).map(sorted)
-
-
-@given(EVENTS, EVENTS)
-def test_every_event_is_in_one_pair_and_left_alone_only_without_a_free_partner(
-    real: list[Event[str]], simulated: list[Event[str]]
-) -> None:
-    assert paired(real, real) == [(event, event) for event in real]
-    matches: list[Match[str]] = paired(real, simulated)
-    assert sorted(a for a, _ in matches if a) == real
-    assert sorted(b for _, b in matches if b) == simulated
-    for a, b in matches:
-        assert a or b
-        assert not (a and b) or (a[1] == b[1] and abs(a[0] - b[0]) <= WINDOW_S)
-    alone = [a for a, b in matches if a and not b], [b for a, b in matches if b and not a]
-    for a, b in itertools.product(*alone):
-        assert a[1] != b[1] or abs(a[0] - b[0]) > WINDOW_S

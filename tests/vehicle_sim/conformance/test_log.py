@@ -1,59 +1,16 @@
 """Recordings are read as they were made.  That they are played into a vehicle as they were flown is
 seen by test_recordings.py: else they would not agree."""
 
-import struct
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pymavlink.dialects.v20 import all as mavlink
 
-from conformance.flights import Clock, Recording, decoded, flight_of, read_recording, records
-from vehicle_sim.errors import InputError
+from conformance.flights import Clock, Recording, decoded, flight_of
 
 Recorded = Callable[[str], Recording]
-
-
-def frame(message: Any, component: int = 1) -> bytes:
-    return bytes(message.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=component)))
-
-
-def log(*frames: bytes) -> bytes:
-    return b"".join(struct.pack(">Q", 10**15 + i) + f for i, f in enumerate(frames))
-
-
-BEAT = frame(mavlink.MAVLink_heartbeat_message(2, 3, 81, 0, 0, 3))
-SYNC = frame(mavlink.MAVLink_timesync_message(0, 5), component=191)
-
-
-def test_a_log_that_was_cut_off_gives_what_is_complete() -> None:
-    whole = log(BEAT, SYNC)
-    for size in range(len(whole) + 1):
-        complete = (size >= len(log(BEAT))) + (size == len(whole))
-        assert [f for _, f in records(whole[:size])] == [BEAT, SYNC][:complete]
-
-
-@pytest.mark.parametrize(
-    ("called", "content", "words"),
-    [
-        ("x.tlog", b"no log at all, but text", "does not begin a MAVLink 2 frame"),
-        ("x.tlog", b"\xfd" * 100, "no autopilot"),
-        ("x.tlog", log(SYNC), "no autopilot"),
-        ("x.tlog", None, "cannot be read"),
-        ("x.tlog.xz", b"no archive at all", "cannot be read"),
-    ],
-)
-def test_something_else_is_refused_in_words(
-    tmp_path: Path, called: str, content: bytes | None, words: str
-) -> None:
-    if content is not None:
-        (tmp_path / called).write_bytes(content)
-    with pytest.raises(InputError, match=f"LOG = .*{words}"):
-        read_recording(tmp_path / called)
 
 
 @pytest.mark.sample(3)
