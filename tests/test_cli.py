@@ -1,6 +1,6 @@
-import contextlib
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -14,7 +14,6 @@ from answers import answered
 from programs import BIN, Program, free_port
 from recorded import run_folder
 
-from companion import cli
 from companion.runtime import loop
 
 COMPANION = BIN / "companion"
@@ -30,19 +29,11 @@ def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(loop.fly.__kwdefaults__, "clock", time.monotonic)
 
 
-def test_check_says_in_words_what_a_mission_will_do() -> None:
+def test_check_says_in_words_what_a_mission_will_do_and_plan_draws_it(tmp_path: Path) -> None:
     code, shown, said = answered("check", "environment-1")
     assert (code, said) == (0, "")
-    for fact in (
-        "100.0 km north, 100.0 km east",
-        "150 m/s",
-        "3,000 m and 5,000 m AMSL",
-        "500 m (d_s)",
-    ):
-        assert fact in shown
-
-
-def test_plan_reaches_the_target_and_writes_a_picture(tmp_path: Path) -> None:
+    facts = ("100.0 km north, 100.0 km east", "150 m/s", "3,000 m and 5,000 m AMSL", "500 m (d_s)")
+    assert all(fact in shown for fact in facts)
     picture = tmp_path / "plan.svg"
     options = ("--figure", picture)
     code, shown, said = answered("plan", HILLS / "world.toml", HILLS / "mission.toml", *options)
@@ -70,6 +61,16 @@ def refused(*arguments: str | Path) -> str:
         (("plan", "environment-1", "environment-1", "--figure", "/nowhere/x.png"), "--figure"),
         (("plan", "environment-1", "environment-1", "--figure", "x.jpg"), ".png, .svg or .pdf"),
         (("export", str(HILLS)), "kml, geojson, csv"),
+        *(
+            ((command, "environment-1", option), option.partition("=")[0])
+            for command in ("fly", "preflight")
+            for option in (
+                "--connect=14550",
+                "--connect=/dev/null,57600",
+                "--system=0",
+                "--system=256",
+            )
+        ),
     ],
     ids=lambda value: value[-1] if isinstance(value, tuple) else "",
 )
@@ -86,31 +87,15 @@ def test_a_plan_without_a_vehicle_has_targets_of_its_own(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("command", ["fly", "preflight"])
-@pytest.mark.parametrize(
-    "option",
-    [
-        "--connect=14550",
-        "--connect=/dev/null,57600",
-        "--system=0",
-        "--system=256",
-        "--signing-key={key}",
-    ],
-)
-def test_so_are_a_link_a_system_and_a_key_that_cannot_be(
-    command: str, option: str, tmp_path: Path
-) -> None:
-    """A key that others can read is not shown.  Each that cannot be: `tests/runtime`."""
+def test_a_key_that_others_can_read_is_refused_and_not_shown(command: str, tmp_path: Path) -> None:
     key, out = tmp_path / "key", tmp_path / "run"
     key.write_text("hush hush\n", encoding="utf-8")
     key.chmod(0o644)
-    options = (option.format(key=key), *(("--out", out) if command == "fly" else ()))
+    options = (f"--signing-key={key}", *(("--out", out) if command == "fly" else ()))
     line = refused(command, "environment-1", *options)
-    assert option.partition("=")[0] in line or "chmod 600" in line
+    assert "chmod 600" in line
     assert "hush hush" not in line
     assert not out.exists()
-
-
-# --- the other ways of flying
 
 
 def test_so_it_is_of_the_program_and_of_what_cannot_be_printed() -> None:
@@ -134,12 +119,6 @@ def test_without_what_shows_flights_it_is_named(
     assert "pip install 'companion[view]'" in refused(*how)
 
 
-def test_a_preflight_that_is_stopped_refuses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli, "stop_signals", lambda: contextlib.nullcontext([signal.SIGINT]))
-    code, _, said = answered("preflight", "sitl-px4", *connect(free_port()))
-    assert (code, said) == (130, "")
-
-
 def test_a_page_on_a_port_that_is_taken(tmp_path: Path) -> None:
     folder = run_folder(tmp_path)
     with socket.create_server(("127.0.0.1", 0)) as other:
@@ -147,13 +126,11 @@ def test_a_page_on_a_port_that_is_taken(tmp_path: Path) -> None:
         assert f"--view-port = {port}" in refused("view", folder, "--view-port", str(port))
 
 
-def kept(folder: Path, resume: str | bytes) -> Path:
+def kept(folder: Path, resume: bytes) -> Path:
     """A run folder of an interrupted flight."""
     folder.mkdir()
-    mission = (HILLS / "mission.toml").read_text(encoding="utf-8")
-    (folder / "mission.toml").write_text(mission, encoding="utf-8")
-    text = resume.encode() if isinstance(resume, str) else resume
-    (folder / "resume.json").write_bytes(text)
+    (folder / "mission.toml").write_bytes((HILLS / "mission.toml").read_bytes())
+    (folder / "resume.json").write_bytes(resume)
     return folder
 
 
@@ -162,19 +139,17 @@ def test_to_go_on_needs_the_folder_of_that_mission(tmp_path: Path) -> None:
     file.write_text("", encoding="utf-8")
     other.mkdir()
     (other / "mission.toml").write_text("[package]\nname = 'x'\n", encoding="utf-8")
-    run = kept(tmp_path / "run", "{}")
+    run = kept(tmp_path / "run", b"{}")
     out: tuple[str | Path, ...]
     for out, words in (
-        ((), ("--resume",)),
-        (("--out", file), ("--out",)),
-        (("--out", other), ("mission.toml",)),
-        (("--out", run), ("MISSION = 'environment-1'", "of another mission, 'hills'")),
+        ((), "--resume"),
+        (("--out", file), "--out"),
+        (("--out", other), "mission.toml"),
+        (("--out", run), "MISSION = 'environment-1'.*of another mission, 'hills'"),
     ):
-        line = refused("fly", "environment-1", *out, "--resume")
-        assert all(word in line for word in words), line
+        assert re.search(words, refused("fly", "environment-1", *out, "--resume"))
     line = refused("fly", HILLS / "mission.toml", "--out", run)  # nor is it flown over
-    assert "holds a flight already" in line
-    assert "--resume" in line
+    assert re.search("holds a flight already.*--resume", line)
 
 
 @pytest.mark.usefixtures("hurried")
@@ -197,9 +172,6 @@ def test_what_was_kept_and_cannot_be_read_is_said_and_gone_on_without(tmp_path: 
     entries = [json.loads(line) for line in journal]
     [resumed] = [entry for entry in entries if entry.get("kind") == "resumed"]
     assert "resume.json" in resumed["lost"]
-
-
-# --- before a flight
 
 
 def connect(port: int) -> tuple[str, str]:

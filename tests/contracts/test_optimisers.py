@@ -108,25 +108,13 @@ class TestEveryOptimiser:
         point = np.array([0.25, 0.75, 0.5])
         only_there: Objective = lambda x: np.where((x == point).all(axis=1), 7.0, np.inf)  # noqa: E731
         ranked = search(name, only_there, dimensions=3, seeds=point[None])
-        assert ranked.x[0].tolist() == point.tolist()
-        assert ranked.costs[0] == 7.0
+        assert (ranked.x[0].tolist(), ranked.costs[0]) == (point.tolist(), 7.0)
 
-    def test_a_population_all_at_one_point_stays_finite_and_in_bounds(self, name: str) -> None:
-        objective, seeds = Recorder(bowl), np.ones((200, 3))  # a corner: every difference is zero
+    def test_a_population_all_in_one_corner_stays_in_bounds(self, name: str) -> None:
+        objective, seeds = Recorder(bowl), np.ones((200, 3))  # every difference is zero
         ranked = search(name, objective, dimensions=3, seeds=seeds)
-        assert np.isfinite(objective.points).all()
         assert 0.0 <= objective.points.min() <= objective.points.max() <= 1.0
         assert ranked.costs[0] <= bowl(np.ones((1, 3)))[0]
-
-    def test_a_needle_is_found(self, name: str) -> None:
-        # everything costs 1, but for a cell around the point
-        point = np.array([0.25, 0.75])
-
-        def needle(x: FloatArray) -> FloatArray:
-            return np.where(np.abs(x - point).max(axis=1) < 0.15, np.abs(x - point).sum(1), 1.0)
-
-        ranked = search(name, needle, seed=3, dimensions=2, evaluations=3_600)
-        assert ranked.x[0] == pytest.approx(point, abs=0.01)
 
     @pytest.mark.parametrize(("middle", "evaluations", "near"), [
         ((0.3,), 2_400, 1e-3), ((0.3,) * 6, 6_000, 0.01), ((1.3, -0.2, 1.1, 0.6), 6_000, 0.02),
@@ -150,16 +138,6 @@ class TestEveryOptimiser:
         ranked = search(name, ellipsoid, seed=seed, evaluations=6_000)
         assert ranked.x[0] == pytest.approx(middle, abs=0.06)
 
-    @few
-    @given(seed=seeds)
-    def test_a_search_from_a_good_seed_ends_no_worse_than_it(self, name: str, seed: int) -> None:
-        rng = np.random.default_rng(seed)
-        good = np.clip(0.3 + rng.normal(0.0, 1e-4, (1, 6)), 0.0, 1.0)
-        ranked = search(name, bowl, seed=seed, dimensions=6, evaluations=120, seeds=good)
-        assert ranked.costs[0] <= bowl(good)[0]
-        # 120 evaluations alone come nowhere near it
-        assert search(name, bowl, seed=seed, dimensions=6, evaluations=120).costs[0] > 1e-4
-
 
 def test_no_two_names_are_the_same_search_and_the_papers_have_its_60_members() -> None:
     assert {"improved-de", "pso", "ga", "de/rand/1/bin"} <= PAPERS
@@ -168,27 +146,19 @@ def test_no_two_names_are_the_same_search_and_the_papers_have_its_60_members() -
         assert OPTIMISERS[name](6, 3_000, np.random.default_rng(1), None).ask().shape == (60, 6)
 
 
-# --- the loop
-
-
-class Scripted:
-    """An optimiser of given candidates."""
-
-    def __init__(self, x: FloatArray) -> None:
-        self.population = x
-        self.costs = np.full(len(x), np.nan)
-
-    def ask(self) -> FloatArray:
-        return self.population
-
-    def tell(self, costs: FloatArray) -> None:
-        self.costs = costs
-
-
 def test_members_are_ranked_by_cost_equals_in_their_order_and_nan_as_infinite() -> None:
-    x = np.array([[0.3], [0.1], [0.4], [0.2], [0.5]])
+    class Scripted:
+        population = np.array([[0.3], [0.1], [0.4], [0.2], [0.5]])
+        costs = np.full(5, np.nan)
+
+        def ask(self) -> FloatArray:
+            return self.population
+
+        def tell(self, costs: FloatArray) -> None:
+            self.costs = costs
+
     costs = {0.3: 5.0, 0.1: 1.0, 0.2: 1.0, 0.4: np.nan, 0.5: -np.inf}
-    ranked = minimise(Scripted(x), lambda x: np.array([costs[v] for v in x[:, 0]]), 5)
+    ranked = minimise(Scripted(), lambda x: np.array([costs[v] for v in x[:, 0]]), 5)
     assert ranked.costs.tolist() == [-np.inf, 1.0, 1.0, 5.0, np.inf]
     assert ranked.x[:, 0].tolist() == [0.5, 0.1, 0.2, 0.3, 0.4]
     assert ranked.evaluations == 5

@@ -1,7 +1,6 @@
 """What a link tells besides messages: strangers with our ids, the vehicle's time, frames unread."""
 
 import random
-from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -18,9 +17,6 @@ from companion.mission.events import DuplicateId
 from companion.session import Session
 
 SYSTEM = 7
-
-
-# --- another process with our ids is told from our own frames that a link sends back
 
 
 class Speaker:
@@ -58,13 +54,12 @@ def test_without_a_stranger_nothing_is_ever_told(steps: list[tuple[bool, float]]
             assert it.heard(frames[int(wait_s * 1e6) % len(frames)], SYSTEM, now_s) is None
 
 
-def test_a_reflection_may_come_200_frames_late_or_without_signature_version_or_zeros() -> None:
+def test_a_reflection_may_come_200_frames_late_or_without_its_signature() -> None:
     us, it = Speaker(), DuplicateIdDetector()
     frames = [us.beats() if tick % 10 == 0 else us.leads(tick * 100) for tick in range(400)]
     for tick, frame in enumerate(frames):
         it.sent.append(frame)
-        for late in (0, 0, 1, 30, 200):
-            assert late > tick or it.heard(frames[tick - late], SYSTEM, tick * 0.1) is None
+        assert it.heard(frames[max(tick - 200, 0)], SYSTEM, tick * 0.1) is None
     us.link.signing.secret_key, us.link.signing.sign_outgoing = b"k" * 32, True
     sequence = us.link.seq
     it.sent.append(us.beats())
@@ -91,17 +86,6 @@ def test_what_a_dead_companion_has_left_in_buffers_is_never_certain() -> None:
     assert it.heard(before.beats(), SYSTEM, 20.0) == doubted
 
 
-@pytest.mark.parametrize("rate_hz", [1, 20, 200])
-def test_a_stranger_that_streams_is_told_of_twice_a_second_at_most(rate_hz: int) -> None:
-    them, it = Speaker(), DuplicateIdDetector()
-    heard = [it.heard(them.leads(k), SYSTEM, k / rate_hz) for k in range(10 * rate_hz)]
-    told = [event for event in heard if event is not None]
-    assert 0 < len(told) <= 21
-    assert sum(event.news for event in told) == 1
-    others = [event for event in told if not event.news]
-    assert all(b.time_s - a.time_s >= 0.5 - 1e-9 for a, b in pairwise(others))
-
-
 def test_another_vehicles_companion_is_none_of_ours_once_it_is_clear_whose_we_are() -> None:
     """What was heard before that counts then; one who comes back later is news again."""
     theirs, it = Speaker(system_id=8), DuplicateIdDetector()
@@ -112,11 +96,7 @@ def test_another_vehicles_companion_is_none_of_ours_once_it_is_clear_whose_we_ar
     assert [event.time_s for event in told if event and event.news] == [4.0, 32.0]
 
 
-# --- the vehicle's time
-
-
 READ = ClockReading
-"""Short, for the table below."""
 
 
 @pytest.mark.parametrize(
@@ -153,9 +133,6 @@ def test_a_leap_that_the_silence_or_the_arrival_explains_is_believed_at_once() -
     silent.on_silence(30.0, counts=True)
     assert silent.read(90.0) is READ.LATER
     assert silent.read(97.0) is READ.DOUBTED
-
-
-# --- what is not read is recorded, frame by frame, and changes nothing
 
 
 def any_frame(number: int, rng: random.Random, system: int = 1, component: int = 1) -> bytes:

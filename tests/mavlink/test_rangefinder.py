@@ -93,24 +93,23 @@ def test_what_cannot_be_believed_says_nothing(fields: dict[str, int]) -> None:
     assert Hovering(known()).reads(*[3.0] * 8, **fields) == []
 
 
-def test_where_the_map_knows_nothing_nothing_is_compared() -> None:
+@pytest.mark.parametrize(
+    ("lean_deg", "low_to", "is_told"),
+    [
+        # nose up by 45 degrees, towards the east: its foot is 3 m to the east
+        ((0.0, 45.0, 90.0), 23, True),
+        ((0.0, 45.0, 90.0), 21, False),
+        ((0.0, 45.0, -90.0), 21, True),
+        ((45.0, 0.0, 0.0), 21, True),  # right side down: the foot lies to the left, west
+        ((-45.0, 0.0, 0.0), 21, False),
+    ],
+)
+@pytest.mark.parametrize("beyond_m", [MAP_M + 5.0, math.inf])  # where nothing is known, too
+def test_the_beam_is_compared_with_the_map_where_it_ends(
+    lean_deg: tuple[float, float, float], low_to: int, is_told: bool, beyond_m: float
+) -> None:
     upper = np.full((40, 40), MAP_M)
-    upper[21, 20] = math.inf
-    assert Hovering(known(upper)).reads(*[3.0] * 8) == []
-
-
-def test_the_beam_is_compared_with_the_map_where_it_ends() -> None:
-    """Nose up by 45 degrees, towards the east: its foot is 8 m to the east."""
-    upper = np.full((40, 40), MAP_M)
-    upper[:, 23:] = MAP_M + 5.0
-    slant_m = 3.0 * math.sqrt(2.0)
-    east = (0.0, math.radians(45.0), math.radians(90.0))
-    assert Hovering(known(upper), lean=east).reads(*[slant_m] * 6) != []  # 3 m east: low there
-    upper[:, 21:] = MAP_M + 5.0
-    assert Hovering(known(upper), lean=east).reads(*[slant_m] * 6) == []
-    west = (0.0, math.radians(45.0), math.radians(-90.0))
-    assert Hovering(known(upper), lean=west).reads(*[slant_m] * 6) != []
-    rolled = (math.radians(45.0), 0.0, 0.0)  # right side down: the foot lies to the left, west
-    assert Hovering(known(upper), lean=rolled).reads(*[slant_m] * 6) != []
-    rolled = (math.radians(-45.0), 0.0, 0.0)
-    assert Hovering(known(upper), lean=rolled).reads(*[slant_m] * 6) == []
+    upper[:, low_to:] = beyond_m
+    roll, pitch, yaw = map(math.radians, lean_deg)
+    found = Hovering(known(upper), lean=(roll, pitch, yaw)).reads(*[3.0 * math.sqrt(2.0)] * 6)
+    assert bool(found) is is_told

@@ -1,5 +1,6 @@
 """Setpoints and events against pymavlink's packing and parsing, geodesy against geodesics."""
 
+import itertools
 import math
 from typing import Any
 
@@ -91,11 +92,15 @@ def test_a_setpoint_is_a_place_amsl_with_its_mask(autopilot: Autopilot, stay: bo
 
 @each_target
 @pytest.mark.parametrize("place", PLACES)
-def test_velocity_and_nose_point_along_the_true_course(autopilot: Autopilot, place: Vector) -> None:
+def test_place_velocity_and_nose_are_true_ones(autopilot: Autopilot, place: Vector) -> None:
     for bearing in (math.radians(45.0 * k) for k in range(8)):
         velocity = (150.0 * math.cos(bearing), 150.0 * math.sin(bearing), 12.0)
         changes = {"position_nea_m": place, "velocity_nea_m_s": velocity, "yaw_rad": bearing}
         message = sent(autopilot, made(**changes))
+        latitude, longitude = geodetic(*place[:2])
+        away = GEOD.inv(longitude, latitude, message.lon_int * 1e-7, message.lat_int * 1e-7)
+        assert away[2] < 0.02
+        assert message.alt == place[2]
         course = true_course_rad(*place[:2], bearing)
         # The frame is no conformal one: at the corner a right angle is off by 1e-4 rad.
         assert angle_between(math.atan2(message.vy, message.vx), course) < 1e-4
@@ -160,15 +165,6 @@ def test_nothing_that_is_not_finite_and_in_range_is_ever_sent(
         assert message.time_boot_ms == pytest.approx(1e3 * setpoint.time_s, abs=0.501)
 
 
-@given(place=st.tuples(st.floats(-2e5, 2e5), st.floats(-2e5, 2e5), st.floats(-500.0, 5e4)))
-def test_what_is_in_range_is_sent_to_where_it_is(place: Vector) -> None:
-    message = sent(ARDUCOPTER, made(position_nea_m=place))
-    latitude, longitude = geodetic(*place[:2])
-    _, _, off_m = GEOD.inv(longitude, latitude, message.lon_int * 1e-7, message.lat_int * 1e-7)
-    assert off_m < 0.02
-    assert message.alt == pytest.approx(place[2], abs=0.01)
-
-
 @each
 @pytest.mark.parametrize(
     ("field", "values"),
@@ -211,15 +207,8 @@ def test_a_position_is_read_where_it_was_with_velocity_along_the_frame(place: Ve
     assert math.hypot(north, east) == pytest.approx(150.0, abs=0.01)
     assert math.atan2(east, north) == pytest.approx(bearing, abs=2e-4)
     assert up == pytest.approx(2.5)
-    unknown = event(at(*there, hdg=65_535))
-    assert isinstance(unknown, Position)
+    unknown: Any = event(at(*there, hdg=65_535))
     assert unknown.heading_rad is None
-
-
-@pytest.mark.parametrize("place", [(0, 0), (3090, -717), (-99_000, 99_000), (0, 80_000_000)])
-def test_about_latitude_and_longitude_0_there_is_no_position(place: tuple[int, int]) -> None:
-    """3090, -717 was recorded: an ArduPlane that has no fix yet; on the equator there are some."""
-    assert (event(at(*place)) is None) == (place[1] < 100_000)
 
 
 # --- other events
@@ -227,30 +216,22 @@ def test_about_latitude_and_longitude_0_there_is_no_position(place: tuple[int, i
 
 @each
 def test_a_heartbeat_tells_of_arming_and_of_a_failsafe(autopilot: Autopilot) -> None:
-    for status in range(9):
-        name = wire.enums["MAV_STATE"][status].name
-        for armed in (False, True):
-            base = 1 | (wire.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
-            read = event(wire.MAVLink_heartbeat_message(2, 3, base, 4, status, 3), autopilot)
-            assert isinstance(read, events.VehicleStatus)
-            assert (read.time_s, read.armed) == (1.5, armed)
-            assert read.failsafe == (name in ("MAV_STATE_CRITICAL", "MAV_STATE_EMERGENCY"))
+    states = wire.MAV_STATE_CRITICAL, wire.MAV_STATE_EMERGENCY
+    for status, armed in itertools.product(range(9), (False, True)):
+        base = 1 | wire.MAV_MODE_FLAG_SAFETY_ARMED * armed
+        read = event(wire.MAVLink_heartbeat_message(2, 3, base, 4, status, 3), autopilot)
+        assert isinstance(read, events.VehicleStatus)
+        assert (read.time_s, read.armed, read.failsafe) == (1.5, armed, status in states)
     assert event(wire.MAVLink_system_time_message(0, 0), autopilot) is None
 
 
-LANDED = {
-    "UNDEFINED": Landed.UNKNOWN,
-    "ON_GROUND": Landed.ON_GROUND,
-    "IN_AIR": Landed.IN_AIR,
-    "TAKEOFF": Landed.TAKING_OFF,
-    "LANDING": Landed.LANDING,
-}
+LANDED = [Landed.UNKNOWN, Landed.ON_GROUND, Landed.IN_AIR, Landed.TAKING_OFF, Landed.LANDING]
+"""By MAV_LANDED_STATE."""
 
 
 def test_landed_states_fixes_and_batteries_are_those_of_the_message_definitions() -> None:
-    for number in range(100):
-        name = next((n for n in LANDED if getattr(wire, f"MAV_LANDED_STATE_{n}") == number), "")
-        expected = events.LandedState(time_s=1.5, landed=LANDED.get(name, Landed.UNKNOWN))
+    for number, landed in enumerate([*LANDED, *[Landed.UNKNOWN] * 20]):
+        expected = events.LandedState(time_s=1.5, landed=landed)
         assert event(wire.MAVLink_extended_sys_state_message(0, number)) == expected
     for fix_type, good in ((0, False), (2, False), (3, True), (6, True)):
         fix = wire.MAVLink_gps_raw_int_message(0, fix_type, *([0] * 8))
@@ -266,33 +247,33 @@ def test_landed_states_fixes_and_batteries_are_those_of_the_message_definitions(
         assert event(second) is None
 
 
-def home(latitude_e7: int, longitude_e7: int) -> Any:
-    rest = (584_070, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
-    return wire.MAVLink_home_position_message(latitude_e7, longitude_e7, *rest)
-
-
-def origin(latitude_e7: int, longitude_e7: int) -> Any:
-    return wire.MAVLink_gps_global_origin_message(latitude_e7, longitude_e7, 584_070)
-
-
-def waypoint(latitude_e7: int, longitude_e7: int) -> Any:
-    values = (latitude_e7, longitude_e7, 584.07, *([0.0] * 8))
-    return wire.MAVLink_position_target_global_int_message(0, 0, 0xFDF8, *values)
+REST = (584_070, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
 
 
 @pytest.mark.parametrize(
-    ("said", "kind", "autopilot"),
+    ("kind", "told"),
     [
-        (home, events.Home, ARDUCOPTER),
-        (origin, events.Origin, ARDUCOPTER),
-        (waypoint, Echo, ARDUPLANE),  # its waypoint is the echo
+        (events.Position, lambda *at_e7: at(*at_e7, alt=584_070)),
+        (events.Home, lambda *at_e7: wire.MAVLink_home_position_message(*at_e7, *REST)),
+        (events.Origin, lambda *at_e7: wire.MAVLink_gps_global_origin_message(*at_e7, 584_070)),
+        (
+            Echo,  # an ArduPlane's waypoint
+            lambda *at_e7: wire.MAVLink_position_target_global_int_message(
+                0, 0, 0xFDF8, *at_e7, 584.07, *([0.0] * 8)
+            ),
+        ),
     ],
+    ids=["position", "home", "origin", "waypoint"],
 )
-def test_home_and_waypoints_are_places_amsl(said: Any, kind: type, autopilot: Autopilot) -> None:
-    read: Any = event(said(*geodetic_e7(*CORNER[:2])), autopilot)
+def test_places_are_amsl_and_about_latitude_and_longitude_0_there_are_none(
+    kind: type, told: Any
+) -> None:
+    """3090, -717 was recorded: an ArduPlane that has no fix yet; on the equator there are some."""
+    read: Any = event(told(*geodetic_e7(*CORNER[:2])), ARDUPLANE)
     assert isinstance(read, kind)
     assert read.position_nea_m == pytest.approx((*CORNER[:2], 584.07), abs=0.02)
-    assert event(said(0, 0), autopilot) is None
+    for place in ((0, 0), (3090, -717), (-99_000, 99_000), (0, 80_000_000)):
+        assert (event(told(*place), ARDUPLANE) is None) == (place[1] < 100_000)
 
 
 # --- echoes

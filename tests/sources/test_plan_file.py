@@ -2,7 +2,6 @@
 
 import contextlib
 import copy
-import functools
 import json
 import math
 import re
@@ -36,13 +35,6 @@ def read(path: Path, content: Any) -> Plan:
     return read_plan(path, "mission.toml: plan")
 
 
-refused = functools.partial(refusal, read)
-
-
-def alone_refused(path: Path) -> str:
-    return refusal(lambda path, _: load_mission(str(path)), path, None)
-
-
 def item(command: int, *params: float | None, frame: int = 3, **more: Any) -> dict[str, Any]:
     return {"type": "SimpleItem", "command": command, "frame": frame, "params": params, **more}
 
@@ -63,9 +55,6 @@ def naming(folder: Path, plan: Any, text: str) -> Mission:
     (folder / "x.plan").write_text(json.dumps(plan), encoding="utf-8")
     (folder / "mission.toml").write_text(f'plan = "x.plan"\n{text}', encoding="utf-8")
     return load_mission(str(folder / "mission.toml"))
-
-
-# --- what a plan says
 
 
 def test_waypoints_fences_rally_points_and_the_end_are_those_of_the_file(path: Path) -> None:
@@ -100,13 +89,6 @@ def test_the_altitude_of_a_waypoint_is_known_by_its_frame(path: Path) -> None:
     assert [target["latitude_deg"] for target in found.targets] == [47.41] * 4 + [47.43]
 
 
-def test_the_waypoints_of_a_survey_are_targets_and_its_camera_is_left_out() -> None:
-    found = read_plan(MISSIONS / "survey.plan", "MISSION")
-    assert len(found.targets) == 6 + 1  # and where it lands
-    assert found.end_action == "land"
-    assert found.notes == ["left out: 6 x do set cam trigg dist"]
-
-
 @pytest.mark.parametrize(
     ("last", "action", "targets"),
     [
@@ -121,9 +103,10 @@ def test_the_last_item_is_the_end(path: Path, last: Any, action: str, targets: i
     found = read(path, plan(waypoint(), last))
     assert (found.end_action, len(found.targets)) == (action, targets)
     if targets == 2:
-        assert "ends before this item" in refused(path, plan(last, waypoint()))
+        assert "ends before this item" in refusal(read, path, plan(last, waypoint()))
 
 
+MOVES_HOME = item(179, 1, 0, 0, 0, 0, 0, 0)
 HOME, NONE = "mission.plannedHomePosition", "launch has no latitude and longitude"
 REFUSED: list[tuple[Any, str]] = [
     ({"fileType": "Mission"}, "no QGroundControl plan"),
@@ -140,6 +123,8 @@ REFUSED: list[tuple[Any, str]] = [
         (plan(waypoint(), plannedHomePosition=home), f"{HOME}.*{NONE}")
         for home in ([0.0, 0.0, 250.0], [None, None, None])
     ),
+    # above a home that the mission moves
+    (plan(waypoint(), MOVES_HOME, waypoint(0.02)), r"^x\.plan: mission\.items\[2\].*do set home"),
     # versions that are not known
     (FENCED | {"version": 2}, "version = 2"),
     *(
@@ -165,11 +150,31 @@ REFUSED: list[tuple[Any, str]] = [
 
 @pytest.mark.parametrize(("bad", "words"), REFUSED, ids=range(len(REFUSED)))
 def test_what_cannot_be_taken_is_told_why(path: Path, bad: Any, words: str) -> None:
-    message = refused(path, bad)
-    assert re.search(words, message), message
+    told = refusal(read, path, bad)
+    assert re.search(words, told), told
 
 
-# --- a plan by itself
+ASSUMED = "What a plan lacks is assumed"
+
+
+@pytest.mark.parametrize(
+    ("place", "mission", "words"),
+    [
+        ((50.4, 11.5), {}, r"^x\.plan: items\[1\] = \[50.4, .* it lies 39\d\.?\d* km from launch"),
+        ((-47.4, -171.45), {}, r"^x\.plan: items\[1\] = \[-47.4, .* km from launch"),
+        ((47.41, 8.55), {"hoverSpeed": 90, "vehicleType": 2}, ASSUMED),
+        ((86.01, 8.55), {"plannedHomePosition": [86.0, 8.55, 400]}, ASSUMED),
+        ((47.41, 8.55), {"plannedHomePosition": [47.4, 8.55, 60_000]}, ASSUMED),
+    ],
+)
+def test_what_a_mission_cannot_be_of_is_told_in_the_words_of_the_plan(
+    path: Path, place: tuple[float, float], mission: dict[str, Any], words: str
+) -> None:
+    """A far waypoint, a speed, a launch: of those who wrote the plan and no mission file."""
+    items = [waypoint(), item(16, 0, 0, 0, None, *place, 50)][0 if not mission else 1 :]
+    path.write_text(json.dumps(plan(*items, **mission)), encoding="utf-8")
+    told = refusal(lambda path, _: load_mission(str(path)), path, None)
+    assert re.search(words, told), told
 
 
 def same(one: Mission, other: Mission) -> bool:
@@ -258,72 +263,24 @@ def test_any_value_anywhere_is_taken_or_an_input_error(path: Path, data: st.Data
         load_mission(str(path))
 
 
-# --- what is left out, and what was never written
-
-
 def test_what_is_not_done_at_a_waypoint_is_counted(path: Path) -> None:
     found = read(
         path,
         plan(
-            item(22, 0, 0, 0, None, 47.4, 8.55, 30),
-            item(16, 15, 0, 0, None, 47.41, 8.55, 50),
-            item(16, 5, 0, 0, 90, 47.42, 8.55, 50),
-            item(16, 0, 0, -20, None, 47.43, 8.55, 50),
-            item(22, 0, 0, 0, None, 47.4, 8.55, 30),
-            item(19, 60, 0, 30, None, 47.44, 8.55, 50),
-            item(201, 0, 0, 0, 0, 47.4, 8.55, 0),
+            *(item(22, 0, 0, 0, None, 47.4, 8.55, 30), item(16, 15, 0, 0, None, 47.41, 8.55, 50)),
+            *(item(16, 5, 0, 0, 90, 47.42, 8.55, 50), item(16, 0, 0, -20, None, 47.43, 8.55, 50)),
+            *(item(22, 0, 0, 0, None, 47.4, 8.55, 30), item(19, 60, 0, 30, None, 47.44, 8.55, 50)),
+            *(item(201, 0, 0, 0, 0, 47.4, 8.55, 0), MOVES_HOME),
+            waypoint(0.05, altitude=450.0, frame=0),
         ),
     )
     [said] = found.notes
     not_done = (
         "2 x waiting at a waypoint, 1 x heading at a waypoint, 1 x passing beside a waypoint, "
-        "1 x nav takeoff, 1 x loiter at a waypoint, 1 x do set roi"
+        "1 x nav takeoff, 1 x loiter at a waypoint, 1 x do set roi, 1 x do set home"
     )
     assert all(words in said for words in not_done.split(", "))
     assert read(path, plan(waypoint())).notes == []
-
-
-def test_altitudes_above_a_home_that_the_mission_moves_are_refused(path: Path) -> None:
-    moves = item(179, 1, 0, 0, 0, 0, 0, 0)
-    told = refused(path, plan(waypoint(), moves, waypoint(0.02)))
-    assert told.startswith("x.plan: mission.items[2]")
-    assert "do set home" in told
-    amsl = waypoint(0.02, altitude=450.0, frame=0)
-    assert "1 x do set home" in read(path, plan(waypoint(), moves, amsl)).notes[0]
-
-
-def test_a_parameter_that_is_null_is_not_given(path: Path) -> None:
-    text = json.dumps(plan(item(16, 0, 0, 0, None, 47.41, 8.55, 50)))
-    path.write_text(text, encoding="utf-8")
-    found = read_plan(path, "plan")
-    assert (len(found.targets), found.notes) == (1, [])
-
-
-@pytest.mark.parametrize("place", [(50.4, 11.5), (-47.4, -171.45)])
-def test_a_far_waypoint_is_named_and_not_a_key_of_a_mission_file(
-    path: Path, place: tuple[float, float]
-) -> None:
-    path.write_text(json.dumps(plan(waypoint(), item(16, 0, 0, 0, None, *place, 50))))
-    told = alone_refused(path)
-    assert told.startswith(f"x.plan: items[1] = [{place[0]}, ")
-    _, _, true_m = GEOD.inv(8.55, 47.4, place[1], place[0])
-    said_km = float(told.partition("it lies ")[2].partition(" km from launch")[0].replace(",", ""))
-    assert said_km == pytest.approx(true_m / 1000.0, rel=0.01)
-
-
-@pytest.mark.parametrize(
-    "mission",
-    [
-        {"hoverSpeed": 90, "vehicleType": 2},
-        {"plannedHomePosition": [86.0, 8.55, 400]},
-        {"plannedHomePosition": [47.4, 8.55, 60_000]},
-    ],
-)
-def test_an_error_about_an_assumed_key_says_so(path: Path, mission: dict[str, Any]) -> None:
-    latitude = mission.get("plannedHomePosition", [47.4])[0] + 0.01
-    path.write_text(json.dumps(plan(item(16, 0, 0, 0, None, latitude, 8.55, 50), **mission)))
-    assert "What a plan lacks is assumed" in alone_refused(path)
-    own = path.with_name("own.toml")
-    own.write_text('plan = "x.plan"\n[altitude]\nfloor_amsl_m = 900.0\nceiling_amsl_m = 1.0\n')
-    told = alone_refused(own)
-    assert "altitude.ceiling_amsl_m" not in told or "assumed" not in told
+    survey = read_plan(MISSIONS / "survey.plan", "MISSION")
+    assert (len(survey.targets), survey.end_action) == (6 + 1, "land")  # and where it lands
+    assert survey.notes == ["left out: 6 x do set cam trigg dist"]
