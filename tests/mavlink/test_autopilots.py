@@ -29,9 +29,6 @@ each = pytest.mark.parametrize("autopilot", ALL, ids=lambda a: a.name)
 each_px4 = pytest.mark.parametrize("autopilot", PX4, ids=lambda a: a.name)
 
 
-# --- who it is
-
-
 @pytest.mark.parametrize(
     ("autopilot", "kind", "expected", "words"),
     [
@@ -53,8 +50,6 @@ def test_which_autopilot(autopilot: int, kind: int, expected: Autopilot | None, 
     assert {each.name for each in FIRMWARES} == set(get_args(AutopilotName))
 
 
-# --- modes
-
 PX4_MODES = (  # px4.md 3
     *((0x00060000, "Offboard", Mode.GUIDED), (0x02040000, "Takeoff", Mode.TAKE_OFF)),
     *((0x03040000, "Hold", Mode.HOLD), (0x05040000, "Return", Mode.RETURN)),
@@ -75,11 +70,9 @@ TOLD = [
     (ARDUCOPTER, 5, "LOITER", Mode.OTHER),
     (ARDUCOPTER, 21, "SMART RTL", Mode.RETURN),
     (ARDUCOPTER, 4_294_967_295, "mode 4294967295", Mode.OTHER),
-    (ARDUPLANE, 5, "FLY BY WIRE A", Mode.OTHER),
     (PX4_MULTICOPTER, 0x04040000, "Mission", Mode.OTHER),
     (PX4_MULTICOPTER, 0x09040000, "Precision Land", Mode.LAND),
     (PX4_FIXED_WING, 0, "mode 0.0", Mode.OTHER),
-    (PX4_FIXED_WING, 0xFFFFFFFF, "mode 255.0", Mode.OTHER),
 ]
 
 
@@ -91,38 +84,26 @@ def test_modes_are_recognised(autopilot: Autopilot, number: int, name: str, mode
 
 @each
 @pytest.mark.parametrize("mode", Mode)
-def test_a_mode_is_asked_for_by_number_or_not_at_all(autopilot: Autopilot, mode: Mode) -> None:
+@pytest.mark.parametrize("at_nea_m", [None, (math.nan, 0.0, 100.0), CORNER])
+def test_a_mode_is_asked_for_by_number_or_not_at_all(
+    autopilot: Autopilot, mode: Mode, at_nea_m: Any
+) -> None:
     numbers = [number for one, number, _, asked in ASKED if one is autopilot and asked is mode]
-    messages = [over_the_wire(m) for m in autopilot.set_mode(SetMode(mode=mode), TO)]
+    command = SetMode(mode=mode, at_nea_m=at_nea_m)
+    messages = [over_the_wire(m) for m in autopilot.set_mode(command, TO)]
     assert len(messages) == len(numbers)
     for sent, number in zip(messages, numbers, strict=True):
-        assert (sent.get_type(), sent.command) == ("COMMAND_LONG", 176)
         assert (sent.target_system, sent.target_component) == (SYSTEM, 1)
+        if (autopilot, mode, at_nea_m) == (PX4_FIXED_WING, Mode.HOLD, CORNER):  # about a point
+            assert (sent.get_type(), sent.command, sent.frame) == ("COMMAND_INT", 192, 5)
+            assert sent.param2 == 1.0  # bit 0 switches to Hold
+            assert (sent.x, sent.y) == pytest.approx(geodetic_e7(*CORNER[:2]), abs=1)
+            assert sent.z == CORNER[2]
+            continue
         main, sub = int(sent.param2), int(sent.param3)
-        assert sent.param1 == 1.0
+        assert (sent.get_type(), sent.command, sent.param1) == ("COMMAND_LONG", 176, 1.0)
         assert number == (main << 16 | sub << 24 if autopilot in PX4 else main)
     assert mode is not Mode.LAND or bool(numbers) == autopilot.traits.lands
-
-
-@each
-def test_only_px4s_plane_holds_about_a_point(autopilot: Autopilot) -> None:
-    places = (None, (math.nan, 0.0, 100.0), CORNER)
-    here, nowhere, there = (
-        [over_the_wire(message) for message in autopilot.set_mode(command, TO)]
-        for command in (SetMode(mode=Mode.HOLD, at_nea_m=place) for place in places)
-    )
-    assert [m.to_dict() for m in nowhere] == [m.to_dict() for m in here]
-    if autopilot is not PX4_FIXED_WING:
-        assert [m.to_dict() for m in there] == [m.to_dict() for m in here]
-        return
-    [sent] = there
-    assert (sent.get_type(), sent.command, sent.frame) == ("COMMAND_INT", 192, 5)
-    assert sent.param2 == 1.0  # bit 0 switches to Hold
-    assert (sent.x, sent.y) == pytest.approx(geodetic_e7(*CORNER[:2]), abs=1)
-    assert sent.z == CORNER[2]
-
-
-# --- arming, take-off and speed
 
 
 CLIMB = TakeOff(above_home_m=60.0, altitude_amsl_m=548.0)
@@ -181,9 +162,6 @@ def test_only_arduplane_refuses_a_setpoint_in_words(result: int) -> None:
         ack = over_the_wire(wire.MAVLink_command_ack_message(command, result))
         refuses = command == 192 and result != wire.MAV_RESULT_ACCEPTED
         assert [a.refuses_setpoint(ack) for a in ALL] == [a is ARDUPLANE and refuses for a in ALL]
-
-
-# --- estimators
 
 
 ARDUPILOTS_SAY = [  # flags and figures of arducopter-gps-loss.tlog

@@ -148,16 +148,6 @@ def test_only_commanders_may_order_0_meaning_any(sender: tuple[int, int], may: b
         assert may or name in answer.text
 
 
-@pytest.mark.parametrize("target", [(7, 0), (0, 195), (0, 0)])
-def test_of_a_broadcast_only_our_questions_are_answered(target: tuple[int, int]) -> None:
-    for command in (START, PAUSE, RETURN, REPOSITION, 400, 22):
-        answer = made().on_message(command_long(command, 0.0, 5.0, target=target), 1.0)
-        assert answer == Reply()
-    for number, acks in ((148.0, [Ack(REQUEST, ACCEPTED, PERSON)]), (30.0, [])):
-        answer, told = answered(made(), command_long(REQUEST, number, target=target))
-        assert (answer.note, told) == (None, acks)
-
-
 def said(command: int, confirmation: int, at_s: float, value: float = 0.0) -> tuple[Any, float]:
     return command_long(command, value, confirmation=confirmation), at_s
 

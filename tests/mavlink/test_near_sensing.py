@@ -233,11 +233,7 @@ NEVER, ONCE, EACH_SECOND = range(0), range(100, 101), range(0, 200, 20)
     ],
 )
 def test_what_silence_about_a_sector_means(
-    sectors: tuple[int, ...],
-    but: range,
-    told_then: tuple[int, ...],
-    seconds: float,
-    expected_m: str,
+    sectors: Any, but: range, told_then: Any, seconds: float, expected_m: str
 ) -> None:
     """A thing in these sectors at 20 Hz, but for some sets; of another driver silence says none."""
     expected = [float(clear_m) for clear_m in expected_m.split()]

@@ -15,7 +15,6 @@ from planning import limits
 from companion.config import bundled, load_mission
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots import ALL
-from companion.mavlink.parameter_client import ParameterClient
 from companion.mavlink.rules import Finding, findings_of
 from companion.mission.mission import EndAction, Mission
 from companion.path.envelope import flown_on_m
@@ -91,40 +90,6 @@ def test_every_rule_can_be_read_and_every_name_is_one(way: Way) -> None:
     usual = {rule.name for rule in TABLES[way] if rule.found(DEFAULTS[way]) is None}
     unread = {f"PRX1_IGN_WID{k}" for k in range(1, 5)}  # not in the simulator's table
     assert usual <= {"ARMING_SKIPCHK", *unread}  # only newer ones have the former
-
-
-WORST = {
-    COPTER: {"GUID_TIMEOUT": 5.0},
-    PLANE: {"WP_LOITER_RAD": -150.0},
-    QUAD: {"COM_OF_LOSS_T": 8.0, "COM_OBL_RC_ACT": 7.0},
-    WING: {"COM_OF_LOSS_T": 8.0, "NAV_LOITER_RAD": 200.0},
-}
-
-
-@ALL_FOUR
-def test_what_is_set_is_taken_and_then_nothing_is_left(way: Way) -> None:
-    held = Held(*way)
-    for name, value in WORST[way].items():
-        held.simulation.parameters[name] = value
-    client = ParameterClient(1, [rule.names for rule in TABLES[way]], bytewise=way[0] == "px4")
-    held.run(10.0, client, lambda: client.is_done)
-    to_set = {name: each.set_to for name, each in found(way, client.values).items() if each.set_to}
-    assert set(to_set) >= set(WORST[way])
-    for name, value in to_set.items():
-        client.set(name, value)
-    held.run(10.0, client, lambda: client.is_done)
-    assert client.failed_sets == {}
-    assert found(way, client.values) == {}
-
-
-def test_a_line_names_parameter_value_rule_and_remedy_and_the_worst_comes_first() -> None:
-    values = USUAL[QUAD] | {"COM_OBL_RC_ACT": 0.0}
-    findings = findings_of(TABLES[QUAD], values, mission(speed_m_s=30.0))
-    assert [severity_of(each) for each in findings] == [REFUSE, REFUSE, SET]
-    assert str(findings[-1]) == (
-        "COM_OBL_RC_ACT = 0: when the stream stops the vehicle sinks without RC. It is set to 5."
-    )
-    assert all("\n" not in str(each) and len(str(each)) < 300 for each in findings)
 
 
 @ALL_FOUR

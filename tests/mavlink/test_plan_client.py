@@ -47,9 +47,7 @@ def known(client: PlanClient, kind: int = FENCE) -> list[tuple[int, float, int, 
     ("fault", "within_s"),
     [("", 2.0), ("link_loss 25 %", 60), ("link_delay 400 ms", 60), ("link_duplication 50 %", 60)],
 )
-def test_all_three_lists_are_downloaded_and_silence_changes_none(
-    way: Any, fault: str, within_s: float
-) -> None:
+def test_lists_come_whole_and_silence_changes_none(way: Any, fault: str, within_s: float) -> None:
     held, client = Held(*way), PlanClient(1)
     lists = {FENCE: [*polygon(40), circle(60.0)], MISSION: waypoints(9), RALLY: rally(3)}
     for kind, items in lists.items():
@@ -177,15 +175,16 @@ def test_the_transfers_of_others_are_none_of_ours() -> None:
 
 
 @pytest.mark.parametrize(
-    ("result", "is_done", "supported"),
-    [(wire.MAV_MISSION_UNSUPPORTED, True, False), (wire.MAV_MISSION_DENIED, False, True)],
+    ("result", "is_done"),
+    [(wire.MAV_MISSION_UNSUPPORTED, True), (wire.MAV_MISSION_DENIED, False)],
 )
-def test_what_is_not_supported_is_done_and_somebody_elses_upload_is_waited_for(
-    result: int, is_done: bool, supported: bool
+def test_what_is_not_supported_is_done_and_denied_is_asked_again(
+    result: int, is_done: bool
 ) -> None:
+    """Denied: somebody else is uploading."""
     client = begun()
     assert asked(client.on_message(ack(result), 0.1)) == [(LIST, RALLY)]
-    assert client.plans[FENCE].supported is supported
+    assert client.plans[FENCE].supported is not is_done
     for kind in (RALLY, MISSION):
         client.on_message(count(0, kind), 0.2)
     assert client.is_done is is_done

@@ -167,7 +167,7 @@ LEVEL, HIGHER = (
 
 
 @pytest.mark.parametrize(
-    ("part", "changes", "check", "status", "words"),
+    "case",
     [
         ("link", {"round_trip_s": 0.8}, "link delay", "refused", ""),
         ("link", {"round_trip_s": None}, "link delay", "note", ""),
@@ -183,15 +183,8 @@ LEVEL, HIGHER = (
         ("session", {"rangefinder": DEAF}, "rangefinder", "refused", "component 1: not heard"),
     ],
 )
-def test_what_is_seen(
-    looked: Pair,
-    monkeypatch: pytest.MonkeyPatch,
-    part: str,
-    changes: dict[str, Any],
-    check: str,
-    status: str,
-    words: str,
-) -> None:
+def test_what_is_seen(looked: Pair, monkeypatch: pytest.MonkeyPatch, case: Any) -> None:
+    part, changes, check, status, words = case
     session = looked.session
     state, seen = session.state, {"link": session.vehicle, "session": session}
     for name, value in changes.items() if part in seen else ():

@@ -50,9 +50,7 @@ class Hovering:
 
 
 @given(ground_m=st.floats(380.0, 406.0), roll=st.floats(-0.5, 0.5), pitch=st.floats(-0.5, 0.5))
-def test_it_is_told_exactly_where_the_ground_is_higher_than_the_map_by_more_than_the_error(
-    ground_m: float, roll: float, pitch: float
-) -> None:
+def test_higher_ground_is_told(ground_m: float, roll: float, pitch: float) -> None:
     """However the vehicle leans; what it is told is by how much."""
     slant_m = (ALTITUDE_M - ground_m) / (math.cos(roll) * math.cos(pitch))
     found = Hovering(known(), lean=(roll, pitch, 0.7)).reads(*[slant_m] * 6)

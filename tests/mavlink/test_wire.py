@@ -67,9 +67,6 @@ def event(
     return autopilot.event_of(over_the_wire(message), 1.5, FRAME, origin_nea_m)
 
 
-# --- setpoints
-
-
 @each_target
 @pytest.mark.parametrize("stay", [False, True])
 def test_a_setpoint_is_a_place_amsl_with_its_mask(autopilot: Autopilot, stay: bool) -> None:
@@ -184,9 +181,6 @@ def test_one_bad_value_is_refused(autopilot: Autopilot, field: str, values: Any)
             assert autopilot.setpoint(told, To(SYSTEM, FRAME), 0.0) is None, bad
 
 
-# --- positions
-
-
 def at(lat_e7: int, lon_e7: int, **fields: int) -> Any:
     usual = {"alt": 0, "relative_alt": 0, "vx": 0, "vy": 0, "vz": 0, "hdg": 0}
     return wire.MAVLink_global_position_int_message(12_300, lat_e7, lon_e7, **{**usual, **fields})
@@ -209,9 +203,6 @@ def test_a_position_is_read_where_it_was_with_velocity_along_the_frame(place: Ve
     assert up == pytest.approx(2.5)
     unknown: Any = event(at(*there, hdg=65_535))
     assert unknown.heading_rad is None
-
-
-# --- other events
 
 
 @each
@@ -265,9 +256,7 @@ REST = (584_070, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
     ],
     ids=["position", "home", "origin", "waypoint"],
 )
-def test_places_are_amsl_and_about_latitude_and_longitude_0_there_are_none(
-    kind: type, told: Any
-) -> None:
+def test_places_are_amsl_and_0_0_is_none(kind: type, told: Any) -> None:
     """3090, -717 was recorded: an ArduPlane that has no fix yet; on the equator there are some."""
     read: Any = event(told(*geodetic_e7(*CORNER[:2])), ARDUPLANE)
     assert isinstance(read, kind)
@@ -275,8 +264,6 @@ def test_places_are_amsl_and_about_latitude_and_longitude_0_there_are_none(
     for place in ((0, 0), (3090, -717), (-99_000, 99_000), (0, 80_000_000)):
         assert (event(told(*place), ARDUPLANE) is None) == (place[1] < 100_000)
 
-
-# --- echoes
 
 ORIGINS = ((0.0, 0.0, 488.0), (-30_000.0, 20_000.0, 488.0))
 
@@ -317,9 +304,7 @@ whole = st.integers(-(2**31), 2**31 - 1) | st.sampled_from([2**31 - 1, -(2**31),
 
 
 @given(at_e7=st.tuples(whole, whole), alt=whole, told=st.tuples(*[st.floats(width=32)] * 3))
-def test_a_position_or_an_echo_is_finite_or_none(
-    at_e7: tuple[int, int], alt: int, told: Vector
-) -> None:
+def test_positions_and_echoes_are_finite(at_e7: tuple[int, int], alt: int, told: Vector) -> None:
     echoes = [event(local_target(*told), each, ORIGINS[0]) for each in HOVERING]
     for read in (event(at(*at_e7, alt=alt)), *echoes):
         assert read is None or all(map(math.isfinite, read.position_nea_m))

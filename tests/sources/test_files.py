@@ -15,7 +15,7 @@ from spoiled import refusal
 
 from companion.config import load_mission, load_world, mission_text
 from companion.errors import InputError
-from companion.sources.files import json_table, plain, read_text, toml_table, toml_text, writing
+from companion.sources.files import json_table, read_text, toml_table, toml_text, writing
 
 FENCED = (Path(__file__).parent / "missions" / "fenced.plan").read_bytes()
 LIST = b"QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 100 1\n1 0 3 16 0 0 0 0 47 8.002 240 1\n"
@@ -87,14 +87,6 @@ def test_what_a_full_disk_took_a_part_of_is_removed_and_a_device_is_not(tmp_path
             full.write_text("the other half", encoding="utf-8")
     assert not torn.exists()
     assert full.is_char_device()
-
-
-@given(st.none() | st.integers() | st.text())
-def test_a_plain_name_is_one_printable_line_that_is_not_long(name: object) -> None:
-    shown = plain(name, "nameless")
-    assert 0 < len(shown) <= 60
-    assert shown.isprintable()
-    assert shown == shown.strip()
 
 
 @pytest.mark.parametrize("name", [b"flight.plan.txt", b"flight.json", b"Flight.PLAN", b"pl\xe4n"])

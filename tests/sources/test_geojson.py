@@ -74,36 +74,42 @@ def test_holes_make_a_keep_out_no_smaller_and_a_keep_in_no_larger(path: Path) ->
 
 PIN, LINE = feature("Point", [8.0, 47.0]), feature("LineString", RING)
 NULL = feature("Point", []) | {"geometry": None}
-NO_ZONES = [
-    *[PIN] * 3,
-    feature("MultiPoint", [[8.0, 47.0], [8.1, 47.0]]),
-    feature("Point", [8.0, 47.0], radius_m=None, kind="keep_in"),
-    *(LINE, feature("MultiLineString", [RING, HOLE])),
-    *(NULL, {"type": "Feature"}),
-    *(feature(shape, []) for shape in ("Polygon", "MultiPolygon", "Point", "LineString")),
-    feature("Polygon", [[]]),
-    {"type": "Feature", "geometry": {"type": "GeometryCollection", "geometries": []}},
-]
 ALL = ("points", "lines", "empty")
-COUNTED = "6 x point without radius_m, 3 x line, 8 x feature without a geometry"
 
 
-def test_what_a_map_has_beside_zones_is_counted_with_the_way_out(path: Path) -> None:
-    told = refusal(read, path, collection(feature("Polygon", [RING]), *NO_ZONES))
-    assert COUNTED in told
-    assert (
-        'threats = { file = "threats.geojson", leave_out = ["points", "lines", "empty"] }' in told
-    )
+EMPTY = {"type": "GeometryCollection", "geometries": []}
+NO_ZONES = {
+    "points": [*[PIN] * 3, feature("Point", [8.0, 47.0], radius_m=None, kind="keep_in")],
+    "lines": [LINE, feature("MultiLineString", [RING, HOLE])],
+    "empty": [NULL, {"type": "Feature"}, {"type": "Feature", "geometry": EMPTY}]
+    + [feature(shape, []) for shape in ("Polygon", "MultiPolygon", "Point", "LineString")],
+}
+COUNTED = {
+    "points": "4 x point without radius_m",
+    "lines": "3 x line",
+    "empty": "7 x feature without a geometry",
+}
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_what_is_no_zone_is_refused_with_its_count_and_left_out_when_told(
+    path: Path, kind: str
+) -> None:
+    """Zones are never left out with it."""
+    there = collection(feature("Polygon", [RING]), *NO_ZONES[kind])
+    told = refusal(functools.partial(read, leave_out=tuple({*ALL} - {kind})), path, there)
+    assert f"features = '{COUNTED[kind]}': " in told
+    found = read(path, there, (kind,))
+    assert [len(zone["vertices_deg"]) for zone in found.keep_outs] == [3]
+    assert COUNTED[kind] in found.notes[0]
+
+
+def test_zones_among_lines_are_taken_of_collections_and_many_points(path: Path) -> None:
     circles = feature("MultiPoint", [[8.0, 47.0], [8.1, 47.0]], radius_m=50.0)
     parts = [LINE["geometry"], feature("MultiPolygon", [[HOLE], [RING]])["geometry"]]
     mixed = feature("x", 0) | {"geometry": {"type": "GeometryCollection", "geometries": parts}}
-    with pytest.raises(InputError, match=r"features = '3 x line': "):
-        read_geojson(path, "threats", ("points", "empty"))
-    partly = read(path, collection(*NO_ZONES, mixed, circles), ALL)
-    corners_of_each = [len(zone.get("vertices_deg", [])) for zone in partly.keep_outs]
-    assert corners_of_each == [3, 3, 0, 0]  # zones are never left out with it
-    [said] = partly.notes
-    assert "4 x line" in said
+    found = read(path, collection(mixed, circles), ALL)
+    assert [len(zone.get("vertices_deg", [])) for zone in found.keep_outs] == [3, 3, 0, 0]
     assert len(read(path, mixed["geometry"], ALL).keep_outs) == 2
 
 

@@ -20,12 +20,11 @@ from hypothesis import strategies as st
 from spoiled import collection, feature, refusal, replace_somewhere
 
 import companion
-from companion.config import bundled, load_mission, load_world, mission_text
+from companion.config import load_mission, load_world, mission_text
 from companion.errors import InputError
 from companion.geodesy import FloatArray, LocalFrame
 from companion.mavlink.near_scanner import messages_of, streams_hz
 from companion.mission.mission import EndAction, Fallback, Mission
-from companion.optimise.registry import OPTIMISERS
 from companion.sources.files import toml_text
 from companion.sources.mission_schema import MissionTable, ZoneTable
 from companion.sources.zones import zones_of
@@ -180,44 +179,14 @@ def test_a_sensor_of_near_things_is_what_its_table_says(
     assert set(streams_hz(mission)) == ({30, message} if of_autopilot else {30})
 
 
-def test_the_optimiser_is_the_profiles_unless_the_mission_names_one(folder: Path) -> None:
-    def naming(name: str) -> str:
-        return COPTER.replace("planner = {", f'planner = {{ optimiser = "{name}",')
-
-    assert load(folder, COPTER).task.settings.optimiser is None
-    message = refusal(load, folder, naming("magic"))
-    assert "planner.optimiser = 'magic'" in message
-    for name in OPTIMISERS:
-        assert load(folder, naming(name)).task.settings.optimiser == name
-        assert name in message
-
-
 @given(tracking_m=st.floats(0.2, 40.0), navigation_m=st.floats(0.0, 40.0))
-def test_the_take_off_ends_where_paths_may_begin(
-    folder: Path, tracking_m: float, navigation_m: float
-) -> None:
+def test_a_take_off_ends_in_the_band(folder: Path, tracking_m: float, navigation_m: float) -> None:
     """However the errors compare: a vehicle hovering there is within the band of a certificate."""
     errors = f"tracking_error_m = {tracking_m}\nnavigation_error_m = {navigation_m}"
     task = load(folder, vehicle(errors).replace("1100.0", "1300.0")).task
     error_m = tracking_m + navigation_m
     low, high = task.band_amsl_m
     assert 900.0 + error_m <= low <= task.take_off_amsl_m < high <= 1300.0 - error_m
-
-
-@pytest.mark.parametrize("name", bundled())
-def test_bundled_missions_and_worlds_load_as_they_are_written(name: str) -> None:
-    mission, world = load_mission(name), load_world(name)
-    table = tomllib.loads(mission_text(name))
-    assert mission.name == table["name"] == world.name
-    places = [(target["north_m"], target["east_m"]) for target in table["targets"]]
-    assert [*mission.targets_ne_m] == places
-    assert mission.task.limits.speed_m_s == table["vehicle"]["speed_m_s"]
-    assert mission.task.settings.scan_range_m == table["planner"]["scan_range_m"]
-    assert mission.end_action is EndAction(table["end"]["action"])
-    assert len(mission.task.radars) == len(table.get("radars", []))
-    written = tomllib.loads((ENVIRONMENTS / name / "world.toml").read_text(encoding="utf-8"))
-    stands = written["vehicle"]
-    assert world.start_ne_m == (stands.get("north_m", 0.0), stands.get("east_m", 0.0))
 
 
 def test_a_copter_that_outruns_its_sight_is_flown_more_slowly_and_says_so() -> None:
@@ -231,15 +200,6 @@ def test_a_copter_that_outruns_its_sight_is_flown_more_slowly_and_says_so() -> N
 
 
 # --- places and zones
-
-
-@given(azimuth_deg=st.floats(-180.0, 180.0), distance_m=st.floats(0.0, 3900.0))
-def test_degrees_are_on_the_ellipsoid(folder: Path, azimuth_deg: float, distance_m: float) -> None:
-    longitude, latitude, _ = GEOD.fwd(8.0, 47.0, azimuth_deg, distance_m)
-    mission = load(folder, place(f"latitude_deg = {latitude!r}\nlongitude_deg = {longitude!r}"))
-    azimuth = math.radians(azimuth_deg)
-    expected = (distance_m * math.cos(azimuth), distance_m * math.sin(azimuth))
-    assert mission.targets_ne_m[0] == pytest.approx(expected, abs=1e-3)
 
 
 def test_zones_and_radars_in_degrees_are_those_in_metres(folder: Path) -> None:
@@ -431,8 +391,6 @@ NONE = [
     ("vertices_deg = [[47.0, 8.0], [47.0, 8.1]]", "three or more"),
     ("vertices_m = [[0.0, 0.0], [9.0, 9.0], [9.0, 0.0], [0.0, 9.0]]", "cross"),
     ("north_m = 1.0\neast_m = 1.0", SHAPE),
-    ("radius_m = 1.0", SHAPE),
-    (f"radius_m = 3.0\nvertices_m = {TRIANGLE}", SHAPE),
     (f"vertices_deg = {TRIANGLE}\nvertices_m = []", SHAPE),
 ]
 FAR = [
@@ -466,7 +424,6 @@ REFUSED: list[tuple[str, str]] = [
     (PLANE.replace("loiter_radius_m = 80.0", "loiter_radius_m = 800.0"), "scan range"),
     # places
     (place("north_m = 1.0"), r"targets\[0\] = \['north_m'\]: a place is given by"),
-    (place(""), r"targets\[0\] = \[\]: a place is given by"),
     (place("north_m = 1.0\nlatitude_deg = 47.0"), "Give one of these pairs"),
     (place("latitude_deg = 91.0\nlongitude_deg = 8.0"), "less than or equal to 90"),
     (place("latitude_deg = -47.0\nlongitude_deg = -172.0"), "1,000 km from the origin"),
@@ -485,27 +442,18 @@ REFUSED: list[tuple[str, str]] = [
     (vehicle("scanner = false"), "vehicle.scanner = False: .*nothing is known of the ground"),
     (vehicle("scanner_component_id = 100", BLIND), "there is no terrain radar"),
     (f"{BLIND}[scanner]\ncomplete = false\n", "there is no terrain radar"),
-    (f"{COPTER}[scanner]\ncomplete = 0\n", "scanner.complete.*valid boolean"),
     # terrain
     (BLIND + GUIDES, "guidance proves nothing"),
     (STATED + GUIDES, "mission.toml: terrain.trust = 'guidance'"),
-    (KNOWN + 'trust = "hope"\n', "terrain.trust"),
-    ("terrain = 7\n" + COPTER, "terrain = 7: it must be a valid dictionary"),
     (
         KNOWN.replace("longitude_deg = 8.0", "longitude_deg = 18.0"),
         "terrain.file.*no height anywhere on the map",
     ),
-    (KNOWN.replace("dem.tif", "absent.tif"), "no such file"),
-    (KNOWN.replace('vertical_datum = "EGM96"\n', ""), "vertical_datum = None: it is missing"),
     (KNOWN.replace("EGM96", "WGS84"), "vertical_datum = 'WGS84'"),
-    (KNOWN + "datum_error_m = -1.0\n", "greater than or equal to 0"),
-    (KNOWN + "datum_m = 1.0\n", "Did you mean datum_error_m?"),
     # a statement about the ground stands alone
     (STATED + 'file = "dem.tif"\n', r"terrain\.file = .*: no such key"),
     (STATED + "datum_error_m = 5.0\n", "terrain.datum_error_m = 5.0"),
-    (STATED.replace("840.0", "inf"), "terrain.highest_amsl_m = inf"),
     (COPTER + "[terrain]\n", "terrain.file = None: it is missing. Add file"),
-    (STATED.replace("highest_amsl_m", "highest_m"), "Did you mean highest_amsl_m?"),
     # a sensor of near things
     (scanner('kind = "radar"'), "scanner.kind.*terrain_radar"),
     (scanner("component = 196"), "scanner.component = 196.*it is of the other kinds"),
@@ -523,21 +471,18 @@ REFUSED: list[tuple[str, str]] = [
     (scanner(OBSTACLE, (KIND, f"{KIND}\nscanner = false")), "scanner = .*Remove one of them."),
     (scanner(OBSTACLE + "component = 195"), "scanner.component = 195.*the companion itself"),
     (scanner(OBSTACLE + "bearing_error_deg = 46.0"), "bearing_error_deg = 46.0.*less than"),
-    (scanner(OBSTACLE + "latency_s = -0.1"), "scanner.latency_s = -0.1.*greater than"),
     (scanner(OBSTACLE, (FLAT, FILE)), "terrain.trust = 'guidance'.*a sensor of near things does"),
+    (COPTER.replace("planner = {", 'planner = { optimiser = "magic",'), "'magic'.*improved-de"),
     # values of another kind
     *(
         (re.sub(rf"\b{key} = [^\n,}}]+", f"{key} = {value}", COPTER, count=1), f"{key} = .*{rule}")
         for key, value, rule in (
             ("speed_m_s", '"fast"', "valid number"),
             ("speed_m_s", "0.0", "greater than 0"),
-            ("speed_m_s", "true", "valid number"),
             ("climb_angle_deg", "90.0", "less than 90"),
             ("latitude_deg", "86.0", "less than or equal to 85"),
             ("schema", "2", "must be 1"),
-            ("kind", '"boat"', "'copter' or 'plane'"),
             ("action", '"loiter"', "'hold', 'land' or 'return'"),
-            ("name", "7", "valid string"),
             ("floor_amsl_m", "-501.0", "greater than or equal to -500"),
         )
     ),

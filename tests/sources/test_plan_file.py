@@ -204,20 +204,6 @@ def test_a_plan_alone_is_a_mission_that_says_what_it_assumed(name: str, tmp_path
     assert mission_text(str(alone)) == text
 
 
-@pytest.mark.parametrize("name", PLANS)
-@pytest.mark.parametrize("higher_m", [-20.0, 0.0, 80.0])
-def test_a_plan_is_flown_without_a_radar(name: str, higher_m: float, tmp_path: Path) -> None:
-    """The band that is assumed lies above launch and above that ground."""
-    content, home_m = MISSIONS / name, read_plan(MISSIONS / name, "MISSION").home_amsl_m
-    stated = f"[vehicle]\nscanner = false\n[terrain]\nhighest_amsl_m = {home_m + higher_m}\n"
-    mission = naming(tmp_path, json.loads(content.read_text(encoding="utf-8")), stated)
-    assert (mission.known.upper_m == home_m + higher_m).all()
-    lowest_m, highest_m = mission.task.band_amsl_m
-    least_m = max(home_m, home_m + higher_m) + mission.task.required_clearance_m
-    assert least_m <= lowest_m < mission.task.take_off_amsl_m + 1e-9
-    assert mission.task.take_off_amsl_m < highest_m
-
-
 OWN = """
 name = "mine"
 altitude = { floor_amsl_m = 600.0, ceiling_amsl_m = 700.0 }

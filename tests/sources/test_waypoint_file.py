@@ -48,9 +48,7 @@ def waypoint(north: float, altitude_m: float = 50.0, frame: int = 3) -> Row:
 
 
 @pytest.mark.parametrize("command", [WAYPOINT, TAKE_OFF, 179, 0, RETURN, 177])
-def test_a_list_is_the_plan_that_qgroundcontrol_would_save(
-    path: Path, tmp_path: Path, command: int
-) -> None:
+def test_a_list_is_qgroundcontrols_plan(path: Path, tmp_path: Path, command: int) -> None:
     """Line 0 is launch whatever its command, as ArduPilot takes it."""
     rows = [
         (3, TAKE_OFF, (0, 0, 0, 0), 47.4, 8.55, 30.0),
@@ -124,9 +122,7 @@ def test_a_spoiled_list_is_read_or_an_input_error(path: Path, data: st.DataObjec
 
 
 @pytest.mark.parametrize("spelled", ["nan", "NaN", "-nan", "NAN"])
-def test_how_numbers_lines_and_comments_are_written_does_not_matter(
-    path: Path, spelled: str
-) -> None:
+def test_how_a_list_is_written_does_not_matter(path: Path, spelled: str) -> None:
     """A parameter that is no number is not given."""
     text = saved(path, HOME, (3, TAKE_OFF, (0, 0, 0, 0), 0, 0, 30.0), waypoint(0.01)).read_text()
     rows = [line.split("\t") for line in text.splitlines()]
