@@ -23,17 +23,17 @@ class Speaker:
         self.link = codec(system_id)
         self.link.seq = seq
 
-    def says(self, message: Any, **how: bool) -> bytes:
-        frame: bytes = message.pack(self.link, **how)
-        self.link.seq = (self.link.seq + 1) % 256
-        return frame
-
     def beats(self, **how: bool) -> bytes:
         return self.says(wire.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), **how)
 
     def leads(self, time_ms: int) -> bytes:
         values = (time_ms, SYSTEM, 1, 5, 2496, 473977420, 85455940, 520.0, *[0.0] * 8)
         return self.says(wire.MAVLink_set_position_target_global_int_message(*values))
+
+    def says(self, message: Any, **how: bool) -> bytes:
+        frame: bytes = message.pack(self.link, **how)
+        self.link.seq = (self.link.seq + 1) % 256
+        return frame
 
 
 @given(st.lists(st.tuples(st.booleans(), st.floats(0.0, 2.0)), max_size=60))

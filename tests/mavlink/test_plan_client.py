@@ -19,13 +19,7 @@ BOTH = pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
 PERSON = (255, 190)
 KNOWN_WITHIN_S = 10.0
 """Issue 5, build 3: a fence that is drawn in flight."""
-LIST, ITEM = "MISSION_REQUEST_LIST", "MISSION_REQUEST_INT"
-
-
-def client_of(held: Held, seconds: float = 0.0) -> PlanClient:
-    client = PlanClient(1)
-    held.run(seconds, client)
-    return client
+LIST = "MISSION_REQUEST_LIST"
 
 
 def rally(count: int) -> list[Stored]:
@@ -67,9 +61,9 @@ def test_lists_come_whole_and_silence_changes_none(way: Any, fault: str, within_
 @ALL_FOUR
 @pytest.mark.parametrize("waited_s", [0.0, 1.3, 2.9, 4.4])
 def test_a_change_is_known_in_time(way: Any, waited_s: float) -> None:
-    held = Held(*way)
+    held, client = Held(*way), PlanClient(1)
     held.upload(FENCE, polygon(5))
-    client = client_of(held, 10.0 + waited_s)
+    held.run(10.0 + waited_s, client)
     bigger, moved = [*polygon(5), circle(80.0)], [*polygon(5), circle(80.0, east_m=40.0)]
     for fence in (bigger, moved, []):  # more items; the same number, elsewhere; none
         if fence:
@@ -104,10 +98,10 @@ def test_a_list_that_is_being_uploaded_is_never_seen_half(way: Any) -> None:
 @BOTH
 def test_looks_leave_the_autopilot_idle_for_the_others(firmware: Firmware) -> None:
     """A ground station on the same link may upload right after each of our looks."""
-    held = Held(firmware)
+    held, client = Held(firmware), PlanClient(1)
     held.upload(FENCE, polygon(12))
     held.upload(MISSION, waypoints(10))
-    client = client_of(held, 30.0)
+    held.run(30.0, client)
     looks = len(held.sent)
     held.run(6.0, client, lambda: len(held.sent) > looks)
     held.run(0.3, client)
@@ -137,10 +131,6 @@ def count(
 def item(seq: int, kind: int = FENCE, to: tuple[int, int] = OURS, radius: float = 50.0) -> Any:
     numbers = (radius, 0.0, 0.0, math.nan, 474000000, 85000000 + seq, 0.0, kind)
     return over_the_wire(wire.MAVLink_mission_item_int_message(*to, seq, 0, 5004, 0, 1, *numbers))
-
-
-def ack(result: int) -> Any:
-    return over_the_wire(wire.MAVLink_mission_ack_message(*OURS, result, FENCE))
 
 
 def asked(messages: list[Any]) -> list[tuple[str, int]]:
@@ -183,7 +173,8 @@ def test_what_is_not_supported_is_done_and_denied_is_asked_again(
 ) -> None:
     """Denied: somebody else is uploading."""
     client = begun()
-    assert asked(client.on_message(ack(result), 0.1)) == [(LIST, RALLY)]
+    refused = over_the_wire(wire.MAVLink_mission_ack_message(*OURS, result, FENCE))
+    assert asked(client.on_message(refused, 0.1)) == [(LIST, RALLY)]
     assert client.plans[FENCE].supported is not is_done
     for kind in (RALLY, MISSION):
         client.on_message(count(0, kind), 0.2)

@@ -61,34 +61,32 @@ def test_higher_ground_is_told(ground_m: float, roll: float, pitch: float) -> No
         assert each.above_m == pytest.approx(above_m, abs=0.02)
 
 
-@pytest.mark.parametrize("wrong", [(3.0,), (3.0, 3.0), (3.0, 8.0, 3.0, 8.0, 3.0, 8.0)])
-def test_single_wrong_readings_are_no_ground(wrong: tuple[float, ...]) -> None:
-    assert Hovering(known()).reads(8.0, 8.0, *wrong, 8.0, 8.0, 8.0) == []
-
-
-def test_it_says_so_for_as_long_as_it_lasts_and_once_when_it_is_over() -> None:
-    it = Hovering(known())
-    assert [each.above_m for each in it.reads(*[5.0] * 8)] == pytest.approx([3.0] * 5)
-    assert it.reads(5.0, 8.0, 8.0, 8.0)[1:] == []
-    assert [each.above_m for each in it.reads(*[8.0] * 10)] == [0.0]
+UNBELIEVED: list[dict[str, int]] = [
+    {"current_distance": 0},
+    {"current_distance": 15},  # below the least
+    {"current_distance": 65_534, "max_distance": 400},  # PX4 in the air
+    {"current_distance": 500, "max_distance": 400},  # ArduPilot above its limit
+    {"min_distance": 500, "max_distance": 400},
+    {"orientation": 0},
+    {"orientation": 24},
+    {"time_boot_ms": 0},  # of another clock: there is no pose of that time
+    {"time_boot_ms": 4_294_967_295},
+]
 
 
 @pytest.mark.parametrize(
-    "fields",
+    ("distances_m", "fields", "above_m"),
     [
-        {"current_distance": 0},
-        {"current_distance": 15},  # below the least
-        {"current_distance": 65_534, "max_distance": 400},  # PX4 in the air
-        {"current_distance": 500, "max_distance": 400},  # ArduPilot above its limit
-        {"min_distance": 500, "max_distance": 400},
-        {"orientation": 0},
-        {"orientation": 24},
-        {"time_boot_ms": 0},  # of another clock: there is no pose of that time
-        {"time_boot_ms": 4_294_967_295},
+        # for as long as it lasts, and once when it is over
+        ([5.0] * 9 + [8.0] * 13, {}, [3.0] * 6 + [0.0]),
+        # single wrong readings are no ground
+        *(([8.0, 8.0, *wrong, 8.0, 8.0], {}, []) for wrong in ([3.0], [3.0] * 2, [3.0, 8.0] * 3)),
+        *(([3.0] * 8, fields, []) for fields in UNBELIEVED),
     ],
 )
-def test_what_cannot_be_believed_says_nothing(fields: dict[str, int]) -> None:
-    assert Hovering(known()).reads(*[3.0] * 8, **fields) == []
+def test_what_readings_say(distances_m: Any, fields: dict[str, int], above_m: list[float]) -> None:
+    found = Hovering(known()).reads(*distances_m, **fields)
+    assert [each.above_m for each in found] == pytest.approx(above_m)
 
 
 @pytest.mark.parametrize(

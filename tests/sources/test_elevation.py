@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+from geotiff import square, write_elevation
 from numpy.typing import NDArray
 from rasterio.transform import Affine
 from scipy.interpolate import RegularGridInterpolator
@@ -27,10 +28,6 @@ STEP = 1 / 1200
 Make = Callable[..., Path]
 
 
-def square(west: float, north: float, step: float) -> Affine:
-    return Affine(step, 0.0, west, 0.0, -step, north)
-
-
 def heights(rows: int = 120, columns: int = 150) -> NDArray[np.int16]:
     return np.random.default_rng(3).integers(300, 2_000, (rows, columns)).astype(np.int16)
 
@@ -39,20 +36,11 @@ def heights(rows: int = 120, columns: int = 150) -> NDArray[np.int16]:
 def make(tmp_path: Path) -> Make:
     """A GeoTIFF whose middle is FRAME's origin, with the changes wanted."""
 
-    def made(
-        data: NDArray[Any] | None = None, *, units: str = "", scale: float = 1.0, **changes: Any
-    ) -> Path:
+    def made(data: NDArray[Any] | None = None, **changes: Any) -> Path:
         data = heights() if data is None else data
-        rows, columns = data.shape
-        corner = (8.5 - 0.5 * columns * STEP, 46.5 + 0.5 * rows * STEP)
-        usual = {"crs": "EPSG:4326", "transform": square(*corner, STEP), "count": 1}
-        size: Any = {"driver": "GTiff", "height": rows, "width": columns, "dtype": data.dtype}
+        height, width = (0.5 * (count - 1) * STEP for count in data.shape)
         path = tmp_path / "terrain.tif"
-        with rasterio.open(path, "w", **size, **(usual | changes)) as file:
-            for band in range(file.count):
-                file.write(data, band + 1)
-            file.units = [units] * file.count
-            file.scales = [scale] * file.count
+        write_elevation(path, data, (46.5 + height, 8.5 - width), STEP, **changes)
         return path
 
     return made

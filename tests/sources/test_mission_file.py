@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyproj
 import pytest
 import shapely
 from geotiff import write_elevation
@@ -59,7 +58,6 @@ KNOWN = COPTER + '[terrain]\nfile = "dem.tif"\nvertical_datum = "EGM96"\n'
 STATED = COPTER + "[terrain]\nhighest_amsl_m = 840.0\n"
 TRIANGLE = [[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
-GEOD = pyproj.Geod(ellps="WGS84")
 HEIGHTS = np.random.default_rng(4).integers(300, 800, (200, 240)).astype(np.int16)
 """Every 3 seconds over more than the map."""
 STEP_DEG = 1 / 1200
