@@ -28,19 +28,6 @@ def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(loop.fly.__kwdefaults__, "clock", time.monotonic)
 
 
-def test_check_says_in_words_what_a_mission_will_do_and_plan_draws_it(tmp_path: Path) -> None:
-    code, shown, said = answered("check", "environment-1")
-    assert (code, said) == (0, "")
-    facts = ("100.0 km north, 100.0 km east", "150 m/s", "3,000 m and 5,000 m AMSL", "500 m (d_s)")
-    assert all(fact in shown for fact in facts)
-    picture = tmp_path / "plan.svg"
-    options = ("--figure", picture)
-    code, shown, said = answered("plan", HILLS / "world.toml", HILLS / "mission.toml", *options)
-    assert (code, said) == (0, "")
-    assert "<svg" in picture.read_text(encoding="utf-8")
-    assert "subpaths" in shown
-
-
 def refused(*arguments: str | Path) -> str:
     """The one line that wrong input is answered with."""
     code, _, said = answered(*arguments)
@@ -71,7 +58,7 @@ def refused(*arguments: str | Path) -> str:
             )
         ),
     ],
-    ids=lambda value: value[-1] if isinstance(value, tuple) else "",
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )
 def test_wrong_input_is_one_line_and_exit_code_2(arguments: tuple[str, ...], words: str) -> None:
     assert words in refused(*arguments)
