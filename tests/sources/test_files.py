@@ -4,39 +4,18 @@ import contextlib
 import gzip
 import os
 import re
-import tomllib
 from pathlib import Path
-from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from spoiled import refusal
 
 from companion.config import load_mission, load_world, mission_text
 from companion.errors import InputError
-from companion.sources.files import json_table, read_text, toml_table, toml_text, writing
+from companion.sources.files import json_table, read_text, toml_table, writing
 
 FENCED = (Path(__file__).parent / "missions" / "fenced.plan").read_bytes()
 LIST = b"QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 100 1\n1 0 3 16 0 0 0 0 47 8.002 240 1\n"
 BEGINNING_OF_A_ULG = b"\x00\x06\x0a\x24\x18\x1e\x40\x00\xfd\x09"
-
-
-VALUES = st.recursive(
-    st.booleans()
-    | st.integers(-(2**63), 2**63 - 1)
-    | st.floats(allow_nan=False, allow_infinity=False)
-    | st.text(),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner),
-    max_leaves=8,
-)
-
-
-@given(st.dictionaries(st.text(), VALUES, max_size=5))
-def test_a_table_that_was_written_reads_back_as_it_was(table: dict[str, Any]) -> None:
-    assert tomllib.loads(toml_text(table)) == table
-    half_a_surrogate = toml_text({"name": "a\ud800b\x7f"})
-    assert tomllib.loads(half_a_surrogate) == {"name": "a?b\x7f"}
 
 
 @pytest.mark.parametrize(
