@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.mavlink.dialect import codec, wire
-from companion.mavlink.frames import Receiver, decoded
+from companion.mavlink.frames import Receiver, decoded, intact_end, sender_of
 from companion.mavlink.signing import SECRETS, Signing
 from companion.printable import printable
 
@@ -125,6 +125,16 @@ def test_a_message_of_a_newer_dialect_is_passed_whole_or_read_as_far_as_we_know(
     head = bytes([0xFD, len(payload), 0, 0, 0, 1, 1, 30, 0, 0])
     [message] = Receiver().feed(sealed(head + payload, kind.crc_extra))
     assert message.time_boot_ms == 0x04030201
+
+
+@given(frames)
+def test_a_packed_frame_is_intact_and_no_longer_when_cut_or_bent(frame: bytes) -> None:
+    assert intact_end(b"xy" + frame + b"z", 2) == 2 + len(frame)
+    head = frame[4:7] if frame[0] == 0xFD else frame[2:5]
+    assert sender_of(frame) == (head[1], head[2])
+    for at in range(len(frame)):
+        assert intact_end(frame[:at], 0) == 0
+        assert not intact_end(frame[:at] + bytes([frame[at] ^ 0x21]) + frame[at + 1 :], 0)
 
 
 def told(message: Any) -> dict[str, Any]:

@@ -1,17 +1,21 @@
 """What a link tells besides messages: strangers with our ids, the vehicle's time, frames unread."""
 
+import random
+from itertools import pairwise
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as wire
+from scripted_vehicle import MISSION, pair
 
 from companion.mavlink.autopilots import ALL, Autopilot
 from companion.mavlink.dialect import codec
-from companion.mavlink.frames import IGNORED_MESSAGES
+from companion.mavlink.frames import IGNORED_MESSAGES, Receiver
 from companion.mavlink.link import ClockReading, DuplicateIdDetector, VehicleClock
 from companion.mission.events import DuplicateId
+from companion.session import Session
 
 SYSTEM = 7
 
@@ -83,6 +87,17 @@ def test_what_a_dead_companion_has_left_in_buffers_is_never_certain() -> None:
     assert it.heard(before.beats(), SYSTEM, 20.0) == doubted
 
 
+@pytest.mark.parametrize("rate_hz", [1, 20, 200])
+def test_a_stranger_that_streams_is_told_of_twice_a_second_at_most(rate_hz: int) -> None:
+    them, it = Speaker(), DuplicateIdDetector()
+    heard = [it.heard(them.leads(k), SYSTEM, k / rate_hz) for k in range(10 * rate_hz)]
+    told = [event for event in heard if event is not None]
+    assert 0 < len(told) <= 21
+    assert sum(event.news for event in told) == 1
+    others = [event for event in told if not event.news]
+    assert all(b.time_s - a.time_s >= 0.5 - 1e-9 for a, b in pairwise(others))
+
+
 def test_another_vehicles_companion_is_none_of_ours_once_it_is_clear_whose_we_are() -> None:
     """What was heard before that counts then; one who comes back later is news again."""
     theirs, it = Speaker(system_id=8), DuplicateIdDetector()
@@ -130,6 +145,43 @@ def test_a_leap_that_the_silence_or_the_arrival_explains_is_believed_at_once() -
     silent.on_silence(30.0, counts=True)
     assert silent.read(90.0) is READ.LATER
     assert silent.read(97.0) is READ.DOUBTED
+
+
+def any_frame(number: int, rng: random.Random, system: int = 1, component: int = 1) -> bytes:
+    kind = wire.mavlink_map[number]
+    sender = wire.MAVLink(None, srcSystem=system, srcComponent=component)
+    sender.seq = rng.randrange(256)
+    message = wire.MAVLink_message(kind.id, kind.msgname)
+    return bytes(message._pack(sender, kind.crc_extra, rng.randbytes(kind.unpacker.size)))
+
+
+@pytest.fixture(scope="module")
+def said() -> list[bytes]:
+    """What a vehicle says from its start into its flight, frame by frame."""
+    it, frames = pair(lockstep=False), list[bytes]()
+    for _ in range(140):
+        told = it.vehicle.tick()
+        frames += [bytes(message.get_msgbuf()) for message in Receiver().feed(told)]
+        it.feed(told)
+    return frames
+
+
+@pytest.mark.sample(4)
+@pytest.mark.parametrize("seed", range(8))
+def test_what_nobody_reads_is_recorded_and_decides_nothing(said: list[bytes], seed: int) -> None:
+    rng, numbers, more = random.Random(seed), sorted(IGNORED_MESSAGES), list[bytes]()
+    for frame in said:
+        who = rng.choice([(1, 1), (1, 1), (7, 1), (1, 158)])
+        more += [any_frame(rng.choice(numbers), rng, *who) for _ in range(rng.randrange(4))]
+        more.append(frame)
+    plain, busy = (Session(MISSION, seed=1, lockstep=False) for _ in range(2))
+    plain.receive(b"".join(said))
+    busy.receive(b"".join(more))
+    expected, given_ = plain.run(), busy.run()
+    assert (given_.frames, given_.journal) == (expected.frames, expected.journal)
+    sent = set(given_.frames)
+    assert [frame for _, frame in given_.record if frame not in sent] == more
+    assert busy.receive(any_frame(wire.MAVLINK_MSG_ID_HIGHRES_IMU, rng))  # it is there all the same
 
 
 @pytest.mark.parametrize("autopilot", ALL, ids=lambda a: a.name)
