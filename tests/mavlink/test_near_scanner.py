@@ -62,17 +62,18 @@ class Standing:
     def begin(self) -> None:
         self.scanner.begun(HERE_NEA_M, self.state, self.now_s)
 
-    def done(self) -> ScanDone:
-        """A scan that is over: the mission puts it on its map."""
+    def done(self, *, takes: bool = True) -> ScanDone:
+        """A scan that is over; takes: the mission puts it on its map."""
         done = self.scanner.done(self.now_s)
-        known = self.state.flight.known.with_scan(done.scan)
-        self.state = changed(self.state, flight=changed(self.state.flight, known=known))
+        if takes:
+            known = self.state.flight.known.with_scan(done.scan)
+            self.state = changed(self.state, flight=changed(self.state.flight, known=known))
         return done
 
-    def scan(self, *, thing: bool = True) -> None:
+    def scan(self, *, thing: bool = True, takes: bool = True) -> None:
         self.begin()
         self.tick(thing=thing)
-        assert self.done().answered == 1
+        assert self.done(takes=takes).answered == 1
 
     def upper_m(self, north_m: float, east_m: float = 20.0) -> float:
         known = self.state.flight.known
@@ -98,6 +99,16 @@ def test_a_later_scan_takes_back_what_is_not_free_any_more_and_frees_what_has_go
     it.run(40, thing=False)
     it.scan(thing=False)
     assert it.upper_m(20.0 + THING_M) == GROUND_AMSL_M
+
+
+def test_what_a_scan_told_that_nobody_took_is_told_again() -> None:
+    """As after a stop in the moment of a scan."""
+    one, other = Standing(), Standing()
+    for it in (one, other):
+        it.scan(takes=it is one)
+        it.scan()
+    np.testing.assert_array_equal(one.state.flight.known.upper_m, other.state.flight.known.upper_m)
+    assert np.isfinite(other.state.flight.known.upper_m).any()
 
 
 def test_a_scan_waits_for_a_new_sweep_and_no_longer_than_it_may_and_changes_nothing_then() -> None:

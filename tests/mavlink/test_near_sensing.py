@@ -123,6 +123,17 @@ def test_a_message_that_cannot_be_understood_says_nothing(fields: dict[str, Any]
     assert sensing.sight(NOW_S) is Sight.NEVER_HEARD
 
 
+@pytest.mark.parametrize("increment", [1, 3, 7, 10, 90, 255])
+def test_sectors_that_are_more_than_a_turn_or_less_are_taken_as_they_are(increment: int) -> None:
+    sweep = read(obstacle_distance([500] * 72, increment=increment))
+    covered = min(72, 360 // increment)
+    assert len(sweep.clear_m) == covered
+    assert clear_towards_m(sweep, 0.0) == pytest.approx(5.0)
+    left = 360.0 - covered * increment
+    if left > 0.0:
+        assert clear_towards_m(sweep, -0.5 * (increment + left)) == 0.0
+
+
 @pytest.mark.parametrize(
     ("stamps_s", "heard_s", "taken_s"),
     [
@@ -159,6 +170,18 @@ def test_a_measurement_waits_until_the_pose_of_its_time_is_known() -> None:
     assert clear_towards_m(sweep, 180.0) == pytest.approx(5.0)
 
 
+def test_a_pose_that_is_not_known_is_not_guessed() -> None:
+    poses = Poses(FRAME)
+    for time_s in (NOW_S - 1.0, NOW_S + 1.0):
+        poses.on_position(time_s, (0.0, 0.0, 0.0))
+        poses.on_attitude(attitude(time_s, 0.0, 0.0, 0.0))
+    assert poses.at(NOW_S) is None
+    assert poses.at(NOW_S + 1.0) is not None
+    assert poses.at(NOW_S + 1.1) is None
+    poses.on_attitude(attitude(NOW_S + 1.1, math.nan, 0.0, 0.0))
+    assert poses.at(NOW_S + 1.05) is None
+
+
 def test_sight_is_told_apart_from_a_sensor_that_is_dead_or_sees_nothing() -> None:
     sensing = NearSensing(LIDAR, standing())
     for known, sight in ((0, Sight.NEVER_HEARD), (1, Sight.SEES)):
@@ -188,6 +211,13 @@ def test_a_beam_is_no_sector(component: int, fields: dict[str, Any], is_taken: b
     sensing = NearSensing(BEHIND_AUTOPILOT, standing())
     sensing.on_distance_sensor(beam(NOW_S - 0.05, source=(1, component), **fields), NOW_S)
     assert (sensing.sight(NOW_S) is Sight.SEES) == is_taken
+
+
+def test_sectors_whose_stamp_stands_still_go_on() -> None:
+    sensing = NearSensing(BEHIND_AUTOPILOT, standing())
+    for after_s, cm in ((0.0, 700), (0.15, 500), (0.3, 400)):
+        sensing.on_distance_sensor(beam(NOW_S - 0.05, cm), NOW_S + after_s)
+    assert [sweep.echo_m[0] for sweep in sensing.sweeps()] == pytest.approx([7.0, 5.0])
 
 
 def flown(
@@ -259,3 +289,11 @@ def test_how_far_it_sees_is_the_least_that_its_newest_messages_say() -> None:
     sensing, sweeps = flown(BEHIND_AUTOPILOT, 2.0, lambda _: beams)
     assert sweeps[-1].clear_m[:3] == pytest.approx([9.0, 8.0, BEHIND_AUTOPILOT.range_m])
     assert sensing.limits_m == pytest.approx((0.5, 8.0))
+
+
+def test_one_that_has_told_how_far_it_sees_shows_no_more_by_its_silence() -> None:
+    """R may be more than what it sees: 16 m of 40."""
+    well = health(wire.MAV_SYS_STATUS_SENSOR_PROXIMITY, well=True)
+    told = lambda k: [beam(0.0)] if k < 2 else [well] * (k % 20 == 0)  # noqa: E731
+    _, sweeps = flown(replace(BEHIND_AUTOPILOT, range_m=40.0), 5.0, told)
+    assert sweeps[-1].clear_m.max() == pytest.approx(16.0)
