@@ -153,7 +153,8 @@ def test_a_side_is_nowhere_off_by_half_a_metre(latitude_deg: float, size_deg: fl
         assert off_m.max() < 0.5 + 0.02  # and what a place in 1e-7 degrees is rounded by
 
 
-@pytest.mark.parametrize(("latitude_deg", "longitude_deg"), [(47.0, 8.0), (-33.0, 179.99)])
+@pytest.mark.parametrize("latitude_deg", [0.0, 47.0, -33.0])
+@pytest.mark.parametrize("longitude_deg", [8.0, 179.99])
 def test_a_fence_of_a_continent_is_in_place(latitude_deg: float, longitude_deg: float) -> None:
     """Its corners lie thousands of kilometres away; a slanting side goes past the vehicle."""
     frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
@@ -201,7 +202,14 @@ def test_inclusions_of_which_one_is_enough_are_those_that_the_vehicle_is_in() ->
         (ring(OUT, *[SQUARE[0]] * 5), "three corners"),
         ([*ring(OUT, *SQUARE), item(OUT, 0.0, 0.0, 4.0)], "three corners"),
         ([item(CIRCLE_IN, 0.0, 0.0, 1.0)], "FENCE_MARGIN"),
-        ([item(CIRCLE_OUT, 50.0, 0.0, 3e38)], "needs a radius"),
+        *(
+            ([item(CIRCLE_OUT, 50, 0, r)], "needs a radius")
+            for r in (math.inf, math.nan, 0.0, 3e38)
+        ),
+        ([replace(item(OUT, 0.0, 0.0, 3.0), x=2_000_000_000)] * 3, "nowhere"),
+        ([item(OUT, *corner, 3.5) for corner in SQUARE], "incomplete"),
+        ([replace(item(CIRCLE_OUT, 50.0, 0.0, 9.0), frame=200)], "frame 200"),
+        ([item(16, 50.0, 0.0, 0.0)], "no fence (NAV_WAYPOINT)"),
         ([item(4999, 50.0, 0.0, 0.0)], "no fence (4999)"),
         ([PlanItem(frame=0, command=CIRCLE_OUT, parameters=(9.0, 0, 0, 0))], "nowhere"),
     ],
@@ -235,8 +243,12 @@ def test_a_spoilt_item_is_never_left_out(drawn: Any, changes: dict[str, Any], wh
 
 
 def test_an_exclusion_that_lacks_corners_is_its_hull_and_a_corner_counts_once() -> None:
-    fence = zones_of([*ring(OUT, *SQUARE)[:3], item(5000, 0.0, 0.0, 0.0)], {})
-    twice = zones_of(ring(OUT, SQUARE[0], *SQUARE, SQUARE[3], SQUARE[0]), ON)
+    items = [*ring(OUT, *SQUARE)[:3], item(5000, 0.0, 0.0, 0.0), item(CIRCLE_OUT, 0, 0, 0.0)]
+    fence = zones_of(items, {})
+    rings = ring(OUT, SQUARE[0], *SQUARE, SQUARE[3], SQUARE[0])
+    twice = zones_of(rings, {**ON, "FENCE_ENABLE": 0.0})  # and is kept, and that is said
+    assert "FENCE_ENABLE = 0" in twice.notes[0]
+    assert [said.split(":")[0] for said in fence.notes] == ["fence exclusion 2"]
     assert fence.refusal.startswith("fence exclusion 1 is incomplete")
     assert [len(drawn.zones[0].vertices_ne_m) for drawn in (fence, twice)] == [3, 4]
 
@@ -310,7 +322,12 @@ def test_targets_are_the_places_between_take_off_and_the_end() -> None:
     found = targets_of(items, FRAME, home_first=True)
     assert [round(north) for north, _ in found.targets_ne_m] == [100, 200, 300]
     assert found.end_action is EndAction.RETURN
-    assert [note.split(" ")[1] for note in found.notes[:3]] == ["2", "6", "8"]  # left out
+    assert found.notes == (
+        "item 2 (DO_CHANGE_SPEED) is not flown: left out",
+        "item 6 (NAV_LOITER_TURNS) names no place: left out",
+        "items 8 to 8 come after the end: left out",
+        "left out: 1 x waiting at a waypoint, 1 x spline at a waypoint, 1 x loiter at a waypoint",
+    )
     ends = {17: (EndAction.HOLD, 2), 21: (EndAction.LAND, 2), 20: (EndAction.RETURN, 1)}
     for last, end in (ends | {16: (None, 2)}).items():
         found = targets_of([item(16, 50, 0, 0), item(last, 90, 0, 0)], FRAME, home_first=False)

@@ -150,6 +150,7 @@ def test_bent_and_wrongly_signed_frames_change_nothing() -> None:
         bent[k] ^= 0x80
         assert not signing.accepts(bytes(bent))
     assert signing.accepts(good)
+    assert signing.refused == 1 + len(good) - 2
 
 
 def test_a_clock_ahead_of_ours_is_believed_and_followed() -> None:
@@ -169,3 +170,17 @@ def test_streams_are_kept_apart_by_link_system_and_component_256_of_them() -> No
     for k in range(300):  # memory is bounded
         signing.accepts(Speaker(NOW, link=k % 256, srcSystem=3 + k // 256).frame())
     assert signing.refused == 300 + 4 - 256
+
+
+def test_refusals_are_told_once_a_minute_and_only_if_there_are_new_ones() -> None:
+    signing, stranger = ours(), Speaker(key=None)
+    steps = ((0, 0.0), (1, 1.0), (5, 60.0), (0, 61.0), (0, 600.0), (1, 5.0))  # it has rebooted
+    told = []
+    for frames, at_s in steps:
+        for _ in range(frames):
+            signing.accepts(stranger.frame())
+        told.append(signing.complaint(at_s))
+    said = [None if each is None else each.split()[1] for each in told]
+    assert said == [None, "1", None, "5", None, "1"]
+    signing.refused += 9_999_999
+    assert len(signing.complaint(900.0) or "") <= 50

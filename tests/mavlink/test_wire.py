@@ -178,6 +178,15 @@ def test_nothing_that_is_not_finite_and_in_range_is_ever_sent(
         assert message.time_boot_ms == pytest.approx(1e3 * setpoint.time_s, abs=0.501)
 
 
+@given(place=st.tuples(st.floats(-2e5, 2e5), st.floats(-2e5, 2e5), st.floats(-500.0, 5e4)))
+def test_what_is_in_range_is_sent_to_where_it_is(place: Vector) -> None:
+    message = sent(ARDUCOPTER, made(position_nea_m=place))
+    latitude, longitude = geodetic(*place[:2])
+    _, _, off_m = GEOD.inv(longitude, latitude, message.lon_int * 1e-7, message.lat_int * 1e-7)
+    assert off_m < 0.02
+    assert message.alt == pytest.approx(place[2], abs=0.01)
+
+
 @each
 @pytest.mark.parametrize(
     ("field", "values"),
@@ -342,6 +351,8 @@ each_px4 = pytest.mark.parametrize("autopilot", PX4, ids=lambda a: a.name)
         (12, 1, PX4_FIXED_WING, "PX4 fixed wing"),
         (12, 21, None, "px4, vtol_tiltrotor"),
         (3, 10, None, "ardupilotmega, ground_rover"),
+        (8, 6, None, "invalid, gcs"),
+        (0, 2, None, "generic, quadrotor"),
         (200, 201, None, "MAV_AUTOPILOT 200, MAV_TYPE 201"),
     ],
 )
@@ -374,9 +385,11 @@ TOLD = [
     (ARDUCOPTER, 5, "LOITER", Mode.OTHER),
     (ARDUCOPTER, 21, "SMART RTL", Mode.RETURN),
     (ARDUCOPTER, 4_294_967_295, "mode 4294967295", Mode.OTHER),
+    (ARDUPLANE, 5, "FLY BY WIRE A", Mode.OTHER),
     (PX4_MULTICOPTER, 0x04040000, "Mission", Mode.OTHER),
     (PX4_MULTICOPTER, 0x09040000, "Precision Land", Mode.LAND),
     (PX4_FIXED_WING, 0, "mode 0.0", Mode.OTHER),
+    (PX4_FIXED_WING, 0xFFFFFFFF, "mode 255.0", Mode.OTHER),
 ]
 
 
@@ -482,8 +495,10 @@ ARDUPILOTS_SAY = [  # flags and figures of arducopter-gps-loss.tlog
 ]
 PX4_SAYS = [
     (0x37F, 0.2, 0.36, True),  # flying
+    (0x33F, 0.05, 0.05, True),
     (0x3FF, 0.05, 0.05, True),  # on the ground
     (0x365, 0.05, 0.05, False),  # 5 s after the loss of GPS
+    (0x65, 0.05, 0.05, False),
     (0xE5, 0.05, 0.05, False),  # booting
     (0x37F | 0x400, 0.05, 0.05, False),  # glitch
     (0x37F | 0x800, 0.05, 0.05, False),  # accelerometers
