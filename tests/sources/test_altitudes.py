@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -75,11 +76,27 @@ def test_the_distance_that_is_assumed_is_what_the_plan_leaves(
     assert any(f"d_s = {distance_m:g} m" in note for note in mission.notes)
 
 
-def test_a_waypoint_that_is_too_low_is_flown_higher_and_that_is_said(tmp_path: Path) -> None:
-    mission = blind(tmp_path, 12.0, 80.0)
-    assert lowest_m(mission, 0) == pytest.approx(HOME[2] + 10.0 + KEPT_M, abs=0.2)
+@pytest.mark.parametrize(
+    ("planned_m", "kept_m", "more", "said"),
+    [
+        (12.0, 10.0, "", "items[0] is planned at 500 m AMSL and flown at 509 m"),
+        (40.0, 50.0, "[planner]\nsafety_distance_m = 50.0\n", "flown at 549 m"),
+    ],
+)
+def test_a_waypoint_that_is_too_low_is_flown_higher_and_that_is_said(
+    tmp_path: Path, planned_m: float, kept_m: float, more: str, said: str
+) -> None:
+    mission = blind(tmp_path, planned_m, 80.0, more=more)
+    assert lowest_m(mission, 0) == pytest.approx(HOME[2] + kept_m + KEPT_M, abs=0.2)
     [note] = [note for note in mission.notes if "flown at" in note]
-    assert "items[0] is planned at 500 m AMSL and flown at 509 m" in note
+    assert said in note
+
+
+def test_a_fence_below_a_targets_altitude_leaves_room_to_plan(tmp_path: Path) -> None:
+    mission = blind(tmp_path, 40.0, 80.0)
+    lowered = replace(mission.task.limits, ceiling_amsl_m=HOME[2] + 75.0)
+    low_m, high_m = mission.task_to(1, replace(mission.task, limits=lowered)).band_amsl_m
+    assert low_m < high_m <= HOME[2] + 75.0
 
 
 def over_the_valley(folder: Path, north_m: float, east_m: float) -> Mission:

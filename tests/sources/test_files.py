@@ -4,18 +4,40 @@ import contextlib
 import gzip
 import os
 import re
+import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from spoiled import refusal
 
+import companion
 from companion.config import load_mission, load_world, mission_text
 from companion.errors import InputError
-from companion.sources.files import json_table, read_text, toml_table, writing
+from companion.sources.files import json_table, plain, read_text, toml_table, toml_text, writing
 
 FENCED = (Path(__file__).parent / "missions" / "fenced.plan").read_bytes()
 LIST = b"QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 100 1\n1 0 3 16 0 0 0 0 47 8.002 240 1\n"
 BEGINNING_OF_A_ULG = b"\x00\x06\x0a\x24\x18\x1e\x40\x00\xfd\x09"
+
+
+VALUES = st.recursive(
+    st.booleans()
+    | st.integers(-(2**63), 2**63 - 1)
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner),
+    max_leaves=8,
+)
+
+
+@given(st.dictionaries(st.text(), VALUES, max_size=5))
+def test_a_table_that_was_written_reads_back_as_it_was(table: dict[str, Any]) -> None:
+    assert tomllib.loads(toml_text(table)) == table
+    half_a_surrogate = toml_text({"name": "a\ud800b\x7f"})
+    assert tomllib.loads(half_a_surrogate) == {"name": "a?b\x7f"}
 
 
 @pytest.mark.parametrize(
@@ -68,6 +90,14 @@ def test_what_a_full_disk_took_a_part_of_is_removed_and_a_device_is_not(tmp_path
     assert full.is_char_device()
 
 
+@given(st.none() | st.integers() | st.text())
+def test_a_plain_name_is_one_printable_line_that_is_not_long(name: object) -> None:
+    shown = plain(name, "nameless")
+    assert 0 < len(shown) <= 60
+    assert shown.isprintable()
+    assert shown == shown.strip()
+
+
 @pytest.mark.parametrize("name", [b"flight.plan.txt", b"flight.json", b"Flight.PLAN", b"pl\xe4n"])
 def test_a_plan_is_a_plan_under_any_name(tmp_path: Path, name: bytes) -> None:
     """Also under one that is no UTF-8; so is a list of waypoints, or an error that names it."""
@@ -94,6 +124,11 @@ def test_an_elevation_file_in_a_folder_whose_name_is_no_text_is_refused(tmp_path
     path.write_text(f'plan = "x.txt"\n{terrain}')
     told = refusal(lambda path, _: load_mission(str(path)), path, None)
     assert re.search(r"terrain\.file = .*must be a valid string", told), told
+    world, valley = folder / "world.toml", Path(companion.__file__).parent / "environments/valley"
+    world.write_bytes((valley / "world.toml").read_bytes())
+    (folder / "terrain.tif").write_bytes(b"")
+    told = refusal(lambda path, _: load_world(str(path)), world, None)
+    assert re.search(r"terrain\.file = .*of an odd name", told), told
 
 
 @pytest.mark.parametrize(
