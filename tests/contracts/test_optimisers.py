@@ -112,6 +112,16 @@ class TestEveryOptimiser:
         assert 0.0 <= objective.points.min() <= objective.points.max() <= 1.0
         assert ranked.costs[0] <= bowl(np.ones((1, 3)))[0]
 
+    def test_a_needle_is_found(self, name: str) -> None:
+        # everything costs 1, but for a cell around the point
+        point = np.array([0.25, 0.75])
+
+        def needle(x: FloatArray) -> FloatArray:
+            return np.where(np.abs(x - point).max(axis=1) < 0.15, np.abs(x - point).sum(1), 1.0)
+
+        ranked = search(name, needle, seed=3, dimensions=2, evaluations=3_600)
+        assert ranked.x[0] == pytest.approx(point, abs=0.01)
+
     @pytest.mark.parametrize(("middle", "evaluations", "near"), [
         ((0.3,), 2_400, 1e-3), ((0.3,) * 6, 6_000, 0.01), ((1.3, -0.2, 1.1, 0.6), 6_000, 0.02),
     ])  # fmt: skip
@@ -122,6 +132,27 @@ class TestEveryOptimiser:
         options = {"dimensions": len(middle), "evaluations": evaluations, "seed": seed}
         ranked = search(name, about(*middle), **options)  # type: ignore[arg-type]
         assert ranked.x[0] == pytest.approx(np.clip(middle, 0.0, 1.0), abs=near)
+
+    @pytest.mark.parametrize("seed", range(3))
+    def test_the_middle_of_a_rotated_ellipsoid_is_found(self, name: str, seed: int) -> None:
+        turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(4, 4)))[0]
+        middle, scale = np.array([0.4, 0.6, 0.3, 0.5]), 10.0 ** np.linspace(0.0, 1.0, 4)
+
+        def ellipsoid(x: FloatArray) -> FloatArray:
+            return (((x - middle) @ turn * scale) ** 2).sum(axis=1)
+
+        ranked = search(name, ellipsoid, seed=seed, evaluations=6_000)
+        assert ranked.x[0] == pytest.approx(middle, abs=0.06)
+
+    @few
+    @given(seed=seeds)
+    def test_a_search_from_a_good_seed_ends_no_worse_than_it(self, name: str, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        good = np.clip(0.3 + rng.normal(0.0, 1e-4, (1, 6)), 0.0, 1.0)
+        ranked = search(name, bowl, seed=seed, dimensions=6, evaluations=120, seeds=good)
+        assert ranked.costs[0] <= bowl(good)[0]
+        # 120 evaluations alone come nowhere near it
+        assert search(name, bowl, seed=seed, dimensions=6, evaluations=120).costs[0] > 1e-4
 
 
 def test_no_two_names_are_the_same_search_and_the_papers_have_its_60_members() -> None:

@@ -1,9 +1,10 @@
 """One autopilot's client against the simulator: fences, breaches, parameters, speed, take-off."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
-from held import Held, polygon
+from held import Held, polygon, waypoints
 from wires import over_the_wire
 
 from companion.config import load_mission
@@ -24,7 +25,9 @@ from companion.mission.events import (
     SetSpeed,
     TakeOffTaken,
 )
+from companion.mission.mission import Mission
 from companion.mission.state import State
+from vehicle_sim.plans import PlanItem as Stored
 
 FENCE = 1
 AUTOPILOTS = {"ardupilot": ARDUCOPTER, "px4": PX4_MULTICOPTER}
@@ -38,8 +41,10 @@ WATCHING = Context(mission=load_mission("sitl-px4"), seed=1, lockstep=True, shad
 class Side:
     """An autopilot's client beside a simulated vehicle, and the events that it tells."""
 
-    def __init__(self, firmware: Any, *, sets: bool = False) -> None:
-        mission = load_mission(NAMES[firmware])
+    def __init__(
+        self, firmware: Any, mission: Mission | None = None, *, sets: bool = False
+    ) -> None:
+        mission = mission or load_mission(NAMES[firmware])
         self.held, self.hears_home = Held(firmware), True
         context = Context(mission=mission, seed=1, lockstep=True, shadow=not sets)
         self.client = AutopilotClient(context, 1, AUTOPILOTS[firmware])
@@ -140,6 +145,7 @@ def text(said: str) -> Any:
         (ARDUCOPTER, text("Fence upload timeout"), False),
         (PX4_MULTICOPTER, text("Geofence: approaching or outside geofence\t"), True),
         (PX4_MULTICOPTER, text("Reposition is outside geofence\t"), False),
+        (PX4_MULTICOPTER, text("Geofence requires valid home"), False),
         (PX4_MULTICOPTER, px4_event("check_gf_violation"), True),
         (PX4_MULTICOPTER, px4_event("check_gf_violation_custom_gf"), True),
         (PX4_MULTICOPTER, px4_event("check_modes_offboard_signal"), False),
@@ -175,8 +181,25 @@ def test_who_keeps_setting_a_parameter_back_is_said_once_and_not_fought_for_ever
     refusals = [event.refusal for event in side.prepared(Item.PARAMETERS) if event.refusal]
     said = ["COM_OBL_RC_ACT = 0: somebody keeps setting it back"] * (times > 1)
     assert [line.split(". ")[0] for line in refusals] == said
+    notes = [note for note in side.client.notes if "COM_OBL_RC_ACT" in note]
+    assert notes == ["set COM_OBL_RC_ACT to 5"]
     sets = [message for _, message in side.held.sent if message.get_type() == "PARAM_SET"]
     assert 2 <= len([each for each in sets if each.param_id == "COM_OBL_RC_ACT"]) <= 6
+
+
+@pytest.mark.parametrize("shift_s", [-595.0, 86_400.0])
+def test_by_another_clock_the_same_is_asked_at_the_same_moments(shift_s: float) -> None:
+    """As after a restart in flight: the clock of before goes on until the vehicle's is heard."""
+    asked = []
+    for shifted_s in (0.0, shift_s):
+        side = Side("ardupilot").run(1.0)
+        side.client.rebase_time(shifted_s)
+        now_s = side.held.now_s + shifted_s
+        times_s = (now_s + 0.097 * k for k in range(100))  # unanswered; no wait ends at one of them
+        said = (side.client.on_time(at_s, None) for at_s in times_s)
+        asked.append([sorted(bytes(each.pack(codec(1))) for each in told) for told in said])
+    assert asked[0] == asked[1]
+    assert len([told for told in asked[0] if told]) > 10
 
 
 def beat(mode: int = wire.PLANE_MODE_GUIDED) -> Any:
@@ -242,3 +265,12 @@ def test_a_take_off_is_taken_once_it_is_accepted() -> None:
         told = [side.event_of(ack(command, result), 3.0) for result in range(6)]
         taken = TakeOffTaken(time_s=3.0) if command == wire.MAV_CMD_NAV_TAKEOFF else None
         assert told == [taken, *[None] * 5]  # MAV_RESULT_ACCEPTED is 0
+
+
+def test_how_the_vehicles_own_mission_ends_is_not_passed_over_in_silence() -> None:
+    """The companion ends as its own mission says: who has drawn an RTL has to hear of it."""
+    mission = replace(load_mission("sitl-arducopter"), targets_from_vehicle=True)
+    side = Side("ardupilot", mission)
+    side.held.upload(0, [*waypoints(3), Stored(frame=2, command=20)])
+    said = side.until_prepared().client.notes
+    assert said == ["its mission ends with return; what counts is end.action: land"]

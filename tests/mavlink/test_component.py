@@ -13,7 +13,7 @@ from wires import FRAME, OURS, PERSON, command_int, command_long, geodetic_e7, o
 
 from companion.config import load_mission
 from companion.geodesy import LocalFrame
-from companion.mavlink.component import Component, Reply, heartbeat
+from companion.mavlink.component import Component, Reply, heartbeat, version_number
 from companion.mavlink.dialect import codec
 from companion.mission.changes import OrderResult
 from companion.mission.checkpoint import initial_state
@@ -65,6 +65,10 @@ def answered(
     return answer, [ack(reply) for reply in replies]
 
 
+def results(message: Any, server: Component | None = None) -> list[int]:
+    return [each.result for each in answered(server or made(), message)[1]]
+
+
 @pytest.mark.parametrize(
     ("command", "parameters", "kind"),
     [
@@ -97,6 +101,7 @@ REFUSED = [
     ),
     (command_int(REPOSITION, x=NOWHERE, y=80_000_000, frame_id=5), DENIED),
     (command_int(REPOSITION, x=470_000_000, y=NOWHERE, frame_id=5), DENIED),
+    (command_int(REPOSITION, frame_id=5), DENIED),
     (command_long(LAND, 0.0, 0.0, 0.0, NAN, 47.0, 8.0, 0.0), DENIED),
     (command_int(LAND, x=1, y=1), DENIED),
     *(
@@ -105,12 +110,23 @@ REFUSED = [
     ),
 ]
 NONE_OF_OURS = [
-    *((command_long(REQUEST, number), DENIED) for number in (30.0, 148.5, -1.0, NAN, math.inf)),
-    *((command_long(k, sender=STRANGER), UNSUPPORTED) for k in (22, 176, 400, 511, 5004, 65_535)),
+    *(
+        (command_long(REQUEST, number), DENIED)
+        for number in (30.0, 330.0, 148.5, -1.0, NAN, math.inf, 1e30)
+    ),
+    *(
+        (command_long(command, sender=sender), UNSUPPORTED)
+        for command in (22, 176, 178, 400, 246, 510, 511, 2000, 5004, 0, 65_535)
+        for sender in (PERSON, STRANGER)
+    ),
 ]
 
 
-@pytest.mark.parametrize(("message", "result"), [*REFUSED, *NONE_OF_OURS], ids=str)
+@pytest.mark.parametrize(
+    ("message", "result"),
+    [*REFUSED, *NONE_OF_OURS],
+    ids=range(len(REFUSED) + len(NONE_OF_OURS)),
+)
 def test_the_impossible_is_refused_and_of_orders_it_is_said_why(message: Any, result: int) -> None:
     answer, acks = answered(made(), message)
     sender = message.get_srcSystem(), message.get_srcComponent()
@@ -132,6 +148,16 @@ def test_a_new_target_lies_where_told(north_m: float, east_m: float, frame_id: i
         assert answer.order.target_ne_m == pytest.approx((north_m, east_m), abs=off_m)
 
 
+def test_0_0_is_no_place_even_if_it_lies_on_the_map_and_what_needs_none_takes_none() -> None:
+    gulf = made(LocalFrame(latitude_deg=0.001, longitude_deg=0.001))
+    assert results(command_int(REPOSITION, x=1, y=1, frame_id=5), gulf) == [ACCEPTED]
+    for nowhere in (command_int(REPOSITION, frame_id=5), command_long(REPOSITION)):
+        assert results(nowhere, gulf) == [DENIED]
+    for no_place in ({"frame_id": 12}, {"x": NOWHERE, "y": NOWHERE}, {}):
+        assert results(command_int(LAND, **no_place)) == [ACCEPTED]
+    assert results(command_int(PAUSE, frame_id=12)) == [ACCEPTED]
+
+
 MAY = {(255, 1): True, (255, 0): True, (1, 191): True}
 MAY |= dict.fromkeys((STRANGER, (1, 190), (254, 191), (1, 1)), False)
 
@@ -146,6 +172,16 @@ def test_only_commanders_may_order_0_meaning_any(sender: tuple[int, int], may: b
         assert answer.note is not None
         assert answer.note["sender"] == name
         assert may or name in answer.text
+
+
+@pytest.mark.parametrize("target", [(7, 0), (0, 195), (0, 0)])
+def test_of_a_broadcast_only_our_questions_are_answered(target: tuple[int, int]) -> None:
+    for command in (START, PAUSE, RETURN, REPOSITION, 400, 22):
+        answer = made().on_message(command_long(command, 0.0, 5.0, target=target), 1.0)
+        assert answer == Reply()
+    for number, acks in ((148.0, [Ack(REQUEST, ACCEPTED, PERSON)]), (30.0, [])):
+        answer, told = answered(made(), command_long(REQUEST, number, target=target))
+        assert (answer.note, told) == (None, acks)
 
 
 def said(command: int, confirmation: int, at_s: float, value: float = 0.0) -> tuple[Any, float]:
@@ -166,7 +202,10 @@ OTHERS = command_long(PAUSE, confirmation=1, sender=(1, 191))
         ([said(PAUSE, 1, 1.0)], [True]),  # got through at the second attempt only
         ([said(PAUSE, 0, 1.0)] * 3, [True, True, True]),
         # a question in between does not make it a new order
-        ([said(PAUSE, 0, 1.0), said(22, 0, 1.2), said(PAUSE, 1, 1.6)], [True, False, False]),
+        (
+            [said(PAUSE, 0, 1.0), said(REQUEST, 0, 1.1), said(22, 0, 1.2), said(PAUSE, 1, 1.6)],
+            [True, False, False, False],
+        ),
         # other parameters, and other senders, do
         ([said(PAUSE, 1, 1.0, value) for value in (0.0, 1.0, 0.0)], [True, True, True]),
         ([said(PAUSE, 0, 1.0), (OTHERS, 1.0)], [True, True]),
@@ -179,14 +218,22 @@ def test_a_repeat_is_not_obeyed_and_has_the_answer_of_the_first(
     server = made()
     told = [answered(server, message, at_s) for message, at_s in messages]
     assert [answer.order is not None for answer, _ in told] == are_orders
-    accepted = {each.result for _, acks in told for each in acks if each.command != 22}
+    accepted = {
+        each.result for _, acks in told for each in acks if each.command in (PAUSE, REPOSITION)
+    }
     assert accepted == {ACCEPTED}
-    refused = made()
-    order = refused.on_message(command_int(START), 2.0).order
-    again = refused.on_message(command_int(START), 2.2)
-    assert [ack(each).result for each in again.replies] == [IN_PROGRESS]
-    refused.order_done(order, OrderResult.NOT_NOW)
-    assert refused.on_message(command_int(START), 2.5).order is not None  # it may be tried again
+
+
+def test_a_repeated_command_has_the_ack_of_the_first() -> None:
+    server = made()
+    first = server.on_message(command_long(PAUSE), 1.0)
+    again = command_long(PAUSE, confirmation=1)
+    for result in (IN_PROGRESS, REJECTED):
+        assert [ack(each).result for each in server.on_message(again, 1.5).replies] == [result]
+        server.order_done(first.order, OrderResult.NOT_NOW)
+    refused = server.on_message(command_int(START), 2.0)
+    server.order_done(refused.order, OrderResult.NOT_NOW)
+    assert server.on_message(command_int(START), 2.5).order is not None  # it may be tried again
 
 
 IDS = st.tuples(st.sampled_from([0, 1, 7, 8, 255]), st.sampled_from([0, 1, 190, 195]))
@@ -240,3 +287,26 @@ def test_it_beats_once_a_second_whatever_its_clock_and_not_while_faulted() -> No
     assert component.due_s < 0.0
     assert [kinds_sent(component, at_s) for at_s in (10.8, 10.9)] == [["HEARTBEAT"], []]
     assert component.due_s == 11.8
+
+
+def test_the_version_is_told_once_to_everybody_who_asks_for_it() -> None:
+    can = wire.MAV_PROTOCOL_CAPABILITY_MAVLINK2 | wire.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    for message in (
+        command_long(REQUEST, 148.0),
+        command_int(REQUEST, 148.0, sender=STRANGER),
+        command_long(CAPABILITIES, 1.0, sender=STRANGER),
+    ):
+        server = made()
+        assert results(message, server) == [ACCEPTED]
+        [version] = server.on_time(1.0, READY, faulted=True)
+        read = over_the_wire(version)
+        assert read.flight_sw_version == 1 << 24 | 2 << 16 | 3 << 8 | 255
+        assert read.capabilities == can
+        assert kinds_sent(server, 2.0) == ["HEARTBEAT"]
+
+
+def test_versions_are_numbers_as_in_autopilot_version() -> None:
+    versions = {"0.1.0": 0x000100FF, "1.2": 0x010200FF, "300.1.1": 0xFF0101FF, "unknown": 0, "": 0}
+    versions |= {"3.4.5rc2": 0x030405C0, "3.4.5b1": 0x03040580, "3.4.5a1": 0x03040540}
+    versions |= {"3.4.5.dev7": 0x03040500, "3.4.5+local": 0x03040500}
+    assert {version: version_number(version) for version in versions} == versions
