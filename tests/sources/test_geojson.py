@@ -79,15 +79,20 @@ ALL = ("points", "lines", "empty")
 
 EMPTY = {"type": "GeometryCollection", "geometries": []}
 NO_ZONES = {
-    "points": [*[PIN] * 3, feature("Point", [8.0, 47.0], radius_m=None, kind="keep_in")],
+    "points": [
+        *[PIN] * 3,
+        feature("MultiPoint", [[8.0, 47.0], [8.1, 47.0]]),
+        feature("Point", [8.0, 47.0], radius_m=None, kind="keep_in"),
+    ],
     "lines": [LINE, feature("MultiLineString", [RING, HOLE])],
     "empty": [NULL, {"type": "Feature"}, {"type": "Feature", "geometry": EMPTY}]
+    + [feature("Polygon", [[]])]
     + [feature(shape, []) for shape in ("Polygon", "MultiPolygon", "Point", "LineString")],
 }
 COUNTED = {
-    "points": "4 x point without radius_m",
+    "points": "6 x point without radius_m",
     "lines": "3 x line",
-    "empty": "7 x feature without a geometry",
+    "empty": "8 x feature without a geometry",
 }
 
 

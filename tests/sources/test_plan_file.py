@@ -410,3 +410,13 @@ def test_fences_and_rally_points_of_a_list_are_zones(txt: Path) -> None:
     assert circle["radius_m"] == 120.0
     assert found.rally_points == [{"latitude_deg": 47.42, "longitude_deg": 8.57}]
     assert not found.targets
+
+
+def test_a_mission_keeps_out_of_what_its_fence_list_says(txt: Path) -> None:
+    mission, text = load_mission("valley"), mission_text("valley")
+    lat, lon = mission.frame.latitude_deg, mission.frame.longitude_deg
+    places = [(lat + 0.001 * n, lon + 0.002 * (n % 2)) for n in range(3)]
+    saved(txt, *((0, 5002, (3, 0, 0, 0), *place, 0.0) for place in places))
+    flown = txt.with_name("mission.toml")
+    flown.write_text(f'threats = "{txt.name}"\n{text}', encoding="utf-8")
+    assert len(load_mission(str(flown)).task.zones) == len(mission.task.zones) + 1
