@@ -24,6 +24,7 @@ from companion.errors import InputError
 from companion.geodesy import FloatArray, LocalFrame
 from companion.mavlink.near_scanner import messages_of, streams_hz
 from companion.mission.mission import EndAction, Fallback, Mission
+from companion.optimise.registry import OPTIMISERS
 from companion.sources.files import toml_text
 from companion.sources.mission_schema import MissionTable, ZoneTable
 from companion.sources.zones import zones_of
@@ -156,6 +157,7 @@ ERRORS |= {"position_error_m": 0.06, "drift_m_s": 0.01}
     ("kind", "more", "component", "message", "of_autopilot"),
     [
         ("obstacle_distance", "", 196, 330, False),
+        ("obstacle_distance", "component = 50\n", 50, 330, False),
         ("distance_sensor", "", 1, 132, True),
         ("distance_sensor", "component = 158\n", 158, 132, False),
     ],
@@ -389,6 +391,8 @@ NONE = [
     ("vertices_deg = [[47.0, 8.0], [47.0, 8.1]]", "three or more"),
     ("vertices_m = [[0.0, 0.0], [9.0, 9.0], [9.0, 0.0], [0.0, 9.0]]", "cross"),
     ("north_m = 1.0\neast_m = 1.0", SHAPE),
+    ("radius_m = 1.0", SHAPE),
+    (f"radius_m = 3.0\nvertices_m = {TRIANGLE}", SHAPE),
     (f"vertices_deg = {TRIANGLE}\nvertices_m = []", SHAPE),
 ]
 FAR = [
@@ -422,6 +426,7 @@ REFUSED: list[tuple[str, str]] = [
     (PLANE.replace("loiter_radius_m = 80.0", "loiter_radius_m = 800.0"), "scan range"),
     # places
     (place("north_m = 1.0"), r"targets\[0\] = \['north_m'\]: a place is given by"),
+    (place(""), r"targets\[0\] = \[\]: a place is given by"),
     (place("north_m = 1.0\nlatitude_deg = 47.0"), "Give one of these pairs"),
     (place("latitude_deg = 91.0\nlongitude_deg = 8.0"), "less than or equal to 90"),
     (place("latitude_deg = -47.0\nlongitude_deg = -172.0"), "1,000 km from the origin"),
@@ -440,18 +445,27 @@ REFUSED: list[tuple[str, str]] = [
     (vehicle("scanner = false"), "vehicle.scanner = False: .*nothing is known of the ground"),
     (vehicle("scanner_component_id = 100", BLIND), "there is no terrain radar"),
     (f"{BLIND}[scanner]\ncomplete = false\n", "there is no terrain radar"),
+    (f"{COPTER}[scanner]\ncomplete = 0\n", "scanner.complete.*valid boolean"),
     # terrain
     (BLIND + GUIDES, "guidance proves nothing"),
     (STATED + GUIDES, "mission.toml: terrain.trust = 'guidance'"),
+    (KNOWN + 'trust = "hope"\n', "terrain.trust"),
+    ("terrain = 7\n" + COPTER, "terrain = 7: it must be a valid dictionary"),
     (
         KNOWN.replace("longitude_deg = 8.0", "longitude_deg = 18.0"),
         "terrain.file.*no height anywhere on the map",
     ),
+    (KNOWN.replace("dem.tif", "absent.tif"), "no such file"),
+    (KNOWN.replace('vertical_datum = "EGM96"\n', ""), "vertical_datum = None: it is missing"),
     (KNOWN.replace("EGM96", "WGS84"), "vertical_datum = 'WGS84'"),
+    (KNOWN + "datum_error_m = -1.0\n", "greater than or equal to 0"),
+    (KNOWN + "datum_m = 1.0\n", "Did you mean datum_error_m?"),
     # a statement about the ground stands alone
     (STATED + 'file = "dem.tif"\n', r"terrain\.file = .*: no such key"),
     (STATED + "datum_error_m = 5.0\n", "terrain.datum_error_m = 5.0"),
+    (STATED.replace("840.0", "inf"), "terrain.highest_amsl_m = inf"),
     (COPTER + "[terrain]\n", "terrain.file = None: it is missing. Add file"),
+    (STATED.replace("highest_amsl_m", "highest_m"), r"Did you mean highest_amsl_m\?"),
     # a sensor of near things
     (scanner('kind = "radar"'), "scanner.kind.*terrain_radar"),
     (scanner("component = 196"), "scanner.component = 196.*it is of the other kinds"),
@@ -466,21 +480,48 @@ REFUSED: list[tuple[str, str]] = [
     ),
     (scanner('kind = "obstacle_distance"'), "scanner.speaks_for_m.*band is 4 m high"),
     (scanner(OBSTACLE, (FLAT, "")), "terrain.*does not see the ground"),
-    (scanner(OBSTACLE, (KIND, f"{KIND}\nscanner = false")), "scanner = .*Remove one of them."),
+    *(
+        (scanner(each, (KIND, f"{KIND}\nscanner = false")), "scanner = .*Remove one of them.")
+        for each in (OBSTACLE, OBSTACLE.replace("obstacle_distance", "distance_sensor"))
+    ),
     (scanner(OBSTACLE + "component = 195"), "scanner.component = 195.*the companion itself"),
     (scanner(OBSTACLE + "bearing_error_deg = 46.0"), "bearing_error_deg = 46.0.*less than"),
+    (scanner(OBSTACLE + "latency_s = -0.1"), "scanner.latency_s = -0.1.*greater than"),
+    (scanner(OBSTACLE + "range_error_m = nan"), "scanner.range_error_m = nan.*finite"),
     (scanner(OBSTACLE, (FLAT, FILE)), "terrain.trust = 'guidance'.*a sensor of near things does"),
-    (COPTER.replace("planner = {", 'planner = { optimiser = "magic",'), "'magic'.*improved-de"),
+    (
+        COPTER.replace("planner = {", 'planner = { optimiser = "magic",'),
+        "planner.optimiser = 'magic'" + "".join(f"(?=.*{name})" for name in OPTIMISERS),
+    ),
+    *(
+        (
+            COPTER.replace(f"{key} =", f"{name} =", 1),
+            rf"{name} = .*Did you mean {key}\?.*Known here: ",
+        )
+        for key, name in (
+            ("speed_m_s", "speed"),
+            ("scan_range_m", "scan_range_km"),
+            ("turn_radius_m", "turning_radius_m"),
+            ("action", "acton"),
+            ("floor_amsl_m", "floor_agl_m"),
+        )
+    ),
     # values of another kind
     *(
-        (re.sub(rf"\b{key} = [^\n,}}]+", f"{key} = {value}", COPTER, count=1), f"{key} = .*{rule}")
+        (
+            re.sub(rf"\b{key} = [^\n,}}]+", f"{key} = {value}", COPTER, count=1),
+            f"{key} = .*(?i:{value}).*{rule}",
+        )
         for key, value, rule in (
-            ("speed_m_s", '"fast"', "valid number"),
+            ("speed_m_s", "'fast'", "valid number"),
             ("speed_m_s", "0.0", "greater than 0"),
+            ("speed_m_s", "true", "valid number"),
             ("climb_angle_deg", "90.0", "less than 90"),
             ("latitude_deg", "86.0", "less than or equal to 85"),
             ("schema", "2", "must be 1"),
-            ("action", '"loiter"', "'hold', 'land' or 'return'"),
+            ("kind", "'boat'", "'copter' or 'plane'"),
+            ("name", "7", "valid string"),
+            ("action", "'loiter'", "'hold', 'land' or 'return'"),
             ("floor_amsl_m", "-501.0", "greater than or equal to -500"),
         )
     ),
@@ -489,7 +530,13 @@ REFUSED: list[tuple[str, str]] = [
         (vehicle(f"{key} = -0.1"), f"vehicle.{key} = -0.1: .*greater than or equal to 0")
         for key in ("navigation_error_m", "dead_man_s")
     ),
-    (COPTER.replace("planner = {", "planner = { weights.radar = nan,"), "weights.radar = nan"),
+    *(
+        (
+            COPTER.replace("planner = {", f"planner = {{ weights.radar = {value},"),
+            f"planner.weights.radar = {value}",
+        )
+        for value in ("nan", "inf", "-inf")
+    ),
     ((ENVIRONMENTS / "environment-1" / "world.toml").read_text(), "this is a world, not a mission"),
 ]
 
