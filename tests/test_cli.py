@@ -2,6 +2,7 @@ import json
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -12,6 +13,7 @@ from typing import Any
 import pytest
 from answers import answered
 from programs import BIN, Program, free_port
+from recorded import run_folder
 
 from companion.runtime import loop
 
@@ -47,18 +49,8 @@ def refused(*arguments: str | Path) -> str:
         (("plan", "environment-1", "environment-1", "--figure", "/nowhere/x.png"), "--figure"),
         (("plan", "environment-1", "environment-1", "--figure", "x.jpg"), ".png, .svg or .pdf"),
         (("export", str(HILLS)), "kml, geojson, csv"),
-        *(
-            ((command, "environment-1", option), option.partition("=")[0])
-            for command in ("fly", "preflight")
-            for option in (
-                "--connect=14550",
-                "--connect=/dev/null,57600",
-                "--system=0",
-                "--system=256",
-            )
-        ),
     ],
-    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
+    ids=lambda value: value[-1] if isinstance(value, tuple) else "",
 )
 def test_wrong_input_is_one_line_and_exit_code_2(arguments: tuple[str, ...], words: str) -> None:
     assert words in refused(*arguments)
@@ -70,6 +62,31 @@ def test_a_plan_without_a_vehicle_has_targets_of_its_own(tmp_path: Path) -> None
     (tmp_path / "mission.toml").write_text(text, encoding="utf-8")
     said = refused("plan", HILLS / "world.toml", tmp_path / "mission.toml")
     assert "its targets come from the vehicle" in said
+
+
+@pytest.mark.parametrize("command", ["fly", "preflight"])
+@pytest.mark.parametrize(
+    "option",
+    [
+        "--connect=14550",
+        "--connect=/dev/null,57600",
+        "--system=0",
+        "--system=256",
+        "--signing-key={key}",
+    ],
+)
+def test_so_are_a_link_a_system_and_a_key_that_cannot_be(
+    command: str, option: str, tmp_path: Path
+) -> None:
+    """A key that others can read is not shown.  Each that cannot be: `tests/runtime`."""
+    key, out = tmp_path / "key", tmp_path / "run"
+    key.write_text("hush hush\n", encoding="utf-8")
+    key.chmod(0o644)
+    options = (option.format(key=key), *(("--out", out) if command == "fly" else ()))
+    line = refused(command, "environment-1", *options)
+    assert option.partition("=")[0] in line or "chmod 600" in line
+    assert "hush hush" not in line
+    assert not out.exists()
 
 
 def test_so_it_is_of_the_program_and_of_what_cannot_be_printed() -> None:
@@ -89,6 +106,13 @@ def test_so_it_is_of_the_program_and_of_what_cannot_be_printed() -> None:
 def test_without_what_shows_flights_it_is_named(how: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)  # as if it were not installed
     assert "pip install 'companion[view]'" in refused(*how)
+
+
+def test_a_page_on_a_port_that_is_taken(tmp_path: Path) -> None:
+    folder = run_folder(tmp_path)
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert f"--view-port = {port}" in refused("view", folder, "--view-port", str(port))
 
 
 def kept(folder: Path, resume: bytes) -> Path:

@@ -161,7 +161,7 @@ DEAF = SimpleNamespace(heard_s=-math.inf)
 UNKNOWN = empty_map(50.0, (-1000.0, 1000.0), (-1000.0, 1000.0))
 SEEN = replace(UNKNOWN, seen=np.ones(UNKNOWN.seen.shape, dtype=bool))
 LEVEL, HIGHER = (
-    replace(SEEN, upper_m=np.full(SEEN.seen.shape, ground_m)) for ground_m in (486.0, 600.0)
+    replace(SEEN, upper_m=np.full(SEEN.seen.shape, ground_m)) for ground_m in (486.0, 560.0)
 )
 """Where the vehicle stands at 488 m: the second has another datum."""
 
@@ -169,6 +169,7 @@ LEVEL, HIGHER = (
 @pytest.mark.parametrize(
     "case",
     [
+        ("link", {"round_trip_s": 0.1}, "link delay", "ok", ""),
         ("link", {"round_trip_s": 0.8}, "link delay", "refused", ""),
         ("link", {"round_trip_s": None}, "link delay", "note", ""),
         ("vehicle", {"position_nea_m": (5000.0, 0.0, 488.0)}, "place", "refused", ""),
@@ -176,7 +177,9 @@ LEVEL, HIGHER = (
         ("vehicle", {"armed": True}, "armed", "refused", "somebody else"),
         ("vehicle", {"battery": 0.9}, "battery", "ok", "endurance_s is not given"),
         ("vehicle", {"battery": 0.1}, "battery", "refused", "endurance_s is not given"),
+        ("vehicle", {"battery": None}, "battery", "note", ""),
         ("mission", {"endurance_s": 1200.0}, "battery", "ok", ""),
+        ("mission", {"endurance_s": 60.0}, "battery", "refused", ""),
         ("mission", {"known": HIGHER}, "datum", "refused", ""),
         ("mission", {"known": LEVEL}, "datum", "ok", ""),
         ("mission", {"near": NEAR}, "sensor", "refused", "component 191 of system 1"),
@@ -252,6 +255,7 @@ SETUPS = {
     "no parameters": refuses("parameters", "not read: ", hides("PARAM_VALUE")),
     "no plans": refuses("fence", "not read: ", hides("MISSION_COUNT MISSION_ACK")),
     "no landed state": refuses("messages", "EXTENDED_SYS_STATE", NO_LANDED_STATE),
+    "no position": refuses("messages", "", hides("GLOBAL_POSITION_INT LOCAL_POSITION_NED")),
     "no GPS": refuses("position", faults="at 0 s: gps_off"),
     "fence on a target": refuses("fence", "Move the target, or change the fence.", ON_TARGET),
     "fence left out": says("fence", "note", change=ON_TARGET, fence_from_vehicle=False),
