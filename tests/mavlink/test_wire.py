@@ -246,7 +246,7 @@ LANDED = [Landed.UNKNOWN, Landed.ON_GROUND, Landed.IN_AIR, Landed.TAKING_OFF, La
 
 
 def test_landed_states_fixes_and_batteries_are_those_of_the_message_definitions() -> None:
-    for number, landed in enumerate([*LANDED, *[Landed.UNKNOWN] * 20]):
+    for number, landed in enumerate([*LANDED, *[Landed.UNKNOWN] * 95]):
         expected = events.LandedState(time_s=1.5, landed=landed)
         assert event(wire.MAVLink_extended_sys_state_message(0, number)) == expected
     for fix_type, good in ((0, False), (2, False), (3, True), (6, True)):

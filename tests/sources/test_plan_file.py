@@ -182,6 +182,13 @@ def test_what_a_mission_cannot_be_of_is_told_in_the_words_of_the_plan(
     path.write_text(json.dumps(plan(*items, **mission)), encoding="utf-8")
     told = refusal(lambda path, _: load_mission(str(path)), path, None)
     assert re.search(words, told), told
+    if far := re.search(r"it lies ([\d.,]+) km from launch", told):
+        true_km = GEOD.inv(8.55, 47.4, place[1], place[0])[2] / 1000.0
+        assert float(far[1].replace(",", "")) == pytest.approx(true_km, rel=0.01)
+    own = path.with_name("own.toml")
+    own.write_text('plan = "x.plan"\n[altitude]\nfloor_amsl_m = 900.0\nceiling_amsl_m = 1.0\n')
+    told = refusal(lambda path, _: load_mission(str(path)), own, None)
+    assert "altitude.ceiling_amsl_m" not in told or "assumed" not in told
 
 
 @pytest.mark.parametrize("name", PLANS)
