@@ -1,6 +1,6 @@
-import contextlib
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -8,13 +8,13 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from answers import answered
 from programs import BIN, Program, free_port
 from recorded import run_folder
 
-from companion import cli
 from companion.runtime import loop
 
 COMPANION = BIN / "companion"
@@ -28,27 +28,6 @@ def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
     real = time.monotonic
     monkeypatch.setattr(time, "monotonic", lambda: 10.0 * real())
     monkeypatch.setitem(loop.fly.__kwdefaults__, "clock", time.monotonic)
-
-
-def test_check_says_in_words_what_a_mission_will_do() -> None:
-    code, shown, said = answered("check", "environment-1")
-    assert (code, said) == (0, "")
-    for fact in (
-        "100.0 km north, 100.0 km east",
-        "150 m/s",
-        "3,000 m and 5,000 m AMSL",
-        "500 m (d_s)",
-    ):
-        assert fact in shown
-
-
-def test_plan_reaches_the_target_and_writes_a_picture(tmp_path: Path) -> None:
-    picture = tmp_path / "plan.svg"
-    options = ("--figure", picture)
-    code, shown, said = answered("plan", HILLS / "world.toml", HILLS / "mission.toml", *options)
-    assert (code, said) == (0, "")
-    assert "<svg" in picture.read_text(encoding="utf-8")
-    assert "subpaths" in shown
 
 
 def refused(*arguments: str | Path) -> str:
@@ -110,9 +89,6 @@ def test_so_are_a_link_a_system_and_a_key_that_cannot_be(
     assert not out.exists()
 
 
-# --- the other ways of flying
-
-
 def test_so_it_is_of_the_program_and_of_what_cannot_be_printed() -> None:
     command = [COMPANION, "fly", "nowhere"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
@@ -127,17 +103,9 @@ def test_so_it_is_of_the_program_and_of_what_cannot_be_printed() -> None:
 
 
 @pytest.mark.parametrize("how", [("view", str(HILLS)), ("fly", "environment-1", "--view")])
-def test_without_what_shows_flights_it_is_named(
-    how: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_what_shows_flights_it_is_named(how: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)  # as if it were not installed
     assert "pip install 'companion[view]'" in refused(*how)
-
-
-def test_a_preflight_that_is_stopped_refuses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli, "stop_signals", lambda: contextlib.nullcontext([signal.SIGINT]))
-    code, _, said = answered("preflight", "sitl-px4", *connect(free_port()))
-    assert (code, said) == (130, "")
 
 
 def test_a_page_on_a_port_that_is_taken(tmp_path: Path) -> None:
@@ -147,13 +115,11 @@ def test_a_page_on_a_port_that_is_taken(tmp_path: Path) -> None:
         assert f"--view-port = {port}" in refused("view", folder, "--view-port", str(port))
 
 
-def kept(folder: Path, resume: str | bytes) -> Path:
+def kept(folder: Path, resume: bytes) -> Path:
     """A run folder of an interrupted flight."""
     folder.mkdir()
-    mission = (HILLS / "mission.toml").read_text(encoding="utf-8")
-    (folder / "mission.toml").write_text(mission, encoding="utf-8")
-    text = resume.encode() if isinstance(resume, str) else resume
-    (folder / "resume.json").write_bytes(text)
+    (folder / "mission.toml").write_bytes((HILLS / "mission.toml").read_bytes())
+    (folder / "resume.json").write_bytes(resume)
     return folder
 
 
@@ -162,19 +128,17 @@ def test_to_go_on_needs_the_folder_of_that_mission(tmp_path: Path) -> None:
     file.write_text("", encoding="utf-8")
     other.mkdir()
     (other / "mission.toml").write_text("[package]\nname = 'x'\n", encoding="utf-8")
-    run = kept(tmp_path / "run", "{}")
+    run = kept(tmp_path / "run", b"{}")
     out: tuple[str | Path, ...]
     for out, words in (
-        ((), ("--resume",)),
-        (("--out", file), ("--out",)),
-        (("--out", other), ("mission.toml",)),
-        (("--out", run), ("MISSION = 'environment-1'", "of another mission, 'hills'")),
+        ((), "--resume"),
+        (("--out", file), "--out"),
+        (("--out", other), "mission.toml"),
+        (("--out", run), "MISSION = 'environment-1'.*of another mission, 'hills'"),
     ):
-        line = refused("fly", "environment-1", *out, "--resume")
-        assert all(word in line for word in words), line
+        assert re.search(words, refused("fly", "environment-1", *out, "--resume"))
     line = refused("fly", HILLS / "mission.toml", "--out", run)  # nor is it flown over
-    assert "holds a flight already" in line
-    assert "--resume" in line
+    assert re.search("holds a flight already.*--resume", line)
 
 
 @pytest.mark.usefixtures("hurried")
@@ -199,9 +163,6 @@ def test_what_was_kept_and_cannot_be_read_is_said_and_gone_on_without(tmp_path: 
     assert "resume.json" in resumed["lost"]
 
 
-# --- before a flight
-
-
 def connect(port: int) -> tuple[str, str]:
     return ("--connect", f"udpin:127.0.0.1:{port}")
 
@@ -217,9 +178,7 @@ def simulated(tmp_path: Path) -> Iterator[int]:
         process.kill()
 
 
-def test_a_vehicle_that_may_fly_is_told_so_and_one_that_may_not_is_told_why(
-    simulated: int, tmp_path: Path
-) -> None:
+def test_whether_a_vehicle_may_fly_is_told(simulated: int, tmp_path: Path) -> None:
     code, shown, said = answered("preflight", "sitl-px4", *connect(simulated))
     assert (code, said) == (0, "")
     assert "PX4 multicopter, system 1" in shown

@@ -56,9 +56,7 @@ def search(
 class TestEveryOptimiser:
     @few
     @given(seed=seeds)
-    def test_the_same_seed_gives_the_same_bytes_and_another_another_search(
-        self, name: str, seed: int
-    ) -> None:
+    def test_a_seed_repeats_its_search(self, name: str, seed: int) -> None:
         a, b, c = (search(name, bowl, seed=each) for each in (seed, seed, seed + 1))
         assert a.x.tobytes() == b.x.tobytes() != c.x.tobytes()
         assert a.costs.tobytes() == b.costs.tobytes()
@@ -96,9 +94,7 @@ class TestEveryOptimiser:
         assert np.isfinite(ranked.costs[0])
 
     @pytest.mark.parametrize("budget", [1, 3, 59])
-    def test_a_budget_of_less_than_a_population_goes_to_the_seeds_first(
-        self, name: str, budget: int
-    ) -> None:
+    def test_a_small_budget_goes_to_the_seeds_first(self, name: str, budget: int) -> None:
         seeds, objective = np.random.default_rng(5).random((5, 3)), Recorder(bowl)
         search(name, objective, dimensions=3, evaluations=budget, seeds=seeds)
         first = min(budget, len(seeds))
@@ -108,13 +104,11 @@ class TestEveryOptimiser:
         point = np.array([0.25, 0.75, 0.5])
         only_there: Objective = lambda x: np.where((x == point).all(axis=1), 7.0, np.inf)  # noqa: E731
         ranked = search(name, only_there, dimensions=3, seeds=point[None])
-        assert ranked.x[0].tolist() == point.tolist()
-        assert ranked.costs[0] == 7.0
+        assert (ranked.x[0].tolist(), ranked.costs[0]) == (point.tolist(), 7.0)
 
-    def test_a_population_all_at_one_point_stays_finite_and_in_bounds(self, name: str) -> None:
-        objective, seeds = Recorder(bowl), np.ones((200, 3))  # a corner: every difference is zero
+    def test_a_population_all_in_one_corner_stays_in_bounds(self, name: str) -> None:
+        objective, seeds = Recorder(bowl), np.ones((200, 3))  # every difference is zero
         ranked = search(name, objective, dimensions=3, seeds=seeds)
-        assert np.isfinite(objective.points).all()
         assert 0.0 <= objective.points.min() <= objective.points.max() <= 1.0
         assert ranked.costs[0] <= bowl(np.ones((1, 3)))[0]
 
@@ -168,36 +162,26 @@ def test_no_two_names_are_the_same_search_and_the_papers_have_its_60_members() -
         assert OPTIMISERS[name](6, 3_000, np.random.default_rng(1), None).ask().shape == (60, 6)
 
 
-# --- the loop
-
-
-class Scripted:
-    """An optimiser of given candidates."""
-
-    def __init__(self, x: FloatArray) -> None:
-        self.population = x
-        self.costs = np.full(len(x), np.nan)
-
-    def ask(self) -> FloatArray:
-        return self.population
-
-    def tell(self, costs: FloatArray) -> None:
-        self.costs = costs
-
-
 def test_members_are_ranked_by_cost_equals_in_their_order_and_nan_as_infinite() -> None:
-    x = np.array([[0.3], [0.1], [0.4], [0.2], [0.5]])
+    class Scripted:
+        population = np.array([[0.3], [0.1], [0.4], [0.2], [0.5]])
+        costs = np.full(5, np.nan)
+
+        def ask(self) -> FloatArray:
+            return self.population
+
+        def tell(self, costs: FloatArray) -> None:
+            self.costs = costs
+
     costs = {0.3: 5.0, 0.1: 1.0, 0.2: 1.0, 0.4: np.nan, 0.5: -np.inf}
-    ranked = minimise(Scripted(x), lambda x: np.array([costs[v] for v in x[:, 0]]), 5)
+    ranked = minimise(Scripted(), lambda x: np.array([costs[v] for v in x[:, 0]]), 5)
     assert ranked.costs.tolist() == [-np.inf, 1.0, 1.0, 5.0, np.inf]
     assert ranked.x[:, 0].tolist() == [0.5, 0.1, 0.2, 0.3, 0.4]
     assert ranked.evaluations == 5
 
 
 @given(count=st.integers(0, 12), size=st.integers(1, 9), seed=seeds)
-def test_the_first_members_are_the_seeds_clipped_and_then_random_points(
-    count: int, size: int, seed: int
-) -> None:
+def test_seeds_come_first_clipped_then_random_points(count: int, size: int, seed: int) -> None:
     known = np.random.default_rng(seed + 1).uniform(-0.5, 1.5, (count, 3))
     members = first_members(size, 3, np.random.default_rng(seed), known)
     alone = first_members(size, 3, np.random.default_rng(seed), None)

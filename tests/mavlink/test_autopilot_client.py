@@ -35,6 +35,9 @@ NAMES = {"ardupilot": "sitl-arducopter", "px4": "sitl-px4"}
 both = pytest.mark.parametrize("firmware", NAMES)
 
 
+WATCHING = Context(mission=load_mission("sitl-px4"), seed=1, lockstep=True, shadow=True)
+
+
 class Side:
     """An autopilot's client beside a simulated vehicle, and the events that it tells."""
 
@@ -68,25 +71,12 @@ class Side:
     def prepared(self, item: Item) -> list[Prepared]:
         return [event for event in self.told(Prepared) if event.item is item]
 
-    @property
-    def fences(self) -> list[int]:
-        """Zones of each fence that was told."""
-        return [len(event.zones) for event in self.told(FenceChanged)]
-
     def run(self, seconds: float, until: Any = lambda: False) -> "Side":
         self.held.run(seconds, self, until)
         return self
 
-    def draws(self, *items: Stored, seconds: float = 20.0) -> "Side":
-        """A ground station uploads a fence meanwhile."""
-        self.held.upload(FENCE, list(items), self)
-        return self.run(seconds)
-
     def until_prepared(self) -> "Side":
         return self.run(60.0, until=lambda: bool(self.prepared(Item.PLANS)))
-
-
-# --- fences
 
 
 @both
@@ -94,7 +84,7 @@ def test_a_fence_that_has_changed_is_told_before_it_is_read(firmware: str) -> No
     side = Side(firmware).until_prepared()
     for items, size_m in ((40, 100.0), (60, 100.0), (60, 140.0)):  # the last: as many, elsewhere
         side.events.clear()
-        side.draws(*polygon(items, size_m=size_m), seconds=0.0)
+        side.held.upload(FENCE, polygon(items, size_m=size_m), side)
         side.run(90.0, until=lambda: len(side.told(FenceReading)) == 2)
         told = side.told(FenceReading, FenceChanged)
         assert [type(event) for event in told] == [FenceReading, FenceChanged, FenceReading]
@@ -117,25 +107,21 @@ def test_plans_are_not_done_before_a_fence_about_home_is_drawn() -> None:
 
 
 def test_the_fence_that_is_known_stays_in_force_while_it_is_read_again_after_a_reboot() -> None:
+
+    def zones(side: Side) -> list[int]:
+        return [len(event.zones) for event in side.told(FenceChanged)]
+
     side = Side("px4")
     side.held.simulation.set_parameter("GF_MAX_HOR_DIST", 400.0)
     side.held.upload(FENCE, polygon(7))
-    assert side.run(8.0).fences == [2]
+    assert zones(side.run(8.0)) == [2]
     side.client.rebooted()
     side.hears_home = False
-    assert side.run(8.0).fences == [2]  # not that without what is drawn about home
+    assert zones(side.run(8.0)) == [2]  # not that without what is drawn about home
     assert any("2 zones stay in force" in note for note in side.client.notes)
     side.held.upload(FENCE, [])
     side.hears_home = True
-    assert side.run(20.0).fences == [2, 1]
-
-
-# --- breaches
-
-
-def heard(message: Any, autopilot: Autopilot) -> Any:
-    context = Context(mission=load_mission("sitl-px4"), seed=1, lockstep=True, shadow=True)
-    return AutopilotClient(context, 1, autopilot).event_of(message, 7.0)
+    assert zones(side.run(20.0)) == [2, 1]
 
 
 def px4_event(name: str) -> Any:
@@ -167,45 +153,38 @@ def text(said: str) -> Any:
     ],
 )
 def test_what_autopilots_say_of_a_breach(autopilot: Autopilot, message: Any, breach: bool) -> None:
-    assert heard(message, autopilot) == (FenceBreach(time_s=7.0) if breach else None)
+    told = AutopilotClient(WATCHING, 1, autopilot).event_of(message, 7.0)
+    assert told == (FenceBreach(time_s=7.0) if breach else None)
     assert px4.event_id("check_modes_offboard_signal") == 3087815  # as recorded (px4.md 6)
 
 
 def test_fence_status_tells_of_each_breach_once() -> None:
-    context = Context(mission=load_mission("sitl-arducopter"), seed=1, lockstep=True, shadow=True)
-    side = AutopilotClient(context, 1, ARDUCOPTER)
+    side = AutopilotClient(WATCHING, 1, ARDUCOPTER)
     states = [(0, 0), (1, 1), (1, 1), (0, 1), (1, 2)]
     messages = [wire.MAVLink_fence_status_message(*state, 3, 0, 0) for state in states]
     told = [side.event_of(message, 1.0) is not None for message in messages]
     assert told == [False, True, False, False, True]
 
 
-# --- parameters and clocks
-
-
-def fought(times: int, seconds: float) -> tuple[Side, float]:
-    """COM_OBL_RC_ACT, which is to be 5, set back to 0 so many times by a ground station."""
+@pytest.mark.parametrize(("times", "each_s", "ends_as"), [(1, 12.0, 5.0), (6, 9.0, 0.0)])
+def test_who_keeps_setting_a_parameter_back_is_said_once_and_not_fought_for_ever(
+    times: int, each_s: float, ends_as: float
+) -> None:
+    """COM_OBL_RC_ACT is to be 5; a ground station sets it back to 0."""
     side = Side("px4", sets=True)
     there = side.held.simulation.parameters
     side.run(30.0, until=lambda: there["COM_OBL_RC_ACT"] == 5.0).run(3.0)
     for _ in range(times):
         side.held.other(wire.MAVLink_param_set_message(1, 1, b"COM_OBL_RC_ACT", 0.0, 6))
-        side.run(seconds)
-    return side, side.client.parameters.values["COM_OBL_RC_ACT"]
-
-
-def test_who_keeps_setting_a_parameter_back_is_said_once_and_not_fought_for_ever() -> None:
-    side, value = fought(1, 12.0)
-    assert value == 5.0  # once, it is set again
-    assert not any(event.refusal for event in side.prepared(Item.PARAMETERS))
-    said = [note for note in side.client.notes if "COM_OBL_RC_ACT" in note]
-    assert said == ["set COM_OBL_RC_ACT to 5"]
-    side, value = fought(6, 9.0)
-    assert value == 0.0
-    [line] = [event.refusal for event in side.prepared(Item.PARAMETERS) if event.refusal]
-    assert line.startswith("COM_OBL_RC_ACT = 0: somebody keeps setting it back. End that")
+        side.run(each_s)
+    assert side.client.parameters.values["COM_OBL_RC_ACT"] == ends_as
+    refusals = [event.refusal for event in side.prepared(Item.PARAMETERS) if event.refusal]
+    said = ["COM_OBL_RC_ACT = 0: somebody keeps setting it back"] * (times > 1)
+    assert [line.split(". ")[0] for line in refusals] == said
+    notes = [note for note in side.client.notes if "COM_OBL_RC_ACT" in note]
+    assert notes == ["set COM_OBL_RC_ACT to 5"]
     sets = [message for _, message in side.held.sent if message.get_type() == "PARAM_SET"]
-    assert 3 <= len([each for each in sets if each.param_id == "COM_OBL_RC_ACT"]) <= 6
+    assert 2 <= len([each for each in sets if each.param_id == "COM_OBL_RC_ACT"]) <= 6
 
 
 @pytest.mark.parametrize("shift_s", [-595.0, 86_400.0])
@@ -221,9 +200,6 @@ def test_by_another_clock_the_same_is_asked_at_the_same_moments(shift_s: float) 
         asked.append([sorted(bytes(each.pack(codec(1))) for each in told) for told in said])
     assert asked[0] == asked[1]
     assert len([told for told in asked[0] if told]) > 10
-
-
-# --- speed, take-off and the end of its own mission
 
 
 def beat(mode: int = wire.PLANE_MODE_GUIDED) -> Any:
@@ -274,9 +250,8 @@ def test_a_plane_is_told_its_speed_until_it_answers_or_somebody_else_flies_it() 
 
 
 def test_it_is_armed_and_disarmed_without_force() -> None:
-    context = Context(mission=load_mission("sitl-px4"), seed=1, lockstep=True)
-    side = AutopilotClient(context, 7, PX4_MULTICOPTER)
-    state = State.of(context.mission, checkpoint.blank_map(context.mission))
+    side = AutopilotClient(WATCHING, 7, PX4_MULTICOPTER)
+    state = State.of(WATCHING.mission, checkpoint.blank_map(WATCHING.mission))
     for command, value in ((Arm(), 1.0), (Disarm(), 0.0)):
         [message] = side.command_messages(command, state)
         sent = over_the_wire(message)

@@ -20,7 +20,7 @@ from companion.mavlink.mission_items import targets_of
 from companion.mavlink.plan_client import PlanItem
 from companion.mission.mission import EndAction
 from companion.planner.settings import PlannerSettings, Task
-from companion.world.zones import CircleZone, PolygonZone
+from companion.world.zones import CircleZone
 from vehicle_sim.autopilot.earth import FlatEarth, Projection
 from vehicle_sim.autopilot.guards import Fence as ArduPilotFence
 from vehicle_sim.autopilot.guards import Zones
@@ -62,8 +62,11 @@ def ring(command: int, *corners: tuple[float, float]) -> list[PlanItem]:
     return [item(command, *corner, float(len(corners))) for corner in corners]
 
 
-def ring_in_degrees(*corners: tuple[float, float]) -> list[PlanItem]:
-    return [in_degrees(OUT, corner, float(len(corners))) for corner in corners]
+def slanting(frame: LocalFrame, *corners: tuple[float, float]) -> Any:
+    """The zone of an exclusion whose corners are given in degrees."""
+    items = [in_degrees(OUT, corner, float(len(corners))) for corner in corners]
+    [zone] = zones_of(items, ON, frame).zones
+    return zone
 
 
 @st.composite
@@ -106,10 +109,7 @@ def room_m(fence: Any, at: tuple[float, float]) -> float:
     return min((float(zone.distance_m(north, east)) for zone in fence.zones), default=math.inf)
 
 
-# --- never where the autopilot would not be
-
-_ROUND_M = 3.0
-"""ArduPilot's flat earth is 0.1 % off, within 2 km."""
+_ROUND_M = 3.0  # ArduPilot's flat earth is 0.1 % off, within 2 km
 
 
 def within(fence: Fence, points: Any) -> list[Any]:
@@ -146,7 +146,7 @@ def test_a_side_is_nowhere_off_by_half_a_metre(latitude_deg: float, size_deg: fl
     """Between its corners it is straight in degrees, wherever and however long it is."""
     frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=8.0)
     ring_deg = [(latitude_deg + size_deg * a, 8.0 + 3.0 * size_deg * b) for a, b in SLANTED]
-    (zone,) = zones_of(ring_in_degrees(*ring_deg), ON, frame).zones
+    zone = slanting(frame, *ring_deg)
     for one, other in zip(ring_deg, (*ring_deg[1:], ring_deg[0]), strict=True):
         latitude, longitude = np.linspace(one, other, 500).T
         off_m = np.abs(zone.distance_m(*frame.to_local_m(latitude, longitude)))
@@ -160,7 +160,7 @@ def test_a_fence_of_a_continent_is_in_place(latitude_deg: float, longitude_deg: 
     frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
     off_deg = ((-30.0, -29.9), (30.0, 30.1), (30.0, 70.0), (-30.0, 70.0))
     corners = [(latitude_deg + a, (longitude_deg + b + 180.0) % 360.0 - 180.0) for a, b in off_deg]
-    (zone,) = zones_of(ring_in_degrees(*corners), ON, frame).zones
+    zone = slanting(frame, *corners)
     part_deg = np.linspace(-0.3, 0.3, 61)  # along that side
     along = frame.to_local_m(latitude_deg + part_deg, longitude_deg + 0.1 + part_deg)
     assert np.abs(zone.distance_m(*along)).max() < 1.0
@@ -194,22 +194,19 @@ def test_inclusions_of_which_one_is_enough_are_those_that_the_vehicle_is_in() ->
     assert len(zones_of(items, {}).zones) == 2
 
 
-# --- what cannot be kept
-
-
 @pytest.mark.parametrize(
     ("items", "words"),
     [
         (ring(IN, *SQUARE)[:3], "incomplete"),
         (ring(IN, *SQUARE[:2]), "three corners"),
         (ring(OUT, *[SQUARE[0]] * 5), "three corners"),
-        ([replace(item(OUT, 0.0, 0.0, 3.0), x=2_000_000_000)] * 3, "nowhere"),
+        ([*ring(OUT, *SQUARE), item(OUT, 0.0, 0.0, 4.0)], "three corners"),
         ([item(CIRCLE_IN, 0.0, 0.0, 1.0)], "FENCE_MARGIN"),
         *(
             ([item(CIRCLE_OUT, 50, 0, r)], "needs a radius")
             for r in (math.inf, math.nan, 0.0, 3e38)
         ),
-        ([*ring(OUT, *SQUARE), item(OUT, 0.0, 0.0, 4.0)], "three corners"),
+        ([replace(item(OUT, 0.0, 0.0, 3.0), x=2_000_000_000)] * 3, "nowhere"),
         ([item(OUT, *corner, 3.5) for corner in SQUARE], "incomplete"),
         ([replace(item(CIRCLE_OUT, 50.0, 0.0, 9.0), frame=200)], "frame 200"),
         ([item(16, 50.0, 0.0, 0.0)], "no fence (NAV_WAYPOINT)"),
@@ -245,22 +242,16 @@ def test_a_spoilt_item_is_never_left_out(drawn: Any, changes: dict[str, Any], wh
         assert "\n" not in fence.refusal
 
 
-def test_an_exclusion_that_lacks_corners_is_its_hull_and_return_points_are_none() -> None:
+def test_an_exclusion_that_lacks_corners_is_its_hull_and_a_corner_counts_once() -> None:
     items = [*ring(OUT, *SQUARE)[:3], item(5000, 0.0, 0.0, 0.0), item(CIRCLE_OUT, 0, 0, 0.0)]
     fence = zones_of(items, {})
-    (zone,) = fence.zones
-    assert isinstance(zone, PolygonZone)
-    assert len(zone.vertices_ne_m) == 3
-    assert fence.refusal.startswith("fence exclusion 1 is incomplete")
+    rings = ring(OUT, SQUARE[0], *SQUARE, SQUARE[3], SQUARE[0])
+    twice = zones_of(rings, {**ON, "FENCE_ENABLE": 0.0})  # and is kept, and that is said
+    assert "FENCE_ENABLE = 0" in twice.notes[0]
     assert [said.split(":")[0] for said in fence.notes] == ["fence exclusion 2"]
-    twice = ring(OUT, SQUARE[0], *SQUARE, SQUARE[3], SQUARE[0])  # a corner counts once
-    off = zones_of(twice, {**ON, "FENCE_ENABLE": 0.0})  # and is kept, and that is said
-    (zone,) = off.zones
-    assert len(zone.vertices_ne_m) == 4
-    assert "FENCE_ENABLE = 0" in off.notes[0]
+    assert fence.refusal.startswith("fence exclusion 1 is incomplete")
+    assert [len(drawn.zones[0].vertices_ne_m) for drawn in (fence, twice)] == [3, 4]
 
-
-# --- about home
 
 CYLINDER = {"FENCE_RADIUS": 150.0, "FENCE_ALT_MAX": 100.0, "FENCE_ALT_MIN": 10.0}
 
@@ -283,15 +274,17 @@ def test_ardupilots_cylinder_is_what_its_bits_say(bits: int, by_itself: bool) ->
     assert (off.zones, off.ceiling_amsl_m, off.needs_home) == ((), None, False)
 
 
-def test_px4s_cylinder() -> None:
-    wide = zones_of((), {"GF_MAX_HOR_DIST": 300.0, "GF_MAX_VER_DIST": 0.0}, home_nea_m=HOME)
-    assert room_m(wide, (0.0, 0.0)) == 300.0
-    assert (wide.floor_amsl_m, wide.ceiling_amsl_m) == (None, None)
-    high = zones_of((), {"GF_MAX_VER_DIST": 120.0}, home_nea_m=HOME)
-    assert (high.zones, high.ceiling_amsl_m) == ((), HOME_M + 120.0)
-
-
-# --- against the mission
+@pytest.mark.parametrize(
+    ("parameters", "room", "ceiling_m"),
+    [
+        ({"GF_MAX_HOR_DIST": 300.0, "GF_MAX_VER_DIST": 0.0}, 300.0, None),
+        ({"GF_MAX_VER_DIST": 120.0}, math.inf, HOME_M + 120.0),
+    ],
+)
+def test_px4s_cylinder(parameters: Any, room: float, ceiling_m: float | None) -> None:
+    fence = zones_of((), parameters, home_nea_m=HOME)
+    told = (room_m(fence, (0.0, 0.0)), fence.floor_amsl_m, fence.ceiling_amsl_m)
+    assert told == (room, None, ceiling_m)
 
 
 def task() -> Task:
@@ -312,9 +305,6 @@ def test_a_mission_that_leaves_the_fence_is_refused_with_words() -> None:
     )
     (thin,) = conflicts(zones_of((), parameters, home_nea_m=(0, 0, 410.0)), task(), ())
     assert "leaves 500 to 508 m AMSL" in thin
-
-
-# --- targets
 
 
 def test_targets_are_the_places_between_take_off_and_the_end() -> None:
@@ -342,9 +332,6 @@ def test_targets_are_the_places_between_take_off_and_the_end() -> None:
     for last, end in (ends | {16: (None, 2)}).items():
         found = targets_of([item(16, 50, 0, 0), item(last, 90, 0, 0)], FRAME, home_first=False)
         assert (found.end_action, len(found.targets_ne_m)) == end
-
-
-# --- what PX4 makes of it
 
 
 def begins_of_px4(items: Sequence[PlanItem]) -> list[int]:

@@ -9,12 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.mavlink.dialect import codec, wire
-from companion.mavlink.frames import (
-    Receiver,
-    decoded,
-    intact_end,
-    sender_of,
-)
+from companion.mavlink.frames import Receiver, decoded, intact_end, sender_of
 from companion.mavlink.signing import SECRETS, Signing
 from companion.printable import printable
 
@@ -55,12 +50,10 @@ def unknown(payload: bytes = b"\1\2\3") -> bytes:
     return head + payload + b"\0\0"
 
 
-def portions(data: bytes, cuts: list[int]) -> list[bytes]:
+def fed(receiver: Receiver, data: bytes, cuts: list[int]) -> list[bytes]:
+    """The frames that are found, if the bytes come in these portions."""
     edges = [0, *sorted(cut % (len(data) + 1) for cut in cuts), len(data)]
-    return [data[a:b] for a, b in itertools.pairwise(edges)]
-
-
-def feed_all(receiver: Receiver, parts: list[bytes]) -> list[bytes]:
+    parts = (data[a:b] for a, b in itertools.pairwise(edges))
     return [bytes(m.get_msgbuf()) for part in parts for m in receiver.feed(part)]
 
 
@@ -72,9 +65,6 @@ frames = st.builds(
     sequence=st.integers(0, 255),
 )
 cuts = st.lists(st.integers(0, 10_000), max_size=12)
-
-
-# --- whatever comes
 
 
 @given(st.lists(st.binary(max_size=400), max_size=10))
@@ -89,7 +79,7 @@ def test_nothing_is_raised_whatever_the_bytes(parts: list[bytes]) -> None:
 def test_frames_are_found_in_any_noise(parts: list[tuple[bytes, bytes]], where: list[int]) -> None:
     receiver = Receiver()
     data = b"".join(noise + frame for noise, frame in parts)
-    assert feed_all(receiver, portions(data, where)) == [frame for _, frame in parts]
+    assert fed(receiver, data, where) == [frame for _, frame in parts]
     assert receiver.passed == sum(len(noise) for noise, _ in parts)
     assert receiver._rest == b""
 
@@ -107,8 +97,7 @@ def test_a_broken_one_takes_no_other(parts: list[tuple[bytes, int, int]], where:
         else:
             data += frame
             whole.append(frame)
-    got = feed_all(Receiver(), [*portions(data, where), FLUSH])
-    left = iter(got)
+    left = iter(fed(Receiver(), data + FLUSH, where))
     assert all(frame in left for frame in whole)
 
 
@@ -136,9 +125,6 @@ def test_a_message_of_a_newer_dialect_is_passed_whole_or_read_as_far_as_we_know(
     head = bytes([0xFD, len(payload), 0, 0, 0, 1, 1, 30, 0, 0])
     [message] = Receiver().feed(sealed(head + payload, kind.crc_extra))
     assert message.time_boot_ms == 0x04030201
-
-
-# --- a frame, and its message
 
 
 @given(frames)
@@ -173,9 +159,6 @@ def test_every_kind_is_decoded_as_by_pymavlink(first_protocol: bool) -> None:
             assert told(message) == told(theirs.decode(bytearray(frame)))
             texts = (getattr(message, name) for name in message.get_fieldnames())
             assert all(text.isprintable() for text in texts if isinstance(text, str))
-
-
-# --- signatures
 
 
 def signer(timestamp: int = 100) -> wire.MAVLink:

@@ -50,9 +50,7 @@ class Hovering:
 
 
 @given(ground_m=st.floats(380.0, 406.0), roll=st.floats(-0.5, 0.5), pitch=st.floats(-0.5, 0.5))
-def test_it_is_told_exactly_where_the_ground_is_higher_than_the_map_by_more_than_the_error(
-    ground_m: float, roll: float, pitch: float
-) -> None:
+def test_higher_ground_is_told(ground_m: float, roll: float, pitch: float) -> None:
     """However the vehicle leans; what it is told is by how much."""
     slant_m = (ALTITUDE_M - ground_m) / (math.cos(roll) * math.cos(pitch))
     found = Hovering(known(), lean=(roll, pitch, 0.7)).reads(*[slant_m] * 6)
@@ -63,54 +61,51 @@ def test_it_is_told_exactly_where_the_ground_is_higher_than_the_map_by_more_than
         assert each.above_m == pytest.approx(above_m, abs=0.02)
 
 
-@pytest.mark.parametrize("wrong", [(3.0,), (3.0, 3.0), (3.0, 8.0, 3.0, 8.0, 3.0, 8.0)])
-def test_single_wrong_readings_are_no_ground(wrong: tuple[float, ...]) -> None:
-    assert Hovering(known()).reads(8.0, 8.0, *wrong, 8.0, 8.0, 8.0) == []
-
-
-def test_it_says_so_for_as_long_as_it_lasts_and_once_when_it_is_over() -> None:
-    it = Hovering(known())
-    assert [each.above_m for each in it.reads(*[5.0] * 8)] == pytest.approx([3.0] * 5)
-    assert it.reads(5.0, 8.0, 8.0, 8.0)[1:] == []
-    assert [each.above_m for each in it.reads(*[8.0] * 10)] == [0.0]
+UNBELIEVED: list[dict[str, int]] = [
+    {"current_distance": 0},
+    {"current_distance": 15},  # below the least
+    {"current_distance": 65_534, "max_distance": 400},  # PX4 in the air
+    {"current_distance": 500, "max_distance": 400},  # ArduPilot above its limit
+    {"min_distance": 500, "max_distance": 400},
+    {"orientation": 0},
+    {"orientation": 24},
+    {"time_boot_ms": 0},  # of another clock: there is no pose of that time
+    {"time_boot_ms": 4_294_967_295},
+]
 
 
 @pytest.mark.parametrize(
-    "fields",
+    ("distances_m", "fields", "above_m"),
     [
-        {"current_distance": 0},
-        {"current_distance": 15},  # below the least
-        {"current_distance": 65_534, "max_distance": 400},  # PX4 in the air
-        {"current_distance": 500, "max_distance": 400},  # ArduPilot above its limit
-        {"min_distance": 500, "max_distance": 400},
-        {"orientation": 0},
-        {"orientation": 24},
-        {"time_boot_ms": 0},  # of another clock: there is no pose of that time
-        {"time_boot_ms": 4_294_967_295},
+        # for as long as it lasts, and once when it is over
+        ([5.0] * 9 + [8.0] * 13, {}, [3.0] * 6 + [0.0]),
+        # single wrong readings are no ground
+        *(([8.0, 8.0, *wrong, 8.0, 8.0], {}, []) for wrong in ([3.0], [3.0] * 2, [3.0, 8.0] * 3)),
+        *(([3.0] * 8, fields, []) for fields in UNBELIEVED),
     ],
 )
-def test_what_cannot_be_believed_says_nothing(fields: dict[str, int]) -> None:
-    assert Hovering(known()).reads(*[3.0] * 8, **fields) == []
+def test_what_readings_say(distances_m: Any, fields: dict[str, int], above_m: list[float]) -> None:
+    found = Hovering(known()).reads(*distances_m, **fields)
+    assert [each.above_m for each in found] == pytest.approx(above_m)
 
 
-def test_where_the_map_knows_nothing_nothing_is_compared() -> None:
+@pytest.mark.parametrize(
+    ("lean_deg", "low_to", "is_told"),
+    [
+        # nose up by 45 degrees, towards the east: its foot is 3 m to the east
+        ((0.0, 45.0, 90.0), 23, True),
+        ((0.0, 45.0, 90.0), 21, False),
+        ((0.0, 45.0, -90.0), 21, True),
+        ((45.0, 0.0, 0.0), 21, True),  # right side down: the foot lies to the left, west
+        ((-45.0, 0.0, 0.0), 21, False),
+    ],
+)
+@pytest.mark.parametrize("beyond_m", [MAP_M + 5.0, math.inf])  # where nothing is known, too
+def test_the_beam_is_compared_with_the_map_where_it_ends(
+    lean_deg: tuple[float, float, float], low_to: int, is_told: bool, beyond_m: float
+) -> None:
     upper = np.full((40, 40), MAP_M)
-    upper[21, 20] = math.inf
-    assert Hovering(known(upper)).reads(*[3.0] * 8) == []
-
-
-def test_the_beam_is_compared_with_the_map_where_it_ends() -> None:
-    """Nose up by 45 degrees, towards the east: its foot is 8 m to the east."""
-    upper = np.full((40, 40), MAP_M)
-    upper[:, 23:] = MAP_M + 5.0
-    slant_m = 3.0 * math.sqrt(2.0)
-    east = (0.0, math.radians(45.0), math.radians(90.0))
-    assert Hovering(known(upper), lean=east).reads(*[slant_m] * 6) != []  # 3 m east: low there
-    upper[:, 21:] = MAP_M + 5.0
-    assert Hovering(known(upper), lean=east).reads(*[slant_m] * 6) == []
-    west = (0.0, math.radians(45.0), math.radians(-90.0))
-    assert Hovering(known(upper), lean=west).reads(*[slant_m] * 6) != []
-    rolled = (math.radians(45.0), 0.0, 0.0)  # right side down: the foot lies to the left, west
-    assert Hovering(known(upper), lean=rolled).reads(*[slant_m] * 6) != []
-    rolled = (math.radians(-45.0), 0.0, 0.0)
-    assert Hovering(known(upper), lean=rolled).reads(*[slant_m] * 6) == []
+    upper[:, low_to:] = beyond_m
+    roll, pitch, yaw = map(math.radians, lean_deg)
+    found = Hovering(known(upper), lean=(roll, pitch, yaw)).reads(*[3.0 * math.sqrt(2.0)] * 6)
+    assert bool(found) is is_told

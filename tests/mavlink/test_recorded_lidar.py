@@ -7,16 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from held import recorded
 from numpy.typing import NDArray
-from recordings import recording
 
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots.messages import position
-from companion.mavlink.frames import Receiver, number_of, sender_of
+from companion.mavlink.dialect import wire
 from companion.mavlink.near_scanner import ATTITUDE, OF_AUTOPILOT
 from companion.mavlink.near_sensing import NearSensing, Sight
 from companion.mavlink.poses import Poses
-from companion.telemetry.logs import open_log
 from companion.world.known_map import Lattice
 from companion.world.near_map import NearMap, NearSensor
 
@@ -24,31 +23,26 @@ HOME = LocalFrame(latitude_deg=51.8752066, longitude_deg=14.6487830)
 LIDAR = NearSensor(kind="distance_sensor", component_id=1, range_m=16.0, blind_m=0.2)
 POSTS = np.array([(3 + 10 * i, 2 + 10 * j) for i in range(-10, 10) for j in range(-10, 10)])
 LATTICE = Lattice(cell_m=0.25, north_min_m=-150.0, east_min_m=-150.0, shape=(1200, 1200))
-POSITION = 33
 
 
 def seen(until_s: float) -> Iterator[tuple[float, NDArray[np.float64], NearSensing]]:
     """Vehicle time, place and what the lidar says, at each position."""
-    poses, receiver = Poses(HOME), Receiver()
-    sensing, now_s = NearSensing(LIDAR, poses), 0.0
-    for record in open_log(recording("arducopter-lidar.tlog"), system_id=1).records():
-        if sender_of(record.frame) != (1, 1):
+    read = {wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, ATTITUDE, *OF_AUTOPILOT}
+    poses, now_s = Poses(HOME), 0.0
+    sensing = NearSensing(LIDAR, poses)
+    for _, message in recorded("arducopter-lidar.tlog", frozenset(wire.mavlink_map) - read):
+        if (message.get_srcSystem(), message.get_srcComponent()) != (1, 1):
             continue
-        number = number_of(record.frame)
-        if number not in (POSITION, ATTITUDE, *OF_AUTOPILOT):
-            continue
-        for message in receiver.feed(record.frame):
-            if number == ATTITUDE:
-                poses.on_attitude(message)
-            elif number != POSITION:
-                sensing.on_message(message, now_s)
-            elif (told := position(message, 0.0, HOME)) is not None:
-                now_s = told.time_s
-                if now_s >= until_s:
-                    return
-                here_nea_m = told.position_nea_m
-                poses.on_position(now_s, here_nea_m)
-                yield now_s, np.array(here_nea_m[:2]), sensing
+        if message.get_msgId() == ATTITUDE:
+            poses.on_attitude(message)
+        elif message.get_msgId() in OF_AUTOPILOT:
+            sensing.on_message(message, now_s)
+        elif (told := position(message, 0.0, HOME)) is not None:
+            now_s = told.time_s
+            if now_s >= until_s:
+                return
+            poses.on_position(now_s, told.position_nea_m)
+            yield now_s, np.array(told.position_nea_m[:2]), sensing
 
 
 def test_times_of_silence_are_told_apart() -> None:

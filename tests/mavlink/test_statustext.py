@@ -40,11 +40,6 @@ def put_together(chunks: list[Text]) -> str:
     return whole.decode("ascii")
 
 
-def heard(texts: StatusTexts, *times_s: float) -> list[str]:
-    """What is said at these times; "" for nothing."""
-    return [put_together(sent(texts, at_s)) for at_s in times_s]
-
-
 # --- one text
 
 
@@ -63,19 +58,13 @@ def test_a_warning_comes_whole_in_as_few_chunks_as_it_takes(length: int) -> None
     assert len(numbers) == 3 or length <= 50  # the chunks of two do not mix
 
 
-def test_what_is_no_warning_is_shortened_at_a_word_and_signs_are_written_out() -> None:
-    texts = StatusTexts()
-    texts.add("replanned: 12.3 km to the target, clearance 45 m above the ridge", 3.0)
-    assert heard(texts, 3.0) == ["replanned: 12.3 km to the target, clearance 45 m.."]
-    assert to_ascii("clearance ≥ 5 m,\n3 m/s² – Zürich") == "clearance >= 5 m, 3 m/s2 - Zurich"
-
-
 @given(st.text(max_size=400), st.booleans())
 def test_whatever_is_said_is_sent_in_ascii_on_one_line(text: str, warning: bool) -> None:
     texts = StatusTexts()
     texts.add(text, 1.0, warning=warning)
     chunks = sent(texts, 1.0)
     assert 1 <= len(chunks) <= (5 if warning else 1)
+    assert to_ascii("≥ 5 m,\n3 m/s² – Zürich") == ">= 5 m, 3 m/s2 - Zurich"
     whole = put_together(chunks)
     assert all(32 <= ord(letter) < 127 for letter in whole)
     kept = whole.removesuffix("..")
@@ -92,7 +81,7 @@ def test_whatever_is_said_is_sent_in_ascii_on_one_line(text: str, warning: bool)
 )
 @example([(1.1497576567241352, 148, True), (0.0, 0, False), (1.0, 0, False)])  # 4 s, rounded
 def test_never_more_than_one_message_a_second(said: list[tuple[float, int, bool]]) -> None:
-    """On average from any text on: one in chunks keeps the next waiting for as long."""
+    """One in chunks keeps the next waiting for as long."""
     texts, now_s, times_s = StatusTexts(), 0.0, list[float]()
     for wait_s, length, warning in said:
         now_s += wait_s
@@ -102,46 +91,33 @@ def test_never_more_than_one_message_a_second(said: list[tuple[float, int, bool]
         assert sum(at_s < until_s for at_s in times_s) <= until_s + 1.0
 
 
-def test_warnings_are_said_first_and_then_in_order_and_a_flood_does_not_fill_the_memory() -> None:
+STORIES = {  # at what time what is said ("!": a warning; "kind="), and what is heard
+    "warnings first": [(0.0, "a, b, !c, !d", "c"), (1.0, "", "d"), (2.0, "", "a"), (3.0, "", "b")],
+    "of a kind the newest": [
+        *((0.0, "first", "first"), (0.5, "margin=0 m, margin=4 m, other", "")),
+        *((1.0, "", "4 m"), (2.0, "", "other"), (3.0, "", "")),
+    ],
+    "not what has changed back": [
+        *((10.0, "phase=flying", "flying"), (10.2, "!phase=holding", "")),
+        *((10.4, "phase=flying", ""), (11.0, "", "")),
+    ],
+    "not the same for 5 s": [
+        (at_s, "!out", "out" * (at_s in (0.0, 6.0))) for at_s in (0.0, 4.9, 6.0)
+    ],
+    "a flood": [(4.0, ", ".join(f"text {n}" for n in range(1000)) + ", !matters", "matters")],
+    "no old news, but old warnings, whatever the clock": [
+        *((1000.0, "before", "before"), (1.0, "after, news, !warning", "warning")),
+        *((60.0, "", ""), (61.0, "", "")),
+    ],
+}
+
+
+@pytest.mark.parametrize("story", STORIES)
+def test_what_is_said_when(story: str) -> None:
     texts = StatusTexts()
-    for text in "abcd":
-        texts.add(text, 0.0, warning=text > "b")
-    assert heard(texts, 0.0, 1.0, 2.0, 3.0) == ["c", "d", "a", "b"]
-    for number in range(1000):
-        texts.add(f"text {number}", 4.0)
-    texts.add("the one that matters", 4.0, warning=True)
-    assert heard(texts, 4.0) == ["the one that matters"]
-    assert len(texts._waiting) < 20
-
-
-def test_of_a_kind_the_newest_counts_and_what_changed_back_is_not_said() -> None:
-    texts = StatusTexts()
-    texts.add("first", 0.0)
-    assert heard(texts, 0.0) == ["first"]
-    for second in range(5):
-        texts.add(f"margin {second} m", 0.1 * second, kind="margin")
-    texts.add("other", 0.5)
-    assert heard(texts, 1.0, 2.0, 3.0) == ["margin 4 m", "other", ""]
-    texts.add("flying", 10.0, kind="phase")
-    assert heard(texts, 10.0) == ["flying"]
-    texts.add("holding", 10.2, warning=True, kind="phase")
-    texts.add("flying", 10.4, kind="phase")
-    assert heard(texts, 11.0) == [""]
-
-
-def test_the_same_is_not_repeated_for_5_s() -> None:
-    texts, times_s = StatusTexts(), list[float]()
-    for at_s in (0.1 * tenth for tenth in range(121)):
-        texts.add("target inside a keep-out", at_s, warning=True)
-        times_s += [at_s] * len(sent(texts, at_s))
-    assert times_s == pytest.approx([0.0, 5.0, 10.0], abs=0.11)
-
-
-def test_old_news_are_not_said_but_old_warnings_are_whatever_the_clock() -> None:
-    texts = StatusTexts()
-    texts.add("before", 1000.0)
-    assert heard(texts, 1000.0) == ["before"]
-    texts.add("after", 1.0)
-    texts.add("old news", 1.0)
-    texts.add("old warning", 1.0, warning=True)
-    assert heard(texts, 1.0, 60.0, 61.0) == ["old warning", "", ""]
+    for at_s, said, heard in STORIES[story]:
+        for each in said.split(", ") if said else ():
+            kind, _, text = each.removeprefix("!").rpartition("=")
+            texts.add(text, at_s, warning=each[0] == "!", kind=kind)
+        assert put_together(sent(texts, at_s)) == heard, at_s
+        assert len(texts._waiting) < 20  # memory is bounded

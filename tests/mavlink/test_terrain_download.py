@@ -54,15 +54,10 @@ def height_m(north_m: float, east_m: float) -> float:
 
 def heights(request: Any, bit: int) -> list[int]:
     """Of the 16 cells of a block, at their middles: x (north) is the slower index."""
-    s = request.grid_spacing
     row, column = divmod(bit, 8)
-    return [
-        round(
-            height_m(*local(*place(request, (4 * row + x + 0.5) * s, (4 * column + y + 0.5) * s)))
-        )
-        for x in range(4)
-        for y in range(4)
-    ]
+    cells = [(4 * row + x + 0.5, 4 * column + y + 0.5) for x in range(4) for y in range(4)]
+    s = request.grid_spacing
+    return [round(height_m(*local(*place(request, s * x, s * y)))) for x, y in cells]
 
 
 def bits(mask: int) -> list[int]:
@@ -79,18 +74,25 @@ def report(request: Any, pending: int = 0) -> Any:
     return wire.MAVLink_terrain_report_message(*corner, 0.0, 0.0, pending, 1)
 
 
-def level(_request: Any, _bit: int) -> list[int]:
-    return [500] * 16
-
-
-def nothing_lost(_request: Any, _bit: int) -> bool:
-    return False
-
-
-def answers(request: Any, data: Any = level, lost: Any = nothing_lost) -> list[Any]:
+def answers(
+    request: Any, data: Any = lambda *_: [500] * 16, lost: Any = lambda *_: False
+) -> list[Any]:
     """All blocks that are asked for, with these heights, and the report."""
     there = [bit for bit in bits(request.mask) if not lost(request, bit)]
     return [*(block(request, bit, data(request, bit)) for bit in there), report(request)]
+
+
+def run(task: TerrainDownload, *how: Any, **keywords: Any) -> list[Any]:
+    """All requests; the radar answers within a tenth of a second."""
+    requests = []
+    for at_s in (tick / 10 for tick in range(round(DEADLINE_S * 10) + 1)):
+        if task.is_over(at_s):
+            break
+        if (request := task.on_time(at_s)) is not None:
+            requests.append(request)
+            for message in answers(request, *how, **keywords):
+                task.on_message(message, HERE)
+    return requests
 
 
 def download(
@@ -108,19 +110,6 @@ def download(
     return TerrainDownload(mission, (centre[0], centre[1], 0.0), state, now_s=0.0)
 
 
-def run(task: TerrainDownload, data: Any = level, lost: Any = nothing_lost) -> list[Any]:
-    """All requests; the radar answers within a tenth of a second."""
-    requests = []
-    for at_s in (tick / 10 for tick in range(round(DEADLINE_S * 10) + 1)):
-        if task.is_over(at_s):
-            break
-        if (request := task.on_time(at_s)) is not None:
-            requests.append(request)
-            for message in answers(request, data, lost):
-                task.on_message(message, HERE)
-    return requests
-
-
 def on_map(scan: Scan) -> np.ndarray[Any, np.dtype[np.float64]]:
     whole = np.full(MAP.upper_m.shape, math.nan)
     rows, columns = scan.heights_m.shape
@@ -135,9 +124,6 @@ def middle_of(row: int, column: int) -> tuple[float, float]:
 def told(scan: Scan) -> set[float]:
     """The heights that were answered."""
     return set(scan.heights_m[~np.isnan(scan.heights_m)])
-
-
-# --- what is asked for, and where it lands
 
 
 @pytest.mark.parametrize("centre", [CORNER, (0.0, 0.0), (50_000.0, 100_000.0)])
@@ -187,9 +173,6 @@ def test_registration_bounds_the_offset_of_every_corner(centre: tuple[float, flo
         assert area.registration_m == pytest.approx(max(offsets_m), abs=1e-3)  # and no more
 
 
-# --- one request after the other
-
-
 def test_one_request_is_outstanding_until_its_report_or_its_answers_stop() -> None:
     """For a second before the first answer, and for 0.4 s after one."""
     task = download(range_m=10_000.0)
@@ -221,29 +204,14 @@ def test_a_lost_block_alone_is_asked_for_twice_more_and_then_unknown_and_not_she
     assert task.answered == task.asked - 1
     scan = task.scan()
     assert not np.isneginf(scan.heights_m).any()
-    assert np.isnan(scan.heights_m).any()
     after, unknown = MAP.with_scan(scan), np.isnan(on_map(scan))
     assert np.isinf(after.upper_m[unknown]).all()
     assert not after.seen[unknown].any()
-
-
-def test_a_silent_radar_ends_with_the_deadline_and_without_answers() -> None:
-    task = download()
-    requests = [task.on_time(tick / 10) for tick in range(40)]
-    assert task.is_over(DEADLINE_S)
-    assert not task.is_over(DEADLINE_S - 0.1)
-    assert task.on_time(DEADLINE_S) is None
-    assert (task.answered, sum(request is not None for request in requests)) == (0, 4)
-    assert told(task.scan()) == set()
-
-
-# --- what is believed
-
-
-def test_minus_32768_is_not_seen_and_every_other_height_is_a_height() -> None:
-    task = download(range_m=2000.0)
-    run(task, lambda _, __: [-32768, -32767, -1, 0, 1, 32767] + [5] * 10)
-    assert told(task.scan()) == {NOT_SEEN, -32767, -1, 0, 1, 32767, 5}
+    silent = download()
+    asked = [silent.on_time(tick / 10) for tick in range(50)]
+    assert [silent.is_over(at_s) for at_s in (DEADLINE_S - 0.1, DEADLINE_S)] == [False, True]
+    assert (silent.answered, sum(request is not None for request in asked)) == (0, 4)
+    assert told(silent.scan()) == set()
 
 
 def test_blocks_of_other_requests_not_asked_for_or_told_again_are_ignored() -> None:
@@ -257,21 +225,21 @@ def test_blocks_of_other_requests_not_asked_for_or_told_again_are_ignored() -> N
     assert task.answered == 0
     for height in (100, 200):
         task.on_message(block(request, wanted[0], [height] * 16), HERE)
-    assert task.answered == 1
-    assert told(task.scan()) == {100.0}
-    *blocks, over = answers(request)
-    for message in [*blocks, over, *blocks, over]:  # nothing is asked for any more
+    assert (task.answered, told(task.scan())) == (1, {100.0})
+    for message in 2 * answers(request):  # nothing is asked for any more
         task.on_message(message, HERE)
     assert task.answered == len(wanted)
 
 
-def test_the_place_of_the_radar_is_kept_for_every_cell() -> None:
+def test_heights_are_kept_with_the_place_of_the_radar_and_minus_32768_is_not_seen() -> None:
     task = download(range_m=2000.0)
-    first, *others = answers(task.on_time(0.0))
+    said = [-32768, -32767, -1, 0, 1, 32767] + [5] * 10
+    first, *others = answers(task.on_time(0.0), lambda *_: said)
     task.on_message(first, (1.0, 2.0, 3.0))
     for message in others:
         task.on_message(message, HERE)
     scan = task.scan()
     places = {tuple(radar) for radar in scan.radar_nea_m[~np.isnan(scan.heights_m)]}
     assert places == {(1.0, 2.0, 3.0), HERE}
+    assert told(scan) == {NOT_SEEN, *said[1:]}
     assert (scan.range_m, scan.drift_m) == (2000.0, 30.0)

@@ -1,7 +1,8 @@
-"""Setpoints and events against pymavlink's packing and parsing, geodesy against geodesics."""
+"""What autopilots are told and say, against pymavlink, geodesics and what was measured."""
 
+import itertools
 import math
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from hypothesis import given
@@ -25,13 +26,29 @@ from companion.mavlink.autopilots import (
     ALL,
     ARDUCOPTER,
     ARDUPLANE,
+    FIRMWARES,
+    NAMES,
     PX4_FIXED_WING,
     PX4_MULTICOPTER,
     Autopilot,
+    autopilot_of,
+    described,
 )
 from companion.mavlink.autopilots.messages import To
 from companion.mission import events
-from companion.mission.events import Echo, Event, Landed, Position, Setpoint, Vector
+from companion.mission.events import (
+    Echo,
+    Estimator,
+    Event,
+    Landed,
+    Mode,
+    Position,
+    SetMode,
+    Setpoint,
+    TakeOff,
+    Vector,
+)
+from companion.mission.mission import AutopilotName
 from vehicle_sim.autopilot.earth import FlatEarth, Projection
 from vehicle_sim.autopilot.values import Place
 
@@ -66,9 +83,6 @@ def event(
     return autopilot.event_of(over_the_wire(message), 1.5, FRAME, origin_nea_m)
 
 
-# --- setpoints
-
-
 @each_target
 @pytest.mark.parametrize("stay", [False, True])
 def test_a_setpoint_is_a_place_amsl_with_its_mask(autopilot: Autopilot, stay: bool) -> None:
@@ -91,11 +105,15 @@ def test_a_setpoint_is_a_place_amsl_with_its_mask(autopilot: Autopilot, stay: bo
 
 @each_target
 @pytest.mark.parametrize("place", PLACES)
-def test_velocity_and_nose_point_along_the_true_course(autopilot: Autopilot, place: Vector) -> None:
+def test_place_velocity_and_nose_are_true_ones(autopilot: Autopilot, place: Vector) -> None:
     for bearing in (math.radians(45.0 * k) for k in range(8)):
         velocity = (150.0 * math.cos(bearing), 150.0 * math.sin(bearing), 12.0)
         changes = {"position_nea_m": place, "velocity_nea_m_s": velocity, "yaw_rad": bearing}
         message = sent(autopilot, made(**changes))
+        latitude, longitude = geodetic(*place[:2])
+        away = GEOD.inv(longitude, latitude, message.lon_int * 1e-7, message.lat_int * 1e-7)
+        assert away[2] < 0.02
+        assert message.alt == place[2]
         course = true_course_rad(*place[:2], bearing)
         # The frame is no conformal one: at the corner a right angle is off by 1e-4 rad.
         assert angle_between(math.atan2(message.vy, message.vx), course) < 1e-4
@@ -188,9 +206,6 @@ def test_one_bad_value_is_refused(autopilot: Autopilot, field: str, values: Any)
             assert autopilot.setpoint(told, To(SYSTEM, FRAME), 0.0) is None, bad
 
 
-# --- positions
-
-
 def at(lat_e7: int, lon_e7: int, **fields: int) -> Any:
     usual = {"alt": 0, "relative_alt": 0, "vx": 0, "vy": 0, "vz": 0, "hdg": 0}
     return wire.MAVLink_global_position_int_message(12_300, lat_e7, lon_e7, **{**usual, **fields})
@@ -211,46 +226,28 @@ def test_a_position_is_read_where_it_was_with_velocity_along_the_frame(place: Ve
     assert math.hypot(north, east) == pytest.approx(150.0, abs=0.01)
     assert math.atan2(east, north) == pytest.approx(bearing, abs=2e-4)
     assert up == pytest.approx(2.5)
-    unknown = event(at(*there, hdg=65_535))
-    assert isinstance(unknown, Position)
+    unknown: Any = event(at(*there, hdg=65_535))
     assert unknown.heading_rad is None
-
-
-@pytest.mark.parametrize("place", [(0, 0), (3090, -717), (-99_000, 99_000), (0, 80_000_000)])
-def test_about_latitude_and_longitude_0_there_is_no_position(place: tuple[int, int]) -> None:
-    """3090, -717 was recorded: an ArduPlane that has no fix yet; on the equator there are some."""
-    assert (event(at(*place)) is None) == (place[1] < 100_000)
-
-
-# --- other events
 
 
 @each
 def test_a_heartbeat_tells_of_arming_and_of_a_failsafe(autopilot: Autopilot) -> None:
-    for status in range(9):
-        name = wire.enums["MAV_STATE"][status].name
-        for armed in (False, True):
-            base = 1 | (wire.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
-            read = event(wire.MAVLink_heartbeat_message(2, 3, base, 4, status, 3), autopilot)
-            assert isinstance(read, events.VehicleStatus)
-            assert (read.time_s, read.armed) == (1.5, armed)
-            assert read.failsafe == (name in ("MAV_STATE_CRITICAL", "MAV_STATE_EMERGENCY"))
+    states = wire.MAV_STATE_CRITICAL, wire.MAV_STATE_EMERGENCY
+    for status, armed in itertools.product(range(9), (False, True)):
+        base = 1 | wire.MAV_MODE_FLAG_SAFETY_ARMED * armed
+        read = event(wire.MAVLink_heartbeat_message(2, 3, base, 4, status, 3), autopilot)
+        assert isinstance(read, events.VehicleStatus)
+        assert (read.time_s, read.armed, read.failsafe) == (1.5, armed, status in states)
     assert event(wire.MAVLink_system_time_message(0, 0), autopilot) is None
 
 
-LANDED = {
-    "UNDEFINED": Landed.UNKNOWN,
-    "ON_GROUND": Landed.ON_GROUND,
-    "IN_AIR": Landed.IN_AIR,
-    "TAKEOFF": Landed.TAKING_OFF,
-    "LANDING": Landed.LANDING,
-}
+LANDED = [Landed.UNKNOWN, Landed.ON_GROUND, Landed.IN_AIR, Landed.TAKING_OFF, Landed.LANDING]
+"""By MAV_LANDED_STATE."""
 
 
 def test_landed_states_fixes_and_batteries_are_those_of_the_message_definitions() -> None:
-    for number in range(100):
-        name = next((n for n in LANDED if getattr(wire, f"MAV_LANDED_STATE_{n}") == number), "")
-        expected = events.LandedState(time_s=1.5, landed=LANDED.get(name, Landed.UNKNOWN))
+    for number, landed in enumerate([*LANDED, *[Landed.UNKNOWN] * 95]):
+        expected = events.LandedState(time_s=1.5, landed=landed)
         assert event(wire.MAVLink_extended_sys_state_message(0, number)) == expected
     for fix_type, good in ((0, False), (2, False), (3, True), (6, True)):
         fix = wire.MAVLink_gps_raw_int_message(0, fix_type, *([0] * 8))
@@ -266,36 +263,32 @@ def test_landed_states_fixes_and_batteries_are_those_of_the_message_definitions(
         assert event(second) is None
 
 
-def home(latitude_e7: int, longitude_e7: int) -> Any:
-    rest = (584_070, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
-    return wire.MAVLink_home_position_message(latitude_e7, longitude_e7, *rest)
-
-
-def origin(latitude_e7: int, longitude_e7: int) -> Any:
-    return wire.MAVLink_gps_global_origin_message(latitude_e7, longitude_e7, 584_070)
-
-
-def waypoint(latitude_e7: int, longitude_e7: int) -> Any:
-    values = (latitude_e7, longitude_e7, 584.07, *([0.0] * 8))
-    return wire.MAVLink_position_target_global_int_message(0, 0, 0xFDF8, *values)
+REST = (584_070, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
 
 
 @pytest.mark.parametrize(
-    ("said", "kind", "autopilot"),
+    ("kind", "told"),
     [
-        (home, events.Home, ARDUCOPTER),
-        (origin, events.Origin, ARDUCOPTER),
-        (waypoint, Echo, ARDUPLANE),  # its waypoint is the echo
+        (events.Position, lambda *at_e7: at(*at_e7, alt=584_070)),
+        (events.Home, lambda *at_e7: wire.MAVLink_home_position_message(*at_e7, *REST)),
+        (events.Origin, lambda *at_e7: wire.MAVLink_gps_global_origin_message(*at_e7, 584_070)),
+        (
+            Echo,  # an ArduPlane's waypoint
+            lambda *at_e7: wire.MAVLink_position_target_global_int_message(
+                0, 0, 0xFDF8, *at_e7, 584.07, *([0.0] * 8)
+            ),
+        ),
     ],
+    ids=["position", "home", "origin", "waypoint"],
 )
-def test_home_and_waypoints_are_places_amsl(said: Any, kind: type, autopilot: Autopilot) -> None:
-    read: Any = event(said(*geodetic_e7(*CORNER[:2])), autopilot)
+def test_places_are_amsl_and_0_0_is_none(kind: type, told: Any) -> None:
+    """3090, -717 was recorded: an ArduPlane that has no fix yet; on the equator there are some."""
+    read: Any = event(told(*geodetic_e7(*CORNER[:2])), ARDUPLANE)
     assert isinstance(read, kind)
     assert read.position_nea_m == pytest.approx((*CORNER[:2], 584.07), abs=0.02)
-    assert event(said(0, 0), autopilot) is None
+    for place in ((0, 0), (3090, -717), (-99_000, 99_000), (0, 80_000_000)):
+        assert (event(told(*place), ARDUPLANE) is None) == (place[1] < 100_000)
 
-
-# --- echoes
 
 ORIGINS = ((0.0, 0.0, 488.0), (-30_000.0, 20_000.0, 488.0))
 
@@ -336,9 +329,200 @@ whole = st.integers(-(2**31), 2**31 - 1) | st.sampled_from([2**31 - 1, -(2**31),
 
 
 @given(at_e7=st.tuples(whole, whole), alt=whole, told=st.tuples(*[st.floats(width=32)] * 3))
-def test_a_position_or_an_echo_is_finite_or_none(
-    at_e7: tuple[int, int], alt: int, told: Vector
-) -> None:
+def test_positions_and_echoes_are_finite(at_e7: tuple[int, int], alt: int, told: Vector) -> None:
     echoes = [event(local_target(*told), each, ORIGINS[0]) for each in HOVERING]
     for read in (event(at(*at_e7, alt=alt)), *echoes):
         assert read is None or all(map(math.isfinite, read.position_nea_m))
+
+
+# --- commands, modes and estimators
+
+PX4 = (PX4_MULTICOPTER, PX4_FIXED_WING)
+TO = To(SYSTEM, FRAME)
+each_px4 = pytest.mark.parametrize("autopilot", PX4, ids=lambda a: a.name)
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "kind", "expected", "words"),
+    [
+        *((3, kind, ARDUCOPTER, "ArduCopter") for kind in (2, 13, 4)),
+        (3, 1, ARDUPLANE, "ArduPlane"),
+        *((12, kind, PX4_MULTICOPTER, "PX4 multicopter") for kind in (2, 14)),
+        (12, 1, PX4_FIXED_WING, "PX4 fixed wing"),
+        (12, 21, None, "px4, vtol_tiltrotor"),
+        (3, 10, None, "ardupilotmega, ground_rover"),
+        (8, 6, None, "invalid, gcs"),
+        (0, 2, None, "generic, quadrotor"),
+        (200, 201, None, "MAV_AUTOPILOT 200, MAV_TYPE 201"),
+    ],
+)
+def test_which_autopilot(autopilot: int, kind: int, expected: Autopilot | None, words: str) -> None:
+    beat = over_the_wire(wire.MAVLink_heartbeat_message(kind, autopilot, 0, 0, 3, 3))
+    assert autopilot_of(beat) is expected
+    assert described(beat) == words
+    assert expected is None or words == expected.traits.name
+    assert expected is None or words in NAMES
+    assert {each.name for each in FIRMWARES} == set(get_args(AutopilotName))
+
+
+PX4_MODES = (  # px4.md 3
+    *((0x00060000, "Offboard", Mode.GUIDED), (0x02040000, "Takeoff", Mode.TAKE_OFF)),
+    *((0x03040000, "Hold", Mode.HOLD), (0x05040000, "Return", Mode.RETURN)),
+    (0x06040000, "Land", Mode.LAND),
+)
+ASKED = [
+    (ARDUCOPTER, wire.COPTER_MODE_GUIDED, "GUIDED", Mode.GUIDED),
+    (ARDUCOPTER, wire.COPTER_MODE_BRAKE, "BRAKE", Mode.HOLD),
+    (ARDUCOPTER, wire.COPTER_MODE_LAND, "LAND", Mode.LAND),
+    (ARDUCOPTER, wire.COPTER_MODE_RTL, "RTL", Mode.RETURN),
+    (ARDUPLANE, wire.PLANE_MODE_GUIDED, "GUIDED", Mode.GUIDED),
+    (ARDUPLANE, wire.PLANE_MODE_LOITER, "LOITER", Mode.HOLD),
+    (ARDUPLANE, wire.PLANE_MODE_RTL, "RTL", Mode.RETURN),
+    (ARDUPLANE, wire.PLANE_MODE_TAKEOFF, "TAKEOFF", Mode.TAKE_OFF),
+    *((autopilot, *each) for autopilot in PX4 for each in PX4_MODES),
+]
+TOLD = [
+    (ARDUCOPTER, 5, "LOITER", Mode.OTHER),
+    (ARDUCOPTER, 21, "SMART RTL", Mode.RETURN),
+    (ARDUCOPTER, 4_294_967_295, "mode 4294967295", Mode.OTHER),
+    (ARDUPLANE, 5, "FLY BY WIRE A", Mode.OTHER),
+    (PX4_MULTICOPTER, 0x04040000, "Mission", Mode.OTHER),
+    (PX4_MULTICOPTER, 0x09040000, "Precision Land", Mode.LAND),
+    (PX4_FIXED_WING, 0, "mode 0.0", Mode.OTHER),
+    (PX4_FIXED_WING, 0xFFFFFFFF, "mode 255.0", Mode.OTHER),
+]
+
+
+@pytest.mark.parametrize(("autopilot", "number", "name", "mode"), [*ASKED, *TOLD])
+def test_modes_are_recognised(autopilot: Autopilot, number: int, name: str, mode: Mode) -> None:
+    assert autopilot.modes.mode_of(number) is mode
+    assert autopilot.modes.name_of(number) == name
+
+
+@each
+@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("at_nea_m", [None, (math.nan, 0.0, 100.0), CORNER])
+def test_a_mode_is_asked_for_by_number_or_not_at_all(
+    autopilot: Autopilot, mode: Mode, at_nea_m: Any
+) -> None:
+    numbers = [number for one, number, _, asked in ASKED if one is autopilot and asked is mode]
+    command = SetMode(mode=mode, at_nea_m=at_nea_m)
+    messages = [over_the_wire(m) for m in autopilot.set_mode(command, TO)]
+    assert len(messages) == len(numbers)
+    for sent, number in zip(messages, numbers, strict=True):
+        assert (sent.target_system, sent.target_component) == (SYSTEM, 1)
+        if (autopilot, mode, at_nea_m) == (PX4_FIXED_WING, Mode.HOLD, CORNER):  # about a point
+            assert (sent.get_type(), sent.command, sent.frame) == ("COMMAND_INT", 192, 5)
+            assert sent.param2 == 1.0  # bit 0 switches to Hold
+            assert (sent.x, sent.y) == pytest.approx(geodetic_e7(*CORNER[:2]), abs=1)
+            assert sent.z == CORNER[2]
+            continue
+        main, sub = int(sent.param2), int(sent.param3)
+        assert (sent.get_type(), sent.command, sent.param1) == ("COMMAND_LONG", 176, 1.0)
+        assert number == (main << 16 | sub << 24 if autopilot in PX4 else main)
+    assert mode is not Mode.LAND or bool(numbers) == autopilot.traits.lands
+
+
+CLIMB = TakeOff(above_home_m=60.0, altitude_amsl_m=548.0)
+
+
+def take_off(autopilot: Autopilot, heading_rad: float, command: TakeOff = CLIMB) -> Any:
+    heading_rad -= FRAME.grid_north_rad(*CORNER[:2])
+    messages = autopilot.take_off(command, CORNER, heading_rad, TO)
+    return over_the_wire(messages[0]) if messages else None
+
+
+def test_ardupilots_take_off_to_a_height_above_home_or_by_their_mode() -> None:
+    sent = take_off(ARDUCOPTER, 0.3)
+    assert (sent.get_type(), sent.command) == ("COMMAND_LONG", 22)
+    assert [getattr(sent, f"param{n}") for n in range(1, 8)] == [0.0] * 6 + [60.0]
+    sent = take_off(ARDUPLANE, 0.3)
+    assert (sent.command, sent.param2) == (176, wire.PLANE_MODE_TAKEOFF)
+
+
+@each_px4
+@pytest.mark.parametrize("bearing_deg", range(0, 360, 45))
+def test_px4_climbs_to_an_altitude_amsl(autopilot: Autopilot, bearing_deg: int) -> None:
+    sent = take_off(autopilot, math.radians(bearing_deg))
+    assert (sent.get_type(), sent.command, sent.frame, sent.z) == ("COMMAND_INT", 22, 5, 548.0)
+    assert math.isnan(sent.param4)  # the nose stays where it points
+    latitude, longitude = geodetic(*CORNER[:2])
+    azimuth, _, away_m = GEOD.inv(longitude, latitude, sent.y * 1e-7, sent.x * 1e-7)
+    if autopilot is PX4_MULTICOPTER:
+        assert away_m < 0.02
+    else:  # along the runway, as the nose points from true north
+        # a hundred kilometres off, the scale of the local frame is off by 4e-5
+        assert away_m == pytest.approx(300.0, abs=0.05)
+        assert angle_between(math.radians(azimuth), math.radians(bearing_deg)) < 2e-4
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e9, -1e9])
+def test_a_take_off_to_nowhere_or_along_no_direction_is_refused(bad: float) -> None:
+    nowhere = TakeOff(above_home_m=bad, altitude_amsl_m=bad)
+    assert [take_off(autopilot, 0.0, nowhere) for autopilot in (ARDUCOPTER, *PX4)] == [None] * 3
+    assert math.isfinite(bad) or take_off(PX4_FIXED_WING, bad) is None
+
+
+@each
+def test_arduplane_alone_is_told_its_airspeed(autopilot: Autopilot) -> None:
+    sent = [over_the_wire(message) for message in autopilot.set_speed(18.0, SYSTEM)]
+    told = [(m.get_type(), m.command, m.param1, m.param2, m.param3) for m in sent]
+    airspeed = ("COMMAND_INT", 43000, wire.SPEED_TYPE_AIRSPEED, 18.0, 0.0)
+    assert told == ([airspeed] if autopilot is ARDUPLANE else [])
+    for speed in (0.0, -1.0, math.nan, math.inf, 1e6):
+        assert autopilot.set_speed(speed, SYSTEM) == []
+
+
+@pytest.mark.parametrize("result", range(10))
+def test_only_arduplane_refuses_a_setpoint_in_words(result: int) -> None:
+    for command in (192, 176):
+        ack = over_the_wire(wire.MAVLink_command_ack_message(command, result))
+        refuses = command == 192 and result != wire.MAV_RESULT_ACCEPTED
+        assert [a.refuses_setpoint(ack) for a in ALL] == [a is ARDUPLANE and refuses for a in ALL]
+
+
+ARDUPILOTS_SAY = [  # flags and figures of arducopter-gps-loss.tlog
+    (0x33F, 0.03, 0.05, True),  # flying
+    (0x33F, 13.33, 0.01, False),  # half a second after a step of 50 m, before any flag
+    (0x33F, 0.03, 1.0, False),
+    (0x33F, math.nan, 0.0, False),
+    (0x833F, 0.02, 0.01, False),  # glitch: after the estimate has given in
+    (0x8027, 10.5, 0.0, False),
+    (0x25, 0.0, 0.0, False),  # GPS lost
+    (0xA7, 0.0, 0.0, False),  # before the first fix, or aiding has stopped
+    (0x400, 0.0, 0.0, False),
+    (0x33F & ~0x20, 0.0, 0.0, False),  # no height
+]
+PX4_SAYS = [
+    (0x37F, 0.2, 0.36, True),  # flying
+    (0x33F, 0.05, 0.05, True),
+    (0x3FF, 0.05, 0.05, True),  # on the ground
+    (0x365, 0.05, 0.05, False),  # 5 s after the loss of GPS
+    (0x65, 0.05, 0.05, False),
+    (0xE5, 0.05, 0.05, False),  # booting
+    (0x37F | 0x400, 0.05, 0.05, False),  # glitch
+    (0x37F | 0x800, 0.05, 0.05, False),  # accelerometers
+    (0x37F & ~0x20, 0.05, 0.05, False),
+    (0x37F, 1.0, 0.1, False),  # it throws measurements away
+    (0x37F, 0.1, 7.0, False),
+    (0x37F, 0.1, math.nan, True),
+]
+
+
+@each
+def test_an_estimator_is_good_while_it_takes_its_measurements(autopilot: Autopilot) -> None:
+    def told(flags: int, position: float, velocity: float, accuracy_m: float = 0.25) -> Any:
+        if autopilot in PX4:
+            figures = (velocity, position, 0.0, 0.1, 0.0, 0.0, accuracy_m, 0.3)
+            message = wire.MAVLink_estimator_status_message(0, flags, *figures)
+        else:  # ArduPilot tells of no accuracy
+            figures = (velocity, position, 0.0, 0.0, 0.0)
+            message = wire.MAVLink_ekf_status_report_message(flags, *figures)
+        return autopilot.event_of(over_the_wire(message), 1.5, FRAME)
+
+    is_px4 = autopilot in PX4
+    for flags, position, velocity, good in PX4_SAYS if is_px4 else ARDUPILOTS_SAY:
+        expected = Estimator(time_s=1.5, good=good, error_m=0.25 if is_px4 else None)
+        assert told(flags, position, velocity) == expected, (hex(flags), position)
+    for unknown_m in (math.nan, math.inf, 0.0, -1.0):  # an accuracy is a length
+        assert told(0x33F, 0.05, 0.05, unknown_m) == Estimator(time_s=1.5, good=True, error_m=None)

@@ -1,6 +1,7 @@
 """Elevation files: heights where they are, or one line that says why not."""
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+from geotiff import square, write_elevation
 from numpy.typing import NDArray
 from rasterio.transform import Affine
 from scipy.interpolate import RegularGridInterpolator
@@ -27,10 +29,6 @@ STEP = 1 / 1200
 Make = Callable[..., Path]
 
 
-def from_origin(west: float, north: float, width: float, height: float) -> Affine:
-    return Affine(width, 0.0, west, 0.0, -height, north)
-
-
 def heights(rows: int = 120, columns: int = 150) -> NDArray[np.int16]:
     return np.random.default_rng(3).integers(300, 2_000, (rows, columns)).astype(np.int16)
 
@@ -39,20 +37,11 @@ def heights(rows: int = 120, columns: int = 150) -> NDArray[np.int16]:
 def make(tmp_path: Path) -> Make:
     """A GeoTIFF whose middle is FRAME's origin, with the changes wanted."""
 
-    def made(
-        data: NDArray[Any] | None = None, *, units: str = "", scale: float = 1.0, **changes: Any
-    ) -> Path:
+    def made(data: NDArray[Any] | None = None, **changes: Any) -> Path:
         data = heights() if data is None else data
-        rows, columns = data.shape
-        corner = (8.5 - 0.5 * columns * STEP, 46.5 + 0.5 * rows * STEP)
-        usual = {"crs": "EPSG:4326", "transform": from_origin(*corner, STEP, STEP), "count": 1}
-        size: Any = {"driver": "GTiff", "height": rows, "width": columns, "dtype": data.dtype}
+        height, width = (0.5 * (count - 1) * STEP for count in data.shape)
         path = tmp_path / "terrain.tif"
-        with rasterio.open(path, "w", **size, **(usual | changes)) as file:
-            for band in range(file.count):
-                file.write(data, band + 1)
-            file.units = [units] * file.count
-            file.scales = [scale] * file.count
+        write_elevation(path, data, (46.5 + height, 8.5 - width), STEP, **changes)
         return path
 
     return made
@@ -78,9 +67,7 @@ def refused(path: Path, **changes: Any) -> str:
         ("int16", "EPSG:9707"),
     ],
 )
-def test_the_terrain_is_bilinear_between_the_cells_middles(
-    make: Make, dtype: str, crs: str
-) -> None:
+def test_it_is_bilinear_between_middles_of_cells(make: Make, dtype: str, crs: str) -> None:
     """Also in datums that agree with WGS84 to a metre or two."""
     data = heights().astype(dtype)
     terrain = read(make(data, crs=crs))
@@ -95,7 +82,7 @@ def test_the_terrain_is_bilinear_between_the_cells_middles(
 
 
 def test_only_the_window_of_the_area_is_read_of_a_file_of_100_million_cells(tmp_path: Path) -> None:
-    path, at = tmp_path / "terrain.tif", from_origin(8.0, 47.0, 1 / 10_000, 1 / 10_000)
+    path, at = tmp_path / "terrain.tif", square(8.0, 47.0, 1 / 10_000)
     how: Any = {"driver": "GTiff", "crs": "EPSG:4326", "dtype": "int16", "count": 1}
     size: Any = {"height": 10_000, "width": 10_000, "tiled": True, "sparse_ok": True}
     rasterio.open(path, "w", transform=at, **how, **size).close()
@@ -117,9 +104,7 @@ def test_an_srtm_tile_is_read_by_its_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("hole", "nodata", "filled"), [(-9999.0, "sea", 0.0), (math.nan, 0.5, 0.5)]
 )
-def test_holes_are_an_error_if_nothing_fills_them(
-    make: Make, hole: float, nodata: Any, filled: float
-) -> None:
+def test_holes_are_filled_or_refused(make: Make, hole: float, nodata: Any, filled: float) -> None:
     """Outside of the area they do not matter."""
     data = heights().astype(np.float32)
     data[0, 0] = -9999
@@ -137,28 +122,30 @@ def test_holes_are_an_error_if_nothing_fills_them(
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"crs": "EPSG:32632"}, ["UTM zone 32N", "EPSG:4326"]),
-        ({"crs": "EPSG:4267"}, ["NAD27", "not latitude and longitude of WGS84"]),
-        ({"crs": "EPSG:4979"}, ["above the ellipsoid"]),
-        ({"crs": "EPSG:9707"}, ["EGM96", "not NAVD88", "terrain.vertical_datum"]),
-        ({"crs": None}, ["does not say which coordinates"]),
-        ({"transform": Affine(STEP, 1e-5, 8.4, 0, -STEP, 46.6)}, ["from north to south"]),
-        ({"transform": Affine(STEP, 0, 8.4, 0, STEP, 46.4)}, ["from north to south"]),
-        ({"transform": from_origin(8.0, 47.0, 0.01, 0.01)}, ["1113 m are coarser than 500 m"]),
-        ({"transform": from_origin(8.49, 46.55, STEP, STEP)}, ["[area] reaches", "smaller"]),
-        ({"count": 3}, ["not one band"]),
-        ({"units": "ft"}, ["in ft"]),
-        ({"scale": 0.1}, ["scaled"]),
+        ({"crs": "EPSG:32632"}, "UTM zone 32N.*EPSG:4326"),
+        ({"crs": "EPSG:4267"}, "NAD27.*not latitude and longitude of WGS84"),
+        ({"crs": "EPSG:4979"}, "above the ellipsoid"),
+        (
+            {"crs": "EPSG:9707"},
+            "EGM96.*not NAVD88.*terrain.vertical_datum|terrain.vertical_datum.*EGM96.*not NAVD88",
+        ),
+        ({"crs": None}, "does not say which coordinates"),
+        ({"transform": Affine(STEP, 1e-5, 8.4, 0, -STEP, 46.6)}, "from north to south"),
+        ({"transform": Affine(STEP, 0, 8.4, 0, STEP, 46.4)}, "from north to south"),
+        ({"transform": square(8.0, 47.0, 0.01)}, "1113 m are coarser than 500 m"),
+        ({"transform": square(8.49, 46.55, STEP)}, r"\[area\] reaches.*smaller"),
+        ({"count": 3}, "not one band"),
+        ({"units": "ft"}, "in ft"),
+        ({"scale": 0.1}, "scaled"),
+        ({"data": heights() * np.int16(10)}, "not this earth"),
     ],
     ids=str,
 )
-def test_odd_files_are_refused(make: Make, changes: dict[str, Any], words: list[str]) -> None:
-    message = refused(make(**changes), vertical_datum="NAVD88")
-    assert all(word in message for word in words), message
+def test_odd_files_are_refused(make: Make, changes: dict[str, Any], words: str) -> None:
+    assert re.search(words, refused(make(**changes), vertical_datum="NAVD88"))
 
 
-def test_what_is_no_elevation_file_of_this_earth_is_refused(make: Make, tmp_path: Path) -> None:
-    assert "not this earth" in refused(make(heights() * np.int16(10)))
+def test_what_is_no_elevation_file_or_absent_is_refused(tmp_path: Path) -> None:
     for name in ("terrain.tif", "N46E008.hgt"):
         (tmp_path / name).write_bytes(b"\0" * 100)
         assert "cannot be read" in refused(tmp_path / name)
@@ -169,21 +156,20 @@ def test_what_is_no_elevation_file_of_this_earth_is_refused(make: Make, tmp_path
 @pytest.mark.parametrize(
     ("was", "becomes", "words"),
     [
-        ('vertical_datum = "AMSL"', 'vertical_datum = "WGS84"', ["vertical_datum", "'NAVD88'"]),
-        ('vertical_datum = "AMSL"', "", ["vertical_datum", "missing"]),
-        ("north_max_m = 5200.0", "north_max_m = -6000.0", ["area.north_max_m", "Swap"]),
-        ("north_max_m = 5200.0", "north_max_m = 55000.0", ["terrain.file", "[area] reaches"]),
-        ("[area]", "[region]", ["area", "it is missing"]),
+        ('vertical_datum = "AMSL"', 'vertical_datum = "WGS84"', "vertical_datum.*'NAVD88'"),
+        ('vertical_datum = "AMSL"', "", "vertical_datum.*missing"),
+        ("north_max_m = 5200.0", "north_max_m = -6000.0", "area.north_max_m.*Swap"),
+        ("north_max_m = 5200.0", "north_max_m = 55000.0", r"terrain.file.*\[area\] reaches"),
+        ("[area]", "[region]", "area.*it is missing"),
     ],
 )
-def test_open_worlds_are_refused(tmp_path: Path, was: str, becomes: str, words: list[str]) -> None:
+def test_open_worlds_are_refused(tmp_path: Path, was: str, becomes: str, words: str) -> None:
     text = (VALLEY / "world.toml").read_text(encoding="utf-8")
     assert was in text
     (tmp_path / "world.toml").write_text(text.replace(was, becomes, 1), encoding="utf-8")
     (tmp_path / "terrain.tif").write_bytes((VALLEY / "terrain.tif").read_bytes())
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=words):
         load_world(str(tmp_path / "world.toml"))
-    assert all(word in str(caught.value) for word in words), str(caught.value)
 
 
 def test_both_programs_read_the_same_heights_to_a_centimetre() -> None:

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from spoiled import collection, feature, refusal, replace_somewhere
 
-from companion.config import load_mission, mission_text
+from companion.config import load_mission
 from companion.errors import InputError
 from companion.sources.geojson import read_geojson
 from companion.sources.plan_file import Zones
@@ -30,9 +30,6 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def read(path: Path, content: Any, leave_out: tuple[Any, ...] = ()) -> Zones:
     path.write_text(json.dumps(content), encoding="utf-8")
     return read_geojson(path, "mission.toml: threats", leave_out)
-
-
-refused = functools.partial(refusal, read)
 
 
 def corners(ring: list[list[float]]) -> list[list[float]]:
@@ -77,62 +74,66 @@ def test_holes_make_a_keep_out_no_smaller_and_a_keep_in_no_larger(path: Path) ->
 
 PIN, LINE = feature("Point", [8.0, 47.0]), feature("LineString", RING)
 NULL = feature("Point", []) | {"geometry": None}
-NO_ZONES = [
-    *[PIN] * 3,
-    feature("MultiPoint", [[8.0, 47.0], [8.1, 47.0]]),
-    feature("Point", [8.0, 47.0], radius_m=None, kind="keep_in"),
-    LINE,
-    feature("MultiLineString", [RING, HOLE]),
-    NULL,
-    {"type": "Feature"},
-    feature("Polygon", []),
-    feature("Polygon", [[]]),
-    feature("MultiPolygon", []),
-    feature("Point", []),
-    feature("LineString", []),
-    {"type": "Feature", "geometry": {"type": "GeometryCollection", "geometries": []}},
-]
 ALL = ("points", "lines", "empty")
-COUNTED = "6 x point without radius_m, 3 x line, 8 x feature without a geometry"
 
 
-def test_what_a_map_has_beside_zones_is_counted_with_the_way_out(path: Path) -> None:
-    told = refused(path, collection(feature("Polygon", [RING]), *NO_ZONES))
-    assert COUNTED in told
-    assert (
-        'threats = { file = "threats.geojson", leave_out = ["points", "lines", "empty"] }' in told
-    )
+EMPTY = {"type": "GeometryCollection", "geometries": []}
+NO_ZONES = {
+    "points": [
+        *[PIN] * 3,
+        feature("MultiPoint", [[8.0, 47.0], [8.1, 47.0]]),
+        feature("Point", [8.0, 47.0], radius_m=None, kind="keep_in"),
+    ],
+    "lines": [LINE, feature("MultiLineString", [RING, HOLE])],
+    "empty": [NULL, {"type": "Feature"}, {"type": "Feature", "geometry": EMPTY}]
+    + [feature("Polygon", [[]])]
+    + [feature(shape, []) for shape in ("Polygon", "MultiPolygon", "Point", "LineString")],
+}
+COUNTED = {
+    "points": "6 x point without radius_m",
+    "lines": "3 x line",
+    "empty": "8 x feature without a geometry",
+}
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_what_is_no_zone_is_refused_with_its_count_and_left_out_when_told(
+    path: Path, kind: str
+) -> None:
+    """Zones are never left out with it."""
+    there = collection(feature("Polygon", [RING]), *NO_ZONES[kind])
+    told = refusal(functools.partial(read, leave_out=tuple({*ALL} - {kind})), path, there)
+    assert f"features = '{COUNTED[kind]}': " in told
+    found = read(path, there, (kind,))
+    assert [len(zone["vertices_deg"]) for zone in found.keep_outs] == [3]
+    assert COUNTED[kind] in found.notes[0]
+
+
+def test_zones_among_lines_are_taken_of_collections_and_many_points(path: Path) -> None:
     circles = feature("MultiPoint", [[8.0, 47.0], [8.1, 47.0]], radius_m=50.0)
     parts = [LINE["geometry"], feature("MultiPolygon", [[HOLE], [RING]])["geometry"]]
     mixed = feature("x", 0) | {"geometry": {"type": "GeometryCollection", "geometries": parts}}
-    with pytest.raises(InputError, match=r"features = '3 x line': "):
-        read_geojson(path, "threats", ("points", "empty"))
-    partly = read(path, collection(*NO_ZONES, mixed, circles), ALL)
-    corners_of_each = [len(zone.get("vertices_deg", [])) for zone in partly.keep_outs]
-    assert corners_of_each == [3, 3, 0, 0]  # zones are never left out with it
-    [said] = partly.notes
-    assert "4 x line" in said
+    found = read(path, collection(mixed, circles), ALL)
+    assert [len(zone.get("vertices_deg", [])) for zone in found.keep_outs] == [3, 3, 0, 0]
     assert len(read(path, mixed["geometry"], ALL).keep_outs) == 2
 
 
 def test_a_mission_says_what_it_leaves_out_of_its_map(path: Path) -> None:
     plan = path.with_name("box.waypoints")
     plan.write_text("QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 0 1\n1 0 3 16 0 0 0 0 47 8.002 40 1\n")
-    far = [[8.02, 47.0], [8.03, 47.0], [8.03, 47.01], [8.02, 47.0]]
-    path.write_text(json.dumps(collection(feature("Polygon", [far]), PIN, LINE, NULL)))
+    path.write_text(json.dumps(collection(PIN, LINE, NULL)))
     mission = path.with_name("mission.toml")
-    head = 'plan = "box.waypoints"\n'
-    mission.write_text(f'{head}threats = "{path.name}"\n')
-    told = refusal(lambda path, _: load_mission(str(path)), mission, None)
-    remedy = told.partition("leave them out: ")[2].removesuffix(".")
-    mission.write_text(f"{head}{remedy}\n")  # as it is told
-    notes = load_mission(str(mission)).notes
-    assert any("1 x point without radius_m, 1 x line, 1 x feature" in n for n in notes)
-    assert "leave_out" not in mission_text(str(mission))
-    path.write_text(json.dumps(collection()))
-    assert any("holds no zone" in note for note in load_mission(str(mission)).notes)
-    mission.write_text(f'{head}threats = {{ file = "{path.name}", leave_out = ["pins"] }}\n')
-    assert "leave_out[0]" in refusal(lambda path, _: load_mission(str(path)), mission, None)
+
+    def told(threats: str) -> str:
+        mission.write_text(f'plan = "box.waypoints"\n{threats}\n')
+        return refusal(lambda path, _: load_mission(str(path)), mission, None)
+
+    remedy = told(f'threats = "{path.name}"').partition("leave them out: ")[2].removesuffix(".")
+    assert "leave_out[0]" in told(remedy.replace('"points"', '"pins"'))
+    mission.write_text(f'plan = "box.waypoints"\n{remedy}\n')  # as it is told
+    notes = " ".join(load_mission(str(mission)).notes)
+    assert "1 x point without radius_m, 1 x line, 1 x feature" in notes
+    assert "holds no zone" in notes
 
 
 NO_COLLECTION = "no GeoJSON FeatureCollection"

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyproj
 import pytest
 import shapely
 from geotiff import write_elevation
@@ -19,10 +18,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from spoiled import collection, feature, refusal, replace_somewhere
 
-from companion.config import load_mission, mission_text
+import companion
+from companion.config import load_mission, load_world, mission_text
 from companion.errors import InputError
 from companion.geodesy import FloatArray, LocalFrame
+from companion.mavlink.near_scanner import messages_of, streams_hz
 from companion.mission.mission import EndAction, Fallback, Mission
+from companion.optimise.registry import OPTIMISERS
 from companion.sources.files import toml_text
 from companion.sources.mission_schema import MissionTable, ZoneTable
 from companion.sources.zones import zones_of
@@ -57,7 +59,6 @@ KNOWN = COPTER + '[terrain]\nfile = "dem.tif"\nvertical_datum = "EGM96"\n'
 STATED = COPTER + "[terrain]\nhighest_amsl_m = 840.0\n"
 TRIANGLE = [[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
-GEOD = pyproj.Geod(ellps="WGS84")
 HEIGHTS = np.random.default_rng(4).integers(300, 800, (200, 240)).astype(np.int16)
 """Every 3 seconds over more than the map."""
 STEP_DEG = 1 / 1200
@@ -65,6 +66,11 @@ WOOD = [[8.01, 47.01], [8.02, 47.01], [8.02, 47.015], [8.01, 47.01]]
 THREATS = collection(feature("Polygon", [WOOD, WOOD], name="wood"))
 NO_TARGETS = COPTER.replace("[[targets]]\nnorth_m = 3000.0\neast_m = 2000.0\n", "")
 THEIRS = "[from_vehicle]\ntargets = true\n"
+FOREST = mission_text("forest")
+ENVIRONMENTS = Path(companion.__file__).parent / "environments"
+OBSTACLE = 'kind = "obstacle_distance"\nspeaks_for_m = 4.0\n'
+KIND, FLAT = 'kind = "copter"', "[terrain]\nhighest_amsl_m = 400.5"
+FILE = '[terrain]\nfile = "x"\nvertical_datum = "EGM96"\ntrust = "guidance"'
 AROUND = "vertices_m = [[-3e3, -3e3], [-3e3, 5e3], [5e3, 5e3], [5e3, -3e3]]"
 
 
@@ -100,12 +106,24 @@ def zone(text: str, kind: str = "keep_outs") -> str:
     return f'{COPTER}\n[[{kind}]]\nname = "zone"\n{text}\n'
 
 
+def scanner(table: str, *changes: tuple[str, str]) -> str:
+    """The forest's mission with another table of its sensor."""
+    before, rest = FOREST.split("[scanner]")
+    text = f"{before}[scanner]\n{table}\n[planner]{rest.split('[planner]')[1]}"
+    for old, new in changes:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return text
+
+
 # --- what it says
 
 
-def test_all_that_can_be_said_of_the_flight_is_taken(folder: Path) -> None:
-    of_vehicle = 'autopilot = "px4"\nsystem_id = 7\nscanner_component_id = 101\n'
-    text = vehicle(of_vehicle + "position_rate_hz = 200.0\nyaw_deg = 270.0")
+def test_all_that_can_be_said_is_taken(folder: Path) -> None:
+    text = vehicle(
+        'autopilot = "px4"\nsystem_id = 7\nscanner_component_id = 101\nposition_rate_hz = 200.0\n'
+        "yaw_deg = 270.0\ntracking_error_m = 9.5\nnavigation_error_m = 7.5\ndead_man_s = 2.0"
+    )
     more = """
     fallback = { action = "land", attempts = 2 }
     battery = { reserve_percent = 35.0, endurance_s = 900.0 }
@@ -117,6 +135,9 @@ def test_all_that_can_be_said_of_the_flight_is_taken(folder: Path) -> None:
     mission = load(folder, more + text.replace('"hold"', '"return"'))
     assert mission.task.settings.position_period_s == 0.005
     assert mission.yaw_rad == pytest.approx(-math.pi / 2)
+    limits = mission.task.limits
+    errors = limits.tracking_error_m, limits.navigation_error_m, limits.dead_man_s
+    assert errors == (9.5, 7.5, 2.0)
     expected = {
         "autopilot": "px4", "system_id": 7, "scanner_component_id": 101,
         "position_rate_hz": 200.0, "scanner_complete": False, "sets_parameters": False,
@@ -125,6 +146,47 @@ def test_all_that_can_be_said_of_the_flight_is_taken(folder: Path) -> None:
         "rally_ne_m": ((10.0, -20.0),), "end_action": EndAction.RETURN,
     }  # fmt: skip
     assert {name: getattr(mission, name) for name in expected} == expected
+
+
+ERRORS = {"forward_m": 0.1, "right_m": -0.2, "blind_m": 0.4, "latency_s": 0.01}
+ERRORS |= {"latency_error_s": 0.02, "range_error_m": 0.3}
+ERRORS |= {"position_error_m": 0.06, "drift_m_s": 0.01}
+
+
+@pytest.mark.parametrize(
+    ("kind", "more", "component", "message", "of_autopilot"),
+    [
+        ("obstacle_distance", "", 196, 330, False),
+        ("obstacle_distance", "component = 50\n", 50, 330, False),
+        ("distance_sensor", "", 1, 132, True),
+        ("distance_sensor", "component = 158\n", 158, 132, False),
+    ],
+)
+def test_a_sensor_of_near_things_is_what_its_table_says(
+    folder: Path, kind: str, more: str, component: int, message: int, of_autopilot: bool
+) -> None:
+    more += "yaw_deg = 90.0\nbearing_error_deg = 2.0\n" + toml_text(ERRORS)
+    mission = load(folder, scanner(f'kind = "{kind}"\nspeaks_for_m = 4.0\n{more}'))
+    near = mission.near
+    assert (near.kind, near.component_id, near.speaks_for_m) == (kind, component, 4.0)
+    assert (mission.kind, mission.scanner_component_id) == ("copter", None)
+    assert (near.yaw_rad, near.bearing_error_rad) == (0.5 * math.pi, math.radians(2.0))
+    assert {name: getattr(near, name) for name in ERRORS} == ERRORS
+    assert near.range_m == mission.task.settings.scan_range_m
+    assert (mission.known.guess_m == 400.5).all()  # of the ground; of what stands on it nothing
+    assert not mission.known.surveyed.any()
+    assert messages_of(mission) == {30, message}
+    assert set(streams_hz(mission)) == ({30, message} if of_autopilot else {30})
+
+
+@given(tracking_m=st.floats(0.2, 40.0), navigation_m=st.floats(0.0, 40.0))
+def test_a_take_off_ends_in_the_band(folder: Path, tracking_m: float, navigation_m: float) -> None:
+    """However the errors compare: a vehicle hovering there is within the band of a certificate."""
+    errors = f"tracking_error_m = {tracking_m}\nnavigation_error_m = {navigation_m}"
+    task = load(folder, vehicle(errors).replace("1100.0", "1300.0")).task
+    error_m = tracking_m + navigation_m
+    low, high = task.band_amsl_m
+    assert 900.0 + error_m <= low <= task.take_off_amsl_m < high <= 1300.0 - error_m
 
 
 def test_a_copter_that_outruns_its_sight_is_flown_more_slowly_and_says_so() -> None:
@@ -138,15 +200,6 @@ def test_a_copter_that_outruns_its_sight_is_flown_more_slowly_and_says_so() -> N
 
 
 # --- places and zones
-
-
-@given(azimuth_deg=st.floats(-180.0, 180.0), distance_m=st.floats(0.0, 3900.0))
-def test_degrees_are_on_the_ellipsoid(folder: Path, azimuth_deg: float, distance_m: float) -> None:
-    longitude, latitude, _ = GEOD.fwd(8.0, 47.0, azimuth_deg, distance_m)
-    mission = load(folder, place(f"latitude_deg = {latitude!r}\nlongitude_deg = {longitude!r}"))
-    azimuth = math.radians(azimuth_deg)
-    expected = (distance_m * math.cos(azimuth), distance_m * math.sin(azimuth))
-    assert mission.targets_ne_m[0] == pytest.approx(expected, abs=1e-3)
 
 
 def test_zones_and_radars_in_degrees_are_those_in_metres(folder: Path) -> None:
@@ -412,14 +465,138 @@ REFUSED: list[tuple[str, str]] = [
     (STATED + "datum_error_m = 5.0\n", "terrain.datum_error_m = 5.0"),
     (STATED.replace("840.0", "inf"), "terrain.highest_amsl_m = inf"),
     (COPTER + "[terrain]\n", "terrain.file = None: it is missing. Add file"),
-    (STATED.replace("highest_amsl_m", "highest_m"), "Did you mean highest_amsl_m?"),
+    (STATED.replace("highest_amsl_m", "highest_m"), r"Did you mean highest_amsl_m\?"),
+    # a sensor of near things
+    (scanner('kind = "radar"'), "scanner.kind.*terrain_radar"),
+    (scanner("component = 196"), "scanner.component = 196.*it is of the other kinds"),
+    (scanner(OBSTACLE + "complete = true"), "scanner.complete = True.*it is a radar's"),
+    (
+        scanner(OBSTACLE, (KIND, f"{KIND}\nscanner_component_id = 100")),
+        "vehicle.scanner_component_id = 100.*Write scanner.component.",
+    ),
+    (
+        scanner(OBSTACLE, (KIND, 'kind = "plane"\nloiter_radius_m = 30.0')),
+        "scanner.kind = 'obstacle_distance'.*can stop",
+    ),
+    (scanner('kind = "obstacle_distance"'), "scanner.speaks_for_m.*band is 4 m high"),
+    (scanner(OBSTACLE, (FLAT, "")), "terrain.*does not see the ground"),
+    *(
+        (scanner(each, (KIND, f"{KIND}\nscanner = false")), "scanner = .*Remove one of them.")
+        for each in (OBSTACLE, OBSTACLE.replace("obstacle_distance", "distance_sensor"))
+    ),
+    (scanner(OBSTACLE + "component = 195"), "scanner.component = 195.*the companion itself"),
+    (scanner(OBSTACLE + "bearing_error_deg = 46.0"), "bearing_error_deg = 46.0.*less than"),
+    (scanner(OBSTACLE + "latency_s = -0.1"), "scanner.latency_s = -0.1.*greater than"),
+    (scanner(OBSTACLE + "range_error_m = nan"), "scanner.range_error_m = nan.*finite"),
+    (scanner(OBSTACLE, (FLAT, FILE)), "terrain.trust = 'guidance'.*a sensor of near things does"),
+    (
+        COPTER.replace("planner = {", 'planner = { optimiser = "magic",'),
+        "planner.optimiser = 'magic'" + "".join(f"(?=.*{name})" for name in OPTIMISERS),
+    ),
+    *(
+        (
+            COPTER.replace(f"{key} =", f"{name} =", 1),
+            rf"{name} = .*Did you mean {key}\?.*Known here: ",
+        )
+        for key, name in (
+            ("speed_m_s", "speed"),
+            ("scan_range_m", "scan_range_km"),
+            ("turn_radius_m", "turning_radius_m"),
+            ("action", "acton"),
+            ("floor_amsl_m", "floor_agl_m"),
+        )
+    ),
+    # values of another kind
+    *(
+        (
+            re.sub(rf"\b{key} = [^\n,}}]+", f"{key} = {value}", COPTER, count=1),
+            f"{key} = .*(?i:{value}).*{rule}",
+        )
+        for key, value, rule in (
+            ("speed_m_s", "'fast'", "valid number"),
+            ("speed_m_s", "0.0", "greater than 0"),
+            ("speed_m_s", "true", "valid number"),
+            ("climb_angle_deg", "90.0", "less than 90"),
+            ("latitude_deg", "86.0", "less than or equal to 85"),
+            ("schema", "2", "must be 1"),
+            ("kind", "'boat'", "'copter' or 'plane'"),
+            ("name", "7", "valid string"),
+            ("action", "'loiter'", "'hold', 'land' or 'return'"),
+            ("floor_amsl_m", "-501.0", "greater than or equal to -500"),
+        )
+    ),
+    (vehicle('autopilot = "betaflight"'), "vehicle.autopilot.*'ardupilot' or 'px4'"),
+    *(
+        (vehicle(f"{key} = -0.1"), f"vehicle.{key} = -0.1: .*greater than or equal to 0")
+        for key in ("navigation_error_m", "dead_man_s")
+    ),
+    *(
+        (
+            COPTER.replace("planner = {", f"planner = {{ weights.radar = {value},"),
+            f"planner.weights.radar = {value}",
+        )
+        for value in ("nan", "inf", "-inf")
+    ),
+    ((ENVIRONMENTS / "environment-1" / "world.toml").read_text(), "this is a world, not a mission"),
 ]
 
 
 @pytest.mark.parametrize(("text", "words"), REFUSED, ids=range(len(REFUSED)))
 def test_what_breaks_a_rule_is_refused_in_one_line(folder: Path, text: str, words: str) -> None:
+    """Field, value, rule, remedy."""
     told = refusal(load, folder, text)
+    assert re.fullmatch(r"\S[^\n]*? = [^\n]+: [^\n]+\. [A-Z][^\n]*[.?]", told), told
     assert re.search(words, told), told
+
+
+def keys_in(table: dict[str, Any]) -> Iterator[tuple[dict[str, Any], str]]:
+    """Every key, with the table that it is in."""
+    for key, value in table.items():
+        yield table, key
+        for inner in value if isinstance(value, list) else [value]:
+            if isinstance(inner, dict):
+                yield from keys_in(inner)
+
+
+@pytest.mark.parametrize("number", range(len(list(keys_in(tomllib.loads(COPTER))))))
+def test_a_key_that_is_left_out_misspelt_or_no_number_is_named(folder: Path, number: int) -> None:
+    def with_key(name: str | None, value: float | None = None) -> tuple[str, Any, str]:
+        table = tomllib.loads(COPTER)
+        inner, key = list(keys_in(table))[number]
+        was = inner.pop(key)
+        if name is not None:
+            inner[name.format(key)] = was if value is None else value
+        return key, was, refusal(load, folder, toml_text(table))
+
+    key, was, told = with_key(None)
+    assert key in told
+    assert "it is missing" in told or "a place is given by" in told
+    _, _, told = with_key("{}_x")
+    assert f"{key}_x = " in told
+    assert f"Did you mean {key}?" in told
+    assert "Known here: " in told
+    for value in (math.nan, math.inf, -math.inf) if isinstance(was, float) else ():
+        assert f"{key} = {value}" in with_key("{}", value)[2]
+
+
+def test_what_is_no_mission_or_world_is_told(folder: Path) -> None:
+    """Files of another kind: `test_files.py`."""
+    names = r"'nowhere'.*no such file.*environment-1, environment-2"
+    a_folder = r"it is a folder\. Give a mission\.toml"
+    for name, words in (("nowhere", names), (str(folder), a_folder), ("x" * 5000, "xxx")):
+        with pytest.raises(InputError, match=words):
+            load_mission(name)
+    path, world = folder / "world.toml", ENVIRONMENTS / "environment-1" / "world.toml"
+    for text, words in (
+        (COPTER, "this is a mission, not a world. Give its world.toml"),
+        (
+            world.read_text(encoding="utf-8").replace("height_amsl_m", "height_m", 1),
+            r"terrain\.peaks\[0\]\.height_m = .*height_amsl_m",
+        ),
+    ):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(InputError, match=words):
+            load_world(str(path))
 
 
 # --- whatever is written

@@ -1,8 +1,7 @@
-"""QGroundControl's plans: what they say, what is assumed, and what is refused."""
+"""Plans and lists of waypoints: what they say, what is assumed, and what is refused."""
 
 import contextlib
 import copy
-import functools
 import json
 import math
 import re
@@ -13,12 +12,14 @@ import pyproj
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from spoiled import refusal, replace_somewhere
+from pymavlink import mavwp
+from pymavlink.dialects.v20 import all as mavlink
+from spoiled import JUNK, refusal, replace_somewhere
 
 from companion.config import load_mission, mission_text
 from companion.errors import InputError
 from companion.mission.mission import EndAction, Mission
-from companion.sources.plan_file import Plan, read_plan
+from companion.sources.plan_file import Plan, read_plan, read_waypoint_fence, read_waypoint_list
 
 MISSIONS = Path(__file__).parent / "missions"
 PLANS = sorted(path.name for path in MISSIONS.glob("*.plan"))
@@ -31,16 +32,14 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("plan") / "x.plan"
 
 
+@pytest.fixture(scope="module")
+def txt(path: Path) -> Path:
+    return path.with_name("survey.txt")
+
+
 def read(path: Path, content: Any) -> Plan:
     path.write_text(json.dumps(content), encoding="utf-8")
     return read_plan(path, "mission.toml: plan")
-
-
-refused = functools.partial(refusal, read)
-
-
-def alone_refused(path: Path) -> str:
-    return refusal(lambda path, _: load_mission(str(path)), path, None)
 
 
 def item(command: int, *params: float | None, frame: int = 3, **more: Any) -> dict[str, Any]:
@@ -63,9 +62,6 @@ def naming(folder: Path, plan: Any, text: str) -> Mission:
     (folder / "x.plan").write_text(json.dumps(plan), encoding="utf-8")
     (folder / "mission.toml").write_text(f'plan = "x.plan"\n{text}', encoding="utf-8")
     return load_mission(str(folder / "mission.toml"))
-
-
-# --- what a plan says
 
 
 def test_waypoints_fences_rally_points_and_the_end_are_those_of_the_file(path: Path) -> None:
@@ -100,13 +96,6 @@ def test_the_altitude_of_a_waypoint_is_known_by_its_frame(path: Path) -> None:
     assert [target["latitude_deg"] for target in found.targets] == [47.41] * 4 + [47.43]
 
 
-def test_the_waypoints_of_a_survey_are_targets_and_its_camera_is_left_out() -> None:
-    found = read_plan(MISSIONS / "survey.plan", "MISSION")
-    assert len(found.targets) == 6 + 1  # and where it lands
-    assert found.end_action == "land"
-    assert found.notes == ["left out: 6 x do set cam trigg dist"]
-
-
 @pytest.mark.parametrize(
     ("last", "action", "targets"),
     [
@@ -121,9 +110,10 @@ def test_the_last_item_is_the_end(path: Path, last: Any, action: str, targets: i
     found = read(path, plan(waypoint(), last))
     assert (found.end_action, len(found.targets)) == (action, targets)
     if targets == 2:
-        assert "ends before this item" in refused(path, plan(last, waypoint()))
+        assert "ends before this item" in refusal(read, path, plan(last, waypoint()))
 
 
+MOVES_HOME = item(179, 1, 0, 0, 0, 0, 0, 0)
 HOME, NONE = "mission.plannedHomePosition", "launch has no latitude and longitude"
 REFUSED: list[tuple[Any, str]] = [
     ({"fileType": "Mission"}, "no QGroundControl plan"),
@@ -140,6 +130,8 @@ REFUSED: list[tuple[Any, str]] = [
         (plan(waypoint(), plannedHomePosition=home), f"{HOME}.*{NONE}")
         for home in ([0.0, 0.0, 250.0], [None, None, None])
     ),
+    # above a home that the mission moves
+    (plan(waypoint(), MOVES_HOME, waypoint(0.02)), r"^x\.plan: mission\.items\[2\].*do set home"),
     # versions that are not known
     (FENCED | {"version": 2}, "version = 2"),
     *(
@@ -165,17 +157,38 @@ REFUSED: list[tuple[Any, str]] = [
 
 @pytest.mark.parametrize(("bad", "words"), REFUSED, ids=range(len(REFUSED)))
 def test_what_cannot_be_taken_is_told_why(path: Path, bad: Any, words: str) -> None:
-    message = refused(path, bad)
-    assert re.search(words, message), message
+    told = refusal(read, path, bad)
+    assert re.search(words, told), told
 
 
-# --- a plan by itself
+ASSUMED = "What a plan lacks is assumed"
 
 
-def same(one: Mission, other: Mission) -> bool:
-    return all(
-        getattr(one, name) == getattr(other, name) for name in one.__slots__ if name != "notes"
-    )
+@pytest.mark.parametrize(
+    ("place", "mission", "words"),
+    [
+        ((50.4, 11.5), {}, r"^x\.plan: items\[1\] = \[50.4, .* it lies 39\d\.?\d* km from launch"),
+        ((-47.4, -171.45), {}, r"^x\.plan: items\[1\] = \[-47.4, .* km from launch"),
+        ((47.41, 8.55), {"hoverSpeed": 90, "vehicleType": 2}, ASSUMED),
+        ((86.01, 8.55), {"plannedHomePosition": [86.0, 8.55, 400]}, ASSUMED),
+        ((47.41, 8.55), {"plannedHomePosition": [47.4, 8.55, 60_000]}, ASSUMED),
+    ],
+)
+def test_what_a_mission_cannot_be_of_is_told_in_the_words_of_the_plan(
+    path: Path, place: tuple[float, float], mission: dict[str, Any], words: str
+) -> None:
+    """A far waypoint, a speed, a launch: of those who wrote the plan and no mission file."""
+    items = [waypoint(), item(16, 0, 0, 0, None, *place, 50)][0 if not mission else 1 :]
+    path.write_text(json.dumps(plan(*items, **mission)), encoding="utf-8")
+    told = refusal(lambda path, _: load_mission(str(path)), path, None)
+    assert re.search(words, told), told
+    if far := re.search(r"it lies ([\d.,]+) km from launch", told):
+        true_km = GEOD.inv(8.55, 47.4, place[1], place[0])[2] / 1000.0
+        assert float(far[1].replace(",", "")) == pytest.approx(true_km, rel=0.01)
+    own = path.with_name("own.toml")
+    own.write_text('plan = "x.plan"\n[altitude]\nfloor_amsl_m = 900.0\nceiling_amsl_m = 1.0\n')
+    told = refusal(lambda path, _: load_mission(str(path)), own, None)
+    assert "altitude.ceiling_amsl_m" not in told or "assumed" not in told
 
 
 @pytest.mark.parametrize("name", PLANS)
@@ -195,22 +208,13 @@ def test_a_plan_alone_is_a_mission_that_says_what_it_assumed(name: str, tmp_path
         assert math.cos(east_of_north - math.radians(azimuth_deg)) > 1.0 - 1e-9
     text, alone = mission_text(str(MISSIONS / name)), tmp_path / "mission.toml"
     alone.write_text(text, encoding="utf-8")
-    assert same(load_mission(str(alone)), mission)
+    again = load_mission(str(alone))
+    assert all(
+        getattr(again, each) == getattr(mission, each)
+        for each in Mission.__slots__
+        if each != "notes"
+    )
     assert mission_text(str(alone)) == text
-
-
-@pytest.mark.parametrize("name", PLANS)
-@pytest.mark.parametrize("higher_m", [-20.0, 0.0, 80.0])
-def test_a_plan_is_flown_without_a_radar(name: str, higher_m: float, tmp_path: Path) -> None:
-    """The band that is assumed lies above launch and above that ground."""
-    content, home_m = MISSIONS / name, read_plan(MISSIONS / name, "MISSION").home_amsl_m
-    stated = f"[vehicle]\nscanner = false\n[terrain]\nhighest_amsl_m = {home_m + higher_m}\n"
-    mission = naming(tmp_path, json.loads(content.read_text(encoding="utf-8")), stated)
-    assert (mission.known.upper_m == home_m + higher_m).all()
-    lowest_m, highest_m = mission.task.band_amsl_m
-    least_m = max(home_m, home_m + higher_m) + mission.task.required_clearance_m
-    assert least_m <= lowest_m < mission.task.take_off_amsl_m + 1e-9
-    assert mission.task.take_off_amsl_m < highest_m
 
 
 OWN = """
@@ -258,72 +262,168 @@ def test_any_value_anywhere_is_taken_or_an_input_error(path: Path, data: st.Data
         load_mission(str(path))
 
 
-# --- what is left out, and what was never written
-
-
 def test_what_is_not_done_at_a_waypoint_is_counted(path: Path) -> None:
     found = read(
         path,
         plan(
-            item(22, 0, 0, 0, None, 47.4, 8.55, 30),
-            item(16, 15, 0, 0, None, 47.41, 8.55, 50),
-            item(16, 5, 0, 0, 90, 47.42, 8.55, 50),
-            item(16, 0, 0, -20, None, 47.43, 8.55, 50),
-            item(22, 0, 0, 0, None, 47.4, 8.55, 30),
-            item(19, 60, 0, 30, None, 47.44, 8.55, 50),
-            item(201, 0, 0, 0, 0, 47.4, 8.55, 0),
+            *(item(22, 0, 0, 0, None, 47.4, 8.55, 30), item(16, 15, 0, 0, None, 47.41, 8.55, 50)),
+            *(item(16, 5, 0, 0, 90, 47.42, 8.55, 50), item(16, 0, 0, -20, None, 47.43, 8.55, 50)),
+            *(item(22, 0, 0, 0, None, 47.4, 8.55, 30), item(19, 60, 0, 30, None, 47.44, 8.55, 50)),
+            *(item(201, 0, 0, 0, 0, 47.4, 8.55, 0), MOVES_HOME),
+            waypoint(0.05, altitude=450.0, frame=0),
         ),
     )
     [said] = found.notes
     not_done = (
         "2 x waiting at a waypoint, 1 x heading at a waypoint, 1 x passing beside a waypoint, "
-        "1 x nav takeoff, 1 x loiter at a waypoint, 1 x do set roi"
+        "1 x nav takeoff, 1 x loiter at a waypoint, 1 x do set roi, 1 x do set home"
     )
     assert all(words in said for words in not_done.split(", "))
     assert read(path, plan(waypoint())).notes == []
+    survey = read_plan(MISSIONS / "survey.plan", "MISSION")
+    assert (len(survey.targets), survey.end_action) == (6 + 1, "land")  # and where it lands
+    assert survey.notes == ["left out: 6 x do set cam trigg dist"]
 
 
-def test_altitudes_above_a_home_that_the_mission_moves_are_refused(path: Path) -> None:
-    moves = item(179, 1, 0, 0, 0, 0, 0, 0)
-    told = refused(path, plan(waypoint(), moves, waypoint(0.02)))
-    assert told.startswith("x.plan: mission.items[2]")
-    assert "do set home" in told
-    amsl = waypoint(0.02, altitude=450.0, frame=0)
-    assert "1 x do set home" in read(path, plan(waypoint(), moves, amsl)).notes[0]
+# --- lists, against pymavlink's own reader and writer of them
+
+WAYPOINT, TAKE_OFF, RETURN = 16, 22, 20
+FIRST = (0, 16, (0, 0, 0, 0), 47.4, 8.55, 400.0)
+Row = tuple[int, int, tuple[float, ...], float, float, float]
 
 
-def test_a_parameter_that_is_null_is_not_given(path: Path) -> None:
-    text = json.dumps(plan(item(16, 0, 0, 0, None, 47.41, 8.55, 50)))
-    path.write_text(text, encoding="utf-8")
-    found = read_plan(path, "plan")
-    assert (len(found.targets), found.notes) == (1, [])
+def saved(txt: Path, *rows: Row) -> Path:
+    """The list as MAVProxy saves it."""
+    loader = mavwp.MAVWPLoader()
+    for number, (frame, command, parameters, latitude, longitude, altitude) in enumerate(rows):
+        loader.add(
+            mavlink.MAVLink_mission_item_message(
+                1, 1, number, frame, command, number == 0, 1, *parameters,
+                latitude, longitude, altitude,
+            )
+        )  # fmt: skip
+    loader.save(str(txt))
+    return txt
 
 
-@pytest.mark.parametrize("place", [(50.4, 11.5), (-47.4, -171.45)])
-def test_a_far_waypoint_is_named_and_not_a_key_of_a_mission_file(
-    path: Path, place: tuple[float, float]
-) -> None:
-    path.write_text(json.dumps(plan(waypoint(), item(16, 0, 0, 0, None, *place, 50))))
-    told = alone_refused(path)
-    assert told.startswith(f"x.plan: items[1] = [{place[0]}, ")
-    _, _, true_m = GEOD.inv(8.55, 47.4, place[1], place[0])
-    said_km = float(told.partition("it lies ")[2].partition(" km from launch")[0].replace(",", ""))
-    assert said_km == pytest.approx(true_m / 1000.0, rel=0.01)
+def of_text(txt: Path, text: str) -> Plan:
+    txt.write_text(text, encoding="utf-8")
+    return read_waypoint_list(txt, "MISSION")
 
 
-@pytest.mark.parametrize(
-    "mission",
-    [
-        {"hoverSpeed": 90, "vehicleType": 2},
-        {"plannedHomePosition": [86.0, 8.55, 400]},
-        {"plannedHomePosition": [47.4, 8.55, 60_000]},
-    ],
-)
-def test_an_error_about_an_assumed_key_says_so(path: Path, mission: dict[str, Any]) -> None:
-    latitude = mission.get("plannedHomePosition", [47.4])[0] + 0.01
-    path.write_text(json.dumps(plan(item(16, 0, 0, 0, None, latitude, 8.55, 50), **mission)))
-    assert "What a plan lacks is assumed" in alone_refused(path)
-    own = path.with_name("own.toml")
-    own.write_text('plan = "x.plan"\n[altitude]\nfloor_amsl_m = 900.0\nceiling_amsl_m = 1.0\n')
-    told = alone_refused(own)
-    assert "altitude.ceiling_amsl_m" not in told or "assumed" not in told
+def to(north: float, altitude_m: float = 50.0, frame: int = 3) -> Row:
+    return (frame, WAYPOINT, (0, 0, 0, 0), 47.4 + north, 8.55, altitude_m)
+
+
+@pytest.mark.parametrize("command", [WAYPOINT, TAKE_OFF, 179, 0, RETURN, 177])
+def test_a_list_is_qgroundcontrols_plan(txt: Path, tmp_path: Path, command: int) -> None:
+    """Line 0 is launch whatever its command, as ArduPilot takes it."""
+    rows = [
+        (3, TAKE_OFF, (0, 0, 0, 0), 47.4, 8.55, 30.0),
+        to(0.01, 45.0),
+        to(0.02, 480.0, frame=0),
+        (3, 178, (1, 7, -1, 0), 0.0, 0.0, 0.0),
+        (2, RETURN, (0, 0, 0, 0), 0.0, 0.0, 0.0),
+    ]
+    found = read_waypoint_list(saved(txt, (0, command, *FIRST[2:]), *rows), "MISSION")
+    items = [
+        {"type": "SimpleItem", "command": c, "frame": f, "params": [*p, lat, lon, alt]}
+        for f, c, p, lat, lon, alt in rows
+    ]
+    mission = {"items": items, "plannedHomePosition": [47.4, 8.55, 400.0], "version": 2}
+    same = tmp_path / "same.plan"
+    same.write_text(json.dumps({"fileType": "Plan", "version": 1, "mission": mission}))
+    expected = read_plan(same, "MISSION")
+    names = [target.pop("name") for target in found.targets]
+    assert names == ["item 2", "item 3"]
+    for target in expected.targets:
+        target.pop("name")
+    for what in ["targets", "altitudes_amsl_m", "home_deg", "home_amsl_m", "end_action", "notes"]:
+        assert getattr(found, what) == getattr(expected, what)
+    assert found.altitudes_amsl_m == [430.0, 445.0, 480.0]
+    theirs = mavwp.MAVWPLoader()
+    theirs.load(str(txt))
+    places = [(t["latitude_deg"], t["longitude_deg"]) for t in found.targets]
+    assert [(w.x, w.y) for w in theirs.wpoints[2:4]] == places
+
+
+LIST, LAUNCH = "QGC WPL 110\n", "0 1 0 16 0 0 0 0 47 8 9 1\n"
+NO_LISTS = [
+    (f"{LIST}0 1 0 16 0 0 0 0 0 0 0 1\n", "Set home before you save it"),
+    ("QGC WPL 120\n", "only QGC WPL 110 is known"),
+    (f"{LIST}0 1 0\n", "line 2 = '0 1 0': invalid waypoint line with 3 values"),
+    (f"{LIST}\n0 1 0 16 0 0 0 0 x 8 9 1\n", "line 3 = '0 1 0 16 0 0 0 0 x 8 9 1'"),
+    (f"{LIST}0 1 0 16 0 inf 0 0 47 8 9 1\n", "finite numbers"),
+    (f"{LIST}0 1 0 16 0 0 0 0 nan 8 9 1\n", "launch has no latitude and longitude"),
+    (f"{LIST}0 1 0 16 0 0 0 0 47 8 nan 1\n", "the altitude of launch is missing"),
+    (f"{LIST}0 1 0 16.5 0 0 0 0 47 8 9 1\n", "invalid literal for int()"),
+    (f"{LIST}0 1 0 16 0 0 0 0 147 8 9 1\n", "survey.txt: item 0"),
+    (
+        f"{LIST}{LAUNCH}1 0 3 177 1 2 0 0 0 0 0 1\n",
+        "survey.txt: item 1.command = 177: do jump cannot be flown",
+    ),
+    *(
+        (LIST + LAUNCH + "1 0 0 5002 3 0 0 0 47.4 8.5 0 1\n" * n, f"has {n} of 3 corners")
+        for n in (1, 2)
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "expected"), NO_LISTS)
+def test_what_is_wrong_with_a_list_is_told(txt: Path, text: str, expected: str) -> None:
+    assert expected in refusal(of_text, txt, text)
+
+
+@given(st.data())
+def test_a_spoiled_list_is_read_or_an_input_error(txt: Path, data: st.DataObject) -> None:
+    corner = (0, 5001, (3, 0, 0, 0), 47.5, 8.5, 0.0)
+    lines = saved(txt, FIRST, to(0.01), corner, corner, corner).read_text().splitlines()
+    for _ in range(data.draw(st.integers(1, 3))):
+        line = data.draw(st.integers(0, len(lines) - 1))
+        words = lines[line].split("\t")
+        words[data.draw(st.integers(0, len(words) - 1))] = str(data.draw(JUNK))
+        lines[line] = "\t".join(words)
+    txt.write_text("\n".join(lines), encoding="utf-8")
+    for read in (read_waypoint_list, read_waypoint_fence):
+        with contextlib.suppress(InputError):
+            read(txt, "MISSION")
+
+
+@pytest.mark.parametrize("spelled", ["nan", "NaN", "-nan", "NAN"])
+def test_how_a_list_is_written_does_not_matter(txt: Path, spelled: str) -> None:
+    """A parameter that is no number is not given."""
+    text = saved(txt, FIRST, (3, TAKE_OFF, (0, 0, 0, 0), 0, 0, 30.0), to(0.01)).read_text()
+    rows = [line.split("\t") for line in text.splitlines()]
+    for words in rows[1:]:
+        words[4:8] = [spelled] * 4
+    dressed = "\r\n\r\n# a comment\r\n".join(map("\t".join, rows))
+    assert of_text(txt, f"\ufeff{dressed}") == of_text(txt, text)
+
+
+def test_fences_and_rally_points_of_a_list_are_zones(txt: Path) -> None:
+    square = [(47.4, 8.5), (47.4, 8.6), (47.5, 8.6), (47.5, 8.5)]
+    rows: list[Row] = [(0, 5000, (0, 0, 0, 0), 47.4, 8.55, 0.0)]
+    rows += [(0, 5001, (4, 0, 0, 0), lat, lon, 0.0) for lat, lon in square]
+    rows += [(0, 5002, (3, 0, 0, 0), lat, lon, 0.0) for lat, lon in square[:3]]
+    rows += [(0, 5003, (9000.0, 0, 0, 0), 47.45, 8.55, 0.0)]
+    rows += [(0, 5004, (120.0, 0, 0, 0), 47.41, 8.56, 0.0)]
+    rows += [(3, 5100, (0, 0, 0, 0), 47.42, 8.57, 40.0)]
+    found = read_waypoint_fence(saved(txt, *rows), "threats")
+    assert found.keep_ins[0]["vertices_deg"] == [list(corner) for corner in square]
+    assert found.keep_outs[0]["vertices_deg"] == [list(corner) for corner in square[:3]]
+    assert found.keep_ins[1]["radius_m"] == 9000.0
+    circle = found.keep_outs[1]
+    assert (circle["latitude_deg"], circle["longitude_deg"]) == (47.41, 8.56)
+    assert circle["radius_m"] == 120.0
+    assert found.rally_points == [{"latitude_deg": 47.42, "longitude_deg": 8.57}]
+    assert not found.targets
+
+
+def test_a_mission_keeps_out_of_what_its_fence_list_says(txt: Path) -> None:
+    mission, text = load_mission("valley"), mission_text("valley")
+    lat, lon = mission.frame.latitude_deg, mission.frame.longitude_deg
+    places = [(lat + 0.001 * n, lon + 0.002 * (n % 2)) for n in range(3)]
+    saved(txt, *((0, 5002, (3, 0, 0, 0), *place, 0.0) for place in places))
+    flown = txt.with_name("mission.toml")
+    flown.write_text(f'threats = "{txt.name}"\n{text}', encoding="utf-8")
+    assert len(load_mission(str(flown)).task.zones) == len(mission.task.zones) + 1
