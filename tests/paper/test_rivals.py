@@ -9,24 +9,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from planning import ask, column_distance_m
+from planning import ask
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import shortest_path
 
-from companion import extras
-from companion.campaign import drawn_world, families, truth
+from companion.campaign import families, truth
 from companion.campaign.file import Knowledge
 from companion.campaign.run import fly_alone
 from companion.errors import InputError
+from companion.geodesy import FloatArray
 from companion.paper import rivals
 from companion.paper.rivals import PLANNERS, RouteProblem
 from companion.planner.request import NotPlanned, PlanRequest
-from companion.world.radars import Radar
 from companion.world.simulated import true_map
-from companion.world.zones import CircleZone
 
-FloatArray = NDArray[np.float64]
 SIZE, SPACING_M = 161, 10.0
 plan = rivals.leg_by_leg(PLANNERS["a-star"])
 every_planner = pytest.mark.parametrize("name", sorted(PLANNERS))
@@ -121,18 +117,6 @@ def test_steps_of_a_grid_cost_its_rate_along_them_and_the_cheapest_way_the_least
     assert [rivals.cheapest(line, 0, end) for end in (2, 3)] == [[0, 1, 2], []]
 
 
-def test_rrt_star_costs_as_many_lines_as_it_may(monkeypatch: pytest.MonkeyPatch) -> None:
-    costed, line_cost = list[float](), RouteProblem.line_cost
-
-    def counted(*line: Any) -> float:
-        costed.append(line_cost(*line))
-        return costed[-1]
-
-    monkeypatch.setattr(RouteProblem, "line_cost", counted)
-    PLANNERS["rrt-star"](problem_in(with_discs(0)), np.random.default_rng(1))
-    assert 5_000 <= len(costed) < 5_200
-
-
 # --- flown
 
 
@@ -157,38 +141,6 @@ def asked() -> PlanRequest:
     return ask(world.task, known, world.start_nea_m, seed=1, target_ne_m=world.targets_ne_m[0])
 
 
-def metres_of_level_flight(
-    points: FloatArray, world: drawn_world.DrawnWorld, radars: tuple[Radar, ...]
-) -> FloatArray:
-    """What a metre at points costs, (S, 3): eq. 5 to 7 and 10, in metres of level flight."""
-    weights = world.task.settings.weights
-    high = (points[:, 2] - world.floor_amsl_m) / (world.ceiling_amsl_m - world.floor_amsl_m)
-    total = 1.0 + 2.4 * weights.height / weights.length * high
-    for radar in radars:
-        ratio = np.linalg.norm(points - radar.centre_nea_m, axis=-1) / radar.range_m
-        total += np.where(ratio <= 1.0, 7.2 * weights.radar / weights.length / (1 + ratio**4), 0.0)
-    return total
-
-
-def test_a_field_costs_at_its_points_no_less_than_the_measure_says() -> None:
-    world, field = families.world("dense", 0, 0), rivals.problem_of(asked())
-    index = np.random.default_rng(2).integers(0, min(field.rate.shape), (3_000, 2))
-    rate = field.rate[tuple(index.T)]
-    free = np.isfinite(rate)
-    assert 0 < free.sum() < len(free)
-    # not below the lowest altitude that keeps the clearance, in places in the open at the floor
-    need = world.task.required_clearance_m
-    least = drawn_world.lowest_safe_m(world, field.spacing_m, need)[tuple(index[free].T)]
-    altitude = np.maximum(least, world.floor_amsl_m)
-    points = np.column_stack([field.place_m(index[free]), altitude])
-    lowest = metres_of_level_flight(points, world, ())
-    assert (rate[free] >= lowest - 1e-9).all()
-    flat = least < world.floor_amsl_m - 2.0 * world.task.cell_m
-    expected = metres_of_level_flight(points[flat], world, world.task.radars)
-    assert (expected > 1.0).any()  # by a radar
-    assert np.isclose(rate[free][flat], expected, rtol=1e-9).mean() > 0.99
-
-
 def test_unseen_ground_is_free_in_the_plan_and_never_flown_over() -> None:
     request = asked()
     start = np.array(request.start.point_nea_m[:2])
@@ -205,28 +157,6 @@ def test_unseen_ground_is_free_in_the_plan_and_never_flown_over() -> None:
     assert isinstance(answer, NotPlanned)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_leg_keeps_its_clearance_over_rough_ground_and_from_zones(seed: int) -> None:
-    request = asked()
-    task, rng = request.task, np.random.default_rng(seed)
-    floor_m = task.band_amsl_m[0]
-    rough = rng.uniform(floor_m - 900.0, floor_m - 300.0, request.known.upper_m.shape)
-    start, target = (np.array(at[:2]) for at in (request.start.point_nea_m, request.target_ne_m))
-    ahead = (target - start) / np.linalg.norm(target - start)
-    north, east = (start + 8_000.0 * ahead).tolist()
-    zone = CircleZone(name="z", north_m=north, east_m=east, radius_m=3_000.0)
-    known = replace(request.known, upper_m=rough)
-    outcome = plan(replace(request, known=known, task=replace(task, zones=(zone,))))
-    assert not isinstance(outcome, NotPlanned)
-    assert "turn radius" in outcome.certificate.broken  # it is flown as it is
-    subpath, need = outcome.subpath, task.required_clearance_m
-    points = subpath.points_nea_m(np.linspace(0.0, subpath.length_m, 2_000))
-    assert points[0] == pytest.approx(request.start.position_nea_m)
-    assert zone.distance_m(points[:, 0], points[:, 1]).min() >= need
-    assert column_distance_m(known, points[100:], 2.0 * need).min() >= need
-    assert math.dist(points[-1, :2], start) > 0.8 * task.settings.scan_range_m
-
-
 @pytest.mark.parametrize(
     "answer",
     [np.zeros((3, 3)), np.full((4, 2), np.nan), np.zeros((4, 2)), np.zeros((1, 2)), "no way"],
@@ -235,9 +165,3 @@ def test_an_answer_that_is_no_route_is_refused(answer: Any) -> None:
     plan = rivals.leg_by_leg(lambda _problem, _rng: answer)
     with pytest.raises(InputError, match="a route is"):
         plan(asked())
-
-
-def test_without_ompl_its_planner_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(extras, "find_spec", lambda _name: None)
-    with pytest.raises(InputError, match=r"rrt-star.*ompl.*companion\[compare\]"):
-        PLANNERS["rrt-star"](problem_in(np.ones((SIZE, SIZE))), np.random.default_rng(1))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from planning import column_distance_m
 from scipy.interpolate import RegularGridInterpolator
 
@@ -15,14 +14,10 @@ from companion.world.columns import (
     distance_to_terrain_m,
     distances_to_terrain_m,
     safe_surface,
-    terrain_surface,
 )
 from companion.world.known_map import KnownMap, empty_map
 
-FloatArray = NDArray[np.float64]
-
 CELL_M, CELLS, UNKNOWN_M = 100.0, 24, 900.0
-MIDDLE = np.array([1_230.0, 1_170.0])
 seeds = st.integers(0, 10**6)
 
 
@@ -35,26 +30,6 @@ def random_map(rng: np.random.Generator, registration_m: float = 0.0) -> KnownMa
     return replace(blank, upper_m=upper, seen=seen, registration_m=registration_m)
 
 
-def tops(known: KnownMap) -> FloatArray:
-    return np.where(np.isfinite(known.upper_m), known.upper_m, UNKNOWN_M)
-
-
-def surface_over(known: KnownMap, clearance_m: float, parts: float = 1.0) -> Surface:
-    """Of 900 m about the middle; parts: of a map whose cells are so many times smaller."""
-    return safe_surface(
-        known,
-        centre_ne_m=(MIDDLE[0] / parts, MIDDLE[1] / parts),
-        reach_m=900.0 / parts,
-        clearance_m=clearance_m,
-        unknown_m=UNKNOWN_M,
-    )
-
-
-def near_middle(rng: np.random.Generator, count: int, reach_m: float) -> FloatArray:
-    angle, far = rng.uniform(0, 2 * np.pi, count), reach_m * np.sqrt(rng.random(count))
-    return MIDDLE + far[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-
-
 @given(
     seed=seeds,
     clearance_m=st.floats(5.0, 260.0),
@@ -64,50 +39,20 @@ def near_middle(rng: np.random.Generator, count: int, reach_m: float) -> FloatAr
 def test_every_point_over_the_safe_surface_keeps_the_clearance_to_columns_of_cells(
     seed: int, clearance_m: float, registration_m: float, parts: float
 ) -> None:
-    """Wherever the registration lets them be."""
+    """Wherever the registration lets them be, up to the limit of the surface's reach."""
     rng = np.random.default_rng(seed)
     known = replace(random_map(rng, registration_m), cell_m=CELL_M / parts)
-    surface = surface_over(known, clearance_m, parts)
-    ne = near_middle(rng, 300, 900.0) / parts  # up to the limit of its reach
+    middle, reach_m = np.array([1_230.0, 1_170.0]) / parts, 900.0 / parts
+    surface = safe_surface(
+        known, centre_ne_m=tuple(middle.tolist()), reach_m=reach_m, clearance_m=clearance_m,
+        unknown_m=UNKNOWN_M,
+    )  # fmt: skip
+    turn, away = rng.uniform(0, 2 * np.pi, 300), reach_m * np.sqrt(rng.random(300))
+    ne = middle + away[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     altitude = surface.altitude_m(ne[:, 0], ne[:, 1]) + 1e-6 + rng.exponential(5.0, 300)
-    away = column_distance_m(replace(known, upper_m=tops(known)), np.column_stack([ne, altitude]))
+    tops = np.where(np.isfinite(known.upper_m), known.upper_m, UNKNOWN_M)
+    away = column_distance_m(replace(known, upper_m=tops), np.column_stack([ne, altitude]))
     assert (away >= clearance_m - 1e-6).all()
-
-
-@pytest.mark.parametrize("parts", [1.0, 4.0], ids=["half cells", "whole cells"])
-@given(seed=seeds, share=st.floats(0.02, 1.0))
-def test_the_safe_surface_counts_terrain_as_at_most_two_of_its_cells_nearer_than_it_is(
-    parts: float, seed: int, share: float
-) -> None:
-    rng = np.random.default_rng(seed)
-    known = replace(random_map(rng), cell_m=CELL_M / parts)
-    # up to there half cells are worth their time; the rest of the map is within reach of no point
-    clearance_m = share * (260.0 if parts == 1.0 else 1_000.0 / parts)
-    surface = surface_over(known, clearance_m, parts)
-    ne, low = near_middle(rng, 200, 100.0) / parts, np.arange(CELLS) * known.cell_m
-    north, east = (
-        np.maximum(np.maximum(low - p, p - low - known.cell_m) - 2.0 * surface.cell_m, 0.0)
-        for p in ne.T[:, :, None]
-    )
-    aside = np.hypot(north[:, :, None], east[:, None, :])
-    ball = np.sqrt(np.maximum(clearance_m**2 - aside**2, 0.0))
-    strictest = np.where(aside < clearance_m, tops(known) + ball, -np.inf).max(axis=(1, 2))
-    assert (surface.altitude_m(ne[:, 0], ne[:, 1]) <= strictest + 1e-3).all()
-    assert surface.cell_m in (known.cell_m, known.cell_m / 2.0)
-
-
-@pytest.mark.parametrize("centre", [(200.0, 2_300.0), (9e3, -9e3)])
-def test_ground_off_the_map_counts_as_unknown(centre: tuple[float, float]) -> None:
-    known, wide = (
-        empty_map(CELL_M, (0.0, 1e3), (0.0, 1e3)),
-        empty_map(CELL_M, (-1e4, 1e4), (-1e4, 1e4)),
-    )
-    one, other = (
-        safe_surface(each, centre_ne_m=centre, reach_m=900.0, clearance_m=170.0, unknown_m=700.0)
-        for each in (known, wide)
-    )
-    assert (one.vertex_m == other.vertex_m).all()
-    assert (one.vertex_m == 870.0).all()
 
 
 def endless(known: KnownMap) -> KnownMap:
@@ -157,22 +102,10 @@ def test_a_surface_is_bilinear_between_its_vertices_and_goes_on_as_at_its_edges(
         inside = np.stack([np.clip(north, -200.0, 200.0), np.clip(east, 300.0, 600.0)], axis=-1)
         expected = RegularGridInterpolator(axes, heights)(inside)
         assert surface.altitude_m(north, east) == pytest.approx(expected, abs=1e-3)
-    h, cell_n, cell_e = 0.1, rng.integers(0, 8, 30), rng.integers(0, 6, 30)
-    north = -200.0 + 50.0 * (cell_n + rng.uniform(0.01, 0.99, 30))
-    east = 300.0 + 50.0 * (cell_e + rng.uniform(0.01, 0.99, 30))
+    h, inside = 0.1, rng.uniform(0.01, 0.99, (2, 30))
+    north = -200.0 + 50.0 * (rng.integers(0, 8, 30) + inside[0])
+    east = 300.0 + 50.0 * (rng.integers(0, 6, 30) + inside[1])
     rise_n = surface.altitude_m(north + h, east) - surface.altitude_m(north - h, east)
     rise_e = surface.altitude_m(north, east + h) - surface.altitude_m(north, east - h)
     _, slope2 = surface.altitude_and_slope(north, east)
     assert slope2 == pytest.approx((rise_n**2 + rise_e**2) / (2 * h) ** 2, rel=1e-6, abs=1e-9)
-
-
-@given(seed=seeds)
-def test_the_terrain_surface_is_the_map_at_the_middles_of_cells_and_0_where_unknown(
-    seed: int,
-) -> None:
-    rng = np.random.default_rng(seed)
-    known, index = random_map(rng), rng.integers(6, 18, (40, 2))
-    surface = terrain_surface(known, centre_ne_m=tuple(MIDDLE.tolist()), reach_m=700.0)
-    upper = known.upper_m[index[:, 0], index[:, 1]]
-    expected = np.where(np.isfinite(upper), upper, 0.0)
-    assert surface.altitude_m(*((index + 0.5) * CELL_M).T) == pytest.approx(expected)
