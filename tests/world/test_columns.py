@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from planning import column_distance_m
 from scipy.interpolate import RegularGridInterpolator
 
+from companion.geodesy import FloatArray
 from companion.world.columns import (
     Surface,
     distance_to_terrain_m,
@@ -18,6 +19,7 @@ from companion.world.columns import (
 from companion.world.known_map import KnownMap, empty_map
 
 CELL_M, CELLS, UNKNOWN_M = 100.0, 24, 900.0
+MIDDLE = np.array([1_230.0, 1_170.0])
 seeds = st.integers(0, 10**6)
 
 
@@ -30,6 +32,26 @@ def random_map(rng: np.random.Generator, registration_m: float = 0.0) -> KnownMa
     return replace(blank, upper_m=upper, seen=seen, registration_m=registration_m)
 
 
+def tops(known: KnownMap) -> FloatArray:
+    return np.where(np.isfinite(known.upper_m), known.upper_m, UNKNOWN_M)
+
+
+def surface_over(known: KnownMap, clearance_m: float, parts: float = 1.0) -> Surface:
+    """Of 900 m about the middle; parts: of a map whose cells are so many times smaller."""
+    return safe_surface(
+        known,
+        centre_ne_m=(MIDDLE[0] / parts, MIDDLE[1] / parts),
+        reach_m=900.0 / parts,
+        clearance_m=clearance_m,
+        unknown_m=UNKNOWN_M,
+    )
+
+
+def near_middle(rng: np.random.Generator, count: int, reach_m: float) -> FloatArray:
+    angle, far = rng.uniform(0, 2 * np.pi, count), reach_m * np.sqrt(rng.random(count))
+    return MIDDLE + far[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
 @given(
     seed=seeds,
     clearance_m=st.floats(5.0, 260.0),
@@ -39,20 +61,36 @@ def random_map(rng: np.random.Generator, registration_m: float = 0.0) -> KnownMa
 def test_every_point_over_the_safe_surface_keeps_the_clearance_to_columns_of_cells(
     seed: int, clearance_m: float, registration_m: float, parts: float
 ) -> None:
-    """Wherever the registration lets them be, up to the limit of the surface's reach."""
+    """Wherever the registration lets them be."""
     rng = np.random.default_rng(seed)
     known = replace(random_map(rng, registration_m), cell_m=CELL_M / parts)
-    middle, reach_m = np.array([1_230.0, 1_170.0]) / parts, 900.0 / parts
-    surface = safe_surface(
-        known, centre_ne_m=tuple(middle.tolist()), reach_m=reach_m, clearance_m=clearance_m,
-        unknown_m=UNKNOWN_M,
-    )  # fmt: skip
-    turn, away = rng.uniform(0, 2 * np.pi, 300), reach_m * np.sqrt(rng.random(300))
-    ne = middle + away[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    surface = surface_over(known, clearance_m, parts)
+    ne = near_middle(rng, 300, 900.0) / parts  # up to the limit of its reach
     altitude = surface.altitude_m(ne[:, 0], ne[:, 1]) + 1e-6 + rng.exponential(5.0, 300)
-    tops = np.where(np.isfinite(known.upper_m), known.upper_m, UNKNOWN_M)
-    away = column_distance_m(replace(known, upper_m=tops), np.column_stack([ne, altitude]))
+    away = column_distance_m(replace(known, upper_m=tops(known)), np.column_stack([ne, altitude]))
     assert (away >= clearance_m - 1e-6).all()
+
+
+@pytest.mark.parametrize("parts", [1.0, 4.0], ids=["half cells", "whole cells"])
+@given(seed=seeds, share=st.floats(0.02, 1.0))
+def test_the_safe_surface_counts_terrain_as_at_most_two_of_its_cells_nearer_than_it_is(
+    parts: float, seed: int, share: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    known = replace(random_map(rng), cell_m=CELL_M / parts)
+    # up to there half cells are worth their time; the rest of the map is within reach of no point
+    clearance_m = share * (260.0 if parts == 1.0 else 1_000.0 / parts)
+    surface = surface_over(known, clearance_m, parts)
+    ne, low = near_middle(rng, 200, 100.0) / parts, np.arange(CELLS) * known.cell_m
+    north, east = (
+        np.maximum(np.maximum(low - p, p - low - known.cell_m) - 2.0 * surface.cell_m, 0.0)
+        for p in ne.T[:, :, None]
+    )
+    aside = np.hypot(north[:, :, None], east[:, None, :])
+    ball = np.sqrt(np.maximum(clearance_m**2 - aside**2, 0.0))
+    strictest = np.where(aside < clearance_m, tops(known) + ball, -np.inf).max(axis=(1, 2))
+    assert (surface.altitude_m(ne[:, 0], ne[:, 1]) <= strictest + 1e-3).all()
+    assert surface.cell_m in (known.cell_m, known.cell_m / 2.0)
 
 
 def endless(known: KnownMap) -> KnownMap:

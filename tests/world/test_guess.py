@@ -1,12 +1,15 @@
 """The guess of unseen terrain: what it agrees with, what bounds it, and that no proof reads it."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import RBFInterpolator
 
 from companion.config import load_mission
 from companion.geodesy import BoolArray, FloatArray
+from companion.world import guess
 from companion.world.columns import safe_surface
 from companion.world.guess import guessed_m
 from companion.world.known_map import KnownMap, empty_map
@@ -70,6 +73,34 @@ def test_a_wall_goes_on_beyond_what_was_seen_of_it_from_wherever_it_is_looked_at
         believed = guessed_m(known, here, R)[beyond]
         assert len(believed)
         assert believed.min() > 4e3
+
+
+def test_it_is_the_kriging_of_another_implementation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """scipy's radial basis functions of a Gaussian, with the noise as smoothing."""
+    monkeypatch.setattr(guess, "_SCALES", (4.0,))
+    terrain = peak(20e3, 24e3, 4e3, 5e3) + peak(12e3, 20e3, 2e3, 4e3)
+    known = seen_where(terrain, disc(8e3))
+    size = 4  # cells, a twentieth of R
+    seen = known.seen.reshape(40, size, 40, size).sum(axis=(1, 3))
+    total = (terrain * known.seen).reshape(40, size, 40, size).sum(axis=(1, 3))
+    height = total / np.maximum(seen, 1)
+    chosen = np.argwhere(seen >= 0.5 * size * size)
+    rise = height[tuple(chosen.T)]
+    plain = np.quantile(rise, 0.02)
+    monkeypatch.setattr(guess, "_rim", lambda seen, *_: np.argwhere(seen))  # not thinned
+    ours = guessed_m(known, HERE, R)
+    theirs = RBFInterpolator(
+        (chosen + 0.5) * size * CELL,
+        rise - plain,
+        kernel="gaussian",
+        epsilon=1.0 / (math.sqrt(2.0) * 0.2 * R),
+        smoothing=0.02**2,
+        degree=-1,
+    )
+    points = np.stack([np.broadcast_to(NORTH, (160, 160)), np.broadcast_to(EAST, (160, 160))], -1)
+    unseen = ~known.seen & disc(14e3)
+    expected = plain + theirs(points[unseen])
+    np.testing.assert_allclose(ours[unseen], expected, atol=1e-6 * rise.max())
 
 
 def test_no_proof_reads_a_guess() -> None:
