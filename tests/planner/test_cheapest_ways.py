@@ -156,3 +156,56 @@ def test_where_nothing_has_changed_nothing_is_looked_at_and_far_changes_are_not_
     grid.cost[-1] = 250.0  # in the far corner
     changed[-1] = True
     assert 0 < repair(grid, costs, touched_by(grid, changed)) < 60
+
+
+@given(seed=st.integers(0, 10**6))
+def test_what_is_needed_is_the_most_that_the_way_asks_for_less_what_can_be_climbed(
+    seed: int,
+) -> None:
+    rng = np.random.default_rng(seed)
+    grid = a_grid(rng, 12, 10)
+    grid.lowest_m[:] = rng.uniform(100.0, 200.0, len(grid.lowest_m))
+    costs, steepness = solved(grid, {35: 0.0, 77: 12.0}), 0.3
+    target = 7.0, 11.0, 180.0
+    window = 2, 11, 0, 9
+    most_m = float(np.quantile(costs.cost, 0.8))
+    needed_m = compiled(cheapest_ways.needed_m)(grid, costs, window, most_m, steepness, target)
+    lowest_m = grid.lowest_m.reshape(23, 19)
+    for row in range(window[0], window[1]):
+        for column in range(window[2], window[3]):
+            way = cheapest_ways.way_from(grid, costs, row * 10 + column).tolist()
+            places = [(2 * (u // 10), 2 * (u % 10)) for u in way]
+            most, flown_m = float(lowest_m[places[0]]), 0.0
+            if costs.cost[row * 10 + column] > most_m:
+                assert needed_m[row - 2, column] == most
+                continue
+            for a, b in itertools.pairwise(places):
+                far_m = STEP_M * math.dist(a, b)
+                for p in range(1, 9):
+                    i, j = (
+                        math.floor(x + (y - x) * p / 8 + 0.5) for x, y in zip(a, b, strict=True)
+                    )
+                    most = max(most, lowest_m[i, j] - steepness * (flown_m + far_m * p / 8))
+                flown_m += far_m
+            flown_m += STEP_M * math.dist(places[-1], target[:2])
+            most = max(most, target[2] - steepness * flown_m)
+            assert needed_m[row - 2, column] == pytest.approx(most, abs=1e-9)
+
+
+@given(seed=st.integers(0, 10**6))
+def test_costly_points_beside_free_ones_cost_what_these_do_and_on_a_thin_wall_the_dearest(
+    seed: int,
+) -> None:
+    """Else what costs less beyond the wall draws towards it, and it is flown along."""
+    rng = np.random.default_rng(seed)
+    before = rng.choice([10.0, 20.0, 300.0], (9, 7)) + rng.random((9, 7))
+    costly, after = rng.random((9, 7)) < 0.6, before.copy()
+    compiled(cheapest_ways.smooth_edges)(after, costly, 50.0)
+    assert (after[~costly] == before[~costly]).all()
+    for i, j in np.argwhere(costly).tolist():
+        near = slice(max(i - 1, 0), i + 2), slice(max(j - 1, 0), j + 2)
+        free = before[near][~costly[near]]
+        most = math.inf
+        if len(free):
+            most = free.max() if np.ptp(free) > 50.0 else free.mean()
+        assert after[i, j] == pytest.approx(min(before[i, j], most))

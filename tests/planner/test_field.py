@@ -262,6 +262,26 @@ def test_everything_is_finite_wherever_it_is_asked_from(
     assert math.isfinite(value(field, here))
 
 
+@given(bearing=st.floats(-math.pi, math.pi), depth=st.floats(1_500.0, 7_000.0),
+       threat=st.sampled_from(["radar", "circle", "hill"]), begins=st.booleans())  # fmt: skip
+def test_a_threat_is_left_and_entered_by_the_short_way(
+    bearing: float, depth: float, threat: str, begins: bool
+) -> None:
+    middle, out = np.array([30e3, 30e3]), 9e3
+    hill = np.where(np.hypot(NORTH - 30e3, EAST - 30e3) < out - 530.0, 9e3, 0.0)
+    task, known = {
+        "radar": (a_task(radars=(radar(30e3, 30e3, math.hypot(out, FLOOR)),)), FREE),
+        "circle": (a_task(zones=(circle(30e3, 30e3, out - 530.0),)), FREE),
+        "hill": (TASK, seen(TASK, hill)),
+    }[threat]
+    inner = middle + (out - depth) * np.array([math.cos(bearing), math.sin(bearing)])
+    ends = [tuple(inner.tolist()), (57e3, 30e3)][:: 1 if begins else -1]
+    points = along(cost_to_go(known, task, *ends).route_ne_m)[:: 1 if begins else -1]
+    way = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
+    is_inside = np.hypot(*(points - middle).T) < out
+    assert way[np.argmin(is_inside)] < 1.15 * depth + 1.0 * CELL
+
+
 @pytest.mark.parametrize(("here", "radius_m", "expected"), [
     ((0.0, 0.0), 5.0, (1.0, 0.0)), ((0.0, 0.0), 10.0, (8.0, 6.0)), ((0.0, 0.0), 17.0, (15.0, 8.0)),
     ((0.0, 0.0), 50.0, (30.0, 8.0)), ((1.0, 0.0), 0.5, (30.0, 7.0)),

@@ -30,6 +30,10 @@ def a_leg(rng: np.random.Generator, length_m: float, climb: float = 0.0) -> Leg:
     return leg_of(control)
 
 
+def straight_on(north_m: float) -> Leg:
+    return leg_of(np.outer(np.linspace(0.0, 1.0, 4), [north_m, 0.0, 0.0]))
+
+
 def rest_ne_m(leg: Leg, from_m: float, count: int) -> FloatArray:
     """So many points of what is left of it.  (count, 2)."""
     return leg.subpath.points_nea_m(np.linspace(from_m, leg.subpath.length_m, count))[:, :2]
@@ -63,6 +67,32 @@ def test_a_leg_comes_too_near_where_dense_samples_do(seed: int, required_m: floa
         assert gap_m < required_m + 2.0
     else:
         assert gap_m >= 0.998 * required_m - 0.01
+
+
+def fence(edge_m: float) -> PolygonZone:
+    corners = (-1e4, edge_m), (3e4, edge_m), (3e4, 5e3), (-1e4, 5e3)
+    return PolygonZone(name="p", vertices_ne_m=corners)
+
+
+def needle(tip_m: float) -> PolygonZone:
+    """Its tip comes near to the path, off the middles of its pieces."""
+    corners = (7_010.0, tip_m), (7_009.0, 400.0), (7_011.0, 400.0)
+    return PolygonZone(name="p", vertices_ne_m=corners)
+
+
+BEHIND = CircleZone(name="c", north_m=5_000.0, east_m=0.0, radius_m=500.0)
+
+
+@pytest.mark.parametrize(("zone", "from_m", "required_m", "near"), [
+    (fence(515.0 - 1.5), 100.0, 515.0, True), (fence(515.0 - 1.1), 100.0, 515.0, True),
+    (fence(515.0), 100.0, 515.0, False), (fence(516.0), 100.0, 515.0, False),
+    (BEHIND, 5_599.0, 100.0, True), (BEHIND, 5_600.5, 100.0, False),
+    (needle(98.0), 0.0, 100.0, True), (needle(101.0), 0.0, 100.0, False),
+])  # fmt: skip
+def test_of_a_leg_at_just_the_required_distance_none_is_too_near(
+    zone: Zone, from_m: float, required_m: float, near: bool
+) -> None:
+    assert straight_on(20_000.0).nears((zone,), from_m, required_m) is near
 
 
 # --- rules that have changed
@@ -162,8 +192,7 @@ WALL = [(row, 42) for row in range(10, 110)]  # 0.5 m to the east of it
 def test_what_is_too_near_is_left_by_a_leg_that_leads_away_soon_and_to_nothing_else(
     length_m: float, cells: list[tuple[int, int]], meets: bool
 ) -> None:
-    leg = leg_of(np.outer(np.linspace(0.0, 1.0, 4), [length_m, 0.0, 0.0]))
-    assert leg.meets(near_map(*cells), 0.0, 1.0) is meets
+    assert straight_on(length_m).meets(near_map(*cells), 0.0, 1.0) is meets
 
 
 # --- routes
