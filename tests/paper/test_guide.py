@@ -58,6 +58,20 @@ def brute_force_guide(s: Place, t: Place, radars: list[Radar], overlap_m: float)
     return straight + (left if abs(left) < abs(right) else right)
 
 
+@pytest.mark.parametrize("off_m", [-100.0, -0.01, 0.01, 100.0])
+def test_circles_count_as_one_from_an_overlap_of_more_than_d_overlap_on(off_m: float) -> None:
+    """The paper's Fig. 2: SN round both circles, or SC between them."""
+    o1, apart = radar(50_000.0, -1_000.0, 10_000.0), 10_000.0 + 12_000.0 - 2_000.0 + off_m
+    o2 = radar(50_000.0, -1_000.0 + apart, 12_000.0)
+    s, t = (0.0, 0.0), (100_000.0, 0.0)
+    outer, alone = sorted(tangent_bearings(s, o1))
+    assert outer < 0.0 < alone < -outer
+    found = tangent_guide_rad(s, t, (o1, o2), 2_000.0)
+    assert found == pytest.approx(outer if off_m < 0.0 else alone)
+    beside = radar(50_000.0, 10_000.0 + 0.001 * off_m, 10_000.0)  # the line misses it, or not
+    assert (tangent_guide_rad(s, t, (beside,), 2_000.0) == 0.0) == (off_m > 0.0)
+
+
 @given(
     seed=st.integers(0, 10**6),
     overlap_m=st.sampled_from([0.0, 2_000.0, 6_000.0]),
