@@ -5,7 +5,6 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,8 +25,6 @@ HILLS = str(Path(__file__).parent / "hills" / "world.toml")
 HILLS_MISSION = str(Path(__file__).parent / "hills" / "mission.toml")
 BAD_LINK = ("--faults", str(Path(__file__).parent / "hills" / "faults.txt"))
 """Options of the simulator for the flight over the hills that all look at."""
-_SCENES: list[tempfile.TemporaryDirectory[str]] = []
-"""Gone when the tests end."""
 RUNNING: list[Program] = []
 """All that was started and not ended yet."""
 _ENVIRONMENT = dict(os.environ)
@@ -48,7 +45,7 @@ def each(*names: str, nightly: Container[str] = ()) -> pytest.MarkDecorator:
     )
 
 
-_NIGHTLY = ("upper-valley", "valley", "environment-1", "environment-2")
+_NIGHTLY = ("valley", "environment-1", "environment-2")
 EACH_SCENE = each("hills", *_NIGHTLY, nightly=_NIGHTLY)
 """The hills are of the same kind as the paper's environments, and a third as long."""
 NIGHTLY = pytest.mark.nightly
@@ -137,21 +134,9 @@ def flown_with(folder: Path, session: Session, vehicle: Simulation, **options: A
     return Recorded(folder=folder)
 
 
-@functools.cache
 def folder_of(scene: str) -> Path:
     """Where its world.toml and mission.toml are."""
-    if scene == "hills":
-        return Path(HILLS).parent
-    if scene != "upper-valley":
-        return ENVIRONMENTS / scene
-    _SCENES.append(tempfile.TemporaryDirectory())
-    folder, valley = Path(_SCENES[-1].name), ENVIRONMENTS / "valley"
-    for file in valley.iterdir():
-        if file.name != "mission.toml":
-            (folder / file.name).symlink_to(file)
-    past_the_village = ("north_m = -3850.0\neast_m = 800.0", "north_m = 675.0\neast_m = -1250.0")
-    edited(valley / "mission.toml", folder / "mission.toml", past_the_village)
-    return folder
+    return Path(HILLS).parent if scene == "hills" else ENVIRONMENTS / scene
 
 
 def flown_as(scene: str) -> tuple[str, ...]:
@@ -236,17 +221,13 @@ def short_mission(name: str, folder: Path) -> Path:
     """A bundled mission with a battery that lasts; of a copter it is shorter, with more joins."""
     changes = [("\n[end]\n", "\n[battery]\nreserve_percent = 2\n[end]\n")]
     if "plane" not in name:
-        last = "[[targets]]\nnorth_m = 60.0\neast_m = 150.0\n"
-        changes += [
-            (f"{axis}_max_m = 1400.0", f"{axis}_max_m = 600.0") for axis in ("north", "east")
-        ]
-        changes += [
-            (f"{axis}_min_m = -800.0", f"{axis}_min_m = -100.0") for axis in ("north", "east")
-        ]
+        for axis in ("north", "east"):
+            changes.append((f"{axis}_max_m = 1400.0", f"{axis}_max_m = 600.0"))
+            changes.append((f"{axis}_min_m = -800.0", f"{axis}_min_m = -100.0"))
         changes += [
             ("scan_range_m = 800.0", "scan_range_m = 200.0"),
             ("north_m = 600.0", "north_m = 300.0"),
             ("north_m = 500.0\neast_m = 700.0", "north_m = 300.0\neast_m = 400.0"),
-            (last, ""),
+            ("[[targets]]\nnorth_m = 60.0\neast_m = 150.0\n", ""),
         ]
     return edited(ENVIRONMENTS / name / "mission.toml", folder / f"{name}.toml", *changes)

@@ -15,7 +15,6 @@ from companion.planner.plan import plan
 from companion.runtime.compiler import load_kernel
 from companion.runtime.in_process import fly_in_process
 from companion.session import Session
-from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.run_folder import RunFolder
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import read_world
@@ -25,23 +24,17 @@ WORLD, MISSION, _, SEED = flown_as("hills")
 EPOCH_US = 1_700_000_000_000_000
 
 
-def flown_here(folder: Path, **options: Any) -> FlightSummary:
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The flight of the hills, over the same bad link."""
-    mission, world = load_mission(MISSION), read_world(Path(WORLD))
+    folder = tmp_path_factory.mktemp("here") / "run"
     faults = Path(BAD_LINK[1]).read_text(encoding="utf-8")
-    session = Session(mission, seed=int(SEED), lockstep=True, version=version("companion"))
+    us = Session(load_mission(MISSION), seed=int(SEED), lockstep=True, version=version("companion"))
+    vehicle = Simulation(read_world(Path(WORLD)), faults=faults)
     with RunFolder(
         folder, mission_toml=mission_text(MISSION), epoch_us=EPOCH_US, durable=False
     ) as run:
-        return fly_in_process(
-            session, Simulation(world, faults=faults), planner=plan, folder=run, **options
-        )
-
-
-@pytest.fixture(scope="module")
-def here(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("here") / "run"
-    flown_here(folder)
+        fly_in_process(us, vehicle, planner=plan, folder=run)
     return folder
 
 

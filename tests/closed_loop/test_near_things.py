@@ -9,9 +9,7 @@ from pathlib import Path
 import pytest
 import shapely
 from flights import ENVIRONMENTS, Recorded, edited, flown_here
-
-from companion.config import load_mission
-from companion.replay.reproduce import Replay
+from short_flight import replayed
 
 pytestmark = pytest.mark.closed_loop
 
@@ -75,19 +73,6 @@ def mission(folder: Path, *changes: tuple[str, str]) -> Path:
     return edited(forest, folder / "mission.toml", smaller, nearer, *changes)
 
 
-def arrived_clear(flight: Recorded) -> None:
-    """Every sample of the truth keeps d_s from all that stands there, and it is at the target."""
-    assert flight.outcome == "arrived"
-    in_air = [row for row in flight.truth if not row["landed"]]
-    assert len(in_air) > 100
-    points = shapely.points([(row["north_m"], row["east_m"]) for row in in_air])
-    trees, walls = shapely.points(TREES_NE_M), shapely.linestrings(WALLS_NE_M)
-    things = [(thing, TREE_M) for thing in trees] + [(thing, WALL_M) for thing in walls]
-    least_m = min(float(shapely.distance(points, thing).min()) - half for thing, half in things)
-    assert least_m >= SAFE_M
-    assert math.dist((in_air[-1]["north_m"], in_air[-1]["east_m"]), TARGET_NE_M) < 1.0
-
-
 @pytest.fixture(scope="module")
 def by_lidar(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """Its companion is killed between the trees, and started again."""
@@ -96,17 +81,24 @@ def by_lidar(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     return flown_here(folder / "run", garden(folder), mission(folder), faults=killed)
 
 
-def test_a_lidar_with_noise_and_lost_echoes_leads_through_the_gap(by_lidar: Recorded) -> None:
-    arrived_clear(by_lidar)
+def test_a_lidar_with_noise_and_lost_echoes_leads_clear_of_all_through_the_gap(
+    by_lidar: Recorded,
+) -> None:
+    """Every sample of the truth keeps d_s from all that stands there, and it is at the target."""
+    assert by_lidar.outcome == "arrived"
+    track = [(row["north_m"], row["east_m"]) for row in by_lidar.truth if not row["landed"]]
+    assert len(track) > 100
+    trees, walls = shapely.points(TREES_NE_M), shapely.linestrings(WALLS_NE_M)
+    things = [(thing, TREE_M) for thing in trees] + [(thing, WALL_M) for thing in walls]
+    for thing, half_m in things:
+        assert shapely.distance(shapely.points(track), thing).min() - half_m >= SAFE_M
+    assert math.dist(track[-1], TARGET_NE_M) < 1.0
 
 
 def test_that_flight_is_replayed_as_it_was(by_lidar: Recorded) -> None:
-    path = str(by_lidar.folder.parent / "mission.toml")
-    replay = Replay(by_lidar.folder, lambda start: load_mission(path, start.profile))
-    for _ in replay.steps():
-        pass
-    assert replay.found.is_identical, replay.found
-    assert replay.found.unrecorded == 0
+    found = replayed(by_lidar.folder)
+    assert found.is_identical, found
+    assert found.unrecorded == 0
 
 
 def test_killed_between_the_trees_and_started_again_it_learns_them_anew(by_lidar: Recorded) -> None:

@@ -24,21 +24,18 @@ HOLDS = {"BRAKE", "LOITER", "AUTO.LOITER", "HOLD"}
 ALONE_S, STOPS_WITHIN_M = 20.0, 12.0
 
 
-def arming(state: State) -> bool:
-    """It was asked to arm, and has not said yet that it is."""
-    return state.phase is Phase.ARMING and state.armed_by_us
-
-
-def on_the_ground(state: State) -> bool:
-    """Armed, in its take-off, and not in the air yet."""
-    return state.phase is Phase.TAKING_OFF
-
-
 def in_the_climb(state: State) -> bool:
     """Ten metres up."""
     here, home = state.vehicle.position_nea_m, state.vehicle.home_nea_m
     climbs = state.phase is Phase.TAKING_OFF and here is not None and home is not None
     return climbs and here[2] > home[2] + 10.0
+
+
+WHEN: dict[str, Callable[[State], bool]] = {
+    "arming": lambda state: state.phase is Phase.ARMING and state.armed_by_us,
+    "on the ground": lambda state: state.phase is Phase.TAKING_OFF,
+    "in the climb": in_the_climb,
+}
 
 
 def no_planner(*_: object) -> PlanOutcome:
@@ -53,20 +50,20 @@ def goes_on(vehicle: Simulation, seconds: float) -> None:
 
 
 @pytest.mark.parametrize("name", [PX4, *(pytest.param(each, marks=NIGHTLY) for each in OTHERS)])
-@pytest.mark.parametrize("when", [arming, on_the_ground, in_the_climb])
+@pytest.mark.parametrize("when", WHEN)
 @pytest.mark.parametrize("dies", [False, True], ids=["stopped", "a part dies"])
 def test_gone_in_its_take_off_it_leaves_the_vehicle_holding_or_disarmed(
-    name: str, when: Callable[[State], bool], dies: bool
+    name: str, when: str, dies: bool
 ) -> None:
     """No higher than it needs to stop, and held; or down, and disarmed."""
     session = Session(load_mission(name), seed=1, lockstep=True)
     vehicle = Simulation(read_world(ENVIRONMENTS / name / "world.toml"), seed=1)
 
     def goes() -> bool:
-        return not dies and when(session.state)
+        return not dies and WHEN[when](session.state)
 
     for _ in loop_in_process(session, vehicle, planner=no_planner, stop_asked=goes).turns():
-        if dies and when(session.state):
+        if dies and WHEN[when](session.state):
             break
     before_m, hold = vehicle.vehicle.altitude_amsl_m, b"".join(session.hold_frames())
     for wait_s in _HOLD_AGAIN_S if dies else ():

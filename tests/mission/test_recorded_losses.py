@@ -13,10 +13,9 @@ from copy import copy
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-import cut_logs
+import missions
 import numpy as np
 import pytest
-from cut_logs import COMPANION, VEHICLE
 from held import recorded
 from made_up_plans import planned
 from renewed import replace
@@ -34,6 +33,8 @@ from companion.planner.procedure import Leg
 from companion.planner.request import PlanOutcome
 from companion.session import Session
 
+VEHICLE, COMPANION = (1, 1), (1, 191)
+
 Span = tuple[float, float]
 
 
@@ -43,7 +44,7 @@ class Recording(NamedTuple):
     name: str
     autopilot: Autopilot
     mission: str
-    """About it (`cut_logs`)."""
+    """About it (`missions`)."""
     home_amsl_m: float
     custom_modes: tuple[int, int, int]
     """As its heartbeats tell them: guided, hold and land."""
@@ -138,7 +139,7 @@ def route(fault: Fault) -> FloatArray:
 
 def on_route(fault: Fault) -> Session:
     """On a path along the recorded route, far from its target."""
-    mission = cut_logs.mission(fault.of.mission)
+    mission = missions.mission(fault.of.mission)
     known = mission.known
     assert known is not None
     subpath = Subpath(control_nea_m=route(fault))

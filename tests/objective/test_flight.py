@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from planning import parameter_of, spline
 from scenes import LIMITS, R_M, RADAR_MARGIN_M, cube, random_scene
 
 from companion import objective
+from companion.geodesy import FloatArray
 from companion.objective import (
     LONGEST_R2,
     SHORTEST_END,
@@ -29,8 +29,6 @@ from companion.profiles import Weights
 from companion.world.columns import Surface
 from companion.world.radars import Radar
 from companion.world.zones import ZoneTable, polygon_at
-
-FloatArray = NDArray[np.float64]
 
 seeds = st.integers(0, 10**6)
 

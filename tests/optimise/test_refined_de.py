@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from companion.geodesy import FloatArray
 from companion.optimise import refined_de as names
-from companion.optimise.refined_de import Settings, State, ask, begin, others, ranked, spent, tell
+from companion.optimise.refined_de import Settings, State, ask, begin, ranked, spent, tell
 
-FloatArray = NDArray[np.float64]
 Cost = Callable[[FloatArray], float]
 
 D = 3
@@ -112,39 +111,6 @@ def test_every_mutant_is_equation_17_of_one_of_the_p_best_and_three_others(
         assert nearest(state.trial[i], mutants(state, i, a, best)) < 1e-12
 
 
-@pytest.mark.parametrize(("own", "cr"), [(0.0, 0.0), (0.3, 0.5), (0.9, 1.0)])
-def test_members_archive_and_variables_come_into_use_as_often_as_they_are_to(
-    own: float, cr: float
-) -> None:
-    """A share of mutants starts from the member itself, the others from each of the p best."""
-    from_itself, changed, x_best, x_3 = [], [], set[int](), set[bool]()
-    for seed in range(150):
-        state = started(SMALL._replace(own=own), seed)
-        x, order = members(state), np.argsort(state.costs)[:2].tolist()
-        for i in range(ask(state)):
-            apart = state.trial[i] - 0.5 * (x[i] + x[order])
-            pairs = itertools.permutations(np.delete(x, i, axis=0), 2)
-            from_itself.append(any(nearest(0.5 * (p - q), apart) < 1e-12 for p, q in pairs))
-        state = started(seed=seed, cr=cr)
-        n = ask(state)
-        changed += list(state.trial[:n] != state.population[:n])
-        state = started(seed=seed, a=0.4)
-        state.archive[0], state.now[names.KEPT] = 0.9, 1  # far away, so that its use shows
-        order = np.argsort(state.costs)[:2].tolist()
-        for i in range(ask(state) if seed < 60 else 0):
-            can_be = [mutants(state, i, 0.4, [members(state)[b]]) for b in order]
-            x_best |= {k for k in (0, 1) if nearest(state.trial[i], can_be[k]) < 1e-12}
-            x_3.add(bool((state.trial[i] < 0.4).any()))
-    # 1050 draws, 5 standard deviations
-    assert np.mean(from_itself) == pytest.approx(own, abs=0.08)
-    assert np.any(changed, axis=1).all()
-    # one of D for certain, the others with Cr; 1050 x 3 draws: 5 standard deviations are 0.05
-    expected = cr + (1 - cr) / D
-    assert np.mean(changed) == pytest.approx(expected, abs=0.06)
-    assert np.mean(changed, axis=0) == pytest.approx(np.full(D, expected), abs=0.1)
-    assert (x_best, x_3) == ({0, 1}, {True, False})
-
-
 @few
 @given(seed=st.integers(0, 10**6))
 def test_the_better_survives_and_the_trial_if_equal_and_beaten_parents_are_kept(seed: int) -> None:
@@ -186,33 +152,6 @@ def test_the_memory_takes_the_lehmer_mean_of_1_minus_a_and_the_mean_of_cr_weight
     assert (state.memory[1] != [0.5, 1.0]).all()
 
 
-def test_a_follows_cauchy_and_cr_a_normal_distribution_about_the_memory() -> None:
-    state = started(Settings(population=2_000, smallest=2_000), evaluations=6_000, a=0.4, cr=0.5)
-    n = ask(state)
-    assert n == 2_000
-    pull, cr = state.drawn[:n, 0], state.drawn[:n, 1]
-    # a quarter of Cauchy's deviates lie beyond one spread to each side; 5 deviations are 0.048
-    assert np.mean(pull > 0.7) == pytest.approx(0.25, abs=0.049)
-    assert np.mean(pull < 0.5) == pytest.approx(0.25, abs=0.049)
-    assert pull.min() >= 0.0
-    assert pull.max() == 1.0
-    assert np.mean(np.abs(cr - 0.5) < 0.1) == pytest.approx(0.683, abs=0.052)
-
-
-@given(size=st.integers(4, 9), more=st.integers(0, 3), i=st.integers(0, 8))
-def test_every_triple_of_others_is_equally_likely(size: int, more: int, i: int) -> None:
-    i, total = i % size, size + more
-    sides = [(np.arange(m) + 0.5) / m for m in (size - 1, size - 2, total - 3)]
-    triples = [others(i, size, total, *u) for u in itertools.product(*sides)]
-    possible = [
-        (r1, r2, r3)
-        for r1, r2 in itertools.permutations(range(size), 2)
-        for r3 in range(total)
-        if i not in (r1, r2, r3) and r3 not in (r1, r2)
-    ]
-    assert sorted(triples) == possible
-
-
 def test_the_population_begins_as_large_as_allowed_falls_linearly_and_its_worst_go() -> None:
     for evaluations, expected in ((10, 20), (600, 27), (3_000, 60), (10**6, 150)):
         assert Settings().members(evaluations) == expected
@@ -246,27 +185,3 @@ def test_a_search_told_infinity_above_its_bounds_is_the_same_search(
     for a, b in zip(ranked(whole), ranked(short), strict=True):
         assert a.tobytes() == b.tobytes()
     assert (whole.population == short.population).all()
-
-
-@few
-@given(seed=st.integers(0, 10**6), evaluations=st.integers(0, 400))
-def test_at_every_moment_the_best_so_far_is_known_and_the_budget_is_kept(
-    seed: int, evaluations: int
-) -> None:
-    state = begin(D, evaluations, NO_SEEDS, Settings(), np.random.default_rng(seed))
-    told: list[float] = []
-    assert ranked(state)[0].shape == (0, D)
-    while n := ask(state):
-        assert state.trial[:n].min() >= 0.0
-        assert state.trial[:n].max() <= 1.0
-        state.trial_costs[:n] = [rugged(x) for x in state.trial[:n]]
-        told += state.trial_costs[:n].tolist()
-        tell(state, n)
-        x, costs = ranked(state)
-        assert spent(state) == len(told)
-        assert costs[0] == min(told)
-        assert (np.diff(costs) >= 0.0).all()
-        assert [rugged(row) for row in x] == costs.tolist()
-        assert len(np.unique(x, axis=0)) == len(x)
-    assert len(told) == evaluations
-    assert ask(state) == 0

@@ -11,8 +11,6 @@ from companion.world.radars import Radar
 
 Place = tuple[float, float]
 
-S, T = (0.0, 0.0), (100_000.0, 0.0)
-
 
 def radar(north: float, east: float, range_m: float) -> Radar:
     return Radar(name=f"{north:.0f}/{east:.0f}", centre_nea_m=(north, east, 0.0), range_m=range_m)
@@ -32,10 +30,6 @@ def tangent_bearings(s: Place, r: Radar) -> list[float]:
 def turned(a: float, b: float) -> float:
     """The angle from b to a, in -pi to pi."""
     return math.atan2(math.sin(a - b), math.cos(a - b))
-
-
-def guide(*radars: Radar, overlap_m: float = 2_000.0, s: Place = S, t: Place = T) -> float:
-    return tangent_guide_rad(s, t, radars, overlap_m)
 
 
 def brute_force_guide(s: Place, t: Place, radars: list[Radar], overlap_m: float) -> float:
@@ -69,11 +63,13 @@ def test_circles_count_as_one_from_an_overlap_of_more_than_d_overlap_on(off_m: f
     """The paper's Fig. 2: SN round both circles, or SC between them."""
     o1, apart = radar(50_000.0, -1_000.0, 10_000.0), 10_000.0 + 12_000.0 - 2_000.0 + off_m
     o2 = radar(50_000.0, -1_000.0 + apart, 12_000.0)
-    outer, alone = sorted(tangent_bearings(S, o1))
+    s, t = (0.0, 0.0), (100_000.0, 0.0)
+    outer, alone = sorted(tangent_bearings(s, o1))
     assert outer < 0.0 < alone < -outer
-    assert guide(o1, o2) == pytest.approx(outer if off_m < 0.0 else alone)
+    found = tangent_guide_rad(s, t, (o1, o2), 2_000.0)
+    assert found == pytest.approx(outer if off_m < 0.0 else alone)
     beside = radar(50_000.0, 10_000.0 + 0.001 * off_m, 10_000.0)  # the line misses it, or not
-    assert (guide(beside) == 0.0) == (off_m > 0.0)
+    assert (tangent_guide_rad(s, t, (beside,), 2_000.0) == 0.0) == (off_m > 0.0)
 
 
 @given(
@@ -94,5 +90,5 @@ def test_the_guide_is_that_of_section_2_6_by_brute_force(
     radars = [radar(*place(*at), rng.uniform(3_000, 12_000)) for at in around]
     s, t = place(0.0, rng.uniform(-5e3, 5e3)), place(100e3, rng.uniform(-5e3, 5e3))
     expected = brute_force_guide(s, t, radars, overlap_m)
-    found = guide(*radars, overlap_m=overlap_m, s=s, t=t)
+    found = tangent_guide_rad(s, t, radars, overlap_m)
     assert turned(found, expected) == pytest.approx(0.0, abs=1e-9)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from companion.geodesy import FloatArray
 from companion.paper.optimisers import (
     ClassicalDE,
     DifferentialEvolution,
@@ -21,7 +21,6 @@ from companion.paper.optimisers import (
     three_others,
 )
 
-FloatArray = NDArray[np.float64]
 NP, D, GENERATIONS, MANY = 7, 3, 8, 40_000
 CHI = 0.7298437881283576  # the root for phi = 4.1, to all digits
 seeds = st.integers(0, 10**6)

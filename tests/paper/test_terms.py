@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from planning import limits
 
 from companion.paper.terms import VARIABLES, Scene, control_points, cost, cost_table
@@ -20,7 +19,6 @@ from companion.world.columns import Surface
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone, PolygonZone
 
-FloatArray = NDArray[np.float64]
 Point = tuple[float, float, float]
 
 R_M, D_S_M = 2_000.0, 60.0

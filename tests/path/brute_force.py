@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import planning
-from numpy.typing import NDArray
 from planning import ARDUCOPTER
 from planning import spline as curve
 from scipy.optimize import minimize, minimize_scalar
 
+from companion.geodesy import FloatArray
 from companion.path.certificate import Certificate, certify
 from companion.path.envelope import Envelope
 from companion.path.limits import Limits
@@ -26,8 +26,6 @@ from companion.world.radars import Radar
 from companion.world.simulated import true_map
 from companion.world.terrain import PeakTerrain
 from companion.world.zones import CircleZone, PolygonZone, Zone
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,14 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from planning import parameter_of, spline
 from scipy.integrate import quad
 from scipy.interpolate import BSpline
 
 from companion.path.subpath import Subpath, cubics_of, samples_at, uniform_basis
-
-FloatArray = NDArray[np.float64]
 
 EXPLICIT_KNOTS = {
     4: [0, 0, 0, 0, 1, 1, 1, 1],

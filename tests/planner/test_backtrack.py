@@ -1,3 +1,4 @@
+import math
 from dataclasses import replace
 from itertools import pairwise
 
@@ -79,8 +80,7 @@ def test_a_new_zone_on_the_way_ends_it_before_that(flight: OfflineFlight) -> Non
 
 def test_a_part_of_a_leg_and_a_corner_and_a_gap_are_joined() -> None:
     def line(*ends: tuple[float, float, float]) -> np.ndarray:
-        start, end = np.array(ends)
-        return np.asarray(start + np.linspace(0.0, 1.0, 5)[:, None] * (end - start))
+        return np.linspace(*ends, 5)
 
     first = line((1_000.0, 1_000.0, 500.0), (2_000.0, 1_000.0, 500.0))
     second = line((1_700.0, 1_000.02, 500.0), (1_700.0, 2_000.0, 500.0))  # about where it stopped
@@ -96,11 +96,8 @@ def test_a_part_of_a_leg_and_a_corner_and_a_gap_are_joined() -> None:
     corners = [(1_700.0, 1_420.0), (1_700.0, 1_400.0), (1_700.0, 1_000.0), (1_100.0, 1_000.0)]
     assert back.subpaths[0].control_nea_m[0] == pytest.approx([1_400.0, 1_420.0, 500.0], abs=0.5)
     for corner in corners:
-        near = [np.hypot(end[0] - corner[0], end[1] - corner[1]) for end in ends]
-        assert min(near) < 1.0
-    for subpath, through, after in zip(
-        back.subpaths, back.through, back.subpaths[1:], strict=False
-    ):
+        assert min(math.dist(end[:2], corner) for end in ends) < 1.0
+    for through, (subpath, after) in zip(back.through, pairwise(back.subpaths), strict=False):
         assert (subpath.control_nea_m[-1] == after.control_nea_m[0]).all()
         turn = subpath.pose(subpath.length_m).tangent_nea @ after.pose(0.0).tangent_nea
         assert through == (turn > 0.99)

@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from companion.geodesy import FloatArray
 from companion.jit import compiled
 from companion.planner import cheapest_ways
 from companion.planner.cheapest_ways import Costs, Grid
 
-FloatArray = NDArray[np.float64]
 Window = tuple[int, int, int, int]
 HERE = np.array([0])
 STEP_M = 10.0

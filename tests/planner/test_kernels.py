@@ -1,5 +1,4 @@
 import ast
-import math
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +7,6 @@ from planning import TASK, TRUTH, ask
 from scenes import cube, random_scene
 
 from companion import jit
-from companion.optimise import refined_de
 from companion.planner import kernels
 from companion.planner.plan import plan
 from companion.planner.request import Planned
@@ -48,17 +46,6 @@ def test_plain_python_makes_the_same_plan(
     for name in ("clearance_m", "keep_out_m", "dead_man_m", "turn_radius_m", "climb_angle_rad"):
         one, other = getattr(fast.certificate, name), getattr(slow.certificate, name)
         assert one == pytest.approx(other, rel=1e-6), name
-
-
-def test_a_search_ends_with_the_generation_in_which_its_evaluations_are_spent() -> None:
-    rng = np.random.default_rng(1)
-    scene = random_scene(rng, samples=12)
-    state = refined_de.begin(scene.variables, 900, cube(rng, scene, 5), refined_de.Settings(), rng)
-    generation = len(state.population)
-    for until in (300, 600, 900):
-        kernels.search(state, scene, until)
-        assert until <= refined_de.spent(state) <= min(until + generation, 900)
-    assert math.isfinite(float(refined_de.ranked(state)[1][0]))
 
 
 # --- what the cache on disk depends on

@@ -61,17 +61,6 @@ def test_who_gets_on_flies_on_whatever_it_owes() -> None:
     assert through.progress.owed_m <= owed_m
 
 
-@pytest.mark.parametrize("start_nea_m", [(46e3, 33.6e3, 3_700.0), (46e3, 33.2e3, 3_760.0)])
-def test_of_climbs_that_cost_the_same_the_longest_is_flown(
-    start_nea_m: tuple[float, float, float],
-) -> None:
-    """Beside the gap, below its height: a piece of 480 m is as cheap, and ends in a stop, too."""
-    climbs = plan(at_the_mouth(2_332.0, owed_m=0.0, start_nea_m=start_nea_m))
-    assert isinstance(climbs, Planned)
-    assert climbs.is_escape
-    assert climbs.subpath.length_m > 3_000.0
-
-
 @pytest.mark.parametrize("owed_m", [0.0, 300.0])
 def test_a_way_out_of_what_is_too_near_pays_nothing_back(owed_m: float) -> None:
     """Else a mission that begins each round with one would go round for ever."""

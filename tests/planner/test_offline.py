@@ -7,12 +7,8 @@ from planning import TASK, TRUTH, fly
 
 from companion.planner.offline import OfflineFlight, usual_most_legs
 from companion.planner.plan import plan
-from companion.planner.procedure import Leg, Vector
 from companion.planner.progress import NO_PROGRESS
 from companion.planner.request import NotPlanned, PlanOutcome, PlanRequest, Refusal
-from companion.planner.settings import Task
-from companion.world.known_map import KnownMap, Scan
-from companion.world.simulated import simulated_scan
 
 START = (800.0, 800.0, 450.0)
 TARGET = (7_200.0, 7_000.0)
@@ -105,11 +101,8 @@ def test_a_flight_that_runs_out_of_legs_stops_and_says_so_and_how_to_go_on(
     assert cut.failure.refusal is Refusal.TOO_MANY_LEGS
     assert "most_legs" in cut.failure.refusal.value
     assert (len(cut.legs), len(cut.scans_nea_m), cut.holds) == (2, 2, 1)
-    lengths_m = cut.legs[0].successor_at_m, cut.legs[1].subpath.length_m
-    assert cut.flown_m == pytest.approx(lengths_m)
+    assert cut.flown_m[-1] == pytest.approx(cut.legs[1].subpath.length_m)
     assert len(flight.legs) < usual_most_legs(TASK, START, (TARGET,))
-    far, least = ((TARGET[0] + 1e6, TARGET[1]), TARGET), 2e6 / TASK.settings.scan_range_m
-    assert least < usual_most_legs(TASK, START, far) < 20.0 * least
 
 
 def test_a_leg_without_a_successor_is_flown_to_its_end_where_attempts_are_counted_anew() -> None:
@@ -140,32 +133,3 @@ def test_targets_are_reached_in_their_order_with_a_stop_at_each() -> None:
         reached, stands = reached + leg.reaches_target, leg.reaches_target
         assert flown_m == leg.subpath.length_m or not stands
     assert flight.holds == 0
-
-
-class StoppedOnce:
-    """In place of what is on board: it stops half way on the first leg to the target."""
-
-    def __init__(self, task: Task, truth: KnownMap) -> None:
-        self._truth, self._range_m = truth, task.settings.scan_range_m
-        self.stopped: Leg | None = None
-
-    def scan(self, at_nea_m: Vector, *, at_rest: bool) -> tuple[Scan, float]:
-        return simulated_scan(self._truth, at_nea_m, self._range_m), 1.0 if at_rest else 0.0
-
-    def flies(
-        self, leg: Leg, from_m: float, until_m: float, *, goes_on: bool
-    ) -> tuple[float, float]:
-        if goes_on or self.stopped is not None or not leg.reaches_target:
-            return until_m, until_m - from_m
-        self.stopped = leg
-        return 0.5 * until_m, 0.5 * until_m - from_m
-
-
-def test_a_target_is_not_reached_by_a_leg_to_it_that_is_stopped_on_the_way() -> None:
-    on_board = StoppedOnce(TASK, TRUTH)
-    flight = fly(TASK, TRUTH, START, TARGET, seed=3, on_board=on_board)
-    stopped, last = (leg for leg in flight.legs if leg.reaches_target)
-    half_m = 0.5 * stopped.subpath.length_m
-    assert (on_board.stopped, flight.holds) == (stopped, 1)
-    assert flight.scans_nea_m[-1] == stopped.subpath.pose(half_m).point_nea_m
-    assert flight.flown_m[-2:] == [half_m, last.subpath.length_m]

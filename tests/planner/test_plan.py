@@ -1,34 +1,25 @@
 """One plan: it is proven and passes a check that shares nothing with the proof, or says why not."""
 
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import count
 from typing import Any
 
 import numpy as np
 import pytest
 from brute_force import violations
-from numpy.typing import NDArray
-from planning import BLANK, TASK, TRUTH, column_distance_m, hills
+from planning import BLANK, TASK, TRUTH, column_distance_m
 from planning import ask as asked
 
-from companion import jit
-from companion.objective import Scene
-from companion.optimise import refined_de
-from companion.optimise.refined_de import State
-from companion.optimise.registry import OPTIMISERS
 from companion.path.envelope import ending_m_s, rising_m_s, slowing_m
 from companion.path.subpath import Pose
-from companion.planner import kernels
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg, hover_pose
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal, Rest
 from companion.planner.settings import Task
-from companion.world.known_map import KnownMap, empty_map
-from companion.world.simulated import true_map
+from companion.world.known_map import KnownMap
 from companion.world.zones import PolygonZone
 
-FloatArray = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 START = (1_000.0, 1_000.0, 450.0)
@@ -160,15 +151,6 @@ def test_a_target_within_reach_is_the_end_and_one_beyond_is_left_room_for_the_la
         assert math.dist(end, target) >= 2.0 * TASK.limits.turn_radius_m
 
 
-def test_a_target_on_unknown_ground_is_not_an_end() -> None:
-    target, known = (2_000.0, 2_000.0), replace(TRUTH, upper_m=TRUTH.upper_m.copy())
-    known = replace(known, seen=TRUTH.seen.copy())
-    known.upper_m[known.cell_of(*target)] = np.inf
-    known.seen[known.cell_of(*target)] = False
-    outcome = plan(ask(TASK, known, target_ne_m=target))
-    assert isinstance(outcome, NotPlanned) or not outcome.reaches_target
-
-
 @pytest.mark.parametrize("off_m", [0.0, 0.5, 30.0])
 def test_a_target_where_the_vehicle_is_gives_a_path_of_numbers_or_no_path(off_m: float) -> None:
     with np.errstate(all="ignore"):
@@ -185,22 +167,6 @@ def test_a_plan_leads_as_far_as_is_seen_and_about_along_the_guide() -> None:
     for way in (outcome.subpath.pose(0.0).tangent_nea, (north, east)):
         off_rad = math.remainder(math.atan2(way[1], way[0]) - outcome.guide_rad, math.tau)
         assert abs(off_rad) < 0.6
-
-
-def test_what_stands_flies_less_than_l_where_no_more_is_seen() -> None:
-    """It will stop there, and see on."""
-    known = empty_map(BLANK.cell_m, (0.0, 8_000.0), (0.0, 8_000.0))
-    known.upper_m[28:52, 28:52] = 100.0  # 300 m around the start
-    short = planned(ask(alone(TASK), known))
-    assert 50.0 < short.subpath.length_m < TASK.scan_distance_m
-    assert violations(short.subpath.control_nea_m, alone(TASK), known, from_rest=True) == []
-
-
-def test_a_proven_way_up_to_the_target_is_taken_though_a_near_end_looks_cheaper() -> None:
-    """From the near end it could only fly past: the cost-to-go knows nothing of turns."""
-    known = true_map(hills((4e3, 4e3, 500.0, 400.0, 400.0), ground_m=100.0), BLANK)
-    where = flying((2_770.0, 4_000.0, 310.001), 20.0)
-    assert planned(ask(alone(TASK), known, **where, target_ne_m=(3_770.0, 4_000.0))).reaches_target
 
 
 # --- when there is none
@@ -232,31 +198,15 @@ def test_a_question_without_an_answer_is_refused_at_once_with_its_reason(
     assert "; " in refusal.value  # the reason, and what helps
 
 
-def walls_about_the_start(from_m: float, gap_rad: float) -> KnownMap:
-    """A ring of walls that is wider than an end is away, over a plain, with a gap."""
-    north, east = (at - 1_000.0 for at in TRUTH.middles_m())
-    away_m, bearing = np.hypot(north, east), np.arctan2(east, north)
-    ring = (away_m > from_m) & (away_m < 900.0) & (np.abs(bearing + 2.0) > gap_rad)
-    return replace(TRUTH, upper_m=np.where(ring, 690.0, 100.0))
-
-
 def test_in_a_ring_of_walls_nothing_is_proven_and_more_is_evaluated_with_each_attempt() -> None:
-    shut = walls_about_the_start(120.0, -1.0)
-    request = ask(budget(60, cell_m=TRUTH.cell_m), shut)
+    north, east = TRUTH.middles_m()
+    away_m = np.hypot(north - START[0], east - START[1])
+    ring = np.where((away_m > 120.0) & (away_m < 900.0), 690.0, 100.0)
+    request = ask(budget(60, cell_m=TRUTH.cell_m), replace(TRUTH, upper_m=ring))
     found = [refused(replace(request, attempt=attempt)) for attempt in (0, 1)]
-    for outcome in found:
-        assert outcome.refusal is Refusal.NOTHING_SAFE
-        assert outcome.broken
+    assert [outcome.refusal for outcome in found] == [Refusal.NOTHING_SAFE] * 2
+    assert all(outcome.broken for outcome in found)
     assert found[1].evaluations == 2 * found[0].evaluations
-
-
-def test_with_hardly_any_search_a_hovering_vehicle_finds_the_gap_in_a_wall() -> None:
-    """Three real flights gave up where a leg existed: their computers had no time to find it."""
-    shut = walls_about_the_start(250.0, 0.35)
-    outcome = planned(ask(budget(60), shut))
-    assert outcome.certificate.proven
-    slower = TASK.at_speed(outcome.speed_m_s)
-    assert violations(outcome.subpath.control_nea_m, slower, shut, from_rest=True) == []
 
 
 # --- where it is better to stop
@@ -333,43 +283,25 @@ def test_the_same_question_has_the_same_answer_and_another_seed_plan_or_attempt_
         assert not np.array_equal(a.subpath.control_nea_m, other.subpath.control_nea_m)
 
 
-@pytest.mark.parametrize("time_s", [0.1, 0.4, 1.0, 3.0, 10.0])
+@pytest.mark.parametrize("time_s", [0.1, 1.0, 10.0])
 def test_a_wider_search_has_more_time_where_the_vehicle_hovers_but_no_longer_than_3_s_or_t(
     time_s: float,
 ) -> None:
     task = budget(3000, planning_time_s=time_s)
+    most_s = max(3.0, time_s)
     for attempt in range(5):
         at_rest = ask(task, TRUTH, attempt=attempt).time_s
-        assert at_rest == pytest.approx(min((1 + 3 * attempt) * time_s, max(3.0, time_s)))
+        assert at_rest == pytest.approx(min((1 + 3 * attempt) * time_s, most_s))
         assert ask(task, TRUTH, attempt=attempt, from_rest=False).time_s == time_s
 
 
-def test_the_cost_is_the_weighted_sum_of_the_terms_that_are_reported() -> None:
-    outcome, weights = planned(ask(TASK, TRUTH)), asdict(TASK.settings.weights)
-    assert outcome.cost == pytest.approx(sum(a * outcome.terms[f] for f, a in weights.items()))
-    assert outcome.to_go == pytest.approx(weights["length"] * outcome.terms["to_go"])
-    assert outcome.to_go > 0.0
-
-
-@pytest.mark.parametrize("name", ["improved-de", "pso", "refined-de"])
-def test_the_optimiser_that_the_settings_name_searches(name: str) -> None:
-    """By its name, or given itself; the default is refined-de."""
-    made = list[int]()
-
-    def make(*given: Any) -> Any:
-        made.append(given[1])
-        return OPTIMISERS[name](*given)
-
-    default, named, own = (
+def test_any_optimiser_may_search_and_what_it_finds_is_held_to_the_same_proof() -> None:
+    pso, default = (
         planned(ask(budget(600, optimiser=optimiser), TRUTH, **IN_FLIGHT_BESIDE_A_HILL))
-        for optimiser in (None, name, make)
+        for optimiser in ("pso", None)
     )
-    found = [each.subpath.control_nea_m for each in (default, named, own)]
-    assert np.array_equal(found[0], found[1]) == (name == "refined-de")
-    assert made == [600] * own.tries
-    if name != "refined-de":  # which is searched in one call of compiled code
-        assert np.array_equal(found[1], found[2])
-    assert violations(found[1], TASK, TRUTH, from_rest=False) == []
+    assert not np.array_equal(pso.subpath.control_nea_m, default.subpath.control_nea_m)
+    assert violations(pso.subpath.control_nea_m, TASK, TRUTH, from_rest=False) == []
 
 
 @pytest.mark.parametrize("looks", [1, 2, 4])
@@ -384,23 +316,3 @@ def test_the_search_ends_with_the_first_look_at_the_clock_after_time_is_up(
     assert next(clock) - looks <= 5  # it does not go on with other ways
     if isinstance(outcome, Planned):
         assert violations(outcome.subpath.control_nea_m, TASK, TRUTH, from_rest=True) == []
-
-
-def test_evaluations_and_tries_are_those_of_the_plan_not_of_the_search_that_found_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Counted by the kernel, of plans that search again and keep what they had, or find nothing."""
-    compiled = jit.compiled
-    for degrees in range(0, 360, 60):
-        searched: dict[int, tuple[object, int]] = {}
-
-        def search(state: State, scene: Scene, until: int) -> None:
-            compiled(kernels.search)(state, scene, until)
-            searched[id(state)] = state, refined_de.spent(state)  # noqa: B023 - called in this turn
-
-        counted = {kernels.search: search}
-        monkeypatch.setattr(jit, "compiled", lambda f, by=counted: by.get(f) or compiled(f))
-        outcome = plan(ask(budget(60), TRUTH, **flying(START, degrees)))
-        assert outcome.evaluations == sum(spent for _, spent in searched.values())
-        if isinstance(outcome, Planned):
-            assert outcome.tries == len(searched)

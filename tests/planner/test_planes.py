@@ -7,11 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from planning import TERRAIN, ask, column_distance_m, fly, leg_of, limits, spline
 
-from companion.path.envelope import flown_on_m, stopping_m
-from companion.planner.loiter_search import loiter_point
 from companion.planner.offline import OfflineFlight
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg, Reference, follow, may_leave, off_path_m, sent_pose
@@ -20,8 +17,6 @@ from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated import true_map
 from companion.world.zones import CircleZone, PolygonZone, Zone
-
-FloatArray = NDArray[np.float64]
 
 V, LOITER = 20.0, 80.0
 LIMITS = limits(
@@ -69,23 +64,6 @@ def test_a_plane_arrives_and_may_circle_anywhere_on_its_way(
             assert inside_m >= REQUIRED_M + LOITER - 1e-6
 
 
-def test_a_leg_is_long_enough_for_the_point_that_the_plane_is_sent_to(
-    flight: OfflineFlight,
-) -> None:
-    lead_m = V * LIMITS.lead_s
-    assert TASK.tail_m >= lead_m + SETTINGS.safety_distance_m
-    time_s = SETTINGS.planning_time_s + SETTINGS.scan_time_s + 0.3
-    assert TASK.shortest_scan_distance_m == pytest.approx(V * time_s + lead_m + TASK.tail_m)
-    assert stopping_m(TASK.envelope, V) == 0.0
-    assert flown_on_m(TASK.envelope, V) == lead_m
-    for leg in flight.legs:
-        if leg.can_be_left:
-            sent_m = leg.scan_at_m + V * time_s + lead_m
-            assert sent_m <= leg.successor_at_m + 1e-6
-            assert leg.subpath.length_m - leg.successor_at_m >= lead_m
-    assert not leg_of(np.outer([0.0, 0.3, 0.6, 1.0], [200.0, 0.0, 0.0]), rules=TASK).can_be_left
-
-
 @pytest.mark.parametrize("aside_m", [0.0, 350.0, 450.0])
 def test_the_way_out_of_a_new_zone_ends_where_the_whole_circle_is_clear(
     truth: KnownMap, aside_m: float
@@ -96,13 +74,6 @@ def test_the_way_out_of_a_new_zone_ends_where_the_whole_circle_is_clear(
     assert outcome.evaluations == 0
     end = outcome.subpath.control_nea_m[-1]
     assert math.dist(end[:2], (1_500.0, 3_000.0)) >= 400.0 + LOITER + REQUIRED_M
-
-
-def test_a_refuge_is_the_preferred_place_if_that_is_clear(truth: KnownMap) -> None:
-    here, still = (1_000.0, 4_500.0, 450.0), (0.0, 0.0, 0.0)
-    in_zone, clear = (3_300.0, 4_300.0, 450.0), (1_200.0, 4_600.0, 450.0)
-    assert loiter_point(truth, TASK, here, still, clear) == clear
-    assert loiter_point(truth, TASK, here, still, in_zone) == pytest.approx(here)
 
 
 # --- where the plane is on its path

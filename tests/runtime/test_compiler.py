@@ -13,7 +13,7 @@ import pytest
 
 from companion import jit
 from companion.path.proof import prove
-from companion.planner import cheapest_ways, cost_samples, field, kernels
+from companion.planner import cheapest_ways, cost_samples, field, kernels, seeds
 from companion.runtime import compiler
 from companion.world import zones
 from companion.world.columns import dilated_m
@@ -44,6 +44,7 @@ def test_what_is_loaded_is_all_that_a_plan_calls(monkeypatch: pytest.MonkeyPatch
         *(kernels.search, kernels.costs, prove, dilated_m, zones.near_on_lattice),
         *(ways.repair, ways.needed_m, ways.lines_m, ways.straightened, ways.smooth_edges),
         *(samples.changed, samples.raise_to, samples.go_on, samples.fill),
+        seeds.places_along,
     }
 
 

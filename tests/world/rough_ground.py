@@ -13,9 +13,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from companion.geodesy import FloatArray
 from companion.world.known_map import NOT_SEEN, KnownMap, Scan, empty_map
 
-FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Point = tuple[float, float, float]
 

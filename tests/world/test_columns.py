@@ -6,20 +6,17 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from planning import column_distance_m
 from scipy.interpolate import RegularGridInterpolator
 
+from companion.geodesy import FloatArray
 from companion.world.columns import (
     Surface,
     distance_to_terrain_m,
     distances_to_terrain_m,
     safe_surface,
-    terrain_surface,
 )
 from companion.world.known_map import KnownMap, empty_map
-
-FloatArray = NDArray[np.float64]
 
 CELL_M, CELLS, UNKNOWN_M = 100.0, 24, 900.0
 MIDDLE = np.array([1_230.0, 1_170.0])
@@ -96,20 +93,6 @@ def test_the_safe_surface_counts_terrain_as_at_most_two_of_its_cells_nearer_than
     assert surface.cell_m in (known.cell_m, known.cell_m / 2.0)
 
 
-@pytest.mark.parametrize("centre", [(200.0, 2_300.0), (9e3, -9e3)])
-def test_ground_off_the_map_counts_as_unknown(centre: tuple[float, float]) -> None:
-    known, wide = (
-        empty_map(CELL_M, (0.0, 1e3), (0.0, 1e3)),
-        empty_map(CELL_M, (-1e4, 1e4), (-1e4, 1e4)),
-    )
-    one, other = (
-        safe_surface(each, centre_ne_m=centre, reach_m=900.0, clearance_m=170.0, unknown_m=700.0)
-        for each in (known, wide)
-    )
-    assert (one.vertex_m == other.vertex_m).all()
-    assert (one.vertex_m == 870.0).all()
-
-
 def endless(known: KnownMap) -> KnownMap:
     """The map with so much unknown ground about it that the points of a test see no end of it."""
     return replace(
@@ -157,22 +140,10 @@ def test_a_surface_is_bilinear_between_its_vertices_and_goes_on_as_at_its_edges(
         inside = np.stack([np.clip(north, -200.0, 200.0), np.clip(east, 300.0, 600.0)], axis=-1)
         expected = RegularGridInterpolator(axes, heights)(inside)
         assert surface.altitude_m(north, east) == pytest.approx(expected, abs=1e-3)
-    h, cell_n, cell_e = 0.1, rng.integers(0, 8, 30), rng.integers(0, 6, 30)
-    north = -200.0 + 50.0 * (cell_n + rng.uniform(0.01, 0.99, 30))
-    east = 300.0 + 50.0 * (cell_e + rng.uniform(0.01, 0.99, 30))
+    h, inside = 0.1, rng.uniform(0.01, 0.99, (2, 30))
+    north = -200.0 + 50.0 * (rng.integers(0, 8, 30) + inside[0])
+    east = 300.0 + 50.0 * (rng.integers(0, 6, 30) + inside[1])
     rise_n = surface.altitude_m(north + h, east) - surface.altitude_m(north - h, east)
     rise_e = surface.altitude_m(north, east + h) - surface.altitude_m(north, east - h)
     _, slope2 = surface.altitude_and_slope(north, east)
     assert slope2 == pytest.approx((rise_n**2 + rise_e**2) / (2 * h) ** 2, rel=1e-6, abs=1e-9)
-
-
-@given(seed=seeds)
-def test_the_terrain_surface_is_the_map_at_the_middles_of_cells_and_0_where_unknown(
-    seed: int,
-) -> None:
-    rng = np.random.default_rng(seed)
-    known, index = random_map(rng), rng.integers(6, 18, (40, 2))
-    surface = terrain_surface(known, centre_ne_m=tuple(MIDDLE.tolist()), reach_m=700.0)
-    upper = known.upper_m[index[:, 0], index[:, 1]]
-    expected = np.where(np.isfinite(upper), upper, 0.0)
-    assert surface.altitude_m(*((index + 0.5) * CELL_M).T) == pytest.approx(expected)

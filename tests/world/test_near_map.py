@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from companion.geodesy import FloatArray
 from companion.world.known_map import Lattice
 from companion.world.near_map import (
     FORGOTTEN_AFTER_S,
@@ -16,7 +16,6 @@ from companion.world.near_map import (
     cell_for_m,
 )
 
-FloatArray = NDArray[np.float64]
 LATTICE = Lattice(cell_m=0.25, north_min_m=-25.0, east_min_m=-25.0, shape=(200, 200))
 REACH_M, PERIOD_S = 16.0, 0.1
 NOTHING: FloatArray = np.full((1, 2), 100.0)
@@ -279,27 +278,6 @@ def test_what_was_met_for_a_moment_only_is_forgotten_and_unknown(
     near.add(sweep_of(FAR, clear_m=np.zeros(72), time_s=later_s))  # says nothing
     assert near.occupied()[cell] == is_remembered
     assert not near.free()[cell]
-
-
-def test_one_echo_of_a_wide_sector_blocks_its_arc_but_not_what_is_known_to_be_free() -> None:
-    """Eight sectors of 45 degrees, as ArduPilot passes them on (proximity.md 1).
-
-    Where all of the arc was free, it is something new, and blocks all of it.
-    """
-    turns = np.radians([-20.0, 0.0, 20.0])
-    arc = [LATTICE.cell_of(8.0 * math.cos(turn), 8.0 * math.sin(turn)) for turn in turns]
-    first_rad, distance = -math.radians(22.5), np.full(8, np.inf)
-    distance[0] = 8.0
-    for was_looked_at in (False, True):
-        near = NearMap(LATTICE)
-        looked(near, NOTHING, 5 if was_looked_at else 0)
-        near.add(sweep_of(distance, first_rad=first_rad, time_s=1.0))
-        assert all(near.occupied()[cell] and not near.free()[cell] for cell in arc)
-    near, points = NearMap(LATTICE), post(8.5, 0.0, 0.5)
-    looked(near, points, 5)
-    wide = nearest_m(points, 8, first_rad=first_rad)
-    near.add(sweep_of(wide, first_rad=first_rad, time_s=1.0))
-    assert near.free()[arc[2]]
 
 
 @pytest.mark.parametrize("seed", range(6))

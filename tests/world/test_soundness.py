@@ -7,9 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from rough_ground import (
-    CELL_M,
     COLUMNS,
     RANGE_M,
     ROWS,
@@ -26,17 +24,12 @@ from rough_ground import (
     with_losses,
 )
 
+from companion.geodesy import FloatArray
 from companion.world.known_map import NO_ANSWER, KnownMap, Scan, empty_map
 from companion.world.simulated import simulated_scan
-from vehicle_sim.elevation import GridTerrain
-from vehicle_sim.geodesy import LocalFrame, metres_per_degree
-from vehicle_sim.sensors.terrain_radar import UNSEEN_M, ScanRequest, TerrainRadar, Viewpoint
-
-FloatArray = NDArray[np.float64]
 
 BLOCK = 10
 BLOCKS, ALL_BLOCKS = 5, 1_000
-FRAME = LocalFrame(latitude_deg=0.0, longitude_deg=0.0)
 _ROUNDING_M = 1e-6
 
 
@@ -119,17 +112,6 @@ def moving(place: Ground, early: Scan, radar: Point, rng: np.random.Generator) -
     )
 
 
-def test_what_the_simulators_radar_does_not_see_is_below_its_bound(first: int) -> None:
-    place, rng = ground(first + first // BLOCK % 5)
-    tops = place.tops_m()
-    radar = radar_over(tops, rng)
-    scan = simulators_scan(place, radar)
-    known = check(scan, tops, f"terrain {first}")
-    check(with_losses(scan, rng, 0.1), tops, f"terrain {first}, with losses")
-    again = simulators_scan(place, radar_at_a_wall(place, rng))
-    check(again, tops, f"terrain {first}, two scans", known)
-
-
 @pytest.mark.parametrize(
     ("earth_m", "refraction"), [(6_371e3, 1.0), (6_336e3, 1.0), (6_371e3, 7 / 6)]
 )
@@ -174,10 +156,7 @@ def test_what_a_wall_beside_the_radar_hides_is_below_its_bound() -> None:
         cell_m = float(rng.choice([19.0, 250.0]))
         known = empty_map(cell_m, (0.0, 80 * cell_m), (0.0, 80 * cell_m))
         radar = (*(rng.uniform(39.0, 41.0, 2) * cell_m).tolist(), 500.0)
-        bearing, gap_m = (
-            float(rng.uniform(0.0, 2.0 * np.pi)),
-            float(rng.uniform(0.02, 1.3)) * cell_m,
-        )
+        bearing, gap_m = rng.uniform(0.0, 2.0 * np.pi), float(rng.uniform(0.02, 1.3)) * cell_m
         across = np.array([np.cos(bearing), np.sin(bearing)])
         along, rise_m = np.array([-across[1], across[0]]), float(rng.uniform(0.05, 0.6)) * gap_m
         half_m = 3.0 * cell_m
@@ -195,37 +174,3 @@ def test_what_a_wall_beside_the_radar_hides_is_below_its_bound() -> None:
         bounded += int((np.isfinite(after.upper_m) & hidden).sum())
         assert (after.upper_m >= ground).all()
     assert bounded > 10_000
-
-
-def simulators_scan(place: Ground, radar_nea_m: Point) -> Scan:
-    """Four requests to the simulator's radar, on the equator, where a map is hardly bent."""
-    step_m = CELL_M * ROWS / (len(place.nodes_m) - 1)
-    steps_deg = tuple(step_m / each for each in metres_per_degree(0.0))
-    terrain = GridTerrain(
-        place.nodes_m[::-1],
-        north_deg=steps_deg[0] * (len(place.nodes_m) - 1),
-        west_deg=0.0,
-        step_deg=(steps_deg[0], steps_deg[1]),
-        frame=FRAME,
-        area_m=(0.0, ROWS * CELL_M, 0.0, COLUMNS * CELL_M),
-    )
-    radar = TerrainRadar(terrain, FRAME, range_m=RANGE_M)
-    latitude_deg, longitude_deg = FRAME.to_geographic(*radar_nea_m[:2])
-    view = Viewpoint(
-        latitude_deg=latitude_deg, longitude_deg=longitude_deg, altitude_amsl_m=radar_nea_m[2]
-    )
-    heights = np.full((ROWS, COLUMNS), -np.inf)
-    for row in range(0, ROWS, 28):
-        for column in range(0, COLUMNS, 32):
-            corner = FRAME.to_geographic(row * CELL_M, column * CELL_M)
-            request = ScanRequest(
-                latitude_deg=corner[0],
-                longitude_deg=corner[1],
-                spacing_m=round(CELL_M),
-                mask=(1 << 56) - 1,
-            )
-            for bit, cells_m in radar.answer(request, view).items():
-                i, j = row + bit // 8 * 4, column + bit % 8 * 4
-                heights[i : i + 4, j : j + 4] = np.reshape(cells_m, (4, 4))
-    seen = heights != UNSEEN_M
-    return replace(scan_of(heights, seen, radar_nea_m), registration_m=1.0)

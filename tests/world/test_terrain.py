@@ -147,8 +147,7 @@ def test_no_point_of_heights_is_higher_than_the_bound_of_its_box(
 
 
 def test_beyond_its_edge_a_height_grid_goes_on_as_at_the_edge_and_bounds_are_tight() -> None:
-    terrain = random_grid(2, 10.0, 10.0)
-    far = np.array([-2e4, 2e4])
+    terrain, far = random_grid(2, 10.0, 10.0), np.array([-2e4, 2e4])
     corners = terrain.height_m(far, far)
     assert corners.tolist() == [terrain.heights_m[0, 0], terrain.heights_m[-1, -1]]
     assert terrain.highest_in_box_m(far, far + 19.0, far, far + 19.0).tolist() == corners.tolist()

@@ -7,9 +7,9 @@ import pytest
 import shapely
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from planning import zone_distance_m
 
+from companion.geodesy import FloatArray
 from companion.objective import may_be_near
 from companion.world.radars import Radar, detection_probability
 from companion.world.zones import (
@@ -26,7 +26,6 @@ from companion.world.zones import (
     zone_distance,
 )
 
-FloatArray = NDArray[np.float64]
 seeds = st.integers(0, 10**6)
 
 
