@@ -158,7 +158,7 @@ class Flown:
     sent: list[tuple[float, Any]] = field(default_factory=list)
     sent_to_another: list[tuple[float, Any]] = field(default_factory=list)
     """While the heartbeats of the recording tell another mode, after it was guided."""
-    was_anothers: bool = False
+    was_by_another: bool = False
     modes: list[tuple[float, Mode]] = field(default_factory=list)
     """Those that it asked for."""
     planned_s: list[float] = field(default_factory=list)
@@ -178,13 +178,13 @@ def flown(fault: Fault, obeys: bool) -> Flown:
     """
     it, reader, session, of = Flown(), codec(1), on_route(fault), fault.of
     answer: tuple[float, PlanOutcome] | None = None
-    heard_s, guided, anothers = fault.from_s, False, False
+    heard_s, guided, by_another = fault.from_s, False, False
     for at_s, message in inbound(of):
         mode = mode_told(of, message)
         guided |= mode is Mode.GUIDED
-        anothers &= mode is not Mode.GUIDED
+        by_another &= mode is not Mode.GUIDED
         if not fault.from_s <= at_s <= fault.end_s:
-            anothers |= guided and mode not in (None, Mode.GUIDED)
+            by_another |= guided and mode not in (None, Mode.GUIDED)
             continue
         frame = bytes(message.get_msgbuf())
         if obeys and it.modes and mode is Mode.GUIDED:
@@ -199,14 +199,14 @@ def flown(fault: Fault, obeys: bool) -> Flown:
         out = session.run()
         told = [reader.decode(bytearray(packed)) for packed in out.frames]
         it.sent += [(at_s, each) for each in told]
-        it.sent_to_another += [(at_s, each) for each in told if anothers]
+        it.sent_to_another += [(at_s, each) for each in told if by_another]
         asked = (mode_asked(of, each) for each in told)
         it.modes += [(at_s, each) for each in asked if each is not None]
         if out.plan is not None:
             it.planned_s.append(at_s)
             answer = (at_s + 0.5, planned(out.plan, 1000.0))  # which nobody flies
-        anothers |= guided and mode not in (None, Mode.GUIDED)
-        it.was_anothers |= anothers
+        by_another |= guided and mode not in (None, Mode.GUIDED)
+        it.was_by_another |= by_another
     return it
 
 
@@ -241,7 +241,7 @@ def test_it_lets_go_asks_for_hold_and_begins_nothing_at_a_wrong_position_or_in_a
         assert not [at_s for at_s in begun_s if since_s + SEEN_S < at_s < until_s]
     again = [at_s for at_s in it.leads_s if at_s > right_s]
     assert min(again, default=math.inf) > right_s + TRUSTED_AGAIN_S
-    assert it.was_anothers
+    assert it.was_by_another
     for at_s, message in it.sent_to_another:
         kind, command = message.get_type(), getattr(message, "command", ASKS[0])
         acts = kind in CHANGES or (kind.startswith("COMMAND_") and command not in ASKS)
