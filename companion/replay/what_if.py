@@ -19,6 +19,7 @@ from companion.planner.rules import newly_broken
 from companion.planner.settings import Task
 from companion.planning import plan
 from companion.replay.feed import MissionOf, answer_of, outputs
+from companion.views.words import metres_at_least
 
 
 @final
@@ -151,5 +152,5 @@ def what_if_table(found: Sequence[WhatIf]) -> RenderableType:
 def _sums(figures: Sequence[Figures]) -> str:
     cost = sum(each.cost or 0.0 for each in figures)
     length_m = sum(each.length_m or 0.0 for each in figures)
-    least_m = min((each.clearance_m or 0.0 for each in figures), default=0.0)
-    return f"cost {cost:.2f}, {length_m / 1000:,.2f} km, least proven clearance {least_m:,.0f} m"
+    least = metres_at_least(min((each.clearance_m or 0.0 for each in figures), default=0.0))
+    return f"cost {cost:.2f}, {length_m / 1000:,.2f} km, least proven clearance {least}"

@@ -14,7 +14,7 @@ from companion.mission.mission import EndAction, Mission
 from companion.path.certificate import Certificate
 from companion.planner.request import Planned
 from companion.telemetry.flight_summary import FlightSummary
-from companion.views.words import metres, rounded_down, share_of
+from companion.views.words import metres, metres_at_least, share_of
 
 _COLOURS = {CheckStatus.PASSED: "green", CheckStatus.NOTED: "yellow", CheckStatus.REFUSED: "red"}
 _LAST = {
@@ -155,7 +155,7 @@ def plans_table(plans: tuple[Planned, ...]) -> Table:
 def clearance_text(certificate: Certificate) -> str:
     """The clearance that is proven for a subpath, or which bounds are not."""
     proven = certificate.proven
-    return f"{rounded_down(certificate.clearance_m):,.0f} m" if proven else "not proven"
+    return metres_at_least(certificate.clearance_m) if proven else "not proven"
 
 
 def checks_table(checks: list[Check]) -> Table:

@@ -85,7 +85,7 @@ def test_a_mission_in_words_says_where_it_goes_and_what_is_known_and_proven(
 
 
 @given(st.floats(0.0, 30_000.0))
-def test_no_clearance_looks_larger_than_it_is(clear_m: float) -> None:
+def test_no_clearance_looks_larger_than_it_is_nor_much_smaller(clear_m: float) -> None:
     for said in (
         clearance_text(replace(PROVEN, clearance_m=clear_m)),
         metres_at_least(clear_m),
@@ -93,7 +93,7 @@ def test_no_clearance_looks_larger_than_it_is(clear_m: float) -> None:
     ):
         number, unit = said.replace(",", "").split()
         told_m = float(number) * {"m": 1.0, "km": 1000.0}[unit]
-        assert told_m <= clear_m + 1e-5
+        assert 0.98 * clear_m - 0.1 <= told_m <= clear_m + 1e-5
         assert told_m == pytest.approx(clear_m, rel=0.02, abs=1.0)
 
 
