@@ -25,6 +25,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import Voronoi
 
+from companion import extras
 from companion.entry_points import Parts
 from companion.errors import InputError
 from companion.geodesy import FloatArray
@@ -381,7 +382,8 @@ def rrt_star(problem: RouteProblem, rng: np.random.Generator) -> FloatArray | No
     It stops when so many lines have been costed, or asked for without being costed.  OMPL's own
     generator is seeded before each plan, so a plan is a function of problem and seed.
     """
-    from ompl import base, geometric, util  # an extra, and slow to import
+    extras.need("compare", "planner", "rrt-star")
+    from ompl import base, geometric, util  # slow to import
 
     corner, asked = problem.corner_ne_m, itertools.count(1)
 

@@ -218,3 +218,5 @@ def test_without_ompl_its_planner_names_the_extra(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(extras, "find_spec", lambda _name: None)
     with pytest.raises(InputError, match=r"factors.planner.*rrt-star.*ompl.*companion\[compare\]"):
         planner_of("rrt-star", "factors.planner")
+    with pytest.raises(InputError, match=r"planner.*rrt-star.*ompl"):  # taken by itself, too
+        PLANNERS["rrt-star"](problem_in(np.ones((9, 9))), np.random.default_rng(1))
