@@ -4,9 +4,9 @@
 
 The stream of setpoints ends, and a copy of the simulation flies on until the vehicle stands (a
 plane: until it has gone round).  Where it truly is must lie within what the certificates of its leg
-and of the leg before speak of: tube and navigation error about curve, stretches, circles.  A plane
-is sent to points ahead of it: shortly before p_prog they lie on the next leg, whose certificate
-counts, too.
+speak of, and of those before that it may still be on: tube and navigation error about curve,
+stretches, circles.  A plane is sent to points ahead of it: shortly before p_prog they lie on the
+next leg, whose certificate counts, too.
 """
 
 import itertools
@@ -116,6 +116,7 @@ class KilledFlight(Flight):
         super().__init__(mission, world, seed, faults)
         self._from_rest: dict[int, bool] = {}
         self._legs: list[Leg] = []
+        """The last one first."""
 
     def planned(self, request: PlanRequest) -> PlanOutcome:
         """Notes what was planned from rest."""
@@ -123,11 +124,15 @@ class KilledFlight(Flight):
         return super().planned(request)
 
     def step(self) -> None:
-        """Notes the leg, and the one before."""
+        """Notes the legs: a vehicle that is late may still be on one of those before."""
         super().step()
         leg = self.session.state.leg
-        if leg is not None and (not self._legs or self._legs[-1] is not leg):
-            self._legs = [*self._legs[-1:], leg]
+        if leg is None or (self._legs and leg is self._legs[0]):
+            return
+        before = [each for each in self._legs if each.number != leg.number]
+        behind_m = itertools.accumulate(each.successor_at_m for each in before)
+        late = sum(each_m < leg.motion.lag_m for each_m in behind_m)
+        self._legs = [leg, *before[: late + 1]]
 
     def killed(self) -> dict[str, Any]:
         """What comes of it in a copy without a companion."""
@@ -163,14 +168,14 @@ class KilledFlight(Flight):
                 turned_rad += abs(math.remainder(vehicle.heading_rad - heading_rad, math.tau))
                 heading_rad = vehicle.heading_rad
         where = np.array([*track[:: max(len(track) // 150, 1)], track[-1]])
-        state, legs = self.session.state, self._legs
+        state, legs, leg = self.session.state, self._legs, self._legs[0]
         path, at_m = state.path, state.reference.length_m
         points_m = at_m + lead_m(state, state.reference)
         if path and path.next_leg and points_m > path.leg.successor_at_m:
             legs = [path.next_leg, *legs]
         outside = np.full(len(where), math.inf)
-        for leg in legs:
-            told = proven(leg, from_rest=self._from_rest.get(leg.plan_id, False), near_m=at_m)
+        for each in legs:
+            told = proven(each, from_rest=self._from_rest.get(each.plan_id, False), near_m=at_m)
             outside = np.minimum(outside, told.outside_m(where))
         return {
             "at_s": began_s,
