@@ -21,7 +21,7 @@ from companion.mission.mission import Mission
 from companion.mission.phases import IN_AIR, OnPath, Phase, Reason
 from companion.mission.state import Flight, Orders, State, Targets, Way
 from companion.path.subpath import Subpath
-from companion.planner.procedure import Leg
+from companion.planner.procedure import Leg, Reference
 from companion.planner.request import FlownSegment, Refusal, control_points
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
@@ -36,7 +36,7 @@ LOST: Final = {"lost": "taking over without memory of the flight", "map_lost": "
 _AS_THEY_ARE: Final = ("airborne", "taken", "armed_by_us", "targets_ne_m")
 """Of the state, what is saved under its own name; and of the flight:"""
 _OF_FLIGHT: Final = ("target", "plan_id", "legs_flown", "stops", "departures", "route_ne_m")
-_OF_LEG: Final = ("number", "plan_id", "speed_m_s", "reaches_target", "through")
+_OF_LEG: Final = ("number", "plan_id", "speed_m_s", "p_prog", "reaches_target", "through")
 
 
 @final
@@ -50,6 +50,7 @@ class _Leg(Struct):
     through: bool
     rules: str
     control_nea_m: FloatArray
+    p_prog: Reference | None = None
 
     @staticmethod
     def of(leg: Leg) -> "_Leg":

@@ -4,6 +4,7 @@ Out: follow a leg, scan, plan, go on to the next.  Back: along the flown path (`
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -113,12 +114,11 @@ def _lead(state: State, stage: phases.Led, path: OnPath, event: Position, turn: 
     if stops and following.is_stopped(state, path):
         ends = _end_of_way if returns else _at_its_end
         return ends(state, stage, path, turn)
-    at_m, speed = path.reference.length_m, 0.0
-    if not hovers:
-        speed = math.hypot(*velocity[:2])
+    speed = 0.0 if hovers else math.hypot(*velocity[:2])
     if path.stop is not None or returns or not isinstance(stage, phases.Flying):
         return
-    if stage.search is None and path.leg.wants_successor(at_m, speed):
+    if stage.search is None and path.leg.wants_successor(path.reference, speed):
+        at_m = path.reference.length_m
         start_scan(stage, path.leg.subpath.pose(at_m).point_nea_m, turn)
 
 
@@ -209,7 +209,10 @@ def _on_scan(state: State, stage: phases.Flying, event: events.ScanDone, turn: T
     _warn_of_scan(state, event, turn)
     task, start, rest = state.task, hover_pose(scanning.from_nea_m), None
     if path is not None:
-        start, rest = path.leg.subpath.pose(path.leg.successor_at_m), path.leg.rest
+        p_prog = path.leg.leaves(path.reference)
+        if p_prog != path.leg.leaving:
+            path.leg = replace(path.leg, p_prog=p_prog)
+        start, rest = path.leg.subpath.pose(p_prog.length_m), path.leg.rest
     flight.plan_id += 1
     request = PlanRequest(
         plan_id=flight.plan_id,
@@ -293,7 +296,10 @@ def _no_successor(state: State, stage: phases.Flying, reason: Reason, turn: Turn
     flight = state.flight
     stage.shortfall = reason
     if stage.path is not None:
-        turn.warn(in_words(state, reason))
+        if state.task.settings.is_near:
+            stage.search = None  # it is asked for again, as long as this leg can be left
+        else:
+            turn.warn(in_words(state, reason))
         return
     come_to_rest(state, flight.hover_nea_m)
     flight.failures += 1
@@ -423,5 +429,5 @@ def _watch_leg(state: State, stage: phases.Flying, path: OnPath, at_m: float, tu
         following.switch_to_next_leg(state, path)
     elif leg.subpath.length_m - length_m < 1.0:
         come_to_rest(state)
-    elif stage.search is None and leg.wants_successor(length_m):
+    elif stage.search is None and leg.wants_successor(path.reference):
         start_scan(stage, leg.subpath.pose(length_m).point_nea_m, turn)

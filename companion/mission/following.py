@@ -58,23 +58,19 @@ def advance_reference(state: State, stage: phases.Led, path: OnPath, event: Posi
     """Advance the reference point by one position; at p_prog switch to the next leg."""
     vehicle, leg, before = state.vehicle, path.leg, path.reference
     here = np.asarray(event.position_nea_m)
-    task, slows_to_m_s, leaves_at_m = leg.task, math.inf, math.inf
+    slows_to_m_s, leaves_at_m = math.inf, math.inf
     if path.next_leg is not None:
         leaves_at_m = leg.successor_at_m
-    if leg.subpath.length_m < task.shortest_scan_distance_m and not state.flight.returning:
-        slows_to_m_s = leg.slows_to_m_s
     if vehicle.traits.hovers:
-        if path.next_leg is not None:  # for its first bends, too
-            pace_m_s = procedure.paced_m_s(path.next_leg.subpath, leg.motion, 0.0)
-            room_m = max(leaves_at_m - before.length_m, 0.0)
-            pace_m_s = math.sqrt(pace_m_s**2 + 2.0 * leg.motion.gaining_m_s2 * room_m)
-            slows_to_m_s = min(slows_to_m_s, pace_m_s)
+        if path.next_leg is not None:
+            room_m = leaves_at_m - before.length_m
+            slows_to_m_s = procedure.entering_m_s(path.next_leg, leg.motion, room_m)
         path.reference = procedure.advance(
             before,
             leg,
             vehicle.position_step_s,
             here,
-            goes_on=path.next_leg is not None,
+            goes_on=leg.through and path.next_leg is not None,
             until_m=math.inf if path.stop is None else path.stop.at_m,
             slows_to_m_s=slows_to_m_s,
         )
@@ -84,7 +80,7 @@ def advance_reference(state: State, stage: phases.Led, path: OnPath, event: Posi
         stage.progress_at_s = state.now_s
     path.circling = False
     if path.offset is not None:
-        path.offset = path.offset.after(vehicle.position_step_s, task.limits)
+        path.offset = path.offset.after(vehicle.position_step_s, leg.task.limits)
     if path.next_leg is not None and path.reference.length_m >= leaves_at_m - _ROUNDING_M:
         switch_to_next_leg(state, path)
 

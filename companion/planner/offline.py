@@ -15,7 +15,7 @@ from companion.geodesy import FloatArray
 from companion.path.envelope import stopping_m
 from companion.planner import procedure
 from companion.planner.procedure import Leg, Reference, Vector, hover_pose
-from companion.planner.progress import NO_PROGRESS
+from companion.planner.progress import NO_PROGRESS, SLACK
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.settings import Place, Task
 from companion.world.known_map import KnownMap, Scan
@@ -78,24 +78,42 @@ def fly_offline(
     flight, left_ne_m, settings = OfflineFlight(known=blank), [*targets_ne_m], task.settings
     most_legs = most_legs or usual_most_legs(task, start_nea_m, targets_ne_m)
 
-    def flies(until_m: float, *, goes_on: bool = False) -> bool:
+    def flies(until_m: float, next_leg: Leg | None = None, *, asks: bool = False) -> bool:
         """Fly on along the leg to a length, or to its end.  -> whether it is under way there.
 
-        Else it has stopped, at the end or for what it saw.  goes_on: the next leg begins there.
+        Else it has stopped, at the end or for what it saw.  next_leg: it begins there.
+        asks: only to where the next leg is asked for.
         """
         leg, from_m = flight.legs[-1], flight.flown_m[-1]
         end_m = until_m = min(until_m, leg.subpath.length_m)
+        is_under_way = next_leg is not None or until_m < leg.subpath.length_m
         took_s = (end_m - from_m) * procedure.paced_s_m(leg.subpath, leg.motion)
         if on_board is not None:
-            end_m, took_s = on_board.flies(leg, from_m, until_m, goes_on=goes_on)
+            flown = on_board.flies(leg, until_m, next_leg, asks=asks)
+            end_m, took_s, is_under_way = flown
         flight.seconds += took_s
         flight.flown_m[-1] = end_m
-        return end_m == until_m and (goes_on or until_m < leg.subpath.length_m)
+        return is_under_way
 
     ask = PlanRequest(
         plan_id=0, seed=seed, task=task, known=blank, scan_nea_m=start_nea_m,
         start=hover_pose(start_nea_m), from_rest=True, target_ne_m=left_ne_m[0],
     )  # fmt: skip
+
+    def asks() -> bool:
+        """Fly on to where the next leg is asked for.  -> whether it is under way there."""
+        nonlocal ask
+        leg = flight.legs[-1]
+        never = leg.reaches_target or not (leg.can_be_left or on_board)
+        if not flies(math.inf if never or on_board else leg.scan_at_m, asks=True):
+            return False
+        at = on_board.reference if on_board else Reference(length_m=flight.flown_m[-1])
+        leg = flight.legs[-1] = replace(leg, p_prog=leg.leaves(at))
+        scan_nea_m = leg.subpath.pose(at.length_m).point_nea_m
+        prog = leg.subpath.pose(leg.successor_at_m)
+        ask = replace(ask, scan_nea_m=scan_nea_m, start=prog, from_rest=False, rest=leg.rest)
+        return True
+
     while left_ne_m and ask.attempt < _MAX_ATTEMPTS:
         if len(flight.legs) < most_legs:
             if on_board is None:
@@ -113,18 +131,12 @@ def fly_offline(
         flight.failure = None
         if isinstance(outcome, Planned):  # to p_prog of the leg under way, then to the next p_scan
             ask = replace(ask, attempt=0, progress=outcome.progress)
-            if ask.from_rest or flies(flight.legs[-1].successor_at_m, goes_on=True):
-                leg = Leg.of(outcome, len(flight.legs) + 1, task)
+            leg = Leg.of(outcome, len(flight.legs) + 1, task)
+            if ask.from_rest or flies(flight.legs[-1].successor_at_m, leg):
                 flight.plans.append(outcome)
                 flight.legs.append(leg)
                 flight.flown_m.append(0.0)
-                scan_at_m = leg.scan_at_m if leg.wants_successor(math.inf) else math.inf
-                if flies(scan_at_m):
-                    scan_nea_m = leg.subpath.pose(scan_at_m).point_nea_m
-                    prog = leg.subpath.pose(leg.successor_at_m)
-                    ask = replace(
-                        ask, scan_nea_m=scan_nea_m, start=prog, from_rest=False, rest=leg.rest
-                    )
+                if asks():
                     continue
         else:
             assert isinstance(outcome, NotPlanned)  # the way back is never asked for
@@ -132,7 +144,10 @@ def fly_offline(
             if ask.from_rest:
                 ask = replace(ask, attempt=ask.attempt + 1)
                 continue
-            flies(math.inf)
+            if not on_board:
+                flies(math.inf)
+            elif flies(flight.legs[-1].successor_at_m) and asks():  # it is asked again
+                continue
         # it has stopped: at a target, at the end of a leg, or for what it saw
         leg, end_m = flight.legs[-1], flight.flown_m[-1]
         here = leg.subpath.pose(end_m).point_nea_m
@@ -149,6 +164,8 @@ def fly_offline(
 def usual_most_legs(task: Task, start_nea_m: Vector, targets_ne_m: tuple[Place, ...]) -> int:
     """Six times as many as a straight way has, or 150 if that is more."""
     leg_m = max(task.end_radius_m - task.tail_m, 0.1 * task.settings.scan_range_m)
+    if task.settings.is_near:
+        leg_m = SLACK * task.settings.scan_range_m
     ways = pairwise([start_nea_m[:2], *targets_ne_m])
     legs = sum(math.ceil(math.dist(*way) / leg_m) for way in ways)
     return max(_MIN_MOST_LEGS, _TIMES_AS_MANY * legs)
@@ -165,7 +182,8 @@ class OnBoard:
         self._sensor, self._scene, self._task, self._ground_m = sensor, scene, task, blank.guess_m
         self._top_m = top_amsl_m(task.limits.ceiling_amsl_m, sensor.range_m)
         self._now_s = self._heading_rad = 0.0
-        self._reference = Reference()
+        self.reference = Reference()
+        """Of the leg that is flown."""
 
     def scan(self, at_nea_m: Vector, *, at_rest: bool) -> tuple[Scan, float]:
         """What it has come to know since the last time, and the seconds of a rest that it took.
@@ -179,34 +197,46 @@ class OnBoard:
         return self.near.scan(self._ground_m, self._top_m), 0.0 if sets_out else rests_s
 
     def flies(
-        self, leg: Leg, from_m: float, until_m: float, *, goes_on: bool
-    ) -> tuple[float, float]:
-        """Look about along a part of a leg.  goes_on: the next leg begins at until_m.
+        self, leg: Leg, until_m: float, next_leg: Leg | None, *, asks: bool
+    ) -> tuple[float, float, bool]:
+        """Look about along a part of a leg.  next_leg: it begins at until_m.
 
-        -> until_m, or where it stopped for something, and the seconds that it took.
+        asks: to where the next leg is asked for.
+        -> where it comes to, the seconds that it took, and whether it is under way there: else it
+        has stopped, at the end or for something.
         """
-        if from_m == 0.0:  # a new one: it goes on at the speed at which the last one was left
-            self._reference = Reference(speed_m_s=self._reference.speed_m_s)
         task, step_s, began_s = self._task, 1.0 / self._scene.rate_hz, self._now_s
         kept_m = task.settings.safety_distance_m + task.limits.tracking_error_m
-        motion, slow = leg.motion, leg.slows_to_m_s
-        while self._reference.length_m < until_m and not procedure.is_at_end(self._reference, leg):
-            here = leg.subpath.pose(self._reference.length_m).position_nea_m
-            self._reference = procedure.advance(
-                self._reference, leg, step_s, here, goes_on=goes_on, slows_to_m_s=slow
+        motion, slows_m_s = leg.motion, math.inf
+        while self.reference.length_m < until_m and not procedure.is_at_end(self.reference, leg):
+            if asks and leg.wants_successor(self.reference):
+                return self.reference.length_m, self._now_s - began_s, True
+            here = leg.subpath.pose(self.reference.length_m).position_nea_m
+            if next_leg is not None:
+                room_m = until_m - self.reference.length_m
+                slows_m_s = procedure.entering_m_s(next_leg, motion, room_m)
+            self.reference = procedure.advance(
+                self.reference, leg, step_s, here, goes_on=False, slows_to_m_s=slows_m_s
             )
-            at_m, speed_m_s = self._reference.length_m, self._reference.speed_m_s
+            at_m, speed_m_s = self.reference.length_m, self.reference.speed_m_s
             pose = leg.subpath.pose(at_m)
             self._heading_rad = math.atan2(pose.tangent_nea[1], pose.tangent_nea[0])
             self.look(pose.point_nea_m[:2], self._heading_rad, speed_m_s, seconds=step_s)
             if leg.meets(self.near, at_m, kept_m):
                 self._now_s += speed_m_s / task.limits.acceleration_m_s2
-                self._reference = Reference()
-                stop_m = min(at_m + stopping_m(motion, speed_m_s), np.nextafter(until_m, 0.0))
-                return float(stop_m), self._now_s - began_s
-        if until_m == leg.subpath.length_m and not goes_on:
-            self._reference = Reference()
-        return until_m, self._now_s - began_s
+                self.reference = Reference()
+                stop_m = at_m + stopping_m(motion, speed_m_s)
+                most_m = float(np.nextafter(leg.subpath.length_m, 0.0))
+                return min(stop_m, most_m), self._now_s - began_s, False
+        took_s, reference = self._now_s - began_s, self.reference
+        if next_leg is not None:
+            on_it_m = max(reference.length_m - until_m, 0.0)
+            self.reference = replace(reference, length_m=on_it_m)  # on the next leg
+            return until_m, took_s, True
+        if not procedure.is_at_end(reference, leg):
+            return reference.length_m, took_s, True
+        self.reference = Reference()
+        return leg.subpath.length_m, took_s, False
 
     def look(
         self, place_ne_m: Place, heading_rad: float, speed_m_s: float, *, seconds: float

@@ -13,7 +13,7 @@ path, after a restart, joins it without a jump (`Offset`).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import final
 
@@ -23,6 +23,7 @@ from companion.geodesy import FloatArray
 from companion.path.envelope import Envelope, ending_m_s, slowed_m_s, slowing_m
 from companion.path.limits import Limits
 from companion.path.subpath import Pose, Subpath
+from companion.planner.progress import SLACK
 from companion.planner.request import Planned, Rest
 from companion.planner.settings import Task
 from companion.world.near_map import NearMap
@@ -50,6 +51,15 @@ Vector = tuple[float, float, float]
 
 
 @final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reference:
+    """The reference point on a leg: where the vehicle should be."""
+
+    length_m: float = 0.0
+    speed_m_s: float = 0.0
+
+
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)  # no slots: what is asked for often is kept
 class Leg:
     """A subpath in flight."""
@@ -63,6 +73,8 @@ class Leg:
     the backtrack, which is known in advance)."""
     rules: Task  # the task that it was proven under
     speed_m_s: float | None = None  # the highest speed that it is proven for; None: V
+    p_prog: Reference | None = None
+    """Where its successor takes over, and how fast, once that was asked for."""
 
     @staticmethod
     def of(planned: Planned, number: int, rules: Task) -> "Leg":
@@ -82,86 +94,80 @@ class Leg:
         """How the vehicle moves on it."""
         return self.task.envelope
 
-    @property
-    def scan_at_m(self) -> float:
-        """Length flown at p_scan: L before the end, or at once on a short leg (paper 2.3)."""
-        return max(self.subpath.length_m - self.task.scan_distance_m, 0.0)
-
-    def wants_successor(self, at_m: float, speed_m_s: float = 0.0) -> bool:
-        """Whether to scan and plan for the next leg, at this length flown: from p_scan on.
-
-        speed_m_s: over ground.  A plane that the wind makes faster than V begins sooner: until the
-        plan is there it comes the farther.
-        """
-        gains = max(speed_m_s / self.rules.limits.speed_m_s - 1.0, 0.0)
-        sooner_m = gains * (self.rules.shortest_scan_distance_m - self.rules.tail_m)
-        is_past_scan = at_m + sooner_m >= self.scan_at_m
-        return is_past_scan and not self.reaches_target and self.can_be_left
-
     @cached_property
-    def leaving(self) -> tuple[float, float]:
-        r"""Length flown at p_prog, the tail before the end, and the speed there.
+    def scan_at_m(self) -> float:
+        """Length flown at p_scan: L before the end, or at once (short legs, and near things)."""
+        at_m = self.subpath.length_m - self.task.scan_distance_m
+        return 0.0 if self.task.settings.is_near else max(at_m, 0.0)
 
-        Among near things a leg shorter than L is flown so slowly that scan and plan, begun at its
-        start at speed V, are done while it can still stop at the end:
+    def leaves(self, reference: Reference) -> Reference:
+        """The reference point at p_prog, if the successor is asked for now.
 
-            V  \
-                \
-            v    \______________
-            0                   |\
-             start         p_prog end
-
-        In the time T of scan and plan it comes v T + (V - v)^2 / 2a far, to p_prog, and needs
-        v d + v^2 / 2a from there on: together v^2 / a + v (T + d - V/a) + V^2 / 2a.
+        The tail before the end; among near things, of which each sweep shows more, as soon as scan
+        and plan are done.  Until then it slows down for the end of this leg, as it has no other.
         """
-        task, motion, length_m = self.task, self.motion, self.subpath.length_m
-        full_m_s, least_m = motion.speed_m_s, task.shortest_scan_distance_m
+        task, length_m, full_m_s = self.task, self.subpath.length_m, self.motion.speed_m_s
         if self.through:
-            return length_m, full_m_s
-        if length_m >= least_m or not task.settings.is_near:
-            earliest_m = self.scan_at_m + least_m - task.tail_m
-            return min(max(length_m - task.tail_m, earliest_m), length_m), full_m_s
-        brake_m_s2, time_s = motion.braking_m_s2, (least_m - task.tail_m) / full_m_s
-        brakes_m, brakes_s = 0.5 * full_m_s**2 / brake_m_s2, full_m_s / brake_m_s2
-        slow_m_s = full_m_s
-        for delay_s, beyond_m in ((motion.settling_s, 0.0), (motion.dead_man_s, motion.overrun_m)):
-            room_m = length_m + beyond_m - brakes_m
-            late_m_s = 0.5 * brake_m_s2 * (time_s + delay_s - brakes_s)
-            root_m_s = math.sqrt(max(late_m_s**2 + brake_m_s2 * room_m, 0.0))
-            slow_m_s = min(slow_m_s, max(root_m_s - late_m_s, 0.0))
-        at_m = slow_m_s * time_s + 0.5 * (full_m_s - slow_m_s) ** 2 / brake_m_s2
-        return min(at_m, length_m), slow_m_s
+            return Reference(length_m=length_m, speed_m_s=full_m_s)
+        least_m = task.shortest_scan_distance_m
+        if not task.settings.is_near:
+            at_m = max(length_m - task.tail_m, self.scan_at_m + least_m - task.tail_m)
+            return Reference(length_m=min(at_m, length_m), speed_m_s=full_m_s)
+        period_s = task.settings.position_period_s
+        for _ in range(math.ceil((least_m - task.tail_m) / full_m_s / period_s)):
+            here = self.subpath.pose(reference.length_m).position_nea_m
+            reference = advance(reference, self, period_s, here, goes_on=False)
+        ends_m_s = ending_m_s(self.motion, length_m - reference.length_m)
+        return replace(reference, speed_m_s=min(reference.speed_m_s, ends_m_s))
 
-    @property
-    def successor_at_m(self) -> float:
-        """Length flown at p_prog."""
-        return self.leaving[0]
-
-    @property
-    def slows_to_m_s(self) -> float:
-        """The speed that it is flown at from its start on; infinite: as fast as it may."""
-        return math.inf if self.reaches_target or not self.can_be_left else self.leaving[1]
-
-    @property
-    def rest(self) -> Rest:
-        """What is left of it beyond p_prog."""
-        length_m, (at_m, speed_m_s) = self.subpath.length_m, self.leaving
-        end_nea_m = self.subpath.pose(length_m).point_nea_m
-        return Rest(length_m=length_m - at_m, end_nea_m=end_nea_m, speed_m_s=speed_m_s)
-
-    @property
-    def can_be_left(self) -> bool:
-        """Whether a successor may take over in flight: p_prog is far enough before the end.
+    def may_be_left(self, at: Reference) -> bool:
+        """Whether a successor may take over there, in flight: it is far enough before the end.
 
         The certificate assumes a vehicle that can stop there, and a plane is sent to no point
         beyond it.  Else the leg is flown to its end, and the next begins at rest.
         """
         if not self.task.settings.profile.verified:
             return True
-        at_m, speed_m_s = self.leaving
-        left_m = self.subpath.length_m - at_m + _ROUNDING_M
-        slows_m = max(slowing_m(self.motion, speed_m_s), self.motion.lead_m)
-        return left_m >= slows_m and speed_m_s >= _SLOWEST * self.motion.speed_m_s
+        left_m = self.subpath.length_m - at.length_m + _ROUNDING_M
+        slows_m = max(slowing_m(self.motion, at.speed_m_s), self.motion.lead_m)
+        return left_m >= slows_m and at.speed_m_s >= _SLOWEST * self.motion.speed_m_s
+
+    def wants_successor(self, reference: Reference, speed_m_s: float = 0.0) -> bool:
+        """Whether to scan and plan for the next leg now: from p_scan on.
+
+        Among near things as soon as enough of this one will be flown to be progress.
+        speed_m_s: over ground.  A plane that the wind makes faster than V begins sooner: until the
+        plan is there it comes the farther.
+        """
+        gains = max(speed_m_s / self.rules.limits.speed_m_s - 1.0, 0.0)
+        sooner_m = gains * (self.rules.shortest_scan_distance_m - self.rules.tail_m)
+        if self.reaches_target or reference.length_m + sooner_m < self.scan_at_m:
+            return False
+        p_prog, settings = self.leaves(reference), self.rules.settings
+        least_m = SLACK * settings.scan_range_m if settings.is_near else 0.0
+        return p_prog.length_m >= least_m and self.may_be_left(p_prog)
+
+    @cached_property
+    def leaving(self) -> Reference:
+        """The reference point at p_prog, as asked for, or if that were done at its start, at V."""
+        return self.p_prog or self.leaves(Reference(speed_m_s=self.motion.speed_m_s))
+
+    @property
+    def successor_at_m(self) -> float:
+        """Length flown at p_prog."""
+        return self.leaving.length_m
+
+    @property
+    def can_be_left(self) -> bool:
+        """Whether a successor may take over in flight."""
+        return self.may_be_left(self.leaving)
+
+    @property
+    def rest(self) -> Rest:
+        """What is left of it beyond p_prog."""
+        length_m, at = self.subpath.length_m, self.leaving
+        end_nea_m = self.subpath.pose(length_m).point_nea_m
+        return Rest(length_m=length_m - at.length_m, end_nea_m=end_nea_m, speed_m_s=at.speed_m_s)
 
     # --- what bars the rest of it: what was proven stays proven, but for what is new or stricter
 
@@ -211,15 +217,6 @@ class Leg:
         return not (leads_away and kept[left_at:].all())
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Reference:
-    """The reference point on a leg: where the vehicle should be."""
-
-    length_m: float = 0.0
-    speed_m_s: float = 0.0
-
-
 def hover_pose(position_nea_m: Vector | FloatArray, bearing_rad: float = 0.0) -> Pose:
     """The start pose of a vehicle at rest, level; in `flight` the plan chooses the tangent."""
     tangent = np.array([math.cos(bearing_rad), math.sin(bearing_rad), 0.0])
@@ -243,8 +240,8 @@ def advance(
 
     It is nowhere faster than the certificate takes it to be (`path.envelope`), gains speed the more
     slowly the farther behind the vehicle is, and waits if it is too far.  goes_on: the next leg is
-    ready, so there is no stop at the end of this one.  until_m: the length at which to stop, with
-    all that the vehicle brakes with, if that is before the end.
+    ready at the very end of this one, so there is no stop.  until_m: the length at which to stop,
+    with all that the vehicle brakes with, if that is before the end.
     """
     at_m, speed, motion = reference.length_m, reference.speed_m_s, leg.motion
     pose, length_m = leg.subpath.pose(at_m), leg.subpath.length_m
@@ -269,6 +266,15 @@ def paced_m_s(subpath: Subpath, motion: Envelope, at_m: float) -> float:
     paces = _paces_m_s(subpath, motion)
     k = int(min(max(at_m / subpath.length_m, 0.0), 1.0) * (len(paces) - 2))
     return min(float(paces[k]), float(paces[k + 1]))
+
+
+def entering_m_s(leg: Leg, before: Envelope, room_m: float) -> float:
+    """How fast it may move so far before a leg, because of that: for its first bends, too.
+
+    before: of the leg that it is still on.
+    """
+    pace_m_s = min(paced_m_s(leg.subpath, before, 0.0), leg.motion.speed_m_s)
+    return math.sqrt(pace_m_s**2 + 2.0 * before.gaining_m_s2 * max(room_m, 0.0))
 
 
 def paced_s_m(subpath: Subpath, motion: Envelope) -> float:

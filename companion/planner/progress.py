@@ -34,7 +34,8 @@ from typing import final
 SLACK = 0.05
 """Of R: excess that a leg may have without owing it, as the lattice of guidance knows no turns.
 
-Legs are longer than this up to p_prog, as L is at most 0.6 of the circle about p_scan."""
+Legs are longer than this up to p_prog, as L is at most 0.6 of the circle about p_scan; among near
+things none is left before (`Leg.wants_successor`)."""
 
 
 BELIEVED = 1.0

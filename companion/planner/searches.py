@@ -90,20 +90,27 @@ class Searches:
 
         Where none is proven, what breaks a bound counts more, so that it is not traded for way.
         """
-        motion = self._request.task.at_speed(speed_m_s).envelope
+        task = self._request.task.at_speed(speed_m_s)
+        motion = task.envelope
         scene = self._scene._replace(motion=motion)
         if not scene.from_rest:
             shortest_m = max(slowing_m(motion, motion.speed_m_s), motion.lead_m)
             scene = scene._replace(shortest_m=float(shortest_m))
         best: Planned | None = None
-        for kind, enough in (scene, _DEARER * scene.scan_range_m), (_strict(scene), math.inf):
-            for points in _POINTS:
-                if best is not None and self.prices.excess_m(best) <= enough:
-                    return best
-                if self.tries and self._is_time_up():
-                    self.is_cut = True
-                    return best
-                best = self.prices.cheaper(best, self._found(kind.with_points(points)))
+        is_near, hardly_m = task.settings.is_near, _DEARER * scene.scan_range_m
+        kinds = [(scene, points, hardly_m) for points in _POINTS]
+        if scene.from_rest or not is_near:  # else it is asked again in a moment
+            kinds += [(_strict(scene), points, math.inf) for points in _POINTS]
+        if is_near and not scene.is_final:  # a shorter leg soon has to be slow
+            long = scene._replace(shortest_m=task.shortest_scan_distance_m)
+            kinds.insert(0, (long, _POINTS[0], hardly_m))
+        for kind, points, enough in kinds:
+            if best is not None and self.prices.excess_m(best) <= enough:
+                return best
+            if self.tries and self._is_time_up():
+                self.is_cut = True
+                return best
+            best = self.prices.cheaper(best, self._found(kind.with_points(points)))
         return best
 
     def leaving(self, start: Pose) -> Planned | None:

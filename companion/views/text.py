@@ -71,32 +71,29 @@ def _targets(mission: Mission) -> str:
 
 def _sight(mission: Mission) -> str:
     """What is known of the terrain, how more becomes known, and where it is planned with."""
-    task, settings = mission.task, mission.task.settings
-    known, sensor, scans = "", mission.near, ""
+    task, settings, known = mission.task, mission.task.settings, ""
+    if (sensor := mission.near) is not None:
+        return (
+            f"{sensor.kind.upper()} of component {sensor.component_id} shows what stands within "
+            f"{metres(sensor.range_m)} (R); what it has not passed is unknown. What stands in the "
+            f"way stops the vehicle at once. It plans for {settings.planning_time_s:g} s (T), "
+            "again and again, and goes over to each next subpath as soon as that is proven."
+        )
     if mission.known is not None:
         share = float(np.isfinite(mission.known.upper_m).mean())
         known = f" Terrain of {share_of(share)} of the map is known in advance."
         if mission.known.guess_m is not None:
             share = float(np.isfinite(mission.known.guess_m).mean())
             known = f" A file guides over {share_of(share)} of the map, and proves nothing."
-    if sensor is not None:
-        seen = (
-            f"{sensor.kind.upper()} of component {sensor.component_id} shows what stands within "
-            f"{metres(sensor.range_m)} (R); what it has not passed is unknown. What stands in the "
-            "way stops the vehicle at once."
-        )
-        known = ""
-    elif mission.scanner_component_id is None:
+    if mission.scanner_component_id is None:
         return f"There is no terrain radar: only known terrain is flown over.{known}"
-    else:
-        scans = f"scans for up to {settings.scan_time_s:g} s, "
-        seen = f"The radar sees {metres(settings.scan_range_m)} (R)."
-        if not mission.scanner_complete:
-            seen += " It may miss ground in its sight: nothing bounds what it does not show."
+    seen = f"The radar sees {metres(settings.scan_range_m)} (R)."
+    if not mission.scanner_complete:
+        seen += " It may miss ground in its sight: nothing bounds what it does not show."
     return (
-        f"{seen} {metres(task.scan_distance_m)} (L) before the end of each subpath it {scans}plans "
-        f"for {settings.planning_time_s:g} s (T), and goes over to the next subpath "
-        f"{metres(task.tail_m)} before the end.{known}"
+        f"{seen} {metres(task.scan_distance_m)} (L) before the end of each subpath it scans for up "
+        f"to {settings.scan_time_s:g} s, plans for {settings.planning_time_s:g} s (T), and goes "
+        f"over to the next subpath {metres(task.tail_m)} before the end.{known}"
     )
 
 

@@ -116,7 +116,7 @@ def test_a_scan_waits_for_a_new_sweep_and_no_longer_than_it_may_and_changes_noth
     it.scan()
     before = it.state.flight.known
     it.begin()
-    for wait_s in (0.0, 0.15):
+    for wait_s in (0.0, 0.05):
         it.move_on(wait_s)
         assert it.scanner.done(it.now_s) is None
     it.move_on(1.0)

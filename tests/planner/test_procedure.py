@@ -11,13 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planning import PLANE_TASK, leg_of, limits
 
-from companion.path.envelope import slowing_m
+from companion.path.envelope import ending_m_s, slowing_m
 from companion.planner.procedure import (
     Leg,
     Offset,
     Reference,
     advance,
     ahead_m,
+    entering_m_s,
     is_at_end,
     off_path_m,
 )
@@ -138,26 +139,49 @@ def test_towards_its_end_it_is_never_faster_than_the_certificate_takes_it_to_be(
         assert seconds < 120.0
 
 
-@given(length_m=st.floats(20.0, 500.0), from_rest=st.booleans())
-def test_a_short_leg_is_flown_so_slowly_that_its_successor_comes_while_it_can_still_stop(
-    length_m: float, from_rest: bool
+@settings(max_examples=30)
+@given(length_m=st.floats(20.0, 500.0), from_rest=st.booleans(), tick_s=ticks)
+def test_among_near_things_the_answer_is_there_before_p_prog_where_the_vehicle_can_still_stop(
+    length_m: float, from_rest: bool, tick_s: float
 ) -> None:
     if not from_rest:  # shorter ones are not planned in flight
         length_m = max(length_m, slowing_m(SHORT.envelope, V))
-    leg, tick_s = leg_to(length_m, 0.0, 0.0, rules=SHORT), 0.02
-    slow = leg.slows_to_m_s
-    assert (slow < V) <= (length_m < SHORT.shortest_scan_distance_m)
-    if not leg.can_be_left:
-        assert length_m < 0.8 * SHORT.shortest_scan_distance_m
+    leg, asked = leg_to(length_m, 0.0, 0.0, rules=SHORT), 0
+    reference = Reference(speed_m_s=0.0 if from_rest else V)
+    while not is_at_end(reference, leg):
+        if leg.wants_successor(reference):
+            asked, on, seconds, left = asked + 1, reference, 0.0, leg.leaves(reference)
+            while on.length_m < left.length_m:  # as long as there is no answer
+                on = step(on, leg, tick_s, goes_on=False)
+                seconds += tick_s
+            assert seconds >= SETTINGS.planning_time_s + SETTINGS.scan_time_s
+            slows_m = slowing_m(SHORT.envelope, left.speed_m_s)
+            assert slows_m <= length_m - left.length_m + 1e-6
+            for _ in range(round(1.0 / tick_s)):
+                reference = step(reference, leg, tick_s, goes_on=False)
+        reference = step(reference, leg, tick_s, goes_on=False)
+    assert asked or length_m < 2.0 * SHORT.tail_m
+    assert not replace(leg, reaches_target=True).wants_successor(Reference(speed_m_s=V))
+
+
+@settings(max_examples=30)
+@given(asked_m=st.floats(0.0, 390.0), waits=st.floats(0.0, 0.9), tick_s=ticks)
+def test_a_leg_is_entered_no_faster_than_it_is_proven_for(
+    asked_m: float, waits: float, tick_s: float
+) -> None:
+    """As slowly as the one before would have been flown to its end, at the least."""
+    leg = leg_to(400.0, 0.0, 0.0, rules=SHORT)
+    begins = Reference(length_m=asked_m, speed_m_s=ending_m_s(SHORT.envelope, 400.0 - asked_m))
+    left = leg.leaves(begins)
+    if not leg.may_be_left(left):
         return
-    at_m = leg.successor_at_m
-    reference, seconds = Reference(speed_m_s=0.0 if from_rest else V), 0.0
-    while reference.length_m < at_m:
-        reference = step(reference, leg, tick_s, goes_on=True, slows_to_m_s=slow)
-        seconds += tick_s
-    assert seconds >= SETTINGS.planning_time_s + SETTINGS.scan_time_s
-    speed, left_m = reference.speed_m_s, length_m - reference.length_m
-    assert slowing_m(SHORT.envelope, speed) <= left_m + 2.0 * V * tick_s
+    slow = replace(leg_to(300.0, 0.0, 0.0, rules=SHORT), speed_m_s=left.speed_m_s)
+    reference, answers_m = begins, begins.length_m + waits * (left.length_m - begins.length_m)
+    while reference.length_m < left.length_m - 1e-6:
+        is_there, room_m = reference.length_m >= answers_m, left.length_m - reference.length_m
+        slows_m_s = entering_m_s(slow, leg.motion, room_m) if is_there else math.inf
+        reference = step(reference, leg, tick_s, goes_on=is_there, slows_to_m_s=slows_m_s)
+    assert reference.speed_m_s <= left.speed_m_s + 2.0 * A * tick_s
 
 
 @settings(max_examples=30)
@@ -222,7 +246,8 @@ def test_with_the_wind_a_plane_asks_so_soon_that_its_point_is_not_yet_at_p_prog(
     length_m = 2.0 * task.shortest_scan_distance_m + longer_m
     leg = leg_of([[i * length_m / 3.0, 0.0, 100.0] for i in range(4)], rules=task)
     asks = np.linspace(0.0, length_m, 2_001)
-    at_m = next(float(at) for at in asks if leg.wants_successor(float(at), speed_m_s))
+    references = (Reference(length_m=float(at)) for at in asks)
+    at_m = next(it.length_m for it in references if leg.wants_successor(it, speed_m_s))
     answers_s = settled.scan_time_s + settled.planning_time_s + 3.0 * settled.position_period_s
     point_m = at_m + speed_m_s * (answers_s + task.limits.lead_s)
     assert point_m <= leg.successor_at_m + length_m / 2_000

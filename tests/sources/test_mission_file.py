@@ -195,7 +195,7 @@ def test_a_copter_that_outruns_its_sight_is_flown_more_slowly_and_says_so() -> N
     assert 2.5 <= flown_m_s < 5.0
     [note] = [note for note in forest.notes if "eq. 4" in note]
     assert f"V = 5 m/s (eq. 4): it is flown at {flown_m_s:g} m/s" in note
-    with pytest.raises(InputError, match=r"planner.planning_time_s = 0.4: eq. 4"):
+    with pytest.raises(InputError, match=r"planner.planning_time_s = 0.2: eq. 4"):
         load_mission("forest", settings=["vehicle.speed_m_s=50", "vehicle.turn_radius_m=500"])
 
 
