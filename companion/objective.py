@@ -335,7 +335,7 @@ def dead_man_m(scene: Scene, most: float) -> float:
     """How far points of the dead-man stretches lie too low, metres in all; beyond `most` any sum.
 
     Towards its end the vehicle flies no faster than it can stop there, and from a hover no faster
-    than it can have become; chords stand for the curve.
+    than it can have become; chords stand for the curve.  Those that climb are level.
     """
     points, ahead, flown_m = scene.at.curve[0], scene.at.curve[1], scene.at.flown_m
     total = 0.0
@@ -352,7 +352,7 @@ def dead_man_m(scene: Scene, most: float) -> float:
             step = 0.5 * half * reach
             north, east = points[j, 0] + step * dn, points[j, 1] + step * de
             wanted = lattice_m(scene.contact, north, east)
-            total += DEAD_MAN_EVERY * max(wanted - points[j, 2] - step * da, 0.0)
+            total += DEAD_MAN_EVERY * max(wanted - points[j, 2] - step * min(da, 0.0), 0.0)
     return total
 
 

@@ -38,7 +38,7 @@ class Handling:
     turning_s2: float  # how far it is beside a bent path, metres for each m/s2 across
     leading_s2: float = 0.0
     """How far inside of a bend its setpoints are, metres for each m/s2 across, as it is flown out
-    of turns by as much.  When they end it stops as far inside."""
+    of turns by as much.  When they end it flies on as far inside."""
     turns_with_grid: bool = False
     """Whether it stops along a straight line of its own map's grid, though its speed is of true
     north there: the convergence of meridians turns it aside."""
@@ -132,7 +132,9 @@ def envelope_of(limits: Limits, handling: Handling, convergence_rad: float = 0.0
     unwound_s = turn_m_s2 / (_JERKS_1_S * limits.acceleration_m_s2)
     turned_rad = 0.5 * turn_m_s2 * unwound_s / limits.speed_m_s  # the acceleration falls evenly
     turned_rad += convergence_rad * handling.turns_with_grid
-    return motion._replace(aside_m=turned_rad * flown_on_m(motion, motion.speed_m_s))
+    turned_m = turned_rad * flown_on_m(motion, motion.speed_m_s)
+    inside_m = handling.leading_s2 * turn_m_s2 + handling.steady_m - tube_m
+    return motion._replace(aside_m=turned_m + max(inside_m, 0.0))
 
 
 def flown_on_m(it: Envelope, speed: float) -> float:

@@ -147,8 +147,10 @@ def stretch_of(
     """A segment near all straight stretches that leave a piece, and how near.
 
     The stretch of length tau from a point is within sag + tau |tangent - chord's direction| of the
-    chord drawn on.  flown, left: length of the curve up to the end of the piece, and from its start
-    on, at most: the speed is bounded by both, and its reach by the speed.
+    chord drawn on.  Where the path climbs it is level, as a vehicle that brakes upwards at once is
+    no lower; that of a chord lies half way up it.  flown, left: length of the curve up to the end
+    of the piece, and from its start on, at most: the speed is bounded by both, and its reach by the
+    speed.
     """
     segment, sag, cosine, length = piece
     x, y, z, dx, dy, dz = segment
@@ -161,7 +163,9 @@ def stretch_of(
     ahead = min(length + farthest, left + beyond_m(around.motion))
     grow = max(ahead, chord) / chord
     slack = sag + farthest * math.sqrt(max(2.0 - 2.0 * cosine, 0.0))
-    return (x, y, z, dx * grow, dy * grow, dz * grow), slack
+    rise = max(dz, 0.0)
+    level = x, y, z + 0.5 * rise, dx * grow, dy * grow, (dz - rise) * grow
+    return level, slack + 0.5 * rise
 
 
 def first_pieces(cubics: FloatArray) -> FloatArray:

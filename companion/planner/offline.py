@@ -129,7 +129,7 @@ def fly_offline(
         else:
             outcome = NotPlanned(plan_id=ask.plan_id, refusal=Refusal.TOO_MANY_LEGS)
         flight.failure = None
-        if isinstance(outcome, Planned):  # to p_prog of the leg under way, then to the next p_scan
+        if isinstance(outcome, Planned):  # to p_prog of the leg under way, then until it is asked
             ask = replace(ask, attempt=0, progress=outcome.progress)
             leg = Leg.of(outcome, len(flight.legs) + 1, task)
             if ask.from_rest or flies(flight.legs[-1].successor_at_m, leg):

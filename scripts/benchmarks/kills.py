@@ -34,7 +34,7 @@ from companion.mission.state import Phase
 from companion.path.envelope import Envelope, ending_m_s, flown_on_m, rising_m_s
 from companion.planner.procedure import Leg
 from companion.planner.request import PlanOutcome, PlanRequest
-from vehicle_sim.world import World, read_world
+from vehicle_sim.world import Peak, World, read_world
 
 FloatArray = NDArray[np.float64]
 PLANES: Final = ("plane", "short-plane")
@@ -53,10 +53,15 @@ _WINDS: Final = {
     "valley": (4, 1),
     "environment-1": (8, 2),
     "environment-2": (8, 2),
+    "ridge": (8, 2),
     "plane": (5, 1),
     "short-plane": (3, 1),
 }
 """Wind and turbulence, m/s."""
+_RIDGE: Final = Peak(
+    north_m=15_000.0, east_m=0.0, height_amsl_m=4_300.0, spread_north_m=5_000.0, spread_east_m=1e6
+)
+"""In the way of environment-2, whose peaks a copter of 150 m/s flies round and not over."""
 _EVERY_S = 1.03  # so that it is not always at the same time since a position
 _ROUND_S, _ROUND_RAD = 70.0, 10.0  # a plane: into its circle and round it
 _STANDS_M_S, _STANDS_FOR_S = 0.25, 1.5
@@ -81,15 +86,26 @@ class Proven(NamedTuple):
             flat = np.hypot(off[..., 0], off[..., 1])
             gaps = np.hypot(np.maximum(flat - self.motion.loiter_m, 0.0), off[..., 2])
             return np.asarray(gaps.min(axis=1) - self.motion.error_m)
-        starts = np.concatenate([self.points_nea_m[:-1], self.points_nea_m])
-        steps = np.concatenate([np.diff(self.points_nea_m, axis=0), self.reaches_nea_m])
-        off = track_nea_m[:, None] - starts
-        squared = np.maximum(np.einsum("kd,kd->k", steps, steps), 1e-12)
-        share = np.clip(np.einsum("mkd,kd->mk", off, steps) / squared, 0.0, 1.0)
-        off -= share[..., None] * steps
-        gaps = np.sqrt(np.einsum("mkd,mkd->mk", off, off))
-        gaps[:, len(self.points_nea_m) - 1 :] -= self.motion.aside_m
-        return np.asarray(gaps.min(axis=1) - self.motion.error_m)
+        steps, reaches = np.diff(self.points_nea_m, axis=0), self.reaches_nea_m
+        off = track_nea_m[:, None] - self.points_nea_m
+        share = _shares(off[:, :-1], steps)[..., None]
+        on_curve = np.linalg.norm(off[:, :-1] - share * steps, axis=-1)
+        share = _shares(off[..., :2], reaches[:, :2])[..., None]
+        aside = np.linalg.norm(off[..., :2] - share * reaches[:, :2], axis=-1)
+        rise, height = share[..., 0] * reaches[:, 2], off[..., 2]  # where it flies level: between
+        apart = height - np.clip(height, np.minimum(rise, 0.0), np.maximum(rise, 0.0))
+        on_stretch = np.hypot(aside, apart) - self.motion.aside_m
+        gaps = np.minimum(on_curve.min(axis=1), on_stretch.min(axis=1))
+        return np.asarray(gaps - self.motion.error_m)
+
+
+def _shares(off: FloatArray, steps: FloatArray) -> FloatArray:
+    """How much of each step leads to where it is nearest to a place.  (M, K, D), (K, D) -> (M, K).
+
+    off: of the place from where the step begins.
+    """
+    squared = np.maximum(np.einsum("kd,kd->k", steps, steps), 1e-12)
+    return np.clip(np.einsum("mkd,kd->mk", off, steps) / squared, 0.0, 1.0)
 
 
 def proven(leg: Leg, *, from_rest: bool, near_m: float = 0.0) -> Proven:
@@ -198,8 +214,11 @@ def setting(scale: str, autopilot: str, seed: int) -> tuple[Mission, World]:
         with tempfile.TemporaryDirectory() as folder:
             files = drawn_world.write(drawn, Path(folder), cast("AutopilotName", autopilot))
             return load_mission(str(files[1])), read_world(files[0])
-    mission, world = load_mission(scale), read_world(folder_of(scale) / "world.toml")
+    name = "environment-2" if scale == "ridge" else scale
+    mission, world = load_mission(name), read_world(folder_of(name) / "world.toml")
     world = world.with_woods_of(seed)
+    if scale == "ridge":
+        world = replace(world, terrain=replace(world.terrain, peaks=(_RIDGE,)))
     if autopilot == "px4":  # the worlds of these scales are flown by an ArduCopter
         mission, world = _on_px4(mission, world)
     return mission, world

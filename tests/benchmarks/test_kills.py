@@ -26,7 +26,14 @@ def test_what_a_straight_leg_promises_is_a_tube_that_ends_so_far_beyond_it(aside
 
 
 @pytest.mark.parametrize(
-    "flight", ["forest ardupilot", "street px4", "short-plane ardupilot", "short-plane px4"]
+    "flight",
+    [
+        "forest ardupilot",
+        "street px4",
+        "ridge ardupilot",
+        "short-plane ardupilot",
+        "short-plane px4",
+    ],
 )
 def test_a_vehicle_whose_companion_dies_stays_within_what_was_proven(flight: str) -> None:
     """Over the first 25 s of a flight: take-off, the first legs, and from one to the next."""

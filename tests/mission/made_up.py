@@ -1,5 +1,6 @@
 """A made-up vehicle for tests of the mission: events in, commands out, no bytes and no planner."""
 
+import abc
 import copy
 import functools
 import json
@@ -32,7 +33,7 @@ TAKE_OFF_AMSL_M = 3030.0  # floor 3000 m and twice the tracking error of 15 m
 TICK_S = 0.1
 SPEED_M_S = 150.0
 Kind = TypeVar("Kind", bound=Command)
-Step = tuple[State, Event, State, list[Command]]
+Taken = tuple[State, Event, State, list[Command]]
 
 
 def mission(**changes: Any) -> Mission:
@@ -131,7 +132,7 @@ def position(
     return events.Position(time_s=time_s, position_nea_m=at, velocity_nea_m_s=velocity)
 
 
-class Program:
+class Program(abc.ABC):
     """A mission that is flown tick by tick, with a vehicle that somebody makes up."""
 
     state: State
@@ -140,9 +141,9 @@ class Program:
     said_to: Sequence[Command]
     """All that the vehicle was told."""
 
+    @abc.abstractmethod
     def tick(self) -> object:
         """A tick later: the vehicle has moved and said so, and was answered."""
-        raise NotImplementedError
 
     @property
     def over(self) -> bool:
@@ -195,7 +196,7 @@ class Craft(Program):
         self.state, self.now_s, self.traits, self.plan = fresh(of), 0.0, traits, plan
         self.told: list[Event] = []
         """What it says at the next tick."""
-        self.steps: list[Step] = []
+        self.steps: list[Taken] = []
 
     @property
     def phase(self) -> Phase:

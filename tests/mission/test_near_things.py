@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from made_up import AWAY, Craft, flying, home_or_on, texts
+from made_up import AWAY, SPEED_M_S, Craft, flying, home_or_on, texts
 from renewed import deep, replace
 from watch import off_m
 
@@ -13,6 +13,7 @@ from companion.mission.decisions import Turn
 from companion.mission.events import Event, GroundSeen, NearSeen, Setpoint
 from companion.mission.mission import Fallback
 from companion.mission.phases import Phase, Reason
+from companion.planner.procedure import Reference
 from companion.world.known_map import Lattice
 from companion.world.near_map import NearMap, NearSensor, Sight
 
@@ -115,6 +116,16 @@ def test_something_in_its_way_stops_it_at_once(blind: bool) -> None:
     craft.take(meets)
     assert craft.state.path.stop is stop
     assert craft.fly_to(Phase.HOLDING).state.reason is Reason.NEW_THREAT
+
+
+def test_where_its_leg_is_left_is_known_after_a_restart() -> None:
+    """Also if that is earlier than it would be without asking so soon."""
+    craft = flying(MISSION)
+    path = craft.state.path
+    asked = Reference(length_m=0.4 * path.leg.successor_at_m, speed_m_s=0.6 * SPEED_M_S)
+    path.leg = replace(path.leg, p_prog=asked)
+    leg = craft.restart().state.leg
+    assert (leg.p_prog, leg.successor_at_m) == (asked, asked.length_m)
 
 
 def test_something_beside_behind_or_gone_stops_nobody() -> None:

@@ -14,7 +14,7 @@ from renewed import deep, replace
 from companion.mission import events
 from companion.mission.decisions import Turn
 from companion.mission.events import Mode, Setpoint
-from companion.mission.following import is_on_path, joined, left_path, outside_m
+from companion.mission.following import is_on_path, joined, left_path, outside_m, send_setpoint
 from companion.mission.journal import of_change
 from companion.mission.phases import Answered, OnPath, Phase, Reason
 from companion.mission.state import State
@@ -117,6 +117,26 @@ def test_who_is_seen_at_a_glance_to_be_on_its_path_is_not_outside_of_anything() 
             else:
                 assert off_m.any()
     assert seen > 500
+
+
+@pytest.mark.parametrize("radius_m", [400.0, 1_000.0, 10_000.0])
+def test_setpoints_lead_into_a_bend_by_as_much_as_the_autopilot_is_flown_out_of_it(
+    radius_m: float,
+) -> None:
+    craft = cruising()
+    state, handling = deep(craft.state), craft.state.vehicle.traits.handling
+    turn_rad = np.linspace(0.0, 1.0, 30)
+    arc = np.stack([np.sin(turn_rad), 1.0 - np.cos(turn_rad), 0.0 * turn_rad], axis=-1)
+    bent = Subpath(control_nea_m=radius_m * arc + (0.0, 0.0, craft.here[2]))
+    at = Reference(length_m=0.5 * bent.length_m, speed_m_s=SPEED_M_S)
+    path = replace(state.path, leg=replace(state.leg, subpath=bent), reference=at, next_leg=None)
+    state.flight.sent_at_s, turn = -math.inf, Turn(state, craft.context)
+    send_setpoint(state, path, position(state.now_s, craft.here), turn)
+    off = np.subtract(turn.commands[-1].position_nea_m, bent.pose(at.length_m).position_nea_m)
+    expected_m = handling.leading_s2 * SPEED_M_S**2 / radius_m
+    assert np.linalg.norm(off) == pytest.approx(expected_m, rel=0.01)
+    inwards = bent.pose(at.length_m).curvature_nea_1_m
+    assert off @ inwards == pytest.approx(np.linalg.norm(off) * np.linalg.norm(inwards))
 
 
 def test_who_has_left_its_path_stops_says_so_and_goes_on_from_there() -> None:

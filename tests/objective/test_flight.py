@@ -221,6 +221,7 @@ def expected_crash(
         speed = min(LIMITS.speed_m_s, speed, rising)
         reach = speed * scene.motion.dead_man_s + speed**2 / 2.0 / LIMITS.acceleration_m_s2
         tangent = curve(u[j], 1) / np.linalg.norm(curve(u[j], 1))
+        tangent[2] = min(tangent[2], 0.0)  # no higher than level
         for share in (0.5, 1.0):
             n, e, z = points[j] + share * reach * tangent
             total += 2.0 * max(height_m(scene.contact, n, e) - z, 0.0)

@@ -388,7 +388,10 @@ def fastest_m_s(it: Envelope, left: FloatArray, flown: FloatArray | None = None)
 
 
 def _dead_man(case: Case, spline: Any, fine: FloatArray, lengths: FloatArray) -> float:
-    """Least distance over all straight stretches that leave the curve."""
+    """Least distance over all straight stretches that leave the curve, level for those that climb.
+
+    So low is a vehicle at the worst that brakes upwards at once and ahead as it can.
+    """
     motion = case.task.envelope
 
     def at(u: FloatArray, share: FloatArray) -> FloatArray:
@@ -399,6 +402,7 @@ def _dead_man(case: Case, spline: Any, fine: FloatArray, lengths: FloatArray) ->
         velocity = spline(u, 1)
         size = np.linalg.norm(velocity, axis=-1)[..., None]
         reach = share * (speed * motion.dead_man_s + brakes)
+        velocity[..., 2] = np.minimum(velocity[..., 2], 0.0)
         return np.asarray(spline(u) + reach[..., None] * velocity / np.maximum(size, 1e-9))
 
     def distance(

@@ -78,6 +78,21 @@ def test_without_setpoints_it_leaves_its_tangent_by_what_its_jerk_and_its_map_tu
     assert envelope_of(straight, replace(COPTER, turns_with_grid=False), 0.02).aside_m == 0.0
 
 
+@pytest.mark.parametrize("tracking_error_m", [0.3, 0.7, 5.0])
+def test_without_setpoints_it_flies_on_as_far_inside_of_a_bend_as_the_last_one_was(
+    tracking_error_m: float,
+) -> None:
+    """And is as far off that as off any straight path."""
+    bounds = limits(tracking_error_m=tracking_error_m, turn_radius_m=20.0, speed_m_s=6.0)
+    led = envelope_of(bounds, ARDUCOPTER)
+    as_told = envelope_of(bounds, replace(ARDUCOPTER, leading_s2=0.0, turning_s2=0.0))
+    hardest_m_s2 = min(led.lateral_m_s2, 6.0**2 / 20.0)
+    turned_m = hardest_m_s2**2 / (6.0**2 / 20.0) ** 2 * as_told.aside_m
+    inside_m = ARDUCOPTER.leading_s2 * hardest_m_s2 + ARDUCOPTER.steady_m
+    assert led.tube_m + led.aside_m - turned_m >= inside_m - 1e-12
+    assert led.aside_m - turned_m <= max(inside_m - led.tube_m, 0.0) + 1e-12
+
+
 def test_the_reach_covers_the_54_m_that_arducopter_flew_on_at_10_m_s() -> None:
     # ardupilot.md 3: WPNAV_ACCEL 2.5 m/s2, GUID_TIMEOUT 3 s
     motion = envelope_of(limits(acceleration_m_s2=2.5), ARDUCOPTER)

@@ -80,7 +80,8 @@ def test_all_stretches_of_a_piece_are_within_the_slack_of_the_segment(
     seed: int, flown: float, left: float, overrun_m: float, settling_s: float
 ) -> None:
     case = a_case(seed)
-    motion = case.task.envelope._replace(overrun_m=overrun_m, settling_s=settling_s)
+    motion = case.task.envelope._replace(loiter_m=0.0)  # a plane has no stretches
+    motion = motion._replace(overrun_m=overrun_m, settling_s=settling_s)
     here = case.surroundings()._replace(motion=motion)
     control = a_curve(seed)
     cubics = cubics_of(control)
@@ -90,6 +91,7 @@ def test_all_stretches_of_a_piece_are_within_the_slack_of_the_segment(
     u = (0.2 + 0.4 * np.linspace(0, 1, 200)) / len(cubics)
     points, velocity = curve(control)(u), curve(control)(u, 1)
     tangent = velocity / np.linalg.norm(velocity, axis=-1)[:, None]
+    tangent[:, 2] = np.minimum(tangent[:, 2], 0.0)
     chords = np.linalg.norm(np.diff(points, axis=0), axis=-1)
     at = np.concatenate([[0.0], np.cumsum(chords)])
     speed = fastest_m_s(motion, np.maximum(left - at, 0.0), flown + at)
