@@ -50,7 +50,7 @@ def on_plan(state: State, event: PlanReady, turn: Turn) -> None:
     if asked.rules is not state.task:  # it was proven under other rules
         return request(state, turn)
     was = flight.way, flight.back
-    back = _way_of(outcome, state.task) if isinstance(outcome, Backtrack) else ()
+    back = way_of(outcome, state.task) if isinstance(outcome, Backtrack) else ()
     flight.way, flight.back = Way.BACK, back
     if (path := begun(state)) is not None:
         return turn.to(Trigger.BACKTRACK, phases.Led(path=path))
@@ -60,7 +60,7 @@ def on_plan(state: State, event: PlanReady, turn: Turn) -> None:
     return home_by_plan(state, turn, text, reason, warning=True)
 
 
-def _way_of(outcome: Backtrack, rules: Task) -> tuple[Leg, ...]:
+def way_of(outcome: Backtrack, rules: Task) -> tuple[Leg, ...]:
     """The legs of a backtrack."""
     last = len(outcome.subpaths) - 1
     speeds_m_s = outcome.speeds_m_s or (None,) * len(outcome.subpaths)

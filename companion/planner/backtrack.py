@@ -5,14 +5,16 @@ It must be proven again: map and zones may have changed, climbs become dives, an
 points in the other direction.
 """
 
-from functools import partial
-from itertools import zip_longest
+import math
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.path.certificate import certify
 from companion.path.subpath import Subpath, cubics_of, samples_at, straight
+from companion.planner import procedure
 from companion.planner.request import Backtrack, FlownSegment
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
@@ -28,29 +30,54 @@ def backtrack(
     """Subpaths back along the flown segments, from their end to their start.
 
     flown: in flight order.  The subpaths end before the first one that cannot be proven; then
-    `reaches_start` is False.  A `through` subpath may be flown into the next at full speed, else
-    the vehicle stops at its end.  The vehicle starts at rest.
+    `reaches_start` is False.  A `through` subpath may be flown into the next without a stop, else
+    the vehicle stops at its end: those before it are flown so slowly that it can, and so that none
+    is entered faster than its bends allow.  The vehicle starts at rest.
     """
-    curves, from_rest = _curves_back(flown, task), True
-    subpaths, throughs, speeds_m_s = list[Subpath](), list[bool](), list[float]()
-    for (control, speed_m_s), follows in zip_longest(curves, curves[1:]):
-        subpath, slow = Subpath(control_nea_m=control), task.at_speed(speed_m_s)
-        is_proven = partial(_is_proven, subpath, slow, known, from_rest=from_rest)
-        through = follows is not None and follows[1] >= speed_m_s  # else it would come too fast
-        through = through and _is_smooth(control, follows[0]) and is_proven(stops=False)
-        if not (through or is_proven(stops=True)):
-            break
-        subpaths.append(subpath)
-        throughs.append(through)
-        speeds_m_s.append(speed_m_s)
-        from_rest = not through
+    legs, reaches_start = list[_Leg](), True  # the last one first
+    for control, speed_m_s in reversed(_curves_back(flown, task)):
+        leg = _leg_back(control, speed_m_s, task, known, legs[-1] if legs else None)
+        if leg is None:
+            reaches_start = False
+            legs.clear()
+        else:
+            legs.append(leg)
+    legs.reverse()
     return Backtrack(
         plan_id=plan_id,
-        subpaths=tuple(subpaths),
-        through=tuple(throughs),
-        reaches_start=len(subpaths) == len(curves),
-        speeds_m_s=tuple(speeds_m_s),
+        subpaths=tuple(leg.subpath for leg in legs),
+        through=tuple(leg.through for leg in legs),
+        reaches_start=reaches_start,
+        speeds_m_s=tuple(leg.speed_m_s for leg in legs),
     )
+
+
+class _Leg(NamedTuple):
+    """A subpath back, proven."""
+
+    subpath: Subpath
+    through: bool
+    speed_m_s: float
+    entry_m_s: float  # the fastest that it may be entered; 0: it begins at rest
+
+
+def _leg_back(
+    control: FloatArray, speed_m_s: float, task: Task, known: KnownMap, follows: _Leg | None
+) -> _Leg | None:
+    """A curve as a leg, into the one that follows if that may be; None: it is not proven."""
+    subpath, ways = Subpath(control_nea_m=control), [(speed_m_s, False)]
+    if follows and follows.entry_m_s > 0.0 and _is_smooth(control, follows.subpath.control_nea_m):
+        most_m_s = math.inf
+        if task.limits.hovers:
+            slows = 2.0 * task.envelope.gaining_m_s2 * subpath.length_m
+            most_m_s = math.sqrt(follows.entry_m_s**2 + slows)
+        ways.insert(0, (min(speed_m_s, most_m_s), True))
+    for (at_m_s, through), from_rest in product(ways, (False, True)):
+        slow = task.at_speed(at_m_s)
+        if _is_proven(subpath, slow, known, from_rest=from_rest, stops=not through):
+            entry_m_s = procedure.entry_m_s(subpath, slow.envelope, stops=not through)
+            return _Leg(subpath, through, at_m_s, 0.0 if from_rest else entry_m_s)
+    return None
 
 
 def _curves_back(flown: tuple[FlownSegment, ...], task: Task) -> list[tuple[FloatArray, float]]:

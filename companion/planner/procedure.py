@@ -268,12 +268,19 @@ def paced_m_s(subpath: Subpath, motion: Envelope, at_m: float) -> float:
     return min(float(paces[k]), float(paces[k + 1]))
 
 
+def entry_m_s(subpath: Subpath, motion: Envelope, *, stops: bool) -> float:
+    """How fast a leg may be entered: by its first bends, and so that it can stop at its end."""
+    pace_m_s = paced_m_s(subpath, motion, 0.0)
+    can_stop = not stops or motion.loiter_m > 0.0
+    return pace_m_s if can_stop else min(pace_m_s, ending_m_s(motion, subpath.length_m))
+
+
 def entering_m_s(leg: Leg, before: Envelope, room_m: float) -> float:
-    """How fast it may move so far before a leg, because of that: for its first bends, too.
+    """How fast it may move so far before a leg, because of that.
 
     before: of the leg that it is still on.
     """
-    pace_m_s = min(paced_m_s(leg.subpath, before, 0.0), leg.motion.speed_m_s)
+    pace_m_s = entry_m_s(leg.subpath, leg.motion, stops=not leg.through)
     return math.sqrt(pace_m_s**2 + 2.0 * before.gaining_m_s2 * max(room_m, 0.0))
 
 

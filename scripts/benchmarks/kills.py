@@ -3,10 +3,10 @@
     scripts/bench kills [--kills 500] [--scale forest] [--autopilot px4] [--first 1] [--json FILE]
 
 The stream of setpoints ends, and a copy of the simulation flies on until the vehicle stands (a
-plane: until it has gone round).  Where it truly is must lie within what the certificates of its leg
-speak of, and of those before that it may still be on: tube and navigation error about curve,
-stretches, circles.  A plane is sent to points ahead of it: shortly before p_prog they lie on the
-next leg, whose certificate counts, too.
+plane: until it has gone round); every other flight is told to return on its way.  Where it truly is
+must lie within what the certificates of its leg speak of, and of those before that it may still be
+on: tube and navigation error about curve, stretches, circles.  A plane is sent to points ahead of
+it: shortly before p_prog they lie on the next leg, whose certificate counts, too.
 """
 
 import itertools
@@ -46,18 +46,18 @@ _PX4_ERROR_M: Final = 1.0
 """How wrong the position of the simulated PX4 may be: it tells of no less than 0.4 m."""
 _PX4_SLACK_S: Final = 0.51
 """Of COM_OF_LOSS_T, until it brakes with all that it has (`mavlink.autopilots.px4_multicopter`)."""
-_WINDS: Final = {
-    "forest": (2, 0.5),
-    "posts": (2, 0.5),
-    "street": (3, 0.5),
-    "valley": (4, 1),
-    "environment-1": (8, 2),
-    "environment-2": (8, 2),
-    "ridge": (8, 2),
-    "plane": (5, 1),
-    "short-plane": (3, 1),
+_SCALES: Final = {
+    "forest": (2, 0.5, 120),
+    "posts": (2, 0.5, 70),
+    "street": (3, 0.5, 90),
+    "valley": (4, 1, 400),
+    "environment-1": (8, 2, 500),
+    "environment-2": (8, 2, 500),
+    "ridge": (8, 2, 400),
+    "plane": (5, 1, 400),
+    "short-plane": (3, 1, 120),
 }
-"""Wind and turbulence, m/s."""
+"""Wind and turbulence, m/s; when every other flight is told to return, s."""
 _RIDGE: Final = Peak(
     north_m=15_000.0, east_m=0.0, height_amsl_m=4_300.0, spread_north_m=5_000.0, spread_east_m=1e6
 )
@@ -117,8 +117,9 @@ def proven(leg: Leg, *, from_rest: bool, near_m: float = 0.0) -> Proven:
     reaches = np.zeros_like(points)
     if motion.loiter_m == 0.0:
         for k, here_m in enumerate(at_m):
-            left_m = length_m - here_m
-            speed = ending_m_s(motion, left_m)
+            speed = motion.speed_m_s
+            if not leg.through:
+                speed = ending_m_s(motion, length_m - here_m)
             if from_rest:
                 speed = min(speed, rising_m_s(motion, here_m))
             reaches[k] = flown_on_m(motion, speed) * leg.subpath.pose(float(here_m)).tangent_nea
@@ -131,8 +132,9 @@ class KilledFlight(Flight):
     def __init__(self, mission: Mission, world: World, seed: int, faults: str = "") -> None:
         super().__init__(mission, world, seed, faults)
         self._from_rest: dict[int, bool] = {}
-        self._legs: list[Leg] = []
-        """The last one first."""
+        """Of plans."""
+        self._legs: list[tuple[Leg, bool]] = []
+        """The last one first, and whether it was begun at rest."""
 
     def planned(self, request: PlanRequest) -> PlanOutcome:
         """Notes what was planned from rest."""
@@ -143,12 +145,14 @@ class KilledFlight(Flight):
         """Notes the legs: a vehicle that is late may still be on one of those before."""
         super().step()
         leg = self.session.state.leg
-        if leg is None or (self._legs and leg is self._legs[0]):
+        if leg is None or (self._legs and leg is self._legs[0][0]):
             return
-        before = [each for each in self._legs if each.number != leg.number]
-        behind_m = itertools.accumulate(each.successor_at_m for each in before)
+        same = leg.plan_id, leg.number  # its p_prog is known now
+        before = [each for each in self._legs if (each[0].plan_id, each[0].number) != same]
+        rests = self._from_rest.get(leg.plan_id, False) and not (before and before[0][0].through)
+        behind_m = itertools.accumulate(each.successor_at_m for each, _ in before)
         late = sum(each_m < leg.motion.lag_m for each_m in behind_m)
-        self._legs = [leg, *before[: late + 1]]
+        self._legs = [(leg, rests), *before[: late + 1]]
 
     def killed(self) -> dict[str, Any]:
         """What comes of it in a copy without a companion."""
@@ -184,14 +188,14 @@ class KilledFlight(Flight):
                 turned_rad += abs(math.remainder(vehicle.heading_rad - heading_rad, math.tau))
                 heading_rad = vehicle.heading_rad
         where = np.array([*track[:: max(len(track) // 150, 1)], track[-1]])
-        state, legs, leg = self.session.state, self._legs, self._legs[0]
+        state, legs, (leg, _) = self.session.state, self._legs, self._legs[0]
         path, at_m = state.path, state.reference.length_m
         points_m = at_m + lead_m(state, state.reference)
         if path and path.next_leg and points_m > path.leg.successor_at_m:
-            legs = [path.next_leg, *legs]
+            legs = [(path.next_leg, False), *legs]
         outside = np.full(len(where), math.inf)
-        for each in legs:
-            told = proven(each, from_rest=self._from_rest.get(each.plan_id, False), near_m=at_m)
+        for each, from_rest in legs:
+            told = proven(each, from_rest=from_rest, near_m=at_m)
             outside = np.minimum(outside, told.outside_m(where))
         return {
             "at_s": began_s,
@@ -244,12 +248,16 @@ def _on_px4(mission: Mission, world: World) -> tuple[Mission, World]:
 
 def kills(scale: str, autopilot: str, seed: int, every_s: float) -> Iterator[dict[str, Any]]:
     """The kills of one flight, one after the other; the last says why it gave up, if it did."""
-    wind = "at 1 s: wind {} m/s from 250 deg turbulence {}".format(*_WINDS[scale])
-    flight, due_s = KilledFlight(*setting(scale, autopilot, seed), seed, wind), -1.0
+    wind_m_s, gusts_m_s, returns_s = _SCALES[scale]
+    faults = f"at 1 s: wind {wind_m_s} m/s from 250 deg turbulence {gusts_m_s}"
+    if seed % 2:
+        faults += f"\nat {returns_s} s: ground_command 20"  # NAV_RETURN_TO_LAUNCH
+    flight, due_s = KilledFlight(*setting(scale, autopilot, seed), seed, faults), -1.0
     kill: dict[str, Any] = {}
     while not flight.is_over and flight.now_s <= _LIMIT_S:
         flight.step()
-        flies_leg = flight.phase is Phase.FLYING and flight.session.state.leg is not None
+        is_led = flight.phase in (Phase.FLYING, Phase.RETURNING)
+        flies_leg = is_led and flight.session.state.leg is not None
         if flies_leg and flight.now_s >= due_s:
             due_s = flight.now_s + every_s
             kill = {"scale": scale, "autopilot": autopilot, "seed": seed, "gave_up": None}
@@ -273,11 +281,11 @@ def sample(
 def killed(
     kills: int = 500,
     first: int = 1,
-    scale: Literal[("all", *_WINDS)] = "all",
+    scale: Literal[("all", *_SCALES)] = "all",
     autopilot: Literal["all", "ardupilot", "px4"] = "all",
 ) -> Found:
     """So many kills at each scale with each autopilot, of flights with seeds from the first on."""
-    scales = tuple(_WINDS) if scale == "all" else (scale,)
+    scales = tuple(_SCALES) if scale == "all" else (scale,)
     autopilots = ("ardupilot", "px4") if autopilot == "all" else (autopilot,)
     found = list[dict[str, Any]]()
     for settings in itertools.product(scales, autopilots):

@@ -1,15 +1,19 @@
 import math
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 
 import numpy as np
 import pytest
-from brute_force import violations
+from brute_force import fastest_m_s, violations
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from planning import TASK, TRUTH, ask, fly, spline
 
+from companion.mission.way_back import way_of
 from companion.planner.backtrack import backtrack
 from companion.planner.offline import OfflineFlight
 from companion.planner.plan import plan
+from companion.planner.procedure import Reference, advance, entering_m_s
 from companion.planner.request import Backtrack, FlownSegment
 from companion.world.zones import CircleZone
 
@@ -101,6 +105,45 @@ def test_a_part_of_a_leg_and_a_corner_and_a_gap_are_joined() -> None:
         assert (subpath.control_nea_m[-1] == after.control_nea_m[0]).all()
         turn = subpath.pose(subpath.length_m).tangent_nea @ after.pose(0.0).tangent_nea
         assert through == (turn > 0.99)
+
+
+@settings(max_examples=25)
+@given(seed=st.integers(0, 10_000), tick_s=st.sampled_from([0.05, 0.1, 0.2]))
+def test_it_comes_to_no_end_faster_than_it_can_stop_there_however_short_its_legs_are(
+    seed: int, tick_s: float
+) -> None:
+    """Of straight legs, flown in pieces of 2 to 40 m at up to 15 m/s, with corners between some."""
+    rng, here, bearing_rad = np.random.default_rng(seed), np.array([1_500.0, 1_500.0, 500.0]), 0.3
+    parts = list[FlownSegment]()
+    for _ in range(8):
+        bearing_rad += rng.choice([0.0, 0.0, 1.5])
+        length_m, pieces = rng.uniform(8.0, 120.0), int(rng.integers(1, 5))
+        ahead = np.array([math.cos(bearing_rad), math.sin(bearing_rad), 0.0])
+        control = here + np.linspace(0.0, length_m, pieces + 3)[:, None] * ahead
+        speed_m_s = rng.choice([None, 6.0])
+        parts.append(
+            FlownSegment(control_nea_m=control, from_m=0.0, until_m=length_m, speed_m_s=speed_m_s)
+        )
+        here = control[-1]
+    back = backtrack(tuple(parts), TASK, TRUTH)
+    assert back.reaches_start
+    legs, reference = way_of(back, TASK), Reference()
+    for leg, follows in zip_longest(legs, legs[1:]):
+        length_m, left_m = leg.subpath.length_m, leg.subpath.length_m
+        while left_m > (1e-6 if leg.through else 0.05):
+            slows_to_m_s = math.inf
+            if leg.through:
+                slows_to_m_s = entering_m_s(follows, leg.motion, left_m)
+            at_nea_m = leg.subpath.pose(reference.length_m).position_nea_m
+            reference = advance(
+                *(reference, leg, tick_s, at_nea_m), goes_on=leg.through, slows_to_m_s=slows_to_m_s
+            )
+            if not leg.through:
+                [most_m_s] = fastest_m_s(leg.motion, np.array([left_m]))
+                assert reference.speed_m_s <= most_m_s + leg.motion.gaining_m_s2 * tick_s + 1e-6
+            left_m = length_m - reference.length_m
+        assert leg.through or reference.speed_m_s < 0.5
+        reference = Reference(speed_m_s=reference.speed_m_s if leg.through else 0.0)
 
 
 @pytest.mark.parametrize(("above_m", "parts"), [(0.001, 1), (-0.001, 0), (-0.7, 0)])
