@@ -15,6 +15,7 @@ from typing import NamedTuple, final
 from companion.path.limits import Limits
 
 _JERKS_1_S = 4.0  # its jerk for each m/s2 of acceleration: ArduCopter's `parameters_for`, `kills`
+SLOWEST = 0.25  # of V: no bend is flown more slowly, so none is so tight as to ask for that
 _LAG_S = 1.0  # of flight at full speed: behind a point that gains speed it is up to 0.6 s late
 
 
@@ -117,7 +118,7 @@ def envelope_of(limits: Limits, handling: Handling, convergence_rad: float = 0.0
         climb_rate_m_s=float(limits.climb_rate_m_s),
         climb_angle_rad=float(limits.climb_angle_rad),
         dive_angle_rad=float(limits.dive_angle_rad),
-        turn_radius_m=float(limits.turn_radius_m),
+        turn_radius_m=float(max(limits.turn_radius_m, (SLOWEST * limits.speed_m_s) ** 2 / lateral)),
         lateral_m_s2=lateral,
         tube_m=float(tube_m),
         aside_m=0.0,

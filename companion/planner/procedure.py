@@ -20,7 +20,7 @@ from typing import final
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.envelope import Envelope, ending_m_s, slowed_m_s, slowing_m
+from companion.path.envelope import SLOWEST, Envelope, ending_m_s, slowed_m_s, slowing_m
 from companion.path.limits import Limits
 from companion.path.subpath import Pose, Subpath
 from companion.planner.progress import SLACK
@@ -30,7 +30,6 @@ from companion.world.near_map import NearMap
 from companion.world.zones import Zone, gaps_m
 
 _GAINS = 0.6  # of the lag: so far ahead it gains no speed, else the vehicle catches up too fast
-_SLOWEST = 0.25  # of V: what would have to be left more slowly is flown to its end
 _ROUNDING_M = 1e-6  # of lengths, as of proofs
 _ARRIVED_M = 0.05  # what is left of the speed there is worth no mention
 _CHORDS = 32  # of the part of the path on which the nearest point is looked for
@@ -130,7 +129,7 @@ class Leg:
             return True
         left_m = self.subpath.length_m - at.length_m + _ROUNDING_M
         slows_m = max(slowing_m(self.motion, at.speed_m_s), self.motion.lead_m)
-        return left_m >= slows_m and at.speed_m_s >= _SLOWEST * self.motion.speed_m_s
+        return left_m >= slows_m and at.speed_m_s >= SLOWEST * self.motion.speed_m_s
 
     def wants_successor(self, reference: Reference, speed_m_s: float = 0.0) -> bool:
         """Whether to scan and plan for the next leg now: from p_scan on.
@@ -299,7 +298,7 @@ def _paces_m_s(subpath: Subpath, motion: Envelope) -> FloatArray:
     steep = np.maximum(np.abs(curve.first[:, 2]) / size, 1e-9)
     most = np.minimum(motion.climb_rate_m_s / steep, motion.speed_m_s)
     turns = np.sqrt(motion.lateral_m_s2 / np.maximum(bends_1_m, 1e-12))
-    paces = np.minimum(most, np.maximum(turns, _SLOWEST * motion.speed_m_s))
+    paces = np.minimum(most, np.maximum(turns, SLOWEST * motion.speed_m_s))
     gains = 2.0 * motion.gaining_m_s2 * subpath.length_m / (len(paces) - 1)
     for k in range(len(paces) - 2, -1, -1):
         paces[k] = min(paces[k], math.sqrt(paces[k + 1] ** 2 + gains))

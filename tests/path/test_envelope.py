@@ -100,6 +100,20 @@ def test_the_reach_covers_the_54_m_that_arducopter_flew_on_at_10_m_s() -> None:
 
 
 @pytest.mark.parametrize("handling", [ARDUCOPTER, COPTER])
+@pytest.mark.parametrize(("speed_m_s", "radius_m"), [(3.0, 6.0), (10.0, 5.5), (10.0, 60.0)])
+def test_no_turn_is_so_tight_that_a_quarter_of_v_is_too_fast_for_its_tube(
+    handling: Handling, speed_m_s: float, radius_m: float
+) -> None:
+    """More slowly no bend is flown.  A mission that asks for less than it may has its way."""
+    bounds = limits(speed_m_s=speed_m_s, turn_radius_m=radius_m, tracking_error_m=0.5)
+    motion = envelope_of(bounds, handling)
+    slowest_m_s2 = (0.25 * speed_m_s) ** 2 / motion.turn_radius_m
+    assert slowest_m_s2 <= motion.lateral_m_s2 * (1.0 + 1e-12)
+    is_asked = motion.turn_radius_m == radius_m
+    assert is_asked or slowest_m_s2 == pytest.approx(motion.lateral_m_s2)
+
+
+@pytest.mark.parametrize("handling", [ARDUCOPTER, COPTER])
 def test_a_mission_widens_the_tube_that_was_measured_and_never_narrows_it(
     handling: Handling,
 ) -> None:
