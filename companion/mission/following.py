@@ -14,7 +14,7 @@ from companion.mission.decisions import Turn
 from companion.mission.events import Echo, Position, Setpoint, Vector
 from companion.mission.phases import OnPath, Reason
 from companion.mission.state import State
-from companion.path.envelope import ending_m_s, slowing_m
+from companion.path.envelope import beyond_m, ending_m_s, slowing_m
 from companion.planner import procedure
 from companion.planner.loiter_search import loiter_point
 from companion.planner.procedure import Leg, Offset, Reference
@@ -108,8 +108,9 @@ def outside_m(state: State, path: OnPath, event: Position) -> tuple[float, float
     """How far the vehicle is outside of what was proven: across, ahead and far along; 0: inside.
 
     Across: of the tube about the path, a tracking error wide, that ends so far beyond the end of
-    the leg; of a plane the circle about each point of the path is proven.  Ahead: of where it was
-    told to be.  Far along: farther ahead, or behind, than the reference point waits for it.
+    the leg, and as far again where dead-man stretches may end there; of a plane the circle about
+    each point of the path is proven.  Ahead: of where it was told to be.  Far along: farther ahead,
+    or behind, than the reference point waits for it.
     """
     leg, reference, here = path.leg, path.reference, np.asarray(event.position_nea_m)
     if not (state.task.settings.profile.verified or state.flight.returning):
@@ -123,7 +124,8 @@ def outside_m(state: State, path: OnPath, event: Position) -> tuple[float, float
     if path.offset is not None:
         allowed_m += float(np.linalg.norm(path.offset.position_nea_m))
     ahead = procedure.ahead_m(reference, leg, here)
-    across_m = procedure.off_path_m(reference, leg, here) - allowed_m
+    past_m = min(beyond_m(motion), motion.tube_m)
+    across_m = procedure.off_path_m(reference, leg, here, past_m) - allowed_m
     before_m = ahead - lead_m(state, reference) - allowed_m
     far_m = abs(ahead) - motion.lag_m - allowed_m
     return max(across_m, 0.0), max(before_m, 0.0), max(far_m, 0.0)

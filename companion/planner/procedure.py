@@ -322,10 +322,13 @@ def ahead_m(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray) -> float:
     return float((vehicle_nea_m - pose.position_nea_m) @ pose.tangent_nea)
 
 
-def off_path_m(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray) -> float:
+def off_path_m(
+    reference: Reference, leg: Leg, vehicle_nea_m: FloatArray, past_m: float = 0.0
+) -> float:
     """Distance of the vehicle from the path near the reference point; beyond its end, from that.
 
     Before its start the path is taken to come straight from behind: another leg does.
+    past_m: so far beyond its end it is taken to go straight on.
     """
     length_m = leg.subpath.length_m
     for _ in range(_PROJECTIONS):
@@ -333,9 +336,10 @@ def off_path_m(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray) -> flo
         reference = Reference(length_m=min(max(at_m, 0.0), length_m))
     pose = leg.subpath.pose(reference.length_m)
     off = vehicle_nea_m - pose.position_nea_m
-    if reference.length_m < length_m:
-        off = off - float(off @ pose.tangent_nea) * pose.tangent_nea
-    return float(np.linalg.norm(off))
+    along_m = float(off @ pose.tangent_nea)
+    if reference.length_m >= length_m:
+        along_m = min(max(along_m, 0.0), past_m)
+    return float(np.linalg.norm(off - along_m * pose.tangent_nea))
 
 
 # --- of a plane

@@ -204,18 +204,26 @@ def test_the_reference_point_stops_where_it_is_told_to_if_that_is_before_the_end
     assert is_at_end(reference, leg) == at_end
 
 
-@given(at=st.floats(0.05, 1.0), off_m=st.tuples(*[st.floats(-15.0, 15.0)] * 3))
+@given(
+    at=st.one_of(st.floats(0.05, 1.0), st.just(1.0)),
+    off_m=st.tuples(*[st.floats(-15.0, 15.0)] * 3),
+    past_m=st.sampled_from([0.0, 8.0]),
+)
 def test_off_the_path_is_the_distance_to_its_nearest_point_and_beyond_its_end_to_that(
-    at: float, off_m: tuple[float, float, float]
+    at: float, off_m: tuple[float, float, float], past_m: float
 ) -> None:
+    """Or to where it would be if it went straight on for a while."""
     leg = bent_leg()
     reference = Reference(length_m=at * leg.subpath.length_m)
     pose = leg.subpath.pose(reference.length_m)
     vehicle = pose.position_nea_m + off_m
     near = np.linspace(reference.length_m - 80.0, reference.length_m + 80.0, 3_201)
     near = near[(near >= 0.0) & (near <= leg.subpath.length_m)]
-    nearest = float(np.linalg.norm(leg.subpath.points_nea_m(near) - vehicle, axis=-1).min())
-    assert off_path_m(reference, leg, vehicle) == pytest.approx(nearest, abs=0.05)
+    end = leg.subpath.pose(leg.subpath.length_m)
+    past = end.position_nea_m + np.linspace(0.0, past_m, 161)[:, None] * end.tangent_nea
+    points = np.concatenate([leg.subpath.points_nea_m(near), past])
+    nearest = float(np.linalg.norm(points - vehicle, axis=-1).min())
+    assert off_path_m(reference, leg, vehicle, past_m) == pytest.approx(nearest, abs=0.05)
     assert ahead_m(reference, leg, vehicle) == pytest.approx(float(pose.tangent_nea @ off_m))
 
 
