@@ -262,9 +262,14 @@ def stop(state: State, reason: Reason, turn: Turn) -> None:
         come_to_rest(state, flight.hover_nea_m or state.vehicle.position_nea_m)
         return turn.fault(reason)
     leg, reference = path.leg, path.reference
-    if not state.vehicle.traits.hovers:
-        ahead_m = lead_m(state, reference)
-        point = procedure.sent_pose(reference, leg, path.next_leg, ahead_m).point_nea_m
+    if not state.vehicle.traits.hovers:  # it flies on to the point that it is sent to
+        at_m = reference.length_m + (0.0 if path.circling else lead_m(state, reference))
+        if path.next_leg is not None and at_m > leg.successor_at_m:
+            at_m -= leg.successor_at_m
+            switch_to_next_leg(state, path)
+        leg, at_m = path.leg, min(at_m, path.leg.subpath.length_m)
+        path.reference = Reference(length_m=at_m, speed_m_s=reference.speed_m_s)
+        point = leg.subpath.pose(at_m).point_nea_m
         if reason in (Reason.NEW_THREAT, Reason.FENCE_UNREAD):
             here = state.vehicle.position_nea_m or point
             velocity = state.vehicle.velocity_nea_m_s
@@ -377,7 +382,7 @@ def joined(state: State, path: OnPath | None) -> OnPath | None:
         next_off_m, next_at_m = nearest(path.next_leg, led)
         if next_off_m < off_m - 1e-6:
             leg, off_m, at_m = path.next_leg, next_off_m, next_at_m
-    limits = leg.task.limits
+    limits, holds = leg.task.limits, flight.sent is not None and flight.sent.stay
     if off_m > limits.tracking_error_m + _ON_CIRCLE * limits.loiter_radius_m:
         return None
     if leg is path.next_leg:
@@ -388,7 +393,7 @@ def joined(state: State, path: OnPath | None) -> OnPath | None:
     if hovers and path.next_leg is None:  # what it cannot brake from is offset
         left_m = path.leg.subpath.length_m - at_m
         speed = min(speed, ending_m_s(path.leg.motion, left_m))
-    path.circling = not hovers and off_m > limits.tracking_error_m
+    path.circling = not hovers and (holds or off_m > limits.tracking_error_m)
     if hovers:
         path.offset = Offset.of(led, velocity, pose, speed)
     note_flown(state, path, at_m)
@@ -434,10 +439,11 @@ def _led(state: State) -> tuple[Vector, Vector] | None:
     here, velocity, echo = vehicle.position_nea_m, vehicle.velocity_nea_m_s, vehicle.echo
     if here is None:
         return None
+    is_fresh = flight.sent is not None and state.now_s - flight.sent_at_s < _FRESH_S
+    if flight.sent is not None and is_fresh and (vehicle.traits.hovers or flight.sent.stay):
+        return flight.sent.position_nea_m, velocity
     if not vehicle.traits.hovers:
         return here, velocity
-    if flight.sent is not None and state.now_s - flight.sent_at_s < _FRESH_S:
-        return flight.sent.position_nea_m, velocity
     near_m = 2.0 * state.task.limits.tracking_error_m + state.task.limits.speed_m_s * _FRESH_S
     age_s = math.inf if echo is None else state.now_s - echo.time_s
     if echo is None or age_s > _FRESH_S or math.dist(echo.position_nea_m, here) >= near_m:

@@ -5,14 +5,24 @@ import math
 from itertools import pairwise
 
 import pytest
-from made_up import AWAY, EACH, PLANES, flying, position
+from made_up import AWAY, EACH, PLANES, flying, position, tell
 from renewed import replace
 from wild import HOME_AMSL_M, Wild
 
 from companion.mavlink.autopilots import PX4_FIXED_WING
 from companion.mission import checkpoint, events, stopped
+from companion.mission.changes import OrderResult
 from companion.mission.decisions import Context
-from companion.mission.events import Arm, Landed, Mode, Outcome, SetMode, Setpoint, TakeOff
+from companion.mission.events import (
+    Arm,
+    Landed,
+    Mode,
+    OrderKind,
+    Outcome,
+    SetMode,
+    Setpoint,
+    TakeOff,
+)
 from companion.mission.following import outside_m
 from companion.mission.mission import EndAction
 from companion.mission.phases import Phase, Reason
@@ -165,6 +175,21 @@ def test_a_plane_leaves_its_circle_when_it_flies_the_way_of_its_path(traits: Veh
     tangent = wild.state.leg.subpath.pose(0.0).tangent_nea
     along = sum(a * b for a, b in zip(wild.velocity[:2], tangent, strict=False))
     assert along > 0.85 * math.hypot(*wild.velocity[:2])
+
+
+@PLANES
+def test_a_plane_that_is_told_to_return_circles_one_place_until_it_leaves_for_home(
+    traits: VehicleTraits,
+) -> None:
+    """What it is to circle must not move: it would swing wide of both circles."""
+    wild = led(traits)
+    assert tell(wild, OrderKind.RETURN) is OrderResult.ACCEPTED
+    before = len(wild.sent(Setpoint))
+    wild.fly_to(Phase.RETURNING).run_until(lambda wild: not wild.state.path.circling)
+    held = [each for each in wild.sent(Setpoint)[before:] if each.stay]
+    assert len(held) > 10
+    for each in held:
+        assert each.position_nea_m == pytest.approx(held[0].position_nea_m, abs=0.5)
 
 
 @PLANES
