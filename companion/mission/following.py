@@ -373,27 +373,27 @@ def joined(state: State, path: OnPath | None) -> OnPath | None:
 
     None if that is farther from the path than was proven: nothing has changed then.
     """
-    vehicle, flight, led_so = state.vehicle, state.flight, _led(state)
+    flight, hovers, led_so = state.flight, state.vehicle.traits.hovers, _led(state)
     if led_so is None or path is None:
         return None
     (led, velocity), path = led_so, copy(path)
-    leg, (off_m, at_m) = path.leg, nearest(path.leg, led)
-    if path.next_leg is not None:
-        next_off_m, next_at_m = nearest(path.next_leg, led)
-        if next_off_m < off_m - 1e-6:
-            leg, off_m, at_m = path.next_leg, next_off_m, next_at_m
+    leg, off_m, at_m = _nearest_of(path, led)
     limits, holds = leg.task.limits, flight.sent is not None and flight.sent.stay
     if off_m > limits.tracking_error_m + _ON_CIRCLE * limits.loiter_radius_m:
         return None
+    path.circling = not hovers and (holds or off_m > limits.tracking_error_m)
+    if path.circling and (centre := _circled(state)) is not None:
+        circled, off_m, centre_at_m = _nearest_of(path, centre)
+        if off_m <= limits.tracking_error_m:  # another circle it would enter from the side
+            leg, at_m = circled, centre_at_m
     if leg is path.next_leg:
         switch_to_next_leg(state, path)
-    pose, hovers = path.leg.subpath.pose(at_m), vehicle.traits.hovers
+    pose = path.leg.subpath.pose(at_m)
     speed = max(float(np.dot(velocity, pose.tangent_nea)), 0.0)
     speed = min(speed, limits.speed_m_s)
     if hovers and path.next_leg is None:  # what it cannot brake from is offset
         left_m = path.leg.subpath.length_m - at_m
         speed = min(speed, ending_m_s(path.leg.motion, left_m))
-    path.circling = not hovers and (holds or off_m > limits.tracking_error_m)
     if hovers:
         path.offset = Offset.of(led, velocity, pose, speed)
     note_flown(state, path, at_m)
@@ -439,11 +439,10 @@ def _led(state: State) -> tuple[Vector, Vector] | None:
     here, velocity, echo = vehicle.position_nea_m, vehicle.velocity_nea_m_s, vehicle.echo
     if here is None:
         return None
-    is_fresh = flight.sent is not None and state.now_s - flight.sent_at_s < _FRESH_S
-    if flight.sent is not None and is_fresh and (vehicle.traits.hovers or flight.sent.stay):
-        return flight.sent.position_nea_m, velocity
     if not vehicle.traits.hovers:
         return here, velocity
+    if flight.sent is not None and state.now_s - flight.sent_at_s < _FRESH_S:
+        return flight.sent.position_nea_m, velocity
     near_m = 2.0 * state.task.limits.tracking_error_m + state.task.limits.speed_m_s * _FRESH_S
     age_s = math.inf if echo is None else state.now_s - echo.time_s
     if echo is None or age_s > _FRESH_S or math.dist(echo.position_nea_m, here) >= near_m:
@@ -451,6 +450,25 @@ def _led(state: State) -> tuple[Vector, Vector] | None:
     velocity = echo.velocity_nea_m_s or velocity
     north, east, up = (at + age_s * v for at, v in zip(echo.position_nea_m, velocity, strict=True))
     return (north, east, up), velocity
+
+
+def _circled(state: State) -> Vector | None:
+    """What a plane circles: where we have sent it to stay, or what it says that it was sent to."""
+    flight, echo = state.flight, state.vehicle.echo
+    if flight.sent is not None and flight.sent.stay and state.now_s - flight.sent_at_s < _FRESH_S:
+        return flight.sent.position_nea_m
+    is_fresh = echo is not None and state.now_s - echo.time_s < _FRESH_S
+    return echo.position_nea_m if echo is not None and is_fresh else None
+
+
+def _nearest_of(path: OnPath, point_nea_m: Vector) -> tuple[Leg, float, float]:
+    """The nearer leg of a path and the one after it, and `nearest` of it."""
+    leg, (off_m, at_m) = path.leg, nearest(path.leg, point_nea_m)
+    if path.next_leg is not None:
+        next_off_m, next_at_m = nearest(path.next_leg, point_nea_m)
+        if next_off_m < off_m - 1e-6:
+            return path.next_leg, next_off_m, next_at_m
+    return leg, off_m, at_m
 
 
 def nearest(leg: Leg, point_nea_m: Vector) -> tuple[float, float]:

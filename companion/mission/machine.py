@@ -87,6 +87,9 @@ def _break_off(state: State, reason: Reason, turn: Turn) -> None:
         turn.fault(reason)
 
 
+_HEARD: Final = ("status_at_s", "landed_at_s", "fix_at_s", "estimator_at_s", "battery_at_s")
+
+
 def rebased(before: State, shift_s: float) -> State:
     """The state on a clock that shows shift_s more: its own time, and the waits that go on."""
     state, vehicle, stage = copy(before), copy(before.vehicle), copy(before.stage)
@@ -99,6 +102,9 @@ def rebased(before: State, shift_s: float) -> State:
         state.fence_unread_s += shift_s
     vehicle.bad_at_s += shift_s
     vehicle.battery_short_at_s = None
+    for name in _HEARD:  # while the clock stood still: it was just now
+        if getattr(vehicle, name) == before.now_s:
+            setattr(vehicle, name, state.now_s)
     return state
 
 

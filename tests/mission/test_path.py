@@ -7,17 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_up import MISSION, SPEED_M_S, TICK_S, Craft, flying, position, texts
+from made_up import MISSION, PLANES, SPEED_M_S, TICK_S, Craft, flying, position, texts
 from made_up_plans import LEG_M
 from renewed import deep, replace
+from wild import Wild
 
-from companion.mission import events
+from companion.mission import events, machine
 from companion.mission.decisions import Turn
 from companion.mission.events import Mode, Setpoint
 from companion.mission.following import is_on_path, joined, left_path, outside_m, send_setpoint
 from companion.mission.journal import of_change
 from companion.mission.phases import Answered, OnPath, Phase, Reason
 from companion.mission.state import State
+from companion.mission.vehicle_traits import VehicleTraits
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Reference
 
@@ -198,6 +200,17 @@ def told_nothing(state: State, at: Any, velocity: Any, echo: events.Echo | None 
     return state
 
 
+def test_what_was_heard_before_the_vehicles_time_was_known_is_no_older_by_it() -> None:
+    """Else a vehicle that has just been found again is taken for silent, and its path is left."""
+    state = deep(cruising().state)
+    state.vehicle.status_at_s, state.vehicle.fix_at_s = state.now_s, state.now_s - 1.0
+    later = machine.rebased(state, 7.0)
+    assert later.now_s == state.now_s + 7.0
+    assert later.vehicle.status_at_s == later.now_s
+    assert not later.is_silent
+    assert later.vehicle.fix_at_s == state.vehicle.fix_at_s  # by the same clock: it is older
+
+
 @pytest.mark.parametrize("share", [0.2, 0.8])
 def test_it_rejoins_the_leg_that_is_the_nearer_one_and_has_flown_the_other(share: float) -> None:
     """The next leg turns off to the right from p_prog of this one."""
@@ -214,6 +227,25 @@ def test_it_rejoins_the_leg_that_is_the_nearer_one_and_has_flown_the_other(share
         assert goes_on.reference.length_m == pytest.approx(at_m, abs=0.1)
         flown_m = [each.until_m for each in found.flight.flown[len(state.flight.flown) :]]
         assert flown_m == pytest.approx([at_m] if leg is path.leg else [over_at_m, at_m])
+
+
+@PLANES
+@pytest.mark.parametrize("says", [False, True])
+def test_a_plane_found_on_a_circle_about_its_path_goes_on_circling_the_same_place(
+    traits: VehicleTraits, says: bool
+) -> None:
+    """As far as its autopilot says what it circles; else the place next to where it is."""
+    state = Wild.calmly(traits).run_until(lambda it: it.state.reference.length_m > 60.0).state
+    curve, radius_m = state.leg.subpath, state.task.limits.loiter_radius_m
+    centre, apart = curve.pose(state.reference.length_m + 40.0), np.add(ASIDE, (0.3, 0.0, 0.0))
+    here = centre.position_nea_m + radius_m * apart / np.linalg.norm(apart)
+    echo = events.Echo(time_s=state.now_s, position_nea_m=centre.point_nea_m) if says else None
+    found = told_nothing(state, tuple(here.tolist()), (0.0, 15.0, 0.0), echo)
+    path = joined(found, state.path)
+    assert path is not None
+    assert path.circling
+    off_m = math.dist(found.flight.hover_nea_m, centre.point_nea_m)
+    assert off_m < 0.5 if says else off_m > 5.0
 
 
 @pytest.mark.parametrize(
