@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Final, final
 
 from companion.mission.mission import Mission
+from companion.path.envelope import RISES
 from companion.path.limits import Limits
 
 EQUAL_WITHIN: Final = 1e-6
@@ -301,6 +302,11 @@ brakes = at_least(
     lambda limits: limits.acceleration_m_s2,
     "it brakes with {value:g} m/s2, and the mission counts on {needed:g}",
     "Raise it, or set vehicle.acceleration_m_s2 to {value:g} or less",
+)
+rises = at_least(
+    lambda limits: RISES * limits.acceleration_m_s2,
+    "it gains a climb rate with {value:g} m/s2, and the mission counts on {needed:g}",
+    "Raise it, or set a smaller vehicle.acceleration_m_s2",
 )
 _SPEED = "vehicle.speed_m_s = {needed:g} is"
 slowest = at_least(

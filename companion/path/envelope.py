@@ -16,6 +16,7 @@ from companion.path.limits import Limits
 
 _JERKS_1_S = 4.0  # its jerk for each m/s2 of acceleration: ArduCopter's `parameters_for`, `kills`
 SLOWEST = 0.25  # of V: no bend is flown more slowly, so none is so tight as to ask for that
+RISES = 0.4  # of its acceleration ahead: ArduCopter's defaults are 1 of 2.5 m/s2, PX4's are more
 _LAG_S = 1.0  # of flight at full speed: behind a point that gains speed it is up to 0.6 s late
 
 
@@ -79,6 +80,7 @@ class Envelope(NamedTuple):
     dive_angle_rad: float
     turn_radius_m: float
     lateral_m_s2: float  # the point takes no turn harder, so that the vehicle stays in its tube
+    vertical_m_s2: float  # nor any bend upwards or downwards
     tube_m: float  # how far it may be from where it was told to be: across the path, past its end
     aside_m: float  # how far beside a straight dead-man stretch it may end, beyond its tube
     lag_m: float  # how far behind the point it may be: that waits for it when it is farther
@@ -120,6 +122,7 @@ def envelope_of(limits: Limits, handling: Handling, convergence_rad: float = 0.0
         dive_angle_rad=float(limits.dive_angle_rad),
         turn_radius_m=float(max(limits.turn_radius_m, (SLOWEST * limits.speed_m_s) ** 2 / lateral)),
         lateral_m_s2=lateral,
+        vertical_m_s2=RISES * limits.acceleration_m_s2 if limits.hovers else math.inf,
         tube_m=float(tube_m),
         aside_m=0.0,
         lag_m=float(max(_LAG_S * limits.speed_m_s, 2.0 * tube_m)),

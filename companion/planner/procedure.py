@@ -294,10 +294,14 @@ def _paces_m_s(subpath: Subpath, motion: Envelope) -> FloatArray:
     curve = subpath.sampled(subpath.length_m / _PACES)
     size = np.linalg.norm(curve.first, axis=-1)
     size = np.maximum(size, 1e-3 * subpath.length_m)  # where control points coincide it is 0
-    bends_1_m = np.linalg.norm(np.cross(curve.first, curve.second), axis=-1) / size**3
+    around = np.cross(curve.first, curve.second)
+    bends_1_m = np.linalg.norm(around, axis=-1) / size**3
+    rises_1_m = np.abs(np.cross(around, curve.first)[:, 2]) / size**4  # of that, up and down
     steep = np.maximum(np.abs(curve.first[:, 2]) / size, 1e-9)
     most = np.minimum(motion.climb_rate_m_s / steep, motion.speed_m_s)
     turns = np.sqrt(motion.lateral_m_s2 / np.maximum(bends_1_m, 1e-12))
+    rises = np.sqrt(motion.vertical_m_s2 / np.maximum(rises_1_m, 1e-12))
+    turns = np.minimum(turns, rises)
     paces = np.minimum(most, np.maximum(turns, SLOWEST * motion.speed_m_s))
     gains = 2.0 * motion.gaining_m_s2 * subpath.length_m / (len(paces) - 1)
     for k in range(len(paces) - 2, -1, -1):

@@ -95,6 +95,21 @@ def test_the_reference_point_is_never_faster_than_v_its_acceleration_and_its_cli
             assert speeds.max() <= cruise_m_s + 1e-9
 
 
+@pytest.mark.parametrize("slope", [0.25, -0.25])
+@pytest.mark.parametrize("spacing_m", [15.0, 30.0])
+def test_it_is_asked_to_rise_and_to_sink_no_harder_than_a_vehicle_does(
+    slope: float, spacing_m: float
+) -> None:
+    """Of a level path that begins to climb; else ArduCopter is for seconds metres below it."""
+    north_m = spacing_m * np.arange(17.0)
+    altitude_m = 500.0 + slope * np.maximum(north_m - north_m[8], 0.0)
+    leg = leg_of(np.stack([north_m, 0.0 * north_m, altitude_m], axis=-1), rules=TASK)
+    references, tick_s = flown(leg, 0.1), 0.1
+    up_m_s = [r.speed_m_s * leg.subpath.pose(r.length_m).tangent_nea[2] for r in references]
+    hardest_m_s2 = np.abs(np.diff(up_m_s)).max() / tick_s
+    assert hardest_m_s2 == pytest.approx(MOTION.vertical_m_s2, rel=0.1)
+
+
 @given(tick_s=ticks)
 def test_it_waits_for_a_vehicle_that_does_not_follow_and_goes_on_with_it(tick_s: float) -> None:
     leg, reference = leg_to(2_000.0, 0.0, 0.0), Reference()
