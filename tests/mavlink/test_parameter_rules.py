@@ -133,6 +133,7 @@ def row(way: Way, name: str, *cases: tuple[float, Any], **limits: float) -> list
         *row(QUAD, "COM_OBL_RC_ACT", *((k, 5.0) for k in (0, 1, 2, 6, 7))),
         *row(QUAD, "COM_OBL_RC_ACT", *((k, None) for k in (3, 4, 5))),
         *row(COPTER, "WPNAV_ACCEL", (250.0, None), (249.0, REFUSE), acceleration_m_s2=2.5),
+        *row(COPTER, "WPNAV_ACCEL_Z", (100.0, None), (99.0, REFUSE), acceleration_m_s2=2.5),
         *row(QUAD, "MPC_ACC_HOR", (3.0, REFUSE), acceleration_m_s2=3.5),
         # px4.md 5: at most 80-85 % of MPC_XY_VEL_MAX
         *row(QUAD, "MPC_XY_VEL_MAX", (12.0, None), speed_m_s=10.2),
@@ -219,6 +220,7 @@ def test_a_lidar_on_the_autopilot_has_to_look_all_round() -> None:
 NEWER = {
     "ANGLE_MAX": ("ATC_ANGLE_MAX", 0.01),
     "WPNAV_ACCEL": ("WP_ACC", 0.01),
+    "WPNAV_ACCEL_Z": ("WP_ACC_Z", 0.01),
     "WPNAV_SPEED_UP": ("WP_SPD_UP", 0.01),
     "PSC_JERK_XY": ("PSC_JERK_NE", 1.0),
     "MAV_GCS_SYSID": ("SYSID_MYGCS", 1.0),

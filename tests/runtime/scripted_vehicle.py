@@ -26,19 +26,14 @@ GUIDED, BRAKE, LAND = 4, 17, 9
 PARAMETERS = {  # ArduCopter's own names and units
     "ANGLE_MAX": 4500.0,
     "ARMING_CHECK": 1.0,
-    "AVOID_ENABLE": 0.0,
     "FENCE_ENABLE": 0.0,
-    "FS_EKF_ACTION": 1.0,
-    "FS_GCS_ENABLE": 0.0,
     "GUID_OPTIONS": 0.0,
     "GUID_TIMEOUT": 3.0,
-    "LAND_SPEED": 50.0,
     "PSC_JERK_XY": 20.0,
     "SYSID_MYGCS": 255.0,
     "SYSID_THISMAV": 1.0,
     "WPNAV_ACCEL": 500.0,
-    "WPNAV_SPEED": 15000.0,
-    "WPNAV_SPEED_DN": 1500.0,
+    "WPNAV_ACCEL_Z": 200.0,
     "WPNAV_SPEED_UP": 2500.0,
 }
 
