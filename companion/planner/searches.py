@@ -55,13 +55,12 @@ class Searches:
         self.broken: tuple[str, ...] = ()
         """The bounds that the first candidate broke that could not be proven."""
 
-    def guided_by(self, prices: Prices) -> None:
-        """From now on, by this guidance."""
-        self.prices, self._scene = prices, _scene_of(self._request, prices.field)
-        self.broken = ()
+    def best(self, prices: Prices) -> Planned | None:
+        """The best of all speeds; slower ones count where nothing, or only a long way, is found.
 
-    def best(self) -> Planned | None:
-        """The best of all speeds; slower ones count where nothing, or only a long way, is found."""
+        prices: by these from now on.
+        """
+        self.prices, self._scene, self.broken = prices, _scene_of(self._request, prices.field), ()
         best: Planned | None = None
         enough_m = math.inf  # from rest among near things a slow leg may beat a long way round
         if self._request.task.settings.is_near and self._request.from_rest:

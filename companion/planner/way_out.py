@@ -88,7 +88,7 @@ def escape(request: PlanRequest) -> Planned | NotPlanned | None:
         refusal = Refusal.START_NEAR_THINGS
     elif distance_to_terrain_m(around, start, least_m, seen_only=True) >= least_m:
         refusal = Refusal.START_NEAR_UNKNOWN
-    return NotPlanned(plan_id=request.plan_id, refusal=refusal)
+    return request.refused(refusal)
 
 
 def _proofs(
