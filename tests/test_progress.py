@@ -2,13 +2,12 @@
 
 from dataclasses import replace
 
+import planning
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.campaign import families
-from companion.planner.offline import fly_offline
-from companion.planner.plan import plan
 from companion.planner.progress import SLACK, Progress
 from companion.world.simulated import true_map
 
@@ -34,10 +33,7 @@ def test_between_records_no_more_is_paid_than_way_is_gained_and_a_stop_costs(
 def test_no_loop_is_flown_again_and_again(seed: int, index: int, most: int) -> None:
     """Legs: 33 before excess was counted, then 18; 29 before guesses were given up, then 11."""
     world = families.world("gathered", seed, index)
-    blank = families.unseen(world)
-    flight = fly_offline(
-        world.task, blank=blank, truth=true_map(world.terrain, blank), seed=1, planner=plan,
-        start_nea_m=world.start_nea_m, targets_ne_m=world.targets_ne_m,
-    )  # fmt: skip
+    truth = true_map(world.terrain, families.unseen(world))
+    flight = planning.fly(world.task, truth, world.start_nea_m, *world.targets_ne_m)
     assert flight.failure is None
     assert len(flight.legs) <= most

@@ -180,6 +180,11 @@ class NotPlanned:
     tries: int = 0  # how many searches there were
     stopped_after: int | None = None  # as of Planned
 
+    @property
+    def why(self) -> str:
+        """The reason, and the remedy."""
+        return f"{self.refusal.name}: {self.refusal.value}"
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
