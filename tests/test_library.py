@@ -70,19 +70,6 @@ def test_the_cost_is_that_of_the_benchmarks(page: dict[str, Any]) -> None:
     assert set(flown.terms) == {"length", "height", "radar"}
 
 
-def test_the_same_arguments_fly_the_same_flight_and_another_seed_another(
-    page: dict[str, Any],
-) -> None:
-    """As far as two legs go, and the limit of legs is told."""
-    keywords = WHERE | {"most_legs": 2}
-    one, same, other = (fly(page["terrain"], page["task"], seed=s, **keywords) for s in (1, 1, 2))
-    assert one.points_nea_m.tobytes() == same.points_nea_m.tobytes()
-    assert one.points_nea_m.tobytes() != other.points_nea_m.tobytes()
-    assert not one.arrived
-    assert one.why.startswith("TOO_MANY_LEGS: ")
-    assert len(one.certificates) == 2
-
-
 def test_a_scanner_is_asked_once_for_each_scan_and_nothing_else_is_seen(
     page: dict[str, Any],
 ) -> None:

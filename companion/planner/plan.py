@@ -94,7 +94,7 @@ def _best_proven(
     # standing, against a straight piece
     if request.from_rest and (best is None or prices.goes_round(best)):
         owes = progress.owed_m > allowed_m
-        out = way_out(request, prices, searches.straight, looks=best is None, strays=not owes)
+        out = way_out(request, searches, looks=best is None, strays=not owes)
         if out is None and owes and field.is_barred and not is_near:
             return request.refused(Refusal.NO_WAY, searches.broken, field.route_ne_m[0])
         price_m = math.inf if best is None else prices.price_m(best)

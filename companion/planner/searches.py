@@ -77,12 +77,12 @@ class Searches:
         A copter turns the tighter the slower it is, and stops within less.  In flight it is no
         slower than it comes.
         """
-        limits, rest, least = self._request.task.limits, self._request.rest, 0.0
-        if not self._request.from_rest:
-            comes_m_s = None if rest is None else rest.speed_m_s
-            least = limits.speed_m_s if comes_m_s is None else min(comes_m_s, limits.speed_m_s)
-        speeds = (share * limits.speed_m_s for share in (_SLOWER if limits.hovers else (1.0,)))
-        return [speed for speed in speeds if speed >= least]
+        limits, rest = self._request.task.limits, self._request.rest
+        speeds = [share * limits.speed_m_s for share in (_SLOWER if limits.hovers else (1.0,))]
+        if self._request.from_rest:
+            return speeds
+        comes_m_s = math.inf if rest is None or rest.speed_m_s is None else rest.speed_m_s
+        return [speed for speed in speeds if speed >= min(comes_m_s, limits.speed_m_s)]
 
     def _at_speed(self, speed_m_s: float) -> Planned | None:
         """The cheapest subpath, until one costs hardly more than was hoped or time is up.
@@ -130,11 +130,12 @@ class Searches:
     def _certified(self, subpath: Subpath, speed_m_s: float, *, from_rest: bool) -> Certificate:
         """What is proven of a subpath that is flown no faster than this."""
         request, task = self._request, self._request.task.at_speed(speed_m_s)
-        if speed_m_s not in self._surroundings:
+        around = self._surroundings.get(speed_m_s)
+        if around is None:
             reach_m = REACH * task.settings.scan_range_m
             around = task.surroundings(request.known, request.scan_nea_m[:2], reach_m)
             self._surroundings[speed_m_s] = around
-        return certify(subpath, self._surroundings[speed_m_s], from_rest=from_rest)
+        return certify(subpath, around, from_rest=from_rest)
 
     def _found(self, scene: Scene) -> Planned | None:
         """Of one search, the best of its candidates that has a certificate."""
@@ -149,9 +150,8 @@ class Searches:
                 terms = dict(zip(TERMS, scene.at.terms.tolist(), strict=True))
                 weights = zip(TERMS, self._scene.weights, strict=True)
                 costs = {name: a * terms[name] for name, a in weights}
-                route_ne_m = self.prices.field.route_ne_m
                 return replace(
-                    plan_of(self._request, subpath, certificate, route_ne_m),
+                    plan_of(self._request, subpath, certificate, self.prices.field.route_ne_m),
                     cost=sum(costs.values()) - costs["to_go"],
                     to_go=costs["to_go"],
                     terms=terms,
