@@ -93,15 +93,18 @@ def fly(
     if seed < 0 or (most_legs is not None and most_legs < 1):
         rule = "a seed is 0 or more, and a flight has one leg or more"
         raise InputError("seed, most_legs", (seed, most_legs), rule, "Raise it.")
-    place = load_world(world) if isinstance(world, str) else None
+    start_ne_m = None
+    if isinstance(world, str):
+        place = load_world(world)
+        world, start_ne_m = place.terrain, place.start_ne_m
     given = (_numbers(target, 2, "targets_ne_m") for target in targets_ne_m)
     targets = tuple((north_m, east_m) for north_m, east_m in given)
     if isinstance(mission, str):
         read = load_mission(mission)
         task, near, known = read.task, near or read.near, known or read.known
         targets = targets or read.targets_ne_m
-        if start_nea_m is None and place is not None:
-            start_nea_m = (*place.start_ne_m, task.take_off_amsl_m)
+        if start_nea_m is None and start_ne_m is not None:
+            start_nea_m = (*start_ne_m, task.take_off_amsl_m)
     else:
         task = _checked(mission, is_near=near is not None)
     if start_nea_m is None:
@@ -117,7 +120,7 @@ def fly(
             OPTIMISERS.chosen(optimiser, "optimiser")
         task = replace(task, settings=replace(task.settings, optimiser=optimiser))
     blank = known or empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
-    truth = true_map(world if place is None else place.terrain, blank)
+    truth = true_map(world, blank)
     if not np.isfinite(truth.upper_m).all():
         raise InputError("world", world, "its heights are not all finite", "Fill gaps.")
     range_m = task.settings.scan_range_m

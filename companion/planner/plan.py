@@ -16,9 +16,8 @@ from companion.planner.backtrack import backtrack
 from companion.planner.cost_grid import Belief
 from companion.planner.field import cost_to_go
 from companion.planner.price import Prices
-from companion.planner.procedure import hover_pose
 from companion.planner.progress import BELIEVED, Progress
-from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal, Rest
+from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.searches import Searches
 from companion.planner.way_out import blocked_at, escape, way_out
 from companion.world.columns import distance_to_terrain_m, sees_anything
@@ -111,26 +110,13 @@ def _best_proven(
         return request.refused(why, searches.broken)
     # in flight, against a stop
     rest = request.rest
-    if rest is not None and (prices.goes_round(best) or _is_better_to_stop(rest, best, searches)):
+    if rest is not None and (prices.goes_round(best) or searches.stops_for_less(best, rest)):
         return request.refused(Refusal.BETTER_TO_STOP)
     most_m = max(_MOST_OWED * task.settings.scan_range_m, allowed_m, progress.owed_m)
     owes_much = prices.owed_m(best) > most_m and not (is_near or best.reaches_target)
     if request.from_rest and owes_much:
         return request.refused(Refusal.NO_WAY_PROVEN, searches.broken)
     return prices.with_progress(best)
-
-
-def _is_better_to_stop(rest: Rest, best: Planned, searches: Searches) -> bool:
-    """Whether it costs less to stop at the end of the current leg and continue from there.
-
-    That plan uses the same map and end circle, and may leave in any direction.
-    """
-    prices = searches.prices
-    stop_m, price_m = rest.length_m + prices.task.stop_m, prices.price_m(best)
-    if price_m <= stop_m + prices.promised_m(rest.end_nea_m):
-        return False
-    leaving = searches.leaving(hover_pose(rest.end_nea_m))
-    return leaving is not None and prices.price_m(leaving) + stop_m < price_m
 
 
 def _guidance(request: PlanRequest, before: Progress) -> Prices:
