@@ -165,8 +165,8 @@ def _checked(task: Task, *, is_near: bool) -> Task:
         task = replace(task, limits=limits, settings=settings)
     for where, held in (("limits", limits), ("settings", settings)):
         told = {key: value for key, value in asdict(held).items() if key not in _NO_NUMBERS}
-        plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in told.items()}
-        validated(keys_of(type(held), *plain), plain, where)
+        told |= {k: v.item() for k, v in told.items() if isinstance(v, np.generic)}
+        validated(keys_of(type(held), *told), told, where)
     rules.refuse(rules.of_task(task))
     if isinstance(settings.optimiser, str):
         OPTIMISERS.chosen(settings.optimiser, "settings.optimiser")

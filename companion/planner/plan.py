@@ -126,7 +126,7 @@ def _guidance(request: PlanRequest, before: Progress) -> Prices:
     seen = int(np.count_nonzero(known.seen))
 
     def prices_by(belief: Belief) -> tuple[Prices, float]:
-        """And what is left to fly by them."""
+        """The prices, and what is left to fly by them."""
         scan_ne_m = request.scan_nea_m[:2]
         field = cost_to_go(request.around, task, scan_ne_m, request.target_ne_m, belief=belief)
         prices = Prices(task, field)
