@@ -97,6 +97,9 @@ def fly(
     if isinstance(world, str):
         place = load_world(world)
         world, start_ne_m = place.terrain, place.start_ne_m
+    elif not hasattr(world, "highest_in_box_m"):
+        remedy = "Give one: ArrayTerrain(heights_m=heights, spacing_m=50.0)."
+        raise InputError("world", type(world).__name__, "it is no terrain", remedy)
     given = (_numbers(target, 2, "targets_ne_m") for target in targets_ne_m)
     targets = tuple((north_m, east_m) for north_m, east_m in given)
     if isinstance(mission, str):
@@ -122,7 +125,7 @@ def fly(
     blank = known or empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
     truth = true_map(world, blank)
     if not np.isfinite(truth.upper_m).all():
-        raise InputError("world", world, "its heights are not all finite", "Fill gaps.")
+        raise InputError("world", type(world).__name__, "a height is not finite", "Fill gaps.")
     range_m = task.settings.scan_range_m
     sensor: TerrainRadar | OnBoard = TerrainRadar(task, lambda at: scanner(truth, at, range_m))
     if near is not None and scene is not None:
