@@ -16,7 +16,7 @@ from companion.optimise.registry import OPTIMISERS, Maker
 from companion.path.certificate import Certificate, bounds_text
 from companion.path.limits import Limits
 from companion.planner import rules
-from companion.planner.offline import OfflineFlight, OnBoard, Scanner, fly_offline
+from companion.planner.offline import OfflineFlight, OnBoard, TerrainRadar, fly_offline
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest
 from companion.planner.settings import PlannerSettings, Task
 from companion.planning import plan
@@ -37,6 +37,8 @@ __all__ = [
     "Radar", "Scan", "Scanner", "Task", "Terrain", "Thing", "fly", "plan", "simulated_scan",
 ]  # fmt: skip
 
+Scanner = Callable[[KnownMap, tuple[float, float, float], float], Scan]
+"""What is seen of the truth from a point (north, east, altitude) with a range, metres."""
 _SPACING = 400  # points of the flown path to a scan range
 _NO_NUMBERS = {"overrun_m", "profile", "weights", "optimiser"}  # may be infinite, or are objects
 
@@ -66,13 +68,11 @@ class Flown:
 
 
 def fly(
-    world: str | Terrain | FloatArray,
+    world: str | Terrain,
     mission: str | Task,
     *,
     start_nea_m: tuple[float, float, float] | None = None,
     targets_ne_m: Sequence[tuple[float, float]] = (),
-    spacing_m: float | None = None,
-    corner_ne_m: tuple[float, float] | None = None,
     known: KnownMap | None = None,
     scanner: Scanner = simulated_scan,
     near: NearSensor | None = None,
@@ -84,23 +84,30 @@ def fly(
 ) -> Flown:
     """Fly a mission: scan, plan a subpath, fly it, and again, until the last target.
 
-    What the arguments mean: docs/library.md.  world: its name or file, its terrain, or heights AMSL
-    (rows to the north, columns to the east).  mission: its name or file, or a task, which needs a
-    start and targets.  known, near, optimiser: None: the mission's.  near, scene: in place of a
-    scanner; `known.guess_m` is the ground, which they do not see (None: the world's).
+    What the arguments mean: docs/library.md.  world: its name or file, or its terrain.  mission:
+    its name or file, or a task, which needs a start and targets.  known, near, optimiser: None: the
+    mission's.  near, scene: in place of a scanner; `known.guess_m` is the ground, which they do not
+    see (None: the world's).
     InputError: an argument is not understood.
     """
     if seed < 0 or (most_legs is not None and most_legs < 1):
         rule = "a seed is 0 or more, and a flight has one leg or more"
         raise InputError("seed, most_legs", (seed, most_legs), rule, "Raise it.")
+    start_ne_m = None
+    if isinstance(world, str):
+        place = load_world(world)
+        world, start_ne_m = place.terrain, place.start_ne_m
+    elif not hasattr(world, "highest_in_box_m"):
+        remedy = "Give one: ArrayTerrain(heights_m=heights, spacing_m=50.0)."
+        raise InputError("world", type(world).__name__, "it is no terrain", remedy)
     given = (_numbers(target, 2, "targets_ne_m") for target in targets_ne_m)
     targets = tuple((north_m, east_m) for north_m, east_m in given)
     if isinstance(mission, str):
         read = load_mission(mission)
         task, near, known = read.task, near or read.near, known or read.known
         targets = targets or read.targets_ne_m
-        if start_nea_m is None and isinstance(world, str):
-            start_nea_m = (*load_world(world).start_ne_m, task.take_off_amsl_m)
+        if start_nea_m is None and start_ne_m is not None:
+            start_nea_m = (*start_ne_m, task.take_off_amsl_m)
     else:
         task = _checked(mission, is_near=near is not None)
     if start_nea_m is None:
@@ -111,26 +118,28 @@ def fly(
     if (near is None) is not (scene is None):
         rule = "a near sensor and the scene that it sees belong together"
         raise InputError("scene", scene, rule, "Give both: NearSensor and NearScene.")
-    if isinstance(optimiser, str):
-        OPTIMISERS.chosen(optimiser, "optimiser")
     if optimiser is not None:
+        if isinstance(optimiser, str):
+            OPTIMISERS.chosen(optimiser, "optimiser")
         task = replace(task, settings=replace(task.settings, optimiser=optimiser))
     blank = known or empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
-    truth, on_board = true_map(_terrain(world, task, spacing_m, corner_ne_m), blank), None
+    truth = true_map(world, blank)
+    if not np.isfinite(truth.upper_m).all():
+        raise InputError("world", type(world).__name__, "a height is not finite", "Fill gaps.")
+    range_m = task.settings.scan_range_m
+    sensor: TerrainRadar | OnBoard = TerrainRadar(task, lambda at: scanner(truth, at, range_m))
     if near is not None and scene is not None:
         if blank.guess_m is None:
             blank = replace(blank, guess_m=truth.upper_m)
-        on_board = OnBoard(near, scene, task, blank)
+        sensor = OnBoard(near, scene, task, blank)
     load_kernel()  # once: ten seconds the first time ever
     flight = fly_offline(
-        task, blank=blank, truth=truth, start_nea_m=(north_m, east_m, altitude_m),
-        targets_ne_m=targets, seed=seed, planner=planner, scanner=scanner, on_board=on_board,
-        most_legs=most_legs,
+        task, sensor, blank=blank, start_nea_m=(north_m, east_m, altitude_m), targets_ne_m=targets,
+        seed=seed, planner=planner, most_legs=most_legs,
     )  # fmt: skip
-    points, why = flight.route_nea_m(task.settings.scan_range_m / _SPACING), ""
+    points, why = flight.route_nea_m(range_m / _SPACING), ""
     if (failure := flight.failure) is not None:
-        broken = f" ({bounds_text(failure.broken)})" if failure.broken else ""
-        why = f"{failure.refusal.name}: {failure.refusal.value}{broken}"
+        why = failure.why + (f" ({bounds_text(failure.broken)})" if failure.broken else "")
     return Flown(
         arrived=failure is None, why=why, points_nea_m=points, length_m=sum(flight.flown_m),
         terms=(terms := route_terms(points, task)), cost=sum(terms.values()),
@@ -159,30 +168,12 @@ def _checked(task: Task, *, is_near: bool) -> Task:
         task = replace(task, limits=limits, settings=settings)
     for where, held in (("limits", limits), ("settings", settings)):
         told = {key: value for key, value in asdict(held).items() if key not in _NO_NUMBERS}
-        plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in told.items()}
-        validated(keys_of(type(held), *plain), plain, where)
+        told |= {k: v.item() for k, v in told.items() if isinstance(v, np.generic)}
+        validated(keys_of(type(held), *told), told, where)
     rules.refuse(rules.of_task(task))
     if isinstance(settings.optimiser, str):
         OPTIMISERS.chosen(settings.optimiser, "settings.optimiser")
     return task
-
-
-def _terrain(
-    world: str | Terrain | FloatArray,
-    task: Task,
-    spacing_m: float | None,
-    corner_ne_m: tuple[float, float] | None,
-) -> Terrain:
-    if isinstance(world, str):
-        return load_world(world).terrain
-    if not isinstance(world, np.ndarray):
-        return world
-    if spacing_m is None or not spacing_m > 0.0:
-        raise InputError("spacing_m", spacing_m, "heights need one", "Give it in metres.")
-    if world.ndim != 2 or 0 in world.shape or not np.isfinite(world).all():
-        raise InputError("world", world.shape, "heights are finite, (rows, columns)", "Fill gaps.")
-    south, west = corner_ne_m or (task.limits.north_m[0], task.limits.east_m[0])
-    return ArrayTerrain(heights_m=world, spacing_m=spacing_m, south_m=south, west_m=west)
 
 
 def route_terms(points_nea_m: FloatArray, task: Task) -> dict[str, float]:

@@ -7,7 +7,6 @@ from companion.paper.plan import plan_as_published
 from companion.planner import plan as flight
 from companion.planner.request import PlanOutcome, PlanRequest
 
-Planner = Callable[[PlanRequest], PlanOutcome]
 OURS = "ours"
 
 
@@ -21,7 +20,7 @@ def plan(request: PlanRequest, stop: Callable[[], bool] = lambda: False) -> Plan
     return flight.plan(request, stop)
 
 
-def planner_of(name: str, field: str = "planner") -> Planner:
+def planner_of(name: str, field: str = "planner") -> Callable[[PlanRequest], PlanOutcome]:
     """What plans under this name: ours, or a rival.
 
     InputError about a field if there is none, or what it needs is not installed.

@@ -13,14 +13,14 @@ from scipy.optimize import brentq
 from companion.mavlink.autopilots import named
 from companion.path.limits import Limits
 from companion.path.subpath import Subpath
-from companion.planner.offline import OfflineFlight, fly_offline
+from companion.planner.offline import OfflineFlight, TerrainRadar, fly_offline
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg, hover_pose
 from companion.planner.request import PlanRequest
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
-from companion.world.simulated import true_map
+from companion.world.simulated import simulated_scan, true_map
 from companion.world.terrain import Peak, PeakTerrain
 from companion.world.zones import CircleZone, PolygonZone, Zone
 
@@ -103,10 +103,11 @@ def fly(
 ) -> OfflineFlight:
     """A flight through a world of which nothing is known at first."""
     blank = empty_map(truth.cell_m, task.limits.north_m, task.limits.east_m)
+    range_m = task.settings.scan_range_m
     return fly_offline(
         task,
+        TerrainRadar(task, lambda at_nea_m: simulated_scan(truth, at_nea_m, range_m)),
         blank=keywords.pop("blank", blank),
-        truth=truth,
         start_nea_m=start_nea_m,
         targets_ne_m=targets_ne_m,
         seed=seed,

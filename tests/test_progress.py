@@ -1,12 +1,13 @@
 """A mission ends: design 6, and the argument in `planner.progress`."""
 
+from dataclasses import replace
+
+import planning
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.campaign import families
-from companion.planner.offline import fly_offline
-from companion.planner.plan import plan
 from companion.planner.progress import SLACK, Progress
 from companion.world.simulated import true_map
 
@@ -24,7 +25,7 @@ def test_between_records_no_more_is_paid_than_way_is_gained_and_a_stop_costs(
         if (owed_m := progress.owing(excess_m, R_M)) > ALLOWED_M:
             break  # it stops
         left_m, paid_m = left_m - cost_m + excess_m, paid_m + cost_m
-        progress = progress.after(owed_m, left_m)
+        progress = replace(progress, owed_m=owed_m, expected_m=left_m)
     assert paid_m <= 1e5 - left_m + len(legs) * SLACK * R_M + records * ALLOWED_M + 1e-6
 
 
@@ -32,10 +33,7 @@ def test_between_records_no_more_is_paid_than_way_is_gained_and_a_stop_costs(
 def test_no_loop_is_flown_again_and_again(seed: int, index: int, most: int) -> None:
     """Legs: 33 before excess was counted, then 18; 29 before guesses were given up, then 11."""
     world = families.world("gathered", seed, index)
-    blank = families.unseen(world)
-    flight = fly_offline(
-        world.task, blank=blank, truth=true_map(world.terrain, blank), seed=1, planner=plan,
-        start_nea_m=world.start_nea_m, targets_ne_m=world.targets_ne_m,
-    )  # fmt: skip
+    truth = true_map(world.terrain, families.unseen(world))
+    flight = planning.fly(world.task, truth, world.start_nea_m, *world.targets_ne_m)
     assert flight.failure is None
     assert len(flight.legs) <= most

@@ -26,12 +26,12 @@ from companion.campaign.store import Row
 from companion.config import folder_of, load_world, mission_text, world_table
 from companion.errors import InputError
 from companion.geodesy import FloatArray
-from companion.planner.offline import OfflineFlight, fly_offline
+from companion.planner.offline import OfflineFlight, TerrainRadar, fly_offline
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.planning import OURS, planner_of
 from companion.profiles import PROFILES
 from companion.sources.files import toml_table, toml_text, with_settings
-from companion.world.known_map import KnownMap, Scan
+from companion.world.known_map import Scan
 from companion.world.simulated import simulated_scan, true_map
 
 _POINTS_PER_RANGE = 1_000
@@ -136,23 +136,20 @@ def fly_alone(
         plan_s.append(time.process_time() - began_s)
         return outcome
 
-    def scanned(_: KnownMap, at_nea_m: tuple[float, float, float], range_m: float) -> Scan:
-        return simulated_scan(blank, at_nea_m, range_m, world.terrain)
+    def scanned(at_nea_m: tuple[float, float, float]) -> Scan:
+        return simulated_scan(blank, at_nea_m, world.task.settings.scan_range_m, world.terrain)
 
     flight = fly_offline(
         world.task,
+        TerrainRadar(world.task, scanned),
         blank=blank,
-        truth=blank,  # the scanner makes it where it is looked at
-        scanner=scanned,
         start_nea_m=world.start_nea_m,
         targets_ne_m=world.targets_ne_m,
         seed=seed,
         planner=timed,
     )
     points = flight.route_nea_m(world.task.settings.scan_range_m / _POINTS_PER_RANGE)
-    failure = flight.failure
-    why = "" if failure is None else f"{failure.refusal.name}: {failure.refusal.value}"
-    return AloneFlight(flight, points, plan_s, why)
+    return AloneFlight(flight, points, plan_s, "" if flight.failure is None else flight.failure.why)
 
 
 def _planned(run: Run, folder: Path) -> dict[str, Any]:

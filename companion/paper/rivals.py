@@ -117,7 +117,7 @@ def leg_by_leg(route_planner: RoutePlanner) -> Callable[[PlanRequest], Planned |
             control, arrives = _flown(route, problem, request)
             if len(control):
                 return reported(request, control, reaches_target=arrives)
-        return NotPlanned(plan_id=request.plan_id, refusal=Refusal.NOTHING_SAFE)
+        return request.refused(Refusal.NOTHING_SAFE)
 
     return plan
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import final
+from typing import Final, final
 
 import numpy as np
 
@@ -20,15 +20,12 @@ from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequ
 from companion.planner.settings import Place, Task
 from companion.world.known_map import KnownMap, Scan
 from companion.world.near_map import NearMap, NearSensor, top_amsl_m
-from companion.world.simulated import NearScene, simulated_scan
+from companion.world.simulated import NearScene
 
 _TIMES_AS_MANY, _MIN_MOST_LEGS = 6, 150  # missions have arrived after 76, among walls
 _MAX_ATTEMPTS = 4  # from one place, each with a wider search
 _ROUNDING = 1e-6  # of a sweep
 _LOOKS_FIRST_S = 2.0  # a vehicle that takes off has looked about for longer than that
-
-Scanner = Callable[[KnownMap, Vector, float], Scan]
-"""What is seen of the truth from a point (north, east, altitude) with a range, metres."""
 
 
 @final
@@ -58,15 +55,13 @@ class OfflineFlight:
 
 def fly_offline(
     task: Task,
+    sensor: "TerrainRadar | OnBoard",
     *,
     blank: KnownMap,
-    truth: KnownMap,
     start_nea_m: Vector,
     targets_ne_m: tuple[Place, ...],
     seed: int,
     planner: Callable[[PlanRequest], PlanOutcome],
-    scanner: Scanner = simulated_scan,
-    on_board: "OnBoard | None" = None,
     most_legs: int | None = None,
 ) -> OfflineFlight:
     """Scan, plan, go on to p_prog, until the last target is reached or nothing can be planned.
@@ -75,8 +70,12 @@ def fly_offline(
     end, where the vehicle stops, scans and plans again.  It gives up after four plans in one place,
     each with a wider search, or after most_legs (None: `usual_most_legs`), with `TOO_MANY_LEGS`.
     """
-    flight, left_ne_m, settings = OfflineFlight(known=blank), [*targets_ne_m], task.settings
+    flight, left_ne_m = OfflineFlight(known=blank), [*targets_ne_m]
     most_legs = most_legs or usual_most_legs(task, start_nea_m, targets_ne_m)
+    ask = PlanRequest(
+        plan_id=0, seed=seed, task=task, known=blank, scan_nea_m=start_nea_m,
+        start=hover_pose(start_nea_m), from_rest=True, target_ne_m=left_ne_m[0],
+    )  # fmt: skip
 
     def flies(until_m: float, next_leg: Leg | None = None, *, asks: bool = False) -> bool:
         """Fly on along the leg to a length, or to its end.  -> whether it is under way there.
@@ -84,30 +83,18 @@ def fly_offline(
         Else it has stopped, at the end or for what it saw.  next_leg: it begins there.
         asks: only to where the next leg is asked for.
         """
-        leg, from_m = flight.legs[-1], flight.flown_m[-1]
-        end_m = until_m = min(until_m, leg.subpath.length_m)
-        is_under_way = next_leg is not None or until_m < leg.subpath.length_m
-        took_s = (end_m - from_m) * procedure.paced_s_m(leg.subpath, leg.motion)
-        if on_board is not None:
-            flown = on_board.flies(leg, until_m, next_leg, asks=asks)
-            end_m, took_s, is_under_way = flown
-        flight.seconds += took_s
-        flight.flown_m[-1] = end_m
+        leg = flight.legs[-1]
+        until_m = min(until_m, leg.subpath.length_m)
+        flown_m, took_s, is_under_way = sensor.flies(leg, until_m, next_leg, asks=asks)
+        flight.flown_m[-1], flight.seconds = flown_m, flight.seconds + took_s
         return is_under_way
-
-    ask = PlanRequest(
-        plan_id=0, seed=seed, task=task, known=blank, scan_nea_m=start_nea_m,
-        start=hover_pose(start_nea_m), from_rest=True, target_ne_m=left_ne_m[0],
-    )  # fmt: skip
 
     def asks() -> bool:
         """Fly on to where the next leg is asked for.  -> whether it is under way there."""
         nonlocal ask
-        leg = flight.legs[-1]
-        never = leg.reaches_target or not (leg.can_be_left or on_board)
-        if not flies(math.inf if never or on_board else leg.scan_at_m, asks=True):
+        if not flies(math.inf, asks=True):
             return False
-        at = on_board.reference if on_board else Reference(length_m=flight.flown_m[-1])
+        leg, at = flight.legs[-1], sensor.reference
         leg = flight.legs[-1] = replace(leg, p_prog=leg.leaves(at))
         scan_nea_m = leg.subpath.pose(at.length_m).point_nea_m
         prog = leg.subpath.pose(leg.successor_at_m)
@@ -116,18 +103,14 @@ def fly_offline(
 
     while left_ne_m and ask.attempt < _MAX_ATTEMPTS:
         if len(flight.legs) < most_legs:
-            if on_board is None:
-                scan = scanner(truth, ask.scan_nea_m, settings.scan_range_m)
-                rests_s = task.stop_m / task.limits.speed_m_s
-            else:
-                scan, rests_s = on_board.scan(ask.scan_nea_m, at_rest=ask.from_rest)
-            flight.seconds += rests_s if ask.from_rest else 0.0
+            scan, rests_s = sensor.scan(ask.scan_nea_m, at_rest=ask.from_rest)
+            flight.seconds += rests_s
             flight.scans_nea_m.append(ask.scan_nea_m)
             flight.known = ask.known.with_scan(scan)
             ask = replace(ask, plan_id=ask.plan_id + 1, known=flight.known)
             outcome = planner(ask)
         else:
-            outcome = NotPlanned(plan_id=ask.plan_id, refusal=Refusal.TOO_MANY_LEGS)
+            outcome = ask.refused(Refusal.TOO_MANY_LEGS)
         flight.failure = None
         if isinstance(outcome, Planned):  # to p_prog of the leg under way, then until it is asked
             ask = replace(ask, attempt=0, progress=outcome.progress)
@@ -144,9 +127,7 @@ def fly_offline(
             if ask.from_rest:
                 ask = replace(ask, attempt=ask.attempt + 1)
                 continue
-            if not on_board:
-                flies(math.inf)
-            elif flies(flight.legs[-1].successor_at_m) and asks():  # it is asked again
+            if flies(flight.legs[-1].successor_at_m if sensor.asks_again else math.inf) and asks():
                 continue
         # it has stopped: at a target, at the end of a leg, or for what it saw
         leg, end_m = flight.legs[-1], flight.flown_m[-1]
@@ -172,8 +153,41 @@ def usual_most_legs(task: Task, start_nea_m: Vector, targets_ne_m: tuple[Place, 
 
 
 @final
+class TerrainRadar:
+    """It is asked at p_scan, and sees nothing on the way."""
+
+    asks_again: Final = False
+
+    def __init__(self, task: Task, scanned: Callable[[Vector], Scan]) -> None:
+        """scanned: what is seen from a point (north, east, altitude), metres."""
+        self._task, self._scanned = task, scanned
+        self.reference = Reference()
+        """Of the leg that is flown."""
+
+    def scan(self, at_nea_m: Vector, *, at_rest: bool) -> tuple[Scan, float]:
+        """What it sees, and the seconds of a rest that it took."""
+        rests_s = self._task.stop_m / self._task.limits.speed_m_s if at_rest else 0.0
+        return self._scanned(at_nea_m), rests_s
+
+    def flies(
+        self, leg: Leg, until_m: float, next_leg: Leg | None, *, asks: bool
+    ) -> tuple[float, float, bool]:
+        """As `OnBoard.flies`: at the pace of the leg, and nothing is stopped for."""
+        if asks and leg.can_be_left and not leg.reaches_target:
+            until_m = leg.scan_at_m
+        flown_m, length_m = until_m - self.reference.length_m, leg.subpath.length_m
+        is_under_way = next_leg is not None or until_m < length_m
+        goes_on = next_leg is None and is_under_way
+        self.reference = Reference(length_m=until_m) if goes_on else Reference()
+        return until_m, flown_m * procedure.paced_s_m(leg.subpath, leg.motion), is_under_way
+
+
+@final
 class OnBoard:
-    """A near sensor and its map: what sees in place of a scanner, and on the way."""
+    """A near sensor and its map: it sees on the way, too."""
+
+    asks_again: Final = True
+    """Where a leg has no successor yet: each sweep shows more."""
 
     def __init__(self, sensor: NearSensor, scene: NearScene, task: Task, blank: KnownMap) -> None:
         """blank: `guess_m` tells how high the ground is, which the sensor does not see."""

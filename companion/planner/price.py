@@ -5,6 +5,7 @@ All in metres of level flight at the floor of the band; guidance promises the le
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -14,24 +15,29 @@ from companion.objective import PER_LENGTH, PER_SAMPLE, RADAR_SCALE
 from companion.planner.cost_grid import descent_m
 from companion.planner.field import CostToGo
 from companion.planner.procedure import Leg
+from companion.planner.progress import NO_PROGRESS, Progress
 from companion.planner.request import Planned
 from companion.planner.settings import Task
 from companion.world.radars import detection_probability
 
+_OWED, _OWED_NEAR = 1.0, 0.25
+"""Of R: what may be owed (`planner.progress`), if a stop costs no more; the second near things.
+
+Chosen on 13 worlds of 20261128 (`walls`, `gathered`, `copter`: mean J 56.7, 51.1 and 52.1 with
+0.25, 1 and 2), and on forests (218 and 240 s with 0.25 and 1 for seed 3001)."""
 _LEAST = 1e-9  # of the cost of R: where length has no weight, the cost alone decides
 _LOOKS = 50  # along a straight piece, for radars
 _LEAST_LENGTH = 1e-3  # its weight, beside that of height
 
 
 @final
+@dataclass(frozen=True, slots=True)
 class Prices:
-    """The prices of one plan."""
+    """The prices of one plan, and what the mission owes with them."""
 
-    def __init__(self, task: Task, field: CostToGo) -> None:
-        self.task, self.field = task, field
-        settings = task.settings
-        cost_of_r = max(settings.weights.length * PER_LENGTH, _LEAST)
-        self._per_cost_m = settings.scan_range_m / cost_of_r
+    task: Task
+    field: CostToGo
+    progress: Progress = NO_PROGRESS  # at the start of the plan
 
     def promised_m(self, place_nea_m: Sequence[float]) -> float:
         """The predicted least from a place to the target."""
@@ -51,21 +57,16 @@ class Prices:
         short_m = self.field.needed.altitude_m(north, east) - altitude
         return np.maximum(short_m, 0.0) / math.tan(self.task.limits.climb_angle_rad)
 
-    def after_m(self, planned: Planned) -> float:
-        """What is predicted from where the next subpath starts: p_prog, or the end."""
-        leg = Leg.of(planned, 1, self.task)
-        at_m = leg.successor_at_m if leg.can_be_left else leg.subpath.length_m
-        return self.promised_m(leg.subpath.pose(at_m).point_nea_m)
-
     def cost_m(self, planned: Planned) -> float:
         """A subpath and what follows; where none does, the mean of its radar term stands for R."""
         if planned.is_escape:
             return self._straight_m(planned)
         cost, settings = planned.cost + planned.to_go, self.task.settings
+        cost_of_r = max(settings.weights.length * PER_LENGTH, _LEAST)
         if planned.reaches_target:
             share = min(planned.subpath.length_m / settings.scan_range_m, 1.0)
             cost -= (1.0 - share) * settings.weights.radar * planned.terms["radar"]
-        return cost * self._per_cost_m
+        return cost * (settings.scan_range_m / cost_of_r)
 
     def excess_m(self, planned: Planned) -> float:
         """How much more it costs than was promised at its start."""
@@ -98,3 +99,35 @@ class Prices:
         radars = PER_SAMPLE * RADAR_SCALE * weights.radar * float(seen.mean())
         rate = 1.0 + (height + radars) / (max(weights.length, _LEAST_LENGTH) * PER_LENGTH)
         return planned.subpath.length_m * rate + self.promised_m(end.tolist())
+
+    # --- what is owed
+
+    @property
+    def allowed_m(self) -> float:
+        """What may be owed."""
+        share = _OWED_NEAR if self.task.settings.is_near else _OWED
+        return max(self.task.stop_m, share * self.task.settings.scan_range_m)
+
+    def owed_m(self, planned: Planned) -> float:
+        """What the mission owes with this subpath; a straight piece only if more is left then."""
+        if not planned.is_escape:
+            return self.progress.owing(self.excess_m(planned), self.task.settings.scan_range_m)
+        owed_m, stop_m = self.progress.owed_m, self.task.stop_m
+        here_nea_m, end_nea_m = planned.subpath.control_nea_m[[0, -1]].tolist()
+        more_m = self.promised_m(end_nea_m) - self.promised_m(here_nea_m)
+        return owed_m + more_m + stop_m if more_m > 0.0 else owed_m
+
+    def goes_round(self, planned: Planned) -> bool:
+        """Whether the mission would owe more than a stop costs."""
+        return not planned.reaches_target and self.owed_m(planned) > self.allowed_m
+
+    def with_progress(self, planned: Planned) -> Planned:
+        """The subpath, and what is owed and left by the same map where the next one starts.
+
+        That is p_prog, or the end.
+        """
+        leg = Leg.of(planned, 1, self.task)
+        at_m = leg.successor_at_m if leg.can_be_left else leg.subpath.length_m
+        left_m = self.promised_m(leg.subpath.pose(at_m).point_nea_m)
+        progress = replace(self.progress, owed_m=self.owed_m(planned), expected_m=left_m)
+        return replace(planned, progress=progress)

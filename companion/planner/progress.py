@@ -2,7 +2,7 @@
 
 Guidance promises what is left to fly from a place; a leg that takes a turn, or a way that cannot be
 proven, costs more.  Such excess is owed.  A place from which less is left than from any before is a
-record: there nothing is owed any more.  When more is owed than may be (`planner.plan`), the
+record: there nothing is owed any more.  When more is owed than may be (`planner.price`), the
 vehicle stops; standing it goes on by a straight piece along the way (`planner.way_out`), unless a
 leg costs less than that by more than what is owed already.
 
@@ -36,7 +36,6 @@ SLACK = 0.05
 
 Legs are longer than this up to p_prog, as L is at most 0.6 of the circle about p_scan; among near
 things none is left before (`Leg.wants_successor`)."""
-
 
 BELIEVED = 1.0
 """Of R: how much more may be left than was thought, with nothing new seen, before guesses go.
@@ -80,10 +79,6 @@ class Progress:
     def owing(self, excess_m: float, range_m: float) -> float:
         """What is owed with one more leg that costs so much more than was promised."""
         return self.owed_m + max(excess_m - SLACK * range_m, 0.0)
-
-    def after(self, owed_m: float, expected_m: float) -> "Progress":
-        """When a leg has been planned: from its p_prog so much is left by the same map."""
-        return replace(self, owed_m=owed_m, expected_m=expected_m)
 
 
 NO_PROGRESS = Progress()  # on the way to a new target

@@ -11,7 +11,7 @@ from companion.geodesy import FloatArray
 from companion.path.certificate import Certificate
 from companion.path.subpath import Pose, Subpath
 from companion.planner.progress import NO_PROGRESS, Progress
-from companion.planner.settings import Task
+from companion.planner.settings import Place, Task
 from companion.world.known_map import KnownMap
 
 REACH = 1.1  # of R about p_scan: what lies farther out counts as unknown
@@ -54,7 +54,7 @@ class PlanRequest:
     start: Pose  # p_prog, the tangent and the curvature there
     from_rest: bool
     """Whether the vehicle hovers at the start, so that the path may leave in any direction."""
-    target_ne_m: tuple[float, float]
+    target_ne_m: Place
     progress: Progress = NO_PROGRESS  # as of the last plan on the way to the target
     rest: Rest | None = None  # of the current leg; None: the vehicle is at rest, or there is no leg
     flown: tuple[FlownSegment, ...] | None = None
@@ -79,6 +79,14 @@ class PlanRequest:
             return time_s
         return max(time_s, min((1.0 + _MORE * self.attempt) * time_s, _PATIENT_S))
 
+    def refused(
+        self, refusal: "Refusal", broken: tuple[str, ...] = (), place_ne_m: Place | None = None
+    ) -> "NotPlanned":
+        """The answer that there is no subpath."""
+        return NotPlanned(
+            plan_id=self.plan_id, refusal=refusal, broken=broken, place_ne_m=place_ne_m
+        )
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,7 +102,7 @@ class Planned:
     terms: dict[str, float] = field(default_factory=dict)  # none of what no search has made
     certificate: Certificate
     guide_rad: float = 0.0
-    route_ne_m: tuple[tuple[float, float], ...] = ()
+    route_ne_m: tuple[Place, ...] = ()
     """The way to the target, by guidance; an escape has asked for none."""
     progress: Progress = NO_PROGRESS
     evaluations: int = 0  # of all searches of the plan, as `tries`
@@ -167,10 +175,15 @@ class NotPlanned:
     plan_id: int
     refusal: Refusal
     broken: tuple[str, ...] = ()
-    place_ne_m: tuple[float, float] | None = None  # where all routes are blocked (`NO_WAY`)
+    place_ne_m: Place | None = None  # where all routes are blocked (`NO_WAY`)
     evaluations: int = 0
     tries: int = 0  # how many searches there were
     stopped_after: int | None = None  # as of Planned
+
+    @property
+    def why(self) -> str:
+        """The reason, and the remedy."""
+        return f"{self.refusal.name}: {self.refusal.value}"
 
 
 @final

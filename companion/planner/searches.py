@@ -18,12 +18,13 @@ from companion.optimise.registry import OPTIMISERS
 from companion.path.certificate import Certificate, certify
 from companion.path.envelope import slowing_m
 from companion.path.proof import Surroundings
-from companion.path.subpath import Pose, Subpath
+from companion.path.subpath import Subpath
 from companion.planner import kernels
 from companion.planner.cost_grid import descent_m
 from companion.planner.field import CostToGo
 from companion.planner.price import Prices
-from companion.planner.request import REACH, Planned, PlanRequest
+from companion.planner.procedure import hover_pose
+from companion.planner.request import REACH, Planned, PlanRequest, Rest
 from companion.planner.seeds import seeds_of, ways_of
 from companion.world.columns import Surface, safe_surface
 from companion.world.zones import PolygonZone, near_cells, packed
@@ -55,13 +56,12 @@ class Searches:
         self.broken: tuple[str, ...] = ()
         """The bounds that the first candidate broke that could not be proven."""
 
-    def guided_by(self, prices: Prices) -> None:
-        """From now on, by this guidance."""
-        self.prices, self._scene = prices, _scene_of(self._request, prices.field)
-        self.broken = ()
+    def best(self, prices: Prices) -> Planned | None:
+        """The best of all speeds; slower ones count where nothing, or only a long way, is found.
 
-    def best(self) -> Planned | None:
-        """The best of all speeds; slower ones count where nothing, or only a long way, is found."""
+        prices: by these from now on.
+        """
+        self.prices, self._scene, self.broken = prices, _scene_of(self._request, prices.field), ()
         best: Planned | None = None
         enough_m = math.inf  # from rest among near things a slow leg may beat a long way round
         if self._request.task.settings.is_near and self._request.from_rest:
@@ -78,12 +78,12 @@ class Searches:
         A copter turns the tighter the slower it is, and stops within less.  In flight it is no
         slower than it comes.
         """
-        limits, rest, least = self._request.task.limits, self._request.rest, 0.0
-        if not self._request.from_rest:
-            comes_m_s = None if rest is None else rest.speed_m_s
-            least = limits.speed_m_s if comes_m_s is None else min(comes_m_s, limits.speed_m_s)
-        speeds = (share * limits.speed_m_s for share in (_SLOWER if limits.hovers else (1.0,)))
-        return [speed for speed in speeds if speed >= least]
+        limits, rest = self._request.task.limits, self._request.rest
+        speeds = [share * limits.speed_m_s for share in (_SLOWER if limits.hovers else (1.0,))]
+        if self._request.from_rest:
+            return speeds
+        comes_m_s = math.inf if rest is None or rest.speed_m_s is None else rest.speed_m_s
+        return [speed for speed in speeds if speed >= min(comes_m_s, limits.speed_m_s)]
 
     def _at_speed(self, speed_m_s: float) -> Planned | None:
         """The cheapest subpath, until one costs hardly more than was hoped or time is up.
@@ -113,11 +113,18 @@ class Searches:
             best = self.prices.cheaper(best, self._found(kind.with_points(points)))
         return best
 
-    def leaving(self, start: Pose) -> Planned | None:
-        """The cheapest subpath that leaves from rest, at V, by one search if there is time."""
-        if self._is_time_up():
-            return None
-        return self._found(self._scene._replace(start=rows_of(start), from_rest=True))
+    def stops_for_less(self, best: Planned, rest: Rest) -> bool:
+        """Whether it costs less to stop at the end of the current leg and go on from there.
+
+        By the same map and end circle, in any direction, at V: one search, if there is time.
+        """
+        prices, price_m = self.prices, self.prices.price_m(best)
+        stop_m = rest.length_m + prices.task.stop_m
+        if price_m <= stop_m + prices.promised_m(rest.end_nea_m) or self._is_time_up():
+            return False
+        start = rows_of(hover_pose(rest.end_nea_m))
+        leaving = self._found(self._scene._replace(start=start, from_rest=True))
+        return leaving is not None and prices.price_m(leaving) + stop_m < price_m
 
     def straight(self, subpath: Subpath) -> Planned | None:
         """A straight piece from rest, at the highest speed for which it is proven."""
@@ -131,11 +138,12 @@ class Searches:
     def _certified(self, subpath: Subpath, speed_m_s: float, *, from_rest: bool) -> Certificate:
         """What is proven of a subpath that is flown no faster than this."""
         request, task = self._request, self._request.task.at_speed(speed_m_s)
-        if speed_m_s not in self._surroundings:
+        around = self._surroundings.get(speed_m_s)
+        if around is None:
             reach_m = REACH * task.settings.scan_range_m
             around = task.surroundings(request.known, request.scan_nea_m[:2], reach_m)
             self._surroundings[speed_m_s] = around
-        return certify(subpath, self._surroundings[speed_m_s], from_rest=from_rest)
+        return certify(subpath, around, from_rest=from_rest)
 
     def _found(self, scene: Scene) -> Planned | None:
         """Of one search, the best of its candidates that has a certificate."""
@@ -150,9 +158,8 @@ class Searches:
                 terms = dict(zip(TERMS, scene.at.terms.tolist(), strict=True))
                 weights = zip(TERMS, self._scene.weights, strict=True)
                 costs = {name: a * terms[name] for name, a in weights}
-                route_ne_m = self.prices.field.route_ne_m
                 return replace(
-                    plan_of(self._request, subpath, certificate, route_ne_m),
+                    plan_of(self._request, subpath, certificate, self.prices.field.route_ne_m),
                     cost=sum(costs.values()) - costs["to_go"],
                     to_go=costs["to_go"],
                     terms=terms,
@@ -174,10 +181,8 @@ class Searches:
         seeds = seeds_of(scene, ways_of(scene, route_ne_m, request.known.cell_m, tail))
         if optimiser != "refined-de":
             make = OPTIMISERS[optimiser] if isinstance(optimiser, str) else optimiser
-            asked, costs = (
-                make(scene.variables, evaluations, rng, seeds),
-                jit.compiled(kernels.costs),
-            )
+            costs = jit.compiled(kernels.costs)
+            asked = make(scene.variables, evaluations, rng, seeds)
             ranked = minimise(asked, lambda x: costs(x, scene), evaluations, self._is_time_up)
             self.evaluations += ranked.evaluations
             self.is_cut |= ranked.evaluations < evaluations
@@ -229,8 +234,11 @@ def plan_of(
 def _scene_of(request: PlanRequest, field: CostToGo) -> Scene:
     """What the costs of subpaths at V depend on, of five control points."""
     task, limits, settings = request.task, request.task.limits, request.task.settings
-    scan_ne, range_m = request.scan_nea_m[:2], settings.scan_range_m
-    is_final, end_radius = _end(request)
+    scan_ne, range_m, end_radius = request.scan_nea_m[:2], settings.scan_range_m, task.end_radius_m
+    left_m = math.dist(scan_ne, request.target_ne_m)
+    is_final = left_m <= end_radius and request.known.is_known(*request.target_ne_m)
+    if not is_final:  # if the target is just beyond, the last subpath needs room to turn
+        end_radius = min(end_radius, max(left_m - _ROOM * end_radius, 0.5 * end_radius))
     zones, clearance_m = packed(task.zones), task.zone_search_clearance_m
     polygons = tuple(zone for zone in task.zones if isinstance(zone, PolygonZone))
     radars = task.radars_near(scan_ne, _IN_REACH * range_m)
@@ -274,19 +282,6 @@ def _scene_of(request: PlanRequest, field: CostToGo) -> Scene:
         near_polygons=near_cells(polygons, limits.north_m, limits.east_m, clearance_m),
         at=Workspace.of(_POINTS[0], settings.profile.samples, len(polygons)),
     )
-
-
-def _end(request: PlanRequest) -> tuple[bool, float]:
-    """Whether the subpath ends at the target, and the radius of the circle on which it ends else.
-
-    When the target is just beyond sight, the end stays so far from it that the last subpath has
-    room to turn.
-    """
-    reach = request.task.end_radius_m
-    left = math.dist(request.scan_nea_m[:2], request.target_ne_m)
-    if left <= reach and request.known.is_known(*request.target_ne_m):
-        return True, reach
-    return False, min(reach, max(left - _ROOM * reach, 0.5 * reach))
 
 
 def _strict(scene: Scene) -> Scene:

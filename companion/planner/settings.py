@@ -95,9 +95,11 @@ class Task:
 
     def radars_near(self, place_ne_m: Place, reach_m: float) -> tuple[Radar, ...]:
         """The radars whose range comes within reach of a place."""
-        away_m = [math.dist(radar.centre_nea_m[:2], place_ne_m) for radar in self.radars]
-        near = zip(self.radars, away_m, strict=True)
-        return tuple(radar for radar, away in near if away <= radar.range_m + reach_m)
+        return tuple(
+            radar
+            for radar in self.radars
+            if math.dist(radar.centre_nea_m[:2], place_ne_m) <= radar.range_m + reach_m
+        )
 
     # --- what is kept: what certificates ask for, and what the search aims at, a little more
     #

@@ -9,9 +9,9 @@ For a plane all distances are those of its loiter circle.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 import scipy
@@ -21,13 +21,13 @@ from companion import jit
 from companion.geodesy import BoolArray, FloatArray
 from companion.path.certificate import Certificate, certify
 from companion.path.proof import Surroundings
-from companion.path.subpath import Subpath, straight
+from companion.path.subpath import straight
 from companion.planner.cheapest_ways import IndexArray
 from companion.planner.cost_grid import Place, sampled, zones_on_lattice
 from companion.planner.field import CostToGo
 from companion.planner.price import Prices
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
-from companion.planner.searches import plan_of
+from companion.planner.searches import Searches, plan_of
 from companion.planner.settings import Task
 from companion.world.columns import (
     dilated_m,
@@ -88,7 +88,7 @@ def escape(request: PlanRequest) -> Planned | NotPlanned | None:
         refusal = Refusal.START_NEAR_THINGS
     elif distance_to_terrain_m(around, start, least_m, seen_only=True) >= least_m:
         refusal = Refusal.START_NEAR_UNKNOWN
-    return NotPlanned(plan_id=request.plan_id, refusal=refusal)
+    return request.refused(refusal)
 
 
 def _proofs(
@@ -188,13 +188,8 @@ _AFTER = 3  # places that are flown towards, one after the other, if nothing is 
 _CLIMBS = (0.0, 0.95)  # of the climb angle
 _AROUND, _SHARES = 24, (0.0625, 0.125, 0.25, 0.5, 1.0)  # climbs, for each share of the height left
 
-Prove = Callable[[Subpath], Planned | None]
-"""The plan of a straight subpath, at the highest speed for which it is proven."""
 
-
-@final
-@dataclass(frozen=True, slots=True)
-class _End:
+class _End(NamedTuple):
     """Of a straight piece."""
 
     place_nea_m: FloatArray
@@ -204,7 +199,7 @@ class _End:
 
 
 def way_out(
-    request: PlanRequest, prices: Prices, prove: Prove, *, looks: bool, strays: bool
+    request: PlanRequest, searches: Searches, *, looks: bool, strays: bool
 ) -> tuple[Planned, float] | None:
     """The straight piece to begin with, level or climbing, and what it costs with all that follows.
 
@@ -217,12 +212,12 @@ def way_out(
     looks: where no less is left to fly anywhere, it goes to where more is seen.  strays: it may
     climb where that brings it no nearer at once.  None if there is no place to go to.
     """
-    found = []
+    found = list[tuple[Planned, float]]()
     for climb in _CLIMBS:
-        for end in _Pieces(request, prices, climb).ends(looks=looks, strays=strays):
-            planned = prove(straight(request.start.position_nea_m, end.place_nea_m))
+        for end in _Pieces(request, searches.prices, climb).ends(looks=looks, strays=strays):
+            planned = searches.straight(straight(request.start.position_nea_m, end.place_nea_m))
             if planned is not None:
-                price_m = prices.price_m(planned) + end.stops_m
+                price_m = searches.prices.price_m(planned) + end.stops_m
                 found.append((planned, max(price_m, end.least_m)))
                 break
         if found and request.task.settings.is_near:  # near things are not flown over
@@ -246,9 +241,11 @@ class _Pieces:
 
     def ends(self, *, looks: bool, strays: bool) -> list[_End]:
         """The best one first; those that no radar sees before the others."""
-        places_ne_m, way_m, before = self._reached()
-        reached, left_m = np.isfinite(way_m), np.full(len(way_m), math.inf)
-        left_m[reached] = self._prices.to_go_m(self._at(places_ne_m[reached], way_m[reached]))
+        if (reached := self._reached()) is None:
+            return []
+        places_ne_m, way_m, before = reached
+        free, left_m = np.isfinite(way_m), np.full(len(way_m), math.inf)
+        left_m[free] = self._prices.to_go_m(self._at(places_ne_m[free], way_m[free]))
         is_nearer = left_m.min(initial=math.inf) <= self._left_here_m - self._cell_m  # by a cell
         goals = _least(left_m) if is_nearer else []
         if looks:
@@ -260,7 +257,7 @@ class _Pieces:
                 way.append(int(before[way[-1]]))
             ends += self._along(places_ne_m[way[::-1]], float(left_m[goal]))
         if self._climbs and goals:
-            ends += self._higher(places_ne_m[reached])
+            ends += self._higher(places_ne_m[free])
             ends = self._cheapest_first(ends, strays=strays)
         return sorted(ends, key=lambda end: self._is_seen(end.place_nea_m))
 
@@ -318,12 +315,14 @@ class _Pieces:
         stops_m = np.maximum(self._stop_m * climb_m / away_m, [end.stops_m for end in ends])
         price_m = np.round((left_m + away_m + stops_m) / (_ALIKE * self._stop_m))
         order = np.lexsort((-away_m, price_m, ~gets_on)).tolist()
-        return [replace(ends[i], stops_m=float(stops_m[i])) for i in order if gets_on[i] or strays]
+        order = [i for i in order if gets_on[i] or strays]
+        return [ends[i]._replace(stops_m=float(stops_m[i])) for i in order]
 
-    def _reached(self) -> tuple[FloatArray, FloatArray, IndexArray]:
+    def _reached(self) -> tuple[FloatArray, FloatArray, IndexArray] | None:
         """All places, the way to each by a flood fill over free ones, and the one before it.
 
         (N, 2), (N,): infinite where none leads, as radars have it, and (N,): negative at its start.
+        None: none is free about the vehicle.
         Between its points the surface is bilinear, so nothing is higher between two of them.
         """
         request, task = self._request, self._request.task
@@ -342,7 +341,7 @@ class _Pieces:
         offset_m = np.where(free.ravel(), self._away_m(places_ne_m), math.inf)
         begin = int(np.argmin(offset_m))
         if offset_m[begin] > 2.0 * self._cell_m:
-            return np.empty((0, 2)), np.empty(0), np.empty(0, dtype=np.int64)
+            return None
         at_top, price = np.insert(places_ne_m, 2, self._top_m, axis=-1), np.ones(free.size)
         for radar in self._radars:
             price += _SEEN * (radar.distance_m(at_top) < radar.range_m)

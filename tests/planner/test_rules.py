@@ -123,14 +123,6 @@ def test_a_target_must_lie_on_the_map_outside_keep_outs_and_inside_keep_ins() ->
     assert "the circle that a plane holds on" in rules.target_refusal(plane, (0.0, edge_m + 1.0))
 
 
-def test_a_map_has_an_inside() -> None:
-    assert not [*rules.of_area((0.0, 1.0), (0.0, 1.0))]
-    for north_m in ((1.0, 1.0), (2.0, 1.0)):
-        [(field, value, rule, _)] = rules.of_area(north_m, (0.0, 1.0))
-        assert (field, value) == ("area.north_max_m", 1.0)
-        assert "area.north_min_m" in rule
-
-
 # --- polygons
 
 
