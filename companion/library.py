@@ -68,11 +68,13 @@ class Flown:
 
 
 def fly(
-    world: str | Terrain,
+    world: str | Terrain | FloatArray,
     mission: str | Task,
     *,
     start_nea_m: tuple[float, float, float] | None = None,
     targets_ne_m: Sequence[tuple[float, float]] = (),
+    spacing_m: float | None = None,
+    corner_ne_m: tuple[float, float] | None = None,
     known: KnownMap | None = None,
     scanner: Scanner = simulated_scan,
     near: NearSensor | None = None,
@@ -84,10 +86,10 @@ def fly(
 ) -> Flown:
     """Fly a mission: scan, plan a subpath, fly it, and again, until the last target.
 
-    What the arguments mean: docs/library.md.  world: its name or file, or its terrain.  mission:
-    its name or file, or a task, which needs a start and targets.  known, near, optimiser: None: the
-    mission's.  near, scene: in place of a scanner; `known.guess_m` is the ground, which they do not
-    see (None: the world's).
+    What the arguments mean: docs/library.md.  world: its name or file, its terrain, or heights AMSL
+    (rows to the north, columns to the east).  mission: its name or file, or a task, which needs a
+    start and targets.  known, near, optimiser: None: the mission's.  near, scene: in place of a
+    scanner; `known.guess_m` is the ground, which they do not see (None: the world's).
     InputError: an argument is not understood.
     """
     if seed < 0 or (most_legs is not None and most_legs < 1):
@@ -97,9 +99,6 @@ def fly(
     if isinstance(world, str):
         place = load_world(world)
         world, start_ne_m = place.terrain, place.start_ne_m
-    elif not hasattr(world, "highest_in_box_m"):
-        remedy = "Give one: ArrayTerrain(heights_m=heights, spacing_m=50.0)."
-        raise InputError("world", type(world).__name__, "it is no terrain", remedy)
     given = (_numbers(target, 2, "targets_ne_m") for target in targets_ne_m)
     targets = tuple((north_m, east_m) for north_m, east_m in given)
     if isinstance(mission, str):
@@ -123,9 +122,9 @@ def fly(
             OPTIMISERS.chosen(optimiser, "optimiser")
         task = replace(task, settings=replace(task.settings, optimiser=optimiser))
     blank = known or empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
+    if isinstance(world, np.ndarray):
+        world = _terrain(world, task, spacing_m, corner_ne_m)
     truth = true_map(world, blank)
-    if not np.isfinite(truth.upper_m).all():
-        raise InputError("world", type(world).__name__, "a height is not finite", "Fill gaps.")
     range_m = task.settings.scan_range_m
     sensor: TerrainRadar | OnBoard = TerrainRadar(task, lambda at: scanner(truth, at, range_m))
     if near is not None and scene is not None:
@@ -174,6 +173,21 @@ def _checked(task: Task, *, is_near: bool) -> Task:
     if isinstance(settings.optimiser, str):
         OPTIMISERS.chosen(settings.optimiser, "settings.optimiser")
     return task
+
+
+def _terrain(
+    heights_m: FloatArray,
+    task: Task,
+    spacing_m: float | None,
+    corner_ne_m: tuple[float, float] | None,
+) -> Terrain:
+    if spacing_m is None or not spacing_m > 0.0:
+        raise InputError("spacing_m", spacing_m, "heights need one", "Give it in metres.")
+    if heights_m.ndim != 2 or 0 in heights_m.shape or not np.isfinite(heights_m).all():
+        rule = "heights are finite, (rows, columns)"
+        raise InputError("world", heights_m.shape, rule, "Fill gaps.")
+    south, west = corner_ne_m or (task.limits.north_m[0], task.limits.east_m[0])
+    return ArrayTerrain(heights_m=heights_m, spacing_m=spacing_m, south_m=south, west_m=west)
 
 
 def route_terms(points_nea_m: FloatArray, task: Task) -> dict[str, float]:

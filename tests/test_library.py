@@ -13,7 +13,7 @@ from companion import library
 from companion.campaign import drawn_world, truth
 from companion.config import load_mission
 from companion.errors import InputError
-from companion.library import ArrayTerrain, Flown, NearScene, Task, Thing, fly
+from companion.library import Flown, NearScene, Task, Thing, fly
 from companion.planner.offline import OnBoard, fly_offline
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg
@@ -21,11 +21,10 @@ from companion.world.known_map import KnownMap, Scan, empty_map
 
 PAGE = Path(__file__).parents[1] / "docs" / "library.md"
 WHERE: dict[str, Any] = {
+    "spacing_m": 50.0,
     "start_nea_m": (500.0, 500.0, 260.0),
     "targets_ne_m": [(7_300.0, 7_300.0)],
 }
-
-GAP = ArrayTerrain(heights_m=np.array([[1.0, math.nan]]), spacing_m=50.0)
 
 
 @pytest.fixture(scope="module")
@@ -41,6 +40,7 @@ def page() -> dict[str, Any]:
 def test_every_flight_of_the_page_arrives_proven_along_points_that_keep_their_distance(
     page: dict[str, Any],
 ) -> None:
+    terrain = library.ArrayTerrain(heights_m=page["heights"], spacing_m=50.0)
     need_m = page["task"].required_clearance_m
     for name in ("flown", "short_sighted", "half_blind", "swarm", "random", "among", "quick"):
         flown: Flown = page[name]
@@ -53,7 +53,7 @@ def test_every_flight_of_the_page_arrives_proven_along_points_that_keep_their_di
             steps = np.linalg.norm(np.diff(points, axis=0), axis=-1)
             assert steps.max() <= 1.001 * 2_500.0 / 400.0
             assert steps.sum() == pytest.approx(flown.length_m, rel=1e-5)
-            assert truth.terrain_distance_m(points, page["terrain"], 2.0 * need_m).min() >= need_m
+            assert truth.terrain_distance_m(points, terrain, 2.0 * need_m).min() >= need_m
     assert page["asked"] == list(range(1, len(page["quick"].details.legs) + 1))
     for name, optimiser in (("swarm", "pso"), ("random", page["RandomSearch"])):
         assert page[name].task.settings.optimiser == optimiser
@@ -70,6 +70,19 @@ def test_the_cost_is_that_of_the_benchmarks(page: dict[str, Any]) -> None:
     assert set(flown.terms) == {"length", "height", "radar"}
 
 
+def test_the_same_arguments_fly_the_same_flight_and_another_seed_another(
+    page: dict[str, Any],
+) -> None:
+    """As far as two legs go, and the limit of legs is told."""
+    keywords = WHERE | {"most_legs": 2}
+    one, same, other = (fly(page["heights"], page["task"], seed=s, **keywords) for s in (1, 1, 2))
+    assert one.points_nea_m.tobytes() == same.points_nea_m.tobytes()
+    assert one.points_nea_m.tobytes() != other.points_nea_m.tobytes()
+    assert not one.arrived
+    assert one.why.startswith("TOO_MANY_LEGS: ")
+    assert len(one.certificates) == 2
+
+
 def test_a_scanner_is_asked_once_for_each_scan_and_nothing_else_is_seen(
     page: dict[str, Any],
 ) -> None:
@@ -80,7 +93,7 @@ def test_a_scanner_is_asked_once_for_each_scan_and_nothing_else_is_seen(
         scan = library.simulated_scan(there, at, range_m)
         return replace(scan, heights_m=np.full_like(scan.heights_m, library.NO_ANSWER))
 
-    flown = fly(page["terrain"], page["task"], scanner=blind, **WHERE)
+    flown = fly(page["heights"], page["task"], scanner=blind, **WHERE)
     assert asked == [(at, 2_500.0) for at in flown.details.scans_nea_m]
     assert not flown.arrived
     assert flown.why.startswith(("START_NEAR_UNKNOWN", "NOTHING_SEEN"))
@@ -166,14 +179,14 @@ def test_a_thing_that_comes_into_the_way_is_stopped_for(
     [
         ({}, {"start_nea_m": None}, "start_nea_m"),
         ({}, {"targets_ne_m": ()}, "targets_ne_m"),
+        ({}, {"spacing_m": None}, "spacing_m"),
         ({}, {"optimiser": "hope"}, "optimiser"),
         ({}, {"start_nea_m": (500.0, 500.0)}, "start_nea_m"),
         ({}, {"targets_ne_m": [(math.nan, 500.0)]}, "targets_ne_m"),
         ({}, {"seed": -1}, "seed, most_legs"),
         ({}, {"mission": "forest"}, "scene"),
         ({}, {"scene": NearScene([])}, "scene"),
-        ({}, {"world": GAP}, "world"),
-        ({}, {"world": np.zeros((9, 9))}, "world"),
+        ({}, {"world": np.array([[1.0, math.nan]])}, "world"),
         ({"scan_range_m": -5.0}, {}, "settings: scan_range_m"),
         ({"planning_time_s": math.nan}, {}, "settings: planning_time_s"),
         ({"planning_time_s": 500.0}, {}, "planner.planning_time_s"),
@@ -186,5 +199,5 @@ def test_what_is_not_understood_or_breaks_a_rule_of_mission_files_is_named(
     task: Task = page["task"]
     task = replace(task, settings=replace(task.settings, **settings))
     with pytest.raises(InputError) as refused:
-        fly(**{"world": page["terrain"], "mission": task} | WHERE | changes)
+        fly(**{"world": page["heights"], "mission": task} | WHERE | changes)
     assert refused.value.field == field
