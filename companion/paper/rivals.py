@@ -10,7 +10,6 @@ know, by the cost of a step and how much nearer it brings the target; RRT* of OM
 """
 
 import inspect
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -35,8 +34,8 @@ from companion.world.columns import safe_surface
 from companion.world.radars import detection_probability
 
 IntArray = NDArray[np.intp]
-Edges = tuple[IntArray, IntArray, FloatArray]
-"""Lines between places a and b, each once, and their costs.  (E,) x3."""
+Lines = tuple[FloatArray, IntArray]
+"""What lines cost, (E,), and the places that they join, (E, 2), each line once."""
 
 _CONTROL = 121  # points of a subpath: R / 120 apart, less than a cell
 _SPARE = 0.5  # of a cell, kept beside the clearance: the curve lies between points of the lattice
@@ -71,6 +70,11 @@ class RouteProblem:
         index = np.rint((at_ne_m - self.corner_ne_m) / self.spacing_m).astype(np.intp)
         return np.clip(index, 0, np.array(self.rate.shape) - 1)
 
+    @property
+    def sides_m(self) -> FloatArray:
+        """The south-western and the north-eastern corner.  (2, 2)."""
+        return self.place_m(np.array([(0, 0), np.subtract(self.rate.shape, 1)]))
+
     def line_cost(self, a_ne_m: FloatArray, b_ne_m: FloatArray) -> float:
         """Cost of a straight line, in metres of level flight; infinite: it is not free."""
         length_m = math.dist(a_ne_m, b_ne_m)
@@ -84,10 +88,9 @@ class RouteProblem:
         A piece that a grid took for free, and that is not quite, counts double its length.
         """
         lengths_m = np.hypot(*np.diff(route_ne_m, axis=0).T)
-        along_m = np.cumsum(lengths_m)
         costs = np.array([self.line_cost(*ends) for ends in pairwise(route_ne_m)])
         cost = np.append(0.0, np.cumsum(np.where(np.isfinite(costs), costs, 2.0 * lengths_m)))
-        last, kept = int(np.sum(along_m <= self.ahead_m)), [0]
+        last, kept = int(np.sum(np.cumsum(lengths_m) <= self.ahead_m)), [0]
         while (here := kept[-1]) < last:
             farther = (
                 there
@@ -113,10 +116,9 @@ def leg_by_leg(route_planner: RoutePlanner) -> Callable[[PlanRequest], Planned |
         problem = problem_of(request)
         answer = route_planner(problem, request.rng(0))
         if answer is not None:
-            route = problem.straight(_checked(answer, problem))
-            control, arrives = _flown(route, problem, request)
-            if len(control):
-                return reported(request, control, reaches_target=arrives)
+            flown = _flown(_checked(answer, problem), problem, request)
+            if flown is not None:
+                return flown
         return request.refused(Refusal.NOTHING_SAFE)
 
     return plan
@@ -124,28 +126,24 @@ def leg_by_leg(route_planner: RoutePlanner) -> Callable[[PlanRequest], Planned |
 
 def problem_of(request: PlanRequest) -> RouteProblem:
     """The question of a plan: what nobody has seen is free."""
-    task, sides = request.task, (request.task.limits.north_m, request.task.limits.east_m)
-    seen_m = np.where(request.known.surveyed, request.known.upper_m, np.inf)
+    task, known = request.task, request.known
+    floor, ceiling = task.band_amsl_m
+    sides = task.limits.north_m, task.limits.east_m
     surface = safe_surface(
-        replace(request.known, upper_m=seen_m),
+        replace(known, upper_m=np.where(known.surveyed, known.upper_m, np.inf)),
         centre_ne_m=(0.5 * sum(sides[0]), 0.5 * sum(sides[1])),
         reach_m=0.5 * max(high - low for low, high in sides),
         clearance_m=_clear_m(request),
         unknown_m=-_HIGH_M,
     )
-    axes = []
-    for first, size, (low, high) in zip(surface[:2], surface.vertex_m.shape, sides, strict=True):
-        axis = first + surface.cell_m * np.arange(size)
-        axes.append(axis[(axis >= low - _AT_M) & (axis <= high + _AT_M)])
+    axes = [np.arange(low, high + _AT_M, surface.cell_m) for low, high in sides]
     north, east = np.meshgrid(*axes, indexing="ij")
     need_m = surface.altitude_m(north, east)
-    floor, ceiling = task.band_amsl_m
-    altitude_m = np.clip(need_m, floor, ceiling)
+    points = np.stack([north, east, np.clip(need_m, floor, ceiling)], axis=-1)
     level, *others = task.settings.weights.per_metre(task.settings.scan_range_m)
     high, seen = (each / level for each in others)  # in metres of level flight
-    rate = 1.0 + high * (altitude_m - floor) / (ceiling - floor)
+    rate = 1.0 + high * (points[..., 2] - floor) / (ceiling - floor)
     for radar in task.radars:
-        points = np.stack([north, east, altitude_m], axis=-1)
         rate += seen * detection_probability(radar.distance_m(points), radar.range_m)
     for zone in task.zones:
         rate[zone.distance_m(north, east) < _clear_m(request)] = np.inf
@@ -153,7 +151,7 @@ def problem_of(request: PlanRequest) -> RouteProblem:
     problem = RouteProblem(
         start_ne_m=np.array(request.start.point_nea_m[:2]),
         target_ne_m=np.array(request.target_ne_m),
-        corner_ne_m=np.array([axis[0] for axis in axes]),
+        corner_ne_m=points[0, 0, :2],
         spacing_m=surface.cell_m,
         rate=rate,
         lines=_LINES * task.settings.evaluations,
@@ -175,17 +173,14 @@ def _checked(answer: FloatArray, problem: RouteProblem) -> FloatArray:
     except (TypeError, ValueError):  # no numbers
         route = np.empty(0)
     is_line = route.shape[1:] == (2,) and len(route) > 1 and np.isfinite(route).all()
-    if not is_line or not np.allclose(route[[0, -1]], ends, rtol=0.0, atol=_AT_M):
-        rule = "a route is (N, 2), finite, from the start to the target"
-        answered = f"an answer of shape {route.shape}"
-        raise InputError("planner", answered, rule, "Correct the planner.")
-    return route
+    if is_line and np.allclose(route[[0, -1]], ends, rtol=0.0, atol=_AT_M):
+        return route
+    rule = "a route is (N, 2), finite, from the start to the target"
+    raise InputError("planner", f"an answer of shape {route.shape}", rule, "Correct the planner.")
 
 
-def _flown(
-    route: FloatArray, problem: RouteProblem, request: PlanRequest
-) -> tuple[FloatArray, bool]:
-    """Control points (K, 3) of what may be flown of a route, none if nothing; whether all of it."""
+def _flown(route: FloatArray, problem: RouteProblem, request: PlanRequest) -> Planned | None:
+    """What may be flown of a route, pulled straight; None: nothing."""
     task, known, scan_ne_m = request.task, request.known, request.scan_nea_m[:2]
     range_m, (floor, ceiling) = task.settings.scan_range_m, task.band_amsl_m
     surface = safe_surface(
@@ -195,6 +190,7 @@ def _flown(
         clearance_m=_clear_m(request),
         unknown_m=_HIGH_M,
     )
+    route = problem.straight(route)
     length_m = np.hypot(*np.diff(route, axis=0).T).sum()
     points = _evenly(route, math.ceil(2.0 * length_m / problem.spacing_m) + 1)
     nodes = problem.index(points)
@@ -208,11 +204,11 @@ def _flown(
     arrives = bool(may_be.all())
     points = points if arrives else points[: np.argmin(may_be)]
     if len(points) < _SHORTEST:
-        return np.empty((0, 3)), False
+        return None
     points = _evenly(points, _CONTROL)
     altitude_m = np.clip(surface.altitude_m(*points.T), floor, ceiling)
     altitude_m[0] = request.start.point_nea_m[2]
-    return np.column_stack([points, altitude_m]), arrives
+    return reported(request, np.column_stack([points, altitude_m]), reaches_target=arrives)
 
 
 def _evenly(route: FloatArray, count: int) -> FloatArray:
@@ -228,12 +224,12 @@ SIXTEEN = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (2, -1), (1, -2))  #
 _STRIDE, _ANTS_STRIDE = 4, 10  # points of the lattice to a step of the grid: R / 40, R / 16
 _THREAT = 2.5  # what a metre costs where ground is taken for an obstacle: within a radar's range
 _APART = 4  # points of the lattice between sites of the diagram, at least
-_JOINED = 25  # corners of a roadmap that start and target are joined to
+_JOINED = 25  # places that start and target are joined to
 
 
 def a_star(problem: RouteProblem, _rng: np.random.Generator) -> FloatArray | None:
     """The cheapest way over a grid."""
-    return _cheapest(problem, *_grid(problem, _STRIDE))
+    return _cheapest(*_grid(problem, _STRIDE))
 
 
 def voronoi(problem: RouteProblem, _rng: np.random.Generator) -> FloatArray | None:
@@ -245,35 +241,27 @@ def voronoi(problem: RouteProblem, _rng: np.random.Generator) -> FloatArray | No
     edges = np.argwhere(barred & ~binary_erosion(barred, border_value=1)) - 1
     _, first = np.unique(edges // _APART, axis=0, return_index=True)
     diagram = Voronoi(problem.place_m(edges[np.sort(first)]))
-    corners = np.asarray(diagram.vertices)
-    low, high = problem.place_m(np.array([(0, 0), problem.rate.shape]) - [[0], [1]])
+    corners, (low, high) = np.asarray(diagram.vertices), problem.sides_m
     inside = np.append(np.all((corners >= low) & (corners <= high), axis=1), False)  # -1: far away
     lines = np.array(diagram.ridge_vertices)
     lines = lines[inside[lines].all(axis=1)]
-    return _cheapest(problem, corners, _free(problem, corners, lines))
+    return _cheapest(*_graph(problem, corners, _free(problem, corners, lines)))
 
 
-def _cheapest(problem: RouteProblem, places_m: FloatArray, lines: Edges) -> FloatArray | None:
-    graph, every_m = _with_ends(problem, places_m, lines)
-    way = cheapest(graph, len(every_m) - 2, len(every_m) - 1)
-    return every_m[way] if way else None
-
-
-def _grid(problem: RouteProblem, stride: int) -> tuple[FloatArray, Edges]:
-    """Every stride-th point of the rate, (K, 2), and lines between them in 16 directions."""
+def _grid(problem: RouteProblem, stride: int) -> tuple[csr_array, FloatArray]:
+    """Every stride-th point of the rate, in 16 directions, and the ends."""
     nodes = np.indices(problem.rate[::stride, ::stride].shape).reshape(2, -1).T
-    a, b, cost = grid_edges(problem.rate, stride, SIXTEEN)
-    return problem.place_m(stride * nodes), (a, b, cost * problem.spacing_m)
+    costs, steps = grid_steps(problem.rate, stride, SIXTEEN)
+    return _graph(problem, problem.place_m(stride * nodes), (costs * problem.spacing_m, steps))
 
 
-def grid_edges(rate: FloatArray, stride: int, ways: Sequence[tuple[int, int]]) -> Edges:
+def grid_steps(rate: FloatArray, stride: int, ways: Sequence[tuple[int, int]]) -> Lines:
     """The free steps of a grid whose nodes are every stride-th point of a rate, by rows.
 
-    Costs are in points of the rate; its mean along a step counts, at both ends and stride - 1
-    places between.
+    Costs are in points of the rate; its mean along a step counts, at both ends and
+    stride - 1 places between.
     """
-    rows, columns = rate[::stride, ::stride].shape
-    found = []
+    (rows, columns), found = rate[::stride, ::stride].shape, []
     for up, right in ways:
         row, column = np.ogrid[: rows - up, max(0, -right) : columns - max(0, right)]
         along = [
@@ -281,20 +269,20 @@ def grid_edges(rate: FloatArray, stride: int, ways: Sequence[tuple[int, int]]) -
         ]
         cost = (math.hypot(up, right) * np.trapezoid(along, axis=0)).ravel()
         here = (row * columns + column).ravel()
-        found.append(np.stack([here, here + up * columns + right, cost])[:, np.isfinite(cost)])
-    a, b, cost = np.concatenate(found, axis=1)
-    return a.astype(np.intp), b.astype(np.intp), cost
+        found.append(np.stack([cost, here, here + up * columns + right])[:, np.isfinite(cost)])
+    costs, *steps = np.concatenate(found, axis=1)
+    return costs, np.stack(steps, axis=-1).astype(np.intp)
 
 
-def _free(problem: RouteProblem, places_m: FloatArray, lines: IntArray) -> Edges:
-    """Straight lines between places (K, 2), as far as they are free.  lines: (E, 2)."""
+def _free(problem: RouteProblem, places_m: FloatArray, lines: IntArray) -> Lines:
+    """Straight lines between places (K, 2), as far as they are free."""
     costs = np.array([problem.line_cost(*places_m[pair]) for pair in lines])
-    a, b = lines[np.isfinite(costs)].T
-    return a, b, costs[np.isfinite(costs)]
+    free = np.isfinite(costs)
+    return costs[free], lines[free]
 
 
-def _with_ends(
-    problem: RouteProblem, places_m: FloatArray, lines: Edges
+def _graph(
+    problem: RouteProblem, places_m: FloatArray, lines: Lines
 ) -> tuple[csr_array, FloatArray]:
     """A graph of lines between places (K, 2), with start and target as the last two places.
 
@@ -302,13 +290,19 @@ def _with_ends(
     """
     start, target = len(places_m), len(places_m) + 1
     every = np.concatenate([places_m, [problem.start_ne_m, problem.target_ne_m]])
-    used, joined = np.unique(lines[:2]), [(start, target)]
+    used, joined = np.unique(lines[1]), [(start, target)]
     for end in (start, target):
         away_m = np.linalg.norm(places_m[used] - every[end], axis=-1)
         joined += [(end, k) for k in used[np.argsort(away_m, kind="stable")[:_JOINED]].tolist()]
-    ends = _free(problem, every, np.array(joined, dtype=np.intp))
-    a, b, cost = (np.append(*both) for both in zip(lines, ends, strict=True))
-    return csr_array((cost, (a, b)), shape=(len(every), len(every))), every
+    ends = _free(problem, every, np.array(joined))
+    costs, pairs = (np.concatenate(both) for both in zip(lines, ends, strict=True))
+    return csr_array((costs, pairs.T), shape=(len(every), len(every))), every
+
+
+def _cheapest(graph: csr_array, places_m: FloatArray) -> FloatArray | None:
+    """The cheapest way from the last place but one to the last."""
+    way = cheapest(graph, len(places_m) - 2, len(places_m) - 1)
+    return places_m[way] if way else None
 
 
 def cheapest(graph: csr_array, start: int, end: int) -> list[int]:
@@ -329,20 +323,30 @@ _LEAST = 0.01  # of the most pheromone
 
 def ants(problem: RouteProblem, rng: np.random.Generator) -> FloatArray | None:
     """The cheapest walk over a coarser grid that a colony has found."""
-    graph, places_m = _with_ends(problem, *_grid(problem, _ANTS_STRIDE))
+    graph, places_m = _grid(problem, _ANTS_STRIDE)
     graph = graph.maximum(graph.T).tocsr()  # a step is an index of its data
-    here, there = np.repeat(np.arange(len(places_m)), np.diff(graph.indptr)), graph.indices
-    left_m = np.linalg.norm(places_m - places_m[-1], axis=-1)
+    start, end = len(places_m) - 2, len(places_m) - 1
+    here, there = np.repeat(np.arange(end + 1), np.diff(graph.indptr)), graph.indices
+    if not cheapest(graph, start, end):
+        return None
+    left_m = np.linalg.norm(places_m - places_m[end], axis=-1)
     length_m = np.linalg.norm(places_m[here] - places_m[there], axis=-1)
     draw = np.exp(-_GREED * (graph.data + left_m[there] - left_m[here]) / length_m)
     pheromone, least, best = np.ones(graph.nnz), math.inf, list[int]()
     for _ in range(_GENERATIONS):
         weights = pheromone * draw
         weights /= np.bincount(here, weights)[here]
-        for steps in _walks(graph, np.append(0.0, np.cumsum(weights)), rng):
+        total = np.append(0.0, np.cumsum(weights))  # those from a place sum to 1
+        at, walks = np.full(_ANTS, start), list[IntArray]()
+        while (at != end).any() and len(walks) < 8 * math.isqrt(end):  # four times across and back
+            low, high = total[graph.indptr[at]], total[graph.indptr[at + 1]]
+            drawn = low + rng.random(_ANTS) * (high - low)
+            walks.append(np.searchsorted(total, drawn, side="right") - 1)
+            at = np.where(at == end, end, there[walks[-1]])
+        for steps in np.transpose(walks)[at == end]:
             last = dict(zip(here[steps].tolist(), steps.tolist(), strict=True))
-            walk, place = list[int](), len(places_m) - 2
-            while place in last:  # the last step from each place that it was in: without loops
+            walk, place = list[int](), start
+            while place != end:  # the last step from each place that it was in: without loops
                 walk.append(last[place])
                 place = int(there[walk[-1]])
             if (cost := graph.data[walk].sum()) < least:
@@ -350,27 +354,7 @@ def ants(problem: RouteProblem, rng: np.random.Generator) -> FloatArray | None:
         pheromone *= 1.0 - _EVAPORATES
         pheromone[best] += _EVAPORATES
         pheromone = np.clip(pheromone, _LEAST, 1.0)
-    return places_m[[*here[best].tolist(), -1]] if best else None
-
-
-def _walks(graph: csr_array, total: FloatArray, rng: np.random.Generator) -> list[IntArray]:
-    """The walks of a generation that came to the last place, as steps.
-
-    total: of the probabilities of all steps before each, (steps + 1,); those from a place sum to 1.
-    """
-    end = len(graph.indptr) - 2
-    at, walks = np.full(_ANTS, end - 1), list[IntArray]()
-    for _ in range(8 * math.isqrt(end)):  # four times from edge to edge of the grid, and back
-        low, high = total[graph.indptr[at]], total[graph.indptr[at + 1]]
-        going = (at != end) & (high > low)  # else it is there, or stuck
-        if not going.any():
-            break
-        drawn = low + rng.random(_ANTS) * (high - low)
-        step = np.where(going, np.searchsorted(total, drawn, side="right") - 1, -1)
-        at = np.where(going, graph.indices[step], at)
-        walks.append(step)
-    came = np.stack(walks, axis=1)[at == end] if walks else []
-    return [walk[walk >= 0] for walk in came]
+    return places_m[[*here[best].tolist(), end]] if best else None
 
 
 # --- RRT* of OMPL
@@ -379,67 +363,52 @@ def _walks(graph: csr_array, total: FloatArray, rng: np.random.Generator) -> lis
 def rrt_star(problem: RouteProblem, rng: np.random.Generator) -> FloatArray | None:
     """The best route of OMPL's RRT*, with its own defaults, in the plane and by our objective.
 
-    It stops when so many lines have been costed, or asked for without being costed.  OMPL's own
-    generator is seeded before each plan, so a plan is a function of problem and seed.
+    It stops when so many lines have been costed.  OMPL's own generator is seeded before each plan,
+    so a plan is a function of problem and seed.
     """
     extras.need("compare", "planner", "rrt-star")
     from ompl import base, geometric, util  # slow to import
 
-    corner, asked = problem.corner_ne_m, itertools.count(1)
-
     @cache
     def known(*ends: float) -> float:
-        return problem.line_cost(corner + ends[:2], corner + ends[2:])
+        return problem.line_cost(np.array(ends[:2]), np.array(ends[2:]))
 
     def cost(a: Any, b: Any) -> float:
         return known(a[0], a[1], b[0], b[1])
 
-    def is_free(state: Any) -> bool:
-        row, column = problem.index(corner + np.array([state[0], state[1]]))
-        return bool(np.isfinite(problem.rate[row, column]))
-
     def is_spent() -> bool:
-        return max(known.cache_info().currsize, next(asked)) >= problem.lines
+        return known.cache_info().currsize >= problem.lines
 
     class Validator(base.MotionValidator):  # type: ignore[misc]
         def checkMotion(self, a: Any, b: Any, _last: Any = None) -> bool:
             return cost(a, b) < np.inf
 
-    class Objective(base.OptimizationObjective):  # type: ignore[misc]
-        def stateCost(self, _state: Any) -> Any:
-            return base.Cost(1.0)
-
+    class Objective(base.PathLengthOptimizationObjective):  # type: ignore[misc]
         def motionCost(self, a: Any, b: Any) -> Any:
             return base.Cost(cost(a, b))
-
-        def motionCostHeuristic(self, a: Any, b: Any) -> Any:
-            return base.Cost(math.hypot(a[0] - b[0], a[1] - b[1]))
 
     util.noOutputHandler()
     util.RNG.setSeed(int(rng.integers(1, 2**31)))
     space, bounds = base.RealVectorStateSpace(2), base.RealVectorBounds(2)
-    bounds.setLow(0.0)
-    for axis, size in enumerate(problem.rate.shape):
-        bounds.setHigh(axis, (size - 1) * problem.spacing_m)
+    for axis, (low, high) in enumerate(problem.sides_m.T):
+        bounds.setLow(axis, low)
+        bounds.setHigh(axis, high)
     space.setBounds(bounds)
     ends = [space.allocState(), space.allocState()]
     for state, place in zip(ends, (problem.start_ne_m, problem.target_ne_m), strict=True):
-        state[0], state[1] = (place - corner).tolist()
+        state[0], state[1] = place.tolist()
     setup = geometric.SimpleSetup(space)
     information = setup.getSpaceInformation()
     validator, objective = Validator(information), Objective(information)  # OMPL does not keep them
     information.setMotionValidator(validator)
-    setup.setStateValidityChecker(is_free)
+    setup.setStateValidityChecker(lambda _state: True)  # no free line leads to one that is closed
     setup.setOptimizationObjective(objective)
     setup.setStartAndGoalStates(*ends)
     setup.setPlanner(geometric.RRTstar(information))
     setup.solve(base.PlannerTerminationCondition(is_spent))
     if not setup.haveExactSolutionPath():
         return None
-    states = setup.getSolutionPath().getStates()
-    route = corner + np.array([[state[0], state[1]] for state in states])
-    route[0], route[-1] = problem.start_ne_m, problem.target_ne_m
-    return route
+    return np.array([[state[0], state[1]] for state in setup.getSolutionPath().getStates()])
 
 
 # --- all of them

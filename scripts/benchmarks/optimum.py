@@ -44,7 +44,7 @@ from companion.campaign.report import read_campaign
 from companion.campaign.run import drawn_of
 from companion.campaign.store import Row
 from companion.geodesy import FloatArray
-from companion.paper.rivals import cheapest, grid_edges
+from companion.paper.rivals import cheapest, grid_steps
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone
 
@@ -124,8 +124,8 @@ class Grid:
 
     def _graph(self, rate: FloatArray) -> csr_array:
         size = math.prod(rate[:: self._stride, :: self._stride].shape)
-        before, after, cost = grid_edges(rate, self._stride, _WAYS)
-        return csr_array((cost, (before, after)), shape=(size, size))
+        costs, steps = grid_steps(rate, self._stride, _WAYS)
+        return csr_array((costs, steps.T), shape=(size, size))
 
     def _dearer_near(self, route: FloatArray) -> FloatArray:
         """1.25 within 3 km of a way except near its ends, else 1."""

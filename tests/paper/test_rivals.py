@@ -106,10 +106,10 @@ def test_steps_of_a_grid_cost_its_rate_along_them_and_the_cheapest_way_the_least
             mean = (0.5 * line[0] + sum(line[1:-1]) + 0.5 * line[-1]) / every
             there = (i + up) * columns + j + right
             expected[i * columns + j, there] = every * math.hypot(up, right) * mean
-    before, after, costs = rivals.grid_edges(rate, every, ways)
-    found = dict(zip(zip(before.tolist(), after.tolist(), strict=True), costs, strict=True))
+    costs, steps = rivals.grid_steps(rate, every, ways)
+    found = dict(zip(map(tuple, steps.tolist()), costs, strict=True))
     assert found == pytest.approx({k: v for k, v in expected.items() if v < math.inf})
-    graph = csr_array((costs, (before, after)), shape=(rows * columns, rows * columns))
+    graph = csr_array((costs, steps.T), shape=(rows * columns, rows * columns))
     start, end = 2 * columns + 2, 17 * columns + 18
     way = rivals.cheapest(graph, start, end)
     assert (way[0], way[-1]) == (start, end)

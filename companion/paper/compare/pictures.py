@@ -19,12 +19,7 @@ _WIDE = 160  # characters in a line of the text under the panels
 
 
 def draw(comparison: Comparison, found: Sequence[Outcome], path: Path) -> None:
-    """Write the picture of a comparison."""
-    views.save(composed(comparison, found), path)
-
-
-def composed(comparison: Comparison, found: Sequence[Outcome]) -> Figure:
-    """Fig. 3 or Fig. 4: two panels seen at an angle, under each its profile or plan."""
+    """Write Fig. 3 or Fig. 4: two panels seen at an angle, under each its profile or plan."""
     canvas = Figure(figsize=(15.0, 12.2))
     FigureCanvasAgg(canvas)
     (title,) = comparison.tables
@@ -50,7 +45,7 @@ def composed(comparison: Comparison, found: Sequence[Outcome]) -> Figure:
             below.set_title(f"({below_letter}) Vertical profile of ({letter})")
         lower.append(below)
     views.add_legend(canvas, lower, columns=8, bottom=0.085)
-    return canvas
+    views.save(canvas, path)
 
 
 def _flight(outcome: Outcome) -> FlightFigure:
