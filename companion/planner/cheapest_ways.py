@@ -351,7 +351,7 @@ def _line_m(grid: Grid, begin: FloatArray, end: FloatArray, most_m: float) -> fl
         here = _between(grid.cost, at, columns, u, v)
         if p > 0:
             total += 0.5 * (before + here) * piece_m
-        if total > most_m:
+        if total + (pieces - p) * piece_m * _ROUNDED > most_m:  # the rest costs 1 per metre or more
             return math.inf
         before = here
     return total

@@ -139,12 +139,11 @@ class CostGrid:
 
     def _look_at(self, known: KnownMap) -> Box:
         """Take over what has changed.  -> the samples that may ask for another altitude."""
-        scale, ground, everything = self._scale, self.ground, known.changed_since(None)
-        window = known.changed_since(self._of)
+        scale, ground, window = self._scale, self.ground, known.changed_since(self._of)
         self._of = known.name
         if window[0].start == window[0].stop:
             return 0, 0, 0, 0
-        if window == everything:  # what is told for guidance may be something else, too
+        if window == known.changed_since(None):  # what is told for guidance may differ, too
             ground.guess_m[:] = scale.floor_m
             self._open = self._not_told(known.guess_m)
         if self._is_guessed:

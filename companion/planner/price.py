@@ -5,6 +5,7 @@ All in metres of level flight at the floor of the band; guidance promises the le
 
 import math
 from collections.abc import Sequence
+from functools import cache, partial
 from typing import final
 
 import numpy as np
@@ -32,6 +33,7 @@ class Prices:
         settings = task.settings
         cost_of_r = max(settings.weights.length * PER_LENGTH, _LEAST)
         self._per_cost_m = settings.scan_range_m / cost_of_r
+        self._leg_of = cache(partial(Leg.of, number=1, rules=task))  # each is asked for often
 
     def promised_m(self, place_nea_m: Sequence[float]) -> float:
         """The predicted least from a place to the target."""
@@ -53,7 +55,7 @@ class Prices:
 
     def after_m(self, planned: Planned) -> float:
         """What is predicted from where the next subpath starts: p_prog, or the end."""
-        leg = Leg.of(planned, 1, self.task)
+        leg = self._leg_of(planned)
         at_m = leg.successor_at_m if leg.can_be_left else leg.subpath.length_m
         return self.promised_m(leg.subpath.pose(at_m).point_nea_m)
 
@@ -77,7 +79,7 @@ class Prices:
         if planned.speed_m_s is not None:
             slower = task.limits.speed_m_s / planned.speed_m_s - 1.0
             price_m += slower * planned.subpath.length_m
-        if not planned.reaches_target and not Leg.of(planned, 1, task).can_be_left:
+        if not planned.reaches_target and not self._leg_of(planned).can_be_left:
             price_m += task.stop_m
         return price_m
 
