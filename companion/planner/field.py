@@ -99,12 +99,9 @@ def cost_to_go(
     """
     mine = memory if memory is not None else _idle.pop() if _idle else Memory()
     grid, costs, dirty = _up_to_date(mine, known, task, belief, here_ne_m, target_ne_m)
-    beside, range_m = grid.around(here_ne_m), task.settings.scan_range_m
-    beyond_m, reach = (
-        _BEYOND_RANGES * range_m,
-        math.ceil(0.5 * _GIVEN_RANGES * range_m / grid.step_m),
-    )
-    window = grid.box_about(here_ne_m, reach)
+    range_m, beside = task.settings.scan_range_m, grid.around(here_ne_m)
+    beyond_m = _BEYOND_RANGES * range_m
+    window = grid.box_about(here_ne_m, math.ceil(_GIVEN_RANGES * range_m / (2.0 * grid.step_m)))
     jit.compiled(cheapest_ways.repair)(grid.samples, costs, dirty, beside, beyond_m, window)
     most_m = float(costs.cost[beside].min()) + beyond_m  # so far costs are right
     route = _route_ne_m(grid, costs, (here_ne_m, target_ne_m), beside[costs.cost[beside] <= most_m])
@@ -140,7 +137,10 @@ def _up_to_date(
 def _route_ne_m(
     grid: CostGrid, costs: Costs, ends_ne_m: tuple[Place, Place], starts: IndexArray
 ) -> tuple[Place, ...]:
-    """The cheapest way from here to the target, straightened; starts: points to begin at."""
+    """The cheapest way from here to the target, straightened.
+
+    starts: lattice points beside here, one of which it leads over.
+    """
     here, target = ends_ne_m
     cost_m = grid.lines_m(here, grid.points_m(starts)) + costs.cost[starts]
     way = jit.compiled(cheapest_ways.way_from)(grid.samples, costs, starts[np.argmin(cost_m)])
