@@ -232,40 +232,44 @@ def _again(u: int, grid: Grid, costs: Costs, least_m: FloatArray) -> None:
     rows, columns = grid.rows, grid.columns
     row, column = u // columns, u % columns
     is_within = _is_within(row, rows) and _is_within(column, columns)
-    best, via = costs.seed[u], -1
+    best, via, most = costs.seed[u], -1, math.inf
+    if costs.via[u] >= 0:  # hardly ever is it more than by the direction that was best before
+        before = costs.via[u]
+        most = costs.cost[u + grid.jump[before]] + edge_m(grid, row, column, before)
     for k in range(len(DIRECTIONS)):
         if is_within or _leads_on(row, column, rows, columns, k):
             there = costs.cost[u + grid.jump[k]]
-            if there + least_m[k] < best:  # else the edge needs no look
+            if there + least_m[k] <= min(best, most):  # else the edge needs no look
                 by_it = there + edge_m(grid, row, column, k)
                 if by_it < best:
                     best, via = by_it, k
     costs.ahead[u], costs.via[u] = best, via
 
 
-def touch(changed: BoolArray, touched: BoolArray) -> None:
-    """Mark the lattice points that may have an edge over a changed sample, (rows, columns) both.
+def touched(changed: BoolArray) -> BoolArray:
+    """The lattice points that may have an edge over a changed sample.
 
-    changed: of the points whose own sample, or the next one to the north or east, has changed; all
-    False again afterwards.
+    changed: the points whose own sample, or the next one to the north or east, has changed.
+    (rows, columns) both.
     """
-    rows, columns = touched.shape
+    (rows, columns), result = changed.shape, np.zeros_like(changed)
     for row in range(rows):
         until = 0  # the column up to which points beside this row are marked
         for column in range(columns):
             if changed[row, column]:
-                changed[row, column] = False
                 begin = max(column - _FARTHEST, until)
                 until = min(column + _FARTHEST + 2, columns)
                 for i in range(max(row - _FARTHEST, 0), min(row + _FARTHEST + 2, rows)):
-                    touched[i, begin:until] = True
+                    result[i, begin:until] = True
+    return result
 
 
 def way_from(grid: Grid, costs: Costs, u: int) -> IndexArray:
     """The points of the cheapest way from a point on."""
     way = [u]
-    while (k := costs.via[way[-1]]) >= 0:
-        way.append(int(way[-1] + grid.jump[k]))
+    while costs.via[u] >= 0:
+        u += grid.jump[costs.via[u]]
+        way.append(u)
     return np.array(way)
 
 
@@ -347,7 +351,7 @@ def _line_m(grid: Grid, begin: FloatArray, end: FloatArray, most_m: float) -> fl
         here = _between(grid.cost, at, columns, u, v)
         if p > 0:
             total += 0.5 * (before + here) * piece_m
-        if total > most_m:
+        if total + (pieces - p) * piece_m * _ROUNDED > most_m:  # the rest costs 1 per metre or more
             return math.inf
         before = here
     return total

@@ -92,18 +92,17 @@ class CostGrid:
             costly=np.zeros(self.shape, dtype=bool),
             beside=np.zeros(self.shape),
             extra=np.zeros(self.shape),
-            changed=np.zeros(self.lattice_shape, dtype=bool),
         )
         self._kind, self._scale = _kind_of(known, task), _scale(task, known, every)
-        # what the costs are of, to be compared with: copies that nobody else changes
-        self._upper_m = np.full(known.shape, np.inf)
-        self._surveyed = np.zeros(known.shape, dtype=bool)
-        self._told_m: FloatArray | None = None
+        self._of: int | None = None
+        """The name of the map that costs are of."""
         self._blocks = Blocks(known.shape, 2 * every)
-        self._open = np.ones(self.shape, dtype=bool)
-        """The samples beside which nothing has been told: there it may be guessed."""
-        self._everywhere = True
-        """Whether all samples are to be looked at next time: at first, and after a guess."""
+        self._open = np.zeros(self.shape, dtype=bool)
+        """The samples that may be guessed: beside them nothing has been told."""
+        goes_on_m = _GOES_ON_RANGES * task.settings.scan_range_m
+        near = task.settings.is_near and belief is Belief.GUESSED
+        self._far = goes_on_m / self.step_m if near else 0.0
+        """By how many samples what stands is taken to go on."""
 
     def _shut(self, known: KnownMap) -> BoolArray:
         """Where zones forbid to be, or what is beyond the map, which may be terrain."""
@@ -128,34 +127,28 @@ class CostGrid:
 
         here_ne_m: what was seen is continued about it where it was not; not without guesses.
         """
-        ground, box = self.ground, self._look_at(known)
-        guess_m = self._continued_m(known, here_ne_m) if self._is_guessed else None
-        if guess_m is not None or self._everywhere:
-            ground.guess_m[:] = self._scale.floor_m if guess_m is None else guess_m
+        box = self._look_at(known)
+        if self._is_guessed:  # all of it is another guess
+            self.ground.guess_m[:] = self._continued_m(known, here_ne_m)
             box = 0, self.shape[0], 0, self.shape[1]
-        self._everywhere = guess_m is not None
-        touched = np.zeros(self.lattice_shape, dtype=bool)
-        jit.compiled(cost_samples.fill)(
-            self.samples, ground, box, self.corner_ne_m, self._upper_m, self._surveyed,
-            self._scale, touched,
+        touched: BoolArray = jit.compiled(cost_samples.fill)(
+            self.samples, self.ground, box, self.corner_ne_m, known.upper_m, known.surveyed,
+            self._scale,
         )  # fmt: skip
         return touched
 
     def _look_at(self, known: KnownMap) -> Box:
-        """Take over what is known.  -> the samples that may ask for another altitude."""
-        every, surveyed = self._scale.every, known.surveyed
-        cells = jit.compiled(cost_samples.changed)(
-            self._upper_m, self._surveyed, known.upper_m, surveyed
-        )
-        if self._is_told_anew(known.guess_m):
-            cells = 0, known.shape[0], 0, known.shape[1]
-        if cells[0] >= cells[1]:
+        """Take over what has changed.  -> the samples that may ask for another altitude."""
+        scale, ground, window = self._scale, self.ground, known.changed_since(self._of)
+        self._of = known.name
+        if window[0].start == window[0].stop:
             return 0, 0, 0, 0
-        window = slice(*cells[:2]), slice(*cells[2:])
-        self._upper_m[window], self._surveyed[window] = known.upper_m[window], surveyed[window]
+        if window == known.changed_since(None):  # what is told for guidance may differ, too
+            ground.guess_m[:] = scale.floor_m
+            self._open = self._not_told(known.guess_m)
         if self._is_guessed:
             self._blocks.update(known, window)
-        reach, box, about = len(self._scale.rises_m), list[int](), list[slice]()
+        every, reach, box, about = scale.every, len(scale.rises_m), list[int](), list[slice]()
         for part, count, cut in zip(window, self.shape, known.shape, strict=True):
             low = max((part.start - reach) // every, 0)
             high = min((part.stop + reach) // every + 1, count)
@@ -166,48 +159,32 @@ class CostGrid:
             bound_m = known.upper_m[*about]
             tops_m = np.where(np.isfinite(bound_m), bound_m, tops_m)
         first = about[0].start, about[1].start
-        jit.compiled(cost_samples.raise_to)(
-            self.ground.seen_m, tuple(box), tops_m, first, self._scale
+        jit.compiled(cost_samples.raise_to)(ground.seen_m, tuple(box), tops_m, first, scale)
+        where: Box = jit.compiled(cost_samples.go_on)(
+            ground.seen_m, scale.highest_m, tuple(box), self._far, _GOES_ON, ground.beside
         )
-        return self._gone_on((box[0], box[1], box[2], box[3]))
+        return where
 
-    def _is_told_anew(self, guess_m: FloatArray | None) -> bool:
-        """Take over what is told for guidance; whether it is other than before, to the last bit."""
-        before_m, self._told_m = self._told_m, guess_m
-        if guess_m is None or guess_m is before_m:
-            return False
-        if before_m is not None and np.array_equal(guess_m.view(np.int64), before_m.view(np.int64)):
-            return False
+    def _not_told(self, told_m: FloatArray | None) -> BoolArray:
+        """The samples beside which nothing has been told for guidance."""
+        if told_m is None:
+            return np.ones(self.shape, dtype=bool)
         row, column = (
             np.minimum(self._scale.every * np.arange(count), cut - 1)
-            for count, cut in zip(self.shape, guess_m.shape, strict=True)
+            for count, cut in zip(self.shape, told_m.shape, strict=True)
         )
-        self._open = np.isnan(guess_m[np.ix_(row, column)])
-        return True
-
-    def _gone_on(self, box: Box) -> Box:
-        """How what stands near goes on, where samples have changed.  -> where that has."""
-        far, (rows, columns) = 0.0, self.shape
-        if self.task.settings.is_near and self.belief is Belief.GUESSED:
-            far = _GOES_ON_RANGES * self.task.settings.scan_range_m / self.step_m
-        by = math.ceil(far)
-        (south, north), (west, east) = box[:2], box[2:]
-        box = max(south - by, 0), min(north + by, rows), max(west - by, 0), min(east + by, columns)
-        jit.compiled(cost_samples.go_on)(
-            self.ground.seen_m, self._scale.highest_m, box, far, _GOES_ON, self.ground.beside
-        )
-        return box
+        return np.isnan(told_m[np.ix_(row, column)])
 
     @property
     def _is_guessed(self) -> bool:
         """Whether anything is."""
         return self.belief is Belief.GUESSED and bool(self._open.any())
 
-    def _continued_m(self, known: KnownMap, here_ne_m: Place) -> FloatArray | None:
-        """`Ground.guess_m`: linear between the points of the lattice.  None: nothing is guessed."""
+    def _continued_m(self, known: KnownMap, here_ne_m: Place) -> FloatArray | float:
+        """`Ground.guess_m`: linear between the points of the lattice."""
         scale, goes_on = self._scale, self._blocks.continued(known.cell_of(*here_ne_m))
         if goes_on is None:
-            return None
+            return scale.floor_m
         rows, columns = (4 * scale.every * np.arange(count) for count in self.lattice_shape)
         ground_m = goes_on.at_m(rows, columns) + scale.rises_m[0, 0]
         result = np.empty(self.shape)
@@ -229,10 +206,11 @@ class CostGrid:
 
     def box_about(self, place: Place, reach: int) -> Box:
         """The lattice points up to so many rows and columns from the one nearest to a place."""
-        last = np.array(self.lattice_shape) - 1
-        middle = np.clip(np.rint(self.sample_of(np.array(place)) / 2.0), 0, last).astype(int)
-        (south, west), (north, east) = np.clip([middle - reach, middle + reach], 0, last).tolist()
-        return south, north + 1, west, east + 1
+        box = list[int]()
+        for at, low, count in zip(place, self.corner_ne_m, self.lattice_shape, strict=True):
+            middle = min(max(round((at - low) / self.step_m / 2.0), 0), count - 1)
+            box += [max(middle - reach, 0), min(middle + reach + 1, count)]
+        return box[0], box[1], box[2], box[3]
 
     def around(self, place: Place) -> IndexArray:
         """The lattice points that are joined to a place directly.  -> (K,)."""

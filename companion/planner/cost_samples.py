@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.geodesy import BoolArray, FloatArray
-from companion.planner.cheapest_ways import Box, Grid, touch
+from companion.planner.cheapest_ways import Box, Grid, touched
 
 BLOCKED = 300.0
 """Cost per metre where nothing may fly: a detour of 300 times as much is shorter on any map."""
@@ -53,21 +53,6 @@ class Ground(NamedTuple):
     """What a metre costs more, if it was not seen, for what stands near it."""
     extra: FloatArray
     """What of that is in the costs."""
-    changed: BoolArray
-    """(rows, columns), of lattice points; scratch of `fill`: all False."""
-
-
-def changed(
-    old_upper_m: FloatArray, old_surveyed: BoolArray, upper_m: FloatArray, surveyed: BoolArray
-) -> Box:
-    """The cells in which two maps differ lie in this box; an empty one: in none."""
-    south, north, west, east = upper_m.shape[0], 0, upper_m.shape[1], 0
-    for r in range(upper_m.shape[0]):
-        for c in range(upper_m.shape[1]):
-            if upper_m[r, c] != old_upper_m[r, c] or surveyed[r, c] != old_surveyed[r, c]:
-                south, north = min(south, r), r + 1
-                west, east = min(west, c), max(east, c + 1)
-    return south, north, west, east
 
 
 def raise_to(
@@ -98,9 +83,17 @@ def raise_to(
 
 def go_on(
     seen_m: FloatArray, highest_m: float, box: Box, far: float, more: float, beside: FloatArray
-) -> None:
-    """Note in a box which samples are less than so many from one where the way is blocked."""
-    (rows, columns), (south, north, west, east), by = seen_m.shape, box, math.ceil(far) - 1
+) -> Box:
+    """Note which samples are less than `far` from one where the way is blocked.
+
+    box: where samples have changed.  -> where that changes something.
+    """
+    if far == 0.0:
+        return box
+    (rows, columns), by = seen_m.shape, math.ceil(far)
+    south, north = max(box[0] - by, 0), min(box[1] + by, rows)
+    west, east = max(box[2] - by, 0), min(box[3] + by, columns)
+    by -= 1
     beside[south:north, west:east] = 0.0
     for i in range(max(south - by, 0), min(north + by, rows)):
         for j in range(max(west - by, 0), min(east + by, columns)):
@@ -108,6 +101,7 @@ def go_on(
                 for row in range(max(i - by, south), min(i + by + 1, north)):
                     half = math.ceil(math.sqrt(far * far - (row - i) ** 2)) - 1
                     beside[row, max(j - half, west) : min(j + half + 1, east)] = more
+    return south, north, west, east
 
 
 def _bound_m(upper_m: FloatArray, row: int, column: int, scale: Scale) -> float:
@@ -141,9 +135,8 @@ def fill(
     upper_m: FloatArray,
     surveyed: BoolArray,
     scale: Scale,
-    touched: BoolArray,
-) -> None:
-    """Compute the costs of the samples in a box, and mark the lattice points whose edges change.
+) -> BoolArray:
+    """Compute the costs of the samples in a box.  -> the lattice points whose edges change.
 
     corner_ne_m: of the first sample.  Where it is flown at the floor, as before, nothing changes.
     Eq. 3 has half a step of margin: straight lines between samples outside of a radar's range stay
@@ -152,6 +145,7 @@ def fill(
     across, radars = 2 * grid.columns - 1, scale.radars
     band_m, margin_m = scale.ceiling_m - scale.floor_m, 0.5 * grid.step_m
     near = np.empty(len(radars), dtype=np.int64)
+    changed = np.zeros((grid.rows, grid.columns), dtype=np.bool_)
     for i in range(box[0], box[1]):
         count, north_m = 0, corner_ne_m[0] + i * grid.step_m
         for k in range(len(radars)):
@@ -194,5 +188,5 @@ def fill(
             grid.lowest_m[at], ground.costly[i, j] = altitude_m, is_blocked or seen > 0.0
             ground.extra[i, j] = extra
             if cost != grid.cost[at]:
-                grid.cost[at], ground.changed[i // 2, j // 2] = cost, True
-    touch(ground.changed, touched)
+                grid.cost[at], changed[i // 2, j // 2] = cost, True
+    return touched(changed)

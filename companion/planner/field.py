@@ -13,8 +13,9 @@ import numpy as np
 import scipy
 
 from companion import jit
+from companion.geodesy import BoolArray
 from companion.planner import cheapest_ways
-from companion.planner.cheapest_ways import Box, Costs
+from companion.planner.cheapest_ways import Box, Costs, IndexArray
 from companion.planner.cost_grid import Belief, CostGrid, Place
 from companion.planner.cost_samples import BLOCKED
 from companion.planner.settings import Task
@@ -97,10 +98,13 @@ def cost_to_go(
         What is taken to be where nothing was seen.
     """
     mine = memory if memory is not None else _idle.pop() if _idle else Memory()
-    grid, costs, window = _solved(mine, known, task, belief, here_ne_m, target_ne_m)
-    beyond_m = _BEYOND_RANGES * task.settings.scan_range_m
-    most_m = float(costs.cost[grid.around(here_ne_m)].min()) + beyond_m  # so far costs are right
-    route = _route_ne_m(grid, costs, (here_ne_m, target_ne_m), most_m)
+    grid, costs, dirty = _up_to_date(mine, known, task, belief, here_ne_m, target_ne_m)
+    range_m, beside = task.settings.scan_range_m, grid.around(here_ne_m)
+    beyond_m = _BEYOND_RANGES * range_m
+    window = grid.box_about(here_ne_m, math.ceil(_GIVEN_RANGES * range_m / (2.0 * grid.step_m)))
+    jit.compiled(cheapest_ways.repair)(grid.samples, costs, dirty, beside, beyond_m, window)
+    most_m = float(costs.cost[beside].min()) + beyond_m  # so far costs are right
+    route = _route_ne_m(grid, costs, (here_ne_m, target_ne_m), beside[costs.cost[beside] <= most_m])
     value, needed = _surfaces(grid, costs, window, target_ne_m, most_m)
     is_barred = grid.bars(np.array(route))
     if memory is None and not _idle:
@@ -108,44 +112,38 @@ def cost_to_go(
     return CostToGo(value=value, needed=needed, route_ne_m=route, is_barred=is_barred)
 
 
-def _solved(
+def _up_to_date(
     memory: Memory,
     known: KnownMap,
     task: Task,
     belief: Belief,
     here_ne_m: Place,
     target_ne_m: Place,
-) -> tuple[CostGrid, Costs, Box]:
-    """The costs of lattice points as they are now, and which points they are asked for."""
+) -> tuple[CostGrid, Costs, BoolArray]:
+    """The grid as it is now, the costs to be repaired, and the points where they are wrong."""
     grid, costs = memory.get(belief, (None, None))
     if grid is None or not grid.fits(known, task):
         grid, costs = CostGrid(known, task, belief), None
-    dirty = grid.update(known, here_ne_m)
-    seed, about = np.full(dirty.size, np.inf), grid.around(target_ne_m)
-    seed[about] = grid.lines_m(target_ne_m, grid.points_m(about))
+    dirty, seeds = grid.update(known, here_ne_m), grid.around(target_ne_m)
     many = np.count_nonzero(dirty) > _MANY * dirty.size
-    if costs is None or many or not np.isfinite(costs.seed[about]).all():  # another target
-        costs, dirty = Costs.unknown(seed), np.isfinite(seed).reshape(dirty.shape)
-    else:
-        dirty |= (seed != costs.seed).reshape(dirty.shape)
-        costs.seed[:] = seed
+    if costs is None or many or not np.array_equal(np.flatnonzero(costs.seed < np.inf), seeds):
+        costs, dirty[:] = Costs.unknown(np.full(dirty.size, np.inf)), False
+    costs.seed[seeds] = grid.lines_m(target_ne_m, grid.points_m(seeds))
+    dirty.flat[seeds] = True
     memory[belief] = grid, costs
-    range_m = task.settings.scan_range_m
-    window = grid.box_about(here_ne_m, math.ceil(_GIVEN_RANGES * range_m / (2.0 * grid.step_m)))
-    jit.compiled(cheapest_ways.repair)(
-        grid.samples, costs, dirty, grid.around(here_ne_m), _BEYOND_RANGES * range_m, window
-    )
-    return grid, costs, window
+    return grid, costs, dirty
 
 
 def _route_ne_m(
-    grid: CostGrid, costs: Costs, ends_ne_m: tuple[Place, Place], most_m: float
+    grid: CostGrid, costs: Costs, ends_ne_m: tuple[Place, Place], starts: IndexArray
 ) -> tuple[Place, ...]:
-    """The cheapest way from here to the target, straightened."""
-    (here, target), near = ends_ne_m, grid.around(ends_ne_m[0])
-    near = near[costs.cost[near] <= most_m]
-    start = near[np.argmin(grid.lines_m(here, grid.points_m(near)) + costs.cost[near])]
-    way = cheapest_ways.way_from(grid.samples, costs, int(start))
+    """The cheapest way from here to the target, straightened.
+
+    starts: lattice points beside here, one of which it leads over.
+    """
+    here, target = ends_ne_m
+    cost_m = grid.lines_m(here, grid.points_m(starts)) + costs.cost[starts]
+    way = jit.compiled(cheapest_ways.way_from)(grid.samples, costs, starts[np.argmin(cost_m)])
     points = np.concatenate([[here], grid.points_m(way), [target]])
     first_m, last_m = grid.lines_m(here, points[1:2]), grid.lines_m(target, points[-2:-1])
     along_m = np.concatenate([[0.0], first_m, -np.diff(costs.cost[way]), last_m]).cumsum()

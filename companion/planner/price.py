@@ -4,8 +4,9 @@ All in metres of level flight at the floor of the band; guidance promises the le
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, cached_property, partial
 from typing import final
 
 import numpy as np
@@ -31,13 +32,18 @@ _LEAST_LENGTH = 1e-3  # its weight, beside that of height
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # no slots: legs are kept
 class Prices:
     """The prices of one plan, and what the mission owes with them."""
 
     task: Task
     field: CostToGo
     progress: Progress = NO_PROGRESS  # at the start of the plan
+
+    @cached_property
+    def _leg_of(self) -> Callable[[Planned], Leg]:
+        """The leg of a subpath: it is asked for often."""
+        return cache(partial(Leg.of, number=1, rules=self.task))
 
     def promised_m(self, place_nea_m: Sequence[float]) -> float:
         """The predicted least from a place to the target."""
@@ -78,7 +84,7 @@ class Prices:
         if planned.speed_m_s is not None:
             slower = task.limits.speed_m_s / planned.speed_m_s - 1.0
             price_m += slower * planned.subpath.length_m
-        if not planned.reaches_target and not Leg.of(planned, 1, task).can_be_left:
+        if not planned.reaches_target and not self._leg_of(planned).can_be_left:
             price_m += task.stop_m
         return price_m
 
@@ -126,7 +132,7 @@ class Prices:
 
         That is p_prog, or the end.
         """
-        leg = Leg.of(planned, 1, self.task)
+        leg = self._leg_of(planned)
         at_m = leg.successor_at_m if leg.can_be_left else leg.subpath.length_m
         left_m = self.promised_m(leg.subpath.pose(at_m).point_nea_m)
         progress = replace(self.progress, owed_m=self.owed_m(planned), expected_m=left_m)

@@ -32,6 +32,7 @@ _NO_LENGTH = -(2**52)  # millimetres that no length has: 4.5 million km below th
 RAY_CELLS = 0.3  # between neighbouring rays at the farthest point, in cells
 SLACK_CELLS = 1.5
 """Of a sight line, for the lattice alone (`_hidden_bound_m`, `_line_from_one_m`)."""
+_REMEMBERED = 16  # scans: plans that are further apart look at the whole map
 _GROUP_CELLS, _GROUP_CELLS_UP = 0.25, 0.1
 """Radars this close, level and up, count as one: that saves a march for each position of a moving
 radar, and costs slack and height (`sight_line_m`)."""
@@ -127,9 +128,30 @@ class KnownMap(Lattice):
     """(rows, columns), cells whose terrain was known in advance, though scans may know better."""
     guess_m: FloatArray | None = None
     """(rows, columns), the terrain as a file tells it for guidance alone; NaN: it does not."""
+    changes: tuple[tuple[int, Window], ...] = field(init=False, default=(), compare=False)
+    """Of the last scans a name of the map after each, which no other map has, and the cells in
+    which it may differ from the one before.  Empty if the map was made in another way."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shape", self.upper_m.shape)
+
+    @property
+    def name(self) -> int | None:
+        """What tells it from other maps, None if it has not been made by a scan."""
+        return self.changes[-1][0] if self.changes else None
+
+    def changed_since(self, name: int | None) -> Window:
+        """The cells in which it may differ from the map of that name: all, if that is too old."""
+        names = [each for each, _ in self.changes]
+        if name not in names:
+            return slice(0, self.shape[0]), slice(0, self.shape[1])
+        windows = [window for _, window in self.changes[names.index(name) + 1 :]]
+        rows, columns = (
+            slice(min((w[k].start for w in windows), default=0),
+                  max((w[k].stop for w in windows), default=0))
+            for k in (0, 1)
+        )  # fmt: skip
+        return rows, columns
 
     @property
     def surveyed(self) -> BoolArray:
@@ -159,6 +181,14 @@ class KnownMap(Lattice):
         seen |= now_seen
         if scan.complete:
             np.copyto(upper, np.minimum(upper, _hidden_bound_m(after, scan)), where=~seen)
+        changes = self.changes
+        if not changes or scan.heights_m.size > 0:
+            window = scan.window if changes else self.changed_since(None)
+            layers = after.upper_m, after.seen, after.given, after.guess_m
+            held = [each[window].tobytes() for each in layers if each is not None]
+            name = hash((repr((changes[-1:], window)), *held))
+            changes = *changes[1 - _REMEMBERED :], (name, window)
+        object.__setattr__(after, "changes", changes)
         return after
 
     def with_what_was_given(self, blank: "KnownMap") -> "KnownMap":
@@ -172,7 +202,9 @@ class KnownMap(Lattice):
         """
         if by_m == 0.0:
             return self
-        return replace(self, registration_m=self.registration_m + by_m)
+        grown = replace(self, registration_m=self.registration_m + by_m)
+        object.__setattr__(grown, "changes", self.changes)
+        return grown
 
     def part(self, rows: slice, columns: slice) -> "KnownMap":
         """The map of some of the rows and columns (start and stop on the map); no copy."""

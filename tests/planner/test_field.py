@@ -16,7 +16,7 @@ from companion.planner.cost_grid import Belief
 from companion.planner.field import CostToGo, Memory, cost_to_go
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.columns import Surface
-from companion.world.known_map import KnownMap, empty_map
+from companion.world.known_map import KnownMap, Scan, empty_map
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone, Zone
 
@@ -214,6 +214,16 @@ def a_scene(seed: int) -> tuple[Task, KnownMap]:
     return task, replace(known, guess_m=np.full_like(terrain, -np.inf))  # free beyond
 
 
+def a_scan(scanned: np.ndarray, rng: np.random.Generator) -> Scan:
+    """Of these cells; now and then it is all that is known of those about them."""
+    (row, column), (row_end, column_end) = rng.integers(0, 120, 2), rng.integers(121, 241, 2)
+    heights_m = np.where(scanned, rng.uniform(0.0, 5e3), np.nan)[row:row_end, column:column_end]
+    return Scan(
+        row=int(row), column=int(column), heights_m=heights_m, radar_nea_m=np.zeros((1, 1, 3)),
+        range_m=R, complete=False, supersedes=bool(rng.random() < 0.5),
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_what_is_remembered_changes_no_answer(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Scans, other targets, zones and places; ground told or guessed; coarse; near things."""
@@ -230,9 +240,11 @@ def test_what_is_remembered_changes_no_answer(seed: int, monkeypatch: pytest.Mon
         here = (float(rng.uniform(5e3, 30e3)), float(rng.uniform(5e3, 30e3)))
         kind, at = rng.integers(0, 5), rng.uniform(0.0, 60e3, 2)
         scanned = np.hypot(NORTH - at[0], EAST - at[1]) < rng.uniform(0.0, 8e3)
-        if kind < 3:
-            known.upper_m[scanned] = rng.uniform(0.0, 5e3)  # even a map that is changed in place
-            known.seen[scanned] = True
+        if kind == 0:  # a map that does not tell what has changed
+            upper_m = np.where(scanned, rng.uniform(0.0, 5e3), known.upper_m)
+            known = replace(known, upper_m=upper_m, seen=known.seen | scanned)
+        elif kind < 3:
+            known = known.with_scan(a_scan(scanned, rng))
         elif kind == 3:
             target = (float(at[0]), float(at[1]))
         else:

@@ -43,7 +43,7 @@ def test_what_is_loaded_is_all_that_a_plan_calls(monkeypatch: pytest.MonkeyPatch
     assert called == {
         *(kernels.search, kernels.costs, prove, dilated_m, zones.near_on_lattice),
         *(ways.repair, ways.needed_m, ways.lines_m, ways.straightened, ways.smooth_edges),
-        *(samples.changed, samples.raise_to, samples.go_on, samples.fill),
+        *(ways.way_from, samples.raise_to, samples.go_on, samples.fill),
         seeds.places_along,
     }
 

@@ -99,6 +99,28 @@ def test_a_cell_out_of_range_stays_unknown_although_the_radar_answered(reach_m: 
 # --- as bytes
 
 
+@given(seed=st.integers(0, 10**6))
+def test_what_differs_from_a_map_before_lies_where_the_map_says(seed: int) -> None:
+    """From one that it does not know, everywhere; a map made in another way knows none."""
+    rng = np.random.default_rng(seed)
+    maps = [empty_map(CELL_M, (0.0, 2_000.0), (0.0, 2_000.0))]
+    for _ in range(int(rng.integers(1, 20))):
+        row, column = rng.integers(0, 15, 2).tolist()
+        heights = rng.choice([NO_ANSWER, 42.0, 17.0], rng.integers(0, 6, 2))
+        scan = Scan(row=row, column=column, heights_m=heights, radar_nea_m=np.zeros((1, 1, 3)),
+                    range_m=0.0, complete=False, supersedes=bool(rng.random() < 0.5))  # fmt: skip
+        maps.append(maps[-1].with_scan(scan))
+    last = maps[-1].grown(3.0)
+    for before in maps[1:]:
+        outside = np.ones(last.shape, dtype=bool)
+        outside[last.changed_since(before.name)] = False
+        assert (last.upper_m[outside] == before.upper_m[outside]).all()
+        assert (last.seen[outside] == before.seen[outside]).all()
+    whole = slice(0, 20), slice(0, 20)
+    assert last.changed_since(maps[0].name) == whole == replace(last).changed_since(last.name)
+    assert last.changed_since(last.name) == (slice(0, 0), slice(0, 0))
+
+
 def test_a_map_survives_as_bytes_and_is_told_from_those_that_differ_in_anything() -> None:
     empty = empty_map(25.0, (0.0, 1000.0), (0.0, 500.0))
     upper, given_ = np.random.default_rng(1).uniform(300.0, 900.0, empty.shape), empty.seen.copy()
