@@ -214,22 +214,16 @@ class KnownMap(Lattice):
         """`squares_m` of one point -> its southern and western edge, metres, and the bounds."""
         half = math.ceil(reach_m / self.cell_m) + 1
         south, west = (at - half for at in self.cell_of(*centre_ne_m))
-        upper = np.full((2 * half + 1, 2 * half + 1), np.inf)
-        here, there = zip(*map(_overlap, (south, west), upper.shape, self.shape), strict=True)
-        upper[here] = self.upper_m[there]
+        size = 2 * half + 1
+        rows, columns = (slice(max(at, 0), max(at + size, 0)) for at in (south, west))
+        on_map, upper = self.upper_m[rows, columns], np.full((size, size), np.inf)
+        upper[max(-south, 0) :, max(-west, 0) :][: len(on_map), : on_map.shape[1]] = on_map
         upper[~np.isfinite(upper)] = np.inf
         return (
             self.north_min_m + south * self.cell_m,
             self.east_min_m + west * self.cell_m,
             upper,
         )
-
-
-def _overlap(first: int, count: int, cells: int) -> tuple[slice, slice]:
-    """Of so many rows from one on those that are on the map: among them, and of the map."""
-    low = min(max(first, 0), cells)
-    high = min(max(first + count, low), cells)
-    return slice(low - first, high - first), slice(low, high)
 
 
 def empty_map(cell_m: float, north_m: tuple[float, float], east_m: tuple[float, float]) -> KnownMap:
@@ -363,8 +357,7 @@ def sight_line_m(
     apart_m = np.array([_GROUP_CELLS, _GROUP_CELLS, _GROUP_CELLS_UP]) * lattice.cell_m
     bins = ((radars_nea_m - radars_nea_m.min(axis=0)) / apart_m).astype(np.intp)
     key = np.ravel_multi_index(tuple(bins.T), tuple(bins.max(axis=0) + 1))
-    order = np.argsort(key, kind="stable")
-    groups = np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
+    groups = [np.flatnonzero(key == each) for each in np.unique(key)]
     boxes = [(radars_nea_m[k].min(axis=0), radars_nea_m[k].max(axis=0)) for k in groups]
     slack = slack_m + max(
         0.5 * math.hypot(high[0] - low[0], high[1] - low[1]) for low, high in boxes

@@ -292,17 +292,21 @@ def zone_distance(zones: ZoneTable, segment: Segment, limit: float) -> tuple[flo
 
 
 def near_on_lattice(
-    zones: ZoneTable, north_m: FloatArray, east_m: FloatArray, distance_m: float
+    zones: ZoneTable,
+    corner_ne_m: tuple[float, float],
+    step_m: float,
+    shape: tuple[int, int],
+    distance_m: float,
 ) -> BoolArray:
-    """Where a zone is nearer than a distance, or with one below 0 forbids so deep.
+    """Where on a lattice a zone is nearer than a distance, or with one below 0 forbids so deep.
 
-    North (rows,), east (columns,) -> (rows, columns).  Compiled.
+    corner_ne_m: of the first point.  -> (rows, columns).  Compiled.
     """
-    result = np.empty((len(north_m), len(east_m)), dtype=np.bool_)
+    result = np.empty(shape, dtype=np.bool_)
     most = abs(distance_m) + 1.0
-    for i, n in enumerate(north_m):
-        for j, e in enumerate(east_m):
-            gap = most
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            n, e, gap = corner_ne_m[0] + step_m * i, corner_ne_m[1] + step_m * j, most
             for circle in range(len(zones.circles)):
                 gap = min(gap, circle_distance(zones, circle, n, e, n, e))
             for polygon in range(len(zones.polygons)):
@@ -314,13 +318,14 @@ def near_on_lattice(
 @lru_cache(maxsize=8)
 def too_near(
     zones: tuple[Zone, ...],
-    north_m: tuple[float, ...],
-    east_m: tuple[float, ...],
+    corner_ne_m: tuple[float, float],
+    step_m: float,
+    shape: tuple[int, int],
     distance_m: float,
 ) -> BoolArray:
     """The same, kept, and not to be changed: zones and lattice are often those of before."""
     near: BoolArray = jit.compiled(near_on_lattice)(
-        packed(zones), np.array(north_m), np.array(east_m), float(distance_m)
+        packed(zones), corner_ne_m, step_m, shape, distance_m
     )
     near.setflags(write=False)
     return near
@@ -342,12 +347,10 @@ def near_cells(
     distance_m: float,
 ) -> NearCells:
     """The cells of an area with points nearer to a zone than a distance, or forbidden by it."""
-    most_m = max(north_m[1] - north_m[0], east_m[1] - east_m[0])
-    cell_m = max(0.5 * distance_m, most_m / _MOST_CELLS)
-    north, east = (
-        tuple((low + cell_m * np.arange(0.5, math.ceil((high - low) / cell_m))).tolist())
-        for low, high in (north_m, east_m)
-    )
-    near_m = distance_m + math.sqrt(0.5) * cell_m
-    near = too_near(zones, north, east, near_m)
+    sides_m = north_m[1] - north_m[0], east_m[1] - east_m[0]
+    cell_m = max(0.5 * distance_m, max(sides_m) / _MOST_CELLS)
+    rows, columns = (math.ceil(side_m / cell_m) for side_m in sides_m)
+    middle_ne_m = float(north_m[0] + 0.5 * cell_m), float(east_m[0] + 0.5 * cell_m)
+    near_m = float(distance_m + math.sqrt(0.5) * cell_m)
+    near = too_near(zones, middle_ne_m, float(cell_m), (rows, columns), near_m)
     return NearCells(float(north_m[0]), float(east_m[0]), float(cell_m), near)
