@@ -449,12 +449,9 @@ def _slope_over_near_cells(
         _circles_seen(away, math.sqrt(0.5) * cell + error_m)
         for away in (to_cells, points_ne_m - radar_ne_m)
     )
-    result = np.full(len(points_ne_m), -np.inf)
-    for slope, near, azimuth, half in zip(slopes, nearest, azimuths, halves, strict=True):
-        turned = np.abs(np.remainder(towards - azimuth + math.pi, math.tau) - math.pi)
-        over = (turned <= half + wide) & (near <= far)
-        np.maximum(result, slope, out=result, where=over)
-    return result
+    turned = np.abs(np.remainder(towards - azimuths[:, None] + math.pi, math.tau) - math.pi)
+    is_over = (turned <= halves[:, None] + wide) & (nearest[:, None] <= far)
+    return np.where(is_over, slopes[:, None], -np.inf).max(axis=0, initial=-np.inf)
 
 
 def _circles_seen(away_m: FloatArray, radius_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
