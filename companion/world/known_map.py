@@ -72,13 +72,10 @@ class Lattice:
     def about(self, points_ne_m: FloatArray, reach_m: float) -> Window:
         """The cells of the lattice within reach of a rectangle around points.  (N, 2)."""
         corner = np.array([self.north_min_m, self.east_min_m])
-        low, high = points_ne_m.min(axis=0) - reach_m, points_ne_m.max(axis=0) + reach_m
-        first = np.floor((low - corner) / self.cell_m).astype(np.intp)
-        last = np.floor((high - corner) / self.cell_m).astype(np.intp) + 1
-        (row, column), (row_end, column_end) = (
-            np.clip(each, 0, self.shape).tolist() for each in (first, last)
-        )
-        return slice(row, row_end), slice(column, column_end)
+        ends = np.stack([points_ne_m.min(axis=0) - reach_m, points_ne_m.max(axis=0) + reach_m])
+        first, last = np.floor((ends - corner) / self.cell_m).astype(np.intp)
+        rows, columns = np.clip([first, last + 1], 0, self.shape).T.tolist()
+        return slice(*rows), slice(*columns)
 
 
 @final
