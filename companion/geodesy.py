@@ -7,8 +7,8 @@ the convergence on their way to and from the wire (design section 3).
 """
 
 import math
-from dataclasses import dataclass, field
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import TypeVar, final
 
 import numpy as np
@@ -29,19 +29,18 @@ _NEAR = 64  # places whose convergence is kept: where the vehicle is, and is sen
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class LocalFrame:
     """North, east in metres about an origin, and back."""
 
     latitude_deg: float
     longitude_deg: float
-    _projection: pyproj.Proj = field(init=False, repr=False, compare=False)
 
-    def __post_init__(self) -> None:
-        projection = pyproj.Proj(
+    @cached_property
+    def _projection(self) -> pyproj.Proj:
+        return pyproj.Proj(
             proj="aeqd", lat_0=self.latitude_deg, lon_0=self.longitude_deg, datum="WGS84"
         )
-        object.__setattr__(self, "_projection", projection)
 
     def to_local_m(self, latitude_deg: Places, longitude_deg: Places) -> tuple[Places, Places]:
         """Latitude, longitude in degrees -> north, east in metres: numbers, or (...) of them."""

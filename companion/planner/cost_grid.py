@@ -265,8 +265,7 @@ def zones_on_lattice(
 
     corner_ne_m: of the first.
     """
-    north, east = (low + step_m * np.arange(n) for low, n in zip(corner_ne_m, shape, strict=True))
-    return too_near(task.zones, tuple(north.tolist()), tuple(east.tolist()), near_m)
+    return too_near(task.zones, corner_ne_m, step_m, shape, near_m)
 
 
 def sampled(route_ne_m: FloatArray, step_m: float, most_m: float = math.inf) -> FloatArray:

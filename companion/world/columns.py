@@ -19,7 +19,7 @@ from companion import jit
 from companion.geodesy import FloatArray
 from companion.world.known_map import KnownMap
 
-_FAR_M = 1e12  # farther than anything on earth, and small enough to calculate with
+FAR_M = 1e12  # farther than anything on earth, and small enough to calculate with
 _BRACKETINGS = 60
 """Of `column_distance`, which halves its bracket at least every other time: double precision."""
 _COARSE_FROM = 4.0  # cells of clearance: from there on half cells are not worth their time
@@ -157,9 +157,9 @@ def strip(
         one, other = (south - wide - n0) / dn, (north + wide - n0) / dn
         first, last = max(first, min(one, other)), min(last, max(one, other))
         if first > last:
-            return _FAR_M, -_FAR_M
+            return FAR_M, -FAR_M
     elif n0 < south - wide or n0 > north + wide:
-        return _FAR_M, -_FAR_M
+        return FAR_M, -FAR_M
     one, other = e0 + first * de, e0 + last * de
     return min(one, other) - wide, max(one, other) + wide
 

@@ -84,15 +84,12 @@ class Blocks:
         size = self.size
         blocks = tuple(slice(each.start // size, -(-each.stop // size)) for each in window)
         part = known.part(*(slice(size * each.start, size * each.stop) for each in blocks))
+        rows, columns = (np.arange(0, count, size) for count in part.shape)
         firm = part.surveyed
-        padding = [(0, -count % size) for count in firm.shape]
-
-        def sums(values: FloatArray) -> FloatArray:
-            values = np.pad(values, padding)
-            strips = values.reshape(-1, size, values.shape[1]).sum(axis=1)
-            return np.asarray(sum(strips[:, k::size] for k in range(size)))
-
-        count, total = sums(firm.astype(np.float64)), sums(np.where(firm, part.upper_m, 0.0))
+        count, total = (
+            np.add.reduceat(np.add.reduceat(values, rows, axis=0), columns, axis=1)
+            for values in (firm.astype(np.float64), np.where(firm, part.upper_m, 0.0))
+        )
         self.mean_m[blocks] = total / np.maximum(count, 1.0)
         self.seen[blocks] = count >= 0.5 * size * size
 

@@ -73,13 +73,10 @@ class Lattice:
     def about(self, points_ne_m: FloatArray, reach_m: float) -> Window:
         """The cells of the lattice within reach of a rectangle around points.  (N, 2)."""
         corner = np.array([self.north_min_m, self.east_min_m])
-        low, high = points_ne_m.min(axis=0) - reach_m, points_ne_m.max(axis=0) + reach_m
-        first = np.floor((low - corner) / self.cell_m).astype(np.intp)
-        last = np.floor((high - corner) / self.cell_m).astype(np.intp) + 1
-        (row, column), (row_end, column_end) = (
-            np.clip(each, 0, self.shape).tolist() for each in (first, last)
-        )
-        return slice(row, row_end), slice(column, column_end)
+        ends = np.stack([points_ne_m.min(axis=0) - reach_m, points_ne_m.max(axis=0) + reach_m])
+        first, last = np.floor((ends - corner) / self.cell_m).astype(np.intp)
+        rows, columns = np.clip([first, last + 1], 0, self.shape).T.tolist()
+        return slice(*rows), slice(*columns)
 
 
 @final
@@ -246,22 +243,16 @@ class KnownMap(Lattice):
         """`squares_m` of one point -> its southern and western edge, metres, and the bounds."""
         half = math.ceil(reach_m / self.cell_m) + 1
         south, west = (at - half for at in self.cell_of(*centre_ne_m))
-        upper = np.full((2 * half + 1, 2 * half + 1), np.inf)
-        here, there = zip(*map(_overlap, (south, west), upper.shape, self.shape), strict=True)
-        upper[here] = self.upper_m[there]
+        size = 2 * half + 1
+        rows, columns = (slice(max(at, 0), max(at + size, 0)) for at in (south, west))
+        on_map, upper = self.upper_m[rows, columns], np.full((size, size), np.inf)
+        upper[max(-south, 0) :, max(-west, 0) :][: len(on_map), : on_map.shape[1]] = on_map
         upper[~np.isfinite(upper)] = np.inf
         return (
             self.north_min_m + south * self.cell_m,
             self.east_min_m + west * self.cell_m,
             upper,
         )
-
-
-def _overlap(first: int, count: int, cells: int) -> tuple[slice, slice]:
-    """Of so many rows from one on those that are on the map: among them, and of the map."""
-    low = min(max(first, 0), cells)
-    high = min(max(first + count, low), cells)
-    return slice(low - first, high - first), slice(low, high)
 
 
 def empty_map(cell_m: float, north_m: tuple[float, float], east_m: tuple[float, float]) -> KnownMap:
@@ -395,8 +386,7 @@ def sight_line_m(
     apart_m = np.array([_GROUP_CELLS, _GROUP_CELLS, _GROUP_CELLS_UP]) * lattice.cell_m
     bins = ((radars_nea_m - radars_nea_m.min(axis=0)) / apart_m).astype(np.intp)
     key = np.ravel_multi_index(tuple(bins.T), tuple(bins.max(axis=0) + 1))
-    order = np.argsort(key, kind="stable")
-    groups = np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
+    groups = [np.flatnonzero(key == each) for each in np.unique(key)]
     boxes = [(radars_nea_m[k].min(axis=0), radars_nea_m[k].max(axis=0)) for k in groups]
     slack = slack_m + max(
         0.5 * math.hypot(high[0] - low[0], high[1] - low[1]) for low, high in boxes
@@ -488,12 +478,9 @@ def _slope_over_near_cells(
         _circles_seen(away, math.sqrt(0.5) * cell + error_m)
         for away in (to_cells, points_ne_m - radar_ne_m)
     )
-    result = np.full(len(points_ne_m), -np.inf)
-    for slope, near, azimuth, half in zip(slopes, nearest, azimuths, halves, strict=True):
-        turned = np.abs(np.remainder(towards - azimuth + math.pi, math.tau) - math.pi)
-        over = (turned <= half + wide) & (near <= far)
-        np.maximum(result, slope, out=result, where=over)
-    return result
+    turned = np.abs(np.remainder(towards - azimuths[:, None] + math.pi, math.tau) - math.pi)
+    is_over = (turned <= halves[:, None] + wide) & (nearest[:, None] <= far)
+    return np.where(is_over, slopes[:, None], -np.inf).max(axis=0, initial=-np.inf)
 
 
 def _circles_seen(away_m: FloatArray, radius_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:

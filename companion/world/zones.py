@@ -19,11 +19,10 @@ import shapely
 
 from companion import jit
 from companion.geodesy import BoolArray, FloatArray
-from companion.world.columns import Segment
+from companion.world.columns import FAR_M, Segment
 
 _GROUP = 16  # edges to a box: 16 is faster than 8, with 50 x 100 corners and with 2,000 (measured)
 _MOST_CELLS = 512  # cells of `near_cells` across: 0.25 MB, made in some 0.1 s
-_FAR_M = 1e12  # farther than anything on earth, and small enough to calculate with
 _TOUCHING_M = 1e-9
 """Looked for at least so far from a segment, so that edges that touch it are seen (rounding)."""
 Row = tuple[float, ...]
@@ -114,19 +113,6 @@ def _box_of(points_ne_m: FloatArray) -> Box:
 # --- many points at once
 
 
-@lru_cache(maxsize=256)
-def _outlines(zones: tuple[Zone, ...]) -> tuple[list[Row], Any, Any, BoolArray]:
-    """`ZoneTable.circles`; all edges in a tree; polygons (Z, 1), and which are to stay out of."""
-    polygons = [zone for zone in zones if isinstance(zone, PolygonZone)]
-    areas = np.array([shapely.Polygon(zone.vertices_ne_m) for zone in polygons], dtype=object)
-    shapely.prepare(areas)
-    corners = [np.array(zone.vertices_ne_m) for zone in polygons]
-    edges = [np.stack([each, np.roll(each, -1, axis=0)], axis=1) for each in corners]
-    tree = shapely.STRtree(shapely.linestrings(np.concatenate([np.empty((0, 2, 2)), *edges])))
-    keeps_out = np.array([not zone.keep_in for zone in polygons], dtype=bool)
-    return packed(zones).circles.tolist(), tree, areas[:, None], keeps_out[:, None]
-
-
 def gaps_m(
     zones: tuple[Zone, ...], north_m: FloatArray, east_m: FloatArray, within_m: float = math.inf
 ) -> FloatArray:
@@ -134,26 +120,37 @@ def gaps_m(
 
     (...) x2 -> (...).  within_m: farther ones count as so far away (inf without zones).
     """
-    shape = np.broadcast_shapes(np.shape(north_m), np.shape(east_m))
-    north, east = (np.broadcast_to(part, shape).reshape(-1) for part in (north_m, east_m))
-    result = within_m + 0.0 * (north + east)  # of no place it is no distance: NaN
-    circles, tree, areas, keeps_out = _outlines(zones)
-    for middle_n, middle_e, radius_m, sign in circles:
-        away_m = np.hypot(north - middle_n, east - middle_e)
-        np.minimum(result, sign * (away_m - radius_m), out=result)
-    if len(areas) and len(result):
-        points = shapely.points(north, east)
-        most_m = within_m if 0.0 < within_m < math.inf else None
-        (which, _), away_m = tree.query_nearest(
-            points, max_distance=most_m, return_distance=True, all_matches=False
-        )
-        result[which] = np.minimum(result[which], away_m)
-        forbidden = shapely.contains_xy(areas, north, east) == keeps_out
-        for k in np.flatnonzero(forbidden.any(axis=1)):
-            some = forbidden[k]
-            deep_m = shapely.distance(areas[k, 0].exterior, points[some])
-            result[some] = np.minimum(result[some], -deep_m)
-    return result.reshape(shape)
+    north, east = np.broadcast_arrays(np.asarray(north_m), np.asarray(east_m))
+    result = np.asarray(within_m + 0.0 * (north + east))  # of no place it is no distance: NaN
+    for zone in zones:
+        if isinstance(zone, CircleZone):
+            outside_m = np.hypot(north - zone.north_m, east - zone.east_m) - zone.radius_m
+        else:
+            outside_m = _outside_m(zone, north, east, np.inf if zone.keep_in else result)
+        result = np.minimum(result, -outside_m if zone.keep_in else outside_m)
+    return np.asarray(result)
+
+
+def _outside_m(
+    zone: PolygonZone, north: FloatArray, east: FloatArray, most_m: FloatArray | float
+) -> FloatArray:
+    """Distance of points to the edge, negative inside; any that is no less than most_m will do."""
+    area = _area(zone)
+    south_m, west_m, north_m, east_m = area.bounds
+    beyond_m = [south_m - north, north - north_m, west_m - east, east - east_m]
+    result = np.asarray(np.maximum.reduce(beyond_m))  # its box is no farther
+    near = result < most_m
+    north, east = north[near], east[near]
+    edge_m = shapely.distance(area.exterior, shapely.points(north, east))
+    result[near] = np.where(shapely.contains_xy(area, north, east), -edge_m, edge_m)
+    return result
+
+
+@lru_cache(maxsize=256)
+def _area(zone: PolygonZone) -> shapely.Polygon:
+    area = shapely.Polygon(zone.vertices_ne_m)
+    shapely.prepare(area)
+    return area
 
 
 def nearest(zones: tuple[Zone, ...], north_m: float, east_m: float) -> tuple[Zone | None, float]:
@@ -279,8 +276,8 @@ def zone_distance(zones: ZoneTable, segment: Segment, limit: float) -> tuple[flo
         if nearest > 0.0 and not forbids(zones, polygon, n0, e0):
             lower, upper = min(lower, nearest), min(upper, nearest)
         else:
-            middle = polygon_at(zones, polygon, n0 + 0.5 * dn, e0 + 0.5 * de, _FAR_M, _FAR_M)
-            start = polygon_at(zones, polygon, n0, e0, _FAR_M, _FAR_M)
+            middle = polygon_at(zones, polygon, n0 + 0.5 * dn, e0 + 0.5 * de, FAR_M, FAR_M)
+            start = polygon_at(zones, polygon, n0, e0, FAR_M, FAR_M)
             lower = min(lower, middle - 0.5 * math.hypot(dn, de))
             upper = min(upper, min(middle, start))
             if nearest <= 0.0:
@@ -292,17 +289,21 @@ def zone_distance(zones: ZoneTable, segment: Segment, limit: float) -> tuple[flo
 
 
 def near_on_lattice(
-    zones: ZoneTable, north_m: FloatArray, east_m: FloatArray, distance_m: float
+    zones: ZoneTable,
+    corner_ne_m: tuple[float, float],
+    step_m: float,
+    shape: tuple[int, int],
+    distance_m: float,
 ) -> BoolArray:
-    """Where a zone is nearer than a distance, or with one below 0 forbids so deep.
+    """Where on a lattice a zone is nearer than a distance, or with one below 0 forbids so deep.
 
-    North (rows,), east (columns,) -> (rows, columns).  Compiled.
+    corner_ne_m: of the first point.  -> (rows, columns).  Compiled.
     """
-    result = np.empty((len(north_m), len(east_m)), dtype=np.bool_)
+    result = np.empty(shape, dtype=np.bool_)
     most = abs(distance_m) + 1.0
-    for i, n in enumerate(north_m):
-        for j, e in enumerate(east_m):
-            gap = most
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            n, e, gap = corner_ne_m[0] + step_m * i, corner_ne_m[1] + step_m * j, most
             for circle in range(len(zones.circles)):
                 gap = min(gap, circle_distance(zones, circle, n, e, n, e))
             for polygon in range(len(zones.polygons)):
@@ -314,13 +315,14 @@ def near_on_lattice(
 @lru_cache(maxsize=8)
 def too_near(
     zones: tuple[Zone, ...],
-    north_m: tuple[float, ...],
-    east_m: tuple[float, ...],
+    corner_ne_m: tuple[float, float],
+    step_m: float,
+    shape: tuple[int, int],
     distance_m: float,
 ) -> BoolArray:
     """The same, kept, and not to be changed: zones and lattice are often those of before."""
     near: BoolArray = jit.compiled(near_on_lattice)(
-        packed(zones), np.array(north_m), np.array(east_m), float(distance_m)
+        packed(zones), corner_ne_m, step_m, shape, distance_m
     )
     near.setflags(write=False)
     return near
@@ -342,12 +344,10 @@ def near_cells(
     distance_m: float,
 ) -> NearCells:
     """The cells of an area with points nearer to a zone than a distance, or forbidden by it."""
-    most_m = max(north_m[1] - north_m[0], east_m[1] - east_m[0])
-    cell_m = max(0.5 * distance_m, most_m / _MOST_CELLS)
-    north, east = (
-        tuple((low + cell_m * np.arange(0.5, math.ceil((high - low) / cell_m))).tolist())
-        for low, high in (north_m, east_m)
-    )
-    near_m = distance_m + math.sqrt(0.5) * cell_m
-    near = too_near(zones, north, east, near_m)
+    sides_m = north_m[1] - north_m[0], east_m[1] - east_m[0]
+    cell_m = max(0.5 * distance_m, max(sides_m) / _MOST_CELLS)
+    rows, columns = (math.ceil(side_m / cell_m) for side_m in sides_m)
+    middle_ne_m = float(north_m[0] + 0.5 * cell_m), float(east_m[0] + 0.5 * cell_m)
+    near_m = float(distance_m + math.sqrt(0.5) * cell_m)
+    near = too_near(zones, middle_ne_m, float(cell_m), (rows, columns), near_m)
     return NearCells(float(north_m[0]), float(east_m[0]), float(cell_m), near)

@@ -117,13 +117,13 @@ def test_a_segment_is_as_far_as_its_nearest_point_and_no_bound_is_optimistic(see
 @given(seed=seeds, distance_m=st.floats(-60.0, 300.0))
 def test_no_place_near_a_zone_is_left_out_of_a_lattice(seed: int, distance_m: float) -> None:
     rng, zones, _ = drawn(seed, 0)
-    axes = np.arange(-1_300.0, 1_300.0, 90.0), np.arange(-1_200.0, 1_100.0, 70.0)
-    north, east = np.meshgrid(*axes, indexing="ij")
-    truth = truth_m(zones, np.stack([north.ravel(), east.ravel()], axis=-1)).reshape(north.shape)
-    found = too_near(zones, tuple(axes[0].tolist()), tuple(axes[1].tolist()), distance_m)
+    corner_ne_m, shape = (-1_300.0, -1_200.0), (29, 33)
+    points = np.array(corner_ne_m) + 80.0 * np.argwhere(np.ones(shape))
+    truth = truth_m(zones, points).reshape(shape)
+    found = too_near(zones, corner_ne_m, 80.0, shape, distance_m)
     sure = np.abs(truth - distance_m) > 1e-6
     assert (found == (truth < distance_m))[sure].all()
-    plain = near_on_lattice(packed(zones), axes[0][:5], axes[1][:5], distance_m)
+    plain = near_on_lattice(packed(zones), corner_ne_m, 80.0, (5, 5), distance_m)
     assert (plain == found[:5, :5]).all()
     if distance_m > 20.0:
         cells = near_cells(zones, (-2_000.0, 2_000.0), (-1_000.0, 2_000.0), distance_m)
