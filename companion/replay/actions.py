@@ -9,7 +9,6 @@ from typing import Any
 
 import msgspec
 from msgspec.structs import asdict
-from rich.status import Status
 
 from companion.config import load_mission
 from companion.errors import FlightFailed, InputError
@@ -60,7 +59,7 @@ def same_log(
 
 def _compare(replay: Replay | LogReplay, flight: Path, json_file: Path | None) -> None:
     console, found = plain_console(soft_wrap=True, highlight=False), replay.found
-    with _shown("replaying") as status, prompt_threads():
+    with plain_console(stderr=True).status("replaying") as status, prompt_threads():
         for _ in replay.steps():
             if found.inputs % _SHOWN_EVERY == 0:
                 status.update(f"replaying {found.now_s:,.0f} s")
@@ -78,7 +77,9 @@ def _compare(replay: Replay | LogReplay, flight: Path, json_file: Path | None) -
         rule = f"what was recorded is damaged ({found.damaged})"
         raise InputError("RUN_DIR", str(flight), rule, "Give a copy of it that is whole.")
     if not found.is_identical:
-        raise FlightFailed("the replay did not decide as the flight did", "")
+        flew, here = found.flown_by, version("companion")
+        remedy = f"Companion {flew} flew, and this is {here}: replay it with the commit that flew."
+        raise FlightFailed("the replay did not decide as the flight did", remedy if flew else "")
 
 
 def changed(
@@ -92,7 +93,7 @@ def changed(
     found, flown = [], flown_mission(folder)
     other = load_mission(str(folder / "mission.toml"), profile, settings)
     _load_planner()
-    with _shown("planning again") as status:
+    with plain_console(stderr=True).status("planning again") as status:
         for each in what_if(folder, flown, other, seed=seed):
             found.append(each)
             status.update(f"planned again: {len(found)}")
@@ -108,7 +109,7 @@ def shadow(flight: Path, mission: str | None, system: int | None, json_file: Pat
     chosen = None if mission is None else load_mission(mission)
     if chosen is not None:
         _load_planner()
-    with _shown("watching") as status:
+    with plain_console(stderr=True).status("watching") as status:
         given = count()
 
         def show(at_s: float, _: Output) -> None:
@@ -121,14 +122,10 @@ def shadow(flight: Path, mission: str | None, system: int | None, json_file: Pat
     _write(report, json_file)
 
 
-def _shown(words: str) -> Status:
-    """What is under way, on the terminal, while it is entered."""
-    return plain_console(stderr=True).status(words)
-
-
 def _load_planner() -> None:
     """Load what computes plans, and say so."""
-    with _shown("loading the planner (the first time it is compiled: some ten seconds)"):
+    words = "loading the planner (the first time it is compiled: some ten seconds)"
+    with plain_console(stderr=True).status(words):
         load_kernel()
 
 

@@ -126,6 +126,7 @@ class Replayed(Struct, kw_only=True):
     """How many of them another kernel had computed: the last bits of its results may differ."""
     starts: int = 0
     """How often the companion was started."""
+    flown_by: str = ""  # the companion's version; empty: a log does not tell
     inputs: int = 0
     frames: int = 0
     """Frames, both ways, that were the same."""

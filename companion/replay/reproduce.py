@@ -43,6 +43,7 @@ from companion.replay.feed import (
     Feeder,
     MissionOf,
     answer_of,
+    start_of,
 )
 from companion.session import Session
 from companion.sources.files import file_of_run
@@ -99,6 +100,7 @@ class Replay:
         found, feeder, raised = self.found, self._feeder, None
         if told[0] == "start":
             self._asked.clear()
+            found.flown_by = start_of(told).companion
             self._recording.epoch_us = None  # the companion was restarted: its clock may differ
             self._flown_before_s = found.flown_s
         elif told[0] == "deliver":
