@@ -78,7 +78,7 @@ def _compare(replay: Replay | LogReplay, flight: Path, json_file: Path | None) -
         raise InputError("RUN_DIR", str(flight), rule, "Give a copy of it that is whole.")
     if not found.is_identical:
         flew, here = found.flown_by, version("companion")
-        remedy = f"Companion {flew} flew, and this is {here}: replay it with the commit that flew."
+        remedy = f"Companion {flew} flew, and this is {here}: another one may decide otherwise."
         raise FlightFailed("the replay did not decide as the flight did", remedy if flew else "")
 
 
