@@ -23,6 +23,7 @@ from companion.telemetry.flight_summary import FlightSummary
 
 _POLL_S: Final = 0.05
 _MOST: Final = 64  # datagrams in one turn
+_MOST_WAITING: Final = 4096  # more than the buffer of a socket holds
 _AT_ONCE_S: Final = 0.005
 """What is received sooner than this had waited."""
 _SILENCE_S: Final = 0.2
@@ -112,6 +113,9 @@ class ControlLoop:
                 self.session.silence(0.0)  # the first heartbeat waits for nobody
                 self._carry_out(self.session.run())
                 self._await_planner()
+                for _ in range(_MOST_WAITING):  # what came meanwhile tells of the past
+                    if self.link.receive(0.0) is None:
+                        break
             while self.goes_on:
                 self._turn()
                 yield

@@ -64,9 +64,21 @@ def fly(
 
 
 def stream(
-    session: StubSession, link: QueueLink, folder: RunFolder, until: Callable[[], bool]
+    session: StubSession,
+    link: QueueLink,
+    folder: RunFolder,
+    until: Callable[[], bool],
+    first: bytes = b"a word",
 ) -> FlightSummary:
-    return fly(link, folder, as_any(session), lockstep=False, stop_asked=until)
+    """first: what it hears when it has begun."""
+    words = [first]
+
+    def over() -> bool:
+        if words:
+            link.incoming.put(words.pop())
+        return until()
+
+    return fly(link, folder, as_any(session), lockstep=False, stop_asked=over)
 
 
 def test_a_flight_in_lockstep_ends_at_its_target_and_its_folder_holds_all_that_was_said(
@@ -111,7 +123,6 @@ def test_a_vehicle_that_falls_silent_ends_the_flight_whoever_else_speaks(
 def test_a_silence_is_told_as_it_grows_and_ends_with_the_next_word(folder: RunFolder) -> None:
     session = StubSession()
     rig = QueueLink(time.monotonic)
-    rig.incoming.put(b"a word")
 
     def over() -> bool:
         told_s = session.silences_s
@@ -168,13 +179,12 @@ def test_while_its_planner_is_loaded_it_sends_heartbeats_and_listens_to_ctrl_c_a
 def test_who_spoke_for_the_vehicle_is_answered(folder: RunFolder) -> None:
     session, link = StubSession(), QueueLink(time.monotonic)
     link.sender = ("10.0.0.7", 14551)
-    link.incoming.put(b"a word")
     stream(session, link, folder, lambda: bool(link.answers))
     assert link.answers == [("10.0.0.7", 14551)]
 
 
 def test_a_word_from_the_past_is_not_taken_for_news(folder: RunFolder) -> None:
-    """The companion was held up: what waited meanwhile tells of where the vehicle was."""
+    """The companion starts, or was held up: what waited tells of where the vehicle was."""
 
     def held_up(_session: StubSession, number: int) -> None:
         if number == 1:
@@ -188,8 +198,8 @@ def test_a_word_from_the_past_is_not_taken_for_news(folder: RunFolder) -> None:
         return b"new" in session.received
 
     session, link = StubSession(held_up), QueueLink(time.monotonic)
-    link.incoming.put(b"first")
-    stream(session, link, folder, over)
+    link.incoming.put(b"before it starts")
+    stream(session, link, folder, over, first=b"first")
     assert session.received == [b"first", b"new"]
 
 
