@@ -4,8 +4,9 @@ In the same process it would: numba holds the interpreter lock for seconds while
 what guidance and search do between their compiled parts holds it for some milliseconds each.
 A thread of the companion waits for the answer (`PlannerWorker`).
 
-The arrays of a question follow its pickle: that of a near mission's map, 28 MB, would hold the
-interpreter lock for 15 ms.
+Of a question's map only what has changed since the last question is sent: that of a near mission
+has 28 MB, which take longer than a plan.  Arrays follow the pickle, which would hold the
+interpreter lock meanwhile.
 """
 
 import contextlib
@@ -18,6 +19,7 @@ import threading
 import time
 from collections.abc import Callable
 from ctypes import c_int64
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import Final, final
@@ -27,6 +29,7 @@ from companion.planning import plan
 from companion.runtime.compiler import load_kernel, load_libraries
 from companion.runtime.processes import end_with_parent
 from companion.runtime.watchdog import Worker
+from companion.world.known_map import KnownMap, MapNews
 
 PlanFunction = Callable[[PlanRequest, Callable[[], bool]], PlanOutcome]
 """Computes a plan; the second argument tells it when to stop searching."""
@@ -61,6 +64,8 @@ class PlannerProcess:
         self._child: SpawnProcess | None = None
         self._pipe: Connection | None = None
         self.is_ready = False
+        self._told: int | None = None
+        """The name of the map that it has."""
 
     @property
     def pid(self) -> int | None:
@@ -89,8 +94,9 @@ class PlannerProcess:
         """One plan; PlannerEndedError if the process does not survive it."""
         self.start()
         assert self._pipe is not None
-        arrays: list[pickle.PickleBuffer] = []
-        text = pickle.dumps(request, pickle.HIGHEST_PROTOCOL, buffer_callback=arrays.append)
+        news, self._told = MapNews.of(request.known, self._told), request.known.name
+        arrays, told = list[pickle.PickleBuffer](), (replace(request, known=news.part), news)
+        text = pickle.dumps(told, pickle.HIGHEST_PROTOCOL, buffer_callback=arrays.append)
         with contextlib.suppress(OSError):  # then there is no answer
             self._pipe.send((len(arrays), text))
             for array in arrays:
@@ -149,13 +155,15 @@ def _main(
     end_with_parent()
     load_libraries()
     prepare()
+    known: KnownMap | None = None
     with contextlib.suppress(EOFError, OSError):
         pipe.send(_READY)
         while True:
             count, text = pipe.recv()
             arrays = [bytearray(pipe.recv_bytes()) for _ in range(count)]
-            request: PlanRequest = pickle.loads(text, buffers=arrays)
-            pipe.send(_outcome(request, enough, planner))
+            request, news = pickle.loads(text, buffers=arrays)
+            known = news.after(known)
+            pipe.send(_outcome(replace(request, known=known), enough, planner))
 
 
 def _outcome(

@@ -255,6 +255,31 @@ class KnownMap(Lattice):
         )
 
 
+class MapNews(NamedTuple):
+    """What a map is to somebody who has an earlier one, without what is the same."""
+
+    part: KnownMap
+    window: Window
+    changes: tuple[tuple[int, Window], ...]
+
+    @staticmethod
+    def of(known: KnownMap, told: int | None) -> "MapNews":
+        """told: the name of the map that is had; None: none is."""
+        window = known.changed_since(told)
+        return MapNews(known.part(*window), window, known.changes)
+
+    def after(self, had: KnownMap | None) -> KnownMap:
+        """The map; had: that of the name, of the same terrain in advance, unless all is told."""
+        known = self.part
+        if had is not None and had.changes and self.window != had.changed_since(None):
+            upper_m, seen = had.upper_m.copy(), had.seen.copy()
+            upper_m[self.window], seen[self.window] = known.upper_m, known.seen
+            registration_m = known.registration_m
+            known = replace(had, upper_m=upper_m, seen=seen, registration_m=registration_m)
+        object.__setattr__(known, "changes", self.changes)
+        return known
+
+
 def empty_map(cell_m: float, north_m: tuple[float, float], east_m: tuple[float, float]) -> KnownMap:
     """A map of an area (minimum, maximum north and east) of which nothing is known."""
     rows = math.ceil((north_m[1] - north_m[0]) / cell_m)

@@ -1,6 +1,7 @@
 """The map, what scans make of it, its bytes, and lines of sight (bounds: test_soundness.py)."""
 
 import math
+import pickle
 from dataclasses import replace
 from itertools import product
 
@@ -14,6 +15,8 @@ from rough_ground import COLUMNS, RANGE_M, ROWS, blank, scan_of
 from companion.world.known_map import (
     NO_ANSWER,
     NOT_SEEN,
+    KnownMap,
+    MapNews,
     Scan,
     digest_of,
     empty_map,
@@ -116,6 +119,13 @@ def test_what_differs_from_a_map_before_lies_where_the_map_says(seed: int) -> No
         outside[last.changed_since(before.name)] = False
         assert (last.upper_m[outside] == before.upper_m[outside]).all()
         assert (last.seen[outside] == before.seen[outside]).all()
+    had: KnownMap | None = None
+    for known in (*maps, last):  # to somebody who is told of some of them only that is told
+        if rng.random() < 0.5 or known is last:
+            news = MapNews.of(known, None if had is None else had.name)
+            had = pickle.loads(pickle.dumps(news)).after(had)
+            assert digest_of(had) == digest_of(known)
+            assert had.changes == known.changes
     whole = slice(0, 20), slice(0, 20)
     assert last.changed_since(maps[0].name) == whole == replace(last).changed_since(last.name)
     assert last.changed_since(last.name) == (slice(0, 0), slice(0, 0))
