@@ -10,6 +10,7 @@ interpreter lock meanwhile.
 """
 
 import contextlib
+import gc
 import multiprocessing
 import os
 import pickle
@@ -155,6 +156,8 @@ def _main(
     end_with_parent()
     load_libraries()
     prepare()
+    gc.collect()
+    gc.freeze()  # looking through what numba has loaded would hold a plan up for 0.2 s
     known: KnownMap | None = None
     with contextlib.suppress(EOFError, OSError):
         pipe.send(_READY)
