@@ -35,6 +35,7 @@ _CERTIFIED = 16  # candidates of a search that are tried
 _RADAR_MARGIN = 1.0 / 800.0  # of R, for what lies between samples
 _DEARER = 0.05  # of the cost of R: what a first answer may cost more than was promised
 _MUCH_DEARER = 0.5  # likewise: then it is planned more slowly, too
+_CLEARLY = 0.9  # of a speed: a lower one makes a difference
 _SLOWER = (1.0, 0.5, 0.25)  # of V: turns of a quarter of the radius, and of a sixteenth
 _ROOM = 0.35  # of the circle's radius: from ends to a target that is not the end
 _STRICTER = 100.0  # times, when nothing was proven
@@ -83,7 +84,10 @@ class Searches:
         if self._request.from_rest:
             return speeds
         comes_m_s = math.inf if rest is None or rest.speed_m_s is None else rest.speed_m_s
-        return [speed for speed in speeds if speed >= min(comes_m_s, limits.speed_m_s)]
+        speeds = [speed for speed in speeds if speed >= min(comes_m_s, limits.speed_m_s)]
+        if comes_m_s < _CLEARLY * speeds[-1]:
+            speeds.append(comes_m_s)
+        return speeds
 
     def _at_speed(self, speed_m_s: float) -> Planned | None:
         """The cheapest subpath, until one costs hardly more than was hoped or time is up.

@@ -20,7 +20,7 @@ from planning import ask
 
 from companion.config import load_mission
 from companion.planner.plan import plan
-from companion.planner.request import Planned, PlanRequest
+from companion.planner.request import Planned, PlanRequest, Rest
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 
@@ -173,6 +173,25 @@ def test_from_rest_there_is_a_leg_whenever_there_is_a_way(part: int) -> None:
             assert isinstance(outcome, Planned), (seed, outcome)
             assert outcome.certificate.proven
     assert ways > PLACES // 4
+
+
+def test_in_flight_a_leg_is_planned_as_slowly_as_it_is_entered() -> None:
+    """Before a wall, with room to turn aside only at that speed; what is entered at V has none."""
+    task, here = mission_task(5.0, 1_500), (0.0, 0.0, ALTITUDE_M)
+    upper_m = np.full((2 * HALF, 2 * HALF), GROUND_M)
+    upper_m[HALF + 40 :] = TOP_M  # from 10 m ahead on
+    corner = -(HALF + 0.5) * CELL_M
+    known = KnownMap(
+        cell_m=CELL_M, north_min_m=corner, east_min_m=corner, upper_m=upper_m, seen=upper_m > 0.0
+    )
+    rest = Rest(length_m=3.5, end_nea_m=(3.5, 0.0, ALTITUDE_M), speed_m_s=3.0)
+    request = ask(task, known, here, from_rest=False, target_ne_m=(4.0, 16.0), rest=rest)
+    found = plan(request)
+    assert isinstance(found, Planned), found
+    assert found.certificate.proven
+    assert found.speed_m_s == found.certificate.speed_m_s == 3.0
+    at_v = plan(replace(request, rest=replace(rest, speed_m_s=None)))
+    assert not isinstance(at_v, Planned)
 
 
 REAL = ("od-5-55", "od-1-19", "ds-1-4", "ds-2-19")
