@@ -88,6 +88,7 @@ def _break_off(state: State, reason: Reason, turn: Turn) -> None:
 
 
 _HEARD: Final = ("status_at_s", "landed_at_s", "fix_at_s", "estimator_at_s", "battery_at_s")
+"""Of the vehicle: the times at which these were heard."""
 
 
 def rebased(before: State, shift_s: float) -> State:

@@ -77,7 +77,7 @@ class Searches:
         """The speeds at which a subpath may be flown, the fastest first.
 
         A copter turns the tighter the slower it is, and stops within less.  In flight it is no
-        slower than it comes.
+        slower than it comes, and as slow if that is clearly slower than these.
         """
         limits, rest = self._request.task.limits, self._request.rest
         speeds = [share * limits.speed_m_s for share in (_SLOWER if limits.hovers else (1.0,))]
@@ -85,7 +85,7 @@ class Searches:
             return speeds
         comes_m_s = math.inf if rest is None or rest.speed_m_s is None else rest.speed_m_s
         speeds = [speed for speed in speeds if speed >= min(comes_m_s, limits.speed_m_s)]
-        if comes_m_s < _CLEARLY * speeds[-1]:
+        if _SLOWER[-1] * limits.speed_m_s < comes_m_s < _CLEARLY * speeds[-1]:
             speeds.append(comes_m_s)
         return speeds
 

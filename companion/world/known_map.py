@@ -258,9 +258,9 @@ class KnownMap(Lattice):
 class MapNews(NamedTuple):
     """What a map is to somebody who has an earlier one, without what is the same."""
 
-    part: KnownMap
-    window: Window
-    changes: tuple[tuple[int, Window], ...]
+    part: KnownMap  # of the window
+    window: Window  # outside of it nothing has changed
+    changes: tuple[tuple[int, Window], ...]  # `KnownMap.changes`, of the whole map
 
     @staticmethod
     def of(known: KnownMap, told: int | None) -> "MapNews":

@@ -107,7 +107,7 @@ def test_it_is_asked_to_rise_and_to_sink_no_harder_than_a_vehicle_does(
     references, tick_s = flown(leg, 0.1), 0.1
     up_m_s = [r.speed_m_s * leg.subpath.pose(r.length_m).tangent_nea[2] for r in references]
     hardest_m_s2 = np.abs(np.diff(up_m_s)).max() / tick_s
-    assert hardest_m_s2 == pytest.approx(MOTION.vertical_m_s2, rel=0.1)
+    assert hardest_m_s2 == pytest.approx(MOTION.vertical_m_s2, rel=0.1)  # a hundred paces a leg
 
 
 @given(tick_s=ticks)
