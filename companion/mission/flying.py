@@ -18,7 +18,7 @@ from companion.mission.phases import OnPath, Phase, Reason, Trigger
 from companion.mission.state import State, Way
 from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle, may_leave
 from companion.planner.progress import NO_PROGRESS
-from companion.planner.request import NotPlanned, Planned, PlanRequest
+from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
 from companion.planner.settings import Task
 from companion.world.columns import distance_to_terrain_m
 from companion.world.known_map import proven_range_m
@@ -153,7 +153,7 @@ def _at_its_end(state: State, stage: phases.Led, path: OnPath, turn: Turn) -> No
         return turn.to(Trigger.TARGET_REACHED)
     shortfall = stage.shortfall if isinstance(stage, phases.Flying) else Reason.NO_PLAN
     reason = shortfall if stop is None else stop.reason
-    flight.stops += stop is None or reason is Reason.BESIDE_PATH
+    flight.stops += stop is None or reason in (Reason.BESIDE_PATH, Reason.NO_PLAN)
     rest_at_end(state)
     return turn.fault(reason)
 
@@ -259,6 +259,8 @@ def _on_plan(state: State, stage: phases.Flying, event: events.PlanReady, turn: 
             if outcome.refusal is not was and outcome.place_ne_m is not None:  # proven, and news
                 north, east = (each / 1000.0 for each in outcome.place_ne_m)
                 turn.warn(f"no way: closed {north:.1f} km N, {east:.1f} km E of origin")
+            if outcome.refusal is Refusal.BETTER_TO_TURN and not turn.context.shadow:
+                return following.stop(state, Reason.NO_PLAN, turn)
         silent = stage.shortfall is Reason.RADAR_SILENT
         return _no_successor(state, stage, Reason.RADAR_SILENT if silent else Reason.NO_PLAN, turn)
     if (path := stage.path) is not None:

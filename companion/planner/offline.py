@@ -127,7 +127,13 @@ def fly_offline(
             if ask.from_rest:
                 ask = replace(ask, attempt=ask.attempt + 1)
                 continue
-            if flies(flight.legs[-1].successor_at_m if sensor.asks_again else math.inf) and asks():
+            if outcome.refusal is Refusal.BETTER_TO_TURN:
+                assert isinstance(sensor, OnBoard)
+                flight.flown_m[-1], took_s = sensor.stops(flight.legs[-1])
+                flight.seconds += took_s
+            elif flies(
+                flight.legs[-1].successor_at_m if sensor.asks_again else math.inf
+            ) and asks():
                 continue
         # it has stopped: at a target, at the end of a leg, or for what it saw
         leg, end_m = flight.legs[-1], flight.flown_m[-1]
@@ -237,11 +243,8 @@ class OnBoard:
             self._heading_rad = math.atan2(pose.tangent_nea[1], pose.tangent_nea[0])
             self.look(pose.point_nea_m[:2], self._heading_rad, speed_m_s, seconds=step_s)
             if leg.meets(self.near, at_m, kept_m):
-                self._now_s += speed_m_s / task.limits.acceleration_m_s2
-                self.reference = Reference()
-                stop_m = at_m + stopping_m(motion, speed_m_s)
-                most_m = float(np.nextafter(leg.subpath.length_m, 0.0))
-                return min(stop_m, most_m), self._now_s - began_s, False
+                stop_m, _ = self.stops(leg)
+                return stop_m, self._now_s - began_s, False
         took_s, reference = self._now_s - began_s, self.reference
         if next_leg is not None:
             on_it_m = max(reference.length_m - until_m, 0.0)
@@ -251,6 +254,14 @@ class OnBoard:
             return reference.length_m, took_s, True
         self.reference = Reference()
         return leg.subpath.length_m, took_s, False
+
+    def stops(self, leg: Leg) -> tuple[float, float]:
+        """Stop on a leg at once.  -> where it comes to, and the seconds that it took."""
+        at, self.reference = self.reference, Reference()
+        stops_s = at.speed_m_s / self._task.limits.acceleration_m_s2
+        self._now_s += stops_s
+        stop_m = at.length_m + stopping_m(leg.motion, at.speed_m_s)
+        return min(stop_m, float(np.nextafter(leg.subpath.length_m, 0.0))), stops_s
 
     def look(
         self, place_ne_m: Place, heading_rad: float, speed_m_s: float, *, seconds: float

@@ -111,7 +111,8 @@ def _best_proven(
     # in flight, against a stop
     rest = request.rest
     if rest is not None and (prices.goes_round(best) or searches.stops_for_less(best, rest)):
-        return request.refused(Refusal.BETTER_TO_STOP)
+        turns = is_near and prices.promised_m(rest.end_nea_m) > prices.promised_m(here_nea_m)
+        return request.refused(Refusal.BETTER_TO_TURN if turns else Refusal.BETTER_TO_STOP)
     most_m = max(_MOST_OWED * task.settings.scan_range_m, allowed_m, progress.owed_m)
     owes_much = prices.owed_m(best) > most_m and not (is_near or best.reaches_target)
     if request.from_rest and owes_much:
