@@ -3,6 +3,7 @@
 import math
 import re
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,11 @@ from companion.campaign import drawn_world, truth
 from companion.config import load_mission
 from companion.errors import InputError
 from companion.library import Flown, NearScene, Task, Thing, fly
+from companion.path.envelope import stopping_m
 from companion.planner.offline import OnBoard, fly_offline
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg
+from companion.planner.request import NotPlanned, PlanOutcome, PlanRequest, Refusal
 from companion.world.known_map import KnownMap, Scan, empty_map
 
 PAGE = Path(__file__).parents[1] / "docs" / "library.md"
@@ -124,6 +127,36 @@ def test_a_lidar_finds_the_way_through_a_maze() -> None:
     assert flown.arrived, flown.why
     nearest_m = scene.gaps_m(flown.points_nea_m[:, :2]).min()
     assert nearest_m > task.settings.safety_distance_m
+
+
+def test_what_has_flown_into_a_pocket_turns_back_at_once() -> None:
+    """20 m deep, of which a lidar of 16 m shows the end when it is in; the target is beyond."""
+    walls_ne_m = [(10.0, 15.0), (30.0, 15.0), (30.0, 25.0), (10.0, 25.0)]
+    scene = NearScene([Thing(corners_ne_m=walls_ne_m, half_width_m=0.15)])
+    task, answers = load_mission("forest").task, list[tuple[PlanRequest, PlanOutcome]]()
+
+    def noted(request: PlanRequest) -> PlanOutcome:
+        answers.append((request, plan(request)))
+        return answers[-1][1]
+
+    flown = fly(
+        "forest", "forest", scene=scene, planner=noted,
+        start_nea_m=(4.0, 20.0, task.take_off_amsl_m), targets_ne_m=[(38.0, 20.0)],
+    )  # fmt: skip
+    assert flown.arrived, flown.why
+    turns = 0
+    for (asked, answer), (after, _) in pairwise(answers):
+        (north, _, _), rest = asked.start.point_nea_m, asked.rest
+        if not isinstance(answer, NotPlanned) or rest is None or north < 12.0:
+            continue
+        leads_away = rest.end_nea_m[0] > north
+        assert (answer.refusal is Refusal.BETTER_TO_TURN) == leads_away
+        if leads_away:
+            turns += 1
+            assert after.from_rest
+            brakes_m = stopping_m(task.envelope, task.limits.speed_m_s)
+            assert math.dist(asked.scan_nea_m, after.scan_nea_m) <= min(brakes_m, rest.length_m)
+    assert turns > 0
 
 
 def test_the_time_is_that_of_legs_no_faster_than_proven_and_of_each_stop(

@@ -1,5 +1,6 @@
 """What the mission does when its sensor of near things, or of the ground, sees something or not."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -14,6 +15,7 @@ from companion.mission.events import Event, GroundSeen, NearSeen, Setpoint
 from companion.mission.mission import Fallback
 from companion.mission.phases import Phase, Reason
 from companion.planner.procedure import Reference
+from companion.planner.request import NotPlanned, PlanOutcome, PlanRequest, Refusal
 from companion.world.known_map import Lattice
 from companion.world.near_map import NearMap, NearSensor, Sight
 
@@ -116,6 +118,26 @@ def test_something_in_its_way_stops_it_at_once(blind: bool) -> None:
     craft.take(meets)
     assert craft.state.path.stop is stop
     assert craft.fly_to(Phase.HOLDING).state.reason is Reason.NEW_THREAT
+
+
+def test_where_it_is_better_to_turn_back_it_stops_on_its_leg_and_plans_from_there() -> None:
+    """Once, and that counts as a stop."""
+
+    def turns(request: PlanRequest) -> PlanOutcome:
+        if request.plan_id == 2:
+            return NotPlanned(plan_id=2, refusal=Refusal.BETTER_TO_TURN)
+        return home_or_on(request)
+
+    craft = flying(MISSION, plan=turns)
+    leg = craft.state.leg
+    craft.run_until(lambda craft: craft.state.path.stop is not None)
+    stop = craft.state.path.stop
+    assert stop.reason is Reason.NO_PLAN
+    assert stop.at_m < leg.subpath.length_m - 100.0
+    craft.fly_to(Phase.HOLDING)
+    assert math.dist(craft.here, leg.subpath.pose(stop.at_m).point_nea_m) < 15.0
+    assert (craft.state.reason, craft.state.flight.stops) == (Reason.NO_PLAN, 1)
+    craft.fly_to(Phase.FLYING).fly_to(Phase.ARRIVED)
 
 
 def test_where_its_leg_is_left_is_known_after_a_restart() -> None:
