@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.envelope import Envelope, ending_m_s, flown_on_m, rising_m_s
+from companion.path.envelope import SLOWEST, Envelope, ending_m_s, flown_on_m, rising_m_s
 from companion.path.subpath import Pose, uniform_basis
 from companion.profiles import Weights
 from companion.world.columns import Surface
@@ -172,6 +172,9 @@ def cost(x: FloatArray, bound: float, scene: Scene) -> float:
         return math.inf
     evaluate(1, at)
     evaluate(2, at)
+    slower = slowed_m(scene) * PER_LENGTH / r
+    terms[LENGTH] += slower
+    total += a[LENGTH] * slower
     short_m = max(scene.margin * scene.shortest_m - at.flown_m[-1], 0.0)
     terms[RADAR] = each * RADAR_SCALE * detection(scene)
     terms[CONSTRAINTS] = PER_SAMPLE * SHORT_SCALE * short_m / r + each * steering(scene)
@@ -392,6 +395,25 @@ def steering(scene: Scene) -> float:
         if j > near_end:
             straight += min(curvature, 1.0) ** 2
     return CURVATURE_SCALE * turning + ANGLE_SCALE * steep + STRAIGHT_SCALE * straight
+
+
+def slowed_m(scene: Scene) -> float:
+    """How much farther the vehicle would come in the time that bends cost: they are flown slowly.
+
+    As `planner.procedure` paces them; nothing where no bend that the turn radius allows is slow.
+    """
+    motion, flown_m = scene.motion, scene.at.flown_m
+    _, first, second = scene.at.curve
+    if motion.lateral_m_s2 * motion.turn_radius_m >= motion.speed_m_s * motion.speed_m_s:
+        return 0.0
+    total = 0.0
+    for j in range(1, len(flown_m)):
+        dn, de, _ = first[j]
+        level = max(math.sqrt(dn * dn + de * de), 1e-9)
+        bend = abs(dn * second[j, 1] - de * second[j, 0]) / (level * level * level)
+        times = motion.speed_m_s * math.sqrt(bend / motion.lateral_m_s2)
+        total += max(min(times, 1.0 / SLOWEST) - 1.0, 0.0) * (flown_m[j] - flown_m[j - 1])
+    return total
 
 
 def leaving(scene: Scene) -> float:
