@@ -12,7 +12,8 @@ class Weights:
     """a_1 .. a_6 of eq. 5, of terms from 0 to about 100; the paper's Fig. 3 (a)."""
 
     length: NotNegative = 0.1
-    """f1: length of the curve, 100 for 2.4 R; what is left to fly after its end counts as much."""
+    """f1: length of the curve, 100 for 2.4 R, and what a copter that is slow in its bends would have
+    flown meanwhile; what is left to fly after its end counts as much."""
     height: NotNegative = 0.15
     """f2: mean altitude over the floor, 100 at the ceiling."""
     guide: NotNegative = 0.15

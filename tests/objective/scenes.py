@@ -74,10 +74,13 @@ def random_scene(
         for _ in range(rng.integers(0, 4))
     )
     flies = LIMITS if rng.random() < 0.8 else replace(LIMITS, loiter_radius_m=80.0)
+    motion = envelope_of(flies, ARDUCOPTER)
+    if flies.hovers:  # bends that its turn radius allows are slow, too
+        motion = motion._replace(lateral_m_s2=2.0)
     return Scene(
         weights=weights_of(drawn),
         margin=1.06,
-        motion=envelope_of(flies, ARDUCOPTER),
+        motion=motion,
         start=rows_of(start),
         from_rest=from_rest,
         shortest_m=0.0 if from_rest else float(rng.choice([200.0, 1_500.0])),

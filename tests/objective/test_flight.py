@@ -166,7 +166,7 @@ def expected(control: FloatArray, scene: Scene) -> dict[str, float]:
     low, high = scene.band_amsl_m
     heights = [max(float(p[2]) - low, 0.0) for p in points[1:]]
     return {
-        "length": sum(chords) * per_metre,
+        "length": (sum(chords) + expected_slowed_m(curve, u, chords, scene)) * per_metre,
         "height": 100.0 * sum(heights) / count / (high - low),
         "guide": expected_guide(control, scene),
         "crash": each * expected_crash(curve, u, points, chords, scene),
@@ -253,6 +253,20 @@ def expected_steering(curve: Any, u: list[float], scene: Scene) -> float:
         if k >= len(u) - round(len(u) / 4):
             total += 2.0 * min(bend, 1.0) ** 2
     return total
+
+
+def expected_slowed_m(curve: Any, u: list[float], chords: list[float], scene: Scene) -> float:
+    """As a copter is slow in bends: v^2 bend = a, no slower than a quarter of V."""
+    motion, lost_m = scene.motion, 0.0
+    if motion.loiter_m > 0.0:
+        return 0.0  # a plane flies its circles at V
+    for at, chord_m in zip(u[1:], chords, strict=True):
+        v, a = curve(at, 1), curve(at, 2)
+        bend = abs(v[0] * a[1] - v[1] * a[0]) / math.hypot(v[0], v[1]) ** 3
+        speed = math.sqrt(motion.lateral_m_s2 / bend)
+        speed = min(max(speed, 0.25 * motion.speed_m_s), motion.speed_m_s)
+        lost_m += chord_m * motion.speed_m_s / speed - chord_m
+    return lost_m
 
 
 def expected_outside(points: list[FloatArray], scene: Scene) -> float:
