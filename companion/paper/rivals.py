@@ -316,7 +316,7 @@ def cheapest(graph: csr_array, start: int, end: int) -> list[int]:
 
 # --- the ant colony
 
-_ANTS, _GENERATIONS, _EVAPORATES = 40, 60, 0.1
+_ANTS, _GENERATIONS, _EVAPORATES = 40, 60, 0.1  # not tuned: it is a rival
 _GREED = 4.0  # how strongly what lies in the target's direction draws, beside the pheromone
 _LEAST = 0.01  # of the most pheromone
 

@@ -44,7 +44,7 @@ def _directions() -> IndexArray:
 
 DIRECTIONS = _directions()
 _LENGTHS = np.hypot(DIRECTIONS[:, 0], DIRECTIONS[:, 1])  # in cells of the lattice
-_HALF = len(DIRECTIONS) // 2
+_HALF = len(DIRECTIONS) // 2  # the others are these, back
 
 
 _PIECES = 2 * np.abs(DIRECTIONS[:_HALF]).max(axis=1)

@@ -107,9 +107,8 @@ class CostGrid:
     def _shut(self, known: KnownMap) -> BoolArray:
         """Where zones forbid to be, or what is beyond the map, which may be terrain."""
         task = self.task
-        shut = zones_on_lattice(
-            task, self.corner_ne_m, self.step_m, self.shape, task.zone_search_clearance_m
-        ).copy()
+        near_m = task.zone_search_clearance_m
+        shut = too_near(task.zones, self.corner_ne_m, self.step_m, self.shape, near_m).copy()
         for axis, (low, cells) in enumerate(zip(self.corner_ne_m, known.shape, strict=True)):
             at = low + self.step_m * np.arange(self.shape[axis])
             inside_m = np.minimum(at - low, low + cells * known.cell_m - at)
@@ -256,16 +255,6 @@ def _scale(task: Task, known: KnownMap, every: int) -> Scale:
 
 def _kind_of(known: KnownMap, task: Task) -> tuple[Task, Lattice, float, bool]:
     return task, known.bare(), known.registration_m, known.guess_m is None
-
-
-def zones_on_lattice(
-    task: Task, corner_ne_m: Place, step_m: float, shape: tuple[int, int], near_m: float
-) -> BoolArray:
-    """The points of a lattice that are nearer to zones than that, or forbidden by one; read-only.
-
-    corner_ne_m: of the first.
-    """
-    return too_near(task.zones, corner_ne_m, step_m, shape, near_m)
 
 
 def sampled(route_ne_m: FloatArray, step_m: float, most_m: float = math.inf) -> FloatArray:

@@ -23,7 +23,7 @@ from companion.path.certificate import Certificate, certify
 from companion.path.proof import Surroundings
 from companion.path.subpath import straight
 from companion.planner.cheapest_ways import IndexArray
-from companion.planner.cost_grid import Place, sampled, zones_on_lattice
+from companion.planner.cost_grid import Place, sampled
 from companion.planner.field import CostToGo
 from companion.planner.price import Prices
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
@@ -36,7 +36,7 @@ from companion.world.columns import (
     safe_surface,
 )
 from companion.world.known_map import KnownMap
-from companion.world.zones import Zone, gaps_m, packed
+from companion.world.zones import Zone, gaps_m, packed, too_near
 
 # --- where no certificate can begin
 
@@ -336,7 +336,7 @@ class _Pieces:
         corner, step_m = surface[:2], surface.cell_m
         kept_m = task.zone_clearance_m + 0.5 * step_m
         free = surface.vertex_m <= self._top_m
-        free &= ~zones_on_lattice(task, corner, step_m, free.shape, kept_m)
+        free &= ~too_near(task.zones, corner, step_m, free.shape, kept_m)
         places_ne_m = corner + step_m * np.indices(free.shape).reshape(2, -1).T
         offset_m = np.where(free.ravel(), self._away_m(places_ne_m), math.inf)
         begin = int(np.argmin(offset_m))
@@ -436,4 +436,5 @@ def _barred(known: KnownMap, task: Task, across: int) -> BoolArray:
     barred = jit.compiled(dilated_m)(upper_m, rises_m, across, -np.inf) > ceiling_m
     corner_ne_m = known.north_min_m + 0.5 * part_m, known.east_min_m + 0.5 * part_m
     deep_m = task.zone_clearance_m - half_m
-    return np.asarray(barred | zones_on_lattice(task, corner_ne_m, part_m, barred.shape, deep_m))
+    in_zones = too_near(task.zones, corner_ne_m, part_m, barred.shape, deep_m)
+    return np.asarray(barred | in_zones)

@@ -163,7 +163,7 @@ def surely_less(one: Outcome, other: Outcome) -> bool:
 # and their radars are not passed where they overlap.  So each figure has a small world of its own,
 # 100 km x 100 km, flown from corner to corner as in the paper.
 
-_T_S = 3.0
+_T_S = 3.0  # T, for a plan: the budget follows from it
 _RANGE_M, _OVERLAP_M, _ASIDE_M = 16_000.0, 2_500.0, 1_000.0  # of the radars; aside of the way
 _RIDGE = [Peak(k * 1e3, 100e3 - k * 1e3, 3_900.0, 10_000.0, 10_000.0) for k in (42.0, 50.0, 58.0)]
 _HILLS = [

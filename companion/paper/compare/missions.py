@@ -24,7 +24,7 @@ from companion.library import route_terms
 from companion.planning import OURS
 from companion.profiles import PAPER
 
-_ROUTE_SPACING_M, _DENSE_M = 100.0, 10.0
+_ROUTE_SPACING_M, _DENSE_M = 100.0, 10.0  # of what is drawn, and of what is checked: d_s / 50
 _LESS = 1.0 - 1e-6  # what lies on a bound has not crossed it
 _STANDS = 1e-6  # of the fastest: r2 = 0, the join is a corner
 KINDS = {
