@@ -172,12 +172,12 @@ def cost(x: FloatArray, bound: float, scene: Scene) -> float:
         return math.inf
     evaluate(1, at)
     evaluate(2, at)
-    slower = slowed_m(scene) * PER_LENGTH / r
-    terms[LENGTH] += slower
-    total += a[LENGTH] * slower
+    steered, slower_m = steering(scene)
+    terms[LENGTH] += slower_m * PER_LENGTH / r
+    total += a[LENGTH] * slower_m * PER_LENGTH / r
     short_m = max(scene.margin * scene.shortest_m - at.flown_m[-1], 0.0)
     terms[RADAR] = each * RADAR_SCALE * detection(scene)
-    terms[CONSTRAINTS] = PER_SAMPLE * SHORT_SCALE * short_m / r + each * steering(scene)
+    terms[CONSTRAINTS] = PER_SAMPLE * SHORT_SCALE * short_m / r + each * steered
     total += a[RADAR] * terms[RADAR] + a[CONSTRAINTS] * terms[CONSTRAINTS]
     if total > bound:
         return math.inf
@@ -373,14 +373,19 @@ def detection(scene: Scene) -> float:
     return total
 
 
-def steering(scene: Scene) -> float:
-    """Curvature and steepness beyond the limits, and curvature at all near the end."""
+def steering(scene: Scene) -> tuple[float, float]:
+    """Curvature and steepness beyond the limits, and curvature at all near the end.
+
+    And how much farther it would come at V in the time that a copter loses in bends, metres, as
+    `planner.procedure` paces them; none where it flies all that its turn radius allows at V.
+    """
     _, first, second = scene.at.curve
-    motion, count = scene.motion, len(first) - 1
+    motion, count, flown_m = scene.motion, len(first) - 1, scene.at.flown_m
     near_end = count - round(END_SHARE * count)
     steepest = motion.climb_angle_rad / scene.margin, motion.dive_angle_rad / scene.margin
     climb, dive = math.tan(steepest[0]), math.tan(steepest[1])
-    turning, steep, straight = 0.0, 0.0, 0.0
+    slows = motion.speed_m_s * motion.speed_m_s / (motion.lateral_m_s2 * motion.turn_radius_m)
+    turning, steep, straight, slower_m = 0.0, 0.0, 0.0, 0.0
     for j in range(1, count + 1):
         dn, de, da = first[j]
         level = math.sqrt(dn * dn + de * de)
@@ -394,26 +399,10 @@ def steering(scene: Scene) -> float:
             steep += math.atan2(-da, level) - steepest[1]
         if j > near_end:
             straight += min(curvature, 1.0) ** 2
-    return CURVATURE_SCALE * turning + ANGLE_SCALE * steep + STRAIGHT_SCALE * straight
-
-
-def slowed_m(scene: Scene) -> float:
-    """How much farther the vehicle would come in the time that bends cost: they are flown slowly.
-
-    As `planner.procedure` paces them; nothing where no bend that the turn radius allows is slow.
-    """
-    motion, flown_m = scene.motion, scene.at.flown_m
-    _, first, second = scene.at.curve
-    if motion.lateral_m_s2 * motion.turn_radius_m >= motion.speed_m_s * motion.speed_m_s:
-        return 0.0
-    total = 0.0
-    for j in range(1, len(flown_m)):
-        dn, de, _ = first[j]
-        level = max(math.sqrt(dn * dn + de * de), 1e-9)
-        bend = abs(dn * second[j, 1] - de * second[j, 0]) / (level * level * level)
-        times = motion.speed_m_s * math.sqrt(bend / motion.lateral_m_s2)
-        total += max(min(times, 1.0 / SLOWEST) - 1.0, 0.0) * (flown_m[j] - flown_m[j - 1])
-    return total
+        if slows > 1.0:
+            times = min(math.sqrt(curvature * slows), 1.0 / SLOWEST)
+            slower_m += max(times - 1.0, 0.0) * (flown_m[j] - flown_m[j - 1])
+    return CURVATURE_SCALE * turning + ANGLE_SCALE * steep + STRAIGHT_SCALE * straight, slower_m
 
 
 def leaving(scene: Scene) -> float:
