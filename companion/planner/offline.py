@@ -131,10 +131,10 @@ def fly_offline(
                 assert isinstance(sensor, OnBoard)
                 flight.flown_m[-1], took_s = sensor.stops(flight.legs[-1])
                 flight.seconds += took_s
-            elif (
-                flies(flight.legs[-1].successor_at_m if sensor.asks_again else math.inf) and asks()
-            ):
-                continue
+            else:
+                until_m = flight.legs[-1].successor_at_m if sensor.asks_again else math.inf
+                if flies(until_m) and asks():
+                    continue
         # it has stopped: at a target, at the end of a leg, or for what it saw
         leg, end_m = flight.legs[-1], flight.flown_m[-1]
         here = leg.subpath.pose(end_m).point_nea_m

@@ -135,8 +135,9 @@ class Refusal(enum.Enum):
         planner.planning_time_s, or use a faster computer""")
     BETTER_TO_STOP = _said("""every subpath that goes on from here costs more than to stop at the
         end of this one, look again, and leave in any direction; nothing needs to be done""")
-    BETTER_TO_TURN = _said("""as before, but the rest of this one leads away from the target: it is
-        better to stop at once; nothing needs to be done""")
+    BETTER_TO_TURN = _said("""every subpath that goes on from here costs more than to stop, and the
+        rest of this one leads away from the target, so it stops at once; nothing needs to be
+        done""")
     START_IN_KEEP_OUT = _said("""the vehicle is where a zone forbids to be, or too near to it, and
         no way out could be proven; fly it out by hand, or remove the zone""")
     START_NEAR_TERRAIN = _said("""the vehicle is too near to the terrain, and no way out could be
