@@ -111,7 +111,7 @@ def _best_proven(
     # in flight, against a stop
     rest = request.rest
     if rest is not None and (prices.goes_round(best) or searches.stops_for_less(best, rest)):
-        turns = is_near and prices.promised_m(rest.end_nea_m) > prices.promised_m(here_nea_m)
+        turns = is_near and prices.leads_away(here_nea_m, rest.end_nea_m)
         return request.refused(Refusal.BETTER_TO_TURN if turns else Refusal.BETTER_TO_STOP)
     most_m = max(_MOST_OWED * task.settings.scan_range_m, allowed_m, progress.owed_m)
     owes_much = prices.owed_m(best) > most_m and not (is_near or best.reaches_target)

@@ -16,7 +16,7 @@ from companion.objective import PER_LENGTH, PER_SAMPLE, RADAR_SCALE
 from companion.planner.cost_grid import descent_m
 from companion.planner.field import CostToGo
 from companion.planner.procedure import Leg
-from companion.planner.progress import NO_PROGRESS, Progress
+from companion.planner.progress import NO_PROGRESS, SLACK, Progress
 from companion.planner.request import Planned
 from companion.planner.settings import Task
 from companion.world.radars import detection_probability
@@ -127,6 +127,14 @@ class Prices:
         """Whether the mission would owe more than a stop costs."""
         return not planned.reaches_target and self.owed_m(planned) > self.allowed_m
 
+    def leads_away(self, here_nea_m: Sequence[float], end_nea_m: Sequence[float]) -> bool:
+        """Whether the leg to an end is found to lead away, which was not known when it was chosen.
+
+        Without news of it the vehicle would choose it again.
+        """
+        end_m, hardly_m = self.promised_m(end_nea_m), SLACK * self.task.settings.scan_range_m
+        return end_m > self.promised_m(here_nea_m) and end_m > self.progress.end_m + hardly_m
+
     def with_progress(self, planned: Planned) -> Planned:
         """The subpath, and what is owed and left by the same map where the next one starts.
 
@@ -135,5 +143,7 @@ class Prices:
         leg = self._leg_of(planned)
         at_m = leg.successor_at_m if leg.can_be_left else leg.subpath.length_m
         left_m = self.promised_m(leg.subpath.pose(at_m).point_nea_m)
-        progress = replace(self.progress, owed_m=self.owed_m(planned), expected_m=left_m)
+        end_m = self.promised_m(planned.subpath.control_nea_m[-1].tolist())
+        owed_m = self.owed_m(planned)
+        progress = replace(self.progress, owed_m=owed_m, expected_m=left_m, end_m=end_m)
         return replace(planned, progress=progress)

@@ -52,6 +52,7 @@ class Progress:
     record_m: float = math.inf  # the least that was left to fly from any start of a leg
     owed_m: float = 0.0  # what legs since then cost beyond what was promised
     expected_m: float = math.inf  # what the plan before thought to be left from here
+    end_m: float = math.inf  # and from the end of the leg that it chose
     doubt_m: float = 0.0  # by how much plans were wrong about that, in all, with nothing new seen
     seen: int = 0  # cells of the map that the plan before knew
     believed_below_m: float = math.inf  # guesses are believed where less is left by them

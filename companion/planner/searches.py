@@ -227,7 +227,7 @@ def plan_of(
         certificate=certificate,
         guide_rad=math.atan2(tangent[1], tangent[0]),
         route_ne_m=route_ne_m,
-        progress=request.progress,
+        progress=replace(request.progress, end_m=math.inf),
         speed_m_s=None if speed_m_s >= request.task.limits.speed_m_s else speed_m_s,
     )
 
