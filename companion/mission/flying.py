@@ -259,7 +259,8 @@ def _on_plan(state: State, stage: phases.Flying, event: events.PlanReady, turn: 
             if outcome.refusal is not was and outcome.place_ne_m is not None:  # proven, and news
                 north, east = (each / 1000.0 for each in outcome.place_ne_m)
                 turn.warn(f"no way: closed {north:.1f} km N, {east:.1f} km E of origin")
-            if outcome.refusal is Refusal.BETTER_TO_TURN and not turn.context.shadow:
+            is_led = stage.path is not None and not turn.context.shadow
+            if is_led and outcome.refusal is Refusal.BETTER_TO_TURN:
                 return following.stop(state, Reason.NO_PLAN, turn)
         silent = stage.shortfall is Reason.RADAR_SILENT
         return _no_successor(state, stage, Reason.RADAR_SILENT if silent else Reason.NO_PLAN, turn)
