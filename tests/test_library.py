@@ -150,15 +150,13 @@ def test_what_has_flown_into_a_pocket_turns_back_at_once() -> None:
         is_inside = 12.0 < north < 30.0 and 15.0 < east < 25.0
         if not is_inside or not isinstance(answer, NotPlanned) or rest is None:
             continue
-        if answer.refusal is Refusal.BETTER_TO_STOP:
-            assert rest.end_nea_m[0] < north  # on its way out already
         if answer.refusal is Refusal.BETTER_TO_TURN:
-            turns += 1
-            assert rest.end_nea_m[0] > north
+            assert rest.end_nea_m[0] > north  # farther in
             assert after.from_rest
             brakes_m = stopping_m(task.envelope, task.limits.speed_m_s)
-            assert math.dist(asked.scan_nea_m, after.scan_nea_m) <= min(brakes_m, rest.length_m)
-    assert turns > 0
+            assert math.dist(asked.scan_nea_m, after.scan_nea_m) <= brakes_m
+            turns += rest.length_m > 2.0 * brakes_m
+    assert turns > 0  # of legs that it would have flown much farther
 
 
 def test_the_time_is_that_of_legs_no_faster_than_proven_and_of_each_stop(
