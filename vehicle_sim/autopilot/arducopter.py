@@ -10,7 +10,7 @@ from typing import ClassVar, Final
 
 from vehicle_sim.autopilot import values
 from vehicle_sim.autopilot.ardupilot import EKF3, ArduPilot, firmware
-from vehicle_sim.autopilot.copter_control import Horizontal, Tuning, Vertical, rate_for
+from vehicle_sim.autopilot.copter_control import STILL, Order, PositionControl, Tuning, rate_for
 from vehicle_sim.autopilot.core import Boot, Mode
 from vehicle_sim.autopilot.earth import FlatEarth, way_m
 from vehicle_sim.autopilot.legs import RETURN, Does, Leg, back
@@ -76,9 +76,6 @@ Kind = enum.Enum("Kind", "TAKEOFF POSITION PATH VELOCITY PUSH")
 alone; zero velocity is what every setpoint that is not liked leads to."""
 _ECHO_MASKS: Final = dict(zip(Kind, (0xDF8, 0xDF8, 0xC00, 0xC07, 0xC3F), strict=True))
 """type_mask of POSITION_TARGET_LOCAL_NED."""
-Order = tuple[complex, float]
-"""A velocity or an acceleration (of the thrust): level, north + east j, and up."""
-_STILL: Final[Order] = (0j, 0.0)
 
 
 class ArduCopter(ArduPilot):
@@ -92,10 +89,12 @@ class ArduCopter(ArduPilot):
         super().__init__(boot)
         assert isinstance(boot.vehicle, Copter)
         self.copter = boot.vehicle
-        self.level, self.up = Horizontal(self.estimate), Vertical(self.estimate)
-        self._place_deg, self._altitude_m, self._heard_s = 0j, 0.0, 0.0
-        """Of the newest setpoint its place, as it has run on since, and when it came; its velocity
-        and acceleration are in `_moves` and `_feed`."""
+        self.control = PositionControl(self.estimate)
+        self._target: Place | None = None
+        """Place of the newest setpoint, as it has run on since; its velocity and acceleration are
+        in `_moves` and `_feed`."""
+        self._heard_s = 0.0
+        """When that came."""
         self._refused_text = ""
         self._lands_with_position = True
         self._pauses_until_s = 0.0
@@ -119,13 +118,16 @@ class ArduCopter(ArduPilot):
         def metres(name: str, most: float = math.inf) -> float:
             return min(max(p[name], 10.0) / 100.0, most)
 
-        self.tuning = self.level.tuning = self.up.tuning = Tuning(
-            speed_m_s=metres("WPNAV_SPEED"),
+        climbs = limits.speed_vertical_m_s
+        self.tuning = self.control.tuning = Tuning(
+            speeds_m_s=(
+                metres("WPNAV_SPEED"),
+                metres("WPNAV_SPEED_UP", climbs),
+                metres("WPNAV_SPEED_DN", climbs),
+            ),
             acceleration_m_s2=metres("WPNAV_ACCEL", limits.acceleration_m_s2),
-            jerk_m_s3=max(p["PSC_JERK_XY"], 1.0),
-            speed_up_m_s=metres("WPNAV_SPEED_UP", limits.speed_vertical_m_s),
-            speed_down_m_s=metres("WPNAV_SPEED_DN", limits.speed_vertical_m_s),
             acceleration_up_m_s2=metres("WPNAV_ACCEL_Z", limits.acceleration_vertical_m_s2),
+            jerk_m_s3=max(p["PSC_JERK_XY"], 1.0),
             lean_m_s2=min(GRAVITY_M_S2 * math.tan(lean_rad), limits.acceleration_m_s2),
         )
         self._timeout_s = max(p["GUID_TIMEOUT"], _MIN_TIMEOUT_S)
@@ -172,11 +174,10 @@ class ArduCopter(ArduPilot):
 
     def _restart(self, kind: Kind) -> None:
         """Another submode: from what the vehicle does now, with the parameters' speeds."""
-        tuning, self.kind = self.tuning, kind
-        self._moves, self._feed = _STILL, _STILL
-        self._speeds_m_s = [tuning.speed_m_s, tuning.speed_up_m_s, tuning.speed_down_m_s]
-        self.level.start()
-        self.up.start()
+        self.kind, self._target = kind, None
+        self._moves, self._feed = STILL, STILL
+        self._speeds_m_s = self.tuning.speeds_m_s
+        self.control.start()
 
     def lands(self) -> bool:
         """In LAND, at the end of RTL, and where AUTO lands."""
@@ -238,9 +239,8 @@ class ArduCopter(ArduPilot):
         if not self.estimate.altitude_amsl_m < altitude_m < math.inf:
             return Result.FAILED
         self._restart(Kind.TAKEOFF)
-        self._place_deg, self._altitude_m = self.level.here_deg, altitude_m
-        place = self.estimate.place.at(altitude_m)
-        self.route.fly([Leg(Does.CLIMB, place, _REACHED_S, 0)], self.now_s)
+        self._target = self.estimate.place.at(altitude_m)
+        self.route.fly([Leg(Does.CLIMB, self._target, _REACHED_S, 0)], self.now_s)
         return Result.ACCEPTED
 
     def _turn(self, command: Command) -> Result:
@@ -256,10 +256,10 @@ class ArduCopter(ArduPilot):
 
     def _change_speed(self, command: Command) -> Result:
         """Of the present submode only: beginning another one reads the parameters again."""
-        kind, speed_m_s = command.parameters[:2]
+        speed_m_s = command.parameters[1]
         if not 0.0 < speed_m_s < math.inf:
             return Result.FAILED
-        self._speeds_m_s[2 if kind > 2.9 else 1 if kind > 1.9 else 0] = speed_m_s
+        self._speeds_m_s = (speed_m_s, *self._speeds_m_s[1:])
         return Result.ACCEPTED
 
     def _reposition(self, command: Command) -> Result:
@@ -310,12 +310,10 @@ class ArduCopter(ArduPilot):
             kind = Kind.VELOCITY if moves else Kind.PUSH
         else:
             kind = Kind.PATH if moves else Kind.POSITION
-            self._place_deg = complex(place.latitude_deg, place.longitude_deg)
-            self._altitude_m = place.altitude_amsl_m
         if kind is not self.kind:
             self._restart(kind)
+        self._target, self._heard_s = place, self.now_s
         self._moves, self._feed = _order(target.velocity), _order(target.acceleration)
-        self._heard_s = self.now_s
         self._yaw_rad, self._yaw_rate_rad_s = target.yaw_rad, target.yaw_rate_rad_s
         return True
 
@@ -324,16 +322,20 @@ class ArduCopter(ArduPilot):
         if self.mode.name != "GUIDED" or self.kind in (Kind.TAKEOFF, Kind.POSITION):
             return
         if self.now_s - self._heard_s > self._timeout_s:
-            self._moves, self._feed = _STILL, _STILL
+            self._moves, self._feed = STILL, STILL
             self.kind = Kind.VELOCITY if self.kind is Kind.PUSH else self.kind
             return
         (velocity, climb_m_s), (feed, feed_up), dt_s = self._moves, self._feed, self.step_s
-        if self.kind is Kind.PATH:
+        if self._target is not None:
+            latitude_deg, longitude_deg, altitude_m = self._target
             half = 0.5 * dt_s * dt_s
             step = velocity * dt_s + feed * half
-            north_m, east_m = metres_per_degree(self._place_deg.real)
-            self._place_deg += complex(step.real / north_m, step.imag / east_m)
-            self._altitude_m += climb_m_s * dt_s + feed_up * half
+            north_m, east_m = metres_per_degree(latitude_deg)
+            self._target = Place(
+                latitude_deg + step.real / north_m,
+                around(longitude_deg + step.imag / east_m),
+                altitude_m + (climb_m_s * dt_s + feed_up * half),
+            )
         if self.kind is not Kind.PUSH:
             self._moves = velocity + feed * dt_s, climb_m_s + feed_up * dt_s
 
@@ -355,9 +357,7 @@ class ArduCopter(ArduPilot):
         if self.now_s - self.route.began_s < _LIFTS_AFTER_COMMAND_S:
             return False
         self.take_to_the_air()
-        self.level.rest()
-        self.level.start()
-        self.up.start()
+        self.control.rest()
         return True
 
     def touch_down(self) -> None:
@@ -383,30 +383,13 @@ class ArduCopter(ArduPilot):
 
     def _hold(self, climb_m_s: float, *, level: bool = False) -> Order:
         """To a standstill, climbing at this rate; without a position only the lean goes."""
-        lift = self.up.towards(climb_m_s, 0.0, self.step_s)
         if level:
-            return self.level.levelled(self.step_s), lift
-        self.level.move(self.step_s)
-        self.level.towards(0j, 0j, self.step_s)
-        return self.level.lean(self.step_s), lift
+            return self.control.level(climb_m_s, self.step_s)
+        return self.control.fly((0j, climb_m_s), STILL, self.step_s)
 
-    def _go(self, place_deg: complex, altitude_m: float) -> Order:
-        """To a place that does not move: the climb and the way there in proportion."""
-        self.level.move(self.step_s)
-        away_m = abs(self.level.metres(self.level.place_deg, place_deg))
-        rise_m = altitude_m - self.up.altitude_amsl_m
-        speed_m_s, up_m_s, down_m_s = self._speeds_m_s
-        most_up = up_m_s if rise_m >= 0.0 else down_m_s
-        rise_m = abs(rise_m)
-        # the slower of the two sets the pace, as kinematic_limit does
-        if away_m * most_up < rise_m * speed_m_s:
-            speed_m_s = away_m * most_up / rise_m
-        elif away_m > 1e-6:
-            most_up = max(rise_m * speed_m_s / away_m, 1e-3)
-        self.level.towards(0j, 0j, self.step_s, place_deg, speed_m_s)
-        up_down_m_s = (min(up_m_s, most_up), min(down_m_s, most_up))
-        lift = self.up.towards(0.0, 0.0, self.step_s, altitude_m, up_down_m_s)
-        return self.level.lean(self.step_s), lift
+    def _go(self, place: Place) -> Order:
+        """To a place that does not move."""
+        return self.control.fly(STILL, STILL, self.step_s, place, self._speeds_m_s, paced=True)
 
     def fly_target(self) -> Order:
         """GUIDED."""
@@ -414,22 +397,14 @@ class ArduCopter(ArduPilot):
             return self.fly_legs()  # a take-off
         if not self.estimate.aiding:
             return self._hold(0.0, level=True)
-        if self.kind in (Kind.TAKEOFF, Kind.POSITION):
-            return self._go(self._place_deg, self._altitude_m)
-        self.level.move(self.step_s)
-        (velocity, climb_m_s), (feed, feed_up), dt_s = self._moves, self._feed, self.step_s
-        if self.kind is Kind.PUSH:
-            self.level.push(feed, dt_s)
-            lift = self.up.towards(self.up.climb_m_s, feed_up, dt_s)
-        elif self.kind is Kind.VELOCITY:
-            self.level.towards(velocity, feed, dt_s)
-            lift = self.up.towards(climb_m_s, feed_up, dt_s)
-        else:
-            speed_m_s, up_m_s, down_m_s = self._speeds_m_s
-            self.level.towards(velocity, feed, dt_s, self._place_deg, speed_m_s)
-            up_down_m_s = (up_m_s, down_m_s)
-            lift = self.up.towards(climb_m_s, feed_up, dt_s, self._altitude_m, up_down_m_s)
-        return self.level.lean(dt_s), lift
+        return self.control.fly(
+            None if self.kind is Kind.PUSH else self._moves,
+            self._feed,
+            self.step_s,
+            self._target,
+            self._speeds_m_s,
+            paced=self.kind in (Kind.TAKEOFF, Kind.POSITION),
+        )
 
     def brake(self) -> Order:
         """BRAKE."""
@@ -438,8 +413,8 @@ class ArduCopter(ArduPilot):
             return self._hold(0.0)
         most = min(_BRAKE_M_S2, self.copter.limits.acceleration_m_s2, 4.0 * speed)
         asked = self.estimate.velocity_m_s * (self.copter.drag_1_s - most / speed)
-        self.level.follow(asked)
-        return asked, self.up.towards(0.0, 0.0, self.step_s)
+        self.control.follow(asked)
+        return asked, self.control.climb(0.0, self.step_s)
 
     def sink(self) -> Order:
         """The modes that a pilot holds it in: the stick is at its lower end."""
@@ -451,7 +426,7 @@ class ArduCopter(ArduPilot):
         height_m = self.copter.altitude_amsl_m - self.ground_m  # by a rangefinder
         slow = max(p["LAND_SPEED"], 20.0) / 100.0
         rate = rate_for(_LAND_LOW_M - height_m, 1.0, tuning.acceleration_up_m_s2, self.step_s)
-        rate = min(max(rate, -max(tuning.speed_down_m_s, slow)), -slow)
+        rate = min(max(rate, -max(tuning.speeds_m_s[2], slow)), -slow)
         if self.now_s < self._pauses_until_s:
             rate = 0.0
         self._lands_with_position &= self.estimate.aiding
@@ -470,8 +445,10 @@ class ArduCopter(ArduPilot):
     def begin_leg(self, speed_m_s: float | None) -> None:
         """Another item of the mission, or none any more."""
         route, here = self.route, self.estimate.place
-        leg, self._speeds_m_s[0] = route.leg, speed_m_s or self._speeds_m_s[0]
-        self.up.start()
+        leg = route.leg
+        if speed_m_s is not None:
+            self._speeds_m_s = (speed_m_s, *self._speeds_m_s[1:])
+        self.control.start_climb()
         self._lands_with_position = True
         if leg is None:
             self._restart(Kind.VELOCITY)
@@ -490,8 +467,7 @@ class ArduCopter(ArduPilot):
             return self._hold(0.0, level=leg is not None)
         if self.route.lands:
             return self.land()
-        place = leg.place
-        order = self._go(complex(place.latitude_deg, place.longitude_deg), place.altitude_amsl_m)
+        order = self._go(leg.place)
         self.follow_route()
         return order
 
@@ -516,10 +492,10 @@ class ArduCopter(ArduPilot):
         if wanted_rad != wanted_rad and rate == rate:
             return (now_rad + rate * self.step_s) % math.tau
         if wanted_rad != wanted_rad:
-            way = self.level.velocity
+            way = self.control.velocity
             if self.nose_follows_motion:
                 way = copter.velocity_m_s
-            is_slow = abs(way) < _MOVING_SHARE * self.tuning.speed_m_s
+            is_slow = abs(way) < _MOVING_SHARE * self.tuning.speeds_m_s[0]
             if is_slow or self.mode.name not in ("GUIDED", "AUTO"):
                 return now_rad
             wanted_rad = math.atan2(way.imag, way.real)
@@ -534,19 +510,13 @@ class ArduCopter(ArduPilot):
         holds = (name == "LAND" and self._lands_with_position) or (name == "RTL" and self.armed)
         return _HOLDS if holds or self.now_s < self.firmware.ready_s else self.mode.base
 
-    @property
-    def _target_place(self) -> Place:
-        return Place(self._place_deg.real, around(self._place_deg.imag), self._altitude_m)
-
     def target_echo(self) -> values.TargetEcho | None:
         """What GUIDED steers for; in other modes nothing is sent."""
         if self.mode.name != "GUIDED" or self.estimate.origin is None:
             return None
         position = None
-        if self.kind is Kind.TAKEOFF:
-            position = (0.0, 0.0, 0.0)  # the take-off's height is not told
-        elif self.kind in (Kind.POSITION, Kind.PATH):
-            position = self.frame.ned_m(self._target_place)
+        if self._target is not None and self.kind is not Kind.TAKEOFF:  # its height is not told
+            position = self.frame.ned_m(self._target)
         (velocity, climb_m_s), (feed, feed_up) = self._moves, self._feed
         return values.TargetEcho(
             position_ned_m=position,
@@ -560,7 +530,7 @@ class ArduCopter(ArduPilot):
         """While it flies to a place that does not move."""
         leg, here, place = self.route.leg, self.estimate.place, None
         if self.mode.name == "GUIDED" and self.kind is Kind.POSITION:
-            place = self._target_place
+            place = self._target
         elif leg is not None and self.mode.name != "GUIDED":
             place = None if (leg.does, leg.command) == (Does.LAND, RETURN) else leg.place
         if place is None:

@@ -13,10 +13,10 @@ Source: AP_Math/control.cpp and AC_PosControl.cpp of 4.7.0-dev, in metres.
 """
 
 import math
-from dataclasses import dataclass
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 from vehicle_sim.autopilot.estimator import Estimator
+from vehicle_sim.autopilot.values import Place
 from vehicle_sim.geodesy import degrees_east, metres_per_degree
 
 POSITION_P, VELOCITY_P, VELOCITY_I, VELOCITY_D = 1.0, 2.0, 1.0, 0.25
@@ -32,19 +32,21 @@ VELOCITY_UP_P, JERK_UP_M_S3 = 5.0, 5.0
 _CORNER_SHARE: Final = 1.0 / math.sqrt(2.0)
 _APPROACH: Final = 0.5
 """Share of acceleration and gain for approaching a position: leaves some for cornering."""
+Order = tuple[complex, float]
+"""A velocity or an acceleration (of the thrust): level, north + east j, and up."""
+STILL: Final[Order] = (0j, 0.0)
+Speeds = tuple[float, float, float]
+"""Level, up and down, in m/s."""
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tuning:
+class Tuning(NamedTuple):
     """What the parameters say, in SI units."""
 
-    speed_m_s: float
+    speeds_m_s: Speeds
     acceleration_m_s2: float
-    jerk_m_s3: float
-    speed_up_m_s: float
-    speed_down_m_s: float
     acceleration_up_m_s2: float
+    jerk_m_s3: float
     lean_m_s2: float
     """Horizontal acceleration at the steepest lean."""
 
@@ -80,76 +82,111 @@ def turned_first(wanted: complex, velocity: complex, most: float, across_most: f
 
 
 @final
-class Horizontal:
+class PositionControl:
     """Desired place, velocity and acceleration, and the PID behind them.  Mutable."""
 
     tuning: Tuning
 
     def __init__(self, estimate: Estimator) -> None:
         self._estimate = estimate
-        self.scale = (1.0, 1.0)
-        """Metres of a degree, of latitude and longitude, where it flies."""
+        self._scale = (1.0, 1.0)  # metres of a degree, of latitude and longitude, where it flies
         self._lean = self._asked = 0j
         self.start()
 
-    @property
-    def here_deg(self) -> complex:
-        """Where it believes to be."""
-        return complex(self._estimate.latitude_deg, self._estimate.longitude_deg)
+    def rest(self) -> None:
+        """Start from the ground, where nothing leans."""
+        self._lean = self._asked = 0j
+        self.start()
 
     def start(self) -> None:
         """From what the vehicle does now: the integrator takes over all of the present lean."""
-        self.place_deg, self.velocity = self.here_deg, self._estimate.velocity_m_s
-        self.acceleration = 0j
-        self._integral, self._derivative, self._limited = self._asked, 0j, 0j
+        self._start_level(self._asked)
+        self.start_climb()
+
+    def _start_level(self, integral: complex, acceleration: complex = 0j) -> None:
+        self._place_deg, self.velocity = self._here_deg, self._estimate.velocity_m_s
+        self._acceleration, self._integral = acceleration, integral
+        self._derivative, self._limited = 0j, 0j
         self._error: complex | None = None
+
+    def start_climb(self) -> None:
+        """The same for the height alone."""
+        self._altitude_amsl_m = self._estimate.altitude_amsl_m
+        self.climb_m_s, self._acceleration_up = self._estimate.velocity_up_m_s, 0.0
 
     def follow(self, acceleration: complex) -> None:
         """Go on from an acceleration that something else has commanded, with nothing to unlearn."""
-        self.start()
-        self.acceleration = self._lean = acceleration
-        self._integral = 0j
+        self._start_level(0j, acceleration)
+        self._lean = acceleration
 
-    def rest(self) -> None:
-        """On the ground: nothing leans."""
-        self._lean = self._asked = 0j
+    @property
+    def _here_deg(self) -> complex:
+        """Where it believes to be."""
+        return complex(self._estimate.latitude_deg, self._estimate.longitude_deg)
 
-    def metres(self, from_deg: complex, to_deg: complex) -> complex:
+    def _metres(self, from_deg: complex, to_deg: complex) -> complex:
         """From one place to another, the shorter way round the earth."""
         east_deg = degrees_east(from_deg.imag, to_deg.imag)
-        return complex((to_deg.real - from_deg.real) * self.scale[0], east_deg * self.scale[1])
+        return complex((to_deg.real - from_deg.real) * self._scale[0], east_deg * self._scale[1])
+
+    def off_m(self, place: Place) -> complex:
+        """From here to a place."""
+        self._scale = metres_per_degree(self._estimate.latitude_deg)
+        return self._metres(self._here_deg, place.deg)
 
     # --- what is asked for --------------------------------------------------------------------
 
-    def move(self, dt_s: float) -> None:
+    def fly(
+        self,
+        moves: Order | None,
+        feed: Order,
+        dt_s: float,
+        place: Place | None = None,
+        speeds_m_s: Speeds = (math.inf,) * 3,
+        *,
+        paced: bool = False,
+    ) -> Order:
+        """One step towards this velocity (None: any); `feed`, an acceleration, comes on top.
+
+        place: one that moves like that, and the way there no faster than at these speeds; paced:
+        it does not move, and the climb and the way there are in proportion.
+        """
+        self._move(dt_s)
+        velocity, climb_m_s = moves or (self.velocity, self.climb_m_s)
+        (speed_m_s, up_m_s, down_m_s), to_go, rise_m = speeds_m_s, 0j, 0.0
+        if place is not None:
+            to_go = self._metres(self._place_deg, place.deg)
+            rise_m = place.altitude_amsl_m - self._altitude_amsl_m
+        if paced:  # the slower of the two sets the pace, as kinematic_limit does
+            away_m, high_m, most_up = abs(to_go), abs(rise_m), up_m_s if rise_m >= 0.0 else down_m_s
+            if away_m * most_up < high_m * speed_m_s:
+                speed_m_s = away_m * most_up / high_m
+            elif away_m > 1e-6:
+                most_up = max(high_m * speed_m_s / away_m, 1e-3)
+            up_m_s, down_m_s = min(up_m_s, most_up), min(down_m_s, most_up)
+        self._shape(velocity, feed[0], to_go, speed_m_s, dt_s)
+        lift = self.climb(climb_m_s, dt_s, feed[1], rise_m, (up_m_s, down_m_s))
+        return self._follow_desired(dt_s), lift
+
+    def _move(self, dt_s: float) -> None:
         """The desired state one step on; where the lean is at its limit it waits."""
-        self.scale = metres_per_degree(self._estimate.latitude_deg)
-        pushed, limit = self.acceleration, self._limited.conjugate()
+        self._scale = metres_per_degree(self._estimate.latitude_deg)
+        pushed, limit = self._acceleration, self._limited.conjugate()
         step = self.velocity * dt_s + pushed * (0.5 * dt_s * dt_s)
         if limit:
-            ahead = self.metres(self.here_deg, self.place_deg)
+            ahead = self._metres(self._here_deg, self._place_deg)
             if (step * limit).real > 0.0 and (ahead * limit).real > 0.0:
                 step = 0j
             if (pushed * limit).real > 0.0 and ((self._error or 0j) * limit).real > 0.0:
                 pushed = 0j if (self.velocity * limit).real >= 0.0 else pushed
-        self.place_deg += complex(step.real / self.scale[0], step.imag / self.scale[1])
+        self._place_deg += complex(step.real / self._scale[0], step.imag / self._scale[1])
         self.velocity += pushed * dt_s
 
-    def towards(
-        self,
-        velocity: complex,
-        feed: complex,
-        dt_s: float,
-        place_deg: complex | None = None,
-        speed_m_s: float = math.inf,
+    def _shape(
+        self, velocity: complex, feed: complex, to_go: complex, speed_m_s: float, dt_s: float
     ) -> None:
-        """Shape the acceleration so that the velocity becomes this one; `feed` comes on top.
-
-        place_deg: a place that moves like that, and the way there no faster than at speed_m_s.
-        """
-        most, jerk = self.tuning.acceleration_m_s2, self.tuning.jerk_m_s3
-        to_go = 0j if place_deg is None else self.metres(self.place_deg, place_deg)
-        away = abs(to_go)
+        """Change the acceleration so that the velocity becomes this one, and that of the way."""
+        most, jerk, away = self.tuning.acceleration_m_s2, self.tuning.jerk_m_s3, abs(to_go)
         if away > 1e-6:
             rate = rate_for(away, _APPROACH * jerk / most, _APPROACH * most, dt_s)
             velocity += to_go * (min(rate, speed_m_s) / away)
@@ -162,23 +199,17 @@ class Horizontal:
                 feed += clipped(change, most)
             else:  # enough is left for turning (limit_accel_corner_xy)
                 feed += turned_first(change, velocity, most, _CORNER_SHARE * most)
-        self.acceleration += clipped(feed - self.acceleration, jerk * dt_s)
-
-    def push(self, acceleration: complex, dt_s: float) -> None:
-        """Shape towards an acceleration alone."""
-        step = acceleration - self.acceleration
-        self.acceleration += clipped(step, self.tuning.jerk_m_s3 * dt_s)
+        self._acceleration += clipped(feed - self._acceleration, jerk * dt_s)
 
     # --- following ----------------------------------------------------------------------------
 
-    def lean(self, dt_s: float) -> complex:
+    def _follow_desired(self, dt_s: float) -> complex:
         """The acceleration that the lean gives, one step on."""
-        e = self._estimate
-        off = self.metres(complex(e.latitude_deg, e.longitude_deg), self.place_deg)
+        off = self._metres(self._here_deg, self._place_deg)
         away = abs(off)
         if away > 1e-9:
             off *= rate_for(away, POSITION_P, self.tuning.acceleration_m_s2, dt_s) / away
-        error = off + self.velocity - e.velocity_m_s
+        error = off + self.velocity - self._estimate.velocity_m_s
         if self._error is not None:
             blend = dt_s / (FILTER_S + dt_s)
             step = blend * (error - self._error)
@@ -191,61 +222,39 @@ class Horizontal:
             # a limited output may turn it, but not make it longer
             grown = clipped(grown, abs(self._integral))
         self._integral = grown
-        asked = VELOCITY_P * error + self._integral + self.acceleration
+        asked = VELOCITY_P * error + self._integral + self._acceleration
         asked += VELOCITY_D * self._derivative
-        self._limited = 0j
-        if abs(asked) > self.tuning.lean_m_s2:
-            most = self.tuning.lean_m_s2
+        self._limited, most = 0j, self.tuning.lean_m_s2
+        if abs(asked) > most:
             self._limited, asked = asked, turned_first(asked, self.velocity, most, most)
         self._asked = asked
         self._lean += dt_s / (LEAN_S + dt_s) * (asked - self._lean)
         return self._lean
 
-    def levelled(self, dt_s: float) -> complex:
+    def level(self, climb_m_s: float, dt_s: float) -> Order:
         """Without a position: no lean is asked for."""
         self._lean -= dt_s / (LEAN_S + dt_s) * self._lean
         self._asked = self._lean
-        return self._lean
+        return self._lean, self.climb(climb_m_s, dt_s)
 
-
-@final
-class Vertical:
-    """The same upwards; heights above the sea.  Mutable."""
-
-    tuning: Tuning
-
-    def __init__(self, estimate: Estimator) -> None:
-        self._estimate = estimate
-        self.start()
-
-    def start(self) -> None:
-        """From what the vehicle does now."""
-        self.altitude_amsl_m = self._estimate.altitude_amsl_m
-        self.climb_m_s, self.acceleration_m_s2 = self._estimate.velocity_up_m_s, 0.0
-
-    def towards(
+    def climb(
         self,
         climb_m_s: float,
-        feed_m_s2: float,
         dt_s: float,
-        altitude_amsl_m: float | None = None,
+        feed_m_s2: float = 0.0,
+        rise_m: float = 0.0,
         up_down_m_s: tuple[float, float] = (math.inf, math.inf),
     ) -> float:
-        """Shape towards a vertical velocity and move the desired height; the acceleration for it.
-
-        altitude_amsl_m: a height that changes like that, and no faster there than up_down_m_s.
-        """
+        """The same upwards, one step on: towards a climb, and to a height so much above."""
         most, jerk = self.tuning.acceleration_up_m_s2, JERK_UP_M_S3
-        pushed, e = self.acceleration_m_s2, self._estimate
-        if altitude_amsl_m is not None:
-            error_m, (up_m_s, down_m_s) = altitude_amsl_m - self.altitude_amsl_m, up_down_m_s
-            rate = rate_for(error_m, _APPROACH * jerk / most, _APPROACH * most, dt_s)
-            climb_m_s += min(max(rate, -down_m_s), up_m_s)
-        self.altitude_amsl_m += self.climb_m_s * dt_s + 0.5 * pushed * dt_s * dt_s
+        pushed, e = self._acceleration_up, self._estimate
+        rate = rate_for(rise_m, _APPROACH * jerk / most, _APPROACH * most, dt_s)
+        climb_m_s += min(max(rate, -up_down_m_s[1]), up_down_m_s[0])
+        self._altitude_amsl_m += self.climb_m_s * dt_s + 0.5 * pushed * dt_s * dt_s
         self.climb_m_s += pushed * dt_s
         wanted = rate_for(climb_m_s - self.climb_m_s, jerk / most, jerk, dt_s)
         step = min(max(wanted, -most), most) + feed_m_s2 - pushed
-        self.acceleration_m_s2 += min(max(step, -jerk * dt_s), jerk * dt_s)
-        off_m = self.altitude_amsl_m - e.altitude_amsl_m
+        self._acceleration_up += min(max(step, -jerk * dt_s), jerk * dt_s)
+        off_m = self._altitude_amsl_m - e.altitude_amsl_m
         off_m_s = off_m + self.climb_m_s - e.velocity_up_m_s
-        return VELOCITY_UP_P * off_m_s + self.acceleration_m_s2
+        return VELOCITY_UP_P * off_m_s + self._acceleration_up

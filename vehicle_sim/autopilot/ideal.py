@@ -7,11 +7,10 @@ the real controller correct so hard.
 
 from typing import Final, final
 
-from vehicle_sim.autopilot.arducopter import ArduCopter, Kind, Order
-from vehicle_sim.autopilot.copter_control import clipped
+from vehicle_sim.autopilot.arducopter import ArduCopter, Kind
+from vehicle_sim.autopilot.copter_control import Order, clipped
 from vehicle_sim.autopilot.setpoints import Target
 from vehicle_sim.autopilot.values import Place
-from vehicle_sim.geodesy import metres_per_degree
 
 KP_1_S2: Final = 0.75
 KV_1_S: Final = 4.0
@@ -41,7 +40,7 @@ class Ideal(ArduCopter):
         """Another submode: level, with the acceleration that there is."""
         super()._restart(kind)
         self._slope, self._interval_s = (0j, 0.0), 0.0
-        self.level.follow(self.copter.acceleration_m_s2)
+        self.control.follow(self.copter.acceleration_m_s2)
 
     def take(self, target: Target, place: Place | None) -> bool:
         """Steer for it, and see how the velocity has changed since the one before."""
@@ -61,25 +60,27 @@ class Ideal(ArduCopter):
     def fly_target(self) -> Order:
         """GUIDED."""
         if self.estimate.aiding:
-            if self.kind is Kind.PATH and self.now_s - self._heard_s <= self._timeout_s:
-                return self._track()
+            target, age_s = self._target, self.now_s - self._heard_s
+            if target is not None and self.kind is Kind.PATH and age_s <= self._timeout_s:
+                return self._track(target, age_s)
             if self._tracks:
                 self._tracks = False
-                self.up.start()
-                self.level.follow(self.copter.acceleration_m_s2)
+                self.control.start_climb()
+                self.control.follow(self.copter.acceleration_m_s2)
         return super().fly_target()
 
-    def _track(self) -> Order:
+    def _track(self, target: Place, age_s: float) -> Order:
         """Acceleration by the errors of position and velocity."""
-        estimate, here_deg, age_s = self.estimate, self.level.here_deg, self.now_s - self._heard_s
-        self._tracks, self.level.scale = True, metres_per_degree(here_deg.real)
+        estimate, (speed_m_s, up_m_s, _) = self.estimate, self.tuning.speeds_m_s
+        self._tracks = True
         ahead_s = age_s if age_s <= 2.0 * self._interval_s else 0.0
-        off_m = self.level.metres(here_deg, self._place_deg)
-        rise_m = self._altitude_m - estimate.altitude_amsl_m
+        off_m, rise_m = (
+            self.control.off_m(target),
+            target.altitude_amsl_m - estimate.altitude_amsl_m,
+        )
         (velocity, climb_m_s), (feed, feed_up) = self._moves, self._feed
         late, late_up = velocity - estimate.velocity_m_s, climb_m_s - estimate.velocity_up_m_s
-        level = clipped(off_m * KP_1_S2, KV_1_S * self.tuning.speed_m_s)
-        most_up = KV_1_S * self.tuning.speed_up_m_s
+        level, most_up = clipped(off_m * KP_1_S2, KV_1_S * speed_m_s), KV_1_S * up_m_s
         up = min(max(rise_m * KP_1_S2, -most_up), most_up)
         return (
             level + KV_1_S * (late + self._slope[0] * ahead_s) + feed,
