@@ -125,7 +125,8 @@ class FlightController:
 
     def _renew_report(self) -> None:
         report, us = self.report, self.since_boot_us
-        report.renew(us, _EPOCH_US + self.now_us if self.autopilot.fix.usable else 0)
+        report.time_us = us
+        report.unix_us = _EPOCH_US + self.now_us if self.autopilot.fix.usable else 0
         report.range_sensors = self.ranging.bits(us)
 
     def send_heartbeat(self) -> None:

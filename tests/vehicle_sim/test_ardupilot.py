@@ -70,7 +70,7 @@ def fastest_m_s(it: ArduCopter, seconds: float) -> float:
 
 def echo_m(it: ArduCopter) -> Vector:
     """Where it says that it is told to go: north, east, down."""
-    place: Vector = it.autopilot.target_echo().position_ned_m
+    place: Vector = it.autopilot.target_echo().position
     return place
 
 
@@ -325,7 +325,7 @@ def test_a_speed_is_flown_as_measured(asked_m_s: float, flown_m_s: float) -> Non
     assert rig.command(CHANGE_SPEED, 0.0, asked_m_s) == ACCEPTED
     assert rig.command(178, 0.0, 22.0) == ACCEPTED  # does not change that
     assert rig.run(30.0).speed_m_s == approx(flown_m_s, abs=0.3)
-    assert rig.status.airspeed_m_s == approx(asked_m_s, abs=0.1)
+    assert rig.autopilot.airspeed_m_s() == approx(asked_m_s, abs=0.1)
     rig.set_mode(PLANE_LOITER)
     assert rig.run(30.0).speed_m_s == approx(23.45, abs=0.3)
 
@@ -441,7 +441,7 @@ def test_a_plane_flies_a_mission_from_take_off_to_landing() -> None:
         for place in nearest_m:
             nearest_m[place] = min(nearest_m[place], math.dist(rig.ne_m, place))
 
-    assert rig.run(40.0, watch).status.mission_state == 3
+    assert rig.run(40.0, watch).autopilot.mission_state() == 3
     assert rig.speed_m_s == approx(21.0, abs=0.5)  # DO_CHANGE_SPEED of the mission
     while rig.armed:
         rig.run(0.5, watch)
@@ -457,10 +457,10 @@ def test_a_plane_flies_a_mission_from_take_off_to_landing() -> None:
 def test_the_current_item_may_be_set_and_after_the_last_it_returns_and_circles_home() -> None:
     rig = on_mission(ArduPlane, *MISSION[:7]).run(25.0)
     assert [rig.command(224, 20.0), rig.command(224, 6.0)] == [FAILED, ACCEPTED]
-    assert rig.status.mission_current == 6
+    assert rig.autopilot.route.current == 6
     rig.until(lambda: math.dist(rig.ne_m, (-800.0, 0.0)) < 60.0)
     rig.until(lambda: rig.mode == "RTL", 5.0)
-    assert rig.status.mission_state == 5
+    assert rig.autopilot.mission_state() == 5
     assert from_home_m(rig.run(90.0)) == approx(97.4, abs=3.0)  # recorded flight, 298 s
     assert rig.height_m == approx(100.0, abs=1.0)
 

@@ -372,7 +372,7 @@ def test_it_flies_a_mission(
     waits_s = 1.0 if make is Px4Copter else 0.0  # a plane would circle
     way = [item(16, *place, 60.0, waits_s) for place in places]
     rig.plan(PlanKind.MISSION, item(22, 300.0, 0.0, 40.0), *way, item(last))
-    assert rig.status.mission_state == 2
+    assert rig.autopilot.mission_state() == 2
     assert rig.command(300) == ACCEPTED
     began_s, modes, nearest_m = dict[int, float](), list[str](), [math.inf] * len(places)
     while rig.armed and rig.now_s < 300.0:

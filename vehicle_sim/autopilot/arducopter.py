@@ -423,9 +423,8 @@ class ArduCopter(ArduPilot):
     def land(self) -> Order:
         """Down at WPNAV_SPEED_DN, the last metres at LAND_SPEED."""
         p, tuning = self.parameters, self.tuning
-        height_m = self.copter.altitude_amsl_m - self.ground_m  # by a rangefinder
         slow = max(p["LAND_SPEED"], 20.0) / 100.0
-        rate = rate_for(_LAND_LOW_M - height_m, 1.0, tuning.acceleration_up_m_s2, self.step_s)
+        rate = rate_for(_LAND_LOW_M - self.height_m, 1.0, tuning.acceleration_up_m_s2, self.step_s)
         rate = min(max(rate, -max(tuning.speeds_m_s[2], slow)), -slow)
         if self.now_s < self._pauses_until_s:
             rate = 0.0
@@ -510,20 +509,22 @@ class ArduCopter(ArduPilot):
         holds = (name == "LAND" and self._lands_with_position) or (name == "RTL" and self.armed)
         return _HOLDS if holds or self.now_s < self.firmware.ready_s else self.mode.base
 
-    def target_echo(self) -> values.TargetEcho | None:
+    def target_echo(self) -> values.Setpoint | None:
         """What GUIDED steers for; in other modes nothing is sent."""
         if self.mode.name != "GUIDED" or self.estimate.origin is None:
             return None
-        position = None
+        position = (0.0, 0.0, 0.0)
         if self._target is not None and self.kind is not Kind.TAKEOFF:  # its height is not told
             position = self.frame.ned_m(self._target)
         (velocity, climb_m_s), (feed, feed_up) = self._moves, self._feed
-        return values.TargetEcho(
-            position_ned_m=position,
+        return values.Setpoint(
+            is_global=False,
+            frame=LOCAL_NED,
+            type_mask=_ECHO_MASKS[self.kind],
+            position=position,
             velocity_ned_m_s=(velocity.real, velocity.imag, -climb_m_s),
             acceleration_ned_m_s2=(feed.real, feed.imag, -feed_up),
             yaw_rad=0.0,
-            type_mask=_ECHO_MASKS[self.kind],
         )
 
     def waypoint(self) -> values.Waypoint | None:

@@ -15,7 +15,6 @@ from vehicle_sim.autopilot.guards import Fence, named
 from vehicle_sim.autopilot.values import Command, Landed, Place, Result, State
 from vehicle_sim.faults import SIM_PARAMETERS
 from vehicle_sim.parameters import table
-from vehicle_sim.plans import PlanKind
 
 TOLD: Final = frozenset(
     {0, 1, 2, 24, 30, 31, 32, 33, 42, 49, 62, 74, 85, 87, 132, 147, 148, 162, 164, 168, 173, 193}
@@ -123,10 +122,6 @@ class ArduPilot(Autopilot):
     def base_mode(self) -> int:
         """Of the heartbeat, but for the bit that says whether it is armed."""
         return self.mode.base
-
-    def airspeed_m_s(self) -> float | None:
-        """Indicated; None: there is no pitot tube."""
-        return None
 
     # --- each step ----------------------------------------------------------------------------
 
@@ -288,10 +283,5 @@ class ArduPilot(Autopilot):
             landed_state=landed,
             prearm_ok=self.now_s >= self.firmware.prearm_s,
             waypoint=self.waypoint(),
-            mission_current=self.route.current,
-            mission_state=self.mission_state(),
-            mission_total=max(len(self.plans[PlanKind.MISSION]) - 1, 0),
             fence=self.fence.told,
-            failsafe=self.failsafe,
-            airspeed_m_s=self.airspeed_m_s(),
         )

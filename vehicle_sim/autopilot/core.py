@@ -184,9 +184,13 @@ class Autopilot:
         """On the ground; a plane may roll."""
         self.vehicle.stand(self.ground_m)
 
-    def target_echo(self) -> values.TargetEcho | None:
+    def target_echo(self) -> values.Setpoint | None:
         """Its target, if that is told."""
         return None
+
+    def airspeed_m_s(self) -> float:
+        """As it measures it."""
+        return self.vehicle.airspeed_m_s
 
     def on_plan(self, kind: PlanKind) -> Sequence[Reply]:  # noqa: ARG002 - lists are read live
         """A list was replaced by a client."""
@@ -273,6 +277,11 @@ class Autopilot:
             since_s = self.armed_s if self.landed_s is None else self.landed_s
             if self.now_s - since_s >= wait_s:
                 self.disarm("auto preflight disarming" if self.landed_s is None else "landing")
+
+    @property
+    def height_m(self) -> float:
+        """Above the ground, by a distance sensor."""
+        return max(self.vehicle.altitude_amsl_m - self.ground_m, 0.0)
 
     @property
     def rolling_m_s(self) -> float:

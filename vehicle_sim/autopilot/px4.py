@@ -201,11 +201,6 @@ class Px4(core.Autopilot):
             self.local_m = self.frame.ned_m(self.estimate)
 
     @property
-    def height_m(self) -> float:
-        """Above the ground: SIH has a distance sensor."""
-        return max(self.vehicle.altitude_amsl_m - self.ground_m, 0.0)
-
-    @property
     def reference(self) -> Place:
         """The origin, or where it is before there is one."""
         return self.estimate.origin or self.estimate.place
@@ -505,9 +500,4 @@ class Px4(core.Autopilot):
             prearm_ok=armable,
             waypoint=self.waypoint() if armed and mode.name in NAVIGATED else None,
             intended_mode=self.intended.number,
-            mission_current=self.route.current,
-            mission_state=self.mission_state(),
-            mission_total=len(self.plans[PlanKind.MISSION]) or 65535,
-            above_ground_m=self.height_m,
-            failsafe=fails,
         )

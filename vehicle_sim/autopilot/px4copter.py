@@ -8,8 +8,8 @@ from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.legs import RETURN, Does, Leg, back
 from vehicle_sim.autopilot.px4 import NAVIGATED, NOWHERE, RATES_HZ, Px4, firmware
 from vehicle_sim.autopilot.px4_control import NONE, STANDS_M_S, Control, Point, State, given
-from vehicle_sim.autopilot.setpoints import NOTHING, Target, is_flyable
-from vehicle_sim.autopilot.values import Place, TargetEcho, Waypoint
+from vehicle_sim.autopilot.setpoints import LOCAL_NED, NOTHING, Target, is_flyable
+from vehicle_sim.autopilot.values import Place, Setpoint, Waypoint
 from vehicle_sim.dynamics.copter import Copter
 
 FIRMWARE: Final = firmware("px4copter", vehicle_type=2, rates_hz=RATES_HZ)
@@ -38,7 +38,7 @@ _RESPONSE_S: Final = 0.1
 _TAKEN_OFF_S, _SLOW_M_S = 2.2, 0.3
 """At its height, slower than this, until a take-off is over: 7.8 s after arming at the default
 height (px4.md 3)."""
-_IDLE: Final = TargetEcho(NOTHING, NOTHING, (0.0, 0.0, 100.0), yaw_rad=0.0, type_mask=63)
+_IDLE: Final = Setpoint(False, LOCAL_NED, 63, NOTHING, NOTHING, (0.0, 0.0, 100.0), 0.0)
 """POSITION_TARGET_LOCAL_NED while the motors idle, as recorded."""
 
 
@@ -316,7 +316,7 @@ class Px4Copter(Px4):
 
     # --- to tell ------------------------------------------------------------------------------
 
-    def target_echo(self) -> TargetEcho:
+    def target_echo(self) -> Setpoint:
         """What the controller steers for: its own velocity and acceleration, not those sent."""
         control, wanted = self._control, self._wanted
         lies = self.touched_s is not None and self.now_s - self.touched_s > _LIES_S
@@ -324,13 +324,15 @@ class Px4Copter(Px4):
             return _IDLE._replace(yaw_rad=self.copter.heading_rad)
         position = (wanted.place.real, wanted.place.imag, wanted.down)
         velocity = (control.velocity.real, control.velocity.imag, control.sink)
-        return TargetEcho(
-            position_ned_m=position,
+        return Setpoint(
+            is_global=False,
+            frame=LOCAL_NED,
+            type_mask=sum(1 << bit for bit, v in enumerate((*position, *velocity)) if v != v),
+            position=position,
             velocity_ned_m_s=velocity,
             acceleration_ned_m_s2=(control.asked.real, control.asked.imag, control.asked_down),
             yaw_rad=self._yaw_rad,
             yaw_rate_rad_s=0.0 if self.mode.name == "Offboard" else self._turn_rad_s,
-            type_mask=sum(1 << bit for bit, v in enumerate((*position, *velocity)) if v != v),
         )
 
     @property

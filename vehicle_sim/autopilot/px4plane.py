@@ -19,8 +19,8 @@ from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.legs import Does, Leg
 from vehicle_sim.autopilot.plane_control import Circle, FixedWing, Runway, Way, eas_to_tas
 from vehicle_sim.autopilot.px4 import RATES_HZ, Px4, firmware
-from vehicle_sim.autopilot.setpoints import NOTHING, Target, given
-from vehicle_sim.autopilot.values import Place, TargetEcho, Waypoint
+from vehicle_sim.autopilot.setpoints import LOCAL_NED, NOTHING, Target, given
+from vehicle_sim.autopilot.values import Place, Setpoint, Waypoint
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import PlaneLimits
 
@@ -302,7 +302,7 @@ class Px4Plane(FixedWing, Px4):
 
     # --- to tell ------------------------------------------------------------------------------
 
-    def target_echo(self) -> TargetEcho | None:
+    def target_echo(self) -> Setpoint | None:
         """The nearest point of a circle, as PX4 publishes it; nothing while it follows a path."""
         flies, waypoint, origin_m = self.mode.flies, self.waypoint(), self.reference.altitude_amsl_m
         follows = self._seen is None or isinstance(self._aim, Line)
@@ -313,7 +313,7 @@ class Px4Plane(FixedWing, Px4):
             of, off_m = self._nearest
             nearest = FlatEarth(of).place(off_m.real, off_m.imag, 0.0)
             place = self.frame.ned_m(nearest.at(waypoint.place.altitude_amsl_m))
-        return TargetEcho(place, NOTHING, NOTHING, math.nan, math.nan, type_mask=_ECHO_MASK)
+        return Setpoint(False, LOCAL_NED, _ECHO_MASK, place, NOTHING, NOTHING, math.nan, math.nan)
 
     def waypoint(self) -> Waypoint | None:
         """The place flown to, or the middle of a circle; of height 0 in a landing (recorded)."""

@@ -60,7 +60,8 @@ class Command(NamedTuple):
 class Setpoint(NamedTuple):
     """A SET_POSITION_TARGET_GLOBAL_INT or _LOCAL_NED, as sent: nothing is checked yet.
 
-    One that is not addressed to the autopilot never comes here: wire/routing.py.
+    One that is not addressed to the autopilot never comes here: wire/routing.py.  What it makes of
+    them is told as one, too: POSITION_TARGET_LOCAL_NED, with NaN where nothing is wanted.
     """
 
     is_global: bool
@@ -159,19 +160,6 @@ def height_amsl_m(
 
 
 @final
-class TargetEcho(NamedTuple):
-    """The autopilot's target in the estimator's local frame: POSITION_TARGET_LOCAL_NED."""
-
-    position_ned_m: Vector | None
-    velocity_ned_m_s: Vector | None
-    acceleration_ned_m_s2: Vector | None
-    yaw_rad: float
-    yaw_rate_rad_s: float = 0.0
-    type_mask: int = 0
-    """As recorded."""
-
-
-@final
 class Waypoint(NamedTuple):
     """The current waypoint: POSITION_TARGET_GLOBAL_INT and NAV_CONTROLLER_OUTPUT."""
 
@@ -196,19 +184,10 @@ class Status(NamedTuple):
     prearm_ok: bool
     """The PREARM_CHECK bit of SYS_STATUS."""
     waypoint: Waypoint | None = None
-    intended_mode: int | None = None
-    """CURRENT_MODE of PX4; None: the mode itself."""
-    mission_current: int = 0
-    mission_state: int = 0
-    mission_total: int = 65535
-    """Items of the mission, as MISSION_CURRENT of PX4 says it; 65535: there is none."""
-    above_ground_m: float | None = None
-    """By a distance sensor; None: there is none."""
+    intended_mode: int = 0
+    """CURRENT_MODE of PX4, beside the mode itself."""
     fence: tuple[int, ...] | None = None
     """FENCE_STATUS; None: there is nothing to tell."""
-    failsafe: bool = False
-    airspeed_m_s: float | None = None
-    """Indicated, as a pitot tube measures it; None: there is none."""
 
 
 @final
@@ -227,19 +206,12 @@ class Report:
     """For attitude and airspeed only: position and velocity are the estimate's."""
     estimate: "Estimator" = field(init=False)
     firmware: "Firmware" = field(init=False)
-    _status: Status | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         it = self.autopilot
         self.vehicle, self.estimate, self.firmware = it.vehicle, it.estimate, it.firmware
 
-    def renew(self, time_us: int, unix_us: int) -> None:
-        """Advance the time: the status is requested again when needed."""
-        self.time_us, self.unix_us, self._status = time_us, unix_us, None
-
     @property
     def status(self) -> Status:
-        """Computed when a message first needs it: most, like ATTITUDE, do not."""
-        if self._status is None:
-            self._status = self.autopilot.status()
-        return self._status
+        """Computed for the messages that need it: most, like ATTITUDE, do not."""
+        return self.autopilot.status()

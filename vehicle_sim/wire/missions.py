@@ -192,7 +192,7 @@ class Missions:
         if seq >= len(items):
             return _ack(to, mavlink.MAV_MISSION_INVALID_SEQUENCE, kind)
         item, whole = items[seq], message.get_type() == "MISSION_REQUEST_INT"
-        current = is_mission and seq == self._autopilot.status().mission_current
+        current = is_mission and seq == self._autopilot.route.current
         return _said(
             to,
             "MISSION_ITEM_INT" if whole else "MISSION_ITEM",

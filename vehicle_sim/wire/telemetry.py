@@ -10,9 +10,10 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot.values import Landed, Report
+from vehicle_sim.autopilot.values import Landed, Report, State
 from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, degrees_east
 from vehicle_sim.parameters import Firmware
+from vehicle_sim.plans import PlanKind
 from vehicle_sim.wire.frames import Layout, Prepared, filled, layout_of
 
 Fields = tuple[Any, ...]
@@ -24,7 +25,7 @@ _NAN: Final = math.nan
 _NO_VECTOR: Final = (_NAN, _NAN, _NAN)
 _HUGE: Final = 1 << 62
 """More than any field of whole numbers carries: the packer makes the nearest of it."""
-_NO_DILUTION, _NO_CELL, _NO_TEMPERATURE = 65535, 65535, 32767
+_NO_DILUTION, _NO_CELL, _NO_TEMPERATURE, _NO_MISSION = 65535, 65535, 32767, 65535
 _CENTIAMPERES_UNKNOWN: Final = -100
 """As PX4's simulated battery says it."""
 _ARDUPILOT_SENSORS, _PX4_SENSORS = 0x4241_9C0F, 0x0200_000F
@@ -119,9 +120,9 @@ def _heartbeat(now: Report) -> Fields:
 
 def _current_mode(now: Report) -> Fields:
     status = now.status
-    standard = 0 if status.failsafe else _STANDARD_MODES.get(status.mode, 0)
-    intended = status.mode if status.intended_mode is None else status.intended_mode
-    return standard, status.mode, intended
+    fails = status.system_status == State.CRITICAL
+    standard = 0 if fails else _STANDARD_MODES.get(status.mode, 0)
+    return standard, status.mode, status.intended_mode
 
 
 def _extended_sys_state(now: Report) -> Fields:
@@ -229,15 +230,11 @@ def _gps_raw_int(now: Report) -> Fields | None:
 
 def _vfr_hud(now: Report) -> Fields:
     """A plane says its indicated airspeed, a copter of PX4 none."""
-    airspeed_m_s, altitude_m = now.vehicle.airspeed_m_s, now.estimate.altitude_amsl_m
+    airspeed_m_s, altitude_m = now.autopilot.airspeed_m_s(), now.estimate.altitude_amsl_m
     if _is_px4(now):
         airspeed_m_s = airspeed_m_s if _is_plane(now) else _NAN
     else:
-        indicated_m_s, known = (
-            now.status.airspeed_m_s,
-            now.autopilot.fix.fix_type or now.time_us > 10_000_000,
-        )
-        airspeed_m_s = airspeed_m_s if indicated_m_s is None else indicated_m_s
+        known = now.autopilot.fix.fix_type or now.time_us > 10_000_000
         altitude_m = round(_altitude_amsl_m(now), 2) if known else 0.0
     north, east, down = _velocity_ned_m_s(now)
     throttle = round(min(max(now.vehicle.throttle, 0.0), 1.0) * 100.0)
@@ -248,18 +245,17 @@ def _vfr_hud(now: Report) -> Fields:
 def _altitude(now: Report) -> Fields:
     """Above the sea, the origin, home and the ground's own height; and above the ground."""
     amsl_m, origin, home = now.estimate.altitude_amsl_m, now.estimate.origin, now.autopilot.home
-    above_m = _NAN if now.status.above_ground_m is None else now.status.above_ground_m
+    above_m = now.autopilot.height_m
     known_m, local_m = (_NAN, _NAN) if origin is None else (amsl_m, amsl_m - origin.altitude_amsl_m)
     above_home_m = _NAN if home is None else amsl_m - home.altitude_amsl_m
     heights_m = (now.vehicle.altitude_amsl_m, known_m, local_m, above_home_m)
     return now.time_us, *heights_m, local_m - above_m, above_m
 
 
-def _distance_sensor(now: Report) -> Fields | None:
+def _distance_sensor(now: Report) -> Fields:
     """PX4's; of ArduPilot's proximity.py says more."""
-    above_m = now.status.above_ground_m
-    range_cm = None if above_m is None else min(max(round(above_m * 100.0), 0), 10000)
-    return None if range_cm is None else (_boot_ms(now), 0, 10000, range_cm, 0, 0, _DOWN)
+    range_cm = min(round(now.autopilot.height_m * 100.0), 10000)
+    return _boot_ms(now), 0, 10000, range_cm, 0, 0, _DOWN
 
 
 def _ekf_status_report(now: Report) -> Fields:
@@ -319,9 +315,8 @@ def _position_target_local_ned(now: Report) -> Fields | None:
     target = now.autopilot.target_echo()
     if target is None:
         return None
-    vectors = [value for vector in target[:3] for value in vector or (0.0, 0.0, 0.0)]
-    yaw = (target.yaw_rad, target.yaw_rate_rad_s)
-    return _boot_ms(now), _LOCAL, target.type_mask, *vectors, *yaw
+    _, frame, mask, position, velocity, acceleration, *yaw = target
+    return _boot_ms(now), frame, mask, *position, *velocity, *acceleration, *yaw
 
 
 def _position_target_global_int(now: Report) -> Fields | None:
@@ -335,9 +330,8 @@ def _position_target_global_int(now: Report) -> Fields | None:
     height_m = 0.0 if now.status.mode == _LAND and not _is_plane(now) else height_m
     aim: Fields = (_NAN,) * 8
     if target is not None:
-        velocity, acceleration = target.velocity_ned_m_s, target.acceleration_ned_m_s2
-        yaw = (target.yaw_rad, target.yaw_rate_rad_s)
-        aim = (*(velocity or _NO_VECTOR), *(acceleration or _NO_VECTOR), *yaw)
+        *_, velocity, acceleration, yaw_rad, yaw_rate_rad_s = target
+        aim = (*velocity, *acceleration, yaw_rad, yaw_rate_rad_s)
     return _boot_ms(now), _GLOBAL_INT, 0, *place, height_m, *aim
 
 
@@ -355,10 +349,12 @@ def _nav_controller_output(now: Report) -> Fields | None:
 
 def _mission_current(now: Report) -> Fields:
     """Mode of PX4: 1 while the navigator lands, takes off or flies the mission, else 2."""
-    status = now.status
+    status, autopilot = now.status, now.autopilot
+    total = max(len(autopilot.plans[PlanKind.MISSION]) - now.firmware.first_item, 0)
+    total = (total or _NO_MISSION) if _is_px4(now) else total
     flies = status.waypoint is not None and status.mode in (_LAND, _TAKEOFF, _MISSION)
     mode = (1 if flies else 2) if _is_px4(now) else 0
-    return status.mission_current, status.mission_total, status.mission_state, mode
+    return autopilot.route.current, total, autopilot.mission_state(), mode
 
 
 def _fence_status(now: Report) -> Fields | None:
