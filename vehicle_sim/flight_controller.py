@@ -205,7 +205,8 @@ def texts(value: Text, number: int) -> list[Prepared]:
 def _heartbeat(it: FlightController, message: Any, sender: Sender) -> Replies:
     if message.type == mavlink.MAV_TYPE_GCS:
         it.ground_stations.add(sender.link)
-    return it.autopilot.on_heartbeat(sender, message.type)
+    it.autopilot.on_heartbeat(sender, message.type)
+    return ()
 
 
 def command(message: Any, sender: Sender) -> Command:

@@ -1,8 +1,7 @@
 """Mission, fence and rally points as they are stored: what the mission protocol moves."""
 
 import enum
-import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, final
 
@@ -46,44 +45,6 @@ class Plans:
     def __setitem__(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> None:
         self._items[kind] = items
         self.version += 1
-
-
-# --- the order of a mission's items: one after the other, but for its jumps -----------------------
-
-DO_JUMP = 177
-
-
-@final
-class Jumps:
-    """How often each DO_JUMP has been taken.  Mutable."""
-
-    def __init__(self, first: int) -> None:
-        self._first = first
-        """Number of the first item that may be jumped to."""
-        self._taken: dict[int, int] = {}
-
-    def forget(self) -> None:
-        """They count from 0 again."""
-        self._taken.clear()
-
-    def walk(
-        self, items: Sequence[PlanItem], number: int, most: int
-    ) -> Iterator[tuple[int, PlanItem]]:
-        """So many items at most, from this one on, with their numbers."""
-        for _ in range(most):
-            if number >= len(items):
-                return
-            item = items[number]
-            yield number, item
-            target, times = item.parameters[:2]
-            taken = self._taken.get(number, 0)
-            is_used_up = not math.isfinite(times) or 0.0 <= times <= taken
-            leads = item.command == DO_JUMP and self._first <= target < len(items)
-            if leads and not is_used_up:
-                self._taken[number] = taken + 1
-                number = int(target)
-            else:
-                number += 1
 
 
 # --- the zones that a fence list draws ------------------------------------------------------------

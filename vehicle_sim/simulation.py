@@ -327,7 +327,7 @@ class Simulation:
             case "origin_move":
                 controller.answer(autopilot.move_origin(*values))
             case "pilot":
-                controller.answer(autopilot.pilot_takes())
+                autopilot.set_mode(autopilot.firmware.pilot)
             case "reboot":
                 self._go_down()
             case "ground_fence":

@@ -39,10 +39,11 @@ from hypothesis import strategies as st
 
 from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.guards import Fence
+from vehicle_sim.autopilot.legs import Route
 from vehicle_sim.autopilot.values import Place, Sender
 from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.faults import GpsConditions
-from vehicle_sim.plans import Jumps, PlanItem, PlanKind, Zone
+from vehicle_sim.plans import PlanItem, PlanKind, Zone
 
 ACCEPTED, _, DENIED, UNSUPPORTED, FAILED = range(5)
 STABILIZE, LOITER, GROUND_M = 0, 5, COPTER_HOME[2]
@@ -415,7 +416,10 @@ def test_a_copter_flies_a_mission_from_take_off_to_landing(
 
 def test_an_endless_jump_between_nothings_ends() -> None:
     forever = PlanItem(frame=0, command=177, parameters=(1.0, -1.0, 0.0, 0.0))
-    assert len(list(Jumps(1).walk((at(16), forever), 1, 50))) == 50
+    here = Place(*COPTER_HOME)
+    route = Route(first_item=1)
+    assert route.seek((at(16), forever), 1, (here, here, GROUND_M), now_s=0.0) is None
+    assert route.complete
 
 
 MISSION: tuple[PlanItem, ...] = (
@@ -479,14 +483,14 @@ def test_a_ground_station_that_is_not_heard_for_4_9_s_sends_it_home_whoever_else
 
     def hear(system: int, kind: int, seconds: float) -> str:
         for _ in range(round(seconds * 10.0)):
-            it.take(it.autopilot.on_heartbeat(Sender(system, component=77), kind))
+            it.autopilot.on_heartbeat(Sender(system, component=77), kind)
             it.run(0.1)
         return it.mode
 
-    it.take(it.autopilot.on_heartbeat(station, 6))
+    it.autopilot.on_heartbeat(station, 6)
     assert hear(255, 18, 8.0) == "GUIDED"  # of whatever kind the one of its system id is
     assert [hear(254, 6, seconds) for seconds in (4.7, 0.4)] == ["GUIDED", "RTL"]
-    it.take(it.autopilot.on_heartbeat(station, 6))
+    it.autopilot.on_heartbeat(station, 6)
     assert it.run(0.2).texts[-1] == "GCS Failsafe Cleared"
     assert it.mode == "RTL"
 

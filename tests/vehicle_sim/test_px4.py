@@ -125,7 +125,7 @@ def test_offboard_takes_a_setpoint_and_what_came_before_it_is_a_sign_of_life_onl
 def test_home_can_be_moved_but_not_to_nowhere() -> None:
     rig, move = on_ground(), (179, 0.0, 0.0, 0.0, 0.0, 47.4, 8.55)
     results = [rig.command(*move, up_m, frame=0) for up_m in (500.0, NAN, 3.4e38)]
-    assert results == [ACCEPTED, DENIED, DENIED]
+    assert results == [ACCEPTED, REJECTED, REJECTED]
     home = rig.autopilot.home
     assert (home.latitude_deg, home.altitude_amsl_m) == (47.4, 500.0)
 

@@ -153,10 +153,8 @@ class ArduCopter(ArduPilot):
             self._lands_with_position = self.estimate.position_ok
         elif name == "RTL":
             self._begin_return()
-        elif name == "AUTO":
-            route.jumps.forget()
-            goes_on = 1 <= route.current < len(self.plans[PlanKind.MISSION])
-            self.seek(route.current if goes_on else 1)
+        elif name == "AUTO" and not self.jump(route.current):
+            self.jump(0)
 
     def _stop_target(self) -> None:
         """No take-off, no yaw, zero velocity: mode_guided.init."""
@@ -268,7 +266,7 @@ class ArduCopter(ArduPilot):
             return Result.UNSUPPORTED
         flags, place = command.parameters[1], self.place_of(command)
         changes = math.isfinite(flags) and bool(int(flags) & 1)
-        if (self.mode.name != "GUIDED" and not changes) or isinstance(place, Result):
+        if (self.mode.name != "GUIDED" and not changes) or place is None:
             return Result.DENIED
         return self.done(self.set_mode("GUIDED") and self.take(Target(), place))
 

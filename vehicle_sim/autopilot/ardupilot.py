@@ -107,10 +107,7 @@ class ArduPilot(Autopilot):
         self._fence_left_alone_s = 0.0
         self.handlers |= {
             176: self._set_mode_number,
-            179: self._set_home,
             207: self._fence_enable,
-            410: self._get_home,
-            520: self.tell,
         }
 
     # --- where the two kinds differ -----------------------------------------------------------
@@ -220,39 +217,11 @@ class ArduPilot(Autopilot):
 
     # --- commands -----------------------------------------------------------------------------
 
-    def place_of(self, command: Command) -> Place | Result:
-        """Where p5 to p7 are; of a COMMAND_LONG above sea level as in frame 0."""
-        latitude_deg, longitude_deg, altitude_m = command.parameters[4:]
-        known = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0  # NaN is not
-        if not known or not math.isfinite(altitude_m):
-            return Result.DENIED
-        home_m = None if self.home is None else self.home.altitude_amsl_m
-        height_m = values.height_amsl_m(command.frame or 0, altitude_m, home_m)
-        if height_m is None:
-            return Result.UNSUPPORTED_FRAME
-        return Place(latitude_deg, longitude_deg, height_m)
-
-    def _set_home(self, command: Command) -> Result:
-        if self.estimate.origin is None:
-            return Result.FAILED
-        p = command.parameters
-        place: Place | Result = self.estimate.place if self.estimate.position_ok else Result.FAILED
-        if p[0] != 1.0 and p[4:] != (0.0, 0.0, 0.0):
-            place = self.place_of(command)
-        if isinstance(place, Result):
-            return Result.FAILED if place is Result.DENIED else place
-        return self.set_home(place)
-
     def _fence_enable(self, command: Command) -> Result:
         if command.parameters[0] not in (0.0, 1.0):
             return Result.FAILED
         self.parameters["FENCE_ENABLE"] = command.parameters[0]
         return Result.ACCEPTED
-
-    def _get_home(self, _: Command) -> Result:
-        if self.home is not None:
-            self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
-        return self.done(self.home is not None)
 
     # --- the rest of the protocol -------------------------------------------------------------
 

@@ -213,7 +213,7 @@ class ArduPlane(FixedWing, ArduPilot):
             self.say(2, _NO_HEIGHT.format("DO_REPOSITION"))
             return Result.DENIED
         place = self.place_of(command)
-        if isinstance(place, Result) or at == [0.0, 0.0] or self.outside_fence(place):
+        if place is None or at == [0.0, 0.0] or self.outside_fence(place):
             return Result.DENIED
         if self.mode.name != "GUIDED" and not (math.isfinite(flags) and int(flags) & 1):
             return Result.FAILED

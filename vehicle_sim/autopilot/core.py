@@ -32,7 +32,8 @@ _MAX_RAD_S: Final = 10.0
 """Beyond what a gyroscope is told to feel: a heading that is set anew jumps."""
 _GROUND_STATION: Final = 6  # MAV_TYPE
 Handler = Callable[[Command], Result]
-_TELLS: Final = {410: HOME_POSITION, 519: 300, 520: AUTOPILOT_VERSION}
+_GET_HOME_POSITION: Final = 410
+_TELLS: Final = {_GET_HOME_POSITION: HOME_POSITION, 519: 300, 520: AUTOPILOT_VERSION}
 """Old commands that ask for one message."""
 
 
@@ -80,7 +81,7 @@ class Firmware:
     """The modes that commands ask for, by MAV_CMD."""
     pilot: str
     missions: str
-    """Modes of the pilot and of a mission."""
+    """Modes that a pilot holds the vehicle in, and of a mission."""
     first_item: int
     """Of a mission: ArduPilot keeps home as item 0."""
     timing: Timing
@@ -172,6 +173,8 @@ class Autopilot:
             224: self._set_mission_current,
             246: self._reboot,
             400: self._arm_or_disarm,
+            179: self._set_home,
+            **dict.fromkeys(_TELLS, self._tell),
         }
         """What answers which MAV_CMD; families and kinds add theirs."""
 
@@ -380,9 +383,8 @@ class Autopilot:
         """Make this the current item, in a mission fly it; tells whether there is such an item."""
         if not 0 <= number < max(len(self.plans[PlanKind.MISSION]), 1):
             return False
-        self.route.current, self.route.complete = number, False
+        self.route.rewind(number)
         if self.mode.name == self.firmware.missions:
-            self.route.jumps.forget()
             self.seek(max(number, self.firmware.first_item))
         return True
 
@@ -429,24 +431,38 @@ class Autopilot:
         self._said.insert(0, ack)
         return [ack._replace(result=Result.ACCEPTED)]
 
-    def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
+    def on_heartbeat(self, sender: Sender, vehicle_type: int) -> None:
         """A ground station's counts: to ArduPilot the one of its parameter, to PX4 any."""
         is_station = vehicle_type == _GROUND_STATION
         if not self.is_px4:
             is_station = sender.system == self.parameters["MAV_GCS_SYSID"]
         self.station_s = self.now_s if is_station else self.station_s
-        return ()
 
-    def set_home(self, place: Place) -> Result:
-        """DO_SET_HOME, once it is known where to."""
-        if not abs(place.altitude_amsl_m) <= values.HIGHEST_M:
+    def place_of(self, command: Command) -> Place | None:
+        """Where p5 to p7 are; of a COMMAND_LONG above sea level as in frame 0."""
+        latitude_deg, longitude_deg, altitude_m = command.parameters[4:]
+        home_m = None if self.home is None else self.home.altitude_amsl_m
+        height_m = values.height_amsl_m(command.frame or 0, altitude_m, home_m)
+        known = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0  # NaN is not
+        if not known or height_m is None or not abs(height_m) <= values.HIGHEST_M:
+            return None
+        return Place(latitude_deg, longitude_deg, height_m)
+
+    def _set_home(self, command: Command) -> Result:
+        """DO_SET_HOME: here if p1 is 1."""
+        place = self.estimate.place if self.estimate.position_ok else None
+        if command.parameters[0] != 1.0:
+            place = self.place_of(command)
+        if place is None or self.estimate.origin is None:
             return self.firmware.refused
         self.home = place
         self.send(HOME_POSITION)
         return Result.ACCEPTED
 
-    def tell(self, command: Command) -> Result:
-        """The answer to an old command that asks for one message."""
+    def _tell(self, command: Command) -> Result:
+        """An old command that asks for one message; of home, once there is one."""
+        if command.number == _GET_HOME_POSITION and self.home is None:
+            return self.firmware.refused
         self._said.append(values.SendTelemetry(_TELLS[command.number], command.sender))
         return Result.ACCEPTED
 
@@ -460,11 +476,6 @@ class Autopilot:
         return Result.ACCEPTED
 
     # --- faults -------------------------------------------------------------------------------
-
-    def pilot_takes(self) -> Sequence[Reply]:
-        """The pilot changes to the mode that pilots of this firmware hold the vehicle in."""
-        self.set_mode(self.firmware.pilot)
-        return self.taken()
 
     def move_origin(self, north_m: float, east_m: float, up_m: float) -> Sequence[Reply]:
         """The origin moves: local positions change, global ones do not."""

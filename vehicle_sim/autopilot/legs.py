@@ -5,16 +5,16 @@ A return is some of them; a mission gives them item by item, and does what is no
 
 import enum
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Final, NamedTuple, final
 
-from vehicle_sim.autopilot.values import HIGHEST_M, Place, height_amsl_m
-from vehicle_sim.plans import Jumps, PlanItem
+from vehicle_sim.autopilot import values
+from vehicle_sim.autopilot.values import Place
+from vehicle_sim.plans import PlanItem
 
 WAYPOINT, LOITER_UNLIM, _, LOITER_TIME, RETURN, LAND, TAKEOFF = range(16, 23)
-_CHANGE_SPEED: Final = 178
+_JUMP, _CHANGE_SPEED = 177, 178
 _WALKS_MOST: Final = 1000  # items at once, so that a mission of jumps alone ends
-_E7_MOST: Final = 900_000_000
 
 Does = enum.Enum("Does", "CLIMB GO LAND RETURN")
 """What there is to do at a leg's place: come to its height without going there, pass or stay,
@@ -52,12 +52,11 @@ def leg_of(item: PlanItem, here: Place, home: Place, ground_amsl_m: float) -> Le
     command, (first, second, _, yaw_deg) = item.command, item.parameters
     if command not in _DOES:
         return None
-    z_m = item.z_m if abs(item.z_m) <= HIGHEST_M else math.nan
-    height_m = height_amsl_m(item.frame, z_m, home.altitude_amsl_m, ground_amsl_m)
-    if height_m is None or height_m != height_m:
+    height_m = values.height_amsl_m(item.frame, item.z_m, home.altitude_amsl_m, ground_amsl_m)
+    if height_m is None or not abs(item.z_m) <= values.HIGHEST_M:  # nor is NaN
         height_m = here.altitude_amsl_m
     place = here.at(height_m)
-    if (item.x or item.y) and abs(item.x) <= _E7_MOST:
+    if item.x or item.y:
         place = Place(item.x * 1e-7, item.y * 1e-7, height_m)
     hold_s = first if command in (WAYPOINT, LOITER_TIME) and first > 0.0 else 0.0
     return Leg(
@@ -74,7 +73,7 @@ def leg_of(item: PlanItem, here: Place, home: Place, ground_amsl_m: float) -> Le
 class Route:
     """The legs that are flown now.  Mutable."""
 
-    def __init__(self, jumps_from: int) -> None:
+    def __init__(self, first_item: int) -> None:
         self.leg: Leg | None = None
         """None: nothing; hold."""
         self.current = 0
@@ -84,7 +83,8 @@ class Route:
         """When the leg did."""
         self.arrived_s: float | None = None
         self._next: list[Leg] = []
-        self.jumps = Jumps(jumps_from)
+        self._first_item = first_item
+        self._jumps: dict[int, int] = {}  # how often each item has been jumped from
 
     def fly(self, legs: Iterable[Leg], now_s: float) -> None:
         """These, and no mission."""
@@ -108,6 +108,13 @@ class Route:
         self.leg = self._next.pop(0) if self._next else None
         self.began_s, self.arrived_s = now_s, None
 
+    # --- a mission ----------------------------------------------------------------------------
+
+    def rewind(self, number: int = 0) -> None:
+        """Make this the current item; jumps count from 0 again."""
+        self.current, self.complete = number, False
+        self._jumps.clear()
+
     def seek(
         self,
         items: tuple[PlanItem, ...],
@@ -122,7 +129,7 @@ class Route:
         speed_m_s: float | None = None
         self.stop()
         self.began_s, self.arrived_s, self.complete = now_s, None, False
-        for at, item in self.jumps.walk(items, number, _WALKS_MOST):
+        for at, item in self._walk(items, number):
             if item.command == _CHANGE_SPEED and 0.0 < item.parameters[1] < math.inf:
                 speed_m_s = item.parameters[1]
             self.leg = leg_of(item, *about)
@@ -131,3 +138,18 @@ class Route:
                 return speed_m_s
         self.current, self.complete = max(len(items) - 1, 0), bool(items)
         return speed_m_s
+
+    def _walk(self, items: tuple[PlanItem, ...], number: int) -> Iterator[tuple[int, PlanItem]]:
+        """Items from this one on, with their numbers: one after the other, but for jumps."""
+        for _ in range(_WALKS_MOST):
+            if number >= len(items):
+                return
+            item = items[number]
+            yield number, item
+            target, times = item.parameters[:2]
+            taken = self._jumps.get(number, 0)
+            leads = item.command == _JUMP and self._first_item <= target < len(items)
+            if leads and (times < 0.0 or taken < times < math.inf):
+                self._jumps[number], number = taken + 1, int(target)
+            else:
+                number += 1

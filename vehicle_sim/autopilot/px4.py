@@ -187,11 +187,10 @@ class Px4(core.Autopilot):
             22: self._land_or_take_off,
             176: self._set_mode_number,
             178: self._change_speed,
-            179: self._set_home,
             192: self._reposition,
             300: self._start_mission,
             401: lambda _: Result.ACCEPTED,
-        } | dict.fromkeys((410, 519, 520), self.tell)
+        }
 
     # --- each step ----------------------------------------------------------------------------
 
@@ -423,13 +422,6 @@ class Px4(core.Autopilot):
             self.speed_m_s = speed_m_s if speed_m_s > 0.0 else None
         return Result.ACCEPTED
 
-    def _set_home(self, command: Command) -> Result:
-        here = command.parameters[0] == 1.0
-        if here and not self.estimate.position_ok:
-            return Result.TEMPORARILY_REJECTED
-        place = self.estimate.place if here else self._asked_by(command)
-        return self.set_home(place) if all(map(math.isfinite, place)) else Result.DENIED
-
     # --- missions -----------------------------------------------------------------------------
 
     def begin_leg(self, speed_m_s: float | None) -> None:
@@ -452,8 +444,7 @@ class Px4(core.Autopilot):
     def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
         """A mission is flown from its beginning."""
         if kind is PlanKind.MISSION:
-            self.route.jumps.forget()
-            self.route.current, self.route.complete = 0, False
+            self.route.rewind()
             if self.mode.name == "Mission":
                 self.seek(0)
         return ()

@@ -16,15 +16,15 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.core import Autopilot
 from vehicle_sim.autopilot.values import Ack, Command, Reply, Sender, SendMessage, SendTelemetry
-from vehicle_sim.plans import DO_JUMP, FENCE_COMMANDS, PlanItem, PlanKind, is_whole_fence
+from vehicle_sim.plans import FENCE_COMMANDS, PlanItem, PlanKind, is_whole_fence
 from vehicle_sim.wire.frames import make
 
 _FLOWN: Final = frozenset({16, 17, 19, 20, 21, 22})
 """What missions may do: WAYPOINT, LOITER_UNLIM and _TIME, RETURN_TO_LAUNCH, LAND, TAKEOFF.  Of what
-takes no time (from DO_JUMP on) the rest is skipped."""
+takes no time (from 177, DO_JUMP, on) the rest is skipped."""
 _RALLY: Final = frozenset({mavlink.MAV_CMD_NAV_RALLY_POINT})
 _OF_LISTS: Final = {
-    PlanKind.MISSION: _FLOWN.union(range(DO_JUMP, 1 << 16)) - FENCE_COMMANDS - _RALLY,
+    PlanKind.MISSION: _FLOWN.union(range(177, 1 << 16)) - FENCE_COMMANDS - _RALLY,
     PlanKind.FENCE: FENCE_COMMANDS,
     PlanKind.RALLY: _RALLY,
 }
