@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from vehicle_sim.autopilot.factory import HIGHEST_ID, personality_of, with_own_ids
+from vehicle_sim.autopilot.factory import HIGHEST_ID, personality_of, with_own_id
 from vehicle_sim.errors import InputError, SimulatorError
 from vehicle_sim.faults import Timeline
 from vehicle_sim.links import Link, open_link, parse_endpoint
@@ -215,9 +215,9 @@ def _with_parameters(world: World, assignments: list[str], speedup: float) -> Wo
     longer = dict[str, float]()
     if speedup != 1.0 and personality_of(vehicle).firmware.family == "px4":
         # as PX4's start script does it: a client's wall time counts
-        longer = {name: speedup * seconds for name, seconds in _PX4_TIME_OUTS_S.items()}
+        longer = {name: math.ceil(speedup * seconds) for name, seconds in _PX4_TIME_OUTS_S.items()}
     parameters = longer | vehicle.parameters | added
-    return replace(world, vehicle=with_own_ids(replace(vehicle, parameters=parameters)))
+    return replace(world, vehicle=with_own_id(replace(vehicle, parameters=parameters)))
 
 
 def _row(world: World, count: int, port_step: int) -> list[World]:

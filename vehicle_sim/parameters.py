@@ -11,7 +11,7 @@ from typing import Literal, final
 from vehicle_sim.errors import InputError, did_you_mean
 
 Firmware = Literal["ardupilot", "px4"]
-_LARGEST_FLOAT = 3.4028234663852886e38
+_LARGEST = 3.4028234663852886e38
 
 
 class Kind(enum.IntEnum):
@@ -22,13 +22,8 @@ class Kind(enum.IntEnum):
     INT32 = 6
     REAL32 = 9
 
-    @property
-    def range(self) -> tuple[float, float]:
-        """Least and greatest value."""
-        if self is Kind.REAL32:
-            return -_LARGEST_FLOAT, _LARGEST_FLOAT
-        half = 1 << {Kind.INT8: 7, Kind.INT16: 15, Kind.INT32: 31}[self]
-        return -half, half - 1
+
+_MOST = {Kind.INT8: 127.0, Kind.INT16: 32767.0, Kind.INT32: 2147483647.0, Kind.REAL32: _LARGEST}
 
 
 @final
@@ -42,13 +37,20 @@ class Parameter:
     least: float = -math.inf
     most: float = math.inf
 
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Least and greatest value, also by its type."""
+        most = _MOST[self.kind]
+        least = -most if self.kind is Kind.REAL32 else -most - 1.0
+        return max(self.least, least), min(self.most, most)
+
 
 @final
 class Parameters(UserDict[str, float]):
     """The table as it stands; the order of the rows is the order of the wire's indices.
 
     InputError for an override that is not in the table, with the nearest known name, and for one
-    that its type does not hold.
+    that its row does not hold.
     """
 
     def __init__(self, table: Iterable[Parameter], overrides: Mapping[str, float]) -> None:
@@ -61,25 +63,24 @@ class Parameters(UserDict[str, float]):
                 rule = "this autopilot has no such one"
                 remedy = did_you_mean(name, self.rows, "Leave it out.")
                 raise InputError(f"parameter {name}", value, rule, remedy)
-            least, most = self.rows[name].kind.range
-            if not least <= value <= most:  # nor is NaN
-                rule = f"must be a number from {least:.8g} to {most:.10g}"
+            (least, most), whole = self.rows[name].limits, self.rows[name].kind is not Kind.REAL32
+            if not least <= value <= most or (whole and value % 1.0):  # nor is NaN
+                number = f"a {'whole ' * whole}number"
+                rule = f"must be {number} from {least:.10g} to {most:.10g}"
                 raise InputError(f"parameter {name}", value, rule, "Give another one.")
             self[name] = value
 
     def __setitem__(self, name: str, value: float) -> None:
-        """Set within the limits of the row and its type, rounded to that.
+        """Set within the limits of the row, rounded to its type.
 
         KeyError for a name not in it.  Neither firmware takes what is not a finite number: nothing
         changes.
         """
         row = self.rows[name]
-        if not math.isfinite(value):
-            return
-        least, most = row.kind.range
-        value = min(max(value, row.least, least), row.most, most)
-        self.data[name] = value if row.kind is Kind.REAL32 else float(round(value))
-        self.version += 1
+        if math.isfinite(value):
+            value = min(max(value, row.limits[0]), row.limits[1])
+            self.data[name] = value if row.kind is Kind.REAL32 else float(round(value))
+            self.version += 1
 
 
 Readable = Mapping[str, float]

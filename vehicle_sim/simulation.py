@@ -5,7 +5,6 @@ terrain radar and the radio.
 """
 
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import replace
 from typing import Final, final
 
 from vehicle_sim import ground_station, truth
@@ -15,7 +14,6 @@ from vehicle_sim.autopilot.factory import (
     make_vehicle,
     overrides_of,
     personality_of,
-    with_own_ids,
 )
 from vehicle_sim.autopilot.values import Sender, Text
 from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
@@ -72,7 +70,6 @@ class Simulation:
         forwards_all: bool = True,
         faults: str = "",
     ) -> None:
-        world = replace(world, vehicle=with_own_ids(world.vehicle))
         table, terrain = world.vehicle, world.truth()
         self._world, self._seed, self._personality = world, seed, personality_of(table)
         self.now_us = 0

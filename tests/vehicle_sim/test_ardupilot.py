@@ -38,12 +38,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vehicle_sim.autopilot.earth import FlatEarth
-from vehicle_sim.autopilot.guards import Fence
+from vehicle_sim.autopilot.guards import Fence, Zone
 from vehicle_sim.autopilot.legs import Route
 from vehicle_sim.autopilot.values import Place, Sender
 from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.faults import GpsConditions
-from vehicle_sim.plans import PlanItem, PlanKind, Zone
+from vehicle_sim.plans import PlanItem, PlanKind
 
 ACCEPTED, _, DENIED, UNSUPPORTED, FAILED = range(5)
 STABILIZE, LOITER, GROUND_M = 0, 5, COPTER_HOME[2]

@@ -15,7 +15,7 @@ from vehicle_sim.dynamics.battery import Model
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.dynamics.plane import Plane, PlaneLimits
 from vehicle_sim.errors import InputError
-from vehicle_sim.parameters import Readable
+from vehicle_sim.parameters import Parameters, Readable
 from vehicle_sim.sensors import gps
 from vehicle_sim.sensors.gps import Receiver
 from vehicle_sim.world import LIMITS
@@ -86,27 +86,20 @@ def personality_of(vehicle: VehicleTable) -> Personality:
 
 
 def ids_of(personality: Personality, parameters: Readable) -> tuple[int, int]:
-    """System and component that an autopilot boots as; what is out of range counts as 1."""
-    ids = [int(parameters[name]) for name in personality.id_parameters]
-    system, component, *_ = (i if 1 <= i <= HIGHEST_ID else 1 for i in (*ids, 1))
+    """System and component that an autopilot boots as."""
+    system, component, *_ = (*(int(parameters[name]) for name in personality.id_parameters), 1)
     return system, component
 
 
-def with_own_ids(vehicle: VehicleTable) -> VehicleTable:
+def with_own_id(vehicle: VehicleTable) -> VehicleTable:
     """The same vehicle, whose system_id is what its parameter says, if that is given.
 
-    InputError for a system or component id that there cannot be, or that another part has.
+    InputError for a parameter that its autopilot does not have, or not with this value.
     """
     personality, parameters = personality_of(vehicle), dict(vehicle.parameters)
-    for name in personality.id_parameters:
-        value = parameters.get(name, 1.0)
-        if not (1 <= value <= HIGHEST_ID and value == int(value)):
-            rule = f"must be a whole number from 1 to {HIGHEST_ID}"
-            raise InputError(f"parameter {name}", value, rule, "Try 2.")
-    given = parameters.pop(personality.id_parameters[0], None)
-    if given is not None:
-        return replace(vehicle, system_id=int(given), parameters=parameters)
-    return vehicle
+    Parameters(personality.firmware.table, parameters)
+    system_id = parameters.pop(personality.id_parameters[0], vehicle.system_id)
+    return replace(vehicle, system_id=int(system_id), parameters=parameters)
 
 
 def make_vehicle(
@@ -120,21 +113,17 @@ def make_vehicle(
         "altitude_amsl_m": ground_amsl_m,
         "heading_rad": math.radians(vehicle.heading_deg),
     }
-    own = {
-        key: value for key in LIMITS[vehicle.kind] if (value := getattr(vehicle, key)) is not None
-    }
+    own = {key: value for key in LIMITS[vehicle.kind] if (value := getattr(vehicle, key))}
     if isinstance(usual.limits, Limits):
         drags = usual.drag if (drag_1_s := _own_drag_1_s(vehicle)) is None else (drag_1_s, 0.0)
-        named = {key.replace("_max", ""): value for key, value in own.items()}
-        limits = replace(usual.limits, **named)
+        limits = replace(usual.limits, **{key.replace("_max", ""): own[key] for key in own})
         return Copter(**here, limits=limits, drag_1_s=drags[0], drag_1_m=drags[1])
-    if (bank_deg := own.pop("bank_max_deg", None)) is not None:
-        own["bank_max_rad"] = math.radians(bank_deg)
+    if "bank_max_deg" in own:
+        own["bank_max_rad"] = math.radians(own.pop("bank_max_deg"))
     able = replace(usual.limits, **own)
     if able.airspeed_min_m_s >= able.airspeed_max_m_s:
-        value, most = able.airspeed_min_m_s, able.airspeed_max_m_s
-        rule = f"must be less than airspeed_max_m_s, which is {most:g}"
-        raise InputError("vehicle.airspeed_min_m_s", value, rule, "Give both.")
+        rule = f"must be less than airspeed_max_m_s, which is {able.airspeed_max_m_s:g}"
+        raise InputError("vehicle.airspeed_min_m_s", able.airspeed_min_m_s, rule, "Give both.")
     return Plane(**here, limits=able)
 
 

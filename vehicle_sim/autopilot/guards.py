@@ -1,12 +1,38 @@
 """What both firmwares keep an eye on: the zones of a fence; and ArduPilot's fence as a whole."""
 
 import math
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 from vehicle_sim.autopilot.earth import Frame, way_m
 from vehicle_sim.autopilot.values import Place
 from vehicle_sim.parameters import Readable
-from vehicle_sim.plans import PlanKind, Plans, Zone, forbidden, zones_of
+from vehicle_sim.plans import CIRCLE_IN, POLYGON_IN, PlanKind, Plans, zones_of
+
+Point = tuple[float, float]
+"""North and east, in metres."""
+
+
+@final
+class Zone(NamedTuple):
+    """A polygon has no radius, a circle one corner: its centre."""
+
+    keeps_in: bool
+    corners: tuple[Point, ...]
+    radius_m: float = 0.0
+
+    def surrounds(self, point: Point) -> bool:
+        """Of a polygon by the even-odd rule, so that a self-crossing one has holes."""
+        if self.radius_m > 0.0:
+            return math.dist(point, self.corners[0]) <= self.radius_m
+        inside = False
+        before_a, before_b = self.corners[-1]
+        for a, b in self.corners:
+            if (a > point[0]) != (before_a > point[0]):
+                share = (point[0] - a) / (before_a - a)
+                if point[1] < b + share * (before_b - b):
+                    inside = not inside
+            before_a, before_b = a, b
+        return inside
 
 
 @final
@@ -16,25 +42,24 @@ class Zones:
     def __init__(self, plans: Plans) -> None:
         self._plans, self._version = plans, -1
         self._frame: Frame | None = None
-        self._zones: tuple[Zone, ...] = ()
+        self._zones: list[Zone] = []
 
     def forbid(self, frame: Frame, place: Place, *, union: bool) -> bool:
         """Whether it is in a zone to keep out of, or not in those to keep in; union: in none."""
         if self._version != self._plans.version or self._frame is not frame:
-            self._version, self._frame = self._plans.version, frame
-            self._zones = zones_of(
-                self._plans[PlanKind.FENCE], lambda lat, lon: frame.ned_m(Place(lat, lon, 0.0))[:2]
-            )
+            self._version, self._frame, self._zones = self._plans.version, frame, []
+            for items in zones_of(self._plans[PlanKind.FENCE]):
+                places = (Place(each.x * 1e-7, each.y * 1e-7, 0.0) for each in items)
+                corners = tuple(frame.ned_m(each)[:2] for each in places)
+                keeps_in = items[0].command in (POLYGON_IN, CIRCLE_IN)
+                radius_m = 0.0 if len(items) > 1 else items[0].parameters[0]
+                self._zones.append(Zone(keeps_in, corners, radius_m))
         if not self._zones:
             return False
         here_m = frame.ned_m(place)[:2]
-
-        def inside(zone: Zone) -> bool:
-            if zone.radius_m > 0.0:
-                return math.dist(here_m, zone.corners[0]) <= zone.radius_m
-            return zone.surrounds(here_m)
-
-        return forbidden(self._zones, inside, union=union)
+        kept = [zone.surrounds(here_m) for zone in self._zones if zone.keeps_in]
+        is_out = bool(kept) and not (any(kept) if union else all(kept))
+        return is_out or any(each.surrounds(here_m) for each in self._zones if not each.keeps_in)
 
 
 ALTITUDE_MAX, CIRCLE, POLYGON, ALTITUDE_MIN = 1, 2, 4, 8
@@ -58,9 +83,9 @@ class Fence:
         self._parameters, self._plans, self._zones = parameters, plans, Zones(plans)
         self.breached = 0
         """Bits of FENCE_TYPE."""
-        self._breaches = self._breach_type = 0
-        """FENCE_BREACH: 1 too low, 2 too high, 3 over the edge."""
-        self._breach_s = 0.0
+        self._breaches = (0, 0, 0)
+        """How many; the last one's FENCE_BREACH (1 too low, 2 too high, 3 over the edge), and
+        milliseconds since boot."""
         self.has_floor = False
         """FENCE_ALT_MIN counts: it has been above it by the margin since it took off, and does not
         land (AC_Fence::auto_enable_fence_floor, get_auto_disable_fences)."""
@@ -72,18 +97,17 @@ class Fence:
 
     @property
     def told(self) -> tuple[int, ...] | None:
-        """FENCE_STATUS, if there is a fence: breached, how often, the last FENCE_BREACH, when."""
+        """FENCE_STATUS, if there is a fence."""
         if not (self.enabled or self._plans[PlanKind.FENCE]):
             return None
-        last = (self._breaches, self._breach_type, round(self._breach_s * 1e3))
-        return (int(bool(self.breached)), *last)
+        return (int(bool(self.breached)), *self._breaches)
 
     def outside(self, place: Place, home: Place | None, frame: Frame) -> int:
         """Which kinds of fence this place would breach: bits of FENCE_TYPE."""
         if not self.enabled or home is None:
             return 0
-        p, above_m, found = self._parameters, place.altitude_amsl_m - home.altitude_amsl_m, 0
-        kinds, union = int(p["FENCE_TYPE"]), bool(int(p["FENCE_OPTIONS"]) & 2)
+        p, above_m = self._parameters, place.altitude_amsl_m - home.altitude_amsl_m
+        kinds, union, found = int(p["FENCE_TYPE"]), bool(int(p["FENCE_OPTIONS"]) & 2), 0
         if kinds & ALTITUDE_MAX and above_m >= p["FENCE_ALT_MAX"]:
             found |= ALTITUDE_MAX
         if kinds & ALTITUDE_MIN and self.has_floor and above_m <= p["FENCE_ALT_MIN"]:
@@ -100,11 +124,8 @@ class Fence:
         is_safe = above_m >= p["FENCE_ALT_MIN"] + p["FENCE_MARGIN"]
         self.has_floor = not lands and (self.has_floor or is_safe)
         found = self.outside(place, home, frame)
-        new = found & ~self.breached
-        if new:
-            self._breaches += not self.breached
-            over_the_edge = new & (CIRCLE | POLYGON)
-            self._breach_type = 3 if over_the_edge else 2 if new & ALTITUDE_MAX else 1
-            self._breach_s = now_s
+        if new := found & ~self.breached:
+            kind = 3 if new & (CIRCLE | POLYGON) else 2 if new & ALTITUDE_MAX else 1
+            self._breaches = self._breaches[0] + (not self.breached), kind, round(now_s * 1e3)
         self.breached = found
         return new
