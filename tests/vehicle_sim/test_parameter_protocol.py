@@ -126,7 +126,7 @@ def test_a_table_takes_only_what_its_types_hold(kind: Kind, value: float) -> Non
         kept = min(max(round(kept), -half), half - 1)
     assert parameters["IT"] == kept
     if not -half <= value <= half - 1 or kept != value:
-        with pytest.raises(InputError, match="must be a (whole )?number from "):
+        with pytest.raises(InputError, match=r"must be a (whole )?number from "):
             Parameters(table, {"IT": value})
 
 

@@ -80,8 +80,6 @@ EKF3: Final = Timing(
     drift_m_s2=0.01,
     velocity_ratio=0.012,
 )
-_RECOVERY_S: Final = 10.0
-"""How long a breached fence is left alone after a mode was chosen inside the breach."""
 _BATTERY_LOW_S: Final = 10.0  # BATT_LOW_TIMER
 _GCS_LOST_S: Final = 4.9  # FS_GCS_TIMEOUT and FS_LONG_TIMEOUT 5, as measured
 
@@ -99,12 +97,11 @@ class ArduPilot(Autopilot):
         super().__init__(boot)
         self.fence = Fence(self.parameters, self.plans)
         self.failsafe = False
-        """For which the heartbeat says CRITICAL."""
+        """Of the estimator, for which the heartbeat says CRITICAL, as for the next two."""
         self.gcs_lost = False
         self.battery_acted = False
         self._was_aiding = False
-        self._battery_low_s: float | None = None
-        self._fence_left_alone_s = 0.0
+        self._battery_low_s = math.inf
         self.handlers |= {
             176: self._set_mode_number,
             207: self._fence_enable,
@@ -140,11 +137,8 @@ class ArduPilot(Autopilot):
 
     def _check_battery(self) -> None:
         battery, p = self.battery, self.parameters
-        if battery.voltage_v >= p["BATT_LOW_VOLT"] or self.battery_acted:
-            self._battery_low_s = None
-            return
-        if self._battery_low_s is None:
-            self._battery_low_s = self.now_s
+        is_low = battery.voltage_v < p["BATT_LOW_VOLT"] and not self.battery_acted
+        self._battery_low_s = min(self._battery_low_s, self.now_s) if is_low else math.inf
         if self.now_s - self._battery_low_s >= _BATTERY_LOW_S:
             self.battery_acted, action = True, int(p["BATT_FS_LOW_ACT"])
             used = f"{battery.voltage_v:.2f}V used {battery.consumed_mah:.0f} mAh"
@@ -160,8 +154,7 @@ class ArduPilot(Autopilot):
             fence.breached = 0
         else:
             here, lands = self.estimate.place, self.lands()
-            new = fence.check(here, home, self.frame, self.now_s, lands=lands)
-            if new and self.now_s >= self._fence_left_alone_s:
+            if new := fence.check(here, home, self.frame, self.now_s, lands=lands):
                 self.say(5, f"{named(new)} fence breached")
                 if action := int(self.parameters["FENCE_ACTION"]):
                     self.on_failsafe("Fence", action)
@@ -190,13 +183,7 @@ class ArduPilot(Autopilot):
         if not (math.isfinite(flags) and int(flags) & 1):
             return Result.DENIED
         name = next((each.name for each in self.firmware.modes if each.number == number), None)
-        was_breached = self.fence.breached
-        if name is None or not self.set_mode(name):
-            return Result.FAILED
-        if was_breached and self.fence.enabled:
-            self._fence_left_alone_s = self.now_s + _RECOVERY_S
-            self.fence.breached = was_breached
-        return Result.ACCEPTED
+        return self.done(name is not None and self.set_mode(name))
 
     def refusal(self) -> str | None:
         """Why it may not be armed now."""
@@ -225,12 +212,6 @@ class ArduPilot(Autopilot):
 
     # --- the rest of the protocol -------------------------------------------------------------
 
-    def local_ned_m(self) -> values.Vector | None:
-        """Position in the estimator's frame, while it has one."""
-        if self.estimate.origin is None or not self.estimate.aiding:
-            return None
-        return super().local_ned_m()
-
     def status(self) -> values.Status:
         """The status for telemetry."""
         landed, state = Landed.IN_AIR, State.ACTIVE
@@ -240,11 +221,10 @@ class ArduPilot(Autopilot):
             landed = Landed.LANDING
         elif self.climbs_out():
             landed = Landed.TAKEOFF
-        is_plane = self.firmware.vehicle_type == 1
-        if self.failsafe or (is_plane and (self.gcs_lost or self.battery_acted)):
+        if self.failsafe or self.gcs_lost or self.battery_acted:
             state = State.CRITICAL
         if self.now_s < self.firmware.ready_s:
-            state = State.CALIBRATING if is_plane else State.BOOT
+            state = State.BOOT if self.firmware.vehicle_type == 2 else State.CALIBRATING
         return values.Status(
             mode=self.mode.number,
             base_mode=self.base_mode() | (0x80 if self.armed else 0),

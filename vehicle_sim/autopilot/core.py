@@ -301,8 +301,9 @@ class Autopilot:
         return tuple(min(max(t / self.step_s, -_MAX_RAD_S), _MAX_RAD_S) for t in turned)
 
     def local_ned_m(self) -> values.Vector | None:
-        """Position in the estimator's frame."""
-        return self.frame.ned_m(self.estimate.place)
+        """Position in the estimator's frame; ArduPilot tells it while it uses GPS."""
+        known = self.is_px4 or (self.estimate.origin is not None and self.estimate.aiding)
+        return self.frame.ned_m(self.estimate) if known else None
 
     # --- modes and arming ---------------------------------------------------------------------
 
