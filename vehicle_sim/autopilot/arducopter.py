@@ -374,10 +374,19 @@ class ArduCopter(ArduPilot):
     # --- flying -------------------------------------------------------------------------------
 
     def move(self) -> None:
-        """Thrust, and turn the nose."""
-        level, up = getattr(self, self.mode.flies)()
-        self.copter.advance(level.real, level.imag, up, self.step_s)
-        self.copter.heading_rad = self._heading_rad()
+        """Thrust, and turn the nose: ahead, but in RTL (WP_YAW_BEHAVIOR 2)."""
+        copter, (level, up) = self.copter, getattr(self, self.mode.flies)()
+        copter.advance(level.real, level.imag, up, self.step_s)
+        wanted_rad, rate = self._yaw_rad, self._yaw_rate_rad_s
+        if wanted_rad != wanted_rad and rate != rate and self.mode.name in ("GUIDED", "AUTO"):
+            way = copter.velocity_m_s if self.nose_follows_motion else self.control.velocity
+            if abs(way) >= _MOVING_SHARE * self.tuning.speeds_m_s[0]:
+                wanted_rad = math.atan2(way.imag, way.real)
+        if wanted_rad == wanted_rad:
+            rate = _TURN_1_S * math.remainder(wanted_rad - copter.heading_rad, math.tau)
+            rate = min(max(rate, -_SLEW_RAD_S), _SLEW_RAD_S)
+        if rate == rate:
+            copter.heading_rad = (copter.heading_rad + rate * self.step_s) % math.tau
 
     def _hold(self, climb_m_s: float, *, level: bool = False) -> Order:
         """To a standstill, climbing at this rate; without a position only the lean goes."""
@@ -479,25 +488,6 @@ class ArduCopter(ArduPilot):
             there = abs(rise_m) < _CLIMBED_M if returns else rise_m < _REACHED_M
         soon = returns and not leg.hold_s and self.now_s - self.route.began_s < _RETURN_STAGE_S
         return there and not soon
-
-    # --- the nose -----------------------------------------------------------------------------
-
-    def _heading_rad(self) -> float:
-        """One step on, from 0 to 2 pi: ahead, but in RTL (WP_YAW_BEHAVIOR 2)."""
-        copter, wanted_rad, rate = self.copter, self._yaw_rad, self._yaw_rate_rad_s
-        now_rad = copter.heading_rad
-        if wanted_rad != wanted_rad and rate == rate:
-            return (now_rad + rate * self.step_s) % math.tau
-        if wanted_rad != wanted_rad:
-            way = self.control.velocity
-            if self.nose_follows_motion:
-                way = copter.velocity_m_s
-            is_slow = abs(way) < _MOVING_SHARE * self.tuning.speeds_m_s[0]
-            if is_slow or self.mode.name not in ("GUIDED", "AUTO"):
-                return now_rad
-            wanted_rad = math.atan2(way.imag, way.real)
-        rate = _TURN_1_S * math.remainder(wanted_rad - now_rad, math.tau)
-        return (now_rad + min(max(rate, -_SLEW_RAD_S), _SLEW_RAD_S) * self.step_s) % math.tau
 
     # --- telling ------------------------------------------------------------------------------
 

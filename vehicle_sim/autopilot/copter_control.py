@@ -89,7 +89,6 @@ class PositionControl:
 
     def __init__(self, estimate: Estimator) -> None:
         self._estimate = estimate
-        self._scale = (1.0, 1.0)  # metres of a degree, of latitude and longitude, where it flies
         self._lean = self._asked = 0j
         self.start()
 
@@ -104,7 +103,8 @@ class PositionControl:
         self.start_climb()
 
     def _start_level(self, integral: complex, acceleration: complex = 0j) -> None:
-        self._place_deg, self.velocity = self._here_deg, self._estimate.velocity_m_s
+        e = self._estimate
+        self._place_deg, self.velocity = complex(e.latitude_deg, e.longitude_deg), e.velocity_m_s
         self._acceleration, self._integral = acceleration, integral
         self._derivative, self._limited = 0j, 0j
         self._error: complex | None = None
@@ -119,11 +119,6 @@ class PositionControl:
         self._start_level(0j, acceleration)
         self._lean = acceleration
 
-    @property
-    def _here_deg(self) -> complex:
-        """Where it believes to be."""
-        return complex(self._estimate.latitude_deg, self._estimate.longitude_deg)
-
     def _metres(self, from_deg: complex, to_deg: complex) -> complex:
         """From one place to another, the shorter way round the earth."""
         east_deg = degrees_east(from_deg.imag, to_deg.imag)
@@ -131,8 +126,10 @@ class PositionControl:
 
     def off_m(self, place: Place) -> complex:
         """From here to a place."""
-        self._scale = metres_per_degree(self._estimate.latitude_deg)
-        return self._metres(self._here_deg, place.deg)
+        here = self._estimate
+        self._scale = metres_per_degree(here.latitude_deg)
+        here_deg = complex(here.latitude_deg, here.longitude_deg)
+        return self._metres(here_deg, complex(place.latitude_deg, place.longitude_deg))
 
     # --- what is asked for --------------------------------------------------------------------
 
@@ -151,11 +148,14 @@ class PositionControl:
         place: one that moves like that, and the way there no faster than at these speeds; paced:
         it does not move, and the climb and the way there are in proportion.
         """
+        here = self._estimate
+        self._here_deg = complex(here.latitude_deg, here.longitude_deg)
+        self._scale = metres_per_degree(here.latitude_deg)
         self._move(dt_s)
         velocity, climb_m_s = moves or (self.velocity, self.climb_m_s)
         (speed_m_s, up_m_s, down_m_s), to_go, rise_m = speeds_m_s, 0j, 0.0
         if place is not None:
-            to_go = self._metres(self._place_deg, place.deg)
+            to_go = self._metres(self._place_deg, complex(place.latitude_deg, place.longitude_deg))
             rise_m = place.altitude_amsl_m - self._altitude_amsl_m
         if paced:  # the slower of the two sets the pace, as kinematic_limit does
             away_m, high_m, most_up = abs(to_go), abs(rise_m), up_m_s if rise_m >= 0.0 else down_m_s
@@ -170,7 +170,6 @@ class PositionControl:
 
     def _move(self, dt_s: float) -> None:
         """The desired state one step on; where the lean is at its limit it waits."""
-        self._scale = metres_per_degree(self._estimate.latitude_deg)
         pushed, limit = self._acceleration, self._limited.conjugate()
         step = self.velocity * dt_s + pushed * (0.5 * dt_s * dt_s)
         if limit:

@@ -129,11 +129,6 @@ class Place(NamedTuple):
     longitude_deg: float
     altitude_amsl_m: float
 
-    @property
-    def deg(self) -> complex:
-        """Latitude + longitude j."""
-        return complex(self.latitude_deg, self.longitude_deg)
-
     def at(self, altitude_amsl_m: float) -> "Place":
         """Above or below it."""
         return Place(self.latitude_deg, self.longitude_deg, altitude_amsl_m)
