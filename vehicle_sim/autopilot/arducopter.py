@@ -95,7 +95,6 @@ class ArduCopter(ArduPilot):
         in `_moves` and `_feed`."""
         self._heard_s = 0.0
         """When that came."""
-        self._refused_text = ""
         self._lands_with_position = True
         self._pauses_until_s = 0.0
         self._ekf_failures = 0
@@ -146,14 +145,12 @@ class ArduCopter(ArduPilot):
 
     def begin(self) -> None:
         """Fly the mode from now on."""
-        route, name = self.route, self.mode.name
         self._stop_target()
-        route.stop()
-        if name == "LAND":
-            self._lands_with_position = self.estimate.position_ok
-        elif name == "RTL":
+        self.route.stop()
+        self._lands_with_position = self.estimate.position_ok
+        if self.mode.name == "RTL":
             self._begin_return()
-        elif name == "AUTO" and not self.jump(route.current):
+        elif self.mode.name == "AUTO" and not self.jump(self.route.current):
             self.jump(0)
 
     def _stop_target(self) -> None:
@@ -191,9 +188,9 @@ class ArduCopter(ArduPilot):
             self._was_glitching = glitches
             self.say(2, "GPS Glitch or Compass error" if glitches else "Glitch cleared")
         is_bad = self.armed and estimate.origin is not None and not estimate.position_ok
-        before = self._ekf_failures
-        self._ekf_failures = min(max(before + (1 if is_bad else -1), 0), _EKF_CHECKS)
-        if self._ekf_failures == _EKF_CHECKS > before:
+        failures = self._ekf_failures + 1 if is_bad else self._ekf_failures - 1
+        self._ekf_failures = min(max(failures, 0), _EKF_CHECKS)
+        if self._ekf_failures == _EKF_CHECKS and not self.failsafe:
             self.say(2, "EKF variance")
             self.failsafe = True
             needy = self.mode.needs_position or self.mode.name == "LAND"
@@ -282,9 +279,8 @@ class ArduCopter(ArduPilot):
         target = read_by_arducopter(setpoint, self.copter.heading_rad)
         if isinstance(target, Stop):
             self._stop_target()
-            if target.text and target.text != self._refused_text:
+            if target.text:
                 self.say(2, target.text)
-            self._refused_text = target.text
             return self.taken()
         (x, y, z), place = target.position, None
         if target.is_global and given(target.position):
@@ -294,7 +290,6 @@ class ArduCopter(ArduPilot):
         elif given(target.position):
             about = self.frame if target.frame == LOCAL_NED else FlatEarth(self.estimate.place)
             place = about.place(x, y, z)
-        self._refused_text = ""
         self.take(target, place)
         return ()
 
@@ -350,13 +345,12 @@ class ArduCopter(ArduPilot):
 
     def lifts_off(self) -> bool:
         """When a take-off has spooled up."""
-        if not self.climbs_out() or self.now_s - self.armed_s < _LIFTS_AFTER_ARMING_S:
-            return False
-        if self.now_s - self.route.began_s < _LIFTS_AFTER_COMMAND_S:
-            return False
-        self.take_to_the_air()
-        self.control.rest()
-        return True
+        lifts = self.climbs_out() and self.now_s - self.armed_s >= _LIFTS_AFTER_ARMING_S
+        lifts = lifts and self.now_s - self.route.began_s >= _LIFTS_AFTER_COMMAND_S
+        if lifts:
+            self.take_to_the_air()
+            self.control.rest()
+        return lifts
 
     def touch_down(self) -> None:
         """Come to rest on the terrain, or in it."""
@@ -446,25 +440,19 @@ class ArduCopter(ArduPilot):
         home = self.home or here
         height_m = max(here.altitude_amsl_m, home.altitude_amsl_m + p["RTL_ALT"] / 100.0)
         self.route.fly(back(here, home, height_m, p["RTL_LOIT_TIME"] / 1000.0), self.now_s)
-        self._lands_with_position = True
 
     def begin_leg(self, speed_m_s: float | None) -> None:
         """Another item of the mission, or none any more."""
-        route, here = self.route, self.estimate.place
-        leg = route.leg
+        leg = self.route.leg
         if speed_m_s is not None:
             self._speeds_m_s = (speed_m_s, *self._speeds_m_s[1:])
         self.control.start_climb()
-        self._lands_with_position = True
         if leg is None:
             self._restart(Kind.VELOCITY)
         elif leg.does is Does.RETURN:
             self._begin_return()
-        elif leg.does is Does.LAND:
-            route.leg = leg._replace(place=leg.place.at(here.altitude_amsl_m))
         elif leg.does is Does.CLIMB:
-            height_m = max(leg.place.altitude_amsl_m, here.altitude_amsl_m)
-            route.leg = leg._replace(place=here.at(height_m), hold_s=_REACHED_S)
+            self.route.leg = leg._replace(hold_s=_REACHED_S)
 
     def fly_legs(self) -> Order:
         """AUTO, RTL, a take-off: a place after the other."""
@@ -518,10 +506,10 @@ class ArduCopter(ArduPilot):
     def waypoint(self) -> values.Waypoint | None:
         """While it flies to a place that does not move."""
         leg, here, place = self.route.leg, self.estimate.place, None
-        if self.mode.name == "GUIDED" and self.kind is Kind.POSITION:
-            place = self._target
-        elif leg is not None and self.mode.name != "GUIDED":
-            place = None if (leg.does, leg.command) == (Does.LAND, RETURN) else leg.place
+        if self.mode.name == "GUIDED":
+            place = self._target if self.kind is Kind.POSITION else None
+        elif leg is not None and (leg.does, leg.command) != (Does.LAND, RETURN):
+            place = leg.place
         if place is None:
             return None
         way = way_m(here, place)

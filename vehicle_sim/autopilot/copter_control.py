@@ -53,14 +53,9 @@ class Tuning(NamedTuple):
 
 def rate_for(error: float, gain: float, limit: float, dt_s: float) -> float:
     """Rate that corrects an error: linear when it is small, then as its slowing down permits."""
-    linear = limit / (gain * gain)
-    if error > linear:
-        rate = math.sqrt(2.0 * limit * (error - 0.5 * linear))
-    elif error < -linear:
-        rate = -math.sqrt(2.0 * limit * (-error - 0.5 * linear))
-    else:
-        rate = error * gain
-    return error / dt_s if abs(rate) * dt_s > abs(error) else rate
+    size, linear = abs(error), limit / (gain * gain)
+    rate = size * gain if size <= linear else math.sqrt(2.0 * limit * (size - 0.5 * linear))
+    return math.copysign(min(rate, size / dt_s), error)
 
 
 def clipped(vector: complex, most: float) -> complex:

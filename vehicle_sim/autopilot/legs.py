@@ -48,16 +48,21 @@ def back(here: Place, home: Place, altitude_amsl_m: float, hold_s: float) -> lis
 
 
 def leg_of(item: PlanItem, here: Place, home: Place, ground_amsl_m: float) -> Leg | None:
-    """What an item is to fly; None: nothing.  Without coordinates it is here."""
+    """What an item is to fly; None: nothing.  Without coordinates it is here.
+
+    A take-off goes straight up, and to the place of a landing at the present height.
+    """
     command, (first, second, _, yaw_deg) = item.command, item.parameters
     if command not in _DOES:
         return None
     height_m = values.height_amsl_m(item.frame, item.z_m, home.altitude_amsl_m, ground_amsl_m)
     if height_m is None or not abs(item.z_m) <= values.HIGHEST_M:  # nor is NaN
         height_m = here.altitude_amsl_m
-    place = here.at(height_m)
-    if item.x or item.y:
-        place = Place(item.x * 1e-7, item.y * 1e-7, height_m)
+    place = Place(item.x * 1e-7, item.y * 1e-7, height_m) if item.x or item.y else here.at(height_m)
+    if command == TAKEOFF:
+        place = here.at(max(height_m, here.altitude_amsl_m))
+    elif command == LAND:
+        place = place.at(here.altitude_amsl_m)
     hold_s = first if command in (WAYPOINT, LOITER_TIME) and first > 0.0 else 0.0
     return Leg(
         _DOES[command],
