@@ -8,18 +8,18 @@ axis by itself, and what it does not like counts as no setpoint at all.
 import math
 from typing import Final, NamedTuple, final
 
-from vehicle_sim.autopilot.values import FRAMES_ABOVE_TERRAIN, Setpoint, Vector, height_amsl_m
+from vehicle_sim.autopilot.values import Setpoint, Vector, height_amsl_m
 
-IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_ACCELERATION = 0x007, 0x038, 0x1C0
-IGNORE_YAW, IGNORE_YAW_RATE = 0x400, 0x800
+_POSITION, _VELOCITY, _ACCELERATION, _YAW, _YAW_RATE = 0x007, 0x038, 0x1C0, 0x400, 0x800
+"""Bits of type_mask that these are ignored by."""
 _FORCE: Final = 0x200
 LOCAL_NED, _LOCAL_OFFSET_NED, _BODY_NED, _BODY_OFFSET_NED = 1, 7, 8, 9
 _GLOBAL_INT: Final = (5, 6, 11)
 _NAN: Final = math.nan
 NOTHING: Final = (_NAN, _NAN, _NAN)
-_FARTHEST_M: Final = 1e6
-_FASTEST_M_S: Final = 1000.0
-"""Of ArduCopter: positions beyond abort its process, velocities beyond stop it."""
+_MOST, _FASTEST_M_S = 1e6, 1000.0
+"""Of ArduCopter: other values beyond the one abort its process, velocities beyond the other stop
+it."""
 
 
 @final
@@ -59,38 +59,35 @@ def turned(vector: Vector, heading_rad: float) -> Vector:
 
 def read_by_arducopter(setpoint: Setpoint, heading_rad: float) -> Target | Stop:
     """Decode a setpoint as ArduCopter does in GUIDED."""
-    mask, is_global, frame = setpoint.type_mask, setpoint.is_global, setpoint.frame
-    moves, asked = not mask & IGNORE_VELOCITY, not mask & IGNORE_ACCELERATION
-    position = NOTHING if mask & IGNORE_POSITION else setpoint.position
-    velocity = setpoint.velocity_ned_m_s if moves else NOTHING
-    has_place = not mask & IGNORE_POSITION
-    pushes = asked and not (is_global and has_place and moves)  # which has no acceleration
-    push = setpoint.acceleration_ned_m_s2 if pushes else NOTHING
-    yaw_rad = _NAN if mask & IGNORE_YAW else setpoint.yaw_rad
-    yaw_rate_rad_s = _NAN if mask & IGNORE_YAW_RATE else setpoint.yaw_rate_rad_s
-    if (
-        (asked and (mask & _FORCE or (has_place and not moves)))
-        or (moves and not all(abs(v) <= _FASTEST_M_S for v in velocity))
-        or not (has_place or moves or pushes)
-        or not (is_global or frame in (LOCAL_NED, _LOCAL_OFFSET_NED, _BODY_NED, _BODY_OFFSET_NED))
-    ):
+    is_global, frame, mask = setpoint[:3]
+    place = None if mask & _POSITION else setpoint.position
+    velocity = None if mask & _VELOCITY else setpoint.velocity_ned_m_s
+    push = None if mask & _ACCELERATION else setpoint.acceleration_ned_m_s2
+    yaw_rad = 0.0 if mask & _YAW else setpoint.yaw_rad
+    yaw_rate_rad_s = 0.0 if mask & _YAW_RATE else setpoint.yaw_rate_rad_s
+    if push and (mask & _FORCE or (place and not velocity)):
         return Stop()
-    used = [*(position if has_place else ()), *(push if pushes else ())]
-    used += [] if mask & IGNORE_YAW else [yaw_rad]
-    used += [] if mask & IGNORE_YAW_RATE else [yaw_rate_rad_s]
-    if not all(map(math.isfinite, used)):
-        return Stop("SIM: setpoint not finite refused: aborts ArduPilot")
-    if has_place and max(map(abs, position)) > _FARTHEST_M:
-        return Stop("SIM: setpoint too far refused: aborts ArduPilot")
-    if is_global and has_place:
-        unknown = height_amsl_m(frame, 0.0, 0.0) is None
-        wild = abs(position[0]) > 90.0 or abs(position[1]) > 180.0
-        if unknown or wild or (frame in FRAMES_ABOVE_TERRAIN and moves):
+    if is_global and place and velocity:
+        push = None  # it is not even read
+    if velocity and not all(abs(v) <= _FASTEST_M_S for v in velocity):
+        return Stop()
+    known = is_global or frame in (LOCAL_NED, _LOCAL_OFFSET_NED, _BODY_NED, _BODY_OFFSET_NED)
+    if not known or not (place or velocity or push):
+        return Stop()
+    used = (*(place or ()), *(push or ()), yaw_rad, yaw_rate_rad_s)
+    if not all(abs(v) <= _MOST for v in used):  # nor is NaN
+        return Stop("SIM: setpoint not finite or too far refused: aborts ArduPilot")
+    if is_global and place:
+        wild = abs(place[0]) > 90.0 or abs(place[1]) > 180.0
+        unknown = height_amsl_m(frame, 0.0, 0.0, None if velocity else 0.0) is None
+        if wild or unknown:
             return Stop()
+    vectors = [each or NOTHING for each in (place, velocity, push)]
     if not is_global and frame in (_BODY_NED, _BODY_OFFSET_NED):
-        position, velocity, push = (turned(v, heading_rad) for v in (position, velocity, push))
+        vectors = [turned(each, heading_rad) for each in vectors]
         yaw_rad += heading_rad
-    return Target(position, velocity, push, yaw_rad, yaw_rate_rad_s, is_global, frame)
+    yaws = (_NAN if mask & _YAW else yaw_rad, _NAN if mask & _YAW_RATE else yaw_rate_rad_s)
+    return Target(vectors[0], vectors[1], vectors[2], *yaws, is_global, frame)
 
 
 def read_by_px4(setpoint: Setpoint, heading_rad: float) -> Target | None:
@@ -102,7 +99,7 @@ def read_by_px4(setpoint: Setpoint, heading_rad: float) -> Target | None:
     if mask & _FORCE and any(map(math.isfinite, acceleration)):
         return None
     if setpoint.is_global:
-        if mask & IGNORE_POSITION:  # any ignored axis drops the position, whatever the frame
+        if mask & _POSITION:  # any ignored axis drops the position, whatever the frame
             position = NOTHING
         elif frame not in _GLOBAL_INT:
             return None
@@ -114,8 +111,8 @@ def read_by_px4(setpoint: Setpoint, heading_rad: float) -> Target | None:
         return None
     if not any(map(math.isfinite, position + velocity + acceleration)):
         return None
-    yaw_rad = _NAN if mask & IGNORE_YAW else _finite(setpoint.yaw_rad)
-    rate_rad_s = _NAN if mask & IGNORE_YAW_RATE else _finite(setpoint.yaw_rate_rad_s)
+    yaw_rad = _NAN if mask & _YAW else _finite(setpoint.yaw_rad)
+    rate_rad_s = _NAN if mask & _YAW_RATE else _finite(setpoint.yaw_rate_rad_s)
     return Target(position, velocity, acceleration, yaw_rad, rate_rad_s, setpoint.is_global, frame)
 
 
