@@ -51,6 +51,7 @@ FIRMWARE: Final = firmware(
     disarms="Disarming motors",
 )
 
+_GLITCHING: Final = 0x8000  # flag of the estimator: GPS is refused, or was until a moment ago
 _EKF_CHECKS: Final = 10  # in a row, ten a second, before the failsafe acts
 _LIFTS_AFTER_ARMING_S, _LIFTS_AFTER_COMMAND_S = 3.43, 1.45
 """Spooling up: from arming and from the take-off's command to leaving the ground."""
@@ -183,7 +184,7 @@ class ArduCopter(ArduPilot):
     def check(self) -> None:
         """Ten times a second: it cannot fly without a position."""
         super().check()
-        estimate, glitches = self.estimate, self.estimate.glitching
+        estimate, glitches = self.estimate, bool(self.estimate.flags & _GLITCHING)
         if glitches is not self._was_glitching:
             self._was_glitching = glitches
             self.say(2, "GPS Glitch or Compass error" if glitches else "Glitch cleared")

@@ -122,7 +122,7 @@ class Estimator:
         self.frozen_altitude_amsl_m: float | None = None
         """Reported altitude AMSL while the position is lost; None: what it believes."""
         self._fix: Fix | None = None
-        self._now_s = self._trusted_s = self._precise_s = self._calm_s = 0.0
+        self._now_s = self._calm_s = 0.0
         self._seen_s: float | None = None
         """Since when there are fixes that are not used yet, and since when they are refused."""
         self._refused_s: float | None = None
@@ -142,12 +142,11 @@ class Estimator:
     @property
     def precise(self) -> bool:
         """Whether it is good enough for all modes, and not for landing only."""
-        return self.position_ok and self._now_s >= self._precise_s
+        return self.position_ok and self._is_back_for(self.timing.precise_s)
 
-    @property
-    def glitching(self) -> bool:
-        """Whether GPS is refused, or was until a moment ago."""
-        return self.state in (State.GLITCH, State.YIELDS)
+    def _is_back_for(self, wait_s: float) -> bool:
+        """So long, if GPS had been lost."""
+        return self.returned_s is None or self._now_s >= self.returned_s + wait_s
 
     # --- each step ----------------------------------------------------------------------------
 
@@ -171,8 +170,8 @@ class Estimator:
         if self._held:
             self._held *= math.exp(-dt_s / self.timing.jump_s)
             self._held = 0j if abs(self._held) < 1e-3 else self._held
-        if not self.position_ok:
-            self.position_ok = self.state in _FLYING and now_s >= self._trusted_s
+        if not self.position_ok and self.state in _FLYING:
+            self.position_ok = self._is_back_for(self.timing.trusted_s)
 
     def follow(self) -> None:
         """The estimate once the vehicle has moved."""
@@ -270,10 +269,7 @@ class Estimator:
                 self._come_back(now_s - self._seen_s, fix)
             elif state is State.LOST and silent_s >= timing.stopped_s:
                 self._be(State.STOPPED)
-                self.aiding = False
-                if timing.freezes:
-                    self.frozen_altitude_amsl_m = self.altitude_amsl_m
-                    self.velocity_m_s = 0j
+                self.velocity_m_s = 0j if timing.freezes else self.velocity_m_s
         elif silent_s >= timing.lost_s:
             self._be(State.LOST)
             self._refused_s = self.returned_s = None
@@ -313,15 +309,16 @@ class Estimator:
         else:
             self._jump(self._innovation(fix))
             self.returned_s = now_s
-            self._trusted_s, self._precise_s = now_s + timing.trusted_s, now_s + timing.precise_s
-        self.aiding, self._drift, self.used_s, self._seen_s = True, None, now_s, None
+        self._drift, self.used_s, self._seen_s = None, now_s, None
         self._be(State.GOOD)
         self._tell(0.0)
 
     def _be(self, state: State) -> None:
         self.state = state
         self.flags = self.timing.flags[state]
-        self.frozen_altitude_amsl_m = None
+        self.aiding = state is not State.STOPPED
+        frozen = self.timing.freezes and not self.aiding
+        self.frozen_altitude_amsl_m = self.altitude_amsl_m if frozen else None
 
     def shift(self, north_m: float, east_m: float) -> None:
         """A fault: the position jumps by this much at once."""
