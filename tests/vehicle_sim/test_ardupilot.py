@@ -82,7 +82,7 @@ def echo_m(it: ArduCopter) -> Vector:
         *((176, (1, NAN), FAILED), (176, (NAN, 4), DENIED), (400, (7,), UNSUPPORTED)),
         (22, (0, 0, 0, 0, 0, 0, 30), FAILED),  # disarmed
         *((520, (1,), ACCEPTED), (410, (), FAILED), (179, (1,), FAILED)),  # there is no home yet
-        *((207, (1,), ACCEPTED), (207, (7,), FAILED), (246, (1,), ACCEPTED), (224, (NAN,), DENIED)),
+        *((207, (1,), ACCEPTED), (207, (7,), FAILED), (246, (1,), ACCEPTED), (224, (NAN,), FAILED)),
         (246, (0,), UNSUPPORTED),
         (20, (), ACCEPTED),  # a mode change, which is not checked while disarmed
         *((300, (), FAILED), (178, (1, 0), FAILED), (31000, (), UNSUPPORTED)),

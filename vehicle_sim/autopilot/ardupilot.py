@@ -55,6 +55,7 @@ def firmware(
         missions="AUTO",
         first_item=1,
         frame=FlatEarth,
+        ids=("MAV_SYSID",),
         refused=Result.FAILED,
         cannot_arm="Arm: {}",
         **own,

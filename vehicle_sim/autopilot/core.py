@@ -86,6 +86,8 @@ class Firmware:
     """Of a mission: ArduPilot keeps home as item 0."""
     timing: Timing
     frame: Callable[[Place], Frame]
+    ids: tuple[str, ...]
+    """Parameters of its system id, and of its component id if that is not 1."""
     ready_s: float = 0.0
     """It has booted: heartbeats of an ArduPilot say so."""
     prearm_s: float
@@ -170,7 +172,7 @@ class Autopilot:
         self._attitudes_rad = ((0.0, 0.0, boot.vehicle.heading_rad),) * 2
         """Before the last step and after it."""
         self.handlers: dict[int, Handler] = {
-            224: self._set_mission_current,
+            224: lambda command: self.done(self.jump(command.parameters[0])),  # also by message
             246: self._reboot,
             400: self._arm_or_disarm,
             179: self._set_home,
@@ -269,7 +271,8 @@ class Autopilot:
 
     def _wait_on_ground(self) -> None:
         """Believe the landing after a while, and disarm."""
-        if self.armed and (self.wants_up() or self.rolling_m_s > self.lies_below_m_s):
+        rolls = abs(self.vehicle.velocity_m_s) > self.lies_below_m_s
+        if self.armed and (self.wants_up() or rolls):
             self.touched_s = None
         elif not self.landed:
             self.touched_s = self.now_s if self.touched_s is None else self.touched_s
@@ -285,11 +288,6 @@ class Autopilot:
     def height_m(self) -> float:
         """Above the ground, by a distance sensor."""
         return max(self.vehicle.altitude_amsl_m - self.ground_m, 0.0)
-
-    @property
-    def rolling_m_s(self) -> float:
-        """Speed over the ground, by its wheels."""
-        return math.hypot(*self.vehicle.velocity_neu_m_s[:2])
 
     @property
     def rates_rad_s(self) -> tuple[float, ...]:
@@ -380,21 +378,14 @@ class Autopilot:
         elif leaves:
             route.go_on(self.now_s)
 
-    def jump(self, number: int) -> bool:
+    def jump(self, to: float) -> bool:
         """Make this the current item, in a mission fly it; tells whether there is such an item."""
-        if not 0 <= number < max(len(self.plans[PlanKind.MISSION]), 1):
+        if not 0.0 <= to < max(len(self.plans[PlanKind.MISSION]), 1):  # nor is NaN
             return False
-        self.route.rewind(number)
+        self.route.rewind(int(to))
         if self.mode.name == self.firmware.missions:
-            self.seek(max(number, self.firmware.first_item))
+            self.seek(max(int(to), self.firmware.first_item))
         return True
-
-    def _set_mission_current(self, command: Command) -> Result:
-        """MISSION_SET_CURRENT comes here too."""
-        number = command.parameters[0]
-        if not math.isfinite(number):
-            return Result.DENIED
-        return self.done(self.jump(int(number)))
 
     def reached(self, number: int) -> None:
         """Send MISSION_ITEM_REACHED to all links."""

@@ -48,12 +48,6 @@ class Personality:
     drag: tuple[float, float] = (0.0, 0.0)
     """Of a copter: 1/s, and 1/m for the square of the speed.  PX4's is a parameter (SIH_KDV)."""
 
-    @property
-    def id_parameters(self) -> tuple[str, ...]:
-        """Which hold the system, and of PX4 the component, which otherwise is 1."""
-        is_px4 = self.firmware.family == "px4"
-        return ("MAV_SYS_ID", "MAV_COMP_ID") if is_px4 else ("MAV_SYSID",)
-
 
 _ARDUCOPTER: Final = Personality(
     *(arducopter.ArduCopter, arducopter.FIRMWARE, gps.ARDUCOPTER, "ardupilot copter", _COPTER),
@@ -87,7 +81,7 @@ def personality_of(vehicle: VehicleTable) -> Personality:
 
 def ids_of(personality: Personality, parameters: Readable) -> tuple[int, int]:
     """System and component that an autopilot boots as."""
-    system, component, *_ = (*(int(parameters[name]) for name in personality.id_parameters), 1)
+    system, component, *_ = (*(int(parameters[name]) for name in personality.firmware.ids), 1)
     return system, component
 
 
@@ -98,7 +92,7 @@ def with_own_id(vehicle: VehicleTable) -> VehicleTable:
     """
     personality, parameters = personality_of(vehicle), dict(vehicle.parameters)
     Parameters(personality.firmware.table, parameters)
-    system_id = parameters.pop(personality.id_parameters[0], vehicle.system_id)
+    system_id = parameters.pop(personality.firmware.ids[0], vehicle.system_id)
     return replace(vehicle, system_id=int(system_id), parameters=parameters)
 
 
@@ -150,5 +144,5 @@ def overrides_of(vehicle: VehicleTable) -> dict[str, float]:
         follow["WPNAV_ACCEL_Z"] = most_m_s2 and most_m_s2 * 100.0
         follow["ANGLE_MAX"] = vehicle.acceleration_max_m_s2 and _STEEPEST_CDEG
     known = {name: value for name, value in follow.items() if value is not None}
-    own_id = personality_of(vehicle).id_parameters[0]
+    own_id = personality_of(vehicle).firmware.ids[0]
     return {own_id: float(vehicle.system_id)} | known | vehicle.parameters

@@ -270,11 +270,11 @@ class FixedWing(Autopilot):
         self._waited_s = self._waited_s if wants_up else self.now_s
         open_s = self.now_s - self._waited_s - runway.waits_s
         plane.throttle = min(max(open_s / runway.opens_s, 0.0), 1.0)
-        push_m_s2 = -max(self.rolling_m_s / runway.rolls_out_s, runway.brakes_m_s2)
+        push_m_s2 = -max(abs(plane.velocity_m_s) / runway.rolls_out_s, runway.brakes_m_s2)
         if plane.throttle > 0.0:
             push_m_s2 = runway.full_m_s2 * plane.throttle**runway.power
             push_m_s2 -= runway.drag_1_s * plane.airspeed_m_s
-            if self.rolling_m_s >= runway.flying_m_s:
+            if abs(plane.velocity_m_s) >= runway.flying_m_s:
                 self.take_to_the_air()
         plane.roll_on_ground(push_m_s2, self.step_s)
 

@@ -116,6 +116,7 @@ def firmware(parameters: str, *, vehicle_type: int, rates_hz: dict[int, float]) 
         first_item=0,
         timing=_TIMING,
         frame=Projection,
+        ids=("MAV_SYS_ID", "MAV_COMP_ID"),
         prearm_s=3.5,  # heartbeat 0 at 2.6 s, 3 at 3.6 s of the log
         first_check_s=0.06,  # events at x.06 s in the logs
         believes_landing_s=1.8,  # contact to "landing detected": 54.6 to 56.4 s of offboard-short

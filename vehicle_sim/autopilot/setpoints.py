@@ -76,7 +76,7 @@ def read_by_arducopter(setpoint: Setpoint, heading_rad: float) -> Target | Stop:
         return Stop()
     used = (*(place or ()), *(push or ()), yaw_rad, yaw_rate_rad_s)
     if not all(abs(v) <= _MOST for v in used):  # nor is NaN
-        return Stop("SIM: setpoint not finite or too far refused: aborts ArduPilot")
+        return Stop("SIM: setpoint refused: aborts ArduPilot")
     if is_global and place:
         wild = abs(place[0]) > 90.0 or abs(place[1]) > 180.0
         unknown = height_amsl_m(frame, 0.0, 0.0, None if velocity else 0.0) is None
