@@ -123,9 +123,8 @@ class Estimator:
         """Reported altitude AMSL while the position is lost; None: what it believes."""
         self._fix: Fix | None = None
         self._now_s = self._calm_s = 0.0
-        self._seen_s: float | None = None
-        """Since when there are fixes that are not used yet, and since when they are refused."""
-        self._refused_s: float | None = None
+        self._waits_s: float | None = None
+        """Since when there are fixes that are not used: not yet, or refused."""
         self._error, self._held, self._bias, self._rate = 0j, 0j, 0j, 0j
         """Of the position; what the output has still to make of a jump; by how much GPS counts as
         off; of the velocity."""
@@ -158,9 +157,9 @@ class Estimator:
             if fix.usable:
                 self._take(fix)
             elif self.state not in _FLYING:
-                self._seen_s = None
+                self._waits_s = None
         silent_s = now_s - self.used_s
-        if silent_s > _DRIFTS_S or self.state is not State.GOOD or self._refused_s is not None:
+        if silent_s > _DRIFTS_S or self.state is not State.GOOD or self._waits_s is not None:
             self._watch(silent_s, fix)
             if now_s - self.used_s > _DRIFTS_S and self.state is not State.START:
                 self._drift_away(silent_s, dt_s)
@@ -183,7 +182,7 @@ class Estimator:
             self.latitude_deg = vehicle.latitude_deg + off.real / self._scale[0]
             self.longitude_deg = around(vehicle.longitude_deg + off.imag / self._scale[1])
             self.velocity_m_s = vehicle.velocity_m_s + rate
-        elif self.state is State.START and self._seen_s is None:
+        elif self.state is State.START and self._waits_s is None:
             self.altitude_amsl_m = 0.0
 
     # --- GPS ----------------------------------------------------------------------------------
@@ -193,21 +192,21 @@ class Estimator:
         timing, now_s = self.timing, self._now_s
         self._scale = metres_per_degree(self._vehicle.latitude_deg)
         if self.state not in _FLYING:
-            self._seen_s = now_s if self._seen_s is None else self._seen_s
+            self._waits_s = now_s if self._waits_s is None else self._waits_s
             if self.state is State.START and timing.freezes:
                 self.latitude_deg, self.longitude_deg = fix.latitude_deg, fix.longitude_deg
             return
         gap_s, self.used_s = now_s - self.used_s, now_s
         off, gate_m = self._innovation(fix), timing.gate_m
-        if self._refused_s is not None:
-            gate_m += timing.gate_growth_m_s * (now_s - self._refused_s)
+        if self._waits_s is not None:
+            gate_m += timing.gate_growth_m_s * (now_s - self._waits_s)
         self._tell(abs(off) / gate_m)
         if self._drift is not None:
             self._drift, self._rate, self._climb_m_s = None, 0j, 0.0
         if gap_s > _OUTAGE_S:
             self._jump(off)
         elif abs(off) > gate_m:
-            self._refused_s = now_s if self._refused_s is None else self._refused_s
+            self._waits_s = now_s if self._waits_s is None else self._waits_s
         else:
             self._accept(timing.follows * off)
             if timing.noise_m_s:
@@ -228,8 +227,8 @@ class Estimator:
     def _accept(self, shift: complex) -> None:
         """Believe it, and move by this much."""
         self._error += shift
-        if self._refused_s is not None:
-            self._refused_s, self._calm_s = None, self._now_s + self.timing.calm_s
+        if self._waits_s is not None:
+            self._waits_s, self._calm_s = None, self._now_s + self.timing.calm_s
             if self.state is State.YIELDS:
                 self._be(State.GLITCH)
 
@@ -264,27 +263,26 @@ class Estimator:
         timing, state, now_s = self.timing, self.state, self._now_s
         if state is State.START:
             self.flags = next(flags for at_s, flags in reversed(timing.stages) if now_s >= at_s)
+        waited_s = 0.0 if self._waits_s is None else now_s - self._waits_s
         if state not in _FLYING:
-            if self._seen_s is not None:
-                self._come_back(now_s - self._seen_s, fix)
+            if self._waits_s is not None:
+                self._come_back(waited_s, fix)
             elif state is State.LOST and silent_s >= timing.stopped_s:
                 self._be(State.STOPPED)
                 self.velocity_m_s = 0j if timing.freezes else self.velocity_m_s
         elif silent_s >= timing.lost_s:
             self._be(State.LOST)
-            self._refused_s = self.returned_s = None
+            self._waits_s = self.returned_s = None
             self.position_ok = False
-        elif self._refused_s is not None:
-            refused_s = now_s - self._refused_s
-            if refused_s >= timing.yields_s:
-                self._jump(self._innovation(fix))
-                self._be(State.GLITCH if timing.calm_s else State.GOOD)
-                self._tell(0.0)
-            elif refused_s >= timing.yields_s - _GIVES_UP_S and timing.calm_s:
-                self._be(State.YIELDS)
-            elif refused_s >= timing.glitch_s and state is State.GOOD:
-                self._be(State.GLITCH)
-        elif state is State.GLITCH and now_s >= self._calm_s:
+        elif waited_s >= timing.yields_s:
+            self._jump(self._innovation(fix))
+            self._be(State.GLITCH if timing.calm_s else State.GOOD)
+            self._tell(0.0)
+        elif waited_s >= timing.yields_s - _GIVES_UP_S and timing.calm_s:
+            self._be(State.YIELDS)
+        elif waited_s >= timing.glitch_s and state is State.GOOD:
+            self._be(State.GLITCH)
+        elif state is State.GLITCH and self._waits_s is None and now_s >= self._calm_s:
             self._be(State.GOOD)
 
     def _drift_away(self, silent_s: float, dt_s: float) -> None:
@@ -309,7 +307,7 @@ class Estimator:
         else:
             self._jump(self._innovation(fix))
             self.returned_s = now_s
-        self._drift, self.used_s, self._seen_s = None, now_s, None
+        self._drift, self.used_s, self._waits_s = None, now_s, None
         self._be(State.GOOD)
         self._tell(0.0)
 
