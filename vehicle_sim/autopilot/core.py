@@ -172,7 +172,7 @@ class Autopilot:
         self._attitudes_rad = ((0.0, 0.0, boot.vehicle.heading_rad),) * 2
         """Before the last step and after it."""
         self.handlers: dict[int, Handler] = {
-            224: lambda command: self.done(self.jump(command.parameters[0])),  # also by message
+            224: self._set_mission_current,
             246: self._reboot,
             400: self._arm_or_disarm,
             179: self._set_home,
@@ -386,6 +386,10 @@ class Autopilot:
         if self.mode.name == self.firmware.missions:
             self.seek(max(int(to), self.firmware.first_item))
         return True
+
+    def _set_mission_current(self, command: Command) -> Result:
+        """MISSION_SET_CURRENT comes here too."""
+        return self.done(self.jump(command.parameters[0]))
 
     def reached(self, number: int) -> None:
         """Send MISSION_ITEM_REACHED to all links."""
