@@ -155,7 +155,7 @@ class ArduPilot(Autopilot):
             fence.breached = 0
         else:
             here, lands = self.estimate.place, self.lands()
-            if new := fence.check(here, home, self.frame, self.now_s, lands=lands):
+            if new := fence.check(here, home, self.frame, lands=lands):
                 self.say(5, f"{named(new)} fence breached")
                 if action := int(self.parameters["FENCE_ACTION"]):
                     self.on_failsafe("Fence", action)

@@ -143,6 +143,5 @@ def overrides_of(vehicle: VehicleTable) -> dict[str, float]:
         follow["WPNAV_SPEED_UP"] = follow["WPNAV_SPEED_DN"] = speed_m_s and speed_m_s * 100.0
         follow["WPNAV_ACCEL_Z"] = most_m_s2 and most_m_s2 * 100.0
         follow["ANGLE_MAX"] = vehicle.acceleration_max_m_s2 and _STEEPEST_CDEG
-    known = {name: value for name, value in follow.items() if value is not None}
-    own_id = personality_of(vehicle).firmware.ids[0]
-    return {own_id: float(vehicle.system_id)} | known | vehicle.parameters
+    follow[personality_of(vehicle).firmware.ids[0]] = float(vehicle.system_id)
+    return {name: value for name, value in follow.items() if value is not None} | vehicle.parameters

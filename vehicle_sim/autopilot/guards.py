@@ -83,9 +83,7 @@ class Fence:
         self._parameters, self._plans, self._zones = parameters, plans, Zones(plans)
         self.breached = 0
         """Bits of FENCE_TYPE."""
-        self._breaches = (0, 0, 0)
-        """How many; the last one's FENCE_BREACH (1 too low, 2 too high, 3 over the edge), and
-        milliseconds since boot."""
+        self._breaches = 0
         self.has_floor = False
         """FENCE_ALT_MIN counts: it has been above it by the margin since it took off, and does not
         land (AC_Fence::auto_enable_fence_floor, get_auto_disable_fences)."""
@@ -97,10 +95,9 @@ class Fence:
 
     @property
     def told(self) -> tuple[int, ...] | None:
-        """FENCE_STATUS, if there is a fence."""
-        if not (self.enabled or self._plans[PlanKind.FENCE]):
-            return None
-        return (int(bool(self.breached)), *self._breaches)
+        """FENCE_STATUS, if there is a fence: whether it is breached, and how often it was."""
+        there = self.enabled or self._plans[PlanKind.FENCE]
+        return (int(bool(self.breached)), self._breaches) if there else None
 
     def outside(self, place: Place, home: Place | None, frame: Frame) -> int:
         """Which kinds of fence this place would breach: bits of FENCE_TYPE."""
@@ -118,14 +115,14 @@ class Fence:
             found |= POLYGON
         return found
 
-    def check(self, place: Place, home: Place, frame: Frame, now_s: float, *, lands: bool) -> int:
+    def check(self, place: Place, home: Place, frame: Frame, *, lands: bool) -> int:
         """Look where the vehicle is; returns the kinds that are breached since just now."""
         p, above_m = self._parameters, place.altitude_amsl_m - home.altitude_amsl_m
         is_safe = above_m >= p["FENCE_ALT_MIN"] + p["FENCE_MARGIN"]
         self.has_floor = not lands and (self.has_floor or is_safe)
         found = self.outside(place, home, frame)
-        if new := found & ~self.breached:
-            kind = 3 if new & (CIRCLE | POLYGON) else 2 if new & ALTITUDE_MAX else 1
-            self._breaches = self._breaches[0] + (not self.breached), kind, round(now_s * 1e3)
+        new = found & ~self.breached
+        if found and not self.breached:
+            self._breaches += 1
         self.breached = found
         return new
