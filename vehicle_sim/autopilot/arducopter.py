@@ -52,6 +52,15 @@ FIRMWARE: Final = firmware(
 )
 
 _GLITCHING: Final = 0x8000  # flag of the estimator: GPS is refused, or was until a moment ago
+_FAILSAFES: Final = {
+    ("GCS", 5): "LAND",
+    ("Fence", 2): "LAND",
+    ("Fence", 4): "BRAKE",
+    ("Battery", 1): "LAND",
+    ("Battery", 4): "LAND",
+    ("Battery", 5): "DISARM",
+}
+"""What FS_GCS_ENABLE, FENCE_ACTION and BATT_FS_LOW_ACT ask for: these modes, else RTL."""
 _EKF_CHECKS: Final = 10  # in a row, ten a second, before the failsafe acts
 _LIFTS_AFTER_ARMING_S, _LIFTS_AFTER_COMMAND_S = 3.43, 1.45
 """Spooling up: from arming and from the take-off's command to leaving the ground."""
@@ -68,8 +77,6 @@ _SINK_M_S, _LAND_LOW_M = 2.5, 10.0
 _SLEW_RAD_S: Final = math.radians(60.0)  # ATC_SLEW_YAW
 _TURN_1_S: Final = 4.5  # ATC_ANG_YAW_P
 _MOVING_SHARE: Final = 0.05  # of WPNAV_SPEED: slower, the way has no direction
-_MIN_TIMEOUT_S: Final = 0.1
-_TAKE_OFF_FRAME: Final = 3
 
 
 Kind = enum.Enum("Kind", "TAKEOFF POSITION PATH VELOCITY PUSH")
@@ -130,19 +137,16 @@ class ArduCopter(ArduPilot):
             jerk_m_s3=max(p["PSC_JERK_XY"], 1.0),
             lean_m_s2=min(GRAVITY_M_S2 * math.tan(lean_rad), limits.acceleration_m_s2),
         )
-        self._timeout_s = max(p["GUID_TIMEOUT"], _MIN_TIMEOUT_S)
+        self._timeout_s = max(p["GUID_TIMEOUT"], 0.1)
 
     # --- modes --------------------------------------------------------------------------------
 
-    def cannot_fly_in(self, name: str) -> str | None:
+    def can_fly_in(self, name: str) -> bool:
         """Checks are only made in flight, as the real one does."""
-        if not self.armed:
-            return None
-        if self.modes[name].needs_position and not self.estimate.position_ok:
-            return "requires position"
+        lost = self.modes[name].needs_position and not self.estimate.position_ok
         no_mission = name == "AUTO" and len(self.plans[PlanKind.MISSION]) < 2
         nowhere = name == "RTL" and self.home is None
-        return "init failed" if no_mission or nowhere else None
+        return not (self.armed and (lost or no_mission or nowhere))
 
     def begin(self) -> None:
         """Fly the mode from now on."""
@@ -204,18 +208,13 @@ class ArduCopter(ArduPilot):
             self.say(2, "EKF Failsafe Cleared")
 
     def on_failsafe(self, cause: str, action: int) -> None:
-        """FS_GCS_ENABLE 5, BATT_FS_*_ACT 1 and 4, FENCE_ACTION 2: land; 5 of a battery: stop.
-
-        FENCE_ACTION 4: brake, or land.  All else: return, or land.
-        """
+        """Disarm on the ground, else as _FAILSAFES says; land if that cannot be."""
         if cause != "Fence":
             self.say(4, f"{cause} Failsafe")
-        if self.landed or (cause, action) == ("Battery", 5):
+        mode = _FAILSAFES.get((cause, action), "RTL")
+        if self.landed or mode == "DISARM":
             self.disarm()
-            return
-        first = "BRAKE" if (cause, action) == ("Fence", 4) else "RTL"
-        lands = action in {"GCS": (5,), "Battery": (1, 4), "Fence": (2,)}[cause]
-        if lands or not self.set_mode(first):
+        elif mode == "LAND" or not self.set_mode(mode):
             self._land_later()
 
     def _land_later(self) -> None:
@@ -226,7 +225,7 @@ class ArduCopter(ArduPilot):
 
     def _take_off(self, command: Command) -> Result:
         """Straight up, in GUIDED."""
-        if command.frame not in (None, _TAKE_OFF_FRAME):
+        if command.frame not in (None, 3):  # GLOBAL_RELATIVE_ALT
             return Result.DENIED
         ready = self.armed and self.landed and self.mode.name == "GUIDED"
         if not (ready and self.estimate.position_ok) or self.home is None or self.climbs_out():
@@ -244,10 +243,9 @@ class ArduCopter(ArduPilot):
         angle_deg, _, direction, relative = command.parameters[:4]
         if not 0.0 <= angle_deg <= 360.0 or relative not in (0.0, 1.0):
             return Result.FAILED
-        angle_rad = math.radians(angle_deg)
+        self._yaw_rad = math.radians(angle_deg)
         if relative == 1.0:
-            angle_rad = self.copter.heading_rad + (angle_rad if direction >= 0.0 else -angle_rad)
-        self._yaw_rad = angle_rad
+            self._yaw_rad = self.copter.heading_rad + math.copysign(self._yaw_rad, direction)
         return Result.ACCEPTED
 
     def _change_speed(self, command: Command) -> Result:

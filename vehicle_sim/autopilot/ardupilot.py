@@ -110,9 +110,9 @@ class ArduPilot(Autopilot):
 
     # --- where the two kinds differ -----------------------------------------------------------
 
-    def cannot_fly_in(self, name: str) -> str | None:
-        """Why it cannot fly in this mode now: plane can in all that may be chosen."""
-        return "cannot be chosen" if name == "INITIALISING" else None
+    def can_fly_in(self, name: str) -> bool:
+        """Whether it can fly in this mode now: plane can in all that may be chosen."""
+        return name != "INITIALISING"
 
     def base_mode(self) -> int:
         """Of the heartbeat, but for the bit that says whether it is armed."""
@@ -170,9 +170,8 @@ class ArduPilot(Autopilot):
         """Fly in this mode from now on, if it can be."""
         if name == self.mode.name:
             return True
-        refusal = self.cannot_fly_in(name)
-        if refusal is not None:
-            self.say(4, f"Mode change to {name} failed: {refusal}")
+        if not self.can_fly_in(name):
+            self.say(4, f"Mode change to {name} failed")
             return False
         self.mode = self.modes[name]
         self.begin()

@@ -398,14 +398,12 @@ class Autopilot:
 
     def mission_state(self) -> int:
         """MISSION_STATE: 1 no mission, 2 not started, 3 active, 4 paused, 5 complete."""
-        first = self.firmware.first_item
-        if len(self.plans[PlanKind.MISSION]) <= first:
+        route, flies = self.route, self.mode.name == self.firmware.missions
+        if len(self.plans[PlanKind.MISSION]) <= self.firmware.first_item:
             return 1
-        if self.route.complete:
-            return 5
-        if self.mode.name == self.firmware.missions:
-            return 3
-        return 4 if self.route.current and first == 0 else 2
+        if route.complete or flies:
+            return 5 if route.complete else 3
+        return 4 if route.current and self.is_px4 else 2
 
     # --- commands -----------------------------------------------------------------------------
 

@@ -134,24 +134,16 @@ class Place(NamedTuple):
         return Place(self.latitude_deg, self.longitude_deg, altitude_amsl_m)
 
 
-FRAMES_AMSL, FRAMES_ABOVE_HOME, FRAMES_ABOVE_TERRAIN = (0, 5), (3, 6), (10, 11)
-"""MAV_FRAME: by what their z is measured from."""
-
-
 def height_amsl_m(
-    frame: float, z_m: float, home_amsl_m: float | None, terrain_amsl_m: float | None = 0.0
+    frame: int, z_m: float, home_amsl_m: float | None, terrain_amsl_m: float | None = 0.0
 ) -> float | None:
     """Height above the sea of a z in this MAV_FRAME; None: there is none in it, or no home yet.
 
     Without terrain data the ground is taken to be at sea level.
     """
-    if frame in FRAMES_AMSL:
-        return z_m
-    if frame in FRAMES_ABOVE_HOME:
-        return None if home_amsl_m is None else z_m + home_amsl_m
-    if frame in FRAMES_ABOVE_TERRAIN and terrain_amsl_m is not None:
-        return z_m + terrain_amsl_m
-    return None
+    home, terrain = home_amsl_m, terrain_amsl_m
+    from_m = {0: 0.0, 5: 0.0, 3: home, 6: home, 10: terrain, 11: terrain}.get(frame)
+    return None if from_m is None else z_m + from_m
 
 
 @final
