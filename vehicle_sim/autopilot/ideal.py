@@ -8,7 +8,7 @@ the real controller correct so hard.
 from typing import Final, final
 
 from vehicle_sim.autopilot.arducopter import ArduCopter, Kind
-from vehicle_sim.autopilot.copter_control import Order, clipped
+from vehicle_sim.autopilot.copter_control import STILL, Order, clipped
 from vehicle_sim.autopilot.setpoints import Target
 from vehicle_sim.autopilot.values import Place
 
@@ -31,7 +31,7 @@ class Ideal(ArduCopter):
     """
 
     nose_follows_motion = True
-    _slope: Order = (0j, 0.0)
+    _slope = STILL
     """How the streamed velocity changes, and the interval that it was seen over; 0: not known."""
     _interval_s = 0.0
     _tracks = False  # it has flown the last step by this law
@@ -39,7 +39,6 @@ class Ideal(ArduCopter):
     def _restart(self, kind: Kind) -> None:
         """Another submode: level, with the acceleration that there is."""
         super()._restart(kind)
-        self._slope, self._interval_s = (0j, 0.0), 0.0
         self.control.follow(self.copter.acceleration_m_s2)
 
     def take(self, target: Target, place: Place | None) -> bool:
@@ -53,7 +52,7 @@ class Ideal(ArduCopter):
             knows = kind is self.kind is Kind.PATH and gap_s <= _STREAM_GAP_S
             knows = knows and not any(self._feed) and abs(slope) <= limits.acceleration_m_s2
             knows = knows and abs(slope_up) <= limits.acceleration_vertical_m_s2
-            self._slope = (slope, slope_up) if knows else (0j, 0.0)
+            self._slope = (slope, slope_up) if knows else STILL
             self._interval_s = gap_s if knows else 0.0
         return True
 
@@ -74,10 +73,8 @@ class Ideal(ArduCopter):
         estimate, (speed_m_s, up_m_s, _) = self.estimate, self.tuning.speeds_m_s
         self._tracks = True
         ahead_s = age_s if age_s <= 2.0 * self._interval_s else 0.0
-        off_m, rise_m = (
-            self.control.off_m(target),
-            target.altitude_amsl_m - estimate.altitude_amsl_m,
-        )
+        off_m = self.control.off_m(target)
+        rise_m = target.altitude_amsl_m - estimate.altitude_amsl_m
         (velocity, climb_m_s), (feed, feed_up) = self._moves, self._feed
         late, late_up = velocity - estimate.velocity_m_s, climb_m_s - estimate.velocity_up_m_s
         level, most_up = clipped(off_m * KP_1_S2, KV_1_S * speed_m_s), KV_1_S * up_m_s
