@@ -183,6 +183,7 @@ class ArduPlane(FixedWing, ArduPilot):
         if not self._straight:
             return self._arrived and l1.circling
         near_m = min(self.parameters["WP_RADIUS"], l1.length_m(abs(velocity)))
+        near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else near_m
         return abs(self.off_m(self._place)) <= near_m or self._along() >= 1.0
 
     def lands(self) -> bool:

@@ -34,6 +34,10 @@ class Leg(NamedTuple):
     """To stay; infinite: for good."""
     command: int = WAYPOINT
     """Of the item that it is made of; RETURN or 0: it is of none."""
+    acceptance_m: float = math.nan
+    """How near is there; NaN: by the vehicle's own parameter."""
+    yaw_rad: float = math.nan
+    """NaN: along the way."""
 
 
 def back(here: Place, home: Place, altitude_amsl_m: float, hold_s: float) -> list[Leg]:
@@ -48,7 +52,7 @@ def leg_of(item: PlanItem, here: Place, home: Place, ground_amsl_m: float) -> Le
 
     A take-off goes straight up, and to the place of a landing at the present height.
     """
-    command = item.command
+    command, (first, second, _, yaw_deg) = item.command, item.parameters
     if command not in _DOES:
         return None
     height_m = values.height_amsl_m(item.frame, item.z_m, home.altitude_amsl_m, ground_amsl_m)
@@ -59,9 +63,11 @@ def leg_of(item: PlanItem, here: Place, home: Place, ground_amsl_m: float) -> Le
         place = here.at(max(height_m, here.altitude_amsl_m))
     elif command == LAND:
         place = place.at(here.altitude_amsl_m)
-    first = max(0.0, item.parameters[0])  # nor is it NaN
+    first = max(0.0, first)  # nor is it NaN
     hold_s = {WAYPOINT: first, LOITER_TIME: first, LOITER_UNLIM: math.inf}.get(command, 0.0)
-    return Leg(_DOES[command], place, hold_s, command)
+    acceptance_m = second if command == WAYPOINT and second > 0.0 else math.nan
+    yaw_rad = math.radians(yaw_deg) if math.isfinite(yaw_deg) else math.nan
+    return Leg(_DOES[command], place, hold_s, command, acceptance_m, yaw_rad)
 
 
 @final

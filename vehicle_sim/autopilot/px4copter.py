@@ -138,6 +138,7 @@ class Px4Copter(Px4):
             self._goal_down = self._point.at.down
         elif leg.does is Does.CLIMB and self.landed:
             self._goal = self._here
+        self._aim_yaw_rad = leg.yaw_rad
 
     def on_disarmed(self) -> None:
         """The motors stand."""
@@ -291,7 +292,8 @@ class Px4Copter(Px4):
             return away_m < _ARRIVED_M
         if leg.command == RETURN:
             return off_m < _ARRIVED_M
-        return away_m < p["NAV_ACC_RAD"] and off_m < p["NAV_MC_ALT_RAD"]
+        near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else p["NAV_ACC_RAD"]
+        return away_m < near_m and off_m < p["NAV_MC_ALT_RAD"]
 
     def _turn(self) -> None:
         """Turn the nose: to the setpoint's yaw, or along the way."""

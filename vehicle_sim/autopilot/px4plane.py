@@ -283,7 +283,8 @@ class Px4Plane(FixedWing, Px4):
             return self.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m
         if isinstance(aim, Circle):
             return abs(away_m - abs(aim.radius_m)) < _ON_CIRCLE_M
-        return away_m < self.l1.length_m(abs(self.velocity))
+        near_m = self.l1.length_m(abs(self.velocity))
+        return away_m < (leg.acceptance_m if leg.acceptance_m > near_m else near_m)
 
     # --- on its wheels ------------------------------------------------------------------------
 
