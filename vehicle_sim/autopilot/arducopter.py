@@ -354,9 +354,8 @@ class ArduCopter(ArduPilot):
     def touch_down(self) -> None:
         """Come to rest on the terrain, or in it."""
         self.copter.stand(self.ground_m)
-        self._end_takeoff()
         self.estimate.follow()
-        self._restart(Kind.VELOCITY)
+        self._stop_target()
 
     def disarms_after_s(self) -> float | None:
         """Soon after a landing, or after DISARM_DELAY."""
