@@ -14,12 +14,11 @@ from vehicle_sim.autopilot.ardupilot import EKF3, ArduPilot, firmware
 from vehicle_sim.autopilot.core import HEARTBEAT, HOME_POSITION, Boot, Mode
 from vehicle_sim.autopilot.earth import FlatEarth, way_m
 from vehicle_sim.autopilot.estimator import State as Estimates
-from vehicle_sim.autopilot.legs import WAYPOINT, Does, Leg
+from vehicle_sim.autopilot.legs import WAYPOINT, Does
 from vehicle_sim.autopilot.plane_control import (
     Circle,
     FixedWing,
     Runway,
-    Way,
     eas_to_tas,
     indicated_airspeed_m_s,
     true_airspeed_m_s,
@@ -78,7 +77,6 @@ _LANDING_SINK_M_S: Final = 1.5
 """Wings level from the place of a landing on: no approach and no flare."""
 _HEADING_GAIN: Final = math.radians(50.0)
 """Bank for each radian of course error: GUIDED_P 5000 hundredths of a degree."""
-_RUNWAY_AHEAD_M: Final = 1000.0  # a mission's take-off climbs straight on at a point so far ahead
 _DO_CHANGE_SPEED, _GUIDED_CHANGE_SPEED = 178, 43000
 _NO_HEIGHT = "SIM: NaN height in {} stops the real autopilot"
 
@@ -105,13 +103,11 @@ class ArduPlane(FixedWing, ArduPilot):
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
         self.plane.turn_efficiency = _TURN_EFFICIENCY
-        self._start = self._place = self.estimate.place  # where it goes, and where from
-        self._straight = False  # along the way between the two, and not to circle at once
-        self._radius_m, self._left = 0.0, False  # asked for, 0: WP_LOITER_RAD; counter-clockwise
+        self._start = self.estimate.place  # where it was told where to go
         self._arrived = False
         self._course: tuple[float, float] | None = None
         """GUIDED_CHANGE_HEADING, instead of the point: course and most bank, in radians."""
-        self._speeds_m_s: dict[int, float] = {}  # by the command that asked for them
+        self._asked_m_s: float | None = None  # airspeed, by a command
         self._demand_m_s = 22.0  # airspeed as a pitot tube measures it
         self._climbing = False  # after lifting off, at full throttle
         self.handlers |= {
@@ -126,65 +122,52 @@ class ArduPlane(FixedWing, ArduPilot):
 
     def begin(self) -> None:
         """What was told before is forgotten; without anything new it circles here."""
-        here, self._speeds_m_s, self._course = self.estimate.place, {}, None
+        here, self._asked_m_s, self.leg = self.estimate.place, None, None
         self.route.stop()
-        self._end_climb()
-        self._go(here)
+        self._climbing = False
+        self.circle(here)
         self.wanted_height_m = here.altitude_amsl_m
         if self.mode.flies == "returns":
             self._return()
         elif self.mode.flies == "flies a mission":
             self.seek(max(self.route.current, 1))
 
-    def _go(
-        self, place: Place, *, straight: bool = False, radius_m: float = 0.0, left: bool = False
-    ) -> None:
-        """To this point, at its height; a straight leg leads on from the last waypoint."""
-        self._start = self._place if straight and self._straight else self.estimate.place
-        self._place, self._arrived = place, False
-        self._straight, self._radius_m, self._left = straight, radius_m, left
-
-    def _aim_ahead(self, away_m: float, up_m: float) -> None:
-        """To the point so far ahead and so much higher."""
-        way = self.velocity / abs(self.velocity) * away_m
-        self._go(FlatEarth(self.estimate.place).place(way.real, way.imag, -up_m))
+    def circle(self, place: Place, radius_m: float = 0.0, *, left: bool = False) -> None:
+        """About a place, at its height; wider where the air is thin."""
+        usual_m, self._course = self.parameters["WP_LOITER_RAD"], None
+        radius_m = radius_m if radius_m > 1.0 else max(abs(usual_m), 1.0)
+        radius_m *= eas_to_tas(place.altitude_amsl_m) ** 2
+        self.aim = Circle(place, -radius_m if left or usual_m < 0.0 else radius_m)
+        self._start, self._arrived = self.estimate.place, False
 
     def _return(self) -> None:
         """Home, RTL_ALTITUDE above it."""
         home, above_m = self.home, self.parameters["RTL_ALTITUDE"]
         if home is not None:
             here_m = self.estimate.altitude_amsl_m
-            self._go(home.at(here_m if above_m < 0.0 else home.altitude_amsl_m + above_m))
+            self.circle(home.at(here_m if above_m < 0.0 else home.altitude_amsl_m + above_m))
 
     def begin_leg(self, speed_m_s: float | None) -> None:
-        """Another item."""
-        leg, here_m = self.route.leg, self.estimate.altitude_amsl_m
-        self._speeds_m_s |= {_DO_CHANGE_SPEED: speed_m_s} if speed_m_s else {}
-        if leg is None:
-            return
-        if leg.does is Does.RETURN:
+        """Another item; it takes off straight ahead, and waits at no way point."""
+        route, leg, here = self.route, self.route.leg, self.estimate.place
+        self._asked_m_s = speed_m_s or self._asked_m_s
+        if leg is not None and leg.does is Does.CLIMB:
+            route.leg = leg._replace(place=here.at(leg.place.altitude_amsl_m))
+        elif leg is not None and leg.command == WAYPOINT:
+            route.leg = leg._replace(hold_s=0.0)
+        self._start = here
+        if self.is_at(Does.RETURN):
             self._return()
-        elif leg.does is Does.CLIMB:
-            self._aim_ahead(_RUNWAY_AHEAD_M, leg.place.altitude_amsl_m - here_m)
-        elif leg.does is Does.LAND:
-            self._go(leg.place.at(here_m), straight=True)
         else:
-            straight = leg.command == WAYPOINT
-            self.route.leg = leg._replace(hold_s=0.0 if straight else leg.hold_s)
-            self._go(leg.place, straight=straight)
+            self.fly_leg()
 
-    def is_there(self, leg: Leg) -> bool:
-        """At its height, on its circle, or near enough; a landing ends on the ground."""
-        if leg.does is Does.CLIMB:
-            return self.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m
-        if leg.does is not Does.GO:
-            return False
-        l1, velocity = self.l1, self.velocity
-        if not self._straight:
-            return self._arrived and l1.circling
-        near_m = min(self.parameters["WP_RADIUS"], l1.length_m(abs(velocity)))
-        near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else near_m
-        return abs(self.off_m(self._place)) <= near_m or self._along() >= 1.0
+    def land_at(self, place: Place) -> None:
+        """Straight on over the place, from where it sinks."""
+        self.straight_to(place.at(self.estimate.altitude_amsl_m))
+
+    def passes_m(self) -> float:
+        """WP_RADIUS."""
+        return self.parameters["WP_RADIUS"]
 
     def lands(self) -> bool:
         """Where AUTO does."""
@@ -205,7 +188,7 @@ class ArduPlane(FixedWing, ArduPilot):
     # --- commands -----------------------------------------------------------------------------
 
     def _reposition(self, command: Command) -> Result:
-        """DO_REPOSITION: a point to circle; without a radius the one before is kept."""
+        """DO_REPOSITION: a point to circle."""
         _, flags, radius_m, left, *at, height_m = command.parameters
         if command.frame is None:
             return Result.UNSUPPORTED
@@ -218,25 +201,21 @@ class ArduPlane(FixedWing, ArduPilot):
         if self.mode.name != "GUIDED" and not (math.isfinite(flags) and int(flags) & 1):
             return Result.FAILED
         self.set_mode("GUIDED")
-        if not 0.0 < radius_m < math.inf:
-            radius_m = self._radius_m
-        radius_m = min(float(int(radius_m)), 65535.0)
-        self._go(place, radius_m=radius_m, left=math.isfinite(left) and left != 0.0)
-        self._course = None
+        is_left = math.isfinite(left) and left != 0.0
+        self.circle(place, radius_m if radius_m < math.inf else 0.0, left=is_left)
         # until navigation has run again the height to be at is the present one
         self.wanted_height_m = self.estimate.altitude_amsl_m
         return Result.ACCEPTED
 
     def _change_speed(self, command: Command) -> Result:
-        """DO_CHANGE_SPEED, which takes speeds over the ground without effect; and GUIDED's own."""
-        p, (kind, speed_m_s) = self.parameters, command.parameters[:2]
-        is_other, mode = command.number == _GUIDED_CHANGE_SPEED, self.mode.name
-        if mode != "GUIDED" and (is_other or mode != "AUTO"):
+        """DO_CHANGE_SPEED and GUIDED's own: an airspeed."""
+        kind, speed_m_s = command.parameters[:2]
+        if self.mode.name not in ("GUIDED", "AUTO"):
             return Result.FAILED
-        if kind == 0.0 and p["AIRSPEED_MIN"] <= speed_m_s <= p["AIRSPEED_MAX"]:
-            self._speeds_m_s[command.number] = speed_m_s
-        elif is_other or kind != 1.0:
-            return Result.DENIED if is_other else Result.FAILED
+        least_m_s, most_m_s = (self.parameters[f"AIRSPEED_{end}"] for end in ("MIN", "MAX"))
+        if kind != 0.0 or not least_m_s <= speed_m_s <= most_m_s:
+            return Result.DENIED
+        self._asked_m_s = speed_m_s
         return Result.ACCEPTED
 
     def _change_heading(self, command: Command) -> Result:
@@ -251,17 +230,16 @@ class ArduPlane(FixedWing, ArduPilot):
 
     def on_setpoint(self, setpoint: values.Setpoint) -> Sequence[Reply]:
         """Only heights are taken, and only in GUIDED."""
-        z_m, height_m, home = setpoint.position[2], None, self.home
-        if self.mode.name != "GUIDED" or home is None:
+        aim, home, z_m, height_m = self.aim, self.home, setpoint.position[2], None
+        if self.mode.name != "GUIDED" or home is None or aim is None:
             return ()
         if setpoint.is_global and not setpoint.type_mask & 4:  # it has no terrain data either
-            height_m = values.height_amsl_m(
-                setpoint.frame, z_m, home.altitude_amsl_m, home.altitude_amsl_m
-            )
+            home_m = home.altitude_amsl_m
+            height_m = values.height_amsl_m(setpoint.frame, z_m, home_m, home_m)
         elif not setpoint.is_global and setpoint.frame == 7:
-            height_m = self._place.altitude_amsl_m - z_m
+            height_m = aim.place.altitude_amsl_m - z_m
         if height_m is not None and math.isfinite(height_m):
-            self._place = self._place.at(height_m)
+            self.aim = aim._replace(place=aim.place.at(height_m))
         elif height_m is not None:
             self.say(2, _NO_HEIGHT.format("a setpoint"))
         return self.taken()
@@ -297,8 +275,7 @@ class ArduPlane(FixedWing, ArduPilot):
         """Airspeed, and the climb where that is no matter of height."""
         p, flies = self.parameters, self.mode.flies
         usual_m_s = p["AIRSPEED_MIN" if flies in ("glides", "cruises") else "AIRSPEED_CRUISE"]
-        usual_m_s = self._speeds_m_s.get(_DO_CHANGE_SPEED, usual_m_s)
-        asked_m_s = self._speeds_m_s.get(_GUIDED_CHANGE_SPEED, usual_m_s)
+        asked_m_s = self._asked_m_s or usual_m_s
         self._demand_m_s = min(max(asked_m_s, p["AIRSPEED_MIN"]), p["AIRSPEED_MAX"])
         altitude_m = self.estimate.altitude_amsl_m
         self.wanted_airspeed_m_s = true_airspeed_m_s(self._demand_m_s, altitude_m)
@@ -308,45 +285,37 @@ class ArduPlane(FixedWing, ArduPilot):
         elif self._climbing:
             self.wanted_airspeed_m_s *= _CLIMB_AIRSPEED
             self.wanted_climb_m_s = _CLIMB_M_S
-        elif self.lands() and self._along() >= 1.0:
+        elif self.route.lands:
             self.wanted_climb_m_s = -_LANDING_SINK_M_S
 
     def _navigate(self) -> None:
-        """By itself: to its point, along the way or around it."""
-        p = self.parameters
-        if self.mode.flies == "takes off" and self.plane.stands and self.armed:
-            if abs(self.velocity) < _AIMED_M_S:
-                self._aim_ahead(p["TKOFF_DIST"], p["TKOFF_ALT"])
+        """By itself: along its aim."""
+        p, velocity = self.parameters, self.velocity
+        if self.mode.flies == "takes off" and self.plane.stands and abs(velocity) < _AIMED_M_S:
+            away_m = velocity / abs(velocity) * p["TKOFF_DIST"]
+            earth = FlatEarth(self.estimate.place)
+            self.circle(earth.place(away_m.real, away_m.imag, -p["TKOFF_ALT"]))
         elif self.mode.flies == "flies a mission":
             self.follow_route()
             if self.route.leg is None and not self.plane.stands:
                 self.set_mode("RTL")
-        usual_m = p["WP_LOITER_RAD"]
-        radius_m = self._radius_m if self._radius_m > 1.0 else max(abs(usual_m), 1.0)
-        radius_m *= eas_to_tas(self.estimate.altitude_amsl_m) ** 2  # wider where the air is thin
-        left = self._left or usual_m < 0.0
-        circle = Circle(self._place, -radius_m if left else radius_m)
-        self.bank_for(Way(self._start, self._place) if self._straight else circle)
-        there = self.l1.circling or self._along() > 1.0
-        if there and not self._arrived and not self._straight:
+        self.bank()
+        assert self.aim is not None
+        place, off_m = self.aim.place, self.off_m(self.aim.place)
+        self.wanted_height_m = place.altitude_amsl_m
+        is_past = (off_m.conjugate() * way_m(self._start, place)).real > 0.0
+        if (self.l1.circling or is_past) and not self._arrived:
             self._arrived = True
             if self.mode.name == "GUIDED" and not self.landed:
                 self.reached(0)
-        self.wanted_height_m = self._place.altitude_amsl_m
         if self._course is not None:
             course_rad, most_rad = self._course
-            error_rad = math.remainder(course_rad - cmath.phase(self.velocity), math.tau)
+            error_rad = math.remainder(course_rad - cmath.phase(velocity), math.tau)
             self.bank_rad = min(max(_HEADING_GAIN * error_rad, -most_rad), most_rad)
         if self._climbing:
             self._watch_climb()
-        elif self.wanted_climb_m_s is not None:
-            self.bank_rad = 0.0  # it lands
-
-    def _along(self) -> float:
-        """Share of the way from where it came from to where it goes; may be over 1."""
-        leg_m, off_m = way_m(self._place, self._start), self.off_m(self._start)
-        square = abs(leg_m) ** 2
-        return 1.0 if square < 1e-3 else -(off_m.conjugate() * leg_m).real / square
+        elif self.route.lands:
+            self.bank_rad = 0.0
 
     # --- take-off -----------------------------------------------------------------------------
 
@@ -378,24 +347,19 @@ class ArduPlane(FixedWing, ArduPilot):
         share = min(max((climbed_m - _LEVEL_M) / (_FREE_M - _LEVEL_M), 0.0), 1.0)
         most_rad = _LEVEL_RAD + share * (self.bank_most_rad - _LEVEL_RAD)
         self.bank_rad = min(max(self.bank_rad, -most_rad), most_rad)
-        over = not self._takes_off
+        self._climbing = self._takes_off
         if self.mode.flies == "takes off":
-            away_m = abs(self.off_m(self._start))
-            over = climbed_m >= p["TKOFF_ALT"] - _REACHED_M or away_m >= p["TKOFF_DIST"]
-        if over:
-            self._end_climb()
+            is_far = abs(self.off_m(self._start)) >= p["TKOFF_DIST"]
+            self._climbing = climbed_m < p["TKOFF_ALT"] - _REACHED_M and not is_far
 
-    def _end_climb(self) -> None:
-        if self._climbing:
-            self._climbing = False
-            self._choose_speed()
-
-    on_disarmed = _end_climb
+    def on_disarmed(self) -> None:
+        """A climb is over."""
+        self._climbing = False
 
     def touch_down(self) -> None:
         """A climb is over, too."""
         super().touch_down()
-        self._end_climb()
+        self._climbing = False
 
     # --- telling ------------------------------------------------------------------------------
 
@@ -419,11 +383,12 @@ class ArduPlane(FixedWing, ArduPilot):
 
     def waypoint(self) -> Waypoint | None:
         """Where it goes; MANUAL says nothing."""
-        if self.mode.name in ("MANUAL", "INITIALISING"):
+        aim = self.aim
+        if aim is None or self.mode.name in ("MANUAL", "INITIALISING"):
             return None
         return Waypoint(
-            place=self._place,
-            distance_m=abs(self.off_m(self._place)),
+            place=aim.place,
+            distance_m=abs(self.off_m(aim.place)),
             bearing_rad=self.l1.bearing_rad,
             altitude_error_m=self.wanted_height_m - self.estimate.altitude_amsl_m,
             cross_track_m=self.l1.cross_track_m,

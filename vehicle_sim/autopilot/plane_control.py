@@ -9,12 +9,14 @@ is PX4's own law (NPFG), which is not imitated further.
 
 import cmath
 import math
+from collections.abc import Callable
 from typing import ClassVar, Final, NamedTuple, final
 
 import numpy as np
 
 from vehicle_sim.autopilot.core import Autopilot, Boot
 from vehicle_sim.autopilot.earth import way_m
+from vehicle_sim.autopilot.legs import Does, Leg
 from vehicle_sim.autopilot.values import Place
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane
@@ -50,7 +52,6 @@ def indicated_airspeed_m_s(true_m_s: float, altitude_amsl_m: float) -> float:
 
 _UNDECIDED_RAD: Final = 0.9 * math.pi
 _STEEPEST: Final = math.sin(math.radians(45.0))  # a line is approached at 45 degrees at most
-_PAST_S: Final = 3.0  # beyond the end of a leg by so much flight: back to its end
 
 
 @final
@@ -82,18 +83,6 @@ class L1:
             towards_rad = math.asin(min(max(sine, -_STEEPEST), _STEEPEST))
         self.bearing_rad = cmath.phase(way) + towards_rad
         return self._turn(towards_rad + cmath.phase(way / velocity), abs(velocity))
-
-    def leg(self, off_m: complex, leg_m: complex, velocity: complex) -> float:
-        """Along a leg, both from its start: first there if far behind, back if past its end."""
-        away_m, length_m, to_go_m = abs(off_m), abs(leg_m), leg_m - off_m
-        straight = to_go_m / abs(to_go_m) if abs(to_go_m) > 1e-6 else velocity / abs(velocity)
-        way = leg_m / length_m if length_m > 1e-6 else straight
-        along_m = (way.conjugate() * off_m).real
-        if away_m > self.length_m(abs(velocity)) and along_m < -_STEEPEST * max(away_m, 1.0):
-            return self.line(0j, -off_m / away_m, velocity)
-        if along_m > length_m + _PAST_S * abs(velocity):
-            return self.line(0j, straight, velocity)
-        return self.line(off_m, way, velocity)
 
     def circle(self, off_m: complex, radius_m: float, velocity: complex) -> float:
         """To and around a circle, clockwise; with a negative radius the other way.
@@ -160,21 +149,24 @@ class HeightControl:
 
 # --- in the air -----------------------------------------------------------------------------------
 
+_ON_CIRCLE_M: Final = 20.0  # circles may be flown wider than they were asked for
+
 
 @final
 class Circle(NamedTuple):
-    """About a place; clockwise, or the other way with a negative radius."""
+    """About a place, at its height; clockwise, or the other way with a negative radius."""
 
-    centre: Place
+    place: Place
     radius_m: float
 
 
 @final
-class Way(NamedTuple):
-    """Straight from one place to another."""
+class Line(NamedTuple):
+    """Through a place in a direction (of unit length), or bent there (positive: to the right)."""
 
-    start: Place
-    end: Place
+    place: Place
+    way: complex
+    curvature_1_m: float = 0.0
 
 
 @final
@@ -199,10 +191,13 @@ class Runway(NamedTuple):
 
 
 class FixedWing(Autopilot):
-    """A plane: on its wheels until it is fast enough, then banked, and climbing, as it is told."""
+    """A plane: on its wheels until it is fast enough, then along its aim, at heights and speeds."""
 
     runway: ClassVar[Runway]
     slowing_m_s2: ClassVar[float] = math.inf  # how fast it loses speed with the throttle closing
+    circle: Callable[[Place], None]  # aim there, with the usual radius
+    land_at: Callable[[Place], None]  # fly to where a mission lands
+    passes_m: Callable[[], float]  # how near to a waypoint it turns to the next one, at most
 
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
@@ -210,6 +205,7 @@ class FixedWing(Autopilot):
         self.plane = boot.vehicle
         self.lies_below_m_s = self.runway.landed_m_s
         self.l1, self.heights = L1(), HeightControl()
+        self.aim: Circle | Line | None = None  # none: the bank stays
         self.wanted_height_m, self.wanted_airspeed_m_s = 0.0, 0.0
         """Above the sea; and a true airspeed."""
         self.wanted_climb_m_s: float | None = None
@@ -217,6 +213,7 @@ class FixedWing(Autopilot):
         self.bank_rad, self.bank_most_rad = 0.0, 1.0
         self._speed_m_s = 0.0
         self._waited_s = 0.0  # when it was not yet to take off
+        self.leg: Leg | None = None  # that it flies
 
     # --- where to -----------------------------------------------------------------------------
 
@@ -230,22 +227,49 @@ class FixedWing(Autopilot):
         """How far it is from a place."""
         return way_m(place, self.estimate.place)
 
-    def bank_for(self, aim: Circle | Way) -> None:
-        """Bank for where it is to go."""
+    def straight_to(self, place: Place, start: Place | None = None) -> None:
+        """Along the line from a start, or from here; if that is the place, on as it flies."""
+        way = way_m(start or self.estimate.place, place)
+        way = way if abs(way) > 1.0 else self.velocity
+        self.aim = Line(place, way / abs(way))
+
+    def lateral_m_s2(self, aim: Circle | Line) -> float:
+        """What it turns with for its aim."""
+        off_m = self.off_m(aim.place)
         if isinstance(aim, Circle):
-            self._turn(self.l1.circle(self.off_m(aim.centre), aim.radius_m, self.velocity))
+            return self.l1.circle(off_m, aim.radius_m, self.velocity)
+        return self.l1.line(off_m, aim.way, self.velocity)
+
+    def bank(self) -> None:
+        """For its aim."""
+        if self.aim is not None:
+            lateral_g = self.lateral_m_s2(self.aim) / GRAVITY_M_S2
+            self.bank_rad = math.atan(lateral_g / math.cos(self.plane.pitch_rad))
+
+    def fly_leg(self) -> None:
+        """Straight to the leg's place from the one before, or about it."""
+        before, leg, here = self.leg, self.route.leg, self.estimate.place
+        self.leg = leg
+        if leg is None:
+            self.circle(here)
+        elif leg.does is Does.LAND:
+            self.land_at(leg.place)
+        elif leg.hold_s and leg.does is Does.GO:
+            self.circle(leg.place)
         else:
-            off_m = self.off_m(aim.start)
-            self._turn(self.l1.leg(off_m, off_m - self.off_m(aim.end), self.velocity))
+            goes_on = before is not None and before.does is leg.does is Does.GO
+            self.straight_to(leg.place, before.place if before and goes_on else here)
 
-    def bank_along(self, off_m: complex, way: complex, curvature_1_m: float = 0.0) -> None:
-        """Bank for a line in a direction (of unit length), or bent there: so far off its point."""
-        velocity = self.velocity
-        lateral = self.l1.line(off_m, way, velocity)
-        self._turn(lateral + abs(velocity) ** 2 * curvature_1_m)
-
-    def _turn(self, lateral_m_s2: float) -> None:
-        self.bank_rad = math.atan(lateral_m_s2 / (GRAVITY_M_S2 * math.cos(self.plane.pitch_rad)))
+    def is_there(self, leg: Leg) -> bool:
+        """At its height, on its circle, or near enough or past."""
+        aim, off_m = self.aim, self.off_m(leg.place)
+        if leg.does is Does.CLIMB:
+            return self.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m
+        if not isinstance(aim, Line):
+            return aim is None or abs(off_m) < abs(aim.radius_m) + _ON_CIRCLE_M
+        near_m = min(self.passes_m(), self.l1.length_m(abs(self.velocity)))
+        near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else near_m
+        return abs(off_m) <= near_m or (off_m.conjugate() * aim.way).real >= 0.0
 
     # --- in the air, and on its wheels --------------------------------------------------------
 

@@ -14,7 +14,7 @@ from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, Mode
 from vehicle_sim.autopilot.earth import Projection
 from vehicle_sim.autopilot.estimator import Timing, told
 from vehicle_sim.autopilot.guards import Zones
-from vehicle_sim.autopilot.legs import Does
+from vehicle_sim.autopilot.legs import RETURN, Does, Leg
 from vehicle_sim.autopilot.setpoints import Target, given, read_by_px4
 from vehicle_sim.autopilot.values import Command, Landed, Place, Reply, Result, State
 from vehicle_sim.faults import SIM_PARAMETERS_PX4
@@ -50,23 +50,21 @@ def _mode(name: str, main: int, sub: int, flies: str, base: int, *, needs: bool 
 _BY_HAND, _BY_ITSELF, _BY_COMMAND = 0x51, 0x1D, 0x11
 """base_mode as recorded: 29 in AUTO, 17 in OFFBOARD."""
 MODES: Final = (
-    _mode("Hold", 4, 3, "hold", _BY_ITSELF),
+    _mode("Hold", 4, 3, "fly_legs", _BY_ITSELF),
     _mode("Manual", 1, 0, "sink", _BY_HAND, needs=False),
     _mode("Altitude", 2, 0, "sink", _BY_HAND, needs=False),
     _mode("Position", 3, 0, "sink", _BY_HAND),
     _mode("Acro", 5, 0, "sink", _BY_HAND, needs=False),
     _mode("Stabilized", 7, 0, "sink", _BY_HAND, needs=False),
     _mode("Offboard", 6, 0, "fly_target", _BY_COMMAND, needs=False),
-    _mode("Takeoff", 4, 2, "climb", _BY_ITSELF),
-    _mode("Mission", 4, 4, "fly_mission", _BY_ITSELF),
-    _mode("Return", 4, 5, "fly_back", _BY_ITSELF),
-    _mode("Land", 4, 6, "land", _BY_ITSELF),
+    _mode("Takeoff", 4, 2, "fly_legs", _BY_ITSELF),
+    _mode("Mission", 4, 4, "fly_legs", _BY_ITSELF),
+    _mode("Return", 4, 5, "fly_legs", _BY_ITSELF),
+    _mode("Land", 4, 6, "fly_legs", _BY_ITSELF),
     _mode("Descend", 4, 6, "descend", _BY_ITSELF, needs=False),
 )
 """Descend is a failsafe only, told as AUTO:LAND."""
 _NAMES: Final = {mode.number: mode.name for mode in reversed(MODES)}
-NAVIGATED: Final = frozenset({"Takeoff", "Hold", "Mission", "Return", "Land"})
-"""Modes in which the navigator has a place to go to."""
 
 _GOOD: Final = 0x37F
 _TIMING: Final = Timing(
@@ -156,7 +154,12 @@ NOWHERE: Final = Place(_NAN, _NAN, _NAN)
 class Px4(core.Autopilot):
     """One vehicle's autopilot."""
 
-    fly_leg: Callable[[], None]  # of the mission and no return; or none any more
+    taken_off_s = 0.0  # at its height, until a take-off is over
+    # How a kind of vehicle flies (px4copter.py, px4plane.py).
+    restart: Callable[[], None]  # from what the vehicle does: another mode begins
+    fly_leg: Callable[[], None]  # another one, or none any more
+    stops_at: Callable[[], Place]  # where it holds, told nothing else
+    way_home: Callable[[], Sequence[Leg]]
 
     def __init__(self, boot: core.Boot) -> None:
         super().__init__(boot)
@@ -316,11 +319,31 @@ class Px4(core.Autopilot):
         if mode is before:
             return
         self.route.stop()
+        self.restart()
         if mode.name == "Offboard":
             self.target = None
         elif mode.name == "Mission":
             self.seek(0 if self.route.complete else self.route.current)
         self.begin()
+
+    def begin(self) -> None:
+        """Fly the mode from now on: the legs of all AUTO modes but the mission."""
+        legs: Sequence[Leg]
+        match self.mode.name:
+            case "Takeoff":
+                place = self.asked_or(self.estimate.place).at(self.takeoff_altitude_m)
+                legs = [Leg(Does.CLIMB, place, self.taken_off_s, RETURN)]
+            case "Hold":
+                place = self.asked_or(self.stops_at())
+                legs = [Leg(Does.GO, place, math.inf, RETURN, yaw_rad=self.asked_yaw_rad)]
+            case "Land":
+                legs = [Leg(Does.LAND, self.asked_or(self.stops_at()), command=RETURN)]
+            case "Return":
+                legs = self.way_home()
+            case _:
+                return
+        self.route.fly(legs, self.now_s)
+        self.fly_leg()
 
     def intend(self, name: str) -> None:
         """Want this mode from now on; if nothing forbids it, it is flown at once."""
@@ -503,7 +526,7 @@ class Px4(core.Autopilot):
             system_status=state,
             landed_state=Landed.ON_GROUND if self.landed else in_air,
             prearm_ok=armable,
-            waypoint=self.waypoint() if armed and mode.name in NAVIGATED else None,
+            waypoint=self.waypoint() if armed and mode.base == _BY_ITSELF else None,
             intended_mode=self.intended.number,
             mission_current=self.route.current,
             mission_state=self.mission_state(),
