@@ -45,8 +45,6 @@ _LIFTS_OFF_AT: Final = 1.1
 _LANDS_FASTER_M_S: Final = 0.5  # flown 10.8 m/s through the air where FW_AIRSPD_MIN is 10.3
 _LANDING_SINK_M_S: Final = 0.87
 """In a circle; of the recorded landing."""
-_STEER_EVERY: Final = 4
-"""Steps: the guidance runs at 25 Hz (the real one at 50, which nothing measured tells apart)."""
 _GLIDE_M_S: Final = 1.6  # sink without throttle
 _DESCEND_M_S: Final = 0.5
 """Failsafe without a position (FixedWingModeManager::control_auto_descend)."""
@@ -80,7 +78,6 @@ class Px4Plane(FixedWing, Px4):
         self.l1.period_s, self.l1.damping = 10.0, 0.7  # NPFG_PERIOD, NPFG_DAMPING
         self._seen: Target | None = None  # the setpoint that it flies by
         self._began_s = 0.0  # when the mode did
-        self._steps = 0
 
     def read_parameters(self) -> None:
         """Some parameter has changed."""
@@ -139,10 +136,10 @@ class Px4Plane(FixedWing, Px4):
 
     # --- in the air ---------------------------------------------------------------------------
 
-    def steer(self) -> None:
-        """Where to and how high, in every fourth step."""
-        self._steps += 1
-        if self._steps % _STEER_EVERY or self.plane.stands:
+    def check(self) -> None:
+        """Where to and how high, ten times a second (the real one fifty times)."""
+        super().check()
+        if not self.armed or self.plane.stands:
             return
         getattr(self, self.mode.flies)()
         if self.aim is not None:
