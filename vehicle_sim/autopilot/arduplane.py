@@ -88,16 +88,13 @@ class ArduPlane(FixedWing, ArduPilot):
     gcs_failsafe = "FS_GCS_ENABL"
     slowing_m_s2 = 2.2
     runway = Runway(
-        # arduplane-guided-reposition.tlog, 26 to 35 s; TKOFF_THR_DELAY, THR_SLEWRATE
+        # arduplane-guided-reposition.tlog, 26 to 35 s
         full_m_s2=14.5,
-        power=1.5,
         drag_1_s=0.55,
-        waits_s=0.2,
-        opens_s=1.0,
+        opens_s=1.4,  # TKOFF_THR_DELAY, THR_SLEWRATE
         flying_m_s=2.5,
         landed_m_s=2.5,
         brakes_m_s2=3.0,
-        rolls_out_s=math.inf,
     )
 
     def __init__(self, boot: Boot) -> None:

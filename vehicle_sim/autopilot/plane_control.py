@@ -175,19 +175,14 @@ class Runway(NamedTuple):
 
     full_m_s2: float
     """Acceleration at full throttle, standing."""
-    power: float
-    """Of the throttle, in that."""
     drag_1_s: float
     """Of it, what each metre a second of airspeed takes away."""
-    waits_s: float
     opens_s: float
-    """From the take-off's beginning until the throttle opens, and how long that takes."""
+    """How long the throttle takes to open."""
     flying_m_s: float
     landed_m_s: float
     """Taken to fly from the one on, and to have landed below the other."""
     brakes_m_s2: float
-    rolls_out_s: float
-    """Without throttle it loses this, or its speed with this time constant if that is more."""
 
 
 class FixedWing(Autopilot):
@@ -292,12 +287,10 @@ class FixedWing(Autopilot):
         plane, runway, wants_up = self.plane, self.runway, self.wants_up()
         plane.altitude_amsl_m = self.ground_m
         self._waited_s = self._waited_s if wants_up else self.now_s
-        open_s = self.now_s - self._waited_s - runway.waits_s
-        plane.throttle = min(max(open_s / runway.opens_s, 0.0), 1.0)
-        push_m_s2 = -max(self.rolling_m_s / runway.rolls_out_s, runway.brakes_m_s2)
+        plane.throttle = min((self.now_s - self._waited_s) / runway.opens_s, 1.0)
+        push_m_s2 = -runway.brakes_m_s2
         if plane.throttle > 0.0:
-            push_m_s2 = runway.full_m_s2 * plane.throttle**runway.power
-            push_m_s2 -= runway.drag_1_s * plane.airspeed_m_s
+            push_m_s2 = runway.full_m_s2 * plane.throttle - runway.drag_1_s * plane.airspeed_m_s
             if self.rolling_m_s >= runway.flying_m_s:
                 self.take_to_the_air()
         plane.roll_on_ground(push_m_s2, self.step_s)

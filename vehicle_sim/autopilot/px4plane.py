@@ -60,16 +60,11 @@ class Px4Plane(FixedWing, Px4):
 
     runway = Runway(
         full_m_s2=6.4,
-        power=1.0,
         drag_1_s=0.0,
-        waits_s=0.0,
         opens_s=1.12,  # RWTO_RAMP_TIME
         flying_m_s=6.6,  # the land detector believes in a take-off, still on the wheels
         landed_m_s=3.2,  # from here on it counts its 1.8 s: 0.9 m/s when it is done
-        brakes_m_s2=0.05,
-        # so that it stands when and where the recorded one does, whose flare brakes it from 10.8
-        # to 6.8 m/s before contact (then 1.33 s)
-        rolls_out_s=0.8,
+        brakes_m_s2=8.4,  # as long as the recorded one, which flares to 6.8 m/s before contact
     )
 
     def __init__(self, boot: Boot) -> None:
