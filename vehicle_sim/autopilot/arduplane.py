@@ -86,7 +86,6 @@ class ArduPlane(FixedWing, ArduPilot):
     """Modes, GUIDED's points and take-off."""
 
     gcs_failsafe = "FS_GCS_ENABL"
-    slowing_m_s2 = 2.2
     runway = Runway(
         # arduplane-guided-reposition.tlog, 26 to 35 s
         full_m_s2=14.5,

@@ -189,7 +189,6 @@ class FixedWing(Autopilot):
     """A plane: on its wheels until it is fast enough, then along its aim, at heights and speeds."""
 
     runway: ClassVar[Runway]
-    slowing_m_s2: ClassVar[float] = math.inf  # how fast it loses speed with the throttle closing
     circle: Callable[[Place], None]  # aim there, with the usual radius
     land_at: Callable[[Place], None]  # fly to where a mission lands
     passes_m: Callable[[], float]  # how near to a waypoint it turns to the next one, at most
@@ -206,7 +205,6 @@ class FixedWing(Autopilot):
         self.wanted_climb_m_s: float | None = None
         """Instead of going to the height."""
         self.bank_rad, self.bank_most_rad = 0.0, 1.0
-        self._speed_m_s = 0.0
         self._waited_s = 0.0  # when it was not yet to take off
         self.leg: Leg | None = None  # that it flies
 
@@ -275,10 +273,8 @@ class FixedWing(Autopilot):
             climb = self.heights.climb_m_s(self.wanted_height_m, height_m, self.step_s)
         else:
             self.heights.begin(height_m)
-        slowed_m_s = self._speed_m_s - self.slowing_m_s2 * self.step_s
-        self._speed_m_s = max(self.wanted_airspeed_m_s, slowed_m_s)
         bank_rad = min(max(self.bank_rad, -self.bank_most_rad), self.bank_most_rad)
-        plane.advance(bank_rad, climb, self._speed_m_s, self.step_s)
+        plane.advance(bank_rad, climb, self.wanted_airspeed_m_s, self.step_s)
         if self.wanted_climb_m_s is not None:
             plane.throttle = 1.0 if self.wanted_climb_m_s > 0.0 else 0.0
 
