@@ -83,8 +83,8 @@ class Px4Copter(Px4):
 
     def _local(self, place: Place) -> tuple[complex, float]:
         """A place in the local frame, and its height: down."""
-        north_m, east_m, _ = self.frame.ned_m(place)
-        return complex(north_m, east_m), self.reference.altitude_amsl_m - place.altitude_amsl_m
+        north_m, east_m, down_m = self.frame.ned_m(place)
+        return complex(north_m, east_m), down_m
 
     # --- AUTO modes: legs ---------------------------------------------------------------------
 

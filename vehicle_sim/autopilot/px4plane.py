@@ -226,7 +226,7 @@ class Px4Plane(FixedWing, Px4):
 
     def target_echo(self) -> TargetEcho | None:
         """The nearest point of circle or leg; nothing in OFFBOARD, while that follows a path."""
-        waypoint, place = self.waypoint(), (0.0, 0.0, self.reference.altitude_amsl_m)
+        waypoint, place = self.waypoint(), (0.0, 0.0, self.frame.origin.altitude_amsl_m)
         if self.mode.flies != "fly_legs" and not isinstance(self.aim, Circle):
             return None
         if self.armed and waypoint is not None:
