@@ -14,11 +14,11 @@ from vehicle_sim.autopilot.ardupilot import EKF3, ArduPilot, firmware
 from vehicle_sim.autopilot.core import HEARTBEAT, HOME_POSITION, Boot, Mode
 from vehicle_sim.autopilot.earth import FlatEarth, way_m
 from vehicle_sim.autopilot.estimator import State as Estimates
-from vehicle_sim.autopilot.legs import WAYPOINT, Does
+from vehicle_sim.autopilot.legs import RETURN, WAYPOINT, Does, Leg
 from vehicle_sim.autopilot.plane_control import (
+    Airframe,
     Circle,
     FixedWing,
-    Runway,
     eas_to_tas,
     indicated_airspeed_m_s,
     true_airspeed_m_s,
@@ -30,7 +30,7 @@ _BY_HAND, _BY_ITSELF = 0x51, 0x59
 """base_mode: stabilised, with manual override; guided as well where it navigates."""
 _GLIDES = {"MANUAL": 0, "STABILIZE": 2, "TRAINING": 3, "ACRO": 4, "FBWA": 5, "AUTOTUNE": 8}
 """The throttle is in a hand that is not there."""
-_CIRCLES = {"CIRCLE": 1, "LOITER": 12, "GUIDED": 15, "THERMAL": 24, "AUTOLAND": 26}
+_NAVIGATES = {"CIRCLE": 1, "AUTO": 10, "RTL": 11, "LOITER": 12, "TAKEOFF": 13, "GUIDED": 15}
 FIRMWARE: Final = firmware(
     "arduplane",
     vehicle_type=1,
@@ -44,10 +44,7 @@ FIRMWARE: Final = firmware(
         *(Mode(name, number, "glides", base=_BY_HAND) for name, number in _GLIDES.items()),
         Mode("FBWB", 6, "cruises", base=_BY_HAND),
         Mode("CRUISE", 7, "cruises", base=_BY_HAND),
-        *(Mode(name, number, "circles", base=_BY_ITSELF) for name, number in _CIRCLES.items()),
-        Mode("RTL", 11, "returns", base=_BY_ITSELF),
-        Mode("TAKEOFF", 13, "takes off", base=_BY_ITSELF),
-        Mode("AUTO", 10, "flies a mission", base=_BY_ITSELF),
+        *(Mode(name, number, "navigates", base=_BY_ITSELF) for name, number in _NAVIGATES.items()),
     ),
     orders={17: "LOITER", 20: "RTL", 300: "AUTO"},
     pilot="FBWA",
@@ -62,9 +59,7 @@ FIRMWARE: Final = firmware(
 )
 
 _LIFT_OFF_SHARE: Final = 0.86  # of the cruising airspeed
-_AIMED_M_S: Final = 5.0  # ground speed at which TAKEOFF settles where it goes
 _CLIMB_AIRSPEED: Final = 1.225  # at full throttle and nose up, over cruising airspeed
-_CLIMB_M_S: Final = 9.9
 _LEVEL_RAD, _LEVEL_M, _FREE_M = math.radians(5.0), 10.0, 30.0
 """Bank below this height, at most (LEVEL_ROLL_LIMIT, TKOFF_LVL_ALT); above the other it is free."""
 _REACHED_M: Final = 2.0  # a take-off is over so much below its height
@@ -73,11 +68,8 @@ _TURN_EFFICIENCY: Final = 0.745
 0.745 +- 0.01 over 240 s); that is why its circles are wider than asked."""
 _GLIDE_M_S: Final = 2.5
 _DISARMS_S: Final = 20.0  # LAND_DISARMDELAY
-_LANDING_SINK_M_S: Final = 1.5
-"""Wings level from the place of a landing on: no approach and no flare."""
 _HEADING_GAIN: Final = math.radians(50.0)
 """Bank for each radian of course error: GUIDED_P 5000 hundredths of a degree."""
-_DO_CHANGE_SPEED, _GUIDED_CHANGE_SPEED = 178, 43000
 _NO_HEIGHT = "SIM: NaN height in {} stops the real autopilot"
 
 
@@ -86,7 +78,7 @@ class ArduPlane(FixedWing, ArduPilot):
     """Modes, GUIDED's points and take-off."""
 
     gcs_failsafe = "FS_GCS_ENABL"
-    runway = Runway(
+    airframe = Airframe(
         # arduplane-guided-reposition.tlog, 26 to 35 s
         full_m_s2=14.5,
         drag_1_s=0.55,
@@ -94,6 +86,8 @@ class ArduPlane(FixedWing, ArduPilot):
         flying_m_s=2.5,
         landed_m_s=2.5,
         brakes_m_s2=3.0,
+        climbs_m_s=9.9,
+        lands_m_s=1.5,  # wings level from the place of a landing on: no approach and no flare
     )
 
     def __init__(self, boot: Boot) -> None:
@@ -105,12 +99,11 @@ class ArduPlane(FixedWing, ArduPilot):
         """GUIDED_CHANGE_HEADING, instead of the point: course and most bank, in radians."""
         self._asked_m_s: float | None = None  # airspeed, by a command
         self._demand_m_s = 22.0  # airspeed as a pitot tube measures it
-        self._climbing = False  # after lifting off, at full throttle
         self.handlers |= {
             22: lambda _: Result.FAILED,  # there is the mode TAKEOFF for that
-            _DO_CHANGE_SPEED: self._change_speed,
+            178: self._change_speed,
             192: self._reposition,
-            _GUIDED_CHANGE_SPEED: self._change_speed,
+            43000: self._change_speed,
             43002: self._change_heading,
         }
 
@@ -118,15 +111,29 @@ class ArduPlane(FixedWing, ArduPilot):
 
     def begin(self) -> None:
         """What was told before is forgotten; without anything new it circles here."""
-        here, self._asked_m_s, self.leg = self.estimate.place, None, None
+        here, p, self._asked_m_s, self.leg = self.estimate.place, self.parameters, None, None
         self.route.stop()
-        self._climbing = False
         self.circle(here)
         self.wanted_height_m = here.altitude_amsl_m
-        if self.mode.flies == "returns":
-            self._return()
-        elif self.mode.flies == "flies a mission":
+        if self.mode.name == "RTL":
+            self.route.fly([Leg(Does.GO, self._over_home(), math.inf, RETURN)], self.now_s)
+        elif self.mode.name == "TAKEOFF" and self.plane.stands:
+            ahead_m = cmath.rect(p["TKOFF_DIST"], self.plane.heading_rad)
+            place = FlatEarth(here).place(ahead_m.real, ahead_m.imag, -p["TKOFF_ALT"])
+            climb = Leg(Does.CLIMB, place.at(place.altitude_amsl_m - _REACHED_M), command=RETURN)
+            self.route.fly([climb, Leg(Does.GO, place, math.inf, RETURN)], self.now_s)
+            self.circle(place)
+            self.leg = climb  # it aims at the circle even while it climbs
+        elif self.mode.name == "AUTO":
             self.seek(max(self.route.current, 1))
+
+    def on_armed(self) -> None:
+        """The mode begins."""
+        self.begin()
+        super().on_armed()
+
+    def on_disarmed(self) -> None:
+        """Nothing turns."""
 
     def circle(self, place: Place, radius_m: float = 0.0, *, left: bool = False) -> None:
         """About a place, at its height; wider where the air is thin."""
@@ -136,34 +143,28 @@ class ArduPlane(FixedWing, ArduPilot):
         self.aim = Circle(place, -radius_m if left or usual_m < 0.0 else radius_m)
         self._start, self._arrived = self.estimate.place, False
 
-    def _return(self) -> None:
-        """Home, RTL_ALTITUDE above it."""
-        home, above_m = self.home, self.parameters["RTL_ALTITUDE"]
-        if home is not None:
-            here_m = self.estimate.altitude_amsl_m
-            self.circle(home.at(here_m if above_m < 0.0 else home.altitude_amsl_m + above_m))
+    def _over_home(self) -> Place:
+        """RTL_ALTITUDE above it."""
+        here, above_m = self.estimate.place, self.parameters["RTL_ALTITUDE"]
+        home = self.home or here
+        return home.at(here.altitude_amsl_m if above_m < 0.0 else home.altitude_amsl_m + above_m)
 
     def begin_leg(self, speed_m_s: float | None) -> None:
-        """Another item; it takes off straight ahead, and waits at no way point."""
-        route, leg, here = self.route, self.route.leg, self.estimate.place
+        """Another item; it takes off straight ahead, waits at no way point, and circles home."""
+        leg, here = self.route.leg, self.estimate.place
+        self._start = here
         self._asked_m_s = speed_m_s or self._asked_m_s
         if leg is not None and leg.does is Does.CLIMB:
-            route.leg = leg._replace(place=here.at(leg.place.altitude_amsl_m))
+            self.route.leg = leg._replace(place=here.at(leg.place.altitude_amsl_m))
+        elif leg is not None and leg.does is Does.RETURN:
+            self.route.leg = Leg(Does.GO, self._over_home(), math.inf, RETURN)
         elif leg is not None and leg.command == WAYPOINT:
-            route.leg = leg._replace(hold_s=0.0)
-        self._start = here
-        if self.is_at(Does.RETURN):
-            self._return()
-        else:
-            self.fly_leg()
+            self.route.leg = leg._replace(hold_s=0.0)
+        self.fly_leg()
 
     def land_at(self, place: Place) -> None:
         """Straight on over the place, from where it sinks."""
         self.straight_to(place.at(self.estimate.altitude_amsl_m))
-
-    def passes_m(self) -> float:
-        """WP_RADIUS."""
-        return self.parameters["WP_RADIUS"]
 
     def lands(self) -> bool:
         """Where AUTO does."""
@@ -261,101 +262,55 @@ class ArduPlane(FixedWing, ArduPilot):
     def check(self) -> None:
         """How fast and how high, where to, and how to bank for it."""
         super().check()
-        self._choose_speed()
-        if not self.estimate.position_ok or self.mode.flies in ("glides", "cruises"):
-            self.bank_rad = 0.0
-        else:
-            self._navigate()
-
-    def _choose_speed(self) -> None:
-        """Airspeed, and the climb where that is no matter of height."""
         p, flies = self.parameters, self.mode.flies
-        usual_m_s = p["AIRSPEED_MIN" if flies in ("glides", "cruises") else "AIRSPEED_CRUISE"]
-        asked_m_s = self._asked_m_s or usual_m_s
+        if flies == "navigates":
+            self._navigate()
+        else:
+            self.bank_rad, self.wanted_climb_m_s = 0.0, -_GLIDE_M_S if flies == "glides" else None
+        by_hand_m_s = p["AIRSPEED_CRUISE" if flies == "navigates" else "AIRSPEED_MIN"]
+        asked_m_s = self._asked_m_s or by_hand_m_s
         self._demand_m_s = min(max(asked_m_s, p["AIRSPEED_MIN"]), p["AIRSPEED_MAX"])
-        altitude_m = self.estimate.altitude_amsl_m
-        self.wanted_airspeed_m_s = true_airspeed_m_s(self._demand_m_s, altitude_m)
-        self.wanted_climb_m_s = None
-        if flies == "glides":
-            self.wanted_climb_m_s = -_GLIDE_M_S
-        elif self._climbing:
+        cruise_m_s = true_airspeed_m_s(self._demand_m_s, self.estimate.altitude_amsl_m)
+        self.rotates_m_s = _LIFT_OFF_SHARE * cruise_m_s
+        self.wanted_airspeed_m_s = cruise_m_s
+        if self.is_at(Does.CLIMB) and not self.plane.stands:
             self.wanted_airspeed_m_s *= _CLIMB_AIRSPEED
-            self.wanted_climb_m_s = _CLIMB_M_S
-        elif self.route.lands:
-            self.wanted_climb_m_s = -_LANDING_SINK_M_S
 
     def _navigate(self) -> None:
-        """By itself: along its aim."""
-        p, velocity = self.parameters, self.velocity
-        if self.mode.flies == "takes off" and self.plane.stands and abs(velocity) < _AIMED_M_S:
-            away_m = velocity / abs(velocity) * p["TKOFF_DIST"]
-            earth = FlatEarth(self.estimate.place)
-            self.circle(earth.place(away_m.real, away_m.imag, -p["TKOFF_ALT"]))
-        elif self.mode.flies == "flies a mission":
-            self.follow_route()
-            if self.route.leg is None and not self.plane.stands:
-                self.set_mode("RTL")
+        """By itself: along its aim; without a position wings level."""
+        if not self.estimate.position_ok:
+            self.bank_rad = 0.0
+            return
+        self.fly_legs()
+        if self.mode.name == "AUTO" and self.route.leg is None and not self.plane.stands:
+            self.set_mode("RTL")
         self.bank()
         assert self.aim is not None
-        place, off_m = self.aim.place, self.off_m(self.aim.place)
+        place, climbed_m = (
+            self.aim.place,
+            self.estimate.altitude_amsl_m - self._start.altitude_amsl_m,
+        )
+        if self.is_at(Does.CLIMB):
+            share = min(max((climbed_m - _LEVEL_M) / (_FREE_M - _LEVEL_M), 0.0), 1.0)
+            most_rad = _LEVEL_RAD + share * (self.bank_most_rad - _LEVEL_RAD)
+            self.bank_rad = min(max(self.bank_rad, -most_rad), most_rad)
         self.wanted_height_m = place.altitude_amsl_m
-        is_past = (off_m.conjugate() * way_m(self._start, place)).real > 0.0
-        if (self.l1.circling or is_past) and not self._arrived:
-            self._arrived = True
-            if self.mode.name == "GUIDED" and not self.landed:
+        if self.mode.name == "GUIDED" and not (self._arrived or self.landed):
+            way_there_m = way_m(self._start, place)
+            is_past = (self.off_m(place).conjugate() * way_there_m).real > 0.0
+            self._arrived = self.l1.circling or is_past
+            if self._arrived:
                 self.reached(0)
         if self._course is not None:
             course_rad, most_rad = self._course
-            error_rad = math.remainder(course_rad - cmath.phase(velocity), math.tau)
+            error_rad = math.remainder(course_rad - cmath.phase(self.velocity), math.tau)
             self.bank_rad = min(max(_HEADING_GAIN * error_rad, -most_rad), most_rad)
-        if self._climbing:
-            self._watch_climb()
         elif self.route.lands:
             self.bank_rad = 0.0
 
-    # --- take-off -----------------------------------------------------------------------------
-
-    @property
-    def _takes_off(self) -> bool:
-        """By mode or by the mission's item."""
-        return self.mode.flies == "takes off" or self.is_at(Does.CLIMB)
-
-    def wants_up(self) -> bool:
-        """Whether it is to take off now."""
-        return self._takes_off and self.armed and self.estimate.position_ok
-
     def climbs_out(self) -> bool:
         """Whether a take-off goes on."""
-        return self._climbing or (self.plane.stands and self.plane.throttle > 0.0)
-
-    def lifts_off(self) -> bool:
-        """Fast enough on the runway: at full throttle from here on."""
-        fast_m_s = _LIFT_OFF_SHARE * self.wanted_airspeed_m_s
-        self._climbing = self.wants_up() and self.plane.airspeed_m_s >= fast_m_s
-        if self._climbing:
-            self._choose_speed()
-        return self._climbing
-
-    def _watch_climb(self) -> None:
-        """Level near the ground; over at its height, or far enough away."""
-        p = self.parameters
-        climbed_m = self.estimate.altitude_amsl_m - self._start.altitude_amsl_m
-        share = min(max((climbed_m - _LEVEL_M) / (_FREE_M - _LEVEL_M), 0.0), 1.0)
-        most_rad = _LEVEL_RAD + share * (self.bank_most_rad - _LEVEL_RAD)
-        self.bank_rad = min(max(self.bank_rad, -most_rad), most_rad)
-        self._climbing = self._takes_off
-        if self.mode.flies == "takes off":
-            is_far = abs(self.off_m(self._start)) >= p["TKOFF_DIST"]
-            self._climbing = climbed_m < p["TKOFF_ALT"] - _REACHED_M and not is_far
-
-    def on_disarmed(self) -> None:
-        """A climb is over."""
-        self._climbing = False
-
-    def touch_down(self) -> None:
-        """A climb is over, too."""
-        super().touch_down()
-        self._climbing = False
+        return self.is_at(Does.CLIMB) and self.plane.throttle > 0.0
 
     # --- telling ------------------------------------------------------------------------------
 
@@ -365,6 +320,7 @@ class ArduPlane(FixedWing, ArduPilot):
         self.l1.period_s = max(p["NAVL1_PERIOD"], 1.0)
         self.heights.climb_most_m_s = max(p["TECS_CLMB_MAX"], 0.1)
         self.heights.sink_most_m_s = max(p["TECS_SINK_MAX"], 0.1)
+        self.passes_m = p["WP_RADIUS"]
         self.bank_most_rad = math.radians(min(abs(p["ROLL_LIMIT_DEG"]), 80.0))
 
     def airspeed_m_s(self) -> float:

@@ -170,8 +170,8 @@ class Line(NamedTuple):
 
 
 @final
-class Runway(NamedTuple):
-    """How a plane rolls; speeds over the ground."""
+class Airframe(NamedTuple):
+    """How a plane rolls, climbs out and lands; speeds over the ground."""
 
     full_m_s2: float
     """Acceleration at full throttle, standing."""
@@ -183,30 +183,34 @@ class Runway(NamedTuple):
     landed_m_s: float
     """Taken to fly from the one on, and to have landed below the other."""
     brakes_m_s2: float
+    climbs_m_s: float
+    lands_m_s: float
+    """Climb and sink rate of take-off and landing."""
 
 
 class FixedWing(Autopilot):
     """A plane: on its wheels until it is fast enough, then along its aim, at heights and speeds."""
 
-    runway: ClassVar[Runway]
+    airframe: ClassVar[Airframe]
     circle: Callable[[Place], None]  # aim there, with the usual radius
     land_at: Callable[[Place], None]  # fly to where a mission lands
-    passes_m: Callable[[], float]  # how near to a waypoint it turns to the next one, at most
 
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
         assert isinstance(boot.vehicle, Plane)
         self.plane = boot.vehicle
-        self.lies_below_m_s = self.runway.landed_m_s
+        self.lies_below_m_s = self.airframe.landed_m_s
         self.l1, self.heights = L1(), HeightControl()
         self.aim: Circle | Line | None = None  # none: the bank stays
+        self.leg: Leg | None = None  # that it flies
+        self.passes_m = math.inf  # how near to a way point it turns to the next one, at most
+        self.rotates_m_s = math.inf  # true airspeed at which it leaves the ground
         self.wanted_height_m, self.wanted_airspeed_m_s = 0.0, 0.0
         """Above the sea; and a true airspeed."""
         self.wanted_climb_m_s: float | None = None
         """Instead of going to the height."""
         self.bank_rad, self.bank_most_rad = 0.0, 1.0
         self._waited_s = 0.0  # when it was not yet to take off
-        self.leg: Leg | None = None  # that it flies
 
     # --- where to -----------------------------------------------------------------------------
 
@@ -239,6 +243,19 @@ class FixedWing(Autopilot):
             lateral_g = self.lateral_m_s2(self.aim) / GRAVITY_M_S2
             self.bank_rad = math.atan(lateral_g / math.cos(self.plane.pitch_rad))
 
+    # --- legs ---------------------------------------------------------------------------------
+
+    def fly_legs(self) -> None:
+        """Where to, and whether to climb out or to land there."""
+        if self.route.leg is not self.leg:
+            self.fly_leg()
+        self.follow_route()
+        leg, self.wanted_climb_m_s = self.route.leg, None
+        if self.route.lands:
+            self.wanted_climb_m_s = -self.airframe.lands_m_s
+        elif leg is not None and leg.does is Does.CLIMB and not self._is_up(leg):
+            self.wanted_climb_m_s = self.airframe.climbs_m_s
+
     def fly_leg(self) -> None:
         """Straight to the leg's place from the one before, or about it."""
         before, leg, here = self.leg, self.route.leg, self.estimate.place
@@ -253,18 +270,29 @@ class FixedWing(Autopilot):
             goes_on = before is not None and before.does is leg.does is Does.GO
             self.straight_to(leg.place, before.place if before and goes_on else here)
 
+    def _is_up(self, leg: Leg) -> bool:
+        return self.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m
+
     def is_there(self, leg: Leg) -> bool:
         """At its height, on its circle, or near enough or past."""
         aim, off_m = self.aim, self.off_m(leg.place)
         if leg.does is Does.CLIMB:
-            return self.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m
+            return self._is_up(leg)
         if not isinstance(aim, Line):
             return aim is None or abs(off_m) < abs(aim.radius_m) + _ON_CIRCLE_M
-        near_m = min(self.passes_m(), self.l1.length_m(abs(self.velocity)))
+        near_m = min(self.passes_m, self.l1.length_m(abs(self.velocity)))
         near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else near_m
         return abs(off_m) <= near_m or (off_m.conjugate() * aim.way).real >= 0.0
 
     # --- in the air, and on its wheels --------------------------------------------------------
+
+    def wants_up(self) -> bool:
+        """A take-off, by mode or by a mission."""
+        return self.armed and self.is_at(Does.CLIMB)
+
+    def lifts_off(self) -> bool:
+        """Fast enough on the runway."""
+        return self.wants_up() and self.plane.airspeed_m_s >= self.rotates_m_s
 
     def move(self) -> None:
         """In the air, as it was steered."""
@@ -280,14 +308,15 @@ class FixedWing(Autopilot):
 
     def stand(self) -> None:
         """On the runway: up to speed, or to a halt."""
-        plane, runway, wants_up = self.plane, self.runway, self.wants_up()
+        plane, airframe = self.plane, self.airframe
         plane.altitude_amsl_m = self.ground_m
-        self._waited_s = self._waited_s if wants_up else self.now_s
-        plane.throttle = min((self.now_s - self._waited_s) / runway.opens_s, 1.0)
-        push_m_s2 = -runway.brakes_m_s2
+        self._waited_s = self._waited_s if self.wants_up() else self.now_s
+        plane.throttle = min((self.now_s - self._waited_s) / airframe.opens_s, 1.0)
+        push_m_s2 = -airframe.brakes_m_s2
         if plane.throttle > 0.0:
-            push_m_s2 = runway.full_m_s2 * plane.throttle - runway.drag_1_s * plane.airspeed_m_s
-            if self.rolling_m_s >= runway.flying_m_s:
+            drag_m_s2 = airframe.drag_1_s * plane.airspeed_m_s
+            push_m_s2 = airframe.full_m_s2 * plane.throttle - drag_m_s2
+            if self.rolling_m_s >= airframe.flying_m_s:
                 self.take_to_the_air()
         plane.roll_on_ground(push_m_s2, self.step_s)
 

@@ -16,7 +16,7 @@ from typing import Final, final
 from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.legs import RETURN, Does, Leg
-from vehicle_sim.autopilot.plane_control import Circle, FixedWing, Line, Runway, eas_to_tas
+from vehicle_sim.autopilot.plane_control import Airframe, Circle, FixedWing, Line, eas_to_tas
 from vehicle_sim.autopilot.px4 import RATES_HZ, Px4, firmware
 from vehicle_sim.autopilot.setpoints import NOTHING, Target, given
 from vehicle_sim.autopilot.values import Place, TargetEcho, Waypoint
@@ -39,12 +39,9 @@ SIH_AIRPLANE: Final = PlaneLimits(
 # Times and speeds are those of px4-fixedwing-offboard.tlog: armed at 8.08 s, 2.9 m/s a second
 # later, 9.2 m/s and off the ground after two, 50 m high after 22; in the landing contact at 436.0,
 # 0.9 m/s and "landing detected" at 438.7 s after boot.  A landing ends without a flare.
-_CLIMB_OUT_M_S: Final = 2.63  # climb rate at FW_TKO_PITCH_MIN 10 degrees and full throttle
 _LIFTS_OFF_AT: Final = 1.1
 """Share of the take-off airspeed at which it leaves the ground: 11.3 m/s (RunwayTakeoff.cpp)."""
 _LANDS_FASTER_M_S: Final = 0.5  # flown 10.8 m/s through the air where FW_AIRSPD_MIN is 10.3
-_LANDING_SINK_M_S: Final = 0.87
-"""In a circle; of the recorded landing."""
 _GLIDE_M_S: Final = 1.6  # sink without throttle
 _DESCEND_M_S: Final = 0.5
 """Failsafe without a position (FixedWingModeManager::control_auto_descend)."""
@@ -58,13 +55,15 @@ _ECHO_MASK: Final = 3576
 class Px4Plane(FixedWing, Px4):
     """The aeroplane of PX4's SIH simulator, or one with other limits."""
 
-    runway = Runway(
+    airframe = Airframe(
         full_m_s2=6.4,
         drag_1_s=0.0,
         opens_s=1.12,  # RWTO_RAMP_TIME
         flying_m_s=6.6,  # the land detector believes in a take-off, still on the wheels
         landed_m_s=3.2,  # from here on it counts its 1.8 s: 0.9 m/s when it is done
         brakes_m_s2=8.4,  # as long as the recorded one, which flares to 6.8 m/s before contact
+        climbs_m_s=2.63,  # at FW_TKO_PITCH_MIN 10 degrees and full throttle
+        lands_m_s=0.87,
     )
 
     def __init__(self, boot: Boot) -> None:
@@ -104,10 +103,6 @@ class Px4Plane(FixedWing, Px4):
         """Down in a circle; NAV_LAND's own place is ignored, as recorded."""
         self.circle(self.estimate.place if self.mode.name == "Land" else place)
 
-    def passes_m(self) -> float:
-        """NPFG's switch distance alone: 31 m at 13.9 m/s."""
-        return math.inf
-
     def stops_at(self) -> Place:
         """It circles here."""
         return self.estimate.place
@@ -134,7 +129,7 @@ class Px4Plane(FixedWing, Px4):
     def check(self) -> None:
         """Where to and how high, ten times a second (the real one fifty times)."""
         super().check()
-        if not self.armed or self.plane.stands:
+        if not self.armed:
             return
         getattr(self, self.mode.flies)()
         if self.aim is not None:
@@ -163,19 +158,13 @@ class Px4Plane(FixedWing, Px4):
 
     def fly_legs(self) -> None:
         """AUTO modes; a take-off ends in Hold."""
-        if self.route.leg is not self.leg:
-            self.fly_leg()
-        self.follow_route()
-        leg = self.route.leg
-        if self.mode.name == "Takeoff" and leg is None:
+        super().fly_legs()
+        slow_m_s = self._true(self.parameters["FW_AIRSPD_MIN"])
+        self.rotates_m_s = _LIFTS_OFF_AT * slow_m_s
+        lands_m_s = slow_m_s + _LANDS_FASTER_M_S
+        self.wanted_airspeed_m_s = lands_m_s if self.route.lands else self._cruise_m_s
+        if self.mode.name == "Takeoff" and self.route.leg is None:
             self.intend("Hold")
-        self.wanted_airspeed_m_s, self.wanted_climb_m_s = self._cruise_m_s, None
-        if self.route.lands:
-            slow_m_s = self.parameters["FW_AIRSPD_MIN"]
-            self.wanted_airspeed_m_s = self._true(slow_m_s) + _LANDS_FASTER_M_S
-            self.wanted_climb_m_s = -_LANDING_SINK_M_S
-        elif leg is not None and leg.does is Does.CLIMB and not FixedWing.is_there(self, leg):
-            self.wanted_climb_m_s = _CLIMB_OUT_M_S
 
     def is_there(self, leg: Leg) -> bool:
         """A take-off that was not told where to is for good."""
@@ -192,10 +181,13 @@ class Px4Plane(FixedWing, Px4):
             self.aim = None
             return
         place = self.frame.place(north_m, east_m, down_m if down_m == down_m else 0.0)
-        speed_m_s = math.hypot(v_n, v_e)
+        velocity, push = complex(v_n, v_e), complex(*target.acceleration[:2])
         self.straight_to(place)
-        if speed_m_s > 1e-6:  # not NaN
-            self.aim = Line(place, complex(v_n, v_e) / speed_m_s, _bend(target))
+        if (speed_m_s := abs(velocity)) > 1e-6:  # not NaN
+            # bent to the wrong side, as PX4 does: FixedWingModeManager.cpp:2074, :2641-2644
+            bend_1_m = (velocity * push.conjugate()).imag / speed_m_s**3
+            bend_1_m = bend_1_m if bend_1_m == bend_1_m else 0.0
+            self.aim = Line(place, velocity / speed_m_s, bend_1_m)
         self.wanted_airspeed_m_s, self.wanted_climb_m_s = self._cruise_m_s, None
         if down_m != down_m:
             self.wanted_climb_m_s = 0.0 if v_d == v_d else -_GLIDE_M_S
@@ -207,20 +199,6 @@ class Px4Plane(FixedWing, Px4):
 
     def sink(self) -> None:
         """By hand, without a pilot: straight on."""
-
-    # --- on its wheels ------------------------------------------------------------------------
-
-    def wants_up(self) -> bool:
-        """Take-off, by mode or by a mission that begins with one."""
-        return self.armed and self.is_at(Does.CLIMB)
-
-    def lifts_off(self) -> bool:
-        """Fast enough on the runway: straight up from here on."""
-        fast_m_s = _LIFTS_OFF_AT * self._true(self.parameters["FW_AIRSPD_MIN"])
-        fast = self.wants_up() and self.plane.airspeed_m_s >= fast_m_s
-        if fast:
-            self.bank_rad, self.wanted_climb_m_s = 0.0, _CLIMB_OUT_M_S
-        return fast
 
     # --- to tell ------------------------------------------------------------------------------
 
@@ -238,14 +216,3 @@ class Px4Plane(FixedWing, Px4):
         """The place flown to, or the middle of a circle; of height 0 in a landing (recorded)."""
         aim = self.aim
         return aim and Waypoint(place=aim.place.at(0.0) if self.route.lands else aim.place)
-
-
-def _bend(target: Target) -> float:
-    """Curvature that an acceleration asks for, 1/m, with the sign that PX4 gives it: the wrong one.
-
-    FixedWingModeManager.cpp:2074 against :2641-2644 (px4.md 1, item 7).
-    """
-    (v_n, v_e, _), (a_n, a_e, a_d) = target.velocity, target.acceleration
-    if math.isnan(a_n + a_e + a_d):
-        return 0.0
-    return -(v_n * a_e - v_e * a_n) / math.hypot(v_n, v_e) ** 3
