@@ -60,8 +60,8 @@ FIRMWARE: Final = firmware(
 
 _LIFT_OFF_SHARE: Final = 0.86  # of the cruising airspeed
 _CLIMB_AIRSPEED: Final = 1.225  # at full throttle and nose up, over cruising airspeed
-_LEVEL_RAD, _LEVEL_M, _FREE_M = math.radians(5.0), 10.0, 30.0
-"""Bank below this height, at most (LEVEL_ROLL_LIMIT, TKOFF_LVL_ALT); above the other it is free."""
+_LEVEL_RAD, _LEVEL_M = math.radians(5.0), 20.0
+"""Bank below this height of a take-off, at most (LEVEL_ROLL_LIMIT, TKOFF_LVL_ALT)."""
 _REACHED_M: Final = 2.0  # a take-off is over so much below its height
 _TURN_EFFICIENCY: Final = 0.745
 """Lateral acceleration over g tan(bank) of the recorded airframe, which slips in turns (measured:
@@ -260,53 +260,45 @@ class ArduPlane(FixedWing, ArduPilot):
             self.send(HOME_POSITION)
 
     def check(self) -> None:
-        """How fast and how high, where to, and how to bank for it."""
+        """Where to, how high and how fast; without a position wings level."""
         super().check()
-        p, flies = self.parameters, self.mode.flies
-        if flies == "navigates":
+        p, navigates = self.parameters, self.mode.flies == "navigates"
+        if navigates and self.estimate.position_ok:
             self._navigate()
         else:
-            self.bank_rad, self.wanted_climb_m_s = 0.0, -_GLIDE_M_S if flies == "glides" else None
-        by_hand_m_s = p["AIRSPEED_CRUISE" if flies == "navigates" else "AIRSPEED_MIN"]
-        asked_m_s = self._asked_m_s or by_hand_m_s
+            self.bank_rad = 0.0
+        if not navigates:
+            self.wanted_climb_m_s = -_GLIDE_M_S if self.mode.flies == "glides" else None
+        asked_m_s = self._asked_m_s or p["AIRSPEED_CRUISE" if navigates else "AIRSPEED_MIN"]
         self._demand_m_s = min(max(asked_m_s, p["AIRSPEED_MIN"]), p["AIRSPEED_MAX"])
         cruise_m_s = true_airspeed_m_s(self._demand_m_s, self.estimate.altitude_amsl_m)
+        climbs = self.is_at(Does.CLIMB) and not self.plane.stands
+        self.wanted_airspeed_m_s = cruise_m_s * (_CLIMB_AIRSPEED if climbs else 1.0)
         self.rotates_m_s = _LIFT_OFF_SHARE * cruise_m_s
-        self.wanted_airspeed_m_s = cruise_m_s
-        if self.is_at(Does.CLIMB) and not self.plane.stands:
-            self.wanted_airspeed_m_s *= _CLIMB_AIRSPEED
 
     def _navigate(self) -> None:
-        """By itself: along its aim; without a position wings level."""
-        if not self.estimate.position_ok:
-            self.bank_rad = 0.0
-            return
+        """By itself: along its aim."""
         self.fly_legs()
         if self.mode.name == "AUTO" and self.route.leg is None and not self.plane.stands:
             self.set_mode("RTL")
         self.bank()
         assert self.aim is not None
-        place, climbed_m = (
-            self.aim.place,
-            self.estimate.altitude_amsl_m - self._start.altitude_amsl_m,
-        )
-        if self.is_at(Does.CLIMB):
-            share = min(max((climbed_m - _LEVEL_M) / (_FREE_M - _LEVEL_M), 0.0), 1.0)
-            most_rad = _LEVEL_RAD + share * (self.bank_most_rad - _LEVEL_RAD)
-            self.bank_rad = min(max(self.bank_rad, -most_rad), most_rad)
+        place, start = self.aim.place, self._start
         self.wanted_height_m = place.altitude_amsl_m
         if self.mode.name == "GUIDED" and not (self._arrived or self.landed):
-            way_there_m = way_m(self._start, place)
-            is_past = (self.off_m(place).conjugate() * way_there_m).real > 0.0
+            is_past = (self.off_m(place).conjugate() * way_m(start, place)).real > 0.0
             self._arrived = self.l1.circling or is_past
             if self._arrived:
                 self.reached(0)
+        climbed_m = self.estimate.altitude_amsl_m - start.altitude_amsl_m
         if self._course is not None:
             course_rad, most_rad = self._course
             error_rad = math.remainder(course_rad - cmath.phase(self.velocity), math.tau)
             self.bank_rad = min(max(_HEADING_GAIN * error_rad, -most_rad), most_rad)
         elif self.route.lands:
             self.bank_rad = 0.0
+        elif self.is_at(Does.CLIMB) and climbed_m < _LEVEL_M:
+            self.bank_rad = min(max(self.bank_rad, -_LEVEL_RAD), _LEVEL_RAD)
 
     def climbs_out(self) -> bool:
         """Whether a take-off goes on."""
