@@ -126,6 +126,7 @@ Action = enum.IntEnum(
 _CHOICES: Final = {
     "COM_OBL_RC_ACT": "POSITION ALTITUDE STABILIZED RETURN LAND HOLD DISARM DISARM",
     "GF_ACTION": "NONE NONE HOLD RETURN DISARM LAND",
+    "COM_LOW_BAT_ACT": "NONE NONE LAND RETURN",
     "NAV_DLL_ACT": "NONE HOLD RETURN LAND NONE DISARM DISARM",
 }
 """What the values of these parameters ask for; another one asks for the first."""
@@ -161,12 +162,10 @@ class Px4(core.Autopilot):
         """Where the command that brought about the mode wants it; NaN: not given."""
         self.speed_m_s: float | None = None
         """DO_CHANGE_SPEED, in AUTO modes."""
-        self.offboard_signal = False
-        self._signal_s = -math.inf
-        """A setpoint was seen within COM_OF_LOSS_T, as of the last check; and when it was."""
+        self._signal_s = -math.inf  # when a setpoint was seen
         self._breached = False  # the fence, when it last knew where it was
         self._zones = Zones(self.plans)
-        self._ill = _WELL  # what ground station, fence and battery ask for now
+        self._ill = _WELL  # what ground station, battery and fence ask for now
         self._incident = Action.NONE
         """What they have brought about: it stays when they are well again, until another mode is
         commanded."""
@@ -195,6 +194,11 @@ class Px4(core.Autopilot):
         return max(self.vehicle.altitude_amsl_m - self.ground_m, 0.0)
 
     @property
+    def offboard_signal(self) -> bool:
+        """A setpoint was seen within COM_OF_LOSS_T."""
+        return self.now_s - self._signal_s <= self.parameters["COM_OF_LOSS_T"]
+
+    @property
     def base(self) -> Place:
         """Home, or what comes nearest to it."""
         return self.home or self.frame.origin
@@ -203,14 +207,16 @@ class Px4(core.Autopilot):
         """Ten times a second: arming checks, incidents."""
         now_s, p = self.now_s, self.parameters
         self._check_estimate()
-        self.offboard_signal = now_s - self._signal_s <= p["COM_OF_LOSS_T"]
         if self.armed:
-            lost = p["COM_DL_LOSS_T"] < now_s - self.station_s < math.inf
-            ill = (
-                self._choice("NAV_DLL_ACT", applies=lost),
-                self._choice("GF_ACTION", applies=self._breaches()),
-                self._battery_action(),
+            lost, left = (
+                p["COM_DL_LOSS_T"] < now_s - self.station_s < math.inf,
+                self.battery.remaining,
             )
+            battery = self._choice("COM_LOW_BAT_ACT", applies=left <= p["BAT_CRIT_THR"])
+            if battery is Action.RETURN and left <= p["BAT_EMERGEN_THR"]:
+                battery = Action.LAND
+            station = self._choice("NAV_DLL_ACT", applies=lost)
+            ill = (station, battery, self._choice("GF_ACTION", applies=self._breaches()))
             worse = (is_now for was, is_now in zip(self._ill, ill, strict=True) if is_now > was)
             self._ill, self._incident = ill, max((self._incident, *worse))
         self._select()
@@ -244,14 +250,6 @@ class Px4(core.Autopilot):
         if self._breached and not before:
             self.say(4, "Geofence: approaching or outside geofence\t")
         return self._breached
-
-    def _battery_action(self) -> Action:
-        """COM_LOW_BAT_ACT: 2 land, 3 return, then land when critical turns emergency."""
-        left, choice = self.battery.remaining, int(self.parameters["COM_LOW_BAT_ACT"])
-        if left > self.parameters["BAT_CRIT_THR"] or choice not in (2, 3):
-            return Action.NONE
-        emergency = choice == 2 or left <= self.parameters["BAT_EMERGEN_THR"]
-        return Action.LAND if emergency else Action.RETURN
 
     def _choice(self, name: str, *, applies: bool = True) -> Action:
         """What the value of this parameter asks for."""
@@ -354,12 +352,10 @@ class Px4(core.Autopilot):
 
     def refusal(self) -> str | None:
         """Why it may not be armed now, in the mode that is flown; by hand it has no pilot."""
-        mode, able = self.mode, self.estimate.position_ok and self.now_s >= self.firmware.prearm_s
-        if mode.name == "Offboard":
-            able = able and self.offboard_signal
-        elif mode.name == "Mission":
-            able = able and bool(self.plans[PlanKind.MISSION])
-        return None if able and mode.base != _BY_HAND else "Resolve system health failures first"
+        has = {"Offboard": self.offboard_signal, "Mission": bool(self.plans[PlanKind.MISSION])}
+        able = has.get(self.mode.name, self.mode.base != _BY_HAND) and self.estimate.position_ok
+        able = able and self.now_s >= self.firmware.prearm_s
+        return None if able else "Resolve system health failures first"
 
     def on_armed(self) -> None:
         """The mode begins."""
@@ -464,7 +460,6 @@ class Px4(core.Autopilot):
         target = read_by_px4(setpoint, self.vehicle.heading_rad)
         if target is not None:
             self._signal_s = self.now_s
-            self.offboard_signal = True  # the arming checks run at once for it
             if self.mode.name == "Offboard":
                 self.target = self._in_local_frame(target)
         return ()

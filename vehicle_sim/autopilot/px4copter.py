@@ -110,18 +110,12 @@ class Px4Copter(Px4):
         return self.frame.place(place.real, place.imag, flown.down)
 
     def way_home(self) -> list[Leg]:
-        """Up to the height of a return, home, and down."""
-        here_m, home = self.estimate.altitude_amsl_m, self.base
-        height_m = max(home.altitude_amsl_m + self._return_height_m(), here_m)
-        return back(self.estimate.place, home, height_m, 0.0)
-
-    def _return_height_m(self) -> float:
-        """Above home: RTL_RETURN_ALT, less within the cone about it."""
-        p, away_m = self.parameters, abs(self._here - self._local(self.base)[0])
-        height_m = p["RTL_RETURN_ALT"]
-        if away_m < _NEAR_HOME_M:
-            return min(height_m, p["RTL_DESCEND_ALT"])
-        return min(height_m, max(away_m / _CONE, 10.0))
+        """Up, home, and down: to RTL_RETURN_ALT, but less within the cone about home."""
+        p, here, home = self.parameters, self.estimate.place, self.base
+        away_m, up_m = abs(self._here - self._local(home)[0]), p["RTL_RETURN_ALT"]
+        least_m = p["RTL_DESCEND_ALT"] if away_m < _NEAR_HOME_M else max(away_m / _CONE, 10.0)
+        height_m = home.altitude_amsl_m + min(up_m, least_m)
+        return back(here, home, max(height_m, here.altitude_amsl_m), 0.0)
 
     def on_disarmed(self) -> None:
         """The motors stand."""
@@ -209,42 +203,29 @@ class Px4Copter(Px4):
 
     sink = descend
 
-    # --- AUTO modes: they move the point that the controller follows --------------------------
-
-    def _move_point(self, sink_m_s: float = _NAN) -> State:
-        """To the goal; at the beginning of the take-off ramp it stays where the vehicle is.
-
-        sink_m_s: descend at this speed, regardless of the goal's height.
-        """
-        p, point = self.parameters, self._point
-        if self._ramp_s is not None and self._most_up_m_s() <= 0.0:
+    def fly_legs(self) -> State:
+        """AUTO modes; a take-off ends in Hold (COM_TAKEOFF_ACT 0)."""
+        p, point, sink_m_s = self.parameters, self._point, None
+        if self.route.leg is not self._leg:
+            self.fly_leg()
+        if self._ramp_s is not None and self._most_up_m_s() <= 0.0:  # it waits for the vehicle
             point.start(self._flown._replace(velocity=0j, sink=0.0))
             return point.at
+        if self.route.lands:
+            slow, fast = p["MPC_LAND_SPEED"], p["MPC_Z_V_AUTO_DN"]
+            share = (self.height_m - _SLOW_AT_M) / (_SLOWS_AT_M - _SLOW_AT_M)
+            sink_m_s = slow + (fast - slow) * min(max(share, 0.0), 1.0)
+            if self.height_m < _CRAWLS_AT_M:
+                sink_m_s = min(slow, _CRAWL_M_S)
         cruise_m_s = min(self.speed_m_s or p["MPC_XY_CRUISE"], p["MPC_XY_VEL_MAX"])
         climbs = p["MPC_TKO_SPEED" if self.mode.name == "Takeoff" else "MPC_Z_V_AUTO_UP"]
         speeds = (cruise_m_s, climbs, p["MPC_Z_V_AUTO_DN"])
-        point.towards_place(self._goal, self._goal_down, speeds, self.step_s, sink_m_s)
-        return point.at
-
-    def fly_legs(self) -> State:
-        """Takeoff, Hold, Mission, Return and Land."""
-        if self.route.leg is not self._leg:
-            self.fly_leg()
-        if self.route.lands:
-            return self._land()
-        wanted = self._move_point()
+        wanted = point.towards(self._goal, self._goal_down, speeds, self.step_s, sink_m_s)
         self.follow_route()
-        if self.route.leg is None and self.mode.name == "Takeoff":  # COM_TAKEOFF_ACT 0
+        if self.mode.name == "Takeoff" and self.route.leg is None:
             self.asked = NOWHERE
             self.intend("Hold")
         return wanted
-
-    def _land(self) -> State:
-        """Down to the ground, slower the nearer it is."""
-        p, height_m, slow = self.parameters, self.height_m, self.parameters["MPC_LAND_SPEED"]
-        share = min(max((height_m - _SLOW_AT_M) / (_SLOWS_AT_M - _SLOW_AT_M), 0.0), 1.0)
-        sink_m_s = slow + (p["MPC_Z_V_AUTO_DN"] - slow) * share
-        return self._move_point(min(slow, _CRAWL_M_S) if height_m < _CRAWLS_AT_M else sink_m_s)
 
     def is_there(self, leg: Leg) -> bool:
         """Near enough: over home and the place of a landing nearer than on the way."""
