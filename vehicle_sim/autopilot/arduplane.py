@@ -16,7 +16,6 @@ from vehicle_sim.autopilot.earth import FlatEarth, way_m
 from vehicle_sim.autopilot.estimator import State as Estimates
 from vehicle_sim.autopilot.legs import RETURN, WAYPOINT, Does, Leg
 from vehicle_sim.autopilot.plane_control import (
-    Airframe,
     Circle,
     FixedWing,
     eas_to_tas,
@@ -78,17 +77,13 @@ class ArduPlane(FixedWing, ArduPilot):
     """Modes, GUIDED's points and take-off."""
 
     gcs_failsafe = "FS_GCS_ENABL"
-    airframe = Airframe(
-        # arduplane-guided-reposition.tlog, 26 to 35 s
-        full_m_s2=14.5,
-        drag_1_s=0.55,
-        opens_s=1.4,  # TKOFF_THR_DELAY, THR_SLEWRATE
-        flying_m_s=2.5,
-        landed_m_s=2.5,
-        brakes_m_s2=3.0,
-        climbs_m_s=9.9,
-        lands_m_s=1.5,  # wings level from the place of a landing on: no approach and no flare
-    )
+    # arduplane-guided-reposition.tlog, 26 to 35 s
+    full_m_s2, drag_1_s = 14.5, 0.55
+    opens_s = 1.4  # TKOFF_THR_DELAY, THR_SLEWRATE
+    flying_m_s = lies_below_m_s = 2.5
+    brakes_m_s2 = 3.0
+    climbs_m_s = 9.9
+    lands_m_s = 1.5  # wings level from the place of a landing on: no approach and no flare
 
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
@@ -172,12 +167,9 @@ class ArduPlane(FixedWing, ArduPilot):
 
     def on_failsafe(self, cause: str, action: int) -> None:
         """It returns, but not from MANUAL, nor from AUTO for GCS, nor from a landing for power."""
-        returns = self.mode.name != "MANUAL"
-        if cause == "GCS":
-            returns = not (self.landed or self.mode.name == "AUTO")
-        elif cause == "Battery":
-            returns = action in (1, 2) and not self.lands()
-        if returns:
+        is_auto, no_action = self.mode.name == "AUTO", action not in (1, 2)
+        stays = {"GCS": self.landed or is_auto, "Battery": no_action or self.lands()}
+        if self.mode.name != "MANUAL" and not stays.get(cause, False):
             self.set_mode("RTL")
         if cause == "GCS":
             self.say(4, f"GCS Failsafe On: {self.mode.name}")

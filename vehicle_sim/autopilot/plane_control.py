@@ -169,29 +169,17 @@ class Line(NamedTuple):
     curvature_1_m: float = 0.0
 
 
-@final
-class Airframe(NamedTuple):
-    """How a plane rolls, climbs out and lands; speeds over the ground."""
-
-    full_m_s2: float
-    """Acceleration at full throttle, standing."""
-    drag_1_s: float
-    """Of it, what each metre a second of airspeed takes away."""
-    opens_s: float
-    """How long the throttle takes to open."""
-    flying_m_s: float
-    landed_m_s: float
-    """Taken to fly from the one on, and to have landed below the other."""
-    brakes_m_s2: float
-    climbs_m_s: float
-    lands_m_s: float
-    """Climb and sink rate of take-off and landing."""
-
-
 class FixedWing(Autopilot):
     """A plane: on its wheels until it is fast enough, then along its aim, at heights and speeds."""
 
-    airframe: ClassVar[Airframe]
+    # What differs between airframes; speeds over the ground.
+    full_m_s2: ClassVar[float]  # acceleration at full throttle, standing
+    drag_1_s: ClassVar[float]  # of it, what each metre a second of airspeed takes away
+    opens_s: ClassVar[float]  # how long the throttle takes to open
+    flying_m_s: ClassVar[float]  # taken to fly from here on
+    brakes_m_s2: ClassVar[float]
+    climbs_m_s: ClassVar[float]
+    lands_m_s: ClassVar[float]  # climb and sink rate of take-off and landing
     circle: Callable[[Place], None]  # aim there, with the usual radius
     land_at: Callable[[Place], None]  # fly to where a mission lands
 
@@ -199,7 +187,6 @@ class FixedWing(Autopilot):
         super().__init__(boot)
         assert isinstance(boot.vehicle, Plane)
         self.plane = boot.vehicle
-        self.lies_below_m_s = self.airframe.landed_m_s
         self.l1, self.heights = L1(), HeightControl()
         self.aim: Circle | Line | None = None  # none: the bank stays
         self.leg: Leg | None = None  # that it flies
@@ -252,9 +239,9 @@ class FixedWing(Autopilot):
         self.follow_route()
         leg, self.wanted_climb_m_s = self.route.leg, None
         if self.route.lands:
-            self.wanted_climb_m_s = -self.airframe.lands_m_s
+            self.wanted_climb_m_s = -self.lands_m_s
         elif leg is not None and leg.does is Does.CLIMB and not self._is_up(leg):
-            self.wanted_climb_m_s = self.airframe.climbs_m_s
+            self.wanted_climb_m_s = self.climbs_m_s
 
     def fly_leg(self) -> None:
         """Straight to the leg's place from the one before, or about it."""
@@ -308,15 +295,14 @@ class FixedWing(Autopilot):
 
     def stand(self) -> None:
         """On the runway: up to speed, or to a halt."""
-        plane, airframe = self.plane, self.airframe
+        plane = self.plane
         plane.altitude_amsl_m = self.ground_m
         self._waited_s = self._waited_s if self.wants_up() else self.now_s
-        plane.throttle = min((self.now_s - self._waited_s) / airframe.opens_s, 1.0)
-        push_m_s2 = -airframe.brakes_m_s2
+        plane.throttle = min((self.now_s - self._waited_s) / self.opens_s, 1.0)
+        push_m_s2 = -self.brakes_m_s2
         if plane.throttle > 0.0:
-            drag_m_s2 = airframe.drag_1_s * plane.airspeed_m_s
-            push_m_s2 = airframe.full_m_s2 * plane.throttle - drag_m_s2
-            if self.rolling_m_s >= airframe.flying_m_s:
+            push_m_s2 = self.full_m_s2 * plane.throttle - self.drag_1_s * plane.airspeed_m_s
+            if self.rolling_m_s >= self.flying_m_s:
                 self.take_to_the_air()
         plane.roll_on_ground(push_m_s2, self.step_s)
 

@@ -135,7 +135,6 @@ _STILL_S: Final = 2.0  # disarmed to the estimator's constant-position mode
 _LOW_M: Final = 1.2
 """Below this, in the air, there is no height above ground: flags 0x33f in the logs."""
 _STILL_FLAG, _HEIGHT_FLAG = 0x080, 0x040
-_NAV_LAND: Final = 21
 NOWHERE: Final = Place(_NAN, _NAN, _NAN)
 
 
@@ -208,10 +207,8 @@ class Px4(core.Autopilot):
         now_s, p = self.now_s, self.parameters
         self._check_estimate()
         if self.armed:
-            lost, left = (
-                p["COM_DL_LOSS_T"] < now_s - self.station_s < math.inf,
-                self.battery.remaining,
-            )
+            left, lost_s = self.battery.remaining, now_s - self.station_s
+            lost = p["COM_DL_LOSS_T"] < lost_s < math.inf
             battery = self._choice("COM_LOW_BAT_ACT", applies=left <= p["BAT_CRIT_THR"])
             if battery is Action.RETURN and left <= p["BAT_EMERGEN_THR"]:
                 battery = Action.LAND
@@ -307,8 +304,8 @@ class Px4(core.Autopilot):
         match self.mode.name:
             case "Takeoff":  # never down
                 up_m = self.base.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
-                place, least_m = self.asked_or(here.at(up_m)), here.altitude_amsl_m
-                place = place.at(max(place.altitude_amsl_m, least_m))
+                place = self.asked_or(here.at(up_m))
+                place = place.at(max(place.altitude_amsl_m, here.altitude_amsl_m))
                 legs = [Leg(Does.CLIMB, place, self.taken_off_s, RETURN)]
             case "Hold":
                 place = self.asked_or(self.stops_at())
@@ -322,24 +319,25 @@ class Px4(core.Autopilot):
         self.route.fly(legs, self.now_s)
         self.fly_leg()
 
-    def intend(self, name: str) -> None:
-        """Want this mode from now on; if nothing forbids it, it is flown at once."""
-        mode = self.intended = self.modes[name]
+    on_armed = begin
+
+    def set_mode(self, name: str, asked: Place = NOWHERE, yaw_rad: float = _NAN) -> bool:
+        """Want this mode, at a place; if nothing forbids it, it is flown at once.
+
+        On the ground, disarmed, every one is accepted.
+        """
+        mode = self.modes[name]
+        able = self.estimate.precise or not mode.needs_position
+        if self.armed and not (able and (name != "Offboard" or self.offboard_signal)):
+            return False
+        self.intended, self.asked, self.asked_yaw_rad = mode, asked, yaw_rad
         self._incident = Action.NONE
         if name not in ("Land", "Return", "Takeoff"):
             self._after_disarming = mode
         if mode is self.mode:
             self.begin()
         self._select()
-
-    def set_mode(self, name: str, asked: Place = NOWHERE, yaw_rad: float = _NAN) -> bool:
-        """Request a mode, at a place.  On the ground, disarmed, every mode is accepted."""
-        able = self.estimate.precise or not self.modes[name].needs_position
-        able = able and (name != "Offboard" or self.offboard_signal)
-        if able or not self.armed:
-            self.asked, self.asked_yaw_rad = asked, yaw_rad
-            self.intend(name)
-        return able or not self.armed
+        return True
 
     def _set_mode_number(self, command: Command) -> Result:
         """p1 bit 0 says that p2 and p3 are PX4's own numbers; of other modes than AUTO p3 is 0."""
@@ -356,10 +354,6 @@ class Px4(core.Autopilot):
         able = has.get(self.mode.name, self.mode.base != _BY_HAND) and self.estimate.position_ok
         able = able and self.now_s >= self.firmware.prearm_s
         return None if able else "Resolve system health failures first"
-
-    def on_armed(self) -> None:
-        """The mode begins."""
-        self.begin()
 
     def on_disarmed(self) -> None:
         """The mode returns to the one last commanded for flight."""
@@ -395,7 +389,7 @@ class Px4(core.Autopilot):
         return place.at(here.altitude_amsl_m if height_m != height_m else height_m)
 
     def _land_or_take_off(self, command: Command) -> Result:
-        name = "Land" if command.number == _NAV_LAND else "Takeoff"
+        name = {21: "Land", 22: "Takeoff"}[command.number]
         return self.done(self.set_mode(name, self._asked_by(command)))
 
     def _reposition(self, command: Command) -> Result:
@@ -429,7 +423,7 @@ class Px4(core.Autopilot):
         """Another leg of the mission, or none any more; the speed that was asked for before it."""
         self.speed_m_s = speed_m_s or self.speed_m_s
         if self.is_at(Does.RETURN):
-            self.intend("Return")
+            self.set_mode("Return")
         else:
             self.fly_leg()
 

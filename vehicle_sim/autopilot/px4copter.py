@@ -6,7 +6,7 @@ from typing import Final, final
 from vehicle_sim.autopilot import px4_control
 from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.legs import RETURN, Does, Leg, back
-from vehicle_sim.autopilot.px4 import NOWHERE, RATES_HZ, Px4, firmware
+from vehicle_sim.autopilot.px4 import RATES_HZ, Px4, firmware
 from vehicle_sim.autopilot.px4_control import Control, Point, State
 from vehicle_sim.autopilot.setpoints import NOTHING, Target, is_flyable
 from vehicle_sim.autopilot.values import Place, TargetEcho, Waypoint
@@ -223,8 +223,7 @@ class Px4Copter(Px4):
         wanted = point.towards(self._goal, self._goal_down, speeds, self.step_s, sink_m_s)
         self.follow_route()
         if self.mode.name == "Takeoff" and self.route.leg is None:
-            self.asked = NOWHERE
-            self.intend("Hold")
+            self.set_mode("Hold")
         return wanted
 
     def is_there(self, leg: Leg) -> bool:

@@ -16,7 +16,7 @@ from typing import Final, final
 from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.legs import RETURN, Does, Leg
-from vehicle_sim.autopilot.plane_control import Airframe, Circle, FixedWing, Line, eas_to_tas
+from vehicle_sim.autopilot.plane_control import Circle, FixedWing, Line, eas_to_tas
 from vehicle_sim.autopilot.px4 import RATES_HZ, Px4, firmware
 from vehicle_sim.autopilot.setpoints import NOTHING, Target, given
 from vehicle_sim.autopilot.values import Place, TargetEcho, Waypoint
@@ -55,16 +55,13 @@ _ECHO_MASK: Final = 3576
 class Px4Plane(FixedWing, Px4):
     """The aeroplane of PX4's SIH simulator, or one with other limits."""
 
-    airframe = Airframe(
-        full_m_s2=6.4,
-        drag_1_s=0.0,
-        opens_s=1.12,  # RWTO_RAMP_TIME
-        flying_m_s=6.6,  # the land detector believes in a take-off, still on the wheels
-        landed_m_s=3.2,  # from here on it counts its 1.8 s: 0.9 m/s when it is done
-        brakes_m_s2=8.4,  # as long as the recorded one, which flares to 6.8 m/s before contact
-        climbs_m_s=2.63,  # at FW_TKO_PITCH_MIN 10 degrees and full throttle
-        lands_m_s=0.87,
-    )
+    full_m_s2, drag_1_s = 6.4, 0.0
+    opens_s = 1.12  # RWTO_RAMP_TIME
+    flying_m_s = 6.6  # the land detector believes in a take-off, still on the wheels
+    lies_below_m_s = 3.2  # from here on it counts its 1.8 s: 0.9 m/s when it is done
+    brakes_m_s2 = 8.4  # as long as the recorded one, which flares to 6.8 m/s before contact
+    climbs_m_s = 2.63  # at FW_TKO_PITCH_MIN 10 degrees and full throttle
+    lands_m_s = 0.87
 
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
@@ -164,7 +161,7 @@ class Px4Plane(FixedWing, Px4):
         lands_m_s = slow_m_s + _LANDS_FASTER_M_S
         self.wanted_airspeed_m_s = lands_m_s if self.route.lands else self._cruise_m_s
         if self.mode.name == "Takeoff" and self.route.leg is None:
-            self.intend("Hold")
+            self.set_mode("Hold", self.asked)
 
     def is_there(self, leg: Leg) -> bool:
         """A take-off that was not told where to is for good."""
