@@ -51,7 +51,6 @@ def indicated_airspeed_m_s(true_m_s: float, altitude_amsl_m: float) -> float:
 # --- where to: lateral accelerations --------------------------------------------------------------
 
 _UNDECIDED_RAD: Final = 0.9 * math.pi
-_STEEPEST: Final = math.sin(math.radians(45.0))  # a line is approached at 45 degrees at most
 
 
 @final
@@ -60,8 +59,6 @@ class L1:
 
     def __init__(self) -> None:
         self.period_s, self.damping = 15.0, 0.75
-        self.upright = False
-        """From afar it approaches a line at a right angle, as PX4 does (npfg: bearing)."""
         self.circling = False
         """On the circle, and not on the way to it."""
         self.cross_track_m = self.bearing_rad = 0.0
@@ -72,15 +69,15 @@ class L1:
         return self.damping * self.period_s * speed_m_s / math.pi
 
     def line(self, off_m: complex, way: complex, velocity: complex) -> float:
-        """Onto a line in a direction (of unit length), from so far off some point of it."""
+        """Onto a line in a direction (of unit length), from so far off some point of it.
+
+        From afar it approaches at a right angle, as PX4 does (npfg: bearing).
+        """
         self.circling = False
         self.cross_track_m = (off_m.conjugate() * way).imag  # positive: left of it
         sine = self.cross_track_m / self.length_m(abs(velocity))
-        if self.upright:
-            share = min(abs(sine) / math.pi, 1.0)
-            towards_rad = math.copysign(0.5 * math.pi * (2.0 - share) * share, sine)
-        else:
-            towards_rad = math.asin(min(max(sine, -_STEEPEST), _STEEPEST))
+        share = min(abs(sine) / math.pi, 1.0)
+        towards_rad = math.copysign(0.5 * math.pi * (2.0 - share) * share, sine)
         self.bearing_rad = cmath.phase(way) + towards_rad
         return self._turn(towards_rad + cmath.phase(way / velocity), abs(velocity))
 

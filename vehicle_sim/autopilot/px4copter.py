@@ -54,7 +54,6 @@ class Px4Copter(Px4):
         self._leg: Leg | None = None
         self._ramp_s: float | None = None
         """When the take-off ramp began; None: on the ground or done with it."""
-        self._flying = False  # the position controller runs
         self._wanted = State()
         self._order = (0j, 0.0)
         self._yaw_rad, self._turn_rad_s = self.copter.heading_rad, 0.0
@@ -119,7 +118,7 @@ class Px4Copter(Px4):
 
     def on_disarmed(self) -> None:
         """The motors stand."""
-        self._flying, self._ramp_s = False, None
+        self._ramp_s = None
         super().on_disarmed()
 
     # --- on the ground ------------------------------------------------------------------------
@@ -137,9 +136,13 @@ class Px4Copter(Px4):
         self.copter.stand(self.ground_m)
         if self._ramp_s is None:
             self._control.integral = 0j
-            self._flying = self._flying and not self.landed
 
     stand = touch_down  # even if the motors turn
+
+    @property
+    def _flying(self) -> bool:
+        """The position controller runs."""
+        return self._ramp_s is not None or not self.landed
 
     def _starts(self) -> bool:
         """Whether the take-off ramp begins: motors spun up and a climb demanded."""
@@ -150,7 +153,7 @@ class Px4Copter(Px4):
         climbs = climbs or wanted.push_down < -_WANTS_UP
         if not climbs or self.mode.name not in ("Takeoff", "Offboard", "Mission"):
             return False
-        self._ramp_s, self._flying = self.now_s, True
+        self._ramp_s = self.now_s
         self._control.reset(_HEAVY_M_S2)
         self._point.start(self._flown)
         return True
@@ -173,11 +176,10 @@ class Px4Copter(Px4):
     def steer(self) -> None:
         """The mode says what it wants, the position controller what that takes."""
         self._wanted = getattr(self, self.mode.flies)()
-        if not self.armed or not (self._flying or self._starts()):
-            return
-        most_up_m_s = self._most_up_m_s()
-        self._order = self._control.run(self._wanted, self._flown, most_up_m_s, self.step_s)
-        self._turn()
+        if self._flying or self._starts():
+            most_up_m_s = self._most_up_m_s()
+            self._order = self._control.run(self._wanted, self._flown, most_up_m_s, self.step_s)
+            self._turn()
 
     def move(self) -> None:
         """Thrust."""
@@ -261,7 +263,7 @@ class Px4Copter(Px4):
         """What the controller steers for: its own velocity and acceleration, not those sent."""
         control, wanted = self._control, self._wanted
         lies = self.touched_s is not None and self.now_s - self.touched_s > _LIES_S
-        if lies or not self._flying or (self.landed and self._ramp_s is None):
+        if lies or not self._flying:
             return _IDLE._replace(yaw_rad=self.copter.heading_rad)
         position = (wanted.place.real, wanted.place.imag, wanted.down)
         velocity = (control.velocity.real, control.velocity.imag, control.sink)

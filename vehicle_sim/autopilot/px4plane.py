@@ -65,7 +65,6 @@ class Px4Plane(FixedWing, Px4):
 
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
-        self.l1.upright = True
         self.l1.period_s, self.l1.damping = 10.0, 0.7  # NPFG_PERIOD, NPFG_DAMPING
         self._seen: Target | None = None  # the setpoint that it flies by
         self._began_s = 0.0  # when the mode did
