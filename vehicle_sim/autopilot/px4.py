@@ -206,6 +206,8 @@ class Px4(core.Autopilot):
         """Ten times a second: arming checks, incidents."""
         now_s, p = self.now_s, self.parameters
         self._check_estimate()
+        if self.mode.name == "Takeoff" and self.route.leg is None:  # COM_TAKEOFF_ACT 0
+            self.set_mode("Hold", self.asked)
         if self.armed:
             left, lost_s = self.battery.remaining, now_s - self.station_s
             lost = p["COM_DL_LOSS_T"] < lost_s < math.inf

@@ -206,7 +206,7 @@ class Px4Copter(Px4):
     sink = descend
 
     def fly_legs(self) -> State:
-        """AUTO modes; a take-off ends in Hold (COM_TAKEOFF_ACT 0)."""
+        """AUTO modes: the point that is followed moves to where the leg ends."""
         p, point, sink_m_s = self.parameters, self._point, None
         if self.route.leg is not self._leg:
             self.fly_leg()
@@ -224,8 +224,6 @@ class Px4Copter(Px4):
         speeds = (cruise_m_s, climbs, p["MPC_Z_V_AUTO_DN"])
         wanted = point.towards(self._goal, self._goal_down, speeds, self.step_s, sink_m_s)
         self.follow_route()
-        if self.mode.name == "Takeoff" and self.route.leg is None:
-            self.set_mode("Hold")
         return wanted
 
     def is_there(self, leg: Leg) -> bool:

@@ -85,8 +85,7 @@ class Px4Plane(FixedWing, Px4):
         p, wanted_m_s = self.parameters, self.parameters["FW_AIRSPD_TRIM"]
         if self.mode.flies == "fly_legs":
             wanted_m_s = self.speed_m_s or wanted_m_s
-        least_m_s = p["FW_AIRSPD_MIN"]
-        return self._true(min(max(wanted_m_s, least_m_s), max(p["FW_AIRSPD_MAX"], least_m_s)))
+        return self._true(min(max(wanted_m_s, p["FW_AIRSPD_MIN"]), p["FW_AIRSPD_MAX"]))
 
     # --- where to -----------------------------------------------------------------------------
 
@@ -153,14 +152,12 @@ class Px4Plane(FixedWing, Px4):
         return lateral + abs(self.velocity) ** 2 * curvature_1_m
 
     def fly_legs(self) -> None:
-        """AUTO modes; a take-off ends in Hold."""
+        """AUTO modes."""
         super().fly_legs()
         slow_m_s = self._true(self.parameters["FW_AIRSPD_MIN"])
         self.rotates_m_s = _LIFTS_OFF_AT * slow_m_s
         lands_m_s = slow_m_s + _LANDS_FASTER_M_S
         self.wanted_airspeed_m_s = lands_m_s if self.route.lands else self._cruise_m_s
-        if self.mode.name == "Takeoff" and self.route.leg is None:
-            self.set_mode("Hold", self.asked)
 
     def is_there(self, leg: Leg) -> bool:
         """A take-off that was not told where to is for good."""
