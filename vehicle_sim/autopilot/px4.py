@@ -230,10 +230,8 @@ class Px4(core.Autopilot):
             flags |= _STILL_FLAG if estimate.still else 0
             flags &= ~_HEIGHT_FLAG if low else -1
         estimate.flags = flags
-        silent_s, returned_s = max(now_s - estimate.used_s - 0.2, 0.0), estimate.returned_s
+        silent_s = max(now_s - estimate.used_s - 0.2, 0.0)
         settled_m = 0.29 * min(now_s / 8.0, 1.0)
-        if returned_s is not None:
-            settled_m = 0.29 + 0.73 * math.exp((returned_s - now_s) / 0.7)
         estimate.horizontal_accuracy_m = settled_m + silent_s * (0.06 + 0.0335 * silent_s)
         if not estimate.aiding:
             estimate.velocity_variance = estimate.horizontal_variance = _NAN
