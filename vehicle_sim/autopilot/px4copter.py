@@ -54,6 +54,7 @@ class Px4Copter(Px4):
         self._leg: Leg | None = None
         self._ramp_s: float | None = None
         """When the take-off ramp began; None: on the ground or done with it."""
+        self._flying = False  # the position controller runs
         self._wanted = State()
         self._order = (0j, 0.0)
         self._yaw_rad, self._turn_rad_s = self.copter.heading_rad, 0.0
@@ -118,7 +119,7 @@ class Px4Copter(Px4):
 
     def on_disarmed(self) -> None:
         """The motors stand."""
-        self._ramp_s = None
+        self._flying, self._ramp_s = False, None
         super().on_disarmed()
 
     # --- on the ground ------------------------------------------------------------------------
@@ -138,11 +139,6 @@ class Px4Copter(Px4):
             self._control.integral = 0j
 
     stand = touch_down  # even if the motors turn
-
-    @property
-    def _flying(self) -> bool:
-        """The position controller runs."""
-        return self._ramp_s is not None or not self.landed
 
     def _starts(self) -> bool:
         """Whether the take-off ramp begins: motors spun up and a climb demanded."""
@@ -176,7 +172,8 @@ class Px4Copter(Px4):
     def steer(self) -> None:
         """The mode says what it wants, the position controller what that takes."""
         self._wanted = getattr(self, self.mode.flies)()
-        if self._flying or self._starts():
+        self._flying = self._ramp_s is not None or not self.landed or self._starts()
+        if self._flying:
             most_up_m_s = self._most_up_m_s()
             self._order = self._control.run(self._wanted, self._flown, most_up_m_s, self.step_s)
             self._turn()
