@@ -204,12 +204,12 @@ class Px4(core.Autopilot):
 
     def check(self) -> None:
         """Ten times a second: arming checks, incidents."""
-        now_s, p = self.now_s, self.parameters
+        p = self.parameters
         self._check_estimate()
         if self.mode.name == "Takeoff" and self.route.leg is None:  # COM_TAKEOFF_ACT 0
             self.set_mode("Hold", self.asked)
         if self.armed:
-            left, lost_s = self.battery.remaining, now_s - self.station_s
+            left, lost_s = self.battery.remaining, self.now_s - self.station_s
             lost = p["COM_DL_LOSS_T"] < lost_s < math.inf
             battery = self._choice("COM_LOW_BAT_ACT", applies=left <= p["BAT_CRIT_THR"])
             if battery is Action.RETURN and left <= p["BAT_EMERGEN_THR"]:
@@ -238,8 +238,8 @@ class Px4(core.Autopilot):
 
     def _breaches(self) -> bool:
         """Whether it is outside of the fence, as far as it knows where it is."""
-        home, p, here, before = self.home, self.parameters, self.estimate.place, self._breached
-        if home is not None and self.estimate.position_ok:
+        p, here, home, before = self.parameters, self.estimate.place, self.base, self._breached
+        if self.estimate.position_ok:
             away_m = math.dist(self.local_m[:2], self.frame.ned_m(home)[:2])
             above_m = here.altitude_amsl_m - home.altitude_amsl_m
             beyond = 0.0 < p["GF_MAX_HOR_DIST"] < away_m or 0.0 < p["GF_MAX_VER_DIST"] < above_m
@@ -464,11 +464,9 @@ class Px4(core.Autopilot):
         latitude_deg, longitude_deg, z_m = target.position
         origin_m, home_m = self.frame.origin.altitude_amsl_m, self.base.altitude_amsl_m
         # the sign of the home's height is wrong in PX4 (px4.md 1, item 6), and so it is here
-        up_m = {5: z_m - origin_m, 6: z_m - home_m + origin_m}.get(
-            target.frame, z_m + self.ground_m - origin_m
-        )
+        zero_m = {5: -origin_m, 6: origin_m - home_m}.get(target.frame, self.ground_m - origin_m)
         north_m, east_m, _ = self.frame.ned_m(Place(latitude_deg, longitude_deg, 0.0))
-        return target._replace(position=(north_m, east_m, -up_m))
+        return target._replace(position=(north_m, east_m, -z_m - zero_m))
 
     def status(self) -> values.Status:
         """The status for telemetry."""

@@ -48,8 +48,7 @@ def given(vector: complex) -> bool:
 class Control:
     """The position controller and its integrals.  Mutable."""
 
-    def __init__(self, parameters: Parameters) -> None:
-        self.read(parameters)
+    def __init__(self) -> None:
         self.velocity, self.sink, self.asked, self.asked_down = 0j, 0.0, 0j, 0.0
         """What it wants, as POSITION_TARGET_LOCAL_NED tells it."""
         self.reset()

@@ -49,7 +49,7 @@ class Px4Copter(Px4):
         super().__init__(boot)
         assert isinstance(boot.vehicle, Copter)
         self.copter = boot.vehicle
-        self._control, self._point = Control(self.parameters), Point()
+        self._control, self._point = Control(), Point()
         self._goal, self._goal_down = 0j, 0.0  # where the leg ends, in the local frame
         self._leg: Leg | None = None
         self._ramp_s: float | None = None
