@@ -12,8 +12,6 @@ import math
 from collections.abc import Callable
 from typing import ClassVar, Final, NamedTuple, final
 
-import numpy as np
-
 from vehicle_sim.autopilot.core import Autopilot, Boot
 from vehicle_sim.autopilot.earth import way_m
 from vehicle_sim.autopilot.legs import Does, Leg
@@ -21,31 +19,12 @@ from vehicle_sim.autopilot.values import Place
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane
 
-# --- airspeeds ------------------------------------------------------------------------------------
-
-_DEMANDED_M_S = (0.0, 10.0, 20.0, 22.0, 25.0, 30.0, 300.0)
-_HELD_M_S = (0.0, 10.17, 20.34, 22.70, 26.83, 33.0, 330.0)
-"""What ArduPlane flies at these demands, at sea level: 18 m/s demanded is flown at 18.9, 20 at 21,
-22 at 23.5, 25 at 27.7 m/s, all at 600 m above the sea (ardupilot.md 7); thin air adds 3 %."""
-
 
 def eas_to_tas(altitude_amsl_m: float) -> float:
     """True over equivalent airspeed in the standard atmosphere, troposphere."""
     altitude_amsl_m = min(max(altitude_amsl_m, -1000.0), 11000.0)
     ratio: float = (1.0 - 2.25577e-5 * altitude_amsl_m) ** -2.12794
     return ratio
-
-
-def true_airspeed_m_s(demanded_m_s: float, altitude_amsl_m: float) -> float:
-    """What ArduPlane flies when it is asked for this airspeed."""
-    held_m_s = float(np.interp(demanded_m_s, _DEMANDED_M_S, _HELD_M_S))
-    return held_m_s * eas_to_tas(altitude_amsl_m)
-
-
-def indicated_airspeed_m_s(true_m_s: float, altitude_amsl_m: float) -> float:
-    """What its pitot tube says then: the inverse."""
-    equivalent_m_s = true_m_s / eas_to_tas(altitude_amsl_m)
-    return float(np.interp(equivalent_m_s, _HELD_M_S, _DEMANDED_M_S))
 
 
 # --- where to: lateral accelerations --------------------------------------------------------------
