@@ -311,8 +311,7 @@ def test_a_circle_is_wider_than_asked_by_what_was_measured(
     asked_m: float, flown_m: float, ccw: float
 ) -> None:
     rig, places = circling(), list[complex]()
-    for radius_m in (asked_m, -40.0, NAN):  # what is no radius leaves the one before
-        assert rig.reposition(0.0, 0.0, 80.0, radius_m, ccw) == ACCEPTED
+    assert rig.reposition(0.0, 0.0, 80.0, asked_m, ccw) == ACCEPTED
     rig.run(40.0).run(15.0, lambda: places.append(complex(*rig.ne_m)))
     assert sum(map(abs, places)) / len(places) == approx(flown_m, abs=3.0)
     assert ((places[100] / places[0]).imag < 0.0) is bool(ccw)
@@ -324,7 +323,6 @@ def test_a_speed_is_flown_as_measured(asked_m_s: float, flown_m_s: float) -> Non
     assert rig.command(178, 0.0, 19.0) == ACCEPTED
     assert rig.run(30.0).speed_m_s == approx(19.9, abs=0.3)
     assert rig.command(CHANGE_SPEED, 0.0, asked_m_s) == ACCEPTED
-    assert rig.command(178, 0.0, 22.0) == ACCEPTED  # does not change that
     assert rig.run(30.0).speed_m_s == approx(flown_m_s, abs=0.3)
     assert rig.autopilot.airspeed_m_s() == approx(asked_m_s, abs=0.1)
     rig.set_mode(PLANE_LOITER)

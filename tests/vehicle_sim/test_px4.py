@@ -18,7 +18,6 @@ from harness import (
     NAN,
     OFFBOARD,
     PLACE,
-    POSITION_VELOCITY,
     PX4_LAND,
     RETURN,
     TAKEOFF,
@@ -30,7 +29,6 @@ from harness import (
     copied,
     cruising,
 )
-from tracked import fixed_wing_route
 
 from vehicle_sim.autopilot.values import Ack, Landed, Reboot, Result, Sender
 from vehicle_sim.faults import GpsConditions
@@ -419,23 +417,16 @@ def offboard(to_north_m: float, to_east_m: float = 0.0, **more: float) -> Px4Pla
 
 @pytest.mark.parametrize("mask", [VELOCITY, 0xC3F], ids=["velocity", "acceleration"])
 def test_without_a_position_the_last_commands_stay(mask: int) -> None:
-    route, index = fixed_wing_route(), 2186  # the last are those of a straight stretch
-    north_m, east_m = route.point(index)
-    heading_rad = float(route.heading_rad[index])
-    rig, banks_rad = offboard(0.0, north_m=north_m, east_m=east_m, heading_rad=heading_rad), []
-    off_m = 0.0
-    for i in range(300):
-        index, off_m = route.nearest(rig.ne_m, index)
-        heading = float(route.heading_rad[index])
-        along = (14.0 * math.cos(heading), 14.0 * math.sin(heading), 0.0)
-        sent = POSITION_VELOCITY if i < 150 else mask
-        rig.aim((*route.point(index), -70.0), along, (0.1, 0.1, 0.0), mask=sent)
-        assert i != 150 or abs(off_m) < 6.0
-        banks_rad.append(rig.vehicle.roll_rad)
+    rig, banks_rad = to_point(offboard(5000.0), 0.0, 5000.0, 1.0), list[float]()
+    here = complex(*rig.ne_m)
+    for _ in range(100):
+        rig.aim((0.0, 0.0, -70.0), (14.0, 0.0, 0.0), (0.1, 0.1, 0.0), mask=mask)
         rig.run(0.1)
-    assert banks_rad[201:] == about([banks_rad[150]] * 99, 0.03)
-    assert 40.0 < abs(off_m) < 100.0  # px4.md 10: 83 m after 15 s, of a stretch that is not told
-    assert rig.mode == "Offboard"
+        banks_rad.append(rig.vehicle.roll_rad)
+    assert banks_rad[10:] == about([banks_rad[10]] * 90, 0.03)
+    assert banks_rad[10] > 0.5
+    assert abs(complex(*rig.ne_m) - here) < 100.0  # round and round, wherever it was to go
+    assert (rig.mode, rig.height_m) == ("Offboard", about(68.0, 3.0))
 
 
 def test_speed_is_the_parameter_whatever_is_commanded() -> None:

@@ -9,22 +9,15 @@ is PX4's own law (NPFG), which is not imitated further.
 
 import cmath
 import math
+from collections.abc import Callable
 from typing import ClassVar, Final, NamedTuple, final
-
-import numpy as np
 
 from vehicle_sim.autopilot.core import Autopilot, Boot
 from vehicle_sim.autopilot.earth import way_m
+from vehicle_sim.autopilot.legs import Does, Leg
 from vehicle_sim.autopilot.values import Place
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane
-
-# --- airspeeds ------------------------------------------------------------------------------------
-
-_DEMANDED_M_S = (0.0, 10.0, 20.0, 22.0, 25.0, 30.0, 300.0)
-_HELD_M_S = (0.0, 10.17, 20.34, 22.70, 26.83, 33.0, 330.0)
-"""What ArduPlane flies at these demands, at sea level: 18 m/s demanded is flown at 18.9, 20 at 21,
-22 at 23.5, 25 at 27.7 m/s, all at 600 m above the sea (ardupilot.md 7); thin air adds 3 %."""
 
 
 def eas_to_tas(altitude_amsl_m: float) -> float:
@@ -34,23 +27,9 @@ def eas_to_tas(altitude_amsl_m: float) -> float:
     return ratio
 
 
-def true_airspeed_m_s(demanded_m_s: float, altitude_amsl_m: float) -> float:
-    """What ArduPlane flies when it is asked for this airspeed."""
-    held_m_s = float(np.interp(demanded_m_s, _DEMANDED_M_S, _HELD_M_S))
-    return held_m_s * eas_to_tas(altitude_amsl_m)
-
-
-def indicated_airspeed_m_s(true_m_s: float, altitude_amsl_m: float) -> float:
-    """What its pitot tube says then: the inverse."""
-    equivalent_m_s = true_m_s / eas_to_tas(altitude_amsl_m)
-    return float(np.interp(equivalent_m_s, _HELD_M_S, _DEMANDED_M_S))
-
-
 # --- where to: lateral accelerations --------------------------------------------------------------
 
 _UNDECIDED_RAD: Final = 0.9 * math.pi
-_STEEPEST: Final = math.sin(math.radians(45.0))  # a line is approached at 45 degrees at most
-_PAST_S: Final = 3.0  # beyond the end of a leg by so much flight: back to its end
 
 
 @final
@@ -59,8 +38,6 @@ class L1:
 
     def __init__(self) -> None:
         self.period_s, self.damping = 15.0, 0.75
-        self.upright = False
-        """From afar it approaches a line at a right angle, as PX4 does (npfg: bearing)."""
         self.circling = False
         """On the circle, and not on the way to it."""
         self.cross_track_m = self.bearing_rad = 0.0
@@ -71,29 +48,17 @@ class L1:
         return self.damping * self.period_s * speed_m_s / math.pi
 
     def line(self, off_m: complex, way: complex, velocity: complex) -> float:
-        """Onto a line in a direction (of unit length), from so far off some point of it."""
+        """Onto a line in a direction (of unit length), from so far off some point of it.
+
+        From afar it approaches at a right angle, as PX4 does (npfg: bearing).
+        """
         self.circling = False
         self.cross_track_m = (off_m.conjugate() * way).imag  # positive: left of it
         sine = self.cross_track_m / self.length_m(abs(velocity))
-        if self.upright:
-            share = min(abs(sine) / math.pi, 1.0)
-            towards_rad = math.copysign(0.5 * math.pi * (2.0 - share) * share, sine)
-        else:
-            towards_rad = math.asin(min(max(sine, -_STEEPEST), _STEEPEST))
+        share = min(abs(sine) / math.pi, 1.0)
+        towards_rad = math.copysign(0.5 * math.pi * (2.0 - share) * share, sine)
         self.bearing_rad = cmath.phase(way) + towards_rad
         return self._turn(towards_rad + cmath.phase(way / velocity), abs(velocity))
-
-    def leg(self, off_m: complex, leg_m: complex, velocity: complex) -> float:
-        """Along a leg, both from its start: first there if far behind, back if past its end."""
-        away_m, length_m, to_go_m = abs(off_m), abs(leg_m), leg_m - off_m
-        straight = to_go_m / abs(to_go_m) if abs(to_go_m) > 1e-6 else velocity / abs(velocity)
-        way = leg_m / length_m if length_m > 1e-6 else straight
-        along_m = (way.conjugate() * off_m).real
-        if away_m > self.length_m(abs(velocity)) and along_m < -_STEEPEST * max(away_m, 1.0):
-            return self.line(0j, -off_m / away_m, velocity)
-        if along_m > length_m + _PAST_S * abs(velocity):
-            return self.line(0j, straight, velocity)
-        return self.line(off_m, way, velocity)
 
     def circle(self, off_m: complex, radius_m: float, velocity: complex) -> float:
         """To and around a circle, clockwise; with a negative radius the other way.
@@ -160,62 +125,54 @@ class HeightControl:
 
 # --- in the air -----------------------------------------------------------------------------------
 
+_ON_CIRCLE_M: Final = 20.0  # circles may be flown wider than they were asked for
+
 
 @final
 class Circle(NamedTuple):
-    """About a place; clockwise, or the other way with a negative radius."""
+    """About a place, at its height; clockwise, or the other way with a negative radius."""
 
-    centre: Place
+    place: Place
     radius_m: float
 
 
 @final
-class Way(NamedTuple):
-    """Straight from one place to another."""
+class Line(NamedTuple):
+    """Through a place in a direction (of unit length), or bent there (positive: to the right)."""
 
-    start: Place
-    end: Place
-
-
-@final
-class Runway(NamedTuple):
-    """How a plane rolls; speeds over the ground."""
-
-    full_m_s2: float
-    """Acceleration at full throttle, standing."""
-    power: float
-    """Of the throttle, in that."""
-    drag_1_s: float
-    """Of it, what each metre a second of airspeed takes away."""
-    waits_s: float
-    opens_s: float
-    """From the take-off's beginning until the throttle opens, and how long that takes."""
-    flying_m_s: float
-    landed_m_s: float
-    """Taken to fly from the one on, and to have landed below the other."""
-    brakes_m_s2: float
-    rolls_out_s: float
-    """Without throttle it loses this, or its speed with this time constant if that is more."""
+    place: Place
+    way: complex
+    curvature_1_m: float = 0.0
 
 
 class FixedWing(Autopilot):
-    """A plane: on its wheels until it is fast enough, then banked, and climbing, as it is told."""
+    """A plane: on its wheels until it is fast enough, then along its aim, at heights and speeds."""
 
-    runway: ClassVar[Runway]
-    slowing_m_s2: ClassVar[float] = math.inf  # how fast it loses speed with the throttle closing
+    # What differs between airframes; speeds over the ground.
+    full_m_s2: ClassVar[float]  # acceleration at full throttle, standing
+    drag_1_s: ClassVar[float]  # of it, what each metre a second of airspeed takes away
+    opens_s: ClassVar[float]  # how long the throttle takes to open
+    flying_m_s: ClassVar[float]  # taken to fly from here on
+    brakes_m_s2: ClassVar[float]
+    climbs_m_s: ClassVar[float]
+    lands_m_s: ClassVar[float]  # climb and sink rate of take-off and landing
+    circle: Callable[[Place], None]  # aim there, with the usual radius
+    land_at: Callable[[Place], None]  # fly to where a mission lands
 
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
         assert isinstance(boot.vehicle, Plane)
         self.plane = boot.vehicle
-        self.lies_below_m_s = self.runway.landed_m_s
         self.l1, self.heights = L1(), HeightControl()
+        self.aim: Circle | Line | None = None  # none: the bank stays
+        self.leg: Leg | None = None  # that it flies
+        self.passes_m = math.inf  # how near to a way point it turns to the next one, at most
+        self.rotates_m_s = math.inf  # true airspeed at which it leaves the ground
         self.wanted_height_m, self.wanted_airspeed_m_s = 0.0, 0.0
         """Above the sea; and a true airspeed."""
         self.wanted_climb_m_s: float | None = None
         """Instead of going to the height."""
         self.bank_rad, self.bank_most_rad = 0.0, 1.0
-        self._speed_m_s = 0.0
         self._waited_s = 0.0  # when it was not yet to take off
 
     # --- where to -----------------------------------------------------------------------------
@@ -230,24 +187,75 @@ class FixedWing(Autopilot):
         """How far it is from a place."""
         return way_m(place, self.estimate.place)
 
-    def bank_for(self, aim: Circle | Way) -> None:
-        """Bank for where it is to go."""
+    def straight_to(self, place: Place, start: Place | None = None) -> None:
+        """Along the line from a start, or from here; if that is the place, on as it flies."""
+        way = way_m(start or self.estimate.place, place)
+        way = way if abs(way) > 1.0 else self.velocity
+        self.aim = Line(place, way / abs(way))
+
+    def lateral_m_s2(self, aim: Circle | Line) -> float:
+        """What it turns with for its aim."""
+        off_m = self.off_m(aim.place)
         if isinstance(aim, Circle):
-            self._turn(self.l1.circle(self.off_m(aim.centre), aim.radius_m, self.velocity))
+            return self.l1.circle(off_m, aim.radius_m, self.velocity)
+        return self.l1.line(off_m, aim.way, self.velocity)
+
+    def bank(self) -> None:
+        """For its aim."""
+        if self.aim is not None:
+            lateral_g = self.lateral_m_s2(self.aim) / GRAVITY_M_S2
+            self.bank_rad = math.atan(lateral_g / math.cos(self.plane.pitch_rad))
+
+    # --- legs ---------------------------------------------------------------------------------
+
+    def fly_legs(self) -> None:
+        """Where to, and whether to climb out or to land there."""
+        if self.route.leg is not self.leg:
+            self.fly_leg()
+        self.follow_route()
+        leg, self.wanted_climb_m_s = self.route.leg, None
+        if self.route.lands:
+            self.wanted_climb_m_s = -self.lands_m_s
+        elif leg is not None and leg.does is Does.CLIMB and not self._is_up(leg):
+            self.wanted_climb_m_s = self.climbs_m_s
+
+    def fly_leg(self) -> None:
+        """Straight to the leg's place from the one before, or about it."""
+        before, leg, here = self.leg, self.route.leg, self.estimate.place
+        self.leg = leg
+        if leg is None:
+            self.circle(here)
+        elif leg.does is Does.LAND:
+            self.land_at(leg.place)
+        elif leg.hold_s and leg.does is Does.GO:
+            self.circle(leg.place)
         else:
-            off_m = self.off_m(aim.start)
-            self._turn(self.l1.leg(off_m, off_m - self.off_m(aim.end), self.velocity))
+            goes_on = before is not None and before.does is leg.does is Does.GO
+            self.straight_to(leg.place, before.place if before and goes_on else here)
 
-    def bank_along(self, off_m: complex, way: complex, curvature_1_m: float = 0.0) -> None:
-        """Bank for a line in a direction (of unit length), or bent there: so far off its point."""
-        velocity = self.velocity
-        lateral = self.l1.line(off_m, way, velocity)
-        self._turn(lateral + abs(velocity) ** 2 * curvature_1_m)
+    def _is_up(self, leg: Leg) -> bool:
+        return self.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m
 
-    def _turn(self, lateral_m_s2: float) -> None:
-        self.bank_rad = math.atan(lateral_m_s2 / (GRAVITY_M_S2 * math.cos(self.plane.pitch_rad)))
+    def is_there(self, leg: Leg) -> bool:
+        """At its height, on its circle, or near enough or past."""
+        aim, off_m = self.aim, self.off_m(leg.place)
+        if leg.does is Does.CLIMB:
+            return self._is_up(leg)
+        if not isinstance(aim, Line):
+            return aim is None or abs(off_m) < abs(aim.radius_m) + _ON_CIRCLE_M
+        near_m = min(self.passes_m, self.l1.length_m(abs(self.velocity)))
+        near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else near_m
+        return abs(off_m) <= near_m or (off_m.conjugate() * aim.way).real >= 0.0
 
     # --- in the air, and on its wheels --------------------------------------------------------
+
+    def wants_up(self) -> bool:
+        """A take-off, by mode or by a mission."""
+        return self.armed and self.is_at(Does.CLIMB)
+
+    def lifts_off(self) -> bool:
+        """Fast enough on the runway."""
+        return self.wants_up() and self.plane.airspeed_m_s >= self.rotates_m_s
 
     def move(self) -> None:
         """In the air, as it was steered."""
@@ -256,25 +264,21 @@ class FixedWing(Autopilot):
             climb = self.heights.climb_m_s(self.wanted_height_m, height_m, self.step_s)
         else:
             self.heights.begin(height_m)
-        slowed_m_s = self._speed_m_s - self.slowing_m_s2 * self.step_s
-        self._speed_m_s = max(self.wanted_airspeed_m_s, slowed_m_s)
         bank_rad = min(max(self.bank_rad, -self.bank_most_rad), self.bank_most_rad)
-        plane.advance(bank_rad, climb, self._speed_m_s, self.step_s)
+        plane.advance(bank_rad, climb, self.wanted_airspeed_m_s, self.step_s)
         if self.wanted_climb_m_s is not None:
             plane.throttle = 1.0 if self.wanted_climb_m_s > 0.0 else 0.0
 
     def stand(self) -> None:
         """On the runway: up to speed, or to a halt."""
-        plane, runway, wants_up = self.plane, self.runway, self.wants_up()
+        plane = self.plane
         plane.altitude_amsl_m = self.ground_m
-        self._waited_s = self._waited_s if wants_up else self.now_s
-        open_s = self.now_s - self._waited_s - runway.waits_s
-        plane.throttle = min(max(open_s / runway.opens_s, 0.0), 1.0)
-        push_m_s2 = -max(abs(plane.velocity_m_s) / runway.rolls_out_s, runway.brakes_m_s2)
+        self._waited_s = self._waited_s if self.wants_up() else self.now_s
+        plane.throttle = min((self.now_s - self._waited_s) / self.opens_s, 1.0)
+        push_m_s2 = -self.brakes_m_s2
         if plane.throttle > 0.0:
-            push_m_s2 = runway.full_m_s2 * plane.throttle**runway.power
-            push_m_s2 -= runway.drag_1_s * plane.airspeed_m_s
-            if abs(plane.velocity_m_s) >= runway.flying_m_s:
+            push_m_s2 = self.full_m_s2 * plane.throttle - self.drag_1_s * plane.airspeed_m_s
+            if abs(plane.velocity_m_s) >= self.flying_m_s:
                 self.take_to_the_air()
         plane.roll_on_ground(push_m_s2, self.step_s)
 

@@ -14,7 +14,7 @@ from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, Mode
 from vehicle_sim.autopilot.earth import Projection
 from vehicle_sim.autopilot.estimator import Timing, told
 from vehicle_sim.autopilot.guards import Zones
-from vehicle_sim.autopilot.legs import Does
+from vehicle_sim.autopilot.legs import RETURN, Does, Leg
 from vehicle_sim.autopilot.setpoints import Target, given, read_by_px4
 from vehicle_sim.autopilot.values import Command, Landed, Place, Reply, Result, State
 from vehicle_sim.faults import SIM_PARAMETERS_PX4
@@ -43,30 +43,21 @@ _NOT_STREAMABLE: Final = frozenset({0, 42})
 """Sent by other parts of PX4: SET_MESSAGE_INTERVAL fails, as for unknown messages."""
 
 
-def _mode(name: str, main: int, sub: int, flies: str, base: int, *, needs: bool = True) -> Mode:
-    return Mode(name, main << 16 | sub << 24, flies, needs_position=needs, base=base)
-
-
 _BY_HAND, _BY_ITSELF, _BY_COMMAND = 0x51, 0x1D, 0x11
 """base_mode as recorded: 29 in AUTO, 17 in OFFBOARD."""
+_AUTO: Final = {"Hold": 3, "Takeoff": 2, "Mission": 4, "Return": 5, "Land": 6}
+_MANUAL: Final = {"Manual": 1, "Altitude": 2, "Position": 3, "Acro": 5, "Stabilized": 7}
+"""The sub mode of those, the main mode of these."""
 MODES: Final = (
-    _mode("Hold", 4, 3, "hold", _BY_ITSELF),
-    _mode("Manual", 1, 0, "sink", _BY_HAND, needs=False),
-    _mode("Altitude", 2, 0, "sink", _BY_HAND, needs=False),
-    _mode("Position", 3, 0, "sink", _BY_HAND),
-    _mode("Acro", 5, 0, "sink", _BY_HAND, needs=False),
-    _mode("Stabilized", 7, 0, "sink", _BY_HAND, needs=False),
-    _mode("Offboard", 6, 0, "fly_target", _BY_COMMAND, needs=False),
-    _mode("Takeoff", 4, 2, "climb", _BY_ITSELF),
-    _mode("Mission", 4, 4, "fly_mission", _BY_ITSELF),
-    _mode("Return", 4, 5, "fly_back", _BY_ITSELF),
-    _mode("Land", 4, 6, "land", _BY_ITSELF),
-    _mode("Descend", 4, 6, "descend", _BY_ITSELF, needs=False),
+    *(Mode(name, 4 << 16 | sub << 24, "fly_legs", base=_BY_ITSELF) for name, sub in _AUTO.items()),
+    *(
+        Mode(name, main << 16, "sink", needs_position=name == "Position", base=_BY_HAND)
+        for name, main in _MANUAL.items()
+    ),
+    Mode("Offboard", 6 << 16, "fly_target", base=_BY_COMMAND),
+    # a failsafe only, told as Land
+    Mode("Descend", 4 << 16 | 6 << 24, "descend", needs_position=False, base=_BY_ITSELF),
 )
-"""Descend is a failsafe only, told as AUTO:LAND."""
-_NAMES: Final = {mode.number: mode.name for mode in reversed(MODES)}
-NAVIGATED: Final = frozenset({"Takeoff", "Hold", "Mission", "Return", "Land"})
-"""Modes in which the navigator has a place to go to."""
 
 _GOOD: Final = 0x37F
 _TIMING: Final = Timing(
@@ -130,34 +121,33 @@ def firmware(parameters: str, *, vehicle_type: int, rates_hz: dict[int, float]) 
 # --- failsafes: which mode is flown instead of the wanted one (px4.md 6 to 8) ---------------------
 
 Action = enum.IntEnum(
-    "Action",
-    "NONE WARN POSITION ALTITUDE STABILIZED HOLD RETURN LAND DESCEND DISARM TERMINATE",
-    start=0,
+    "Action", "NONE POSITION ALTITUDE STABILIZED HOLD RETURN LAND DESCEND DISARM", start=0
 )
 """failsafe_action_t: the worse, the greater."""
 _CHOICES: Final = {
-    "COM_OBL_RC_ACT": "POSITION ALTITUDE STABILIZED RETURN LAND HOLD TERMINATE DISARM",
-    "GF_ACTION": "NONE WARN HOLD RETURN TERMINATE LAND",
-    "NAV_DLL_ACT": "NONE HOLD RETURN LAND NONE TERMINATE DISARM",
+    "COM_OBL_RC_ACT": "POSITION ALTITUDE STABILIZED RETURN LAND HOLD DISARM DISARM",
+    "GF_ACTION": "NONE NONE HOLD RETURN DISARM LAND",
+    "COM_LOW_BAT_ACT": "NONE NONE LAND RETURN",
+    "NAV_DLL_ACT": "NONE HOLD RETURN LAND NONE DISARM DISARM",
 }
 """What the values of these parameters ask for; another one asks for the first."""
+_WELL: Final = (Action.NONE,) * 3
 _STILL_S: Final = 2.0  # disarmed to the estimator's constant-position mode
 _LOW_M: Final = 1.2
 """Below this, in the air, there is no height above ground: flags 0x33f in the logs."""
 _STILL_FLAG, _HEIGHT_FLAG = 0x080, 0x040
-_NAV_LAND: Final = 21
-_TEXTS: Final = {
-    "fence": (4, "Geofence: approaching or outside geofence\t"),
-    "battery": (2, "Critical battery level, land now\t"),
-}
-"""What is said when one of these begins or gets worse."""
 NOWHERE: Final = Place(_NAN, _NAN, _NAN)
 
 
 class Px4(core.Autopilot):
     """One vehicle's autopilot."""
 
-    fly_leg: Callable[[], None]  # of the mission and no return; or none any more
+    taken_off_s = 0.0  # at its height, until a take-off is over
+    # How a kind of vehicle flies (px4copter.py, px4plane.py).
+    restart: Callable[[], None]  # from what the vehicle does: another mode begins
+    fly_leg: Callable[[], None]  # another one, or none any more
+    stops_at: Callable[[], Place]  # where it holds, told nothing else
+    way_home: Callable[[], list[Leg]]
 
     def __init__(self, boot: core.Boot) -> None:
         super().__init__(boot)
@@ -172,13 +162,11 @@ class Px4(core.Autopilot):
         """Where the command that brought about the mode wants it; NaN: not given."""
         self.speed_m_s: float | None = None
         """DO_CHANGE_SPEED, in AUTO modes."""
-        self.offboard_signal = False
-        self._signal_s = -math.inf
-        """A setpoint was seen within COM_OF_LOSS_T, as of the last check; and when it was."""
+        self._signal_s = -math.inf  # when a setpoint was seen
         self._breached = False  # the fence, when it last knew where it was
         self._zones = Zones(self.plans)
-        self._ill: dict[str, Action] = {}  # what fence, ground station and battery ask for now
-        self._incidents: dict[str, Action] = {}
+        self._ill = _WELL  # what ground station, battery and fence ask for now
+        self._incident = Action.NONE
         """What they have brought about: it stays when they are well again, until another mode is
         commanded."""
         self._after_disarming = self.mode
@@ -190,7 +178,6 @@ class Px4(core.Autopilot):
             178: self._change_speed,
             192: self._reposition,
             300: self._start_mission,
-            401: lambda _: Result.ACCEPTED,
         }
 
     # --- each step ----------------------------------------------------------------------------
@@ -201,33 +188,31 @@ class Px4(core.Autopilot):
             self.local_m = self.frame.ned_m(self.estimate)
 
     @property
-    def reference(self) -> Place:
-        """The origin, or where it is before there is one."""
-        return self.estimate.origin or self.estimate.place
+    def offboard_signal(self) -> bool:
+        """A setpoint was seen within COM_OF_LOSS_T."""
+        return self.now_s - self._signal_s <= self.parameters["COM_OF_LOSS_T"]
 
     @property
     def base(self) -> Place:
         """Home, or what comes nearest to it."""
-        return self.home or self.reference
+        return self.home or self.frame.origin
 
     def check(self) -> None:
         """Ten times a second: arming checks, incidents."""
-        now_s, p = self.now_s, self.parameters
+        p = self.parameters
         self._check_estimate()
-        self.offboard_signal = now_s - self._signal_s <= p["COM_OF_LOSS_T"]
+        if self.mode.name == "Takeoff" and self.route.leg is None:  # COM_TAKEOFF_ACT 0
+            self.set_mode("Hold", self.asked)
         if self.armed:
-            lost = p["COM_DL_LOSS_T"] < now_s - self.station_s < math.inf
-            ill = {
-                "ground station": self._choice("NAV_DLL_ACT") if lost else Action.NONE,
-                "fence": self._choice("GF_ACTION") if self._breaches() else Action.NONE,
-                "battery": self._battery_action(),
-            }
-            for cause, action in ill.items():
-                if action > self._ill.get(cause, Action.NONE):
-                    self._incidents[cause] = action
-                    if cause in _TEXTS:
-                        self.say(*_TEXTS[cause])
-            self._ill = ill
+            left, lost_s = self.battery.remaining, self.now_s - self.station_s
+            lost = p["COM_DL_LOSS_T"] < lost_s < math.inf
+            battery = self._choice("COM_LOW_BAT_ACT", applies=left <= p["BAT_CRIT_THR"])
+            if battery is Action.RETURN and left <= p["BAT_EMERGEN_THR"]:
+                battery = Action.LAND
+            station = self._choice("NAV_DLL_ACT", applies=lost)
+            ill = (station, battery, self._choice("GF_ACTION", applies=self._breaches()))
+            worse = (is_now for was, is_now in zip(self._ill, ill, strict=True) if is_now > was)
+            self._ill, self._incident = ill, max((self._incident, *worse))
         self._select()
 
     def _check_estimate(self) -> None:
@@ -240,46 +225,37 @@ class Px4(core.Autopilot):
             flags |= _STILL_FLAG if estimate.still else 0
             flags &= ~_HEIGHT_FLAG if low else -1
         estimate.flags = flags
-        silent_s, returned_s = max(now_s - estimate.used_s - 0.2, 0.0), estimate.returned_s
+        silent_s = max(now_s - estimate.used_s - 0.2, 0.0)
         settled_m = 0.29 * min(now_s / 8.0, 1.0)
-        if returned_s is not None:
-            settled_m = 0.29 + 0.73 * math.exp((returned_s - now_s) / 0.7)
         estimate.horizontal_accuracy_m = settled_m + silent_s * (0.06 + 0.0335 * silent_s)
         if not estimate.aiding:
             estimate.velocity_variance = estimate.horizontal_variance = _NAN
 
     def _breaches(self) -> bool:
         """Whether it is outside of the fence, as far as it knows where it is."""
-        home, p, here = self.home, self.parameters, self.estimate.place
-        if home is not None and self.estimate.position_ok:
+        p, here, home, before = self.parameters, self.estimate.place, self.base, self._breached
+        if self.estimate.position_ok:
             away_m = math.dist(self.local_m[:2], self.frame.ned_m(home)[:2])
             above_m = here.altitude_amsl_m - home.altitude_amsl_m
             beyond = 0.0 < p["GF_MAX_HOR_DIST"] < away_m or 0.0 < p["GF_MAX_VER_DIST"] < above_m
             self._breached = beyond or self._zones.forbid(self.frame, here, union=True)
+        if self._breached and not before:
+            self.say(4, "Geofence: approaching or outside geofence\t")
         return self._breached
 
-    def _battery_action(self) -> Action:
-        """COM_LOW_BAT_ACT: 0 warn, 2 land, 3 return, then land when critical turns emergency."""
-        left, choice = self.battery.remaining, int(self.parameters["COM_LOW_BAT_ACT"])
-        if left > self.parameters["BAT_CRIT_THR"]:
-            return Action.NONE
-        if choice == 3 and left > self.parameters["BAT_EMERGEN_THR"]:
-            return Action.RETURN
-        return Action.LAND if choice in (2, 3) else Action.WARN
-
-    def _choice(self, name: str) -> Action:
+    def _choice(self, name: str, *, applies: bool = True) -> Action:
         """What the value of this parameter asks for."""
         choices, value = _CHOICES[name].split(), int(self.parameters[name])
-        return Action[choices[value if 0 <= value < len(choices) else 0]]
+        choice = choices[value if 0 <= value < len(choices) else 0]
+        return Action[choice] if applies else Action.NONE
 
     def _failsafe(self) -> Action:
         """What is to be done instead of the wanted mode; NONE while that can be flown."""
         intended, ok, precise = self.intended, self.estimate.position_ok, self.estimate.precise
-        action = max(self._incidents.values(), default=Action.NONE)
-        action = action if action > Action.WARN else Action.NONE
+        action = self._incident
         if intended.name == "Offboard":
-            if not self.offboard_signal or not precise:
-                action = max(action, self._choice("COM_OBL_RC_ACT"))
+            lost = not (self.offboard_signal and precise)
+            action = max(action, self._choice("COM_OBL_RC_ACT", applies=lost))
         elif intended.needs_position and not ok:
             action = max(action, Action.ALTITUDE if intended.base == _BY_HAND else Action.DESCEND)
         if intended.name in ("Land", "Return") and action is Action.RETURN and ok:
@@ -295,13 +271,12 @@ class Px4(core.Autopilot):
     def _select(self) -> None:
         """Which mode is flown now."""
         before, self.action = self.action, self._failsafe() if self.armed else Action.NONE
-        if self.action > max(before, Action.WARN):
+        if self.action > before:
             self.say(2, "Failsafe activated\t")
-        if self.action >= Action.DISARM:
+        if self.action is Action.DISARM:
             self.disarm("external command")
-            return
-        instead = self.action > Action.WARN
-        self._change(self.modes[self.action.name.title()] if instead else self.intended)
+        else:
+            self._change(self.modes.get(self.action.name.title(), self.intended))
 
     # --- modes and arming ---------------------------------------------------------------------
 
@@ -311,59 +286,75 @@ class Px4(core.Autopilot):
         if mode is before:
             return
         self.route.stop()
+        self.restart()
         if mode.name == "Offboard":
             self.target = None
         elif mode.name == "Mission":
             self.seek(0 if self.route.complete else self.route.current)
         self.begin()
 
-    def intend(self, name: str) -> None:
-        """Want this mode from now on; if nothing forbids it, it is flown at once."""
-        mode = self.intended = self.modes[name]
-        self._incidents.clear()
+    def begin(self) -> None:
+        """Fly the mode from now on: the legs of all AUTO modes but the mission."""
+        here, legs = self.estimate.place, list[Leg]()
+        match self.mode.name:
+            case "Takeoff":  # never down
+                up_m = self.base.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
+                place = self.asked_or(here.at(up_m))
+                place = place.at(max(place.altitude_amsl_m, here.altitude_amsl_m))
+                legs = [Leg(Does.CLIMB, place, self.taken_off_s, RETURN)]
+            case "Hold":
+                place = self.asked_or(self.stops_at())
+                legs = [Leg(Does.GO, place, math.inf, RETURN, yaw_rad=self.asked_yaw_rad)]
+            case "Land":
+                legs = [Leg(Does.LAND, self.asked_or(self.stops_at()), command=RETURN)]
+            case "Return":
+                legs = self.way_home()
+            case _:
+                return
+        self.route.fly(legs, self.now_s)
+        self.fly_leg()
+
+    on_armed = begin
+
+    def set_mode(self, name: str, asked: Place = NOWHERE, yaw_rad: float = _NAN) -> bool:
+        """Want this mode, at a place; if nothing forbids it, it is flown at once.
+
+        On the ground, disarmed, every one is accepted.
+        """
+        mode = self.modes[name]
+        able = self.estimate.precise or not mode.needs_position
+        if self.armed and not (able and (name != "Offboard" or self.offboard_signal)):
+            return False
+        self.intended, self.asked, self.asked_yaw_rad = mode, asked, yaw_rad
+        self._incident = Action.NONE
         if name not in ("Land", "Return", "Takeoff"):
             self._after_disarming = mode
         if mode is self.mode:
             self.begin()
         self._select()
-
-    def set_mode(self, name: str, asked: Place = NOWHERE, yaw_rad: float = _NAN) -> bool:
-        """Request a mode, at a place.  On the ground, disarmed, every mode is accepted."""
-        able = self.estimate.precise or not self.modes[name].needs_position
-        if name == "Offboard":
-            able = self.offboard_signal and self.estimate.precise
-        if able or not self.armed:
-            self.asked, self.asked_yaw_rad = asked, yaw_rad
-            self.intend(name)
-        return able or not self.armed
+        return True
 
     def _set_mode_number(self, command: Command) -> Result:
         """p1 bit 0 says that p2 and p3 are PX4's own numbers; of other modes than AUTO p3 is 0."""
         flags, main, sub = command.parameters[:3]
         if not all(map(math.isfinite, (flags, main, sub))) or not int(flags) & 1:
             return Result.TEMPORARILY_REJECTED
-        name = _NAMES.get(int(main) << 16 | (int(sub) << 24 if int(main) == 4 else 0))
+        number = int(main) << 16 | (int(sub) << 24 if int(main) == 4 else 0)
+        name = next((mode.name for mode in MODES if mode.number == number), None)
         return self.done(name is not None and self.set_mode(name))
 
     def refusal(self) -> str | None:
         """Why it may not be armed now, in the mode that is flown; by hand it has no pilot."""
-        mode, able = self.mode, self.estimate.position_ok and self.now_s >= self.firmware.prearm_s
-        if mode.name == "Offboard":
-            able = able and self.offboard_signal
-        elif mode.name == "Mission":
-            able = able and bool(self.plans[PlanKind.MISSION])
-        return None if able and mode.base != _BY_HAND else "Resolve system health failures first"
-
-    def on_armed(self) -> None:
-        """The mode begins."""
-        self.begin()
+        has = {"Offboard": self.offboard_signal, "Mission": bool(self.plans[PlanKind.MISSION])}
+        able = has.get(self.mode.name, self.mode.base != _BY_HAND) and self.estimate.position_ok
+        able = able and self.now_s >= self.firmware.prearm_s
+        return None if able else "Resolve system health failures first"
 
     def on_disarmed(self) -> None:
         """The mode returns to the one last commanded for flight."""
         self._disarmed_s = self.now_s
         self.landed = self.landed or self.touched_s is not None
-        self._incidents.clear()
-        self._ill.clear()
+        self._ill, self._incident = _WELL, Action.NONE
         self.intended, self.action = self._after_disarming, Action.NONE
         self._change(self.intended)
 
@@ -382,11 +373,9 @@ class Px4(core.Autopilot):
         if not known or latitude_deg == longitude_deg == 0.0:
             latitude_deg = longitude_deg = _NAN
         altitude_m = altitude_m if abs(altitude_m) <= values.HIGHEST_M else _NAN
-        if self.home is not None and altitude_m == altitude_m:
-            home_m, frame = self.home.altitude_amsl_m, command.frame or 0
-            height_m = values.height_amsl_m(frame, altitude_m, home_m, self.ground_m)
-            altitude_m = altitude_m if height_m is None else height_m
-        return Place(latitude_deg, longitude_deg, altitude_m)
+        frame, home_m = command.frame or 0, self.base.altitude_amsl_m
+        height_m = values.height_amsl_m(frame, altitude_m, home_m, self.ground_m)
+        return Place(latitude_deg, longitude_deg, altitude_m if height_m is None else height_m)
 
     def asked_or(self, here: Place) -> Place:
         """What of a place was asked for, and here what was not."""
@@ -395,15 +384,8 @@ class Px4(core.Autopilot):
         return place.at(here.altitude_amsl_m if height_m != height_m else height_m)
 
     def _land_or_take_off(self, command: Command) -> Result:
-        name = "Land" if command.number == _NAV_LAND else "Takeoff"
+        name = {21: "Land", 22: "Takeoff"}[command.number]
         return self.done(self.set_mode(name, self._asked_by(command)))
-
-    @property
-    def takeoff_altitude_m(self) -> float:
-        """AMSL: NAV_TAKEOFF's, but never down, or MIS_TAKEOFF_ALT above home."""
-        if math.isfinite(self.asked.altitude_amsl_m):
-            return max(self.asked.altitude_amsl_m, self.estimate.altitude_amsl_m)
-        return self.base.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
 
     def _reposition(self, command: Command) -> Result:
         """p2 bit 0 changes to Hold; a place outside of the fence is refused."""
@@ -429,7 +411,7 @@ class Px4(core.Autopilot):
         """Another leg of the mission, or none any more; the speed that was asked for before it."""
         self.speed_m_s = speed_m_s or self.speed_m_s
         if self.is_at(Does.RETURN):
-            self.intend("Return")
+            self.set_mode("Return")
         else:
             self.fly_leg()
 
@@ -459,7 +441,6 @@ class Px4(core.Autopilot):
         target = read_by_px4(setpoint, self.vehicle.heading_rad)
         if target is not None:
             self._signal_s = self.now_s
-            self.offboard_signal = True  # the arming checks run at once for it
             if self.mode.name == "Offboard":
                 self.target = self._in_local_frame(target)
         return ()
@@ -468,17 +449,15 @@ class Px4(core.Autopilot):
         if not target.is_global or not given(target.position):
             return target
         latitude_deg, longitude_deg, z_m = target.position
-        origin_m, home_m = self.reference.altitude_amsl_m, self.base.altitude_amsl_m
+        origin_m, home_m = self.frame.origin.altitude_amsl_m, self.base.altitude_amsl_m
         # the sign of the home's height is wrong in PX4 (px4.md 1, item 6), and so it is here
-        up_m = {5: z_m - origin_m, 6: z_m - home_m + origin_m}.get(
-            target.frame, z_m + self.ground_m - origin_m
-        )
+        zero_m = {5: -origin_m, 6: origin_m - home_m}.get(target.frame, self.ground_m - origin_m)
         north_m, east_m, _ = self.frame.ned_m(Place(latitude_deg, longitude_deg, 0.0))
-        return target._replace(position=(north_m, east_m, -up_m))
+        return target._replace(position=(north_m, east_m, -z_m - zero_m))
 
     def status(self) -> values.Status:
         """The status for telemetry."""
-        armed, mode, fails = self.armed, self.mode, self.armed and self.action > Action.WARN
+        armed, mode, fails = self.armed, self.mode, self.armed and self.action > Action.NONE
         in_air = {"Takeoff": Landed.TAKEOFF, "Land": Landed.LANDING}.get(mode.name, Landed.IN_AIR)
         armable = self.refusal() is None
         state = State.STANDBY if armable else State.UNINIT
@@ -490,6 +469,6 @@ class Px4(core.Autopilot):
             system_status=state,
             landed_state=Landed.ON_GROUND if self.landed else in_air,
             prearm_ok=armable,
-            waypoint=self.waypoint() if armed and mode.name in NAVIGATED else None,
+            waypoint=self.waypoint() if armed and mode.base == _BY_ITSELF else None,
             intended_mode=self.intended.number,
         )

@@ -14,7 +14,6 @@ from vehicle_sim.parameters import Parameters
 _NAN: Final = math.nan
 NONE: Final = complex(_NAN, _NAN)
 _ATTITUDE_S: Final = 0.15  # wanted to actual tilt (1 / MC_ROLL_P), on top of Copter's own response
-STANDS_M_S: Final = 0.05
 _ACCELERATION_UP_M_S2: Final = 4.0  # MPC_ACC_UP_MAX
 _P, _P_DOWN = 0.95, 1.0
 """MPC_XY_P, MPC_Z_P."""
@@ -49,8 +48,7 @@ def given(vector: complex) -> bool:
 class Control:
     """The position controller and its integrals.  Mutable."""
 
-    def __init__(self, parameters: Parameters) -> None:
-        self.read(parameters)
+    def __init__(self) -> None:
         self.velocity, self.sink, self.asked, self.asked_down = 0j, 0.0, 0j, 0.0
         """What it wants, as POSITION_TARGET_LOCAL_NED tells it."""
         self.reset()
@@ -122,12 +120,6 @@ class Control:
         return share + way * more
 
 
-def braking_speed_m_s(distance_m: float, acceleration_m_s2: float, jerk_m_s3: float) -> float:
-    """Speed from which this distance suffices to stop (PX4's computeMaxSpeedFromDistance)."""
-    lost = 4.0 * acceleration_m_s2 * acceleration_m_s2 / jerk_m_s3
-    return 0.5 * (math.sqrt(lost * lost + 8.0 * acceleration_m_s2 * distance_m) - lost)
-
-
 @final
 class Point:
     """The point that the controller follows in AUTO modes, within acceleration and jerk.  Mutable.
@@ -151,33 +143,31 @@ class Point:
         """How far on it stops, as the navigator reckons it (preproject_stop_point)."""
         return velocity * (abs(velocity) / (2.0 * self._most) + self._most / self._jerk)
 
-    @property
-    def stands(self) -> bool:
-        """It has come to rest horizontally."""
-        return abs(self.at.velocity) < STANDS_M_S
+    def _braking_m_s(self, distance_m: float) -> float:
+        """Speed from which this distance suffices to stop (PX4's computeMaxSpeedFromDistance)."""
+        most = 0.7 * self._most
+        lost = 4.0 * most * most / self._jerk
+        return 0.5 * (math.sqrt(lost * lost + 8.0 * most * distance_m) - lost)
 
-    def towards_place(
+    def towards(
         self,
         goal: complex,
         down: float,
         speeds_m_s: tuple[float, float, float],
         dt_s: float,
-        sink_m_s: float = _NAN,
-    ) -> None:
-        """One step towards a place; speeds: cruise, up and down.  What is NaN comes to rest.
+        sink_m_s: float | None = None,
+    ) -> State:
+        """One step towards a place; speeds: cruise, up and down.  Returns where it is then.
 
         sink_m_s: descend at this speed, regardless of the height.
         """
         at, velocity, off, off_down = self.at, 0j, goal - self.at.place, down - self.at.down
-        most = 0.7 * self._most
-        if given(off) and abs(off) > 1e-6:
-            speed = min(speeds_m_s[0], braking_speed_m_s(abs(off), most, self._jerk))
-            velocity = off * (speed / abs(off))
-        if sink_m_s != sink_m_s:
-            _, up_m_s, down_m_s = speeds_m_s
-            speed = braking_speed_m_s(abs(off_down), most, self._jerk)
-            sink_m_s = min(max(math.copysign(speed, off_down), -up_m_s), down_m_s)
-            sink_m_s = 0.0 if off_down != off_down else sink_m_s
+        cruise_m_s, up_m_s, down_m_s = speeds_m_s
+        if (away_m := abs(off)) > 1e-6:
+            velocity = off * (min(cruise_m_s, self._braking_m_s(away_m)) / away_m)
+        if sink_m_s is None:
+            sink_m_s = math.copysign(self._braking_m_s(abs(off_down)), off_down)
+            sink_m_s = min(max(sink_m_s, -up_m_s), down_m_s)
         most, step, gain = self._most, self._jerk * dt_s, 1.2 * self._jerk / self._most
         push = at.push + clipped(clipped(gain * (velocity - at.velocity), most) - at.push, step)
         wanted = min(max(gain * (sink_m_s - at.sink), -_ACCELERATION_UP_M_S2), most)
@@ -185,3 +175,4 @@ class Point:
         velocity, sink_m_s = at.velocity + push * dt_s, at.sink + push_down * dt_s
         place, down = at.place + velocity * dt_s, at.down + sink_m_s * dt_s
         self.at = State(place, down, velocity, sink_m_s, push, push_down)
+        return self.at

@@ -6,8 +6,8 @@ from typing import Final, final
 from vehicle_sim.autopilot import px4_control
 from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.legs import RETURN, Does, Leg, back
-from vehicle_sim.autopilot.px4 import NAVIGATED, NOWHERE, RATES_HZ, Px4, firmware
-from vehicle_sim.autopilot.px4_control import NONE, STANDS_M_S, Control, Point, State, given
+from vehicle_sim.autopilot.px4 import RATES_HZ, Px4, firmware
+from vehicle_sim.autopilot.px4_control import Control, Point, State
 from vehicle_sim.autopilot.setpoints import LOCAL_NED, NOTHING, Target, is_flyable
 from vehicle_sim.autopilot.values import Place, Setpoint, Waypoint
 from vehicle_sim.dynamics.copter import Copter
@@ -35,9 +35,6 @@ _SLOWS_AT_M, _SLOW_AT_M, _CRAWLS_AT_M, _CRAWL_M_S = 10.0, 5.0, 1.0, 0.3
 _NEAR_M: Final = 2.0  # of its goal: nearer, the nose does not turn to it
 _RESPONSE_S: Final = 0.1
 """Of the attitude: 12 m/s and then "position here" overshoots by 10 m (px4.md 4)."""
-_TAKEN_OFF_S, _SLOW_M_S = 2.2, 0.3
-"""At its height, slower than this, until a take-off is over: 7.8 s after arming at the default
-height (px4.md 3)."""
 _IDLE: Final = Setpoint(False, LOCAL_NED, 63, NOTHING, NOTHING, (0.0, 0.0, 100.0), 0.0)
 """POSITION_TARGET_LOCAL_NED while the motors idle, as recorded."""
 
@@ -46,24 +43,21 @@ _IDLE: Final = Setpoint(False, LOCAL_NED, 63, NOTHING, NOTHING, (0.0, 0.0, 100.0
 class Px4Copter(Px4):
     """A quadcopter of PX4's SIH simulator: 1 kg, drag SIH_KDV."""
 
+    taken_off_s = 3.0  # 7.8 s after arming at the default height (px4.md 3)
+
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
         assert isinstance(boot.vehicle, Copter)
         self.copter = boot.vehicle
-        self._control, self._point = Control(self.parameters), Point()
-        self._goal, self._goal_down = NONE, _NAN
-        """Of the AUTO modes, in the local frame; NaN: still braking."""
-        self._began_in, self._began, self._began_down = "", 0j, 0.0
-        """The mode, and where it began, or where its braking ends."""
+        self._control, self._point = Control(), Point()
+        self._goal, self._goal_down = 0j, 0.0  # where the leg ends, in the local frame
+        self._leg: Leg | None = None
         self._ramp_s: float | None = None
         """When the take-off ramp began; None: on the ground or done with it."""
         self._flying = False  # the position controller runs
         self._wanted = State()
         self._order = (0j, 0.0)
-        self._leg: Leg | None = None  # of which the goal is
-        self._up_s: float | None = None  # when a take-off has come to its height
-        self._yaw_rad, self._aim_yaw_rad = self.copter.heading_rad, _NAN
-        self._turn_rad_s = 0.0
+        self._yaw_rad, self._turn_rad_s = self.copter.heading_rad, 0.0
         self._judged: Target | None = None
         self._offboard = _STOPS
 
@@ -89,56 +83,39 @@ class Px4Copter(Px4):
 
     def _local(self, place: Place) -> tuple[complex, float]:
         """A place in the local frame, and its height: down."""
-        north_m, east_m, _ = self.frame.ned_m(place)
-        return complex(north_m, east_m), self.reference.altitude_amsl_m - place.altitude_amsl_m
+        north_m, east_m, down_m = self.frame.ned_m(place)
+        return complex(north_m, east_m), down_m
 
-    # --- modes --------------------------------------------------------------------------------
+    # --- AUTO modes: legs ---------------------------------------------------------------------
 
-    def begin(self) -> None:
-        """Start the smooth motion of the AUTO modes from what the vehicle does."""
-        name, flown = self.mode.name, self._flown
-        self.read_parameters()
-        if name != self._began_in or not self._flying:
-            self._point.start(flown)
-        self._began_in, self._began, self._began_down = name, flown.place, flown.down
-        self._goal, self._goal_down, self._leg = NONE, _NAN, None
-        self._yaw_rad, self._aim_yaw_rad = self.copter.heading_rad, _NAN
-        here = self.estimate.place
-        if name == "Takeoff":
-            self._goal, self._goal_down = self._local(here.at(self.takeoff_altitude_m))
-        elif name == "Hold" and all(map(math.isnan, self.asked)):
-            self._began = self._goal = flown.place + self._point.stopping_m(flown.velocity)
-            self._goal_down = flown.down
-        elif name == "Hold":
-            self._aim_yaw_rad = self.asked_yaw_rad
-            self._goal, self._goal_down = self._local(self.asked_or(here))
-        elif name == "Land" and given(self.asked[0]):
-            self._goal, _ = self._local(self.asked_or(here))
-        elif name == "Return":
-            height_m = self.base.altitude_amsl_m + self._return_height_m()
-            height_m = max(height_m, here.altitude_amsl_m)
-            self.route.fly(back(here, self.base, height_m, 0.0), self.now_s)
-
-    def _return_height_m(self) -> float:
-        """Above home: RTL_RETURN_ALT, less within the cone about it."""
-        p, away_m = self.parameters, abs(self._here - self._local(self.base)[0])
-        height_m = p["RTL_RETURN_ALT"]
-        if away_m < _NEAR_HOME_M:
-            return min(height_m, p["RTL_DESCEND_ALT"])
-        return min(height_m, max(away_m / _CONE, 10.0))
+    def restart(self) -> None:
+        """From what the vehicle does."""
+        self._point.start(self._flown)
+        self._yaw_rad = self.copter.heading_rad
+        self.fly_leg()
 
     def fly_leg(self) -> None:
-        """Another leg of the mission, or none any more."""
+        """Another one, or none any more: then it stops."""
         leg = self._leg = self.route.leg
-        self._goal, self._goal_down = NONE, _NAN
-        if leg is None:
-            return
-        self._goal, self._goal_down = self._local(leg.place)
-        if leg.does is Does.LAND:
-            self._goal_down = self._point.at.down
-        elif leg.does is Does.CLIMB and self.landed:
+        self._goal, self._goal_down = self._local(self.stops_at() if leg is None else leg.place)
+        if leg is not None and leg.does is Does.CLIMB:
             self._goal = self._here
-        self._aim_yaw_rad = leg.yaw_rad
+        elif leg is not None and leg.does is Does.LAND:
+            self._goal_down = self._point.at.down
+
+    def stops_at(self) -> Place:
+        """Where it comes to a stop, as the navigator reckons it."""
+        flown = self._flown
+        place = flown.place + self._point.stopping_m(flown.velocity)
+        return self.frame.place(place.real, place.imag, flown.down)
+
+    def way_home(self) -> list[Leg]:
+        """Up, home, and down: to RTL_RETURN_ALT, but less within the cone about home."""
+        p, here, home = self.parameters, self.estimate.place, self.base
+        away_m, up_m = abs(self._here - self._local(home)[0]), p["RTL_RETURN_ALT"]
+        least_m = p["RTL_DESCEND_ALT"] if away_m < _NEAR_HOME_M else max(away_m / _CONE, 10.0)
+        height_m = home.altitude_amsl_m + min(up_m, least_m)
+        return back(here, home, max(height_m, here.altitude_amsl_m), 0.0)
 
     def on_disarmed(self) -> None:
         """The motors stand."""
@@ -160,7 +137,6 @@ class Px4Copter(Px4):
         self.copter.stand(self.ground_m)
         if self._ramp_s is None:
             self._control.integral = 0j
-            self._flying = self._flying and not self.landed
 
     stand = touch_down  # even if the motors turn
 
@@ -173,7 +149,7 @@ class Px4Copter(Px4):
         climbs = climbs or wanted.push_down < -_WANTS_UP
         if not climbs or self.mode.name not in ("Takeoff", "Offboard", "Mission"):
             return False
-        self._ramp_s, self._flying = self.now_s, True
+        self._ramp_s = self.now_s
         self._control.reset(_HEAVY_M_S2)
         self._point.start(self._flown)
         return True
@@ -196,11 +172,11 @@ class Px4Copter(Px4):
     def steer(self) -> None:
         """The mode says what it wants, the position controller what that takes."""
         self._wanted = getattr(self, self.mode.flies)()
-        if not self.armed or not (self._flying or self._starts()):
-            return
-        most_up_m_s = self._most_up_m_s()
-        self._order = self._control.run(self._wanted, self._flown, most_up_m_s, self.step_s)
-        self._turn()
+        self._flying = self._ramp_s is not None or not self.landed or self._starts()
+        if self._flying:
+            most_up_m_s = self._most_up_m_s()
+            self._order = self._control.run(self._wanted, self._flown, most_up_m_s, self.step_s)
+            self._turn()
 
     def move(self) -> None:
         """Thrust."""
@@ -226,87 +202,49 @@ class Px4Copter(Px4):
 
     sink = descend
 
-    # --- AUTO modes: they move the point that the controller follows --------------------------
-
-    def _move_point(self, sink_m_s: float = _NAN) -> State:
-        """To the goal; at the beginning of the take-off ramp it stays where the vehicle is.
-
-        sink_m_s: descend at this speed, regardless of the goal's height.
-        """
-        p, point = self.parameters, self._point
-        if self._ramp_s is not None and self._most_up_m_s() <= 0.0:
+    def fly_legs(self) -> State:
+        """AUTO modes: the point that is followed moves to where the leg ends."""
+        p, point, sink_m_s = self.parameters, self._point, None
+        if self.route.leg is not self._leg:
+            self.fly_leg()
+        if self._ramp_s is not None and self._most_up_m_s() <= 0.0:  # it waits for the vehicle
             point.start(self._flown._replace(velocity=0j, sink=0.0))
             return point.at
+        if self.route.lands:
+            slow, fast = p["MPC_LAND_SPEED"], p["MPC_Z_V_AUTO_DN"]
+            share = (self.height_m - _SLOW_AT_M) / (_SLOWS_AT_M - _SLOW_AT_M)
+            sink_m_s = slow + (fast - slow) * min(max(share, 0.0), 1.0)
+            if self.height_m < _CRAWLS_AT_M:
+                sink_m_s = min(slow, _CRAWL_M_S)
         cruise_m_s = min(self.speed_m_s or p["MPC_XY_CRUISE"], p["MPC_XY_VEL_MAX"])
         climbs = p["MPC_TKO_SPEED" if self.mode.name == "Takeoff" else "MPC_Z_V_AUTO_UP"]
         speeds = (cruise_m_s, climbs, p["MPC_Z_V_AUTO_DN"])
-        point.towards_place(self._goal, self._goal_down, speeds, self.step_s, sink_m_s)
-        return point.at
-
-    def hold(self) -> State:
-        """To the goal; without one, brake, and stay where that ends."""
-        point = self._point
-        if not given(self._goal) and point.stands and abs(point.at.sink) < STANDS_M_S:
-            self._goal, self._goal_down = self._began, self._began_down
-        return self._move_point()
-
-    def climb(self) -> State:
-        """Takeoff; then Hold (COM_TAKEOFF_ACT 0), once it has stood at its height for a moment."""
-        at = self.hold()
-        is_up = self.local_m[2] - self._goal_down < self.parameters["NAV_MC_ALT_RAD"]
-        if self.landed or not is_up or abs(at.sink) >= _SLOW_M_S:
-            self._up_s = None
-        elif self._up_s is None:
-            self._up_s = self.now_s
-        elif self.now_s - self._up_s >= _TAKEN_OFF_S:
-            self.asked = NOWHERE  # it holds where it is
-            self.intend("Hold")
-        return at
-
-    def land(self) -> State:
-        """Down to the ground, slower the nearer it is."""
-        p, height_m, slow = self.parameters, self.height_m, self.parameters["MPC_LAND_SPEED"]
-        if not given(self._goal) and self._point.stands:
-            self._goal = self._point.at.place
-        share = min(max((height_m - _SLOW_AT_M) / (_SLOWS_AT_M - _SLOW_AT_M), 0.0), 1.0)
-        sink_m_s = slow + (p["MPC_Z_V_AUTO_DN"] - slow) * share
-        return self._move_point(min(slow, _CRAWL_M_S) if height_m < _CRAWLS_AT_M else sink_m_s)
-
-    def fly_mission(self) -> State:
-        """Leg by leg; of a return too."""
-        if self.route.leg is not self._leg:
-            self.fly_leg()
-        if self.route.lands:
-            return self.land()
-        at = self.hold()
+        wanted = point.towards(self._goal, self._goal_down, speeds, self.step_s, sink_m_s)
         self.follow_route()
-        return at
-
-    fly_back = fly_mission
+        return wanted
 
     def is_there(self, leg: Leg) -> bool:
-        """Near enough: over the place of a landing, else at its height too."""
-        p, away_m = self.parameters, abs(self._goal - self._here)
+        """Near enough: over home and the place of a landing nearer than on the way."""
+        p, near_m = self.parameters, leg.acceptance_m
+        if leg.does is Does.LAND or leg.command == RETURN:
+            near_m = _ARRIVED_M
+        elif near_m != near_m:
+            near_m = p["NAV_ACC_RAD"]
         off_m = abs(self._goal_down - self.local_m[2])
-        if leg.does is Does.LAND or (leg.command == RETURN and leg.does is Does.GO):
-            return away_m < _ARRIVED_M
-        if leg.command == RETURN:
-            return off_m < _ARRIVED_M
-        near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else p["NAV_ACC_RAD"]
-        return away_m < near_m and off_m < p["NAV_MC_ALT_RAD"]
+        return abs(self._goal - self._here) < near_m and off_m < p["NAV_MC_ALT_RAD"]
 
     def _turn(self) -> None:
         """Turn the nose: to the setpoint's yaw, or along the way."""
-        copter, name, target = self.copter, self.mode.name, self.target
+        copter, name, target, leg = self.copter, self.mode.name, self.target, self.route.leg
         if name == "Offboard":
             if target is not None and target.yaw_rad == target.yaw_rad:
                 self._yaw_rad = target.yaw_rad
             elif target is not None and target.yaw_rate_rad_s == target.yaw_rate_rad_s:
                 self._yaw_rad = copter.heading_rad + target.yaw_rate_rad_s / _TURN_1_S
-        elif name in NAVIGATED and name != "Land":
-            way = self._aim[0] - self._here
-            if self._aim_yaw_rad == self._aim_yaw_rad:
-                self._yaw_rad = self._aim_yaw_rad
+        elif leg is not None and leg.does is not Does.LAND:
+            way = self._goal - self._here
+            if leg.yaw_rad == leg.yaw_rad:
+                self._yaw_rad = leg.yaw_rad
             elif abs(way) > _NEAR_M:
                 self._yaw_rad = math.atan2(way.imag, way.real)
         most, off_rad = _SLEW_RAD_S[name == "Offboard"], self._yaw_rad - copter.heading_rad
@@ -320,7 +258,7 @@ class Px4Copter(Px4):
         """What the controller steers for: its own velocity and acceleration, not those sent."""
         control, wanted = self._control, self._wanted
         lies = self.touched_s is not None and self.now_s - self.touched_s > _LIES_S
-        if lies or not self._flying or (self.landed and self._ramp_s is None):
+        if lies or not self._flying:
             return _IDLE._replace(yaw_rad=self.copter.heading_rad)
         position = (wanted.place.real, wanted.place.imag, wanted.down)
         velocity = (control.velocity.real, control.velocity.imag, control.sink)
@@ -335,16 +273,7 @@ class Px4Copter(Px4):
             yaw_rate_rad_s=0.0 if self.mode.name == "Offboard" else self._turn_rad_s,
         )
 
-    @property
-    def _aim(self) -> tuple[complex, float]:
-        """The navigator's place: the goal, or where the mode began."""
-        lands = self.mode.name == "Land"
-        goal = self._began if lands or not given(self._goal) else self._goal
-        down = self._goal_down
-        return goal, self._began_down if lands or down != down else down
-
-    def waypoint(self) -> Waypoint:
-        """In AUTO modes."""
-        goal, down = self._aim
-        place = self.frame.place(goal.real, goal.imag, down)
-        return Waypoint(place=place, distance_m=abs(goal - self._here))
+    def waypoint(self) -> Waypoint | None:
+        """Where the leg ends."""
+        leg = self.route.leg
+        return leg and Waypoint(place=leg.place, distance_m=abs(self._goal - self._here))

@@ -52,20 +52,6 @@ class Plane(Vehicle):
     _slip_m_s: complex = field(init=False, default=0j)
     """North + east j."""
 
-    def __post_init__(self) -> None:
-        self.heading_rad %= math.tau
-
-    def stand(self, altitude_amsl_m: float) -> None:
-        """Come to rest at this height."""
-        Vehicle.stand(self, altitude_amsl_m)
-        self._climb_m_s, self._slip_m_s = 0.0, 0j
-        self.airspeed_m_s = self._flow_along_the_nose_m_s()
-
-    def _flow_along_the_nose_m_s(self) -> float:
-        """What a pitot tube would measure on the ground."""
-        flow = (self.velocity_m_s - self.wind_m_s) * cmath.rect(1.0, -self.heading_rad)
-        return max(0.0, flow.real)
-
     def fall(self, dt_s: float) -> None:
         """One step without motor and control: it glides straight ahead, if it can."""
         if self.broken:
@@ -115,7 +101,8 @@ class Plane(Vehicle):
         self._accelerate(cmath.rect(speed, self.heading_rad), 0.0, dt_s)
         self.velocity_up_m_s = self.acceleration_up_m_s2 = 0.0
         self.roll_rad = self.pitch_rad = self._climb_m_s = 0.0
-        self.airspeed_m_s = self._flow_along_the_nose_m_s()
+        flow = (self.velocity_m_s - self.wind_m_s) * nose.conjugate()
+        self.airspeed_m_s = max(flow.real, 0.0)  # of a pitot tube
         # what the air does not carry along the nose stays as slip when the wheels leave the ground
         self._slip_m_s = (speed - self.airspeed_m_s) * nose - self.wind_m_s
 
