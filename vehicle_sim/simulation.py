@@ -308,15 +308,12 @@ class Simulation:
 
     def _refresh(self) -> None:
         """A parameter or a fault is another one: so may the weather be, and the links."""
-        parameters, controller, router = self.parameters, self._controller, self._radio.router
+        parameters, controller = self.parameters, self._controller
         self._seen_version = parameters.version
         self._conditions = now = conditions_of(parameters, self._timeline.changes)
         controller.setpoints_ignored = now.autopilot.setpoints_ignored
         controller.ranging.rangefinder_off = now.autopilot.rangefinder_off
         self._radio.impair(now.link)
-        if "MAV_OPTIONS" in parameters:
-            allowed = frozenset({self.system_id, int(parameters["MAV_GCS_SYSID"])})
-            router.commanders = allowed if int(parameters["MAV_OPTIONS"]) & 1 else None
 
     def _happens(self, name: str, values: Sequence[float]) -> None:
         """A fault that happens once."""
@@ -341,7 +338,8 @@ class Simulation:
                     order = ground_station.command(values, *to)
                 else:
                     order = ground_station.target(values, self.vehicle, *to)
-                self._radio.broadcast_as(order, *ground_station.STATION[:2])
+                system, component, _ = ground_station.STATION
+                self._radio.send(order, system=system, component=component)
 
     # --- time ---------------------------------------------------------------------------------
 

@@ -25,7 +25,7 @@ from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.sensors.terrain_radar import UNSEEN_M, ScanRequest, TerrainRadar, Viewpoint
 from vehicle_sim.terrain import PeakRow, PeakTerrain
 from vehicle_sim.wire.components import RadarComponent
-from vehicle_sim.wire.frames import Packer, StreamParser
+from vehicle_sim.wire.frames import StreamParser, framed
 
 FloatArray = NDArray[np.float64]
 Height = Callable[[FloatArray, FloatArray], FloatArray]
@@ -226,12 +226,12 @@ def told(until_us: int, *asked: tuple[int, Any], link: int = 0, **conditions: An
     said: Said = []
     now_us = 0
 
-    def send(message: Any, to: int | None, component: int) -> None:
+    def send(message: Any, links: Any = None, *, component: int) -> None:
         assert component == 100
-        ((_, heard),) = StreamParser(datagrams=True).feed(Packer(1, component).frame(message))
-        said.append((now_us, to, heard))
+        ((_, heard),) = StreamParser(datagrams=True).feed(framed(message, 0, 1, component))
+        said.append((now_us, links and links[0], heard))
 
-    radio: Any = SimpleNamespace(send=send, broadcast=lambda message, by: send(message, None, by))
+    radio: Any = SimpleNamespace(send=send)
     component = RadarComponent(RADAR, np.random.default_rng(1), radio, 100)
     for now_us in range(STEP_US, until_us + 1, STEP_US):
         for _, message in (each for each in asked if each[0] == now_us - STEP_US):

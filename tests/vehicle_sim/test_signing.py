@@ -2,6 +2,7 @@
 
 import itertools
 from collections import Counter
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.faults import LinkConditions
-from vehicle_sim.wire.frames import Packer
+from vehicle_sim.wire.frames import framed
 from vehicle_sim.wire.impairments import MAX_FRAMES, Impairments
 from vehicle_sim.wire.signing import AHEAD, Signing
 
@@ -60,7 +61,7 @@ def test_without_a_key_everything_comes_in_and_nothing_is_signed() -> None:
     taken_back = signed_vehicle()
     taken_back.setup(setup(bytes(32), 0), armed=False)
     for signing in (Signing(), taken_back):
-        assert Packer(1, 1, signing).frame(ARM)[2] == 0
+        assert not signing.secret
         assert all(signing.accepts(client.frame(), SIGNED) for client in (UNSIGNED, LIAR))
     (refused,) = signing.setup(setup(), armed=True)
     assert refused.text == "ERROR: Won't setup signing when armed"
@@ -70,7 +71,7 @@ def test_without_a_key_everything_comes_in_and_nothing_is_signed() -> None:
 def test_pymavlink_believes_what_the_vehicle_signs_a_minute_ahead_on_every_link() -> None:
     signing, client = signed_vehicle(), Client()
     for count, link in enumerate((USB, SIGNED, 2)):
-        frame = Packer(1, 1, signing, link).frame(STATUS)
+        frame = framed(STATUS, 0, 1, 1, partial(signing.signature, link=link))
         assert client.mav.decode(bytearray(frame)).get_signed()
         assert frame[-13] == link
         assert int.from_bytes(frame[-12:-6], "little") == NOW + AHEAD + count
@@ -89,7 +90,7 @@ def test_the_vehicle_believes_what_pymavlink_signs_but_for_one_bit(flip: int) ->
     assert all(signing.accepts(client.frame(), SIGNED) for _ in range(5))  # it leaves no trace
 
 
-def test_link_0_takes_everything_and_the_others_only_radio_status_unsigned() -> None:
+def test_link_0_takes_everything_and_the_others_only_what_is_signed() -> None:
     signing = signed_vehicle()
     for frame in (
         UNSIGNED.frame(),
@@ -98,10 +99,9 @@ def test_link_0_takes_everything_and_the_others_only_radio_status_unsigned() -> 
         UNSIGNED.frame(setup()),
     ):
         assert [signing.accepts(frame, link) for link in (USB, SIGNED)] == [True, False]
-    assert all(signing.accepts(UNSIGNED.frame(STATUS, old=old), SIGNED) for old in (False, True))
 
 
-def test_of_each_stream_only_what_is_newer_comes_in_and_streams_are_bounded() -> None:
+def test_of_each_stream_only_what_is_newer_comes_in() -> None:
     """30 s old was dropped although the client's clock is right: the vehicle's is 60 s ahead."""
     for late, taken in ((-30 * SECOND, False), (-1, False), (0, True), (90 * SECOND, True)):
         assert signed_vehicle().accepts(Client(late=late).frame(), SIGNED) is taken
@@ -109,8 +109,6 @@ def test_of_each_stream_only_what_is_newer_comes_in_and_streams_are_bounded() ->
     assert [signing.accepts(frame, SIGNED) for _ in range(2)] == [True, False]
     assert not signing.accepts(Client(late=4).frame(), SIGNED)
     assert signing.accepts(Client(component=191).frame(), SIGNED)  # another stream
-    taken_of = [signing.accepts(Client(link=link).frame(), SIGNED) for link in range(10, 40)]
-    assert taken_of == [True] * 14 + [False] * 16
     assert signing.accepts(Client(link=13, late=200 * SECOND).frame(), SIGNED)
     # and the vehicle keeps up with what it hears
     assert not signed_vehicle_after(200 * SECOND).accepts(Client(link=6).frame(), SIGNED)

@@ -56,7 +56,7 @@ class RadarComponent:
 
     def send_heartbeat(self) -> None:
         """Send a heartbeat now."""
-        self._radio.broadcast(_BEAT, self._id)
+        self._radio.send(_BEAT, component=self._id)
 
     def receive(self, message: Any, sender: Sender) -> None:
         """Handle a message that is for the radar; commands that name it are refused."""
@@ -66,7 +66,7 @@ class RadarComponent:
         elif kind in ("COMMAND_LONG", "COMMAND_INT") and message.target_component == self._id:
             to = (0, 0, sender.system, sender.component)
             refusal = make("COMMAND_ACK", message.command, Result.UNSUPPORTED, *to)
-            self._radio.send(refusal, sender.link, self._id)
+            self._radio.send(refusal, (sender.link,), component=self._id)
 
     def step(
         self, now_us: int, vehicle: Vehicle, conditions: RadarConditions, *, tick: bool
@@ -85,7 +85,7 @@ class RadarComponent:
         if self._answer and now_us >= self._answer[0]:
             (_, link, replies), self._answer = self._answer, None
             for reply in replies:
-                self._radio.send(reply, link, self._id)
+                self._radio.send(reply, (link,), component=self._id)
         self.due_us = 0 if self._asked or self._answer else self._beat_us
 
     def _looks(self, now_us: int, conditions: RadarConditions, ends_tick: bool) -> bool:
@@ -153,7 +153,7 @@ class LidarDriver:
 
     def send_heartbeat(self) -> None:
         """Send a heartbeat now."""
-        self._radio.broadcast(_BEAT, self._settings.component_id)
+        self._radio.send(_BEAT, component=self._settings.component_id)
 
     def step(self, now_us: int, boot_us: int, conditions: LidarConditions) -> None:
         """Send what is due."""
@@ -172,7 +172,7 @@ class LidarDriver:
         while self._waiting and self._waiting[0][0] <= now_us:
             message = self._waiting.popleft()[1]
             if not conditions.frames_lost or self._rng.random() >= conditions.frames_lost:
-                self._radio.broadcast(message, self._settings.component_id)
+                self._radio.send(message, component=self._settings.component_id)
 
     def _message(self, stamp_us: int) -> Prepared:
         """The nearest echo of each element, "nothing there" or "not known"."""

@@ -4,6 +4,7 @@ Parsing, signatures, routing and sequence numbers come together here; what the m
 not.  Frames for another link are forwarded unchanged.
 """
 
+from collections import Counter
 from collections.abc import Container, Iterable
 from functools import partial
 from typing import Any, NamedTuple, final
@@ -13,10 +14,13 @@ import numpy as np
 from vehicle_sim.autopilot.values import Sender
 from vehicle_sim.faults import LinkConditions
 from vehicle_sim.parameters import Firmware
-from vehicle_sim.wire.frames import Packer, StreamParser
+from vehicle_sim.wire.frames import StreamParser, framed
 from vehicle_sim.wire.impairments import Impairments
 from vehicle_sim.wire.routing import Router, targets
 from vehicle_sim.wire.signing import Signing
+
+Frame = tuple[int, bytes]
+"""With the link that it goes by."""
 
 
 @final
@@ -47,18 +51,19 @@ class Radio:
         self.links = range(links)
         self.signing = None if firmware == "px4" else Signing()
         self._forwards_all = forwards_all
-        self._make_router = partial(Router, radar=radar, drivers=drivers, firmware=firmware)
+        self._make_router = partial(Router, radar=radar, drivers=drivers)
         self._parsers = [StreamParser(datagrams=link not in byte_streams) for link in self.links]
         self._in = [Impairments[Any](rng, link=link, to_vehicle=True) for link in self.links]
         self._out = [Impairments[bytes](rng, link=link, to_vehicle=False) for link in self.links]
         self.impaired = False
         """Links are bad, or were: something may be held back."""
-        self._outbox: list[tuple[int, bytes]] = []
-        self._past: list[tuple[int, bytes]] = []
-        """Questions of lockstep: they go after all else."""
-        self._question: list[tuple[int, bytes]] = []
-        self._packers: dict[tuple[int, int, int], Packer] = {}
-        """By link, system and component."""
+        self._outbox: list[Frame] = []
+        self._question: list[Frame] = []
+        """The newest one of lockstep."""
+        self._past: list[Frame] = []
+        """Such questions: they go after all else, and past what is wrong with the link."""
+        self._sent = Counter[tuple[int, int, int]]()
+        """Frames, by link, system and component."""
 
     def boot_as(self, system: int, component: int) -> None:
         """The autopilot boots with these ids: routes are forgotten; what is signed goes on."""
@@ -67,7 +72,7 @@ class Radio:
 
     def begin(self) -> None:
         """Count frames from here."""
-        self._packers.clear()
+        self._sent.clear()
 
     def impair(self, conditions: LinkConditions) -> None:
         """From now on the links are this bad, in both directions."""
@@ -107,7 +112,7 @@ class Radio:
                 continue
             links, *to = self.router.route(message, link)
             if self._forwards_all or targets(message)[0] == self._ids[0]:
-                self._outbox += [(other, frame) for other in links if other in self.links]
+                self._outbox += [(other, frame) for other in sorted(links)]
             if any(to):
                 by = message.get_header()
                 sender = Sender(by.srcSystem, by.srcComponent, link)
@@ -116,40 +121,39 @@ class Radio:
 
     # --- out ----------------------------------------------------------------------------------
 
-    def _frame(self, message: Any, *key: int) -> tuple[int, bytes]:
-        """The message as the next frame on a link of a system's component."""
-        link, system, component = key
-        packer = self._packers.get((link, system, component))
-        if packer is None:
-            signing = self.signing if system == self._ids[0] else None
-            packer = Packer(system, component, signing, link)
-            self._packers[link, system, component] = packer
-        return link, packer.frame(message)
-
-    def send(self, message: Any, link: int, component: int | None = None) -> None:
-        """Queue a message of one of the vehicle's components; None: of the autopilot."""
-        system, autopilot = self._ids
-        by = autopilot if component is None else component
-        self._outbox.append(self._frame(message, link, system, by))
-
-    def broadcast(self, message: Any, component: int) -> None:
-        """The same, on every link."""
-        self.broadcast_as(message, self._ids[0], component)
-
-    def broadcast_as(self, message: Any, system: int, component: int) -> None:
-        """Send a message in somebody's name, on every link."""
-        self._outbox += [self._frame(message, link, system, component) for link in self.links]
+    def send(
+        self,
+        message: Any,
+        links: Iterable[int] | None = None,
+        *,
+        system: int | None = None,
+        component: int | None = None,
+    ) -> None:
+        """Queue a message; of the autopilot and on every link, if nothing else is said."""
+        by = (system or self._ids[0], component or self._ids[1])
+        self._outbox += [
+            (link, self._frame(message, link, *by))
+            for link in (self.links if links is None else links)
+        ]
 
     def ask(self, message: Any, link: int) -> None:
-        """Queue a question of lockstep: after all else, and past what is wrong with the link."""
-        self._question = [self._frame(message, link, *self._ids)]
+        """Queue a question of lockstep."""
+        self._question = [(link, self._frame(message, link, *self._ids))]
         self.ask_again()
 
     def ask_again(self) -> None:
         """Queue the same frame again: another client may be listening now."""
         self._past += self._question
 
-    def take(self, now_us: int) -> list[tuple[int, bytes]]:
+    def _frame(self, message: Any, link: int, system: int, component: int) -> bytes:
+        key, signature = (link, system, component), None
+        if self.signing is not None and self.signing.secret and system == self._ids[0]:
+            signature = partial(self.signing.signature, link=link)
+        number = self._sent[key] & 255
+        self._sent[key] += 1
+        return framed(message, number, system, component, signature)
+
+    def take(self, now_us: int) -> list[Frame]:
         """What goes out now: link and frame, in order."""
         frames, self._outbox = self._outbox, []
         past, self._past = self._past, []
