@@ -27,7 +27,6 @@ _UNKNOWN: Final = 65535
 _DOWN, _LASER = 25, mavlink.MAV_DISTANCE_SENSOR_LASER
 _PROXIMITY_BIT: Final = mavlink.MAV_SYS_STATUS_SENSOR_PROXIMITY
 _DOWN_BIT: Final = mavlink.MAV_SYS_STATUS_SENSOR_LASER_POSITION
-_NAMES: Final = ("PRX1_TYPE", "RNGFND1_MIN", "RNGFND1_MAX", "RNGFND1_TYPE", "RNGFND1_ORIENT")
 
 
 @final
@@ -67,10 +66,8 @@ class Sectors:
     def messages(self, now_us: int) -> list[Prepared]:
         """DISTANCE_SENSOR of all sectors, while any of them has an echo."""
         if now_us - self._checked_us >= _CHECK_US:
-            self._checked_us = now_us
-            late = [k for k, (_, us) in self._echoes.items() if now_us - us > _TIMEOUT_US]
-            for sector in late:
-                del self._echoes[sector]
+            self._checked_us, kept = now_us, self._echoes.items()
+            self._echoes = {k: echo for k, echo in kept if now_us - echo[1] <= _TIMEOUT_US}
         if not self._echoes or not self.healthy(now_us):
             return []
         self._told |= self._echoes.keys()
@@ -95,33 +92,31 @@ class RangeSensors:
         look_down: Callable[[], float],
     ) -> None:
         self._look_down, self.rangefinder_off = look_down, False
-        known = [parameters[name] for name in _NAMES if name in parameters]
+        known = "RNGFND1_TYPE" in parameters
         self.numbers = (DISTANCE_SENSOR, RANGEFINDER) if known else ()
         """The messages that come from here."""
-        kind, *limits, there, orientation = known or (0.0,) * 5
-        self.sectors = Sectors(*limits_m) if kind == RPLIDAR else None
-        self._limits_cm = [round(limit_m * 100.0) for limit_m in limits]
-        self._has_rangefinder = bool(there) and orientation == _DOWN
+        is_there = known and parameters["PRX1_TYPE"] == RPLIDAR
+        self.sectors = Sectors(*limits_m) if is_there else None
+        self._finds = known and bool(parameters["RNGFND1_TYPE"])
+        self._finds = self._finds and parameters["RNGFND1_ORIENT"] == _DOWN
+        names = ("RNGFND1_MIN", "RNGFND1_MAX")
+        self._limits_cm = [round(parameters.get(name, 0.0) * 100.0) for name in names]
 
     def bits(self, now_us: int) -> tuple[int, int]:
         """Of SYS_STATUS: what is there, and what of it is not well."""
-        there = lost = 0
-        if self.sectors is not None:
-            there = _PROXIMITY_BIT
-            lost = 0 if self.sectors.healthy(now_us) else _PROXIMITY_BIT
-        if self._has_rangefinder:
-            there |= _DOWN_BIT
-            lost |= _DOWN_BIT if self.rangefinder_off else 0
-        return there, lost
+        sectors = self.sectors
+        ill = sectors is not None and not sectors.healthy(now_us)
+        there = _PROXIMITY_BIT * (sectors is not None) | _DOWN_BIT * self._finds
+        return there, there & (_PROXIMITY_BIT * ill | _DOWN_BIT * self.rangefinder_off)
 
     def messages(self, number: int, now_us: int) -> list[Prepared]:
         """All DISTANCE_SENSOR of now, or the RANGEFINDER; one that is off goes on with 0."""
-        has_one, is_off = self._has_rangefinder, self.rangefinder_off
+        finds, is_off = self._finds, self.rangefinder_off
         if number == RANGEFINDER:
-            return [make("RANGEFINDER", 0.0 if is_off else self._look_down())] if has_one else []
-        found = list[Prepared]() if self.sectors is None else self.sectors.messages(now_us)
-        if has_one and not is_off:
+            return [make("RANGEFINDER", 0.0 if is_off else self._look_down())] if finds else []
+        found = list[Prepared]()
+        if finds and not is_off:
             range_cm = min(int(self._look_down() * 100.0), _UNKNOWN)
             rest = (range_cm, mavlink.MAV_DISTANCE_SENSOR_UNKNOWN, 0, _DOWN)
-            found.insert(0, make("DISTANCE_SENSOR", now_us // 1000, *self._limits_cm, *rest))
-        return found
+            found.append(make("DISTANCE_SENSOR", now_us // 1000, *self._limits_cm, *rest))
+        return found if self.sectors is None else [*found, *self.sectors.messages(now_us)]
