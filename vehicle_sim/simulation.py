@@ -6,7 +6,7 @@ terrain radar and the radio.
 
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import replace
-from typing import Final, final
+from typing import Any, Final, final
 
 from vehicle_sim import ground_station, truth
 from vehicle_sim.autopilot.core import Boot
@@ -35,7 +35,9 @@ from vehicle_sim.sensors.terrain_radar import ScanRequest, TerrainRadar, Viewpoi
 from vehicle_sim.wire.components import LidarDriver, RadarComponent
 from vehicle_sim.wire.frames import make
 from vehicle_sim.wire.proximity import RPLIDAR, RangeSensors
-from vehicle_sim.wire.radio import Radio, Received
+from vehicle_sim.wire.radio import Radio
+from vehicle_sim.wire.routing import Route, Router
+from vehicle_sim.wire.signing import Signing
 from vehicle_sim.world import World
 
 STEP_US: Final = 10_000
@@ -110,12 +112,11 @@ class Simulation:
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
         scanner, lidars = world.scanner, world.lidars
         self._radio = Radio(
-            radar=scanner.component_id if scanner else None,
-            drivers={each.component_id for each in lidars if each.output == "driver"},
-            firmware=self._personality.firmware.family,
+            Router(scanner.component_id if scanner else None, forwards_all=forwards_all),
+            None if self._personality.firmware.family == "px4" else Signing(),
+            self._receive,
             links=links,
             byte_streams=byte_streams,
-            forwards_all=forwards_all,
             rng=generator(seed, "links"),
         )
         self._scanner: RadarComponent | None = None
@@ -148,7 +149,7 @@ class Simulation:
         self.parameters: Parameters = autopilot.parameters
         """The autopilot's; a reboot makes new ones."""
         self._ids = ids_of(self._personality, self.parameters)
-        self._radio.boot_as(*self._ids)
+        self._radio.router.boot_as(*self._ids)
         lidars = self._world.lidars
         limits_m = (lidars[-1].min_m, lidars[-1].range_m) if lidars else (0.0, 0.0)
         self._controller = FlightController(
@@ -354,8 +355,7 @@ class Simulation:
         elif self.parameters.version != self._seen_version:
             self._refresh()
         if self._radio.impaired:
-            for received in self._radio.late(now_us):
-                self._receive(received)
+            self._radio.late(now_us)
         looks, contact = now_us % LOOK_US == 0, self.contact
         if looks:
             self._look()
@@ -430,12 +430,10 @@ class Simulation:
 
     def receive(self, link: int, data: bytes) -> None:
         """Handle everything in this datagram or piece of stream, at the present vehicle time."""
-        for received in self._radio.receive(self.now_us, link, data):
-            self._receive(received)
+        self._radio.receive(self.now_us, link, data)
 
-    def _receive(self, received: Received) -> None:
-        sender, message = received.sender, received.message
-        if received.to_radar and self._scanner is not None:
+    def _receive(self, sender: Sender, message: Any, route: Route) -> None:
+        if route.to_radar and self._scanner is not None:
             self._scanner.receive(message, sender)
         kind = message.get_type()
         if kind == "TIMESYNC" and message.ts1 == self._question_ns and sender.link == 0:
@@ -443,7 +441,7 @@ class Simulation:
                 self._question_ns = -1
             elif message.tc1 != 0:
                 self.mistaken = True
-        if not received.to_autopilot or self._is_down:
+        if not route.to_autopilot or self._is_down:
             return
         if kind == "HEARTBEAT" and sender.link == 0:
             if self.companion is None:

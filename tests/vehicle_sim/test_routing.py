@@ -45,7 +45,7 @@ class Vehicle:
     """A router that has heard a ground station on link 0, two on link 1, another system on 2."""
 
     def __init__(self) -> None:
-        self.router = Router(system=1, radar=RADAR)
+        self.router = Router(RADAR)
         for source, link in ((GCS, 0), (COMPANION, 1), ((1, 192), 1), (OTHER, 2)):
             self.get(source, BEAT, link)
 
@@ -53,7 +53,7 @@ class Vehicle:
         """Where it goes: the numbers of links, A for the autopilot, R for the radar."""
         frame = message.pack(mavlink.MAVLink(None, *source))
         ((_, got),) = StreamParser(datagrams=True).feed(bytes(frame))
-        links, to_autopilot, to_radar = self.router.route(got, link)
+        links, to_autopilot, to_radar = self.router.route(got, Sender(*source, link))
         return "".join(map(str, sorted(links))) + "A" * to_autopilot + "R" * to_radar
 
 
@@ -61,7 +61,7 @@ class Vehicle:
     ("source", "link", "message", "route"),
     [
         *((who, 0, setpoint(1, 1), "A") for who in (GCS, (42, 7), (0, 0))),
-        *((who, 0, setpoint(1, 1), "") for who in ((1, 1), (1, RADAR))),  # an echo
+        ((1, 1), 0, setpoint(1, 1), ""),  # an echo
         *((GCS, 0, setpoint(1, 0), "1AR"), (GCS, 0, setpoint(0, 0), "12AR")),
         *((GCS, 0, setpoint(0, 1), "12A"), (GCS, 0, setpoint(1, 191), "1")),
         *((GCS, 0, setpoint(1, RADAR), "R"), (GCS, 0, setpoint(2, 0), "")),
@@ -81,7 +81,7 @@ def test_where_a_message_goes(source: Ids, link: int, message: Any, route: str) 
 
 def test_nothing_goes_to_a_component_before_it_has_spoken_and_routes_are_bounded() -> None:
     vehicle = Vehicle()
-    vehicle.router = Router(system=1, radar=RADAR)
+    vehicle.router = Router(RADAR)
     for spoken in (False, True):
         assert vehicle.get(GCS, command(1, 191)) == ("1" if spoken else "")
         vehicle.get(COMPANION, BEAT, 1)

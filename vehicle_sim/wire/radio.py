@@ -5,18 +5,17 @@ not.  Frames for another link are forwarded unchanged.
 """
 
 from collections import Counter
-from collections.abc import Container, Iterable
+from collections.abc import Callable, Container, Iterable
 from functools import partial
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import numpy as np
 
 from vehicle_sim.autopilot.values import Sender
 from vehicle_sim.faults import LinkConditions
-from vehicle_sim.parameters import Firmware
 from vehicle_sim.wire.frames import StreamParser, framed
 from vehicle_sim.wire.impairments import Impairments
-from vehicle_sim.wire.routing import Router, targets
+from vehicle_sim.wire.routing import Route, Router
 from vehicle_sim.wire.signing import Signing
 
 Frame = tuple[int, bytes]
@@ -24,34 +23,25 @@ Frame = tuple[int, bytes]
 
 
 @final
-class Received(NamedTuple):
-    """A message that is for this vehicle."""
-
-    sender: Sender
-    message: Any
-    to_autopilot: bool
-    to_radar: bool
-
-
-@final
 class Radio:
-    """Frames of one vehicle on all its links."""
+    """Frames of one vehicle on all its links.
+
+    signing: none of PX4, which never signs and takes everything.  receive: what is done with a
+    message that is for this vehicle.
+    """
 
     def __init__(
         self,
+        router: Router,
+        signing: Signing | None,
+        receive: Callable[[Sender, Any, Route], None],
         *,
-        radar: int | None,
-        drivers: set[int],
-        firmware: Firmware,
         links: int,
         byte_streams: Container[int],
-        forwards_all: bool,
         rng: np.random.Generator,
     ) -> None:
         self.links = range(links)
-        self.signing = None if firmware == "px4" else Signing()
-        self._forwards_all = forwards_all
-        self._make_router = partial(Router, radar=radar, drivers=drivers)
+        self.router, self.signing, self._receive = router, signing, receive
         self._parsers = [StreamParser(datagrams=link not in byte_streams) for link in self.links]
         self._in = [Impairments[Any](rng, link=link, to_vehicle=True) for link in self.links]
         self._out = [Impairments[bytes](rng, link=link, to_vehicle=False) for link in self.links]
@@ -65,11 +55,6 @@ class Radio:
         self._sent = Counter[tuple[int, int, int]]()
         """Frames, by link, system and component."""
 
-    def boot_as(self, system: int, component: int) -> None:
-        """The autopilot boots with these ids: routes are forgotten; what is signed goes on."""
-        self._ids = (system, component)
-        self.router: Router = self._make_router(system=system, component=component)
-
     def begin(self) -> None:
         """Count frames from here."""
         self._sent.clear()
@@ -82,42 +67,37 @@ class Radio:
 
     # --- in -----------------------------------------------------------------------------------
 
-    def receive(self, now_us: int, link: int, data: bytes) -> list[Received]:
-        """What has just come by this link, as far as it is for this vehicle."""
-        frames = self._parsers[link].feed(data)
-        if not self.impaired or now_us == 0:  # hellos depend on wall time: chance leaves them be
-            return self._let_in(link, frames)
-        let_in = list[tuple[bytes, Any]]()
-        for frame, message in frames:
-            if message.get_type() == "TIMESYNC" and message.tc1 == message.ts1 != 0:
-                # an answer to lockstep's question: if a bad link ate it, time would stand still
-                let_in.append((frame, message))
+    def receive(self, now_us: int, link: int, data: bytes) -> None:
+        """Handle what has just come by this link.
+
+        Nothing is wrong with hellos, which depend on wall time, nor with the answer to lockstep's
+        question: if a bad link ate it, time would stand still.
+        """
+        for frame, message in self._parsers[link].feed(data):
+            answers = message.get_type() == "TIMESYNC" and message.tc1 == message.ts1 != 0
+            if answers or not self.impaired or now_us == 0:
+                self._let_in(link, frame, message)
             else:
                 self._in[link].push(now_us, (frame, message))
-        return self._let_in(link, [*let_in, *self._in[link].pop(now_us)])
+        if self.impaired:
+            self.late(now_us)
 
-    def late(self, now_us: int) -> list[Received]:
-        """What came earlier and was held back until now."""
-        return [
-            received
-            for link in self.links
-            for received in self._let_in(link, self._in[link].pop(now_us))
-        ]
+    def late(self, now_us: int) -> None:
+        """Handle what came earlier and was held back until now."""
+        for link in self.links:
+            for frame, message in self._in[link].pop(now_us):
+                self._let_in(link, frame, message)
 
-    def _let_in(self, link: int, frames: Iterable[tuple[bytes, Any]]) -> list[Received]:
-        """Intact frames: those that are signed as they must be go to whom they are for."""
-        received = []
-        for frame, message in frames:
-            if self.signing is not None and not self.signing.accepts(frame, link):
-                continue
-            links, *to = self.router.route(message, link)
-            if self._forwards_all or targets(message)[0] == self._ids[0]:
-                self._outbox += [(other, frame) for other in sorted(links)]
-            if any(to):
-                by = message.get_header()
-                sender = Sender(by.srcSystem, by.srcComponent, link)
-                received.append(Received(sender, message, *to))
-        return received
+    def _let_in(self, link: int, frame: bytes, message: Any) -> None:
+        """One that is signed as it must be goes to whom it is for."""
+        if self.signing is not None and not self.signing.accepts(frame, link):
+            return
+        by = message.get_header()
+        sender = Sender(by.srcSystem, by.srcComponent, link)
+        route = self.router.route(message, sender)
+        self._outbox += [(other, frame) for other in sorted(route.links)]
+        if route.to_autopilot or route.to_radar:
+            self._receive(sender, message, route)
 
     # --- out ----------------------------------------------------------------------------------
 
@@ -130,15 +110,14 @@ class Radio:
         component: int | None = None,
     ) -> None:
         """Queue a message; of the autopilot and on every link, if nothing else is said."""
-        by = (system or self._ids[0], component or self._ids[1])
-        self._outbox += [
-            (link, self._frame(message, link, *by))
-            for link in (self.links if links is None else links)
-        ]
+        by = (system or self.router.system, component or self.router.component)
+        for link in self.links if links is None else links:
+            self._outbox.append((link, self._frame(message, link, *by)))
 
     def ask(self, message: Any, link: int) -> None:
         """Queue a question of lockstep."""
-        self._question = [(link, self._frame(message, link, *self._ids))]
+        frame = self._frame(message, link, self.router.system, self.router.component)
+        self._question = [(link, frame)]
         self.ask_again()
 
     def ask_again(self) -> None:
@@ -146,9 +125,9 @@ class Radio:
         self._past += self._question
 
     def _frame(self, message: Any, link: int, system: int, component: int) -> bytes:
-        key, signature = (link, system, component), None
-        if self.signing is not None and self.signing.secret and system == self._ids[0]:
-            signature = partial(self.signing.signature, link=link)
+        key, signing, signature = (link, system, component), self.signing, None
+        if signing is not None and signing.secret and system == self.router.system:
+            signature = partial(signing.signature, link=link)
         number = self._sent[key] & 255
         self._sent[key] += 1
         return framed(message, number, system, component, signature)
