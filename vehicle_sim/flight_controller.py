@@ -76,8 +76,7 @@ class FlightController:
         """Links on which one was heard."""
         self._mode_told: dict[int, tuple[Any, int]] = {}
         """Newest CURRENT_MODE of each link, and when that was."""
-        self._on_text, self._texts = on_text, 0
-        """So many have been said: the number of one that takes several messages."""
+        self._on_text = on_text
         self.handlers: dict[str, Handler] = {
             "HEARTBEAT": self._heartbeat,
             **dict.fromkeys(("COMMAND_LONG", "COMMAND_INT"), self._command),
@@ -104,8 +103,6 @@ class FlightController:
         self.answer(replies)
         if self.parameters.listings:
             self.answer(self.parameters.step(self.now_us))
-        if self.missions.upload is not None:
-            self.answer(self.missions.step(self.now_us))
 
     def stream(self) -> bool:
         """Queue all telemetry that is due; returns whether that included a position on link 0."""
@@ -158,10 +155,9 @@ class FlightController:
 
     def _say(self, text: Text) -> None:
         """PX4 says it on links with a ground station, ArduPilot where anybody was heard."""
-        self._texts = self._texts % 0xFFFF + 1
         heard_on = self.radio.router.heard_on
         links = self._ground_stations if self.autopilot.is_px4 else heard_on
-        self._send(texts(text, self._texts), sorted(links))
+        self._send(texts(text, self.now_us // 1000 % 0xFFFF + 1), sorted(links))
         self._on_text(text)
 
     # --- in -----------------------------------------------------------------------------------
@@ -201,22 +197,13 @@ class FlightController:
         """SET_POSITION_TARGET_GLOBAL_INT or _LOCAL_NED."""
         if self.setpoints_ignored:
             return ()
-        is_global = message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"
-        if is_global:
-            position = (message.lat_int / 1e7, message.lon_int / 1e7, message.alt)
-        else:
-            position = (message.x, message.y, message.z)
-        setpoint = Setpoint(
-            is_global=is_global,
-            frame=message.coordinate_frame,
-            type_mask=message.type_mask,
-            position=position,
-            velocity_ned_m_s=(message.vx, message.vy, message.vz),
-            acceleration_ned_m_s2=(message.afx, message.afy, message.afz),
-            yaw_rad=message.yaw,
-            yaw_rate_rad_s=message.yaw_rate,
+        is_global, m = message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT", message
+        position = (m.lat_int / 1e7, m.lon_int / 1e7, m.alt) if is_global else (m.x, m.y, m.z)
+        velocity, acceleration = (m.vx, m.vy, m.vz), (m.afx, m.afy, m.afz)
+        vectors = (position, velocity, acceleration)
+        return self.autopilot.on_setpoint(
+            Setpoint(is_global, m.coordinate_frame, m.type_mask, *vectors, m.yaw, m.yaw_rate)
         )
-        return self.autopilot.on_setpoint(setpoint)
 
     def _time_sync(self, message: Any, sender: Sender, _: int) -> Replies:
         """A question has a tc1 of 0."""

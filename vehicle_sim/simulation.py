@@ -373,7 +373,7 @@ class Simulation:
             streams = self._controller.streams
             complete = now_us >= streams.soonest_us and self._controller.stream()
             if looks and not complete:  # without positions there are ticks all the same
-                complete = streams.interval_us(0, _POSITION) is None
+                complete = not streams.interval_us(0, _POSITION)
         # the radar has its own power and its own computer
         if self._scanner is not None and now_us >= self._scanner.due_us:
             self._scanner.step(now_us, self.vehicle, self._conditions.radar, tick=complete)

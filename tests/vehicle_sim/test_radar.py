@@ -272,12 +272,8 @@ def test_a_request_is_answered_once_at_the_end_of_its_tick_with_what_the_radar_s
 def test_its_heart_beats_once_a_second_and_it_obeys_nobody() -> None:
     order = mavlink.MAVLink_command_long_message
     asked = [(0, order(1, target, 400, 0, *[0.0] * 7)) for target in (0, 100, 1)]
-    (first_us, link, ack), *beats = told(3 * S, *asked, link=2)
-    assert (link, ack.command, ack.result, ack.target_system) == (2, 400, 3, 255)
-    assert [(at_us, each.get_type()) for at_us, _, each in beats] == [
-        (k * S, "HEARTBEAT") for k in (1, 2, 3)
-    ]
-    assert first_us < S
+    said = [(at_us, each.get_type()) for at_us, _, each in told(3 * S, *asked, link=2)]
+    assert said == [(k * S, "HEARTBEAT") for k in (1, 2, 3)]
     assert told(3 * S, (0, request()), silent=True) == []
 
 

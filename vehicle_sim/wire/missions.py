@@ -9,21 +9,12 @@ import math
 import struct
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.core import Autopilot
-from vehicle_sim.autopilot.values import (
-    Ack,
-    Command,
-    Place,
-    Reply,
-    Sender,
-    SendMessage,
-    SendTelemetry,
-)
+from vehicle_sim.autopilot.values import Command, Place, Reply, Sender, SendMessage, SendTelemetry
 from vehicle_sim.plans import DO_JUMP, FENCE_COMMANDS, PlanItem, PlanKind, is_whole_fence
 from vehicle_sim.wire.frames import make
 
@@ -45,24 +36,20 @@ _MOST: Final = 724
 _ALL_KINDS: Final = 255
 _GUIDED: Final = 2
 """``current`` of an item that is not for the list: fly there now, as DroneKit says it."""
-_ASK_AGAIN_US, _GIVE_UP_US = 500_000, 5_000_000
-_WAYPOINT, _DO_REPOSITION, _DO_SET_MISSION_CURRENT, _MISSION_CURRENT = 16, 192, 224, 42
+_WAYPOINT, _DO_REPOSITION, _MISSION_CURRENT = 16, 192, 42
 _ACCEPTED, _ERROR = mavlink.MAV_MISSION_ACCEPTED, mavlink.MAV_MISSION_ERROR
 _BEFORE_ID: Final = {"MISSION_COUNT": 5, "MISSION_ACK": 4}
 """Bytes of the payload before opaque_id, which came to MAVLink after the dialect."""
 
 
 @final
-@dataclass(slots=True)
-class Upload:
+class _Upload(NamedTuple):
     """A list on its way from a client."""
 
     sender: Sender
     kind: PlanKind
-    count: int
-    heard_us: int
-    asked_us: int
-    items: list[PlanItem] = field(default_factory=list)
+    size: int
+    items: list[PlanItem]
 
 
 def opaque_id(items: Sequence[PlanItem]) -> int:
@@ -95,88 +82,73 @@ class Missions:
 
     def __init__(self, autopilot: Autopilot) -> None:
         self._autopilot, self._plans = autopilot, autopilot.plans
-        self.upload: Upload | None = None
-        """It needs steps."""
+        self._upload: _Upload | None = None
 
-    def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Reply]:
+    def on_message(self, message: Any, sender: Sender, _: int) -> list[Reply]:
         """Answer one of MESSAGES."""
         name = message.get_type()
         if name == "MISSION_SET_CURRENT":
-            done = self._do(sender, _DO_SET_MISSION_CURRENT, (float(message.seq), *(0.0,) * 6))
+            self._autopilot.jump(message.seq)
             # ground stations take this for the answer
-            return [*done, SendTelemetry(_MISSION_CURRENT)]
-        number = message.mission_type
-        if name == "MISSION_CLEAR_ALL" and number == _ALL_KINDS:
-            cleared = [reply for kind in PlanKind for reply in store(self._autopilot, kind, ())]
-            return [*cleared, _ack(sender, _ACCEPTED, number)]
-        if number not in tuple(PlanKind):
+            return [*self._autopilot.taken(), SendTelemetry(_MISSION_CURRENT)]
+        number, clears = message.mission_type, name == "MISSION_CLEAR_ALL"
+        kinds = [kind for kind in PlanKind if number == kind or (clears and number == _ALL_KINDS)]
+        if not kinds:
             return [_ack(sender, mavlink.MAV_MISSION_UNSUPPORTED, number)]
-        kind = PlanKind(number)
+        kind = kinds[0]
         match name:
             case "MISSION_COUNT":
-                return self._on_count(message.count, kind, sender, now_us)
+                return self._on_count(message.count, kind, sender)
             case "MISSION_ITEM" | "MISSION_ITEM_INT":
-                return self._on_item(message, kind, sender, now_us)
+                return self._on_item(message, kind, sender)
             case "MISSION_REQUEST_LIST":
                 told = (len(self._plans[kind]), kind)
                 return [_said(sender, "MISSION_COUNT", *told, identity=self._id_of(kind))]
             case "MISSION_REQUEST" | "MISSION_REQUEST_INT":
                 return [self._on_request(message, kind, sender)]
             case _:  # MISSION_CLEAR_ALL
-                return self._complete(kind, (), sender)
-
-    def step(self, now_us: int) -> list[Reply]:
-        """Ask again for what did not come, and give up in the end."""
-        upload = self.upload
-        if upload is not None and now_us - upload.heard_us > _GIVE_UP_US:
-            return self._fail(upload, mavlink.MAV_MISSION_OPERATION_CANCELLED)
-        if upload is not None and now_us - upload.asked_us > _ASK_AGAIN_US:
-            return self._ask(upload, now_us)
-        return []
+                cleared = [each for kind in kinds for each in store(self._autopilot, kind, ())]
+                return [*cleared, _ack(sender, _ACCEPTED, number)]
 
     # --- upload -------------------------------------------------------------------------------
 
-    def _on_count(self, count: int, kind: PlanKind, sender: Sender, now_us: int) -> list[Reply]:
-        if self.upload is not None and self.upload.sender != sender:
-            return [_ack(sender, mavlink.MAV_MISSION_DENIED, kind)]
-        self.upload = None  # the same client may begin again
+    def _on_count(self, count: int, kind: PlanKind, sender: Sender) -> list[Reply]:
+        self._upload = None  # who begins again, or another client, takes its place
         if count > _MOST:
             return [_ack(sender, mavlink.MAV_MISSION_NO_SPACE, kind)]
         if count == 0:
             return self._complete(kind, (), sender)
-        self.upload = Upload(sender, kind, count, heard_us=now_us, asked_us=now_us)
-        return self._ask(self.upload, now_us)
+        self._upload = _Upload(sender, kind, count, [])
+        return self._ask(self._upload)
 
-    def _ask(self, upload: Upload, now_us: int) -> list[Reply]:
+    def _ask(self, upload: _Upload) -> list[Reply]:
         """Ask for the next item."""
-        upload.asked_us = now_us
         asks = "MISSION_REQUEST_INT" if self._autopilot.is_px4 else "MISSION_REQUEST"
         return [_said(upload.sender, asks, len(upload.items), upload.kind)]
 
-    def _fail(self, upload: Upload, why: int) -> list[Reply]:
+    def _fail(self, upload: _Upload, why: int) -> list[Reply]:
         """The old list stays."""
-        self.upload = None
+        self._upload = None
         return [_ack(upload.sender, why, upload.kind)]
 
-    def _on_item(self, message: Any, kind: PlanKind, sender: Sender, now_us: int) -> list[Reply]:
-        upload, item = self.upload, _read(message, kind)
+    def _on_item(self, message: Any, kind: PlanKind, sender: Sender) -> list[Reply]:
+        upload, item = self._upload, _read(message, kind)
         if message.current == _GUIDED and isinstance(item, PlanItem):
             to = (-1.0, 0.0, 0.0, math.nan, item.x / 1e7, item.y / 1e7, item.z_m)
-            done = self._do(sender, _DO_REPOSITION, to, item.frame)
-            return [*done, _ack(sender, _ACCEPTED, kind)]
+            command = Command(sender, 0, _DO_REPOSITION, to, item.frame)
+            return [*self._autopilot.on_command(command), _ack(sender, _ACCEPTED, kind)]
         if upload is None or (sender, kind) != (upload.sender, upload.kind):
             return [_ack(sender, _ERROR, kind)]
         if message.seq != len(upload.items):
-            return []  # the right one will be asked for again
+            return self._ask(upload)  # it comes twice, or what was asked for got lost
         if not isinstance(item, PlanItem):
             return self._fail(upload, item)
         upload.items.append(item)
-        upload.heard_us = now_us
-        if len(upload.items) < upload.count:
-            return self._ask(upload, now_us)
+        if len(upload.items) < upload.size:
+            return self._ask(upload)
         if kind is PlanKind.FENCE and not is_whole_fence(upload.items):
             return self._fail(upload, _ERROR)
-        self.upload = None
+        self._upload = None
         return self._complete(kind, tuple(upload.items), sender)
 
     def _complete(self, kind: PlanKind, items: tuple[PlanItem, ...], sender: Sender) -> list[Reply]:
@@ -186,13 +158,6 @@ class Missions:
     def _id_of(self, kind: PlanKind) -> int:
         """Of a list; ArduPilot has none."""
         return opaque_id(self._plans[kind]) if self._autopilot.is_px4 else 0
-
-    def _do(
-        self, sender: Sender, number: int, parameters: Any, frame: int | None = None
-    ) -> list[Reply]:
-        """What a message asks for that means the same as this command: without a COMMAND_ACK."""
-        command = Command(sender, 0, number, parameters, frame)
-        return [each for each in self._autopilot.on_command(command) if not isinstance(each, Ack)]
 
     # --- download -----------------------------------------------------------------------------
 

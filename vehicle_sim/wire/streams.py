@@ -6,7 +6,7 @@ Intervals run on the vehicle's clock.
 
 import heapq
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any, Final, final
 
 from vehicle_sim.autopilot.core import Firmware
@@ -24,38 +24,49 @@ class Streams:
     """What is due when on every link of one autopilot, which boots now."""
 
     def __init__(self, firmware: Firmware, links: Iterable[int], now_us: int) -> None:
-        self.soonest_us = NEVER_US
-        """Nothing is due before."""
         self._firmware, self._is_px4 = firmware, firmware.family == "px4"
         self._usual_us = {number: _interval_us(hz) for number, hz in firmware.rates_hz.items()}
         """By message number: of a link that was not asked for anything."""
-        self._intervals_us: dict[tuple[int, int], int] = {}
-        """By link and message number; what is not in it is not sent."""
-        self._due: list[tuple[int, int, int]] = []
-        """A heap of time, message number and link."""
-        for link in links:
-            self._set(link, self._usual_us, now_us)
-        beat_us = now_us + firmware.first_heartbeat_us
-        self._schedule((beat_us if n == _HEARTBEAT else us, n, link) for us, n, link in self._due)
+        first_us = self._usual_us | {_HEARTBEAT: firmware.first_heartbeat_us}
+        self._heap = [
+            (now_us + first_us[number], number, link, interval_us)
+            for link in links
+            for number, interval_us in self._usual_us.items()
+        ]
+        """When it is due, message number, link and interval of all that is sent."""
+        self._order()
+
+    def _order(self) -> None:
+        heapq.heapify(self._heap)
+        self.soonest_us = self._heap[0][0] if self._heap else NEVER_US
+        """Nothing is due before."""
 
     def due(self, now_us: int) -> list[tuple[int, int]]:
         """Link and message number of what is due, oldest first; each at most once."""
-        found = list[tuple[int, int]]()
-        heap, intervals_us = self._due, self._intervals_us
+        found, heap = list[tuple[int, int]](), self._heap
         while heap and heap[0][0] <= now_us:
-            due_us, number, link = heap[0]
-            interval_us = intervals_us[link, number]
+            due_us, number, link, interval_us = heap[0]
             found.append((link, number))
             missed = (now_us - due_us) // interval_us
-            heapq.heapreplace(heap, (due_us + (missed + 1) * interval_us, number, link))
+            due_us += (missed + 1) * interval_us
+            heapq.heapreplace(heap, (due_us, number, link, interval_us))
         self.soonest_us = heap[0][0] if heap else NEVER_US
         return found
 
-    def interval_us(self, link: int, number: int) -> int | None:
-        """Of this message on this link; None if it is not streamed."""
-        return self._intervals_us.get((link, number))
+    def interval_us(self, link: int, number: int) -> int:
+        """Of this message on this link; 0 if it is not streamed."""
+        return next((us for _, *what, us in self._heap if what == [number, link]), 0)
 
-    # --- what clients ask for -----------------------------------------------------------------
+    def _set(self, link: int, number: int, interval_us: int, now_us: int) -> None:
+        """0 for none: it is first due one interval from now.
+
+        What stays as it is keeps its phase: clients ask for the same again and again.
+        """
+        if interval_us != self.interval_us(link, number):
+            self._heap = [each for each in self._heap if each[1:3] != (number, link)]
+            if interval_us:
+                self._heap.append((now_us + interval_us, number, link, interval_us))
+            self._order()
 
     def on_command(self, command: Command, now_us: int) -> list[Reply]:
         """Answer a command of COMMANDS; the answers are in the order of the recorded flights."""
@@ -74,7 +85,7 @@ class Streams:
             us = self._usual_us.get(int(number), 0)
         elif us and not self._is_px4:
             us = max(us // 1000, 1) * 1000  # whole milliseconds
-        self._set(to.link, {int(number): us}, now_us)
+        self._set(to.link, int(number), us, now_us)
         return [accepted]
 
     def on_data_stream(self, message: Any, sender: Sender, now_us: int) -> list[Reply]:
@@ -82,27 +93,9 @@ class Streams:
         rate_hz = message.req_message_rate if message.start_stop else 0
         for group, members in self._firmware.data_streams.items():
             if message.req_stream_id in (0, group):
-                self._set(sender.link, dict.fromkeys(members, _interval_us(rate_hz)), now_us)
+                for number in members:
+                    self._set(sender.link, number, _interval_us(rate_hz), now_us)
         return []
-
-    # --- the table ----------------------------------------------------------------------------
-
-    def _set(self, link: int, wanted_us: Mapping[int, int], now_us: int) -> None:
-        """Intervals by message number, 0 for none: each is first due one interval from now.
-
-        What stays as it is keeps its phase: clients ask for the same again and again.
-        """
-        now = self._intervals_us
-        changed = {(link, n): us for n, us in wanted_us.items() if us != now.get((link, n), 0)}
-        self._intervals_us = {key: us for key, us in (now | changed).items() if us}
-        kept = [each for each in self._due if (each[2], each[1]) not in changed]
-        fresh = [(now_us + us, number, link) for (_, number), us in changed.items() if us]
-        self._schedule([*kept, *fresh])
-
-    def _schedule(self, due: Iterable[tuple[int, int, int]]) -> None:
-        self._due = list(due)
-        heapq.heapify(self._due)
-        self.soonest_us = self._due[0][0] if self._due else NEVER_US
 
 
 def _interval_us(rate_hz: float) -> int:

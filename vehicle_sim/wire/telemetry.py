@@ -5,6 +5,7 @@ Fields that somebody reads are filled as in the recorded flights, the others are
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any, Final, final
 
 from pymavlink.dialects.v20 import all as mavlink
@@ -66,12 +67,12 @@ class Telemetry:
         """For attitude and airspeed only: position and velocity are the estimate's."""
         self._is_px4 = autopilot.is_px4
         self._is_plane = autopilot.firmware.vehicle_type == _FIXED_WING
-        self._asked: Status | None = None
         self.now(0, 0)
 
     def now(self, time_us: int, unix_us: int) -> None:
         """It is so long after the boot, and by GPS (0 while there is none)."""
-        self._time_us, self._unix_us, self._asked = time_us, unix_us, None
+        self._time_us, self._unix_us = time_us, unix_us
+        vars(self).pop("_status", None)
 
     def said(self, number: int) -> Sequence[Prepared]:
         """All messages of this number that there are now."""
@@ -83,12 +84,10 @@ class Telemetry:
 
     # --- what several of them tell ------------------------------------------------------------
 
-    @property
+    @cached_property
     def _status(self) -> Status:
         """Computed when a message first needs it: most, like ATTITUDE, do not."""
-        if self._asked is None:
-            self._asked = self._autopilot.status()
-        return self._asked
+        return self._autopilot.status()
 
     def _boot_ms(self) -> int:
         return self._time_us // 1000 & 0xFFFFFFFF
@@ -312,7 +311,7 @@ class Telemetry:
         return self._boot_ms(), _LOCAL, target.type_mask, *vectors, *yaw
 
     def _position_target_global_int(self) -> Fields | None:
-        """The navigator's place; PX4 adds velocity, acceleration, yaw and its rate of the controller."""
+        """The navigator's place; PX4 adds what else the controller aims at."""
         waypoint, target = self._status.waypoint, self._autopilot.target_echo()
         if waypoint is None:
             return None
