@@ -405,9 +405,9 @@ class Simulation:
         fired = lidar.step(self.now_us, self.vehicle, (north_m, east_m), wrong)
         if driver is not None:
             driver.step(self.now_us, controller.boot_us, wrong)
-        elif controller.ranging.sectors and not (self._is_down or wrong.silent):
+        elif controller.ranging.has_lidar and not (self._is_down or wrong.silent):
             angles_rad, distances_m = lidar.angles_rad[fired], lidar.distances_m[fired]
-            controller.ranging.sectors.on_beams(angles_rad, distances_m, since_boot_us)
+            controller.ranging.on_beams(angles_rad, distances_m, since_boot_us)
 
     def _go_down(self) -> None:
         """The flight controller loses power."""

@@ -119,11 +119,11 @@ class Telemetry:
         frozen_m = self._estimate.frozen_altitude_amsl_m
         return self._estimate.altitude_amsl_m if frozen_m is None else frozen_m
 
-    def _gauge(self) -> tuple[int, int, float]:
+    def _gauge(self) -> tuple[int, int, int]:
         """Of the battery: millivolts, centiamperes and per cent."""
         battery = self._autopilot.battery
         amperes = _CENTIAMPERES_UNKNOWN if self._is_px4 else whole(battery.current_a * 100.0)
-        left = min(max(battery.remaining, 0.0), 1.0) * 100.0
+        left = math.floor(min(max(battery.remaining, 0.0), 1.0) * 100.0 + 1e-9)
         return whole(battery.voltage_v * 1e3), amperes, left
 
     # --- what and how it is -------------------------------------------------------------------
@@ -159,24 +159,23 @@ class Telemetry:
         return *head, 0, 0, 0, custom, [0] * 8, [0] * 8, 0, 0, 0, uid
 
     def _sys_status(self) -> Fields:
-        status, (*battery, left) = self._status, self._gauge()
-        prearm = _PREARM_BIT if status.prearm_ok else 0
+        there, lost = self._ranging.bits(self._time_us)
+        there |= _GPS_BIT if self._autopilot.fix.fix_type > 0 else 0
+        prearm, battery = _PREARM_BIT if self._status.prearm_ok else 0, self._gauge()
         if self._is_px4:
-            there = _PX4_SENSORS | (_GPS_BIT if self._estimate.aiding else 0)
+            there |= _PX4_SENSORS
             well = there | prearm | (_POSITION_BIT if self._estimate.position_ok else 0)
             wanted = there | _POSITION_BIT | _PREARM_BIT
-            return wanted, wanted, well, 0, *battery, math.ceil(left), *[0] * 8, 1
-        there, lost = self._ranging.bits(self._time_us)
-        there |= _ARDUPILOT_SENSORS | (_GPS_BIT if self._autopilot.fix.fix_type > 0 else 0)
-        wanted, well = there | _PREARM_BIT, there & ~lost | prearm
-        return wanted, wanted, well, 0, *battery, math.floor(left + 1e-9)
+            return wanted, wanted, well, 0, *battery, *[0] * 8, 1
+        there |= _ARDUPILOT_SENSORS
+        wanted = there | _PREARM_BIT
+        return wanted, wanted, there & ~lost | prearm, 0, *battery
 
     def _battery_status(self) -> Fields:
         volts, amperes, left = self._gauge()
         kind, energy = ((0, 1, 1), -1) if self._is_px4 else ((0, 0, 0), 0)
         cells, consumed = [volts, *[_NO_CELL] * 9], whole(self._autopilot.battery.consumed_mah)
-        used = (amperes, consumed, energy, math.floor(left + 1e-9))
-        return *kind, _NO_TEMPERATURE, cells, *used, 0, 1
+        return *kind, _NO_TEMPERATURE, cells, amperes, consumed, energy, left, 0, 1
 
     # --- where it is --------------------------------------------------------------------------
 
