@@ -39,8 +39,6 @@ from vehicle_sim.wire.telemetry import Telemetry
 _HEARTBEAT, _POSITION, _CURRENT_MODE = 0, 33, 436
 _CURRENT_MODE_US = 500_000
 _DO_SET_MODE: Final = 176
-_EPOCH_US = 1_795_000_000_000_000
-"""UTC at the start of every run: the same seed gives the same bytes."""
 _NOWHERE = 0x7FFFFFFF
 """x or y of a COMMAND_INT that gives no place."""
 _TEXT_BYTES = 50
@@ -71,7 +69,7 @@ class FlightController:
         self.parameters = ParameterProtocol(autopilot)
         self.missions = Missions(autopilot)
         self.streams = Streams(autopilot.firmware, radio.links, boot_us)
-        self.telemetry = Telemetry(autopilot, ranging, hardware_id)
+        self.telemetry = Telemetry(autopilot, ranging, hardware_id, boot_us)
         self._ground_stations = set[int]()
         """Links on which one was heard."""
         self._mode_told: dict[int, tuple[Any, int]] = {}
@@ -91,11 +89,6 @@ class FlightController:
             "FILE_TRANSFER_PROTOCOL": no_file,
         }
 
-    @property
-    def since_boot_us(self) -> int:
-        """The autopilot's own time."""
-        return self.now_us - self.boot_us
-
     # --- out ----------------------------------------------------------------------------------
 
     def go_on(self, replies: Replies) -> None:
@@ -106,7 +99,7 @@ class FlightController:
 
     def stream(self) -> bool:
         """Queue all telemetry that is due; returns whether that included a position on link 0."""
-        self._look()
+        self.telemetry.now(self.now_us)
         due, built = self.streams.due(self.now_us), dict[int, Sequence[Any]]()
         for link, number in due:
             if number not in built:
@@ -123,11 +116,6 @@ class FlightController:
         self._mode_told[link] = mode, self.now_us
         return True
 
-    def _look(self) -> None:
-        """What is told from here on is of now."""
-        is_known = self.autopilot.fix.usable
-        self.telemetry.now(self.since_boot_us, _EPOCH_US + self.now_us if is_known else 0)
-
     def send_heartbeat(self) -> None:
         """Send a heartbeat now: whoever hears it may ask for more."""
         self.answer([SendTelemetry(message=_HEARTBEAT)])
@@ -142,7 +130,7 @@ class FlightController:
                 case Text():
                     self._say(reply)
                 case SendTelemetry(number, to):
-                    self._look()
+                    self.telemetry.now(self.now_us)
                     self._send(self.telemetry.said(number), None if to is None else (to.link,))
                 case SendMessage(message, to):
                     self.radio.send(message, None if to is None else (to.link,))
@@ -205,10 +193,11 @@ class FlightController:
             Setpoint(is_global, m.coordinate_frame, m.type_mask, *vectors, m.yaw, m.yaw_rate)
         )
 
-    def _time_sync(self, message: Any, sender: Sender, _: int) -> Replies:
+    def _time_sync(self, message: Any, sender: Sender, now_us: int) -> Replies:
         """A question has a tc1 of 0."""
         if message.tc1 == 0:
-            yield SendMessage(make("TIMESYNC", self.since_boot_us * 1000, message.ts1), sender)
+            since_boot_ns = (now_us - self.boot_us) * 1000
+            yield SendMessage(make("TIMESYNC", since_boot_ns, message.ts1), sender)
 
     def _setup_signing(self, message: Any, _sender: Sender, _: int) -> Replies:
         signing = self.radio.signing

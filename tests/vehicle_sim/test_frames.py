@@ -180,8 +180,8 @@ def test_a_text_that_does_not_fit_goes_on_in_chunks_to_a_zero_byte(length: int) 
 
 def told(rig: Rig, number: int) -> list[Any]:
     parameters, autopilot = rig.autopilot.parameters, rig.autopilot
-    telemetry = Telemetry(autopilot, RangeSensors(parameters, (0.2, 16.0), lambda: 3.0), 7)
-    telemetry.now(rig.now_us, 0)
+    telemetry = Telemetry(autopilot, RangeSensors(parameters, (0.2, 16.0), lambda: 3.0), 7, 0)
+    telemetry.now(rig.now_us)
     return [decoded(framed(message, 0, 1, 1)) for message in telemetry.said(number)]
 
 

@@ -12,13 +12,14 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.core import Autopilot
 from vehicle_sim.autopilot.values import Landed, Status, Vector
-from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, degrees_east
 from vehicle_sim.wire.frames import Prepared, make
 from vehicle_sim.wire.proximity import RangeSensors
 
 Fields = tuple[Any, ...]
 """Of a message in MAVLink's order; those at the end that are left out are zero."""
 
+_EPOCH_US: Final = 1_795_000_000_000_000
+"""UTC at the start of every run: the same seed gives the same bytes."""
 _FIXED_WING: Final = 1
 _NAN: Final = math.nan
 _NO_VECTOR: Final = (_NAN, _NAN, _NAN)
@@ -60,18 +61,21 @@ class Telemetry:
     None instead of fields: there is nothing to say now.
     """
 
-    def __init__(self, autopilot: Autopilot, ranging: RangeSensors, hardware_id: int) -> None:
+    def __init__(
+        self, autopilot: Autopilot, ranging: RangeSensors, hardware_id: int, boot_us: int
+    ) -> None:
         self._autopilot, self._ranging, self._hardware_id = autopilot, ranging, hardware_id
         self._estimate, self._firmware = autopilot.estimate, autopilot.firmware
         self._vehicle = autopilot.vehicle
         """For attitude and airspeed only: position and velocity are the estimate's."""
         self._is_px4 = autopilot.is_px4
         self._is_plane = autopilot.firmware.vehicle_type == _FIXED_WING
-        self.now(0, 0)
+        self._boot_us = boot_us
+        self.now(boot_us)
 
-    def now(self, time_us: int, unix_us: int) -> None:
-        """It is so long after the boot, and by GPS (0 while there is none)."""
-        self._time_us, self._unix_us = time_us, unix_us
+    def now(self, now_us: int) -> None:
+        """What is told from here on is of this time of the simulation."""
+        self._time_us = now_us - self._boot_us
         vars(self).pop("_status", None)
 
     def said(self, number: int) -> Sequence[Prepared]:
@@ -144,7 +148,8 @@ class Telemetry:
         return vtol, self._status.landed_state
 
     def _system_time(self) -> Fields:
-        return self._unix_us, self._boot_ms()
+        unix_us = _EPOCH_US + self._boot_us + self._time_us
+        return unix_us if self._autopilot.fix.usable else 0, self._boot_ms()
 
     def _timesync(self) -> Fields:
         """A question; the last digit tells ArduPilot's from those of others."""
@@ -173,9 +178,12 @@ class Telemetry:
 
     def _battery_status(self) -> Fields:
         volts, amperes, left = self._gauge()
-        kind, energy = ((0, 1, 1), -1) if self._is_px4 else ((0, 0, 0), 0)
-        cells, consumed = [volts, *[_NO_CELL] * 9], whole(self._autopilot.battery.consumed_mah)
-        return *kind, _NO_TEMPERATURE, cells, amperes, consumed, energy, left, 0, 1
+        kind, consumed = (
+            (0, 1, 1) if self._is_px4 else (0, 0, 0),
+            self._autopilot.battery.consumed_mah,
+        )
+        cells = [volts, *[_NO_CELL] * 9]
+        return *kind, _NO_TEMPERATURE, cells, amperes, whole(consumed), 0, left, 0, 1
 
     # --- where it is --------------------------------------------------------------------------
 
@@ -211,31 +219,27 @@ class Telemetry:
         fix = self._autopilot.fix
         if self._is_px4 and not fix.time_us:
             return None
-        solution: Fields = (0, 0, 0, 0, _NO_DILUTION, _NO_DILUTION, 0, 0)
-        if self._is_px4 or fix.fix_type:
-            north, east = fix.velocity_north_m_s, fix.velocity_east_m_s
-            dilutions = (fix.horizontal_dilution, fix.vertical_dilution, math.hypot(north, east))
-            course_cdeg = round(math.degrees(math.atan2(east, north)) * 100.0) % 36000
-            hundredths = (whole(each * 100.0) for each in dilutions)
-            solution = (fix.fix_type, *_e7_mm(fix), *hundredths, course_cdeg)
+        if not (self._is_px4 or fix.fix_type):
+            return fix.time_us, 0, 0, 0, 0, _NO_DILUTION, _NO_DILUTION
+        north, east = fix.velocity_north_m_s, fix.velocity_east_m_s
+        dilutions = (fix.horizontal_dilution, fix.vertical_dilution, math.hypot(north, east))
+        course_cdeg = round(math.degrees(math.atan2(east, north)) * 100.0) % 36000
+        hundredths = (whole(each * 100.0) for each in dilutions)
         accuracies = (fix.horizontal_accuracy_m, fix.vertical_accuracy_m, fix.speed_accuracy_m_s)
         mm = (whole(each * 1e3) for each in (fix.altitude_amsl_m, *accuracies))
+        solution = (fix.fix_type, *_e7_mm(fix), *hundredths, course_cdeg)
         return fix.time_us, *solution, fix.satellites, *mm
 
     def _vfr_hud(self) -> Fields:
         """A plane says its indicated airspeed, a copter of PX4 none."""
-        airspeed_m_s, altitude_m = self._vehicle.airspeed_m_s, self._estimate.altitude_amsl_m
-        if self._is_px4:
-            airspeed_m_s = airspeed_m_s if self._is_plane else _NAN
-        else:
-            indicated_m_s = self._status.airspeed_m_s
-            known = self._autopilot.fix.fix_type or self._time_us > 10_000_000
-            airspeed_m_s = airspeed_m_s if indicated_m_s is None else indicated_m_s
-            altitude_m = round(self._altitude_amsl_m(), 2) if known else 0.0
+        airspeed_m_s = self._status.airspeed_m_s
+        if airspeed_m_s is None:
+            says = self._is_plane or not self._is_px4
+            airspeed_m_s = self._vehicle.airspeed_m_s if says else _NAN
         north, east, down = self._velocity_ned_m_s()
         throttle = round(min(max(self._vehicle.throttle, 0.0), 1.0) * 100.0)
-        speeds_m_s = (airspeed_m_s, math.hypot(north, east))
-        return *speeds_m_s, self._heading_cdeg() // 100, throttle, altitude_m, -down
+        where = (self._heading_cdeg() // 100, throttle, self._altitude_amsl_m())
+        return airspeed_m_s, math.hypot(north, east), *where, -down
 
     def _altitude(self) -> Fields:
         """Above the sea, the origin, home and the ground's own height; and above the ground."""
@@ -269,16 +273,12 @@ class Telemetry:
         return origin and (*_e7_mm(origin), self._time_us)
 
     def _home_position(self) -> Fields | None:
-        """Seen from the origin; ArduPilot knows no attitude of the surface."""
+        """As if at the origin, but for its height; ArduPilot knows no attitude of the surface."""
         home, origin, ned_m = self._autopilot.home, self._estimate.origin, _NO_VECTOR
         if home is None or (self._is_px4 and origin is None):
             return None
         if origin is not None:
-            per_deg, shrink = ARDUPILOT_M_PER_DEG, math.cos(math.radians(origin.latitude_deg))
-            north_m = (home.latitude_deg - origin.latitude_deg) * per_deg
-            east_m = degrees_east(origin.longitude_deg, home.longitude_deg) * per_deg * shrink
-            north_m, east_m = (0.0, 0.0) if self._is_px4 else (north_m, east_m)
-            ned_m = (north_m, east_m, origin.altitude_amsl_m - home.altitude_amsl_m)
+            ned_m = (0.0, 0.0, origin.altitude_amsl_m - home.altitude_amsl_m)
         q = [1.0, 0.0, 0.0, 0.0] if self._is_px4 else [_NAN] * 4
         return *_e7_mm(home), *ned_m, q, 0.0, 0.0, 0.0, self._time_us
 
@@ -289,8 +289,7 @@ class Telemetry:
     def _wind(self) -> Fields:
         """The air as it is, as a direction that it comes from."""
         north, east = self._vehicle.wind_m_s.real, self._vehicle.wind_m_s.imag
-        direction_deg = math.degrees(math.atan2(-east, -north)) if north or east else -180.0
-        return direction_deg, math.hypot(north, east)
+        return math.degrees(math.atan2(-east, -north)), math.hypot(north, east)
 
     def _wind_cov(self) -> Fields | None:
         """Of a plane, once in the air."""
