@@ -9,7 +9,7 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from operator import itemgetter
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 from fastcrc.crc16 import mcrf4xx
 from pymavlink.dialects.v20 import all as mavlink
@@ -103,41 +103,29 @@ def _end_of_frame(data: bytes, at: int) -> int:
 # --- out ------------------------------------------------------------------------------------------
 
 
-@final
-class Layout(NamedTuple):
-    """How the messages of one name are packed."""
-
-    number_bytes: bytes
-    crc_extra: bytes
-    zeros: list[Any]
-    """What a field is that is not given, in MAVLink's order."""
-    on_the_wire: Callable[[Sequence[Any]], Sequence[Any]]
-    """The same values in the order of the payload."""
-    struct: struct.Struct
-    has_arrays: bool
-
-
-Prepared = tuple[Layout, bytes]
-"""A message that is only to be sent, and all of its payload: no object needs to be made."""
+Prepared = tuple[int, bytes]
+"""A message that is only to be sent: its number and all of its payload; no object is made."""
+_ENDS = {
+    number: (number.to_bytes(3, "little"), bytes([kind.crc_extra]))
+    for number, kind in mavlink.mavlink_map.items()
+}
+"""The last bytes of a header, and what the checksum covers beside the frame, by number."""
 
 
 @cache
-def layout_of(name: str) -> Layout:
-    """The layout of the messages of this name."""
+def _kind(name: str) -> tuple[Any, list[Any], Callable[[Sequence[Any]], Sequence[Any]], bool]:
+    """What messages of this name are, and their zeros in MAVLink's order.
+
+    Then how values go from that order into that of the payload; and whether some are lists.
+    """
     kind: Any = getattr(mavlink, f"MAVLink_{name.lower()}_message")
-    form, named, sent = kind.unpacker.format, kind.fieldnames, kind.ordered_fieldnames
+    named, sent = kind.fieldnames, kind.ordered_fieldnames
     zeros = {
         field: b"" if code == "s" else [0] * int(count) if count else 0
-        for field, (count, code) in zip(sent, _codes(form), strict=True)
+        for field, (count, code) in zip(sent, _codes(kind.unpacker.format), strict=True)
     }
-    return Layout(
-        kind.id.to_bytes(3, "little"),
-        bytes([kind.crc_extra]),
-        [zeros[field] for field in named],
-        itemgetter(*map(named.index, sent)) if len(sent) > 1 else list,
-        kind.unpacker,
-        any(kind.array_lengths),
-    )
+    reordered = itemgetter(*map(named.index, sent)) if len(sent) > 1 else list
+    return kind, [zeros[field] for field in named], reordered, any(kind.array_lengths)
 
 
 def make(name: str, *fields: Any) -> Prepared:
@@ -145,14 +133,14 @@ def make(name: str, *fields: Any) -> Prepared:
 
     Texts are bytes, fields of several values are lists.
     """
-    layout = layout_of(name)
-    values = layout.on_the_wire((*fields, *layout.zeros[len(fields) :]))
-    if layout.has_arrays:
+    kind, zeros, reordered, has_lists = _kind(name)
+    values = reordered((*fields, *zeros[len(fields) :]))
+    if has_lists:
         values = [one for v in values for one in (v if isinstance(v, list) else (v,))]
     try:
-        return layout, layout.struct.pack(*values)
+        return kind.id, kind.unpacker.pack(*values)
     except (struct.error, OverflowError):
-        return layout, layout.struct.pack(*_fitted(values, layout.struct.format))
+        return kind.id, kind.unpacker.pack(*_fitted(values, kind.unpacker.format))
 
 
 def _fitted(values: Sequence[Any], form: str) -> Iterator[Any]:
@@ -184,10 +172,11 @@ def framed(
     signature: Callable[[bytes], bytes] | None = None,
 ) -> bytes:
     """A message, prepared or pymavlink's, as a frame of MAVLink 2; signed if there is a way to."""
-    layout, payload = message if type(message) is tuple else _prepared(message)
+    number, payload = message if type(message) is tuple else _prepared(message)
     payload = payload.rstrip(b"\0") or b"\0"
     flags = 0 if signature is None else SIGNED
     head = _HEAD.pack(MARKER_2, len(payload), flags, sequence, system, component)
-    body = head + layout.number_bytes + payload
-    frame = body + mcrf4xx(body[1:] + layout.crc_extra).to_bytes(2, "little")
+    number_bytes, crc_extra = _ENDS[number]
+    body = head + number_bytes + payload
+    frame = body + mcrf4xx(body[1:] + crc_extra).to_bytes(2, "little")
     return frame if signature is None else frame + signature(frame)

@@ -187,10 +187,10 @@ class Missions:
 
 def _said(to: Sender, name: str, *fields: float, identity: int = 0) -> SendMessage:
     """A message of the mission protocol: what comes after its target."""
-    layout, payload = make(name, to.system, to.component, *fields)
+    number, payload = make(name, to.system, to.component, *fields)
     if identity:
         payload = payload[: _BEFORE_ID[name]] + identity.to_bytes(4, "little")
-    return SendMessage((layout, payload), to)
+    return SendMessage((number, payload), to)
 
 
 def _ack(to: Sender, result: int, kind: int, identity: int = 0) -> SendMessage:
