@@ -127,19 +127,19 @@ def frame(number: int) -> bytes:
     return number.to_bytes(4, "big") * 8
 
 
-def link(conditions: LinkConditions, seed: int = 1, **which: int) -> Impairments[bytes]:
-    made = Impairments(np.random.default_rng(seed), **which)  # type: ignore[arg-type]
+def links(conditions: LinkConditions, *, to_vehicle: bool = True) -> Impairments[bytes]:
+    made = Impairments[bytes](np.random.default_rng(1), to_vehicle=to_vehicle)
     made.impair(conditions)
     return made
 
 
-def carried(made: Impairments[bytes], count: int) -> list[tuple[int, bytes]]:
+def carried(made: Impairments[bytes], count: int, link: int = 0) -> list[tuple[int, bytes]]:
     """When each frame that came out did so; one frame goes in each step."""
     out = []
     for now_us in range(0, count * STEP_US + 5 * S, STEP_US):
         if now_us < count * STEP_US:
-            made.push(now_us, frame(now_us // STEP_US))
-        out += [(now_us, data) for data in made.pop(now_us)]
+            made.push(now_us, link, frame(now_us // STEP_US))
+        out += [(now_us, data) for _, data in made.pop(now_us)]
     return out
 
 
@@ -148,10 +148,10 @@ def numbers(out: list[tuple[int, bytes]]) -> list[int]:
 
 
 def test_frames_are_lost_for_good_and_doubled_right_behind_in_their_shares() -> None:
-    out = numbers(carried(link(LinkConditions(lost=0.2)), 5000))
+    out = numbers(carried(links(LinkConditions(lost=0.2)), 5000))
     assert out == sorted(set(out))
     assert len(out) / 5000 == pytest.approx(0.8, abs=0.025)
-    twice = numbers(carried(link(LinkConditions(duplicated=0.3)), 5000))
+    twice = numbers(carried(links(LinkConditions(duplicated=0.3)), 5000))
     assert twice == sorted(twice)
     assert len(twice) / 5000 == pytest.approx(1.3, abs=0.025)
     assert max(Counter(twice).values()) == 2
@@ -162,7 +162,7 @@ def test_a_delay_keeps_the_order_and_jitter_lets_frames_overtake_within_its_boun
     delay_us: int,
 ) -> None:
     for jitter_us in (0, 80_000):
-        out = carried(link(LinkConditions(delay_us=delay_us, jitter_us=jitter_us)), 200)
+        out = carried(links(LinkConditions(delay_us=delay_us, jitter_us=jitter_us)), 200)
         order = numbers(out)
         assert sorted(order) == list(range(200))
         assert (order == sorted(order)) is (jitter_us == 0)
@@ -184,19 +184,19 @@ def test_only_the_links_and_directions_that_are_meant_are_concerned(
 ) -> None:
     for which, to_vehicle in itertools.product((0, 5), (True, False)):
         off = LinkConditions(off=True, **conditions)
-        made = link(off, link=which, to_vehicle=to_vehicle)
-        assert bool(carried(made, 1)) != ((which, to_vehicle) in concerned)
+        made = links(off, to_vehicle=to_vehicle)
+        assert bool(carried(made, 1, which)) != ((which, to_vehicle) in concerned)
         made.impair(LinkConditions())
-        assert len(carried(made, 3)) == 3
+        assert len(carried(made, 3, which)) == 3
 
 
 def test_what_is_on_its_way_comes_before_what_follows_and_a_full_queue_loses_the_rest() -> None:
-    made = link(LinkConditions(delay_us=S))
-    made.push(0, frame(0))
+    made = links(LinkConditions(delay_us=S))
+    made.push(0, 3, frame(0))
     made.impair(LinkConditions())
-    made.push(10_000, frame(1))
-    assert [made.pop(at) for at in (10_000, S)] == [[], [frame(0), frame(1)]]
-    made = link(LinkConditions(delay_us=60 * S))
+    made.push(10_000, 3, frame(1))
+    assert [made.pop(at) for at in (10_000, S)] == [[], [(3, frame(0)), (3, frame(1))]]
+    made = links(LinkConditions(delay_us=60 * S))
     for k in range(MAX_FRAMES + 500):
-        made.push(k, b"x")
+        made.push(k, 0, b"x")
     assert len(made.pop(200 * S)) == MAX_FRAMES

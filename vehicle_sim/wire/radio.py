@@ -43,8 +43,8 @@ class Radio:
         self.links = range(links)
         self.router, self.signing, self._receive = router, signing, receive
         self._parsers = [StreamParser(datagrams=link not in byte_streams) for link in self.links]
-        self._in = [Impairments[Any](rng, link=link, to_vehicle=True) for link in self.links]
-        self._out = [Impairments[bytes](rng, link=link, to_vehicle=False) for link in self.links]
+        self._in = Impairments[tuple[bytes, Any]](rng, to_vehicle=True)
+        self._out = Impairments[bytes](rng, to_vehicle=False)
         self.impaired = False
         """Links are bad, or were: something may be held back."""
         self._outbox: list[Frame] = []
@@ -62,8 +62,8 @@ class Radio:
     def impair(self, conditions: LinkConditions) -> None:
         """From now on the links are this bad, in both directions."""
         self.impaired = conditions.any or self.impaired
-        for each in (*self._in, *self._out):
-            each.impair(conditions)
+        self._in.impair(conditions)
+        self._out.impair(conditions)
 
     # --- in -----------------------------------------------------------------------------------
 
@@ -78,15 +78,14 @@ class Radio:
             if answers or not self.impaired or now_us == 0:
                 self._let_in(link, frame, message)
             else:
-                self._in[link].push(now_us, (frame, message))
+                self._in.push(now_us, link, (frame, message))
         if self.impaired:
             self.late(now_us)
 
     def late(self, now_us: int) -> None:
         """Handle what came earlier and was held back until now."""
-        for link in self.links:
-            for frame, message in self._in[link].pop(now_us):
-                self._let_in(link, frame, message)
+        for link, (frame, message) in self._in.pop(now_us):
+            self._let_in(link, frame, message)
 
     def _let_in(self, link: int, frame: bytes, message: Any) -> None:
         """One that is signed as it must be goes to whom it is for."""
@@ -138,6 +137,6 @@ class Radio:
         past, self._past = self._past, []
         if self.impaired and now_us > 0:
             for link, frame in frames:
-                self._out[link].push(now_us, frame)
-            frames = [(link, frame) for link in self.links for frame in self._out[link].pop(now_us)]
+                self._out.push(now_us, link, frame)
+            frames = self._out.pop(now_us)
         return frames + past if past else frames
