@@ -206,18 +206,14 @@ class FlightController:
 
 def command(message: Any, sender: Sender) -> Command:
     """A COMMAND_LONG or COMMAND_INT."""
-    if message.get_type() == "COMMAND_LONG":
-        place, frame = (message.param5, message.param6, message.param7), None
+    m = message
+    if m.get_type() == "COMMAND_LONG":
+        place, frame = (m.param5, m.param6, m.param7), None
     else:
-        x, y = (math.nan if n == _NOWHERE else n / 1e7 for n in (message.x, message.y))
-        place, frame = (x, y, message.z), message.frame
-    return Command(
-        sender=sender,
-        target_component=message.target_component,
-        number=message.command,
-        parameters=(message.param1, message.param2, message.param3, message.param4, *place),
-        frame=frame,
-    )
+        x, y = (math.nan if n == _NOWHERE else n / 1e7 for n in (m.x, m.y))
+        place, frame = (x, y, m.z), m.frame
+    parameters = (m.param1, m.param2, m.param3, m.param4, *place)
+    return Command(sender, m.target_component, m.command, parameters, frame)
 
 
 def texts(value: Text, number: int) -> list[Prepared]:

@@ -27,15 +27,11 @@ from vehicle_sim.world import LidarTable
 
 Links = tuple[int, ...]
 HEARTBEAT_US: Final = 1_000_000
-_LOWEST_M, _HIGHEST_M = -32767, 32767
-_UNKNOWN: Final = 65535
+_UNKNOWN, _HIGHEST_M = 65535, 32767
 _ELEMENTS: Final = 72
 _WIDTH_DEG: Final = 360.0 / _ELEMENTS
-_BEAT: Final = make(
-    "HEARTBEAT",
-    *(mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID),
-    *(0, 0, mavlink.MAV_STATE_ACTIVE, 3),
-)
+_BEAT: Final = make("HEARTBEAT", mavlink.MAV_TYPE_ONBOARD_CONTROLLER, 8, 0, 0, 4, 3)
+"""Of an active component that is no autopilot."""
 
 
 class _Component:
@@ -138,12 +134,10 @@ class RadarComponent(_Component):
             seen &= self._rng.random(len(heights)) >= conditions.cells_missed
         if conditions.noise_m:
             error_m = self._rng.standard_normal(len(heights)) * conditions.noise_m
-            if conditions.either_way:
-                noisy = np.round(heights + error_m)
-            else:
-                noisy = np.ceil(heights + np.abs(error_m))
-            heights = np.clip(noisy, _LOWEST_M, _HIGHEST_M).astype(np.int64)
-        spoilt: list[int] = np.where(seen, heights, UNSEEN_M).tolist()
+            noisy = np.ceil(heights + np.abs(error_m))
+            noisy = np.round(heights + error_m) if conditions.either_way else noisy
+            heights = np.clip(noisy, -_HIGHEST_M, _HIGHEST_M)
+        spoilt: list[int] = np.where(seen, heights, UNSEEN_M).astype(np.int64).tolist()
         return spoilt
 
 

@@ -23,11 +23,12 @@ _EPOCH_US: Final = 1_795_000_000_000_000
 _FIXED_WING: Final = 1
 _NAN: Final = math.nan
 _NO_VECTOR: Final = (_NAN, _NAN, _NAN)
-_NO_DILUTION, _NO_CELL, _NO_TEMPERATURE = 65535, 65535, 32767
+_NO_CELL, _NO_TEMPERATURE = 65535, 32767
 _CENTIAMPERES_UNKNOWN: Final = -100
 """As PX4's simulated battery says it."""
-_ARDUPILOT_SENSORS, _PX4_SENSORS = 0x4241_9C0F, 0x0200_000F
-"""SYS_STATUS: gyroscopes, accelerometers, compass, pressure ...: always there and well."""
+_ARDUPILOT_SENSORS, _PX4_SENSORS = 0x4241_9C0F, 0x0200_400F
+"""SYS_STATUS: gyroscopes, accelerometers, compass, pressure ...: always there and well; PX4 says so
+of its control of the position only while it has one."""
 _GPS_BIT, _POSITION_BIT, _PREARM_BIT = 0x20, 0x4000, 0x1000_0000
 _ONLY_POSITION: Final = 0xFDF8
 _LOCAL, _GLOBAL, _GLOBAL_INT, _DOWN = 1, 0, 5, 25
@@ -165,25 +166,18 @@ class Telemetry:
 
     def _sys_status(self) -> Fields:
         there, lost = self._ranging.bits(self._time_us)
-        there |= _GPS_BIT if self._autopilot.fix.fix_type > 0 else 0
-        prearm, battery = _PREARM_BIT if self._status.prearm_ok else 0, self._gauge()
-        if self._is_px4:
-            there |= _PX4_SENSORS
-            well = there | prearm | (_POSITION_BIT if self._estimate.position_ok else 0)
-            wanted = there | _POSITION_BIT | _PREARM_BIT
-            return wanted, wanted, well, 0, *battery, *[0] * 8, 1
-        there |= _ARDUPILOT_SENSORS
-        wanted = there | _PREARM_BIT
-        return wanted, wanted, there & ~lost | prearm, 0, *battery
+        there |= _PREARM_BIT | (_GPS_BIT if self._autopilot.fix.fix_type > 0 else 0)
+        there |= _PX4_SENSORS if self._is_px4 else _ARDUPILOT_SENSORS
+        lost |= 0 if self._status.prearm_ok else _PREARM_BIT
+        lost |= 0 if self._estimate.position_ok else _POSITION_BIT
+        rest = (*[0] * 8, 1) if self._is_px4 else ()
+        return there, there, there & ~lost, 0, *self._gauge(), *rest
 
     def _battery_status(self) -> Fields:
         volts, amperes, left = self._gauge()
-        kind, consumed = (
-            (0, 1, 1) if self._is_px4 else (0, 0, 0),
-            self._autopilot.battery.consumed_mah,
-        )
-        cells = [volts, *[_NO_CELL] * 9]
-        return *kind, _NO_TEMPERATURE, cells, amperes, whole(consumed), 0, left, 0, 1
+        consumed, cells = whole(self._autopilot.battery.consumed_mah), [volts, *[_NO_CELL] * 9]
+        kind = (0, 1, 1) if self._is_px4 else (0, 0, 0)
+        return *kind, _NO_TEMPERATURE, cells, amperes, consumed, 0, left, 0, 1
 
     # --- where it is --------------------------------------------------------------------------
 
@@ -215,12 +209,10 @@ class Telemetry:
         return self._boot_ms(), *_e7(estimate), *mm, *cm_s, self._heading_cdeg()
 
     def _gps_raw_int(self) -> Fields | None:
-        """Before the receiver speaks ArduPilot knows nothing, and PX4 says nothing."""
+        """Before the receiver speaks PX4 says nothing."""
         fix = self._autopilot.fix
         if self._is_px4 and not fix.time_us:
             return None
-        if not (self._is_px4 or fix.fix_type):
-            return fix.time_us, 0, 0, 0, 0, _NO_DILUTION, _NO_DILUTION
         north, east = fix.velocity_north_m_s, fix.velocity_east_m_s
         dilutions = (fix.horizontal_dilution, fix.vertical_dilution, math.hypot(north, east))
         course_cdeg = round(math.degrees(math.atan2(east, north)) * 100.0) % 36000
