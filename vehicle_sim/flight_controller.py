@@ -8,31 +8,20 @@ same radio.
 """
 
 import math
-import struct
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
+from vehicle_sim.autopilot import values
 from vehicle_sim.autopilot.core import Autopilot
-from vehicle_sim.autopilot.values import (
-    Ack,
-    Command,
-    Reboot,
-    Reply,
-    Sender,
-    SendMessage,
-    SendTelemetry,
-    Setpoint,
-    Text,
-)
+from vehicle_sim.autopilot.values import Ack, Command, Reply, Sender, SendMessage, Text
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.wire.frames import Prepared, make
 from vehicle_sim.wire.missions import Missions, store
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
 from vehicle_sim.wire.proximity import RangeSensors
 from vehicle_sim.wire.radio import Radio
-from vehicle_sim.wire.streams import COMMANDS as STREAM_COMMANDS
 from vehicle_sim.wire.streams import Streams
 from vehicle_sim.wire.telemetry import Telemetry
 
@@ -118,7 +107,7 @@ class FlightController:
 
     def send_heartbeat(self) -> None:
         """Send a heartbeat now: whoever hears it may ask for more."""
-        self.answer([SendTelemetry(message=_HEARTBEAT)])
+        self.answer([values.SendTelemetry(_HEARTBEAT)])
 
     def answer(self, replies: Replies) -> None:
         """Carry out replies of the autopilot and the protocols."""
@@ -129,12 +118,12 @@ class FlightController:
                     self.radio.send(answer, (to.link,))
                 case Text():
                     self._say(reply)
-                case SendTelemetry(number, to):
+                case values.SendTelemetry(number, to):
                     self.telemetry.now(self.now_us)
                     self._send(self.telemetry.said(number), None if to is None else (to.link,))
                 case SendMessage(message, to):
                     self.radio.send(message, None if to is None else (to.link,))
-                case Reboot():
+                case values.Reboot():
                     self.wants_reboot = True
 
     def _send(self, said: Iterable[Any], links: Iterable[int] | None) -> None:
@@ -169,7 +158,7 @@ class FlightController:
 
     def _command(self, message: Any, sender: Sender, now_us: int) -> Replies:
         asked = command(message, sender)
-        if asked.number in STREAM_COMMANDS:
+        if asked.number in Streams.COMMANDS:
             return self.streams.on_command(asked, now_us)
         return self.autopilot.on_command(asked)
 
@@ -190,7 +179,7 @@ class FlightController:
         velocity, acceleration = (m.vx, m.vy, m.vz), (m.afx, m.afy, m.afz)
         vectors = (position, velocity, acceleration)
         return self.autopilot.on_setpoint(
-            Setpoint(is_global, m.coordinate_frame, m.type_mask, *vectors, m.yaw, m.yaw_rate)
+            values.Setpoint(is_global, m.coordinate_frame, m.type_mask, *vectors, m.yaw, m.yaw_rate)
         )
 
     def _time_sync(self, message: Any, sender: Sender, now_us: int) -> Replies:
@@ -231,11 +220,11 @@ def no_file(message: Any, sender: Sender, _: int) -> Replies:
     So clients that look for files first (parameters, component metadata) go on at once with the
     plain protocols.  Layout of the payload: mavlink.io, services/ftp.
     """
-    number, session, asked = struct.unpack_from("<HBB", bytes(message.payload))
+    payload = bytearray(message.payload)
+    number, asked = int.from_bytes(payload[:2], "little") + 1, payload[3]
     if asked not in (_FTP_ACK, _FTP_NAK):
-        ends = asked in _FTP_ENDS
-        answer, size, reason = (_FTP_ACK, 0, 0) if ends else (_FTP_NAK, 1, _FTP_NOT_FOUND)
-        head = (number + 1 & 0xFFFF, session, answer, size, asked, reason)
-        payload = list(struct.pack("<HBBBB6xB238x", *head))
+        payload[:2] = (number & 0xFFFF).to_bytes(2, "little")
+        payload[3:6] = (_FTP_ACK, 0, asked) if asked in _FTP_ENDS else (_FTP_NAK, 1, asked)
+        payload[12] = 0 if asked in _FTP_ENDS else _FTP_NOT_FOUND
         to = (0, sender.system, sender.component)
-        yield SendMessage(make("FILE_TRANSFER_PROTOCOL", *to, payload), sender)
+        yield SendMessage(make("FILE_TRANSFER_PROTOCOL", *to, list(payload)), sender)

@@ -339,8 +339,7 @@ class Simulation:
                     order = ground_station.command(values, *to)
                 else:
                     order = ground_station.target(values, self.vehicle, *to)
-                system, component, _ = ground_station.STATION
-                self._radio.send(order, system=system, component=component)
+                self._radio.send(order, source=ground_station.STATION[:2])
 
     # --- time ---------------------------------------------------------------------------------
 

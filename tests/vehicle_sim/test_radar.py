@@ -226,12 +226,12 @@ def told(until_us: int, *asked: tuple[int, Any], link: int = 0, **conditions: An
     said: Said = []
     now_us = 0
 
-    def send(message: Any, links: Any = None, *, component: int) -> None:
-        assert component == 100
-        ((_, heard),) = StreamParser(datagrams=True).feed(framed(message, 0, 1, component))
+    def send(message: Any, links: Any, source: tuple[int, int]) -> None:
+        assert source == (1, 100)
+        ((_, heard),) = StreamParser(datagrams=True).feed(framed(message, 0, *source))
         said.append((now_us, links and links[0], heard))
 
-    radio: Any = SimpleNamespace(send=send)
+    radio: Any = SimpleNamespace(send=send, router=SimpleNamespace(ids=(1, 1)))
     component = RadarComponent(RADAR, np.random.default_rng(1), radio, 100)
     for now_us in range(STEP_US, until_us + 1, STEP_US):
         for _, message in (each for each in asked if each[0] == now_us - STEP_US):

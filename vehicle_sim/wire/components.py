@@ -46,7 +46,7 @@ class _Component:
         self._send(_BEAT)
 
     def _send(self, message: Prepared, links: Iterable[int] | None = None) -> None:
-        self._radio.send(message, links, component=self._id)
+        self._radio.send(message, links, (self._radio.router.ids[0], self._id))
 
     def _beat(self, now_us: int, *, silent: bool) -> None:
         if now_us >= self._beat_us:

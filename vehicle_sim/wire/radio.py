@@ -18,6 +18,9 @@ from vehicle_sim.wire.impairments import Impairments
 from vehicle_sim.wire.routing import Route, Router
 from vehicle_sim.wire.signing import Signing
 
+Ids = tuple[int, int]
+"""Of a system and a component."""
+Links = Iterable[int] | None
 Frame = tuple[int, bytes]
 """With the link that it goes by."""
 
@@ -52,8 +55,8 @@ class Radio:
         """The newest one of lockstep."""
         self._past: list[Frame] = []
         """Such questions: they go after all else, and past what is wrong with the link."""
-        self._sent = Counter[tuple[int, int, int]]()
-        """Frames, by link, system and component."""
+        self._sent = Counter[tuple[int, Ids]]()
+        """Frames, by link and source."""
 
     def begin(self) -> None:
         """Count frames from here."""
@@ -100,36 +103,26 @@ class Radio:
 
     # --- out ----------------------------------------------------------------------------------
 
-    def send(
-        self,
-        message: Any,
-        links: Iterable[int] | None = None,
-        *,
-        system: int | None = None,
-        component: int | None = None,
-    ) -> None:
+    def send(self, message: Any, links: Links = None, source: Ids | None = None) -> None:
         """Queue a message; of the autopilot and on every link, if nothing else is said."""
-        by = (system or self.router.system, component or self.router.component)
         for link in self.links if links is None else links:
-            self._outbox.append((link, self._frame(message, link, *by)))
+            self._outbox.append((link, self._frame(message, link, source or self.router.ids)))
 
     def ask(self, message: Any, link: int) -> None:
         """Queue a question of lockstep."""
-        frame = self._frame(message, link, self.router.system, self.router.component)
-        self._question = [(link, frame)]
+        self._question = [(link, self._frame(message, link, self.router.ids))]
         self.ask_again()
 
     def ask_again(self) -> None:
         """Queue the same frame again: another client may be listening now."""
         self._past += self._question
 
-    def _frame(self, message: Any, link: int, system: int, component: int) -> bytes:
-        key, signing, signature = (link, system, component), self.signing, None
-        if signing is not None and signing.secret and system == self.router.system:
+    def _frame(self, message: Any, link: int, source: Ids) -> bytes:
+        signing, signature, number = self.signing, None, self._sent[link, source] & 255
+        if signing is not None and signing.secret and source[0] == self.router.ids[0]:
             signature = partial(signing.signature, link=link)
-        number = self._sent[key] & 255
-        self._sent[key] += 1
-        return framed(message, number, system, component, signature)
+        self._sent[link, source] += 1
+        return framed(message, number, *source, signature)
 
     def take(self, now_us: int) -> list[Frame]:
         """What goes out now: link and frame, in order."""

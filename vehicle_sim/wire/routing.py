@@ -39,35 +39,35 @@ class Router:
 
     def boot_as(self, system: int, component: int) -> None:
         """The autopilot boots with these ids: nobody has been heard yet."""
-        self.system, self.component = system, component
+        self.ids = (system, component)
         self._routes = set[Sender]()
         self.heard_on = set[int]()
         """Links on which any sender was heard."""
 
     def route(self, message: Any, sender: Sender) -> Route:
         """Where this message goes."""
-        if sender[:2] == (self.system, self.component):
+        if sender[:2] == self.ids:
             return Route(set(), to_autopilot=False, to_radar=False)  # its own frame comes back
         self.heard_on.add(sender.link)
         if sender.system and len(self._routes) < _MAX_ROUTES:
             self._routes.add(sender)
         system: int | None = getattr(message, "target_system", None)
         component: int | None = getattr(message, "target_component", None)
-        links, ours = set[int](), not system or system == self.system
-        forwards = self._forwards_all or system == self.system
+        links, ours = set[int](), not system or system == self.ids[0]
+        forwards = self._forwards_all or system == self.ids[0]
         if forwards and message.get_type() not in _NEVER_FORWARDED:
             links = self._links_to(system, component) - {sender.link}
-        to_autopilot = ours and component in (None, 0, self.component)
+        to_autopilot = ours and component in (None, 0, self.ids[1])
         to_radar = ours and self._radar is not None and component in (None, 0, self._radar)
         return Route(links, to_autopilot, to_radar)
 
     def _links_to(self, system: int | None, component: int | None) -> set[int]:
         """The links with this target; of another system any component will do."""
-        if (system, component) == (self.system, self.component):
+        if (system, component) == self.ids:
             return set()
         if not system:
             return set(self.heard_on)
-        anybody = not component or system != self.system
+        anybody = not component or system != self.ids[0]
         return {
             each.link
             for each in self._routes

@@ -13,8 +13,6 @@ from vehicle_sim.autopilot.core import Firmware
 from vehicle_sim.autopilot.values import Ack, Command, Reply, Result, Sender, SendTelemetry
 
 _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
-COMMANDS = frozenset({_SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE})
-"""These are answered here and never reach the autopilot."""
 NEVER_US = 1 << 62
 _HEARTBEAT: Final = 0
 
@@ -22,6 +20,9 @@ _HEARTBEAT: Final = 0
 @final
 class Streams:
     """What is due when on every link of one autopilot, which boots now."""
+
+    COMMANDS: Final = (_SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE)
+    """These are answered here and never reach the autopilot."""
 
     def __init__(self, firmware: Firmware, links: Iterable[int], now_us: int) -> None:
         self._firmware, self._is_px4 = firmware, firmware.family == "px4"

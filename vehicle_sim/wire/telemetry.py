@@ -11,7 +11,7 @@ from typing import Any, Final, final
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.core import Autopilot
-from vehicle_sim.autopilot.values import Landed, Status, Vector
+from vehicle_sim.autopilot.values import Landed, Place, Status, Vector
 from vehicle_sim.wire.frames import Prepared, make
 from vehicle_sim.wire.proximity import RangeSensors
 
@@ -124,6 +124,10 @@ class Telemetry:
         frozen_m = self._estimate.frozen_altitude_amsl_m
         return self._estimate.altitude_amsl_m if frozen_m is None else frozen_m
 
+    def _above_m(self, place: Place | None) -> float:
+        """Height above it; NaN if it is not known."""
+        return _NAN if place is None else self._estimate.altitude_amsl_m - place.altitude_amsl_m
+
     def _gauge(self) -> tuple[int, int, int]:
         """Of the battery: millivolts, centiamperes and per cent."""
         battery = self._autopilot.battery
@@ -200,13 +204,12 @@ class Telemetry:
 
     def _global_position_int(self) -> Fields | None:
         """Of PX4 once it has an origin."""
-        home, estimate = self._autopilot.home, self._estimate
-        if self._is_px4 and estimate.origin is None:
+        if self._is_px4 and self._estimate.origin is None:
             return None
-        above_home_m = 0.0 if home is None else estimate.altitude_amsl_m - home.altitude_amsl_m
-        mm = whole(self._altitude_amsl_m() * 1e3), whole(above_home_m * 1e3)
+        heights_m = self._altitude_amsl_m(), self._above_m(self._autopilot.home)
+        mm = (whole(each * 1e3) for each in heights_m)
         cm_s = (whole(each * 100.0) for each in self._velocity_ned_m_s())
-        return self._boot_ms(), *_e7(estimate), *mm, *cm_s, self._heading_cdeg()
+        return self._boot_ms(), *_e7(self._estimate), *mm, *cm_s, self._heading_cdeg()
 
     def _gps_raw_int(self) -> Fields | None:
         """Before the receiver speaks PX4 says nothing."""
@@ -234,16 +237,12 @@ class Telemetry:
         return airspeed_m_s, math.hypot(north, east), *where, -down
 
     def _altitude(self) -> Fields:
-        """Above the sea, the origin, home and the ground's own height; and above the ground."""
-        amsl_m, origin = self._estimate.altitude_amsl_m, self._estimate.origin
-        home, above_m = self._autopilot.home, self._status.above_ground_m
+        """Above the sea by pressure and by estimate, the origin, home; the ground's; above that."""
+        above_m = self._status.above_ground_m
         above_m = _NAN if above_m is None else above_m
-        known_m, local_m = _NAN, _NAN
-        if origin is not None:
-            known_m, local_m = amsl_m, amsl_m - origin.altitude_amsl_m
-        above_home_m = _NAN if home is None else amsl_m - home.altitude_amsl_m
-        heights_m = (self._vehicle.altitude_amsl_m, known_m, local_m, above_home_m)
-        return self._time_us, *heights_m, local_m - above_m, above_m
+        local_m, amsl_m = self._above_m(self._estimate.origin), self._estimate.altitude_amsl_m
+        heights_m = (amsl_m, local_m, self._above_m(self._autopilot.home), local_m - above_m)
+        return self._time_us, self._vehicle.altitude_amsl_m, *heights_m, above_m
 
     def _distance_sensor(self) -> Fields | None:
         """PX4's; of ArduPilot's proximity.py says more."""
@@ -266,11 +265,10 @@ class Telemetry:
 
     def _home_position(self) -> Fields | None:
         """As if at the origin, but for its height; ArduPilot knows no attitude of the surface."""
-        home, origin, ned_m = self._autopilot.home, self._estimate.origin, _NO_VECTOR
-        if home is None or (self._is_px4 and origin is None):
+        home, origin = self._autopilot.home, self._estimate.origin
+        if home is None or origin is None:
             return None
-        if origin is not None:
-            ned_m = (0.0, 0.0, origin.altitude_amsl_m - home.altitude_amsl_m)
+        ned_m = (0.0, 0.0, origin.altitude_amsl_m - home.altitude_amsl_m)
         q = [1.0, 0.0, 0.0, 0.0] if self._is_px4 else [_NAN] * 4
         return *_e7_mm(home), *ned_m, q, 0.0, 0.0, 0.0, self._time_us
 
