@@ -265,10 +265,11 @@ class Telemetry:
 
     def _home_position(self) -> Fields | None:
         """As if at the origin, but for its height; ArduPilot knows no attitude of the surface."""
-        home, origin = self._autopilot.home, self._estimate.origin
-        if home is None or origin is None:
+        home, origin, ned_m = self._autopilot.home, self._estimate.origin, _NO_VECTOR
+        if home is None or (self._is_px4 and origin is None):
             return None
-        ned_m = (0.0, 0.0, origin.altitude_amsl_m - home.altitude_amsl_m)
+        if origin is not None:
+            ned_m = (0.0, 0.0, origin.altitude_amsl_m - home.altitude_amsl_m)
         q = [1.0, 0.0, 0.0, 0.0] if self._is_px4 else [_NAN] * 4
         return *_e7_mm(home), *ned_m, q, 0.0, 0.0, 0.0, self._time_us
 
