@@ -1,10 +1,10 @@
 """The flight controller: an autopilot and its protocols, between messages in and out.
 
-What becomes of a message that comes in stands in HANDLERS, at the end; before that wire/radio.py
-has found it in the bytes of a link and judged its signature and its target.  Here MAVLink's units
-and scales are known, in wire/telemetry.py those of what is streamed.  What is not a finite number
-passes through unharmed: the autopilots decide what to make of it.  A reboot creates a new flight
-controller on the same radio.
+What becomes of a message that comes in stands in `handlers`; before that wire/radio.py has found it
+in the bytes of a link and judged its signature and its target.  Here MAVLink's units and scales are
+known, in wire/telemetry.py those of what is streamed.  What is not a finite number passes through
+unharmed: the autopilots decide what to make of it.  A reboot creates a new flight controller on the
+same radio.
 """
 
 import math
@@ -13,42 +13,29 @@ from typing import Any, Final, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
+from vehicle_sim.autopilot import values
 from vehicle_sim.autopilot.core import Autopilot
-from vehicle_sim.autopilot.values import (
-    Ack,
-    Command,
-    Reboot,
-    Reply,
-    Report,
-    Sender,
-    SendMessage,
-    SendTelemetry,
-    Setpoint,
-    Text,
-)
-from vehicle_sim.parameters import Firmware
+from vehicle_sim.autopilot.values import Ack, Command, Reply, Sender, SendMessage, Text
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.wire.frames import Prepared, make
 from vehicle_sim.wire.missions import Missions, store
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
-from vehicle_sim.wire.proximity import DISTANCE_SENSOR, RangeSensors
+from vehicle_sim.wire.proximity import RangeSensors
 from vehicle_sim.wire.radio import Radio
-from vehicle_sim.wire.streams import COMMANDS as STREAM_COMMANDS
 from vehicle_sim.wire.streams import Streams
-from vehicle_sim.wire.telemetry import message_of
+from vehicle_sim.wire.telemetry import Telemetry
 
 _HEARTBEAT, _POSITION, _CURRENT_MODE = 0, 33, 436
 _CURRENT_MODE_US = 500_000
-_SET_MODE, _DO_SET_MODE = 11, 176
-_EPOCH_US = 1_795_000_000_000_000
-"""UTC at the start of every run: the same seed gives the same bytes."""
+_DO_SET_MODE: Final = 176
 _NOWHERE = 0x7FFFFFFF
 """x or y of a COMMAND_INT that gives no place."""
-_LOCAL_FRAMES = frozenset({1, 2, 4, 7, 8, 9, 12, 20, 21})
-"""MAV_FRAME in which x and y are 1e-4 metres."""
 _TEXT_BYTES = 50
-_FILE_NOT_FOUND = 10
+_FTP_ENDS, _FTP_ACK, _FTP_NAK, _FTP_NOT_FOUND = range(3), 128, 129, 10
+"""Opcodes: nothing, and the end of one session or all; two answers; and why one is refused."""
 Replies = Iterable[Reply]
+Handler = Callable[[Any, Sender, int], Replies]
+"""Of a message, by whom, and the time."""
 
 
 @final
@@ -66,44 +53,48 @@ class FlightController:
         ranging: RangeSensors,
     ) -> None:
         self.autopilot, self.radio, self.ranging = autopilot, radio, ranging
-        self.firmware = autopilot.firmware.family
         self.boot_us = self.now_us = boot_us
         self.wants_reboot = self.setpoints_ignored = False
-        self.parameter_protocol = ParameterProtocol(autopilot)
+        self.parameters = ParameterProtocol(autopilot)
         self.missions = Missions(autopilot)
-        self.streams = Streams(autopilot.firmware, autopilot.parameters, radio.links, boot_us)
-        self.report = Report(autopilot=autopilot, hardware_id=hardware_id)
-        self.ground_stations = set[int]()
+        self.streams = Streams(autopilot.firmware, radio.links, boot_us)
+        self.telemetry = Telemetry(autopilot, ranging, hardware_id, boot_us)
+        self._ground_stations = set[int]()
         """Links on which one was heard."""
         self._mode_told: dict[int, tuple[Any, int]] = {}
         """Newest CURRENT_MODE of each link, and when that was."""
-        self._on_text, self._texts = on_text, 0
-        """So many have been said: the number of one that takes several messages."""
-
-    @property
-    def since_boot_us(self) -> int:
-        """The autopilot's own time."""
-        return self.now_us - self.boot_us
+        self._on_text = on_text
+        self.handlers: dict[str, Handler] = {
+            "HEARTBEAT": self._heartbeat,
+            **dict.fromkeys(("COMMAND_LONG", "COMMAND_INT"), self._command),
+            "SET_MODE": self._set_mode,
+            "SET_POSITION_TARGET_GLOBAL_INT": self._setpoint,
+            "SET_POSITION_TARGET_LOCAL_NED": self._setpoint,
+            **dict.fromkeys(ParameterProtocol.MESSAGES, self.parameters.on_message),
+            **dict.fromkeys(Missions.MESSAGES, self.missions.on_message),
+            "REQUEST_DATA_STREAM": self.streams.on_data_stream,
+            "TIMESYNC": self._time_sync,
+            "SETUP_SIGNING": self._setup_signing,
+            "FILE_TRANSFER_PROTOCOL": no_file,
+        }
 
     # --- out ----------------------------------------------------------------------------------
 
-    def go_on(self, replies: Iterable[Reply]) -> None:
+    def go_on(self, replies: Replies) -> None:
         """After a step of the autopilot: what that brings, and what the protocols have to say."""
         self.answer(replies)
-        if self.parameter_protocol.busy:
-            self.answer(self.parameter_protocol.step(self.now_us))
-        if self.missions.busy:
-            self.answer(self.missions.step(self.now_us))
+        if self.parameters.listings:
+            self.answer(self.parameters.step(self.now_us))
 
     def stream(self) -> bool:
         """Queue all telemetry that is due; returns whether that included a position on link 0."""
-        self._renew_report()
+        self.telemetry.now(self.now_us)
         due, built = self.streams.due(self.now_us), dict[int, Sequence[Any]]()
         for link, number in due:
             if number not in built:
-                built[number] = self._said(number)
+                built[number] = self.telemetry.said(number)
             if number != _CURRENT_MODE or self._is_news(built[number], link):
-                self._deliver(built[number], (link,))
+                self._send(built[number], (link,))
         return (0, _POSITION) in due
 
     def _is_news(self, mode: Any, link: int) -> bool:
@@ -114,56 +105,36 @@ class FlightController:
         self._mode_told[link] = mode, self.now_us
         return True
 
-    def _said(self, number: int) -> Sequence[Any]:
-        """What there is to say by this number now."""
-        if number in self.ranging.numbers:
-            return self.ranging.messages(number, self.since_boot_us)
-        if number == DISTANCE_SENSOR and self.ranging.rangefinder_off:
-            return ()
-        message = message_of(self.report, number)
-        return () if message is None else (message,)
-
-    def _renew_report(self) -> None:
-        report, us = self.report, self.since_boot_us
-        report.time_us = us
-        report.unix_us = _EPOCH_US + self.now_us if self.autopilot.fix.usable else 0
-        report.range_sensors = self.ranging.bits(us)
-
     def send_heartbeat(self) -> None:
         """Send a heartbeat now: whoever hears it may ask for more."""
-        self.answer([SendTelemetry(message=_HEARTBEAT)])
+        self.answer([values.SendTelemetry(_HEARTBEAT)])
 
     def answer(self, replies: Replies) -> None:
         """Carry out replies of the autopilot and the protocols."""
         for reply in replies:
             match reply:
-                case Ack():
-                    self.radio.send(ack(reply), reply.to.link)
+                case Ack(to, command, result):
+                    answer = make("COMMAND_ACK", command, result, 0, 0, to.system, to.component)
+                    self.radio.send(answer, (to.link,))
                 case Text():
                     self._say(reply)
-                case SendTelemetry():
-                    self._renew_report()
-                    self._deliver(self._said(reply.message), self._links_to(reply.to))
-                case SendMessage():
-                    self._deliver((reply.message,), self._links_to(reply.to))
-                case Reboot():
+                case values.SendTelemetry(number, to):
+                    self.telemetry.now(self.now_us)
+                    self._send(self.telemetry.said(number), None if to is None else (to.link,))
+                case SendMessage(message, to):
+                    self.radio.send(message, None if to is None else (to.link,))
+                case values.Reboot():
                     self.wants_reboot = True
 
-    def _links_to(self, to: Sender | None) -> Iterable[int]:
-        """That of one client; None: all."""
-        return self.radio.links if to is None else (to.link,)
-
-    def _deliver(self, said: Sequence[Any], links: Iterable[int]) -> None:
-        for link in links:
-            for message in said:
-                self.radio.send(message, link)
+    def _send(self, said: Iterable[Any], links: Iterable[int] | None) -> None:
+        for message in said:
+            self.radio.send(message, links)
 
     def _say(self, text: Text) -> None:
         """PX4 says it on links with a ground station, ArduPilot where anybody was heard."""
-        self._texts = self._texts % 0xFFFF + 1
         heard_on = self.radio.router.heard_on
-        links = sorted(self.ground_stations if self.firmware == "px4" else heard_on)
-        self._deliver(texts(text, self._texts), links)
+        links = self._ground_stations if self.autopilot.is_px4 else heard_on
+        self._send(texts(text, self.now_us // 1000 % 0xFFFF + 1), sorted(links))
         self._on_text(text)
 
     # --- in -----------------------------------------------------------------------------------
@@ -171,23 +142,68 @@ class FlightController:
     def receive(self, message: Any, sender: Sender, now_us: int) -> None:
         """Handle a message that is for the autopilot; one that nobody handles is passed over."""
         self.now_us = now_us
-        handler = HANDLERS.get(message.get_type())
+        handler = self.handlers.get(message.get_type())
         if handler is not None:
-            self.answer(handler(self, message, sender))
+            self.answer(handler(message, sender, now_us))
 
     def add_to_fence(self, item: PlanItem) -> None:
         """As if somebody had uploaded the fence with this item added."""
         items = (*self.autopilot.plans[PlanKind.FENCE], item)
         self.answer(store(self.autopilot, PlanKind.FENCE, items))
 
+    def _heartbeat(self, message: Any, sender: Sender, _: int) -> Replies:
+        if message.type == mavlink.MAV_TYPE_GCS:
+            self._ground_stations.add(sender.link)
+        self.autopilot.on_heartbeat(sender, message.type)
+        return ()
 
-# --- values as messages ---------------------------------------------------------------------------
+    def _command(self, message: Any, sender: Sender, now_us: int) -> Replies:
+        asked = command(message, sender)
+        if asked.number in Streams.COMMANDS:
+            return self.streams.on_command(asked, now_us)
+        return self.autopilot.on_command(asked)
+
+    def _set_mode(self, message: Any, sender: Sender, _: int) -> Replies:
+        """SET_MODE: the same as DO_SET_MODE, which has PX4's main and sub mode apart."""
+        main, sub = message.custom_mode, 0
+        if self.autopilot.is_px4:
+            main, sub = main >> 16 & 0xFF, main >> 24
+        wanted = (float(message.base_mode), float(main), float(sub), 0.0, 0.0, 0.0, 0.0)
+        return self.autopilot.on_command(Command(sender, 0, _DO_SET_MODE, wanted))
+
+    def _setpoint(self, message: Any, _sender: Sender, _: int) -> Replies:
+        """SET_POSITION_TARGET_GLOBAL_INT or _LOCAL_NED."""
+        if self.setpoints_ignored:
+            return ()
+        is_global, m = message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT", message
+        position = (m.lat_int / 1e7, m.lon_int / 1e7, m.alt) if is_global else (m.x, m.y, m.z)
+        velocity, acceleration = (m.vx, m.vy, m.vz), (m.afx, m.afy, m.afz)
+        vectors = (position, velocity, acceleration)
+        return self.autopilot.on_setpoint(
+            values.Setpoint(is_global, m.coordinate_frame, m.type_mask, *vectors, m.yaw, m.yaw_rate)
+        )
+
+    def _time_sync(self, message: Any, sender: Sender, now_us: int) -> Replies:
+        """A question has a tc1 of 0."""
+        if message.tc1 == 0:
+            since_boot_ns = (now_us - self.boot_us) * 1000
+            yield SendMessage(make("TIMESYNC", since_boot_ns, message.ts1), sender)
+
+    def _setup_signing(self, message: Any, _sender: Sender, _: int) -> Replies:
+        signing = self.radio.signing
+        return () if signing is None else signing.setup(message, armed=self.autopilot.armed)
 
 
-def ack(value: Ack) -> Prepared:
-    """COMMAND_ACK, addressed to the asker."""
-    to = (value.to.system, value.to.component)
-    return make("COMMAND_ACK", value.command, value.result, 0, 0, *to)
+def command(message: Any, sender: Sender) -> Command:
+    """A COMMAND_LONG or COMMAND_INT."""
+    m = message
+    if m.get_type() == "COMMAND_LONG":
+        place, frame = (m.param5, m.param6, m.param7), None
+    else:
+        x, y = (math.nan if n == _NOWHERE else n / 1e7 for n in (m.x, m.y))
+        place, frame = (x, y, m.z), m.frame
+    parameters = (m.param1, m.param2, m.param3, m.param4, *place)
+    return Command(sender, m.target_component, m.command, parameters, frame)
 
 
 def texts(value: Text, number: int) -> list[Prepared]:
@@ -199,138 +215,17 @@ def texts(value: Text, number: int) -> list[Prepared]:
     return [make("STATUSTEXT", severity, part, number, k) for k, part in enumerate(parts)]
 
 
-# --- what becomes of each kind of message ---------------------------------------------------------
-
-
-def _heartbeat(it: FlightController, message: Any, sender: Sender) -> Replies:
-    if message.type == mavlink.MAV_TYPE_GCS:
-        it.ground_stations.add(sender.link)
-    it.autopilot.on_heartbeat(sender, message.type)
-    return ()
-
-
-def command(message: Any, sender: Sender) -> Command:
-    """A COMMAND_LONG or COMMAND_INT."""
-    if message.get_type() == "COMMAND_LONG":
-        place, frame = (message.param5, message.param6, message.param7), None
-    else:
-        frame = message.frame
-        scale = 1e4 if frame in _LOCAL_FRAMES else 1e7
-        x, y = (math.nan if n == _NOWHERE else n / scale for n in (message.x, message.y))
-        place = (x, y, message.z)
-    return Command(
-        sender=sender,
-        target_component=message.target_component,
-        number=message.command,
-        parameters=(message.param1, message.param2, message.param3, message.param4, *place),
-        frame=frame,
-    )
-
-
-def _command(it: FlightController, message: Any, sender: Sender) -> Replies:
-    asked = command(message, sender)
-    if asked.number in STREAM_COMMANDS:
-        return it.streams.on_command(asked, it.now_us)
-    return it.autopilot.on_command(asked)
-
-
-def mode_command(message: Any, sender: Sender, firmware: Firmware) -> Command:
-    """A SET_MODE, as the DO_SET_MODE that means the same.
-
-    PX4 takes its custom_mode apart into main and sub mode.
-    """
-    mode = message.custom_mode
-    main, sub = (mode >> 16 & 0xFF, mode >> 24 & 0xFF) if firmware == "px4" else (mode, 0)
-    parameters = (float(message.base_mode), float(main), float(sub), 0.0, 0.0, 0.0, 0.0)
-    return Command(sender=sender, target_component=0, number=_DO_SET_MODE, parameters=parameters)
-
-
-def _set_mode(it: FlightController, message: Any, sender: Sender) -> Replies:
-    """ArduPilot answers with a COMMAND_ACK of the message's own number."""
-    for reply in it.autopilot.on_command(mode_command(message, sender, it.firmware)):
-        if isinstance(reply, Ack) and it.firmware == "ardupilot":
-            yield reply._replace(command=_SET_MODE)
-        else:
-            yield reply
-
-
-def _setpoint(it: FlightController, message: Any, _: Sender) -> Replies:
-    """SET_POSITION_TARGET_GLOBAL_INT or _LOCAL_NED."""
-    if it.setpoints_ignored:
-        return ()
-    is_global = message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"
-    if is_global:
-        position = (message.lat_int / 1e7, message.lon_int / 1e7, message.alt)
-    else:
-        position = (message.x, message.y, message.z)
-    setpoint = Setpoint(
-        is_global=is_global,
-        frame=message.coordinate_frame,
-        type_mask=message.type_mask,
-        position=position,
-        velocity_ned_m_s=(message.vx, message.vy, message.vz),
-        acceleration_ned_m_s2=(message.afx, message.afy, message.afz),
-        yaw_rad=message.yaw,
-        yaw_rate_rad_s=message.yaw_rate,
-    )
-    return it.autopilot.on_setpoint(setpoint)
-
-
-def _time_sync(it: FlightController, message: Any, sender: Sender) -> Replies:
-    """A question has a tc1 of 0."""
-    if message.tc1 == 0:
-        now_ns, to = it.since_boot_us * 1000, (sender.system, sender.component)
-        yield SendMessage(message=make("TIMESYNC", now_ns, message.ts1, *to), to=sender)
-
-
-def _setup_signing(it: FlightController, message: Any, _: Sender) -> Replies:
-    signing = it.radio.signing
-    return () if signing is None else signing.setup(message, armed=it.autopilot.armed)
-
-
-def _files(_: FlightController, message: Any, sender: Sender) -> Replies:
+def no_file(message: Any, sender: Sender, _: int) -> Replies:
     """FILE_TRANSFER_PROTOCOL: there are none; no answer to an answer of theirs.
 
     So clients that look for files first (parameters, component metadata) go on at once with the
     plain protocols.  Layout of the payload: mavlink.io, services/ftp.
     """
-    low, high, session, opcode, *_rest = message.payload
-    done, refused = mavlink.MAV_FTP_OPCODE_ACK, mavlink.MAV_FTP_OPCODE_NAK
-    if opcode not in (done, refused):
-        ends = (0, mavlink.MAV_FTP_OPCODE_TERMINATESESSION, mavlink.MAV_FTP_OPCODE_RESETSESSION)
-        answer, size, reason = (done, 0, 0) if opcode in ends else (refused, 1, _FILE_NOT_FOUND)
-        number = ((low + high * 256 + 1) & 0xFFFF).to_bytes(2, "little")
-        payload = [*number, session, answer, size, opcode, *bytes(6), reason, *bytes(238)]
+    payload = bytearray(message.payload)
+    number, asked = int.from_bytes(payload[:2], "little") + 1, payload[3]
+    if asked not in (_FTP_ACK, _FTP_NAK):
+        payload[:2] = (number & 0xFFFF).to_bytes(2, "little")
+        payload[3:6] = (_FTP_ACK, 0, asked) if asked in _FTP_ENDS else (_FTP_NAK, 1, asked)
+        payload[12] = 0 if asked in _FTP_ENDS else _FTP_NOT_FOUND
         to = (0, sender.system, sender.component)
-        yield SendMessage(message=make("FILE_TRANSFER_PROTOCOL", *to, payload), to=sender)
-
-
-def _parameters(it: FlightController, message: Any, sender: Sender) -> Replies:
-    return it.parameter_protocol.on_message(message, sender, it.now_us)
-
-
-def _missions(it: FlightController, message: Any, sender: Sender) -> Replies:
-    return it.missions.on_message(message, sender, it.now_us)
-
-
-def _data_stream(it: FlightController, message: Any, sender: Sender) -> Replies:
-    it.streams.on_data_stream(message, sender.link, it.now_us)
-    return ()
-
-
-HANDLERS: Final[dict[str, Callable[[FlightController, Any, Sender], Replies]]] = {
-    "HEARTBEAT": _heartbeat,
-    **dict.fromkeys(("COMMAND_LONG", "COMMAND_INT"), _command),
-    "SET_MODE": _set_mode,
-    "SET_POSITION_TARGET_GLOBAL_INT": _setpoint,
-    "SET_POSITION_TARGET_LOCAL_NED": _setpoint,
-    **dict.fromkeys(("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET"), _parameters),
-    **dict.fromkeys(("MISSION_COUNT", "MISSION_ITEM", "MISSION_ITEM_INT"), _missions),
-    **dict.fromkeys(("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_REQUEST_LIST"), _missions),
-    **dict.fromkeys(("MISSION_CLEAR_ALL", "MISSION_SET_CURRENT"), _missions),
-    "REQUEST_DATA_STREAM": _data_stream,
-    "TIMESYNC": _time_sync,
-    "SETUP_SIGNING": _setup_signing,
-    "FILE_TRANSFER_PROTOCOL": _files,
-}
-"""Who handles which message."""
+        yield SendMessage(make("FILE_TRANSFER_PROTOCOL", *to, list(payload)), sender)

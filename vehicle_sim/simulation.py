@@ -5,7 +5,7 @@ terrain radar and the radio.
 """
 
 from collections.abc import Callable, Container, Mapping, Sequence
-from typing import Final, final
+from typing import Any, Final, final
 
 from vehicle_sim import ground_station, truth
 from vehicle_sim.autopilot.core import Boot
@@ -33,7 +33,9 @@ from vehicle_sim.sensors.terrain_radar import ScanRequest, TerrainRadar, Viewpoi
 from vehicle_sim.wire.components import LidarDriver, RadarComponent
 from vehicle_sim.wire.frames import make
 from vehicle_sim.wire.proximity import RPLIDAR, RangeSensors
-from vehicle_sim.wire.radio import Radio, Received
+from vehicle_sim.wire.radio import Radio
+from vehicle_sim.wire.routing import Route, Router
+from vehicle_sim.wire.signing import Signing
 from vehicle_sim.world import World
 
 STEP_US: Final = 10_000
@@ -107,12 +109,11 @@ class Simulation:
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
         scanner, lidars = world.scanner, world.lidars
         self._radio = Radio(
-            radar=scanner.component_id if scanner else None,
-            drivers={each.component_id for each in lidars if each.output == "driver"},
-            firmware=self._personality.firmware.family,
+            Router(scanner.component_id if scanner else None, forwards_all=forwards_all),
+            None if self._personality.firmware.family == "px4" else Signing(),
+            self._receive,
             links=links,
             byte_streams=byte_streams,
-            forwards_all=forwards_all,
             rng=generator(seed, "links"),
         )
         self._scanner: RadarComponent | None = None
@@ -145,7 +146,7 @@ class Simulation:
         self.parameters: Parameters = autopilot.parameters
         """The autopilot's; a reboot makes new ones."""
         self._ids = ids_of(self._personality, self.parameters)
-        self._radio.boot_as(*self._ids)
+        self._radio.router.boot_as(*self._ids)
         lidars = self._world.lidars
         limits_m = (lidars[-1].min_m, lidars[-1].range_m) if lidars else (0.0, 0.0)
         self._controller = FlightController(
@@ -305,15 +306,12 @@ class Simulation:
 
     def _refresh(self) -> None:
         """A parameter or a fault is another one: so may the weather be, and the links."""
-        parameters, controller, router = self.parameters, self._controller, self._radio.router
+        parameters, controller = self.parameters, self._controller
         self._seen_version = parameters.version
         self._conditions = now = conditions_of(parameters, self._timeline.changes)
         controller.setpoints_ignored = now.autopilot.setpoints_ignored
         controller.ranging.rangefinder_off = now.autopilot.rangefinder_off
         self._radio.impair(now.link)
-        if "MAV_OPTIONS" in parameters:
-            allowed = frozenset({self.system_id, int(parameters["MAV_GCS_SYSID"])})
-            router.commanders = allowed if int(parameters["MAV_OPTIONS"]) & 1 else None
 
     def _happens(self, name: str, values: Sequence[float]) -> None:
         """A fault that happens once."""
@@ -338,7 +336,7 @@ class Simulation:
                     order = ground_station.command(values, *to)
                 else:
                     order = ground_station.target(values, self.vehicle, *to)
-                self._radio.broadcast_as(order, *ground_station.STATION[:2])
+                self._radio.send(order, source=ground_station.STATION[:2])
 
     # --- time ---------------------------------------------------------------------------------
 
@@ -353,8 +351,7 @@ class Simulation:
         elif self.parameters.version != self._seen_version:
             self._refresh()
         if self._radio.impaired:
-            for received in self._radio.late(now_us):
-                self._receive(received)
+            self._radio.late(now_us)
         looks, contact = now_us % LOOK_US == 0, self.contact
         if looks:
             self._look()
@@ -372,7 +369,7 @@ class Simulation:
             streams = self._controller.streams
             complete = now_us >= streams.soonest_us and self._controller.stream()
             if looks and not complete:  # without positions there are ticks all the same
-                complete = streams.interval_us(0, _POSITION) is None
+                complete = not streams.interval_us(0, _POSITION)
         # the radar has its own power and its own computer
         if self._scanner is not None and now_us >= self._scanner.due_us:
             self._scanner.step(now_us, self.vehicle, self._conditions.radar, tick=complete)
@@ -404,9 +401,9 @@ class Simulation:
         fired = lidar.step(self.now_us, self.vehicle, (north_m, east_m), wrong)
         if driver is not None:
             driver.step(self.now_us, controller.boot_us, wrong)
-        elif controller.ranging.sectors and not (self._is_down or wrong.silent):
+        elif controller.ranging.has_lidar and not (self._is_down or wrong.silent):
             angles_rad, distances_m = lidar.angles_rad[fired], lidar.distances_m[fired]
-            controller.ranging.sectors.on_beams(angles_rad, distances_m, since_boot_us)
+            controller.ranging.on_beams(angles_rad, distances_m, since_boot_us)
 
     def _go_down(self) -> None:
         """The flight controller loses power."""
@@ -429,12 +426,10 @@ class Simulation:
 
     def receive(self, link: int, data: bytes) -> None:
         """Handle everything in this datagram or piece of stream, at the present vehicle time."""
-        for received in self._radio.receive(self.now_us, link, data):
-            self._receive(received)
+        self._radio.receive(self.now_us, link, data)
 
-    def _receive(self, received: Received) -> None:
-        sender, message = received.sender, received.message
-        if received.to_radar and self._scanner is not None:
+    def _receive(self, sender: Sender, message: Any, route: Route) -> None:
+        if route.to_radar and self._scanner is not None:
             self._scanner.receive(message, sender)
         kind = message.get_type()
         if kind == "TIMESYNC" and message.ts1 == self._question_ns and sender.link == 0:
@@ -442,7 +437,7 @@ class Simulation:
                 self._question_ns = -1
             elif message.tc1 != 0:
                 self.mistaken = True
-        if not received.to_autopilot or self._is_down:
+        if not route.to_autopilot or self._is_down:
             return
         if kind == "HEARTBEAT" and sender.link == 0:
             if self.companion is None:

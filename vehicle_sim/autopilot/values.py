@@ -4,14 +4,7 @@ wire/ converts frames to these and back.  Parameters are data: *.parm.
 """
 
 import enum
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple, final
-
-from vehicle_sim.dynamics import Vehicle
-
-if TYPE_CHECKING:
-    from vehicle_sim.autopilot.core import Autopilot, Firmware
-    from vehicle_sim.autopilot.estimator import Estimator
+from typing import Any, NamedTuple, final
 
 HIGHEST_M = 1e5
 """Limit of altitudes that are told, up and down: HOME_POSITION could not encode more."""
@@ -175,30 +168,3 @@ class Status(NamedTuple):
     """CURRENT_MODE of PX4, beside the mode itself."""
     fence: tuple[int, ...] | None = None
     """FENCE_STATUS; None: there is nothing to tell."""
-
-
-@final
-@dataclass(slots=True, kw_only=True)
-class Report:
-    """The data of all telemetry; refers to live objects, to be read at once."""
-
-    autopilot: "Autopilot"
-    time_us: int = 0
-    unix_us: int = 0
-    """Since boot; and GPS time, 0 while there is none."""
-    hardware_id: int = 1
-    range_sensors: tuple[int, int] = (0, 0)
-    """Bits of SYS_STATUS: proximity and rangefinder, and those of them that are not well."""
-    vehicle: Vehicle = field(init=False)
-    """For attitude and airspeed only: position and velocity are the estimate's."""
-    estimate: "Estimator" = field(init=False)
-    firmware: "Firmware" = field(init=False)
-
-    def __post_init__(self) -> None:
-        it = self.autopilot
-        self.vehicle, self.estimate, self.firmware = it.vehicle, it.estimate, it.firmware
-
-    @property
-    def status(self) -> Status:
-        """Computed for the messages that need it: most, like ATTITUDE, do not."""
-        return self.autopilot.status()

@@ -10,13 +10,13 @@ middle of the sweep, in the autopilot's clock.
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Final, final
 
 import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot.values import Result, Sender
+from vehicle_sim.autopilot.values import Sender
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.faults import LidarConditions, RadarConditions
 from vehicle_sim.sensors.lidar import Lidar
@@ -25,67 +25,72 @@ from vehicle_sim.wire.frames import Prepared, make
 from vehicle_sim.wire.radio import Radio
 from vehicle_sim.world import LidarTable
 
+Links = tuple[int, ...]
 HEARTBEAT_US: Final = 1_000_000
-_LOWEST_M, _HIGHEST_M = -32767, 32767
-_UNKNOWN: Final = 65535
+_UNKNOWN, _HIGHEST_M = 65535, 32767
 _ELEMENTS: Final = 72
 _WIDTH_DEG: Final = 360.0 / _ELEMENTS
-_BEAT: Final = make(
-    "HEARTBEAT",
-    *(mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID),
-    *(0, 0, mavlink.MAV_STATE_ACTIVE, 3),
-)
+_BEAT: Final = make("HEARTBEAT", mavlink.MAV_TYPE_ONBOARD_CONTROLLER, 8, 0, 0, 4, 3)
+"""Of an active component that is no autopilot."""
+
+
+class _Component:
+    """One with its own ids and heartbeat."""
+
+    def __init__(self, radio: Radio, component_id: int) -> None:
+        self._radio, self._id = radio, component_id
+        self._beat_us = HEARTBEAT_US
+
+    def send_heartbeat(self) -> None:
+        """Send a heartbeat now."""
+        self._send(_BEAT)
+
+    def _send(self, message: Prepared, links: Iterable[int] | None = None) -> None:
+        self._radio.send(message, links, (self._radio.router.ids[0], self._id))
+
+    def _beat(self, now_us: int, *, silent: bool) -> None:
+        if now_us >= self._beat_us:
+            self._beat_us = now_us + HEARTBEAT_US
+            if not silent:
+                self.send_heartbeat()
 
 
 @final
-class RadarComponent:
+class RadarComponent(_Component):
     """Answers one TERRAIN_REQUEST after the other, in the time of the simulation."""
 
     def __init__(
         self, radar: TerrainRadar, rng: np.random.Generator, radio: Radio, component_id: int
     ) -> None:
+        super().__init__(radio, component_id)
         self.radar, self._rng = radar, rng
-        self._radio, self._id = radio, component_id
-        self._asked: tuple[Any, int] | None = None
-        """The request, and by which link."""
-        self._answer: tuple[int, int, Sequence[Prepared]] | None = None
-        """When it is due, and by which link."""
-        self._sweep_us, self._beat_us = 0, HEARTBEAT_US
-        self.due_us = HEARTBEAT_US
-        """Nothing is to be done before."""
-
-    def send_heartbeat(self) -> None:
-        """Send a heartbeat now."""
-        self._radio.broadcast(_BEAT, self._id)
+        self._asked: tuple[Any, Links] | None = None
+        """The request."""
+        self._answer: tuple[int, Links, Sequence[Prepared]] | None = None
+        """When it is due."""
+        self._sweep_us, self.due_us = 0, HEARTBEAT_US
+        """When it looks again, if it has a rate; and nothing is to be done before."""
 
     def receive(self, message: Any, sender: Sender) -> None:
-        """Handle a message that is for the radar; commands that name it are refused."""
-        kind = message.get_type()
-        if kind == "TERRAIN_REQUEST":
-            self._asked, self.due_us = (message, sender.link), 0
-        elif kind in ("COMMAND_LONG", "COMMAND_INT") and message.target_component == self._id:
-            to = (0, 0, sender.system, sender.component)
-            refusal = make("COMMAND_ACK", message.command, Result.UNSUPPORTED, *to)
-            self._radio.send(refusal, sender.link, self._id)
+        """Handle a message that is for the radar."""
+        if message.get_type() == "TERRAIN_REQUEST":
+            self._asked, self.due_us = (message, (sender.link,)), 0
 
     def step(
         self, now_us: int, vehicle: Vehicle, conditions: RadarConditions, *, tick: bool
     ) -> None:
         """Say what is due; `tick` ends a lockstep tick."""
-        if now_us >= self._beat_us:
-            self._beat_us += HEARTBEAT_US * (1 + (now_us - self._beat_us) // HEARTBEAT_US)
-            if not conditions.silent:
-                self.send_heartbeat()
+        self._beat(now_us, silent=conditions.silent)
         if conditions.silent:
             self._asked = self._answer = None
         if self._asked and not self._answer and self._looks(now_us, conditions, tick):
-            (asked, link), self._asked = self._asked, None
+            (asked, links), self._asked = self._asked, None
             due_us = now_us + round(conditions.delay_s * 1e6)
-            self._answer = due_us, link, self._scan(asked, vehicle, conditions)
+            self._answer = due_us, links, self._scan(asked, vehicle, conditions)
         if self._answer and now_us >= self._answer[0]:
-            (_, link, replies), self._answer = self._answer, None
+            (_, links, replies), self._answer = self._answer, None
             for reply in replies:
-                self._radio.send(reply, link, self._id)
+                self._send(reply, links)
         self.due_us = 0 if self._asked or self._answer else self._beat_us
 
     def _looks(self, now_us: int, conditions: RadarConditions, ends_tick: bool) -> bool:
@@ -129,38 +134,30 @@ class RadarComponent:
             seen &= self._rng.random(len(heights)) >= conditions.cells_missed
         if conditions.noise_m:
             error_m = self._rng.standard_normal(len(heights)) * conditions.noise_m
-            if conditions.either_way:
-                noisy = np.round(heights + error_m)
-            else:
-                noisy = np.ceil(heights + np.abs(error_m))
-            heights = np.clip(noisy, _LOWEST_M, _HIGHEST_M).astype(np.int64)
-        spoilt: list[int] = np.where(seen, heights, UNSEEN_M).tolist()
+            noisy = np.ceil(heights + np.abs(error_m))
+            noisy = np.round(heights + error_m) if conditions.either_way else noisy
+            heights = np.clip(noisy, -_HIGHEST_M, _HIGHEST_M)
+        spoilt: list[int] = np.where(seen, heights, UNSEEN_M).astype(np.int64).tolist()
         return spoilt
 
 
 @final
-class LidarDriver:
+class LidarDriver(_Component):
     """Sends what a lidar measures, in the time of the simulation."""
 
     def __init__(
         self, lidar: Lidar, settings: LidarTable, rng: np.random.Generator, radio: Radio
     ) -> None:
-        self._lidar, self._settings, self._rng, self._radio = lidar, settings, rng, radio
+        super().__init__(radio, settings.component_id)
+        self._lidar, self._settings, self._rng = lidar, settings, rng
         off_edge_deg = np.degrees(lidar.angles_rad) + 0.5 * _WIDTH_DEG
         self._element = np.floor(np.remainder(off_edge_deg + 1e-9, 360.0) / _WIDTH_DEG).astype(int)
         self._waiting = deque[tuple[int, Prepared]]()
-        self._due_us, self._beat_us = 0, HEARTBEAT_US
-
-    def send_heartbeat(self) -> None:
-        """Send a heartbeat now."""
-        self._radio.broadcast(_BEAT, self._settings.component_id)
+        self._due_us = 0
 
     def step(self, now_us: int, boot_us: int, conditions: LidarConditions) -> None:
         """Send what is due."""
-        if now_us >= self._beat_us:
-            self._beat_us = now_us + HEARTBEAT_US
-            if not conditions.silent:
-                self.send_heartbeat()
+        self._beat(now_us, silent=conditions.silent)
         interval_us = round(1e6 / (conditions.rate_hz or self._settings.rate_hz))
         self._due_us = max(self._due_us, now_us - interval_us)  # none to make up for
         while self._due_us <= now_us:
@@ -172,20 +169,16 @@ class LidarDriver:
         while self._waiting and self._waiting[0][0] <= now_us:
             message = self._waiting.popleft()[1]
             if not conditions.frames_lost or self._rng.random() >= conditions.frames_lost:
-                self._radio.broadcast(message, self._settings.component_id)
+                self._send(message)
 
     def _message(self, stamp_us: int) -> Prepared:
         """The nearest echo of each element, "nothing there" or "not known"."""
-        least_cm, most_cm = (
-            round(m * 100.0) for m in (self._settings.min_m, self._settings.range_m)
-        )
-        nearest_m = np.full(_ELEMENTS, np.inf)
-        known = np.zeros(_ELEMENTS, dtype=bool)
-        use = ~np.isnan(self._lidar.distances_m)
-        np.minimum.at(nearest_m, self._element[use], self._lidar.distances_m[use])
-        known[self._element[use]] = True
-        cm = np.where(np.isfinite(nearest_m), np.round(nearest_m * 100.0), most_cm + 1.0)
-        told_cm = np.where(known, cm, _UNKNOWN).astype(np.int64).tolist()
-        what = (max(stamp_us, 0), mavlink.MAV_DISTANCE_SENSOR_LASER, told_cm)
+        limits_m = self._settings.min_m, self._settings.range_m
+        least_cm, most_cm = (round(limit_m * 100.0) for limit_m in limits_m)
+        nearest_cm = np.full(_ELEMENTS, np.nan)
+        np.fmin.at(nearest_cm, self._element, self._lidar.distances_m * 100.0)
+        told_cm = np.minimum(np.round(nearest_cm), most_cm + 1.0)
+        told_cm[np.isnan(nearest_cm)] = _UNKNOWN
+        what = (max(stamp_us, 0), mavlink.MAV_DISTANCE_SENSOR_LASER, told_cm.astype(int).tolist())
         scale = (int(_WIDTH_DEG), least_cm, most_cm, _WIDTH_DEG, 0.0, mavlink.MAV_FRAME_BODY_FRD)
         return make("OBSTACLE_DISTANCE", *what, *scale)

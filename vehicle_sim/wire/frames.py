@@ -1,4 +1,4 @@
-"""Bytes to messages and back: parsing that survives anything, packing, and the sequence numbers.
+"""Bytes to messages and back: parsing that survives anything, and packing.
 
 pymavlink's dialect `all` says what there is, and reads.  What the messages mean is elsewhere.
 """
@@ -9,13 +9,10 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
+from typing import Any, final
 
 from fastcrc.crc16 import mcrf4xx
 from pymavlink.dialects.v20 import all as mavlink
-
-if TYPE_CHECKING:
-    from vehicle_sim.wire.signing import Signing
 
 _MARKER_1, MARKER_2, SIGNED = 0xFE, 0xFD, 0x01
 """First bytes of a frame of either version, and the flag of signed ones."""
@@ -24,6 +21,8 @@ _HEAD = struct.Struct("<BBBxBBB")
 """Marker, length, flags, sequence, system, component; then comes the message number in 24 bits."""
 _LARGEST_FLOAT = 3.4028234663852886e38
 _find_marker = re.compile(rb"[\xfd\xfe]").search
+_codes = re.compile(r"(\d*)([a-zA-Z])").findall
+"""How many there are of each kind in the format of a struct."""
 _reader = mavlink.MAVLink(None)
 
 
@@ -101,53 +100,32 @@ def _end_of_frame(data: bytes, at: int) -> int:
     return at + _HEADER_2 + data[at + 1] + _CHECKSUM_BYTES + signature
 
 
-# --- messages that are to be sent -----------------------------------------------------------------
+# --- out ------------------------------------------------------------------------------------------
 
 
-@final
-class Layout(NamedTuple):
-    """How the messages of one name are packed."""
-
-    number_bytes: bytes
-    crc_extra: bytes
-    zeros: list[Any]
-    """What a field is that is not given, in MAVLink's order."""
-    on_the_wire: Callable[[Sequence[Any]], Sequence[Any]]
-    """The same values in the order of the payload."""
-    struct: struct.Struct
-    is_plain: bool
-    """No field has several values."""
-
-
-Prepared = tuple[Layout, bytes]
-"""A message that is only to be sent, and all of its payload: no object needs to be made."""
-_LATER: Final = {
-    "MISSION_COUNT": {"opaque_id": "I"},
-    "MISSION_ACK": {"opaque_id": "I"},
-    "TIMESYNC": {"target_system": "B", "target_component": "B"},
+Prepared = tuple[int, bytes]
+"""A message that is only to be sent: its number and all of its payload; no object is made."""
+_ENDS = {
+    number: (number.to_bytes(3, "little"), bytes([kind.crc_extra]))
+    for number, kind in mavlink.mavlink_map.items()
 }
-"""Fields that MAVLink got after the dialect, at the end: who does not know them reads the rest."""
+"""The last bytes of a header, and what the checksum covers beside the frame, by number."""
 
 
 @cache
-def layout_of(name: str) -> Layout:
-    """The layout of the messages of this name."""
+def _kind(name: str) -> tuple[Any, list[Any], Callable[[Sequence[Any]], Sequence[Any]], bool]:
+    """What messages of this name are, and their zeros in MAVLink's order.
+
+    Then how values go from that order into that of the payload; and whether some are lists.
+    """
     kind: Any = getattr(mavlink, f"MAVLink_{name.lower()}_message")
-    later = {n: code for n, code in _LATER.get(name, {}).items() if n not in kind.fieldnames}
-    form = kind.unpacker.format + "".join(later.values())
-    named, sent = [*kind.fieldnames, *later], [*kind.ordered_fieldnames, *later]
+    named, sent = kind.fieldnames, kind.ordered_fieldnames
     zeros = {
         field: b"" if code == "s" else [0] * int(count) if count else 0
-        for field, (count, code) in zip(sent, re.findall(r"(\d*)([a-zA-Z])", form), strict=True)
+        for field, (count, code) in zip(sent, _codes(kind.unpacker.format), strict=True)
     }
-    return Layout(
-        kind.id.to_bytes(3, "little"),
-        bytes([kind.crc_extra]),
-        [zeros[field] for field in named],
-        itemgetter(*map(named.index, sent)) if len(sent) > 1 else list,
-        struct.Struct(form),
-        not any(isinstance(zero, list) for zero in zeros.values()),
-    )
+    reordered = itemgetter(*map(named.index, sent)) if len(sent) > 1 else list
+    return kind, [zeros[field] for field in named], reordered, any(kind.array_lengths)
 
 
 def make(name: str, *fields: Any) -> Prepared:
@@ -155,30 +133,20 @@ def make(name: str, *fields: Any) -> Prepared:
 
     Texts are bytes, fields of several values are lists.
     """
-    return filled(layout_of(name), fields)
-
-
-def filled(layout: Layout, fields: tuple[Any, ...]) -> Prepared:
-    """The same, by its layout."""
-    values = layout.on_the_wire((*fields, *layout.zeros[len(fields) :]))
-    if not layout.is_plain:
+    kind, zeros, reordered, has_lists = _kind(name)
+    values = reordered((*fields, *zeros[len(fields) :]))
+    if has_lists:
         values = [one for v in values for one in (v if isinstance(v, list) else (v,))]
     try:
-        return layout, layout.struct.pack(*values)
+        return kind.id, kind.unpacker.pack(*values)
     except (struct.error, OverflowError):
-        return layout, layout.struct.pack(*_fitted(values, layout.struct.format))
-
-
-def prepared(message: Any) -> Prepared:
-    """The same as this message of pymavlink's."""
-    fields = (getattr(message, f"_{n}_raw", getattr(message, n)) for n in message.fieldnames)
-    return make(message.msgname, *(list(v) if isinstance(v, tuple) else v for v in fields))
+        return kind.id, kind.unpacker.pack(*_fitted(values, kind.unpacker.format))
 
 
 def _fitted(values: Sequence[Any], form: str) -> Iterator[Any]:
     """The nearest values that these fields can carry, as a real autopilot casts; NaN becomes 0."""
-    codes = re.sub(r"\d+s", "s", form[1:])
-    codes = re.sub(r"(\d+)(\w)", lambda field: field[2] * int(field[1]), codes)
+    counted = ((code, 1 if code == "s" else int(count or 1)) for count, code in _codes(form))
+    codes = (code for code, count in counted for _ in range(count))
     for value, code in zip(values, codes, strict=True):
         if code == "s" or (code in "fd" and not math.isfinite(value)):
             yield value
@@ -190,29 +158,25 @@ def _fitted(values: Sequence[Any], form: str) -> Iterator[Any]:
             yield 0 if math.isnan(value) else int(min(max(value, least), least + span - 1))
 
 
-# --- out ------------------------------------------------------------------------------------------
+def _prepared(message: Any) -> Prepared:
+    """The same as this message of pymavlink's."""
+    fields = (getattr(message, f"_{n}_raw", getattr(message, n)) for n in message.fieldnames)
+    return make(message.msgname, *(list(v) if isinstance(v, tuple) else v for v in fields))
 
 
-@final
-class Packer:
-    """Messages of one component on one link into MAVLink 2 frames, numbered in sequence."""
-
-    def __init__(
-        self, system: int, component: int, signing: "Signing | None" = None, link: int = 0
-    ) -> None:
-        self._system, self._component = system, component
-        self._signing, self._link = signing, link
-        """While it has a secret, everything is signed."""
-        self._sequence = 0
-
-    def frame(self, message: Any) -> bytes:
-        """The message, prepared or pymavlink's, as a frame with the next sequence number."""
-        sequence, signing = self._sequence, self._signing
-        self._sequence = (sequence + 1) & 255
-        layout, payload = message if type(message) is tuple else prepared(message)
-        payload = payload.rstrip(b"\0") or b"\0"
-        flags = SIGNED if signing is not None and signing.secret else 0
-        head = _HEAD.pack(MARKER_2, len(payload), flags, sequence, self._system, self._component)
-        body = head + layout.number_bytes + payload
-        frame = body + mcrf4xx(body[1:] + layout.crc_extra).to_bytes(2, "little")
-        return frame + signing.signature(frame, self._link) if flags and signing else frame
+def framed(
+    message: Any,
+    sequence: int,
+    system: int,
+    component: int,
+    signature: Callable[[bytes], bytes] | None = None,
+) -> bytes:
+    """A message, prepared or pymavlink's, as a frame of MAVLink 2; signed if there is a way to."""
+    number, payload = message if type(message) is tuple else _prepared(message)
+    payload = payload.rstrip(b"\0") or b"\0"
+    flags = 0 if signature is None else SIGNED
+    head = _HEAD.pack(MARKER_2, len(payload), flags, sequence, system, component)
+    number_bytes, crc_extra = _ENDS[number]
+    body = head + number_bytes + payload
+    frame = body + mcrf4xx(body[1:] + crc_extra).to_bytes(2, "little")
+    return frame if signature is None else frame + signature(frame)

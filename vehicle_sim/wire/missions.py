@@ -9,13 +9,12 @@ import math
 import struct
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.core import Autopilot
-from vehicle_sim.autopilot.values import Ack, Command, Reply, Sender, SendMessage, SendTelemetry
+from vehicle_sim.autopilot.values import Command, Place, Reply, Sender, SendMessage, SendTelemetry
 from vehicle_sim.plans import FENCE_COMMANDS, PlanItem, PlanKind, is_whole_fence
 from vehicle_sim.wire.frames import make
 
@@ -30,28 +29,27 @@ _OF_LISTS: Final = {
 }
 _FRAMES: Final = frozenset({0, 2, 3, 5, 6, 10, 11})
 """The global ones, and that of items without a place."""
+_NOWHERE: Final = 0x7FFFFFFF
+"""For an angle in degrees that is none."""
 _MOST: Final = 724
 """Items of a list: as many as a mission of ArduPilot's holds."""
 _ALL_KINDS: Final = 255
 _GUIDED: Final = 2
 """``current`` of an item that is not for the list: fly there now, as DroneKit says it."""
-_ASK_AGAIN_US, _GIVE_UP_US = 500_000, 5_000_000
-_DO_REPOSITION, _DO_SET_MISSION_CURRENT, _MISSION_CURRENT = 192, 224, 42
+_WAYPOINT, _DO_REPOSITION, _MISSION_CURRENT = 16, 192, 42
 _ACCEPTED, _ERROR = mavlink.MAV_MISSION_ACCEPTED, mavlink.MAV_MISSION_ERROR
-_WAYPOINT: Final = 16
+_BEFORE_ID: Final = {"MISSION_COUNT": 5, "MISSION_ACK": 4}
+"""Bytes of the payload before opaque_id, which came to MAVLink after the dialect."""
 
 
 @final
-@dataclass(slots=True)
-class _Upload:
+class _Upload(NamedTuple):
     """A list on its way from a client."""
 
     sender: Sender
     kind: PlanKind
-    count: int
-    heard_us: int
-    asked_us: int
-    items: list[PlanItem] = field(default_factory=list)
+    size: int
+    items: list[PlanItem]
 
 
 def opaque_id(items: Sequence[PlanItem]) -> int:
@@ -77,70 +75,55 @@ def store(autopilot: Autopilot, kind: PlanKind, items: tuple[PlanItem, ...]) -> 
 class Missions:
     """Uploads, one at a time, and downloads of one autopilot's three lists, over all links."""
 
+    MESSAGES: Final = (
+        *("MISSION_COUNT", "MISSION_ITEM", "MISSION_ITEM_INT", "MISSION_REQUEST_LIST"),
+        *("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_CLEAR_ALL", "MISSION_SET_CURRENT"),
+    )
+
     def __init__(self, autopilot: Autopilot) -> None:
         self._autopilot, self._plans = autopilot, autopilot.plans
-        self._is_px4 = autopilot.firmware.family == "px4"
         self._upload: _Upload | None = None
-        self._done: tuple[Sender, PlanKind, int] | None = None
-        """Of the newest item if a list ended well with it: the acknowledgement may get lost."""
 
-    @property
-    def busy(self) -> bool:
-        """Whether step() has anything to do."""
-        return self._upload is not None
-
-    def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Reply]:
-        """Answer a message of the mission protocol that is for the autopilot."""
+    def on_message(self, message: Any, sender: Sender, _: int) -> list[Reply]:
+        """Answer one of MESSAGES."""
         name = message.get_type()
         if name == "MISSION_SET_CURRENT":
-            done = self._do(sender, _DO_SET_MISSION_CURRENT, (float(message.seq), *(0.0,) * 6))
-            told = SendTelemetry(message=_MISSION_CURRENT)  # ground stations take it for the answer
-            return [*done, told]
-        if name == "MISSION_CLEAR_ALL" and message.mission_type == _ALL_KINDS:
-            cleared = [reply for kind in PlanKind for reply in store(self._autopilot, kind, ())]
-            return [*cleared, _ack(sender, _ACCEPTED, _ALL_KINDS)]
-        try:
-            kind = PlanKind(message.mission_type)
-        except ValueError:
-            return [_ack(sender, mavlink.MAV_MISSION_UNSUPPORTED, message.mission_type)]
+            self._autopilot.jump(message.seq)
+            # ground stations take this for the answer
+            return [*self._autopilot.taken(), SendTelemetry(_MISSION_CURRENT)]
+        number, clears = message.mission_type, name == "MISSION_CLEAR_ALL"
+        kinds = [kind for kind in PlanKind if number == kind or (clears and number == _ALL_KINDS)]
+        if not kinds:
+            return [_ack(sender, mavlink.MAV_MISSION_UNSUPPORTED, number)]
+        kind = kinds[0]
         match name:
             case "MISSION_COUNT":
-                return self._on_count(message.count, kind, sender, now_us)
+                return self._on_count(message.count, kind, sender)
             case "MISSION_ITEM" | "MISSION_ITEM_INT":
-                return self._on_item(message, kind, sender, now_us)
+                return self._on_item(message, kind, sender)
             case "MISSION_REQUEST_LIST":
-                return [_said(sender, "MISSION_COUNT", len(self._plans[kind]), *self._id_of(kind))]
+                told = (len(self._plans[kind]), kind)
+                return [_said(sender, "MISSION_COUNT", *told, identity=self._id_of(kind))]
             case "MISSION_REQUEST" | "MISSION_REQUEST_INT":
                 return [self._on_request(message, kind, sender)]
             case _:  # MISSION_CLEAR_ALL
-                return self._complete(kind, (), sender)
-
-    def step(self, now_us: int) -> list[Reply]:
-        """Ask again for what did not come, and give up in the end."""
-        upload = self._upload
-        if upload is not None and now_us - upload.heard_us > _GIVE_UP_US:
-            return self._fail(upload, mavlink.MAV_MISSION_OPERATION_CANCELLED)
-        if upload is not None and now_us - upload.asked_us > _ASK_AGAIN_US:
-            return self._ask(upload, now_us)
-        return []
+                cleared = [each for kind in kinds for each in store(self._autopilot, kind, ())]
+                return [*cleared, _ack(sender, _ACCEPTED, number)]
 
     # --- upload -------------------------------------------------------------------------------
 
-    def _on_count(self, count: int, kind: PlanKind, sender: Sender, now_us: int) -> list[Reply]:
-        if self._upload is not None and self._upload.sender != sender:
-            return [_ack(sender, mavlink.MAV_MISSION_DENIED, kind)]
-        self._upload = self._done = None  # the same client may begin again
+    def _on_count(self, count: int, kind: PlanKind, sender: Sender) -> list[Reply]:
+        self._upload = None  # who begins again, or another client, takes its place
         if count > _MOST:
             return [_ack(sender, mavlink.MAV_MISSION_NO_SPACE, kind)]
         if count == 0:
             return self._complete(kind, (), sender)
-        self._upload = _Upload(sender, kind, count, heard_us=now_us, asked_us=now_us)
-        return self._ask(self._upload, now_us)
+        self._upload = _Upload(sender, kind, count, [])
+        return self._ask(self._upload)
 
-    def _ask(self, upload: _Upload, now_us: int) -> list[Reply]:
+    def _ask(self, upload: _Upload) -> list[Reply]:
         """Ask for the next item."""
-        upload.asked_us = now_us
-        asks = "MISSION_REQUEST_INT" if self._is_px4 else "MISSION_REQUEST"
+        asks = "MISSION_REQUEST_INT" if self._autopilot.is_px4 else "MISSION_REQUEST"
         return [_said(upload.sender, asks, len(upload.items), upload.kind)]
 
     def _fail(self, upload: _Upload, why: int) -> list[Reply]:
@@ -148,51 +131,51 @@ class Missions:
         self._upload = None
         return [_ack(upload.sender, why, upload.kind)]
 
-    def _on_item(self, message: Any, kind: PlanKind, sender: Sender, now_us: int) -> list[Reply]:
-        upload = self._upload
-        if message.current == _GUIDED:
-            return self._on_guided(message, kind, sender)
-        if upload is None:
-            again = self._done == (sender, kind, message.seq)
-            return [_ack(sender, _ACCEPTED if again else _ERROR, kind)]
-        if (sender, kind) != (upload.sender, upload.kind):
-            return [_ack(sender, mavlink.MAV_MISSION_DENIED, kind)]
+    def _on_item(self, message: Any, kind: PlanKind, sender: Sender) -> list[Reply]:
+        upload, item = self._upload, _read(message, kind)
+        if message.current == _GUIDED and isinstance(item, PlanItem):
+            to = (-1.0, 0.0, 0.0, math.nan, item.x / 1e7, item.y / 1e7, item.z_m)
+            command = Command(sender, 0, _DO_REPOSITION, to, item.frame)
+            return [*self._autopilot.on_command(command), _ack(sender, _ACCEPTED, kind)]
+        if upload is None or (sender, kind) != (upload.sender, upload.kind):
+            return [_ack(sender, _ERROR, kind)]
         if message.seq != len(upload.items):
-            return []  # the right one will be asked for again
-        item = _read(message, kind)
+            return self._ask(upload)  # it comes twice, or what was asked for got lost
         if not isinstance(item, PlanItem):
             return self._fail(upload, item)
         upload.items.append(item)
-        upload.heard_us = now_us
-        if len(upload.items) < upload.count:
-            return self._ask(upload, now_us)
+        if len(upload.items) < upload.size:
+            return self._ask(upload)
         if kind is PlanKind.FENCE and not is_whole_fence(upload.items):
             return self._fail(upload, _ERROR)
-        self._upload, self._done = None, (sender, kind, message.seq)
+        self._upload = None
         return self._complete(kind, tuple(upload.items), sender)
 
     def _complete(self, kind: PlanKind, items: tuple[PlanItem, ...], sender: Sender) -> list[Reply]:
         stored = store(self._autopilot, kind, items)
-        return [*stored, _ack(sender, _ACCEPTED, *self._id_of(kind))]
+        return [*stored, _ack(sender, _ACCEPTED, kind, self._id_of(kind))]
 
-    def _id_of(self, kind: PlanKind) -> tuple[int, int]:
-        """A list's kind and id."""
-        return kind, opaque_id(self._plans[kind]) if self._is_px4 else 0
+    def _id_of(self, kind: PlanKind) -> int:
+        """Of a list; ArduPilot has none."""
+        return opaque_id(self._plans[kind]) if self._autopilot.is_px4 else 0
 
-    # --- download, and what is not for a list -------------------------------------------------
+    # --- download -----------------------------------------------------------------------------
 
     def _on_request(self, message: Any, kind: PlanKind, to: Sender) -> Reply:
         """Any item at any time, in integers or degrees as it is asked for.
 
-        Item 0 of an ArduPilot's mission is home, whatever was uploaded.
+        Item 0 of an ArduPilot's mission is home, whatever was uploaded; zero before it is set.
         """
-        seq, items, is_mission = message.seq, self._plans[kind], kind is PlanKind.MISSION
-        if is_mission and not self._is_px4 and seq == 0:
-            items = (self._home(),)
+        autopilot, seq, items = self._autopilot, message.seq, self._plans[kind]
+        is_mission = kind is PlanKind.MISSION
+        if is_mission and seq < autopilot.firmware.first_item:
+            home = autopilot.home or Place(0.0, 0.0, 0.0)
+            x, y = round(home.latitude_deg * 1e7), round(home.longitude_deg * 1e7)
+            items = (PlanItem(frame=0, command=_WAYPOINT, x=x, y=y, z_m=home.altitude_amsl_m),)
         if seq >= len(items):
             return _ack(to, mavlink.MAV_MISSION_INVALID_SEQUENCE, kind)
         item, whole = items[seq], message.get_type() == "MISSION_REQUEST_INT"
-        current = is_mission and seq == self._autopilot.route.current
+        current = is_mission and seq == autopilot.route.current
         return _said(
             to,
             "MISSION_ITEM_INT" if whole else "MISSION_ITEM",
@@ -201,39 +184,17 @@ class Missions:
             *(item.z_m, kind),
         )
 
-    def _home(self) -> PlanItem:
-        """As an item; zero before it is set."""
-        home = self._autopilot.home
-        if home is None:
-            return PlanItem(frame=0, command=_WAYPOINT)
-        x, y = round(home.latitude_deg * 1e7), round(home.longitude_deg * 1e7)
-        return PlanItem(frame=0, command=_WAYPOINT, x=x, y=y, z_m=home.altitude_amsl_m)
 
-    def _on_guided(self, message: Any, kind: PlanKind, sender: Sender) -> list[Reply]:
-        """A waypoint to fly to now."""
-        item = _read(message, PlanKind.MISSION)
-        if not isinstance(item, PlanItem):
-            return [_ack(sender, item, kind)]
-        to = (-1.0, 0.0, 0.0, math.nan, item.x / 1e7, item.y / 1e7, item.z_m)
-        return [*self._do(sender, _DO_REPOSITION, to, item.frame), _ack(sender, _ACCEPTED, kind)]
-
-    def _do(
-        self, sender: Sender, number: int, parameters: Any, frame: int | None = None
-    ) -> list[Reply]:
-        """What a message asks for that means the same as this command: without a COMMAND_ACK."""
-        command = Command(
-            sender=sender, target_component=0, number=number, parameters=parameters, frame=frame
-        )
-        return [each for each in self._autopilot.on_command(command) if not isinstance(each, Ack)]
-
-
-def _said(to: Sender, name: str, *fields: float) -> SendMessage:
+def _said(to: Sender, name: str, *fields: float, identity: int = 0) -> SendMessage:
     """A message of the mission protocol: what comes after its target."""
-    return SendMessage(message=make(name, to.system, to.component, *fields), to=to)
+    number, payload = make(name, to.system, to.component, *fields)
+    if identity:
+        payload = payload[: _BEFORE_ID[name]] + identity.to_bytes(4, "little")
+    return SendMessage((number, payload), to)
 
 
 def _ack(to: Sender, result: int, kind: int, identity: int = 0) -> SendMessage:
-    return _said(to, "MISSION_ACK", result, kind, identity)
+    return _said(to, "MISSION_ACK", result, kind, identity=identity)
 
 
 def _read(message: Any, kind: PlanKind) -> PlanItem | int:
@@ -244,17 +205,16 @@ def _read(message: Any, kind: PlanKind) -> PlanItem | int:
     if message.frame not in _FRAMES:
         return mavlink.MAV_MISSION_UNSUPPORTED_FRAME
     if message.get_type() == "MISSION_ITEM":
-        x, y = (value * 1e7 if math.isfinite(value) else math.inf for value in (x, y))
-    if kind is PlanKind.MISSION and command not in _FLOWN:
-        x, y = (value if abs(value) < 2**31 else 0.0 for value in (x, y))
-    elif not (abs(x) <= 90e7 and abs(y) <= 180e7):
+        x, y = (round(deg * 1e7) if abs(deg) <= 180.0 else _NOWHERE for deg in (x, y))
+    has_place = kind is not PlanKind.MISSION or command in _FLOWN
+    if has_place and not (abs(x) <= 90e7 and abs(y) <= 180e7):
         return mavlink.MAV_MISSION_INVALID
     return PlanItem(
         frame=message.frame,
         command=command,
         parameters=(message.param1, message.param2, message.param3, message.param4),
-        x=round(x),
-        y=round(y),
+        x=x,
+        y=y,
         z_m=message.z,
         autocontinue=bool(message.autocontinue),
     )

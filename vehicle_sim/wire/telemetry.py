@@ -1,35 +1,35 @@
-"""An autopilot's report as MAVLink messages: a function each, which has the name of its message.
+"""What there is to say: a method for each message, called as that is, which returns its fields.
 
-It returns the fields.  Those that somebody reads are filled as in the recorded flights, the others
-are zero.  None: there is nothing to say now.
+Fields that somebody reads are filled as in the recorded flights, the others are zero.
 """
 
 import math
-from collections.abc import Callable
-from typing import Any, Final
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any, Final, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot.values import Landed, Report, State
-from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, degrees_east
-from vehicle_sim.parameters import Firmware
+from vehicle_sim.autopilot.core import Autopilot
+from vehicle_sim.autopilot.values import Landed, Place, State, Status, Vector
 from vehicle_sim.plans import PlanKind
-from vehicle_sim.wire.frames import Layout, Prepared, filled, layout_of
+from vehicle_sim.wire.frames import Prepared, make
+from vehicle_sim.wire.proximity import RangeSensors
 
 Fields = tuple[Any, ...]
 """Of a message in MAVLink's order; those at the end that are left out are zero."""
-Builder = tuple[Layout, Callable[[Report], Fields | None]]
 
+_EPOCH_US: Final = 1_795_000_000_000_000
+"""UTC at the start of every run: the same seed gives the same bytes."""
 _FIXED_WING: Final = 1
 _NAN: Final = math.nan
 _NO_VECTOR: Final = (_NAN, _NAN, _NAN)
-_HUGE: Final = 1 << 62
-"""More than any field of whole numbers carries: the packer makes the nearest of it."""
-_NO_DILUTION, _NO_CELL, _NO_TEMPERATURE, _NO_MISSION = 65535, 65535, 32767, 65535
+_NO_CELL, _NO_TEMPERATURE, _NO_MISSION = 65535, 32767, 65535
 _CENTIAMPERES_UNKNOWN: Final = -100
 """As PX4's simulated battery says it."""
-_ARDUPILOT_SENSORS, _PX4_SENSORS = 0x4241_9C0F, 0x0200_000F
-"""SYS_STATUS: gyroscopes, accelerometers, compass, pressure ...: always there and well."""
+_ARDUPILOT_SENSORS, _PX4_SENSORS = 0x4241_9C0F, 0x0200_400F
+"""SYS_STATUS: gyroscopes, accelerometers, compass, pressure ...: always there and well; PX4 says so
+of its control of the position only while it has one."""
 _GPS_BIT, _POSITION_BIT, _PREARM_BIT = 0x20, 0x4000, 0x1000_0000
 _ONLY_POSITION: Final = 0xFDF8
 _LOCAL, _GLOBAL, _GLOBAL_INT, _DOWN = 1, 0, 5, 25
@@ -41,14 +41,9 @@ _STANDARD_MODES: Final = dict(zip(_MODES, (1, 4, 5, 6, 7, 8), strict=True))
 """MAV_STANDARD_MODE by custom_mode of PX4: 7 and 8 as recorded, the others from the source."""
 
 
-# --- numbers --------------------------------------------------------------------------------------
-
-
 def whole(value: float) -> int:
-    """The nearest whole number; 0 for NaN."""
-    if -_HUGE < value < _HUGE:
-        return round(value)
-    return 0 if math.isnan(value) else int(math.copysign(_HUGE, value))
+    """The nearest whole number; 0 for what is not finite."""
+    return round(value) if math.isfinite(value) else 0
 
 
 def _e7(place: Any) -> tuple[int, int]:
@@ -61,336 +56,287 @@ def _e7_mm(place: Any) -> tuple[int, int, int]:
     return *_e7(place), whole(place.altitude_amsl_m * 1e3)
 
 
-def _is_px4(now: Report) -> bool:
-    return now.firmware.family == "px4"
+@final
+class Telemetry:
+    """One autopilot's, from its boot on; what it refers to is read when something is said.
 
+    None instead of fields: there is nothing to say now.
+    """
 
-def _is_plane(now: Report) -> bool:
-    return now.firmware.vehicle_type == _FIXED_WING
+    def __init__(
+        self, autopilot: Autopilot, ranging: RangeSensors, hardware_id: int, boot_us: int
+    ) -> None:
+        self._autopilot, self._ranging, self._hardware_id = autopilot, ranging, hardware_id
+        self._estimate, self._firmware = autopilot.estimate, autopilot.firmware
+        self._vehicle = autopilot.vehicle
+        """For attitude and airspeed only: position and velocity are the estimate's."""
+        self._is_px4 = autopilot.is_px4
+        self._is_plane = autopilot.firmware.vehicle_type == _FIXED_WING
+        self._boot_us = boot_us
+        self.now(boot_us)
 
+    def now(self, now_us: int) -> None:
+        """What is told from here on is of this time of the simulation."""
+        self._time_us = now_us - self._boot_us
+        vars(self).pop("_status", None)
 
-def _boot_ms(now: Report) -> int:
-    return now.time_us // 1000 & 0xFFFFFFFF
+    def said(self, number: int) -> Sequence[Prepared]:
+        """All messages of this number that there are now."""
+        if number in self._ranging.numbers:
+            return self._ranging.messages(number, self._time_us)
+        name = _NAMES.get(number)
+        fields = None if name is None else getattr(self, f"_{name}")()
+        return () if name is None or fields is None else (make(name, *fields),)
 
+    # --- what several of them tell ------------------------------------------------------------
 
-def _heading_cdeg(now: Report) -> int:
-    """Where the nose points, 0 to 35999."""
-    return round(math.degrees(now.vehicle.heading_rad) * 100.0) % 36000
+    @cached_property
+    def _status(self) -> Status:
+        """Computed when a message first needs it: most, like ATTITUDE, do not."""
+        return self._autopilot.status()
 
+    def _boot_ms(self) -> int:
+        return self._time_us // 1000 & 0xFFFFFFFF
 
-def _yaw_rad(now: Report) -> float:
-    """The same, from -pi to pi."""
-    return math.remainder(now.vehicle.heading_rad, math.tau)
+    def _heading_cdeg(self) -> int:
+        """Where the nose points, 0 to 35999."""
+        return round(math.degrees(self._vehicle.heading_rad) * 100.0) % 36000
 
+    def _angles_rad(self) -> Vector:
+        """Roll, pitch and yaw, this from -pi to pi."""
+        vehicle = self._vehicle
+        return vehicle.roll_rad, vehicle.pitch_rad, math.remainder(vehicle.heading_rad, math.tau)
 
-def _quaternion(now: Report) -> tuple[float, float, float, float]:
-    """Attitude, scalar first: as if it yawed, then pitched, then rolled."""
-    roll, pitch, yaw = now.vehicle.roll_rad / 2.0, now.vehicle.pitch_rad / 2.0, _yaw_rad(now) / 2.0
-    turn = complex(math.cos(yaw), math.sin(yaw))
-    level = turn * complex(math.cos(roll) * math.cos(pitch), -math.sin(roll) * math.sin(pitch))
-    bent = turn * complex(math.sin(roll) * math.cos(pitch), math.cos(roll) * math.sin(pitch))
-    return level.real, bent.real, bent.imag, level.imag
+    def _quaternion(self) -> tuple[float, float, float, float]:
+        """Attitude, scalar first: as if it yawed, then pitched, then rolled."""
+        roll, pitch, yaw = (angle_rad / 2.0 for angle_rad in self._angles_rad())
+        turn = complex(math.cos(yaw), math.sin(yaw))
+        level = turn * complex(math.cos(roll) * math.cos(pitch), -math.sin(roll) * math.sin(pitch))
+        bent = turn * complex(math.sin(roll) * math.cos(pitch), math.cos(roll) * math.sin(pitch))
+        return level.real, bent.real, bent.imag, level.imag
 
+    def _velocity_ned_m_s(self) -> Vector:
+        """The estimate's."""
+        level = self._estimate.velocity_m_s
+        return level.real, level.imag, -self._estimate.velocity_up_m_s
 
-def _velocity_ned_m_s(now: Report) -> tuple[float, float, float]:
-    """The estimate's."""
-    level = now.estimate.velocity_m_s
-    return level.real, level.imag, -now.estimate.velocity_up_m_s
+    def _altitude_amsl_m(self) -> float:
+        """ArduPilot's stands still with the position; the height above home does not."""
+        frozen_m = self._estimate.frozen_altitude_amsl_m
+        return self._estimate.altitude_amsl_m if frozen_m is None else frozen_m
 
+    def _above_m(self, place: Place | None) -> float:
+        """Height above it; NaN if it is not known."""
+        return _NAN if place is None else self._estimate.altitude_amsl_m - place.altitude_amsl_m
 
-def _altitude_amsl_m(now: Report) -> float:
-    """ArduPilot's stands still with the position; the height above home does not."""
-    frozen_m = now.estimate.frozen_altitude_amsl_m
-    return now.estimate.altitude_amsl_m if frozen_m is None else frozen_m
+    def _gauge(self) -> tuple[int, int, int]:
+        """Of the battery: millivolts, centiamperes and per cent."""
+        battery = self._autopilot.battery
+        amperes = _CENTIAMPERES_UNKNOWN if self._is_px4 else whole(battery.current_a * 100.0)
+        left = math.floor(min(max(battery.remaining, 0.0), 1.0) * 100.0 + 1e-9)
+        return whole(battery.voltage_v * 1e3), amperes, left
 
+    # --- what and how it is -------------------------------------------------------------------
 
-def _per_cent_left(now: Report) -> float:
-    """Of the battery's charge."""
-    return min(max(now.autopilot.battery.remaining, 0.0), 1.0) * 100.0
+    def _heartbeat(self) -> Fields:
+        firmware, status = self._firmware, self._status
+        modes = (status.base_mode, status.mode, status.system_status)
+        return firmware.vehicle_type, firmware.autopilot, *modes, 3
 
+    def _current_mode(self) -> Fields:
+        status = self._status
+        fails = status.system_status == State.CRITICAL
+        standard = 0 if fails else _STANDARD_MODES.get(status.mode, 0)
+        return standard, status.mode, status.intended_mode
 
-# --- what and how it is ---------------------------------------------------------------------------
+    def _extended_sys_state(self) -> Fields:
+        vtol = 0 if self._is_px4 or self._is_plane else mavlink.MAV_VTOL_STATE_MC
+        return vtol, self._status.landed_state
 
+    def _system_time(self) -> Fields:
+        unix_us = _EPOCH_US + self._boot_us + self._time_us
+        return unix_us if self._autopilot.fix.usable else 0, self._boot_ms()
 
-def _heartbeat(now: Report) -> Fields:
-    firmware, status = now.firmware, now.status
-    modes = (status.base_mode, status.mode, status.system_status)
-    return firmware.vehicle_type, firmware.autopilot, *modes, 3
+    def _timesync(self) -> Fields:
+        """A question; the last digit tells ArduPilot's from those of others."""
+        return 0, self._time_us * 1000 + (0 if self._is_px4 else 1)
 
+    def _autopilot_version(self) -> Fields:
+        version, custom = self._firmware.software_version, list(self._firmware.custom_version)
+        head = (self._firmware.capabilities, version)
+        if self._is_px4:
+            return *head, version, 101854463, 1, custom, custom, [0] * 8, 0, 0, self._hardware_id
+        uid = list(self._hardware_id.to_bytes(18, "little"))
+        return *head, 0, 0, 0, custom, [0] * 8, [0] * 8, 0, 0, 0, uid
 
-def _current_mode(now: Report) -> Fields:
-    status = now.status
-    fails = status.system_status == State.CRITICAL
-    standard = 0 if fails else _STANDARD_MODES.get(status.mode, 0)
-    return standard, status.mode, status.intended_mode
+    def _sys_status(self) -> Fields:
+        there, lost = self._ranging.bits(self._time_us)
+        there |= _PREARM_BIT | (_GPS_BIT if self._autopilot.fix.fix_type > 0 else 0)
+        there |= _PX4_SENSORS if self._is_px4 else _ARDUPILOT_SENSORS
+        lost |= 0 if self._status.prearm_ok else _PREARM_BIT
+        lost |= 0 if self._estimate.position_ok else _POSITION_BIT
+        rest = (*[0] * 8, 1) if self._is_px4 else ()
+        return there, there, there & ~lost, 0, *self._gauge(), *rest
 
+    def _battery_status(self) -> Fields:
+        volts, amperes, left = self._gauge()
+        consumed, cells = whole(self._autopilot.battery.consumed_mah), [volts, *[_NO_CELL] * 9]
+        kind = (0, 1, 1) if self._is_px4 else (0, 0, 0)
+        return *kind, _NO_TEMPERATURE, cells, amperes, consumed, 0, left, 0, 1
 
-def _extended_sys_state(now: Report) -> Fields:
-    vtol = 0 if _is_px4(now) or _is_plane(now) else mavlink.MAV_VTOL_STATE_MC
-    return vtol, now.status.landed_state
+    # --- where it is --------------------------------------------------------------------------
 
+    def _attitude(self) -> Fields:
+        return self._boot_ms(), *self._angles_rad(), *self._autopilot.rates_rad_s
 
-def _system_time(now: Report) -> Fields:
-    return now.unix_us, _boot_ms(now)
+    def _attitude_quaternion(self) -> Fields:
+        return self._boot_ms(), *self._quaternion(), *self._autopilot.rates_rad_s
 
+    def _local_position_ned(self) -> Fields | None:
+        here_m = self._autopilot.local_ned_m()
+        return here_m and (self._boot_ms(), *here_m, *self._velocity_ned_m_s())
 
-def _timesync(now: Report) -> Fields:
-    """A question; the last digit tells ArduPilot's from those of others."""
-    return 0, now.time_us * 1000 + (0 if _is_px4(now) else 1)
+    def _odometry(self) -> Fields | None:
+        here_m, frames = self._autopilot.local_ned_m(), (_LOCAL, _LOCAL)
+        attitude, rates_rad_s = list(self._quaternion()), self._autopilot.rates_rad_s
+        moving = (attitude, *self._velocity_ned_m_s(), *rates_rad_s)
+        rest = ([_NAN] * 21, [_NAN] * 21, 0, mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT)
+        return here_m and (self._time_us, *frames, *here_m, *moving, *rest)
 
+    def _global_position_int(self) -> Fields | None:
+        """Of PX4 once it has an origin."""
+        if self._is_px4 and self._estimate.origin is None:
+            return None
+        heights_m = self._altitude_amsl_m(), self._above_m(self._autopilot.home)
+        mm = (whole(each * 1e3) for each in heights_m)
+        cm_s = (whole(each * 100.0) for each in self._velocity_ned_m_s())
+        return self._boot_ms(), *_e7(self._estimate), *mm, *cm_s, self._heading_cdeg()
 
-def _autopilot_version(now: Report) -> Fields:
-    version, custom = now.firmware.software_version, list(now.firmware.custom_version)
-    head = (now.firmware.capabilities, version)
-    if _is_px4(now):
-        return *head, version, 101854463, 1, custom, custom, [0] * 8, 0, 0, now.hardware_id
-    uid = list(now.hardware_id.to_bytes(18, "little"))
-    return *head, 0, 0, 0, custom, [0] * 8, [0] * 8, 0, 0, 0, uid
-
-
-def _sys_status(now: Report) -> Fields:
-    prearm, battery = _PREARM_BIT if now.status.prearm_ok else 0, _gauge(now)
-    if _is_px4(now):
-        there = _PX4_SENSORS | (_GPS_BIT if now.estimate.aiding else 0)
-        well = there | prearm | (_POSITION_BIT if now.estimate.position_ok else 0)
-        wanted = there | _POSITION_BIT | _PREARM_BIT
-        battery = (*battery[:2], math.ceil(_per_cent_left(now)))
-        return wanted, wanted, well, 0, *battery, *[0] * 8, 1
-    there, lost = now.range_sensors
-    there |= _ARDUPILOT_SENSORS | (_GPS_BIT if now.autopilot.fix.fix_type > 0 else 0)
-    wanted, well = there | _PREARM_BIT, there & ~lost | prearm
-    return wanted, wanted, well, 0, *battery
-
-
-def _gauge(now: Report) -> tuple[int, int, int]:
-    """Millivolts, centiamperes and per cent."""
-    battery, left = now.autopilot.battery, math.floor(_per_cent_left(now) + 1e-9)
-    amperes = _CENTIAMPERES_UNKNOWN if _is_px4(now) else whole(battery.current_a * 100.0)
-    return whole(battery.voltage_v * 1e3), amperes, left
-
-
-def _battery_status(now: Report) -> Fields:
-    volts, amperes, left = _gauge(now)
-    kind, energy = ((0, 1, 1), -1) if _is_px4(now) else ((0, 0, 0), 0)
-    cells, consumed = [volts, *[_NO_CELL] * 9], whole(now.autopilot.battery.consumed_mah)
-    return *kind, _NO_TEMPERATURE, cells, amperes, consumed, energy, left, 0, 1
-
-
-# --- where it is ----------------------------------------------------------------------------------
-
-
-def _attitude(now: Report) -> Fields:
-    angles_rad = (now.vehicle.roll_rad, now.vehicle.pitch_rad, _yaw_rad(now))
-    return _boot_ms(now), *angles_rad, *now.autopilot.rates_rad_s
-
-
-def _attitude_quaternion(now: Report) -> Fields:
-    return _boot_ms(now), *_quaternion(now), *now.autopilot.rates_rad_s
-
-
-def _local_position_ned(now: Report) -> Fields | None:
-    here_m = now.autopilot.local_ned_m()
-    return here_m and (_boot_ms(now), *here_m, *_velocity_ned_m_s(now))
-
-
-def _odometry(now: Report) -> Fields | None:
-    here_m, frames = now.autopilot.local_ned_m(), (_LOCAL, _LOCAL)
-    moving = (list(_quaternion(now)), *_velocity_ned_m_s(now), *now.autopilot.rates_rad_s)
-    rest = ([_NAN] * 21, [_NAN] * 21, 0, mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT)
-    return here_m and (now.time_us, *frames, *here_m, *moving, *rest)
-
-
-def _global_position_int(now: Report) -> Fields | None:
-    """Of PX4 once it has an origin."""
-    home = now.autopilot.home
-    if _is_px4(now) and now.estimate.origin is None:
-        return None
-    above_home_m = 0.0 if home is None else now.estimate.altitude_amsl_m - home.altitude_amsl_m
-    mm = whole(_altitude_amsl_m(now) * 1e3), whole(above_home_m * 1e3)
-    cm_s = [whole(each * 100.0) for each in _velocity_ned_m_s(now)]
-    return _boot_ms(now), *_e7(now.estimate), *mm, *cm_s, _heading_cdeg(now)
-
-
-def _gps_raw_int(now: Report) -> Fields | None:
-    """Before the receiver speaks ArduPilot knows nothing, and PX4 says nothing."""
-    fix = now.autopilot.fix
-    if _is_px4(now) and not fix.time_us:
-        return None
-    solution: Fields = (0, 0, 0, 0, _NO_DILUTION, _NO_DILUTION, 0, 0)
-    if _is_px4(now) or fix.fix_type:
+    def _gps_raw_int(self) -> Fields | None:
+        """Before the receiver speaks PX4 says nothing."""
+        fix = self._autopilot.fix
+        if self._is_px4 and not fix.time_us:
+            return None
         north, east = fix.velocity_north_m_s, fix.velocity_east_m_s
         dilutions = (fix.horizontal_dilution, fix.vertical_dilution, math.hypot(north, east))
         course_cdeg = round(math.degrees(math.atan2(east, north)) * 100.0) % 36000
         hundredths = (whole(each * 100.0) for each in dilutions)
+        accuracies = (fix.horizontal_accuracy_m, fix.vertical_accuracy_m, fix.speed_accuracy_m_s)
+        mm = (whole(each * 1e3) for each in (fix.altitude_amsl_m, *accuracies))
         solution = (fix.fix_type, *_e7_mm(fix), *hundredths, course_cdeg)
-    accuracies = (fix.horizontal_accuracy_m, fix.vertical_accuracy_m, fix.speed_accuracy_m_s)
-    mm = (whole(each * 1e3) for each in (fix.altitude_amsl_m, *accuracies))
-    return fix.time_us, *solution, fix.satellites, *mm
+        return fix.time_us, *solution, fix.satellites, *mm
+
+    def _vfr_hud(self) -> Fields:
+        """A plane says its indicated airspeed, a copter of PX4 none."""
+        says = self._is_plane or not self._is_px4
+        airspeed_m_s = self._autopilot.airspeed_m_s() if says else _NAN
+        north, east, down = self._velocity_ned_m_s()
+        throttle = round(min(max(self._vehicle.throttle, 0.0), 1.0) * 100.0)
+        where = (self._heading_cdeg() // 100, throttle, self._altitude_amsl_m())
+        return airspeed_m_s, math.hypot(north, east), *where, -down
+
+    def _altitude(self) -> Fields:
+        """Above the sea by pressure and by estimate, the origin, home; the ground's; above that."""
+        local_m, amsl_m = self._above_m(self._estimate.origin), self._estimate.altitude_amsl_m
+        above_m = self._autopilot.height_m
+        heights_m = (amsl_m, local_m, self._above_m(self._autopilot.home), local_m - above_m)
+        return self._time_us, self._vehicle.altitude_amsl_m, *heights_m, above_m
+
+    def _distance_sensor(self) -> Fields | None:
+        """PX4's; of ArduPilot's proximity.py says more."""
+        if self._ranging.rangefinder_off:
+            return None
+        range_cm = min(round(self._autopilot.height_m * 100.0), 10000)
+        return self._boot_ms(), 0, 10000, range_cm, 0, 0, _DOWN
+
+    def _ekf_status_report(self) -> Fields:
+        estimate = self._estimate
+        return estimate.flags, estimate.velocity_variance, estimate.horizontal_variance
+
+    def _estimator_status(self) -> Fields:
+        accuracy_m = self._estimate.horizontal_accuracy_m
+        return self._time_us, *self._ekf_status_report(), *[0.0] * 4, accuracy_m
+
+    def _gps_global_origin(self) -> Fields | None:
+        origin = self._estimate.origin
+        return origin and (*_e7_mm(origin), self._time_us)
+
+    def _home_position(self) -> Fields | None:
+        """As if at the origin, but for its height; ArduPilot knows no attitude of the surface."""
+        home, origin, ned_m = self._autopilot.home, self._estimate.origin, _NO_VECTOR
+        if home is None or (self._is_px4 and origin is None):
+            return None
+        if origin is not None:
+            ned_m = (0.0, 0.0, origin.altitude_amsl_m - home.altitude_amsl_m)
+        q = [1.0, 0.0, 0.0, 0.0] if self._is_px4 else [_NAN] * 4
+        return *_e7_mm(home), *ned_m, q, 0.0, 0.0, 0.0, self._time_us
+
+    def _simstate(self) -> Fields:
+        """The truth: SITL says it too."""
+        return *[0.0] * 9, *_e7(self._vehicle)
+
+    def _wind(self) -> Fields:
+        """The air as it is, as a direction that it comes from."""
+        north, east = self._vehicle.wind_m_s.real, self._vehicle.wind_m_s.imag
+        return math.degrees(math.atan2(-east, -north)), math.hypot(north, east)
+
+    def _wind_cov(self) -> Fields | None:
+        """Of a plane, once in the air."""
+        if not self._is_plane or self._status.landed_state == Landed.ON_GROUND:
+            return None
+        wind = (self._vehicle.wind_m_s.real, self._vehicle.wind_m_s.imag)
+        return self._time_us, *wind, 0.0, 0.0, 0.0, self._estimate.altitude_amsl_m
+
+    # --- where it flies to --------------------------------------------------------------------
+
+    def _position_target_local_ned(self) -> Fields | None:
+        target = self._autopilot.target_echo()
+        if target is None:
+            return None
+        _, frame, mask, position, velocity, acceleration, *yaw = target
+        return self._boot_ms(), frame, mask, *position, *velocity, *acceleration, *yaw
+
+    def _position_target_global_int(self) -> Fields | None:
+        """The navigator's place; PX4 adds what else the controller aims at."""
+        waypoint, target = self._status.waypoint, self._autopilot.target_echo()
+        if waypoint is None:
+            return None
+        place, height_m = _e7(waypoint.place), waypoint.place.altitude_amsl_m
+        if not self._is_px4:
+            return self._boot_ms(), _GLOBAL, _ONLY_POSITION, *place, height_m
+        height_m = 0.0 if self._status.mode == _LAND and not self._is_plane else height_m
+        aim: Fields = (_NAN,) * 8
+        if target is not None:
+            *_, velocity, acceleration, yaw_rad, yaw_rate_rad_s = target
+            aim = (*velocity, *acceleration, yaw_rad, yaw_rate_rad_s)
+        return self._boot_ms(), _GLOBAL_INT, 0, *place, height_m, *aim
+
+    def _nav_controller_output(self) -> Fields | None:
+        """ArduPilot's; a copter has a target everywhere."""
+        waypoint, attitude_deg = self._status.waypoint, map(math.degrees, self._angles_rad()[:2])
+        if self._is_px4 or waypoint is None:
+            return None if self._is_plane or self._is_px4 else tuple(attitude_deg)
+        bearing_deg = round(math.degrees(math.remainder(waypoint.bearing_rad, math.tau)))
+        ways = (bearing_deg, bearing_deg, whole(waypoint.distance_m))
+        errors = (waypoint.altitude_error_m, waypoint.airspeed_error_m_s * 100.0)
+        return *attitude_deg, *ways, *errors, waypoint.cross_track_m
+
+    def _mission_current(self) -> Fields:
+        """Mode of PX4: 1 while the navigator lands, takes off or flies the mission, else 2."""
+        status, autopilot = self._status, self._autopilot
+        total = max(len(autopilot.plans[PlanKind.MISSION]) - self._firmware.first_item, 0)
+        total = (total or _NO_MISSION) if self._is_px4 else total
+        flies = status.waypoint is not None and status.mode in (_LAND, _TAKEOFF, _MISSION)
+        mode = (1 if flies else 2) if self._is_px4 else 0
+        return autopilot.route.current, total, autopilot.mission_state(), mode
+
+    def _fence_status(self) -> Fields | None:
+        return self._status.fence
 
 
-def _vfr_hud(now: Report) -> Fields:
-    """A plane says its indicated airspeed, a copter of PX4 none."""
-    airspeed_m_s, altitude_m = now.autopilot.airspeed_m_s(), now.estimate.altitude_amsl_m
-    if _is_px4(now):
-        airspeed_m_s = airspeed_m_s if _is_plane(now) else _NAN
-    else:
-        known = now.autopilot.fix.fix_type or now.time_us > 10_000_000
-        altitude_m = round(_altitude_amsl_m(now), 2) if known else 0.0
-    north, east, down = _velocity_ned_m_s(now)
-    throttle = round(min(max(now.vehicle.throttle, 0.0), 1.0) * 100.0)
-    speeds_m_s = (airspeed_m_s, math.hypot(north, east))
-    return *speeds_m_s, _heading_cdeg(now) // 100, throttle, altitude_m, -down
-
-
-def _altitude(now: Report) -> Fields:
-    """Above the sea, the origin, home and the ground's own height; and above the ground."""
-    amsl_m, origin, home = now.estimate.altitude_amsl_m, now.estimate.origin, now.autopilot.home
-    above_m = now.autopilot.height_m
-    known_m, local_m = (_NAN, _NAN) if origin is None else (amsl_m, amsl_m - origin.altitude_amsl_m)
-    above_home_m = _NAN if home is None else amsl_m - home.altitude_amsl_m
-    heights_m = (now.vehicle.altitude_amsl_m, known_m, local_m, above_home_m)
-    return now.time_us, *heights_m, local_m - above_m, above_m
-
-
-def _distance_sensor(now: Report) -> Fields:
-    """PX4's; of ArduPilot's proximity.py says more."""
-    range_cm = min(round(now.autopilot.height_m * 100.0), 10000)
-    return _boot_ms(now), 0, 10000, range_cm, 0, 0, _DOWN
-
-
-def _ekf_status_report(now: Report) -> Fields:
-    estimate = now.estimate
-    return estimate.flags, estimate.velocity_variance, estimate.horizontal_variance
-
-
-def _estimator_status(now: Report) -> Fields:
-    accuracy_m = now.estimate.horizontal_accuracy_m
-    return now.time_us, *_ekf_status_report(now), *[0.0] * 4, accuracy_m
-
-
-def _gps_global_origin(now: Report) -> Fields | None:
-    origin = now.estimate.origin
-    return origin and (*_e7_mm(origin), now.time_us)
-
-
-def _home_position(now: Report) -> Fields | None:
-    """Seen from the origin; ArduPilot knows no attitude of the surface."""
-    home, origin, ned_m = now.autopilot.home, now.estimate.origin, _NO_VECTOR
-    if home is None or (_is_px4(now) and origin is None):
-        return None
-    if origin is not None:
-        per_deg, shrink = ARDUPILOT_M_PER_DEG, math.cos(math.radians(origin.latitude_deg))
-        north_m = (home.latitude_deg - origin.latitude_deg) * per_deg
-        east_m = degrees_east(origin.longitude_deg, home.longitude_deg) * per_deg * shrink
-        north_m, east_m = (0.0, 0.0) if _is_px4(now) else (north_m, east_m)
-        ned_m = (north_m, east_m, origin.altitude_amsl_m - home.altitude_amsl_m)
-    q = [1.0, 0.0, 0.0, 0.0] if _is_px4(now) else [_NAN] * 4
-    return *_e7_mm(home), *ned_m, q, 0.0, 0.0, 0.0, now.time_us
-
-
-def _simstate(now: Report) -> Fields:
-    """The truth: SITL says it too."""
-    return *[0.0] * 9, *_e7(now.vehicle)
-
-
-def _wind(now: Report) -> Fields:
-    """The air as it is, as a direction that it comes from."""
-    north, east = now.vehicle.wind_m_s.real, now.vehicle.wind_m_s.imag
-    direction_deg = math.degrees(math.atan2(-east, -north)) if north or east else -180.0
-    return direction_deg, math.hypot(north, east)
-
-
-def _wind_cov(now: Report) -> Fields | None:
-    """Of a plane, once in the air."""
-    if not _is_plane(now) or now.status.landed_state == Landed.ON_GROUND:
-        return None
-    wind = (now.vehicle.wind_m_s.real, now.vehicle.wind_m_s.imag)
-    return now.time_us, *wind, 0.0, 0.0, 0.0, now.estimate.altitude_amsl_m
-
-
-# --- where it flies to ----------------------------------------------------------------------------
-
-
-def _position_target_local_ned(now: Report) -> Fields | None:
-    target = now.autopilot.target_echo()
-    if target is None:
-        return None
-    _, frame, mask, position, velocity, acceleration, *yaw = target
-    return _boot_ms(now), frame, mask, *position, *velocity, *acceleration, *yaw
-
-
-def _position_target_global_int(now: Report) -> Fields | None:
-    """The navigator's place; PX4 with the controller's velocity, acceleration, yaw and its rate."""
-    waypoint, target = now.status.waypoint, now.autopilot.target_echo()
-    if waypoint is None:
-        return None
-    place, height_m = _e7(waypoint.place), waypoint.place.altitude_amsl_m
-    if not _is_px4(now):
-        return _boot_ms(now), _GLOBAL, _ONLY_POSITION, *place, height_m
-    height_m = 0.0 if now.status.mode == _LAND and not _is_plane(now) else height_m
-    aim: Fields = (_NAN,) * 8
-    if target is not None:
-        *_, velocity, acceleration, yaw_rad, yaw_rate_rad_s = target
-        aim = (*velocity, *acceleration, yaw_rad, yaw_rate_rad_s)
-    return _boot_ms(now), _GLOBAL_INT, 0, *place, height_m, *aim
-
-
-def _nav_controller_output(now: Report) -> Fields | None:
-    """A copter has a target everywhere."""
-    vehicle, waypoint = now.vehicle, now.status.waypoint
-    attitude_deg = (math.degrees(vehicle.roll_rad), math.degrees(vehicle.pitch_rad))
-    if waypoint is None:
-        return None if _is_plane(now) else attitude_deg
-    bearing_deg = round(math.degrees(math.remainder(waypoint.bearing_rad, math.tau)))
-    ways = (bearing_deg, bearing_deg, whole(waypoint.distance_m))
-    errors = (waypoint.altitude_error_m, waypoint.airspeed_error_m_s * 100.0)
-    return *attitude_deg, *ways, *errors, waypoint.cross_track_m
-
-
-def _mission_current(now: Report) -> Fields:
-    """Mode of PX4: 1 while the navigator lands, takes off or flies the mission, else 2."""
-    status, autopilot = now.status, now.autopilot
-    total = max(len(autopilot.plans[PlanKind.MISSION]) - now.firmware.first_item, 0)
-    total = (total or _NO_MISSION) if _is_px4(now) else total
-    flies = status.waypoint is not None and status.mode in (_LAND, _TAKEOFF, _MISSION)
-    mode = (1 if flies else 2) if _is_px4(now) else 0
-    return autopilot.route.current, total, autopilot.mission_state(), mode
-
-
-def _fence_status(now: Report) -> Fields | None:
-    return now.status.fence
-
-
-# --- who says what --------------------------------------------------------------------------------
-
-
-def _messages(*functions: Callable[[Report], Fields | None]) -> dict[int, Builder]:
-    """By number what makes the messages that these functions are called after."""
-    numbers = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
-    names = [each.__name__.strip("_").upper() for each in functions]
-    pairs = zip(names, functions, strict=True)
-    return {numbers[name]: (layout_of(name), fields) for name, fields in pairs}
-
-
-_BOTH: Final = _messages(
-    *(_heartbeat, _extended_sys_state, _system_time, _timesync, _autopilot_version, _sys_status),
-    *(_battery_status, _attitude, _attitude_quaternion, _local_position_ned, _global_position_int),
-    *(_gps_raw_int, _vfr_hud, _gps_global_origin, _home_position, _position_target_local_ned),
-    *(_position_target_global_int, _mission_current),
-)
-MESSAGES: Final[dict[Firmware, dict[int, Builder]]] = {
-    "ardupilot": _BOTH
-    | _messages(_ekf_status_report, _simstate, _wind, _nav_controller_output, _fence_status),
-    "px4": _BOTH
-    | _messages(
-        _current_mode, _odometry, _altitude, _distance_sensor, _estimator_status, _wind_cov
-    ),
+_NAMES: Final = {
+    number: name
+    for number, kind in mavlink.mavlink_map.items()
+    if hasattr(Telemetry, f"_{(name := kind.msgname.lower())}")
 }
-"""What can be said, by message number."""
-
-
-def message_of(now: Report, number: int) -> Prepared | None:
-    """The message of this number; None: there is nothing to say now, or no such message."""
-    layout, fields = MESSAGES[now.firmware.family].get(number, (None, None))
-    values = fields(now) if fields else None
-    return None if layout is None or values is None else filled(layout, values)
+"""Of the messages that there is a method for, by number."""
