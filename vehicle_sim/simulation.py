@@ -5,7 +5,6 @@ terrain radar and the radio.
 """
 
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import replace
 from typing import Final, final
 
 from vehicle_sim import ground_station, truth
@@ -72,7 +71,7 @@ class Simulation:
         forwards_all: bool = True,
         faults: str = "",
     ) -> None:
-        world = replace(world, vehicle=with_own_ids(world.vehicle))
+        world = world.model_copy(update={"vehicle": with_own_ids(world.vehicle)})
         table, terrain = world.vehicle, world.truth()
         self._world, self._seed, self._personality = world, seed, personality_of(table)
         self.now_us = 0

@@ -105,7 +105,8 @@ def with_own_ids(vehicle: VehicleTable) -> VehicleTable:
             raise InputError(f"parameter {name}", value, rule, "Try 2.")
     given = parameters.pop(personality.id_parameters[0], None)
     if given is not None:
-        return replace(vehicle, system_id=int(given), parameters=parameters)
+        own = {"system_id": int(given), "parameters": parameters}
+        return vehicle.model_copy(update=own)
     return vehicle
 
 
