@@ -159,7 +159,7 @@ class Vehicle(_Table):
     bank_max_deg: Annotated[_Real, Field(gt=0, le=80)] | None = None
     climb_max_m_s: _Speed | None = None
     sink_max_m_s: _Speed | None = None
-    parameters: dict[str, _Real] = Field(default={})
+    parameters: dict[str, _Real] = Field(default_factory=dict)
     """The autopilot's own, by their names and in their units."""
 
     def model_post_init(self, _: object) -> None:
@@ -276,7 +276,7 @@ class Wood(AreaTable):
 
 
 class LidarTable(_Table):
-    """A lidar on board."""
+    """A lidar on board, with a driver of its own or read by the autopilot: one of those at most."""
 
     range_m: Annotated[_Real, Field(gt=0, le=600)]
     min_m: _Positive = 0.2
@@ -310,7 +310,7 @@ class World(_Table):
     vehicle: Vehicle
     scanner: Scanner | None = None
     """Left out: the vehicle has none."""
-    radars: tuple[dict[str, Any], ...] = ()
+    radars: tuple[dict[str, float | str], ...] = ()
     """Those that look for the vehicle: the companion's affair."""
     area: AreaTable | None = None
     trees: tuple[Tree, ...] = ()
