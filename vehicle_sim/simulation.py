@@ -17,7 +17,7 @@ from vehicle_sim.autopilot.factory import (
     with_own_ids,
 )
 from vehicle_sim.autopilot.values import Sender, Text
-from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
+from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery
 from vehicle_sim.dynamics.contact import LOOK_US, Contact, Crash
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.plane import Plane
@@ -101,7 +101,7 @@ class Simulation:
         )
         """Where it is in the world, and how near to the ground and to things."""
         self._wind = Wind(generator(seed, "wind"))
-        self._power = PowerModule(Battery(), self._personality.battery)
+        self._battery = Battery(model=self._personality.battery)
         self.plans = Plans()
         """Mission, fence and rally points as the autopilot stores them."""
         self._timeline = Timeline.parse(faults, name="faults")
@@ -143,7 +143,7 @@ class Simulation:
         rng = generator(self._seed, f"autopilot {self._boots}")
         boot = Boot(self._personality.firmware, self.vehicle, overrides, self.plans, rng)
         autopilot = self._personality.make(boot)
-        autopilot.battery = self._power.battery
+        autopilot.battery = self._battery
         self.parameters: Parameters = autopilot.parameters
         """The autopilot's; a reboot makes new ones."""
         self._ids = ids_of(self._personality, self.parameters)
@@ -394,7 +394,7 @@ class Simulation:
         controller.go_on(replies)
         if looks:
             armed = controller.autopilot.armed
-            self._power.step(POWER_STEP_S, vehicle, armed, conditions.battery)
+            self._battery.step(POWER_STEP_S, vehicle, armed, conditions.battery)
         if controller.wants_reboot:
             self._go_down()
 

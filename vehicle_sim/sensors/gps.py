@@ -60,8 +60,6 @@ class Receiver:
     fix_type: int
     """The best it reaches."""
     fix_type_lost: int
-    satellites_lost: int | None
-    """What it says without a fix; None: as many as are asked for."""
     quality: tuple[float, float, float, float, float]
     """Dilution, horizontal and vertical; accuracy of place and height in m, of speed in m/s."""
     quality_lost: tuple[float, float, float, float, float]
@@ -77,7 +75,6 @@ ARDUCOPTER: Final = Receiver(
     first_us=9_773_000,
     fix_type=6,
     fix_type_lost=1,
-    satellites_lost=3,
     quality=(1.21, 2.0, 0.3, 0.3, 0.0),
     quality_lost=(1.21, 2.0, 0.3, 0.3, 0.0),
     late_lock=True,
@@ -90,7 +87,6 @@ PX4: Final = Receiver(
     first_us=125_000,
     fix_type=3,
     fix_type_lost=0,
-    satellites_lost=None,
     quality=(0.7, 1.1, 0.9, 1.78, 0.4),
     quality_lost=(100.0, 100.0, 100.0, 100.0, 100.0),
     late_lock=False,
@@ -158,13 +154,13 @@ class Gps:
             keep = math.exp(-receiver.interval_us * 1e-6 / _WANDER_S)
             fresh = self._noise(3 * (math.sqrt(1.0 - keep * keep),))
             self._wander = keep * self._wander + fresh
-            error_m = error_m + np.array([1.0, 1.0, _VERTICAL]) * conditions.sigma_m * self._wander
+            error_m += np.array([1.0, 1.0, _VERTICAL]) * conditions.sigma_m * self._wander
         velocity = np.array(vehicle.velocity_neu_m_s)
-        error_m = error_m - velocity * ((now_us - due_us) * 1e-6)
+        error_m -= velocity * ((now_us - due_us) * 1e-6)
         here = (vehicle.latitude_deg, vehicle.longitude_deg, vehicle.altitude_amsl_m)
         place = here + _degrees(error_m, vehicle.latitude_deg)
         place[2] += conditions.offset_up_m
-        velocity = velocity + self._noise(receiver.velocity_noise_m_s)
+        velocity += self._noise(receiver.velocity_noise_m_s)
         return _Sample(due_us, conditions.enabled, place, velocity)
 
     def _noise(self, sizes: Vector) -> FloatArray:
@@ -204,8 +200,6 @@ class Gps:
             self._jam = None
         if locked or not receiver.late_lock:
             self._locked_us = due_us
-        if not locked and receiver.satellites_lost is not None:
-            satellites = receiver.satellites_lost
         drift_m_s = np.array(conditions.drift_m_s)
         drifted_m = self._drift_m + drift_m_s * (receiver.interval_us * 1e-6)
         self._drift_m = drifted_m if drift_m_s.any() else np.zeros(3)
@@ -220,7 +214,7 @@ class Gps:
             around(longitude_deg),
             altitude_m,
             *(sample.velocity_m_s + drift_m_s).tolist(),
-            satellites,
+            satellites if locked else min(satellites, _LEAST_SATELLITES - 1),
             *(receiver.quality if locked else receiver.quality_lost),
         )
 
