@@ -30,7 +30,6 @@ from vehicle_sim.terrain import FloatArray, Terrain
 BLOCK_CELLS: Final = 4
 ROWS, COLUMNS = 7, 8
 UNSEEN_M: Final = -32768
-_CELLS_NORTH, _CELLS_EAST = ROWS * BLOCK_CELLS, COLUMNS * BLOCK_CELLS
 _GRID_CELLS_PER_RANGE: Final = 400
 _GRID_MARGIN: Final = 0.25
 _TILE_CELLS: Final = 100
@@ -151,14 +150,11 @@ class TerrainRadar:
         """
         rows = np.stack([north, north, north + 1, north + 1], axis=-1)
         columns = np.stack([east, east + 1, east + 1, east], axis=-1)
-        corners_ne_m = np.empty((_CELLS_NORTH + 1, _CELLS_EAST + 1, 2))
-        wanted = np.zeros(corners_ne_m.shape[:2], dtype=bool)
-        wanted[rows, columns] = True  # each once: cells share them
-        north_m, east_m = (each * np.float64(request.spacing_m) for each in np.nonzero(wanted))
-        places = request.frame.to_geographic_many(north_m, east_m)
-        local = self._frame.to_local_many(*places)
-        corners_ne_m[wanted] = np.stack(local, axis=-1)
-        return corners_ne_m[rows, columns]
+        width = COLUMNS * BLOCK_CELLS + 1
+        corners, which = np.unique(rows * width + columns, return_inverse=True)  # cells share them
+        corner_m = np.stack(np.divmod(corners, width)) * float(request.spacing_m)
+        local = self._frame.to_local_many(*request.frame.to_geographic_many(*corner_m))
+        return np.stack(local, axis=-1)[which].reshape(-1, 4, 2)
 
     def _seen(
         self,
@@ -179,24 +175,19 @@ class TerrainRadar:
             free = self._in_sight(eye, others.reshape(-1, 2)).reshape(-1, 5)
             seen[left] = free.any(axis=1)
             left = left[~seen[left]]
+        # the rest is divided until its parts are about two cells of the grid wide
         quads, of = corners_ne_m[left], left
-        for _ in range(self._divisions(eye, quads)):
-            if not len(quads):
-                break
+        side_m = float(np.hypot(*(quads[:, 1] - quads[:, 0]).T).max(initial=0.0))
+        times = math.log(max(0.5 * side_m / self._grid_about(eye).cell_m, 1.0), _PARTS)
+        for _ in range(min(math.ceil(times - 1e-9), _MAX_DIVISIONS)):
             quads, of = _divided(quads), np.repeat(of, _PARTS * _PARTS)
             highest, _ = self._terrain.highest_in_quads_amsl_m(quads)
             may_be = self._may_be_seen(eye, quads, highest)
             quads, of = quads[may_be], of[may_be]
+            if not len(quads):
+                break
         seen[of] = True
         return seen
-
-    def _divisions(self, eye: Eye, quads_ne_m: FloatArray) -> int:
-        """How often to divide quadrilaterals until they are about two cells of the grid wide."""
-        if not len(quads_ne_m):
-            return 0
-        side_m = float(np.hypot(*(quads_ne_m[:, 1] - quads_ne_m[:, 0]).T).max())
-        times = math.log(max(0.5 * side_m / self._grid_about(eye).cell_m, 1.0), _PARTS)
-        return min(math.ceil(times - 1e-9), _MAX_DIVISIONS)
 
     def _may_be_seen(
         self, eye: Eye, corners_ne_m: FloatArray, highest_amsl_m: FloatArray
