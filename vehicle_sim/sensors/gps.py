@@ -207,13 +207,14 @@ class Gps:
         wrong = _degrees(self._drift_m + conditions.glitch_m, sample.place[0])
         wrong += np.array([*glitch, conditions.glitch_up_m])
         latitude_deg, longitude_deg, altitude_m = (sample.place + wrong).tolist()
+        north_m_s, east_m_s, up_m_s = (sample.velocity_m_s + drift_m_s).tolist()
         return Fix(
             self._locked_us,
             receiver.fix_type if locked else receiver.fix_type_lost,
             min(max(latitude_deg, -90.0), 90.0),
             around(longitude_deg),
             altitude_m,
-            *(sample.velocity_m_s + drift_m_s).tolist(),
+            *(north_m_s, east_m_s, up_m_s),
             satellites if locked else min(satellites, _LEAST_SATELLITES - 1),
             *(receiver.quality if locked else receiver.quality_lost),
         )

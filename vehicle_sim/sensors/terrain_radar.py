@@ -76,29 +76,23 @@ class _Grid:
         tile_m = _TILE_CELLS * self.cell_m
         tiles = 2 * math.ceil(range_m * (1.0 + 2.0 * _GRID_MARGIN) / tile_m)
         # Whole multiples of the tile: the same ground has the same bounds wherever one looks from.
-        self.south_m, self.west_m = ((round(x / tile_m) - tiles // 2) * tile_m for x in near_ne_m)
-        self.place = (self.south_m, self.west_m, self.cell_m)
-        self.middle_ne_m = np.array([self.south_m, self.west_m]) + 0.5 * tiles * tile_m
+        south_m, west_m = ((round(x / tile_m) - tiles // 2) * tile_m for x in near_ne_m)
+        self.place = (south_m, west_m, self.cell_m)
+        self.middle_ne_m = np.array([south_m, west_m]) + 0.5 * tiles * tile_m
         self.lowest_amsl_m = np.full((tiles * _TILE_CELLS,) * 2, -np.inf)
         self._found = np.zeros((tiles, tiles), dtype=bool)
 
     def find(self, points_ne_m: FloatArray) -> None:
         """Have the bounds of all cells between these points.  (K, 2)."""
-        tile_m, corner = _TILE_CELLS * self.cell_m, np.array([self.south_m, self.west_m])
+        (*corner, cell_m), edges = self.place, np.arange(_TILE_CELLS + 1.0)
         ends = np.stack([points_ne_m.min(axis=0), points_ne_m.max(axis=0)]) - corner
-        ends[0] -= self.cell_m  # one cell more: lines look around themselves
-        ends[1] += self.cell_m
-        low, high = np.clip(ends // tile_m, 0, len(self._found) - 1).astype(int)
+        ends += [[-cell_m], [cell_m]]  # one cell more: lines look around themselves
+        low, high = np.clip(ends // (_TILE_CELLS * cell_m), 0, len(self._found) - 1).astype(int)
         part = self._found[low[0] : high[0] + 1, low[1] : high[1] + 1]
-        for tile in np.argwhere(~part) + low:
-            first = tile * _TILE_CELLS
-            edges = np.arange(_TILE_CELLS + 1.0)
-            lowest = self._terrain.lowest_in_grid_amsl_m(
-                self.south_m + (first[0] + edges) * self.cell_m,
-                self.west_m + (first[1] + edges) * self.cell_m,
-            )
+        for first in (np.argwhere(~part) + low) * _TILE_CELLS:
+            edges_m = np.array(corner)[:, None] + (first[:, None] + edges) * cell_m
             rows, columns = (slice(at, at + _TILE_CELLS) for at in first)
-            self.lowest_amsl_m[rows, columns] = lowest
+            self.lowest_amsl_m[rows, columns] = self._terrain.lowest_in_grid_amsl_m(*edges_m)
         part[:] = True
 
 
