@@ -67,8 +67,6 @@ class Scene:
         0 inside of one; infinite if there is none.
         """
         points = np.asarray(points_nea_m, dtype=np.float64).reshape(-1, 3)
-        if self.empty:
-            return np.full(len(points), np.inf)
         return _distances_m(points, self._pieces)
 
     def ray_lengths_m(

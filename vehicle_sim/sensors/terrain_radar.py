@@ -158,55 +158,45 @@ class TerrainRadar:
         view: Viewpoint,
     ) -> NDArray[np.bool_]:
         """Whether some point of each cell may be in sight.  (C, 4, 2), (C,), (C, 2) -> (C,)."""
-        north_m, east_m = self._frame.to_local(view.latitude_deg, view.longitude_deg)
-        eye = (north_m, east_m, view.altitude_amsl_m)
-        seen = self._in_sight(eye, highest_ne_m)  # the likeliest point first: few need more
+        eye = (
+            *self._frame.to_local(view.latitude_deg, view.longitude_deg),
+            view.altitude_amsl_m,
+        )
+        grid = self._grid_about(eye, corners_ne_m.reshape(-1, 2))
+        lowest = (grid.lowest_amsl_m, grid.place)
+
+        def in_sight(points_ne_m: FloatArray) -> NDArray[np.bool_]:
+            """Whether these points of the surface have free lines to the eye.  (K, 2) -> (K,)."""
+            top_m = self._terrain.height_amsl_m(points_ne_m[:, 0], points_ne_m[:, 1])
+            return _in_sight(eye, np.column_stack([points_ne_m, top_m]), *lowest)
+
+        seen = in_sight(highest_ne_m)  # the likeliest point first: few need more
         left = np.flatnonzero(~seen)
-        left = left[self._may_be_seen(eye, corners_ne_m[left], highest_amsl_m[left])]
-        if len(left):
-            corners = corners_ne_m[left]
-            others = np.concatenate([corners, corners.mean(axis=1, keepdims=True)], axis=1)
-            free = self._in_sight(eye, others.reshape(-1, 2)).reshape(-1, 5)
-            seen[left] = free.any(axis=1)
-            left = left[~seen[left]]
+        left = left[_may_be_seen(eye, corners_ne_m[left], highest_amsl_m[left], *lowest)]
+        corners = corners_ne_m[left]
+        others = np.concatenate([corners, corners.mean(axis=1, keepdims=True)], axis=1)
+        seen[left] = in_sight(others.reshape(-1, 2)).reshape(-1, 5).any(axis=1)
         # the rest is divided until its parts are about two cells of the grid wide
-        quads, of = corners_ne_m[left], left
+        of = left[~seen[left]]
+        quads = corners_ne_m[of]
         side_m = float(np.hypot(*(quads[:, 1] - quads[:, 0]).T).max(initial=0.0))
-        times = math.log(max(0.5 * side_m / self._grid_about(eye).cell_m, 1.0), _PARTS)
-        for _ in range(min(math.ceil(times - 1e-9), _MAX_DIVISIONS)):
+        divisions = math.ceil(math.log(max(0.5 * side_m / grid.cell_m, 1.0), _PARTS) - 1e-9)
+        for _ in range(min(divisions, _MAX_DIVISIONS)):
             quads, of = _divided(quads), np.repeat(of, _PARTS * _PARTS)
             highest, _ = self._terrain.highest_in_quads_amsl_m(quads)
-            may_be = self._may_be_seen(eye, quads, highest)
+            may_be = _may_be_seen(eye, quads, highest, *lowest)
             quads, of = quads[may_be], of[may_be]
             if not len(quads):
                 break
         seen[of] = True
         return seen
 
-    def _may_be_seen(
-        self, eye: Eye, corners_ne_m: FloatArray, highest_amsl_m: FloatArray
-    ) -> NDArray[np.bool_]:
-        """Whether a line to some point of each quadrilateral may be free.  (K, 4, 2), (K,) -> (K,).
-
-        Taken to be as high as its highest all over the circle around it.
-        """
-        grid = self._grid_about(eye, corners_ne_m.reshape(-1, 2))
-        return _may_be_seen(eye, corners_ne_m, highest_amsl_m, grid.lowest_amsl_m, grid.place)
-
-    def _in_sight(self, eye: Eye, points_ne_m: FloatArray) -> NDArray[np.bool_]:
-        """Whether each point of the surface has a free line to the eye.  (K, 2) -> (K,)."""
-        grid = self._grid_about(eye, points_ne_m)
-        top_m = self._terrain.height_amsl_m(points_ne_m[:, 0], points_ne_m[:, 1])
-        points_nea_m = np.column_stack([points_ne_m, top_m])
-        return _in_sight(eye, points_nea_m, grid.lowest_amsl_m, grid.place)
-
-    def _grid_about(self, eye: Eye, points_ne_m: FloatArray | None = None) -> _Grid:
+    def _grid_about(self, eye: Eye, points_ne_m: FloatArray) -> _Grid:
         """A grid beyond the range on all sides of the eye, with what is between it and points."""
         grid, spare_m = self._grid, _GRID_MARGIN * self._range_m
         if grid is None or np.abs(grid.middle_ne_m - eye[:2]).max() > 1.5 * spare_m:
             grid = self._grid = _Grid(self._terrain, eye[:2], self._range_m)
-        if points_ne_m is not None and len(points_ne_m):
-            grid.find(np.concatenate([points_ne_m, [eye[:2]]]))
+        grid.find(np.concatenate([points_ne_m, [eye[:2]]]))
         return grid
 
 
@@ -273,7 +263,10 @@ def _may_be_seen(
     lowest_amsl_m: FloatArray,
     south_west_cell_m: Eye,
 ) -> NDArray[np.bool_]:
-    """Whether a line to some point of a quadrilateral may be free.  (K, 4, 2), (K,) -> (K,)."""
+    """Whether a line to some point of a quadrilateral may be free.  (K, 4, 2), (K,) -> (K,).
+
+    Taken to be as high as its highest all over the circle around it.
+    """
     seen = np.zeros(len(corners_ne_m), dtype=np.bool_)
     cell_m, hint_m = south_west_cell_m[2], 0.0
     for k in range(len(corners_ne_m)):
