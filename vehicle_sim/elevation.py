@@ -86,20 +86,24 @@ class GridTerrain:
         """Height of the terrain at one point."""
         return float(self.height_amsl_m(np.array([north_m]), np.array([east_m]))[0])
 
-    def _steepest(self, grid: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
-        """Bound of the gradient less than two rows and columns from each point of a part.
+    def _steepest(self, grid: FloatArray) -> FloatArray:
+        """Bound of the gradient between points that lie together: C times K rows and columns.
 
-        (2, ...) rows and columns in the part -> (R, C), and row and column of its first point.
+        (2, C, K) -> (C,).  If some of them lie more than two rows apart, that of them all.
         """
         last = np.array(self.heights_m.shape) - 1
-        low = np.clip(np.floor(grid.reshape(2, -1).min(axis=1)).astype(np.intp) - 3, 0, last)
-        high = np.clip(np.ceil(grid.reshape(2, -1).max(axis=1)).astype(np.intp) + 3, 0, last)
+        low = np.clip(np.floor(grid.min(axis=(1, 2))).astype(np.intp) - 3, 0, last)
+        high = np.clip(np.ceil(grid.max(axis=(1, 2))).astype(np.intp) + 3, 0, last)
         part = self.heights_m[low[0] : high[0] + 1, low[1] : high[1] + 1].astype(np.float64)
         part = np.pad(part, ((0, 1), (0, 1)), mode="edge")
-        steepest = scipy.ndimage.maximum_filter
-        along_north = steepest(np.abs(np.diff(part, axis=0))[:, :-1], 5) / self._steps_m[0]
-        along_east = steepest(np.abs(np.diff(part, axis=1))[:-1], 5) / self._steps_m[1]
-        return np.asarray(_STRETCH * np.hypot(along_north, along_east)), low
+        most = scipy.ndimage.maximum_filter  # within two rows and columns
+        along_north = most(np.abs(np.diff(part, axis=0))[:, :-1], 5) / self._steps_m[0]
+        along_east = most(np.abs(np.diff(part, axis=1))[:-1], 5) / self._steps_m[1]
+        slope: FloatArray = _STRETCH * np.hypot(along_north, along_east)
+        if np.any(np.ptp(grid, axis=2) > 2.0):
+            return np.full(grid.shape[1], slope.max())
+        middle = np.rint(grid.mean(axis=2)).astype(np.intp) - low[:, None]
+        return slope[tuple(np.clip(middle, 0, np.array(slope.shape)[:, None] - 1))]
 
     def highest_in_quads_amsl_m(self, corners_ne_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Highest terrain over convex quadrilaterals, and where.  (C, 4, 2) -> (C,), (C, 2).
@@ -115,17 +119,10 @@ class GridTerrain:
         corners = self._rows_columns(corners_ne_m[..., 0], corners_ne_m[..., 1])  # (2, C, 4)
         grid = corners @ shares  # (2, C, count^2): cells of 1 km bend by 1 cm
         heights = _between(self.heights_m, grid)
-        best = heights.argmax(axis=1)
-        cell = np.arange(len(best))
-        slope, start = self._steepest(grid)
-        middle = np.rint(grid.mean(axis=2)).astype(np.intp) - start[:, None]
-        steepest = slope[tuple(np.clip(middle, 0, np.array(slope.shape)[:, None] - 1))]
-        if np.any(np.ptp(grid, axis=2) > 2.0):
-            steepest = np.full_like(steepest, slope.max())
         between_m = longest_m / (count - 1) / math.sqrt(2.0)
-        return heights[cell, best] + steepest * between_m, np.einsum(
-            "kc,ckx->cx", shares[:, best], corners_ne_m
-        )
+        highest_m = heights.max(axis=1) + self._steepest(grid) * between_m
+        best = shares[:, heights.argmax(axis=1)]  # (4, C)
+        return highest_m, np.einsum("kc,ckx->cx", best, corners_ne_m)
 
     def lowest_in_grid_amsl_m(
         self, north_edges_m: FloatArray, east_edges_m: FloatArray
@@ -137,24 +134,23 @@ class GridTerrain:
         grid = self._rows_columns(*np.meshgrid(north_edges_m, east_edges_m, indexing="ij"))
         corner = _between(self.heights_m, grid)
         pairs = np.minimum(corner[1:], corner[:-1])
-        steepest = float(self._steepest(grid)[0].max())
         half_m = 0.5 * math.hypot(np.diff(north_edges_m).max(), np.diff(east_edges_m).max())
-        return np.minimum(pairs[:, 1:], pairs[:, :-1]) - steepest * half_m
+        falls_m = self._steepest(grid.reshape(2, 1, -1)) * half_m
+        return np.minimum(pairs[:, 1:], pairs[:, :-1]) - falls_m
 
 
 def _between(values: NDArray[Any], at: FloatArray) -> FloatArray:
     """Bilinear interpolation, as at the edge beyond it.  (R, C), (2, ...) -> (...)."""
-    found = _interpolated(values, at[0].ravel(), at[1].ravel())
-    return found.reshape(at.shape[1:])
+    return _interpolated(values, at.reshape(2, -1)).reshape(at.shape[1:])
 
 
 @compiled()
-def _interpolated(values: NDArray[Any], rows: FloatArray, columns: FloatArray) -> FloatArray:
-    """The same of flat arrays.  (R, C), (K,), (K,) -> (K,)."""
-    found = np.empty(len(rows))
+def _interpolated(values: NDArray[Any], at: FloatArray) -> FloatArray:
+    """The same of a flat array.  (R, C), (2, K) -> (K,)."""
+    found = np.empty(at.shape[1])
     last_row, last_column = values.shape[0] - 1, values.shape[1] - 1
-    for k in range(len(rows)):
-        row, column = min(max(rows[k], 0.0), last_row), min(max(columns[k], 0.0), last_column)
+    for k in range(len(found)):
+        row, column = min(max(at[0, k], 0.0), last_row), min(max(at[1, k], 0.0), last_column)
         i, j = min(int(row), max(last_row - 1, 0)), min(int(column), max(last_column - 1, 0))
         down, right = row - i, column - j
         below, beside = min(i + 1, last_row), min(j + 1, last_column)

@@ -3,7 +3,6 @@
 Every class is one table of world.toml.  Unknown keys are refused with the nearest known one named.
 """
 
-import itertools
 import math
 import tomllib
 from collections.abc import Iterator
@@ -193,7 +192,7 @@ class Building(_Table):
 
 
 class Wall(_Table):
-    """Upright along a line of points; its ends are round."""
+    """Upright along a line of points, of one height; its ends are round."""
 
     points_ne_m: Annotated[tuple[_Place, ...], Field(min_length=2)]
     thickness_m: _Positive
@@ -363,8 +362,7 @@ class World(_Table):
         for building in self.buildings:
             things.append(Upright(building.corners_ne_m, 0.0, building.height_m, closed=True))
         for wall in self.walls:
-            for ends in itertools.pairwise(wall.points_ne_m):
-                things.append(Upright(ends, 0.5 * wall.thickness_m, wall.height_m))
+            things.append(Upright(wall.points_ne_m, 0.5 * wall.thickness_m, wall.height_m))
         for wire in self.wires:
             thick_m, half_m = wire.thickness_m, 0.5 * wire.thickness_m
             things.append(Upright(wire.ends_ne_m, half_m, wire.height_m + half_m, hangs_m=thick_m))
