@@ -52,12 +52,14 @@ class PeakTerrain:
     def height_amsl_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """Height of the terrain.  (...), (...) -> (...)."""
         north, east = np.broadcast_arrays(north_m, east_m)
-        if self.level:
-            return np.full(north.shape, self.ground_amsl_m)
         n, e, height, s_n, s_e = self._peaks.T.reshape(5, -1, *[1] * north.ndim)
-        each_m = height * np.exp(-(((north - n) / s_n) ** 2) - ((east - e) / s_e) ** 2)
-        joined = each_m.max(axis=0) if self.combine == "maximum" else each_m.sum(axis=0)
-        return np.maximum(joined, self.ground_amsl_m)
+        return self._joined(height * np.exp(-(((north - n) / s_n) ** 2) - ((east - e) / s_e) ** 2))
+
+    def _joined(self, peaks_m: FloatArray) -> FloatArray:
+        """What peaks and the ground make together.  (P, ...) -> (...)."""
+        if self.combine == "maximum" or self.level:
+            return peaks_m.max(axis=0, initial=self.ground_amsl_m)
+        return np.maximum(peaks_m.sum(axis=0), self.ground_amsl_m)
 
     def height_at_amsl_m(self, north_m: float, east_m: float) -> float:
         """Height of the terrain at one point."""
@@ -83,22 +85,13 @@ class PeakTerrain:
     ) -> FloatArray:
         """Lower bound of the terrain in every cell of a grid.  (N + 1,), (E + 1,) -> (N, E).
 
-        Each peak's minimum over a box factors into a north and an east part, so a grid costs two
-        rows of exponentials and one outer product a peak.
+        Each peak's minimum over a box factors into a north and an east part.
         """
-        lowest = np.full((len(north_edges_m) - 1, len(east_edges_m) - 1), self.ground_amsl_m)
-        total = np.zeros_like(lowest)
-        for north, east, height, s_north, s_east in self._peaks:
-            x, y = np.abs(north_edges_m - north) / s_north, np.abs(east_edges_m - east) / s_east
-            part_north = height * np.exp(-(np.maximum(x[:-1], x[1:]) ** 2))
-            if self.combine == "maximum" and part_north.max() <= self.ground_amsl_m:
-                continue
-            peak = np.outer(part_north, np.exp(-(np.maximum(y[:-1], y[1:]) ** 2)))
-            if self.combine == "maximum":
-                np.maximum(lowest, peak, out=lowest)
-            else:
-                total += peak
-        return np.maximum(lowest, total)
+        n, e, height, s_n, s_e = self._peaks.T[..., None]  # (P, 1) each
+        x, y = np.abs(north_edges_m - n) / s_n, np.abs(east_edges_m - e) / s_e
+        part_north = height * np.exp(-(np.maximum(x[:, :-1], x[:, 1:]) ** 2))  # (P, N)
+        part_east = np.exp(-(np.maximum(y[:, :-1], y[:, 1:]) ** 2))  # (P, E)
+        return self._joined(part_north[:, :, None] * part_east[:, None])
 
 
 def _nearest_in_quad(quad: FloatArray, peak: FloatArray) -> tuple[float, float]:

@@ -254,8 +254,8 @@ EMPTY = {"least": 0.0, "drain_s": 10.0}
         # arducopter-guided-10mps.tlog: 12.6 V and 27 A at 61 s, 2,301 mAh in 277 s of flight
         (COPTER, 277, {}, 12.6, 27.5, approx(2301.0, rel=0.1), 1.0 - 27.5 * 277 / 11_880),
         # px4-offboard-8mps.tlog: 16.2 V full, 15.3 V at 50 % for ever, 33 s after arming
-        (PX4, 10, {}, 16.2 - 1.8 / 6.0, -1.0, None, 1.0 - 10.0 / 60.0),
-        (PX4, 40, {}, 15.3, -1.0, None, 0.5),
+        (PX4, 10, {}, 16.2 - 1.8 / 6.0, -1.0, -10.0 / 3.6, 1.0 - 10.0 / 60.0),
+        (PX4, 40, {}, 15.3, -1.0, -40.0 / 3.6, 0.5),
         # with a capacity it empties: to 76.85 %, at 0.9558 of its voltage at rest, and to nothing
         (
             COPTER,

@@ -56,6 +56,7 @@ class Battery:
             self.remaining = min(self._left, conditions.most)
             self.voltage_v = _PX4_EMPTY_V + self.remaining * (_PX4_FULL_V - _PX4_EMPTY_V)
             self.current_a = _PX4_NO_SENSOR_A
+            self.consumed_mah += self.current_a * dt_s / 3.6
         else:
             self._draw(dt_s, vehicle.throttle if armed else 0.0, conditions)
 
