@@ -143,43 +143,37 @@ def _distances_m(points: FloatArray, pieces: FloatArray) -> FloatArray:
     return nearest
 
 
-def _in_circle(away_n: float, away_e: float, n: float, e: float, r: float) -> tuple[float, float]:
-    """From where to where a level way is in a circle about 0; from inf to -inf: nowhere."""
-    square = max(n * n + e * e, _TINY)
-    half = away_n * n + away_e * e
-    root = half * half - square * (away_n * away_n + away_e * away_e - r * r)
-    if root < 0.0:
-        return math.inf, -math.inf
-    return (-half - math.sqrt(root)) / square, (-half + math.sqrt(root)) / square
-
-
-def _in_stripe(at: float, speed: float, low: float, high: float) -> tuple[float, float]:
-    """From where to where something that moves from `at` is between two bounds."""
-    if abs(speed) < _TINY:
-        speed = _TINY
-    one, other = (low - at) / speed, (high - at) / speed
-    return min(one, other), max(one, other)
-
-
 def _in_footprint(eye: FloatArray, way: FloatArray, piece: FloatArray) -> tuple[float, float]:
-    """From where to where a beam is above or in a piece: two round ends and what is between."""
-    n1, e1, n2, e2, half_m = piece[0], piece[1], piece[2], piece[3], piece[4]
-    away_n, away_e = eye[0] - n1, eye[1] - e1
-    enter, leave = _in_circle(away_n, away_e, way[0], way[1], half_m)
-    length = math.hypot(n2 - n1, e2 - e1)
-    if length > 0.0:
-        n, e = (n2 - n1) / length, (e2 - e1) / length
-        first, last = _in_circle(eye[0] - n2, eye[1] - e2, way[0], way[1], half_m)
-        enter, leave = min(enter, first), max(leave, last)
-        first, last = _in_stripe(away_n * n + away_e * e, way[0] * n + way[1] * e, 0.0, length)
-        other = _in_stripe(away_e * n - away_n * e, way[1] * n - way[0] * e, -half_m, half_m)
-        first, last = max(first, other[0]), min(last, other[1])
-        if first <= last:
-            enter, leave = min(enter, first), max(leave, last)
+    """From where to where a beam is above or in a piece; from inf to -inf: nowhere.
+
+    It comes and goes between the two sides, or beyond an end through the circle there.
+    """
+    n, e, half_m = piece[2] - piece[0], piece[3] - piece[1], piece[4]
+    length = math.hypot(n, e)
+    n, e = (n / length, e / length) if length > 0.0 else (1.0, 0.0)
+    away_n, away_e = eye[0] - piece[0], eye[1] - piece[1]
+    along, across = away_n * n + away_e * e, away_e * n - away_n * e
+    ahead, aside = way[0] * n + way[1] * e, way[1] * n - way[0] * e
+    if abs(aside) < _TINY:
+        aside = _TINY
+    square, side_m = max(ahead * ahead + aside * aside, _TINY), math.copysign(half_m, aside)
+    enter, leave = (-side_m - across) / aside, (side_m - across) / aside
+    for comes in (True, False):
+        met = along + (enter if comes else leave) * ahead
+        past = along - min(max(met, 0.0), length)
+        if met < 0.0 or met > length:
+            half = past * ahead + across * aside
+            root = half * half - square * (past * past + across * across - half_m * half_m)
+            if root < 0.0:
+                return math.inf, -math.inf
+            if comes:
+                enter = (-half - math.sqrt(root)) / square
+            else:
+                leave = (-half + math.sqrt(root)) / square
     return enter, leave
 
 
-@compiled(_in_ring, _in_circle, _in_stripe, _in_footprint, _down_to_m)
+@compiled(_in_ring, _in_footprint, _down_to_m)
 def _shortened_m(
     eye: FloatArray, ways: FloatArray, length_m: FloatArray, pieces: FloatArray, range_m: float
 ) -> FloatArray:
