@@ -12,8 +12,8 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from vehicle_sim.compiled import compiled
-from vehicle_sim.geodesy import EARTH_RADIUS_M
-from vehicle_sim.terrain import FloatArray, PeakTerrain, Terrain
+from vehicle_sim.geodesy import EARTH_RADIUS_M, FloatArray
+from vehicle_sim.terrain import PeakTerrain, Terrain
 
 _GROUND_STEP_M: Final = 1.0
 _TINY: Final = 1e-12

@@ -30,7 +30,7 @@ from vehicle_sim.plans import Plans
 from vehicle_sim.rng import generator
 from vehicle_sim.sensors.gps import Gps
 from vehicle_sim.sensors.lidar import Lidar, body_axes_neu
-from vehicle_sim.sensors.terrain_radar import ScanRequest, TerrainRadar, Viewpoint
+from vehicle_sim.sensors.terrain_radar import ScanRequest, TerrainRadar
 from vehicle_sim.wire.components import LidarDriver, RadarComponent
 from vehicle_sim.wire.frames import make
 from vehicle_sim.wire.proximity import RPLIDAR, RangeSensors
@@ -166,8 +166,7 @@ class Simulation:
         self._range_down_m()
         if self._scanner is not None:
             place = self.vehicle.latitude_deg, self.vehicle.longitude_deg
-            view = Viewpoint(*place, self.vehicle.altitude_amsl_m)
-            self._scanner.radar.answer(ScanRequest(*place, 1, 1), view)
+            self._scanner.radar.answer(ScanRequest(*place, 1, 1), self.vehicle)
 
     # --- to look at ---------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from harness import GENTLE, placed
+from harness import placed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -19,10 +19,10 @@ from pymavlink.dialects.v20 import all as mavlink
 from pyproj import Geod
 
 from vehicle_sim.autopilot.values import Sender
-from vehicle_sim.dynamics.copter import Copter
+from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.faults import RadarConditions
 from vehicle_sim.geodesy import LocalFrame
-from vehicle_sim.sensors.terrain_radar import UNSEEN_M, ScanRequest, TerrainRadar, Viewpoint
+from vehicle_sim.sensors.terrain_radar import UNSEEN_M, ScanRequest, TerrainRadar
 from vehicle_sim.terrain import PeakRow, PeakTerrain
 from vehicle_sim.wire.components import RadarComponent
 from vehicle_sim.wire.frames import Packer, StreamParser
@@ -53,8 +53,8 @@ def radar_over_hills(seed: int, centre_ne_m: NE = HERE) -> tuple[PeakTerrain, Te
     return terrain, TerrainRadar(terrain, FRAME, range_m=RANGE_M)
 
 
-def viewpoint(ne_m: NE, altitude_amsl_m: float) -> Viewpoint:
-    return Viewpoint(*FRAME.to_geographic(*ne_m), altitude_amsl_m)
+def viewpoint(ne_m: NE, altitude_amsl_m: float) -> Vehicle:
+    return Vehicle(**placed((*FRAME.to_geographic(*ne_m), altitude_amsl_m)))
 
 
 def request_about(ne_m: NE, spacing_m: int, mask: int = ALL_BLOCKS) -> ScanRequest:
@@ -82,7 +82,7 @@ def to_local(request: ScanRequest, a_m: FloatArray, b_m: FloatArray) -> tuple[Fl
     return distance * np.cos(np.radians(azimuth)), distance * np.sin(np.radians(azimuth))
 
 
-def cells(radar: TerrainRadar, request: ScanRequest, view: Viewpoint) -> NDArray[np.int64]:
+def cells(radar: TerrainRadar, request: ScanRequest, view: Vehicle) -> NDArray[np.int64]:
     """The answer as an array by cell (28 north, 32 east), put together by the definition."""
     grid = np.full((28, 32), 99999, dtype=np.int64)
     for bit, heights in radar.answer(request, view).items():
@@ -237,7 +237,7 @@ def told(until_us: int, *asked: tuple[int, Any], link: int = 0, **conditions: An
         for _, message in (each for each in asked if each[0] == now_us - STEP_US):
             component.receive(message, Sender(system=255, component=190, link=link))
         place = FRAME.to_geographic(3000.0 if now_us > 60_000 else 0.0, 0.0)
-        vehicle = Copter(**placed((*place, 500.0)), limits=GENTLE)
+        vehicle = Vehicle(**placed((*place, 500.0)))
         component.step(now_us, vehicle, RadarConditions(**conditions), tick=now_us % TICK_US == 0)
     return said
 

@@ -16,10 +16,10 @@ from pyproj import Geod
 from rasterio.transform import Affine
 from scipy.interpolate import RegularGridInterpolator
 
-from vehicle_sim.elevation import GridTerrain, read_grid
+from vehicle_sim.elevation import read_grid
 from vehicle_sim.errors import InputError
 from vehicle_sim.geodesy import FloatArray, LocalFrame
-from vehicle_sim.terrain import PeakRow, PeakTerrain, Terrain
+from vehicle_sim.terrain import GridTerrain, PeakRow, PeakTerrain, Terrain
 
 WGS84 = Geod(ellps="WGS84")
 STEP, HALF_M = (1 / 1200, 1 / 1200), 3_000.0

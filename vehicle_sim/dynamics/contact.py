@@ -10,9 +10,9 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from vehicle_sim.dynamics import Vehicle
-from vehicle_sim.geodesy import LocalFrame
+from vehicle_sim.geodesy import FloatArray, LocalFrame
 from vehicle_sim.scene import Scene
-from vehicle_sim.terrain import FloatArray, Terrain
+from vehicle_sim.terrain import Terrain
 
 CRASH_M_S: Final = 3.0
 """No faster into the ground: landing gear need not stand more than 3.05 m/s, 10 ft/s (CS 23.473,

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.faults import LidarConditions
+from vehicle_sim.geodesy import FloatArray
 from vehicle_sim.scene import Scene
-from vehicle_sim.terrain import FloatArray
 from vehicle_sim.world import LidarTable
 
 _DUST_M = 3.0

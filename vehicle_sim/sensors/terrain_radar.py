@@ -24,8 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehicle_sim.compiled import compiled
-from vehicle_sim.geodesy import EARTH_RADIUS_M, LocalFrame
-from vehicle_sim.terrain import FloatArray, Terrain
+from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.geodesy import EARTH_RADIUS_M, FloatArray, LocalFrame
+from vehicle_sim.terrain import Terrain
 
 BLOCK_CELLS: Final = 4
 ROWS, COLUMNS = 7, 8
@@ -54,15 +55,6 @@ class ScanRequest(NamedTuple):
     def frame(self) -> LocalFrame:
         """North and east from the corner."""
         return LocalFrame(latitude_deg=self.latitude_deg, longitude_deg=self.longitude_deg)
-
-
-@final
-class Viewpoint(NamedTuple):
-    """Where the radar looks from."""
-
-    latitude_deg: float
-    longitude_deg: float
-    altitude_amsl_m: float
 
 
 @final
@@ -106,8 +98,8 @@ class TerrainRadar:
         self._range_m = range_m
         self._grid: _Grid | None = None
 
-    def answer(self, request: ScanRequest, view: Viewpoint) -> dict[int, list[int]]:
-        """The wanted blocks, by rising bit of the mask.
+    def answer(self, request: ScanRequest, vehicle: Vehicle) -> dict[int, list[int]]:
+        """The wanted blocks, by rising bit of the mask, as seen from the vehicle.
 
         Heights of their 4 x 4 cells from the south-west, east running fastest; UNSEEN_M: not seen.
         """
@@ -116,16 +108,18 @@ class TerrainRadar:
             return {}
         north, east = _cells_of(np.array(bits))
         heights = np.full(len(north), UNSEEN_M, dtype=np.int64)
-        view_ne_m = request.frame.to_local(view.latitude_deg, view.longitude_deg)
+        own_ne_m = request.frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
         off_north_m, off_east_m = (
             (cells + 0.5) * request.spacing_m - own_m
-            for cells, own_m in zip((north, east), view_ne_m, strict=True)
+            for cells, own_m in zip((north, east), own_ne_m, strict=True)
         )
         near = np.flatnonzero(np.hypot(off_north_m, off_east_m) <= self._range_m)
         if len(near):
             corners_ne_m = self._corners_ne_m(request, north[near], east[near])
             highest, place_ne_m = self._terrain.highest_in_quads_amsl_m(corners_ne_m)
-            seen = self._seen(corners_ne_m, highest, place_ne_m, view)
+            own_ne_m = self._frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
+            eye = (*own_ne_m, vehicle.altitude_amsl_m)
+            seen = self._seen(eye, corners_ne_m, highest, place_ne_m)
             rounded = np.clip(np.ceil(highest[seen]), _LOWEST_M, _HIGHEST_M)
             heights[near[seen]] = rounded.astype(np.int64)
         blocks = heights.reshape(len(bits), BLOCK_CELLS * BLOCK_CELLS).tolist()
@@ -152,16 +146,12 @@ class TerrainRadar:
 
     def _seen(
         self,
+        eye: Eye,
         corners_ne_m: FloatArray,
         highest_amsl_m: FloatArray,
         highest_ne_m: FloatArray,
-        view: Viewpoint,
     ) -> NDArray[np.bool_]:
         """Whether some point of each cell may be in sight.  (C, 4, 2), (C,), (C, 2) -> (C,)."""
-        eye = (
-            *self._frame.to_local(view.latitude_deg, view.longitude_deg),
-            view.altitude_amsl_m,
-        )
         grid = self._grid_about(eye, corners_ne_m.reshape(-1, 2))
         lowest = (grid.lowest_amsl_m, grid.place)
 
