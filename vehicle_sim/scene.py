@@ -38,7 +38,7 @@ class Scene:
     """Terrain and near things in the local frame."""
 
     def __init__(self, terrain: Terrain, things: Sequence[Upright]) -> None:
-        self._terrain = terrain
+        self.terrain = terrain
         level = isinstance(terrain, PeakTerrain) and terrain.level
         self._level_amsl_m = terrain.height_at_amsl_m(0.0, 0.0) if level else None
         self.things = tuple(things)
@@ -53,7 +53,7 @@ class Scene:
         """The straight pieces of a thing's line."""
         corners, half_m = list(thing.corners_ne_m), thing.half_width_m
         ends = corners[1:] + corners[:1] if thing.closed else corners[1:] or corners
-        ground_m = max(self._terrain.height_at_amsl_m(*corner) for corner in corners)
+        ground_m = max(self.terrain.height_at_amsl_m(*corner) for corner in corners)
         top_m = ground_m + thing.height_m
         heights_m, sides = (top_m - thing.hangs_m, top_m), len(ends) if thing.closed else 0
         return [
@@ -92,7 +92,7 @@ class Scene:
         points = eye + directions[:, None, :] * steps_m[:, None]  # (R, S, 3)
         level2 = (directions[:, None, :2] ** 2).sum(axis=-1)
         points[..., 2] += level2 * steps_m**2 / (2.0 * EARTH_RADIUS_M)
-        above_m = points[..., 2] - self._terrain.height_amsl_m(points[..., 0], points[..., 1])
+        above_m = points[..., 2] - self.terrain.height_amsl_m(points[..., 0], points[..., 1])
         below = above_m[:, 1:] < 0.0
         k = below.argmax(axis=1)
         ray = np.arange(len(k))

@@ -30,7 +30,7 @@ from vehicle_sim.plans import Plans
 from vehicle_sim.rng import generator
 from vehicle_sim.sensors.gps import Gps
 from vehicle_sim.sensors.lidar import Lidar, body_axes_neu
-from vehicle_sim.sensors.terrain_radar import ScanRequest, TerrainRadar
+from vehicle_sim.sensors.terrain_radar import TerrainRadar
 from vehicle_sim.wire.components import LidarDriver, RadarComponent
 from vehicle_sim.wire.frames import make
 from vehicle_sim.wire.proximity import RPLIDAR, RangeSensors
@@ -97,7 +97,7 @@ class Simulation:
         """The truth: where it really is, and how it moves."""
         rolls, scene = table.kind == "plane", world.scene(terrain)
         self.contact = Contact(
-            self.vehicle, terrain, scene, world.frame, rolls=rolls, on_crash=self._on_crash
+            self.vehicle, scene, world.frame, rolls=rolls, on_crash=self._on_crash
         )
         """Where it is in the world, and how near to the ground and to things."""
         self._wind = Wind(generator(seed, "wind"))
@@ -165,8 +165,7 @@ class Simulation:
         """Look once with every sensor, so that nobody waits for a compiler in flight."""
         self._range_down_m()
         if self._scanner is not None:
-            place = self.vehicle.latitude_deg, self.vehicle.longitude_deg
-            self._scanner.radar.answer(ScanRequest(*place, 1, 1), self.vehicle)
+            self._scanner.radar.answer(self._world.frame, 1, 1, self.vehicle)
 
     # --- to look at ---------------------------------------------------------------------------
 

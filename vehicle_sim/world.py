@@ -89,12 +89,10 @@ class TerrainTable(_Table):
 
     def model_post_init(self, _: object) -> None:
         """Check what goes together."""
-        if self.file is None:
-            _must(self.ground_amsl_m is not None, "ground_amsl_m", None, *_MISSING)
-        else:
-            rule = "an elevation file leaves no room for peaks and ground"
-            none = not self.peaks and self.ground_amsl_m is None
-            _must(none, "file", self.file, rule, "Leave out one of the two.")
+        flat = self.ground_amsl_m is not None
+        well = flat if self.file is None else not (flat or self.peaks)
+        rule = "is needed, or else ground_amsl_m (and peaks), not both"
+        _must(well, "file", self.file, rule, "Give one of the two.")
 
 
 class AreaTable(_Table):

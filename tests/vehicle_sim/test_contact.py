@@ -74,8 +74,7 @@ def test_a_step_up_is_hit_though_it_is_level_before_and_behind_it(
     terrain = Step([], combine="maximum", ground_amsl_m=0.0)
     height_m = terrain.height_at_amsl_m(from_m, 0.0)
     plane = Plane(**placed((*frame.to_geographic(from_m, 0.0), height_m)))
-    scene = Scene(terrain, ())
-    contact = Contact(plane, terrain, scene, frame, rolls=True, on_crash=hits.append)
+    contact = Contact(plane, Scene(terrain, ()), frame, rolls=True, on_crash=hits.append)
     plane.velocity_m_s = 9.0 + 0j
     plane.latitude_deg, _ = frame.to_geographic(from_m + 2.0, 0.0)
     contact.prepare(200_000)

@@ -48,8 +48,8 @@ def lidar(which: str = "lidar", **fields: Any) -> Table:
         ({"schema": 2}, "schema = 2 ... 1"),
         # what does not go together
         (vehicle(bank_max_deg=30.0), "bank_max_deg = 30.0 ... no such limit"),
-        ({"terrain": {"file": "a.tif", "ground_amsl_m": 1.0}}, "terrain.file ... Leave out one"),
-        ({"terrain": {"combine": "sum"}}, "terrain.ground_amsl_m ... missing"),
+        ({"terrain": {"file": "a.tif", "ground_amsl_m": 1.0}}, "terrain.file ... not both"),
+        ({"terrain": {"combine": "sum"}}, "terrain.file = None ... ground_amsl_m"),
         ({"terrain": {"file": "a.tif"}}, "area ... missing"),
         ({"area": SOUTH}, "area = (1 ... Swap"),
         (wood(north_max_m=-5.0), "woods.0 ... least must lie below"),

@@ -12,7 +12,6 @@ import numpy as np
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.geodesy import FloatArray, LocalFrame
 from vehicle_sim.scene import Scene
-from vehicle_sim.terrain import Terrain
 
 CRASH_M_S: Final = 3.0
 """No faster into the ground: landing gear need not stand more than 3.05 m/s, 10 ft/s (CS 23.473,
@@ -78,7 +77,6 @@ class Contact:
     def __init__(
         self,
         vehicle: Vehicle,
-        terrain: Terrain,
         scene: Scene,
         frame: LocalFrame,
         *,
@@ -86,7 +84,7 @@ class Contact:
         on_crash: Callable[[Crash], None],
     ) -> None:
         self._vehicle, self._frame = vehicle, frame
-        self._height_m, self.scene = terrain.height_at_amsl_m, scene
+        self._height_m, self.scene = scene.terrain.height_at_amsl_m, scene
         self._rolls, self._on_crash = rolls, on_crash
         self.local_m = frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
         self.ground_amsl_m = self._height_m(*self.local_m)

@@ -18,7 +18,7 @@ nothing.
 """
 
 import math
-from typing import Final, NamedTuple, final
+from typing import Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,22 +39,6 @@ _MAX_DIVISIONS: Final = 2
 _LOWEST_M, _HIGHEST_M = -32767.0, 32767.0
 Eye = tuple[float, float, float]
 """North, east, AMSL."""
-
-
-@final
-class ScanRequest(NamedTuple):
-    """A TERRAIN_REQUEST: an area of 28 x 32 cells, and which of its 56 blocks are wanted."""
-
-    latitude_deg: float
-    """Of the south-west corner."""
-    longitude_deg: float
-    spacing_m: int
-    mask: int
-
-    @property
-    def frame(self) -> LocalFrame:
-        """North and east from the corner."""
-        return LocalFrame(latitude_deg=self.latitude_deg, longitude_deg=self.longitude_deg)
 
 
 @final
@@ -98,24 +82,27 @@ class TerrainRadar:
         self._range_m = range_m
         self._grid: _Grid | None = None
 
-    def answer(self, request: ScanRequest, vehicle: Vehicle) -> dict[int, list[int]]:
-        """The wanted blocks, by rising bit of the mask, as seen from the vehicle.
+    def answer(
+        self, corner: LocalFrame, spacing_m: int, mask: int, vehicle: Vehicle
+    ) -> dict[int, list[int]]:
+        """The blocks of a TERRAIN_REQUEST as seen from the vehicle, by rising bit of the mask.
 
-        Heights of their 4 x 4 cells from the south-west, east running fastest; UNSEEN_M: not seen.
+        The area of 28 x 32 cells lies to the north-east of the corner.  Heights are of a block's
+        4 x 4 cells from the south-west, east running fastest; UNSEEN_M: not seen.
         """
-        bits = [bit for bit in range(ROWS * COLUMNS) if request.mask >> bit & 1]
-        if not bits or request.spacing_m <= 0 or abs(request.latitude_deg) >= 90.0:
+        bits = [bit for bit in range(ROWS * COLUMNS) if mask >> bit & 1]
+        if not bits or spacing_m <= 0 or abs(corner.latitude_deg) >= 90.0:
             return {}
         north, east = _cells_of(np.array(bits))
         heights = np.full(len(north), UNSEEN_M, dtype=np.int64)
-        own_ne_m = request.frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
+        own_ne_m = corner.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
         off_north_m, off_east_m = (
-            (cells + 0.5) * request.spacing_m - own_m
+            (cells + 0.5) * spacing_m - own_m
             for cells, own_m in zip((north, east), own_ne_m, strict=True)
         )
         near = np.flatnonzero(np.hypot(off_north_m, off_east_m) <= self._range_m)
         if len(near):
-            corners_ne_m = self._corners_ne_m(request, north[near], east[near])
+            corners_ne_m = self._corners_ne_m(corner, spacing_m, north[near], east[near])
             highest, place_ne_m = self._terrain.highest_in_quads_amsl_m(corners_ne_m)
             own_ne_m = self._frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
             eye = (*own_ne_m, vehicle.altitude_amsl_m)
@@ -130,7 +117,7 @@ class TerrainRadar:
         return self._terrain.height_at_amsl_m(*self._frame.to_local(latitude_deg, longitude_deg))
 
     def _corners_ne_m(
-        self, request: ScanRequest, north: NDArray[np.intp], east: NDArray[np.intp]
+        self, origin: LocalFrame, spacing_m: int, north: NDArray[np.intp], east: NDArray[np.intp]
     ) -> FloatArray:
         """Corners of cells in the local frame, anticlockwise from the south-west.
 
@@ -140,8 +127,8 @@ class TerrainRadar:
         columns = np.stack([east, east + 1, east + 1, east], axis=-1)
         width = COLUMNS * BLOCK_CELLS + 1
         corners, which = np.unique(rows * width + columns, return_inverse=True)  # cells share them
-        corner_m = np.stack(np.divmod(corners, width)) * float(request.spacing_m)
-        local = self._frame.to_local_many(*request.frame.to_geographic_many(*corner_m))
+        corner_m = np.stack(np.divmod(corners, width)) * float(spacing_m)
+        local = self._frame.to_local_many(*origin.to_geographic_many(*corner_m))
         return np.stack(local, axis=-1)[which].reshape(-1, 4, 2)
 
     def _seen(
