@@ -16,6 +16,9 @@ from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.faults import GpsConditions, Vector
 from vehicle_sim.geodesy import FloatArray, around, degrees_east, metres_per_degree
 
+Quality = tuple[float, float, float, float, float]
+"""Dilution, horizontal and vertical; accuracy of place and height in m, of speed in m/s (0: the
+receiver has not said)."""
 _ZERO: Final = (0.0, 0.0, 0.0)
 
 
@@ -36,12 +39,7 @@ class Fix(NamedTuple):
     velocity_east_m_s: float = 0.0
     velocity_up_m_s: float = 0.0
     satellites: int = 0
-    horizontal_dilution: float = 99.99
-    vertical_dilution: float = 99.99
-    horizontal_accuracy_m: float = 0.0
-    """0: the receiver has not said."""
-    vertical_accuracy_m: float = 0.0
-    speed_accuracy_m_s: float = 0.0
+    quality: Quality = (99.99, 99.99, 0.0, 0.0, 0.0)
 
     @property
     def usable(self) -> bool:
@@ -60,9 +58,8 @@ class Receiver:
     fix_type: int
     """The best it reaches."""
     fix_type_lost: int
-    quality: tuple[float, float, float, float, float]
-    """Dilution, horizontal and vertical; accuracy of place and height in m, of speed in m/s."""
-    quality_lost: tuple[float, float, float, float, float]
+    quality: Quality
+    quality_lost: Quality
     late_lock: bool
     """Whether there is a fix is known as late as where it is, and the clock stops without one."""
     noise_m: Vector = _ZERO
@@ -207,16 +204,16 @@ class Gps:
         wrong = _degrees(self._drift_m + conditions.glitch_m, sample.place[0])
         wrong += np.array([*glitch, conditions.glitch_up_m])
         latitude_deg, longitude_deg, altitude_m = (sample.place + wrong).tolist()
-        north_m_s, east_m_s, up_m_s = (sample.velocity_m_s + drift_m_s).tolist()
+        velocity_m_s: Vector = tuple((sample.velocity_m_s + drift_m_s).tolist())
         return Fix(
             self._locked_us,
             receiver.fix_type if locked else receiver.fix_type_lost,
             min(max(latitude_deg, -90.0), 90.0),
             around(longitude_deg),
             altitude_m,
-            *(north_m_s, east_m_s, up_m_s),
+            *velocity_m_s,
             satellites if locked else min(satellites, _LEAST_SATELLITES - 1),
-            *(receiver.quality if locked else receiver.quality_lost),
+            receiver.quality if locked else receiver.quality_lost,
         )
 
 
