@@ -110,10 +110,8 @@ class _Sample(NamedTuple):
     time_us: int
     locked: bool
     """There was a fix."""
-    place: FloatArray
-    """Latitude and longitude in degrees, and metres AMSL."""
-    velocity_m_s: FloatArray
-    """North, east, up."""
+    state: FloatArray
+    """Latitude and longitude in degrees, metres AMSL; north, east, up in m/s.  (6,)"""
 
 
 @final
@@ -126,7 +124,7 @@ class Gps:
         """Nothing new is put out before."""
         self.fix = Fix()
         """The newest one."""
-        self._history = deque([_Sample(0, False, np.zeros(3), np.zeros(3))], maxlen=_HISTORY)
+        self._history = deque([_Sample(0, False, np.zeros(6))], maxlen=_HISTORY)
         self._locked_us = 0
         self._wander, self._drift_m = rng.standard_normal(3), np.zeros(3)
         self._jam: FloatArray | None = None
@@ -155,10 +153,11 @@ class Gps:
         velocity = np.array(vehicle.velocity_neu_m_s)
         error_m -= velocity * ((now_us - due_us) * 1e-6)
         here = (vehicle.latitude_deg, vehicle.longitude_deg, vehicle.altitude_amsl_m)
-        place = here + _degrees(error_m, vehicle.latitude_deg)
-        place[2] += conditions.offset_up_m
-        velocity += self._noise(receiver.velocity_noise_m_s)
-        return _Sample(due_us, conditions.enabled, place, velocity)
+        state = np.array([*here, *velocity])
+        state[:3] += _degrees(error_m, vehicle.latitude_deg)
+        state[2] += conditions.offset_up_m
+        state[3:] += self._noise(receiver.velocity_noise_m_s)
+        return _Sample(due_us, conditions.enabled, state)
 
     def _noise(self, sizes: Vector) -> FloatArray:
         """Draws of the normal laws with these standard deviations; none where there is no noise."""
@@ -169,10 +168,9 @@ class Gps:
         for new, old in pairwise(reversed(self._history)):
             if old.time_us <= at_us <= new.time_us:
                 share = (at_us - old.time_us) / max(new.time_us - old.time_us, 1)
-                way = new.place - old.place
-                way[1] = degrees_east(old.place[1], new.place[1])
-                velocity = old.velocity_m_s + share * (new.velocity_m_s - old.velocity_m_s)
-                return old._replace(place=old.place + share * way, velocity_m_s=velocity)
+                way = new.state - old.state
+                way[1] = degrees_east(old.state[1], new.state[1])
+                return old._replace(state=old.state + share * way)
         return self._history[0]
 
     def _jammed(self, sample: _Sample) -> tuple[_Sample, int]:
@@ -181,10 +179,10 @@ class Gps:
             self._jam = np.zeros(6)
         elif self._rng.random() < _JAM_CHANGES_HZ * self._receiver.interval_us * 1e-6:
             self._jam = self._rng.uniform(*_JAM_RANGES)
-        satellites, north_m, east_m = self._jam[:3]
-        wrong = _degrees(np.array([north_m, east_m, 0.0]), sample.place[0])
-        wild = sample._replace(place=sample.place + wrong, velocity_m_s=self._jam[3:])
-        return wild, int(satellites)
+        satellites, north_m, east_m, *velocity_m_s = self._jam
+        wrong = _degrees(np.array([north_m, east_m, 0.0]), sample.state[0])
+        wild = np.array([*(sample.state[:3] + wrong), *velocity_m_s])
+        return sample._replace(state=wild), int(satellites)
 
     def _solution(self, due_us: int, conditions: GpsConditions) -> Fix:
         receiver, satellites = self._receiver, conditions.satellites
@@ -201,17 +199,16 @@ class Gps:
         drifted_m = self._drift_m + drift_m_s * (receiver.interval_us * 1e-6)
         self._drift_m = drifted_m if drift_m_s.any() else np.zeros(3)
         glitch = (conditions.glitch_latitude_deg, conditions.glitch_longitude_deg)
-        wrong = _degrees(self._drift_m + conditions.glitch_m, sample.place[0])
+        wrong = _degrees(self._drift_m + conditions.glitch_m, sample.state[0])
         wrong += np.array([*glitch, conditions.glitch_up_m])
-        latitude_deg, longitude_deg, altitude_m = (sample.place + wrong).tolist()
-        velocity_m_s: Vector = tuple((sample.velocity_m_s + drift_m_s).tolist())
+        told = sample.state + np.array([*wrong, *drift_m_s])
+        latitude_deg, longitude_deg, altitude_m, north_m_s, east_m_s, up_m_s = told.tolist()
         return Fix(
             self._locked_us,
             receiver.fix_type if locked else receiver.fix_type_lost,
             min(max(latitude_deg, -90.0), 90.0),
             around(longitude_deg),
-            altitude_m,
-            *velocity_m_s,
+            *(altitude_m, north_m_s, east_m_s, up_m_s),
             satellites if locked else min(satellites, _LEAST_SATELLITES - 1),
             receiver.quality if locked else receiver.quality_lost,
         )
