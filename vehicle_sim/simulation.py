@@ -72,7 +72,8 @@ class Simulation:
         faults: str = "",
     ) -> None:
         world = world.model_copy(update={"vehicle": with_own_ids(world.vehicle)})
-        table, terrain = world.vehicle, world.truth()
+        table, scene = world.vehicle, world.scene()
+        terrain = scene.terrain
         self._world, self._seed, self._personality = world, seed, personality_of(table)
         self.now_us = 0
         """Since the start; the autopilot counts from its own boot."""
@@ -95,7 +96,7 @@ class Simulation:
         ground_amsl_m = terrain.height_at_amsl_m(table.north_m, table.east_m)
         self.vehicle: Copter | Plane = make_vehicle(table, *place, ground_amsl_m)
         """The truth: where it really is, and how it moves."""
-        rolls, scene = table.kind == "plane", world.scene(terrain)
+        rolls = table.kind == "plane"
         self.contact = Contact(
             self.vehicle, scene, world.frame, rolls=rolls, on_crash=self._on_crash
         )

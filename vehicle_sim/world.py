@@ -350,7 +350,7 @@ class World(_Table):
         rows = [tuple(dict(peak).values()) for peak in table.peaks]  # fields are in this order
         return PeakTerrain(rows, combine=table.combine, ground_amsl_m=table.ground_amsl_m)
 
-    def scene(self, terrain: Terrain | None = None) -> Scene:
+    def scene(self) -> Scene:
         """Terrain and near things: `distance_m` of it is the true clearance of any points."""
         drawn = (tree for wood in self.woods for tree in wood.trees())
         things = [
@@ -364,7 +364,7 @@ class World(_Table):
         for wire in self.wires:
             thick_m, half_m = wire.thickness_m, 0.5 * wire.thickness_m
             things.append(Upright(wire.ends_ne_m, half_m, wire.height_m + half_m, hangs_m=thick_m))
-        return Scene(terrain or self.truth(), things)
+        return Scene(self.truth(), things)
 
     def with_woods_of(self, seed: int) -> "World":
         """The same world with other trees in its woods: what benchmarks draw."""
