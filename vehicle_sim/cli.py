@@ -7,7 +7,6 @@ import math
 import os
 import sys
 from contextlib import ExitStack, suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -217,7 +216,8 @@ def _with_parameters(world: World, assignments: list[str], speedup: float) -> Wo
         # as PX4's start script does it: a client's wall time counts
         longer = {name: math.ceil(speedup * seconds) for name, seconds in _PX4_TIME_OUTS_S.items()}
     parameters = longer | vehicle.parameters | added
-    return replace(world, vehicle=with_own_id(replace(vehicle, parameters=parameters)))
+    vehicle = with_own_id(vehicle.model_copy(update={"parameters": parameters}))
+    return world.model_copy(update={"vehicle": vehicle})
 
 
 def _row(world: World, count: int, port_step: int) -> list[World]:
@@ -228,10 +228,12 @@ def _row(world: World, count: int, port_step: int) -> list[World]:
     _must_lie("--count", count, 1, most, f"Try {min(most, 5)}.", why)
     _must_lie("--port-step", port_step, 0, 1000, "Try 10.")
     vehicles = (
-        replace(vehicle, system_id=vehicle.system_id + k, east_m=vehicle.east_m + k * _ROW_M)
+        {"system_id": vehicle.system_id + k, "east_m": vehicle.east_m + k * _ROW_M}
         for k in range(count)
     )
-    return [replace(world, vehicle=each) for each in vehicles]
+    return [
+        world.model_copy(update={"vehicle": vehicle.model_copy(update=each)}) for each in vehicles
+    ]
 
 
 def _timeline(file: Path) -> str:

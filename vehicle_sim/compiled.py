@@ -17,21 +17,20 @@ def compiled(*helpers: Callable[..., Any]) -> Callable[[Callable[_P, _R]], Calla
 
     def decorate(function: Callable[_P, _R]) -> Callable[_P, _R]:
         @functools.cache
-        def kernel() -> Callable[_P, _R]:
+        def kernel() -> Any:
             import numba  # half a second: not for those who need none
             from numba.extending import register_jitable
 
             for helper in helpers:
                 register_jitable(helper)
             try:
-                made: Callable[_P, _R] = numba.njit(cache=True)(function)
+                return numba.njit(cache=True)(function)
             except RuntimeError:  # nowhere to write
-                made = numba.njit(function)
-            return made
+                return numba.njit(function)
 
         @functools.wraps(function)
-        def call(*arguments: _P.args, **named: _P.kwargs) -> _R:
-            return kernel()(*arguments, **named)
+        def call(*arguments: _P.args, **_: _P.kwargs) -> _R:
+            return kernel()(*arguments)
 
         return call
 

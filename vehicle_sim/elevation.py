@@ -1,181 +1,32 @@
-"""The true terrain of an elevation file: GeoTIFF or SRTM .hgt, bilinear between its points.
+"""Elevation files: GeoTIFF or SRTM .hgt.  The companion makes the finer checks of the same file."""
 
-The companion, which plans by the same file, makes the
-finer checks of it.  Positions come in the local frame: geodesics are exact and slow, so the way
-from there to the grid is tabulated once, at places so close that it is straight between them.
-"""
-
-import math
 import warnings
 from pathlib import Path
-from typing import Any, Final, Literal, final
+from typing import Final, Literal
 
 import numpy as np
-import scipy
-from numpy.typing import NDArray
 
-from vehicle_sim.compiled import compiled
 from vehicle_sim.errors import InputError
-from vehicle_sim.geodesy import FloatArray, LocalFrame, metres_per_degree
+from vehicle_sim.geodesy import LocalFrame
+from vehicle_sim.terrain import Area, GridTerrain
 
-Area = tuple[float, float, float, float]
-"""North least and most, east least and most, in metres."""
-VerticalDatum = Literal["AMSL", "EGM84", "EGM96", "EGM2008", "NAVD88", "NGVD29", "EVRF"]
 _SPARE: Final = 0.02
 """Of a cell: the border of the area bends between the places of it that are looked at."""
-_TABLE_M: Final = 250.0
-_TABLE_PLACES: Final = 400
-"""A side at most: 1 km apart for an area of 400 km, where it bends by 2 cm between them."""
-_STRETCH: Final = 1.01
-"""A metre of the local frame is this many true metres at most."""
-_SAMPLES: Final = (9, 25)
-_SAMPLE_M: Final = 5.0
-
-
-@final
-class GridTerrain:
-    """Heights of points in rows from north to south; as at its edge beyond it."""
-
-    def __init__(
-        self,
-        heights_m: NDArray[Any],
-        *,
-        north_deg: float,
-        west_deg: float,
-        step_deg: tuple[float, float],
-        frame: LocalFrame,
-        area_m: Area,
-    ) -> None:
-        """The terrain of an area.  north_deg, west_deg: of the first point.  Steps: positive.
-
-        heights_m: (rows, columns) AMSL, of the file's own type.
-        """
-        self.heights_m = heights_m
-        sizes = [max(high - low, 1.0) for low, high in (area_m[:2], area_m[2:])]
-        counts = [min(math.ceil(size / _TABLE_M), _TABLE_PLACES) + 1 for size in sizes]
-        self._low_ne_m = area_m[0], area_m[2]
-        self._spacing_ne_m = [size / (count - 1) for size, count in zip(sizes, counts, strict=True)]
-        north, east = np.meshgrid(
-            area_m[0] + np.linspace(0.0, sizes[0], counts[0]),
-            area_m[2] + np.linspace(0.0, sizes[1], counts[1]),
-            indexing="ij",
-        )
-        latitude, longitude = frame.to_geographic_many(north.ravel(), east.ravel())
-        half = 0.5 * step_deg[1] * (heights_m.shape[1] - 1)
-        off_middle = (longitude - west_deg - half + 180.0) % 360.0 - 180.0
-        self._row_at = ((north_deg - latitude) / step_deg[0]).reshape(north.shape)
-        self._column_at = ((off_middle + half) / step_deg[1]).reshape(north.shape)
-        """(N, E): which row of the grid each place of the table lies in; and which column."""
-        southmost_deg = north_deg - step_deg[0] * heights_m.shape[0]
-        northward_m, eastward_m = metres_per_degree(north_deg)
-        eastward_m = min(eastward_m, metres_per_degree(southmost_deg)[1])
-        self._steps_m = step_deg[0] * northward_m, step_deg[1] * eastward_m
-        """From row to row, and the least from column to column."""
-
-    def _rows_columns(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
-        """Where points of the local frame lie in the grid.  (...) x2 -> (2, ...)."""
-        north = (north_m - self._low_ne_m[0]) / self._spacing_ne_m[0]
-        places = np.stack([north, (east_m - self._low_ne_m[1]) / self._spacing_ne_m[1]])
-        return np.stack([_between(self._row_at, places), _between(self._column_at, places)])
-
-    def height_amsl_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
-        """Height of the terrain.  (...), (...) -> (...)."""
-        north, east = np.broadcast_arrays(north_m, east_m)
-        return _between(self.heights_m, self._rows_columns(north, east))
-
-    def height_at_amsl_m(self, north_m: float, east_m: float) -> float:
-        """Height of the terrain at one point."""
-        return float(self.height_amsl_m(np.array([north_m]), np.array([east_m]))[0])
-
-    def _steepest(self, grid: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
-        """Bound of the gradient less than two rows and columns from each point of a part.
-
-        (2, ...) rows and columns in the part -> (R, C), and row and column of its first point.
-        """
-        last = np.array(self.heights_m.shape) - 1
-        low = np.clip(np.floor(grid.reshape(2, -1).min(axis=1)).astype(np.intp) - 3, 0, last)
-        high = np.clip(np.ceil(grid.reshape(2, -1).max(axis=1)).astype(np.intp) + 3, 0, last)
-        part = self.heights_m[low[0] : high[0] + 1, low[1] : high[1] + 1].astype(np.float64)
-        part = np.pad(part, ((0, 1), (0, 1)), mode="edge")
-        steepest = scipy.ndimage.maximum_filter
-        along_north = steepest(np.abs(np.diff(part, axis=0))[:, :-1], 5) / self._steps_m[0]
-        along_east = steepest(np.abs(np.diff(part, axis=1))[:-1], 5) / self._steps_m[1]
-        return np.asarray(_STRETCH * np.hypot(along_north, along_east)), low
-
-    def highest_in_quads_amsl_m(self, corners_ne_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Highest terrain over convex quadrilaterals, and where.  (C, 4, 2) -> (C,), (C, 2).
-
-        The height is an upper bound: that of the highest of a lattice of samples, and what the
-        steepest slope nearby may add between them (about a metre for cells of 20 m).
-        """
-        sides = np.roll(corners_ne_m, -1, axis=1) - corners_ne_m
-        longest_m = float(np.max(np.hypot(sides[..., 0], sides[..., 1]), initial=0.0))
-        count = int(np.clip(math.ceil(longest_m / _SAMPLE_M) + 1, *_SAMPLES))
-        u, v = (x.ravel() for x in np.meshgrid(*2 * [np.linspace(0.0, 1.0, count)]))
-        shares = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v])  # (4, count^2)
-        corners = self._rows_columns(corners_ne_m[..., 0], corners_ne_m[..., 1])  # (2, C, 4)
-        grid = corners @ shares  # (2, C, count^2): cells of 1 km bend by 1 cm
-        heights = _between(self.heights_m, grid)
-        best = heights.argmax(axis=1)
-        cell = np.arange(len(best))
-        slope, start = self._steepest(grid)
-        middle = np.rint(grid.mean(axis=2)).astype(np.intp) - start[:, None]
-        steepest = slope[tuple(np.clip(middle, 0, np.array(slope.shape)[:, None] - 1))]
-        if np.any(np.ptp(grid, axis=2) > 2.0):
-            steepest = np.full_like(steepest, slope.max())
-        between_m = longest_m / (count - 1) / math.sqrt(2.0)
-        return heights[cell, best] + steepest * between_m, np.einsum(
-            "kc,ckx->cx", shares[:, best], corners_ne_m
-        )
-
-    def lowest_in_grid_amsl_m(
-        self, north_edges_m: FloatArray, east_edges_m: FloatArray
-    ) -> FloatArray:
-        """Lower bound of the terrain in every cell of a grid.  (N + 1,), (E + 1,) -> (N, E).
-
-        The lowest corner, less what the steepest slope of all may take away half a cell from it.
-        """
-        grid = self._rows_columns(*np.meshgrid(north_edges_m, east_edges_m, indexing="ij"))
-        corner = _between(self.heights_m, grid)
-        pairs = np.minimum(corner[1:], corner[:-1])
-        steepest = float(self._steepest(grid)[0].max())
-        half_m = 0.5 * math.hypot(np.diff(north_edges_m).max(), np.diff(east_edges_m).max())
-        return np.minimum(pairs[:, 1:], pairs[:, :-1]) - steepest * half_m
-
-
-def _between(values: NDArray[Any], at: FloatArray) -> FloatArray:
-    """Bilinear interpolation, as at the edge beyond it.  (R, C), (2, ...) -> (...)."""
-    found = _interpolated(values, at[0].ravel(), at[1].ravel())
-    return found.reshape(at.shape[1:])
-
-
-@compiled()
-def _interpolated(values: NDArray[Any], rows: FloatArray, columns: FloatArray) -> FloatArray:
-    """The same of flat arrays.  (R, C), (K,), (K,) -> (K,)."""
-    found = np.empty(len(rows))
-    last_row, last_column = values.shape[0] - 1, values.shape[1] - 1
-    for k in range(len(rows)):
-        row, column = min(max(rows[k], 0.0), last_row), min(max(columns[k], 0.0), last_column)
-        i, j = min(int(row), max(last_row - 1, 0)), min(int(column), max(last_column - 1, 0))
-        down, right = row - i, column - j
-        below, beside = min(i + 1, last_row), min(j + 1, last_column)
-        upper = values[i, j] * (1.0 - right) + values[i, beside] * right
-        lower = values[below, j] * (1.0 - right) + values[below, beside] * right
-        found[k] = upper * (1.0 - down) + lower * down
-    return found
-
-
-# --- files ----------------------------------------------------------------------------------------
 
 
 def read_grid(
     path: Path, frame: LocalFrame, area_m: Area, nodata: Literal["sea"] | float | None
 ) -> GridTerrain:
     """The terrain of an area; InputError says what is wrong with the file."""
-    if not path.is_file():
-        raise _refusal(path, "there is no such file", "Name a GeoTIFF or an SRTM .hgt.")
     import rasterio  # only if a file is named: it takes a while
 
+    def must(holds: bool, rule: str, remedy: str) -> None:
+        if not holds:
+            raise InputError("terrain.file", str(path), rule, remedy)
+
+    must(path.is_file(), "there is no such file", "Name a GeoTIFF or an SRTM .hgt.")
+    north, east = np.meshgrid(np.linspace(*area_m[:2], 33), np.linspace(*area_m[2:], 33))
+    latitude, longitude = frame.to_geographic_many(north.ravel(), east.ravel())
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -183,50 +34,33 @@ def read_grid(
             dataset = rasterio.open(path, driver=driver)
         with dataset:
             a, turned, west_deg, _, e, north_deg = dataset.transform[:6]
-            if dataset.crs is None or not dataset.crs.is_geographic or turned or not a > 0.0 > e:
-                rule = "is not of latitude and longitude, north up"
-                raise _refusal(path, rule, "Warp it to EPSG:4326.")
-            top, left, bottom, right = _needed(dataset, frame, area_m, path)
-            raw = dataset.read(1, window=((top, bottom), (left, right)), masked=True)
+            is_level = dataset.crs is not None and dataset.crs.is_geographic and not turned
+            rule = "is not of latitude and longitude, north up"
+            must(is_level and a > 0.0 > e, rule, "Warp it to EPSG:4326.")
+            # rows and columns around the area: the first ones, and those after the last
+            half_deg = 0.5 * dataset.width * a
+            east_deg = (longitude - west_deg - half_deg + 180.0) % 360.0 - 180.0
+            places = np.stack([(latitude - north_deg) / e, (east_deg + half_deg) / a]) - 0.5
+            top, left = np.floor(places.min(axis=1) - _SPARE).astype(int).tolist()
+            bottom, right = np.ceil(places.max(axis=1) + _SPARE).astype(int).tolist()
+            covered = min(top, left) >= 0 and bottom < dataset.height and right < dataset.width
+            must(covered, "does not cover [area]", "Make [area] smaller.")
+            raw = dataset.read(1, window=((top, bottom + 1), (left, right + 1)), masked=True)
     except rasterio.errors.RasterioError as error:
-        reason = " ".join(str(error).split())
-        raise _refusal(path, f"cannot be read ({reason})", "Name a GeoTIFF.") from None
+        rule = f"cannot be read ({' '.join(str(error).split())})"
+        raise InputError("terrain.file", str(path), rule, "Name a GeoTIFF.") from None
+    heights, holes = raw.data, np.ma.getmaskarray(raw) | ~np.isfinite(raw.data)
+    if holes.any():
+        remedy = 'Say what is there: nodata = "sea", or a height AMSL.'
+        rule = f"has {int(holes.sum())} points without height in [area]"
+        must(nodata is not None, rule, remedy)
+        heights = heights.astype(np.float32)
+        heights[holes] = 0.0 if nodata == "sea" else nodata
     return GridTerrain(
-        _without_holes(raw, nodata, path),
+        heights,
         north_deg=north_deg + (top + 0.5) * e,
         west_deg=west_deg + (left + 0.5) * a,
         step_deg=(-e, a),
         frame=frame,
         area_m=area_m,
     )
-
-
-def _refusal(path: Path, rule: str, remedy: str) -> InputError:
-    return InputError("terrain.file", str(path), rule, remedy)
-
-
-def _needed(dataset: Any, frame: LocalFrame, area_m: Area, path: Path) -> tuple[int, int, int, int]:
-    """The part of the file around the area: first row and column, and those after the last."""
-    north, east = np.meshgrid(np.linspace(*area_m[:2], 33), np.linspace(*area_m[2:], 33))
-    latitude, longitude = frame.to_geographic_many(north.ravel(), east.ravel())
-    a, _, c, _, e, f = dataset.transform[:6]
-    east_of_middle = (longitude - c - 0.5 * dataset.width * a + 180.0) % 360.0 - 180.0
-    places = np.stack([(latitude - f) / e, east_of_middle / a + 0.5 * dataset.width])
-    top, left = (math.floor(each.min() - 0.5 - _SPARE) for each in places)
-    bottom, right = (math.ceil(each.max() - 0.5 + _SPARE) + 1 for each in places)
-    if min(top, left) < 0 or bottom > dataset.height or right > dataset.width:
-        raise _refusal(path, "does not cover [area]", "Make [area] smaller.")
-    return top, left, bottom, right
-
-
-def _without_holes(raw: Any, nodata: Literal["sea"] | float | None, path: Path) -> NDArray[Any]:
-    """Heights without holes."""
-    holes = np.ma.getmaskarray(raw) | ~np.isfinite(raw.data)
-    heights: NDArray[Any] = raw.data
-    if holes.any():
-        if nodata is None:
-            remedy = 'Say what is there: nodata = "sea", or a height AMSL.'
-            raise _refusal(path, f"has {int(holes.sum())} points without height in [area]", remedy)
-        heights = heights.astype(np.float32)
-        heights[holes] = 0.0 if nodata == "sea" else nodata
-    return heights

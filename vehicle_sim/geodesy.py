@@ -63,32 +63,24 @@ class LocalFrame:
 
     def to_local(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
         """North and east of one point, in metres."""
-        azimuth_deg, _, distance_m = WGS84.inv(
-            self.longitude_deg, self.latitude_deg, longitude_deg, latitude_deg
-        )
+        lon, lat = self.longitude_deg, self.latitude_deg
+        azimuth_deg, _, distance_m = WGS84.inv(lon, lat, longitude_deg, latitude_deg)
         azimuth_rad = math.radians(azimuth_deg)
         return distance_m * math.cos(azimuth_rad), distance_m * math.sin(azimuth_rad)
 
     def to_geographic(self, north_m: float, east_m: float) -> tuple[float, float]:
         """Latitude and longitude of one point, in degrees."""
-        longitude_deg, latitude_deg, _ = WGS84.fwd(
-            self.longitude_deg,
-            self.latitude_deg,
-            math.degrees(math.atan2(east_m, north_m)),
-            math.hypot(north_m, east_m),
-        )
+        lon, lat, distance_m = self.longitude_deg, self.latitude_deg, math.hypot(north_m, east_m)
+        azimuth_deg = math.degrees(math.atan2(east_m, north_m))
+        longitude_deg, latitude_deg, _ = WGS84.fwd(lon, lat, azimuth_deg, distance_m)
         return latitude_deg, longitude_deg
 
     def to_local_many(
         self, latitude_deg: FloatArray, longitude_deg: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """North and east of many points.  (K,), (K,) -> (K,), (K,)."""
-        azimuth_deg, _, distance_m = WGS84.inv(
-            np.full_like(longitude_deg, self.longitude_deg),
-            np.full_like(latitude_deg, self.latitude_deg),
-            longitude_deg,
-            latitude_deg,
-        )
+        lon, lat, _ = np.broadcast_arrays(self.longitude_deg, self.latitude_deg, longitude_deg)
+        azimuth_deg, _, distance_m = WGS84.inv(lon, lat, longitude_deg, latitude_deg)
         azimuth_rad = np.radians(azimuth_deg)
         return distance_m * np.cos(azimuth_rad), distance_m * np.sin(azimuth_rad)
 
@@ -96,10 +88,7 @@ class LocalFrame:
         self, north_m: FloatArray, east_m: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Latitude and longitude of many points.  (K,), (K,) -> (K,), (K,)."""
-        longitude_deg, latitude_deg, _ = WGS84.fwd(
-            np.full_like(east_m, self.longitude_deg),
-            np.full_like(north_m, self.latitude_deg),
-            np.degrees(np.arctan2(east_m, north_m)),
-            np.hypot(north_m, east_m),
-        )
+        lon, lat, _ = np.broadcast_arrays(self.longitude_deg, self.latitude_deg, north_m)
+        azimuth_deg, distance_m = np.degrees(np.arctan2(east_m, north_m)), np.hypot(north_m, east_m)
+        longitude_deg, latitude_deg, _ = WGS84.fwd(lon, lat, azimuth_deg, distance_m)
         return latitude_deg, longitude_deg

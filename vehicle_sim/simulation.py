@@ -16,7 +16,7 @@ from vehicle_sim.autopilot.factory import (
     personality_of,
 )
 from vehicle_sim.autopilot.values import Sender, Text
-from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
+from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery
 from vehicle_sim.dynamics.contact import LOOK_US, Contact, Crash
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.plane import Plane
@@ -29,7 +29,7 @@ from vehicle_sim.plans import Plans
 from vehicle_sim.rng import generator
 from vehicle_sim.sensors.gps import Gps
 from vehicle_sim.sensors.lidar import Lidar, body_axes_neu
-from vehicle_sim.sensors.terrain_radar import ScanRequest, TerrainRadar, Viewpoint
+from vehicle_sim.sensors.terrain_radar import TerrainRadar
 from vehicle_sim.wire.components import LidarDriver, RadarComponent
 from vehicle_sim.wire.frames import make
 from vehicle_sim.wire.proximity import RPLIDAR, RangeSensors
@@ -72,7 +72,8 @@ class Simulation:
         forwards_all: bool = True,
         faults: str = "",
     ) -> None:
-        table, terrain = world.vehicle, world.truth()
+        table, scene = world.vehicle, world.scene()
+        terrain = scene.terrain
         self._world, self._seed, self._personality = world, seed, personality_of(table)
         self.now_us = 0
         """Since the start; the autopilot counts from its own boot."""
@@ -95,13 +96,13 @@ class Simulation:
         ground_amsl_m = terrain.height_at_amsl_m(table.north_m, table.east_m)
         self.vehicle: Copter | Plane = make_vehicle(table, *place, ground_amsl_m)
         """The truth: where it really is, and how it moves."""
-        rolls, scene = table.kind == "plane", world.scene(terrain)
+        rolls = table.kind == "plane"
         self.contact = Contact(
-            self.vehicle, terrain, scene, world.frame, rolls=rolls, on_crash=self._on_crash
+            self.vehicle, scene, world.frame, rolls=rolls, on_crash=self._on_crash
         )
         """Where it is in the world, and how near to the ground and to things."""
         self._wind = Wind(generator(seed, "wind"))
-        self._power = PowerModule(Battery(), self._personality.battery)
+        self._battery = Battery(model=self._personality.battery)
         self.plans = Plans()
         """Mission, fence and rally points as the autopilot stores them."""
         self._timeline = Timeline.parse(faults, name="faults")
@@ -142,7 +143,7 @@ class Simulation:
         rng = generator(self._seed, f"autopilot {self._boots}")
         boot = Boot(self._personality.firmware, self.vehicle, overrides, self.plans, rng)
         autopilot = self._personality.make(boot)
-        autopilot.battery = self._power.battery
+        autopilot.battery = self._battery
         self.parameters: Parameters = autopilot.parameters
         """The autopilot's; a reboot makes new ones."""
         self._ids = ids_of(self._personality, self.parameters)
@@ -164,9 +165,7 @@ class Simulation:
         """Look once with every sensor, so that nobody waits for a compiler in flight."""
         self._range_down_m()
         if self._scanner is not None:
-            place = self.vehicle.latitude_deg, self.vehicle.longitude_deg
-            view = Viewpoint(*place, self.vehicle.altitude_amsl_m)
-            self._scanner.radar.answer(ScanRequest(*place, 1, 1), view)
+            self._scanner.radar.answer(self._world.frame, 1, 1, self.vehicle)
 
     # --- to look at ---------------------------------------------------------------------------
 
@@ -389,7 +388,7 @@ class Simulation:
         controller.go_on(replies)
         if looks:
             armed = controller.autopilot.armed
-            self._power.step(POWER_STEP_S, vehicle, armed, conditions.battery)
+            self._battery.step(POWER_STEP_S, vehicle, armed, conditions.battery)
         if controller.wants_reboot:
             self._go_down()
 

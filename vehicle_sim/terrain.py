@@ -1,41 +1,28 @@
-"""The true terrain: peaks after eq. 1 of the paper over level ground, and what bounds it.
+"""The true terrain, and what bounds it: peaks after eq. 1 of the paper, or an elevation file.
 
 A peak is h exp(-((n - n0) / s_n)^2 - ((e - e0) / s_e)^2).  In coordinates scaled by 1 / s about its
 centre it falls with the distance alone, so its maximum over a convex area lies at the point nearest
 to the centre, and its minimum over a box at the farthest corner: both exact.
+
+An elevation file is bilinear between its points.  Positions come in the local frame: geodesics are
+exact and slow, so the way from there to the grid is tabulated once, at places so close that it is
+straight between them.
 """
 
 import math
 from collections.abc import Sequence
-from typing import Literal, Protocol, final
+from typing import Any, Final, Literal, final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from vehicle_sim.compiled import compiled
+from vehicle_sim.geodesy import FloatArray, LocalFrame, metres_per_degree
 
-FloatArray = NDArray[np.float64]
 Combine = Literal["maximum", "sum"]
 PeakRow = tuple[float, float, float, float, float]
 """North and east of the centre, height AMSL, spread north and east; all in metres."""
-
-
-class Terrain(Protocol):
-    """What the simulator asks of the ground; positions in the local frame, in metres."""
-
-    def height_amsl_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
-        """Height of the terrain.  (...), (...) -> (...)."""
-
-    def height_at_amsl_m(self, north_m: float, east_m: float) -> float:
-        """Height of the terrain at one point."""
-
-    def highest_in_quads_amsl_m(self, corners_ne_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Highest terrain over convex quadrilaterals, and where.  (C, 4, 2) -> (C,), (C, 2)."""
-
-    def lowest_in_grid_amsl_m(
-        self, north_edges_m: FloatArray, east_edges_m: FloatArray
-    ) -> FloatArray:
-        """Lower bound of the terrain in every cell of a grid.  (N + 1,), (E + 1,) -> (N, E)."""
 
 
 @final
@@ -52,12 +39,14 @@ class PeakTerrain:
     def height_amsl_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """Height of the terrain.  (...), (...) -> (...)."""
         north, east = np.broadcast_arrays(north_m, east_m)
-        if self.level:
-            return np.full(north.shape, self.ground_amsl_m)
         n, e, height, s_n, s_e = self._peaks.T.reshape(5, -1, *[1] * north.ndim)
-        each_m = height * np.exp(-(((north - n) / s_n) ** 2) - ((east - e) / s_e) ** 2)
-        joined = each_m.max(axis=0) if self.combine == "maximum" else each_m.sum(axis=0)
-        return np.maximum(joined, self.ground_amsl_m)
+        return self._joined(height * np.exp(-(((north - n) / s_n) ** 2) - ((east - e) / s_e) ** 2))
+
+    def _joined(self, peaks_m: FloatArray) -> FloatArray:
+        """What peaks and the ground make together.  (P, ...) -> (...)."""
+        if self.combine == "maximum" or self.level:
+            return peaks_m.max(axis=0, initial=self.ground_amsl_m)
+        return np.maximum(peaks_m.sum(axis=0), self.ground_amsl_m)
 
     def height_at_amsl_m(self, north_m: float, east_m: float) -> float:
         """Height of the terrain at one point."""
@@ -83,22 +72,13 @@ class PeakTerrain:
     ) -> FloatArray:
         """Lower bound of the terrain in every cell of a grid.  (N + 1,), (E + 1,) -> (N, E).
 
-        Each peak's minimum over a box factors into a north and an east part, so a grid costs two
-        rows of exponentials and one outer product a peak.
+        Each peak's minimum over a box factors into a north and an east part.
         """
-        lowest = np.full((len(north_edges_m) - 1, len(east_edges_m) - 1), self.ground_amsl_m)
-        total = np.zeros_like(lowest)
-        for north, east, height, s_north, s_east in self._peaks:
-            x, y = np.abs(north_edges_m - north) / s_north, np.abs(east_edges_m - east) / s_east
-            part_north = height * np.exp(-(np.maximum(x[:-1], x[1:]) ** 2))
-            if self.combine == "maximum" and part_north.max() <= self.ground_amsl_m:
-                continue
-            peak = np.outer(part_north, np.exp(-(np.maximum(y[:-1], y[1:]) ** 2)))
-            if self.combine == "maximum":
-                np.maximum(lowest, peak, out=lowest)
-            else:
-                total += peak
-        return np.maximum(lowest, total)
+        n, e, height, s_n, s_e = self._peaks.T[..., None]  # (P, 1) each
+        x, y = np.abs(north_edges_m - n) / s_n, np.abs(east_edges_m - e) / s_e
+        part_north = height * np.exp(-(np.maximum(x[:, :-1], x[:, 1:]) ** 2))  # (P, N)
+        part_east = np.exp(-(np.maximum(y[:, :-1], y[:, 1:]) ** 2))  # (P, E)
+        return self._joined(part_north[:, :, None] * part_east[:, None])
 
 
 def _nearest_in_quad(quad: FloatArray, peak: FloatArray) -> tuple[float, float]:
@@ -140,3 +120,149 @@ def _highest_in_quads(
                 best, place[k, 0], place[k, 1] = height, north, east
             highest[k] = max(highest[k], total if adds else height)
     return highest, place
+
+
+# --- elevation files ------------------------------------------------------------------------------
+
+Area = tuple[float, float, float, float]
+"""North least and most, east least and most, in metres."""
+_TABLE_M: Final = 250.0
+_TABLE_PLACES: Final = 400
+"""A side at most: 1 km apart for an area of 400 km, where it bends by 2 cm between them."""
+_STRETCH: Final = 1.01
+"""A metre of the local frame is this many true metres at most."""
+_SAMPLES: Final = (9, 25)
+_SAMPLE_M: Final = 5.0
+
+
+@final
+class GridTerrain:
+    """Heights of points in rows from north to south; as at its edge beyond it."""
+
+    def __init__(
+        self,
+        heights_m: NDArray[Any],
+        *,
+        north_deg: float,
+        west_deg: float,
+        step_deg: tuple[float, float],
+        frame: LocalFrame,
+        area_m: Area,
+    ) -> None:
+        """The terrain of an area.  north_deg, west_deg: of the first point.  Steps: positive.
+
+        heights_m: (rows, columns) AMSL, of the file's own type.
+        """
+        self.heights_m = heights_m
+        sizes = [max(high - low, 1.0) for low, high in (area_m[:2], area_m[2:])]
+        counts = [min(math.ceil(size / _TABLE_M), _TABLE_PLACES) + 1 for size in sizes]
+        self._low_ne_m = area_m[0], area_m[2]
+        self._spacing_ne_m = [size / (count - 1) for size, count in zip(sizes, counts, strict=True)]
+        north, east = np.meshgrid(
+            area_m[0] + np.linspace(0.0, sizes[0], counts[0]),
+            area_m[2] + np.linspace(0.0, sizes[1], counts[1]),
+            indexing="ij",
+        )
+        latitude, longitude = frame.to_geographic_many(north.ravel(), east.ravel())
+        half = 0.5 * step_deg[1] * (heights_m.shape[1] - 1)
+        off_middle = (longitude - west_deg - half + 180.0) % 360.0 - 180.0
+        self._row_at = ((north_deg - latitude) / step_deg[0]).reshape(north.shape)
+        self._column_at = ((off_middle + half) / step_deg[1]).reshape(north.shape)
+        """(N, E): which row of the grid each place of the table lies in; and which column."""
+        southmost_deg = north_deg - step_deg[0] * heights_m.shape[0]
+        northward_m, eastward_m = metres_per_degree(north_deg)
+        eastward_m = min(eastward_m, metres_per_degree(southmost_deg)[1])
+        self._steps_m = step_deg[0] * northward_m, step_deg[1] * eastward_m
+        """From row to row, and the least from column to column."""
+
+    def _rows_columns(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
+        """Where points of the local frame lie in the grid.  (...) x2 -> (2, ...)."""
+        north = (north_m - self._low_ne_m[0]) / self._spacing_ne_m[0]
+        places = np.stack([north, (east_m - self._low_ne_m[1]) / self._spacing_ne_m[1]])
+        return np.stack([_between(self._row_at, places), _between(self._column_at, places)])
+
+    def height_amsl_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
+        """Height of the terrain.  (...), (...) -> (...)."""
+        north, east = np.broadcast_arrays(north_m, east_m)
+        return _between(self.heights_m, self._rows_columns(north, east))
+
+    def height_at_amsl_m(self, north_m: float, east_m: float) -> float:
+        """Height of the terrain at one point."""
+        return float(self.height_amsl_m(np.array([north_m]), np.array([east_m]))[0])
+
+    def _steepest(self, grid: FloatArray) -> FloatArray:
+        """Bound of the gradient between points that lie together: C times K rows and columns.
+
+        (2, C, K) -> (C,).  If some of them lie more than two rows apart, that of them all.
+        """
+        last = np.array(self.heights_m.shape) - 1
+        low = np.clip(np.floor(grid.min(axis=(1, 2))).astype(np.intp) - 3, 0, last)
+        high = np.clip(np.ceil(grid.max(axis=(1, 2))).astype(np.intp) + 3, 0, last)
+        part = self.heights_m[low[0] : high[0] + 1, low[1] : high[1] + 1].astype(np.float64)
+        part = np.pad(part, ((0, 1), (0, 1)), mode="edge")
+        most = scipy.ndimage.maximum_filter  # within two rows and columns
+        along_north = most(np.abs(np.diff(part, axis=0))[:, :-1], 5) / self._steps_m[0]
+        along_east = most(np.abs(np.diff(part, axis=1))[:-1], 5) / self._steps_m[1]
+        slope: FloatArray = _STRETCH * np.hypot(along_north, along_east)
+        if np.any(np.ptp(grid, axis=2) > 2.0):
+            return np.full(grid.shape[1], slope.max())
+        middle = np.rint(grid.mean(axis=2)).astype(np.intp) - low[:, None]
+        return slope[tuple(np.clip(middle, 0, np.array(slope.shape)[:, None] - 1))]
+
+    def highest_in_quads_amsl_m(self, corners_ne_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Highest terrain over convex quadrilaterals, and where.  (C, 4, 2) -> (C,), (C, 2).
+
+        The height is an upper bound: that of the highest of a lattice of samples, and what the
+        steepest slope nearby may add between them (about a metre for cells of 20 m).
+        """
+        sides = np.roll(corners_ne_m, -1, axis=1) - corners_ne_m
+        longest_m = float(np.max(np.hypot(sides[..., 0], sides[..., 1]), initial=0.0))
+        count = int(np.clip(math.ceil(longest_m / _SAMPLE_M) + 1, *_SAMPLES))
+        u, v = (x.ravel() for x in np.meshgrid(*2 * [np.linspace(0.0, 1.0, count)]))
+        shares = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v])  # (4, count^2)
+        corners = self._rows_columns(corners_ne_m[..., 0], corners_ne_m[..., 1])  # (2, C, 4)
+        grid = corners @ shares  # (2, C, count^2): cells of 1 km bend by 1 cm
+        heights = _between(self.heights_m, grid)
+        between_m = longest_m / (count - 1) / math.sqrt(2.0)
+        highest_m = heights.max(axis=1) + self._steepest(grid) * between_m
+        best = shares[:, heights.argmax(axis=1)]  # (4, C)
+        return highest_m, np.einsum("kc,ckx->cx", best, corners_ne_m)
+
+    def lowest_in_grid_amsl_m(
+        self, north_edges_m: FloatArray, east_edges_m: FloatArray
+    ) -> FloatArray:
+        """Lower bound of the terrain in every cell of a grid.  (N + 1,), (E + 1,) -> (N, E).
+
+        The lowest corner, less what the steepest slope of all may take away half a cell from it.
+        """
+        grid = self._rows_columns(*np.meshgrid(north_edges_m, east_edges_m, indexing="ij"))
+        corner = _between(self.heights_m, grid)
+        pairs = np.minimum(corner[1:], corner[:-1])
+        half_m = 0.5 * math.hypot(np.diff(north_edges_m).max(), np.diff(east_edges_m).max())
+        falls_m = self._steepest(grid.reshape(2, 1, -1)) * half_m
+        return np.minimum(pairs[:, 1:], pairs[:, :-1]) - falls_m
+
+
+def _between(values: NDArray[Any], at: FloatArray) -> FloatArray:
+    """Bilinear interpolation, as at the edge beyond it.  (R, C), (2, ...) -> (...)."""
+    return _interpolated(values, at.reshape(2, -1)).reshape(at.shape[1:])
+
+
+@compiled()
+def _interpolated(values: NDArray[Any], at: FloatArray) -> FloatArray:
+    """The same of a flat array.  (R, C), (2, K) -> (K,)."""
+    found = np.empty(at.shape[1])
+    last_row, last_column = values.shape[0] - 1, values.shape[1] - 1
+    for k in range(len(found)):
+        row, column = min(max(at[0, k], 0.0), last_row), min(max(at[1, k], 0.0), last_column)
+        i, j = min(int(row), max(last_row - 1, 0)), min(int(column), max(last_column - 1, 0))
+        down, right = row - i, column - j
+        below, beside = min(i + 1, last_row), min(j + 1, last_column)
+        upper = values[i, j] * (1.0 - right) + values[i, beside] * right
+        lower = values[below, j] * (1.0 - right) + values[below, beside] * right
+        found[k] = upper * (1.0 - down) + lower * down
+    return found
+
+
+Terrain = PeakTerrain | GridTerrain
+"""Positions are in the local frame, in metres."""

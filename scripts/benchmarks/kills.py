@@ -222,7 +222,8 @@ def setting(scale: str, autopilot: str, seed: int) -> tuple[Mission, World]:
     mission, world = load_mission(name), read_world(folder_of(name) / "world.toml")
     world = world.with_woods_of(seed)
     if scale == "ridge":
-        world = replace(world, terrain=replace(world.terrain, peaks=(_RIDGE,)))
+        terrain = world.terrain.model_copy(update={"peaks": (_RIDGE,)})
+        world = world.model_copy(update={"terrain": terrain})
     if autopilot == "px4":  # the worlds of these scales are flown by an ArduCopter
         mission, world = _on_px4(mission, world)
     return mission, world
@@ -241,8 +242,10 @@ def _on_px4(mission: Mission, world: World) -> tuple[Mission, World]:
         "COM_OF_LOSS_T": math.floor(10.0 * longest_s) / 10.0,
     }
     task = replace(mission.task, limits=limits, handling=strategy.traits.handling)
-    vehicle = replace(world.vehicle, autopilot="px4", parameters=parameters)
-    world = replace(world, vehicle=vehicle, second_lidar=None)  # that one is ArduPilot's own
+    own = {"autopilot": "px4", "parameters": parameters}
+    vehicle = world.vehicle.model_copy(update=own)
+    # the second lidar is ArduPilot's own
+    world = world.model_copy(update={"vehicle": vehicle, "second_lidar": None})
     return replace(mission, autopilot="px4", task=task), world
 
 

@@ -123,11 +123,12 @@ def scene_of(name: str, seed: int) -> NearScene:
     Of that what a lidar sees at the lowest altitude of the mission.
     """
     world = read_world(folder_of(name) / "world.toml").with_woods_of(seed)
-    floor_m = load_mission(name).task.limits.floor_amsl_m
+    ground_m = world.terrain.ground_amsl_m or 0.0
+    floor_m = load_mission(name).task.limits.floor_amsl_m - ground_m
     seen = [
         Thing(corners_ne_m=each.corners_ne_m, half_width_m=each.half_width_m, closed=each.closed)
-        for each in world.scene(world.truth()).things
-        if each.visible and each.top_amsl_m > floor_m
+        for each in world.scene().things
+        if each.height_m > floor_m and math.isinf(each.hangs_m)
     ]
     return NearScene(seen, rate_hz=1.0 / _STEP_S)
 
@@ -173,7 +174,7 @@ def _on_simulator(name: str, seed: int) -> tuple[float, FloatArray, float, int, 
     way, reason = np.array(track), it.session.state.reason
     seconds = it.now_s - began_s if it.phase is Phase.ARRIVED else math.inf
     end = reason.text if reason is not None and seconds == math.inf else None
-    nearest_m = float(world.scene(world.truth()).distance_m(way).min())
+    nearest_m = float(world.scene().distance_m(way).min())
     return seconds, way[:, :2], nearest_m, phases.count(Phase.HOLDING), end
 
 

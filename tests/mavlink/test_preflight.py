@@ -45,8 +45,9 @@ class Pair(Faced):
         mission = load_mission(name)
         where = mission.frame.latitude_deg, mission.frame.longitude_deg
         world = level(*NAMES[name], (*where, 488.0 if "px4" in name else 584.0))
-        vehicle = replace(world.vehicle, parameters=parameters or {})
-        simulated = Simulation(replace(world, vehicle=vehicle), seed=1, links=2, faults=faults)
+        vehicle = world.vehicle.model_copy(update={"parameters": parameters or {}})
+        world = world.model_copy(update={"vehicle": vehicle})
+        simulated = Simulation(world, seed=1, links=2, faults=faults)
         super().__init__(replace(mission, **changes), simulated, shadow=shadow, signing=signing)
 
     def looked_at(self, seconds: float = 60.0) -> "Pair":

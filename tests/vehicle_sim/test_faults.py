@@ -10,7 +10,7 @@ from harness import GENTLE, placed
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vehicle_sim.dynamics.battery import Battery, PowerModule
+from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.wind import Wind
 from vehicle_sim.errors import InputError
@@ -134,12 +134,12 @@ def test_no_value_of_any_parameter_leads_off_the_earth(
         values[name] = data.draw(wild)
     conditions, rng = conditions_of(values), np.random.default_rng(1)
     gps, wind = Gps(PX4 if is_px4 else ARDUCOPTER, rng), Wind(rng)
-    power = PowerModule(Battery(), "px4" if is_px4 else "ardupilot copter")
+    battery = Battery(model="px4" if is_px4 else "ardupilot copter")
     copter = Copter(**placed((47.0, 179.9, 50.0)), limits=GENTLE, drag_1_s=0.5)
     for now_us in range(9_700_000, 11_000_000, 50_000):
         wind.step(0.05, copter, conditions.wind, 0.0)
         copter.advance(0.0, 0.0, 0.0, 0.05)
-        power.step(0.05, copter, armed=True, conditions=conditions.battery)
+        battery.step(0.05, copter, armed=True, conditions=conditions.battery)
         fix = gps.step(now_us, copter, conditions.gps)
         assert abs(fix.latitude_deg) <= 90.0
         assert abs(fix.longitude_deg) <= 180.0
@@ -147,8 +147,8 @@ def test_no_value_of_any_parameter_leads_off_the_earth(
         assert 0 <= fix.satellites <= 50
         assert abs(fix.velocity_north_m_s) < 5000.0
         assert abs(copter.wind_m_s.real) + abs(copter.wind_up_m_s) < 1000.0
-        assert 0.0 <= power.battery.remaining <= 1.0
-        assert 0.0 <= power.battery.voltage_v < 100.0
+        assert 0.0 <= battery.remaining <= 1.0
+        assert 0.0 <= battery.voltage_v < 100.0
 
 
 # --- the timeline ---------------------------------------------------------------------------------

@@ -94,7 +94,7 @@ SEES: dict[str, Callable[[Link, Link], object]] = {
         max(abs(m.roll) for m in messages(b, "ATTITUDE"))
         > 0.05 + max(abs(m.roll) for m in messages(a, "ATTITUDE"))
     ),
-    # PX4's gauge creeps up to it, and rounds up
+    # PX4 rounds up
     "battery 15 %": lambda _, b: b.last("SYS_STATUS").battery_remaining in (14, 15, 16),
     "link_loss 20 %": lambda a, b: lost(a) == 0.0 and 0.12 < lost(b) < 0.28,
     "setpoints_ignored": lambda a, b: (

@@ -8,7 +8,7 @@ import pytest
 import shapely
 from scipy.spatial import cKDTree
 
-from vehicle_sim.terrain import FloatArray
+from vehicle_sim.geodesy import FloatArray
 from vehicle_sim.world import Tree, World, parse_world
 
 GROUND_M = 100.0

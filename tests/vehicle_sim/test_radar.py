@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from harness import GENTLE, placed
+from harness import placed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -19,10 +19,10 @@ from pymavlink.dialects.v20 import all as mavlink
 from pyproj import Geod
 
 from vehicle_sim.autopilot.values import Sender
-from vehicle_sim.dynamics.copter import Copter
+from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.faults import RadarConditions
 from vehicle_sim.geodesy import LocalFrame
-from vehicle_sim.sensors.terrain_radar import UNSEEN_M, ScanRequest, TerrainRadar, Viewpoint
+from vehicle_sim.sensors.terrain_radar import UNSEEN_M, TerrainRadar
 from vehicle_sim.terrain import PeakRow, PeakTerrain
 from vehicle_sim.wire.components import RadarComponent
 from vehicle_sim.wire.frames import StreamParser, framed
@@ -30,6 +30,7 @@ from vehicle_sim.wire.frames import StreamParser, framed
 FloatArray = NDArray[np.float64]
 Height = Callable[[FloatArray, FloatArray], FloatArray]
 NE = tuple[float, float]
+Request = tuple[LocalFrame, int, int]
 WGS84 = Geod(ellps="WGS84")
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
 ALL_BLOCKS, RANGE_M = (1 << 56) - 1, 4000.0
@@ -53,16 +54,15 @@ def radar_over_hills(seed: int, centre_ne_m: NE = HERE) -> tuple[PeakTerrain, Te
     return terrain, TerrainRadar(terrain, FRAME, range_m=RANGE_M)
 
 
-def viewpoint(ne_m: NE, altitude_amsl_m: float) -> Viewpoint:
-    return Viewpoint(*FRAME.to_geographic(*ne_m), altitude_amsl_m)
+def viewpoint(ne_m: NE, altitude_amsl_m: float) -> Vehicle:
+    return Vehicle(**placed((*FRAME.to_geographic(*ne_m), altitude_amsl_m)))
 
 
-def request_about(ne_m: NE, spacing_m: int, mask: int = ALL_BLOCKS) -> ScanRequest:
+def request_about(ne_m: NE, spacing_m: int, mask: int = ALL_BLOCKS) -> Request:
+    """South-west corner, spacing and mask."""
     corner = FRAME.to_geographic(ne_m[0] - 14 * spacing_m, ne_m[1] - 16 * spacing_m)
     latitude_deg, longitude_deg = (round(angle, 7) for angle in corner)
-    return ScanRequest(
-        latitude_deg=latitude_deg, longitude_deg=longitude_deg, spacing_m=spacing_m, mask=mask
-    )
+    return LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg), spacing_m, mask
 
 
 def spots(spacing_m: float, count: int) -> tuple[FloatArray, FloatArray]:
@@ -73,19 +73,19 @@ def spots(spacing_m: float, count: int) -> tuple[FloatArray, FloatArray]:
     return north.ravel(), east.ravel()
 
 
-def to_local(request: ScanRequest, a_m: FloatArray, b_m: FloatArray) -> tuple[FloatArray, ...]:
+def to_local(request: Request, a_m: FloatArray, b_m: FloatArray) -> tuple[FloatArray, ...]:
     """Metres true north and east of the corner -> the world's frame, by geodesics."""
     ones, azimuth = np.ones_like(a_m), np.degrees(np.arctan2(b_m, a_m))
-    corner = (request.longitude_deg * ones, request.latitude_deg * ones)
+    corner = (request[0].longitude_deg * ones, request[0].latitude_deg * ones)
     lon, lat, _ = WGS84.fwd(*corner, azimuth, np.hypot(a_m, b_m))
     azimuth, _, distance = WGS84.inv(8.0 * ones, 47.0 * ones, lon, lat)
     return distance * np.cos(np.radians(azimuth)), distance * np.sin(np.radians(azimuth))
 
 
-def cells(radar: TerrainRadar, request: ScanRequest, view: Viewpoint) -> NDArray[np.int64]:
+def cells(radar: TerrainRadar, request: Request, view: Vehicle) -> NDArray[np.int64]:
     """The answer as an array by cell (28 north, 32 east), put together by the definition."""
     grid = np.full((28, 32), 99999, dtype=np.int64)
-    for bit, heights in radar.answer(request, view).items():
+    for bit, heights in radar.answer(*request, view).items():
         row, column = divmod(bit, 8)
         part = np.array(heights).reshape(4, 4)
         grid[4 * row : 4 * row + 4, 4 * column : 4 * column + 4] = part
@@ -120,17 +120,17 @@ def test_the_horizon_is_where_the_earth_curves_away(eye_m: float, mast_m: float)
         rows = [(north_m, east_m, mast_m, 400.0, 400.0)] if mast_m else []
         terrain = PeakTerrain(rows, combine="maximum", ground_amsl_m=0.0)
         at = FRAME.to_geographic(north_m, east_m)
-        asked = ScanRequest(latitude_deg=at[0], longitude_deg=at[1], spacing_m=1, mask=1)
+        corner = LocalFrame(latitude_deg=at[0], longitude_deg=at[1])
         radar = TerrainRadar(terrain, FRAME, range_m=5e4)
-        (heights,) = radar.answer(asked, viewpoint(HERE, eye_m)).values()
+        (heights,) = radar.answer(corner, 1, 1, viewpoint(HERE, eye_m)).values()
         assert (heights[0] != UNSEEN_M) == seen
 
 
 def test_nonsense_is_answered_with_nothing_and_cells_of_a_country_are_survived() -> None:
     radar, view = radar_over_hills(2)[1], viewpoint(HERE, 1000.0)
     for spacing_m, latitude_deg in ((0, 47.0), (100, 91.0), (100, -214.0)):
-        place = {"latitude_deg": latitude_deg, "longitude_deg": 8.0}
-        assert radar.answer(ScanRequest(**place, spacing_m=spacing_m, mask=ALL_BLOCKS), view) == {}
+        corner = LocalFrame(latitude_deg=latitude_deg, longitude_deg=8.0)
+        assert radar.answer(corner, spacing_m, ALL_BLOCKS, view) == {}
     got = cells(radar, request_about(HERE, 65535), view)
     assert np.all((got == UNSEEN_M) | (got >= 100))
 
@@ -139,8 +139,8 @@ def test_nonsense_is_answered_with_nothing_and_cells_of_a_country_are_survived()
 @settings(max_examples=10)
 def test_the_mask_picks_blocks_and_changes_nothing_in_them(mask: int) -> None:
     radar, view = radar_over_hills(1)[1], viewpoint(HERE, 1000.0)
-    every = radar.answer(request_about(HERE, 100), view)
-    picked = radar.answer(request_about(HERE, 100, mask), view)
+    every = radar.answer(*request_about(HERE, 100), view)
+    picked = radar.answer(*request_about(HERE, 100, mask), view)
     assert picked == {bit: heights for bit, heights in every.items() if mask >> bit & 1}
     assert list(every) == list(range(56))
 
@@ -216,8 +216,8 @@ Said = list[tuple[int, int | None, Any]]
 
 
 def request(mask: int = ALL_BLOCKS) -> Any:
-    asked = request_about(HERE, 200)
-    place = (round(1e7 * at) for at in (asked.latitude_deg, asked.longitude_deg))
+    corner, *_ = request_about(HERE, 200)
+    place = (round(1e7 * at) for at in (corner.latitude_deg, corner.longitude_deg))
     return mavlink.MAVLink_terrain_request_message(*place, 200, mask)
 
 
@@ -237,7 +237,7 @@ def told(until_us: int, *asked: tuple[int, Any], link: int = 0, **conditions: An
         for _, message in (each for each in asked if each[0] == now_us - STEP_US):
             component.receive(message, Sender(system=255, component=190, link=link))
         place = FRAME.to_geographic(3000.0 if now_us > 60_000 else 0.0, 0.0)
-        vehicle = Copter(**placed((*place, 500.0)), limits=GENTLE)
+        vehicle = Vehicle(**placed((*place, 500.0)))
         component.step(now_us, vehicle, RadarConditions(**conditions), tick=now_us % TICK_US == 0)
     return said
 
@@ -265,7 +265,7 @@ def test_a_request_is_answered_once_at_the_end_of_its_tick_with_what_the_radar_s
     assert (report.loaded, report.pending) == (56, 0)
     assert report.terrain_height == pytest.approx(TERRAIN.height_at_amsl_m(-2800.0, -3200.0))
     assert report.current_height == pytest.approx(500.0 - report.terrain_height)
-    truth = RADAR.answer(request_about(HERE, 200), viewpoint(HERE, 500.0))
+    truth = RADAR.answer(*request_about(HERE, 200), viewpoint(HERE, 500.0))
     assert {block.gridbit: list(block.data) for block in blocks} == truth
 
 

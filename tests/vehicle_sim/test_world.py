@@ -48,17 +48,14 @@ def lidar(which: str = "lidar", **fields: Any) -> Table:
         ({"schema": 2}, "schema = 2 ... 1"),
         # what does not go together
         (vehicle(bank_max_deg=30.0), "bank_max_deg = 30.0 ... no such limit"),
-        ({"terrain": {"file": "a.tif", "ground_amsl_m": 1.0}}, "terrain.file ... Leave out one"),
-        ({"terrain": {"ground_amsl_m": 1.0}}, "terrain.combine ... missing"),
+        ({"terrain": {"file": "a.tif", "ground_amsl_m": 1.0}}, "terrain.file ... not both"),
+        ({"terrain": {"combine": "sum"}}, "terrain.file = None ... ground_amsl_m"),
         ({"terrain": {"file": "a.tif"}}, "area ... missing"),
         ({"area": SOUTH}, "area = (1 ... Swap"),
-        (wood(spacing_m=[8.0, 4.0]), "woods.0.spacing_m ... least first"),
         (wood(north_max_m=-5.0), "woods.0 ... least must lie below"),
         (wood(east_min_m=95.0), "woods.0 ... least must lie below"),
         (wood(spacing_m=[0.01, 1.0]), "woods.0.spacing_m ... 200000 trees"),
-        (lidar("second_lidar", output="autopilot"), "second_lidar.output ... beside a [lidar]"),
-        (lidar() | lidar("second_lidar"), "second_lidar.output = 'driver' ... Write second_lidar"),
-        (lidar(min_m=9.0), "lidar.min_m = 9.0 ... range_m"),
+        (lidar() | lidar("second_lidar"), "lidar.component_id ... another lidar's"),
         (lidar(component_id=100), "lidar.component_id ... radar"),
         # and what only the vehicle knows
         (

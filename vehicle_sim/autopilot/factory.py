@@ -93,7 +93,7 @@ def with_own_id(vehicle: VehicleTable) -> VehicleTable:
     personality, parameters = personality_of(vehicle), dict(vehicle.parameters)
     Parameters(personality.firmware.table, parameters)
     system_id = parameters.pop(personality.firmware.ids[0], vehicle.system_id)
-    return replace(vehicle, system_id=int(system_id), parameters=parameters)
+    return vehicle.model_copy(update={"system_id": int(system_id), "parameters": parameters})
 
 
 def make_vehicle(

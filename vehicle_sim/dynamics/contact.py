@@ -10,9 +10,8 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from vehicle_sim.dynamics import Vehicle
-from vehicle_sim.geodesy import LocalFrame
+from vehicle_sim.geodesy import FloatArray, LocalFrame
 from vehicle_sim.scene import Scene
-from vehicle_sim.terrain import FloatArray, Terrain
 
 CRASH_M_S: Final = 3.0
 """No faster into the ground: landing gear need not stand more than 3.05 m/s, 10 ft/s (CS 23.473,
@@ -51,27 +50,20 @@ class Crash(NamedTuple):
     """"the ground", or "a tree, wall, building or wire"."""
 
 
-def is_crash(
-    velocity_neu_m_s: Velocity,
-    slope_ne: tuple[float, float],
-    *,
-    rolls: bool,
-    lands: bool = True,
-) -> bool:
-    """Whether nobody survives this contact with ground that rises so much to the north and east.
+def is_crash(velocity_neu_m_s: Velocity, slope: complex, *, rolls: bool, lands: bool) -> bool:
+    """Whether nobody survives this contact with ground of this slope, north + east j.
 
-    Slopes are metres a metre.  `rolls`: a plane on its wheels may be fast along a runway.  Without
-    `lands` it is on them already, or has not really left the ground.
+    `rolls`: a plane on its wheels may be fast along a runway.  Without `lands` it is on them
+    already, or has not really left the ground.
     """
     if math.hypot(*velocity_neu_m_s) <= CRASH_M_S:
         return False
     if not rolls:
         return True
     north_m_s, east_m_s, up_m_s = velocity_neu_m_s
-    steepness = math.hypot(*slope_ne)
-    closing_m_s = north_m_s * slope_ne[0] + east_m_s * slope_ne[1] - up_m_s
-    into_m_s = closing_m_s / math.hypot(1.0, steepness)  # along the ground's normal
-    return into_m_s > CRASH_M_S or (lands and steepness > RUNWAY_SLOPE)
+    closing_m_s = north_m_s * slope.real + east_m_s * slope.imag - up_m_s
+    into_m_s = closing_m_s / math.hypot(1.0, abs(slope))  # along the ground's normal
+    return into_m_s > CRASH_M_S or (lands and abs(slope) > RUNWAY_SLOPE)
 
 
 @final
@@ -85,7 +77,6 @@ class Contact:
     def __init__(
         self,
         vehicle: Vehicle,
-        terrain: Terrain,
         scene: Scene,
         frame: LocalFrame,
         *,
@@ -93,7 +84,7 @@ class Contact:
         on_crash: Callable[[Crash], None],
     ) -> None:
         self._vehicle, self._frame = vehicle, frame
-        self._height_m, self.scene = terrain.height_at_amsl_m, scene
+        self._height_m, self.scene = scene.terrain.height_at_amsl_m, scene
         self._rolls, self._on_crash = rolls, on_crash
         self.local_m = frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
         self.ground_amsl_m = self._height_m(*self.local_m)
@@ -106,10 +97,8 @@ class Contact:
         self._unwatched_m = 0.0
         """It has to fly so far before it may be near anything."""
         self._measured_us = 0
-        self._passed_ne = (0.0, 0.0)
-        """The slope along the way between the last two looks."""
-        self._rise_m_s = self._rise_before_m_s = 0.0
-        """How fast the ground below rises, as the vehicle moves over it."""
+        self._passed = self._passed_before = 0j
+        """The slope along the way between the last two looks, and between those before."""
         self._before: Velocity | None = None
         """Its velocity before the step; None: it is far above the ground."""
 
@@ -148,39 +137,37 @@ class Contact:
 
     def _measure(self, now_us: int) -> None:
         """Where it is in the world, how high the ground is there, and how it has risen."""
-        vehicle, (before_n, before_e), before_m = self._vehicle, self.local_m, self.ground_amsl_m
+        before, before_amsl_m, vehicle = complex(*self.local_m), self.ground_amsl_m, self._vehicle
         self.local_m = self._frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
         self.ground_amsl_m = self._height_m(*self.local_m)
-        north_m, east_m = self.local_m[0] - before_n, self.local_m[1] - before_e
-        passed_m, rise_m = math.hypot(north_m, east_m), self.ground_amsl_m - before_m
-        slope = rise_m / passed_m if passed_m > 1e-3 else 0.0
-        passed_m = max(passed_m, 1e-3)
-        self._passed_ne = (slope * north_m / passed_m, slope * east_m / passed_m)
-        lasted_s = (now_us - self._measured_us) * 1e-6
-        self._rise_before_m_s, self._measured_us = self._rise_m_s, now_us
-        self._rise_m_s = rise_m / lasted_s if lasted_s > 0.0 else 0.0
+        way_m, rise_m = complex(*self.local_m) - before, self.ground_amsl_m - before_amsl_m
+        self._passed_before, self._measured_us = self._passed, now_us
+        # as steep as the rise over the way, along it
+        self._passed = rise_m / way_m.conjugate() if abs(way_m) > 1e-3 else 0j
 
     def _touch_ground(self, way: Velocity, now_us: int) -> None:
-        above_m, touched = self._vehicle.altitude_amsl_m - self.ground_amsl_m, self._stood
+        above_m = self._vehicle.altitude_amsl_m - self.ground_amsl_m
         if above_m > 0.0:
             self._took_off = self._took_off or above_m > _OFF_GROUND_M
             return
-        if touched and (self._measured_us != now_us or not any(way)):
-            return
-        if touched:  # it rolls: along the ground, as that was
-            way = (way[0], way[1], self._rise_before_m_s)
+        if self._stood:
+            if self._measured_us != now_us or not any(way):
+                return
+            north_m_s, east_m_s, _ = way  # it rolls: along the ground, as that was
+            rises_m_s = north_m_s * self._passed_before.real + east_m_s * self._passed_before.imag
+            way = north_m_s, east_m_s, rises_m_s
         lands, self._took_off = self._took_off, False
         # by the slope about here, or by that of the way here, whichever is worse: a step up
-        slopes = (self._slope_ne(), self._passed_ne)
+        slopes = (self._slope(), self._passed)
         if any(is_crash(way, each, rolls=self._rolls, lands=lands) for each in slopes):
             self._vehicle.stand(self.ground_amsl_m)
             self._crash(way, "the ground", now_us)
 
-    def _slope_ne(self) -> tuple[float, float]:
+    def _slope(self) -> complex:
         (north_m, east_m), height_m = self.local_m, self._height_m
         north = height_m(north_m + _SLOPE_M, east_m) - height_m(north_m - _SLOPE_M, east_m)
         east = height_m(north_m, east_m + _SLOPE_M) - height_m(north_m, east_m - _SLOPE_M)
-        return north / (2.0 * _SLOPE_M), east / (2.0 * _SLOPE_M)
+        return complex(north, east) / (2.0 * _SLOPE_M)
 
     def _touch_things(self, now_us: int, dt_s: float) -> None:
         way = self._vehicle.velocity_neu_m_s

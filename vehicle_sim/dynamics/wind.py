@@ -8,6 +8,7 @@ gusts' size is not a share of the wind at 6 m but what is asked for, as with Ard
 SIM_WIND_TURB.  A step is exact: variance and correlation are right however long it is.
 """
 
+import cmath
 import math
 from typing import Final, final
 
@@ -40,12 +41,12 @@ class Wind:
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng, self._noise = rng, list[float]()
-        self._gusts = (0.0, 0.0, 0.0)
-        """Along, across, up; of unit variance."""
+        self._gust, self._rising = 0j, 0.0
+        """Along and across, and up; of unit variance."""
         self.conditions: WindConditions | None = None
-        self._target_m_s = self._mean_m_s = (0.0, 0.0, 0.0)
-        """North, east, up, at full height."""
-        self._along = (1.0, 0.0)
+        self._target_m_s = self._mean_m_s = (0j, 0.0)
+        """North + east j, and up, at full height."""
+        self._along = 1.0 + 0j
         self.still = False
         """No wind, and the vehicle has been told: no step is needed until the conditions change."""
 
@@ -57,45 +58,41 @@ class Wind:
             self._turn_to(conditions)
         if self._mean_m_s != self._target_m_s:
             self._settle(dt_s)
-        north, east, up = self._mean_m_s
+        (level, up), turbulence = self._mean_m_s, conditions.turbulence_m_s
         height_m = vehicle.altitude_amsl_m - ground_amsl_m
         if height_m < _FULL_HEIGHT_M:
             share = math.sqrt(max(height_m, 0.0) / _FULL_HEIGHT_M)
-            north, east, up = north * share, east * share, up * share
-        if turbulence := conditions.turbulence_m_s:
-            along, across, rising = self._gust(dt_s * max(vehicle.airspeed_m_s, _MIN_SPEED_M_S))
-            cosine, sine = self._along
-            north += turbulence * (cosine * along - sine * across)
-            east += turbulence * (sine * along + cosine * across)
-            up += turbulence * VERTICAL_SHARE * rising
-        else:
-            self.still = self._mean_m_s == self._target_m_s == (0.0, 0.0, 0.0)
-        vehicle.wind_m_s, vehicle.wind_up_m_s = complex(north, east), up
+            level, up = level * share, up * share
+        if turbulence:
+            self._pass(dt_s * max(vehicle.airspeed_m_s, _MIN_SPEED_M_S))
+            level += turbulence * (self._along * self._gust)
+            up += turbulence * VERTICAL_SHARE * self._rising
+        self.still = not turbulence and self._mean_m_s == self._target_m_s == (0j, 0.0)
+        vehicle.wind_m_s, vehicle.wind_up_m_s = level, up
 
-    def _gust(self, passed_m: float) -> tuple[float, float, float]:
-        """What blows when so much more air has passed."""
+    def _pass(self, passed_m: float) -> None:
+        """Other gusts, as so much more air has passed."""
         if not self._noise:
             self._noise = self._rng.standard_normal(_BLOCK).tolist()
-        noise, (along, across, up) = self._noise.pop, self._gusts
-        keep, fresh = math.exp(-passed_m / LEVEL_M), math.sqrt(-math.expm1(-2 * passed_m / LEVEL_M))
-        along, across = keep * along + fresh * noise(), keep * across + fresh * noise()
-        fresh = math.sqrt(-math.expm1(-2.0 * passed_m / VERTICAL_M))
-        self._gusts = along, across, math.exp(-passed_m / VERTICAL_M) * up + fresh * noise()
-        return self._gusts
+        noise, level, upright = self._noise.pop, passed_m / LEVEL_M, passed_m / VERTICAL_M
+        fresh = math.sqrt(-math.expm1(-2.0 * level))
+        self._gust = math.exp(-level) * self._gust + fresh * complex(noise(), noise())
+        fresh = math.sqrt(-math.expm1(-2.0 * upright))
+        self._rising = math.exp(-upright) * self._rising + fresh * noise()
 
     def _turn_to(self, conditions: WindConditions) -> None:
-        level = conditions.speed_m_s * math.cos(conditions.rising_rad)
-        cosine, sine = -math.cos(conditions.from_rad), -math.sin(conditions.from_rad)
-        up = conditions.speed_m_s * math.sin(conditions.rising_rad)
-        self._target_m_s, self._along = (level * cosine, level * sine, up), (cosine, sine)
+        speed_m_s, rising_rad = conditions.speed_m_s, conditions.rising_rad
+        self._along = -cmath.rect(1.0, conditions.from_rad)
+        level_m_s = speed_m_s * math.cos(rising_rad) * self._along
+        self._target_m_s = level_m_s, speed_m_s * math.sin(rising_rad)
         if self.conditions is None:  # it has blown since long before the first step
             self._mean_m_s = self._target_m_s
-        self.still, self.conditions = False, conditions
+        self.conditions = conditions
 
     def _settle(self, dt_s: float) -> None:
         """A step closer to what is asked for; there at last when within a millimetre a second."""
         share = dt_s / (_SETTLING_S + dt_s)
-        (n, e, u), (to_n, to_e, to_u) = self._mean_m_s, self._target_m_s
-        n, e, u = n + (to_n - n) * share, e + (to_e - e) * share, u + (to_u - u) * share
-        there = max(abs(to_n - n), abs(to_e - e), abs(to_u - u)) < 1e-3
-        self._mean_m_s = self._target_m_s if there else (n, e, u)
+        (level, up), (to_level, to_up) = self._mean_m_s, self._target_m_s
+        level, up = level + (to_level - level) * share, up + (to_up - up) * share
+        there = abs(to_level - level) < 1e-3 and abs(to_up - up) < 1e-3
+        self._mean_m_s = self._target_m_s if there else (level, up)

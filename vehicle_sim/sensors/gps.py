@@ -14,8 +14,11 @@ import numpy as np
 
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.faults import GpsConditions, Vector
-from vehicle_sim.geodesy import around, degrees_east, metres_per_degree
+from vehicle_sim.geodesy import FloatArray, around, degrees_east, metres_per_degree
 
+Quality = tuple[float, float, float, float, float]
+"""Dilution, horizontal and vertical; accuracy of place and height in m, of speed in m/s (0: the
+receiver has not said)."""
 _ZERO: Final = (0.0, 0.0, 0.0)
 
 
@@ -36,12 +39,7 @@ class Fix(NamedTuple):
     velocity_east_m_s: float = 0.0
     velocity_up_m_s: float = 0.0
     satellites: int = 0
-    horizontal_dilution: float = 99.99
-    vertical_dilution: float = 99.99
-    horizontal_accuracy_m: float = 0.0
-    """0: the receiver has not said."""
-    vertical_accuracy_m: float = 0.0
-    speed_accuracy_m_s: float = 0.0
+    quality: Quality = (99.99, 99.99, 0.0, 0.0, 0.0)
 
     @property
     def usable(self) -> bool:
@@ -60,11 +58,8 @@ class Receiver:
     fix_type: int
     """The best it reaches."""
     fix_type_lost: int
-    satellites_lost: int | None
-    """What it says without a fix; None: as many as are asked for."""
-    quality: tuple[float, float, float, float, float]
-    """Dilution, horizontal and vertical; accuracy of place and height in m, of speed in m/s."""
-    quality_lost: tuple[float, float, float, float, float]
+    quality: Quality
+    quality_lost: Quality
     late_lock: bool
     """Whether there is a fix is known as late as where it is, and the clock stops without one."""
     noise_m: Vector = _ZERO
@@ -77,7 +72,6 @@ ARDUCOPTER: Final = Receiver(
     first_us=9_773_000,
     fix_type=6,
     fix_type_lost=1,
-    satellites_lost=3,
     quality=(1.21, 2.0, 0.3, 0.3, 0.0),
     quality_lost=(1.21, 2.0, 0.3, 0.3, 0.0),
     late_lock=True,
@@ -90,7 +84,6 @@ PX4: Final = Receiver(
     first_us=125_000,
     fix_type=3,
     fix_type_lost=0,
-    satellites_lost=None,
     quality=(0.7, 1.1, 0.9, 1.78, 0.4),
     quality_lost=(100.0, 100.0, 100.0, 100.0, 100.0),
     late_lock=False,
@@ -117,12 +110,8 @@ class _Sample(NamedTuple):
     time_us: int
     locked: bool
     """There was a fix."""
-    latitude_deg: float
-    longitude_deg: float
-    altitude_amsl_m: float
-    north_m_s: float
-    east_m_s: float
-    up_m_s: float
+    state: FloatArray
+    """Latitude and longitude in degrees, metres AMSL; north, east, up in m/s.  (6,)"""
 
 
 @final
@@ -135,11 +124,10 @@ class Gps:
         """Nothing new is put out before."""
         self.fix = Fix()
         """The newest one."""
-        self._history = deque([_Sample(0, False, *_ZERO, *_ZERO)], maxlen=_HISTORY)
+        self._history = deque([_Sample(0, False, np.zeros(6))], maxlen=_HISTORY)
         self._locked_us = 0
-        self._wander = rng.standard_normal(3).tolist()
-        self._drift_m = [0.0, 0.0, 0.0]
-        self._jam: list[float] | None = None
+        self._wander, self._drift_m = rng.standard_normal(3), np.zeros(3)
+        self._jam: FloatArray | None = None
         """While a jammer is near: satellites, and what is wrong with place and velocity."""
 
     def step(self, now_us: int, vehicle: Vehicle, conditions: GpsConditions) -> Fix:
@@ -156,55 +144,45 @@ class Gps:
         self, due_us: int, now_us: int, vehicle: Vehicle, conditions: GpsConditions
     ) -> _Sample:
         """What the antenna sees: the truth at due_us, with the errors that are made there."""
-        error_m, ago_s = self._noise(self._receiver.noise_m), (now_us - due_us) * 1e-6
-        if sigma_m := conditions.sigma_m:
-            keep = math.exp(-self._receiver.interval_us * 1e-6 / _WANDER_S)
+        receiver, error_m = self._receiver, self._noise(self._receiver.noise_m)
+        if conditions.sigma_m:
+            keep = math.exp(-receiver.interval_us * 1e-6 / _WANDER_S)
             fresh = self._noise(3 * (math.sqrt(1.0 - keep * keep),))
-            self._wander = [keep * a + b for a, b in zip(self._wander, fresh, strict=True)]
-            sizes_m = (sigma_m, sigma_m, _VERTICAL * sigma_m)
-            error_m = [e + s * w for e, s, w in zip(error_m, sizes_m, self._wander, strict=True)]
-        velocity = vehicle.velocity_neu_m_s
-        north_m, east_m, up_m = (e - v * ago_s for e, v in zip(error_m, velocity, strict=True))
-        per_north_m, per_east_m = metres_per_degree(vehicle.latitude_deg)
-        speeds = self._noise(self._receiver.velocity_noise_m_s)
-        return _Sample(
-            due_us,
-            conditions.enabled,
-            vehicle.latitude_deg + north_m / per_north_m,
-            vehicle.longitude_deg + east_m / per_east_m,
-            vehicle.altitude_amsl_m + up_m + conditions.offset_up_m,
-            *(v + e for v, e in zip(velocity, speeds, strict=True)),
-        )
+            self._wander = keep * self._wander + fresh
+            error_m += np.array([1.0, 1.0, _VERTICAL]) * conditions.sigma_m * self._wander
+        velocity = np.array(vehicle.velocity_neu_m_s)
+        error_m -= velocity * ((now_us - due_us) * 1e-6)
+        here = (vehicle.latitude_deg, vehicle.longitude_deg, vehicle.altitude_amsl_m)
+        state = np.array([*here, *velocity])
+        state[:3] += _degrees(error_m, vehicle.latitude_deg)
+        state[2] += conditions.offset_up_m
+        state[3:] += self._noise(receiver.velocity_noise_m_s)
+        return _Sample(due_us, conditions.enabled, state)
 
-    def _noise(self, sizes: Vector) -> list[float]:
+    def _noise(self, sizes: Vector) -> FloatArray:
         """Draws of the normal laws with these standard deviations; none where there is no noise."""
-        if not any(sizes):
-            return [0.0, 0.0, 0.0]
-        return [x * s for x, s in zip(self._rng.standard_normal(3).tolist(), sizes, strict=True)]
+        return self._rng.standard_normal(3) * sizes if any(sizes) else np.zeros(3)
 
     def _late(self, at_us: int) -> _Sample:
         """The antenna then, between two samples; whether it has a fix is that of the older one."""
         for new, old in pairwise(reversed(self._history)):
             if old.time_us <= at_us <= new.time_us:
                 share = (at_us - old.time_us) / max(new.time_us - old.time_us, 1)
-                moved = [a + share * (b - a) for a, b in zip(old[2:], new[2:], strict=True)]
-                east_deg = degrees_east(old.longitude_deg, new.longitude_deg)
-                moved[1] = old.longitude_deg + share * east_deg
-                return _Sample(old.time_us, old.locked, *moved)
+                way = new.state - old.state
+                way[1] = degrees_east(old.state[1], new.state[1])
+                return old._replace(state=old.state + share * way)
         return self._history[0]
 
     def _jammed(self, sample: _Sample) -> tuple[_Sample, int]:
         """Near a jammer there is no fix at first, then wild ones that come and go."""
         if self._jam is None:
-            self._jam = [0.0] * 6
+            self._jam = np.zeros(6)
         elif self._rng.random() < _JAM_CHANGES_HZ * self._receiver.interval_us * 1e-6:
-            self._jam = self._rng.uniform(*_JAM_RANGES).tolist()
-        satellites, north_m, east_m, *speeds = self._jam
-        per_north_m, per_east_m = metres_per_degree(sample.latitude_deg)
-        latitude_deg = sample.latitude_deg + north_m / per_north_m
-        longitude_deg = sample.longitude_deg + east_m / per_east_m
-        wild = (latitude_deg, longitude_deg, sample.altitude_amsl_m, *speeds)
-        return _Sample(sample.time_us, sample.locked, *wild), int(satellites)
+            self._jam = self._rng.uniform(*_JAM_RANGES)
+        satellites, north_m, east_m, *velocity_m_s = self._jam
+        wrong = _degrees(np.array([north_m, east_m, 0.0]), sample.state[0])
+        wild = np.array([*(sample.state[:3] + wrong), *velocity_m_s])
+        return sample._replace(state=wild), int(satellites)
 
     def _solution(self, due_us: int, conditions: GpsConditions) -> Fix:
         receiver, satellites = self._receiver, conditions.satellites
@@ -217,24 +195,25 @@ class Gps:
             self._jam = None
         if locked or not receiver.late_lock:
             self._locked_us = due_us
-        if not locked and receiver.satellites_lost is not None:
-            satellites = receiver.satellites_lost
-        drift, step_s = conditions.drift_m_s, receiver.interval_us * 1e-6
-        moved = zip(self._drift_m, drift, strict=True)
-        self._drift_m = [m + v * step_s for m, v in moved] if any(drift) else [0.0, 0.0, 0.0]
-        error_m = [a + b for a, b in zip(self._drift_m, conditions.glitch_m, strict=True)]
-        per_north_m, per_east_m = metres_per_degree(sample.latitude_deg)
-        north_deg = conditions.glitch_latitude_deg + error_m[0] / per_north_m
-        east_deg = conditions.glitch_longitude_deg + error_m[1] / per_east_m
+        drift_m_s = np.array(conditions.drift_m_s)
+        drifted_m = self._drift_m + drift_m_s * (receiver.interval_us * 1e-6)
+        self._drift_m = drifted_m if drift_m_s.any() else np.zeros(3)
+        glitch = (conditions.glitch_latitude_deg, conditions.glitch_longitude_deg)
+        wrong = _degrees(self._drift_m + conditions.glitch_m, sample.state[0])
+        wrong += np.array([*glitch, conditions.glitch_up_m])
+        told = sample.state + np.array([*wrong, *drift_m_s])
+        latitude_deg, longitude_deg, altitude_m, north_m_s, east_m_s, up_m_s = told.tolist()
         return Fix(
             self._locked_us,
             receiver.fix_type if locked else receiver.fix_type_lost,
-            min(max(sample.latitude_deg + north_deg, -90.0), 90.0),
-            around(sample.longitude_deg + east_deg),
-            sample.altitude_amsl_m + conditions.glitch_up_m + error_m[2],
-            sample.north_m_s + drift[0],
-            sample.east_m_s + drift[1],
-            sample.up_m_s + drift[2],
-            satellites,
-            *(receiver.quality if locked else receiver.quality_lost),
+            min(max(latitude_deg, -90.0), 90.0),
+            around(longitude_deg),
+            *(altitude_m, north_m_s, east_m_s, up_m_s),
+            satellites if locked else min(satellites, _LEAST_SATELLITES - 1),
+            receiver.quality if locked else receiver.quality_lost,
         )
+
+
+def _degrees(north_east_up_m: FloatArray, latitude_deg: float) -> FloatArray:
+    """A way as degrees of latitude and longitude there, and metres."""
+    return north_east_up_m / (*metres_per_degree(latitude_deg), 1.0)

@@ -5,6 +5,7 @@ sector sensor all at once.  A distance is in metres; inf: no echo came back; NaN
 nearer than the least distance.
 """
 
+import cmath
 import math
 from typing import final
 
@@ -13,8 +14,8 @@ from numpy.typing import NDArray
 
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.faults import LidarConditions
+from vehicle_sim.geodesy import FloatArray
 from vehicle_sim.scene import Scene
-from vehicle_sim.terrain import FloatArray
 from vehicle_sim.world import LidarTable
 
 _DUST_M = 3.0
@@ -28,17 +29,16 @@ class Lidar:
 
     def __init__(self, scene: Scene, settings: LidarTable, rng: np.random.Generator) -> None:
         self._scene, self._settings, self._rng = scene, settings, rng
-        self._beams = round(360.0 / settings.step_deg)
-        self.angles_rad = np.arange(self._beams, dtype=np.float64) * (math.tau / self._beams)
+        beams = round(360.0 / settings.step_deg)
+        self.angles_rad = np.arange(beams, dtype=np.float64) * (math.tau / beams)
         """Of all beams, clockwise from the vehicle's nose, as it is mounted.  (B,)"""
-        self.distances_m = np.full(len(self.angles_rad), np.nan)
+        self.distances_m = np.full(beams, np.nan)
         """The newest of every beam.  (B,)"""
         self._turns = float(rng.random())
         off = rng.uniform(*_OFF_SPEED) * rng.choice([-1.0, 1.0])
         self._turns_1_s = settings.turns_1_s * (1.0 + float(off))
-        self._turned_us = 0
-        self.middle_us = 0
-        """When the newest sweep was half done."""
+        self._turned_us = self.middle_us = 0
+        """`middle_us` is when the newest sweep was half done."""
 
     def step(
         self,
@@ -52,7 +52,7 @@ class Lidar:
         local_m: the vehicle's place; the local frame's north is taken for true north.
         """
         turns = self._turns + (now_us - self._turned_us) * 1e-6 * self._turns_1_s
-        count = self._beams
+        count = len(self.angles_rad)
         if self._settings.kind == "sectors":
             fired = np.arange(count if int(turns) > int(self._turns) else 0)
             if len(fired):
@@ -96,20 +96,14 @@ def body_axes_neu(vehicle: Vehicle) -> FloatArray:
     """Where the body's axes point: forward, right and down, each north, east, up.  -> (3, 3)."""
     sine_r, cosine_r = math.sin(vehicle.roll_rad), math.cos(vehicle.roll_rad)
     sine_p, cosine_p = math.sin(vehicle.pitch_rad), math.cos(vehicle.pitch_rad)
-    sine_y, cosine_y = math.sin(vehicle.heading_rad), math.cos(vehicle.heading_rad)
-    right, down = sine_r * sine_p, cosine_r * sine_p  # of what is along the heading
+    nose = cmath.rect(1.0, vehicle.heading_rad)  # north + east j
+    forward = cosine_p * nose
+    right = complex(sine_r * sine_p, cosine_r) * nose
+    down = complex(cosine_r * sine_p, -sine_r) * nose
     return np.array(
         [
-            (cosine_p * cosine_y, cosine_p * sine_y, sine_p),
-            (
-                right * cosine_y - cosine_r * sine_y,
-                right * sine_y + cosine_r * cosine_y,
-                -sine_r * cosine_p,
-            ),
-            (
-                down * cosine_y + sine_r * sine_y,
-                down * sine_y - sine_r * cosine_y,
-                -cosine_r * cosine_p,
-            ),
+            (forward.real, forward.imag, sine_p),
+            (right.real, right.imag, -sine_r * cosine_p),
+            (down.real, down.imag, -cosine_r * cosine_p),
         ]
     )

@@ -18,19 +18,19 @@ nothing.
 """
 
 import math
-from typing import Final, NamedTuple, final
+from typing import Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vehicle_sim.compiled import compiled
-from vehicle_sim.geodesy import EARTH_RADIUS_M, LocalFrame
-from vehicle_sim.terrain import FloatArray, Terrain
+from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.geodesy import EARTH_RADIUS_M, FloatArray, LocalFrame
+from vehicle_sim.terrain import Terrain
 
 BLOCK_CELLS: Final = 4
 ROWS, COLUMNS = 7, 8
 UNSEEN_M: Final = -32768
-_CELLS_NORTH, _CELLS_EAST = ROWS * BLOCK_CELLS, COLUMNS * BLOCK_CELLS
 _GRID_CELLS_PER_RANGE: Final = 400
 _GRID_MARGIN: Final = 0.25
 _TILE_CELLS: Final = 100
@@ -39,31 +39,6 @@ _MAX_DIVISIONS: Final = 2
 _LOWEST_M, _HIGHEST_M = -32767.0, 32767.0
 Eye = tuple[float, float, float]
 """North, east, AMSL."""
-
-
-@final
-class ScanRequest(NamedTuple):
-    """A TERRAIN_REQUEST: an area of 28 x 32 cells, and which of its 56 blocks are wanted."""
-
-    latitude_deg: float
-    """Of the south-west corner."""
-    longitude_deg: float
-    spacing_m: int
-    mask: int
-
-    @property
-    def frame(self) -> LocalFrame:
-        """North and east from the corner."""
-        return LocalFrame(latitude_deg=self.latitude_deg, longitude_deg=self.longitude_deg)
-
-
-@final
-class Viewpoint(NamedTuple):
-    """Where the radar looks from."""
-
-    latitude_deg: float
-    longitude_deg: float
-    altitude_amsl_m: float
 
 
 @final
@@ -77,29 +52,23 @@ class _Grid:
         tile_m = _TILE_CELLS * self.cell_m
         tiles = 2 * math.ceil(range_m * (1.0 + 2.0 * _GRID_MARGIN) / tile_m)
         # Whole multiples of the tile: the same ground has the same bounds wherever one looks from.
-        self.south_m, self.west_m = ((round(x / tile_m) - tiles // 2) * tile_m for x in near_ne_m)
-        self.place = (self.south_m, self.west_m, self.cell_m)
-        self.middle_ne_m = np.array([self.south_m, self.west_m]) + 0.5 * tiles * tile_m
+        south_m, west_m = ((round(x / tile_m) - tiles // 2) * tile_m for x in near_ne_m)
+        self.place = (south_m, west_m, self.cell_m)
+        self.middle_ne_m = np.array([south_m, west_m]) + 0.5 * tiles * tile_m
         self.lowest_amsl_m = np.full((tiles * _TILE_CELLS,) * 2, -np.inf)
         self._found = np.zeros((tiles, tiles), dtype=bool)
 
     def find(self, points_ne_m: FloatArray) -> None:
         """Have the bounds of all cells between these points.  (K, 2)."""
-        tile_m, corner = _TILE_CELLS * self.cell_m, np.array([self.south_m, self.west_m])
+        (*corner, cell_m), edges = self.place, np.arange(_TILE_CELLS + 1.0)
         ends = np.stack([points_ne_m.min(axis=0), points_ne_m.max(axis=0)]) - corner
-        ends[0] -= self.cell_m  # one cell more: lines look around themselves
-        ends[1] += self.cell_m
-        low, high = np.clip(ends // tile_m, 0, len(self._found) - 1).astype(int)
+        ends += [[-cell_m], [cell_m]]  # one cell more: lines look around themselves
+        low, high = np.clip(ends // (_TILE_CELLS * cell_m), 0, len(self._found) - 1).astype(int)
         part = self._found[low[0] : high[0] + 1, low[1] : high[1] + 1]
-        for tile in np.argwhere(~part) + low:
-            first = tile * _TILE_CELLS
-            edges = np.arange(_TILE_CELLS + 1.0)
-            lowest = self._terrain.lowest_in_grid_amsl_m(
-                self.south_m + (first[0] + edges) * self.cell_m,
-                self.west_m + (first[1] + edges) * self.cell_m,
-            )
+        for first in (np.argwhere(~part) + low) * _TILE_CELLS:
+            edges_m = np.array(corner)[:, None] + (first[:, None] + edges) * cell_m
             rows, columns = (slice(at, at + _TILE_CELLS) for at in first)
-            self.lowest_amsl_m[rows, columns] = lowest
+            self.lowest_amsl_m[rows, columns] = self._terrain.lowest_in_grid_amsl_m(*edges_m)
         part[:] = True
 
 
@@ -113,26 +82,31 @@ class TerrainRadar:
         self._range_m = range_m
         self._grid: _Grid | None = None
 
-    def answer(self, request: ScanRequest, view: Viewpoint) -> dict[int, list[int]]:
-        """The wanted blocks, by rising bit of the mask.
+    def answer(
+        self, corner: LocalFrame, spacing_m: int, mask: int, vehicle: Vehicle
+    ) -> dict[int, list[int]]:
+        """The blocks of a TERRAIN_REQUEST as seen from the vehicle, by rising bit of the mask.
 
-        Heights of their 4 x 4 cells from the south-west, east running fastest; UNSEEN_M: not seen.
+        The area of 28 x 32 cells lies to the north-east of the corner.  Heights are of a block's
+        4 x 4 cells from the south-west, east running fastest; UNSEEN_M: not seen.
         """
-        bits = [bit for bit in range(ROWS * COLUMNS) if request.mask >> bit & 1]
-        if not bits or request.spacing_m <= 0 or abs(request.latitude_deg) >= 90.0:
+        bits = [bit for bit in range(ROWS * COLUMNS) if mask >> bit & 1]
+        if not bits or spacing_m <= 0 or abs(corner.latitude_deg) >= 90.0:
             return {}
         north, east = _cells_of(np.array(bits))
         heights = np.full(len(north), UNSEEN_M, dtype=np.int64)
-        view_ne_m = request.frame.to_local(view.latitude_deg, view.longitude_deg)
+        own_ne_m = corner.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
         off_north_m, off_east_m = (
-            (cells + 0.5) * request.spacing_m - own_m
-            for cells, own_m in zip((north, east), view_ne_m, strict=True)
+            (cells + 0.5) * spacing_m - own_m
+            for cells, own_m in zip((north, east), own_ne_m, strict=True)
         )
         near = np.flatnonzero(np.hypot(off_north_m, off_east_m) <= self._range_m)
         if len(near):
-            corners_ne_m = self._corners_ne_m(request, north[near], east[near])
+            corners_ne_m = self._corners_ne_m(corner, spacing_m, north[near], east[near])
             highest, place_ne_m = self._terrain.highest_in_quads_amsl_m(corners_ne_m)
-            seen = self._seen(corners_ne_m, highest, place_ne_m, view)
+            own_ne_m = self._frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
+            eye = (*own_ne_m, vehicle.altitude_amsl_m)
+            seen = self._seen(eye, corners_ne_m, highest, place_ne_m)
             rounded = np.clip(np.ceil(highest[seen]), _LOWEST_M, _HIGHEST_M)
             heights[near[seen]] = rounded.astype(np.int64)
         blocks = heights.reshape(len(bits), BLOCK_CELLS * BLOCK_CELLS).tolist()
@@ -143,7 +117,7 @@ class TerrainRadar:
         return self._terrain.height_at_amsl_m(*self._frame.to_local(latitude_deg, longitude_deg))
 
     def _corners_ne_m(
-        self, request: ScanRequest, north: NDArray[np.intp], east: NDArray[np.intp]
+        self, origin: LocalFrame, spacing_m: int, north: NDArray[np.intp], east: NDArray[np.intp]
     ) -> FloatArray:
         """Corners of cells in the local frame, anticlockwise from the south-west.
 
@@ -151,77 +125,55 @@ class TerrainRadar:
         """
         rows = np.stack([north, north, north + 1, north + 1], axis=-1)
         columns = np.stack([east, east + 1, east + 1, east], axis=-1)
-        corners_ne_m = np.empty((_CELLS_NORTH + 1, _CELLS_EAST + 1, 2))
-        wanted = np.zeros(corners_ne_m.shape[:2], dtype=bool)
-        wanted[rows, columns] = True  # each once: cells share them
-        north_m, east_m = (each * np.float64(request.spacing_m) for each in np.nonzero(wanted))
-        places = request.frame.to_geographic_many(north_m, east_m)
-        local = self._frame.to_local_many(*places)
-        corners_ne_m[wanted] = np.stack(local, axis=-1)
-        return corners_ne_m[rows, columns]
+        width = COLUMNS * BLOCK_CELLS + 1
+        corners, which = np.unique(rows * width + columns, return_inverse=True)  # cells share them
+        corner_m = np.stack(np.divmod(corners, width)) * float(spacing_m)
+        local = self._frame.to_local_many(*origin.to_geographic_many(*corner_m))
+        return np.stack(local, axis=-1)[which].reshape(-1, 4, 2)
 
     def _seen(
         self,
+        eye: Eye,
         corners_ne_m: FloatArray,
         highest_amsl_m: FloatArray,
         highest_ne_m: FloatArray,
-        view: Viewpoint,
     ) -> NDArray[np.bool_]:
         """Whether some point of each cell may be in sight.  (C, 4, 2), (C,), (C, 2) -> (C,)."""
-        north_m, east_m = self._frame.to_local(view.latitude_deg, view.longitude_deg)
-        eye = (north_m, east_m, view.altitude_amsl_m)
-        seen = self._in_sight(eye, highest_ne_m)  # the likeliest point first: few need more
+        grid = self._grid_about(eye, corners_ne_m.reshape(-1, 2))
+        lowest = (grid.lowest_amsl_m, grid.place)
+
+        def in_sight(points_ne_m: FloatArray) -> NDArray[np.bool_]:
+            """Whether these points of the surface have free lines to the eye.  (K, 2) -> (K,)."""
+            top_m = self._terrain.height_amsl_m(points_ne_m[:, 0], points_ne_m[:, 1])
+            return _in_sight(eye, np.column_stack([points_ne_m, top_m]), *lowest)
+
+        seen = in_sight(highest_ne_m)  # the likeliest point first: few need more
         left = np.flatnonzero(~seen)
-        left = left[self._may_be_seen(eye, corners_ne_m[left], highest_amsl_m[left])]
-        if len(left):
-            corners = corners_ne_m[left]
-            others = np.concatenate([corners, corners.mean(axis=1, keepdims=True)], axis=1)
-            free = self._in_sight(eye, others.reshape(-1, 2)).reshape(-1, 5)
-            seen[left] = free.any(axis=1)
-            left = left[~seen[left]]
-        quads, of = corners_ne_m[left], left
-        for _ in range(self._divisions(eye, quads)):
-            if not len(quads):
-                break
+        left = left[_may_be_seen(eye, corners_ne_m[left], highest_amsl_m[left], *lowest)]
+        corners = corners_ne_m[left]
+        others = np.concatenate([corners, corners.mean(axis=1, keepdims=True)], axis=1)
+        seen[left] = in_sight(others.reshape(-1, 2)).reshape(-1, 5).any(axis=1)
+        # the rest is divided until its parts are about two cells of the grid wide
+        of = left[~seen[left]]
+        quads = corners_ne_m[of]
+        side_m = float(np.hypot(*(quads[:, 1] - quads[:, 0]).T).max(initial=0.0))
+        divisions = math.ceil(math.log(max(0.5 * side_m / grid.cell_m, 1.0), _PARTS) - 1e-9)
+        for _ in range(min(divisions, _MAX_DIVISIONS)):
             quads, of = _divided(quads), np.repeat(of, _PARTS * _PARTS)
             highest, _ = self._terrain.highest_in_quads_amsl_m(quads)
-            may_be = self._may_be_seen(eye, quads, highest)
+            may_be = _may_be_seen(eye, quads, highest, *lowest)
             quads, of = quads[may_be], of[may_be]
+            if not len(quads):
+                break
         seen[of] = True
         return seen
 
-    def _divisions(self, eye: Eye, quads_ne_m: FloatArray) -> int:
-        """How often to divide quadrilaterals until they are about two cells of the grid wide."""
-        if not len(quads_ne_m):
-            return 0
-        side_m = float(np.hypot(*(quads_ne_m[:, 1] - quads_ne_m[:, 0]).T).max())
-        times = math.log(max(0.5 * side_m / self._grid_about(eye).cell_m, 1.0), _PARTS)
-        return min(math.ceil(times - 1e-9), _MAX_DIVISIONS)
-
-    def _may_be_seen(
-        self, eye: Eye, corners_ne_m: FloatArray, highest_amsl_m: FloatArray
-    ) -> NDArray[np.bool_]:
-        """Whether a line to some point of each quadrilateral may be free.  (K, 4, 2), (K,) -> (K,).
-
-        Taken to be as high as its highest all over the circle around it.
-        """
-        grid = self._grid_about(eye, corners_ne_m.reshape(-1, 2))
-        return _may_be_seen(eye, corners_ne_m, highest_amsl_m, grid.lowest_amsl_m, grid.place)
-
-    def _in_sight(self, eye: Eye, points_ne_m: FloatArray) -> NDArray[np.bool_]:
-        """Whether each point of the surface has a free line to the eye.  (K, 2) -> (K,)."""
-        grid = self._grid_about(eye, points_ne_m)
-        top_m = self._terrain.height_amsl_m(points_ne_m[:, 0], points_ne_m[:, 1])
-        points_nea_m = np.column_stack([points_ne_m, top_m])
-        return _in_sight(eye, points_nea_m, grid.lowest_amsl_m, grid.place)
-
-    def _grid_about(self, eye: Eye, points_ne_m: FloatArray | None = None) -> _Grid:
+    def _grid_about(self, eye: Eye, points_ne_m: FloatArray) -> _Grid:
         """A grid beyond the range on all sides of the eye, with what is between it and points."""
         grid, spare_m = self._grid, _GRID_MARGIN * self._range_m
         if grid is None or np.abs(grid.middle_ne_m - eye[:2]).max() > 1.5 * spare_m:
             grid = self._grid = _Grid(self._terrain, eye[:2], self._range_m)
-        if points_ne_m is not None and len(points_ne_m):
-            grid.find(np.concatenate([points_ne_m, [eye[:2]]]))
+        grid.find(np.concatenate([points_ne_m, [eye[:2]]]))
         return grid
 
 
@@ -288,7 +240,10 @@ def _may_be_seen(
     lowest_amsl_m: FloatArray,
     south_west_cell_m: Eye,
 ) -> NDArray[np.bool_]:
-    """Whether a line to some point of a quadrilateral may be free.  (K, 4, 2), (K,) -> (K,)."""
+    """Whether a line to some point of a quadrilateral may be free.  (K, 4, 2), (K,) -> (K,).
+
+    Taken to be as high as its highest all over the circle around it.
+    """
     seen = np.zeros(len(corners_ne_m), dtype=np.bool_)
     cell_m, hint_m = south_west_cell_m[2], 0.0
     for k in range(len(corners_ne_m)):

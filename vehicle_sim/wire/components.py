@@ -19,8 +19,9 @@ from pymavlink.dialects.v20 import all as mavlink
 from vehicle_sim.autopilot.values import Sender
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.faults import LidarConditions, RadarConditions
+from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.sensors.lidar import Lidar
-from vehicle_sim.sensors.terrain_radar import UNSEEN_M, ScanRequest, TerrainRadar, Viewpoint
+from vehicle_sim.sensors.terrain_radar import UNSEEN_M, TerrainRadar
 from vehicle_sim.wire.frames import Prepared, make
 from vehicle_sim.wire.radio import Radio
 from vehicle_sim.world import LidarTable
@@ -110,8 +111,8 @@ class RadarComponent(_Component):
         """
         radar, height_m = self.radar, vehicle.altitude_amsl_m
         place, spacing_m = (asked.lat / 1e7, asked.lon / 1e7), asked.grid_spacing
-        view = Viewpoint(vehicle.latitude_deg, vehicle.longitude_deg, height_m)
-        blocks = radar.answer(ScanRequest(*place, spacing_m, asked.mask), view)
+        corner = LocalFrame(latitude_deg=place[0], longitude_deg=place[1])
+        blocks = radar.answer(corner, spacing_m, asked.mask, vehicle)
         head = (asked.lat, asked.lon, spacing_m)
         told = [
             make("TERRAIN_DATA", *head, bit, self._spoilt(heights_m, conditions))

@@ -218,11 +218,10 @@ class Telemetry:
         if self._is_px4 and not fix.time_us:
             return None
         north, east = fix.velocity_north_m_s, fix.velocity_east_m_s
-        dilutions = (fix.horizontal_dilution, fix.vertical_dilution, math.hypot(north, east))
+        dilutions = (*fix.quality[:2], math.hypot(north, east))
         course_cdeg = round(math.degrees(math.atan2(east, north)) * 100.0) % 36000
         hundredths = (whole(each * 100.0) for each in dilutions)
-        accuracies = (fix.horizontal_accuracy_m, fix.vertical_accuracy_m, fix.speed_accuracy_m_s)
-        mm = (whole(each * 1e3) for each in (fix.altitude_amsl_m, *accuracies))
+        mm = (whole(each * 1e3) for each in (fix.altitude_amsl_m, *fix.quality[2:]))
         solution = (fix.fix_type, *_e7_mm(fix), *hundredths, course_cdeg)
         return fix.time_us, *solution, fix.satellites, *mm
 

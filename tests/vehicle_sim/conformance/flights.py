@@ -360,8 +360,8 @@ def world_of(recording: Recording, flight: Flight) -> World:
     """Level ground at home with a vehicle of that kind, and with the posts around it."""
     home, posts = msgspec.structs.asdict(flight.home), flight.posts
     world = flat_world(recording.kind, recording.firmware, **home, system_id=recording.system)
-    vehicle = dataclasses.replace(world.vehicle, parameters=dict(flight.parameters))
-    world = dataclasses.replace(world, vehicle=vehicle)
+    vehicle = world.vehicle.model_copy(update={"parameters": dict(flight.parameters)})
+    world = world.model_copy(update={"vehicle": vehicle})
     if posts is None:
         return world
     home_deg = (flight.home.latitude_deg, flight.home.longitude_deg)
@@ -370,7 +370,7 @@ def world_of(recording: Recording, flight: Flight) -> World:
     size = {"radius_m": posts.radius_m, "height_m": _POST_M}
     places = zip(*world.frame.to_local_many(*at_deg.T), strict=True)
     trees = tuple(Tree(north_m=float(n), east_m=float(e), **size) for n, e in places)
-    return dataclasses.replace(world, trees=trees, lidar=LidarTable(**flight.lidar))
+    return world.model_copy(update={"trees": trees, "lidar": LidarTable(**flight.lidar)})
 
 
 def timeline(recording: Recording, flight: Flight) -> str:
