@@ -4,7 +4,7 @@ Here its parts meet: the world and its faults, the vehicle, its sensors, the fli
 terrain radar and the radio.
 """
 
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping
 from dataclasses import replace
 from typing import Final, final
 
@@ -24,7 +24,7 @@ from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.dynamics.wind import Wind
 from vehicle_sim.errors import InputError
-from vehicle_sim.faults import Timeline, conditions_of
+from vehicle_sim.faults import Happening, Timeline, conditions_of
 from vehicle_sim.flight_controller import FlightController
 from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import Plans
@@ -310,7 +310,7 @@ class Simulation:
         """A parameter or a fault is another one: so may the weather be, and the links."""
         parameters, controller, router = self.parameters, self._controller, self._radio.router
         self._seen_version = parameters.version
-        self._conditions = now = conditions_of(parameters, self._timeline.changes)
+        self._conditions = now = conditions_of(parameters, self._timeline.lasting)
         controller.setpoints_ignored = now.autopilot.setpoints_ignored
         controller.ranging.rangefinder_off = now.autopilot.rangefinder_off
         self._radio.impair(now.link)
@@ -318,29 +318,26 @@ class Simulation:
             allowed = frozenset({self.system_id, int(parameters["MAV_GCS_SYSID"])})
             router.commanders = allowed if int(parameters["MAV_OPTIONS"]) & 1 else None
 
-    def _happens(self, name: str, values: Sequence[float]) -> None:
+    def _happens(self, said: Happening) -> None:
         """A fault that happens once."""
         controller, autopilot = self._controller, self._controller.autopilot
-        match name:
+        match said.name:
             case "estimator_reset":
-                autopilot.estimate.shift(*values[:2])
+                autopilot.estimate.shift(*said.by_m[:2])
             case "origin_move":
-                controller.answer(autopilot.move_origin(*values))
+                controller.answer(autopilot.move_origin(*said.by_m))
             case "pilot":
                 controller.answer(autopilot.pilot_takes())
             case "reboot":
                 self._go_down()
             case "ground_fence":
-                controller.add_to_fence(ground_station.new_fence(self.vehicle, *values))
-            case "ground_command" if len(values) > 4:  # to_autopilot
-                order = ground_station.command(values[:4], *self._ids)
+                controller.add_to_fence(ground_station.new_fence(said, self.vehicle))
+            case _ if said.to_autopilot:
+                order = ground_station.order(said, self.vehicle, *self._ids)
                 controller.receive(order, ground_station.STATION, self.now_us)
-            case _:  # of a ground station to the companion
+            case _:
                 to = self.system_id, self.companion.component if self.companion else 0
-                if name == "ground_command":
-                    order = ground_station.command(values, *to)
-                else:
-                    order = ground_station.target(values, self.vehicle, *to)
+                order = ground_station.order(said, self.vehicle, *to)
                 self._radio.broadcast_as(order, *ground_station.STATION[:2])
 
     # --- time ---------------------------------------------------------------------------------
@@ -352,7 +349,7 @@ class Simulation:
             happening = self._timeline.step(now_us)
             self._refresh()
             for each in happening:
-                self._happens(each.name, each.values)
+                self._happens(each)
         elif self.parameters.version != self._seen_version:
             self._refresh()
         if self._radio.impaired:
