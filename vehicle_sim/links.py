@@ -98,10 +98,9 @@ class Link:
         if self._listens:
             self._socket.bind(address)
 
-    @property
-    def sockets(self) -> Sequence[socket.socket]:
-        """What to wait for."""
-        return (self._socket,)
+    def fileno(self) -> int:
+        """For select, to wait until something comes."""
+        return self._socket.fileno()
 
     @property
     def endpoint(self) -> Endpoint:
@@ -148,9 +147,8 @@ class _TcpIn(Link):
         self._socket.bind(address)
         self._socket.listen(1)
 
-    @property
-    def sockets(self) -> Sequence[socket.socket]:
-        return (self._client or self._socket,)
+    def fileno(self) -> int:
+        return (self._client or self._socket).fileno()
 
     def send(self, frames: Sequence[bytes]) -> None:
         if self._client is None:

@@ -13,27 +13,25 @@ while the test advances it: between two calls vehicle time stands still.
 """
 
 import math
-import select
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from typing import Any, Final, NamedTuple, final
 
 import pytest
 
+from vehicle_sim.errors import CompanionSilent
 from vehicle_sim.geodesy import WGS84
 from vehicle_sim.links import Endpoint, open_link
 from vehicle_sim.parameters import Firmware
+from vehicle_sim.server import Server, Station
 from vehicle_sim.simulation import STEP_US, Simulation
 from vehicle_sim.world import VehicleKind, World, flat_world
 
 _TICK_STEPS: Final = 5
 _TICK_S: Final = _TICK_STEPS * STEP_US * 1e-6
-_POLL_S, _AGAIN_S = 0.01, 1.0
-_PATIENCE_S = 30.0
-"""Wall time that a lockstep tick waits for its answer."""
+_AGAIN_S, _PATIENCE_S = 1.0, 30.0
+"""Wall time after which a lockstep tick asks again, and gives up."""
 _READY_S: Final = 60.0
-_MAX_DATAGRAMS: Final = 1000
 
 
 @final
@@ -100,6 +98,7 @@ class Simulator:
         self._lockstep, self._strict = lockstep, strict
         self._link = open_link(Endpoint(kind="udpin", host="127.0.0.1", port=0))
         self.close = self._link.close
+        self._server = Server(stations=[Station(simulation=self.simulation, links=[self._link])])
         self.moments = [self._moment()]
         """The whole flight so far."""
         self.heard_s: dict[str, list[float]] = {}
@@ -107,7 +106,6 @@ class Simulator:
         while ready and not self.simulation.armable:
             assert self.now_s < _READY_S, f"not ready after {_READY_S:.0f} s of vehicle time"
             self._step()
-        self.simulation.take_frames()  # of the boot: no client yet
 
     @property
     def port(self) -> int:
@@ -190,32 +188,20 @@ class Simulator:
 
     def _exchange(self, meanwhile: Callable[[], object]) -> None:
         """What is to go out goes out; what has come in is handled; in lockstep, wait for it."""
-        simulation = self.simulation
-        waits = self._lockstep and simulation.companion is not None
+        server = self._server
+        waits = self._lockstep and self.simulation.companion is not None
         if waits:
-            simulation.ask_for_sync()
-        start_s = again_s = time.monotonic()
-        while True:
-            self._send_and_receive()
-            meanwhile()
-            self._send_and_receive()
-            if not waits or not simulation.waits:
-                return
-            select.select(self._link.sockets, [], [], _POLL_S)
-            now_s = time.monotonic()
-            within = f"within {_PATIENCE_S:.0f} s; {self._where()}"
-            assert now_s - start_s <= _PATIENCE_S, f"no answer to TIMESYNC {within}"
-            if now_s - again_s > _AGAIN_S:
-                again_s = now_s
-                simulation.ask_again()
-
-    def _send_and_receive(self) -> None:
-        self._link.send([frame for _, frame in self.simulation.take_frames()])
-        for _ in range(_MAX_DATAGRAMS):
-            if (datagram := self._link.receive()) is None:
-                break
-            self.simulation.receive(0, datagram)
-        self._link.send([frame for _, frame in self.simulation.take_frames()])
+            self.simulation.ask_for_sync()
+        for take_turn in (lambda: None, meanwhile):
+            server.send()
+            take_turn()
+            server.receive()
+            server.send()
+        if waits:
+            try:
+                server.wait(_AGAIN_S, _PATIENCE_S, lambda: (server.send(), meanwhile()))
+            except CompanionSilent as error:
+                raise AssertionError(str(error)) from None
 
     def _where(self) -> str:
         return f"at {self.now_s:.1f} s: {self.simulation.outcome()}"

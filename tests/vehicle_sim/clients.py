@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.errors import SimulatorError
 from vehicle_sim.links import Link
-from vehicle_sim.server import Server, Settings, Station
+from vehicle_sim.server import Server, Station
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import parse_world
 
@@ -127,7 +127,7 @@ class Running:
         of_each = links if len(links) > 1 else [*links] * len(tables)
         pairs = zip(self.simulations, of_each, strict=True)
         stations = [Station(simulation=each, links=[link]) for each, link in pairs]
-        self._server = Server(stations, Settings(**settings), self.stop, say=lambda _: None)
+        self._server = Server(stations=stations, stop=self.stop, **settings)
         self.thread = threading.Thread(target=self._run, daemon=True)
         self.thread.start()
 
