@@ -36,14 +36,8 @@ Start it in one terminal and the companion in another:
     companion fly environment-1 --connect udpin:127.0.0.1:14540 --lockstep
 
 With --lockstep both fly as fast as they can and every run is the same; without, the vehicle flies
-in real time (or --speedup times that) whatever the companion does.  Ctrl-C ends it.
-
-\b
-    vehicle-sim --autopilot px4 --vehicle plane --faults faults.txt
-    vehicle-sim --connect tcpin:127.0.0.1:5760 --connect udpout:127.0.0.1:14550
-    vehicle-sim --count 5 --port-step 10
-
-Faults are one line each, such as "at 120 s for 30 s: gps_off": see docs/simulator.md.
+in real time (or --speedup times that) whatever the companion does.  Ctrl-C ends it.  More, and the
+faults: docs/simulator.md.
 """
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -120,24 +114,24 @@ def fly(
         flown = read_world(_world_path(world))
     worlds = _row(_with_parameters(flown, param or [], speedup or 1.0), count)
     timeline = "" if faults is None else _timeline(faults)
-    simulations = [
-        Simulation(
-            each,
-            seed=seed + k,
-            links=len(endpoints),
-            byte_streams={n for n, each in enumerate(endpoints) if each.kind == "tcpin"},
-            forwards_all=k == 0 or port_step > 0,
-            faults=timeline,
-        )
-        for k, each in enumerate(worlds)
-    ]
-    simulations[0].warm_up()  # who is silent for seconds, because it compiles, is taken to be lost
+    byte_streams = {n for n, each in enumerate(endpoints) if each.kind == "tcpin"}
     with ExitStack() as stack:
-        stop, stations, links = stack.enter_context(stopping_on_signals()), [], list[Link]()
-        for k, simulation in enumerate(simulations):
+        stop, stations, links = stack.enter_context(stopping_on_signals()), list[Station](), []
+        for k, each in enumerate(worlds):
+            shares = k > 0 and port_step == 0
+            simulation = Simulation(
+                each,
+                seed=seed + k,
+                links=len(endpoints),
+                byte_streams=byte_streams,
+                forwards_all=not shares,
+                faults=timeline,
+            )
+            if k == 0:  # who is silent for seconds, because it compiles, is taken to be lost
+                simulation.warm_up()
             name = f"truth-{k + 1}.jsonl" if k else "truth.jsonl"
             truth = stack.enter_context(truth_file(out, name))
-            if k == 0 or port_step:
+            if not shares:
                 links = [open_link(each.shifted(k * port_step)) for each in endpoints]
                 for link in links:
                     stack.callback(link.close)
@@ -154,6 +148,7 @@ def fly(
             strict=strict,
         )
         wall_s = server.run()
+    simulations = [station.simulation for station in stations]
     flown_s = max(each.now_us for each in simulations) * 1e-6
     times = flown_s / wall_s if wall_s > 0.0 else 0.0
     ends = "; ".join(each.outcome() for each in simulations[:3])
@@ -189,17 +184,10 @@ def _must_lie(option: str, value: float | None, least: float, most: float, why: 
 
 def _flat(firmware: Firmware, kind: VehicleKind, home: str, scan_range_m: float | None) -> World:
     """Level ground at the height of --home."""
+    names = ("latitude_deg", "longitude_deg", "altitude_amsl_m", "heading_deg")
     try:
-        latitude_deg, longitude_deg, altitude_m, heading_deg = map(float, home.split(","))
-        return flat_world(
-            kind,
-            firmware,
-            latitude_deg=latitude_deg,
-            longitude_deg=longitude_deg,
-            altitude_amsl_m=altitude_m,
-            heading_deg=heading_deg,
-            scan_range_m=scan_range_m,
-        )
+        place: dict[str, Any] = dict(zip(names, map(float, home.split(",")), strict=True))
+        return flat_world(kind, firmware, scan_range_m=scan_range_m, **place)
     except ValueError:  # also pydantic's, of a place that is not on earth
         rule = "must be LAT,LON,ALT,HEADING within 85 deg, 180 deg, -1000 to 20000 m, 360 deg"
         raise InputError("--home", home, rule, f"Try {_HOME}.") from None
@@ -283,7 +271,7 @@ def run(app: typer.Typer, program: str) -> None:
     except typer.Abort:
         pass
     except OSError as error:
-        if error.filename is not None or error.errno not in (errno.ENOSPC, errno.EPIPE, errno.EIO):
+        if error.errno not in (errno.ENOSPC, errno.EPIPE, errno.EIO):
             raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for what is not yet written
         sys.stderr.write(f"error: the output cannot be written ({error.strerror})\n")

@@ -189,12 +189,15 @@ _RANGES: Final = {
 """Of the numbers of a line, in its units."""
 
 
-def _meant(kind: type[Any], key: str, number: float, unit: str) -> Any:
+def _usual(group: str, key: str) -> Any:
+    return getattr(getattr(_USUAL, group) if group else Happening(), key)
+
+
+def _meant(group: str, key: str, number: float, unit: str) -> Any:
     """A number in this unit, as the field has it."""
     scales = {"ms": 1e-3 if key.endswith("_s") else 1e3, "deg": math.pi / 180.0, "%": 0.01}
-    number *= scales.get(unit, 1.0)
-    usual = kind._field_defaults[key]
-    return round(number) if type(usual) is int else type(usual)(number)
+    number, kind = number * scales.get(unit, 1.0), type(_usual(group, key))
+    return round(number) if kind is int else kind(number)
 
 
 @final
@@ -202,15 +205,15 @@ class Fault:
     """One kind of fault: how its line is written, what it is, and the fields that it sets.
 
     In a line N is a number, WHERE is north, east, south, west, up or down, SIDE one of the first
-    four; [...] may be left out, and its field is then as usual.  `kind` has the fields: conditions
-    while the fault lasts, or Happening if it happens once.  `keys` are those of the numbers and of
-    the words with an underscore, in order; a vector, which the numbers add up to, is one field.
+    four; [...] may be left out, and its field is then as usual.  The fields are of a `group` of the
+    conditions while the fault lasts, or of a Happening if it happens once.  `keys` are those of the
+    numbers and of the words with an underscore, in order; a vector, to which numbers add, has one.
     """
 
-    def __init__(self, kind: type[Any], usage: str, about: str, *keys: str, **sets: bool) -> None:
-        self.kind, self.usage, self.about, self._keys = kind, usage, about, keys
-        self.once = kind is Happening
-        self.sets = {key: kind._field_defaults[key] for key in keys} | sets
+    def __init__(self, group: str, usage: str, about: str, *keys: str, **sets: bool) -> None:
+        self.group, self.usage, self.about, self._keys = group, usage, about, keys
+        self.once = not group
+        self.sets = {key: _usual(group, key) for key in keys} | sets
         """The fields of its shortest line."""
         self.name, *tokens = re.findall(r"[][]|[^][\s]+", usage)
         forms = [_PATTERNS.get(t, rf"({t})\s+" if "_" in t else rf"{t}\s+") for t in tokens]
@@ -238,91 +241,85 @@ class Fault:
                     rule = f"{number:g} must lie from {least:g} to {most:g}"
                     raise InputError(where, line, rule, "Correct the number.")
                 if not isinstance(sets[key], tuple):
-                    sets[key] = _meant(self.kind, key, number, unit)
+                    sets[key] = _meant(self.group, key, number, unit)
         return sets
 
 
 def _link(line: str, about: str, *keys: str, **sets: bool) -> Fault:
     """Of all frames on all links unless it says which."""
     usage = f"{line} [to_vehicle|from_vehicle] [on link N]"
-    return Fault(LinkConditions, usage, about, *keys, "way", "only", **sets)
+    return Fault("link", usage, about, *keys, "way", "only", **sets)
 
 
 # fmt: off
 FAULTS: Final = (
-    Fault(GpsConditions, "gps_off", "The receiver loses its fix.", enabled=False),
-    Fault(GpsConditions, "gps_glitch N m WHERE [N m WHERE]",
+    Fault("gps", "gps_off", "The receiver loses its fix.", enabled=False),
+    Fault("gps", "gps_glitch N m WHERE [N m WHERE]",
         "The receiver's position is off by so much.", "glitch_m"),
-    Fault(GpsConditions, "gps_drift N m/s WHERE", "The receiver's position wanders off at this "
-        "speed, and its velocity says so.", "drift_m_s"),
-    Fault(GpsConditions, "gps_jam",
+    Fault("gps", "gps_drift N m/s WHERE", "The receiver's position wanders off at this speed, and "
+        "its velocity says so.", "drift_m_s"),
+    Fault("gps", "gps_jam",
         "The fix comes and goes, with wild positions and velocities.", jammed=True),
-    Fault(GpsConditions, "gps_noise N m", "A random error with this standard deviation on each "
-        "horizontal axis, 1.5 times that in height, correlated over seconds.", "sigma_m"),
-    Fault(GpsConditions, "gps_delay N ms", "The receiver's solutions are this old.", "lag_s"),
-    Fault(GpsConditions, "gps_satellites N", "The receiver sees so many satellites; PX4 has no fix "
-        "with fewer than 4.", "satellites"),
-    Fault(WindConditions, "wind N m/s from N deg [turbulence N [m/s]] [rising N deg]",
+    Fault("gps", "gps_noise N m", "A random error with this standard deviation on each horizontal "
+        "axis, 1.5 times that in height, correlated over seconds.", "sigma_m"),
+    Fault("gps", "gps_delay N ms", "The receiver's solutions are this old.", "lag_s"),
+    Fault("gps", "gps_satellites N",
+        "The receiver sees so many satellites; PX4 has no fix with fewer than 4.", "satellites"),
+    Fault("wind", "wind N m/s from N deg [turbulence N [m/s]] [rising N deg]",
         "Wind from this true direction, full from 60 m above the ground on, with gusts of this "
         "standard deviation, rising by this angle.",
         "speed_m_s", "from_rad", "turbulence_m_s", "rising_rad"),
-    Fault(WindConditions, "turbulence N m/s", "Gusts of this standard deviation.",
-        "turbulence_m_s"),
-    Fault(BatteryConditions, "battery N %", "No more than this is left in the battery.", "most"),
-    Fault(BatteryConditions, "battery_voltage N V",
+    Fault("wind", "turbulence N m/s", "Gusts of this standard deviation.", "turbulence_m_s"),
+    Fault("battery", "battery N %", "No more than this is left in the battery.", "most"),
+    Fault("battery", "battery_voltage N V",
         "The battery's voltage at rest when full (ArduPilot).", "voltage_v"),
     _link("link_off", "Nothing passes.", off=True),
     _link("link_loss N %", "This share of the frames is lost.", "lost"),
     _link("link_delay N ms [jitter N ms]", "Every frame is late by the delay and up to the jitter "
         "more; a frame may overtake another so.", "delay_us", "jitter_us"),
     _link("link_duplication N %", "This share of the frames arrives twice.", "duplicated"),
-    Fault(RadarConditions, "radar_off", "The radar falls silent: no answers, no heartbeat.",
-        silent=True),
-    Fault(RadarConditions, "radar_blind", "The radar answers and sees nothing.", blind=True),
-    Fault(RadarConditions, "radar_drop N %",
+    Fault("radar", "radar_off", "The radar falls silent: no answers, no heartbeat.", silent=True),
+    Fault("radar", "radar_blind", "The radar answers and sees nothing.", blind=True),
+    Fault("radar", "radar_drop N %",
         "This share of the cells in sight is not seen all the same.", "cells_missed"),
-    Fault(RadarConditions, "radar_loss N %",
+    Fault("radar", "radar_loss N %",
         "This share of the radar's TERRAIN_DATA is never sent.", "frames_lost"),
-    Fault(RadarConditions, "radar_noise N m [either_way]", "Heights have a normal error of this "
-        "standard deviation; its size is added and the sum rounded up, so that no cell is told "
-        "lower than it is.  With `either_way` a cell may be.", "noise_m", "either_way"),
-    Fault(RadarConditions, "radar_delay N ms", "The radar's answers are late by this.", "delay_s"),
-    Fault(RadarConditions, "radar_rate N Hz", "The radar answers this many requests a second, at "
-        "the beats of its own sweep; else each at the end of its tick.", "rate_hz"),
-    Fault(LidarConditions, "lidar_dead", "It measures nothing any more; its driver is well.",
-        dead=True),
-    Fault(LidarConditions, "lidar_blind", "It measures, and no echo comes back.", blind=True),
-    Fault(LidarConditions, "lidar_off", "The driver says nothing: no heartbeat either.",
-        silent=True),
-    Fault(LidarConditions, "lidar_loss N %", "Lost between the driver and the autopilot.",
-        "frames_lost"),
-    Fault(LidarConditions, "lidar_dust N %",
+    Fault("radar", "radar_noise N m [either_way]", "Heights have a normal error of this standard "
+        "deviation; its size is added and the sum rounded up, so that no cell is told lower than "
+        "it is.  With `either_way` a cell may be.", "noise_m", "either_way"),
+    Fault("radar", "radar_delay N ms", "The radar's answers are late by this.", "delay_s"),
+    Fault("radar", "radar_rate N Hz", "The radar answers this many requests a second, at the beats "
+        "of its own sweep; else each at the end of its tick.", "rate_hz"),
+    Fault("lidar", "lidar_dead", "It measures nothing any more; its driver is well.", dead=True),
+    Fault("lidar", "lidar_blind", "It measures, and no echo comes back.", blind=True),
+    Fault("lidar", "lidar_off", "The driver says nothing: no heartbeat either.", silent=True),
+    Fault("lidar", "lidar_loss N %", "Lost between the driver and the autopilot.", "frames_lost"),
+    Fault("lidar", "lidar_dust N %",
         "Share of the beams with a near echo of nothing: dust, rain, sun.", "dust"),
-    Fault(LidarConditions, "lidar_stuck", "The same distances for ever, with new stamps.",
-        stuck=True),
-    Fault(LidarConditions, "lidar_turned N deg", "It is mounted turned by this, and nobody knows.",
-        "turned_rad"),
-    Fault(LidarConditions, "lidar_clock N ms", "The driver's clock is ahead by this.", "clock_us"),
-    Fault(LidarConditions, "lidar_rate N Hz",
+    Fault("lidar", "lidar_stuck", "The same distances for ever, with new stamps.", stuck=True),
+    Fault("lidar", "lidar_turned N deg",
+        "It is mounted turned by this, and nobody knows.", "turned_rad"),
+    Fault("lidar", "lidar_clock N ms", "The driver's clock is ahead by this.", "clock_us"),
+    Fault("lidar", "lidar_rate N Hz",
         "Of the driver's messages; else as in the world.  200: a flood.", "rate_hz"),
-    Fault(AutopilotConditions, "rangefinder_off", "RANGEFINDER says 0, DISTANCE_SENSOR nothing.",
-        rangefinder_off=True),
-    Fault(AutopilotConditions, "setpoints_ignored",
+    Fault("autopilot", "rangefinder_off",
+        "RANGEFINDER says 0, DISTANCE_SENSOR nothing.", rangefinder_off=True),
+    Fault("autopilot", "setpoints_ignored",
         "The autopilot takes no setpoint, without a word.", setpoints_ignored=True),
-    Fault(Happening, "estimator_reset N m SIDE [N m SIDE]",
+    Fault("", "estimator_reset N m SIDE [N m SIDE]",
         "The estimator starts afresh, and its position jumps by this much.", "by_m"),
-    Fault(Happening, "origin_move N m WHERE [N m WHERE]",
+    Fault("", "origin_move N m WHERE [N m WHERE]",
         "The origin of the estimator's local frame moves by this much.", "by_m"),
-    Fault(Happening, "pilot",
+    Fault("", "pilot",
         "The pilot takes the vehicle: the mode changes to the one that pilots hold it in."),
-    Fault(Happening, "reboot", "The autopilot starts again, wherever it is."),
-    Fault(Happening, "ground_command N [N] [N] [N] [to_autopilot]", "A ground station sends this "
-        "MAV_CMD with these first parameters to the companion, or to the autopilot.",
-        "command", "p1", "p2", "p3", "to_autopilot"),
-    Fault(Happening, "ground_target N m SIDE [N m SIDE]",
+    Fault("", "reboot", "The autopilot starts again, wherever it is."),
+    Fault("", "ground_command N [N] [N] [N] [to_autopilot]",
+        "A ground station sends this MAV_CMD with these first parameters to the companion, or to "
+        "the autopilot.", "command", "p1", "p2", "p3", "to_autopilot"),
+    Fault("", "ground_target N m SIDE [N m SIDE]",
         "A ground station gives the companion a target so far from where the vehicle is.", "by_m"),
-    Fault(Happening, "ground_fence N m [N m ahead]", "The vehicle's fence gets one more circle to "
-        "stay out of, so far ahead of where it is.", "radius_m", "ahead_m"),
+    Fault("", "ground_fence N m [N m ahead]", "The vehicle's fence gets one more circle to stay "
+        "out of, so far ahead of where it is.", "radius_m", "ahead_m"),
 )
 # fmt: on
 """In the order of the documentation."""
@@ -339,7 +336,7 @@ class Asking(NamedTuple):
     name: str
     of: str
     """Whose simulation has it."""
-    kind: type[Any]
+    group: str
     key: str
     usual: float
     least: float
@@ -350,24 +347,24 @@ class Asking(NamedTuple):
 
 _BOTH: Final = "ardupilot px4"
 ASKING: Final = (
-    Asking("SIM_GPS1_ENABLE", _BOTH, GpsConditions, "enabled", 1, 0, 1, Kind.INT8),
-    Asking("SIM_GPS1_GLTCH_X", _BOTH, GpsConditions, "glitch_latitude_deg", 0, -90, 90),
-    Asking("SIM_GPS1_GLTCH_Y", _BOTH, GpsConditions, "glitch_longitude_deg", 0, -180, 180),
-    Asking("SIM_GPS1_GLTCH_Z", _BOTH, GpsConditions, "glitch_up_m", 0, -1e5, 1e5),
-    Asking("SIM_GPS1_ALT_OFS", _BOTH, GpsConditions, "offset_up_m", 0, -32_768, 32_767, Kind.INT16),
-    Asking("SIM_GPS1_JAM", _BOTH, GpsConditions, "jammed", 0, 0, 1, Kind.INT8),
-    Asking("SIM_GPS1_LAG_MS", _BOTH, GpsConditions, "lag_s", 100, 0, 5000, Kind.INT16, "ms"),
-    Asking("SIM_GPS1_NUMSATS", _BOTH, GpsConditions, "satellites", 10, 0, 50, Kind.INT8),
-    Asking("SIM_WIND_SPD", _BOTH, WindConditions, "speed_m_s", 0, 0, 100),
-    Asking("SIM_WIND_DIR", _BOTH, WindConditions, "from_rad", 180, -360, 360, unit="deg"),
-    Asking("SIM_WIND_TURB", _BOTH, WindConditions, "turbulence_m_s", 0, 0, 50),
-    Asking("SIM_WIND_DIR_Z", _BOTH, WindConditions, "rising_rad", 0, -90, 90, unit="deg"),
-    Asking("SIM_BATT_VOLTAGE", "ardupilot", BatteryConditions, "voltage_v", 12.6, 0, 60),
-    Asking("SIM_BATT_CAP_AH", "ardupilot", BatteryConditions, "capacity_ah", 0, 0, 1000),
-    Asking("BATT_CAPACITY", "", BatteryConditions, "gauge_mah", 3300, 0, math.inf),
-    Asking("SIM_GPS_USED", "px4", GpsConditions, "satellites", 10, 0, 50, Kind.INT32),
-    Asking("SIM_BAT_DRAIN", "px4", BatteryConditions, "drain_s", 60, 1, 86_400),
-    Asking("SIM_BAT_MIN_PCT", "px4", BatteryConditions, "least", 50, 0, 100, unit="%"),
+    Asking("SIM_GPS1_ENABLE", _BOTH, "gps", "enabled", 1, 0, 1, Kind.INT8),
+    Asking("SIM_GPS1_GLTCH_X", _BOTH, "gps", "glitch_latitude_deg", 0, -90, 90),
+    Asking("SIM_GPS1_GLTCH_Y", _BOTH, "gps", "glitch_longitude_deg", 0, -180, 180),
+    Asking("SIM_GPS1_GLTCH_Z", _BOTH, "gps", "glitch_up_m", 0, -1e5, 1e5),
+    Asking("SIM_GPS1_ALT_OFS", _BOTH, "gps", "offset_up_m", 0, -32_768, 32_767, Kind.INT16),
+    Asking("SIM_GPS1_JAM", _BOTH, "gps", "jammed", 0, 0, 1, Kind.INT8),
+    Asking("SIM_GPS1_LAG_MS", _BOTH, "gps", "lag_s", 100, 0, 5000, Kind.INT16, "ms"),
+    Asking("SIM_GPS1_NUMSATS", _BOTH, "gps", "satellites", 10, 0, 50, Kind.INT8),
+    Asking("SIM_WIND_SPD", _BOTH, "wind", "speed_m_s", 0, 0, 100),
+    Asking("SIM_WIND_DIR", _BOTH, "wind", "from_rad", 180, -360, 360, unit="deg"),
+    Asking("SIM_WIND_TURB", _BOTH, "wind", "turbulence_m_s", 0, 0, 50),
+    Asking("SIM_WIND_DIR_Z", _BOTH, "wind", "rising_rad", 0, -90, 90, unit="deg"),
+    Asking("SIM_BATT_VOLTAGE", "ardupilot", "battery", "voltage_v", 12.6, 0, 60),
+    Asking("SIM_BATT_CAP_AH", "ardupilot", "battery", "capacity_ah", 0, 0, 1000),
+    Asking("BATT_CAPACITY", "", "battery", "gauge_mah", 3300, 0, math.inf),
+    Asking("SIM_GPS_USED", "px4", "gps", "satellites", 10, 0, 50, Kind.INT32),
+    Asking("SIM_BAT_DRAIN", "px4", "battery", "drain_s", 60, 1, 86_400),
+    Asking("SIM_BAT_MIN_PCT", "px4", "battery", "least", 50, 0, 100, unit="%"),
 )
 """Of two for one field the later counts.  BATT_CAPACITY is a parameter of ArduPilots proper."""
 _PX4_MIN_SATELLITES: Final = 4
@@ -392,13 +389,13 @@ def conditions_of(parameters: Readable, lasting: Iterable["Entry"] = ()) -> Cond
 
     A parameter that the table lacks, or that is not a number, has its usual value.
     """
-    values: dict[type, dict[str, Any]] = {type(group): {} for group in _USUAL}
+    values: dict[str, dict[str, Any]] = {group: {} for group in Conditions._fields}
     for each in ASKING:
         if math.isfinite(value := parameters.get(each.name, math.nan)):
-            values[each.kind][each.key] = _meant(each.kind, each.key, value, each.unit)
+            values[each.group][each.key] = _meant(each.group, each.key, value, each.unit)
     for entry in lasting:
-        values[entry.fault.kind] |= entry.sets
-    made = Conditions._make(group._replace(**values[type(group)]) for group in _USUAL)
+        values[entry.fault.group] |= entry.sets
+    made = Conditions(**{key: getattr(_USUAL, key)._replace(**new) for key, new in values.items()})
     if "SIM_GPS_USED" not in parameters:
         return made
     seen = made.gps.satellites if made.gps.enabled else 0
@@ -408,10 +405,10 @@ def conditions_of(parameters: Readable, lasting: Iterable["Entry"] = ()) -> Cond
 
 def faults_page() -> str:
     """The table of docs/reference/faults.md."""
-    same = {(each.kind, each.key): f"`{each.name}`" for each in reversed(ASKING)}
+    same = {(each.group, each.key): f"`{each.name}`" for each in reversed(ASKING)}
     rows = ["| fault | parameters that do the same | what it does |\n|---|---|---|\n"]
     for fault in FAULTS:
-        names = [same[at] for key in fault.sets if (at := (fault.kind, key)) in same]
+        names = [same[at] for key in fault.sets if (at := (fault.group, key)) in same]
         usage = fault.usage.replace("|", r"\|")
         rows.append(f"| `{usage}` | {', '.join(names)} | {fault.about} |\n")
     return "".join(rows)

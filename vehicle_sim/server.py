@@ -12,7 +12,7 @@ from pathlib import Path
 from threading import Event
 from typing import TextIO, final
 
-from vehicle_sim.errors import CompanionSilent, InputError, NotSurvived
+from vehicle_sim.errors import InputError, SimulatorError
 from vehicle_sim.links import Link
 from vehicle_sim.simulation import STEP_US, Simulation
 
@@ -134,7 +134,7 @@ class Server:
             for notice in station.write():
                 self.say(notice)
             if self.strict and station.simulation.not_survived is not None:
-                raise NotSurvived(station.simulation.not_survived)
+                raise SimulatorError(station.simulation.not_survived)
 
     def receive(self, wait_s: float = 0.0) -> None:
         """Handle what has come, waiting so long for the first."""
@@ -182,7 +182,7 @@ class Server:
             self.receive(min(every_s, _PATIENCE_S))
             now_s = time.monotonic()
             if now_s - begun_s >= patience_s:
-                raise CompanionSilent(_silence(waiting[0], patience_s))
+                raise SimulatorError(_silence(waiting[0], patience_s))
             if now_s - asked_s >= every_s:
                 asked_s = now_s
                 self._ask(waiting)
