@@ -9,8 +9,14 @@ from dataclasses import replace
 from typing import Final, final
 
 from vehicle_sim import ground_station, truth
-from vehicle_sim.autopilot import factory
 from vehicle_sim.autopilot.core import Boot
+from vehicle_sim.autopilot.factory import (
+    ids_of,
+    make_vehicle,
+    overrides_of,
+    personality_of,
+    with_own_ids,
+)
 from vehicle_sim.autopilot.values import Sender, Text
 from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
 from vehicle_sim.dynamics.contact import LOOK_US, Contact, Crash
@@ -51,8 +57,9 @@ class Simulation:
 
     What comes in by a link of `byte_streams` may be cut anywhere, as TCP does; a datagram may not.
     Of several vehicles on the same links one `forwards_all` between them, the others only what is
-    for their own system.  ``faults`` is the text of a timeline.  InputError for a parameter that
-    the autopilot does not have, and for a fault that does not exist.
+    for their own system.
+    ``faults`` is the text of a timeline.  InputError for a parameter that the autopilot does not
+    have, and for a fault that does not exist.
     """
 
     def __init__(
@@ -65,9 +72,9 @@ class Simulation:
         forwards_all: bool = True,
         faults: str = "",
     ) -> None:
-        world = replace(world, vehicle=factory.with_own_ids(world.vehicle))
-        table, terrain, scanner = world.vehicle, world.truth(), world.scanner
-        self._world, self._seed, self._personality = world, seed, factory.personality_of(table)
+        world = replace(world, vehicle=with_own_ids(world.vehicle))
+        table, terrain = world.vehicle, world.truth()
+        self._world, self._seed, self._personality = world, seed, personality_of(table)
         self.now_us = 0
         """Since the start; the autopilot counts from its own boot."""
         self.companion: Sender | None = None
@@ -85,7 +92,7 @@ class Simulation:
 
         place = world.frame.to_geographic(table.north_m, table.east_m)
         ground_amsl_m = terrain.height_at_amsl_m(table.north_m, table.east_m)
-        self.vehicle: Copter | Plane = factory.make_vehicle(table, *place, ground_amsl_m)
+        self.vehicle: Copter | Plane = make_vehicle(table, *place, ground_amsl_m)
         """The truth: where it really is, and how it moves."""
         rolls, scene = table.kind == "plane", world.scene(terrain)
         self.contact = Contact(
@@ -99,9 +106,10 @@ class Simulation:
         self._timeline = Timeline.parse(faults, name="faults")
         self._boots = self._down_until_us = 0
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
+        scanner, lidars = world.scanner, world.lidars
         self._radio = Radio(
             radar=scanner.component_id if scanner else None,
-            drivers={each.component_id for each in world.lidars if each.output == "driver"},
+            drivers={each.component_id for each in lidars if each.output == "driver"},
             firmware=self._personality.firmware.family,
             links=links,
             byte_streams=byte_streams,
@@ -113,16 +121,14 @@ class Simulation:
             radar = TerrainRadar(terrain, world.frame, range_m=scanner.range_m)
             rng = generator(seed, "radar")
             self._scanner = RadarComponent(radar, rng, self._radio, scanner.component_id)
-        parameters = factory.overrides_of(table)
         self._lidars = list[tuple[Lidar, LidarDriver | None]]()
-        for each, name in zip(world.lidars, ("lidar", "second lidar"), strict=False):
+        for each, name in zip(lidars, ("lidar", "second lidar"), strict=False):
             lidar, driver = Lidar(scene, each, generator(seed, name)), None
             if each.output == "driver":
                 driver = LidarDriver(lidar, each, generator(seed, f"{name} driver"), self._radio)
-            else:
-                parameters = {"PRX1_TYPE": RPLIDAR} | parameters
             self._lidars.append((lidar, driver))
-        self._boot(parameters)
+        own_lidar = {"PRX1_TYPE": RPLIDAR} if any(d is None for _, d in self._lidars) else {}
+        self._boot(own_lidar | overrides_of(table))
         self._shown = (self.mode_name, False)
         self._look()
         if self.contact.nearest_m == 0.0:
@@ -139,7 +145,7 @@ class Simulation:
         autopilot.battery = self._power.battery
         self.parameters: Parameters = autopilot.parameters
         """The autopilot's; a reboot makes new ones."""
-        self._ids = factory.ids_of(self._personality, self.parameters)
+        self._ids = ids_of(self._personality, self.parameters)
         self._radio.boot_as(*self._ids)
         lidars = self._world.lidars
         limits_m = (lidars[-1].min_m, lidars[-1].range_m) if lidars else (0.0, 0.0)
@@ -169,6 +175,11 @@ class Simulation:
         down, scene = body_axes_neu(self.vehicle)[2:], self.contact.scene
         met_m = scene.ray_lengths_m(self.contact.place_nea_m(), down, _FARTHEST_DOWN_M)
         return min(float(met_m[0]), _FARTHEST_DOWN_M)
+
+    @property
+    def system_id(self) -> int:
+        """Of the vehicle."""
+        return self._ids[0]
 
     @property
     def mode_name(self) -> str:
@@ -294,16 +305,15 @@ class Simulation:
 
     def _refresh(self) -> None:
         """A parameter or a fault is another one: so may the weather be, and the links."""
-        parameters, controller = self.parameters, self._controller
+        parameters, controller, router = self.parameters, self._controller, self._radio.router
         self._seen_version = parameters.version
         self._conditions = now = conditions_of(parameters, self._timeline.lasting)
         controller.setpoints_ignored = now.autopilot.setpoints_ignored
         controller.ranging.rangefinder_off = now.autopilot.rangefinder_off
         self._radio.impair(now.link)
         if "MAV_OPTIONS" in parameters:
-            allowed = frozenset({self._ids[0], int(parameters["MAV_GCS_SYSID"])})
-            is_strict = int(parameters["MAV_OPTIONS"]) & 1
-            self._radio.router.commanders = allowed if is_strict else None
+            allowed = frozenset({self.system_id, int(parameters["MAV_GCS_SYSID"])})
+            router.commanders = allowed if int(parameters["MAV_OPTIONS"]) & 1 else None
 
     def _happens(self, said: Happening) -> None:
         """A fault that happens once."""
@@ -323,7 +333,7 @@ class Simulation:
                 order = ground_station.order(said, self.vehicle, *self._ids)
                 controller.receive(order, ground_station.STATION, self.now_us)
             case _:
-                to = self._ids[0], self.companion.component if self.companion else 0
+                to = self.system_id, self.companion.component if self.companion else 0
                 order = ground_station.order(said, self.vehicle, *to)
                 self._radio.broadcast_as(order, *ground_station.STATION[:2])
 
@@ -423,12 +433,13 @@ class Simulation:
         sender, message = received.sender, received.message
         if received.to_radar and self._scanner is not None:
             self._scanner.receive(message, sender)
-        kind, on_first = message.get_type(), sender.link == 0
-        if kind == "TIMESYNC" and on_first and message.tc1 == message.ts1 == self._question_ns:
+        kind = message.get_type()
+        answers = kind == "TIMESYNC" and message.tc1 == message.ts1 == self._question_ns
+        if answers and sender.link == 0:
             self._question_ns = -1
         if not received.to_autopilot or self._is_down:
             return
-        if kind == "HEARTBEAT" and on_first:
+        if kind == "HEARTBEAT" and sender.link == 0:
             if self.companion is None:
                 self.companion = sender
                 self._notice(f"heard {sender.system}/{sender.component}")
