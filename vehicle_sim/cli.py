@@ -19,8 +19,9 @@ from vehicle_sim.errors import InputError, SimulatorError
 from vehicle_sim.faults import Timeline
 from vehicle_sim.links import Link, open_link, parse_endpoint
 from vehicle_sim.parameters import Firmware
-from vehicle_sim.server import Server, Station, stopping_on_signals, truth_file
+from vehicle_sim.server import Server, stopping_on_signals, truth_file
 from vehicle_sim.simulation import Simulation
+from vehicle_sim.stations import Station, Stations
 from vehicle_sim.world import VehicleKind, World, flat_world, read_world
 
 HELP = """A simulated drone to test a companion computer with.
@@ -139,8 +140,7 @@ def fly(
         pace = "lockstep" if lockstep else f"{speedup or 1.0:g} x real time"
         _say(f"{_opening(worlds, stations[0].links)}, {pace}")
         server = Server(
-            stations=stations,
-            stop=stop,
+            stations=Stations(stations, stop),
             say=_say,
             lockstep=lockstep,
             speedup=speedup or 1.0,

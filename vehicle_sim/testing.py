@@ -16,8 +16,8 @@ from vehicle_sim.errors import SimulatorError
 from vehicle_sim.geodesy import WGS84
 from vehicle_sim.links import Endpoint, open_link
 from vehicle_sim.parameters import Firmware
-from vehicle_sim.server import Server, Station
 from vehicle_sim.simulation import STEP_US, Simulation
+from vehicle_sim.stations import Station, Stations
 from vehicle_sim.world import VehicleKind, World, flat_world
 
 _TICK_STEPS: Final = 5
@@ -85,7 +85,7 @@ class Simulator:
         self._lockstep, self._strict = lockstep, strict
         self._link = open_link(Endpoint(kind="udpin", host="127.0.0.1", port=0))
         self.close = self._link.close
-        self._server = Server(stations=[Station(simulation=self.simulation, links=[self._link])])
+        self._stations = Stations([Station(simulation=self.simulation, links=[self._link])])
         self.moments = [self._moment()]
         """The whole flight so far."""
         self.heard_s: dict[str, list[float]] = {}
@@ -175,23 +175,23 @@ class Simulator:
 
     def _exchange(self, meanwhile: Callable[[], object]) -> None:
         """What is to go out goes out; what has come in is handled; in lockstep, wait for it."""
-        server = self._server
+        stations = self._stations
         waits = self._lockstep and self.simulation.companion is not None
         if waits:
             self.simulation.ask_for_sync()
 
         def speak() -> None:
-            server.send()
+            stations.send()
             meanwhile()
 
-        server.send()
-        server.receive()
+        stations.send()
+        stations.receive()
         speak()
-        server.receive()
-        server.send()
+        stations.receive()
+        stations.send()
         if waits:
             try:
-                server.wait(_AGAIN_S, _PATIENCE_S, speak)
+                stations.wait(_AGAIN_S, _PATIENCE_S, speak)
             except SimulatorError as error:
                 raise AssertionError(str(error)) from None
 
