@@ -165,7 +165,7 @@ _WAYS: Final = {
 _PATTERNS: Final = {
     "[": "(?:",
     "]": ")?",
-    "N": r"([-+]?(?:\d+\.?\d*|\.\d+))\s*",  # "8m/s" is "8 m/s"
+    "N": r"([-+]?(?:\d+(?:\.\d*)?|\.\d+))(?![\d.])\s*",  # "8m/s" is "8 m/s"
     "WHERE": rf"({'|'.join(_WAYS)})\s+",
     "SIDE": r"(north|east|south|west)\s+",
 }
@@ -417,7 +417,7 @@ def faults_page() -> str:
 # --- the timeline ---------------------------------------------------------------------------------
 
 NEVER_US: Final = 2**63 - 1
-_TIME: Final = r"(\d{1,12}\.?\d*|\.\d+)\s*(us|ms|s|min|h)"
+_TIME: Final = r"(\d{1,12}(?:\.\d*)?|\.\d+)\s*(us|ms|s|min|h)"
 _LINE: Final = re.compile(rf"at\s+{_TIME}(?:\s+for\s+{_TIME})?\s*:\s*(\S.*)", re.I)
 _UNIT_US: Final = {"us": 1.0, "ms": 1e3, "s": 1e6, "min": 60e6, "h": 3600e6}
 

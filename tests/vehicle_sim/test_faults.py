@@ -204,6 +204,7 @@ def test_any_overlap_is_what_a_replay_from_the_start_says(
         ("at 5 s for 0 s: gps_off", "lasts no time"),
         *(("at 5 s: gps_of", "Did you mean gps_off"), ("at 5 s: zebra", "Choose from: gps_off")),
         ("at 5 s: wind 8 from 270 deg", 'reads "wind N m/s from N deg'),
+        (f"at 5 s: ground_command {'1' * 60}x", 'reads "ground_command'),  # and at once
         ("at 5 s: wind 8 m/s from 400 deg", "400 must lie from -360 to 360"),
         ("at 5 s: link_loss 120 %", "120 must lie from 0 to 100"),
         ("at 5 s: link_off on link 24", "24 must lie from 0 to 23"),
