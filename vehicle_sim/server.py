@@ -90,7 +90,6 @@ class Server:
 
     def _lockstep(self) -> float:
         stations = self.stations
-        stations.ask(stations.simulations)
         stations.wait(_HELLO_S, self.first_heartbeat_s)
         for simulation in stations.simulations:
             simulation.begin()

@@ -78,13 +78,9 @@ class Stations:
                 raise SimulatorError(_silence(waiting[0], patience_s))
             if now_s - asked_s >= every_s:
                 asked_s = now_s
-                self.ask(waiting)
-
-    def ask(self, simulations: Sequence[Simulation]) -> None:
-        """Send what they wait for once more."""
-        for each in simulations:
-            each.ask_again()
-        self.send()
+                for each in waiting:
+                    each.ask_again()
+                self.send()
 
 
 def _silence(simulation: Simulation, waited_s: float) -> str:

@@ -51,7 +51,6 @@ PLACE: Final = (47.397742, 8.545594, 488.0)
 _STEPS_PER_S = 100
 _WHERE = ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "ATTITUDE", "HEARTBEAT")
 _reader = mavlink.MAVLink(None)
-_NAMES = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
 
 
 Made = TypeVar("Made")
@@ -105,21 +104,15 @@ def item(
 class Heard:
     """One frame that came out of the vehicle's end of a link; read when its message is wanted."""
 
-    __slots__ = ("_message", "at_s", "frame", "kind", "link", "source")
-
     def __init__(self, at_s: float, link: int, frame: bytes) -> None:
         self.at_s, self.link, self.frame = at_s, link, frame
         """Vehicle time since the start."""
         self.source: Ids = (frame[5], frame[6])
-        number = int.from_bytes(frame[7:10], "little")
-        self.kind: str = _NAMES.get(number, f"UNKNOWN_{number}")
-        self._message: Any = None
+        self.kind: str = mavlink.mavlink_map[int.from_bytes(frame[7:10], "little")].msgname
 
-    @property
+    @functools.cached_property
     def message(self) -> Any:
-        if self._message is None:
-            self._message = _reader.decode(bytearray(self.frame))
-        return self._message
+        return _reader.decode(bytearray(self.frame))
 
 
 def local(
