@@ -6,6 +6,7 @@ import importlib.util
 import math
 import os
 import sys
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -17,8 +18,9 @@ from vehicle_sim.errors import InputError, SimulatorError
 from vehicle_sim.faults import Timeline
 from vehicle_sim.links import Link, open_link, parse_endpoint
 from vehicle_sim.parameters import Firmware
-from vehicle_sim.server import Server, Settings, Station, stopping_on_signals, truth_file
+from vehicle_sim.server import Server, stopping_on_signals, truth_file
 from vehicle_sim.simulation import Simulation
+from vehicle_sim.stations import Station, Stations
 from vehicle_sim.world import VehicleKind, World, flat_world, read_world
 
 HELP = """A simulated drone to test a companion computer with.
@@ -34,20 +36,13 @@ Start it in one terminal and the companion in another:
     companion fly environment-1 --connect udpin:127.0.0.1:14540 --lockstep
 
 With --lockstep both fly as fast as they can and every run is the same; without, the vehicle flies
-in real time (or --speedup times that) whatever the companion does.  Ctrl-C ends it.
-
-\b
-    vehicle-sim --autopilot px4 --vehicle plane --faults faults.txt
-    vehicle-sim --connect tcpin:127.0.0.1:5760 --connect udpout:127.0.0.1:14550
-    vehicle-sim --count 5 --port-step 10
-
-Faults are one line each, such as "at 120 s for 30 s: gps_off": see docs/simulator.md.
+in real time (or --speedup times that) whatever the companion does.  Ctrl-C ends it.  More, and the
+faults: docs/simulator.md.
 """
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 _CONNECT: Final = "udpout:127.0.0.1:14540"
 _HOME: Final = "47.397742,8.545594,488,0"
-_MAX_VEHICLES: Final = 250
 _PX4_TIME_OUTS_S: Final = {"COM_OF_LOSS_T": 1.0, "COM_DL_LOSS_T": 10.0, "COM_OBC_LOSS_T": 5.0}
 _ROW_M: Final = 10.0
 """Between vehicles of --count: they stand in a row to the east."""
@@ -103,10 +98,11 @@ def fly(
     if speedup is not None and lockstep:
         rule = "lockstep sets its own pace"
         raise InputError("--speedup", speedup, rule, "Leave out one of the two.")
-    _must_lie("--speedup", speedup, 0.01, 1000.0, "Try 10.")
-    _must_lie("--duration", duration, 1e-3, 1e7, "Try 600.")
-    _must_lie("--seed", seed, 0, 2**63, "Give 0 or more.")
-    _must_lie("--scan-range", scan_range, 1e-3, 1e6, "Try 2000.")
+    _must_lie("--speedup", speedup, 0.01, 1000.0)
+    _must_lie("--duration", duration, 1e-3, 1e7)
+    _must_lie("--seed", seed, 0, 2**63)
+    _must_lie("--scan-range", scan_range, 1e-3, 1e6)
+    _must_lie("--port-step", port_step, 0, 1000)
     if world is None:
         flown = _flat(autopilot or "ardupilot", vehicle or "copter", home or _HOME, scan_range)
     else:
@@ -116,38 +112,42 @@ def fly(
                 rule = "the world file says that itself"
                 raise InputError(f"--{option}", value, rule, "Leave out one of the two.")
         flown = read_world(_world_path(world))
-    settings = Settings(
-        lockstep=lockstep, speedup=speedup or 1.0, duration_s=duration or math.inf, strict=strict
-    )
-    worlds = _row(_with_parameters(flown, param or [], settings.speedup), count, port_step)
+    worlds = _row(_with_parameters(flown, param or [], speedup or 1.0), count)
     timeline = "" if faults is None else _timeline(faults)
-    simulations = [
-        Simulation(
-            each,
-            seed=seed + k,
-            links=len(endpoints),
-            byte_streams={n for n, each in enumerate(endpoints) if each.kind == "tcpin"},
-            forwards_all=k == 0 or port_step > 0,
-            faults=timeline,
-        )
-        for k, each in enumerate(worlds)
-    ]
-    simulations[0].warm_up()  # who is silent for seconds, because it compiles, is taken to be lost
-    names = ["truth.jsonl", *(f"truth-{k}.jsonl" for k in range(2, count + 1))]
+    byte_streams = {n for n, each in enumerate(endpoints) if each.kind == "tcpin"}
     with ExitStack() as stack:
-        stop = stack.enter_context(stopping_on_signals())
-        truths = [stack.enter_context(truth_file(out, name)) for name in names]
-        opened = list[list[Link]]()
-        for k in range(count if port_step else 1):
-            opened.append([open_link(each.shifted(k * port_step)) for each in endpoints])
-            for link in opened[-1]:
-                stack.callback(link.close)
-        _say(_opening(worlds, opened[0], settings))
-        stations = [
-            Station(simulation=each, links=opened[k if port_step else 0], truth=truths[k])
-            for k, each in enumerate(simulations)
-        ]
-        wall_s = Server(stations, settings, stop, say=_say).run()
+        stop, stations, links = stack.enter_context(stopping_on_signals()), list[Station](), []
+        for k, each in enumerate(worlds):
+            shares = k > 0 and port_step == 0
+            simulation = Simulation(
+                each,
+                seed=seed + k,
+                links=len(endpoints),
+                byte_streams=byte_streams,
+                forwards_all=not shares,
+                faults=timeline,
+            )
+            if k == 0:  # who is silent for seconds, because it compiles, is taken to be lost
+                simulation.warm_up()
+            name = f"truth-{k + 1}.jsonl" if k else "truth.jsonl"
+            truth = stack.enter_context(truth_file(out, name))
+            if not shares:
+                links = [open_link(each.shifted(k * port_step)) for each in endpoints]
+                for link in links:
+                    stack.callback(link.close)
+            stations.append(Station(simulation=simulation, links=links, truth=truth))
+        pace = "lockstep" if lockstep else f"{speedup or 1.0:g} x real time"
+        _say(f"{_opening(worlds, stations[0].links)}, {pace}")
+        server = Server(
+            stations=Stations(stations, stop),
+            say=_say,
+            lockstep=lockstep,
+            speedup=speedup or 1.0,
+            duration_s=duration or math.inf,
+            strict=strict,
+        )
+        wall_s = server.run()
+    simulations = [station.simulation for station in stations]
     flown_s = max(each.now_us for each in simulations) * 1e-6
     times = flown_s / wall_s if wall_s > 0.0 else 0.0
     ends = "; ".join(each.outcome() for each in simulations[:3])
@@ -165,37 +165,28 @@ def _say(line: str) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _opening(worlds: list[World], links: list[Link], settings: Settings) -> str:
+def _opening(worlds: list[World], links: Sequence[Link]) -> str:
     vehicle, last = worlds[0].vehicle, worlds[-1].vehicle.system_id
-    pace = "lockstep" if settings.lockstep else f"{settings.speedup:g} x real time"
     systems = f"system {vehicle.system_id}" + (f" to {last}" if len(worlds) > 1 else "")
     on = ", ".join(str(link.endpoint) for link in links)
-    return f"{worlds[0].name}: {vehicle.kind} with {vehicle.autopilot} as {systems}, {on}, {pace}"
+    return f"{worlds[0].name}: {vehicle.kind} with {vehicle.autopilot} as {systems}, {on}"
 
 
 # --- what the options say -------------------------------------------------------------------------
 
 
-def _must_lie(
-    option: str, value: float | None, least: float, most: float, remedy: str, why: str = ""
-) -> None:
+def _must_lie(option: str, value: float | None, least: float, most: float, why: str = "") -> None:
     if value is not None and not least <= value <= most:  # nor is NaN
-        raise InputError(option, value, f"must be from {least:g} to {most:g}{why}", remedy)
+        rule = f"must be from {least:g} to {most:g}{why}"
+        raise InputError(option, value, rule, "Give another number.")
 
 
 def _flat(firmware: Firmware, kind: VehicleKind, home: str, scan_range_m: float | None) -> World:
     """Level ground at the height of --home."""
+    names = ("latitude_deg", "longitude_deg", "altitude_amsl_m", "heading_deg")
     try:
-        latitude_deg, longitude_deg, altitude_m, heading_deg = map(float, home.split(","))
-        return flat_world(
-            kind,
-            firmware,
-            latitude_deg=latitude_deg,
-            longitude_deg=longitude_deg,
-            altitude_amsl_m=altitude_m,
-            heading_deg=heading_deg,
-            scan_range_m=scan_range_m,
-        )
+        place: dict[str, Any] = dict(zip(names, map(float, home.split(",")), strict=True))
+        return flat_world(kind, firmware, scan_range_m=scan_range_m, **place)
     except ValueError:  # also pydantic's, of a place that is not on earth
         rule = "must be LAT,LON,ALT,HEADING within 85 deg, 180 deg, -1000 to 20000 m, 360 deg"
         raise InputError("--home", home, rule, f"Try {_HOME}.") from None
@@ -220,13 +211,10 @@ def _with_parameters(world: World, assignments: list[str], speedup: float) -> Wo
     return world.model_copy(update={"vehicle": vehicle})
 
 
-def _row(world: World, count: int, port_step: int) -> list[World]:
+def _row(world: World, count: int) -> list[World]:
     """The same world for each of so many vehicles, standing side by side."""
-    vehicle, highest = world.vehicle, HIGHEST_ID
-    most = min(_MAX_VEHICLES, highest - vehicle.system_id + 1)
-    why = f": there are system ids from {vehicle.system_id} to {highest}"
-    _must_lie("--count", count, 1, most, f"Try {min(most, 5)}.", why)
-    _must_lie("--port-step", port_step, 0, 1000, "Try 10.")
+    vehicle, most = world.vehicle, HIGHEST_ID - world.vehicle.system_id + 1
+    _must_lie("--count", count, 1, most, f": system ids end at {HIGHEST_ID}")
     vehicles = (
         {"system_id": vehicle.system_id + k, "east_m": vehicle.east_m + k * _ROW_M}
         for k in range(count)
@@ -285,7 +273,7 @@ def run(app: typer.Typer, program: str) -> None:
     except typer.Abort:
         pass
     except OSError as error:
-        if error.filename is not None or error.errno not in (errno.ENOSPC, errno.EPIPE, errno.EIO):
+        if error.errno not in (errno.ENOSPC, errno.EPIPE, errno.EIO):
             raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for what is not yet written
         sys.stderr.write(f"error: the output cannot be written ({error.strerror})\n")

@@ -1,9 +1,7 @@
 """Every error that a user of the simulator can meet.  One line each, never a traceback.
 
-SimulatorError
-├── InputError        what was asked for cannot be done as asked: exit code 2
-├── CompanionSilent   the other side of a lockstep fell silent: exit code 1
-└── NotSurvived       --strict: the real autopilot would not have survived this: exit code 1
+SimulatorError    what went wrong on the way: exit code 1
+└── InputError    what was asked for cannot be done as asked: exit code 2
 """
 
 import difflib
@@ -32,13 +30,3 @@ class InputError(SimulatorError):
     def __init__(self, field: str, value: object, rule: str, remedy: str) -> None:
         super().__init__(f"{field} = {value!r}: {rule}. {remedy}")
         self.field = field
-
-
-@final
-class CompanionSilent(SimulatorError):
-    """Nothing came from the companion for longer than lockstep allows."""
-
-
-@final
-class NotSurvived(SimulatorError):
-    """Something came in that the real autopilot does not survive, and --strict was asked for."""

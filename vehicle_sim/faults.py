@@ -1,7 +1,7 @@
 """What may be wrong with a vehicle and its surroundings, and when.
 
-`Conditions` say what is wrong now.  Parameters of the autopilot ask for them, and over these the
-faults of a timeline, which is text with one fault (a row of FAULTS) a line:
+`Conditions` say what is wrong now.  Parameters of the autopilot (ASKING) ask for them, and over
+these the faults of a timeline, which is text with one fault (a row of FAULTS) a line:
 
     # comments begin with a hash
     at 120 s for 30 s: gps_off
@@ -13,10 +13,10 @@ Times are of the simulation, which a reboot of the autopilot does not begin agai
 """
 
 import bisect
-import functools
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
+from itertools import cycle, pairwise
 from typing import Any, Final, NamedTuple, Self, final
 
 from vehicle_sim.errors import InputError, did_you_mean
@@ -78,9 +78,8 @@ class LinkConditions(NamedTuple):
     delay_us: int = 0
     jitter_us: int = 0
     duplicated: float = 0.0
-    to_vehicle: bool = True
-    """Whether frames to the vehicle are concerned, and those from it."""
-    from_vehicle: bool = True
+    way: str = ""
+    """"to_vehicle" or "from_vehicle": the frames that are concerned; empty: all are."""
     only: int = -1
     """The link that is concerned; -1: all are."""
 
@@ -137,101 +136,20 @@ class Conditions(NamedTuple):
 
 
 _USUAL: Final = Conditions()
-Changes = Mapping[str, Mapping[str, Any]]
-"""New values of fields, by group of the conditions and name."""
-_UNITS: Final = {"deg": math.pi / 180.0, "%": 0.01}
 
 
-def _meant(group: str, key: str, value: float, unit: str) -> Any:
-    """A number of a line or a parameter, in this unit, as the field has it."""
-    if unit == "ms":
-        value *= 1e-3 if key.endswith("_s") else 1e3
-    elif unit in _UNITS:
-        value *= _UNITS[unit]
-    kind = type(getattr(getattr(_USUAL, group), key))
-    return round(value) if kind is int else kind(value)
+class Happening(NamedTuple):
+    """What happens once; what its line does not say is as here."""
 
-
-# --- parameters that ask for them: those of ArduPilot's (libraries/SITL) and PX4's simulations ----
-
-
-@final
-class Asking(NamedTuple):
-    """A parameter, and the field that it is the value of."""
-
-    name: str
-    group: str
-    key: str
-    usual: float
-    least: float
-    most: float
-    unit: str = ""
-    kind: Kind = Kind.REAL32
-
-    def row(self, firmware: Firmware) -> Parameter:
-        """PX4 knows INT32 and FLOAT only, and its simulated receiver is never late."""
-        kind, usual = self.kind, self.usual
-        if firmware == "px4":
-            kind = kind if kind is Kind.REAL32 else Kind.INT32
-            usual = 0.0 if self.key == "lag_s" else usual
-        return Parameter(name=self.name, default=usual, kind=kind, least=self.least, most=self.most)
-
-
-_FAR_M: Final = 1e5
-_OF_PX4: Final = (
-    Asking("SIM_GPS_USED", "gps", "satellites", 10, 0, 50, kind=Kind.INT32),
-    Asking("SIM_BAT_DRAIN", "battery", "drain_s", 60, 1, 86_400),
-    Asking("SIM_BAT_MIN_PCT", "battery", "least", 50, 0, 100, "%"),
-)
-_OF_BOTH: Final = (
-    Asking("SIM_GPS1_ENABLE", "gps", "enabled", 1, 0, 1, kind=Kind.INT8),
-    Asking("SIM_GPS1_GLTCH_X", "gps", "glitch_latitude_deg", 0, -90, 90),
-    Asking("SIM_GPS1_GLTCH_Y", "gps", "glitch_longitude_deg", 0, -180, 180),
-    Asking("SIM_GPS1_GLTCH_Z", "gps", "glitch_up_m", 0, -_FAR_M, _FAR_M),
-    Asking("SIM_GPS1_ALT_OFS", "gps", "offset_up_m", 0, -32_768, 32_767, kind=Kind.INT16),
-    Asking("SIM_GPS1_JAM", "gps", "jammed", 0, 0, 1, kind=Kind.INT8),
-    Asking("SIM_GPS1_LAG_MS", "gps", "lag_s", 100, 0, 5000, "ms", Kind.INT16),
-    Asking("SIM_GPS1_NUMSATS", "gps", "satellites", 10, 0, 50, kind=Kind.INT8),
-    Asking("SIM_WIND_SPD", "wind", "speed_m_s", 0, 0, 100),
-    Asking("SIM_WIND_DIR", "wind", "from_rad", 180, -360, 360, "deg"),
-    Asking("SIM_WIND_TURB", "wind", "turbulence_m_s", 0, 0, 50),
-    Asking("SIM_WIND_DIR_Z", "wind", "rising_rad", 0, -90, 90, "deg"),
-)
-_OF_ARDUPILOT: Final = (
-    Asking("SIM_BATT_VOLTAGE", "battery", "voltage_v", 12.6, 0, 60),
-    Asking("SIM_BATT_CAP_AH", "battery", "capacity_ah", 0, 0, 1000),
-)
-_GAUGE: Final = Asking("BATT_CAPACITY", "battery", "gauge_mah", 3300, 0, math.inf)
-"""A parameter of an ArduPilot proper."""
-ASKING: Final = (*_OF_BOTH, *_OF_ARDUPILOT, _GAUGE, *_OF_PX4)
-"""Of two for one field the later counts."""
-SIM_PARAMETERS: Final = tuple(each.row("ardupilot") for each in (*_OF_BOTH, *_OF_ARDUPILOT))
-"""What both ArduPilots' tables end with."""
-SIM_PARAMETERS_PX4: Final = tuple(each.row("px4") for each in (_OF_PX4[0], *_OF_BOTH, *_OF_PX4[1:]))
-"""What both PX4s' tables end with."""
-_PX4_MIN_SATELLITES: Final = 4
-"""With fewer PX4's simulated receiver has no fix (px4.md 8)."""
-
-
-def conditions_of(parameters: Readable, faults: Iterable[Changes] = ()) -> Conditions:
-    """What the parameters ask for, and over them each of these faults; the last one counts.
-
-    A parameter that the table lacks, or that is not a number, has its usual value.
-    """
-    values: dict[str, dict[str, Any]] = {}
-    for name, group, key, *_, unit, _ in ASKING:
-        if name in parameters and math.isfinite(value := parameters[name]):
-            values.setdefault(group, {})[key] = _meant(group, key, value, unit)
-    for changes in faults:
-        for group, changed in changes.items():
-            values.setdefault(group, {}).update(changed)
-    groups = {group: getattr(_USUAL, group)._replace(**new) for group, new in values.items()}
-    made = _USUAL._replace(**groups)
-    if "SIM_GPS_USED" not in parameters:
-        return made
-    seen = made.gps.satellites if made.gps.enabled else 0
-    gps = made.gps._replace(satellites=seen, enabled=seen >= _PX4_MIN_SATELLITES)
-    return made._replace(gps=gps)
+    name: str = ""
+    by_m: Vector = _ZERO
+    command: int = 0
+    p1: float = 0.0
+    p2: float = 0.0
+    p3: float = 0.0
+    to_autopilot: bool = False
+    radius_m: float = 0.0
+    ahead_m: float = 0.0
 
 
 # --- faults ---------------------------------------------------------------------------------------
@@ -245,179 +163,244 @@ _WAYS: Final = {
     "down": (0.0, 0.0, -1.0),
 }
 _PATTERNS: Final = {
-    "N": r"[-+]?(?:\d+\.?\d*|\.\d+)",
-    "WHERE": "|".join(_WAYS),
-    "SIDE": "north|east|south|west",
+    "[": "(?:",
+    "]": ")?",
+    "N": r"([-+]?(?:\d+(?:\.\d*)?|\.\d+))(?![\d.])\s*",  # "8m/s" is "8 m/s"
+    "WHERE": rf"({'|'.join(_WAYS)})\s+",
+    "SIDE": r"(north|east|south|west)\s+",
 }
-_NUMBER: Final = re.compile(r"\{(\w*):?([^:}]*):?([^:}]*)\}(?: (ms|deg|%))?")
+_RANGES: Final = {
+    "%": (0.0, 100.0),
+    "deg": (-360.0, 360.0),
+    "m": (0.0, 1e5),
+    "m/s": (0.0, 100.0),
+    "ms": (0.0, 60_000.0),
+    "Hz": (0.0, 1000.0),
+    "V": (0.0, 60.0),
+    "": (-1e9, 1e9),
+    # of fields that have another one than their unit
+    "lag_s": (0.0, 5000.0),
+    "clock_us": (-1e9, 1e9),
+    "radius_m": (0.1, 1e5),
+    "satellites": (0.0, 50.0),
+    "only": (0.0, 23.0),
+    "command": (1.0, 65_535.0),
+}
+"""Of the numbers of a line, in its units."""
 
 
-@final
-class _Number(NamedTuple):
-    """A number of a line."""
+def _usual(group: str, key: str) -> Any:
+    return getattr(getattr(_USUAL, group) if group else Happening(), key)
 
-    key: str
-    """The field that it is; none: of what happens once."""
-    least: float
-    most: float
-    unit: str
+
+def _meant(group: str, key: str, number: float, unit: str) -> Any:
+    """A number in this unit, as the field has it."""
+    scales = {"ms": 1e-3 if key.endswith("_s") else 1e3, "deg": math.pi / 180.0, "%": 0.01}
+    number, kind = number * scales.get(unit, 1.0), type(_usual(group, key))
+    return round(number) if kind is int else kind(number)
 
 
 @final
 class Fault:
-    """One kind of fault.
+    """One kind of fault: how its line is written, what it is, and the fields that it sets.
 
-    The line is how it is written.  A number is {FIELD:LEAST:MOST}, where LEAST may be left out (0),
-    and MOST too (100); what happens once has no fields.  WHERE is north, east, south, west, up or
-    down, SIDE one of the first four; [...] may be left out, and its fields are then as usual.  A
-    word with an underscore is a switch: a field of this name.  `sets` is the field that the line
-    gives the other value than usual, or the vector that the line is.
+    In a line N is a number, WHERE is north, east, south, west, up or down, SIDE one of the first
+    four; [...] may be left out, and its field is then as usual.  The fields are of a `group` of the
+    conditions while the fault lasts, or of a Happening if it happens once.  `keys` are those of the
+    numbers and of the words with an underscore, in order; a vector, to which numbers add, has one.
     """
 
-    def __init__(self, group: str, line: str, about: str, sets: str = "") -> None:
-        self.group, self.about, self._sets = group, about, sets
-        self.usage = re.sub(r"\{.*?\}", "N", line)
-        """The line for people."""
-        self.name = line.split()[0]
+    def __init__(self, group: str, usage: str, about: str, *keys: str, **sets: bool) -> None:
+        self.group, self.usage, self.about, self._keys = group, usage, about, keys
         self.once = not group
-        """It happens at a moment and has no length."""
-        self._numbers = [
-            _Number(key, float(first) if last else 0.0, float(last or first or 100.0), unit)
-            for key, first, last, unit in _NUMBER.findall(line)
-        ]
-        self.fields = [each for each in (sets, *(n.key for n in self._numbers)) if each]
-        """Those that it sets, but for its switches."""
+        self.sets = {key: _usual(group, key) for key in keys} | sets
+        """The fields of its shortest line."""
+        self.name, *tokens = re.findall(r"[][]|[^][\s]+", usage)
+        forms = [_PATTERNS.get(t, rf"({t})\s+" if "_" in t else rf"{t}\s+") for t in tokens]
+        self._pattern = re.compile(rf"{self.name}\s+{''.join(forms)}", re.IGNORECASE)
+        words = [*(token for token in tokens if token not in "[]"), ""]
+        self._units = [unit for word, unit in pairwise(words) if word in _PATTERNS or "_" in word]
+        """What stands after each number, way and switch."""
 
-    @functools.cached_property
-    def _pattern(self) -> re.Pattern[str]:
-        """The whole text of the fault, with a group for each placeholder and each switch."""
-        parts, space = list[str](), ""
-        for k, token in enumerate(re.findall(r"\[|\]|[^\s\[\]]+", self.usage)):
-            if token in "[]":
-                parts.append("(?:" if token == "[" else ")?")
-                continue
-            kind = token if token in _PATTERNS else "switch" if "_" in token and k else ""
-            text = _PATTERNS.get(token, token)
-            parts.append(f"{space}(?P<{kind}{k}>{text})" if kind else space + re.escape(token))
-            space = r"\s*" if token == "N" else r"\s+"  # "8m/s" is "8 m/s"
-        return re.compile("".join(parts), re.I)
-
-    def read(self, what: str, where: str) -> tuple[Changes, Sequence[float]]:
-        """The conditions that a text asks for; of what happens once its values.
-
-        These are its vector, or its numbers (0: left out) and 1 for a switch.  InputError if the
-        text does not fit.
-        """
-        match = self._pattern.fullmatch(what)
-        if match is None:
-            raise InputError(where, what, f'reads "{self.usage}"', "Correct the line.")
-        said = match.groupdict()
-        numbers = [float(value) if value else None for key, value in said.items() if key[0] == "N"]
-        words = [value.lower() for key, value in said.items() if value and key[0] != "N"]
-        for value, number in zip(numbers, self._numbers, strict=True):
-            if value is not None and not number.least <= value <= number.most:
-                rule = f"{value:g} must lie from {number.least:g} to {number.most:g}"
-                raise InputError(where, what, rule, "Correct the number.")
-        if " WHERE" in self.usage or " SIDE" in self.usage:
-            sizes = [size for size in numbers if size is not None]
-            ways = [(size, _WAYS[word]) for size, word in zip(sizes, words, strict=True)]
-            vector = tuple(sum(size * way[axis] for size, way in ways) for axis in range(3))
-            return {self.group: {self._sets: vector}} if self.group else {}, vector
-        if not self.group:
-            return {}, [value or 0.0 for value in numbers] + [1.0] * len(words)
-        usual = getattr(_USUAL, self.group)
-        changed = {self._sets: not getattr(usual, self._sets)} if self._sets else {}
-        for value, (key, _, _, unit) in zip(numbers, self._numbers, strict=True):
-            is_usual = value is None
-            changed[key] = (
-                getattr(usual, key) if is_usual else _meant(self.group, key, value or 0.0, unit)
-            )
-        for switches in re.findall(r"\[(\w+_[\w|]+)\]", self.usage):
-            for each in switches.split("|"):
-                changed[each] = each in words if words else getattr(usual, each)
-        return {self.group: changed}, ()
+    def read(self, line: str, where: str) -> dict[str, Any]:
+        """The fields that a line sets; InputError, with its place, if it does not fit."""
+        found = self._pattern.fullmatch(f"{line} ")
+        if found is None:
+            raise InputError(where, line, f'reads "{self.usage}"', "Correct the line.")
+        sets, number = dict(self.sets), 0.0
+        # one key for all numbers and ways of a vector
+        for key, unit, said in zip(cycle(self._keys), self._units, found.groups(""), strict=False):
+            if way := _WAYS.get(said.lower()):
+                sets[key] = tuple(a + number * b for a, b in zip(sets[key], way, strict=True))
+            elif "_" in said:
+                sets[key] = type(sets[key])(said.lower())
+            elif said:
+                number = float(said)
+                least, most = _RANGES.get(key) or _RANGES.get(unit) or _RANGES[""]
+                if not least <= number <= most:
+                    rule = f"{number:g} must lie from {least:g} to {most:g}"
+                    raise InputError(where, line, rule, "Correct the number.")
+                if not isinstance(sets[key], tuple):
+                    sets[key] = _meant(self.group, key, number, unit)
+        return sets
 
 
-def _link(line: str, about: str, sets: str = "") -> Fault:
-    """Of both ways and all links unless it says which."""
-    return Fault("link", f"{line} [to_vehicle|from_vehicle] [on link {{only:23}}]", about, sets)
+def _link(line: str, about: str, *keys: str, **sets: bool) -> Fault:
+    """Of all frames on all links unless it says which."""
+    usage = f"{line} [to_vehicle|from_vehicle] [on link N]"
+    return Fault("link", usage, about, *keys, "way", "only", **sets)
 
 
 # fmt: off
 FAULTS: Final = (
-    Fault("gps", "gps_off", "The receiver loses its fix.", "enabled"),
-    Fault("gps", "gps_glitch {:1e5} m WHERE [{:1e5} m WHERE]",
+    Fault("gps", "gps_off", "The receiver loses its fix.", enabled=False),
+    Fault("gps", "gps_glitch N m WHERE [N m WHERE]",
         "The receiver's position is off by so much.", "glitch_m"),
-    Fault("gps", "gps_drift {} m/s WHERE", "The receiver's position wanders off at this speed, "
-        "and its velocity says so.", "drift_m_s"),
-    Fault("gps", "gps_jam", "The fix comes and goes, with wild positions and velocities.",
-        "jammed"),
-    Fault("gps", "gps_noise {sigma_m:1000} m", "A random error with this standard deviation on "
-        "each horizontal axis, 1.5 times that in height, correlated over seconds."),
-    Fault("gps", "gps_delay {lag_s:5000} ms", "The receiver's solutions are this old."),
-    Fault("gps", "gps_satellites {satellites:50}",
-        "The receiver sees so many satellites; PX4 has no fix with fewer than 4."),
-    Fault("wind", "wind {speed_m_s} m/s from {from_rad:-360:360} deg "
-        "[turbulence {turbulence_m_s:50} [m/s]] [rising {rising_rad:-90:90} deg]",
+    Fault("gps", "gps_drift N m/s WHERE", "The receiver's position wanders off at this speed, and "
+        "its velocity says so.", "drift_m_s"),
+    Fault("gps", "gps_jam",
+        "The fix comes and goes, with wild positions and velocities.", jammed=True),
+    Fault("gps", "gps_noise N m", "A random error with this standard deviation on each horizontal "
+        "axis, 1.5 times that in height, correlated over seconds.", "sigma_m"),
+    Fault("gps", "gps_delay N ms", "The receiver's solutions are this old.", "lag_s"),
+    Fault("gps", "gps_satellites N",
+        "The receiver sees so many satellites; PX4 has no fix with fewer than 4.", "satellites"),
+    Fault("wind", "wind N m/s from N deg [turbulence N [m/s]] [rising N deg]",
         "Wind from this true direction, full from 60 m above the ground on, with gusts of this "
-        "standard deviation, rising by this angle."),
-    Fault("wind", "turbulence {turbulence_m_s:50} m/s", "Gusts of this standard deviation."),
-    Fault("battery", "battery {most} %", "No more than this is left in the battery."),
-    Fault("battery", "battery_voltage {voltage_v:60} V",
-        "The battery's voltage at rest when full (ArduPilot)."),
-    _link("link_off", "Nothing passes.", "off"),
-    _link("link_loss {lost} %", "This share of the frames is lost."),
-    _link("link_delay {delay_us:60000} ms [jitter {jitter_us:60000} ms]", "Every frame is late by "
-        "the delay and up to the jitter more; a frame may overtake another so."),
-    _link("link_duplication {duplicated} %", "This share of the frames arrives twice."),
-    Fault("radar", "radar_off", "The radar falls silent: no answers, no heartbeat.", "silent"),
-    Fault("radar", "radar_blind", "The radar answers and sees nothing.", "blind"),
-    Fault("radar", "radar_drop {cells_missed} %",
-        "This share of the cells in sight is not seen all the same."),
-    Fault("radar", "radar_loss {frames_lost} %",
-        "This share of the radar's TERRAIN_DATA is never sent."),
-    Fault("radar", "radar_noise {noise_m:10000} m [either_way]",
-        "Heights have an error drawn from the normal law of this "
-        "standard deviation.  Its size is added and the sum rounded up, so that no cell is told "
-        "lower than it is, and on average 0.8 of this too high: what a radar reports whose maker "
-        "counts errors against it.  With `either_way` a cell may be told lower."),
-    Fault("radar", "radar_delay {delay_s:60000} ms", "The radar's answers are late by this."),
-    Fault("radar", "radar_rate {rate_hz} Hz", "The radar answers this many requests a second, at "
-        "the beats of its own sweep; else each at the end of its tick."),
-    Fault("lidar", "lidar_dead", "It measures nothing any more; its driver is well.", "dead"),
-    Fault("lidar", "lidar_blind", "It measures, and no echo comes back.", "blind"),
-    Fault("lidar", "lidar_off", "The driver says nothing: no heartbeat either.", "silent"),
-    Fault("lidar", "lidar_loss {frames_lost} %", "Lost between the driver and the autopilot."),
-    Fault("lidar", "lidar_dust {dust} %",
-        "Share of the beams with a near echo of nothing: dust, rain, sun."),
-    Fault("lidar", "lidar_stuck", "The same distances for ever, with new stamps.", "stuck"),
-    Fault("lidar", "lidar_turned {turned_rad:-360:360} deg",
-        "It is mounted turned by this, and nobody knows."),
-    Fault("lidar", "lidar_clock {clock_us:-1e9:1e9} ms", "The driver's clock is ahead by this."),
-    Fault("lidar", "lidar_rate {rate_hz:1000} Hz",
-        "Of the driver's messages; else as in the world.  200: a flood."),
-    Fault("autopilot", "rangefinder_off", "RANGEFINDER says 0, DISTANCE_SENSOR nothing.",
-        "rangefinder_off"),
-    Fault("autopilot", "setpoints_ignored", "The autopilot takes no setpoint, without a word.",
-        "setpoints_ignored"),
-    Fault("", "estimator_reset {:1e5} m SIDE [{:1e5} m SIDE]",
-        "The estimator starts afresh, and its position jumps by this much."),
-    Fault("", "origin_move {:1e5} m WHERE [{:1e5} m WHERE]",
-        "The origin of the estimator's local frame moves by this much."),
+        "standard deviation, rising by this angle.",
+        "speed_m_s", "from_rad", "turbulence_m_s", "rising_rad"),
+    Fault("wind", "turbulence N m/s", "Gusts of this standard deviation.", "turbulence_m_s"),
+    Fault("battery", "battery N %", "No more than this is left in the battery.", "most"),
+    Fault("battery", "battery_voltage N V",
+        "The battery's voltage at rest when full (ArduPilot).", "voltage_v"),
+    _link("link_off", "Nothing passes.", off=True),
+    _link("link_loss N %", "This share of the frames is lost.", "lost"),
+    _link("link_delay N ms [jitter N ms]", "Every frame is late by the delay and up to the jitter "
+        "more; a frame may overtake another so.", "delay_us", "jitter_us"),
+    _link("link_duplication N %", "This share of the frames arrives twice.", "duplicated"),
+    Fault("radar", "radar_off", "The radar falls silent: no answers, no heartbeat.", silent=True),
+    Fault("radar", "radar_blind", "The radar answers and sees nothing.", blind=True),
+    Fault("radar", "radar_drop N %",
+        "This share of the cells in sight is not seen all the same.", "cells_missed"),
+    Fault("radar", "radar_loss N %",
+        "This share of the radar's TERRAIN_DATA is never sent.", "frames_lost"),
+    Fault("radar", "radar_noise N m [either_way]", "Heights have a normal error of this standard "
+        "deviation; its size is added and the sum rounded up, so that no cell is told lower than "
+        "it is.  With `either_way` a cell may be.", "noise_m", "either_way"),
+    Fault("radar", "radar_delay N ms", "The radar's answers are late by this.", "delay_s"),
+    Fault("radar", "radar_rate N Hz", "The radar answers this many requests a second, at the beats "
+        "of its own sweep; else each at the end of its tick.", "rate_hz"),
+    Fault("lidar", "lidar_dead", "It measures nothing any more; its driver is well.", dead=True),
+    Fault("lidar", "lidar_blind", "It measures, and no echo comes back.", blind=True),
+    Fault("lidar", "lidar_off", "The driver says nothing: no heartbeat either.", silent=True),
+    Fault("lidar", "lidar_loss N %", "Lost between the driver and the autopilot.", "frames_lost"),
+    Fault("lidar", "lidar_dust N %",
+        "Share of the beams with a near echo of nothing: dust, rain, sun.", "dust"),
+    Fault("lidar", "lidar_stuck", "The same distances for ever, with new stamps.", stuck=True),
+    Fault("lidar", "lidar_turned N deg",
+        "It is mounted turned by this, and nobody knows.", "turned_rad"),
+    Fault("lidar", "lidar_clock N ms", "The driver's clock is ahead by this.", "clock_us"),
+    Fault("lidar", "lidar_rate N Hz",
+        "Of the driver's messages; else as in the world.  200: a flood.", "rate_hz"),
+    Fault("autopilot", "rangefinder_off",
+        "RANGEFINDER says 0, DISTANCE_SENSOR nothing.", rangefinder_off=True),
+    Fault("autopilot", "setpoints_ignored",
+        "The autopilot takes no setpoint, without a word.", setpoints_ignored=True),
+    Fault("", "estimator_reset N m SIDE [N m SIDE]",
+        "The estimator starts afresh, and its position jumps by this much.", "by_m"),
+    Fault("", "origin_move N m WHERE [N m WHERE]",
+        "The origin of the estimator's local frame moves by this much.", "by_m"),
     Fault("", "pilot",
         "The pilot takes the vehicle: the mode changes to the one that pilots hold it in."),
     Fault("", "reboot", "The autopilot starts again, wherever it is."),
-    Fault("", "ground_command {:1:65535} [{:-1e9:1e9}] [{:-1e9:1e9}] [{:-1e9:1e9}] "
-        "[to_autopilot]", "A ground station sends this MAV_CMD with these first parameters to the "
-        "companion, or to the autopilot."),
-    Fault("", "ground_target {:1e5} m SIDE [{:1e5} m SIDE]",
-        "A ground station gives the companion a target so far from where the vehicle is."),
-    Fault("", "ground_fence {:0.1:1e5} m [{:1e5} m ahead]",
-        "The vehicle's fence gets one more circle to stay out of, so far ahead of where it is."),
+    Fault("", "ground_command N [N] [N] [N] [to_autopilot]",
+        "A ground station sends this MAV_CMD with these first parameters to the companion, or to "
+        "the autopilot.", "command", "p1", "p2", "p3", "to_autopilot"),
+    Fault("", "ground_target N m SIDE [N m SIDE]",
+        "A ground station gives the companion a target so far from where the vehicle is.", "by_m"),
+    Fault("", "ground_fence N m [N m ahead]", "The vehicle's fence gets one more circle to stay "
+        "out of, so far ahead of where it is.", "radius_m", "ahead_m"),
 )
 # fmt: on
 """In the order of the documentation."""
 BY_NAME: Final = {fault.name: fault for fault in FAULTS}
+
+
+# --- parameters that ask for them: those of ArduPilot's (libraries/SITL) and PX4's simulations ----
+
+
+@final
+class Asking(NamedTuple):
+    """A parameter, and the field that it is the value of."""
+
+    name: str
+    of: str
+    """Whose simulation has it."""
+    group: str
+    key: str
+    usual: float
+    least: float
+    most: float
+    type: Kind = Kind.REAL32
+    unit: str = ""
+
+
+_BOTH: Final = "ardupilot px4"
+ASKING: Final = (
+    Asking("SIM_GPS1_ENABLE", _BOTH, "gps", "enabled", 1, 0, 1, Kind.INT8),
+    Asking("SIM_GPS1_GLTCH_X", _BOTH, "gps", "glitch_latitude_deg", 0, -90, 90),
+    Asking("SIM_GPS1_GLTCH_Y", _BOTH, "gps", "glitch_longitude_deg", 0, -180, 180),
+    Asking("SIM_GPS1_GLTCH_Z", _BOTH, "gps", "glitch_up_m", 0, -1e5, 1e5),
+    Asking("SIM_GPS1_ALT_OFS", _BOTH, "gps", "offset_up_m", 0, -32_768, 32_767, Kind.INT16),
+    Asking("SIM_GPS1_JAM", _BOTH, "gps", "jammed", 0, 0, 1, Kind.INT8),
+    Asking("SIM_GPS1_LAG_MS", _BOTH, "gps", "lag_s", 100, 0, 5000, Kind.INT16, "ms"),
+    Asking("SIM_GPS1_NUMSATS", _BOTH, "gps", "satellites", 10, 0, 50, Kind.INT8),
+    Asking("SIM_WIND_SPD", _BOTH, "wind", "speed_m_s", 0, 0, 100),
+    Asking("SIM_WIND_DIR", _BOTH, "wind", "from_rad", 180, -360, 360, unit="deg"),
+    Asking("SIM_WIND_TURB", _BOTH, "wind", "turbulence_m_s", 0, 0, 50),
+    Asking("SIM_WIND_DIR_Z", _BOTH, "wind", "rising_rad", 0, -90, 90, unit="deg"),
+    Asking("SIM_BATT_VOLTAGE", "ardupilot", "battery", "voltage_v", 12.6, 0, 60),
+    Asking("SIM_BATT_CAP_AH", "ardupilot", "battery", "capacity_ah", 0, 0, 1000),
+    Asking("BATT_CAPACITY", "", "battery", "gauge_mah", 3300, 0, math.inf),
+    Asking("SIM_GPS_USED", "px4", "gps", "satellites", 10, 0, 50, Kind.INT32),
+    Asking("SIM_BAT_DRAIN", "px4", "battery", "drain_s", 60, 1, 86_400),
+    Asking("SIM_BAT_MIN_PCT", "px4", "battery", "least", 50, 0, 100, unit="%"),
+)
+"""Of two for one field the later counts.  BATT_CAPACITY is a parameter of ArduPilots proper."""
+_PX4_MIN_SATELLITES: Final = 4
+"""With fewer PX4's simulated receiver has no fix (px4.md 8)."""
+
+
+def sim_parameters(firmware: Firmware) -> tuple[Parameter, ...]:
+    """What the tables of its autopilots end with."""
+    asking, rows = (each for each in ASKING if firmware in each.of), list[Parameter]()
+    for each in asking:
+        kind, usual = each.type, float(each.usual)
+        if firmware == "px4":  # which knows INT32 and FLOAT only, and whose receiver is never late
+            kind = kind if kind is Kind.REAL32 else Kind.INT32
+            usual = 0.0 if each.key == "lag_s" else usual
+        limits = {"least": each.least, "most": each.most}
+        rows.append(Parameter(name=each.name, default=usual, kind=kind, **limits))
+    return tuple(rows)
+
+
+def conditions_of(parameters: Readable, lasting: Iterable["Entry"] = ()) -> Conditions:
+    """What the parameters ask for, and over them each of these faults; the last one counts.
+
+    A parameter that the table lacks, or that is not a number, has its usual value.
+    """
+    values: dict[str, dict[str, Any]] = {group: {} for group in Conditions._fields}
+    for each in ASKING:
+        if math.isfinite(value := parameters.get(each.name, math.nan)):
+            values[each.group][each.key] = _meant(each.group, each.key, value, each.unit)
+    for entry in lasting:
+        values[entry.fault.group] |= entry.sets
+    made = Conditions(**{key: getattr(_USUAL, key)._replace(**new) for key, new in values.items()})
+    if "SIM_GPS_USED" not in parameters:
+        return made
+    seen = made.gps.satellites if made.gps.enabled else 0
+    gps = made.gps._replace(satellites=seen, enabled=seen >= _PX4_MIN_SATELLITES)
+    return made._replace(gps=gps)
 
 
 def faults_page() -> str:
@@ -425,7 +408,7 @@ def faults_page() -> str:
     same = {(each.group, each.key): f"`{each.name}`" for each in reversed(ASKING)}
     rows = ["| fault | parameters that do the same | what it does |\n|---|---|---|\n"]
     for fault in FAULTS:
-        names = [same[at] for key in fault.fields if (at := (fault.group, key)) in same]
+        names = [same[at] for key in fault.sets if (at := (fault.group, key)) in same]
         usage = fault.usage.replace("|", r"\|")
         rows.append(f"| `{usage}` | {', '.join(names)} | {fault.about} |\n")
     return "".join(rows)
@@ -434,25 +417,19 @@ def faults_page() -> str:
 # --- the timeline ---------------------------------------------------------------------------------
 
 NEVER_US: Final = 2**63 - 1
-_LINE: Final = re.compile(
-    r"at\s+(?P<at>.+?)(?:\s+for\s+(?P<length>.+?))?\s*:\s*(?P<what>\S.*)", re.I
-)
-_TIME: Final = re.compile(rf"({_PATTERNS['N']})\s*(us|ms|s|min|h)?", re.I)
+_TIME: Final = r"(\d{1,12}(?:\.\d*)?|\.\d+)\s*(us|ms|s|min|h)"
+_LINE: Final = re.compile(rf"at\s+{_TIME}(?:\s+for\s+{_TIME})?\s*:\s*(\S.*)", re.I)
 _UNIT_US: Final = {"us": 1.0, "ms": 1e3, "s": 1e6, "min": 60e6, "h": 3600e6}
-_LONGEST_US: Final = 10**15
 
 
 @final
 class Entry(NamedTuple):
-    """One line."""
+    """One line: what it sets, and from when to when; until the same moment if it happens once."""
 
     at_us: int
     until_us: int
-    name: str
-    changes: Changes
-    """Of the conditions, while it lasts; none: it happens once."""
-    values: Sequence[float]
-    """Of what happens once."""
+    fault: Fault
+    sets: dict[str, Any]
 
 
 @final
@@ -460,9 +437,10 @@ class Timeline:
     """Faults to come; one for each vehicle, for it remembers where it is."""
 
     def __init__(self) -> None:
-        self.entries: list[Entry] = []
-        """Those that have not begun yet, in order of time."""
-        self._lasting: list[Entry] = []
+        self._entries: list[Entry] = []
+        """Those that are not over, in order of their begin."""
+        self.lasting: list[Entry] = []
+        """Now, the last begun last."""
         self.next_us = NEVER_US
         """When something is due next: nothing is before."""
 
@@ -477,58 +455,39 @@ class Timeline:
 
     def add(self, line: str, now_us: int) -> None:
         """A fault from now on: a line without its time, as "gps_off" or "for 30 s: gps_off"."""
-        length, colon, what = line.strip().rpartition(":")
-        self._add(_entry(f"at {now_us} us {length}{colon or ':'} {what}", "fault"))
+        length, _, what = line.strip().rpartition(":")
+        self._add(_entry(f"at {now_us} us {length}: {what}", "fault"))
 
     def _add(self, entry: Entry) -> None:
-        bisect.insort(self.entries, entry, key=lambda each: each.at_us)
+        bisect.insort(self._entries, entry, key=lambda each: each.at_us)
         self.next_us = min(self.next_us, entry.at_us)
 
-    def step(self, now_us: int) -> list[Entry]:
+    def step(self, now_us: int) -> list[Happening]:
         """Go on to this time of the simulation; returns what happens once, in order."""
-        begun = bisect.bisect_right(self.entries, now_us, key=lambda each: each.at_us)
-        new, self.entries = self.entries[:begun], self.entries[begun:]
-        lasting = [*self._lasting, *(each for each in new if each.changes)]
-        self._lasting = [each for each in lasting if each.until_us > now_us]
-        ends = [each.until_us for each in self._lasting]
-        self.next_us = min([each.at_us for each in self.entries[:1]] + ends, default=NEVER_US)
-        return [each for each in new if not each.changes]
-
-    @property
-    def changes(self) -> list[Changes]:
-        """Of the conditions, now: by each fault that lasts, the last begun last."""
-        return [each.changes for each in self._lasting]
+        begun = [each for each in self._entries if each.at_us <= now_us]
+        self._entries = [each for each in self._entries if each.until_us > now_us]
+        self.lasting = [each for each in begun if each.until_us > now_us]
+        times_us = [t for each in self._entries for t in each[:2] if t > now_us]
+        self.next_us = min(times_us, default=NEVER_US)
+        once = [each for each in begun if each.fault.once]
+        return [Happening(**{"name": each.fault.name} | each.sets) for each in once]
 
 
 def _entry(line: str, where: str) -> Entry:
     """One line of a timeline; `where` it stands, for errors."""
-    match = _LINE.fullmatch(line)
-    if match is None:
-        rule = 'reads "at TIME: FAULT" or "at TIME for TIME: FAULT"'
+    if (match := _LINE.fullmatch(line)) is None:
+        rule = 'reads "at TIME: FAULT" or "at TIME for TIME: FAULT", TIME with its unit'
         raise InputError(where, line, rule, "Write for example: at 120 s for 30 s: gps_off.")
-    at_us, length_us = _time_us(match["at"], where), NEVER_US
-    if match["length"] is not None:
-        length_us = _time_us(match["length"], where)
-    what = match["what"].strip()
+    at, at_unit, length, length_unit, what = match.groups()
+    at_us = round(float(at) * _UNIT_US[at_unit.lower()])
+    length_us = NEVER_US if length is None else round(float(length) * _UNIT_US[length_unit.lower()])
     name = what.split()[0].lower()
     if (fault := BY_NAME.get(name)) is None:
         remedy = did_you_mean(name, BY_NAME, f"Choose from: {', '.join(BY_NAME)}.")
         raise InputError(where, name, "no such fault", remedy)
-    if match["length"] is not None and fault.once:
+    if length is not None and fault.once:
         raise InputError(where, line, f"{name} happens once", 'Leave out "for".')
     if length_us == 0:
         raise InputError(where, line, "lasts no time", "Write a longer time.")
-    changes, values = fault.read(what, where)
-    return Entry(at_us, min(at_us + length_us, NEVER_US), name, changes, values)
-
-
-def _time_us(text: str, where: str) -> int:
-    match = _TIME.fullmatch(text.strip())
-    if match is None:
-        raise InputError(where, text, "is not a time", "Write for example 120 s.")
-    if match[2] is None:
-        raise InputError(where, text, "a time names its unit", f"Write {text.strip()} s.")
-    time_us = round(float(match[1]) * _UNIT_US[match[2].lower()])
-    if not 0 <= time_us <= _LONGEST_US:
-        raise InputError(where, text, "lies outside the run", "Write a time from 0 s on.")
-    return time_us
+    until_us = at_us if fault.once else min(at_us + length_us, NEVER_US)
+    return Entry(at_us, until_us, fault, fault.read(what, where))

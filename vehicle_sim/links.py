@@ -24,7 +24,6 @@ _PENDING_BYTES = 262_144
 _SOCKET_BYTES = 4 * 1024 * 1024
 _LONGEST_FRAME = 280
 """Bytes of a frame of MAVLink 2."""
-
 _FORM = re.compile(
     r"(udpout|udpin|tcpin):(?://)?(\[[^\[\]/@?]+\]|[^:\[\]/@?]+):(\d{1,5})", re.ASCII
 )
@@ -44,15 +43,11 @@ class Endpoint:
         return f"{self.kind}:{host}:{self.port}"
 
     def shifted(self, by: int) -> "Endpoint":
-        """The same on another port; one that is to be found (0) stays so.
-
-        InputError if there is no such port.
-        """
-        port = self.port + by
-        if port > _LAST_PORT:
-            rule = f"with --count and --port-step the last vehicle would need port {port}"
-            raise InputError("--connect", str(self), rule, "Begin at a lower port.")
-        return replace(self, port=port) if self.port else self
+        """The same on another port; one that is to be found (0) stays so."""
+        if self.port + by > _LAST_PORT:
+            rule = f"there is no port {self.port + by}"
+            raise InputError("--port-step", by, rule, "Begin at a lower port.")
+        return replace(self, port=self.port + by) if self.port else self
 
 
 def parse_endpoint(text: str) -> Endpoint:
@@ -63,16 +58,6 @@ def parse_endpoint(text: str) -> Endpoint:
         rule = "must be udpout:HOST:PORT, udpin:HOST:PORT or tcpin:HOST:PORT, an IPv6 HOST in []"
         raise InputError("--connect", text, rule, "Try udpout:127.0.0.1:14540.")
     return Endpoint(kind=kind, host=host.strip("[]"), port=int(port))  # type: ignore[arg-type]
-
-
-def datagrams(frames: Sequence[bytes]) -> list[bytes]:
-    """Frames in order, as many to a datagram as fit."""
-    packed = [b""]
-    for frame in frames:
-        if len(packed[-1]) + len(frame) > _DATAGRAM_BYTES:
-            packed.append(b"")
-        packed[-1] += frame
-    return [each for each in packed if each]
 
 
 class Link:
@@ -98,10 +83,9 @@ class Link:
         if self._listens:
             self._socket.bind(address)
 
-    @property
-    def sockets(self) -> Sequence[socket.socket]:
-        """What to wait for."""
-        return (self._socket,)
+    def fileno(self) -> int:
+        """For select, to wait until something comes."""
+        return self._socket.fileno()
 
     @property
     def endpoint(self) -> Endpoint:
@@ -111,8 +95,13 @@ class Link:
         return replace(self._endpoint, port=int(self._socket.getsockname()[1]))
 
     def send(self, frames: Sequence[bytes]) -> None:
-        """Send these frames, or lose them."""
-        for datagram in datagrams(frames):
+        """Send these frames in order, as many to a datagram as fit, or lose them."""
+        packed = [b""]
+        for frame in frames:
+            if len(packed[-1]) + len(frame) > _DATAGRAM_BYTES:
+                packed.append(b"")
+            packed[-1] += frame
+        for datagram in filter(None, packed):
             for peer in self._peers:
                 with suppress(OSError):  # no route or no room for the moment: as good as lost
                     self._socket.sendto(datagram, peer)
@@ -148,9 +137,8 @@ class _TcpIn(Link):
         self._socket.bind(address)
         self._socket.listen(1)
 
-    @property
-    def sockets(self) -> Sequence[socket.socket]:
-        return (self._client or self._socket,)
+    def fileno(self) -> int:
+        return (self._client or self._socket).fileno()
 
     def send(self, frames: Sequence[bytes]) -> None:
         if self._client is None:
@@ -158,8 +146,7 @@ class _TcpIn(Link):
         if len(self._pending) < _PENDING_BYTES:  # a client that does not read loses whole frames
             self._pending += b"".join(frames)
         try:
-            sent = self._client.send(self._pending) if self._pending else 0
-            self._pending = self._pending[sent:]
+            self._pending = self._pending[self._client.send(self._pending) :]
         except BlockingIOError:
             return
         except OSError:
@@ -197,7 +184,5 @@ def open_link(endpoint: Endpoint) -> Link:
         return _TcpIn(endpoint) if endpoint.kind == "tcpin" else Link(endpoint)
     except (OSError, UnicodeError) as error:
         rule = f"cannot be used ({(getattr(error, 'strerror', None) or str(error)).lower()})"
-        remedy = "Choose a free port of this machine."
-        if endpoint.kind == "udpout":
-            remedy = "Name the host and port that the companion listens on."
+        remedy = "Choose a free port of this machine, or for udpout the companion's host and port."
         raise InputError("--connect", str(endpoint), rule, remedy) from None

@@ -4,7 +4,7 @@ Here its parts meet: the world and its faults, the vehicle, its sensors, the fli
 terrain radar and the radio.
 """
 
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping
 from typing import Any, Final, final
 
 from vehicle_sim import ground_station, truth
@@ -22,7 +22,7 @@ from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.dynamics.wind import Wind
 from vehicle_sim.errors import InputError
-from vehicle_sim.faults import Timeline, conditions_of
+from vehicle_sim.faults import Happening, Timeline, conditions_of
 from vehicle_sim.flight_controller import FlightController
 from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import Plans
@@ -82,8 +82,6 @@ class Simulation:
         self.companion_ended = False
         self._question_ns = -1
         """Time of lockstep's question until it is answered."""
-        self.mistaken = False
-        """It was answered with another tc1 than ts1."""
         self.not_survived: str | None = None
         """What came in that the real autopilot does not survive: the first of it."""
         self.on_message: Callable[[str], None] | None = None
@@ -251,10 +249,9 @@ class Simulation:
         As all that an autopilot says it counts from the boot.  Of vehicles on the same link each
         has its own number, so that their questions differ.
         """
-        question_ns = max(self.now_us - self._controller.boot_us, 1) * 1000 + number
-        self._question_ns, self.mistaken = question_ns, False
-        self._radio.ask(make("TIMESYNC", 0, question_ns), 0)
-        return question_ns
+        self._question_ns = max(self.now_us - self._controller.boot_us, 1) * 1000 + number
+        self._radio.ask(make("TIMESYNC", 0, self._question_ns), 0)
+        return self._question_ns
 
     @property
     def waits(self) -> bool:
@@ -273,8 +270,8 @@ class Simulation:
     def _on_text(self, text: Text) -> None:
         if text.severity <= _WORTH_SHOWING:
             self._notice(text.text)
-        if text.text.startswith(_NOT_SURVIVED) and self.not_survived is None:
-            self.not_survived = text.text
+        if text.text.startswith(_NOT_SURVIVED):
+            self.not_survived = self.not_survived or text.text
 
     def _on_crash(self, crash: Crash) -> None:
         self._notice(f"it hits {crash.into} at {crash.speed_m_s:.1f} m/s")
@@ -307,34 +304,31 @@ class Simulation:
         """A parameter or a fault is another one: so may the weather be, and the links."""
         parameters, controller = self.parameters, self._controller
         self._seen_version = parameters.version
-        self._conditions = now = conditions_of(parameters, self._timeline.changes)
+        self._conditions = now = conditions_of(parameters, self._timeline.lasting)
         controller.setpoints_ignored = now.autopilot.setpoints_ignored
         controller.ranging.rangefinder_off = now.autopilot.rangefinder_off
         self._radio.impair(now.link)
 
-    def _happens(self, name: str, values: Sequence[float]) -> None:
+    def _happens(self, said: Happening) -> None:
         """A fault that happens once."""
         controller, autopilot = self._controller, self._controller.autopilot
-        match name:
+        match said.name:
             case "estimator_reset":
-                autopilot.estimate.shift(*values[:2])
+                autopilot.estimate.shift(*said.by_m[:2])
             case "origin_move":
-                controller.answer(autopilot.move_origin(*values))
+                controller.answer(autopilot.move_origin(*said.by_m))
             case "pilot":
                 autopilot.set_mode(autopilot.firmware.pilot)
             case "reboot":
                 self._go_down()
             case "ground_fence":
-                controller.add_to_fence(ground_station.new_fence(self.vehicle, *values))
-            case "ground_command" if len(values) > 4:  # to_autopilot
-                order = ground_station.command(values[:4], *self._ids)
+                controller.add_to_fence(ground_station.new_fence(said, self.vehicle))
+            case _ if said.to_autopilot:
+                order = ground_station.order(said, self.vehicle, *self._ids)
                 controller.receive(order, ground_station.STATION, self.now_us)
-            case _:  # of a ground station to the companion
+            case _:
                 to = self.system_id, self.companion.component if self.companion else 0
-                if name == "ground_command":
-                    order = ground_station.command(values, *to)
-                else:
-                    order = ground_station.target(values, self.vehicle, *to)
+                order = ground_station.order(said, self.vehicle, *to)
                 self._radio.send(order, source=ground_station.STATION[:2])
 
     # --- time ---------------------------------------------------------------------------------
@@ -346,7 +340,7 @@ class Simulation:
             happening = self._timeline.step(now_us)
             self._refresh()
             for each in happening:
-                self._happens(each.name, each.values)
+                self._happens(each)
         elif self.parameters.version != self._seen_version:
             self._refresh()
         if self._radio.impaired:
@@ -431,11 +425,9 @@ class Simulation:
         if route.to_radar and self._scanner is not None:
             self._scanner.receive(message, sender)
         kind = message.get_type()
-        if kind == "TIMESYNC" and message.ts1 == self._question_ns and sender.link == 0:
-            if message.tc1 == message.ts1:
-                self._question_ns = -1
-            elif message.tc1 != 0:
-                self.mistaken = True
+        answers = kind == "TIMESYNC" and message.tc1 == message.ts1 == self._question_ns
+        if answers and sender.link == 0:
+            self._question_ns = -1
         if not route.to_autopilot or self._is_down:
             return
         if kind == "HEARTBEAT" and sender.link == 0:

@@ -1,39 +1,30 @@
 """For pytest users: a running simulator on a free port, a clock to step, and assertions.
 
-    pytest_plugins = ["vehicle_sim.testing"]      # in conftest.py
-
-    def test_my_companion_arrives(vehicle_sim):
-        sim = vehicle_sim(autopilot="ardupilot", ready=True)
-        mine = MyCompanion(sim.connection)          # "udpout:127.0.0.1:PORT", as pymavlink takes it
-        sim.advance_until(lambda: sim.armed, within_s=10.0, meanwhile=mine.work)
-        ...
-
-docs/simulator.md has the whole example.  The simulator runs in the test's own process and only
+`pytest_plugins = ["vehicle_sim.testing"]` in conftest.py brings the fixture `vehicle_sim`, which
+starts a Simulator; docs/simulator.md has an example.  It runs in the test's own process and only
 while the test advances it: between two calls vehicle time stands still.
 """
 
 import math
-import select
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from typing import Any, Final, NamedTuple, final
 
 import pytest
 
+from vehicle_sim.errors import SimulatorError
 from vehicle_sim.geodesy import WGS84
 from vehicle_sim.links import Endpoint, open_link
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.simulation import STEP_US, Simulation
+from vehicle_sim.stations import Station, Stations
 from vehicle_sim.world import VehicleKind, World, flat_world
 
 _TICK_STEPS: Final = 5
 _TICK_S: Final = _TICK_STEPS * STEP_US * 1e-6
-_POLL_S, _AGAIN_S = 0.01, 1.0
-_PATIENCE_S = 30.0
-"""Wall time that a lockstep tick waits for its answer."""
+_AGAIN_S, _PATIENCE_S = 1.0, 30.0
+"""Wall time after which a lockstep tick asks again, and gives up."""
 _READY_S: Final = 60.0
-_MAX_DATAGRAMS: Final = 1000
 
 
 @final
@@ -84,22 +75,17 @@ class Simulator:
         lockstep: bool = False,
         strict: bool = True,
     ) -> None:
-        world = world or flat_world(
-            vehicle,
-            autopilot,
-            latitude_deg=home[0],
-            longitude_deg=home[1],
-            altitude_amsl_m=home[2],
-            heading_deg=heading_deg,
-            scan_range_m=scan_range_m,
-        )
-        self.simulation = Simulation(world, seed=seed, faults=faults)
+        names = ("latitude_deg", "longitude_deg", "altitude_amsl_m", "heading_deg")
+        place: dict[str, Any] = dict(zip(names, (*home, heading_deg), strict=True))
+        flat = flat_world(vehicle, autopilot, scan_range_m=scan_range_m, **place)
+        self.simulation = Simulation(world or flat, seed=seed, faults=faults)
         self.simulation.on_message = self._heard
         self.fault, self.set_parameter = self.simulation.add_fault, self.simulation.set_parameter
         """A fault from now on, as "for 30 s: gps_off"; and a parameter, as PARAM_SET does it."""
         self._lockstep, self._strict = lockstep, strict
         self._link = open_link(Endpoint(kind="udpin", host="127.0.0.1", port=0))
         self.close = self._link.close
+        self._stations = Stations([Station(simulation=self.simulation, links=[self._link])])
         self.moments = [self._moment()]
         """The whole flight so far."""
         self.heard_s: dict[str, list[float]] = {}
@@ -107,7 +93,6 @@ class Simulator:
         while ready and not self.simulation.armable:
             assert self.now_s < _READY_S, f"not ready after {_READY_S:.0f} s of vehicle time"
             self._step()
-        self.simulation.take_frames()  # of the boot: no client yet
 
     @property
     def port(self) -> int:
@@ -190,32 +175,25 @@ class Simulator:
 
     def _exchange(self, meanwhile: Callable[[], object]) -> None:
         """What is to go out goes out; what has come in is handled; in lockstep, wait for it."""
-        simulation = self.simulation
-        waits = self._lockstep and simulation.companion is not None
+        stations = self._stations
+        waits = self._lockstep and self.simulation.companion is not None
         if waits:
-            simulation.ask_for_sync()
-        start_s = again_s = time.monotonic()
-        while True:
-            self._send_and_receive()
-            meanwhile()
-            self._send_and_receive()
-            if not waits or not simulation.waits:
-                return
-            select.select(self._link.sockets, [], [], _POLL_S)
-            now_s = time.monotonic()
-            within = f"within {_PATIENCE_S:.0f} s; {self._where()}"
-            assert now_s - start_s <= _PATIENCE_S, f"no answer to TIMESYNC {within}"
-            if now_s - again_s > _AGAIN_S:
-                again_s = now_s
-                simulation.ask_again()
+            self.simulation.ask_for_sync()
 
-    def _send_and_receive(self) -> None:
-        self._link.send([frame for _, frame in self.simulation.take_frames()])
-        for _ in range(_MAX_DATAGRAMS):
-            if (datagram := self._link.receive()) is None:
-                break
-            self.simulation.receive(0, datagram)
-        self._link.send([frame for _, frame in self.simulation.take_frames()])
+        def speak() -> None:
+            stations.send()
+            meanwhile()
+
+        stations.send()
+        stations.receive()
+        speak()
+        stations.receive()
+        stations.send()
+        if waits:
+            try:
+                stations.wait(_AGAIN_S, _PATIENCE_S, speak)
+            except SimulatorError as error:
+                raise AssertionError(str(error)) from None
 
     def _where(self) -> str:
         return f"at {self.now_s:.1f} s: {self.simulation.outcome()}"
@@ -238,14 +216,11 @@ class Simulator:
         """
         assert self.simulation.crash is None, self._where()
 
-    def assert_stream_gap(
-        self, at_most_s: float, *, message: str, before_s: float = math.inf
-    ) -> None:
+    def assert_stream_gap(self, at_most_s: float, *, message: str) -> None:
         """From its first message on, the client never paused for longer."""
-        until_s = min(self.now_s, before_s)
-        times = [t for t in self.heard_s.get(message, []) if t <= until_s]
+        times = self.heard_s.get(message, [])
         assert times, f"no {message} came in at all"
-        for start_s, end_s in zip(times, [*times[1:], until_s], strict=True):
+        for start_s, end_s in zip(times, [*times[1:], self.now_s], strict=True):
             gap = f"{end_s - start_s:.2f} s without {message} from {start_s:.2f} s on"
             assert end_s - start_s <= at_most_s, f"{gap}, not {at_most_s:g} s"
 

@@ -15,8 +15,9 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.errors import SimulatorError
 from vehicle_sim.links import Link
-from vehicle_sim.server import Server, Settings, Station
+from vehicle_sim.server import Server
 from vehicle_sim.simulation import Simulation
+from vehicle_sim.stations import Station, Stations
 from vehicle_sim.world import parse_world
 
 ROOT = Path(__file__).parents[2]
@@ -127,7 +128,8 @@ class Running:
         of_each = links if len(links) > 1 else [*links] * len(tables)
         pairs = zip(self.simulations, of_each, strict=True)
         stations = [Station(simulation=each, links=[link]) for each, link in pairs]
-        self._server = Server(stations, Settings(**settings), self.stop, say=lambda _: None)
+        ours = Stations(stations, self.stop)
+        self._server = Server(stations=ours, say=lambda _: None, **settings)
         self.thread = threading.Thread(target=self._run, daemon=True)
         self.thread.start()
 

@@ -26,7 +26,7 @@ from vehicle_sim.faults import GpsConditions
 from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.parameters import Firmware, Parameter
 from vehicle_sim.plans import PlanItem, PlanKind, Plans
-from vehicle_sim.sensors.gps import ARDUCOPTER, ARDUPLANE, PX4, Gps
+from vehicle_sim.sensors.gps import Gps
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import VehicleKind, parse_world
 
@@ -51,7 +51,6 @@ PLACE: Final = (47.397742, 8.545594, 488.0)
 _STEPS_PER_S = 100
 _WHERE = ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "ATTITUDE", "HEARTBEAT")
 _reader = mavlink.MAVLink(None)
-_NAMES = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
 
 
 Made = TypeVar("Made")
@@ -105,21 +104,15 @@ def item(
 class Heard:
     """One frame that came out of the vehicle's end of a link; read when its message is wanted."""
 
-    __slots__ = ("_message", "at_s", "frame", "kind", "link", "source")
-
     def __init__(self, at_s: float, link: int, frame: bytes) -> None:
         self.at_s, self.link, self.frame = at_s, link, frame
         """Vehicle time since the start."""
         self.source: Ids = (frame[5], frame[6])
-        number = int.from_bytes(frame[7:10], "little")
-        self.kind: str = _NAMES.get(number, f"UNKNOWN_{number}")
-        self._message: Any = None
+        self.kind: str = mavlink.mavlink_map[int.from_bytes(frame[7:10], "little")].msgname
 
-    @property
+    @functools.cached_property
     def message(self) -> Any:
-        if self._message is None:
-            self._message = _reader.decode(bytearray(self.frame))
-        return self._message
+        return _reader.decode(bytearray(self.frame))
 
 
 def local(
@@ -203,23 +196,22 @@ class Link:
         self, number: int, *parameters: float, frame: int | None = None, link: int = 0
     ) -> int | None:
         """COMMAND_LONG, or COMMAND_INT in this frame; its last result within 20 ms (PX4: 50)."""
-        p = (*parameters, *[0.0] * (7 - len(parameters)))
-        message: Any = mavlink.MAVLink_command_long_message(*VEHICLE, number, 0, *p)
-        if frame is not None:
-            place = (round(p[4]), round(p[5]), p[6])
-            head = (*VEHICLE, frame, number, 0, 0)
-            message = mavlink.MAVLink_command_int_message(*head, *p[:4], *place)
-        self.send(message, link=link)
+        if frame is None:
+            self.order(number, *parameters, link=link)
+        else:
+            head, (*p, x, y, z) = (*VEHICLE, frame, number, 0, 0), parameters
+            place = (round(x), round(y), z)
+            self.send(mavlink.MAVLink_command_int_message(*head, *p, *place), link=link)
         heard = self.run(0.05 if self.firmware == "px4" else 0.02)
         answers = [e.message for e in heard if (e.kind, e.source) == ("COMMAND_ACK", VEHICLE)]
         assert all((a.target_system, a.target_component) == self.source for a in answers)
         found = [int(answer.result) for answer in answers if answer.command == number]
         return found[-1] if found else None
 
-    def order(self, number: int, *values: float) -> None:
+    def order(self, number: int, *values: float, link: int = 0) -> None:
         """COMMAND_LONG, not waited for."""
         padded = [*values, *[0.0] * (7 - len(values))]
-        self.send(mavlink.MAVLink_command_long_message(*VEHICLE, number, 0, *padded))
+        self.send(mavlink.MAVLink_command_long_message(*VEHICLE, number, 0, *padded), link=link)
 
     def go(
         self, north_m_s: float, down_m_s: float, east_m_s: float = 0.0, at_m: Vector | None = None
@@ -383,20 +375,21 @@ class Rig:
 
     def __init__(
         self,
-        personality: tuple[str, VehicleKind],
+        autopilot: str,
+        kind: VehicleKind,
         vehicle: Any,
         parameters: Mapping[str, float],
-        gps: Gps,
-        conditions: GpsConditions | None = None,
         *,
         seed: int = 1,
+        gps_seed: int = 1,
+        conditions: GpsConditions = GpsConditions(),  # noqa: B008
     ) -> None:
         self.vehicle, self.plans = vehicle, Plans()
-        self.ground_amsl_m = vehicle.altitude_amsl_m
-        kind, rng = PERSONALITIES[personality], np.random.default_rng(seed)
-        self.autopilot: Any = kind.make(Boot(kind.firmware, vehicle, parameters, self.plans, rng))
-        self.gps, self.gps_conditions = gps, conditions or GpsConditions()
-        self.now_us = 0
+        self.ground_amsl_m, self.now_us = vehicle.altitude_amsl_m, 0
+        its, rng = PERSONALITIES[autopilot, kind], np.random.default_rng(seed)
+        self.autopilot: Any = its.make(Boot(its.firmware, vehicle, parameters, self.plans, rng))
+        self.gps = Gps(its.receiver, np.random.default_rng(gps_seed))
+        self.gps_conditions = conditions
         self.said: list[tuple[float, Reply]] = []
         """With the time in seconds."""
 
@@ -560,8 +553,7 @@ class ArduCopter(Rig):
         drags = {"drag_1_s": 0.340, "drag_1_m": 0.0193} if drag else {}
         place = placed((*COPTER_HOME[:2], ground_amsl_m))
         copter = Copter(**place, limits=airframe, **drags)
-        gps = Gps(ARDUCOPTER, np.random.default_rng(1))
-        super().__init__(("ardupilot" if drag else "ideal", "copter"), copter, parameters, gps)
+        super().__init__("ardupilot" if drag else "ideal", "copter", copter, parameters)
 
     def take_off(self, height_m: float) -> int:
         return self.command(22, 0, 0, 0, 0, 0, 0, height_m)
@@ -585,8 +577,7 @@ class ArduPlane(Rig):
 
     def __init__(self, **parameters: float) -> None:
         self.frame = LocalFrame(**placed(PLANE_HOME, height=False))
-        plane, gps = Plane(**placed(PLANE_HOME)), Gps(ARDUPLANE, np.random.default_rng(1))
-        super().__init__(("ardupilot", "plane"), plane, parameters, gps)
+        super().__init__("ardupilot", "plane", Plane(**placed(PLANE_HOME)), parameters)
 
     @property
     def ne_m(self) -> tuple[float, float]:
@@ -617,9 +608,9 @@ class Px4Rig(Rig):
     """A PX4 vehicle in still air; COM_OBL_RC_ACT 5 is Hold."""
 
     def __init__(self, kind: VehicleKind, vehicle: Any, seed: int, **parameters: float) -> None:
-        gps = Gps(PX4, np.random.default_rng(seed + 1000))
-        given = {"COM_OBL_RC_ACT": 5.0, **parameters}
-        super().__init__(("px4", kind), vehicle, given, gps, PX4_GPS, seed=seed)
+        given, gps_seed = {"COM_OBL_RC_ACT": 5.0, **parameters}, seed + 1000
+        told: Any = {"seed": seed, "gps_seed": gps_seed, "conditions": PX4_GPS}
+        super().__init__("px4", kind, vehicle, given, **told)
 
     @property
     def ned_m(self) -> Vector:

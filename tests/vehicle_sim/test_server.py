@@ -65,9 +65,9 @@ def test_lockstep_waits_for_the_right_answer(serve: Serve, companion: Client) ->
 @pytest.mark.parametrize(
     ("ticks", "settings", "words"),
     [
-        (2, {"silence_s": 0.3}, "at 0.3 s vehicle time"),
+        (2, {"silence_s": 0.3}, "at 0.3 s of vehicle time"),
         (0, {"first_heartbeat_s": 0.3}, "no heartbeat"),
-        (-1, {"silence_s": 0.5}, "tc1 must echo ts1"),  # it answers with a time of its own
+        (-1, {"silence_s": 0.5}, "tc1 to echo ts1"),  # it answers with a time of its own
     ],
 )
 def test_silence_in_lockstep_is_an_error_that_says_what_is_missing(

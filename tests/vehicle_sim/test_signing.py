@@ -174,8 +174,8 @@ def test_a_delay_keeps_the_order_and_jitter_lets_frames_overtake_within_its_boun
     ("conditions", "concerned"),
     [
         ({}, {(0, True), (0, False), (5, True), (5, False)}),
-        ({"to_vehicle": False}, {(0, False), (5, False)}),
-        ({"from_vehicle": False}, {(0, True), (5, True)}),
+        ({"way": "from_vehicle"}, {(0, False), (5, False)}),
+        ({"way": "to_vehicle"}, {(0, True), (5, True)}),
         ({"only": 5}, {(5, True), (5, False)}),
     ],
 )

@@ -71,7 +71,6 @@ def test_the_assertions_say_when_and_by_how_much(sim: Simulator) -> None:
     sim.assert_stream_gap(2.0, message="HEARTBEAT")
     with pytest.raises(AssertionError, match=r"2\.00 s without HEARTBEAT from 1\.00 s on"):
         sim.assert_stream_gap(1.9, message="HEARTBEAT")
-    sim.assert_stream_gap(0.5, message="HEARTBEAT", before_s=1.0)
     there = (PLACE[0] + 100.0 / 111_200.0, PLACE[1])
     sim.assert_never_inside(*there, 99.0)
     with pytest.raises(AssertionError, match=r"inside at 0\.0 s: (100|99)\.. m from the middle"):
@@ -121,7 +120,7 @@ def test_in_lockstep_every_tick_waits_for_the_clients_answer_and_not_for_ever(
     ticks = [each for each in asked if each % 50_000_000 == 0]
     assert sorted(set(ticks)) == [50_000_000 * k for k in range(2, 61)]  # heard in the first
     monkeypatch.setattr("vehicle_sim.testing._PATIENCE_S", 0.3)
-    with pytest.raises(AssertionError, match=r"no answer to TIMESYNC within 0 s; at 3\.\d s"):
+    with pytest.raises(AssertionError, match=r"no answer to TIMESYNC within 0 s, at 3\.\d s"):
         sim.advance(1.0)
 
 

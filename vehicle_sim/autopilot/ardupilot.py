@@ -13,7 +13,7 @@ from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.estimator import Timing, told
 from vehicle_sim.autopilot.guards import Fence, named
 from vehicle_sim.autopilot.values import Command, Landed, Place, Result, State
-from vehicle_sim.faults import SIM_PARAMETERS
+from vehicle_sim.faults import sim_parameters
 from vehicle_sim.parameters import table
 
 TOLD: Final = frozenset(
@@ -51,7 +51,7 @@ def firmware(
         streamable=STREAMABLE,
         requestable=TOLD,
         data_streams=_DATA_STREAMS,
-        table=(*table("ardupilot", name), *SIM_PARAMETERS),
+        table=(*table("ardupilot", name), *sim_parameters("ardupilot")),
         missions="AUTO",
         first_item=1,
         frame=FlatEarth,

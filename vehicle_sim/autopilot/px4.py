@@ -17,7 +17,7 @@ from vehicle_sim.autopilot.guards import Zones
 from vehicle_sim.autopilot.legs import RETURN, Does, Leg
 from vehicle_sim.autopilot.setpoints import Target, given, read_by_px4
 from vehicle_sim.autopilot.values import Command, Landed, Place, Reply, Result, State
-from vehicle_sim.faults import SIM_PARAMETERS_PX4
+from vehicle_sim.faults import sim_parameters
 from vehicle_sim.parameters import table
 from vehicle_sim.plans import PlanKind
 
@@ -99,7 +99,7 @@ def firmware(parameters: str, *, vehicle_type: int, rates_hz: dict[int, float]) 
         streamable=(told | _NOT_TOLD | {GPS_GLOBAL_ORIGIN, 77}) - _NOT_STREAMABLE,
         requestable=told | {42, 46, GPS_GLOBAL_ORIGIN, 77, core.AUTOPILOT_VERSION},
         # in the alphabetic order that PX4 numbers them in, then the faults'
-        table=(*sorted(rows, key=lambda row: row.name), *SIM_PARAMETERS_PX4),
+        table=(*sorted(rows, key=lambda row: row.name), *sim_parameters("px4")),
         modes=MODES,
         orders={20: "Return"},
         pilot="Position",

@@ -21,7 +21,8 @@ class Impairments(Generic[_Frame]):
     """One direction of all links."""
 
     def __init__(self, rng: np.random.Generator, *, to_vehicle: bool = True) -> None:
-        self._rng, self._to_vehicle = rng, to_vehicle
+        self._rng = rng
+        self._way = "to_vehicle" if to_vehicle else "from_vehicle"
         self._conditions = LinkConditions()
         self._waiting: list[tuple[int, int, int, _Frame]] = []
         """Heap of time, number, link, frame."""
@@ -30,8 +31,8 @@ class Impairments(Generic[_Frame]):
 
     def impair(self, conditions: LinkConditions) -> None:
         """What is wrong from now on; what is on its way already stays on its way."""
-        way = conditions.to_vehicle if self._to_vehicle else conditions.from_vehicle
-        self._conditions = conditions if way else LinkConditions()
+        concerned = conditions.way in ("", self._way)
+        self._conditions = conditions if concerned else LinkConditions()
 
     def push(self, now_us: int, link: int, frame: _Frame) -> None:
         """A frame sets out: it arrives in order, unless the jitter lets one overtake another."""
