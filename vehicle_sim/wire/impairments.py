@@ -22,8 +22,7 @@ class Impairments(Generic[_Frame]):
     """One direction of one link."""
 
     def __init__(self, rng: np.random.Generator, *, link: int = 0, to_vehicle: bool = True) -> None:
-        self._rng, self._link = rng, link
-        self._way = "to_vehicle" if to_vehicle else "from_vehicle"
+        self._rng, self._link, self._to_vehicle = rng, link, to_vehicle
         self._conditions = LinkConditions()
         self._waiting: list[tuple[int, int, _Frame]] = []
         """Heap of time, number, frame."""
@@ -31,7 +30,8 @@ class Impairments(Generic[_Frame]):
 
     def impair(self, conditions: LinkConditions) -> None:
         """What is wrong from now on; what is on its way already stays on its way."""
-        concerned = conditions.way in ("", self._way) and conditions.only in (-1, self._link)
+        way = conditions.way != ("from_vehicle" if self._to_vehicle else "to_vehicle")
+        concerned = way and conditions.only in (-1, self._link)
         self._conditions = conditions if concerned else LinkConditions()
 
     def push(self, now_us: int, frame: _Frame) -> None:
