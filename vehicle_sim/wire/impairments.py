@@ -21,8 +21,7 @@ class Impairments(Generic[_Frame]):
     """One direction of all links."""
 
     def __init__(self, rng: np.random.Generator, *, to_vehicle: bool = True) -> None:
-        self._rng = rng
-        self._way = "to_vehicle" if to_vehicle else "from_vehicle"
+        self._rng, self._to_vehicle = rng, to_vehicle
         self._conditions = LinkConditions()
         self._waiting: list[tuple[int, int, int, _Frame]] = []
         """Heap of time, number, link, frame."""
@@ -31,7 +30,7 @@ class Impairments(Generic[_Frame]):
 
     def impair(self, conditions: LinkConditions) -> None:
         """What is wrong from now on; what is on its way already stays on its way."""
-        concerned = conditions.way in ("", self._way)
+        concerned = conditions.way != ("from_vehicle" if self._to_vehicle else "to_vehicle")
         self._conditions = conditions if concerned else LinkConditions()
 
     def push(self, now_us: int, link: int, frame: _Frame) -> None:
