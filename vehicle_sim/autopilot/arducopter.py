@@ -386,10 +386,6 @@ class ArduCopter(ArduPilot):
             return self.control.level(climb_m_s, self.step_s)
         return self.control.fly((0j, climb_m_s), STILL, self.step_s)
 
-    def _go(self, place: Place) -> Order:
-        """To a place that does not move."""
-        return self.control.fly(STILL, STILL, self.step_s, place, self._speeds_m_s, paced=True)
-
     def fly_target(self) -> Order:
         """GUIDED."""
         if self.route.leg is not None:
@@ -459,7 +455,8 @@ class ArduCopter(ArduPilot):
             return self._hold(0.0, level=leg is not None)
         if self.route.lands:
             return self.land()
-        order = self._go(leg.place)
+        speeds_m_s = self._speeds_m_s
+        order = self.control.fly(STILL, STILL, self.step_s, leg.place, speeds_m_s, paced=True)
         self.follow_route()
         return order
 

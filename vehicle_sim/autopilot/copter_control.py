@@ -94,15 +94,10 @@ class PositionControl:
 
     def start(self) -> None:
         """From what the vehicle does now: the integrator takes over all of the present lean."""
-        self._start_level(self._asked)
+        lean = self._lean
+        self.follow(0j)
+        self._lean, self._integral = lean, self._asked
         self.start_climb()
-
-    def _start_level(self, integral: complex, acceleration: complex = 0j) -> None:
-        e = self._estimate
-        self._place_deg, self.velocity = complex(e.latitude_deg, e.longitude_deg), e.velocity_m_s
-        self._acceleration, self._integral = acceleration, integral
-        self._derivative, self._limited = 0j, 0j
-        self._error: complex | None = None
 
     def start_climb(self) -> None:
         """The same for the height alone."""
@@ -111,8 +106,11 @@ class PositionControl:
 
     def follow(self, acceleration: complex) -> None:
         """Go on from an acceleration that something else has commanded, with nothing to unlearn."""
-        self._start_level(0j, acceleration)
-        self._lean = acceleration
+        e = self._estimate
+        self._place_deg, self.velocity = complex(e.latitude_deg, e.longitude_deg), e.velocity_m_s
+        self._acceleration = self._lean = acceleration
+        self._integral, self._derivative, self._limited = 0j, 0j, 0j
+        self._error: complex | None = None
 
     def _metres(self, from_deg: complex, to_deg: complex) -> complex:
         """From one place to another, the shorter way round the earth."""

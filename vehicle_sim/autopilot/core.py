@@ -169,8 +169,7 @@ class Autopilot:
         self._said: list[Reply] = []
         self._version = -1
         self._check_us = round(firmware.first_check_s * 1e6)
-        self._attitudes_rad = ((0.0, 0.0, boot.vehicle.heading_rad),) * 2
-        """Before the last step and after it."""
+        self._before_rad = (0.0, 0.0, boot.vehicle.heading_rad)  # attitude before the last step
         self.handlers: dict[int, Handler] = {
             224: self._set_mission_current,
             246: self._reboot,
@@ -223,6 +222,7 @@ class Autopilot:
         self.now_s, self.step_s = now_us * 1e-6, dt_s
         self.ground_m, self.fix = ground_amsl_m, fix
         estimate, vehicle = self.estimate, self.vehicle
+        self._before_rad = vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad
         had_origin = estimate.origin is not None
         estimate.step(self.now_s, dt_s, fix)
         if estimate.origin is not None and not had_origin:
@@ -252,8 +252,6 @@ class Autopilot:
             if vehicle.altitude_amsl_m <= ground_amsl_m:
                 self._come_to_ground()
         estimate.follow()
-        attitude_rad = (vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad)
-        self._attitudes_rad = (self._attitudes_rad[1], attitude_rad)
         return self.taken() if self._said else ()
 
     def _come_to_ground(self) -> None:
@@ -292,10 +290,9 @@ class Autopilot:
     @property
     def rates_rad_s(self) -> tuple[float, ...]:
         """Of roll, pitch and heading, as gyroscopes feel them: a point mass has none."""
-        turned = (
-            math.remainder(now - was, math.tau)
-            for was, now in zip(*self._attitudes_rad, strict=True)
-        )
+        now_rad = self.vehicle.roll_rad, self.vehicle.pitch_rad, self.vehicle.heading_rad
+        pairs = zip(self._before_rad, now_rad, strict=True)
+        turned = (math.remainder(now - was, math.tau) for was, now in pairs)
         return tuple(min(max(t / self.step_s, -_MAX_RAD_S), _MAX_RAD_S) for t in turned)
 
     def local_ned_m(self) -> values.Vector | None:
