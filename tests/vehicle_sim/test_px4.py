@@ -128,6 +128,13 @@ def test_home_can_be_moved_but_not_to_nowhere() -> None:
     assert (home.latitude_deg, home.altitude_amsl_m) == (47.4, 500.0)
 
 
+def test_a_take_off_goes_to_its_usual_height_and_ends_in_hold() -> None:
+    rig = on_ground()
+    assert rig.command(22, 0.0, 0.0, 0.0, *[NAN] * 4) == rig.command(400, 1.0) == ACCEPTED
+    assert rig.until(lambda: rig.mode == "Hold", 20.0) == about(7.8, 0.3)
+    assert rig.height_m == about(2.5, 0.3)
+
+
 def test_it_lands_disarms_two_seconds_later_and_can_be_flown_again() -> None:
     """px4-offboard-short.tlog: 1.4 m/s at 9 m, 0.7 below 5 m, 0.3 below 1 m."""
     rig = hover(9.2)

@@ -39,10 +39,6 @@ RATES_HZ: Final = dict(sorted((n, hz) for hz, ns in _BY_RATE.items() for n in ns
 """What a fresh onboard link gets, by message number, in Hz of vehicle time."""
 _NOT_TOLD: Final = frozenset({4, 8, 29, 36, 40, 62, 65, 83, 105, 241, 360, 380, 441, 12901, 12904})
 """Their intervals are taken, as the real one takes them."""
-_NOT_STREAMABLE: Final = frozenset({0, 42})
-"""Sent by other parts of PX4: SET_MESSAGE_INTERVAL fails, as for unknown messages."""
-
-
 _BY_HAND, _BY_ITSELF, _BY_COMMAND = 0x51, 0x1D, 0x11
 """base_mode as recorded: 29 in AUTO, 17 in OFFBOARD."""
 _AUTO: Final = {"Hold": 3, "Takeoff": 2, "Mission": 4, "Return": 5, "Land": 6}
@@ -96,7 +92,8 @@ def firmware(parameters: str, *, vehicle_type: int, rates_hz: dict[int, float]) 
         custom_version=bytes((0, 0, 0, 178, 57, 165, 123, 187)),
         first_heartbeat_us=1_600_000,  # px4.md 3
         rates_hz=rates_hz,
-        streamable=(told | _NOT_TOLD | {GPS_GLOBAL_ORIGIN, 77}) - _NOT_STREAMABLE,
+        # without what other parts of PX4 send: SET_MESSAGE_INTERVAL fails as for unknown messages
+        streamable=(told | _NOT_TOLD | {GPS_GLOBAL_ORIGIN, 77}) - {0, 42},
         requestable=told | {42, 46, GPS_GLOBAL_ORIGIN, 77, core.AUTOPILOT_VERSION},
         # in the alphabetic order that PX4 numbers them in, then the faults'
         table=(*sorted(rows, key=lambda row: row.name), *sim_parameters("px4")),

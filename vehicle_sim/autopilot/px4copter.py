@@ -3,23 +3,20 @@
 import math
 from typing import Final, final
 
-from vehicle_sim.autopilot import px4_control
 from vehicle_sim.autopilot.core import Boot
 from vehicle_sim.autopilot.legs import RETURN, Does, Leg, back
 from vehicle_sim.autopilot.px4 import RATES_HZ, Px4, firmware
-from vehicle_sim.autopilot.px4_control import Control, Point, State
+from vehicle_sim.autopilot.px4_control import HOVER_THROTTLE, Control, Point, State
 from vehicle_sim.autopilot.setpoints import LOCAL_NED, NOTHING, Target, is_flyable
 from vehicle_sim.autopilot.values import Place, Setpoint, Waypoint
 from vehicle_sim.dynamics.copter import Copter
 
 FIRMWARE: Final = firmware("px4copter", vehicle_type=2, rates_hz=RATES_HZ)
 
-_NAN: Final = math.nan
 _STOPS: Final = State(velocity=0j, sink=0.0)
 _SPOOLS_UP_S, _RAMP_S = 1.0, 3.0
 """COM_SPOOLUP_TIME, MPC_TKO_RAMP_T."""
-_CONE, _NEAR_HOME_M = math.tan(math.radians(45.0)), 10.0
-"""RTL_CONE_ANG, RTL_MIN_DIST."""
+_NEAR_HOME_M: Final = 10.0  # RTL_MIN_DIST
 _TURN_1_S, _SLEW_RAD_S = 2.8, (math.radians(60.0), math.radians(200.0))
 """MC_YAW_P; MPC_YAWRAUTO_MAX, and in OFFBOARD MC_YAWRATE_MAX."""
 _RAMP_FROM_M_S: Final = 2.47
@@ -67,7 +64,7 @@ class Px4Copter(Px4):
         self._control.read(p)
         self._point.read(p)
         copter.drag_1_m, copter.response_s, copter.drag_1_s = 0.0, _RESPONSE_S, p["SIH_KDV"]
-        copter.hover_throttle = px4_control.HOVER_THROTTLE
+        copter.hover_throttle = HOVER_THROTTLE
 
     @property
     def _flown(self) -> State:
@@ -110,10 +107,10 @@ class Px4Copter(Px4):
         return self.frame.place(place.real, place.imag, flown.down)
 
     def way_home(self) -> list[Leg]:
-        """Up, home, and down: to RTL_RETURN_ALT, but less within the cone about home."""
+        """Up, home, and down: to RTL_RETURN_ALT, or less in a cone of 45 degrees about home."""
         p, here, home = self.parameters, self.estimate.place, self.base
         away_m, up_m = abs(self._here - self._local(home)[0]), p["RTL_RETURN_ALT"]
-        least_m = p["RTL_DESCEND_ALT"] if away_m < _NEAR_HOME_M else max(away_m / _CONE, 10.0)
+        least_m = p["RTL_DESCEND_ALT"] if away_m < _NEAR_HOME_M else max(away_m, 10.0)
         height_m = home.altitude_amsl_m + min(up_m, least_m)
         return back(here, home, max(height_m, here.altitude_amsl_m), 0.0)
 

@@ -18,7 +18,7 @@ from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.legs import RETURN, Does, Leg
 from vehicle_sim.autopilot.plane_control import Circle, FixedWing, Line, eas_to_tas
 from vehicle_sim.autopilot.px4 import RATES_HZ, Px4, firmware
-from vehicle_sim.autopilot.setpoints import LOCAL_NED, NOTHING, Target, given
+from vehicle_sim.autopilot.setpoints import LOCAL_NED, NOTHING, given
 from vehicle_sim.autopilot.values import Place, Setpoint, Waypoint
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import PlaneLimits
@@ -66,7 +66,6 @@ class Px4Plane(FixedWing, Px4):
     def __init__(self, boot: Boot) -> None:
         super().__init__(boot)
         self.l1.period_s, self.l1.damping = 10.0, 0.7  # NPFG_PERIOD, NPFG_DAMPING
-        self._seen: Target | None = None  # the setpoint that it flies by
         self._began_s = 0.0  # when the mode did
 
     def read_parameters(self) -> None:
@@ -111,13 +110,7 @@ class Px4Plane(FixedWing, Px4):
 
     def restart(self) -> None:
         """Another mode; in OFFBOARD the last commands stay until a setpoint comes."""
-        self._began_s, self._seen, self.leg = self.now_s, None, None
-        if self.mode.flies == "descend":
-            self.aim, self.wanted_climb_m_s = None, 0.0
-            self.bank_rad = math.radians(self.parameters["NAV_GPSF_R"])
-        elif self.mode.flies == "sink":
-            self.straight_to(self.estimate.place)
-            self.wanted_airspeed_m_s, self.wanted_climb_m_s = self._cruise_m_s, None
+        self._began_s, self.leg = self.now_s, None
 
     # --- in the air ---------------------------------------------------------------------------
 
@@ -166,10 +159,10 @@ class Px4Plane(FixedWing, Px4):
 
     def fly_target(self) -> None:
         """A new setpoint of OFFBOARD (px4.md 10)."""
-        target = self.target
-        if target is None or target is self._seen:
+        target, self.target = self.target, None  # each is taken once
+        if target is None:
             return
-        self._seen, (north_m, east_m, down_m), (v_n, v_e, v_d) = target, *target[:2]
+        (north_m, east_m, down_m), (v_n, v_e, v_d) = target[:2]
         if not (north_m == north_m and east_m == east_m):
             self.aim = None
             return
@@ -186,12 +179,15 @@ class Px4Plane(FixedWing, Px4):
             self.wanted_climb_m_s = 0.0 if v_d == v_d else -_GLIDE_M_S
 
     def descend(self) -> None:
-        """Without a position: down after a while."""
-        if self.now_s - self._began_s > self.parameters["NAV_GPSF_LT"]:
-            self.wanted_climb_m_s = -_DESCEND_M_S
+        """Without a position: banked, and after a while down."""
+        p = self.parameters
+        is_late = self.now_s - self._began_s > p["NAV_GPSF_LT"]
+        self.aim, self.bank_rad = None, math.radians(p["NAV_GPSF_R"])
+        self.wanted_climb_m_s = -_DESCEND_M_S if is_late else 0.0
 
     def sink(self) -> None:
-        """By hand, without a pilot: straight on."""
+        """By hand, without a pilot: straight on, wings level."""
+        self.aim, self.bank_rad, self.wanted_climb_m_s = None, 0.0, 0.0
 
     # --- to tell ------------------------------------------------------------------------------
 
