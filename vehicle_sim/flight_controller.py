@@ -80,12 +80,6 @@ class FlightController:
 
     # --- out ----------------------------------------------------------------------------------
 
-    def go_on(self, replies: Replies) -> None:
-        """After a step of the autopilot: what that brings, and what the protocols have to say."""
-        self.answer(replies)
-        if self.parameters.listings:
-            self.answer(self.parameters.step(self.now_us))
-
     def stream(self) -> bool:
         """Queue all telemetry that is due; returns whether that included a position on link 0."""
         self.telemetry.now(self.now_us)

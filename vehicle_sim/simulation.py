@@ -379,7 +379,7 @@ class Simulation:
             gps.step(since_boot_us, vehicle, conditions.gps)
         controller.now_us = now_us
         replies = controller.autopilot.step(since_boot_us, _STEP_S, ground_amsl_m, gps.fix)
-        controller.go_on(replies)
+        controller.answer(replies)
         if looks:
             armed = controller.autopilot.armed
             self._battery.step(POWER_STEP_S, vehicle, armed, conditions.battery)
