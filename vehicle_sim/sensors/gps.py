@@ -150,10 +150,9 @@ class Gps:
             fresh = self._noise(3 * (math.sqrt(1.0 - keep * keep),))
             self._wander = keep * self._wander + fresh
             error_m += np.array([1.0, 1.0, _VERTICAL]) * conditions.sigma_m * self._wander
-        velocity = np.array(vehicle.velocity_neu_m_s)
-        error_m -= velocity * ((now_us - due_us) * 1e-6)
         here = (vehicle.latitude_deg, vehicle.longitude_deg, vehicle.altitude_amsl_m)
-        state = np.array([*here, *velocity])
+        state = np.array([*here, *vehicle.velocity_neu_m_s])
+        error_m -= state[3:] * ((now_us - due_us) * 1e-6)
         state[:3] += _degrees(error_m, vehicle.latitude_deg)
         state[2] += conditions.offset_up_m
         state[3:] += self._noise(receiver.velocity_noise_m_s)
@@ -195,13 +194,13 @@ class Gps:
             self._jam = None
         if locked or not receiver.late_lock:
             self._locked_us = due_us
-        drift_m_s = np.array(conditions.drift_m_s)
-        drifted_m = self._drift_m + drift_m_s * (receiver.interval_us * 1e-6)
-        self._drift_m = drifted_m if drift_m_s.any() else np.zeros(3)
+        drift_m_s, told = conditions.drift_m_s, sample.state.copy()
+        drifted_m = self._drift_m + np.array(drift_m_s) * (receiver.interval_us * 1e-6)
+        self._drift_m = drifted_m if any(drift_m_s) else np.zeros(3)
         glitch = (conditions.glitch_latitude_deg, conditions.glitch_longitude_deg)
         wrong = _degrees(self._drift_m + conditions.glitch_m, sample.state[0])
-        wrong += np.array([*glitch, conditions.glitch_up_m])
-        told = sample.state + np.array([*wrong, *drift_m_s])
+        told[:3] += wrong + np.array([*glitch, conditions.glitch_up_m])
+        told[3:] += drift_m_s
         latitude_deg, longitude_deg, altitude_m, north_m_s, east_m_s, up_m_s = told.tolist()
         return Fix(
             self._locked_us,
