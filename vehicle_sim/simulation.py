@@ -24,6 +24,7 @@ from vehicle_sim.dynamics.wind import Wind
 from vehicle_sim.errors import InputError
 from vehicle_sim.faults import Happening, Timeline, conditions_of
 from vehicle_sim.flight_controller import FlightController
+from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import Plans
 from vehicle_sim.rng import generator
@@ -161,9 +162,11 @@ class Simulation:
 
     def warm_up(self) -> None:
         """Look once with every sensor, so that nobody waits for a compiler in flight."""
+        vehicle = self.vehicle
         self._range_down_m()
         if self._scanner is not None:
-            self._scanner.radar.answer(self._world.frame, 1, 1, self.vehicle)
+            at = {"latitude_deg": vehicle.latitude_deg, "longitude_deg": vehicle.longitude_deg}
+            self._scanner.radar.answer(LocalFrame(**at), 1, 1, vehicle)
 
     # --- to look at ---------------------------------------------------------------------------
 

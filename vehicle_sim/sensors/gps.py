@@ -194,13 +194,14 @@ class Gps:
             self._jam = None
         if locked or not receiver.late_lock:
             self._locked_us = due_us
-        drift_m_s, told = conditions.drift_m_s, sample.state.copy()
+        told, drift_m_s, glitch_m = sample.state, conditions.drift_m_s, conditions.glitch_m
         drifted_m = self._drift_m + np.array(drift_m_s) * (receiver.interval_us * 1e-6)
         self._drift_m = drifted_m if any(drift_m_s) else np.zeros(3)
-        glitch = (conditions.glitch_latitude_deg, conditions.glitch_longitude_deg)
-        wrong = _degrees(self._drift_m + conditions.glitch_m, sample.state[0])
-        told[:3] += wrong + np.array([*glitch, conditions.glitch_up_m])
-        told[3:] += drift_m_s
+        east_deg, up_m = conditions.glitch_longitude_deg, conditions.glitch_up_m
+        glitch = (conditions.glitch_latitude_deg, east_deg, up_m)
+        if any(drift_m_s + glitch_m + glitch):
+            wrong = _degrees(self._drift_m + glitch_m, told[0]) + np.array(glitch)
+            told = told + np.array([*wrong, *drift_m_s])
         latitude_deg, longitude_deg, altitude_m, north_m_s, east_m_s, up_m_s = told.tolist()
         return Fix(
             self._locked_us,
