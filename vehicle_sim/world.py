@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial import cKDTree
 
 from vehicle_sim.elevation import read_grid
@@ -41,7 +41,14 @@ _Name = Annotated[str, Field(strict=True, min_length=1)]
 _Component = Annotated[int, Field(strict=True, ge=2, le=255)]
 _Place = tuple[_Local, _Local]
 """North and east."""
-_Range = tuple[_Positive, _Positive]
+
+
+def _rising(pair: tuple[float, float]) -> tuple[float, float]:
+    _must(pair[0] <= pair[1], "", pair, "gives the least first", "Swap them.")
+    return pair
+
+
+_Range = Annotated[tuple[_Positive, _Positive], AfterValidator(_rising)]
 """Least and most."""
 _MISSING: Final = ("is missing", "Write it into the world file.")
 
@@ -295,6 +302,11 @@ class LidarTable(_Table):
     """Of the echoes: they do not come back, as if nothing were there."""
     latency_s: Annotated[_Real, Field(ge=0, le=5)] = 0.0
     """From the middle of a sweep to its message; half a sweep at least."""
+
+    def model_post_init(self, _: object) -> None:
+        """Check what goes together."""
+        rule = f"must be less than range_m, which is {self.range_m:g}"
+        _must(self.min_m < self.range_m, "min_m", self.min_m, rule, "Lessen it.")
 
 
 class World(_Table):

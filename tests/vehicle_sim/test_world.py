@@ -55,7 +55,9 @@ def lidar(which: str = "lidar", **fields: Any) -> Table:
         (wood(north_max_m=-5.0), "woods.0 ... least must lie below"),
         (wood(east_min_m=95.0), "woods.0 ... least must lie below"),
         (wood(spacing_m=[0.01, 1.0]), "woods.0.spacing_m ... 200000 trees"),
+        (wood(spacing_m=[8.0, 4.0]), "woods.0.spacing_m ... least first"),
         (lidar() | lidar("second_lidar"), "lidar.component_id ... another lidar's"),
+        (lidar(min_m=9.0), "lidar.min_m = 9.0 ... range_m"),
         (lidar(component_id=100), "lidar.component_id ... radar"),
         # and what only the vehicle knows
         (
