@@ -17,7 +17,7 @@ AGREED = {
     "arducopter-guided-global-stream-faults.tlog": (233, 235),
     "arducopter-lidar.tlog": (214, 223),
     "arduplane-guided-reposition.tlog": (255, 256),
-    "px4-fixedwing-offboard.tlog": (254, 268),
+    "px4-fixedwing-offboard.tlog": (256, 268),
     "px4-gps-loss.tlog": (249, 258),
     "px4-offboard-8mps.tlog": (256, 261),
     "px4-offboard-short.tlog": (167, 173),
