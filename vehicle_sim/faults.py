@@ -217,7 +217,7 @@ class Fault:
         """The fields of its shortest line."""
         self.name, *tokens = re.findall(r"[][]|[^][\s]+", usage)
         forms = [_PATTERNS.get(t, rf"({t})\s+" if "_" in t else rf"{t}\s+") for t in tokens]
-        self._pattern = re.compile(rf"{self.name}\s+{''.join(forms)}", re.IGNORECASE)
+        self._pattern = re.compile(rf"{self.name}\s+{''.join(forms)}", re.IGNORECASE | re.ASCII)
         words = [*(token for token in tokens if token not in "[]"), ""]
         self._units = [unit for word, unit in pairwise(words) if word in _PATTERNS or "_" in word]
         """What stands after each number, way and switch."""
@@ -418,7 +418,7 @@ def faults_page() -> str:
 
 NEVER_US: Final = 2**63 - 1
 _TIME: Final = r"(\d{1,12}(?:\.\d*)?|\.\d+)\s*(us|ms|s|min|h)"
-_LINE: Final = re.compile(rf"at\s+{_TIME}(?:\s+for\s+{_TIME})?\s*:\s*(\S.*)", re.I)
+_LINE: Final = re.compile(rf"at\s+{_TIME}(?:\s+for\s+{_TIME})?\s*:\s*(\S.*)", re.I | re.ASCII)
 _UNIT_US: Final = {"us": 1.0, "ms": 1e3, "s": 1e6, "min": 60e6, "h": 3600e6}
 
 

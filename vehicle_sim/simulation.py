@@ -147,8 +147,8 @@ class Simulation:
         """The autopilot's; a reboot makes new ones."""
         self._ids = ids_of(self._personality, self.parameters)
         self._radio.router.boot_as(*self._ids)
-        lidars = self._world.lidars
-        limits_m = (lidars[-1].min_m, lidars[-1].range_m) if lidars else (0.0, 0.0)
+        own = [each for each in self._world.lidars if each.output == "autopilot"]
+        limits_m = (own[0].min_m, own[0].range_m) if own else (0.0, 0.0)
         self._controller = FlightController(
             autopilot,
             self._radio,

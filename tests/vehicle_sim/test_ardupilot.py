@@ -23,6 +23,7 @@ from harness import (
     PLANE_HOME,
     PLANE_LOITER,
     PLANE_RTL,
+    PLANE_TAKEOFF,
     RTL,
     ArduCopter,
     ArduPlane,
@@ -224,6 +225,16 @@ def test_a_change_of_speed_limits_a_place_alone_and_is_forgotten_with_the_submod
     assert it.speed_m_s == approx(6.0, abs=0.2)
     it.aim((500.0, 0.0, -30.0))
     assert fastest_m_s(it, 12.0) == approx(10.0, abs=0.6)
+
+
+@pytest.mark.parametrize(("kind", "up_m", "speed_m_s"), [(2.0, 80.0, 1.0), (3.0, 10.0, 0.7)])
+def test_speeds_up_and_down_are_asked_for_by_themselves(
+    kind: float, up_m: float, speed_m_s: float
+) -> None:
+    it = hovering()
+    it.aim((0.0, 0.0, -up_m))
+    assert it.command(178, kind, speed_m_s) == ACCEPTED
+    assert abs(it.run(6.0).vehicle.velocity_up_m_s) == approx(speed_m_s, abs=0.1)
 
 
 def test_an_acceleration_alone_is_flown_until_the_time_out() -> None:
@@ -511,6 +522,34 @@ def test_without_gps_a_plane_levels_its_wings_and_stays_in_its_mode() -> None:
     rig.gps_conditions = GpsConditions()
     assert from_home_m(rig.run(60.0)) < 1000.0
     assert rig.autopilot.estimate.position_ok
+
+
+@pytest.mark.parametrize("mode", [PLANE_LOITER, PLANE_RTL, PLANE_GUIDED])
+def test_a_plane_that_glides_without_gps_levels_off_in_a_mode_that_flies_by_itself(
+    mode: int,
+) -> None:
+    rig = circling()
+    rig.set_mode(FBWA)
+    rig.gps_conditions = GpsConditions(enabled=False)
+    rig.run(10.0).set_mode(mode)
+    height_m = rig.run(5.0).height_m
+    assert rig.run(15.0).height_m == approx(height_m, abs=3.0)
+
+
+def test_a_take_off_of_a_plane_waits_for_a_position() -> None:
+    rig = ArduPlane()
+    rig.run(4.0).set_mode(PLANE_TAKEOFF)
+    assert rig.command(400, 1.0, 2989.0) == ACCEPTED
+    assert rig.run(3.0).vehicle.stands
+    rig.until(lambda: rig.height_m > 40.0, 60.0)
+
+
+def test_a_plane_in_manual_returns_when_its_ground_station_is_lost() -> None:
+    rig = circling()
+    rig.autopilot.parameters["FS_GCS_ENABL"] = 1
+    rig.autopilot.on_heartbeat(Sender(255, component=190), 6)
+    rig.set_mode(MANUAL)
+    assert [rig.run(seconds).mode for seconds in (4.5, 1.0)] == ["MANUAL", "RTL"]
 
 
 # --- the fence ------------------------------------------------------------------------------------

@@ -126,6 +126,8 @@ def test_home_can_be_moved_but_not_to_nowhere() -> None:
     assert results == [ACCEPTED, REJECTED, REJECTED]
     home = rig.autopilot.home
     assert (home.latitude_deg, home.altitude_amsl_m) == (47.4, 500.0)
+    assert rig.command(179) == REJECTED  # 0, 0 is no place
+    assert rig.autopilot.home is home
 
 
 def test_a_take_off_goes_to_its_usual_height_and_ends_in_hold() -> None:
@@ -133,6 +135,15 @@ def test_a_take_off_goes_to_its_usual_height_and_ends_in_hold() -> None:
     assert rig.command(22, 0.0, 0.0, 0.0, *[NAN] * 4) == rig.command(400, 1.0) == ACCEPTED
     assert rig.until(lambda: rig.mode == "Hold", 20.0) == about(7.8, 0.3)
     assert rig.height_m == about(2.5, 0.3)
+
+
+@pytest.mark.parametrize("altitude_m", [30.0, 500.0])
+def test_a_take_off_leads_nowhere_down(altitude_m: float) -> None:
+    """Of an altitude above the sea below where it is; and the hold after it stays there, too."""
+    rig = hover(30.0)
+    assert rig.command(22, 0.0, 0.0, 0.0, NAN, NAN, NAN, altitude_m, frame=0) == ACCEPTED
+    assert rig.run(20.0).height_m == about(30.0, 1.0)
+    assert rig.mode == "Hold"
 
 
 def test_it_lands_disarms_two_seconds_later_and_can_be_flown_again() -> None:

@@ -70,6 +70,7 @@ class Vehicle:
         (OTHER, 2, text(), "01AR"),
         (COMPANION, 1, text(id=5), "02AR"),  # two on a link do not see each other
         *((GCS, 0, BEAT, "12AR"), (GCS, 0, SYNC, "12AR")),
+        (GCS, 2, BEAT, "1AR"),  # of who is on two links it would go round
         # never passed on
         *((GCS, 0, key(1, 1), "A"), (GCS, 0, key(0, 0), "AR"), (GCS, 0, key(2, 1), "")),
         (GCS, 0, RADIO, "AR"),

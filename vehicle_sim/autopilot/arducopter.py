@@ -249,11 +249,21 @@ class ArduCopter(ArduPilot):
         return Result.ACCEPTED
 
     def _change_speed(self, command: Command) -> Result:
-        """Of the present submode only: beginning another one reads the parameters again."""
-        speed_m_s = command.parameters[1]
+        """Level, up (type 2) or down (3); of the present submode only.
+
+        Beginning another one reads the parameters again.
+        """
+        kind, speed_m_s = command.parameters[:2]
         if not 0.0 < speed_m_s < math.inf:
             return Result.FAILED
-        self._speeds_m_s = (speed_m_s, *self._speeds_m_s[1:])
+        level, up, down = self._speeds_m_s
+        if kind == 2.0:
+            up = speed_m_s
+        elif kind == 3.0:
+            down = speed_m_s
+        else:
+            level = speed_m_s
+        self._speeds_m_s = (level, up, down)
         return Result.ACCEPTED
 
     def _reposition(self, command: Command) -> Result:

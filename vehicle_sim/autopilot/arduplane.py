@@ -59,6 +59,7 @@ _HELD_M_S = (0.0, 10.17, 20.34, 22.70, 26.83, 33.0, 330.0)
 23.5, 25 at 27.7 m/s, all at 600 m above the sea (ardupilot.md 7); thin air adds 3 %."""
 _LIFT_OFF_SHARE: Final = 0.86  # of the cruising airspeed
 _CLIMB_AIRSPEED: Final = 1.225  # at full throttle and nose up, over cruising airspeed
+_AIMED_M_S: Final = 5.0  # ground speed at which TAKEOFF settles where it goes
 _LEVEL_RAD, _LEVEL_M = math.radians(5.0), 20.0
 """Bank below this height of a take-off, at most (LEVEL_ROLL_LIMIT, TKOFF_LVL_ALT)."""
 _REACHED_M: Final = 2.0  # a take-off is over so much below its height
@@ -107,6 +108,7 @@ class ArduPlane(FixedWing, ArduPilot):
     def begin(self) -> None:
         """What was told before is forgotten; without anything new it circles here."""
         here, p, self._asked_m_s, self.leg = self.estimate.place, self.parameters, None, None
+        self.wanted_climb_m_s = None
         self.route.stop()
         self.circle(here)
         self.wanted_height_m = here.altitude_amsl_m
@@ -166,10 +168,13 @@ class ArduPlane(FixedWing, ArduPilot):
         return self.is_at(Does.LAND)
 
     def on_failsafe(self, cause: str, action: int) -> None:
-        """It returns, but not from MANUAL, nor from AUTO for GCS, nor from a landing for power."""
-        is_auto, no_action = self.mode.name == "AUTO", action not in (1, 2)
-        stays = {"GCS": self.landed or is_auto, "Battery": no_action or self.lands()}
-        if self.mode.name != "MANUAL" and not stays.get(cause, False):
+        """It returns; not from MANUAL for a fence, AUTO for GCS, nor a landing for power."""
+        stays = {
+            "GCS": self.landed or self.mode.name == "AUTO",
+            "Battery": action not in (1, 2) or self.lands(),
+            "Fence": self.mode.name == "MANUAL",
+        }
+        if not stays.get(cause, False):
             self.set_mode("RTL")
         if cause == "GCS":
             self.say(4, f"GCS Failsafe On: {self.mode.name}")
@@ -270,7 +275,10 @@ class ArduPlane(FixedWing, ArduPilot):
         self.rotates_m_s = _LIFT_OFF_SHARE * cruise_m_s
 
     def _navigate(self) -> None:
-        """By itself: along its aim."""
+        """By itself: along its aim; a take-off begins where it starts to roll."""
+        waits = self.plane.stands and abs(self.velocity) < _AIMED_M_S
+        if waits and self.armed and self.mode.name == "TAKEOFF":
+            self.begin()
         self.fly_legs()
         if self.mode.name == "AUTO" and self.route.leg is None and not self.plane.stands:
             self.set_mode("RTL")
@@ -292,6 +300,10 @@ class ArduPlane(FixedWing, ArduPilot):
             self.bank_rad = 0.0
         elif self.is_at(Does.CLIMB) and climbed_m < _LEVEL_M:
             self.bank_rad = min(max(self.bank_rad, -_LEVEL_RAD), _LEVEL_RAD)
+
+    def wants_up(self) -> bool:
+        """A take-off; it does not begin without a position."""
+        return super().wants_up() and (self.estimate.position_ok or not self.plane.stands)
 
     def climbs_out(self) -> bool:
         """Whether a take-off goes on."""

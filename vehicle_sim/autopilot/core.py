@@ -440,10 +440,10 @@ class Autopilot:
         return Place(latitude_deg, longitude_deg, height_m)
 
     def _set_home(self, command: Command) -> Result:
-        """DO_SET_HOME: here if p1 is 1."""
-        place = self.estimate.place if self.estimate.position_ok else None
-        if command.parameters[0] != 1.0:
-            place = self.place_of(command)
+        """DO_SET_HOME: here if p1 is 1, and to ArduPilot if no place is given; 0, 0 is none."""
+        p, place = command.parameters, self.estimate.place if self.estimate.position_ok else None
+        if p[0] != 1.0 and (self.is_px4 or any(p[4:])):
+            place = self.place_of(command) if any(p[4:6]) else None
         if place is None or self.estimate.origin is None:
             return self.firmware.refused
         self.home = place

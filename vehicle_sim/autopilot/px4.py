@@ -199,7 +199,7 @@ class Px4(core.Autopilot):
         p = self.parameters
         self._check_estimate()
         if self.mode.name == "Takeoff" and self.route.leg is None:  # COM_TAKEOFF_ACT 0
-            self.set_mode("Hold", self.asked)
+            self.set_mode("Hold", self.asked.at(_NAN))  # never down
         if self.armed:
             left, lost_s = self.battery.remaining, self.now_s - self.station_s
             lost = p["COM_DL_LOSS_T"] < lost_s < math.inf
@@ -297,7 +297,8 @@ class Px4(core.Autopilot):
             case "Takeoff":  # never down
                 up_m = self.base.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
                 place = self.asked_or(here.at(up_m))
-                place = place.at(max(place.altitude_amsl_m, here.altitude_amsl_m))
+                if place.altitude_amsl_m < here.altitude_amsl_m:
+                    place = place.at(up_m if self.landed else here.altitude_amsl_m)
                 legs = [Leg(Does.CLIMB, place, self.taken_off_s, RETURN)]
             case "Hold":
                 place = self.asked_or(self.stops_at())
@@ -393,6 +394,7 @@ class Px4(core.Autopilot):
             return Result.DENIED
         if self.mode.name != "Hold" and not (math.isfinite(flags) and int(flags) & 1):
             return Result.UNSUPPORTED
+        yaw_rad = yaw_rad if math.isfinite(yaw_rad) else _NAN
         return self.done(self.set_mode("Hold", asked, yaw_rad))
 
     def _change_speed(self, command: Command) -> Result:

@@ -14,7 +14,15 @@ from typing import Any, Final, NamedTuple, final
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.core import Autopilot
-from vehicle_sim.autopilot.values import Command, Place, Reply, Sender, SendMessage, SendTelemetry
+from vehicle_sim.autopilot.values import (
+    Ack,
+    Command,
+    Place,
+    Reply,
+    Sender,
+    SendMessage,
+    SendTelemetry,
+)
 from vehicle_sim.plans import FENCE_COMMANDS, PlanItem, PlanKind, is_whole_fence
 from vehicle_sim.wire.frames import make
 
@@ -34,6 +42,8 @@ _NOWHERE: Final = 0x7FFFFFFF
 _MOST: Final = 724
 """Items of a list: as many as a mission of ArduPilot's holds."""
 _ALL_KINDS: Final = 255
+_AGAIN_US: Final = 500_000
+"""For items that are not the next it asks no sooner: copies of frames would multiply."""
 _GUIDED: Final = 2
 """``current`` of an item that is not for the list: fly there now, as DroneKit says it."""
 _WAYPOINT, _DO_REPOSITION, _MISSION_CURRENT = 16, 192, 42
@@ -83,8 +93,12 @@ class Missions:
     def __init__(self, autopilot: Autopilot) -> None:
         self._autopilot, self._plans = autopilot, autopilot.plans
         self._upload: _Upload | None = None
+        self._asked_us = 0
+        """When it asked last."""
+        self._last: tuple[Sender, PlanKind, int] | None = None
+        """The item that completed the newest upload."""
 
-    def on_message(self, message: Any, sender: Sender, _: int) -> list[Reply]:
+    def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Reply]:
         """Answer one of MESSAGES."""
         name = message.get_type()
         if name == "MISSION_SET_CURRENT":
@@ -98,9 +112,9 @@ class Missions:
         kind = kinds[0]
         match name:
             case "MISSION_COUNT":
-                return self._on_count(message.count, kind, sender)
+                return self._on_count(message.count, kind, sender, now_us)
             case "MISSION_ITEM" | "MISSION_ITEM_INT":
-                return self._on_item(message, kind, sender)
+                return self._on_item(message, kind, sender, now_us)
             case "MISSION_REQUEST_LIST":
                 told = (len(self._plans[kind]), kind)
                 return [_said(sender, "MISSION_COUNT", *told, identity=self._id_of(kind))]
@@ -112,17 +126,18 @@ class Missions:
 
     # --- upload -------------------------------------------------------------------------------
 
-    def _on_count(self, count: int, kind: PlanKind, sender: Sender) -> list[Reply]:
-        self._upload = None  # who begins again, or another client, takes its place
+    def _on_count(self, count: int, kind: PlanKind, sender: Sender, now_us: int) -> list[Reply]:
+        self._upload = self._last = None  # who begins again, or another client, takes its place
         if count > _MOST:
             return [_ack(sender, mavlink.MAV_MISSION_NO_SPACE, kind)]
         if count == 0:
             return self._complete(kind, (), sender)
         self._upload = _Upload(sender, kind, count, [])
-        return self._ask(self._upload)
+        return self._ask(self._upload, now_us)
 
-    def _ask(self, upload: _Upload) -> list[Reply]:
+    def _ask(self, upload: _Upload, now_us: int) -> list[Reply]:
         """Ask for the next item."""
+        self._asked_us = now_us
         asks = "MISSION_REQUEST_INT" if self._autopilot.is_px4 else "MISSION_REQUEST"
         return [_said(upload.sender, asks, len(upload.items), upload.kind)]
 
@@ -131,24 +146,27 @@ class Missions:
         self._upload = None
         return [_ack(upload.sender, why, upload.kind)]
 
-    def _on_item(self, message: Any, kind: PlanKind, sender: Sender) -> list[Reply]:
-        upload, item = self._upload, _read(message, kind)
+    def _on_item(self, message: Any, kind: PlanKind, sender: Sender, now_us: int) -> list[Reply]:
+        upload, item, this = self._upload, _read(message, kind), (sender, kind, message.seq)
         if message.current == _GUIDED and isinstance(item, PlanItem):
             to = (-1.0, 0.0, 0.0, math.nan, item.x / 1e7, item.y / 1e7, item.z_m)
             command = Command(sender, 0, _DO_REPOSITION, to, item.frame)
-            return [*self._autopilot.on_command(command), _ack(sender, _ACCEPTED, kind)]
-        if upload is None or (sender, kind) != (upload.sender, upload.kind):
+            told = [each for each in self._autopilot.on_command(command) if type(each) is not Ack]
+            return [*told, _ack(sender, _ACCEPTED, kind)]
+        if upload is None and this == self._last:  # the acknowledgement was lost
+            return [_ack(sender, _ACCEPTED, kind, self._id_of(kind))]
+        if upload is None or this[:2] != (upload.sender, upload.kind):
             return [_ack(sender, _ERROR, kind)]
-        if message.seq != len(upload.items):
-            return self._ask(upload)  # it comes twice, or what was asked for got lost
+        if message.seq != len(upload.items):  # it comes twice, or what was asked for got lost
+            return self._ask(upload, now_us) if now_us - self._asked_us >= _AGAIN_US else []
         if not isinstance(item, PlanItem):
             return self._fail(upload, item)
         upload.items.append(item)
         if len(upload.items) < upload.size:
-            return self._ask(upload)
+            return self._ask(upload, now_us)
         if kind is PlanKind.FENCE and not is_whole_fence(upload.items):
             return self._fail(upload, _ERROR)
-        self._upload = None
+        self._upload, self._last = None, this
         return self._complete(kind, tuple(upload.items), sender)
 
     def _complete(self, kind: PlanKind, items: tuple[PlanItem, ...], sender: Sender) -> list[Reply]:

@@ -57,6 +57,8 @@ class Router:
         forwards = self._forwards_all or system == self.ids[0]
         if forwards and message.get_type() not in _NEVER_FORWARDED:
             links = self._links_to(system, component) - {sender.link}
+            if message.get_type() == "HEARTBEAT":  # of who is on two links it would go round
+                links -= {each.link for each in self._routes if each[:2] == sender[:2]}
         to_autopilot = ours and component in (None, 0, self.ids[1])
         to_radar = ours and self._radar is not None and component in (None, 0, self._radar)
         return Route(links, to_autopilot, to_radar)
