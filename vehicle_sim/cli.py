@@ -197,9 +197,10 @@ def _with_parameters(world: World, assignments: list[str], speedup: float) -> Wo
     vehicle, added = world.vehicle, dict[str, float]()
     for text in assignments:
         name, _, value = text.partition("=")
+        added[name] = math.nan
         with suppress(ValueError):
             added[name] = float(value)
-        if not math.isfinite(added.get(name, math.nan)):
+        if not math.isfinite(added[name]):
             rule = "must be NAME=VALUE with a finite number"
             raise InputError("--param", text, rule, "Try GUID_TIMEOUT=1.")
     longer = dict[str, float]()

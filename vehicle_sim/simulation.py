@@ -145,8 +145,7 @@ class Simulation:
         autopilot.battery = self._battery
         self.parameters: Parameters = autopilot.parameters
         """The autopilot's; a reboot makes new ones."""
-        self._ids = ids_of(self._personality, self.parameters)
-        self._radio.router.boot_as(*self._ids)
+        self._radio.router.boot_as(*ids_of(self._personality, self.parameters))
         own = [each for each in self._world.lidars if each.output == "autopilot"]
         limits_m = (own[0].min_m, own[0].range_m) if own else (0.0, 0.0)
         self._controller = FlightController(
@@ -179,7 +178,7 @@ class Simulation:
     @property
     def system_id(self) -> int:
         """Of the vehicle."""
-        return self._ids[0]
+        return self._radio.router.ids[0]
 
     @property
     def mode_name(self) -> str:
@@ -327,7 +326,7 @@ class Simulation:
             case "ground_fence":
                 controller.add_to_fence(ground_station.new_fence(said, self.vehicle))
             case _ if said.to_autopilot:
-                order = ground_station.order(said, self.vehicle, *self._ids)
+                order = ground_station.order(said, self.vehicle, *self._radio.router.ids)
                 controller.receive(order, ground_station.STATION, self.now_us)
             case _:
                 to = self.system_id, self.companion.component if self.companion else 0

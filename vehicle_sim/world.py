@@ -48,7 +48,8 @@ def _rising(pair: tuple[float, float]) -> tuple[float, float]:
     return pair
 
 
-_Range = Annotated[tuple[_Positive, _Positive], AfterValidator(_rising)]
+_Size = Annotated[_Positive, Field(le=1e5)]
+_Range = Annotated[tuple[_Size, _Size], AfterValidator(_rising)]
 """Least and most."""
 _MISSING: Final = ("is missing", "Write it into the world file.")
 
@@ -87,7 +88,7 @@ class TerrainTable(_Table):
     combine: Combine = "maximum"
     ground_amsl_m: _Altitude | None = None
     peaks: tuple[Peak, ...] = ()
-    file: _Name | None = None
+    file: Annotated[_Name, Field(max_length=255)] | None = None
     """Beside the world file."""
     vertical_datum: _Name | None = None
     """Of the file, for readers: its heights are taken as they are."""
@@ -388,7 +389,7 @@ def read_world(path: Path) -> World:
     """The world in this file; InputError says what is wrong with it."""
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:  # also what is no text, or no TOML
+    except (OSError, ValueError, RecursionError) as error:  # also what is no text, or no TOML
         rule = f"cannot be read ({error})"
         raise InputError("WORLD", str(path), rule, "Name a world.toml.") from None
     world = parse_world(table)

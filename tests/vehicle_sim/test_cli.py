@@ -45,6 +45,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
         (["--home", "47,8"], ["--home = '47,8'", "LAT,LON,ALT,HEADING"]),
         (["--home", "97,8,0,0"], ["--home = '97,8,0,0'", "85 deg"]),
         (["--param", "GUID_TIMEOUT"], ["--param = 'GUID_TIMEOUT'", "NAME=VALUE"]),
+        (["--param", "GUID_TIMEOUT=1", "--param", "GUID_TIMEOUT=a"], ["TIMEOUT=a'", "NAME=VALUE"]),
         (["--param", "GUID_TIMEOUTS=1"], ["GUID_TIMEOUTS = 1.0", "Did you mean GUID_TIMEOUT?"]),
         (["--param", "MAV_SYSID=4.5"], ["MAV_SYSID = 4.5", "whole number"]),
         (["--autopilot", "px4", "--param", "MAV_COMP_ID=255"], ["MAV_COMP_ID = 255.0", "1 to 254"]),

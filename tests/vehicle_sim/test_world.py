@@ -56,6 +56,8 @@ def lidar(which: str = "lidar", **fields: Any) -> Table:
         (wood(east_min_m=95.0), "woods.0 ... least must lie below"),
         (wood(spacing_m=[0.01, 1.0]), "woods.0.spacing_m ... 200000 trees"),
         (wood(spacing_m=[8.0, 4.0]), "woods.0.spacing_m ... least first"),
+        (wood(spacing_m=[1.0, 1e200]), "woods.0.spacing_m.1 = 1e+200 ... less than or equal to"),
+        ({"terrain": {"file": "a" * 300}}, "terrain.file ... at most 255"),
         (lidar() | lidar("second_lidar"), "lidar.component_id ... another lidar's"),
         (lidar(min_m=9.0), "lidar.min_m = 9.0 ... range_m"),
         (lidar(component_id=100), "lidar.component_id ... radar"),
@@ -79,7 +81,11 @@ def test_what_is_wrong_is_named_with_its_remedy_in_one_line(
     assert all(word in message for word in words.split(" ... ")), message
 
 
-@pytest.mark.parametrize("content", [b"not toml [", b"[targets]\nx = 1\n", b"", b"\xff\xfe\x00"])
+@pytest.mark.parametrize(
+    "content",
+    [b"not toml [", b"[targets]\nx = 1\n", b"", b"\xff\xfe\x00", b"a = " + b"[" * 5000],
+    ids=range(5),
+)
 def test_what_is_no_world_file_or_cannot_be_read_is_refused_in_one_line(
     tmp_path: Path, content: bytes
 ) -> None:
