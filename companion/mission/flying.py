@@ -287,7 +287,7 @@ def _accept(state: State, stage: phases.Flying, planned: Planned) -> None:
     if stage.path is not None:
         stage.path.next_leg = leg
         return
-    stage.path = OnPath(leg=leg, circling=not hovers and not planned.is_escape)  # then at once
+    stage.path = OnPath(leg=leg, circling=not hovers)
     if stage.shortfall is not Reason.RADAR_SILENT or flight.homeward:
         flight.failures = 0  # blind, about what is known, it could fly for ever
     stage.search, stage.shortfall = None, Reason.NO_PLAN
