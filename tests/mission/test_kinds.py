@@ -27,6 +27,7 @@ from companion.mission.following import outside_m
 from companion.mission.mission import EndAction
 from companion.mission.phases import Phase, Reason
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
+from companion.planner.request import Planned, PlanRequest
 from companion.world.zones import CircleZone
 
 FIRST = {
@@ -166,9 +167,21 @@ def test_what_is_restored_is_what_was_kept() -> None:
 # --- planes
 
 
+@pytest.mark.parametrize("is_escape", [False, True])
 @PLANES
-def test_a_plane_leaves_its_circle_when_it_flies_the_way_of_its_path(traits: VehicleTraits) -> None:
-    wild = Wild.calmly(traits).run_until(lambda wild: wild.state.leg is not None)
+def test_a_plane_leaves_its_circle_when_it_flies_the_way_of_its_path(
+    traits: VehicleTraits, is_escape: bool
+) -> None:
+    """A straight way out, too: begun at once, it came round on the far side of what is proven."""
+    wild = Wild.calmly(traits)
+    searched = wild.towards
+
+    def towards(request: PlanRequest) -> Planned:
+        planned = searched(request)
+        return replace(planned, terms={}) if is_escape else planned
+
+    wild.towards = towards
+    wild.run_until(lambda wild: wild.state.leg is not None)
     assert wild.state.path.circling
     assert all(setpoint.stay for setpoint in wild.sent(Setpoint))
     wild.run_until(lambda wild: not wild.state.path.circling)
