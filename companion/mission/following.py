@@ -31,7 +31,6 @@ _SENT_LATELY_S = 1.0
 _AT_TARGET_M = 1.0  # nearer to it, the direction to it is that of an error
 _LONGEST_LEAD = 1.3  # of what the path's tail was made for
 _AT_END = 1.2  # loiter radii
-_BEYOND = 0.25  # loiter radii: if it is left there, the circle that it then flies is proven
 
 _SPACING_M = 1.0
 _MAX_SAMPLES = 1000
@@ -219,11 +218,10 @@ def send_setpoint(state: State, path: OnPath, event: Position, turn: Turn) -> No
     ahead_n, ahead_e, ahead_u = pose.tangent_nea.tolist()
     velocity = speed * ahead_n, speed * ahead_e, speed * ahead_u
     if stays and leg.reaches_target:  # sent to the target itself it swerves aside
-        beyond_m = min(beyond_m, _BEYOND * state.task.limits.loiter_radius_m)
+        beyond_m = min(beyond_m, leg.past_target_m)
         stays = False
         north_m += beyond_m * ahead_n
         east_m += beyond_m * ahead_e
-        altitude_m += beyond_m * ahead_u
     if (offset := path.offset) is not None:
         aside, drift = offset.position_nea_m.tolist(), offset.velocity_nea_m_s.tolist()
         north_m, east_m, altitude_m = north_m + aside[0], east_m + aside[1], altitude_m + aside[2]
@@ -313,15 +311,24 @@ def come_to_rest(state: State, hover_nea_m: Vector | None = None) -> None:
 
 
 def rest_at_end(state: State) -> None:
-    """At rest at the end of its leg, at its stop, or at its hover."""
-    path = state.path
-    come_to_rest(state, state.flight.hover_nea_m if path is None else end_of(path))
+    """At rest at the end of its leg, at its stop, or at its hover: of what was flown the end, too.
+
+    A plane goes on to circle the end from some way before it.
+    """
+    path, hover_nea_m = state.path, state.flight.hover_nea_m
+    if path is not None:
+        path.reference, hover_nea_m = Reference(length_m=end_m(path)), end_of(path)
+    come_to_rest(state, hover_nea_m)
+
+
+def end_m(path: OnPath) -> float:
+    """The length flown at the end of a leg, or at the stop before it."""
+    return path.leg.subpath.length_m if path.stop is None else path.stop.at_m
 
 
 def end_of(path: OnPath) -> Vector:
-    """The end of a leg, or the stop before it."""
-    end_m = path.leg.subpath.length_m if path.stop is None else path.stop.at_m
-    return path.leg.subpath.pose(end_m).point_nea_m
+    """The place there."""
+    return path.leg.subpath.pose(end_m(path)).point_nea_m
 
 
 def send_hold(state: State, time_s: float, turn: Turn) -> None:

@@ -39,6 +39,7 @@ _PROJECTIONS = 2  # to the nearest point of a path that hardly bends over a trac
 _LEAVES = math.cos(math.radians(25.0))  # a plane leaves its circle when it flies so along the path
 _LEEWAY, _LEEWAY_M = 2e-3, 0.01
 """Of the required distance, and metres besides: a certificate is not exact either (to 1 %)."""
+_PAST_TARGET = 0.25  # loiter radii: so far ahead of it, ArduPlane swerves by some 15 m
 _BAND_SLACK_M = 0.5  # a ceiling above home moves that much with where the autopilot has its home
 _BAND_SAMPLES = 100
 """A leg climbs by less than its climb angle over 1 % of its length between two of them."""
@@ -167,6 +168,16 @@ class Leg:
         length_m, at = self.subpath.length_m, self.leaving
         end_nea_m = self.subpath.pose(length_m).point_nea_m
         return Rest(length_m=length_m - at.length_m, end_nea_m=end_nea_m, speed_m_s=at.speed_m_s)
+
+    @property
+    def past_target_m(self) -> float:
+        """How far past its end, the target, a plane is sent: to that itself it would swerve aside.
+
+        Left there, it circles a place so far from the last one that was proven: by as much less is
+        it clear of terrain and zones, and still is no nearer than a dead-man stretch may come.
+        """
+        spare_m = self.task.required_clearance_m - self.motion.contact_m
+        return min(_PAST_TARGET * self.task.limits.loiter_radius_m, max(spare_m, 0.0))
 
     # --- what bars the rest of it: what was proven stays proven, but for what is new or stricter
 

@@ -114,6 +114,11 @@ def proven(leg: Leg, *, from_rest: bool, near_m: float = 0.0) -> Proven:
     near = np.clip(near_m + np.linspace(-motion.lag_m, motion.lag_m, _SAMPLES // 4), 0.0, length_m)
     at_m = np.union1d(np.linspace(0.0, length_m, _SAMPLES), near)
     points = leg.subpath.points_nea_m(at_m)
+    if motion.loiter_m > 0.0 and leg.reaches_target:  # it is sent to points beyond it
+        last = leg.subpath.pose(length_m)
+        ahead = leg.past_target_m * last.tangent_nea * (1.0, 1.0, 0.0)
+        shares = np.linspace(0.0, 1.0, _SAMPLES // 8)[:, None]
+        points = np.concatenate([points, last.position_nea_m + shares * ahead])
     reaches = np.zeros_like(points)
     if motion.loiter_m == 0.0:
         for k, here_m in enumerate(at_m):
