@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import pytest
 from made_up import AWAY, EACH, PLANES, flying, position, tell
+from made_up_plans import not_planned
 from renewed import replace
 from wild import HOME_AMSL_M, Wild
 
@@ -188,6 +189,36 @@ def test_a_plane_leaves_its_circle_when_it_flies_the_way_of_its_path(
     tangent = wild.state.leg.subpath.pose(0.0).tangent_nea
     along = sum(a * b for a, b in zip(wild.velocity[:2], tangent, strict=False))
     assert along > 0.85 * math.hypot(*wild.velocity[:2])
+
+
+@PLANES
+def test_a_plane_that_holds_at_the_end_of_a_leg_returns_from_the_circle_that_it_flies(
+    traits: VehicleTraits,
+) -> None:
+    """It begins to circle the end from before it; what it flies back along begins at the end."""
+    wild = led(traits)
+    wild.answer = lambda r: wild.way_back(r) if r.flown is not None else not_planned(r)
+    circled = wild.fly_to(Phase.HOLDING).state.flight.hover_nea_m
+    assert tell(wild, OrderKind.RETURN) is OrderResult.ACCEPTED
+    wild.run_until(lambda wild: wild.state.path is not None)
+    assert wild.state.leg.subpath.pose(0.0).position_nea_m == pytest.approx(circled, abs=0.5)
+
+
+@PLANES
+@pytest.mark.parametrize("safety_m", [5.0, 50.0])
+def test_a_plane_is_sent_past_its_target_no_farther_than_leaves_it_clear(
+    traits: VehicleTraits, safety_m: float
+) -> None:
+    """Wherever it is sent last it circles: by so much nearer to terrain than about its path."""
+    task = Wild.calmly(traits).mission.task
+    settings = replace(task.settings, safety_distance_m=safety_m)
+    wild = Wild.calmly(traits, task=replace(task, settings=settings))
+    wild.run_until(lambda wild: wild.state.leg is not None and wild.state.leg.reaches_target)
+    end = wild.state.leg.subpath.pose(wild.state.leg.subpath.length_m)
+    wild.fly_to(Phase.ARRIVED)
+    past = [each.position_nea_m - end.position_nea_m for each in wild.sent(Setpoint)[:-1]]
+    past_m = max(float(each @ end.tangent_nea) for each in past)
+    assert 0.0 < past_m <= min(safety_m, 0.25 * task.limits.loiter_radius_m) + 1e-6
 
 
 @PLANES
