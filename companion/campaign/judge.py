@@ -97,7 +97,7 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
     count = len(known)
     if flight.mission.near is None:
         ready = [e for e in flight.journal if e["kind"] == "plan ready"]
-        subpaths = [np.array(e["control_nea_m"]) for e in ready]
+        subpaths = [(np.array(e["control_nea_m"]), e.get("speed_m_s")) for e in ready]
         # planned since then, in a wrong place or where the radar lied, one is right in shape only
         since_s = track.t_s[np.argmax(is_excused)] if is_excused.any() else math.inf
         before = sum(e["t_s"] < since_s for e in ready)
@@ -172,7 +172,7 @@ def of_track(track_nea_m: FloatArray, drawn: DrawnWorld) -> dict[str, Any]:
 
 
 def checked(
-    subpaths: Sequence[FloatArray],
+    subpaths: Sequence[tuple[FloatArray, float | None]],
     drawn: DrawnWorld,
     *,
     joined: bool = False,
@@ -181,16 +181,18 @@ def checked(
 ) -> dict[str, Any]:
     """Every metre of every subpath, its tail included, against the true world.
 
-    joined: each begins on the one before, or at its end, from rest.  bounds: only these, but for
-    the first so many subpaths (`whole`).
+    subpaths: control points, and the highest speed that each is flown at, as a copter turns the
+    tighter the slower it is; None: V.  joined: each begins on the one before, or at its end, from
+    rest.  bounds: only these, but for the first so many subpaths (`whole`).
     """
     task, violated, bad, least_m = drawn.task, list[str](), 0, math.inf
-    for number, control_nea_m in enumerate(subpaths, 1):
+    for number, (control_nea_m, speed_m_s) in enumerate(subpaths, 1):
         long_m = float(np.linalg.norm(np.diff(control_nea_m, axis=0), axis=-1).sum())
         curve = truth.sampled(control_nea_m, max(_SPACING_M, long_m / _MOST_POINTS))
         measures = truth.measure(curve, drawn.terrain, task)
-        broken = [*measures.violations(task)]
-        if joined and number > 1 and not truth.goes_over(subpaths[number - 2], control_nea_m, task):
+        broken = [*measures.violations(task.at_speed(speed_m_s))]
+        before = subpaths[number - 2][0]
+        if joined and number > 1 and not truth.goes_over(before, control_nea_m, task):
             broken.append("join")
         if bounds is not None and number > whole:
             broken = [name for name in broken if name in bounds]

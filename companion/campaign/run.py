@@ -169,7 +169,8 @@ def _planned(run: Run, folder: Path) -> dict[str, Any]:
         "plans": len(flown.plan_s),
         "holds": flown.whole.holds,
     }
-    subpaths = [leg.subpath.control_nea_m for leg in flown.whole.legs]  # tails included
+    legs = flown.whole.legs  # tails included
+    subpaths = [(leg.subpath.control_nea_m, leg.speed_m_s) for leg in legs]
     is_ours = planner in (None, OURS)
     if subpaths:
         found |= judge.of_track(flown.points_nea_m, drawn)

@@ -176,10 +176,25 @@ def test_only_subpaths_that_follow_each_other_have_to_join() -> None:
     world = drawn_world.bundled("environment-2")
     there = np.array([8e3, 20e3, 3_100.0])
     first, aside = LINE + there, LINE + there + [7e3, 300.0, 0.0]
-    alone = judge.checked([first, aside], world)
-    joined = judge.checked([first, aside], world, joined=True)
+    subpaths = [(first, None), (aside, None)]
+    alone = judge.checked(subpaths, world)
+    joined = judge.checked(subpaths, world, joined=True)
     assert "join" not in str(alone["violated"])
     assert "leg 2: join" in str(joined["violated"])
     assert joined["violations"] == alone["violations"] + (
         str(alone["violated"]).count("leg 2") == 0
     )
+
+
+@pytest.mark.parametrize(("speed_m_s", "violated"), [(None, "leg 1: turn radius"), (75.0, None)])
+def test_a_leg_may_bend_as_much_as_the_speed_that_it_is_proven_for_allows(
+    speed_m_s: float | None, violated: str | None
+) -> None:
+    """At half of V a copter turns with a quarter of its radius."""
+    world = drawn_world.bundled("environment-2")
+    radius_m = 0.5 * world.task.limits.turn_radius_m
+    turn = np.linspace(0.0, 1.0, 40)
+    arc = radius_m * np.column_stack([np.sin(turn), 1.0 - np.cos(turn), 0.0 * turn])
+    arc += np.array([8e3, 20e3, 3_100.0])
+    found = judge.checked([(arc, speed_m_s)], world)
+    assert found["violated"] == violated
