@@ -1,11 +1,11 @@
 """Text files as users have them: read, or refused in one line."""
 
+import contextlib
 import errno
 import json
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,16 @@ def read_text(path: Path, field: str, remedy: str) -> str:
     except OSError as error:
         rule = f"it cannot be read ({error})"
     raise InputError(field, str(path), rule, remedy)
+
+
+@contextlib.contextmanager
+def within(where: str, advice: str = "") -> Iterator[None]:
+    """Say of what is refused meanwhile in which file it is; advice: after the remedy."""
+    try:
+        yield
+    except InputError as error:
+        remedy = " ".join(filter(None, (error.remedy, advice)))
+        raise InputError(f"{where}: {error.field}", error.value, error.rule, remedy) from None
 
 
 def begins_as(path: Path, *beginnings: bytes) -> bool:
@@ -82,7 +92,7 @@ def writable(option: str, path: Path) -> Path:
     return path
 
 
-@contextmanager
+@contextlib.contextmanager
 def writing(option: str, path: Path) -> Iterator[None]:
     """Raise InputError about the option if what is done meanwhile cannot be written.
 
@@ -139,24 +149,20 @@ def plain(text: object, default: str, most: int = 60) -> str:
 
 
 def with_settings(table: RawTable, settings: Sequence[str]) -> RawTable:
-    """A table with other values of some keys, each "table.key=value", the value as in TOML.
+    """A table with other values of some keys, each "table.key=value" as TOML has it.
 
-    Raises InputError for what is not of that form; whether there is such a key is not checked.
+    People leave out the quotes of texts.  Raises InputError for what is not of that form; whether
+    there is such a key is not checked.
     """
     for setting in settings:
-        path, sign, text = setting.partition("=")
-        *above, last = [key.strip() for key in path.split(".")]
-        if not sign or not all([*above, last]):
+        key, sign, value = setting.partition("=")
+        for written in (setting, f"{key} = {_value(value.strip())}") if sign else ():
+            with contextlib.suppress(RecursionError, ValueError):
+                table = merged(table, tomllib.loads(written))
+                break
+        else:
             remedy = "Write it like planner.safety_distance_m=300."
             raise InputError("--set", setting, "it is not a key, an = and a value", remedy)
-        table = here = dict(table)
-        for key in above:
-            below = here.get(key)
-            here[key] = here = dict(below) if isinstance(below, dict) else {}
-        try:
-            here[last] = tomllib.loads(f"value = {text}")["value"]
-        except (RecursionError, ValueError):
-            here[last] = text.strip()  # a string: people leave out the quotes
     return table
 
 
@@ -178,11 +184,12 @@ def toml_text(table: RawTable) -> str:
     """A table of strings, numbers, truths, lists and tables as TOML; None is left out."""
     plain_lines, headed_lines = list[str](), list[str]()
     for key, value in table.items():
-        is_array = isinstance(value, list) and value and all(isinstance(v, dict) for v in value)
-        if isinstance(value, dict) or is_array:
-            heading = f"[[{_key(key)}]]" if is_array else f"[{_key(key)}]"
-            for row in value if is_array else [value]:
-                headed_lines += ["", heading, *_pairs(row)]
+        if isinstance(value, dict):
+            headed_lines += ["", f"[{_key(key)}]", *_pairs(value)]
+        elif isinstance(value, list) and value and all(isinstance(row, dict) for row in value):
+            headed_lines += [
+                line for row in value for line in ("", f"[[{_key(key)}]]", *_pairs(row))
+            ]
         else:
             plain_lines += _pairs({key: value})
     return "\n".join([*plain_lines, *headed_lines]) + "\n"
@@ -198,8 +205,6 @@ def _key(key: str) -> str:
 
 def _value(value: object) -> str:
     match value:
-        case bool():
-            return "true" if value else "false"
         case str():
             fit = value.encode("utf-8", "replace").decode()  # half a surrogate is no character
             return json.dumps(fit, ensure_ascii=False).replace("\x7f", "\\u007f")
@@ -207,6 +212,8 @@ def _value(value: object) -> str:
             return f"[{', '.join(map(_value, value))}]"
         case dict():
             return f"{{{', '.join(_pairs(value))}}}"
+        case bool():
+            return json.dumps(value)
         case _:
             return str(value)
 

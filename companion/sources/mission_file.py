@@ -4,7 +4,7 @@ A mission may name a .plan, a GeoJSON file and an elevation file.  The first two
 table itself (`complete`), so that a run folder holds all that was flown.
 """
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -18,27 +18,25 @@ from companion.mission.mission import Mission
 from companion.path.envelope import COPTER, PLANE
 from companion.path.limits import Limits
 from companion.planner import rules
-from companion.planner.settings import PlannerSettings, Task
+from companion.planner.settings import Place, PlannerSettings, Task
 from companion.profiles import PROFILES, Weights
-from companion.sources.files import WAYPOINTS, RawTable, begins_as, plain
-from companion.sources.geojson import NoZone, read_geojson
-from companion.sources.mission_schema import (
-    KnownElevationTable,
+from companion.sources.files import WAYPOINTS, RawTable, begins_as, plain, within
+from companion.sources.mission_tables import (
     MissionTable,
     StatedTable,
     TargetTable,
     ThreatsTable,
+    known_terrain,
 )
-from companion.sources.plan_defaults import with_plan
 from companion.sources.plan_file import (
     Ground,
-    Zones,
     read_plan,
     read_waypoint_fence,
     read_waypoint_list,
+    with_plan,
 )
-from companion.sources.schema import validated
-from companion.sources.zones import Place, place_of, radar_of, zones_of
+from companion.sources.tables import validated
+from companion.sources.zones import Zones, read_geojson, zones_of
 from companion.world.columns import distance_to_terrain_m
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.near_map import cell_for_m
@@ -64,9 +62,7 @@ def complete(given: RawTable, folder: Path, where: str) -> MissionFile:
         table, notes = _with_plan(given, folder, where)
     asked, terrain = given.get("threats"), given.get("terrain")
     if isinstance(asked, str | dict):
-        asked = {"file": asked} if isinstance(asked, str) else asked
-        chosen = validated(ThreatsTable, asked, f"{where}: threats")
-        threats = _threats(folder / chosen.file, f"{where}: threats", chosen.leave_out)
+        threats = _threats(asked, folder, f"{where}: threats")
         notes += threats.notes
         table = {key: value for key, value in table.items() if key != "threats"}
         for key, found in (("keep_outs", threats.keep_outs), ("keep_ins", threats.keep_ins)):
@@ -78,13 +74,19 @@ def complete(given: RawTable, folder: Path, where: str) -> MissionFile:
     return MissionFile(table=table, notes=tuple(notes), is_whole=table is given)
 
 
-def _threats(path: Path, where: str, leave_out: Collection[NoZone]) -> Zones:
-    """What a GeoJSON file or a list of QGC WPL 110 holds; leave_out: as for `read_geojson`."""
-    is_list = begins_as(path, WAYPOINTS)
-    threats = read_waypoint_fence(path, where) if is_list else read_geojson(path, where, leave_out)
-    if not (threats.keep_outs or threats.keep_ins):
-        threats.notes.append(f"{path.name}: it holds no zone")
-    return threats
+def _threats(asked: str | RawTable, folder: Path, where: str) -> Zones:
+    """What a GeoJSON file or a list of QGC WPL 110 holds."""
+    table = {"file": asked} if isinstance(asked, str) else asked
+    chosen = validated(ThreatsTable, table, where)
+    path = folder / chosen.file
+    zones: Zones
+    if begins_as(path, WAYPOINTS):
+        zones = read_waypoint_fence(path, where)
+    else:
+        zones = read_geojson(path, where, chosen.leave_out)
+    if not (zones.keep_outs or zones.keep_ins):
+        zones.notes.append(f"{path.name}: it holds no zone")
+    return zones
 
 
 def _with_plan(table: RawTable, folder: Path, where: str) -> tuple[RawTable, list[str]]:
@@ -106,21 +108,21 @@ def _ground(table: RawTable, folder: Path, where: str) -> Ground | None:
     """The ground that [terrain] knows, for altitudes above it; None: it says nothing."""
     if not isinstance(said := table.get("terrain"), dict):
         return None
-    if "highest_amsl_m" in said:
-        stated_m = validated(StatedTable, said, f"{where}: terrain").highest_amsl_m
-        return lambda *_: stated_m
-    terrain = validated(KnownElevationTable, said, f"{where}: terrain")
-    return terrain.elevation(folder, where).height_m
+    terrain = known_terrain(said, where)
+
+    def height_m(latitude_deg: float, longitude_deg: float) -> float | None:
+        with within(where):
+            return terrain.height_m(folder, latitude_deg, longitude_deg)
+
+    return height_m
 
 
-def mission_of(
-    model: MissionTable, profile: str | None, where: str, notes: tuple[str, ...] = ()
-) -> Mission:
+def mission_of(model: MissionTable, profile: str | None, notes: tuple[str, ...] = ()) -> Mission:
     """The mission that a checked table means; profile overrides the table's.
 
     Raises InputError for the first rule about the planner, a place or another file that is broken.
     """
-    vehicle, terrain = model.vehicle, model.terrain
+    vehicle, terrain, targets = model.vehicle, model.terrain, model.targets or []
     frame = LocalFrame(**dict(model.origin))
     near = model.scanner.sensor(model.planner.scan_range_m)
     stated_m = terrain.highest_amsl_m if isinstance(terrain, StatedTable) else None
@@ -137,8 +139,7 @@ def mission_of(
         handling=handling,
         convergence_rad=frame.convergence_rad(limits.north_m, limits.east_m),
         radars=tuple(
-            radar_of(radar, frame, f"{where}: radars[{index}]")
-            for index, radar in enumerate(model.radars)
+            radar.radar(frame, f"radars[{index}]") for index, radar in enumerate(model.radars)
         ),
         stated_ground_amsl_m=None if model.scans_ground else stated_m,
     )
@@ -147,48 +148,42 @@ def mission_of(
     if flown_m_s < asked_m_s:
         slower = f"R = {settings.scan_range_m:g} m is too short for V = {asked_m_s:g} m/s (eq. 4): "
         slower += f"it is flown at {flown_m_s:g} m/s; raise planner.scan_range_m to fly faster"
-    rules.refuse(rules.of_task(task), f"{where}: ")
-    zones, far = zones_of(model, task, frame, where)
+    rules.refuse(rules.of_task(task))
+    zones, far = zones_of(model.keep_outs, model.keep_ins, task, frame)
     task = replace(task, zones=zones)
+    places = list[Place]()
+    for number, target in enumerate(targets):
+        places.append(target.place(frame, _field(number, target)))
+        rules.refuse(rules.of_target(task, places[-1], _field(number, target)))
     said = (vehicle, model.end, model.fallback, model.battery, model.link, model.from_vehicle)
     as_written = {key: each for table in said for key, each in table.of(Mission).items()}
     if not model.scans_ground:
         as_written["scanner_component_id"] = None
-    about_ground, targets = "", model.targets or []
+    about_ground = ""
     if stated_m is not None:  # a person should be told once more before it is flown by
         about_ground = f"the ground is taken to be nowhere higher than {stated_m:g} m AMSL"
     mission = Mission(
         name=model.name,
         frame=frame,
-        targets_ne_m=_targets(model, task, frame, where),
+        targets_ne_m=tuple(places),
         altitudes_amsl_m=_carried_on([each.altitude_amsl_m for each in targets]),
         task=task,
         scanner_complete=model.scanner.scanner_complete,
         near=near,
-        known=_known_map(model, task, frame, where),
+        known=_known_map(model, task, frame),
         rally_ne_m=tuple(
-            place_of(point, frame, f"{where}: rally_points[{index}]")
+            point.place(frame, f"rally_points[{index}]")
             for index, point in enumerate(model.rally_points)
         ),
         notes=tuple(filter(None, (*notes, slower, far, about_ground))),
         **as_written,
     )
-    return replace(mission, notes=(*mission.notes, *_about_altitudes(mission, targets, where)))
+    return replace(mission, notes=(*mission.notes, *_about_altitudes(mission, targets)))
 
 
-def _targets(model: MissionTable, task: Task, frame: LocalFrame, where: str) -> tuple[Place, ...]:
-    found = []
-    for index, target in enumerate(model.targets or []):
-        field = _field(where, index, target)
-        place = place_of(target, frame, field)
-        rules.refuse(rules.of_target(task, place, field))
-        found.append(place)
-    return tuple(found)
-
-
-def _field(where: str, index: int, target: TargetTable) -> str:
+def _field(number: int, target: TargetTable) -> str:
     """How a target is called in errors."""
-    return f"{where}: targets[{index}]" + (f" ({target.name})" if target.name else "")
+    return f"targets[{number}]" + (f" ({target.name})" if target.name else "")
 
 
 def _limits(model: MissionTable) -> Limits:
@@ -206,27 +201,15 @@ def _settings(model: MissionTable, profile: str | None) -> PlannerSettings:
     return PlannerSettings(**as_written)
 
 
-def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -> KnownMap | None:
+def _known_map(model: MissionTable, task: Task, frame: LocalFrame) -> KnownMap | None:
     """The terrain known in advance, on the lattice of the mission's map."""
-    table = model.terrain
-    if table is None:
+    if model.terrain is None:
         return None
     blank = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
-    may_be_scanned, shape = model.vehicle.scanner, blank.upper_m.shape
-    if isinstance(table, KnownElevationTable):
-        told = table.elevation(Path(), where).known_map(
-            frame, blank, datum_error_m=table.datum_error_m, may_be_scanned=may_be_scanned
-        )
-    else:  # a radar, if there is one, may see it lower
-        told = replace(
-            blank,
-            upper_m=np.full(shape, table.highest_amsl_m),
-            seen=np.full(shape, not may_be_scanned),
-            given=np.ones(shape, dtype=bool),
-        )
+    told = model.terrain.known_map(frame, blank, may_be_scanned=model.vehicle.scanner)
     if task.settings.is_near:  # known is the ground, and nothing of what stands on it
         return replace(blank, guess_m=told.upper_m)
-    if isinstance(table, KnownElevationTable) and table.trust == "guidance":
+    if model.is_for_guidance:
         return replace(blank, guess_m=np.where(told.surveyed, told.upper_m, np.nan))
     return told
 
@@ -242,7 +225,7 @@ def _carried_on(altitudes_amsl_m: list[float | None]) -> tuple[float | None, ...
     return carried if carried and carried[-1] is not None else ()
 
 
-def _about_altitudes(mission: Mission, targets: list[TargetTable], where: str) -> Iterator[str]:
+def _about_altitudes(mission: Mission, targets: list[TargetTable]) -> Iterator[str]:
     """Where the targets' own altitudes are not flown, for a vehicle without a terrain radar.
 
     Raises InputError about a target that nothing of the band is high enough for, or whose ground
@@ -253,7 +236,7 @@ def _about_altitudes(mission: Mission, targets: list[TargetTable], where: str) -
         if table.altitude_amsl_m is not None and table.altitude_amsl_m >= top_m:
             rule = f"no path lies higher than {top_m:g} m, the ceiling less the vehicle's errors"
             remedy = "Lower it, or raise altitude.ceiling_amsl_m."
-            field = f"{where}: targets[{number}].altitude_amsl_m"
+            field = f"targets[{number}].altitude_amsl_m"
             raise InputError(field, table.altitude_amsl_m, rule, remedy)
     may_scan = mission.near is not None or mission.scanner_component_id is not None
     if mission.known is None or may_scan:
@@ -261,14 +244,13 @@ def _about_altitudes(mission: Mission, targets: list[TargetTable], where: str) -
     altitudes = mission.altitudes_amsl_m or (None,) * len(targets)
     places = zip(mission.targets_ne_m, altitudes, targets, strict=False)
     for number, (place, wanted_m, table) in enumerate(places):
-        field = _field(where, number, table)
         least_m = lowest_m if wanted_m is None else max(wanted_m, lowest_m)
-        flown_m = _clear_from_m(mission, place, least_m)
+        flown_m = _clear_from_m(mission.known, mission.task, place, least_m)
         if flown_m is None:
             top_m = mission.task.limits.ceiling_amsl_m
             rule = f"the ground there is not known, or too high for the ceiling, {top_m:g} m AMSL"
             remedy = "Move it, or correct [terrain] or altitude.ceiling_amsl_m."
-            raise InputError(field, list(place), rule, remedy)
+            raise InputError(_field(number, table), list(place), rule, remedy)
         if wanted_m is not None and flown_m - wanted_m > _MENTIONED_M:
             yield (
                 f"{table.name or f'target {number + 1}'} is planned at {wanted_m:g} m AMSL and "
@@ -276,12 +258,10 @@ def _about_altitudes(mission: Mission, targets: list[TargetTable], where: str) -
             )
 
 
-def _clear_from_m(mission: Mission, place: tuple[float, float], least_m: float) -> float | None:
+def _clear_from_m(known: KnownMap, task: Task, place: Place, least_m: float) -> float | None:
     """The lowest altitude from this one on that is clear of the ground; None: none in the band."""
-    assert mission.known is not None
-    top_m, required_m = mission.task.band_amsl_m[1], mission.task.required_clearance_m
+    top_m, required_m = task.band_amsl_m[1], task.required_clearance_m
     for up_m in np.arange(min(least_m, top_m), top_m, _STEP_M):
-        at = np.array([*place, up_m])
-        if distance_to_terrain_m(mission.known, at, required_m) >= required_m - 1e-6:
+        if distance_to_terrain_m(known, np.array([*place, up_m]), required_m) >= required_m - 1e-6:
             return float(up_m)
     return None

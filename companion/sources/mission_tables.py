@@ -7,13 +7,15 @@ that it becomes; where the file has another unit or name for it, that is its ali
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import fields, replace
+from pathlib import Path
 from typing import Annotated, Any, Final, Literal, get_args
 
+import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag
 from pydantic_core import PydanticCustomError
 
-from companion.geodesy import wrap_rad
+from companion.geodesy import LocalFrame, wrap_rad
 from companion.mavlink.autopilots import named
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
 from companion.mission.mission import EndAction, Fallback, Mission
@@ -22,19 +24,21 @@ from companion.path.limits import Limits, VehicleKind
 from companion.planner.rules import Broken
 from companion.planner.settings import PlannerSettings
 from companion.profiles import Weights
-from companion.ranges import Latitude, Longitude, NotNegative, Positive
-from companion.sources.geojson import NoZone
-from companion.sources.schema import (
+from companion.ranges import NotNegative, Positive
+from companion.sources.elevation import KnownElevationTable
+from companion.sources.files import RawTable
+from companion.sources.tables import (
     Altitude,
     AreaTable,
-    ElevationTable,
     FileName,
-    Horizontal,
     OriginTable,
     Table,
     broken_of,
     keys_of,
+    validated,
 )
+from companion.sources.zones import NoZone, PlaceTable, RadarTable, ZoneTable
+from companion.world.known_map import KnownMap
 from companion.world.near_map import Kind, NearSensor
 
 Name = Annotated[str, Field(min_length=1, max_length=100)]
@@ -52,33 +56,6 @@ class BandTable(Table):
     ceiling_amsl_m: Altitude
 
 
-class PlaceTable(Table):
-    """A place: north and east of the origin, or latitude and longitude."""
-
-    north_m: Horizontal | None = None
-    east_m: Horizontal | None = None
-    latitude_deg: Latitude | None = None
-    longitude_deg: Longitude | None = None
-
-    @property
-    def degrees(self) -> tuple[float, float] | None:
-        """Latitude and longitude, if it is given by these."""
-        if self.latitude_deg is None or self.longitude_deg is None:
-            return None
-        return self.latitude_deg, self.longitude_deg
-
-    @property
-    def given(self) -> list[str]:
-        """Which of them are given."""
-        return [key for key in PlaceTable.model_fields if getattr(self, key) is not None]
-
-    def broken(self) -> Iterator[Broken]:
-        """It is given by one of the pairs, and by all of that."""
-        if self.given not in (["north_m", "east_m"], ["latitude_deg", "longitude_deg"]):
-            rule = "a place is given by north_m and east_m, or by latitude_deg and longitude_deg"
-            yield "", self.given, rule, "Give one of these pairs."
-
-
 class TargetTable(PlaceTable):
     """A place to reach, at its altitude, or at any of the band."""
 
@@ -86,42 +63,11 @@ class TargetTable(PlaceTable):
     altitude_amsl_m: Altitude | None = None
 
 
-class MissionRadarTable(PlaceTable):
-    """A known radar."""
-
-    name: str
-    altitude_amsl_m: Altitude
-    range_m: Positive
-
-
-class ZoneTable(PlaceTable):
-    """A zone that is never entered, or never left: a circle or a polygon."""
-
-    name: str
-    radius_m: Positive | None = None
-    vertices_m: list[Annotated[list[Horizontal], Field(min_length=2, max_length=2)]] | None = None
-    vertices_deg: list[Annotated[list[Longitude], Field(min_length=2, max_length=2)]] | None = None
-    """Latitude, longitude of each corner."""
-
-    def broken(self) -> Iterator[Broken]:
-        """It is a circle about a place, or a polygon."""
-        shapes = [self.radius_m, self.vertices_m, self.vertices_deg]
-        if shapes.count(None) != 2 or bool(self.given) != (self.radius_m is not None):
-            remedy = "Give a place and radius_m, or three or more corners; see docs/files.md."
-            yield "", self.name, "a zone is a circle or a polygon", remedy
-        elif self.given:
-            yield from super().broken()
-        for number, (latitude, longitude) in enumerate(self.vertices_deg or []):
-            if abs(latitude) > 90.0:
-                rule = "out of range: latitude comes first, -90 to 90"
-                yield f"vertices_deg[{number}]", [latitude, longitude], rule, "Swap them."
-
-
 _SPEEDS = ("speed_m_s", "acceleration_m_s2", "climb_rate_m_s", "turn_radius_m")
 _ERRORS = ("tracking_error_m", "navigation_error_m", "dead_man_s")
 
 
-class MissionVehicleTable(
+class VehicleTable(
     keys_of(Mission, "autopilot", "system_id", "position_rate_hz", "rangefinder_error_m"),  # type: ignore[misc]
     keys_of(Limits, *_SPEEDS, *_ERRORS),  # type: ignore[misc]
 ):
@@ -282,13 +228,18 @@ class StatedTable(Table):
     highest_amsl_m: Altitude
     """The ground is nowhere higher than this."""
 
+    def height_m(self, _folder: Path, *_place_deg: float) -> float:
+        """The highest that it may be at a place, metres AMSL."""
+        return self.highest_amsl_m
 
-class KnownElevationTable(ElevationTable):
-    """Terrain known in advance from a file; where that has no height it is not."""
-
-    datum_error_m: NotNegative = 5.0
-    trust: Literal["proof", "guidance"] = "proof"
-    """What reads the file: certificates too, or only the choice of the way."""
+    def known_map(self, _frame: LocalFrame, blank: KnownMap, *, may_be_scanned: bool) -> KnownMap:
+        """A blank map with it everywhere; a radar, if there is one, may see it lower."""
+        return replace(
+            blank,
+            upper_m=np.full(blank.shape, self.highest_amsl_m),
+            seen=np.full(blank.shape, not may_be_scanned),
+            given=np.ones(blank.shape, dtype=bool),
+        )
 
 
 def _kind_of_terrain(table: Any) -> str:
@@ -300,6 +251,15 @@ KnownTerrain = Annotated[
     Annotated[StatedTable, Tag("(stated)")] | Annotated[KnownElevationTable, Tag("(file)")],
     Discriminator(_kind_of_terrain),
 ]
+
+
+class _TerrainAloneTable(Table):
+    terrain: KnownTerrain
+
+
+def known_terrain(table: RawTable, where: str) -> StatedTable | KnownElevationTable:
+    """The table [terrain] of a mission, checked by itself; InputError says what is wrong."""
+    return validated(_TerrainAloneTable, {"terrain": table}, where).terrain
 
 
 def _folder_name(name: str) -> str:
@@ -322,7 +282,7 @@ class MissionTable(Table):
     area: AreaTable
     altitude: BandTable
     targets: Annotated[list[TargetTable], Field(min_length=1)] | None = None
-    vehicle: MissionVehicleTable
+    vehicle: VehicleTable
     scanner: ScannerTable = ScannerTable()
     planner: PlannerTable
     end: EndTable
@@ -331,7 +291,7 @@ class MissionTable(Table):
     link: LinkTable = LinkTable()
     from_vehicle: FromVehicleTable = FromVehicleTable()
     terrain: KnownTerrain | None = None
-    radars: list[MissionRadarTable] = Field(default_factory=list)
+    radars: list[RadarTable] = Field(default_factory=list)
     keep_outs: list[ZoneTable] = Field(default_factory=list)
     keep_ins: list[ZoneTable] = Field(default_factory=list)
     rally_points: list[PlaceTable] = Field(default_factory=list)
@@ -341,11 +301,16 @@ class MissionTable(Table):
         """Whether the vehicle has a terrain radar."""
         return self.vehicle.scanner and self.scanner.kind == _RADAR
 
+    @property
+    def is_for_guidance(self) -> bool:
+        """Whether the terrain that is known in advance proves nothing."""
+        return isinstance(self.terrain, KnownElevationTable) and self.terrain.trust == "guidance"
+
     def broken(self) -> Iterator[Broken]:
         """Its tables fit one another."""
         vehicle, terrain, targets = self.vehicle, self.terrain, self.targets
         from_vehicle = self.from_vehicle.targets_from_vehicle
-        trust = terrain.trust if isinstance(terrain, KnownElevationTable) else None
+        guides = self.is_for_guidance
         if vehicle.kind == "plane" and vehicle.autopilot is not None:
             strategy = named(vehicle.autopilot, vehicle.kind)
             ends = {"end.action": self.end.end_action, "fallback.action": self.fallback.fallback}
@@ -354,7 +319,7 @@ class MissionTable(Table):
                     rule = f"{strategy.name} cannot be told to land where it is"
                     yield key, action.value, rule, 'Write "hold" or "return".'
         if self.scanner.kind != _RADAR:
-            yield from self._broken_of_near_sensor(trust)
+            yield from self._broken_of_near_sensor()
         yield from broken_of(
             (not vehicle.scanner and self.scanner != ScannerTable(), "scanner",
              self.scanner.model_dump(by_alias=True),
@@ -362,7 +327,7 @@ class MissionTable(Table):
             (not vehicle.scanner and terrain is None, "vehicle.scanner", False,
              "without a terrain radar nothing is known of the ground",
              "Add [terrain] with a file or highest_amsl_m, or remove scanner = false."),
-            (not vehicle.scanner and trust == "guidance", "terrain.trust", trust,
+            (not vehicle.scanner and guides, "terrain.trust", "guidance",
              "without a terrain radar nothing would be proven, as guidance proves nothing",
              'Write terrain.trust = "proof", or remove scanner = false.'),
             (from_vehicle and targets is not None, "targets", len(targets or ()),
@@ -371,9 +336,10 @@ class MissionTable(Table):
              "Add [[targets]], or from_vehicle.targets = true; see docs/files.md."),
         )  # fmt: skip
 
-    def _broken_of_near_sensor(self, trust: str | None) -> Iterator[Broken]:
+    def _broken_of_near_sensor(self) -> Iterator[Broken]:
         """Who flies by such a sensor stops, in a band that it sees, over known ground."""
         component, speaks_m = self.vehicle.scanner_component_id, self.scanner.speaks_for_m
+        guides = self.is_for_guidance
         height_m = self.altitude.ceiling_amsl_m - self.altitude.floor_amsl_m
         return broken_of(
             (component is not None, "vehicle.scanner_component_id", component,
@@ -384,7 +350,7 @@ class MissionTable(Table):
             (speaks_m < height_m, "scanner.speaks_for_m", speaks_m,
              f"its beams are flat, and altitude's band is {height_m:g} m high",
              f"Raise it to {height_m:g} if what stands there is so tall, or narrow the band."),
-            (self.terrain is None or trust == "guidance", "terrain.trust" if trust else "terrain",
-             trust, "a sensor of near things does not see the ground",
+            (self.terrain is None or guides, "terrain.trust" if guides else "terrain",
+             "guidance" if guides else None, "a sensor of near things does not see the ground",
              "Add [terrain] with highest_amsl_m, or with an elevation file that is trusted."),
         )  # fmt: skip
