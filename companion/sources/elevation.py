@@ -228,28 +228,20 @@ def _read(source: Any, frame: LocalFrame, area_m: _Area) -> _Part:
     row = (latitude - at.f) / at.e - 0.5
     middle_deg = at.c + 0.5 * width * at.a
     column = wrap_deg(longitude - middle_deg) / at.a + 0.5 * width - 0.5
-    (top, bottom), (left, right) = needed = [
+    (top, bottom), (left, right) = [
         (math.floor(each.min() - 0.01), math.ceil(each.max() + 0.01) + 1) for each in (row, column)
     ]
     if (bottom - top) * (right - left) > _MAX_CELLS:
         rule = f"[area] takes more than {_MAX_CELLS:.1e} of its cells"
         raise _RefusedError(rule, "Make [area] smaller.")
-    heights = np.zeros((bottom - top, right - left), dtype=source.dtypes[0])
-    empty, beyond = np.ones(heights.shape, dtype=bool), np.ones(heights.shape, dtype=bool)
-    window = [
-        (max(first, 0), min(last, size))
-        for (first, last), size in zip(needed, (height, width), strict=True)
-    ]
-    if all(first < last for first, last in window):
-        (from_row, to_row), (from_column, to_column) = window
-        here = slice(from_row - top, to_row - top), slice(from_column - left, to_column - left)
-        found = source.read(1, window=tuple(window), masked=True)
-        heights[here], beyond[here] = found.data, False
-        empty[here] = np.ma.getmaskarray(found) | ~np.isfinite(found.data)
+    window = (top, bottom), (left, right)
+    found = source.read(1, window=window, boundless=True, masked=True)
+    rows, columns = (np.arange(*span) for span in window)
+    within = np.outer((rows >= 0) & (rows < height), (columns >= 0) & (columns < width))
     return _Part(
-        heights=heights,
-        empty=empty,
-        beyond=beyond,
+        heights=found.data,
+        empty=np.ma.getmaskarray(found) | ~np.isfinite(found.data) | ~within,
+        beyond=~within,
         south_west_deg=(at.f + at.e * (bottom - 0.5), at.c + at.a * (left + 0.5)),
         step_deg=(-at.e, at.a),
     )

@@ -112,6 +112,8 @@ def validated(model: type[Model], table: dict[str, Any], where: str = "") -> Mod
         value, remedy, place = told["value"], told["remedy"], [*place, told["field"]]
     elif kind == "missing":
         value, rule, remedy = None, "it is missing", f"Add {place[-1]}; see docs/files.md."
+    elif kind == "model_type":
+        rule = "it must be a table"
     field = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place)
     if isinstance(value, dict | list) and len(value) > _MOST_SHOWN:
         value = f"{len(value)} items"
