@@ -10,7 +10,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, final
+from typing import Annotated, Any, Final, Literal, Self, final
 
 import numpy as np
 from pydantic import AliasPath, BaseModel, ConfigDict, Field, ValidationError
@@ -25,7 +25,7 @@ from companion.planner.rules import MAX_CELLS
 from companion.planner.settings import CELLS_PER_RANGE
 from companion.profiles import FLIGHT
 from companion.ranges import Longitude, Positive
-from companion.sources.files import RawTable, json_table, merged, read_text
+from companion.sources.files import RawTable, json_table, merged, read_text, within
 from companion.sources.mission_tables import TargetTable
 from companion.sources.tables import OriginTable, validated
 from companion.sources.zones import Zones
@@ -151,6 +151,7 @@ class Plan(Zones):
     left_out: Counter[str] = field(default_factory=Counter)
     """How often what of an item is not done, in words."""
     ended_by: str = ""
+    """The command after which nothing is flown."""
     home_moves: bool = False
 
     def add_zone(self, name: str, where: str, inside: bool, *corners: Any, **shape: float) -> None:
@@ -163,24 +164,24 @@ class Plan(Zones):
     def take(self, items: Iterable[Labelled]) -> None:
         """Add mission items.  Raises InputError naming one that cannot be flown."""
         for where, item in items:
-            self._take(item, where)
+            if item.type != "ComplexItem":
+                self._take_simple(item, where)
+            elif item.complex_type.endswith("LandingPattern"):
+                self.left_out[item.complex_type] += 1
+            elif item.survey:
+                inner = f"{where}.TransectStyleComplexItem.Items"
+                self.take((f"{inner}[{k}]", each) for k, each in enumerate(item.survey))
+            else:
+                rule = "it holds no waypoints"
+                remedy = "Save the plan again with QGroundControl, or replace it by waypoints."
+                raise InputError(f"{where}.complexItemType", item.complex_type, rule, remedy)
+
+    def with_left_out(self) -> Self:
+        """The plan, with a note of what is not done of its items."""
         if self.left_out:
             counted = ", ".join(f"{count} x {what}" for what, count in self.left_out.items())
             self.notes.append(f"left out: {counted}")
-
-    def _take(self, item: Item, where: str) -> None:
-        """Add an item to the plan.  Raises InputError naming it if it cannot be flown."""
-        if item.type != "ComplexItem":
-            self._take_simple(item, where)
-        elif item.complex_type.endswith("LandingPattern"):
-            self.left_out[item.complex_type] += 1
-        elif item.survey:
-            for number, inner in enumerate(item.survey):
-                self._take(inner, f"{where}.TransectStyleComplexItem.Items[{number}]")
-        else:
-            rule = "it holds no waypoints"
-            remedy = "Save the plan again with QGroundControl, or replace it by waypoints."
-            raise InputError(f"{where}.complexItemType", item.complex_type, rule, remedy)
+        return self
 
     def _take_simple(self, item: Item, where: str) -> None:
         command, name = item.command, _word("MAV_CMD", item.command)
@@ -212,8 +213,7 @@ class Plan(Zones):
             rule = "the mission ends before this item"
             remedy = "Remove what comes after it, or move it to the end."
             raise InputError(where, self.ended_by, rule, remedy)
-        name = where.removeprefix(f"{self.name}: ").removeprefix("mission.")
-        target = {"name": name, **place_deg(item.place, where)}
+        target = {"name": where.removeprefix("mission."), **place_deg(item.place, where)}
         if altitude_amsl_m is not None:
             target["altitude_amsl_m"] = altitude_amsl_m
         self.targets.append(target)
@@ -225,11 +225,8 @@ class Plan(Zones):
             altitude = self._above_terrain(item, given, where)
         elif not (above_home or item.frame in AMSL_FRAMES) or (self.home_moves and above_home):
             why = ", as do set home comes before it" if above_home else ""
-            rule, remedy = (
-                f"what its altitude is above is not known{why}",
-                "Give it above sea level.",
-            )
-            raise InputError(f"{where}.frame", item.frame, rule, remedy)
+            rule = f"what its altitude is above is not known{why}"
+            raise InputError(f"{where}.frame", item.frame, rule, "Give it above sea level.")
         else:
             above_m = self.home_amsl_m if above_home else 0.0
             altitude = None if given is None else above_m + given
@@ -251,12 +248,10 @@ class Plan(Zones):
             return None
         if item.command in _TAKE_OFFS:  # at launch, which stands on the ground
             return self.home_amsl_m + height_m
-        latitude, longitude, _ = item.place
-        assert latitude is not None
-        assert longitude is not None
+        latitude, longitude = place_deg(item.place, where).values()
         ground_m = None if self.ground is None else self.ground(latitude, longitude)
         if ground_m is None:
-            self.unknown_altitudes.append((where, height_m))
+            self.unknown_altitudes.append((f"{self.name}: {where}", height_m))
             return None
         return ground_m + height_m
 
@@ -270,35 +265,35 @@ def read_plan(path: Path, where: str, ground: Ground | None = None) -> Plan:
     found = json_table(path, where, _REMEDY)
     if found.get("fileType") != "Plan":
         raise InputError(where, str(path), "it is no QGroundControl plan", _REMEDY)
-    content, name = validated(_Plan, found, path.name), path.name
-    mission, remedy = content.mission, "Set it in QGroundControl (Mission Start)."
-    plan = launched(name, mission.home, f"{name}: mission.plannedHomePosition", remedy)
-    plan.kind, plan.ground = _kind(mission.vehicle_type, name), ground
-    plan.speed_m_s = {"copter": mission.hover_speed_m_s, "plane": mission.cruise_speed_m_s}
-    for k, circle in enumerate(content.fence.circles):
-        at, inside, radius_m = f"{name}: geoFence.circles[{k}]", circle.inclusion, circle.radius
-        plan.add_zone(f"fence circle {k + 1}", at, inside, circle.center, radius_m=radius_m)
-    for k, polygon in enumerate(content.fence.polygons):
-        at = f"{name}: geoFence.polygons[{k}]"
-        plan.add_zone(f"fence polygon {k + 1}", at, polygon.inclusion, *polygon.polygon)
-    if len(plan.keep_ins) > 1:
-        plan.notes.append(f"the vehicle keeps inside of all {len(plan.keep_ins)} inclusion fences")
-    for k, point in enumerate(content.rally.points):
-        plan.rally_points.append(place_deg(point, f"{name}: rallyPoints.points[{k}]"))
-    plan.take((f"{name}: mission.items[{k}]", item) for k, item in enumerate(mission.items))
-    return plan
+    with within(path.name):
+        content = validated(_Plan, found)
+        mission, remedy = content.mission, "Set it in QGroundControl (Mission Start)."
+        plan = launched(path.name, mission.home, "mission.plannedHomePosition", remedy)
+        plan.kind, plan.ground = _kind(mission.vehicle_type), ground
+        plan.speed_m_s = {"copter": mission.hover_speed_m_s, "plane": mission.cruise_speed_m_s}
+        for k, circle in enumerate(content.fence.circles):
+            at, inside, radius_m = f"geoFence.circles[{k}]", circle.inclusion, circle.radius
+            plan.add_zone(f"fence circle {k + 1}", at, inside, circle.center, radius_m=radius_m)
+        for k, polygon in enumerate(content.fence.polygons):
+            at = f"geoFence.polygons[{k}]"
+            plan.add_zone(f"fence polygon {k + 1}", at, polygon.inclusion, *polygon.polygon)
+        for k, point in enumerate(content.rally.points):
+            plan.rally_points.append(place_deg(point, f"rallyPoints.points[{k}]"))
+        if (count := len(plan.keep_ins)) > 1:
+            plan.notes.append(f"the vehicle keeps inside of all {count} inclusion fences")
+        plan.take((f"mission.items[{k}]", item) for k, item in enumerate(mission.items))
+    return plan.with_left_out()
 
 
 def launched(name: str, home: list[float | None], where: str, remedy: str) -> Plan:
     """An empty plan with its launch; InputError (where) if there is no such place."""
     if not is_place(home):
         raise InputError(where, home, "launch has no latitude and longitude", remedy)
-    place, altitude = place_deg(home, where), home[2]
-    if altitude is None:
+    latitude, longitude = place_deg(home, where).values()
+    if home[2] is None:
         rule = "the altitude of launch is missing, and the plan's altitudes are measured from it"
         raise InputError(where, home, rule, f"{remedy} Or write its metres AMSL there.")
-    home_deg = place["latitude_deg"], place["longitude_deg"]
-    return Plan(name=name, home_deg=home_deg, home_amsl_m=altitude)
+    return Plan(name=name, home_deg=(latitude, longitude), home_amsl_m=home[2])
 
 
 def is_place(place: Sequence[float | None]) -> bool:
@@ -315,13 +310,13 @@ def place_deg(place: Sequence[float | None], where: str) -> RawTable:
     return {"latitude_deg": latitude, "longitude_deg": longitude}
 
 
-def _kind(vehicle_type: int, name: str) -> str | None:
+def _kind(vehicle_type: int) -> str | None:
     if vehicle_type == 0 or vehicle_type in KINDS:
         return KINDS.get(vehicle_type)  # 0: it does not say
     what = _word("MAV_TYPE", vehicle_type)
     rule = f"it is for {what}, and only multicopters and planes are flown"
     remedy = "Plan for one of these in QGroundControl."
-    raise InputError(f"{name}: mission.vehicleType", vehicle_type, rule, remedy)
+    raise InputError("mission.vehicleType", vehicle_type, rule, remedy)
 
 
 def _word(enum: str, number: int | None) -> str:
@@ -347,24 +342,26 @@ def read_waypoint_list(path: Path, where: str, ground: Ground | None = None) -> 
         rule = "launch, its first item, has no latitude and longitude"
         raise InputError(where, path.name, rule, remedy)
     label, home = items.popleft()
-    plan = launched(path.name, home.place, f"{label} (launch)", remedy)
-    if home.frame not in AMSL_FRAMES:
-        said = f"of frame {home.frame}, is taken to be above mean sea level"
-        plan.notes.append(f"launch: its altitude, {plan.home_amsl_m:g} m {said}")
-    plan.ground = ground
-    plan.take(_without_zones(items, plan))
-    return plan
+    with within(path.name):
+        plan = launched(path.name, home.place, f"{label} (launch)", remedy)
+        if home.frame not in AMSL_FRAMES:
+            said = f"of frame {home.frame}, is taken to be above mean sea level"
+            plan.notes.append(f"launch: its altitude, {plan.home_amsl_m:g} m {said}")
+        plan.ground = ground
+        plan.take(_without_zones(items, plan))
+    return plan.with_left_out()
 
 
-def read_waypoint_fence(path: Path, where: str) -> Plan:
+def read_waypoint_fence(path: Path, where: str) -> Zones:
     """The fence in such a list, which may lack a launch; InputError as above."""
     items = _items(path, where)
-    plan = Plan(name=path.name, home_deg=(math.nan, math.nan), home_amsl_m=math.nan)
     if items and not _is_of_zones(items[0][1]):
         items.popleft()
-    plan.take(_without_zones(items, plan))
-    count = len(plan.targets)
-    plan.notes = [f"{path.name}: its {count} waypoints are not flown"] if count else []
+    plan = Plan(name=path.name, home_deg=(math.nan, math.nan), home_amsl_m=math.nan)
+    with within(path.name):
+        plan.take(_without_zones(items, plan))
+    if count := len(plan.targets):
+        plan.notes.append(f"{path.name}: its {count} waypoints are not flown")
     return plan
 
 
@@ -375,22 +372,22 @@ def _items(path: Path, where: str) -> deque[Labelled]:
     head, *lines = read_text(path, where, _SAVE_AGAIN).lstrip().splitlines()
     if head.split() != [*_HEAD.split(), "110"]:
         raise InputError(where, head.strip(), f"only {_HEAD} 110 is known", _SAVE_AGAIN)
-    loader = mavwp.MAVWPLoader()
-    for number, line in enumerate(lines, start=2):
-        try:
-            loader._read_waypoints_v110([line])
-        except (mavwp.MAVWPError, ValueError) as error:
-            label = f"{path.name}: line {number}"
-            raise InputError(label, line.strip()[:60], str(error)[:100], _SAVE_AGAIN) from None
-    found = deque[Labelled]()
-    for number, item in enumerate(loader.wpoints):
-        label = f"{path.name}: item {number}"
-        numbers = [item.param1, item.param2, item.param3, item.param4, item.x, item.y, item.z]
-        if any(map(math.isinf, numbers)):
-            raise InputError(label, numbers, "it is made of finite numbers", _SAVE_AGAIN)
-        given = [None if math.isnan(each) else each for each in numbers]
-        table = {"command": item.command, "frame": item.frame, "params": given}
-        found.append((label, Item.model_validate(table)))
+    loader, found = mavwp.MAVWPLoader(), deque[Labelled]()
+    with within(path.name):
+        for number, line in enumerate(lines, start=2):
+            try:
+                loader._read_waypoints_v110([line])
+            except (mavwp.MAVWPError, ValueError) as error:
+                said, rule = line.strip()[:60], str(error)[:100]
+                raise InputError(f"line {number}", said, rule, _SAVE_AGAIN) from None
+        for number, item in enumerate(loader.wpoints):
+            numbers = [item.param1, item.param2, item.param3, item.param4, item.x, item.y, item.z]
+            if any(map(math.isinf, numbers)):
+                rule = "it is made of finite numbers"
+                raise InputError(f"item {number}", numbers, rule, _SAVE_AGAIN)
+            given = [None if math.isnan(each) else each for each in numbers]
+            table = {"command": item.command, "frame": item.frame, "params": given}
+            found.append((f"item {number}", Item.model_validate(table)))
     return found
 
 
