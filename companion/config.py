@@ -24,8 +24,7 @@ from companion.sources.files import (
     with_settings,
     within,
 )
-from companion.sources.mission_file import MissionFile, complete, mission_of
-from companion.sources.mission_tables import MissionTable
+from companion.sources.mission_file import MissionFile, MissionTable, complete, mission_of
 from companion.sources.tables import validated
 from companion.sources.world_file import World, world_of
 

@@ -25,7 +25,7 @@ from companion.mission.mission import AutopilotName, EndAction, Mission
 from companion.path.limits import Limits
 from companion.planner.settings import Task
 from companion.sources.files import toml_text
-from companion.sources.mission_tables import PlannerTable, VehicleTable
+from companion.sources.mission_file import PlannerTable, VehicleTable
 from companion.sources.tables import OriginTable
 from companion.sources.zones import ZoneTable
 from companion.world.radars import Radar

@@ -26,9 +26,8 @@ from companion.planner.settings import CELLS_PER_RANGE
 from companion.profiles import FLIGHT
 from companion.ranges import Longitude, Positive
 from companion.sources.files import RawTable, json_table, merged, read_text, within
-from companion.sources.mission_tables import TargetTable
 from companion.sources.tables import OriginTable, validated
-from companion.sources.zones import Zones
+from companion.sources.zones import TargetTable, Zones
 
 _TERRAIN_MODES: Final = (3, 4)
 """AltitudeMode of QGroundControl: above terrain, sent as AMSL (3) or as it is (4)."""
@@ -571,29 +570,26 @@ def _area(table: RawTable, plan: Plan, sight_m: float) -> RawTable | None:
         targets = [TargetTable.model_validate(each) for each in table.get("targets", ())]
     except (TypeError, ValidationError):
         return None
-    own_m = ((each.north_m or 0.0, each.east_m or 0.0) for each in targets if not each.degrees)
-    waypoints = [(each.name, each.degrees) for each in targets if each.degrees]
-    degrees = [plan.home_deg, *(place for _, place in waypoints)]
-    places_m = [*(frame.to_local_m(*place) for place in degrees), *own_m]
+    named = [("launch", plan.home_deg), *((each.name, each.degrees) for each in targets)]
+    in_degrees = [(name, place) for name, place in named if place is not None]
+    own_m = [(each.north_m, each.east_m) for each in targets if each.degrees is None]
+    places_m = np.array([*(frame.to_local_m(*place) for _, place in in_degrees), *own_m], float)
     if not np.isfinite(places_m).all():
         return None
-    area = {}
-    for axis, values in zip(("north", "east"), zip(*places_m, strict=True), strict=True):
-        area[f"{axis}_min_m"] = float(math.floor(min(values) - sight_m))
-        area[f"{axis}_max_m"] = float(math.ceil(max(values) + sight_m))
-    sides_m = (area[f"{axis}_max_m"] - area[f"{axis}_min_m"] for axis in ("north", "east"))
-    cells = math.prod(sides_m) / max(round(sight_m / CELLS_PER_RANGE), 1) ** 2
+    low = np.floor(places_m.min(axis=0) - sight_m)
+    high = np.ceil(places_m.max(axis=0) + sight_m)
+    cells = np.prod(high - low) / max(round(sight_m / CELLS_PER_RANGE), 1) ** 2
     by_radar = _at(table, "scanner.kind") in (None, "terrain_radar")
-    if max(map(abs, area.values())) >= _FARTHEST_M or (by_radar and cells > MAX_CELLS):
-        far_m = [math.dist(place, places_m[0]) for place in places_m[: len(degrees)]]
-        index = far_m.index(max(far_m))
+    if np.abs([low, high]).max() >= _FARTHEST_M or (by_radar and cells > MAX_CELLS):
+        far_m = np.hypot(*(places_m[: len(in_degrees)] - places_m[0]).T)
+        name, place = in_degrees[index := int(far_m.argmax())]
         if index > 0:
-            far = f"{max(far_m) / 1000.0:,.0f} km from launch {plan.home_deg}"
+            far = f"{far_m[index] / 1000.0:,.0f} km from launch {plan.home_deg}"
             remedy = "Correct it or launch, or raise planner.scan_range_m in a mission.toml."
-            name = f"{plan.name}: {waypoints[index - 1][0]}"
             rule = f"it lies {far}, too far for one map"
-            raise InputError(name, list(degrees[index]), rule, remedy)
-    return area
+            raise InputError(f"{plan.name}: {name}", list(place), rule, remedy)
+    (south, west), (north, east) = low.tolist(), high.tolist()
+    return {"north_min_m": south, "north_max_m": north, "east_min_m": west, "east_max_m": east}
 
 
 def _about_altitude(plan: Plan, band: RawTable, *, is_blind: bool) -> str:
@@ -627,10 +623,9 @@ def _about_unknown_altitudes(plan: Plan, *, is_blind: bool) -> str:
 
 def _at(table: RawTable, path: str) -> Any:
     """What stands at a path ("vehicle.kind"); None: nothing."""
-    here: Any = table
-    for key in path.split("."):
-        here = here.get(key) if isinstance(here, dict) else None
-    return here
+    above, _, key = path.rpartition(".")
+    here = _at(table, above) if above else table
+    return here.get(key) if isinstance(here, dict) else None
 
 
 def _number(table: RawTable, path: str, default: float, above: float = -1e9) -> float:

@@ -27,6 +27,7 @@ from companion.sources.tables import Altitude, Horizontal, Table, validated
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone, PolygonZone, Zone
 
+Name = Annotated[str, Field(min_length=1, max_length=100)]
 _FARTHEST_M: Final = 1e6
 """From the origin: beyond, the local frame is too far from a map."""
 _STRAIGHT_M: Final = 2000.0
@@ -67,6 +68,13 @@ class PlaceTable(Table):
             rule = "it lies more than 1,000 km from the origin"
             raise InputError(field, [*self.degrees], rule, "Correct it.")
         return place
+
+
+class TargetTable(PlaceTable):
+    """A place to reach, at its altitude, or at any of the band."""
+
+    name: Name | None = None
+    altitude_amsl_m: Altitude | None = None
 
 
 class RadarTable(PlaceTable):

@@ -26,7 +26,7 @@ from companion.mavlink.near_scanner import messages_of, streams_hz
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.optimise.registry import OPTIMISERS
 from companion.sources.files import toml_text
-from companion.sources.mission_tables import MissionTable
+from companion.sources.mission_file import MissionTable
 from companion.sources.zones import ZoneTable, zones_of
 from companion.world.zones import CircleZone
 
@@ -543,8 +543,9 @@ REFUSED: list[tuple[str, str]] = [
 
 @pytest.mark.parametrize(("text", "words"), REFUSED, ids=range(len(REFUSED)))
 def test_what_breaks_a_rule_is_refused_in_one_line(folder: Path, text: str, words: str) -> None:
-    """Field, value, rule, remedy."""
+    """Where, field, value, rule, remedy."""
     told = refusal(load, folder, text)
+    assert told.startswith((f"{folder / 'mission.toml'}: ", "MISSION = ")), told
     assert re.fullmatch(r"\S[^\n]*? = [^\n]+: [^\n]+\. [A-Z][^\n]*[.?]", told), told
     assert re.search(words, told), told
 
