@@ -269,13 +269,8 @@ KnownTerrain = Annotated[
 ]
 
 
-class _TerrainAloneTable(Table):
+class _OnlyTerrain(Table):
     terrain: KnownTerrain
-
-
-def known_terrain(table: RawTable, where: str) -> StatedTable | KnownElevationTable:
-    """The table [terrain] of a mission, checked by itself; InputError says what is wrong."""
-    return validated(_TerrainAloneTable, {"terrain": table}, where).terrain
 
 
 def _folder_name(name: str) -> str:
@@ -390,26 +385,24 @@ def complete(given: RawTable, folder: Path, where: str) -> MissionFile:
     table, notes = given, list[str]()
     if isinstance(given.get("plan"), str):
         table, notes = _with_plan(given, folder, where)
-    asked, terrain = given.get("threats"), given.get("terrain")
-    if isinstance(asked, str | dict):
-        threats = _threats(asked, folder, f"{where}: threats")
+    if isinstance(asked := given.get("threats"), str | dict):
+        threats = _threats({"file": asked} if isinstance(asked, str) else asked, folder, where)
         notes += threats.notes
         table = {key: value for key, value in table.items() if key != "threats"}
         for key, found in (("keep_outs", threats.keep_outs), ("keep_ins", threats.keep_ins)):
             if found and isinstance(table.get(key, []), list):
                 table[key] = [*table.get(key, []), *found]
+    terrain = given.get("terrain")
     if isinstance(terrain, dict) and isinstance(terrain.get("file"), str):
         file = str((folder / terrain["file"]).absolute())
         table = table | {"terrain": terrain | {"file": file}}
     return MissionFile(table=table, notes=tuple(notes), is_whole=table is given)
 
 
-def _threats(asked: str | RawTable, folder: Path, where: str) -> Zones:
+def _threats(asked: RawTable, folder: Path, where: str) -> Zones:
     """What a GeoJSON file or a list of QGC WPL 110 holds."""
-    table = {"file": asked} if isinstance(asked, str) else asked
-    chosen = validated(ThreatsTable, table, where)
-    path = folder / chosen.file
-    zones: Zones
+    chosen = validated(ThreatsTable, asked, where := f"{where}: threats")
+    path, zones = folder / chosen.file, Zones()
     if begins_as(path, WAYPOINTS):
         zones = read_waypoint_fence(path, where)
     else:
@@ -438,7 +431,7 @@ def _ground(table: RawTable, folder: Path, where: str) -> Ground | None:
     """The ground that [terrain] knows, for altitudes above it; None: it says nothing."""
     if not isinstance(said := table.get("terrain"), dict):
         return None
-    terrain = known_terrain(said, where)
+    terrain = validated(_OnlyTerrain, {"terrain": said}, where).terrain
 
     def height_m(latitude_deg: float, longitude_deg: float) -> float | None:
         with within(where):
