@@ -321,7 +321,9 @@ class MissionTable(Table):
         """Its tables fit one another."""
         vehicle, terrain, targets = self.vehicle, self.terrain, self.targets
         from_vehicle = self.from_vehicle.targets_from_vehicle
-        guides = self.is_for_guidance
+        near, guides = self.scanner.kind != _RADAR, self.is_for_guidance
+        component, speaks_m = vehicle.scanner_component_id, self.scanner.speaks_for_m
+        height_m = self.altitude.ceiling_amsl_m - self.altitude.floor_amsl_m
         if vehicle.kind == "plane" and vehicle.autopilot is not None:
             strategy = named(vehicle.autopilot, vehicle.kind)
             ends = {"end.action": self.end.end_action, "fallback.action": self.fallback.fallback}
@@ -329,9 +331,18 @@ class MissionTable(Table):
                 if action.value == "land" and not strategy.traits.lands:
                     rule = f"{strategy.name} cannot be told to land where it is"
                     yield key, action.value, rule, 'Write "hold" or "return".'
-        if self.scanner.kind != _RADAR:
-            yield from self._broken_of_near_sensor()
-        yield from broken_of(
+        yield from broken_of(  # by a sensor of near things flies who can stop, over known ground
+            (near and component is not None, "vehicle.scanner_component_id", component,
+             "it is the terrain radar's", "Write scanner.component."),
+            (near and vehicle.kind != "copter", "scanner.kind", self.scanner.kind,
+             "only what can stop may fly by a sensor of near things",
+             "Use a terrain radar for a plane."),
+            (near and speaks_m < height_m, "scanner.speaks_for_m", speaks_m,
+             f"its beams are flat, and altitude's band is {height_m:g} m high",
+             f"Raise it to {height_m:g} if what stands there is so tall, or narrow the band."),
+            (near and (terrain is None or guides), "terrain.trust" if guides else "terrain",
+             "guidance" if guides else None, "a sensor of near things does not see the ground",
+             "Add [terrain] with highest_amsl_m, or with an elevation file that is trusted."),
             (not vehicle.scanner and self.scanner != ScannerTable(), "scanner",
              self.scanner.model_dump(by_alias=True),
              "vehicle.scanner = false says that there is no terrain radar", _REMOVE_ONE),
@@ -345,25 +356,6 @@ class MissionTable(Table):
              "the targets come from the vehicle (from_vehicle.targets)", _REMOVE_ONE),
             (not from_vehicle and targets is None, "targets", None, "it is missing",
              "Add [[targets]], or from_vehicle.targets = true; see docs/files.md."),
-        )  # fmt: skip
-
-    def _broken_of_near_sensor(self) -> Iterator[Broken]:
-        """Who flies by such a sensor stops, in a band that it sees, over known ground."""
-        component, speaks_m = self.vehicle.scanner_component_id, self.scanner.speaks_for_m
-        guides = self.is_for_guidance
-        height_m = self.altitude.ceiling_amsl_m - self.altitude.floor_amsl_m
-        return broken_of(
-            (component is not None, "vehicle.scanner_component_id", component,
-             "it is the terrain radar's", "Write scanner.component."),
-            (self.vehicle.kind != "copter", "scanner.kind", self.scanner.kind,
-             "only what can stop may fly by a sensor of near things",
-             "Use a terrain radar for a plane."),
-            (speaks_m < height_m, "scanner.speaks_for_m", speaks_m,
-             f"its beams are flat, and altitude's band is {height_m:g} m high",
-             f"Raise it to {height_m:g} if what stands there is so tall, or narrow the band."),
-            (self.terrain is None or guides, "terrain.trust" if guides else "terrain",
-             "guidance" if guides else None, "a sensor of near things does not see the ground",
-             "Add [terrain] with highest_amsl_m, or with an elevation file that is trusted."),
         )  # fmt: skip
 
 
