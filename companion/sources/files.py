@@ -149,20 +149,24 @@ def plain(text: object, default: str, most: int = 60) -> str:
 
 
 def with_settings(table: RawTable, settings: Sequence[str]) -> RawTable:
-    """A table with other values of some keys, each "table.key=value" as TOML has it.
+    """A table with other values of some keys, each "table.key=value", the value as in TOML.
 
-    People leave out the quotes of texts.  Raises InputError for what is not of that form; whether
-    there is such a key is not checked.
+    Raises InputError for what is not of that form; whether there is such a key is not checked.
     """
     for setting in settings:
-        key, sign, value = setting.partition("=")
-        for written in (setting, f"{key} = {_value(value.strip())}") if sign else ():
-            with contextlib.suppress(RecursionError, ValueError):
-                table = merged(table, tomllib.loads(written))
-                break
-        else:
+        path, sign, text = setting.partition("=")
+        *above, last = [key.strip() for key in path.split(".")]
+        if not sign or not all([*above, last]):
             remedy = "Write it like planner.safety_distance_m=300."
             raise InputError("--set", setting, "it is not a key, an = and a value", remedy)
+        table = here = dict(table)
+        for key in above:
+            below = here.get(key)
+            here[key] = here = dict(below) if isinstance(below, dict) else {}
+        try:
+            here[last] = tomllib.loads(f"value = {text}")["value"]
+        except (RecursionError, ValueError):
+            here[last] = text.strip()  # a string: people leave out the quotes
     return table
 
 
