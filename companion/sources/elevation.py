@@ -110,7 +110,8 @@ class KnownElevationTable(ElevationTable):
         rows, columns = blank.upper_m.shape
         north_m = blank.north_min_m, blank.north_min_m + rows * blank.cell_m
         east_m = blank.east_min_m, blank.east_min_m + columns * blank.cell_m
-        with self._part(Path(), frame, (north_m, east_m)) as part:
+        here = Path()  # `complete` has made the file's name absolute
+        with self._part(here, frame, (north_m, east_m)) as part:
             if part.empty.all():
                 rule = "it has no height anywhere on the map"
                 raise _RefusedError(rule, "Name the file of this place.")
