@@ -8,6 +8,7 @@ import platform
 import sys
 import time
 import traceback
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
@@ -147,21 +148,15 @@ def fly_command(
     """
     with contextlib.ExitStack() as stack:
         output = stack.enter_context(PatientOutput(sys.stderr if as_json else sys.stdout))
-        machine = None
-        if as_json:
-            machine = MachineLines(stack.enter_context(PatientOutput(sys.stdout)))
-            stack.enter_context(machine)
+        lines = stack.enter_context(PatientOutput(sys.stdout)) if as_json else None
+        machine = stack.enter_context(MachineLines(lines))
         console = plain_console(file=cast("TextIO", output))
         shows = _Shows(console=console, output=output, machine=machine)
-        if resume and out is None:
-            rule = "there is no flight to go on with"
-            raise InputError("--resume", True, rule, "Give the run folder with --out.")
-        if resume and out is not None and (out / "mission.toml").is_file():
-            refuse_older(out)
+        if resume:
             mission = _as_begun(mission, out)
         chosen = _chosen(mission, profile, system, console)
         folder_path = out or Path("runs") / f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{chosen.name}"
-        key = None if signing_key is None else SigningKey(signing_key)
+        signing, keep_time = _signing(signing_key)
         recalled = load_resume_data(folder_path, chosen) if resume else None
         for line in () if recalled is None else recalled.said:
             console.out(f"warning: {line}", highlight=False)
@@ -170,14 +165,14 @@ def fly_command(
             seed=seed,
             lockstep=lockstep,
             shadow=shadow,
-            signing=key and key.signing(clock_s=_clock_s()),
+            signing=signing,
             resume=recalled and recalled.resume,
             go=start,
             version=version("companion"),
         )
         if view:
             stack.enter_context(started_view(folder_path, view_port, console))
-        flown = _flown(session, connect, folder_path, mission, key, recalled, shows)
+        flown = _flown(session, connect, folder_path, mission, keep_time, recalled, shows)
         stopped = flown.end is not None and flown.end.outcome is Outcome.STOPPED
         if view and console.is_terminal and not stopped:
             stay(console)
@@ -199,8 +194,7 @@ def preflight_command(
     """
     console = plain_console(soft_wrap=True)
     chosen = _chosen(mission, profile, system, console)
-    key = None if signing_key is None else SigningKey(signing_key)
-    signing = None if key is None else key.signing(clock_s=_clock_s())
+    signing, keep_time = _signing(signing_key)
     session = Session(chosen, seed=1, lockstep=False, shadow=True, signing=signing)
     with open_link(connect) as link, console.status("") as status, stop_signals() as stop_asked:
         run_preflight(
@@ -209,7 +203,7 @@ def preflight_command(
             stop_asked=lambda: bool(stop_asked),
             on_progress=lambda text: status.update(f"waiting for {text}"),
         )
-    _keep_time(key, signing)
+    keep_time()
     checks = checks_of(session)
     refused = [check for check in checks if check.status is CheckStatus.REFUSED]
     console.print(checks_table(checks))
@@ -233,15 +227,18 @@ def plan_command(
     """
     console, picture = plain_console(), picture_file("--figure", figure)
     chosen, place = load_mission(mission, profile), load_world(world)
+    rule = remedy = ""
     if place.origin_deg != (chosen.frame.latitude_deg, chosen.frame.longitude_deg):
         rule = f"the mission's origin differs from that of the world, {place.origin_deg}"
-        raise InputError("MISSION", mission, rule, "Give the mission of this world.")
-    if chosen.near is not None:
+        remedy = "Give the mission of this world."
+    elif chosen.near is not None:
         rule = "its scanner is a sensor of near things, and only a terrain radar is simulated here"
-        raise InputError("MISSION", mission, rule, f"Fly it: scripts/fly {mission}.")
-    if not chosen.targets_ne_m:
+        remedy = f"Fly it: scripts/fly {mission}."
+    elif not chosen.targets_ne_m:
         rule = "its targets come from the vehicle, and there is none here"
-        raise InputError("MISSION", mission, rule, "Give one with [[targets]].")
+        remedy = "Give one with [[targets]]."
+    if rule:
+        raise InputError("MISSION", mission, rule, remedy)
     with console.status(LOADS):
         load_kernel()
     began_s, task = time.perf_counter(), chosen.task
@@ -350,7 +347,7 @@ class _Shows(NamedTuple):
 
     console: Console
     output: PatientOutput  # what the console writes to
-    machine: MachineLines | None  # None: nobody has asked for JSON
+    machine: MachineLines
 
 
 def _chosen(
@@ -363,21 +360,31 @@ def _chosen(
     return chosen if system is None else replace(chosen, system_id=system)
 
 
-def _as_begun(mission: str, folder: Path) -> str:
+def _as_begun(mission: str, folder: Path | None) -> str:
     """The mission of a run folder as it was flown, even if its file has changed since."""
-    begun = str(folder / "mission.toml")
-    given, name = None, mission_name(begun)
+    if folder is None:
+        rule = "there is no flight to go on with"
+        raise InputError("--resume", True, rule, "Give the run folder with --out.")
+    begun = folder / "mission.toml"
+    if not begun.is_file():
+        return mission
+    refuse_older(folder)
+    given, name = None, mission_name(str(begun))
     with contextlib.suppress(InputError):
         given = mission_name(mission)
     if given is not None and name is not None and given != name:
         rule = f"the flight in {folder} is of another mission, {name!r}"
         raise InputError("MISSION", mission, rule, "Give that one, or a new folder with --out.")
-    return begun
+    return str(begun)
 
 
-def _clock_s() -> float:
-    """Seconds since 1970."""
-    return datetime.now(UTC).timestamp()
+def _signing(file: Path | None) -> tuple[Signing | None, Callable[[], None]]:
+    """What signs the link, if it is signed, and keeps its time stamp for the next flight."""
+    if file is None:
+        return None, lambda: None
+    key = SigningKey(file)
+    signing = key.signing(clock_s=datetime.now(UTC).timestamp())
+    return signing, lambda: key.save(signing.timestamp, datetime.now(UTC).timestamp())
 
 
 def _flown(
@@ -385,7 +392,7 @@ def _flown(
     connect: str,
     folder_path: Path,
     mission: str,
-    key: SigningKey | None,
+    keep_time: Callable[[], None],
     recalled: ResumeData | None,
     shows: _Shows,
 ) -> FlightSummary:
@@ -425,16 +432,14 @@ def _flown(
                 shadow=session.context.shadow,
                 companion=version("companion"),
             )
-            if shows.machine is not None:
-                shows.machine.say(begun)
+            shows.machine.say(begun)
             told = ("mission", "seed", "profile", "lockstep")
             folder.header({name: getattr(begun, name) for name in told})
 
             def show(flown: FlightSummary) -> None:
                 status = flight_status(flown)
                 progress.show(status)
-                if shows.machine is not None:
-                    shows.machine.show(status)
+                shows.machine.show(status)
 
             flown = fly(
                 session,
@@ -445,7 +450,7 @@ def _flown(
                 stop_asked=lambda: bool(stop_asked),
                 person=person,
                 in_flight=recalled is not None,
-                persist=partial(_keep_time, key, session.signing),
+                persist=keep_time,
             )
             facts: dict[str, object] = {
                 "companion": begun.companion,
@@ -458,17 +463,11 @@ def _flown(
                 "planning_s": flown.plans_s,
             }
             folder.run_json(facts)
-        if shows.machine is not None:
-            shows.machine.say(flight_status(flown))
-            shows.machine.end = flown.end
+        shows.machine.say(flight_status(flown))
+        shows.machine.end = flown.end
         flown.resumed = recalled is not None and recalled.resume is not None
         _show(flown, folder, console, draws=len(stop_asked) < 2)  # who asks twice will not wait
     return flown
-
-
-def _keep_time(key: SigningKey | None, signing: Signing | None) -> None:
-    if key is not None and signing is not None:
-        key.save(signing.timestamp, _clock_s())
 
 
 # --- the end of a command

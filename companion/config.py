@@ -1,6 +1,6 @@
 """World and mission files: read, checked, and turned into values that need no checks any more.
 
-What a mission file means is `mission_file`'s part; the tables are in `schema` and `mission_schema`.
+What they mean is the part of `sources`: `mission_file`, `plan_file`, `world_file`.
 """
 
 import re
@@ -8,12 +8,9 @@ from collections.abc import Sequence
 from contextlib import suppress
 from importlib import resources
 from pathlib import Path
-from typing import NamedTuple
 
 from companion.errors import InputError
-from companion.geodesy import LocalFrame
 from companion.mission.mission import Mission
-from companion.planner import rules
 from companion.sources.files import (
     PLAN,
     WAYPOINTS,
@@ -25,32 +22,22 @@ from companion.sources.files import (
     toml_table,
     toml_text,
     with_settings,
+    within,
 )
-from companion.sources.mission_file import MissionFile, complete, mission_of
-from companion.sources.mission_schema import MissionTable
-from companion.sources.schema import FileWorldTable, WorldTable, validated
-from companion.world.terrain import Peak, PeakTerrain, Terrain
+from companion.sources.mission_file import MissionFile, MissionTable, complete, mission_of
+from companion.sources.tables import validated
+from companion.sources.world_file import World, world_of
 
+_ENVIRONMENTS = Path(str(resources.files("companion"))) / "environments"
 _OF_MISSIONS = {"targets", "planner", "altitude", "plan", "from_vehicle"}
 """Keys that only missions have."""
 _OLDER = re.compile(rb'\{"schema":"companion-journal","version":([12])[,}]')
 _HEADER_BYTES = 100
 
 
-class World(NamedTuple):
-    """A world as `companion plan` needs it."""
-
-    name: str
-    terrain: Terrain
-    start_ne_m: tuple[float, float]
-    origin_deg: tuple[float, float]
-    """Latitude and longitude."""
-
-
 def bundled() -> list[str]:
     """The names of the worlds and missions that come with the package."""
-    folder = resources.files("companion") / "environments"
-    return sorted(entry.name for entry in folder.iterdir() if (entry / "mission.toml").is_file())
+    return sorted(file.parent.name for file in _ENVIRONMENTS.glob("*/mission.toml"))
 
 
 def mission_text(name_or_path: str) -> str:
@@ -86,18 +73,12 @@ def load_mission(
 
     profile overrides the file's; settings ("planner.safety_distance_m=300") its other keys.
     """
-    whole = _whole(name_or_path)
+    whole, advice = _whole(name_or_path), ""
+    if _is_plan(name_or_path):
+        advice = "What a plan lacks is assumed: name it in a mission.toml to say it."
     table = with_settings(whole.table, settings)
-    try:
-        model = validated(MissionTable, table, name_or_path)
-        return mission_of(model, profile, name_or_path, whole.notes)
-    except InputError as error:
-        if not _is_plan(name_or_path):
-            raise
-        remedy = (
-            f"{error.remedy} What a plan lacks is assumed: name it in a mission.toml to say it."
-        )
-        raise InputError(error.field, error.value, error.rule, remedy) from None
+    with within(name_or_path, advice):
+        return mission_of(validated(MissionTable, table), profile, whole.notes)
 
 
 def refuse_older(run_dir: Path) -> None:
@@ -142,42 +123,19 @@ def load_world(name_or_path: str) -> World:
     if _OF_MISSIONS & table.keys():
         rule = "this is a mission, not a world"
         raise InputError("WORLD", name_or_path, rule, "Give its world.toml.")
-    of_file = isinstance(table.get("terrain"), dict) and "file" in table["terrain"]
-    model = validated(FileWorldTable if of_file else WorldTable, table, name_or_path)
-    return World(
-        name=model.name,
-        terrain=_terrain(model, name_or_path),
-        start_ne_m=(model.vehicle.north_m, model.vehicle.east_m),
-        origin_deg=(model.origin.latitude_deg, model.origin.longitude_deg),
-    )
-
-
-def _terrain(model: WorldTable | FileWorldTable, name_or_path: str) -> Terrain:
-    if not isinstance(model, FileWorldTable):
-        return PeakTerrain(
-            peaks=tuple(Peak(**dict(peak)) for peak in model.terrain.peaks),
-            ground_amsl_m=model.terrain.ground_amsl_m,
-            sum_of_peaks=model.terrain.combine == "sum",
-        )
-    origin, area = model.origin, model.area
-    rules.refuse(rules.of_area(*area.sides_m), f"{name_or_path}: ")
-    file = model.terrain.elevation(folder_of(name_or_path), name_or_path)
-    return file.terrain(LocalFrame(**dict(origin)), area.sides_m)
-
-
-# --- files
+    with within(name_or_path):
+        return world_of(table, folder_of(name_or_path))
 
 
 def folder_of(name_or_path: str) -> Path:
     """Where the other files of a world or a mission are."""
-    if name_or_path in bundled():
-        return Path(str(resources.files("companion"))) / "environments" / name_or_path
-    return Path(name_or_path).parent
+    is_bundled = name_or_path in bundled()
+    return _ENVIRONMENTS / name_or_path if is_bundled else Path(name_or_path).parent
 
 
 def _read(name_or_path: str, kind: str) -> str:
+    path = Path(name_or_path)
     if name_or_path in bundled():
-        file = resources.files("companion") / "environments" / name_or_path / f"{kind}.toml"
-        return file.read_text(encoding="utf-8")
+        path = folder_of(name_or_path) / f"{kind}.toml"
     remedy = f"Give a {kind}.toml, or one of: {', '.join(bundled())}."
-    return read_text(Path(name_or_path), kind.upper(), remedy)
+    return read_text(path, kind.upper(), remedy)

@@ -22,7 +22,7 @@ from companion.planner.settings import PlannerSettings, Task
 from companion.planning import plan
 from companion.profiles import PROFILES
 from companion.runtime.compiler import load_kernel
-from companion.sources.schema import keys_of, validated
+from companion.sources.tables import keys_of, validated
 from companion.world.known_map import NO_ANSWER, NOT_SEEN, KnownMap, Scan, empty_map
 from companion.world.near_map import NearSensor, cell_for_m
 from companion.world.radars import Radar, detection_probability

@@ -25,8 +25,9 @@ from companion.mission.mission import AutopilotName, EndAction, Mission
 from companion.path.limits import Limits
 from companion.planner.settings import Task
 from companion.sources.files import toml_text
-from companion.sources.mission_schema import MissionVehicleTable, PlannerTable, ZoneTable
-from companion.sources.schema import OriginTable
+from companion.sources.mission_file import PlannerTable, VehicleTable
+from companion.sources.tables import OriginTable
+from companion.sources.zones import ZoneTable
 from companion.world.radars import Radar
 from companion.world.terrain import ArrayTerrain, GridTerrain, PeakTerrain, Terrain
 
@@ -239,7 +240,7 @@ def _mission_table(mission: Mission, vehicle: Mapping[str, Any]) -> dict[str, An
     """A mission as its file has it; `vehicle` overrides keys of the vehicle's table."""
     task = mission.task
     limits, settings = task.limits, task.settings
-    of_vehicle = _keys(MissionVehicleTable, mission, limits) | {
+    of_vehicle = _keys(VehicleTable, mission, limits) | {
         "climb_angle_deg": math.degrees(limits.climb_angle_rad),
         "dive_angle_deg": math.degrees(limits.dive_angle_rad),
         "loiter_radius_m": limits.loiter_radius_m or None,

@@ -26,8 +26,8 @@ from companion.planning import OURS
 from companion.profiles import PROFILES
 from companion.ranges import Positive
 from companion.sources.files import answer, read_text, toml_table
-from companion.sources.mission_schema import Name
-from companion.sources.schema import Table, validated
+from companion.sources.tables import Table, validated
+from companion.sources.zones import Name
 
 Over = Literal["process", "planner"]
 Knowledge = Literal["scans", "full"]

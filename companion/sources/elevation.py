@@ -19,14 +19,15 @@ import pyproj
 
 from companion.errors import InputError
 from companion.geodesy import BoolArray, FloatArray, LocalFrame, wrap_deg
+from companion.ranges import NotNegative
 from companion.sources.files import answer
+from companion.sources.tables import Altitude, FileName, Table
 from companion.world.known_map import KnownMap
 from companion.world.simulated import true_map
 from companion.world.terrain import GridTerrain
 
 VerticalDatum = Literal["AMSL", "EGM84", "EGM96", "EGM2008", "NAVD88", "NGVD29", "EVRF"]
 """Datums of heights above mean sea level, give or take what a mission allows for."""
-Nodata = Literal["sea"] | float | None
 _Area = tuple[tuple[float, float], tuple[float, float]]
 """Lowest and highest north, and east, of the local frame."""
 
@@ -45,37 +46,60 @@ class _RefusedError(Exception):
     """A rule that a file breaks, and the remedy: the file is named where it is opened."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ElevationFile:
-    """A file of heights, and what is said of it; its methods raise InputError naming the field.
+class ElevationTable(Table):
+    """A file of heights, and what is said of it; its methods raise InputError (terrain.file).
 
     They do if the file cannot be read, is not in latitude and longitude (WGS84 or alike), is not in
     metres, or names another datum.
     """
 
-    path: Path
+    file: FileName
+    """Relative to the folder of the file that names it."""
     vertical_datum: VerticalDatum
-    nodata: Nodata
-    """What lies where it has no height; None: that is not known."""
-    field: str
-    """What names it."""
+    nodata: Literal["sea"] | Altitude | None = None
+    """What lies where the file has no height: the sea, or ground AMSL; None: that is not known."""
 
-    def terrain(self, frame: LocalFrame, area_m: _Area) -> GridTerrain:
+    def terrain(self, folder: Path, frame: LocalFrame, area_m: _Area) -> GridTerrain:
         """The terrain of an area, of which only the part about it is read.
 
         InputError, too, if it does not cover the area, or has holes that nodata does not fill.
         """
-        with self._opened() as source:
-            part = _part(source, frame, area_m)
+        with self._part(folder, frame, area_m) as part:
             if part.beyond.any():
                 rule = "[area] reaches beyond the middles of its outer cells"
                 raise _RefusedError(rule, "Make [area] smaller, or name another file.")
             return part.terrain(frame, part.filled(self.nodata))
 
-    def known_map(
-        self, frame: LocalFrame, blank: KnownMap, *, datum_error_m: float, may_be_scanned: bool
-    ) -> KnownMap:
+    @contextlib.contextmanager
+    def _part(self, folder: Path, frame: LocalFrame, area_m: _Area) -> Iterator["_Part"]:
+        """What an area needs of the file; InputError for what is refused meanwhile, too."""
+        path, field = folder / self.file, "terrain.file"
+        rasterio = importlib.import_module("rasterio")  # 0.2 s and 100 MB that few worlds need
+        if not (answer(path.is_file) and str(path).isprintable()):  # GDAL takes UTF-8 alone
+            raise InputError(field, str(path), "no such file, or of an odd name", _NAME_ONE)
+        driver = "SRTMHGT" if path.suffix.lower() == ".hgt" else "GTiff"
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of files without coordinates: refused below
+                with rasterio.open(path, driver=driver) as source:
+                    _refuse(source, self.vertical_datum)
+                    part = _read(source, frame, area_m)
+            yield part
+        except _RefusedError as error:
+            raise InputError(field, str(path), *error.args) from None
+        except rasterio.errors.RasterioError as error:
+            rule = f"it cannot be read ({' '.join(str(error).split())})"
+            raise InputError(field, str(path), rule, _NAME_ONE) from None
+
+
+class KnownElevationTable(ElevationTable):
+    """Terrain known in advance from a file; where that has no height it is not."""
+
+    datum_error_m: NotNegative = 5.0
+    trust: Literal["proof", "guidance"] = "proof"
+    """What reads the file: certificates too, or only the choice of the way."""
+
+    def known_map(self, frame: LocalFrame, blank: KnownMap, *, may_be_scanned: bool) -> KnownMap:
         """What it tells in advance about the cells of a blank map.
 
         Each cell gets the highest terrain in it, plus datum_error_m.  It counts as seen, so that
@@ -86,60 +110,38 @@ class ElevationFile:
         rows, columns = blank.upper_m.shape
         north_m = blank.north_min_m, blank.north_min_m + rows * blank.cell_m
         east_m = blank.east_min_m, blank.east_min_m + columns * blank.cell_m
-        with self._opened() as source:
-            part = _part(source, frame, (north_m, east_m))
+        here = Path()  # `complete` has made the file's name absolute
+        with self._part(here, frame, (north_m, east_m)) as part:
             if part.empty.all():
                 rule = "it has no height anywhere on the map"
                 raise _RefusedError(rule, "Name the file of this place.")
             if self.nodata is not None:
                 part = replace(part, heights=part.filled(self.nodata), empty=part.beyond)
             terrain = part.terrain(frame, part.filled(_LOWEST_M))
-            holes = part.terrain(frame, part.empty.astype(np.uint8)) if part.empty.any() else None
-        upper = _highest_m(terrain, blank) + datum_error_m
-        if holes is not None:
+        upper = _highest_m(terrain, blank) + self.datum_error_m
+        if part.empty.any():
+            holes = part.terrain(frame, part.empty.astype(np.uint8))
             upper[_highest_m(holes, blank) > 0.0] = np.inf
         known = np.isfinite(upper)
         seen = np.zeros_like(known) if may_be_scanned else known
         return replace(blank, upper_m=upper, seen=seen, given=known)
 
-    def height_m(self, latitude_deg: float, longitude_deg: float) -> float | None:
+    def height_m(self, folder: Path, latitude_deg: float, longitude_deg: float) -> float | None:
         """The highest of its cells about a place, metres AMSL.
 
         None: one of them lies beyond the file, or has no height and nodata does not say any.
         """
-        with self._opened() as source:
-            frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
-            part = _part(source, frame, ((0.0, 0.0), (0.0, 0.0)))
+        frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+        with self._part(folder, frame, ((0.0, 0.0), (0.0, 0.0))) as part:
             if part.beyond.any() or (part.empty.any() and self.nodata is None):
                 return None
             return float(part.filled(self.nodata).max())
 
-    @contextlib.contextmanager
-    def _opened(self) -> Iterator[Any]:
-        """The file, that has been checked; InputError for what is refused meanwhile, too."""
-        path, field = self.path, self.field
-        rasterio = importlib.import_module("rasterio")  # 0.2 s and 100 MB that few worlds need
-        if not (answer(path.is_file) and str(path).isprintable()):  # GDAL takes UTF-8 alone
-            raise InputError(field, str(path), "no such file, or of an odd name", _NAME_ONE)
-        driver = "SRTMHGT" if path.suffix.lower() == ".hgt" else "GTiff"
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of files without coordinates: refused below
-                with rasterio.open(path, driver=driver) as source:
-                    for refusal in _refusals(source, self.vertical_datum):
-                        raise refusal
-                    yield source
-        except _RefusedError as error:
-            raise InputError(field, str(path), *error.args) from None
-        except rasterio.errors.RasterioError as error:
-            rule = f"it cannot be read ({' '.join(str(error).split())})"
-            raise InputError(field, str(path), rule, _NAME_ONE) from None
 
-
-def _refusals(source: Any, vertical_datum: str) -> Iterator[_RefusedError]:
-    """The rules that it breaks: one band of metres over north-up degrees of a datum like WGS84."""
+def _refuse(source: Any, vertical_datum: str) -> None:
+    """Refuse what is not one band of metres over north-up degrees of a datum like WGS84."""
     if source.crs is None:
-        yield _RefusedError("it does not say which coordinates it is in", _WARP)
+        raise _RefusedError("it does not say which coordinates it is in", _WARP)
     crs = pyproj.CRS.from_wkt(source.crs.to_wkt())
     flat = crs.sub_crs_list[0] if crs.is_compound else crs
     ellipsoid = flat.ellipsoid.name if flat.ellipsoid else "none"
@@ -166,7 +168,9 @@ def _refusals(source: Any, vertical_datum: str) -> Iterator[_RefusedError]:
         (unit not in ("m", "metre", "meter", "metres", "meters"),
          f"its heights are in {unit}", "Convert them to metres."),
     )  # fmt: skip
-    yield from (_RefusedError(rule, remedy) for is_broken, rule, remedy in rules if is_broken)
+    for is_broken, rule, remedy in rules:
+        if is_broken:
+            raise _RefusedError(rule, remedy)
 
 
 def _same_datum(name: str, vertical_datum: str) -> bool:
@@ -189,7 +193,7 @@ class _Part:
     """Of the middle of the cell in this corner."""
     step_deg: tuple[float, float]
 
-    def filled(self, nodata: Nodata) -> npt.NDArray[Any]:
+    def filled(self, nodata: Literal["sea"] | float | None) -> npt.NDArray[Any]:
         """The heights without holes, all of them of this earth."""
         heights = self.heights
         if self.empty.any():
@@ -217,7 +221,7 @@ class _Part:
         )
 
 
-def _part(source: Any, frame: LocalFrame, area_m: _Area) -> _Part:
+def _read(source: Any, frame: LocalFrame, area_m: _Area) -> _Part:
     """Read what an area needs of a file, and no more."""
     border = [np.linspace(*side, _BORDER_POINTS) for side in area_m]
     latitude, longitude = frame.to_geodetic_deg(*np.meshgrid(*border, indexing="ij"))
@@ -225,32 +229,20 @@ def _part(source: Any, frame: LocalFrame, area_m: _Area) -> _Part:
     row = (latitude - at.f) / at.e - 0.5
     middle_deg = at.c + 0.5 * width * at.a
     column = wrap_deg(longitude - middle_deg) / at.a + 0.5 * width - 0.5
-    needed = [
+    (top, bottom), (left, right) = [
         (math.floor(each.min() - 0.01), math.ceil(each.max() + 0.01) + 1) for each in (row, column)
     ]
-    (top, bottom), (left, right) = needed
     if (bottom - top) * (right - left) > _MAX_CELLS:
         rule = f"[area] takes more than {_MAX_CELLS:.1e} of its cells"
         raise _RefusedError(rule, "Make [area] smaller.")
-    inside = [
-        (min(max(first, 0), size), max(min(last, size), 0))
-        for (first, last), size in zip(needed, (height, width), strict=True)
-    ]
-    heights = np.zeros((bottom - top, right - left), dtype=source.dtypes[0])
-    empty, beyond = np.ones(heights.shape, dtype=bool), np.ones(heights.shape, dtype=bool)
-    if all(first < last for first, last in inside):
-        here = (
-            slice(inside[0][0] - top, inside[0][1] - top),
-            slice(inside[1][0] - left, inside[1][1] - left),
-        )
-        heights[here] = source.read(1, window=tuple(inside))
-        mask = source.read_masks(1, window=tuple(inside))
-        empty[here] = (mask == 0) | ~np.isfinite(heights[here])
-        beyond[here] = False
+    window = (top, bottom), (left, right)
+    found = source.read(1, window=window, boundless=True, masked=True)
+    rows, columns = (np.arange(*span) for span in window)
+    within = np.outer((rows >= 0) & (rows < height), (columns >= 0) & (columns < width))
     return _Part(
-        heights=heights,
-        empty=empty,
-        beyond=beyond,
+        heights=found.data,
+        empty=np.ma.getmaskarray(found) | ~np.isfinite(found.data) | ~within,
+        beyond=~within,
         south_west_deg=(at.f + at.e * (bottom - 0.5), at.c + at.a * (left + 0.5)),
         step_deg=(-at.e, at.a),
     )

@@ -1,11 +1,11 @@
 """Text files as users have them: read, or refused in one line."""
 
+import contextlib
 import errno
 import json
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,16 @@ def read_text(path: Path, field: str, remedy: str) -> str:
     except OSError as error:
         rule = f"it cannot be read ({error})"
     raise InputError(field, str(path), rule, remedy)
+
+
+@contextlib.contextmanager
+def within(where: str, advice: str = "") -> Iterator[None]:
+    """Say of what is refused meanwhile in which file it is; advice: after the remedy."""
+    try:
+        yield
+    except InputError as error:
+        remedy = " ".join(filter(None, (error.remedy, advice)))
+        raise InputError(f"{where}: {error.field}", error.value, error.rule, remedy) from None
 
 
 def begins_as(path: Path, *beginnings: bytes) -> bool:
@@ -82,7 +92,7 @@ def writable(option: str, path: Path) -> Path:
     return path
 
 
-@contextmanager
+@contextlib.contextmanager
 def writing(option: str, path: Path) -> Iterator[None]:
     """Raise InputError about the option if what is done meanwhile cannot be written.
 
@@ -178,11 +188,12 @@ def toml_text(table: RawTable) -> str:
     """A table of strings, numbers, truths, lists and tables as TOML; None is left out."""
     plain_lines, headed_lines = list[str](), list[str]()
     for key, value in table.items():
-        is_array = isinstance(value, list) and value and all(isinstance(v, dict) for v in value)
-        if isinstance(value, dict) or is_array:
-            heading = f"[[{_key(key)}]]" if is_array else f"[{_key(key)}]"
-            for row in value if is_array else [value]:
-                headed_lines += ["", heading, *_pairs(row)]
+        if isinstance(value, dict):
+            headed_lines += ["", f"[{_key(key)}]", *_pairs(value)]
+        elif isinstance(value, list) and value and all(isinstance(row, dict) for row in value):
+            headed_lines += [
+                line for row in value for line in ("", f"[[{_key(key)}]]", *_pairs(row))
+            ]
         else:
             plain_lines += _pairs({key: value})
     return "\n".join([*plain_lines, *headed_lines]) + "\n"
@@ -198,8 +209,6 @@ def _key(key: str) -> str:
 
 def _value(value: object) -> str:
     match value:
-        case bool():
-            return "true" if value else "false"
         case str():
             fit = value.encode("utf-8", "replace").decode()  # half a surrogate is no character
             return json.dumps(fit, ensure_ascii=False).replace("\x7f", "\\u007f")
@@ -207,6 +216,8 @@ def _value(value: object) -> str:
             return f"[{', '.join(map(_value, value))}]"
         case dict():
             return f"{{{', '.join(_pairs(value))}}}"
+        case bool():
+            return json.dumps(value)
         case _:
             return str(value)
 

@@ -1,50 +1,365 @@
-"""Converts the tables of a mission file to a `Mission`, or reports the rule that is broken.
+"""Mission files: their tables, with the rules between keys, and the `Mission` that they mean.
 
-A mission may name a .plan, a GeoJSON file and an elevation file.  The first two are taken into the
-table itself (`complete`), so that a run folder holds all that was flown.
+A field of a table is called as the value that it becomes; where the file has another unit or name
+for it, that is its alias.  A mission may name a .plan, a GeoJSON file and an elevation file.  The
+first two are taken into the table itself (`complete`), so that a run folder holds all that was
+flown.
 """
 
-from collections.abc import Collection, Iterator
-from dataclasses import replace
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
+from pydantic import AfterValidator, Discriminator, Field, Tag
+from pydantic_core import PydanticCustomError
 
 from companion.errors import InputError
-from companion.geodesy import LocalFrame
+from companion.geodesy import LocalFrame, wrap_rad
 from companion.mavlink.autopilots import named
-from companion.mission.mission import Mission
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
+from companion.mission.mission import EndAction, Fallback, Mission
+from companion.optimise.registry import OPTIMISERS
 from companion.path.envelope import COPTER, PLANE
-from companion.path.limits import Limits
+from companion.path.limits import Limits, VehicleKind
 from companion.planner import rules
-from companion.planner.settings import PlannerSettings, Task
+from companion.planner.rules import Broken
+from companion.planner.settings import Place, PlannerSettings, Task
 from companion.profiles import PROFILES, Weights
-from companion.sources.files import WAYPOINTS, RawTable, begins_as, plain
-from companion.sources.geojson import NoZone, read_geojson
-from companion.sources.mission_schema import (
-    KnownElevationTable,
-    MissionTable,
-    StatedTable,
-    TargetTable,
-    ThreatsTable,
-)
-from companion.sources.plan_defaults import with_plan
+from companion.ranges import NotNegative, Positive
+from companion.sources.elevation import KnownElevationTable
+from companion.sources.files import WAYPOINTS, RawTable, begins_as, plain, within
 from companion.sources.plan_file import (
     Ground,
-    Zones,
     read_plan,
     read_waypoint_fence,
     read_waypoint_list,
+    with_plan,
 )
-from companion.sources.schema import validated
-from companion.sources.zones import Place, place_of, radar_of, zones_of
+from companion.sources.tables import (
+    Altitude,
+    AreaTable,
+    FileName,
+    OriginTable,
+    Table,
+    broken_of,
+    keys_of,
+    validated,
+)
+from companion.sources.zones import (
+    NoZone,
+    PlaceTable,
+    RadarTable,
+    TargetTable,
+    Zones,
+    ZoneTable,
+    read_geojson,
+    zones_of,
+)
 from companion.world.columns import distance_to_terrain_m
 from companion.world.known_map import KnownMap, empty_map
-from companion.world.near_map import cell_for_m
+from companion.world.near_map import Kind, NearSensor, cell_for_m
 
 _MENTIONED_M = 1.0  # a smaller difference is worth no mention
 _STEP_M = 5.0
+_Slope = Annotated[float, Field(gt=0.0, lt=90.0), AfterValidator(math.radians)]
+_Bearing = Annotated[float, Field(ge=-360.0, le=360.0), AfterValidator(math.radians)]
+_REMOVE_ONE: Final = "Remove one of them."
+_LIDAR_COMPONENT: Final = wire.MAV_COMP_ID_OBSTACLE_AVOIDANCE
+_RADAR: Final = "terrain_radar"
+
+
+class BandTable(Table):
+    """The altitudes between which to fly."""
+
+    floor_amsl_m: Altitude
+    ceiling_amsl_m: Altitude
+
+
+_SPEEDS = ("speed_m_s", "acceleration_m_s2", "climb_rate_m_s", "turn_radius_m")
+_ERRORS = ("tracking_error_m", "navigation_error_m", "dead_man_s")
+
+
+class VehicleTable(
+    keys_of(Mission, "autopilot", "system_id", "position_rate_hz", "rangefinder_error_m"),  # type: ignore[misc]
+    keys_of(Limits, *_SPEEDS, *_ERRORS),  # type: ignore[misc]
+):
+    """What the vehicle can fly, and how it is to be flown."""
+
+    kind: VehicleKind
+    scanner: bool = True
+    scanner_component_id: Annotated[int, Field(ge=2, le=250)] | None = None
+    loiter_radius_m: Positive | None = None
+    climb_angle_rad: _Slope = Field(alias="climb_angle_deg")
+    dive_angle_rad: _Slope = Field(alias="dive_angle_deg")
+    yaw_rad: Annotated[_Bearing, AfterValidator(wrap_rad)] | None = Field(None, alias="yaw_deg")
+
+    def broken(self) -> Iterator[Broken]:
+        """It has what its kind needs, and nothing of another kind."""
+        component, loiter_m = self.scanner_component_id, self.loiter_radius_m
+        is_plane, yaw_deg = self.kind == "plane", math.degrees(self.yaw_rad or 0.0)
+        yield from broken_of(
+            (not self.scanner and component is not None, "scanner_component_id", component,
+             "scanner = false says that there is no terrain radar", _REMOVE_ONE),
+            (not is_plane and loiter_m is not None, "loiter_radius_m", loiter_m,
+             "a copter stops where it holds: it needs no circle", "Remove it."),
+            (is_plane and loiter_m is None, "loiter_radius_m", None,
+             "it is missing: a plane cannot stop, it holds on circles",
+             "Add loiter_radius_m, as the autopilot has it (WP_LOITER_RAD, NAV_LOITER_RAD)."),
+            (is_plane and self.yaw_rad is not None, "yaw_deg", yaw_deg,
+             "a plane's nose points where it flies", "Remove it."),
+        )  # fmt: skip
+
+
+_MOUNTING = ("forward_m", "right_m", "blind_m", "latency_s", "latency_error_s")
+_PROMISES = ("range_error_m", "position_error_m", "drift_m_s", "speaks_for_m")
+
+
+class ScannerTable(
+    keys_of(Mission, scanner_complete="complete"),  # type: ignore[misc]
+    keys_of(NearSensor, *_MOUNTING, *_PROMISES),  # type: ignore[misc]
+):
+    """What the scanner is, how it is mounted and what it promises.
+
+    The first is of the terrain radar, all others of lidars and the like.
+    """
+
+    kind: Literal["terrain_radar", Kind] = "terrain_radar"
+    component_id: Annotated[int, Field(ge=1, le=250)] | None = Field(None, alias="component")
+    """MAVLink component that sends them; left out: the autopilot for its sectors, else 196"""
+    yaw_rad: _Bearing = Field(0.0, alias="yaw_deg")
+    bearing_error_rad: Annotated[
+        float, Field(ge=0.0, le=45.0, validate_default=True), AfterValidator(math.radians)
+    ] = Field(1.0, alias="bearing_error_deg")
+
+    def broken(self) -> Iterator[Broken]:
+        """It says what its kind has."""
+        is_radar, component, keys = self.kind == _RADAR, self.component_id, type(self).model_fields
+        of_others = self.model_fields_set - {"kind", "scanner_complete"} if is_radar else set()
+        for name in sorted(of_others):
+            rule = "a terrain radar has no such key: it is of the other kinds"
+            remedy = f"Remove it, or write one of these kinds: {', '.join(get_args(Kind))}."
+            yield keys[name].alias or name, getattr(self, name), rule, remedy
+        yield from broken_of(
+            (not is_radar and "scanner_complete" in self.model_fields_set, "complete",
+             self.scanner_complete, "it is a radar's",
+             'Remove it, or write kind = "terrain_radar".'),
+            (component == COMPANION_COMPONENT, "component", component,
+             "that is the companion itself", "Give the driver another, as 196."),
+        )  # fmt: skip
+
+    def sensor(self, range_m: float) -> NearSensor | None:
+        """The sensor of near things, where that is the scanner."""
+        if self.kind == _RADAR:
+            return None
+        usual = AUTOPILOT_COMPONENT if self.kind == "distance_sensor" else _LIDAR_COMPONENT
+        return NearSensor(**{"component_id": usual, "range_m": range_m} | self.of(NearSensor))
+
+
+class WeightsTable(keys_of(Weights, *(each.name for each in fields(Weights)))):  # type: ignore[misc]
+    """a_1 .. a_6 of eq. 5."""
+
+
+_DISTANCES = ("scan_range_m", "safety_distance_m", "scan_distance_m")
+_TIMES = ("planning_time_s", "scan_time_s")
+
+
+def _known_optimiser(name: str) -> str:
+    """One of ours, or of another distribution's, which is loaded here to be sure of it."""
+    OPTIMISERS.chosen(name, "planner.optimiser")
+    return name
+
+
+class PlannerTable(keys_of(PlannerSettings, *_DISTANCES, *_TIMES, "evaluations")):  # type: ignore[misc]
+    """Distances and times of the online procedure, and the budget of the search."""
+
+    overlap_m: NotNegative | None = None
+    profile: Literal["flight", "paper"] = "flight"
+    optimiser: Annotated[str, AfterValidator(_known_optimiser)] | None = None
+    weights: WeightsTable = WeightsTable()
+
+
+class EndTable(Table):
+    """What to do at the last target."""
+
+    end_action: EndAction = Field(alias="action", strict=False)
+
+
+class FallbackTable(keys_of(Mission, "attempts")):  # type: ignore[misc]
+    """What to do when no way on is found, or the battery will not last."""
+
+    fallback: Fallback = Field(Fallback.RETURN, alias="action", strict=False)
+
+
+class BatteryTable(keys_of(Mission, "endurance_s")):  # type: ignore[misc]
+    """What must be left, and how long a full one lasts."""
+
+    reserve: Annotated[
+        float, Field(ge=0.0, lt=100.0), AfterValidator(lambda all_of: all_of / 100.0)
+    ] = Field(20.0, alias="reserve_percent", validate_default=True)
+
+
+def _identified(sender: str) -> tuple[int, int]:
+    """System and component of "SYSTEM/COMPONENT"."""
+    parts = re.fullmatch(r"(\d{1,3})/(\d{1,3})", sender, re.ASCII)
+    system, component = map(int, parts.groups()) if parts else (0, 0)
+    if not (1 <= system <= 255 and component <= 255):
+        rule = 'it must be "SYSTEM/COMPONENT", 1 to 255 and 0 (any) to 255'
+        raise PydanticCustomError("sender", rule)
+    return system, component
+
+
+class LinkTable(keys_of(Mission, "sets_parameters")):  # type: ignore[misc]
+    """Who may command the companion, and what it may say to the autopilot."""
+
+    commanders: (
+        Annotated[list[Annotated[str, AfterValidator(_identified)]], AfterValidator(tuple)] | None
+    ) = None
+
+
+class FromVehicleTable(
+    keys_of(  # type: ignore[misc]
+        Mission,
+        "goes_on_while_reading",
+        targets_from_vehicle="targets",
+        fence_from_vehicle="fence",
+    )
+):
+    """What is taken from the vehicle's own mission and fence."""
+
+
+class ThreatsTable(Table):
+    """A file of zones, and what of it is none."""
+
+    file: FileName
+    leave_out: list[NoZone] = Field(default_factory=list)
+
+
+class StatedTable(Table):
+    """Terrain known in advance by one statement about all of the map."""
+
+    highest_amsl_m: Altitude
+    """The ground is nowhere higher than this."""
+
+    def height_m(self, _folder: Path, *_place_deg: float) -> float:
+        """The highest that it may be at a place, metres AMSL."""
+        return self.highest_amsl_m
+
+    def known_map(self, _frame: LocalFrame, blank: KnownMap, *, may_be_scanned: bool) -> KnownMap:
+        """A blank map with it everywhere; a radar, if there is one, may see it lower."""
+        return replace(
+            blank,
+            upper_m=np.full(blank.shape, self.highest_amsl_m),
+            seen=np.full(blank.shape, not may_be_scanned),
+            given=np.ones(blank.shape, dtype=bool),
+        )
+
+
+def _kind_of_terrain(table: Any) -> str:
+    says_height = isinstance(table, dict) and any(key.startswith("highest") for key in table)
+    return "(stated)" if says_height else "(file)"
+
+
+KnownTerrain = Annotated[
+    Annotated[StatedTable, Tag("(stated)")] | Annotated[KnownElevationTable, Tag("(file)")],
+    Discriminator(_kind_of_terrain),
+]
+
+
+class _OnlyTerrain(Table):
+    terrain: KnownTerrain
+
+
+def _folder_name(name: str) -> str:
+    if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}", name) is None:
+        rule = (
+            "it must be up to 64 of A-Z, a-z, 0-9, space and _.-, and begin with one of the first"
+        )
+        raise PydanticCustomError("name", rule)
+    return name
+
+
+class MissionTable(Table):
+    """A mission.toml, with what other files that it names hold."""
+
+    schema_: Literal[1] = Field(alias="schema")
+    name: Annotated[str, AfterValidator(_folder_name)]
+    plan: FileName | None = None
+    threats: FileName | None = None
+    origin: OriginTable
+    area: AreaTable
+    altitude: BandTable
+    targets: Annotated[list[TargetTable], Field(min_length=1)] | None = None
+    vehicle: VehicleTable
+    scanner: ScannerTable = ScannerTable()
+    planner: PlannerTable
+    end: EndTable
+    fallback: FallbackTable = FallbackTable()
+    battery: BatteryTable = BatteryTable()
+    link: LinkTable = LinkTable()
+    from_vehicle: FromVehicleTable = FromVehicleTable()
+    terrain: KnownTerrain | None = None
+    radars: list[RadarTable] = Field(default_factory=list)
+    keep_outs: list[ZoneTable] = Field(default_factory=list)
+    keep_ins: list[ZoneTable] = Field(default_factory=list)
+    rally_points: list[PlaceTable] = Field(default_factory=list)
+
+    @property
+    def scans_ground(self) -> bool:
+        """Whether the vehicle has a terrain radar."""
+        return self.vehicle.scanner and self.scanner.kind == _RADAR
+
+    @property
+    def is_for_guidance(self) -> bool:
+        """Whether the terrain that is known in advance proves nothing."""
+        return isinstance(self.terrain, KnownElevationTable) and self.terrain.trust == "guidance"
+
+    def broken(self) -> Iterator[Broken]:
+        """Its tables fit one another."""
+        vehicle, terrain, targets = self.vehicle, self.terrain, self.targets
+        from_vehicle = self.from_vehicle.targets_from_vehicle
+        near, guides = self.scanner.kind != _RADAR, self.is_for_guidance
+        component, speaks_m = vehicle.scanner_component_id, self.scanner.speaks_for_m
+        height_m = self.altitude.ceiling_amsl_m - self.altitude.floor_amsl_m
+        if vehicle.kind == "plane" and vehicle.autopilot is not None:
+            strategy = named(vehicle.autopilot, vehicle.kind)
+            ends = {"end.action": self.end.end_action, "fallback.action": self.fallback.fallback}
+            for key, action in ends.items():
+                if action.value == "land" and not strategy.traits.lands:
+                    rule = f"{strategy.name} cannot be told to land where it is"
+                    yield key, action.value, rule, 'Write "hold" or "return".'
+        yield from broken_of(  # by a sensor of near things flies who can stop, over known ground
+            (near and component is not None, "vehicle.scanner_component_id", component,
+             "it is the terrain radar's", "Write scanner.component."),
+            (near and vehicle.kind != "copter", "scanner.kind", self.scanner.kind,
+             "only what can stop may fly by a sensor of near things",
+             "Use a terrain radar for a plane."),
+            (near and speaks_m < height_m, "scanner.speaks_for_m", speaks_m,
+             f"its beams are flat, and altitude's band is {height_m:g} m high",
+             f"Raise it to {height_m:g} if what stands there is so tall, or narrow the band."),
+            (near and (terrain is None or guides), "terrain.trust" if guides else "terrain",
+             "guidance" if guides else None, "a sensor of near things does not see the ground",
+             "Add [terrain] with highest_amsl_m, or with an elevation file that is trusted."),
+            (not vehicle.scanner and self.scanner != ScannerTable(), "scanner",
+             self.scanner.model_dump(by_alias=True),
+             "vehicle.scanner = false says that there is no terrain radar", _REMOVE_ONE),
+            (not vehicle.scanner and terrain is None, "vehicle.scanner", False,
+             "without a terrain radar nothing is known of the ground",
+             "Add [terrain] with a file or highest_amsl_m, or remove scanner = false."),
+            (not vehicle.scanner and guides, "terrain.trust", "guidance",
+             "without a terrain radar nothing would be proven, as guidance proves nothing",
+             'Write terrain.trust = "proof", or remove scanner = false.'),
+            (from_vehicle and targets is not None, "targets", len(targets or ()),
+             "the targets come from the vehicle (from_vehicle.targets)", _REMOVE_ONE),
+            (not from_vehicle and targets is None, "targets", None, "it is missing",
+             "Add [[targets]], or from_vehicle.targets = true; see docs/files.md."),
+        )  # fmt: skip
+
+
+# --- what other files hold that it names
 
 
 class MissionFile(NamedTuple):
@@ -62,29 +377,31 @@ def complete(given: RawTable, folder: Path, where: str) -> MissionFile:
     table, notes = given, list[str]()
     if isinstance(given.get("plan"), str):
         table, notes = _with_plan(given, folder, where)
-    asked, terrain = given.get("threats"), given.get("terrain")
-    if isinstance(asked, str | dict):
-        asked = {"file": asked} if isinstance(asked, str) else asked
-        chosen = validated(ThreatsTable, asked, f"{where}: threats")
-        threats = _threats(folder / chosen.file, f"{where}: threats", chosen.leave_out)
+    if isinstance(asked := given.get("threats"), str | dict):
+        threats = _threats({"file": asked} if isinstance(asked, str) else asked, folder, where)
         notes += threats.notes
         table = {key: value for key, value in table.items() if key != "threats"}
         for key, found in (("keep_outs", threats.keep_outs), ("keep_ins", threats.keep_ins)):
             if found and isinstance(table.get(key, []), list):
                 table[key] = [*table.get(key, []), *found]
+    terrain = given.get("terrain")
     if isinstance(terrain, dict) and isinstance(terrain.get("file"), str):
         file = str((folder / terrain["file"]).absolute())
         table = table | {"terrain": terrain | {"file": file}}
     return MissionFile(table=table, notes=tuple(notes), is_whole=table is given)
 
 
-def _threats(path: Path, where: str, leave_out: Collection[NoZone]) -> Zones:
-    """What a GeoJSON file or a list of QGC WPL 110 holds; leave_out: as for `read_geojson`."""
-    is_list = begins_as(path, WAYPOINTS)
-    threats = read_waypoint_fence(path, where) if is_list else read_geojson(path, where, leave_out)
-    if not (threats.keep_outs or threats.keep_ins):
-        threats.notes.append(f"{path.name}: it holds no zone")
-    return threats
+def _threats(asked: RawTable, folder: Path, where: str) -> Zones:
+    """What a GeoJSON file or a list of QGC WPL 110 holds."""
+    chosen = validated(ThreatsTable, asked, where := f"{where}: threats")
+    path, zones = folder / chosen.file, Zones()
+    if begins_as(path, WAYPOINTS):
+        zones = read_waypoint_fence(path, where)
+    else:
+        zones = read_geojson(path, where, chosen.leave_out)
+    if not (zones.keep_outs or zones.keep_ins):
+        zones.notes.append(f"{path.name}: it holds no zone")
+    return zones
 
 
 def _with_plan(table: RawTable, folder: Path, where: str) -> tuple[RawTable, list[str]]:
@@ -106,21 +423,21 @@ def _ground(table: RawTable, folder: Path, where: str) -> Ground | None:
     """The ground that [terrain] knows, for altitudes above it; None: it says nothing."""
     if not isinstance(said := table.get("terrain"), dict):
         return None
-    if "highest_amsl_m" in said:
-        stated_m = validated(StatedTable, said, f"{where}: terrain").highest_amsl_m
-        return lambda *_: stated_m
-    terrain = validated(KnownElevationTable, said, f"{where}: terrain")
-    return terrain.elevation(folder, where).height_m
+    terrain = validated(_OnlyTerrain, {"terrain": said}, where).terrain
+
+    def height_m(latitude_deg: float, longitude_deg: float) -> float | None:
+        with within(where):
+            return terrain.height_m(folder, latitude_deg, longitude_deg)
+
+    return height_m
 
 
-def mission_of(
-    model: MissionTable, profile: str | None, where: str, notes: tuple[str, ...] = ()
-) -> Mission:
+def mission_of(model: MissionTable, profile: str | None, notes: tuple[str, ...] = ()) -> Mission:
     """The mission that a checked table means; profile overrides the table's.
 
     Raises InputError for the first rule about the planner, a place or another file that is broken.
     """
-    vehicle, terrain = model.vehicle, model.terrain
+    vehicle, terrain, targets = model.vehicle, model.terrain, model.targets or []
     frame = LocalFrame(**dict(model.origin))
     near = model.scanner.sensor(model.planner.scan_range_m)
     stated_m = terrain.highest_amsl_m if isinstance(terrain, StatedTable) else None
@@ -137,8 +454,7 @@ def mission_of(
         handling=handling,
         convergence_rad=frame.convergence_rad(limits.north_m, limits.east_m),
         radars=tuple(
-            radar_of(radar, frame, f"{where}: radars[{index}]")
-            for index, radar in enumerate(model.radars)
+            radar.radar(frame, f"radars[{index}]") for index, radar in enumerate(model.radars)
         ),
         stated_ground_amsl_m=None if model.scans_ground else stated_m,
     )
@@ -147,48 +463,42 @@ def mission_of(
     if flown_m_s < asked_m_s:
         slower = f"R = {settings.scan_range_m:g} m is too short for V = {asked_m_s:g} m/s (eq. 4): "
         slower += f"it is flown at {flown_m_s:g} m/s; raise planner.scan_range_m to fly faster"
-    rules.refuse(rules.of_task(task), f"{where}: ")
-    zones, far = zones_of(model, task, frame, where)
+    rules.refuse(rules.of_task(task))
+    zones, far = zones_of(model.keep_outs, model.keep_ins, task, frame)
     task = replace(task, zones=zones)
+    places = list[Place]()
+    for number, target in enumerate(targets):
+        places.append(target.place(frame, _field(number, target)))
+        rules.refuse(rules.of_target(task, places[-1], _field(number, target)))
     said = (vehicle, model.end, model.fallback, model.battery, model.link, model.from_vehicle)
     as_written = {key: each for table in said for key, each in table.of(Mission).items()}
     if not model.scans_ground:
         as_written["scanner_component_id"] = None
-    about_ground, targets = "", model.targets or []
+    about_ground = ""
     if stated_m is not None:  # a person should be told once more before it is flown by
         about_ground = f"the ground is taken to be nowhere higher than {stated_m:g} m AMSL"
     mission = Mission(
         name=model.name,
         frame=frame,
-        targets_ne_m=_targets(model, task, frame, where),
+        targets_ne_m=tuple(places),
         altitudes_amsl_m=_carried_on([each.altitude_amsl_m for each in targets]),
         task=task,
         scanner_complete=model.scanner.scanner_complete,
         near=near,
-        known=_known_map(model, task, frame, where),
+        known=_known_map(model, task, frame),
         rally_ne_m=tuple(
-            place_of(point, frame, f"{where}: rally_points[{index}]")
+            point.place(frame, f"rally_points[{index}]")
             for index, point in enumerate(model.rally_points)
         ),
         notes=tuple(filter(None, (*notes, slower, far, about_ground))),
         **as_written,
     )
-    return replace(mission, notes=(*mission.notes, *_about_altitudes(mission, targets, where)))
+    return replace(mission, notes=(*mission.notes, *_about_altitudes(mission, targets)))
 
 
-def _targets(model: MissionTable, task: Task, frame: LocalFrame, where: str) -> tuple[Place, ...]:
-    found = []
-    for index, target in enumerate(model.targets or []):
-        field = _field(where, index, target)
-        place = place_of(target, frame, field)
-        rules.refuse(rules.of_target(task, place, field))
-        found.append(place)
-    return tuple(found)
-
-
-def _field(where: str, index: int, target: TargetTable) -> str:
+def _field(number: int, target: TargetTable) -> str:
     """How a target is called in errors."""
-    return f"{where}: targets[{index}]" + (f" ({target.name})" if target.name else "")
+    return f"targets[{number}]" + (f" ({target.name})" if target.name else "")
 
 
 def _limits(model: MissionTable) -> Limits:
@@ -206,27 +516,15 @@ def _settings(model: MissionTable, profile: str | None) -> PlannerSettings:
     return PlannerSettings(**as_written)
 
 
-def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -> KnownMap | None:
+def _known_map(model: MissionTable, task: Task, frame: LocalFrame) -> KnownMap | None:
     """The terrain known in advance, on the lattice of the mission's map."""
-    table = model.terrain
-    if table is None:
+    if model.terrain is None:
         return None
     blank = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
-    may_be_scanned, shape = model.vehicle.scanner, blank.upper_m.shape
-    if isinstance(table, KnownElevationTable):
-        told = table.elevation(Path(), where).known_map(
-            frame, blank, datum_error_m=table.datum_error_m, may_be_scanned=may_be_scanned
-        )
-    else:  # a radar, if there is one, may see it lower
-        told = replace(
-            blank,
-            upper_m=np.full(shape, table.highest_amsl_m),
-            seen=np.full(shape, not may_be_scanned),
-            given=np.ones(shape, dtype=bool),
-        )
+    told = model.terrain.known_map(frame, blank, may_be_scanned=model.vehicle.scanner)
     if task.settings.is_near:  # known is the ground, and nothing of what stands on it
         return replace(blank, guess_m=told.upper_m)
-    if isinstance(table, KnownElevationTable) and table.trust == "guidance":
+    if model.is_for_guidance:
         return replace(blank, guess_m=np.where(told.surveyed, told.upper_m, np.nan))
     return told
 
@@ -242,7 +540,7 @@ def _carried_on(altitudes_amsl_m: list[float | None]) -> tuple[float | None, ...
     return carried if carried and carried[-1] is not None else ()
 
 
-def _about_altitudes(mission: Mission, targets: list[TargetTable], where: str) -> Iterator[str]:
+def _about_altitudes(mission: Mission, targets: list[TargetTable]) -> Iterator[str]:
     """Where the targets' own altitudes are not flown, for a vehicle without a terrain radar.
 
     Raises InputError about a target that nothing of the band is high enough for, or whose ground
@@ -253,7 +551,7 @@ def _about_altitudes(mission: Mission, targets: list[TargetTable], where: str) -
         if table.altitude_amsl_m is not None and table.altitude_amsl_m >= top_m:
             rule = f"no path lies higher than {top_m:g} m, the ceiling less the vehicle's errors"
             remedy = "Lower it, or raise altitude.ceiling_amsl_m."
-            field = f"{where}: targets[{number}].altitude_amsl_m"
+            field = f"targets[{number}].altitude_amsl_m"
             raise InputError(field, table.altitude_amsl_m, rule, remedy)
     may_scan = mission.near is not None or mission.scanner_component_id is not None
     if mission.known is None or may_scan:
@@ -261,14 +559,13 @@ def _about_altitudes(mission: Mission, targets: list[TargetTable], where: str) -
     altitudes = mission.altitudes_amsl_m or (None,) * len(targets)
     places = zip(mission.targets_ne_m, altitudes, targets, strict=False)
     for number, (place, wanted_m, table) in enumerate(places):
-        field = _field(where, number, table)
         least_m = lowest_m if wanted_m is None else max(wanted_m, lowest_m)
-        flown_m = _clear_from_m(mission, place, least_m)
+        flown_m = _clear_from_m(mission.known, mission.task, place, least_m)
         if flown_m is None:
             top_m = mission.task.limits.ceiling_amsl_m
             rule = f"the ground there is not known, or too high for the ceiling, {top_m:g} m AMSL"
             remedy = "Move it, or correct [terrain] or altitude.ceiling_amsl_m."
-            raise InputError(field, list(place), rule, remedy)
+            raise InputError(_field(number, table), list(place), rule, remedy)
         if wanted_m is not None and flown_m - wanted_m > _MENTIONED_M:
             yield (
                 f"{table.name or f'target {number + 1}'} is planned at {wanted_m:g} m AMSL and "
@@ -276,12 +573,10 @@ def _about_altitudes(mission: Mission, targets: list[TargetTable], where: str) -
             )
 
 
-def _clear_from_m(mission: Mission, place: tuple[float, float], least_m: float) -> float | None:
+def _clear_from_m(known: KnownMap, task: Task, place: Place, least_m: float) -> float | None:
     """The lowest altitude from this one on that is clear of the ground; None: none in the band."""
-    assert mission.known is not None
-    top_m, required_m = mission.task.band_amsl_m[1], mission.task.required_clearance_m
+    top_m, required_m = task.band_amsl_m[1], task.required_clearance_m
     for up_m in np.arange(min(least_m, top_m), top_m, _STEP_M):
-        at = np.array([*place, up_m])
-        if distance_to_terrain_m(mission.known, at, required_m) >= required_m - 1e-6:
+        if distance_to_terrain_m(known, np.array([*place, up_m]), required_m) >= required_m - 1e-6:
             return float(up_m)
     return None

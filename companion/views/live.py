@@ -89,8 +89,8 @@ class MachineLines:
     A context manager: its last line says how the flight has ended, whatever has ended it.
     """
 
-    def __init__(self, output: PatientOutput) -> None:
-        """output: nothing else is written to it."""
+    def __init__(self, output: PatientOutput | None) -> None:
+        """output: nothing else is written to it; None: nobody has asked for it."""
         self.end: End | None = None
         """Of the mission, once it is over."""
         self._output = output
@@ -99,7 +99,8 @@ class MachineLines:
 
     def say(self, line: FlightBegun | FlightStatus | FlightEnded) -> None:
         """Write one line."""
-        self._output.write(f"{msgspec.json.encode(line).decode()}\n")
+        if self._output is not None:
+            self._output.write(f"{msgspec.json.encode(line).decode()}\n")
 
     def show(self, status: FlightStatus) -> None:
         """Write how the flight stands, if something is new or it is time; to be called often.
@@ -108,7 +109,7 @@ class MachineLines:
         """
         now_s, news = time.monotonic(), (status.vehicle_text, *_news(status, legs=True))
         is_due = news != self._told or now_s - self._shown_s >= _SHOWN_S
-        if is_due and not self._output.is_behind:
+        if is_due and self._output is not None and not self._output.is_behind:
             self._told, self._shown_s = news, now_s
             self.say(status)
 

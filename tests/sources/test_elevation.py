@@ -18,7 +18,7 @@ from spoiled import refusal
 from companion.config import load_world
 from companion.errors import InputError
 from companion.geodesy import LocalFrame
-from companion.sources.elevation import ElevationFile
+from companion.sources.elevation import ElevationTable
 from companion.world.terrain import GridTerrain
 from vehicle_sim.world import read_world
 
@@ -48,8 +48,8 @@ def make(tmp_path: Path) -> Make:
 
 
 def read(path: Path, **changes: Any) -> GridTerrain:
-    usual = {"vertical_datum": "EGM96", "nodata": None, "field": "terrain.file"}
-    return ElevationFile(path=path, **(usual | changes)).terrain(FRAME, AREA)
+    usual = {"vertical_datum": "EGM96", "nodata": None}
+    return ElevationTable(file=str(path), **(usual | changes)).terrain(Path(), FRAME, AREA)
 
 
 def refused(path: Path, **changes: Any) -> str:

@@ -16,7 +16,15 @@ from spoiled import refusal
 import companion
 from companion.config import load_mission, load_world, mission_text
 from companion.errors import InputError
-from companion.sources.files import json_table, plain, read_text, toml_table, toml_text, writing
+from companion.sources.files import (
+    json_table,
+    plain,
+    read_text,
+    toml_table,
+    toml_text,
+    with_settings,
+    writing,
+)
 
 FENCED = (Path(__file__).parent / "missions" / "fenced.plan").read_bytes()
 LIST = b"QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 100 1\n1 0 3 16 0 0 0 0 47 8.002 240 1\n"
@@ -38,6 +46,22 @@ def test_a_table_that_was_written_reads_back_as_it_was(table: dict[str, Any]) ->
     assert tomllib.loads(toml_text(table)) == table
     half_a_surrogate = toml_text({"name": "a\ud800b\x7f"})
     assert tomllib.loads(half_a_surrogate) == {"name": "a?b\x7f"}
+
+
+def test_a_setting_is_one_key_whose_value_it_replaces_whatever_that_was() -> None:
+    """A table too: with one key of it left, terrain would be a file and a statement at once."""
+    table = {"terrain": {"file": "x.tif"}, "planner": {"profile": "flight", "overlap_m": 1.0}}
+    settings = ["terrain = {highest_amsl_m = 1.0}", "planner.profile=paper", "end.action='hold'"]
+    assert with_settings(table, settings) == {
+        "terrain": {"highest_amsl_m": 1.0},
+        "planner": {"profile": "paper", "overlap_m": 1.0},
+        "end": {"action": "hold"},
+    }
+    assert table["planner"]["profile"] == "flight"
+    for none in ("planner.profile", "=1", "planner.=1"):
+        assert "it is not a key, an = and a value" in refusal(
+            lambda _, text: with_settings({}, [text]), Path(), none
+        )
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,7 @@ from spoiled import collection, feature, refusal, replace_somewhere
 
 from companion.config import load_mission
 from companion.errors import InputError
-from companion.sources.geojson import read_geojson
-from companion.sources.plan_file import Zones
+from companion.sources.zones import Zones, read_geojson
 
 RING = [[8.0, 47.0], [8.1, 47.0], [8.1, 47.2], [8.0, 47.0]]
 HOLE = [[8.04, 47.02], [8.08, 47.02], [8.08, 47.1], [8.04, 47.02]]

@@ -26,8 +26,8 @@ from companion.mavlink.near_scanner import messages_of, streams_hz
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.optimise.registry import OPTIMISERS
 from companion.sources.files import toml_text
-from companion.sources.mission_schema import MissionTable, ZoneTable
-from companion.sources.zones import zones_of
+from companion.sources.mission_file import MissionTable
+from companion.sources.zones import ZoneTable, zones_of
 from companion.world.zones import CircleZone
 
 COPTER = """
@@ -279,10 +279,10 @@ def test_a_polygon_of_far_corners_is_refused_if_it_reaches_the_map(
         told = corners + np.array(origin)
         told[:, 1] = (told[:, 1] + 180.0) % 360.0 - 180.0
         table = ZoneTable(name="far", vertices_deg=told.tolist())
-        model = MissionTable.model_construct(**{"keep_outs": [], "keep_ins": [], kind: [table]})
+        tables = ([table], []) if kind == "keep_outs" else ([], [table])
         inside = shapely.contains(drawn, places).any()
         try:
-            assert zones_of(model, task, frame, "here")[0] == ()
+            assert zones_of(*tables, task, frame)[0] == ()
             assert not inside
         except InputError:
             far_deg = shapely.distance(drawn, places).min()
@@ -450,7 +450,7 @@ REFUSED: list[tuple[str, str]] = [
     (BLIND + GUIDES, "guidance proves nothing"),
     (STATED + GUIDES, "mission.toml: terrain.trust = 'guidance'"),
     (KNOWN + 'trust = "hope"\n', "terrain.trust"),
-    ("terrain = 7\n" + COPTER, "terrain = 7: it must be a valid dictionary"),
+    ("terrain = 7\n" + COPTER, "terrain = 7: it must be a table"),
     (
         KNOWN.replace("longitude_deg = 8.0", "longitude_deg = 18.0"),
         "terrain.file.*no height anywhere on the map",
@@ -543,8 +543,9 @@ REFUSED: list[tuple[str, str]] = [
 
 @pytest.mark.parametrize(("text", "words"), REFUSED, ids=range(len(REFUSED)))
 def test_what_breaks_a_rule_is_refused_in_one_line(folder: Path, text: str, words: str) -> None:
-    """Field, value, rule, remedy."""
+    """Where, field, value, rule, remedy."""
     told = refusal(load, folder, text)
+    assert told.startswith((f"{folder / 'mission.toml'}: ", "MISSION = ")), told
     assert re.fullmatch(r"\S[^\n]*? = [^\n]+: [^\n]+\. [A-Z][^\n]*[.?]", told), told
     assert re.search(words, told), told
 

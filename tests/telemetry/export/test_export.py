@@ -20,7 +20,7 @@ from companion.geodesy import FloatArray
 from companion.mission.journal import PlanReady
 from companion.mission.mission import Mission
 from companion.replay.exporting import recorded
-from companion.sources.geojson import read_geojson
+from companion.sources.zones import read_geojson
 from companion.telemetry.export.formats import COLUMNS, write_csv, write_geojson, write_kml
 from companion.telemetry.journal import Journal
 
