@@ -383,6 +383,7 @@ class Simulation:
         replies = controller.autopilot.step(since_boot_us, _STEP_S, ground_amsl_m, gps.fix)
         controller.answer(replies)
         if looks:
+            controller.answer(controller.missions.step(now_us))
             armed = controller.autopilot.armed
             self._battery.step(POWER_STEP_S, vehicle, armed, conditions.battery)
         if controller.wants_reboot:
