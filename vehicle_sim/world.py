@@ -30,6 +30,8 @@ def _must(holds: bool, key: str, value: object, rule: str, remedy: str) -> None:
 
 _Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 _Positive = Annotated[_Real, Field(gt=0)]
+_Spread = Annotated[_Real, Field(ge=0.01)]
+"""Places are divided by it and squared: less would make them infinite."""
 _Local = Annotated[_Real, Field(ge=-5e6, le=5e6)]
 _Altitude = Annotated[_Real, Field(ge=-1000, le=20000)]
 _Speed = Annotated[_Real, Field(gt=0, le=300)]
@@ -78,8 +80,8 @@ class Peak(_Placed):
     """One mountain (eq. 1)."""
 
     height_amsl_m: Annotated[_Altitude, Field(gt=0)]
-    spread_north_m: _Positive
-    spread_east_m: _Positive
+    spread_north_m: _Spread
+    spread_east_m: _Spread
 
 
 class TerrainTable(_Table):
@@ -179,7 +181,7 @@ class Scanner(_Table):
     """The terrain radar on board: a MAVLink component of its own."""
 
     component_id: _Component
-    range_m: _Positive
+    range_m: Annotated[_Positive, Field(le=1e6)]
 
 
 class Tree(_Placed):
