@@ -553,6 +553,8 @@ class Entry(NamedTuple):
     until_us: int
     fault: Fault
     sets: dict[str, Any]
+    where: str
+    """Its line stands, for errors."""
 
 
 @final
@@ -583,7 +585,7 @@ class Timeline:
     def _add(self, entry: Entry) -> None:
         if entry.fault.name == COMPANION_OFF:
             rule = "needs a companion, and only campaigns fly one"
-            raise InputError("timeline", COMPANION_OFF, rule, "Leave the line out.")
+            raise InputError(entry.where, COMPANION_OFF, rule, "Leave the line out.")
         bisect.insort(self._entries, entry, key=lambda each: each.at_us)
         self.next_us = min(self.next_us, entry.at_us)
 
@@ -623,4 +625,4 @@ def _entry(line: str, where: str) -> Entry:
     if length_us == 0:
         raise InputError(where, line, "lasts no time", "Write a longer time.")
     until_us = at_us if fault.once else min(at_us + length_us, NEVER_US)
-    return Entry(at_us, until_us, fault, fault.read(what, where))
+    return Entry(at_us, until_us, fault, fault.read(what, where), where)

@@ -77,6 +77,7 @@ def simulator() -> Simulator:
     """The one that is installed; InputError if none is."""
     for point in entry_points(group="companion.vehicles"):
         found: Simulator = point.load()
-        return found
+        if hasattr(found, "ways"):  # of an older installation it is not the module
+            return found
     rule, remedy = "no package brings one", "Install the project again: pip install ."
     raise InputError("companion.vehicles", None, rule, remedy)

@@ -2,16 +2,18 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from companion.campaign import drawn_faults, drawn_world, families, judge
+from companion.campaign import drawn_faults, drawn_world, families, judge, simulator
 from companion.campaign.drawn_faults import FAMILIES, FaultScript, Subject, ways
 from companion.campaign.drawn_world import mission_of
 from companion.campaign.in_process import Flight
 from companion.config import load_mission
+from companion.errors import InputError
 from companion.world.zones import CircleZone
 from vehicle_sim import faults
 from vehicle_sim.faults import COMPANION_OFF, FAULTS, Drawn, Fault, Known, Timeline, conditions_of
@@ -82,6 +84,15 @@ def test_a_fault_that_is_added_as_one_row_is_drawn_flown_and_judged(
     excused = judge.judged(flight(tmp_path, NEAR), DRAWN, "at 0 s: gps_few 3")
     assert excused["violations"] == 0
     assert "the sky was hidden" in excused["excused"]
+
+
+def test_without_a_simulator_that_can_say_what_may_go_wrong_there_is_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    older = [SimpleNamespace(load=lambda: print)]
+    monkeypatch.setattr(simulator, "entry_points", lambda **_: older)
+    with pytest.raises(InputError, match="Install the project again"):
+        simulator.simulator.__wrapped__()
 
 
 # --- the judge
