@@ -308,12 +308,10 @@ _SIDE: Final = "[north|east|south|west]"
 _WAY: Final = "[| to_vehicle| from_vehicle]"
 
 
-def _link(
-    line: str, about: str, *keys: str, drawn: Iterable[Drawn], known: Known = _PLAIN, **sets: bool
-) -> Fault:
+def _link(line: str, about: str, *keys: str, **more: Any) -> Fault:
     """Of all frames on all links unless it says which."""
     usage = f"{line} [to_vehicle|from_vehicle] [on link N]"
-    return Fault("link", usage, about, *keys, "way", "only", drawn=drawn, known=known, **sets)
+    return Fault("link", usage, about, *keys, "way", "only", **more)
 
 
 # fmt: off
