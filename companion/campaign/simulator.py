@@ -23,37 +23,30 @@ class Vehicle(SimulatedVehicle, Protocol):
 
 
 class Known(Protocol):
-    """What a companion could know of a fault, and what a flight may come to then."""
+    """By what a companion is judged, as `Known` in vehicle_sim/faults.py says."""
 
     excuse: str
-    """Why nothing counts against it from the begin of the fault on."""
     excuse_needs: str
-    """The field that its line has to set for that."""
     out_of_reach: bool
-    """No command can reach the vehicle meanwhile; after what happens once, for good."""
     may_fall: bool
-    """Without having landed it may end on the ground."""
     brings: str
-    """"fence" or "target": one more, which then counts."""
 
 
 class Fault(Protocol):
-    """A kind of fault."""
+    """A kind of fault; `once`: it does not last."""
 
     name: str
     once: bool
-    """It does not last."""
     known: Known
 
 
 class Happening(Protocol):
-    """A line of a timeline."""
+    """A line of a timeline, and what it asks for."""
 
     at_us: int
     until_us: int
     fault: Fault
     sets: Mapping[str, Any]
-    """What it asks for."""
 
 
 class Simulator(Protocol):
