@@ -10,6 +10,9 @@ these the faults of a timeline, which is text with one fault (a row of FAULTS) a
 
 Times are of the simulation, which a reboot of the autopilot does not begin again.  A fault lasts
 `for` so long, or stays; of those that set the same condition the one that began last counts.
+
+A fault is one row, which also says how campaigns draw it and by what they judge a companion then;
+they read both through vehicle_sim/in_process.py.
 """
 
 import bisect
@@ -17,7 +20,7 @@ import math
 import re
 from collections.abc import Iterable
 from itertools import cycle, pairwise
-from typing import Any, Final, NamedTuple, Self, final
+from typing import Any, Final, Literal, NamedTuple, Self, final
 
 from vehicle_sim.errors import InputError, did_you_mean
 from vehicle_sim.parameters import Firmware, Kind, Parameter, Readable
@@ -201,6 +204,50 @@ def _meant(group: str, key: str, number: float, unit: str) -> Any:
 
 
 @final
+class Drawn(NamedTuple):
+    """A way in which campaigns draw a fault, from some moment on."""
+
+    number: int
+    """Its place among all ways.  A new one takes the next: a seed draws the others as before."""
+    line: str = ""
+    """What its line says after its name; more lines follow after "; ".
+
+    `3..90` is a number between, with as many decimals; with L times the size of the vehicle, with V
+    its speed.  `[a|b]` is one of them, `after 2.0..6.0 s: ` so long after the first line.
+    Campaigns fill in {gale}, the wind that the vehicle can stand, and what `ground_command` needs
+    to select the autopilot's modes {guided} and {returns}.
+    """
+    name: str = ""
+    """What this way is called; else as the fault."""
+    not_on: str = ""
+    """Who cannot have it: a vehicle, as "ardupilot-copter", or the firmware of two."""
+
+
+@final
+class Known(NamedTuple):
+    """What a companion could know of a fault, and what a flight may come to then.
+
+    Of most it knows what the vehicle's position and mode tell, which campaigns compare with the
+    truth anyway.
+    """
+
+    excuse: str = ""
+    """Why nothing counts against it from the begin of the fault on."""
+    excuse_needs: str = ""
+    """The field that its line has to set for that."""
+    out_of_reach: bool = False
+    """No command can reach the vehicle meanwhile (after what happens once: for good), so it may
+    end as it is, hovering in guided mode."""
+    may_fall: bool = False
+    """Without having landed it may end on the ground."""
+    brings: Literal["", "fence", "target"] = ""
+    """A ground station tells it of one more, which then counts."""
+
+
+_PLAIN: Final = Known()
+
+
+@final
 class Fault:
     """One kind of fault: how its line is written, what it is, and the fields that it sets.
 
@@ -208,11 +255,21 @@ class Fault:
     four; [...] may be left out, and its field is then as usual.  The fields are of a `group` of the
     conditions while the fault lasts, or of a Happening if it happens once.  `keys` are those of the
     numbers and of the words with an underscore, in order; a vector, to which numbers add, has one.
+    `drawn` and `known` are for campaigns.
     """
 
-    def __init__(self, group: str, usage: str, about: str, *keys: str, **sets: bool) -> None:
+    def __init__(
+        self,
+        group: str,
+        usage: str,
+        about: str,
+        *keys: str,
+        drawn: Iterable[Drawn] = (),
+        known: Known = _PLAIN,
+        **sets: bool,
+    ) -> None:
         self.group, self.usage, self.about, self._keys = group, usage, about, keys
-        self.once = not group
+        self.once, self.drawn, self.known = not group, tuple(drawn), known
         self.sets = {key: _usual(group, key) for key in keys} | sets
         """The fields of its shortest line."""
         self.name, *tokens = re.findall(r"[][]|[^][\s]+", usage)
@@ -245,51 +302,84 @@ class Fault:
         return sets
 
 
-def _link(line: str, about: str, *keys: str, **sets: bool) -> Fault:
+COMPANION_OFF: Final = "companion_off"
+"""The one that befalls the companion, and not its vehicle."""
+_SIDE: Final = "[north|east|south|west]"
+_WAY: Final = "[| to_vehicle| from_vehicle]"
+
+
+def _link(line: str, about: str, *keys: str, **more: Any) -> Fault:
     """Of all frames on all links unless it says which."""
     usage = f"{line} [to_vehicle|from_vehicle] [on link N]"
-    return Fault("link", usage, about, *keys, "way", "only", **sets)
+    return Fault("link", usage, about, *keys, "way", "only", **more)
 
 
 # fmt: off
 FAULTS: Final = (
-    Fault("gps", "gps_off", "The receiver loses its fix.", enabled=False),
+    Fault("gps", "gps_off", "The receiver loses its fix.", enabled=False,
+        drawn=[Drawn(0, "for 0.5..25.0 s")]),
     Fault("gps", "gps_glitch N m WHERE [N m WHERE]",
-        "The receiver's position is off by so much.", "glitch_m"),
+        "The receiver's position is off by so much.", "glitch_m",
+        drawn=[Drawn(1, f"3..90 m {_SIDE} for 1.0..30.0 s")]),
     Fault("gps", "gps_drift N m/s WHERE", "The receiver's position wanders off at this speed, and "
-        "its velocity says so.", "drift_m_s"),
+        "its velocity says so.", "drift_m_s",
+        drawn=[Drawn(2, f"0.3..4.0 m/s {_SIDE} for 5.0..30.0 s")]),
     Fault("gps", "gps_jam",
-        "The fix comes and goes, with wild positions and velocities.", jammed=True),
+        "The fix comes and goes, with wild positions and velocities.", jammed=True,
+        drawn=[Drawn(3, "for 1.0..15.0 s")]),
     Fault("gps", "gps_noise N m", "A random error with this standard deviation on each horizontal "
-        "axis, 1.5 times that in height, correlated over seconds.", "sigma_m"),
-    Fault("gps", "gps_delay N ms", "The receiver's solutions are this old.", "lag_s"),
+        "axis, 1.5 times that in height, correlated over seconds.", "sigma_m",
+        drawn=[Drawn(4, "0.3..3.0 m for 10..60 s")]),
+    Fault("gps", "gps_delay N ms", "The receiver's solutions are this old.", "lag_s",
+        drawn=[Drawn(5, "100..600 ms for 10..60 s")]),
     Fault("gps", "gps_satellites N",
-        "The receiver sees so many satellites; PX4 has no fix with fewer than 4.", "satellites"),
+        "The receiver sees so many satellites; PX4 has no fix with fewer than 4.", "satellites",
+        drawn=[Drawn(6, "0..8 for 1.0..25.0 s"),
+               Drawn(29, "3..8 for 2.0..25.0 s", "few satellites")]),
     Fault("wind", "wind N m/s from N deg [turbulence N [m/s]] [rising N deg]",
         "Wind from this true direction, full from 60 m above the ground on, with gusts of this "
         "standard deviation, rising by this angle.",
-        "speed_m_s", "from_rad", "turbulence_m_s", "rising_rad"),
-    Fault("wind", "turbulence N m/s", "Gusts of this standard deviation.", "turbulence_m_s"),
-    Fault("battery", "battery N %", "No more than this is left in the battery.", "most"),
+        "speed_m_s", "from_rad", "turbulence_m_s", "rising_rad", drawn=[
+            Drawn(7, "3.0..{gale} m/s from 0..360 deg turbulence 0.0..1.5 m/s rising -5..5 deg")]),
+    Fault("wind", "turbulence N m/s", "Gusts of this standard deviation.", "turbulence_m_s",
+        drawn=[Drawn(8, "0.5..2.5 m/s")]),
+    Fault("battery", "battery N %", "No more than this is left in the battery.", "most",
+        drawn=[Drawn(9, "3..40 %")]),
     Fault("battery", "battery_voltage N V",
-        "The battery's voltage at rest when full (ArduPilot).", "voltage_v"),
-    _link("link_off", "Nothing passes.", off=True),
-    _link("link_loss N %", "This share of the frames is lost.", "lost"),
+        "The battery's voltage at rest when full (ArduPilot).", "voltage_v",
+        drawn=[Drawn(10, "9.5..12.0 V", not_on="px4")]),
+    _link("link_off", "Nothing passes.", off=True, known=Known(out_of_reach=True),
+        drawn=[Drawn(11, f"{_WAY} for 0.2..25.0 s"),
+               Drawn(41, "for 30.0..60.0 s", "link lost for long")]),
+    _link("link_loss N %", "This share of the frames is lost.", "lost",
+        drawn=[Drawn(12, f"3..60 %{_WAY} for 10..60 s"),
+               Drawn(16, f"1..40 %{_WAY}", "link_loss for good")]),
     _link("link_delay N ms [jitter N ms]", "Every frame is late by the delay and up to the jitter "
-        "more; a frame may overtake another so.", "delay_us", "jitter_us"),
-    _link("link_duplication N %", "This share of the frames arrives twice.", "duplicated"),
-    Fault("radar", "radar_off", "The radar falls silent: no answers, no heartbeat.", silent=True),
-    Fault("radar", "radar_blind", "The radar answers and sees nothing.", blind=True),
+        "more; a frame may overtake another so.", "delay_us", "jitter_us",
+        drawn=[Drawn(13, f"20..700 ms jitter 0..200 ms{_WAY} for 5.0..60.0 s"),
+               Drawn(15, "0 ms jitter 5..60 ms", "frames overtake")]),
+    _link("link_duplication N %", "This share of the frames arrives twice.", "duplicated",
+        drawn=[Drawn(14, "5..80 %")]),
+    Fault("radar", "radar_off", "The radar falls silent: no answers, no heartbeat.", silent=True,
+        drawn=[Drawn(17, "for 2.0..40.0 s")]),
+    Fault("radar", "radar_blind", "The radar answers and sees nothing.", blind=True,
+        drawn=[Drawn(18, "for 2.0..40.0 s")]),
     Fault("radar", "radar_drop N %",
-        "This share of the cells in sight is not seen all the same.", "cells_missed"),
+        "This share of the cells in sight is not seen all the same.", "cells_missed",
+        drawn=[Drawn(19, "2..50 %")]),
     Fault("radar", "radar_loss N %",
-        "This share of the radar's TERRAIN_DATA is never sent.", "frames_lost"),
+        "This share of the radar's TERRAIN_DATA is never sent.", "frames_lost",
+        drawn=[Drawn(20, "2..70 %")]),
     Fault("radar", "radar_noise N m [either_way]", "Heights have a normal error of this standard "
         "deviation; its size is added and the sum rounded up, so that no cell is told lower than "
-        "it is.  With `either_way` a cell may be.", "noise_m", "either_way"),
-    Fault("radar", "radar_delay N ms", "The radar's answers are late by this.", "delay_s"),
+        "it is.  With `either_way` a cell may be.", "noise_m", "either_way",
+        known=Known("the radar told too low heights", excuse_needs="either_way"),
+        drawn=[Drawn(21, "0.5..8.0 m[| either_way]")]),
+    Fault("radar", "radar_delay N ms", "The radar's answers are late by this.", "delay_s",
+        drawn=[Drawn(22, "50..1500 ms for 5.0..60.0 s")]),
     Fault("radar", "radar_rate N Hz", "The radar answers this many requests a second, at the beats "
-        "of its own sweep; else each at the end of its tick.", "rate_hz"),
+        "of its own sweep; else each at the end of its tick.", "rate_hz",
+        drawn=[Drawn(23, "0.5..8.0 Hz for 5.0..60.0 s")]),
     Fault("lidar", "lidar_dead", "It measures nothing any more; its driver is well.", dead=True),
     Fault("lidar", "lidar_blind", "It measures, and no echo comes back.", blind=True),
     Fault("lidar", "lidar_off", "The driver says nothing: no heartbeat either.", silent=True),
@@ -305,25 +395,56 @@ FAULTS: Final = (
     Fault("autopilot", "rangefinder_off",
         "RANGEFINDER says 0, DISTANCE_SENSOR nothing.", rangefinder_off=True),
     Fault("autopilot", "setpoints_ignored",
-        "The autopilot takes no setpoint, without a word.", setpoints_ignored=True),
+        "The autopilot takes no setpoint, without a word.", setpoints_ignored=True,
+        drawn=[Drawn(24, "for 0.5..15.0 s")]),
+    Fault("companion", COMPANION_OFF, "The companion is killed, and started again afterwards: in "
+        "campaigns, which fly one, with `for`.", known=Known(out_of_reach=True),
+        drawn=[Drawn(42, "for 0.3..8.0 s", "companion killed, restarted")]),
     Fault("", "estimator_reset N m SIDE [N m SIDE]",
-        "The estimator starts afresh, and its position jumps by this much.", "by_m"),
+        "The estimator starts afresh, and its position jumps by this much.", "by_m",
+        drawn=[Drawn(25, f"1..50 m {_SIDE}")]),
     Fault("", "origin_move N m WHERE [N m WHERE]",
-        "The origin of the estimator's local frame moves by this much.", "by_m"),
+        "The origin of the estimator's local frame moves by this much.", "by_m",
+        drawn=[Drawn(26, f"2..60 m {_SIDE} 1..15 m [up|down]")]),
     Fault("", "pilot",
-        "The pilot takes the vehicle: the mode changes to the one that pilots hold it in."),
-    Fault("", "reboot", "The autopilot starts again, wherever it is."),
+        "The pilot takes the vehicle: the mode changes to the one that pilots hold it in.",
+        drawn=[Drawn(27), Drawn(31, "; after 2.0..6.0 s: ground_command [193 1|{guided}]",
+                                "pilot, and back")]),
+    Fault("", "reboot", "The autopilot starts again, wherever it is.", drawn=[Drawn(28)],
+        known=Known("the autopilot rebooted", out_of_reach=True, may_fall=True)),
     Fault("", "ground_command N [N] [N] [N] [to_autopilot]",
         "A ground station sends this MAV_CMD with these first parameters to the companion, or to "
-        "the autopilot.", "command", "p1", "p2", "p3", "to_autopilot"),
+        "the autopilot.", "command", "p1", "p2", "p3", "to_autopilot", drawn=[
+            Drawn(32, "{returns}", "station selects return"),
+            Drawn(33, "20", "told to return"),
+            Drawn(34, "21", "told to land"),
+            # a person leaves it to the companion again
+            Drawn(37, "207 1 to_autopilot; after 0.1..0.2 s: ground_fence 15..35L m 0..15L m ahead"
+                "; after 8.0..30.0 s: ground_command 193 1", "stopped by its own fence, and back",
+                not_on="ardupilot-copter"),  # whose fence is a cylinder as well
+            Drawn(38, "193 0; after 1.0..15.0 s: ground_command 193 1", "pause and continue"),
+            Drawn(40, "178 1 0.4..1.3V", "change of speed")]),
     Fault("", "ground_target N m SIDE [N m SIDE]",
-        "A ground station gives the companion a target so far from where the vehicle is.", "by_m"),
+        "A ground station gives the companion a target so far from where the vehicle is.", "by_m",
+        known=Known(brings="target"), drawn=[
+            Drawn(39, "30..200L m [north|south] 30..200L m [east|west]", "new target")]),
     Fault("", "ground_fence N m [N m ahead]", "The vehicle's fence gets one more circle to stay "
-        "out of, so far ahead of where it is.", "radius_m", "ahead_m"),
+        "out of, so far ahead of where it is.", "radius_m", "ahead_m",
+        known=Known(brings="fence"),
+        drawn=[Drawn(35, "15..35L m 60..180L m ahead", "new fence ahead"),
+               Drawn(36, "15..35L m 0..15L m ahead", "new fence around it")]),
 )
 # fmt: on
 """In the order of the documentation."""
-BY_NAME: Final = {fault.name: fault for fault in FAULTS}
+
+
+def ways() -> list[Drawn]:
+    """All ways in which campaigns draw faults, by their numbers, with whole names and lines."""
+    every = ((fault, way) for fault in FAULTS for way in fault.drawn)
+    return sorted(
+        way._replace(name=way.name or fault.name, line=f"{fault.name} {way.line}")
+        for fault, way in every
+    )
 
 
 # --- parameters that ask for them: those of ArduPilot's (libraries/SITL) and PX4's simulations ----
@@ -430,6 +551,8 @@ class Entry(NamedTuple):
     until_us: int
     fault: Fault
     sets: dict[str, Any]
+    where: str
+    """Its line stands, for errors."""
 
 
 @final
@@ -448,9 +571,8 @@ class Timeline:
     def parse(cls, text: str, *, name: str = "timeline") -> Self:
         """The timeline of this text; InputError names file (`name`), line and what is wrong."""
         timeline = cls()
-        for number, raw in enumerate(text.splitlines(), start=1):
-            if line := raw.partition("#")[0].strip():
-                timeline._add(_entry(line, f"{name}:{number}"))
+        for entry in entries(text, name):
+            timeline._add(entry)
         return timeline
 
     def add(self, line: str, now_us: int) -> None:
@@ -459,6 +581,9 @@ class Timeline:
         self._add(_entry(f"at {now_us} us {length}: {what}", "fault"))
 
     def _add(self, entry: Entry) -> None:
+        if entry.fault.name == COMPANION_OFF:
+            rule = "needs a companion, and only campaigns fly one"
+            raise InputError(entry.where, COMPANION_OFF, rule, "Leave the line out.")
         bisect.insort(self._entries, entry, key=lambda each: each.at_us)
         self.next_us = min(self.next_us, entry.at_us)
 
@@ -473,6 +598,12 @@ class Timeline:
         return [Happening(**{"name": each.fault.name} | each.sets) for each in once]
 
 
+def entries(text: str, name: str = "timeline") -> list[Entry]:
+    """The lines of a timeline; InputError names file (`name`), line and what is wrong."""
+    lines = (raw.partition("#")[0].strip() for raw in text.splitlines())
+    return [_entry(line, f"{name}:{k}") for k, line in enumerate(lines, start=1) if line]
+
+
 def _entry(line: str, where: str) -> Entry:
     """One line of a timeline; `where` it stands, for errors."""
     if (match := _LINE.fullmatch(line)) is None:
@@ -481,13 +612,15 @@ def _entry(line: str, where: str) -> Entry:
     at, at_unit, length, length_unit, what = match.groups()
     at_us = round(float(at) * _UNIT_US[at_unit.lower()])
     length_us = NEVER_US if length is None else round(float(length) * _UNIT_US[length_unit.lower()])
-    name = what.split()[0].lower()
-    if (fault := BY_NAME.get(name)) is None:
-        remedy = did_you_mean(name, BY_NAME, f"Choose from: {', '.join(BY_NAME)}.")
+    name, known = what.split()[0].lower(), {fault.name: fault for fault in FAULTS}
+    if (fault := known.get(name)) is None:
+        remedy = did_you_mean(name, known, f"Choose from: {', '.join(known)}.")
         raise InputError(where, name, "no such fault", remedy)
     if length is not None and fault.once:
         raise InputError(where, line, f"{name} happens once", 'Leave out "for".')
+    if length is None and name == COMPANION_OFF:
+        raise InputError(where, line, "lasts a time", 'Write "for 5 s" before the colon.')
     if length_us == 0:
         raise InputError(where, line, "lasts no time", "Write a longer time.")
     until_us = at_us if fault.once else min(at_us + length_us, NEVER_US)
-    return Entry(at_us, until_us, fault, fault.read(what, where))
+    return Entry(at_us, until_us, fault, fault.read(what, where), where)

@@ -9,12 +9,7 @@ from typing import Any, Final, final
 
 from vehicle_sim import ground_station, truth
 from vehicle_sim.autopilot.core import Boot
-from vehicle_sim.autopilot.factory import (
-    ids_of,
-    make_vehicle,
-    overrides_of,
-    personality_of,
-)
+from vehicle_sim.autopilot.factory import ids_of, make_vehicle, overrides_of, personality_of
 from vehicle_sim.autopilot.values import Sender, Text
 from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery
 from vehicle_sim.dynamics.contact import LOOK_US, Contact, Crash
@@ -383,6 +378,7 @@ class Simulation:
         replies = controller.autopilot.step(since_boot_us, _STEP_S, ground_amsl_m, gps.fix)
         controller.answer(replies)
         if looks:
+            controller.answer(controller.missions.step(now_us))
             armed = controller.autopilot.armed
             self._battery.step(POWER_STEP_S, vehicle, armed, conditions.battery)
         if controller.wants_reboot:

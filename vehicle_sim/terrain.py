@@ -245,22 +245,8 @@ class GridTerrain:
 
 def _between(values: NDArray[Any], at: FloatArray) -> FloatArray:
     """Bilinear interpolation, as at the edge beyond it.  (R, C), (2, ...) -> (...)."""
-    return _interpolated(values, at.reshape(2, -1)).reshape(at.shape[1:])
-
-
-@compiled()
-def _interpolated(values: NDArray[Any], at: FloatArray) -> FloatArray:
-    """The same of a flat array.  (R, C), (2, K) -> (K,)."""
-    found = np.empty(at.shape[1])
-    last_row, last_column = values.shape[0] - 1, values.shape[1] - 1
-    for k in range(len(found)):
-        row, column = min(max(at[0, k], 0.0), last_row), min(max(at[1, k], 0.0), last_column)
-        i, j = min(int(row), max(last_row - 1, 0)), min(int(column), max(last_column - 1, 0))
-        down, right = row - i, column - j
-        below, beside = min(i + 1, last_row), min(j + 1, last_column)
-        upper = values[i, j] * (1.0 - right) + values[i, beside] * right
-        lower = values[below, j] * (1.0 - right) + values[below, beside] * right
-        found[k] = upper * (1.0 - down) + lower * down
+    between = scipy.ndimage.map_coordinates
+    found: FloatArray = between(values, at, output=np.float64, order=1, mode="nearest")
     return found
 
 

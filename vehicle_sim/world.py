@@ -30,6 +30,8 @@ def _must(holds: bool, key: str, value: object, rule: str, remedy: str) -> None:
 
 _Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 _Positive = Annotated[_Real, Field(gt=0)]
+_Spread = Annotated[_Real, Field(ge=0.01)]
+"""Places are divided by it and squared: less would make them infinite."""
 _Local = Annotated[_Real, Field(ge=-5e6, le=5e6)]
 _Altitude = Annotated[_Real, Field(ge=-1000, le=20000)]
 _Speed = Annotated[_Real, Field(gt=0, le=300)]
@@ -37,7 +39,6 @@ _Acceleration = Annotated[_Real, Field(gt=0, le=200)]
 _Turn = Annotated[_Real, Field(ge=-360, le=360)]
 _Share = Annotated[_Real, Field(ge=0, le=1)]
 _Rate = Annotated[_Real, Field(ge=0.5, le=50)]
-_Name = Annotated[str, Field(strict=True, min_length=1)]
 _Component = Annotated[int, Field(strict=True, ge=2, le=255)]
 _Place = tuple[_Local, _Local]
 """North and east."""
@@ -48,6 +49,12 @@ def _rising(pair: tuple[float, float]) -> tuple[float, float]:
     return pair
 
 
+def _printable(name: str) -> str:
+    _must(name.isprintable(), "", name, "is not printable in a line", "Write another name.")
+    return name
+
+
+_Name = Annotated[str, Field(strict=True, min_length=1), AfterValidator(_printable)]
 _Size = Annotated[_Positive, Field(le=1e5)]
 _Range = Annotated[tuple[_Size, _Size], AfterValidator(_rising)]
 """Least and most."""
@@ -78,8 +85,8 @@ class Peak(_Placed):
     """One mountain (eq. 1)."""
 
     height_amsl_m: Annotated[_Altitude, Field(gt=0)]
-    spread_north_m: _Positive
-    spread_east_m: _Positive
+    spread_north_m: _Spread
+    spread_east_m: _Spread
 
 
 class TerrainTable(_Table):
@@ -179,7 +186,7 @@ class Scanner(_Table):
     """The terrain radar on board: a MAVLink component of its own."""
 
     component_id: _Component
-    range_m: _Positive
+    range_m: Annotated[_Positive, Field(le=1e6)]
 
 
 class Tree(_Placed):
@@ -297,7 +304,7 @@ class LidarTable(_Table):
     """Sweeps a second."""
     step_deg: Annotated[_Real, Field(ge=0.2, le=45)] = 3.6
     """Between two beams."""
-    noise_m: Annotated[_Real, Field(ge=0)] = 0.0
+    noise_m: Annotated[_Real, Field(ge=0, le=1e5)] = 0.0
     """Standard deviation of a distance."""
     lost_share: _Share = 0.0
     """Of the echoes: they do not come back, as if nothing were there."""
@@ -418,8 +425,9 @@ def parse_world(table: dict[str, Any]) -> World:
         known = {*World.model_fields, *(key for each in tables for key in each["properties"])}
         remedy = did_you_mean(field.rpartition(".")[2], known, "Leave it out.")
         raise InputError(field, value, "no such key", remedy)
-    rule = problem["msg"].removeprefix("Input should be ")
-    raise InputError(field, value, f"must be {rule}", "Correct the world file.")
+    what, _, rule = problem["msg"].rpartition(" should ")
+    rule = f"must {rule}" if what else rule
+    raise InputError(field, value, rule, "Correct the world file.")
 
 
 def flat_world(

@@ -7,24 +7,25 @@ import errno
 import json
 import math
 from dataclasses import dataclass
-from importlib.metadata import entry_points, version
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
-from companion.campaign.drawn_faults import split
+from companion.campaign.simulator import Vehicle, simulator
 from companion.config import load_mission, mission_text
-from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.mission.mission import Mission
 from companion.planning import plan
-from companion.runtime.in_process import SimulatedVehicle, loop_in_process
+from companion.runtime.in_process import loop_in_process
 from companion.runtime.recorder import Recorder
 from companion.session import Session
 from companion.telemetry.resume import load_resume_data
 from companion.telemetry.run_folder import RunFolder
 
+_KILLED: Final = "companion_off"
+"""The fault that befalls the companion, and not its vehicle."""
 _EPOCH_US = 1_700_000_000_000_000
 """Stamps of logs begin here, so that a run leaves the same bytes each time."""
 
@@ -35,7 +36,7 @@ class FlightFiles(NamedTuple):
     world: Path
     mission: Path
     faults: str
-    """A timeline, with when the companion is killed (`drawn_faults.split`)."""
+    """A timeline, with when the companion is killed."""
     folder: Path
     drawn: str = ""
     """What the drawn faults are called."""
@@ -56,25 +57,14 @@ class Flight:
     folder: Path
 
 
-class Vehicle(SimulatedVehicle, Protocol):
-    """Of an entry point in the group `companion.vehicles`."""
-
-    def take_truth(self) -> list[str]:
-        """Where it really was since the last call: lines of JSON, after a header."""
-        ...
-
-
 def _vehicle(files: FlightFiles, seed: int) -> Vehicle:
-    for point in entry_points(group="companion.vehicles"):
-        made: Vehicle = point.load()(files.world, seed=seed, faults=split(files.faults)[0])
-        return made
-    rule, remedy = "no package brings one", "Install the project again: pip install ."
-    raise InputError("companion.vehicles", None, rule, remedy)
+    return simulator().vehicle(files.world, seed=seed, faults=files.faults)
 
 
 def check(files: FlightFiles) -> None:
     """Raises what is wrong with a mission, a world or faults."""
     load_mission(str(files.mission))
+    simulator().entries(files.faults)
     _vehicle(files, seed=0)
 
 
@@ -173,10 +163,12 @@ def fly_here(files: FlightFiles, *, seed: int, limit_s: float) -> Flight:
     """Both in this process; a companion that is killed is resumed from its folder."""
     flying = Flying(files, seed=seed, limit_s=limit_s)
     try:
-        for happening in split(files.faults)[1]:
-            flying.fly_on(1e6 * happening.at_s)
-            if flying.flies:
-                flying.die(happening.until_s - happening.at_s)
+        happening = sorted(simulator().entries(files.faults), key=lambda each: each.at_us)
+        for each in happening:
+            if each.fault.name == _KILLED:
+                flying.fly_on(each.at_us)
+                if flying.flies:
+                    flying.die(1e-6 * (each.until_us - each.at_us))
         flying.fly_on(math.inf)
     finally:
         flying.close()

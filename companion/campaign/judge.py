@@ -20,7 +20,7 @@ unless no command could reach it then: a copter that hears nothing hovers.
 
 import bisect
 import math
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Final, final
@@ -28,9 +28,9 @@ from typing import Any, Final, final
 import numpy as np
 
 from companion.campaign import truth
-from companion.campaign.drawn_faults import KILLED, Happening, happenings
 from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.in_process import Flight
+from companion.campaign.simulator import Happening, simulator
 from companion.geodesy import BoolArray, FloatArray
 from companion.library import route_terms
 from companion.mission.state import Reason
@@ -61,7 +61,8 @@ _NO_END: Final = {"outcome": "not ended", "reason": "the companion has not said 
 
 def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str, Any]:
     """The columns of a row.  timeline: what goes wrong in the flight; None: nothing does."""
-    found, done, is_cut = _came_to(flight, drawn), happenings(timeline or ""), False
+    found, is_cut = _came_to(flight, drawn), False
+    done = simulator().entries(timeline) if timeline else []
     if timeline is not None:
         flight, is_cut = _until_stopped(flight)
     track = _in_the_air(flight, drawn)
@@ -276,17 +277,17 @@ def _excuses(
     flight: Flight, track: _Track, drawn: DrawnWorld, done: Sequence[Happening]
 ) -> dict[str, BoolArray]:
     """Why something does not count against it, and when; (N,) each."""
-    t_s = track.t_s
-    rebooted, lied = (
-        t_s >= min((each.at_s for each in done if word in each.what), default=math.inf)
-        for word in ("reboot", "either_way")
-    )
+    t_s, known = track.t_s, dict[str, BoolArray]()
+    for each in done:
+        row = each.fault.known
+        if row.excuse and each.sets.get(row.excuse_needs, True):
+            since = t_s >= each.at_us / 1e6
+            known[row.excuse] = since | known.get(row.excuse, since)
     is_off = _off_m(flight, t_s) > drawn.task.limits.navigation_error_m
     return {
         "the position was wrong": _lately(t_s, is_off),
         "somebody else flew": _lately(t_s, ~_ours(track.rows, flight)),
-        "the autopilot rebooted": rebooted,
-        "the radar told too low heights": lied,
+        **dict(sorted(known.items())),
     }
 
 
@@ -348,22 +349,25 @@ def _gaps_m(
 
 def _new_fences(flight: Flight, done: Sequence[Happening]) -> Iterator[tuple[CircleZone, float]]:
     """Fences that come during a flight, so far ahead of the vehicle, and when."""
+    for at_s, row, sets in _brought("fence", flight, done):
+        north_m_s, east_m_s = row["velocity_north_m_s"], row["velocity_east_m_s"]
+        ahead_s = sets["ahead_m"] / max(math.hypot(north_m_s, east_m_s), 1e-6)
+        place = {
+            "north_m": row["north_m"] + ahead_s * north_m_s,
+            "east_m": row["east_m"] + ahead_s * east_m_s,
+        }
+        yield CircleZone(name="new fence", **place, radius_m=sets["radius_m"]), at_s
+
+
+def _brought(
+    what: str, flight: Flight, done: Sequence[Happening]
+) -> Iterator[tuple[float, dict[str, Any], Mapping[str, Any]]]:
+    """When a ground station told of one more, the truth then, and what its line sets."""
     for each in done:
-        name, *words = each.what.split()
-        row = _row_at(flight, each.at_s)
-        if name == "ground_fence" and row is not None:
-            north_m_s, east_m_s = row["velocity_north_m_s"], row["velocity_east_m_s"]
-            ahead_s = (
-                float(words[2]) / max(math.hypot(north_m_s, east_m_s), 1e-6) if words[2:] else 0.0
-            )
-            north_m, east_m = (
-                row["north_m"] + ahead_s * north_m_s,
-                row["east_m"] + ahead_s * east_m_s,
-            )
-            fence = CircleZone(
-                name="new fence", north_m=north_m, east_m=east_m, radius_m=float(words[0])
-            )
-            yield fence, each.at_s
+        at_s = each.at_us / 1e6
+        row = next((row for row in flight.truth if row["t_s"] >= at_s - 1e-3), None)
+        if each.fault.known.brings == what and row is not None:
+            yield at_s, row, each.sets
 
 
 def _left_s(gap_m: FloatArray, t_s: FloatArray, known_s: float, drawn: DrawnWorld) -> float:
@@ -377,11 +381,6 @@ def _left_s(gap_m: FloatArray, t_s: FloatArray, known_s: float, drawn: DrawnWorl
     out_s = t_s[known & (gap_m >= safety_m)]
     could_s = known_s + _GRACE_S + depth_m / (0.5 * drawn.task.limits.speed_m_s)
     return min([could_s, *out_s[:1].tolist()])
-
-
-def _row_at(flight: Flight, time_s: float) -> dict[str, Any] | None:
-    """The truth at that time."""
-    return next((row for row in flight.truth if row["t_s"] >= time_s - 1e-3), None)
 
 
 def _hit(flight: Flight, track: _Track, *, but_landing: bool) -> tuple[str, int] | None:
@@ -429,19 +428,21 @@ def _ending(
         return "unexplained: flies on", f"{phase}: {reason}"
     if not reason:
         return "unexplained: no reason", f"{phase}, {mode}"
-    reboots_s = [each.at_s for each in done if each.what == "reboot"]
     disarmed = reason == Reason.DISARMED.text  # in the last tick: no truth came after it
     if last["landed"] or not last["armed"] or disarmed:
-        return ("fell" if reboots_s else "landed"), reason
+        may_fall = any(each.fault.known.may_fall for each in done)
+        return ("fell" if may_fall else "landed"), reason
     if mode in LANDS | RETURNS:
         return ("landed" if mode in LANDS else "returned"), reason
     if any(text in reason for text in _LET_GO) or mode not in GUIDED | HOLDS:
         return "let go", reason
     # when no command could have reached the autopilot, or nobody was there to send one
-    end_s = end["t_s"] if end else math.inf
-    outages = [each for each in done if each.what.startswith(("link_off", KILLED))]
-    out_of_reach = any(each.at_s <= end_s < each.until_s for each in outages)
-    out_of_reach |= any(at_s <= end_s < math.inf for at_s in reboots_s)
+    end_us = 1e6 * end["t_s"] if end else math.inf
+    out_of_reach = any(
+        each.at_us <= end_us < (math.inf if each.fault.once else each.until_us)
+        for each in done
+        if each.fault.known.out_of_reach
+    )
     held = mode in HOLDS or is_cut or out_of_reach or not drawn.task.limits.hovers
     return ("held for good" if held else "unexplained: left in guided mode"), reason
 
@@ -449,13 +450,9 @@ def _ending(
 def _miss_m(flight: Flight, done: Sequence[Happening]) -> float:
     """Where it was told to be in the end, beside the target."""
     targets = [flight.mission.targets_ne_m[-1]]
-    for each in done:
-        name, *words = each.what.split()
-        row = _row_at(flight, each.at_s)
-        if name == "ground_target" and row is not None:  # which it may have refused, in words
-            north, east = (-1.0 if word in ("south", "west") else 1.0 for word in words[2::3])
-            place = row["north_m"] + north * float(words[0]), row["east_m"] + east * float(words[3])
-            targets.append(place)
+    for _, row, sets in _brought("target", flight, done):  # which it may have refused, in words
+        north_m, east_m, _ = sets["by_m"]
+        targets.append((row["north_m"] + north_m, row["east_m"] + east_m))
     if not len(flight.told):
         return math.inf
     return min(math.dist(flight.told[-1, 2:4], target) for target in targets)

@@ -2,18 +2,21 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from companion.campaign import drawn_faults, drawn_world, families, judge
-from companion.campaign.drawn_faults import FAMILIES, ROWS, FaultScript, Subject
+from companion.campaign import drawn_faults, drawn_world, families, judge, simulator
+from companion.campaign.drawn_faults import FAMILIES, FaultScript, Subject, ways
 from companion.campaign.drawn_world import mission_of
 from companion.campaign.in_process import Flight
 from companion.config import load_mission
+from companion.errors import InputError
 from companion.world.zones import CircleZone
-from vehicle_sim.faults import FAULTS, Timeline
+from vehicle_sim import faults
+from vehicle_sim.faults import COMPANION_OFF, FAULTS, Drawn, Fault, Known, Timeline, conditions_of
 
 VEHICLES = ("ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plane")
 DRAWN = families.world("short-copter", 1, 0)
@@ -25,9 +28,12 @@ TARGET = DRAWN.targets_ne_m[-1]
 # --- draws
 
 
-def test_every_fault_of_the_simulator_is_drawn() -> None:
-    near = ("lidar_", "rangefinder_", "ground_")
-    assert {fault.name for fault in FAULTS if not fault.name.startswith(near)} <= ROWS.keys()
+def test_every_fault_is_drawn_in_its_own_place_among_all() -> None:
+    """But for those of sensors that the drawn vehicles do not have."""
+    without = {fault.name for fault in FAULTS if not fault.drawn}
+    assert all(name.startswith(("lidar_", "rangefinder_")) for name in without)
+    assert [way.number for way in ways()] == list(range(len(ways())))
+    assert len({way.name for way in ways()}) == len(ways())
 
 
 def drawn(family: str, seed: int, count: int, vehicle: str) -> list[tuple[str, str]]:
@@ -43,18 +49,50 @@ def test_a_script_can_be_flown_and_is_the_same_again(family: str, vehicle: str) 
     found = drawn(family, 3, 60, vehicle)
     assert found == drawn(family, 3, 60, vehicle)
     for _, timeline in found:
-        ours, killed = drawn_faults.split(timeline)
-        Timeline.parse(ours)
-        assert len(ours.splitlines()) + len(killed) == len(timeline.splitlines())
-        assert all(each.what == drawn_faults.KILLED for each in killed)
+        entries = faults.entries(timeline)
+        assert len(entries) == len(timeline.splitlines())
+        if all(each.fault.name != COMPANION_OFF for each in entries):
+            Timeline.parse(timeline)
     assert len({timeline for _, timeline in found}) > 50
 
 
 def test_singles_go_through_all_rows_and_another_seed_draws_others() -> None:
-    one, other = (drawn("single", seed, len(ROWS) - 1, "px4-plane") for seed in (1, 2))
-    assert {name for name, _ in one} == ROWS.keys() - {"battery_voltage"}
+    one, other = (drawn("single", seed, len(ways()) - 1, "px4-plane") for seed in (1, 2))
+    assert [name for name, _ in one] == [w.name for w in ways() if w.name != "battery_voltage"]
     assert one[0][0] == other[0][0]
     assert one[0][1] != other[0][1]
+
+
+def test_a_fault_that_is_added_as_one_row_is_drawn_flown_and_judged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    row = Fault(
+        "gps",
+        "gps_few N",
+        "The receiver sees so few satellites.",
+        "satellites",
+        drawn=[Drawn(len(ways()), "2..5 for 2.0..9.0 s")],
+        known=Known("the sky was hidden"),
+    )
+    monkeypatch.setattr(faults, "FAULTS", (*FAULTS[:5], row, *FAULTS[5:]))
+    name, timeline = drawn("single", 1, len(ways()), "ardupilot-plane")[-1]
+    assert name == "gps_few"
+    flown = Timeline.parse(timeline)
+    flown.step(flown.next_us)
+    assert conditions_of({}, flown.lasting).gps.satellites in range(2, 6)
+    assert len(violated(flight(tmp_path, NEAR))) == 1
+    excused = judge.judged(flight(tmp_path, NEAR), DRAWN, "at 0 s: gps_few 3")
+    assert excused["violations"] == 0
+    assert "the sky was hidden" in excused["excused"]
+
+
+def test_without_a_simulator_that_can_say_what_may_go_wrong_there_is_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    older = [SimpleNamespace(load=lambda: print)]
+    monkeypatch.setattr(simulator, "entry_points", lambda **_: older)
+    with pytest.raises(InputError, match="Install the project again"):
+        simulator.simulator.__wrapped__()
 
 
 # --- the judge
@@ -172,6 +210,9 @@ JUDGED = {
     ),
     "out of reach": Judged(
         THERE, 0, "at 0.1 s for 99 s: link_off", more=SILENT, ending="held for good"
+    ),
+    "out of reach for a minute": Judged(
+        THERE, 0, "at 100 ms for 1 min: link_off", more=SILENT, ending="held for good"
     ),
     "disarmed in the last tick": Judged(
         THERE, 0, "at 0.1 s: turbulence 1 m/s", more=DISARMED, ending="landed"

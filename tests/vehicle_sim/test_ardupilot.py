@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+import shapely
 from harness import (
     AUTO,
     BRAKE,
@@ -583,8 +584,14 @@ def test_inside_is_a_winding_number_that_is_not_zero_for_convex_polygons(
         turned += math.remainder(math.atan2(e1 - east, n1 - north) - before, math.tau)
         if abs((n1 - n0) * (east - e0) - (e1 - e0) * (north - n0)) < 1e-6:
             return  # on the line of an edge: either answer will do
-    fence = Zone(keeps_in=True, corners=tuple(corners))
-    assert fence.surrounds((north, east)) == (abs(turned) > math.pi)
+    fence = Zone(keeps_in=True, area=shapely.Polygon(corners))
+    assert fence.surrounds(shapely.Point(north, east)) == (abs(turned) > math.pi)
+
+
+def test_a_polygon_that_crosses_itself_has_a_hole() -> None:
+    star = [(math.cos(0.8 * math.pi * k), math.sin(0.8 * math.pi * k)) for k in range(5)]
+    fence = Zone(keeps_in=True, area=shapely.Polygon(star))
+    assert [fence.surrounds(shapely.Point(north, 0.0)) for north in (0.0, 0.7)] == [False, True]
 
 
 TWO_CIRCLES = (circle(0.0, 0.0, 10.0, 5003), circle(50.0, 0.0, 10.0, 5003))

@@ -10,18 +10,22 @@ from harness import GENTLE, placed
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vehicle_sim.cli import bundled_worlds
 from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.wind import Wind
 from vehicle_sim.errors import InputError
 from vehicle_sim.faults import (
+    COMPANION_OFF,
     FAULTS,
     Conditions,
     Happening,
     Timeline,
     conditions_of,
+    entries,
     sim_parameters,
 )
+from vehicle_sim.in_process import vehicle
 from vehicle_sim.parameters import Firmware, Parameters
 from vehicle_sim.sensors.gps import ARDUCOPTER, PX4, Gps
 
@@ -96,7 +100,8 @@ def asked(text: str, at_s: float = 0.0, firmware: Firmware = "ardupilot") -> Con
 
 
 def test_every_fault_is_in_a_table() -> None:
-    assert {line.split()[0] for line in (*ASKS, *HAPPENS)} == {fault.name for fault in FAULTS}
+    of_vehicles = {fault.name for fault in FAULTS} - {COMPANION_OFF}
+    assert {line.split()[0] for line in (*ASKS, *HAPPENS)} == of_vehicles
     assert {fault.name for fault in FAULTS if fault.once} == {each.split()[0] for each in HAPPENS}
 
 
@@ -209,15 +214,25 @@ def test_any_overlap_is_what_a_replay_from_the_start_says(
         ("at 5 s: link_loss 120 %", "120 must lie from 0 to 100"),
         ("at 5 s: link_off on link 24", "24 must lie from 0 to 23"),
         ("at 5 s for 3 s: reboot", "happens once"),
+        ("at 5 s: companion_off", "lasts a time"),
         ("at 5 s: estimator_reset 20 m up", "reads"),
         ("at 5 s: gps_glitch 20 m north 2000000 m up", "must lie from 0 to 100000"),
     ],
 )
 def test_a_bad_line_says_where_what_and_what_to_do(line: str, message: str) -> None:
     with pytest.raises(InputError, match=re.escape(message)) as caught:
-        Timeline.parse(f"# a comment\nat 1 s: gps_off\n{line}\n", name="faults.txt")
+        entries(f"# a comment\nat 1 s: gps_off\n{line}\n", name="faults.txt")
     assert caught.value.field == "faults.txt:3"
     assert re.search(r"[.?]$", str(caught.value))
+
+
+def test_without_a_companion_none_can_be_killed() -> None:
+    """A campaign kills its own, and the vehicle flies by the other lines."""
+    text = "at 1 s: gps_off\nat 1 s for 2 s: companion_off\nat 2 s: zebra"
+    with pytest.raises(InputError, match=r"timeline:2 = .*only campaigns fly one"):
+        Timeline.parse(text.replace("zebra", "gps_jam"))
+    with pytest.raises(InputError, match="faults:3 = 'zebra'"):
+        vehicle(bundled_worlds()["forest"], seed=1, faults=text)
 
 
 @given(text=st.text(max_size=80))

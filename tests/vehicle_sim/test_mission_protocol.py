@@ -15,7 +15,7 @@ from vehicle_sim.plans import PlanKind
 BOTH = pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
 MISSION, FENCE, RALLY = PlanKind.MISSION, PlanKind.FENCE, PlanKind.RALLY
 ACCEPTED, ERROR, FRAME, UNSUPPORTED, NO_SPACE, INVALID = range(6)
-SEQUENCE = 13
+SEQUENCE, CANCELLED = 13, 15
 """MAV_MISSION_RESULT."""
 FIELDS = ("command", "frame", "param1", "param2", "param3", "param4", "x", "y", "z")
 NOWHERE = {"frame": 2, "x": 0, "y": 0, "z": 0}
@@ -172,9 +172,8 @@ def test_the_old_list_stays_until_the_new_one_is_whole() -> None:
 def test_items_come_once_and_in_order_and_from_one_client_at_a_time() -> None:
     vehicle = fresh("ardupilot")
     say(vehicle, count(2, FENCE))
-    for message, wanted in ((circle(1), 0), (circle(0), 1), (circle(0), 1)):
-        heard(vehicle, 0.5)
-        assert say(vehicle, message)[0].seq == wanted
+    assert say(vehicle, circle(1)) == []
+    assert say(vehicle, circle(0))[0].seq == 1
     assert say(vehicle, circle(0)) == []  # so copies of a frame do not multiply
     (ack,) = say(vehicle, circle(1), source=COMPANION, link=1)
     assert (ack.get_type(), ack.type) == ("MISSION_ACK", ERROR)
@@ -185,6 +184,27 @@ def test_items_come_once_and_in_order_and_from_one_client_at_a_time() -> None:
     assert say(vehicle, count(1, FENCE), source=COMPANION)[0].seq == 0  # begun anew
     assert say(vehicle, circle(0))[0].type == ERROR
     assert say(vehicle, circle(0), source=COMPANION)[0].type == ACCEPTED
+
+
+@BOTH
+def test_what_does_not_come_is_asked_for_again_and_given_up_in_the_end(firmware: Firmware) -> None:
+    """However silent the client is: an answer of the vehicle may have been lost."""
+    vehicle = fresh(firmware)
+    upload(vehicle, [circle(0)], FENCE)
+    old = vehicle.simulation.plans[FENCE]
+    say(vehicle, count(2, FENCE))
+    say(vehicle, circle(0))
+    asked = heard(vehicle, 20.0)
+    *again, (given_up_s, ack) = asked
+    assert {(round(at_s), each.seq) for at_s, each in again} == {(k, 1) for k in range(1, 8)}
+    assert (ack.get_type(), ack.type) == ("MISSION_ACK", CANCELLED)
+    assert 8.0 < given_up_s < 9.5
+    assert vehicle.simulation.plans[FENCE] == old
+    # a question that was lost, and its client waits for it
+    vehicle.send(count(1, FENCE))
+    vehicle.simulation.take_frames()
+    assert heard(vehicle, 1.5)[-1][1].seq == 0
+    assert say(vehicle, circle(0, 60.0))[0].type == ACCEPTED
 
 
 @given(lost=st.lists(st.booleans(), min_size=40, max_size=40))

@@ -27,6 +27,12 @@ def wood(**changes: Any) -> Table:
     return {"woods": [WOOD | changes]}
 
 
+def peak(**changes: Any) -> Table:
+    spreads = {"spread_north_m": 9.0, "spread_east_m": 9.0}
+    peaks = [{"north_m": 0.0, "east_m": 0.0, "height_amsl_m": 9.0} | spreads | changes]
+    return {"terrain": {"ground_amsl_m": 1.0, "peaks": peaks}}
+
+
 def lidar(which: str = "lidar", **fields: Any) -> Table:
     return {which: {"range_m": 9.0} | fields}
 
@@ -46,6 +52,11 @@ def lidar(which: str = "lidar", **fields: Any) -> Table:
         ({"walls": [{"points_ne_m": [[0.0, 1.0]]}]}, "walls.0.points_ne_m ... at least 2"),
         (lidar(range_m=NAN), "lidar.range_m ... finite"),
         ({"schema": 2}, "schema = 2 ... 1"),
+        (peak(spread_east_m=1e-300), "peaks.0.spread_east_m = 1e-300 ... 0.01. Correct"),
+        ({"scanner": {"component_id": 100, "range_m": 1e300}}, "scanner.range_m = 1e+300 ... 1e"),
+        # whatever a key is
+        ({"co\nlour": 1}, r"co\nlour = 1: no such key. Leave it out."),
+        (vehicle(parameters={"GUID\nX": 1.0}), r"GUID\nX = 1.0"),
         # what does not go together
         (vehicle(bank_max_deg=30.0), "bank_max_deg = 30.0 ... no such limit"),
         ({"terrain": {"file": "a.tif", "ground_amsl_m": 1.0}}, "terrain.file ... not both"),
@@ -57,7 +68,8 @@ def lidar(which: str = "lidar", **fields: Any) -> Table:
         (wood(spacing_m=[0.01, 1.0]), "woods.0.spacing_m ... 200000 trees"),
         (wood(spacing_m=[8.0, 4.0]), "woods.0.spacing_m ... least first"),
         (wood(spacing_m=[1.0, 1e200]), "woods.0.spacing_m.1 = 1e+200 ... less than or equal to"),
-        ({"terrain": {"file": "a" * 300}}, "terrain.file ... at most 255"),
+        ({"terrain": {"file": "a" * 300}}, "terrain.file ... must have at most 255"),
+        ({"name": "two\nlines"}, r"name = 'two\nlines': is not printable"),
         (lidar() | lidar("second_lidar"), "lidar.component_id ... another lidar's"),
         (lidar(min_m=9.0), "lidar.min_m = 9.0 ... range_m"),
         (lidar(component_id=100), "lidar.component_id ... radar"),

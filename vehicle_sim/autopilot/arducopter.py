@@ -257,13 +257,8 @@ class ArduCopter(ArduPilot):
         if not 0.0 < speed_m_s < math.inf:
             return Result.FAILED
         level, up, down = self._speeds_m_s
-        if kind == 2.0:
-            up = speed_m_s
-        elif kind == 3.0:
-            down = speed_m_s
-        else:
-            level = speed_m_s
-        self._speeds_m_s = (level, up, down)
+        of_kind = {2.0: (level, speed_m_s, down), 3.0: (level, up, speed_m_s)}
+        self._speeds_m_s = of_kind.get(kind, (speed_m_s, up, down))
         return Result.ACCEPTED
 
     def _reposition(self, command: Command) -> Result:

@@ -103,10 +103,7 @@ class ArduPilot(Autopilot):
         self.battery_acted = False
         self._was_aiding = False
         self._battery_low_s = math.inf
-        self.handlers |= {
-            176: self._set_mode_number,
-            207: self._fence_enable,
-        }
+        self.handlers |= {176: self._set_mode_number, 207: self._fence_enable}
 
     # --- where the two kinds differ -----------------------------------------------------------
 

@@ -22,10 +22,7 @@ from vehicle_sim.world import LIMITS
 from vehicle_sim.world import Vehicle as VehicleTable
 
 _COPTER: Final = Limits(
-    speed_m_s=40.0,
-    acceleration_m_s2=30.0,
-    speed_vertical_m_s=10.0,
-    acceleration_vertical_m_s2=5.0,
+    speed_m_s=40.0, acceleration_m_s2=30.0, speed_vertical_m_s=10.0, acceleration_vertical_m_s2=5.0
 )
 """A simulated quadcopter that has no other limits than its tilt and its drag."""
 _ARDUCOPTER_DRAG: Final = (0.340, 0.0193)

@@ -1,38 +1,26 @@
 """What both firmwares keep an eye on: the zones of a fence; and ArduPilot's fence as a whole."""
 
-import math
 from typing import Final, NamedTuple, final
+
+import shapely
 
 from vehicle_sim.autopilot.earth import Frame, way_m
 from vehicle_sim.autopilot.values import Place
 from vehicle_sim.parameters import Readable
 from vehicle_sim.plans import CIRCLE_IN, POLYGON_IN, PlanKind, Plans, zones_of
 
-Point = tuple[float, float]
-"""North and east, in metres."""
-
 
 @final
 class Zone(NamedTuple):
-    """A polygon has no radius, a circle one corner: its centre."""
+    """A polygon, or what lies no farther than its radius from a point; north and east, metres."""
 
     keeps_in: bool
-    corners: tuple[Point, ...]
+    area: shapely.Geometry
     radius_m: float = 0.0
 
-    def surrounds(self, point: Point) -> bool:
+    def surrounds(self, point: shapely.Point) -> bool:
         """Of a polygon by the even-odd rule, so that a self-crossing one has holes."""
-        if self.radius_m > 0.0:
-            return math.dist(point, self.corners[0]) <= self.radius_m
-        inside = False
-        before_a, before_b = self.corners[-1]
-        for a, b in self.corners:
-            if (a > point[0]) != (before_a > point[0]):
-                share = (point[0] - a) / (before_a - a)
-                if point[1] < b + share * (before_b - b):
-                    inside = not inside
-            before_a, before_b = a, b
-        return inside
+        return bool(shapely.distance(self.area, point) <= self.radius_m)
 
 
 @final
@@ -50,13 +38,16 @@ class Zones:
             self._version, self._frame, self._zones = self._plans.version, frame, []
             for items in zones_of(self._plans[PlanKind.FENCE]):
                 places = (Place(each.x * 1e-7, each.y * 1e-7, 0.0) for each in items)
-                corners = tuple(frame.ned_m(each)[:2] for each in places)
+                corners = [frame.ned_m(each)[:2] for each in places]
                 keeps_in = items[0].command in (POLYGON_IN, CIRCLE_IN)
-                radius_m = 0.0 if len(items) > 1 else items[0].parameters[0]
-                self._zones.append(Zone(keeps_in, corners, radius_m))
+                if len(corners) > 1:
+                    zone = Zone(keeps_in, shapely.Polygon(corners))
+                else:
+                    zone = Zone(keeps_in, shapely.Point(corners[0]), items[0].parameters[0])
+                self._zones.append(zone)
         if not self._zones:
             return False
-        here_m = frame.ned_m(place)[:2]
+        here_m = shapely.Point(frame.ned_m(place)[:2])
         kept = [zone.surrounds(here_m) for zone in self._zones if zone.keeps_in]
         is_out = bool(kept) and not (any(kept) if union else all(kept))
         return is_out or any(each.surrounds(here_m) for each in self._zones if not each.keeps_in)

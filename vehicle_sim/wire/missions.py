@@ -42,8 +42,9 @@ _NOWHERE: Final = 0x7FFFFFFF
 _MOST: Final = 724
 """Items of a list: as many as a mission of ArduPilot's holds."""
 _ALL_KINDS: Final = 255
-_AGAIN_US: Final = 500_000
-"""For items that are not the next it asks no sooner: copies of frames would multiply."""
+_AGAIN_US, _GIVES_UP_US = 1_000_000, 8_000_000
+"""Without the item that it waits for it asks again, and gives up: ArduPilot's times
+(ardupilot.md 4); PX4's were not measured."""
 _GUIDED: Final = 2
 """``current`` of an item that is not for the list: fly there now, as DroneKit says it."""
 _WAYPOINT, _DO_REPOSITION, _MISSION_CURRENT = 16, 192, 42
@@ -93,8 +94,8 @@ class Missions:
     def __init__(self, autopilot: Autopilot) -> None:
         self._autopilot, self._plans = autopilot, autopilot.plans
         self._upload: _Upload | None = None
-        self._asked_us = 0
-        """When it asked last."""
+        self._asked_us = self._heard_us = 0
+        """When it asked last, and when what it waited for came."""
         self._last: tuple[Sender, PlanKind, int] | None = None
         """The item that completed the newest upload."""
 
@@ -132,7 +133,15 @@ class Missions:
             return [_ack(sender, mavlink.MAV_MISSION_NO_SPACE, kind)]
         if count == 0:
             return self._complete(kind, (), sender)
-        self._upload = _Upload(sender, kind, count, [])
+        self._upload, self._heard_us = _Upload(sender, kind, count, []), now_us
+        return self._ask(self._upload, now_us)
+
+    def step(self, now_us: int) -> list[Reply]:
+        """Ask again for what did not come, and give up in the end."""
+        if self._upload is None or now_us - self._asked_us < _AGAIN_US:
+            return []
+        if now_us - self._heard_us > _GIVES_UP_US:
+            return self._fail(self._upload, mavlink.MAV_MISSION_OPERATION_CANCELLED)
         return self._ask(self._upload, now_us)
 
     def _ask(self, upload: _Upload, now_us: int) -> list[Reply]:
@@ -157,11 +166,12 @@ class Missions:
             return [_ack(sender, _ACCEPTED, kind, self._id_of(kind))]
         if upload is None or this[:2] != (upload.sender, upload.kind):
             return [_ack(sender, _ERROR, kind)]
-        if message.seq != len(upload.items):  # it comes twice, or what was asked for got lost
-            return self._ask(upload, now_us) if now_us - self._asked_us >= _AGAIN_US else []
+        if message.seq != len(upload.items):  # it comes twice
+            return []
         if not isinstance(item, PlanItem):
             return self._fail(upload, item)
         upload.items.append(item)
+        self._heard_us = now_us
         if len(upload.items) < upload.size:
             return self._ask(upload, now_us)
         if kind is PlanKind.FENCE and not is_whole_fence(upload.items):

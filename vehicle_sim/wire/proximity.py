@@ -38,10 +38,7 @@ class RangeSensors:
     """
 
     def __init__(
-        self,
-        parameters: Parameters,
-        limits_m: tuple[float, float],
-        look_down: Callable[[], float],
+        self, parameters: Parameters, limits_m: tuple[float, float], look_down: Callable[[], float]
     ) -> None:
         self.numbers = (DISTANCE_SENSOR, RANGEFINDER) if "PRX1_TYPE" in parameters else ()
         """The messages that come from here."""
