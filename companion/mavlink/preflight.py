@@ -275,7 +275,7 @@ def _fence(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check
         return
     if not mission.fence_from_vehicle:
         yield _remark("fence", "the vehicle's own fence is left out, as the mission says")
-    elif items := vehicle.plans.changing.get(FENCE):
+    elif items := vehicle.plans.plans[FENCE].changing:
         what = f"the fence has changed: reading {items:,} items"
         yield _check("fence", False, what, "Wait until it is read.")
     elif (drawn := vehicle.own_fence.fence) is not None:
