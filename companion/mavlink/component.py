@@ -192,6 +192,8 @@ class Component:
                 raise _RefusedError("land: it lands where it is; first DO_REPOSITION there")
             case OrderKind.REPOSITION:
                 place_ne_m = self._place_ne_m(message)
+            case _:
+                pass
         return Order(time_s=now_s, kind=kind, target_ne_m=place_ne_m, sender=sender)
 
     def _place_ne_m(self, message: Message) -> Point:
