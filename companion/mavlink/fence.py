@@ -326,7 +326,7 @@ class OwnFence:
         """What a person should hear of, since last looked at."""
         self.warnings: list[str] = []
         """The same, of what is grave."""
-        self._mission, self._autopilot, self._plan = mission, autopilot, plans.plans[FENCE]
+        self._mission, self._autopilot, self._plans = mission, autopilot, plans.plans
         self._drawing_of: tuple[int, float] | None = None
         self._drawing: Iterator[Fence | None] | None = None
         self._drawn = Fence()
@@ -349,7 +349,7 @@ class OwnFence:
 
     def reading(self, now_s: float) -> list[FenceReading]:
         """Whether one that has changed is being read, and drawn, by now."""
-        items = self._plan.changing or (self._reading if self.is_drawing else 0)
+        items = self._plans[FENCE].changing or (self._reading if self.is_drawing else 0)
         if items == self._reading:
             return []
         self._reading = items
@@ -366,15 +366,15 @@ class OwnFence:
 
         here_ne_m: where the vehicle is, as in `in_force`.
         """
-        mission, items, firmware = self._mission, self._plan.items, self._autopilot.firmware
+        mission, plan, firmware = self._mission, self._plans[FENCE], self._autopilot.firmware
         settings = firmware.fence(parameters)
-        if (self._plan.version, settings.margin_m) != self._drawing_of:
-            self._drawing_of = (self._plan.version, settings.margin_m)
-            self._drawing = drawn(items, mission.frame, settings.margin_m)
+        if (plan.version, settings.margin_m) != self._drawing_of:
+            self._drawing_of = (plan.version, settings.margin_m)
+            self._drawing = drawn(plan.items, mission.frame, settings.margin_m)
         if self._drawing is not None:
             if (whole := next(self._drawing)) is None:
                 return None
-            misread = firmware.misread(items, self._autopilot.name)
+            misread = firmware.misread(plan.items, self._autopilot.name)
             self._drawing, self._drawn = None, replace(whole, misread=misread)
         made_of = self._drawing_of, settings, home_nea_m
         if made_of == self._made_of:

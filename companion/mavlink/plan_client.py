@@ -95,13 +95,6 @@ class Plan:
     rebooted: bool = False
     """Whether it has not been read since the autopilot rebooted."""
 
-    def read_again(self, *, rebooted: bool) -> None:
-        """All of it is to be read now; rebooted: the autopilot may not have loaded it yet."""
-        self.due_s = self.read_s = -math.inf
-        if rebooted:
-            self.supported, self.changing, self.trouble = True, 0, "no answer yet"
-            self.opaque_id, self.candidate, self.rebooted = 0, None, True
-
 
 @final
 @dataclass(slots=True)
@@ -154,8 +147,8 @@ class PlanClient:
     def refresh(self) -> None:
         """Download everything again now: the autopilot has rebooted."""
         self._transfer = None
-        for plan in self.plans.values():
-            plan.read_again(rebooted=True)
+        for kind, plan in self.plans.items():
+            self.plans[kind] = Plan(kind, items=plan.items, version=plan.version, rebooted=True)
 
     def rebase_time(self, shift_s: float) -> None:
         """Shift all stored times by this much: the clock was replaced."""
@@ -174,17 +167,11 @@ class PlanClient:
         number, transfer = message.get_msgId(), self._transfer
         if number == _CURRENT:
             self._on_ids(message)
-        if transfer is None or number not in (_COUNT, _ITEM, _ACK):
-            return []
-        target = (message.target_system, message.target_component)
-        if target != self._ours or message.mission_type != transfer.plan.kind:
-            return []
-        if number == _ACK:
-            return self._on_ack(transfer.plan, message.type, now_s)
-        if transfer.reads is not (number == _ITEM):
-            return []  # one that has come already
-        answered = self._on_item if transfer.reads else self._on_count
-        return answered(transfer, message, now_s)
+        elif transfer is not None and number in MESSAGES:
+            target = (message.target_system, message.target_component)
+            if target == self._ours and message.mission_type == transfer.plan.kind:
+                return self._on_answer(transfer, number, message, now_s)
+        return []
 
     def _on_ids(self, message: Message) -> None:
         """PX4 reports the ids of its lists once a second: download a list whose id is new."""
@@ -192,7 +179,17 @@ class PlanClient:
         for kind, opaque_id in zip((MISSION, FENCE, RALLY), told, strict=True):
             plan = self.plans[kind]
             if opaque_id and plan.opaque_id and opaque_id != plan.opaque_id:
-                plan.read_again(rebooted=False)
+                plan.due_s = plan.read_s = -math.inf
+
+    def _on_answer(
+        self, transfer: _Transfer, number: int, message: Message, now_s: float
+    ) -> list[Message]:
+        if number == _ACK:
+            return self._on_ack(transfer.plan, message.type, now_s)
+        if transfer.reads is not (number == _ITEM):
+            return []  # one that has come already
+        answered = self._on_item if transfer.reads else self._on_count
+        return answered(transfer, message, now_s)
 
     def _on_count(self, transfer: _Transfer, message: Message, now_s: float) -> list[Message]:
         plan, count = transfer.plan, message.count
