@@ -20,7 +20,7 @@ from companion.mavlink.plan_client import FENCE, PlanClient, PlanItem
 from companion.mission.events import FenceChanged, FenceReading, Vector
 from companion.mission.mission import Mission
 from companion.planner.settings import Task
-from companion.world.zones import CircleZone, PolygonZone, Zone
+from companion.world.zones import CircleZone, PolygonZone, Zone, gaps_m
 
 if TYPE_CHECKING:  # it says of its fence what stands here
     from companion.mavlink.autopilots.common import Autopilot
@@ -290,13 +290,13 @@ def conflicts(fence: Fence, task: Task, targets_ne_m: Sequence[Point]) -> tuple[
     """Why a mission cannot keep to a fence, one line each: the place, the rule, the remedy."""
     found, clearance_m = [fence.refusal] if fence.refusal else [], task.zone_clearance_m
     north, east = np.reshape(targets_ne_m, (-1, 2)).T
-    short_m = {zone: clearance_m - zone.distance_m(north, east) for zone in fence.zones}
-    for number in range(len(targets_ne_m)):
-        for zone, by_m in short_m.items():
-            if by_m[number] > 0.0:
+    for number in np.flatnonzero(gaps_m(fence.zones, north, east) < clearance_m):
+        for zone in fence.zones:
+            short_m = clearance_m - float(zone.distance_m(north[number], east[number]))
+            if short_m > 0.0:
                 side = "inside" if zone.keep_in else "outside"
                 found.append(
-                    f"target {number + 1}: {by_m[number]:.0f} m too far from being {side} of the "
+                    f"target {number + 1}: {short_m:.0f} m too far from being {side} of the "
                     f"vehicle's {zone.name} by the clearance of {clearance_m:.0f} m. "
                     "Move the target, or change the fence"
                 )
