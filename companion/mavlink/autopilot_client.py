@@ -424,7 +424,7 @@ class AutopilotClient:
                 words = f"its mission ends with {route.end_action.value}"
                 self.notes.append(f"{words}; what counts is end.action: {mission.end_action.value}")
             told.append(events.TargetsChanged(time_s=now_s, targets_ne_m=route.targets_ne_m))
-        if refusal or not (self._plans_told or (own.fence is not None and own.fence.needs_home)):
+        if refusal or not self._plans_told:
             self._plans_told = True
             told.append(events.Prepared(time_s=now_s, item=events.Item.PLANS, refusal=refusal))
         return told

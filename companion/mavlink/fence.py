@@ -64,6 +64,11 @@ class FenceSettings:
     note: str = ""
     """To the operator, if there is a fence."""
 
+    @property
+    def is_about_home(self) -> bool:
+        """Whether there is none before home is known."""
+        return (self.radius_m, self.above_m, self.below_m) != (None, None, None)
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,8 +82,6 @@ class Fence:
     """Assumptions and changes, one line each, as text for the operator."""
     refusal: str = ""
     """Why this fence cannot be respected."""
-    needs_home: bool = False
-    """Whether a part is missing until home is known."""
     misread: str = ""
     """Which shapes the autopilot itself misreads, and the remedy; empty: none."""
 
@@ -111,9 +114,7 @@ def in_force(
     if settings.note and (drawn.zones or refusal):
         notes.append(settings.note)
     radius_m, above_m, below_m = settings.radius_m, settings.above_m, settings.below_m
-    needs_home = home_nea_m is None and (radius_m, above_m, below_m) != (None, None, None)
-    if needs_home:
-        notes.append("fence about home: home is not known yet, so it is not drawn yet")
+    if home_nea_m is None:
         radius_m = above_m = below_m = None
     north_m, east_m, up_m = home_nea_m or (0.0, 0.0, 0.0)
     margin_m = settings.margin_m
@@ -128,7 +129,6 @@ def in_force(
         zones=tuple(zones),
         notes=tuple(notes),
         refusal=refusal,
-        needs_home=needs_home,
         ceiling_amsl_m=None if above_m is None else up_m + above_m - margin_m,
         floor_amsl_m=None if below_m is None else up_m + below_m + margin_m,
     )
@@ -362,9 +362,10 @@ class OwnFence:
         here_ne_m: Point | None,
         now_s: float,
     ) -> tuple[list[FenceChanged], str] | None:
-        """What is new, and why the mission conflicts with it; None while it is drawn.
+        """What is new, and why the mission conflicts with it; None until it can be told.
 
-        here_ne_m: where the vehicle is, as in `in_force`.
+        Not while it is drawn, nor without home where that is needed.  here_ne_m: where the vehicle
+        is, as in `in_force`.
         """
         mission, plan, firmware = self._mission, self._plans[FENCE], self._autopilot.firmware
         settings = firmware.fence(parameters)
@@ -376,6 +377,8 @@ class OwnFence:
                 return None
             misread = firmware.misread(plan.items, self._autopilot.name)
             self._drawing, self._drawn = None, replace(whole, misread=misread)
+        if settings.is_about_home and home_nea_m is None:
+            return None
         made_of = self._drawing_of, settings, home_nea_m
         if made_of == self._made_of:
             return [], ""
@@ -396,7 +399,7 @@ class OwnFence:
             misread=bool(whole.misread),
         )
         same = structs.replace(told, time_s=0.0)
-        if whole.needs_home or same == self._told:
+        if same == self._told:
             return [], refusal
         self._told = same
         return [told], refusal

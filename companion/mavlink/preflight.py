@@ -288,6 +288,8 @@ def _fence(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check
             yield _check(
                 "fence", True, f"{len(drawn.zones)} zones of the vehicle's own are kept to"
             )
+    elif vehicle.parameters.is_done:
+        yield _check("fence", False, "it is drawn about home, which is not known", "Wait for it.")
     targets = len(state.targets_ne_m)
     yield _check("targets", targets > 0, f"{targets} targets", "Upload a mission with waypoints.")
     if landing := stopped.landing_words(state, session.context):

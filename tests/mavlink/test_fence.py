@@ -268,10 +268,9 @@ def test_ardupilots_cylinder_is_what_its_bits_say(bits: int, by_itself: bool) ->
         name="fence about home", north_m=10.0, east_m=20.0, radius_m=148.0, keep_in=True
     )
     assert [replace(zone, name=circle.name) for zone in fence.zones] == [circle] * bool(bits & 2)
-    unknown = zones_of((), parameters)
-    assert unknown.needs_home == bool(bits & 11)
-    off = zones_of((), {**parameters, "FENCE_ENABLE": 0.0, "FENCE_AUTOENABLE": 0.0})
-    assert (off.zones, off.ceiling_amsl_m, off.needs_home) == ((), None, False)
+    assert ARDUCOPTER.firmware.fence(parameters).is_about_home == bool(bits & 11)
+    disabled = {**parameters, "FENCE_ENABLE": 0.0, "FENCE_AUTOENABLE": 0.0}
+    assert not ARDUCOPTER.firmware.fence(disabled).is_about_home
 
 
 @pytest.mark.parametrize(
