@@ -397,9 +397,11 @@ class AutopilotClient:
 
     def _in_words(self, finding: Finding) -> str:
         """Text of a result that prevents the flight."""
-        if finding.set_to is not None and self._sets[finding.name] >= _MAX_SETS:
-            what = f"{finding.name} = {finding.value:g}: somebody keeps setting it back"
-            return f"{what}. End that: {finding.rule}"
+        named = f"{finding.name} = {finding.value:g}" if finding.set_to is not None else ""
+        if named and (why := self.parameters.failed_sets.get(finding.name)):
+            return f"{named}: {why}. Set it to {finding.set_to:g} by hand: {finding.rule}"
+        if named and self._sets[finding.name] >= _MAX_SETS:
+            return f"{named}: somebody keeps setting it back. End that: {finding.rule}"
         return str(finding)
 
     def _read_plans(self, now_s: float) -> list[events.Event]:

@@ -196,6 +196,23 @@ def test_who_keeps_setting_a_parameter_back_is_said_once_and_not_fought_for_ever
     assert 2 <= len([each for each in sets if each.param_id == "COM_OBL_RC_ACT"]) <= 6
 
 
+def test_what_could_not_be_set_is_refused_with_what_became_of_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    side = Side("px4", sets=True)
+    side.held.simulation.set_parameter("COM_OBL_RC_ACT", 0.0)
+    say = side.held.say
+    lost = "PARAM_SET"
+    monkeypatch.setattr(
+        side.held, "say", lambda told: say([each for each in told if each.get_type() != lost])
+    )
+    side.run(60.0, until=lambda: bool(side.prepared(Item.PARAMETERS)))
+    assert side.prepared(Item.PARAMETERS)[0].refusal == (
+        "COM_OBL_RC_ACT = 0: it was told 5 and says 0. Set it to 5 by hand: "
+        "when the stream stops the vehicle sinks without RC"
+    )
+
+
 @pytest.mark.parametrize("shift_s", [-595.0, 86_400.0])
 def test_by_another_clock_the_same_is_asked_at_the_same_moments(shift_s: float) -> None:
     """As after a restart in flight: the clock of before goes on until the vehicle's is heard."""
