@@ -22,7 +22,7 @@ NOW = timestamp_of(1_790_000_000.0)
 
 
 def signing() -> Signing:
-    return Signing(key=KEY, timestamp=NOW, link_id=2)
+    return Signing(key=KEY, timestamp=NOW)
 
 
 @pytest.fixture(scope="module")

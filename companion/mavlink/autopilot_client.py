@@ -397,9 +397,11 @@ class AutopilotClient:
 
     def _in_words(self, finding: Finding) -> str:
         """Text of a result that prevents the flight."""
-        if finding.set_to is not None and self._sets[finding.name] >= _MAX_SETS:
-            what = f"{finding.name} = {finding.value:g}: somebody keeps setting it back"
-            return f"{what}. End that: {finding.rule}"
+        named = f"{finding.name} = {finding.value:g}" if finding.set_to is not None else ""
+        if named and (why := self.parameters.failed_sets.get(finding.name)):
+            return f"{named}: {why}. Set it to {finding.set_to:g} by hand: {finding.rule}"
+        if named and self._sets[finding.name] >= _MAX_SETS:
+            return f"{named}: somebody keeps setting it back. End that: {finding.rule}"
         return str(finding)
 
     def _read_plans(self, now_s: float) -> list[events.Event]:
@@ -424,7 +426,7 @@ class AutopilotClient:
                 words = f"its mission ends with {route.end_action.value}"
                 self.notes.append(f"{words}; what counts is end.action: {mission.end_action.value}")
             told.append(events.TargetsChanged(time_s=now_s, targets_ne_m=route.targets_ne_m))
-        if refusal or not (self._plans_told or (own.fence is not None and own.fence.needs_home)):
+        if refusal or not self._plans_told:
             self._plans_told = True
             told.append(events.Prepared(time_s=now_s, item=events.Item.PLANS, refusal=refusal))
         return told

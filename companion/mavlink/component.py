@@ -37,33 +37,23 @@ _MAX_SENDERS: Final = 64
 _NOT_GIVEN_E7 = 2**31 - 1
 _AMSL_OR_HOME: Final = (*AMSL_FRAMES, *HOME_FRAMES)
 """Frames of a place whose height the companion may ignore."""
-_ORDERS: Final = frozenset(
-    {
-        wire.MAV_CMD_MISSION_START,
-        wire.MAV_CMD_DO_PAUSE_CONTINUE,
-        wire.MAV_CMD_DO_REPOSITION,
-        wire.MAV_CMD_NAV_RETURN_TO_LAUNCH,
-        wire.MAV_CMD_NAV_LAND,
-    }
-)
-"""Accepted from commanders only; questions are answered to anybody."""
 _CAPABILITIES: Final = (
     wire.MAV_PROTOCOL_CAPABILITY_MAVLINK2 | wire.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
 )
 """No parameters, mission, fence or rally points: those are the autopilot's; no files."""
-_VERSION_FORM: Final = re.compile(r"(\d+)(?:\.(\d+))?(?:\.(\d+))?\.?(.*?)\d*")
-_RELEASES: Final = {
-    "a": wire.FIRMWARE_VERSION_TYPE_ALPHA,
-    "b": wire.FIRMWARE_VERSION_TYPE_BETA,
-    "rc": wire.FIRMWARE_VERSION_TYPE_RC,
-    "": wire.FIRMWARE_VERSION_TYPE_OFFICIAL,
-}
+_VERSION_FORM: Final = re.compile(r"(\d+)(?:\.(\d+))?(?:\.(\d+))?")
 _Ids = tuple[int, int]
 """System and component id; 0 stands for any."""
 Point = tuple[float, float]
 """North and east, metres."""
-
-
+_ORDERS: Final = {
+    wire.MAV_CMD_MISSION_START: OrderKind.START,
+    wire.MAV_CMD_DO_PAUSE_CONTINUE: OrderKind.PAUSE,
+    wire.MAV_CMD_DO_REPOSITION: OrderKind.REPOSITION,
+    wire.MAV_CMD_NAV_RETURN_TO_LAUNCH: OrderKind.RETURN,
+    wire.MAV_CMD_NAV_LAND: OrderKind.LAND,
+}
+"""Accepted from commanders only; questions are answered to anybody."""
 _UNSUPPORTED_FRAME: Final = 9
 """MAV_RESULT_COMMAND_UNSUPPORTED_MAV_FRAME, newer than the dialect."""
 _RESULT_WORDS: Final = {
@@ -143,25 +133,23 @@ class Component:
         target = message.target_system, message.target_component
         if sender == self._ours or not _matches(target, self._ours):
             return Reply()  # of a router that sends things back, or for others
-        before = self._given.get(sender)
-        if target == self._ours and before is not None and before.is_repeated_by(message, now_s):
+        is_for_us, before = target == self._ours, self._given.get(sender)
+        if is_for_us and before is not None and before.is_repeated_by(message, now_s):
             return Reply(replies=(_ack(message, before.result),))
-        name, command = f"{sender[0]}/{sender[1]}", message.command
-        note = {"kind": "command", "sender": name, "command": command}
+        name = f"{sender[0]}/{sender[1]}"
+        note = {"kind": "command", "sender": name, "command": message.command}
         try:
-            kind, place_ne_m = self._order(message, sender)
+            order = self._read(message, name, now_s)
         except _RefusedError as refused:
-            if target != self._ours:
-                return Reply()
             note |= {"result": _RESULT_WORDS[refused.result], "why": refused.text}
-            return Reply(replies=(_ack(message, refused.result),), note=note, text=refused.text)
-        if kind is None:
+            answer = Reply((_ack(message, refused.result),), note=note, text=refused.text)
+            return answer if is_for_us else Reply()
+        if order is None:
             note |= {"result": "accepted", "why": ""}
-            answer = (_ack(message, wire.MAV_RESULT_ACCEPTED),)
-            return Reply(replies=answer, note=note if target == self._ours else None)
-        if target != self._ours:  # of broadcasts no order is carried out
+            answered = (_ack(message, wire.MAV_RESULT_ACCEPTED),)
+            return Reply(answered, note=note if is_for_us else None)
+        if not is_for_us:  # of broadcasts no order is carried out
             return Reply()
-        order = Order(time_s=now_s, kind=kind, target_ne_m=place_ne_m, sender=name)
         self._given.pop(sender, None)
         self._given[sender] = _Given(message, order)
         if len(self._given) > _MAX_SENDERS:
@@ -176,38 +164,37 @@ class Component:
                 return (_ack(given.message, given.result),)
         return ()
 
-    def _order(self, message: Message, sender: _Ids) -> tuple[OrderKind | None, Point | None]:
-        """What a command orders, and where to; None of a question, whose answer is then due."""
-        first, may = message.param1, (_matches(each, sender) for each in self._mission.commanders)
-        if message.command in _ORDERS and not any(may):
-            raise _RefusedError(f"{sender[0]}/{sender[1]} may not command: see link.commanders")
-        match message.command:
-            case wire.MAV_CMD_REQUEST_MESSAGE if first in (_HEARTBEAT, _VERSION):
-                self._asked.add(int(first))
-                return None, None
-            case wire.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES if first == 1.0:
-                self._asked.add(_VERSION)
-                return None, None
-            case wire.MAV_CMD_REQUEST_MESSAGE | wire.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
+    def _read(self, message: Message, sender: str, now_s: float) -> Order | None:
+        """The order of a command; None of a question, whose answer is then due."""
+        command, first = message.command, message.param1
+        if command in (wire.MAV_CMD_REQUEST_MESSAGE, wire.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES):
+            is_named = command == wire.MAV_CMD_REQUEST_MESSAGE
+            if first not in ((_HEARTBEAT, _VERSION) if is_named else (1.0,)):
                 raise _RefusedError("")
-            case wire.MAV_CMD_MISSION_START:
-                if not (math.isnan(first) or first == 0.0):
-                    raise _RefusedError("start: only from the first item, param1 = 0")
-                return OrderKind.START, None
-            case wire.MAV_CMD_DO_PAUSE_CONTINUE:
-                if first not in (0.0, 1.0):
-                    raise _RefusedError("pause: param1 must be 0 (pause) or 1 (continue)")
-                return (OrderKind.CONTINUE if first else OrderKind.PAUSE), None
-            case wire.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-                return OrderKind.RETURN, None
-            case wire.MAV_CMD_NAV_LAND:
-                if any(at not in (0.0, _NOT_GIVEN_E7) and at == at for at in _xy(message)):
-                    raise _RefusedError("land: it lands where it is; first DO_REPOSITION there")
-                return OrderKind.LAND, None
-            case wire.MAV_CMD_DO_REPOSITION:
-                return OrderKind.REPOSITION, self._place_ne_m(message)
+            self._asked.add(int(first) if is_named else _VERSION)
+            return None
+        if (kind := _ORDERS.get(command)) is None:
+            raise _RefusedError("", wire.MAV_RESULT_UNSUPPORTED)
+        ids = message.get_srcSystem(), message.get_srcComponent()
+        if not any(_matches(each, ids) for each in self._mission.commanders):
+            raise _RefusedError(f"{sender} may not command: see link.commanders")
+        place_ne_m = None
+        match kind:
+            case OrderKind.START if not (math.isnan(first) or first == 0.0):
+                raise _RefusedError("start: only from the first item, param1 = 0")
+            case OrderKind.PAUSE if first not in (0.0, 1.0):
+                raise _RefusedError("pause: param1 must be 0 (pause) or 1 (continue)")
+            case OrderKind.PAUSE if first:
+                kind = OrderKind.CONTINUE
+            case OrderKind.LAND if any(
+                at not in (0.0, _NOT_GIVEN_E7) and at == at for at in _xy(message)
+            ):
+                raise _RefusedError("land: it lands where it is; first DO_REPOSITION there")
+            case OrderKind.REPOSITION:
+                place_ne_m = self._place_ne_m(message)
             case _:
-                raise _RefusedError("", wire.MAV_RESULT_UNSUPPORTED)
+                pass
+        return Order(time_s=now_s, kind=kind, target_ne_m=place_ne_m, sender=sender)
 
     def _place_ne_m(self, message: Message) -> Point:
         """Where a reposition goes; a height or speed that is given is ignored."""
@@ -292,12 +279,13 @@ def system_status(state: State) -> int:
 
 
 def version_number(version: str) -> int:
-    """Major << 24 | minor << 16 | patch << 8 | kind of release (FIRMWARE_VERSION_TYPE).
+    """Major << 24 | minor << 16 | patch << 8 | kind of release: official, or in development.
 
     version: as Python's packages write it, "1.2.3rc1".
     """
-    found = _VERSION_FORM.fullmatch(version)
-    *numbers, release = ("0", "0", "0", "unknown") if found is None else found.groups()
-    major, minor, patch = (min(int(number or 0), 255) for number in numbers)
-    kind = _RELEASES.get(release, wire.FIRMWARE_VERSION_TYPE_DEV)
+    found = _VERSION_FORM.match(version)
+    numbers = () if found is None else found.groups("0")
+    major, minor, patch = (min(int(number), 255) for number in (*numbers, "0", "0", "0")[:3])
+    is_official = _VERSION_FORM.fullmatch(version) is not None
+    kind = wire.FIRMWARE_VERSION_TYPE_OFFICIAL if is_official else wire.FIRMWARE_VERSION_TYPE_DEV
     return int(major << 24 | minor << 16 | patch << 8 | kind)

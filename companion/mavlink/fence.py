@@ -7,7 +7,8 @@ fence is ambiguous, the more restrictive reading is taken and noted.
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
+from itertools import chain
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 import shapely
@@ -31,6 +32,8 @@ POLYGON_IN: Final = wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
 POLYGON_OUT: Final = wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
 CIRCLE_IN: Final = wire.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION
 CIRCLE_OUT: Final = wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION
+_POLYGONS: Final = (POLYGON_IN, POLYGON_OUT)
+_EVEN_ODD: Final = "it is kept by the even-odd rule, without FENCE_MARGIN"
 _LARGEST_M = 2.1e7  # half of the way around the Earth
 _CORNERS_AT_ONCE = 250
 """Enough for one event."""
@@ -61,6 +64,11 @@ class FenceSettings:
     note: str = ""
     """To the operator, if there is a fence."""
 
+    @property
+    def is_about_home(self) -> bool:
+        """Whether there is none before home is known."""
+        return (self.radius_m, self.above_m, self.below_m) != (None, None, None)
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,8 +82,6 @@ class Fence:
     """Assumptions and changes, one line each, as text for the operator."""
     refusal: str = ""
     """Why this fence cannot be respected."""
-    needs_home: bool = False
-    """Whether a part is missing until home is known."""
     misread: str = ""
     """Which shapes the autopilot itself misreads, and the remedy; empty: none."""
 
@@ -97,9 +103,10 @@ def in_force(
     """
     zones, notes, refusal = list(drawn.zones), list(drawn.notes), drawn.refusal
     inside = kept = [zone for zone in zones if zone.keep_in]
+    if settings.union and here_ne_m is not None:  # their intersection lies inside the union
+        north, east = map(np.asarray, here_ne_m)
+        kept = [zone for zone in inside if zone.distance_m(north, east) > 0.0] or inside
     if len(inside) > 1:
-        if settings.union and here_ne_m is not None:  # their intersection lies inside the union
-            kept = [zone for zone in inside if _distance_m(zone, here_ne_m) > 0.0] or inside
         zones = [zone for zone in zones if not zone.keep_in or zone in kept]
         names = ", ".join(zone.name for zone in kept)
         several = f"of {len(inside)} inclusion zones the vehicle stays inside of all of"
@@ -107,9 +114,7 @@ def in_force(
     if settings.note and (drawn.zones or refusal):
         notes.append(settings.note)
     radius_m, above_m, below_m = settings.radius_m, settings.above_m, settings.below_m
-    needs_home = home_nea_m is None and (radius_m, above_m, below_m) != (None, None, None)
-    if needs_home:
-        notes.append("fence about home: home is not known yet, so it is not drawn yet")
+    if home_nea_m is None:
         radius_m = above_m = below_m = None
     north_m, east_m, up_m = home_nea_m or (0.0, 0.0, 0.0)
     margin_m = settings.margin_m
@@ -124,7 +129,6 @@ def in_force(
         zones=tuple(zones),
         notes=tuple(notes),
         refusal=refusal,
-        needs_home=needs_home,
         ceiling_amsl_m=None if above_m is None else up_m + above_m - margin_m,
         floor_amsl_m=None if below_m is None else up_m + below_m + margin_m,
     )
@@ -135,18 +139,19 @@ def drawn(items: Sequence[PlanItem], frame: LocalFrame, margin_m: float) -> Iter
 
     Items that cannot be decoded prevent a flight, and are only noted during one.
     """
-    zones, said, wrongs, corners = list[Zone](), list[str](), list[str](), 0
+    parts, corners = list[Fence](), 0
     for number, shape in enumerate(shapes_of(items), start=1):
-        one = _drawn_one(shape, frame, margin_m, number)
-        zones += [] if one.zone is None else [one.zone]
-        said += [one.note] if one.note else []
-        wrongs += [one.wrong] if one.wrong else []
+        parts.append(_drawn_one(shape, frame, margin_m, number))
         corners += len(shape)
         if corners >= _CORNERS_AT_ONCE:
             corners = 0
             yield None
-    notes = (*said, *wrongs[1:])
-    yield Fence(zones=tuple(zones), notes=notes, refusal=wrongs[0] if wrongs else "")
+    refusals = [part.refusal for part in parts if part.refusal]
+    yield Fence(
+        zones=tuple(chain.from_iterable(part.zones for part in parts)),
+        notes=(*chain.from_iterable(part.notes for part in parts), *refusals[1:]),
+        refusal=refusals[0] if refusals else "",
+    )
 
 
 def shapes_of(items: Sequence[PlanItem]) -> Iterator[tuple[PlanItem, ...]]:
@@ -154,7 +159,7 @@ def shapes_of(items: Sequence[PlanItem]) -> Iterator[tuple[PlanItem, ...]]:
     index = 0
     while index < len(items):
         item, count = items[index], 1
-        if item.command in (POLYGON_IN, POLYGON_OUT):
+        if item.command in _POLYGONS:
             wanted = item.parameters[0]
             while (
                 count < wanted < math.inf
@@ -167,42 +172,34 @@ def shapes_of(items: Sequence[PlanItem]) -> Iterator[tuple[PlanItem, ...]]:
         index += count
 
 
-class _One(NamedTuple):
-    """The zone of one shape, a note about it, and why it cannot be respected."""
-
-    zone: Zone | None = None
-    note: str = ""
-    wrong: str = ""
-
-
-def _unfit(why: str) -> _One:
-    return _One(wrong=f"{why}. Draw it again")
+def _unfit(why: str) -> Fence:
+    return Fence(refusal=f"{why}. Draw it again")
 
 
 def _drawn_one(
     shape: tuple[PlanItem, ...], frame: LocalFrame, margin_m: float, number: int
-) -> _One:
+) -> Fence:
+    """What one shape alone would be, circle or polygon."""
     first, wanted = shape[0], shape[0].parameters[0]
-    keep_in = first.command in (POLYGON_IN, CIRCLE_IN)
+    keep_in, is_polygon = first.command in (POLYGON_IN, CIRCLE_IN), first.command in _POLYGONS
     name = f"fence {'inclusion' if keep_in else 'exclusion'} {number}"
-    if first.command not in (POLYGON_IN, POLYGON_OUT, CIRCLE_IN, CIRCLE_OUT):
+    if not is_polygon and first.command not in (CIRCLE_IN, CIRCLE_OUT):
         what = enum_word("MAV_CMD", first.command) or first.command
         return _unfit(f"fence item {number} is no fence ({what})")
-    placed = {*AMSL_FRAMES, *HOME_FRAMES, *TERRAIN_FRAMES}
-    if frames := {item.frame for item in shape} - placed:
+    if frames := {item.frame for item in shape} - {*AMSL_FRAMES, *HOME_FRAMES, *TERRAIN_FRAMES}:
         return _unfit(f"{name}: frame {min(frames)} has no latitude and longitude")
     places = places_of(shape, frame)
     if places is None or any(item.x == item.y == 0 for item in shape):
         return _unfit(f"{name} has a corner that is nowhere on Earth")
-    if first.command in (POLYGON_IN, POLYGON_OUT):
+    if is_polygon:
         whole = len(shape) == wanted and all(item.parameters[0] == wanted for item in shape)
         return _polygon(places, name, margin_m, keep_in=keep_in, whole=whole)
     if not 0.0 < wanted <= _LARGEST_M:
         return _unfit(f"{name}: a circle needs a radius, it has {wanted:g} m")
     radius_m = wanted - margin_m if keep_in else wanted + margin_m
     if radius_m <= 0.0:
-        return _One(wrong=f"{name} is smaller than FENCE_MARGIN. Draw it larger")
-    return _One(_circle(name, places[0], radius_m, keep_in=keep_in))
+        return Fence(refusal=f"{name} is smaller than FENCE_MARGIN. Draw it larger")
+    return Fence(zones=(_circle(name, places[0], radius_m, keep_in=keep_in),))
 
 
 def _circle(name: str, centre_ne_m: Point, radius_m: float, *, keep_in: bool) -> CircleZone:
@@ -212,7 +209,7 @@ def _circle(name: str, centre_ne_m: Point, radius_m: float, *, keep_in: bool) ->
 
 def _polygon(
     places: Sequence[Point], name: str, margin_m: float, *, keep_in: bool, whole: bool
-) -> _One:
+) -> Fence:
     """The zone of a polygon: its hull, where a margin or the rule of autopilots needs that.
 
     Out of one that crosses itself they keep by the even-odd rule, so it has holes: its hull has
@@ -220,20 +217,19 @@ def _polygon(
     """
     pairs = zip(places, (places[-1], *places), strict=False)
     vertices = tuple(one for one, before in pairs if math.dist(one, before) > _SAME_M)
-    note = wrong = ""
     if len(vertices) < 3:
         return _unfit(f"{name} needs three corners")
-    if not whole:
-        wrong = f"{name} is incomplete: its corners are not as many as it says"
-        if keep_in:
-            return _unfit(wrong)
-        wrong += ", the vehicle keeps out of their hull. Draw it again"
-    elif not shapely.is_simple(shapely.LinearRing(vertices)):
-        if keep_in:
-            note = f"{name} crosses itself: it is kept by the even-odd rule, without FENCE_MARGIN"
-            return _One(PolygonZone(name=name, vertices_ne_m=vertices, keep_in=True), note)
-        note = f"{name} crosses itself: the vehicle keeps out of its hull"
-    if note or wrong:
+    crosses = whole and not shapely.is_simple(shapely.LinearRing(vertices))
+    lacks = f"{name} is incomplete: its corners are not as many as it says"
+    if keep_in and not whole:
+        return _unfit(lacks)
+    refusal = "" if whole else f"{lacks}, the vehicle keeps out of their hull. Draw it again"
+    notes: tuple[str, ...] = ()
+    if crosses and keep_in:
+        notes, margin_m = (f"{name} crosses itself: {_EVEN_ODD}",), 0.0
+    elif crosses:
+        notes = (f"{name} crosses itself: the vehicle keeps out of its hull",)
+    if not keep_in and (crosses or not whole):
         vertices = _corners(shapely.MultiPoint(vertices).convex_hull)
         if len(vertices) < 3:
             return _unfit(f"{name} has no area")
@@ -241,9 +237,10 @@ def _polygon(
         outwards_m = -margin_m if keep_in else margin_m
         moved = _corners(shapely.Polygon(vertices).buffer(outwards_m, join_style="mitre"))
         if not moved:  # nothing is left, or parts that hang apart
-            note = f"{name} is too jagged for FENCE_MARGIN: it is kept without"
+            notes = (f"{name} is too jagged for FENCE_MARGIN: it is kept without",)
         vertices = moved or vertices
-    return _One(PolygonZone(name=name, vertices_ne_m=vertices, keep_in=keep_in), note, wrong)
+    zone = PolygonZone(name=name, vertices_ne_m=vertices, keep_in=keep_in)
+    return Fence(zones=(zone,), notes=notes, refusal=refusal)
 
 
 def _corners(shape: Any) -> tuple[Point, ...]:
@@ -277,38 +274,30 @@ def _part_near(corners_deg: list[Point], frame: LocalFrame) -> list[Point]:
 def _straight(corners_deg: list[Point]) -> list[Point]:
     """With so many places on each side that what is straight in degrees is straight enough here.
 
-    A side bulges by length^2 (tan(latitude) + 1) / (8 R) at most, and by a quarter in each half.
+    A side bulges by length^2 (tan(latitude) + 1) / (8 R) at most.
     """
-    begin = np.array(corners_deg)
-    along = np.roll(begin, -1, axis=0) - begin
-    ends = np.radians(np.abs([begin[:, 0], begin[:, 0] + along[:, 0]]))
-    length_m = np.radians(np.hypot(along[:, 0], along[:, 1] * np.cos(ends.min(axis=0)))) * _EARTH_M
-    bulge_m = length_m**2 * (np.tan(ends.max(axis=0)) + 1.0) / (8.0 * _EARTH_M)
-    parts = np.clip(np.ceil(np.sqrt(bulge_m / _STRAIGHT_M)), 1, _MOST_PARTS).astype(int)
-    share = np.concatenate([np.arange(count) / count for count in parts])
-    places = np.repeat(begin, parts, axis=0) + share[:, None] * np.repeat(along, parts, axis=0)
-    return [(latitude, longitude) for latitude, longitude in places.tolist()]
-
-
-def _distance_m(zone: Zone, place_ne_m: Point) -> float:
-    north, east = (np.asarray(value) for value in place_ne_m)
-    return float(zone.distance_m(north, east))
+    ring = shapely.LinearRing(corners_deg)
+    sides_deg = np.hypot(*np.diff(ring.coords, axis=0).T)
+    steepest = math.tan(math.radians(max(abs(latitude) for latitude, _ in corners_deg)))
+    straight_rad = math.sqrt(8.0 * _STRAIGHT_M / (_EARTH_M * (steepest + 1.0)))
+    step_deg = max(math.degrees(straight_rad), sides_deg.max() / _MOST_PARTS)
+    if sides_deg.max() <= step_deg:
+        return corners_deg
+    return [(latitude, longitude) for latitude, longitude in ring.segmentize(step_deg).coords[:-1]]
 
 
 def conflicts(fence: Fence, task: Task, targets_ne_m: Sequence[Point]) -> tuple[str, ...]:
     """Why a mission cannot keep to a fence, one line each: the place, the rule, the remedy."""
-    found = [fence.refusal] if fence.refusal else []
-    for number, target in enumerate(targets_ne_m, start=1):
-        north, east = (np.asarray(value) for value in target)
-        if gaps_m(fence.zones, north, east, task.zone_clearance_m) >= task.zone_clearance_m:
-            continue
-        for zone in sorted(fence.zones, key=lambda zone: isinstance(zone, PolygonZone)):
-            short_m = task.zone_clearance_m - _distance_m(zone, target)
+    found, clearance_m = [fence.refusal] if fence.refusal else [], task.zone_clearance_m
+    north, east = np.reshape(targets_ne_m, (-1, 2)).T
+    for number in np.flatnonzero(gaps_m(fence.zones, north, east) < clearance_m):
+        for zone in fence.zones:
+            short_m = clearance_m - float(zone.distance_m(north[number], east[number]))
             if short_m > 0.0:
                 side = "inside" if zone.keep_in else "outside"
                 found.append(
-                    f"target {number}: {short_m:.0f} m too far from being {side} of the vehicle's "
-                    f"{zone.name} by the clearance of {task.zone_clearance_m:.0f} m. "
+                    f"target {number + 1}: {short_m:.0f} m too far from being {side} of the "
+                    f"vehicle's {zone.name} by the clearance of {clearance_m:.0f} m. "
                     "Move the target, or change the fence"
                 )
     low_m, high_m = task.limits.floor_amsl_m, task.limits.ceiling_amsl_m
@@ -337,10 +326,10 @@ class OwnFence:
         """What a person should hear of, since last looked at."""
         self.warnings: list[str] = []
         """The same, of what is grave."""
-        self._mission, self._autopilot, self._plans = mission, autopilot, plans
+        self._mission, self._autopilot, self._plans = mission, autopilot, plans.plans
         self._drawing_of: tuple[int, float] | None = None
         self._drawing: Iterator[Fence | None] | None = None
-        self._drawn: Fence | None = None
+        self._drawn = Fence()
         """The newest list, once all of it is drawn."""
         self._made_of: object = None
         self._told: FenceChanged | None = None
@@ -360,9 +349,7 @@ class OwnFence:
 
     def reading(self, now_s: float) -> list[FenceReading]:
         """Whether one that has changed is being read, and drawn, by now."""
-        items = self._plans.changing.get(FENCE, 0)
-        if not items and self.is_drawing:
-            items = self._reading
+        items = self._plans[FENCE].changing or (self._reading if self.is_drawing else 0)
         if items == self._reading:
             return []
         self._reading = items
@@ -375,12 +362,12 @@ class OwnFence:
         here_ne_m: Point | None,
         now_s: float,
     ) -> tuple[list[FenceChanged], str] | None:
-        """What is new, and why the mission conflicts with it; None while it is drawn.
+        """What is new, and why the mission conflicts with it; None until it can be told.
 
-        here_ne_m: where the vehicle is, as in `in_force`.
+        Not while it is drawn, nor without home where that is needed.  here_ne_m: where the vehicle
+        is, as in `in_force`.
         """
-        mission, plan = self._mission, self._plans.plans[FENCE]
-        firmware, name = self._autopilot.firmware, self._autopilot.name
+        mission, plan, firmware = self._mission, self._plans[FENCE], self._autopilot.firmware
         settings = firmware.fence(parameters)
         if (plan.version, settings.margin_m) != self._drawing_of:
             self._drawing_of = (plan.version, settings.margin_m)
@@ -388,10 +375,12 @@ class OwnFence:
         if self._drawing is not None:
             if (whole := next(self._drawing)) is None:
                 return None
-            self._drawing = None
-            self._drawn = replace(whole, misread=firmware.misread(plan.items, name))
+            misread = firmware.misread(plan.items, self._autopilot.name)
+            self._drawing, self._drawn = None, replace(whole, misread=misread)
+        if settings.is_about_home and home_nea_m is None:
+            return None
         made_of = self._drawing_of, settings, home_nea_m
-        if made_of == self._made_of or self._drawn is None:
+        if made_of == self._made_of:
             return [], ""
         self._made_of = made_of
         whole = self.fence = in_force(
@@ -400,6 +389,8 @@ class OwnFence:
         self.notes += [each for each in whole.notes if each not in self._said]
         self.warnings += [whole.misread] if whole.misread not in ("", *self._said) else []
         self._said = (*whole.notes, whole.misread)
+        against = conflicts(whole, mission.task, mission.targets_ne_m)
+        refusal = against[0] if against else ""
         told = FenceChanged(
             time_s=now_s,
             zones=whole.zones,
@@ -407,8 +398,8 @@ class OwnFence:
             ceiling_amsl_m=whole.ceiling_amsl_m,
             misread=bool(whole.misread),
         )
-        against = conflicts(whole, mission.task, mission.targets_ne_m)
-        before, same = self._told, structs.replace(told, time_s=0.0)
-        is_news = same != before and not whole.needs_home
-        self._told = before if whole.needs_home else same
-        return [told] if is_news else [], against[0] if against else ""
+        same = structs.replace(told, time_s=0.0)
+        if same == self._told:
+            return [], refusal
+        self._told = same
+        return [told], refusal

@@ -320,6 +320,7 @@ class FrameEncoder:
 
     def __init__(self, system_id: int | None, signing: Signing | None) -> None:
         self._codec, self._unsent = codec(system_id or 1), codec(system_id or 1)
+        """The second is used by the watchdog's thread too, when the first may be in use."""
         self._signing = signing
         self.duplicates = DuplicateIdDetector()
         """Hears of other processes with our ids."""

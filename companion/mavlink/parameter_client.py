@@ -85,7 +85,7 @@ class ParameterClient:
         self.failed_sets: dict[str, str] = {}
         """What could not be set, and why, in words."""
         self.version = 0
-        """Rises whenever a value changes: then judge again."""
+        """Rises whenever a value changes, or cannot be set: then judge again."""
         self.heard_s = -math.inf
         """When the autopilot was heard last: while it is silent nothing is taken for missing."""
         self._types: dict[str, int] = {}
@@ -127,7 +127,11 @@ class ParameterClient:
             on_wire = encoded(value, kind, bytewise=self._bytewise), kind
             self._open[name] = _Request(value, on_wire)
         except struct.error:
-            self.failed_sets[name] = f"{value:g} does not fit into its type"
+            self._fail(name, f"{value:g} does not fit into its type")
+
+    def _fail(self, name: str, why: str) -> None:
+        self.failed_sets[name] = why
+        self.version += 1
 
     # --- in -----------------------------------------------------------------------------------
 
@@ -188,7 +192,7 @@ class ParameterClient:
                 del self._open[name]
                 if request.set_to is not None:
                     was, value = f"{request.set_to:g}", f"{self.values[name]:g}"
-                    self.failed_sets[name] = f"it was told {was} and says {value}"
+                    self._fail(name, f"it was told {was} and says {value}")
             else:
                 due.append((name, request))
         free = _OUTSTANDING - (len(self._open) - len(due))

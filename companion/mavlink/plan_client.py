@@ -7,8 +7,8 @@ mavlink.md 2.3 and 2.5, px4.md 7.
 
 import math
 import struct
-from dataclasses import dataclass, field, replace
-from typing import Final, final
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple, final
 
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
 from companion.mavlink.frames import payload_as_sent
@@ -47,10 +47,11 @@ _REFUSED: Final = {
 _NAMES: Final = {MISSION: "mission", FENCE: "fence", RALLY: "rally points"}
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlanItem:
-    """One item of a list as the autopilot has it (MISSION_ITEM_INT)."""
+class PlanItem(NamedTuple):
+    """One item of a list as the autopilot has it (MISSION_ITEM_INT).
+
+    What is no number in it is `math.nan` itself, so that equal items are equal.
+    """
 
     frame: int
     command: int
@@ -61,25 +62,38 @@ class PlanItem:
     z_m: float = 0.0
     """Measured from what the frame says."""
 
-    @property
-    def key(self) -> bytes:
-        """Equal for equal items, also where a parameter is not a number."""
-        values = self.frame, self.command, *self.parameters, self.x, self.y, self.z_m
-        return struct.pack("<BH4f2if", *values)
+
+def _item_of(message: Message) -> PlanItem:
+    numbers = message.param1, message.param2, message.param3, message.param4, message.z
+    a, b, c, d, z_m = (math.nan if math.isnan(number) else number for number in numbers)
+    return PlanItem(message.frame, message.command, (a, b, c, d), message.x, message.y, z_m)
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True)
 class Plan:
-    """One list, complete, as it was when it was read last."""
+    """One kind of list: complete, as it was when it was read last; and when to look at it again."""
 
+    kind: int
+    """Its MAV_MISSION_TYPE."""
     items: tuple[PlanItem, ...] = ()
     version: int = 0
     """Rises with every change; 0: not read yet."""
     supported: bool = True
     """Whether the autopilot supports this kind of list."""
-    key: bytes = b""
-    """Those of its items, in a row: of thousands at once they would take too long."""
+    changing: int = 0
+    """How many items a newer one has, that is being read; 0: it has not changed."""
+    trouble: str = "no answer yet"
+    """Why the last transfer did not succeed, if it did not."""
+    due_s: float = -math.inf
+    read_s: float = -math.inf
+    """When all of it was read last; -inf: it has to be."""
+    opaque_id: int = 0
+    candidate: tuple[PlanItem, ...] | None = None
+    """A new list that was read with gaps, or found empty after a reboot: it replaces another when
+    it has been read twice."""
+    rebooted: bool = False
+    """Whether it has not been read since the autopilot rebooted."""
 
 
 @final
@@ -87,7 +101,7 @@ class Plan:
 class _Transfer:
     """The transfer in progress."""
 
-    kind: int
+    plan: Plan
     only_look: bool
     reads: bool = False
     """Whether items are requested; else the count."""
@@ -95,29 +109,10 @@ class _Transfer:
     tries: int = 0
     count: int = 0
     items: list[PlanItem] = field(default_factory=list)
-    key: bytes = b""
     opaque_id: int = 0
     item_s: float = _ITEM_S
     smooth: bool = True
     """Every item came promptly, so a change in between is unlikely."""
-
-
-@final
-@dataclass(slots=True)
-class _Watch:
-    """Poll state of one kind of list."""
-
-    due_s: float = -math.inf
-    read_s: float = -math.inf
-    """When all of it was read last; -inf: it has to be."""
-    opaque_id: int = 0
-    candidate: bytes | None = None
-    """A new list that was read with gaps, or found empty after a reboot: it replaces another when
-    it has been read twice."""
-    rebooted: bool = False
-    """Whether it has not been read since the autopilot rebooted."""
-    trouble: str = "no answer yet"
-    """Why the last transfer did not succeed, if it did not."""
 
 
 @final
@@ -130,11 +125,8 @@ class PlanClient:
 
     def __init__(self, system_id: int) -> None:
         self._to, self._ours = (system_id, AUTOPILOT_COMPONENT), (system_id, COMPANION_COMPONENT)
-        self.plans: dict[int, Plan] = {kind: Plan() for kind in KINDS}
+        self.plans = {kind: Plan(kind) for kind in KINDS}
         """By MAV_MISSION_TYPE."""
-        self.changing: dict[int, int] = {}
-        """Kinds that have changed and are being read, and how many items they have now."""
-        self._watches = {kind: _Watch() for kind in KINDS}
         self._transfer: _Transfer | None = None
         self._list_s = _LIST_S
 
@@ -147,26 +139,24 @@ class PlanClient:
     def waiting(self) -> tuple[str, ...]:
         """What has not been read once, with the reason if one is known, for people."""
         return tuple(
-            f"{_NAMES[kind]} ({self._watches[kind].trouble})"
-            for kind, plan in self.plans.items()
+            f"{_NAMES[plan.kind]} ({plan.trouble})"
+            for plan in self.plans.values()
             if plan.supported and not plan.version
         )
 
     def refresh(self) -> None:
-        """Download everything again now, after a reboot or on request."""
+        """Download everything again now: the autopilot has rebooted."""
         self._transfer = None
-        self.changing.clear()
-        self._watches = {kind: _Watch(rebooted=True) for kind in KINDS}
         for kind, plan in self.plans.items():
-            self.plans[kind] = replace(plan, supported=True)
+            self.plans[kind] = Plan(kind, items=plan.items, version=plan.version, rebooted=True)
 
     def rebase_time(self, shift_s: float) -> None:
         """Shift all stored times by this much: the clock was replaced."""
         if self._transfer is not None:
             self._transfer.asked_s += shift_s
-        for watch in self._watches.values():
-            watch.due_s += shift_s
-            watch.read_s += shift_s
+        for plan in self.plans.values():
+            plan.due_s += shift_s
+            plan.read_s += shift_s
 
     # --- in -----------------------------------------------------------------------------------
 
@@ -177,117 +167,106 @@ class PlanClient:
         number, transfer = message.get_msgId(), self._transfer
         if number == _CURRENT:
             self._on_ids(message)
-        if transfer is None or number not in (_COUNT, _ITEM, _ACK):
-            return []
-        target = (message.target_system, message.target_component)
-        if target != self._ours or message.mission_type != transfer.kind:
-            return []
-        if number == _ACK:
-            return self._on_ack(transfer, message.type, now_s)
-        if number == _ITEM and transfer.reads:
-            return self._on_item(transfer, message, now_s)
-        return [] if number == _ITEM or transfer.reads else self._on_count(transfer, message, now_s)
+        elif transfer is not None and number in MESSAGES:
+            target = (message.target_system, message.target_component)
+            if target == self._ours and message.mission_type == transfer.plan.kind:
+                return self._on_answer(transfer, number, message, now_s)
+        return []
 
     def _on_ids(self, message: Message) -> None:
         """PX4 reports the ids of its lists once a second: download a list whose id is new."""
         told = struct.unpack("<3I", payload_as_sent(message, 18)[6:] or bytes(12))
         for kind, opaque_id in zip((MISSION, FENCE, RALLY), told, strict=True):
-            watch = self._watches[kind]
-            if opaque_id and watch.opaque_id and opaque_id != watch.opaque_id:
-                watch.due_s = watch.read_s = -math.inf
+            plan = self.plans[kind]
+            if opaque_id and plan.opaque_id and opaque_id != plan.opaque_id:
+                plan.due_s = plan.read_s = -math.inf
+
+    def _on_answer(
+        self, transfer: _Transfer, number: int, message: Message, now_s: float
+    ) -> list[Message]:
+        if number == _ACK:
+            return self._on_ack(transfer.plan, message.type, now_s)
+        if transfer.reads is not (number == _ITEM):
+            return []  # one that has come already
+        answered = self._on_item if transfer.reads else self._on_count
+        return answered(transfer, message, now_s)
 
     def _on_count(self, transfer: _Transfer, message: Message, now_s: float) -> list[Message]:
+        plan, count = transfer.plan, message.count
         opaque_id = int.from_bytes(payload_as_sent(message, 9)[5:9], "little")
         if transfer.tries == 1:  # so this is the answer to that request
             waited_s = now_s - transfer.asked_s
             transfer.item_s = min(max(2.0 * waited_s, _ITEM_S), _LIST_S)
             self._list_s = min(max(4.0 * waited_s, 2.0 * _ITEM_S), _LIST_S)
-        if message.count > _LONGEST:
-            why = f"{message.count} items are too many"
-            return self._end(transfer.kind, now_s, _LATER_S, why=why)
-        plan, watch = self.plans[transfer.kind], self._watches[transfer.kind]
-        known, as_many = plan.version > 0 and plan.supported, message.count == len(plan.items)
-        if known and as_many and opaque_id == watch.opaque_id and transfer.only_look:
-            self.changing.pop(transfer.kind, None)  # no change, and no items are requested
-            return self._end(transfer.kind, now_s, LOOK_S, wire.MAV_MISSION_OPERATION_CANCELLED)
-        transfer.count, transfer.opaque_id = message.count, opaque_id
-        if known and message.count and not (as_many and watch.opaque_id in (0, opaque_id)):
-            self.changing[transfer.kind] = message.count
-        if message.count == 0:
+        if count > _LONGEST:
+            return self._end(plan, now_s, _LATER_S, why=f"{count} items are too many")
+        known, as_many = plan.version > 0 and plan.supported, count == len(plan.items)
+        if known and as_many and opaque_id == plan.opaque_id and transfer.only_look:
+            plan.changing = 0  # no change, and no items are requested
+            return self._end(plan, now_s, LOOK_S, wire.MAV_MISSION_OPERATION_CANCELLED)
+        transfer.count, transfer.opaque_id = count, opaque_id
+        if known and count and not (as_many and plan.opaque_id in (0, opaque_id)):
+            plan.changing = count
+        if count == 0:
             return self._complete(transfer, now_s)
         transfer.reads, transfer.tries = True, 0
         return [self._ask(transfer, now_s)]
 
     def _on_item(self, transfer: _Transfer, message: Message, now_s: float) -> list[Message]:
-        if message.seq != len(transfer.items):
+        seq, plan, item = len(transfer.items), transfer.plan, _item_of(message)
+        if message.seq != seq:
             return []  # one that has come already, after it was asked for twice
         transfer.smooth &= now_s - transfer.asked_s <= _ITEM_S
-        item = PlanItem(
-            frame=message.frame,
-            command=message.command,
-            parameters=(message.param1, message.param2, message.param3, message.param4),
-            x=message.x,
-            y=message.y,
-            z_m=message.z,
-        )
-        key, plan = item.key, self.plans[transfer.kind]
         transfer.items.append(item)
-        transfer.key += key
-        if plan.version and transfer.kind not in self.changing:
-            before = plan.items[message.seq : message.seq + 1]
-            if not before or before[0].key != key:
-                self.changing[transfer.kind] = transfer.count
+        if plan.version and not plan.changing and plan.items[seq : seq + 1] != (item,):
+            plan.changing = transfer.count
         if len(transfer.items) == transfer.count:
             return self._complete(transfer, now_s)
         transfer.tries = 0
         return [self._ask(transfer, now_s)]
 
-    def _on_ack(self, transfer: _Transfer, result: int, now_s: float) -> list[Message]:
+    def _on_ack(self, plan: Plan, result: int, now_s: float) -> list[Message]:
         """Instead of an answer: refused."""
         if result == wire.MAV_MISSION_ACCEPTED:
             return []  # of something that we did not ask for
         if result != wire.MAV_MISSION_UNSUPPORTED:
             why = _REFUSED.get(result, f"refused with MAV_MISSION_RESULT {result}")
-            return self._end(transfer.kind, now_s, _LATER_S, why=why)
-        plan = self.plans[transfer.kind]
+            return self._end(plan, now_s, _LATER_S, why=why)
         if plan.supported:
-            self.plans[transfer.kind] = Plan(version=plan.version + 1, supported=False)
-        return self._end(transfer.kind, now_s, READ_ALL_S)
+            plan.items, plan.version, plan.supported = (), plan.version + 1, False
+        return self._end(plan, now_s, READ_ALL_S)
 
     # --- how a transfer ends ------------------------------------------------------------------
 
     def _complete(self, transfer: _Transfer, now_s: float) -> list[Message]:
-        plan, watch = self.plans[transfer.kind], self._watches[transfer.kind]
-        watch.read_s, watch.opaque_id, pause_s = now_s, transfer.opaque_id, LOOK_S
+        plan, items, pause_s = transfer.plan, tuple(transfer.items), LOOK_S
+        plan.read_s, plan.opaque_id = now_s, transfer.opaque_id
         # An autopilot may answer before it has loaded its lists: then they look empty.
-        early = watch.rebooted and not transfer.items and bool(plan.items)
-        sure = transfer.key == watch.candidate or (transfer.smooth and not early)
-        new = transfer.key != plan.key or not plan.version or not plan.supported
+        early = plan.rebooted and not items and bool(plan.items)
+        sure = items == plan.candidate or (transfer.smooth and not early)
+        new = items != plan.items or not plan.version or not plan.supported
         if new and (sure or not plan.version):  # the first is better than none
-            items, version = tuple(transfer.items), plan.version + 1
-            self.plans[transfer.kind] = Plan(items=items, version=version, key=transfer.key)
+            plan.items, plan.version, plan.supported = items, plan.version + 1, True
         if new and not sure:  # in the gaps it may have become half of one and half of another
-            watch.candidate, watch.read_s = transfer.key, -math.inf
+            plan.candidate, plan.read_s = items, -math.inf
             pause_s = LOOK_S if early else 0.0
         else:
-            watch.candidate, watch.rebooted = None, False
-            self.changing.pop(transfer.kind, None)
-        return self._end(transfer.kind, now_s, pause_s, wire.MAV_MISSION_ACCEPTED)
+            plan.candidate, plan.rebooted, plan.changing = None, False, 0
+        return self._end(plan, now_s, pause_s, wire.MAV_MISSION_ACCEPTED)
 
     def _end(
-        self, kind: int, now_s: float, pause_s: float, ack: int | None = None, why: str = ""
+        self, plan: Plan, now_s: float, pause_s: float, ack: int | None = None, why: str = ""
     ) -> list[Message]:
         """Look at this list again after a pause; returns what is due now.
 
         ack: what ends the transfer for the autopilot, too.  why: it has failed; the known list is
         kept.
         """
-        self._transfer, watch = None, self._watches[kind]
-        watch.due_s, watch.trouble = now_s + pause_s, why
+        self._transfer, plan.due_s, plan.trouble = None, now_s + pause_s, why
         asked = self.on_time(now_s)
         if ack is None:
             return asked
-        return [wire.MAVLink_mission_ack_message(*self._to, ack, kind), *asked]
+        return [wire.MAVLink_mission_ack_message(*self._to, ack, plan.kind), *asked]
 
     # --- out ----------------------------------------------------------------------------------
 
@@ -303,34 +282,33 @@ class PlanClient:
         if transfer.tries < (_MAX_ITEM_TRIES if transfer.reads else _MAX_LIST_TRIES):
             return [self._ask(transfer, now_s)]
         over = wire.MAV_MISSION_OPERATION_CANCELLED
-        return self._end(transfer.kind, now_s, _LATER_S, over, "no answer")
+        return self._end(transfer.plan, now_s, _LATER_S, over, "no answer")
 
     @property
     def due_s(self) -> float:
         """When `on_time` has something to do, at the latest."""
-        if self._transfer is None:
-            return min(watch.due_s for watch in self._watches.values())
-        return self._transfer.asked_s + self._wait_s(self._transfer)
+        transfer = self._transfer
+        if transfer is None:
+            return min(plan.due_s for plan in self.plans.values())
+        return transfer.asked_s + self._wait_s(transfer)
 
     def _wait_s(self, transfer: _Transfer) -> float:
         return transfer.item_s if transfer.reads else self._list_s
 
     def _next(self, now_s: float) -> _Transfer | None:
         """The next list to poll: one never read first, then the one not polled for longest."""
-        due = [kind for kind, watch in self._watches.items() if now_s >= watch.due_s]
+        due = [plan for plan in self.plans.values() if now_s >= plan.due_s]
         if not due:
             return None
-        kind = min(due, key=lambda each: (self.plans[each].version > 0, self._watches[each].due_s))
-        watch, plan = self._watches[kind], self.plans[kind]
+        plan = min(due, key=lambda each: (each.version > 0, each.due_s))
         read_all_s = max(READ_ALL_S, _READ_ALL_PER_ITEM_S * len(plan.items))
-        whole = now_s - watch.read_s >= read_all_s
-        few = not watch.opaque_id and len(plan.items) <= _FEW
-        return _Transfer(kind=kind, only_look=bool(plan.version) and not whole and not few)
+        whole = now_s - plan.read_s >= read_all_s
+        few = not plan.opaque_id and len(plan.items) <= _FEW
+        return _Transfer(plan, only_look=bool(plan.version) and not whole and not few)
 
     def _ask(self, transfer: _Transfer, now_s: float) -> Message:
-        transfer.asked_s = now_s
+        transfer.asked_s, kind = now_s, transfer.plan.kind
         transfer.tries += 1
         if not transfer.reads:
-            return wire.MAVLink_mission_request_list_message(*self._to, transfer.kind)
-        seq = len(transfer.items)
-        return wire.MAVLink_mission_request_int_message(*self._to, seq, transfer.kind)
+            return wire.MAVLink_mission_request_list_message(*self._to, kind)
+        return wire.MAVLink_mission_request_int_message(*self._to, len(transfer.items), kind)

@@ -97,13 +97,9 @@ class _Track:
         if after == len(self._kept):
             return None
         (before_s, was), (after_s, is_then) = self._kept[max(after - 1, 0)], self._kept[after]
-        span_s = after_s - before_s
-        if time_s != after_s and not 0.0 < span_s <= _GAP_S:
-            return None
-        if span_s > _GAP_S:
-            before_s, was, span_s = after_s, is_then, 0.0
-        since_s = time_s - before_s
+        span_s, since_s = after_s - before_s, time_s - before_s
+        if not 0.0 < span_s <= _GAP_S:
+            return (is_then, (0.0,) * len(is_then)) if time_s == after_s else None
         steps = [b - a for a, b in zip(was, is_then, strict=True)]
-        steps = [wrap_rad(step) for step in steps] if self._angles else steps
-        rates = tuple(step / span_s if span_s > 0.0 else 0.0 for step in steps)
+        rates = tuple((wrap_rad(step) if self._angles else step) / span_s for step in steps)
         return tuple(a + since_s * rate for a, rate in zip(was, rates, strict=True)), rates

@@ -275,7 +275,7 @@ def _fence(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check
         return
     if not mission.fence_from_vehicle:
         yield _remark("fence", "the vehicle's own fence is left out, as the mission says")
-    elif items := vehicle.plans.changing.get(FENCE):
+    elif items := vehicle.plans.plans[FENCE].changing:
         what = f"the fence has changed: reading {items:,} items"
         yield _check("fence", False, what, "Wait until it is read.")
     elif (drawn := vehicle.own_fence.fence) is not None:
@@ -288,6 +288,8 @@ def _fence(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check
             yield _check(
                 "fence", True, f"{len(drawn.zones)} zones of the vehicle's own are kept to"
             )
+    elif vehicle.parameters.is_done:
+        yield _check("fence", False, "it is drawn about home, which is not known", "Wait for it.")
     targets = len(state.targets_ne_m)
     yield _check("targets", targets > 0, f"{targets} targets", "Upload a mission with waypoints.")
     if landing := stopped.landing_words(state, session.context):

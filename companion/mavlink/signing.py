@@ -28,6 +28,8 @@ _LAST: Final = (1 << 48) - 1
 _BEHIND: Final = 60 * TICKS_PER_S
 _MAX_STREAMS: Final = 256
 _COMPLAIN_S: Final = 60.0
+_LINK_ID: Final = b"\0"
+"""Of all that we sign: a stream's time stamps rise, and a companion has one link."""
 _MARKER: Final = 0xFD
 _SIGNED: Final = 0x01
 _HEADER, _TAIL, _HASH = 10, 13, 6
@@ -87,7 +89,7 @@ def _flag_flipped(frame: bytes) -> bytes:
 class Signing:
     """Signs the frames that one companion sends, and verifies those it receives."""
 
-    def __init__(self, *, key: bytes, timestamp: int, link_id: int = 0) -> None:
+    def __init__(self, *, key: bytes, timestamp: int) -> None:
         """timestamp: of the first frame; higher than any that was ever used with this key."""
         if len(key) != KEY_BYTES:
             raise ValueError(f"a key has {KEY_BYTES} bytes")
@@ -96,7 +98,7 @@ class Signing:
         self._told, self._told_at_s = 0, -math.inf
         self._streams: dict[tuple[int, int, int], int] = {}
         """The newest time stamp of each link id, system and component."""
-        self._link_id, self._next = link_id, timestamp
+        self._next = timestamp
         self._hash = hashlib.sha256(key)
         self._began: tuple[float, int] | None = None
 
@@ -111,7 +113,7 @@ class Signing:
             return frame
         timestamp = self.timestamp
         self._raise_to(timestamp + 1)
-        stamp = bytes((self._link_id,)) + timestamp.to_bytes(6, "little")
+        stamp = _LINK_ID + timestamp.to_bytes(6, "little")
         signed = _flag_flipped(frame) + stamp
         return signed + self._signature(signed)
 

@@ -19,7 +19,6 @@ _PERIOD_S = 1.0
 _REPEAT_S = 5.0  # the same text of a kind is not said again for so long
 _STALE_S = 10.0  # what could not be said for so long is not news any more
 _MAX_WAITING = 16
-_ROUNDING_S = 1e-6  # of the time until which the chunks of a text take
 _LAST_CHUNKED = 0xFFFF  # id of the chunks of the last text of all
 _ASCII = str.maketrans(
     {"≤": "<=", "≥": ">=", "–": "-", "—": "-", "−": "-", "²": "2", "…": "..", "°": "deg"}
@@ -41,7 +40,8 @@ class StatusTexts:
         """By kind, in the order in which they were said."""
         self._sent: dict[str, tuple[str, float]] = {}
         """Of each kind, the text that was sent last, and when."""
-        self._free_at_s = -math.inf
+        self._sent_s, self._lasts_s = -math.inf, 0.0
+        """When a text was sent last, and for how long its chunks keep others waiting."""
         self._chunked = 0
         self._over = False
 
@@ -61,20 +61,17 @@ class StatusTexts:
 
     def due(self, now_s: float) -> list[Message]:
         """The messages to send now: the first queued text, if it is time for one."""
-        soonest_s = self._free_at_s - _MAX_CHUNKS * _PERIOD_S - _ROUNDING_S
-        if now_s < soonest_s:  # the clock began again
-            self._free_at_s = now_s
         for kind, (_, warning, at_s) in tuple(self._waiting.items()):
             if not warning and abs(now_s - at_s) > _STALE_S:
                 del self._waiting[kind]
-        if not self._waiting or now_s < self._free_at_s:
+        if not self._waiting or 0.0 <= now_s - self._sent_s < self._lasts_s:  # a clock may fall
             return []
         kind = min(self._waiting, key=lambda each: not self._waiting[each].warning)
         first = self._waiting.pop(kind)
         lately = {k: v for k, v in self._sent.items() if 0.0 <= now_s - v[1] < _REPEAT_S}
         self._sent = {**lately, kind: (first.text, now_s)}
         messages = self._messages(first)
-        self._free_at_s = now_s + _PERIOD_S * len(messages)
+        self._sent_s, self._lasts_s = now_s, _PERIOD_S * len(messages)
         return messages
 
     def end(self, end: End, *, held: bool, disarmed: bool = False) -> tuple[str, list[Message]]:

@@ -8,25 +8,34 @@ from held import Held, polygon, waypoints
 from wires import over_the_wire
 
 from companion.config import load_mission
+from companion.mavlink import autopilots, rules
 from companion.mavlink.autopilot_client import AutopilotClient
 from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER, Autopilot, px4
+from companion.mavlink.autopilots.common import Modes
+from companion.mavlink.autopilots.messages import To, command_long
 from companion.mavlink.dialect import EventMessage, codec, wire
 from companion.mavlink.frames import Receiver
+from companion.mavlink.rules import Rule
 from companion.mission import checkpoint
 from companion.mission.decisions import Context
 from companion.mission.events import (
     Arm,
+    Battery,
     Disarm,
     FenceBreach,
     FenceChanged,
     FenceReading,
     Item,
+    Mode,
     Prepared,
+    SetMode,
+    Setpoint,
     SetSpeed,
     TakeOffTaken,
 )
 from companion.mission.mission import Mission
 from companion.mission.state import State
+from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 from vehicle_sim.plans import PlanItem as Stored
 
 FENCE = 1
@@ -187,6 +196,23 @@ def test_who_keeps_setting_a_parameter_back_is_said_once_and_not_fought_for_ever
     assert 2 <= len([each for each in sets if each.param_id == "COM_OBL_RC_ACT"]) <= 6
 
 
+def test_what_could_not_be_set_is_refused_with_what_became_of_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    side = Side("px4", sets=True)
+    side.held.simulation.set_parameter("COM_OBL_RC_ACT", 0.0)
+    say = side.held.say
+    lost = "PARAM_SET"
+    monkeypatch.setattr(
+        side.held, "say", lambda told: say([each for each in told if each.get_type() != lost])
+    )
+    side.run(60.0, until=lambda: bool(side.prepared(Item.PARAMETERS)))
+    assert side.prepared(Item.PARAMETERS)[0].refusal == (
+        "COM_OBL_RC_ACT = 0: it was told 5 and says 0. Set it to 5 by hand: "
+        "when the stream stops the vehicle sinks without RC"
+    )
+
+
 @pytest.mark.parametrize("shift_s", [-595.0, 86_400.0])
 def test_by_another_clock_the_same_is_asked_at_the_same_moments(shift_s: float) -> None:
     """As after a restart in flight: the clock of before goes on until the vehicle's is heard."""
@@ -274,3 +300,50 @@ def test_how_the_vehicles_own_mission_ends_is_not_passed_over_in_silence() -> No
     side.held.upload(0, [*waypoints(3), Stored(frame=2, command=20)])
     said = side.until_prepared().client.notes
     assert said == ["its mission ends with return; what counts is end.action: land"]
+
+
+def half_empty(_message: Any, now_s: float, *_: Any) -> Battery:
+    return Battery(time_s=now_s, remaining=0.5)
+
+
+def told_to_slow_down(setpoint: Setpoint, to: To, _loiter_radius_m: float) -> list[Any]:
+    return [command_long(to.system_id, 31_010, *setpoint.velocity_nea_m_s)]
+
+
+SETPOINT = Setpoint(
+    time_s=1.0, position_nea_m=(0.0, 0.0, 500.0), velocity_nea_m_s=(3.0, 0.0, 0.0), yaw_rad=0.0
+)
+FIFTH = Autopilot(
+    firmware=replace(px4.FIRMWARE, name="fifth", number=wire.MAV_AUTOPILOT_SMACCMPILOT),
+    traits=VehicleTraits(name="Fifth", kind="copter", take_off=TakeoffSequence.MODE_THEN_ARM),
+    rules=(Rule("FIFTH_RATE", rules.brakes, "how it brakes"),),
+    parameters_for=lambda _: {},
+    modes=Modes(asked={Mode.GUIDED: (77,)}, names={(77,): "LED"}),
+    streams_hz={wire.MAVLINK_MSG_ID_ALTITUDE: 5.0},
+    intermittent=frozenset(),
+    decoders={wire.MAVLINK_MSG_ID_ALTITUDE: half_empty},
+    take_off=lambda *_: [],
+    setpoint=told_to_slow_down,
+)
+
+
+def test_a_fifth_autopilot_is_one_value_that_nothing_else_has_to_know_of(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(autopilots, "ALL", (*autopilots.ALL, FIFTH))
+    of = wire.MAV_TYPE_QUADROTOR, wire.MAV_AUTOPILOT_SMACCMPILOT, 129, 77, 4, 3
+    heartbeat = over_the_wire(wire.MAVLink_heartbeat_message(*of))
+    mission = replace(WATCHING.mission, autopilot=None)
+    context = Context(mission=mission, seed=1, lockstep=True, shadow=True)
+    side: Any = AutopilotClient.found(heartbeat, context)
+    assert side.autopilot is FIFTH is autopilots.named("fifth", "copter")
+    assert side.event_of(heartbeat, 1.0).mode is Mode.GUIDED
+    altitude = over_the_wire(wire.MAVLink_altitude_message(0, *[0.0] * 6))
+    assert side.event_of(altitude, 2.0) == Battery(time_s=2.0, remaining=0.5)
+    assert side.parameters.waiting == ("FIFTH_RATE",)
+    asked = [over_the_wire(each) for each in side.streams.begin(0.0)]
+    assert wire.MAVLINK_MSG_ID_ALTITUDE in [each.param1 for each in asked]
+    [mode] = side.autopilot.set_mode(SetMode(mode=Mode.GUIDED), side.to)
+    assert (mode.command, mode.param2) == (wire.MAV_CMD_DO_SET_MODE, 77)
+    [slower] = FIFTH.setpoint(SETPOINT, side.to, 0.0) or []
+    assert (slower.command, slower.param1) == (31_010, 3.0)

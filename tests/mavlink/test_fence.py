@@ -206,9 +206,9 @@ def test_inclusions_of_which_one_is_enough_are_those_that_the_vehicle_is_in() ->
             ([item(CIRCLE_OUT, 50, 0, r)], "needs a radius")
             for r in (math.inf, math.nan, 0.0, 3e38)
         ),
-        ([replace(item(OUT, 0.0, 0.0, 3.0), x=2_000_000_000)] * 3, "nowhere"),
+        ([item(OUT, 0.0, 0.0, 3.0)._replace(x=2_000_000_000)] * 3, "nowhere"),
         ([item(OUT, *corner, 3.5) for corner in SQUARE], "incomplete"),
-        ([replace(item(CIRCLE_OUT, 50.0, 0.0, 9.0), frame=200)], "frame 200"),
+        ([item(CIRCLE_OUT, 50.0, 0.0, 9.0)._replace(frame=200)], "frame 200"),
         ([item(16, 50.0, 0.0, 0.0)], "no fence (NAV_WAYPOINT)"),
         ([item(4999, 50.0, 0.0, 0.0)], "no fence (4999)"),
         ([PlanItem(frame=0, command=CIRCLE_OUT, parameters=(9.0, 0, 0, 0))], "nowhere"),
@@ -231,7 +231,7 @@ SPOILT: list[dict[str, Any]] = [
 def test_a_spoilt_item_is_never_left_out(drawn: Any, changes: dict[str, Any], which: int) -> None:
     items = list(itertools.chain(*drawn))
     which %= len(items)
-    spoilt, whole = replace(items[which], **changes), zones_of(items, ON)
+    spoilt, whole = items[which]._replace(**changes), zones_of(items, ON)
     fence = zones_of([*items[:which], spoilt, *items[which + 1 :]], ON)
     is_circle = spoilt.command in (CIRCLE_IN, CIRCLE_OUT) and "parameters" in changes
     if is_circle and 0.0 < spoilt.parameters[0] < 2e7:
@@ -268,10 +268,9 @@ def test_ardupilots_cylinder_is_what_its_bits_say(bits: int, by_itself: bool) ->
         name="fence about home", north_m=10.0, east_m=20.0, radius_m=148.0, keep_in=True
     )
     assert [replace(zone, name=circle.name) for zone in fence.zones] == [circle] * bool(bits & 2)
-    unknown = zones_of((), parameters)
-    assert unknown.needs_home == bool(bits & 11)
-    off = zones_of((), {**parameters, "FENCE_ENABLE": 0.0, "FENCE_AUTOENABLE": 0.0})
-    assert (off.zones, off.ceiling_amsl_m, off.needs_home) == ((), None, False)
+    assert ARDUCOPTER.firmware.fence(parameters).is_about_home == bool(bits & 11)
+    disabled = {**parameters, "FENCE_ENABLE": 0.0, "FENCE_AUTOENABLE": 0.0}
+    assert not ARDUCOPTER.firmware.fence(disabled).is_about_home
 
 
 @pytest.mark.parametrize(

@@ -115,7 +115,7 @@ def test_looks_leave_the_autopilot_idle_for_the_others(firmware: Firmware) -> No
 def test_a_new_id_of_a_list_has_it_read_as_recorded() -> None:
     """A PX4's fence is uploaded at 0.82 s, and its id is told from then on."""
     client = PlanClient(1)
-    watch = client._watches[FENCE]
+    watch = client.plans[FENCE]
     watch.opaque_id, watch.read_s, watch.due_s = 1, 0.0, math.inf
     for at_s, message in itertools.islice(recorded("px4-offboard-8mps.tlog"), 2000):
         client.on_message(message, at_s)

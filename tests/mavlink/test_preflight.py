@@ -150,7 +150,7 @@ def test_a_vehicle_that_falls_silent_or_does_not_sign_may_not_fly() -> None:
         it.session.silence(float(silent_s))
     assert it.refused
     assert "fell silent" in it.words("link")
-    unsigned = Pair(signing=Signing(key=KEY, timestamp=10**13, link_id=0))
+    unsigned = Pair(signing=Signing(key=KEY, timestamp=10**13))
     unsigned.run(10.0)
     assert unsigned.refused == ["vehicle"]
     assert "not signed with this key. Set the same key up" in unsigned.words("vehicle")

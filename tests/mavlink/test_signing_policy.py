@@ -26,7 +26,7 @@ BEAT = wire.MAVLink_heartbeat_message(2, 3, 81, 4, 4, 3)
 
 
 def ours(timestamp: int = NOW) -> Signing:
-    return Signing(key=KEY, timestamp=timestamp, link_id=3)
+    return Signing(key=KEY, timestamp=timestamp)
 
 
 class Speaker:
@@ -95,7 +95,7 @@ def test_a_frame_that_was_kept_is_signed_as_pymavlink_would_sign_it_now() -> Non
         plain = message.pack(codec(1))
         for _ in range(3):
             signed = keeper.sign(plain)
-            there = Speaker(int.from_bytes(signed[-12:-6], "little"), link=3, srcComponent=195)
+            there = Speaker(int.from_bytes(signed[-12:-6], "little"), srcComponent=195)
             assert signed == there.frame(message)
             assert keeper.sign(signed) == signed
             assert strip_signature(signed) == strip_signature(plain) == plain  # as a log keeps it

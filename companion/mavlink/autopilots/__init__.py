@@ -1,4 +1,7 @@
-"""One strategy per autopilot and vehicle type: commands, setpoints, decoding (design 4)."""
+"""One strategy per autopilot and vehicle type: commands, setpoints, decoding (design 4).
+
+Each stands in one file, and in `ALL`.
+"""
 
 from companion.mavlink.autopilots.arducopter import ARDUCOPTER as ARDUCOPTER
 from companion.mavlink.autopilots.arduplane import ARDUPLANE as ARDUPLANE
@@ -13,13 +16,13 @@ NAMES = tuple(autopilot.name for autopilot in ALL)
 """What the companion flies, for people."""
 
 FIRMWARES = tuple(dict.fromkeys(autopilot.firmware for autopilot in ALL))
-_BY_KIND = {(each.firmware.number, each.traits.kind): each for each in ALL}
 
 
 def autopilot_of(heartbeat: Message) -> Autopilot | None:
     """The strategy for the sender of this; None: not supported (VTOL, rover, ...)."""
-    kind = KINDS.get(heartbeat.type)
-    return None if kind is None else _BY_KIND.get((heartbeat.autopilot, kind))
+    wanted = heartbeat.autopilot, KINDS.get(heartbeat.type)
+    ways = (each for each in ALL if (each.firmware.number, each.traits.kind) == wanted)
+    return next(ways, None)
 
 
 def named(firmware: str, kind: str) -> Autopilot:
