@@ -7,7 +7,7 @@ import struct
 from typing import Any
 
 import pytest
-from harness import OFFBOARD, ArduCopter, Px4Copter, Rig, flying, hovering
+from harness import ZERO, Rig, flying, hover, hovering, setpoint
 from hypothesis import example, given
 from hypothesis import strategies as st
 from pymavlink import mavftp_op
@@ -152,16 +152,12 @@ def test_the_place_of_a_command_int_is_in_degrees(
     assert got.parameters == approx((9, 1, 2, 3, *place, 30), nan_ok=True)
 
 
-@pytest.mark.parametrize(
-    ("firmware", "base", "mode"), [("ardupilot", 1, 9), ("px4", 209, OFFBOARD[0] << 16)]
-)
+@pytest.mark.parametrize(("firmware", "base", "mode"), [("ardupilot", 1, 9), ("px4", 209, 6 << 16)])
 def test_set_mode_means_do_set_mode(firmware: Any, base: int, mode: int) -> None:
     vehicle = flying(firmware, "copter")
-    if firmware == "px4":
-        vehicle.until(lambda: vehicle.simulation.now_us % 1_000_000 == 0, 1.1, 0.0, 0.0)
-    vehicle.send(mavlink.MAVLink_set_mode_message(1, base, mode))
-    vehicle.run(0.1)
-    assert vehicle.simulation.mode_name == ("Offboard" if firmware == "px4" else "LAND")
+    vehicle.streamed = setpoint(None, ZERO)
+    vehicle.run(1.0).send(mavlink.MAVLink_set_mode_message(1, base, mode))
+    assert vehicle.run(0.1).mode == ("Offboard" if firmware == "px4" else "LAND")
 
 
 @pytest.mark.parametrize("length", [50, 51, 100, 149])
@@ -181,15 +177,13 @@ def test_a_text_that_does_not_fit_goes_on_in_chunks_to_a_zero_byte(length: int) 
 def told(rig: Rig, number: int) -> list[Any]:
     parameters, autopilot = rig.autopilot.parameters, rig.autopilot
     telemetry = Telemetry(autopilot, RangeSensors(parameters, (0.2, 16.0), lambda: 3.0), 7, 0)
-    telemetry.now(rig.now_us)
+    telemetry.now(rig.simulation.now_us)
     return [decoded(framed(message, 0, 1, 1)) for message in telemetry.said(number)]
 
 
 def test_every_message_can_be_packed_and_read_again() -> None:
     """Also before there is anything to say."""
-    booting, fresh = ArduCopter().run(5.0), Px4Copter()
-    fresh.step()
-    for rig in (booting, fresh, hovering(), Px4Copter().take_off(12.0)):
+    for rig in (Rig().run(5.0), Rig("px4").run(0.01), hovering(), hover()):
         numbers = rig.autopilot.firmware.streamable | rig.autopilot.firmware.requestable
         said = {number: told(rig, number) for number in numbers}
         assert all(each.get_msgId() == n for n, messages in said.items() for each in messages)

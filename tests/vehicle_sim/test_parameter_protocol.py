@@ -5,7 +5,7 @@ import struct
 from typing import Any
 
 import pytest
-from harness import GCS, PLACE, VEHICLE, Link
+from harness import VEHICLE, Rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
@@ -20,25 +20,21 @@ REAL, INT8, INT32 = 9, 2, 6
 BITS = {Kind.INT8: 8, Kind.INT16: 16, Kind.INT32: 32}
 
 
-def fresh(firmware: Firmware, **parameters: float) -> Link:
-    vehicle = Link("copter", firmware, PLACE, links=2, parameters=parameters)
-    vehicle.source = GCS
-    return vehicle
+def fresh(firmware: Firmware) -> Rig:
+    return Rig(firmware, links=2)
 
 
-def values(vehicle: Link, message: Any, seconds: float = 0.02) -> list[Any]:
+def values(vehicle: Rig, message: Any) -> list[Any]:
     """The PARAM_VALUE that answer this on link 0."""
-    vehicle.send(message)
-    heard = vehicle.run(seconds)
-    return [each.message for each in heard if (each.kind, each.link) == ("PARAM_VALUE", 0)]
+    return [each for each in vehicle.ask(message) if each.get_type() == "PARAM_VALUE"]
 
 
-def read(vehicle: Link, name: str = "", index: int = -1) -> list[Any]:
+def read(vehicle: Rig, name: str = "", index: int = -1) -> list[Any]:
     asked = mavlink.MAVLink_param_request_read_message(*VEHICLE, name.encode(), index)
     return values(vehicle, asked)
 
 
-def put(vehicle: Link, name: str, value: float, kind: int = REAL) -> list[Any]:
+def put(vehicle: Rig, name: str, value: float, kind: int = REAL) -> list[Any]:
     return values(vehicle, mavlink.MAVLink_param_set_message(*VEHICLE, name.encode(), value, kind))
 
 
@@ -131,11 +127,10 @@ def test_the_parameters_of_ids_count_from_the_next_boot_on(
     vehicle, after = fresh(firmware), (9, 50 if firmware == "px4" else 1)
     for name, value in zip(names, after, strict=False):
         vehicle.simulation.set_parameter(name, value)
-    assert {heard.source for heard in vehicle.run(3.0)} == {VEHICLE}
-    vehicle.simulation.add_fault("reboot")
-    vehicle.run(1.2)
-    heard = vehicle.run(3.0)
-    assert {each.source for each in heard} == {after}
+    assert {each.source for each in vehicle.run(3.0).heard} == {VEHICLE}
+    vehicle.fault("reboot")
+    vehicle.run(1.2).heard.clear()
+    assert {each.source for each in vehicle.run(3.0).heard} == {after}
     for target, obeys in ((after, True), (VEHICLE, False)):
-        vehicle.send(mavlink.MAVLink_command_long_message(*target, 400, 0, 1, *[0] * 6))
-        assert any(each.kind == "COMMAND_ACK" for each in vehicle.run(0.02)) is obeys
+        order = mavlink.MAVLink_command_long_message(*target, 400, 0, 1, *[0] * 6)
+        assert any(each.get_type() == "COMMAND_ACK" for each in vehicle.ask(order)) is obeys

@@ -6,27 +6,13 @@ are north, east, down.
 """
 
 import cmath
-import functools
 import math
 from collections import namedtuple
 from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
-from harness import (
-    NAN,
-    OFFBOARD,
-    STEP_S,
-    ZERO,
-    ArduCopter,
-    ArduPlane,
-    Px4Copter,
-    Px4Plane,
-    Vector,
-    circling,
-    cruising,
-    hovering,
-)
+from harness import NAN, STEP_S, ZERO, Rig, Vector, circling, copied, cruising, hover, hovering
 
 from vehicle_sim.geodesy import FloatArray
 
@@ -83,13 +69,13 @@ def _flat(level: complex, down: float) -> Vector:
     return level.real, level.imag, down
 
 
-def lean_deg(it: ArduCopter | Px4Copter) -> float:
+def lean_deg(it: Rig) -> float:
     """How far a copter is inclined."""
     return math.degrees(math.acos(math.cos(it.vehicle.roll_rad) * math.cos(it.vehicle.pitch_rad)))
 
 
 def _flown(
-    rig: Any,
+    rig: Rig,
     seconds: float,
     hz: float,
     send: Callable[[int], object],
@@ -113,7 +99,7 @@ PERIOD_S = 12.0
 """Of the weaving heading, which the document does not tell: this one agrees with it best."""
 
 
-def aim(it: ArduCopter, kind: str, position: Vector, *derivatives: Vector) -> None:
+def aim(it: Rig, kind: str, position: Vector, *derivatives: Vector) -> None:
     """A setpoint of this kind, in LOCAL_NED or as GLOBAL_INT above home."""
     if kind.startswith("GLOBAL"):
         there = it.autopilot.frame.place(*position)
@@ -187,7 +173,7 @@ def fly_weave(
 ) -> Weave:
     """Stream a route and measure along and off it; late_s: how old setpoints are when sent."""
     speed_cm_s = max(row.speed_m_s, 10.0) * 100.0
-    it = hovering(row.lean_deg, WPNAV_SPEED=speed_cm_s, GUID_TIMEOUT=3.0)
+    it = hovering(lean_deg=row.lean_deg, WPNAV_SPEED=speed_cm_s, GUID_TIMEOUT=3.0)
     it.vehicle.wind_m_s = complex(0.0, wind_east_m_s)
     it.run(15.0 if wind_east_m_s else 0.0)
     route = position, velocity, _ = weave(row.speed_m_s, row.lateral_m_s2, seconds)
@@ -272,7 +258,7 @@ JUMPS = (
 
 def jump(row: Jump) -> Jump:
     """Fly on for 30 s, move the target, and measure along the jump."""
-    it, jumps_s = hovering(height_m=60.0, GUID_TIMEOUT=3.0, WPNAV_SPEED=1000.0), 30.0
+    it, jumps_s = hovering(60.0, GUID_TIMEOUT=3.0, WPNAV_SPEED=1000.0), 30.0
     speed = np.minimum(np.arange(6500) * STEP_S, row.speed_m_s)
     targets = np.zeros((6500, 3))
     targets[:, 0], targets[:, 2] = (np.cumsum(speed) - speed) * STEP_S, -60.0
@@ -352,7 +338,7 @@ def _moved(elapsed_s: float, speed_m_s: float) -> tuple[float, float]:
 
 def fly_eight(row: Eight) -> Tracking:
     """One run of 42 s; measured 2 s after the target has gathered its speed, at 9 s at least."""
-    rig, curve, reached_m = Px4Copter().take_off(), Curve(), 0.0
+    rig, curve, reached_m = hover(20.0), Curve(), 0.0
     begins_s = max(9.0, row.speed_m_s / _RAMP_M_S2 + 2.0)
 
     def send(k: int) -> None:
@@ -425,7 +411,7 @@ EIGHTS = (
 
 
 def _followed(
-    rig: ArduPlane | Px4Plane,
+    rig: Rig,
     route: Sine,
     aim: Callable[[int], object],
     *,
@@ -433,21 +419,18 @@ def _followed(
     seconds: float,
     counts: Callable[[float, int], bool],
     begin: int = 0,
-    age_steps: int = 0,
+    age: int = 0,
 ) -> Off:
-    """Aim from the point nearest to where the vehicle was, so old; measure ten times a second."""
-    every, index, known = round(1.0 / hz / STEP_S), begin, begin
-    flown = list[tuple[float, float]]()
-    for k in range(round(seconds / STEP_S)):
-        if k % 10 == 0 or k % every == 0:
-            index, right_m = route.nearest(rig.ne_m, index)
-            if k % 10 == 0 and counts(k * STEP_S, index):
-                flown.append((right_m, rig.speed_m_s))
-        known = index if k % every == 0 else known
-        if k % every == age_steps % every:
-            aim(known)
-        rig.step()
-    off_m, speed_m_s = np.array(flown).T
+    """Aim from the point nearest to where the vehicle was, so many looks ago."""
+    nearest = [begin] * (age + 1)
+
+    def look(k: int) -> tuple[float, ...]:
+        index, right_m = route.nearest(rig.ne_m, nearest[-1])
+        nearest.append(index)
+        return counts(k * STEP_S, index), right_m, rig.speed_m_s
+
+    seen = _flown(rig, seconds, hz, lambda _: aim(nearest[-1 - age]), look)
+    off_m, speed_m_s = seen[1:, seen[0] > 0.0]
     return Off(_rms(off_m), float(np.abs(off_m).max()), float(speed_m_s.mean()))
 
 
@@ -455,9 +438,9 @@ def _followed(
 
 RADIUS_MOST_M = 600.0
 """Of an osculating circle: the route has straight places."""
-AGE_STEPS = 15
-"""A client knows where the vehicle was 0.15 s ago: telemetry at 10 Hz, and its own time."""
-Law = Callable[[ArduPlane, Sine, int], object]
+AGE = 3
+"""Looks: a client knows where the vehicle was 0.15 s ago: telemetry at 10 Hz, and its own time."""
+Law = Callable[[Rig, Sine, int], object]
 """Sends what it takes, with the index of the nearest point."""
 
 
@@ -471,7 +454,7 @@ def look_ahead(ahead_m: float, radius_m: float) -> Law:
 def osculating(ahead_s: float, smaller_m: float = 17.0) -> Law:
     """DO_REPOSITION to the centre of curvature of the route some seconds ahead."""
 
-    def send(rig: ArduPlane, route: Sine, nearest: int) -> object:
+    def send(rig: Rig, route: Sine, nearest: int) -> object:
         index = route.ahead(nearest, ahead_s * rig.speed_m_s)
         way, curvature = route.bends(index)
         radius_m = min(1.0 / max(abs(curvature), 1e-6), RADIUS_MOST_M)
@@ -485,7 +468,7 @@ def osculating(ahead_s: float, smaller_m: float = 17.0) -> Law:
 def heading_towards(ahead_m: float, lateral_m_s2: float = 6.0) -> Law:
     """GUIDED_CHANGE_HEADING, course over ground, towards a point ahead."""
 
-    def send(rig: ArduPlane, route: Sine, nearest: int) -> object:
+    def send(rig: Rig, route: Sine, nearest: int) -> object:
         way = complex(*route.point(route.ahead(nearest, ahead_m))) - complex(*rig.ne_m)
         course_deg = math.degrees(cmath.phase(way)) % 360.0
         return rig.command(43002, 0.0, course_deg, lateral_m_s2, frame=3)
@@ -493,8 +476,8 @@ def heading_towards(ahead_m: float, lateral_m_s2: float = 6.0) -> Law:
     return send
 
 
-@functools.cache
-def _before_the_route() -> ArduPlane:
+@copied
+def _before_the_route() -> Rig:
     """400 m south of home, where routes begin."""
     rig = circling(0.0, AIRSPEED_CRUISE=20.0)
     rig.reposition(-900.0, 0.0, 80.0, 10.0)
@@ -510,7 +493,7 @@ def off_path(law: Law, lateral_m_s2: float, *, hz: float = 4.0) -> Off:
     # curvature at most swing * 2 pi / wave = lateral / speed^2
     route = Sine(swing_rad, swing_rad * math.tau * speed_m_s**2 / lateral_m_s2, 6000.0, 1.0)
     route.ne_m -= (400.0, 0.0)
-    rig = _before_the_route().copy()
+    rig = _before_the_route()
     return _followed(
         rig,
         route,
@@ -518,7 +501,7 @@ def off_path(law: Law, lateral_m_s2: float, *, hz: float = 4.0) -> Off:
         hz=hz,
         seconds=100.0,
         counts=lambda _, index: 400 < index < 5900,
-        age_steps=AGE_STEPS,
+        age=AGE,
     )
 
 
@@ -593,11 +576,10 @@ def fly_fixed(row: FixedWing) -> Off:
         sent += 1
         index = route.ahead(nearest, row.lead_m)
         if row.kind == "reposition":
-            place = rig.place(*route.point(index), _PLANE_HEIGHT_M)
-            rig.command(192, -1.0, 1.0, 0.0, NAN, *place, frame=5)
+            rig.reposition(*route.point(index), _PLANE_HEIGHT_M)
             return
         if sent == 3:
-            rig.command(176, 1.0, *OFFBOARD)
+            rig.set_mode("Offboard")
         way, bend = route.bends(index)
         lateral = _ASKED_M_S**2 * bend * (-1.0 if row.kind == "pos + vel - acc" else 1.0)
         vectors = _flat(_ASKED_M_S * way, 0.0), _flat(1j * lateral * way, 0.0)
