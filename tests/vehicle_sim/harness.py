@@ -132,12 +132,34 @@ class Heard:
         return _reader.decode(bytearray(self.frame))
 
 
-class Rig:
-    """A vehicle of any kind over a plain, and a client at the other end of its links.
+def world(
+    autopilot: str = "ideal",
+    kind: VehicleKind = "copter",
+    place: Vector = COPTER_HOME,
+    *,
+    peaks: Sequence[Any] = (),
+    **told: Any,
+) -> dict[str, Any]:
+    """A world file's table: a plain, and on it this vehicle.
 
     What is named in capitals is a parameter of its autopilot, what a vehicle of a world file has is
     its own, and the rest are tables of that file.
     """
+    vehicle: dict[str, Any] = {"kind": kind, "autopilot": autopilot}
+    vehicle |= {name: told.pop(name) for name in Vehicle.model_fields if name in told}
+    vehicle["parameters"] = {name: told.pop(name) for name in [*told] if name.isupper()}
+    table = {
+        "schema": 1,
+        "name": "flat",
+        "origin": placed(place, height=False),
+        "terrain": {"combine": "maximum", "ground_amsl_m": place[2], "peaks": list(peaks)},
+        "vehicle": vehicle,
+    }
+    return table | told
+
+
+class Rig:
+    """A vehicle of any kind over a plain, and a client at the other end of its links."""
 
     def __init__(
         self,
@@ -148,23 +170,12 @@ class Rig:
         links: int = 1,
         faults: str = "",
         seed: int = 0,
-        peaks: Sequence[Any] = (),
         **told: Any,
     ) -> None:
         self.home = place or _HOMES.get((autopilot, kind), COPTER_HOME)
         usual = _AS_RECORDED.get(autopilot, {}) | _AS_RECORDED.get((autopilot, kind), {})
-        vehicle = {"kind": kind, "autopilot": autopilot}
-        vehicle |= {name: told.pop(name) for name in Vehicle.model_fields if name in told}
-        vehicle["parameters"] = usual | {n: told.pop(n) for n in [*told] if n.isupper()}
-        table = {
-            "schema": 1,
-            "name": "flat",
-            "origin": placed(self.home, height=False),
-            "terrain": {"combine": "maximum", "ground_amsl_m": self.home[2], "peaks": list(peaks)},
-            "vehicle": vehicle,
-        }
-        world = parse_world(table | told)
-        self.simulation = Simulation(world, links=links, faults=faults, seed=seed)
+        table = world(autopilot, kind, self.home, **usual | told)
+        self.simulation = Simulation(parse_world(table), links=links, faults=faults, seed=seed)
         self.kind, self.firmware, self.source = kind, autopilot, COMPANION
         self.heard: list[Heard] = []
         self.streamed: Any = None

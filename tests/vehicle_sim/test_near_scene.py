@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+import harness
 import numpy as np
 import pytest
 import shapely
@@ -12,25 +13,15 @@ from vehicle_sim.geodesy import FloatArray
 from vehicle_sim.world import Tree, World, parse_world
 
 GROUND_M = 100.0
-FLAT: Any = {"combine": "maximum", "ground_amsl_m": GROUND_M}
 Solid = tuple[Any, float]
 """A shapely geometry in north and east, from the ground up to a height."""
 
 
 def world(**near: Any) -> World:
-    return parse_world(
-        {
-            "schema": 1,
-            "name": "near",
-            "origin": {"latitude_deg": 47.0, "longitude_deg": 8.0},
-            "terrain": FLAT,
-            "vehicle": {"kind": "copter", "autopilot": "ardupilot"},
-            **near,
-        }
-    )
+    return parse_world(harness.world(place=(47.0, 8.0, GROUND_M), **near))
 
 
-def drawn(seed: int, terrain: Any = FLAT) -> tuple[World, list[Solid]]:
+def drawn(seed: int, *peaks: Any) -> tuple[World, list[Solid]]:
     """Random things, and the same as shapely has them."""
     rng, solids = np.random.default_rng(seed), list[Solid]()
     trees, walls, buildings = [], [], []
@@ -55,7 +46,7 @@ def drawn(seed: int, terrain: Any = FLAT) -> tuple[World, list[Solid]]:
         corners = (rng.uniform(-30, 30, 2) + rays).tolist()
         if (shape := shapely.Polygon(corners)).is_valid:
             buildings.append({"corners_ne_m": corners} | height(shape))
-    return world(terrain=terrain, trees=trees, walls=walls, buildings=buildings), solids
+    return world(peaks=peaks, trees=trees, walls=walls, buildings=buildings), solids
 
 
 def away_m(solids: list[Solid], points: FloatArray) -> FloatArray:
@@ -97,7 +88,7 @@ def test_level_beams_are_as_long_as_shapelys_lines(seed: int) -> None:
 def test_tilted_beams_end_where_small_steps_first_are_inside_or_in_a_hill(seed: int) -> None:
     hill = {"north_m": 40.0, "east_m": 0.0, "height_amsl_m": GROUND_M + 30.0}
     hill |= {"spread_north_m": 15.0, "spread_east_m": 20.0}
-    made, solids = drawn(seed, {"combine": "maximum", "ground_amsl_m": GROUND_M, "peaks": [hill]})
+    made, solids = drawn(seed, hill)
     ways = np.random.default_rng(seed + 300).normal(size=(12, 3)) * [1.0, 1.0, 0.4]
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     eye = np.array([0.0, 0.0, GROUND_M + 22.0])  # above all roofs: beams come down on them

@@ -13,14 +13,15 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+from harness import Rig
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.errors import InputError
+from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.parameters import Firmware
-from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import LidarTable, Tree, VehicleKind, World, flat_world
+from vehicle_sim.world import VehicleKind
 
 _HEARTBEAT, _GPS_RAW, _ATTITUDE, _GLOBAL, _ORIGIN, _HOME = 0, 24, 30, 33, 49, 242
 _STAMPED = {30, 32, 33}
@@ -307,8 +308,8 @@ def flight_of(recording: Recording) -> Flight:
 
 # --- the client's half of it into a simulation, in vehicle time -----------------------------------
 
-_LINK = 0
 _POST_M = 1000.0
+_INSTANT_S = 1e-6
 
 
 def play(recording: Recording, flight: Flight, *, seed: int = 0) -> list[TimedFrame]:
@@ -317,30 +318,19 @@ def play(recording: Recording, flight: Flight, *, seed: int = 0) -> list[TimedFr
     A frame goes in at the first step that is not before its time.  Before the recording begins
     the vehicle boots alone, and what it says then was not recorded either.
     """
-    faults = timeline(recording, flight)
-    flying = Simulation(world_of(recording, flight), seed=seed, faults=faults)
-    begin_us, end_us = (round(t * 1e6) for t in (recording.begin_s, recording.end_s))
-    waiting = [(round(one.time_s * 1e6), one.frame) for one in reversed(recording.sent)]
-    placed_us = math.inf
+    rig, placed_s = rig_of(recording, flight, seed), math.inf
     if flight.placed_at_s is not None:
-        placed_us = round(recording.clock.vehicle_s(flight.placed_at_s) * 1e6)
-    back = list[TimedFrame]()
-
-    def take() -> None:
-        for link, frame in flying.take_frames():
-            if link == _LINK and flying.now_us >= begin_us:
-                back.append(heard(flying.now_us * 1e-6, frame))
-
-    while flying.now_us <= end_us:
-        if placed_us <= flying.now_us:
-            _place(flying.vehicle, recording, flight, placed_us * 1e-6)
-            placed_us = math.inf
-        while waiting and waiting[-1][0] <= flying.now_us:
-            flying.receive(_LINK, waiting.pop()[1])
-            take()
-        flying.step()
-        take()
-    return back
+        placed_s = recording.clock.vehicle_s(flight.placed_at_s)
+    waiting = list(reversed(recording.sent))
+    while rig.now_s <= recording.end_s:
+        if placed_s <= rig.now_s:
+            _place(rig.vehicle, recording, flight, placed_s)
+            placed_s = math.inf
+        while waiting and waiting[-1].time_s <= rig.now_s + _INSTANT_S:
+            rig.put(waiting.pop().frame)
+        rig.step()
+    said = (each for each in rig.heard if each.link == 0 and each.at_s >= recording.begin_s)
+    return [heard(each.at_s, each.frame) for each in said]
 
 
 def _place(vehicle: Vehicle, recording: Recording, flight: Flight, at_s: float) -> None:
@@ -356,21 +346,21 @@ def _place(vehicle: Vehicle, recording: Recording, flight: Flight, at_s: float) 
     vehicle.roll_rad = attitude.roll
 
 
-def world_of(recording: Recording, flight: Flight) -> World:
-    """Level ground at home with a vehicle of that kind, and with the posts around it."""
-    home, posts = msgspec.structs.asdict(flight.home), flight.posts
-    world = flat_world(recording.kind, recording.firmware, **home, system_id=recording.system)
-    vehicle = world.vehicle.model_copy(update={"parameters": dict(flight.parameters)})
-    world = world.model_copy(update={"vehicle": vehicle})
-    if posts is None:
-        return world
-    home_deg = (flight.home.latitude_deg, flight.home.longitude_deg)
-    metres = (posts.metres_per_latitude, posts.metres_per_longitude)
-    at_deg = np.array(home_deg) + posts.places_ne_m() / metres
-    size = {"radius_m": posts.radius_m, "height_m": _POST_M}
-    places = zip(*world.frame.to_local_many(*at_deg.T), strict=True)
-    trees = tuple(Tree(north_m=float(n), east_m=float(e), **size) for n, e in places)
-    return world.model_copy(update={"trees": trees, "lidar": LidarTable(**flight.lidar)})
+def rig_of(recording: Recording, flight: Flight, seed: int) -> Rig:
+    """A vehicle of that kind at home, with the posts around it."""
+    home, posts, told = flight.home, flight.posts, dict[str, Any](flight.parameters)
+    place = (home.latitude_deg, home.longitude_deg, home.altitude_amsl_m)
+    if posts is not None:
+        metres = (posts.metres_per_latitude, posts.metres_per_longitude)
+        at_deg = np.array(place[:2]) + posts.places_ne_m() / metres
+        frame = LocalFrame(latitude_deg=place[0], longitude_deg=place[1])
+        size = {"radius_m": posts.radius_m, "height_m": _POST_M}
+        places = zip(*frame.to_local_many(*at_deg.T), strict=True)
+        told["trees"] = [{"north_m": float(n), "east_m": float(e)} | size for n, e in places]
+        told["lidar"] = flight.lidar
+    told |= {"heading_deg": home.heading_deg, "system_id": recording.system}
+    faults = timeline(recording, flight)
+    return Rig(recording.firmware, recording.kind, place, seed=seed, faults=faults, **told)
 
 
 def timeline(recording: Recording, flight: Flight) -> str:

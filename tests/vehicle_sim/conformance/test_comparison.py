@@ -1,14 +1,17 @@
-"""A flight agrees with itself, not with another one, and each kind of row can fail."""
+"""A flight agrees with itself, not with another one, each kind of row can fail; and the clock."""
 
 import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
 from conformance import compare
-from conformance.flights import Recording, Side, TimedFrame, decoded, flight_of
+from conformance.flights import Clock, Recording, Side, TimedFrame, decoded, flight_of
 from conformance.rows import Row
 
 Recorded = Callable[[str], Recording]
@@ -33,6 +36,9 @@ def test_a_flight_agrees_with_itself_not_with_another_one_and_silence_with_nothi
     recorded: Recorded, name: str
 ) -> None:
     flight = recorded(name)
+    for reason in flight_of(flight).reasons:  # they are narrow, and say something
+        assert len(reason.why) > 20
+        assert not reason.names == reason.shown == ".*"
     rows = rows_of(flight, flight.side)
     assert [row for row in rows if not row.agrees] == []
     assert max(row.difference for row in rows) == 0.0
@@ -130,4 +136,22 @@ def test_every_kind_of_row_has_been_made_to_fail(recorded: Recorded) -> None:
     assert kinds == {kind for kind, *_ in CHANGES}
 
 
-# --- pairing --------------------------------------------------------------------------------------
+# --- log time and vehicle time --------------------------------------------------------------------
+
+
+@given(
+    rate=st.floats(0.95, 1.05),
+    offset_s=st.floats(-5.0, 5.0),
+    late_s=st.lists(st.floats(0.0, 0.3), min_size=50, max_size=50),
+)
+def test_the_clock_finds_rate_and_offset_whatever_waited(
+    rate: float, offset_s: float, late_s: list[float]
+) -> None:
+    """One stamp in five did not wait."""
+    stamps = []
+    for i, wait_s in enumerate(late_s):
+        log_s = 0.2 * i
+        stamps.append((log_s + (0.0 if i % 5 == 0 else wait_s), offset_s + rate * log_s))
+    clock = Clock(stamps)
+    for log_s in np.linspace(0.0, 9.0, 19):
+        assert clock.vehicle_s(log_s) == pytest.approx(offset_s + rate * log_s, abs=0.31 * rate)
