@@ -66,24 +66,6 @@ def test_distances_are_shapelys(seed: int) -> None:
     assert made.scene().distance_m(points) == pytest.approx(away_m(solids, points), abs=1e-4)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_level_beams_are_as_long_as_shapelys_lines(seed: int) -> None:
-    made, solids = drawn(seed)
-    rng = np.random.default_rng(seed + 200)
-    angles = rng.uniform(0, math.tau, 60)
-    ways = np.stack([np.cos(angles), np.sin(angles), np.zeros(60)], -1)
-    eye = np.array([*rng.uniform(-30, 30, 2), GROUND_M + 5.0])
-    while away_m(solids, eye[None])[0] == 0.0:
-        eye[:2] += 1.0
-    tall = shapely.union_all([shape for shape, top in solids if top > eye[2]])
-    expected = []
-    for way in ways:
-        line = shapely.LineString([eye[:2], eye[:2] + 40.0 * way[:2]]).intersection(tall)
-        expected.append(math.inf if line.is_empty else shapely.Point(eye[:2]).distance(line))
-    found = made.scene().ray_lengths_m(eye, ways, 40.0)
-    assert found == pytest.approx(expected, abs=2e-3)
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_tilted_beams_end_where_small_steps_first_are_inside_or_in_a_hill(seed: int) -> None:
     hill = {"north_m": 40.0, "east_m": 0.0, "height_amsl_m": GROUND_M + 30.0}
