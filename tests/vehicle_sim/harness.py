@@ -121,11 +121,15 @@ def heartbeat(kind: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER) -> Any:
 class Heard:
     """One frame that came out of the vehicle's end of a link; read when its message is wanted."""
 
-    def __init__(self, at_s: float, link: int, frame: bytes) -> None:
+    def __init__(self, at_s: float, frame: bytes, link: int = 0) -> None:
         self.at_s, self.link, self.frame = at_s, link, frame
         """Vehicle time since the start."""
         self.source: Ids = (frame[5], frame[6])
-        self.kind: str = mavlink.mavlink_map[int.from_bytes(frame[7:10], "little")].msgname
+        self.number = int.from_bytes(frame[7:10], "little")
+
+    @property
+    def kind(self) -> str:
+        return str(mavlink.mavlink_map[self.number].msgname)
 
     @functools.cached_property
     def message(self) -> Any:
@@ -291,7 +295,7 @@ class Rig:
 
     def _hear(self) -> None:
         now_s = self.now_s
-        self.heard += [Heard(now_s, link, frame) for link, frame in self.simulation.take_frames()]
+        self.heard += [Heard(now_s, frame, link) for link, frame in self.simulation.take_frames()]
 
     def run(self, seconds: float, each: Callable[[], object] | None = None) -> Self:
         """Fly on, with something to do before each step."""

@@ -9,13 +9,12 @@ import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 import numpy as np
-from harness import Rig
+from harness import Heard, Rig
 from numpy.typing import NDArray
-from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.errors import InputError
@@ -28,35 +27,14 @@ _STAMPED = {30, 32, 33}
 """ATTITUDE, LOCAL_POSITION_NED and GLOBAL_POSITION_INT begin with time_boot_ms."""
 _FIRMWARES: dict[int, Firmware] = {3: "ardupilot", 12: "px4"}
 _FIXED_WING, _ARMED, _FIX_3D = 1, 0x80, 3
-_DECODER = mavlink.MAVLink(None)
 FloatArray = NDArray[np.float64]
-
-
-class TimedFrame(NamedTuple):
-    """A frame, and when it was on the wire in seconds."""
-
-    time_s: float
-    number: int
-    """Of the message."""
-    system: int
-    component: int
-    frame: bytes
-
-
-def heard(time_s: float, frame: bytes) -> TimedFrame:
-    """A frame with its identity read from its head."""
-    return TimedFrame(time_s, int.from_bytes(frame[7:10], "little"), frame[5], frame[6], frame)
-
-
-def decoded(one: TimedFrame) -> Any:
-    return _DECODER.decode(bytearray(one.frame))
 
 
 class Side:
     """Everything that one autopilot said, by message."""
 
-    def __init__(self, said: Iterable[TimedFrame]) -> None:
-        self._frames = dict[int, list[TimedFrame]]()
+    def __init__(self, said: Iterable[Heard]) -> None:
+        self._frames = dict[int, list[Heard]]()
         for one in said:
             self._frames.setdefault(one.number, []).append(one)
         self.of = functools.cache(self._of)
@@ -66,11 +44,11 @@ class Side:
     def numbers(self) -> set[int]:
         return set(self._frames)
 
-    def heard(self, number: int) -> Sequence[TimedFrame]:
+    def heard(self, number: int) -> Sequence[Heard]:
         return self._frames.get(number, ())
 
     def _of(self, number: int) -> Sequence[tuple[float, Any]]:
-        return [(one.time_s, decoded(one)) for one in self.heard(number)]
+        return [(one.at_s, one.message) for one in self.heard(number)]
 
 
 # --- log time and vehicle time --------------------------------------------------------------------
@@ -125,9 +103,9 @@ class Recording:
     kind: VehicleKind
     system: int
     home: Place
-    sent: Sequence[TimedFrame]
+    sent: Sequence[Heard]
     """By the clients: everything that does not come from the autopilot."""
-    said: Sequence[TimedFrame]
+    said: Sequence[Heard]
     """By the autopilot."""
     begin_s: float
     end_s: float
@@ -163,42 +141,42 @@ def read_recording(path: Path) -> Recording:
         rule = f"cannot be read ({getattr(error, 'strerror', error)})"
         raise InputError("LOG", str(path), rule, "Name a .tlog or .tlog.xz.") from None
     told = list(records(data, str(path)))
-    raw = [heard((time_us - told[0][0]) * 1e-6, frame) for time_us, frame in told]
+    raw = [Heard((time_us - told[0][0]) * 1e-6, frame) for time_us, frame in told]
     beats = (one for one in raw if one.number == _HEARTBEAT)
-    beat = next((one for one in beats if decoded(one).autopilot in _FIRMWARES), None)
+    beat = next((one for one in beats if one.message.autopilot in _FIRMWARES), None)
     if beat is None:
         rule = "no autopilot of ArduPilot or PX4 speaks in it"
         raise InputError("LOG", str(path), rule, "Name the recording of a flight.")
     clock = Clock(
         # zeros at the end of a payload are left out
-        (one.time_s, int.from_bytes(one.frame[10 : 10 + min(4, one.frame[1])], "little") * 1e-3)
+        (one.at_s, int.from_bytes(one.frame[10 : 10 + min(4, one.frame[1])], "little") * 1e-3)
         for one in raw
-        if one.number in _STAMPED and one[2:4] == beat[2:4]
+        if one.number in _STAMPED and one.source == beat.source
     )
-    timed = [one._replace(time_s=clock.vehicle_s(one.time_s)) for one in raw]
-    said = [one for one in timed if one[2:4] == beat[2:4]]
-    message = decoded(beat)
+    timed = [Heard(clock.vehicle_s(one.at_s), one.frame) for one in raw]
+    said = [one for one in timed if one.source == beat.source]
+    message = beat.message
     return Recording(
         name=path.name.removesuffix(".xz"),
         firmware=_FIRMWARES[message.autopilot],
         kind="plane" if message.type == _FIXED_WING else "copter",
-        system=beat.system,
+        system=beat.source[0],
         home=_home(said),
-        sent=[one for one in timed if one[2:4] != beat[2:4]],
+        sent=[one for one in timed if one.source != beat.source],
         said=said,
-        begin_s=timed[0].time_s,
-        end_s=timed[-1].time_s,
+        begin_s=timed[0].at_s,
+        end_s=timed[-1].at_s,
         clock=clock,
     )
 
 
-def _home(said: Iterable[TimedFrame]) -> Place:
+def _home(said: Iterable[Heard]) -> Place:
     """From HOME_POSITION, or else the estimator's origin, or else the first fix."""
     found, yaw_rad = dict[int, Any](), 0.0
     for one in said:
         if one.number not in (_HEARTBEAT, _ATTITUDE, _HOME, _ORIGIN, _GPS_RAW):
             continue
-        m = decoded(one)
+        m = one.message
         if one.number == _HEARTBEAT and m.base_mode & _ARMED:
             break  # it has stood still until now
         if one.number == _ATTITUDE:
@@ -312,7 +290,7 @@ _POST_M = 1000.0
 _INSTANT_S = 1e-6
 
 
-def play(recording: Recording, flight: Flight, *, seed: int = 0) -> list[TimedFrame]:
+def play(recording: Recording, flight: Flight, *, seed: int = 0) -> list[Heard]:
     """Everything that the simulated vehicle says while the recorded client flies it.
 
     A frame goes in at the first step that is not before its time.  Before the recording begins
@@ -326,17 +304,16 @@ def play(recording: Recording, flight: Flight, *, seed: int = 0) -> list[TimedFr
         if placed_s <= rig.now_s:
             _place(rig.vehicle, recording, flight, placed_s)
             placed_s = math.inf
-        while waiting and waiting[-1].time_s <= rig.now_s + _INSTANT_S:
+        while waiting and waiting[-1].at_s <= rig.now_s + _INSTANT_S:
             rig.put(waiting.pop().frame)
         rig.step()
-    said = (each for each in rig.heard if each.link == 0 and each.at_s >= recording.begin_s)
-    return [heard(each.at_s, each.frame) for each in said]
+    return [each for each in rig.heard if each.link == 0 and each.at_s >= recording.begin_s]
 
 
 def _place(vehicle: Vehicle, recording: Recording, flight: Flight, at_s: float) -> None:
     """Put the vehicle where the real one was at this vehicle time."""
-    newest = {one.number: one for one in recording.said if one.time_s <= at_s}
-    position, attitude = decoded(newest[_GLOBAL]), decoded(newest[_ATTITUDE])
+    newest = {one.number: one for one in recording.said if one.at_s <= at_s}
+    position, attitude = newest[_GLOBAL].message, newest[_ATTITUDE].message
     vehicle.latitude_deg, vehicle.longitude_deg = position.lat / 1e7, position.lon / 1e7
     vehicle.altitude_amsl_m = flight.home.altitude_amsl_m + position.relative_alt / 1e3
     vehicle.velocity_m_s = complex(position.vx / 1e2, position.vy / 1e2)
