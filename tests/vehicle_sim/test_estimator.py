@@ -58,21 +58,6 @@ def test_a_jump_of_gps_is_resisted_for_ten_seconds_and_then_believed() -> None:
     assert north_m(it) == pytest.approx(-50.0, abs=1.0)
 
 
-def test_a_reset_moves_the_position_and_a_moved_origin_local_positions_only() -> None:
-    it = hovering()
-    place, local = it.autopilot.estimate.place, it.ned_m
-    it.autopilot.move_origin(10.0, 5.0, 1.0)
-    assert it.autopilot.estimate.place == place
-    assert np.subtract(it.ned_m, local) == pytest.approx([-10.0, -5.0, 1.0], abs=0.01)
-    it = hovering()
-    it.autopilot.estimate.shift(20.0, 0.0)
-    it.step()
-    assert it.ned_m[0] - local[0] == pytest.approx(20.0, abs=0.1)
-    fly_on(it, 30.0)
-    assert it.when("GPS Glitch or Compass error") == []
-    assert north_m(it) == pytest.approx(-20.0, abs=0.5)
-
-
 @pytest.mark.parametrize("kind", ["copter", "plane"])
 def test_an_outage_of_ten_seconds_leaves_it_armable_again(kind: Any) -> None:
     it = Rig("ardupilot", kind).armable()  # between 7 s, "timed out", and 15 s, "stopped aiding"

@@ -149,16 +149,6 @@ def test_the_id_of_a_list_is_the_one_that_the_real_px4_gave_it() -> None:
     assert raw[10 : 10 + raw[1]].hex() == "ffbe0001470676d1"
 
 
-def test_the_old_list_stays_until_the_new_one_is_whole() -> None:
-    vehicle, items = fresh("px4"), lists()[FENCE]
-    upload(vehicle, [circle(0)], FENCE)
-    old = vehicle.simulation.plans[FENCE]
-    for message in (count(4, FENCE), *items[:3]):
-        say(vehicle, message)
-    assert vehicle.simulation.plans[FENCE] == old
-    assert upload(vehicle, items, FENCE) == ACCEPTED
-
-
 def test_items_come_once_and_in_order_and_from_one_client_at_a_time() -> None:
     vehicle = fresh("ardupilot")
     say(vehicle, count(2, FENCE))
