@@ -220,7 +220,9 @@ class Rig:
         self.run(0.02)
         return [each.message for each in self.heard[begun:] if each.link == link]
 
-    def command(self, number: int, *p: float, frame: int | None = None, link: int = 0) -> Any:
+    def command(
+        self, number: int, *p: float, frame: int | None = None, link: int = 0
+    ) -> int | None:
         """COMMAND_LONG, or COMMAND_INT in this frame with x and y in degrees; its result, at once.
 
         None: there is no answer.
@@ -240,7 +242,8 @@ class Rig:
         heard = (e for e in self.heard[begun:] if (e.kind, e.source) == ("COMMAND_ACK", VEHICLE))
         acks = [each.message for each in heard]
         assert all((ack.target_system, ack.target_component) == self.source for ack in acks)
-        return next((ack.result for ack in reversed(acks) if ack.command == number), None)
+        results = [int(ack.result) for ack in acks if ack.command == number]
+        return results[-1] if results else None
 
     def set_mode(self, mode: str | int) -> int | None:
         """The result of DO_SET_MODE; PX4's second answer, as the first is always yes."""

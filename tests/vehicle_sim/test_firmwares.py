@@ -196,10 +196,10 @@ def test_a_mission_is_flown_from_take_off_to_landing(
     kind: Any, legs: Legs, order: Any, near_m: float, spends: Any, fast: Any, ends: Any
 ) -> None:
     it, seen = on_mission(kind, *legs), list[Any]()
-    it.until(
-        lambda: not it.armed or seen.append((it.autopilot.route.current, it.ne_m, it.speed_m_s)),
-        400.0,
-    )
+    while it.armed:
+        seen.append((it.autopilot.route.current, it.ne_m, it.speed_m_s))
+        it.step()
+        assert it.now_s < 400.0
     items = [current for current, *_ in seen]
     assert [n for k, n in enumerate(items) if not k or items[k - 1] != n] == [*order]
     for _, north, east, *_ in (leg for leg in legs[2:] if leg[0] == 16):

@@ -53,9 +53,10 @@ def rough(seed: int, centre_ne_m: NE = HERE) -> GridTerrain:
     """An elevation file of points at about 90 m, with steps of up to 120 m between them."""
     heights_m = np.random.default_rng(seed).integers(200, 320, (200, 200)).astype(np.int16)
     north_deg, west_deg = FRAME.to_geographic(*centre_ne_m) + np.array([0.08, -0.08])
-    area = (lambda a, b: (a - 4e3, a + 4e3, b - 4e3, b + 4e3))(*centre_ne_m)
+    north_m, east_m = centre_ne_m
+    area_m = (north_m - 4e3, north_m + 4e3, east_m - 4e3, east_m + 4e3)
     at = {"north_deg": north_deg, "west_deg": west_deg, "step_deg": (1 / 1200, 1 / 1200)}
-    return GridTerrain(heights_m, **at, frame=FRAME, area_m=area)
+    return GridTerrain(heights_m, **at, frame=FRAME, area_m=area_m)
 
 
 def radar(terrain: Terrain) -> TerrainRadar:
