@@ -37,8 +37,8 @@ PLACE: Final = (47.397742, 8.545594, 488.0)
 """Where ArduCopter, ArduPlane and PX4 stand: latitude, longitude, metres AMSL."""
 STEP_S: Final = 0.01
 _HOMES = {("ardupilot", "plane"): PLANE_HOME, ("px4", "copter"): PLACE, ("px4", "plane"): PLACE}
-_AS_RECORDED = {"px4": {"COM_OBL_RC_ACT": 5.0}, ("px4", "copter"): {"SIH_KDV": 0.25}}
-"""Parameters of the recorded flights: a lost stream is Hold, and the drag of the copter."""
+_AS_RECORDED = {"COM_OBL_RC_ACT": 5.0, "SIH_KDV": 0.25}
+"""Parameters of PX4's recorded copters: a lost stream is Hold, and the drag."""
 _NOWHERE = 0x7FFFFFFF
 """x or y of a COMMAND_INT that gives no place."""
 _WHERE = ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "ATTITUDE", "HEARTBEAT")
@@ -177,8 +177,7 @@ class Rig:
         **told: Any,
     ) -> None:
         self.home = place or _HOMES.get((autopilot, kind), COPTER_HOME)
-        usual = _AS_RECORDED.get(autopilot, {}) | _AS_RECORDED.get((autopilot, kind), {})
-        table = world(autopilot, kind, self.home, **usual | told)
+        table = world(autopilot, kind, self.home, **told)
         self.simulation = Simulation(parse_world(table), links=links, faults=faults, seed=seed)
         self.kind, self.firmware, self.source = kind, autopilot, COMPANION
         self.heard: list[Heard] = []
@@ -486,13 +485,13 @@ def circling(settle_s: float = 30.0, **told: Any) -> Rig:
 
 @copied
 def hover(height_m: float = 15.0, **told: Any) -> Rig:
-    """PX4's copter in OFFBOARD above the origin."""
-    return Rig("px4", **told).take_off(height_m)
+    """PX4's copter in OFFBOARD above the origin, with the parameters of the recorded ones."""
+    return Rig("px4", **_AS_RECORDED | told).take_off(height_m)
 
 
 @copied
 def _cruising(**told: Any) -> Rig:
-    return Rig("px4", "plane", **told).take_off(50.0)
+    return Rig("px4", "plane", **{"COM_OBL_RC_ACT": 5.0} | told).take_off(50.0)
 
 
 def cruising(

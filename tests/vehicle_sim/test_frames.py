@@ -6,21 +6,20 @@ import struct
 from typing import Any
 
 import pytest
-from harness import VEHICLE, ZERO, Rig, flying, hover, hovering, setpoint
+from harness import COMPANION, VEHICLE, ZERO, Rig, flying, hover, hovering, setpoint
 from hypothesis import example, given
 from hypothesis import strategies as st
 from pymavlink import mavftp_op
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot.values import Sender, Text
-from vehicle_sim.flight_controller import no_file, texts
+from vehicle_sim.autopilot.values import Text
+from vehicle_sim.flight_controller import texts
 from vehicle_sim.wire.frames import StreamParser, framed
 
 ARM = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 7.5)
 BEAT = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
 TEXT = mavlink.MAVLink_statustext_message(4, b"a text that is long enough for all of its 50 bytes")
 KINDS = sorted(mavlink.mavlink_map.values(), key=lambda kind: kind.id)
-ANYBODY = Sender(system=255, component=190, link=2)
 approx = pytest.approx
 
 
@@ -176,9 +175,7 @@ def test_there_are_no_files(opcode: int, data: bytes, answer: tuple[int, ...] | 
     """Asked for in the layout of pymavlink's own client."""
     operation = mavftp_op.FTP_OP(7, 3, opcode, len(data), 0, 0, 11, bytearray(data))
     payload = list(bytes(operation.pack()).ljust(251, b"\0"))
-    asked = sent(mavlink.MAVLink_file_transfer_protocol_message(0, 1, 1, payload))
-    said: Any = list(no_file(asked, ANYBODY, 0))
-    got = [sent(each.message) for each in said]
-    assert all((each.target_system, each.target_component) == (255, 190) for each in got)
+    got = Rig().ask(mavlink.MAVLink_file_transfer_protocol_message(0, 1, 1, payload))
+    assert all((each.target_system, each.target_component) == COMPANION for each in got)
     found = [struct.unpack_from("<HBBBB6xB", bytes(each.payload)) for each in got]
     assert found == ([answer] if answer else [])

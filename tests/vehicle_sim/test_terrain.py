@@ -1,6 +1,5 @@
-"""Both kinds of terrain: what they are by closed form and by scipy, and how files of them are read.
-
-That their bounds hold is seen by test_radar.py: what it hides is hidden.
+"""Both kinds of terrain: what they are by closed form and by scipy, that their bounds hold, and
+how files of them are read.
 """
 
 from pathlib import Path
@@ -19,13 +18,36 @@ from scipy.interpolate import RegularGridInterpolator
 
 from vehicle_sim.elevation import read_grid
 from vehicle_sim.errors import InputError
-from vehicle_sim.geodesy import LocalFrame
-from vehicle_sim.terrain import GridTerrain, PeakTerrain
+from vehicle_sim.geodesy import FloatArray, LocalFrame
+from vehicle_sim.terrain import GridTerrain, PeakRow, PeakTerrain, Terrain
 
 WGS84 = Geod(ellps="WGS84")
 STEP, HALF_M = (1 / 1200, 1 / 1200), 3_000.0
 PLACES = ((0.0, 0.0), (36.5, -84.3), (-47.0, 179.99), (62.0, -180.0))
+KINDS = st.sampled_from(["maximum", "sum", *PLACES])
+SEEDS = st.integers(0, 10**6)
 ROWS, COLUMNS = 100, 160
+Kind = str | tuple[float, float]
+
+
+def drawn(rng: np.random.Generator, kind: Kind) -> tuple[Terrain, list[PeakRow]]:
+    """Peaks; or about a place rough ground: steps of up to 120 m between points of about 90 m."""
+    if isinstance(kind, tuple):
+        grid = GridTerrain(
+            rng.integers(200, 320, (ROWS, COLUMNS)).astype(np.int16),
+            north_deg=kind[0] + 0.5 * ROWS * STEP[0],
+            west_deg=kind[1] - 0.5 * COLUMNS * STEP[1],
+            step_deg=STEP,
+            frame=LocalFrame(**placed(kind, height=False)),
+            area_m=(-HALF_M, HALF_M, -HALF_M, HALF_M),
+        )
+        return grid, []
+    count = int(rng.integers(0, 8))
+    places, heights = rng.uniform(-HALF_M, HALF_M, (count, 2)), rng.uniform(100, 3000, count)
+    spreads = rng.uniform(300, 3000, (count, 2))
+    rows = [tuple(row) for row in np.column_stack([places, heights, spreads]).tolist()]
+    ground_m = float(rng.choice([-50.0, 50.0]))
+    return PeakTerrain(rows, combine=kind, ground_amsl_m=ground_m), rows  # type: ignore[arg-type]
 
 
 def test_a_single_peak_is_equation_1_over_the_ground() -> None:
@@ -40,19 +62,12 @@ def test_a_single_peak_is_equation_1_over_the_ground() -> None:
 
 
 @settings(max_examples=15)
-@given(seed=st.integers(0, 10**6), place=st.sampled_from(PLACES))
+@given(seed=SEEDS, place=st.sampled_from(PLACES))
 def test_the_grid_is_bilinear_in_latitude_and_longitude_and_goes_on_beyond_its_edge(
     seed: int, place: tuple[float, float]
 ) -> None:
     rng = np.random.default_rng(seed)
-    terrain = GridTerrain(
-        rng.integers(200, 320, (ROWS, COLUMNS)).astype(np.int16),
-        north_deg=place[0] + 0.5 * ROWS * STEP[0],
-        west_deg=place[1] - 0.5 * COLUMNS * STEP[1],
-        step_deg=STEP,
-        frame=LocalFrame(**placed(place, height=False)),
-        area_m=(-HALF_M, HALF_M, -HALF_M, HALF_M),
-    )
+    terrain: Any = drawn(rng, place)[0]
     north, east = rng.uniform(-HALF_M, HALF_M, (2, 200))
     azimuth, ones = np.degrees(np.arctan2(east, north)), np.ones(200)
     start = (place[1] * ones, place[0] * ones)
@@ -68,6 +83,65 @@ def test_the_grid_is_bilinear_in_latitude_and_longitude_and_goes_on_beyond_its_e
     assert terrain.height_at_amsl_m(north[0], east[0]) == pytest.approx(expected[0], abs=0.01)
     edge_m = terrain.height_at_amsl_m(HALF_M, -HALF_M)
     assert terrain.height_at_amsl_m(9e4, -9e4) == edge_m
+
+
+# --- bounds ---------------------------------------------------------------------------------------
+
+
+def turned_quads(rng: np.random.Generator, size_m: float, about: list[PeakRow]) -> FloatArray:
+    """Anywhere, and with the tops of peaks in them or just outside.  -> (K, 4, 2)."""
+    tops = np.array([row[:2] for row in about]).reshape(-1, 2)
+    near_tops = tops + rng.uniform(-0.6, 0.6, tops.shape) * size_m
+    centres = np.concatenate([rng.uniform(-2_500, 2_500, (20, 2)), near_tops])
+    square = np.array([(-1, -1), (-1, 1), (1, 1), (1, -1)]) * size_m / 2
+    angle = rng.uniform(-0.3, 0.3)
+    turn = np.array([(np.cos(angle), -np.sin(angle)), (np.sin(angle), np.cos(angle))])
+    return np.asarray(centres[:, None] + square @ turn.T)
+
+
+@settings(max_examples=40)
+@given(seed=SEEDS, kind=KINDS, size_m=st.sampled_from([19.0, 60.0, 250.0, 400.0]))
+def test_the_highest_of_a_quadrilateral_bounds_what_is_in_it_and_is_near_it(
+    seed: int, kind: Kind, size_m: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    terrain, about = drawn(rng, kind)
+    quads = turned_quads(rng, size_m, about)
+    highest, at = terrain.highest_in_quads_amsl_m(quads)
+    u, v = (x.ravel() for x in np.meshgrid(np.linspace(0, 1, 61), np.linspace(0, 1, 61)))
+    shares = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v])
+    points = np.einsum("kp,ckx->cpx", shares, quads)
+    brute = terrain.height_amsl_m(points[..., 0], points[..., 1]).max(axis=1)
+    attained = terrain.height_amsl_m(at[:, 0], at[:, 1])
+    assert (highest >= brute - 1e-6).all()
+    if kind == "maximum":
+        np.testing.assert_allclose(attained, highest, rtol=1e-12)
+        assert (highest <= brute + 30.0).all()  # 7 m between samples, slopes up to about 9
+    elif kind != "sum":
+        assert (attained >= brute - 0.1 * size_m).all()
+        if size_m == 19.0:
+            assert (highest <= attained + 6.0).all()  # 1.7 m from a sample at most, slopes up to 3
+
+
+@settings(max_examples=40)
+@given(seed=SEEDS, kind=KINDS, cell_m=st.sampled_from([4.0, 200.0]))
+def test_the_lattice_of_lower_bounds_is_not_above_the_terrain(
+    seed: int, kind: Kind, cell_m: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    terrain, _ = drawn(rng, kind)
+    begins = rng.uniform(-2_900, -2_000, 2)
+    north, east = (start + np.arange(0.0, 25.5) * cell_m for start in begins)
+    lowest = terrain.lowest_in_grid_amsl_m(north, east)
+    u, v = rng.uniform(0.0, cell_m, (2, 40))
+    inside = (north[:-1, None] + u)[:, None, :], (east[:-1, None] + v)[None, :, :]
+    brute = terrain.height_amsl_m(*inside).min(axis=-1)
+    assert lowest.shape == (25, 25)
+    assert (lowest <= brute + 1e-6).all()
+    if not isinstance(kind, tuple):
+        assert (lowest >= terrain.ground_amsl_m).all()  # type: ignore[attr-defined]
+    elif cell_m == 4.0:
+        assert (lowest >= brute - 25.0).all()
 
 
 # --- files ----------------------------------------------------------------------------------------

@@ -290,13 +290,13 @@ _POST_M = 1000.0
 _INSTANT_S = 1e-6
 
 
-def play(recording: Recording, flight: Flight, *, seed: int = 0) -> list[Heard]:
+def play(recording: Recording, flight: Flight) -> list[Heard]:
     """Everything that the simulated vehicle says while the recorded client flies it.
 
     A frame goes in at the first step that is not before its time.  Before the recording begins
     the vehicle boots alone, and what it says then was not recorded either.
     """
-    rig, placed_s = rig_of(recording, flight, seed), math.inf
+    rig, placed_s = rig_of(recording, flight), math.inf
     if flight.placed_at_s is not None:
         placed_s = recording.clock.vehicle_s(flight.placed_at_s)
     waiting = list(reversed(recording.sent))
@@ -323,7 +323,7 @@ def _place(vehicle: Vehicle, recording: Recording, flight: Flight, at_s: float) 
     vehicle.roll_rad = attitude.roll
 
 
-def rig_of(recording: Recording, flight: Flight, seed: int) -> Rig:
+def rig_of(recording: Recording, flight: Flight) -> Rig:
     """A vehicle of that kind at home, with the posts around it."""
     home, posts, told = flight.home, flight.posts, dict[str, Any](flight.parameters)
     place = (home.latitude_deg, home.longitude_deg, home.altitude_amsl_m)
@@ -337,7 +337,7 @@ def rig_of(recording: Recording, flight: Flight, seed: int) -> Rig:
         told["lidar"] = flight.lidar
     told |= {"heading_deg": home.heading_deg, "system_id": recording.system}
     faults = timeline(recording, flight)
-    return Rig(recording.firmware, recording.kind, place, seed=seed, faults=faults, **told)
+    return Rig(recording.firmware, recording.kind, place, faults=faults, **told)
 
 
 def timeline(recording: Recording, flight: Flight) -> str:
