@@ -149,6 +149,8 @@ def test_two_runs_with_every_fault_say_the_same_bytes(
         vehicle = Rig(firmware, kind, links=2, scanner=radar, seed=7)
         vehicle.source, vehicle.beat = GCS, heartbeat(mavlink.MAV_TYPE_GCS)
         vehicle.climb(30.0)
+        for number in (1, 24, 30, 32, 33, 85, 147, 193):
+            vehicle.command(511, number, 20_000)
         south_west = (
             round((at - off) * 1e7) for at, off in zip(vehicle.home, (5e-3, 8e-3), strict=False)
         )
